@@ -1,0 +1,87 @@
+//! The edge: where records come from and where frames go. A card, a recorded file, a simulated room and a remote
+//! robot are values of one type, [`CsiSource`].
+
+pub mod sim;
+
+use crate::time::Instant;
+use driver_iface::record::{Reason, Record, Tail};
+
+/// Why a source or an injector failed. Loss is not a failure: see [`Loss`].
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// The operating system said no. `what` says what was tried, and what to check.
+    #[error("{what}: {source}")]
+    Io {
+        /// What was tried, on what, and what to check next.
+        what: String,
+        /// The operating system's answer.
+        source: std::io::Error,
+    },
+    /// The input is not what this source reads.
+    #[error("{0}")]
+    Input(String),
+}
+
+/// Something that did not arrive, or arrived damaged. Counted and reported, never an error.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Loss {
+    /// Bytes of a log or datagram that are no intact record.
+    Bytes {
+        /// Offset of the first lost byte in the file (or 0-based datagram number).
+        offset: u64,
+        /// Number of bytes skipped.
+        len: u64,
+        /// Why.
+        reason: Reason,
+    },
+    /// A kernel or peer queue ran over; `dropped` where the number is known.
+    Overrun {
+        /// Messages dropped, if the kernel says.
+        dropped: Option<u64>,
+    },
+}
+
+/// What [`CsiSource::receive`] gives.
+#[derive(Debug)]
+pub enum Next<'a> {
+    /// A record, with what is known about when it was received.
+    Record(Stamps, Record<'a>),
+    /// Something was lost here.
+    Lost(Loss),
+    /// Nothing yet: wait for [`CsiSource::next_at`], or for the file descriptor.
+    Pending,
+    /// The source is exhausted, and how it ended.
+    End(Tail),
+}
+
+/// When a record was received, on the clocks that say so. The card's own clock is inside the record.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Stamps {
+    /// The driver's own time at which the record was handed over. For waiting, not for measuring.
+    pub at: Instant,
+    /// Host wall clock at receipt, microseconds since the Unix epoch, where a side file or the listener has one.
+    pub host_us: Option<i64>,
+    /// Offset of the record in its file, or its running number.
+    pub offset: u64,
+}
+
+/// A source of records. It never blocks and never parses; it lends its own buffer.
+pub trait CsiSource {
+    /// The next record, loss, or nothing yet. `now` is the driver's time and never runs backwards.
+    ///
+    /// # Errors
+    /// Only for what cannot be gone on from; loss is [`Next::Lost`].
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error>;
+
+    /// When the next record is due, if the source knows: replay and simulation do, a live socket does not.
+    fn next_at(&self) -> Option<Instant>;
+}
+
+/// Something that can put a frame on the air. Separate from [`CsiSource`]: a recorded file has no transmitter.
+pub trait Injector {
+    /// Hands over one 802.11 frame (no radiotap header, no FCS) to be sent at once.
+    ///
+    /// # Errors
+    /// When the frame was not taken.
+    fn inject(&mut self, now: Instant, frame: &[u8]) -> Result<(), Error>;
+}

@@ -1,0 +1,1 @@
+//! Bartlett profiles and bearings (in work).

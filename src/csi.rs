@@ -1,0 +1,1 @@
+//! CSI matrices (in work).

@@ -1,0 +1,2 @@
+//! The `csi5300` command.
+fn main() {}

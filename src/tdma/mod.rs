@@ -1,0 +1,1 @@
+//! The round-robin TDMA scheduler (in work).
