@@ -3,7 +3,11 @@
 
 pub mod backend;
 pub mod bartlett;
+pub mod cfo;
 pub mod csi;
+pub mod odometry;
+pub mod pairing;
+pub mod pose;
 pub mod samples;
 pub mod tdma;
 pub mod time;
