@@ -136,20 +136,20 @@ impl TurnAround {
 }
 
 /// `value = middle + slope * (x - middle_x)`.
-struct Line {
+pub(crate) struct Line {
     slope: f64,
     x: f64,
     y: f64,
 }
 
 impl Line {
-    fn at(&self, x: f64) -> f64 {
+    pub(crate) fn at(&self, x: f64) -> f64 {
         self.y + self.slope * (x - self.x)
     }
 }
 
 /// The drift: the median slope over half the record, then least squares without outliers.
-fn drift_line(clock_us: &[i64], difference_us: &[i64]) -> Line {
+pub(crate) fn drift_line(clock_us: &[i64], difference_us: &[i64]) -> Line {
     let n = clock_us.len();
     let half = n / 2;
     let slope_between = |k: usize| {

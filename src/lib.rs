@@ -1,6 +1,7 @@
 //! Bearings from WiFi.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
+pub mod assign;
 pub mod backend;
 pub mod bartlett;
 pub mod cfo;
