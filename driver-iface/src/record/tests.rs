@@ -97,6 +97,19 @@ fn intact_logs_are_read_whole() {
 }
 
 #[test]
+fn records_of_unknown_codes_are_kept() {
+    let unknown = |code: u8| framed(code, &[code; 40]);
+    let mut log = vec![bfee_record(0, 3, 1, true)];
+    log.extend((0..20).map(|_| unknown(0x42)));
+    log.extend((0..20).map(|k| unknown(0x43 + k % 2)));
+    log.push(framed(0x50, &[]));
+    log.push(bfee_record(1, 3, 1, true));
+    for log in [&log[..], &log[1..], &log[..21]] {
+        assert_eq!(records(&log.concat()), log);
+    }
+}
+
+#[test]
 fn one_byte_less_costs_the_record_it_was_in_and_one_more_at_most() {
     for (which, log) in logs().iter().enumerate() {
         let whole = log.concat();
