@@ -2,19 +2,20 @@
 
 use super::head::{Codes, Head, Reason, SURE, head};
 use super::{LENGTH_FIELD, MAX_LENGTH, Record, code};
-use crate::bfee::Bfee;
+use crate::bfee::{Bfee, MAX_BODY};
 use crate::mpdu::Mpdu;
 
 /// Bytes of buffer with which [`Framer::step`] can always decide.
-pub const LOOKAHEAD: usize = 64 * 1024;
+pub const LOOKAHEAD: usize = 72 * 1024;
 
 /// Records that are looked at after one in doubt.
-const MAX_LINKS: usize = 5;
+const MAX_LINKS: usize = 6;
 
 /// Positions searched before a stretch of damage is reported in parts.
 const SEARCH: usize = 16 * 1024;
 
-const _: () = assert!(SEARCH + (MAX_LINKS + 1) * (LENGTH_FIELD + MAX_LENGTH) + 64 <= LOOKAHEAD + MAX_LENGTH);
+// The furthest byte looked at: the head of the last link after a candidate at the end of a search behind a bfee.
+const _: () = assert!(LENGTH_FIELD + 1 + MAX_BODY + SEARCH + MAX_LINKS * (LENGTH_FIELD + MAX_LENGTH) + 23 <= LOOKAHEAD);
 
 /// What the front of the buffer is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -160,7 +161,7 @@ impl Framer {
     fn doubtful<'a>(&mut self, front: &'a [u8], end: bool, len: usize, bits: u32) -> Step<'a> {
         let reason = match self.chain(front, end, len, bits) {
             Chain::Short => return Step::Incomplete,
-            Chain::No => Reason::NotFollowed { code: front.get(LENGTH_FIELD).copied().unwrap_or(0), expect: len },
+            Chain::No => Reason::NotFollowed { code: code_of(front), expect: len },
             Chain::Yes | Chain::End => match self.search_sure(front, end, len) {
                 Found::Nothing => return self.accept(front, len),
                 Found::Short => return Step::Incomplete,
@@ -170,29 +171,31 @@ impl Framer {
         if checksum_is_good(front, len) { self.accept(front, len) } else { self.resync(front, end, 1, reason) }
     }
 
-    /// Follows the lengths from `at` until something vouches for the chain, starting with `bits` of evidence.
-    fn chain(&self, front: &[u8], end: bool, at: usize, mut bits: u32) -> Chain {
-        let mut at = at;
-        let mut code = None;
+    /// Follows the lengths from the record at the front on, until something vouches for them.
+    ///
+    /// `len` is that record's length, `bits` the evidence that it brings. A code that comes again counts as known.
+    fn chain(&self, front: &[u8], end: bool, len: usize, mut bits: u32) -> Chain {
+        let mut seen = self.seen;
+        note(&mut seen, front);
+        let mut at = len;
         for _ in 0..MAX_LINKS {
             let rest = front.get(at..).unwrap_or_default();
             if at >= front.len() && end {
                 return if at == front.len() { Chain::End } else { Chain::No };
             }
-            match head(rest, &self.seen) {
+            match head(rest, &seen) {
                 Head::Short if end => return Chain::End,
                 Head::Short => return Chain::Short,
                 Head::Bad(_) => return Chain::No,
                 Head::Good { len, bits: more } => {
-                    let this = rest.get(LENGTH_FIELD).copied();
-                    bits += if more == 0 && this == code { 8 } else { more };
-                    code = this;
+                    bits += more;
                     at += len;
                 }
             }
             if bits >= SURE {
                 return Chain::Yes;
             }
+            note(&mut seen, rest);
         }
         Chain::No
     }
@@ -276,7 +279,7 @@ impl Framer {
             _ => false,
         };
         if let (true, Some(expect)) = (doubtful, expected) {
-            let code = front.get(LENGTH_FIELD).copied().unwrap_or(0);
+            let code = code_of(front);
             return self.bad(front.len(), Reason::NotFollowed { code, expect });
         }
         let expected = expected.map(|len| len as u64);
@@ -306,6 +309,20 @@ impl Framer {
     }
 }
 
+/// Remembers the code of the record at the front, unless it is only the same byte over and over.
+fn note(seen: &mut Codes, front: &[u8]) {
+    if let [high, low, code, ..] = front
+        && (high != code || low != code)
+    {
+        seen.insert(*code);
+    }
+}
+
+/// The code byte of the record at the front.
+fn code_of(front: &[u8]) -> u8 {
+    front.get(LENGTH_FIELD).copied().unwrap_or(0)
+}
+
 /// True unless the record is a bfee with bits where none should be.
 fn gaps_are_clear(front: &[u8], len: usize) -> bool {
     match front.get(LENGTH_FIELD..len).and_then(Record::from_message) {
@@ -322,11 +339,8 @@ fn checksum_is_good(front: &[u8], len: usize) -> bool {
     }
 }
 
-/// One event of a stream that is wholly in memory.
-pub type Event<'a> = Step<'a>;
-
 /// All steps over bytes that are wholly in memory, the last of them [`Step::End`].
-pub fn events(bytes: &[u8]) -> impl Iterator<Item = Event<'_>> {
+pub fn events(bytes: &[u8]) -> impl Iterator<Item = Step<'_>> {
     let mut framer = Framer::new();
     let mut rest = Some(bytes);
     core::iter::from_fn(move || {
