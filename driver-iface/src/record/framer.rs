@@ -3,7 +3,7 @@
 use super::head::{Codes, Head, Reason, SURE, head};
 use super::{LENGTH_FIELD, MAX_LENGTH, Record, code};
 use crate::bfee::{Bfee, MAX_BODY};
-use crate::mpdu::Mpdu;
+use crate::mpdu::fcs_is_good;
 
 /// Bytes of buffer with which [`Framer::step`] can always decide.
 pub const LOOKAHEAD: usize = 72 * 1024;
@@ -13,6 +13,11 @@ const MAX_LINKS: usize = 6;
 
 /// Positions searched before a stretch of damage is reported in parts.
 const SEARCH: usize = 16 * 1024;
+
+/// Bytes of which checksums may be taken at once, and per byte consumed: what keeps the work linear when every few
+/// bytes pretend to be a long frame. A frame that is not checked for want of credit counts as unchecked.
+const CREDIT: usize = 64 * 1024;
+const CREDIT_PER_BYTE: usize = 8;
 
 // The furthest byte looked at: the head of the last link after a candidate at the end of a search behind a bfee.
 const _: () = assert!(LENGTH_FIELD + 1 + MAX_BODY + SEARCH + MAX_LINKS * (LENGTH_FIELD + MAX_LENGTH) + 23 <= LOOKAHEAD);
@@ -82,7 +87,7 @@ impl Tail {
 /// MPDU followed by nothing is searched for the head of another record: if there is one inside, bytes are missing
 /// from the first and it is given up, so one lost or 100 foreign bytes cost the record that they are in, no more.
 /// Records of unknown codes are legal; right after damage one is believed only if its code was met before.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Framer {
     offset: u64,
     /// Codes of believed records.
@@ -91,6 +96,14 @@ pub struct Framer {
     searched: usize,
     /// The step before ended in damage without finding a record.
     lost: bool,
+    /// Bytes that checksums may still be taken of; see [`CREDIT`].
+    credit: usize,
+}
+
+impl Default for Framer {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
 /// Outcome of a look at what follows.
@@ -101,6 +114,15 @@ enum Chain {
     End,
     No,
     Short,
+}
+
+/// Which records may stand between one in doubt and what vouches for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Links {
+    /// Those of codes that are known or were met before.
+    Known,
+    /// Any.
+    Any,
 }
 
 /// Outcome of a search.
@@ -114,7 +136,7 @@ impl Framer {
     /// At the start of a stream.
     #[must_use]
     pub fn new() -> Self {
-        Self::default()
+        Self { offset: 0, seen: Codes::default(), searched: 0, lost: false, credit: CREDIT }
     }
 
     /// Position in the stream: bytes consumed so far.
@@ -144,7 +166,7 @@ impl Framer {
 
     /// A record that vouches for itself, unless another begins inside it.
     fn sure<'a>(&mut self, front: &'a [u8], end: bool, len: usize) -> Step<'a> {
-        match self.chain(front, end, len, 0) {
+        match self.chain(front, end, len, 0, Links::Known) {
             Chain::Yes | Chain::End => return self.accept(front, len),
             Chain::Short => return Step::Incomplete,
             Chain::No => {}
@@ -159,7 +181,7 @@ impl Framer {
 
     /// A record that needs a witness: what follows it, or an MPDU's checksum.
     fn doubtful<'a>(&mut self, front: &'a [u8], end: bool, len: usize, bits: u32) -> Step<'a> {
-        let reason = match self.chain(front, end, len, bits) {
+        let reason = match self.chain(front, end, len, bits, Links::Any) {
             Chain::Short => return Step::Incomplete,
             Chain::No => Reason::NotFollowed { code: code_of(front), expect: len },
             Chain::Yes | Chain::End => match self.search_sure(front, end, len) {
@@ -168,13 +190,17 @@ impl Framer {
                 Found::At(next) => Reason::Overlapped { expect: len, got: next },
             },
         };
-        if checksum_is_good(front, len) { self.accept(front, len) } else { self.resync(front, end, 1, reason) }
+        if self.checksum(front, len) == Some(true) {
+            self.accept(front, len)
+        } else {
+            self.resync(front, end, 1, reason)
+        }
     }
 
     /// Follows the lengths from the record at the front on, until something vouches for them.
     ///
     /// `len` is that record's length, `bits` the evidence that it brings. A code that comes again counts as known.
-    fn chain(&self, front: &[u8], end: bool, len: usize, mut bits: u32) -> Chain {
+    fn chain(&self, front: &[u8], end: bool, len: usize, mut bits: u32, links: Links) -> Chain {
         let mut seen = self.seen;
         note(&mut seen, front);
         let mut at = len;
@@ -187,6 +213,7 @@ impl Framer {
                 Head::Short if end => return Chain::End,
                 Head::Short => return Chain::Short,
                 Head::Bad(_) => return Chain::No,
+                Head::Good { bits: 0, .. } if links == Links::Known => return Chain::No,
                 Head::Good { len, bits: more } => {
                     bits += more;
                     at += len;
@@ -208,10 +235,7 @@ impl Framer {
                 Head::Short if end => Chain::No,
                 Head::Short => Chain::Short,
                 Head::Good { bits, .. } if bits >= SURE => Chain::Yes,
-                Head::Good { len, bits } if bits > 0 => match self.chain(rest, end, len, bits) {
-                    Chain::End if checksum_is_good(rest, len) => Chain::Yes,
-                    other => other,
-                },
+                Head::Good { len, bits } if bits > 0 => self.candidate(rest, end, len, bits),
                 _ => Chain::No,
             };
             match verdict {
@@ -229,6 +253,32 @@ impl Framer {
         }
         self.searched = to;
         Found::Nothing
+    }
+
+    /// Whether a record after damage can be believed that does not vouch for itself.
+    ///
+    /// It needs witnesses behind it, not just the stream's end; an MPDU needs both them and its checksum, for among
+    /// many positions one or the other is met by chance.
+    fn candidate(&mut self, rest: &[u8], end: bool, len: usize, bits: u32) -> Chain {
+        let chain = self.chain(rest, end, len, bits, Links::Known);
+        if !matches!(chain, Chain::Yes | Chain::End) {
+            return chain;
+        }
+        match self.checksum(rest, len) {
+            Some(true) => Chain::Yes,
+            Some(false) => Chain::No,
+            None => chain,
+        }
+    }
+
+    /// Whether an MPDU's checksum is right; `None` for other records and when the credit is used up.
+    fn checksum(&mut self, front: &[u8], len: usize) -> Option<bool> {
+        let record = front.get(LENGTH_FIELD..len).and_then(Record::from_message)?;
+        if record.code != code::MPDU {
+            return None;
+        }
+        self.credit = self.credit.checked_sub(len)?;
+        Some(fcs_is_good(record.body))
     }
 
     /// The first position inside a record of `len` bytes at which another begins that vouches for itself.
@@ -303,6 +353,7 @@ impl Framer {
     fn consume(&mut self, bytes: usize) -> u64 {
         let offset = self.offset;
         self.offset += bytes as u64;
+        self.credit = self.credit.saturating_add(bytes.saturating_mul(CREDIT_PER_BYTE)).min(CREDIT);
         self.searched = 0;
         self.lost = false;
         offset
@@ -328,14 +379,6 @@ fn gaps_are_clear(front: &[u8], len: usize) -> bool {
     match front.get(LENGTH_FIELD..len).and_then(Record::from_message) {
         Some(Record { code: code::BFEE, body }) => Bfee::new_checked(body).is_ok_and(|bfee| bfee.gaps_are_clear()),
         _ => true,
-    }
-}
-
-/// True for an MPDU whose checksum is right.
-fn checksum_is_good(front: &[u8], len: usize) -> bool {
-    match front.get(LENGTH_FIELD..len).and_then(Record::from_message) {
-        Some(Record { code: code::MPDU, body }) => Mpdu::new_checked(body).is_ok_and(|mpdu| mpdu.fcs_is_good()),
-        _ => false,
     }
 }
 

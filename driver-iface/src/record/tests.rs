@@ -91,7 +91,7 @@ fn without(log: &[Vec<u8>], at: usize) -> Vec<Vec<u8>> {
 fn intact_logs_are_read_whole() {
     for log in logs() {
         let whole = log.concat();
-        assert_eq!(records(&whole), log);
+        assert!(records(&whole) == log);
         assert_eq!(events(&whole).last(), Some(Step::End(Tail::Clean)));
     }
 }
@@ -105,7 +105,7 @@ fn records_of_unknown_codes_are_kept() {
     log.push(framed(0x50, &[]));
     log.push(bfee_record(1, 3, 1, true));
     for log in [&log[..], &log[1..], &log[..21]] {
-        assert_eq!(records(&log.concat()), log);
+        assert!(records(&log.concat()) == log);
     }
 }
 
