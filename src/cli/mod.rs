@@ -4,6 +4,8 @@ mod args;
 mod bearing;
 mod evaluate;
 mod info;
+mod npz;
+mod profile;
 mod recover;
 
 use clap::{Parser, Subcommand};

@@ -139,7 +139,7 @@ impl Link {
 
     /// Pairs so far.
     #[must_use]
-    pub fn len(&self) -> usize {
+    pub fn pairs(&self) -> usize {
         self.rows.len()
     }
 
