@@ -6,7 +6,7 @@
 
 use crate::answer::{Answer, lost_something};
 use crate::backend::{CsiSource, replay::Replay};
-use crate::channel::Channel;
+use crate::channel::{Channel, Width};
 use crate::odometry;
 use crate::pipeline::{Options, Transmitter, bearings};
 use crate::pose::{Trajectory, wrap_rad};
@@ -263,7 +263,7 @@ impl Capture {
         let truth = self.truth()?;
         let channel = match (channel, &truth.channel) {
             (Some(channel), _) => channel,
-            (None, Some(named)) => Channel::from_number(named.value).map_err(|e| format!("{TRUTH_FILE}: {e}"))?,
+            (None, Some(named)) => Channel::new(named.value, Width::Ht20).map_err(|e| format!("{TRUTH_FILE}: {e}"))?,
             (None, None) => return Err(format!("{TRUTH_FILE} names no channel: give --channel")),
         };
         if self.transmitters.is_empty() {
@@ -274,8 +274,7 @@ impl Capture {
             Source::GroundTruth => Some(trajectory.clone()),
             _ => self.trajectory(Source::GroundTruth).ok(),
         };
-        let options =
-            Options { carrier_hz: channel.centre_hz(), subcarriers: channel.subcarriers(), ..options.clone() };
+        let options = Options { channel, ..options.clone() };
         let open = |path: &Path| Replay::open(path).map_err(|error| error.to_string());
         let mut receiver = open(&self.folder.join(format!("csi_rx_{}.dat", self.stamp)))?;
         let mut logs = self.transmitters.iter().map(|(_, path)| open(path)).collect::<Result<Vec<_>, _>>()?;

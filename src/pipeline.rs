@@ -7,7 +7,7 @@ pub mod link;
 use crate::assign::{self, Mark, Match, Spread, Unmatched};
 use crate::backend::{CsiSource, Error};
 use crate::bartlett::SearchOptions;
-use crate::cfo::SUBCARRIERS;
+use crate::channel::Channel;
 use crate::pairing::Side;
 use crate::pose::Trajectory;
 use crate::survey::Survey;
@@ -16,8 +16,6 @@ use intake::{Log, Unused};
 use link::{Bearing, Link, LinkError};
 use std::collections::BTreeMap;
 
-/// Speed of light in vacuum, m/s (exact, SI).
-pub const SPEED_OF_LIGHT_M_PER_S: f64 = 299_792_458.0;
 /// Frames of each log that are read ahead to find out which transmitter wrote which log.
 const READ_AHEAD: usize = 16_384;
 
@@ -34,10 +32,8 @@ pub enum JoinBy {
 /// How bearings are to be made.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Channel centre, Hz.
-    pub carrier_hz: f64,
-    /// Indices of the reported subcarriers about the centre.
-    pub subcarriers: [i8; SUBCARRIERS],
+    /// The WiFi channel.
+    pub channel: Channel,
     /// The antenna used on both robots.
     pub antenna: Antenna,
     /// MACs of the transmitters, in the order of their logs; found where absent.
@@ -59,12 +55,6 @@ pub struct Options {
 }
 
 impl Options {
-    /// Wavelength at the channel centre, metres.
-    #[must_use]
-    pub fn wavelength_m(&self) -> f64 {
-        SPEED_OF_LIGHT_M_PER_S / self.carrier_hz
-    }
-
     fn keeps(&self, since_first_s: f64) -> bool {
         self.from_s.is_none_or(|from| since_first_s >= from) && self.to_s.is_none_or(|to| since_first_s <= to)
     }

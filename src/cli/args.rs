@@ -45,8 +45,7 @@ impl Estimation {
             return Err(format!("--from {from} is not before --to {to}"));
         }
         Ok(Options {
-            carrier_hz: channel.centre_hz(),
-            subcarriers: channel.subcarriers(),
+            channel,
             antenna: self.antenna,
             tx_macs: Vec::new(),
             rx_mac: None,

@@ -136,8 +136,8 @@ fn artefacts(
     let Ok(bearing) = &link.bearing else { return Ok(()) };
     #[cfg(any())]
     if let Some(folder) = &args.plot {
-        for path in
-            csi5300::plot::link(folder, name, bearing, options.wavelength_m()).map_err(|error| error.to_string())?
+        for path in csi5300::plot::link(folder, name, bearing, options.channel.wavelength_m())
+            .map_err(|error| error.to_string())?
         {
             eprintln!("picture of {name}: {}", path.display());
         }

@@ -2,7 +2,7 @@
 
 use super::args::{Estimation, channel};
 use super::{Outcome, Result, print, print_json};
-use csi5300::channel::Channel;
+use csi5300::channel::{Channel, Width};
 use csi5300::evaluate::{Errors, Evaluated, Judged, SetSummary, Source, find, summarise};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use rayon::prelude::*;
@@ -52,7 +52,7 @@ pub fn run(args: &Args) -> Result {
         Which::Odom => Source::Odometry,
     };
     // The channel here is a stand-in; each capture brings its own.
-    let fallback = Channel::from_number(108).map_err(|error| error.to_string())?;
+    let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let options = args.estimation.options(args.channel.unwrap_or(fallback))?;
     let (captures, unreadable) = find(&args.folder);
     for folder in &unreadable {

@@ -1,7 +1,7 @@
 //! One log on its way into the pipeline: records in, frames of interest out, everything else counted.
 
 use crate::backend::{CsiSource, Error, Next};
-use crate::cfo::SUBCARRIERS;
+use crate::channel::SUBCARRIERS;
 use crate::survey::Survey;
 use crate::time::Instant;
 use driver_iface::{

@@ -153,7 +153,7 @@ impl Link {
 
     fn keep(&mut self, pair: &Pair<Heard>, options: &Options) {
         let product = round_trip(&pair.transmitter.csi(), &pair.receiver.csi());
-        let Some(coherent) = at_centre(&product, &options.subcarriers) else {
+        let Some(coherent) = at_centre(&product, &options.channel.subcarriers()) else {
             self.silent += 1;
             return;
         };
@@ -190,7 +190,7 @@ impl Link {
         }
         let raw: Vec<Complex64> = self.rows.iter().map(|row| row.z).collect();
         let mut z = raw.clone();
-        let turn_around = self.turn_around(&raw, options.carrier_hz);
+        let turn_around = self.turn_around(&raw, options.channel.centre_hz());
         let compensated = options.compensate && turn_around.as_ref().is_some_and(|t| t.worthwhile);
         if let Some(turn_around) = turn_around.as_ref().filter(|_| compensated) {
             turn_around.apply(&mut z);
@@ -231,7 +231,7 @@ impl Link {
         if samples.is_empty() {
             return Err(self.no_samples(&pairs, &times, receiver));
         }
-        let estimate = bartlett::search(&samples, options.wavelength_m(), &options.search)?;
+        let estimate = bartlett::search(&samples, options.channel.wavelength_m(), &options.search)?;
         let sum = samples.receiver_m.iter().fold(Vector3::zeros(), |sum, p| sum + p);
         Ok(Bearing {
             azimuth_body_rad: heading_rad.map(|heading| wrap_rad(estimate.azimuth_rad - heading)),
