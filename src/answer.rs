@@ -89,6 +89,8 @@ impl Answer {
                 answer.confidence = Some(estimate.coherence);
                 answer.coherence = Some(estimate.coherence);
                 answer.peak_ratio = estimate.peak_ratio;
+                answer.wsr_profile_variance = bearing.peers.wsr_profile_variance;
+                answer.likelihood_share = bearing.peers.likelihood_share;
                 answer.geometry = Some(geometry_words(&estimate.geometry));
                 answer.pairs_in_motion = bearing.pairs.in_motion;
                 answer.pair_counts = bearing.pairs;

@@ -3,6 +3,7 @@
 mod args;
 mod bearing;
 mod evaluate;
+mod export;
 mod info;
 mod npz;
 mod profile;
@@ -58,6 +59,8 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Copies every intact record of a damaged log, and nothing else
     Recover(recover::Args),
+    /// CSI of a log as CSV or NPZ, raw or scaled
+    Export(export::Args),
 }
 
 /// Runs the command named by the arguments.
@@ -68,6 +71,7 @@ pub fn run() -> ExitCode {
         Command::Info(args) => info::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Recover(args) => recover::run(&args),
+        Command::Export(args) => export::run(&args),
     };
     match result {
         Ok(outcome) => outcome.into(),

@@ -25,15 +25,23 @@ impl Npz {
         &mut self,
         name: &str,
         shape: &[u64],
-        values: impl Iterator<Item = T>,
+        mut values: impl Iterator<Item = T>,
     ) -> Result<(), String> {
-        let failed = |error: &dyn std::fmt::Display| format!("writing {name} to {}: {error}", self.name);
-        let options = Default::default();
-        let entry = self.writer.array::<T>(name, options).map_err(|error| failed(&error))?;
+        self.array_in(name, shape, |push| values.try_for_each(push))
+    }
+
+    /// Adds an array whose values `fill` pushes one by one.
+    pub fn array_in<T: AutoSerialize>(
+        &mut self,
+        name: &str,
+        shape: &[u64],
+        fill: impl FnOnce(&mut dyn FnMut(T) -> Result<(), String>) -> Result<(), String>,
+    ) -> Result<(), String> {
+        let file = &self.name;
+        let failed = |error: &dyn std::fmt::Display| format!("writing {name} to {file}: {error}");
+        let entry = self.writer.array::<T>(name, Default::default()).map_err(|error| failed(&error))?;
         let mut array = entry.default_dtype().shape(shape).begin_nd().map_err(|error| failed(&error))?;
-        for value in values {
-            array.push(&value).map_err(|error| failed(&error))?;
-        }
+        fill(&mut |value| array.push(&value).map_err(|error| failed(&error)))?;
         array.finish().map_err(|error| failed(&error))
     }
 }

@@ -2,7 +2,7 @@
 
 use super::intake::Heard;
 use super::{JoinBy, Options};
-use crate::bartlett::{self, Estimate};
+use crate::bartlett::{self, Estimate, Grid, Profile};
 use crate::cfo::{TurnAround, at_centre, round_trip};
 use crate::pairing::{Pair, Pairing, Side, SideCounts};
 use crate::pose::{Motion, Trajectory, wrap_rad};
@@ -112,10 +112,34 @@ pub struct Bearing {
     pub pairs: PairCounts,
     /// Mean receiver position of the samples used, metres, trajectory frame.
     pub mean_position_m: Vector3<f64>,
+    /// The figures that the peers report beside their bearings.
+    pub peers: PeerFigures,
     /// The samples used.
     pub samples: Samples,
     /// All pairs, for pictures: time (s from the first pair), sample before and after compensation.
     pub course: Vec<(f64, Complex64, Complex64)>,
+}
+
+/// Figures of merit as the peers define them, from an azimuth profile on the WSR toolbox's grid.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PeerFigures {
+    /// The WSR toolbox's profile variance: lower is sharper, 1 is uniform.
+    pub wsr_profile_variance: Option<f64>,
+    /// The paper's likelihood share: the highest entry over the sum (its code prints half, holding each column twice).
+    pub likelihood_share: Option<f64>,
+}
+
+impl PeerFigures {
+    fn of(samples: &Samples, wavelength_m: f64) -> Result<Self, bartlett::Error> {
+        // The toolbox's planar mode: one azimuth profile, the same for each of its polar angles.
+        let whole = Grid::wsr();
+        let (rows, columns) = whole.shape();
+        let ring = Grid::directions((0..columns).map(|column| (whole.at(column).0, 0.0)).collect());
+        let profile = bartlett::profile(samples, wavelength_m, &ring)?;
+        let likelihood_share = profile.likelihood_share();
+        let tiled = Profile { values: profile.values.repeat(rows), grid: whole, sum_abs: profile.sum_abs };
+        Ok(Self { wsr_profile_variance: bartlett::wsr_profile_variance(&tiled), likelihood_share })
+    }
 }
 
 impl Link {
@@ -236,6 +260,7 @@ impl Link {
         Ok(Bearing {
             azimuth_body_rad: heading_rad.map(|heading| wrap_rad(estimate.azimuth_rad - heading)),
             estimate,
+            peers: PeerFigures::of(&samples, options.channel.wavelength_m())?,
             turn_around,
             compensated,
             pairs,
