@@ -1,8 +1,10 @@
-//! A recorded trajectory as a motion: the CSV layouts of the WSR toolbox and of the paper.
+//! A table of poses as a motion: recorded trajectories, walks and waypoints.
 
 use super::motion::Pose;
+use crate::odometry::csv;
+use crate::pose::Trajectory;
 use nalgebra::Vector3;
-use std::io::Read;
+use std::path::Path;
 
 /// Poses over time, interpolated linearly; at rest before the first row and after the last.
 #[derive(Clone, Debug, PartialEq)]
@@ -22,50 +24,30 @@ impl Recorded {
         Self { t_s, poses }
     }
 
-    /// Reads a trajectory CSV without a header. Told apart by their number of columns (a trailing comma counts not):
-    ///
-    /// | columns | meaning |
-    /// |---|---|
-    /// | 5 | sec, nsec, x, y, z |
-    /// | 6 | sec, nsec, x, y, z, yaw (the paper's motion capture) |
-    /// | 9 | sec, nsec, x, y, z, qx, qy, qz, qw (the paper's simulation) |
-    /// | 15 | the same and linear and angular velocity (WSR odometry and T265) |
-    ///
-    /// Five columns have no heading: the robot faces where it goes. Metres, radians; time is `sec + nsec 1e-9`.
+    /// Reads a trajectory file, see [`crate::odometry::csv`]. Where it has no headings the robot faces where it goes.
     ///
     /// # Errors
-    /// A sentence with the row's number when a row is not numbers, has another width, or the file has no rows.
-    pub fn read(csv: impl Read) -> Result<Self, String> {
-        let mut reader = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .trim(csv::Trim::All)
-            .comment(Some(b'#'))
-            .from_reader(csv);
-        let mut rows: Vec<(f64, Pose)> = Vec::new();
-        let mut faces = true;
-        for (index, record) in reader.records().enumerate() {
-            let record = record.map_err(|e| format!("row {}: {e}", index + 1))?;
-            let fields: Vec<&str> = record.iter().filter(|field| !field.is_empty()).collect();
-            let numbers: Vec<f64> = fields
-                .iter()
-                .map(|f| f.parse::<f64>().ok().filter(|v| v.is_finite()))
-                .collect::<Option<_>>()
-                .ok_or_else(|| format!("row {}: {record:?} is not finite numbers only", index + 1))?;
-            let (row, has_heading) = pose_of(&numbers).ok_or_else(|| {
-                format!("row {}: {} columns; a trajectory has 5, 6, 9 or 15", index + 1, numbers.len())
-            })?;
-            faces &= has_heading;
-            rows.push(row);
+    /// A sentence with the file's name; rows that cannot be read are an error here, since a scene must be exact.
+    pub fn load(file: &Path) -> Result<Self, String> {
+        let (trajectory, counts) = csv::read(file).map_err(|e| format!("trajectory {}: {e}", file.display()))?;
+        if let Some((line, why)) = counts.first_bad {
+            return Err(format!("trajectory {}, line {line}: {why}", file.display()));
         }
-        if rows.is_empty() {
-            return Err("no rows: a trajectory needs at least one".to_owned());
-        }
-        let mut recorded = Self::from_rows(rows);
-        if !faces {
+        Ok(Self::from_trajectory(&trajectory))
+    }
+
+    /// A recorded trajectory as a motion.
+    #[must_use]
+    pub fn from_trajectory(trajectory: &Trajectory) -> Self {
+        let poses = trajectory.poses();
+        let row = |p: &crate::pose::Pose| {
+            (p.t_s, Pose { position_m: p.position_m, yaw_rad: p.heading_rad.unwrap_or(0.0) })
+        };
+        let mut recorded = Self::from_rows(poses.iter().map(row).collect());
+        if poses.iter().any(|p| p.heading_rad.is_none()) {
             recorded.face_forward();
         }
-        Ok(recorded)
+        recorded
     }
 
     /// From the first row to the last, seconds.
@@ -109,47 +91,21 @@ impl Recorded {
     }
 }
 
-/// One row as (seconds, pose), and whether it says where the robot faces.
-fn pose_of(row: &[f64]) -> Option<((f64, Pose), bool)> {
-    let &[sec, nsec, x, y, z, ref rest @ ..] = row else { return None };
-    let yaw_rad = match *rest {
-        [] => None,
-        [yaw] => Some(yaw),
-        [qx, qy, qz, qw] | [qx, qy, qz, qw, _, _, _, _, _, _] => {
-            Some(libm::atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz)))
-        }
-        _ => return None,
-    };
-    let pose = Pose { position_m: Vector3::new(x, y, z), yaw_rad: yaw_rad.unwrap_or(0.0) };
-    Some(((sec + nsec * 1e-9, pose), yaw_rad.is_some()))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn each_layout_is_read() {
-        let five = Recorded::read("10.0,0,0,0,1,\n11.0,0,0,2,1,\n12.0,0,0,4,1,\n".as_bytes()).unwrap();
+    fn trajectories_without_headings_face_where_they_go() {
+        let (five, _) = csv::parse("10.0,0,0,0,1,\n11.0,0,0,2,1,\n12.0,0,0,4,1,\n".as_bytes()).unwrap();
+        let five = Recorded::from_trajectory(&five);
         assert_eq!(five.duration_s(), 2.0);
         assert_eq!(five.at(0.5).position_m, Vector3::new(0.0, 1.0, 1.0));
-        assert!((five.at(0.5).yaw_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-15, "faces where it goes");
-
-        let six = Recorded::read("10.0,0,1,2,3,0.5,\n".as_bytes()).unwrap();
+        assert!((five.at(0.5).yaw_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-15);
+        let (six, _) = csv::parse("10.0,0,1,2,3,0.5,\n11.0,0,1,2,3,0.5,\n".as_bytes()).unwrap();
+        let six = Recorded::from_trajectory(&six);
         assert_eq!(six.at(99.0), Pose { position_m: Vector3::new(1.0, 2.0, 3.0), yaw_rad: 0.5 });
-
-        let fifteen = "5,500000000,0,0,0,0,0,0.6,0.8,0,0,0,0,0,0,\n6,0,1,0,0,0,0,0.6,0.8,0,0,0,0,0,0,\n";
-        let fifteen = Recorded::read(fifteen.as_bytes()).unwrap();
-        assert_eq!(fifteen.duration_s(), 0.5);
-        assert!((fifteen.at(0.0).yaw_rad - 2.0 * 0.6f64.atan2(0.8)).abs() < 1e-15);
-    }
-
-    #[test]
-    fn bad_rows_are_named() {
-        for (csv, what) in [("1,2,3\n", "row 1: 3 columns"), ("1,0,0,0,0\n1,0,x,0,0\n", "row 2"), ("", "no rows")] {
-            let error = Recorded::read(csv.as_bytes()).unwrap_err();
-            assert!(error.contains(what), "{error}");
-        }
+        assert!(Recorded::load(Path::new("no such file.csv")).unwrap_err().contains("no such file.csv"));
     }
 
     #[test]

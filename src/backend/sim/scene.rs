@@ -8,6 +8,7 @@ use super::motion::{Motion, Pose};
 use super::radio::Radio;
 use super::recorded::Recorded;
 use super::scene_check;
+use driver_iface::Mac;
 use nalgebra::Vector3;
 use serde::Deserialize;
 use std::path::Path;
@@ -365,18 +366,12 @@ impl Robot {
 
     /// Its MAC address; `None` if the text is none.
     #[must_use]
-    pub fn mac_octets(&self, number: usize) -> Option<[u8; 6]> {
-        let Some(text) = &self.mac else {
+    pub fn mac_address(&self, number: usize) -> Option<Mac> {
+        match &self.mac {
+            Some(text) => text.parse().ok(),
             // A locally administered address.
-            return Some([0x02, 0x53, 0, 0, (number >> 8) as u8, number as u8]);
-        };
-        let mut octets = [0; 6];
-        let mut parts = text.split(':');
-        for octet in &mut octets {
-            let part = parts.next().filter(|p| p.len() == 2)?;
-            *octet = u8::from_str_radix(part, 16).ok()?;
+            None => Some(Mac([0x02, 0x53, 0, 0, (number >> 8) as u8, number as u8])),
         }
-        parts.next().is_none().then_some(octets)
     }
 
     /// The trajectory file of a recorded motion.
@@ -385,8 +380,6 @@ impl Robot {
     /// A sentence with the file's name.
     pub fn recorded(&self) -> Result<Option<Recorded>, String> {
         let Motion::Recorded(motion) = &self.motion else { return Ok(None) };
-        let name = motion.file.display();
-        let file = std::fs::File::open(&motion.file).map_err(|e| format!("cannot open trajectory {name}: {e}"))?;
-        Recorded::read(file).map(Some).map_err(|e| format!("trajectory {name}: {e}"))
+        Recorded::load(&motion.file).map(Some)
     }
 }

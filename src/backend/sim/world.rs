@@ -5,6 +5,7 @@ use super::motion::{Pose, Track};
 use super::random::{Purpose, Stream};
 use super::scene::{Cfo, Scene};
 use super::surfaces::{Path, Surface, Surfaces};
+use driver_iface::Mac;
 use nalgebra::Vector3;
 use num_complex::Complex64;
 
@@ -21,7 +22,7 @@ pub struct World {
 #[derive(Debug)]
 struct Placed {
     track: Track,
-    mac: [u8; 6],
+    mac: Mac,
     /// Antennas A, B, C in the robot's frame, where connected.
     antennas_m: [Option<Vector3<f64>>; 3],
     /// Phase at which its synthesiser locked, turns. It is in both directions with opposite signs.
@@ -43,7 +44,7 @@ impl World {
             let antennas = [Some(robot.antenna_m), robot.antenna_b_m, robot.antenna_c_m];
             robots.push(Placed {
                 track: Track::new(robot.start(), &robot.motion, robot.recorded()?, &mut walk),
-                mac: robot.mac_octets(number).ok_or_else(|| format!("{}: no MAC address", robot.name))?,
+                mac: robot.mac_address(number).ok_or_else(|| format!("{}: no MAC address", robot.name))?,
                 antennas_m: antennas.map(|place| place.map(Vector3::from)),
                 lock_turns: card.uniform(),
             });
@@ -77,7 +78,7 @@ impl World {
 
     /// The MAC address of a robot.
     #[must_use]
-    pub fn mac(&self, robot: usize) -> [u8; 6] {
+    pub fn mac(&self, robot: usize) -> Mac {
         self.robots[robot].mac
     }
 
