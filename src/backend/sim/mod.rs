@@ -6,6 +6,7 @@ mod maths;
 pub mod motion;
 pub mod radio;
 mod random;
+pub mod receiver;
 pub mod recorded;
 pub mod scene;
 mod scene_check;
