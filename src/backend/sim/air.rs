@@ -147,8 +147,9 @@ struct Active {
     collided: bool,
 }
 
-/// Makes a robot's sender, anew after each restart; the second argument counts the restarts.
-pub type MakeStation = Box<dyn FnMut(usize, u64) -> Option<Box<dyn Station>> + Send>;
+/// Makes a robot's sender, anew after each restart. The arguments: the robot, its restarts so far, and the time on its
+/// own clock at which it is switched on.
+pub type MakeStation = Box<dyn FnMut(usize, u64, Instant) -> Option<Box<dyn Station>> + Send>;
 
 /// All frames of a room.
 pub struct Air {
@@ -196,7 +197,7 @@ impl Air {
                 air.push(off, What::Off { robot });
                 air.push(on, What::On { robot });
             }
-            air.nodes[robot].station = (air.make_station)(robot, 0);
+            air.nodes[robot].station = (air.make_station)(robot, 0, Instant::ZERO);
             air.arm(robot);
         }
         air
@@ -308,7 +309,7 @@ impl Air {
     /// The driver is loaded anew: the counter begins at 1, the card's clock at 0, and the host's sender too.
     fn switch_on(&mut self, robot: usize, t_ns: i64) {
         let restarts = self.nodes[robot].injected.restarts;
-        let station = (self.make_station)(robot, restarts);
+        let station = (self.make_station)(robot, restarts, local(&self.world, robot, t_ns));
         let node = &mut self.nodes[robot];
         (node.on, node.bfee_count) = (true, 0);
         node.clock_base_us = self.world.scene().robot[robot].crystal.clock_us(t_ns);

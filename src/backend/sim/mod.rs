@@ -14,6 +14,7 @@ pub mod recorded;
 mod room;
 pub mod scene;
 mod scene_check;
+mod sounder;
 mod station;
 pub mod surfaces;
 pub mod world;
@@ -28,3 +29,5 @@ pub use station::{Role, Station};
 
 #[cfg(test)]
 mod room_tests;
+#[cfg(test)]
+mod sounding_tests;

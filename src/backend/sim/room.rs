@@ -6,8 +6,11 @@ use super::motion::Pose;
 use super::odometer::Odometer;
 use super::port::{Port, host_us, lock};
 use super::scene::Scene;
+use super::sounder::sounder;
+use super::station::Station;
 use super::world::World;
 use crate::backend::Error;
+use crate::time::Instant;
 use driver_iface::Mac;
 use std::sync::{Arc, Mutex};
 
@@ -23,13 +26,30 @@ pub struct Room {
 }
 
 impl Room {
+    /// A room whose robots sound each other as the scene says, by the TDMA state machine that live cards run. Without
+    /// `sounding` in the scene it is [`Room::quiet`].
+    ///
+    /// # Errors
+    /// [`Error::Input`] when a trajectory file cannot be read, or the sounding does not fit.
+    pub fn new(scene: &Scene) -> Result<Self, Error> {
+        let world = Arc::new(World::new(scene).map_err(Error::Input)?);
+        // All that can fail does so for the first robot already.
+        sounder(&world, 0, 0, Instant::ZERO).map_err(|e| Error::Input(e.to_string()))?;
+        let stations = Arc::clone(&world);
+        let make = move |robot, restarts, now| {
+            let sounder = sounder(&stations, robot, restarts, now).ok().flatten()?;
+            Some(Box::new(sounder) as Box<dyn Station>)
+        };
+        Ok(Self::in_world(world, Box::new(make)))
+    }
+
     /// A room in which robots send only what is injected through their [`Port`]s (and what a driver with an
     /// `ack_len` answers). The scene's `sounding` is left to whoever injects.
     ///
     /// # Errors
     /// [`Error::Input`] when a trajectory file cannot be read.
     pub fn quiet(scene: &Scene) -> Result<Self, Error> {
-        Self::with_stations(scene, Box::new(|_, _| None))
+        Self::with_stations(scene, Box::new(|_, _, _| None))
     }
 
     /// A room with senders of its own; `make` is asked for one for each robot, and again after each restart.
@@ -37,9 +57,12 @@ impl Room {
     /// # Errors
     /// [`Error::Input`] when a trajectory file cannot be read.
     pub fn with_stations(scene: &Scene, make: MakeStation) -> Result<Self, Error> {
-        let world = Arc::new(World::new(scene).map_err(Error::Input)?);
+        Ok(Self::in_world(Arc::new(World::new(scene).map_err(Error::Input)?), make))
+    }
+
+    fn in_world(world: Arc<World>, make: MakeStation) -> Self {
         let air = Arc::new(Mutex::new(Air::new(Arc::clone(&world), make)));
-        Ok(Self { air, taken: vec![false; scene.robot.len()], world })
+        Self { air, taken: vec![false; world.scene().robot.len()], world }
     }
 
     /// The scene.

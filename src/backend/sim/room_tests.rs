@@ -49,7 +49,7 @@ impl Station for Beacon {
 /// A room whose robot 0 beacons; the others answer by their drivers.
 fn beaconing(scene: &Scene) -> Room {
     let mac = scene.robot[0].mac_address(0).unwrap().0;
-    let make = move |robot: usize, _| {
+    let make = move |robot: usize, _, _| {
         (robot == 0).then(|| Box::new(Beacon { mac, number: 0, next: Instant::ZERO }) as Box<dyn Station>)
     };
     Room::with_stations(scene, Box::new(make)).unwrap()

@@ -121,9 +121,10 @@ pub enum Driver {
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Sounding {
-    /// Rounds per second; a round is one forward and one backward frame with every peer.
+    /// Rounds per second; a round is one forward and one backward frame with every other robot. `inf` is the highest
+    /// rate that fits.
     pub rate_hz: f64,
-    /// Names of the robots that initiate; the first when empty.
+    /// Names of the robots that initiate, in turns; the first robot when empty. The WSR dialect knows no turns.
     pub initiators: Vec<String>,
     /// The frames' dialect.
     pub dialect: Dialect,

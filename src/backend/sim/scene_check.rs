@@ -4,7 +4,8 @@ use super::carrier::Carrier;
 use super::faults::Faults;
 use super::motion::Motion;
 use super::radio::{Gain, Noise, Radio};
-use super::scene::{Odometry, Robot, Scene, SceneError};
+use super::scene::{Dialect, Odometry, Robot, Scene, SceneError};
+use super::sounder::request;
 use super::world::{World, surfaces};
 use nalgebra::Vector3;
 use toml::de::{DeTable, DeValue};
@@ -177,12 +178,15 @@ impl Scene {
     fn check_sounding(&self) -> Checked {
         let Some(sounding) = &self.sounding else { return Ok(()) };
         let check = || {
-            positive("rate_hz", sounding.rate_hz)?;
+            ensure(sounding.rate_hz > 0.0, "rate_hz", || format!("is {}; it must be more than 0", sounding.rate_hz))?;
             not_negative("start_s", sounding.start_s)?;
             ensure(self.robot.len() >= 2, "rate_hz", || "needs two robots at least".to_owned())?;
             for name in &sounding.initiators {
                 ensure(self.robot.iter().any(|r| r.name == *name), "initiators", || format!("has no robot {name:?}"))?;
             }
+            let takes_turns = sounding.dialect == Dialect::Native || sounding.initiators.len() <= 1;
+            ensure(takes_turns, "initiators", || "take turns, which only the native dialect knows".to_owned())?;
+            request(self, sounding).map_err(|e| Problem::new(e.to_string()).key("rate_hz"))?;
             Ok(())
         };
         check().map_err(|p: Problem| p.key("sounding"))
