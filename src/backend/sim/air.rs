@@ -59,6 +59,17 @@ pub struct Reception {
     pub role: Role,
 }
 
+/// Which records of a robot somebody reads; nobody computes the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Listening {
+    /// None.
+    Nobody,
+    /// Those of exchanges in which this robot takes part.
+    Own,
+    /// All.
+    All,
+}
+
 /// One robot's card, driver and sender.
 #[derive(Debug)]
 pub struct Node {
@@ -66,8 +77,8 @@ pub struct Node {
     pub arrivals: VecDeque<Reception>,
     /// What was done to this robot.
     pub injected: Injected,
-    /// Somebody reads this robot's records.
-    pub listening: bool,
+    /// Which of this robot's records somebody reads.
+    pub listening: Listening,
     station: Option<Box<dyn Station>>,
     /// The next time the station is asked.
     armed_ns: Option<i64>,
@@ -420,7 +431,9 @@ impl Air {
             node.injected.driver_dropped += 1;
             return;
         }
-        if node.listening {
+        let overheard = node.listening == Listening::Own && role == Role::Overheard;
+        node.injected.overheard += u64::from(overheard);
+        if node.listening != Listening::Nobody && !overheard {
             let radio = scene.radio_of(&scene.robot[robot]);
             let end_ns = t_ns + flight.end_ns - flight.start_ns;
             // The driver's queue keeps the order.
@@ -465,7 +478,7 @@ impl Node {
         Self {
             arrivals: VecDeque::new(),
             injected: Injected::default(),
-            listening: false,
+            listening: Listening::Nobody,
             station: None,
             armed_ns: None,
             heard: None,

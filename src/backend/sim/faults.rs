@@ -78,6 +78,8 @@ pub struct Injected {
     pub missed_while_off: u64,
     /// Frames received a second time: [`Faults::duplicate`].
     pub duplicated: u64,
+    /// Records of others' exchanges, left out by a reader who wants only its own ([`super::Port::own_only`]).
+    pub overheard: u64,
     /// Records lost in the driver: [`Faults::driver_drop`].
     pub driver_dropped: u64,
     /// Times the socket's queue ran over.
@@ -111,6 +113,7 @@ impl AddAssign for Injected {
         self.out_of_reach += other.out_of_reach;
         self.missed_while_off += other.missed_while_off;
         self.duplicated += other.duplicated;
+        self.overheard += other.overheard;
         self.driver_dropped += other.driver_dropped;
         self.overruns += other.overruns;
         self.overrun_records += other.overrun_records;

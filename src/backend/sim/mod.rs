@@ -2,6 +2,7 @@
 mod air;
 pub mod carrier;
 pub mod crystal;
+mod dataset;
 pub mod faults;
 mod maths;
 pub mod motion;
@@ -20,6 +21,7 @@ pub mod surfaces;
 pub mod world;
 
 pub use air::MakeStation;
+pub use dataset::{Capture, Log, write_dataset};
 pub use faults::{Faults, Injected};
 pub use odometer::{NextPose, Odometer};
 pub use port::Port;
@@ -27,6 +29,8 @@ pub use room::Room;
 pub use scene::{Scene, SceneError};
 pub use station::{Role, Station};
 
+#[cfg(test)]
+mod dataset_tests;
 #[cfg(test)]
 mod room_tests;
 #[cfg(test)]

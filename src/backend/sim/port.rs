@@ -1,6 +1,6 @@
 //! One robot's card as the rest of the program sees it: a [`CsiSource`] and an [`Injector`].
 
-use super::air::{Air, Reception};
+use super::air::{Air, Listening, Reception};
 use super::faults::Faults;
 use super::receiver::{Arrival, Receiver};
 use super::scene::Driver;
@@ -38,9 +38,16 @@ pub struct Port {
     body: Vec<u8>,
     /// MAC and number of the last frame that had them; the driver keeps them for frames too short to.
     last: (Mac, u32),
-    role: Role,
     handed_out: u64,
     now: Instant,
+}
+
+/// What was read; a record's body is in the port.
+enum Read {
+    Record(Stamps, u8, Role, usize),
+    Lost(Loss),
+    Pending,
+    End,
 }
 
 /// Locks the air. A panic elsewhere leaves it in order between events, so poison is no reason to stop.
@@ -51,7 +58,7 @@ pub(super) fn lock(air: &Mutex<Air>) -> MutexGuard<'_, Air> {
 impl Port {
     pub(super) fn new(air: Arc<Mutex<Air>>, robot: usize) -> Self {
         let mut guard = lock(&air);
-        guard.node(robot).listening = true;
+        guard.node(robot).listening = Listening::All;
         let world = Arc::clone(guard.world());
         drop(guard);
         let scene = world.scene();
@@ -67,16 +74,72 @@ impl Port {
             follows: None,
             body: vec![0; MAX_BODY],
             last: (Mac::ZERO, 0),
-            role: Role::Unknown,
             handed_out: 0,
             now: Instant::ZERO,
         }
     }
 
-    /// What the last record handed out was to this robot. The bytes do not say; the room's own sender does.
-    #[must_use]
-    pub fn role(&self) -> Role {
-        self.role
+    /// From now on only records of exchanges in which this robot takes part are made, as for a logger that keeps only
+    /// those. The driver counts the others all the same, so they are gaps in `bfee_count`, as in the WSR data set.
+    pub fn own_only(&mut self) {
+        lock(&self.air).node(self.robot).listening = Listening::Own;
+    }
+
+    /// [`CsiSource::receive`], with what a record was to this robot, which its bytes do not say but the room's own
+    /// sender does, and the number of the robot that sent it.
+    ///
+    /// # Errors
+    /// As [`CsiSource::receive`].
+    pub fn receive_with_role(&mut self, now: Instant) -> Result<(Role, usize, Next<'_>), Error> {
+        let next = self.read(now)?;
+        Ok(match next {
+            Read::Record(stamps, code, role, from) => {
+                (role, from, Next::Record(stamps, Record { code, body: &self.body }))
+            }
+            Read::Lost(loss) => (Role::Unknown, 0, Next::Lost(loss)),
+            Read::Pending => (Role::Unknown, 0, Next::Pending),
+            Read::End => (Role::Unknown, 0, Next::End(Tail::Clean)),
+        })
+    }
+
+    /// The next record, its body left in `self.body`.
+    fn read(&mut self, now: Instant) -> Result<Read, Error> {
+        let shared = Arc::clone(&self.air);
+        let mut air = lock(&shared);
+        self.now = self.now.max(now);
+        let now_ns = self.now.as_us().saturating_mul(1_000);
+        air.advance(now_ns);
+        if self.faults.stalled_until_s(self.now.as_s()).is_some() {
+            return Ok(Read::Pending);
+        }
+        self.fill(&mut air, now_ns);
+        loop {
+            let (reception, second) = match self.follows.take() {
+                Some(reception) => (reception, true),
+                None => match self.queue.pop_front() {
+                    Some(reception) => (reception, false),
+                    None => break,
+                },
+            };
+            let first_of_two = self.driver == Driver::Stock && !second;
+            if first_of_two {
+                self.write_mpdu(&reception);
+            } else if !self.write_bfee(&mut air, &reception)? {
+                continue;
+            }
+            let stamps = self.stamps(&air, &reception);
+            self.handed_out += 1;
+            air.node(self.robot).injected.delivered += u64::from(!first_of_two);
+            let code = if first_of_two { code::MPDU } else { code::BFEE };
+            let read = Read::Record(stamps, code, reception.role, reception.flight.from);
+            self.follows = first_of_two.then_some(reception);
+            return Ok(read);
+        }
+        if let Some(dropped) = self.overrun.take() {
+            return Ok(Read::Lost(Loss::Overrun { dropped: Some(dropped) }));
+        }
+        let over = now_ns >= air.end_ns() && air.node(self.robot).arrivals.is_empty();
+        Ok(if over { Read::End } else { Read::Pending })
     }
 
     /// Moves what has arrived by now into the socket's queue; what does not fit is lost.
@@ -160,42 +223,7 @@ impl Port {
 
 impl CsiSource for Port {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
-        let shared = Arc::clone(&self.air);
-        let mut air = lock(&shared);
-        self.now = self.now.max(now);
-        let now_ns = self.now.as_us().saturating_mul(1_000);
-        air.advance(now_ns);
-        if self.faults.stalled_until_s(self.now.as_s()).is_some() {
-            return Ok(Next::Pending);
-        }
-        self.fill(&mut air, now_ns);
-        loop {
-            let (reception, second) = match self.follows.take() {
-                Some(reception) => (reception, true),
-                None => match self.queue.pop_front() {
-                    Some(reception) => (reception, false),
-                    None => break,
-                },
-            };
-            let first_of_two = self.driver == Driver::Stock && !second;
-            if first_of_two {
-                self.write_mpdu(&reception);
-            } else if !self.write_bfee(&mut air, &reception)? {
-                continue;
-            }
-            let stamps = self.stamps(&air, &reception);
-            self.role = reception.role;
-            self.handed_out += 1;
-            air.node(self.robot).injected.delivered += u64::from(!first_of_two);
-            self.follows = first_of_two.then_some(reception);
-            let code = if first_of_two { code::MPDU } else { code::BFEE };
-            return Ok(Next::Record(stamps, Record { code, body: &self.body }));
-        }
-        if let Some(dropped) = self.overrun.take() {
-            return Ok(Next::Lost(Loss::Overrun { dropped: Some(dropped) }));
-        }
-        let over = now_ns >= air.end_ns() && air.node(self.robot).arrivals.is_empty();
-        Ok(if over { Next::End(Tail::Clean) } else { Next::Pending })
+        Ok(self.receive_with_role(now)?.2)
     }
 
     fn next_at(&self) -> Option<Instant> {

@@ -116,6 +116,10 @@ impl Room {
         (robot < self.taken.len()).then(|| host_us(&lock(&self.air), robot, (t_s * 1e9).round() as i64))
     }
 
+    pub(super) fn air(&self) -> std::sync::MutexGuard<'_, Air> {
+        lock(&self.air)
+    }
+
     /// What was done to each robot so far.
     #[must_use]
     pub fn injected(&self) -> Vec<Injected> {

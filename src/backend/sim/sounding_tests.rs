@@ -19,10 +19,10 @@ fn scene(robots: usize, duration_s: f64, sounding: &str, more: &str) -> Scene {
 fn numbers(port: &mut Port) -> BTreeMap<(&'static str, u8), Vec<u32>> {
     let (mut heard, mut now) = (BTreeMap::<_, Vec<u32>>::new(), Instant::ZERO);
     loop {
-        match port.receive(now).unwrap() {
-            Next::Record(_, record) => {
+        match port.receive_with_role(now).unwrap() {
+            (role, _, Next::Record(_, record)) => {
                 let wsr = Bfee::new_checked(record.body).unwrap().wsr().unwrap();
-                let role = match port.role() {
+                let role = match role {
                     Role::Forward => "forward",
                     Role::Backward => "backward",
                     Role::Overheard => "overheard",
@@ -30,9 +30,9 @@ fn numbers(port: &mut Port) -> BTreeMap<(&'static str, u8), Vec<u32>> {
                 };
                 heard.entry((role, wsr.mac.0[5])).or_default().push(wsr.frame_count);
             }
-            Next::Pending => now = port.next_at().unwrap(),
-            Next::End(_) => return heard,
-            Next::Lost(lost) => panic!("{lost:?}"),
+            (.., Next::Pending) => now = port.next_at().unwrap(),
+            (.., Next::End(_)) => return heard,
+            (.., Next::Lost(lost)) => panic!("{lost:?}"),
         }
     }
 }
