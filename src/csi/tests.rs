@@ -124,7 +124,8 @@ fn spatial_mapping_is_undone() {
         let h = |row: usize, t: usize| Complex64::new((row * 3 + t) as f64 % 7.0 - 3.0, (row + 2 * t) as f64 % 5.0);
         for row in 0..90 {
             for t in 0..n_tx {
-                let c: Complex64 = (0..n_tx).map(|k| h(row, k) * q[k][t]).sum::<Complex64>() / (n_tx as f64).sqrt();
+                let column = q.iter().map(|row| row[t]).enumerate();
+                let c: Complex64 = column.map(|(k, q)| h(row, k) * q).sum::<Complex64>() / (n_tx as f64).sqrt();
                 mapped.h[row * n_tx + t] = Complex32::new(c.re as f32, c.im as f32);
             }
         }
@@ -166,7 +167,9 @@ fn with_record(log: &[u8], n: usize, check: impl FnOnce(&Bfee<'_>)) {
 /// Values of an independent port of csitool's scripts, which agree with CSIKit on the same records.
 #[test]
 fn reference_vectors_of_csitool() {
-    let close = |got: Complex32, re: f32, im: f32| assert!((got - Complex32::new(re, im)).norm() < 2e-6, "{got}");
+    let close = |got: Complex32, re: f64, im: f64| {
+        assert!((Complex64::new(got.re.into(), got.im.into()) - Complex64::new(re, im)).norm() < 2e-6, "{got}");
+    };
     let numbers = |bfee: &Bfee<'_>, rss: f64, factor: f64| {
         assert!((total_rss_dbm(bfee).unwrap() - rss).abs() < 1e-6);
         assert!((scale_factor(bfee).unwrap() - factor).abs() < 1e-9);
@@ -196,4 +199,11 @@ fn reference_vectors_of_csitool() {
             close(scaled(bfee, 0, 0), 7.440_285, -5.723_296);
         });
     }
+}
+
+/// The first record of `test_count_rx_0527_7.dat`: RSSI 37, 20, 18 and AGC 63.
+#[test]
+fn total_rss_of_a_wsr_record() {
+    let body = emitted(Repr { rssi: [37, 20, 18], agc: 63, ..Repr::default() }, &[Iq::default(); 90]);
+    assert!((total_rss_dbm(&Bfee::new_checked(&body).unwrap()).unwrap() + 69.860_923).abs() < 1e-6);
 }
