@@ -50,6 +50,8 @@ pub struct Options {
     pub to_s: Option<f64>,
     /// Whether turn-around compensation may be applied.
     pub compensate: bool,
+    /// Whether the course of the phase is kept for pictures.
+    pub keep_course: bool,
     /// How the bearing is searched for.
     pub search: SearchOptions,
 }

@@ -24,6 +24,7 @@ fn options(join: JoinBy) -> Options {
         from_s: None,
         to_s: None,
         compensate: true,
+        keep_course: false,
         search: SearchOptions::default(),
     }
 }

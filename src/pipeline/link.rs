@@ -95,6 +95,7 @@ struct Row {
     difference_us: i64,
     host_us: Option<i64>,
     row: u32,
+    one_way_rad: f64,
 }
 
 /// Everything that a link gave.
@@ -116,8 +117,21 @@ pub struct Bearing {
     pub peers: PeerFigures,
     /// The samples used.
     pub samples: Samples,
-    /// All pairs, for pictures: time (s from the first pair), sample before and after compensation.
-    pub course: Vec<(f64, Complex64, Complex64)>,
+    /// The phase of every pair, if [`Options::keep_course`] asked for it.
+    pub course: Vec<Phase>,
+}
+
+/// The phase of one pair, for pictures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Phase {
+    /// Seconds from the link's first pair.
+    pub t_s: f64,
+    /// Phase of what the receiver alone heard, at the channel centre, radians.
+    pub one_way_rad: f64,
+    /// Phase of the round-trip product, radians.
+    pub round_trip_rad: f64,
+    /// The same after turn-around compensation, radians.
+    pub compensated_rad: f64,
 }
 
 /// Figures of merit as the peers define them, from an azimuth profile on the WSR toolbox's grid.
@@ -181,7 +195,10 @@ impl Link {
             self.silent += 1;
             return;
         };
+        let one_way = || at_centre(&pair.receiver.csi(), &options.channel.subcarriers());
+        let one_way = options.keep_course.then(one_way).flatten();
         self.rows.push(Row {
+            one_way_rad: one_way.map_or(0.0, |one_way| one_way.h.arg()),
             z: coherent.h,
             clock_rx_us: pair.clock_rx_us,
             difference_us: pair.clock_difference_us,
@@ -266,8 +283,18 @@ impl Link {
             pairs,
             mean_position_m: sum / samples.len() as f64,
             samples,
-            course: times.iter().zip(raw.iter().zip(&z)).map(|(t, (a, b))| (t - times[0], *a, *b)).collect(),
+            course: if options.keep_course { self.course(&times, &z) } else { Vec::new() },
         })
+    }
+
+    fn course(&self, times_s: &[f64], z: &[Complex64]) -> Vec<Phase> {
+        let phase = |((row, z), t_s): ((&Row, &Complex64), &f64)| Phase {
+            t_s: t_s - times_s[0],
+            one_way_rad: row.one_way_rad,
+            round_trip_rad: row.z.arg(),
+            compensated_rad: z.arg(),
+        };
+        self.rows.iter().zip(z).zip(times_s).map(phase).collect()
     }
 
     fn turn_around(&self, z: &[Complex64], carrier_hz: f64) -> Option<TurnAround> {
