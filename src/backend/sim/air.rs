@@ -102,6 +102,8 @@ struct Heard {
     start_ns: i64,
     end_ns: i64,
     instant_ns: i64,
+    /// How much the host's interrupt is away from the usual.
+    away_ns: i64,
     number: Option<[u8; 4]>,
 }
 
@@ -269,10 +271,10 @@ impl Air {
         let (start_ns, instant_ns) = match answered {
             Some(heard) => {
                 node.heard = None;
-                let after_ns = heard.start_ns + radio.turn_around.draw_ns(&mut node.timing);
+                let after_ns = heard.start_ns + radio.turn_around.draw_ns(heard.away_ns, &mut node.timing);
                 (after_ns.max(heard.end_ns + SIFS_NS).max(now_ns), Some(heard.instant_ns))
             }
-            None => (now_ns + (node.timing.spread(radio.send_jitter_us).abs() * 1e3) as i64, None),
+            None => (now_ns + radio.send_jitter_ns(&mut node.timing), None),
         };
         node.outgoing.push_back(Outgoing { not_before_ns: start_ns, instant_ns, bytes: bytes.into() });
         if node.outgoing.len() == 1 {
@@ -300,7 +302,7 @@ impl Air {
                 }
             }
             What::End { flight } => self.end(flight),
-            What::Again { robot, flight, role } => self.received(robot, &flight, t_ns, role),
+            What::Again { robot, flight, role } => self.received(robot, &flight, t_ns, role, 0),
             What::Ask { robot } => {
                 if self.nodes[robot].armed_ns == Some(t_ns) {
                     self.nodes[robot].armed_ns = None;
@@ -389,8 +391,13 @@ impl Air {
 
     /// A robot hears a frame: its sender is told, its driver makes a record and may answer by itself.
     fn hear(&mut self, robot: usize, flight: &Arc<Flight>) {
+        let world = Arc::clone(&self.world);
+        let scene = world.scene();
+        let radio = scene.radio_of(&scene.robot[robot]);
         let node = &mut self.nodes[robot];
+        let away_ns = radio.turn_around.draw_away_ns(&mut node.timing);
         node.heard = Some(Heard {
+            away_ns,
             start_ns: flight.start_ns,
             end_ns: flight.end_ns,
             instant_ns: flight.instant_ns,
@@ -398,13 +405,10 @@ impl Air {
         });
         let now = local(&self.world, robot, flight.end_ns);
         let role = node.station.as_mut().map_or(Role::Unknown, |s| s.heard(now, &flight.bytes));
-        let world = Arc::clone(&self.world);
-        let scene = world.scene();
         let duplicated = node.loss.happens(scene.robot[robot].faults.duplicate);
-        self.received(robot, flight, flight.start_ns, role);
+        self.received(robot, flight, flight.start_ns, role, away_ns);
         if duplicated {
-            let radio = scene.radio_of(&scene.robot[robot]);
-            let again_ns = flight.start_ns + radio.turn_around.draw_ns(&mut self.nodes[robot].timing);
+            let again_ns = flight.start_ns + radio.turn_around.draw_ns(away_ns, &mut self.nodes[robot].timing);
             self.nodes[robot].injected.duplicated += 1;
             self.push(again_ns.max(flight.end_ns), What::Again { robot, flight: Arc::clone(flight), role });
         }
@@ -418,7 +422,7 @@ impl Air {
     }
 
     /// The driver counts a frame with CSI and hands its record on.
-    fn received(&mut self, robot: usize, flight: &Arc<Flight>, t_ns: i64, role: Role) {
+    fn received(&mut self, robot: usize, flight: &Arc<Flight>, t_ns: i64, role: Role, away_ns: i64) {
         let measured = [4, 10].iter().all(|&at| flight.bytes.get(at..at + 6) == Some(&MAGIC_MAC));
         let node = &mut self.nodes[robot];
         if !measured || !node.on {
@@ -437,7 +441,7 @@ impl Air {
             let radio = scene.radio_of(&scene.robot[robot]);
             let end_ns = t_ns + flight.end_ns - flight.start_ns;
             // The driver's queue keeps the order.
-            let arrival_ns = (end_ns + radio.host_latency_ns(&mut node.timing)).max(node.last_arrival_ns);
+            let arrival_ns = (end_ns + radio.host_latency_ns(away_ns, &mut node.timing)).max(node.last_arrival_ns);
             node.last_arrival_ns = arrival_ns;
             let clock_us = scene.robot[robot].crystal.clock_us(t_ns).wrapping_sub(node.clock_base_us);
             let bfee_count = node.bfee_count;

@@ -1,5 +1,6 @@
 //! A room full of robots that speaks the card's bytes (in work).
 mod air;
+mod built_in;
 pub mod carrier;
 pub mod crystal;
 mod dataset;
@@ -21,6 +22,7 @@ pub mod surfaces;
 pub mod world;
 
 pub use air::MakeStation;
+pub use built_in::BUILT_IN;
 pub use dataset::{Capture, Log, write_dataset};
 pub use faults::{Faults, Injected};
 pub use odometer::{NextPose, Odometer};

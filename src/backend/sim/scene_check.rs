@@ -319,6 +319,8 @@ fn check_radio(radio: &Radio) -> Checked {
         format!("has min_us {}, median_us {}, max_us {}: not in order", turn.min_us, turn.median_us, turn.max_us)
     })?;
     not_negative("spread_us", turn.spread_us).map_err(|p| p.key("turn_around"))?;
+    not_negative("tail_spread_us", turn.tail_spread_us).map_err(|p| p.key("turn_around"))?;
+    finite("tail_us", &[turn.tail_us]).map_err(|p| p.key("turn_around"))?;
     share("tail", turn.tail).map_err(|p| p.key("turn_around"))
 }
 

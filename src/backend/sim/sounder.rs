@@ -11,7 +11,7 @@ use driver_iface::sounding::wsr;
 /// Silence after which a lost turn is taken, in slots, where only one robot wants it: nobody has to be waited for.
 const ALONE_SILENCE_SLOTS: u32 = 2;
 /// A guard is this many times the jitter of sending, so that frames keep out of each other's slots.
-const GUARD_PER_JITTER: f64 = 4.0;
+const GUARD_PER_JITTER: f64 = 5.0;
 
 /// One robot's side of the exchange.
 #[derive(Debug)]
