@@ -8,6 +8,8 @@ pub mod cfo;
 pub mod csi;
 pub mod odometry;
 pub mod pairing;
+#[cfg(feature = "plot")]
+pub mod plot;
 pub mod pose;
 pub mod samples;
 pub mod tdma;
