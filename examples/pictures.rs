@@ -58,7 +58,7 @@ fn main() -> Result<(), Error> {
     let errors = |scale: f64| (0..300).map(|i| scale * noise(i) * noise(i + 500)).collect::<Vec<f64>>();
     let series = vec![("one antenna".into(), errors(12.0)), ("three antennas".into(), errors(5.0))];
     CdfPlot { title: "Bearing error".into(), x_label: "error (degrees)".into(), series }.write(&out.join("cdf"))?;
-    let pareto = |a: f64| (0..6).map(|k| (a * 4f64.powi(k), 8.0 / a.sqrt() / 2f64.powi(k) + 0.1)).collect();
+    let pareto = |a: f64| (0..6).map(|k| (a * 4f64.powi(k), 8.0 / 2f64.powi(k) + 0.1)).collect();
     let series = vec![("direct".into(), pareto(2.0)), ("rings".into(), pareto(0.1))];
     let (x_label, y_label) = ("run time (ms)".into(), "error (degrees)".into());
     let title = "Run time against error".into();

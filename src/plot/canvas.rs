@@ -123,6 +123,21 @@ impl Canvas {
         self.label(at, content, size, anchor, c, None);
     }
 
+    /// Text on a white ground, readable where lines pass below.
+    pub(super) fn backed_text(&mut self, at: (f64, f64), content: &str, size: u32, anchor: TextAnchor) {
+        // DejaVu Sans is about 0.6 em wide per letter.
+        let width = 0.6 * f64::from(size) * content.chars().count() as f64;
+        let x = match anchor {
+            TextAnchor::Start => at.0,
+            TextAnchor::Middle => at.0 - width / 2.0,
+            TextAnchor::End => at.0 - width,
+        };
+        let (y, height, opacity) = (at.1 - 0.85 * f64::from(size), 1.15 * f64::from(size), Some(0.8));
+        let fill = colour((255, 255, 255));
+        self.0.elements.push(Primitive::Rect { x, y, width, height, fill, stroke: None, stroke_width: None, opacity });
+        self.text(at, content, size, anchor, BLACK);
+    }
+
     fn label(&mut self, at: (f64, f64), content: &str, size: u32, anchor: TextAnchor, c: Rgb, rotate: Option<f64>) {
         // A dollar sign opens a formula in kuva.
         let (content, color) = (content.replace('$', "\\$"), Some(colour(c)));
@@ -287,7 +302,7 @@ pub(super) fn extent(values: impl Iterator<Item = f64>, pad: f64) -> Option<(f64
         .fold(None, |r: Option<(f64, f64)>, v| Some(r.map_or((v, v), |(low, high)| (low.min(v), high.max(v)))));
     let (low, high) = seen?;
     let least = 1e-9_f64.max(low.abs().max(high.abs()) * 1e-9);
-    let (low, high) = if high - low < least { (low - 0.5, high + 0.5) } else { (low, high) };
+    let (low, high) = if high - low < least { (low - least.max(0.5), high + least.max(0.5)) } else { (low, high) };
     let more = (high - low) * pad;
     Some((low - more, high + more))
 }

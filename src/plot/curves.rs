@@ -23,7 +23,10 @@ impl CdfPlot {
             sizes
         };
         let sorted: Vec<Vec<f64>> = self.series.iter().map(|s| sizes(&s.1)).collect();
-        let range = extent_log(sorted.iter().flatten().copied()).ok_or(Error::Empty { what: "error distribution" })?;
+        // Errors that are all zero have no place on a log axis: they stand at the edge of a made-up decade.
+        let zeros = sorted.iter().any(|v| !v.is_empty()).then_some((0.1, 1.0));
+        let range = extent_log(sorted.iter().flatten().copied()).or(zeros);
+        let range = range.ok_or(Error::Empty { what: "error distribution" })?;
         let mut canvas = Canvas::new(780.0, &self.title);
         let median = |v: &[f64]| v.get(v.len() / 2).map_or(String::new(), |m| format!(" (median {m:.2})"));
         let keys = self.series.iter().zip(&sorted).enumerate();

@@ -1,6 +1,6 @@
 //! Pictures in the plane of motion: one trajectory with its bearing, and the map of all robots.
 use super::Error;
-use super::canvas::{Axes, BLACK, BLUE, Canvas, GREEN, GREY, Key, ORANGE, RED, Rgb, SKY, WIDTH, extent};
+use super::canvas::{Axes, BLACK, BLUE, Canvas, GREEN, GREY, Key, RED, Rgb, SKY, WIDTH, extent};
 use kuva::render::render::TextAnchor;
 use std::path::{Path, PathBuf};
 
@@ -139,7 +139,7 @@ fn star(canvas: &mut Canvas, at: (f64, f64), name: &str, axes: &Axes) {
     canvas.ring(at, 13.0, BLACK, 2.5);
     let left = at.0 > axes.left + 0.8 * axes.width;
     let (dx, anchor) = if left { (-20.0, TextAnchor::End) } else { (20.0, TextAnchor::Start) };
-    canvas.text((at.0 + dx, at.1 - 14.0), name, 20, anchor, BLACK);
+    canvas.backed_text((at.0 + dx, at.1 - 14.0), name, 20, anchor);
 }
 
 impl RayClass {
@@ -188,13 +188,12 @@ impl MapPlot {
         for ray in rays.iter().filter(|r| !r.label.is_empty()) {
             let (sin, cos) = ray.azimuth_rad.sin_cos();
             let tip = axes.at(ray.origin_m[0] + reach * cos, ray.origin_m[1] + reach * sin);
-            let anchor = if cos >= 0.0 { TextAnchor::Start } else { TextAnchor::End };
-            let at = (tip.0 + 10.0 * sin.signum(), tip.1 + 22.0);
-            canvas.text(at, &ray.label, 18, anchor, ray.class.look().0);
+            // Beside the ray, to its right.
+            let at = (tip.0 + 18.0 * sin, tip.1 + 18.0 * cos + 7.0);
+            canvas.text(at, &ray.label, 20, TextAnchor::Middle, ray.class.look().0);
         }
         for (name, p) in &truth {
             let at = axes.at(p[0], p[1]);
-            canvas.dots(&[at], 9.0, ORANGE, 1.0);
             star(&mut canvas, at, name, &axes);
         }
         canvas.save(stem)

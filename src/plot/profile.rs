@@ -1,6 +1,6 @@
 //! Bartlett profiles over azimuth, and over azimuth and elevation.
 use super::Error;
-use super::canvas::{Axes, BLACK, Canvas, GREEN, GREY, Key, PALE, RED, WIDTH, series_colour};
+use super::canvas::{Axes, BLACK, Canvas, GREY, Key, PALE, RED, WIDTH, series_colour};
 use kuva::plot::ColorMap;
 use kuva::render::render::TextAnchor;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ pub struct ProfilePlot {
     pub mirror_deg: Option<f64>,
 }
 
-const CENTRE: (f64, f64) = (WIDTH / 2.0, 600.0);
+const CENTRE: (f64, f64) = (WIDTH / 2.0, 575.0);
 const RADIUS: f64 = 420.0;
 
 fn polar(azimuth_deg: f64, radius: f64) -> (f64, f64) {
@@ -50,7 +50,7 @@ impl ProfilePlot {
         if let Some(p) = peaks.first() {
             keys.push((Key::Dot, BLACK, format!("peak {:.1}°", p.0)));
         }
-        let marks = [(self.truth_deg, GREEN, "truth"), (self.mirror_deg, GREY, "mirror")];
+        let marks = [(self.truth_deg, BLACK, "truth"), (self.mirror_deg, GREY, "mirror")];
         let marks: Vec<_> = marks.iter().filter_map(|m| Some((m.0.filter(|a| a.is_finite())?, m.1, m.2))).collect();
         keys.extend(marks.iter().map(|m| (Key::Dash, m.1, format!("{} {:.1}°", m.2, m.0))));
         let mut canvas = Canvas::new(1090.0, &self.title);
