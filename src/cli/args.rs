@@ -31,7 +31,14 @@ pub struct Estimation {
 
 impl Default for Estimation {
     fn default() -> Self {
-        Self { antenna: Antenna::A, clock_offset: 0.0, elevation_max: 20.0, no_compensation: false, from: None, to: None }
+        Self {
+            antenna: Antenna::A,
+            clock_offset: 0.0,
+            elevation_max: 20.0,
+            no_compensation: false,
+            from: None,
+            to: None,
+        }
     }
 }
 

@@ -56,7 +56,7 @@ pub struct Args {
     #[arg(long, default_value = "360", value_parser = profile::grid, value_name = "GRID")]
     grid: Grid,
     /// Draw phase, trajectory and profile of each link into this folder, as PNG and SVG
-    #[cfg(any())]
+    #[cfg(feature = "plot")]
     #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
 }
@@ -129,6 +129,8 @@ pub fn run(args: Args) -> Result {
 fn options(args: &Args) -> std::result::Result<Options, String> {
     let options = args.estimation.options(args.channel)?;
     let join = if args.join_rows { JoinBy::Row } else { JoinBy::Time };
+    #[cfg(feature = "plot")]
+    let options = Options { keep_course: args.plot.is_some(), ..options };
     Ok(Options { tx_macs: args.tx_mac.clone(), rx_mac: args.rx_mac, join, ..options })
 }
 
@@ -146,11 +148,11 @@ fn artefacts(
         profile::write(&path, &args.grid, &bearing.samples, options.channel.wavelength_m())?;
         eprintln!("profile of {name}: {}", path.display());
     }
-    #[cfg(any())]
+    #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
-        for path in csi5300::plot::link(folder, name, bearing, options.channel.wavelength_m())
-            .map_err(|error| error.to_string())?
-        {
+        let wavelength_m = options.channel.wavelength_m();
+        let pictures = csi5300::figures::Pictures { bearing, truth_rad: None, recorded: None, wavelength_m };
+        for path in pictures.write(folder, name).map_err(|error| error.to_string())? {
             eprintln!("picture of {name}: {}", path.display());
         }
     }

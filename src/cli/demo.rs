@@ -32,7 +32,9 @@ type Words<T> = std::result::Result<T, String>;
 
 /// Runs the demonstration.
 pub fn run(args: &Args) -> Result {
-    print("Two robots, simulated down to the bytes their cards, drivers and loggers would have written: TDMA exchange,\n");
+    print(
+        "Two robots, simulated down to the bytes their cards, drivers and loggers would have written: TDMA exchange,\n",
+    );
     print("CFO, 3 dB of noise, 8-bit CSI. What follows reads those logs as if they were recorded.\n\n");
     let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let options = Options { keep_course: true, ..Estimation::default().options(channel)? };
@@ -106,7 +108,11 @@ fn describe(name: &str, folder: &Path, bearing: &Bearing, truth_rad: Option<f64>
         text += &format!("\n  truth {:.2} deg from the mean pose: error {error:+.2} deg", truth_rad.to_degrees());
     }
     let share = bearing.peers.likelihood_share.unwrap_or_default();
-    text += &format!("\n  coherence {:.2}, likelihood share {share:.4}; logs in {}\n", estimate.coherence, folder.display());
+    text += &format!(
+        "\n  coherence {:.2}, likelihood share {share:.4}; logs in {}\n",
+        estimate.coherence,
+        folder.display()
+    );
     text
 }
 
@@ -124,7 +130,8 @@ fn draw(
     recorded: Option<&Bearing>,
     options: &Options,
 ) -> Words<()> {
-    let pictures = csi5300::figures::Pictures { bearing, truth_rad, recorded, wavelength_m: options.channel.wavelength_m() };
+    let pictures =
+        csi5300::figures::Pictures { bearing, truth_rad, recorded, wavelength_m: options.channel.wavelength_m() };
     for path in pictures.write(out, name).map_err(|error| error.to_string())? {
         if path.extension().is_some_and(|extension| extension == "png") {
             print(&format!("  picture {}\n", path.display()));

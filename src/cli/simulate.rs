@@ -52,7 +52,13 @@ fn describe(scene: &Scene, captures: &[Capture], injected: &[Injected]) -> Strin
     let mut text = String::new();
     let name = |robot: usize| scene.robot.get(robot).map_or("?", |robot| robot.name.as_str());
     for capture in captures {
-        let _ = writeln!(text, "{}: receiver {}, time stamp {}", capture.dir.display(), name(capture.receiver), capture.stamp);
+        let _ = writeln!(
+            text,
+            "{}: receiver {}, time stamp {}",
+            capture.dir.display(),
+            name(capture.receiver),
+            capture.stamp
+        );
         for log in &capture.logs {
             let _ = writeln!(text, "  {}: {} records of {}", log.path.display(), log.records, name(log.robot));
         }

@@ -117,6 +117,8 @@ pub struct Bearing {
     pub peers: PeerFigures,
     /// The samples used.
     pub samples: Samples,
+    /// The receiver's whole path, if [`Options::keep_course`] asked for it, metres.
+    pub path_m: Vec<Vector3<f64>>,
     /// The phase of every pair, if [`Options::keep_course`] asked for it.
     pub course: Vec<Phase>,
 }
@@ -283,6 +285,7 @@ impl Link {
             pairs,
             mean_position_m: sum / samples.len() as f64,
             samples,
+            path_m: receiver.poses().iter().filter(|_| options.keep_course).map(|pose| pose.position_m).collect(),
             course: if options.keep_course { self.course(&times, &z) } else { Vec::new() },
         })
     }
