@@ -45,7 +45,7 @@ fn main() -> Result<(), Error> {
     let azimuth: Vec<f64> = (-180..180).map(f64::from).collect();
     let profile =
         |k: f64| azimuth.iter().map(move |a| 0.95 * lobe(*a, 35.0 + k, 9.0) + 0.4 * lobe(*a, 140.0, 14.0) + 0.05);
-    let series = [("run 1", 4.0), ("run 2", -5.0), ("average", 0.0)];
+    let series = [("run 1", 4.0), ("run 2", -5.0), ("run 3", 0.0)];
     let series = series.map(|(name, k)| (name.to_owned(), azimuth.clone(), profile(k).collect())).to_vec();
     let peaks = vec![(35.0, 1.0), (140.0, 0.45)];
     let title = "Bartlett profile".to_owned();

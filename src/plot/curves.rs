@@ -34,7 +34,7 @@ impl CdfPlot {
         let top = 74.0 + canvas.legend(58.0, &keys);
         let mut axes = Axes::new([120.0, top, WIDTH - 160.0, 690.0 - top], range, (0.0, 1.02));
         axes.log_x = true;
-        axes.draw(&mut canvas, &self.x_label, "share of bearings");
+        axes.draw(&mut canvas, &self.x_label, "cumulative share");
         for (i, values) in sorted.iter().enumerate() {
             let n = values.len() as f64;
             let stairs = values.iter().enumerate().flat_map(|(k, &v)| {

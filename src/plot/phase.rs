@@ -12,7 +12,7 @@ pub struct PhaseTrack {
     pub label: String,
     /// Time in seconds.
     pub t_s: Vec<f64>,
-    /// Phase of the forward CSI alone, radians, any wrapping.
+    /// Phase before CFO and turn-around removal (forward CSI, or the product uncompensated), radians, any wrapping.
     pub before_rad: Vec<f64>,
     /// Phase of the round-trip product after CFO and turn-around removal, radians, any wrapping.
     pub after_rad: Vec<f64>,
