@@ -42,28 +42,29 @@ pub fn run(args: &Args) -> Result {
         [rx, tx, trajectory] => Some(estimate(rx, tx, trajectory, &options)?),
         _ => None,
     };
+    let mut next = String::new();
     for (name, text) in SCENES {
         let scene = Scene::from_toml(text).map_err(|error| format!("scene {name}: {error}"))?;
         let folder = args.out.join(name);
         let (captures, _) = simulate::write(&scene, &folder)?;
         let capture = captures.first().ok_or_else(|| format!("scene {name} has no initiator"))?;
         let (rx, tx, trajectory) = files(capture);
+        if next.is_empty() {
+            next = commands(&rx, &tx, &trajectory);
+        }
         let bearing = estimate(&rx, &tx, &trajectory, &options)?;
         let truth_rad = truth(&scene, &bearing);
         print(&describe(name, &folder, &bearing, truth_rad));
         draw(&args.out, name, &bearing, truth_rad, recorded.as_ref().filter(|_| name == "circle"), &options)?;
     }
-    print(&format!("\nLogs and pictures are in {}. Try next:\n", args.out.display()));
-    let (circle, stamp) = (args.out.join("circle"), "20231114_221320");
-    let at = |name: &str| circle.join(name).display().to_string();
-    print(&format!(
-        "  csi5300 info {}\n  csi5300 bearing --channel 108 --rx {} --tx {} --trajectory {}\n",
-        at(&format!("csi_rx_{stamp}.dat")),
-        at(&format!("csi_rx_{stamp}.dat")),
-        at(&format!("csi_tx1_{stamp}.dat")),
-        at(&format!("rx_trajectory_{stamp}_.csv")),
-    ));
+    print(&format!("\nLogs and pictures are in {}. Try next:\n{next}", args.out.display()));
     Ok(Outcome::Done)
+}
+
+fn commands(rx: &Path, tx: &Path, trajectory: &Path) -> String {
+    let (rx, tx, trajectory) = (rx.display(), tx.display(), trajectory.display());
+    let bearing = format!("csi5300 bearing --channel 108 --rx {rx} --tx {tx} --trajectory {trajectory} --plot .");
+    format!("  csi5300 info {rx}\n  {bearing}\n")
 }
 
 fn files(capture: &Simulated) -> (PathBuf, PathBuf, PathBuf) {
