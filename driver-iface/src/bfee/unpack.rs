@@ -14,8 +14,6 @@ pub const MAX_SAMPLES: usize = SUBCARRIERS * 9;
 const GAP: usize = 3;
 /// Samples that one 64-bit load yields, whatever the bit offset: 48 bits and at most 7 before them.
 const PER_WORD: usize = 3;
-/// Room behind the last sample for a whole word, so that the fast path writes 8 bytes for every 6.
-const SLACK: usize = 8;
 
 /// One sample as the card reports it; +-127 and -128 mean saturation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -31,14 +29,14 @@ const fn bit_of(subcarrier: usize, index: usize, n: usize) -> usize {
     GAP + subcarrier * (GAP + 16 * n) + 16 * index
 }
 
-/// At least 57 bits from `bit` on in the low bits, zeros after the payload's end.
+/// The payload from `bit` on in the low bits: at least 57 bits of it, or zeros after its end.
 ///
 /// The load is moved back from the end, so it never leaves the payload (72 bytes at least).
 #[inline(always)]
 fn word_at(payload: &[u8], bit: usize) -> u64 {
     let from = (bit / 8).min(payload.len().saturating_sub(8));
     let shift = bit - 8 * from;
-    payload.get(from..from + 8).map_or(0, LittleEndian::read_u64).checked_shr(shift as u32).unwrap_or(0)
+    payload.get(from..from + 8).map_or(0, LittleEndian::read_u64) >> (shift & 63)
 }
 
 /// The sample in the low 16 bits.
@@ -46,43 +44,40 @@ const fn low_iq(word: u64) -> Iq {
     Iq { i: word as i8, q: (word >> 8) as i8 }
 }
 
-/// Samples of `N` chain pairs as bytes, re and im alternating.
+/// Unpacks and widens `N` chain pairs; `BYTES` is `60 N` and room for one word. `None` when a slice is too short.
+///
+/// First to bytes, a word for every three samples, then all of them to floats: both loops have known lengths, no
+/// branch, and the second is one that compilers vectorise.
 #[inline(always)]
-fn unpack_bytes<const N: usize>(payload: &[u8], out: &mut [u8; 2 * MAX_SAMPLES + SLACK]) {
+fn unpack_f32_n<const N: usize, const BYTES: usize>(payload: &[u8], out: &mut [f32]) -> Option<usize> {
+    let payload = payload.get(..60 * N + 12)?;
+    let out = out.get_mut(..2 * SUBCARRIERS * N)?;
+    let mut bytes = [0; BYTES];
     for subcarrier in 0..SUBCARRIERS {
         for first in (0..N).step_by(PER_WORD) {
             let word = word_at(payload, bit_of(subcarrier, first, N));
             let at = 2 * (subcarrier * N + first);
-            if let Some(out) = out.get_mut(at..at + 8) {
-                LittleEndian::write_u64(out, word);
+            if let Some(bytes) = bytes.get_mut(at..at + 8) {
+                LittleEndian::write_u64(bytes, word);
             }
         }
     }
-}
-
-/// Unpacks and widens `N` chain pairs; `None` when a slice is too short.
-#[inline(always)]
-fn unpack_f32_n<const N: usize>(payload: &[u8], out: &mut [f32]) -> Option<usize> {
-    let payload = payload.get(..60 * N + 12)?;
-    let out = out.get_mut(..2 * SUBCARRIERS * N)?;
-    let mut bytes = [0; 2 * MAX_SAMPLES + SLACK];
-    unpack_bytes::<N>(payload, &mut bytes);
     for (value, &byte) in out.iter_mut().zip(&bytes) {
         *value = f32::from(byte.cast_signed());
     }
     Some(SUBCARRIERS * N)
 }
 
-/// One sample of each subcarrier asked for.
+/// One sample of each subcarrier asked for, all of which are below 30, of `N` chain pairs.
 #[inline(always)]
-fn column_words(payload: &[u8], n: usize, index: usize, subcarriers: &[u8], mut put: impl FnMut(usize, u64)) -> bool {
-    let known = subcarriers.iter().all(|&s| usize::from(s) < SUBCARRIERS);
-    if known {
-        for (at, &subcarrier) in subcarriers.iter().enumerate() {
-            put(at, word_at(payload, bit_of(usize::from(subcarrier), index, n)));
-        }
+fn column_n<const N: usize, T>(payload: &[u8], index: usize, subcarriers: &[u8], out: &mut [T], put: impl Fn(Iq) -> T) {
+    let Some(payload) = payload.get(..60 * N + 12) else { return };
+    for (out, &subcarrier) in out.iter_mut().zip(subcarriers) {
+        let bit = bit_of(usize::from(subcarrier), index, N);
+        let from = (bit / 8).min(60 * N + 8);
+        let word = payload.get(from..from + 4).map_or(0, LittleEndian::read_u32);
+        *out = put(low_iq(u64::from(word >> ((bit - 8 * from) & 31))));
     }
-    known
 }
 
 /// All subcarriers, in order: the argument of [`Bfee::column`] for a whole column.
@@ -144,12 +139,12 @@ impl Bfee<'_> {
     pub fn unpack_f32(&self, out: &mut [f32]) -> Option<usize> {
         let payload = self.payload();
         match self.n_rx() * self.n_tx() {
-            1 => unpack_f32_n::<1>(payload, out),
-            2 => unpack_f32_n::<2>(payload, out),
-            3 => unpack_f32_n::<3>(payload, out),
-            4 => unpack_f32_n::<4>(payload, out),
-            6 => unpack_f32_n::<6>(payload, out),
-            _ => unpack_f32_n::<9>(payload, out),
+            1 => unpack_f32_n::<1, 68>(payload, out),
+            2 => unpack_f32_n::<2, 128>(payload, out),
+            3 => unpack_f32_n::<3, 188>(payload, out),
+            4 => unpack_f32_n::<4, 248>(payload, out),
+            6 => unpack_f32_n::<6, 368>(payload, out),
+            _ => unpack_f32_n::<9, 548>(payload, out),
         }
     }
 
@@ -157,29 +152,40 @@ impl Bfee<'_> {
     ///
     /// Returns the number of samples; `None` when an index is out of range or `out` is shorter than `subcarriers`.
     pub fn column(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [Iq]) -> Option<usize> {
-        let index = self.pair(rx, tx)?;
-        let out = out.get_mut(..subcarriers.len())?;
-        let n = self.n_rx() * self.n_tx();
-        column_words(self.payload(), n, index, subcarriers, |at, word| {
-            if let Some(iq) = out.get_mut(at) {
-                *iq = low_iq(word);
-            }
-        })
-        .then_some(subcarriers.len())
+        self.column_with(rx, tx, subcarriers, out.get_mut(..subcarriers.len())?, |iq| iq)
     }
 
     /// [`Bfee::column`] to `f32`, re and im alternating; `out` has at least two floats for each subcarrier.
     pub fn column_f32(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [f32]) -> Option<usize> {
-        let index = self.pair(rx, tx)?;
         let (out, _) = out.get_mut(..2 * subcarriers.len())?.as_chunks_mut::<2>();
-        let n = self.n_rx() * self.n_tx();
-        column_words(self.payload(), n, index, subcarriers, |at, word| {
-            if let Some(out) = out.get_mut(at) {
-                let Iq { i, q } = low_iq(word);
-                *out = [f32::from(i), f32::from(q)];
-            }
-        })
-        .then_some(subcarriers.len())
+        self.column_with(rx, tx, subcarriers, out, |Iq { i, q }| [f32::from(i), f32::from(q)])
+    }
+
+    /// Writes `put` of each sample asked for to `out`, which is as long as `subcarriers`.
+    #[inline(always)]
+    fn column_with<T>(
+        &self,
+        rx: usize,
+        tx: usize,
+        subcarriers: &[u8],
+        out: &mut [T],
+        put: impl Fn(Iq) -> T,
+    ) -> Option<usize> {
+        let index = self.pair(rx, tx)?;
+        let last = subcarriers.iter().fold(0, |last, &s| last.max(s));
+        if usize::from(last) >= SUBCARRIERS {
+            return None;
+        }
+        let payload = self.payload();
+        match self.n_rx() * self.n_tx() {
+            1 => column_n::<1, T>(payload, index, subcarriers, out, put),
+            2 => column_n::<2, T>(payload, index, subcarriers, out, put),
+            3 => column_n::<3, T>(payload, index, subcarriers, out, put),
+            4 => column_n::<4, T>(payload, index, subcarriers, out, put),
+            6 => column_n::<6, T>(payload, index, subcarriers, out, put),
+            _ => column_n::<9, T>(payload, index, subcarriers, out, put),
+        }
+        Some(subcarriers.len())
     }
 
     /// True when the bits that carry no CSI are all 0, as the firmware writes them.
