@@ -46,14 +46,30 @@ const fn low_iq(word: u64) -> Iq {
 
 /// Unpacks and widens `N` chain pairs; `BYTES` is `60 N` and room for one word. `None` when a slice is too short.
 ///
-/// First to bytes, a word for every three samples, then all of them to floats: both loops have known lengths, no
-/// branch, and the second is one that compilers vectorise.
+/// First to bytes, a word for every three samples, then all of them to floats, in a loop that compilers vectorise.
 #[inline(always)]
 fn unpack_f32_n<const N: usize, const BYTES: usize>(payload: &[u8], out: &mut [f32]) -> Option<usize> {
     let payload = payload.get(..60 * N + 12)?;
     let out = out.get_mut(..2 * SUBCARRIERS * N)?;
     let mut bytes = [0; BYTES];
-    for subcarrier in 0..SUBCARRIERS {
+    for octave in 0..3 {
+        let from = octave * (GAP + 16 * N);
+        let to = octave * 16 * N;
+        unpack_run::<N, 8>(payload.get(from..from + GAP + 16 * N + 8)?, bytes.get_mut(to..to + 16 * N + 8)?);
+    }
+    unpack_run::<N, 6>(payload.get(3 * (GAP + 16 * N)..)?, bytes.get_mut(48 * N..)?);
+    for (value, &byte) in out.iter_mut().zip(&bytes) {
+        *value = f32::from(byte.cast_signed());
+    }
+    Some(SUBCARRIERS * N)
+}
+
+/// Bytes of `COUNT` subcarriers in a row, the first of which begins on a byte of `payload`; every eighth one does.
+///
+/// With both counts known the loop unrolls and all offsets and shifts are constants.
+#[inline(always)]
+fn unpack_run<const N: usize, const COUNT: usize>(payload: &[u8], bytes: &mut [u8]) {
+    for subcarrier in 0..COUNT {
         for first in (0..N).step_by(PER_WORD) {
             let word = word_at(payload, bit_of(subcarrier, first, N));
             let at = 2 * (subcarrier * N + first);
@@ -62,21 +78,60 @@ fn unpack_f32_n<const N: usize, const BYTES: usize>(payload: &[u8], out: &mut [f
             }
         }
     }
-    for (value, &byte) in out.iter_mut().zip(&bytes) {
-        *value = f32::from(byte.cast_signed());
-    }
-    Some(SUBCARRIERS * N)
 }
 
-/// One sample of each subcarrier asked for, all of which are below 30, of `N` chain pairs.
+/// The two bytes of a sample: its subcarrier's `bit`, its place `index` there. Zeros outside the payload.
 #[inline(always)]
-fn column_n<const N: usize, T>(payload: &[u8], index: usize, subcarriers: &[u8], out: &mut [T], put: impl Fn(Iq) -> T) {
+fn sample_at(payload: &[u8], bit: usize, index: usize) -> [u8; 2] {
+    let from = bit / 8 + 2 * index;
+    let word = payload.get(from..from + 3).map_or(0, LittleEndian::read_u24);
+    ((word >> (bit % 8)) as u16).to_le_bytes()
+}
+
+/// Samples gathered before they are widened.
+const GATHER: usize = 32;
+
+/// One sample of each subcarrier asked for, of `N` chain pairs, widened: first gathered, so that widening vectorises.
+#[inline(always)]
+fn column_f32_n<const N: usize>(payload: &[u8], index: usize, subcarriers: &[u8], out: &mut [[f32; 2]]) {
     let Some(payload) = payload.get(..60 * N + 12) else { return };
-    for (out, &subcarrier) in out.iter_mut().zip(subcarriers) {
-        let bit = bit_of(usize::from(subcarrier), index, N);
-        let from = (bit / 8).min(60 * N + 8);
-        let word = payload.get(from..from + 4).map_or(0, LittleEndian::read_u32);
-        *out = put(low_iq(u64::from(word >> ((bit - 8 * from) & 31))));
+    for (out, subcarriers) in out.chunks_mut(GATHER).zip(subcarriers.chunks(GATHER)) {
+        let mut samples = [[0; 2]; GATHER];
+        if subcarriers == ALL_SUBCARRIERS {
+            gather_all::<N>(payload, index, &mut samples);
+        } else {
+            for (sample, &subcarrier) in samples.iter_mut().zip(subcarriers) {
+                *sample = sample_at(payload, bit_of(usize::from(subcarrier), 0, N), index);
+            }
+        }
+        widen(samples.as_flattened(), out.as_flattened_mut());
+    }
+}
+
+/// One sample of every subcarrier. Eight subcarriers are a whole number of bytes, so the offsets in each run of eight
+/// are constants.
+#[inline(always)]
+fn gather_all<const N: usize>(payload: &[u8], index: usize, samples: &mut [[u8; 2]; GATHER]) {
+    for (octave, samples) in samples.as_chunks_mut::<8>().0.iter_mut().enumerate() {
+        let payload = payload.get(octave * (GAP + 16 * N) + 2 * index..).unwrap_or_default();
+        for (subcarrier, sample) in samples.iter_mut().enumerate() {
+            *sample = sample_at(payload, bit_of(subcarrier, 0, N), 0);
+        }
+    }
+}
+
+/// Bytes to floats, sixteen at a time.
+#[inline(always)]
+fn widen(bytes: &[u8], out: &mut [f32]) {
+    let (bytes, bytes_rest) = bytes.split_at(bytes.len().min(out.len() / 16 * 16));
+    let (out, out_rest) = out.as_chunks_mut::<16>();
+    for (out, bytes) in out.iter_mut().zip(bytes.as_chunks::<16>().0) {
+        for (value, &byte) in out.iter_mut().zip(bytes) {
+            *value = f32::from(byte.cast_signed());
+        }
+    }
+    for (value, &byte) in out_rest.iter_mut().zip(bytes_rest) {
+        *value = f32::from(byte.cast_signed());
     }
 }
 
@@ -152,38 +207,27 @@ impl Bfee<'_> {
     ///
     /// Returns the number of samples; `None` when an index is out of range or `out` is shorter than `subcarriers`.
     pub fn column(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [Iq]) -> Option<usize> {
-        self.column_with(rx, tx, subcarriers, out.get_mut(..subcarriers.len())?, |iq| iq)
+        let index = self.column_index(rx, tx, subcarriers)?;
+        let n = self.n_rx() * self.n_tx();
+        for (out, &subcarrier) in out.get_mut(..subcarriers.len())?.iter_mut().zip(subcarriers) {
+            let [i, q] = sample_at(self.payload(), bit_of(usize::from(subcarrier), 0, n), index).map(u8::cast_signed);
+            *out = Iq { i, q };
+        }
+        Some(subcarriers.len())
     }
 
     /// [`Bfee::column`] to `f32`, re and im alternating; `out` has at least two floats for each subcarrier.
     pub fn column_f32(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [f32]) -> Option<usize> {
+        let index = self.column_index(rx, tx, subcarriers)?;
         let (out, _) = out.get_mut(..2 * subcarriers.len())?.as_chunks_mut::<2>();
-        self.column_with(rx, tx, subcarriers, out, |Iq { i, q }| [f32::from(i), f32::from(q)])
-    }
-
-    /// Writes `put` of each sample asked for to `out`, which is as long as `subcarriers`.
-    #[inline(always)]
-    fn column_with<T>(
-        &self,
-        rx: usize,
-        tx: usize,
-        subcarriers: &[u8],
-        out: &mut [T],
-        put: impl Fn(Iq) -> T,
-    ) -> Option<usize> {
-        let index = self.pair(rx, tx)?;
-        let last = subcarriers.iter().fold(0, |last, &s| last.max(s));
-        if usize::from(last) >= SUBCARRIERS {
-            return None;
-        }
         let payload = self.payload();
         match self.n_rx() * self.n_tx() {
-            1 => column_n::<1, T>(payload, index, subcarriers, out, put),
-            2 => column_n::<2, T>(payload, index, subcarriers, out, put),
-            3 => column_n::<3, T>(payload, index, subcarriers, out, put),
-            4 => column_n::<4, T>(payload, index, subcarriers, out, put),
-            6 => column_n::<6, T>(payload, index, subcarriers, out, put),
-            _ => column_n::<9, T>(payload, index, subcarriers, out, put),
+            1 => column_f32_n::<1>(payload, index, subcarriers, out),
+            2 => column_f32_n::<2>(payload, index, subcarriers, out),
+            3 => column_f32_n::<3>(payload, index, subcarriers, out),
+            4 => column_f32_n::<4>(payload, index, subcarriers, out),
+            6 => column_f32_n::<6>(payload, index, subcarriers, out),
+            _ => column_f32_n::<9>(payload, index, subcarriers, out),
         }
         Some(subcarriers.len())
     }
@@ -198,8 +242,11 @@ impl Bfee<'_> {
         gaps | word_at(self.payload(), bit_of(SUBCARRIERS, 0, n) - GAP) == 0
     }
 
-    /// Position of a chain pair among the samples of a subcarrier.
-    fn pair(&self, rx: usize, tx: usize) -> Option<usize> {
-        (rx < self.n_rx() && tx < self.n_tx()).then(|| rx * self.n_tx() + tx)
+    /// Position of a chain pair among the samples of a subcarrier, if it and all `subcarriers` are in range.
+    #[inline]
+    fn column_index(&self, rx: usize, tx: usize, subcarriers: &[u8]) -> Option<usize> {
+        let last = subcarriers.iter().fold(0, |last, &s| last.max(s));
+        let inside = rx < self.n_rx() && tx < self.n_tx() && usize::from(last) < SUBCARRIERS;
+        inside.then(|| rx * self.n_tx() + tx)
     }
 }
