@@ -1,7 +1,8 @@
 //! Decodes a log as a stream, one thread, a fixed buffer, to `f32`.
 //!
 //! `cargo bench -p driver-iface --bench decode -- [LOG [RUNS]]` prints, for each of three tasks, the median time of
-//! the runs and records per second. Without a log 200 MB of records made by `emit` are written to a temporary file.
+//! the runs and records per second. Without a log 200 MB of records made by `emit` are written to a temporary file;
+//! `--write LOG` only writes them.
 //! `scripts/decode_bench.sh` runs it against csiread.
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
 
@@ -15,7 +16,7 @@ use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, MAX_SAMPLES, Repr, Wsr};
 use driver_iface::record::{Framer, LOOKAHEAD, Record, Step, code};
 
 /// Buffer: room for a look ahead and as much again to read into; both stay in the second-level cache.
-const BUFFER: usize = 4 * LOOKAHEAD;
+const BUFFER: usize = 2 * LOOKAHEAD;
 
 /// What is decoded of each record.
 #[derive(Clone, Copy)]
@@ -31,11 +32,20 @@ const TASKS: [(&str, Task); 3] =
     [("all", Task::All), ("antenna30", Task::Column(&ALL_SUBCARRIERS)), ("antenna8", Task::Column(&EIGHT))];
 
 fn main() {
-    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).collect();
+    let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    if let [write, log] = &arguments[..]
+        && write == "--write"
+    {
+        return write_log(Path::new(log));
+    }
     let runs = arguments.get(1).map_or(5, |runs| runs.parse().expect("RUNS is a number"));
     let (log, made) = match arguments.first() {
         Some(log) => (PathBuf::from(log), false),
-        None => (make_log(), true),
+        None => {
+            let log = std::env::temp_dir().join(format!("csi5300-decode-{}.dat", std::process::id()));
+            write_log(&log);
+            (log, true)
+        }
     };
     for (name, task) in TASKS {
         let mut times = Vec::new();
@@ -94,9 +104,8 @@ fn decode_record(record: &Record<'_>, task: Task, out: &mut [f32; 2 * MAX_SAMPLE
 }
 
 /// A log of 200 MB, 3x1, WSR layout.
-fn make_log() -> PathBuf {
-    let path = std::env::temp_dir().join(format!("csi5300-decode-{}.dat", std::process::id()));
-    let mut file = std::io::BufWriter::new(File::create(&path).unwrap());
+fn write_log(log: &Path) {
+    let mut file = std::io::BufWriter::new(File::create(log).unwrap());
     let csi: Vec<Iq> = (0..90_u8).map(|k| Iq { i: k.cast_signed(), q: 7 }).collect();
     for count in 0..858_369_u32 {
         let wsr = Some(Wsr { frame_count: count, ..Wsr::default() });
@@ -107,5 +116,4 @@ fn make_log() -> PathBuf {
         file.write_all(&bytes[..length]).unwrap();
     }
     file.flush().unwrap();
-    path
 }
