@@ -30,9 +30,9 @@ impl Dice {
         z ^ (z >> 31)
     }
 
-    /// 0 to `end` - 1.
+    /// 0 to `end` - 1; where there is no choice, nothing is thrown.
     pub fn below(&mut self, end: u64) -> u64 {
-        if end == 0 { 0 } else { ((u128::from(self.next()) * u128::from(end)) >> 64) as u64 }
+        if end <= 1 { 0 } else { ((u128::from(self.next()) * u128::from(end)) >> 64) as u64 }
     }
 
     pub fn chance(&mut self, probability: f64) -> bool {
@@ -105,17 +105,19 @@ pub struct Air {
     /// Robots of different cells do not hear each other.
     pub cell: Vec<u8>,
     pub dice: Dice,
-    /// Called with every frame sent, to let an adversary listen; what it returns is heard by everybody at once.
+    /// Called with the time and every frame sent, to let an adversary listen. What it returns, with delays in
+    /// microseconds, is heard by everybody; it costs no airtime, only what it makes others send does.
     pub adversary: Option<Adversary>,
     plan: Plan,
     on_air: Vec<Rc<OnAir>>,
     frames_kept: Vec<(Rc<OnAir>, i64)>,
     free: Vec<usize>,
     deliveries: BinaryHeap<Delivery>,
+    forged: BinaryHeap<Reverse<(i64, Vec<u8>)>>,
     sequence: u64,
 }
 
-pub type Adversary = Box<dyn FnMut(&[u8], &mut Dice) -> Vec<Vec<u8>>>;
+pub type Adversary = Box<dyn FnMut(i64, &[u8], &mut Dice) -> Vec<(i64, Vec<u8>)>>;
 
 pub fn mac(k: usize) -> [u8; 6] {
     [2, 0x53, 0, 0, (k >> 8) as u8, k as u8]
@@ -154,6 +156,7 @@ impl Air {
             frames_kept: Vec::new(),
             free: Vec::new(),
             deliveries: BinaryHeap::new(),
+            forged: BinaryHeap::new(),
             sequence: 0,
         };
         configs.iter().for_each(|config| air.add(config, Skew::default()));
@@ -191,6 +194,12 @@ impl Air {
         (station.on, station.wake_us) = (true, self.now_us);
     }
 
+    /// Tells a robot whether to initiate; its driver wakes up for it.
+    pub fn set_initiate(&mut self, k: usize, initiate: bool) {
+        self.stations[k].tdma.set_initiate(initiate);
+        self.stations[k].wake_us = self.now_us;
+    }
+
     /// Gives every robot its own clock; the configuration's epochs and starts are on it.
     pub fn restart_with_skew(&mut self, configs: &[Config], skews: &[Skew]) {
         self.stations.clear();
@@ -208,12 +217,19 @@ impl Air {
             let wake = wakes.map(|(k, station)| (station.wake_us, k)).min();
             let delivery = self.deliveries.peek().map_or(i64::MAX, |Reverse((at, _, _))| *at);
             let (wake_us, k) = wake.unwrap_or((i64::MAX, 0));
-            let next_us = wake_us.min(delivery);
+            let forged = self.forged.peek().map_or(i64::MAX, |Reverse((at, _))| *at);
+            let next_us = wake_us.min(delivery).min(forged);
             if next_us > end_us {
                 break;
             }
             self.now_us = self.now_us.max(next_us);
-            if delivery <= wake_us { self.deliver() } else { self.serve(k) }
+            if forged == next_us {
+                self.hear_forged();
+            } else if delivery == next_us {
+                self.deliver();
+            } else {
+                self.serve(k);
+            }
         }
         self.now_us = end_us;
     }
@@ -271,10 +287,10 @@ impl Air {
             self.last_collision_us = start_us;
         }
         let session = self.stations[sender].session;
-        let forged = match &mut self.adversary {
-            Some(adversary) => adversary(&bytes, &mut self.dice),
-            None => Vec::new(),
-        };
+        if let Some(adversary) = &mut self.adversary {
+            let forged = adversary(start_us, &bytes, &mut self.dice);
+            self.forged.extend(forged.into_iter().map(|(delay_us, bytes)| Reverse((end_us + delay_us, bytes))));
+        }
         let frame = Rc::new(OnAir { sender, start_us, end_us, collided, role, number, to, session, bytes });
         self.on_air.push(frame.clone());
         for receiver in 0..self.stations.len() {
@@ -285,16 +301,17 @@ impl Air {
                 self.post(at_us, receiver, frame.clone(), stamp_us);
             }
         }
-        self.hear_forged(&forged);
     }
 
-    /// Forged frames reach everybody at once, and cost no airtime.
-    fn hear_forged(&mut self, forged: &[Vec<u8>]) {
-        for bytes in forged {
-            for station in self.stations.iter_mut().filter(|station| station.on) {
+    /// Everybody hears the next forged frame.
+    fn hear_forged(&mut self) {
+        let Some(Reverse((_, bytes))) = self.forged.pop() else { return };
+        for k in 0..self.stations.len() {
+            let station = &mut self.stations[k];
+            if station.on {
                 let now = station.skew.local(self.now_us);
-                station.tdma.handle_heard(now, now, bytes);
-                station.wake_us = self.now_us;
+                station.tdma.handle_heard(now, now, &bytes);
+                self.serve(k);
             }
         }
     }

@@ -82,7 +82,7 @@ fn robots_without_a_common_clock_take_the_epoch_from_the_air() {
     (air.loss, air.jitter_us) = (0.1, 30);
     air.run_s(5);
     assert!(air.stations.iter().all(|station| station.tdma.is_synchronised()));
-    air.stations.iter_mut().for_each(|station| station.tdma.set_initiate(true));
+    (0..5).for_each(|k| air.set_initiate(k, true));
     air.run_s(600);
     assert_eq!(air.collisions, 0);
     let turns: Vec<u64> = air.stations.iter().map(|station| station.tdma.counts().turns).collect();
