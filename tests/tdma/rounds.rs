@@ -19,8 +19,8 @@ fn twelve_peers_at_100_rounds_per_second_run() {
     air.run_s(2);
     let before = air.stations[0].answered.clone();
     air.run_s(10);
-    for peer in 1..=12 {
-        let answers = air.stations[0].answered[peer] - before[peer];
+    for (peer, (after, before)) in air.stations[0].answered.iter().zip(&before).enumerate().skip(1) {
+        let answers = after - before;
         assert!((999..=1_001).contains(&answers), "{answers} answers of peer {peer} in 10 s");
     }
     assert_eq!((air.collisions, air.stations[0].tdma.counts().missed_slots), (0, 0));
@@ -90,6 +90,29 @@ fn robots_without_a_common_clock_take_the_epoch_from_the_air() {
     assert!(air.jain() > 0.98, "{}", air.jain());
     let off: u64 = air.stations.iter().map(|station| station.tdma.counts().off_epoch).sum();
     assert_eq!(off, 0);
+}
+
+#[test]
+fn any_number_of_robots_keeps_in_step_by_hearing_alone() {
+    for n in [2usize, 3, 8, 16, 32] {
+        let mut configs = everybody(n, Request::new(n as u16 - 1, 1_200.0 / n as f64));
+        let skews: Vec<Skew> =
+            (0..n as i64).map(|k| Skew { offset_us: 333_337 * k, ppm: (k * 37 % 101) - 50 }).collect();
+        for (k, config) in configs.iter_mut().enumerate() {
+            config.epoch = Epoch::Heard(skews[k].local(0));
+            config.initiate = k == 0;
+        }
+        let mut air = Air::new(&configs, n as u64);
+        air.restart_with_skew(&configs, &skews);
+        (air.loss, air.jitter_us) = (0.4, 40);
+        air.run_s(6);
+        assert!(air.stations.iter().all(|station| station.tdma.is_synchronised()), "{n} robots");
+        (0..n).for_each(|k| air.set_initiate(k, true));
+        air.run_s(10);
+        assert_eq!(air.collisions, 0, "{n} robots");
+        let took_turns = air.stations.iter().filter(|station| station.tdma.counts().turns > 0).count();
+        assert_eq!(took_turns, n);
+    }
 }
 
 #[test]
