@@ -188,9 +188,8 @@ impl Tdma {
 
     /// Prepares the answer to a forward frame for this robot.
     fn answer_native(&mut self, repr: &native::Repr, peer: usize, ended: Instant, fit: Fit) {
-        // Someone else may send a copy of a frame that was lost here, later: with a key, such a frame is not answered.
-        let is_relayed = self.key.is_some() && fit == Fit::OffSlot;
-        if !self.respond || self.turn.is_some() || is_relayed {
+        // A frame at the wrong time may be another's copy of one that was lost here; its answer would be in the way.
+        if !self.respond || self.turn.is_some() || fit == Fit::OffSlot {
             return;
         }
         let has_room = matches!(self.plan.dialect(), Dialect::Native { measurement: true, .. });

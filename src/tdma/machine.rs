@@ -46,8 +46,9 @@ const EVENT_CAPACITY: usize = 256;
 /// | the driver sleeps through `silence_slots` of its own turn | the turn is lost, and claimed anew only after a silence |
 /// | frames are forged | without a key: a frame for this robot is answered, but [`Event::Answered`] needs number, session, sender and destination of a frame that waits; contradictions on turn or epoch need several frames in a row to convince. With a key: frames without a valid tag, old sessions and repeated numbers are ignored |
 ///
-/// Synchronised robots (a common epoch, or a followed one) never transmit at the same time: a slot has one initiator,
-/// a turn's end and successor are fixed at its beginning and repeated in all its frames.
+/// Synchronised robots (a common epoch, or a followed one) do not transmit at the same time: a slot has one initiator,
+/// a turn's end and successor are fixed at its beginning and repeated in all its frames, and a turn is claimed only
+/// after a silence so long that loss alone does not make it (see [`Config::silence_slots`]).
 #[derive(Clone, Debug)]
 pub struct Tdma {
     pub(super) own: [u8; 6],
@@ -214,7 +215,7 @@ impl Tdma {
         peer.map(|peer| peer.measurement = Some(measurement)).is_some()
     }
 
-    /// This robot leaves: it sends nothing from now on. The others go on after a silence.
+    /// This robot leaves for good: it sends nothing from now on. The others go on, after a silence at the latest.
     pub fn leave(&mut self) {
         (self.initiate, self.respond) = (false, false);
         (self.turn, self.reply, self.passed) = (None, None, None);

@@ -99,7 +99,8 @@ fn without_a_key_forgeries_cost_some_pairs_and_stop_nothing() {
         let pairs = air.pairs() - last;
         last += pairs;
         let share = pairs as f64 / (600.0 * 60.0);
-        assert!(share > 0.3, "minute {minute}: {share} of the slots answered under as many forgeries as frames");
+        println!("minute {minute}: {share:.3} of the slots answered");
+        assert!(share > 0.8, "minute {minute}: {share} of the slots answered under as many forgeries as frames");
     }
     air.adversary = None;
     air.run_s(5);

@@ -67,6 +67,18 @@ fn answers_are_fair_under_20_percent_loss() {
 }
 
 #[test]
+fn short_turns_interleave_the_robots() {
+    let request = Request { turn_slots: 2, ..Request::new(2, 100.0) };
+    let mut air = Air::new(&everybody(3, request), 14);
+    air.loss = 0.02;
+    air.run_s(60);
+    let turns: u64 = air.stations.iter().map(|station| station.tdma.counts().turns).sum();
+    assert!(turns > 5_500, "{turns} turns of one round in 60 s");
+    assert_eq!(air.collisions, 0);
+    assert!(air.jain() > 0.99);
+}
+
+#[test]
 fn robots_without_a_common_clock_take_the_epoch_from_the_air() {
     let request = Request::new(4, 100.0);
     let mut configs = everybody(5, request);
