@@ -233,6 +233,14 @@ impl Tdma {
         self.turn.is_some()
     }
 
+    /// The robot that has the turn, or had it last, as far as is known here.
+    #[must_use]
+    pub fn initiator(&self) -> Option<[u8; 6]> {
+        let rank = self.view.current()?.holder;
+        let peer = self.roster.peer_of_rank(rank).and_then(|at| self.roster.peer(at));
+        Some(peer.map_or(self.own, |peer| peer.mac))
+    }
+
     /// True if slots are where an initiator's are: the epoch is common, was heard, or this robot set it.
     #[must_use]
     pub fn is_synchronised(&self) -> bool {

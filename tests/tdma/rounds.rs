@@ -24,6 +24,7 @@ fn twelve_peers_at_100_rounds_per_second_run() {
         assert!((999..=1_001).contains(&answers), "{answers} answers of peer {peer} in 10 s");
     }
     assert_eq!((air.collisions, air.stations[0].tdma.counts().missed_slots), (0, 0));
+    assert!(air.stations.iter().all(|station| station.tdma.initiator() == Some(mac(0))));
 }
 
 #[test]
