@@ -45,7 +45,8 @@ pub struct Config {
     /// one such silence, one that was lost is claimed after two. At 60 % loss a robot that sounds in every slot is not
     /// heard for 64 slots once in 10^14.
     pub silence_slots: u32,
-    /// How long an answer is waited for, microseconds, at least a slot; reception may be delayed by the host.
+    /// How long an answer is waited for, microseconds, at least a slot; reception may be delayed by the host. The
+    /// shorter, the less time has a stranger to send a copy of an answer that was lost, which no tag can prevent.
     pub patience_us: u32,
 }
 
