@@ -71,12 +71,8 @@ impl Spread {
 /// With `second_known` the azimuth stands alone (and the second deviation is infinite). Nothing exceeds a uniform
 /// guess for the azimuth.
 pub(crate) fn deviations(fit: Fit, spread: Spread, kind: Second, at: Point, second_known: bool) -> [f64; 2] {
-    let Bend { s: [s, ds, _], height: [_, dh, _] } = kind.bend(at.second);
-    let [hh, hv, vv, hz, vz, zz] = spread.0;
     let gain = 2.0 * fit.ratio * TAU * TAU;
-    let aa = s * s * vv;
-    let ab = s * (ds * hv + dh * vz);
-    let bb = ds * ds * hh + 2.0 * ds * dh * hz + dh * dh * zz;
+    let [aa, ab, bb] = information(spread, kind, at);
     let det = aa * bb - ab * ab;
     let sd = |information: f64| if information > 0.0 { (1.0 / information).sqrt() } else { f64::INFINITY };
     if second_known {
@@ -87,6 +83,20 @@ pub(crate) fn deviations(fit: Fit, spread: Spread, kind: Second, at: Point, seco
         return [SD_MAX, f64::INFINITY];
     }
     [sd(gain * det / bb).min(SD_MAX), sd(gain * det / aa)]
+}
+
+/// How far the phases that a change of azimuth makes differ from those that a change of the second coordinate makes:
+/// `1 - r^2` of their correlation over the trajectory, 0 (the same, as on a line) to 1 (a circle).
+pub(crate) fn independence(spread: Spread, kind: Second, at: Point) -> f64 {
+    let [aa, ab, bb] = information(spread, kind, at);
+    if aa * bb > 0.0 { (1.0 - ab * ab / (aa * bb)).max(0.0) } else { 0.0 }
+}
+
+/// Information on azimuth, on both, and on the second coordinate, but for a common factor.
+fn information(spread: Spread, kind: Second, at: Point) -> [f64; 3] {
+    let Bend { s: [s, ds, _], height: [_, dh, _] } = kind.bend(at.second);
+    let [hh, hv, vv, hz, vz, zz] = spread.0;
+    [s * s * vv, s * (ds * hv + dh * vz), ds * ds * hh + 2.0 * ds * dh * hz + dh * dh * zz]
 }
 
 /// Standard deviation of |elevation|, radians, from that of its cosine.

@@ -13,7 +13,7 @@
 use std::f64::consts::{PI, TAU};
 
 use super::bessel::tail_order;
-use super::crb::{Fit, Spread, deviations, elevation_deviation};
+use super::crb::{Fit, Spread, deviations, elevation_deviation, independence};
 use super::error::Error;
 use super::newton::{Hill, Point, Second, Top};
 use super::scene::{Geometry, Scene, Shape};
@@ -33,6 +33,10 @@ const LIMIT_RADIUS: f64 = 5e5;
 const REPORTED: usize = 6;
 /// A trajectory at most this wide for its length has a mirror worth a look.
 const ELONGATED: f64 = 0.15;
+/// Azimuth and elevation must turn the phases differently by this share of their variance before the elevation is
+/// searched. On a line they turn them alike; millimetres of wobble would then decide between them, and millimetres are
+/// what odometry, a curved wave front and reflections get wrong, whatever the noise allows.
+const INDEPENDENT: f64 = 0.1;
 /// A mirror peak at least this high (relative) is reported.
 const MIRROR_RATIO: f64 = 0.8;
 
@@ -205,7 +209,9 @@ impl<'a> Search<'a> {
         let uniform = 12f64.sqrt();
         let cosine = deviations(fit, spread, Second::Cosine, Point { azimuth, second: 1.0 }, false)[1];
         let angle = deviations(fit, spread, Second::Elevation, Point { azimuth, second: 0.0 }, false)[1];
-        cosine < (1.0 - limit.cos()) / uniform || angle < 2.0 * limit / uniform
+        let apart = |kind, second| independence(spread, kind, Point { azimuth, second }) > INDEPENDENT;
+        (cosine < (1.0 - limit.cos()) / uniform && apart(Second::Cosine, 1.0))
+            || (angle < 2.0 * limit / uniform && apart(Second::Elevation, 0.0))
     }
 
     /// Climbs from every candidate that the bound does not rule out, and from a few more to report them.

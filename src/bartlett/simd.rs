@@ -60,7 +60,7 @@ impl Tier {
 }
 
 /// The two precisions of the kernels.
-pub(crate) trait Real: SimdFloatElement + Into<f64> + rustfft::FftNum + std::ops::Neg<Output = Self> {
+pub(crate) trait Real: SimdFloatElement + Into<f64> + rustfft::FftNum + bytemuck::Pod {
     /// Rounds from double.
     fn of(x: f64) -> Self;
     /// Coefficients of `sin(pi r) / r` in `r^2`, for `|r| <= 1/2`.

@@ -29,6 +29,19 @@ pub struct Estimation {
     pub to: Option<f64>,
 }
 
+impl Default for Estimation {
+    fn default() -> Self {
+        Self {
+            antenna: Antenna::A,
+            clock_offset: 0.0,
+            elevation_max: 20.0,
+            no_compensation: false,
+            from: None,
+            to: None,
+        }
+    }
+}
+
 impl Estimation {
     /// The pipeline's options, on `channel`.
     pub fn options(&self, channel: Channel) -> Result<Options, String> {
@@ -54,6 +67,7 @@ impl Estimation {
             from_s: self.from,
             to_s: self.to,
             compensate: !self.no_compensation,
+            keep_course: false,
             search: SearchOptions { elevation_max_rad: self.elevation_max.to_radians(), ..SearchOptions::default() },
         })
     }

@@ -2,9 +2,14 @@
 
 mod args;
 mod bearing;
+mod demo;
 mod evaluate;
+mod export;
 mod info;
+mod npz;
+mod profile;
 mod recover;
+mod simulate;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -48,6 +53,8 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    /// The paper's circle and line experiments, simulated, decoded and estimated, with pictures
+    Demo(demo::Args),
     /// The bearing from a receiver that moved to one or more transmitters, from their logs
     Bearing(bearing::Args),
     /// What is in logs: layout, senders, rates, losses with their offsets, where and why a log was cut
@@ -56,16 +63,23 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Copies every intact record of a damaged log, and nothing else
     Recover(recover::Args),
+    /// CSI of a log as CSV or NPZ, raw or scaled
+    Export(export::Args),
+    /// A room full of robots: writes the logs that their cards would have recorded
+    Simulate(simulate::Args),
 }
 
 /// Runs the command named by the arguments.
 pub fn run() -> ExitCode {
     let cli = Cli::parse();
     let result = match cli.command {
+        Command::Demo(args) => demo::run(&args),
         Command::Bearing(args) => bearing::run(args),
         Command::Info(args) => info::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Recover(args) => recover::run(&args),
+        Command::Export(args) => export::run(&args),
+        Command::Simulate(args) => simulate::run(&args),
     };
     match result {
         Ok(outcome) => outcome.into(),
