@@ -1,1 +1,458 @@
-//! In work.
+//! The 0xBB record: beamforming feedback, the CSI of one received frame.
+//!
+//! Two layouts exist. The stock csitool driver writes a 20-byte header and the packed CSI; the WSR driver puts 18
+//! bytes more between them (host time, sender, frame number). `len` counts the CSI bytes in both, so the lengths tell
+//! them apart: `body - 20 - len` is 0 or 18. Anything else is damage.
+//!
+//! Field offsets are those of `struct iwl_bfee_notif` (csitool `netlink/bfee.h`; WSR `dvm/commands.h`), little-endian.
+
+mod repr;
+mod unpack;
+
+pub use repr::Repr;
+pub use unpack::{ALL_SUBCARRIERS, Iq, MAX_SAMPLES};
+
+use byteorder::{ByteOrder, LittleEndian};
+use core::fmt;
+
+use crate::Mac;
+
+/// Subcarriers that the card reports, whatever the bandwidth (802.11n-2009 7.3.1.28: Ng = 2 at 20 MHz, 4 at 40 MHz).
+pub const SUBCARRIERS: usize = 30;
+/// Bytes before the CSI in the stock layout.
+pub const STOCK_HEADER: usize = 20;
+/// Bytes that the WSR driver adds after the stock header.
+pub const WSR_EXTRA: usize = 18;
+/// Bytes before the CSI in the WSR layout.
+pub const WSR_HEADER: usize = STOCK_HEADER + WSR_EXTRA;
+/// The longest body: WSR header and 3x3 CSI.
+pub const MAX_BODY: usize = WSR_HEADER + 552;
+/// Value of `noise` when the driver has no measurement (IWL_NOISE_MEAS_NOT_AVAILABLE): always so without beacons.
+pub const NOISE_UNKNOWN_DBM: i8 = -127;
+
+/// Offsets of the fields in the body (code byte not counted). In a `.dat` log add 3, in a datagram 37.
+pub mod offset {
+    /// u32, microseconds.
+    pub const TIMESTAMP_LOW: usize = 0;
+    /// u16, wraps.
+    pub const BFEE_COUNT: usize = 4;
+    /// u16, firmware leftovers.
+    pub const RESERVED: usize = 6;
+    /// u8, 1 to 3.
+    pub const N_RX: usize = 8;
+    /// u8, 1 to 3.
+    pub const N_TX: usize = 9;
+    /// u8 each for antennas A, B, C.
+    pub const RSSI: usize = 10;
+    /// i8, dBm.
+    pub const NOISE: usize = 13;
+    /// u8, dB.
+    pub const AGC: usize = 14;
+    /// u8, three 2-bit antenna numbers.
+    pub const ANTENNA_SEL: usize = 15;
+    /// u16, bytes of packed CSI.
+    pub const LEN: usize = 16;
+    /// u16.
+    pub const RATE_N_FLAGS: usize = 18;
+    /// u32, WSR layout only.
+    pub const TV_SEC: usize = 20;
+    /// u32, WSR layout only.
+    pub const TV_USEC: usize = 24;
+    /// 6 bytes, WSR layout only.
+    pub const MAC: usize = 28;
+    /// u32, WSR layout only.
+    pub const FRAME_COUNT: usize = 34;
+}
+
+/// Bits of [`Bfee::rate_n_flags`] (`dvm/commands.h`, RATE_MCS_*); the driver keeps the low 14.
+pub mod rate {
+    /// HT frame; always set when there is CSI.
+    pub const HT: u16 = 0x0100;
+    /// CCK.
+    pub const CCK: u16 = 0x0200;
+    /// Greenfield preamble.
+    pub const GREENFIELD: u16 = 0x0400;
+    /// 40 MHz wide.
+    pub const HT40: u16 = 0x0800;
+    /// Duplicate of a 20 MHz frame on both halves.
+    pub const DUPLICATE: u16 = 0x1000;
+    /// Short guard interval.
+    pub const SHORT_GI: u16 = 0x2000;
+}
+
+/// Bytes of packed CSI for `n_rx` by `n_tx` chains: 30 groups of 3 + 16 n bits, rounded up (`60 n + 12`).
+#[must_use]
+pub const fn csi_len(n_rx: u8, n_tx: u8) -> usize {
+    60 * n_rx as usize * n_tx as usize + 12
+}
+
+/// Which driver wrote the record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Layout {
+    /// csitool: 20-byte header.
+    Stock,
+    /// WSR: 38-byte header with host time, sender and frame number.
+    Wsr,
+}
+
+impl Layout {
+    /// Bytes before the CSI.
+    #[must_use]
+    pub const fn header_len(self) -> usize {
+        match self {
+            Self::Stock => STOCK_HEADER,
+            Self::Wsr => WSR_HEADER,
+        }
+    }
+}
+
+/// What the WSR driver adds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Wsr {
+    /// Host wall clock when the record was handled, seconds; steps when the clock is set.
+    pub tv_sec: u32,
+    /// Microseconds of it.
+    pub tv_usec: u32,
+    /// Address 3 of the last good frame: who sent it.
+    ///
+    /// The driver clears it when `frame_count` is 0, so zero with count 0 means "not known". After a frame with a bad
+    /// checksum both still show the frame before.
+    pub mac: Mac,
+    /// The four bytes after the 802.11 header, read big-endian: the sounding counter, or anything in foreign frames.
+    pub frame_count: u32,
+}
+
+impl Wsr {
+    /// False when the driver did not know the sender ([`Wsr::mac`]).
+    #[must_use]
+    pub fn sender_known(&self) -> bool {
+        !(self.mac.is_zero() && self.frame_count == 0)
+    }
+}
+
+/// A receive antenna port of the card.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Antenna {
+    /// Port A.
+    A,
+    /// Port B.
+    B,
+    /// Port C.
+    C,
+}
+
+impl Antenna {
+    /// A, B, C.
+    pub const ALL: [Self; 3] = [Self::A, Self::B, Self::C];
+
+    /// 0, 1, 2 for A, B, C.
+    #[must_use]
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+
+    fn from_bits(bits: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(bits)).copied()
+    }
+}
+
+impl fmt::Display for Antenna {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::A => "A",
+            Self::B => "B",
+            Self::C => "C",
+        })
+    }
+}
+
+/// Which antenna each raw receive chain was connected to, for one record.
+///
+/// Raw chain `k` holds the signal of antenna `antennas()[k]`: a scatter, `by_antenna[perm[k]] = raw[k]`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Antennas {
+    of_chain: [Antenna; 3],
+    n_rx: u8,
+}
+
+impl Antennas {
+    /// Reads `antenna_sel` for `n_rx` chains, 1 to 3.
+    ///
+    /// With three chains it must be a permutation, with two the first two must differ. With one chain whose number is
+    /// 3 (no antenna) the only antenna with a nonzero RSSI is taken, if there is exactly one.
+    ///
+    /// # Errors
+    /// [`InvalidPerm`] when the bits name no antenna or one twice. Nothing is guessed.
+    pub fn new(antenna_sel: u8, n_rx: u8, rssi: [u8; 3]) -> Result<Self, InvalidPerm> {
+        let invalid = InvalidPerm { antenna_sel, n_rx };
+        let [a, b, c] = [0, 2, 4].map(|shift| Antenna::from_bits(antenna_sel >> shift & 3));
+        let of_chain = match n_rx {
+            1 => {
+                let only = a.or_else(|| only_heard(rssi)).ok_or(invalid)?;
+                [only; 3]
+            }
+            2 => {
+                let (a, b) = a.zip(b).filter(|(a, b)| a != b).ok_or(invalid)?;
+                [a, b, b]
+            }
+            3 => match (a, b, c) {
+                (Some(a), Some(b), Some(c)) if a != b && b != c && a != c => [a, b, c],
+                _ => return Err(invalid),
+            },
+            _ => return Err(invalid),
+        };
+        Ok(Self { of_chain, n_rx })
+    }
+
+    /// The antennas in chain order, one for each chain.
+    #[must_use]
+    pub fn as_slice(&self) -> &[Antenna] {
+        self.of_chain.get(..usize::from(self.n_rx)).unwrap_or(&self.of_chain)
+    }
+
+    /// The raw chain that was connected to `antenna`, if any.
+    #[must_use]
+    pub fn chain_of(&self, antenna: Antenna) -> Option<usize> {
+        self.as_slice().iter().position(|&a| a == antenna)
+    }
+}
+
+/// The one antenna with a nonzero RSSI.
+fn only_heard(rssi: [u8; 3]) -> Option<Antenna> {
+    let mut heard = Antenna::ALL.into_iter().zip(rssi).filter(|&(_, rssi)| rssi != 0);
+    let (antenna, _) = heard.next()?;
+    heard.next().is_none().then_some(antenna)
+}
+
+/// An `antenna_sel` that does not say which antenna is which.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InvalidPerm {
+    /// The byte as read.
+    pub antenna_sel: u8,
+    /// Chains used.
+    pub n_rx: u8,
+}
+
+impl fmt::Display for InvalidPerm {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [a, b, c] = [0, 2, 4].map(|shift| self.antenna_sel >> shift & 3);
+        write!(
+            f,
+            "antenna_sel {:#04x} maps {} receive chains to antennas {a}, {b}, {c}: no permutation",
+            self.antenna_sel, self.n_rx
+        )
+    }
+}
+
+impl core::error::Error for InvalidPerm {}
+
+/// Why a body is no bfee.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Error {
+    /// Shorter than the header.
+    Short {
+        /// Bytes of the body.
+        got: usize,
+    },
+    /// `n_rx` or `n_tx` is not 1 to 3.
+    Chains {
+        /// Receive chains as read.
+        n_rx: u8,
+        /// Space-time streams as read.
+        n_tx: u8,
+    },
+    /// `len` is not what the chains need.
+    CsiLength {
+        /// `60 n_rx n_tx + 12`.
+        expect: usize,
+        /// The field as read.
+        got: usize,
+    },
+    /// The body is neither 20 nor 38 bytes longer than the CSI.
+    BodyLength {
+        /// Bytes of CSI.
+        csi: usize,
+        /// Bytes of the body.
+        got: usize,
+    },
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Short { got } => write!(f, "bfee of {got} bytes, its header alone has {STOCK_HEADER}"),
+            Self::Chains { n_rx, n_tx } => write!(f, "bfee with n_rx {n_rx}, n_tx {n_tx}; both must be 1 to 3"),
+            Self::CsiLength { expect, got } => write!(f, "bfee says {got} bytes of CSI, its chains need {expect}"),
+            Self::BodyLength { csi, got } => write!(
+                f,
+                "bfee of {got} bytes with {csi} of CSI: neither stock ({}) nor WSR ({})",
+                csi + STOCK_HEADER,
+                csi + WSR_HEADER
+            ),
+        }
+    }
+}
+
+impl core::error::Error for Error {}
+
+/// A checked view of a bfee body.
+///
+/// CSI indices are `subcarrier` 0 to 29, `rx` the raw chain (not the antenna, see [`Bfee::antennas`]), `tx` the
+/// space-time stream; in the payload tx runs fastest, then rx, then the subcarrier.
+#[derive(Clone, Copy, Debug)]
+pub struct Bfee<'a> {
+    head: &'a [u8; STOCK_HEADER],
+    extra: Option<&'a [u8; WSR_EXTRA]>,
+    payload: &'a [u8],
+}
+
+/// Checks the header against the body's length; all that can be wrong with a bfee is found here.
+#[inline]
+pub(crate) fn check(head: &[u8; STOCK_HEADER], body_len: usize) -> Result<Layout, Error> {
+    let [n_rx, n_tx] = [head[offset::N_RX], head[offset::N_TX]];
+    if !(1..=3).contains(&n_rx) || !(1..=3).contains(&n_tx) {
+        return Err(Error::Chains { n_rx, n_tx });
+    }
+    let expect = csi_len(n_rx, n_tx);
+    let got = usize::from(u16::from_le_bytes([head[offset::LEN], head[offset::LEN + 1]]));
+    if got != expect {
+        return Err(Error::CsiLength { expect, got });
+    }
+    match body_len.checked_sub(expect) {
+        Some(STOCK_HEADER) => Ok(Layout::Stock),
+        Some(WSR_HEADER) => Ok(Layout::Wsr),
+        _ => Err(Error::BodyLength { csi: expect, got: body_len }),
+    }
+}
+
+impl<'a> Bfee<'a> {
+    /// Checks a body (without the code byte).
+    ///
+    /// # Errors
+    /// When the body is too short, the chains are not 1 to 3, or the lengths disagree.
+    pub fn new_checked(body: &'a [u8]) -> Result<Self, Error> {
+        let short = Error::Short { got: body.len() };
+        let (head, rest) = body.split_first_chunk::<STOCK_HEADER>().ok_or(short)?;
+        match check(head, body.len())? {
+            Layout::Stock => Ok(Self { head, extra: None, payload: rest }),
+            Layout::Wsr => {
+                let (extra, payload) = rest.split_first_chunk::<WSR_EXTRA>().ok_or(short)?;
+                Ok(Self { head, extra: Some(extra), payload })
+            }
+        }
+    }
+
+    fn u16_at(&self, at: usize) -> u16 {
+        self.head.get(at..).map_or(0, LittleEndian::read_u16)
+    }
+
+    /// Which driver wrote it.
+    #[must_use]
+    pub fn layout(&self) -> Layout {
+        if self.extra.is_some() { Layout::Wsr } else { Layout::Stock }
+    }
+
+    /// Low 32 bits of the card's 1 MHz clock when the frame began, microseconds; wraps every 4,294.967296 s.
+    #[must_use]
+    pub fn timestamp_low(&self) -> u32 {
+        LittleEndian::read_u32(self.head)
+    }
+
+    /// The driver's record counter; wraps after 65,535.
+    #[must_use]
+    pub fn bfee_count(&self) -> u16 {
+        self.u16_at(offset::BFEE_COUNT)
+    }
+
+    /// Reserved by the firmware, 0 in all known captures.
+    #[must_use]
+    pub fn reserved(&self) -> u16 {
+        self.u16_at(offset::RESERVED)
+    }
+
+    /// Receive chains used, 1 to 3.
+    #[must_use]
+    #[doc(alias = "Nrx")]
+    pub fn n_rx(&self) -> usize {
+        usize::from(self.head[offset::N_RX])
+    }
+
+    /// Space-time streams, 1 to 3 (not transmit antennas).
+    #[must_use]
+    #[doc(alias = "Ntx")]
+    pub fn n_tx(&self) -> usize {
+        usize::from(self.head[offset::N_TX])
+    }
+
+    /// RSSI of antennas A, B, C in dB above an internal reference; 0 where the antenna was not used. Never permuted.
+    #[must_use]
+    pub fn rssi(&self) -> [u8; 3] {
+        [self.head[offset::RSSI], self.head[offset::RSSI + 1], self.head[offset::RSSI + 2]]
+    }
+
+    /// Noise floor in dBm, or [`NOISE_UNKNOWN_DBM`].
+    #[must_use]
+    pub fn noise_dbm(&self) -> i8 {
+        self.head[offset::NOISE].cast_signed()
+    }
+
+    /// Gain of the receiver, dB.
+    #[must_use]
+    pub fn agc(&self) -> u8 {
+        self.head[offset::AGC]
+    }
+
+    /// Which antenna each chain was connected to, packed; [`Bfee::antennas`] reads it.
+    #[must_use]
+    pub fn antenna_sel(&self) -> u8 {
+        self.head[offset::ANTENNA_SEL]
+    }
+
+    /// Rate and flags of the frame, see [`rate`].
+    #[must_use]
+    #[doc(alias = "fake_rate_n_flags")]
+    pub fn rate_n_flags(&self) -> u16 {
+        self.u16_at(offset::RATE_N_FLAGS)
+    }
+
+    /// True for a 40 MHz frame.
+    #[must_use]
+    pub fn is_40_mhz(&self) -> bool {
+        self.rate_n_flags() & rate::HT40 != 0
+    }
+
+    /// Host time, sender and frame number, in the WSR layout.
+    #[must_use]
+    pub fn wsr(&self) -> Option<Wsr> {
+        let [s0, s1, s2, s3, u0, u1, u2, u3, m0, m1, m2, m3, m4, m5, c0, c1, c2, c3] = *self.extra?;
+        Some(Wsr {
+            tv_sec: u32::from_le_bytes([s0, s1, s2, s3]),
+            tv_usec: u32::from_le_bytes([u0, u1, u2, u3]),
+            mac: Mac([m0, m1, m2, m3, m4, m5]),
+            frame_count: u32::from_le_bytes([c0, c1, c2, c3]),
+        })
+    }
+
+    /// The packed CSI, `60 n_rx n_tx + 12` bytes.
+    #[must_use]
+    pub fn payload(&self) -> &'a [u8] {
+        self.payload
+    }
+
+    /// Which antenna each raw chain was connected to.
+    ///
+    /// # Errors
+    /// [`InvalidPerm`], see [`Antennas::new`].
+    pub fn antennas(&self) -> Result<Antennas, InvalidPerm> {
+        Antennas::new(self.antenna_sel(), self.head[offset::N_RX], self.rssi())
+    }
+
+    /// The raw chain of an antenna; `None` when it was not used or the permutation is invalid.
+    #[must_use]
+    pub fn chain_of(&self, antenna: Antenna) -> Option<usize> {
+        self.antennas().ok()?.chain_of(antenna)
+    }
+}
+
+#[cfg(test)]
+mod tests;

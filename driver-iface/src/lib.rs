@@ -1,4 +1,17 @@
 //! The contract with the kernel driver: every byte that crosses the kernel or file boundary, and nothing else.
+//!
+//! Each format has a checked view (`new_checked` is the only door for foreign bytes, after it no accessor can fail),
+//! a small value form, and `emit` written next to the parser. Nothing here allocates, reads a clock or does I/O.
+//!
+//! | module | bytes |
+//! |---|---|
+//! | [`connector`] | a datagram of the kernel connector: nlmsghdr, cn_msg, then a [`record::Record`] |
+//! | [`record`] | `.dat` logs: a big-endian length and a record, over and over; [`record::Framer`] finds its feet after damage |
+//! | [`bfee`] | 0xBB, the CSI of one frame, stock and WSR layout |
+//! | [`mpdu`] | 0xC1, the frame itself |
+//! | [`sounding`], [`radiotap`] | what is injected |
+//!
+//! All multi-byte fields are little-endian unless said otherwise; the driver only ever ran on such hosts.
 #![no_std]
 #![forbid(unsafe_code)]
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -6,9 +19,61 @@
 #[cfg(test)]
 extern crate std;
 
+mod mac;
+
 pub mod bfee;
 pub mod connector;
 pub mod mpdu;
 pub mod radiotap;
 pub mod record;
 pub mod sounding;
+
+pub use mac::{Mac, ParseMacError};
+
+use core::fmt;
+
+/// Why something could not be written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EmitError {
+    /// The buffer is too small.
+    Buffer {
+        /// Bytes needed.
+        need: usize,
+        /// Bytes offered.
+        got: usize,
+    },
+    /// A value does not fit its field.
+    Field {
+        /// The field, by its name in the format.
+        name: &'static str,
+        /// The value offered.
+        got: usize,
+        /// The largest value that the field can hold.
+        max: usize,
+    },
+    /// The number of I/Q samples is not `30 n_rx n_tx`.
+    Samples {
+        /// Samples needed.
+        expect: usize,
+        /// Samples offered.
+        got: usize,
+    },
+}
+
+impl fmt::Display for EmitError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Buffer { need, got } => write!(f, "{need} bytes are needed, the buffer has {got}"),
+            Self::Field { name, got, max } => write!(f, "{name} is {got}, it can hold at most {max}"),
+            Self::Samples { expect, got } => write!(f, "{got} I/Q samples, 30 n_rx n_tx = {expect} are needed"),
+        }
+    }
+}
+
+impl core::error::Error for EmitError {}
+
+/// The first `need` bytes of `out`, or how much is missing.
+pub(crate) fn room(out: &mut [u8], need: usize) -> Result<&mut [u8], EmitError> {
+    let got = out.len();
+    out.get_mut(..need).ok_or(EmitError::Buffer { need, got })
+}

@@ -1,1 +1,325 @@
-//! In work.
+//! The 0xC1 record: a received frame as the card saw it, 802.11 header to frame check sequence.
+//!
+//! The driver sends it before it checks the FCS, so damaged frames appear too, and before the 0xBB of the same frame:
+//! a 0xBB belongs to the 0xC1 just before it ([`Pairing`]), never to one found by counting.
+
+use byteorder::{BigEndian, ByteOrder, LittleEndian};
+use core::fmt;
+
+use crate::record::code;
+use crate::{EmitError, Mac, room};
+
+/// Bytes of an 802.11 data header with three addresses (802.11-2016 9.2.4).
+pub const HEADER: usize = 24;
+/// Bytes of the frame check sequence.
+pub const FCS: usize = 4;
+/// Bytes of the sounding counter that follows the header in frames of the WSR injector.
+pub const COUNTER: usize = 4;
+
+/// Offsets in the frame.
+pub mod offset {
+    /// u16, little-endian.
+    pub const FRAME_CONTROL: usize = 0;
+    /// u16, little-endian, microseconds.
+    pub const DURATION: usize = 2;
+    /// 6 bytes: receiver.
+    pub const ADDR1: usize = 4;
+    /// 6 bytes: transmitter.
+    pub const ADDR2: usize = 10;
+    /// 6 bytes: BSSID, or the sounding robot's own address.
+    pub const ADDR3: usize = 16;
+    /// u16, little-endian.
+    pub const SEQ_CTRL: usize = 22;
+    /// u32, **big-endian**: the sounding counter.
+    pub const COUNTER: usize = 24;
+}
+
+/// A frame too short to have a header and an FCS.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Short {
+    /// Bytes of the body.
+    pub got: usize,
+}
+
+impl fmt::Display for Short {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "frame of {} bytes, header and FCS alone have {}", self.got, HEADER + FCS)
+    }
+}
+
+impl core::error::Error for Short {}
+
+/// A checked view of an MPDU with a three-address header.
+#[derive(Clone, Copy, Debug)]
+pub struct Mpdu<'a> {
+    frame: &'a [u8],
+    head: &'a [u8; HEADER],
+    payload: &'a [u8],
+    fcs: u32,
+}
+
+impl<'a> Mpdu<'a> {
+    /// Checks the body of a 0xC1 record. Control frames (10 to 16 bytes of header) are refused as too short.
+    ///
+    /// # Errors
+    /// [`Short`] for fewer than 28 bytes.
+    pub fn new_checked(frame: &'a [u8]) -> Result<Self, Short> {
+        let short = Short { got: frame.len() };
+        let (head, rest) = frame.split_first_chunk::<HEADER>().ok_or(short)?;
+        let (payload, fcs) = rest.split_last_chunk::<FCS>().ok_or(short)?;
+        Ok(Self { frame, head, payload, fcs: u32::from_le_bytes(*fcs) })
+    }
+
+    fn mac_at(&self, at: usize) -> Mac {
+        Mac(self.head.get(at..).and_then(|bytes| bytes.first_chunk()).copied().unwrap_or_default())
+    }
+
+    /// Frame control: version, type, subtype and flags; 0x0008 for plain data.
+    #[must_use]
+    pub fn frame_control(&self) -> u16 {
+        LittleEndian::read_u16(self.head)
+    }
+
+    /// Duration field, microseconds.
+    #[must_use]
+    pub fn duration_us(&self) -> u16 {
+        LittleEndian::read_u16(&self.head[offset::DURATION..])
+    }
+
+    /// Address 1, the receiver.
+    #[must_use]
+    pub fn addr1(&self) -> Mac {
+        self.mac_at(offset::ADDR1)
+    }
+
+    /// Address 2, the transmitter.
+    #[must_use]
+    pub fn addr2(&self) -> Mac {
+        self.mac_at(offset::ADDR2)
+    }
+
+    /// Address 3; the robot's own address in sounding frames.
+    #[must_use]
+    pub fn addr3(&self) -> Mac {
+        self.mac_at(offset::ADDR3)
+    }
+
+    /// Sequence control.
+    #[must_use]
+    pub fn seq_ctrl(&self) -> u16 {
+        LittleEndian::read_u16(&self.head[offset::SEQ_CTRL..])
+    }
+
+    /// What stands between header and FCS.
+    #[must_use]
+    pub fn payload(&self) -> &'a [u8] {
+        self.payload
+    }
+
+    /// The sounding counter, the first four bytes of the payload, big-endian; `None` when there are fewer.
+    #[must_use]
+    #[doc(alias = "frame_count")]
+    pub fn sounding_counter(&self) -> Option<u32> {
+        self.payload.get(..COUNTER).map(BigEndian::read_u32)
+    }
+
+    /// The frame check sequence as received.
+    #[must_use]
+    pub fn fcs(&self) -> u32 {
+        self.fcs
+    }
+
+    /// True when the FCS is that of the frame.
+    #[must_use]
+    pub fn fcs_is_good(&self) -> bool {
+        fcs_is_good(self.frame)
+    }
+}
+
+/// True when a frame of any type ends in its own FCS.
+#[must_use]
+pub fn fcs_is_good(frame: &[u8]) -> bool {
+    frame.split_last_chunk::<FCS>().is_some_and(|(bytes, fcs)| crc32(bytes) == u32::from_le_bytes(*fcs))
+}
+
+/// CRC-32 of the frame check sequence (802.11-2016 9.2.4.8): reflected 0x04C11DB7, all ones before and after.
+#[must_use]
+pub fn crc32(bytes: &[u8]) -> u32 {
+    !bytes.iter().fold(!0, |crc: u32, &byte| {
+        let index = (crc as u8 ^ byte) as usize;
+        crc >> 8 ^ CRC_TABLE[index & 0xff]
+    })
+}
+
+const CRC_TABLE: [u32; 256] = {
+    let mut table = [0; 256];
+    let mut index = 0;
+    while index < 256 {
+        let mut crc = index as u32;
+        let mut bit = 0;
+        while bit < 8 {
+            crc = if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
+            bit += 1;
+        }
+        table[index] = crc;
+        index += 1;
+    }
+    table
+};
+
+/// The value form of an MPDU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Repr<'a> {
+    /// Frame control.
+    pub frame_control: u16,
+    /// Duration field, microseconds.
+    pub duration_us: u16,
+    /// Receiver.
+    pub addr1: Mac,
+    /// Transmitter.
+    pub addr2: Mac,
+    /// Address 3.
+    pub addr3: Mac,
+    /// Sequence control.
+    pub seq_ctrl: u16,
+    /// What stands between header and FCS.
+    pub payload: &'a [u8],
+}
+
+impl<'a> Repr<'a> {
+    /// The fields of a frame, its FCS left out.
+    #[must_use]
+    pub fn parse(mpdu: &Mpdu<'a>) -> Self {
+        Self {
+            frame_control: mpdu.frame_control(),
+            duration_us: mpdu.duration_us(),
+            addr1: mpdu.addr1(),
+            addr2: mpdu.addr2(),
+            addr3: mpdu.addr3(),
+            seq_ctrl: mpdu.seq_ctrl(),
+            payload: mpdu.payload(),
+        }
+    }
+
+    /// Bytes of the frame, FCS included.
+    #[must_use]
+    pub fn emit_len(&self) -> usize {
+        HEADER + self.payload.len() + FCS
+    }
+
+    /// Writes the frame with a good FCS: the body of a 0xC1 record. Returns [`Repr::emit_len`].
+    ///
+    /// # Errors
+    /// When `out` is too short.
+    pub fn emit(&self, out: &mut [u8]) -> Result<usize, EmitError> {
+        let out = room(out, self.emit_len())?;
+        let (frame, fcs) = out.split_at_mut(HEADER + self.payload.len());
+        let (head, payload) = frame.split_at_mut(HEADER);
+        let fields = self.frame_control.to_le_bytes().into_iter().chain(self.duration_us.to_le_bytes());
+        let fields = fields.chain(self.addr1.0).chain(self.addr2.0).chain(self.addr3.0);
+        for (byte, field) in head.iter_mut().zip(fields.chain(self.seq_ctrl.to_le_bytes())) {
+            *byte = field;
+        }
+        payload.copy_from_slice(self.payload);
+        LittleEndian::write_u32(fcs, crc32(frame));
+        Ok(self.emit_len())
+    }
+}
+
+/// Says which 0xC1 a 0xBB belongs to: the one just before it.
+///
+/// Feed it the code of every record in order, with whatever stands for the record (an offset, a parsed frame).
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Pairing<T> {
+    last: Option<T>,
+}
+
+impl<T> Pairing<T> {
+    /// Nothing heard yet.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { last: None }
+    }
+
+    /// Takes the next record; for a 0xBB returns what stood for the 0xC1 just before it.
+    ///
+    /// Other codes (noise, status) between the two do not part them. A second 0xC1 replaces the first, which had no
+    /// CSI; a second 0xBB finds none. After damage call [`Pairing::forget`].
+    pub fn next(&mut self, code: u8, record: T) -> Option<T> {
+        match code {
+            code::MPDU => {
+                self.last = Some(record);
+                None
+            }
+            code::BFEE => self.last.take(),
+            _ => None,
+        }
+    }
+
+    /// Forgets the last 0xC1: records are missing after it.
+    pub fn forget(&mut self) {
+        self.last = None;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::collection::vec;
+    use proptest::prelude::*;
+    use std::vec;
+
+    #[test]
+    fn crc_of_the_check_string() {
+        assert_eq!(crc32(b"123456789"), 0xCBF4_3926);
+    }
+
+    #[test]
+    fn a_bfee_belongs_to_the_frame_just_before_it() {
+        let mut pairing = Pairing::new();
+        let mut next = |code, n| pairing.next(code, n);
+        assert_eq!(next(code::BFEE, 0), None);
+        assert_eq!((next(code::MPDU, 1), next(code::MPDU, 2), next(code::NOISE, 3)), (None, None, None));
+        assert_eq!((next(code::BFEE, 4), next(code::BFEE, 5)), (Some(2), None));
+        let mut pairing = Pairing::new();
+        pairing.next(code::MPDU, 1);
+        pairing.forget();
+        assert_eq!(pairing.next(code::BFEE, 2), None);
+    }
+
+    #[test]
+    fn fields_lie_where_the_format_says() {
+        let frame: std::vec::Vec<u8> = (0..36).collect();
+        let mpdu = Mpdu::new_checked(&frame).unwrap();
+        assert_eq!((mpdu.frame_control(), mpdu.duration_us(), mpdu.seq_ctrl()), (0x0100, 0x0302, 0x1716));
+        assert_eq!(mpdu.addr1(), Mac([4, 5, 6, 7, 8, 9]));
+        assert_eq!(mpdu.addr2(), Mac([10, 11, 12, 13, 14, 15]));
+        assert_eq!(mpdu.addr3(), Mac([16, 17, 18, 19, 20, 21]));
+        assert_eq!(mpdu.sounding_counter(), Some(0x1819_1a1b));
+        assert_eq!((mpdu.payload(), mpdu.fcs()), (&frame[24..32], 0x2322_2120));
+        assert!(!mpdu.fcs_is_good());
+        assert_eq!(Mpdu::new_checked(&frame[..27]).unwrap_err(), Short { got: 27 });
+        assert_eq!(Mpdu::new_checked(&frame[..31]).unwrap().sounding_counter(), None);
+    }
+
+    proptest! {
+        #[test]
+        fn emit_then_parse_is_the_identity(
+            fields in any::<(u16, u16, u16)>(), addrs in any::<([u8; 6], [u8; 6], [u8; 6])>(),
+            payload in vec(any::<u8>(), 0..80), flip in any::<prop::sample::Index>(), bit in 0..8_u8,
+        ) {
+            let repr = Repr {
+                frame_control: fields.0, duration_us: fields.1, seq_ctrl: fields.2,
+                addr1: Mac(addrs.0), addr2: Mac(addrs.1), addr3: Mac(addrs.2), payload: &payload,
+            };
+            let mut frame = vec![0; repr.emit_len()];
+            prop_assert_eq!(repr.emit(&mut frame), Ok(frame.len()));
+            let mpdu = Mpdu::new_checked(&frame).unwrap();
+            prop_assert!(mpdu.fcs_is_good());
+            prop_assert_eq!(Repr::parse(&mpdu), repr);
+            let mut damaged = frame.clone();
+            damaged[flip.index(frame.len())] ^= 1 << bit;
+            prop_assert!(!Mpdu::new_checked(&damaged).unwrap().fcs_is_good());
+        }
+    }
+}

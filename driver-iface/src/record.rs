@@ -1,24 +1,112 @@
-//! Framing of `.dat` logs (in work).
+//! Records and the `.dat` log: for each message of the driver a big-endian u16 length, then that many bytes, a code
+//! and a body (`log_to_file.c`). No file header, no time stamps, no trailer.
+//!
+//! [`Framer`] walks such a stream, tells damage from records, and finds its feet again.
+
+mod framer;
+mod head;
+
+pub use framer::{Framer, LOOKAHEAD, Step, Tail, events};
+pub use head::Reason;
+
+use crate::{EmitError, room};
+
+/// Message codes, the first byte of every connector message (`dvm/connector.h`, csitool `iwl_structs.h`).
+pub mod code {
+    /// CSI of one frame ([`crate::bfee`]).
+    pub const BFEE: u8 = 0xBB;
+    /// PHY part of a reception; not sent by the 4.15 driver.
+    pub const RX_PHY: u8 = 0xC0;
+    /// A received frame ([`crate::mpdu`]), sent before its own bfee.
+    pub const MPDU: u8 = 0xC1;
+    /// Legacy reception; not sent by the 4.15 driver.
+    pub const RX: u8 = 0xC3;
+    /// Noise floor, i32 dBm.
+    pub const NOISE: u8 = 0xD0;
+    /// Status (4.15) or an iperf filter (older trees).
+    pub const STATUS: u8 = 0xD1;
+    /// Parallel packets (older trees).
+    pub const PARALLEL: u8 = 0xD2;
+    /// Transmission result; not sent by the 4.15 driver.
+    pub const TX_RESP: u8 = 0x1C;
+    /// Aggregation block, two u32; not sent by the 4.15 driver.
+    pub const TX_BLOCK_AGG: u8 = 0xC5;
+
+    /// Codes and their names, in the order of the driver's header.
+    pub const TABLE: [(u8, &str); 9] = [
+        (BFEE, "bfee"),
+        (RX_PHY, "rx_phy"),
+        (MPDU, "mpdu"),
+        (RX, "rx"),
+        (NOISE, "noise"),
+        (TX_RESP, "tx_resp"),
+        (TX_BLOCK_AGG, "tx_block_agg"),
+        (STATUS, "status"),
+        (PARALLEL, "parallel"),
+    ];
+
+    /// The name of a code, if it has one.
+    #[must_use]
+    pub fn name(code: u8) -> Option<&'static str> {
+        TABLE.iter().find(|(known, _)| *known == code).map(|(_, name)| *name)
+    }
+}
+
+/// Bytes of the length field.
+pub const LENGTH_FIELD: usize = 2;
+
+/// Largest value of the length field that a driver can mean: an A-MSDU in the card's 8 KiB receive buffer.
+///
+/// The field could say 65,535; in a damaged log such lengths are common, in an intact one none is known.
+pub const MAX_LENGTH: usize = 8192;
 
 /// One record: a code and its body (without the code).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Record<'a> {
-    /// Message code: 0xBB bfee, 0xC1 MPDU, others kept and counted.
+    /// Message code, see [`code`]: 0xBB bfee, 0xC1 MPDU, others kept and counted.
     pub code: u8,
     /// The body, after the code byte.
     pub body: &'a [u8],
 }
 
-/// Why bytes were skipped.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Reason {
-    /// A length of zero.
-    ZeroLength,
+impl<'a> Record<'a> {
+    /// Splits a message (code and body) as it stands in a datagram; `None` when it is empty.
+    #[must_use]
+    pub fn from_message(message: &'a [u8]) -> Option<Self> {
+        let (&code, body) = message.split_first()?;
+        Some(Self { code, body })
+    }
+
+    /// Value of the length field: code and body.
+    #[must_use]
+    pub fn length(&self) -> usize {
+        1 + self.body.len()
+    }
+
+    /// Bytes in a `.dat` log, length field included.
+    #[must_use]
+    pub fn emit_len(&self) -> usize {
+        LENGTH_FIELD + self.length()
+    }
+
+    /// Writes the record as a `.dat` log has it: length, code, body. Returns [`Record::emit_len`].
+    ///
+    /// # Errors
+    /// When the body does not fit the length field (65,534 bytes) or `out` is too short.
+    pub fn emit(&self, out: &mut [u8]) -> Result<usize, EmitError> {
+        let length = u16::try_from(self.length()).map_err(|_| EmitError::Field {
+            name: "length",
+            got: self.length(),
+            max: u16::MAX.into(),
+        })?;
+        let out = room(out, self.emit_len())?;
+        let (head, body) = out.split_at_mut(LENGTH_FIELD + 1);
+        let [high, low] = length.to_be_bytes();
+        head.copy_from_slice(&[high, low, self.code]);
+        body.copy_from_slice(self.body);
+        Ok(self.emit_len())
+    }
 }
 
-/// How a stream of records ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Tail {
-    /// On a record boundary.
-    Clean,
-}
+#[cfg(test)]
+mod tests;

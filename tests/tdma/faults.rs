@@ -36,7 +36,7 @@ fn a_late_starter_is_heard_and_given_turns() {
     let first_turn = times(&air, 2, began(Cause::Passed));
     assert!(first_turn[0] - start_us < 2_000_000, "{} us until its first turn", first_turn[0] - start_us);
     assert_eq!(air.collisions, 0);
-    assert_eq!(times(&air, 2, began(Cause::Claimed)), []);
+    assert!(times(&air, 2, began(Cause::Claimed)).is_empty());
 }
 
 #[test]

@@ -1,0 +1,252 @@
+//! Unpacking of the CSI: a bit stream, least significant bit first.
+//!
+//! For each of 30 subcarriers 3 bits that are not CSI (the SNR field of 802.11n 7.3.1.28, always 0) and then
+//! `n_rx n_tx` samples of 8 bits real and 8 bits imaginary, two's complement, tx fastest. Trailing bits are 0.
+
+use byteorder::{ByteOrder, LittleEndian};
+
+use super::{Bfee, SUBCARRIERS};
+
+/// Samples of the largest record: 30 subcarriers, 3 by 3 chains.
+pub const MAX_SAMPLES: usize = SUBCARRIERS * 9;
+
+/// Bits before the samples of each subcarrier.
+const GAP: usize = 3;
+/// Samples that one 64-bit load yields, whatever the bit offset: 48 bits and at most 7 before them.
+const PER_WORD: usize = 3;
+
+/// One sample as the card reports it; +-127 and -128 mean saturation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Iq {
+    /// Real part.
+    pub i: i8,
+    /// Imaginary part.
+    pub q: i8,
+}
+
+/// First bit of sample `index` (`rx n_tx + tx`) of a subcarrier when each subcarrier has `n` samples.
+const fn bit_of(subcarrier: usize, index: usize, n: usize) -> usize {
+    GAP + subcarrier * (GAP + 16 * n) + 16 * index
+}
+
+/// The payload from `bit` on in the low bits: at least 57 bits of it, or zeros after its end.
+///
+/// The load is moved back from the end, so it never leaves the payload (72 bytes at least).
+#[inline(always)]
+fn word_at(payload: &[u8], bit: usize) -> u64 {
+    let from = (bit / 8).min(payload.len().saturating_sub(8));
+    let shift = bit - 8 * from;
+    payload.get(from..from + 8).map_or(0, LittleEndian::read_u64) >> (shift & 63)
+}
+
+/// The sample in the low 16 bits.
+const fn low_iq(word: u64) -> Iq {
+    Iq { i: word as i8, q: (word >> 8) as i8 }
+}
+
+/// Unpacks and widens `N` chain pairs; `BYTES` is `60 N` and room for one word. `None` when a slice is too short.
+///
+/// First to bytes, a word for every three samples, then all of them to floats, in a loop that compilers vectorise.
+#[inline(always)]
+fn unpack_f32_n<const N: usize, const BYTES: usize>(payload: &[u8], out: &mut [f32]) -> Option<usize> {
+    let payload = payload.get(..60 * N + 12)?;
+    let out = out.get_mut(..2 * SUBCARRIERS * N)?;
+    let mut bytes = [0; BYTES];
+    for octave in 0..3 {
+        let from = octave * (GAP + 16 * N);
+        let to = octave * 16 * N;
+        unpack_run::<N, 8>(payload.get(from..from + GAP + 16 * N + 8)?, bytes.get_mut(to..to + 16 * N + 8)?);
+    }
+    unpack_run::<N, 6>(payload.get(3 * (GAP + 16 * N)..)?, bytes.get_mut(48 * N..)?);
+    for (value, &byte) in out.iter_mut().zip(&bytes) {
+        *value = f32::from(byte.cast_signed());
+    }
+    Some(SUBCARRIERS * N)
+}
+
+/// Bytes of `COUNT` subcarriers in a row, the first of which begins on a byte of `payload`; every eighth one does.
+///
+/// With both counts known the loop unrolls and all offsets and shifts are constants.
+#[inline(always)]
+fn unpack_run<const N: usize, const COUNT: usize>(payload: &[u8], bytes: &mut [u8]) {
+    for subcarrier in 0..COUNT {
+        for first in (0..N).step_by(PER_WORD) {
+            let word = word_at(payload, bit_of(subcarrier, first, N));
+            let at = 2 * (subcarrier * N + first);
+            if let Some(bytes) = bytes.get_mut(at..at + 8) {
+                LittleEndian::write_u64(bytes, word);
+            }
+        }
+    }
+}
+
+/// The two bytes of a sample: its subcarrier's `bit`, its place `index` there. Zeros outside the payload.
+#[inline(always)]
+fn sample_at(payload: &[u8], bit: usize, index: usize) -> [u8; 2] {
+    let from = bit / 8 + 2 * index;
+    let word = payload.get(from..from + 3).map_or(0, LittleEndian::read_u24);
+    ((word >> (bit % 8)) as u16).to_le_bytes()
+}
+
+/// Samples gathered before they are widened.
+const GATHER: usize = 32;
+
+/// One sample of each subcarrier asked for, of `N` chain pairs, widened: first gathered, so that widening vectorises.
+#[inline(always)]
+fn column_f32_n<const N: usize>(payload: &[u8], index: usize, subcarriers: &[u8], out: &mut [[f32; 2]]) {
+    let Some(payload) = payload.get(..60 * N + 12) else { return };
+    for (out, subcarriers) in out.chunks_mut(GATHER).zip(subcarriers.chunks(GATHER)) {
+        let mut samples = [[0; 2]; GATHER];
+        if subcarriers == ALL_SUBCARRIERS {
+            gather_all::<N>(payload, index, &mut samples);
+        } else {
+            for (sample, &subcarrier) in samples.iter_mut().zip(subcarriers) {
+                *sample = sample_at(payload, bit_of(usize::from(subcarrier), 0, N), index);
+            }
+        }
+        widen(samples.as_flattened(), out.as_flattened_mut());
+    }
+}
+
+/// One sample of every subcarrier. Eight subcarriers are a whole number of bytes, so the offsets in each run of eight
+/// are constants.
+#[inline(always)]
+fn gather_all<const N: usize>(payload: &[u8], index: usize, samples: &mut [[u8; 2]; GATHER]) {
+    for (octave, samples) in samples.as_chunks_mut::<8>().0.iter_mut().enumerate() {
+        let payload = payload.get(octave * (GAP + 16 * N) + 2 * index..).unwrap_or_default();
+        for (subcarrier, sample) in samples.iter_mut().enumerate() {
+            *sample = sample_at(payload, bit_of(subcarrier, 0, N), 0);
+        }
+    }
+}
+
+/// Bytes to floats, sixteen at a time.
+#[inline(always)]
+fn widen(bytes: &[u8], out: &mut [f32]) {
+    let (bytes, bytes_rest) = bytes.split_at(bytes.len().min(out.len() / 16 * 16));
+    let (out, out_rest) = out.as_chunks_mut::<16>();
+    for (out, bytes) in out.iter_mut().zip(bytes.as_chunks::<16>().0) {
+        for (value, &byte) in out.iter_mut().zip(bytes) {
+            *value = f32::from(byte.cast_signed());
+        }
+    }
+    for (value, &byte) in out_rest.iter_mut().zip(bytes_rest) {
+        *value = f32::from(byte.cast_signed());
+    }
+}
+
+/// All subcarriers, in order: the argument of [`Bfee::column`] for a whole column.
+#[rustfmt::skip]
+pub const ALL_SUBCARRIERS: [u8; SUBCARRIERS] = [
+    0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29,
+];
+
+impl Bfee<'_> {
+    /// Samples in the record, `30 n_rx n_tx`.
+    #[must_use]
+    pub fn samples(&self) -> usize {
+        SUBCARRIERS * self.n_rx() * self.n_tx()
+    }
+
+    /// One sample, or `None` when an index is out of range.
+    #[must_use]
+    pub fn iq(&self, subcarrier: usize, rx: usize, tx: usize) -> Option<Iq> {
+        let inside = subcarrier < SUBCARRIERS && rx < self.n_rx() && tx < self.n_tx();
+        let n = self.n_rx() * self.n_tx();
+        inside.then(|| low_iq(word_at(self.payload(), bit_of(subcarrier, rx * self.n_tx() + tx, n))))
+    }
+
+    /// Unpacks everything, bit by bit: slow, obvious, and the measure of the fast ways.
+    ///
+    /// Writes `[subcarrier][rx][tx]` to `out` and returns how many samples; `None` when `out` is too short.
+    pub fn unpack_bits(&self, out: &mut [Iq]) -> Option<usize> {
+        let payload = self.payload();
+        let bit = |at: usize| payload.get(at / 8).map_or(0, |byte| byte >> (at % 8) & 1);
+        let byte = |at: usize| (0..8).fold(0, |byte, k| byte | bit(at + k) << k).cast_signed();
+        let n = self.n_rx() * self.n_tx();
+        let out = out.get_mut(..self.samples())?;
+        for (k, iq) in out.iter_mut().enumerate() {
+            let at = bit_of(k / n, k % n, n);
+            *iq = Iq { i: byte(at), q: byte(at + 8) };
+        }
+        Some(self.samples())
+    }
+
+    /// Unpacks everything by 64-bit loads, `[subcarrier][rx][tx]`; `None` when `out` is too short.
+    pub fn unpack(&self, out: &mut [Iq]) -> Option<usize> {
+        let n = self.n_rx() * self.n_tx();
+        let out = out.get_mut(..self.samples())?;
+        for (subcarrier, row) in out.chunks_exact_mut(n).enumerate() {
+            for (part, samples) in row.chunks_mut(PER_WORD).enumerate() {
+                let mut word = word_at(self.payload(), bit_of(subcarrier, PER_WORD * part, n));
+                for iq in samples {
+                    *iq = low_iq(word);
+                    word >>= 16;
+                }
+            }
+        }
+        Some(self.samples())
+    }
+
+    /// Unpacks everything to `f32`, re and im alternating, `[subcarrier][rx][tx][re, im]`.
+    ///
+    /// Returns the number of samples (half the number of floats); `None` when `out` is too short.
+    pub fn unpack_f32(&self, out: &mut [f32]) -> Option<usize> {
+        let payload = self.payload();
+        match self.n_rx() * self.n_tx() {
+            1 => unpack_f32_n::<1, 68>(payload, out),
+            2 => unpack_f32_n::<2, 128>(payload, out),
+            3 => unpack_f32_n::<3, 188>(payload, out),
+            4 => unpack_f32_n::<4, 248>(payload, out),
+            6 => unpack_f32_n::<6, 368>(payload, out),
+            _ => unpack_f32_n::<9, 548>(payload, out),
+        }
+    }
+
+    /// Unpacks one chain pair at the subcarriers asked for, and nothing else.
+    ///
+    /// Returns the number of samples; `None` when an index is out of range or `out` is shorter than `subcarriers`.
+    pub fn column(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [Iq]) -> Option<usize> {
+        let index = self.column_index(rx, tx, subcarriers)?;
+        let n = self.n_rx() * self.n_tx();
+        for (out, &subcarrier) in out.get_mut(..subcarriers.len())?.iter_mut().zip(subcarriers) {
+            let [i, q] = sample_at(self.payload(), bit_of(usize::from(subcarrier), 0, n), index).map(u8::cast_signed);
+            *out = Iq { i, q };
+        }
+        Some(subcarriers.len())
+    }
+
+    /// [`Bfee::column`] to `f32`, re and im alternating; `out` has at least two floats for each subcarrier.
+    pub fn column_f32(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [f32]) -> Option<usize> {
+        let index = self.column_index(rx, tx, subcarriers)?;
+        let (out, _) = out.get_mut(..2 * subcarriers.len())?.as_chunks_mut::<2>();
+        let payload = self.payload();
+        match self.n_rx() * self.n_tx() {
+            1 => column_f32_n::<1>(payload, index, subcarriers, out),
+            2 => column_f32_n::<2>(payload, index, subcarriers, out),
+            3 => column_f32_n::<3>(payload, index, subcarriers, out),
+            4 => column_f32_n::<4>(payload, index, subcarriers, out),
+            6 => column_f32_n::<6>(payload, index, subcarriers, out),
+            _ => column_f32_n::<9>(payload, index, subcarriers, out),
+        }
+        Some(subcarriers.len())
+    }
+
+    /// True when the bits that carry no CSI are all 0, as the firmware writes them.
+    ///
+    /// 96 bits in all, spread over the payload: bytes lost or put in before them show here.
+    #[must_use]
+    pub fn gaps_are_clear(&self) -> bool {
+        let n = self.n_rx() * self.n_tx();
+        let gaps = (0..SUBCARRIERS).fold(0, |all, s| all | word_at(self.payload(), bit_of(s, 0, n) - GAP) & 7);
+        gaps | word_at(self.payload(), bit_of(SUBCARRIERS, 0, n) - GAP) == 0
+    }
+
+    /// Position of a chain pair among the samples of a subcarrier, if it and all `subcarriers` are in range.
+    #[inline]
+    fn column_index(&self, rx: usize, tx: usize, subcarriers: &[u8]) -> Option<usize> {
+        let last = subcarriers.iter().fold(0, |last, &s| last.max(s));
+        let inside = rx < self.n_rx() && tx < self.n_tx() && usize::from(last) < SUBCARRIERS;
+        inside.then(|| rx * self.n_tx() + tx)
+    }
+}

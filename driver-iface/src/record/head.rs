@@ -1,0 +1,160 @@
+//! What three to twenty-three bytes say about being the head of a record.
+
+use core::fmt;
+
+use super::{LENGTH_FIELD, MAX_LENGTH, code};
+use crate::bfee;
+
+/// Why bytes were skipped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// A length of zero.
+    ZeroLength,
+    /// A length that no driver writes.
+    ImpossibleLength {
+        /// As read.
+        got: usize,
+        /// The largest possible, [`MAX_LENGTH`].
+        max: usize,
+    },
+    /// Code 0xBB with a length that no bfee has.
+    BfeeLength {
+        /// As read: code and body.
+        got: usize,
+    },
+    /// A bfee whose header contradicts itself or the record's length.
+    Bfee(bfee::Error),
+    /// A good head, but another record begins inside its span: bytes of this one are missing.
+    Overlapped {
+        /// Bytes that the head announces, length field included.
+        expect: usize,
+        /// Bytes up to the next head.
+        got: usize,
+    },
+    /// A bfee with bits set where none carries CSI, and no record after it: bytes were put into it.
+    GapBits,
+    /// No other record follows where its length says, and nothing else vouches for it.
+    NotFollowed {
+        /// Its code.
+        code: u8,
+        /// Bytes that the head announces, length field included.
+        expect: usize,
+    },
+    /// The damage goes on from the step before: too long for one look.
+    StillLost,
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::ZeroLength => write!(f, "a record of length 0"),
+            Self::ImpossibleLength { got, max } => write!(f, "a record of length {got}, at most {max} is possible"),
+            Self::BfeeLength { got } => write!(f, "a bfee record of length {got}, which fits no number of chains"),
+            Self::Bfee(error) => error.fmt(f),
+            Self::Overlapped { expect, got } => {
+                write!(f, "a record of {expect} bytes, but the next begins after {got}: bytes are missing")
+            }
+            Self::GapBits => write!(f, "a bfee with bits set between its samples and no record after it"),
+            Self::NotFollowed { code, expect } => {
+                write!(f, "code {code:#04x}, {expect} bytes, and no record after it")
+            }
+            Self::StillLost => write!(f, "still no record"),
+        }
+    }
+}
+
+/// What a position looks like.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Head {
+    /// Too few bytes to say.
+    Short,
+    /// No record can begin so.
+    Bad(Reason),
+    /// A record of `len` bytes, length field included.
+    Good {
+        /// Length field, code and body.
+        len: usize,
+        /// Bits of evidence: how unlikely it is that other bytes look so. At least [`SURE`] needs no more.
+        bits: u32,
+    },
+}
+
+/// Bits of evidence that end all doubt: one chance in 10^12 for each position.
+pub(super) const SURE: u32 = 40;
+
+/// Codes that were met in good company, a set of bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Codes([u64; 4]);
+
+impl Codes {
+    pub(super) fn insert(&mut self, code: u8) {
+        if let Some(word) = self.0.get_mut(usize::from(code / 64)) {
+            *word |= 1 << (code % 64);
+        }
+    }
+
+    pub(super) fn contains(&self, code: u8) -> bool {
+        self.0.get(usize::from(code / 64)).is_some_and(|word| word >> (code % 64) & 1 != 0)
+    }
+}
+
+/// Judges the bytes at a position; `seen` are codes that this stream is known to use.
+#[inline]
+pub(super) fn head(bytes: &[u8], seen: &Codes) -> Head {
+    let &[high, low, ref rest @ ..] = bytes else { return Head::Short };
+    let length = usize::from(u16::from_be_bytes([high, low]));
+    if length == 0 {
+        return Head::Bad(Reason::ZeroLength);
+    }
+    if length > MAX_LENGTH {
+        return Head::Bad(Reason::ImpossibleLength { got: length, max: MAX_LENGTH });
+    }
+    let Some((&code, body)) = rest.split_first() else { return Head::Short };
+    let len = LENGTH_FIELD + length;
+    let bits = match code {
+        code::BFEE => return bfee_head(body, length),
+        code::MPDU => mpdu_bits(body, length),
+        code::NOISE => noise_bits(body, length),
+        code::TX_BLOCK_AGG if length == 9 => Some(24),
+        _ if seen.contains(code) || code::name(code).is_some() => Some(8),
+        _ => Some(0),
+    };
+    bits.map_or(Head::Short, |bits| Head::Good { len, bits })
+}
+
+/// True for the length of some bfee: 1 + 20 or 38 + 12 + 60 n for n chain pairs.
+fn is_bfee_length(length: usize) -> bool {
+    let pairs = |header: usize| match length.checked_sub(1 + header + 12) {
+        Some(csi) if csi % 60 == 0 => matches!(csi / 60, 1 | 2 | 3 | 4 | 6 | 9),
+        _ => false,
+    };
+    pairs(bfee::STOCK_HEADER) || pairs(bfee::WSR_HEADER)
+}
+
+/// A bfee says so much about itself that nothing else looks like one.
+#[inline]
+fn bfee_head(body: &[u8], length: usize) -> Head {
+    let checked = body.first_chunk().map(|header| bfee::check(header, length - 1));
+    match checked {
+        Some(Ok(_)) => Head::Good { len: LENGTH_FIELD + length, bits: SURE },
+        _ if !is_bfee_length(length) => Head::Bad(Reason::BfeeLength { got: length }),
+        Some(Err(error)) => Head::Bad(Reason::Bfee(error)),
+        None => Head::Short,
+    }
+}
+
+/// Frame control of an MPDU: version 0 and a type that exists; frames with a bad checksum may have neither.
+fn mpdu_bits(body: &[u8], length: usize) -> Option<u32> {
+    let &control = body.first()?;
+    let plausible = control & 3 == 0 && control >> 2 & 3 != 3 && length > 14;
+    Some(if plausible { 13 } else { 0 })
+}
+
+/// A noise record: four bytes, an i32 between -255 and -1.
+fn noise_bits(body: &[u8], length: usize) -> Option<u32> {
+    if length != 5 {
+        return Some(0);
+    }
+    let dbm = i32::from_le_bytes(*body.first_chunk()?);
+    Some(if (-255..0).contains(&dbm) { SURE } else { 0 })
+}

@@ -1,0 +1,347 @@
+//! From two CSI vectors to one coherent sample: the round-trip product, the channel centre, and what the product
+//! leaves of the carrier frequency offset (CFO).
+//!
+//! With the forward frame heard at `t` and the backward one at `t + tau`, the product of the two CSI vectors holds the
+//! path twice and the CFO only as `2 pi df tau`. `df tau` would be a constant, were it not that the turn-around `tau`
+//! jitters by microseconds to hundreds of them: at `df` of several kHz that is most of the phase noise left.
+//! Both cards' 1 MHz clocks (`timestamp_low`) measure the jitter, so it can be taken out again.
+//!
+//! Convention: `z * exp(+j 2 pi df d)`, with `d = clock_tx - clock_rx` less its linear drift. The drift has the same
+//! crystals behind it as `df`: `df ~ drift * carrier` to within about 1 kHz while the turn-around itself is steady
+//! ([measured] on the paper's and the WSR data set's captures).
+
+use crate::channel::SUBCARRIERS;
+use crate::samples::Coherent;
+use num_complex::{Complex32, Complex64};
+use std::f64::consts::{PI, TAU};
+
+/// The round trip of one antenna pair: `forward[k] * backward[k]`, no conjugate, so the path is in it twice and the
+/// CFO, which has opposite signs, cancels.
+#[must_use]
+pub fn round_trip(forward: &[Complex32; SUBCARRIERS], backward: &[Complex32; SUBCARRIERS]) -> [Complex32; SUBCARRIERS] {
+    std::array::from_fn(|k| forward[k] * backward[k])
+}
+
+/// Brings a product of CSI vectors to the channel centre (subcarrier index 0, which the card does not report): the
+/// least-squares line through the unwrapped phase over the true subcarrier `indices`, evaluated at 0.
+///
+/// The delay in the radios turns the product by about 1.6 rad from one reported subcarrier to the next, close enough
+/// to pi that plain unwrapping slips on noise. So the slope is first taken out as the phase of the summed neighbour
+/// products, the rest unwrapped and fitted, and nothing is lost: the fit is of the sum of both.
+/// The magnitude is the root mean square over the subcarriers. `None` if all are zero.
+#[must_use]
+pub fn at_centre(product: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS]) -> Option<Coherent> {
+    let power: f32 = product.iter().map(Complex32::norm_sqr).sum();
+    if !(power > 0.0 && power.is_finite()) {
+        return None;
+    }
+    let mut turn = Complex32::default();
+    for k in 1..SUBCARRIERS {
+        // Steps of the usual width only; the centre and one edge have narrower ones.
+        if indices[k] - indices[k - 1] == indices[1] - indices[0] {
+            turn += product[k] * product[k - 1].conj();
+        }
+    }
+    let slope = f64::from(turn.arg()) / f64::from(indices[1] - indices[0]);
+    let mut last = 0.0;
+    let (mut sum, mut sum_x, mut sum_xx, mut sum_xy) = (0.0, 0.0, 0.0, 0.0);
+    for k in 0..SUBCARRIERS {
+        let x = f64::from(indices[k]);
+        let phase = f64::from(product[k].arg()) - slope * x;
+        let phase = if k == 0 { phase } else { last + crate::pose::wrap_rad(phase - last) };
+        last = phase;
+        sum += phase;
+        sum_x += x;
+        sum_xx += x * x;
+        sum_xy += x * phase;
+    }
+    let n = SUBCARRIERS as f64;
+    let rest = (n * sum_xy - sum_x * sum) / (n * sum_xx - sum_x * sum_x);
+    let phase = (sum - rest * sum_x) / n;
+    let magnitude = (f64::from(power) / n).sqrt();
+    Some(Coherent { h: Complex64::from_polar(magnitude, phase), path_gain: 2 })
+}
+
+/// What [`TurnAround::estimate`] found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TurnAround {
+    /// Carrier frequency offset between the two cards, Hz, in the sign of the convention above.
+    pub df_hz: f64,
+    /// Drift of `clock_tx - clock_rx`, parts per million of the receiver's clock.
+    pub drift_ppm: f64,
+    /// Jitter `d` of each pair, microseconds.
+    pub jitter_us: Vec<f64>,
+    /// Median of `|d|`, microseconds.
+    pub jitter_median_us: f64,
+    /// Coherence of second differences before, 0..1: `|mean(u)|`, `u = z[k-1] conj(z[k])^2 z[k+1]` of unit modulus.
+    pub coherence_before: f64,
+    /// The same after taking out `df`.
+    pub coherence_after: f64,
+    /// Whether the compensation pays: the coherence rose by more than one free parameter explains.
+    pub worthwhile: bool,
+}
+
+/// Outliers of the turn-around are further than this from the line, microseconds.
+const OUTLIER_US: f64 = 25.0;
+/// How far from `drift * carrier` the offset is looked for, Hz: the turn-around's own drift has been seen to fake up to
+/// 2 ppm (11 kHz).
+const SEARCH_HZ: f64 = 20_000.0;
+/// Step of the search, Hz: the coherence over `df` is about 1 / (2 pi 20 us) = 8 kHz wide.
+const STEP_HZ: f64 = 400.0;
+/// Second differences of the jitter beyond this are left out of the search, microseconds.
+const MAX_SECOND_DIFFERENCE_US: i64 = 500;
+
+impl TurnAround {
+    /// Estimates the offset from samples, the receiver's card clock and the clock difference `tx - rx` (both unwrapped,
+    /// microseconds), one entry per pair in time order. `None` with fewer than 8 pairs, where a clock stands still, or
+    /// if the lengths differ.
+    #[must_use]
+    pub fn estimate(z: &[Complex64], clock_rx_us: &[i64], difference_us: &[i64], carrier_hz: f64) -> Option<Self> {
+        let n = z.len();
+        if n < 8 || clock_rx_us.len() != n || difference_us.len() != n || clock_rx_us[n - 1] <= clock_rx_us[0] {
+            return None;
+        }
+        let line = drift_line(clock_rx_us, difference_us);
+        let residual = |k: usize| difference_us[k] as f64 - line.at(clock_rx_us[k] as f64);
+        let jitter_us: Vec<f64> = (0..n).map(residual).collect();
+        let terms = second_differences(z, clock_rx_us, difference_us);
+        let total: f64 = terms.iter().map(|term| term.count).sum();
+        if total < 4.0 {
+            return None;
+        }
+        let coherence = |df_hz: f64| sum_at(&terms, df_hz).norm() / total;
+        let df_hz = maximise(coherence, line.slope * carrier_hz);
+        let (before, after) = (coherence(0.0), coherence(df_hz));
+        let mut sorted: Vec<f64> = jitter_us.iter().map(|d| d.abs()).collect();
+        let jitter_median_us = *sorted.select_nth_unstable_by(n / 2, f64::total_cmp).1;
+        Some(Self {
+            df_hz,
+            drift_ppm: line.slope * 1e6,
+            jitter_us,
+            jitter_median_us,
+            coherence_before: before,
+            coherence_after: after,
+            worthwhile: after > before + 1.0 / total.sqrt(),
+        })
+    }
+
+    /// Takes the offset out: `z[k] *= exp(+j 2 pi df d[k])`. Samples beyond the estimate's own are left alone.
+    pub fn apply(&self, z: &mut [Complex64]) {
+        for (z, d_us) in z.iter_mut().zip(&self.jitter_us) {
+            *z *= Complex64::cis(TAU * (self.df_hz * d_us * 1e-6).fract());
+        }
+    }
+}
+
+/// `value = middle + slope * (x - middle_x)`.
+pub(crate) struct Line {
+    slope: f64,
+    x: f64,
+    y: f64,
+}
+
+impl Line {
+    pub(crate) fn at(&self, x: f64) -> f64 {
+        self.y + self.slope * (x - self.x)
+    }
+}
+
+/// The drift: the median slope over half the record, then least squares without outliers.
+pub(crate) fn drift_line(clock_us: &[i64], difference_us: &[i64]) -> Line {
+    let n = clock_us.len();
+    let half = n / 2;
+    let slope_between = |k: usize| {
+        let run = (clock_us[k + half] - clock_us[k]) as f64;
+        (run > 0.0).then(|| (difference_us[k + half] - difference_us[k]) as f64 / run)
+    };
+    let slope = median((0..n - half).filter_map(slope_between).collect());
+    let origin = clock_us[0] as f64;
+    let y = median((0..n).map(|k| difference_us[k] as f64 - slope * (clock_us[k] as f64 - origin)).collect());
+    let mut line = Line { slope, x: origin, y };
+    for _ in 0..4 {
+        let near = (0..n).filter(|&k| (difference_us[k] as f64 - line.at(clock_us[k] as f64)).abs() <= OUTLIER_US);
+        let (mut count, mut sx, mut sy) = (0.0, 0.0, 0.0);
+        for k in near.clone() {
+            count += 1.0;
+            sx += clock_us[k] as f64 - origin;
+            sy += difference_us[k] as f64 - y;
+        }
+        if count < 4.0 {
+            break;
+        }
+        let (mx, my) = (sx / count, sy / count);
+        let (mut sxx, mut sxy) = (0.0, 0.0);
+        for k in near {
+            let x = clock_us[k] as f64 - origin - mx;
+            sxx += x * x;
+            sxy += x * (difference_us[k] as f64 - y - my);
+        }
+        if sxx <= 0.0 {
+            break;
+        }
+        line = Line { slope: sxy / sxx, x: origin + mx, y: y + my };
+    }
+    line
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+/// Unit second differences summed by the (integer) second difference of the turn-around that goes with them: the
+/// histogram makes the search over `df` as cheap as the jitter is small.
+struct Term {
+    second_us: f64,
+    sum: Complex64,
+    count: f64,
+}
+
+fn second_differences(z: &[Complex64], clock_us: &[i64], difference_us: &[i64]) -> Vec<Term> {
+    let width = 2 * MAX_SECOND_DIFFERENCE_US as usize + 1;
+    let mut sums = vec![(Complex64::default(), 0.0); width];
+    for k in 1..z.len() - 1 {
+        let (before, after) = (clock_us[k] - clock_us[k - 1], clock_us[k + 1] - clock_us[k]);
+        let second = difference_us[k - 1] - 2 * difference_us[k] + difference_us[k + 1];
+        let even = before > 0 && after > 0 && 2 * (before - after).abs() < before + after;
+        if !even || second.abs() > MAX_SECOND_DIFFERENCE_US {
+            continue;
+        }
+        let product = z[k - 1] * z[k].conj() * z[k].conj() * z[k + 1];
+        let norm = product.norm();
+        if norm > 0.0 && norm.is_finite() {
+            let bin = &mut sums[(second + MAX_SECOND_DIFFERENCE_US) as usize];
+            bin.0 += product / norm;
+            bin.1 += 1.0;
+        }
+    }
+    let term = |(k, &(sum, count)): (usize, &(Complex64, f64))| Term {
+        second_us: (k as i64 - MAX_SECOND_DIFFERENCE_US) as f64,
+        sum,
+        count,
+    };
+    sums.iter().enumerate().filter(|(_, bin)| bin.1 > 0.0).map(term).collect()
+}
+
+fn sum_at(terms: &[Term], df_hz: f64) -> Complex64 {
+    let rate = TAU * df_hz * 1e-6;
+    terms.iter().map(|term| term.sum * Complex64::cis(rate * term.second_us)).sum()
+}
+
+/// The maximum of `f` within [`SEARCH_HZ`] of `near_hz`: a grid, then golden sections.
+fn maximise(f: impl Fn(f64) -> f64, near_hz: f64) -> f64 {
+    let steps = (SEARCH_HZ / STEP_HZ) as i32;
+    let mut best = (f64::NEG_INFINITY, near_hz);
+    for k in -steps..=steps {
+        let at = near_hz + f64::from(k) * STEP_HZ;
+        let value = f(at);
+        if value > best.0 {
+            best = (value, at);
+        }
+    }
+    let ratio = (5f64.sqrt() - 1.0) / 2.0;
+    let (mut low, mut high) = (best.1 - STEP_HZ, best.1 + STEP_HZ);
+    while high - low > 0.5 {
+        let (a, b) = (high - ratio * (high - low), low + ratio * (high - low));
+        if f(a) >= f(b) { high = b } else { low = a }
+    }
+    0.5 * (low + high)
+}
+
+/// How steady the phase of `z` is from sample to sample, 0..1, whatever its slow course: the coherence of unit second
+/// differences. `None` with fewer than three samples.
+#[must_use]
+pub fn second_difference_coherence(z: &[Complex64]) -> Option<f64> {
+    let unit = |w: &[Complex64]| {
+        let product = w[0] * w[1].conj() * w[1].conj() * w[2];
+        if product.norm() > 0.0 { product / product.norm() } else { Complex64::default() }
+    };
+    (z.len() >= 3).then(|| z.windows(3).map(unit).sum::<Complex64>().norm() / (z.len() - 2) as f64)
+}
+
+/// Unwraps phases: each within pi of the one before it.
+#[must_use]
+pub fn unwrap_rad(phases: &[f64]) -> Vec<f64> {
+    let mut last = phases.first().copied().unwrap_or(0.0);
+    phases
+        .iter()
+        .map(|&phase| {
+            let step = phase - last;
+            last += step - TAU * ((step + PI) / TAU).floor();
+            last
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const INDICES: [i8; SUBCARRIERS] = crate::channel::INDICES_20_MHZ;
+
+    #[test]
+    fn centre_phase_is_exact_for_any_delay_the_card_has() {
+        for slope in [-1.2f32, -0.81, -0.3, 0.0, 0.4, 0.9] {
+            for phase in [-3.0f32, -1.0, 0.0, 2.5] {
+                let product =
+                    std::array::from_fn(|k| Complex32::from_polar(3.0, phase + slope * f32::from(INDICES[k])));
+                let centre = at_centre(&product, &INDICES).unwrap();
+                assert!((centre.h - Complex64::from_polar(3.0, f64::from(phase))).norm() < 1e-4, "{slope} {phase}");
+                assert_eq!(centre.path_gain, 2);
+            }
+        }
+        assert_eq!(at_centre(&[Complex32::default(); SUBCARRIERS], &INDICES), None);
+        assert_eq!(at_centre(&[Complex32::new(f32::NAN, 0.0); SUBCARRIERS], &INDICES), None);
+    }
+
+    /// A link of `n` pairs at 10 ms with a slowly turning phase, an offset of `df_hz`, and a jitter with outliers.
+    fn link(n: usize, df_hz: f64, drift_ppm: f64) -> (Vec<Complex64>, Vec<i64>, Vec<i64>) {
+        let mut state = 1u64;
+        let mut random = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f64 / f64::from(1u32 << 24)
+        };
+        let (mut z, mut clock, mut difference) = (Vec::new(), Vec::new(), Vec::new());
+        for k in 0..n {
+            let t_us = 10_000.0 * k as f64 + 300.0 * random();
+            let jitter_us = if random() < 0.03 { 180.0 * random() } else { 16.0 * (random() - 0.5) };
+            let d = jitter_us.round();
+            z.push(Complex64::cis(3.0 * (t_us * 1e-6).sin() - TAU * df_hz * d * 1e-6));
+            clock.push(4_294_967_000 + t_us as i64);
+            difference.push(-7_000_000 + (d + drift_ppm * 1e-6 * t_us).round() as i64);
+        }
+        (z, clock, difference)
+    }
+
+    #[test]
+    fn the_offset_is_found_from_the_jitter_and_taken_out() {
+        for df_hz in [-21_000.0, -4_100.0, 9_000.0] {
+            let (mut z, clock, difference) = link(900, df_hz, df_hz / 5.54e9 * 1e6);
+            let found = TurnAround::estimate(&z, &clock, &difference, 5.54e9).unwrap();
+            assert!((found.df_hz - df_hz).abs() < 150.0, "{} for {df_hz}", found.df_hz);
+            assert!((found.drift_ppm - df_hz / 5_540.0).abs() < 0.05);
+            assert!(found.worthwhile && found.coherence_after > 0.98, "{found:?}");
+            found.apply(&mut z);
+            assert!(second_difference_coherence(&z).unwrap() > 0.97);
+        }
+    }
+
+    #[test]
+    fn without_clocks_or_offset_nothing_is_done() {
+        let (z, clock, difference) = link(500, 0.0, 1.0);
+        assert!(!TurnAround::estimate(&z, &clock, &difference, 5.54e9).unwrap().worthwhile);
+        let stopped = vec![4; z.len()];
+        assert_eq!(TurnAround::estimate(&z, &stopped, &stopped, 5.54e9), None);
+        assert_eq!(TurnAround::estimate(&z, &clock[1..], &difference, 5.54e9), None);
+    }
+
+    #[test]
+    fn unwrapping_follows_the_phase() {
+        let course: Vec<f64> = (0..200).map(|k| 0.3 * f64::from(k)).collect();
+        let wrapped: Vec<f64> = course.iter().map(|&p| crate::pose::wrap_rad(p)).collect();
+        assert!(unwrap_rad(&wrapped).iter().zip(&course).all(|(a, b)| (a - b).abs() < 1e-9));
+    }
+}

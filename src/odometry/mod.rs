@@ -1,0 +1,3 @@
+//! Where poses come from.
+
+pub mod csv;
