@@ -92,7 +92,7 @@ impl Tdma {
     /// destroying each other in every slot: it leaves one slot in eight out, by a pattern that is only its own.
     fn listens_in(&self, slot: i64) -> bool {
         let deaf = !self.open_loop && self.now - self.answered_at > self.plan.span_of(DEAF_SLOTS);
-        deaf && mixed(slot.cast_unsigned() ^ u64::from(self.roster.own_rank) << 48) % 8 == 0
+        deaf && mixed(slot.cast_unsigned() ^ u64::from(self.roster.own_rank) << 48).is_multiple_of(8)
     }
 
     /// Writes the forward frame to `peer` for the slot `turn.slot`.
