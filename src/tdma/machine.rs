@@ -42,7 +42,7 @@ const EVENT_CAPACITY: usize = 256;
 /// | a robot restarts | another session in its frames: [`Event::Restarted`]; its numbers begin again |
 /// | the turn is passed to a robot that does not take it | after `silence_slots` the last initiator takes it back, skipping a turn number, and leaves that robot out until it is heard again |
 /// | the initiator vanishes | after twice `silence_slots`, in slots that belong to one robot each (`n = silence_slots * (rank + k * robots)`), the first robot that wants the turn claims it |
-/// | two robots initiate at once | the later turn wins, of equal turns the lower MAC; the other yields ([`Event::Yielded`]) and listens. Rivals in step hear nothing, so an initiator that is not answered for `silence_slots` leaves out every other slot on average, by its own pattern |
+/// | two robots initiate at once | the later turn wins, of equal turns the lower MAC; the other yields ([`Event::Yielded`]) and listens. Rivals in step hear nothing, so an initiator that is not answered for 64 slots leaves one in eight out, by its own pattern |
 /// | the driver sleeps through `silence_slots` of its own turn | the turn is lost, and claimed anew only after a silence |
 /// | frames are forged | without a key: a frame for this robot is answered, but [`Event::Answered`] needs number, session, sender and destination of a frame that waits; contradictions on turn or epoch need several frames in a row to convince. With a key: frames without a valid tag, old sessions and repeated numbers are ignored |
 ///
@@ -55,6 +55,7 @@ pub struct Tdma {
     pub(super) own_index: u16,
     pub(super) initiate: bool,
     pub(super) respond: bool,
+    pub(super) open_loop: bool,
     pub(super) session: u32,
     pub(super) key: Option<Key>,
     pub(super) silence_slots: u32,
@@ -133,6 +134,7 @@ impl Tdma {
             own_index: config.own.index,
             initiate: config.initiate,
             respond: config.respond,
+            open_loop: config.open_loop,
             session: config.session,
             key: config.key,
             silence_slots: config.silence_slots.max(2),

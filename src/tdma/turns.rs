@@ -10,6 +10,8 @@ use driver_iface::sounding::{native, wsr};
 
 /// An initiator sounds in at least one of so many slots, so that it is heard to be there.
 const KEEP_ALIVE_SLOTS: u32 = 4;
+/// An initiator that was not answered for so many slots listens in some.
+const DEAF_SLOTS: u32 = 64;
 /// A robot that was not heard for so many rounds is not given the turn.
 const ALIVE_ROUNDS: i64 = 64;
 
@@ -67,7 +69,7 @@ impl Tdma {
     fn use_slot(&mut self, turn: Turn, start: Instant) -> Option<Ready> {
         let place = turn.slot.rem_euclid(i64::from(self.plan.slots())) as usize;
         let must_be_heard = turn.idle_slots + 1 >= KEEP_ALIVE_SLOTS;
-        let due = self.roster.due(place, must_be_heard).filter(|_| !self.listens_in(turn.slot));
+        let due = self.roster.due(place, must_be_heard, self.open_loop).filter(|_| !self.listens_in(turn.slot));
         let latest = start + self.plan.guard();
         let in_time = self.now <= latest;
         let sent = due.is_some() && in_time;
@@ -87,10 +89,10 @@ impl Tdma {
     }
 
     /// An initiator that nobody answers may be in step with another one that nobody answers either, their frames
-    /// destroying each other in every slot: it leaves slots out, half of them, by a pattern that is only its own.
+    /// destroying each other in every slot: it leaves one slot in eight out, by a pattern that is only its own.
     fn listens_in(&self, slot: i64) -> bool {
-        let deaf = self.now - self.answered_at > self.plan.span_of(self.silence_slots);
-        deaf && mixed(slot.cast_unsigned() ^ u64::from(self.roster.own_rank) << 48) & 1 == 1
+        let deaf = !self.open_loop && self.now - self.answered_at > self.plan.span_of(DEAF_SLOTS);
+        deaf && mixed(slot.cast_unsigned() ^ u64::from(self.roster.own_rank) << 48).is_multiple_of(8)
     }
 
     /// Writes the forward frame to `peer` for the slot `turn.slot`.

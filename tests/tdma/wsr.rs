@@ -62,6 +62,23 @@ fn three_kernel_responders_are_sounded_beyond_100_000_packets() {
 }
 
 #[test]
+fn an_open_loop_sender_goes_on_without_hearing_anything() {
+    for (open_loop, sounded) in [(true, 6_000), (false, 1_000)] {
+        let request = request(3, 100.0);
+        let config =
+            Config { initiate: true, open_loop, ..Config::new(mac(9), 0, &[mac(1), mac(2), mac(3)], request, 1) };
+        let mut tdma = Tdma::new(&config).unwrap();
+        let begun = tdma.poll_timeout().unwrap();
+        while tdma.poll_timeout().unwrap() < begun + Span::from_s(20.0) {
+            let now = tdma.poll_timeout().unwrap();
+            while tdma.poll_transmit(now).is_some() {}
+        }
+        let sent = tdma.counts().forward;
+        assert!(if open_loop { sent == sounded } else { sent < 2 * sounded }, "{sent}");
+    }
+}
+
+#[test]
 fn our_responder_answers_as_the_kernel_does() {
     let (own, initiator) = (mac(5), mac(200));
     let mut tdma = Tdma::new(&Config::new(own, 1, &[initiator], request(3, 100.0), 1)).unwrap();
