@@ -71,8 +71,12 @@ fn best(scene: &Scene) -> (Vec<u64>, f64) {
 }
 
 fn main() {
-    println!("{:<64} {:>9} {:>9} {:>12}", "scene (3 chains, 1 antenna, one thread, best of 5)", "pairs", "seconds", "pairs/s");
-    for (name, effects) in [("every radio effect, no reflections", FULL), ("bare: geometry and 8-bit records only", "")] {
+    println!(
+        "{:<64} {:>9} {:>9} {:>12}",
+        "scene (3 chains, 1 antenna, one thread, best of 5)", "pairs", "seconds", "pairs/s"
+    );
+    for (name, effects) in [("every radio effect, no reflections", FULL), ("bare: geometry and 8-bit records only", "")]
+    {
         let (counts, s) = best(&scene(2, 60.0, "1000", effects));
         println!("{name:<64} {:>9} {s:>9.3} {:>12.0}", counts[0], counts[0] as f64 / s);
     }

@@ -445,7 +445,14 @@ impl Air {
             node.last_arrival_ns = arrival_ns;
             let clock_us = scene.robot[robot].crystal.clock_us(t_ns).wrapping_sub(node.clock_base_us);
             let bfee_count = node.bfee_count;
-            node.arrivals.push_back(Reception { flight: Arc::clone(flight), t_ns, arrival_ns, bfee_count, clock_us, role });
+            node.arrivals.push_back(Reception {
+                flight: Arc::clone(flight),
+                t_ns,
+                arrival_ns,
+                bfee_count,
+                clock_us,
+                role,
+            });
         }
     }
 

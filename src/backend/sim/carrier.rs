@@ -15,8 +15,8 @@ pub const SAMPLE_20_S: f64 = 50e-9;
 
 /// Subcarrier indices that the card reports at 20 MHz (802.11n-2009 7.3.1.28, grouping 2).
 pub const INDICES_20: [i32; TONES] = [
-    -28, -26, -24, -22, -20, -18, -16, -14, -12, -10, -8, -6, -4, -2, -1, 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25,
-    27, 28,
+    -28, -26, -24, -22, -20, -18, -16, -14, -12, -10, -8, -6, -4, -2, -1, 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23,
+    25, 27, 28,
 ];
 /// Subcarrier indices that the card reports at 40 MHz (grouping 4).
 pub const INDICES_40: [i32; TONES] = [
@@ -69,7 +69,7 @@ impl Carrier {
     }
 
     /// The subcarrier indices of the 30 tones.
-    #[must_use]
+    #[cfg(test)]
     pub fn indices(&self) -> &'static [i32; TONES] {
         self.indices
     }

@@ -134,13 +134,8 @@ mod tests {
 
     #[test]
     fn stalls_and_restarts_have_their_times() {
-        let faults = Faults {
-            stall_every_s: 10.0,
-            stall_s: 2.0,
-            restart_at_s: vec![3.0],
-            restart_s: 0.5,
-            ..Faults::default()
-        };
+        let faults =
+            Faults { stall_every_s: 10.0, stall_s: 2.0, restart_at_s: vec![3.0], restart_s: 0.5, ..Faults::default() };
         assert_eq!(faults.stalled_until_s(1.0), None, "the first stall is after one period");
         assert_eq!(faults.stalled_until_s(11.0), Some(12.0));
         assert_eq!(faults.stalled_until_s(12.0), None);

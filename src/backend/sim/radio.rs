@@ -180,7 +180,15 @@ pub struct TurnAround {
 
 impl Default for TurnAround {
     fn default() -> Self {
-        Self { median_us: 225.0, spread_us: 0.0, tail: 0.0, tail_us: -100.0, tail_spread_us: 0.0, min_us: 145.0, max_us: 322.0 }
+        Self {
+            median_us: 225.0,
+            spread_us: 0.0,
+            tail: 0.0,
+            tail_us: -100.0,
+            tail_spread_us: 0.0,
+            min_us: 145.0,
+            max_us: 322.0,
+        }
     }
 }
 

@@ -89,9 +89,11 @@ fn antennas_are_ordered_by_rssi_packet_by_packet() {
         assert!(m.rssi[weaker.0] >= m.rssi[weaker.1]);
     }
     let rms = |k: usize| {
-        let sum: f64 = records.iter().flat_map(|m| (0..TONES).map(move |i| m.csi[3 * i + k])).map(|iq| {
-            f64::from(iq.i).powi(2) + f64::from(iq.q).powi(2)
-        }).sum();
+        let sum: f64 = records
+            .iter()
+            .flat_map(|m| (0..TONES).map(move |i| m.csi[3 * i + k]))
+            .map(|iq| f64::from(iq.i).powi(2) + f64::from(iq.q).powi(2))
+            .sum();
         (sum / (400.0 * TONES as f64)).sqrt()
     };
     assert!((rms(1) - 1.8).abs() < 0.3 && (rms(0) - 31.0).abs() < 0.1, "{} {}", rms(0), rms(1));
@@ -122,7 +124,8 @@ fn crystals_turn_the_two_directions_against_each_other() {
 
 #[test]
 fn the_papers_offset_cancels_but_for_its_jitter() {
-    let paper = |jitter: &str| scene("gain.fixed = { lsb_at_1m = 500.0 }", &format!("[cfo.paper]\njitter_ns = {jitter}"));
+    let paper =
+        |jitter: &str| scene("gain.fixed = { lsb_at_1m = 500.0 }", &format!("[cfo.paper]\njitter_ns = {jitter}"));
     let residual = |scene: &Scene| {
         let world = World::new(scene).unwrap();
         let mut receiver = Receiver::new(scene.radio, 1, 0);
@@ -130,7 +133,8 @@ fn the_papers_offset_cancels_but_for_its_jitter() {
             .map(|i| {
                 let t_ns = i * 10_000_000;
                 let mut at = |from, to, late| {
-                    let m = receiver.measure(&world, Arrival { from, to, t_ns: t_ns + late, instant_ns: t_ns }).unwrap();
+                    let m =
+                        receiver.measure(&world, Arrival { from, to, t_ns: t_ns + late, instant_ns: t_ns }).unwrap();
                     Complex64::new(f64::from(m.csi[45].i), f64::from(m.csi[45].q))
                 };
                 at(0, 1, 0) * at(1, 0, 225_000)

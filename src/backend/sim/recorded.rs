@@ -40,9 +40,8 @@ impl Recorded {
     #[must_use]
     pub fn from_trajectory(trajectory: &Trajectory) -> Self {
         let poses = trajectory.poses();
-        let row = |p: &crate::pose::Pose| {
-            (p.t_s, Pose { position_m: p.position_m, yaw_rad: p.heading_rad.unwrap_or(0.0) })
-        };
+        let row =
+            |p: &crate::pose::Pose| (p.t_s, Pose { position_m: p.position_m, yaw_rad: p.heading_rad.unwrap_or(0.0) });
         let mut recorded = Self::from_rows(poses.iter().map(row).collect());
         if poses.iter().any(|p| p.heading_rad.is_none()) {
             recorded.face_forward();
@@ -61,9 +60,7 @@ impl Recorded {
     pub fn at(&self, t_s: f64) -> Pose {
         let after = self.t_s.partition_point(|&t| t <= t_s);
         let last = self.poses.len().saturating_sub(1);
-        let pose = |i: usize| {
-            self.poses.get(i).copied().unwrap_or(Pose { position_m: Vector3::zeros(), yaw_rad: 0.0 })
-        };
+        let pose = |i: usize| self.poses.get(i).copied().unwrap_or(Pose { position_m: Vector3::zeros(), yaw_rad: 0.0 });
         let (Some(&from), Some(&to)) = (self.t_s.get(after.wrapping_sub(1)), self.t_s.get(after)) else {
             return pose(if after == 0 { 0 } else { last });
         };
@@ -71,10 +68,7 @@ impl Recorded {
         let part = if to > from { (t_s - from) / (to - from) } else { 0.0 };
         let turn = b.yaw_rad - a.yaw_rad;
         let turn = turn - std::f64::consts::TAU * (turn / std::f64::consts::TAU).round();
-        Pose {
-            position_m: a.position_m + (b.position_m - a.position_m) * part,
-            yaw_rad: a.yaw_rad + turn * part,
-        }
+        Pose { position_m: a.position_m + (b.position_m - a.position_m) * part, yaw_rad: a.yaw_rad + turn * part }
     }
 
     /// Headings along the way driven, for files that have none.

@@ -339,7 +339,11 @@ fn bearing_deg(rx: &[Row], tx: &[Row], position: impl Fn(f64) -> Vector3<f64>, l
     let power = |deg: f64| {
         let u = Vector3::new(deg.to_radians().cos(), deg.to_radians().sin(), 0.0);
         let turns = 2.0 / lambda_m;
-        samples.iter().map(|(z, p)| z * Complex64::from_polar(1.0, -std::f64::consts::TAU * turns * u.dot(p))).sum::<Complex64>().norm()
+        samples
+            .iter()
+            .map(|(z, p)| z * Complex64::from_polar(1.0, -std::f64::consts::TAU * turns * u.dot(p)))
+            .sum::<Complex64>()
+            .norm()
     };
     let grid = (0..7200).map(|i| -180.0 + 0.05 * f64::from(i));
     grid.max_by(|a, b| power(*a).total_cmp(&power(*b))).unwrap()

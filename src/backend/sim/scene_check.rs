@@ -234,8 +234,7 @@ impl Scene {
                         let when = if step == 0 { "is".to_owned() } else { format!("drives, after {t_s:.1} s,") };
                         let [x0, y0] = wall.from_m;
                         let [x1, y1] = wall.to_m;
-                        let reason =
-                            format!("{} {when} inside the wall from ({x0}, {y0}) to ({x1}, {y1})", state.name);
+                        let reason = format!("{} {when} inside the wall from ({x0}, {y0}) to ({x1}, {y1})", state.name);
                         let key = if step == 0 { "position_m" } else { "motion" };
                         return Err(robot(index, Problem::new(reason).key(key)));
                     }

@@ -54,7 +54,8 @@ fn two_robots_sound_each_other_from_the_start_to_the_end() {
 
 #[test]
 fn a_round_reaches_every_peer_and_roles_are_known() {
-    let scene = scene(4, 5.0, "rate_hz = 50", "radio.send_jitter_us = 30\nradio.turn_around = { spread_us = 10, tail = 0.1 }");
+    let scene =
+        scene(4, 5.0, "rate_hz = 50", "radio.send_jitter_us = 30\nradio.turn_around = { spread_us = 10, tail = 0.1 }");
     let mut room = Room::new(&scene).unwrap();
     let mut cards: Vec<Port> = (0..4).map(|robot| room.card(robot).unwrap()).collect();
     let heard: Vec<_> = cards.iter_mut().map(numbers).collect();
@@ -78,7 +79,11 @@ fn initiators_take_turns() {
             for role in ["forward", "backward"] {
                 let numbers = &heard[&(role, peer)];
                 let distinct: BTreeSet<_> = numbers.iter().collect();
-                assert!(numbers.len() > 400 && distinct.len() == numbers.len(), "{own} {role} {peer}: {}", numbers.len());
+                assert!(
+                    numbers.len() > 400 && distinct.len() == numbers.len(),
+                    "{own} {role} {peer}: {}",
+                    numbers.len()
+                );
             }
         }
     }
