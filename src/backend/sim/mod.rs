@@ -38,7 +38,7 @@
 //! | `world` | all of these for every robot |
 //! | [`radio`], `receiver` | tones into 8-bit coefficients: noise, gain control, RSSI, antenna order, saturation |
 //! | `station`, `sounder` | time into frames: the TDMA state machine |
-//! | `air` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
+//! | `air`, `node` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
 //! | `port` | receptions into records, behind a socket queue that overruns as the kernel's does |
 //! | `odometer` | true motion into a sensor's poses |
 //! | `dataset` | a room into a capture folder |
@@ -59,6 +59,7 @@ mod dataset;
 mod faults;
 mod maths;
 pub mod motion;
+mod node;
 mod odometer;
 mod port;
 pub mod radio;
