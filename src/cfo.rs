@@ -10,12 +10,10 @@
 //! crystals behind it as `df`: `df ~ drift * carrier` to within about 1 kHz while the turn-around itself is steady
 //! ([measured] on the paper's and the WSR data set's captures).
 
+use crate::channel::SUBCARRIERS;
 use crate::samples::Coherent;
 use num_complex::{Complex32, Complex64};
 use std::f64::consts::{PI, TAU};
-
-/// Number of subcarriers the card reports.
-pub const SUBCARRIERS: usize = 30;
 
 /// The round trip of one antenna pair: `forward[k] * backward[k]`, no conjugate, so the path is in it twice and the
 /// CFO, which has opposite signs, cancels.
@@ -282,10 +280,7 @@ pub fn unwrap_rad(phases: &[f64]) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    const INDICES: [i8; SUBCARRIERS] = [
-        -28, -26, -24, -22, -20, -18, -16, -14, -12, -10, -8, -6, -4, -2, -1, 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21,
-        23, 25, 27, 28,
-    ];
+    const INDICES: [i8; SUBCARRIERS] = crate::channel::INDICES_20_MHZ;
 
     #[test]
     fn centre_phase_is_exact_for_any_delay_the_card_has() {

@@ -1,2 +1,7 @@
 //! The `csi5300` command.
-fn main() {}
+
+mod cli;
+
+fn main() -> std::process::ExitCode {
+    cli::run()
+}

@@ -1,1 +1,383 @@
-//! In work.
+//! The kernel connector: how a record travels from the driver to user space.
+//!
+//! A datagram of `NETLINK_CONNECTOR` holds an `nlmsghdr` (16 bytes), then one or more `cn_msg` (20 bytes and data).
+//! The driver sends one message for each record, its data being code and body. The kernel pads the datagram to 4
+//! bytes, a user-space sender does not: the record ends where `cn_msg.len` says, never where the datagram does.
+//!
+//! Fields are in host order, which is little-endian wherever the driver runs (`linux/netlink.h`, `linux/connector.h`).
+
+use byteorder::{ByteOrder, LittleEndian};
+use core::fmt;
+
+use crate::record::Record;
+use crate::{EmitError, room};
+
+/// Address family of netlink sockets.
+pub const AF_NETLINK: u16 = 16;
+/// Protocol of the connector.
+pub const NETLINK_CONNECTOR: u16 = 11;
+/// Level of netlink socket options.
+pub const SOL_NETLINK: i32 = 270;
+/// Socket option: join a multicast group, given by number.
+pub const NETLINK_ADD_MEMBERSHIP: i32 = 1;
+/// Socket option: overruns are not reported, and do not close the socket until it is drained.
+pub const NETLINK_NO_ENOBUFS: i32 = 5;
+/// `nlmsg_type` of connector messages.
+pub const NLMSG_DONE: u16 = 3;
+/// Bytes of `struct nlmsghdr`.
+pub const NLMSGHDR: usize = 16;
+/// Bytes of `struct cn_msg` before its data.
+pub const CN_MSG: usize = 20;
+/// Bytes before code and body of a datagram's first record.
+pub const HEADERS: usize = NLMSGHDR + CN_MSG;
+/// The longest datagram: headers and what the u16 length can announce, padded.
+pub const MAX_DATAGRAM: usize = HEADERS + 65_536;
+
+/// `CN_NETLINK_USERS` + 0xf of kernels from about 3.10 on (11 users): all that are in use.
+pub const CN_IDX: u32 = 26;
+/// The same for kernels of about 2.6.39 to 3.9 (10 users), csitool's own 3.5.7 tree among them.
+pub const CN_IDX_10_USERS: u32 = 25;
+/// The same for kernels of about 2.6.32 to 2.6.38 (8 users).
+pub const CN_IDX_8_USERS: u32 = 23;
+/// Hard-coded in the earliest csitool trees.
+pub const CN_IDX_EARLY: u32 = 254;
+/// `CN_VAL_IWLAGN`.
+pub const CN_VAL: u32 = 1;
+/// The name under which the driver registers, the first column of `/proc/net/connector`.
+pub const CN_NAME: &str = "iwlagn";
+
+/// Offsets in a datagram.
+pub mod offset {
+    /// u32, without padding.
+    pub const NLMSG_LEN: usize = 0;
+    /// u16.
+    pub const NLMSG_TYPE: usize = 4;
+    /// u16.
+    pub const NLMSG_FLAGS: usize = 6;
+    /// u32.
+    pub const NLMSG_SEQ: usize = 8;
+    /// u32, 0 for the kernel.
+    pub const NLMSG_PID: usize = 12;
+    /// u32.
+    pub const CN_IDX: usize = 16;
+    /// u32.
+    pub const CN_VAL: usize = 20;
+    /// u32, always 0.
+    pub const CN_SEQ: usize = 24;
+    /// u32, never set by the driver: leftovers.
+    pub const CN_ACK: usize = 28;
+    /// u16, bytes of data.
+    pub const CN_LEN: usize = 32;
+    /// u16, never set by the driver: leftovers.
+    pub const CN_FLAGS: usize = 34;
+    /// Code and body.
+    pub const DATA: usize = 36;
+}
+
+/// Why a datagram, or the rest of it, cannot be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Error {
+    /// Shorter than its headers.
+    Short {
+        /// Bytes that the headers need.
+        need: usize,
+        /// Bytes received.
+        got: usize,
+    },
+    /// `nlmsg_len` is less than the headers or more than was received.
+    MessageLength {
+        /// The field.
+        nlmsg_len: usize,
+        /// Bytes received.
+        received: usize,
+    },
+    /// `nlmsg_type` is not [`NLMSG_DONE`].
+    MessageType {
+        /// The field.
+        got: u16,
+    },
+    /// `cn_msg.len` reaches beyond the netlink message.
+    DataLength {
+        /// The field.
+        len: usize,
+        /// Bytes left in the message after the header.
+        left: usize,
+    },
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Short { need, got } => write!(f, "datagram of {got} bytes, its headers need {need}"),
+            Self::MessageLength { nlmsg_len, received } => {
+                write!(f, "nlmsg_len says {nlmsg_len} bytes, {received} were received (at least {HEADERS} are needed)")
+            }
+            Self::MessageType { got } => write!(f, "nlmsg_type is {got}, the connector uses {NLMSG_DONE}"),
+            Self::DataLength { len, left } => {
+                write!(f, "cn_msg.len says {len} bytes, the netlink message has {left} left")
+            }
+        }
+    }
+}
+
+impl core::error::Error for Error {}
+
+/// A checked view of one datagram.
+#[derive(Clone, Copy, Debug)]
+pub struct Datagram<'a> {
+    head: &'a [u8; NLMSGHDR],
+    messages: &'a [u8],
+}
+
+/// One `cn_msg`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Message<'a> {
+    /// Connector index; [`CN_IDX`] or one of its forerunners for the driver.
+    pub idx: u32,
+    /// Connector value; [`CN_VAL`] for the driver.
+    pub val: u32,
+    /// Sequence number, 0 from the driver: of no use for finding losses.
+    pub seq: u32,
+    /// What the message carries: code and body, padding cut off.
+    pub data: &'a [u8],
+}
+
+impl<'a> Message<'a> {
+    /// The record in it, when it comes from the driver registered at `idx`; `None` for foreign or empty messages.
+    #[must_use]
+    pub fn record(&self, idx: u32) -> Option<Record<'a>> {
+        (self.idx == idx && self.val == CN_VAL).then(|| Record::from_message(self.data)).flatten()
+    }
+}
+
+impl<'a> Datagram<'a> {
+    /// Checks the netlink header of what one `recv` returned, padding included or not.
+    ///
+    /// # Errors
+    /// When it is too short, its type is not that of the connector, or `nlmsg_len` exceeds it.
+    pub fn new_checked(datagram: &'a [u8]) -> Result<Self, Error> {
+        let received = datagram.len();
+        let (head, _) = datagram.split_first_chunk().ok_or(Error::Short { need: HEADERS, got: received })?;
+        let nlmsg_len = LittleEndian::read_u32(head) as usize;
+        let messages = datagram.get(NLMSGHDR..nlmsg_len).filter(|messages| messages.len() >= CN_MSG);
+        let messages = messages.ok_or(Error::MessageLength { nlmsg_len, received })?;
+        let got = LittleEndian::read_u16(&head[offset::NLMSG_TYPE..]);
+        if got != NLMSG_DONE {
+            return Err(Error::MessageType { got });
+        }
+        Ok(Self { head, messages })
+    }
+
+    /// Port of the sender; 0 for the kernel. (The socket address says the same and cannot be forged.)
+    #[must_use]
+    pub fn pid(&self) -> u32 {
+        LittleEndian::read_u32(&self.head[offset::NLMSG_PID..])
+    }
+
+    /// The messages in it; after an error there are none.
+    #[must_use]
+    pub fn messages(&self) -> Messages<'a> {
+        Messages { rest: self.messages }
+    }
+}
+
+/// Iterator over the `cn_msg` of a datagram. The driver sends one in each; several are legal.
+#[derive(Clone, Debug)]
+pub struct Messages<'a> {
+    rest: &'a [u8],
+}
+
+impl<'a> Iterator for Messages<'a> {
+    type Item = Result<Message<'a>, Error>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.rest.is_empty() {
+            return None;
+        }
+        let rest = core::mem::take(&mut self.rest);
+        let Some((head, data)) = rest.split_first_chunk::<CN_MSG>() else {
+            return Some(Err(Error::Short { need: CN_MSG, got: rest.len() }));
+        };
+        let field = |at: usize| head.get(at - NLMSGHDR..).map_or(0, LittleEndian::read_u32);
+        let len = usize::from(LittleEndian::read_u16(&head[offset::CN_LEN - NLMSGHDR..]));
+        let Some((data, rest)) = data.split_at_checked(len) else {
+            return Some(Err(Error::DataLength { len, left: data.len() }));
+        };
+        self.rest = rest;
+        let (idx, val, seq) = (field(offset::CN_IDX), field(offset::CN_VAL), field(offset::CN_SEQ));
+        Some(Ok(Message { idx, val, seq, data }))
+    }
+}
+
+/// What to write into a datagram around a record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Repr<'a> {
+    /// Connector index.
+    pub idx: u32,
+    /// Connector value.
+    pub val: u32,
+    /// The record.
+    pub record: Record<'a>,
+    /// Pad to 4 bytes, as the kernel does.
+    pub padded: bool,
+}
+
+impl Repr<'_> {
+    /// `nlmsg_len`: the bytes without padding.
+    #[must_use]
+    pub fn message_len(&self) -> usize {
+        HEADERS + self.record.length()
+    }
+
+    /// Bytes of the datagram.
+    #[must_use]
+    pub fn emit_len(&self) -> usize {
+        if self.padded { self.message_len().next_multiple_of(4) } else { self.message_len() }
+    }
+
+    /// Writes a datagram with one message. Returns [`Repr::emit_len`].
+    ///
+    /// # Errors
+    /// When the record does not fit `cn_msg.len` (65,535 bytes) or `out` is too short.
+    pub fn emit(&self, out: &mut [u8]) -> Result<usize, EmitError> {
+        let got = self.record.length();
+        let max = usize::from(u16::MAX);
+        let len = u16::try_from(got).map_err(|_| EmitError::Field { name: "cn_msg.len", got, max })?;
+        let out = room(out, self.emit_len())?;
+        out.fill(0);
+        let (head, data) = out.split_at_mut(HEADERS);
+        LittleEndian::write_u32(head, self.message_len() as u32);
+        LittleEndian::write_u16(&mut head[offset::NLMSG_TYPE..], NLMSG_DONE);
+        LittleEndian::write_u32(&mut head[offset::CN_IDX..], self.idx);
+        LittleEndian::write_u32(&mut head[offset::CN_VAL..], self.val);
+        LittleEndian::write_u16(&mut head[offset::CN_LEN..], len);
+        for (to, from) in data.iter_mut().zip(core::iter::once(&self.record.code).chain(self.record.body)) {
+            *to = *from;
+        }
+        Ok(self.emit_len())
+    }
+}
+
+/// The connector index under which the driver is registered, from the text of `/proc/net/connector`.
+///
+/// Each line there is a name and `idx:val`; the driver's name is [`CN_NAME`].
+#[must_use]
+pub fn registered_idx(proc_net_connector: &str) -> Option<u32> {
+    proc_net_connector.lines().find_map(|line| {
+        let mut words = line.split_whitespace();
+        let (name, id) = (words.next()?, words.next()?);
+        let (idx, val) = id.split_once(':')?;
+        (name == CN_NAME && val.parse() == Ok(CN_VAL)).then(|| idx.parse().ok()).flatten()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::collection::vec;
+    use proptest::prelude::*;
+    use std::vec;
+    use std::vec::Vec;
+
+    /// Written by hand from the table: a padded datagram with a three-byte record and leftovers in ack and flags.
+    fn sample() -> Vec<u8> {
+        let mut bytes = vec![39, 0, 0, 0, 3, 0, 0, 0, 0, 0, 0, 0, 7, 0, 0, 0];
+        bytes.extend([26, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0xde, 0xad, 0xbe, 0xef, 3, 0, 0xff, 0xff]);
+        bytes.extend([0xBB, 1, 2, 0]);
+        bytes
+    }
+
+    #[test]
+    fn the_record_is_cut_at_cn_msg_len() {
+        let bytes = sample();
+        for received in [&bytes[..40], &bytes[..39]] {
+            let datagram = Datagram::new_checked(received).unwrap();
+            assert_eq!(datagram.pid(), 7);
+            let messages: Vec<_> = datagram.messages().collect();
+            assert_eq!(messages, [Ok(Message { idx: 26, val: 1, seq: 0, data: &[0xBB, 1, 2] })]);
+            let message = messages[0].unwrap();
+            assert_eq!(message.record(CN_IDX), Some(Record { code: 0xBB, body: &[1, 2] }));
+            assert_eq!(message.record(CN_IDX_10_USERS), None);
+            assert_eq!(Message { val: 2, ..message }.record(CN_IDX), None);
+            assert_eq!(Message { data: &[], ..message }.record(CN_IDX), None);
+        }
+    }
+
+    #[test]
+    fn several_messages_in_one_datagram() {
+        let mut bytes = sample();
+        bytes.truncate(39);
+        bytes.extend_from_within(16..39);
+        bytes[39] = 25;
+        bytes[0] = 62;
+        let idx: Vec<_> = Datagram::new_checked(&bytes).unwrap().messages().map(|m| m.unwrap().idx).collect();
+        assert_eq!(idx, [26, 25]);
+    }
+
+    #[test]
+    fn lengths_that_lie_are_refused() {
+        let bytes = sample();
+        let error = |bytes: &[u8]| Datagram::new_checked(bytes).unwrap_err();
+        assert_eq!(error(&bytes[..15]), Error::Short { need: 36, got: 15 });
+        assert_eq!(error(&bytes[..38]), Error::MessageLength { nlmsg_len: 39, received: 38 });
+        let with = |at: usize, value: u8| {
+            let mut bytes = bytes.clone();
+            bytes[at] = value;
+            bytes
+        };
+        assert_eq!(error(&with(0, 35)), Error::MessageLength { nlmsg_len: 35, received: 40 });
+        assert_eq!(error(&with(4, 2)), Error::MessageType { got: 2 });
+        let mut messages = Datagram::new_checked(&bytes).unwrap().messages();
+        assert!(messages.next().unwrap().is_ok() && messages.next().is_none());
+        let long = with(32, 4);
+        let mut messages = Datagram::new_checked(&long).unwrap().messages();
+        assert_eq!(messages.next(), Some(Err(Error::DataLength { len: 4, left: 3 })));
+        assert_eq!(messages.next(), None);
+        let rest = with(32, 2);
+        let mut messages = Datagram::new_checked(&rest).unwrap().messages();
+        assert!(messages.next().unwrap().is_ok());
+        assert_eq!(messages.next(), Some(Err(Error::Short { need: 20, got: 1 })));
+        assert_eq!(messages.next(), None);
+    }
+
+    #[test]
+    fn a_3x1_bfee_arrives_as_252_bytes() {
+        let body = [0; 212];
+        let repr = Repr { idx: CN_IDX, val: CN_VAL, record: Record { code: 0xBB, body: &body }, padded: true };
+        assert_eq!((repr.message_len(), repr.emit_len()), (249, 252));
+    }
+
+    #[test]
+    fn index_of_the_loaded_driver() {
+        let text = "Name            ID\ncn_proc         1:1\niwlagn          26:1\n";
+        assert_eq!(registered_idx(text), Some(26));
+        assert_eq!(registered_idx("Name            ID\ncn_proc         1:1\n"), None);
+        assert_eq!(registered_idx("iwlagn          25:1"), Some(25));
+    }
+
+    proptest! {
+        #[test]
+        fn emit_then_parse_is_the_identity(
+            idx in any::<u32>(), val in any::<u32>(), code in any::<u8>(), body in vec(any::<u8>(), 0..700),
+            padded in any::<bool>(),
+        ) {
+            let record = Record { code, body: &body };
+            let repr = Repr { idx, val, record, padded };
+            let mut out = vec![0xa5; repr.emit_len()];
+            prop_assert_eq!(repr.emit(&mut out), Ok(out.len()));
+            let message = Datagram::new_checked(&out).unwrap().messages().next().unwrap().unwrap();
+            prop_assert_eq!((message.idx, message.val, Record::from_message(message.data)), (idx, val, Some(record)));
+        }
+
+        #[test]
+        fn any_bytes_are_read_or_refused(mut bytes in vec(any::<u8>(), 0..120), fix in any::<bool>()) {
+            if fix && bytes.len() >= 16 {
+                let len = bytes.len() as u8;
+                bytes[..8].copy_from_slice(&[len, 0, 0, 0, 3, 0, 0, 0]);
+            }
+            if let Ok(datagram) = Datagram::new_checked(&bytes) {
+                prop_assert!(datagram.messages().count() <= bytes.len());
+            }
+        }
+    }
+}

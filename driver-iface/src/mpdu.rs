@@ -132,8 +132,14 @@ impl<'a> Mpdu<'a> {
     /// True when the FCS is that of the frame.
     #[must_use]
     pub fn fcs_is_good(&self) -> bool {
-        self.frame.split_last_chunk::<FCS>().is_some_and(|(bytes, _)| crc32(bytes) == self.fcs)
+        fcs_is_good(self.frame)
     }
+}
+
+/// True when a frame of any type ends in its own FCS.
+#[must_use]
+pub fn fcs_is_good(frame: &[u8]) -> bool {
+    frame.split_last_chunk::<FCS>().is_some_and(|(bytes, fcs)| crc32(bytes) == u32::from_le_bytes(*fcs))
 }
 
 /// CRC-32 of the frame check sequence (802.11-2016 9.2.4.8): reflected 0x04C11DB7, all ones before and after.

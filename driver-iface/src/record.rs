@@ -6,7 +6,7 @@
 mod framer;
 mod head;
 
-pub use framer::{Event, Framer, LOOKAHEAD, Step, Tail, events};
+pub use framer::{Framer, LOOKAHEAD, Step, Tail, events};
 pub use head::Reason;
 
 use crate::{EmitError, room};

@@ -1,6 +1,7 @@
 //! The edge: where records come from and where frames go. A card, a recorded file, a simulated room and a remote
 //! robot are values of one type, [`CsiSource`].
 
+pub mod replay;
 pub mod sim;
 
 use crate::time::Instant;

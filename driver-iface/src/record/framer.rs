@@ -2,19 +2,25 @@
 
 use super::head::{Codes, Head, Reason, SURE, head};
 use super::{LENGTH_FIELD, MAX_LENGTH, Record, code};
-use crate::bfee::Bfee;
-use crate::mpdu::Mpdu;
+use crate::bfee::{Bfee, MAX_BODY};
+use crate::mpdu::fcs_is_good;
 
 /// Bytes of buffer with which [`Framer::step`] can always decide.
-pub const LOOKAHEAD: usize = 64 * 1024;
+pub const LOOKAHEAD: usize = 72 * 1024;
 
 /// Records that are looked at after one in doubt.
-const MAX_LINKS: usize = 5;
+const MAX_LINKS: usize = 6;
 
 /// Positions searched before a stretch of damage is reported in parts.
 const SEARCH: usize = 16 * 1024;
 
-const _: () = assert!(SEARCH + (MAX_LINKS + 1) * (LENGTH_FIELD + MAX_LENGTH) + 64 <= LOOKAHEAD + MAX_LENGTH);
+/// Bytes of which checksums may be taken at once, and per byte consumed: what keeps the work linear when every few
+/// bytes pretend to be a long frame. A frame that is not checked for want of credit counts as unchecked.
+const CREDIT: usize = 64 * 1024;
+const CREDIT_PER_BYTE: usize = 8;
+
+// The furthest byte looked at: the head of the last link after a candidate at the end of a search behind a bfee.
+const _: () = assert!(LENGTH_FIELD + 1 + MAX_BODY + SEARCH + MAX_LINKS * (LENGTH_FIELD + MAX_LENGTH) + 23 <= LOOKAHEAD);
 
 /// What the front of the buffer is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,7 +87,7 @@ impl Tail {
 /// MPDU followed by nothing is searched for the head of another record: if there is one inside, bytes are missing
 /// from the first and it is given up, so one lost or 100 foreign bytes cost the record that they are in, no more.
 /// Records of unknown codes are legal; right after damage one is believed only if its code was met before.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Framer {
     offset: u64,
     /// Codes of believed records.
@@ -90,6 +96,16 @@ pub struct Framer {
     searched: usize,
     /// The step before ended in damage without finding a record.
     lost: bool,
+    /// Bytes that checksums may still be taken of; see [`CREDIT`].
+    credit: usize,
+    /// Length of the record at the front when the step before has found it to vouch for itself.
+    ahead: Option<usize>,
+}
+
+impl Default for Framer {
+    fn default() -> Self {
+        Self::new()
+    }
 }
 
 /// Outcome of a look at what follows.
@@ -100,6 +116,15 @@ enum Chain {
     End,
     No,
     Short,
+}
+
+/// Which records may stand between one in doubt and what vouches for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Links {
+    /// Those of codes that are known or were met before.
+    Known,
+    /// Any.
+    Any,
 }
 
 /// Outcome of a search.
@@ -113,7 +138,7 @@ impl Framer {
     /// At the start of a stream.
     #[must_use]
     pub fn new() -> Self {
-        Self::default()
+        Self { offset: 0, seen: Codes::default(), searched: 0, lost: false, credit: CREDIT, ahead: None }
     }
 
     /// Position in the stream: bytes consumed so far.
@@ -124,6 +149,11 @@ impl Framer {
 
     /// Looks at the front of the unconsumed bytes; `end` says that no more will follow.
     pub fn step<'a>(&mut self, front: &'a [u8], end: bool) -> Step<'a> {
+        if let Some(len) = self.ahead
+            && len <= front.len()
+        {
+            return self.sure(front, end, len);
+        }
         if front.is_empty() {
             return if end { Step::End(Tail::Clean) } else { Step::Incomplete };
         }
@@ -141,9 +171,17 @@ impl Framer {
         }
     }
 
-    /// A record that vouches for itself, unless another begins inside it.
+    /// A record that vouches for itself and is there in full, unless another begins inside it.
     fn sure<'a>(&mut self, front: &'a [u8], end: bool, len: usize) -> Step<'a> {
-        match self.chain(front, end, len, 0) {
+        if let Some(rest) = front.get(len..)
+            && let Head::Good { len: next, bits } = head(rest, &self.seen)
+            && bits >= SURE
+        {
+            let step = self.accept(front, len);
+            self.ahead = Some(next);
+            return step;
+        }
+        match self.chain(front, end, len, 0, Links::Known) {
             Chain::Yes | Chain::End => return self.accept(front, len),
             Chain::Short => return Step::Incomplete,
             Chain::No => {}
@@ -158,41 +196,48 @@ impl Framer {
 
     /// A record that needs a witness: what follows it, or an MPDU's checksum.
     fn doubtful<'a>(&mut self, front: &'a [u8], end: bool, len: usize, bits: u32) -> Step<'a> {
-        let reason = match self.chain(front, end, len, bits) {
+        let reason = match self.chain(front, end, len, bits, Links::Any) {
             Chain::Short => return Step::Incomplete,
-            Chain::No => Reason::NotFollowed { code: front.get(LENGTH_FIELD).copied().unwrap_or(0), expect: len },
+            Chain::No => Reason::NotFollowed { code: code_of(front), expect: len },
             Chain::Yes | Chain::End => match self.search_sure(front, end, len) {
                 Found::Nothing => return self.accept(front, len),
                 Found::Short => return Step::Incomplete,
                 Found::At(next) => Reason::Overlapped { expect: len, got: next },
             },
         };
-        if checksum_is_good(front, len) { self.accept(front, len) } else { self.resync(front, end, 1, reason) }
+        if self.checksum(front, len) == Some(true) {
+            self.accept(front, len)
+        } else {
+            self.resync(front, end, 1, reason)
+        }
     }
 
-    /// Follows the lengths from `at` until something vouches for the chain, starting with `bits` of evidence.
-    fn chain(&self, front: &[u8], end: bool, at: usize, mut bits: u32) -> Chain {
-        let mut at = at;
-        let mut code = None;
+    /// Follows the lengths from the record at the front on, until something vouches for them.
+    ///
+    /// `len` is that record's length, `bits` the evidence that it brings. A code that comes again counts as known.
+    fn chain(&self, front: &[u8], end: bool, len: usize, mut bits: u32, links: Links) -> Chain {
+        let mut seen = self.seen;
+        note(&mut seen, front);
+        let mut at = len;
         for _ in 0..MAX_LINKS {
             let rest = front.get(at..).unwrap_or_default();
             if at >= front.len() && end {
                 return if at == front.len() { Chain::End } else { Chain::No };
             }
-            match head(rest, &self.seen) {
+            match head(rest, &seen) {
                 Head::Short if end => return Chain::End,
                 Head::Short => return Chain::Short,
                 Head::Bad(_) => return Chain::No,
+                Head::Good { bits: 0, .. } if links == Links::Known => return Chain::No,
                 Head::Good { len, bits: more } => {
-                    let this = rest.get(LENGTH_FIELD).copied();
-                    bits += if more == 0 && this == code { 8 } else { more };
-                    code = this;
+                    bits += more;
                     at += len;
                 }
             }
             if bits >= SURE {
                 return Chain::Yes;
             }
+            note(&mut seen, rest);
         }
         Chain::No
     }
@@ -205,10 +250,7 @@ impl Framer {
                 Head::Short if end => Chain::No,
                 Head::Short => Chain::Short,
                 Head::Good { bits, .. } if bits >= SURE => Chain::Yes,
-                Head::Good { len, bits } if bits > 0 => match self.chain(rest, end, len, bits) {
-                    Chain::End if checksum_is_good(rest, len) => Chain::Yes,
-                    other => other,
-                },
+                Head::Good { len, bits } if bits > 0 => self.candidate(rest, end, len, bits),
                 _ => Chain::No,
             };
             match verdict {
@@ -226,6 +268,32 @@ impl Framer {
         }
         self.searched = to;
         Found::Nothing
+    }
+
+    /// Whether a record after damage can be believed that does not vouch for itself.
+    ///
+    /// It needs witnesses behind it, not just the stream's end; an MPDU needs both them and its checksum, for among
+    /// many positions one or the other is met by chance.
+    fn candidate(&mut self, rest: &[u8], end: bool, len: usize, bits: u32) -> Chain {
+        let chain = self.chain(rest, end, len, bits, Links::Known);
+        if !matches!(chain, Chain::Yes | Chain::End) {
+            return chain;
+        }
+        match self.checksum(rest, len) {
+            Some(true) => Chain::Yes,
+            Some(false) => Chain::No,
+            None => chain,
+        }
+    }
+
+    /// Whether an MPDU's checksum is right; `None` for other records and when the credit is used up.
+    fn checksum(&mut self, front: &[u8], len: usize) -> Option<bool> {
+        let record = front.get(LENGTH_FIELD..len).and_then(Record::from_message)?;
+        if record.code != code::MPDU {
+            return None;
+        }
+        self.credit = self.credit.checked_sub(len)?;
+        Some(fcs_is_good(record.body))
     }
 
     /// The first position inside a record of `len` bytes at which another begins that vouches for itself.
@@ -276,7 +344,7 @@ impl Framer {
             _ => false,
         };
         if let (true, Some(expect)) = (doubtful, expected) {
-            let code = front.get(LENGTH_FIELD).copied().unwrap_or(0);
+            let code = code_of(front);
             return self.bad(front.len(), Reason::NotFollowed { code, expect });
         }
         let expected = expected.map(|len| len as u64);
@@ -300,10 +368,26 @@ impl Framer {
     fn consume(&mut self, bytes: usize) -> u64 {
         let offset = self.offset;
         self.offset += bytes as u64;
+        self.credit = self.credit.saturating_add(bytes.saturating_mul(CREDIT_PER_BYTE)).min(CREDIT);
         self.searched = 0;
         self.lost = false;
+        self.ahead = None;
         offset
     }
+}
+
+/// Remembers the code of the record at the front, unless it is only the same byte over and over.
+fn note(seen: &mut Codes, front: &[u8]) {
+    if let [high, low, code, ..] = front
+        && (high != code || low != code)
+    {
+        seen.insert(*code);
+    }
+}
+
+/// The code byte of the record at the front.
+fn code_of(front: &[u8]) -> u8 {
+    front.get(LENGTH_FIELD).copied().unwrap_or(0)
 }
 
 /// True unless the record is a bfee with bits where none should be.
@@ -314,19 +398,8 @@ fn gaps_are_clear(front: &[u8], len: usize) -> bool {
     }
 }
 
-/// True for an MPDU whose checksum is right.
-fn checksum_is_good(front: &[u8], len: usize) -> bool {
-    match front.get(LENGTH_FIELD..len).and_then(Record::from_message) {
-        Some(Record { code: code::MPDU, body }) => Mpdu::new_checked(body).is_ok_and(|mpdu| mpdu.fcs_is_good()),
-        _ => false,
-    }
-}
-
-/// One event of a stream that is wholly in memory.
-pub type Event<'a> = Step<'a>;
-
 /// All steps over bytes that are wholly in memory, the last of them [`Step::End`].
-pub fn events(bytes: &[u8]) -> impl Iterator<Item = Event<'_>> {
+pub fn events(bytes: &[u8]) -> impl Iterator<Item = Step<'_>> {
     let mut framer = Framer::new();
     let mut rest = Some(bytes);
     core::iter::from_fn(move || {

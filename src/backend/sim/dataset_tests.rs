@@ -1,7 +1,7 @@
 use super::*;
 use crate::odometry::csv;
 use driver_iface::bfee::Bfee;
-use driver_iface::record::{Event, events};
+use driver_iface::record::{Step, events};
 use std::path::{Path, PathBuf};
 
 /// A folder that is removed at the end.
@@ -36,7 +36,7 @@ fn read(path: &Path) -> (Vec<(u8, u32)>, usize) {
     let bytes = std::fs::read(path).unwrap();
     let (mut numbers, mut whole) = (Vec::new(), 0);
     for event in events(&bytes) {
-        if let Event::Record { record, .. } = event {
+        if let Step::Record { record, .. } = event {
             let wsr = Bfee::new_checked(record.body).unwrap().wsr().unwrap();
             numbers.push((wsr.mac.0[5], wsr.frame_count));
             whole += record.emit_len();

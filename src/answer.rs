@@ -1,0 +1,135 @@
+//! What is said of a link: the flat form of a bearing, for people and for JSON Lines.
+
+use crate::bartlett::Geometry;
+use crate::pairing::{Side, SideCounts};
+use crate::pipeline::link::{Link, PairCounts};
+use crate::pipeline::{LinkReport, Report};
+use serde::Serialize;
+
+/// One link in degrees: a row of `--json`. Absent values are null.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Answer {
+    /// Name of the link.
+    pub link: String,
+    /// MAC of the transmitter.
+    pub mac: Option<String>,
+    /// Bearing to the transmitter in the trajectory's frame, from +x towards +y, (-180, 180].
+    pub azimuth_deg: Option<f64>,
+    /// Why there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error: Option<String>,
+    /// Bearing relative to the robot's heading at the last sample used.
+    pub azimuth_body_deg: Option<f64>,
+    /// Elevation; its sign is ambiguous for planar motion.
+    pub abs_elevation_deg: Option<f64>,
+    /// Predicted standard deviation of the azimuth (Cramer-Rao).
+    pub azimuth_sd_deg: Option<f64>,
+    /// The other bearing that motion along a line cannot tell from the first.
+    pub mirror_deg: Option<f64>,
+    /// 0..1; the coherence, until it is calibrated.
+    pub confidence: Option<f64>,
+    /// `|sum z a| / sum |z|` at the peak, 0..1.
+    pub coherence: Option<f64>,
+    /// Second highest peak over the highest.
+    pub peak_ratio: Option<f64>,
+    /// Carrier frequency offset found from the turn-around jitter, Hz.
+    pub cfo_hz: Option<f64>,
+    /// Whether turn-around compensation was applied.
+    pub compensated: bool,
+    /// Coherence of second differences before compensation.
+    pub phase_coherence_before: Option<f64>,
+    /// Coherence of second differences after compensation.
+    pub phase_coherence_after: Option<f64>,
+    /// Median of the turn-around jitter, microseconds.
+    pub turn_around_jitter_us: Option<f64>,
+    /// Drift of one card's clock against the other's, parts per million.
+    pub clock_drift_ppm: Option<f64>,
+    /// Spread of the next best transmitter over that of this one, where the log was matched.
+    pub match_margin: Option<f64>,
+    /// Profile variance as the WSR toolbox defines it (lower is sharper, 1 is uniform).
+    pub wsr_profile_variance: Option<f64>,
+    /// Likelihood share of the peak as the paper's code defines it.
+    pub likelihood_share: Option<f64>,
+    /// Shape of the motion.
+    pub geometry: Option<String>,
+    /// Pairs formed.
+    pub pairs: usize,
+    /// Pairs used for the bearing.
+    pub pairs_in_motion: usize,
+    /// Pairs by what became of them.
+    pub pair_counts: PairCounts,
+    /// Records of the link in the receiver's log by what became of them.
+    pub receiver_records: SideCounts,
+    /// Records of the link in the transmitter's log by what became of them.
+    pub transmitter_records: SideCounts,
+}
+
+impl Answer {
+    /// What `report` says of a link, under a name.
+    #[must_use]
+    pub fn new(link: String, report: &LinkReport) -> Self {
+        let counts = |side| report.link.as_ref().map(|link| link.counts(side)).unwrap_or_default();
+        let mut answer = Self {
+            link,
+            mac: report.mac.map(|mac| mac.to_string()),
+            match_margin: report.matched.and_then(|matched| matched.margin),
+            pairs: report.link.as_ref().map_or(0, Link::pairs),
+            receiver_records: counts(Side::Receiver),
+            transmitter_records: counts(Side::Transmitter),
+            ..Self::default()
+        };
+        match &report.bearing {
+            Ok(bearing) => {
+                let estimate = &bearing.estimate;
+                answer.azimuth_deg = Some(estimate.azimuth_rad.to_degrees());
+                answer.azimuth_body_deg = bearing.azimuth_body_rad.map(f64::to_degrees);
+                answer.abs_elevation_deg = Some(estimate.abs_elevation_rad.to_degrees());
+                answer.azimuth_sd_deg = Some(estimate.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
+                answer.mirror_deg = estimate.mirror_rad.map(f64::to_degrees);
+                answer.confidence = Some(estimate.coherence);
+                answer.coherence = Some(estimate.coherence);
+                answer.peak_ratio = estimate.peak_ratio;
+                answer.wsr_profile_variance = bearing.peers.wsr_profile_variance;
+                answer.likelihood_share = bearing.peers.likelihood_share;
+                answer.geometry = Some(geometry_words(&estimate.geometry));
+                answer.pairs_in_motion = bearing.pairs.in_motion;
+                answer.pair_counts = bearing.pairs;
+                answer.compensated = bearing.compensated;
+                if let Some(turn_around) = &bearing.turn_around {
+                    answer.cfo_hz = Some(turn_around.df_hz);
+                    answer.phase_coherence_before = Some(turn_around.coherence_before);
+                    answer.phase_coherence_after = Some(turn_around.coherence_after);
+                    answer.turn_around_jitter_us = Some(turn_around.jitter_median_us);
+                    answer.clock_drift_ppm = Some(turn_around.drift_ppm);
+                }
+            }
+            Err(error) => answer.error = Some(error.to_string()),
+        }
+        answer
+    }
+
+    /// A link that failed before its logs were read.
+    #[must_use]
+    pub fn failed(link: String, error: String) -> Self {
+        Self { link, error: Some(error), ..Self::default() }
+    }
+}
+
+fn geometry_words(geometry: &Geometry) -> String {
+    let words = match geometry {
+        Geometry::Static => "no motion",
+        Geometry::Line => "along a line",
+        Geometry::Planar => "in a horizontal plane",
+        Geometry::TiltedPlane => "in a tilted plane",
+        Geometry::NearlyPlanar => "nearly in a plane",
+        Geometry::Spatial => "in three dimensions",
+    };
+    words.into()
+}
+
+/// True if any log lost records before its tail, or any link failed: exit status 3.
+#[must_use]
+pub fn lost_something(report: &Report) -> bool {
+    let logs = std::iter::once(&report.receiver).chain(&report.transmitters);
+    logs.into_iter().any(|log| log.survey.lost_something()) || report.links.iter().any(|link| link.bearing.is_err())
+}

@@ -1,0 +1,108 @@
+//! A recorded `.dat` log as a [`CsiSource`]: read in chunks, never loaded.
+
+use super::{CsiSource, Error, Loss, Next, Stamps};
+use crate::time::Instant;
+use driver_iface::record::{Framer, LOOKAHEAD, Record, Step};
+use std::io::Read;
+use std::path::Path;
+
+/// Bytes asked for at a time: large enough to cost few calls, small enough to stay in the second-level cache.
+const CHUNK: usize = 256 * 1024;
+
+/// Plays back a log as fast as it is asked for. Memory is one buffer, whatever the size of the log.
+pub struct Replay<R> {
+    reader: R,
+    name: String,
+    buffer: Vec<u8>,
+    start: usize,
+    filled: usize,
+    end_of_file: bool,
+    framer: Framer,
+    bytes: u64,
+}
+
+impl Replay<Box<dyn Read + Send>> {
+    /// Opens a log; `-` is standard input.
+    ///
+    /// # Errors
+    /// If it cannot be opened, or is a directory.
+    pub fn open(path: &Path) -> Result<Self, Error> {
+        let name = path.display().to_string();
+        if path.as_os_str() == "-" {
+            return Ok(Self::new(Box::new(std::io::stdin()), "standard input".into()));
+        }
+        let io = |source| Error::Io { what: format!("cannot read the log {name}"), source };
+        if path.is_dir() {
+            return Err(Error::Input(format!("{name} is a directory: name a .dat file inside it, or use `evaluate`")));
+        }
+        let file = std::fs::File::open(path).map_err(io)?;
+        Ok(Self::new(Box::new(file), name.clone()))
+    }
+}
+
+impl<R: Read> Replay<R> {
+    /// Replays what `reader` gives; `name` is for messages.
+    pub fn new(reader: R, name: String) -> Self {
+        let buffer = vec![0; CHUNK + LOOKAHEAD];
+        Self { reader, name, buffer, start: 0, filled: 0, end_of_file: false, framer: Framer::new(), bytes: 0 }
+    }
+
+    /// Bytes read so far: the size of the log once it ended.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        self.bytes
+    }
+
+    /// The name given at the start.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn fill(&mut self) -> Result<(), Error> {
+        self.buffer.copy_within(self.start..self.filled, 0);
+        self.filled -= self.start;
+        self.start = 0;
+        loop {
+            match self.reader.read(&mut self.buffer[self.filled..]) {
+                Ok(0) => self.end_of_file = true,
+                Ok(read) => {
+                    self.filled += read;
+                    self.bytes += read as u64;
+                }
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => continue,
+                Err(source) => {
+                    let what = format!("reading {} at byte {}", self.name, self.bytes);
+                    return Err(Error::Io { what, source });
+                }
+            }
+            return Ok(());
+        }
+    }
+}
+
+impl<R: Read> CsiSource for Replay<R> {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        let (offset, code, from, to) = loop {
+            match self.framer.step(&self.buffer[self.start..self.filled], self.end_of_file) {
+                Step::Record { offset, used, record } => {
+                    let to = self.start + used;
+                    let from = to - record.body.len();
+                    self.start = to;
+                    break (offset, record.code, from, to);
+                }
+                Step::Incomplete => self.fill()?,
+                Step::Bad { offset, skipped, reason } => {
+                    self.start += skipped;
+                    return Ok(Next::Lost(Loss::Bytes { offset, len: skipped as u64, reason }));
+                }
+                Step::End(tail) => return Ok(Next::End(tail)),
+            }
+        };
+        Ok(Next::Record(Stamps { at: now, host_us: None, offset }, Record { code, body: &self.buffer[from..to] }))
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        Some(Instant::ZERO)
+    }
+}

@@ -1,0 +1,57 @@
+//! The oracle: the sum as it is written, in double, with phases that are exact to the last bit.
+//!
+//! Nothing here is fast. Every other path is tested against it, and a tolerance of 0 asks for it.
+
+use std::f64::consts::TAU;
+
+use nalgebra::Vector3;
+use num_complex::Complex64;
+
+use super::scene::Scene;
+
+/// `a * b` as a rounded product and its rounding error.
+fn two_product(a: f64, b: f64) -> (f64, f64) {
+    let p = a * b;
+    (p, a.mul_add(b, -p))
+}
+
+/// The phase `q . u` in turns, reduced to about one turn around 0 before anything is lost.
+fn turns(q: [f64; 3], u: &Vector3<f64>) -> f64 {
+    let (mut whole, mut rest) = (0.0, 0.0);
+    for (a, b) in q.into_iter().zip([u.x, u.y, u.z]) {
+        let (product, error) = two_product(a, b);
+        whole += product - product.round();
+        rest += error - error.round();
+    }
+    whole + rest
+}
+
+/// A sum with Neumaier's compensation.
+#[derive(Clone, Copy, Default)]
+struct Compensated {
+    sum: f64,
+    lost: f64,
+}
+
+impl Compensated {
+    fn add(&mut self, term: f64) {
+        let total = self.sum + term;
+        self.lost += if self.sum.abs() >= term.abs() { (self.sum - total) + term } else { (term - total) + self.sum };
+        self.sum = total;
+    }
+
+    fn value(self) -> f64 {
+        self.sum + self.lost
+    }
+}
+
+/// `f(u) = sum_t z_t exp(-j 2 pi q_t . u)` over the scaled samples of `scene`.
+pub(crate) fn sum(scene: &Scene, u: &Vector3<f64>) -> Complex64 {
+    let (mut re, mut im) = (Compensated::default(), Compensated::default());
+    for t in 0..scene.len() {
+        let (sin, cos) = (TAU * turns([scene.x[t], scene.y[t], scene.z[t]], u)).sin_cos();
+        re.add(scene.re[t] * cos + scene.im[t] * sin);
+        im.add(scene.im[t] * cos - scene.re[t] * sin);
+    }
+    Complex64::new(re.value(), im.value())
+}

@@ -1,0 +1,186 @@
+//! Grids of directions, profiles over them, and the two figures that peers take from a profile.
+
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::sync::Arc;
+
+use nalgebra::Vector3;
+
+use super::error::Error;
+
+/// The unit vector from the receiver to a transmitter at an azimuth (from +x towards +y) and an elevation (from the
+/// xy plane upwards), radians.
+#[must_use]
+pub fn direction(azimuth_rad: f64, elevation_rad: f64) -> Vector3<f64> {
+    let (sin_az, cos_az) = azimuth_rad.sin_cos();
+    let (sin_el, cos_el) = elevation_rad.sin_cos();
+    Vector3::new(cos_el * cos_az, cos_el * sin_az, sin_el)
+}
+
+/// A set of directions: rows of elevations by columns of azimuths, or a plain list.
+#[derive(Clone, Debug)]
+pub struct Grid {
+    pub(crate) layout: Arc<Layout>,
+}
+
+impl PartialEq for Grid {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.layout, &other.layout) || self.layout == other.layout
+    }
+}
+
+/// How the directions of a grid are arranged.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Layout {
+    /// `azimuths` evenly spaced around the circle from -180 degrees, 180 left out, for each of the elevations.
+    Rings { azimuths: usize, elevations_rad: Vec<f64> },
+    /// Any (azimuth, elevation) pairs, `width` of them to a row.
+    List { directions: Vec<(f64, f64)>, width: usize },
+}
+
+impl Grid {
+    /// `n` azimuths around the horizon, from -180 degrees in steps of 360/n (180 itself is -180). At least one.
+    #[must_use]
+    pub fn azimuth(n: usize) -> Self {
+        Self { layout: Arc::new(Layout::Rings { azimuths: n.max(1), elevations_rad: vec![0.0] }) }
+    }
+
+    /// `n_azimuth` azimuths as in [`Grid::azimuth`] for each of `n_elevation` elevations from -90 to 90 degrees, both
+    /// included (one elevation: the horizon).
+    #[must_use]
+    pub fn azimuth_elevation(n_azimuth: usize, n_elevation: usize) -> Self {
+        let elevations_rad = if n_elevation < 2 {
+            vec![0.0]
+        } else {
+            (0..n_elevation).map(|i| PI * (i as f64 / (n_elevation - 1) as f64 - 0.5)).collect()
+        };
+        Self { layout: Arc::new(Layout::Rings { azimuths: n_azimuth.max(1), elevations_rad }) }
+    }
+
+    /// The WSR toolbox's grid: `linspace(-180, 180, 360)` azimuths (both ends, the same direction twice; steps of
+    /// 360/359 degrees) for each of `linspace(0, 90, 90)` polar angles from the zenith.
+    #[must_use]
+    pub fn wsr() -> Self {
+        let directions = (0..90)
+            .flat_map(|row| {
+                let elevation = PI / 2.0 * (1.0 - f64::from(row) / 89.0);
+                (0..360).map(move |column| (TAU * f64::from(column) / 359.0 - PI, elevation))
+            })
+            .collect();
+        Self { layout: Arc::new(Layout::List { directions, width: 360 }) }
+    }
+
+    /// Any list of (azimuth, elevation) in radians, in one row.
+    #[must_use]
+    pub fn directions(list: Vec<(f64, f64)>) -> Self {
+        let width = list.len();
+        Self { layout: Arc::new(Layout::List { directions: list, width }) }
+    }
+
+    /// Number of directions.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        match &*self.layout {
+            Layout::Rings { azimuths, elevations_rad } => azimuths * elevations_rad.len(),
+            Layout::List { directions, .. } => directions.len(),
+        }
+    }
+
+    /// True if there is no direction (an empty list).
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Rows (elevations) and columns (azimuths); a list is one row.
+    #[must_use]
+    pub fn shape(&self) -> (usize, usize) {
+        match &*self.layout {
+            Layout::Rings { azimuths, elevations_rad } => (elevations_rad.len(), *azimuths),
+            Layout::List { directions, width } => (directions.len() / (*width).max(1), *width),
+        }
+    }
+
+    /// Azimuth and elevation of direction `index`, radians; row by row, azimuth fastest.
+    ///
+    /// # Panics
+    /// If `index` is not below [`Grid::len`].
+    #[must_use]
+    pub fn at(&self, index: usize) -> (f64, f64) {
+        match &*self.layout {
+            Layout::Rings { azimuths, elevations_rad } => {
+                (ring_azimuth(index % azimuths, *azimuths), elevations_rad[index / azimuths])
+            }
+            Layout::List { directions, .. } => directions[index],
+        }
+    }
+
+    /// The largest `|sin(elevation)|`.
+    pub(crate) fn steepest(&self) -> f64 {
+        let steep = |e: f64| if e.abs() >= FRAC_PI_2 { 1.0 } else { e.sin().abs() };
+        match &*self.layout {
+            Layout::Rings { elevations_rad, .. } => elevations_rad.iter().map(|e| steep(*e)).fold(0.0, f64::max),
+            Layout::List { directions, .. } => directions.iter().map(|d| steep(d.1)).fold(0.0, f64::max),
+        }
+    }
+
+    pub(crate) fn check(&self) -> Result<(), Error> {
+        let Layout::List { directions, .. } = &*self.layout else { return Ok(()) };
+        let bad = directions.iter().position(|(a, e)| !(a.is_finite() && e.is_finite()));
+        bad.map_or(Ok(()), |index| Err(Error::Direction { index }))
+    }
+}
+
+/// Azimuth `index` of `count` around the circle from -180 degrees, radians.
+pub(crate) fn ring_azimuth(index: usize, count: usize) -> f64 {
+    TAU * index as f64 / count as f64 - PI
+}
+
+/// A Bartlett profile: `F = |f|^2` over a grid, relative to what perfectly aligned samples would give.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Profile {
+    /// The directions.
+    pub grid: Grid,
+    /// `F(u) / (sum_t w_t |z_t|)^2`, 0 to 1, one per direction in the order of [`Grid::at`].
+    pub values: Vec<f64>,
+    /// `sum_t w_t |z_t|` in the units of the samples: `F` itself is `value * sum_abs^2`.
+    pub sum_abs: f64,
+}
+
+impl Profile {
+    /// Index and value of the largest entry; none for an empty grid.
+    #[must_use]
+    pub fn max(&self) -> Option<(usize, f64)> {
+        self.values.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// The paper's likelihood of the highest entry: its share of the profile's sum, `F / sum F`.
+    #[must_use]
+    pub fn likelihood_share(&self) -> Option<f64> {
+        let sum: f64 = self.values.iter().sum();
+        self.max().map(|(_, top)| top / sum)
+    }
+}
+
+/// The WSR toolbox's profile variance about the highest peak: lower is sharper, 1 is a uniform profile.
+///
+/// `[sum d^2 F / sum F] / [sum d^2 / n]` with `d` the distance to the peak in grid steps, azimuth steps wrapped
+/// around the circle (WSR_Module.cpp:1352; there in single precision). None for an empty grid or
+/// a single direction.
+#[must_use]
+pub fn wsr_profile_variance(profile: &Profile) -> Option<f64> {
+    let (rows, columns) = profile.grid.shape();
+    let (peak, _) = profile.max()?;
+    let (peak_row, peak_column) = (peak / columns, peak % columns);
+    let (mut weighted, mut plain, mut sum) = (0.0, 0.0, 0.0);
+    for (index, value) in profile.values.iter().enumerate() {
+        let across = (index % columns).abs_diff(peak_column);
+        let across = across.min(columns - across) as f64;
+        let up = (index / columns).abs_diff(peak_row) as f64;
+        let d2 = across * across + up * up;
+        weighted += d2 * value;
+        plain += d2;
+        sum += value;
+    }
+    let n = (rows * columns) as f64;
+    (plain > 0.0 && sum > 0.0).then(|| (weighted / sum) / (plain / n))
+}

@@ -1,0 +1,388 @@
+//! The search that is guaranteed to find the continuous maximum over azimuth.
+//!
+//! Around a ring of constant elevation, `F = |f|^2` is a non-negative trigonometric polynomial of degree `2 M`, `M`
+//! from the Bessel tail of the radius. By M. Riesz `F(a + d) >= F_max cos^2(M d)` for `|d| <= pi / (2 M)`: with at least
+//! `4 M` samples the cell of the global maximum holds a sample of at least `F_max cos^2(M h / 2)`, `h` the step. Every
+//! cell above that bound is kept and climbed with Newton's method, exactly, in double. A one-degree grid has no such
+//! property: from a radius of 0.39 m at 5.5 GHz it undersamples the profile.
+//!
+//! The elevation is searched along with it on rings whose phases differ by at most [`RING_STEP`] from one to the
+//! next; the same kind of bound holds between them with the profile's maximum on the disc of all cosines in the
+//! place of the maximum over the circle.
+
+use std::f64::consts::{PI, TAU};
+
+use super::bessel::tail_order;
+use super::crb::{Fit, Spread, deviations, elevation_deviation, independence};
+use super::error::Error;
+use super::newton::{Hill, Point, Second, Top};
+use super::scene::{Geometry, Scene, Shape};
+use super::simd::{Real, Tier};
+use super::sums::{Columns, PairSum, pairs};
+use crate::samples::Samples;
+
+/// Largest change of any phase between neighbouring rings of elevation, radians: no more than 0.4 to the nearest.
+const RING_STEP: f64 = 0.8;
+/// Samples per ring, in units of the profile's degree `M`: `4 M` suffice, more leave fewer candidates.
+const SAMPLES_PER_ORDER: usize = 6;
+/// Above this radius (radians of phase) sampling is done in double: single precision loses 1e-4 of a turn there.
+const SINGLE_RADIUS: f64 = 600.0;
+/// Above this radius (radians of phase) there is no search: about 2 km at 5.5 GHz, round trip.
+const LIMIT_RADIUS: f64 = 5e5;
+/// Peaks that are climbed even where the bound rules them out, to report the next ones.
+const REPORTED: usize = 6;
+/// A trajectory at most this wide for its length has a mirror worth a look.
+const ELONGATED: f64 = 0.15;
+/// Azimuth and elevation must turn the phases differently by this share of their variance before the elevation is
+/// searched. On a line they turn them alike; millimetres of wobble would then decide between them, and millimetres are
+/// what odometry, a curved wave front and reflections get wrong, whatever the noise allows.
+const INDEPENDENT: f64 = 0.1;
+/// A mirror peak at least this high (relative) is reported.
+const MIRROR_RATIO: f64 = 0.8;
+
+/// What to search.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SearchOptions {
+    /// Largest |elevation| of the search, radians, 0 to pi/2. Default 20 degrees. 0 fixes the horizon.
+    pub elevation_max_rad: f64,
+    /// The SIMD tier to run on. Default: the widest of this machine.
+    pub tier: Tier,
+}
+
+impl Default for SearchOptions {
+    fn default() -> Self {
+        Self { elevation_max_rad: 20f64.to_radians(), tier: Tier::detect() }
+    }
+}
+
+/// A local maximum of the profile.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Peak {
+    /// Azimuth, radians in (-pi, pi], from +x towards +y.
+    pub azimuth_rad: f64,
+    /// |elevation|, radians.
+    pub abs_elevation_rad: f64,
+    /// `F / (sum w |z|)^2`, 0 to 1.
+    pub value: f64,
+}
+
+/// A bearing and what can be said about it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Estimate {
+    /// Azimuth of the highest peak, radians in (-pi, pi], from +x towards +y in the trajectory's frame.
+    pub azimuth_rad: f64,
+    /// |elevation| of the peak, radians; 0 where it was not searched or cannot be observed.
+    pub abs_elevation_rad: f64,
+    /// The elevation with its sign, where the motion tells the two apart.
+    pub signed_elevation_rad: Option<f64>,
+    /// Predicted standard deviation of the azimuth (Cramer-Rao), radians; with the elevation as a nuisance where that
+    /// was searched. At most that of a uniform guess, pi / sqrt 3.
+    pub azimuth_sd_rad: f64,
+    /// Predicted standard deviation of |elevation|, radians; pi/2 where it was not searched or cannot be observed.
+    pub elevation_sd_rad: f64,
+    /// True if the elevation was searched: it was asked for, and this motion can observe it.
+    pub elevation_searched: bool,
+    /// The mirror bearing, radians, for motion along (nearly) a line: reflected about that line, it explains the
+    /// samples (nearly) as well. Neither is preferred for a reason.
+    pub mirror_rad: Option<f64>,
+    /// `|sum w z a| / sum w |z|` at the peak, 0 to 1.
+    pub coherence: f64,
+    /// Estimated signal-to-noise ratio of one sample (a power ratio); other paths count as noise.
+    pub snr: f64,
+    /// Second highest peak of a different azimuth over the highest, 0 to 1; none if there is no other. The mirror of a
+    /// line does not count.
+    pub peak_ratio: Option<f64>,
+    /// The highest peaks, falling; the first is the estimate.
+    pub peaks: Vec<Peak>,
+    /// Shape of the motion.
+    pub shape: Shape,
+    /// Geometry class of the motion.
+    pub geometry: Geometry,
+    /// `F / (sum w |z|)^2` at the peak.
+    pub value: f64,
+    /// Directions in which the profile was evaluated.
+    pub evaluations: usize,
+}
+
+/// Finds the bearing: the continuous maximum of the Bartlett profile over azimuth and |elevation|.
+///
+/// # Errors
+/// [`Error`] for input that is empty, of unequal lengths, not finite, without energy; for an elevation limit outside 0
+/// to 90 degrees; [`Error::NoMotion`] where the receiver did not move horizontally.
+pub fn search(samples: &Samples, wavelength_m: f64, options: &SearchOptions) -> Result<Estimate, Error> {
+    let scene = Scene::new(samples, wavelength_m)?;
+    let limit = options.elevation_max_rad;
+    if !(0.0..=PI / 2.0).contains(&limit) {
+        return Err(Error::ElevationMax { elevation_max_rad: limit });
+    }
+    scene.require_motion()?;
+    let radius = TAU * scene.radius.hypot(scene.half_height);
+    if radius > LIMIT_RADIUS {
+        return Err(Error::Aperture {
+            extent_m: radius / TAU * scene.turn_m,
+            limit_m: LIMIT_RADIUS / TAU * scene.turn_m,
+        });
+    }
+    Ok(Search::new(&scene, options.tier).run(limit))
+}
+
+/// One search under way.
+struct Search<'a> {
+    scene: &'a Scene,
+    tier: Tier,
+    /// The band limit of a ring.
+    order: usize,
+    /// Samples per ring, even.
+    ring: usize,
+    evaluations: usize,
+}
+
+/// A sampled profile: rows of rising elevation, `ring` azimuths each from 0.
+struct Sampled {
+    elevations: Vec<f64>,
+    values: Vec<f64>,
+}
+
+impl<'a> Search<'a> {
+    fn new(scene: &'a Scene, tier: Tier) -> Self {
+        let order = tail_order(TAU * scene.radius, 1e-4);
+        Self { scene, tier, order, ring: SAMPLES_PER_ORDER * order + 8, evaluations: 0 }
+    }
+
+    fn run(mut self, elevation_max: f64) -> Estimate {
+        let horizon = self.sample(&[0.0]);
+        let observable = elevation_max > 0.0 && self.elevation_observable(&horizon, elevation_max);
+        let limit = if observable { elevation_max } else { 0.0 };
+        let sampled = if observable { self.sample(&elevation_rings(self.scene, limit)) } else { horizon };
+        let kind = if self.scene.is_flat() { Second::Cosine } else { Second::Elevation };
+        let hill = self.hill(kind, limit, &sampled);
+        let tops = self.climb(&hill, &sampled);
+        self.estimate(&hill, tops, observable)
+    }
+
+    fn hill(&self, kind: Second, limit: f64, sampled: &Sampled) -> Hill<'a> {
+        let (low, high) = match kind {
+            Second::Cosine => (limit.cos(), 1.0),
+            Second::Elevation => (-limit, limit),
+        };
+        let rows = sampled.elevations.len().max(2);
+        let reach = [TAU / self.ring as f64, (high - low) / (rows - 1) as f64];
+        Hill { level: self.tier.level_or_portable(), samples: self.scene.columns(), kind, low, high, reach }
+    }
+
+    /// `F` on rings at the given elevations (from 0 upwards) and, unless the motion is level, at their negatives.
+    fn sample(&mut self, elevations: &[f64]) -> Sampled {
+        let flat = self.scene.is_flat();
+        let half = self.ring / 2;
+        let mut directions = Vec::new();
+        for &elevation in elevations {
+            let columns = if flat || elevation == 0.0 { half } else { self.ring };
+            let (sin_el, cos_el) = elevation.sin_cos();
+            directions.extend((0..columns).map(|j| {
+                let (sin, cos) = (TAU * j as f64 / self.ring as f64).sin_cos();
+                [cos_el * cos, cos_el * sin, sin_el]
+            }));
+        }
+        let sums = self.pair_sums(&directions);
+        self.evaluations += 2 * directions.len();
+        arrange(elevations, &sums, self.ring, flat)
+    }
+
+    fn pair_sums(&self, directions: &[[f64; 3]]) -> Vec<PairSum> {
+        let level = self.tier.level_or_portable();
+        if TAU * self.scene.radius.hypot(self.scene.half_height) > SINGLE_RADIUS {
+            return pairs::<f64>(level, self.scene.columns(), directions);
+        }
+        let single = |column: &[f64]| column.iter().map(|v| f32::of(*v)).collect::<Vec<_>>();
+        let c = self.scene.columns();
+        let (x, y, z, re, im) = (single(c.x), single(c.y), single(c.z), single(c.re), single(c.im));
+        let directions: Vec<_> = directions.iter().map(|u| u.map(|v| v as f32)).collect();
+        pairs::<f32>(level, Columns { x: &x, y: &y, z: &z, re: &re, im: &im }, &directions)
+    }
+
+    /// True if the data can say more about the elevation than its limits do: the predicted deviation, azimuth as a
+    /// nuisance, is below that of a uniform guess (range / sqrt 12) in the cosine or, off the plane, in the angle.
+    fn elevation_observable(&self, horizon: &Sampled, limit: f64) -> bool {
+        let (index, value) = argmax(&horizon.values);
+        let azimuth = TAU * index as f64 / self.ring as f64;
+        let (fit, spread) = (Fit::new(self.scene, value), Spread::new(self.scene, azimuth));
+        let uniform = 12f64.sqrt();
+        let cosine = deviations(fit, spread, Second::Cosine, Point { azimuth, second: 1.0 }, false)[1];
+        let angle = deviations(fit, spread, Second::Elevation, Point { azimuth, second: 0.0 }, false)[1];
+        let apart = |kind, second| independence(spread, kind, Point { azimuth, second }) > INDEPENDENT;
+        (cosine < (1.0 - limit.cos()) / uniform && apart(Second::Cosine, 1.0))
+            || (angle < 2.0 * limit / uniform && apart(Second::Elevation, 0.0))
+    }
+
+    /// Climbs from every candidate that the bound does not rule out, and from a few more to report them.
+    fn climb(&mut self, hill: &Hill<'_>, sampled: &Sampled) -> Vec<Top> {
+        let mut candidates = local_maxima(sampled, self.ring);
+        candidates.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let along = (self.order as f64 * PI / self.ring as f64).cos().powi(2);
+        let across = if sampled.elevations.len() > 1 { (RING_STEP / 2.0).cos().powi(2) } else { 1.0 };
+        // Two hundredths for the band-limit's tail and for single precision.
+        let bound = (along * across - 0.02).max(0.0);
+        let (mut tops, mut best) = (Vec::<Top>::new(), 0f64);
+        for (rank, (index, value)) in candidates.into_iter().enumerate() {
+            if rank >= REPORTED && value < bound * best {
+                break;
+            }
+            let elevation = sampled.elevations[index / self.ring];
+            let azimuth = TAU * (index % self.ring) as f64 / self.ring as f64;
+            let top = hill.climb(Point { azimuth, second: hill.kind.of_elevation(elevation) });
+            self.evaluations += top.evaluations;
+            best = best.max(top.value);
+            tops.push(top);
+        }
+        if let Some(mirror) = self.mirror_start(&tops) {
+            let top = hill.climb(mirror);
+            self.evaluations += top.evaluations;
+            tops.push(top);
+        }
+        tops.sort_by(|a, b| b.value.total_cmp(&a.value));
+        tops
+    }
+
+    /// Azimuth of a long, narrow horizontal trajectory's axis.
+    fn axis(&self) -> Option<f64> {
+        let shape = &self.scene.shape;
+        let [long, wide, _] = shape.half_extent_m;
+        let axis = shape.axes[0];
+        (wide <= ELONGATED * long && axis.x.hypot(axis.y) > 0.5).then(|| axis.y.atan2(axis.x))
+    }
+
+    fn mirror_start(&self, tops: &[Top]) -> Option<Point> {
+        let axis = self.axis()?;
+        let best = tops.iter().max_by(|a, b| a.value.total_cmp(&b.value))?;
+        Some(Point { azimuth: 2.0 * axis - best.at.azimuth, second: best.at.second })
+    }
+
+    /// Half the width of a main lobe at half its height, radians: peaks nearer than that are one.
+    fn resolution(&self) -> f64 {
+        (1.126 / (TAU * self.scene.radius)).min(PI / 2.0)
+    }
+
+    fn estimate(self, hill: &Hill<'_>, tops: Vec<Top>, observable: bool) -> Estimate {
+        let scene = self.scene;
+        let full = scene.sum_abs * scene.sum_abs;
+        let peak = |top: &Top| Peak {
+            azimuth_rad: wrap(top.at.azimuth),
+            abs_elevation_rad: hill.kind.elevation(top.at.second).abs(),
+            value: (top.value / full).min(1.0),
+        };
+        let near = |a: f64, b: f64| wrap(a - b).abs() < self.resolution();
+        let mut peaks: Vec<Peak> = Vec::new();
+        for candidate in tops.iter().map(peak) {
+            if !peaks.iter().any(|p| near(p.azimuth_rad, candidate.azimuth_rad)) {
+                peaks.push(candidate);
+            }
+        }
+        let (top, best) = (tops[0], peak(&tops[0]));
+        let mirror = self.axis().and_then(|axis| {
+            let reflected = 2.0 * axis - best.azimuth_rad;
+            let close = |p: &&Peak| wrap(p.azimuth_rad - reflected).abs() < 2.0 * self.resolution();
+            peaks.iter().skip(1).find(close).filter(|p| p.value >= MIRROR_RATIO * best.value).copied()
+        });
+        let other = peaks.iter().skip(1).find(|p| mirror.is_none_or(|m| m != **p));
+        let peak_ratio = other.map(|p| p.value / best.value);
+        let (fit, spread) = (Fit::new(scene, top.value), Spread::new(scene, top.at.azimuth));
+        let [azimuth_sd_rad, second_sd] = deviations(fit, spread, hill.kind, top.at, !observable);
+        let signed = hill.kind.elevation(top.at.second);
+        let elevation_sd_rad = match (observable, hill.kind) {
+            (false, _) => PI / 2.0,
+            (true, Second::Cosine) => elevation_deviation(signed, second_sd),
+            (true, Second::Elevation) => {
+                let cosine = Point { azimuth: top.at.azimuth, second: signed.cos() };
+                let by_cosine = deviations(fit, spread, Second::Cosine, cosine, false)[1];
+                second_sd.min(elevation_deviation(signed.abs(), by_cosine))
+            }
+        };
+        peaks.truncate(REPORTED);
+        Estimate {
+            azimuth_rad: best.azimuth_rad,
+            abs_elevation_rad: best.abs_elevation_rad,
+            signed_elevation_rad: (observable && scene.shape.geometry == Geometry::Spatial).then_some(signed),
+            azimuth_sd_rad,
+            elevation_sd_rad,
+            elevation_searched: observable,
+            mirror_rad: mirror.map(|p| p.azimuth_rad),
+            coherence: best.value.sqrt(),
+            snr: fit.snr,
+            peak_ratio,
+            peaks,
+            shape: scene.shape,
+            geometry: scene.shape.geometry,
+            value: best.value,
+            evaluations: self.evaluations,
+        }
+    }
+}
+
+/// Elevations from 0 to `limit` whose phases differ by at most [`RING_STEP`] from one to the next.
+fn elevation_rings(scene: &Scene, limit: f64) -> Vec<f64> {
+    let change = |e: f64| TAU * (scene.radius * (1.0 - e.cos()) + scene.half_height * e.sin());
+    let steps = (change(limit) / RING_STEP).ceil().max(1.0);
+    let elevation = |target: f64| {
+        let (mut low, mut high) = (0.0, limit);
+        for _ in 0..60 {
+            let middle = 0.5 * (low + high);
+            if change(middle) < target { low = middle } else { high = middle }
+        }
+        high
+    };
+    (0..=steps as usize).map(|i| if i == 0 { 0.0 } else { elevation(change(limit) * i as f64 / steps) }).collect()
+}
+
+/// Rows of rising elevation from the sums of antipodal pairs: the antipode of (a, e) is (a + pi, -e).
+fn arrange(elevations: &[f64], sums: &[PairSum], ring: usize, flat: bool) -> Sampled {
+    let half = ring / 2;
+    let both = |sums: &[PairSum]| -> Vec<f64> {
+        let here = sums.iter().map(|s| s.here().norm_sqr());
+        here.chain(sums.iter().map(|s| s.opposite().norm_sqr())).collect()
+    };
+    let (mut below, mut above) = (Vec::new(), Vec::new());
+    let mut rest = sums;
+    for &elevation in elevations {
+        let columns = if flat || elevation == 0.0 { half } else { ring };
+        let (row, tail) = rest.split_at(columns);
+        rest = tail;
+        if columns == half {
+            above.push((elevation, both(row)));
+        } else {
+            above.push((elevation, row.iter().map(|s| s.here().norm_sqr()).collect()));
+            let mut mirrored: Vec<f64> = row.iter().map(|s| s.opposite().norm_sqr()).collect();
+            mirrored.rotate_right(half);
+            below.push((-elevation, mirrored));
+        }
+    }
+    below.reverse();
+    let (elevations, rows): (Vec<f64>, Vec<Vec<f64>>) = below.into_iter().chain(above).unzip();
+    Sampled { elevations, values: rows.concat() }
+}
+
+/// Samples that none of their eight neighbours exceeds, with their values.
+fn local_maxima(sampled: &Sampled, ring: usize) -> Vec<(usize, f64)> {
+    let rows = sampled.elevations.len();
+    let mut maxima = Vec::new();
+    for row in 0..rows {
+        for column in 0..ring {
+            let value = sampled.values[row * ring + column];
+            let columns = [(column + ring - 1) % ring, column, (column + 1) % ring];
+            let around = row.saturating_sub(1)..(row + 2).min(rows);
+            if around.clone().all(|r| columns.iter().all(|c| sampled.values[r * ring + c] <= value)) {
+                maxima.push((row * ring + column, value));
+            }
+        }
+    }
+    maxima
+}
+
+fn argmax(values: &[f64]) -> (usize, f64) {
+    values.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, 0.0))
+}
+
+/// The angle in (-pi, pi].
+pub(crate) fn wrap(angle: f64) -> f64 {
+    let turned = angle.rem_euclid(TAU);
+    if turned > PI { turned - TAU } else { turned }
+}

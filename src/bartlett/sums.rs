@@ -1,0 +1,197 @@
+//! Direct sums over all samples: antipodal pairs of directions, and the moments that Newton's method needs.
+
+use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch};
+use num_complex::Complex64;
+
+use super::simd::{Real, V, sin_cos_turns};
+
+/// Samples per block: single-precision sums are carried over to double after each, so that their error does not grow
+/// with the number of samples (measured: 4e-9 at 1e7 samples with a flush each 4,096).
+const BLOCK: usize = 512;
+/// Direction vectors that one pass over a block works on.
+const WIDE: usize = 2;
+
+/// Samples (positions in turns, weighted values) in one precision.
+#[derive(Clone, Copy)]
+pub(crate) struct Columns<'a, T> {
+    pub x: &'a [T],
+    pub y: &'a [T],
+    /// Empty if every height is zero.
+    pub z: &'a [T],
+    pub re: &'a [T],
+    pub im: &'a [T],
+}
+
+/// The four partial sums of a direction `u` and its antipode `-u`.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct PairSum {
+    re_cos: f64,
+    im_sin: f64,
+    im_cos: f64,
+    re_sin: f64,
+}
+
+impl PairSum {
+    /// `f(u)`.
+    pub fn here(self) -> Complex64 {
+        Complex64::new(self.re_cos + self.im_sin, self.im_cos - self.re_sin)
+    }
+
+    /// `f(-u)`.
+    pub fn opposite(self) -> Complex64 {
+        Complex64::new(self.re_cos - self.im_sin, self.im_cos + self.re_sin)
+    }
+}
+
+/// `f(u)` and `f(-u)` for each direction; one sine and cosine for both.
+pub(crate) fn pairs<T: Real>(level: Level, samples: Columns<'_, T>, directions: &[[T; 3]]) -> Vec<PairSum> {
+    let mut sums = vec![PairSum::default(); directions.len()];
+    dispatch!(level, simd => pairs_simd::<_, T>(simd, samples, directions, &mut sums));
+    sums
+}
+
+#[inline(always)]
+fn pairs_simd<S: Simd, T: Real>(simd: S, samples: Columns<'_, T>, directions: &[[T; 3]], sums: &mut [PairSum]) {
+    let chunk = WIDE * V::<S, T>::LEN;
+    for (directions, sums) in directions.chunks(chunk).zip(sums.chunks_mut(chunk)) {
+        let lane = |k: usize, axis: usize| {
+            V::<S, T>::from_fn(simd, |i| directions.get(k * V::<S, T>::LEN + i).map_or(T::of(0.0), |u| u[axis]))
+        };
+        let ux: [_; WIDE] = std::array::from_fn(|k| lane(k, 0));
+        let uy: [_; WIDE] = std::array::from_fn(|k| lane(k, 1));
+        let uz: [_; WIDE] = std::array::from_fn(|k| lane(k, 2));
+        for from in (0..samples.x.len()).step_by(BLOCK) {
+            let to = (from + BLOCK).min(samples.x.len());
+            let acc = if samples.z.is_empty() {
+                block::<S, T, false>(simd, samples, from..to, &ux, &uy, &uz)
+            } else {
+                block::<S, T, true>(simd, samples, from..to, &ux, &uy, &uz)
+            };
+            for (i, sum) in sums.iter_mut().enumerate() {
+                let [re_cos, im_sin, im_cos, re_sin] = acc[i / V::<S, T>::LEN].map(|v| v[i % V::<S, T>::LEN].into());
+                sum.re_cos += re_cos;
+                sum.im_sin += im_sin;
+                sum.im_cos += im_cos;
+                sum.re_sin += re_sin;
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn block<S: Simd, T: Real, const TALL: bool>(
+    simd: S,
+    samples: Columns<'_, T>,
+    range: std::ops::Range<usize>,
+    ux: &[V<S, T>; WIDE],
+    uy: &[V<S, T>; WIDE],
+    uz: &[V<S, T>; WIDE],
+) -> [[V<S, T>; 4]; WIDE] {
+    let splat = |value: T| V::<S, T>::splat(simd, value);
+    let mut acc = [[splat(T::of(0.0)); 4]; WIDE];
+    let n = range.len();
+    let (x, y) = (&samples.x[range.clone()], &samples.y[range.clone()]);
+    let (re, im) = (&samples.re[range.clone()], &samples.im[range.clone()]);
+    let z = if TALL { &samples.z[range] } else { x };
+    for t in 0..n {
+        let (px, py, zr, zi) = (splat(x[t]), splat(y[t]), splat(re[t]), splat(im[t]));
+        for k in 0..WIDE {
+            let mut turns = ux[k].mul_add(px, uy[k] * py);
+            if TALL {
+                turns = uz[k].mul_add(splat(z[t]), turns);
+            }
+            let (sin, cos) = sin_cos_turns::<S, T>(simd, turns);
+            acc[k][0] = cos.mul_add(zr, acc[k][0]);
+            acc[k][1] = sin.mul_add(zi, acc[k][1]);
+            acc[k][2] = cos.mul_add(zi, acc[k][2]);
+            acc[k][3] = sin.mul_add(zr, acc[k][3]);
+        }
+    }
+    acc
+}
+
+/// Moments of `w_t = z_t exp(-j 2 pi q_t . u)` about a direction of azimuth `a`.
+///
+/// `h` is the position along the horizontal direction `(cos a, sin a)`, `v` along `(-sin a, cos a)`, `z` upwards,
+/// in turns.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Moments {
+    pub one: Complex64,
+    pub h: Complex64,
+    pub v: Complex64,
+    pub hh: Complex64,
+    pub hv: Complex64,
+    pub vv: Complex64,
+    pub z: Complex64,
+    pub hz: Complex64,
+    pub vz: Complex64,
+    pub zz: Complex64,
+}
+
+/// A direction as the moments need it: `u = (s cos a, s sin a, height)`.
+#[derive(Clone, Copy)]
+pub(crate) struct Aim {
+    pub cos: f64,
+    pub sin: f64,
+    pub s: f64,
+    pub height: f64,
+}
+
+/// All moments up to second order, in double.
+pub(crate) fn moments(level: Level, samples: Columns<'_, f64>, aim: Aim) -> Moments {
+    let mut sums = [0.0; 20];
+    if samples.z.is_empty() {
+        dispatch!(level, simd => moments_simd::<_, false>(simd, samples, aim, &mut sums));
+    } else {
+        dispatch!(level, simd => moments_simd::<_, true>(simd, samples, aim, &mut sums));
+    }
+    let c = |i: usize| Complex64::new(sums[2 * i], sums[2 * i + 1]);
+    Moments { one: c(0), h: c(1), v: c(2), hh: c(3), hv: c(4), vv: c(5), z: c(6), hz: c(7), vz: c(8), zz: c(9) }
+}
+
+#[inline(always)]
+fn moments_simd<S: Simd, const TALL: bool>(simd: S, samples: Columns<'_, f64>, aim: Aim, sums: &mut [f64; 20]) {
+    let lanes = V::<S, f64>::LEN;
+    let splat = |value: f64| V::<S, f64>::splat(simd, value);
+    let (ca, sa, s, height) = (splat(aim.cos), splat(aim.sin), splat(aim.s), splat(aim.height));
+    let mut acc = [splat(0.0); 20];
+    let n = samples.x.len();
+    let load = |column: &[f64], from: usize| {
+        if from + lanes <= n {
+            V::<S, f64>::from_slice(simd, &column[from..from + lanes])
+        } else {
+            V::<S, f64>::from_fn(simd, |i| column.get(from + i).copied().unwrap_or(0.0))
+        }
+    };
+    for from in (0..n).step_by(lanes) {
+        let (x, y) = (load(samples.x, from), load(samples.y, from));
+        let (re, im) = (load(samples.re, from), load(samples.im, from));
+        let h = ca.mul_add(x, sa * y);
+        let v = ca.mul_add(y, -(sa * x));
+        let mut turns = s * h;
+        let z = if TALL { load(samples.z, from) } else { h };
+        if TALL {
+            turns = height.mul_add(z, turns);
+        }
+        let (sin, cos) = sin_cos_turns::<S, f64>(simd, turns);
+        let w = [cos.mul_add(re, sin * im), cos.mul_add(im, -(sin * re))];
+        for (part, w) in w.into_iter().enumerate() {
+            let (wh, wv) = (w * h, w * v);
+            acc[part] += w;
+            acc[2 + part] += wh;
+            acc[4 + part] += wv;
+            acc[6 + part] = wh.mul_add(h, acc[6 + part]);
+            acc[8 + part] = wh.mul_add(v, acc[8 + part]);
+            acc[10 + part] = wv.mul_add(v, acc[10 + part]);
+            if TALL {
+                acc[12 + part] = w.mul_add(z, acc[12 + part]);
+                acc[14 + part] = wh.mul_add(z, acc[14 + part]);
+                acc[16 + part] = wv.mul_add(z, acc[16 + part]);
+                acc[18 + part] = (w * z).mul_add(z, acc[18 + part]);
+            }
+        }
+    }
+    for (sum, v) in sums.iter_mut().zip(acc) {
+        *sum = v.as_slice().iter().sum();
+    }
+}

@@ -1,0 +1,155 @@
+//! WiFi channels: centre frequency, wavelength, and the subcarriers of which the card reports CSI.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// Speed of light in vacuum, m/s (exact, SI).
+pub const SPEED_OF_LIGHT_M_PER_S: f64 = 299_792_458.0;
+/// Spacing of subcarriers, Hz (802.11-2016 table 19-6).
+pub const SUBCARRIER_SPACING_HZ: f64 = 312_500.0;
+/// Number of subcarriers that the card reports (one in two at 20 MHz, one in four at 40 MHz).
+pub const SUBCARRIERS: usize = 30;
+
+/// Subcarrier indices reported at 20 MHz (802.11-2016 table 9-54, Ng = 2); neither uniform nor symmetric.
+#[rustfmt::skip]
+pub const INDICES_20_MHZ: [i8; SUBCARRIERS] = [
+    -28, -26, -24, -22, -20, -18, -16, -14, -12, -10, -8, -6, -4, -2, -1,
+    1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 28,
+];
+/// Subcarrier indices reported at 40 MHz (802.11-2016 table 9-54, Ng = 4).
+#[rustfmt::skip]
+pub const INDICES_40_MHZ: [i8; SUBCARRIERS] = [
+    -58, -54, -50, -46, -42, -38, -34, -30, -26, -22, -18, -14, -10, -6, -2,
+    2, 6, 10, 14, 18, 22, 26, 30, 34, 38, 42, 46, 50, 54, 58,
+];
+
+/// Where the second half of a 40 MHz channel lies.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Width {
+    /// 20 MHz.
+    #[default]
+    Ht20,
+    /// 40 MHz, secondary channel above.
+    Ht40Plus,
+    /// 40 MHz, secondary channel below.
+    Ht40Minus,
+}
+
+/// A channel of the 2.4 or 5 GHz band.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Channel {
+    number: u32,
+    width: Width,
+}
+
+/// What is no channel.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is no channel: 1 to 14 (2.4 GHz) or 34 to 196 (5 GHz), with + or - for 40 MHz, for example 108 or 36+")]
+pub struct NoChannel(pub String);
+
+impl Channel {
+    /// A channel by its number and width.
+    ///
+    /// # Errors
+    /// If no channel of the 2.4 or 5 GHz band has this number.
+    pub fn new(number: u32, width: Width) -> Result<Self, NoChannel> {
+        let known = (1..=14).contains(&number) || (34..=196).contains(&number);
+        let wide = !(number == 14 && width != Width::Ht20);
+        if known && wide { Ok(Self { number, width }) } else { Err(NoChannel(number.to_string())) }
+    }
+
+    /// Its number.
+    #[must_use]
+    pub fn number(self) -> u32 {
+        self.number
+    }
+
+    /// Its width.
+    #[must_use]
+    pub fn width(self) -> Width {
+        self.width
+    }
+
+    /// Centre of the channel (of both halves at 40 MHz), Hz: the frequency of subcarrier 0 (802.11-2016 17.3.8.4, 19.3.15).
+    #[must_use]
+    pub fn centre_hz(self) -> f64 {
+        let primary_mhz = match self.number {
+            14 => 2_484,
+            number @ 1..=13 => 2_407 + 5 * number,
+            number => 5_000 + 5 * number,
+        };
+        let shift_mhz = match self.width {
+            Width::Ht20 => 0.0,
+            Width::Ht40Plus => 10.0,
+            Width::Ht40Minus => -10.0,
+        };
+        (f64::from(primary_mhz) + shift_mhz) * 1e6
+    }
+
+    /// Wavelength at the centre, metres.
+    #[must_use]
+    pub fn wavelength_m(self) -> f64 {
+        SPEED_OF_LIGHT_M_PER_S / self.centre_hz()
+    }
+
+    /// True in the 2.4 GHz band, where the card's phases jump by multiples of pi/2 at every tuning.
+    #[must_use]
+    pub fn is_2_4_ghz(self) -> bool {
+        self.number <= 14
+    }
+
+    /// Indices of the reported subcarriers about the centre.
+    #[must_use]
+    pub fn subcarriers(self) -> [i8; SUBCARRIERS] {
+        match self.width {
+            Width::Ht20 => INDICES_20_MHZ,
+            Width::Ht40Plus | Width::Ht40Minus => INDICES_40_MHZ,
+        }
+    }
+}
+
+impl FromStr for Channel {
+    type Err = NoChannel;
+
+    fn from_str(text: &str) -> Result<Self, NoChannel> {
+        let (digits, width) = match (text.strip_suffix('+'), text.strip_suffix('-')) {
+            (Some(digits), _) => (digits, Width::Ht40Plus),
+            (_, Some(digits)) => (digits, Width::Ht40Minus),
+            _ => (text, Width::Ht20),
+        };
+        let number = digits.parse().map_err(|_| NoChannel(text.into()))?;
+        Self::new(number, width).map_err(|_| NoChannel(text.into()))
+    }
+}
+
+impl fmt::Display for Channel {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let sign = match self.width {
+            Width::Ht20 => "",
+            Width::Ht40Plus => "+",
+            Width::Ht40Minus => "-",
+        };
+        write!(f, "{}{sign}", self.number)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn channels_of_both_bands() {
+        let hz = |text: &str| text.parse::<Channel>().unwrap().centre_hz();
+        assert_eq!(hz("108"), 5.54e9);
+        assert_eq!(hz("1"), 2.412e9);
+        assert_eq!(hz("14"), 2.484e9);
+        assert_eq!(hz("36+"), 5.19e9);
+        assert_eq!(hz("40-"), 5.19e9);
+        let channel: Channel = "36+".parse().unwrap();
+        assert_eq!((channel.to_string().as_str(), channel.subcarriers()[0]), ("36+", -58));
+        assert!((Channel::new(108, Width::Ht20).unwrap().wavelength_m() - 0.054_114_162).abs() < 1e-8);
+        for wrong in ["0", "15", "33", "200", "14+", "", "x", "-5", "108*"] {
+            assert!(wrong.parse::<Channel>().is_err(), "{wrong}");
+        }
+    }
+}

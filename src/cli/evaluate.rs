@@ -1,0 +1,142 @@
+//! `csi5300 evaluate`.
+
+use super::args::{Estimation, channel};
+use super::{Outcome, Result, print, print_json};
+use csi5300::channel::{Channel, Width};
+use csi5300::evaluate::{Errors, Evaluated, Judged, SetSummary, Source, find, summarise};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Arguments of `evaluate`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Folder with captures below it, as in the WSR data set
+    folder: PathBuf,
+    /// Which trajectory to use
+    #[arg(long, value_enum, default_value = "gt")]
+    trajectory: Which,
+    /// WiFi channel instead of the one in groundtruth_positions.json
+    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    channel: Option<Channel>,
+    #[command(flatten)]
+    estimation: Estimation,
+    /// JSON Lines: one object a link, then a summary
+    #[arg(long)]
+    json: bool,
+    /// Captures worked on at a time; 0 is one for each core
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    threads: usize,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Which {
+    /// Motion capture
+    Gt,
+    /// Tracking camera
+    T265,
+    /// Wheel odometry
+    Odom,
+}
+
+/// Evaluates a tree of captures.
+pub fn run(args: &Args) -> Result {
+    if !args.folder.is_dir() {
+        return Err(format!("{} is not a folder", args.folder.display()));
+    }
+    let source = match args.trajectory {
+        Which::Gt => Source::GroundTruth,
+        Which::T265 => Source::T265,
+        Which::Odom => Source::Odometry,
+    };
+    // The channel here is a stand-in; each capture brings its own.
+    let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
+    let options = args.estimation.options(args.channel.unwrap_or(fallback))?;
+    let (captures, unreadable) = find(&args.folder);
+    for folder in &unreadable {
+        eprintln!("csi5300: cannot read {folder}");
+    }
+    if captures.is_empty() {
+        return Err(format!(
+            "no capture below {}: a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat",
+            args.folder.display()
+        ));
+    }
+    let bar = ProgressBar::with_draw_target(Some(captures.len() as u64), ProgressDrawTarget::stderr());
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} captures, {eta} left") {
+        bar.set_style(style);
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build().map_err(|error| error.to_string())?;
+    let one = |capture: &csi5300::evaluate::Capture| {
+        let evaluated = capture.evaluate(source, args.channel, &options);
+        bar.inc(1);
+        evaluated
+    };
+    let results: Vec<Evaluated> = pool.install(|| captures.par_iter().map(one).collect());
+    bar.finish_and_clear();
+    let lost = !unreadable.is_empty() || results.iter().any(|result| result.lost);
+    let rows: Vec<Judged> = results.into_iter().flat_map(|result| result.rows).collect();
+    let summary = summarise(&rows);
+    if args.json {
+        rows.iter().for_each(print_json);
+        print_json(&BTreeMap::from([("summary", &summary)]));
+    } else {
+        print(&table(&rows, &summary));
+    }
+    for row in rows.iter().filter(|row| row.answer.error.is_some()) {
+        eprintln!("csi5300: {}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
+    }
+    Ok(match rows.iter().any(|row| row.answer.azimuth_deg.is_some()) {
+        false => Outcome::Nothing,
+        true if lost => Outcome::DataLost,
+        true => Outcome::Done,
+    })
+}
+
+fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
+    let width = rows.iter().map(|row| row.answer.link.len()).max().unwrap_or(4).max(4);
+    let mut text = format!(
+        "{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6} {:>8}\n",
+        "link", "azimuth", "sd", "mirror", "truth", "error", "coh.", "pairs", "CFO"
+    );
+    let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| format!("{value:.digits$}"));
+    for row in rows {
+        let a = &row.answer;
+        let _ = writeln!(
+            text,
+            "{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6} {:>8}",
+            a.link,
+            number(a.azimuth_deg, 2),
+            number(a.azimuth_sd_deg, 2),
+            number(a.mirror_deg, 2),
+            number(row.true_from_mean_pose_deg, 2),
+            number(row.error_from_mean_pose_deg, 2),
+            number(a.coherence, 2),
+            a.pairs_in_motion,
+            number(a.cfo_hz, 0),
+        );
+    }
+    let _ = writeln!(text, "\nabsolute error, degrees: mean / median / 90th percentile / share over 20 degrees");
+    let line = |errors: &Errors| {
+        format!(
+            "{:.2} / {:.2} / {:.2} / {:.1} %",
+            errors.mean_deg,
+            errors.median_deg,
+            errors.p90_deg,
+            errors.over_20 * 100.0
+        )
+    };
+    for (set, s) in summary {
+        let _ = writeln!(
+            text,
+            "{set}: {} links, {} failed; from the mean pose {}; from the start {}",
+            s.links,
+            s.failed,
+            line(&s.from_mean_pose),
+            line(&s.from_start)
+        );
+    }
+    text
+}

@@ -1,0 +1,107 @@
+//! Words to calls, results to exit codes. Results go to standard output, diagnostics to standard error.
+
+mod args;
+mod bearing;
+mod demo;
+mod evaluate;
+mod export;
+mod info;
+mod npz;
+mod profile;
+mod recover;
+mod simulate;
+
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// How a command ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Outcome {
+    /// Done; a cut last record is the normal end of a log that was killed.
+    Done,
+    /// Done, but records were dropped or damaged before the tail, or some link or capture failed.
+    DataLost,
+    /// Nothing usable.
+    Nothing,
+}
+
+impl From<Outcome> for ExitCode {
+    fn from(outcome: Outcome) -> Self {
+        Self::from(match outcome {
+            Outcome::Done => 0,
+            Outcome::Nothing => 1,
+            Outcome::DataLost => 3,
+        })
+    }
+}
+
+/// A command's result: its outcome, or what went wrong in words for the user.
+pub type Result = std::result::Result<Outcome, String>;
+
+/// Bearings between robots from WiFi alone: CSI of the Intel 5300, live, replayed or simulated.
+#[derive(Parser)]
+#[command(
+    name = "csi5300",
+    version,
+    after_help = "Exit status: 0 done (a log cut at its end is normal); 1 nothing usable; 2 wrong usage; \
+                  3 done, but records were lost before the end of a log, or a link or capture failed."
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// The paper's circle and line experiments, simulated, decoded and estimated, with pictures
+    Demo(demo::Args),
+    /// The bearing from a receiver that moved to one or more transmitters, from their logs
+    Bearing(bearing::Args),
+    /// What is in logs: layout, senders, rates, losses with their offsets, where and why a log was cut
+    Info(info::Args),
+    /// Bearings of a whole tree of captures against the truth
+    Evaluate(evaluate::Args),
+    /// Copies every intact record of a damaged log, and nothing else
+    Recover(recover::Args),
+    /// CSI of a log as CSV or NPZ, raw or scaled
+    Export(export::Args),
+    /// A room full of robots: writes the logs that their cards would have recorded
+    Simulate(simulate::Args),
+}
+
+/// Runs the command named by the arguments.
+pub fn run() -> ExitCode {
+    let cli = Cli::parse();
+    let result = match cli.command {
+        Command::Demo(args) => demo::run(&args),
+        Command::Bearing(args) => bearing::run(args),
+        Command::Info(args) => info::run(&args),
+        Command::Evaluate(args) => evaluate::run(&args),
+        Command::Recover(args) => recover::run(&args),
+        Command::Export(args) => export::run(&args),
+        Command::Simulate(args) => simulate::run(&args),
+    };
+    match result {
+        Ok(outcome) => outcome.into(),
+        Err(message) => {
+            eprintln!("csi5300: {message}");
+            Outcome::Nothing.into()
+        }
+    }
+}
+
+/// Prints to standard output; a reader that went away (`| head`) ends the command quietly.
+pub fn print(text: &str) {
+    use std::io::Write;
+    if std::io::stdout().write_all(text.as_bytes()).is_err() {
+        std::process::exit(0);
+    }
+}
+
+/// Prints one value as a line of JSON.
+pub fn print_json(value: &impl serde::Serialize) {
+    match serde_json::to_string(value) {
+        Ok(line) => print(&format!("{line}\n")),
+        Err(error) => eprintln!("csi5300: {error}"),
+    }
+}

@@ -1,0 +1,140 @@
+//! One log on its way into the pipeline: records in, frames of interest out, everything else counted.
+
+use crate::backend::{CsiSource, Error, Next};
+use crate::channel::SUBCARRIERS;
+use crate::survey::Survey;
+use crate::time::Instant;
+use driver_iface::{
+    Mac,
+    bfee::{ALL_SUBCARRIERS, Antenna, Iq},
+};
+use num_complex::Complex32;
+use std::collections::VecDeque;
+
+/// One frame as one antenna heard it: about a hundred bytes, so that many can wait for their partners.
+#[derive(Clone, Copy, Debug)]
+pub struct Heard {
+    /// Frame number.
+    pub number: u32,
+    /// Card clock, microseconds, wrapping.
+    pub timestamp_low: u32,
+    /// Host time, microseconds since the Unix epoch.
+    pub host_us: Option<i64>,
+    /// Running number among the frames of its sender in this log, from 0.
+    pub row: u32,
+    iq: [Iq; SUBCARRIERS],
+}
+
+impl Heard {
+    /// The CSI, unscaled, by reported subcarrier.
+    #[must_use]
+    pub fn csi(&self) -> [Complex32; SUBCARRIERS] {
+        self.iq.map(|iq| Complex32::new(f32::from(iq.i), f32::from(iq.q)))
+    }
+}
+
+/// Intact bfee records that the pipeline could not use, by reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Unused {
+    /// No frame number: a stock record without an MPDU before it, or an unknown sender.
+    pub no_number: u64,
+    /// The antenna asked for is not in the record, or its place is not known.
+    pub no_antenna: u64,
+    /// From a sender that takes no part.
+    pub other_sender: u64,
+}
+
+/// A log being read.
+pub struct Log<'a> {
+    source: &'a mut dyn CsiSource,
+    antenna: Antenna,
+    /// What was counted.
+    pub survey: Survey,
+    /// What was not used.
+    pub unused: Unused,
+    queue: VecDeque<(Mac, Heard)>,
+    rows: std::collections::BTreeMap<Mac, u32>,
+    now: Instant,
+    ended: bool,
+}
+
+impl<'a> Log<'a> {
+    /// A log from `source`, of which only `antenna` is decoded.
+    pub fn new(source: &'a mut dyn CsiSource, antenna: Antenna) -> Self {
+        Self {
+            source,
+            antenna,
+            survey: Survey::default(),
+            unused: Unused::default(),
+            queue: VecDeque::new(),
+            rows: std::collections::BTreeMap::new(),
+            now: Instant::ZERO,
+            ended: false,
+        }
+    }
+
+    /// Reads ahead until `limit` frames wait or the log ends, and gives those that wait.
+    ///
+    /// # Errors
+    /// If the source fails.
+    pub fn read_ahead(&mut self, limit: usize) -> Result<&VecDeque<(Mac, Heard)>, Error> {
+        while self.queue.len() < limit && !self.ended {
+            self.pull()?;
+        }
+        Ok(&self.queue)
+    }
+
+    /// The next frame in the log, or `None` at its end.
+    ///
+    /// # Errors
+    /// If the source fails.
+    pub fn next_frame(&mut self) -> Result<Option<(Mac, Heard)>, Error> {
+        while self.queue.is_empty() && !self.ended {
+            self.pull()?;
+        }
+        Ok(self.queue.pop_front())
+    }
+
+    /// True once everything was read and given out.
+    #[must_use]
+    pub fn is_done(&self) -> bool {
+        self.ended && self.queue.is_empty()
+    }
+
+    fn pull(&mut self) -> Result<(), Error> {
+        let next = self.source.receive(self.now)?;
+        let noted = self.survey.note(&next);
+        if let Some((bfee, identity)) = noted {
+            let Some(number) = identity.frame_count else {
+                self.unused.no_number += 1;
+                return Ok(());
+            };
+            let row = self.rows.entry(identity.mac).or_default();
+            let mut iq = [Iq::default(); SUBCARRIERS];
+            let heard =
+                bfee.chain_of(self.antenna).filter(|&chain| bfee.column(chain, 0, &ALL_SUBCARRIERS, &mut iq).is_some());
+            match heard {
+                Some(_) => {
+                    let timestamp_low = bfee.timestamp_low();
+                    let frame = Heard { number, timestamp_low, host_us: identity.host_us, row: *row, iq };
+                    self.queue.push_back((identity.mac, frame));
+                }
+                None => self.unused.no_antenna += 1,
+            }
+            *row += 1;
+            return Ok(());
+        }
+        match next {
+            Next::End(_) => self.ended = true,
+            Next::Pending => match self.source.next_at() {
+                Some(at) => self.now = at.max(self.now),
+                None => {
+                    let what = "a live source cannot be read to its end: record it, then give the log".into();
+                    return Err(Error::Input(what));
+                }
+            },
+            Next::Record(..) | Next::Lost(_) => {}
+        }
+        Ok(())
+    }
+}

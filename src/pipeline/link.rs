@@ -1,0 +1,327 @@
+//! One link: its pairs, made into coherent samples along the motion, made into a bearing.
+
+use super::intake::Heard;
+use super::{JoinBy, Options};
+use crate::bartlett::{self, Estimate, Grid, Profile};
+use crate::cfo::{TurnAround, at_centre, round_trip};
+use crate::pairing::{Pair, Pairing, Side, SideCounts};
+use crate::pose::{Motion, Trajectory, wrap_rad};
+use crate::samples::Samples;
+use driver_iface::Mac;
+use nalgebra::Vector3;
+use num_complex::Complex64;
+
+/// Why a link gives no bearing.
+#[derive(Debug, thiserror::Error)]
+pub enum LinkError {
+    /// No frame of this transmitter is in both logs.
+    #[error(
+        "no frame number of this link is in both logs ({receiver} records in the receiver's, {transmitter} in the transmitter's): are they of one run?"
+    )]
+    NoPairs {
+        /// Frames in the receiver's log.
+        receiver: u64,
+        /// Frames in the transmitter's log.
+        transmitter: u64,
+    },
+    /// The receiver's records hold no host time, so they cannot be joined with a trajectory by time.
+    #[error(
+        "the receiver's records hold no host time (stock layout): join with the trajectory row by row (--join-rows)"
+    )]
+    NoHostTime,
+    /// All pairs lie outside the trajectory.
+    #[error(
+        "the {pairs} pairs (from {from_s:.3} s to {to_s:.3} s) lie outside the trajectory ({start_s:.3} s to {end_s:.3} s): is it of this run? --clock-offset shifts one against the other"
+    )]
+    OutsideTrajectory {
+        /// Pairs.
+        pairs: usize,
+        /// Time of the first pair on the trajectory's clock, s.
+        from_s: f64,
+        /// Time of the last pair, s.
+        to_s: f64,
+        /// First pose, s.
+        start_s: f64,
+        /// Last pose, s.
+        end_s: f64,
+    },
+    /// The robots did not move relative to each other.
+    #[error(
+        "no motion: none of the {pairs} pairs was taken while a robot moved, and without motion there is no bearing"
+    )]
+    NoMotion {
+        /// Pairs.
+        pairs: usize,
+    },
+    /// The transmitter's log could not be matched.
+    #[error(transparent)]
+    Unmatched(#[from] crate::assign::Unmatched),
+    /// The estimator refused.
+    #[error(transparent)]
+    Bartlett(#[from] bartlett::Error),
+}
+
+/// Pairs by what became of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct PairCounts {
+    /// Pairs formed.
+    pub formed: usize,
+    /// Used for the bearing.
+    pub in_motion: usize,
+    /// Taken while no robot moved.
+    pub standing: usize,
+    /// Outside the trajectory, or in a gap of it.
+    pub no_pose: usize,
+    /// Outside `--from`..`--to`.
+    pub cut: usize,
+    /// Without energy at the antenna.
+    pub silent: usize,
+}
+
+/// What is known of a link once its logs were read.
+#[derive(Debug)]
+pub struct Link {
+    /// The transmitter's MAC.
+    pub mac: Mac,
+    pairing: Pairing<Heard>,
+    rows: Vec<Row>,
+    silent: usize,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Row {
+    z: Complex64,
+    clock_rx_us: i64,
+    difference_us: i64,
+    host_us: Option<i64>,
+    row: u32,
+    one_way_rad: f64,
+}
+
+/// Everything that a link gave.
+#[derive(Debug)]
+pub struct Bearing {
+    /// The estimate, azimuth in the trajectory's frame.
+    pub estimate: Estimate,
+    /// Azimuth relative to the robot's heading at the last sample used, radians.
+    pub azimuth_body_rad: Option<f64>,
+    /// Turn-around compensation, where both clocks allowed one.
+    pub turn_around: Option<TurnAround>,
+    /// Whether it was applied.
+    pub compensated: bool,
+    /// Pairs by fate.
+    pub pairs: PairCounts,
+    /// Mean receiver position of the samples used, metres, trajectory frame.
+    pub mean_position_m: Vector3<f64>,
+    /// The figures that the peers report beside their bearings.
+    pub peers: PeerFigures,
+    /// The samples used.
+    pub samples: Samples,
+    /// The receiver's whole path, if [`Options::keep_course`] asked for it, metres.
+    pub path_m: Vec<Vector3<f64>>,
+    /// The phase of every pair, if [`Options::keep_course`] asked for it.
+    pub course: Vec<Phase>,
+}
+
+/// The phase of one pair, for pictures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Phase {
+    /// Seconds from the link's first pair.
+    pub t_s: f64,
+    /// Phase of what the receiver alone heard, at the channel centre, radians.
+    pub one_way_rad: f64,
+    /// Phase of the round-trip product, radians.
+    pub round_trip_rad: f64,
+    /// The same after turn-around compensation, radians.
+    pub compensated_rad: f64,
+}
+
+/// Figures of merit as the peers define them, from an azimuth profile on the WSR toolbox's grid.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PeerFigures {
+    /// The WSR toolbox's profile variance: lower is sharper, 1 is uniform.
+    pub wsr_profile_variance: Option<f64>,
+    /// The paper's likelihood share: the highest entry over the sum (its code prints half, holding each column twice).
+    pub likelihood_share: Option<f64>,
+}
+
+impl PeerFigures {
+    fn of(samples: &Samples, wavelength_m: f64) -> Result<Self, bartlett::Error> {
+        // The toolbox's planar mode: one azimuth profile, the same for each of its polar angles.
+        let whole = Grid::wsr();
+        let (rows, columns) = whole.shape();
+        let ring = Grid::directions((0..columns).map(|column| (whole.at(column).0, 0.0)).collect());
+        let profile = bartlett::profile(samples, wavelength_m, &ring)?;
+        let likelihood_share = profile.likelihood_share();
+        let tiled = Profile { values: profile.values.repeat(rows), grid: whole, sum_abs: profile.sum_abs };
+        Ok(Self { wsr_profile_variance: bartlett::wsr_profile_variance(&tiled), likelihood_share })
+    }
+}
+
+impl Link {
+    /// A link to `mac` with nothing in it yet.
+    #[must_use]
+    pub fn new(mac: Mac) -> Self {
+        Self { mac, pairing: Pairing::new(4_096), rows: Vec::new(), silent: 0 }
+    }
+
+    /// Which side should be read next.
+    #[must_use]
+    pub fn behind(&self) -> Side {
+        self.pairing.behind()
+    }
+
+    /// Records of one side by fate.
+    #[must_use]
+    pub fn counts(&self, side: Side) -> SideCounts {
+        self.pairing.counts(side)
+    }
+
+    /// Pairs so far.
+    #[must_use]
+    pub fn pairs(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Takes a frame of one side.
+    pub fn handle(&mut self, side: Side, heard: Heard, options: &Options) {
+        self.pairing.handle(side, heard.number, heard.timestamp_low, heard);
+        while let Some(pair) = self.pairing.poll_pair() {
+            self.keep(&pair, options);
+        }
+    }
+
+    fn keep(&mut self, pair: &Pair<Heard>, options: &Options) {
+        let product = round_trip(&pair.transmitter.csi(), &pair.receiver.csi());
+        let Some(coherent) = at_centre(&product, &options.channel.subcarriers()) else {
+            self.silent += 1;
+            return;
+        };
+        let one_way = || at_centre(&pair.receiver.csi(), &options.channel.subcarriers());
+        let one_way = options.keep_course.then(one_way).flatten();
+        self.rows.push(Row {
+            one_way_rad: one_way.map_or(0.0, |one_way| one_way.h.arg()),
+            z: coherent.h,
+            clock_rx_us: pair.clock_rx_us,
+            difference_us: pair.clock_difference_us,
+            host_us: pair.receiver.host_us,
+            row: pair.receiver.row,
+        });
+    }
+
+    /// Ends both logs.
+    pub fn finish(&mut self) {
+        self.pairing.finish();
+    }
+
+    /// The bearing, from everything read.
+    ///
+    /// # Errors
+    /// If there is nothing to make one from; see [`LinkError`].
+    pub fn bearing(
+        &self,
+        receiver: &Trajectory,
+        transmitter: Option<&Trajectory>,
+        options: &Options,
+    ) -> Result<Bearing, LinkError> {
+        if self.rows.is_empty() {
+            let handed = |side| self.counts(side).handed;
+            return Err(LinkError::NoPairs {
+                receiver: handed(Side::Receiver),
+                transmitter: handed(Side::Transmitter),
+            });
+        }
+        let raw: Vec<Complex64> = self.rows.iter().map(|row| row.z).collect();
+        let mut z = raw.clone();
+        let turn_around = self.turn_around(&raw, options.channel.centre_hz());
+        let compensated = options.compensate && turn_around.as_ref().is_some_and(|t| t.worthwhile);
+        if let Some(turn_around) = turn_around.as_ref().filter(|_| compensated) {
+            turn_around.apply(&mut z);
+        }
+        let times = self.times_s(receiver, options)?;
+        let mut pairs =
+            PairCounts { formed: self.rows.len() + self.silent, silent: self.silent, ..PairCounts::default() };
+        let mut samples = Samples::new(2);
+        let mut heading_rad = None;
+        let motion = (receiver.motion(), transmitter.map(Trajectory::motion));
+        for (&t_s, &z) in times.iter().zip(&z) {
+            if !options.keeps(t_s - times[0]) {
+                pairs.cut += 1;
+                continue;
+            }
+            let partner = match transmitter {
+                Some(trajectory) => trajectory.at(t_s).map(|pose| pose.position_m),
+                None => Some(Vector3::zeros()),
+            };
+            let (Some(pose), Some(partner)) = (receiver.at(t_s), partner) else {
+                pairs.no_pose += 1;
+                continue;
+            };
+            let moves = |trajectory: &Trajectory, motion: &Motion| {
+                let inside = motion.window_s.is_some_and(|(from, to)| (from..=to).contains(&t_s));
+                inside && trajectory.speed_m_per_s(t_s) > motion.floor_m_per_s
+            };
+            let other =
+                transmitter.zip(motion.1.as_ref()).is_some_and(|(trajectory, motion)| moves(trajectory, motion));
+            if !other && !moves(receiver, &motion.0) {
+                pairs.standing += 1;
+                continue;
+            }
+            heading_rad = pose.heading_rad;
+            samples.push(t_s, z / z.norm(), pose.position_m, partner);
+        }
+        pairs.in_motion = samples.len();
+        if samples.is_empty() {
+            return Err(self.no_samples(&pairs, &times, receiver));
+        }
+        let estimate = bartlett::search(&samples, options.channel.wavelength_m(), &options.search)?;
+        let sum = samples.receiver_m.iter().fold(Vector3::zeros(), |sum, p| sum + p);
+        Ok(Bearing {
+            azimuth_body_rad: heading_rad.map(|heading| wrap_rad(estimate.azimuth_rad - heading)),
+            estimate,
+            peers: PeerFigures::of(&samples, options.channel.wavelength_m())?,
+            turn_around,
+            compensated,
+            pairs,
+            mean_position_m: sum / samples.len() as f64,
+            samples,
+            path_m: receiver.poses().iter().filter(|_| options.keep_course).map(|pose| pose.position_m).collect(),
+            course: if options.keep_course { self.course(&times, &z) } else { Vec::new() },
+        })
+    }
+
+    fn course(&self, times_s: &[f64], z: &[Complex64]) -> Vec<Phase> {
+        let phase = |((row, z), t_s): ((&Row, &Complex64), &f64)| Phase {
+            t_s: t_s - times_s[0],
+            one_way_rad: row.one_way_rad,
+            round_trip_rad: row.z.arg(),
+            compensated_rad: z.arg(),
+        };
+        self.rows.iter().zip(z).zip(times_s).map(phase).collect()
+    }
+
+    fn turn_around(&self, z: &[Complex64], carrier_hz: f64) -> Option<TurnAround> {
+        let clock: Vec<i64> = self.rows.iter().map(|row| row.clock_rx_us).collect();
+        let difference: Vec<i64> = self.rows.iter().map(|row| row.difference_us).collect();
+        TurnAround::estimate(z, &clock, &difference, carrier_hz)
+    }
+
+    /// The time of each pair on the trajectory's clock.
+    fn times_s(&self, trajectory: &Trajectory, options: &Options) -> Result<Vec<f64>, LinkError> {
+        let time = |row: &Row| match options.join {
+            JoinBy::Time => row.host_us.map(|us| us as f64 * 1e-6 + options.clock_offset_s),
+            // Past the last row there is no pose; any time after the end says so.
+            JoinBy::Row => Some(trajectory.poses().get(row.row as usize).map_or(f64::MAX, |pose| pose.t_s)),
+        };
+        self.rows.iter().map(time).collect::<Option<_>>().ok_or(LinkError::NoHostTime)
+    }
+
+    fn no_samples(&self, pairs: &PairCounts, times: &[f64], trajectory: &Trajectory) -> LinkError {
+        if pairs.standing > 0 || pairs.no_pose < pairs.formed {
+            return LinkError::NoMotion { pairs: pairs.formed };
+        }
+        let (start_s, end_s) = trajectory.span_s();
+        let (from_s, to_s) = (times[0], times[times.len() - 1]);
+        LinkError::OutsideTrajectory { pairs: pairs.formed, from_s, to_s, start_s, end_s }
+    }
+}
