@@ -69,7 +69,7 @@ impl Carrier {
     }
 
     /// The subcarrier indices of the 30 tones.
-    #[must_use]
+    #[cfg(test)]
     pub fn indices(&self) -> &'static [i32; TONES] {
         self.indices
     }
