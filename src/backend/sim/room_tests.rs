@@ -321,7 +321,10 @@ proptest! {
     /// Whatever is injected, nothing panics, and a record is made of exactly what a card reports CSI for.
     #[test]
     fn any_frame_is_carried(frames in prop::collection::vec((prop::collection::vec(any::<u8>(), 0..90), any::<bool>()), 0..12)) {
-        let mut room = Room::quiet(&two("driver = \"wsr\"", "", "")).unwrap();
+        let mut scene = two("", "", "");
+        // An answer to a frame of 57 bytes could collide with the next.
+        scene.robot[1].ack_len = None;
+        let mut room = Room::quiet(&scene).unwrap();
         let (mut a, mut b) = (room.card(0).unwrap(), room.card(1).unwrap());
         let mut with_csi = 0;
         for (mut bytes, magic) in frames {
@@ -332,9 +335,7 @@ proptest! {
             prop_assert_eq!(sent, bytes.len() >= 24);
             with_csi += usize::from(sent && magic);
         }
-        let rows = drain(&mut b).0.len();
-        // The other robot's driver answers frames of 57 bytes, which may collide with the next.
-        prop_assert_eq!(rows + room.injected()[1].collided as usize, with_csi);
+        prop_assert_eq!(drain(&mut b).0.len(), with_csi);
     }
 }
 
