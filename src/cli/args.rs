@@ -3,7 +3,7 @@
 use clap::Args;
 use csi5300::bartlett::SearchOptions;
 use csi5300::channel::Channel;
-use csi5300::pipeline::{JoinBy, Options};
+use csi5300::pipeline::Options;
 use driver_iface::{Mac, bfee::Antenna};
 
 /// How bearings are made.
@@ -58,17 +58,13 @@ impl Estimation {
             return Err(format!("--from {from} is not before --to {to}"));
         }
         Ok(Options {
-            channel,
             antenna: self.antenna,
-            tx_macs: Vec::new(),
-            rx_mac: None,
             clock_offset_s: self.clock_offset,
-            join: JoinBy::Time,
             from_s: self.from,
             to_s: self.to,
             compensate: !self.no_compensation,
-            keep_course: false,
             search: SearchOptions { elevation_max_rad: self.elevation_max.to_radians(), ..SearchOptions::default() },
+            ..Options::new(channel)
         })
     }
 }
