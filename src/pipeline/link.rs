@@ -3,7 +3,7 @@
 use super::intake::Heard;
 use super::{JoinBy, Options};
 use crate::bartlett::{self, Estimate, Grid, Profile};
-use crate::cfo::{TurnAround, at_centre, round_trip};
+use crate::cfo::{TurnAround, at_centre, round_trip_at_centre};
 use crate::pairing::{Pair, Pairing, Side, SideCounts};
 use crate::pose::{Motion, Trajectory, wrap_rad};
 use crate::samples::Samples;
@@ -192,8 +192,8 @@ impl Link {
     }
 
     fn keep(&mut self, pair: &Pair<Heard>, options: &Options) {
-        let product = round_trip(&pair.transmitter.csi(), &pair.receiver.csi());
-        let Some(coherent) = at_centre(&product, &options.channel.subcarriers()) else {
+        let (forward, backward) = (pair.transmitter.csi(), pair.receiver.csi());
+        let Some(coherent) = round_trip_at_centre(&forward, &backward, &options.channel.subcarriers()) else {
             self.silent += 1;
             return;
         };
