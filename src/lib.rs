@@ -17,3 +17,5 @@ pub mod samples;
 pub mod survey;
 pub mod tdma;
 pub mod time;
+#[cfg(feature = "live")]
+pub mod wait;
