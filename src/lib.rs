@@ -14,6 +14,7 @@ pub mod pairing;
 pub mod pipeline;
 pub mod pose;
 pub mod samples;
+pub mod status;
 pub mod survey;
 pub mod tdma;
 pub mod time;

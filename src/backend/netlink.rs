@@ -13,10 +13,12 @@
 //! CAP_NET_ADMIN is enough to listen; root is not needed.
 
 mod intake;
+mod send;
 mod socket;
 mod stream;
 
 pub use intake::Counters;
+pub use send::Sender;
 pub use socket::Found;
 pub use stream::Stream;
 
@@ -46,12 +48,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self {
-            connector_index: None,
-            allow_user_sender: false,
-            receive_buffer: RECEIVE_BUFFER,
-            wall_us: || None,
-        }
+        Self { connector_index: None, allow_user_sender: false, receive_buffer: RECEIVE_BUFFER, wall_us: || None }
     }
 }
 

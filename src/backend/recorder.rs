@@ -6,8 +6,10 @@
 //! back to the last whole record.
 
 mod files;
+mod pipe;
 
 pub use files::{LogFiles, Rotation, side_path};
+pub use pipe::Pipe;
 
 use super::{CsiSource, Error, Next, Stamps};
 use crate::time::{Instant, Span};

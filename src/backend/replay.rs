@@ -45,7 +45,17 @@ impl<R: Read> Replay<R> {
     /// Replays what `reader` gives; `name` is for messages.
     pub fn new(reader: R, name: String) -> Self {
         let buffer = vec![0; CHUNK + LOOKAHEAD];
-        Self { reader, name, buffer, start: 0, filled: 0, end_of_file: false, framer: Framer::new(), bytes: 0, side: None }
+        Self {
+            reader,
+            name,
+            buffer,
+            start: 0,
+            filled: 0,
+            end_of_file: false,
+            framer: Framer::new(),
+            bytes: 0,
+            side: None,
+        }
     }
 
     /// Bytes read so far: the size of the log once it ended.

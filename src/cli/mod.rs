@@ -4,7 +4,13 @@ mod args;
 mod bearing;
 mod evaluate;
 mod info;
+#[cfg(feature = "live")]
+mod live;
+#[cfg(feature = "live")]
+mod record;
 mod recover;
+#[cfg(feature = "live")]
+mod replay;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -56,6 +62,12 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Copies every intact record of a damaged log, and nothing else
     Recover(recover::Args),
+    /// Records the driver's messages to a log, live
+    #[cfg(feature = "live")]
+    Record(record::Args),
+    /// Plays a log at its own pace, to standard output or into the kernel's connector
+    #[cfg(feature = "live")]
+    Replay(replay::Args),
 }
 
 /// Runs the command named by the arguments.
@@ -66,6 +78,10 @@ pub fn run() -> ExitCode {
         Command::Info(args) => info::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Recover(args) => recover::run(&args),
+        #[cfg(feature = "live")]
+        Command::Record(args) => record::run(&args),
+        #[cfg(feature = "live")]
+        Command::Replay(args) => replay::run(&args),
     };
     match result {
         Ok(outcome) => outcome.into(),
