@@ -145,6 +145,7 @@ impl Session<'_> {
         let mut look_at = self.clock.now() + LOOK;
         let mut told = None;
         let mut burst = 0;
+        let mut ending = false;
         loop {
             let now = self.clock.now();
             let next = source.receive(now).map_err(|error| error.to_string())?;
@@ -155,6 +156,8 @@ impl Session<'_> {
                     eprintln!("{}", loss_words(loss));
                     false
                 }
+                // What was queued when the signal came has been read.
+                Next::Pending if ending => return Ok(()),
                 Next::Pending => true,
                 Next::End(_) => return Ok(()),
                 Next::Record(..) => false,
@@ -182,9 +185,7 @@ impl Session<'_> {
             let until =
                 if pending { [source.next_at(), end_at, Some(look_at)].into_iter().flatten().min() } else { Some(now) };
             let ready = self.clock.wait([self.socket.as_fd(), self.signals.as_fd()], until);
-            if ready.map_err(|error| error.to_string())?[1] {
-                return Ok(());
-            }
+            ending |= ready.map_err(|error| error.to_string())?[1];
         }
     }
 
