@@ -95,7 +95,7 @@ cp tests/kernel/load "$tree/bin/load"
 chmod +x "$tree/init" "$tree/bin/load"
 cp "$unpacked"/bin/busybox "$tree/bin/busybox"
 for file in regulatory.db regulatory.db.p7s; do
-    found=$(find "$unpacked/lib/firmware" "$unpacked/usr/lib/firmware" -name "$file-debian" 2>/dev/null | head -n 1)
+    found=$(find "$unpacked/lib/firmware" "$unpacked/usr/lib/firmware" -name "$file-debian" 2>/dev/null | head -n 1 || true)
     [ -z "$found" ] || cp "$found" "$tree/lib/firmware/$file"
 done
 iw=$(find "$unpacked" -path '*bin/iw' -type f | head -n 1)

@@ -2,6 +2,7 @@
 for chains in "3 1" "3 3"; do
     set -- $chains
     log=/tmp/$1x$2.dat
+    : >/tmp/said
     csi5300 record "$log" --records 2000 2>/tmp/said &
     recorder=$!
     until grep -q "listening on connector" /tmp/said; do :; done
