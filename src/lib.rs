@@ -8,6 +8,7 @@ pub mod bartlett;
 pub mod cfo;
 pub mod channel;
 pub mod csi;
+pub mod doctor;
 pub mod evaluate;
 pub mod odometry;
 pub mod pairing;

@@ -2,6 +2,8 @@
 
 mod args;
 mod bearing;
+#[cfg(feature = "live")]
+mod doctor;
 mod evaluate;
 mod info;
 #[cfg(feature = "live")]
@@ -11,6 +13,8 @@ mod record;
 mod recover;
 #[cfg(feature = "live")]
 mod replay;
+#[cfg(feature = "live")]
+mod setup;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -68,6 +72,12 @@ enum Command {
     /// Plays a log at its own pace, to standard output or into the kernel's connector
     #[cfg(feature = "live")]
     Replay(replay::Args),
+    /// What stands between this machine and a first record, and the command that mends it
+    #[cfg(feature = "live")]
+    Doctor(doctor::Args),
+    /// The steps that put the card into monitor mode: printed, or taken with --apply
+    #[cfg(feature = "live")]
+    Setup(setup::Args),
 }
 
 /// Runs the command named by the arguments.
@@ -82,6 +92,10 @@ pub fn run() -> ExitCode {
         Command::Record(args) => record::run(&args),
         #[cfg(feature = "live")]
         Command::Replay(args) => replay::run(&args),
+        #[cfg(feature = "live")]
+        Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "live")]
+        Command::Setup(args) => setup::run(&args),
     };
     match result {
         Ok(outcome) => outcome.into(),
