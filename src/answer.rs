@@ -2,7 +2,7 @@
 
 use crate::bartlett::Geometry;
 use crate::pairing::{Side, SideCounts};
-use crate::pipeline::link::PairCounts;
+use crate::pipeline::link::{Link, PairCounts};
 use crate::pipeline::{LinkReport, Report};
 use serde::Serialize;
 
@@ -73,7 +73,7 @@ impl Answer {
             link,
             mac: report.mac.map(|mac| mac.to_string()),
             match_margin: report.matched.and_then(|matched| matched.margin),
-            pairs: report.link.as_ref().map_or(0, |link| link.len()),
+            pairs: report.link.as_ref().map_or(0, Link::pairs),
             receiver_records: counts(Side::Receiver),
             transmitter_records: counts(Side::Transmitter),
             ..Self::default()
@@ -89,6 +89,8 @@ impl Answer {
                 answer.confidence = Some(estimate.coherence);
                 answer.coherence = Some(estimate.coherence);
                 answer.peak_ratio = estimate.peak_ratio;
+                answer.wsr_profile_variance = bearing.peers.wsr_profile_variance;
+                answer.likelihood_share = bearing.peers.likelihood_share;
                 answer.geometry = Some(geometry_words(&estimate.geometry));
                 answer.pairs_in_motion = bearing.pairs.in_motion;
                 answer.pair_counts = bearing.pairs;

@@ -1,4 +1,56 @@
-//! Bearings from WiFi.
+//! Bearings between robots, from WiFi alone.
+//!
+//! # From CSI to a bearing, in one page
+//!
+//! An Intel 5300 card reports **channel state information** (CSI): for each received frame the complex gain
+//! `h[subcarrier]` of the channel, on 30 subcarriers, in 8-bit integers. The phase of `h` says how long the path was,
+//! modulo a wavelength (5.4 cm at 5.54 GHz): `h ~ exp(-j 2 pi d / lambda)`. One phase alone is useless, because the two
+//! cards' carriers differ by some kHz (the **carrier frequency offset**, CFO) and turn it at random from frame to frame.
+//!
+//! 1. **Forward and backward.** Two robots exchange two frames almost at once. The CFO has opposite signs in the two
+//!    directions, the path the same: in the *product* of the two CSI vectors the offset cancels and the path is there
+//!    twice ([`cfo::round_trip`]; [`samples::Coherent`] remembers the "twice"). Frames are paired by number
+//!    ([`pairing`]), which transmitter wrote which log is told by clocks ([`assign`]).
+//! 2. **The channel centre.** A line through the phase over the subcarriers, evaluated at subcarrier 0, makes 30 noisy
+//!    phases one good one ([`cfo::at_centre`]).
+//! 3. **Turn-around.** What is left of the CFO is `2 pi df` times the jitter of the time between the two frames. Both
+//!    cards' microsecond clocks measure it, so it is taken out ([`cfo::TurnAround`]). Most of the phase noise goes with it.
+//! 4. **Motion makes the array.** While the robot drives, one antenna is at many places `p`: a virtual antenna array
+//!    ([`pose`], [`samples::Samples`]).
+//! 5. **Bartlett.** For every direction `u` the samples are turned back by the phase that a wave from there would have
+//!    made, and summed: `F(u) = |sum z exp(-j 4 pi u.p / lambda)|^2`. Where they add up is the bearing
+//!    ([`bartlett::search`] finds the maximum with a guarantee, [`bartlett::profile`] gives the whole picture).
+//!
+//! Motion along a line cannot tell left from right, and the answer then has a mirror. Motion in a plane cannot tell up
+//! from down, but a raised transmitter shortens the wavelength seen in the plane, so |elevation| is searched too.
+//!
+//! ```
+//! use csi5300::bartlett::{SearchOptions, search};
+//! use csi5300::samples::Samples;
+//! use nalgebra::Vector3;
+//! use num_complex::Complex64;
+//! use std::f64::consts::TAU;
+//!
+//! // A robot on a circle of 30 cm, a far transmitter at 40 degrees, path gain 2 (forward times backward).
+//! let (lambda_m, bearing) = (0.0541, 40f64.to_radians());
+//! let mut samples = Samples::new(2);
+//! for k in 0..500 {
+//!     let (sin, cos) = (TAU * f64::from(k) / 500.0).sin_cos();
+//!     let p = Vector3::new(0.3 * cos, 0.3 * sin, 0.0);
+//!     let towards = p.x * bearing.cos() + p.y * bearing.sin();
+//!     let z = Complex64::cis(2.0 * TAU * towards / lambda_m);
+//!     samples.push(f64::from(k) * 0.01, z, p, Vector3::zeros());
+//! }
+//! let estimate = search(&samples, lambda_m, &SearchOptions::default())?;
+//! assert!((estimate.azimuth_rad - bearing).abs() < 1e-6);
+//! # Ok::<(), csi5300::bartlett::Error>(())
+//! ```
+//!
+//! # Where things come from
+//!
+//! Records come from a [`backend::CsiSource`]: a file ([`backend::replay`]) or a simulated room ([`backend::sim`]) today.
+//! [`pipeline::bearings`] is the whole machine; [`evaluate`] runs it over a tree of captures and compares with the truth.
+//! `ARCHITECTURE.md` has the plan of the house.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod answer;
@@ -10,9 +62,13 @@ pub mod channel;
 pub mod csi;
 pub mod doctor;
 pub mod evaluate;
+#[cfg(feature = "plot")]
+pub mod figures;
 pub mod odometry;
 pub mod pairing;
 pub mod pipeline;
+#[cfg(feature = "plot")]
+pub mod plot;
 pub mod pose;
 pub mod samples;
 pub mod status;

@@ -50,11 +50,31 @@ pub struct Options {
     pub to_s: Option<f64>,
     /// Whether turn-around compensation may be applied.
     pub compensate: bool,
+    /// Whether the course of the phase is kept for pictures.
+    pub keep_course: bool,
     /// How the bearing is searched for.
     pub search: SearchOptions,
 }
 
 impl Options {
+    /// The defaults, on `channel`: antenna A, transmitters and receiver found, joined by time, compensated.
+    #[must_use]
+    pub fn new(channel: Channel) -> Self {
+        Self {
+            channel,
+            antenna: Antenna::A,
+            tx_macs: Vec::new(),
+            rx_mac: None,
+            clock_offset_s: 0.0,
+            join: JoinBy::Time,
+            from_s: None,
+            to_s: None,
+            compensate: true,
+            keep_course: false,
+            search: SearchOptions::default(),
+        }
+    }
+
     fn keeps(&self, since_first_s: f64) -> bool {
         self.from_s.is_none_or(|from| since_first_s >= from) && self.to_s.is_none_or(|to| since_first_s <= to)
     }
@@ -89,6 +109,18 @@ pub struct LinkReport {
     pub bearing: Result<Bearing, LinkError>,
 }
 
+impl LinkReport {
+    fn new(link: Option<Link>, found: Found, own: &Trajectory, path: Option<&Trajectory>, options: &Options) -> Self {
+        let (mac, matched) = found.as_ref().map_or((None, None), |(mac, matched)| (Some(*mac), *matched));
+        let bearing = match (&link, found) {
+            (Some(link), Ok(_)) => link.bearing(own, path, options),
+            (_, Err(error)) => Err(error.into()),
+            (None, Ok(_)) => Err(Unmatched::NothingInCommon.into()),
+        };
+        Self { mac, matched, link, bearing }
+    }
+}
+
 /// What a run gave.
 pub struct Report {
     /// The receiver's log.
@@ -113,20 +145,11 @@ pub fn bearings(
     let (logs, paths): (Vec<_>, Vec<_>) = transmitters.into_iter().map(|t| (t.log, t.trajectory)).unzip();
     let mut txs: Vec<Log<'_>> = logs.into_iter().map(|log| Log::new(log, options.antenna)).collect();
     let matches = find_macs(&mut rx, &mut txs, options)?;
-    let mac = |m: &Result<(Mac, Option<Match>), Unmatched>| m.as_ref().ok().map(|found| found.0);
+    let mac = |m: &Found| m.as_ref().ok().map(|found| found.0);
     let mut links: Vec<Option<Link>> = matches.iter().map(|m| mac(m).map(Link::new)).collect();
     read(&mut rx, &mut txs, &mut links, options)?;
-    let finish =
-        |((link, found), path): ((Option<Link>, Result<(Mac, Option<Match>), Unmatched>), Option<&Trajectory>)| {
-            let (mac, matched) = found.as_ref().map_or((None, None), |(mac, matched)| (Some(*mac), *matched));
-            let bearing = match (&link, found) {
-                (Some(link), Ok(_)) => link.bearing(trajectory, path, options),
-                (_, Err(error)) => Err(error.into()),
-                (None, Ok(_)) => Err(Unmatched::NothingInCommon.into()),
-            };
-            LinkReport { mac, matched, link, bearing }
-        };
     let report = |log: Log<'_>| LogReport { survey: log.survey, unused: log.unused };
+    let finish = |((link, found), path)| LinkReport::new(link, found, trajectory, path, options);
     let links = links.into_iter().zip(matches).zip(paths).map(finish).collect();
     Ok(Report { receiver: report(rx), transmitters: txs.into_iter().map(report).collect(), links })
 }
@@ -144,7 +167,7 @@ fn read(rx: &mut Log<'_>, txs: &mut [Log<'_>], links: &mut [Option<Link>], optio
             if let (Some(heard), Some(link)) = (next_from(&mut txs[k], receiver[k])?, &mut links[k]) {
                 link.handle(Side::Transmitter, heard, options);
             }
-        } else if let Some((mac, heard)) = rx.next()? {
+        } else if let Some((mac, heard)) = rx.next_frame()? {
             match links.iter_mut().flatten().find(|link| link.mac == mac) {
                 Some(link) => link.handle(Side::Receiver, heard, options),
                 None => rx.unused.other_sender += 1,
@@ -159,7 +182,7 @@ fn read(rx: &mut Log<'_>, txs: &mut [Log<'_>], links: &mut [Option<Link>], optio
 
 /// The next frame of a transmitter's log that is from the receiver.
 fn next_from(tx: &mut Log<'_>, receiver: Option<Mac>) -> Result<Option<intake::Heard>, Error> {
-    while let Some((mac, heard)) = tx.next()? {
+    while let Some((mac, heard)) = tx.next_frame()? {
         if receiver.is_none_or(|wanted| wanted == mac) {
             return Ok(Some(heard));
         }

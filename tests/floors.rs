@@ -1,4 +1,5 @@
 //! Arrows only point down: reads the `crate::` paths of every source file and fails on one that points up.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use std::path::{Path, PathBuf};
 
@@ -7,7 +8,7 @@ const FLOORS: &[(u8, &[&str])] = &[
     (1, &["bartlett", "cfo", "channel", "csi", "pose", "samples", "time"]),
     (2, &["assign", "pairing", "tdma"]),
     (3, &["backend", "odometry"]),
-    (4, &["answer", "doctor", "evaluate", "pipeline", "plot", "status", "survey", "wait"]),
+    (4, &["answer", "doctor", "evaluate", "figures", "pipeline", "plot", "status", "survey", "wait"]),
 ];
 
 fn floor(module: &str) -> u8 {

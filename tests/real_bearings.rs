@@ -1,5 +1,6 @@
 //! Bearings on real captures against the truth. The bounds are the errors of the released WSR toolbox on the same links,
 //! or well below; nothing in the product is tuned to these files.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
 
 mod common;
 
@@ -23,6 +24,7 @@ fn options(join: JoinBy) -> Options {
         from_s: None,
         to_s: None,
         compensate: true,
+        keep_course: false,
         search: SearchOptions::default(),
     }
 }

@@ -307,6 +307,7 @@ pub struct Bfee<'a> {
 }
 
 /// Checks the header against the body's length; all that can be wrong with a bfee is found here.
+#[inline]
 pub(crate) fn check(head: &[u8; STOCK_HEADER], body_len: usize) -> Result<Layout, Error> {
     let [n_rx, n_tx] = [head[offset::N_RX], head[offset::N_TX]];
     if !(1..=3).contains(&n_rx) || !(1..=3).contains(&n_tx) {

@@ -1,6 +1,7 @@
 //! Grids of directions, profiles over them, and the two figures that peers take from a profile.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::sync::Arc;
 
 use nalgebra::Vector3;
 
@@ -16,9 +17,15 @@ pub fn direction(azimuth_rad: f64, elevation_rad: f64) -> Vector3<f64> {
 }
 
 /// A set of directions: rows of elevations by columns of azimuths, or a plain list.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Grid {
-    pub(crate) layout: Layout,
+    pub(crate) layout: Arc<Layout>,
+}
+
+impl PartialEq for Grid {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.layout, &other.layout) || self.layout == other.layout
+    }
 }
 
 /// How the directions of a grid are arranged.
@@ -34,7 +41,7 @@ impl Grid {
     /// `n` azimuths around the horizon, from -180 degrees in steps of 360/n (180 itself is -180). At least one.
     #[must_use]
     pub fn azimuth(n: usize) -> Self {
-        Self { layout: Layout::Rings { azimuths: n.max(1), elevations_rad: vec![0.0] } }
+        Self { layout: Arc::new(Layout::Rings { azimuths: n.max(1), elevations_rad: vec![0.0] }) }
     }
 
     /// `n_azimuth` azimuths as in [`Grid::azimuth`] for each of `n_elevation` elevations from -90 to 90 degrees, both
@@ -46,7 +53,7 @@ impl Grid {
         } else {
             (0..n_elevation).map(|i| PI * (i as f64 / (n_elevation - 1) as f64 - 0.5)).collect()
         };
-        Self { layout: Layout::Rings { azimuths: n_azimuth.max(1), elevations_rad } }
+        Self { layout: Arc::new(Layout::Rings { azimuths: n_azimuth.max(1), elevations_rad }) }
     }
 
     /// The WSR toolbox's grid: `linspace(-180, 180, 360)` azimuths (both ends, the same direction twice; steps of
@@ -59,20 +66,20 @@ impl Grid {
                 (0..360).map(move |column| (TAU * f64::from(column) / 359.0 - PI, elevation))
             })
             .collect();
-        Self { layout: Layout::List { directions, width: 360 } }
+        Self { layout: Arc::new(Layout::List { directions, width: 360 }) }
     }
 
     /// Any list of (azimuth, elevation) in radians, in one row.
     #[must_use]
     pub fn directions(list: Vec<(f64, f64)>) -> Self {
         let width = list.len();
-        Self { layout: Layout::List { directions: list, width } }
+        Self { layout: Arc::new(Layout::List { directions: list, width }) }
     }
 
     /// Number of directions.
     #[must_use]
     pub fn len(&self) -> usize {
-        match &self.layout {
+        match &*self.layout {
             Layout::Rings { azimuths, elevations_rad } => azimuths * elevations_rad.len(),
             Layout::List { directions, .. } => directions.len(),
         }
@@ -87,7 +94,7 @@ impl Grid {
     /// Rows (elevations) and columns (azimuths); a list is one row.
     #[must_use]
     pub fn shape(&self) -> (usize, usize) {
-        match &self.layout {
+        match &*self.layout {
             Layout::Rings { azimuths, elevations_rad } => (elevations_rad.len(), *azimuths),
             Layout::List { directions, width } => (directions.len() / (*width).max(1), *width),
         }
@@ -99,7 +106,7 @@ impl Grid {
     /// If `index` is not below [`Grid::len`].
     #[must_use]
     pub fn at(&self, index: usize) -> (f64, f64) {
-        match &self.layout {
+        match &*self.layout {
             Layout::Rings { azimuths, elevations_rad } => {
                 (ring_azimuth(index % azimuths, *azimuths), elevations_rad[index / azimuths])
             }
@@ -107,8 +114,17 @@ impl Grid {
         }
     }
 
+    /// The largest `|sin(elevation)|`.
+    pub(crate) fn steepest(&self) -> f64 {
+        let steep = |e: f64| if e.abs() >= FRAC_PI_2 { 1.0 } else { e.sin().abs() };
+        match &*self.layout {
+            Layout::Rings { elevations_rad, .. } => elevations_rad.iter().map(|e| steep(*e)).fold(0.0, f64::max),
+            Layout::List { directions, .. } => directions.iter().map(|d| steep(d.1)).fold(0.0, f64::max),
+        }
+    }
+
     pub(crate) fn check(&self) -> Result<(), Error> {
-        let Layout::List { directions, .. } = &self.layout else { return Ok(()) };
+        let Layout::List { directions, .. } = &*self.layout else { return Ok(()) };
         let bad = directions.iter().position(|(a, e)| !(a.is_finite() && e.is_finite()));
         bad.map_or(Ok(()), |index| Err(Error::Direction { index }))
     }

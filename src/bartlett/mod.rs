@@ -23,43 +23,40 @@ mod bessel;
 mod crb;
 mod direct;
 mod error;
+mod evaluate;
+mod fft;
 mod grid;
+mod kernel;
 mod newton;
+mod nufft;
 mod peak;
+mod plan;
+mod resample;
+mod rings;
 mod scene;
 mod simd;
+mod stream;
 mod sums;
 #[cfg(test)]
 mod tests;
 
 pub use error::Error;
 pub use grid::{Grid, Profile, direction, wsr_profile_variance};
-pub use peak::{Estimate, Peak, SearchOptions, search};
+pub use peak::{Estimate, Peak, SearchOptions, Searcher, search};
+pub use plan::{Explanation, Method, Plan, Planner, Precision, ProfileOptions};
 pub use scene::{Geometry, Shape};
 pub use simd::Tier;
+pub use stream::{Stream, StreamOptions};
 
 use crate::samples::Samples;
 
-/// The Bartlett profile of `samples` over `grid`, in double, direct: exact to rounding.
-///
-/// A receiver that did not move has a constant profile: that is a profile, though not a bearing.
+/// The Bartlett profile of `samples` over `grid` with the default guarantee, `|f~ - f| <= 1e-4 sum w |z|`, by a planner
+/// of its own. Keep a [`Planner`] to reuse plans.
 ///
 /// # Errors
-/// [`Error`] for input that is empty, of unequal lengths, not finite or without energy, and for directions that are
-/// not finite.
+/// As [`Planner::profile`].
 pub fn profile(samples: &Samples, wavelength_m: f64, grid: &Grid) -> Result<Profile, Error> {
-    let scene = scene::Scene::new(samples, wavelength_m)?;
-    grid.check()?;
-    let full = scene.sum_abs * scene.sum_abs;
-    let list: Vec<[f64; 3]> = (0..grid.len())
-        .map(|i| {
-            let (azimuth, elevation) = grid.at(i);
-            direction(azimuth, elevation).into()
-        })
-        .collect();
-    let sums = sums::pairs::<f64>(Tier::detect().level_or_portable(), scene.columns(), &list);
-    let values = sums.iter().map(|s| (s.here().norm_sqr() / full).min(1.0)).collect();
-    Ok(Profile { grid: grid.clone(), values, sum_abs: scene::ldexp(scene.sum_abs, -scene.exponent) })
+    Planner::default().profile(samples, wavelength_m, grid, &ProfileOptions::default())
 }
 
 /// The profile by the oracle: the sum as written, phases exact to the last bit. Slow; every other path is held to it.

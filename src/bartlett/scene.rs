@@ -109,7 +109,7 @@ impl Scene {
             scene.re.push(re * w);
             scene.im.push(im * w);
             scene.weight.push(w);
-            scene.sum_abs += w * re.hypot(im);
+            scene.sum_abs += w * (re * re + im * im).sqrt();
             scene.energy += w * (re * re + im * im);
             scene.weight_sum += w;
         }
@@ -118,6 +118,12 @@ impl Scene {
 
     pub fn len(&self) -> usize {
         self.x.len()
+    }
+
+    /// The largest value of a function of the positions (turns), at least 0.
+    pub fn farthest(&self, distance: impl Fn(Vector3<f64>) -> f64) -> f64 {
+        let at = |t: usize| distance(Vector3::new(self.x[t], self.y[t], self.z[t]));
+        (0..self.len()).map(at).fold(0.0, f64::max)
     }
 
     /// True if the sign of the elevation changes nothing (to 1e-9 rad of phase).
@@ -185,7 +191,7 @@ fn centred_turns(samples: &Samples, turn_m: f64) -> Result<(Vec<Vector3<f64>>, f
         if !p.iter().all(|v| v.is_finite() && v.abs() < 1e150) {
             return Err(Error::NonFinite { what: "position in wavelengths", index });
         }
-        radius = radius.max(p.x.hypot(p.y));
+        radius = radius.max((p.x * p.x + p.y * p.y).sqrt());
         half_height = half_height.max(p.z.abs());
     }
     Ok((points, radius, half_height))
@@ -216,7 +222,7 @@ fn exponents(samples: &Samples) -> Result<(i32, i32), Error> {
 }
 
 /// The least `e` with `x < 2^e`, for positive finite `x`.
-fn exponent_above(x: f64) -> i32 {
+pub(crate) fn exponent_above(x: f64) -> i32 {
     let (x, shift) = if x < f64::MIN_POSITIVE { (x * 2f64.powi(64), 64) } else { (x, 0) };
     let biased = ((x.to_bits() >> 52) & 0x7ff) as i32;
     biased - 1022 - shift

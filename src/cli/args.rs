@@ -3,7 +3,7 @@
 use clap::Args;
 use csi5300::bartlett::SearchOptions;
 use csi5300::channel::Channel;
-use csi5300::pipeline::{JoinBy, Options};
+use csi5300::pipeline::Options;
 use driver_iface::{Mac, bfee::Antenna};
 
 /// How bearings are made.
@@ -29,6 +29,19 @@ pub struct Estimation {
     pub to: Option<f64>,
 }
 
+impl Default for Estimation {
+    fn default() -> Self {
+        Self {
+            antenna: Antenna::A,
+            clock_offset: 0.0,
+            elevation_max: 20.0,
+            no_compensation: false,
+            from: None,
+            to: None,
+        }
+    }
+}
+
 impl Estimation {
     /// The pipeline's options, on `channel`.
     pub fn options(&self, channel: Channel) -> Result<Options, String> {
@@ -45,16 +58,13 @@ impl Estimation {
             return Err(format!("--from {from} is not before --to {to}"));
         }
         Ok(Options {
-            channel,
             antenna: self.antenna,
-            tx_macs: Vec::new(),
-            rx_mac: None,
             clock_offset_s: self.clock_offset,
-            join: JoinBy::Time,
             from_s: self.from,
             to_s: self.to,
             compensate: !self.no_compensation,
             search: SearchOptions { elevation_max_rad: self.elevation_max.to_radians(), ..SearchOptions::default() },
+            ..Options::new(channel)
         })
     }
 }

@@ -1,9 +1,10 @@
 //! `csi5300 bearing`.
 
 use super::args::{Estimation, channel, mac};
-use super::{Outcome, Result, info, print, print_json};
+use super::{Outcome, Result, info, print, print_json, profile};
 use csi5300::answer::{Answer, lost_something};
 use csi5300::backend::{CsiSource, replay::Replay};
+use csi5300::bartlett::Grid;
 use csi5300::channel::Channel;
 use csi5300::odometry;
 use csi5300::pipeline::{JoinBy, LinkReport, LogReport, Options, Report, Transmitter, bearings};
@@ -48,8 +49,14 @@ pub struct Args {
     /// One JSON object a link instead of text
     #[arg(long)]
     json: bool,
+    /// Write the profile of each link as CSV or NPZ
+    #[arg(long, value_name = "OUT.npz|.csv")]
+    profile: Option<PathBuf>,
+    /// Directions of the profile: 360x181 (azimuth x elevation), 360 (azimuth only), or wsr (the toolbox's own grid)
+    #[arg(long, default_value = "360", value_parser = profile::grid, value_name = "GRID")]
+    grid: Grid,
     /// Draw phase, trajectory and profile of each link into this folder, as PNG and SVG
-    #[cfg(any())]
+    #[cfg(feature = "plot")]
     #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
 }
@@ -122,6 +129,8 @@ pub fn run(args: Args) -> Result {
 fn options(args: &Args) -> std::result::Result<Options, String> {
     let options = args.estimation.options(args.channel)?;
     let join = if args.join_rows { JoinBy::Row } else { JoinBy::Time };
+    #[cfg(feature = "plot")]
+    let options = Options { keep_course: args.plot.is_some(), ..options };
     Ok(Options { tx_macs: args.tx_mac.clone(), rx_mac: args.rx_mac, join, ..options })
 }
 
@@ -134,11 +143,16 @@ fn artefacts(
     links: usize,
 ) -> std::result::Result<(), String> {
     let Ok(bearing) = &link.bearing else { return Ok(()) };
-    #[cfg(any())]
+    if let Some(path) = &args.profile {
+        let path = if links > 1 { numbered(path, name) } else { path.clone() };
+        profile::write(&path, &args.grid, &bearing.samples, options.channel.wavelength_m())?;
+        eprintln!("profile of {name}: {}", path.display());
+    }
+    #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
-        for path in csi5300::plot::link(folder, name, bearing, options.channel.wavelength_m())
-            .map_err(|error| error.to_string())?
-        {
+        let wavelength_m = options.channel.wavelength_m();
+        let pictures = csi5300::figures::Pictures { bearing, truth_rad: None, recorded: None, wavelength_m };
+        for path in pictures.write(folder, name).map_err(|error| error.to_string())? {
             eprintln!("picture of {name}: {}", path.display());
         }
     }
@@ -205,7 +219,7 @@ fn say_losses<R: std::io::Read, S: std::io::Read>(args: &Args, report: &Report, 
 }
 
 fn describe(answer: &Answer) -> String {
-    let mut text = format!("{}", answer.link);
+    let mut text = answer.link.clone();
     if let Some(mac) = &answer.mac {
         let _ = write!(text, " ({mac})");
     }

@@ -153,7 +153,7 @@ fn describe(name: &str, survey: &Survey, bytes: u64) -> String {
     if survey.damages > 0 {
         let _ = writeln!(text, "  damaged: {} stretches, {} bytes in all", survey.damages, survey.damaged_bytes);
     }
-    if survey.tail == Some(Tail::Clean) && !survey.lost_something() {
+    if survey.records > 0 && survey.tail == Some(Tail::Clean) && !survey.lost_something() {
         text.push_str("  intact to the last byte\n");
     }
     text

@@ -2,12 +2,16 @@
 
 mod args;
 mod bearing;
+mod demo;
 #[cfg(feature = "live")]
 mod doctor;
 mod evaluate;
+mod export;
 mod info;
 #[cfg(feature = "live")]
 mod live;
+mod npz;
+mod profile;
 #[cfg(feature = "live")]
 mod record;
 mod recover;
@@ -15,6 +19,7 @@ mod recover;
 mod replay;
 #[cfg(feature = "live")]
 mod setup;
+mod simulate;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -58,6 +63,8 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
+    /// The paper's circle and line experiments, simulated, decoded and estimated, with pictures
+    Demo(demo::Args),
     /// The bearing from a receiver that moved to one or more transmitters, from their logs
     Bearing(bearing::Args),
     /// What is in logs: layout, senders, rates, losses with their offsets, where and why a log was cut
@@ -66,6 +73,10 @@ enum Command {
     Evaluate(evaluate::Args),
     /// Copies every intact record of a damaged log, and nothing else
     Recover(recover::Args),
+    /// CSI of a log as CSV or NPZ, raw or scaled
+    Export(export::Args),
+    /// A room full of robots: writes the logs that their cards would have recorded
+    Simulate(simulate::Args),
     /// Records the driver's messages to a log, live
     #[cfg(feature = "live")]
     Record(record::Args),
@@ -84,10 +95,13 @@ enum Command {
 pub fn run() -> ExitCode {
     let cli = Cli::parse();
     let result = match cli.command {
+        Command::Demo(args) => demo::run(&args),
         Command::Bearing(args) => bearing::run(args),
         Command::Info(args) => info::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Recover(args) => recover::run(&args),
+        Command::Export(args) => export::run(&args),
+        Command::Simulate(args) => simulate::run(&args),
         #[cfg(feature = "live")]
         Command::Record(args) => record::run(&args),
         #[cfg(feature = "live")]

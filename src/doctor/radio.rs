@@ -137,7 +137,7 @@ pub(super) fn rate_file(system: &dyn System, phy: &str) -> Option<String> {
     let base = format!("/sys/kernel/debug/ieee80211/{phy}/iwlwifi");
     let places = ["debug", "iwldvm/debug", "iwldvm", ""];
     let at = |place: &&str| format!("{base}/{place}/monitor_tx_rate").replace("//", "/");
-    places.iter().map(|place| at(&place)).find(|path| system.size(path).is_some())
+    places.iter().map(at).find(|path| system.size(path).is_some())
 }
 
 fn rate(system: &dyn System, card: &Card) -> Check {

@@ -160,7 +160,7 @@ fn pose(record: &::csv::ByteRecord, columns: usize) -> Result<Pose, RowError> {
         6 => Some(number(5)?),
         _ => {
             let q = Quaternion::new(number(8)?, number(5)?, number(6)?, number(7)?);
-            if !(q.norm() > 1e-6) {
+            if q.norm() <= 1e-6 {
                 return Err(RowError::Quaternion);
             }
             Some(heading_of(&UnitQuaternion::from_quaternion(q)))
@@ -180,7 +180,8 @@ mod tests {
         let six = b"10.5,0,1,2,3,0.5,\n10.6,0,1.1,2,3,0.6,\n";
         let nine = b"10.5,0,1,2,3,0,0,0,1\n10.6,0,1.1,2,3,0,0,0.38268343236509,0.923879532511287\n";
         let fifteen = b"10,500000000,1,2,3,0,0,0,1,0,0,0,0,0,0,\n10,600000000,1.1,2,3,0,0,0,1,0,0,0,0,0,0,\n";
-        for (bytes, heading) in [(&five[..], None), (six, Some(0.6)), (nine, Some(0.785_398_163)), (fifteen, Some(0.0))]
+        for (bytes, heading) in
+            [(&five[..], None), (six, Some(0.6)), (nine, Some(std::f64::consts::FRAC_PI_4)), (fifteen, Some(0.0))]
         {
             let (trajectory, counts) = parse(bytes).unwrap();
             let last = trajectory.poses()[1];

@@ -88,7 +88,7 @@ impl<'a> Log<'a> {
     ///
     /// # Errors
     /// If the source fails.
-    pub fn next(&mut self) -> Result<Option<(Mac, Heard)>, Error> {
+    pub fn next_frame(&mut self) -> Result<Option<(Mac, Heard)>, Error> {
         while self.queue.is_empty() && !self.ended {
             self.pull()?;
         }

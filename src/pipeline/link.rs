@@ -2,7 +2,7 @@
 
 use super::intake::Heard;
 use super::{JoinBy, Options};
-use crate::bartlett::{self, Estimate};
+use crate::bartlett::{self, Estimate, Grid, Profile};
 use crate::cfo::{TurnAround, at_centre, round_trip};
 use crate::pairing::{Pair, Pairing, Side, SideCounts};
 use crate::pose::{Motion, Trajectory, wrap_rad};
@@ -95,6 +95,7 @@ struct Row {
     difference_us: i64,
     host_us: Option<i64>,
     row: u32,
+    one_way_rad: f64,
 }
 
 /// Everything that a link gave.
@@ -112,10 +113,49 @@ pub struct Bearing {
     pub pairs: PairCounts,
     /// Mean receiver position of the samples used, metres, trajectory frame.
     pub mean_position_m: Vector3<f64>,
+    /// The figures that the peers report beside their bearings.
+    pub peers: PeerFigures,
     /// The samples used.
     pub samples: Samples,
-    /// All pairs, for pictures: time (s from the first pair), sample before and after compensation.
-    pub course: Vec<(f64, Complex64, Complex64)>,
+    /// The receiver's whole path, if [`Options::keep_course`] asked for it, metres.
+    pub path_m: Vec<Vector3<f64>>,
+    /// The phase of every pair, if [`Options::keep_course`] asked for it.
+    pub course: Vec<Phase>,
+}
+
+/// The phase of one pair, for pictures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Phase {
+    /// Seconds from the link's first pair.
+    pub t_s: f64,
+    /// Phase of what the receiver alone heard, at the channel centre, radians.
+    pub one_way_rad: f64,
+    /// Phase of the round-trip product, radians.
+    pub round_trip_rad: f64,
+    /// The same after turn-around compensation, radians.
+    pub compensated_rad: f64,
+}
+
+/// Figures of merit as the peers define them, from an azimuth profile on the WSR toolbox's grid.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PeerFigures {
+    /// The WSR toolbox's profile variance: lower is sharper, 1 is uniform.
+    pub wsr_profile_variance: Option<f64>,
+    /// The paper's likelihood share: the highest entry over the sum (its code prints half, holding each column twice).
+    pub likelihood_share: Option<f64>,
+}
+
+impl PeerFigures {
+    fn of(samples: &Samples, wavelength_m: f64) -> Result<Self, bartlett::Error> {
+        // The toolbox's planar mode: one azimuth profile, the same for each of its polar angles.
+        let whole = Grid::wsr();
+        let (rows, columns) = whole.shape();
+        let ring = Grid::directions((0..columns).map(|column| (whole.at(column).0, 0.0)).collect());
+        let profile = bartlett::profile(samples, wavelength_m, &ring)?;
+        let likelihood_share = profile.likelihood_share();
+        let tiled = Profile { values: profile.values.repeat(rows), grid: whole, sum_abs: profile.sum_abs };
+        Ok(Self { wsr_profile_variance: bartlett::wsr_profile_variance(&tiled), likelihood_share })
+    }
 }
 
 impl Link {
@@ -139,7 +179,7 @@ impl Link {
 
     /// Pairs so far.
     #[must_use]
-    pub fn len(&self) -> usize {
+    pub fn pairs(&self) -> usize {
         self.rows.len()
     }
 
@@ -157,7 +197,10 @@ impl Link {
             self.silent += 1;
             return;
         };
+        let one_way = || at_centre(&pair.receiver.csi(), &options.channel.subcarriers());
+        let one_way = options.keep_course.then(one_way).flatten();
         self.rows.push(Row {
+            one_way_rad: one_way.map_or(0.0, |one_way| one_way.h.arg()),
             z: coherent.h,
             clock_rx_us: pair.clock_rx_us,
             difference_us: pair.clock_difference_us,
@@ -236,13 +279,25 @@ impl Link {
         Ok(Bearing {
             azimuth_body_rad: heading_rad.map(|heading| wrap_rad(estimate.azimuth_rad - heading)),
             estimate,
+            peers: PeerFigures::of(&samples, options.channel.wavelength_m())?,
             turn_around,
             compensated,
             pairs,
             mean_position_m: sum / samples.len() as f64,
             samples,
-            course: times.iter().zip(raw.iter().zip(&z)).map(|(t, (a, b))| (t - times[0], *a, *b)).collect(),
+            path_m: receiver.poses().iter().filter(|_| options.keep_course).map(|pose| pose.position_m).collect(),
+            course: if options.keep_course { self.course(&times, &z) } else { Vec::new() },
         })
+    }
+
+    fn course(&self, times_s: &[f64], z: &[Complex64]) -> Vec<Phase> {
+        let phase = |((row, z), t_s): ((&Row, &Complex64), &f64)| Phase {
+            t_s: t_s - times_s[0],
+            one_way_rad: row.one_way_rad,
+            round_trip_rad: row.z.arg(),
+            compensated_rad: z.arg(),
+        };
+        self.rows.iter().zip(z).zip(times_s).map(phase).collect()
     }
 
     fn turn_around(&self, z: &[Complex64], carrier_hz: f64) -> Option<TurnAround> {

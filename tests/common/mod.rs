@@ -1,6 +1,8 @@
 //! What several tests share.
 #![allow(dead_code)]
 
+pub mod link;
+
 use std::path::{Path, PathBuf};
 
 /// The folder of real captures, or `None` (said on standard error) where it is absent.

@@ -14,8 +14,6 @@ pub const MAX_SAMPLES: usize = SUBCARRIERS * 9;
 const GAP: usize = 3;
 /// Samples that one 64-bit load yields, whatever the bit offset: 48 bits and at most 7 before them.
 const PER_WORD: usize = 3;
-/// Room behind the last sample for a whole word, so that the fast path writes 8 bytes for every 6.
-const SLACK: usize = 8;
 
 /// One sample as the card reports it; +-127 and -128 mean saturation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -31,14 +29,14 @@ const fn bit_of(subcarrier: usize, index: usize, n: usize) -> usize {
     GAP + subcarrier * (GAP + 16 * n) + 16 * index
 }
 
-/// At least 57 bits from `bit` on in the low bits, zeros after the payload's end.
+/// The payload from `bit` on in the low bits: at least 57 bits of it, or zeros after its end.
 ///
 /// The load is moved back from the end, so it never leaves the payload (72 bytes at least).
 #[inline(always)]
 fn word_at(payload: &[u8], bit: usize) -> u64 {
     let from = (bit / 8).min(payload.len().saturating_sub(8));
     let shift = bit - 8 * from;
-    payload.get(from..from + 8).map_or(0, LittleEndian::read_u64).checked_shr(shift as u32).unwrap_or(0)
+    payload.get(from..from + 8).map_or(0, LittleEndian::read_u64) >> (shift & 63)
 }
 
 /// The sample in the low 16 bits.
@@ -46,43 +44,99 @@ const fn low_iq(word: u64) -> Iq {
     Iq { i: word as i8, q: (word >> 8) as i8 }
 }
 
-/// Samples of `N` chain pairs as bytes, re and im alternating.
+/// Unpacks and widens `N` chain pairs; `BYTES` is `60 N` and room for one word. `None` when a slice is too short.
+///
+/// First to bytes, a word for every three samples, then all of them to floats, in a loop that compilers vectorise.
 #[inline(always)]
-fn unpack_bytes<const N: usize>(payload: &[u8], out: &mut [u8; 2 * MAX_SAMPLES + SLACK]) {
-    for subcarrier in 0..SUBCARRIERS {
+fn unpack_f32_n<const N: usize, const BYTES: usize>(payload: &[u8], out: &mut [f32]) -> Option<usize> {
+    let payload = payload.get(..60 * N + 12)?;
+    let out = out.get_mut(..2 * SUBCARRIERS * N)?;
+    let mut bytes = [0; BYTES];
+    for octave in 0..3 {
+        let from = octave * (GAP + 16 * N);
+        let to = octave * 16 * N;
+        unpack_run::<N, 8>(payload.get(from..from + GAP + 16 * N + 8)?, bytes.get_mut(to..to + 16 * N + 8)?);
+    }
+    unpack_run::<N, 6>(payload.get(3 * (GAP + 16 * N)..)?, bytes.get_mut(48 * N..)?);
+    widen(&bytes, out);
+    Some(SUBCARRIERS * N)
+}
+
+/// Bytes of `COUNT` subcarriers in a row, the first of which begins on a byte of `payload`; every eighth one does.
+///
+/// With both counts known the loop unrolls and all offsets and shifts are constants.
+#[inline(always)]
+fn unpack_run<const N: usize, const COUNT: usize>(payload: &[u8], bytes: &mut [u8]) {
+    for subcarrier in 0..COUNT {
         for first in (0..N).step_by(PER_WORD) {
             let word = word_at(payload, bit_of(subcarrier, first, N));
             let at = 2 * (subcarrier * N + first);
-            if let Some(out) = out.get_mut(at..at + 8) {
-                LittleEndian::write_u64(out, word);
+            if let Some(bytes) = bytes.get_mut(at..at + 8) {
+                LittleEndian::write_u64(bytes, word);
             }
         }
     }
 }
 
-/// Unpacks and widens `N` chain pairs; `None` when a slice is too short.
+/// The two bytes of a sample: its subcarrier's `bit`, its place `index` there. Zeros outside the payload.
 #[inline(always)]
-fn unpack_f32_n<const N: usize>(payload: &[u8], out: &mut [f32]) -> Option<usize> {
-    let payload = payload.get(..60 * N + 12)?;
-    let out = out.get_mut(..2 * SUBCARRIERS * N)?;
-    let mut bytes = [0; 2 * MAX_SAMPLES + SLACK];
-    unpack_bytes::<N>(payload, &mut bytes);
-    for (value, &byte) in out.iter_mut().zip(&bytes) {
-        *value = f32::from(byte.cast_signed());
-    }
-    Some(SUBCARRIERS * N)
+fn sample_at(payload: &[u8], bit: usize, index: usize) -> [u8; 2] {
+    let from = bit / 8 + 2 * index;
+    let word = payload.get(from..from + 3).map_or(0, LittleEndian::read_u24);
+    ((word >> (bit % 8)) as u16).to_le_bytes()
 }
 
-/// One sample of each subcarrier asked for.
+/// One sample of each subcarrier asked for, of `N` chain pairs, widened.
 #[inline(always)]
-fn column_words(payload: &[u8], n: usize, index: usize, subcarriers: &[u8], mut put: impl FnMut(usize, u64)) -> bool {
-    let known = subcarriers.iter().all(|&s| usize::from(s) < SUBCARRIERS);
-    if known {
-        for (at, &subcarrier) in subcarriers.iter().enumerate() {
-            put(at, word_at(payload, bit_of(usize::from(subcarrier), index, n)));
-        }
+fn column_f32_n<const N: usize>(payload: &[u8], index: usize, subcarriers: &[u8], out: &mut [[f32; 2]]) -> Option<()> {
+    let payload = payload.get(..60 * N + 12)?;
+    if subcarriers == ALL_SUBCARRIERS {
+        return column_f32_all::<N>(payload, index, out);
     }
-    known
+    let sample = |subcarrier: u8| sample_at(payload, bit_of(usize::from(subcarrier), 0, N), index);
+    let (fours, rest) = subcarriers.as_chunks::<4>();
+    let (out_fours, out_rest) = out.split_at_mut(4 * fours.len());
+    for (out, four) in out_fours.as_chunks_mut::<4>().0.iter_mut().zip(fours) {
+        // Put together in a register: through memory the wide load would wait for the narrow stores.
+        let word = four.iter().rev().fold(0, |word, &s| word << 16 | u64::from(u16::from_le_bytes(sample(s))));
+        widen(&word.to_le_bytes(), out.as_flattened_mut());
+    }
+    for (out, &subcarrier) in out_rest.iter_mut().zip(rest) {
+        widen(&sample(subcarrier), out);
+    }
+    Some(())
+}
+
+/// One sample of every subcarrier: first gathered, so that widening vectorises.
+#[inline(always)]
+fn column_f32_all<const N: usize>(payload: &[u8], index: usize, out: &mut [[f32; 2]]) -> Option<()> {
+    let mut samples = [[0; 2]; SUBCARRIERS];
+    let (octaves, rest) = samples.as_chunks_mut::<8>();
+    for (octave, samples) in octaves.iter_mut().enumerate() {
+        let from = octave * (GAP + 16 * N) + 2 * index;
+        gather_run::<N>(payload.get(from..from + 14 * N + 6)?, samples);
+    }
+    let from = 3 * (GAP + 16 * N) + 2 * index;
+    gather_run::<N>(payload.get(from..from + 10 * N + 5)?, rest);
+    widen(samples.as_flattened(), out.as_flattened_mut());
+    Some(())
+}
+
+/// One sample of each subcarrier of a run whose first begins on a byte of `payload`, as every eighth one does: all
+/// offsets are constants.
+#[inline(always)]
+fn gather_run<const N: usize>(payload: &[u8], samples: &mut [[u8; 2]]) {
+    for (subcarrier, sample) in samples.iter_mut().enumerate() {
+        *sample = sample_at(payload, bit_of(subcarrier, 0, N), 0);
+    }
+}
+
+/// Bytes to floats, as many as there are of both.
+#[inline(always)]
+fn widen(bytes: &[u8], out: &mut [f32]) {
+    for (value, &byte) in out.iter_mut().zip(bytes) {
+        *value = f32::from(byte.cast_signed());
+    }
 }
 
 /// All subcarriers, in order: the argument of [`Bfee::column`] for a whole column.
@@ -144,12 +198,12 @@ impl Bfee<'_> {
     pub fn unpack_f32(&self, out: &mut [f32]) -> Option<usize> {
         let payload = self.payload();
         match self.n_rx() * self.n_tx() {
-            1 => unpack_f32_n::<1>(payload, out),
-            2 => unpack_f32_n::<2>(payload, out),
-            3 => unpack_f32_n::<3>(payload, out),
-            4 => unpack_f32_n::<4>(payload, out),
-            6 => unpack_f32_n::<6>(payload, out),
-            _ => unpack_f32_n::<9>(payload, out),
+            1 => unpack_f32_n::<1, 68>(payload, out),
+            2 => unpack_f32_n::<2, 128>(payload, out),
+            3 => unpack_f32_n::<3, 188>(payload, out),
+            4 => unpack_f32_n::<4, 248>(payload, out),
+            6 => unpack_f32_n::<6, 368>(payload, out),
+            _ => unpack_f32_n::<9, 548>(payload, out),
         }
     }
 
@@ -157,29 +211,29 @@ impl Bfee<'_> {
     ///
     /// Returns the number of samples; `None` when an index is out of range or `out` is shorter than `subcarriers`.
     pub fn column(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [Iq]) -> Option<usize> {
-        let index = self.pair(rx, tx)?;
-        let out = out.get_mut(..subcarriers.len())?;
+        let index = self.column_index(rx, tx, subcarriers)?;
         let n = self.n_rx() * self.n_tx();
-        column_words(self.payload(), n, index, subcarriers, |at, word| {
-            if let Some(iq) = out.get_mut(at) {
-                *iq = low_iq(word);
-            }
-        })
-        .then_some(subcarriers.len())
+        for (out, &subcarrier) in out.get_mut(..subcarriers.len())?.iter_mut().zip(subcarriers) {
+            let [i, q] = sample_at(self.payload(), bit_of(usize::from(subcarrier), 0, n), index).map(u8::cast_signed);
+            *out = Iq { i, q };
+        }
+        Some(subcarriers.len())
     }
 
     /// [`Bfee::column`] to `f32`, re and im alternating; `out` has at least two floats for each subcarrier.
     pub fn column_f32(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [f32]) -> Option<usize> {
-        let index = self.pair(rx, tx)?;
+        let index = self.column_index(rx, tx, subcarriers)?;
         let (out, _) = out.get_mut(..2 * subcarriers.len())?.as_chunks_mut::<2>();
-        let n = self.n_rx() * self.n_tx();
-        column_words(self.payload(), n, index, subcarriers, |at, word| {
-            if let Some(out) = out.get_mut(at) {
-                let Iq { i, q } = low_iq(word);
-                *out = [f32::from(i), f32::from(q)];
-            }
-        })
-        .then_some(subcarriers.len())
+        let payload = self.payload();
+        match self.n_rx() * self.n_tx() {
+            1 => column_f32_n::<1>(payload, index, subcarriers, out),
+            2 => column_f32_n::<2>(payload, index, subcarriers, out),
+            3 => column_f32_n::<3>(payload, index, subcarriers, out),
+            4 => column_f32_n::<4>(payload, index, subcarriers, out),
+            6 => column_f32_n::<6>(payload, index, subcarriers, out),
+            _ => column_f32_n::<9>(payload, index, subcarriers, out),
+        }?;
+        Some(subcarriers.len())
     }
 
     /// True when the bits that carry no CSI are all 0, as the firmware writes them.
@@ -192,8 +246,11 @@ impl Bfee<'_> {
         gaps | word_at(self.payload(), bit_of(SUBCARRIERS, 0, n) - GAP) == 0
     }
 
-    /// Position of a chain pair among the samples of a subcarrier.
-    fn pair(&self, rx: usize, tx: usize) -> Option<usize> {
-        (rx < self.n_rx() && tx < self.n_tx()).then(|| rx * self.n_tx() + tx)
+    /// Position of a chain pair among the samples of a subcarrier, if it and all `subcarriers` are in range.
+    #[inline]
+    fn column_index(&self, rx: usize, tx: usize, subcarriers: &[u8]) -> Option<usize> {
+        let last = subcarriers.iter().fold(0, |last, &s| last.max(s));
+        let inside = rx < self.n_rx() && tx < self.n_tx() && usize::from(last) < SUBCARRIERS;
+        inside.then(|| rx * self.n_tx() + tx)
     }
 }

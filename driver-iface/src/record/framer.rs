@@ -98,6 +98,8 @@ pub struct Framer {
     lost: bool,
     /// Bytes that checksums may still be taken of; see [`CREDIT`].
     credit: usize,
+    /// Length of the record at the front when the step before has found it to vouch for itself.
+    ahead: Option<usize>,
 }
 
 impl Default for Framer {
@@ -136,7 +138,7 @@ impl Framer {
     /// At the start of a stream.
     #[must_use]
     pub fn new() -> Self {
-        Self { offset: 0, seen: Codes::default(), searched: 0, lost: false, credit: CREDIT }
+        Self { offset: 0, seen: Codes::default(), searched: 0, lost: false, credit: CREDIT, ahead: None }
     }
 
     /// Position in the stream: bytes consumed so far.
@@ -147,6 +149,11 @@ impl Framer {
 
     /// Looks at the front of the unconsumed bytes; `end` says that no more will follow.
     pub fn step<'a>(&mut self, front: &'a [u8], end: bool) -> Step<'a> {
+        if let Some(len) = self.ahead
+            && len <= front.len()
+        {
+            return self.sure(front, end, len);
+        }
         if front.is_empty() {
             return if end { Step::End(Tail::Clean) } else { Step::Incomplete };
         }
@@ -164,8 +171,16 @@ impl Framer {
         }
     }
 
-    /// A record that vouches for itself, unless another begins inside it.
+    /// A record that vouches for itself and is there in full, unless another begins inside it.
     fn sure<'a>(&mut self, front: &'a [u8], end: bool, len: usize) -> Step<'a> {
+        if let Some(rest) = front.get(len..)
+            && let Head::Good { len: next, bits } = head(rest, &self.seen)
+            && bits >= SURE
+        {
+            let step = self.accept(front, len);
+            self.ahead = Some(next);
+            return step;
+        }
         match self.chain(front, end, len, 0, Links::Known) {
             Chain::Yes | Chain::End => return self.accept(front, len),
             Chain::Short => return Step::Incomplete,
@@ -356,6 +371,7 @@ impl Framer {
         self.credit = self.credit.saturating_add(bytes.saturating_mul(CREDIT_PER_BYTE)).min(CREDIT);
         self.searched = 0;
         self.lost = false;
+        self.ahead = None;
         offset
     }
 }

@@ -132,14 +132,14 @@ fn is_bfee_length(length: usize) -> bool {
 }
 
 /// A bfee says so much about itself that nothing else looks like one.
+#[inline]
 fn bfee_head(body: &[u8], length: usize) -> Head {
-    if !is_bfee_length(length) {
-        return Head::Bad(Reason::BfeeLength { got: length });
-    }
-    let Some(header) = body.first_chunk() else { return Head::Short };
-    match bfee::check(header, length - 1) {
-        Ok(_) => Head::Good { len: LENGTH_FIELD + length, bits: SURE },
-        Err(error) => Head::Bad(Reason::Bfee(error)),
+    let checked = body.first_chunk().map(|header| bfee::check(header, length - 1));
+    match checked {
+        Some(Ok(_)) => Head::Good { len: LENGTH_FIELD + length, bits: SURE },
+        _ if !is_bfee_length(length) => Head::Bad(Reason::BfeeLength { got: length }),
+        Some(Err(error)) => Head::Bad(Reason::Bfee(error)),
+        None => Head::Short,
     }
 }
 

@@ -13,6 +13,8 @@ use super::simd::{Real, Tier};
 use super::sums::{Columns, pairs};
 use super::*;
 
+mod guarantee;
+
 const WAVELENGTH: f64 = 0.054;
 
 /// A standard normal pair as a complex number of unit variance.

@@ -1,0 +1,81 @@
+//! The C header says what the Rust constants say. No C compiler is needed: the header holds nothing but `#define`s.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use std::collections::BTreeMap;
+
+use driver_iface::{bfee, connector, mpdu, radiotap, record, sounding};
+
+/// Every object-like macro of the header: name without prefix, and value as text.
+fn macros() -> BTreeMap<&'static str, &'static str> {
+    let header = include_str!("../include/csi5300.h");
+    let mut found = BTreeMap::new();
+    for line in header.lines().filter_map(|line| line.strip_prefix("#define CSI5300_")) {
+        let (name, rest) = line.split_once([' ', '(']).unwrap_or((line, ""));
+        let value = rest.split("/*").next().unwrap().trim();
+        assert!(found.insert(name, value).is_none(), "{name} is defined twice");
+    }
+    found
+}
+
+fn number(text: &str) -> i64 {
+    let text = text.trim_start_matches('(').trim_end_matches(')');
+    text.strip_prefix("0x").map_or_else(|| text.parse().unwrap(), |hex| i64::from_str_radix(hex, 16).unwrap())
+}
+
+/// Names and values as Rust has them.
+#[rustfmt::skip]
+fn of_rust() -> Vec<(&'static str, i64)> {
+    use bfee::{offset as b, rate};
+    use connector::{self as c, offset as d};
+    use mpdu::{self as m, offset as h};
+    use record::code;
+    macro_rules! table { ($($name:literal => $value:expr,)*) => { vec![$(($name, i64::try_from($value).unwrap())),*] } }
+    table! {
+        "AF_NETLINK" => c::AF_NETLINK, "NETLINK_CONNECTOR" => c::NETLINK_CONNECTOR, "SOL_NETLINK" => c::SOL_NETLINK,
+        "NETLINK_ADD_MEMBERSHIP" => c::NETLINK_ADD_MEMBERSHIP, "NETLINK_NO_ENOBUFS" => c::NETLINK_NO_ENOBUFS,
+        "NLMSG_DONE" => c::NLMSG_DONE, "NLMSGHDR" => c::NLMSGHDR, "CN_MSG" => c::CN_MSG, "HEADERS" => c::HEADERS,
+        "MAX_DATAGRAM" => c::MAX_DATAGRAM, "CN_IDX" => c::CN_IDX, "CN_IDX_10_USERS" => c::CN_IDX_10_USERS,
+        "CN_IDX_8_USERS" => c::CN_IDX_8_USERS, "CN_IDX_EARLY" => c::CN_IDX_EARLY, "CN_VAL" => c::CN_VAL,
+        "OFF_NLMSG_LEN" => d::NLMSG_LEN, "OFF_NLMSG_TYPE" => d::NLMSG_TYPE, "OFF_NLMSG_FLAGS" => d::NLMSG_FLAGS,
+        "OFF_NLMSG_SEQ" => d::NLMSG_SEQ, "OFF_NLMSG_PID" => d::NLMSG_PID, "OFF_CN_IDX" => d::CN_IDX,
+        "OFF_CN_VAL" => d::CN_VAL, "OFF_CN_SEQ" => d::CN_SEQ, "OFF_CN_ACK" => d::CN_ACK, "OFF_CN_LEN" => d::CN_LEN,
+        "OFF_CN_FLAGS" => d::CN_FLAGS, "OFF_DATA" => d::DATA,
+        "LENGTH_FIELD" => record::LENGTH_FIELD, "MAX_LENGTH" => record::MAX_LENGTH,
+        "CODE_BFEE" => code::BFEE, "CODE_RX_PHY" => code::RX_PHY, "CODE_MPDU" => code::MPDU, "CODE_RX" => code::RX,
+        "CODE_NOISE" => code::NOISE, "CODE_TX_RESP" => code::TX_RESP, "CODE_TX_BLOCK_AGG" => code::TX_BLOCK_AGG,
+        "CODE_STATUS" => code::STATUS, "CODE_PARALLEL" => code::PARALLEL,
+        "SUBCARRIERS" => bfee::SUBCARRIERS, "STOCK_HEADER" => bfee::STOCK_HEADER, "WSR_EXTRA" => bfee::WSR_EXTRA,
+        "WSR_HEADER" => bfee::WSR_HEADER, "MAX_BODY" => bfee::MAX_BODY, "NOISE_UNKNOWN_DBM" => bfee::NOISE_UNKNOWN_DBM,
+        "BFEE_TIMESTAMP_LOW" => b::TIMESTAMP_LOW, "BFEE_BFEE_COUNT" => b::BFEE_COUNT, "BFEE_RESERVED" => b::RESERVED,
+        "BFEE_N_RX" => b::N_RX, "BFEE_N_TX" => b::N_TX, "BFEE_RSSI" => b::RSSI, "BFEE_NOISE" => b::NOISE,
+        "BFEE_AGC" => b::AGC, "BFEE_ANTENNA_SEL" => b::ANTENNA_SEL, "BFEE_LEN" => b::LEN,
+        "BFEE_RATE_N_FLAGS" => b::RATE_N_FLAGS, "BFEE_TV_SEC" => b::TV_SEC, "BFEE_TV_USEC" => b::TV_USEC,
+        "BFEE_MAC" => b::MAC, "BFEE_FRAME_COUNT" => b::FRAME_COUNT,
+        "RATE_HT" => rate::HT, "RATE_CCK" => rate::CCK, "RATE_GREENFIELD" => rate::GREENFIELD,
+        "RATE_HT40" => rate::HT40, "RATE_DUPLICATE" => rate::DUPLICATE, "RATE_SHORT_GI" => rate::SHORT_GI,
+        "MPDU_HEADER" => m::HEADER, "MPDU_FCS" => m::FCS, "MPDU_FRAME_CONTROL" => h::FRAME_CONTROL,
+        "MPDU_DURATION" => h::DURATION, "MPDU_ADDR1" => h::ADDR1, "MPDU_ADDR2" => h::ADDR2, "MPDU_ADDR3" => h::ADDR3,
+        "MPDU_SEQ_CTRL" => h::SEQ_CTRL, "MPDU_COUNTER" => h::COUNTER,
+        "SOUNDING_HEADER_LEN" => sounding::HEADER_LEN, "SOUNDING_FCS_LEN" => sounding::FCS_LEN,
+        "SOUNDING_MIN_LEN" => sounding::MIN_LEN, "SOUNDING_DEFAULT_LEN" => sounding::wsr::DEFAULT_LEN,
+        "SOUNDING_REPLY_GROWTH" => sounding::wsr::REPLY_GROWTH, "RADIOTAP_MIN_LEN" => radiotap::MIN_LEN,
+        "RADIOTAP_FLAGS_FCS" => radiotap::FLAGS_FCS, "RADIOTAP_FLAGS_DATAPAD" => radiotap::FLAGS_DATAPAD,
+        "RADIOTAP_FLAGS_BAD_FCS" => radiotap::FLAGS_BAD_FCS, "RADIOTAP_TX_FLAGS_NO_ACK" => radiotap::TX_FLAGS_NO_ACK,
+    }
+}
+
+#[test]
+fn every_constant_is_that_of_rust() {
+    let mut macros = macros();
+    for (name, value) in of_rust() {
+        let text = macros.remove(name).unwrap_or_else(|| panic!("CSI5300_{name} is not in the header"));
+        assert_eq!(number(text), value, "CSI5300_{name}");
+    }
+    assert_eq!(macros.remove("H"), Some(""));
+    assert_eq!(macros.remove("CN_NAME"), Some(format!("{:?}", connector::CN_NAME).as_str()));
+    let magic: String = sounding::MAGIC_MAC.iter().map(|octet| format!("\\x{octet:02x}")).collect();
+    assert_eq!(macros.remove("SOUNDING_MAGIC_MAC"), Some(format!("\"{magic}\"").as_str()));
+    assert_eq!(macros.remove("CSI_LEN"), Some("n_rx, n_tx) (60 * (n_rx) * (n_tx) + 12)"));
+    assert_eq!(bfee::csi_len(3, 2), 60 * 3 * 2 + 12);
+    assert!(macros.is_empty(), "not held equal to anything: {macros:?}");
+}

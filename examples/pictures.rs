@@ -1,0 +1,79 @@
+//! One of each picture from made-up numbers: `cargo run --example pictures -- out`.
+use csi5300::plot::*;
+use std::f64::consts::TAU;
+use std::path::PathBuf;
+
+/// Repeatable numbers in -1 to 1, enough for a picture.
+fn noise(i: usize) -> f64 {
+    2.0 * ((i as f64 * 12.9898).sin() * 43758.5453).rem_euclid(1.0) - 1.0
+}
+
+fn track(label: &str, n: usize, noisy: f64) -> PhaseTrack {
+    let t_s: Vec<f64> = (0..n).map(|i| i as f64 * 0.01).collect();
+    let after = |(i, t): (usize, &f64)| 6.0 * (0.4 * t).sin() + noisy * noise(i);
+    let after_rad: Vec<f64> = t_s.iter().enumerate().map(after).collect();
+    PhaseTrack { label: label.into(), before_rad: (0..n).map(|i| 40.0 * noise(i + 7)).collect(), after_rad, t_s }
+}
+
+fn lobe(azimuth_deg: f64, at: f64, width: f64) -> f64 {
+    (-(((azimuth_deg - at + 180.0).rem_euclid(360.0) - 180.0) / width).powi(2)).exp()
+}
+
+fn main() -> Result<(), Error> {
+    let out = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| "pictures".into()));
+    let (recorded, simulated) = (track("recorded", 3000, 0.4), track("simulated", 3000, 0.2));
+    let start = std::time::Instant::now();
+    let phase = PhasePlot { title: "Phase of one link".into(), capture: recorded, other: None };
+    phase.write(&out.join("phase"))?;
+    println!("phase plot of 3000 points: {:.2} s", start.elapsed().as_secs_f64());
+    PhasePlot { title: "Recorded and simulated".into(), other: Some(simulated), ..phase }.write(&out.join("phases"))?;
+
+    let path_m: Vec<[f64; 2]> =
+        (0..200).map(|i| i as f64 / 200.0 * TAU * 0.8).map(|a| [0.5 * a.cos(), 0.35 * a.sin()]).collect();
+    let trajectory = TrajectoryPlot {
+        title: "Bearing from one turn".into(),
+        used_m: path_m.iter().step_by(4).copied().collect(),
+        path_m: path_m.clone(),
+        azimuth_rad: 0.62,
+        mirror_rad: Some(-0.62),
+        sd_rad: Some(0.04),
+        truth_rad: Some(0.58),
+        transmitter_m: Some([1.6, 1.05]),
+    };
+    trajectory.write(&out.join("trajectory"))?;
+
+    let azimuth: Vec<f64> = (-180..180).map(f64::from).collect();
+    let profile =
+        |k: f64| azimuth.iter().map(move |a| 0.95 * lobe(*a, 35.0 + k, 9.0) + 0.4 * lobe(*a, 140.0, 14.0) + 0.05);
+    let series = [("run 1", 4.0), ("run 2", -5.0), ("run 3", 0.0)];
+    let series = series.map(|(name, k)| (name.to_owned(), azimuth.clone(), profile(k).collect())).to_vec();
+    let peaks = vec![(35.0, 1.0), (140.0, 0.45)];
+    let title = "Bartlett profile".to_owned();
+    ProfilePlot { title, series, peaks, truth_deg: Some(33.0), mirror_deg: Some(-35.0) }.write(&out.join("profile"))?;
+
+    let cell = |i: usize| lobe((i % 180) as f64 * 2.0 - 180.0, 35.0, 30.0) * lobe((i / 180) as f64 * 2.0, 25.0, 20.0);
+    let value = (0..180 * 45).map(|i| cell(i) + 0.02 + 0.01 * noise(i)).collect();
+    ProfileMap { title: "Azimuth and elevation".into(), n_az: 180, n_el: 45, value }.write(&out.join("map_az_el"))?;
+
+    let errors = |scale: f64| (0..300).map(|i| scale * noise(i) * noise(i + 500)).collect::<Vec<f64>>();
+    let series = vec![("one antenna".into(), errors(12.0)), ("three antennas".into(), errors(5.0))];
+    CdfPlot { title: "Bearing error".into(), x_label: "error (degrees)".into(), series }.write(&out.join("cdf"))?;
+    let pareto = |a: f64| (0..6).map(|k| (a * 4f64.powi(k), 8.0 / 2f64.powi(k) + 0.1)).collect();
+    let series = vec![("direct".into(), pareto(2.0)), ("rings".into(), pareto(0.1))];
+    let (x_label, y_label) = ("run time (ms)".into(), "error (degrees)".into());
+    let title = "Run time against error".into();
+    ScatterLines { title, x_label, y_label, log_x: true, log_y: true, series, lines: true }
+        .write(&out.join("pareto"))?;
+
+    let truth = vec![("robot A".into(), [3.0, 2.0]), ("robot B".into(), [-2.0, 2.5]), ("robot C".into(), [2.0, -2.0])];
+    let ray = |azimuth_rad, label: &str, class| Ray { origin_m: [0.0; 2], azimuth_rad, label: label.into(), class };
+    let rays = vec![
+        ray(0.55, "A", RayClass::Measured),
+        ray(2.2, "B", RayClass::Measured),
+        ray(-0.8, "C", RayClass::Measured),
+        ray(2.245, "", RayClass::Truth),
+        ray(-0.55, "A", RayClass::Mirror),
+    ];
+    MapPlot { title: "Robots and bearings".into(), truth, rays, path_m }.write(&out.join("robots"))?;
+    Ok(())
+}

@@ -1,0 +1,86 @@
+"""Compares the output of examples/dump_csi with csiread, record by record; see csiread_compare.sh."""
+
+import os
+import subprocess
+import sys
+import tempfile
+
+import csiread
+import numpy as np
+
+HEAD = 6  # offset, timestamp_low, bfee_count, n_rx, n_tx, is_40_mhz
+
+
+def is_stock(path):
+    """True if the first bfee has the 20-byte header: csiread reads the other layout wrongly, so it is left out."""
+    data = open(path, "rb").read(70_000)
+    at = 0
+    while at + 21 <= len(data):
+        length = int.from_bytes(data[at : at + 2], "big")
+        if data[at + 2] == 0xBB:
+            return length - 21 == int.from_bytes(data[at + 19 : at + 21], "little")
+        at += 2 + length
+    return False
+
+
+def ours(dump, path):
+    """Yields (head, raw, scaled, without spatial mapping) of each record, as [subcarrier][antenna][tx]."""
+    with tempfile.NamedTemporaryFile() as out:
+        subprocess.run([dump, path, out.name], check=True)
+        values = np.fromfile(out.name, dtype="<f8")
+    at = 0
+    while at < len(values):
+        head = values[at : at + HEAD]
+        n_rx, n_tx = int(head[3]), int(head[4])
+        size = 2 * 30 * n_rx * n_tx
+        at += HEAD
+        parts = [values[at + k * size : at + (k + 1) * size].view(np.complex128).reshape(30, n_rx, n_tx) for k in range(3)]
+        at += 3 * size
+        yield head, *parts
+
+
+def error(a, b):
+    """Largest difference, relative to the largest magnitude of b."""
+    return float(np.max(np.abs(a - b)) / np.max(np.abs(b)))
+
+
+def compare(dump, path):
+    theirs = csiread.Intel(path, nrxnum=3, ntxnum=3, pl_size=2000, if_report=False)
+    theirs.read()
+    scaled = theirs.get_scaled_csi()
+    # Not get_scaled_csi_sm(): a second scaling on one object adds to the total RSS of the first (csiread 1.4.1).
+    bare = theirs.apply_sm(scaled)
+    records = list(ours(dump, path))
+    if len(records) != theirs.count:
+        print(f"{path}: {len(records)} records, csiread has {theirs.count}")
+        return False
+    raw_differ, worst_scaled, worst_bare, mapped = 0, 0.0, 0.0, 0
+    for k, (head, raw, ours_scaled, ours_bare) in enumerate(records):
+        n_rx, n_tx = raw.shape[1:]
+        same = (theirs.timestamp_low[k], theirs.bfee_count[k], theirs.Nrx[k], theirs.Ntx[k]) == tuple(head[1:5])
+        raw_differ += not (same and np.array_equal(raw, theirs.csi[k, :, :n_rx, :n_tx]))
+        worst_scaled = max(worst_scaled, error(ours_scaled, scaled[k, :, :n_rx, :n_tx]))
+        worst_bare = max(worst_bare, error(ours_bare, bare[k, :, :n_rx, :n_tx]))
+        mapped += n_tx > 1
+    good = raw_differ == 0 and worst_scaled <= 1e-6 and worst_bare <= 1e-6
+    print(
+        f"{os.path.basename(path)}: {len(records)} records ({mapped} with n_tx > 1): raw differs in {raw_differ}, scaled by"
+        f" {worst_scaled:.1e}, without spatial mapping by {worst_bare:.1e}: {'agree' if good else 'DISAGREE'}"
+    )
+    return good
+
+
+def main():
+    dump, logs = sys.argv[1], sys.argv[2:]
+    stock = [path for path in logs if is_stock(path)]
+    for path in logs:
+        if path not in stock:
+            print(f"{os.path.basename(path)}: not the stock layout, left out (csiread takes its header for CSI)")
+    results = [compare(dump, path) for path in stock]
+    if not results:
+        print("nothing compared")
+        sys.exit(2)
+    sys.exit(0 if all(results) else 1)
+
+
+main()

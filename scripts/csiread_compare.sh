@@ -1,0 +1,20 @@
+#!/bin/sh
+# Compares csi5300 with csiread (PyPI) on stock-layout logs: raw CSI exactly, scaled CSI to 1e-6.
+#
+# usage: scripts/csiread_compare.sh [LOG...]
+# Without arguments: every stock-layout log in csitool/ below the captures (CSI5300_CAPTURES, or ../shared/captures).
+# Exit status 0 agreement, 1 disagreement, 2 nothing to compare.
+set -eu
+root=$(cd "$(dirname "$0")/.." && pwd)
+captures=${CSI5300_CAPTURES:-$root/../shared/captures}
+if [ $# -eq 0 ]; then
+    set -- "$captures"/csitool/*.dat
+fi
+if [ ! -e "$1" ]; then
+    echo "nothing to compare: no logs at $captures/csitool (set CSI5300_CAPTURES or name logs)" >&2
+    exit 2
+fi
+python=$("$root/scripts/venv.sh" csiread==1.4.1 numpy)
+cargo build --quiet --manifest-path "$root/Cargo.toml" --example dump_csi
+target=${CARGO_TARGET_DIR:-$root/target}
+exec "$python" "$root/scripts/csiread_compare.py" "$target/debug/examples/dump_csi" "$@"

@@ -1,0 +1,15 @@
+#!/bin/sh
+# Decoding speed against csiread (PyPI): a 200 MB WSR log, 3x1, one thread, warm, the two in turns, median of 5.
+#
+# usage: scripts/decode_bench.sh [LOG]
+# Without LOG the real captures of ../shared/captures/paper (or CSI5300_CAPTURES) are concatenated; where they are
+# absent, records made by `emit`. Floors: all to f32 10x csiread's records per second, one antenna with 30 subcarriers
+# 10x, with 8 subcarriers 25x; the exit status is 1 if one is missed. Memory of the decoder: under 30 MB.
+set -eu
+root=$(cd "$(dirname "$0")/.." && pwd)
+captures=${CSI5300_CAPTURES:-$root/../shared/captures}
+python=$("$root/scripts/venv.sh" csiread==1.4.1 numpy)
+cargo bench --quiet --manifest-path "$root/Cargo.toml" -p driver-iface --bench decode --no-run
+target=${CARGO_TARGET_DIR:-$root/target}
+bench=$(ls -t "$target"/release/deps/decode-* | grep -v '\.d$' | head -n 1)
+exec "$python" "$root/scripts/decode_bench.py" "$bench" "$captures/paper" "$@"

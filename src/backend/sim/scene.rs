@@ -1,0 +1,386 @@
+//! What a scene states: the TOML of a simulated room.
+//!
+//! Every effect is off unless a scene asks for it, and what is off costs nothing. Keys nobody knows are refused.
+
+use super::crystal::Crystal;
+use super::faults::Faults;
+use super::motion::{Motion, Pose};
+use super::radio::Radio;
+use super::recorded::Recorded;
+use super::scene_check;
+use driver_iface::Mac;
+use nalgebra::Vector3;
+use serde::Deserialize;
+use std::path::Path;
+
+/// A room, its robots and what they do.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Scene {
+    /// A name for reports.
+    pub name: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Length of the scene in true time, seconds.
+    pub duration_s: f64,
+    /// Channel number; 108 is 5,540 MHz.
+    pub channel: u16,
+    /// Bandwidth, MHz: 20 or 40.
+    pub bandwidth_mhz: u16,
+    /// True time at the start of the scene, seconds since the Unix epoch.
+    pub start_unix_s: i64,
+    /// Highest number of reflections of a path.
+    pub reflections: u8,
+    /// What the carriers' offsets are made of.
+    pub cfo: Cfo,
+    /// The layout of the records: what driver the robots have.
+    pub driver: Driver,
+    /// Who sounds whom, and how often.
+    pub sounding: Option<Sounding>,
+    /// The radios of all robots that state none of their own.
+    pub radio: Radio,
+    /// The robots.
+    pub robot: Vec<Robot>,
+    /// Upright walls.
+    pub wall: Vec<Wall>,
+    /// Flat reflectors of any orientation: floors, ceilings, cupboards.
+    pub reflector: Vec<Reflector>,
+}
+
+impl Default for Scene {
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            seed: 1,
+            duration_s: 0.0,
+            channel: 108,
+            bandwidth_mhz: 20,
+            start_unix_s: 1_700_000_000,
+            reflections: 0,
+            cfo: Cfo::Off,
+            driver: Driver::Wsr,
+            sounding: None,
+            radio: Radio::default(),
+            robot: Vec::new(),
+            wall: Vec::new(),
+            reflector: Vec::new(),
+        }
+    }
+}
+
+/// Carrier frequency offset.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[doc(alias = "CFO")]
+pub enum Cfo {
+    /// Synthesisers agree perfectly, whatever the crystals do to the clocks.
+    #[default]
+    Off,
+    /// Each carrier runs from its card's crystal and is evaluated at the true time of each frame.
+    Physical,
+    /// The paper's `df t + c1 sin(c2 t)`, both directions at one instant.
+    Paper(PaperCfo),
+}
+
+/// The paper's carrier offset (its equation for CFO_ij): `df t + c1 sin(c2 t)` cycles.
+///
+/// With the paper's values it swings by `c1 c2` = 2 MHz, which no crystal does: at true frame times the two
+/// directions would have nothing in common. So, as in the paper, both are evaluated at one instant, the forward
+/// frame's, but for a uniformly distributed difference of at most `jitter_ns` either way.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PaperCfo {
+    /// Constant part, Hz.
+    pub df_hz: f64,
+    /// Amplitude, cycles.
+    pub c1: f64,
+    /// Angular rate, radians per second.
+    pub c2: f64,
+    /// The time difference's magnitude (the paper's epsilon_t), nanoseconds.
+    pub jitter_ns: f64,
+}
+
+impl Default for PaperCfo {
+    fn default() -> Self {
+        Self { df_hz: 10.0, c1: 10_000.0, c2: 200.0, jitter_ns: 100.0 }
+    }
+}
+
+/// The driver that the robots' cards have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Driver {
+    /// The WSR toolbox's: records carry host time, MAC and frame number.
+    #[default]
+    Wsr,
+    /// The original CSI tool's, with `connector_log=0x5`: each record follows a copy of its frame.
+    Stock,
+}
+
+/// The sounding exchange that the room itself runs.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Sounding {
+    /// Rounds per second; a round is one forward and one backward frame with every other robot. `inf` is the highest
+    /// rate that fits.
+    pub rate_hz: f64,
+    /// Names of the robots that initiate, in turns; the first robot when empty. The WSR dialect knows no turns.
+    pub initiators: Vec<String>,
+    /// The frames' dialect.
+    pub dialect: Dialect,
+    /// First round, seconds.
+    pub start_s: f64,
+}
+
+impl Default for Sounding {
+    fn default() -> Self {
+        Self { rate_hz: 100.0, initiators: Vec::new(), dialect: Dialect::Wsr, start_s: 0.0 }
+    }
+}
+
+/// The dialect of sounding frames.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Dialect {
+    /// The WSR toolbox's: robots told apart by frame length.
+    #[default]
+    Wsr,
+    /// Ours: destination, role and number in the payload.
+    Native,
+}
+
+/// One robot.
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Robot {
+    /// Its name, in file names too.
+    pub name: String,
+    /// MAC address, `"00:21:6A:53:89:D2"`. Without one: 02:53:00:00 and the robot's number.
+    pub mac: Option<String>,
+    /// Place at the start, metres.
+    pub position_m: [f64; 3],
+    /// Heading at the start, degrees from +x towards +y.
+    pub yaw_deg: f64,
+    /// Antenna A in the robot's frame (x forward, y left, z up), metres.
+    pub antenna_m: [f64; 3],
+    /// Antenna B, if connected.
+    pub antenna_b_m: Option<[f64; 3]>,
+    /// Antenna C, if connected.
+    pub antenna_c_m: Option<[f64; 3]>,
+    /// How it moves.
+    pub motion: Motion,
+    /// Its card's crystal.
+    pub crystal: Crystal,
+    /// Its host's clock.
+    pub host_clock: HostClock,
+    /// Its radio, where it differs from the scene's; replaces all of it.
+    pub radio: Option<Radio>,
+    /// What goes wrong with it.
+    pub faults: Faults,
+    /// Its odometry.
+    pub odometry: Odometry,
+    /// Frames of exactly this many bytes (with FCS) are answered by the card's driver, as the WSR driver's module
+    /// parameter of this name does. For rooms whose frames come from outside.
+    pub ack_len: Option<usize>,
+}
+
+/// A host's wall clock: `true time + offset + drift`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct HostClock {
+    /// Seconds ahead of true time.
+    pub offset_s: f64,
+    /// Parts per million fast.
+    pub drift_ppm: f64,
+}
+
+/// Odometry as a sensor. The default is perfect, at 100 Hz.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Odometry {
+    /// Poses per second.
+    pub rate_hz: f64,
+    /// White noise of each coordinate, metres (standard deviation).
+    pub noise_m: f64,
+    /// White noise of the heading, degrees (standard deviation).
+    pub noise_deg: f64,
+    /// Metres reported per metre driven.
+    pub scale: f64,
+    /// Drift of the heading, degrees per second.
+    pub heading_drift_deg_s: f64,
+    /// Random walk of the heading, degrees per root second (standard deviation after 1 s).
+    pub heading_walk_deg: f64,
+    /// Share of poses that never come.
+    pub drop: f64,
+    /// Share of poses that come late.
+    pub late: f64,
+    /// How late those come, seconds.
+    pub late_s: f64,
+}
+
+impl Default for Odometry {
+    fn default() -> Self {
+        Self {
+            rate_hz: 100.0,
+            noise_m: 0.0,
+            noise_deg: 0.0,
+            scale: 1.0,
+            heading_drift_deg_s: 0.0,
+            heading_walk_deg: 0.0,
+            drop: 0.0,
+            late: 0.0,
+            late_s: 0.0,
+        }
+    }
+}
+
+/// An upright wall.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Wall {
+    /// One end on the floor, metres.
+    pub from_m: [f64; 2],
+    /// The other end.
+    pub to_m: [f64; 2],
+    /// Lower edge, metres.
+    #[serde(default)]
+    pub bottom_m: f64,
+    /// Upper edge, metres.
+    #[serde(default = "storey")]
+    pub top_m: f64,
+    /// Thickness, metres: no robot's centre may come closer than half of it. Waves see the middle plane only.
+    #[serde(default = "thickness")]
+    pub thickness_m: f64,
+    /// Lost in a reflection, dB.
+    #[serde(default = "plaster")]
+    pub loss_db: f64,
+    /// Lost in a passage, dB; opaque without it.
+    pub through_db: Option<f64>,
+}
+
+/// A flat parallelogram.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Reflector {
+    /// A corner, metres.
+    pub corner_m: [f64; 3],
+    /// From the corner along one edge, metres.
+    pub edge_a_m: [f64; 3],
+    /// From the corner along the other.
+    pub edge_b_m: [f64; 3],
+    /// Lost in a reflection, dB.
+    #[serde(default = "plaster")]
+    pub loss_db: f64,
+    /// Lost in a passage, dB; opaque without it.
+    pub through_db: Option<f64>,
+}
+
+fn storey() -> f64 {
+    2.5
+}
+
+fn thickness() -> f64 {
+    0.1
+}
+
+fn plaster() -> f64 {
+    6.0
+}
+
+/// Why a scene was refused: where, and the reason.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub struct SceneError {
+    /// Line in the TOML text, from 1, where there is a text.
+    pub line: Option<usize>,
+    /// What is wrong, and what would be right.
+    pub reason: String,
+}
+
+impl std::fmt::Display for SceneError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.line {
+            Some(line) => write!(f, "line {line}: {}", self.reason),
+            None => f.write_str(&self.reason),
+        }
+    }
+}
+
+impl Scene {
+    /// Reads and checks a scene's text. Trajectory files are relative to the current folder.
+    ///
+    /// # Errors
+    /// [`SceneError`] with the line and the reason: unknown keys, values out of range, robots inside walls, ...
+    pub fn from_toml(text: &str) -> Result<Self, SceneError> {
+        Self::read(text, Path::new(""))
+    }
+
+    /// Reads and checks a scene's text; trajectory files in it are relative to `folder`.
+    ///
+    /// # Errors
+    /// As [`Scene::from_toml`].
+    pub fn read(text: &str, folder: &Path) -> Result<Self, SceneError> {
+        let mut scene: Self = toml::from_str(text).map_err(|error| SceneError {
+            line: error.span().map(|span| scene_check::line_of(text, span.start)),
+            reason: error.message().to_owned(),
+        })?;
+        for robot in &mut scene.robot {
+            if let Motion::Recorded(motion) = &mut robot.motion {
+                motion.file = folder.join(&motion.file);
+            }
+        }
+        scene.check().map_err(|problem| problem.locate(text))?;
+        Ok(scene)
+    }
+
+    /// Reads and checks a scene file.
+    ///
+    /// # Errors
+    /// As [`Scene::from_toml`], and when the file cannot be read.
+    pub fn load(file: &Path) -> Result<Self, SceneError> {
+        let text = std::fs::read_to_string(file)
+            .map_err(|e| SceneError { line: None, reason: format!("cannot read {}: {e}", file.display()) })?;
+        Self::read(&text, file.parent().unwrap_or(Path::new("")))
+    }
+
+    /// The radio of a robot.
+    #[must_use]
+    pub fn radio_of<'a>(&'a self, robot: &'a Robot) -> &'a Radio {
+        robot.radio.as_ref().unwrap_or(&self.radio)
+    }
+
+    /// The numbers of the initiating robots.
+    #[must_use]
+    pub fn initiators(&self) -> Vec<usize> {
+        let named = self.sounding.as_ref().map_or(&[][..], |s| &s.initiators);
+        let numbers: Vec<usize> =
+            named.iter().filter_map(|name| self.robot.iter().position(|r| r.name == *name)).collect();
+        if numbers.is_empty() { vec![0] } else { numbers }
+    }
+}
+
+impl Robot {
+    /// Its pose at the start.
+    #[must_use]
+    pub fn start(&self) -> Pose {
+        Pose { position_m: Vector3::from(self.position_m), yaw_rad: super::maths::rad(self.yaw_deg) }
+    }
+
+    /// Its MAC address; `None` if the text is none.
+    #[must_use]
+    pub fn mac_address(&self, number: usize) -> Option<Mac> {
+        match &self.mac {
+            Some(text) => text.parse().ok(),
+            // A locally administered address.
+            None => Some(Mac([0x02, 0x53, 0, 0, (number >> 8) as u8, number as u8])),
+        }
+    }
+
+    /// The trajectory file of a recorded motion.
+    ///
+    /// # Errors
+    /// A sentence with the file's name.
+    pub fn recorded(&self) -> Result<Option<Recorded>, String> {
+        let Motion::Recorded(motion) = &self.motion else { return Ok(None) };
+        Recorded::load(&motion.file).map(Some)
+    }
+}

@@ -1,0 +1,351 @@
+//! The refusal of bad scenes, with the line and the reason.
+
+use super::carrier::Carrier;
+use super::faults::Faults;
+use super::motion::Motion;
+use super::radio::{Gain, Noise, Radio};
+use super::scene::{Dialect, Odometry, Robot, Scene, SceneError};
+use super::sounder::request;
+use super::world::{World, surfaces};
+use nalgebra::Vector3;
+use toml::de::{DeTable, DeValue};
+
+/// One step of the way to a value in the document.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Step {
+    Key(&'static str),
+    Index(usize),
+}
+
+/// What is wrong, and where in the document.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Problem {
+    at: Vec<Step>,
+    reason: String,
+}
+
+type Checked = Result<(), Problem>;
+
+impl Problem {
+    fn new(reason: impl Into<String>) -> Self {
+        Self { at: Vec::new(), reason: reason.into() }
+    }
+
+    /// The same problem, one level further out.
+    fn within(mut self, step: Step) -> Self {
+        self.at.insert(0, step);
+        self
+    }
+
+    fn key(self, key: &'static str) -> Self {
+        self.within(Step::Key(key))
+    }
+
+    /// Finds the line of the problem: that of the innermost part of its place that the text has.
+    pub(super) fn locate(self, text: &str) -> SceneError {
+        let line = DeTable::parse(text).ok().and_then(|document| {
+            let mut found = None;
+            let mut value = DeValue::Table(document.into_inner());
+            for step in &self.at {
+                let (next, start) = descend(value, *step)?;
+                found = Some(start);
+                value = next;
+            }
+            found
+        });
+        SceneError { line: line.map(|start| line_of(text, start)), reason: self.reason }
+    }
+}
+
+/// The value one step further in, and where it (or its key) begins. A missing key stays where it is.
+fn descend(value: DeValue<'_>, step: Step) -> Option<(DeValue<'_>, usize)> {
+    match (value, step) {
+        (DeValue::Table(table), Step::Key(key)) => {
+            let (name, value) = table.into_iter().find(|(name, _)| name.get_ref() == key)?;
+            let start = match value.get_ref() {
+                // A table's span is its header or braces, an array of tables has that of its first.
+                DeValue::Table(_) | DeValue::Array(_) => value.span().start,
+                _ => name.span().start,
+            };
+            Some((value.into_inner(), start))
+        }
+        (DeValue::Array(array), Step::Index(index)) => {
+            let value = array.into_iter().nth(index)?;
+            let start = value.span().start;
+            Some((value.into_inner(), start))
+        }
+        _ => None,
+    }
+}
+
+/// The line, from 1, of a byte offset.
+pub(super) fn line_of(text: &str, offset: usize) -> usize {
+    1 + text.bytes().take(offset).filter(|&b| b == b'\n').count()
+}
+
+/// Refuses a value unless `ok`.
+fn ensure(ok: bool, key: &'static str, reason: impl FnOnce() -> String) -> Checked {
+    if ok { Ok(()) } else { Err(Problem::new(format!("{key} {}", reason())).key(key)) }
+}
+
+/// Refuses values that are negative or not finite.
+fn not_negative(key: &'static str, value: f64) -> Checked {
+    ensure(value >= 0.0 && value.is_finite(), key, || format!("is {value}; it must be a number of at least 0"))
+}
+
+/// Refuses values that are not positive and finite.
+fn positive(key: &'static str, value: f64) -> Checked {
+    ensure(value > 0.0 && value.is_finite(), key, || format!("is {value}; it must be more than 0"))
+}
+
+/// Refuses what is no share.
+fn share(key: &'static str, value: f64) -> Checked {
+    ensure((0.0..=1.0).contains(&value), key, || format!("is {value}; it is a share, from 0 to 1"))
+}
+
+/// Refuses what is no finite number.
+fn finite(key: &'static str, values: &[f64]) -> Checked {
+    ensure(values.iter().all(|v| v.is_finite()), key, || "must be finite numbers".to_owned())
+}
+
+impl Scene {
+    /// Checks everything that the types do not.
+    pub(super) fn check(&self) -> Result<(), Problem> {
+        positive("duration_s", self.duration_s)?;
+        ensure(matches!(self.bandwidth_mhz, 20 | 40), "bandwidth_mhz", || {
+            format!("is {}; the card has 20 and 40", self.bandwidth_mhz)
+        })?;
+        ensure(Carrier::new(self.channel, self.bandwidth_mhz == 40).is_some(), "channel", || {
+            format!("is {}; channels are 1 to 14 and 34 to 196", self.channel)
+        })?;
+        ensure(self.reflections <= 4, "reflections", || {
+            format!("is {}; more than 4 would be more paths than sense", self.reflections)
+        })?;
+        ensure((0..=i64::from(u32::MAX)).contains(&self.start_unix_s), "start_unix_s", || {
+            format!("is {}; records hold seconds from 0 to 4,294,967,295", self.start_unix_s)
+        })?;
+        check_radio(&self.radio).map_err(|p| p.key("radio"))?;
+        ensure(!self.robot.is_empty(), "robot", || "is missing: a scene needs at least one [[robot]]".to_owned())?;
+        for (number, robot) in self.robot.iter().enumerate() {
+            let within = |p: Problem| {
+                let name = if robot.name.is_empty() { format!("robot {}", number + 1) } else { robot.name.clone() };
+                let reason = format!("{name}: {}", p.reason);
+                Problem { reason, ..p }.within(Step::Index(number)).key("robot")
+            };
+            self.check_robot(number, robot).map_err(within)?;
+        }
+        self.check_sounding()?;
+        self.check_surfaces()?;
+        self.check_ways()
+    }
+
+    fn check_robot(&self, number: usize, robot: &Robot) -> Checked {
+        ensure(!robot.name.is_empty(), "name", || "is missing".to_owned())?;
+        let plain = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+        ensure(robot.name.chars().all(plain), "name", || {
+            "goes into file names: only letters, digits, - and _".to_owned()
+        })?;
+        let mac = robot.mac_address(number);
+        ensure(mac.is_some(), "mac", || "is no MAC address; one looks like 00:21:6A:53:89:D2".to_owned())?;
+        for (other_number, other) in self.robot.iter().take(number).enumerate() {
+            ensure(other.name != robot.name, "name", || "is taken: two robots cannot share one".to_owned())?;
+            ensure(other.mac_address(other_number) != mac, "mac", || {
+                format!("is also that of {}: pairs are told apart by MAC", other.name)
+            })?;
+        }
+        finite("position_m", &robot.position_m)?;
+        finite("yaw_deg", &[robot.yaw_deg])?;
+        finite("antenna_m", &robot.antenna_m)?;
+        check_motion(&robot.motion).map_err(|p| p.key("motion"))?;
+        let c = &robot.crystal;
+        let drifts = [c.offset_ppm, c.drift_ppm_per_s, c.warm_up_ppm, c.wander_ppm];
+        ensure(drifts.iter().all(|ppm| ppm.abs() <= 1e3), "crystal", || {
+            "is off by more than 1,000 ppm; crystals are good to some 20".to_owned()
+        })?;
+        positive("warm_up_s", c.warm_up_s).map_err(|p| p.key("crystal"))?;
+        positive("wander_period_s", c.wander_period_s).map_err(|p| p.key("crystal"))?;
+        let host = &robot.host_clock;
+        ensure(host.offset_s.abs() < 1e8 && host.drift_ppm.abs() <= 1e3, "host_clock", || {
+            "is further off than clocks are".to_owned()
+        })?;
+        if let Some(radio) = &robot.radio {
+            check_radio(radio).map_err(|p| p.key("radio"))?;
+        }
+        check_faults(&robot.faults).map_err(|p| p.key("faults"))?;
+        check_odometry(&robot.odometry).map_err(|p| p.key("odometry"))
+    }
+
+    fn check_sounding(&self) -> Checked {
+        let Some(sounding) = &self.sounding else { return Ok(()) };
+        let check = || {
+            ensure(sounding.rate_hz > 0.0, "rate_hz", || format!("is {}; it must be more than 0", sounding.rate_hz))?;
+            not_negative("start_s", sounding.start_s)?;
+            ensure(self.robot.len() >= 2, "rate_hz", || "needs two robots at least".to_owned())?;
+            for name in &sounding.initiators {
+                ensure(self.robot.iter().any(|r| r.name == *name), "initiators", || format!("has no robot {name:?}"))?;
+            }
+            let takes_turns = sounding.dialect == Dialect::Native || sounding.initiators.len() <= 1;
+            ensure(takes_turns, "initiators", || "take turns, which only the native dialect knows".to_owned())?;
+            request(self, sounding).map_err(|e| Problem::new(e.to_string()).key("rate_hz"))?;
+            Ok(())
+        };
+        check().map_err(|p: Problem| p.key("sounding"))
+    }
+
+    fn check_surfaces(&self) -> Checked {
+        for (index, wall) in self.wall.iter().enumerate() {
+            let check = || {
+                finite("from_m", &wall.from_m)?;
+                finite("to_m", &wall.to_m)?;
+                ensure(wall.from_m != wall.to_m, "to_m", || "is where the wall begins".to_owned())?;
+                ensure(wall.top_m > wall.bottom_m, "top_m", || "is not above bottom_m".to_owned())?;
+                not_negative("thickness_m", wall.thickness_m)?;
+                check_losses(wall.loss_db, wall.through_db)
+            };
+            check().map_err(|p: Problem| p.within(Step::Index(index)).key("wall"))?;
+        }
+        for (index, panel) in self.reflector.iter().enumerate() {
+            let check = || {
+                finite("corner_m", &panel.corner_m)?;
+                let area = Vector3::from(panel.edge_a_m).cross(&Vector3::from(panel.edge_b_m)).norm();
+                ensure(area > 1e-6, "edge_b_m", || "spans no area with edge_a_m".to_owned())?;
+                check_losses(panel.loss_db, panel.through_db)
+            };
+            check().map_err(|p: Problem| p.within(Step::Index(index)).key("reflector"))?;
+        }
+        Ok(())
+    }
+
+    /// Robots neither begin inside walls nor drive into or through them, and never share a place.
+    fn check_ways(&self) -> Checked {
+        let robot = |index: usize, p: Problem| p.within(Step::Index(index)).key("robot");
+        let world = World::new(self).map_err(|reason| Problem::new(reason).key("robot"))?;
+        let walls = surfaces(self).unwrap_or_default();
+        let steps = (self.duration_s / 0.05).ceil().min(20_000.0) as usize;
+        for (index, state) in self.robot.iter().enumerate() {
+            let steps = if world.is_still(index) || walls.is_empty() { 0 } else { steps };
+            let mut before = world.pose(index, 0.0).position_m;
+            for step in 0..=steps {
+                let t_s = if steps == 0 { 0.0 } else { self.duration_s * step as f64 / steps as f64 };
+                let here = world.pose(index, t_s).position_m;
+                for (wall, surface) in self.wall.iter().zip(&walls) {
+                    let inside = surface.distance_m(here) <= 0.5 * wall.thickness_m;
+                    if inside || surface.separates(before, here) {
+                        let when = if step == 0 { "is".to_owned() } else { format!("drives, after {t_s:.1} s,") };
+                        let [x0, y0] = wall.from_m;
+                        let [x1, y1] = wall.to_m;
+                        let reason = format!("{} {when} inside the wall from ({x0}, {y0}) to ({x1}, {y1})", state.name);
+                        let key = if step == 0 { "position_m" } else { "motion" };
+                        return Err(robot(index, Problem::new(reason).key(key)));
+                    }
+                }
+                before = here;
+            }
+            for other in 0..index {
+                let apart = world.pose(index, 0.0).position_m - world.pose(other, 0.0).position_m;
+                if apart.norm() < 0.01 {
+                    let reason = format!("{} is where {} is", state.name, self.robot[other].name);
+                    return Err(robot(index, Problem::new(reason).key("position_m")));
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn check_losses(loss_db: f64, through_db: Option<f64>) -> Checked {
+    not_negative("loss_db", loss_db)?;
+    through_db.map_or(Ok(()), |db| not_negative("through_db", db))
+}
+
+fn check_motion(motion: &Motion) -> Checked {
+    let timed = |kind: &'static str, size: (&'static str, f64), duration_s: f64, start_s: f64| {
+        let check = || {
+            not_negative(size.0, size.1)?;
+            positive("duration_s", duration_s)?;
+            not_negative("start_s", start_s)
+        };
+        check().map_err(|p: Problem| p.key(kind))
+    };
+    match motion {
+        Motion::Static => Ok(()),
+        Motion::Line(m) => timed("line", ("length_m", m.length_m), m.duration_s, m.start_s),
+        Motion::Circle(m) => timed("circle", ("radius_m", m.radius_m), m.duration_s, m.start_s),
+        Motion::Arc(m) => timed("arc", ("radius_m", m.radius_m), m.duration_s, m.start_s),
+        Motion::Square(m) => timed("square", ("side_m", m.side_m), m.duration_s, m.start_s),
+        Motion::Helix(m) => timed("helix", ("radius_m", m.radius_m), m.duration_s, m.start_s),
+        Motion::FigureEight(m) => timed("figure_eight", ("radius_m", m.radius_m), m.duration_s, m.start_s),
+        Motion::RandomWalk(m) => {
+            positive("within_m", m.within_m).map_err(|p| p.key("random_walk"))?;
+            timed("random_walk", ("speed_m_s", m.speed_m_s), m.duration_s, m.start_s)
+        }
+        Motion::Waypoints(m) => {
+            let check = || {
+                positive("speed_m_s", m.speed_m_s)?;
+                not_negative("start_s", m.start_s)?;
+                ensure(!m.points_m.is_empty(), "points_m", || "has no points".to_owned())?;
+                m.points_m.iter().try_for_each(|p| finite("points_m", p))
+            };
+            check().map_err(|p: Problem| p.key("waypoints"))
+        }
+        Motion::Recorded(m) => not_negative("start_s", m.start_s).map_err(|p| p.key("recorded")),
+    }
+}
+
+fn check_radio(radio: &Radio) -> Checked {
+    let sizes = [
+        ("phase_noise_rad", radio.phase_noise_rad),
+        ("delay_std_ns", radio.delay_std_ns),
+        ("send_jitter_us", radio.send_jitter_us),
+        ("host_latency_us", radio.host_latency_us),
+        ("host_latency_std_us", radio.host_latency_std_us),
+    ];
+    sizes.iter().try_for_each(|&(key, value)| not_negative(key, value))?;
+    finite("delay_ns", &[radio.delay_ns])?;
+    finite("tx_power_dbm", &[radio.tx_power_dbm])?;
+    ensure((1..=3).contains(&radio.chains), "chains", || format!("is {}; the card has 1 to 3", radio.chains))?;
+    ensure(radio.mcs <= 7, "mcs", || format!("is {}; one stream has 0 to 7", radio.mcs))?;
+    if let Noise::SnrDb(db) | Noise::FloorDbm(db) = radio.noise {
+        finite("noise", &[db])?;
+    }
+    match &radio.gain {
+        Gain::Fixed(fixed) => positive("lsb_at_1m", fixed.lsb_at_1m).map_err(|p| p.key("fixed").key("gain"))?,
+        Gain::Agc(agc) => positive("target_lsb", agc.target_lsb).map_err(|p| p.key("agc").key("gain"))?,
+    }
+    let turn = &radio.turn_around;
+    let ordered = turn.min_us >= 0.0 && turn.min_us <= turn.median_us && turn.median_us <= turn.max_us;
+    ensure(ordered && turn.max_us.is_finite(), "turn_around", || {
+        format!("has min_us {}, median_us {}, max_us {}: not in order", turn.min_us, turn.median_us, turn.max_us)
+    })?;
+    not_negative("spread_us", turn.spread_us).map_err(|p| p.key("turn_around"))?;
+    not_negative("tail_spread_us", turn.tail_spread_us).map_err(|p| p.key("turn_around"))?;
+    finite("tail_us", &[turn.tail_us]).map_err(|p| p.key("turn_around"))?;
+    share("tail", turn.tail).map_err(|p| p.key("turn_around"))
+}
+
+fn check_faults(faults: &Faults) -> Checked {
+    share("loss", faults.loss)?;
+    share("duplicate", faults.duplicate)?;
+    share("driver_drop", faults.driver_drop)?;
+    ensure(faults.queue_records > 0, "queue_records", || "is 0: nothing would ever arrive".to_owned())?;
+    not_negative("stall_every_s", faults.stall_every_s)?;
+    not_negative("stall_s", faults.stall_s)?;
+    faults.restart_at_s.iter().try_for_each(|&t_s| not_negative("restart_at_s", t_s))?;
+    not_negative("restart_s", faults.restart_s)
+}
+
+fn check_odometry(odometry: &Odometry) -> Checked {
+    positive("rate_hz", odometry.rate_hz)?;
+    not_negative("noise_m", odometry.noise_m)?;
+    not_negative("noise_deg", odometry.noise_deg)?;
+    positive("scale", odometry.scale)?;
+    finite("heading_drift_deg_s", &[odometry.heading_drift_deg_s])?;
+    not_negative("heading_walk_deg", odometry.heading_walk_deg)?;
+    share("drop", odometry.drop)?;
+    share("late", odometry.late)?;
+    not_negative("late_s", odometry.late_s)
+}
+
+#[cfg(test)]
+#[path = "scene_tests.rs"]
+mod tests;

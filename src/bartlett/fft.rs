@@ -1,0 +1,72 @@
+//! FFTs of the tier that was asked for.
+
+use std::sync::Arc;
+
+use rustfft::{Fft, FftNum, FftPlanner, FftPlannerScalar};
+
+use super::simd::Tier;
+
+/// The planner of one tier, with its cache.
+pub(crate) struct Ffts<T: FftNum> {
+    tier: Tier,
+    planner: Planner<T>,
+}
+
+enum Planner<T: FftNum> {
+    Detected(FftPlanner<T>),
+    #[cfg(target_arch = "x86_64")]
+    Sse(rustfft::FftPlannerSse<T>),
+    Scalar(FftPlannerScalar<T>),
+}
+
+impl<T: FftNum> Ffts<T> {
+    /// For a tier that this machine can run. (An AVX-512 tier runs the FFTs of AVX2: there are no wider ones.)
+    pub fn new(tier: Tier) -> Self {
+        let planner = match tier {
+            #[cfg(target_arch = "x86_64")]
+            Tier::Sse42 => {
+                rustfft::FftPlannerSse::new().map_or_else(|()| Planner::Scalar(FftPlannerScalar::new()), Planner::Sse)
+            }
+            Tier::Avx2 | Tier::Avx512 | Tier::Native => Planner::Detected(FftPlanner::new()),
+            _ => Planner::Scalar(FftPlannerScalar::new()),
+        };
+        Self { tier, planner }
+    }
+
+    pub fn tier(&self) -> Tier {
+        self.tier
+    }
+
+    pub fn forward(&mut self, length: usize) -> Arc<dyn Fft<T>> {
+        match &mut self.planner {
+            Planner::Detected(planner) => planner.plan_fft_forward(length),
+            #[cfg(target_arch = "x86_64")]
+            Planner::Sse(planner) => planner.plan_fft_forward(length),
+            Planner::Scalar(planner) => planner.plan_fft_forward(length),
+        }
+    }
+
+    pub fn inverse(&mut self, length: usize) -> Arc<dyn Fft<T>> {
+        match &mut self.planner {
+            Planner::Detected(planner) => planner.plan_fft_inverse(length),
+            #[cfg(target_arch = "x86_64")]
+            Planner::Sse(planner) => planner.plan_fft_inverse(length),
+            Planner::Scalar(planner) => planner.plan_fft_inverse(length),
+        }
+    }
+}
+
+/// The least even `2^a 3^b 5^c >= n`: lengths that FFTs like.
+pub(crate) fn good_size(n: usize) -> usize {
+    (n.max(2)..)
+        .find(|m| {
+            let mut rest = *m;
+            for p in [2, 3, 5] {
+                while rest % p == 0 {
+                    rest /= p;
+                }
+            }
+            rest == 1 && m % 2 == 0
+        })
+        .unwrap_or(n)
+}

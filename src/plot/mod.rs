@@ -1,0 +1,64 @@
+//! Pictures for papers and reports, each written as PNG and SVG (1200 px wide) beside each other.
+//!
+//! Every picture is a plain struct with public fields and one `write(stem)`: it adds `.png` and `.svg` to `stem`, makes
+//! missing folders, and returns the two paths. Values that are not finite are dropped; a picture with nothing left is
+//! [`Error::Empty`]. Colours are those of Okabe and Ito (2008), safe for colour-blind readers; legends stand above the
+//! axes, never on the data. Azimuths count from +x towards +y.
+mod canvas;
+mod curves;
+mod phase;
+mod plane;
+mod profile;
+
+pub use curves::{CdfPlot, ScatterLines};
+pub use phase::{PhasePlot, PhaseTrack};
+pub use plane::{MapPlot, Ray, RayClass, TrajectoryPlot};
+pub use profile::{ProfileMap, ProfilePlot};
+use std::path::PathBuf;
+
+/// Why a picture was not written.
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    /// No finite value to draw.
+    #[error("{what}: no finite value to draw; check that the estimator produced output")]
+    Empty {
+        /// The part of the picture that is empty.
+        what: &'static str,
+    },
+    /// Fields that must have one length do not.
+    #[error("{what}: {got} values where {expect} were expected")]
+    Length {
+        /// The field at fault.
+        what: &'static str,
+        /// The length the other fields ask for.
+        expect: usize,
+        /// The length found.
+        got: usize,
+    },
+    /// The folder or file could not be written.
+    #[error("cannot write {}: {source}; check the folder and its rights", path.display())]
+    Io {
+        /// What was being written.
+        path: PathBuf,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// The rasteriser refused the picture.
+    #[error("drawing failed: {0}")]
+    Drawing(String),
+}
+
+/// A link name as a file name: letters, digits, `.`, `-` stay, everything else (`/`, `:`, spaces) becomes `_`; a leading
+/// dot too, so that no hidden file or `..` comes out. Never empty.
+pub fn file_safe(name: &str) -> String {
+    let keep = |c: char| if c.is_alphanumeric() || matches!(c, '.' | '-') { c } else { '_' };
+    let safe: String = name.chars().map(keep).collect();
+    match safe.strip_prefix('.') {
+        Some(rest) => format!("_{rest}"),
+        None if safe.is_empty() => "_".into(),
+        None => safe,
+    }
+}
+
+#[cfg(test)]
+mod tests;

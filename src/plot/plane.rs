@@ -1,0 +1,201 @@
+//! Pictures in the plane of motion: one trajectory with its bearing, and the map of all robots.
+use super::Error;
+use super::canvas::{Axes, BLACK, BLUE, Canvas, GREEN, GREY, Key, RED, Rgb, SKY, WIDTH, extent};
+use kuva::render::render::TextAnchor;
+use std::path::{Path, PathBuf};
+
+/// A receiver's path with the bearing found from it, metre for metre in x and y.
+#[derive(Debug, Clone, Default)]
+pub struct TrajectoryPlot {
+    /// Headline.
+    pub title: String,
+    /// Whole path of the receiver, metres, in the odometry frame.
+    pub path_m: Vec<[f64; 2]>,
+    /// Positions at which CSI was used, metres.
+    pub used_m: Vec<[f64; 2]>,
+    /// Bearing found, radians; drawn from the mean position.
+    pub azimuth_rad: f64,
+    /// The mirror bearing that a straight path cannot tell apart, radians.
+    pub mirror_rad: Option<f64>,
+    /// Standard deviation of the bearing, radians; the wedge is two of them to each side.
+    pub sd_rad: Option<f64>,
+    /// True bearing, radians.
+    pub truth_rad: Option<f64>,
+    /// True position of the transmitter, metres; left out of view if further than four path lengths.
+    pub transmitter_m: Option<[f64; 2]>,
+}
+
+/// What a ray of [`MapPlot`] stands for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RayClass {
+    /// A measured bearing.
+    Measured,
+    /// Its mirror image.
+    Mirror,
+    /// The true direction.
+    Truth,
+}
+
+/// A bearing drawn on the map.
+#[derive(Debug, Clone)]
+pub struct Ray {
+    /// Where it starts, metres.
+    pub origin_m: [f64; 2],
+    /// Its azimuth, radians.
+    pub azimuth_rad: f64,
+    /// Name at its tip; may be empty.
+    pub label: String,
+    /// What it stands for.
+    pub class: RayClass,
+}
+
+/// Map of robots, paths and bearings, metre for metre in x and y.
+#[derive(Debug, Clone, Default)]
+pub struct MapPlot {
+    /// Headline.
+    pub title: String,
+    /// Name and true position of each robot or beacon, metres.
+    pub truth: Vec<(String, [f64; 2])>,
+    /// Bearings.
+    pub rays: Vec<Ray>,
+    /// Path of the receiver, metres.
+    pub path_m: Vec<[f64; 2]>,
+}
+
+fn finite(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+    points.iter().filter(|p| p.iter().all(|v| v.is_finite())).copied().collect()
+}
+
+/// Equal axes below `top` that show all points.
+fn axes(top: f64, points: &[[f64; 2]], pad: f64, what: &'static str) -> Result<Axes, Error> {
+    let range = |k: usize| extent(points.iter().filter_map(|p| p.get(k).copied()), 0.0).ok_or(Error::Empty { what });
+    let ((x0, x1), (y0, y1)) = (range(0)?, range(1)?);
+    let more = pad * (x1 - x0).max(y1 - y0);
+    let frame = [120.0, top, WIDTH - 160.0, 810.0 - top];
+    Ok(Axes::new(frame, (x0 - more, x1 + more), (y0 - more, y1 + more)).equal_aspect())
+}
+
+fn beyond(axes: &Axes, from: [f64; 2], azimuth: f64) -> (f64, f64) {
+    let far = 2.0 * (axes.x.1 - axes.x.0).hypot(axes.y.1 - axes.y.0);
+    axes.at(from[0] + far * azimuth.cos(), from[1] + far * azimuth.sin())
+}
+
+fn pixels(axes: &Axes, points: &[[f64; 2]]) -> Vec<(f64, f64)> {
+    points.iter().map(|p| axes.at(p[0], p[1])).collect()
+}
+
+impl TrajectoryPlot {
+    /// Writes `stem.png` and `stem.svg`.
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+        let (path, used) = (finite(&self.path_m), finite(&self.used_m));
+        let mut view: Vec<[f64; 2]> = path.iter().chain(&used).copied().collect();
+        let own = axes(0.0, &view, 0.0, "trajectory")?;
+        let size = (own.x.1 - own.x.0).max(own.y.1 - own.y.0);
+        let of = if used.is_empty() { &path } else { &used };
+        let n = of.len() as f64;
+        let mean = [of.iter().map(|p| p[0]).sum::<f64>() / n, of.iter().map(|p| p[1]).sum::<f64>() / n];
+        let near = |p: &[f64; 2]| (p[0] - mean[0]).hypot(p[1] - mean[1]) <= 4.0 * size;
+        let transmitter = self.transmitter_m.filter(near);
+        view.extend(transmitter);
+
+        let rays = [
+            (self.truth_rad, GREEN, false, "truth"),
+            (self.mirror_rad, GREY, true, "mirror"),
+            (Some(self.azimuth_rad), RED, false, "bearing"),
+        ];
+        let rays: Vec<_> = rays.iter().filter_map(|r| Some((r.0.filter(|a| a.is_finite())?, r.1, r.2, r.3))).collect();
+        let mut keys = vec![(Key::Line, SKY, "path".to_owned()), (Key::Dot, BLUE, "CSI used".to_owned())];
+        keys.extend(rays.iter().rev().map(|&(azimuth, colour, dash, name)| {
+            let key = if dash { Key::Dash } else { Key::Line };
+            (key, colour, format!("{name} {:.1}°", azimuth.to_degrees()))
+        }));
+        let mut canvas = Canvas::new(900.0, &self.title);
+        let top = 74.0 + canvas.legend(58.0, &keys);
+        let axes = axes(top, &view, 0.3, "trajectory")?;
+        axes.draw(&mut canvas, "x (m)", "y (m)");
+        canvas.clipped(&axes, |canvas| {
+            let start = axes.at(mean[0], mean[1]);
+            if let Some(sd) = self.sd_rad.filter(|sd| sd.is_finite() && self.azimuth_rad.is_finite()) {
+                let half = (2.0 * sd.abs()).min(1.5);
+                let [low, high] = [-half, half].map(|d| beyond(&axes, mean, self.azimuth_rad + d));
+                canvas.polygon(&[start, low, high], RED, 0.18);
+            }
+            for &(azimuth, colour, dash, _) in &rays {
+                canvas.line(start, beyond(&axes, mean, azimuth), colour, 3.5, dash);
+            }
+            canvas.polyline(pixels(&axes, &path), SKY, 4.0);
+            canvas.dots(&pixels(&axes, &used), 3.5, BLUE, 0.9);
+        });
+        if let Some(p) = transmitter {
+            star(&mut canvas, axes.at(p[0], p[1]), "transmitter", &axes);
+        }
+        canvas.save(stem)
+    }
+}
+
+/// A ringed dot with a name on the side where there is room.
+fn star(canvas: &mut Canvas, at: (f64, f64), name: &str, axes: &Axes) {
+    canvas.dots(&[at], 7.0, BLACK, 1.0);
+    canvas.ring(at, 13.0, BLACK, 2.5);
+    let left = at.0 > axes.left + 0.8 * axes.width;
+    let (dx, anchor) = if left { (-20.0, TextAnchor::End) } else { (20.0, TextAnchor::Start) };
+    canvas.backed_text((at.0 + dx, at.1 - 14.0), name, 20, anchor);
+}
+
+impl RayClass {
+    fn look(self) -> (Rgb, bool, &'static str) {
+        match self {
+            Self::Measured => (RED, false, "measured bearing"),
+            Self::Mirror => (GREY, true, "mirror"),
+            Self::Truth => (GREEN, false, "true direction"),
+        }
+    }
+}
+
+impl MapPlot {
+    /// Writes `stem.png` and `stem.svg`.
+    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+        let path = finite(&self.path_m);
+        let usable = |r: &&Ray| r.azimuth_rad.is_finite() && r.origin_m.iter().all(|v| v.is_finite());
+        let rays: Vec<&Ray> = self.rays.iter().filter(usable).collect();
+        let truth: Vec<_> = self.truth.iter().filter(|t| t.1.iter().all(|v| v.is_finite())).collect();
+        let mut view = path.clone();
+        view.extend(truth.iter().map(|t| t.1).chain(rays.iter().map(|r| r.origin_m)));
+        let mut keys = vec![];
+        if !path.is_empty() {
+            keys.push((Key::Line, BLUE, "path of the receiver".to_owned()));
+        }
+        for class in [RayClass::Measured, RayClass::Mirror, RayClass::Truth] {
+            if rays.iter().any(|r| r.class == class) {
+                let (colour, dash, name) = class.look();
+                keys.push((if dash { Key::Dash } else { Key::Line }, colour, name.to_owned()));
+            }
+        }
+        let mut canvas = Canvas::new(900.0, &self.title);
+        let top = 74.0 + canvas.legend(58.0, &keys);
+        let axes = axes(top, &view, 0.12, "map")?;
+        axes.draw(&mut canvas, "x (m)", "y (m)");
+        let reach = 0.16 * (axes.y.1 - axes.y.0).max(axes.x.1 - axes.x.0);
+        canvas.clipped(&axes, |canvas| {
+            canvas.polyline(pixels(&axes, &path), BLUE, 4.0);
+            for ray in &rays {
+                let (colour, dash, _) = ray.class.look();
+                let from = axes.at(ray.origin_m[0], ray.origin_m[1]);
+                let end = beyond(&axes, ray.origin_m, ray.azimuth_rad);
+                canvas.line(from, end, colour, if dash { 2.0 } else { 2.5 }, dash);
+            }
+        });
+        for ray in rays.iter().filter(|r| !r.label.is_empty()) {
+            let (sin, cos) = ray.azimuth_rad.sin_cos();
+            let tip = axes.at(ray.origin_m[0] + reach * cos, ray.origin_m[1] + reach * sin);
+            // Beside the ray, to its right.
+            let at = (tip.0 + 18.0 * sin, tip.1 + 18.0 * cos + 7.0);
+            canvas.text(at, &ray.label, 20, TextAnchor::Middle, ray.class.look().0);
+        }
+        for (name, p) in &truth {
+            let at = axes.at(p[0], p[1]);
+            star(&mut canvas, at, name, &axes);
+        }
+        canvas.save(stem)
+    }
+}

@@ -1,0 +1,124 @@
+//! What a scheduler is made from.
+
+use super::auth::Key;
+use super::clock::Epoch;
+use super::plan::Dialect;
+use super::plan::{MAX_ROBOTS, Plan, PlanError, Request};
+use crate::time::Instant;
+
+/// A robot of the exchange.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Robot {
+    /// Its own MAC, addr3 of its frames.
+    pub mac: [u8; 6],
+    /// WSR dialect: forward frames to it are `first_len + 2 * index` long (its driver's `ack_len`). Otherwise unused.
+    #[doc(alias = "ack_len")]
+    pub index: u16,
+}
+
+/// What a scheduler is made from: the same robots and the same request on every robot, the rest its own.
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// This robot.
+    pub own: Robot,
+    /// All others, in any order.
+    pub peers: Vec<Robot>,
+    /// MACs of the peers that this robot sounds, in order of their slots; `None` for all, in order of `peers`.
+    pub links: Option<Vec<[u8; 6]>>,
+    /// Rate, frames and timing; `links` of the request are the slots of a round, at least as many as any robot's
+    /// links. The same on every robot.
+    pub request: Request,
+    /// This robot wants the turn. One that does not only answers; it may change its mind.
+    pub initiate: bool,
+    /// This robot answers forward frames. False if the WSR kernel driver does it.
+    pub respond: bool,
+    /// Answers are measured by the card but need not reach this scheduler, as with WSR's sender: links are sounded in
+    /// every round whatever is heard, and no slot is left out to listen.
+    pub open_loop: bool,
+    /// Number of this start: larger after every restart (wrapping), such as seconds since 1970. In the native dialect
+    /// frame numbers are counted within it; with a key, robots ignore frames of an older session.
+    pub session: u32,
+    /// Shared key; needs [`super::Dialect::Native`] with `authenticated`.
+    pub key: Option<Key>,
+    /// Where slot 0 is. The WSR dialect has no slot numbers, so there a heard epoch stays this robot's own.
+    pub epoch: Epoch,
+    /// When this robot is switched on, on its own clock. Before the first claim it listens for a while.
+    pub start: Instant,
+    /// Silence that means that the last initiator is gone, in slots. A turn that was passed on is taken back after
+    /// one such silence, one that was lost is claimed after two. At 60 % loss a robot that sounds in every slot is not
+    /// heard for 64 slots once in 10^14.
+    pub silence_slots: u32,
+    /// How long an answer is waited for, microseconds, at least a slot; reception may be delayed by the host. The
+    /// shorter, the less time has a stranger to send a copy of an answer that was lost, which no tag can prevent.
+    pub patience_us: u32,
+}
+
+impl Config {
+    /// A robot that answers and does not initiate, its epoch taken from what it hears.
+    ///
+    /// Peers are given by MAC and get indices in their order; `own_index` is this robot's in the WSR dialect.
+    #[must_use]
+    pub fn new(own: [u8; 6], own_index: u16, peers: &[[u8; 6]], request: Request, session: u32) -> Self {
+        let peers = peers.iter().zip(0..).map(|(&mac, index)| Robot { mac, index }).collect();
+        Self {
+            own: Robot { mac: own, index: own_index },
+            peers,
+            links: None,
+            request,
+            initiate: false,
+            respond: true,
+            open_loop: false,
+            session,
+            key: None,
+            epoch: Epoch::Heard(Instant::ZERO),
+            start: Instant::ZERO,
+            silence_slots: 64,
+            patience_us: 10_000,
+        }
+    }
+
+    /// The MACs this robot sounds.
+    pub(super) fn link_macs(&self) -> Vec<[u8; 6]> {
+        self.links.clone().unwrap_or_else(|| self.peers.iter().map(|peer| peer.mac).collect())
+    }
+
+    /// Checks the robots and the key against the plan.
+    pub(super) fn check(&self, plan: &Plan) -> Result<(), PlanError> {
+        let links = self.link_macs();
+        if links.len() > usize::from(plan.slots()) {
+            return Err(PlanError::Links(links.len()));
+        }
+        if self.peers.len() >= MAX_ROBOTS {
+            return Err(PlanError::Links(self.peers.len()));
+        }
+        for (position, mac) in links.iter().enumerate() {
+            if !self.peers.iter().any(|peer| peer.mac == *mac) {
+                return Err(PlanError::UnknownPeer(*mac));
+            }
+            if links.iter().skip(position + 1).any(|other| other == mac) {
+                return Err(PlanError::Twice(*mac));
+            }
+        }
+        self.check_robots(plan)?;
+        let authenticated = matches!(plan.dialect(), Dialect::Native { authenticated: true, .. });
+        if authenticated != self.key.is_some() { Err(PlanError::Key) } else { Ok(()) }
+    }
+
+    fn check_robots(&self, plan: &Plan) -> Result<(), PlanError> {
+        let by_length = matches!(plan.dialect(), Dialect::Wsr { .. });
+        for (position, robot) in self.peers.iter().enumerate() {
+            let later = self.peers.iter().skip(position + 1);
+            if later.chain([&self.own]).any(|other| other.mac == robot.mac) {
+                return Err(PlanError::Twice(robot.mac));
+            }
+            let mut later = self.peers.iter().skip(position + 1);
+            if by_length && later.any(|other| other.index == robot.index) {
+                return Err(PlanError::Twice(robot.mac));
+            }
+            if by_length && robot.index > plan.slots() {
+                return Err(PlanError::Index { index: robot.index, links: plan.slots() });
+            }
+        }
+        Ok(())
+    }
+}

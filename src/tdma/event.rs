@@ -1,0 +1,134 @@
+//! What the scheduler tells its driver, and what it counts.
+
+use driver_iface::sounding::native::Measurement;
+
+/// Something that the driver should know. Events are queued; see [`super::Tdma::poll_event`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Event {
+    /// A forward frame of this robot was answered: both cards have measured number `number` of this session.
+    Answered {
+        /// The responder.
+        peer: [u8; 6],
+        /// The frame number that both frames carry.
+        number: u32,
+        /// The responder's session: another one than before means that it was started anew. 0 in the WSR dialect.
+        peer_session: u32,
+        /// What the responder measured, of this frame or an earlier one (see [`Measurement::number`]).
+        measurement: Option<Measurement>,
+    },
+    /// A forward frame of this robot was not answered in time.
+    Unanswered {
+        /// The robot that should have answered.
+        peer: [u8; 6],
+        /// The number of the forward frame.
+        number: u32,
+    },
+    /// A forward frame for this robot was heard; its answer is due at once.
+    Asked {
+        /// The initiator.
+        peer: [u8; 6],
+        /// Its frame number.
+        number: u32,
+        /// Its session: numbers of different sessions do not belong together. 0 in the WSR dialect.
+        session: u32,
+    },
+    /// A robot was heard for the first time, or again after it was absent.
+    Joined([u8; 6]),
+    /// A robot has not answered 64 times in a row; it is asked less often from now on, and not given the turn.
+    Absent([u8; 6]),
+    /// A robot was started anew: its numbers begin again, under another session.
+    Restarted {
+        /// The robot.
+        peer: [u8; 6],
+        /// Its new session.
+        session: u32,
+    },
+    /// This robot initiates from now on. A turn that is renewed, as nobody else wants it, does not begin again.
+    TurnBegan {
+        /// Number of the turn.
+        turn: u32,
+        /// How it came by the turn.
+        cause: Cause,
+    },
+    /// This robot's turn is over.
+    TurnEnded {
+        /// Number of the turn.
+        turn: u32,
+        /// Who is next, if the turn was passed on.
+        next: Option<[u8; 6]>,
+    },
+    /// Another robot initiates at the same time and takes precedence: this robot's turn is over.
+    Yielded {
+        /// The robot that goes on.
+        to: [u8; 6],
+        /// Number of its turn.
+        turn: u32,
+    },
+}
+
+/// How a robot came by the turn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Cause {
+    /// The last initiator passed it on.
+    Passed,
+    /// This robot passed it on, but nobody took it up.
+    TakenBack,
+    /// Nobody was heard for long.
+    Claimed,
+}
+
+/// Everything that was counted since the start.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Forward frames handed to the driver.
+    pub forward: u64,
+    /// Of these, answered.
+    pub answered: u64,
+    /// Of these, not answered in time.
+    pub unanswered: u64,
+    /// Slots in which a forward frame was due but the driver came later than the guard: skipped, not sent late.
+    pub missed_slots: u64,
+    /// Answers handed to the driver.
+    pub replies: u64,
+    /// Answers that would have begun too late: skipped.
+    pub missed_replies: u64,
+    /// Turns begun.
+    pub turns: u64,
+    /// Turns given up to a rival.
+    pub yields: u64,
+    /// Turns lost because the driver slept through them.
+    pub overslept: u64,
+    /// Frames given to [`super::Tdma::handle_heard`].
+    pub heard: u64,
+    /// Of these, no sounding frames, of another dialect or version, or damaged.
+    pub foreign: u64,
+    /// From robots that are not in the list.
+    pub strangers: u64,
+    /// Copies of this robot's own frames.
+    pub own_echoes: u64,
+    /// Without a tag, or with a wrong one.
+    pub unauthenticated: u64,
+    /// Forward frames heard before, or of an old session.
+    pub replayed: u64,
+    /// Backward frames for this robot that answer nothing (late, replayed, forged).
+    pub unmatched: u64,
+    /// Frames of another plan (round length or slots); answered, but neither the turn nor the epoch follow them.
+    pub other_plan: u64,
+    /// Frames of an initiator or a turn that contradicts what was heard before.
+    pub rivals: u64,
+    /// Frames that contradict the epoch.
+    pub off_epoch: u64,
+    /// Events dropped because the driver did not fetch them; the oldest go first.
+    pub events_lost: u64,
+    /// Calls with a time before that of an earlier call; taken as the earlier one's.
+    pub time_ran_back: u64,
+}
+
+/// What was counted on one link, this robot initiating.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LinkCounts {
+    /// Forward frames sent.
+    pub sounded: u64,
+    /// Of these, answered.
+    pub answered: u64,
+}

@@ -1,0 +1,306 @@
+//! Hearing: what each received frame means, in either dialect.
+
+use super::event::Event;
+use super::machine::{Ready, Tdma};
+use super::plan::Dialect;
+use super::view::Claim;
+use crate::time::{Instant, Span};
+use driver_iface::sounding::native::{self, Role};
+use driver_iface::sounding::{Frame, wsr};
+
+/// Slot numbers beyond this are no slot numbers: 2^40 slots of 100 us are three years.
+const MAX_SLOT: u64 = 1 << 40;
+
+/// True if `a` is later than `b`, both wrapping.
+fn is_after(a: u32, b: u32) -> bool {
+    a.wrapping_sub(b).cast_signed() > 0
+}
+
+/// How the time at which a forward frame was heard fits to its slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fit {
+    /// As near as clocks and drivers allow.
+    InSlot,
+    /// At another time.
+    OffSlot,
+    /// Its slots are not this robot's.
+    Unknown,
+}
+
+impl Tdma {
+    /// Takes one frame in.
+    pub(super) fn hear(&mut self, ended: Instant, mpdu: &[u8]) {
+        let Ok(frame) = Frame::new_checked(mpdu) else {
+            self.counts.foreign += 1;
+            return;
+        };
+        if frame.sender() == self.own {
+            self.counts.own_echoes += 1;
+            return;
+        }
+        let Some(peer) = self.roster.find(frame.sender()) else {
+            self.counts.strangers += 1;
+            return;
+        };
+        match self.plan.dialect() {
+            Dialect::Wsr { first_len } => self.hear_wsr(ended, &frame, peer, usize::from(first_len)),
+            Dialect::Native { .. } => match native::Repr::parse(&frame) {
+                Ok(repr) => self.hear_native(ended, &frame, &repr, peer),
+                Err(_) => self.counts.foreign += 1,
+            },
+        }
+    }
+
+    fn hear_native(&mut self, ended: Instant, frame: &Frame<'_>, repr: &native::Repr, peer: usize) {
+        if let Some(key) = &self.key
+            && !repr.tag.as_ref().is_some_and(|tag| key.verifies(frame.mpdu(), tag))
+        {
+            self.counts.unauthenticated += 1;
+            return;
+        }
+        if repr.role == Role::Forward && repr.session != repr.sender_session {
+            self.counts.foreign += 1;
+            return;
+        }
+        if !self.is_fresh(repr, peer) {
+            self.counts.replayed += 1;
+            return;
+        }
+        self.note_heard(repr, peer);
+        let began = ended - self.airtime(frame);
+        let fit = self.follow(repr, peer, began);
+        match repr.role {
+            Role::Forward if repr.destination == self.own => self.answer_native(repr, peer, ended, fit),
+            Role::Backward if repr.destination == self.own => self.match_answer(repr, peer),
+            _ => {}
+        }
+    }
+
+    fn airtime(&self, frame: &Frame<'_>) -> Span {
+        Span::from_us(i64::from(self.plan.phy().airtime_us(frame.len_with_fcs())))
+    }
+
+    /// False for a frame that was heard before, as far as that can be known.
+    ///
+    /// With a key, sessions and numbers of an initiator only go up. Without one a single forged frame could use up
+    /// all numbers to come, so only the very repetition of the last one is refused.
+    fn is_fresh(&self, repr: &native::Repr, peer: usize) -> bool {
+        let Some(sender) = self.roster.peer(peer) else { return false };
+        let proven = self.key.is_some();
+        let is_old = |old: u32| proven && is_after(old, repr.sender_session);
+        if sender.session.is_some_and(is_old) {
+            return false;
+        }
+        let last_of =
+            |initiator: &super::roster::Peer| initiator.last_number.filter(|_| initiator.session == Some(repr.session));
+        match repr.role {
+            Role::Forward => last_of(sender)
+                .is_none_or(|last| if proven { is_after(repr.number, last) } else { repr.number != last }),
+            Role::Backward if proven && repr.destination != self.own => {
+                let initiator = self.roster.find(repr.destination).and_then(|at| self.roster.peer(at));
+                let of_old_session =
+                    initiator.and_then(|peer| peer.session).is_some_and(|now| is_after(now, repr.session));
+                !of_old_session && initiator.and_then(last_of).is_none_or(|last| !is_after(last, repr.number))
+            }
+            Role::Backward => true,
+        }
+    }
+
+    /// Keeps what a frame says about its sender.
+    fn note_heard(&mut self, repr: &native::Repr, peer: usize) {
+        let joined = self.roster.hear(peer, self.now);
+        let Some(sender) = self.roster.peer_mut(peer) else { return };
+        sender.wants_turn = repr.wants_turn;
+        let known = sender.session.replace(repr.sender_session);
+        if repr.role == Role::Forward {
+            sender.last_number = Some(repr.number);
+        }
+        if joined {
+            self.tell(Event::Joined(repr.sender));
+        }
+        if known.is_some_and(|known| known != repr.sender_session) {
+            if let (Some(sender), Role::Backward) = (self.roster.peer_mut(peer), repr.role) {
+                sender.last_number = None;
+            }
+            self.tell(Event::Restarted { peer: repr.sender, session: repr.sender_session });
+        }
+    }
+
+    /// Follows the initiator of a frame in turn and epoch. A frame at a time that is not its slot's says nothing.
+    fn follow(&mut self, repr: &native::Repr, peer: usize, began: Instant) -> Fit {
+        let is_same_plan = (repr.round_us, repr.slots) == (self.plan.round_us(), self.plan.slots());
+        if !is_same_plan || repr.slot > MAX_SLOT || u32::from(repr.left) >= self.plan.turn_slots() {
+            self.counts.other_plan += 1;
+            return Fit::Unknown;
+        }
+        let slot = repr.slot.cast_signed();
+        let (holder, admitted) = match repr.role {
+            Role::Forward => (Some(peer), self.clock.admits(&self.plan, slot, began)),
+            Role::Backward => (self.roster.find(repr.destination), self.is_current(slot, began)),
+        };
+        // An answer to this robot itself says nothing new about the turn.
+        let Some(holder) = holder.and_then(|at| self.roster.peer(at)).map(|peer| peer.rank) else {
+            return Fit::Unknown;
+        };
+        if !admitted {
+            self.counts.off_epoch += 1;
+            return Fit::OffSlot;
+        }
+        let next = if repr.next == self.own {
+            Some(self.roster.own_rank)
+        } else {
+            self.roster.find(repr.next).and_then(|at| self.roster.peer(at)).map(|peer| peer.rank)
+        };
+        let claim = Claim { holder, turn: repr.turn, next, end: slot + 1 + i64::from(repr.left) };
+        if !self.hear_claim(claim) || repr.role == Role::Backward {
+            return Fit::Unknown;
+        }
+        self.clock.follow(&self.plan, slot, began);
+        Fit::InSlot
+    }
+
+    /// True if `at` lies in `slot` or next to it.
+    fn is_current(&self, slot: i64, at: Instant) -> bool {
+        self.clock.is_locked() && (self.clock.slot_at(&self.plan, at) - slot).abs() <= 1
+    }
+
+    /// Weighs what a frame says about the turn. True if it is the turn that this robot goes by from now on.
+    fn hear_claim(&mut self, claim: Claim) -> bool {
+        let proven = self.key.is_some();
+        let accepted = if self.turn.is_some() {
+            let yields = self.view.hear_as_holder(claim, proven);
+            if yields {
+                self.yield_to(claim.holder);
+            }
+            yields
+        } else {
+            let silent = self.now - self.quiet_since > self.plan.span_of(2 * self.silence_slots);
+            self.view.hear(claim, silent, proven)
+        };
+        if accepted {
+            self.quiet_since = self.now;
+            self.passed = None;
+        } else {
+            self.counts.rivals += 1;
+        }
+        accepted
+    }
+
+    /// Prepares the answer to a forward frame for this robot.
+    fn answer_native(&mut self, repr: &native::Repr, peer: usize, ended: Instant, fit: Fit) {
+        // A frame at the wrong time may be another's copy of one that was lost here; its answer would be in the way.
+        if !self.respond || self.turn.is_some() || fit == Fit::OffSlot {
+            return;
+        }
+        let has_room = matches!(self.plan.dialect(), Dialect::Native { measurement: true, .. });
+        let kept = self.roster.peer_mut(peer).and_then(|peer| peer.measurement.take());
+        let answer = native::Repr {
+            sender: self.own,
+            role: Role::Backward,
+            destination: repr.sender,
+            wants_turn: self.initiate,
+            sender_session: self.session,
+            measurement: kept.filter(|_| has_room),
+            tag: self.key.map(|_| [0; native::TAG_LEN]),
+            ..*repr
+        };
+        let Ok(len) = answer.emit(&mut self.reply_buffer) else { return };
+        if let (Some(key), Some(mpdu)) = (&self.key, self.reply_buffer.get_mut(..len)) {
+            native::set_tag(mpdu, key.tag(mpdu));
+        }
+        let slot_start = (fit == Fit::InSlot).then(|| self.clock.start(&self.plan, repr.slot.cast_signed()));
+        self.queue_reply(repr.sender, repr.number, len, self.latest_reply(ended, slot_start));
+        self.tell(Event::Asked { peer: repr.sender, number: repr.number, session: repr.session });
+    }
+
+    /// When an answer must begin: one turn-around after the forward frame ended. Its end may have been stamped late;
+    /// where the slot is known, the frame began at most one guard into it.
+    fn latest_reply(&self, ended: Instant, slot_start: Option<Instant>) -> Instant {
+        let longest = Span::from_us(i64::from(self.plan.forward_us()));
+        let ended = slot_start.map_or(ended, |start| ended.min(start + self.plan.guard() + longest));
+        ended + self.plan.turn_around()
+    }
+
+    /// Queues the answer in the reply buffer.
+    fn queue_reply(&mut self, peer: [u8; 6], number: u32, len: usize, latest: Instant) {
+        if self.reply.is_some() {
+            self.counts.missed_replies += 1;
+        }
+        self.reply = Some(Ready { role: Role::Backward, len, at: self.now, latest, peer, number });
+    }
+
+    /// A backward frame for this robot: a pair, if it answers a frame that waits.
+    fn match_answer(&mut self, repr: &native::Repr, peer: usize) {
+        if repr.session != self.session || !self.outstanding.answer(repr.number, peer) {
+            self.counts.unmatched += 1;
+            return;
+        }
+        self.note_answered(peer);
+        self.tell(Event::Answered {
+            peer: repr.sender,
+            number: repr.number,
+            peer_session: repr.sender_session,
+            measurement: repr.measurement,
+        });
+    }
+
+    fn note_answered(&mut self, peer: usize) {
+        self.counts.answered += 1;
+        self.answered_at = self.now;
+        if let Some(link) = self.roster.link_of_peer_mut(peer) {
+            link.counts.answered += 1;
+        }
+    }
+
+    /// The WSR dialect: the length says what a frame is and for whom.
+    fn hear_wsr(&mut self, ended: Instant, frame: &Frame<'_>, peer: usize, first_len: usize) {
+        let len = frame.len_with_fcs();
+        let last_len = wsr::forward_len(first_len, usize::from(self.plan.slots()));
+        let Some(index) = self.roster.peer(peer).map(|peer| usize::from(peer.index)) else { return };
+        if (first_len..=last_len).contains(&len) && len % 2 == 1 {
+            self.hear_wsr_forward(ended, frame, peer, len == wsr::forward_len(first_len, usize::from(self.own_index)));
+        } else if len == wsr::forward_len(first_len, index) + wsr::REPLY_GROWTH {
+            self.hear_wsr_backward(frame, peer);
+        } else {
+            self.counts.foreign += 1;
+        }
+    }
+
+    fn hear_wsr_forward(&mut self, ended: Instant, frame: &Frame<'_>, peer: usize, for_this_robot: bool) {
+        let (sender, number) = (frame.sender(), frame.number());
+        if self.roster.hear(peer, self.now) {
+            self.tell(Event::Joined(sender));
+        }
+        let Some(initiator) = self.roster.peer_mut(peer) else { return };
+        let rank = initiator.rank;
+        let last = initiator.last_number.replace(number);
+        if last == Some(number) {
+            self.counts.replayed += 1;
+            return;
+        }
+        if last.is_some_and(|last| is_after(last, number)) {
+            self.tell(Event::Restarted { peer: sender, session: 0 });
+        }
+        self.hear_claim(Claim { holder: rank, turn: 0, next: None, end: i64::MAX });
+        if !for_this_robot || !self.respond || self.turn.is_some() {
+            return;
+        }
+        if let Ok(len) = wsr::emit_reply(frame, [0; 4], self.own, &mut self.reply_buffer) {
+            self.queue_reply(sender, number, len, self.latest_reply(ended, None));
+            self.tell(Event::Asked { peer: sender, number, session: 0 });
+        }
+    }
+
+    fn hear_wsr_backward(&mut self, frame: &Frame<'_>, peer: usize) {
+        if self.roster.hear(peer, self.now) {
+            self.tell(Event::Joined(frame.sender()));
+        }
+        if !self.outstanding.answer(frame.number(), peer) {
+            self.counts.unmatched += 1;
+            return;
+        }
+        self.note_answered(peer);
+        let (peer, number) = (frame.sender(), frame.number());
+        self.tell(Event::Answered { peer, number, peer_session: 0, measurement: None });
+    }
+}

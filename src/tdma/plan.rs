@@ -1,0 +1,426 @@
+//! What fits into a round: airtime, slot length, the highest rate.
+
+use crate::time::{Instant, Span};
+use driver_iface::radiotap::Bandwidth;
+use driver_iface::sounding::{native, wsr};
+
+/// Longest time from the end of a forward frame to the start of its answer, microseconds: the WSR driver answers
+/// within 145 to 322 us, median 225 (892 second frames in WSR's `test_count_rx_5.dat`, rise to rise).
+pub const TURN_AROUND_US: u32 = 322;
+/// Default guard, microseconds: how late a frame may start, and again how far clocks may be apart.
+pub const GUARD_US: u32 = 50;
+/// Most robots in one exchange, this one included.
+pub const MAX_ROBOTS: usize = 256;
+/// Default length of a turn, slots: every frame of it names the next initiator, which at 60 % loss misses all of them
+/// once in 10^7 turns.
+pub const TURN_SLOTS: u16 = 32;
+/// Longest turn, slots (before it is rounded up to whole rounds).
+pub const MAX_TURN_SLOTS: u16 = 60_000;
+
+/// HT modulation of every frame: one of MCS 0 to 31, long guard interval, BCC.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Phy {
+    /// MCS index; `monitor_tx_rate` 0x4101 is MCS 1.
+    pub mcs: u8,
+    /// Channel width.
+    pub bandwidth: Bandwidth,
+}
+
+impl Default for Phy {
+    /// HT20 MCS 1, 13 Mb/s: what the csitool README sets (0x4101).
+    fn default() -> Self {
+        Self { mcs: 1, bandwidth: Bandwidth::Ht20 }
+    }
+}
+
+impl Phy {
+    /// Highest MCS with equal modulation on up to four streams (802.11-2016 clause 19.5).
+    pub const MAX_MCS: u8 = 31;
+
+    /// Data bits in one OFDM symbol of 4 us (802.11-2016 tables 19-27 to 19-34).
+    #[must_use]
+    pub fn bits_per_symbol(&self) -> u32 {
+        const HT20: [u32; 8] = [26, 52, 78, 104, 156, 208, 234, 260];
+        const HT40: [u32; 8] = [54, 108, 162, 216, 324, 432, 486, 540];
+        let table = match self.bandwidth {
+            Bandwidth::Ht20 => HT20,
+            Bandwidth::Ht40 => HT40,
+        };
+        let one_stream = table.get(usize::from(self.mcs % 8)).copied().unwrap_or(26);
+        one_stream * self.streams()
+    }
+
+    fn streams(&self) -> u32 {
+        u32::from(self.mcs / 8 + 1)
+    }
+
+    /// Time on air of a frame of `len_with_fcs` bytes, microseconds: HT-mixed preamble (L-STF, L-LTF, L-SIG, HT-SIG,
+    /// HT-STF, one HT-LTF per stream, four for three) and whole symbols of 4 us (802.11-2016 equation 19-90).
+    #[must_use]
+    pub fn airtime_us(&self, len_with_fcs: usize) -> u32 {
+        let ltf = match self.streams() {
+            3 => 4,
+            streams => streams,
+        };
+        let preamble = 8 + 8 + 4 + 8 + 4 + 4 * ltf;
+        let bits = 16 + 8 * len_with_fcs as u32 + 6;
+        preamble + 4 * bits.div_ceil(self.bits_per_symbol())
+    }
+}
+
+/// How frames look.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Dialect {
+    /// As the WSR toolbox: robots told apart by length.
+    Wsr {
+        /// On-air length (FCS included) of the forward frame to the robot of index 0; odd.
+        first_len: u16,
+    },
+    /// Ours, see [`driver_iface::sounding::native`].
+    Native {
+        /// Leave room for a measurement in the backward frame.
+        measurement: bool,
+        /// Leave room for an authentication tag in every frame.
+        authenticated: bool,
+    },
+}
+
+impl Dialect {
+    /// Longest forward and backward frames on air, FCS included, if robots' indices go up to `last_index`.
+    #[must_use]
+    pub fn longest(&self, last_index: usize) -> (usize, usize) {
+        match *self {
+            Self::Wsr { first_len } => {
+                let forward = wsr::forward_len(usize::from(first_len), last_index);
+                (forward, forward + wsr::REPLY_GROWTH)
+            }
+            Self::Native { measurement, authenticated } => {
+                (native::len_with_fcs(false, authenticated), native::len_with_fcs(measurement, authenticated))
+            }
+        }
+    }
+}
+
+/// What is asked of a plan.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Request {
+    /// Links that an initiator sounds in one round; every robot of an exchange asks for the same number.
+    pub links: u16,
+    /// Rounds per second while a robot has the turn. A round is one forward and one backward frame on every link.
+    pub rate_hz: f64,
+    /// Modulation.
+    pub phy: Phy,
+    /// Frame dialect.
+    pub dialect: Dialect,
+    /// Longest time from the end of a forward frame to the start of its answer, microseconds.
+    pub turn_around_us: u32,
+    /// How late a forward frame may start, microseconds; as much again is kept free between slots.
+    pub guard_us: u32,
+    /// Slots that an initiator has before the next robot that wants the turn gets it; rounded up to whole rounds.
+    /// Short turns interleave the robots' samples more finely; but a turn of which the next robot hears nothing is
+    /// followed by a silence.
+    pub turn_slots: u16,
+}
+
+impl Request {
+    /// A request with the native dialect (measurements, no tag), MCS 1 and the default guard and turn-around.
+    #[must_use]
+    pub fn new(links: u16, rate_hz: f64) -> Self {
+        Self {
+            links,
+            rate_hz,
+            phy: Phy::default(),
+            dialect: Dialect::Native { measurement: true, authenticated: false },
+            turn_around_us: TURN_AROUND_US,
+            guard_us: GUARD_US,
+            turn_slots: TURN_SLOTS,
+        }
+    }
+}
+
+/// Why there is no plan, or no scheduler for it.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum PlanError {
+    /// The rounds do not fit.
+    #[error(
+        "{asked_hz} rounds/s of {links} links do not fit: a slot takes {slot_us} us; at most {highest_hz:.3} rounds/s do"
+    )]
+    Rate {
+        /// Rate asked for.
+        asked_hz: f64,
+        /// Links in a round.
+        links: u16,
+        /// Shortest slot.
+        slot_us: u32,
+        /// Highest rate that fits; asking for it gives a plan.
+        highest_hz: f64,
+    },
+    /// A rate that is not positive and finite, or slower than one round in 1,000 s.
+    #[error("{0} rounds/s is no rate; give one from 0.001 up")]
+    NotARate(f64),
+    /// No link, or more than robots are allowed.
+    #[error("{0} links in a round; 1 to {max} are possible", max = MAX_ROBOTS - 1)]
+    Links(usize),
+    /// A turn without slots, or one too long to be announced.
+    #[error("turns of {0} slots; 1 to {max} are possible", max = MAX_TURN_SLOTS)]
+    TurnSlots(u16),
+    /// An MCS index that is not planned for.
+    #[error("MCS {0}; 0 to {max} are possible", max = Phy::MAX_MCS)]
+    Mcs(u8),
+    /// A WSR length that no responder can tell from an answer.
+    #[error("first length {0}; odd and at least {min} is needed, WSR's own is 57", min = wsr::MIN_FORWARD_LEN)]
+    FirstLen(u16),
+    /// The same MAC (or, in the WSR dialect, the same index) twice.
+    #[error("{0:02x?} (or its index) is in the list of robots twice")]
+    Twice([u8; 6]),
+    /// A WSR index whose frames are longer than the plan allows for.
+    #[error("index {index} is beyond the {links} links that the slot length was planned for; number robots from 0")]
+    Index {
+        /// The index.
+        index: u16,
+        /// Links in a round.
+        links: u16,
+    },
+    /// A link to a robot that is not among the peers.
+    #[error("{0:02x?} is to be sounded but is not among the peers")]
+    UnknownPeer([u8; 6]),
+    /// A key without tags in the dialect, or tags without a key.
+    #[error("a key is given and frames have no tag, or the other way round; WSR frames have none")]
+    Key,
+}
+
+/// How time is cut: the same value on every robot of an exchange.
+///
+/// Slot `n` starts at `epoch + n * round / slots`, whatever happened before: deadlines never drift. Within a slot:
+/// the forward frame starts at most one guard late, the answer at most one turn-around after its end, and one guard
+/// is left for clocks that are apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Plan {
+    round_us: u32,
+    slots: u16,
+    forward_us: u32,
+    backward_us: u32,
+    turn_around_us: u32,
+    guard_us: u32,
+    turn_slots: u16,
+    phy: Phy,
+    dialect: Dialect,
+}
+
+impl Plan {
+    /// Plans rounds.
+    ///
+    /// # Errors
+    /// [`PlanError::Rate`] with the highest feasible rate if the rounds do not fit; others for a request that makes
+    /// no sense.
+    pub fn new(request: &Request) -> Result<Self, PlanError> {
+        let Request { links, rate_hz, phy, dialect, turn_around_us, guard_us, turn_slots } = *request;
+        if links == 0 || usize::from(links) >= MAX_ROBOTS {
+            return Err(PlanError::Links(usize::from(links)));
+        }
+        if turn_slots == 0 || turn_slots > MAX_TURN_SLOTS {
+            return Err(PlanError::TurnSlots(turn_slots));
+        }
+        if phy.mcs > Phy::MAX_MCS {
+            return Err(PlanError::Mcs(phy.mcs));
+        }
+        if let Dialect::Wsr { first_len } = dialect
+            && (first_len % 2 == 0 || usize::from(first_len) < wsr::MIN_FORWARD_LEN || first_len > 1_000)
+        {
+            return Err(PlanError::FirstLen(first_len));
+        }
+        if !rate_hz.is_finite() || rate_hz < 1e-3 {
+            return Err(PlanError::NotARate(rate_hz));
+        }
+        let (forward_len, backward_len) = dialect.longest(usize::from(links));
+        let (forward_us, backward_us) = (phy.airtime_us(forward_len), phy.airtime_us(backward_len));
+        let round_us = (1e6 / rate_hz).round() as u32;
+        let plan = Self {
+            round_us,
+            slots: links,
+            forward_us,
+            backward_us,
+            turn_around_us,
+            guard_us,
+            turn_slots,
+            phy,
+            dialect,
+        };
+        let slot_us = plan.shortest_slot_us();
+        if u64::from(round_us) < u64::from(slot_us) * u64::from(links) {
+            let highest_hz = 1e6 / (f64::from(slot_us) * f64::from(links));
+            return Err(PlanError::Rate { asked_hz: rate_hz, links, slot_us, highest_hz });
+        }
+        Ok(plan)
+    }
+
+    /// The shortest slot that holds an exchange: guard, forward frame, turn-around, backward frame, guard.
+    #[must_use]
+    pub fn shortest_slot_us(&self) -> u32 {
+        let [forward, turn_around, backward, guard] =
+            [self.forward_us, self.turn_around_us, self.backward_us, self.guard_us];
+        forward.saturating_add(turn_around).saturating_add(backward).saturating_add(guard.saturating_mul(2))
+    }
+
+    /// Length of a round, microseconds.
+    #[must_use]
+    pub fn round_us(&self) -> u32 {
+        self.round_us
+    }
+
+    /// Slots of a round, one per link.
+    #[must_use]
+    pub fn slots(&self) -> u16 {
+        self.slots
+    }
+
+    /// Rounds per second.
+    #[must_use]
+    pub fn rate_hz(&self) -> f64 {
+        1e6 / f64::from(self.round_us)
+    }
+
+    /// Mean length of a slot, microseconds.
+    #[must_use]
+    pub fn slot_us(&self) -> f64 {
+        f64::from(self.round_us) / f64::from(self.slots)
+    }
+
+    /// `slots` slots as a span, rounded down to the microsecond.
+    #[must_use]
+    pub fn span_of(&self, slots: u32) -> Span {
+        Span::from_us(i64::from(self.round_us) * i64::from(slots) / i64::from(self.slots))
+    }
+
+    /// Slots of one turn: whole rounds, at least as many as requested.
+    #[must_use]
+    pub fn turn_slots(&self) -> u32 {
+        u32::from(self.turn_slots).next_multiple_of(u32::from(self.slots))
+    }
+
+    /// Time in which each of `initiators` robots has the turn once, microseconds, if no turn is lost.
+    #[must_use]
+    pub fn cycle_us(&self, initiators: u32) -> u64 {
+        u64::from(initiators) * u64::from(self.turn_slots()) * u64::from(self.round_us) / u64::from(self.slots)
+    }
+
+    /// Airtime of the longest forward frame, microseconds.
+    #[must_use]
+    pub fn forward_us(&self) -> u32 {
+        self.forward_us
+    }
+
+    /// Airtime of the longest backward frame, microseconds.
+    #[must_use]
+    pub fn backward_us(&self) -> u32 {
+        self.backward_us
+    }
+
+    /// How late a forward frame may start.
+    #[must_use]
+    pub fn guard(&self) -> Span {
+        Span::from_us(i64::from(self.guard_us))
+    }
+
+    /// How long after the end of a forward frame its answer may start.
+    #[must_use]
+    pub fn turn_around(&self) -> Span {
+        Span::from_us(i64::from(self.turn_around_us))
+    }
+
+    /// Modulation.
+    #[must_use]
+    pub fn phy(&self) -> Phy {
+        self.phy
+    }
+
+    /// Frame dialect.
+    #[must_use]
+    pub fn dialect(&self) -> Dialect {
+        self.dialect
+    }
+
+    /// Start of slot `n` after the epoch: `floor(n * round / slots)`, exact for every `n`.
+    #[must_use]
+    pub fn offset_of(&self, n: i64) -> Span {
+        let slots = i64::from(self.slots);
+        let (rounds, rest) = (n.div_euclid(slots), n.rem_euclid(slots));
+        let round_us = i64::from(self.round_us);
+        Span::from_us(rounds.saturating_mul(round_us).saturating_add(rest * round_us / slots))
+    }
+
+    /// The slot that contains the point `offset` after the epoch; the inverse of [`Plan::offset_of`].
+    #[must_use]
+    pub fn slot_at(&self, offset: Span) -> i64 {
+        let (slots, round_us) = (i64::from(self.slots), i64::from(self.round_us));
+        let (rounds, rest) = (offset.as_us().div_euclid(round_us), offset.as_us().rem_euclid(round_us));
+        rounds * slots + ((rest + 1) * slots - 1) / round_us
+    }
+
+    /// Start of slot `n` for a given epoch.
+    #[must_use]
+    pub fn slot_start(&self, epoch: Instant, n: i64) -> Instant {
+        epoch + self.offset_of(n)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn airtime_is_that_of_the_standard() {
+        let ht20 = |mcs| Phy { mcs, bandwidth: Bandwidth::Ht20 };
+        // 57 bytes: 478 bits; 19 symbols of 26, 10 of 52, 2 of 260.
+        assert_eq!([0, 1, 7].map(|mcs| ht20(mcs).airtime_us(57)), [36 + 76, 36 + 40, 36 + 8]);
+        assert_eq!(Phy { mcs: 0, bandwidth: Bandwidth::Ht40 }.airtime_us(57), 36 + 36);
+        // Three streams: four HT-LTFs, 78 bits a symbol.
+        assert_eq!(ht20(16).airtime_us(57), 48 + 28);
+    }
+
+    #[test]
+    fn twelve_peers_at_100_rounds_fit_and_32_are_refused_with_a_rate_that_fits() {
+        for dialect in [
+            Dialect::Wsr { first_len: 57 },
+            Dialect::Native { measurement: true, authenticated: false },
+            Dialect::Native { measurement: true, authenticated: true },
+        ] {
+            let request = Request { dialect, ..Request::new(12, 100.0) };
+            let plan = Plan::new(&request).unwrap();
+            assert_eq!((plan.round_us(), plan.slots()), (10_000, 12));
+            let Err(PlanError::Rate { highest_hz, slot_us, .. }) = Plan::new(&Request { links: 32, ..request }) else {
+                panic!("32 links at 100 rounds/s must not fit");
+            };
+            assert!((40.0..60.0).contains(&highest_hz), "{highest_hz}");
+            let plan = Plan::new(&Request { links: 32, rate_hz: highest_hz, ..request }).unwrap();
+            assert_eq!(plan.round_us(), slot_us * 32);
+            assert!(Plan::new(&Request { links: 32, rate_hz: highest_hz * 1.001, ..request }).is_err());
+        }
+    }
+
+    #[test]
+    fn requests_without_sense_are_named() {
+        let request = Request::new(1, 10.0);
+        assert_eq!(Plan::new(&Request { links: 0, ..request }), Err(PlanError::Links(0)));
+        assert_eq!(Plan::new(&Request { rate_hz: 0.0, ..request }), Err(PlanError::NotARate(0.0)));
+        assert!(matches!(Plan::new(&Request { rate_hz: f64::NAN, ..request }), Err(PlanError::NotARate(_))));
+        let wsr = |first_len| Plan::new(&Request { dialect: Dialect::Wsr { first_len }, ..request });
+        assert_eq!(wsr(58), Err(PlanError::FirstLen(58)));
+        assert_eq!(wsr(31), Err(PlanError::FirstLen(31)));
+        assert_eq!(Plan::new(&Request { turn_slots: 0, ..request }), Err(PlanError::TurnSlots(0)));
+        let phy = Phy { mcs: 32, ..Phy::default() };
+        assert_eq!(Plan::new(&Request { phy, ..request }), Err(PlanError::Mcs(32)));
+    }
+
+    proptest! {
+        #[test]
+        fn slots_tile_time(links in 1u16..200, rate in 0.01f64..2.0, n in -1_000_000_000i64..1_000_000_000) {
+            let plan = Plan::new(&Request::new(links, rate)).unwrap();
+            let (start, end) = (plan.offset_of(n), plan.offset_of(n + 1));
+            prop_assert!((end - start).as_us() >= i64::from(plan.shortest_slot_us()));
+            prop_assert_eq!(plan.slot_at(start), n);
+            prop_assert_eq!(plan.slot_at(end - Span::from_us(1)), n);
+        }
+    }
+}

@@ -1,0 +1,299 @@
+//! The robots of the exchange: who was heard when, which links are due, whose turn could be next.
+
+use super::config::Config;
+use super::event::LinkCounts;
+use crate::time::{Instant, Span};
+use driver_iface::sounding::native::Measurement;
+
+/// After so many unanswered frames a robot counts as absent.
+pub(super) const ABSENT_AFTER: u32 = 64;
+/// An absent robot is asked in every so manieth round at most.
+const ABSENT_ROUNDS: u16 = 8;
+
+/// How much a link matters: the share of rounds in which it is sounded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Priority(u8);
+
+impl Priority {
+    /// Sounded in every round.
+    pub const FULL: Self = Self(u8::MAX);
+    /// Not sounded, except where an initiator must be heard at all.
+    pub const PAUSED: Self = Self(0);
+
+    /// Sounded in `share` of the rounds, evenly spread; 0 to 1, steps of 1/255.
+    #[must_use]
+    pub fn share(share: f64) -> Self {
+        Self((share.clamp(0.0, 1.0) * f64::from(u8::MAX)).round() as u8)
+    }
+
+    /// Sounded in every `n`-th round or a little more often; 0 counts as 1.
+    #[must_use]
+    pub fn every(n: u16) -> Self {
+        Self(u16::from(u8::MAX).div_ceil(n.max(1)) as u8)
+    }
+}
+
+/// What is known of one peer.
+#[derive(Clone, Debug)]
+pub(super) struct Peer {
+    pub(super) mac: [u8; 6],
+    pub(super) index: u16,
+    /// Place among all robots by MAC, this one included.
+    pub(super) rank: u16,
+    pub(super) heard_at: Option<Instant>,
+    pub(super) wants_turn: bool,
+    /// Was given the turn and did not take it up; cleared when heard.
+    pub(super) let_turn_lapse: bool,
+    pub(super) session: Option<u32>,
+    /// Number of the last forward frame heard from it in its session, to whomever.
+    pub(super) last_number: Option<u32>,
+    pub(super) unanswered_in_a_row: u32,
+    pub(super) measurement: Option<Measurement>,
+}
+
+/// A link of this robot: slot `k` of a round belongs to link `k`.
+#[derive(Clone, Debug)]
+pub(super) struct Link {
+    pub(super) peer: usize,
+    pub(super) priority: Priority,
+    credit: u16,
+    pub(super) counts: LinkCounts,
+}
+
+/// All peers, in order of their MACs, and the links.
+#[derive(Clone, Debug)]
+pub(super) struct Roster {
+    peers: Vec<Peer>,
+    links: Vec<Link>,
+    /// Rank of this robot.
+    pub(super) own_rank: u16,
+}
+
+impl Roster {
+    pub(super) fn new(config: &Config) -> Self {
+        let mut robots = config.peers.clone();
+        robots.sort_by_key(|robot| robot.mac);
+        let own_rank = robots.iter().filter(|robot| robot.mac < config.own.mac).count() as u16;
+        let peers = robots.iter().zip(0u16..).map(|(robot, at)| Peer {
+            mac: robot.mac,
+            index: robot.index,
+            rank: if at >= own_rank { at + 1 } else { at },
+            heard_at: None,
+            wants_turn: false,
+            let_turn_lapse: false,
+            session: None,
+            last_number: None,
+            unanswered_in_a_row: 0,
+            measurement: None,
+        });
+        let peers: Vec<Peer> = peers.collect();
+        let place = |mac: &[u8; 6]| peers.binary_search_by_key(mac, |peer| peer.mac).ok();
+        let macs = config.link_macs();
+        let links = macs.iter().filter_map(place);
+        let link = |peer| Link { peer, priority: Priority::FULL, credit: 0, counts: LinkCounts::default() };
+        let links = links.map(link).collect();
+        Self { peers, links, own_rank }
+    }
+
+    /// Robots of the exchange, this one included.
+    pub(super) fn robots(&self) -> usize {
+        self.peers.len() + 1
+    }
+
+    /// Place of a peer by MAC.
+    pub(super) fn find(&self, mac: [u8; 6]) -> Option<usize> {
+        self.peers.binary_search_by_key(&mac, |peer| peer.mac).ok()
+    }
+
+    pub(super) fn peer(&self, at: usize) -> Option<&Peer> {
+        self.peers.get(at)
+    }
+
+    pub(super) fn peer_mut(&mut self, at: usize) -> Option<&mut Peer> {
+        self.peers.get_mut(at)
+    }
+
+    pub(super) fn peer_of_rank(&self, rank: u16) -> Option<usize> {
+        let at = match rank.cmp(&self.own_rank) {
+            std::cmp::Ordering::Less => usize::from(rank),
+            std::cmp::Ordering::Equal => return None,
+            std::cmp::Ordering::Greater => usize::from(rank) - 1,
+        };
+        (at < self.peers.len()).then_some(at)
+    }
+
+    pub(super) fn link_of_peer(&self, peer: usize) -> Option<&Link> {
+        self.links.iter().find(|link| link.peer == peer)
+    }
+
+    pub(super) fn link_of_peer_mut(&mut self, peer: usize) -> Option<&mut Link> {
+        self.links.iter_mut().find(|link| link.peer == peer)
+    }
+
+    /// True if this robot sounds anybody.
+    pub(super) fn has_links(&self) -> bool {
+        !self.links.is_empty()
+    }
+
+    /// The peer to sound in place `k` of a round, if that link is due in this round. To be asked once a round.
+    ///
+    /// `must_be_heard`: somebody is to be sounded in any case, in a place without a link the next best.
+    /// `open_loop`: absent robots are sounded like others.
+    pub(super) fn due(&mut self, k: usize, must_be_heard: bool, open_loop: bool) -> Option<usize> {
+        if must_be_heard && k >= self.links.len() {
+            return self.links.get(k % self.links.len().max(1)).map(|link| link.peer);
+        }
+        let link = self.links.get_mut(k)?;
+        let absent = !open_loop && self.peers.get(link.peer)?.unanswered_in_a_row >= ABSENT_AFTER;
+        let priority = if absent { link.priority.min(Priority::every(ABSENT_ROUNDS)) } else { link.priority };
+        link.credit += u16::from(priority.0);
+        let due = link.credit >= u16::from(u8::MAX);
+        if due {
+            link.credit -= u16::from(u8::MAX);
+        }
+        (due || must_be_heard).then_some(link.peer)
+    }
+
+    /// Who is next in order of MACs after this robot: a robot that wants the turn, was heard since `alive_since`
+    /// and did not let its last turn lapse.
+    pub(super) fn next_initiator(&self, alive_since: Instant) -> Option<usize> {
+        let able = |peer: &&Peer| {
+            let alive = peer.heard_at.is_some_and(|at| at >= alive_since);
+            alive && peer.wants_turn && !peer.let_turn_lapse
+        };
+        let after = self.peers.iter().filter(able).find(|peer| peer.rank > self.own_rank);
+        let first = after.or_else(|| self.peers.iter().find(able))?;
+        self.find(first.mac)
+    }
+
+    /// A peer was heard. True if it had not been, or was absent.
+    pub(super) fn hear(&mut self, at: usize, now: Instant) -> bool {
+        let Some(peer) = self.peers.get_mut(at) else { return false };
+        let joined = peer.heard_at.is_none() || peer.unanswered_in_a_row >= ABSENT_AFTER;
+        peer.heard_at = Some(now);
+        peer.let_turn_lapse = false;
+        peer.unanswered_in_a_row = 0;
+        joined
+    }
+}
+
+/// A forward frame that waits for its answer.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Waiting {
+    pub(super) number: u32,
+    pub(super) peer: usize,
+    pub(super) until: Instant,
+    answered: bool,
+}
+
+/// Forward frames whose answers may still come, oldest first; never more than [`Outstanding::CAPACITY`].
+#[derive(Clone, Debug)]
+pub(super) struct Outstanding {
+    waiting: std::collections::VecDeque<Waiting>,
+}
+
+impl Outstanding {
+    const CAPACITY: usize = 64;
+
+    pub(super) fn new() -> Self {
+        Self { waiting: std::collections::VecDeque::with_capacity(Self::CAPACITY) }
+    }
+
+    /// Adds a frame; gives back the oldest if there is no room.
+    pub(super) fn push(&mut self, number: u32, peer: usize, until: Instant) -> Option<Waiting> {
+        let full = self.waiting.len() >= Self::CAPACITY;
+        let oldest = if full { self.waiting.pop_front() } else { None };
+        self.waiting.push_back(Waiting { number, peer, until, answered: false });
+        oldest.filter(|waiting| !waiting.answered)
+    }
+
+    /// Marks a frame as answered by `peer`. False if it does not wait for that answer.
+    pub(super) fn answer(&mut self, number: u32, peer: usize) -> bool {
+        let found = self.waiting.iter_mut().rev().find(|waiting| waiting.number == number && waiting.peer == peer);
+        found.is_some_and(|waiting| !std::mem::replace(&mut waiting.answered, true))
+    }
+
+    /// The oldest frame that is not answered and whose time is over.
+    pub(super) fn expired(&mut self, now: Instant) -> Option<Waiting> {
+        loop {
+            let front = self.waiting.front().copied().filter(|front| front.answered || front.until <= now)?;
+            self.waiting.pop_front();
+            if !front.answered {
+                return Some(front);
+            }
+        }
+    }
+
+    /// When the next frame's time is over.
+    pub(super) fn next_at(&self) -> Option<Instant> {
+        self.waiting.iter().find(|waiting| !waiting.answered).map(|waiting| waiting.until)
+    }
+}
+
+/// The time `rounds` rounds before `now`.
+pub(super) fn rounds_before(now: Instant, round_us: u32, rounds: i64) -> Instant {
+    now - Span::from_us(i64::from(round_us).saturating_mul(rounds))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::plan::Request;
+    use super::*;
+
+    fn mac(last: u8) -> [u8; 6] {
+        [2, 0, 0, 0, 0, last]
+    }
+
+    fn roster(own: u8, peers: &[u8]) -> Roster {
+        let macs: Vec<[u8; 6]> = peers.iter().map(|last| mac(*last)).collect();
+        Roster::new(&Config::new(mac(own), 0, &macs, Request::new(peers.len() as u16, 10.0), 1))
+    }
+
+    #[test]
+    fn ranks_are_the_same_on_every_robot() {
+        let (a, b) = (roster(3, &[9, 1, 5]), roster(5, &[3, 1, 9]));
+        let rank = |roster: &Roster, last: u8| roster.find(mac(last)).map(|at| roster.peers[at].rank);
+        assert_eq!((a.own_rank, b.own_rank), (1, 2));
+        assert_eq!((rank(&a, 5), rank(&b, 3)), (Some(2), Some(1)));
+        for last in [1, 9] {
+            assert_eq!(rank(&a, last), rank(&b, last));
+        }
+        for at in 0..3 {
+            assert_eq!(a.peer_of_rank(a.peers[at].rank), Some(at));
+        }
+        assert_eq!((a.peer_of_rank(1), a.peer_of_rank(4)), (None, None));
+    }
+
+    #[test]
+    fn priorities_are_shares_of_rounds() {
+        let mut roster = roster(1, &[2, 3, 4, 5]);
+        roster.links[1].priority = Priority::every(4);
+        roster.links[2].priority = Priority::PAUSED;
+        roster.links[3].priority = Priority::share(0.5);
+        let mut sounded = [0; 4];
+        for _ in 0..10_200 {
+            for (k, count) in sounded.iter_mut().enumerate() {
+                *count += u32::from(roster.due(k, false, false).is_some());
+            }
+        }
+        assert_eq!(sounded, [10_200, 2_560, 0, 5_120]);
+        assert_eq!(roster.due(4, false, false), None, "no link, no frame");
+        assert_eq!(roster.due(4, true, false), roster.due(0, true, false), "unless the initiator must be heard");
+        assert!(roster.due(2, true, false).is_some(), "an initiator must be heard");
+    }
+
+    #[test]
+    fn an_answer_counts_once_and_only_from_the_robot_asked() {
+        let mut outstanding = Outstanding::new();
+        outstanding.push(7, 2, Instant::from_us(100));
+        assert!(!outstanding.answer(7, 1));
+        assert!(!outstanding.answer(6, 2));
+        assert!(outstanding.answer(7, 2));
+        assert!(!outstanding.answer(7, 2));
+        outstanding.push(8, 1, Instant::from_us(200));
+        assert_eq!(outstanding.next_at(), Some(Instant::from_us(200)));
+        assert!(outstanding.expired(Instant::from_us(199)).is_none());
+        assert_eq!(outstanding.expired(Instant::from_us(200)).map(|waiting| waiting.number), Some(8));
+        assert!(!outstanding.answer(8, 1), "too late");
+    }
+}

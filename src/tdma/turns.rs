@@ -1,0 +1,247 @@
+//! Having the turn: how it is come by, what is sent in it, how it ends.
+
+use super::event::{Cause, Event};
+use super::machine::{Ready, Tdma};
+use super::plan::Dialect;
+use super::roster::rounds_before;
+use super::view::Claim;
+use crate::time::{Instant, Span};
+use driver_iface::sounding::{native, wsr};
+
+/// An initiator sounds in at least one of so many slots, so that it is heard to be there.
+const KEEP_ALIVE_SLOTS: u32 = 4;
+/// An initiator that was not answered for so many slots listens in some.
+const DEAF_SLOTS: u32 = 64;
+/// A robot that was not heard for so many rounds is not given the turn.
+const ALIVE_ROUNDS: i64 = 64;
+
+/// This robot's turn.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Turn {
+    number: u32,
+    /// The next slot to look at.
+    slot: i64,
+    /// First slot after the turn.
+    end: i64,
+    /// The peer whose turn is next; `None`: this robot itself. Fixed at the beginning, as frames already sent say so.
+    next: Option<usize>,
+    /// Slots since the last frame.
+    idle_slots: u32,
+}
+
+/// A number with every bit depending on every bit of `x` (the finaliser of SplitMix64).
+fn mixed(x: u64) -> u64 {
+    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}
+
+impl Tdma {
+    /// When the turn needs the next look: its next slot, or the slot in which this robot could take it.
+    pub(super) fn turn_timeout(&self) -> Option<Instant> {
+        let slot = match &self.turn {
+            Some(turn) => turn.slot,
+            None => self.next_beginning()?.0,
+        };
+        Some(self.clock.start(&self.plan, slot))
+    }
+
+    /// The forward frame that is due, if this robot has the turn or may take it now.
+    pub(super) fn due_forward(&mut self) -> Option<Ready> {
+        self.take_turn_if_due();
+        loop {
+            let turn = self.turn?;
+            let start = self.clock.start(&self.plan, turn.slot);
+            if start > self.now {
+                return None;
+            }
+            if turn.slot >= turn.end {
+                self.end_turn(turn);
+            } else if self.now - start > self.plan.span_of(self.silence_slots) {
+                self.oversleep(turn);
+            } else if let Some(ready) = self.use_slot(turn, start) {
+                return Some(ready);
+            }
+        }
+    }
+
+    /// Uses or skips one slot of the turn.
+    fn use_slot(&mut self, turn: Turn, start: Instant) -> Option<Ready> {
+        let place = turn.slot.rem_euclid(i64::from(self.plan.slots())) as usize;
+        let must_be_heard = turn.idle_slots + 1 >= KEEP_ALIVE_SLOTS;
+        let due = self.roster.due(place, must_be_heard, self.open_loop).filter(|_| !self.listens_in(turn.slot));
+        let latest = start + self.plan.guard();
+        let in_time = self.now <= latest;
+        let sent = due.is_some() && in_time;
+        let idle_slots = if sent { 0 } else { turn.idle_slots + 1 };
+        self.turn = Some(Turn { slot: turn.slot + 1, idle_slots, ..turn });
+        let peer = due?;
+        if !in_time {
+            self.counts.missed_slots += 1;
+            return None;
+        }
+        self.number = self.number.checked_add(1).unwrap_or(1);
+        let len = self.emit_forward(&turn, peer)?;
+        self.note_forward(peer);
+        let mac = self.roster.peer(peer)?.mac;
+        let number = self.number;
+        Some(Ready { role: native::Role::Forward, len, at: start, latest, peer: mac, number })
+    }
+
+    /// An initiator that nobody answers may be in step with another one that nobody answers either, their frames
+    /// destroying each other in every slot: it leaves one slot in eight out, by a pattern that is only its own.
+    fn listens_in(&self, slot: i64) -> bool {
+        let deaf = !self.open_loop && self.now - self.answered_at > self.plan.span_of(DEAF_SLOTS);
+        deaf && mixed(slot.cast_unsigned() ^ u64::from(self.roster.own_rank) << 48).is_multiple_of(8)
+    }
+
+    /// Writes the forward frame to `peer` for the slot `turn.slot`.
+    fn emit_forward(&mut self, turn: &Turn, peer: usize) -> Option<usize> {
+        let target = self.roster.peer(peer)?;
+        let buffer = &mut self.forward_buffer;
+        if let Dialect::Wsr { first_len } = self.plan.dialect() {
+            let len_with_fcs = wsr::forward_len(usize::from(first_len), usize::from(target.index));
+            let repr = wsr::Repr { sender: self.own, number: self.number, len_with_fcs };
+            return repr.emit(buffer, &mut self.filler).ok();
+        }
+        let next = turn.next.and_then(|next| self.roster.peer(next)).map_or(self.own, |next| next.mac);
+        let repr = native::Repr {
+            sender: self.own,
+            number: self.number,
+            role: native::Role::Forward,
+            destination: target.mac,
+            next,
+            wants_turn: self.initiate,
+            session: self.session,
+            sender_session: self.session,
+            turn: turn.number,
+            left: u16::try_from(turn.end - turn.slot - 1).unwrap_or(u16::MAX),
+            slot: turn.slot.cast_unsigned(),
+            round_us: self.plan.round_us(),
+            slots: self.plan.slots(),
+            measurement: None,
+            tag: self.key.map(|_| [0; native::TAG_LEN]),
+        };
+        let len = repr.emit(buffer).ok()?;
+        if let (Some(key), Some(mpdu)) = (&self.key, buffer.get_mut(..len)) {
+            native::set_tag(mpdu, key.tag(mpdu));
+        }
+        Some(len)
+    }
+
+    /// Counts a forward frame and waits for its answer.
+    fn note_forward(&mut self, peer: usize) {
+        self.counts.forward += 1;
+        if let Some(link) = self.roster.link_of_peer_mut(peer) {
+            link.counts.sounded += 1;
+        }
+        let until = self.now + Span::from_us(self.patience_us);
+        if let Some(oldest) = self.outstanding.push(self.number, peer, until) {
+            self.give_up(oldest.peer, oldest.number);
+        }
+    }
+
+    /// Begins a turn if one may begin now.
+    fn take_turn_if_due(&mut self) {
+        if self.turn.is_some() {
+            return;
+        }
+        let Some((slot, cause)) = self.next_beginning() else { return };
+        if self.clock.start(&self.plan, slot) > self.now {
+            return;
+        }
+        // Skipping a number leaves room for a turn that nobody here has heard of.
+        let step = if cause == Cause::Passed { 1 } else { 2 };
+        if let (Cause::TakenBack, Some((_, peer))) = (cause, self.passed)
+            && let Some(peer) = self.roster.peer_mut(peer)
+        {
+            peer.let_turn_lapse = true;
+        }
+        let number = self.view.turn().wrapping_add(step);
+        self.clock.lock();
+        self.answered_at = self.now;
+        self.begin_turn(number, slot);
+        if let Some(turn) = &self.turn {
+            self.tell(Event::TurnBegan { turn: turn.number, cause });
+        }
+    }
+
+    /// The slot in which this robot could begin a turn if nothing is heard until then, and on what grounds.
+    fn next_beginning(&self) -> Option<(i64, Cause)> {
+        if !self.initiate || !self.roster.has_links() {
+            return None;
+        }
+        let silence = i64::from(self.silence_slots);
+        let soonest = self.clock.slot_from(&self.plan, self.now - self.plan.guard());
+        if let Some(claim) = self.view.current()
+            && claim.next == Some(self.roster.own_rank)
+            && claim.holder != self.roster.own_rank
+            && soonest <= claim.end.saturating_add(silence / 2)
+        {
+            return Some((claim.end, Cause::Passed));
+        }
+        if let Some((end, _)) = self.passed
+            && soonest <= end + silence + silence / 2
+        {
+            return Some((soonest.max(end + silence), Cause::TakenBack));
+        }
+        let quiet = self.clock.slot_from(&self.plan, self.quiet_since + self.plan.span_of(2 * self.silence_slots));
+        Some((self.own_claim_slot(quiet.max(soonest), silence), Cause::Claimed))
+    }
+
+    /// The first slot from `from` on in which this robot may claim a lost turn: in the first half of its own window,
+    /// so that the owner of the next one hears of it.
+    fn own_claim_slot(&self, from: i64, silence: i64) -> i64 {
+        let period = silence * self.roster.robots() as i64;
+        let into_window = (from - i64::from(self.roster.own_rank) * silence).rem_euclid(period);
+        if into_window < silence / 2 { from } else { from + period - into_window }
+    }
+
+    fn begin_turn(&mut self, number: u32, slot: i64) {
+        let by_length = matches!(self.plan.dialect(), Dialect::Wsr { .. });
+        let alive_since = rounds_before(self.now, self.plan.round_us(), ALIVE_ROUNDS);
+        // WSR frames cannot name a successor or a turn: all turns are turn 0.
+        let (number, next) = if by_length { (0, None) } else { (number, self.roster.next_initiator(alive_since)) };
+        let end = slot + i64::from(self.plan.turn_slots());
+        self.turn = Some(Turn { number, slot, end, next, idle_slots: 0 });
+        self.passed = None;
+        self.counts.turns += 1;
+        let next = next.and_then(|next| self.roster.peer(next)).map_or(self.roster.own_rank, |next| next.rank);
+        self.view.begin(Claim { holder: self.roster.own_rank, turn: number, next: Some(next), end });
+    }
+
+    /// The announced end has come: pass the turn on, renew it, or fall silent.
+    fn end_turn(&mut self, turn: Turn) {
+        self.turn = None;
+        self.quiet_since = self.clock.start(&self.plan, turn.end);
+        if turn.next.is_none() && self.initiate {
+            self.begin_turn(turn.number.wrapping_add(1), turn.end);
+            return;
+        }
+        self.passed = turn.next.map(|peer| (turn.end, peer));
+        let next = turn.next.and_then(|next| self.roster.peer(next)).map(|next| next.mac);
+        self.tell(Event::TurnEnded { turn: turn.number, next });
+    }
+
+    /// The driver was away for so long that the others may have gone on.
+    fn oversleep(&mut self, turn: Turn) {
+        self.turn = None;
+        self.quiet_since = self.now;
+        self.view.expire();
+        self.counts.overslept += 1;
+        self.tell(Event::TurnEnded { turn: turn.number, next: None });
+    }
+
+    /// Another initiator takes precedence.
+    pub(super) fn yield_to(&mut self, holder: u16) {
+        if self.turn.take().is_none() {
+            return;
+        }
+        self.counts.yields += 1;
+        self.clock.unlock();
+        let to = self.roster.peer_of_rank(holder).and_then(|at| self.roster.peer(at)).map(|peer| peer.mac);
+        if let Some(to) = to {
+            self.tell(Event::Yielded { to, turn: self.view.turn() });
+        }
+    }
+}
