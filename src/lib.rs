@@ -60,6 +60,7 @@ pub mod bartlett;
 pub mod cfo;
 pub mod channel;
 pub mod csi;
+pub mod doctor;
 pub mod evaluate;
 #[cfg(feature = "plot")]
 pub mod figures;
@@ -70,6 +71,9 @@ pub mod pipeline;
 pub mod plot;
 pub mod pose;
 pub mod samples;
+pub mod status;
 pub mod survey;
 pub mod tdma;
 pub mod time;
+#[cfg(feature = "live")]
+pub mod wait;

@@ -8,7 +8,7 @@ const FLOORS: &[(u8, &[&str])] = &[
     (1, &["bartlett", "cfo", "channel", "csi", "pose", "samples", "time"]),
     (2, &["assign", "pairing", "tdma"]),
     (3, &["backend", "odometry"]),
-    (4, &["answer", "evaluate", "figures", "pipeline", "plot", "survey"]),
+    (4, &["answer", "doctor", "evaluate", "figures", "pipeline", "plot", "status", "survey", "wait"]),
 ];
 
 fn floor(module: &str) -> u8 {
