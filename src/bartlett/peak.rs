@@ -152,13 +152,15 @@ impl Searcher {
         let order = tail_order(TAU * scene.radius, 1e-4);
         let evaluated = good_size((2 * order + 2).next_multiple_of(2));
         let ring = good_size(SAMPLES_PER_ORDER * order + 16);
-        Ok(Search { scene: &scene, tools: self, order, evaluated, ring, evaluations: 0 }.run(elevation_max_rad))
+        let shape = scene.shape();
+        Ok(Search { scene: &scene, shape, tools: self, order, evaluated, ring, evaluations: 0 }.run(elevation_max_rad))
     }
 }
 
 /// One search under way.
 struct Search<'a> {
     scene: &'a Scene,
+    shape: Shape,
     tools: &'a mut Searcher,
     /// The band limit of a ring.
     order: usize,
@@ -273,7 +275,7 @@ impl<'a> Search<'a> {
 
     /// Azimuth of a long, narrow horizontal trajectory's axis.
     fn axis(&self) -> Option<f64> {
-        let shape = &self.scene.shape;
+        let shape = &self.shape;
         let [long, wide, _] = shape.half_extent_m;
         let axis = shape.axes[0];
         (wide <= ELONGATED * long && axis.x.hypot(axis.y) > 0.5).then(|| axis.y.atan2(axis.x))
@@ -329,7 +331,7 @@ impl<'a> Search<'a> {
         Estimate {
             azimuth_rad: best.azimuth_rad,
             abs_elevation_rad: best.abs_elevation_rad,
-            signed_elevation_rad: (observable && scene.shape.geometry == Geometry::Spatial).then_some(signed),
+            signed_elevation_rad: (observable && self.shape.geometry == Geometry::Spatial).then_some(signed),
             azimuth_sd_rad,
             elevation_sd_rad,
             elevation_searched: observable,
@@ -338,8 +340,8 @@ impl<'a> Search<'a> {
             snr: fit.snr,
             peak_ratio,
             peaks,
-            shape: scene.shape,
-            geometry: scene.shape.geometry,
+            shape: self.shape,
+            geometry: self.shape.geometry,
             value: best.value,
             evaluations: self.evaluations,
         }

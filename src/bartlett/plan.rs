@@ -397,30 +397,39 @@ fn constant(scene: &Scene) -> Complex64 {
 fn load(scene: &Scene, plan: &Plan, batch: &mut Batch) {
     // A run's positions within `slack` turns of its first cost at most eps / 16 of their magnitudes.
     let slack = plan.key.options.eps / (16.0 * TAU);
+    let flat = plan.key.extent[2] == 0.0;
+    let near = |c: &[f64], t: usize, from: usize| (c[t] - c[from]).abs();
+    let distance = |t: usize, from: usize| near(&scene.x, t, from) + near(&scene.y, t, from) + near(&scene.z, t, from);
     for column in [&mut batch.x, &mut batch.y, &mut batch.z, &mut batch.re, &mut batch.im] {
         column.clear();
     }
-    let flat = plan.key.extent[2] == 0.0;
-    let mut anchor = [f64::INFINITY; 3];
+    let still = (1..scene.len()).fold(false, |any, t| any | (distance(t, t - 1) <= slack));
+    if !still && plan.frame == Frame::Given {
+        batch.x.extend_from_slice(&scene.x);
+        batch.y.extend_from_slice(&scene.y);
+        batch.z.extend_from_slice(if flat { &[] } else { &scene.z });
+        batch.re.extend_from_slice(&scene.re);
+        batch.im.extend_from_slice(&scene.im);
+        return;
+    }
+    let mut anchor = None;
     for t in 0..scene.len() {
-        let p = [scene.x[t], scene.y[t], scene.z[t]];
-        let moved = (0..3).map(|i| (p[i] - anchor[i]).abs()).sum::<f64>();
-        let last = batch.re.len();
-        if moved <= slack && last > 0 {
-            batch.re[last - 1] += scene.re[t];
-            batch.im[last - 1] += scene.im[t];
-            continue;
+        if let (Some(from), Some(re), Some(im)) = (anchor, batch.re.last_mut(), batch.im.last_mut()) {
+            if distance(t, from) <= slack {
+                *re += scene.re[t];
+                *im += scene.im[t];
+                continue;
+            }
         }
-        anchor = p;
-        let [x, y, z] = plan.frame.of(Vector3::from(p));
+        anchor = Some(t);
+        let [x, y, z] = plan.frame.of(Vector3::new(scene.x[t], scene.y[t], scene.z[t]));
         batch.x.push(x);
         batch.y.push(y);
-        batch.z.push(if flat { 0.0 } else { z });
+        if !flat {
+            batch.z.push(z);
+        }
         batch.re.push(scene.re[t]);
         batch.im.push(scene.im[t]);
-    }
-    if flat {
-        batch.z.clear();
     }
 }
 
@@ -437,13 +446,16 @@ impl Key {
         let half = |c: &[f64]| c.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
         let mut extent = [half(&scene.x), half(&scene.y), scene.half_height];
         let mut axes = None;
-        let [_, wide, high] = scene.shape.half_extent_m.map(|e| e / scene.turn_m);
-        // Principal extents are about the middle of each axis, samples about that of the box: twice covers both.
-        if extent[2] * steepest > slack && 2.0 * high.min(wide) <= slack {
-            axes = Some(scene.shape.axes);
-            extent = scene.shape.axes.map(|a| scene.farthest(|p| a.dot(&p).abs()));
-            extent[2] = 0.0;
-        } else if extent[2] * steepest <= slack {
+        if extent[2] * steepest > slack {
+            let shape = scene.shape();
+            let [_, wide, high] = shape.half_extent_m.map(|e| e / scene.turn_m);
+            // Principal extents are about the middle of each axis, samples about that of the box: twice covers both.
+            if 2.0 * high.min(wide) <= slack {
+                axes = Some(shape.axes);
+                extent = shape.axes.map(|a| scene.farthest(|p| a.dot(&p).abs()));
+                extent[2] = 0.0;
+            }
+        } else {
             extent[2] = 0.0;
         }
         let level = axes.map_or(scene.radius, |[a, b, _]| scene.farthest(|p| a.dot(&p).hypot(b.dot(&p))));
@@ -489,7 +501,7 @@ fn unit_costs(tier: Tier, precision: Precision) -> [f64; 4] {
 fn single_floor(method: Method, radius: f64) -> f64 {
     match method {
         Method::Direct | Method::RingsDirect => 1e-6 + 2e-7 * radius,
-        _ => 8e-6,
+        _ => 1e-5,
     }
 }
 
@@ -602,7 +614,7 @@ fn ring_shape(key: &Key, order: [usize; 2]) -> Option<(usize, usize)> {
 /// What the chosen plan leaves out, in words.
 fn skipped(scene: &Scene, key: &Key, choice: &Choice) -> Vec<String> {
     let mut list = Vec::new();
-    let geometry = scene.shape.geometry;
+    let geometry = scene.shape().geometry;
     if key.extent[2] == 0.0
         && choice.steepest > 0.0
         && matches!(choice.method, Method::RingsDirect | Method::RingsNufft)
