@@ -33,7 +33,7 @@ mod peak;
 mod plan;
 mod rings;
 mod scene;
-mod simd;
+pub(crate) mod simd;
 mod sums;
 #[cfg(test)]
 mod tests;
