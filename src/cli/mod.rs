@@ -6,6 +6,7 @@ mod demo;
 mod evaluate;
 mod export;
 mod info;
+mod locate;
 mod npz;
 mod profile;
 mod recover;
@@ -61,6 +62,8 @@ enum Command {
     Info(info::Args),
     /// Bearings of a whole tree of captures against the truth
     Evaluate(evaluate::Args),
+    /// Where the receiver of a capture is, from its links to transmitters whose places are known
+    Locate(locate::Args),
     /// Copies every intact record of a damaged log, and nothing else
     Recover(recover::Args),
     /// CSI of a log as CSV or NPZ, raw or scaled
@@ -77,6 +80,7 @@ pub fn run() -> ExitCode {
         Command::Bearing(args) => bearing::run(args),
         Command::Info(args) => info::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Locate(args) => locate::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Simulate(args) => simulate::run(&args),
