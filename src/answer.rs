@@ -1,7 +1,9 @@
 //! What is said of a link: the flat form of a bearing, for people and for JSON Lines.
 
 use crate::bartlett::Geometry;
+use crate::near_field::Source;
 use crate::pairing::{Side, SideCounts};
+use crate::pipeline::accurate::Placed;
 use crate::pipeline::link::{Link, PairCounts};
 use crate::pipeline::{LinkReport, Report};
 use serde::Serialize;
@@ -32,6 +34,31 @@ pub struct Answer {
     pub coherence: Option<f64>,
     /// Second highest peak over the highest.
     pub peak_ratio: Option<f64>,
+    /// Predicted standard deviation of the elevation.
+    pub elevation_sd_deg: Option<f64>,
+    /// Range from the middle of the motion, metres; only where the wave front's curvature fixes it.
+    pub range_m: Option<f64>,
+    /// Its predicted standard deviation, metres.
+    pub range_sd_m: Option<f64>,
+    /// Position of the transmitter in the trajectory's frame, metres, where there is a range. Its height is drawn
+    /// upwards: level motion cannot tell up from down.
+    pub position_m: Option<[f64; 3]>,
+    /// Covariance of the position, metres squared, row by row.
+    pub position_covariance_m2: Option<[[f64; 3]; 3]>,
+    /// Everything from which waves seem to come, the answer first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub paths: Vec<PathAnswer>,
+    /// Geometric mean of the powers that the views of the motion give the answer, 0..1.
+    pub joint_power: Option<f64>,
+    /// The powers themselves: round trip whole, one-way channel in windows.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub view_powers: Vec<f64>,
+    /// How far the view furthest off would have put the bearing, degrees.
+    pub view_spread_deg: Option<f64>,
+    /// Sampling-time slopes taken out, standard deviation, radians per subcarrier.
+    pub slope_sd_rad: Option<f64>,
+    /// Share of the one-way channel's power at sign slips.
+    pub slips: Option<f64>,
     /// Carrier frequency offset found from the turn-around jitter, Hz.
     pub cfo_hz: Option<f64>,
     /// Whether turn-around compensation was applied.
@@ -62,6 +89,19 @@ pub struct Answer {
     pub receiver_records: SideCounts,
     /// Records of the link in the transmitter's log by what became of them.
     pub transmitter_records: SideCounts,
+}
+
+/// One apparent source.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PathAnswer {
+    /// Bearing, degrees.
+    pub azimuth_deg: f64,
+    /// |elevation|, degrees.
+    pub abs_elevation_deg: f64,
+    /// Apparent range, metres; none for a plane wave.
+    pub range_m: Option<f64>,
+    /// Power relative to the answer's, dB.
+    pub relative_power_db: f64,
 }
 
 impl Answer {
@@ -95,6 +135,9 @@ impl Answer {
                 answer.pairs_in_motion = bearing.pairs.in_motion;
                 answer.pair_counts = bearing.pairs;
                 answer.compensated = bearing.compensated;
+                if let Some(placed) = &bearing.placed {
+                    answer.place(placed);
+                }
                 if let Some(turn_around) = &bearing.turn_around {
                     answer.cfo_hz = Some(turn_around.df_hz);
                     answer.phase_coherence_before = Some(turn_around.coherence_before);
@@ -106,6 +149,46 @@ impl Answer {
             Err(error) => answer.error = Some(error.to_string()),
         }
         answer
+    }
+
+    /// Takes the bearing back, with the reason, if its confidence is below `least`.
+    pub fn refuse_below(&mut self, least: f64) {
+        let Some(confidence) = self.confidence.filter(|c| *c < least) else { return };
+        self.error = Some(format!("refused: confidence {confidence:.2} is below {least}"));
+        self.azimuth_deg = None;
+        self.azimuth_body_deg = None;
+        self.azimuth_sd_deg = None;
+        self.mirror_deg = None;
+        self.abs_elevation_deg = None;
+        self.elevation_sd_deg = None;
+        (self.range_m, self.range_sd_m) = (None, None);
+        (self.position_m, self.position_covariance_m2) = (None, None);
+    }
+
+    fn place(&mut self, placed: &Placed) {
+        let fix = &placed.fix;
+        let best = fix.best();
+        self.confidence = Some(placed.confidence);
+        self.elevation_sd_deg = fix.elevation_searched.then_some(fix.deviations.elevation_rad.to_degrees());
+        if let Some((range_m, sd_m)) = placed.range_m() {
+            (self.range_m, self.range_sd_m) = (Some(range_m), Some(sd_m));
+            if let Some((position, covariance)) = fix.position() {
+                self.position_m = Some(position.into());
+                self.position_covariance_m2 = Some(covariance.into());
+            }
+        }
+        let path = |source: &Source| PathAnswer {
+            azimuth_deg: source.azimuth_rad.to_degrees(),
+            abs_elevation_deg: source.abs_elevation_rad.to_degrees(),
+            range_m: (source.inverse_range_per_m > 0.0).then(|| 1.0 / source.inverse_range_per_m),
+            relative_power_db: 10.0 * (source.power / best.power).log10(),
+        };
+        self.paths = fix.sources.iter().map(path).collect();
+        self.joint_power = Some(best.power);
+        self.view_powers.clone_from(&fix.view_powers);
+        self.view_spread_deg = Some(fix.view_spread_rad().to_degrees());
+        self.slope_sd_rad = placed.alignment.map(|alignment| alignment.slope_sd_rad);
+        self.slips = placed.slips;
     }
 
     /// A link that failed before its logs were read.

@@ -54,7 +54,7 @@ pub struct Capture {
 }
 
 /// A link's answer beside its truth: a row of `evaluate --json`.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Judged {
     /// The answer.
     #[serde(flatten)]
@@ -67,6 +67,14 @@ pub struct Judged {
     pub error_from_start_deg: Option<f64>,
     /// Estimate less truth, wrapped, degrees.
     pub error_from_mean_pose_deg: Option<f64>,
+    /// Horizontal distance from the mean pose to the transmitter, metres.
+    pub true_range_m: Option<f64>,
+    /// Horizontal range reported less the true one, metres.
+    pub range_error_m: Option<f64>,
+    /// Where the transmitter is, metres.
+    pub true_transmitter_m: Option<[f64; 2]>,
+    /// Mean pose of the pairs used, metres, from motion capture.
+    pub true_receiver_m: Option<[f64; 2]>,
 }
 
 /// Errors of a set of links, degrees.
@@ -238,10 +246,7 @@ impl Capture {
         self.try_evaluate(source, channel, options).unwrap_or_else(|error| {
             let row = |name: &str| Judged {
                 answer: Answer::failed(self.link_name(name), error.clone()),
-                true_from_start_deg: None,
-                true_from_mean_pose_deg: None,
-                error_from_start_deg: None,
-                error_from_mean_pose_deg: None,
+                ..Judged::default()
             };
             let rows = match self.transmitters.as_slice() {
                 [] => vec![row("")],
@@ -313,7 +318,13 @@ fn judge(answer: Answer, position: Option<Xyz>, reference: Option<&Trajectory>, 
         let (azimuth, truth) = answer.azimuth_deg.zip(truth)?;
         Some(wrap_rad((azimuth - truth).to_radians()).to_degrees())
     };
+    let true_range_m = position.zip(mean).map(|(p, from)| (p.x - from.x).hypot(p.y - from.y));
+    let level = answer.abs_elevation_deg.unwrap_or(0.0).to_radians().cos();
     Judged {
+        true_range_m,
+        range_error_m: answer.range_m.zip(true_range_m).map(|(range, truth)| range * level - truth),
+        true_transmitter_m: position.map(|p| [p.x, p.y]),
+        true_receiver_m: mean.map(|mean| [mean.x, mean.y]),
         error_from_start_deg: error(true_from_start_deg),
         error_from_mean_pose_deg: error(true_from_mean_pose_deg),
         true_from_start_deg,

@@ -53,23 +53,29 @@
 //! `ARCHITECTURE.md` has the plan of the house.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
+pub mod alignment;
 pub mod answer;
 pub mod assign;
 pub mod backend;
 pub mod bartlett;
 pub mod cfo;
 pub mod channel;
+pub mod confidence;
 pub mod csi;
 pub mod doctor;
 pub mod evaluate;
 #[cfg(feature = "plot")]
 pub mod figures;
+pub mod locate;
+pub mod near_field;
 pub mod odometry;
+pub mod one_way;
 pub mod pairing;
 pub mod pipeline;
 #[cfg(feature = "plot")]
 pub mod plot;
 pub mod pose;
+pub mod quality;
 pub mod samples;
 pub mod status;
 pub mod survey;

@@ -1,6 +1,7 @@
 //! The whole machine: logs and a trajectory in, bearings out. The one place where sources, state machines and the
 //! estimator meet.
 
+pub mod accurate;
 pub mod intake;
 pub mod link;
 
@@ -52,6 +53,8 @@ pub struct Options {
     pub compensate: bool,
     /// Whether the course of the phase is kept for pictures.
     pub keep_course: bool,
+    /// What is done beyond a plane wave.
+    pub accuracy: accurate::Accuracy,
     /// How the bearing is searched for.
     pub search: SearchOptions,
 }
@@ -70,6 +73,7 @@ impl Options {
             from_s: None,
             to_s: None,
             compensate: true,
+            accuracy: accurate::Accuracy::default(),
             keep_course: false,
             search: SearchOptions::default(),
         }

@@ -6,6 +6,7 @@ use csi5300::backend::sim::{Room, Scene, write_dataset};
 use csi5300::bartlett::SearchOptions;
 use csi5300::channel::{Channel, Width};
 use csi5300::evaluate::{Source, find};
+use csi5300::pipeline::accurate::Accuracy;
 use csi5300::pipeline::{JoinBy, Options};
 use driver_iface::bfee::Antenna;
 use std::path::{Path, PathBuf};
@@ -44,6 +45,7 @@ fn the_small_circle_gives_its_scenes_bearing() {
         from_s: None,
         to_s: None,
         compensate: true,
+        accuracy: Accuracy::default(),
         keep_course: false,
         search: SearchOptions::default(),
     };

@@ -5,10 +5,26 @@ use std::path::{Path, PathBuf};
 
 /// Floor of each top-level module; see ARCHITECTURE.md.
 const FLOORS: &[(u8, &[&str])] = &[
-    (1, &["bartlett", "cfo", "channel", "csi", "pose", "samples", "time"]),
+    (
+        1,
+        &[
+            "alignment",
+            "bartlett",
+            "cfo",
+            "channel",
+            "confidence",
+            "csi",
+            "locate",
+            "near_field",
+            "one_way",
+            "pose",
+            "samples",
+            "time",
+        ],
+    ),
     (2, &["assign", "pairing", "tdma"]),
     (3, &["backend", "odometry"]),
-    (4, &["answer", "doctor", "evaluate", "figures", "pipeline", "plot", "status", "survey", "wait"]),
+    (4, &["answer", "doctor", "evaluate", "figures", "pipeline", "plot", "quality", "status", "survey", "wait"]),
 ];
 
 fn floor(module: &str) -> u8 {

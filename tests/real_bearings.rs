@@ -8,8 +8,10 @@ use csi5300::backend::{CsiSource, replay::Replay};
 use csi5300::bartlett::SearchOptions;
 use csi5300::channel::{Channel, Width};
 use csi5300::evaluate::{Errors, Judged, Source, find};
+use csi5300::pipeline::accurate::Accuracy;
 use csi5300::pipeline::{JoinBy, Options, Transmitter, bearings};
 use csi5300::pose::wrap_rad;
+use csi5300::quality::{ranges, receivers};
 use driver_iface::bfee::Antenna;
 use std::path::Path;
 
@@ -24,6 +26,7 @@ fn options(join: JoinBy) -> Options {
         from_s: None,
         to_s: None,
         compensate: true,
+        accuracy: Accuracy::default(),
         keep_course: false,
         search: SearchOptions::default(),
     }
@@ -50,8 +53,15 @@ fn wsr_links_with_motion_capture() {
     println!("LOS {los:?}\nNLOS {nlos:?}");
     assert_eq!((los.links, nlos.links), (18, 20));
     // The toolbox: 4.08 and 2.41 in line of sight, a median of 5.94 without.
-    assert!(los.mean_deg <= 2.6 && los.median_deg <= 2.0, "{los:?}");
-    assert!(nlos.median_deg <= 4.5, "{nlos:?}");
+    assert!(los.mean_deg <= 1.5 && los.median_deg <= 1.2 && los.over_20 == 0.0, "{los:?}");
+    assert!(nlos.median_deg <= 5.5, "{nlos:?}");
+    let in_sight: Vec<&Judged> = rows.iter().filter(|row| row.answer.link.starts_with("LOS")).collect();
+    let ranges = ranges(&in_sight);
+    assert!(ranges.reported >= 11 && ranges.median_m <= 0.7, "{ranges:?}");
+    let mut off: Vec<f64> =
+        receivers(&rows).iter().filter(|r| r.capture.starts_with("LOS")).filter_map(|r| r.off_m).collect();
+    off.sort_by(f64::total_cmp);
+    assert!(off.len() == 6 && off[3] <= 0.25, "{off:?}");
 }
 
 #[test]

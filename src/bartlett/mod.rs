@@ -34,7 +34,7 @@ mod plan;
 mod resample;
 mod rings;
 mod scene;
-mod simd;
+pub(crate) mod simd;
 mod stream;
 mod sums;
 #[cfg(test)]

@@ -4,6 +4,7 @@ use clap::Args;
 use csi5300::bartlett::SearchOptions;
 use csi5300::channel::Channel;
 use csi5300::pipeline::Options;
+use csi5300::pipeline::accurate::Accuracy;
 use driver_iface::{Mac, bfee::Antenna};
 
 /// How bearings are made.
@@ -21,12 +22,41 @@ pub struct Estimation {
     /// Leave out the turn-around compensation
     #[arg(long)]
     pub no_compensation: bool,
+    /// Steps to leave out, to see what each brings
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "STEP,..")]
+    pub without: Vec<Step>,
+    /// Shortest distance of a transmitter, metres
+    #[arg(long, default_value_t = 1.8, value_name = "METRES")]
+    pub range_min: f64,
+    /// Height of the transmitter above the receiver's antenna, where known, metres
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
+    pub height: Option<f64>,
     /// Use pairs from this many seconds after the link's first one on
     #[arg(long, value_name = "SECONDS")]
     pub from: Option<f64>,
     /// Use pairs up to this many seconds after the link's first one
     #[arg(long, value_name = "SECONDS")]
     pub to: Option<f64>,
+}
+
+/// A step of the estimate that can be left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Step {
+    /// Turn-around compensation
+    Compensation,
+    /// Alignment of the sampling time from packet to packet
+    Alignment,
+    /// The one-way channel beside the round trip
+    OneWay,
+    /// Spherical waves (and with them all subcarriers, alignment and the one-way channel)
+    NearField,
+    /// The search for the elevation
+    Elevation,
+}
+
+impl Step {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::Compensation, Self::Alignment, Self::OneWay, Self::NearField, Self::Elevation];
 }
 
 impl Default for Estimation {
@@ -36,6 +66,9 @@ impl Default for Estimation {
             clock_offset: 0.0,
             elevation_max: 20.0,
             no_compensation: false,
+            without: Vec::new(),
+            range_min: 1.8,
+            height: None,
             from: None,
             to: None,
         }
@@ -57,13 +90,25 @@ impl Estimation {
         {
             return Err(format!("--from {from} is not before --to {to}"));
         }
+        if !(self.range_min.is_finite() && self.range_min > 0.0 && self.height.is_none_or(f64::is_finite)) {
+            return Err("--range-min takes a positive number of metres, --height a number of metres".into());
+        }
+        let left_out = |step| self.without.contains(&step);
+        let elevation_max = if left_out(Step::Elevation) { 0.0 } else { self.elevation_max };
         Ok(Options {
             antenna: self.antenna,
             clock_offset_s: self.clock_offset,
             from_s: self.from,
             to_s: self.to,
-            compensate: !self.no_compensation,
-            search: SearchOptions { elevation_max_rad: self.elevation_max.to_radians(), ..SearchOptions::default() },
+            compensate: !self.no_compensation && !left_out(Step::Compensation),
+            accuracy: Accuracy {
+                near_field: !left_out(Step::NearField),
+                align: !left_out(Step::Alignment),
+                one_way: !left_out(Step::OneWay),
+                range_min_m: self.range_min,
+                height_m: self.height,
+            },
+            search: SearchOptions { elevation_max_rad: elevation_max.to_radians(), ..SearchOptions::default() },
             ..Options::new(channel)
         })
     }

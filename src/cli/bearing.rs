@@ -46,6 +46,9 @@ pub struct Args {
     /// Place of the antenna on the receiver: metres forward, left, up; turned with the heading
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
     antenna_offset: Option<Vector3<f64>>,
+    /// Refuse bearings whose probability of being within 5 degrees is below this, 0..1
+    #[arg(long, value_name = "P")]
+    min_confidence: Option<f64>,
     /// One JSON object a link instead of text
     #[arg(long)]
     json: bool,
@@ -97,6 +100,9 @@ pub fn run(args: Args) -> Result {
         .enumerate()
         .map(|(k, log)| Transmitter { log: log as &mut dyn CsiSource, trajectory: partners.get(k) })
         .collect();
+    if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
+        return Err("--min-confidence takes a probability, 0 to 1".into());
+    }
     let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
     say_losses(&args, &report, &receiver, &logs);
     let mut names: Vec<String> = args.tx.iter().map(|path| stem(path)).collect();
@@ -106,7 +112,10 @@ pub fn run(args: Args) -> Result {
         }
     }
     for (name, link) in names.iter().zip(&report.links) {
-        let answer = Answer::new(name.clone(), link);
+        let mut answer = Answer::new(name.clone(), link);
+        if let Some(least) = args.min_confidence {
+            answer.refuse_below(least);
+        }
         if args.json {
             print_json(&answer);
         } else {
@@ -234,6 +243,18 @@ fn describe(answer: &Answer) -> String {
         let _ = write!(text, ", or its mirror {mirror:.2} deg: motion along a line cannot tell them apart");
     }
     text.push('\n');
+    if let Some(confidence) = answer.confidence {
+        let _ = writeln!(text, "  within 5 degrees with probability {confidence:.2}");
+    }
+    match (answer.range_m, answer.range_sd_m, answer.position_m) {
+        (Some(range), Some(sd), Some([x, y, z])) => {
+            let _ = writeln!(
+                text,
+                "  range {range:.2} +- {sd:.2} m: x {x:.2}, y {y:.2}, z {z:.2} m in the trajectory's frame (the sign of the height is a guess)"
+            );
+        }
+        _ => text += "  no range: the wave front's curvature does not fix it\n",
+    }
     if let Some(body) = answer.azimuth_body_deg {
         let _ = writeln!(text, "  in the robot's frame: {body:.2} deg (heading at the last sample)");
     }

@@ -1,9 +1,10 @@
 //! `csi5300 evaluate`.
 
-use super::args::{Estimation, channel};
+use super::args::{Estimation, Step, channel};
 use super::{Outcome, Result, print, print_json};
 use csi5300::channel::{Channel, Width};
-use csi5300::evaluate::{Errors, Evaluated, Judged, SetSummary, Source, find, summarise};
+use csi5300::evaluate::{Capture, Errors, Evaluated, Judged, SetSummary, Source, find, summarise};
+use csi5300::quality::{ranges, receivers, reliability, risk_coverage};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -26,13 +27,17 @@ pub struct Args {
     /// JSON Lines: one object a link, then a summary
     #[arg(long)]
     json: bool,
+    /// Also evaluate with each step left out, and print what it brings
+    #[arg(long)]
+    ablation: bool,
     /// Captures worked on at a time; 0 is one for each core
     #[arg(long, default_value_t = 0, value_name = "N")]
     threads: usize,
 }
 
+/// A trajectory file of a capture.
 #[derive(Clone, Copy, clap::ValueEnum)]
-enum Which {
+pub enum Which {
     /// Motion capture
     Gt,
     /// Tracking camera
@@ -41,16 +46,22 @@ enum Which {
     Odom,
 }
 
+impl From<Which> for Source {
+    fn from(which: Which) -> Self {
+        match which {
+            Which::Gt => Self::GroundTruth,
+            Which::T265 => Self::T265,
+            Which::Odom => Self::Odometry,
+        }
+    }
+}
+
 /// Evaluates a tree of captures.
 pub fn run(args: &Args) -> Result {
     if !args.folder.is_dir() {
         return Err(format!("{} is not a folder", args.folder.display()));
     }
-    let source = match args.trajectory {
-        Which::Gt => Source::GroundTruth,
-        Which::T265 => Source::T265,
-        Which::Odom => Source::Odometry,
-    };
+    let source = args.trajectory.into();
     // The channel here is a stand-in; each capture brings its own.
     let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let options = args.estimation.options(args.channel.unwrap_or(fallback))?;
@@ -74,6 +85,12 @@ pub fn run(args: &Args) -> Result {
         bar.inc(1);
         evaluated
     };
+    if args.ablation {
+        let table = pool.install(|| ablation(args, source, &captures));
+        bar.finish_and_clear();
+        print(&table?);
+        return Ok(Outcome::Done);
+    }
     let results: Vec<Evaluated> = pool.install(|| captures.par_iter().map(one).collect());
     bar.finish_and_clear();
     let lost = !unreadable.is_empty() || results.iter().any(|result| result.lost);
@@ -84,6 +101,7 @@ pub fn run(args: &Args) -> Result {
         print_json(&BTreeMap::from([("summary", &summary)]));
     } else {
         print(&table(&rows, &summary));
+        print(&worth(&rows));
     }
     for row in rows.iter().filter(|row| row.answer.error.is_some()) {
         eprintln!("csi5300: {}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
@@ -119,15 +137,6 @@ fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
         );
     }
     let _ = writeln!(text, "\nabsolute error, degrees: mean / median / 90th percentile / share over 20 degrees");
-    let line = |errors: &Errors| {
-        format!(
-            "{:.2} / {:.2} / {:.2} / {:.1} %",
-            errors.mean_deg,
-            errors.median_deg,
-            errors.p90_deg,
-            errors.over_20 * 100.0
-        )
-    };
     for (set, s) in summary {
         let _ = writeln!(
             text,
@@ -139,4 +148,68 @@ fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
         );
     }
     text
+}
+
+fn line(errors: &Errors) -> String {
+    let Errors { mean_deg, median_deg, p90_deg, over_20, .. } = errors;
+    format!("{mean_deg:.2} / {median_deg:.2} / {p90_deg:.2} / {:.1} %", over_20 * 100.0)
+}
+
+/// Refusals, reliability, ranges and receivers.
+fn worth(rows: &[Judged]) -> String {
+    let mut text = String::from("\nkept  least confidence  error from the mean pose\n");
+    for kept in risk_coverage(rows) {
+        let _ =
+            writeln!(text, "{:3.0} %  {:.2}              {}", kept.share * 100.0, kept.confidence, line(&kept.errors));
+    }
+    text += "\nconfidence  links  said  within 5 degrees\n";
+    for bin in reliability(rows) {
+        let (from, to) = (bin.from, bin.to);
+        let _ = writeln!(text, "{from:.1} .. {to:.1}  {:5}  {:.2}  {:.2}", bin.links, bin.said, bin.right);
+    }
+    let located = receivers(rows);
+    for (set, own) in sets(rows) {
+        let ranges = ranges(&own);
+        let mut off: Vec<f64> =
+            located.iter().filter(|r| r.capture.starts_with(&format!("{set}/"))).filter_map(|r| r.off_m).collect();
+        off.sort_by(f64::total_cmp);
+        let median = off.get(off.len() / 2).map_or("-".into(), |off| format!("{off:.2} m"));
+        let _ = writeln!(
+            text,
+            "{set}: range from {} of {} links, median error {:.2} m; {} receivers located, median error {median}",
+            ranges.reported,
+            ranges.links,
+            ranges.median_m,
+            off.len()
+        );
+    }
+    text
+}
+
+/// Links by the first part of their names.
+fn sets(rows: &[Judged]) -> BTreeMap<&str, Vec<&Judged>> {
+    let mut sets: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
+    for row in rows {
+        sets.entry(row.answer.link.split('/').next().unwrap_or_default()).or_default().push(row);
+    }
+    sets
+}
+
+/// Evaluates with everything, then without each step.
+fn ablation(args: &Args, source: Source, captures: &[Capture]) -> std::result::Result<String, String> {
+    let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
+    let mut text = String::from("error from the mean pose: mean / median / 90th percentile / share over 20 degrees\n");
+    let runs = std::iter::once(None).chain(Step::ALL.into_iter().map(Some));
+    for left_out in runs {
+        let estimation = Estimation { without: left_out.into_iter().collect(), ..args.estimation.clone() };
+        let options = estimation.options(args.channel.unwrap_or(fallback))?;
+        let rows: Vec<Judged> =
+            captures.par_iter().flat_map_iter(|c| c.evaluate(source, args.channel, &options).rows).collect();
+        let name = left_out.map_or("everything".into(), |step| format!("without {step:?}"));
+        for (set, own) in sets(&rows) {
+            let errors = Errors::of(own.iter().filter_map(|row| row.error_from_mean_pose_deg));
+            let _ = writeln!(text, "{name:22} {set:12} {:4} links  {}", errors.links, line(&errors));
+        }
+    }
+    Ok(text)
 }

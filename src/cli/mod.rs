@@ -10,6 +10,7 @@ mod export;
 mod info;
 #[cfg(feature = "live")]
 mod live;
+mod locate;
 mod npz;
 mod profile;
 #[cfg(feature = "live")]
@@ -71,6 +72,8 @@ enum Command {
     Info(info::Args),
     /// Bearings of a whole tree of captures against the truth
     Evaluate(evaluate::Args),
+    /// Where the receiver of a capture is, from its links to transmitters whose places are known
+    Locate(locate::Args),
     /// Copies every intact record of a damaged log, and nothing else
     Recover(recover::Args),
     /// CSI of a log as CSV or NPZ, raw or scaled
@@ -99,6 +102,7 @@ pub fn run() -> ExitCode {
         Command::Bearing(args) => bearing::run(args),
         Command::Info(args) => info::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
+        Command::Locate(args) => locate::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Simulate(args) => simulate::run(&args),

@@ -1,9 +1,10 @@
 //! One link: its pairs, made into coherent samples along the motion, made into a bearing.
 
+use super::accurate::{self, Placed};
 use super::intake::Heard;
 use super::{JoinBy, Options};
 use crate::bartlett::{self, Estimate, Grid, Profile};
-use crate::cfo::{TurnAround, at_centre, round_trip_at_centre};
+use crate::cfo::{TurnAround, at_centre, round_trip, round_trip_at_centre};
 use crate::pairing::{Pair, Pairing, Side, SideCounts};
 use crate::pose::{Motion, Trajectory, wrap_rad};
 use crate::samples::Samples;
@@ -91,6 +92,7 @@ pub struct Link {
 #[derive(Clone, Copy, Debug)]
 struct Row {
     z: Complex64,
+    product: crate::alignment::Row,
     clock_rx_us: i64,
     difference_us: i64,
     host_us: Option<i64>,
@@ -103,6 +105,8 @@ struct Row {
 pub struct Bearing {
     /// The estimate, azimuth in the trajectory's frame.
     pub estimate: Estimate,
+    /// What spherical waves and all subcarriers added; the estimate's azimuth and elevation are then its own.
+    pub placed: Option<Placed>,
     /// Azimuth relative to the robot's heading at the last sample used, radians.
     pub azimuth_body_rad: Option<f64>,
     /// Turn-around compensation, where both clocks allowed one.
@@ -202,6 +206,7 @@ impl Link {
         self.rows.push(Row {
             one_way_rad: one_way.map_or(0.0, |one_way| one_way.h.arg()),
             z: coherent.h,
+            product: round_trip(&forward, &backward),
             clock_rx_us: pair.clock_rx_us,
             difference_us: pair.clock_difference_us,
             host_us: pair.receiver.host_us,
@@ -243,8 +248,9 @@ impl Link {
             PairCounts { formed: self.rows.len() + self.silent, silent: self.silent, ..PairCounts::default() };
         let mut samples = Samples::new(2);
         let mut heading_rad = None;
+        let mut used = Vec::new();
         let motion = (receiver.motion(), transmitter.map(Trajectory::motion));
-        for (&t_s, &z) in times.iter().zip(&z) {
+        for (index, (&t_s, &z)) in times.iter().zip(&z).enumerate() {
             if !options.keeps(t_s - times[0]) {
                 pairs.cut += 1;
                 continue;
@@ -268,17 +274,21 @@ impl Link {
                 continue;
             }
             heading_rad = pose.heading_rad;
+            used.push(index);
             samples.push(t_s, z / z.norm(), pose.position_m, partner);
         }
         pairs.in_motion = samples.len();
         if samples.is_empty() {
             return Err(self.no_samples(&pairs, &times, receiver));
         }
-        let estimate = bartlett::search(&samples, options.channel.wavelength_m(), &options.search)?;
+        let mut estimate = bartlett::search(&samples, options.channel.wavelength_m(), &options.search)?;
+        let rows = self.rows.iter().zip(&z).map(|(row, z)| accurate::compensated(&row.product, z / row.z));
+        let placed = accurate::place(&samples, rows.collect(), &used, &mut estimate, options);
         let sum = samples.receiver_m.iter().fold(Vector3::zeros(), |sum, p| sum + p);
         Ok(Bearing {
             azimuth_body_rad: heading_rad.map(|heading| wrap_rad(estimate.azimuth_rad - heading)),
             estimate,
+            placed,
             peers: PeerFigures::of(&samples, options.channel.wavelength_m())?,
             turn_around,
             compensated,

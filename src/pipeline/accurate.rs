@@ -1,0 +1,130 @@
+//! Beyond a plane wave at the channel centre: all subcarriers, aligned; the one-way channel; spherical waves.
+
+use super::Options;
+use crate::alignment::{Alignment, Row, align, remove_common_slope};
+use crate::bartlett::Estimate;
+use crate::channel::SUBCARRIERS;
+use crate::confidence::confidence;
+use crate::near_field::{self, Aperture, Fix, Limits, View};
+use crate::one_way::one_way;
+use crate::pose::wrap_rad;
+use crate::samples::Samples;
+use nalgebra::Vector3;
+use num_complex::{Complex32, Complex64};
+
+/// Which steps are taken. Every one can be left out, to see what it brings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Accuracy {
+    /// Spherical waves: range and position beside the bearing.
+    pub near_field: bool,
+    /// Alignment of the sampling time from packet to packet.
+    pub align: bool,
+    /// The one-way channel beside the round trip.
+    pub one_way: bool,
+    /// Shortest distance of a transmitter, metres.
+    pub range_min_m: f64,
+    /// The transmitter's height above the receiver's antenna, metres, where known.
+    pub height_m: Option<f64>,
+}
+
+impl Default for Accuracy {
+    fn default() -> Self {
+        Self { near_field: true, align: true, one_way: true, range_min_m: 1.8, height_m: None }
+    }
+}
+
+const SHARE: f64 = 1.0 / 3.0;
+/// The round trip is looked at as a whole.
+const ROUND_TRIP: [View; 1] = [View { windows: 1, weight: SHARE, subcarriers: SUBCARRIERS }];
+/// The one-way channel in windows of half the motion and, on the subcarriers next to the channel centre (whose sign
+/// does not depend on the sampling time), of two sevenths of it.
+const ONE_WAY: [View; 2] =
+    [View { windows: 3, weight: SHARE, subcarriers: SUBCARRIERS }, View { windows: 6, weight: SHARE, subcarriers: 6 }];
+
+/// What the accurate path found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Placed {
+    /// The search's answer.
+    pub fix: Fix,
+    /// Sampling-time alignment, where it was made.
+    pub alignment: Option<Alignment>,
+    /// Share of the one-way channel's power at sign slips, where it was made.
+    pub slips: Option<f64>,
+    /// Probability that the azimuth is within five degrees.
+    pub confidence: f64,
+}
+
+/// A range is reported where its predicted deviation is below this share of it.
+const RANGE_SHARE: f64 = 0.35;
+
+impl Placed {
+    /// Range and its standard deviation, metres, where the curvature fixes it.
+    #[must_use]
+    pub fn range_m(&self) -> Option<(f64, f64)> {
+        self.fix.range_m(RANGE_SHARE)
+    }
+}
+
+/// A round trip of unit power with the turn-around taken out: `turn` is what the compensation multiplied by.
+pub(super) fn compensated(product: &Row, turn: Complex64) -> Row {
+    let power = product.iter().map(Complex32::norm_sqr).sum::<f32>() / product.len() as f32;
+    let factor = Complex32::new(turn.re as f32, turn.im as f32) / power.sqrt();
+    if factor.is_finite() { product.map(|v| v * factor) } else { Row::default() }
+}
+
+/// Searches the place of the transmitter and, where there is one, makes it the estimate. `rows` are all pairs of the
+/// link: those taken at rest tell nothing of the bearing, but settle slopes and signs. `used` are those of `samples`.
+pub(super) fn place(
+    samples: &Samples,
+    mut rows: Vec<Row>,
+    used: &[usize],
+    estimate: &mut Estimate,
+    options: &Options,
+) -> Option<Placed> {
+    let steps = &options.accuracy;
+    if !steps.near_field {
+        return None;
+    }
+    let wavelength_m = options.channel.wavelength_m();
+    let indices = options.channel.subcarriers();
+    let alignment = steps.align.then(|| align(&mut rows, &indices));
+    remove_common_slope(&mut rows, &indices);
+    let displacement_m: Vec<Vector3<f64>> =
+        samples.receiver_m.iter().zip(&samples.transmitter_m).map(|(r, t)| r - t).collect();
+    let round_trip = Aperture::gather(&displacement_m, &pick(&rows, used), 2, wavelength_m);
+    let roots = steps.one_way.then(|| one_way(&rows));
+    let one_way =
+        roots.as_ref().map(|roots| Aperture::gather(&displacement_m, &pick(&roots.rows, used), 1, wavelength_m));
+    let mut layers: Vec<(&Aperture, &[View])> = vec![(&round_trip, &ROUND_TRIP)];
+    layers.extend(one_way.as_ref().map(|aperture| (aperture, ONE_WAY.as_slice())));
+    let limits = Limits {
+        elevation_max_rad: if estimate.elevation_searched { options.search.elevation_max_rad } else { 0.0 },
+        range_min_m: steps.range_min_m,
+        height_m: steps.height_m,
+        tier: options.search.tier,
+    };
+    let middle_m = displacement_m.iter().sum::<Vector3<f64>>() / displacement_m.len().max(1) as f64;
+    let fix = near_field::search(&layers, middle_m, wavelength_m, &limits)?;
+    adopt(&fix, estimate);
+    let confidence = confidence(&fix);
+    Some(Placed { fix, alignment, slips: roots.map(|roots| roots.slips), confidence })
+}
+
+fn pick(rows: &[Row], used: &[usize]) -> Vec<Row> {
+    used.iter().filter_map(|&index| rows.get(index)).copied().collect()
+}
+
+/// Makes the answer of the search the estimate; a mirror stays the reflection about the line of motion.
+fn adopt(fix: &Fix, estimate: &mut Estimate) {
+    let best = fix.best();
+    if let Some(mirror) = estimate.mirror_rad {
+        estimate.mirror_rad = Some(wrap_rad(estimate.azimuth_rad + mirror - best.azimuth_rad));
+    }
+    estimate.azimuth_rad = best.azimuth_rad;
+    estimate.azimuth_sd_rad = fix.deviations.azimuth_rad;
+    estimate.abs_elevation_rad = best.abs_elevation_rad;
+    estimate.elevation_sd_rad = fix.deviations.elevation_rad;
+    estimate.signed_elevation_rad = None;
+    let others: Vec<f64> = fix.sources.iter().skip(1).map(|source| source.power).collect();
+    estimate.peak_ratio = others.first().map(|power| power / best.power);
+}
