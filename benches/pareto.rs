@@ -64,7 +64,7 @@ fn main() {
     for job in jobs() {
         for (n, radius) in sizes(full) {
             let samples = common::job(n, radius, job.height * radius, 7);
-            let before = naive_ms(&samples, &job.grid, 3);
+            let before = naive_ms(&samples, &job.grid, 30);
             let reference = reference(&samples, &job.grid);
             let mut rows = ours(&job, &samples, &reference);
             if job.name == "azimuth" {
@@ -72,7 +72,7 @@ fn main() {
             }
             rows.extend(peers(&job, &samples, &reference, n, radius));
             // Noise of a shared machine: the naive loop before and after, the quicker one counts.
-            let naive = before.min(naive_ms(&samples, &job.grid, 3));
+            let naive = before.min(naive_ms(&samples, &job.grid, 30));
             rows.push((String::from("naive double loop"), 0.0, naive, 1e-15));
             for (who, eps, ms, error) in rows {
                 table.row(&[

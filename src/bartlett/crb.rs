@@ -44,20 +44,18 @@ pub(crate) struct Spread([f64; 6]);
 impl Spread {
     pub fn new(scene: &Scene, azimuth: f64) -> Self {
         let (sin, cos) = azimuth.sin_cos();
-        let hvz = |t: usize| {
-            let (x, y) = (scene.x[t], scene.y[t]);
-            [cos * x + sin * y, cos * y - sin * x, scene.z[t]]
-        };
+        let samples = || scene.weight.iter().zip(&scene.x).zip(&scene.y).zip(&scene.z);
         let mut mean = [0.0; 3];
-        for (t, w) in scene.weight.iter().enumerate() {
-            for (m, p) in mean.iter_mut().zip(hvz(t)) {
-                *m += w * p / scene.weight_sum;
+        for (((w, x), y), z) in samples() {
+            for (m, p) in mean.iter_mut().zip([x, y, z]) {
+                *m += w * p;
             }
         }
+        let [mx, my, mz] = mean.map(|m| m / scene.weight_sum);
         let mut sums = [0.0; 6];
-        for (t, w) in scene.weight.iter().enumerate() {
-            let p = hvz(t);
-            let [h, v, z] = [p[0] - mean[0], p[1] - mean[1], p[2] - mean[2]];
+        for (((w, x), y), z) in samples() {
+            let (x, y, z) = (x - mx, y - my, z - mz);
+            let (h, v) = (cos * x + sin * y, cos * y - sin * x);
             for (sum, product) in sums.iter_mut().zip([h * h, h * v, v * v, h * z, v * z, z * z]) {
                 *sum += w * product;
             }

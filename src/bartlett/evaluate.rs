@@ -55,6 +55,32 @@ impl Places {
         }
     }
 
+    /// Plans the places for a planar transform, the direction cosines shortened by `scale` (at most 1).
+    pub fn targets<T: Real>(&self, nufft: &Nufft<T>, scale: f64) -> Targets<T> {
+        match self {
+            Self::Rings { d, nodes, .. } => nufft.quads(quarter(*d, nodes).map(|u| u.map(|c| c * scale))),
+            Self::List(list) => nufft.targets(list.iter().map(|u| [u[0] * scale, u[1] * scale])),
+        }
+    }
+
+    /// Sorts what an interpolation found into `values`.
+    pub fn sort<T: Real>(&self, found: &mut Vec<Complex<T>>, values: &mut Vec<Complex<T>>) {
+        match self {
+            Self::List(_) => std::mem::swap(values, found),
+            Self::Rings { d, .. } => {
+                values.resize(self.len(), Complex::new(T::of(0.0), T::of(0.0)));
+                let per_ring = 4 * (d / 4 + 1);
+                for (ring, found) in values.chunks_exact_mut(*d).zip(found.chunks_exact(per_ring)) {
+                    for (q, four) in found.chunks_exact(4).enumerate() {
+                        for (to, value) in quarter_places(q, *d).into_iter().zip(four) {
+                            ring[to] = *value;
+                        }
+                    }
+                }
+            }
+        }
+    }
+
     /// Directions that a direct sum of antipodal pairs needs.
     fn direct<T: Real>(&self) -> Vec<[T; 3]> {
         match self {
@@ -95,10 +121,7 @@ impl<T: Real> Evaluator<T> {
     }
 
     pub fn planar(nufft: Nufft<T>, places: Places) -> Self {
-        let targets = match &places {
-            Places::Rings { d, nodes, .. } => nufft.quads(quarter(*d, nodes)),
-            Places::List(list) => nufft.targets(list.iter().map(|u| [u[0], u[1]])),
-        };
+        let targets = places.targets(&nufft, 1.0);
         Self::Planar { nufft, targets, places }
     }
 
@@ -128,20 +151,7 @@ impl<T: Real> Evaluator<T> {
         let Self::Planar { nufft, targets, places } = self else { return };
         nufft.transform(&buffers.cells, &mut buffers.work);
         nufft.interpolate(&buffers.work.plane, targets, &mut buffers.found);
-        match places {
-            Places::List(_) => std::mem::swap(&mut buffers.values, &mut buffers.found),
-            Places::Rings { d, .. } => {
-                buffers.values.resize(places.len(), Complex::new(T::of(0.0), T::of(0.0)));
-                let per_ring = 4 * (d / 4 + 1);
-                for (ring, found) in buffers.values.chunks_exact_mut(*d).zip(buffers.found.chunks_exact(per_ring)) {
-                    for (q, four) in found.chunks_exact(4).enumerate() {
-                        for (to, value) in quarter_places(q, *d).into_iter().zip(four) {
-                            ring[to] = *value;
-                        }
-                    }
-                }
-            }
-        }
+        places.sort(&mut buffers.found, &mut buffers.values);
     }
 }
 
@@ -242,10 +252,7 @@ impl<T: Real> Slab<T> {
             Places::Rings { nodes, .. } => nodes.iter().map(|e| e.sin()).collect(),
             Places::List(list) => list.iter().map(|u| u[2]).collect(),
         };
-        let targets = match &places {
-            Places::Rings { d, nodes, .. } => nufft.quads(quarter(*d, nodes)),
-            Places::List(list) => nufft.targets(list.iter().map(|u| [u[0], u[1]])),
-        };
+        let targets = places.targets(&nufft, 1.0);
         let mut phases = Vec::with_capacity(heights.len() * (2 * z.half + 1));
         for plane in 0..=2 * z.half {
             let at = (plane as f64 - z.half as f64) / z.per_turn;

@@ -20,10 +20,12 @@
 //! `newton`, `crb` the predicted deviation, `grid` the directions and profiles.
 
 mod bessel;
+mod choose;
 mod crb;
 mod direct;
 mod error;
 mod evaluate;
+mod explain;
 mod fft;
 mod grid;
 mod kernel;
@@ -36,6 +38,7 @@ mod rings;
 mod scene;
 pub(crate) mod simd;
 mod stream;
+mod subcarriers;
 mod sums;
 #[cfg(test)]
 mod tests;
@@ -47,6 +50,7 @@ pub use plan::{Explanation, Method, Plan, Planner, Precision, ProfileOptions};
 pub use scene::{Geometry, Shape};
 pub use simd::Tier;
 pub use stream::{Stream, StreamOptions};
+pub use subcarriers::{Subcarrier, subcarrier_profile};
 
 use crate::samples::Samples;
 

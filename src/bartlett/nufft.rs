@@ -192,6 +192,9 @@ impl<T: Real> Nufft<T> {
     }
 
     /// Adds samples (positions in turns about the middle) to a grid of [`Nufft::cells`] cells.
+    ///
+    /// Several columns of values at the same positions, one after the other in `re` and `im`, go to as many grids, one
+    /// after the other in `cells`: they share the kernel's weights.
     pub fn spread(&self, at: [&[f64]; 2], re: &[T], im: &[T], cells: &mut [Complex<T>]) {
         let width = self.setting.width;
         // Narrow kernels are for single precision, wide ones for double: the others need not exist.
@@ -222,26 +225,31 @@ impl<T: Real> Nufft<T> {
         let lanes = V::<S, T>::LEN;
         let stride = self.x.support();
         let cells: &mut [T] = bytemuck::cast_slice_mut(cells);
-        let (mut wx, mut wy) = ([[T::of(0.0); W]; 2], [[T::of(0.0); W]; 2]);
-        for t in 0..re.len() {
+        let zero = [[T::of(0.0); W]; 2];
+        let (mut wx, mut wy, mut product) = (zero, zero, zero);
+        let count = at[0].len();
+        for t in 0..count {
             let (first_x, sx) = locate(at[0][t] * self.x.per_turn, W);
             let (first_y, sy) = locate(at[1][t] * self.y.per_turn, W);
             self.weights::<S, W>(simd, sx, &mut wx);
             self.weights::<S, W>(simd, sy, &mut wy);
-            let z = V::<S, T>::from_fn(simd, |i| if i % 2 == 0 { re[t] } else { im[t] });
-            let wx = wx.as_flattened_mut();
-            for chunk in wx.chunks_exact_mut(lanes) {
-                (V::<S, T>::from_slice(simd, chunk) * z).store_slice(chunk);
-            }
             let column = (first_x + self.x.half as isize) as usize;
             let row = (first_y + self.y.half as isize) as usize;
-            let wy = wy.as_flattened();
-            for j in 0..W {
-                let from = 2 * ((row + j) * stride + column);
-                let weight = V::<S, T>::splat(simd, wy[2 * j]);
-                for (cell, w) in cells[from..from + 2 * W].chunks_exact_mut(lanes).zip(wx.chunks_exact(lanes)) {
-                    let sum = weight.mul_add(V::<S, T>::from_slice(simd, w), V::<S, T>::from_slice(simd, cell));
-                    sum.store_slice(cell);
+            let (wx, wy) = (wx.as_flattened(), wy.as_flattened());
+            let columns = re.chunks_exact(count).zip(im.chunks_exact(count));
+            for ((re, im), cells) in columns.zip(cells.chunks_exact_mut(2 * self.cells())) {
+                let z = V::<S, T>::from_fn(simd, |i| if i % 2 == 0 { re[t] } else { im[t] });
+                for (to, w) in product.as_flattened_mut().chunks_exact_mut(lanes).zip(wx.chunks_exact(lanes)) {
+                    (V::<S, T>::from_slice(simd, w) * z).store_slice(to);
+                }
+                for j in 0..W {
+                    let from = 2 * ((row + j) * stride + column);
+                    let weight = V::<S, T>::splat(simd, wy[2 * j]);
+                    let line = cells[from..from + 2 * W].chunks_exact_mut(lanes);
+                    for (cell, w) in line.zip(product.as_flattened().chunks_exact(lanes)) {
+                        let sum = weight.mul_add(V::<S, T>::from_slice(simd, w), V::<S, T>::from_slice(simd, cell));
+                        sum.store_slice(cell);
+                    }
                 }
             }
         }

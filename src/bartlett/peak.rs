@@ -251,7 +251,8 @@ impl<'a> Search<'a> {
         let (mut tops, mut best) = (Vec::<Top>::new(), 0f64);
         for (rank, (index, value)) in candidates.into_iter().enumerate() {
             let elevation = sampled.elevations[index / self.ring];
-            let azimuth = TAU * (index % self.ring) as f64 / self.ring as f64;
+            let azimuth =
+                TAU * ((index % self.ring) as f64 + vertex(&sampled.values, index, self.ring)) / self.ring as f64;
             let at = Point { azimuth, second: hill.kind.of_elevation(elevation) };
             if value >= bound * best {
                 let top = hill.climb(at);
@@ -414,6 +415,14 @@ fn local_maxima(sampled: &Sampled, ring: usize) -> Vec<(usize, f64)> {
         }
     }
     maxima
+}
+
+/// Offset, in steps, of the vertex of the parabola through a sample and its neighbours around the ring.
+fn vertex(values: &[f64], index: usize, ring: usize) -> f64 {
+    let (row, column) = (index / ring * ring, index % ring);
+    let [before, here, after] = [ring - 1, 0, 1].map(|d| values[row + (column + d) % ring]);
+    let bend = before - 2.0 * here + after;
+    if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
 }
 
 fn argmax(values: &[f64]) -> (usize, f64) {

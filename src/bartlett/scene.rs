@@ -86,14 +86,15 @@ impl Scene {
         let turn_m = wavelength_m / f64::from(samples.path_gain);
         let ([x, y, z], radius, half_height) = centred_turns(samples, turn_m)?;
         let (z_exponent, w_exponent) = exponents(samples)?;
-        let n = samples.len();
+        let halves = |exponent: i32| [exponent / 2, exponent - exponent / 2].map(|half| 2f64.powi(half));
+        let ([za, zb], [wa, wb]) = (halves(z_exponent), halves(w_exponent));
         let mut scene = Self {
             x,
             y,
             z,
-            re: Vec::with_capacity(n),
-            im: Vec::with_capacity(n),
-            weight: Vec::with_capacity(n),
+            re: samples.z.iter().zip(&samples.weight).map(|(z, w)| z.re * za * zb * (w * wa * wb)).collect(),
+            im: samples.z.iter().zip(&samples.weight).map(|(z, w)| z.im * za * zb * (w * wa * wb)).collect(),
+            weight: samples.weight.iter().map(|w| w * wa * wb).collect(),
             exponent: z_exponent + w_exponent,
             sum_abs: 0.0,
             energy: 0.0,
@@ -102,19 +103,23 @@ impl Scene {
             half_height,
             turn_m,
         };
-        let halves = |exponent: i32| [exponent / 2, exponent - exponent / 2].map(|half| 2f64.powi(half));
-        let ([za, zb], [wa, wb]) = (halves(z_exponent), halves(w_exponent));
-        for (z, &w) in samples.z.iter().zip(&samples.weight) {
-            let (re, im, w) = (z.re * za * zb, z.im * za * zb, w * wa * wb);
-            scene.re.push(re * w);
-            scene.im.push(im * w);
-            scene.weight.push(w);
-            let power = re * re + im * im;
-            scene.sum_abs += w * power.sqrt();
-            scene.energy += w * power;
-            scene.weight_sum += w;
-        }
+        scene.sum();
         Ok(scene)
+    }
+
+    /// `sum_abs`, `energy` and `weight_sum`, in four chains each so that additions need not wait for one another.
+    fn sum(&mut self) {
+        let mut sums = [[0.0; 4]; 3];
+        let values = self.re.iter().zip(&self.im).zip(&self.weight);
+        for (t, ((re, im), w)) in values.enumerate() {
+            let power = re * re + im * im;
+            // Of samples that carry their weight: |w z|, and w |z|^2 = |w z|^2 / w.
+            let energy = if *w > 0.0 { power / w } else { 0.0 };
+            for (sum, term) in sums.iter_mut().zip([power.sqrt(), energy, *w]) {
+                sum[t % 4] += term;
+            }
+        }
+        [self.sum_abs, self.energy, self.weight_sum] = sums.map(|s| s.iter().sum());
     }
 
     pub fn len(&self) -> usize {
@@ -125,11 +130,15 @@ impl Scene {
     pub fn shape(&self) -> Shape {
         let n = self.len() as f64;
         let mean = [&self.x, &self.y, &self.z].map(|c| c.iter().sum::<f64>() / n);
-        let mut scatter = Matrix3::zeros();
-        for t in 0..self.len() {
-            let d = Vector3::new(self.x[t] - mean[0], self.y[t] - mean[1], self.z[t] - mean[2]);
-            scatter += d * d.transpose();
+        let mut sums = [0.0; 6];
+        for ((x, y), z) in self.x.iter().zip(&self.y).zip(&self.z) {
+            let [x, y, z] = [x - mean[0], y - mean[1], z - mean[2]];
+            for (sum, term) in sums.iter_mut().zip([x * x, x * y, y * y, x * z, y * z, z * z]) {
+                *sum += term;
+            }
         }
+        let [xx, xy, yy, xz, yz, zz] = sums;
+        let scatter = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
         let eigen = SymmetricEigen::new(scatter);
         let mut order = [0, 1, 2];
         order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
@@ -213,7 +222,9 @@ fn centred_turns(samples: &Samples, turn_m: f64) -> Result<([Vec<f64>; 3], f64, 
     for column in &mut columns {
         let (low, high) = column.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
         let middle = low / 2.0 + high / 2.0;
-        column.iter_mut().for_each(|v| *v = (*v - middle) / turn_m);
+        // A product is quicker than a quotient; a wavelength whose inverse overflows fails the next check.
+        let per_metre = 1.0 / turn_m;
+        column.iter_mut().for_each(|v| *v = (*v - middle) * per_metre);
     }
     if let Some(index) = bad(&columns, 1e150) {
         return Err(Error::NonFinite { what: "position in wavelengths", index });

@@ -162,3 +162,33 @@ fn a_stream_gives_the_profile_of_its_window() {
         assert!(matches!(stream.push(Complex64::new(f64::NAN, 0.0), options.middle_m), Err(Error::NonFinite { .. })));
     }
 }
+
+#[test]
+fn subcarriers_together_are_the_sum_of_each_alone() {
+    let mut rng = ChaCha8Rng::seed_from_u64(25);
+    for shape in [0, 4] {
+        let points = track(shape, 0.3, 400, &mut rng);
+        let grid = Grid::azimuth_elevation(72, 37);
+        let subcarriers: Vec<Subcarrier> = [1.0, 1.001, 1.002]
+            .into_iter()
+            .map(|stretch| Subcarrier {
+                wavelength_m: WAVELENGTH * stretch,
+                z: samples(&points, &[(1.0, 0.1, Complex64::new(stretch, 0.0))], 0.3, &mut rng).z,
+            })
+            .collect();
+        let base = samples(&points, &[(0.0, 0.0, Complex64::ONE)], 0.1, &mut rng);
+        let (mut sum, mut full) = (vec![0.0; grid.len()], 0.0);
+        for s in &subcarriers {
+            let alone = oracle(&Samples { z: s.z.clone(), ..base.clone() }, s.wavelength_m, &grid).unwrap();
+            full += alone.sum_abs.powi(2);
+            sum.iter_mut().zip(&alone.values).for_each(|(t, v)| *t += v * alone.sum_abs.powi(2));
+        }
+        for eps in [1e-4, 1e-8] {
+            let together = subcarrier_profile(&base, &subcarriers, &grid, eps, Tier::detect()).unwrap();
+            assert!(together.values.iter().zip(&sum).all(|(a, b)| (a - b / full).abs() < 2.0 * eps), "{eps}");
+        }
+        let short = [Subcarrier { z: vec![Complex64::ONE; 399], ..subcarriers[0].clone() }];
+        assert!(matches!(subcarrier_profile(&base, &short, &grid, 1e-4, Tier::detect()), Err(Error::Lengths { .. })));
+        assert_eq!(subcarrier_profile(&base, &[], &grid, 1e-4, Tier::detect()), Err(Error::Empty));
+    }
+}

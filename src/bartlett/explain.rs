@@ -1,0 +1,95 @@
+//! How a profile may be asked for, and what a plan says of itself.
+
+use std::fmt;
+
+use super::simd::Tier;
+
+/// How exact, and how.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProfileOptions {
+    /// The guarantee: every `|f~(u) - f(u)| <= eps * sum w |z|`. Default 1e-4; 0 asks for the oracle.
+    pub eps: f64,
+    /// Force a method instead of the cheapest. One that cannot serve the scene is replaced by the cheapest that can.
+    pub method: Option<Method>,
+    /// Force single or double precision instead of the narrowest that meets `eps`.
+    pub precision: Option<Precision>,
+}
+
+impl Default for ProfileOptions {
+    fn default() -> Self {
+        Self { eps: 1e-4, method: None, precision: None }
+    }
+}
+
+/// The ways to a profile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Method {
+    /// No motion within the tolerance: one value for all directions.
+    Constant,
+    /// The sum as written ([`super::oracle`]).
+    Oracle,
+    /// Antipodal pairs at every direction.
+    Direct,
+    /// Antipodal pairs on band-limited rings, then Fourier interpolation.
+    RingsDirect,
+    /// Planar NUFFT onto band-limited rings, then Fourier interpolation.
+    RingsNufft,
+    /// Planar NUFFT straight to every direction.
+    TargetsNufft,
+    /// Slabs of planar NUFFTs, onto rings or straight to the directions.
+    Slab,
+}
+
+/// Numbers that the bulk of the work is done in; the front end is always double.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Precision {
+    /// `f32`.
+    Single,
+    /// `f64`.
+    Double,
+}
+
+/// What a plan does, what it costs and what it left out, as a value that prints.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Explanation {
+    /// The method.
+    pub method: Method,
+    /// The precision of the bulk of the work.
+    pub precision: Precision,
+    /// The SIMD tier.
+    pub tier: Tier,
+    /// The tolerance that it meets.
+    pub eps: f64,
+    /// Directions asked for.
+    pub directions: usize,
+    /// Directions evaluated from the samples; the others follow by interpolation or symmetry.
+    pub evaluated: usize,
+    /// The planner's estimate of a run, microseconds (a model, not a measurement).
+    pub estimate_us: f64,
+    /// Bytes of tables.
+    pub table_bytes: usize,
+    /// What was not computed, and why.
+    pub skipped: Vec<String>,
+    /// Sizes inside: kernel width, FFT lengths, band limits.
+    pub detail: String,
+}
+
+impl fmt::Display for Explanation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "{:?} in {:?} precision on {:?}, eps {:.1e}, about {:.0} us, {} kB of tables",
+            self.method,
+            self.precision,
+            self.tier,
+            self.eps,
+            self.estimate_us,
+            self.table_bytes / 1024
+        )?;
+        writeln!(f, "  {} of {} directions evaluated; {}", self.evaluated, self.directions, self.detail)?;
+        for skipped in &self.skipped {
+            writeln!(f, "  skipped: {skipped}")?;
+        }
+        Ok(())
+    }
+}
