@@ -1,5 +1,6 @@
 //! The listener against the connector of the running kernel, in namespaces of its own.
 #![cfg(feature = "live")]
+#![allow(clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "common/private.rs"]
 mod private;

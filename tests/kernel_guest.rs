@@ -1,4 +1,5 @@
 //! Checks, inside the guest of tests/checks/kernel.sh, what `csi5300 record` received from the kernel module.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use csi5300::backend::{CsiSource, Next, replay::Replay};
 use csi5300::time::Instant;

@@ -1,5 +1,6 @@
 //! `csi5300 record` under bad treatment: what is on disk is always a readable log, and what it says is lost is lost.
 #![cfg(feature = "live")]
+#![allow(clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "common/private.rs"]
 mod private;
