@@ -36,6 +36,13 @@ pub fn spread(receiver: &[Mark], transmitter: &[Mark]) -> Option<Spread> {
     let mut pairing = Pairing::new(4_096);
     let (mut r, mut t) = (receiver.iter(), transmitter.iter());
     let (mut clock, mut difference) = (Vec::new(), Vec::new());
+    let mut take = |pairing: &mut Pairing<()>| {
+        while let Some(pair) = pairing.poll_pair() {
+            clock.push(pair.clock_rx_us);
+            difference.push(pair.clock_difference_us);
+        }
+        clock.len()
+    };
     loop {
         let side = pairing.behind();
         let next = match side {
@@ -48,14 +55,12 @@ pub fn spread(receiver: &[Mark], transmitter: &[Mark]) -> Option<Spread> {
             break;
         };
         pairing.handle(side, number, timestamp_low, ());
-        while let Some(pair) = pairing.poll_pair() {
-            clock.push(pair.clock_rx_us);
-            difference.push(pair.clock_difference_us);
-        }
-        if clock.len() >= MAX_COMMON {
+        if take(&mut pairing) >= MAX_COMMON {
             break;
         }
     }
+    pairing.finish();
+    take(&mut pairing);
     if clock.len() < MIN_COMMON {
         return None;
     }

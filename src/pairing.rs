@@ -5,15 +5,19 @@
 //! to a minute between robots, are never looked at.
 //!
 //! What goes wrong in the field, and what is done:
-//! * **restart**: the counter starts anew (the sender was restarted). A jump that the next record confirms opens a
-//!   new session; numbers of different sessions never pair.
+//! * **restart**: the counter starts anew (the sender was restarted). A jump back that the next record confirms opens a
+//!   new session.
 //! * **wrap**: `u32::MAX` to 0 is a step of one.
 //! * **duplicate**: the same number again within a session (overheard echoes, [measured] 892 in one log): the first
 //!   stays, the others are counted.
-//! * **implausible jump**: a number far from its neighbours that the next record does not confirm (the reference
-//!   sender's counter turns to noise after 68,966 packets; stale header fields): dropped and counted.
-//! * **wrong session**: one log missed a whole session. The cards' own clocks tell: `clock_tx - clock_rx` of a pair
-//!   must continue that of the last pair. Pairs that do not are dropped and counted.
+//! * **implausible jump**: a number more than some frames from its neighbours that the next record does not confirm (a
+//!   flipped bit; the reference sender's counter turns to noise after 68,966 packets; stale header fields): dropped and
+//!   counted, and nothing else is lost by it.
+//! * **another session's partner**: numbers repeat from session to session, and one log may have missed a whole one. The
+//!   cards' own clocks tell: `clock_tx - clock_rx` of a pair continues that of the last one to within its drift. A
+//!   candidate that does not is left waiting for its real partner. Where nothing fits any more (a card was reset) a new
+//!   difference is believed once a run of candidates agrees to within the jitter of a turn-around: exchanges do, frames
+//!   of different sessions do not.
 
 use std::collections::{HashMap, VecDeque};
 use std::hash::{BuildHasherDefault, Hasher};
@@ -64,16 +68,23 @@ pub struct SideCounts {
     pub missing: u64,
 }
 
-/// Largest forward step of the frame number taken at face value: at the reference's highest rate (1,000 per second)
-/// a pause of more than half an hour.
+/// Steps of the frame number, forward or back, that need no confirmation by the next record.
+const NEAR: u32 = 32;
+/// Largest confirmed step forward within a session: at the reference's highest rate (1,000 per second) a pause of more
+/// than half an hour.
 const MAX_STEP: u32 = 1 << 21;
-/// Largest step back taken for reordering rather than a restart.
-const MAX_REORDER: u32 = 32;
 /// How far `clock_tx - clock_rx` of a pair may be from the last pair's: 5 ms of turn-around and 200 ppm of drift.
 const CLOCK_SLACK_US: i64 = 5_000;
 const CLOCK_DRIFT_PER_S: i64 = 200;
-/// So many pairs in a row that agree with each other but not with the past mean that a card's clock was reset.
-const CLOCK_RESET_AFTER: u32 = 8;
+/// Candidates in a row that must agree before their clock difference is believed.
+const RUN: usize = 16;
+/// They agree if the median step of the difference from one to the next is at most this, microseconds: a turn-around
+/// jitters by 4 to 22 us ([measured], paper-framework), the waits of two independent senders by hundreds.
+const RUN_STEP_US: i64 = 80;
+/// Without any run that agrees the first so many candidates are believed all the same: a slow responder is no mismatch.
+const PATIENCE: u32 = 1_024;
+/// Sessions back in which a partner is looked for.
+const SESSIONS_BACK: u32 = 3;
 
 /// Hashes the few thousand (session, number) keys of a window: one multiplication is plenty where the window is
 /// bounded, whoever chose the numbers.
@@ -100,6 +111,8 @@ type Waiting<T> = HashMap<(u32, u32), Entry<T>, BuildHasherDefault<KeyHasher>>;
 #[derive(Clone, Debug)]
 struct Entry<T> {
     clock: u32,
+    /// It met a record of its number whose clock did not fit.
+    met_other: bool,
     item: T,
 }
 
@@ -132,52 +145,73 @@ impl<T> Default for SideState<T> {
 }
 
 /// Pairs the two logs of one link. Call [`handle`](Self::handle) for each record of either side in its log's order,
-/// [`poll_pair`](Self::poll_pair) until `None` after each, and [`finish`](Self::finish) at the end of both logs.
+/// [`poll_pair`](Self::poll_pair) until `None` after each, [`finish`](Self::finish) at the end of both logs, and
+/// [`poll_pair`](Self::poll_pair) until `None` once more. Pairs come in the order of the exchange but for reordering; the
+/// first ones only when the clocks are understood.
 #[derive(Clone, Debug)]
 pub struct Pairing<T> {
     window: usize,
     receiver: SideState<T>,
     transmitter: SideState<T>,
-    ready: VecDeque<(u32, Entry<T>, Entry<T>)>,
+    ready: VecDeque<Pair<T>>,
     clock: Clock,
 }
 
-/// Unwraps the two card clocks along the link and judges whether a pair continues it.
+/// Unwraps the two card clocks along the link and judges whether a candidate continues it.
 #[derive(Clone, Debug, Default)]
 struct Clock {
+    /// Receiver's clock and difference of the last pair, unwrapped.
     last: Option<(i64, i64)>,
-    rejected: Option<(u32, u32, u32)>,
+    /// The latest candidates that do not continue the link: receiver's clock and difference, wrapping.
+    run: VecDeque<(u32, u32)>,
+    doubtful: u32,
 }
 
 impl Clock {
-    /// The unwrapped (receiver clock, difference) of a pair, or `None` if it does not continue the link.
-    fn admit(&mut self, rx: u32, tx: u32) -> Option<(i64, i64)> {
+    /// The unwrapped (receiver clock, difference) of a candidate that continues the link.
+    fn fits(&self, rx: u32, tx: u32) -> Option<(i64, i64)> {
         let raw = tx.wrapping_sub(rx);
-        let Some((last_rx, last_difference)) = self.last else {
-            let first = (i64::from(rx), i64::from(raw.cast_signed()));
-            self.last = Some(first);
-            return Some(first);
-        };
+        let (last_rx, last_difference) = self.last?;
         let step_us = i64::from(rx.wrapping_sub(last_rx as u32).cast_signed());
         let change_us = i64::from(raw.wrapping_sub(last_difference as u32).cast_signed());
         let slack_us = CLOCK_SLACK_US + step_us.abs() / 1_000_000 * CLOCK_DRIFT_PER_S;
-        if change_us.abs() <= slack_us {
-            self.rejected = None;
-        } else if !self.agrees_with_rejected(rx, raw) {
-            return None;
-        }
-        let next = (last_rx + step_us, last_difference + change_us);
-        self.last = Some(next);
-        Some(next)
+        (change_us.abs() <= slack_us).then_some((last_rx + step_us, last_difference + change_us))
     }
 
-    fn agrees_with_rejected(&mut self, rx: u32, raw: u32) -> bool {
-        let run = match self.rejected {
-            Some((_, last, run)) if i64::from(raw.wrapping_sub(last).cast_signed()).abs() <= CLOCK_SLACK_US => run + 1,
-            _ => 1,
+    /// Notes a candidate that does not fit; true if a new difference is now believed.
+    fn doubt(&mut self, rx: u32, tx: u32) -> bool {
+        self.run.push_back((rx, tx.wrapping_sub(rx)));
+        if self.run.len() > RUN {
+            self.run.pop_front();
+        }
+        self.doubtful += 1;
+        let patience_ends = self.last.is_none() && self.doubtful >= PATIENCE;
+        let agrees = self.run.len() == RUN && self.median_step_us() <= RUN_STEP_US;
+        (agrees || patience_ends) && self.believe()
+    }
+
+    fn median_step_us(&self) -> i64 {
+        let pairs = self.run.iter().zip(self.run.iter().skip(1));
+        let mut steps: Vec<i64> = pairs.map(|(a, b)| i64::from(b.1.wrapping_sub(a.1).cast_signed()).abs()).collect();
+        let middle = steps.len() / 2;
+        steps.get_mut(middle).is_some().then(|| *steps.select_nth_unstable(middle).1).unwrap_or_default()
+    }
+
+    /// Believes the run's own difference (the middle one of the run); false if there is no run.
+    fn believe(&mut self) -> bool {
+        let Some(&(first, origin)) = self.run.front() else { return false };
+        let mut offsets: Vec<i32> = self.run.iter().map(|run| run.1.wrapping_sub(origin).cast_signed()).collect();
+        let middle = offsets.len() / 2;
+        let offset = *offsets.select_nth_unstable(middle).1;
+        let difference = i64::from(origin.cast_signed()) + i64::from(offset);
+        // Unwrapped clocks go on where they were, so that time does not jump back over a reset.
+        let rx = match self.last {
+            None => i64::from(first),
+            Some((last_rx, _)) => last_rx + i64::from(first.wrapping_sub(last_rx as u32).cast_signed()),
         };
-        self.rejected = (run < CLOCK_RESET_AFTER).then_some((rx, raw, run));
-        run >= CLOCK_RESET_AFTER
+        self.last = Some((rx, difference));
+        self.run.clear();
+        true
     }
 }
 
@@ -188,24 +222,20 @@ impl<T> SideState<T> {
         let mut vouched = None;
         self.counts.handed += 1;
         if let Some((suspect, held)) = self.suspect.take() {
-            let follows_suspect = plausible_step(suspect, number);
-            let follows_last = self.last.is_some_and(|last| plausible_step(last, number));
-            if follows_suspect && !(follows_last && number != suspect && close(self.last, number)) {
-                self.session += 1;
-                self.counts.restarts += 1;
-                self.seen.clear();
-                self.last = Some(suspect);
+            let back_to_normal = self.last.is_some_and(|last| near(last, number)) && !is_next(suspect, number);
+            if near(suspect, number) && !back_to_normal {
+                self.jump(suspect);
                 vouched = Some((self.session, suspect, held));
             } else {
                 self.counts.implausible += 1;
             }
         }
         match self.last {
-            Some(last) if !plausible_step(last, number) => {
+            Some(last) if !near(last, number) => {
                 self.suspect = Some((number, entry));
                 return [vouched, None];
             }
-            Some(last) if number.wrapping_sub(last) <= MAX_STEP && number != last => {
+            Some(last) if number != last && number.wrapping_sub(last) <= NEAR => {
                 self.counts.missing += u64::from(number.wrapping_sub(last) - 1);
                 self.last = Some(number);
             }
@@ -214,15 +244,38 @@ impl<T> SideState<T> {
         }
         [vouched, Some((self.session, number, entry))]
     }
+
+    /// Gives up the record that waited longest.
+    fn drop_oldest(&mut self) {
+        let Some(oldest) = self.order.pop_front() else { return };
+        match self.waiting.remove(&oldest) {
+            Some(entry) if entry.met_other => self.counts.mispaired += 1,
+            Some(_) => self.counts.unpaired += 1,
+            None => {}
+        }
+    }
+
+    /// A jump that the next record confirmed: a gap if it leads forward within reason, else a restart.
+    fn jump(&mut self, to: u32) {
+        let step = self.last.map_or(1, |last| to.wrapping_sub(last));
+        if step <= MAX_STEP {
+            self.counts.missing += u64::from(step.saturating_sub(1));
+        } else {
+            self.session += 1;
+            self.counts.restarts += 1;
+            self.seen.clear();
+        }
+        self.last = Some(to);
+    }
 }
 
-/// True for a step forward within reason (wrap included), a repetition, or a little reordering.
-fn plausible_step(last: u32, number: u32) -> bool {
-    number.wrapping_sub(last) <= MAX_STEP || last.wrapping_sub(number) <= MAX_REORDER
+/// True for numbers within some frames of each other, wrap included.
+fn near(a: u32, b: u32) -> bool {
+    b.wrapping_sub(a) <= NEAR || a.wrapping_sub(b) <= NEAR
 }
 
-fn close(last: Option<u32>, number: u32) -> bool {
-    last.is_some_and(|last| number.wrapping_sub(last) <= 2 * MAX_REORDER)
+fn is_next(a: u32, b: u32) -> bool {
+    b == a.wrapping_add(1)
 }
 
 impl<T> Pairing<T> {
@@ -242,7 +295,7 @@ impl<T> Pairing<T> {
 
     /// Takes a record of `side` with its frame number and its card's clock (`timestamp_low`).
     pub fn handle(&mut self, side: Side, number: u32, timestamp_low: u32, item: T) {
-        let entry = Entry { clock: timestamp_low, item };
+        let entry = Entry { clock: timestamp_low, met_other: false, item };
         for (session, number, entry) in self.side_mut(side).place(number, entry).into_iter().flatten() {
             self.file(side, session, number, entry);
         }
@@ -250,56 +303,81 @@ impl<T> Pairing<T> {
 
     fn file(&mut self, side: Side, session: u32, number: u32, entry: Entry<T>) {
         let window = self.window;
-        let (own, other) = match side {
-            Side::Receiver => (&mut self.receiver, &mut self.transmitter),
-            Side::Transmitter => (&mut self.transmitter, &mut self.receiver),
-        };
+        let own = self.side_mut(side);
         let key = (session, number);
         if own.waiting.contains_key(&key) || own.seen.contains(&key) {
             own.counts.duplicates += 1;
             return;
         }
         own.seen.push_back(key);
-        if own.seen.len() > (MAX_REORDER as usize) * 2 {
+        if own.seen.len() > (NEAR as usize) * 2 {
             own.seen.pop_front();
-        }
-        if let Some(partner) = other.waiting.remove(&key) {
-            let (receiver, transmitter) = match side {
-                Side::Receiver => (entry, partner),
-                Side::Transmitter => (partner, entry),
-            };
-            self.ready.push_back((number, receiver, transmitter));
-            return;
         }
         own.waiting.insert(key, entry);
         own.order.push_back(key);
-        while own.order.len() > window {
-            if let Some(oldest) = own.order.pop_front()
-                && own.waiting.remove(&oldest).is_some()
-            {
-                own.counts.unpaired += 1;
+        if self.seek(side, key) {
+            // What now is believed may fit others that wait.
+            let mut keys: Vec<(u32, u32)> = self.receiver.waiting.keys().copied().collect();
+            keys.sort_unstable();
+            for key in keys {
+                self.seek(Side::Receiver, key);
             }
+        }
+        let own = self.side_mut(side);
+        while own.order.len() > window {
+            own.drop_oldest();
         }
     }
 
-    /// The next pair, in the order in which they were completed.
-    pub fn poll_pair(&mut self) -> Option<Pair<T>> {
-        while let Some((number, receiver, transmitter)) = self.ready.pop_front() {
-            if let Some((clock_rx_us, clock_difference_us)) = self.clock.admit(receiver.clock, transmitter.clock) {
-                self.receiver.counts.paired += 1;
-                self.transmitter.counts.paired += 1;
-                return Some(Pair {
-                    number,
-                    receiver: receiver.item,
-                    transmitter: transmitter.item,
-                    clock_difference_us,
-                    clock_rx_us,
-                });
+    /// Looks for the partner of a waiting record. True if the clocks' difference was learnt anew.
+    fn seek(&mut self, side: Side, (session, number): (u32, u32)) -> bool {
+        let (own, other) = match side {
+            Side::Receiver => (&mut self.receiver, &mut self.transmitter),
+            Side::Transmitter => (&mut self.transmitter, &mut self.receiver),
+        };
+        let Some(entry) = own.waiting.get_mut(&(session, number)) else { return false };
+        let mut learnt = false;
+        for candidate in (other.session.saturating_sub(SESSIONS_BACK)..=other.session).rev() {
+            let Some(partner) = other.waiting.get_mut(&(candidate, number)) else { continue };
+            let (rx, tx) = match side {
+                Side::Receiver => (entry.clock, partner.clock),
+                Side::Transmitter => (partner.clock, entry.clock),
+            };
+            if let Some(clocks) = self.clock.fits(rx, tx) {
+                self.clock.last = Some(clocks);
+                self.clock.run.clear();
+                self.pair_up(side, session, candidate, number, clocks);
+                return learnt;
             }
-            self.receiver.counts.mispaired += 1;
-            self.transmitter.counts.mispaired += 1;
+            (entry.met_other, partner.met_other) = (true, true);
+            learnt |= self.clock.doubt(rx, tx);
         }
-        None
+        learnt
+    }
+
+    fn pair_up(&mut self, side: Side, own: u32, other: u32, number: u32, (clock_rx_us, difference): (i64, i64)) {
+        let (rx_session, tx_session) = match side {
+            Side::Receiver => (own, other),
+            Side::Transmitter => (other, own),
+        };
+        let receiver = self.receiver.waiting.remove(&(rx_session, number));
+        let transmitter = self.transmitter.waiting.remove(&(tx_session, number));
+        if let (Some(receiver), Some(transmitter)) = (receiver, transmitter) {
+            self.receiver.counts.paired += 1;
+            self.transmitter.counts.paired += 1;
+            self.ready.push_back(Pair {
+                number,
+                receiver: receiver.item,
+                transmitter: transmitter.item,
+                clock_difference_us: difference,
+                clock_rx_us,
+            });
+        }
+    }
+
+    /// The next pair.
+    pub fn poll_pair(&mut self) -> Option<Pair<T>> {
+        self.ready.pop_front()
     }
 
     /// The side whose log is behind in (session, frame number), and so should be read next.
@@ -310,13 +388,21 @@ impl<T> Pairing<T> {
         if position(&self.transmitter) < position(&self.receiver) { Side::Transmitter } else { Side::Receiver }
     }
 
-    /// Ends both logs: what still waits is unpaired, an unconfirmed jump is implausible.
+    /// Ends both logs: what still waits is unpaired, an unconfirmed jump is implausible. Logs too short to understand
+    /// their clocks give their pairs now.
     pub fn finish(&mut self) {
+        if self.clock.last.is_none() && self.clock.believe() {
+            let mut keys: Vec<(u32, u32)> = self.receiver.waiting.keys().copied().collect();
+            keys.sort_unstable();
+            for key in keys {
+                self.seek(Side::Receiver, key);
+            }
+        }
         for side in [&mut self.receiver, &mut self.transmitter] {
-            side.counts.unpaired += side.waiting.len() as u64;
+            while !side.order.is_empty() {
+                side.drop_oldest();
+            }
             side.counts.implausible += u64::from(side.suspect.take().is_some());
-            side.waiting.clear();
-            side.order.clear();
         }
     }
 
@@ -364,6 +450,10 @@ mod tests {
             }
         }
         pairing.finish();
+        while let Some(pair) = pairing.poll_pair() {
+            assert_eq!(pair.receiver, pair.transmitter);
+            numbers.push(pair.number);
+        }
         (numbers, pairing)
     }
 
@@ -395,16 +485,58 @@ mod tests {
         assert_eq!(pairing.counts(Side::Receiver).duplicates, 0);
     }
 
+    /// Numbers from 1, 10 ms apart, the sender's timer off by up to a millisecond.
+    fn session(count: u32, at_us: u32, salt: u32) -> impl Iterator<Item = (u32, u32)> {
+        (1..=count).map(move |n| {
+            let noise = ((n ^ (salt << 12)).wrapping_mul(0x9e37_79b9) ^ (n * 77)).wrapping_mul(0x85eb_ca6b) >> 22;
+            (n, at_us.wrapping_add(n * 10_000 + noise))
+        })
+    }
+
     #[test]
     fn a_session_that_one_log_missed_is_told_by_the_card_clocks() {
-        // Receiver: sessions of 1..=200 at 0 s, at 100 s and at 200 s; the transmitter missed the middle one.
-        let session = |at: u32| (1..=200u32).map(move |n| (n, at + n * 10_000));
-        let r: Vec<_> = session(0).chain(session(100_000_000)).chain(session(200_000_000)).collect();
-        let t: Vec<_> = session(0).chain(session(200_000_000)).map(|(n, c)| (n, c + 250)).collect();
+        // The receiver logged three sessions; the transmitter missed the middle one, or all but the last.
+        let starts = [0, 100_000_000, 200_000_000];
+        let of = |k: usize| session(200, starts[k], k as u32);
+        let r: Vec<_> = (0..3).flat_map(of).collect();
+        let late = |k: usize| of(k).map(|(n, c)| (n, c + 250));
+        let t: Vec<_> = late(0).chain(late(2)).collect();
         let (_, pairing) = run(&r, &t);
         let counts = pairing.counts(Side::Receiver);
-        assert!(counts.mispaired > 0, "{counts:?}");
-        assert_eq!(counts.handed, counts.paired + counts.unpaired + counts.mispaired + counts.duplicates);
+        assert_eq!((counts.paired, pairing.counts(Side::Transmitter).paired), (400, 400), "{counts:?}");
+        let (_, pairing) = run(&r, &late(2).collect::<Vec<_>>());
+        assert_eq!(pairing.counts(Side::Transmitter).paired, 200);
+    }
+
+    #[test]
+    fn a_card_that_was_reset_is_understood_again() {
+        let r: Vec<_> =
+            session(300, 0, 1).chain((301..=600).zip(session(300, 3_000_000, 2)).map(|(n, (_, c))| (n, c))).collect();
+        let reset = |(n, c): (u32, u32)| (n, if n > 300 { c - 3_000_000 } else { c + 250 });
+        let t: Vec<_> = r.iter().copied().map(reset).collect();
+        let (numbers, _) = run(&r, &t);
+        assert_eq!(numbers, (1..=600).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn one_altered_number_costs_one_pair() {
+        for off in [33, 40, 1_000, 1 << 20, 1 << 22, 1 << 31, u32::MAX - 300] {
+            let r = log(1..400, 0);
+            let mut t = r.clone();
+            t[200].0 = t[200].0.wrapping_add(off);
+            let (numbers, pairing) = run(&r, &t);
+            assert_eq!(numbers.len(), 398, "{off}: {:?}", pairing.counts(Side::Transmitter));
+            assert_eq!(pairing.counts(Side::Transmitter).implausible, 1, "{off}");
+        }
+    }
+
+    #[test]
+    fn a_long_gap_is_no_restart() {
+        let kept = |n: &u32| !(100..400).contains(n);
+        let (numbers, pairing) = run(&timed((1..600).filter(kept), 0), &timed(1..600, 70));
+        assert_eq!(numbers.len(), 299);
+        let counts = pairing.counts(Side::Receiver);
+        assert_eq!((counts.restarts, counts.missing), (0, 300));
     }
 
     #[test]

@@ -180,7 +180,7 @@ fn read(rx: &mut Log<'_>, txs: &mut [Log<'_>], links: &mut [Option<Link>], optio
             break;
         }
     }
-    links.iter_mut().flatten().for_each(Link::finish);
+    links.iter_mut().flatten().for_each(|link| link.finish(options));
     Ok(())
 }
 

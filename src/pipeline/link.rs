@@ -190,6 +190,10 @@ impl Link {
     /// Takes a frame of one side.
     pub fn handle(&mut self, side: Side, heard: Heard, options: &Options) {
         self.pairing.handle(side, heard.number, heard.timestamp_low, heard);
+        self.take_pairs(options);
+    }
+
+    fn take_pairs(&mut self, options: &Options) {
         while let Some(pair) = self.pairing.poll_pair() {
             self.keep(&pair, options);
         }
@@ -215,8 +219,9 @@ impl Link {
     }
 
     /// Ends both logs.
-    pub fn finish(&mut self) {
+    pub fn finish(&mut self, options: &Options) {
         self.pairing.finish();
+        self.take_pairs(options);
     }
 
     /// The bearing, from everything read.
