@@ -1,4 +1,5 @@
 //! How fast the simulated room is: `cargo bench --bench sim`. One thread; each line is the best of five runs.
+#![allow(clippy::expect_used)]
 
 use csi5300::backend::sim::{Room, Scene};
 use csi5300::backend::{CsiSource, Next};

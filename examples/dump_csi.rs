@@ -17,7 +17,8 @@ use num_complex::Complex64;
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
     let (Some(log), Some(out)) = (arguments.next(), arguments.next()) else {
-        return Err("usage: dump_csi LOG OUT".into());
+        println!("usage: dump_csi LOG OUT");
+        return Ok(());
     };
     let bytes = fs::read(&log)?;
     let mut out = BufWriter::new(fs::File::create(out)?);

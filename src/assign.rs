@@ -27,8 +27,8 @@ pub struct Spread {
 pub const MIN_COMMON: usize = 16;
 /// The best match must spread less than the next best by this factor.
 pub const MIN_MARGIN: f64 = 1.5;
-/// Pairs looked at.
-const MAX_COMMON: usize = 4_096;
+/// Pairs looked at: a median of a few hundred is steady.
+const MAX_COMMON: usize = 768;
 
 /// The spread of one transmitter log against the receiver's frames of one MAC, both in log order.
 #[must_use]

@@ -22,32 +22,53 @@ pub fn round_trip(forward: &[Complex32; SUBCARRIERS], backward: &[Complex32; SUB
     std::array::from_fn(|k| forward[k] * backward[k])
 }
 
-/// Brings a product of CSI vectors to the channel centre (subcarrier index 0, which the card does not report): the
+/// The round trip at the channel centre: [`at_centre`] of the product, with the slopes of the two directions taken out
+/// one by one.
+///
+/// Path and radios together turn one direction by about 0.8 rad from one reported subcarrier to the next and the product
+/// by twice that ([measured]); taken one by one the slopes stay unambiguous up to 800 ns each way (about 180 m of path).
+/// `None` if one of them is all zero.
+#[must_use]
+pub fn round_trip_at_centre(
+    forward: &[Complex32; SUBCARRIERS],
+    backward: &[Complex32; SUBCARRIERS],
+    indices: &[i8; SUBCARRIERS],
+) -> Option<Coherent> {
+    let slope = slope(forward, indices) + slope(backward, indices);
+    let h = centre(&round_trip(forward, backward), indices, slope)?;
+    Some(Coherent { h, path_gain: 2 })
+}
+
+/// Brings the CSI of one direction to the channel centre (subcarrier index 0, which the card does not report): the
 /// least-squares line through the unwrapped phase over the true subcarrier `indices`, evaluated at 0.
 ///
-/// The delay in the radios turns the product by about 1.6 rad from one reported subcarrier to the next, close enough
-/// to pi that plain unwrapping slips on noise. So the slope is first taken out as the phase of the summed neighbour
-/// products, the rest unwrapped and fitted, and nothing is lost: the fit is of the sum of both.
+/// So that unwrapping does not slip on noise the slope is first taken out as the phase of the summed neighbour products,
+/// and the rest unwrapped and fitted; nothing is lost, the fit is of the sum of both.
 /// The magnitude is the root mean square over the subcarriers. `None` if all are zero.
 #[must_use]
-pub fn at_centre(product: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS]) -> Option<Coherent> {
-    let power: f32 = product.iter().map(Complex32::norm_sqr).sum();
+pub fn at_centre(csi: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS]) -> Option<Coherent> {
+    Some(Coherent { h: centre(csi, indices, slope(csi, indices))?, path_gain: 1 })
+}
+
+/// The usual phase step from one subcarrier to the next, radians per index.
+fn slope(csi: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS]) -> f64 {
+    let usual = indices[1] - indices[0];
+    // Steps of the usual width only; the centre and one edge have narrower ones.
+    let steps = (1..SUBCARRIERS).filter(|&k| indices[k] - indices[k - 1] == usual);
+    let turn: Complex32 = steps.map(|k| csi[k] * csi[k - 1].conj()).sum();
+    f64::from(turn.arg()) / f64::from(usual)
+}
+
+fn centre(csi: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS], slope: f64) -> Option<Complex64> {
+    let power: f32 = csi.iter().map(Complex32::norm_sqr).sum();
     if !(power > 0.0 && power.is_finite()) {
         return None;
     }
-    let mut turn = Complex32::default();
-    for k in 1..SUBCARRIERS {
-        // Steps of the usual width only; the centre and one edge have narrower ones.
-        if indices[k] - indices[k - 1] == indices[1] - indices[0] {
-            turn += product[k] * product[k - 1].conj();
-        }
-    }
-    let slope = f64::from(turn.arg()) / f64::from(indices[1] - indices[0]);
     let mut last = 0.0;
     let (mut sum, mut sum_x, mut sum_xx, mut sum_xy) = (0.0, 0.0, 0.0, 0.0);
     for k in 0..SUBCARRIERS {
         let x = f64::from(indices[k]);
-        let phase = f64::from(product[k].arg()) - slope * x;
+        let phase = f64::from(csi[k].arg()) - slope * x;
         let phase = if k == 0 { phase } else { last + crate::pose::wrap_rad(phase - last) };
         last = phase;
         sum += phase;
@@ -58,8 +79,7 @@ pub fn at_centre(product: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS]
     let n = SUBCARRIERS as f64;
     let rest = (n * sum_xy - sum_x * sum) / (n * sum_xx - sum_x * sum_x);
     let phase = (sum - rest * sum_x) / n;
-    let magnitude = (f64::from(power) / n).sqrt();
-    Some(Coherent { h: Complex64::from_polar(magnitude, phase), path_gain: 2 })
+    Some(Complex64::from_polar((f64::from(power) / n).sqrt(), phase))
 }
 
 /// What [`TurnAround::estimate`] found.
@@ -284,13 +304,17 @@ mod tests {
 
     #[test]
     fn centre_phase_is_exact_for_any_delay_the_card_has() {
-        for slope in [-1.2f32, -0.81, -0.3, 0.0, 0.4, 0.9] {
+        let wave = |size: f32, phase: f32, slope: f32| {
+            std::array::from_fn(|k| Complex32::from_polar(size, phase + slope * f32::from(INDICES[k])))
+        };
+        for slope in [-1.4f32, -0.81, -0.3, 0.0, 0.4, 0.9] {
             for phase in [-3.0f32, -1.0, 0.0, 2.5] {
-                let product =
-                    std::array::from_fn(|k| Complex32::from_polar(3.0, phase + slope * f32::from(INDICES[k])));
-                let centre = at_centre(&product, &INDICES).unwrap();
-                assert!((centre.h - Complex64::from_polar(3.0, f64::from(phase))).norm() < 1e-4, "{slope} {phase}");
-                assert_eq!(centre.path_gain, 2);
+                let one = at_centre(&wave(3.0, phase, slope), &INDICES).unwrap();
+                assert!((one.h - Complex64::from_polar(3.0, f64::from(phase))).norm() < 1e-4, "{slope} {phase}");
+                // Two such slopes together turn by more than pi from one reported subcarrier to the next.
+                let both = round_trip_at_centre(&wave(1.0, phase, slope), &wave(3.0, 0.5, slope), &INDICES).unwrap();
+                assert!((both.h - Complex64::from_polar(3.0, f64::from(phase) + 0.5)).norm() < 1e-4, "{slope} {phase}");
+                assert_eq!((one.path_gain, both.path_gain), (1, 2));
             }
         }
         assert_eq!(at_centre(&[Complex32::default(); SUBCARRIERS], &INDICES), None);

@@ -62,6 +62,7 @@ pub mod cfo;
 pub mod channel;
 pub mod confidence;
 pub mod csi;
+pub mod doctor;
 pub mod evaluate;
 #[cfg(feature = "plot")]
 pub mod figures;
@@ -76,6 +77,9 @@ pub mod plot;
 pub mod pose;
 pub mod quality;
 pub mod samples;
+pub mod status;
 pub mod survey;
 pub mod tdma;
 pub mod time;
+#[cfg(feature = "live")]
+pub mod wait;

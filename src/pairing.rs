@@ -16,6 +16,7 @@
 //!   must continue that of the last pair. Pairs that do not are dropped and counted.
 
 use std::collections::{HashMap, VecDeque};
+use std::hash::{BuildHasherDefault, Hasher};
 
 /// The log a record is from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -74,18 +75,43 @@ const CLOCK_DRIFT_PER_S: i64 = 200;
 /// So many pairs in a row that agree with each other but not with the past mean that a card's clock was reset.
 const CLOCK_RESET_AFTER: u32 = 8;
 
+/// Hashes the few thousand (session, number) keys of a window: one multiplication is plenty where the window is
+/// bounded, whoever chose the numbers.
+#[derive(Clone, Copy, Debug, Default)]
+struct KeyHasher(u64);
+
+impl Hasher for KeyHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        bytes.iter().for_each(|byte| self.write_u32(u32::from(*byte)));
+    }
+
+    fn write_u32(&mut self, value: u32) {
+        self.0 = (self.0.rotate_left(32) ^ u64::from(value)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        self.0 ^= self.0 >> 29;
+    }
+}
+
+type Waiting<T> = HashMap<(u32, u32), Entry<T>, BuildHasherDefault<KeyHasher>>;
+
 #[derive(Clone, Debug)]
 struct Entry<T> {
     clock: u32,
     item: T,
 }
 
+/// A record with its session and number.
+type Placed<T> = (u32, u32, Entry<T>);
+
 #[derive(Clone, Debug)]
 struct SideState<T> {
     session: u32,
     last: Option<u32>,
     suspect: Option<(u32, Entry<T>)>,
-    waiting: HashMap<(u32, u32), Entry<T>>,
+    waiting: Waiting<T>,
     order: VecDeque<(u32, u32)>,
     seen: VecDeque<(u32, u32)>,
     counts: SideCounts,
@@ -97,7 +123,7 @@ impl<T> Default for SideState<T> {
             session: 0,
             last: None,
             suspect: None,
-            waiting: HashMap::new(),
+            waiting: Waiting::default(),
             order: VecDeque::new(),
             seen: VecDeque::new(),
             counts: SideCounts::default(),
@@ -156,8 +182,10 @@ impl Clock {
 }
 
 impl<T> SideState<T> {
-    /// Judges the number of a record and files it under its session. `None` while it is suspect or dropped.
-    fn place(&mut self, number: u32, entry: Entry<T>, placed: &mut Vec<(u32, u32, Entry<T>)>) {
+    /// Judges the number of a record: gives what is now known to belong to a session, the record itself and one that it
+    /// vouches for. Nothing while the record is suspect.
+    fn place(&mut self, number: u32, entry: Entry<T>) -> [Option<Placed<T>>; 2] {
+        let mut vouched = None;
         self.counts.handed += 1;
         if let Some((suspect, held)) = self.suspect.take() {
             let follows_suspect = plausible_step(suspect, number);
@@ -167,7 +195,7 @@ impl<T> SideState<T> {
                 self.counts.restarts += 1;
                 self.seen.clear();
                 self.last = Some(suspect);
-                placed.push((self.session, suspect, held));
+                vouched = Some((self.session, suspect, held));
             } else {
                 self.counts.implausible += 1;
             }
@@ -175,7 +203,7 @@ impl<T> SideState<T> {
         match self.last {
             Some(last) if !plausible_step(last, number) => {
                 self.suspect = Some((number, entry));
-                return;
+                return [vouched, None];
             }
             Some(last) if number.wrapping_sub(last) <= MAX_STEP && number != last => {
                 self.counts.missing += u64::from(number.wrapping_sub(last) - 1);
@@ -184,7 +212,7 @@ impl<T> SideState<T> {
             Some(_) => {}
             None => self.last = Some(number),
         }
-        placed.push((self.session, number, entry));
+        [vouched, Some((self.session, number, entry))]
     }
 }
 
@@ -214,10 +242,8 @@ impl<T> Pairing<T> {
 
     /// Takes a record of `side` with its frame number and its card's clock (`timestamp_low`).
     pub fn handle(&mut self, side: Side, number: u32, timestamp_low: u32, item: T) {
-        let mut placed = Vec::with_capacity(2);
         let entry = Entry { clock: timestamp_low, item };
-        self.side_mut(side).place(number, entry, &mut placed);
-        for (session, number, entry) in placed {
+        for (session, number, entry) in self.side_mut(side).place(number, entry).into_iter().flatten() {
             self.file(side, session, number, entry);
         }
     }

@@ -60,6 +60,25 @@ pub struct Options {
 }
 
 impl Options {
+    /// The defaults, on `channel`: antenna A, transmitters and receiver found, joined by time, compensated.
+    #[must_use]
+    pub fn new(channel: Channel) -> Self {
+        Self {
+            channel,
+            antenna: Antenna::A,
+            tx_macs: Vec::new(),
+            rx_mac: None,
+            clock_offset_s: 0.0,
+            join: JoinBy::Time,
+            from_s: None,
+            to_s: None,
+            compensate: true,
+            accuracy: accurate::Accuracy::default(),
+            keep_course: false,
+            search: SearchOptions::default(),
+        }
+    }
+
     fn keeps(&self, since_first_s: f64) -> bool {
         self.from_s.is_none_or(|from| since_first_s >= from) && self.to_s.is_none_or(|to| since_first_s <= to)
     }

@@ -8,8 +8,8 @@ use std::f64::consts::{PI, TAU};
 /// An angle brought into (-pi, pi].
 #[must_use]
 pub fn wrap_rad(angle_rad: f64) -> f64 {
-    let wrapped = (angle_rad + PI).rem_euclid(TAU) - PI;
-    if wrapped <= -PI { PI } else { wrapped }
+    let wrapped = angle_rad - TAU * (angle_rad / TAU).round();
+    if wrapped <= -PI { wrapped + TAU } else { wrapped }
 }
 
 /// Where a robot was, and which way it looked.

@@ -227,7 +227,8 @@ impl Survey {
                 Identity {
                     mac: wsr.mac,
                     frame_count: wsr.sender_known().then_some(wsr.frame_count),
-                    host_us: stamps.host_us.or((host_us > 0).then_some(host_us)),
+                    // The driver's own time is nearer to the frame than a listener's.
+                    host_us: (host_us > 0).then_some(host_us).or(stamps.host_us),
                 }
             }
             None => {
@@ -269,6 +270,11 @@ impl Survey {
                 self.damages += 1;
                 self.damaged_bytes += len;
                 self.keep(*offset, *len, reason.to_string());
+            }
+            Loss::Datagram { number, len, reason } => {
+                self.damages += 1;
+                self.damaged_bytes += len;
+                self.keep(*number, *len, reason.to_string());
             }
             Loss::Overrun { dropped } => self.overruns += dropped.unwrap_or(1),
         }

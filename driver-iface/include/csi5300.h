@@ -98,4 +98,17 @@
 #define CSI5300_MPDU_SEQ_CTRL 22     /* u16 */
 #define CSI5300_MPDU_COUNTER 24      /* u32, BIG-endian */
 
+/* Sounding frames, as injected: 802.11 header, number, and the rest of the payload; and radiotap before them. */
+#define CSI5300_SOUNDING_HEADER_LEN 24
+#define CSI5300_SOUNDING_FCS_LEN 4
+#define CSI5300_SOUNDING_MIN_LEN 28
+#define CSI5300_SOUNDING_DEFAULT_LEN 57 /* WSR: bytes on air, FCS included; robot k adds 2 k */
+#define CSI5300_SOUNDING_REPLY_GROWTH 5 /* WSR: an answer is longer by this */
+#define CSI5300_SOUNDING_MAGIC_MAC "\x00\x16\xea\x12\x34\x56" /* addresses 1 and 2 */
+#define CSI5300_RADIOTAP_MIN_LEN 8
+#define CSI5300_RADIOTAP_FLAGS_FCS 0x10
+#define CSI5300_RADIOTAP_FLAGS_DATAPAD 0x20
+#define CSI5300_RADIOTAP_FLAGS_BAD_FCS 0x40
+#define CSI5300_RADIOTAP_TX_FLAGS_NO_ACK 0x0008
+
 #endif

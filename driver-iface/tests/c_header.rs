@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use driver_iface::{bfee, connector, mpdu, record};
+use driver_iface::{bfee, connector, mpdu, radiotap, record, sounding};
 
 /// Every object-like macro of the header: name without prefix, and value as text.
 fn macros() -> BTreeMap<&'static str, &'static str> {
@@ -56,6 +56,11 @@ fn of_rust() -> Vec<(&'static str, i64)> {
         "MPDU_HEADER" => m::HEADER, "MPDU_FCS" => m::FCS, "MPDU_FRAME_CONTROL" => h::FRAME_CONTROL,
         "MPDU_DURATION" => h::DURATION, "MPDU_ADDR1" => h::ADDR1, "MPDU_ADDR2" => h::ADDR2, "MPDU_ADDR3" => h::ADDR3,
         "MPDU_SEQ_CTRL" => h::SEQ_CTRL, "MPDU_COUNTER" => h::COUNTER,
+        "SOUNDING_HEADER_LEN" => sounding::HEADER_LEN, "SOUNDING_FCS_LEN" => sounding::FCS_LEN,
+        "SOUNDING_MIN_LEN" => sounding::MIN_LEN, "SOUNDING_DEFAULT_LEN" => sounding::wsr::DEFAULT_LEN,
+        "SOUNDING_REPLY_GROWTH" => sounding::wsr::REPLY_GROWTH, "RADIOTAP_MIN_LEN" => radiotap::MIN_LEN,
+        "RADIOTAP_FLAGS_FCS" => radiotap::FLAGS_FCS, "RADIOTAP_FLAGS_DATAPAD" => radiotap::FLAGS_DATAPAD,
+        "RADIOTAP_FLAGS_BAD_FCS" => radiotap::FLAGS_BAD_FCS, "RADIOTAP_TX_FLAGS_NO_ACK" => radiotap::TX_FLAGS_NO_ACK,
     }
 }
 
@@ -68,6 +73,8 @@ fn every_constant_is_that_of_rust() {
     }
     assert_eq!(macros.remove("H"), Some(""));
     assert_eq!(macros.remove("CN_NAME"), Some(format!("{:?}", connector::CN_NAME).as_str()));
+    let magic: String = sounding::MAGIC_MAC.iter().map(|octet| format!("\\x{octet:02x}")).collect();
+    assert_eq!(macros.remove("SOUNDING_MAGIC_MAC"), Some(format!("\"{magic}\"").as_str()));
     assert_eq!(macros.remove("CSI_LEN"), Some("n_rx, n_tx) (60 * (n_rx) * (n_tx) + 12)"));
     assert_eq!(bfee::csi_len(3, 2), 60 * 3 * 2 + 12);
     assert!(macros.is_empty(), "not held equal to anything: {macros:?}");

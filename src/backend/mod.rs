@@ -1,10 +1,18 @@
 //! The edge: where records come from and where frames go. A card, a recorded file, a simulated room and a remote
 //! robot are values of one type, [`CsiSource`].
 
+#[cfg(feature = "live")]
+pub mod netlink;
+pub mod paced;
+pub mod recorder;
 pub mod replay;
+pub mod side;
 pub mod sim;
+#[cfg(feature = "live")]
+pub mod sys;
 
 use crate::time::Instant;
+use driver_iface::connector;
 use driver_iface::record::{Reason, Record, Tail};
 
 /// Why a source or an injector failed. Loss is not a failure: see [`Loss`].
@@ -35,10 +43,43 @@ pub enum Loss {
         /// Why.
         reason: Reason,
     },
+    /// A datagram from the driver that cannot be read, or the rest of it.
+    Datagram {
+        /// Running number of the datagram, from 0.
+        number: u64,
+        /// Bytes received.
+        len: u64,
+        /// Why.
+        reason: Refused,
+    },
     /// A kernel or peer queue ran over; `dropped` where the number is known.
     Overrun {
         /// Messages dropped, if the kernel says.
         dropped: Option<u64>,
+    },
+}
+
+/// Why a datagram is not read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum Refused {
+    /// Its headers contradict each other or its length.
+    #[error("{0}")]
+    Connector(connector::Error),
+    /// It is longer than the buffer: the rest of it is gone (MSG_TRUNC).
+    #[error("a datagram of {sent} bytes was cut to {kept}")]
+    Truncated {
+        /// Bytes that were sent.
+        sent: usize,
+        /// Bytes that arrived.
+        kept: usize,
+    },
+    /// A record longer than any that the card can make: no log could hold it.
+    #[error("a record of length {got}, at most {max} is possible")]
+    Oversized {
+        /// Code and body.
+        got: usize,
+        /// The largest possible, [`driver_iface::record::MAX_LENGTH`].
+        max: usize,
     },
 }
 

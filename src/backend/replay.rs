@@ -1,6 +1,6 @@
 //! A recorded `.dat` log as a [`CsiSource`]: read in chunks, never loaded.
 
-use super::{CsiSource, Error, Loss, Next, Stamps};
+use super::{CsiSource, Error, Loss, Next, Stamps, side::Side};
 use crate::time::Instant;
 use driver_iface::record::{Framer, LOOKAHEAD, Record, Step};
 use std::io::Read;
@@ -19,10 +19,11 @@ pub struct Replay<R> {
     end_of_file: bool,
     framer: Framer,
     bytes: u64,
+    side: Option<Side>,
 }
 
 impl Replay<Box<dyn Read + Send>> {
-    /// Opens a log; `-` is standard input.
+    /// Opens a log; `-` is standard input. Host times come from its side file (`<log>stp`), where there is one.
     ///
     /// # Errors
     /// If it cannot be opened, or is a directory.
@@ -36,7 +37,7 @@ impl Replay<Box<dyn Read + Send>> {
             return Err(Error::Input(format!("{name} is a directory: name a .dat file inside it, or use `evaluate`")));
         }
         let file = std::fs::File::open(path).map_err(io)?;
-        Ok(Self::new(Box::new(file), name.clone()))
+        Ok(Self { side: Side::of(path), ..Self::new(Box::new(file), name.clone()) })
     }
 }
 
@@ -44,7 +45,17 @@ impl<R: Read> Replay<R> {
     /// Replays what `reader` gives; `name` is for messages.
     pub fn new(reader: R, name: String) -> Self {
         let buffer = vec![0; CHUNK + LOOKAHEAD];
-        Self { reader, name, buffer, start: 0, filled: 0, end_of_file: false, framer: Framer::new(), bytes: 0 }
+        Self {
+            reader,
+            name,
+            buffer,
+            start: 0,
+            filled: 0,
+            end_of_file: false,
+            framer: Framer::new(),
+            bytes: 0,
+            side: None,
+        }
     }
 
     /// Bytes read so far: the size of the log once it ended.
@@ -94,12 +105,15 @@ impl<R: Read> CsiSource for Replay<R> {
                 Step::Incomplete => self.fill()?,
                 Step::Bad { offset, skipped, reason } => {
                     self.start += skipped;
+                    // How many records were in there nobody knows: the side file is out of step from here on.
+                    self.side = None;
                     return Ok(Next::Lost(Loss::Bytes { offset, len: skipped as u64, reason }));
                 }
                 Step::End(tail) => return Ok(Next::End(tail)),
             }
         };
-        Ok(Next::Record(Stamps { at: now, host_us: None, offset }, Record { code, body: &self.buffer[from..to] }))
+        let host_us = self.side.as_mut().and_then(Side::next_us);
+        Ok(Next::Record(Stamps { at: now, host_us, offset }, Record { code, body: &self.buffer[from..to] }))
     }
 
     fn next_at(&self) -> Option<Instant> {

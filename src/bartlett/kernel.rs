@@ -11,6 +11,8 @@ pub(crate) struct Kernel {
     /// Oversampling that `beta` is meant for.
     pub oversampling: f64,
     beta: f64,
+    /// `exp(-beta) I0(beta)`.
+    norm: f64,
 }
 
 impl Kernel {
@@ -18,14 +20,19 @@ impl Kernel {
     /// 2005, equation 5).
     pub fn new(width: usize, oversampling: f64) -> Self {
         let ratio = width as f64 / oversampling * (oversampling - 0.5);
-        Self { width, oversampling, beta: PI * (ratio * ratio - 0.8).sqrt() }
+        let beta = PI * (ratio * ratio - 0.8).sqrt();
+        Self { width, oversampling, beta, norm: i0_scaled(beta) }
     }
 
     /// Value at `x` cells from the middle.
     pub fn value(&self, x: f64) -> f64 {
         let t = 2.0 * x / self.width as f64;
         let inside = 1.0 - t * t;
-        if inside < 0.0 { 0.0 } else { i0_ratio(self.beta, inside.sqrt()) }
+        if inside < 0.0 {
+            return 0.0;
+        }
+        let r = inside.sqrt();
+        (self.beta * (r - 1.0)).exp() * i0_scaled(self.beta * r) / self.norm
     }
 
     /// Fourier transform `integral phi(x) exp(-j 2 pi xi x) dx` at `xi` cycles per cell.
@@ -41,7 +48,7 @@ impl Kernel {
             let sinc = if root < 1e-8 { 1.0 } else { root.sin() / root };
             sinc * (-self.beta).exp()
         };
-        w * shape / i0_scaled(self.beta)
+        w * shape / self.norm
     }
 
     /// Coefficients of the polynomial for each of the `width` cells that a point touches, highest degree first:
@@ -77,6 +84,7 @@ impl Kernel {
 
     /// Largest error that spreading with this kernel makes, relative to the size of a sample, for frequencies up to
     /// `1 / (2 oversampling)` cycles per cell: measured here over offsets and frequencies, not estimated.
+    #[cfg(test)]
     pub fn loss(&self) -> f64 {
         let mut worst = 0f64;
         for step in 0..=16 {
@@ -96,11 +104,6 @@ impl Kernel {
         }
         worst
     }
-}
-
-/// `I0(beta r) / I0(beta)` for `0 <= r <= 1`.
-fn i0_ratio(beta: f64, r: f64) -> f64 {
-    (beta * (r - 1.0)).exp() * i0_scaled(beta * r) / i0_scaled(beta)
 }
 
 /// `exp(-x) I0(x)` from the trapezoidal rule on `I0(x) = 1/pi integral_0^pi exp(x cos t) dt`, which converges faster

@@ -31,19 +31,22 @@ mod newton;
 mod nufft;
 mod peak;
 mod plan;
+mod resample;
 mod rings;
 mod scene;
 pub(crate) mod simd;
+mod stream;
 mod sums;
 #[cfg(test)]
 mod tests;
 
 pub use error::Error;
 pub use grid::{Grid, Profile, direction, wsr_profile_variance};
-pub use peak::{Estimate, Peak, SearchOptions, search};
+pub use peak::{Estimate, Peak, SearchOptions, Searcher, search};
 pub use plan::{Explanation, Method, Plan, Planner, Precision, ProfileOptions};
 pub use scene::{Geometry, Shape};
 pub use simd::Tier;
+pub use stream::{Stream, StreamOptions};
 
 use crate::samples::Samples;
 

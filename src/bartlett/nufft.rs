@@ -7,13 +7,13 @@
 
 use std::sync::Arc;
 
-use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch};
+use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 use num_complex::Complex;
 use rustfft::Fft;
 
 use super::fft::Ffts;
 use super::kernel::Kernel;
-use super::simd::{Real, Tier, V};
+use super::simd::{Real, Tier, V, on_tier};
 
 /// Samples between two carries of single-precision cells to double: keeps the error of a cell below 1e-6 of what fell
 /// into it, however long the robot stands still.
@@ -102,7 +102,7 @@ pub(crate) struct Nufft<T: Real> {
     level: Level,
     kernel: Kernel,
     /// `[degree + 1][width]`, in double, for the directions.
-    exact: Vec<Vec<f64>>,
+    exact: Vec<f64>,
     /// `[degree + 1][2 width]`, each weight twice, for the samples.
     twice: Vec<T>,
     correct_x: Vec<T>,
@@ -145,8 +145,8 @@ impl<T: Real> Nufft<T> {
         let [x, y] = extent.map(|e| Axis::new(e, setting));
         let kernel = Kernel::new(setting.width, setting.oversampling);
         let degree = setting.width + if setting.width < 12 { 4 } else { 5 };
-        let exact = kernel.polynomials(degree);
-        let twice = exact.iter().flat_map(|row| row.iter().flat_map(|w| [T::of(*w); 2])).collect();
+        let exact = kernel.polynomials(degree).concat();
+        let twice = exact.iter().flat_map(|w| [T::of(*w); 2]).collect();
         // Undoes the second kernel at a cell, and turns by half a period so that direction 0 lies in the middle.
         let correct = |axis: &Axis| {
             (0..axis.support())
@@ -197,16 +197,16 @@ impl<T: Real> Nufft<T> {
         // Narrow kernels are for single precision, wide ones for double: the others need not exist.
         if const { size_of::<T>() == 4 } {
             if width == 4 {
-                dispatch!(self.level, simd => self.spread_simd::<_, 4>(simd, at, re, im, cells));
+                on_tier!(self.level, simd => self.spread_simd::<_, 4>(simd, at, re, im, cells));
             } else {
-                dispatch!(self.level, simd => self.spread_simd::<_, 8>(simd, at, re, im, cells));
+                on_tier!(self.level, simd => self.spread_simd::<_, 8>(simd, at, re, im, cells));
             }
         } else if width == 8 {
-            dispatch!(self.level, simd => self.spread_simd::<_, 8>(simd, at, re, im, cells));
+            on_tier!(self.level, simd => self.spread_simd::<_, 8>(simd, at, re, im, cells));
         } else if width == 12 {
-            dispatch!(self.level, simd => self.spread_simd::<_, 12>(simd, at, re, im, cells));
+            on_tier!(self.level, simd => self.spread_simd::<_, 12>(simd, at, re, im, cells));
         } else {
-            dispatch!(self.level, simd => self.spread_simd::<_, 16>(simd, at, re, im, cells));
+            on_tier!(self.level, simd => self.spread_simd::<_, 16>(simd, at, re, im, cells));
         }
     }
 
@@ -304,12 +304,18 @@ impl<T: Real> Nufft<T> {
 
     /// The kernel's weight of the `j`-th cell from the first, at offset `s`.
     pub fn weight(&self, j: usize, s: f64) -> f64 {
-        self.exact.iter().fold(0.0, |v, row| v * s + row[j])
+        self.exact.chunks_exact(self.setting.width).fold(0.0, |v, row| v * s + row[j])
     }
 
-    /// Polynomial weights of one direction cosine, in double.
-    fn exact_weights(&self, s: f64) -> impl Iterator<Item = f64> + '_ {
-        (0..self.setting.width).map(move |j| self.weight(j, s))
+    /// Kernel weights at offset `s`, in double.
+    fn exact_weights(&self, s: f64, out: &mut [f64; 16]) {
+        let w = self.setting.width;
+        out.fill(0.0);
+        for row in self.exact.chunks_exact(w) {
+            for (v, c) in out.iter_mut().zip(row) {
+                *v = *v * s + c;
+            }
+        }
     }
 
     fn target(&self, u: [f64; 2], quads: bool, targets: &mut Targets<T>) {
@@ -328,11 +334,13 @@ impl<T: Real> Nufft<T> {
         ]);
         let undo =
             1.0 / (self.kernel.transform(u[0] / self.x.per_turn) * self.kernel.transform(u[1] / self.y.per_turn));
-        targets.weights.extend(self.exact_weights(sa).map(|a| T::of(a * undo)));
-        let b: Vec<T> = self.exact_weights(sb).map(T::of).collect();
-        targets.weights.extend(b.iter().flat_map(|b| [*b; 2]));
+        let mut weights = [0.0; 16];
+        self.exact_weights(sa, &mut weights);
+        targets.weights.extend(weights[..w].iter().map(|a| T::of(a * undo)));
+        self.exact_weights(sb, &mut weights);
+        targets.weights.extend(weights[..w].iter().flat_map(|b| [T::of(*b); 2]));
         if quads {
-            targets.weights.extend(b.iter().rev().flat_map(|b| [*b; 2]));
+            targets.weights.extend(weights[..w].iter().rev().flat_map(|b| [T::of(*b); 2]));
         }
     }
 
@@ -362,16 +370,16 @@ impl<T: Real> Nufft<T> {
         // Narrow kernels are for single precision, wide ones for double: the others need not exist.
         if const { size_of::<T>() == 4 } {
             if width == 4 {
-                dispatch!(self.level, simd => self.interpolate_simd::<_, 4>(simd, plane, targets, out));
+                on_tier!(self.level, simd => self.interpolate_simd::<_, 4>(simd, plane, targets, out));
             } else {
-                dispatch!(self.level, simd => self.interpolate_simd::<_, 8>(simd, plane, targets, out));
+                on_tier!(self.level, simd => self.interpolate_simd::<_, 8>(simd, plane, targets, out));
             }
         } else if width == 8 {
-            dispatch!(self.level, simd => self.interpolate_simd::<_, 8>(simd, plane, targets, out));
+            on_tier!(self.level, simd => self.interpolate_simd::<_, 8>(simd, plane, targets, out));
         } else if width == 12 {
-            dispatch!(self.level, simd => self.interpolate_simd::<_, 12>(simd, plane, targets, out));
+            on_tier!(self.level, simd => self.interpolate_simd::<_, 12>(simd, plane, targets, out));
         } else {
-            dispatch!(self.level, simd => self.interpolate_simd::<_, 16>(simd, plane, targets, out));
+            on_tier!(self.level, simd => self.interpolate_simd::<_, 16>(simd, plane, targets, out));
         }
     }
 

@@ -12,10 +12,14 @@
 
 use std::f64::consts::{PI, TAU};
 
+use num_complex::Complex;
+
 use super::bessel::tail_order;
 use super::crb::{Fit, Spread, deviations, elevation_deviation, independence};
 use super::error::Error;
+use super::fft::{Ffts, good_size};
 use super::newton::{Hill, Point, Second, Top};
+use super::resample::{Resample, ResampleWork};
 use super::scene::{Geometry, Scene, Shape};
 use super::simd::{Real, Tier};
 use super::sums::{Columns, PairSum, pairs};
@@ -23,13 +27,14 @@ use crate::samples::Samples;
 
 /// Largest change of any phase between neighbouring rings of elevation, radians: no more than 0.4 to the nearest.
 const RING_STEP: f64 = 0.8;
-/// Samples per ring, in units of the profile's degree `M`: `4 M` suffice, more leave fewer candidates.
-const SAMPLES_PER_ORDER: usize = 6;
+/// Samples per ring, in units of the profile's degree `M`: `4 M` suffice, more leave fewer candidates. They are
+/// interpolated from `2 M + 2` evaluated ones.
+const SAMPLES_PER_ORDER: usize = 8;
 /// Above this radius (radians of phase) sampling is done in double: single precision loses 1e-4 of a turn there.
 const SINGLE_RADIUS: f64 = 600.0;
 /// Above this radius (radians of phase) there is no search: about 2 km at 5.5 GHz, round trip.
 const LIMIT_RADIUS: f64 = 5e5;
-/// Peaks that are climbed even where the bound rules them out, to report the next ones.
+/// Peaks that are reported; those that the bound rules out as the highest as they were sampled.
 const REPORTED: usize = 6;
 /// A trajectory at most this wide for its length has a mirror worth a look.
 const ELONGATED: f64 = 0.15;
@@ -110,29 +115,58 @@ pub struct Estimate {
 /// [`Error`] for input that is empty, of unequal lengths, not finite, without energy; for an elevation limit outside 0
 /// to 90 degrees; [`Error::NoMotion`] where the receiver did not move horizontally.
 pub fn search(samples: &Samples, wavelength_m: f64, options: &SearchOptions) -> Result<Estimate, Error> {
-    let scene = Scene::new(samples, wavelength_m)?;
-    let limit = options.elevation_max_rad;
-    if !(0.0..=PI / 2.0).contains(&limit) {
-        return Err(Error::ElevationMax { elevation_max_rad: limit });
+    Searcher::new(options.tier).search(samples, wavelength_m, options.elevation_max_rad)
+}
+
+/// A search that keeps its FFTs from call to call.
+pub struct Searcher {
+    tier: Tier,
+    single: Ffts<f32>,
+    double: Ffts<f64>,
+}
+
+impl Searcher {
+    /// A searcher for a tier; one that this machine lacks runs the portable code.
+    #[must_use]
+    pub fn new(tier: Tier) -> Self {
+        Self { tier, single: Ffts::new(tier), double: Ffts::new(tier) }
     }
-    scene.require_motion()?;
-    let radius = TAU * scene.radius.hypot(scene.half_height);
-    if radius > LIMIT_RADIUS {
-        return Err(Error::Aperture {
-            extent_m: radius / TAU * scene.turn_m,
-            limit_m: LIMIT_RADIUS / TAU * scene.turn_m,
-        });
+
+    /// As [`search`], up to `elevation_max_rad`.
+    ///
+    /// # Errors
+    /// As [`search`].
+    pub fn search(&mut self, samples: &Samples, wavelength_m: f64, elevation_max_rad: f64) -> Result<Estimate, Error> {
+        let scene = Scene::new(samples, wavelength_m)?;
+        if !(0.0..=PI / 2.0).contains(&elevation_max_rad) {
+            return Err(Error::ElevationMax { elevation_max_rad });
+        }
+        scene.require_motion()?;
+        let radius = TAU * scene.radius.hypot(scene.half_height);
+        if radius > LIMIT_RADIUS {
+            return Err(Error::Aperture {
+                extent_m: radius / TAU * scene.turn_m,
+                limit_m: LIMIT_RADIUS / TAU * scene.turn_m,
+            });
+        }
+        let order = tail_order(TAU * scene.radius, 1e-4);
+        let evaluated = good_size((2 * order + 2).next_multiple_of(2));
+        let ring = good_size(SAMPLES_PER_ORDER * order + 16);
+        let shape = scene.shape();
+        Ok(Search { scene: &scene, shape, tools: self, order, evaluated, ring, evaluations: 0 }.run(elevation_max_rad))
     }
-    Ok(Search::new(&scene, options.tier).run(limit))
 }
 
 /// One search under way.
 struct Search<'a> {
     scene: &'a Scene,
-    tier: Tier,
+    shape: Shape,
+    tools: &'a mut Searcher,
     /// The band limit of a ring.
     order: usize,
-    /// Samples per ring, even.
+    /// Evaluated azimuths per ring, even.
+    evaluated: usize,
+    /// Samples per ring, even, interpolated.
     ring: usize,
     evaluations: usize,
 }
@@ -144,11 +178,6 @@ struct Sampled {
 }
 
 impl<'a> Search<'a> {
-    fn new(scene: &'a Scene, tier: Tier) -> Self {
-        let order = tail_order(TAU * scene.radius, 1e-4);
-        Self { scene, tier, order, ring: SAMPLES_PER_ORDER * order + 8, evaluations: 0 }
-    }
-
     fn run(mut self, elevation_max: f64) -> Estimate {
         let horizon = self.sample(&[0.0]);
         let observable = elevation_max > 0.0 && self.elevation_observable(&horizon, elevation_max);
@@ -167,37 +196,34 @@ impl<'a> Search<'a> {
         };
         let rows = sampled.elevations.len().max(2);
         let reach = [TAU / self.ring as f64, (high - low) / (rows - 1) as f64];
-        Hill { level: self.tier.level_or_portable(), samples: self.scene.columns(), kind, low, high, reach }
+        Hill { level: self.tools.tier.level_or_portable(), samples: self.scene.columns(), kind, low, high, reach }
     }
 
     /// `F` on rings at the given elevations (from 0 upwards) and, unless the motion is level, at their negatives.
     fn sample(&mut self, elevations: &[f64]) -> Sampled {
         let flat = self.scene.is_flat();
-        let half = self.ring / 2;
         let mut directions = Vec::new();
         for &elevation in elevations {
-            let columns = if flat || elevation == 0.0 { half } else { self.ring };
+            let columns = if flat || elevation == 0.0 { self.evaluated / 2 } else { self.evaluated };
             let (sin_el, cos_el) = elevation.sin_cos();
             directions.extend((0..columns).map(|j| {
-                let (sin, cos) = (TAU * j as f64 / self.ring as f64).sin_cos();
+                let (sin, cos) = (TAU * j as f64 / self.evaluated as f64).sin_cos();
                 [cos_el * cos, cos_el * sin, sin_el]
             }));
         }
-        let sums = self.pair_sums(&directions);
         self.evaluations += 2 * directions.len();
-        arrange(elevations, &sums, self.ring, flat)
-    }
-
-    fn pair_sums(&self, directions: &[[f64; 3]]) -> Vec<PairSum> {
-        let level = self.tier.level_or_portable();
+        let c = self.scene.columns();
+        let level = self.tools.tier.level_or_portable();
+        let ring = self.ring;
         if TAU * self.scene.radius.hypot(self.scene.half_height) > SINGLE_RADIUS {
-            return pairs::<f64>(level, self.scene.columns(), directions);
+            let sums = pairs::<f64>(level, c, &directions);
+            return arrange(elevations, &sums, self.evaluated, ring, flat, &mut self.tools.double);
         }
         let single = |column: &[f64]| column.iter().map(|v| f32::of(*v)).collect::<Vec<_>>();
-        let c = self.scene.columns();
         let (x, y, z, re, im) = (single(c.x), single(c.y), single(c.z), single(c.re), single(c.im));
         let directions: Vec<_> = directions.iter().map(|u| u.map(|v| v as f32)).collect();
-        pairs::<f32>(level, Columns { x: &x, y: &y, z: &z, re: &re, im: &im }, &directions)
+        let sums = pairs::<f32>(level, Columns { x: &x, y: &y, z: &z, re: &re, im: &im }, &directions);
+        arrange(elevations, &sums, self.evaluated, ring, flat, &mut self.tools.single)
     }
 
     /// True if the data can say more about the elevation than its limits do: the predicted deviation, azimuth as a
@@ -214,7 +240,7 @@ impl<'a> Search<'a> {
             || (angle < 2.0 * limit / uniform && apart(Second::Elevation, 0.0))
     }
 
-    /// Climbs from every candidate that the bound does not rule out, and from a few more to report them.
+    /// Climbs from every candidate that the bound does not rule out; a few more are reported as they were sampled.
     fn climb(&mut self, hill: &Hill<'_>, sampled: &Sampled) -> Vec<Top> {
         let mut candidates = local_maxima(sampled, self.ring);
         candidates.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -224,15 +250,19 @@ impl<'a> Search<'a> {
         let bound = (along * across - 0.02).max(0.0);
         let (mut tops, mut best) = (Vec::<Top>::new(), 0f64);
         for (rank, (index, value)) in candidates.into_iter().enumerate() {
-            if rank >= REPORTED && value < bound * best {
-                break;
-            }
             let elevation = sampled.elevations[index / self.ring];
             let azimuth = TAU * (index % self.ring) as f64 / self.ring as f64;
-            let top = hill.climb(Point { azimuth, second: hill.kind.of_elevation(elevation) });
-            self.evaluations += top.evaluations;
-            best = best.max(top.value);
-            tops.push(top);
+            let at = Point { azimuth, second: hill.kind.of_elevation(elevation) };
+            if value >= bound * best {
+                let top = hill.climb(at);
+                self.evaluations += top.evaluations;
+                best = best.max(top.value);
+                tops.push(top);
+            } else if rank < 4 * REPORTED {
+                tops.push(Top { at, value, evaluations: 0 });
+            } else {
+                break;
+            }
         }
         if let Some(mirror) = self.mirror_start(&tops) {
             let top = hill.climb(mirror);
@@ -245,7 +275,7 @@ impl<'a> Search<'a> {
 
     /// Azimuth of a long, narrow horizontal trajectory's axis.
     fn axis(&self) -> Option<f64> {
-        let shape = &self.scene.shape;
+        let shape = &self.shape;
         let [long, wide, _] = shape.half_extent_m;
         let axis = shape.axes[0];
         (wide <= ELONGATED * long && axis.x.hypot(axis.y) > 0.5).then(|| axis.y.atan2(axis.x))
@@ -301,7 +331,7 @@ impl<'a> Search<'a> {
         Estimate {
             azimuth_rad: best.azimuth_rad,
             abs_elevation_rad: best.abs_elevation_rad,
-            signed_elevation_rad: (observable && scene.shape.geometry == Geometry::Spatial).then_some(signed),
+            signed_elevation_rad: (observable && self.shape.geometry == Geometry::Spatial).then_some(signed),
             azimuth_sd_rad,
             elevation_sd_rad,
             elevation_searched: observable,
@@ -310,8 +340,8 @@ impl<'a> Search<'a> {
             snr: fit.snr,
             peak_ratio,
             peaks,
-            shape: scene.shape,
-            geometry: scene.shape.geometry,
+            shape: self.shape,
+            geometry: self.shape.geometry,
             value: best.value,
             evaluations: self.evaluations,
         }
@@ -333,31 +363,40 @@ fn elevation_rings(scene: &Scene, limit: f64) -> Vec<f64> {
     (0..=steps as usize).map(|i| if i == 0 { 0.0 } else { elevation(change(limit) * i as f64 / steps) }).collect()
 }
 
-/// Rows of rising elevation from the sums of antipodal pairs: the antipode of (a, e) is (a + pi, -e).
-fn arrange(elevations: &[f64], sums: &[PairSum], ring: usize, flat: bool) -> Sampled {
-    let half = ring / 2;
-    let both = |sums: &[PairSum]| -> Vec<f64> {
-        let here = sums.iter().map(|s| s.here().norm_sqr());
-        here.chain(sums.iter().map(|s| s.opposite().norm_sqr())).collect()
-    };
+/// Rows of rising elevation from the sums of antipodal pairs, interpolated to `ring` azimuths: the antipode of (a, e)
+/// is (a + pi, -e).
+fn arrange<T: Real>(
+    elevations: &[f64],
+    sums: &[PairSum],
+    evaluated: usize,
+    ring: usize,
+    flat: bool,
+    ffts: &mut Ffts<T>,
+) -> Sampled {
+    let half = evaluated / 2;
+    let narrow = |c: num_complex::Complex64| Complex::new(T::of(c.re), T::of(c.im));
     let (mut below, mut above) = (Vec::new(), Vec::new());
     let mut rest = sums;
     for &elevation in elevations {
-        let columns = if flat || elevation == 0.0 { half } else { ring };
-        let (row, tail) = rest.split_at(columns);
+        let both = flat || elevation == 0.0;
+        let (row, tail) = rest.split_at(if both { half } else { evaluated });
         rest = tail;
-        if columns == half {
-            above.push((elevation, both(row)));
+        let mut values: Vec<Complex<T>> = row.iter().map(|s| narrow(s.here())).collect();
+        let mut opposite: Vec<Complex<T>> = row.iter().map(|s| narrow(s.opposite())).collect();
+        if both {
+            values.append(&mut opposite);
         } else {
-            above.push((elevation, row.iter().map(|s| s.here().norm_sqr()).collect()));
-            let mut mirrored: Vec<f64> = row.iter().map(|s| s.opposite().norm_sqr()).collect();
-            mirrored.rotate_right(half);
-            below.push((-elevation, mirrored));
+            opposite.rotate_right(half);
+            below.push((-elevation, opposite));
         }
+        above.push((elevation, values));
     }
     below.reverse();
-    let (elevations, rows): (Vec<f64>, Vec<Vec<f64>>) = below.into_iter().chain(above).unzip();
-    Sampled { elevations, values: rows.concat() }
+    let (elevations, rows): (Vec<f64>, Vec<_>) = below.into_iter().chain(above).unzip();
+    let mut work = ResampleWork::default();
+    Resample::new(evaluated, ring, ffts).run(&rows.concat(), &mut work);
+    let values = work.dense.iter().map(|f| f.norm_sqr().into()).collect();
+    Sampled { elevations, values }
 }
 
 /// Samples that none of their eight neighbours exceeds, with their values.

@@ -18,7 +18,7 @@ use super::evaluate::{Batch, Buffers, Evaluator, Places, Slab};
 use super::fft::Ffts;
 use super::grid::{Grid, Layout, Profile, direction};
 use super::nufft::{Axis, Nufft, Setting};
-use super::rings::{RingWork, Rings, azimuths_for};
+use super::rings::{RingWork, Rings, azimuths_for, distinct, nodes_for};
 use super::scene::{Geometry, Scene, ldexp};
 use super::simd::{Real, Tier};
 use crate::samples::Samples;
@@ -167,6 +167,8 @@ struct Key {
     options: ProfileOptions,
     /// Half extents of the box, turns, rounded up; zero for an axis that phases do not see.
     extent: [f64; 3],
+    /// Largest distance from the middle, in the plane of the first two axes and at all, radians of phase, rounded up.
+    radius: [f64; 2],
     /// Number of samples, rounded up.
     count: usize,
     /// Axes of the motion if they are not the frame's.
@@ -395,36 +397,45 @@ fn constant(scene: &Scene) -> Complex64 {
 fn load(scene: &Scene, plan: &Plan, batch: &mut Batch) {
     // A run's positions within `slack` turns of its first cost at most eps / 16 of their magnitudes.
     let slack = plan.key.options.eps / (16.0 * TAU);
+    let flat = plan.key.extent[2] == 0.0;
+    let near = |c: &[f64], t: usize, from: usize| (c[t] - c[from]).abs();
+    let distance = |t: usize, from: usize| near(&scene.x, t, from) + near(&scene.y, t, from) + near(&scene.z, t, from);
     for column in [&mut batch.x, &mut batch.y, &mut batch.z, &mut batch.re, &mut batch.im] {
         column.clear();
     }
-    let flat = plan.key.extent[2] == 0.0;
-    let mut anchor = [f64::INFINITY; 3];
+    let still = (1..scene.len()).fold(false, |any, t| any | (distance(t, t - 1) <= slack));
+    if !still && plan.frame == Frame::Given {
+        batch.x.extend_from_slice(&scene.x);
+        batch.y.extend_from_slice(&scene.y);
+        batch.z.extend_from_slice(if flat { &[] } else { &scene.z });
+        batch.re.extend_from_slice(&scene.re);
+        batch.im.extend_from_slice(&scene.im);
+        return;
+    }
+    let mut anchor = None;
     for t in 0..scene.len() {
-        let p = [scene.x[t], scene.y[t], scene.z[t]];
-        let moved = (0..3).map(|i| (p[i] - anchor[i]).abs()).sum::<f64>();
-        let last = batch.re.len();
-        if moved <= slack && last > 0 {
-            batch.re[last - 1] += scene.re[t];
-            batch.im[last - 1] += scene.im[t];
-            continue;
+        if let (Some(from), Some(re), Some(im)) = (anchor, batch.re.last_mut(), batch.im.last_mut()) {
+            if distance(t, from) <= slack {
+                *re += scene.re[t];
+                *im += scene.im[t];
+                continue;
+            }
         }
-        anchor = p;
-        let [x, y, z] = plan.frame.of(Vector3::from(p));
+        anchor = Some(t);
+        let [x, y, z] = plan.frame.of(Vector3::new(scene.x[t], scene.y[t], scene.z[t]));
         batch.x.push(x);
         batch.y.push(y);
-        batch.z.push(if flat { 0.0 } else { z });
+        if !flat {
+            batch.z.push(z);
+        }
         batch.re.push(scene.re[t]);
         batch.im.push(scene.im[t]);
     }
-    if flat {
-        batch.z.clear();
-    }
 }
 
-/// Rounds up to a scale of 5 percent steps; nothing stays nothing.
-fn bucket(extent: f64) -> f64 {
-    if extent <= 0.0 { 0.0 } else { 1.05f64.powf((extent.ln() / 1.05f64.ln()).ceil()) * (1.0 + 1e-12) }
+/// Rounds up to a power of `step`; nothing stays nothing.
+fn bucket(extent: f64, step: f64) -> f64 {
+    if extent <= 0.0 { 0.0 } else { step.powf((extent.ln() / step.ln()).ceil()) * (1.0 + 1e-12) }
 }
 
 impl Key {
@@ -435,29 +446,26 @@ impl Key {
         let half = |c: &[f64]| c.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
         let mut extent = [half(&scene.x), half(&scene.y), scene.half_height];
         let mut axes = None;
-        let [_, wide, high] = scene.shape.half_extent_m.map(|e| e / scene.turn_m);
-        // Principal extents are about the middle of each axis, samples about that of the box: twice covers both.
-        if extent[2] * steepest > slack && 2.0 * high.min(wide) <= slack {
-            extent = scene.shape.axes.map(|a| {
-                (0..scene.len())
-                    .fold(0.0, |m: f64, t| m.max((a.x * scene.x[t] + a.y * scene.y[t] + a.z * scene.z[t]).abs()))
-            });
-            extent[2] = 0.0;
-            axes = Some(scene.shape.axes);
-        } else if extent[2] * steepest <= slack {
+        if extent[2] * steepest > slack {
+            let shape = scene.shape();
+            let [_, wide, high] = shape.half_extent_m.map(|e| e / scene.turn_m);
+            // Principal extents are about the middle of each axis, samples about that of the box: twice covers both.
+            if 2.0 * high.min(wide) <= slack {
+                axes = Some(shape.axes);
+                extent = shape.axes.map(|a| scene.farthest(|p| a.dot(&p).abs()));
+                extent[2] = 0.0;
+            }
+        } else {
             extent[2] = 0.0;
         }
-        if extent.iter().all(|e| *e * 1.75 <= slack) {
-            extent = [0.0; 3];
+        let level = axes.map_or(scene.radius, |[a, b, _]| scene.farthest(|p| a.dot(&p).hypot(b.dot(&p))));
+        let mut radius = [level, level.hypot(extent[2])];
+        if radius[1] <= slack {
+            (extent, radius) = ([0.0; 3], [0.0; 2]);
         }
-        let count = bucket(scene.len() as f64).ceil() as usize;
-        Self { grid: grid.clone(), options: *options, extent: extent.map(bucket), count, axes }
-    }
-
-    /// Radians of phase from the middle to the farthest sample, at most.
-    fn radius(&self) -> [f64; 2] {
-        let [x, y, z] = self.extent;
-        [TAU * x.hypot(y), TAU * x.hypot(y).hypot(z)]
+        let count = bucket(scene.len() as f64, 1.05).ceil() as usize;
+        let radius = radius.map(|r| bucket(TAU * r, 1.02));
+        Self { grid: grid.clone(), options: *options, extent: extent.map(|e| bucket(e, 1.05)), radius, count, axes }
     }
 }
 
@@ -493,7 +501,7 @@ fn unit_costs(tier: Tier, precision: Precision) -> [f64; 4] {
 fn single_floor(method: Method, radius: f64) -> f64 {
     match method {
         Method::Direct | Method::RingsDirect => 1e-6 + 2e-7 * radius,
-        _ => 8e-6,
+        _ => 1e-5,
     }
 }
 
@@ -518,8 +526,9 @@ fn choose(scene: &Scene, key: &Key, tier: Tier) -> Choice {
         return best;
     }
     let forced = key.options.method;
-    let [level_radius, radius] = key.radius();
-    best.order = [tail_order(level_radius, eps / 16.0), tail_order(radius, eps / 16.0)];
+    let [level_radius, radius] = key.radius;
+    // Modes beyond the limit are lost and, folded back, added once more: an eighth of eps in either angle is a quarter.
+    best.order = [tail_order(level_radius, eps / 8.0), tail_order(radius, eps / 8.0)];
     let mut found = false;
     for method in [Method::Direct, Method::RingsDirect, Method::RingsNufft, Method::TargetsNufft, Method::Slab] {
         let Some((precision, setting, cost)) = price(key, method, best.order, tier) else { continue };
@@ -536,7 +545,7 @@ fn choose(scene: &Scene, key: &Key, tier: Tier) -> Choice {
 /// What a method would cost here; none if it cannot serve.
 fn price(key: &Key, method: Method, order: [usize; 2], tier: Tier) -> Option<(Precision, Option<Setting>, f64)> {
     let eps = key.options.eps;
-    let [_, radius] = key.radius();
+    let [_, radius] = key.radius;
     let tall = key.extent[2] > 0.0;
     let planar_nufft = matches!(method, Method::RingsNufft | Method::TargetsNufft);
     if planar_nufft && tall || method == Method::Slab && !tall {
@@ -599,16 +608,13 @@ fn ring_shape(key: &Key, order: [usize; 2]) -> Option<(usize, usize)> {
     if azimuths % 4 != 0 || key.axes.is_some() {
         return None;
     }
-    let mut distinct: Vec<f64> = elevations_rad.iter().map(|e| e.abs()).collect();
-    distinct.sort_by(f64::total_cmp);
-    distinct.dedup_by(|a, b| (*a - *b).abs() < 1e-14);
-    Some((azimuths_for(*azimuths, order[0]), distinct.len().min((order[1] + 2) / 2 + 1)))
+    Some((azimuths_for(*azimuths, order[0]), nodes_for(&distinct(elevations_rad), order[1]).len()))
 }
 
 /// What the chosen plan leaves out, in words.
 fn skipped(scene: &Scene, key: &Key, choice: &Choice) -> Vec<String> {
     let mut list = Vec::new();
-    let geometry = scene.shape.geometry;
+    let geometry = scene.shape().geometry;
     if key.extent[2] == 0.0
         && choice.steepest > 0.0
         && matches!(choice.method, Method::RingsDirect | Method::RingsNufft)
@@ -629,7 +635,7 @@ fn skipped(scene: &Scene, key: &Key, choice: &Choice) -> Vec<String> {
         if d < rings.1 && matches!(choice.method, Method::RingsDirect | Method::RingsNufft | Method::Slab) {
             list.push(format!("{} of {} azimuths per ring: band limit {}", rings.1 - d, rings.1, choice.order[0]));
         }
-        if nodes == (choice.order[1] + 2) / 2 + 1 && rings.0 > 1 {
+        if 2 * nodes < rings.0 {
             list.push(format!("all but {nodes} elevations a side: band limit {}", choice.order[1]));
         }
     }

@@ -1,21 +1,24 @@
 //! From band-limited rings to a full grid: Fourier interpolation in azimuth, trigonometric matrices in elevation.
 //!
-//! Along azimuth `f` has modes up to the band limit `M`; rings are evaluated at `d >= 2 M + 2` azimuths and the grid's
-//! `n = r d` follow by shifting with FFTs. Along a great circle over the zenith the same limit holds. With
-//! `E(a) = (f(a) + f(a + pi)) / 2` and `O(a) = (f(a) - f(a + pi)) / 2`, `f(a + pi, pi - e) = f(a, e)` leaves to `E` only even
-//! cosines and odd sines of the elevation and to `O` only odd cosines and even sines; level motion has no sines. So a
-//! quarter of a great circle at `K >= (M + 1) / 2` intervals holds it all, and a small matrix takes it to any
-//! elevations, exactly.
+//! Along azimuth `f` has modes up to the band limit `M`; rings are evaluated at `d >= 2 M + 2` azimuths and resampled.
+//! Along a great circle over the zenith the same limit holds. With `E(a) = (f(a) + f(a + pi)) / 2` and
+//! `O(a) = (f(a) - f(a + pi)) / 2`, `f(a + pi, pi - e) = f(a, e)` leaves to `E` only even cosines and odd sines of the
+//! elevation and to `O` only odd cosines and even sines; level motion has no sines. So a quarter of a great circle at
+//! `K >= (M + 1) / 2` intervals holds it all, and a small matrix takes it to any elevations, exactly. Rows of the grid
+//! that are nodes need no matrix.
 
-use std::f64::consts::{FRAC_PI_2, TAU};
-use std::sync::Arc;
+use std::f64::consts::FRAC_PI_2;
 
-use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch};
+use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 use num_complex::Complex;
-use rustfft::Fft;
 
 use super::fft::Ffts;
-use super::simd::{Real, V};
+pub(crate) use super::resample::azimuths_for;
+use super::resample::{Resample, ResampleWork};
+use super::simd::{Real, V, on_tier};
+
+/// Half rings are padded to a multiple of this many values, so that vectors of any width fit.
+const PAD: usize = 16;
 
 /// Which elevations a ring grid is evaluated at, and which rows come of it.
 pub(crate) struct Rings<T: Real> {
@@ -27,15 +30,13 @@ pub(crate) struct Rings<T: Real> {
     /// Elevations (at least 0) that are evaluated; with `tall` also their negatives.
     pub nodes: Vec<f64>,
     pub tall: bool,
-    /// Rows of the grid for each different |elevation|.
-    rows: Vec<Row>,
-    /// Per |elevation|, per node: weights of even and odd azimuth harmonics, cosines then (tall) sines; none if the
-    /// nodes are the |elevation|s themselves.
-    matrix: Option<Vec<T>>,
-    forward: Option<Arc<dyn Fft<T>>>,
-    inverse: Option<Arc<dyn Fft<T>>>,
-    /// `[r - 1][d]` factors that shift by a fraction of a step.
-    shifts: Vec<Complex<T>>,
+    resample: Option<Resample<T>>,
+    /// Rows that are nodes, with their node.
+    given: Vec<(Row, usize)>,
+    /// Rows that are not.
+    wanted: Vec<Row>,
+    /// Per wanted row, per node: weights of even and odd azimuth harmonics with cosines, then (tall) with sines.
+    matrix: Vec<T>,
 }
 
 /// Rows of the grid at `elevation` and at `-elevation`.
@@ -50,46 +51,47 @@ struct Row {
 /// Buffers, reused.
 #[derive(Clone, Default)]
 pub(crate) struct RingWork<T> {
+    resample: ResampleWork<T>,
+    /// Finished rows: re here, re opposite, im here, im opposite; above, then (tall) below.
     line: Vec<T>,
-    spectrum: Vec<Complex<T>>,
-    modes: Vec<Complex<T>>,
-    scratch: Vec<Complex<T>>,
-    /// Per node `[component][re, im][n / 2]`.
+    /// Per node: even and odd azimuth harmonics (tall: and of the odd part in elevation), re and im apart.
     split: Vec<T>,
 }
 
-/// The least divisor of `n` that holds `2 order + 2` azimuths and is a multiple of 4; `n` itself if there is none.
-pub(crate) fn azimuths_for(n: usize, order: usize) -> usize {
-    (1..=n).find(|d| n % d == 0 && d % 4 == 0 && *d >= 2 * order + 2).unwrap_or(n)
+/// Evaluated elevations a side for `rows` different ones and modes up to `order`: few, and with many rows among them.
+pub(crate) fn nodes_for(elevations: &[f64], order: usize) -> Vec<f64> {
+    let least = (order + 2) / 2;
+    if least + 1 >= elevations.len() {
+        return elevations.to_vec();
+    }
+    let nodes = |k: usize| (0..=k).map(move |i| FRAC_PI_2 * i as f64 / k as f64);
+    let shared = |k: usize| elevations.iter().filter(|e| nodes(k).any(|n| (n - *e).abs() < 1e-12)).count();
+    // Each wanted row costs about k, each node about as much as 8 rows' share.
+    let cost = |k: usize| (elevations.len() - shared(k)) * k + 100 * k;
+    let best = (least..=least + least / 8 + 1).min_by_key(|k| cost(*k)).unwrap_or(least);
+    nodes(best).collect()
+}
+
+/// The different |elevations| of a list, rising.
+pub(crate) fn distinct(elevations: &[f64]) -> Vec<f64> {
+    rows_of(elevations).into_iter().map(|r| r.elevation).collect()
 }
 
 impl<T: Real> Rings<T> {
-    /// For `n` azimuths (a multiple of 4) at `elevations`; `order` limits the modes (none: no interpolation).
+    /// For `n` azimuths (a multiple of 4) at `elevations`, with modes up to `order` in azimuth and elevation.
     pub fn new(n: usize, elevations: &[f64], order: [usize; 2], tall: bool, level: Level, ffts: &mut Ffts<T>) -> Self {
         let d = azimuths_for(n, order[0]);
-        let rows = rows_of(elevations);
-        let intervals = (order[1] + 2) / 2;
-        let interpolate = intervals + 1 < rows.len();
-        let nodes: Vec<f64> = if interpolate {
-            (0..=intervals).map(|i| FRAC_PI_2 * i as f64 / intervals as f64).collect()
-        } else {
-            rows.iter().map(|r| r.elevation).collect()
-        };
-        let matrix = interpolate.then(|| matrix(&rows, intervals, tall));
-        let resample = d < n;
-        let shifts = (1..n / d).flat_map(|k| (0..d).map(move |i| shift(i, d, k, n))).collect();
-        Self {
-            level,
-            d,
-            n,
-            nodes,
-            tall,
-            rows,
-            matrix,
-            forward: resample.then(|| ffts.forward(d)),
-            inverse: resample.then(|| ffts.inverse(d)),
-            shifts,
+        let nodes = nodes_for(&distinct(elevations), order[1]);
+        let (mut given, mut wanted) = (Vec::new(), Vec::new());
+        for row in rows_of(elevations) {
+            match nodes.iter().position(|node| (node - row.elevation).abs() < 1e-12) {
+                Some(node) => given.push((row, node)),
+                None => wanted.push(row),
+            }
         }
+        let matrix = if wanted.is_empty() { Vec::new() } else { matrix(&wanted, nodes.len() - 1, tall) };
+        let resample = (d < n).then(|| Resample::new(d, n, ffts));
+        Self { level, d, n, nodes, tall, resample, given, wanted, matrix }
     }
 
     /// Number of rings that are evaluated, those below the horizon included.
@@ -97,115 +99,140 @@ impl<T: Real> Rings<T> {
         self.nodes.len() * if self.tall { 2 } else { 1 }
     }
 
+    /// Values of half a ring, padded.
+    fn padded(&self) -> usize {
+        (self.n / 2).next_multiple_of(PAD)
+    }
+
     /// Fills `out` (the grid, row by row) with `|f|^2 * scale` from the rings: `[node][above, (tall) below][d]`.
-    pub fn powers(&self, rings: &mut [Complex<T>], scale: f64, work: &mut RingWork<T>, out: &mut [f64]) {
-        dispatch!(self.level, simd => self.run(simd, rings, work, #[inline(always)] |rows: &[usize], re: &[T], im: &[T]| {
+    pub fn powers(&self, rings: &[Complex<T>], scale: f64, work: &mut RingWork<T>, out: &mut [f64]) {
+        let (n, half) = (self.n, self.n / 2);
+        self.resample(rings, work);
+        on_tier!(self.level, simd => self.run(simd, rings, work, #[inline(always)] |rows: &[usize], line: &[T]| {
             let Some((&first, others)) = rows.split_first() else { return };
-            let line = &mut out[first * self.n..(first + 1) * self.n];
-            for ((out, re), im) in line.iter_mut().zip(re).zip(im) {
-                let power: f64 = (*re * *re + *im * *im).into();
-                *out = power * scale;
+            let (re, im) = line.split_at(line.len() / 2);
+            let pad = re.len() / 2;
+            let (here, opposite) = out[first * n..(first + 1) * n].split_at_mut(half);
+            for (side, out) in [here, opposite].into_iter().enumerate() {
+                let (re, im) = (&re[side * pad..][..half], &im[side * pad..][..half]);
+                for ((out, re), im) in out.iter_mut().zip(re).zip(im) {
+                    let power: f64 = (*re * *re + *im * *im).into();
+                    *out = power * scale;
+                }
             }
             for row in others {
-                out.copy_within(first * self.n..(first + 1) * self.n, row * self.n);
+                out.copy_within(first * n..(first + 1) * n, row * n);
             }
         }));
     }
 
     /// Fills `out` with `f` itself.
-    pub fn values(&self, rings: &mut [Complex<T>], work: &mut RingWork<T>, out: &mut [Complex<T>]) {
-        dispatch!(self.level, simd => self.run(simd, rings, work, #[inline(always)] |rows: &[usize], re: &[T], im: &[T]| {
+    #[cfg(test)]
+    pub fn values(&self, rings: &[Complex<T>], work: &mut RingWork<T>, out: &mut [Complex<T>]) {
+        let (n, half) = (self.n, self.n / 2);
+        self.resample(rings, work);
+        on_tier!(self.level, simd => self.run(simd, rings, work, #[inline(always)] |rows: &[usize], line: &[T]| {
+            let pad = line.len() / 4;
             for row in rows {
-                let line = &mut out[row * self.n..(row + 1) * self.n];
-                for ((out, re), im) in line.iter_mut().zip(re).zip(im) {
-                    *out = Complex::new(*re, *im);
+                for j in 0..n {
+                    let at = if j < half { j } else { pad + j - half };
+                    out[row * n + j] = Complex::new(line[at], line[2 * pad + at]);
                 }
             }
         }));
     }
 
-    /// Resamples the rings and hands each finished row to `emit`: which rows of the grid it is, real and imaginary
-    /// parts.
+    fn resample(&self, rings: &[Complex<T>], work: &mut RingWork<T>) {
+        if let Some(resample) = &self.resample {
+            resample.run(rings, &mut work.resample);
+        }
+    }
+
+    /// Hands each finished row to `emit`: which rows of the grid it is, and its line.
     #[inline(always)]
     fn run<S: Simd>(
         &self,
         simd: S,
-        rings: &mut [Complex<T>],
+        rings: &[Complex<T>],
         work: &mut RingWork<T>,
-        mut emit: impl FnMut(&[usize], &[T], &[T]),
+        mut emit: impl FnMut(&[usize], &[T]),
     ) {
-        self.shifted(rings, work);
-        self.split(rings, work);
-        work.line.resize(4 * self.n, T::of(0.0));
-        match (&self.matrix, self.tall) {
-            (None, _) => self.rows_as_they_are(work, &mut emit),
-            (Some(matrix), false) => {
-                for (weights, row) in matrix.chunks_exact(2 * self.nodes.len()).zip(&self.rows) {
-                    let (line, _) = work.line.split_at_mut(2 * self.n);
-                    self.combine::<S, false>(simd, weights, &work.split, line);
-                    let (re, im) = line.split_at(self.n);
-                    emit(&row.all, re, im);
-                }
+        let RingWork { resample, line, split } = work;
+        let dense = if self.resample.is_some() { &resample.dense[..] } else { rings };
+        let pad = self.padded();
+        let per_node = self.rings() / self.nodes.len() * 4 * pad;
+        split.resize(self.nodes.len() * per_node + 64, T::of(0.0));
+        // A vector that straddles two cache lines costs two loads.
+        let start = split.as_ptr().align_offset(64).min(64);
+        let split = &mut split[start..][..self.nodes.len() * per_node];
+        self.split(dense, split);
+        line.resize(BLOCK_ROWS * 8 * pad, T::of(0.0));
+        for (row, node) in &self.given {
+            let part = &split[node * per_node..(node + 1) * per_node];
+            if self.tall {
+                self.finish::<S, true>(simd, part, line);
+                emit(&row.above, &line[..4 * pad]);
+                emit(&row.below, &line[4 * pad..8 * pad]);
+            } else {
+                self.finish::<S, false>(simd, part, line);
+                emit(&row.all, &line[..4 * pad]);
             }
-            (Some(matrix), true) => {
-                for (weights, row) in matrix.chunks_exact(4 * self.nodes.len()).zip(&self.rows) {
-                    self.combine::<S, true>(simd, weights, &work.split, &mut work.line);
-                    let (above, below) = work.line.split_at(2 * self.n);
-                    emit(&row.above, &above[..self.n], &above[self.n..]);
-                    emit(&row.below, &below[..self.n], &below[self.n..]);
+        }
+        let weights = self.matrix.chunks(BLOCK_ROWS * self.nodes.len() * if self.tall { 4 } else { 2 });
+        for (rows, weights) in self.wanted.chunks(BLOCK_ROWS).zip(weights) {
+            if self.tall {
+                for (row, weights) in rows.iter().zip(weights.chunks_exact(4 * self.nodes.len())) {
+                    self.combine::<S, 1, 4>(simd, weights, split, line);
+                    let (parts, line) = line.split_at_mut(8 * pad);
+                    self.finish::<S, true>(simd, parts, line);
+                    emit(&row.above, &line[..4 * pad]);
+                    emit(&row.below, &line[4 * pad..8 * pad]);
+                }
+            } else if rows.len() == BLOCK_ROWS {
+                self.combine::<S, BLOCK_ROWS, 2>(simd, weights, split, line);
+                self.emit_flat(simd, rows, line, &mut emit);
+            } else {
+                for (row, weights) in rows.iter().zip(weights.chunks_exact(2 * self.nodes.len())) {
+                    self.combine::<S, 1, 2>(simd, weights, split, line);
+                    self.emit_flat(simd, std::slice::from_ref(row), line, &mut emit);
                 }
             }
         }
     }
 
-    /// `work.modes`: per ring the `r - 1` shifted copies of its `d` samples.
-    fn shifted(&self, rings: &[Complex<T>], work: &mut RingWork<T>) {
-        let (Some(forward), Some(inverse)) = (&self.forward, &self.inverse) else { return };
-        let (d, copies) = (self.d, self.n / self.d - 1);
-        let zero = Complex::new(T::of(0.0), T::of(0.0));
-        work.scratch.resize(forward.get_inplace_scratch_len().max(inverse.get_inplace_scratch_len()), zero);
-        work.spectrum.resize(d, zero);
-        work.modes.resize(rings.len() * copies, zero);
-        for (ring, modes) in rings.chunks_exact(d).zip(work.modes.chunks_exact_mut(d * copies)) {
-            work.spectrum.copy_from_slice(ring);
-            forward.process_with_scratch(&mut work.spectrum, &mut work.scratch);
-            for (copy, shift) in modes.chunks_exact_mut(d).zip(self.shifts.chunks_exact(d)) {
-                for ((out, c), s) in copy.iter_mut().zip(&work.spectrum).zip(shift) {
-                    *out = c * s;
-                }
-            }
-            inverse.process_with_scratch(modes, &mut work.scratch);
-        }
-    }
-
-    /// Even and odd azimuth harmonics (and, tall, even and odd parts in elevation) of every ring, real and imaginary
-    /// parts apart: `work.split[node][E, O (, E sine, O sine)][re, im][n / 2]`.
+    /// Finishes rows whose parts lie one after the other in `line`.
     #[inline(always)]
-    fn split(&self, rings: &[Complex<T>], work: &mut RingWork<T>) {
-        let (d, n, r) = (self.d, self.n, self.n / self.d);
-        let (half, hd) = (n / 2, d / 2);
-        work.split.resize(rings.len() / d * 2 * n, T::of(0.0));
+    fn emit_flat<S: Simd>(&self, simd: S, rows: &[Row], line: &mut [T], emit: &mut impl FnMut(&[usize], &[T])) {
+        let pad = self.padded();
+        let (parts, line) = line.split_at_mut(BLOCK_ROWS * 4 * pad);
+        for (row, parts) in rows.iter().zip(parts.chunks_exact(4 * pad)) {
+            self.finish::<S, false>(simd, parts, line);
+            emit(&row.all, &line[..4 * pad]);
+        }
+    }
+
+    /// Even and odd azimuth harmonics (and, tall, even and odd parts in elevation) of every ring.
+    #[inline(always)]
+    fn split(&self, dense: &[Complex<T>], split: &mut [T]) {
+        let (half, pad) = (self.n / 2, self.padded());
         let a_half = T::of(0.5);
-        for (index, (ring, out)) in rings.chunks_exact(d).zip(work.split.chunks_exact_mut(2 * n)).enumerate() {
-            let (even, odd) = out.split_at_mut(n);
-            let (even_re, even_im) = even.split_at_mut(half);
-            let (odd_re, odd_im) = odd.split_at_mut(half);
-            for k in 0..r {
-                let line =
-                    if k == 0 { ring } else { &work.modes[(index * (r - 1) + k - 1) * d..(index * (r - 1) + k) * d] };
-                let (here, opposite) = line.split_at(hd);
-                for (j, (a, b)) in here.iter().zip(opposite).enumerate() {
-                    let to = j * r + k;
-                    even_re[to] = (a.re + b.re) * a_half;
-                    even_im[to] = (a.im + b.im) * a_half;
-                    odd_re[to] = (a.re - b.re) * a_half;
-                    odd_im[to] = (a.im - b.im) * a_half;
-                }
+        for (ring, out) in dense.chunks_exact(self.n).zip(split.chunks_exact_mut(4 * pad)) {
+            let (here, opposite) = ring.split_at(half);
+            let (even, odd) = out.split_at_mut(2 * pad);
+            let (even_re, even_im) = even.split_at_mut(pad);
+            let (odd_re, odd_im) = odd.split_at_mut(pad);
+            let even = even_re[..half].iter_mut().zip(&mut even_im[..half]);
+            let odd = odd_re[..half].iter_mut().zip(&mut odd_im[..half]);
+            for (((even, odd), a), b) in even.zip(odd).zip(here).zip(opposite) {
+                *even.0 = (a.re + b.re) * a_half;
+                *even.1 = (a.im + b.im) * a_half;
+                *odd.0 = (a.re - b.re) * a_half;
+                *odd.1 = (a.im - b.im) * a_half;
             }
         }
-        if self.tall && self.matrix.is_some() {
-            for pair in work.split.chunks_exact_mut(4 * n) {
-                let (above, below) = pair.split_at_mut(2 * n);
+        if self.tall {
+            for pair in split.chunks_exact_mut(8 * pad) {
+                let (above, below) = pair.split_at_mut(4 * pad);
                 for (a, b) in above.iter_mut().zip(below) {
                     (*a, *b) = ((*a + *b) * a_half, (*a - *b) * a_half);
                 }
@@ -213,103 +240,64 @@ impl<T: Real> Rings<T> {
         }
     }
 
-    /// Rows whose elevations were evaluated.
-    fn rows_as_they_are(&self, work: &mut RingWork<T>, emit: &mut impl FnMut(&[usize], &[T], &[T])) {
-        let (n, half) = (self.n, self.n / 2);
-        let per_node = if self.tall { 2 } else { 1 };
-        for (index, part) in work.split.chunks_exact(2 * n).enumerate() {
-            let (re, rest) = work.line.split_at_mut(n);
-            for i in 0..half {
-                re[i] = part[i] + part[n + i];
-                re[half + i] = part[i] - part[n + i];
-                rest[i] = part[half + i] + part[n + half + i];
-                rest[half + i] = part[half + i] - part[n + half + i];
-            }
-            let row = &self.rows[index / per_node];
-            let rows = if !self.tall {
-                &row.all
-            } else if index % 2 == 0 {
-                &row.above
-            } else {
-                &row.below
-            };
-            emit(rows, re, &rest[..n]);
-        }
-    }
-
-    /// One |elevation| from all nodes: `line` gets re and im above, then (tall) below.
+    /// Values from their parts: `f(a) = E + O`, `f(a + pi) = E - O`, above and (tall) below the horizon.
     #[inline(always)]
-    fn combine<S: Simd, const TALL: bool>(&self, simd: S, weights: &[T], split: &[T], line: &mut [T]) {
-        let lanes = V::<S, T>::LEN;
-        let (n, half) = (self.n, self.n / 2);
-        let per_node = if TALL { 4 * n } else { 2 * n };
-        let mut from = 0;
-        while from < half {
-            // The last vector may overlap the one before it.
-            let at = if from + lanes <= half { from } else { half.saturating_sub(lanes) };
-            let sums = self.column::<S, TALL>(simd, weights, split, per_node, at);
-            let mut put = |offset: usize, v: V<S, T>| {
-                if half >= lanes {
-                    v.store_slice(&mut line[offset + at..][..lanes]);
-                } else {
-                    line[offset..offset + half].copy_from_slice(&v.as_slice()[..half]);
-                }
-            };
-            for part in 0..2 {
-                let (e, o) = (sums[part], sums[2 + part]);
+    fn finish<S: Simd, const TALL: bool>(&self, simd: S, parts: &[T], line: &mut [T]) {
+        let (lanes, pad) = (V::<S, T>::LEN, self.padded());
+        let load = |part: usize, at: usize| V::<S, T>::from_slice(simd, &parts[part * pad + at..][..lanes]);
+        for c in 0..2 {
+            for at in (0..pad).step_by(lanes) {
+                let mut put = |side: usize, even: V<S, T>, odd: V<S, T>| {
+                    (even + odd).store_slice(&mut line[(side + 2 * c) * pad + at..][..lanes]);
+                    (even - odd).store_slice(&mut line[(side + 2 * c + 1) * pad + at..][..lanes]);
+                };
+                let (e, o) = (load(c, at), load(2 + c, at));
                 if TALL {
-                    let (es, os) = (sums[4 + part], sums[6 + part]);
-                    let (above, below) = ([e + es, o + os], [e - es, o - os]);
-                    put(part * n, above[0] + above[1]);
-                    put(part * n + half, above[0] - above[1]);
-                    put(2 * n + part * n, below[0] + below[1]);
-                    put(2 * n + part * n + half, below[0] - below[1]);
+                    let (es, os) = (load(4 + c, at), load(6 + c, at));
+                    put(0, e + es, o + os);
+                    put(4, e - es, o - os);
                 } else {
-                    put(part * n, e + o);
-                    put(part * n + half, e - o);
+                    put(0, e, o);
                 }
             }
-            from += lanes;
         }
     }
 
-    /// Sums over the nodes for one vector of azimuths: E re, E im, O re, O im and (tall) the same of the sines.
+    /// `ROWS` rows' parts from all nodes' parts: a matrix product, `FAMILIES` times over.
     #[inline(always)]
-    fn column<S: Simd, const TALL: bool>(
+    fn combine<S: Simd, const ROWS: usize, const FAMILIES: usize>(
         &self,
         simd: S,
         weights: &[T],
         split: &[T],
-        per_node: usize,
-        at: usize,
-    ) -> [V<S, T>; 8] {
-        let (lanes, half) = (V::<S, T>::LEN, self.n / 2);
-        let parts = if TALL { 4 } else { 2 };
-        let mut sums = [V::<S, T>::splat(simd, T::of(0.0)); 8];
-        for (node, w) in split.chunks_exact(per_node).zip(weights.chunks_exact(parts)) {
-            for part in 0..parts {
-                let w = V::<S, T>::splat(simd, w[part]);
-                for c in 0..2 {
-                    let offset = (2 * part + c) * half + at;
-                    let values = if half >= lanes {
-                        V::<S, T>::from_slice(simd, &node[offset..offset + lanes])
-                    } else {
-                        V::<S, T>::from_fn(simd, |i| node[offset + i.min(half - 1)])
-                    };
-                    sums[2 * part + c] = w.mul_add(values, sums[2 * part + c]);
+        line: &mut [T],
+    ) {
+        let (lanes, pad, count) = (V::<S, T>::LEN, self.padded(), self.nodes.len());
+        let per_node = 2 * FAMILIES * pad;
+        for family in 0..FAMILIES {
+            for at in (0..pad).step_by(lanes) {
+                let mut sums = [[V::<S, T>::splat(simd, T::of(0.0)); 2]; ROWS];
+                for (i, node) in split.chunks_exact(per_node).enumerate() {
+                    let re = V::<S, T>::from_slice(simd, &node[2 * family * pad + at..][..lanes]);
+                    let im = V::<S, T>::from_slice(simd, &node[(2 * family + 1) * pad + at..][..lanes]);
+                    for (r, sum) in sums.iter_mut().enumerate() {
+                        let w = V::<S, T>::splat(simd, weights[(r * count + i) * FAMILIES + family]);
+                        sum[0] = w.mul_add(re, sum[0]);
+                        sum[1] = w.mul_add(im, sum[1]);
+                    }
+                }
+                for (r, sum) in sums.iter().enumerate() {
+                    let from = r * per_node + 2 * family * pad + at;
+                    sum[0].store_slice(&mut line[from..][..lanes]);
+                    sum[1].store_slice(&mut line[from + pad..][..lanes]);
                 }
             }
         }
-        sums
     }
 }
 
-/// The factor of mode `i` (of `d`) that shifts by `k / n` of a circle, with the inverse transform's `1 / d`.
-fn shift<T: Real>(i: usize, d: usize, k: usize, n: usize) -> Complex<T> {
-    let mode = if 2 * i < d { i as f64 } else { i as f64 - d as f64 };
-    let (sin, cos) = (TAU * mode * k as f64 / n as f64).sin_cos();
-    Complex::new(T::of(cos / d as f64), T::of(sin / d as f64))
-}
+/// Rows that share a pass over the nodes.
+const BLOCK_ROWS: usize = 5;
 
 /// Groups the rows of a grid by |elevation|.
 fn rows_of(elevations: &[f64]) -> Vec<Row> {
@@ -326,12 +314,11 @@ fn rows_of(elevations: &[f64]) -> Vec<Row> {
     rows
 }
 
-/// Weights that take values at `intervals + 1` nodes of the quarter circle to the rows.
+/// Weights that take values at `k + 1` nodes of the quarter circle to the rows.
 ///
 /// Each of the four families is orthogonal on the nodes (a discrete cosine or sine transform), so the weight of a node
 /// is the sum over the family of its values at the row and at the node, over its norm.
-fn matrix<T: Real>(rows: &[Row], intervals: usize, tall: bool) -> Vec<T> {
-    let k = intervals;
+fn matrix<T: Real>(rows: &[Row], k: usize, tall: bool) -> Vec<T> {
     let node = |i: usize| FRAC_PI_2 * i as f64 / k as f64;
     let families = if tall { 4 } else { 2 };
     // The order of the split: even azimuth harmonics with cosines, odd with cosines, even with sines, odd with sines.

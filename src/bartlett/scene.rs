@@ -70,7 +70,6 @@ pub(crate) struct Scene {
     pub radius: f64,
     /// Largest vertical distance from the middle, turns.
     pub half_height: f64,
-    pub shape: Shape,
     /// Metres per turn.
     pub turn_m: f64,
 }
@@ -85,13 +84,13 @@ impl Scene {
             return Err(Error::PathGain);
         }
         let turn_m = wavelength_m / f64::from(samples.path_gain);
-        let (points, radius, half_height) = centred_turns(samples, turn_m)?;
+        let ([x, y, z], radius, half_height) = centred_turns(samples, turn_m)?;
         let (z_exponent, w_exponent) = exponents(samples)?;
         let n = samples.len();
         let mut scene = Self {
-            x: points.iter().map(|p| p.x).collect(),
-            y: points.iter().map(|p| p.y).collect(),
-            z: points.iter().map(|p| p.z).collect(),
+            x,
+            y,
+            z,
             re: Vec::with_capacity(n),
             im: Vec::with_capacity(n),
             weight: Vec::with_capacity(n),
@@ -101,16 +100,18 @@ impl Scene {
             weight_sum: 0.0,
             radius,
             half_height,
-            shape: shape(&points, turn_m),
             turn_m,
         };
+        let halves = |exponent: i32| [exponent / 2, exponent - exponent / 2].map(|half| 2f64.powi(half));
+        let ([za, zb], [wa, wb]) = (halves(z_exponent), halves(w_exponent));
         for (z, &w) in samples.z.iter().zip(&samples.weight) {
-            let (re, im, w) = (ldexp(z.re, z_exponent), ldexp(z.im, z_exponent), ldexp(w, w_exponent));
+            let (re, im, w) = (z.re * za * zb, z.im * za * zb, w * wa * wb);
             scene.re.push(re * w);
             scene.im.push(im * w);
             scene.weight.push(w);
-            scene.sum_abs += w * re.hypot(im);
-            scene.energy += w * (re * re + im * im);
+            let power = re * re + im * im;
+            scene.sum_abs += w * power.sqrt();
+            scene.energy += w * power;
             scene.weight_sum += w;
         }
         Ok(scene)
@@ -118,6 +119,36 @@ impl Scene {
 
     pub fn len(&self) -> usize {
         self.x.len()
+    }
+
+    /// Principal axes, extents and class of the motion.
+    pub fn shape(&self) -> Shape {
+        let n = self.len() as f64;
+        let mean = [&self.x, &self.y, &self.z].map(|c| c.iter().sum::<f64>() / n);
+        let mut scatter = Matrix3::zeros();
+        for t in 0..self.len() {
+            let d = Vector3::new(self.x[t] - mean[0], self.y[t] - mean[1], self.z[t] - mean[2]);
+            scatter += d * d.transpose();
+        }
+        let eigen = SymmetricEigen::new(scatter);
+        let mut order = [0, 1, 2];
+        order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
+        let axes = order.map(|i| eigen.eigenvectors.column(i).into_owned());
+        let half = axes.map(|a| {
+            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+            for t in 0..self.len() {
+                let d = a.x * self.x[t] + a.y * self.y[t] + a.z * self.z[t];
+                (low, high) = (low.min(d), high.max(d));
+            }
+            (high - low) / 2.0
+        });
+        Shape { geometry: classify(half, &axes), half_extent_m: half.map(|h| h * self.turn_m), axes }
+    }
+
+    /// The largest value of a function of the positions (turns), at least 0.
+    pub fn farthest(&self, distance: impl Fn(Vector3<f64>) -> f64) -> f64 {
+        let at = |t: usize| distance(Vector3::new(self.x[t], self.y[t], self.z[t]));
+        (0..self.len()).map(at).fold(0.0, f64::max)
     }
 
     /// True if the sign of the elevation changes nothing (to 1e-9 rad of phase).
@@ -164,31 +195,33 @@ fn check_lengths(samples: &Samples) -> Result<(), Error> {
     Ok(())
 }
 
-/// Displacements in turns about the middle of their bounding box, their horizontal radius and half height.
-fn centred_turns(samples: &Samples, turn_m: f64) -> Result<(Vec<Vector3<f64>>, f64, f64), Error> {
-    let mut low = Vector3::repeat(f64::INFINITY);
-    let mut high = Vector3::repeat(f64::NEG_INFINITY);
-    let mut points = Vec::with_capacity(samples.len());
-    for (index, (r, t)) in samples.receiver_m.iter().zip(&samples.transmitter_m).enumerate() {
-        let p = r - t;
-        if !p.iter().all(|v| v.is_finite()) {
-            return Err(Error::NonFinite { what: "position", index });
-        }
-        low = low.inf(&p);
-        high = high.sup(&p);
-        points.push(p);
+/// Displacements in turns about the middle of their bounding box, by axis; their horizontal radius and half height.
+fn centred_turns(samples: &Samples, turn_m: f64) -> Result<([Vec<f64>; 3], f64, f64), Error> {
+    let mut columns: [Vec<f64>; 3] = std::array::from_fn(|axis| {
+        let pairs = samples.receiver_m.iter().zip(&samples.transmitter_m);
+        pairs.map(|(r, t)| r[axis] - t[axis]).collect()
+    });
+    // A NaN or an infinity anywhere makes this sum one; only then it is worth looking for it.
+    let bad = |columns: &[Vec<f64>; 3], limit: f64| {
+        let wrong = |v: &f64| v.is_nan() || v.abs() > limit;
+        let any = columns.iter().any(|c| c.iter().fold(false, |any, v| any | wrong(v)));
+        any.then(|| (0..samples.len()).position(|t| columns.iter().any(|c| wrong(&c[t])))).flatten()
+    };
+    if let Some(index) = bad(&columns, f64::MAX) {
+        return Err(Error::NonFinite { what: "position", index });
     }
-    let middle = low / 2.0 + high / 2.0;
-    let (mut radius, mut half_height) = (0f64, 0f64);
-    for (index, p) in points.iter_mut().enumerate() {
-        *p = (*p - middle) / turn_m;
-        if !p.iter().all(|v| v.is_finite() && v.abs() < 1e150) {
-            return Err(Error::NonFinite { what: "position in wavelengths", index });
-        }
-        radius = radius.max(p.x.hypot(p.y));
-        half_height = half_height.max(p.z.abs());
+    for column in &mut columns {
+        let (low, high) = column.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
+        let middle = low / 2.0 + high / 2.0;
+        column.iter_mut().for_each(|v| *v = (*v - middle) / turn_m);
     }
-    Ok((points, radius, half_height))
+    if let Some(index) = bad(&columns, 1e150) {
+        return Err(Error::NonFinite { what: "position in wavelengths", index });
+    }
+    let [x, y, z] = &columns;
+    let radius = x.iter().zip(y).fold(0f64, |m, (x, y)| m.max(x * x + y * y)).sqrt();
+    let half_height = z.iter().fold(0f64, |m, z| m.max(z.abs()));
+    Ok((columns, radius, half_height))
 }
 
 /// Powers of two that bring the largest sample and the largest weight into [0.5, 1).
@@ -216,32 +249,16 @@ fn exponents(samples: &Samples) -> Result<(i32, i32), Error> {
 }
 
 /// The least `e` with `x < 2^e`, for positive finite `x`.
-fn exponent_above(x: f64) -> i32 {
+pub(crate) fn exponent_above(x: f64) -> i32 {
     let (x, shift) = if x < f64::MIN_POSITIVE { (x * 2f64.powi(64), 64) } else { (x, 0) };
     let biased = ((x.to_bits() >> 52) & 0x7ff) as i32;
     biased - 1022 - shift
 }
 
-fn shape(points: &[Vector3<f64>], turn_m: f64) -> Shape {
-    let mean = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
-    let mut scatter = Matrix3::zeros();
-    for p in points {
-        let d = p - mean;
-        scatter += d * d.transpose();
-    }
-    let eigen = SymmetricEigen::new(scatter);
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
-    let axes = order.map(|i| eigen.eigenvectors.column(i).into_owned());
-    let half = axes.map(|axis| {
-        let (low, high) = points
-            .iter()
-            .map(|p| p.dot(&axis))
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), d| (l.min(d), h.max(d)));
-        (high - low) / 2.0
-    });
+/// The class of half extents in turns along principal axes.
+fn classify(half: [f64; 3], axes: &[Vector3<f64>; 3]) -> Geometry {
     let level = axes[2].x.hypot(axes[2].y) * half[0] < FLAT_TURNS;
-    let geometry = if half[0] < STATIC_TURNS {
+    if half[0] < STATIC_TURNS {
         Geometry::Static
     } else if half[1] < FLAT_TURNS {
         Geometry::Line
@@ -251,6 +268,5 @@ fn shape(points: &[Vector3<f64>], turn_m: f64) -> Shape {
         Geometry::NearlyPlanar
     } else {
         Geometry::Spatial
-    };
-    Shape { geometry, half_extent_m: half.map(|h| h * turn_m), axes }
+    }
 }

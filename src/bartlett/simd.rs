@@ -59,6 +59,30 @@ impl Tier {
     }
 }
 
+/// Runs `$op` compiled for the tier of `$level`; `fearless_simd::dispatch!` without the tiers that [`Tier`] lacks.
+macro_rules! on_tier {
+    ($level:expr, $simd:ident => $op:expr) => {{
+        #[cfg(target_arch = "x86_64")]
+        {
+            use fearless_simd::{Level, Simd};
+            match $level {
+                Level::Avx512($simd) => $simd.vectorize(#[inline(always)] || $op),
+                Level::Avx2($simd) => $simd.vectorize(#[inline(always)] || $op),
+                Level::Sse4_2($simd) => $simd.vectorize(#[inline(always)] || $op),
+                _ => {
+                    let $simd = fearless_simd::Fallback::new();
+                    $simd.vectorize(#[inline(always)] || $op)
+                }
+            }
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        {
+            fearless_simd::dispatch!($level, $simd => $op)
+        }
+    }};
+}
+pub(crate) use on_tier;
+
 /// The two precisions of the kernels.
 pub(crate) trait Real: SimdFloatElement + Into<f64> + rustfft::FftNum + bytemuck::Pod {
     /// Rounds from double.

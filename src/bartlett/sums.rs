@@ -1,9 +1,9 @@
 //! Direct sums over all samples: antipodal pairs of directions, and the moments that Newton's method needs.
 
-use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch};
+use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 use num_complex::Complex64;
 
-use super::simd::{Real, V, sin_cos_turns};
+use super::simd::{Real, V, on_tier, sin_cos_turns};
 
 /// Samples per block: single-precision sums are carried over to double after each, so that their error does not grow
 /// with the number of samples (measured: 4e-9 at 1e7 samples with a flush each 4,096).
@@ -46,7 +46,7 @@ impl PairSum {
 /// `f(u)` and `f(-u)` for each direction; one sine and cosine for both.
 pub(crate) fn pairs<T: Real>(level: Level, samples: Columns<'_, T>, directions: &[[T; 3]]) -> Vec<PairSum> {
     let mut sums = vec![PairSum::default(); directions.len()];
-    dispatch!(level, simd => pairs_simd::<_, T>(simd, samples, directions, &mut sums));
+    on_tier!(level, simd => pairs_simd::<_, T>(simd, samples, directions, &mut sums));
     sums
 }
 
@@ -141,9 +141,9 @@ pub(crate) struct Aim {
 pub(crate) fn moments(level: Level, samples: Columns<'_, f64>, aim: Aim) -> Moments {
     let mut sums = [0.0; 20];
     if samples.z.is_empty() {
-        dispatch!(level, simd => moments_simd::<_, false>(simd, samples, aim, &mut sums));
+        on_tier!(level, simd => moments_simd::<_, false>(simd, samples, aim, &mut sums));
     } else {
-        dispatch!(level, simd => moments_simd::<_, true>(simd, samples, aim, &mut sums));
+        on_tier!(level, simd => moments_simd::<_, true>(simd, samples, aim, &mut sums));
     }
     let c = |i: usize| Complex64::new(sums[2 * i], sums[2 * i + 1]);
     Moments { one: c(0), h: c(1), v: c(2), hh: c(3), hv: c(4), vv: c(5), z: c(6), hz: c(7), vz: c(8), zz: c(9) }

@@ -3,8 +3,8 @@
 use clap::Args;
 use csi5300::bartlett::SearchOptions;
 use csi5300::channel::Channel;
+use csi5300::pipeline::Options;
 use csi5300::pipeline::accurate::Accuracy;
-use csi5300::pipeline::{JoinBy, Options};
 use driver_iface::{Mac, bfee::Antenna};
 
 /// How bearings are made.
@@ -96,12 +96,8 @@ impl Estimation {
         let left_out = |step| self.without.contains(&step);
         let elevation_max = if left_out(Step::Elevation) { 0.0 } else { self.elevation_max };
         Ok(Options {
-            channel,
             antenna: self.antenna,
-            tx_macs: Vec::new(),
-            rx_mac: None,
             clock_offset_s: self.clock_offset,
-            join: JoinBy::Time,
             from_s: self.from,
             to_s: self.to,
             compensate: !self.no_compensation && !left_out(Step::Compensation),
@@ -112,8 +108,8 @@ impl Estimation {
                 range_min_m: self.range_min,
                 height_m: self.height,
             },
-            keep_course: false,
             search: SearchOptions { elevation_max_rad: elevation_max.to_radians(), ..SearchOptions::default() },
+            ..Options::new(channel)
         })
     }
 }

@@ -3,13 +3,23 @@
 mod args;
 mod bearing;
 mod demo;
+#[cfg(feature = "live")]
+mod doctor;
 mod evaluate;
 mod export;
 mod info;
+#[cfg(feature = "live")]
+mod live;
 mod locate;
 mod npz;
 mod profile;
+#[cfg(feature = "live")]
+mod record;
 mod recover;
+#[cfg(feature = "live")]
+mod replay;
+#[cfg(feature = "live")]
+mod setup;
 mod simulate;
 
 use clap::{Parser, Subcommand};
@@ -70,6 +80,18 @@ enum Command {
     Export(export::Args),
     /// A room full of robots: writes the logs that their cards would have recorded
     Simulate(simulate::Args),
+    /// Records the driver's messages to a log, live
+    #[cfg(feature = "live")]
+    Record(record::Args),
+    /// Plays a log at its own pace, to standard output or into the kernel's connector
+    #[cfg(feature = "live")]
+    Replay(replay::Args),
+    /// What stands between this machine and a first record, and the command that mends it
+    #[cfg(feature = "live")]
+    Doctor(doctor::Args),
+    /// The steps that put the card into monitor mode: printed, or taken with --apply
+    #[cfg(feature = "live")]
+    Setup(setup::Args),
 }
 
 /// Runs the command named by the arguments.
@@ -84,6 +106,14 @@ pub fn run() -> ExitCode {
         Command::Recover(args) => recover::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Simulate(args) => simulate::run(&args),
+        #[cfg(feature = "live")]
+        Command::Record(args) => record::run(&args),
+        #[cfg(feature = "live")]
+        Command::Replay(args) => replay::run(&args),
+        #[cfg(feature = "live")]
+        Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "live")]
+        Command::Setup(args) => setup::run(&args),
     };
     match result {
         Ok(outcome) => outcome.into(),

@@ -4,7 +4,7 @@ use super::accurate::{self, Placed};
 use super::intake::Heard;
 use super::{JoinBy, Options};
 use crate::bartlett::{self, Estimate, Grid, Profile};
-use crate::cfo::{TurnAround, at_centre, round_trip};
+use crate::cfo::{TurnAround, at_centre, round_trip, round_trip_at_centre};
 use crate::pairing::{Pair, Pairing, Side, SideCounts};
 use crate::pose::{Motion, Trajectory, wrap_rad};
 use crate::samples::Samples;
@@ -196,8 +196,8 @@ impl Link {
     }
 
     fn keep(&mut self, pair: &Pair<Heard>, options: &Options) {
-        let product = round_trip(&pair.transmitter.csi(), &pair.receiver.csi());
-        let Some(coherent) = at_centre(&product, &options.channel.subcarriers()) else {
+        let (forward, backward) = (pair.transmitter.csi(), pair.receiver.csi());
+        let Some(coherent) = round_trip_at_centre(&forward, &backward, &options.channel.subcarriers()) else {
             self.silent += 1;
             return;
         };
@@ -206,7 +206,7 @@ impl Link {
         self.rows.push(Row {
             one_way_rad: one_way.map_or(0.0, |one_way| one_way.h.arg()),
             z: coherent.h,
-            product,
+            product: round_trip(&forward, &backward),
             clock_rx_us: pair.clock_rx_us,
             difference_us: pair.clock_difference_us,
             host_us: pair.receiver.host_us,

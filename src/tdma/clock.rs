@@ -75,25 +75,34 @@ impl SlotClock {
         self.slot_at(plan, at - Span::from_us(1)) + 1
     }
 
-    /// A frame that began at the start of `slot` on its sender's clock began at `began` on this one.
-    /// False if it contradicts the epoch and was not followed.
-    pub(super) fn follow(&mut self, plan: &Plan, slot: i64, began: Instant) -> bool {
-        if !self.follows {
+    /// True if a frame of `slot` may begin at `began`: it fits, no epoch is known, or so many frames in a row did not
+    /// fit that it is the epoch that is wrong. To be asked once per frame.
+    pub(super) fn admits(&mut self, plan: &Plan, slot: i64, began: Instant) -> bool {
+        if !self.locked {
             return true;
         }
-        let error_us = (began - self.start(plan, slot)).as_us();
-        if !self.locked || self.off_epoch >= OFF_EPOCH_FRAMES {
+        let fits = self.error_us(plan, slot, began).saturating_abs() <= self.tolerance_us;
+        self.off_epoch = if fits { 0 } else { self.off_epoch.saturating_add(1) };
+        fits || self.off_epoch > OFF_EPOCH_FRAMES
+    }
+
+    /// Follows an admitted frame that began at the start of `slot` on its sender's clock and at `began` on this one.
+    pub(super) fn follow(&mut self, plan: &Plan, slot: i64, began: Instant) {
+        if !self.follows {
+            return;
+        }
+        let error_us = self.error_us(plan, slot, began);
+        if !self.locked || error_us.saturating_abs() > self.tolerance_us {
             self.epoch_16 = self.epoch_16.saturating_add(error_us.saturating_mul(FRACTION));
             (self.locked, self.off_epoch) = (true, 0);
-            return true;
+            return;
         }
-        if error_us.saturating_abs() > self.tolerance_us {
-            self.off_epoch += 1;
-            return false;
-        }
-        self.off_epoch = 0;
         self.epoch_16 += error_us * if error_us < 0 { EARLY } else { LATE };
-        true
+    }
+
+    /// How much later than the start of `slot` `at` is.
+    fn error_us(&self, plan: &Plan, slot: i64, at: Instant) -> i64 {
+        (at - self.start(plan, slot)).as_us()
     }
 }
 
@@ -130,15 +139,28 @@ mod tests {
     fn a_stray_frame_does_not_move_the_epoch_and_many_do() {
         let plan = plan();
         let mut clock = SlotClock::new(Epoch::Heard(Instant::ZERO), &plan);
-        assert!(clock.follow(&plan, 0, Instant::from_us(500)));
+        assert!(clock.admits(&plan, 0, Instant::from_us(500)));
+        clock.follow(&plan, 0, Instant::from_us(500));
         for slot in 1..=8 {
-            assert!(!clock.follow(&plan, slot, clock.start(&plan, slot) + Span::from_ms(2)));
-            assert_eq!(clock.epoch(), Instant::from_us(500));
+            assert!(!clock.admits(&plan, slot, clock.start(&plan, slot) + Span::from_ms(2)));
         }
-        assert!(clock.follow(&plan, 9, clock.start(&plan, 9) + Span::from_ms(2)));
+        assert!(clock.admits(&plan, 9, clock.start(&plan, 9)), "one that fits starts the count anew");
+        for slot in 10..=17 {
+            assert!(!clock.admits(&plan, slot, clock.start(&plan, slot) + Span::from_ms(2)));
+        }
+        let late = clock.start(&plan, 18) + Span::from_ms(2);
+        assert!(clock.admits(&plan, 18, late));
+        clock.follow(&plan, 18, late);
         assert_eq!(clock.epoch(), Instant::from_us(2_500));
+    }
+
+    #[test]
+    fn a_common_epoch_stays() {
+        let plan = plan();
         let mut common = SlotClock::new(Epoch::Common(Instant::from_us(5)), &plan);
-        assert!(common.follow(&plan, 0, Instant::from_us(900)));
+        assert!(common.admits(&plan, 0, Instant::from_us(105)));
+        assert!(!common.admits(&plan, 0, Instant::from_us(900)));
+        common.follow(&plan, 0, Instant::from_us(105));
         assert_eq!(common.epoch(), Instant::from_us(5));
     }
 }

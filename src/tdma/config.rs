@@ -32,6 +32,9 @@ pub struct Config {
     pub initiate: bool,
     /// This robot answers forward frames. False if the WSR kernel driver does it.
     pub respond: bool,
+    /// Answers are measured by the card but need not reach this scheduler, as with WSR's sender: links are sounded in
+    /// every round whatever is heard, and no slot is left out to listen.
+    pub open_loop: bool,
     /// Number of this start: larger after every restart (wrapping), such as seconds since 1970. In the native dialect
     /// frame numbers are counted within it; with a key, robots ignore frames of an older session.
     pub session: u32,
@@ -45,7 +48,8 @@ pub struct Config {
     /// one such silence, one that was lost is claimed after two. At 60 % loss a robot that sounds in every slot is not
     /// heard for 64 slots once in 10^14.
     pub silence_slots: u32,
-    /// How long an answer is waited for, microseconds, at least a slot; reception may be delayed by the host.
+    /// How long an answer is waited for, microseconds, at least a slot; reception may be delayed by the host. The
+    /// shorter, the less time has a stranger to send a copy of an answer that was lost, which no tag can prevent.
     pub patience_us: u32,
 }
 
@@ -63,6 +67,7 @@ impl Config {
             request,
             initiate: false,
             respond: true,
+            open_loop: false,
             session,
             key: None,
             epoch: Epoch::Heard(Instant::ZERO),

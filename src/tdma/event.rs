@@ -43,7 +43,7 @@ pub enum Event {
         /// Its new session.
         session: u32,
     },
-    /// This robot initiates from now on.
+    /// This robot initiates from now on. A turn that is renewed, as nobody else wants it, does not begin again.
     TurnBegan {
         /// Number of the turn.
         turn: u32,
@@ -71,8 +71,6 @@ pub enum Event {
 pub enum Cause {
     /// The last initiator passed it on.
     Passed,
-    /// This robot had it and nobody else wanted it.
-    Renewed,
     /// This robot passed it on, but nobody took it up.
     TakenBack,
     /// Nobody was heard for long.

@@ -16,6 +16,17 @@ fn is_after(a: u32, b: u32) -> bool {
     a.wrapping_sub(b).cast_signed() > 0
 }
 
+/// How the time at which a forward frame was heard fits to its slot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fit {
+    /// As near as clocks and drivers allow.
+    InSlot,
+    /// At another time.
+    OffSlot,
+    /// Its slots are not this robot's.
+    Unknown,
+}
+
 impl Tdma {
     /// Takes one frame in.
     pub(super) fn hear(&mut self, ended: Instant, mpdu: &[u8]) {
@@ -47,15 +58,19 @@ impl Tdma {
             self.counts.unauthenticated += 1;
             return;
         }
+        if repr.role == Role::Forward && repr.session != repr.sender_session {
+            self.counts.foreign += 1;
+            return;
+        }
         if !self.is_fresh(repr, peer) {
             self.counts.replayed += 1;
             return;
         }
         self.note_heard(repr, peer);
         let began = ended - self.airtime(frame);
-        let in_epoch = self.follow(repr, peer, began);
+        let fit = self.follow(repr, peer, began);
         match repr.role {
-            Role::Forward if repr.destination == self.own => self.answer_native(repr, peer, ended, in_epoch),
+            Role::Forward if repr.destination == self.own => self.answer_native(repr, peer, ended, fit),
             Role::Backward if repr.destination == self.own => self.match_answer(repr, peer),
             _ => {}
         }
@@ -111,31 +126,42 @@ impl Tdma {
         }
     }
 
-    /// Follows the initiator of a frame in turn and epoch. True if the frame fits into the epoch.
-    fn follow(&mut self, repr: &native::Repr, peer: usize, began: Instant) -> bool {
-        if (repr.round_us, repr.slots) != (self.plan.round_us(), self.plan.slots()) || repr.slot > MAX_SLOT {
+    /// Follows the initiator of a frame in turn and epoch. A frame at a time that is not its slot's says nothing.
+    fn follow(&mut self, repr: &native::Repr, peer: usize, began: Instant) -> Fit {
+        let is_same_plan = (repr.round_us, repr.slots) == (self.plan.round_us(), self.plan.slots());
+        if !is_same_plan || repr.slot > MAX_SLOT || u32::from(repr.left) >= self.plan.turn_slots() {
             self.counts.other_plan += 1;
-            return false;
+            return Fit::Unknown;
         }
-        let holder = match repr.role {
-            Role::Forward => Some(peer),
-            Role::Backward => self.roster.find(repr.destination),
+        let slot = repr.slot.cast_signed();
+        let (holder, admitted) = match repr.role {
+            Role::Forward => (Some(peer), self.clock.admits(&self.plan, slot, began)),
+            Role::Backward => (self.roster.find(repr.destination), self.is_current(slot, began)),
         };
         // An answer to this robot itself says nothing new about the turn.
-        let Some(holder) = holder.and_then(|at| self.roster.peer(at)).map(|peer| peer.rank) else { return false };
+        let Some(holder) = holder.and_then(|at| self.roster.peer(at)).map(|peer| peer.rank) else {
+            return Fit::Unknown;
+        };
+        if !admitted {
+            self.counts.off_epoch += 1;
+            return Fit::OffSlot;
+        }
         let next = if repr.next == self.own {
             Some(self.roster.own_rank)
         } else {
             self.roster.find(repr.next).and_then(|at| self.roster.peer(at)).map(|peer| peer.rank)
         };
-        let slot = repr.slot.cast_signed();
         let claim = Claim { holder, turn: repr.turn, next, end: slot + 1 + i64::from(repr.left) };
         if !self.hear_claim(claim) || repr.role == Role::Backward {
-            return false;
+            return Fit::Unknown;
         }
-        let in_epoch = self.clock.follow(&self.plan, slot, began);
-        self.counts.off_epoch += u64::from(!in_epoch);
-        in_epoch
+        self.clock.follow(&self.plan, slot, began);
+        Fit::InSlot
+    }
+
+    /// True if `at` lies in `slot` or next to it.
+    fn is_current(&self, slot: i64, at: Instant) -> bool {
+        self.clock.is_locked() && (self.clock.slot_at(&self.plan, at) - slot).abs() <= 1
     }
 
     /// Weighs what a frame says about the turn. True if it is the turn that this robot goes by from now on.
@@ -161,8 +187,9 @@ impl Tdma {
     }
 
     /// Prepares the answer to a forward frame for this robot.
-    fn answer_native(&mut self, repr: &native::Repr, peer: usize, ended: Instant, in_epoch: bool) {
-        if !self.respond || self.turn.is_some() {
+    fn answer_native(&mut self, repr: &native::Repr, peer: usize, ended: Instant, fit: Fit) {
+        // A frame at the wrong time may be another's copy of one that was lost here; its answer would be in the way.
+        if !self.respond || self.turn.is_some() || fit == Fit::OffSlot {
             return;
         }
         let has_room = matches!(self.plan.dialect(), Dialect::Native { measurement: true, .. });
@@ -181,7 +208,7 @@ impl Tdma {
         if let (Some(key), Some(mpdu)) = (&self.key, self.reply_buffer.get_mut(..len)) {
             native::set_tag(mpdu, key.tag(mpdu));
         }
-        let slot_start = in_epoch.then(|| self.clock.start(&self.plan, repr.slot.cast_signed()));
+        let slot_start = (fit == Fit::InSlot).then(|| self.clock.start(&self.plan, repr.slot.cast_signed()));
         self.queue_reply(repr.sender, repr.number, len, self.latest_reply(ended, slot_start));
         self.tell(Event::Asked { peer: repr.sender, number: repr.number, session: repr.session });
     }
@@ -219,6 +246,7 @@ impl Tdma {
 
     fn note_answered(&mut self, peer: usize) {
         self.counts.answered += 1;
+        self.answered_at = self.now;
         if let Some(link) = self.roster.link_of_peer_mut(peer) {
             link.counts.answered += 1;
         }

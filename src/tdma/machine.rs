@@ -23,7 +23,8 @@ const EVENT_CAPACITY: usize = 256;
 /// 1. [`Tdma::handle_heard`] with every frame received, as soon as it is received;
 /// 2. then [`Tdma::poll_transmit`] until it gives `None`, sending each frame **at once**;
 /// 3. then [`Tdma::poll_event`] until it gives `None`;
-/// 4. then wait for the next frame or for [`Tdma::poll_timeout`], whichever is first, and go on with 1 or 2.
+/// 4. then wait for the next frame or for [`Tdma::poll_timeout`], whichever is first, and go on with 1 or 2;
+///    after any other call that changes something, go on with 2.
 ///
 /// Time: every `now` is of one monotonic clock of this robot, and no earlier than any `now` before; an earlier one is
 /// taken as the last and counted. Nothing is decided between calls. After `poll_transmit(now)` has given `None`,
@@ -41,18 +42,20 @@ const EVENT_CAPACITY: usize = 256;
 /// | a robot restarts | another session in its frames: [`Event::Restarted`]; its numbers begin again |
 /// | the turn is passed to a robot that does not take it | after `silence_slots` the last initiator takes it back, skipping a turn number, and leaves that robot out until it is heard again |
 /// | the initiator vanishes | after twice `silence_slots`, in slots that belong to one robot each (`n = silence_slots * (rank + k * robots)`), the first robot that wants the turn claims it |
-/// | two robots initiate at once | the later turn wins, of equal turns the lower MAC; the other yields ([`Event::Yielded`]) and listens |
+/// | two robots initiate at once | the later turn wins, of equal turns the lower MAC; the other yields ([`Event::Yielded`]) and listens. Rivals in step hear nothing, so an initiator that is not answered for 64 slots leaves one in eight out, by its own pattern |
 /// | the driver sleeps through `silence_slots` of its own turn | the turn is lost, and claimed anew only after a silence |
 /// | frames are forged | without a key: a frame for this robot is answered, but [`Event::Answered`] needs number, session, sender and destination of a frame that waits; contradictions on turn or epoch need several frames in a row to convince. With a key: frames without a valid tag, old sessions and repeated numbers are ignored |
 ///
-/// Synchronised robots (a common epoch, or a followed one) never transmit at the same time: a slot has one initiator,
-/// a turn's end and successor are fixed at its beginning and repeated in all its frames.
+/// Synchronised robots (a common epoch, or a followed one) do not transmit at the same time: a slot has one initiator,
+/// a turn's end and successor are fixed at its beginning and repeated in all its frames, and a turn is claimed only
+/// after a silence so long that loss alone does not make it (see [`Config::silence_slots`]).
 #[derive(Clone, Debug)]
 pub struct Tdma {
     pub(super) own: [u8; 6],
     pub(super) own_index: u16,
     pub(super) initiate: bool,
     pub(super) respond: bool,
+    pub(super) open_loop: bool,
     pub(super) session: u32,
     pub(super) key: Option<Key>,
     pub(super) silence_slots: u32,
@@ -68,6 +71,8 @@ pub struct Tdma {
     pub(super) passed: Option<(i64, usize)>,
     /// When an initiator was last heard.
     pub(super) quiet_since: Instant,
+    /// When a forward frame was last answered, or the turn was come by.
+    pub(super) answered_at: Instant,
     pub(super) now: Instant,
     /// The number of the last forward frame; 0 is left out, WSR drivers lose the sender's MAC with it.
     pub(super) number: u32,
@@ -129,6 +134,7 @@ impl Tdma {
             own_index: config.own.index,
             initiate: config.initiate,
             respond: config.respond,
+            open_loop: config.open_loop,
             session: config.session,
             key: config.key,
             silence_slots: config.silence_slots.max(2),
@@ -141,6 +147,7 @@ impl Tdma {
             turn: None,
             passed: None,
             quiet_since: config.start,
+            answered_at: config.start,
             now: config.start,
             number: 0,
             reply: None,
@@ -210,7 +217,7 @@ impl Tdma {
         peer.map(|peer| peer.measurement = Some(measurement)).is_some()
     }
 
-    /// This robot leaves: it sends nothing from now on. The others go on after a silence.
+    /// This robot leaves for good: it sends nothing from now on. The others go on, after a silence at the latest.
     pub fn leave(&mut self) {
         (self.initiate, self.respond) = (false, false);
         (self.turn, self.reply, self.passed) = (None, None, None);
@@ -226,6 +233,14 @@ impl Tdma {
     #[must_use]
     pub fn has_turn(&self) -> bool {
         self.turn.is_some()
+    }
+
+    /// The robot that has the turn, or had it last, as far as is known here.
+    #[must_use]
+    pub fn initiator(&self) -> Option<[u8; 6]> {
+        let rank = self.view.current()?.holder;
+        let peer = self.roster.peer_of_rank(rank).and_then(|at| self.roster.peer(at));
+        Some(peer.map_or(self.own, |peer| peer.mac))
     }
 
     /// True if slots are where an initiator's are: the epoch is common, was heard, or this robot set it.

@@ -53,5 +53,7 @@ pub use clock::Epoch;
 pub use config::{Config, Robot};
 pub use event::{Cause, Counts, Event, LinkCounts};
 pub use machine::{Tdma, Transmit};
-pub use plan::{Dialect, GUARD_US, MAX_ROBOTS, MIN_TURN_SLOTS, Phy, Plan, PlanError, Request, TURN_AROUND_US};
+pub use plan::{
+    Dialect, GUARD_US, MAX_ROBOTS, MAX_TURN_SLOTS, Phy, Plan, PlanError, Request, TURN_AROUND_US, TURN_SLOTS,
+};
 pub use roster::Priority;

@@ -11,8 +11,11 @@ pub const TURN_AROUND_US: u32 = 322;
 pub const GUARD_US: u32 = 50;
 /// Most robots in one exchange, this one included.
 pub const MAX_ROBOTS: usize = 256;
-/// Shortest turn, slots: every frame of a turn names the next initiator, so at 60 % loss one in 10^7 misses it.
-pub const MIN_TURN_SLOTS: u32 = 32;
+/// Default length of a turn, slots: every frame of it names the next initiator, which at 60 % loss misses all of them
+/// once in 10^7 turns.
+pub const TURN_SLOTS: u16 = 32;
+/// Longest turn, slots (before it is rounded up to whole rounds).
+pub const MAX_TURN_SLOTS: u16 = 60_000;
 
 /// HT modulation of every frame: one of MCS 0 to 31, long guard interval, BCC.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -113,6 +116,10 @@ pub struct Request {
     pub turn_around_us: u32,
     /// How late a forward frame may start, microseconds; as much again is kept free between slots.
     pub guard_us: u32,
+    /// Slots that an initiator has before the next robot that wants the turn gets it; rounded up to whole rounds.
+    /// Short turns interleave the robots' samples more finely; but a turn of which the next robot hears nothing is
+    /// followed by a silence.
+    pub turn_slots: u16,
 }
 
 impl Request {
@@ -126,6 +133,7 @@ impl Request {
             dialect: Dialect::Native { measurement: true, authenticated: false },
             turn_around_us: TURN_AROUND_US,
             guard_us: GUARD_US,
+            turn_slots: TURN_SLOTS,
         }
     }
 }
@@ -153,6 +161,9 @@ pub enum PlanError {
     /// No link, or more than robots are allowed.
     #[error("{0} links in a round; 1 to {max} are possible", max = MAX_ROBOTS - 1)]
     Links(usize),
+    /// A turn without slots, or one too long to be announced.
+    #[error("turns of {0} slots; 1 to {max} are possible", max = MAX_TURN_SLOTS)]
+    TurnSlots(u16),
     /// An MCS index that is not planned for.
     #[error("MCS {0}; 0 to {max} are possible", max = Phy::MAX_MCS)]
     Mcs(u8),
@@ -191,6 +202,7 @@ pub struct Plan {
     backward_us: u32,
     turn_around_us: u32,
     guard_us: u32,
+    turn_slots: u16,
     phy: Phy,
     dialect: Dialect,
 }
@@ -202,9 +214,12 @@ impl Plan {
     /// [`PlanError::Rate`] with the highest feasible rate if the rounds do not fit; others for a request that makes
     /// no sense.
     pub fn new(request: &Request) -> Result<Self, PlanError> {
-        let Request { links, rate_hz, phy, dialect, turn_around_us, guard_us } = *request;
+        let Request { links, rate_hz, phy, dialect, turn_around_us, guard_us, turn_slots } = *request;
         if links == 0 || usize::from(links) >= MAX_ROBOTS {
             return Err(PlanError::Links(usize::from(links)));
+        }
+        if turn_slots == 0 || turn_slots > MAX_TURN_SLOTS {
+            return Err(PlanError::TurnSlots(turn_slots));
         }
         if phy.mcs > Phy::MAX_MCS {
             return Err(PlanError::Mcs(phy.mcs));
@@ -220,7 +235,17 @@ impl Plan {
         let (forward_len, backward_len) = dialect.longest(usize::from(links));
         let (forward_us, backward_us) = (phy.airtime_us(forward_len), phy.airtime_us(backward_len));
         let round_us = (1e6 / rate_hz).round() as u32;
-        let plan = Self { round_us, slots: links, forward_us, backward_us, turn_around_us, guard_us, phy, dialect };
+        let plan = Self {
+            round_us,
+            slots: links,
+            forward_us,
+            backward_us,
+            turn_around_us,
+            guard_us,
+            turn_slots,
+            phy,
+            dialect,
+        };
         let slot_us = plan.shortest_slot_us();
         if u64::from(round_us) < u64::from(slot_us) * u64::from(links) {
             let highest_hz = 1e6 / (f64::from(slot_us) * f64::from(links));
@@ -267,10 +292,10 @@ impl Plan {
         Span::from_us(i64::from(self.round_us) * i64::from(slots) / i64::from(self.slots))
     }
 
-    /// Slots of one turn: whole rounds, at least [`MIN_TURN_SLOTS`].
+    /// Slots of one turn: whole rounds, at least as many as requested.
     #[must_use]
     pub fn turn_slots(&self) -> u32 {
-        MIN_TURN_SLOTS.next_multiple_of(u32::from(self.slots))
+        u32::from(self.turn_slots).next_multiple_of(u32::from(self.slots))
     }
 
     /// Time in which each of `initiators` robots has the turn once, microseconds, if no turn is lost.
@@ -383,6 +408,7 @@ mod tests {
         let wsr = |first_len| Plan::new(&Request { dialect: Dialect::Wsr { first_len }, ..request });
         assert_eq!(wsr(58), Err(PlanError::FirstLen(58)));
         assert_eq!(wsr(31), Err(PlanError::FirstLen(31)));
+        assert_eq!(Plan::new(&Request { turn_slots: 0, ..request }), Err(PlanError::TurnSlots(0)));
         let phy = Phy { mcs: 32, ..Phy::default() };
         assert_eq!(Plan::new(&Request { phy, ..request }), Err(PlanError::Mcs(32)));
     }

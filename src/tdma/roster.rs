@@ -138,12 +138,13 @@ impl Roster {
     /// The peer to sound in place `k` of a round, if that link is due in this round. To be asked once a round.
     ///
     /// `must_be_heard`: somebody is to be sounded in any case, in a place without a link the next best.
-    pub(super) fn due(&mut self, k: usize, must_be_heard: bool) -> Option<usize> {
+    /// `open_loop`: absent robots are sounded like others.
+    pub(super) fn due(&mut self, k: usize, must_be_heard: bool, open_loop: bool) -> Option<usize> {
         if must_be_heard && k >= self.links.len() {
             return self.links.get(k % self.links.len().max(1)).map(|link| link.peer);
         }
         let link = self.links.get_mut(k)?;
-        let absent = self.peers.get(link.peer)?.unanswered_in_a_row >= ABSENT_AFTER;
+        let absent = !open_loop && self.peers.get(link.peer)?.unanswered_in_a_row >= ABSENT_AFTER;
         let priority = if absent { link.priority.min(Priority::every(ABSENT_ROUNDS)) } else { link.priority };
         link.credit += u16::from(priority.0);
         let due = link.credit >= u16::from(u8::MAX);
@@ -272,13 +273,13 @@ mod tests {
         let mut sounded = [0; 4];
         for _ in 0..10_200 {
             for (k, count) in sounded.iter_mut().enumerate() {
-                *count += u32::from(roster.due(k, false).is_some());
+                *count += u32::from(roster.due(k, false, false).is_some());
             }
         }
         assert_eq!(sounded, [10_200, 2_560, 0, 5_120]);
-        assert_eq!(roster.due(4, false), None, "no link, no frame");
-        assert_eq!(roster.due(4, true), roster.due(0, true), "unless the initiator must be heard");
-        assert!(roster.due(2, true).is_some(), "an initiator must be heard");
+        assert_eq!(roster.due(4, false, false), None, "no link, no frame");
+        assert_eq!(roster.due(4, true, false), roster.due(0, true, false), "unless the initiator must be heard");
+        assert!(roster.due(2, true, false).is_some(), "an initiator must be heard");
     }
 
     #[test]

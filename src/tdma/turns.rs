@@ -10,6 +10,8 @@ use driver_iface::sounding::{native, wsr};
 
 /// An initiator sounds in at least one of so many slots, so that it is heard to be there.
 const KEEP_ALIVE_SLOTS: u32 = 4;
+/// An initiator that was not answered for so many slots listens in some.
+const DEAF_SLOTS: u32 = 64;
 /// A robot that was not heard for so many rounds is not given the turn.
 const ALIVE_ROUNDS: i64 = 64;
 
@@ -25,6 +27,13 @@ pub(super) struct Turn {
     next: Option<usize>,
     /// Slots since the last frame.
     idle_slots: u32,
+}
+
+/// A number with every bit depending on every bit of `x` (the finaliser of SplitMix64).
+fn mixed(x: u64) -> u64 {
+    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
 }
 
 impl Tdma {
@@ -60,7 +69,7 @@ impl Tdma {
     fn use_slot(&mut self, turn: Turn, start: Instant) -> Option<Ready> {
         let place = turn.slot.rem_euclid(i64::from(self.plan.slots())) as usize;
         let must_be_heard = turn.idle_slots + 1 >= KEEP_ALIVE_SLOTS;
-        let due = self.roster.due(place, must_be_heard);
+        let due = self.roster.due(place, must_be_heard, self.open_loop).filter(|_| !self.listens_in(turn.slot));
         let latest = start + self.plan.guard();
         let in_time = self.now <= latest;
         let sent = due.is_some() && in_time;
@@ -77,6 +86,13 @@ impl Tdma {
         let mac = self.roster.peer(peer)?.mac;
         let number = self.number;
         Some(Ready { role: native::Role::Forward, len, at: start, latest, peer: mac, number })
+    }
+
+    /// An initiator that nobody answers may be in step with another one that nobody answers either, their frames
+    /// destroying each other in every slot: it leaves one slot in eight out, by a pattern that is only its own.
+    fn listens_in(&self, slot: i64) -> bool {
+        let deaf = !self.open_loop && self.now - self.answered_at > self.plan.span_of(DEAF_SLOTS);
+        deaf && mixed(slot.cast_unsigned() ^ u64::from(self.roster.own_rank) << 48).is_multiple_of(8)
     }
 
     /// Writes the forward frame to `peer` for the slot `turn.slot`.
@@ -143,6 +159,7 @@ impl Tdma {
         }
         let number = self.view.turn().wrapping_add(step);
         self.clock.lock();
+        self.answered_at = self.now;
         self.begin_turn(number, slot);
         if let Some(turn) = &self.turn {
             self.tell(Event::TurnBegan { turn: turn.number, cause });
@@ -172,10 +189,12 @@ impl Tdma {
         Some((self.own_claim_slot(quiet.max(soonest), silence), Cause::Claimed))
     }
 
-    /// The first slot from `from` on in which this robot may claim a lost turn: every robot has its own.
+    /// The first slot from `from` on in which this robot may claim a lost turn: in the first half of its own window,
+    /// so that the owner of the next one hears of it.
     fn own_claim_slot(&self, from: i64, silence: i64) -> i64 {
         let period = silence * self.roster.robots() as i64;
-        from + (i64::from(self.roster.own_rank) * silence - from).rem_euclid(period)
+        let into_window = (from - i64::from(self.roster.own_rank) * silence).rem_euclid(period);
+        if into_window < silence / 2 { from } else { from + period - into_window }
     }
 
     fn begin_turn(&mut self, number: u32, slot: i64) {
@@ -188,7 +207,7 @@ impl Tdma {
         self.passed = None;
         self.counts.turns += 1;
         let next = next.and_then(|next| self.roster.peer(next)).map_or(self.roster.own_rank, |next| next.rank);
-        self.view.take(Claim { holder: self.roster.own_rank, turn: number, next: Some(next), end });
+        self.view.begin(Claim { holder: self.roster.own_rank, turn: number, next: Some(next), end });
     }
 
     /// The announced end has come: pass the turn on, renew it, or fall silent.

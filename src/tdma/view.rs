@@ -46,8 +46,12 @@ impl View {
         self.current.map_or(0, |claim| claim.turn)
     }
 
-    /// This robot takes the turn itself.
-    pub(super) fn take(&mut self, claim: Claim) {
+    /// This robot takes the turn itself, or renews it; a rival heard before is still one.
+    pub(super) fn begin(&mut self, claim: Claim) {
+        self.current = Some(claim);
+    }
+
+    fn take(&mut self, claim: Claim) {
         self.current = Some(claim);
         self.rival = None;
     }

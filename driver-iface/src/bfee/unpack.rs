@@ -58,9 +58,7 @@ fn unpack_f32_n<const N: usize, const BYTES: usize>(payload: &[u8], out: &mut [f
         unpack_run::<N, 8>(payload.get(from..from + GAP + 16 * N + 8)?, bytes.get_mut(to..to + 16 * N + 8)?);
     }
     unpack_run::<N, 6>(payload.get(3 * (GAP + 16 * N)..)?, bytes.get_mut(48 * N..)?);
-    for (value, &byte) in out.iter_mut().zip(&bytes) {
-        *value = f32::from(byte.cast_signed());
-    }
+    widen(&bytes, out);
     Some(SUBCARRIERS * N)
 }
 
@@ -88,49 +86,55 @@ fn sample_at(payload: &[u8], bit: usize, index: usize) -> [u8; 2] {
     ((word >> (bit % 8)) as u16).to_le_bytes()
 }
 
-/// Samples gathered before they are widened.
-const GATHER: usize = 32;
-
-/// One sample of each subcarrier asked for, of `N` chain pairs, widened: first gathered, so that widening vectorises.
+/// One sample of each subcarrier asked for, of `N` chain pairs, widened.
 #[inline(always)]
-fn column_f32_n<const N: usize>(payload: &[u8], index: usize, subcarriers: &[u8], out: &mut [[f32; 2]]) {
-    let Some(payload) = payload.get(..60 * N + 12) else { return };
-    for (out, subcarriers) in out.chunks_mut(GATHER).zip(subcarriers.chunks(GATHER)) {
-        let mut samples = [[0; 2]; GATHER];
-        if subcarriers == ALL_SUBCARRIERS {
-            gather_all::<N>(payload, index, &mut samples);
-        } else {
-            for (sample, &subcarrier) in samples.iter_mut().zip(subcarriers) {
-                *sample = sample_at(payload, bit_of(usize::from(subcarrier), 0, N), index);
-            }
-        }
-        widen(samples.as_flattened(), out.as_flattened_mut());
+fn column_f32_n<const N: usize>(payload: &[u8], index: usize, subcarriers: &[u8], out: &mut [[f32; 2]]) -> Option<()> {
+    let payload = payload.get(..60 * N + 12)?;
+    if subcarriers == ALL_SUBCARRIERS {
+        return column_f32_all::<N>(payload, index, out);
+    }
+    let sample = |subcarrier: u8| sample_at(payload, bit_of(usize::from(subcarrier), 0, N), index);
+    let (fours, rest) = subcarriers.as_chunks::<4>();
+    let (out_fours, out_rest) = out.split_at_mut(4 * fours.len());
+    for (out, four) in out_fours.as_chunks_mut::<4>().0.iter_mut().zip(fours) {
+        // Put together in a register: through memory the wide load would wait for the narrow stores.
+        let word = four.iter().rev().fold(0, |word, &s| word << 16 | u64::from(u16::from_le_bytes(sample(s))));
+        widen(&word.to_le_bytes(), out.as_flattened_mut());
+    }
+    for (out, &subcarrier) in out_rest.iter_mut().zip(rest) {
+        widen(&sample(subcarrier), out);
+    }
+    Some(())
+}
+
+/// One sample of every subcarrier: first gathered, so that widening vectorises.
+#[inline(always)]
+fn column_f32_all<const N: usize>(payload: &[u8], index: usize, out: &mut [[f32; 2]]) -> Option<()> {
+    let mut samples = [[0; 2]; SUBCARRIERS];
+    let (octaves, rest) = samples.as_chunks_mut::<8>();
+    for (octave, samples) in octaves.iter_mut().enumerate() {
+        let from = octave * (GAP + 16 * N) + 2 * index;
+        gather_run::<N>(payload.get(from..from + 14 * N + 6)?, samples);
+    }
+    let from = 3 * (GAP + 16 * N) + 2 * index;
+    gather_run::<N>(payload.get(from..from + 10 * N + 5)?, rest);
+    widen(samples.as_flattened(), out.as_flattened_mut());
+    Some(())
+}
+
+/// One sample of each subcarrier of a run whose first begins on a byte of `payload`, as every eighth one does: all
+/// offsets are constants.
+#[inline(always)]
+fn gather_run<const N: usize>(payload: &[u8], samples: &mut [[u8; 2]]) {
+    for (subcarrier, sample) in samples.iter_mut().enumerate() {
+        *sample = sample_at(payload, bit_of(subcarrier, 0, N), 0);
     }
 }
 
-/// One sample of every subcarrier. Eight subcarriers are a whole number of bytes, so the offsets in each run of eight
-/// are constants.
-#[inline(always)]
-fn gather_all<const N: usize>(payload: &[u8], index: usize, samples: &mut [[u8; 2]; GATHER]) {
-    for (octave, samples) in samples.as_chunks_mut::<8>().0.iter_mut().enumerate() {
-        let payload = payload.get(octave * (GAP + 16 * N) + 2 * index..).unwrap_or_default();
-        for (subcarrier, sample) in samples.iter_mut().enumerate() {
-            *sample = sample_at(payload, bit_of(subcarrier, 0, N), 0);
-        }
-    }
-}
-
-/// Bytes to floats, sixteen at a time.
+/// Bytes to floats, as many as there are of both.
 #[inline(always)]
 fn widen(bytes: &[u8], out: &mut [f32]) {
-    let (bytes, bytes_rest) = bytes.split_at(bytes.len().min(out.len() / 16 * 16));
-    let (out, out_rest) = out.as_chunks_mut::<16>();
-    for (out, bytes) in out.iter_mut().zip(bytes.as_chunks::<16>().0) {
-        for (value, &byte) in out.iter_mut().zip(bytes) {
-            *value = f32::from(byte.cast_signed());
-        }
-    }
-    for (value, &byte) in out_rest.iter_mut().zip(bytes_rest) {
+    for (value, &byte) in out.iter_mut().zip(bytes) {
         *value = f32::from(byte.cast_signed());
     }
 }
@@ -228,7 +232,7 @@ impl Bfee<'_> {
             4 => column_f32_n::<4>(payload, index, subcarriers, out),
             6 => column_f32_n::<6>(payload, index, subcarriers, out),
             _ => column_f32_n::<9>(payload, index, subcarriers, out),
-        }
+        }?;
         Some(subcarriers.len())
     }
 

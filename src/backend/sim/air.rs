@@ -4,7 +4,7 @@
 //! free. Coefficients are not computed here but when a record is read, and only for robots that somebody reads.
 
 use super::faults::Injected;
-use super::random::{Purpose, Stream};
+use super::node::{Flight, Heard, Listening, Node, Outgoing, Reception};
 use super::station::{Role, Station};
 use super::surfaces::Path;
 use super::world::World;
@@ -26,94 +26,6 @@ const BACK_OFF_SLOTS: f64 = 16.0;
 const SIFS_NS: i64 = 16_000;
 /// A frame that repeats a number heard no longer ago than this is its answer.
 const ANSWER_WITHIN_NS: i64 = 5_000_000;
-
-/// A frame on air.
-#[derive(Debug)]
-pub struct Flight {
-    /// The sender.
-    pub from: usize,
-    /// True time of its rise.
-    pub start_ns: i64,
-    /// True time of its end.
-    pub end_ns: i64,
-    /// True time of the rise of its exchange's forward frame.
-    pub instant_ns: i64,
-    /// The frame, without FCS.
-    pub bytes: Box<[u8]>,
-}
-
-/// A frame that a card received and its driver handed on.
-#[derive(Clone, Debug)]
-pub struct Reception {
-    /// The frame.
-    pub flight: Arc<Flight>,
-    /// True time of its rise at the receiver.
-    pub t_ns: i64,
-    /// True time at which the record reaches the host.
-    pub arrival_ns: i64,
-    /// The driver's counter.
-    pub bfee_count: u16,
-    /// What the card's clock shows, not wrapped.
-    pub clock_us: u64,
-    /// What the frame was to this robot.
-    pub role: Role,
-}
-
-/// Which records of a robot somebody reads; nobody computes the others.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Listening {
-    /// None.
-    Nobody,
-    /// Those of exchanges in which this robot takes part.
-    Own,
-    /// All.
-    All,
-}
-
-/// One robot's card, driver and sender.
-#[derive(Debug)]
-pub struct Node {
-    /// Records under way to the host or waiting to be read.
-    pub arrivals: VecDeque<Reception>,
-    /// What was done to this robot.
-    pub injected: Injected,
-    /// Which of this robot's records somebody reads.
-    pub listening: Listening,
-    station: Option<Box<dyn Station>>,
-    /// The next time the station is asked.
-    armed_ns: Option<i64>,
-    /// The frame heard last, while it is not answered.
-    heard: Option<Heard>,
-    /// Frames that the card is to send, in order.
-    outgoing: VecDeque<Outgoing>,
-    /// When the first of them is tried.
-    tried_ns: Option<i64>,
-    on: bool,
-    /// The card's clock at the last switching on, taken off what it shows.
-    clock_base_us: u64,
-    bfee_count: u16,
-    last_arrival_ns: i64,
-    timing: Stream,
-    loss: Stream,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Heard {
-    start_ns: i64,
-    end_ns: i64,
-    instant_ns: i64,
-    /// How much the host's interrupt is away from the usual.
-    away_ns: i64,
-    number: Option<[u8; 4]>,
-}
-
-/// A frame in a card's queue.
-#[derive(Debug)]
-struct Outgoing {
-    not_before_ns: i64,
-    instant_ns: Option<i64>,
-    bytes: Box<[u8]>,
-}
 
 #[derive(Debug)]
 enum What {
@@ -480,27 +392,6 @@ impl Air {
         if node.armed_ns.is_none_or(|armed_ns| t_ns < armed_ns) {
             node.armed_ns = Some(t_ns);
             self.push(t_ns, What::Ask { robot });
-        }
-    }
-}
-
-impl Node {
-    fn new(seed: u64, robot: usize) -> Self {
-        Self {
-            arrivals: VecDeque::new(),
-            injected: Injected::default(),
-            listening: Listening::Nobody,
-            station: None,
-            armed_ns: None,
-            heard: None,
-            outgoing: VecDeque::new(),
-            tried_ns: None,
-            on: true,
-            clock_base_us: 0,
-            bfee_count: 0,
-            last_arrival_ns: 0,
-            timing: Stream::new(seed, robot, Purpose::Timing),
-            loss: Stream::new(seed, robot, Purpose::Loss),
         }
     }
 }

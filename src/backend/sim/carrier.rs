@@ -2,27 +2,13 @@
 
 use super::maths::phasor;
 use super::surfaces::Path;
+use crate::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SPEED_OF_LIGHT_M_PER_S, SUBCARRIER_SPACING_HZ, SUBCARRIERS};
 use num_complex::Complex64;
 
-/// Speed of light in vacuum, metres per second (exact by definition).
-pub const LIGHT_M_S: f64 = 299_792_458.0;
 /// Subcarriers in a record.
-pub const TONES: usize = 30;
-/// Spacing of 802.11 OFDM subcarriers, Hz.
-pub const SPACING_HZ: f64 = 312_500.0;
+pub const TONES: usize = SUBCARRIERS;
 /// Period of one sample at 20 MHz, seconds; at 40 MHz it is half of it.
 pub const SAMPLE_20_S: f64 = 50e-9;
-
-/// Subcarrier indices that the card reports at 20 MHz (802.11n-2009 7.3.1.28, grouping 2).
-pub const INDICES_20: [i32; TONES] = [
-    -28, -26, -24, -22, -20, -18, -16, -14, -12, -10, -8, -6, -4, -2, -1, 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23,
-    25, 27, 28,
-];
-/// Subcarrier indices that the card reports at 40 MHz (grouping 4).
-pub const INDICES_40: [i32; TONES] = [
-    -58, -54, -50, -46, -42, -38, -34, -30, -26, -22, -18, -14, -10, -6, -2, 2, 6, 10, 14, 18, 22, 26, 30, 34, 38, 42,
-    46, 50, 54, 58,
-];
 
 /// One row of tones.
 pub type Tones = [Complex64; TONES];
@@ -32,7 +18,7 @@ pub type Tones = [Complex64; TONES];
 pub struct Carrier {
     /// Centre frequency, Hz.
     pub centre_hz: f64,
-    indices: &'static [i32; TONES],
+    indices: &'static [i8; TONES],
 }
 
 /// What radios add to every path alike.
@@ -58,19 +44,19 @@ impl Carrier {
             34..=196 => 5_000 + 5 * channel,
             _ => return None,
         };
-        let indices = if wide { &INDICES_40 } else { &INDICES_20 };
+        let indices = if wide { &INDICES_40_MHZ } else { &INDICES_20_MHZ };
         Some(Self { centre_hz: f64::from(centre_mhz) * 1e6, indices })
     }
 
     /// Wavelength at the centre, metres.
     #[must_use]
     pub fn wavelength_m(&self) -> f64 {
-        LIGHT_M_S / self.centre_hz
+        SPEED_OF_LIGHT_M_PER_S / self.centre_hz
     }
 
     /// The subcarrier indices of the 30 tones.
-    #[must_use]
-    pub fn indices(&self) -> &'static [i32; TONES] {
+    #[cfg(test)]
+    pub fn indices(&self) -> &'static [i8; TONES] {
         self.indices
     }
 
@@ -79,8 +65,8 @@ impl Carrier {
     ///
     /// Three sines and cosines a path: tone follows tone by multiplication, which costs about 30 rounding errors.
     pub fn add(&self, path: &Path, common: Common, tones: &mut Tones) {
-        let flight_s = path.length_m / LIGHT_M_S;
-        let step_turns = -SPACING_HZ * (flight_s + common.delay_s);
+        let flight_s = path.length_m / SPEED_OF_LIGHT_M_PER_S;
+        let step_turns = -SUBCARRIER_SPACING_HZ * (flight_s + common.delay_s);
         let first = self.indices[0];
         let centre_turns = common.turns - flight_s * self.centre_hz;
         let mut tone = phasor(centre_turns + f64::from(first) * step_turns) * (path.gain / path.length_m);
@@ -122,8 +108,10 @@ mod tests {
             let path = Path { length_m: 3.968_3, gain: -0.5 };
             carrier.add(&path, common, &mut tones);
             for (tone, &k) in tones.iter().zip(carrier.indices()) {
-                let hz = carrier.centre_hz + f64::from(k) * SPACING_HZ;
-                let turns = common.turns - path.length_m * hz / LIGHT_M_S - f64::from(k) * SPACING_HZ * common.delay_s;
+                let hz = carrier.centre_hz + f64::from(k) * SUBCARRIER_SPACING_HZ;
+                let turns = common.turns
+                    - path.length_m * hz / SPEED_OF_LIGHT_M_PER_S
+                    - f64::from(k) * SUBCARRIER_SPACING_HZ * common.delay_s;
                 let want = phasor(turns) * (path.gain / path.length_m);
                 assert!((tone - want).norm() < 1e-11, "tone {k}");
             }
@@ -132,7 +120,7 @@ mod tests {
 
     #[test]
     fn indices_step_by_at_most_the_grouping() {
-        for (indices, grouping) in [(INDICES_20, 2), (INDICES_40, 4)] {
+        for (indices, grouping) in [(INDICES_20_MHZ, 2), (INDICES_40_MHZ, 4)] {
             assert!(indices.windows(2).all(|w| matches!(w[1] - w[0], 1 | 2 | 4) && w[1] - w[0] <= grouping));
         }
     }

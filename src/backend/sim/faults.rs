@@ -1,7 +1,6 @@
 //! What goes wrong on purpose, and the exact account of it.
 
 use serde::Deserialize;
-use std::ops::AddAssign;
 
 /// Losses and mishaps of one robot, each as its receiver sees it. All off by default.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
@@ -102,30 +101,6 @@ pub struct Injected {
     pub poses_dropped: u64,
     /// Poses that came late.
     pub poses_late: u64,
-}
-
-impl AddAssign for Injected {
-    fn add_assign(&mut self, other: Self) {
-        self.sent += other.sent;
-        self.received += other.received;
-        self.lost += other.lost;
-        self.collided += other.collided;
-        self.out_of_reach += other.out_of_reach;
-        self.missed_while_off += other.missed_while_off;
-        self.duplicated += other.duplicated;
-        self.overheard += other.overheard;
-        self.driver_dropped += other.driver_dropped;
-        self.overruns += other.overruns;
-        self.overrun_records += other.overrun_records;
-        self.restarts += other.restarts;
-        self.delivered += other.delivered;
-        self.saturated += other.saturated;
-        self.tail_records += other.tail_records;
-        self.tail_bytes += other.tail_bytes;
-        self.poses += other.poses;
-        self.poses_dropped += other.poses_dropped;
-        self.poses_late += other.poses_late;
-    }
 }
 
 #[cfg(test)]

@@ -1,25 +1,78 @@
-//! A room full of robots that speaks the card's bytes (in work).
+//! A room full of robots that speaks the card's bytes.
+//!
+//! It stands where the card, its driver and the logger stand: it moves robots, propagates waves, runs the TDMA
+//! exchange of live cards, and gives out the records that they would have given, in the same layouts, with the same
+//! 8 bits, losses, overruns and cut tails. Nothing behind [`crate::backend::CsiSource`] can tell the difference.
+//!
+//! ```
+//! use csi5300::backend::sim::{Room, Scene};
+//! use csi5300::backend::{CsiSource, Next};
+//! use csi5300::time::Instant;
+//!
+//! let mut scene = Scene::built_in("paper-circle").expect("it comes with the program");
+//! scene.duration_s = 0.5;
+//! let mut room = Room::new(&scene)?;
+//! let mut card = room.card(0).expect("nobody took it before");
+//! let (mut now, mut records) = (Instant::ZERO, 0);
+//! loop {
+//!     match card.receive(now)? {
+//!         Next::Record(_, record) => records += usize::from(record.code == 0xBB),
+//!         Next::Lost(loss) => println!("{loss:?}"),
+//!         Next::Pending => now = card.next_at().unwrap_or(now),
+//!         Next::End(_) => break,
+//!     }
+//! }
+//! assert_eq!(records, 50); // 100 rounds per second
+//! # Ok::<(), csi5300::backend::Error>(())
+//! ```
+//!
+//! The chain, from what a scene states to bytes:
+//!
+//! | module | what it turns into what |
+//! |---|---|
+//! | [`scene`] | TOML into a checked scene; refusals have the line and the reason |
+//! | [`motion`] | time into poses: shapes, walks, waypoints, recorded trajectories |
+//! | `surfaces` | two places into paths: image method to any order, exact lengths, blocked and weakened paths |
+//! | `carrier` | paths into 30 tones at the card's true subcarrier indices |
+//! | [`crystal`] | time into a card's clock and carrier phase, which share one crystal |
+//! | `world` | all of these for every robot |
+//! | [`radio`], `receiver` | tones into 8-bit coefficients: noise, gain control, RSSI, antenna order, saturation |
+//! | `station`, `sounder` | time into frames: the TDMA state machine |
+//! | `air`, `node` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
+//! | `port` | receptions into records, behind a socket queue that overruns as the kernel's does |
+//! | `odometer` | true motion into a sensor's poses |
+//! | `dataset` | a room into a capture folder |
+//!
+//! Two rules keep it fast and honest. What a scene does not ask for is not computed: an effect that is off draws no
+//! random number, reflections are searched only where surfaces stand, and coefficients are computed when a record is
+//! read, so not at all for robots and exchanges that nobody reads. And a seed gives the same bytes on any machine:
+//! random numbers are ChaCha8 streams, one for each purpose and robot, and all functions that end in a byte are plain
+//! arithmetic (see `maths`).
+//!
+//! One space-time stream is sent (MCS 0 to 7), as sounding does; up to three antennas receive.
+
 mod air;
 mod built_in;
-pub mod carrier;
+mod carrier;
 pub mod crystal;
 mod dataset;
-pub mod faults;
+mod faults;
 mod maths;
 pub mod motion;
+mod node;
 mod odometer;
 mod port;
 pub mod radio;
 mod random;
-pub mod receiver;
-pub mod recorded;
+mod receiver;
+mod recorded;
 mod room;
 pub mod scene;
 mod scene_check;
 mod sounder;
 mod station;
-pub mod surfaces;
-pub mod world;
+mod surfaces;
+mod world;
 
 pub use air::MakeStation;
 pub use built_in::BUILT_IN;
@@ -27,6 +80,7 @@ pub use dataset::{Capture, Log, write_dataset};
 pub use faults::{Faults, Injected};
 pub use odometer::{NextPose, Odometer};
 pub use port::Port;
+pub use recorded::Recorded;
 pub use room::Room;
 pub use scene::{Scene, SceneError};
 pub use station::{Role, Station};

@@ -199,7 +199,7 @@ fn ninety() -> f64 {
 
 /// A motion made ready: pose at any time in constant or logarithmic time.
 #[derive(Clone, Debug)]
-pub struct Track {
+pub(super) struct Track {
     start: Pose,
     shape: Shape,
     start_s: f64,

@@ -1,7 +1,8 @@
 //! One robot's card as the rest of the program sees it: a [`CsiSource`] and an [`Injector`].
 
-use super::air::{Air, Listening, Reception};
+use super::air::Air;
 use super::faults::Faults;
+use super::node::{Flight, Listening, Reception};
 use super::receiver::{Arrival, Receiver};
 use super::scene::Driver;
 use super::station::Role;
@@ -197,7 +198,7 @@ impl Port {
     }
 
     /// What the WSR driver adds: host time, and MAC and number of the last frame long enough to have them.
-    fn wsr(&mut self, host_us: i64, flight: &super::air::Flight) -> Wsr {
+    fn wsr(&mut self, host_us: i64, flight: &Flight) -> Wsr {
         let addr3 = flight.bytes.get(mpdu::offset::ADDR3..).and_then(|b| b.first_chunk());
         let number = flight.bytes.get(mpdu::HEADER..).and_then(|b| b.first_chunk());
         if let (Some(&mac), Some(&number)) = (addr3, number) {

@@ -47,10 +47,11 @@ pub struct Receiver {
     paths: Vec<Path>,
 }
 
-/// The tones of one chain before the converter.
-enum Chain {
-    Connected { tones: Tones, power: f64 },
-    Stray(Stray),
+/// What reaches the chains of one card, before the converter.
+struct Incoming {
+    tones: [Tones; 3],
+    /// Mean power of each antenna's tones; `None` where nothing is connected.
+    power: [Option<f64>; 3],
 }
 
 impl Receiver {
@@ -64,17 +65,8 @@ impl Receiver {
     pub fn measure(&mut self, world: &World, arrival: Arrival) -> Option<Measured> {
         let common = self.common(world, arrival);
         let n_rx = usize::from(self.radio.chains.clamp(1, 3));
-        let strays = [Stray::default(), self.radio.stray_b, self.radio.stray_c];
-        let mut chains: [Chain; 3] = strays.map(Chain::Stray);
-        let mut strongest = 0.0_f64;
-        for (antenna, chain) in chains.iter_mut().enumerate().take(n_rx) {
-            if world.paths(arrival.from, arrival.to, antenna, arrival.t_ns as f64 * 1e-9, &mut self.paths) {
-                let tones = world.tones(&self.paths, common);
-                let power = tones.iter().map(Complex64::norm_sqr).sum::<f64>() / TONES as f64;
-                strongest = strongest.max(power);
-                *chain = Chain::Connected { tones, power };
-            }
-        }
+        let incoming = self.incoming(world, arrival, common, n_rx);
+        let strongest = incoming.power.iter().flatten().fold(0.0_f64, |a, &b| a.max(b));
         if strongest <= 0.0 {
             return None;
         }
@@ -87,7 +79,7 @@ impl Receiver {
         let strongest_dbm = received_db + decibel(strongest + noise);
         let (lsb, agc) = self.gain(strongest + noise, strongest_dbm);
         let level_db = received_db + 44.0 + f64::from(agc);
-        let rssi = self.rssi(&chains, n_rx, level_db, noise);
+        let rssi = self.rssi(&incoming.power, n_rx, level_db, noise);
         let order = order_of(self.radio.antenna_order, n_rx, rssi);
         let mut measured = Measured {
             csi: [Iq::default(); 3 * TONES],
@@ -98,9 +90,31 @@ impl Receiver {
             saturated: 0,
         };
         for (k, &antenna) in order.iter().enumerate().take(n_rx) {
-            self.convert(&chains[antenna], lsb, noise, n_rx, k, &mut measured);
+            self.convert(&incoming, antenna, lsb, noise, k, &mut measured);
         }
         Some(measured)
+    }
+
+    /// The tones that reach each antenna.
+    fn incoming(&mut self, world: &World, arrival: Arrival, common: Common, n_rx: usize) -> Incoming {
+        let mut incoming = Incoming { tones: [[Complex64::default(); TONES]; 3], power: [None; 3] };
+        let t_s = arrival.t_ns as f64 * 1e-9;
+        for (antenna, (tones, power)) in incoming.tones.iter_mut().zip(&mut incoming.power).enumerate().take(n_rx) {
+            if world.paths(arrival.from, arrival.to, antenna, t_s, &mut self.paths) {
+                world.add(&self.paths, common, tones);
+                *power = Some(tones.iter().map(Complex64::norm_sqr).sum::<f64>() / TONES as f64);
+            }
+        }
+        incoming
+    }
+
+    /// What a chain shows when nothing is connected; antenna A always is.
+    fn stray(&self, antenna: usize) -> Stray {
+        match antenna {
+            1 => self.radio.stray_b,
+            2 => self.radio.stray_c,
+            _ => Stray::default(),
+        }
     }
 
     /// What is the same for all antennas: carrier phase, phase noise, delay.
@@ -129,36 +143,32 @@ impl Receiver {
     }
 
     /// RSSI of each antenna, dB, not rounded: `rss = rssi - 44 - agc` dBm, as csitool scales it.
-    fn rssi(&mut self, chains: &[Chain; 3], n_rx: usize, level_db: f64, noise: f64) -> [f64; 3] {
+    fn rssi(&mut self, powers: &[Option<f64>; 3], n_rx: usize, level_db: f64, noise: f64) -> [f64; 3] {
         let mut rssi = [0.0; 3];
-        for (rssi, chain) in rssi.iter_mut().zip(chains).take(n_rx) {
-            *rssi = match chain {
-                Chain::Connected { power, .. } => level_db + decibel(power + noise),
-                Chain::Stray(stray) => stray.rssi_db + self.stream.spread(stray.rssi_std_db),
+        for (antenna, (rssi, power)) in rssi.iter_mut().zip(powers).enumerate().take(n_rx) {
+            let stray = self.stray(antenna);
+            *rssi = match power {
+                Some(power) => level_db + decibel(power + noise),
+                None => stray.rssi_db + self.stream.spread(stray.rssi_std_db),
             };
         }
         rssi
     }
 
-    /// Adds noise to a chain's tones and rounds them into raw chain `k`.
-    fn convert(&mut self, chain: &Chain, lsb: f64, noise: f64, n_rx: usize, k: usize, out: &mut Measured) {
-        let places = out.csi.iter_mut().skip(k).step_by(n_rx);
-        match chain {
-            Chain::Connected { tones, .. } => {
-                let std = (0.5 * noise).sqrt() * lsb;
-                for (place, tone) in places.zip(tones) {
-                    let (re, im) = (tone.re * lsb + self.stream.spread(std), tone.im * lsb + self.stream.spread(std));
-                    *place = quantised(re, im, &mut out.saturated);
-                }
-            }
-            Chain::Stray(stray) if stray.lsb > 0.0 => {
-                let std = stray.lsb * std::f64::consts::FRAC_1_SQRT_2;
-                for place in places.take(TONES) {
-                    let (re, im) = (self.stream.spread(std), self.stream.spread(std));
-                    *place = quantised(re, im, &mut out.saturated);
-                }
-            }
-            Chain::Stray(_) => {}
+    /// Adds noise to an antenna's tones and rounds them into raw chain `k`.
+    fn convert(&mut self, incoming: &Incoming, antenna: usize, lsb: f64, noise: f64, k: usize, out: &mut Measured) {
+        let stray = self.stray(antenna).lsb;
+        let (scale, std) = match incoming.power[antenna] {
+            Some(_) => (lsb, (0.5 * noise).sqrt() * lsb),
+            None => (0.0, stray * std::f64::consts::FRAC_1_SQRT_2),
+        };
+        if scale == 0.0 && std == 0.0 {
+            return;
+        }
+        let places = out.csi.iter_mut().skip(k).step_by(usize::from(out.n_rx));
+        for (place, tone) in places.zip(&incoming.tones[antenna]) {
+            let (re, im) = (tone.re * scale + self.stream.spread(std), tone.im * scale + self.stream.spread(std));
+            *place = quantised(re, im, &mut out.saturated);
         }
     }
 }
@@ -178,7 +188,7 @@ fn order_of(order: AntennaOrder, n_rx: usize, rssi: [f64; 3]) -> [usize; 3] {
 fn quantised(re: f64, im: f64, saturated: &mut u32) -> Iq {
     let mut cut = |x: f64| {
         let clamped = x.clamp(-128.0, 127.0);
-        *saturated += u32::from(x < -128.5 || x >= 127.5);
+        *saturated += u32::from(!(-128.5..127.5).contains(&x));
         // Rounds halves up; all operands are exact, so the result is the same on every machine.
         (clamped + 128.5) as i32 as u8 ^ 0x80
     };

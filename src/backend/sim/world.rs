@@ -1,13 +1,12 @@
 //! A scene made ready: where everything is at any time, what the carriers do, and the channel between two robots.
 
-use super::carrier::{Carrier, Common, SAMPLE_20_S, TONES, Tones};
+use super::carrier::{Carrier, Common, SAMPLE_20_S, Tones};
 use super::motion::{Pose, Track};
 use super::random::{Purpose, Stream};
 use super::scene::{Cfo, Scene};
 use super::surfaces::{Path, Surface, Surfaces};
 use driver_iface::Mac;
 use nalgebra::Vector3;
-use num_complex::Complex64;
 
 /// A scene made ready.
 #[derive(Debug)]
@@ -65,7 +64,7 @@ impl World {
     }
 
     /// The carrier.
-    #[must_use]
+    #[cfg(test)]
     pub fn carrier(&self) -> &Carrier {
         &self.carrier
     }
@@ -156,14 +155,11 @@ impl World {
         !found.is_empty()
     }
 
-    /// The tones of a set of paths; sizes are relative to free space at 1 m.
-    #[must_use]
-    pub fn tones(&self, paths: &[Path], common: Common) -> Tones {
-        let mut tones = [Complex64::default(); TONES];
+    /// Adds a set of paths to tones; sizes are relative to free space at 1 m.
+    pub fn add(&self, paths: &[Path], common: Common, tones: &mut Tones) {
         for path in paths {
-            self.carrier.add(path, common, &mut tones);
+            self.carrier.add(path, common, tones);
         }
-        tones
     }
 
     /// The loss of free space over the first metre, dB.

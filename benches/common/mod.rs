@@ -1,0 +1,172 @@
+//! What the benchmarks share: scenes, the naive loop, timing, tables, CSV and pictures.
+#![allow(dead_code)]
+
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use csi5300::bartlett::{Grid, direction};
+use csi5300::samples::Samples;
+use nalgebra::Vector3;
+use num_complex::Complex64;
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+
+/// `4 pi / lambda = 232.2 rad/m`: channel 108 (5.54 GHz), round trip.
+pub const WAVELENGTH_M: f64 = 2.0 * TAU / 232.2;
+
+/// Circularly symmetric noise of unit variance.
+pub fn noise(rng: &mut ChaCha8Rng) -> Complex64 {
+    let radius = (-(1.0 - rng.random::<f64>()).ln()).sqrt();
+    Complex64::from_polar(radius, TAU * rng.random::<f64>())
+}
+
+/// Plane waves (azimuth, elevation, amplitude) over `points` in noise of the given variance; path gain 2.
+pub fn samples(points: &[Vector3<f64>], paths: &[(f64, f64, f64)], variance: f64, rng: &mut ChaCha8Rng) -> Samples {
+    let mut samples = Samples::new(2);
+    for (t, p) in points.iter().enumerate() {
+        let wave = |&(a, e, g): &(f64, f64, f64)| {
+            Complex64::from_polar(g, TAU * 2.0 / WAVELENGTH_M * direction(a, e).dot(p) + 5.0 * a)
+        };
+        let z = paths.iter().map(wave).sum::<Complex64>() + noise(rng) * variance.sqrt();
+        samples.push(t as f64 * 0.01, z, *p, Vector3::zeros());
+    }
+    samples
+}
+
+/// The job of the reference: two paths, 3 dB noise, a circle of `radius` that climbs by `height`.
+pub fn job(n: usize, radius: f64, height: f64, seed: u64) -> Samples {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let points: Vec<_> = (0..n)
+        .map(|t| {
+            let s = t as f64 / n as f64;
+            // A little off the exact circle: positions as odometry gives them.
+            let r = radius * (1.0 + 1e-3 * rng.random_range(-1.0..1.0));
+            Vector3::new(r * (TAU * s).cos(), r * (TAU * s).sin(), height * s)
+        })
+        .collect();
+    samples(&points, &[(0.7, 0.15, 1.0), (2.2, 0.3, 0.6)], 0.5, &mut rng)
+}
+
+/// The naive double loop: one libm sine and cosine per direction and packet, over `count` directions from `from`.
+pub fn naive(samples: &Samples, grid: &Grid, from: usize, count: usize) -> f64 {
+    let k = TAU * f64::from(samples.path_gain) / WAVELENGTH_M;
+    let mut sum = 0.0;
+    for index in from..from + count {
+        let (azimuth, elevation) = grid.at(index);
+        let u = direction(azimuth, elevation);
+        let mut f = Complex64::ZERO;
+        for (z, p) in samples.z.iter().zip(&samples.receiver_m) {
+            let (sin, cos) = (k * (u.x * p.x + u.y * p.y + u.z * p.z)).sin_cos();
+            f += z * Complex64::new(cos, -sin);
+        }
+        sum += f.norm_sqr();
+    }
+    sum
+}
+
+/// Milliseconds of the naive loop for a whole grid: the quickest of `rounds` samples of it, scaled up.
+pub fn naive_ms(samples: &Samples, grid: &Grid, rounds: usize) -> f64 {
+    let count = (2_000_000 / samples.len()).clamp(1, grid.len());
+    let from = (grid.len() - count) / 2;
+    let times = (0..rounds).map(|_| time(|| std::hint::black_box(naive(samples, grid, from, count))));
+    times.fold(f64::INFINITY, f64::min) * grid.len() as f64 / count as f64
+}
+
+/// Milliseconds of one call.
+pub fn time<R>(call: impl FnOnce() -> R) -> f64 {
+    let start = Instant::now();
+    std::hint::black_box(call());
+    start.elapsed().as_secs_f64() * 1e3
+}
+
+/// The quickest of many calls, milliseconds: at least 5 and then until `budget_ms` is spent.
+pub fn quickest(budget_ms: f64, mut call: impl FnMut()) -> f64 {
+    let (mut best, mut spent, mut rounds) = (f64::INFINITY, 0.0, 0);
+    while rounds < 5 || (spent < budget_ms && rounds < 2_000) {
+        let took = time(&mut call);
+        best = best.min(took);
+        spent += took;
+        rounds += 1;
+        if spent > 8.0 * budget_ms && rounds >= 2 {
+            break;
+        }
+    }
+    best
+}
+
+/// Where results go: `target/bench`, or the folder named by `CSI5300_BENCH_OUT`.
+pub fn out(name: &str) -> PathBuf {
+    let folder = std::env::var_os("CSI5300_BENCH_OUT")
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("target/bench"), PathBuf::from);
+    std::fs::create_dir_all(&folder).expect("a folder for the results");
+    folder.join(name)
+}
+
+/// A table that is printed as it grows and written as CSV at the end.
+pub struct Table {
+    name: &'static str,
+    csv: String,
+    widths: Vec<usize>,
+}
+
+impl Table {
+    pub fn new(name: &'static str, columns: &[(&str, usize)]) -> Self {
+        println!("\n## {name}");
+        let mut table = Self { name, csv: String::new(), widths: columns.iter().map(|c| c.1).collect() };
+        table.row(&columns.iter().map(|c| c.0.to_string()).collect::<Vec<_>>());
+        table
+    }
+
+    pub fn row(&mut self, cells: &[String]) {
+        let line: Vec<_> = cells.iter().zip(&self.widths).map(|(c, w)| format!("{c:>w$}")).collect();
+        println!("{}", line.join("  "));
+        writeln!(self.csv, "{}", cells.join(",")).expect("a string takes it");
+    }
+
+    pub fn save(&self) {
+        let path = out(&format!("{}.csv", self.name));
+        std::fs::write(&path, &self.csv).expect("the results can be written");
+        println!("written: {}", path.display());
+    }
+}
+
+/// The machine and the build, for the head of a report.
+pub fn banner(what: &str) {
+    let cpu = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = cpu.lines().find_map(|l| l.strip_prefix("model name")).unwrap_or(": unknown");
+    println!("# {what}");
+    println!("machine{model}, tiers {:?}", csi5300::bartlett::Tier::available());
+    println!("one thread; times are the quickest of many calls; release build (thin LTO)");
+}
+
+/// One line of a picture.
+pub struct Series {
+    pub label: String,
+    pub points: Vec<(f64, f64)>,
+}
+
+/// A log-log picture.
+pub fn picture(name: &str, title: &str, x: &str, y: &str, series: &[Series]) {
+    #[cfg(feature = "plot")]
+    {
+        use kuva::prelude::*;
+        let colors = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000", "#999999"];
+        let mut plots: Vec<Plot> = Vec::new();
+        for (i, s) in series.iter().enumerate() {
+            let color = colors[i % colors.len()];
+            let mut sorted = s.points.clone();
+            sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+            plots.push(LinePlot::new().with_data(sorted.clone()).with_color(color).with_legend(s.label.clone()).into());
+            plots.push(ScatterPlot::new().with_data(sorted).with_color(color).with_size(4.0).into());
+        }
+        let layout = Layout::auto_from_plots(&plots).with_title(title).with_x_label(x).with_y_label(y).with_log_scale();
+        let png = kuva::render_to_png(plots, layout, 2.0).expect("the picture renders");
+        let path = out(&format!("{name}.png"));
+        std::fs::write(&path, png).expect("the picture can be written");
+        println!("written: {}", path.display());
+    }
+    #[cfg(not(feature = "plot"))]
+    let _ = (name, title, x, y, series.len());
+}

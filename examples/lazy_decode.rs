@@ -1,0 +1,27 @@
+//! Pays only for what it looks at: one antenna, eight subcarriers, found in packets whose antennas change places.
+//!
+//! `cargo run --example lazy_decode`
+
+use driver_iface::bfee::{Antenna, Bfee, Iq};
+use driver_iface::record::{Step, code, events};
+
+fn main() {
+    let log = include_bytes!("../tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat");
+    let middle = [11, 12, 13, 14, 15, 16, 17, 18];
+    let mut shown = 0;
+    for step in events(log) {
+        let Step::Record { record, .. } = step else { continue };
+        if record.code != code::BFEE || shown == 5 {
+            continue;
+        }
+        // The checked view is the only door; after it no accessor can fail.
+        let Ok(bfee) = Bfee::new_checked(record.body) else { continue };
+        let Some(chain) = bfee.chain_of(Antenna::A) else { continue };
+        let mut column = [Iq::default(); 8];
+        if bfee.column(chain, 0, &middle, &mut column).is_some() {
+            let text: Vec<_> = column.iter().map(|h| format!("{:+}{:+}j", h.i, h.q)).collect();
+            println!("antenna_sel 0x{:02x}, antenna A is chain {chain}: {}", bfee.antenna_sel(), text.join(" "));
+            shown += 1;
+        }
+    }
+}

@@ -1,0 +1,78 @@
+#!/usr/bin/env python3
+"""FINUFFT (one thread, plans kept) and NumPy on the samples of `cargo bench --bench pareto`.
+
+Arguments: job (planar, azimuth, helix), packets, radius, samples.bin, reference.bin.
+Prints lines of: who, eps, milliseconds (quickest of many), largest error of F / max F.
+For level motion FINUFFT is given the 32,760 directions of the upper hemisphere and the horizon only.
+"""
+import os
+import sys
+import time
+
+os.environ["OMP_NUM_THREADS"] = "1"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+import finufft  # noqa: E402
+import numpy as np  # noqa: E402
+
+
+def quickest(call, budget_s=0.4, least=5):
+    best, spent, rounds = np.inf, 0.0, 0
+    while rounds < least or (spent < budget_s and rounds < 500):
+        start = time.perf_counter()
+        call()
+        took = time.perf_counter() - start
+        best, spent, rounds = min(best, took), spent + took, rounds + 1
+        if spent > 8 * budget_s and rounds >= 2:
+            break
+    return best * 1e3
+
+
+def main():
+    job, packets = sys.argv[1], int(sys.argv[2])
+    x, y, z, re, im = np.fromfile(sys.argv[4]).reshape(-1, 5).T.copy()
+    values = re + 1j * im
+    elevations = [0.0] if job == "azimuth" else np.radians(np.arange(181) - 90.0)
+    el, az = np.meshgrid(elevations, np.radians(np.arange(360) - 180.0), indexing="ij")
+    reference = np.fromfile(sys.argv[5])
+    u = np.array([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)]).reshape(3, -1)
+    keep = slice(None) if job != "planar" else slice(90 * 360, None)
+    u, reference_kept, top = u[:, keep], reference[keep], reference.max()
+
+    def report(who, eps, ms, f):
+        error = np.abs(np.abs(f) ** 2 - reference_kept).max() / top
+        print(f"{who},{eps:.0e},{ms:.5f},{error:.3e}")
+
+    dim = 3 if job == "helix" else 2
+    positions, directions = [x, y, z][:dim], u[:dim]
+    for real, cplx, tolerances in (
+        ("float32", "complex64", (1e-3, 1e-4, 1e-5)),
+        ("float64", "complex128", (1e-6, 1e-9, 1e-12)),
+    ):
+        p = [np.ascontiguousarray(c, real) for c in positions]
+        d = [np.ascontiguousarray(c, real) for c in directions]
+        v = values.astype(cplx)
+        for eps in tolerances:
+            if job == "helix" and packets > 3000 and eps in (1e-4, 1e-9):
+                continue
+            plan = finufft.Plan(3, dim, eps=eps, isign=-1, dtype=cplx, nthreads=1)
+
+            def fresh():
+                plan.setpts(*p, *([None] * (3 - dim)), *d)
+                return plan.execute(v)
+
+            ms = quickest(fresh)
+            report(f"FINUFFT {real[5:]}-bit:new positions", eps, ms, fresh())
+            ms = quickest(lambda: plan.execute(v))
+            report(f"FINUFFT {real[5:]}-bit unchanged:positions kept", eps, ms, plan.execute(v))
+    if packets * u.shape[1] <= 4e7:
+
+        def blocked():
+            block = max(1, int(4e6 // packets))
+            out = [np.exp(-1j * (u[:, i : i + block].T @ np.array([x, y, z]))) @ values
+                   for i in range(0, u.shape[1], block)]
+            return np.concatenate(out)
+
+        report("NumPy", 1e-15, quickest(blocked, 0.1, 2), blocked())
+
+
+main()

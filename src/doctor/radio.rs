@@ -1,0 +1,176 @@
+//! The interface: its mode, channel and rate, and who else has a hand on it.
+
+use super::card::Card;
+use super::{Check, System};
+
+/// `type` of a monitor interface in sysfs (ARPHRD_IEEE80211_RADIOTAP).
+const RADIOTAP: &str = "803";
+/// RATE_MCS_HT_MSK of a transmission rate (`dvm/commands.h`): only HT frames carry CSI.
+const RATE_HT: u32 = 0x100;
+
+pub(super) fn checks(system: &dyn System, card: Option<&Card>) -> Vec<Check> {
+    let mut checks = vec![rfkill(system)];
+    if let Some(card) = card {
+        let Some(interface) = interface(system, card) else {
+            checks.push(
+                Check::bad("interface", "the card has none", "a network interface on the card")
+                    .mend("sudo modprobe iwldvm; `sudo dmesg | grep iwl` says why if none comes up"),
+            );
+            return checks;
+        };
+        checks.extend([mode(system, &interface), owner(system, &interface), channel(system, &interface, card)]);
+        checks.push(rate(system, card));
+    }
+    checks.push(domain(system));
+    checks
+}
+
+/// The monitor interface if there is one, else the first.
+fn interface(system: &dyn System, card: &Card) -> Option<String> {
+    let monitor = |name: &&String| system.text(&format!("/sys/class/net/{name}/type")).as_deref() == Some(RADIOTAP);
+    card.interfaces.iter().find(monitor).or(card.interfaces.first()).cloned()
+}
+
+fn rfkill(system: &dyn System) -> Check {
+    let expected = "WiFi is not blocked";
+    let class = "/sys/class/rfkill";
+    let mut blocked = Vec::new();
+    for name in system.names(class) {
+        let is = |file: &str, value: &str| system.text(&format!("{class}/{name}/{file}")).as_deref() == Some(value);
+        if is("type", "wlan") {
+            blocked.extend(is("hard", "1").then_some("by a switch (hard)"));
+            blocked.extend(is("soft", "1").then_some("by software (soft)"));
+        }
+    }
+    match blocked.first() {
+        None => Check::good("rfkill", "not blocked", expected),
+        Some(how) if how.contains("hard") => Check::bad("rfkill", format!("blocked {how}"), expected)
+            .mend("turn on the machine's radio switch, or the card's disable pin (mini-PCIe pin 20) is held low"),
+        Some(how) => Check::bad("rfkill", format!("blocked {how}"), expected).mend("sudo rfkill unblock wifi"),
+    }
+}
+
+fn mode(system: &dyn System, interface: &str) -> Check {
+    let expected = "monitor mode, up (for frames between robots; an access point's CSI comes in managed mode too)";
+    let set = format!(
+        "sudo ip link set {interface} down && sudo iw dev {interface} set type monitor && sudo ip link set {interface} up"
+    );
+    let kind = system.text(&format!("/sys/class/net/{interface}/type"));
+    let flags = system.text(&format!("/sys/class/net/{interface}/flags")).unwrap_or_default();
+    let up = u32::from_str_radix(flags.trim_start_matches("0x"), 16).is_ok_and(|flags| flags & 1 != 0);
+    match (kind.as_deref(), up) {
+        (Some(RADIOTAP), true) => Check::good("interface", format!("{interface}: monitor, up"), expected),
+        (Some(RADIOTAP), false) => Check::bad("interface", format!("{interface}: monitor, but down"), expected)
+            .mend(format!("sudo ip link set {interface} up")),
+        _ => Check::doubt("interface", format!("{interface}: not a monitor"), expected).mend(set),
+    }
+}
+
+fn owner(system: &dyn System, interface: &str) -> Check {
+    let expected = "no other program sets the interface's mode and channel";
+    let name = "other owners";
+    if let Some(ran) = system.run(&["nmcli", "-t", "-f", "DEVICE,STATE", "device"]) {
+        let state =
+            ran.text.lines().find_map(|line| line.strip_prefix(interface)?.strip_prefix(':').map(str::to_string));
+        if let Some(state) = state.filter(|state| state != "unmanaged") {
+            return Check::bad(name, format!("NetworkManager has {interface} ({state})"), expected)
+                .mend(format!("sudo nmcli device set {interface} managed no"));
+        }
+    }
+    let supplicant =
+        system.names("/proc").into_iter().filter(|pid| pid.bytes().all(|b| b.is_ascii_digit())).find(|pid| {
+            let words = system.bytes(&format!("/proc/{pid}/cmdline")).unwrap_or_default();
+            let words: Vec<_> = words.split(|byte| *byte == 0).map(String::from_utf8_lossy).collect();
+            let program = words.first().is_some_and(|word| word.ends_with("wpa_supplicant"));
+            // Started for this interface; NetworkManager's own (-u) is idle on what is unmanaged.
+            program && words.iter().any(|word| word.trim_start_matches("-i") == interface)
+        });
+    match supplicant {
+        Some(pid) => Check::bad(name, format!("wpa_supplicant (process {pid}) has {interface}"), expected)
+            .mend(format!("sudo kill {pid}, and leave {interface} out of /etc/network/interfaces or netplan")),
+        None => Check::good(name, "none seen", expected),
+    }
+}
+
+fn channel(system: &dyn System, interface: &str, card: &Card) -> Check {
+    let expected = "a 5 GHz channel, the same width and channel on all robots, on which the card may transmit";
+    let name = "channel";
+    let Some(ran) = system.run(&["iw", "dev", interface, "info"]) else {
+        return Check::unknown(name, "iw is not installed", expected).mend("sudo apt install iw");
+    };
+    let line = ran.text.lines().find_map(|line| line.trim().strip_prefix("channel ").map(str::to_string));
+    let Some(line) = line else {
+        return Check::bad(name, format!("{interface} has none"), expected)
+            .mend(format!("sudo ip link set {interface} up && sudo iw dev {interface} set channel 64 HT20"));
+    };
+    let mhz: Option<u32> = line.split_once('(').and_then(|(_, rest)| rest.split_whitespace().next()?.parse().ok());
+    if mhz.is_some_and(|mhz| mhz < 3_000) {
+        return Check::doubt(
+            name,
+            format!("{line}: at 2.4 GHz each antenna's phase jumps by multiples of pi/2"),
+            expected,
+        )
+        .mend(format!("sudo iw dev {interface} set channel 64 HT20"));
+    }
+    let flags = mhz.zip(card.phy.as_ref()).and_then(|(mhz, phy)| channel_flags(system, phy, mhz)).unwrap_or_default();
+    let forbidden = ["disabled", "no IR", "passive", "radar"].iter().find(|flag| flags.contains(**flag));
+    match forbidden {
+        None => Check::good(name, line, expected),
+        Some(_) => Check::doubt(name, format!("{line}; this card may not start to transmit there ({flags})"), expected)
+            .mend("to receive it is enough; to transmit take a channel without these flags in `iw phy`"),
+    }
+}
+
+/// What `iw` says in parentheses behind a channel.
+fn channel_flags(system: &dyn System, phy: &str, mhz: u32) -> Option<String> {
+    let text = system.run(&["iw", "phy", phy, "info"])?.text;
+    let line = text.lines().find(|line| {
+        let mut words = line.trim().trim_start_matches("* ").split_whitespace();
+        let frequency = words.next().and_then(|word| word.parse::<f64>().ok());
+        words.next() == Some("MHz") && frequency.is_some_and(|found| (found - f64::from(mhz)).abs() < 0.5)
+    })?;
+    Some(line.split_once(']')?.1.trim().to_string())
+}
+
+/// Where the driver's `monitor_tx_rate` is; its depth differs between kernels.
+pub(super) fn rate_file(system: &dyn System, phy: &str) -> Option<String> {
+    let base = format!("/sys/kernel/debug/ieee80211/{phy}/iwlwifi");
+    let places = ["debug", "iwldvm/debug", "iwldvm", ""];
+    let at = |place: &&str| format!("{base}/{place}/monitor_tx_rate").replace("//", "/");
+    places.iter().map(at).find(|path| system.size(path).is_some())
+}
+
+fn rate(system: &dyn System, card: &Card) -> Check {
+    let expected = "an HT rate, such as 0x4101 (antenna A, MCS 1), on robots that transmit";
+    let name = "monitor_tx_rate";
+    let Some(path) = card.phy.as_ref().and_then(|phy| rate_file(system, phy)) else {
+        return Check::unknown(name, "not found: debugfs not mounted, not root, or not the CSI driver", expected)
+            .mend("sudo mount -t debugfs none /sys/kernel/debug; run the doctor as root");
+    };
+    let text = system.text(&path).unwrap_or_default();
+    let rate = u32::from_str_radix(text.trim_start_matches("0x"), 16);
+    match rate {
+        Ok(rate) if rate & RATE_HT != 0 => Check::good(name, format!("{rate:#x}"), expected),
+        _ => Check::doubt(name, format!("{text}: not HT, so what this card sends gives no CSI to others"), expected)
+            .mend(format!("echo 0x4101 | sudo tee {path}")),
+    }
+}
+
+fn domain(system: &dyn System) -> Check {
+    let expected = "the country that the robots are in";
+    let name = "regulatory domain";
+    let Some(ran) = system.run(&["iw", "reg", "get"]) else {
+        return Check::unknown(name, "iw is not installed", expected).mend("sudo apt install iw");
+    };
+    let country = ran.text.lines().find_map(|line| line.trim().strip_prefix("country ").map(str::to_string));
+    match country {
+        Some(country) if !country.starts_with("00") => Check::good(name, country, expected),
+        Some(_) => Check::doubt(
+            name,
+            "00: the world's common ground, where most 5 GHz channels are only listened to",
+            expected,
+        )
+        .mend("sudo iw reg set XX with your country's code, wait two seconds, then set the channel"),
+        None => Check::unknown(name, "iw does not say", expected),
+    }
+}
