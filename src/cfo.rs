@@ -108,13 +108,15 @@ const OUTLIER_US: f64 = 25.0;
 const SEARCH_HZ: f64 = 20_000.0;
 /// Step of the search, Hz: the coherence over `df` is about 1 / (2 pi 20 us) = 8 kHz wide.
 const STEP_HZ: f64 = 400.0;
+/// Cards agree to 40 parts per million (802.11 allows each 20); more is a clock that was set anew, or no clock.
+const MAX_DRIFT: f64 = 100e-6;
 /// Second differences of the jitter beyond this are left out of the search, microseconds.
 const MAX_SECOND_DIFFERENCE_US: i64 = 500;
 
 impl TurnAround {
     /// Estimates the offset from samples, the receiver's card clock and the clock difference `tx - rx` (both unwrapped,
-    /// microseconds), one entry per pair in time order. `None` with fewer than 8 pairs, where a clock stands still, or
-    /// if the lengths differ.
+    /// microseconds), one entry per pair in time order. `None` with fewer than 8 pairs, where a clock stands still or
+    /// drifts by more than any two cards do (it was reset), or if the lengths differ.
     #[must_use]
     pub fn estimate(z: &[Complex64], clock_rx_us: &[i64], difference_us: &[i64], carrier_hz: f64) -> Option<Self> {
         let n = z.len();
@@ -122,6 +124,9 @@ impl TurnAround {
             return None;
         }
         let line = drift_line(clock_rx_us, difference_us);
+        if line.slope.abs() > MAX_DRIFT {
+            return None;
+        }
         let residual = |k: usize| difference_us[k] as f64 - line.at(clock_rx_us[k] as f64);
         let jitter_us: Vec<f64> = (0..n).map(residual).collect();
         let terms = second_differences(z, clock_rx_us, difference_us);

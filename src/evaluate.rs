@@ -98,7 +98,9 @@ impl Errors {
     pub fn of(errors_deg: impl Iterator<Item = f64>) -> Self {
         let mut sorted: Vec<f64> = errors_deg.map(f64::abs).filter(|e| e.is_finite()).collect();
         if sorted.is_empty() {
-            return Self::default();
+            // Not a number, null in JSON: no links are not links without error.
+            let none = f64::NAN;
+            return Self { links: 0, mean_deg: none, median_deg: none, p90_deg: none, over_20: none };
         }
         sorted.sort_by(f64::total_cmp);
         let n = sorted.len() as f64;

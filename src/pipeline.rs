@@ -18,7 +18,9 @@ use link::{Bearing, Link, LinkError};
 use std::collections::BTreeMap;
 
 /// Frames of each log that are read ahead to find out which transmitter wrote which log.
-const READ_AHEAD: usize = 16_384;
+const READ_AHEAD: usize = 65_536;
+/// Senders in the receiver's log that are tried for each transmitter's log.
+const MAX_TRANSMITTERS: usize = 64;
 
 /// How pairs find their place on the trajectory.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -213,7 +215,11 @@ fn find_macs(rx: &mut Log<'_>, txs: &mut [Log<'_>], options: &Options) -> Result
     for (mac, heard) in rx.read_ahead(READ_AHEAD)? {
         by_mac.entry(*mac).or_default().push((heard.number, heard.timestamp_low));
     }
-    let macs: Vec<Mac> = by_mac.keys().copied().collect();
+    // Foreign frames bring MACs of their own; only those with enough frames can be a transmitter, the busiest first.
+    let mut busiest: Vec<(Mac, Vec<Mark>)> = by_mac.into_iter().filter(|(_, marks)| marks.len() >= assign::MIN_COMMON).collect();
+    busiest.sort_by_key(|(_, marks)| std::cmp::Reverse(marks.len()));
+    busiest.truncate(MAX_TRANSMITTERS);
+    let macs: Vec<Mac> = busiest.iter().map(|(mac, _)| *mac).collect();
     let taken: Vec<bool> = macs.iter().map(|mac| options.tx_macs.contains(mac)).collect();
     let mut spreads: Vec<Vec<Option<Spread>>> = Vec::new();
     for (k, tx) in txs.iter_mut().enumerate() {
@@ -222,7 +228,7 @@ fn find_macs(rx: &mut Log<'_>, txs: &mut [Log<'_>], options: &Options) -> Result
         let marks = tx.read_ahead(READ_AHEAD)?.iter().filter(|(mac, _)| wanted(mac));
         let marks: Vec<Mark> = marks.map(|(_, heard)| (heard.number, heard.timestamp_low)).collect();
         let named = options.tx_macs.get(k).is_some();
-        let row = by_mac.values().map(|receiver| if named { None } else { assign::spread(receiver, &marks) });
+        let row = busiest.iter().map(|(_, receiver)| if named { None } else { assign::spread(receiver, &marks) });
         spreads.push(row.collect());
     }
     let found = assign::assign(&spreads, &taken);

@@ -1,7 +1,7 @@
 //! `csi5300 bearing`.
 
 use super::args::{Estimation, channel, mac};
-use super::{Outcome, Result, info, print, print_json, profile};
+use super::{Outcome, Result, info, print, print_json, profile, usage};
 use csi5300::answer::{Answer, lost_something};
 use csi5300::backend::{CsiSource, replay::Replay};
 use csi5300::bartlett::Grid;
@@ -78,16 +78,28 @@ fn triple(text: &str) -> std::result::Result<Vector3<f64>, String> {
 
 /// Estimates and prints the bearings.
 pub fn run(args: Args) -> Result {
-    let options = options(&args)?;
+    let options = options(&args).unwrap_or_else(|message| usage(&message));
+    if args.tx_trajectory.len() > args.tx.len() || args.tx_mac.len() > args.tx.len() {
+        usage("more --tx-trajectory or --tx-mac than --tx");
+    }
+    if (1..args.tx_mac.len()).any(|k| args.tx_mac[..k].contains(&args.tx_mac[k])) {
+        usage("one --tx-mac is given twice: each log has a transmitter of its own");
+    }
+    if std::iter::once(&args.rx).chain(&args.tx).filter(|path| path.as_os_str() == "-").count() > 1 {
+        usage("standard input can be one log only");
+    }
+    if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
+        usage("--min-confidence takes a probability, 0 to 1");
+    }
+    if let Some(path) = args.profile.as_deref().filter(|path| !profile::is_known(path)) {
+        usage(&format!("{}: a profile is written as .csv or .npz", path.display()));
+    }
     let mut trajectory = read_trajectory(&args.trajectory)?;
     if let Some(offset) = args.antenna_offset {
         trajectory = trajectory.with_antenna_offset(offset).map_err(|error| error.to_string())?;
     }
     let partners =
         args.tx_trajectory.iter().map(|path| read_trajectory(path)).collect::<std::result::Result<Vec<_>, _>>()?;
-    if args.tx_trajectory.len() > args.tx.len() || args.tx_mac.len() > args.tx.len() {
-        return Err("more --tx-trajectory or --tx-mac than --tx".into());
-    }
     let mut receiver = Replay::open(&args.rx).map_err(|error| error.to_string())?;
     let mut logs = args
         .tx
@@ -100,14 +112,12 @@ pub fn run(args: Args) -> Result {
         .enumerate()
         .map(|(k, log)| Transmitter { log: log as &mut dyn CsiSource, trajectory: partners.get(k) })
         .collect();
-    if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
-        return Err("--min-confidence takes a probability, 0 to 1".into());
-    }
     let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
     say_losses(&args, &report, &receiver, &logs);
     let mut names: Vec<String> = args.tx.iter().map(|path| stem(path)).collect();
-    for (k, name) in names.clone().iter().enumerate() {
-        if names.iter().filter(|other| *other == name).count() > 1 {
+    let stems = names.clone();
+    for (k, name) in stems.iter().enumerate() {
+        if stems.iter().filter(|other| *other == name).count() > 1 {
             names[k] = format!("{name}.{}", k + 1);
         }
     }

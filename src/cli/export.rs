@@ -37,8 +37,7 @@ pub fn run(args: &Args) -> Result {
     if args.output.exists() && !args.force {
         return Err(format!("{} is there already: --force overwrites it", args.output.display()));
     }
-    let same = matches!((args.file.canonicalize(), args.output.canonicalize()), (Ok(a), Ok(b)) if a == b);
-    if same {
+    if super::is_same_file(&args.file, &args.output) {
         return Err(format!("{} is the input itself: name another file", args.output.display()));
     }
     let (survey, bytes) = match args.output.extension().and_then(|extension| extension.to_str()) {

@@ -124,11 +124,32 @@ pub fn run() -> ExitCode {
     }
 }
 
-/// Prints to standard output; a reader that went away (`| head`) ends the command quietly.
+/// Ends the command as wrong usage, as the argument parser does.
+pub fn usage(message: &str) -> ! {
+    eprintln!("csi5300: {message}");
+    std::process::exit(2);
+}
+
+/// Prints to standard output; a reader that went away (`| head`) ends the command quietly, a full disk does not.
 pub fn print(text: &str) {
     use std::io::Write;
-    if std::io::stdout().write_all(text.as_bytes()).is_err() {
-        std::process::exit(0);
+    match std::io::stdout().write_all(text.as_bytes()) {
+        Ok(()) => {}
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => std::process::exit(0),
+        Err(error) => {
+            eprintln!("csi5300: standard output: {error}");
+            std::process::exit(1);
+        }
+    }
+}
+
+/// True if both names lead to one file, by whatever links; `-` is what standard input was opened from.
+pub fn is_same_file(input: &std::path::Path, output: &std::path::Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let input = if input.as_os_str() == "-" { std::path::Path::new("/dev/stdin") } else { input };
+    match (input.metadata(), output.metadata()) {
+        (Ok(a), Ok(b)) => (a.dev(), a.ino()) == (b.dev(), b.ino()),
+        _ => false,
     }
 }
 

@@ -23,6 +23,11 @@ pub fn grid(text: &str) -> Result<Grid, String> {
     }
 }
 
+/// True for a file that [`write`] can write.
+pub fn is_known(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "csv" || extension == "npz")
+}
+
 /// Writes the profile of `samples` over `grid` to a .csv (azimuth_deg, elevation_deg, value) or an .npz (arrays
 /// `azimuth_deg`, `elevation_deg`, `value`, rows of elevations by columns of azimuths).
 ///

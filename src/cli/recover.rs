@@ -33,8 +33,7 @@ pub fn run(args: &Args) -> Result {
     } else {
         options.create_new(true)
     };
-    let same = |a: &PathBuf, b: &PathBuf| matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b);
-    if same(&args.input, &args.output) {
+    if super::is_same_file(&args.input, &args.output) {
         return Err(format!("{output} is the input itself: name another file"));
     }
     let file = options.open(&args.output).map_err(|error| match error.kind() {

@@ -30,6 +30,32 @@ pub enum LinkError {
         "the receiver's records hold no host time (stock layout): join with the trajectory row by row (--join-rows)"
     )]
     NoHostTime,
+    /// No pair is left between `--from` and `--to`.
+    #[error("all {pairs} pairs are outside --from and --to (the link lasts {length_s:.3} s)")]
+    AllCut {
+        /// Pairs.
+        pairs: usize,
+        /// Time from the first to the last pair, s.
+        length_s: f64,
+    },
+    /// The clocks of the pairs have nothing to do with each other.
+    #[error(
+        "the two logs do not belong together: their clocks' difference spreads by {spread_us:.0} us from pair to pair, where an exchange spreads by some tens"
+    )]
+    NotOfOneRun {
+        /// Median of the deviation from a straight line, microseconds.
+        spread_us: f64,
+    },
+    /// The trajectory reaches further than any array of use.
+    #[error(
+        "the robots moved {extent_m:.0} m relative to each other: are the trajectories in metres? At most {limit_m:.0} m are used at once (--from and --to cut a piece)"
+    )]
+    TooLarge {
+        /// Extent of the motion, metres.
+        extent_m: f64,
+        /// The largest that is searched, metres.
+        limit_m: f64,
+    },
     /// All pairs lie outside the trajectory.
     #[error(
         "the {pairs} pairs (from {from_s:.3} s to {to_s:.3} s) lie outside the trajectory ({start_s:.3} s to {end_s:.3} s): is it of this run? --clock-offset shifts one against the other"
@@ -162,6 +188,22 @@ impl PeerFigures {
     }
 }
 
+/// With a turn-around that jitters by more than this no phase survives the product of two frames, microseconds: at the
+/// offsets that cards have (4 to 21 kHz) it is several turns.
+const MAX_SPREAD_US: f64 = 500.0;
+/// Largest motion that is searched as one array, metres: far beyond what odometry follows to a fraction of a wavelength.
+const MAX_EXTENT_M: f64 = 50.0;
+
+/// The longest side of the box that holds all displacements, metres.
+fn extent_m(samples: &Samples) -> f64 {
+    let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
+    for (receiver, transmitter) in samples.receiver_m.iter().zip(&samples.transmitter_m) {
+        let p = receiver - transmitter;
+        (low, high) = (low.inf(&p), high.sup(&p));
+    }
+    (high - low).max()
+}
+
 impl Link {
     /// A link to `mac` with nothing in it yet.
     #[must_use]
@@ -249,6 +291,9 @@ impl Link {
             turn_around.apply(&mut z);
         }
         let times = self.times_s(receiver, options)?;
+        if let Some(spread_us) = turn_around.as_ref().map(|t| t.jitter_median_us).filter(|us| *us > MAX_SPREAD_US) {
+            return Err(LinkError::NotOfOneRun { spread_us });
+        }
         let mut pairs =
             PairCounts { formed: self.rows.len() + self.silent, silent: self.silent, ..PairCounts::default() };
         let mut samples = Samples::new(2);
@@ -285,6 +330,10 @@ impl Link {
         pairs.in_motion = samples.len();
         if samples.is_empty() {
             return Err(self.no_samples(&pairs, &times, receiver));
+        }
+        let extent_m = extent_m(&samples);
+        if extent_m > MAX_EXTENT_M {
+            return Err(LinkError::TooLarge { extent_m, limit_m: MAX_EXTENT_M });
         }
         let mut estimate = bartlett::search(&samples, options.channel.wavelength_m(), &options.search)?;
         let rows = self.rows.iter().zip(&z).map(|(row, z)| accurate::compensated(&row.product, z / row.z));
@@ -323,20 +372,28 @@ impl Link {
 
     /// The time of each pair on the trajectory's clock.
     fn times_s(&self, trajectory: &Trajectory, options: &Options) -> Result<Vec<f64>, LinkError> {
+        // A time after the end has no pose: the single pair without a time is counted, not the link given up.
+        let never = f64::MAX;
         let time = |row: &Row| match options.join {
-            JoinBy::Time => row.host_us.map(|us| us as f64 * 1e-6 + options.clock_offset_s),
-            // Past the last row there is no pose; any time after the end says so.
-            JoinBy::Row => Some(trajectory.poses().get(row.row as usize).map_or(f64::MAX, |pose| pose.t_s)),
+            JoinBy::Time => row.host_us.map_or(never, |us| us as f64 * 1e-6 + options.clock_offset_s),
+            JoinBy::Row => trajectory.poses().get(row.row as usize).map_or(never, |pose| pose.t_s),
         };
-        self.rows.iter().map(time).collect::<Option<_>>().ok_or(LinkError::NoHostTime)
+        if options.join == JoinBy::Time && self.rows.iter().all(|row| row.host_us.is_none()) {
+            return Err(LinkError::NoHostTime);
+        }
+        Ok(self.rows.iter().map(time).collect())
     }
 
     fn no_samples(&self, pairs: &PairCounts, times: &[f64], trajectory: &Trajectory) -> LinkError {
-        if pairs.standing > 0 || pairs.no_pose < pairs.formed {
+        let (start_s, end_s) = trajectory.span_s();
+        let known = || times.iter().copied().filter(|t| *t != f64::MAX);
+        let (from_s, to_s) = known().fold((f64::MAX, f64::MIN), |(low, high), t| (low.min(t), high.max(t)));
+        if pairs.standing > 0 {
             return LinkError::NoMotion { pairs: pairs.formed };
         }
-        let (start_s, end_s) = trajectory.span_s();
-        let (from_s, to_s) = (times[0], times[times.len() - 1]);
+        if pairs.cut > 0 && pairs.no_pose == 0 {
+            return LinkError::AllCut { pairs: pairs.formed, length_s: to_s - from_s };
+        }
         LinkError::OutsideTrajectory { pairs: pairs.formed, from_s, to_s, start_s, end_s }
     }
 }
