@@ -1,6 +1,7 @@
 //! Cost as the work grows: packets, aperture, directions, links, window length; and what a stream costs.
 //!
 //! `cargo bench --bench growth`
+#![allow(clippy::expect_used)]
 
 mod common;
 

@@ -2,6 +2,7 @@
 //!
 //! `cargo bench --bench pareto` (a minute); `-- --full` for all sizes and apertures. FINUFFT and NumPy run in the same
 //! run if `scripts/bench_venv.sh` has made their virtual environment.
+#![allow(clippy::expect_used)]
 
 mod common;
 

@@ -1,6 +1,7 @@
 //! Numerical stability: where single precision breaks, where double breaks, and whether the guarantee held.
 //!
 //! `cargo bench --bench stability`
+#![allow(clippy::expect_used)]
 
 mod common;
 

@@ -1,6 +1,7 @@
 //! Bearing error against the Cramer-Rao bound; wrong peaks against a dense search.
 //!
 //! `cargo bench --bench statistics`; `-- --trials N` for other than 300 trials a point.
+#![allow(clippy::expect_used)]
 
 mod common;
 
@@ -40,8 +41,8 @@ fn main() {
     banner("Statistics");
     let args: Vec<String> = std::env::args().collect();
     let after = |name: &str| args.iter().position(|a| a == name).and_then(|i| args.get(i + 1)?.parse().ok());
-    bounds(after("--trials").unwrap_or(300));
     wrong_peaks(after("--scenes").unwrap_or(10_000));
+    bounds(after("--trials").unwrap_or(300));
 }
 
 /// Trials at many signal-to-noise ratios: a trial is an outlier if it is off by more than a beam width.
@@ -62,6 +63,7 @@ fn bounds(trials: usize) {
         ],
     );
     let mut series: Vec<Series> = Vec::new();
+    let (mut pooled, mut pooled_count) = (0.0, 0.0);
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     let mut searcher = Searcher::new(Tier::detect());
     let mut planner = Planner::default();
@@ -116,6 +118,10 @@ fn bounds(trials: usize) {
                     format!("{rate:.3}"),
                     format!("{:.4}", (sums[4] / count).to_degrees()),
                 ]);
+                if outliers == 0 {
+                    pooled += rmse * rmse / (crb * crb) * count;
+                    pooled_count += count;
+                }
                 if rate < 0.01 {
                     let x = g;
                     lines[0].push((x, rmse));
@@ -131,6 +137,8 @@ fn bounds(trials: usize) {
         }
     }
     table.save();
+    let ratio = (pooled / f64::max(pooled_count, 1.0)).sqrt();
+    println!("error over bound, pooled over the {pooled_count} trials of rows without outliers: {ratio:.3}");
     picture(
         "statistics",
         "Circle of 0.3 m, 1,000 packets, above the threshold",

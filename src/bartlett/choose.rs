@@ -83,7 +83,7 @@ fn unit_costs(tier: Tier, precision: Precision) -> [f64; 4] {
     let single = match tier {
         Tier::Avx512 => [0.27, 0.07, 0.25, 0.5],
         Tier::Avx2 => [0.5, 0.09, 0.25, 0.6],
-        Tier::Sse42 | Tier::Native => [1.15, 0.2, 0.5, 1.2],
+        Tier::Sse42 | Tier::Native => [1.3, 0.2, 0.5, 1.2],
         Tier::Portable => [3.0, 0.3, 1.0, 1.6],
     };
     let factor = if precision == Precision::Single { 1.0 } else { 2.0 };

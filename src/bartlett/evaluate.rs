@@ -330,7 +330,7 @@ impl<T: Real> Slab<T> {
         match &self.places {
             Places::List(_) => {
                 for ((value, v), phase) in values.iter_mut().zip(found).zip(phases) {
-                    *value = *value + v * phase;
+                    *value += v * phase;
                 }
             }
             Places::Rings { d, tall, .. } => {
@@ -349,9 +349,9 @@ impl<T: Real> Slab<T> {
                         };
                         for &p in &pick[..count] {
                             let to = quarter_places(q, *d)[p];
-                            above[to] = above[to] + four[p] * phase;
+                            above[to] += four[p] * phase;
                             if *tall {
-                                below[to] = below[to] + four[p] * phase.conj();
+                                below[to] += four[p] * phase.conj();
                             }
                         }
                     }

@@ -58,6 +58,7 @@ impl Kernel {
         // Interpolation at Chebyshev nodes, turned into powers of s by expanding Chebyshev polynomials.
         let nodes: Vec<f64> = (0..n).map(|k| ((k as f64 + 0.5) * PI / n as f64).cos()).collect();
         let mut powers = vec![vec![0.0; self.width]; n];
+        #[allow(clippy::needless_range_loop)]
         for j in 0..self.width {
             let values: Vec<f64> =
                 nodes.iter().map(|c| self.value(0.5 * c + (self.width as f64 - 1.0) / 2.0 - j as f64)).collect();

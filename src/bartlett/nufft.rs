@@ -152,7 +152,7 @@ impl<T: Real> Nufft<T> {
             (0..axis.support())
                 .map(|i| {
                     let k = i as f64 - axis.half as f64;
-                    let sign = if (i + axis.half) % 2 == 0 { 1.0 } else { -1.0 };
+                    let sign = if (i + axis.half).is_multiple_of(2) { 1.0 } else { -1.0 };
                     T::of(sign / kernel.transform(k / axis.n as f64))
                 })
                 .collect()
@@ -455,8 +455,8 @@ fn gather<S: Simd, T: Real, const W: usize, const REVERSED: bool>(
     }
     let (mut re, mut im) = (T::of(0.0), T::of(0.0));
     for pair in total.as_slice().chunks_exact(2) {
-        re = re + pair[0];
-        im = im + pair[1];
+        re += pair[0];
+        im += pair[1];
     }
     Complex::new(re, im)
 }

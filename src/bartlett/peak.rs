@@ -404,6 +404,12 @@ fn arrange<T: Real>(
 fn local_maxima(sampled: &Sampled, ring: usize) -> Vec<(usize, f64)> {
     let rows = sampled.elevations.len();
     let mut maxima = Vec::new();
+    if rows == 1 {
+        let values = &sampled.values;
+        let top = |i: usize| values[i] >= values[(i + ring - 1) % ring] && values[i] >= values[(i + 1) % ring];
+        maxima.extend((0..ring).filter(|i| top(*i)).map(|i| (i, values[i])));
+        return maxima;
+    }
     for row in 0..rows {
         for column in 0..ring {
             let value = sampled.values[row * ring + column];

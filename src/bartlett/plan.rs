@@ -309,12 +309,12 @@ fn load(scene: &Scene, plan: &Plan, batch: &mut Batch) {
     }
     let mut anchor = None;
     for t in 0..scene.len() {
-        if let (Some(from), Some(re), Some(im)) = (anchor, batch.re.last_mut(), batch.im.last_mut()) {
-            if distance(t, from) <= slack {
-                *re += scene.re[t];
-                *im += scene.im[t];
-                continue;
-            }
+        if let (Some(from), Some(re), Some(im)) = (anchor, batch.re.last_mut(), batch.im.last_mut())
+            && distance(t, from) <= slack
+        {
+            *re += scene.re[t];
+            *im += scene.im[t];
+            continue;
         }
         anchor = Some(t);
         let [x, y, z] = plan.frame.of(Vector3::new(scene.x[t], scene.y[t], scene.z[t]));
@@ -375,7 +375,7 @@ impl<T: Real> Core<T> {
     fn assemble(&self, bench: &mut Bench<T>, scale: f64, out: &mut [f64]) {
         let Bench { buffers, rings: work, .. } = bench;
         match &self.rings {
-            Some(rings) => rings.powers(&mut buffers.values, scale, work, out),
+            Some(rings) => rings.powers(&buffers.values, scale, work, out),
             None => {
                 for (out, f) in out.iter_mut().zip(&buffers.values) {
                     let (re, im): (f64, f64) = (f.re.into(), f.im.into());
@@ -392,7 +392,7 @@ impl<T: Real> Core<T> {
         let mut full = buffers.values.clone();
         if let Some(rings) = &self.rings {
             full.resize(out.len(), num_complex::Complex::new(T::of(0.0), T::of(0.0)));
-            rings.values(&mut buffers.values, work, &mut full);
+            rings.values(&buffers.values, work, &mut full);
         }
         for (out, f) in out.iter_mut().zip(full) {
             *out = Complex64::new(f.re.into(), f.im.into());

@@ -143,14 +143,14 @@ impl Scene {
         let mut order = [0, 1, 2];
         order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
         let axes = order.map(|i| eigen.eigenvectors.column(i).into_owned());
-        let half = axes.map(|a| {
-            let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
-            for t in 0..self.len() {
-                let d = a.x * self.x[t] + a.y * self.y[t] + a.z * self.z[t];
-                (low, high) = (low.min(d), high.max(d));
+        let mut ranges = [[f64::INFINITY, f64::NEG_INFINITY]; 3];
+        for ((x, y), z) in self.x.iter().zip(&self.y).zip(&self.z) {
+            for ([low, high], a) in ranges.iter_mut().zip(&axes) {
+                let d = a.x * x + a.y * y + a.z * z;
+                (*low, *high) = (low.min(d), high.max(d));
             }
-            (high - low) / 2.0
-        });
+        }
+        let half = ranges.map(|[low, high]| (high - low) / 2.0);
         Shape { geometry: classify(half, &axes), half_extent_m: half.map(|h| h * self.turn_m), axes }
     }
 

@@ -157,5 +157,5 @@ pub(crate) fn sin_cos_turns<S: Simd, T: Real>(simd: S, turns: V<S, T>) -> (V<S, 
     let sin = polynomial::<S, T>(simd, t, T::SIN) * r;
     let cos = polynomial::<S, T>(simd, t, T::COS);
     let twice = sin + sin;
-    (twice * cos, V::<S, T>::splat(simd, T::of(1.0)) - twice * sin)
+    (twice * cos, (-twice).mul_add(sin, V::<S, T>::splat(simd, T::of(1.0))))
 }

@@ -19,7 +19,7 @@ use super::scene::{exponent_above, ldexp};
 use super::simd::Tier;
 
 /// Packets that are spread together.
-const PENDING: usize = 64;
+const PENDING: usize = 256;
 /// Blocks of a sliding window.
 const BLOCKS: usize = 8;
 /// Samples may be this much larger than the first.
@@ -48,6 +48,9 @@ pub struct StreamOptions {
 pub struct Stream {
     options: StreamOptions,
     turn_m: f64,
+    per_metre: f64,
+    /// Turns.
+    reach: f64,
     evaluator: Evaluator<f32>,
     rings: Rings<f32>,
     grid: Grid,
@@ -118,6 +121,8 @@ impl Stream {
         Ok(Self {
             options,
             turn_m,
+            per_metre: 1.0 / turn_m,
+            reach,
             evaluator: Evaluator::planar(nufft, places),
             rings,
             grid: grid.clone(),
@@ -140,16 +145,15 @@ impl Stream {
     /// [`Error::NonFinite`] for a NaN or an infinity (`index` is the number of packets so far), [`Error::Aperture`]
     /// outside the reach, [`Error::Weight`] for a sample 2^40 times the first. The stream is as before.
     pub fn push(&mut self, z: Complex64, position_m: Vector3<f64>) -> Result<(), Error> {
-        let index = self.len();
-        let p = (position_m - self.options.middle_m) / self.turn_m;
+        let p = (position_m - self.options.middle_m) * self.per_metre;
         if !(z.re.is_finite() && z.im.is_finite()) {
-            return Err(Error::NonFinite { what: "sample", index });
+            return Err(Error::NonFinite { what: "sample", index: self.len() });
         }
         if !(p.x.is_finite() && p.y.is_finite()) {
-            return Err(Error::NonFinite { what: "position", index });
+            return Err(Error::NonFinite { what: "position", index: self.len() });
         }
         let limit_m = self.options.reach_m;
-        if p.x * p.x + p.y * p.y > (limit_m / self.turn_m).powi(2) {
+        if p.x * p.x + p.y * p.y > self.reach * self.reach {
             return Err(Error::Aperture { extent_m: p.x.hypot(p.y) * self.turn_m, limit_m });
         }
         let size = z.re.abs().max(z.im.abs());
@@ -165,7 +169,7 @@ impl Stream {
         let [a, b] = self.factors;
         let (re, im) = (z.re * a * b, z.im * a * b);
         if re.abs().max(im.abs()) > HEADROOM {
-            return Err(Error::Weight { index, weight: size });
+            return Err(Error::Weight { index: self.len(), weight: size });
         }
         self.open.packets += 1;
         self.open.sum_abs += (re * re + im * im).sqrt();
@@ -200,7 +204,10 @@ impl Stream {
         let Pending { x, y, re, im } = &mut self.pending;
         nufft.spread([x, y], re, im, &mut self.cells);
         self.in_cells += x.len();
-        (x.clear(), y.clear(), re.clear(), im.clear());
+        x.clear();
+        y.clear();
+        re.clear();
+        im.clear();
         if self.in_cells + PENDING > CARRY {
             carry(&mut self.cells, &mut self.carried);
             self.in_cells = 0;
