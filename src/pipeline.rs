@@ -216,7 +216,8 @@ fn find_macs(rx: &mut Log<'_>, txs: &mut [Log<'_>], options: &Options) -> Result
         by_mac.entry(*mac).or_default().push((heard.number, heard.timestamp_low));
     }
     // Foreign frames bring MACs of their own; only those with enough frames can be a transmitter, the busiest first.
-    let mut busiest: Vec<(Mac, Vec<Mark>)> = by_mac.into_iter().filter(|(_, marks)| marks.len() >= assign::MIN_COMMON).collect();
+    let mut busiest: Vec<(Mac, Vec<Mark>)> =
+        by_mac.into_iter().filter(|(_, marks)| marks.len() >= assign::MIN_COMMON).collect();
     busiest.sort_by_key(|(_, marks)| std::cmp::Reverse(marks.len()));
     busiest.truncate(MAX_TRANSMITTERS);
     let macs: Vec<Mac> = busiest.iter().map(|(mac, _)| *mac).collect();
