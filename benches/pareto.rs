@@ -1,6 +1,7 @@
 //! Run time against error, for every path, precision and tier, beside FINUFFT, NumPy and the naive double loop.
 //!
-//! `cargo bench --bench pareto` (a minute); `-- --full` for all sizes and apertures. FINUFFT and NumPy run in the same
+//! `cargo bench --bench pareto` (ten minutes); `-- --full` for all sizes and apertures, `-- planar`, `azimuth` or `helix` for
+//! one job, `-- quick` for 1,000 packets at 0.3 m. FINUFFT and NumPy run in the same
 //! run if `scripts/bench_venv.sh` has made their virtual environment.
 #![allow(clippy::expect_used)]
 
@@ -62,8 +63,10 @@ fn main() {
         ],
     );
     let mut series: Vec<Series> = Vec::new();
-    for job in jobs() {
-        for (n, radius) in sizes(full) {
+    let named: Vec<String> = std::env::args().filter(|a| jobs().iter().any(|j| j.name == a)).collect();
+    let quick = std::env::args().any(|a| a == "quick");
+    for job in jobs().into_iter().filter(|j| named.is_empty() || named.iter().any(|n| n == j.name)) {
+        for (n, radius) in sizes(full).into_iter().filter(|size| !quick || *size == (1_000, 0.3)) {
             let samples = common::job(n, radius, job.height * radius, 7);
             let before = naive_ms(&samples, &job.grid, 30);
             let reference = reference(&samples, &job.grid);
@@ -97,15 +100,17 @@ fn main() {
                 }
             }
         }
+        table.save();
+        if job.name == "planar" {
+            picture(
+                "pareto",
+                "360 x 181 directions, 1,000 packets, 0.3 m",
+                "milliseconds, one thread",
+                "largest error of F / max F",
+                &series,
+            );
+        }
     }
-    table.save();
-    picture(
-        "pareto",
-        "360 x 181 directions, 1,000 packets, 0.3 m",
-        "milliseconds, one thread",
-        "largest error of F / max F",
-        &series,
-    );
 }
 
 fn sizes(full: bool) -> Vec<(usize, f64)> {
