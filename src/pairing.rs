@@ -194,7 +194,7 @@ impl Clock {
         let pairs = self.run.iter().zip(self.run.iter().skip(1));
         let mut steps: Vec<i64> = pairs.map(|(a, b)| i64::from(b.1.wrapping_sub(a.1).cast_signed()).abs()).collect();
         let middle = steps.len() / 2;
-        steps.get_mut(middle).is_some().then(|| *steps.select_nth_unstable(middle).1).unwrap_or_default()
+        if steps.is_empty() { 0 } else { *steps.select_nth_unstable(middle).1 }
     }
 
     /// Believes the run's own difference (the middle one of the run); false if there is no run.

@@ -15,10 +15,14 @@ use crate::survey::Survey;
 use driver_iface::{Mac, bfee::Antenna};
 use intake::{Log, Unused};
 use link::{Bearing, Link, LinkError};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Frames of each log that are read ahead to find out which transmitter wrote which log.
-const READ_AHEAD: usize = 65_536;
+const READ_AHEAD: usize = 32_768;
+/// Pairs this long before and after the trajectory are kept, seconds; others are counted and forgotten, so that a log
+/// of hours costs no memory.
+const SETTLE_S: f64 = 30.0;
 /// Senders in the receiver's log that are tried for each transmitter's log.
 const MAX_TRANSMITTERS: usize = 64;
 
@@ -53,6 +57,8 @@ pub struct Options {
     pub to_s: Option<f64>,
     /// Whether turn-around compensation may be applied.
     pub compensate: bool,
+    /// Whether links are estimated on all cores of the current rayon pool, or one after the other.
+    pub parallel: bool,
     /// Whether the course of the phase is kept for pictures.
     pub keep_course: bool,
     /// What is done beyond a plane wave.
@@ -76,9 +82,20 @@ impl Options {
             to_s: None,
             compensate: true,
             accuracy: accurate::Accuracy::default(),
+            parallel: false,
             keep_course: false,
             search: SearchOptions::default(),
         }
+    }
+
+    /// The receiver's host time, microseconds, in which pairs are of use: the trajectory's and some seconds about it, in
+    /// which the robot stands and the phase settles.
+    fn span_us(&self, trajectory: &Trajectory) -> Option<(i64, i64)> {
+        let (start_s, end_s) = trajectory.span_s();
+        let us = |t_s: f64| ((t_s - self.clock_offset_s) * 1e6) as i64;
+        let margin_us = (SETTLE_S * 1e6) as i64;
+        let span = (us(start_s).saturating_sub(margin_us), us(end_s).saturating_add(margin_us));
+        (self.join == JoinBy::Time).then_some(span)
     }
 
     fn keeps(&self, since_first_s: f64) -> bool {
@@ -152,11 +169,16 @@ pub fn bearings(
     let mut txs: Vec<Log<'_>> = logs.into_iter().map(|log| Log::new(log, options.antenna)).collect();
     let matches = find_macs(&mut rx, &mut txs, options)?;
     let mac = |m: &Found| m.as_ref().ok().map(|found| found.0);
-    let mut links: Vec<Option<Link>> = matches.iter().map(|m| mac(m).map(Link::new)).collect();
+    let span_us = options.span_us(trajectory);
+    let mut links: Vec<Option<Link>> = matches.iter().map(|m| mac(m).map(|mac| Link::new(mac, span_us))).collect();
     read(&mut rx, &mut txs, &mut links, options)?;
     let report = |log: Log<'_>| LogReport { survey: log.survey, unused: log.unused };
     let finish = |((link, found), path)| LinkReport::new(link, found, trajectory, path, options);
-    let links = links.into_iter().zip(matches).zip(paths).map(finish).collect();
+    let jobs: Vec<_> = links.into_iter().zip(matches).zip(paths).collect();
+    let links = match options.parallel {
+        true => jobs.into_par_iter().map(finish).collect(),
+        false => jobs.into_iter().map(finish).collect(),
+    };
     Ok(Report { receiver: report(rx), transmitters: txs.into_iter().map(report).collect(), links })
 }
 

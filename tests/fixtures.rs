@@ -47,6 +47,7 @@ fn the_small_circle_gives_its_scenes_bearing() {
         compensate: true,
         accuracy: Accuracy::default(),
         keep_course: false,
+        parallel: false,
         search: SearchOptions::default(),
     };
     let evaluated = captures[0].evaluate(Source::GroundTruth, None, &options);

@@ -28,6 +28,7 @@ fn options(join: JoinBy) -> Options {
         compensate: true,
         accuracy: Accuracy::default(),
         keep_course: false,
+        parallel: false,
         search: SearchOptions::default(),
     }
 }

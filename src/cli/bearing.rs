@@ -49,6 +49,9 @@ pub struct Args {
     /// Refuse bearings whose probability of being within 5 degrees is below this, 0..1
     #[arg(long, value_name = "P")]
     min_confidence: Option<f64>,
+    /// Links worked on at a time; 0 is one for each core
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    threads: usize,
     /// One JSON object a link instead of text
     #[arg(long)]
     json: bool,
@@ -112,7 +115,10 @@ pub fn run(args: Args) -> Result {
         .enumerate()
         .map(|(k, log)| Transmitter { log: log as &mut dyn CsiSource, trajectory: partners.get(k) })
         .collect();
-    let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.min(64)).build();
+    let pool = pool.map_err(|error| error.to_string())?;
+    let report = pool.install(|| bearings(&mut receiver, transmitters, &trajectory, &options));
+    let report = report.map_err(|error| error.to_string())?;
     say_losses(&args, &report, &receiver, &logs);
     let mut names: Vec<String> = args.tx.iter().map(|path| stem(path)).collect();
     let stems = names.clone();
@@ -150,7 +156,7 @@ fn options(args: &Args) -> std::result::Result<Options, String> {
     let join = if args.join_rows { JoinBy::Row } else { JoinBy::Time };
     #[cfg(feature = "plot")]
     let options = Options { keep_course: args.plot.is_some(), ..options };
-    Ok(Options { tx_macs: args.tx_mac.clone(), rx_mac: args.rx_mac, join, ..options })
+    Ok(Options { tx_macs: args.tx_mac.clone(), rx_mac: args.rx_mac, join, parallel: args.tx.len() > 1, ..options })
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.

@@ -126,10 +126,13 @@ fn powers_simd<S: Simd>(simd: S, layers: &[Layer], cells: &[Cell], views: usize,
     }
 }
 
+/// Cosine and sine of the steering phase, a lane for each cell.
+type Turn<S> = (V<S, f32>, V<S, f32>);
+
 /// `exp(j 2 pi (|rx - place| - range))` in turns for each sample: what undoes the path. The difference of the two
 /// lengths is written without cancellation, and holds for infinite range.
 #[inline(always)]
-fn steer<S: Simd>(simd: S, layer: &Layer, cells: &[Cell], steering: &mut [(V<S, f32>, V<S, f32>)]) {
+fn steer<S: Simd>(simd: S, layer: &Layer, cells: &[Cell], steering: &mut [Turn<S>]) {
     let splat = |value: f32| V::<S, f32>::splat(simd, value);
     let lane = |f: &dyn Fn(&Cell) -> f32| V::<S, f32>::from_fn(simd, |i| cells.get(i).map_or(0.0, f));
     let (ux, uy, uz) = (lane(&|c| c.unit[0]), lane(&|c| c.unit[1]), lane(&|c| c.unit[2]));
@@ -146,7 +149,7 @@ fn steer<S: Simd>(simd: S, layer: &Layer, cells: &[Cell], steering: &mut [(V<S, 
 }
 
 #[inline(always)]
-fn window_power<S: Simd>(simd: S, window: &Window, steering: &[(V<S, f32>, V<S, f32>)]) -> V<S, f32> {
+fn window_power<S: Simd>(simd: S, window: &Window, steering: &[Turn<S>]) -> V<S, f32> {
     let zero = V::<S, f32>::splat(simd, 0.0);
     let mut power = zero;
     for column in &window.columns {

@@ -195,7 +195,8 @@ fn axes(radius_m: f64, order: f64, curve_max: f64, limits: &Limits) -> Option<Ax
     // The quadratic term is order * radius / 2 * curve at the rim, half of that about its mean.
     let bend = order * radius_m / 2.0 * curve_max;
     let ranges = if bend < PLANE_RAD { 0.0 } else { steps(bend) };
-    if !(azimuths * (rings + 1.0) * (ranges + 1.0) <= MAX_CELLS as f64) {
+    let cells = azimuths * (rings + 1.0) * (ranges + 1.0);
+    if cells.is_nan() || cells > MAX_CELLS as f64 {
         return None;
     }
     let (rings, ranges) = (rings as usize, ranges as usize);

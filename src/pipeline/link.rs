@@ -58,15 +58,13 @@ pub enum LinkError {
     },
     /// All pairs lie outside the trajectory.
     #[error(
-        "the {pairs} pairs (from {from_s:.3} s to {to_s:.3} s) lie outside the trajectory ({start_s:.3} s to {end_s:.3} s): is it of this run? --clock-offset shifts one against the other"
+        "the {pairs} pairs (from about {from_s:.3} s) lie outside the trajectory ({start_s:.3} s to {end_s:.3} s): is it of this run? --clock-offset shifts one against the other"
     )]
     OutsideTrajectory {
         /// Pairs.
         pairs: usize,
         /// Time of the first pair on the trajectory's clock, s.
         from_s: f64,
-        /// Time of the last pair, s.
-        to_s: f64,
         /// First pose, s.
         start_s: f64,
         /// Last pose, s.
@@ -113,6 +111,9 @@ pub struct Link {
     pairing: Pairing<Heard>,
     rows: Vec<Row>,
     silent: usize,
+    span_us: Option<(i64, i64)>,
+    outside: usize,
+    first_us: Option<i64>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -205,10 +206,11 @@ fn extent_m(samples: &Samples) -> f64 {
 }
 
 impl Link {
-    /// A link to `mac` with nothing in it yet.
+    /// A link to `mac` with nothing in it yet. Pairs outside `span_us` of the receiver's host time are only counted.
     #[must_use]
-    pub fn new(mac: Mac) -> Self {
-        Self { mac, pairing: Pairing::new(4_096), rows: Vec::new(), silent: 0 }
+    pub fn new(mac: Mac, span_us: Option<(i64, i64)>) -> Self {
+        let pairing = Pairing::new(4_096);
+        Self { mac, pairing, rows: Vec::new(), silent: 0, span_us, outside: 0, first_us: None }
     }
 
     /// Which side should be read next.
@@ -226,7 +228,7 @@ impl Link {
     /// Pairs so far.
     #[must_use]
     pub fn pairs(&self) -> usize {
-        self.rows.len()
+        self.rows.len() + self.outside
     }
 
     /// Takes a frame of one side.
@@ -242,6 +244,13 @@ impl Link {
     }
 
     fn keep(&mut self, pair: &Pair<Heard>, options: &Options) {
+        if let Some(host_us) = pair.receiver.host_us {
+            self.first_us.get_or_insert(host_us);
+            if self.span_us.is_some_and(|(from, to)| !(from..=to).contains(&host_us)) {
+                self.outside += 1;
+                return;
+            }
+        }
         let (forward, backward) = (pair.transmitter.csi(), pair.receiver.csi());
         let Some(coherent) = round_trip_at_centre(&forward, &backward, &options.channel.subcarriers()) else {
             self.silent += 1;
@@ -276,6 +285,11 @@ impl Link {
         transmitter: Option<&Trajectory>,
         options: &Options,
     ) -> Result<Bearing, LinkError> {
+        if self.rows.is_empty() && self.outside > 0 {
+            let at_s = self.first_us.map_or(0.0, |us| us as f64 * 1e-6 + options.clock_offset_s);
+            let (start_s, end_s) = receiver.span_s();
+            return Err(LinkError::OutsideTrajectory { pairs: self.outside, from_s: at_s, start_s, end_s });
+        }
         if self.rows.is_empty() {
             let handed = |side| self.counts(side).handed;
             return Err(LinkError::NoPairs {
@@ -294,14 +308,17 @@ impl Link {
         if let Some(spread_us) = turn_around.as_ref().map(|t| t.jitter_median_us).filter(|us| *us > MAX_SPREAD_US) {
             return Err(LinkError::NotOfOneRun { spread_us });
         }
-        let mut pairs =
-            PairCounts { formed: self.rows.len() + self.silent, silent: self.silent, ..PairCounts::default() };
+        let formed = self.rows.len() + self.silent + self.outside;
+        let mut pairs = PairCounts { formed, silent: self.silent, no_pose: self.outside, ..PairCounts::default() };
+        let first_s =
+            self.first_us.filter(|_| options.join == JoinBy::Time).map(|us| us as f64 * 1e-6 + options.clock_offset_s);
+        let first_s = first_s.unwrap_or(times[0]);
         let mut samples = Samples::new(2);
         let mut heading_rad = None;
         let mut used = Vec::new();
         let motion = (receiver.motion(), transmitter.map(Trajectory::motion));
         for (index, (&t_s, &z)) in times.iter().zip(&z).enumerate() {
-            if !options.keeps(t_s - times[0]) {
+            if !options.keeps(t_s - first_s) {
                 pairs.cut += 1;
                 continue;
             }
@@ -394,6 +411,6 @@ impl Link {
         if pairs.cut > 0 && pairs.no_pose == 0 {
             return LinkError::AllCut { pairs: pairs.formed, length_s: to_s - from_s };
         }
-        LinkError::OutsideTrajectory { pairs: pairs.formed, from_s, to_s, start_s, end_s }
+        LinkError::OutsideTrajectory { pairs: pairs.formed, from_s, start_s, end_s }
     }
 }
