@@ -115,10 +115,9 @@ pub fn run(args: Args) -> Result {
         .enumerate()
         .map(|(k, log)| Transmitter { log: log as &mut dyn CsiSource, trajectory: partners.get(k) })
         .collect();
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.min(64)).build();
-    let pool = pool.map_err(|error| error.to_string())?;
-    let report = pool.install(|| bearings(&mut receiver, transmitters, &trajectory, &options));
-    let report = report.map_err(|error| error.to_string())?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.min(64));
+    pool.build_global().map_err(|error| error.to_string())?;
+    let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
     say_losses(&args, &report, &receiver, &logs);
     let mut names: Vec<String> = args.tx.iter().map(|path| stem(path)).collect();
     let stems = names.clone();

@@ -67,7 +67,7 @@ enum Command {
     /// The paper's circle and line experiments, simulated, decoded and estimated, with pictures
     Demo(demo::Args),
     /// The bearing from a receiver that moved to one or more transmitters, from their logs
-    Bearing(bearing::Args),
+    Bearing(Box<bearing::Args>),
     /// What is in logs: layout, senders, rates, losses with their offsets, where and why a log was cut
     Info(info::Args),
     /// Bearings of a whole tree of captures against the truth
@@ -99,7 +99,7 @@ pub fn run() -> ExitCode {
     let cli = Cli::parse();
     let result = match cli.command {
         Command::Demo(args) => demo::run(&args),
-        Command::Bearing(args) => bearing::run(args),
+        Command::Bearing(args) => bearing::run(*args),
         Command::Info(args) => info::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         Command::Locate(args) => locate::run(&args),
