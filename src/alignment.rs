@@ -1,7 +1,7 @@
 //! Sampling-time offset: the part of it that the round-trip product leaves, taken out packet by packet.
 //!
 //! Both cards start sampling a little early or late in each frame, which turns the phase of a product by
-//! `slope * subcarrier index` ([measured]: 0.05 to 0.12 rad per index from packet to packet, so a turn at the edges of
+//! `slope * subcarrier index` (measured: 0.05 to 0.12 rad per index from packet to packet, so a turn at the edges of
 //! the band). The mean slope belongs to the path and the radios and says nothing; what changes from one packet to
 //! the next cannot be motion, which turns the slope by 2 pi per 153 m. So each packet is turned to the slope of its
 //! neighbours, about index 0, where the slope does nothing: the phase at the channel centre is left as it is.
@@ -72,7 +72,7 @@ fn turn_by(row: &mut Row, indices: &[i8; SUBCARRIERS], slope: f32) {
     }
 }
 
-/// Slopes that are tried first, radians per index: [measured] outliers reach 0.4. A lobe over 56 indices is 0.22 wide.
+/// Slopes that are tried first, radians per index: measured outliers reach 0.4. A lobe over 56 indices is 0.22 wide.
 const TRIED: [f32; 27] = {
     let mut slopes = [0.0; 27];
     let mut k = 0;

@@ -4,7 +4,7 @@
 //! tells them apart is time: between a robot's reception and its own answer lies only the turn-around, so
 //! `clock_tx - clock_rx` of the right match is a straight line but for some tens of microseconds of jitter. A wrong
 //! match holds the waits of the sender's slots as well and spreads by more: on the 36 links of the WSR data set at hand that
-//! have a choice, 2.2 times at least and mostly over 4 times ([measured]; of the mean and the root mean square deviation
+//! have a choice, 2.2 times at least and mostly over 4 times (measured; of the mean and the root mean square deviation
 //! too the median tells best, since outliers of the turn-around are common). The number of common frame numbers tells
 //! nothing: it is wrong or tied on half of them.
 

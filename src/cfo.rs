@@ -8,7 +8,7 @@
 //!
 //! Convention: `z * exp(+j 2 pi df d)`, with `d = clock_tx - clock_rx` less its linear drift. The drift has the same
 //! crystals behind it as `df`: `df ~ drift * carrier` to within about 1 kHz while the turn-around itself is steady
-//! ([measured] on the paper's and the WSR data set's captures).
+//! (measured on the paper's and the WSR data set's captures).
 
 use crate::channel::SUBCARRIERS;
 use crate::samples::Coherent;
@@ -26,7 +26,7 @@ pub fn round_trip(forward: &[Complex32; SUBCARRIERS], backward: &[Complex32; SUB
 /// one by one.
 ///
 /// Path and radios together turn one direction by about 0.8 rad from one reported subcarrier to the next and the product
-/// by twice that ([measured]); taken one by one the slopes stay unambiguous up to 800 ns each way (about 180 m of path).
+/// by twice that (measured); taken one by one the slopes stay unambiguous up to 800 ns each way (about 180 m of path).
 /// `None` if one of them is all zero.
 #[must_use]
 pub fn round_trip_at_centre(

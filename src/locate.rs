@@ -45,10 +45,10 @@ pub enum LocateError {
     Parallel,
 }
 
-/// Model error that no bearing is better than (reflections, antenna patterns, positions), radians: [measured] the
+/// Model error that no bearing is better than (reflections, antenna patterns, positions), radians: measured the
 /// median error in line of sight is about one degree however small the predicted deviation.
 const AZIMUTH_FLOOR_RAD: f64 = 0.02;
-/// The same for range, relative: reflections bend wave fronts too ([measured] half within a tenth, one in six off by more
+/// The same for range, relative: reflections bend wave fronts too (measured half within a tenth, one in six off by more
 /// than three tenths).
 const RANGE_FLOOR: f64 = 0.3;
 /// Residuals (in deviations) at which a sighting has lost half its say.

@@ -8,7 +8,7 @@
 //! * **restart**: the counter starts anew (the sender was restarted). A jump back that the next record confirms opens a
 //!   new session.
 //! * **wrap**: `u32::MAX` to 0 is a step of one.
-//! * **duplicate**: the same number again within a session (overheard echoes, [measured] 892 in one log): the first
+//! * **duplicate**: the same number again within a session (overheard echoes, measured 892 in one log): the first
 //!   stays, the others are counted.
 //! * **implausible jump**: a number more than some frames from its neighbours that the next record does not confirm (a
 //!   flipped bit; the reference sender's counter turns to noise after 68,966 packets; stale header fields): dropped and
@@ -79,7 +79,7 @@ const CLOCK_DRIFT_PER_S: i64 = 200;
 /// Candidates in a row that must agree before their clock difference is believed.
 const RUN: usize = 16;
 /// They agree if the median step of the difference from one to the next is at most this, microseconds: a turn-around
-/// jitters by 4 to 22 us ([measured], paper-framework), the waits of two independent senders by hundreds.
+/// jitters by 4 to 22 us (measured, paper-framework), the waits of two independent senders by hundreds.
 const RUN_STEP_US: i64 = 80;
 /// Without any run that agrees the first so many candidates are believed all the same: a slow responder is no mismatch.
 const PATIENCE: u32 = 1_024;
