@@ -10,9 +10,10 @@ use crate::channel::{Channel, Width};
 use crate::odometry;
 use crate::pipeline::{Options, Transmitter, bearings};
 use crate::pose::{Trajectory, wrap_rad};
+use crate::survey::Survey;
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// The file that makes a folder a capture.
@@ -191,7 +192,13 @@ pub fn find(root: &Path) -> (Vec<Capture>, Vec<String>) {
 fn captures_in(root: &Path, folder: &Path, names: &[String]) -> Vec<Capture> {
     let below = folder.strip_prefix(root).unwrap_or(folder);
     let place: Vec<_> = below.components().map(|part| part.as_os_str().to_string_lossy().into_owned()).collect();
-    let stamps = names.iter().filter_map(|name| name.strip_prefix("csi_rx_")?.strip_suffix(".dat"));
+    // A stamp with a transmitter's log only is a capture too, one that cannot be used and is said to be so.
+    let stamp_of = |name: &'_ String| -> Option<String> {
+        let name = name.strip_suffix(".dat")?;
+        let of_tx = || name.strip_prefix("csi_tx")?.trim_start_matches(|c: char| c.is_ascii_digit()).strip_prefix('_');
+        name.strip_prefix("csi_rx_").or_else(of_tx).map(str::to_owned)
+    };
+    let stamps: BTreeSet<String> = names.iter().filter_map(stamp_of).collect();
     let capture = |stamp: &str| {
         let transmitter = |name: &String| {
             let k = name.strip_prefix("csi_tx")?.strip_suffix(".dat")?.strip_suffix(stamp)?.strip_suffix('_')?;
@@ -201,7 +208,7 @@ fn captures_in(root: &Path, folder: &Path, names: &[String]) -> Vec<Capture> {
         transmitters.sort();
         Capture { place: place.join("/"), stamp: stamp.into(), folder: folder.into(), transmitters }
     };
-    stamps.map(capture).collect()
+    stamps.iter().map(|stamp| capture(stamp)).collect()
 }
 
 #[derive(Deserialize)]
@@ -232,6 +239,18 @@ pub struct Evaluated {
     pub rows: Vec<Judged>,
     /// True if records were lost before a log's tail or a link failed.
     pub lost: bool,
+    /// What was lost or left out, a line each, with the file's name.
+    pub notes: Vec<String>,
+}
+
+/// What a log lost before its tail, in a line; nothing if nothing was.
+fn loss_note(path: &Path, survey: &Survey) -> Option<String> {
+    let first = survey.losses.first().map(|loss| format!("; the first at offset {}: {}", loss.offset, loss.reason));
+    let (damages, bytes, bad) = (survey.damages, survey.damaged_bytes, survey.bad_bfee);
+    survey.lost_something().then(|| {
+        let first = first.unwrap_or_default();
+        format!("{}: {damages} damaged stretches ({bytes} bytes), {bad} impossible records{first}", path.display())
+    })
 }
 
 impl Capture {
@@ -254,16 +273,22 @@ impl Capture {
                 [] => vec![row("")],
                 some => some.iter().map(|(name, _)| row(name)).collect(),
             };
-            Evaluated { rows, lost: true }
+            Evaluated { rows, lost: true, notes: Vec::new() }
         })
     }
 
-    fn trajectory(&self, source: Source) -> Result<Trajectory, String> {
+    fn trajectory(&self, source: Source, notes: &mut Vec<String>) -> Result<Trajectory, String> {
         let path = self.folder.join(format!("{}{}_.csv", source.prefix(), self.stamp));
-        odometry::csv::read(&path).map(|(trajectory, _)| trajectory).map_err(|error| match error {
+        let read = odometry::csv::read(&path).map_err(|error| match error {
             odometry::csv::CsvError::Io { .. } => error.to_string(),
             _ => format!("{}: {error}", path.display()),
-        })
+        });
+        let (trajectory, counts) = read?;
+        if let Some((line, why)) = counts.first_bad {
+            let rows = counts.bad_rows;
+            notes.push(format!("{}: {rows} rows left out, the first in line {line}: {why}", path.display()));
+        }
+        Ok(trajectory)
     }
 
     fn try_evaluate(&self, source: Source, channel: Option<Channel>, options: &Options) -> Result<Evaluated, String> {
@@ -276,15 +301,23 @@ impl Capture {
         if self.transmitters.is_empty() {
             return Err(format!("no csi_txK_{}.dat beside csi_rx_{}.dat", self.stamp, self.stamp));
         }
-        let trajectory = self.trajectory(source)?;
+        let mut notes = Vec::new();
+        let trajectory = self.trajectory(source, &mut notes)?;
         let reference = match source {
             Source::GroundTruth => Some(trajectory.clone()),
-            _ => self.trajectory(Source::GroundTruth).ok(),
+            _ => self.trajectory(Source::GroundTruth, &mut notes).ok(),
         };
         let options = Options { channel, ..options.clone() };
         let open = |path: &Path| Replay::open(path).map_err(|error| error.to_string());
-        let mut receiver = open(&self.folder.join(format!("csi_rx_{}.dat", self.stamp)))?;
-        let mut logs = self.transmitters.iter().map(|(_, path)| open(path)).collect::<Result<Vec<_>, _>>()?;
+        let rx_path = self.folder.join(format!("csi_rx_{}.dat", self.stamp));
+        let mut receiver = open(&rx_path)?;
+        // A transmitter's log that cannot be opened costs its own link; the others go on.
+        let nothing = || Replay::new(Box::new(std::io::empty()) as Box<dyn std::io::Read + Send>, String::new());
+        let opened = self.transmitters.iter().map(|(_, path)| match open(path) {
+            Ok(log) => (log, None),
+            Err(error) => (nothing(), Some(error)),
+        });
+        let (mut logs, failed): (Vec<_>, Vec<Option<String>>) = opened.unzip();
         let transmitters =
             logs.iter_mut().map(|log| Transmitter { log: log as &mut dyn CsiSource, trajectory: None }).collect();
         let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
@@ -294,8 +327,16 @@ impl Capture {
             let times = link.bearing.as_ref().map(|bearing| bearing.samples.t_s.as_slice()).unwrap_or_default();
             judge(answer, position.map(|pose| pose.position), reference.as_ref(), times)
         };
-        let rows = self.transmitters.iter().zip(&report.links).map(judge).collect();
-        Ok(Evaluated { rows, lost: lost_something(&report) })
+        let mut rows: Vec<Judged> = self.transmitters.iter().zip(&report.links).map(judge).collect();
+        for (row, error) in rows.iter_mut().zip(failed) {
+            if let Some(error) = error {
+                row.answer = Answer::failed(row.answer.link.clone(), error);
+            }
+        }
+        let paths = std::iter::once(&rx_path).chain(self.transmitters.iter().map(|(_, path)| path));
+        let surveys = std::iter::once(&report.receiver).chain(&report.transmitters).map(|log| &log.survey);
+        notes.extend(paths.zip(surveys).filter_map(|(path, survey)| loss_note(path, survey)));
+        Ok(Evaluated { rows, lost: lost_something(&report), notes })
     }
 
     fn truth(&self) -> Result<TruthFile, String> {

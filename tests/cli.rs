@@ -251,3 +251,41 @@ fn profiles_are_written_on_the_grids_asked_for() {
     assert_eq!(folder.bearing(&["--profile", "p.npz", "--grid", "72x19"]).0, 0);
     assert_eq!(folder.bearing(&["--grid", "7y"]).0, 2);
 }
+
+/// Writes a link as a capture folder that `evaluate` reads.
+fn capture(folder: &Folder, name: &str, link: &Link) {
+    std::fs::create_dir_all(folder.0.join(name)).unwrap();
+    let truth = r#"{"channel": {"value": 108}, "true_tx_positions": {"value": {"tx2": {"position": {"x": -500.0, "y": 866.0, "z": 0}}}}}"#;
+    folder.write(&format!("{name}/groundtruth_positions.json"), truth.as_bytes());
+    folder.write(&format!("{name}/csi_rx_1.dat"), &link.rx.concat());
+    folder.write(&format!("{name}/csi_tx2_1.dat"), &link.tx.concat());
+    folder.write(&format!("{name}/rx_trajectory_1_.csv"), link.trajectory.as_bytes());
+}
+
+#[test]
+fn an_evaluation_reports_bad_captures_and_goes_on() {
+    let folder = Folder::new("evaluate");
+    let made = link(400, 2.0 * std::f64::consts::FRAC_PI_3);
+    capture(&folder, "tree/A/good", &made);
+    let (status, out, err) = folder.run(&["evaluate", "tree", "--json"]);
+    let rows: Vec<_> = out.lines().map(json).collect();
+    assert_eq!((status, rows.len()), (0, 2), "{err}");
+    assert_eq!(rows[0]["link"], "A/good/1/tx2");
+    assert!(rows[0]["error_from_mean_pose_deg"].as_f64().unwrap().abs() < 0.3, "{out}");
+    assert_eq!(rows[1]["summary"]["A"]["links"], 1);
+    // A damaged record, a missing receiver's log, no truth to read.
+    let mut damaged = link(400, 2.0);
+    damaged.rx[50].remove(9);
+    capture(&folder, "tree/A/damaged", &damaged);
+    capture(&folder, "tree/B/without_rx", &made);
+    std::fs::remove_file(folder.0.join("tree/B/without_rx/csi_rx_1.dat")).unwrap();
+    capture(&folder, "tree/B/no_truth", &made);
+    folder.write("tree/B/no_truth/groundtruth_positions.json", b"{");
+    let (status, out, err) = folder.run(&["evaluate", "tree", "--json"]);
+    let rows: Vec<_> = out.lines().map(json).collect();
+    assert_eq!((status, rows.len()), (3, 5), "{out}");
+    assert!(err.contains("damaged/csi_rx_1.dat: 1 damaged stretches"), "{err}");
+    let failed = rows.iter().filter(|row| row["azimuth_deg"].is_null() && row["error"].is_string());
+    assert_eq!(failed.count(), 2, "{out}");
+    assert!(rows[4]["summary"]["B"]["from_mean_pose"]["mean_deg"].is_null(), "{out}");
+}

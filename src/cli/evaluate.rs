@@ -93,6 +93,9 @@ pub fn run(args: &Args) -> Result {
     }
     let results: Vec<Evaluated> = pool.install(|| captures.par_iter().map(one).collect());
     bar.finish_and_clear();
+    for note in results.iter().flat_map(|result| &result.notes) {
+        eprintln!("{note}");
+    }
     let lost = !unreadable.is_empty() || results.iter().any(|result| result.lost);
     let rows: Vec<Judged> = results.into_iter().flat_map(|result| result.rows).collect();
     let summary = summarise(&rows);
