@@ -286,14 +286,19 @@ fn describe(answer: &Answer) -> String {
     let counts = answer.pair_counts;
     let _ = writeln!(
         text,
-        "  {} pairs: {} in motion ({}), {} standing, {} without a pose, {} cut, {} silent",
+        "  {} pairs: {} in motion ({}), {} standing, {} without a pose, {} cut, {} silent{}",
         answer.pairs,
         counts.in_motion,
         answer.geometry.as_deref().unwrap_or("-"),
         counts.standing,
         counts.no_pose,
         counts.cut,
-        counts.silent
+        counts.silent,
+        if counts.thinned > 0 {
+            format!(", {} left out evenly (more than are kept)", counts.thinned)
+        } else {
+            String::new()
+        }
     );
     if let (Some(cfo), Some(before), Some(after)) =
         (answer.cfo_hz, answer.phase_coherence_before, answer.phase_coherence_after)

@@ -101,6 +101,8 @@ pub struct PairCounts {
     pub cut: usize,
     /// Without energy at the antenna.
     pub silent: usize,
+    /// Left out evenly, because the link has more pairs than are kept.
+    pub thinned: usize,
 }
 
 /// What is known of a link once its logs were read.
@@ -114,6 +116,9 @@ pub struct Link {
     span_us: Option<(i64, i64)>,
     outside: usize,
     first_us: Option<i64>,
+    /// One pair in so many is kept.
+    stride: usize,
+    thinned: usize,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -195,6 +200,10 @@ const MAX_SPREAD_US: f64 = 500.0;
 /// Largest motion that is searched as one array, metres: far beyond what odometry follows to a fraction of a wavelength.
 const MAX_EXTENT_M: f64 = 50.0;
 
+/// Pairs kept of a link; of more every second one goes, again and again, so that a log of any length costs no more memory.
+/// At 100 exchanges a second it is two and a half minutes within one trajectory, far longer than odometry stays coherent.
+const MAX_ROWS: usize = 16_384;
+
 /// The longest side of the box that holds all displacements, metres.
 fn extent_m(samples: &Samples) -> f64 {
     let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
@@ -210,7 +219,7 @@ impl Link {
     #[must_use]
     pub fn new(mac: Mac, span_us: Option<(i64, i64)>) -> Self {
         let pairing = Pairing::new(4_096);
-        Self { mac, pairing, rows: Vec::new(), silent: 0, span_us, outside: 0, first_us: None }
+        Self { mac, pairing, rows: Vec::new(), silent: 0, span_us, outside: 0, first_us: None, stride: 1, thinned: 0 }
     }
 
     /// Which side should be read next.
@@ -228,7 +237,7 @@ impl Link {
     /// Pairs so far.
     #[must_use]
     pub fn pairs(&self) -> usize {
-        self.rows.len() + self.outside
+        self.rows.len() + self.outside + self.thinned
     }
 
     /// Takes a frame of one side.
@@ -250,6 +259,19 @@ impl Link {
                 self.outside += 1;
                 return;
             }
+        }
+        if !(self.rows.len() + self.thinned).is_multiple_of(self.stride) {
+            self.thinned += 1;
+            return;
+        }
+        if self.rows.len() >= MAX_ROWS {
+            let mut index = 0;
+            self.rows.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+            self.thinned += MAX_ROWS - self.rows.len();
+            self.stride *= 2;
         }
         let (forward, backward) = (pair.transmitter.csi(), pair.receiver.csi());
         let Some(coherent) = round_trip_at_centre(&forward, &backward, &options.channel.subcarriers()) else {
@@ -308,8 +330,9 @@ impl Link {
         if let Some(spread_us) = turn_around.as_ref().map(|t| t.jitter_median_us).filter(|us| *us > MAX_SPREAD_US) {
             return Err(LinkError::NotOfOneRun { spread_us });
         }
-        let formed = self.rows.len() + self.silent + self.outside;
-        let mut pairs = PairCounts { formed, silent: self.silent, no_pose: self.outside, ..PairCounts::default() };
+        let formed = self.pairs() + self.silent;
+        let (silent, no_pose, thinned) = (self.silent, self.outside, self.thinned);
+        let mut pairs = PairCounts { formed, silent, no_pose, thinned, ..PairCounts::default() };
         let first_s =
             self.first_us.filter(|_| options.join == JoinBy::Time).map(|us| us as f64 * 1e-6 + options.clock_offset_s);
         let first_s = first_s.unwrap_or(times[0]);
