@@ -201,8 +201,8 @@ const MAX_SPREAD_US: f64 = 500.0;
 const MAX_EXTENT_M: f64 = 50.0;
 
 /// Pairs kept of a link; of more every second one goes, again and again, so that a log of any length costs no more memory.
-/// At 100 exchanges a second it is two and a half minutes within one trajectory, far longer than odometry stays coherent.
-const MAX_ROWS: usize = 16_384;
+/// At 100 exchanges a second it is over a minute within one trajectory, longer than odometry stays coherent.
+const MAX_ROWS: usize = 8_192;
 
 /// The longest side of the box that holds all displacements, metres.
 fn extent_m(samples: &Samples) -> f64 {
