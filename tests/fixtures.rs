@@ -3,12 +3,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 use csi5300::backend::sim::{Room, Scene, write_dataset};
-use csi5300::bartlett::SearchOptions;
 use csi5300::channel::{Channel, Width};
 use csi5300::evaluate::{Source, find};
-use csi5300::pipeline::accurate::Accuracy;
-use csi5300::pipeline::{JoinBy, Options};
-use driver_iface::bfee::Antenna;
+use csi5300::pipeline::Options;
 use std::path::{Path, PathBuf};
 
 fn fixtures() -> PathBuf {
@@ -35,21 +32,7 @@ fn the_simulator_makes_the_same_bytes_again() {
 fn the_small_circle_gives_its_scenes_bearing() {
     let (captures, unreadable) = find(&fixtures());
     assert!(captures.len() == 1 && unreadable.is_empty(), "{captures:?}");
-    let options = Options {
-        channel: Channel::new(108, Width::Ht20).unwrap(),
-        antenna: Antenna::A,
-        tx_macs: Vec::new(),
-        rx_mac: None,
-        clock_offset_s: 0.0,
-        join: JoinBy::Time,
-        from_s: None,
-        to_s: None,
-        compensate: true,
-        accuracy: Accuracy::default(),
-        keep_course: false,
-        parallel: false,
-        search: SearchOptions::default(),
-    };
+    let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
     let evaluated = captures[0].evaluate(Source::GroundTruth, None, &options);
     let row = &evaluated.rows[0];
     assert!(!evaluated.lost, "a cut tail is no loss");

@@ -5,32 +5,15 @@
 mod common;
 
 use csi5300::backend::{CsiSource, replay::Replay};
-use csi5300::bartlett::SearchOptions;
 use csi5300::channel::{Channel, Width};
 use csi5300::evaluate::{Errors, Judged, Source, find};
-use csi5300::pipeline::accurate::Accuracy;
 use csi5300::pipeline::{JoinBy, Options, Transmitter, bearings};
 use csi5300::pose::wrap_rad;
 use csi5300::quality::{ranges, receivers};
-use driver_iface::bfee::Antenna;
 use std::path::Path;
 
 fn options(join: JoinBy) -> Options {
-    Options {
-        channel: Channel::new(108, Width::Ht20).unwrap(),
-        antenna: Antenna::A,
-        tx_macs: Vec::new(),
-        rx_mac: None,
-        clock_offset_s: 0.0,
-        join,
-        from_s: None,
-        to_s: None,
-        compensate: true,
-        accuracy: Accuracy::default(),
-        keep_course: false,
-        parallel: false,
-        search: SearchOptions::default(),
-    }
+    Options { join, ..Options::new(Channel::new(108, Width::Ht20).unwrap()) }
 }
 
 fn evaluate(root: &Path, source: Source) -> Vec<Judged> {
