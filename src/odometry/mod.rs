@@ -1,3 +1,31 @@
 //! Where poses come from.
 
 pub mod csv;
+
+use crate::backend::Error;
+use crate::pose::Pose;
+use crate::time::Instant;
+
+/// What [`OdometrySource::receive`] gives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum NextPose {
+    /// A pose of the robot (not of its antenna). Its time is the host's wall clock at the measurement, seconds since
+    /// the Unix epoch; a late pose may come after a newer one.
+    Pose(Pose),
+    /// Nothing yet: wait for [`OdometrySource::next_at`], or for the file descriptor.
+    Pending,
+    /// The source is exhausted.
+    End,
+}
+
+/// A source of poses: a serial port, ROS, a recorded file, a simulated robot. It never blocks.
+pub trait OdometrySource {
+    /// The next pose, or nothing yet. `now` is the driver's time and never runs backwards.
+    ///
+    /// # Errors
+    /// Only for what cannot be gone on from.
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error>;
+
+    /// When the next pose is due, if the source knows: replay and simulation do, a live port does not.
+    fn next_at(&self) -> Option<Instant>;
+}

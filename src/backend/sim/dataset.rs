@@ -1,11 +1,11 @@
 //! A simulated room as a capture folder in the layout of the WSR data set.
 
 use super::motion::Pose;
-use super::odometer::{NextPose, Odometer};
 use super::port::Port;
 use super::room::Room;
 use super::station::Role;
 use crate::backend::{CsiSource, Error, Next};
+use crate::odometry::{NextPose, OdometrySource};
 use crate::time::Instant;
 use driver_iface::record::Record;
 use std::collections::BTreeMap;
@@ -253,9 +253,9 @@ fn write_odometry(room: &Room, receiver: usize, folder: &Path, stamp: &str) -> R
     let mut rows = Vec::new();
     let mut now = Instant::ZERO;
     loop {
-        match source.poll(now)? {
+        match source.receive(now)? {
             NextPose::Pose(pose) => rows.push(pose),
-            NextPose::Pending => now = Odometer::next_at(&source).unwrap_or(now),
+            NextPose::Pending => now = source.next_at().unwrap_or(now),
             NextPose::End => break,
         }
     }

@@ -78,7 +78,7 @@ pub use air::MakeStation;
 pub use built_in::BUILT_IN;
 pub use dataset::{Capture, Log, write_dataset};
 pub use faults::{Faults, Injected};
-pub use odometer::{NextPose, Odometer};
+pub use odometer::Odometer;
 pub use port::Port;
 pub use recorded::Recorded;
 pub use room::Room;

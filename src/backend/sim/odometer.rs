@@ -8,22 +8,11 @@ use super::random::{Purpose, Stream};
 use super::scene::Odometry;
 use super::world::World;
 use crate::backend::Error;
+use crate::odometry::{NextPose, OdometrySource};
 use crate::pose::Pose;
 use crate::time::Instant;
 use nalgebra::Vector3;
 use std::sync::{Arc, Mutex};
-
-/// What [`Odometer::poll`] gives.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum NextPose {
-    /// A pose of the robot (not of its antenna). Its time is the host's wall clock at the measurement, seconds since
-    /// the Unix epoch; late poses come after newer ones.
-    Pose(Pose),
-    /// Nothing yet: wait for [`Odometer::next_at`].
-    Pending,
-    /// The scene is over.
-    End,
-}
 
 /// A robot's odometry. The frame is the scene's: at the start the sensor is right.
 #[derive(Debug)]
@@ -59,30 +48,6 @@ impl Odometer {
             air,
             world,
         }
-    }
-
-    /// The next pose that is due at `now`.
-    ///
-    /// # Errors
-    /// None; the shape is that of every odometry source.
-    pub fn poll(&mut self, now: Instant) -> Result<NextPose, Error> {
-        let now_ns = now.as_us().saturating_mul(1_000);
-        while let Some(due_ns) = self.due_ns() {
-            if due_ns > now_ns {
-                return Ok(NextPose::Pending);
-            }
-            if let Some(pose) = self.take(due_ns) {
-                lock(&self.air).node(self.robot).injected.poses += 1;
-                return Ok(NextPose::Pose(pose));
-            }
-        }
-        Ok(NextPose::End)
-    }
-
-    /// When the next pose may come.
-    #[must_use]
-    pub fn next_at(&self) -> Option<Instant> {
-        self.due_ns().map(|ns| Instant::from_us(ns.saturating_add(999).div_euclid(1_000)))
     }
 
     /// True time of measurement number `n`; `None` after the end of the scene.
@@ -136,5 +101,25 @@ impl Odometer {
         let yaw_rad = truth.yaw_rad + self.heading_error_rad + self.stream.spread(rad(sensor.noise_deg));
         let t_s = host_us(&lock(&self.air), self.robot, t_ns) as f64 * 1e-6;
         Pose { t_s, position_m, heading_rad: Some(yaw_rad) }
+    }
+}
+
+impl OdometrySource for Odometer {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
+        let now_ns = now.as_us().saturating_mul(1_000);
+        while let Some(due_ns) = self.due_ns() {
+            if due_ns > now_ns {
+                return Ok(NextPose::Pending);
+            }
+            if let Some(pose) = self.take(due_ns) {
+                lock(&self.air).node(self.robot).injected.poses += 1;
+                return Ok(NextPose::Pose(pose));
+            }
+        }
+        Ok(NextPose::End)
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        self.due_ns().map(|ns| Instant::from_us(ns.saturating_add(999).div_euclid(1_000)))
     }
 }

@@ -1,5 +1,6 @@
 use super::*;
 use crate::backend::{CsiSource, Injector, Loss, Next};
+use crate::odometry::{NextPose, OdometrySource};
 use crate::time::{Instant, Span};
 use driver_iface::bfee::{Antenna, Bfee, Layout};
 use driver_iface::mpdu::Mpdu;
@@ -286,7 +287,7 @@ fn odometry_is_a_sensor() {
         let mut source = room.odometry(0).unwrap();
         let (mut poses, mut now) = (Vec::new(), Instant::ZERO);
         loop {
-            match source.poll(now).unwrap() {
+            match source.receive(now).unwrap() {
                 NextPose::Pose(pose) => poses.push(pose),
                 NextPose::Pending => now = source.next_at().unwrap(),
                 NextPose::End => break,
