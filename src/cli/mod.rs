@@ -2,6 +2,7 @@
 
 mod args;
 mod bearing;
+mod compare;
 mod demo;
 #[cfg(feature = "live")]
 mod doctor;
@@ -19,8 +20,11 @@ mod recover;
 #[cfg(feature = "live")]
 mod replay;
 #[cfg(feature = "live")]
+mod serve;
+#[cfg(feature = "live")]
 mod setup;
 mod simulate;
+mod suite;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -80,6 +84,10 @@ enum Command {
     Export(export::Args),
     /// A room full of robots: writes the logs that their cards would have recorded
     Simulate(simulate::Args),
+    /// A recorded capture beside a simulated one: every figure of both, and pictures
+    Compare(compare::Args),
+    /// The paper's experiments, simulated, with repetitions: a table of errors, confidence and phase residual
+    Suite(suite::Args),
     /// Records the driver's messages to a log, live
     #[cfg(feature = "live")]
     Record(record::Args),
@@ -106,6 +114,8 @@ pub fn run() -> ExitCode {
         Command::Recover(args) => recover::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Simulate(args) => simulate::run(&args),
+        Command::Compare(args) => compare::run(&args),
+        Command::Suite(args) => suite::run(&args),
         #[cfg(feature = "live")]
         Command::Record(args) => record::run(&args),
         #[cfg(feature = "live")]
