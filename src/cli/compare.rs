@@ -32,14 +32,22 @@ pub struct Args {
     #[arg(long, default_value = "108", value_parser = channel)]
     channel: Channel,
     /// Where the transmitter's antenna was, metres, in the trajectory's frame; found from the capture if not given
-    #[arg(long, value_delimiter = ',', num_args = 3, value_names = ["X", "Y", "Z"], allow_negative_numbers = true)]
-    transmitter: Option<Vec<f64>>,
+    #[arg(long, value_name = "X,Y,Z", value_parser = place, allow_hyphen_values = true)]
+    transmitter: Option<[f64; 3]>,
     /// Folder for the fitted scene, the simulated capture and the pictures
     #[arg(long, default_value = "csi5300-compare", value_name = "DIR")]
     out: PathBuf,
     /// A line of JSON for each figure
     #[arg(long)]
     json: bool,
+}
+
+fn place(text: &str) -> Words<[f64; 3]> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+    let place = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
+    place
+        .filter(|place| place.iter().all(|v| v.is_finite()))
+        .ok_or_else(|| "three numbers, such as -3.2,1.1,0.3".into())
 }
 
 type Words<T> = std::result::Result<T, String>;
@@ -119,12 +127,11 @@ fn fitted(args: &Args, recorded: &Figures, trajectory: &Trajectory, options: &Op
         let _ = writeln!(poses, "{:.6},0,{:.6},{:.6},{:.6},{heading}", pose.t_s, p.x, p.y, p.z);
     }
     written(&args.out.join("trajectory.csv"), &poses)?;
-    let place = args.transmitter.as_deref().and_then(|place| place.first_chunk().copied());
     let known = Known {
         trajectory,
         file: Path::new("trajectory.csv"),
         folder: &args.out,
-        transmitter_m: place,
+        transmitter_m: args.transmitter,
         channel: args.channel.number() as u16,
     };
     let fitted = fit(recorded, &known, options)?;

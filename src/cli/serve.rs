@@ -16,20 +16,28 @@ use std::path::PathBuf;
 
 /// How a room is served.
 #[derive(clap::Args)]
+#[group(id = "serving")]
 pub struct Args {
     /// Run the room in real time: a robot's records go out on the kernel's connector, as its driver would send them
     #[arg(long, conflicts_with_all = ["out", "force"])]
     pub serve: bool,
     /// The robot that is served, =INDEX for another connector index; several for several. The first initiator if none
-    #[arg(long, value_name = "NAME[=INDEX]", requires = "serve", value_parser = served)]
+    #[arg(long, value_name = "NAME[=INDEX]", value_parser = served)]
     robot: Vec<(String, u32)>,
     /// Append the poses of the robot's odometry here, a CSV line each as they come; - is standard output. Once for
     /// each --robot, in their order
-    #[arg(long, value_name = "FILE", requires = "serve")]
+    #[arg(long, value_name = "FILE")]
     poses: Vec<PathBuf>,
-    /// Times real time; max does not wait at all
-    #[arg(long, default_value = "1", requires = "serve", value_parser = super::live::speed)]
-    speed: f64,
+    /// Times real time (1 if not given); max does not wait at all
+    #[arg(long, value_parser = super::live::speed)]
+    speed: Option<f64>,
+}
+
+impl Args {
+    /// True if anything was asked of serving.
+    pub fn asked(&self) -> bool {
+        !self.robot.is_empty() || !self.poses.is_empty() || self.speed.is_some()
+    }
 }
 
 fn served(text: &str) -> std::result::Result<(String, u32), String> {
@@ -67,6 +75,7 @@ pub fn run(mut scene: Scene, args: &Args) -> Result {
     for robot in &all {
         eprintln!("serving {} on connector index {}", robot.name, robot.sender.index());
     }
+    let speed = args.speed.unwrap_or(1.0);
     let clock = Monotonic::new();
     let mut now = Instant::ZERO;
     loop {
@@ -76,13 +85,13 @@ pub fn run(mut scene: Scene, args: &Args) -> Result {
         }
         let Some(next) = next else { break };
         // Without waiting, time still passes event by event.
-        let until = args.speed.is_finite().then(|| Span::from_s(next.as_s() / args.speed));
+        let until = speed.is_finite().then(|| Span::from_s(next.as_s() / speed));
         let until = until.map_or(Instant::ZERO, |span| Instant::ZERO + span + Span::from_us(1));
         if clock.wait([signals.as_fd()], Some(until)).map_err(|error| error.to_string())?[0] {
             break;
         }
-        let waited = match args.speed.is_finite() {
-            true => Instant::ZERO + Span::from_s(clock.now().as_s() * args.speed),
+        let waited = match speed.is_finite() {
+            true => Instant::ZERO + Span::from_s(clock.now().as_s() * speed),
             false => next,
         };
         now = waited.max(now);

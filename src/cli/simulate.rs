@@ -34,6 +34,10 @@ pub fn run(args: &Args) -> Result {
     if args.live.serve {
         return super::serve::run(scene, &args.live);
     }
+    #[cfg(feature = "live")]
+    if args.live.asked() {
+        super::usage("--robot, --poses and --speed need --serve");
+    }
     let out = args.out.as_deref().ok_or("--out names the folder to write into")?;
     let used = std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
     if used && !args.force {

@@ -22,7 +22,7 @@ pub(super) fn write(recorded: &Figures, known: &Known<'_>, place: [f64; 3], adju
     let (first_us, last_us) = rx.host_us.unwrap_or(((from_s * 1e6) as i64, (to_s * 1e6) as i64));
     let start_unix_s = (first_us.div_euclid(1_000_000)).min(from_s.floor() as i64);
     let since = |us: i64| (us - start_unix_s * 1_000_000) as f64 * 1e-6;
-    let start_s = (since(first_us) - 0.001).max(0.0);
+    let start_s = brief((since(first_us) - 0.001).max(0.0));
     let interval_us = tx.interval_us.median;
     let mut text =
         String::from("# Fitted to a recorded capture; see docs/simulation.md for what each figure is taken from.\n");
@@ -30,10 +30,10 @@ pub(super) fn write(recorded: &Figures, known: &Known<'_>, place: [f64; 3], adju
         text,
         "name = \"fitted\"\nseed = 1\nduration_s = {:?}\nchannel = {}\nstart_unix_s = {start_unix_s}\ncfo = \"physical\"\n\
          reflections = {}\n\n[sounding]\nrate_hz = {:?}\nstart_s = {start_s:?}\n",
-        since(last_us) + 0.005,
+        brief(since(last_us) + 0.005),
         known.channel,
         if adjusted.wall_loss_db.is_some() { 2 } else { 0 },
-        1e6 / interval_us.max(1.0),
+        brief(1e6 / interval_us.max(1.0)),
     );
     let [x, y, z] = known.trajectory.poses().first().map_or([0.0; 3], |pose| pose.position_m.into());
     let clock_start = |side: &Side| {
@@ -44,18 +44,19 @@ pub(super) fn write(recorded: &Figures, known: &Known<'_>, place: [f64; 3], adju
     // how far the cards are apart.
     let apart_ppm = 1e6 * link.df_hz / carrier_hz(known.channel);
     let rx_ppm = rx.card_ppm;
-    let tx_ppm = rx_ppm + apart_ppm;
+    let tx_ppm = brief(rx_ppm + apart_ppm);
     // Two exponential latenesses make an interval: its quartiles and its deviation, which rare delays widen, both say
     // their mean.
     let jitter_us = (tx.interval_us.quartile_range() / (2.0 * LN_2) * tx.interval_us.sd / SQRT_2).sqrt();
-    let backward_loss = (rx.missing - tx.missing).max(0.0);
+    let jitter_us = brief(jitter_us);
+    let backward_loss = brief((rx.missing - tx.missing).max(0.0));
     let _ = write!(
         text,
         "\n[[robot]]\nname = \"rx\"\nposition_m = [{x:?}, {y:?}, {z:?}]\n\
          motion.recorded = {{ file = {:?}, start_s = {:?} }}\n\
          crystal = {{ offset_ppm = {rx_ppm:?}, clock_start_us = {} }}\nfaults = {{ loss = {backward_loss:?}, killed = {} }}\n",
         known.file,
-        from_s - start_unix_s as f64,
+        brief(from_s - start_unix_s as f64),
         clock_start(rx),
         rx.tail_bytes > 0,
     );
@@ -70,29 +71,36 @@ pub(super) fn write(recorded: &Figures, known: &Known<'_>, place: [f64; 3], adju
          host_clock = {{ offset_s = {:?}, drift_ppm = {:?} }}\nfaults = {{ loss = {:?}, killed = {} }}\n",
         clock_start(tx),
         link.host_apart_s,
-        tx_ppm - tx.card_ppm,
-        tx.missing,
+        brief(tx_ppm - tx.card_ppm),
+        brief(tx.missing),
         tx.tail_bytes > 0,
     );
     radio(&mut text, tx, adjusted, 1, flight_ns);
     let [early, far, late] = link.groups;
-    let group = |g: Group| format!("{{ share = {:?}, us = {:?}, spread_us = {:?} }}", g.share, g.mean_us, g.sd_us);
+    let group = |g: Group| {
+        format!("{{ share = {:?}, us = {:?}, spread_us = {:?} }}", brief(g.share), brief(g.mean_us), brief(g.sd_us))
+    };
     let _ = writeln!(
         text,
         "turn_around = {{ median_us = 450.0, spread_us = {:?}, tail = {:?}, tail_us = {:?}, tail_spread_us = {:?}, \
          far = {}, late = {}, tail_run = {:?}, min_us = 130.0, max_us = 1500.0 }}",
-        adjusted.core_us,
-        early.share,
-        early.mean_us,
-        early.sd_us,
+        brief(adjusted.core_us),
+        brief(early.share),
+        brief(early.mean_us),
+        brief(early.sd_us),
         group(far),
         group(late),
-        link.run,
+        brief(link.run),
     );
     if let Some(loss_db) = adjusted.wall_loss_db {
         walls(&mut text, known.trajectory, place, loss_db);
     }
     text
+}
+
+/// Six significant digits: no figure is known better.
+fn brief(value: f64) -> f64 {
+    format!("{value:.5e}").parse().unwrap_or(value)
 }
 
 /// A robot's radio: what its own log says of it.
@@ -101,13 +109,14 @@ fn radio(text: &mut String, side: &Side, adjusted: &Adjusted, k: usize, flight_n
     let tones = noise(side);
     // The responder's host is early where its answers are, which is said with them; the rest is the core.
     let latency_us = if k == 1 { side.latency_core_us } else { side.latency_us.quartile_range() / QUARTILES };
-    let _ = writeln!(text, "[robot.radio]\nphase_noise_rad = {:?}", adjusted.phase_noise_rad);
+    let _ = writeln!(text, "[robot.radio]\nphase_noise_rad = {:?}", brief(adjusted.phase_noise_rad));
     if tones > 1e-6 {
-        let _ = writeln!(text, "noise.snr_db = {:?}", -10.0 * tones.log10());
+        let _ = writeln!(text, "noise.snr_db = {:?}", brief(-10.0 * tones.log10()));
     }
     let [_, b, c] = &side.level;
     let [rssi_a, rssi_b, rssi_c] = &side.rssi_db;
     let level_db = DB_PER_E * side.level[0].sd / side.level[0].mean.max(1.0);
+    let level_db = brief(level_db);
     let _ = write!(
         text,
         "delay_ns = {:?}\ndelay_std_ns = {:?}\nantenna_order = \"by_rssi\"\ntx_power_dbm = {:?}\n\
@@ -115,20 +124,20 @@ fn radio(text: &mut String, side: &Side, adjusted: &Adjusted, k: usize, flight_n
          gain.agc = {{ target_lsb = {:?}, lsb_std_db = {level_db:?}, rssi_db = {:?}, agc_std_db = {:?} }}\n\
          stray_b = {{ lsb = {:?}, rssi_db = {:?}, rssi_std_db = {:?} }}\n\
          stray_c = {{ lsb = {:?}, rssi_db = {:?}, rssi_std_db = {:?} }}\n",
-        ns(-side.slope_rad.mean) - flight_ns,
-        ns(adjusted.slope_sd_rad[k]),
-        adjusted.tx_power_dbm[k],
-        LATENCY_US + 3.0 * latency_us,
-        latency_us,
-        side.level[0].median,
-        rssi_a.mean,
-        rssi_a.sd,
-        b.mean,
-        rssi_b.mean,
-        rssi_b.sd,
-        c.mean,
-        rssi_c.mean,
-        rssi_c.sd,
+        brief(ns(-side.slope_rad.mean) - flight_ns),
+        brief(ns(adjusted.slope_sd_rad[k])),
+        brief(adjusted.tx_power_dbm[k]),
+        brief(LATENCY_US + 3.0 * latency_us),
+        brief(latency_us),
+        brief(side.level[0].median),
+        brief(rssi_a.mean),
+        brief(rssi_a.sd),
+        brief(b.mean),
+        brief(rssi_b.mean),
+        brief(rssi_b.sd),
+        brief(c.mean),
+        brief(rssi_c.mean),
+        brief(rssi_c.sd),
     );
 }
 
@@ -146,7 +155,8 @@ fn walls(text: &mut String, trajectory: &Trajectory, place: [f64; 3], loss_db: f
             high[axis] = high[axis].max(pose.position_m[axis]);
         }
     }
-    let ([x0, y0], [x1, y1]) = (low.map(|v| v - MARGIN_M), high.map(|v| v + MARGIN_M));
+    let ([x0, y0], [x1, y1]) = (low.map(|v| brief(v - MARGIN_M)), high.map(|v| brief(v + MARGIN_M)));
+    let loss_db = brief(loss_db);
     for (from, to) in [([x0, y0], [x1, y0]), ([x1, y0], [x1, y1]), ([x1, y1], [x0, y1]), ([x0, y1], [x0, y0])] {
         let _ = write!(text, "\n[[wall]]\nfrom_m = {from:?}\nto_m = {to:?}\nbottom_m = -1.0\nloss_db = {loss_db:?}\n");
     }
