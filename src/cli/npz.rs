@@ -73,8 +73,7 @@ impl Npz {
         let file = &self.name;
         let failed = |error: &dyn std::fmt::Display| format!("writing {name} to {file}: {error}");
         // Room for sizes over 4 GiB: an array's size is known only at its end.
-        let options =
-            SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored).large_file(true);
+        let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored).large_file(true);
         self.writer.start_file(format!("{name}.npy"), options).map_err(|error| failed(&error))?;
         let mut out = BufWriter::with_capacity(1 << 16, &mut self.writer);
         out.write_all(&header(T::DESCR, shape)).map_err(|error| failed(&error))?;
