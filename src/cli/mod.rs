@@ -11,16 +11,24 @@ mod info;
 #[cfg(feature = "live")]
 mod live;
 mod locate;
+#[cfg(feature = "foxglove")]
+mod mcap;
+#[cfg(feature = "node")]
+mod node;
 mod npz;
 mod profile;
 #[cfg(feature = "live")]
 mod record;
 mod recover;
+#[cfg(feature = "plot")]
+mod report;
 #[cfg(feature = "live")]
 mod replay;
 #[cfg(feature = "live")]
 mod setup;
 mod simulate;
+#[cfg(feature = "node")]
+mod watch;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -72,12 +80,18 @@ enum Command {
     Info(info::Args),
     /// Bearings of a whole tree of captures against the truth
     Evaluate(evaluate::Args),
+    /// One self-contained HTML page about a tree of captures: pictures, tables, losses
+    #[cfg(feature = "plot")]
+    Report(report::Args),
     /// Where the receiver of a capture is, from its links to transmitters whose places are known
     Locate(locate::Args),
     /// Copies every intact record of a damaged log, and nothing else
     Recover(recover::Args),
     /// CSI of a log as CSV or NPZ, raw or scaled
     Export(export::Args),
+    /// Captures as MCAP, for Foxglove, Lichtblick and MCAP readers
+    #[cfg(feature = "foxglove")]
+    Mcap(mcap::Args),
     /// A room full of robots: writes the logs that their cards would have recorded
     Simulate(simulate::Args),
     /// Records the driver's messages to a log, live
@@ -89,6 +103,12 @@ enum Command {
     /// What stands between this machine and a first record, and the command that mends it
     #[cfg(feature = "live")]
     Doctor(doctor::Args),
+    /// The robot's own service: capture, odometry, peers, live bearings
+    #[cfg(feature = "node")]
+    Node(node::Args),
+    /// A running node in a terminal: peers, rates, losses, bearings on a compass
+    #[cfg(feature = "node")]
+    Watch(watch::Args),
     /// The steps that put the card into monitor mode: printed, or taken with --apply
     #[cfg(feature = "live")]
     Setup(setup::Args),
@@ -102,9 +122,13 @@ pub fn run() -> ExitCode {
         Command::Bearing(args) => bearing::run(*args),
         Command::Info(args) => info::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
+        #[cfg(feature = "plot")]
+        Command::Report(args) => report::run(&args),
         Command::Locate(args) => locate::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Export(args) => export::run(&args),
+        #[cfg(feature = "foxglove")]
+        Command::Mcap(args) => mcap::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         #[cfg(feature = "live")]
         Command::Record(args) => record::run(&args),
@@ -112,6 +136,10 @@ pub fn run() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         #[cfg(feature = "live")]
         Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "node")]
+        Command::Node(args) => node::run(&args),
+        #[cfg(feature = "node")]
+        Command::Watch(args) => watch::run(&args),
         #[cfg(feature = "live")]
         Command::Setup(args) => setup::run(&args),
     };
