@@ -68,7 +68,10 @@ pub mod evaluate;
 #[cfg(feature = "plot")]
 pub mod figures;
 pub mod locate;
+#[cfg(feature = "foxglove")]
+pub mod mcap;
 pub mod near_field;
+pub mod node;
 pub mod odometry;
 pub mod one_way;
 pub mod pairing;

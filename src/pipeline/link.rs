@@ -128,6 +128,7 @@ struct Row {
     clock_rx_us: i64,
     difference_us: i64,
     host_us: Option<i64>,
+    partner_host_us: Option<i64>,
     row: u32,
     one_way_rad: f64,
 }
@@ -287,8 +288,33 @@ impl Link {
             clock_rx_us: pair.clock_rx_us,
             difference_us: pair.clock_difference_us,
             host_us: pair.receiver.host_us,
+            partner_host_us: pair.transmitter.host_us,
             row: pair.receiver.row,
         });
+    }
+
+    /// Forgets the pairs before `host_us` of the receiver: a live window moves on.
+    pub fn forget_before(&mut self, host_us: i64) {
+        self.rows.retain(|row| row.host_us.is_none_or(|at| at >= host_us));
+        if self.rows.len() < MAX_ROWS / 4 {
+            self.stride = (self.stride / 2).max(1);
+        }
+    }
+
+    /// The receiver's host time of the last pair kept, microseconds since the Unix epoch.
+    #[must_use]
+    pub fn last_us(&self) -> Option<i64> {
+        self.rows.iter().rev().find_map(|row| row.host_us)
+    }
+
+    /// How far the transmitter's host clock is ahead of the receiver's, seconds: the median over the pairs kept. Both
+    /// stamp an exchange within the turn-around and the jitter of interrupts.
+    #[must_use]
+    pub fn partner_ahead_s(&self) -> Option<f64> {
+        let ahead = |row: &Row| Some(row.partner_host_us? - row.host_us?);
+        let mut ahead_us: Vec<i64> = self.rows.iter().filter_map(ahead).collect();
+        let middle = ahead_us.len() / 2;
+        (!ahead_us.is_empty()).then(|| *ahead_us.select_nth_unstable(middle).1 as f64 * 1e-6)
     }
 
     /// Ends both logs.
