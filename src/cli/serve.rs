@@ -168,6 +168,7 @@ impl Served {
                         .map_err(|error| format!("cannot write a pose: {error}"))?;
                     written = true;
                 }
+                NextPose::NewFrame => {}
                 NextPose::Pending => break source.next_at(),
                 NextPose::End => break None,
             }
