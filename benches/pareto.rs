@@ -134,11 +134,14 @@ fn measure(job: &Job, n: usize, radius: f64) -> (f64, Vec<Row>) {
     (naive, rows)
 }
 
+/// Fills a profile.
+type Call<'a> = Box<dyn FnMut(&mut Vec<f64>) + 'a>;
+
 /// Somebody to be timed.
 struct Contender<'a> {
     who: String,
     eps: f64,
-    call: Box<dyn FnMut(&mut Vec<f64>) + 'a>,
+    call: Call<'a>,
     out: Vec<f64>,
     ms: f64,
     spent_ms: f64,

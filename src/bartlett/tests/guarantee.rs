@@ -94,7 +94,7 @@ impl Exact {
 /// A scene of `n` packets within `radius` metres, turned out of the plane in every third case, on the axis of a line in some.
 fn wide_scene(case: usize, n: usize, radius: f64, rng: &mut ChaCha8Rng) -> Samples {
     let mut points = track(case % 5, radius, n, rng);
-    if case % 3 == 0 {
+    if case.is_multiple_of(3) {
         let turn = nalgebra::Rotation3::new(Vector3::new(rng.random(), rng.random(), rng.random()));
         points.iter_mut().for_each(|p| *p = turn * *p);
     }
@@ -175,7 +175,10 @@ fn floors_of_single_precision_are_measured() {
                 }
             }
             assert!(worst <= floor, "{method:?} {radius} m: {worst:.1e} above the floor {floor:.1e}");
-            assert!(worst > 0.05 * floor, "{method:?} {radius} m: {worst:.1e}, the floor of {floor:.1e} is no measurement");
+            assert!(
+                worst > 0.05 * floor,
+                "{method:?} {radius} m: {worst:.1e}, the floor of {floor:.1e} is no measurement"
+            );
         }
     }
 }
