@@ -2,6 +2,7 @@
 //! estimator meet.
 
 pub mod accurate;
+pub mod explain;
 pub mod intake;
 pub mod link;
 
