@@ -77,8 +77,7 @@ fn scene(robots: usize, peers_move: bool) -> String {
 /// The configuration of robot `own` in that room, with everybody else as its peer.
 fn config(folder: &Path, scene: &str, robots: usize, peers_move: bool) -> Config {
     std::fs::write(folder.join("ring.toml"), scene).unwrap();
-    let mut text =
-        "channel = \"108\"\ncapture.room = { scene = \"ring.toml\", robot = \"r0\" }\n".to_owned();
+    let mut text = "channel = \"108\"\ncapture.room = { scene = \"ring.toml\", robot = \"r0\" }\n".to_owned();
     text += if peers_move { "odometry.static = {}\n" } else { "odometry.room = {}\n" };
     for k in 1..robots {
         let _ = write!(text, "[[peer]]\nname = \"r{k}\"\nrecords.room = {{}}\n");

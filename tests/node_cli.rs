@@ -55,7 +55,10 @@ fn the_example_configuration_is_good() {
         refused.unwrap();
     } else {
         let problems = refused.unwrap_err().0;
-        assert!(problems.iter().all(|problem| problem.reason.contains("zenoh") || problem.reason.contains("x.dat")), "{problems:?}");
+        assert!(
+            problems.iter().all(|problem| problem.reason.contains("zenoh") || problem.reason.contains("x.dat")),
+            "{problems:?}"
+        );
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod args;
 mod bearing;
+mod compare;
 mod demo;
 #[cfg(feature = "live")]
 mod doctor;
@@ -20,13 +21,16 @@ mod profile;
 #[cfg(feature = "live")]
 mod record;
 mod recover;
+#[cfg(feature = "live")]
+mod replay;
 #[cfg(feature = "plot")]
 mod report;
 #[cfg(feature = "live")]
-mod replay;
+mod serve;
 #[cfg(feature = "live")]
 mod setup;
 mod simulate;
+mod suite;
 #[cfg(feature = "node")]
 mod watch;
 
@@ -94,6 +98,10 @@ enum Command {
     Mcap(mcap::Args),
     /// A room full of robots: writes the logs that their cards would have recorded
     Simulate(simulate::Args),
+    /// A recorded capture beside a simulated one: every figure of both, and pictures
+    Compare(compare::Args),
+    /// The paper's experiments, simulated, with repetitions: a table of errors, confidence and phase residual
+    Suite(suite::Args),
     /// Records the driver's messages to a log, live
     #[cfg(feature = "live")]
     Record(record::Args),
@@ -130,6 +138,8 @@ pub fn run() -> ExitCode {
         #[cfg(feature = "foxglove")]
         Command::Mcap(args) => mcap::run(&args),
         Command::Simulate(args) => simulate::run(&args),
+        Command::Compare(args) => compare::run(&args),
+        Command::Suite(args) => suite::run(&args),
         #[cfg(feature = "live")]
         Command::Record(args) => record::run(&args),
         #[cfg(feature = "live")]

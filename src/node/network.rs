@@ -93,7 +93,12 @@ impl Network {
         // Another one at each start, so that peers know numbers that began anew.
         let session = crate::wait::wall_us().unwrap_or(0) as u32 ^ std::process::id();
         let send = move || {
-            work(&waiting, session, |message| drop(records.put(message).wait()), |message| drop(poses.put(message).wait()));
+            work(
+                &waiting,
+                session,
+                |message| drop(records.put(message).wait()),
+                |message| drop(poses.put(message).wait()),
+            );
         };
         let thread = std::thread::Builder::new().name("csi5300 network".into()).spawn(send);
         let what = "cannot start the thread of the network".into();

@@ -427,6 +427,19 @@ impl Link {
         })
     }
 
+    /// The turn-around compensation and the phase of every pair kept, in motion or not, by the receiver's card clock.
+    /// One-way phases only if [`Options::keep_course`] asked for them.
+    #[must_use]
+    pub fn phases(&self, options: &Options) -> (Option<TurnAround>, Vec<Phase>) {
+        let mut z: Vec<Complex64> = self.rows.iter().map(|row| row.z).collect();
+        let turn_around = self.turn_around(&z, options.channel.centre_hz());
+        if let Some(turn_around) = &turn_around {
+            turn_around.apply(&mut z);
+        }
+        let times_s: Vec<f64> = self.rows.iter().map(|row| row.clock_rx_us as f64 * 1e-6).collect();
+        (turn_around, self.course(&times_s, &z))
+    }
+
     fn course(&self, times_s: &[f64], z: &[Complex64]) -> Vec<Phase> {
         let phase = |((row, z), t_s): ((&Row, &Complex64), &f64)| Phase {
             t_s: t_s - times_s[0],
