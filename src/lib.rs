@@ -77,6 +77,8 @@ pub mod plot;
 pub mod pose;
 pub mod quality;
 pub mod samples;
+#[cfg(feature = "live")]
+pub mod sounding;
 pub mod status;
 pub mod survey;
 pub mod tdma;

@@ -19,8 +19,14 @@ mod recover;
 #[cfg(feature = "live")]
 mod replay;
 #[cfg(feature = "live")]
+mod respond;
+#[cfg(feature = "live")]
 mod setup;
 mod simulate;
+#[cfg(feature = "live")]
+mod sound;
+#[cfg(feature = "live")]
+mod sounding;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -80,6 +86,12 @@ enum Command {
     Export(export::Args),
     /// A room full of robots: writes the logs that their cards would have recorded
     Simulate(simulate::Args),
+    /// Sounds other robots: sends them frames in turn, which they answer, so that both cards measure; live bearings
+    #[cfg(feature = "live")]
+    Sound(Box<sound::Args>),
+    /// Answers the frames of robots that sound
+    #[cfg(feature = "live")]
+    Respond(respond::Args),
     /// Records the driver's messages to a log, live
     #[cfg(feature = "live")]
     Record(record::Args),
@@ -106,6 +118,10 @@ pub fn run() -> ExitCode {
         Command::Recover(args) => recover::run(&args),
         Command::Export(args) => export::run(&args),
         Command::Simulate(args) => simulate::run(&args),
+        #[cfg(feature = "live")]
+        Command::Sound(args) => sound::run(&args),
+        #[cfg(feature = "live")]
+        Command::Respond(args) => respond::run(&args),
         #[cfg(feature = "live")]
         Command::Record(args) => record::run(&args),
         #[cfg(feature = "live")]
