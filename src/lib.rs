@@ -81,6 +81,8 @@ pub mod plot;
 pub mod pose;
 pub mod quality;
 pub mod samples;
+#[cfg(feature = "live")]
+pub mod sounding;
 pub mod status;
 pub mod suite;
 pub mod survey;

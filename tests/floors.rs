@@ -28,7 +28,7 @@ const FLOORS: &[(u8, &[&str])] = &[
         4,
         &[
             "answer", "compare", "doctor", "evaluate", "figures", "mcap", "node", "pipeline", "plot", "quality",
-            "status", "suite", "survey", "wait",
+            "sounding", "status", "suite", "survey", "wait",
         ],
     ),
 ];
