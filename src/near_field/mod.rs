@@ -18,5 +18,5 @@ mod tests;
 mod uncertainty;
 
 pub use aperture::Aperture;
-pub use field::View;
+pub use field::{Taper, View};
 pub use search::{Fix, Limits, Source, search};

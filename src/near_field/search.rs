@@ -112,8 +112,10 @@ const CLIMBED: usize = 6;
 const FLOOR: f64 = 0.3;
 /// Rounds of a climb at most.
 const ROUNDS: usize = 40;
-/// A climb ends when its steps in azimuth are smaller than this, radians: a thousandth of a degree.
+/// The climb of the answer ends when its steps in azimuth are smaller than this, radians: a thousandth of a degree.
 const FINE_RAD: f64 = 2e-5;
+/// The climbs of all others end with a tenth of a degree.
+const ROUGH_RAD: f64 = 2e-3;
 
 struct Axes {
     azimuths: usize,
@@ -271,15 +273,20 @@ impl Field {
         (peaks, view_azimuths)
     }
 
+    /// Climbs the high peaks to see which is the highest, then that one to its top.
     fn climb_all(&mut self, peaks: &[(Place, f64)], axes: &Axes) -> Vec<Source> {
         let total: f64 = self.weights.iter().sum();
-        let mut sources: Vec<Source> = Vec::new();
         let step = TAU / axes.azimuths as f64;
-        for (place, score) in peaks.iter().take(CLIMBED) {
-            if ((score - peaks[0].1) / total).exp() < FLOOR {
-                break;
-            }
-            let source = self.climb(*place, axes);
+        let high = |peak: &&(Place, f64)| ((peak.1 - peaks[0].1) / total).exp() >= FLOOR;
+        let high: Vec<Place> = peaks.iter().take(CLIMBED).take_while(high).map(|peak| peak.0).collect();
+        let mut tops: Vec<(Place, f64)> = high.into_iter().map(|place| self.climb(place, axes, ROUGH_RAD)).collect();
+        tops.sort_by(|a, b| b.1.total_cmp(&a.1));
+        if let Some(first) = tops.first_mut() {
+            *first = self.climb(first.0, axes, FINE_RAD);
+        }
+        let mut sources: Vec<Source> = Vec::new();
+        for (place, score) in tops {
+            let source = self.source(&place, score);
             let same = |other: &Source| wrap_rad(other.azimuth_rad - source.azimuth_rad).abs() < 2.0 * step;
             if !sources.iter().any(same) {
                 sources.push(source);
@@ -289,7 +296,7 @@ impl Field {
     }
 
     /// Pattern search: the neighbours in all directions; the best of them is next, or the steps are halved.
-    fn climb(&mut self, start: Place, axes: &Axes) -> Source {
+    fn climb(&mut self, start: Place, axes: &Axes, fine_rad: f64) -> (Place, f64) {
         let spread = |free: bool| -> &[f64] { if free { &[0.0, -1.0, 1.0] } else { &[0.0] } };
         let (mut best, mut best_score) = (start, f64::MIN);
         let elevation_free = axes.elevations.len() > 1 && self.limits.height_m.is_none();
@@ -319,20 +326,24 @@ impl Field {
             (best, best_score) = (places[next.0], next.1);
             if next.0 == 0 {
                 reach = reach.map(|r| r * 0.5);
-                if reach[0] < FINE_RAD {
+                if reach[0] < fine_rad {
                     break;
                 }
             }
         }
+        (best, best_score)
+    }
+
+    fn source(&self, place: &Place, score: f64) -> Source {
         let elevation = match self.limits.height_m {
-            Some(height) => (height * best.curve).clamp(-1.0, 1.0).asin().abs(),
-            None => best.elevation,
+            Some(height) => (height * place.curve).clamp(-1.0, 1.0).asin().abs(),
+            None => place.elevation,
         };
         Source {
-            azimuth_rad: wrap_rad(best.azimuth),
+            azimuth_rad: wrap_rad(place.azimuth),
             abs_elevation_rad: elevation,
-            inverse_range_per_m: best.curve,
-            power: self.power(best_score).min(1.0),
+            inverse_range_per_m: place.curve,
+            power: self.power(score).min(1.0),
         }
     }
 }

@@ -52,7 +52,7 @@ fn limits() -> Limits {
     Limits { elevation_max_rad: 20f64.to_radians(), range_min_m: 1.8, height_m: None, tier: Tier::detect() }
 }
 
-const WHOLE: [View; 1] = [View { windows: 1, weight: 1.0, subcarriers: SUBCARRIERS }];
+const WHOLE: [View; 1] = [View { windows: 1, taper: Taper::Hann, weight: 1.0, subcarriers: SUBCARRIERS }];
 
 fn middle(path: &[Vector3<f64>]) -> Vector3<f64> {
     path.iter().sum::<Vector3<f64>>() / path.len() as f64
@@ -65,8 +65,8 @@ fn the_kernel_is_the_sum_as_written_on_every_tier() {
     let aperture = Aperture { displacement_m: path.clone(), rows: data.clone(), path_gain: 1 };
     let middle = middle(&path);
     let views = [
-        View { windows: 1, weight: 1.0, subcarriers: SUBCARRIERS },
-        View { windows: 3, weight: 1.0, subcarriers: SUBCARRIERS },
+        View { windows: 1, taper: Taper::Hann, weight: 1.0, subcarriers: SUBCARRIERS },
+        View { windows: 3, taper: Taper::Hann, weight: 1.0, subcarriers: SUBCARRIERS },
     ];
     let layer = [Layer::new(&aperture, &middle, WAVELENGTH_M, &views)];
     let places = [(0.3, 0.1, 0.0), (2.0, 0.0, 0.4), (-1.2, 0.3, 0.55)];
@@ -142,7 +142,7 @@ fn one_way_windows_and_round_trip_agree_where_there_is_one_path() {
     let place = Vector3::new(-3.0, 1.0, 0.6);
     let round = Aperture::gather(&path, &rows(&path, 2, &[(place, 1.0)], 0.3, 3), 2, WAVELENGTH_M);
     let once = Aperture::gather(&path, &rows(&path, 1, &[(place, 1.0)], 0.3, 4), 1, WAVELENGTH_M);
-    let windows = [View { windows: 3, weight: 0.5, subcarriers: 6 }, View { windows: 6, weight: 0.5, subcarriers: 6 }];
+    let windows = [View { windows: 3, taper: Taper::Hann, weight: 0.5, subcarriers: 6 }, View { windows: 6, taper: Taper::Block, weight: 0.5, subcarriers: 6 }];
     let fix = search(&[(&round, &WHOLE), (&once, &windows)], middle(&path), WAVELENGTH_M, &limits()).unwrap();
     assert_eq!((fix.view_azimuths_rad.len(), fix.view_powers.len()), (3, 3));
     let azimuth = fix.best().azimuth_rad;

@@ -5,7 +5,7 @@ use crate::alignment::{Alignment, Row, align, remove_common_slope};
 use crate::bartlett::Estimate;
 use crate::channel::SUBCARRIERS;
 use crate::confidence::confidence;
-use crate::near_field::{self, Aperture, Fix, Limits, View};
+use crate::near_field::{self, Aperture, Fix, Limits, Taper, View};
 use crate::one_way::one_way;
 use crate::pose::wrap_rad;
 use crate::samples::Samples;
@@ -33,13 +33,15 @@ impl Default for Accuracy {
     }
 }
 
-const SHARE: f64 = 1.0 / 3.0;
 /// The round trip is looked at as a whole.
-const ROUND_TRIP: [View; 1] = [View { windows: 1, weight: SHARE, subcarriers: SUBCARRIERS }];
-/// The one-way channel in windows of half the motion and, on the subcarriers next to the channel centre (whose sign
-/// does not depend on the sampling time), of two sevenths of it.
-const ONE_WAY: [View; 2] =
-    [View { windows: 3, weight: SHARE, subcarriers: SUBCARRIERS }, View { windows: 6, weight: SHARE, subcarriers: 6 }];
+const ROUND_TRIP: [View; 1] = [View { windows: 1, taper: Taper::Hann, weight: 1.0 / 3.0, subcarriers: SUBCARRIERS }];
+/// The one-way channel in windows of half the motion, in blocks of an eighth, and, on the subcarriers next to the channel
+/// centre (whose sign does not depend on the sampling time), in windows of two sevenths.
+const ONE_WAY: [View; 3] = [
+    View { windows: 3, taper: Taper::Hann, weight: 2.0 / 9.0, subcarriers: SUBCARRIERS },
+    View { windows: 8, taper: Taper::Block, weight: 2.0 / 9.0, subcarriers: SUBCARRIERS },
+    View { windows: 6, taper: Taper::Hann, weight: 2.0 / 9.0, subcarriers: 6 },
+];
 
 /// What the accurate path found.
 #[derive(Clone, Debug, PartialEq)]
