@@ -1,6 +1,7 @@
 //! The kernel: how well spherical waves from many places explain the samples, eight or more places at a time.
 
 use super::aperture::Aperture;
+use super::focus::Warp;
 use crate::alignment::Row;
 use crate::bartlett::simd::{V, on_tier, sin_cos_turns};
 use crate::channel::SUBCARRIERS;
@@ -44,6 +45,7 @@ const ABREAST: usize = 3;
 type Sample = [(f32, f32); ABREAST];
 
 /// One window of one view: its samples, weighted, some columns at a time.
+#[derive(Debug)]
 struct Window {
     from: usize,
     /// `columns[k]` holds each sample from `from` on.
@@ -51,7 +53,10 @@ struct Window {
 }
 
 /// An aperture ready for the kernel.
+#[derive(Debug)]
 pub(crate) struct Layer {
+    /// Where the samples were taken as recorded, about the middle, metres.
+    recorded_m: Vec<Vector3<f64>>,
     /// Positions about the middle and their squared norms, in turns.
     x: Vec<f32>,
     y: Vec<f32>,
@@ -65,20 +70,80 @@ pub(crate) struct Layer {
 impl Layer {
     /// `aperture` about `middle`, seen in `views`.
     pub fn new(aperture: &Aperture, middle: &Vector3<f64>, wavelength_m: f64, views: &[View]) -> Self {
-        let turn_m = wavelength_m / f64::from(aperture.path_gain);
-        let turns: Vec<Vector3<f64>> = aperture.displacement_m.iter().map(|p| (p - middle) / turn_m).collect();
-        Self {
-            x: turns.iter().map(|p| p.x as f32).collect(),
-            y: turns.iter().map(|p| p.y as f32).collect(),
-            z: turns.iter().map(|p| p.z as f32).collect(),
-            square: turns.iter().map(|p| p.norm_squared() as f32).collect(),
-            turn_m: turn_m as f32,
+        let mut layer = Self {
+            recorded_m: aperture.displacement_m.iter().map(|p| p - middle).collect(),
+            x: Vec::new(),
+            y: Vec::new(),
+            z: Vec::new(),
+            square: Vec::new(),
+            turn_m: (wavelength_m / f64::from(aperture.path_gain)) as f32,
             views: views.iter().map(|view| windows(aperture, view)).collect(),
+        };
+        layer.bend(&Warp::default());
+        layer
+    }
+
+    /// Moves the samples from where they were recorded as `warp` says.
+    pub fn bend(&mut self, warp: &Warp) {
+        let turn_m = f64::from(self.turn_m);
+        let turns: Vec<Vector3<f64>> = warp.applied(&self.recorded_m).into_iter().map(|p| p / turn_m).collect();
+        self.x = turns.iter().map(|p| p.x as f32).collect();
+        self.y = turns.iter().map(|p| p.y as f32).collect();
+        self.z = turns.iter().map(|p| p.z as f32).collect();
+        self.square = turns.iter().map(|p| p.norm_squared() as f32).collect();
+    }
+
+    /// Where the samples are, about the middle, metres.
+    pub fn offsets_m(&self) -> Vec<Vector3<f64>> {
+        let turn_m = f64::from(self.turn_m);
+        let place = |k: usize| Vector3::new(self.x[k], self.y[k], self.z[k]).map(f64::from) * turn_m;
+        (0..self.len()).map(place).collect()
+    }
+
+    /// The steering of every sample towards `cell`: what undoes its path.
+    pub fn steering(&self, cell: &Cell) -> Vec<Complex64> {
+        let u = Vector3::from(cell.unit).map(f64::from);
+        let curve = f64::from(cell.inverse_range * self.turn_m);
+        let turn = |k: usize| {
+            let p = Vector3::new(self.x[k], self.y[k], self.z[k]).map(f64::from);
+            let bend = curve * p.norm_squared() - 2.0 * u.dot(&p);
+            let turns = bend / ((1.0 + curve * bend).max(0.0).sqrt() + 1.0);
+            Complex64::cis(std::f64::consts::TAU * turns)
+        };
+        (0..self.len()).map(turn).collect()
+    }
+
+    /// The columns of the first window of the first view: with one window, those of the whole motion.
+    pub fn columns(&self) -> Vec<Vec<Complex64>> {
+        let window = self.views.first().and_then(|(windows, _)| windows.first());
+        let chunks = window.map(|window| window.columns.as_slice()).unwrap_or_default();
+        let column = |chunk: &[Sample], i: usize| {
+            chunk.iter().map(|sample| Complex64::new(f64::from(sample[i].0), f64::from(sample[i].1))).collect()
+        };
+        chunks.iter().flat_map(|chunk| (0..ABREAST).map(move |i| column(chunk, i))).collect()
+    }
+
+    /// The same samples with other columns (a multiple of [`ABREAST`] of them), seen as a whole.
+    pub fn with_columns(&self, columns: &[Vec<Complex64>]) -> Self {
+        let sample = |own: &[Vec<Complex64>], k: usize| -> Sample {
+            std::array::from_fn(|i| own.get(i).map_or((0.0, 0.0), |c| (c[k].re as f32, c[k].im as f32)))
+        };
+        let chunk = |own: &[Vec<Complex64>]| (0..self.len()).map(|k| sample(own, k)).collect();
+        let window = Window { from: 0, columns: columns.chunks(ABREAST).map(chunk).collect() };
+        let energy: f64 = columns.iter().flatten().map(Complex64::norm_sqr).sum();
+        Self {
+            recorded_m: self.recorded_m.clone(),
+            x: self.x.clone(),
+            y: self.y.clone(),
+            z: self.z.clone(),
+            square: self.square.clone(),
+            turn_m: self.turn_m,
+            views: vec![(vec![window], (energy * self.len() as f64) as f32)],
         }
     }
 
     fn len(&self) -> usize {
-        self.x.len()
+        self.recorded_m.len()
     }
 }
 

@@ -12,6 +12,10 @@
 
 mod aperture;
 mod field;
+mod fix;
+mod focus;
+mod grid;
+mod paths;
 mod search;
 #[cfg(test)]
 mod tests;
@@ -19,4 +23,8 @@ mod uncertainty;
 
 pub use aperture::Aperture;
 pub use field::{Taper, View};
-pub use search::{Fix, Limits, Source, search};
+
+pub use fix::{Fix, Source};
+pub use focus::{Focus, Warp, focus};
+pub use paths::Path;
+pub use search::{Limits, Search, search};
