@@ -4,6 +4,7 @@ use crate::bartlett::Geometry;
 use crate::near_field::{Focus, Path, Source};
 use crate::pairing::{Side, SideCounts};
 use crate::pipeline::accurate::Placed;
+use crate::pipeline::explain::LinkPlan;
 use crate::pipeline::link::{Link, PairCounts};
 use crate::pipeline::{LinkReport, Report};
 use serde::Serialize;
@@ -94,6 +95,9 @@ pub struct Answer {
     pub receiver_records: SideCounts,
     /// Records of the link in the transmitter's log by what became of them.
     pub transmitter_records: SideCounts,
+    /// What was computed and what was not, where that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub plan: Option<LinkPlan>,
 }
 
 /// A direction from which waves come.
