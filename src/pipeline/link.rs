@@ -5,6 +5,7 @@ use super::intake::Heard;
 use super::{JoinBy, Options};
 use crate::bartlett::{self, Estimate, Grid};
 use crate::cfo::{TurnAround, at_centre, round_trip, round_trip_at_centre};
+use crate::near_field::Search;
 use crate::pairing::{Pair, Pairing, Side, SideCounts};
 use crate::pose::{Motion, Trajectory, wrap_rad};
 use crate::samples::Samples;
@@ -141,8 +142,10 @@ pub struct Bearing {
     pub estimate: Estimate,
     /// What spherical waves and all subcarriers added; the estimate's azimuth and elevation are then its own.
     pub placed: Option<Placed>,
-    /// Azimuth relative to the robot's heading at the last sample used, radians.
-    pub azimuth_body_rad: Option<f64>,
+    /// The search that placed it, until what takes all links of a capture is done.
+    pub(super) search: Option<Search>,
+    /// The robot's heading at the last sample used, radians.
+    pub heading_rad: Option<f64>,
     /// Turn-around compensation, where both clocks allowed one.
     pub turn_around: Option<TurnAround>,
     /// Whether it was applied.
@@ -159,6 +162,14 @@ pub struct Bearing {
     pub path_m: Vec<Vector3<f64>>,
     /// The phase of every pair, if [`Options::keep_course`] asked for it.
     pub course: Vec<Phase>,
+}
+
+impl Bearing {
+    /// Azimuth relative to the robot's heading at the last sample used, radians.
+    #[must_use]
+    pub fn azimuth_body_rad(&self) -> Option<f64> {
+        self.heading_rad.map(|heading| wrap_rad(self.estimate.azimuth_rad - heading))
+    }
 }
 
 /// The phase of one pair, for pictures.
@@ -411,11 +422,13 @@ impl Link {
         let turned = self.products.iter().zip(self.rows.iter().zip(&z));
         let rows = turned.map(|(product, (row, z))| accurate::compensated(product, z / row.z));
         let placed = accurate::place(&samples, rows.collect(), &used, &mut estimate, options);
+        let (placed, search) = placed.unzip();
         let sum = samples.receiver_m.iter().fold(Vector3::zeros(), |sum, p| sum + p);
         Ok(Bearing {
-            azimuth_body_rad: heading_rad.map(|heading| wrap_rad(estimate.azimuth_rad - heading)),
+            heading_rad,
             estimate,
             placed,
+            search,
             peers: PeerFigures::of(&samples, options.channel.wavelength_m())?,
             turn_around,
             compensated,
