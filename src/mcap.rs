@@ -131,7 +131,8 @@ impl Recording {
 
     /// The robot's path.
     pub fn trajectory(&self, trajectory: &Trajectory) {
-        let (transforms, poses) = (self.channel::<fox::FrameTransform>("/tf"), self.channel::<fox::PoseInFrame>("/pose"));
+        let (transforms, poses) =
+            (self.channel::<fox::FrameTransform>("/tf"), self.channel::<fox::PoseInFrame>("/pose"));
         for pose in trajectory.poses() {
             let (position, rotation) = (vector(pose), turn(pose.heading_rad.unwrap_or(0.0)));
             let transform = fox::FrameTransform {
@@ -163,7 +164,8 @@ impl Recording {
         let azimuth = bearing.estimate.azimuth_rad;
         self.channel(&format!("/bearing/{link}")).log_with_time(&in_frame(&from, turn(azimuth)), nanoseconds(t_s));
         let elevation = bearing.estimate.abs_elevation_rad;
-        let directions: Vec<(f64, f64)> = (0..DIRECTIONS).map(|k| (Grid::azimuth(DIRECTIONS).at(k).0, elevation)).collect();
+        let directions: Vec<(f64, f64)> =
+            (0..DIRECTIONS).map(|k| (Grid::azimuth(DIRECTIONS).at(k).0, elevation)).collect();
         let (first, last) = (directions[0].0, directions[DIRECTIONS - 1].0);
         let profile = bartlett::profile(&bearing.samples, wavelength_m, &Grid::directions(directions))?;
         let peak = profile.values.iter().copied().fold(f64::MIN_POSITIVE, f64::max);

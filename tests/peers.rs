@@ -20,7 +20,9 @@ fn folder(name: &str) -> PathBuf {
 
 /// A capture of `robots` robots: the first drives a circle. Gives the logs and MACs in the robots' order, and the path.
 fn capture(folder: &Path, robots: usize) -> (Vec<(PathBuf, String)>, PathBuf, Scene) {
-    let mut text = "name = \"peers\"\nduration_s = 22.0\nchannel = 108\ncfo = \"physical\"\n[sounding]\nrate_hz = 100.0\n".to_owned();
+    let mut text =
+        "name = \"peers\"\nduration_s = 22.0\nchannel = 108\ncfo = \"physical\"\n[sounding]\nrate_hz = 100.0\n"
+            .to_owned();
     for k in 0..robots {
         let (x, y) = if k == 0 { (0.0, 0.0) } else { (6.0 + k as f64, 4.0 * k as f64 - 7.0) };
         let _ = write!(
@@ -34,11 +36,15 @@ fn capture(folder: &Path, robots: usize) -> (Vec<(PathBuf, String)>, PathBuf, Sc
     let scene = Scene::from_toml(&text).unwrap();
     let mut room = Room::new(&scene).unwrap();
     let written = write_dataset(&mut room, folder, &mut |_| {}).unwrap();
-    let logs = written[0].logs.iter().map(|log| (log.path.clone(), room.mac(log.robot).unwrap().to_string(), log.robot));
+    let logs =
+        written[0].logs.iter().map(|log| (log.path.clone(), room.mac(log.robot).unwrap().to_string(), log.robot));
     let mut logs: Vec<_> = logs.collect();
     logs.sort_by_key(|(.., robot)| *robot);
     let files: Vec<PathBuf> = std::fs::read_dir(&written[0].dir).unwrap().map(|entry| entry.unwrap().path()).collect();
-    let path = files.into_iter().find(|file| file.file_name().unwrap().to_str().unwrap().starts_with("rx_trajectory_")).unwrap();
+    let path = files
+        .into_iter()
+        .find(|file| file.file_name().unwrap().to_str().unwrap().starts_with("rx_trajectory_"))
+        .unwrap();
     (logs.into_iter().map(|(path, mac, _)| (path, mac)).collect(), path, scene)
 }
 
@@ -54,7 +60,12 @@ impl Node {
         let file = folder.join(format!("{name}.toml"));
         std::fs::write(&file, text).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
-        command.args(["node", "--config"]).arg(&file).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::inherit());
+        command
+            .args(["node", "--config"])
+            .arg(&file)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::inherit());
         Self(command.spawn().unwrap())
     }
 
@@ -95,7 +106,10 @@ fn driver(folder: &Path, logs: &[(PathBuf, String)], path: &Path, port: u16) -> 
 
 /// A robot that only publishes what its card reports.
 fn publisher(folder: &Path, (log, mac): &(PathBuf, String), port: u16) -> String {
-    let text = format!("mac = \"{mac}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {SPEED} }}\n", log.display());
+    let text = format!(
+        "mac = \"{mac}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {SPEED} }}\n",
+        log.display()
+    );
     text + &network(folder, &format!("connect = [\"tcp/127.0.0.1:{port}\"]\npublish_records = true"))
 }
 

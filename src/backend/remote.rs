@@ -323,7 +323,10 @@ mod tests {
     fn drain(card: &mut RemoteCard) -> Vec<i64> {
         std::iter::from_fn(|| match card.receive(NOW).unwrap() {
             Next::Record(stamps, record) => {
-                assert_eq!((record.code, record.body.len(), stamps.host_us), (0xBB, 3, Some(i64::from(record.body[0]))));
+                assert_eq!(
+                    (record.code, record.body.len(), stamps.host_us),
+                    (0xBB, 3, Some(i64::from(record.body[0])))
+                );
                 Some(i64::from(record.body[0]))
             }
             Next::Lost(Loss::Overrun { dropped }) => Some(-(dropped.unwrap() as i64)),

@@ -63,7 +63,12 @@ pub fn run(args: &Args) -> Result {
 }
 
 /// Every record of a log. Those without a host time get the card's, from the log's beginning on.
-fn convert(recording: &mut Recording, name: &str, path: &Path, args: &Args) -> std::result::Result<(Survey, u64), String> {
+fn convert(
+    recording: &mut Recording,
+    name: &str,
+    path: &Path,
+    args: &Args,
+) -> std::result::Result<(Survey, u64), String> {
     let mut log = Replay::open(path).map_err(|error| error.to_string())?;
     let mut front = Front::new(args.estimation.antenna);
     let mut first_card_us = None;
@@ -97,7 +102,8 @@ fn estimate(
         return Ok(false);
     };
     let mut receiver = Replay::open(receiver).map_err(text)?;
-    let mut logs = others.iter().map(|path| Replay::open(path)).collect::<std::result::Result<Vec<_>, _>>().map_err(text)?;
+    let mut logs =
+        others.iter().map(|path| Replay::open(path)).collect::<std::result::Result<Vec<_>, _>>().map_err(text)?;
     let transmitters =
         logs.iter_mut().map(|log| Transmitter { log: log as &mut dyn CsiSource, trajectory: None }).collect();
     let report = bearings(&mut receiver, transmitters, trajectory, options).map_err(text)?;

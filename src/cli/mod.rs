@@ -20,10 +20,10 @@ mod profile;
 #[cfg(feature = "live")]
 mod record;
 mod recover;
-#[cfg(feature = "plot")]
-mod report;
 #[cfg(feature = "live")]
 mod replay;
+#[cfg(feature = "plot")]
+mod report;
 #[cfg(feature = "live")]
 mod setup;
 mod simulate;

@@ -19,7 +19,8 @@ pub struct Args {
 /// Runs the robot's own service.
 pub fn run(args: &Args) -> Result {
     let config = Config::load(&args.config).unwrap_or_else(|error| {
-        let lines: Vec<String> = error.0.iter().map(|problem| format!("{}: {problem}", args.config.display())).collect();
+        let lines: Vec<String> =
+            error.0.iter().map(|problem| format!("{}: {problem}", args.config.display())).collect();
         usage(&lines.join("\ncsi5300: "))
     });
     if args.check {

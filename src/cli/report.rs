@@ -235,7 +235,8 @@ fn details(html: &mut String, link: &Shown) {
 fn apart(svg: &str, prefix: &str) -> String {
     let body = svg.find("<svg").and_then(|from| svg.get(from..)).unwrap_or(svg);
     let prefix: String = prefix.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
-    body.replace("id=\"", &format!("id=\"{prefix}")).replace("url(#", &format!("url(#{prefix}"))
+    body.replace("id=\"", &format!("id=\"{prefix}"))
+        .replace("url(#", &format!("url(#{prefix}"))
         .replace("href=\"#", &format!("href=\"#{prefix}"))
 }
 
@@ -255,7 +256,11 @@ mod tests {
     fn names_from_outside_cannot_become_markup_and_ids_do_not_clash() {
         let mut row = Judged::default();
         row.answer.link = "<script>x</script>/tx2".into();
-        let html = page("a&b", &[Shown { row, pictures: vec!["<?xml?><svg><g id=\"a\"/><use href=\"#a\"/></svg>".into()] }], &[]);
+        let html = page(
+            "a&b",
+            &[Shown { row, pictures: vec!["<?xml?><svg><g id=\"a\"/><use href=\"#a\"/></svg>".into()] }],
+            &[],
+        );
         assert!(!html.contains("<script>") && html.contains("a&amp;b"));
         assert!(!html.contains("<?xml") && !html.contains("id=\"a\""), "{html}");
     }

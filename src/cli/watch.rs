@@ -30,7 +30,8 @@ pub struct Args {
 /// How long a silent node is waited for before the screen says so.
 const SILENT: Duration = Duration::from_secs(3);
 /// Colours of the peers, in their order; they are also numbered.
-const COLOURS: [Color; 6] = [Color::Cyan, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::LightBlue];
+const COLOURS: [Color; 6] =
+    [Color::Cyan, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::LightBlue];
 
 /// Shows a running node until `q` is pressed.
 pub fn run(args: &Args) -> Result {
@@ -69,11 +70,7 @@ fn connect(socket: &Path) -> std::result::Result<UnixStream, String> {
 }
 
 /// Draws every state that comes, until a key ends it.
-fn show(
-    terminal: &mut ratatui::DefaultTerminal,
-    states: &Receiver<Value>,
-    socket: &Path,
-) -> std::io::Result<Outcome> {
+fn show(terminal: &mut ratatui::DefaultTerminal, states: &Receiver<Value>, socket: &Path) -> std::io::Result<Outcome> {
     let mut state = Value::Null;
     let mut silent = Duration::ZERO;
     loop {
@@ -194,7 +191,8 @@ fn table(peers: &[Value]) -> Table<'static> {
         Constraint::Length(7),
         Constraint::Length(10),
     ];
-    let head = Row::new(["peer", "pairs", "bearing, deg", "coh.", "moved m", ""]).style(Style::new().add_modifier(Modifier::BOLD));
+    let head = Row::new(["peer", "pairs", "bearing, deg", "coh.", "moved m", ""])
+        .style(Style::new().add_modifier(Modifier::BOLD));
     Table::new(peers.iter().enumerate().map(row), widths).header(head).block(Block::bordered().title(" peers "))
 }
 
@@ -253,7 +251,9 @@ mod tests {
             ],
         });
         let shown = screen(&state, 110, 30);
-        for words in ["burger-1", "100/s", "41.2 +- 0.5 or -41.0", "0.93", "not yet: moved 0.04 m", "the port is gone", "lost 3"] {
+        for words in
+            ["burger-1", "100/s", "41.2 +- 0.5 or -41.0", "0.93", "not yet: moved 0.04 m", "the port is gone", "lost 3"]
+        {
             assert!(shown.contains(words), "no `{words}` in\n{shown}");
         }
         screen(&state, 20, 5);

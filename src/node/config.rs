@@ -418,15 +418,24 @@ impl Config {
             say(place(text, "extrapolate_s"), why.into());
         }
         if estimator.least_motion_m.is_some_and(|least| least > estimator.window_m) {
-            say(place(text, "least_motion_m"), "least_motion_m is more than window_m: there would never be a bearing".into());
+            say(
+                place(text, "least_motion_m"),
+                "least_motion_m is more than window_m: there would never be a bearing".into(),
+            );
         }
         let odometry = |poses: &Odometry, at: usize, own: bool| match poses {
-            Odometry::Csv(csv) if !csv.file.is_file() => Some((at, format!("there is no trajectory {}", csv.file.display()))),
-            Odometry::Csv(_) if !is_replay => Some((at, "`csv` poses need a replayed capture, whose pace they follow".into())),
+            Odometry::Csv(csv) if !csv.file.is_file() => {
+                Some((at, format!("there is no trajectory {}", csv.file.display())))
+            }
+            Odometry::Csv(_) if !is_replay => {
+                Some((at, "`csv` poses need a replayed capture, whose pace they follow".into()))
+            }
             Odometry::Room(_) if !is_room => Some((at, "`room` poses need `capture.room`".into())),
             Odometry::Opencr(_) if !own => Some((at, "a peer's port is not on this machine: use `network`".into())),
             Odometry::Network(_) if own => Some((at, "this robot's own poses do not come over the network".into())),
-            Odometry::Network(_) if self.network.is_none() => Some((at, "`network` poses need a [network] table".into())),
+            Odometry::Network(_) if self.network.is_none() => {
+                Some((at, "`network` poses need a [network] table".into()))
+            }
             _ => None,
         };
         if let Some((at, why)) = odometry(&self.odometry, place(text, "odometry"), true) {
@@ -452,9 +461,14 @@ impl Config {
                     say(at, format!("peer `{}`: there is no log {}", peer.name, replay.file.display()));
                 }
                 Records::Replay(_) if !is_replay => {
-                    say(at, format!("peer `{}`: a replayed log needs `capture.replay`, whose pace it follows", peer.name));
+                    say(
+                        at,
+                        format!("peer `{}`: a replayed log needs `capture.replay`, whose pace it follows", peer.name),
+                    );
                 }
-                Records::Room(_) if !is_room => say(at, format!("peer `{}`: `room` records need `capture.room`", peer.name)),
+                Records::Room(_) if !is_room => {
+                    say(at, format!("peer `{}`: `room` records need `capture.room`", peer.name))
+                }
                 Records::Network(_) if self.network.is_none() => {
                     say(at, format!("peer `{}`: `network` records need a [network] table", peer.name));
                 }
@@ -513,7 +527,11 @@ fn antenna<'de, D: Deserializer<'de>>(input: D) -> Result<Antenna, D::Error> {
 
 fn positive<'de, D: Deserializer<'de>>(input: D) -> Result<f64, D::Error> {
     let value = f64::deserialize(input)?;
-    if value.is_finite() && value > 0.0 { Ok(value) } else { Err(D::Error::custom(format!("{value}: a number above 0"))) }
+    if value.is_finite() && value > 0.0 {
+        Ok(value)
+    } else {
+        Err(D::Error::custom(format!("{value}: a number above 0")))
+    }
 }
 
 fn maybe_positive<'de, D: Deserializer<'de>>(input: D) -> Result<Option<f64>, D::Error> {
@@ -546,7 +564,10 @@ mod tests {
     #[test]
     fn a_simulated_room_is_a_few_lines() {
         let config = Config::read(ROOM, Path::new("/nowhere")).unwrap();
-        assert_eq!(config.capture.get_ref(), &Capture::Room(Room { scene: "lab-circle".into(), robot: "rx".into(), speed: 1.0 }));
+        assert_eq!(
+            config.capture.get_ref(),
+            &Capture::Room(Room { scene: "lab-circle".into(), robot: "rx".into(), speed: 1.0 })
+        );
         assert_eq!(config.estimator, Estimation::default());
         assert_eq!(config.peer[0].get_ref().poses, Odometry::Static(Place::default()));
     }
@@ -560,7 +581,8 @@ mod tests {
         assert!(negative.starts_with("line 8") && negative.contains("above 0"), "{negative}");
         let typo = refused(&ROOM.replace("records.room", "records.rom"));
         assert!(typo.starts_with("line 6"), "{typo}");
-        let two = refused(&ROOM.replace("capture.room = { scene = \"lab-circle\", robot = \"rx\" }", "capture.card = {}"));
+        let two =
+            refused(&ROOM.replace("capture.room = { scene = \"lab-circle\", robot = \"rx\" }", "capture.card = {}"));
         let lines: Vec<&str> = two.lines().collect();
         assert!(lines.len() == 3 && lines[0].starts_with("line 2: `mac`"), "{two}");
         assert!(lines[1].starts_with("line 3:") && lines[2].starts_with("line 4: peer `tx`"), "{two}");

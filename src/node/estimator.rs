@@ -307,7 +307,11 @@ impl PeerState {
             return self.without(State::NotYet, words, found.extent_m, settings, seen);
         }
         let motion = Motion {
-            receiver: receiver.poses().last().copied().unwrap_or(Pose { t_s: end_s, position_m: Default::default(), heading_rad: None }),
+            receiver: receiver.poses().last().copied().unwrap_or(Pose {
+                t_s: end_s,
+                position_m: Default::default(),
+                heading_rad: None,
+            }),
             transmitter: transmitter.as_ref().and_then(|trajectory| trajectory.poses().last().copied()),
         };
         if !last && self.last.as_ref().is_some_and(|(.., before)| !motion.is_beyond(before)) {

@@ -274,9 +274,10 @@ impl Machine {
         let own = (!self.capture.ended).then(|| self.capture.source.next_at()).flatten();
         let poses = |poses: &Running<Poses>| if poses.ended { None } else { poses.source.next_at() };
         let records = |records: &Running<Card>| if records.ended { None } else { records.source.next_at() };
-        let peers = self.peers.iter().flat_map(|peer| {
-            [peer.records.as_ref().and_then(records), peer.poses.as_ref().and_then(poses)]
-        });
+        let peers = self
+            .peers
+            .iter()
+            .flat_map(|peer| [peer.records.as_ref().and_then(records), peer.poses.as_ref().and_then(poses)]);
         let mine = [own, self.poses.as_ref().and_then(poses), self.estimator.poll_timeout()];
         mine.into_iter().chain(peers).flatten().min()
     }

@@ -20,6 +20,6 @@ pub mod sources;
 #[cfg(feature = "zenoh")]
 pub mod network;
 #[cfg(feature = "node")]
-pub mod service;
-#[cfg(feature = "node")]
 mod outputs;
+#[cfg(feature = "node")]
+pub mod service;

@@ -182,8 +182,16 @@ pub fn window(receiver: &Trajectory, transmitter: Option<&Trajectory>, length_m:
     }
     let (from_s, kept) = cut_at.unwrap_or((oldest_s, anchors.len()));
     let places = || anchors.iter().take(kept).map(|(_, at)| *at);
-    let (low, high) = places().fold((places().next()?, places().next()?), |(low, high), at| (low.inf(&at), high.sup(&at)));
-    Some(Window { from_s, to_s, path_m, extent_m: (high - low).norm(), whole_m, cut: cut_at.is_some() || oldest_s > start_s })
+    let (low, high) =
+        places().fold((places().next()?, places().next()?), |(low, high), at| (low.inf(&at), high.sup(&at)));
+    Some(Window {
+        from_s,
+        to_s,
+        path_m,
+        extent_m: (high - low).norm(),
+        whole_m,
+        cut: cut_at.is_some() || oldest_s > start_s,
+    })
 }
 
 #[cfg(test)]

@@ -5,9 +5,9 @@ use super::health::{Health, Load, Looks};
 use super::machine::{Capture, Machine};
 use super::outputs::{Lines, StatusSocket, StatusText};
 use super::sources::{Card, Sources};
+use crate::backend::Error;
 use crate::backend::recorder::{LogFiles, Options as RecorderOptions, Recorder, Rotation, Totals};
 use crate::backend::sys::watch_fd;
-use crate::backend::Error;
 use crate::time::{Instant, Span};
 use crate::wait::{Monotonic, processor_s, wall_us};
 use sd_notify::NotifyState;
@@ -114,7 +114,11 @@ impl Service {
     }
 
     /// Works until the records end or a signal comes.
-    async fn work(&mut self, wake: Option<&AsyncFd<std::os::fd::OwnedFd>>, signals: &mut [Signal]) -> Result<(), Error> {
+    async fn work(
+        &mut self,
+        wake: Option<&AsyncFd<std::os::fd::OwnedFd>>,
+        signals: &mut [Signal],
+    ) -> Result<(), Error> {
         let watchdog = sd_notify::watchdog_enabled().map(|limit| limit / 2);
         let mut look_at = self.clock.real.now();
         let mut alive_at = look_at;
@@ -134,7 +138,11 @@ impl Service {
                 return Ok(());
             }
             let until = self.machine.next_at().map_or(LONGEST_WAIT.as_s(), |at| self.clock.until(at).as_secs_f64());
-            let wait = if more { Duration::ZERO } else { Duration::from_secs_f64(until.min((look_at - real).as_s().max(0.0))) };
+            let wait = if more {
+                Duration::ZERO
+            } else {
+                Duration::from_secs_f64(until.min((look_at - real).as_s().max(0.0)))
+            };
             tokio::select! {
                 biased;
                 () = any(signals) => return Ok(()),
@@ -288,7 +296,10 @@ fn logged(card: Card, log: Option<&Log>) -> Result<Capture, Error> {
 fn free_name(log: &Path) -> PathBuf {
     let stem = log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let numbered = |k: u32| log.with_file_name(format!("{stem}-r{k}.dat"));
-    std::iter::once(log.to_owned()).chain((1..).map(numbered)).find(|name| !name.exists()).unwrap_or_else(|| log.to_owned())
+    std::iter::once(log.to_owned())
+        .chain((1..).map(numbered))
+        .find(|name| !name.exists())
+        .unwrap_or_else(|| log.to_owned())
 }
 
 fn resident_mib() -> Option<f64> {

@@ -157,7 +157,8 @@ impl Shared {
             Odometry::Opencr(port) => serial(port, self.start, wall_us)?,
         };
         let offset_m = Vector3::from(offset_m);
-        let mounted: Poses = if offset_m == Vector3::zeros() { source } else { Box::new(Mounted::new(source, offset_m)) };
+        let mounted: Poses =
+            if offset_m == Vector3::zeros() { source } else { Box::new(Mounted::new(source, offset_m)) };
         Ok((Some(mounted), Track::default()))
     }
 
@@ -183,7 +184,8 @@ impl Shared {
 
 fn still(place: &Place, offset_m: [f64; 3]) -> Track {
     let heading_rad = place.heading_deg.to_radians();
-    let pose = crate::pose::Pose { t_s: 0.0, position_m: Vector3::from(place.position_m), heading_rad: Some(heading_rad) };
+    let pose =
+        crate::pose::Pose { t_s: 0.0, position_m: Vector3::from(place.position_m), heading_rad: Some(heading_rad) };
     let antenna = pose.mounted(Vector3::from(offset_m)).map_or(pose.position_m, |pose| pose.position_m);
     Track::still(antenna, heading_rad)
 }
@@ -217,7 +219,8 @@ fn first_host_s(log: &Path) -> Result<f64, Error> {
             break;
         }
     }
-    let what = "no record has a host time (WSR layout, or a .datstp file beside the log), so poses cannot be joined with it";
+    let what =
+        "no record has a host time (WSR layout, or a .datstp file beside the log), so poses cannot be joined with it";
     Err(Error::Input(format!("{}: {what}", log.display())))
 }
 

@@ -70,9 +70,9 @@ impl ClockFit {
         let n = self.blocks.len() as f64;
         let slope = if self.blocks.len() >= DRIFT_BLOCKS {
             let (sx, sy) = points.clone().fold((0.0, 0.0), |(sx, sy), (x, y)| (sx + x / n, sy + y / n));
-            let (xx, xy) = points.clone().fold((0.0, 0.0), |(xx, xy), (x, y)| {
-                (xx + (x - sx) * (x - sx), xy + (x - sx) * (y - sy))
-            });
+            let (xx, xy) = points
+                .clone()
+                .fold((0.0, 0.0), |(xx, xy), (x, y)| (xx + (x - sx) * (x - sx), xy + (x - sx) * (y - sy)));
             if xx > 0.0 { (xy / xx).clamp(-MAX_DRIFT, MAX_DRIFT) } else { 0.0 }
         } else {
             0.0

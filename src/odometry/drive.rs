@@ -87,9 +87,8 @@ impl Drive {
     /// Takes a reading; false if it was left out.
     pub fn handle(&mut self, reading: Reading) -> bool {
         let Some(last) = self.last.replace(reading) else { return true };
-        let arc_m = |now: i32, before: i32| {
-            f64::from(now.wrapping_sub(before)) * TICK_RAD * self.geometry.wheel_radius_m
-        };
+        let arc_m =
+            |now: i32, before: i32| f64::from(now.wrapping_sub(before)) * TICK_RAD * self.geometry.wheel_radius_m;
         let (left_m, right_m) = (arc_m(reading.left, last.left), arc_m(reading.right, last.right));
         let limit_m = MAX_SPEED_M_S * (reading.t_s - last.t_s).max(0.02);
         if left_m.abs().max(right_m.abs()) > limit_m {
@@ -112,7 +111,9 @@ impl Drive {
         let by_imu = last.heading_rad.zip(now.heading_rad).map(|(from, to)| wrap_rad(to - from));
         self.unseen_rad = if by_imu == Some(0.0) { self.unseen_rad + by_wheels } else { 0.0 };
         match by_imu {
-            Some(turned) if (turned - by_wheels).abs() < HEADING_JUMP_RAD && self.unseen_rad.abs() < DEAD_HEADING_RAD => {
+            Some(turned)
+                if (turned - by_wheels).abs() < HEADING_JUMP_RAD && self.unseen_rad.abs() < DEAD_HEADING_RAD =>
+            {
                 self.counts.by_imu += 1;
                 turned
             }
@@ -182,7 +183,8 @@ mod tests {
         // Until it is known to be dead it is believed: the circle is out of true by that much.
         assert!((dead.place().1 + DEAD_HEADING_RAD).abs() < 0.03, "{:?}", dead.place());
         assert!(dead.counts.by_wheels > 900);
-        let jump = circle(0.3, Geometry::BURGER, |turned| Some(wrap_rad(turned + if turned > 3.0 { 2.0 } else { 0.0 })));
+        let jump =
+            circle(0.3, Geometry::BURGER, |turned| Some(wrap_rad(turned + if turned > 3.0 { 2.0 } else { 0.0 })));
         assert!(jump.place().0.norm() < 2e-3, "{:?}", jump.place());
         assert_eq!(jump.counts.by_wheels, 1);
     }
