@@ -24,7 +24,13 @@ const FLOORS: &[(u8, &[&str])] = &[
     ),
     (2, &["assign", "pairing", "tdma"]),
     (3, &["backend", "odometry"]),
-    (4, &["answer", "doctor", "evaluate", "figures", "pipeline", "plot", "quality", "status", "survey", "wait"]),
+    (
+        4,
+        &[
+            "answer", "compare", "doctor", "evaluate", "figures", "mcap", "node", "pipeline", "plot", "quality",
+            "sounding", "status", "suite", "survey", "wait",
+        ],
+    ),
 ];
 
 fn floor(module: &str) -> u8 {
