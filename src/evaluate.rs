@@ -8,6 +8,7 @@ use crate::answer::{Answer, lost_something};
 use crate::backend::{CsiSource, replay::Replay};
 use crate::channel::{Channel, Width};
 use crate::odometry;
+use crate::pipeline::link::Bearing;
 use crate::pipeline::{Options, Transmitter, bearings};
 use crate::pose::{Trajectory, wrap_rad};
 use crate::survey::Survey;
@@ -264,7 +265,20 @@ impl Capture {
     /// Estimates every link and compares it with the truth. What cannot be read becomes a row with its error.
     #[must_use]
     pub fn evaluate(&self, source: Source, channel: Option<Channel>, options: &Options) -> Evaluated {
-        self.try_evaluate(source, channel, options).unwrap_or_else(|error| {
+        self.evaluate_and(source, channel, options, &mut |_, _, _| {})
+    }
+
+    /// The same, showing each link's bearing to `look` with the link's name and the options that it was made by: for
+    /// pictures.
+    #[must_use]
+    pub fn evaluate_and(
+        &self,
+        source: Source,
+        channel: Option<Channel>,
+        options: &Options,
+        look: &mut dyn FnMut(&str, &Bearing, &Options),
+    ) -> Evaluated {
+        self.try_evaluate(source, channel, options, look).unwrap_or_else(|error| {
             let row = |name: &str| Judged {
                 answer: Answer::failed(self.link_name(name), error.clone()),
                 ..Judged::default()
@@ -291,7 +305,13 @@ impl Capture {
         Ok(trajectory)
     }
 
-    fn try_evaluate(&self, source: Source, channel: Option<Channel>, options: &Options) -> Result<Evaluated, String> {
+    fn try_evaluate(
+        &self,
+        source: Source,
+        channel: Option<Channel>,
+        options: &Options,
+        look: &mut dyn FnMut(&str, &Bearing, &Options),
+    ) -> Result<Evaluated, String> {
         let truth = self.truth()?;
         let channel = match (channel, &truth.channel) {
             (Some(channel), _) => channel,
@@ -327,6 +347,11 @@ impl Capture {
             let times = link.bearing.as_ref().map(|bearing| bearing.samples.t_s.as_slice()).unwrap_or_default();
             judge(answer, position.map(|pose| pose.position), reference.as_ref(), times)
         };
+        for ((name, _), link) in self.transmitters.iter().zip(&report.links) {
+            if let Ok(bearing) = &link.bearing {
+                look(&self.link_name(name), bearing, &options);
+            }
+        }
         let mut rows: Vec<Judged> = self.transmitters.iter().zip(&report.links).map(judge).collect();
         for (row, error) in rows.iter_mut().zip(failed) {
             if let Some(error) = error {

@@ -60,6 +60,7 @@ pub mod backend;
 pub mod bartlett;
 pub mod cfo;
 pub mod channel;
+pub mod compare;
 pub mod confidence;
 pub mod csi;
 pub mod doctor;
@@ -67,7 +68,10 @@ pub mod evaluate;
 #[cfg(feature = "plot")]
 pub mod figures;
 pub mod locate;
+#[cfg(feature = "foxglove")]
+pub mod mcap;
 pub mod near_field;
+pub mod node;
 pub mod odometry;
 pub mod one_way;
 pub mod pairing;
@@ -80,6 +84,7 @@ pub mod samples;
 #[cfg(feature = "live")]
 pub mod sounding;
 pub mod status;
+pub mod suite;
 pub mod survey;
 pub mod tdma;
 pub mod time;

@@ -2,6 +2,7 @@
 //! estimator meet.
 
 pub mod accurate;
+pub mod explain;
 pub mod intake;
 pub mod link;
 
@@ -172,13 +173,15 @@ pub fn bearings(
     let span_us = options.span_us(trajectory);
     let mut links: Vec<Option<Link>> = matches.iter().map(|m| mac(m).map(|mac| Link::new(mac, span_us))).collect();
     read(&mut rx, &mut txs, &mut links, options)?;
-    let report = |log: Log<'_>| LogReport { survey: log.survey, unused: log.unused };
+    let report = |log: Log<'_>| LogReport { survey: log.front.survey, unused: log.front.unused };
     let finish = |((link, found), path)| LinkReport::new(link, found, trajectory, path, options);
     let jobs: Vec<_> = links.into_iter().zip(matches).zip(paths).collect();
-    let links = match options.parallel {
+    let mut links: Vec<LinkReport> = match options.parallel {
         true => jobs.into_par_iter().map(finish).collect(),
         false => jobs.into_iter().map(finish).collect(),
     };
+    let mut made: Vec<_> = links.iter_mut().filter_map(|link| link.bearing.as_mut().ok()).collect();
+    accurate::finish(&mut made, options);
     Ok(Report { receiver: report(rx), transmitters: txs.into_iter().map(report).collect(), links })
 }
 
@@ -198,7 +201,7 @@ fn read(rx: &mut Log<'_>, txs: &mut [Log<'_>], links: &mut [Option<Link>], optio
         } else if let Some((mac, heard)) = rx.next_frame()? {
             match links.iter_mut().flatten().find(|link| link.mac == mac) {
                 Some(link) => link.handle(Side::Receiver, heard, options),
-                None => rx.unused.other_sender += 1,
+                None => rx.front.unused.other_sender += 1,
             }
         } else if txs.iter().all(Log::is_done) {
             break;
@@ -214,7 +217,7 @@ fn next_from(tx: &mut Log<'_>, receiver: Option<Mac>) -> Result<Option<intake::H
         if receiver.is_none_or(|wanted| wanted == mac) {
             return Ok(Some(heard));
         }
-        tx.unused.other_sender += 1;
+        tx.front.unused.other_sender += 1;
     }
     Ok(None)
 }

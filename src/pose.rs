@@ -23,6 +23,23 @@ pub struct Pose {
     pub heading_rad: Option<f64>,
 }
 
+impl Pose {
+    /// The pose of something on the robot: moved by `offset_m` (robot frame: x forward, y left, z up), turned with the
+    /// heading.
+    ///
+    /// # Errors
+    /// If there is no heading and the offset is not along z.
+    pub fn mounted(self, offset_m: Vector3<f64>) -> Result<Self, TrajectoryError> {
+        let (sin, cos) = match self.heading_rad {
+            Some(heading) => heading.sin_cos(),
+            None if offset_m.x != 0.0 || offset_m.y != 0.0 => return Err(TrajectoryError::NoHeading),
+            None => (0.0, 1.0),
+        };
+        let turned = Vector3::new(cos * offset_m.x - sin * offset_m.y, sin * offset_m.x + cos * offset_m.y, offset_m.z);
+        Ok(Self { position_m: self.position_m + turned, ..self })
+    }
+}
+
 /// The yaw of a quaternion: the heading of its x axis, radians.
 #[must_use]
 pub fn heading_of(rotation: &UnitQuaternion<f64>) -> f64 {
@@ -182,18 +199,9 @@ impl Trajectory {
     /// # Errors
     /// If a pose has no heading and the offset is not along z.
     pub fn with_antenna_offset(&self, offset_m: Vector3<f64>) -> Result<Self, TrajectoryError> {
-        let horizontal = offset_m.x != 0.0 || offset_m.y != 0.0;
         let mut moved = self.clone();
         for pose in &mut moved.poses {
-            let heading_rad = match pose.heading_rad {
-                Some(heading) => heading,
-                None if horizontal => return Err(TrajectoryError::NoHeading),
-                None => 0.0,
-            };
-            let (sin, cos) = heading_rad.sin_cos();
-            let turned =
-                Vector3::new(cos * offset_m.x - sin * offset_m.y, sin * offset_m.x + cos * offset_m.y, offset_m.z);
-            pose.position_m += turned;
+            *pose = pose.mounted(offset_m)?;
         }
         Ok(moved)
     }

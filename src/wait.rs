@@ -99,3 +99,12 @@ pub fn wall_us() -> Option<i64> {
     let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).ok()?;
     i64::try_from(since.as_micros()).ok()
 }
+
+/// Processor time that this process has used so far, seconds.
+#[cfg(feature = "node")]
+#[must_use]
+pub fn processor_s() -> f64 {
+    let Ok(used) = nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_SELF) else { return 0.0 };
+    let seconds = |time: nix::sys::time::TimeVal| time.tv_sec() as f64 + time.tv_usec() as f64 * 1e-6;
+    seconds(used.user_time()) + seconds(used.system_time())
+}

@@ -7,6 +7,7 @@ pub mod monitor;
 pub mod netlink;
 pub mod paced;
 pub mod recorder;
+pub mod remote;
 pub mod replay;
 pub mod side;
 pub mod sim;
@@ -149,6 +150,16 @@ pub trait CsiSource {
 
     /// When the next record is due, if the source knows: replay and simulation do, a live socket does not.
     fn next_at(&self) -> Option<Instant>;
+}
+
+impl<S: CsiSource + ?Sized> CsiSource for Box<S> {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        (**self).receive(now)
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        (**self).next_at()
+    }
 }
 
 /// Something that can put a frame on the air. Separate from [`CsiSource`]: a recorded file has no transmitter.

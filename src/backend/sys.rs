@@ -58,6 +58,17 @@ pub fn watch(listener: Netlink) -> io::Result<AsyncFd<Netlink>> {
     unsafe { AsyncFd::register_with_interest(listener, interest) }.map_err(|error| error.into_parts().1)
 }
 
+/// Registers a descriptor with tokio's reactor, for reading and for errors.
+///
+/// # Errors
+/// The reactor's refusal.
+#[cfg(feature = "node")]
+pub fn watch_fd(fd: std::os::fd::OwnedFd) -> io::Result<AsyncFd<std::os::fd::OwnedFd>> {
+    let interest = Interest::READABLE | Interest::ERROR;
+    // SAFETY: an `OwnedFd` is the same open descriptor from its making to its drop, and the `AsyncFd` owns it.
+    unsafe { AsyncFd::register_with_interest(fd, interest) }.map_err(|error| error.into_parts().1)
+}
+
 /// ARPHRD_IEEE80211_RADIOTAP (`linux/if_arp.h`): the link type of a monitor interface.
 pub const ARPHRD_IEEE80211_RADIOTAP: u16 = 803;
 

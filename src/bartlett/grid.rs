@@ -20,6 +20,8 @@ pub fn direction(azimuth_rad: f64, elevation_rad: f64) -> Vector3<f64> {
 #[derive(Clone, Debug)]
 pub struct Grid {
     pub(crate) layout: Arc<Layout>,
+    /// The largest `|sin(elevation)|`.
+    pub(crate) steepest: f64,
 }
 
 impl PartialEq for Grid {
@@ -38,10 +40,19 @@ pub(crate) enum Layout {
 }
 
 impl Grid {
+    fn new(layout: Layout) -> Self {
+        let steep = |e: f64| if e.abs() >= FRAC_PI_2 { 1.0 } else { e.sin().abs() };
+        let steepest = match &layout {
+            Layout::Rings { elevations_rad, .. } => elevations_rad.iter().map(|e| steep(*e)).fold(0.0, f64::max),
+            Layout::List { directions, .. } => directions.iter().map(|d| steep(d.1)).fold(0.0, f64::max),
+        };
+        Self { layout: Arc::new(layout), steepest }
+    }
+
     /// `n` azimuths around the horizon, from -180 degrees in steps of 360/n (180 itself is -180). At least one.
     #[must_use]
     pub fn azimuth(n: usize) -> Self {
-        Self { layout: Arc::new(Layout::Rings { azimuths: n.max(1), elevations_rad: vec![0.0] }) }
+        Self::new(Layout::Rings { azimuths: n.max(1), elevations_rad: vec![0.0] })
     }
 
     /// `n_azimuth` azimuths as in [`Grid::azimuth`] for each of `n_elevation` elevations from -90 to 90 degrees, both
@@ -53,27 +64,29 @@ impl Grid {
         } else {
             (0..n_elevation).map(|i| PI * (i as f64 / (n_elevation - 1) as f64 - 0.5)).collect()
         };
-        Self { layout: Arc::new(Layout::Rings { azimuths: n_azimuth.max(1), elevations_rad }) }
+        Self::new(Layout::Rings { azimuths: n_azimuth.max(1), elevations_rad })
     }
 
     /// The WSR toolbox's grid: `linspace(-180, 180, 360)` azimuths (both ends, the same direction twice; steps of
     /// 360/359 degrees) for each of `linspace(0, 90, 90)` polar angles from the zenith.
     #[must_use]
     pub fn wsr() -> Self {
-        let directions = (0..90)
-            .flat_map(|row| {
-                let elevation = PI / 2.0 * (1.0 - f64::from(row) / 89.0);
-                (0..360).map(move |column| (TAU * f64::from(column) / 359.0 - PI, elevation))
-            })
-            .collect();
-        Self { layout: Arc::new(Layout::List { directions, width: 360 }) }
+        let elevation = |row: usize| PI / 2.0 * (1.0 - row as f64 / (WSR_ROWS - 1) as f64);
+        let directions = (0..WSR_ROWS).flat_map(|row| wsr_azimuths().map(move |a| (a, elevation(row)))).collect();
+        Self::new(Layout::List { directions, width: 360 })
+    }
+
+    /// The azimuths of [`Grid::wsr`] on the horizon: the toolbox's planar mode.
+    #[must_use]
+    pub fn wsr_azimuths() -> Self {
+        Self::directions(wsr_azimuths().map(|azimuth| (azimuth, 0.0)).collect())
     }
 
     /// Any list of (azimuth, elevation) in radians, in one row.
     #[must_use]
     pub fn directions(list: Vec<(f64, f64)>) -> Self {
         let width = list.len();
-        Self { layout: Arc::new(Layout::List { directions: list, width }) }
+        Self::new(Layout::List { directions: list, width })
     }
 
     /// Number of directions.
@@ -114,20 +127,19 @@ impl Grid {
         }
     }
 
-    /// The largest `|sin(elevation)|`.
-    pub(crate) fn steepest(&self) -> f64 {
-        let steep = |e: f64| if e.abs() >= FRAC_PI_2 { 1.0 } else { e.sin().abs() };
-        match &*self.layout {
-            Layout::Rings { elevations_rad, .. } => elevations_rad.iter().map(|e| steep(*e)).fold(0.0, f64::max),
-            Layout::List { directions, .. } => directions.iter().map(|d| steep(d.1)).fold(0.0, f64::max),
-        }
-    }
-
     pub(crate) fn check(&self) -> Result<(), Error> {
         let Layout::List { directions, .. } = &*self.layout else { return Ok(()) };
         let bad = directions.iter().position(|(a, e)| !(a.is_finite() && e.is_finite()));
         bad.map_or(Ok(()), |index| Err(Error::Direction { index }))
     }
+}
+
+/// Polar angles of the toolbox's grid.
+const WSR_ROWS: usize = 90;
+
+/// `linspace(-180, 180, 360)` degrees, radians.
+fn wsr_azimuths() -> impl Iterator<Item = f64> {
+    (0..360).map(|column| TAU * f64::from(column) / 359.0 - PI)
 }
 
 /// Azimuth `index` of `count` around the circle from -180 degrees, radians.
@@ -168,18 +180,33 @@ impl Profile {
 /// a single direction.
 #[must_use]
 pub fn wsr_profile_variance(profile: &Profile) -> Option<f64> {
-    let (rows, columns) = profile.grid.shape();
+    profile_variance(profile, profile.grid.shape().0, |row, column, columns| profile.values[row * columns + column])
+}
+
+/// [`wsr_profile_variance`] of the toolbox's planar mode, which repeats one row of azimuths for each of its 90 polar angles;
+/// the highest of equal entries is the last.
+#[must_use]
+pub fn wsr_planar_profile_variance(azimuths: &Profile) -> Option<f64> {
+    profile_variance(azimuths, WSR_ROWS, |_, column, _| azimuths.values[column])
+}
+
+fn profile_variance(profile: &Profile, rows: usize, value: impl Fn(usize, usize, usize) -> f64) -> Option<f64> {
+    let columns = profile.grid.shape().1;
     let (peak, _) = profile.max()?;
-    let (peak_row, peak_column) = (peak / columns, peak % columns);
+    // Of one row that is repeated, the last one holds the last of the highest entries.
+    let peak_row = if rows > profile.grid.shape().0 { rows - 1 } else { peak / columns };
+    let peak_column = peak % columns;
     let (mut weighted, mut plain, mut sum) = (0.0, 0.0, 0.0);
-    for (index, value) in profile.values.iter().enumerate() {
-        let across = (index % columns).abs_diff(peak_column);
-        let across = across.min(columns - across) as f64;
-        let up = (index / columns).abs_diff(peak_row) as f64;
-        let d2 = across * across + up * up;
-        weighted += d2 * value;
-        plain += d2;
-        sum += value;
+    for row in 0..rows {
+        let up = row.abs_diff(peak_row) as f64;
+        for column in 0..columns {
+            let across = column.abs_diff(peak_column);
+            let across = across.min(columns - across) as f64;
+            let (d2, value) = (across * across + up * up, value(row, column, columns));
+            weighted += d2 * value;
+            plain += d2;
+            sum += value;
+        }
     }
     let n = (rows * columns) as f64;
     (plain > 0.0 && sum > 0.0).then(|| (weighted / sum) / (plain / n))

@@ -2,6 +2,7 @@
 
 mod args;
 mod bearing;
+mod compare;
 mod demo;
 #[cfg(feature = "live")]
 mod doctor;
@@ -11,6 +12,10 @@ mod info;
 #[cfg(feature = "live")]
 mod live;
 mod locate;
+#[cfg(feature = "foxglove")]
+mod mcap;
+#[cfg(feature = "node")]
+mod node;
 mod npz;
 mod profile;
 #[cfg(feature = "live")]
@@ -18,8 +23,12 @@ mod record;
 mod recover;
 #[cfg(feature = "live")]
 mod replay;
+#[cfg(feature = "plot")]
+mod report;
 #[cfg(feature = "live")]
 mod respond;
+#[cfg(feature = "live")]
+mod serve;
 #[cfg(feature = "live")]
 mod setup;
 mod simulate;
@@ -27,6 +36,9 @@ mod simulate;
 mod sound;
 #[cfg(feature = "live")]
 mod sounding;
+mod suite;
+#[cfg(feature = "node")]
+mod watch;
 
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -78,14 +90,24 @@ enum Command {
     Info(info::Args),
     /// Bearings of a whole tree of captures against the truth
     Evaluate(evaluate::Args),
+    /// One self-contained HTML page about a tree of captures: pictures, tables, losses
+    #[cfg(feature = "plot")]
+    Report(report::Args),
     /// Where the receiver of a capture is, from its links to transmitters whose places are known
     Locate(locate::Args),
     /// Copies every intact record of a damaged log, and nothing else
     Recover(recover::Args),
     /// CSI of a log as CSV or NPZ, raw or scaled
     Export(export::Args),
+    /// Captures as MCAP, for Foxglove, Lichtblick and MCAP readers
+    #[cfg(feature = "foxglove")]
+    Mcap(mcap::Args),
     /// A room full of robots: writes the logs that their cards would have recorded
     Simulate(simulate::Args),
+    /// A recorded capture beside a simulated one: every figure of both, and pictures
+    Compare(compare::Args),
+    /// The paper's experiments, simulated, with repetitions: a table of errors, confidence and phase residual
+    Suite(suite::Args),
     /// Sounds other robots: sends them frames in turn, which they answer, so that both cards measure; live bearings
     #[cfg(feature = "live")]
     Sound(Box<sound::Args>),
@@ -101,6 +123,12 @@ enum Command {
     /// What stands between this machine and a first record, and the command that mends it
     #[cfg(feature = "live")]
     Doctor(doctor::Args),
+    /// The robot's own service: capture, odometry, peers, live bearings
+    #[cfg(feature = "node")]
+    Node(node::Args),
+    /// A running node in a terminal: peers, rates, losses, bearings on a compass
+    #[cfg(feature = "node")]
+    Watch(watch::Args),
     /// The steps that put the card into monitor mode: printed, or taken with --apply
     #[cfg(feature = "live")]
     Setup(setup::Args),
@@ -114,10 +142,16 @@ pub fn run() -> ExitCode {
         Command::Bearing(args) => bearing::run(*args),
         Command::Info(args) => info::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
+        #[cfg(feature = "plot")]
+        Command::Report(args) => report::run(&args),
         Command::Locate(args) => locate::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Export(args) => export::run(&args),
+        #[cfg(feature = "foxglove")]
+        Command::Mcap(args) => mcap::run(&args),
         Command::Simulate(args) => simulate::run(&args),
+        Command::Compare(args) => compare::run(&args),
+        Command::Suite(args) => suite::run(&args),
         #[cfg(feature = "live")]
         Command::Sound(args) => sound::run(&args),
         #[cfg(feature = "live")]
@@ -128,6 +162,10 @@ pub fn run() -> ExitCode {
         Command::Replay(args) => replay::run(&args),
         #[cfg(feature = "live")]
         Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "node")]
+        Command::Node(args) => node::run(&args),
+        #[cfg(feature = "node")]
+        Command::Watch(args) => watch::run(&args),
         #[cfg(feature = "live")]
         Command::Setup(args) => setup::run(&args),
     };
@@ -166,6 +204,13 @@ pub fn is_same_file(input: &std::path::Path, output: &std::path::Path) -> bool {
     match (input.metadata(), output.metadata()) {
         (Ok(a), Ok(b)) => (a.dev(), a.ino()) == (b.dev(), b.ino()),
         _ => false,
+    }
+}
+
+/// Takes away an output in which nothing is, so that nobody takes it for a result; devices and pipes stay.
+pub fn remove_empty(output: &std::path::Path) {
+    if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
+        eprintln!("nothing to write: no {}", output.display());
     }
 }
 

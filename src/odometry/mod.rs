@@ -1,6 +1,13 @@
 //! Where poses come from.
 
+pub mod clock;
 pub mod csv;
+pub mod drive;
+pub mod dynamixel;
+pub mod opencr;
+pub mod replay;
+#[cfg(feature = "node")]
+pub mod serial;
 
 use crate::backend::Error;
 use crate::pose::Pose;
@@ -12,6 +19,8 @@ pub enum NextPose {
     /// A pose of the robot (not of its antenna). Its time is the host's wall clock at the measurement, seconds since
     /// the Unix epoch; a late pose may come after a newer one.
     Pose(Pose),
+    /// The poses from here on are in another frame: the sensor began anew.
+    NewFrame,
     /// Nothing yet: wait for [`OdometrySource::next_at`], or for the file descriptor.
     Pending,
     /// The source is exhausted.
@@ -28,4 +37,23 @@ pub trait OdometrySource {
 
     /// When the next pose is due, if the source knows: replay and simulation do, a live port does not.
     fn next_at(&self) -> Option<Instant>;
+
+    /// What is wrong with the source at the moment, in words, if anything is: unplugged, not answering.
+    fn trouble(&self) -> Option<String> {
+        None
+    }
+}
+
+impl<S: OdometrySource + ?Sized> OdometrySource for Box<S> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
+        (**self).receive(now)
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        (**self).next_at()
+    }
+
+    fn trouble(&self) -> Option<String> {
+        (**self).trouble()
+    }
 }

@@ -10,7 +10,7 @@ use driver_iface::{
     bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq},
 };
 use num_complex::Complex32;
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 
 /// One frame as one antenna heard it: about a hundred bytes, so that many can wait for their partners.
 #[derive(Clone, Copy, Debug)]
@@ -66,16 +66,46 @@ pub struct Unused {
     pub other_sender: u64,
 }
 
-/// A log being read.
-pub struct Log<'a> {
-    source: &'a mut dyn CsiSource,
+/// What of each record the pipeline uses: one antenna of frames with a number. Everything is counted.
+#[derive(Debug)]
+pub struct Front {
     antenna: Antenna,
     /// What was counted.
     pub survey: Survey,
     /// What was not used.
     pub unused: Unused,
+    rows: BTreeMap<Mac, u32>,
+}
+
+impl Front {
+    /// A front of which only `antenna` is decoded.
+    #[must_use]
+    pub fn new(antenna: Antenna) -> Self {
+        Self { antenna, survey: Survey::default(), unused: Unused::default(), rows: BTreeMap::new() }
+    }
+
+    /// Notes what a source gave, and gives the frame in it with its sender.
+    pub fn note(&mut self, next: &Next<'_>) -> Option<(Mac, Heard)> {
+        let (bfee, identity) = self.survey.note(next)?;
+        let Some(number) = identity.frame_count else {
+            self.unused.no_number += 1;
+            return None;
+        };
+        let row = self.rows.entry(identity.mac).or_default();
+        let own_row = *row;
+        *row += 1;
+        let heard = Heard::of(&bfee, self.antenna, number, identity.host_us, own_row);
+        self.unused.no_antenna += u64::from(heard.is_none());
+        heard.map(|heard| (identity.mac, heard))
+    }
+}
+
+/// A log being read.
+pub struct Log<'a> {
+    source: &'a mut dyn CsiSource,
+    /// What was counted and used.
+    pub front: Front,
     queue: VecDeque<(Mac, Heard)>,
-    rows: std::collections::BTreeMap<Mac, u32>,
     now: Instant,
     ended: bool,
 }
@@ -83,16 +113,7 @@ pub struct Log<'a> {
 impl<'a> Log<'a> {
     /// A log from `source`, of which only `antenna` is decoded.
     pub fn new(source: &'a mut dyn CsiSource, antenna: Antenna) -> Self {
-        Self {
-            source,
-            antenna,
-            survey: Survey::default(),
-            unused: Unused::default(),
-            queue: VecDeque::new(),
-            rows: std::collections::BTreeMap::new(),
-            now: Instant::ZERO,
-            ended: false,
-        }
+        Self { source, front: Front::new(antenna), queue: VecDeque::new(), now: Instant::ZERO, ended: false }
     }
 
     /// Reads ahead until `limit` frames wait or the log ends, and gives those that wait.
@@ -125,20 +146,7 @@ impl<'a> Log<'a> {
 
     fn pull(&mut self) -> Result<(), Error> {
         let next = self.source.receive(self.now)?;
-        let noted = self.survey.note(&next);
-        if let Some((bfee, identity)) = noted {
-            let Some(number) = identity.frame_count else {
-                self.unused.no_number += 1;
-                return Ok(());
-            };
-            let row = self.rows.entry(identity.mac).or_default();
-            match Heard::of(&bfee, self.antenna, number, identity.host_us, *row) {
-                Some(frame) => self.queue.push_back((identity.mac, frame)),
-                None => self.unused.no_antenna += 1,
-            }
-            *row += 1;
-            return Ok(());
-        }
+        self.queue.extend(self.front.note(&next));
         match next {
             Next::End(_) => self.ended = true,
             Next::Pending => match self.source.next_at() {

@@ -256,6 +256,7 @@ fn write_odometry(room: &Room, receiver: usize, folder: &Path, stamp: &str) -> R
         match source.receive(now)? {
             NextPose::Pose(pose) => rows.push(pose),
             NextPose::Pending => now = source.next_at().unwrap_or(now),
+            NextPose::NewFrame => {}
             NextPose::End => break,
         }
     }

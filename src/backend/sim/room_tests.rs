@@ -290,6 +290,7 @@ fn odometry_is_a_sensor() {
             match source.receive(now).unwrap() {
                 NextPose::Pose(pose) => poses.push(pose),
                 NextPose::Pending => now = source.next_at().unwrap(),
+                NextPose::NewFrame => panic!("the room has one frame"),
                 NextPose::End => break,
             }
         }

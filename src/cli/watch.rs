@@ -1,0 +1,262 @@
+//! `csi5300 watch`: a running node in a terminal.
+
+use super::{Outcome, Result, print};
+use ratatui::Frame;
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::symbols::Marker;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::canvas::{Canvas, Circle, Line as Stroke};
+use ratatui::widgets::{Block, Paragraph, Row, Table};
+use serde_json::Value;
+use std::io::{BufRead, BufReader, IsTerminal};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::Duration;
+
+/// Arguments of `watch`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The node's status socket, as its configuration names it
+    #[arg(value_name = "SOCKET", default_value = "/run/csi5300/status.sock")]
+    socket: PathBuf,
+    /// Print one state as JSON and end
+    #[arg(long)]
+    once: bool,
+}
+
+/// How long a silent node is waited for before the screen says so.
+const SILENT: Duration = Duration::from_secs(3);
+/// Colours of the peers, in their order; they are also numbered.
+const COLOURS: [Color; 6] =
+    [Color::Cyan, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::LightBlue];
+
+/// Shows a running node until `q` is pressed.
+pub fn run(args: &Args) -> Result {
+    let stream = connect(&args.socket)?;
+    let mut states = BufReader::new(stream).lines();
+    if args.once || !std::io::stdout().is_terminal() {
+        return match states.find(|line| line.as_ref().is_ok_and(|line| !line.is_empty())) {
+            Some(Ok(line)) => {
+                print(&format!("{line}\n"));
+                Ok(Outcome::Done)
+            }
+            Some(Err(error)) => Err(error.to_string()),
+            None => Err("the node ended before it said anything".into()),
+        };
+    }
+    let (told, from_node) = channel();
+    std::thread::spawn(move || {
+        for line in states.map_while(std::result::Result::ok) {
+            let Ok(state) = serde_json::from_str(&line) else { continue };
+            if told.send(state).is_err() {
+                return;
+            }
+        }
+    });
+    let mut terminal = ratatui::init();
+    let shown = show(&mut terminal, &from_node, &args.socket);
+    ratatui::restore();
+    shown.map_err(|error| error.to_string())
+}
+
+fn connect(socket: &Path) -> std::result::Result<UnixStream, String> {
+    UnixStream::connect(socket).map_err(|error| {
+        let hint = "does the node run, and is this its `output.status_socket`?";
+        format!("{}: {error}; {hint}", socket.display())
+    })
+}
+
+/// Draws every state that comes, until a key ends it.
+fn show(terminal: &mut ratatui::DefaultTerminal, states: &Receiver<Value>, socket: &Path) -> std::io::Result<Outcome> {
+    let mut state = Value::Null;
+    let mut silent = Duration::ZERO;
+    loop {
+        let look = Duration::from_millis(100);
+        match states.try_iter().last() {
+            Some(new) => (state, silent) = (new, Duration::ZERO),
+            None => silent += look,
+        }
+        let title = if silent > SILENT { "  no word from the node: it ended, or hangs" } else { "" };
+        terminal.draw(|frame| draw(frame, &state, &format!(" {}{title} ", socket.display())))?;
+        if event::poll(look)?
+            && let Event::Key(key) = event::read()?
+            && key.kind == KeyEventKind::Press
+        {
+            let interrupt = key.code == KeyCode::Char('c') && key.modifiers.contains(KeyModifiers::CONTROL);
+            if interrupt || matches!(key.code, KeyCode::Char('q') | KeyCode::Esc) {
+                return Ok(Outcome::Done);
+            }
+        }
+    }
+}
+
+fn number(value: &Value, path: &str) -> Option<f64> {
+    value.pointer(path)?.as_f64()
+}
+
+fn text(value: &Value, path: &str) -> String {
+    value.pointer(path).and_then(Value::as_str).unwrap_or_default().to_owned()
+}
+
+fn figure(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(|| "-".into(), |value| format!("{value:.digits$}"))
+}
+
+/// The whole screen.
+fn draw(frame: &mut Frame<'_>, state: &Value, title: &str) {
+    let peers = state["peers"].as_array().cloned().unwrap_or_default();
+    let trouble = state["trouble"].as_array().cloned().unwrap_or_default();
+    let troubles = trouble.len().min(4) as u16;
+    let rows = [Constraint::Length(6), Constraint::Min(8), Constraint::Length(troubles), Constraint::Length(1)];
+    let [head, middle, wrong, foot] = Layout::vertical(rows).areas(frame.area());
+    frame.render_widget(Paragraph::new(summary(state)).block(Block::bordered().title(title.to_owned())), head);
+    let side = (middle.height * 2).min(middle.width / 2);
+    let [list, rose] = Layout::horizontal([Constraint::Min(20), Constraint::Length(side)]).areas(middle);
+    frame.render_widget(table(&peers), list);
+    compass(frame, rose, state, &peers);
+    let lines: Vec<Line> = trouble.iter().filter_map(Value::as_str).map(|text| Line::from(text.to_owned())).collect();
+    frame.render_widget(Paragraph::new(lines).style(Style::new().fg(Color::Red)), wrong);
+    frame.render_widget(Paragraph::new("q ends; bearings are in the odometry's frame, +x to the right"), foot);
+}
+
+fn summary(state: &Value) -> Vec<Line<'static>> {
+    let of = |path| number(state, path);
+    let lost = of("/losses").unwrap_or(0.0);
+    let disk = of("/log/dropped").unwrap_or(0.0) + of("/log/lost_on_disk").unwrap_or(0.0);
+    let pose = format!(
+        "x {} m, y {} m, heading {} deg",
+        figure(of("/pose/1/0"), 2),
+        figure(of("/pose/1/1"), 2),
+        figure(of("/pose/2"), 0)
+    );
+    let log = match of("/log/written") {
+        Some(written) => format!("{written:.0} records, {disk:.0} not"),
+        None => "none".into(),
+    };
+    vec![
+        Line::from(vec![
+            Span::styled(text(state, "/name"), Style::new().add_modifier(Modifier::BOLD)),
+            Span::raw(format!("  up {} s  log: {log}", figure(of("/uptime_s"), 0))),
+        ]),
+        Line::from(format!(
+            "records {}, {}/s; lost {lost:.0}, missing before the socket {}; of strangers {}",
+            figure(of("/records"), 0),
+            figure(of("/records_hz"), 0),
+            figure(of("/missing"), 0),
+            figure(of("/strangers"), 0)
+        )),
+        Line::from(format!("poses {}/s: {pose}", figure(of("/poses_hz"), 0))),
+        Line::from(format!(
+            "load {} % of a core, {} MiB; estimate {} ms (longest {}); latest by {} ms",
+            figure(of("/load/cpu_percent"), 1),
+            figure(of("/load/memory_mib"), 0),
+            figure(of("/load/estimate_ms"), 1),
+            figure(of("/load/longest_estimate_ms"), 1),
+            figure(of("/load/late_ms"), 1)
+        )),
+    ]
+}
+
+fn table(peers: &[Value]) -> Table<'static> {
+    let row = |(k, peer): (usize, &Value)| {
+        let of = |path: &str| number(peer, path);
+        let bearing = match (of("/report/azimuth_deg"), of("/report/azimuth_sd_deg"), of("/report/mirror_deg")) {
+            (Some(azimuth), sd, mirror) => {
+                let mirror = mirror.map_or(String::new(), |mirror| format!(" or {mirror:.1}"));
+                format!("{azimuth:.1} +- {}{mirror}", figure(sd, 1))
+            }
+            _ => text(peer, "/report/words"),
+        };
+        let held = text(peer, "/report/state") == "held";
+        let age = if held { format!("{} s ago", figure(of("/report/age_s"), 0)) } else { String::new() };
+        let cells = [
+            format!("{} {}", k + 1, text(peer, "/name")),
+            format!("{}/s", figure(of("/pairs_hz"), 0)),
+            bearing,
+            figure(of("/report/coherence"), 2),
+            figure(of("/report/moved_m"), 2),
+            age,
+        ];
+        let style = Style::new().fg(COLOURS.get(k % COLOURS.len()).copied().unwrap_or(Color::White));
+        Row::new(cells).style(if held { style.add_modifier(Modifier::DIM) } else { style })
+    };
+    let widths = [
+        Constraint::Length(14),
+        Constraint::Length(7),
+        Constraint::Min(26),
+        Constraint::Length(5),
+        Constraint::Length(7),
+        Constraint::Length(10),
+    ];
+    let head = Row::new(["peer", "pairs", "bearing, deg", "coh.", "moved m", ""])
+        .style(Style::new().add_modifier(Modifier::BOLD));
+    Table::new(peers.iter().enumerate().map(row), widths).header(head).block(Block::bordered().title(" peers "))
+}
+
+/// Bearings on a circle; mirrors thin, this robot's heading as a tick.
+fn compass(frame: &mut Frame<'_>, area: Rect, state: &Value, peers: &[Value]) {
+    let towards = |deg: f64, length: f64| (length * deg.to_radians().cos(), length * deg.to_radians().sin());
+    let canvas = Canvas::default()
+        .block(Block::bordered().title(" bearings "))
+        .marker(Marker::Braille)
+        .x_bounds([-1.25, 1.25])
+        .y_bounds([-1.25, 1.25])
+        .paint(|context| {
+            context.draw(&Circle { x: 0.0, y: 0.0, radius: 1.0, color: Color::DarkGray });
+            if let Some(heading) = number(state, "/pose/2") {
+                let ((x1, y1), (x2, y2)) = (towards(heading, 0.9), towards(heading, 1.0));
+                context.draw(&Stroke { x1, y1, x2, y2, color: Color::White });
+            }
+            for (k, peer) in peers.iter().enumerate() {
+                let color = COLOURS.get(k % COLOURS.len()).copied().unwrap_or(Color::White);
+                for (path, length) in [("/report/azimuth_deg", 1.0), ("/report/mirror_deg", 0.5)] {
+                    let Some(deg) = number(peer, path) else { continue };
+                    let (x2, y2) = towards(deg, length);
+                    context.draw(&Stroke { x1: 0.0, y1: 0.0, x2, y2, color });
+                    let (x, y) = towards(deg, length + 0.12);
+                    context.print(x, y, Span::styled((k + 1).to_string(), Style::new().fg(color)));
+                }
+            }
+        });
+    frame.render_widget(canvas, area);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+
+    fn screen(state: &Value, width: u16, height: u16) -> String {
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        terminal.draw(|frame| draw(frame, state, "status.sock")).unwrap();
+        let buffer = terminal.backend().buffer().clone();
+        let line = |y: u16| (0..width).map(|x| buffer[(x, y)].symbol().to_owned()).collect::<String>();
+        (0..height).map(|y| line(y) + "\n").collect()
+    }
+
+    #[test]
+    fn a_state_fills_the_screen_and_a_small_one_does_not_break() {
+        let state = serde_json::json!({
+            "name": "burger-1", "uptime_s": 12.0, "records": 1200, "records_hz": 100.0, "losses": 3,
+            "pose": [1.7e9, [0.25, -0.5, 0.0], 90.0], "trouble": ["the port is gone"],
+            "log": {"written": 1199, "dropped": 1, "lost_on_disk": 0},
+            "peers": [
+                {"name": "alpha", "pairs_hz": 99.0, "report": {"azimuth_deg": 41.25, "azimuth_sd_deg": 0.5,
+                 "mirror_deg": -41.0, "coherence": 0.93, "moved_m": 0.6, "state": "bearing"}},
+                {"name": "beta", "pairs_hz": 98.0, "report": {"words": "not yet: moved 0.04 m of 0.11 m", "state": "not_yet"}},
+            ],
+        });
+        let shown = screen(&state, 110, 30);
+        for words in
+            ["burger-1", "100/s", "41.2 +- 0.5 or -41.0", "0.93", "not yet: moved 0.04 m", "the port is gone", "lost 3"]
+        {
+            assert!(shown.contains(words), "no `{words}` in\n{shown}");
+        }
+        screen(&state, 20, 5);
+        screen(&Value::Null, 80, 24);
+    }
+}

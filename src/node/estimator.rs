@@ -1,0 +1,409 @@
+//! The live estimator: records and poses of this robot and its peers in, bearings out. Sans-IO.
+
+use super::motion::{Track, Window, aligned, window};
+use crate::answer::Answer;
+use crate::backend::Next;
+use crate::pairing::Side;
+use crate::pipeline::intake::Front;
+use crate::pipeline::link::Link;
+use crate::pipeline::{LinkReport, Options};
+use crate::pose::{Pose, Trajectory};
+use crate::time::{Instant, Span};
+use driver_iface::Mac;
+use serde::Serialize;
+
+/// What an estimate is made of, and how often.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Relative motion in the window, metres of path.
+    pub window_m: f64,
+    /// The window reaches back no further than this, seconds.
+    pub window_s: f64,
+    /// Relative motion needed before there is a bearing: the diagonal of the box that holds it, metres.
+    pub least_m: f64,
+    /// Estimates of each peer a second.
+    pub rate_hz: f64,
+    /// Poses are carried on beyond the last one by at most this, seconds.
+    pub extrapolate_s: f64,
+}
+
+impl Settings {
+    /// Three metres within three minutes, twice a second, from two wavelengths on.
+    #[must_use]
+    pub fn new(wavelength_m: f64) -> Self {
+        Self { window_m: 3.0, window_s: 180.0, least_m: 2.0 * wavelength_m, rate_hz: 2.0, extrapolate_s: 0.05 }
+    }
+}
+
+/// A robot whose bearing is wanted.
+#[derive(Clone, Debug)]
+pub struct Peer {
+    /// Its name.
+    pub name: String,
+    /// Its MAC.
+    pub mac: Mac,
+    /// Its poses so far: usually [`Track::still`], or empty for one that publishes them.
+    pub track: Track,
+    /// How far its frame is turned against this robot's, radians.
+    pub yaw_rad: f64,
+}
+
+/// What is known of a peer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum State {
+    /// A new bearing.
+    Bearing,
+    /// The last bearing: nothing moved since.
+    Held,
+    /// The robots have not yet moved enough relative to each other.
+    NotYet,
+    /// Too few exchanges, or none with a pose.
+    NoPairs,
+    /// The estimator refused; see the error.
+    Failed,
+}
+
+/// What is said of a peer at one time.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// Host time of the last exchange in it, seconds since the Unix epoch.
+    pub t_s: Option<f64>,
+    /// What it is.
+    pub state: State,
+    /// The same in words.
+    pub words: String,
+    /// Relative motion in the window: the diagonal of its box, metres.
+    pub moved_m: f64,
+    /// Relative motion that is needed, metres.
+    pub needed_m: f64,
+    /// Seconds of this robot's poses since the bearing was made, for one that is held.
+    pub age_s: f64,
+    /// The bearing and all that goes with it.
+    #[serde(flatten)]
+    pub answer: Answer,
+}
+
+/// What was counted of a peer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct PeerCounts {
+    /// Records of this robot's card from the peer.
+    pub heard: u64,
+    /// Records of the peer's card from this robot.
+    pub heard_by_peer: u64,
+    /// Pairs formed so far.
+    pub pairs: u64,
+    /// Searches made.
+    pub estimates: u64,
+    /// Searches left out because nothing moved.
+    pub skipped: u64,
+    /// Losses that the peer's source reported.
+    pub losses: u64,
+}
+
+struct PeerState {
+    peer: Peer,
+    front: Front,
+    link: Option<Link>,
+    due: Instant,
+    counts: PeerCounts,
+    /// The last answer, when it was made, and the motion at that time.
+    last: Option<(Answer, f64, Motion)>,
+}
+
+/// How far things had got when an answer was made.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Motion {
+    receiver: Pose,
+    transmitter: Option<Pose>,
+}
+
+/// Relative motion since an answer that makes a new one worth while, metres.
+const WORTH_M: f64 = 0.01;
+/// Pairs with fewer than this make no bearing.
+const LEAST_PAIRS: usize = 24;
+/// Exchanges at rest before and after a motion that are kept, seconds: they settle slopes and signs.
+const SETTLE_S: f64 = 30.0;
+
+/// Makes bearings of one robot to its peers, over and over.
+///
+/// Hand over what sources give with [`handle_own`](Self::handle_own), [`handle_peer`](Self::handle_peer),
+/// [`handle_pose`](Self::handle_pose) and [`handle_peer_pose`](Self::handle_peer_pose), in any order; then
+/// [`poll_report`](Self::poll_report) until `None`, then wait until [`poll_timeout`](Self::poll_timeout). One call makes
+/// at most one estimate, so that a driver can look after its sources in between.
+pub struct Estimator {
+    own: Mac,
+    settings: Settings,
+    options: Options,
+    front: Front,
+    track: Track,
+    peers: Vec<PeerState>,
+    /// Losses that the own card's source reported.
+    losses: u64,
+    strangers: u64,
+}
+
+impl Estimator {
+    /// An estimator for the robot `own`, whose poses come, or are `track` for ever. `now` is when it begins.
+    #[must_use]
+    pub fn new(own: Mac, track: Track, peers: Vec<Peer>, settings: Settings, options: Options, now: Instant) -> Self {
+        let front = Front::new(options.antenna);
+        let count = peers.len().max(1) as f64;
+        let state = |(k, peer): (usize, Peer)| PeerState {
+            front: Front::new(options.antenna),
+            link: Some(Link::new(peer.mac, None)),
+            // One after the other, so that the load is even.
+            due: now + Span::from_s((1.0 + k as f64 / count) / settings.rate_hz),
+            counts: PeerCounts::default(),
+            last: None,
+            peer,
+        };
+        let peers = peers.into_iter().enumerate().map(state).collect();
+        Self { own, settings, front, track, peers, losses: 0, strangers: 0, options }
+    }
+
+    /// Takes what this robot's card gave.
+    pub fn handle_own(&mut self, next: &Next<'_>) {
+        self.losses += u64::from(matches!(next, Next::Lost(_)));
+        let Some((mac, heard)) = self.front.note(next) else { return };
+        let Some(state) = self.peers.iter_mut().find(|state| state.peer.mac == mac) else {
+            self.strangers += 1;
+            return;
+        };
+        state.counts.heard += 1;
+        if let Some(link) = &mut state.link {
+            link.handle(Side::Receiver, heard, &self.options);
+        }
+    }
+
+    /// Takes what the card of peer number `peer` gave.
+    pub fn handle_peer(&mut self, peer: usize, next: &Next<'_>) {
+        let Some(state) = self.peers.get_mut(peer) else { return };
+        state.counts.losses += u64::from(matches!(next, Next::Lost(_)));
+        let Some((mac, heard)) = state.front.note(next) else { return };
+        if mac != self.own {
+            return;
+        }
+        state.counts.heard_by_peer += 1;
+        if let Some(link) = &mut state.link {
+            link.handle(Side::Transmitter, heard, &self.options);
+        }
+    }
+
+    /// Takes a pose of this robot's antenna, on its own host's clock.
+    pub fn handle_pose(&mut self, pose: Pose) {
+        self.track.push(pose);
+    }
+
+    /// This robot's poses from here on are in another frame: what was measured in the last one is of no use.
+    pub fn handle_new_frame(&mut self) {
+        self.track.clear();
+        self.peers.iter_mut().for_each(PeerState::begin_anew);
+    }
+
+    /// Takes a pose of a peer's antenna, on the peer's clock and in its frame.
+    pub fn handle_peer_pose(&mut self, peer: usize, pose: Pose) {
+        if let Some(state) = self.peers.get_mut(peer) {
+            state.peer.track.push(pose);
+        }
+    }
+
+    /// A peer's poses from here on are in another frame.
+    pub fn handle_peer_new_frame(&mut self, peer: usize) {
+        if let Some(state) = self.peers.get_mut(peer) {
+            state.peer.track.clear();
+            state.begin_anew();
+        }
+    }
+
+    /// When the next estimate is due.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        self.peers.iter().map(|state| state.due).min()
+    }
+
+    /// The next report, if one is due: the peer's number and what is said of it.
+    pub fn poll_report(&mut self, now: Instant) -> Option<(usize, Report)> {
+        let due = self.peers.iter().enumerate().filter(|(_, state)| state.due <= now);
+        let (index, _) = due.min_by_key(|(_, state)| state.due)?;
+        let period = Span::from_s(1.0 / self.settings.rate_hz);
+        let state = self.peers.get_mut(index)?;
+        // A driver that was away does not make up for what it missed.
+        state.due = if now - state.due > period { now + period } else { state.due + period };
+        let report = state.report(&self.track, &self.settings, &self.options, false);
+        self.forget();
+        Some((index, report))
+    }
+
+    /// Ends all sources: every peer's last report, from everything that came.
+    pub fn finish(&mut self) -> Vec<Report> {
+        let (track, settings, options) = (&self.track, &self.settings, &self.options);
+        let last = |state: &mut PeerState| {
+            if let Some(link) = &mut state.link {
+                link.finish(options);
+            }
+            state.report(track, settings, options, true)
+        };
+        self.peers.iter_mut().map(last).collect()
+    }
+
+    /// Peers and what was counted of them.
+    pub fn peers(&self) -> impl Iterator<Item = (&Peer, PeerCounts)> {
+        let counts = |state: &PeerState| {
+            let pairs = state.link.as_ref().map_or(0, |link| link.counts(Side::Receiver).paired);
+            PeerCounts { pairs, ..state.counts }
+        };
+        self.peers.iter().map(move |state| (&state.peer, counts(state)))
+    }
+
+    /// What was counted of this robot's own card.
+    #[must_use]
+    pub fn front(&self) -> &Front {
+        &self.front
+    }
+
+    /// Poses of this robot that are kept, and the newest.
+    #[must_use]
+    pub fn track(&self) -> &Track {
+        &self.track
+    }
+
+    /// Losses that the own card's source reported, and frames of senders that are no peers.
+    #[must_use]
+    pub fn losses(&self) -> (u64, u64) {
+        (self.losses, self.strangers)
+    }
+
+    /// Forgets what no window needs any more.
+    fn forget(&mut self) {
+        let Some(last) = self.track.last().filter(|_| !self.track.is_still()) else { return };
+        self.track.forget_before(last.t_s - self.settings.window_s - SETTLE_S);
+    }
+}
+
+impl PeerState {
+    fn begin_anew(&mut self) {
+        if let Some(link) = &mut self.link {
+            link.forget_before(i64::MAX);
+        }
+        self.last = None;
+    }
+
+    fn report(&mut self, track: &Track, settings: &Settings, options: &Options, last: bool) -> Report {
+        let seen = self.link.as_ref().and_then(Link::last_us).map(|us| us as f64 * 1e-6);
+        let Some(end_s) = seen else {
+            return self.without(State::NoPairs, "no exchange yet".into(), 0.0, settings, None);
+        };
+        let span_s = (end_s - settings.window_s - SETTLE_S, end_s + settings.window_s);
+        let Some((receiver, transmitter)) = self.trajectories(track, settings, span_s) else {
+            return self.without(State::NotYet, "no poses yet".into(), 0.0, settings, seen);
+        };
+        let found = window(&receiver, transmitter.as_ref(), settings.window_m, settings.window_s);
+        let Some(found) = found else {
+            return self.without(State::NotYet, "the robots' poses are of different times".into(), 0.0, settings, seen);
+        };
+        if found.extent_m < settings.least_m {
+            let words = format!("not yet: moved {:.2} m of {:.2} m", found.extent_m, settings.least_m);
+            return self.without(State::NotYet, words, found.extent_m, settings, seen);
+        }
+        let motion = Motion {
+            receiver: receiver.poses().last().copied().unwrap_or(Pose {
+                t_s: end_s,
+                position_m: Default::default(),
+                heading_rad: None,
+            }),
+            transmitter: transmitter.as_ref().and_then(|trajectory| trajectory.poses().last().copied()),
+        };
+        if !last && self.last.as_ref().is_some_and(|(.., before)| !motion.is_beyond(before)) {
+            self.counts.skipped += 1;
+            return self.without(State::Held, "held: nothing moved since".into(), found.extent_m, settings, seen);
+        }
+        self.estimate(&receiver, transmitter.as_ref(), &found, motion, settings, options)
+    }
+
+    /// Both trajectories on this robot's clock and in the directions of its frame.
+    fn trajectories(
+        &self,
+        track: &Track,
+        settings: &Settings,
+        span_s: (f64, f64),
+    ) -> Option<(Trajectory, Option<Trajectory>)> {
+        let receiver = track.trajectory(settings.extrapolate_s, span_s)?;
+        if self.peer.track.is_still() {
+            return Some((receiver, None));
+        }
+        let ahead_s = self.link.as_ref()?.partner_ahead_s()?;
+        let transmitter = self.peer.track.trajectory(settings.extrapolate_s, span_s)?;
+        Some((receiver, Some(aligned(&transmitter, ahead_s, self.peer.yaw_rad)?)))
+    }
+
+    fn estimate(
+        &mut self,
+        receiver: &Trajectory,
+        transmitter: Option<&Trajectory>,
+        found: &Window,
+        motion: Motion,
+        settings: &Settings,
+        options: &Options,
+    ) -> Report {
+        let keep_from_s = if found.cut { found.from_s } else { found.from_s - SETTLE_S };
+        if let Some(link) = &mut self.link {
+            link.forget_before((keep_from_s * 1e6) as i64);
+        }
+        if !self.peer.track.is_still() {
+            self.peer.track.forget_before(found.to_s - settings.window_s - 2.0 * SETTLE_S - 60.0);
+        }
+        let Some(link) = self.link.take() else {
+            return self.without(State::Failed, "the link is gone".into(), found.extent_m, settings, None);
+        };
+        let seen = link.last_us().map(|us| us as f64 * 1e-6);
+        let receiver = cut(receiver, found);
+        let bearing = link.bearing(&receiver, transmitter, options);
+        self.counts.estimates += 1;
+        let report = LinkReport { mac: Some(self.peer.mac), matched: None, link: Some(link), bearing };
+        let answer = Answer::new(self.peer.name.clone(), &report);
+        self.link = report.link;
+        if answer.pairs_in_motion < LEAST_PAIRS && answer.error.is_none() {
+            let words = format!("{} exchanges in motion, {LEAST_PAIRS} are needed", answer.pairs_in_motion);
+            return self.without(State::NoPairs, words, found.extent_m, settings, seen);
+        }
+        if let Some(error) = answer.error.clone() {
+            return self.without(State::Failed, error, found.extent_m, settings, seen);
+        }
+        self.last = Some((answer.clone(), found.to_s, motion));
+        let words = format!("bearing {:.2} deg", answer.azimuth_deg.unwrap_or(f64::NAN));
+        let (moved_m, needed_m) = (found.extent_m, settings.least_m);
+        Report { t_s: seen, state: State::Bearing, words, moved_m, needed_m, age_s: 0.0, answer }
+    }
+
+    /// A report without a new bearing: the last one, if there is one, is said again.
+    fn without(&self, state: State, words: String, moved_m: f64, settings: &Settings, seen: Option<f64>) -> Report {
+        let held = self.last.as_ref().filter(|_| state != State::Failed);
+        let answer = held.map_or_else(
+            || Answer { link: self.peer.name.clone(), mac: Some(self.peer.mac.to_string()), ..Answer::default() },
+            |(answer, ..)| answer.clone(),
+        );
+        let age_s = held.zip(seen).map_or(0.0, |((_, made_s, _), now_s)| (now_s - made_s).max(0.0));
+        let state = if held.is_some() { State::Held } else { state };
+        Report { t_s: seen, state, words, moved_m, needed_m: settings.least_m, age_s, answer }
+    }
+}
+
+impl Motion {
+    /// True if either robot is elsewhere than before.
+    fn is_beyond(&self, before: &Self) -> bool {
+        let moved = |now: &Pose, then: &Pose| (now.position_m - then.position_m).norm() >= WORTH_M;
+        let partner = self.transmitter.zip(before.transmitter).is_some_and(|(now, then)| moved(&now, &then));
+        partner || moved(&self.receiver, &before.receiver)
+    }
+}
+
+/// The trajectory from the window's beginning on, where earlier motion was left out of it.
+fn cut(trajectory: &Trajectory, found: &Window) -> Trajectory {
+    if !found.cut {
+        return trajectory.clone();
+    }
+    let from = trajectory.poses().partition_point(|pose| pose.t_s < found.from_s).saturating_sub(1);
+    let kept = trajectory.poses().get(from..).unwrap_or_default();
+    Trajectory::new(kept.to_vec()).unwrap_or_else(|_| trajectory.clone())
+}

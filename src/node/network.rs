@@ -1,0 +1,233 @@
+//! The robots' network: this robot's records and poses published, its peers' taken, through zenoh.
+//!
+//! Keys are `csi5300/<group>/<mac>/records` and `.../poses`. Discovery, reconnection, routing, encryption and access are
+//! zenoh's, by its own configuration file.
+
+use super::config::Network as Asked;
+use super::machine::Tap;
+use crate::backend::Error;
+use crate::backend::remote::{Batch, Counts, Mailbox};
+use crate::pose::Pose;
+use driver_iface::Mac;
+use driver_iface::record::Record;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+use zenoh::Wait;
+use zenoh::qos::{CongestionControl, Priority};
+
+/// Items that wait for the network at most; further ones are lost and counted.
+const BACKLOG: usize = 4_096;
+/// A message is sent when it is this long, ...
+const MESSAGE_BYTES: usize = 32 * 1024;
+/// ... or this long after its first item.
+const HAND_OVER: Duration = Duration::from_millis(5);
+
+/// Something to publish.
+enum Item {
+    Record(Option<i64>, u8, Vec<u8>),
+    Pose(Option<Pose>),
+}
+
+/// The network. Leaves it when dropped.
+pub struct Network {
+    session: zenoh::Session,
+    prefix: String,
+    backlog: usize,
+    subscribers: Vec<zenoh::pubsub::Subscriber<()>>,
+    mailboxes: Vec<(String, &'static str, Mailbox)>,
+    publisher: Option<(SyncSender<Item>, JoinHandle<()>)>,
+    unsent: Arc<AtomicU64>,
+    /// The publisher sends what waits, and ends.
+    stop: Arc<AtomicBool>,
+    publishes: (bool, bool),
+}
+
+fn wrong(what: &str) -> impl Fn(zenoh::Error) -> Error + '_ {
+    move |error| Error::Input(format!("{what}: {error}"))
+}
+
+impl Network {
+    /// Joins. Call it outside of an async runtime: zenoh has its own.
+    ///
+    /// # Errors
+    /// If zenoh refuses its configuration or cannot listen.
+    pub fn join(asked: &Asked, own: Mac) -> Result<Self, Error> {
+        let mut config = match &asked.zenoh {
+            Some(file) => zenoh::Config::from_file(file).map_err(wrong("zenoh's configuration"))?,
+            None => zenoh::Config::default(),
+        };
+        for (key, endpoints) in [("connect/endpoints", &asked.connect), ("listen/endpoints", &asked.listen)] {
+            if !endpoints.is_empty() {
+                let list = serde_json::to_string(endpoints).unwrap_or_default();
+                config.insert_json5(key, &list).map_err(wrong("an endpoint of [network]"))?;
+            }
+        }
+        let session = zenoh::open(config).wait().map_err(wrong("joining the network"))?;
+        let group = if asked.group.is_empty() { "robots" } else { &asked.group };
+        let mut network = Self {
+            session,
+            prefix: format!("csi5300/{group}"),
+            backlog: asked.backlog.unwrap_or(BACKLOG),
+            subscribers: Vec::new(),
+            mailboxes: Vec::new(),
+            publisher: None,
+            unsent: Arc::default(),
+            stop: Arc::default(),
+            publishes: (asked.publish_records, asked.publish_poses),
+        };
+        if asked.publish_records || asked.publish_poses {
+            network.publish(own)?;
+        }
+        Ok(network)
+    }
+
+    fn publish(&mut self, own: Mac) -> Result<(), Error> {
+        let (items, waiting) = sync_channel(self.backlog);
+        // Never waits for a slow peer: what does not fit is dropped, and its numbers are missing there.
+        let publisher = |what: &str| {
+            let key = format!("{}/{}/{what}", self.prefix, key_of(own));
+            let declared = self.session.declare_publisher(key).congestion_control(CongestionControl::Drop);
+            declared.priority(Priority::RealTime).express(true).wait().map_err(wrong("declaring a publisher"))
+        };
+        let (records, poses) = (publisher("records")?, publisher("poses")?);
+        // Another one at each start, so that peers know numbers that began anew.
+        let session = crate::wait::wall_us().unwrap_or(0) as u32 ^ std::process::id();
+        let stop = Arc::clone(&self.stop);
+        let send = move || {
+            let send_records = |message| drop(records.put::<Vec<u8>>(message).wait());
+            let send_poses = |message| drop(poses.put::<Vec<u8>>(message).wait());
+            work(&waiting, session, &stop, send_records, send_poses);
+        };
+        let thread = std::thread::Builder::new().name("csi5300 network".into()).spawn(send);
+        let what = "cannot start the thread of the network".into();
+        self.publisher = Some((items, thread.map_err(|source| Error::Io { what, source })?));
+        Ok(())
+    }
+
+    /// What is to be told of every record and pose of this robot, if anything is published.
+    #[must_use]
+    pub fn tap(&self) -> Option<Box<dyn Tap>> {
+        let (items, _) = self.publisher.as_ref()?;
+        let (records, poses) = self.publishes;
+        Some(Box::new(Published { items: items.clone(), unsent: Arc::clone(&self.unsent), records, poses }))
+    }
+
+    /// A queue of a peer's `records` or `poses`; `wake` is called whenever something came.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub fn subscribe(
+        &mut self,
+        peer: Mac,
+        what: &'static str,
+        wake: impl Fn() + Send + Sync + 'static,
+    ) -> Result<Mailbox, Error> {
+        let mailbox = Mailbox::new(self.backlog);
+        let inside = mailbox.clone();
+        let key = format!("{}/{}/{what}", self.prefix, key_of(peer));
+        let take = move |sample: zenoh::sample::Sample| {
+            inside.put(&sample.payload().to_bytes());
+            wake();
+        };
+        let subscriber = self.session.declare_subscriber(key).callback(take).wait();
+        self.subscribers.push(subscriber.map_err(wrong("subscribing to a peer"))?);
+        self.mailboxes.push((peer.to_string(), what, mailbox.clone()));
+        Ok(mailbox)
+    }
+
+    /// What was counted so far.
+    #[must_use]
+    pub fn counts(&self) -> NetworkCounts {
+        let counted = self.mailboxes.iter().map(|(mac, what, mailbox)| (mac.clone(), *what, mailbox.counts()));
+        NetworkCounts { unsent: self.unsent.load(Ordering::Relaxed), subscriptions: counted.collect() }
+    }
+}
+
+impl Drop for Network {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some((_, thread)) = self.publisher.take() {
+            let _ = thread.join();
+        }
+        let _ = self.session.close().wait();
+    }
+}
+
+/// A MAC as part of a key.
+fn key_of(mac: Mac) -> String {
+    mac.to_string().replace(':', "")
+}
+
+/// Collects items into messages, and sends them.
+fn work(
+    waiting: &Receiver<Item>,
+    session: u32,
+    stop: &AtomicBool,
+    send_records: impl Fn(Vec<u8>),
+    send_poses: impl Fn(Vec<u8>),
+) {
+    let (mut records, mut poses) = (Batch::records(session), Batch::poses(session));
+    loop {
+        match waiting.recv_timeout(HAND_OVER) {
+            Ok(Item::Record(host_us, code, body)) => records.push_record(host_us, Record { code, body: &body }),
+            Ok(Item::Pose(pose)) => poses.push_pose(pose),
+            Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => {}
+            Err(_) => break,
+        }
+        // Whatever waits goes with it.
+        while records.len() < MESSAGE_BYTES && poses.len() < MESSAGE_BYTES {
+            match waiting.try_recv() {
+                Ok(Item::Record(host_us, code, body)) => records.push_record(host_us, Record { code, body: &body }),
+                Ok(Item::Pose(pose)) => poses.push_pose(pose),
+                Err(_) => break,
+            }
+        }
+        for (batch, send) in [(&mut records, &send_records as &dyn Fn(Vec<u8>)), (&mut poses, &send_poses)] {
+            if !batch.is_empty() {
+                send(batch.take());
+            }
+        }
+    }
+}
+
+/// Hands items to the network's thread, and never waits for it.
+struct Published {
+    items: SyncSender<Item>,
+    unsent: Arc<AtomicU64>,
+    records: bool,
+    poses: bool,
+}
+
+impl Published {
+    fn send(&self, item: Item) {
+        if self.items.try_send(item).is_err() {
+            self.unsent.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Tap for Published {
+    fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
+        if self.records {
+            self.send(Item::Record(host_us, record.code, record.body.to_vec()));
+        }
+    }
+
+    fn pose(&mut self, pose: Option<Pose>) {
+        if self.poses {
+            self.send(Item::Pose(pose));
+        }
+    }
+}
+
+/// What was counted of the network, peer by peer.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+pub struct NetworkCounts {
+    /// Records and poses that were not sent because too many waited.
+    pub unsent: u64,
+    /// Peers' MACs, what they publish, and what was counted of it.
+    pub subscriptions: Vec<(String, &'static str, Counts)>,
+}

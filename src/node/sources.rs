@@ -1,0 +1,251 @@
+//! What a configuration names, opened.
+
+use super::config::{Capture, Config, Odometry, Peer as PeerConfig, Place, Records};
+use super::estimator::{Peer, Settings};
+use super::motion::Track;
+use crate::backend::paced::Paced;
+use crate::backend::replay::Replay;
+use crate::backend::sim::{Room, Scene};
+use crate::backend::{CsiSource, Error, Next};
+use crate::odometry::replay::{Mounted, Replayed};
+use crate::odometry::{OdometrySource, csv};
+use crate::survey::Survey;
+use crate::time::Instant;
+use driver_iface::Mac;
+use nalgebra::Vector3;
+use std::path::Path;
+
+/// A source of records that may move to another thread.
+pub type Card = Box<dyn CsiSource + Send>;
+/// A source of poses that may move to another thread.
+pub type Poses = Box<dyn OdometrySource + Send>;
+
+/// Records of a log in which a host time is looked for.
+const LOOKED_AT: usize = 4_096;
+
+/// One peer's sources. What comes over the network has none here.
+pub struct PeerSources {
+    /// What the estimator is told of it.
+    pub peer: Peer,
+    /// Its records.
+    pub records: Option<Card>,
+    /// Its poses.
+    pub poses: Option<Poses>,
+}
+
+/// Everything that a configuration names.
+pub struct Sources {
+    /// This robot's MAC.
+    pub own: Mac,
+    /// This robot's records.
+    pub capture: Card,
+    /// Something to wait on for more records, for a source that does not know when they come.
+    #[cfg(feature = "live")]
+    pub wake: Option<std::os::fd::OwnedFd>,
+    /// This robot's poses.
+    pub poses: Option<Poses>,
+    /// Its place, if it never moves.
+    pub track: Track,
+    /// The peers.
+    pub peers: Vec<PeerSources>,
+    /// Times real time.
+    pub speed: f64,
+}
+
+/// What several sources of one configuration share.
+struct Shared {
+    room: Option<Room>,
+    /// Host time at which the replayed log begins, seconds.
+    origin_s: f64,
+    start: Instant,
+}
+
+impl Sources {
+    /// Opens everything; the sources' time begins at `start`. `wall_us` reads the host's wall clock.
+    ///
+    /// # Errors
+    /// What cannot be opened, with what to do about it.
+    pub fn open(config: &Config, start: Instant, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
+        let capture = config.capture.get_ref();
+        let mut shared = Shared { room: None, origin_s: 0.0, start };
+        let mut own = config.mac;
+        let mut speed = 1.0;
+        #[cfg(feature = "live")]
+        let mut wake = None;
+        let card: Card = match capture {
+            Capture::Card(card) => {
+                #[cfg(feature = "live")]
+                {
+                    let (listener, fd) = listener(card, wall_us)?;
+                    wake = Some(fd);
+                    Box::new(listener)
+                }
+                #[cfg(not(feature = "live"))]
+                {
+                    let _ = card;
+                    return Err(Error::Input("this program was built without the card (feature `live`)".into()));
+                }
+            }
+            Capture::Replay(replay) => {
+                speed = replay.speed;
+                shared.origin_s = first_host_s(&replay.file)?;
+                Box::new(Paced::new(Replay::open(&replay.file)?, 1.0, None))
+            }
+            Capture::Room(room) => {
+                speed = room.speed;
+                let made = Room::new(&scene(&room.scene)?)?;
+                let (number, made) = numbered(made, &room.robot)?;
+                let room = shared.room.insert(made);
+                own = own.or(room.mac(number));
+                let card = room.card(number).ok_or_else(|| Error::Input("the room's card is taken".into()))?;
+                Box::new(card)
+            }
+        };
+        let robot = if let Capture::Room(room) = capture { room.robot.as_str() } else { "" };
+        let (poses, track) = shared.poses(&config.odometry, robot, config.antenna_offset_m, wall_us)?;
+        let peers = config.peer.iter().map(|peer| shared.peer(peer.get_ref(), wall_us)).collect::<Result<_, _>>()?;
+        let own = own.ok_or_else(|| Error::Input("this robot's MAC is not known".into()))?;
+        Ok(Self {
+            own,
+            capture: card,
+            #[cfg(feature = "live")]
+            wake,
+            poses,
+            track,
+            peers,
+            speed,
+        })
+    }
+
+    /// How the estimator is set.
+    #[must_use]
+    pub fn settings(config: &Config) -> Settings {
+        let asked = &config.estimator;
+        let usual = Settings::new(config.channel.wavelength_m());
+        Settings {
+            window_m: asked.window_m,
+            window_s: asked.window_s,
+            least_m: asked.least_motion_m.unwrap_or(usual.least_m),
+            rate_hz: asked.rate_hz,
+            extrapolate_s: asked.extrapolate_s,
+        }
+    }
+}
+
+impl Shared {
+    /// A source of poses, or the place of a robot that has none.
+    fn poses(
+        &self,
+        odometry: &Odometry,
+        robot: &str,
+        offset_m: [f64; 3],
+        wall_us: fn() -> Option<i64>,
+    ) -> Result<(Option<Poses>, Track), Error> {
+        let source: Poses = match odometry {
+            Odometry::Static(place) => return Ok((None, still(place, offset_m))),
+            Odometry::Network(_) => return Ok((None, Track::default())),
+            Odometry::Csv(file) => {
+                let (trajectory, _) = csv::read(&file.file).map_err(|error| Error::Input(error.to_string()))?;
+                Box::new(Replayed::new(&trajectory, self.origin_s, self.start, 1.0))
+            }
+            Odometry::Room(_) => {
+                let absent = || Error::Input(format!("the room has no robot `{robot}`"));
+                let room = self.room.as_ref().ok_or_else(absent)?;
+                let number = room.number(robot).ok_or_else(absent)?;
+                Box::new(room.odometry(number).ok_or_else(absent)?)
+            }
+            Odometry::Opencr(port) => serial(port, self.start, wall_us)?,
+        };
+        let offset_m = Vector3::from(offset_m);
+        let mounted: Poses =
+            if offset_m == Vector3::zeros() { source } else { Box::new(Mounted::new(source, offset_m)) };
+        Ok((Some(mounted), Track::default()))
+    }
+
+    fn peer(&mut self, peer: &PeerConfig, wall_us: fn() -> Option<i64>) -> Result<PeerSources, Error> {
+        let mut mac = peer.mac;
+        let records: Option<Card> = match &peer.records {
+            Records::Network(_) => None,
+            Records::Replay(log) => Some(Box::new(Paced::new(Replay::open(&log.file)?, 1.0, None))),
+            Records::Room(_) => {
+                let absent = || Error::Input(format!("the room has no robot `{}`, or it is used twice", peer.name));
+                let room = self.room.as_mut().ok_or_else(absent)?;
+                let number = room.number(&peer.name).ok_or_else(absent)?;
+                mac = mac.or(room.mac(number));
+                Some(Box::new(room.card(number).ok_or_else(absent)?))
+            }
+        };
+        let (poses, track) = self.poses(&peer.poses, &peer.name, peer.antenna_offset_m, wall_us)?;
+        let mac = mac.ok_or_else(|| Error::Input(format!("the MAC of peer `{}` is not known", peer.name)))?;
+        let told = Peer { name: peer.name.clone(), mac, track, yaw_rad: peer.yaw_deg.to_radians() };
+        Ok(PeerSources { peer: told, records, poses })
+    }
+}
+
+fn still(place: &Place, offset_m: [f64; 3]) -> Track {
+    let heading_rad = place.heading_deg.to_radians();
+    let pose =
+        crate::pose::Pose { t_s: 0.0, position_m: Vector3::from(place.position_m), heading_rad: Some(heading_rad) };
+    let antenna = pose.mounted(Vector3::from(offset_m)).map_or(pose.position_m, |pose| pose.position_m);
+    Track::still(antenna, heading_rad)
+}
+
+fn scene(name: &Path) -> Result<Scene, Error> {
+    if let Some(scene) = name.to_str().and_then(Scene::built_in) {
+        return Ok(scene);
+    }
+    Scene::load(name).map_err(|error| Error::Input(format!("{}: {error}", name.display())))
+}
+
+fn numbered(room: Room, robot: &str) -> Result<(usize, Room), Error> {
+    let names = || room.scene().robot.iter().map(|robot| robot.name.as_str()).collect::<Vec<_>>().join(", ");
+    match room.number(robot) {
+        Some(number) => Ok((number, room)),
+        None => Err(Error::Input(format!("the scene has no robot `{robot}`: it has {}", names()))),
+    }
+}
+
+/// The host time of a log's first record that has one, seconds since the Unix epoch.
+fn first_host_s(log: &Path) -> Result<f64, Error> {
+    let mut source = Replay::open(log)?;
+    let mut survey = Survey::default();
+    for _ in 0..LOOKED_AT {
+        let next = source.receive(Instant::ZERO)?;
+        let ended = matches!(next, Next::End(_));
+        if let Some(host_us) = survey.note(&next).and_then(|(_, identity)| identity.host_us) {
+            return Ok(host_us as f64 * 1e-6);
+        }
+        if ended {
+            break;
+        }
+    }
+    let what =
+        "no record has a host time (WSR layout, or a .datstp file beside the log), so poses cannot be joined with it";
+    Err(Error::Input(format!("{}: {what}", log.display())))
+}
+
+#[cfg(feature = "live")]
+fn listener(
+    card: &super::config::Card,
+    wall_us: fn() -> Option<i64>,
+) -> Result<(crate::backend::netlink::Netlink, std::os::fd::OwnedFd), Error> {
+    use crate::backend::netlink::{Netlink, Options};
+    use std::os::fd::AsFd;
+    let (connector_index, allow_user_sender) = (card.connector_index, card.allow_user_sender);
+    let listener = Netlink::open(&Options { connector_index, allow_user_sender, wall_us, ..Options::default() })?;
+    let io = |source| Error::Io { what: "the connector socket".into(), source };
+    let fd = listener.as_fd().try_clone_to_owned().map_err(io)?;
+    Ok((listener, fd))
+}
+
+#[cfg(feature = "node")]
+fn serial(port: &super::config::OpenCr, start: Instant, wall_us: fn() -> Option<i64>) -> Result<Poses, Error> {
+    let geometry = port.model.map(super::config::Model::geometry);
+    let serial = crate::odometry::serial::Serial::open(port.port.clone(), port.rate_hz, geometry, start, wall_us)?;
+    Ok(Box::new(serial))
+}
+
+#[cfg(not(feature = "node"))]
+fn serial(_: &super::config::OpenCr, _: Instant, _: fn() -> Option<i64>) -> Result<Poses, Error> {
+    Err(Error::Input("this program was built without serial ports (feature `node`)".into()))
+}

@@ -1,0 +1,41 @@
+#!/usr/bin/env bash
+# What `csi5300 mcap` writes, read by the Python mcap reader. 77: it cannot be installed here.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+python=$(scripts/venv.sh mcap mcap-protobuf-support 2>/dev/null) || { echo "no Python, or mcap cannot be installed"; exit 77; }
+folder=$(mktemp -d)
+trap 'rm -rf "$folder"' EXIT
+cargo build --quiet --features foxglove
+csi5300=${CARGO_TARGET_DIR:-target}/debug/csi5300
+capture=tests/fixtures/small-circle
+logs=$(find "$capture" -name 'csi_rx_*.dat'; find "$capture" -name 'csi_tx*_*.dat' | sort)
+path=$(find "$capture" -name 'rx_trajectory_*.csv')
+# shellcheck disable=SC2086
+"$csi5300" mcap $logs --trajectory "$path" --channel 108 --out "$folder/out.mcap"
+records=$("$csi5300" info --json $logs | "$python" -c 'import json, sys; print(sum(json.loads(l)["wsr"] for l in sys.stdin))')
+"$python" - "$folder/out.mcap" "$records" <<'PYTHON'
+import collections, math, sys
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+seen, messages, last = collections.Counter(), collections.defaultdict(list), 0
+with open(sys.argv[1], "rb") as stream:
+    for schema, channel, message, decoded in make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages():
+        seen[channel.topic] += 1
+        messages[channel.topic].append((schema.name, decoded))
+rows = sum(count for topic, count in seen.items() if topic.startswith("/csi/"))
+assert rows == int(sys.argv[2]), (rows, sys.argv[2])
+row = next(m for t, ms in messages.items() if t.startswith("/csi/") for _, m in ms)
+assert len(row.magnitude) == len(row.phase) == 30, row
+bearing = [t for t in seen if t.startswith("/bearing/")]
+assert len(bearing) == 1 and messages[bearing[0]][0][0] == "foxglove.PoseInFrame", seen
+q = messages[bearing[0]][0][1].pose.orientation
+azimuth = math.degrees(2 * math.atan2(q.z, q.w))
+scan = messages[bearing[0].replace("bearing", "aoa_profile")][0][1]
+step = (scan.end_angle - scan.start_angle) / (len(scan.ranges) - 1)
+peak = math.degrees(scan.start_angle + step * max(range(len(scan.ranges)), key=lambda k: scan.ranges[k]))
+off = (azimuth - peak + 180) % 360 - 180
+assert abs(off) < 10 and max(scan.ranges) == 1.0, (azimuth, peak)
+assert seen["/tf"] == seen["/pose"] == len(messages["/trajectory"][0][1].poses) > 100, seen
+print(f"{sum(seen.values())} messages on {len(seen)} topics; bearing {azimuth:.2f} deg, peak of the profile {peak:.0f} deg")
+PYTHON

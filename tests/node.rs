@@ -1,0 +1,207 @@
+//! A robot as one value, in virtual time: bearings while it drives, in a simulated room and from replayed captures.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+mod common;
+
+use csi5300::backend::sim::{Room, Scene};
+use csi5300::node::config::Config;
+use csi5300::node::estimator::{Report, State};
+use csi5300::node::machine::{Capture, Machine};
+use csi5300::node::sources::Sources;
+use csi5300::pose::wrap_rad;
+use csi5300::time::{Instant, Span};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// A folder of its own for one test.
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&path);
+    std::fs::create_dir_all(&path).unwrap();
+    path
+}
+
+/// A robot that was configured, ready to run in virtual time.
+fn machine(config: &Config) -> Machine {
+    let sources = Sources::open(config, Instant::ZERO, || None).unwrap();
+    let plain = |card| Ok(Capture::Plain(card));
+    Machine::new(sources, plain, Sources::settings(config), config.options(), Instant::ZERO).unwrap()
+}
+
+/// Runs until the records end or `until`: every report with its time, and the last ones.
+fn run(mut machine: Machine, until: Instant) -> (Vec<(Instant, usize, Report)>, Vec<Report>) {
+    let mut now = Instant::ZERO;
+    let mut reports = Vec::new();
+    loop {
+        while machine.take(now).unwrap() {}
+        while let Some((peer, report)) = machine.poll_report(now) {
+            reports.push((now, peer, report));
+        }
+        if machine.is_done(now) || now >= until {
+            break;
+        }
+        // A service that wakes for every millisecond of work.
+        let next = machine.next_at().unwrap_or(now);
+        now = next.max(now + Span::from_ms(1));
+    }
+    (reports, machine.finish(now).unwrap().0)
+}
+
+/// A room in which the first of `robots` drives a circle of 30 cm and the others stand about it, or drive too.
+fn scene(robots: usize, peers_move: bool) -> String {
+    let mut text = String::from(
+        "name = \"ring\"\nseed = 7\nduration_s = 24.0\nchannel = 108\ncfo = \"physical\"\n[sounding]\nrate_hz = 100.0\n\
+         [radio]\nphase_noise_rad = 0.1\nsend_jitter_us = 60.0\nturn_around = { spread_us = 6.0 }\n",
+    );
+    for k in 0..robots {
+        let angle = 0.4 + std::f64::consts::TAU * k as f64 / robots as f64;
+        let away = if k == 0 { 0.0 } else { 9.0 + 0.3 * k as f64 };
+        let (x, y) = (away * angle.cos(), away * angle.sin());
+        let _ = write!(
+            text,
+            "[[robot]]\nname = \"r{k}\"\nposition_m = [{x:.4}, {y:.4}, 0.2]\n\
+             host_clock = {{ offset_s = {}, drift_ppm = {} }}\ncrystal = {{ offset_ppm = {} }}\n\
+             odometry = {{ rate_hz = 50.0, noise_m = 0.0003 }}\n",
+            3.0 * k as f64,
+            k,
+            1.5 * k as f64 - 3.0
+        );
+        let circle = (k == 0) != peers_move;
+        if circle {
+            let _ = writeln!(text, "motion.circle = {{ radius_m = 0.3, duration_s = 20.0, start_s = 1.5 }}");
+        }
+    }
+    text
+}
+
+/// The configuration of robot `own` in that room, with everybody else as its peer.
+fn config(folder: &Path, scene: &str, robots: usize, peers_move: bool) -> Config {
+    std::fs::write(folder.join("ring.toml"), scene).unwrap();
+    let mut text = "channel = \"108\"\ncapture.room = { scene = \"ring.toml\", robot = \"r0\" }\n".to_owned();
+    text += if peers_move { "odometry.static = {}\n" } else { "odometry.room = {}\n" };
+    for k in 1..robots {
+        let _ = write!(text, "[[peer]]\nname = \"r{k}\"\nrecords.room = {{}}\n");
+        if peers_move {
+            text += "poses.room = {}\n";
+        }
+    }
+    Config::read(&text, folder).unwrap_or_else(|error| panic!("{error}\n{text}"))
+}
+
+/// The true bearing from the middle of the circle, or of a peer's circle, degrees.
+fn truth_deg(room: &Room, peer: usize) -> f64 {
+    let middle = |robot: usize| {
+        let places = (0..200).map(|k| room.antenna(robot, 1.5 + 20.0 * f64::from(k) / 200.0).unwrap());
+        places.sum::<nalgebra::Vector3<f64>>() / 200.0
+    };
+    let towards = middle(peer) - middle(0);
+    towards.y.atan2(towards.x).to_degrees()
+}
+
+fn off_deg(report: &Report, truth: f64) -> f64 {
+    let azimuth = report.answer.azimuth_deg.unwrap_or_else(|| panic!("{report:?}"));
+    wrap_rad((azimuth - truth).to_radians()).to_degrees().abs()
+}
+
+#[test]
+fn bearings_are_right_after_one_circle_with_two_four_and_eight_robots() {
+    for robots in [2, 4, 8] {
+        let folder = folder(&format!("ring-{robots}"));
+        let text = scene(robots, false);
+        let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
+        let config = config(&folder, &text, robots, false);
+        let (reports, last) = run(machine(&config), Instant::from_us(23_000_000));
+        assert_eq!(last.len(), robots - 1);
+        for (peer, report) in last.iter().enumerate() {
+            let off = off_deg(report, truth_deg(&room, peer + 1));
+            println!("{robots} robots, r{}: {off:.3} deg off", peer + 1);
+            assert!(off < 1.0 && report.state == State::Bearing, "{off} {report:?}");
+        }
+        // At rest nothing is guessed; while it drives there is a bearing twice a second.
+        let words: Vec<&str> = reports.iter().map(|(.., report)| report.words.as_str()).collect();
+        assert!(words.iter().any(|words| words.starts_with("not yet: moved 0.0")), "{words:?}");
+        let early = reports.iter().find(|(.., report)| report.state == State::Bearing).unwrap();
+        assert!(early.2.moved_m >= early.2.needed_m && early.0.as_s() > 2.0, "{early:?}");
+        let made = reports.iter().filter(|(.., report)| report.state == State::Bearing).count();
+        assert!(made >= 30 * (robots - 1), "{made} bearings of {robots} robots");
+    }
+}
+
+#[test]
+fn a_robot_at_rest_finds_those_that_move_and_publish_their_poses() {
+    let folder = folder("ring-passive");
+    let text = scene(3, true);
+    let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
+    let config = config(&folder, &text, 3, true);
+    let (_, last) = run(machine(&config), Instant::from_us(23_000_000));
+    for (peer, report) in last.iter().enumerate() {
+        let off = off_deg(report, truth_deg(&room, peer + 1));
+        println!("passive, r{}: {off:.3} deg off", peer + 1);
+        assert!(off < 1.0, "{off} {report:?}");
+    }
+}
+
+#[test]
+fn nothing_is_computed_for_robots_that_stand() {
+    let folder = folder("ring-rest");
+    let text = scene(2, false);
+    let config = config(&folder, &text, 2, false);
+    // Two seconds after the circle's end.
+    let (reports, _) = run(machine(&config), Instant::from_us(23_500_000));
+    let late: Vec<State> =
+        reports.iter().filter(|(at, ..)| at.as_s() > 22.2).map(|(.., report)| report.state).collect();
+    assert!(!late.is_empty() && late.iter().all(|state| *state == State::Held), "{late:?}");
+}
+
+#[test]
+fn a_replayed_capture_gives_the_bearings_that_are_made_offline() {
+    let Some(captures) = common::captures() else { return };
+    let mut compared = 0;
+    for set in ["LOS_Set_A/L1", "NLOS_Set_A/L1"] {
+        let folder = captures.join("wsr").join(set);
+        if folder.is_dir() {
+            compared += compare(&folder);
+        }
+    }
+    assert!(compared >= 3, "{compared} links");
+}
+
+/// Compares what a node says of a replayed capture with what `csi5300 bearing` does, link by link.
+fn compare(capture: &Path) -> usize {
+    use csi5300::backend::CsiSource;
+    use csi5300::backend::replay::Replay;
+    use csi5300::pipeline::{Transmitter, bearings};
+    let files: Vec<PathBuf> = std::fs::read_dir(capture).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let is = |file: &PathBuf, begin: &str| file.file_name().unwrap().to_str().unwrap().starts_with(begin);
+    let named = |begin: &str| files.iter().find(|file| is(file, begin)).unwrap();
+    let (rx, trajectory) = (named("csi_rx_"), named("rx_trajectory_"));
+    let txs: Vec<&PathBuf> = files.iter().filter(|file| is(file, "csi_tx")).collect();
+    let (path, _) = csi5300::odometry::csv::read(trajectory).unwrap();
+    let mut logs: Vec<_> = txs.iter().map(|tx| Replay::open(tx).unwrap()).collect();
+    let transmitters =
+        logs.iter_mut().map(|log| Transmitter { log: log as &mut dyn CsiSource, trajectory: None }).collect();
+    let options = csi5300::pipeline::Options::new("108".parse().unwrap());
+    let offline = bearings(&mut Replay::open(rx).unwrap(), transmitters, &path, &options).unwrap();
+    // The receiver's own MAC is the sender of most frames in a transmitter's log.
+    let senders = &offline.transmitters[0].survey.senders;
+    let own = senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0;
+    let mut text = format!(
+        "mac = \"{own}\"\nchannel = \"108\"\ncapture.replay.file = '{}'\nodometry.csv.file = '{}'\n\
+         [estimator]\nwindow_m = 1000\nwindow_s = 100000\nrate_hz = 0.02\nextrapolate_s = 0\n",
+        rx.display(),
+        trajectory.display()
+    );
+    for (tx, link) in txs.iter().zip(&offline.links) {
+        let mac = link.mac.unwrap();
+        let _ = write!(text, "[[peer]]\nname = \"{mac}\"\nmac = \"{mac}\"\nrecords.replay.file = '{}'\n", tx.display());
+    }
+    let config = Config::read(&text, Path::new("")).unwrap_or_else(|error| panic!("{error}\n{text}"));
+    let (_, last) = run(machine(&config), Instant::from_us(i64::MAX));
+    for (link, report) in offline.links.iter().zip(&last) {
+        let expected = link.bearing.as_ref().unwrap();
+        let off = off_deg(report, expected.estimate.azimuth_rad.to_degrees());
+        println!("{}: {off:.4} deg, {} and {} pairs", report.answer.link, report.answer.pairs, expected.pairs.formed);
+        assert!(off <= 0.01, "{off} {report:?}");
+    }
+    last.len()
+}

@@ -1,0 +1,168 @@
+//! Robots in processes of their own that exchange records through zenoh: each replays its own log.
+#![cfg(feature = "zenoh")]
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use csi5300::backend::sim::{Room, Scene, write_dataset};
+use std::fmt::Write as _;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+/// Times real time at which logs are played.
+const SPEED: f64 = 8.0;
+
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&path);
+    std::fs::create_dir_all(&path).unwrap();
+    path
+}
+
+/// A capture of `robots` robots: the first drives a circle. Gives the logs and MACs in the robots' order, and the path.
+fn capture(folder: &Path, robots: usize) -> (Vec<(PathBuf, String)>, PathBuf, Scene) {
+    let mut text =
+        "name = \"peers\"\nduration_s = 22.0\nchannel = 108\ncfo = \"physical\"\n[sounding]\nrate_hz = 100.0\n"
+            .to_owned();
+    for k in 0..robots {
+        let (x, y) = if k == 0 { (0.0, 0.0) } else { (6.0 + k as f64, 4.0 * k as f64 - 7.0) };
+        let _ = write!(
+            text,
+            "[[robot]]\nname = \"r{k}\"\nposition_m = [{x}, {y}, 0.2]\nhost_clock = {{ offset_s = {k} }}\ncrystal = {{ offset_ppm = {k} }}\n"
+        );
+        if k == 0 {
+            text += "motion.circle = { radius_m = 0.3, duration_s = 19.0, start_s = 1.5 }\n";
+        }
+    }
+    let scene = Scene::from_toml(&text).unwrap();
+    let mut room = Room::new(&scene).unwrap();
+    let written = write_dataset(&mut room, folder, &mut |_| {}).unwrap();
+    let logs =
+        written[0].logs.iter().map(|log| (log.path.clone(), room.mac(log.robot).unwrap().to_string(), log.robot));
+    let mut logs: Vec<_> = logs.collect();
+    logs.sort_by_key(|(.., robot)| *robot);
+    let files: Vec<PathBuf> = std::fs::read_dir(&written[0].dir).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let path = files
+        .into_iter()
+        .find(|file| file.file_name().unwrap().to_str().unwrap().starts_with("rx_trajectory_"))
+        .unwrap();
+    (logs.into_iter().map(|(path, mac, _)| (path, mac)).collect(), path, scene)
+}
+
+/// A port that was free a moment ago.
+fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+struct Node(Child);
+
+impl Node {
+    fn start(folder: &Path, name: &str, text: &str) -> Self {
+        let file = folder.join(format!("{name}.toml"));
+        std::fs::write(&file, text).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+        command
+            .args(["node", "--config"])
+            .arg(&file)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::inherit());
+        Self(command.spawn().unwrap())
+    }
+
+    /// Every report until it ends.
+    fn reports(&mut self) -> impl Iterator<Item = serde_json::Value> + use<> {
+        let lines = BufReader::new(self.0.stdout.take().unwrap()).lines();
+        lines.map(|line| serde_json::from_str(&line.unwrap()).unwrap())
+    }
+}
+
+impl Drop for Node {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// No discovery: tests that run side by side must not meet.
+fn network(folder: &Path, more: &str) -> String {
+    std::fs::write(folder.join("zenoh.json5"), "{ scouting: { multicast: { enabled: false } } }").unwrap();
+    format!("[network]\nzenoh = '{}'\n{more}\n", folder.join("zenoh.json5").display())
+}
+
+/// The robot that drives, with the others as its peers over the network.
+fn driver(folder: &Path, logs: &[(PathBuf, String)], path: &Path, port: u16) -> String {
+    let mut text = format!(
+        "mac = \"{}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {SPEED} }}\nodometry.csv.file = '{}'\n\
+         [estimator]\nwindow_m = 100\nrate_hz = 1.0\n",
+        logs[0].1,
+        logs[0].0.display(),
+        path.display()
+    );
+    for (k, (_, mac)) in logs.iter().enumerate().skip(1) {
+        let _ = write!(text, "[[peer]]\nname = \"r{k}\"\nmac = \"{mac}\"\nrecords.network = {{}}\n");
+    }
+    text + &network(folder, &format!("listen = [\"tcp/127.0.0.1:{port}\"]"))
+}
+
+/// A robot that only publishes what its card reports.
+fn publisher(folder: &Path, (log, mac): &(PathBuf, String), port: u16) -> String {
+    let text = format!(
+        "mac = \"{mac}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {SPEED} }}\n",
+        log.display()
+    );
+    text + &network(folder, &format!("connect = [\"tcp/127.0.0.1:{port}\"]\npublish_records = true"))
+}
+
+fn truth_deg(scene: &Scene, peer: usize) -> f64 {
+    let [x, y, _] = scene.robot[peer].position_m;
+    // The circle lies to the left of where the robot begins, facing +x.
+    (y - 0.3).atan2(x).to_degrees()
+}
+
+fn assert_close(report: &serde_json::Value, truth: f64) {
+    let azimuth = report["azimuth_deg"].as_f64().unwrap_or_else(|| panic!("no bearing: {report}"));
+    assert!((azimuth - truth).abs() < 1.5, "{azimuth} for {truth}: {report}");
+}
+
+/// The last report on each peer.
+fn last(reports: impl Iterator<Item = serde_json::Value>, peers: usize) -> Vec<serde_json::Value> {
+    let mut last = vec![serde_json::Value::Null; peers];
+    for report in reports {
+        let k: usize = report["link"].as_str().unwrap()[1..].parse().unwrap();
+        last[k - 1] = report;
+    }
+    last
+}
+
+#[test]
+fn two_processes_make_a_bearing() {
+    let folder = folder("peers-2");
+    let (logs, path, scene) = capture(&folder, 2);
+    let port = free_port();
+    let mut own = Node::start(&folder, "r0", &driver(&folder, &logs, &path, port));
+    let reports = own.reports();
+    let _other = Node::start(&folder, "r1", &publisher(&folder, &logs[1], port));
+    assert_close(&last(reports, 1)[0], truth_deg(&scene, 1));
+}
+
+#[test]
+fn four_processes_of_which_one_is_killed_and_started_again() {
+    let folder = folder("peers-4");
+    let (logs, path, scene) = capture(&folder, 4);
+    let port = free_port();
+    let mut own = Node::start(&folder, "r0", &driver(&folder, &logs, &path, port));
+    let mut reports = own.reports();
+    let publishers: Vec<String> = logs.iter().skip(1).map(|log| publisher(&folder, log, port)).collect();
+    let mut others: Vec<Node> =
+        publishers.iter().enumerate().map(|(k, text)| Node::start(&folder, &format!("r{}", k + 1), text)).collect();
+    // Once the others have bearings one of them dies, and comes back from the beginning of its log.
+    let first = reports.find(|report| report["link"] == "r3" && report["azimuth_deg"].is_f64()).unwrap();
+    others[1].0.kill().unwrap();
+    others[1] = Node::start(&folder, "r2", &publishers[1]);
+    let last = last(reports, 3);
+    for peer in [1, 3] {
+        assert_close(&last[peer - 1], truth_deg(&scene, peer));
+        assert!(last[peer - 1]["pairs"].as_u64() > first["pairs"].as_u64(), "the others went on: {last:?}");
+    }
+    assert!(last[1]["pairs"].as_u64().unwrap() > 0, "{}", last[1]);
+}
