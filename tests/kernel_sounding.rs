@@ -6,18 +6,29 @@ use csi5300::pairing::{Pairing, Side};
 use csi5300::survey::Survey;
 use csi5300::time::Instant;
 use driver_iface::Mac;
+use driver_iface::record::code;
+use driver_iface::sounding::native::{self, Role};
+use driver_iface::sounding::{FCS_LEN, Frame};
 
-/// Number, card clock and first CSI byte of every frame of `sender` in a log, in the log's order.
-fn heard(log: &str, sender: Mac) -> Vec<(u32, u32, u8)> {
+/// Number, card clock and first CSI byte of every frame of `sender` in a log, in the log's order; where the log tells
+/// roles (native frames, with an MPDU before each record), only those of `role`.
+fn heard(log: &str, sender: Mac, role: Role) -> Vec<(u32, u32, u8)> {
     let mut replay = Replay::open(log.as_ref()).unwrap();
-    let (mut survey, mut frames) = (Survey::default(), Vec::new());
+    let (mut survey, mut frames, mut other) = (Survey::default(), Vec::new(), false);
     loop {
         let next = replay.receive(Instant::ZERO).unwrap();
+        if let Next::Record(_, record) = &next
+            && record.code == code::MPDU
+        {
+            let frame = Frame::new_checked(&record.body[..record.body.len() - FCS_LEN]).unwrap();
+            other = native::Repr::parse(&frame).is_ok_and(|frame| frame.role != role);
+        }
         if matches!(next, Next::End(_)) {
             break;
         }
         if let Some((bfee, identity)) = survey.note(&next)
             && identity.mac == sender
+            && !other
         {
             frames.push((identity.frame_count.unwrap(), bfee.timestamp_low(), bfee.payload()[0]));
         }
@@ -44,7 +55,7 @@ fn every_answered_frame_is_a_pair_of_the_logs() {
         let words: Vec<&str> = link.split_whitespace().collect();
         let [rx, own, tx, peer, summary] = words[..] else { panic!("{link}") };
         let (own, peer): (Mac, Mac) = (own.parse().unwrap(), peer.parse().unwrap());
-        let (backward, forward) = (heard(rx, peer), heard(tx, own));
+        let (backward, forward) = (heard(rx, peer, Role::Backward), heard(tx, own, Role::Forward));
         let [sounded, answered] = said(summary, peer);
         assert!(answered > 50, "{link}: {answered} answered of {sounded}");
         let numbers = |frames: &[(u32, u32, u8)]| frames.iter().map(|frame| frame.0).collect::<Vec<_>>();

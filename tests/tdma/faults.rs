@@ -228,6 +228,20 @@ fn a_driver_that_sleeps_through_its_turn_finds_it_gone() {
 }
 
 #[test]
+fn a_turn_passed_on_is_not_given_up_to_its_successor() {
+    // The successor's clock is a little ahead, so that its first frame comes before this robot has seen its own end.
+    let configs = everybody(2, Request::new(1, 100.0));
+    let skews = [Skew { offset_us: 40, ppm: 0 }, Skew::default()];
+    let mut air = Air::new(&configs, 9);
+    air.restart_with_skew(&configs, &skews);
+    air.run_s(30);
+    let turns = |k: usize| air.stations[k].tdma.counts().turns;
+    assert!(turns(0) > 40 && turns(1) > 40, "{} and {} turns", turns(0), turns(1));
+    assert_eq!(air.stations.iter().map(|station| station.tdma.counts().yields).sum::<u64>(), 0);
+    assert_eq!(air.collisions, 0);
+}
+
+#[test]
 fn time_that_runs_back_is_taken_as_standing_still() {
     let configs = three();
     let mut tdma = csi5300::tdma::Tdma::new(&configs[0]).unwrap();
