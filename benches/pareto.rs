@@ -1,8 +1,9 @@
 //! Run time against error, for every path, precision and tier, beside FINUFFT, NumPy and the naive double loop.
 //!
-//! `cargo bench --bench pareto` (ten minutes); `-- --full` for all sizes and apertures, `-- planar`, `azimuth` or `helix` for
-//! one job, `-- quick` for 1,000 packets at 0.3 m. FINUFFT and NumPy run in the same
-//! run if `scripts/bench_venv.sh` has made their virtual environment.
+//! `cargo bench --bench pareto` (1,000 packets at 0.3 m, under three minutes on a quiet machine); `-- --full` for all numbers of
+//! packets and apertures; `-- planar`, `azimuth`, `helix` or `bearing` for one job. Calls of all contenders are interleaved, round by
+//! round, and the quickest of each counts, so that other work on the machine meets all alike. FINUFFT and NumPy run in the
+//! same run if `scripts/bench_venv.sh` has made their virtual environment.
 #![allow(clippy::expect_used)]
 
 mod common;
@@ -19,10 +20,11 @@ struct Job {
     height: f64,
 }
 
-fn jobs() -> [Job; 3] {
+fn jobs() -> [Job; 4] {
     [
         Job { name: "planar", grid: Grid::azimuth_elevation(360, 181), height: 0.0 },
         Job { name: "azimuth", grid: Grid::azimuth(360), height: 0.0 },
+        Job { name: "bearing", grid: Grid::azimuth(360), height: 0.0 },
         Job { name: "helix", grid: Grid::azimuth_elevation(360, 181), height: 1.0 },
     ]
 }
@@ -47,14 +49,15 @@ fn error(values: &[f64], reference: &[f64]) -> f64 {
 
 fn main() {
     banner("Run time against error");
-    let full = std::env::args().any(|a| a == "--full");
+    let args: Vec<String> = std::env::args().collect();
+    let full = args.iter().any(|a| a == "--full");
     let mut table = Table::new(
         "pareto",
         &[
             ("job", 8),
             ("packets", 7),
             ("radius_m", 8),
-            ("who", 26),
+            ("who", 30),
             ("eps", 8),
             ("ms", 10),
             ("error", 9),
@@ -62,22 +65,12 @@ fn main() {
             ("ratio", 8),
         ],
     );
+    let named = |job: &Job| args.iter().any(|a| a == job.name);
+    let any = jobs().iter().any(named);
     let mut series: Vec<Series> = Vec::new();
-    let named: Vec<String> = std::env::args().filter(|a| jobs().iter().any(|j| j.name == a)).collect();
-    let quick = std::env::args().any(|a| a == "quick");
-    for job in jobs().into_iter().filter(|j| named.is_empty() || named.iter().any(|n| n == j.name)) {
-        for (n, radius) in sizes(full).into_iter().filter(|size| !quick || *size == (1_000, 0.3)) {
-            let samples = common::job(n, radius, job.height * radius, 7);
-            let before = naive_ms(&samples, &job.grid, 30);
-            let reference = reference(&samples, &job.grid);
-            let mut rows = ours(&job, &samples, &reference);
-            if job.name == "azimuth" {
-                rows.extend(bearing(&samples));
-            }
-            rows.extend(peers(&job, &samples, &reference, n, radius));
-            // Noise of a shared machine: the naive loop before and after, the quicker one counts.
-            let naive = before.min(naive_ms(&samples, &job.grid, 30));
-            rows.push((String::from("naive double loop"), 0.0, naive, 1e-15));
+    for job in jobs().into_iter().filter(|job| !any || named(job)) {
+        for (n, radius) in sizes(full) {
+            let (naive, rows) = measure(&job, n, radius);
             for (who, eps, ms, error) in rows {
                 table.row(&[
                     job.name.into(),
@@ -90,69 +83,158 @@ fn main() {
                     format!("{naive:.1}"),
                     format!("{:.1}", naive / ms),
                 ]);
-                if job.name == "planar" && n == 1_000 && radius == 0.3 {
-                    let label = who.rsplit_once(':').map_or(who.as_str(), |(l, _)| l).to_string();
-                    let at = series.iter().position(|s| s.label == label).unwrap_or_else(|| {
-                        series.push(Series { label, points: Vec::new() });
-                        series.len() - 1
-                    });
-                    series[at].points.push((ms, error.max(1e-16)));
+                if job.name == "planar" && (n, radius) == (1_000, 0.3) && !who.ends_with("forced") {
+                    draw(&mut series, &who, ms, error);
                 }
             }
         }
         table.save();
         if job.name == "planar" {
-            picture(
-                "pareto",
-                "360 x 181 directions, 1,000 packets, 0.3 m",
-                "milliseconds, one thread",
-                "largest error of F / max F",
-                &series,
-            );
+            let title = "360 x 181 directions, 1,000 packets, 0.3 m";
+            picture("pareto", title, "milliseconds, one thread", "largest error of F / max F", &series);
         }
     }
+}
+
+fn draw(series: &mut Vec<Series>, who: &str, ms: f64, error: f64) {
+    let label = who.rsplit_once(':').map_or(who, |(l, _)| l).to_string();
+    let at = series.iter().position(|s| s.label == label).unwrap_or_else(|| {
+        series.push(Series { label, points: Vec::new() });
+        series.len() - 1
+    });
+    series[at].points.push((ms, error.max(1e-16)));
 }
 
 fn sizes(full: bool) -> Vec<(usize, f64)> {
+    if !full {
+        return vec![(1_000, 0.3)];
+    }
     let (packets, radii) = ([300, 1_000, 3_000, 30_000], [0.1, 0.3, 1.0, 2.0]);
-    let all = packets.into_iter().flat_map(|n| radii.map(|r| (n, r)));
-    all.filter(|(n, r)| full || *n == 1_000 || *r == 0.3).collect()
+    packets.into_iter().flat_map(|n| radii.map(|r| (n, r))).collect()
 }
 
+/// Who, tolerance asked for, milliseconds, error.
 type Row = (String, f64, f64, f64);
 
-/// Every tier at every tolerance, by the method that the planner chooses.
-fn ours(job: &Job, samples: &Samples, reference: &[f64]) -> Vec<Row> {
-    let mut rows = Vec::new();
-    for tier in Tier::available().into_iter().filter(|t| *t != Tier::Portable) {
-        let mut planner = Planner::new(tier);
-        for eps in [1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10, 1e-12] {
-            let options = ProfileOptions { eps, ..ProfileOptions::default() };
-            let plan = planner.plan(samples, WAVELENGTH_M, &job.grid, &options).expect("a plan");
-            let mut out = Vec::new();
-            let ms = quickest(150.0, || {
-                planner.profile_into(samples, WAVELENGTH_M, &job.grid, &options, &mut out).expect("a profile");
-            });
-            let e = plan.explain();
-            let precision = if e.precision == Precision::Single { "f32" } else { "f64" };
-            rows.push((format!("{tier:?} {precision}:{:?}", e.method), eps, ms, error(&out, reference)));
-        }
+/// One size of a job: the naive loop's milliseconds, and everybody's rows.
+fn measure(job: &Job, n: usize, radius: f64) -> (f64, Vec<Row>) {
+    let samples = common::job(n, radius, job.height * radius, 7);
+    let reference = reference(&samples, &job.grid);
+    let mut contenders = if job.name == "bearing" { bearings(&samples) } else { planned(job, &samples) };
+    if job.name != "bearing" {
+        contenders.extend(forced(job, &samples));
     }
-    rows
+    let naive = race(&mut contenders, &samples, &job.grid);
+    let error_of = |c: &Contender<'_>| if job.name == "bearing" { c.out[0] } else { error(&c.out, &reference) };
+    let mut rows: Vec<Row> = contenders.iter().map(|c| (c.who.clone(), c.eps, c.ms, error_of(c))).collect();
+    if job.name != "bearing" {
+        rows.extend(peers(job, &samples, &reference, n, radius));
+    }
+    rows.push((String::from("naive double loop"), 0.0, naive, 1e-15));
+    (naive, rows)
 }
 
-/// The guaranteed search, azimuth alone.
-fn bearing(samples: &Samples) -> Vec<Row> {
-    let tiers = Tier::available().into_iter().filter(|t| *t != Tier::Portable);
-    tiers
-        .map(|tier| {
-            let mut searcher = Searcher::new(tier);
-            let ms = quickest(150.0, || {
-                searcher.search(samples, WAVELENGTH_M, 0.0).expect("a bearing");
-            });
-            (format!("{tier:?} bearing only"), 1e-4, ms, 0.0)
-        })
+/// Somebody to be timed.
+struct Contender<'a> {
+    who: String,
+    eps: f64,
+    call: Box<dyn FnMut(&mut Vec<f64>) + 'a>,
+    out: Vec<f64>,
+    ms: f64,
+    spent_ms: f64,
+}
+
+impl<'a> Contender<'a> {
+    fn new(who: String, eps: f64, call: impl FnMut(&mut Vec<f64>) + 'a) -> Self {
+        Self { who, eps, call: Box::new(call), out: Vec::new(), ms: f64::INFINITY, spent_ms: 0.0 }
+    }
+}
+
+/// Times all in turn, ten milliseconds or one call each, over and over; returns the naive loop's milliseconds.
+fn race(contenders: &mut [Contender<'_>], samples: &Samples, grid: &Grid) -> f64 {
+    let mut naive = f64::INFINITY;
+    for _ in 0..16 {
+        naive = naive.min(naive_ms(samples, grid, 3));
+        for c in contenders.iter_mut().filter(|c| c.spent_ms < 800.0) {
+            let mut turn = 0.0;
+            while turn < 10.0 {
+                let took = time(|| (c.call)(&mut c.out));
+                c.ms = c.ms.min(took);
+                turn += took;
+            }
+            c.spent_ms += turn;
+        }
+    }
+    naive
+}
+
+fn tiers() -> impl Iterator<Item = Tier> {
+    Tier::available().into_iter().filter(|t| *t != Tier::Portable)
+}
+
+/// A profile by a planner of its own.
+fn profiler<'a>(job: &'a Job, samples: &'a Samples, tier: Tier, options: ProfileOptions, note: &str) -> Contender<'a> {
+    let mut planner = Planner::new(tier);
+    let plan = planner.plan(samples, WAVELENGTH_M, &job.grid, &options).expect("a plan");
+    let e = plan.explain();
+    let precision = if e.precision == Precision::Single { "f32" } else { "f64" };
+    let who = format!("{tier:?} {precision}:{:?}{note}", e.method);
+    Contender::new(who, options.eps, move |out| {
+        planner.profile_into(samples, WAVELENGTH_M, &job.grid, &options, out).expect("a profile");
+    })
+}
+
+/// Every tier at every tolerance, by the method that the planner chooses.
+fn planned<'a>(job: &'a Job, samples: &'a Samples) -> Vec<Contender<'a>> {
+    let tolerances = [1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10, 1e-12];
+    let all = tiers().flat_map(|tier| tolerances.map(|eps| (tier, eps)));
+    all.map(|(tier, eps)| profiler(job, samples, tier, ProfileOptions { eps, ..ProfileOptions::default() }, ""))
         .collect()
+}
+
+/// Every method that can serve the job, in both precisions, on every tier.
+fn forced<'a>(job: &'a Job, samples: &'a Samples) -> Vec<Contender<'a>> {
+    let methods: &[Method] = if job.height == 0.0 {
+        &[Method::Direct, Method::RingsDirect, Method::RingsNufft, Method::TargetsNufft]
+    } else {
+        &[Method::Direct, Method::RingsDirect, Method::Slab]
+    };
+    let mut all = Vec::new();
+    for tier in tiers() {
+        for &method in methods {
+            for (precision, eps) in [(Precision::Single, 1e-4), (Precision::Double, 1e-12)] {
+                let options = ProfileOptions { eps, method: Some(method), precision: Some(precision) };
+                all.push(profiler(job, samples, tier, options, " forced"));
+            }
+        }
+    }
+    all
+}
+
+/// The guaranteed search, azimuth alone; the error is how far its peak is below that of a grid of 0.01 degrees.
+fn bearings(samples: &Samples) -> Vec<Contender<'_>> {
+    let options = ProfileOptions { eps: 1e-12, method: Some(Method::Direct), precision: Some(Precision::Double) };
+    let dense = Planner::default().profile(samples, WAVELENGTH_M, &Grid::azimuth(36_000), &options).expect("a profile");
+    let top = dense.max().map_or(0.0, |(_, top)| top);
+    let search = |tier: Tier| {
+        let mut searcher = Searcher::new(tier);
+        Contender::new(format!("{tier:?} bearing only"), 1e-4, move |out: &mut Vec<f64>| {
+            let found = searcher.search(samples, WAVELENGTH_M, 0.0).expect("a bearing");
+            *out = vec![(1.0 - found.value / top).max(0.0)];
+        })
+    };
+    let profiles = tiers().flat_map(|tier| {
+        [("azimuth", Grid::azimuth(360)), ("planar", Grid::azimuth_elevation(360, 181))].map(|(name, grid)| {
+            let mut planner = Planner::new(tier);
+            let mut values = Vec::new();
+            Contender::new(format!("{tier:?} {name} profile beside it"), 1e-4, move |out: &mut Vec<f64>| {
+                let options = ProfileOptions::default();
+                planner.profile_into(samples, WAVELENGTH_M, &grid, &options, &mut values).expect("a profile");
+                *out = vec![0.0];
+            })
+        })
+    });
+    tiers().map(search).chain(profiles).collect()
 }
 
 /// FINUFFT and NumPy on the same samples, in a process of their own.

@@ -1,4 +1,4 @@
-"""Compares the output of examples/dump_csi with csiread, record by record; see csiread_compare.sh."""
+"""Compares the output of examples/dump_csi, and `csi5300 export`, with csiread; see csiread_compare.sh."""
 
 import os
 import subprocess
@@ -44,7 +44,27 @@ def error(a, b):
     return float(np.max(np.abs(a - b)) / np.max(np.abs(b)))
 
 
-def compare(dump, path):
+def export_agrees(program, path, theirs):
+    """True if the arrays of `csi5300 export` are csiread's: NumPy opens them, antennas are in order A, B, C."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = os.path.join(folder, "log.npz")
+        # Status 3: the log is damaged before its end, and the rest was exported.
+        if subprocess.run([program, "export", path, out], stderr=subprocess.DEVNULL).returncode not in (0, 3):
+            return False
+        arrays = np.load(out)
+        csi, known = arrays["csi"], arrays["antennas_known"] == 1
+        fields = ("timestamp_low", "bfee_count", "rate_n_flags", "agc", "rssi_a")
+        names = ("timestamp_low", "bfee_count", "rate", "agc", "rssi_a")
+        same = all(np.array_equal(arrays[a], getattr(theirs, b)) for a, b in zip(fields, names))
+        for k in range(len(csi)):
+            n_rx, n_tx = theirs.Nrx[k], theirs.Ntx[k]
+            # csiread puts chain i into row perm[i] as csitool does, once the permutation is a valid one.
+            rows = slice(0, n_rx) if not known[k] else sorted(theirs.perm[k, :n_rx] - (theirs.perm[k].min() > 0))
+            same &= np.array_equal(csi[k, :, rows, :n_tx], theirs.csi[k, :, rows, :n_tx])
+        return bool(same)
+
+
+def compare(dump, program, path):
     theirs = csiread.Intel(path, nrxnum=3, ntxnum=3, pl_size=2000, if_report=False)
     theirs.read()
     scaled = theirs.get_scaled_csi()
@@ -62,21 +82,22 @@ def compare(dump, path):
         worst_scaled = max(worst_scaled, error(ours_scaled, scaled[k, :, :n_rx, :n_tx]))
         worst_bare = max(worst_bare, error(ours_bare, bare[k, :, :n_rx, :n_tx]))
         mapped += n_tx > 1
-    good = raw_differ == 0 and worst_scaled <= 1e-6 and worst_bare <= 1e-6
+    exported = export_agrees(program, path, theirs)
+    good = exported and raw_differ == 0 and worst_scaled <= 1e-6 and worst_bare <= 1e-6
     print(
         f"{os.path.basename(path)}: {len(records)} records ({mapped} with n_tx > 1): raw differs in {raw_differ}, scaled by"
-        f" {worst_scaled:.1e}, without spatial mapping by {worst_bare:.1e}: {'agree' if good else 'DISAGREE'}"
+        f" {worst_scaled:.1e}, without spatial mapping by {worst_bare:.1e}, NPZ {'same' if exported else 'DIFFERS'}: {'agree' if good else 'DISAGREE'}"
     )
     return good
 
 
 def main():
-    dump, logs = sys.argv[1], sys.argv[2:]
+    dump, program, logs = sys.argv[1], sys.argv[2], sys.argv[3:]
     stock = [path for path in logs if is_stock(path)]
     for path in logs:
         if path not in stock:
             print(f"{os.path.basename(path)}: not the stock layout, left out (csiread takes its header for CSI)")
-    results = [compare(dump, path) for path in stock]
+    results = [compare(dump, program, path) for path in stock]
     if not results:
         print("nothing compared")
         sys.exit(2)

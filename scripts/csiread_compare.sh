@@ -15,6 +15,6 @@ if [ ! -e "$1" ]; then
     exit 2
 fi
 python=$("$root/scripts/venv.sh" csiread==1.4.1 numpy)
-cargo build --quiet --manifest-path "$root/Cargo.toml" --example dump_csi
+cargo build --quiet --manifest-path "$root/Cargo.toml" --example dump_csi --bin csi5300
 target=${CARGO_TARGET_DIR:-$root/target}
-exec "$python" "$root/scripts/csiread_compare.py" "$target/debug/examples/dump_csi" "$@"
+exec "$python" "$root/scripts/csiread_compare.py" "$target/debug/examples/dump_csi" "$target/debug/csi5300" "$@"

@@ -1,7 +1,7 @@
 //! What a running capture looks like: rates, losses, senders, signal, a picture of the channel.
 
 use crate::backend::Next;
-use crate::survey::Survey;
+use crate::survey::{SENDERS_KEPT, Survey};
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq, SUBCARRIERS};
@@ -59,7 +59,9 @@ impl Status {
             self.last_at = Some(now);
         }
         if let Some((bfee, identity)) = self.survey.note(next) {
-            *self.window.entry(identity.mac).or_default() += 1;
+            if self.window.len() < SENDERS_KEPT || self.window.contains_key(&identity.mac) {
+                *self.window.entry(identity.mac).or_default() += 1;
+            }
             self.rssi = bfee.rssi();
             // One picture for each look: `refresh` clears them.
             if self.pictures.is_empty() {

@@ -9,6 +9,8 @@ use std::collections::BTreeMap;
 
 /// Losses kept with their place; further ones are only counted.
 pub const LOSSES_KEPT: usize = 16;
+/// Senders told apart; a log in which noise or malice made up more only counts them.
+pub const SENDERS_KEPT: usize = 256;
 /// Inter-packet times kept for the median.
 const STEPS_KEPT: usize = 4_096;
 
@@ -19,8 +21,12 @@ pub struct Sender {
     pub records: u64,
     /// Lowest and highest frame number.
     pub frame_count: Option<(u32, u32)>,
-    /// Steps of the frame number other than +1 (skipped numbers, repetitions, restarts).
-    pub irregular_steps: u64,
+    /// Frame numbers skipped on the way up.
+    pub frames_skipped: u64,
+    /// Frames with the number of the one before: the card reports some twice.
+    pub frames_repeated: u64,
+    /// Steps back of the frame number: a sender that started anew.
+    pub frames_restarted: u64,
     #[serde(skip)]
     last_frame_count: Option<u32>,
     #[serde(skip)]
@@ -49,9 +55,12 @@ impl Sender {
         if let Some(number) = frame_count {
             let (low, high) = self.frame_count.unwrap_or((number, number));
             self.frame_count = Some((low.min(number), high.max(number)));
-            let regular = self.last_frame_count.is_none_or(|last| number == last.wrapping_add(1));
-            self.irregular_steps += u64::from(!regular);
-            self.last_frame_count = Some(number);
+            match self.last_frame_count.replace(number).map(|last| number.wrapping_sub(last)) {
+                None | Some(1) => {}
+                Some(0) => self.frames_repeated += 1,
+                Some(step) if step <= u32::MAX / 2 => self.frames_skipped += u64::from(step - 1),
+                Some(_) => self.frames_restarted += 1,
+            }
         }
         let now_us = self.clock.next(timestamp_low);
         if let Some(last_us) = self.last_us
@@ -122,6 +131,12 @@ pub struct Survey {
     pub overruns: u64,
     /// Numbers missing from `bfee_count` (lost, or filtered out of the log).
     pub bfee_missing: u64,
+    /// Records with the `bfee_count` of the one before.
+    pub bfee_repeated: u64,
+    /// Steps back of `bfee_count`: the driver was loaded anew (or more than 32,767 records are missing).
+    pub bfee_restarted: u64,
+    /// Records of senders beyond [`SENDERS_KEPT`], which are not told apart.
+    pub further_senders: u64,
     /// Records by receive chains and streams: `streams[n_rx - 1][n_tx - 1]`.
     pub streams: [[u64; 3]; 3],
     /// Records by `antenna_sel`.
@@ -237,7 +252,12 @@ impl Survey {
                 Identity { mac, frame_count, host_us: stamps.host_us }
             }
         };
-        self.bfee_missing += u64::from(self.count.missing(bfee.bfee_count()));
+        match self.count.step(bfee.bfee_count()) {
+            None | Some(1) => {}
+            Some(0) => self.bfee_repeated += 1,
+            Some(step) if step <= u16::MAX / 2 => self.bfee_missing += u64::from(step - 1),
+            Some(_) => self.bfee_restarted += 1,
+        }
         if let Some(row) = self.streams.get_mut(bfee.n_rx().wrapping_sub(1))
             && let Some(count) = row.get_mut(bfee.n_tx().wrapping_sub(1))
         {
@@ -245,7 +265,10 @@ impl Survey {
         }
         *self.antenna_sel.entry(bfee.antenna_sel()).or_default() += 1;
         self.bad_permutations += u64::from(bfee.antennas().is_err());
-        *self.rates.entry(bfee.rate_n_flags()).or_default() += 1;
+        let rate = bfee.rate_n_flags();
+        if self.rates.len() < SENDERS_KEPT || self.rates.contains_key(&rate) {
+            *self.rates.entry(rate).or_default() += 1;
+        }
         match bfee.noise_dbm() {
             -127 => self.noise_unknown += 1,
             noise => self.noise_dbm.note(i32::from(noise)),
@@ -254,7 +277,11 @@ impl Survey {
             range.note(i32::from(rssi));
         }
         self.agc.note(i32::from(bfee.agc()));
-        self.senders.entry(identity.mac).or_default().note(identity.frame_count, bfee.timestamp_low());
+        if self.senders.len() < SENDERS_KEPT || self.senders.contains_key(&identity.mac) {
+            self.senders.entry(identity.mac).or_default().note(identity.frame_count, bfee.timestamp_low());
+        } else {
+            self.further_senders += 1;
+        }
         let elapsed_us = self.host_us.zip(identity.host_us).map(|((_, last), now)| now.saturating_sub(last));
         let now_us = self.clock.next_after(bfee.timestamp_low(), elapsed_us);
         self.clock_us = Some((self.clock_us.map_or(now_us, |(first, _)| first), now_us));
@@ -298,3 +325,6 @@ impl Survey {
         self.damages > 0 || self.bad_bfee > 0 || self.overruns > 0
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -157,13 +157,17 @@ pub struct Step16 {
 }
 
 impl Step16 {
+    /// The step from the last reading to this one, modulo 65,536: 1 for consecutive ones, 0 for a repeated one, over
+    /// 32,768 for one that went back. `None` for the first.
+    pub fn step(&mut self, raw: u16) -> Option<u16> {
+        self.last.replace(raw).map(|last| raw.wrapping_sub(last))
+    }
+
     /// Numbers left out between the last reading and this one: 0 for consecutive ones and for the first.
     ///
     /// A repeated number is a step of 65,536 and counts 65,535; callers that know of duplicates look first.
     pub fn missing(&mut self, raw: u16) -> u16 {
-        let missing = self.last.map_or(0, |last| raw.wrapping_sub(last).wrapping_sub(1));
-        self.last = Some(raw);
-        missing
+        self.step(raw).map_or(0, |step| step.wrapping_sub(1))
     }
 }
 

@@ -139,6 +139,9 @@ pub fn banner(what: &str) {
     let model = cpu.lines().find_map(|l| l.strip_prefix("model name")).unwrap_or(": unknown");
     println!("# {what}");
     println!("machine{model}, tiers {:?}", csi5300::bartlett::Tier::available());
+    let args: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
+    let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    println!("arguments {args:?}, load average at the start {}", load.split(' ').next().unwrap_or("unknown"));
     println!("one thread; times are the quickest of many calls; release build (thin LTO)");
 }
 

@@ -26,6 +26,27 @@ pub(crate) struct Key {
     pub count: usize,
     /// Axes of the motion if they are not the frame's.
     pub axes: Option<[Vector3<f64>; 3]>,
+    /// True for motion along the first of the axes and nothing else.
+    pub line: bool,
+}
+
+/// The axes of a motion along a line from which no sample is further than `slack` turns, and its half extent.
+fn line(scene: &Scene, slack: f64) -> Option<([Vector3<f64>; 3], f64)> {
+    let at = |t: usize| Vector3::new(scene.x[t], scene.y[t], scene.z[t]);
+    // Three samples tell most motions that are none.
+    let last = scene.len() - 1;
+    let (chord, middle) = (at(last) - at(0), at(last / 3) - at(0));
+    if chord.cross(&middle).norm() > 4.0 * slack * chord.norm().max(middle.norm()) {
+        return None;
+    }
+    let mut axes = scene.shape().axes;
+    if scene.half_height == 0.0 {
+        // Level to the last bit.
+        axes[0] = Vector3::new(axes[0].x, axes[0].y, 0.0).normalize();
+    }
+    let axis = axes[0];
+    let away = scene.farthest(|p| (p - axis * axis.dot(&p)).norm());
+    (away <= slack).then(|| (axes, scene.farthest(|p| axis.dot(&p).abs())))
 }
 
 /// Rounds up to a power of `step`; nothing stays nothing.
@@ -35,13 +56,16 @@ fn bucket(extent: f64, step: f64) -> f64 {
 
 impl Key {
     pub fn new(scene: &Scene, grid: &Grid, options: &ProfileOptions) -> Self {
-        let steepest = grid.steepest();
+        let steepest = grid.steepest;
         // What phases of eps / 8 do not see is not there.
         let slack = options.eps / (8.0 * TAU);
         let half = |c: &[f64]| c.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
         let mut extent = [half(&scene.x), half(&scene.y), scene.half_height];
         let mut axes = None;
-        if extent[2] * steepest > slack {
+        let line = line(scene, slack);
+        if let Some((along, half)) = line {
+            (axes, extent) = (Some(along), [half, 0.0, 0.0]);
+        } else if extent[2] * steepest > slack {
             let shape = scene.shape();
             let [_, wide, high] = shape.half_extent_m.map(|e| e / scene.turn_m);
             // Principal extents are about the middle of each axis, samples about that of the box: twice covers both.
@@ -60,7 +84,8 @@ impl Key {
         }
         let count = bucket(scene.len() as f64, 1.05).ceil() as usize;
         let radius = radius.map(|r| bucket(TAU * r, 1.02));
-        Self { grid: grid.clone(), options: *options, extent: extent.map(|e| bucket(e, 1.05)), radius, count, axes }
+        let extent = extent.map(|e| bucket(e, 1.05));
+        Self { grid: grid.clone(), options: *options, extent, radius, count, axes, line: line.is_some() }
     }
 }
 
@@ -100,6 +125,10 @@ fn single_floor(method: Method, radius: f64) -> f64 {
     }
 }
 
+/// What the planner chooses from where there is motion and a tolerance.
+const METHODS: [Method; 6] =
+    [Method::Direct, Method::RingsDirect, Method::RingsNufft, Method::TargetsNufft, Method::Slab, Method::Cone];
+
 pub(crate) fn choose(scene: &Scene, key: &Key, tier: Tier) -> Choice {
     let eps = key.options.eps;
     let mut best = Choice {
@@ -107,7 +136,7 @@ pub(crate) fn choose(scene: &Scene, key: &Key, tier: Tier) -> Choice {
         precision: Precision::Double,
         setting: None,
         order: [usize::MAX; 2],
-        steepest: key.grid.steepest(),
+        steepest: key.grid.steepest,
         cost_ns: 60.0 * key.grid.len() as f64 * key.count as f64,
         skipped: Vec::new(),
     };
@@ -125,7 +154,7 @@ pub(crate) fn choose(scene: &Scene, key: &Key, tier: Tier) -> Choice {
     // Modes beyond the limit are lost and, folded back, added once more: an eighth of eps in either angle is a quarter.
     best.order = [tail_order(level_radius, eps / 8.0), tail_order(radius, eps / 8.0)];
     let mut found = false;
-    for method in [Method::Direct, Method::RingsDirect, Method::RingsNufft, Method::TargetsNufft, Method::Slab] {
+    for method in METHODS {
         let Some((precision, setting, cost)) = price(key, method, best.order, tier) else { continue };
         let wanted = forced == Some(method);
         if !found || wanted || (cost < best.cost_ns && forced != Some(best.method)) {
@@ -143,7 +172,7 @@ fn price(key: &Key, method: Method, order: [usize; 2], tier: Tier) -> Option<(Pr
     let [_, radius] = key.radius;
     let tall = key.extent[2] > 0.0;
     let planar_nufft = matches!(method, Method::RingsNufft | Method::TargetsNufft);
-    if planar_nufft && tall || method == Method::Slab && !tall {
+    if planar_nufft && tall || method == Method::Slab && !tall || method == Method::Cone && !key.line {
         return None;
     }
     let rings = ring_shape(key, order);
@@ -156,7 +185,7 @@ fn price(key: &Key, method: Method, order: [usize; 2], tier: Tier) -> Option<(Pr
         None => Precision::Double,
     };
     let mut setting = None;
-    if planar_nufft || method == Method::Slab {
+    if planar_nufft || matches!(method, Method::Slab | Method::Cone) {
         // A third dimension has a kernel of its own.
         let share = if method == Method::Slab { eps / 6.0 } else { eps / 4.0 };
         let narrow = if precision == Precision::Single { 7.5e-7 } else { 6e-14 };
@@ -185,8 +214,13 @@ fn price(key: &Key, method: Method, order: [usize; 2], tier: Tier) -> Option<(Pr
         (Method::RingsDirect, _) => ring_points / 2.0 * n * pair + assembly,
         (Method::RingsNufft, Some(s)) => (n * 1.5 + ring_points) * square * cell * 2.0 + plane(s) + assembly,
         (Method::TargetsNufft, Some(s)) => (n * 1.5 + all) * square * cell * 2.0 + plane(s) + all * assembled,
+        (Method::Cone, Some(s)) => {
+            let width = s.width.next_multiple_of(8) as f64;
+            let n = n * 3.0 + cone_rows(key).map_or(all, |(rows, _)| (rows.len() * key.grid.shape().1) as f64);
+            n * width * cell * 2.0 + Axis::new(key.extent[0], s).n as f64 * 4.0 * fft + all * assembled
+        }
         (Method::Slab, Some(s)) => {
-            let planes = Slab::<f64>::planes(key.extent[2], key.grid.steepest(), s) as f64;
+            let planes = Slab::<f64>::planes(key.extent[2], key.grid.steepest, s) as f64;
             let points = if rings.is_some() { ring_points / 2.0 } else { all };
             let spread = n * s.width as f64 * 1.5 * square * cell * 2.0;
             spread + planes * (points * square * cell * 2.0 + plane(s)) + assembly
@@ -206,6 +240,18 @@ pub(crate) fn ring_shape(key: &Key, order: [usize; 2]) -> Option<(usize, usize)>
     Some((azimuths_for(*azimuths, order[0]), nodes_for(&distinct(elevations_rad), order[1]).len()))
 }
 
+/// For a level line and a grid of rings: the rows that are computed, and for each row of the grid which of those it is.
+pub(crate) fn cone_rows(key: &Key) -> Option<(Vec<f64>, Vec<usize>)> {
+    let Layout::Rings { elevations_rad, .. } = &*key.grid.layout else { return None };
+    if !(key.line && key.axes.is_some_and(|[along, ..]| along.z == 0.0)) {
+        return None;
+    }
+    let rows = distinct(elevations_rad);
+    let nearest = |e: &f64| rows.iter().position(|row| (row - e.abs()).abs() < 1e-14).unwrap_or(0);
+    let of = elevations_rad.iter().map(nearest).collect();
+    Some((rows, of))
+}
+
 /// What the chosen plan leaves out, in words.
 fn skipped(scene: &Scene, key: &Key, choice: &Choice) -> Vec<String> {
     let mut list = Vec::new();
@@ -219,11 +265,18 @@ fn skipped(scene: &Scene, key: &Key, choice: &Choice) -> Vec<String> {
     if choice.steepest == 0.0 {
         list.push(String::from("every elevation: only azimuths on the horizon were asked for"));
     }
-    if key.axes.is_some() {
+    if key.axes.is_some() && !key.line {
         list.push(String::from("the axis across a tilted plane"));
     }
-    if geometry == Geometry::Line {
-        list.push(String::from("the axis across the line: one cone, its mirror is the same"));
+    if key.line {
+        list.push(String::from(
+            "both axes across the line: one cosine, so that a direction and its mirror are the same",
+        ));
+    } else if geometry == Geometry::Line {
+        list.push(String::from("little: along the line it wobbles by more than the tolerance lets pass"));
+    }
+    if choice.method == Method::Cone && cone_rows(key).is_some_and(|(rows, of)| rows.len() < of.len()) {
+        list.push(String::from("the lower hemisphere: the line is level"));
     }
     if let Some((d, nodes)) = ring_shape(key, choice.order) {
         let rings = key.grid.shape();

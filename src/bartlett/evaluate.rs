@@ -5,10 +5,11 @@ use std::f64::consts::{PI, TAU};
 use fearless_simd::Level;
 use num_complex::Complex;
 
+use super::cone::Cone;
 use super::kernel::Kernel;
 use super::nufft::{Axis, CARRY, Nufft, Setting, Targets, Work};
 use super::simd::Real;
-use super::sums::{Columns, pairs};
+use super::sums::{Columns, Sines, pairs};
 
 /// Samples as an evaluation takes them: positions in turns about the middle, in the axes of the plan.
 #[derive(Clone, Debug, Default)]
@@ -33,6 +34,7 @@ pub(crate) enum Evaluator<T: Real> {
     Direct { level: Level, directions: Vec<[T; 3]>, places: Places },
     Planar { nufft: Nufft<T>, targets: Targets<T>, places: Places },
     Slab(Slab<T>),
+    Cone(Cone<T>),
 }
 
 /// Buffers of an evaluation.
@@ -42,7 +44,7 @@ pub(crate) struct Buffers<T> {
     carried: Vec<Complex<f64>>,
     pub work: Work<T>,
     found: Vec<Complex<T>>,
-    column: [Vec<T>; 5],
+    pub column: [Vec<T>; 5],
     /// The values: `[node][above, (tall) below][d]`, or one per listed direction.
     pub values: Vec<Complex<T>>,
 }
@@ -131,6 +133,7 @@ impl<T: Real> Evaluator<T> {
             Self::Direct { directions, .. } => size_of_val(&directions[..]),
             Self::Planar { targets, .. } => targets.bytes(),
             Self::Slab(slab) => slab.targets.bytes(),
+            Self::Cone(cone) => cone.bytes(),
         }
     }
 
@@ -143,6 +146,7 @@ impl<T: Real> Evaluator<T> {
                 self.finish(buffers);
             }
             Self::Slab(slab) => slab.run(batch, buffers),
+            Self::Cone(cone) => cone.run(batch, buffers),
         }
     }
 
@@ -166,7 +170,7 @@ fn direct<T: Real>(level: Level, directions: &[[T; 3]], places: &Places, batch: 
         fill(column, from);
     }
     let [x, y, z, re, im] = &buffers.column;
-    let sums = pairs::<T>(level, Columns { x, y, z, re, im }, directions);
+    let sums = pairs::<T>(level, Columns { x, y, z, re, im }, directions, Sines::Fine);
     let narrow = |c: num_complex::Complex64| Complex::new(T::of(c.re), T::of(c.im));
     buffers.values.clear();
     match places {

@@ -36,6 +36,8 @@ pub enum Method {
     RingsNufft,
     /// Planar NUFFT straight to every direction.
     TargetsNufft,
+    /// A one-dimensional NUFFT over the cosine to a line of motion.
+    Cone,
     /// Slabs of planar NUFFTs, onto rings or straight to the directions.
     Slab,
 }

@@ -58,15 +58,23 @@ impl<T: FftNum> Ffts<T> {
 
 /// The least even `2^a 3^b 5^c >= n`: lengths that FFTs like.
 pub(crate) fn good_size(n: usize) -> usize {
-    (n.max(2)..)
-        .find(|m| {
-            let mut rest = *m;
-            for p in [2, 3, 5] {
-                while rest % p == 0 {
-                    rest /= p;
-                }
-            }
-            rest == 1 && m % 2 == 0
-        })
-        .unwrap_or(n)
+    let even = n.max(2).next_multiple_of(2);
+    (even..).step_by(2).find(|m| is_smooth(*m, &[2, 3, 5])).unwrap_or(even)
+}
+
+/// The least multiple of `step` from `n` on without a prime above 11: for short FFTs beside which each value costs a sum
+/// over all samples.
+pub(crate) fn near_size(n: usize, step: usize) -> usize {
+    let least = n.max(step).next_multiple_of(step);
+    (least..).step_by(step).find(|m| is_smooth(*m, &[2, 3, 5, 7, 11])).unwrap_or(least)
+}
+
+fn is_smooth(n: usize, primes: &[usize]) -> bool {
+    let divide = |mut rest: usize, p: &usize| {
+        while rest % p == 0 {
+            rest /= p;
+        }
+        rest
+    };
+    primes.iter().fold(n, divide) == 1
 }

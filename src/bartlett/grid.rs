@@ -20,6 +20,8 @@ pub fn direction(azimuth_rad: f64, elevation_rad: f64) -> Vector3<f64> {
 #[derive(Clone, Debug)]
 pub struct Grid {
     pub(crate) layout: Arc<Layout>,
+    /// The largest `|sin(elevation)|`.
+    pub(crate) steepest: f64,
 }
 
 impl PartialEq for Grid {
@@ -38,10 +40,19 @@ pub(crate) enum Layout {
 }
 
 impl Grid {
+    fn new(layout: Layout) -> Self {
+        let steep = |e: f64| if e.abs() >= FRAC_PI_2 { 1.0 } else { e.sin().abs() };
+        let steepest = match &layout {
+            Layout::Rings { elevations_rad, .. } => elevations_rad.iter().map(|e| steep(*e)).fold(0.0, f64::max),
+            Layout::List { directions, .. } => directions.iter().map(|d| steep(d.1)).fold(0.0, f64::max),
+        };
+        Self { layout: Arc::new(layout), steepest }
+    }
+
     /// `n` azimuths around the horizon, from -180 degrees in steps of 360/n (180 itself is -180). At least one.
     #[must_use]
     pub fn azimuth(n: usize) -> Self {
-        Self { layout: Arc::new(Layout::Rings { azimuths: n.max(1), elevations_rad: vec![0.0] }) }
+        Self::new(Layout::Rings { azimuths: n.max(1), elevations_rad: vec![0.0] })
     }
 
     /// `n_azimuth` azimuths as in [`Grid::azimuth`] for each of `n_elevation` elevations from -90 to 90 degrees, both
@@ -53,7 +64,7 @@ impl Grid {
         } else {
             (0..n_elevation).map(|i| PI * (i as f64 / (n_elevation - 1) as f64 - 0.5)).collect()
         };
-        Self { layout: Arc::new(Layout::Rings { azimuths: n_azimuth.max(1), elevations_rad }) }
+        Self::new(Layout::Rings { azimuths: n_azimuth.max(1), elevations_rad })
     }
 
     /// The WSR toolbox's grid: `linspace(-180, 180, 360)` azimuths (both ends, the same direction twice; steps of
@@ -66,14 +77,14 @@ impl Grid {
                 (0..360).map(move |column| (TAU * f64::from(column) / 359.0 - PI, elevation))
             })
             .collect();
-        Self { layout: Arc::new(Layout::List { directions, width: 360 }) }
+        Self::new(Layout::List { directions, width: 360 })
     }
 
     /// Any list of (azimuth, elevation) in radians, in one row.
     #[must_use]
     pub fn directions(list: Vec<(f64, f64)>) -> Self {
         let width = list.len();
-        Self { layout: Arc::new(Layout::List { directions: list, width }) }
+        Self::new(Layout::List { directions: list, width })
     }
 
     /// Number of directions.
@@ -111,15 +122,6 @@ impl Grid {
                 (ring_azimuth(index % azimuths, *azimuths), elevations_rad[index / azimuths])
             }
             Layout::List { directions, .. } => directions[index],
-        }
-    }
-
-    /// The largest `|sin(elevation)|`.
-    pub(crate) fn steepest(&self) -> f64 {
-        let steep = |e: f64| if e.abs() >= FRAC_PI_2 { 1.0 } else { e.sin().abs() };
-        match &*self.layout {
-            Layout::Rings { elevations_rad, .. } => elevations_rad.iter().map(|e| steep(*e)).fold(0.0, f64::max),
-            Layout::List { directions, .. } => directions.iter().map(|d| steep(d.1)).fold(0.0, f64::max),
         }
     }
 

@@ -16,17 +16,19 @@
 //! names theta the azimuth where the formula needs the zenith angle (its phi being the azimuth).
 //!
 //! # Rooms
-//! `scene` validates and centres, `direct` is the oracle, `sums` its fast form, `peak` the guaranteed search with
+//! `front` validates and centres, `scene` holds what it makes, `direct` is the oracle, `sums` its fast form, `peak` the guaranteed search with
 //! `newton`, `crb` the predicted deviation, `grid` the directions and profiles.
 
 mod bessel;
 mod choose;
+mod cone;
 mod crb;
 mod direct;
 mod error;
 mod evaluate;
 mod explain;
 mod fft;
+mod front;
 mod grid;
 mod kernel;
 mod newton;

@@ -83,12 +83,13 @@ impl Axis {
     }
 
     /// First cell that a direction cosine `u` touches, and the offset for the polynomials.
-    fn locate(&self, u: f64, width: usize) -> (isize, f64) {
+    pub fn locate(&self, u: f64, width: usize) -> (isize, f64) {
         locate(u * self.n as f64 / self.per_turn, width)
     }
 }
 
-fn locate(x: f64, width: usize) -> (isize, f64) {
+/// First cell that position `x` (cells) touches, and the offset for the polynomials.
+pub(crate) fn locate(x: f64, width: usize) -> (isize, f64) {
     let middle = (width as f64 - 1.0) / 2.0;
     let first = (x - middle).round_ties_even();
     (first as isize, x - first - middle)

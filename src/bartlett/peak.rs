@@ -17,12 +17,12 @@ use num_complex::Complex;
 use super::bessel::tail_order;
 use super::crb::{Fit, Spread, deviations, elevation_deviation, independence};
 use super::error::Error;
-use super::fft::{Ffts, good_size};
+use super::fft::{Ffts, good_size, near_size};
 use super::newton::{Hill, Point, Second, Top};
 use super::resample::{Resample, ResampleWork};
 use super::scene::{Geometry, Scene, Shape};
-use super::simd::{Real, Tier};
-use super::sums::{Columns, PairSum, pairs};
+use super::simd::{ROUGH, Real, Tier};
+use super::sums::{Columns, PairSum, Sines, pairs};
 use crate::samples::Samples;
 
 /// Largest change of any phase between neighbouring rings of elevation, radians: no more than 0.4 to the nearest.
@@ -30,6 +30,8 @@ const RING_STEP: f64 = 0.8;
 /// Samples per ring, in units of the profile's degree `M`: `4 M` suffice, more leave fewer candidates. They are
 /// interpolated from `2 M + 2` evaluated ones.
 const SAMPLES_PER_ORDER: usize = 8;
+/// What the band limit of a ring leaves out, relative to `sum w |z|`; as much again is folded back.
+const TAIL: f64 = 1e-4;
 /// Above this radius (radians of phase) sampling is done in double: single precision loses 1e-4 of a turn there.
 const SINGLE_RADIUS: f64 = 600.0;
 /// Above this radius (radians of phase) there is no search: about 2 km at 5.5 GHz, round trip.
@@ -121,15 +123,24 @@ pub fn search(samples: &Samples, wavelength_m: f64, options: &SearchOptions) -> 
 /// A search that keeps its FFTs from call to call.
 pub struct Searcher {
     tier: Tier,
-    single: Ffts<f32>,
-    double: Ffts<f64>,
+    single: Sampler<f32>,
+    double: Sampler<f64>,
+}
+
+/// FFTs and buffers of one precision.
+struct Sampler<T: Real> {
+    ffts: Ffts<T>,
+    columns: [Vec<T>; 5],
+    directions: Vec<[T; 3]>,
+    rows: Vec<Complex<T>>,
+    work: ResampleWork<T>,
 }
 
 impl Searcher {
     /// A searcher for a tier; one that this machine lacks runs the portable code.
     #[must_use]
     pub fn new(tier: Tier) -> Self {
-        Self { tier, single: Ffts::new(tier), double: Ffts::new(tier) }
+        Self { tier, single: Sampler::new(tier), double: Sampler::new(tier) }
     }
 
     /// As [`search`], up to `elevation_max_rad`.
@@ -137,7 +148,7 @@ impl Searcher {
     /// # Errors
     /// As [`search`].
     pub fn search(&mut self, samples: &Samples, wavelength_m: f64, elevation_max_rad: f64) -> Result<Estimate, Error> {
-        let scene = Scene::new(samples, wavelength_m)?;
+        let scene = Scene::on(self.tier, samples, wavelength_m)?;
         if !(0.0..=PI / 2.0).contains(&elevation_max_rad) {
             return Err(Error::ElevationMax { elevation_max_rad });
         }
@@ -149,8 +160,8 @@ impl Searcher {
                 limit_m: LIMIT_RADIUS / TAU * scene.turn_m,
             });
         }
-        let order = tail_order(TAU * scene.radius, 1e-4);
-        let evaluated = good_size((2 * order + 2).next_multiple_of(2));
+        let order = tail_order(TAU * scene.radius, TAIL);
+        let evaluated = near_size(2 * order + 2, 2);
         let ring = good_size(SAMPLES_PER_ORDER * order + 16);
         let shape = scene.shape();
         Ok(Search { scene: &scene, shape, tools: self, order, evaluated, ring, evaluations: 0 }.run(elevation_max_rad))
@@ -201,29 +212,30 @@ impl<'a> Search<'a> {
 
     /// `F` on rings at the given elevations (from 0 upwards) and, unless the motion is level, at their negatives.
     fn sample(&mut self, elevations: &[f64]) -> Sampled {
-        let flat = self.scene.is_flat();
-        let mut directions = Vec::new();
-        for &elevation in elevations {
-            let columns = if flat || elevation == 0.0 { self.evaluated / 2 } else { self.evaluated };
-            let (sin_el, cos_el) = elevation.sin_cos();
-            directions.extend((0..columns).map(|j| {
-                let (sin, cos) = (TAU * j as f64 / self.evaluated as f64).sin_cos();
-                [cos_el * cos, cos_el * sin, sin_el]
-            }));
-        }
-        self.evaluations += 2 * directions.len();
-        let c = self.scene.columns();
-        let level = self.tools.tier.level_or_portable();
-        let ring = self.ring;
-        if TAU * self.scene.radius.hypot(self.scene.half_height) > SINGLE_RADIUS {
-            let sums = pairs::<f64>(level, c, &directions);
-            return arrange(elevations, &sums, self.evaluated, ring, flat, &mut self.tools.double);
-        }
-        let single = |column: &[f64]| column.iter().map(|v| f32::of(*v)).collect::<Vec<_>>();
-        let (x, y, z, re, im) = (single(c.x), single(c.y), single(c.z), single(c.re), single(c.im));
-        let directions: Vec<_> = directions.iter().map(|u| u.map(|v| v as f32)).collect();
-        let sums = pairs::<f32>(level, Columns { x: &x, y: &y, z: &z, re: &re, im: &im }, &directions);
-        arrange(elevations, &sums, self.evaluated, ring, flat, &mut self.tools.single)
+        let ring = Ring { evaluated: self.evaluated, dense: self.ring, flat: self.scene.is_flat() };
+        let sampled = if self.in_double() {
+            self.tools.double.sample(self.tools.tier, self.scene, elevations, ring)
+        } else {
+            self.tools.single.sample(self.tools.tier, self.scene, elevations, ring)
+        };
+        self.evaluations += sampled.elevations.len() * self.evaluated;
+        sampled
+    }
+
+    fn in_double(&self) -> bool {
+        TAU * self.scene.radius.hypot(self.scene.half_height) > SINGLE_RADIUS
+    }
+
+    /// The least amplitude with which the sample of a cell that holds the maximum can have come out, given that the
+    /// maximum is at least `best^2`: what the band limit leaves out is missing from the maximum, and once more, with
+    /// what is folded back and rounded, from the sample.
+    fn least(&self, best: f64, rows: usize) -> f64 {
+        let along = (self.order as f64 * PI / self.ring as f64).cos();
+        let across = if rows > 1 { (RING_STEP / 2.0).cos() } else { 1.0 };
+        let radius = TAU * self.scene.radius.hypot(self.scene.half_height);
+        let rounding = if self.in_double() { 1e-15 * radius } else { 1e-6 + 2e-7 * radius + ROUGH };
+        let [tail, lost] = [TAIL, TAIL + rounding].map(|share| share * self.scene.sum_abs);
+        (along * across * (best - tail) - lost).max(0.0)
     }
 
     /// True if the data can say more about the elevation than its limits do: the predicted deviation, azimuth as a
@@ -244,17 +256,13 @@ impl<'a> Search<'a> {
     fn climb(&mut self, hill: &Hill<'_>, sampled: &Sampled) -> Vec<Top> {
         let mut candidates = local_maxima(sampled, self.ring);
         candidates.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let along = (self.order as f64 * PI / self.ring as f64).cos().powi(2);
-        let across = if sampled.elevations.len() > 1 { (RING_STEP / 2.0).cos().powi(2) } else { 1.0 };
-        // Two hundredths for the band-limit's tail and for single precision.
-        let bound = (along * across - 0.02).max(0.0);
         let (mut tops, mut best) = (Vec::<Top>::new(), 0f64);
         for (rank, (index, value)) in candidates.into_iter().enumerate() {
             let elevation = sampled.elevations[index / self.ring];
             let azimuth =
                 TAU * ((index % self.ring) as f64 + vertex(&sampled.values, index, self.ring)) / self.ring as f64;
             let at = Point { azimuth, second: hill.kind.of_elevation(elevation) };
-            if value >= bound * best {
+            if value.sqrt() >= self.least(best.sqrt(), sampled.elevations.len()) {
                 let top = hill.climb(at);
                 self.evaluations += top.evaluations;
                 best = best.max(top.value);
@@ -364,40 +372,83 @@ fn elevation_rings(scene: &Scene, limit: f64) -> Vec<f64> {
     (0..=steps as usize).map(|i| if i == 0 { 0.0 } else { elevation(change(limit) * i as f64 / steps) }).collect()
 }
 
-/// Rows of rising elevation from the sums of antipodal pairs, interpolated to `ring` azimuths: the antipode of (a, e)
-/// is (a + pi, -e).
-fn arrange<T: Real>(
-    elevations: &[f64],
-    sums: &[PairSum],
+/// How a ring is sampled.
+#[derive(Clone, Copy)]
+struct Ring {
+    /// Azimuths that are summed.
     evaluated: usize,
-    ring: usize,
+    /// Azimuths that are interpolated from them.
+    dense: usize,
+    /// Level motion: the antipode of a direction is on its ring.
     flat: bool,
-    ffts: &mut Ffts<T>,
-) -> Sampled {
-    let half = evaluated / 2;
-    let narrow = |c: num_complex::Complex64| Complex::new(T::of(c.re), T::of(c.im));
-    let (mut below, mut above) = (Vec::new(), Vec::new());
-    let mut rest = sums;
-    for &elevation in elevations {
-        let both = flat || elevation == 0.0;
-        let (row, tail) = rest.split_at(if both { half } else { evaluated });
-        rest = tail;
-        let mut values: Vec<Complex<T>> = row.iter().map(|s| narrow(s.here())).collect();
-        let mut opposite: Vec<Complex<T>> = row.iter().map(|s| narrow(s.opposite())).collect();
-        if both {
-            values.append(&mut opposite);
-        } else {
-            opposite.rotate_right(half);
-            below.push((-elevation, opposite));
-        }
-        above.push((elevation, values));
+}
+
+impl<T: Real> Sampler<T> {
+    fn new(tier: Tier) -> Self {
+        let (columns, work) = (Default::default(), ResampleWork::default());
+        Self { ffts: Ffts::new(tier), columns, directions: Vec::new(), rows: Vec::new(), work }
     }
-    below.reverse();
-    let (elevations, rows): (Vec<f64>, Vec<_>) = below.into_iter().chain(above).unzip();
-    let mut work = ResampleWork::default();
-    Resample::new(evaluated, ring, ffts).run(&rows.concat(), &mut work);
-    let values = work.dense.iter().map(|f| f.norm_sqr().into()).collect();
-    Sampled { elevations, values }
+
+    fn sample(&mut self, tier: Tier, scene: &Scene, elevations: &[f64], ring: Ring) -> Sampled {
+        self.directions.clear();
+        for &elevation in elevations {
+            let columns = ring.columns(elevation);
+            let (sin_el, cos_el) = elevation.sin_cos();
+            self.directions.extend((0..columns).map(|j| {
+                let (sin, cos) = (TAU * j as f64 / ring.evaluated as f64).sin_cos();
+                [cos_el * cos, cos_el * sin, sin_el].map(T::of)
+            }));
+        }
+        let c = scene.columns();
+        for (column, from) in self.columns.iter_mut().zip([c.x, c.y, c.z, c.re, c.im]) {
+            column.clear();
+            column.extend(from.iter().map(|v| T::of(*v)));
+        }
+        let [x, y, z, re, im] = &self.columns;
+        let columns = Columns { x, y, z, re, im };
+        let sums = pairs::<T>(tier.level_or_portable(), columns, &self.directions, Sines::Rough);
+        let elevations = self.arrange(elevations, &sums, ring);
+        Resample::new(ring.evaluated, ring.dense, &mut self.ffts).run(&self.rows, &mut self.work);
+        let values = self.work.dense.iter().map(|f| f.norm_sqr().into()).collect();
+        Sampled { elevations, values }
+    }
+
+    /// Rows of rising elevation from the sums of antipodal pairs: the antipode of (a, e) is (a + pi, -e).
+    fn arrange(&mut self, elevations: &[f64], sums: &[PairSum], ring: Ring) -> Vec<f64> {
+        let half = ring.evaluated / 2;
+        let narrow = |c: num_complex::Complex64| Complex::new(T::of(c.re), T::of(c.im));
+        self.rows.clear();
+        // Below the horizon first, from the lowest ring up.
+        let mut below = Vec::new();
+        let mut end = sums.len();
+        for &elevation in elevations.iter().rev() {
+            let row = &sums[end - ring.columns(elevation)..end];
+            end -= row.len();
+            if row.len() == ring.evaluated {
+                let (first, second) = row.split_at(half);
+                self.rows.extend(second.iter().chain(first).map(|s| narrow(s.opposite())));
+                below.push(-elevation);
+            }
+        }
+        let mut rest = sums;
+        for &elevation in elevations {
+            let (row, tail) = rest.split_at(ring.columns(elevation));
+            rest = tail;
+            self.rows.extend(row.iter().map(|s| narrow(s.here())));
+            if row.len() == half {
+                self.rows.extend(row.iter().map(|s| narrow(s.opposite())));
+            }
+        }
+        below.extend_from_slice(elevations);
+        below
+    }
+}
+
+impl Ring {
+    /// Directions to be summed at an elevation: half a ring where the antipodes complete it.
+    fn columns(&self, elevation: f64) -> usize {
+        if self.flat || elevation == 0.0 { self.evaluated / 2 } else { self.evaluated }
+    }
 }
 
 /// Samples that none of their eight neighbours exceeds, with their values.

@@ -10,14 +10,15 @@ use std::sync::Arc;
 use nalgebra::Vector3;
 use num_complex::Complex64;
 
-use super::choose::{Choice, Key, choose, ring_shape};
+use super::choose::{Choice, Key, choose, cone_rows, ring_shape};
+use super::cone::Cone;
 use super::direct;
 use super::error::Error;
 use super::evaluate::{Batch, Buffers, Evaluator, Places, Slab};
 pub use super::explain::{Explanation, Method, Precision, ProfileOptions};
 use super::fft::Ffts;
-use super::grid::{Grid, Layout, Profile, direction};
-use super::nufft::Nufft;
+use super::grid::{Grid, Layout, Profile, direction, ring_azimuth};
+use super::nufft::{Nufft, Setting};
 use super::rings::{RingWork, Rings};
 use super::scene::{Scene, ldexp};
 use super::simd::{Real, Tier};
@@ -67,7 +68,17 @@ enum Engine {
 /// Evaluation and, for a grid of rings, what makes rows of it.
 struct Core<T: Real> {
     evaluator: Evaluator<T>,
-    rings: Option<Rings<T>>,
+    assembly: Assembly<T>,
+}
+
+/// From values to the grid.
+enum Assembly<T: Real> {
+    /// One value per direction.
+    Plain,
+    /// Interpolation from band-limited rings.
+    Rings(Box<Rings<T>>),
+    /// Rows of the grid that are one of the computed rows each.
+    Rows(Vec<usize>),
 }
 
 /// The axes that positions and directions are expressed in.
@@ -132,7 +143,7 @@ impl Planner {
         grid: &Grid,
         options: &ProfileOptions,
     ) -> Result<Arc<Plan>, Error> {
-        let scene = Scene::new(samples, wavelength_m)?;
+        let scene = Scene::on(self.tier, samples, wavelength_m)?;
         self.plan_scene(&scene, grid, options)
     }
 
@@ -167,7 +178,7 @@ impl Planner {
         options: &ProfileOptions,
         out: &mut Vec<f64>,
     ) -> Result<f64, Error> {
-        let scene = Scene::new(samples, wavelength_m)?;
+        let scene = Scene::on(self.tier, samples, wavelength_m)?;
         let plan = self.plan_scene(&scene, grid, options)?;
         out.resize(grid.len(), 0.0);
         self.run(&plan, &scene, out);
@@ -330,17 +341,20 @@ fn load(scene: &Scene, plan: &Plan, batch: &mut Batch) {
 
 impl<T: Real> Core<T> {
     fn new(key: &Key, frame: Frame, choice: &Choice, tier: Tier, ffts: &mut Ffts<T>) -> (Self, String) {
+        if let (Method::Cone, Some(setting)) = (choice.method, choice.setting) {
+            return Self::cone(key, frame, setting, ffts);
+        }
         let level = tier.level_or_portable();
         let tall = key.extent[2] > 0.0;
         let use_rings = matches!(choice.method, Method::RingsDirect | Method::RingsNufft)
             || (choice.method == Method::Slab && ring_shape(key, choice.order).is_some());
-        let (rings, places) = match &*key.grid.layout {
+        let (assembly, places) = match &*key.grid.layout {
             Layout::Rings { azimuths, elevations_rad } if use_rings => {
                 let rings = Rings::new(*azimuths, elevations_rad, choice.order, tall, level, ffts);
                 let places = Places::Rings { d: rings.d, nodes: rings.nodes.clone(), tall };
-                (Some(rings), places)
+                (Assembly::Rings(Box::new(rings)), places)
             }
-            _ => (None, Places::List((0..key.grid.len()).map(|i| frame.of(unit(&key.grid, i))).collect())),
+            _ => (Assembly::Plain, Places::List((0..key.grid.len()).map(|i| frame.of(unit(&key.grid, i))).collect())),
         };
         let mut detail = format!("band limits {} and {}", choice.order[0], choice.order[1]);
         let evaluator = match choice.setting {
@@ -360,11 +374,32 @@ impl<T: Real> Core<T> {
                 }
             }
         };
-        (Self { evaluator, rings }, detail)
+        (Self { evaluator, assembly }, detail)
+    }
+
+    /// For motion along the first axis of the frame.
+    fn cone(key: &Key, frame: Frame, setting: Setting, ffts: &mut Ffts<T>) -> (Self, String) {
+        let cosine = |u: Vector3<f64>| frame.of(u)[0];
+        let all = (0..key.grid.len()).map(|i| cosine(unit(&key.grid, i)));
+        let extent = key.extent[0];
+        let (cone, assembly) = match cone_rows(key) {
+            Some((rows, of)) => {
+                let columns = key.grid.shape().1;
+                let ring = |e: f64| (0..columns).map(move |j| cosine(direction(ring_azimuth(j, columns), e)));
+                (Cone::new(extent, setting, rows.into_iter().flat_map(ring), ffts), Assembly::Rows(of))
+            }
+            None => (Cone::new(extent, setting, all, ffts), Assembly::Plain),
+        };
+        let detail = format!("kernel {} at {}, FFT {}", setting.width, setting.oversampling, cone.axis.n);
+        (Self { evaluator: Evaluator::Cone(cone), assembly }, detail)
     }
 
     fn evaluated(&self, key: &Key) -> usize {
-        self.rings.as_ref().map_or(key.grid.len(), |r| r.rings() * r.d)
+        match (&self.assembly, &self.evaluator) {
+            (Assembly::Rings(rings), _) => rings.rings() * rings.d,
+            (_, Evaluator::Cone(cone)) => cone.len(),
+            _ => key.grid.len(),
+        }
     }
 
     fn powers(&self, batch: &Batch, bench: &mut Bench<T>, scale: f64, out: &mut [f64]) {
@@ -374,12 +409,19 @@ impl<T: Real> Core<T> {
 
     fn assemble(&self, bench: &mut Bench<T>, scale: f64, out: &mut [f64]) {
         let Bench { buffers, rings: work, .. } = bench;
-        match &self.rings {
-            Some(rings) => rings.powers(&buffers.values, scale, work, out),
-            None => {
-                for (out, f) in out.iter_mut().zip(&buffers.values) {
-                    let (re, im): (f64, f64) = (f.re.into(), f.im.into());
-                    *out = (re * re + im * im) * scale;
+        let powers = |out: &mut [f64], values: &[num_complex::Complex<T>]| {
+            for (out, f) in out.iter_mut().zip(values) {
+                let power: f64 = (f.re * f.re + f.im * f.im).into();
+                *out = power * scale;
+            }
+        };
+        match &self.assembly {
+            Assembly::Rings(rings) => rings.powers(&buffers.values, scale, work, out),
+            Assembly::Plain => powers(out, &buffers.values),
+            Assembly::Rows(of) => {
+                let columns = out.len() / of.len().max(1);
+                for (row, out) in of.iter().zip(out.chunks_exact_mut(columns)) {
+                    powers(out, &buffers.values[row * columns..][..columns]);
                 }
             }
         }
@@ -390,9 +432,16 @@ impl<T: Real> Core<T> {
         self.evaluator.run(batch, &mut bench.buffers);
         let Bench { buffers, rings: work, .. } = bench;
         let mut full = buffers.values.clone();
-        if let Some(rings) = &self.rings {
-            full.resize(out.len(), num_complex::Complex::new(T::of(0.0), T::of(0.0)));
-            rings.values(&buffers.values, work, &mut full);
+        match &self.assembly {
+            Assembly::Rings(rings) => {
+                full.resize(out.len(), num_complex::Complex::new(T::of(0.0), T::of(0.0)));
+                rings.values(&buffers.values, work, &mut full);
+            }
+            Assembly::Rows(of) => {
+                let columns = out.len() / of.len();
+                full = of.iter().flat_map(|row| &buffers.values[row * columns..][..columns]).copied().collect();
+            }
+            Assembly::Plain => {}
         }
         for (out, f) in out.iter_mut().zip(full) {
             *out = Complex64::new(f.re.into(), f.im.into());

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use num_complex::Complex;
 use rustfft::Fft;
 
-use super::fft::{Ffts, good_size};
+use super::fft::{Ffts, near_size};
 use super::simd::Real;
 
 /// Takes `d` values around a circle to `n`.
@@ -28,11 +28,7 @@ pub(crate) struct ResampleWork<T> {
 /// How many azimuths to evaluate for a grid of `n` (a multiple of 4) and modes up to `order`: a multiple of 4 that
 /// FFTs like, or `n` where little would be saved.
 pub(crate) fn azimuths_for(n: usize, order: usize) -> usize {
-    let least = 2 * order.min(n) + 2;
-    let mut d = least.next_multiple_of(4);
-    while good_size(d) != d {
-        d += 4;
-    }
+    let d = near_size(2 * order.min(n) + 2, 4);
     if 20 * d > 17 * n { n } else { d }
 }
 

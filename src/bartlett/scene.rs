@@ -1,10 +1,13 @@
-//! The front end, always in double: validation, centring, positions in turns, scaling, shape of the motion.
+//! Validated samples in the units of the kernels, and the shape of their motion.
 
 use std::f64::consts::TAU;
 
+use fearless_simd::Level;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use super::error::Error;
+use super::front::{Front, check_lengths, extents, scatter};
+use super::simd::Tier;
 use super::sums::Columns;
 use crate::samples::Samples;
 
@@ -50,6 +53,7 @@ pub struct Shape {
 /// and by a power of two that brings the largest into [0.5, 1).
 #[derive(Clone, Debug)]
 pub(crate) struct Scene {
+    level: Level,
     pub x: Vec<f64>,
     pub y: Vec<f64>,
     pub z: Vec<f64>,
@@ -75,7 +79,12 @@ pub(crate) struct Scene {
 }
 
 impl Scene {
+    /// On the widest tier of this machine.
     pub fn new(samples: &Samples, wavelength_m: f64) -> Result<Self, Error> {
+        Self::on(Tier::detect(), samples, wavelength_m)
+    }
+
+    pub fn on(tier: Tier, samples: &Samples, wavelength_m: f64) -> Result<Self, Error> {
         check_lengths(samples)?;
         if !(wavelength_m.is_finite() && wavelength_m > 0.0) {
             return Err(Error::Wavelength { wavelength_m });
@@ -84,42 +93,13 @@ impl Scene {
             return Err(Error::PathGain);
         }
         let turn_m = wavelength_m / f64::from(samples.path_gain);
-        let ([x, y, z], radius, half_height) = centred_turns(samples, turn_m)?;
-        let (z_exponent, w_exponent) = exponents(samples)?;
-        let halves = |exponent: i32| [exponent / 2, exponent - exponent / 2].map(|half| 2f64.powi(half));
-        let ([za, zb], [wa, wb]) = (halves(z_exponent), halves(w_exponent));
-        let mut scene = Self {
-            x,
-            y,
-            z,
-            re: samples.z.iter().zip(&samples.weight).map(|(z, w)| z.re * za * zb * (w * wa * wb)).collect(),
-            im: samples.z.iter().zip(&samples.weight).map(|(z, w)| z.im * za * zb * (w * wa * wb)).collect(),
-            weight: samples.weight.iter().map(|w| w * wa * wb).collect(),
-            exponent: z_exponent + w_exponent,
-            sum_abs: 0.0,
-            energy: 0.0,
-            weight_sum: 0.0,
-            radius,
-            half_height,
-            turn_m,
-        };
-        scene.sum();
+        let level = tier.level_or_portable();
+        let Front { at: [x, y, z], radius, half_height, re, im, weight, exponent, sums } =
+            Front::new(level, samples, turn_m)?;
+        let [sum_abs, energy, weight_sum] = sums;
+        let scene =
+            Self { level, x, y, z, re, im, weight, exponent, sum_abs, energy, weight_sum, radius, half_height, turn_m };
         Ok(scene)
-    }
-
-    /// `sum_abs`, `energy` and `weight_sum`, in four chains each so that additions need not wait for one another.
-    fn sum(&mut self) {
-        let mut sums = [[0.0; 4]; 3];
-        let values = self.re.iter().zip(&self.im).zip(&self.weight);
-        for (t, ((re, im), w)) in values.enumerate() {
-            let power = re * re + im * im;
-            // Of samples that carry their weight: |w z|, and w |z|^2 = |w z|^2 / w.
-            let energy = if *w > 0.0 { power / w } else { 0.0 };
-            for (sum, term) in sums.iter_mut().zip([power.sqrt(), energy, *w]) {
-                sum[t % 4] += term;
-            }
-        }
-        [self.sum_abs, self.energy, self.weight_sum] = sums.map(|s| s.iter().sum());
     }
 
     pub fn len(&self) -> usize {
@@ -128,28 +108,13 @@ impl Scene {
 
     /// Principal axes, extents and class of the motion.
     pub fn shape(&self) -> Shape {
-        let n = self.len() as f64;
-        let mean = [&self.x, &self.y, &self.z].map(|c| c.iter().sum::<f64>() / n);
-        let mut sums = [0.0; 6];
-        for ((x, y), z) in self.x.iter().zip(&self.y).zip(&self.z) {
-            let [x, y, z] = [x - mean[0], y - mean[1], z - mean[2]];
-            for (sum, term) in sums.iter_mut().zip([x * x, x * y, y * y, x * z, y * z, z * z]) {
-                *sum += term;
-            }
-        }
-        let [xx, xy, yy, xz, yz, zz] = sums;
-        let scatter = Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
-        let eigen = SymmetricEigen::new(scatter);
+        let at = [&self.x[..], &self.y, &self.z];
+        let (_, [xx, xy, yy, xz, yz, zz]) = scatter(self.level, at);
+        let eigen = SymmetricEigen::new(Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz));
         let mut order = [0, 1, 2];
         order.sort_by(|&a, &b| eigen.eigenvalues[b].total_cmp(&eigen.eigenvalues[a]));
         let axes = order.map(|i| eigen.eigenvectors.column(i).into_owned());
-        let mut ranges = [[f64::INFINITY, f64::NEG_INFINITY]; 3];
-        for ((x, y), z) in self.x.iter().zip(&self.y).zip(&self.z) {
-            for ([low, high], a) in ranges.iter_mut().zip(&axes) {
-                let d = a.x * x + a.y * y + a.z * z;
-                (*low, *high) = (low.min(d), high.max(d));
-            }
-        }
+        let ranges = extents(self.level, at, axes.map(Into::into));
         let half = ranges.map(|[low, high]| (high - low) / 2.0);
         Shape { geometry: classify(half, &axes), half_extent_m: half.map(|h| h * self.turn_m), axes }
     }
@@ -184,86 +149,6 @@ impl Scene {
 pub(crate) fn ldexp(x: f64, exponent: i32) -> f64 {
     let half = exponent / 2;
     x * 2f64.powi(half) * 2f64.powi(exponent - half)
-}
-
-fn check_lengths(samples: &Samples) -> Result<(), Error> {
-    let z = samples.z.len();
-    if z == 0 {
-        return Err(Error::Empty);
-    }
-    for (what, length) in [
-        ("receiver_m", samples.receiver_m.len()),
-        ("transmitter_m", samples.transmitter_m.len()),
-        ("weight", samples.weight.len()),
-        ("t_s", samples.t_s.len()),
-    ] {
-        if length != z {
-            return Err(Error::Lengths { z, what, length });
-        }
-    }
-    Ok(())
-}
-
-/// Displacements in turns about the middle of their bounding box, by axis; their horizontal radius and half height.
-fn centred_turns(samples: &Samples, turn_m: f64) -> Result<([Vec<f64>; 3], f64, f64), Error> {
-    let mut columns: [Vec<f64>; 3] = std::array::from_fn(|axis| {
-        let pairs = samples.receiver_m.iter().zip(&samples.transmitter_m);
-        pairs.map(|(r, t)| r[axis] - t[axis]).collect()
-    });
-    // A NaN or an infinity anywhere makes this sum one; only then it is worth looking for it.
-    let bad = |columns: &[Vec<f64>; 3], limit: f64| {
-        let wrong = |v: &f64| v.is_nan() || v.abs() > limit;
-        let any = columns.iter().any(|c| c.iter().fold(false, |any, v| any | wrong(v)));
-        any.then(|| (0..samples.len()).position(|t| columns.iter().any(|c| wrong(&c[t])))).flatten()
-    };
-    if let Some(index) = bad(&columns, f64::MAX) {
-        return Err(Error::NonFinite { what: "position", index });
-    }
-    for column in &mut columns {
-        let (low, high) = column.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(*v), h.max(*v)));
-        let middle = low / 2.0 + high / 2.0;
-        // A product is quicker than a quotient; a wavelength whose inverse overflows fails the next check.
-        let per_metre = 1.0 / turn_m;
-        column.iter_mut().for_each(|v| *v = (*v - middle) * per_metre);
-    }
-    if let Some(index) = bad(&columns, 1e150) {
-        return Err(Error::NonFinite { what: "position in wavelengths", index });
-    }
-    let [x, y, z] = &columns;
-    let radius = x.iter().zip(y).fold(0f64, |m, (x, y)| m.max(x * x + y * y)).sqrt();
-    let half_height = z.iter().fold(0f64, |m, z| m.max(z.abs()));
-    Ok((columns, radius, half_height))
-}
-
-/// Powers of two that bring the largest sample and the largest weight into [0.5, 1).
-fn exponents(samples: &Samples) -> Result<(i32, i32), Error> {
-    let (mut z_max, mut w_max) = (0f64, 0f64);
-    for (index, (z, &w)) in samples.z.iter().zip(&samples.weight).enumerate() {
-        if !(z.re.is_finite() && z.im.is_finite()) {
-            return Err(Error::NonFinite { what: "sample", index });
-        }
-        if !w.is_finite() {
-            return Err(Error::NonFinite { what: "weight", index });
-        }
-        if w < 0.0 {
-            return Err(Error::Weight { index, weight: w });
-        }
-        if w > 0.0 {
-            z_max = z_max.max(z.re.abs()).max(z.im.abs());
-            w_max = w_max.max(w);
-        }
-    }
-    if z_max == 0.0 || w_max == 0.0 {
-        return Err(Error::ZeroEnergy { count: samples.len() });
-    }
-    Ok((-exponent_above(z_max), -exponent_above(w_max)))
-}
-
-/// The least `e` with `x < 2^e`, for positive finite `x`.
-pub(crate) fn exponent_above(x: f64) -> i32 {
-    let (x, shift) = if x < f64::MIN_POSITIVE { (x * 2f64.powi(64), 64) } else { (x, 0) };
-    let biased = ((x.to_bits() >> 52) & 0x7ff) as i32;
-    biased - 1022 - shift
 }
 
 /// The class of half extents in turns along principal axes.

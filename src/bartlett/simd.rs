@@ -87,50 +87,57 @@ pub(crate) use on_tier;
 pub(crate) trait Real: SimdFloatElement + Into<f64> + rustfft::FftNum + bytemuck::Pod {
     /// Rounds from double.
     fn of(x: f64) -> Self;
-    /// Coefficients of `sin(pi r) / r` in `r^2`, for `|r| <= 1/2`.
+    /// Coefficients of `sqrt 2 sin(pi r) / r` in `r^2`, for `|r| <= 1/2`.
     const SIN: &'static [Self];
-    /// Coefficients of `cos(pi r)` in `r^2`, for `|r| <= 1/2`.
+    /// Coefficients of `sqrt 2 cos(pi r)` in `r^2`, for `|r| <= 1/2`.
     const COS: &'static [Self];
+    /// [`Real::SIN`] and [`Real::COS`] for [`ROUGH`]; the same ones in double.
+    const ROUGH_SIN: &'static [Self] = Self::SIN;
+    const ROUGH_COS: &'static [Self] = Self::COS;
 }
 
-// Near-minimax coefficients (Chebyshev fit in r^2 over [0, 1/4], 40 digits); errors 1.4e-8 and 4.7e-8 in single,
-// 6.5e-19 and 3.9e-18 in double.
+/// Largest error of [`rough_sin_cos_turns`] in single precision (measured: 1.4e-5).
+pub(crate) const ROUGH: f64 = 2e-5;
+
+// Near-minimax coefficients (Chebyshev fit in r^2 over [0, 1/4], 40 digits); errors 2e-8 and 7e-8 in single (rough:
+// 3.4e-6 and 9.6e-6), 9e-19 and 5.6e-18 in double.
+#[allow(clippy::excessive_precision, clippy::approx_constant)]
 impl Real for f32 {
     fn of(x: f64) -> Self {
         x as Self
     }
-    #[allow(clippy::approx_constant)]
-    const SIN: &'static [Self] = &[3.141_592_6, -5.167_71, 2.550_077_4, -0.598_290_4, 0.077_655_91];
-    const COS: &'static [Self] = &[0.999_999_94, -4.934_792_6, 4.058_410_8, -1.331_873, 0.219_682_42];
+    const SIN: &'static [Self] = &[4.44288291905, -7.30824567684, 3.60635402513, -0.846110413875, 0.109822044339];
+    const COS: &'static [Self] = &[1.41421349594, -6.97885090878, 5.73945958198, -1.88355282147, 0.310677862835];
+    const ROUGH_SIN: &'static [Self] = &[4.44287954851, -7.30781531707, 3.59775960841, -0.791160565445];
+    const ROUGH_COS: &'static [Self] = &[1.41420394869, -6.97763257545, 5.71513729558, -1.7280791203];
 }
 
+#[allow(clippy::excessive_precision, clippy::approx_constant)]
 impl Real for f64 {
     fn of(x: f64) -> Self {
         x
     }
-    #[allow(clippy::excessive_precision, clippy::approx_constant)]
     const SIN: &'static [Self] = &[
-        3.141592653589793238,
-        -5.167712780049969608,
-        2.550164039877300474,
-        -0.5992645293189446813,
-        0.08214588657310289502,
-        -0.007370430505916943405,
-        0.0004662998161898393801,
-        -0.00002190349707462601719,
-        7.697826768224190645e-7,
+        4.442882938158366246,
+        -7.308249499995438109,
+        3.606476571470640724,
+        -0.8474880248119808207,
+        0.1161718268848440421,
+        -0.01042336278199613374,
+        0.0006594475241877521707,
+        -0.0000309762226263355259,
+        1.088637101642130212e-6,
     ];
-    #[allow(clippy::excessive_precision)]
     const COS: &'static [Self] = &[
-        1.0,
-        -4.934802200544676767,
-        4.058712126416496999,
-        -1.335262768843447093,
-        0.2353306301295328539,
-        -0.02580688873700220327,
-        0.001929556272481713148,
-        -0.0001045665533874873817,
-        4.149564353942585512e-6,
+        1.414213562373095043,
+        -6.978864199638875939,
+        5.739885734946353916,
+        -1.888346717030253862,
+        0.3328077687709918717,
+        -0.0364964520545219895,
+        0.002728804649905714023,
+        -0.0001478794379711949596,
+        5.868370187285554516e-6,
     ];
 }
 
@@ -148,14 +155,24 @@ fn polynomial<S: Simd, T: Real>(simd: S, t: V<S, T>, coefficients: &[T]) -> V<S,
 
 /// Sine and cosine of `2 pi turns`, absolute error a few units of the last place of 1.
 ///
-/// Reduced to half a turn around 0 and halved: `sin 2a = 2 sin a cos a`, `cos 2a = 1 - 2 sin^2 a`. No branches, no
-/// integer operations, the same code in both precisions and at every width.
+/// Reduced to half a turn around 0 and halved: `sin 2a = 2 sin a cos a`, `cos 2a = 1 - 2 sin^2 a`, the root of the 2 in
+/// either factor. No branches, no integer operations, the same code in both precisions and at every width.
 #[inline(always)]
 pub(crate) fn sin_cos_turns<S: Simd, T: Real>(simd: S, turns: V<S, T>) -> (V<S, T>, V<S, T>) {
+    sin_cos_by::<S, T>(simd, turns, T::SIN, T::COS)
+}
+
+/// As [`sin_cos_turns`], absolute error at most [`ROUGH`] in single precision, for two operations less.
+#[inline(always)]
+pub(crate) fn rough_sin_cos_turns<S: Simd, T: Real>(simd: S, turns: V<S, T>) -> (V<S, T>, V<S, T>) {
+    sin_cos_by::<S, T>(simd, turns, T::ROUGH_SIN, T::ROUGH_COS)
+}
+
+#[inline(always)]
+fn sin_cos_by<S: Simd, T: Real>(simd: S, turns: V<S, T>, sin: &[T], cos: &[T]) -> (V<S, T>, V<S, T>) {
     let r = turns - turns.round_ties_even();
     let t = r * r;
-    let sin = polynomial::<S, T>(simd, t, T::SIN) * r;
-    let cos = polynomial::<S, T>(simd, t, T::COS);
-    let twice = sin + sin;
-    (twice * cos, (-twice).mul_add(sin, V::<S, T>::splat(simd, T::of(1.0))))
+    let sin = polynomial::<S, T>(simd, t, sin) * r;
+    let cos = polynomial::<S, T>(simd, t, cos);
+    (sin * cos, (-sin).mul_add(sin, V::<S, T>::splat(simd, T::of(1.0))))
 }

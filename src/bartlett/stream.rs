@@ -12,10 +12,11 @@ use super::bessel::tail_order;
 use super::error::Error;
 use super::evaluate::{Buffers, Evaluator, Places, carry, narrow};
 use super::fft::Ffts;
+use super::front::exponent_above;
 use super::grid::{Grid, Layout};
 use super::nufft::{CARRY, Nufft, Setting};
 use super::rings::{RingWork, Rings};
-use super::scene::{exponent_above, ldexp};
+use super::scene::ldexp;
 use super::simd::Tier;
 
 /// Packets that are spread together.
@@ -58,11 +59,10 @@ pub struct Stream {
     /// Power of two that samples are multiplied by, from the first that is not zero; the power in two factors.
     exponent: Option<i32>,
     factors: [f64; 2],
-    cells: Vec<Complex<f32>>,
+    open: Block,
+    /// Packets in `open.cells`.
     in_cells: usize,
-    carried: Vec<Complex64>,
     closed: VecDeque<Block>,
-    open: Tally,
     buffers: Buffers<f32>,
     work: RingWork<f32>,
 }
@@ -75,15 +75,30 @@ struct Pending {
     im: Vec<f32>,
 }
 
-#[derive(Clone, Copy, Default)]
-struct Tally {
+/// A piece of the window.
+#[derive(Default)]
+struct Block {
+    cells: Vec<Complex<f32>>,
+    /// What [`CARRY`] packets after another left in the cells; empty while there were fewer.
+    carried: Vec<Complex64>,
     packets: usize,
     sum_abs: f64,
 }
 
-struct Block {
-    cells: Vec<Complex64>,
-    tally: Tally,
+impl Block {
+    /// Empty, in the memory of an old one.
+    fn renewed(mut self, cells: usize) -> Self {
+        self.cells.clear();
+        self.cells.resize(cells, Complex::new(0.0, 0.0));
+        self.carried.clear();
+        Self { packets: 0, sum_abs: 0.0, ..self }
+    }
+
+    /// Moves what is in the cells to double precision.
+    fn carry(&mut self) {
+        self.carried.resize(self.cells.len(), Complex64::ZERO);
+        carry(&mut self.cells, &mut self.carried);
+    }
 }
 
 impl Stream {
@@ -129,11 +144,9 @@ impl Stream {
             pending: Pending::default(),
             exponent: None,
             factors: [1.0; 2],
-            cells: vec![Complex::new(0.0, 0.0); cells],
+            open: Block::default().renewed(cells),
             in_cells: 0,
-            carried: vec![Complex64::ZERO; cells],
             closed: VecDeque::new(),
-            open: Tally::default(),
             buffers: Buffers::default(),
             work: RingWork::default(),
         })
@@ -189,7 +202,7 @@ impl Stream {
     /// Packets that a query covers.
     #[must_use]
     pub fn len(&self) -> usize {
-        self.open.packets + self.closed.iter().map(|b| b.tally.packets).sum::<usize>()
+        self.open.packets + self.closed.iter().map(|b| b.packets).sum::<usize>()
     }
 
     /// True before the first packet.
@@ -202,14 +215,14 @@ impl Stream {
     fn flush(&mut self) {
         let Evaluator::Planar { nufft, .. } = &self.evaluator else { return };
         let Pending { x, y, re, im } = &mut self.pending;
-        nufft.spread([x, y], re, im, &mut self.cells);
+        nufft.spread([x, y], re, im, &mut self.open.cells);
         self.in_cells += x.len();
         x.clear();
         y.clear();
         re.clear();
         im.clear();
         if self.in_cells + PENDING > CARRY {
-            carry(&mut self.cells, &mut self.carried);
+            self.open.carry();
             self.in_cells = 0;
         }
     }
@@ -217,17 +230,31 @@ impl Stream {
     /// Ends a block of the window and lets go of the oldest.
     fn close(&mut self) {
         self.flush();
-        carry(&mut self.cells, &mut self.carried);
         self.in_cells = 0;
-        let mut cells = if self.closed.len() == BLOCKS {
-            self.closed.pop_front().map(|b| b.cells).unwrap_or_default()
-        } else {
-            Vec::new()
-        };
-        cells.clear();
-        cells.resize(self.carried.len(), Complex64::ZERO);
-        std::mem::swap(&mut cells, &mut self.carried);
-        self.closed.push_back(Block { cells, tally: std::mem::take(&mut self.open) });
+        let oldest = if self.closed.len() == BLOCKS { self.closed.pop_front() } else { None };
+        let fresh = oldest.unwrap_or_default().renewed(self.open.cells.len());
+        self.closed.push_back(std::mem::replace(&mut self.open, fresh));
+    }
+
+    /// The cells of the whole window into `buffers.cells`.
+    fn gather(&mut self) {
+        let to = &mut self.buffers.cells;
+        to.clear();
+        to.extend_from_slice(&self.open.cells);
+        let blocks = || self.closed.iter().chain([&self.open]);
+        if blocks().all(|b| b.carried.is_empty()) {
+            for block in &self.closed {
+                to.iter_mut().zip(&block.cells).for_each(|(t, c)| *t += c);
+            }
+            return;
+        }
+        let mut total = vec![Complex64::ZERO; to.len()];
+        for block in blocks() {
+            total.iter_mut().zip(&block.carried).for_each(|(t, c)| *t += c);
+            let cells = block.cells.iter().map(|c| Complex64::new(c.re.into(), c.im.into()));
+            total.iter_mut().zip(cells).for_each(|(t, c)| *t += c);
+        }
+        narrow(&total, to);
     }
 
     /// Fills `out` with the profile of the packets in the window, `F / (sum |z|)^2`; returns `sum |z|`.
@@ -240,22 +267,11 @@ impl Stream {
         if count == 0 {
             return Err(Error::Empty);
         }
-        let sum_abs = self.open.sum_abs + self.closed.iter().map(|b| b.tally.sum_abs).sum::<f64>();
+        let sum_abs = self.open.sum_abs + self.closed.iter().map(|b| b.sum_abs).sum::<f64>();
         if sum_abs == 0.0 {
             return Err(Error::ZeroEnergy { count });
         }
-        carry(&mut self.cells, &mut self.carried);
-        self.in_cells = 0;
-        self.buffers.cells.resize(self.cells.len(), Complex::new(0.0, 0.0));
-        if self.closed.is_empty() {
-            narrow(&self.carried, &mut self.buffers.cells);
-        } else {
-            let mut total = self.carried.clone();
-            for block in &self.closed {
-                total.iter_mut().zip(&block.cells).for_each(|(t, c)| *t += c);
-            }
-            narrow(&total, &mut self.buffers.cells);
-        }
+        self.gather();
         self.evaluator.finish(&mut self.buffers);
         out.resize(self.grid.len(), 0.0);
         self.rings.powers(&self.buffers.values, 1.0 / (sum_abs * sum_abs), &mut self.work, out);

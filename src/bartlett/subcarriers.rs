@@ -56,7 +56,7 @@ pub fn subcarrier_profile(
     let ratio = |k: usize| shortest / subcarriers[k].wavelength_m;
     let single = Setting::for_eps(eps / 4.0, true).filter(|_| eps >= 1e-5 && samples.len() <= CARRY);
     let double = Setting::for_eps(eps / 4.0, false);
-    let shared = match (&*grid.layout, scenes[first].half_height * grid.steepest() * TAU <= eps / 8.0) {
+    let shared = match (&*grid.layout, scenes[first].half_height * grid.steepest * TAU <= eps / 8.0) {
         (Layout::Rings { azimuths, .. }, true) if azimuths % 4 == 0 => single.or(double),
         _ => None,
     };

@@ -3,7 +3,7 @@
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 use num_complex::Complex64;
 
-use super::simd::{Real, V, on_tier, sin_cos_turns};
+use super::simd::{Real, V, on_tier, rough_sin_cos_turns, sin_cos_turns};
 
 /// Samples per block: single-precision sums are carried over to double after each, so that their error does not grow
 /// with the number of samples (measured: 4e-9 at 1e7 samples with a flush each 4,096).
@@ -43,64 +43,106 @@ impl PairSum {
     }
 }
 
+/// How exact sines are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Sines {
+    /// To the last place.
+    Fine,
+    /// To [`super::simd::ROUGH`] in single precision: for a search, whose answer does not come from these sums.
+    Rough,
+}
+
 /// `f(u)` and `f(-u)` for each direction; one sine and cosine for both.
-pub(crate) fn pairs<T: Real>(level: Level, samples: Columns<'_, T>, directions: &[[T; 3]]) -> Vec<PairSum> {
+pub(crate) fn pairs<T: Real>(
+    level: Level,
+    samples: Columns<'_, T>,
+    directions: &[[T; 3]],
+    sines: Sines,
+) -> Vec<PairSum> {
     let mut sums = vec![PairSum::default(); directions.len()];
-    on_tier!(level, simd => pairs_simd::<_, T>(simd, samples, directions, &mut sums));
+    let rough = sines == Sines::Rough && const { size_of::<T>() == 4 };
+    match (samples.z.is_empty(), rough) {
+        (true, false) => on_tier!(level, simd => all::<_, T, false, false>(simd, samples, directions, &mut sums)),
+        (false, false) => on_tier!(level, simd => all::<_, T, true, false>(simd, samples, directions, &mut sums)),
+        (true, true) => on_tier!(level, simd => all::<_, T, false, true>(simd, samples, directions, &mut sums)),
+        (false, true) => on_tier!(level, simd => all::<_, T, true, true>(simd, samples, directions, &mut sums)),
+    }
     sums
 }
 
+/// Every direction, `WIDE` vectors at a time and the rest one by one.
 #[inline(always)]
-fn pairs_simd<S: Simd, T: Real>(simd: S, samples: Columns<'_, T>, directions: &[[T; 3]], sums: &mut [PairSum]) {
+fn all<S: Simd, T: Real, const TALL: bool, const ROUGH: bool>(
+    simd: S,
+    samples: Columns<'_, T>,
+    directions: &[[T; 3]],
+    sums: &mut [PairSum],
+) {
     let chunk = WIDE * V::<S, T>::LEN;
-    for (directions, sums) in directions.chunks(chunk).zip(sums.chunks_mut(chunk)) {
-        let lane = |k: usize, axis: usize| {
-            V::<S, T>::from_fn(simd, |i| directions.get(k * V::<S, T>::LEN + i).map_or(T::of(0.0), |u| u[axis]))
-        };
-        let ux: [_; WIDE] = std::array::from_fn(|k| lane(k, 0));
-        let uy: [_; WIDE] = std::array::from_fn(|k| lane(k, 1));
-        let uz: [_; WIDE] = std::array::from_fn(|k| lane(k, 2));
-        for from in (0..samples.x.len()).step_by(BLOCK) {
-            let to = (from + BLOCK).min(samples.x.len());
-            let acc = if samples.z.is_empty() {
-                block::<S, T, false>(simd, samples, from..to, &ux, &uy, &uz)
-            } else {
-                block::<S, T, true>(simd, samples, from..to, &ux, &uy, &uz)
-            };
-            for (i, sum) in sums.iter_mut().enumerate() {
-                let [re_cos, im_sin, im_cos, re_sin] = acc[i / V::<S, T>::LEN].map(|v| v[i % V::<S, T>::LEN].into());
-                sum.re_cos += re_cos;
-                sum.im_sin += im_sin;
-                sum.im_cos += im_cos;
-                sum.re_sin += re_sin;
+    let whole = directions.len() / chunk * chunk;
+    for from in (0..whole).step_by(chunk) {
+        some::<S, T, TALL, ROUGH, WIDE>(simd, samples, &directions[from..][..chunk], &mut sums[from..][..chunk]);
+    }
+    let (rest, sums) = (&directions[whole..], &mut sums[whole..]);
+    if rest.len() > V::<S, T>::LEN {
+        some::<S, T, TALL, ROUGH, WIDE>(simd, samples, rest, sums);
+    } else if !rest.is_empty() {
+        some::<S, T, TALL, ROUGH, 1>(simd, samples, rest, sums);
+    }
+}
+
+/// Up to `N` vectors of directions.
+#[inline(always)]
+fn some<S: Simd, T: Real, const TALL: bool, const ROUGH: bool, const N: usize>(
+    simd: S,
+    samples: Columns<'_, T>,
+    directions: &[[T; 3]],
+    sums: &mut [PairSum],
+) {
+    let lanes = V::<S, T>::LEN;
+    let lane = |k: usize, axis: usize| {
+        V::<S, T>::from_fn(simd, |i| directions.get(k * lanes + i).map_or(T::of(0.0), |u| u[axis]))
+    };
+    let u: [[V<S, T>; 3]; N] = std::array::from_fn(|k| std::array::from_fn(|axis| lane(k, axis)));
+    // A vector has at most 16 lanes.
+    let mut totals = [[[0f64; 16]; 4]; N];
+    for from in (0..samples.x.len()).step_by(BLOCK) {
+        let to = (from + BLOCK).min(samples.x.len());
+        let acc = block::<S, T, TALL, ROUGH, N>(simd, samples, from..to, &u);
+        for (total, acc) in totals.iter_mut().flatten().zip(acc.iter().flatten()) {
+            for (total, value) in total[..lanes].iter_mut().zip(acc.as_slice()) {
+                *total += (*value).into();
             }
         }
+    }
+    for (i, sum) in sums.iter_mut().enumerate() {
+        let [re_cos, im_sin, im_cos, re_sin] = totals[i / lanes].map(|total| total[i % lanes]);
+        *sum = PairSum { re_cos, im_sin, im_cos, re_sin };
     }
 }
 
 #[inline(always)]
-fn block<S: Simd, T: Real, const TALL: bool>(
+fn block<S: Simd, T: Real, const TALL: bool, const ROUGH: bool, const N: usize>(
     simd: S,
     samples: Columns<'_, T>,
     range: std::ops::Range<usize>,
-    ux: &[V<S, T>; WIDE],
-    uy: &[V<S, T>; WIDE],
-    uz: &[V<S, T>; WIDE],
-) -> [[V<S, T>; 4]; WIDE] {
+    u: &[[V<S, T>; 3]; N],
+) -> [[V<S, T>; 4]; N] {
     let splat = |value: T| V::<S, T>::splat(simd, value);
-    let mut acc = [[splat(T::of(0.0)); 4]; WIDE];
+    let mut acc = [[splat(T::of(0.0)); 4]; N];
     let n = range.len();
     let (x, y) = (&samples.x[range.clone()], &samples.y[range.clone()]);
     let (re, im) = (&samples.re[range.clone()], &samples.im[range.clone()]);
     let z = if TALL { &samples.z[range] } else { x };
     for t in 0..n {
         let (px, py, zr, zi) = (splat(x[t]), splat(y[t]), splat(re[t]), splat(im[t]));
-        for k in 0..WIDE {
-            let mut turns = ux[k].mul_add(px, uy[k] * py);
+        for k in 0..N {
+            let mut turns = u[k][0].mul_add(px, u[k][1] * py);
             if TALL {
-                turns = uz[k].mul_add(splat(z[t]), turns);
+                turns = u[k][2].mul_add(splat(z[t]), turns);
             }
-            let (sin, cos) = sin_cos_turns::<S, T>(simd, turns);
+            let (sin, cos) =
+                if ROUGH { rough_sin_cos_turns::<S, T>(simd, turns) } else { sin_cos_turns::<S, T>(simd, turns) };
             acc[k][0] = cos.mul_add(zr, acc[k][0]);
             acc[k][1] = sin.mul_add(zi, acc[k][1]);
             acc[k][2] = cos.mul_add(zi, acc[k][2]);
@@ -137,20 +179,39 @@ pub(crate) struct Aim {
     pub height: f64,
 }
 
-/// All moments up to second order, in double.
-pub(crate) fn moments(level: Level, samples: Columns<'_, f64>, aim: Aim) -> Moments {
+/// Which derivatives are wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Wanted {
+    /// By azimuth alone: the moments one, h, v and vv.
+    Azimuth,
+    /// By azimuth and the second coordinate: all moments up to second order.
+    Both,
+}
+
+/// The moments of the samples, in double.
+pub(crate) fn moments(level: Level, samples: Columns<'_, f64>, aim: Aim, wanted: Wanted) -> Moments {
     let mut sums = [0.0; 20];
-    if samples.z.is_empty() {
-        on_tier!(level, simd => moments_simd::<_, false>(simd, samples, aim, &mut sums));
-    } else {
-        on_tier!(level, simd => moments_simd::<_, true>(simd, samples, aim, &mut sums));
+    match (samples.z.is_empty(), wanted) {
+        (true, Wanted::Both) => on_tier!(level, simd => moments_simd::<_, false, true>(simd, samples, aim, &mut sums)),
+        (false, Wanted::Both) => on_tier!(level, simd => moments_simd::<_, true, true>(simd, samples, aim, &mut sums)),
+        (true, Wanted::Azimuth) => {
+            on_tier!(level, simd => moments_simd::<_, false, false>(simd, samples, aim, &mut sums))
+        }
+        (false, Wanted::Azimuth) => {
+            on_tier!(level, simd => moments_simd::<_, true, false>(simd, samples, aim, &mut sums))
+        }
     }
     let c = |i: usize| Complex64::new(sums[2 * i], sums[2 * i + 1]);
     Moments { one: c(0), h: c(1), v: c(2), hh: c(3), hv: c(4), vv: c(5), z: c(6), hz: c(7), vz: c(8), zz: c(9) }
 }
 
 #[inline(always)]
-fn moments_simd<S: Simd, const TALL: bool>(simd: S, samples: Columns<'_, f64>, aim: Aim, sums: &mut [f64; 20]) {
+fn moments_simd<S: Simd, const TALL: bool, const BOTH: bool>(
+    simd: S,
+    samples: Columns<'_, f64>,
+    aim: Aim,
+    sums: &mut [f64; 20],
+) {
     let lanes = V::<S, f64>::LEN;
     let splat = |value: f64| V::<S, f64>::splat(simd, value);
     let (ca, sa, s, height) = (splat(aim.cos), splat(aim.sin), splat(aim.s), splat(aim.height));
@@ -176,13 +237,18 @@ fn moments_simd<S: Simd, const TALL: bool>(simd: S, samples: Columns<'_, f64>, a
         let (sin, cos) = sin_cos_turns::<S, f64>(simd, turns);
         let w = [cos.mul_add(re, sin * im), cos.mul_add(im, -(sin * re))];
         for (part, w) in w.into_iter().enumerate() {
-            let (wh, wv) = (w * h, w * v);
+            let wv = w * v;
             acc[part] += w;
-            acc[2 + part] += wh;
             acc[4 + part] += wv;
+            acc[10 + part] = wv.mul_add(v, acc[10 + part]);
+            if !BOTH {
+                acc[2 + part] = w.mul_add(h, acc[2 + part]);
+                continue;
+            }
+            let wh = w * h;
+            acc[2 + part] += wh;
             acc[6 + part] = wh.mul_add(h, acc[6 + part]);
             acc[8 + part] = wh.mul_add(v, acc[8 + part]);
-            acc[10 + part] = wv.mul_add(v, acc[10 + part]);
             if TALL {
                 acc[12 + part] = w.mul_add(z, acc[12 + part]);
                 acc[14 + part] = wh.mul_add(z, acc[14 + part]);

@@ -52,7 +52,11 @@ pub fn run(args: &Args) -> Result {
             survey.bad_permutations
         );
     }
-    eprintln!("{} records written to {}", survey.bfees(), args.output.display());
+    if survey.bfees() == 0 {
+        super::remove_empty(&args.output);
+    } else {
+        eprintln!("{} records written to {}", survey.bfees(), args.output.display());
+    }
     Ok(match (survey.bfees(), survey.lost_something()) {
         (0, _) => Outcome::Nothing,
         (_, true) => Outcome::DataLost,
@@ -221,5 +225,6 @@ fn npz(args: &Args) -> Words<(Survey, u64)> {
     npz.array_in("mac", &[n, 6], |push| {
         scan(&args.file, |_, identity| identity.mac.0.iter().try_for_each(|byte| push(*byte))).map(|_| ())
     })?;
+    npz.finish()?;
     Ok((survey, bytes))
 }

@@ -2,7 +2,7 @@
 
 use super::{Outcome, Result, print, print_json};
 use csi5300::backend::{CsiSource, Next, replay::Replay};
-use csi5300::survey::{LOSSES_KEPT, Sender, Survey};
+use csi5300::survey::{LOSSES_KEPT, SENDERS_KEPT, Sender, Survey};
 use csi5300::time::Instant;
 use driver_iface::Mac;
 use driver_iface::record::{Tail, code};
@@ -149,6 +149,14 @@ fn describe(name: &str, survey: &Survey, bytes: u64) -> String {
     if survey.bfee_missing > 0 {
         let _ = writeln!(text, "  missing from bfee_count: {} (lost, or filtered out of the log)", survey.bfee_missing);
     }
+    for (count, what) in [
+        (survey.bfee_repeated, "records with the bfee_count of the one before"),
+        (survey.bfee_restarted, "steps back of bfee_count (the driver was loaded anew)"),
+    ] {
+        if count > 0 {
+            let _ = writeln!(text, "  {count} {what}");
+        }
+    }
     text.push_str(&losses(survey, bytes));
     if survey.damages > 0 {
         let _ = writeln!(text, "  damaged: {} stretches, {} bytes in all", survey.damages, survey.damaged_bytes);
@@ -212,9 +220,29 @@ fn describe_senders(text: &mut String, survey: &Survey) {
         let name = if *mac == Mac::default() { "unknown sender".to_string() } else { format!("from {mac}") };
         let rate = sender.rate_hz().map(|rate| format!(", {rate:.1} Hz")).unwrap_or_default();
         let numbers = match sender.frame_count {
-            Some((low, high)) => format!(", frames {low}..{high}, {} steps other than +1", sender.irregular_steps),
+            Some((low, high)) => format!(", frames {low}..{high}{}", steps(sender)),
             None => String::new(),
         };
         let _ = writeln!(text, "  {name}: {} records{rate}{numbers}", sender.records);
     }
+    if survey.further_senders > 0 {
+        let _ = writeln!(
+            text,
+            "  {} records of senders beyond the first {SENDERS_KEPT}: noise in the log, or not a log of the CSI tool",
+            survey.further_senders
+        );
+    }
+}
+
+/// What the frame numbers of a sender did other than count up by one.
+fn steps(sender: &Sender) -> String {
+    [
+        (sender.frames_skipped, "skipped"),
+        (sender.frames_repeated, "reported twice"),
+        (sender.frames_restarted, "restarts of the count"),
+    ]
+    .iter()
+    .filter(|(count, _)| *count > 0)
+    .map(|(count, what)| format!(", {count} {what}"))
+    .collect()
 }

@@ -181,6 +181,13 @@ pub fn is_same_file(input: &std::path::Path, output: &std::path::Path) -> bool {
     }
 }
 
+/// Takes away an output in which nothing is, so that nobody takes it for a result; devices and pipes stay.
+pub fn remove_empty(output: &std::path::Path) {
+    if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
+        eprintln!("nothing to write: no {}", output.display());
+    }
+}
+
 /// Prints one value as a line of JSON.
 pub fn print_json(value: &impl serde::Serialize) {
     match serde_json::to_string(value) {

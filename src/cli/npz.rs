@@ -1,14 +1,47 @@
-//! NPZ files, as NumPy reads them.
+//! NPZ files, as NumPy reads them: a ZIP archive of NPY arrays, stored as they are (CSI hardly compresses).
+//!
+//! Source: NumPy Enhancement Proposal 1 (format 1.0), `numpy.savez`.
 
-use npyz::npz::NpzWriter;
-use npyz::{AutoSerialize, WriterBuilder};
+use num_complex::Complex32;
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{self, BufWriter, Write};
 use std::path::Path;
+use zip::ZipWriter;
+use zip::write::SimpleFileOptions;
 
-/// An NPZ file being written.
+/// A value that an array can hold.
+pub trait Element {
+    /// Its dtype as NumPy describes it: byte order, kind, bytes.
+    const DESCR: &str;
+    /// Its bytes, in that order.
+    fn emit(self, out: &mut impl Write) -> io::Result<()>;
+}
+
+impl Element for u8 {
+    const DESCR: &str = "|u1";
+    fn emit(self, out: &mut impl Write) -> io::Result<()> {
+        out.write_all(&[self])
+    }
+}
+
+impl Element for f64 {
+    const DESCR: &str = "<f8";
+    fn emit(self, out: &mut impl Write) -> io::Result<()> {
+        out.write_all(&self.to_le_bytes())
+    }
+}
+
+impl Element for Complex32 {
+    const DESCR: &str = "<c8";
+    fn emit(self, out: &mut impl Write) -> io::Result<()> {
+        out.write_all(&self.re.to_le_bytes())?;
+        out.write_all(&self.im.to_le_bytes())
+    }
+}
+
+/// An NPZ file being written. Dropped early, it is left without its directory, and readers refuse it.
 pub struct Npz {
-    writer: NpzWriter<BufWriter<File>>,
+    writer: ZipWriter<BufWriter<File>>,
     name: String,
 }
 
@@ -17,11 +50,11 @@ impl Npz {
     pub fn create(path: &Path) -> Result<Self, String> {
         let name = path.display().to_string();
         let file = File::create(path).map_err(|error| format!("cannot write {name}: {error}"))?;
-        Ok(Self { writer: NpzWriter::new(BufWriter::new(file)), name })
+        Ok(Self { writer: ZipWriter::new(BufWriter::with_capacity(1 << 18, file)), name })
     }
 
     /// Adds an array of the given shape, last index fastest.
-    pub fn array<T: AutoSerialize>(
+    pub fn array<T: Element>(
         &mut self,
         name: &str,
         shape: &[u64],
@@ -31,7 +64,7 @@ impl Npz {
     }
 
     /// Adds an array whose values `fill` pushes one by one.
-    pub fn array_in<T: AutoSerialize>(
+    pub fn array_in<T: Element>(
         &mut self,
         name: &str,
         shape: &[u64],
@@ -39,9 +72,40 @@ impl Npz {
     ) -> Result<(), String> {
         let file = &self.name;
         let failed = |error: &dyn std::fmt::Display| format!("writing {name} to {file}: {error}");
-        let entry = self.writer.array::<T>(name, Default::default()).map_err(|error| failed(&error))?;
-        let mut array = entry.default_dtype().shape(shape).begin_nd().map_err(|error| failed(&error))?;
-        fill(&mut |value| array.push(&value).map_err(|error| failed(&error)))?;
-        array.finish().map_err(|error| failed(&error))
+        // Room for sizes over 4 GiB: an array's size is known only at its end.
+        let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored).large_file(true);
+        self.writer.start_file(format!("{name}.npy"), options).map_err(|error| failed(&error))?;
+        let mut out = BufWriter::with_capacity(1 << 16, &mut self.writer);
+        out.write_all(&header(T::DESCR, shape)).map_err(|error| failed(&error))?;
+        let mut pushed = 0_u64;
+        fill(&mut |value| {
+            pushed += 1;
+            value.emit(&mut out).map_err(|error| failed(&error))
+        })?;
+        let expected = shape.iter().product::<u64>();
+        if pushed != expected {
+            return Err(failed(&format!("{pushed} values for {expected} places: did the input change meanwhile?")));
+        }
+        out.flush().map_err(|error| failed(&error))
     }
+
+    /// Writes the directory of the archive.
+    pub fn finish(self) -> Result<(), String> {
+        let failed = |error: &dyn std::fmt::Display| format!("writing {}: {error}", self.name);
+        let mut file = self.writer.finish().map_err(|error| failed(&error))?;
+        file.flush().map_err(|error| failed(&error))
+    }
+}
+
+/// An NPY header of format 1.0, padded so that the data starts at a multiple of 64 bytes.
+fn header(descr: &str, shape: &[u64]) -> Vec<u8> {
+    let shape: String = shape.iter().map(|length| format!("{length},")).collect();
+    let mut dict = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
+    let length = (10 + dict.len() + 1).next_multiple_of(64) - 10;
+    dict.push_str(&" ".repeat(length - dict.len() - 1));
+    dict.push('\n');
+    let mut header = b"\x93NUMPY\x01\x00".to_vec();
+    header.extend(u16::try_from(length).unwrap_or(u16::MAX).to_le_bytes());
+    header.extend(dict.as_bytes());
+    header
 }

@@ -42,7 +42,8 @@ pub fn write(path: &Path, grid: &Grid, samples: &Samples, wavelength_m: f64) -> 
             let mut npz = Npz::create(path)?;
             npz.array("azimuth_deg", &shape, angles().map(|(azimuth, _)| azimuth.to_degrees()))?;
             npz.array("elevation_deg", &shape, angles().map(|(_, elevation)| elevation.to_degrees()))?;
-            npz.array("value", &shape, profile.values.iter().copied())
+            npz.array("value", &shape, profile.values.iter().copied())?;
+            npz.finish()
         }
         Some("csv") => {
             let failed = |error: std::io::Error| format!("writing {}: {error}", path.display());

@@ -15,6 +15,9 @@ use std::path::{Path, PathBuf};
 
 /// How often the live view is drawn.
 const LOOK: Span = Span::from_ms(500);
+/// Rest after records before the socket is looked at again, so that at high rates one waking-up serves several of
+/// them. It bounds the error of their host times; the first record after a pause is always stamped at once.
+const REST: Span = Span::from_ms(2);
 /// Records between two looks at signals and the view when the source never pauses.
 const BURST: u32 = 256;
 
@@ -146,6 +149,7 @@ impl Session<'_> {
         let mut told = None;
         let mut burst = 0;
         let mut ending = false;
+        let mut rested = true;
         loop {
             let now = self.clock.now();
             let next = source.receive(now).map_err(|error| error.to_string())?;
@@ -160,7 +164,10 @@ impl Session<'_> {
                 Next::Pending if ending => return Ok(()),
                 Next::Pending => true,
                 Next::End(_) => return Ok(()),
-                Next::Record(..) => false,
+                Next::Record(..) => {
+                    rested = self.args.live;
+                    false
+                }
             };
             burst += 1;
             if !pending && burst < BURST && self.args.records.is_none_or(|limit| self.status.survey.records < limit) {
@@ -184,8 +191,13 @@ impl Session<'_> {
             }
             let until =
                 if pending { [source.next_at(), end_at, Some(look_at)].into_iter().flatten().min() } else { Some(now) };
-            let ready = self.clock.wait([self.socket.as_fd(), self.signals.as_fd()], until);
-            ending |= ready.map_err(|error| error.to_string())?[1];
+            let signalled = if pending && !std::mem::replace(&mut rested, true) {
+                let rest = until.map_or(now + REST, |until| until.min(now + REST));
+                self.clock.wait([self.signals.as_fd()], Some(rest)).map(|[signalled]| signalled)
+            } else {
+                self.clock.wait([self.socket.as_fd(), self.signals.as_fd()], until).map(|[_, signalled]| signalled)
+            };
+            ending |= signalled.map_err(|error| error.to_string())?;
         }
     }
 

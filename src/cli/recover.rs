@@ -62,7 +62,11 @@ pub fn run(args: &Args) -> Result {
     }
     writer.flush().map_err(|error| format!("writing {output}: {error}"))?;
     eprint!("{}", super::info::losses(&survey, source.bytes()));
-    eprintln!("{kept} intact records written to {output}");
+    if kept == 0 {
+        super::remove_empty(&args.output);
+    } else {
+        eprintln!("{kept} intact records written to {output}");
+    }
     Ok(match (kept, survey.lost_something()) {
         (0, _) => Outcome::Nothing,
         (_, true) => Outcome::DataLost,

@@ -9,8 +9,8 @@ use rand_chacha::ChaCha8Rng;
 
 use super::peak::wrap;
 use super::scene::Scene;
-use super::simd::{Real, Tier};
-use super::sums::{Columns, pairs};
+use super::simd::{ROUGH, Real, Tier};
+use super::sums::{Columns, Sines, pairs};
 use super::*;
 
 mod guarantee;
@@ -83,7 +83,7 @@ fn dense_max(samples: &Samples, elevations: &[f64], oversampling: f64) -> f64 {
         .iter()
         .flat_map(|&e| (0..2 * half).map(move |i| direction(PI * i as f64 / half as f64, e).into()))
         .collect();
-    let sums = pairs::<f64>(Tier::detect().level_or_portable(), columns(&scene), &directions);
+    let sums = pairs::<f64>(Tier::detect().level_or_portable(), columns(&scene), &directions, Sines::Fine);
     let top = sums.iter().map(|s| s.here().norm_sqr().max(s.opposite().norm_sqr())).fold(0.0, f64::max);
     top / (scene.sum_abs * scene.sum_abs)
 }
@@ -137,8 +137,9 @@ fn kernels_agree_with_the_oracle_on_every_tier() {
         let list32: Vec<[f32; 3]> = list.iter().map(|u| u.map(|v| v as f32)).collect();
         for tier in Tier::available() {
             let level = tier.level().unwrap();
-            let wide = pairs::<f64>(level, c, &list);
-            let thin = pairs::<f32>(level, narrow, &list32);
+            let wide = pairs::<f64>(level, c, &list, Sines::Fine);
+            let thin = pairs::<f32>(level, narrow, &list32, Sines::Fine);
+            let rough = pairs::<f32>(level, narrow, &list32, Sines::Rough);
             for (i, u) in directions.iter().enumerate() {
                 let here = direct::sum(&scene, u);
                 let opposite = direct::sum(&scene, &-u);
@@ -148,6 +149,9 @@ fn kernels_agree_with_the_oracle_on_every_tier() {
                     assert!((sum.here() - here).norm() < tolerance * unit, "{tier:?}");
                     assert!((sum.opposite() - opposite).norm() < tolerance * unit, "{tier:?}");
                 }
+                let tolerance = tolerance * 2f64.powi(-24) + scene.sum_abs * ROUGH;
+                assert!((rough[i].here() - here).norm() < tolerance, "{tier:?}");
+                assert!((rough[i].opposite() - opposite).norm() < tolerance, "{tier:?}");
             }
         }
     }
