@@ -1,8 +1,9 @@
 //! The pictures of a link: phase, trajectory with the bearing on it, polar profile.
 
 use crate::bartlett::{self, Grid};
+use crate::compare::Figures;
 use crate::pipeline::link::{Bearing, Phase};
-use crate::plot::{self, PhasePlot, PhaseTrack, ProfilePlot, TrajectoryPlot, file_safe};
+use crate::plot::{self, CdfPlot, PhasePlot, PhaseTrack, ProfilePlot, TrajectoryPlot, file_safe};
 use std::path::{Path, PathBuf};
 
 /// Why there is no picture.
@@ -102,4 +103,30 @@ fn track(label: &str, course: &[Phase]) -> PhaseTrack {
         before_rad: course.iter().map(|phase| phase.one_way_rad).collect(),
         after_rad: course.iter().map(|phase| phase.compensated_rad).collect(),
     }
+}
+
+/// Writes the pictures of two captures beside each other into a folder: `compare-phase` (the round trip's phase before
+/// and after turn-around compensation) and `compare-turn-around` (how far answers are from their usual time).
+///
+/// # Errors
+/// If a picture cannot be drawn or written.
+pub fn compared(recorded: &Figures, simulated: &Figures, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let round_trip = |label: &str, figures: &Figures| PhaseTrack {
+        before_rad: figures.link.course.iter().map(|phase| phase.round_trip_rad).collect(),
+        ..track(label, &figures.link.course)
+    };
+    let phase = PhasePlot {
+        title: "Phase of the round trip at the channel centre".into(),
+        capture: round_trip("recorded", recorded),
+        other: Some(round_trip("simulated", simulated)),
+    };
+    let late = |label: &str, figures: &Figures| (label.to_owned(), figures.link.late_us.clone());
+    let turn_around = CdfPlot {
+        title: "Turn-around: distance from the usual".into(),
+        x_label: "microseconds".into(),
+        series: vec![late("recorded", recorded), late("simulated", simulated)],
+    };
+    let mut written = phase.write(&folder.join("compare-phase"))?;
+    written.extend(turn_around.write(&folder.join("compare-turn-around"))?);
+    Ok(written)
 }

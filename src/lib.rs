@@ -60,6 +60,7 @@ pub mod backend;
 pub mod bartlett;
 pub mod cfo;
 pub mod channel;
+pub mod compare;
 pub mod confidence;
 pub mod csi;
 pub mod doctor;
@@ -80,7 +81,10 @@ pub mod plot;
 pub mod pose;
 pub mod quality;
 pub mod samples;
+#[cfg(feature = "live")]
+pub mod sounding;
 pub mod status;
+pub mod suite;
 pub mod survey;
 pub mod tdma;
 pub mod time;

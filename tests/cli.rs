@@ -54,6 +54,31 @@ fn json(line: &str) -> serde_json::Value {
 }
 
 #[test]
+fn explain_says_what_was_computed_and_what_was_not() {
+    let folder = Folder::new("explain");
+    folder.link(&link(600, 2.0));
+    let (status, out, _) = folder.bearing(&["--explain"]);
+    assert_eq!(status, 0);
+    for words in [
+        "decoded: antenna A",
+        "spherical waves: taken",
+        "search in Single precision",
+        "skipped: ",
+        "directions evaluated",
+    ] {
+        assert!(out.contains(words), "{words}: {out}");
+    }
+    let (_, out, _) = folder.bearing(&["--explain", "--json", "--without", "near-field", "--grid", "360x181"]);
+    let plan = &json(&out)["plan"];
+    let step = |name: &str| plan["steps"].as_array().unwrap().iter().find(|s| s["step"] == name).unwrap().clone();
+    assert_eq!(step("spherical waves")["taken"], false);
+    assert!(step("one-way channel")["why"].as_str().unwrap().contains("left out as asked"));
+    assert_eq!(plan["profile"]["directions"], 65_160);
+    assert!(plan["search"]["estimate_us"].as_f64().unwrap() > 0.0);
+    assert!(json(&folder.bearing(&["--json"]).1)["plan"].is_null());
+}
+
+#[test]
 fn a_bearing_with_everything_that_was_counted() {
     let folder = Folder::new("bearing");
     folder.link(&link(600, 2.0));

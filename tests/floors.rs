@@ -27,8 +27,8 @@ const FLOORS: &[(u8, &[&str])] = &[
     (
         4,
         &[
-            "answer", "doctor", "evaluate", "figures", "mcap", "node", "pipeline", "plot", "quality", "status",
-            "survey", "wait",
+            "answer", "compare", "doctor", "evaluate", "figures", "mcap", "node", "pipeline", "plot", "quality",
+            "sounding", "status", "suite", "survey", "wait",
         ],
     ),
 ];

@@ -104,7 +104,7 @@ pub(crate) struct Choice {
 /// Nanoseconds per unit of work: (antipodal pair, kernel cell, FFT point and doubling, assembled value) in single
 /// precision; double takes twice that. Measured on a Xeon with AVX-512; the portable code as SSE4.2 without rounding
 /// instructions. Only their ratios matter.
-fn unit_costs(tier: Tier, precision: Precision) -> [f64; 4] {
+pub(crate) fn unit_costs(tier: Tier, precision: Precision) -> [f64; 4] {
     let single = match tier {
         Tier::Avx512 => [0.27, 0.07, 0.25, 0.5],
         Tier::Avx2 => [0.5, 0.09, 0.25, 0.6],
@@ -118,7 +118,7 @@ fn unit_costs(tier: Tier, precision: Precision) -> [f64; 4] {
 /// The least tolerance that single precision is trusted with, for a radius in radians of phase.
 ///
 /// Direct sums round phases to 2^-24 of themselves three times; the NUFFT rounds weights and FFTs, whatever the radius.
-fn single_floor(method: Method, radius: f64) -> f64 {
+pub(crate) fn single_floor(method: Method, radius: f64) -> f64 {
     match method {
         Method::Direct | Method::RingsDirect => 1e-6 + 2e-7 * radius,
         _ => 1e-5,

@@ -15,8 +15,10 @@ use std::f64::consts::{PI, TAU};
 use num_complex::Complex;
 
 use super::bessel::tail_order;
+use super::choose::unit_costs;
 use super::crb::{Fit, Spread, deviations, elevation_deviation, independence};
 use super::error::Error;
+use super::explain::{ElevationSearch, Precision, SearchPlan};
 use super::fft::{Ffts, good_size, near_size};
 use super::newton::{Hill, Point, Second, Top};
 use super::resample::{Resample, ResampleWork};
@@ -109,6 +111,8 @@ pub struct Estimate {
     pub value: f64,
     /// Directions in which the profile was evaluated.
     pub evaluations: usize,
+    /// What the search computed and what it left out.
+    pub plan: SearchPlan,
 }
 
 /// Finds the bearing: the continuous maximum of the Bartlett profile over azimuth and |elevation|.
@@ -164,7 +168,8 @@ impl Searcher {
         let evaluated = near_size(2 * order + 2, 2);
         let ring = good_size(SAMPLES_PER_ORDER * order + 16);
         let shape = scene.shape();
-        Ok(Search { scene: &scene, shape, tools: self, order, evaluated, ring, evaluations: 0 }.run(elevation_max_rad))
+        let search = Search { scene: &scene, shape, tools: self, order, evaluated, ring, evaluations: 0, exact: 0 };
+        Ok(search.run(elevation_max_rad))
     }
 }
 
@@ -180,6 +185,8 @@ struct Search<'a> {
     /// Samples per ring, even, interpolated.
     ring: usize,
     evaluations: usize,
+    /// Of those, exact ones.
+    exact: usize,
 }
 
 /// A sampled profile: rows of rising elevation, `ring` azimuths each from 0.
@@ -197,7 +204,36 @@ impl<'a> Search<'a> {
         let kind = if self.scene.is_flat() { Second::Cosine } else { Second::Elevation };
         let hill = self.hill(kind, limit, &sampled);
         let tops = self.climb(&hill, &sampled);
-        self.estimate(&hill, tops, observable)
+        self.evaluations += self.exact;
+        let elevation = match (observable, elevation_max > 0.0) {
+            (true, _) => ElevationSearch::Searched,
+            (false, true) => ElevationSearch::NotObservable,
+            (false, false) => ElevationSearch::NotAsked,
+        };
+        let plan = self.plan(elevation, sampled.elevations.len());
+        self.estimate(&hill, tops, plan)
+    }
+
+    fn plan(&self, elevation: ElevationSearch, rings: usize) -> SearchPlan {
+        let precision = if self.in_double() { Precision::Double } else { Precision::Single };
+        let (tier, samples) = (self.tools.tier, self.scene.len());
+        let [pair, ..] = unit_costs(tier, precision);
+        // An exact look, with its derivatives in double, takes about as long as four pairs; the horizon comes first.
+        let horizon = if rings > 1 { self.evaluated } else { 0 };
+        let pairs = (rings * self.evaluated + horizon) as f64 / 2.0 + 4.0 * self.exact as f64;
+        SearchPlan {
+            tier,
+            precision,
+            band_limit: self.order,
+            summed: self.evaluated,
+            sampled: self.ring,
+            rings,
+            exact: self.exact,
+            samples,
+            elevation,
+            level: self.scene.is_flat(),
+            estimate_us: pairs * samples as f64 * pair / 1e3,
+        }
     }
 
     fn hill(&self, kind: Second, limit: f64, sampled: &Sampled) -> Hill<'a> {
@@ -264,7 +300,7 @@ impl<'a> Search<'a> {
             let at = Point { azimuth, second: hill.kind.of_elevation(elevation) };
             if value.sqrt() >= self.least(best.sqrt(), sampled.elevations.len()) {
                 let top = hill.climb(at);
-                self.evaluations += top.evaluations;
+                self.exact += top.evaluations;
                 best = best.max(top.value);
                 tops.push(top);
             } else if rank < 4 * REPORTED {
@@ -275,7 +311,7 @@ impl<'a> Search<'a> {
         }
         if let Some(mirror) = self.mirror_start(&tops) {
             let top = hill.climb(mirror);
-            self.evaluations += top.evaluations;
+            self.exact += top.evaluations;
             tops.push(top);
         }
         tops.sort_by(|a, b| b.value.total_cmp(&a.value));
@@ -301,7 +337,8 @@ impl<'a> Search<'a> {
         (1.126 / (TAU * self.scene.radius)).min(PI / 2.0)
     }
 
-    fn estimate(self, hill: &Hill<'_>, tops: Vec<Top>, observable: bool) -> Estimate {
+    fn estimate(self, hill: &Hill<'_>, tops: Vec<Top>, plan: SearchPlan) -> Estimate {
+        let observable = plan.elevation == ElevationSearch::Searched;
         let scene = self.scene;
         let full = scene.sum_abs * scene.sum_abs;
         let peak = |top: &Top| Peak {
@@ -353,6 +390,7 @@ impl<'a> Search<'a> {
             geometry: self.shape.geometry,
             value: best.value,
             evaluations: self.evaluations,
+            plan,
         }
     }
 }

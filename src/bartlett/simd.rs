@@ -3,7 +3,7 @@
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, SimdFloatElement};
 
 /// An instruction set that the kernels are compiled for; chosen at run time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize)]
 pub enum Tier {
     /// No SIMD instructions asked for: the portable code.
     Portable,

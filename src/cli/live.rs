@@ -87,6 +87,18 @@ pub fn duration(text: &str) -> Result<Span, String> {
     }
 }
 
+/// A multiple of real time, above 0; `max` for no waiting at all.
+pub fn speed(text: &str) -> Result<f64, String> {
+    match text {
+        "max" => Ok(f64::INFINITY),
+        _ => text
+            .parse()
+            .ok()
+            .filter(|speed: &f64| *speed > 0.0 && speed.is_finite())
+            .ok_or_else(|| "above 0, or max".into()),
+    }
+}
+
 /// A size in bytes: `4096`, `500k`, `100M`, `2G` (powers of 1024).
 pub fn size(text: &str) -> Result<u64, String> {
     let split = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());

@@ -1,6 +1,6 @@
 //! `csi5300 replay`.
 
-use super::live::{Signals, duration};
+use super::live::{Signals, duration, speed};
 use super::{Outcome, Result};
 use csi5300::backend::netlink::Sender;
 use csi5300::backend::paced::Paced;
@@ -31,17 +31,6 @@ pub struct Args {
     /// Connector index to send to
     #[arg(long, default_value_t = CN_IDX, requires = "connector", value_parser = clap::value_parser!(u32).range(1..=32))]
     connector_index: u32,
-}
-
-fn speed(text: &str) -> std::result::Result<f64, String> {
-    match text {
-        "max" => Ok(f64::INFINITY),
-        _ => text
-            .parse()
-            .ok()
-            .filter(|speed: &f64| *speed > 0.0 && speed.is_finite())
-            .ok_or_else(|| "above 0, or max".into()),
-    }
 }
 
 enum Target {

@@ -12,25 +12,38 @@ pub struct Args {
     /// The scene; see scenes/ for examples
     scene: PathBuf,
     /// Folder for logs, trajectories and truth
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[cfg_attr(feature = "live", arg(long, value_name = "DIR", required_unless_present = "serve"))]
+    #[cfg_attr(not(feature = "live"), arg(long, value_name = "DIR", required = true))]
+    out: Option<PathBuf>,
     /// Seed instead of the scene's
     #[arg(long)]
     seed: Option<u64>,
     /// Write into a folder that is not empty
     #[arg(long)]
     force: bool,
+    #[cfg(feature = "live")]
+    #[command(flatten)]
+    live: super::serve::Args,
 }
 
 /// Simulates a scene and writes what the robots' cards, drivers and loggers would have.
 pub fn run(args: &Args) -> Result {
     let mut scene = Scene::load(&args.scene).map_err(|error| format!("{}: {error}", args.scene.display()))?;
     scene.seed = args.seed.unwrap_or(scene.seed);
-    let used = std::fs::read_dir(&args.out).is_ok_and(|mut entries| entries.next().is_some());
-    if used && !args.force {
-        return Err(format!("{} is not empty: --force writes into it all the same", args.out.display()));
+    #[cfg(feature = "live")]
+    if args.live.serve {
+        return super::serve::run(scene, &args.live);
     }
-    let (captures, injected) = write(&scene, &args.out)?;
+    #[cfg(feature = "live")]
+    if args.live.asked() {
+        super::usage("--robot, --poses and --speed need --serve");
+    }
+    let out = args.out.as_deref().ok_or("--out names the folder to write into")?;
+    let used = std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
+    if used && !args.force {
+        return Err(format!("{} is not empty: --force writes into it all the same", out.display()));
+    }
+    let (captures, injected) = write(&scene, out)?;
     print(&describe(&scene, &captures, &injected));
     Ok(if captures.is_empty() { Outcome::Nothing } else { Outcome::Done })
 }

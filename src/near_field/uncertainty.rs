@@ -2,7 +2,7 @@
 //! left, which on real captures are no white noise.
 
 use super::aperture::Aperture;
-use super::search::Source;
+use super::fix::Source;
 use crate::bartlett::direction;
 use nalgebra::{Matrix3, Vector3};
 use num_complex::Complex64;

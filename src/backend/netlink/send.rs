@@ -31,6 +31,12 @@ impl Sender {
         Ok(Self { socket, group: SocketAddr::new(0, mask), index, padded, buffer })
     }
 
+    /// The connector index sent to.
+    #[must_use]
+    pub fn index(&self) -> u32 {
+        self.index
+    }
+
     /// Sends one record to whoever listens; nobody listening is no error.
     ///
     /// # Errors

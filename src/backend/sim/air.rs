@@ -307,7 +307,7 @@ impl Air {
         let scene = world.scene();
         let radio = scene.radio_of(&scene.robot[robot]);
         let node = &mut self.nodes[robot];
-        let away_ns = radio.turn_around.draw_away_ns(&mut node.timing);
+        let away_ns = radio.turn_around.draw_away_ns(&mut node.away, &mut node.timing);
         node.heard = Some(Heard {
             away_ns,
             start_ns: flight.start_ns,

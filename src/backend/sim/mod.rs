@@ -72,6 +72,7 @@ mod scene_check;
 mod sounder;
 mod station;
 mod surfaces;
+mod turn_around;
 mod world;
 
 pub use air::MakeStation;

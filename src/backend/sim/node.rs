@@ -1,6 +1,7 @@
 //! One robot's card, driver and sender, as the air knows them.
 
 use super::faults::Injected;
+use super::radio::Away;
 use super::random::{Purpose, Stream};
 use super::station::{Role, Station};
 use std::collections::VecDeque;
@@ -74,6 +75,8 @@ pub struct Node {
     pub(super) last_arrival_ns: i64,
     pub(super) timing: Stream,
     pub(super) loss: Stream,
+    /// How the last frame heard was answered.
+    pub(super) away: Away,
 }
 
 /// A frame heard.
@@ -112,6 +115,7 @@ impl Node {
             last_arrival_ns: 0,
             timing: Stream::new(seed, robot, Purpose::Timing),
             loss: Stream::new(seed, robot, Purpose::Loss),
+            away: Away::default(),
         }
     }
 }

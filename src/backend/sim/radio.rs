@@ -1,6 +1,7 @@
 //! What a card's radio does to a channel, as a scene states it. All effects are off by default.
 
 use super::random::Stream;
+pub use super::turn_around::{Away, Group, TurnAround};
 use serde::Deserialize;
 
 /// A radio.
@@ -152,62 +153,6 @@ pub enum AntennaOrder {
     ByRssi,
 }
 
-/// The turn-around time of a responder, air rise to air rise.
-///
-/// A normal core about the median, and a share of answers away from it; all kept within the bounds. The WSR driver's:
-/// 145 to 322 us, median 225. In the paper's captures the core is 5 to 15 us wide and the rest early, by some 100 us
-/// for a tenth to a fifth of the answers or by some 200 for a few in a hundred: the responder's driver answers when it
-/// is interrupted, and sometimes that is at once. Its records reach the host that much earlier too (measured: the
-/// same tails in the responder's host times), so they do here.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct TurnAround {
-    /// Median, microseconds.
-    pub median_us: f64,
-    /// Standard deviation of the core, microseconds.
-    pub spread_us: f64,
-    /// Share of answers away from the core.
-    pub tail: f64,
-    /// How much later those are than the others, microseconds; negative for earlier.
-    pub tail_us: f64,
-    /// Its standard deviation, microseconds.
-    pub tail_spread_us: f64,
-    /// Lower bound, microseconds.
-    pub min_us: f64,
-    /// Upper bound, microseconds.
-    pub max_us: f64,
-}
-
-impl Default for TurnAround {
-    fn default() -> Self {
-        Self {
-            median_us: 225.0,
-            spread_us: 0.0,
-            tail: 0.0,
-            tail_us: -100.0,
-            tail_spread_us: 0.0,
-            min_us: 145.0,
-            max_us: 322.0,
-        }
-    }
-}
-
-impl TurnAround {
-    /// One turn-around, nanoseconds. `away_ns` is what [`TurnAround::draw_away_ns`] gave for the frame that is answered.
-    pub fn draw_ns(&self, away_ns: i64, stream: &mut Stream) -> i64 {
-        let us = self.median_us + stream.spread(self.spread_us) + away_ns as f64 * 1e-3;
-        (us.clamp(self.min_us, self.max_us) * 1e3).round() as i64
-    }
-
-    /// How much the interrupt of one frame is away from the usual, nanoseconds; 0 for all but the tail's share.
-    pub fn draw_away_ns(&self, stream: &mut Stream) -> i64 {
-        if !stream.happens(self.tail) {
-            return 0;
-        }
-        ((self.tail_us + stream.spread(self.tail_spread_us)) * 1e3).round() as i64
-    }
-}
-
 impl Radio {
     /// A lateness in sending, nanoseconds.
     pub fn send_jitter_ns(&self, stream: &mut Stream) -> i64 {
@@ -245,7 +190,6 @@ impl Radio {
 
 #[cfg(test)]
 mod tests {
-    use super::super::random::Purpose;
     use super::*;
 
     #[test]
@@ -256,24 +200,5 @@ mod tests {
         assert_eq!(Radio { mcs: 1, ..radio }.airtime_ns(57, false), 36_000 + 10 * 4_000);
         assert_eq!(radio.airtime_ns(57, true), 36_000 + 9 * 4_000);
         assert_eq!((radio.rate_n_flags(false), Radio { mcs: 1, ..radio }.rate_n_flags(true)), (0x100, 0x901));
-    }
-
-    #[test]
-    fn turn_arounds_keep_to_their_bounds_and_shape() {
-        let turn =
-            TurnAround { spread_us: 6.0, tail: 0.2, tail_us: -100.0, tail_spread_us: 30.0, ..TurnAround::default() };
-        let mut stream = Stream::new(1, 0, Purpose::Timing);
-        let draw = |turn: &TurnAround, stream: &mut Stream| {
-            let away_ns = turn.draw_away_ns(stream);
-            turn.draw_ns(away_ns, stream)
-        };
-        let mut drawn: Vec<i64> = (0..20_000).map(|_| draw(&turn, &mut stream)).collect();
-        drawn.sort_unstable();
-        assert_eq!(drawn[0], 145_000, "kept within the bounds");
-        assert!(drawn[19_999] < 255_000);
-        // A fifth away from the core: the median of the rest is at 0.2 + 0.8 / 2 of all.
-        assert!((drawn[12_000] - 225_000).abs() < 1_000, "core {}", drawn[12_000]);
-        assert!(drawn[3_800] < 205_000 && drawn[4_300] > 205_000, "{} {}", drawn[3_800], drawn[4_300]);
-        assert_eq!(draw(&TurnAround::default(), &mut stream), 225_000);
     }
 }

@@ -320,6 +320,17 @@ fn check_radio(radio: &Radio) -> Checked {
     not_negative("spread_us", turn.spread_us).map_err(|p| p.key("turn_around"))?;
     not_negative("tail_spread_us", turn.tail_spread_us).map_err(|p| p.key("turn_around"))?;
     finite("tail_us", &[turn.tail_us]).map_err(|p| p.key("turn_around"))?;
+    not_negative("tail_run", turn.tail_run).map_err(|p| p.key("turn_around"))?;
+    for (key, group) in [("far", &turn.far), ("late", &turn.late)] {
+        let check = || {
+            share("share", group.share)?;
+            finite("us", &[group.us])?;
+            not_negative("spread_us", group.spread_us)
+        };
+        check().map_err(|p: Problem| p.key(key).key("turn_around"))?;
+    }
+    let all = turn.groups().iter().map(|group| group.share).sum::<f64>();
+    ensure(all <= 1.0, "turn_around", || format!("has groups away from the core of {all} in all; more than all"))?;
     share("tail", turn.tail).map_err(|p| p.key("turn_around"))
 }
 

@@ -1,0 +1,16 @@
+//! How alike two captures are: a recorded one and a simulated one of the same scene.
+//!
+//! [`Figures`] are what can be measured of any capture: what its records look like, when they came, what the radios
+//! and the channel did to the phase. [`rows`] puts those of two captures beside each other with how far they may
+//! differ, and [`fit()`] derives a scene from a recorded capture.
+
+pub mod distribution;
+pub mod figures;
+pub mod fit;
+mod scene_text;
+pub mod side;
+pub mod table;
+
+pub use figures::{Figures, LinkFigures, measure, measure_scene};
+pub use fit::{Fitted, fit};
+pub use table::{Row, Verdict, rows};

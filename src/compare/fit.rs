@@ -1,0 +1,149 @@
+//! A scene fitted to a recorded capture.
+//!
+//! What the figures say directly (rates, carrier offset, turn-around, RSSI, gain, latencies, noise of the subcarriers)
+//! is written into the scene as it is. What only shows through the whole chain (phase noise, transmitted power, how
+//! reflecting the room is) is adjusted until the simulated figures are the recorded ones: each round simulates the
+//! scene and measures it as the recording was measured.
+
+use super::figures::{Figures, measure_scene};
+use super::scene_text::write;
+use super::side::Side;
+use crate::backend::sim::Scene;
+use crate::pipeline::Options;
+use crate::pose::Trajectory;
+use nalgebra::Vector3;
+use std::f64::consts::TAU;
+use std::path::Path;
+
+/// A fitted scene.
+#[derive(Clone, Debug)]
+pub struct Fitted {
+    /// Its text.
+    pub toml: String,
+    /// The scene.
+    pub scene: Scene,
+    /// Its figures in the last round.
+    pub figures: Figures,
+}
+
+/// What is known of a recording beside its figures.
+pub struct Known<'a> {
+    /// The receiver's trajectory.
+    pub trajectory: &'a Trajectory,
+    /// Its file, as the scene is to name it, relative to `folder`.
+    pub file: &'a Path,
+    /// The folder of the scene.
+    pub folder: &'a Path,
+    /// Where the transmitter's antenna is, metres, in the trajectory's frame; where it seems to be if not known.
+    pub transmitter_m: Option<[f64; 3]>,
+    /// Channel number.
+    pub channel: u16,
+}
+
+/// What is adjusted: phase noise of a frame, loss of the walls (no walls where there was no motion to tell), transmitted
+/// power that each side sees, how the slope of the phase varies on each side
+/// (radians per index), spread of the core of turn-arounds.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Adjusted {
+    pub(super) phase_noise_rad: f64,
+    pub(super) wall_loss_db: Option<f64>,
+    pub(super) tx_power_dbm: [f64; 2],
+    pub(super) slope_sd_rad: [f64; 2],
+    pub(super) core_us: f64,
+}
+
+/// Rounds of adjustment.
+const ROUNDS: usize = 6;
+/// Loss of walls that is tried first, and least and largest, dB.
+const WALL_DB: [f64; 3] = [12.0, 3.0, 40.0];
+/// A coefficient is rounded to integers: this is the power of the error, steps squared.
+const ROUNDING: f64 = 2.0 / 12.0;
+
+/// Fits a scene.
+///
+/// # Errors
+/// A sentence if the recording lacks what a scene needs, or the scene made of it cannot be simulated.
+pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<Fitted, String> {
+    let place = known.transmitter_m.or(recorded.link.place_m);
+    let place = place.ok_or("the transmitter's place is not known, and without motion it cannot be found")?;
+    let mut adjusted = first(recorded, known.trajectory, place);
+    let mut best: Option<(f64, Fitted)> = None;
+    for _ in 0..ROUNDS {
+        let toml = write(recorded, known, place, &adjusted);
+        let scene = Scene::read(&toml, known.folder).map_err(|error| format!("the fitted scene: {error}\n{toml}"))?;
+        let figures = measure_scene(&scene, options)?;
+        let off = distance(recorded, &figures);
+        adjust(&mut adjusted, recorded, &figures);
+        if best.as_ref().is_none_or(|(least, _)| off < *least) {
+            best = Some((off, Fitted { toml, scene, figures }));
+        }
+    }
+    best.map(|(_, fitted)| fitted).ok_or_else(|| "no round was made".into())
+}
+
+/// The power of the noise of a subcarrier that the recording has beyond the rounding of its coefficients, relative to
+/// the signal, at the antenna of one side.
+pub(super) fn noise(side: &Side) -> f64 {
+    let rounding = ROUNDING / side.level[0].median.max(1.0).powi(2);
+    (10f64.powf(-0.1 * side.tone_snr_db) - rounding).max(0.0)
+}
+
+/// Where adjustment begins.
+fn first(recorded: &Figures, trajectory: &Trajectory, place: [f64; 3]) -> Adjusted {
+    let from_tones = (noise(&recorded.receiver) + noise(&recorded.transmitter)) / 60.0;
+    let spread = recorded.link.spread_after_rad;
+    let away_m = middle(trajectory).metric_distance(&Vector3::from(place)).max(0.1);
+    // Free space over the first metre at 5.5 GHz is 47.3 dB.
+    let lost_db = 47.3 + 20.0 * away_m.log10();
+    let power = |side: &Side| side.rssi_db[0].mean - 44.0 - side.agc_db.mean + lost_db;
+    Adjusted {
+        phase_noise_rad: (0.5 * (spread * spread - from_tones)).max(0.0).sqrt(),
+        wall_loss_db: recorded.link.coherence.map(|_| WALL_DB[0]),
+        tx_power_dbm: [power(&recorded.receiver), power(&recorded.transmitter)],
+        core_us: recorded.link.core_us,
+        slope_sd_rad: [recorded.receiver.slope_rad.sd, recorded.transmitter.slope_rad.sd],
+    }
+}
+
+pub(super) fn middle(trajectory: &Trajectory) -> Vector3<f64> {
+    let poses = trajectory.poses();
+    poses.iter().map(|pose| pose.position_m).sum::<Vector3<f64>>() / poses.len().max(1) as f64
+}
+
+/// How far figures are from the recorded ones, in what is adjusted.
+fn distance(recorded: &Figures, simulated: &Figures) -> f64 {
+    let (a, b) = (&recorded.link, &simulated.link);
+    let relative = |a: f64, b: f64| (b / a.max(1e-6)).max(1e-6).ln().abs() / 0.15;
+    let coherence = a.coherence.zip(b.coherence).map_or(0.0, |(a, b)| (a - b).abs() / 0.1);
+    let gain = |a: &Side, b: &Side| (a.agc_db.mean - b.agc_db.mean).abs();
+    let gains = gain(&recorded.receiver, &simulated.receiver) + gain(&recorded.transmitter, &simulated.transmitter);
+    let spreads = [(a.spread_before_rad, b.spread_before_rad), (a.spread_after_rad, b.spread_after_rad)];
+    let spread = spreads.into_iter().map(|(a, b)| relative(a, b)).fold(0.0, f64::max);
+    spread.max(coherence) + 0.1 * gains
+}
+
+/// Moves what is adjusted towards the recorded figures.
+fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures) {
+    let (a, b) = (&recorded.link, &simulated.link);
+    // Variances add: what is missing goes to the two frames in equal parts.
+    let missing = 0.5 * (a.spread_after_rad.powi(2) - b.spread_after_rad.powi(2));
+    adjusted.phase_noise_rad = (adjusted.phase_noise_rad.powi(2) + missing).max(0.0).sqrt();
+    // Before compensation, the carrier offset makes phase of the turn-around's spread.
+    let rad_per_us = TAU * a.df_hz.abs().max(1_000.0) * 1e-6;
+    let missing = (a.spread_before_rad.powi(2) - b.spread_before_rad.powi(2)) / rad_per_us.powi(2);
+    let core_us = (adjusted.core_us.powi(2) + missing).max(0.0).sqrt();
+    adjusted.core_us = core_us.clamp(0.7 * a.core_us, 1.4 * a.core_us);
+    if let (Some(loss_db), Some(wanted), Some(got)) = (adjusted.wall_loss_db, a.coherence, b.coherence) {
+        // The incoherent power scales with what the walls reflect.
+        let incoherent = |c: f64| (1.0 - c.powi(2)).clamp(0.01, 0.99);
+        let step_db = 5.0 * (incoherent(got) / incoherent(wanted)).log10() * 2.0;
+        adjusted.wall_loss_db = Some((loss_db + step_db.clamp(-6.0, 6.0)).clamp(WALL_DB[1], WALL_DB[2]));
+    }
+    let sides = [(&recorded.receiver, &simulated.receiver), (&recorded.transmitter, &simulated.transmitter)];
+    for (power, (a, b)) in adjusted.tx_power_dbm.iter_mut().zip(sides) {
+        *power += b.agc_db.mean - a.agc_db.mean;
+    }
+    for (slope, (a, b)) in adjusted.slope_sd_rad.iter_mut().zip(sides) {
+        *slope = (slope.powi(2) + a.slope_rad.sd.powi(2) - b.slope_rad.sd.powi(2)).max(0.0).sqrt();
+    }
+}

@@ -1,0 +1,169 @@
+//! The text of a fitted scene.
+
+use super::distribution::QUARTILES;
+use super::figures::{Figures, Group};
+use super::fit::{Adjusted, Known, middle, noise};
+use super::side::Side;
+use crate::pose::Trajectory;
+use std::f64::consts::{LN_2, SQRT_2, TAU};
+use std::fmt::Write;
+
+/// Walls stand this far outside of the robots, metres.
+const MARGIN_M: f64 = 2.5;
+/// Subcarriers' spacing, Hz.
+const SPACING_HZ: f64 = crate::channel::SUBCARRIER_SPACING_HZ;
+/// Decibels by which an amplitude grows that grows by a factor of e.
+const DB_PER_E: f64 = 8.685_889_638;
+
+/// Writes the scene of a recording: what its figures say, and what is adjusted.
+pub(super) fn write(recorded: &Figures, known: &Known<'_>, place: [f64; 3], adjusted: &Adjusted) -> String {
+    let (rx, tx, link) = (&recorded.receiver, &recorded.transmitter, &recorded.link);
+    let (from_s, to_s) = known.trajectory.span_s();
+    let (first_us, last_us) = rx.host_us.unwrap_or(((from_s * 1e6) as i64, (to_s * 1e6) as i64));
+    let start_unix_s = (first_us.div_euclid(1_000_000)).min(from_s.floor() as i64);
+    let since = |us: i64| (us - start_unix_s * 1_000_000) as f64 * 1e-6;
+    let start_s = brief((since(first_us) - 0.001).max(0.0));
+    let interval_us = tx.interval_us.median;
+    let mut text =
+        String::from("# Fitted to a recorded capture; see docs/simulation.md for what each figure is taken from.\n");
+    let _ = write!(
+        text,
+        "name = \"fitted\"\nseed = 1\nduration_s = {:?}\nchannel = {}\nstart_unix_s = {start_unix_s}\ncfo = \"physical\"\n\
+         reflections = {}\n\n[sounding]\nrate_hz = {:?}\nstart_s = {start_s:?}\n",
+        brief(since(last_us) + 0.005),
+        known.channel,
+        if adjusted.wall_loss_db.is_some() { 2 } else { 0 },
+        brief(1e6 / interval_us.max(1.0)),
+    );
+    let [x, y, z] = known.trajectory.poses().first().map_or([0.0; 3], |pose| pose.position_m.into());
+    let clock_start = |side: &Side| {
+        let first_us = side.clock_us.map_or(0, |(first, _)| first);
+        (first_us - (start_s * 1e6) as i64).rem_euclid(1 << 32)
+    };
+    // Cards are told by their hosts' clocks, and the hosts by each other; the offset itself is the finer measure of
+    // how far the cards are apart.
+    let apart_ppm = 1e6 * link.df_hz / carrier_hz(known.channel);
+    let rx_ppm = rx.card_ppm;
+    let tx_ppm = brief(rx_ppm + apart_ppm);
+    // Two exponential latenesses make an interval: its quartiles and its deviation, which rare delays widen, both say
+    // their mean.
+    let jitter_us = (tx.interval_us.quartile_range() / (2.0 * LN_2) * tx.interval_us.sd / SQRT_2).sqrt();
+    let jitter_us = brief(jitter_us);
+    let backward_loss = brief((rx.missing - tx.missing).max(0.0));
+    let _ = write!(
+        text,
+        "\n[[robot]]\nname = \"rx\"\nposition_m = [{x:?}, {y:?}, {z:?}]\n\
+         motion.recorded = {{ file = {:?}, start_s = {:?} }}\n\
+         crystal = {{ offset_ppm = {rx_ppm:?}, clock_start_us = {} }}\nfaults = {{ loss = {backward_loss:?}, killed = {} }}\n",
+        known.file,
+        brief(from_s - start_unix_s as f64),
+        clock_start(rx),
+        rx.tail_bytes > 0,
+    );
+    let away_m = (middle(known.trajectory) - nalgebra::Vector3::from(place)).norm();
+    let flight_ns = 1e9 * away_m / crate::channel::SPEED_OF_LIGHT_M_PER_S;
+    radio(&mut text, rx, adjusted, 0, flight_ns);
+    let _ = writeln!(text, "send_jitter_us = {jitter_us:?}");
+    let _ = write!(
+        text,
+        "\n[[robot]]\nname = \"tx\"\nposition_m = {place:?}\n\
+         crystal = {{ offset_ppm = {tx_ppm:?}, clock_start_us = {} }}\n\
+         host_clock = {{ offset_s = {:?}, drift_ppm = {:?} }}\nfaults = {{ loss = {:?}, killed = {} }}\n",
+        clock_start(tx),
+        link.host_apart_s,
+        brief(tx_ppm - tx.card_ppm),
+        brief(tx.missing),
+        tx.tail_bytes > 0,
+    );
+    radio(&mut text, tx, adjusted, 1, flight_ns);
+    let [early, far, late] = link.groups;
+    let group = |g: Group| {
+        format!("{{ share = {:?}, us = {:?}, spread_us = {:?} }}", brief(g.share), brief(g.mean_us), brief(g.sd_us))
+    };
+    let _ = writeln!(
+        text,
+        "turn_around = {{ median_us = 450.0, spread_us = {:?}, tail = {:?}, tail_us = {:?}, tail_spread_us = {:?}, \
+         far = {}, late = {}, tail_run = {:?}, min_us = 130.0, max_us = 1500.0 }}",
+        brief(adjusted.core_us),
+        brief(early.share),
+        brief(early.mean_us),
+        brief(early.sd_us),
+        group(far),
+        group(late),
+        brief(link.run),
+    );
+    if let Some(loss_db) = adjusted.wall_loss_db {
+        walls(&mut text, known.trajectory, place, loss_db);
+    }
+    text
+}
+
+/// Six significant digits: no figure is known better.
+fn brief(value: f64) -> f64 {
+    format!("{value:.5e}").parse().unwrap_or(value)
+}
+
+/// A robot's radio: what its own log says of it.
+fn radio(text: &mut String, side: &Side, adjusted: &Adjusted, k: usize, flight_ns: f64) {
+    let ns = |slope_rad: f64| 1e9 * slope_rad / (TAU * SPACING_HZ);
+    let tones = noise(side);
+    // The responder's host is early where its answers are, which is said with them; the rest is the core.
+    let latency_us = if k == 1 { side.latency_core_us } else { side.latency_us.quartile_range() / QUARTILES };
+    let _ = writeln!(text, "[robot.radio]\nphase_noise_rad = {:?}", brief(adjusted.phase_noise_rad));
+    if tones > 1e-6 {
+        let _ = writeln!(text, "noise.snr_db = {:?}", brief(-10.0 * tones.log10()));
+    }
+    let [_, b, c] = &side.level;
+    let [rssi_a, rssi_b, rssi_c] = &side.rssi_db;
+    let level_db = DB_PER_E * side.level[0].sd / side.level[0].mean.max(1.0);
+    let level_db = brief(level_db);
+    let _ = write!(
+        text,
+        "delay_ns = {:?}\ndelay_std_ns = {:?}\nantenna_order = \"by_rssi\"\ntx_power_dbm = {:?}\n\
+         host_latency_us = {:?}\nhost_latency_std_us = {:?}\n\
+         gain.agc = {{ target_lsb = {:?}, lsb_std_db = {level_db:?}, rssi_db = {:?}, agc_std_db = {:?} }}\n\
+         stray_b = {{ lsb = {:?}, rssi_db = {:?}, rssi_std_db = {:?} }}\n\
+         stray_c = {{ lsb = {:?}, rssi_db = {:?}, rssi_std_db = {:?} }}\n",
+        brief(ns(-side.slope_rad.mean) - flight_ns),
+        brief(ns(adjusted.slope_sd_rad[k])),
+        brief(adjusted.tx_power_dbm[k]),
+        brief(LATENCY_US + 3.0 * latency_us),
+        brief(latency_us),
+        brief(side.level[0].median),
+        brief(rssi_a.mean),
+        brief(rssi_a.sd),
+        brief(b.mean),
+        brief(rssi_b.mean),
+        brief(rssi_b.sd),
+        brief(c.mean),
+        brief(rssi_c.mean),
+        brief(rssi_c.sd),
+    );
+}
+
+/// Mean latency of the host less three deviations, microseconds. It cannot be seen in a log; it must be long enough for
+/// an answer that is early to be early in the log too.
+const LATENCY_US: f64 = 300.0;
+
+/// Four walls about both robots.
+fn walls(text: &mut String, trajectory: &Trajectory, place: [f64; 3], loss_db: f64) {
+    let mut low = [place[0], place[1]];
+    let mut high = low;
+    for pose in trajectory.poses() {
+        for axis in 0..2 {
+            low[axis] = low[axis].min(pose.position_m[axis]);
+            high[axis] = high[axis].max(pose.position_m[axis]);
+        }
+    }
+    let ([x0, y0], [x1, y1]) = (low.map(|v| brief(v - MARGIN_M)), high.map(|v| brief(v + MARGIN_M)));
+    let loss_db = brief(loss_db);
+    for (from, to) in [([x0, y0], [x1, y0]), ([x1, y0], [x1, y1]), ([x1, y1], [x0, y1]), ([x0, y1], [x0, y0])] {
+        let _ = write!(text, "\n[[wall]]\nfrom_m = {from:?}\nto_m = {to:?}\nbottom_m = -1.0\nloss_db = {loss_db:?}\n");
+    }
+}
+
+/// The centre frequency of a channel number, Hz.
+fn carrier_hz(channel: u16) -> f64 {
+    let number = u32::from(channel);
+    crate::channel::Channel::new(number, crate::channel::Width::Ht20).map_or(5.5e9, |channel| channel.centre_hz())
+}

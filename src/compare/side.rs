@@ -1,0 +1,260 @@
+//! What one robot's log shows of its card, driver and host.
+
+use super::distribution::{Distribution, QUARTILES};
+use crate::backend::{CsiSource, Error, Next};
+use crate::cfo::drift_line;
+use crate::channel::SUBCARRIERS;
+use crate::pose::wrap_rad;
+use crate::survey::{Identity, Survey};
+use crate::time::{Instant, Unwrap32};
+use driver_iface::Mac;
+use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq};
+use driver_iface::record::Tail;
+use num_complex::Complex64;
+use std::collections::BTreeMap;
+
+/// Figures of one log.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+pub struct Side {
+    /// Intact bfee records.
+    pub records: usize,
+    /// Records by length on disk, bytes.
+    pub lengths: BTreeMap<usize, u64>,
+    /// Records by receive chains and streams, `10 n_rx + n_tx`.
+    pub streams: BTreeMap<usize, u64>,
+    /// Records by `noise`, dBm.
+    pub noise_dbm: BTreeMap<i8, u64>,
+    /// Records by `fake_rate_n_flags`.
+    pub rates: BTreeMap<u16, u64>,
+    /// Records by `antenna_sel`.
+    pub antenna_sel: BTreeMap<u8, u64>,
+    /// RSSI of antennas A, B, C, dB.
+    pub rssi_db: [Distribution; 3],
+    /// Gain, dB.
+    pub agc_db: Distribution,
+    /// Root mean square of the coefficients of antennas A, B, C, steps of the converter.
+    pub level: [Distribution; 3],
+    /// Share of frame numbers that are missing between the first and the last.
+    pub missing: f64,
+    /// Time between frames of consecutive numbers on the card's clock, microseconds.
+    pub interval_us: Distribution,
+    /// The same on the host's clock.
+    pub host_interval_us: Distribution,
+    /// Host time less card time without its drift, microseconds; its median is about 0.
+    pub latency_us: Distribution,
+    /// Standard deviation of the core of it: what the shortest half would have in a normal distribution, microseconds.
+    pub latency_core_us: f64,
+    /// How much faster the card's clock runs than the host's, parts per million.
+    pub card_ppm: f64,
+    /// Slope of the phase, radians per subcarrier index, antenna A.
+    pub slope_rad: Distribution,
+    /// Ripple of the magnitude over the subcarriers, standard deviation over mean, antenna A.
+    pub ripple: Distribution,
+    /// Signal to noise of single subcarriers, from how they change from packet to packet, antenna A, dB.
+    pub tone_snr_db: f64,
+    /// First and last host time, microseconds since the Unix epoch.
+    pub host_us: Option<(i64, i64)>,
+    /// First and last time on the card's clock, unwrapped microseconds.
+    pub clock_us: Option<(i64, i64)>,
+    /// Bytes of a last record that is cut.
+    pub tail_bytes: usize,
+}
+
+/// A source that is passed on as it is, with its records' figures collected on the way.
+pub struct Observed<'a> {
+    source: &'a mut dyn CsiSource,
+    collector: Collector,
+}
+
+impl<'a> Observed<'a> {
+    /// Observes `source`; the subcarrier `indices` are those of its channel.
+    pub fn new(source: &'a mut dyn CsiSource, indices: [i8; SUBCARRIERS]) -> Self {
+        Self { source, collector: Collector { indices, ..Collector::default() } }
+    }
+
+    /// What was seen.
+    #[must_use]
+    pub fn finish(self) -> Side {
+        self.collector.finish()
+    }
+}
+
+impl CsiSource for Observed<'_> {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        let next = self.source.receive(now)?;
+        self.collector.note(&next);
+        Ok(next)
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        self.source.next_at()
+    }
+}
+
+/// What is collected from a log.
+#[derive(Default)]
+struct Collector {
+    indices: [i8; SUBCARRIERS],
+    survey: Survey,
+    unwrap: Unwrap32,
+    last: BTreeMap<Mac, Last>,
+    /// Numbers there, and numbers that should be.
+    numbers: (u64, u64),
+    side: Side,
+    rssi: [Vec<f64>; 3],
+    agc: Vec<f64>,
+    level: [Vec<f64>; 3],
+    intervals: [Vec<f64>; 2],
+    clocks: Vec<i64>,
+    ahead: Vec<i64>,
+    slopes: Vec<f64>,
+    ripples: Vec<f64>,
+    /// The last two packets, flattened.
+    rows: [Row; 2],
+    /// Power of noise, and how many tones it is of.
+    noise: (f64, f64),
+}
+
+type Row = [Complex64; SUBCARRIERS];
+
+#[derive(Clone, Copy)]
+struct Last {
+    number: u32,
+    clock_us: i64,
+    host_us: Option<i64>,
+}
+
+impl Collector {
+    fn note(&mut self, next: &Next<'_>) {
+        let Some((bfee, identity)) = self.survey.note(next) else { return };
+        if let Next::Record(_, record) = next {
+            *self.side.lengths.entry(record.emit_len()).or_default() += 1;
+        }
+        self.fields(&bfee);
+        self.tones(&bfee);
+        let clock_us = self.unwrap.next(bfee.timestamp_low());
+        if let Some(host_us) = identity.host_us {
+            self.clocks.push(clock_us);
+            self.ahead.push(host_us - clock_us);
+        }
+        self.step(identity, clock_us);
+    }
+
+    fn fields(&mut self, bfee: &Bfee<'_>) {
+        let side = &mut self.side;
+        side.records += 1;
+        *side.streams.entry(10 * bfee.n_rx() + bfee.n_tx()).or_default() += 1;
+        *side.noise_dbm.entry(bfee.noise_dbm()).or_default() += 1;
+        *side.rates.entry(bfee.rate_n_flags()).or_default() += 1;
+        *side.antenna_sel.entry(bfee.antenna_sel()).or_default() += 1;
+        self.agc.push(f64::from(bfee.agc()));
+        for (values, rssi) in self.rssi.iter_mut().zip(bfee.rssi()) {
+            values.push(f64::from(rssi));
+        }
+    }
+
+    fn tones(&mut self, bfee: &Bfee<'_>) {
+        let mut iq = [Iq::default(); SUBCARRIERS];
+        for antenna in 0..Antenna::ALL.len() {
+            let Some(chain) = bfee.chain_of(Antenna::ALL[antenna]) else { continue };
+            if bfee.column(chain, 0, &ALL_SUBCARRIERS, &mut iq).is_none() {
+                continue;
+            }
+            let tones = iq.map(|iq| Complex64::new(f64::from(iq.i), f64::from(iq.q)));
+            let rms = (tones.iter().map(Complex64::norm_sqr).sum::<f64>() / SUBCARRIERS as f64).sqrt();
+            self.level[antenna].push(rms);
+            if antenna == 0 && rms > 0.0 {
+                let (slope, row) = flattened(&tones, rms, &self.indices);
+                self.slopes.push(slope);
+                let mean = row.iter().map(|h| h.norm()).sum::<f64>() / SUBCARRIERS as f64;
+                self.ripples.push((1.0 - mean * mean).max(0.0).sqrt() / mean);
+                change(&mut self.rows, &mut self.noise, row);
+            }
+        }
+    }
+
+    /// The step from a sender's last frame to this one.
+    fn step(&mut self, identity: Identity, clock_us: i64) {
+        let Some(number) = identity.frame_count else { return };
+        let this = Last { number, clock_us, host_us: identity.host_us };
+        let Some(before) = self.last.insert(identity.mac, this) else { return };
+        let ahead = number.wrapping_sub(before.number);
+        // A restart or a repeated number is no gap.
+        if (1..1_000).contains(&ahead) {
+            self.numbers = (self.numbers.0 + 1, self.numbers.1 + u64::from(ahead));
+        }
+        if ahead == 1 {
+            self.intervals[0].push((clock_us - before.clock_us) as f64);
+            self.intervals[1].extend(this.host_us.zip(before.host_us).map(|(now, then)| (now - then) as f64));
+        }
+    }
+
+    fn finish(self) -> Side {
+        let mut side = self.side;
+        side.rssi_db = self.rssi.map(|values| Distribution::of(&values));
+        side.level = self.level.map(|values| Distribution::of(&values));
+        side.agc_db = Distribution::of(&self.agc);
+        [side.interval_us, side.host_interval_us] = self.intervals.map(|values| Distribution::of(&values));
+        side.slope_rad = Distribution::of(&self.slopes);
+        side.ripple = Distribution::of(&self.ripples);
+        let (there, all) = self.numbers;
+        side.missing = if all == 0 { 0.0 } else { 1.0 - there as f64 / all as f64 };
+        side.tone_snr_db = if self.noise.0 > 0.0 { -10.0 * (self.noise.0 / self.noise.1).log10() } else { f64::NAN };
+        side.host_us = self.survey.host_us;
+        side.clock_us = self.clocks.first().copied().zip(self.clocks.last().copied());
+        side.tail_bytes = match self.survey.tail {
+            Some(Tail::Cut { bytes, .. }) => bytes as usize,
+            _ => 0,
+        };
+        if self.ahead.len() >= 8 {
+            let line = drift_line(&self.clocks, &self.ahead);
+            let late = self.clocks.iter().zip(&self.ahead).map(|(&clock, &ahead)| ahead as f64 - line.at(clock as f64));
+            let late: Vec<f64> = late.collect();
+            side.latency_us = Distribution::of(&late);
+            side.latency_core_us = shortest_half(late) / QUARTILES;
+            side.card_ppm = -1e6 * (line.at(1e6) - line.at(0.0)) / 1e6;
+        }
+        side
+    }
+}
+
+/// Length of the shortest interval that holds half of the values: few on one side do not widen it.
+fn shortest_half(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let lengths = values.iter().zip(values.iter().skip(values.len() / 2)).map(|(from, to)| to - from);
+    lengths.min_by(f64::total_cmp).unwrap_or(0.0)
+}
+
+/// Power of the second difference of each subcarrier over time: six times that of its noise.
+fn change(rows: &mut [Row; 2], noise: &mut (f64, f64), row: Row) {
+    if rows[0].iter().any(|h| *h != Complex64::default()) {
+        let second = (0..SUBCARRIERS).map(|k| (rows[0][k] - 2.0 * rows[1][k] + row[k]).norm_sqr() / 6.0);
+        noise.0 += second.sum::<f64>();
+        noise.1 += SUBCARRIERS as f64;
+    }
+    *rows = [rows[1], row];
+}
+
+/// The slope of the phase per subcarrier index, and the tones at unit power without it and without their mean phase.
+fn flattened(tones: &Row, rms: f64, indices: &[i8; SUBCARRIERS]) -> (f64, Row) {
+    let usual = indices[1] - indices[0];
+    let steps = (1..SUBCARRIERS).filter(|&k| indices[k] - indices[k - 1] == usual);
+    let rough = steps.map(|k| tones[k] * tones[k - 1].conj()).sum::<Complex64>().arg() / f64::from(usual);
+    let flat = |slope: f64, phase: f64| -> Row {
+        std::array::from_fn(|k| tones[k] * Complex64::from_polar(1.0 / rms, -slope * f64::from(indices[k]) - phase))
+    };
+    let mean = |row: &Row| row.iter().sum::<Complex64>().arg();
+    let once = flat(rough, 0.0);
+    let phase = mean(&once);
+    // What is left after the rough slope is a small tilt about the mean.
+    let (mut sum_xx, mut sum_xy) = (0.0, 0.0);
+    for (h, &index) in once.iter().zip(indices) {
+        let x = f64::from(index);
+        sum_xx += h.norm_sqr() * x * x;
+        sum_xy += h.norm_sqr() * x * wrap_rad(h.arg() - phase);
+    }
+    let slope = rough + if sum_xx > 0.0 { sum_xy / sum_xx } else { 0.0 };
+    let twice = flat(slope, 0.0);
+    let phase = mean(&twice);
+    (slope, twice.map(|h| h * Complex64::cis(-phase)))
+}

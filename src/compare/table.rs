@@ -1,0 +1,212 @@
+//! The figures of two captures beside each other, and how far they may differ.
+
+use super::distribution::Distribution;
+use super::figures::Figures;
+use super::side::Side;
+use std::collections::BTreeMap;
+
+/// How far a simulated figure may be from the recorded one.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Allowed {
+    /// Not at all.
+    Nothing,
+    /// By this much, in the figure's unit.
+    By(f64),
+    /// By this share of the recorded value.
+    Share(f64),
+    /// Shown for what it is; nothing is asked of it.
+    Anything,
+}
+
+/// What became of a row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Verdict {
+    /// Within what is allowed.
+    Agrees,
+    /// Not.
+    Differs,
+    /// Nothing was asked.
+    Shown,
+}
+
+/// One figure of both captures.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Row {
+    /// Whose: `link`, `receiver`, `transmitter`.
+    pub of: &'static str,
+    /// What.
+    pub name: String,
+    /// Its unit, empty for none.
+    pub unit: &'static str,
+    /// In the recorded capture; none where it could not be measured.
+    pub recorded: Option<f64>,
+    /// In the simulated capture.
+    pub simulated: Option<f64>,
+    /// How far they may differ.
+    pub allowed: Allowed,
+    /// Whether they do.
+    pub verdict: Verdict,
+}
+
+/// Spreads of the phase may differ by this share.
+pub const SPREAD: Allowed = Allowed::Share(0.15);
+/// Coherences may differ by this much.
+pub const COHERENCE: Allowed = Allowed::By(0.1);
+/// Quartile ranges of times, and levels, may differ by this share.
+const WIDTH: Allowed = Allowed::Share(0.2);
+
+/// All figures of two captures beside each other.
+#[must_use]
+pub fn rows(recorded: &Figures, simulated: &Figures) -> Vec<Row> {
+    let (a, b) = (&recorded.link, &simulated.link);
+    let mut table = Table { of: "link", rows: Vec::new() };
+    table.add("pairs", "", a.pairs as f64, b.pairs as f64, Allowed::Share(0.02));
+    table.add("carrier frequency offset", "Hz", a.df_hz, b.df_hz, Allowed::By(500.0));
+    table.add("drift of the clocks", "ppm", a.drift_ppm, b.drift_ppm, Allowed::Anything);
+    let (turn, other) = (&a.turn_around_us, &b.turn_around_us);
+    table.add("turn-around, quartile range", "us", turn.quartile_range(), other.quartile_range(), Allowed::By(2.0));
+    table.add("turn-arounds away from the core", "", a.away(), b.away(), Allowed::By(0.05));
+    table.add("phase spread before compensation", "rad", a.spread_before_rad, b.spread_before_rad, SPREAD);
+    table.add("phase spread after compensation", "rad", a.spread_after_rad, b.spread_after_rad, SPREAD);
+    table.maybe("coherence", "", [a.coherence, b.coherence], COHERENCE);
+    table.maybe("coherence within a second", "", [a.short_coherence, b.short_coherence], COHERENCE);
+    table.maybe("azimuth", "deg", [a.azimuth_deg, b.azimuth_deg], Allowed::Anything);
+    table.side("receiver", &recorded.receiver, &simulated.receiver);
+    table.side("transmitter", &recorded.transmitter, &simulated.transmitter);
+    table.rows
+}
+
+struct Table {
+    of: &'static str,
+    rows: Vec<Row>,
+}
+
+impl Table {
+    fn add(&mut self, name: &str, unit: &'static str, recorded: f64, simulated: f64, allowed: Allowed) {
+        self.maybe(name, unit, [Some(recorded), Some(simulated)], allowed);
+    }
+
+    fn maybe(&mut self, name: &str, unit: &'static str, values: [Option<f64>; 2], allowed: Allowed) {
+        let [recorded, simulated] = values.map(|value| value.filter(|value| value.is_finite()));
+        let verdict = verdict(recorded, simulated, allowed);
+        self.rows.push(Row { of: self.of, name: name.into(), unit, recorded, simulated, allowed, verdict });
+    }
+
+    fn side(&mut self, of: &'static str, a: &Side, b: &Side) {
+        self.of = of;
+        self.add("records", "", a.records as f64, b.records as f64, Allowed::Share(0.02));
+        self.extent("record length", "bytes", &a.lengths, &b.lengths);
+        self.extent("10 n_rx + n_tx", "", &a.streams, &b.streams);
+        self.extent("rate_n_flags", "", &a.rates, &b.rates);
+        self.extent("noise", "dBm", &a.noise_dbm, &b.noise_dbm);
+        let usual = a.antenna_sel.iter().max_by_key(|(_, count)| **count).map_or(0, |(sel, _)| *sel);
+        let share = |side: &Side| side.antenna_sel.get(&usual).map_or(0.0, |&n| n as f64 / side.records.max(1) as f64);
+        self.add(&format!("antenna_sel 0x{usual:02x}, share"), "", share(a), share(b), Allowed::By(0.05));
+        for (antenna, (a, b)) in ["A", "B", "C"].iter().zip(a.rssi_db.iter().zip(&b.rssi_db)) {
+            self.field(&format!("RSSI {antenna}"), "dB", a, b);
+        }
+        self.field("AGC", "dB", &a.agc_db, &b.agc_db);
+        for (antenna, (a, b)) in ["A", "B", "C"].iter().zip(a.level.iter().zip(&b.level)) {
+            self.add(&format!("level {antenna}"), "steps", a.mean, b.mean, WIDTH);
+        }
+        self.add("numbers missing", "", a.missing, b.missing, Allowed::By(0.01));
+        self.times("interval, card", &a.interval_us, &b.interval_us);
+        self.times("interval, host", &a.host_interval_us, &b.host_interval_us);
+        let (wide, narrow) = (a.latency_us.quartile_range(), b.latency_us.quartile_range());
+        self.add("host latency, quartile range", "us", wide, narrow, WIDTH);
+        self.add("card's clock against the host's", "ppm", a.card_ppm, b.card_ppm, Allowed::By(1.0));
+        self.add("slope of the phase", "rad/index", a.slope_rad.mean, b.slope_rad.mean, Allowed::By(0.02));
+        self.add("slope, standard deviation", "rad/index", a.slope_rad.sd, b.slope_rad.sd, Allowed::Share(0.3));
+        self.add("ripple over the subcarriers", "", a.ripple.median, b.ripple.median, Allowed::By(0.05));
+        self.add("signal to noise of a subcarrier", "dB", a.tone_snr_db, b.tone_snr_db, Allowed::By(2.0));
+    }
+
+    /// The range of a field that takes few values: lowest and highest must be the same.
+    fn extent<K: Copy + Into<Number>>(&mut self, name: &str, unit: &'static str, a: &Counts<K>, b: &Counts<K>) {
+        let ends = |map: &Counts<K>| [map.keys().next(), map.keys().next_back()].map(|key| key.map(|k| (*k).into().0));
+        let ([low, high], [other_low, other_high]) = (ends(a), ends(b));
+        self.maybe(&format!("{name}, lowest"), unit, [low, other_low], Allowed::Nothing);
+        self.maybe(&format!("{name}, highest"), unit, [high, other_high], Allowed::Nothing);
+    }
+
+    fn field(&mut self, name: &str, unit: &'static str, a: &Distribution, b: &Distribution) {
+        self.add(&format!("{name}, mean"), unit, a.mean, b.mean, Allowed::By(1.0));
+        self.add(&format!("{name}, standard deviation"), unit, a.sd, b.sd, Allowed::By(0.7));
+        self.add(&format!("{name}, 1 %"), unit, a.p01, b.p01, Allowed::By(2.0));
+        self.add(&format!("{name}, 99 %"), unit, a.p99, b.p99, Allowed::By(2.0));
+    }
+
+    fn times(&mut self, name: &str, a: &Distribution, b: &Distribution) {
+        self.add(&format!("{name}, median"), "us", a.median, b.median, Allowed::Share(0.001));
+        self.add(&format!("{name}, quartile range"), "us", a.quartile_range(), b.quartile_range(), WIDTH);
+        self.add(&format!("{name}, standard deviation"), "us", a.sd, b.sd, WIDTH);
+        self.add(&format!("{name}, 1 %"), "us", a.p01, b.p01, Allowed::Share(0.01));
+        self.add(&format!("{name}, 99 %"), "us", a.p99, b.p99, Allowed::Share(0.01));
+    }
+}
+
+type Counts<K> = BTreeMap<K, u64>;
+
+/// A field's value as a number.
+struct Number(f64);
+
+impl From<u16> for Number {
+    fn from(value: u16) -> Self {
+        Self(f64::from(value))
+    }
+}
+
+impl From<i8> for Number {
+    fn from(value: i8) -> Self {
+        Self(f64::from(value))
+    }
+}
+
+impl From<usize> for Number {
+    fn from(value: usize) -> Self {
+        Self(value as f64)
+    }
+}
+
+fn verdict(recorded: Option<f64>, simulated: Option<f64>, allowed: Allowed) -> Verdict {
+    let limit = |recorded: f64| match allowed {
+        Allowed::Nothing => Some(0.0),
+        Allowed::By(by) => Some(by),
+        Allowed::Share(share) => Some(share * recorded.abs()),
+        Allowed::Anything => None,
+    };
+    match (recorded, simulated) {
+        (None, None) => Verdict::Shown,
+        (Some(recorded), Some(simulated)) => match limit(recorded) {
+            None => Verdict::Shown,
+            Some(limit) if (recorded - simulated).abs() <= limit => Verdict::Agrees,
+            Some(_) => Verdict::Differs,
+        },
+        _ if allowed == Allowed::Anything => Verdict::Shown,
+        _ => Verdict::Differs,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn verdicts_follow_what_is_allowed() {
+        use Verdict::{Agrees, Differs, Shown};
+        for (recorded, simulated, allowed, expected) in [
+            (Some(1.0), Some(1.14), SPREAD, Agrees),
+            (Some(1.0), Some(1.16), SPREAD, Differs),
+            (Some(0.5), Some(0.61), COHERENCE, Differs),
+            (Some(-127.0), Some(-127.0), Allowed::Nothing, Agrees),
+            (Some(-127.0), Some(-126.0), Allowed::Nothing, Differs),
+            (Some(1.0), None, Allowed::By(9.0), Differs),
+            (None, None, Allowed::Nothing, Shown),
+            (Some(1.0), Some(9.0), Allowed::Anything, Shown),
+        ] {
+            assert_eq!(verdict(recorded, simulated, allowed), expected, "{recorded:?} {simulated:?} {allowed:?}");
+        }
+    }
+}
