@@ -133,3 +133,25 @@ fn the_state_is_told_on_a_socket_and_a_signal_ends_the_robot_in_order() {
     let (_, _, err) = look();
     assert!(err.contains("does the node run"), "{err}");
 }
+
+#[test]
+fn the_log_of_a_robot_that_was_killed_can_be_read() {
+    let folder = folder("node-killed");
+    let text = format!(
+        "{}[output]\nbearings = \"\"\n[log]\nfile = \"{}/own.dat\"\n",
+        ROOM.replace("speed = 40", "speed = 4"),
+        folder.display()
+    );
+    std::fs::write(folder.join("robot.toml"), text).unwrap();
+    let mut node = Running(csi5300(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
+    while std::fs::metadata(folder.join("own.dat")).map_or(0, |log| log.len()) < 20_000 {
+        assert!(node.0.try_wait().unwrap().is_none(), "the robot ended by itself");
+        std::thread::yield_now();
+    }
+    node.0.kill().unwrap();
+    node.0.wait().unwrap();
+    let (status, info, err) = said(csi5300(&folder).args(["info", "--json", "own.dat"]).output().unwrap());
+    let info: serde_json::Value = serde_json::from_str(&info).unwrap();
+    assert!(status == 0 && info["wsr"].as_u64() >= Some(80), "{info} {err}");
+    assert_eq!(info["damages"], 0);
+}

@@ -83,9 +83,13 @@ impl Drop for Node {
     }
 }
 
-/// No discovery: tests that run side by side must not meet.
+/// No discovery: tests that run side by side must not meet. And no strangers: a user and a password.
 fn network(folder: &Path, more: &str) -> String {
-    std::fs::write(folder.join("zenoh.json5"), "{ scouting: { multicast: { enabled: false } } }").unwrap();
+    let users = folder.join("users");
+    std::fs::write(&users, "robot:secret\n").unwrap();
+    let auth = format!("usrpwd: {{ user: 'robot', password: 'secret', dictionary_file: '{}' }}", users.display());
+    let zenoh = format!("{{ scouting: {{ multicast: {{ enabled: false }} }}, transport: {{ auth: {{ {auth} }} }} }}");
+    std::fs::write(folder.join("zenoh.json5"), zenoh).unwrap();
     format!("[network]\nzenoh = '{}'\n{more}\n", folder.join("zenoh.json5").display())
 }
 

@@ -1,6 +1,7 @@
 //! The service: one thread of tokio that waits for records, poses, times, signals and readers of the state.
 
 use super::config::{Config, Log};
+use super::estimator::{Report, State};
 use super::health::{Health, Load, Looks};
 use super::machine::{Capture, Machine};
 use super::outputs::{Lines, StatusSocket, StatusText};
@@ -64,6 +65,15 @@ impl Clock {
     fn until(&self, at: Instant) -> Duration {
         Duration::from_secs_f64(((at - self.now()).as_s() / self.speed).clamp(0.0, LONGEST_WAIT.as_s()))
     }
+}
+
+/// A published line.
+#[derive(serde::Serialize)]
+struct Line<'a> {
+    /// How long the estimate took, milliseconds.
+    took_ms: Option<f64>,
+    #[serde(flatten)]
+    report: &'a Report,
 }
 
 struct Service {
@@ -159,8 +169,8 @@ impl Service {
         let Some((peer, report)) = self.machine.poll_report(self.clock.now()) else { return };
         self.load.estimate_ms = (self.clock.real.now() - before).as_s() * 1e3;
         self.load.longest_estimate_ms = self.load.longest_estimate_ms.max(self.load.estimate_ms);
-        self.bearings += u64::from(report.state == super::estimator::State::Bearing);
-        self.lines.write(&report);
+        self.bearings += u64::from(report.state == State::Bearing);
+        self.lines.write(&Line { took_ms: Some(self.load.estimate_ms), report: &report });
         self.looks.note(peer, report);
     }
 
@@ -195,8 +205,8 @@ impl Service {
         self.text.clear();
         let (reports, totals) = self.machine.finish(self.clock.now())?;
         for (report, peer) in reports.into_iter().zip(&mut health.peers) {
-            self.bearings += u64::from(report.state == super::estimator::State::Bearing);
-            self.lines.write(&report);
+            self.bearings += u64::from(report.state == State::Bearing);
+            self.lines.write(&Line { took_ms: None, report: &report });
             peer.report = Some(report);
         }
         health.log.clone_from(&totals);

@@ -190,7 +190,8 @@ fn still(place: &Place, offset_m: [f64; 3]) -> Track {
     Track::still(antenna, heading_rad)
 }
 
-fn scene(name: &Path) -> Result<Scene, Error> {
+/// A scene by its file, or by the name of a built-in one.
+pub(super) fn scene(name: &Path) -> Result<Scene, Error> {
     if let Some(scene) = name.to_str().and_then(Scene::built_in) {
         return Ok(scene);
     }

@@ -174,6 +174,12 @@ impl OpenCr {
         self.waiting.map_or(self.due, |request| request.until)
     }
 
+    /// True while an answer is awaited.
+    #[must_use]
+    pub fn is_waiting(&self) -> bool {
+        self.waiting.is_some()
+    }
+
     /// The request to write now, if one is due. `wall_us` is the host's wall clock, microseconds since the Unix epoch.
     pub fn poll_transmit(&mut self, now: Instant, wall_us: i64) -> Option<&[u8]> {
         if let Some(request) = self.waiting {
