@@ -175,7 +175,10 @@ fn floors_of_single_precision_are_measured() {
                 }
             }
             assert!(worst <= floor, "{method:?} {radius} m: {worst:.1e} above the floor {floor:.1e}");
-            assert!(worst > 0.05 * floor, "{method:?} {radius} m: {worst:.1e}, the floor of {floor:.1e} is no measurement");
+            assert!(
+                worst > 0.05 * floor,
+                "{method:?} {radius} m: {worst:.1e}, the floor of {floor:.1e} is no measurement"
+            );
         }
     }
 }
