@@ -84,6 +84,8 @@ pub mod pose;
 pub mod quality;
 pub mod rooms;
 pub mod samples;
+#[cfg(feature = "live")]
+pub mod sounding;
 pub mod status;
 pub mod suite;
 pub mod survey;

@@ -28,7 +28,7 @@ const FLOORS: &[(u8, &[&str])] = &[
         4,
         &[
             "answer", "compare", "doctor", "evaluate", "figures", "gallery", "mcap", "node", "pipeline", "plot",
-            "quality", "rooms", "status", "suite", "survey", "wait",
+            "quality", "rooms", "sounding", "status", "suite", "survey", "wait",
         ],
     ),
 ];

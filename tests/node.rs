@@ -142,20 +142,6 @@ fn a_robot_at_rest_finds_those_that_move_and_publish_their_poses() {
 }
 
 #[test]
-fn robots_that_sound_in_turns_find_each_other_all_the_same() {
-    let folder = folder("ring-turns");
-    let sounding = "[sounding]\ndialect = \"native\"\ninitiators = [\"r0\", \"r1\", \"r2\"]\n";
-    let text = scene(3, false).replace("[sounding]\n", sounding);
-    let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
-    let (_, last) = run(machine(&config(&folder, &text, 3, false)), Instant::from_us(23_000_000));
-    for (peer, report) in last.iter().enumerate() {
-        let off = off_deg(report, truth_deg(&room, peer + 1));
-        println!("in turns, r{}: {off:.3} deg off, {} pairs", peer + 1, report.answer.pairs);
-        assert!(off < 1.0 && report.answer.pairs > 1_500, "{off} {report:?}");
-    }
-}
-
-#[test]
 fn nothing_is_computed_for_robots_that_stand() {
     let folder = folder("ring-rest");
     let text = scene(2, false);

@@ -121,7 +121,8 @@ impl Estimation {
     }
 }
 
-fn antenna(text: &str) -> Result<Antenna, String> {
+/// An antenna by its letter.
+pub fn antenna(text: &str) -> Result<Antenna, String> {
     match text {
         "A" | "a" => Ok(Antenna::A),
         "B" | "b" => Ok(Antenna::B),

@@ -27,10 +27,16 @@ mod replay;
 #[cfg(feature = "plot")]
 mod report;
 #[cfg(feature = "live")]
+mod respond;
+#[cfg(feature = "live")]
 mod serve;
 #[cfg(feature = "live")]
 mod setup;
 mod simulate;
+#[cfg(feature = "live")]
+mod sound;
+#[cfg(feature = "live")]
+mod sounding;
 mod suite;
 #[cfg(feature = "node")]
 mod watch;
@@ -105,6 +111,12 @@ enum Command {
     Compare(compare::Args),
     /// The paper's experiments, simulated, with repetitions: a table of errors, confidence and phase residual
     Suite(suite::Args),
+    /// Sounds other robots: sends them frames in turn, which they answer, so that both cards measure; live bearings
+    #[cfg(feature = "live")]
+    Sound(Box<sound::Args>),
+    /// Answers the frames of robots that sound
+    #[cfg(feature = "live")]
+    Respond(respond::Args),
     /// Records the driver's messages to a log, live
     #[cfg(feature = "live")]
     Record(record::Args),
@@ -144,6 +156,10 @@ pub fn run() -> ExitCode {
         Command::Simulate(args) => simulate::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Suite(args) => suite::run(&args),
+        #[cfg(feature = "live")]
+        Command::Sound(args) => sound::run(&args),
+        #[cfg(feature = "live")]
+        Command::Respond(args) => respond::run(&args),
         #[cfg(feature = "live")]
         Command::Record(args) => record::run(&args),
         #[cfg(feature = "live")]

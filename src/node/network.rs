@@ -11,7 +11,7 @@ use crate::pose::Pose;
 use driver_iface::Mac;
 use driver_iface::record::Record;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -40,6 +40,8 @@ pub struct Network {
     mailboxes: Vec<(String, &'static str, Mailbox)>,
     publisher: Option<(SyncSender<Item>, JoinHandle<()>)>,
     unsent: Arc<AtomicU64>,
+    /// The publisher sends what waits, and ends.
+    stop: Arc<AtomicBool>,
     publishes: (bool, bool),
 }
 
@@ -73,6 +75,7 @@ impl Network {
             mailboxes: Vec::new(),
             publisher: None,
             unsent: Arc::default(),
+            stop: Arc::default(),
             publishes: (asked.publish_records, asked.publish_poses),
         };
         if asked.publish_records || asked.publish_poses {
@@ -92,13 +95,11 @@ impl Network {
         let (records, poses) = (publisher("records")?, publisher("poses")?);
         // Another one at each start, so that peers know numbers that began anew.
         let session = crate::wait::wall_us().unwrap_or(0) as u32 ^ std::process::id();
+        let stop = Arc::clone(&self.stop);
         let send = move || {
-            work(
-                &waiting,
-                session,
-                |message| drop(records.put(message).wait()),
-                |message| drop(poses.put(message).wait()),
-            );
+            let send_records = |message| drop(records.put::<Vec<u8>>(message).wait());
+            let send_poses = |message| drop(poses.put::<Vec<u8>>(message).wait());
+            work(&waiting, session, &stop, send_records, send_poses);
         };
         let thread = std::thread::Builder::new().name("csi5300 network".into()).spawn(send);
         let what = "cannot start the thread of the network".into();
@@ -147,8 +148,8 @@ impl Network {
 
 impl Drop for Network {
     fn drop(&mut self) {
-        if let Some((items, thread)) = self.publisher.take() {
-            drop(items);
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some((_, thread)) = self.publisher.take() {
             let _ = thread.join();
         }
         let _ = self.session.close().wait();
@@ -161,14 +162,20 @@ fn key_of(mac: Mac) -> String {
 }
 
 /// Collects items into messages, and sends them.
-fn work(waiting: &Receiver<Item>, session: u32, send_records: impl Fn(Vec<u8>), send_poses: impl Fn(Vec<u8>)) {
+fn work(
+    waiting: &Receiver<Item>,
+    session: u32,
+    stop: &AtomicBool,
+    send_records: impl Fn(Vec<u8>),
+    send_poses: impl Fn(Vec<u8>),
+) {
     let (mut records, mut poses) = (Batch::records(session), Batch::poses(session));
     loop {
         match waiting.recv_timeout(HAND_OVER) {
             Ok(Item::Record(host_us, code, body)) => records.push_record(host_us, Record { code, body: &body }),
             Ok(Item::Pose(pose)) => poses.push_pose(pose),
-            Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => break,
+            Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => {}
+            Err(_) => break,
         }
         // Whatever waits goes with it.
         while records.len() < MESSAGE_BYTES && poses.len() < MESSAGE_BYTES {
