@@ -25,18 +25,35 @@ pub struct Kept {
 /// The risk-coverage curve: errors when 100, 90, .. 50 % are kept.
 #[must_use]
 pub fn risk_coverage(rows: &[Judged]) -> Vec<Kept> {
+    kept(rows, (5..=10).rev().map(|tenths| f64::from(tenths) / 10.0))
+}
+
+/// The same in steps of 2 %, down to a tenth: for pictures.
+#[must_use]
+pub fn refusals(rows: &[Judged]) -> Vec<Kept> {
+    kept(rows, (5..=50).rev().map(|fiftieths| f64::from(fiftieths) / 50.0))
+}
+
+fn kept(rows: &[Judged], shares: impl Iterator<Item = f64>) -> Vec<Kept> {
     let mut sure: Vec<(f64, f64)> = certain(rows).collect();
     sure.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let kept = |tenths: usize| {
-        let count = (sure.len() * tenths).div_ceil(10);
+    let kept = |share: f64| {
+        // Half a link is no link more because of how a share is rounded.
+        let count = ((sure.len() as f64 * share - 1e-9).ceil() as usize).min(sure.len());
         let own = &sure[..count];
-        Kept {
-            share: tenths as f64 / 10.0,
-            confidence: own.last().map_or(0.0, |row| row.0),
-            errors: Errors::of(own.iter().map(|row| row.1)),
-        }
+        let confidence = own.last().map_or(0.0, |row| row.0);
+        Kept { share, confidence, errors: Errors::of(own.iter().map(|row| row.1)) }
     };
-    if sure.is_empty() { Vec::new() } else { (5..=10).rev().map(kept).collect() }
+    if sure.is_empty() { Vec::new() } else { shares.map(kept).collect() }
+}
+
+/// Root mean square of error over predicted standard deviation: 1 where the Cramer-Rao bound tells the truth. `None`
+/// without links that have both.
+#[must_use]
+pub fn over_bound(rows: &[&Judged]) -> Option<f64> {
+    let ratio = |row: &&Judged| Some(row.error_from_mean_pose_deg? / row.answer.azimuth_sd_deg.filter(|sd| *sd > 0.0)?);
+    let squares: Vec<f64> = rows.iter().filter_map(ratio).map(|ratio| ratio * ratio).collect();
+    (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
 }
 
 /// Links of like confidence.
@@ -85,6 +102,8 @@ pub struct Ranges {
     pub reported: usize,
     /// Median of the absolute errors, metres.
     pub median_m: f64,
+    /// Median of the absolute error over the predicted standard deviation: 0.67 for normal errors.
+    pub over_bound: f64,
 }
 
 /// How good the ranges are.
@@ -93,8 +112,11 @@ pub fn ranges(rows: &[&Judged]) -> Ranges {
     let known = rows.iter().filter(|row| row.true_range_m.is_some() && row.answer.azimuth_deg.is_some());
     let mut errors: Vec<f64> = rows.iter().filter_map(|row| row.range_error_m).map(f64::abs).collect();
     errors.sort_by(f64::total_cmp);
-    let median_m = errors.get(errors.len() / 2).copied().unwrap_or_default();
-    Ranges { links: known.count(), reported: errors.len(), median_m }
+    let ratio = |row: &&Judged| Some(row.range_error_m?.abs() / row.answer.range_sd_m?);
+    let mut ratios: Vec<f64> = rows.iter().filter_map(ratio).collect();
+    ratios.sort_by(f64::total_cmp);
+    let median = |sorted: &[f64]| sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN);
+    Ranges { links: known.count(), reported: errors.len(), median_m: median(&errors), over_bound: median(&ratios) }
 }
 
 /// A receiver located from its links.

@@ -136,7 +136,7 @@ struct Row {
 }
 
 /// Everything that a link gave.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Bearing {
     /// The estimate, azimuth in the trajectory's frame.
     pub estimate: Estimate,
