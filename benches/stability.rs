@@ -43,12 +43,18 @@ fn breaking() {
         let ways = [forced(Precision::Single), forced(Precision::Double), ProfileOptions::default()];
         let errors = ways.map(|options| worst(&samples, &grid, &options, &reference));
         table.row(&[vec![radius.to_string()], errors.map(|e| format!("{e:.1e}")).into()].concat());
-        lines.iter_mut().zip(errors).for_each(|(line, e)| line.push((radius, e.max(1e-17))));
+        lines.iter_mut().zip(errors).for_each(|(line, e)| line.push((radius, 1e6 * e.max(1e-16))));
     }
     table.save();
     let labels = ["direct, single", "direct, double", "the planner's choice at 1e-4"];
     let series: Vec<_> = labels.into_iter().zip(lines).map(|(l, points)| Series { label: l.into(), points }).collect();
-    picture("stability", "Error of a profile over the aperture, 20 packets", "radius, m", "largest error", &series);
+    picture(
+        "stability",
+        "Error of a profile over the aperture, 20 packets",
+        "radius, m",
+        "largest error, millionths",
+        &series,
+    );
 }
 
 /// Largest difference of `|f| / sum |z|` from the reference.
