@@ -319,7 +319,9 @@ impl Machine {
     /// # Errors
     /// If the log's writer died.
     pub fn finish(mut self, now: Instant) -> Result<(Vec<Report>, Option<Totals>), Error> {
-        let reports = self.estimator.finish();
-        Ok((reports, self.capture.source.finish(now)?))
+        // The log first: it must be whole whatever the last estimates take.
+        let totals = self.capture.source.finish(now);
+        let reports = self.estimator.finish(now);
+        Ok((reports, totals?))
     }
 }
