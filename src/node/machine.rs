@@ -94,6 +94,8 @@ pub struct PoseCounts {
     pub poses: u64,
     /// Times that the sensor began anew.
     pub new_frames: u64,
+    /// Times that the host's wall clock was set: everything is measured anew.
+    pub clock_set: u64,
 }
 
 /// A running robot.
@@ -298,6 +300,19 @@ impl Machine {
     #[must_use]
     pub fn pose_counts(&self) -> PoseCounts {
         self.pose_counts
+    }
+
+    /// What the source of this robot's poses counted of its own.
+    #[must_use]
+    pub fn odometry_counts(&self) -> Option<serde_json::Value> {
+        self.poses.as_ref().and_then(|poses| poses.source.counted())
+    }
+
+    /// This host's wall clock was set: what has a time of the old one is of no use, here and to the peers.
+    pub fn handle_clock_set(&mut self) {
+        self.pose_counts.clock_set += 1;
+        self.estimator.handle_new_frame();
+        self.tap.iter_mut().for_each(|tap| tap.pose(None));
     }
 
     /// What is in the log.

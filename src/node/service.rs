@@ -8,6 +8,7 @@ use super::sources::{Card, Sources};
 use crate::backend::Error;
 use crate::backend::recorder::{LogFiles, Options as RecorderOptions, Recorder, Rotation, Totals, side_path};
 use crate::backend::sys::watch_fd;
+use crate::odometry::clock::WallWatch;
 use crate::time::{Instant, Span};
 use crate::wait::{Monotonic, processor_s, wall_us};
 use sd_notify::NotifyState;
@@ -79,6 +80,8 @@ struct Service<'a> {
     /// Real time and processor time of the last look.
     looked: (Instant, f64),
     bearings: u64,
+    /// Of a live card; what is replayed or simulated has clocks of its own.
+    wall: Option<WallWatch>,
 }
 
 impl<'a> Service<'a> {
@@ -106,6 +109,7 @@ impl<'a> Service<'a> {
             load: Load::default(),
             looked: (clock.real.now(), processor_s()),
             bearings: 0,
+            wall: wake.is_some().then(WallWatch::default),
         };
         // Without a service manager nobody listens, and that is no error.
         let _ = sd_notify::notify(&[NotifyState::Ready]);
@@ -125,6 +129,7 @@ impl<'a> Service<'a> {
         let mut alive_at = look_at;
         loop {
             let more = self.machine.take(self.clock.now())?;
+            self.watch_wall();
             self.estimate();
             let real = self.clock.real.now();
             if real >= look_at {
@@ -151,6 +156,15 @@ impl<'a> Service<'a> {
                 () = self.network.wake.notified() => {}
                 () = tokio::time::sleep(wait) => self.note_lateness(),
             }
+        }
+    }
+
+    /// After everything that waited was taken, so that none of it comes later with a time of the old clock.
+    fn watch_wall(&mut self) {
+        if let (Some(watch), Some(wall_us)) = (&mut self.wall, wall_us())
+            && watch.was_set(wall_us, self.clock.real.now().as_us())
+        {
+            self.machine.handle_clock_set();
         }
     }
 

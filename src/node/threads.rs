@@ -142,7 +142,25 @@ impl Drop for CardThread {
 /// Poses that are taken on a thread of their own.
 pub struct PoseThread {
     poses: Receiver<Result<NextPose, Error>>,
-    trouble: Arc<Mutex<Option<String>>>,
+    told: Arc<Mutex<Told>>,
+}
+
+/// What a source of poses says of itself.
+#[derive(Default)]
+struct Told {
+    trouble: Option<String>,
+    counted: Option<serde_json::Value>,
+    /// When it was last asked what it counted.
+    at: Option<Instant>,
+}
+
+impl Told {
+    fn ask(&mut self, source: &impl OdometrySource, now: Instant) {
+        self.trouble = source.trouble();
+        if self.at.is_none_or(|at| now - at >= LOOK) {
+            (self.counted, self.at) = (source.counted(), Some(now));
+        }
+    }
 }
 
 impl PoseThread {
@@ -152,8 +170,8 @@ impl PoseThread {
     /// If the thread cannot be started.
     pub fn start(mut source: impl OdometrySource + Send + 'static) -> Result<Self, Error> {
         let (give, poses) = sync_channel(POSES);
-        let trouble = Arc::new(Mutex::new(None));
-        let told = Arc::downgrade(&trouble);
+        let shared = Arc::new(Mutex::new(Told::default()));
+        let told = Arc::downgrade(&shared);
         let take = move || {
             let clock = Monotonic::new();
             loop {
@@ -162,7 +180,7 @@ impl PoseThread {
                     Ok(NextPose::Pending) => {
                         // Nobody reads any more.
                         let Some(told) = told.upgrade() else { return };
-                        *told.lock().unwrap_or_else(PoisonError::into_inner) = source.trouble();
+                        told.lock().unwrap_or_else(PoisonError::into_inner).ask(&source, now);
                         drop(told);
                         clock.sleep_until(source.next_at().map_or(now + LOOK, |at| at.min(now + LOOK)));
                     }
@@ -178,7 +196,7 @@ impl PoseThread {
         let what = "cannot start the thread of the odometry".into();
         let thread = std::thread::Builder::new().name("csi5300 poses".into()).spawn(take);
         thread.map_err(|source| Error::Io { what, source })?;
-        Ok(Self { poses, trouble })
+        Ok(Self { poses, told: shared })
     }
 }
 
@@ -196,7 +214,11 @@ impl OdometrySource for PoseThread {
     }
 
     fn trouble(&self) -> Option<String> {
-        self.trouble.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.told.lock().unwrap_or_else(PoisonError::into_inner).trouble.clone()
+    }
+
+    fn counted(&self) -> Option<serde_json::Value> {
+        self.told.lock().unwrap_or_else(PoisonError::into_inner).counted.clone()
     }
 }
 
