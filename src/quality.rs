@@ -47,13 +47,22 @@ fn kept(rows: &[Judged], shares: impl Iterator<Item = f64>) -> Vec<Kept> {
     if sure.is_empty() { Vec::new() } else { shares.map(kept).collect() }
 }
 
-/// Root mean square of error over predicted standard deviation: 1 where the Cramer-Rao bound tells the truth. `None`
-/// without links that have both.
+/// Median of `|error| / deviation` over that of a normal distribution: 1 where deviations tell the truth, whatever a few
+/// false answers do. `None` without links that have both.
+fn scale(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
+    let mut ratios: Vec<f64> = pairs.filter(|(_, sd)| *sd > 0.0).map(|(error, sd)| (error / sd).abs()).collect();
+    median(&mut ratios).map(|ratio| ratio / 0.674_5)
+}
+
+fn median(values: &mut [f64]) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+/// How the azimuths' errors compare with their predicted deviations: 1 at the Cramer-Rao bound.
 #[must_use]
 pub fn over_bound(rows: &[&Judged]) -> Option<f64> {
-    let ratio = |row: &&Judged| Some(row.error_from_mean_pose_deg? / row.answer.azimuth_sd_deg.filter(|sd| *sd > 0.0)?);
-    let squares: Vec<f64> = rows.iter().filter_map(ratio).map(|ratio| ratio * ratio).collect();
-    (!squares.is_empty()).then(|| (squares.iter().sum::<f64>() / squares.len() as f64).sqrt())
+    scale(rows.iter().filter_map(|row| row.error_from_mean_pose_deg.zip(row.answer.azimuth_sd_deg)))
 }
 
 /// Links of like confidence.
@@ -101,9 +110,9 @@ pub struct Ranges {
     /// Those that reported a range.
     pub reported: usize,
     /// Median of the absolute errors, metres.
-    pub median_m: f64,
-    /// Median of the absolute error over the predicted standard deviation: 0.67 for normal errors.
-    pub over_bound: f64,
+    pub median_m: Option<f64>,
+    /// How the errors compare with the predicted deviations: 1 where those tell the truth.
+    pub over_bound: Option<f64>,
 }
 
 /// How good the ranges are.
@@ -111,12 +120,9 @@ pub struct Ranges {
 pub fn ranges(rows: &[&Judged]) -> Ranges {
     let known = rows.iter().filter(|row| row.true_range_m.is_some() && row.answer.azimuth_deg.is_some());
     let mut errors: Vec<f64> = rows.iter().filter_map(|row| row.range_error_m).map(f64::abs).collect();
-    errors.sort_by(f64::total_cmp);
-    let ratio = |row: &&Judged| Some(row.range_error_m?.abs() / row.answer.range_sd_m?);
-    let mut ratios: Vec<f64> = rows.iter().filter_map(ratio).collect();
-    ratios.sort_by(f64::total_cmp);
-    let median = |sorted: &[f64]| sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN);
-    Ranges { links: known.count(), reported: errors.len(), median_m: median(&errors), over_bound: median(&ratios) }
+    let reported = errors.len();
+    let over_bound = scale(rows.iter().filter_map(|row| row.range_error_m.zip(row.answer.range_sd_m)));
+    Ranges { links: known.count(), reported, median_m: median(&mut errors), over_bound }
 }
 
 /// A receiver located from its links.
@@ -237,6 +243,21 @@ mod tests {
         let bins = reliability(&rows);
         assert_eq!(bins.iter().map(|bin| bin.links).sum::<usize>(), 10);
         assert_eq!(bins[bins.len() - 1].right, 1.0);
+    }
+
+    #[test]
+    fn deviations_that_tell_the_truth_have_a_scale_of_one() {
+        let with_sd = |k: i32| {
+            let mut row = row("a/x", 0.0, f64::from(k), 0.5);
+            row.answer.azimuth_sd_deg = Some(10.0);
+            row
+        };
+        // Half of normal errors are within 0.6745 deviations.
+        let rows: Vec<Judged> = (-13..=13).map(with_sd).collect();
+        let rows: Vec<&Judged> = rows.iter().collect();
+        assert!((over_bound(&rows).unwrap() - 0.7 / 0.674_5).abs() < 1e-9, "{:?}", over_bound(&rows));
+        assert_eq!(over_bound(&[]), None);
+        assert_eq!(ranges(&rows), Ranges { links: 0, reported: 0, median_m: None, over_bound: None });
     }
 
     #[test]

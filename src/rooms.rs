@@ -65,7 +65,7 @@ fn toml(seed: u64, in_sight: bool) -> String {
         );
         if !in_sight {
             // A wall across the straight way, a metre and a half before the transmitter at most.
-            let (at_m, half_m, through_db) = (range_m - between(0.4, 0.8), between(0.6, 1.4), between(6.0, 18.0));
+            let (at_m, half_m, through_db) = (range_m - between(0.4, 0.8), between(0.6, 1.4), between(8.0, 30.0));
             let end = |side: f64| (at_m * cos - side * half_m * sin, at_m * sin + side * half_m * cos);
             let ((x0, y0), (x1, y1)) = (end(1.0), end(-1.0));
             let _ = writeln!(
@@ -74,7 +74,7 @@ fn toml(seed: u64, in_sight: bool) -> String {
             );
         }
     }
-    let loss_db = if in_sight { between(10.0, 16.0) } else { between(4.0, 10.0) };
+    let loss_db = if in_sight { between(10.0, 16.0) } else { between(2.0, 8.0) };
     let (west, east, south, north) = (-between(6.0, 8.0), between(6.0, 8.0), -between(6.0, 8.0), between(6.0, 8.0));
     for (x0, y0, x1, y1) in
         [(west, south, east, south), (east, south, east, north), (east, north, west, north), (west, north, west, south)]

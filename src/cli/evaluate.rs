@@ -17,7 +17,8 @@ pub struct Args {
     /// Folder with captures below it, as in the WSR data set
     #[arg(required_unless_present = "rooms")]
     folder: Option<PathBuf>,
-    /// Also evaluate this many simulated rooms with the transmitters in sight, and as many with walls before them
+    /// Also evaluate this many simulated rooms with the transmitters in sight, and as many with walls before them (with
+    /// the true trajectory or odometry)
     #[arg(long, value_name = "N")]
     rooms: Option<u64>,
     /// Seed of the first simulated room
@@ -217,14 +218,15 @@ fn worth(rows: &[Judged]) -> String {
             located.iter().filter(|r| r.capture.starts_with(&format!("{set}/"))).filter_map(|r| r.off_m).collect();
         off.sort_by(f64::total_cmp);
         let median = off.get(off.len() / 2).map_or("-".into(), |off| format!("{off:.2} m"));
+        let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
         let _ = writeln!(
             text,
-            "{set}: error over predicted deviation {:.2}; range from {} of {} links, median error {:.2} m, over predicted deviation {:.2}; {} receivers located, median error {median}",
-            over_bound(&own).unwrap_or(f64::NAN),
+            "{set}: error over predicted deviation {}; range from {} of {} links, median error {} m, over predicted deviation {}; {} receivers located, median error {median}",
+            number(over_bound(&own)),
             ranges.reported,
             ranges.links,
-            ranges.median_m,
-            ranges.over_bound,
+            number(ranges.median_m),
+            number(ranges.over_bound),
             off.len()
         );
     }

@@ -129,6 +129,7 @@ impl Search {
             range_searched,
             elevation_searched,
             range_min_m: 1.0 / self.curve_max,
+            elevation_max_rad: self.limits.elevation_max_rad,
             evaluations: self.evaluations,
         })
     }
