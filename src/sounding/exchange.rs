@@ -48,8 +48,7 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
     /// # Errors
     /// When the interface failed for good. What was only not taken is counted, and said in a [`Notice`].
     pub fn step(&mut self, now: &impl Fn() -> Instant, tell: &mut impl FnMut(News)) -> Result<Option<Instant>, Error> {
-        loop {
-            let Some(heard) = self.air.hear()? else { break };
+        while let Some(heard) = self.air.hear()? {
             let at = now();
             let ended = at - heard.age;
             let heard_len = heard.frame.len() + FCS_LEN;
