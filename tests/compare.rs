@@ -60,7 +60,6 @@ fn scenes_fitted_to_the_papers_captures_agree_with_them() {
             file: &std::fs::canonicalize(&path).unwrap(),
             folder: Path::new(""),
             transmitter_m: Some([-3.18, 1.11, 0.27]),
-            channel: 108,
         };
         let fitted = fit(&recorded, &known, &options()).unwrap();
         check(&format!("{shape} {name}"), &rows(&recorded, &fitted.figures));
@@ -84,7 +83,6 @@ fn refitted(scene: &Scene, name: &str) -> (Figures, Figures) {
         file: Path::new("t.csv"),
         folder: &folder,
         transmitter_m: Some(scene.robot[1].position_m),
-        channel: scene.channel,
     };
     let fitted = fit(&recorded, &known, &options());
     std::fs::remove_dir_all(&folder).unwrap();
