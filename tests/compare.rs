@@ -153,3 +153,36 @@ fn figures_of_different_scenes_differ() {
     }
     assert!(!differs("record length, highest") && !differs("rate_n_flags, total variation distance"));
 }
+
+#[test]
+fn compare_neither_overwrites_what_it_reads_nor_removes_what_is_there() {
+    let folder = std::env::temp_dir().join(format!("csi5300-compare-outputs-{}", std::process::id()));
+    std::fs::create_dir_all(folder.join("simulated")).unwrap();
+    let names = ["rx.dat", "tx.dat", "fitted-trajectory.csv", "trajectory.csv", "scene.toml", "simulated/kept.csv"];
+    for name in names {
+        std::fs::write(folder.join(name), name).unwrap();
+    }
+    let refused = |more: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
+        command.current_dir(&folder).args(["compare", "--rx", "rx.dat", "--tx", "tx.dat", "--out", "."]).args(more);
+        let out = command.output().unwrap();
+        assert_eq!(out.status.code(), Some(1));
+        String::from_utf8(out.stderr).unwrap()
+    };
+    let said = refused(&["--trajectory", "trajectory.csv"]);
+    assert!(said.contains("is there already: --force"), "{said}");
+    let said = refused(&["--trajectory", "fitted-trajectory.csv", "--force"]);
+    assert!(said.contains("fitted-trajectory.csv is an input"), "{said}");
+    let said = refused(&["--trajectory", "simulated/kept.csv", "--force"]);
+    assert!(said.contains("is an input inside"), "{said}");
+    let paper = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/paper-circle.toml");
+    let with = ["--trajectory", "trajectory.csv", paper.to_str().unwrap()];
+    let said = refused(&with);
+    assert!(said.contains("simulated is there already"), "{said}");
+    let said = refused(&[&with[..], &["--force", "--channel", "36"]].concat());
+    assert!(said.contains("not of --channel 36"), "{said}");
+    for name in names {
+        assert_eq!(std::fs::read_to_string(folder.join(name)).unwrap(), name);
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+}

@@ -60,22 +60,17 @@ pub fn run(args: &Args) -> Result {
     let options = Options::new(args.channel);
     // Before anything is read or fitted: minutes of work end in these files.
     args.check_outputs()?;
+    let given = args.with.as_deref().filter(|with| !with.is_dir()).map(|file| load(file, args.channel)).transpose()?;
     let (trajectory, counts) = odometry::csv::read(&args.trajectory).map_err(|error| error.to_string())?;
     if let Some((line, why)) = counts.first_bad {
         eprintln!("csi5300: {} rows left out, the first in line {line}: {why}", counts.bad_rows);
     }
     let recorded = read(&args.rx, &args.tx, &trajectory, &options)?;
     let folder = args.out.join(SIMULATED);
-    let capture = match &args.with {
-        Some(folder) if folder.is_dir() => folder.clone(),
-        Some(scene) => {
-            let scene = load(scene, args.channel)?;
-            clear(&folder)?;
-            simulate::write(&scene, &folder)?;
-            folder
-        }
-        None => {
-            let scene = fitted(args, &recorded, &trajectory, &options)?;
+    let capture = match (&args.with, given) {
+        (Some(folder), None) => folder.clone(),
+        (_, given) => {
+            let scene = given.map_or_else(|| fitted(args, &recorded, &trajectory, &options), Ok)?;
             clear(&folder)?;
             simulate::write(&scene, &folder)?;
             folder
