@@ -259,6 +259,12 @@ impl Link {
         self.rows.len() + self.outside + self.thinned
     }
 
+    /// Pairs left out evenly so far, because the link has more than are kept.
+    #[must_use]
+    pub fn thinned(&self) -> usize {
+        self.thinned
+    }
+
     /// Takes a frame of one side.
     pub fn handle(&mut self, side: Side, heard: Heard, options: &Options) {
         self.pairing.handle(side, heard.number, heard.timestamp_low, heard);

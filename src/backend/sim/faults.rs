@@ -78,11 +78,12 @@ pub struct Injected {
     pub out_of_reach: u64,
     /// Frames lost because this robot was off.
     pub missed_while_off: u64,
-    /// Frames received a second time: [`Faults::duplicate`].
+    /// Frames received a second time: [`Faults::duplicate`]. Both copies are in `received`, and the driver may lose
+    /// either: a frame counts here although only one of its records was handed on.
     pub duplicated: u64,
     /// Records of others' exchanges, left out by a reader who wants only its own ([`super::Port::own_only`]).
     pub overheard: u64,
-    /// Records lost in the driver: [`Faults::driver_drop`].
+    /// Records lost in the driver, first and second copies of a frame alike: [`Faults::driver_drop`].
     pub driver_dropped: u64,
     /// Times the socket's queue ran over.
     pub overruns: u64,
