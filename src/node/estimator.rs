@@ -329,7 +329,8 @@ impl PeerState {
     fn report(&mut self, context: Context<'_>) -> Report {
         let Context { track, settings, now, .. } = context;
         let seen = self.link.as_ref().and_then(Link::last_us).map(|us| us as f64 * 1e-6);
-        if !context.last && self.searched == Some(self.pairs()) {
+        let nothing_new = self.searched == Some(self.pairs());
+        if !context.last && nothing_new {
             return self.without(State::NoPairs, "no exchange since the last search".into(), 0.0, context, seen);
         }
         let Some(end_s) = seen else {
@@ -360,7 +361,10 @@ impl PeerState {
             return self.without(State::NotYet, words, found.extent_m, context, seen);
         }
         self.searched = Some(self.pairs());
-        let report = self.estimate(&receiver, transmitter.as_ref(), &found, context);
+        let mut report = self.estimate(&receiver, transmitter.as_ref(), &found, context);
+        if let Some(last) = self.last.as_ref().filter(|_| nothing_new) {
+            report.age_s = (now - last.at).as_s();
+        }
         if report.state == State::Bearing {
             let (answer, moved_m) = (report.answer.clone(), found.extent_m);
             self.last = Some(Last { answer, at: now, motion, moved_m });
