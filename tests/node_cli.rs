@@ -129,7 +129,8 @@ fn the_state_is_told_on_a_socket_and_a_signal_ends_the_robot_in_order() {
     let status = node.0.wait().unwrap();
     let mut err = String::new();
     node.0.stderr.take().unwrap().read_to_string(&mut err).unwrap();
-    assert!(matches!(status.code(), Some(0 | 1)), "{status} {err}");
+    // Also where no record had come yet.
+    assert!(matches!(status.code(), Some(0 | 3)), "{status} {err}");
     assert!(err.contains("records in the log, 0 not"), "{err}");
     assert!(!folder.join("s").exists(), "the socket is gone with the robot");
     let (_, _, err) = look();

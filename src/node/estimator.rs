@@ -2,7 +2,7 @@
 
 use super::motion::{Track, Window, aligned, window};
 use crate::answer::Answer;
-use crate::backend::Next;
+use crate::backend::{Loss, Next};
 use crate::pairing::Side;
 use crate::pipeline::intake::Front;
 use crate::pipeline::link::Link;
@@ -160,7 +160,7 @@ pub struct Estimator {
     front: Front,
     track: Track,
     peers: Vec<PeerState>,
-    /// Losses that the own card's source reported.
+    /// Records lost on the way from the own card, as far as its source knows how many.
     losses: u64,
     strangers: u64,
 }
@@ -187,7 +187,7 @@ impl Estimator {
 
     /// Takes what this robot's card gave.
     pub fn handle_own(&mut self, next: &Next<'_>) {
-        self.losses += u64::from(matches!(next, Next::Lost(_)));
+        self.losses = self.losses.saturating_add(lost(next));
         let Some((mac, heard)) = self.front.note(next) else { return };
         let Some(state) = self.peers.iter_mut().find(|state| state.peer.mac == mac) else {
             self.strangers += 1;
@@ -202,7 +202,7 @@ impl Estimator {
     /// Takes what the card of peer number `peer` gave.
     pub fn handle_peer(&mut self, peer: usize, next: &Next<'_>) {
         let Some(state) = self.peers.get_mut(peer) else { return };
-        state.counts.losses += u64::from(matches!(next, Next::Lost(_)));
+        state.counts.losses = state.counts.losses.saturating_add(lost(next));
         let Some((mac, heard)) = state.front.note(next) else { return };
         if mac != self.own {
             return;
@@ -329,7 +329,8 @@ impl PeerState {
     fn report(&mut self, context: Context<'_>) -> Report {
         let Context { track, settings, now, .. } = context;
         let seen = self.link.as_ref().and_then(Link::last_us).map(|us| us as f64 * 1e-6);
-        if !context.last && self.searched == Some(self.pairs()) {
+        let nothing_new = self.searched == Some(self.pairs());
+        if !context.last && nothing_new {
             return self.without(State::NoPairs, "no exchange since the last search".into(), 0.0, context, seen);
         }
         let Some(end_s) = seen else {
@@ -360,7 +361,10 @@ impl PeerState {
             return self.without(State::NotYet, words, found.extent_m, context, seen);
         }
         self.searched = Some(self.pairs());
-        let report = self.estimate(&receiver, transmitter.as_ref(), &found, context);
+        let mut report = self.estimate(&receiver, transmitter.as_ref(), &found, context);
+        if let Some(last) = self.last.as_ref().filter(|_| nothing_new) {
+            report.age_s = (now - last.at).as_s();
+        }
         if report.state == State::Bearing {
             let (answer, moved_m) = (report.answer.clone(), found.extent_m);
             self.last = Some(Last { answer, at: now, motion, moved_m });
@@ -437,6 +441,15 @@ impl Motion {
     }
 }
 
+/// Records lost, as far as a source knows how many.
+fn lost(next: &Next<'_>) -> u64 {
+    match next {
+        Next::Lost(Loss::Overrun { dropped: Some(dropped) }) => (*dropped).max(1),
+        Next::Lost(_) => 1,
+        Next::Record(..) | Next::Pending | Next::End(_) => 0,
+    }
+}
+
 /// Forgets what is older than `keep_s` by the track's own clock.
 fn forget(track: &mut Track, keep_s: f64) {
     if let Some(last_s) = track.last().map(|pose| pose.t_s) {
@@ -452,4 +465,31 @@ fn cut(trajectory: &Trajectory, found: &Window) -> Trajectory {
     let from = trajectory.poses().partition_point(|pose| pose.t_s < found.from_s).saturating_sub(1);
     let kept = trajectory.poses().get(from..).unwrap_or_default();
     Trajectory::new(kept.to_vec()).unwrap_or_else(|_| trajectory.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn tracks_are_trimmed_though_nothing_moves_and_nothing_is_heard() {
+        let settings = Settings::new(0.054);
+        let peer = Peer { name: "b".into(), mac: Mac([2; 6]), track: Track::default(), yaw_rad: 0.0 };
+        let options = Options::new("108".parse().unwrap());
+        let mut estimator = Estimator::new(Mac([1; 6]), Track::default(), vec![peer], settings, options, Instant::ZERO);
+        for k in 0..6_000 {
+            // The peer's clock is an hour ahead.
+            let pose = |ahead_s: f64| Pose {
+                t_s: ahead_s + f64::from(k) * 0.1,
+                position_m: Vector3::zeros(),
+                heading_rad: None,
+            };
+            estimator.handle_pose(pose(0.0));
+            estimator.handle_peer_pose(0, pose(3_600.0));
+            estimator.poll_report(Instant::from_us(i64::from(k) * 100_000));
+        }
+        let kept = estimator.peers().next().unwrap().0.track.len();
+        assert!(kept < 3_100 && estimator.track().len() < 2_200, "{kept} {}", estimator.track().len());
+    }
 }

@@ -172,6 +172,11 @@ impl Health {
     #[must_use]
     pub fn lost_something(&self) -> bool {
         let log = self.log.as_ref().is_some_and(|log| log.dropped + log.lost_on_disk > 0);
-        self.losses > 0 || log || self.load.lines_lost > 0 || self.peers.iter().any(|peer| peer.counts.losses > 0)
+        let unsent = self.network.as_ref().and_then(|network| network.get("unsent")?.as_u64()).unwrap_or(0);
+        self.losses > 0
+            || unsent > 0
+            || log
+            || self.load.lines_lost > 0
+            || self.peers.iter().any(|peer| peer.counts.losses > 0)
     }
 }

@@ -13,6 +13,8 @@ use driver_iface::record::Record;
 
 /// Records or poses taken from one source before the others have their turn.
 const BURST: usize = 512;
+/// Bursts that are still taken at the end.
+const LAST_BURSTS: usize = 64;
 /// A peer over a network of which nothing came for so long has ended, once this robot's own records have.
 const QUIET: Span = Span::from_ms(5_000);
 
@@ -331,6 +333,12 @@ impl Machine {
     /// # Errors
     /// If the log's writer died.
     pub fn finish(mut self, now: Instant) -> Result<(Vec<Report>, Option<Totals>), Error> {
+        // What has come is taken, as far as it does not go on coming for ever.
+        for _ in 0..LAST_BURSTS {
+            if self.capture.ended || !self.take_records(now).unwrap_or(false) {
+                break;
+            }
+        }
         // The log first: it must be whole whatever the last estimates take.
         let totals = self.capture.source.finish(now);
         let reports = self.estimator.finish(now);

@@ -19,6 +19,7 @@ pub mod motion;
 pub mod sources;
 #[cfg(feature = "live")]
 pub mod threads;
+mod together;
 
 #[cfg(feature = "zenoh")]
 pub mod network;

@@ -34,6 +34,8 @@ pub struct Ended {
     pub totals: Option<Totals>,
     /// Bearings that were published.
     pub bearings: u64,
+    /// A signal ended it.
+    pub signalled: bool,
     /// What ended it, if that was an error.
     pub error: Option<Error>,
 }
@@ -90,6 +92,7 @@ struct Service<'a> {
     /// Real time and processor time of the last look.
     looked: (Instant, f64),
     bearings: u64,
+    signalled: bool,
     /// Of a live card; what is replayed or simulated has clocks of its own.
     wall: Option<WallWatch>,
 }
@@ -119,6 +122,7 @@ impl<'a> Service<'a> {
             load: Load::default(),
             looked: (clock.real.now(), processor_s()),
             bearings: 0,
+            signalled: false,
             wall: wake.is_some().then(WallWatch::default),
         };
         // Without a service manager nobody listens, and that is no error.
@@ -161,7 +165,10 @@ impl<'a> Service<'a> {
             };
             tokio::select! {
                 biased;
-                () = any(signals) => return Ok(()),
+                () = any(signals) => {
+                    self.signalled = true;
+                    return Ok(());
+                }
                 ready = readable(wake) => ready?,
                 () = self.network.wake.notified() => {}
                 () = tokio::time::sleep(wait) => self.note_lateness(),
@@ -204,7 +211,7 @@ impl<'a> Service<'a> {
         }
         self.looked = (real, used_s);
         self.load.memory_mib = resident_mib().unwrap_or(0.0);
-        self.load.lines_lost = self.lines.lost;
+        self.load.lines_lost = self.lines.lost();
         let mut health = self.looks.look(&self.machine, self.clock.now(), self.load);
         health.network = self.network.counts();
         self.load.late_ms = 0.0;
@@ -225,8 +232,8 @@ impl<'a> Service<'a> {
             peer.report = Some(report);
         }
         health.log.clone_from(&totals);
-        health.load.lines_lost = self.lines.lost;
-        Ok(Ended { health, totals, bearings: self.bearings, error })
+        health.load.lines_lost = self.lines.finish();
+        Ok(Ended { health, totals, bearings: self.bearings, signalled: self.signalled, error })
     }
 }
 

@@ -511,3 +511,41 @@ impl Link {
         LinkError::OutsideTrajectory { pairs: pairs.formed, from_s, start_s, end_s }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use driver_iface::sounding::native::Measurement;
+
+    /// Exchange number `k`, 10 ms after the one before.
+    fn exchange(link: &mut Link, options: &Options, k: u32) {
+        let measurement = Measurement {
+            number: k,
+            timestamp_low: k * 10_000,
+            rx_antenna: 0,
+            antenna_sel: 0,
+            rssi: [40; 3],
+            noise_dbm: -127,
+            agc: 20,
+            iq: [[9, 1]; 30],
+        };
+        let mut heard = Heard::measured(&measurement, k);
+        heard.host_us = Some(i64::from(k) * 10_000);
+        link.handle(Side::Receiver, heard, options);
+        link.handle(Side::Transmitter, heard, options);
+    }
+
+    #[test]
+    fn after_a_long_rest_every_pair_is_kept_again() {
+        let options = Options::new("108".parse().unwrap());
+        let mut link = Link::new(Mac([2; 6]), None);
+        (0..60_000).for_each(|k| exchange(&mut link, &options, k));
+        assert!(link.stride > 4 && link.rows.len() <= MAX_ROWS, "{}", link.stride);
+        link.forget_before(599_000_000);
+        (60_000..60_500).for_each(|k| exchange(&mut link, &options, k));
+        let kept = link.rows.iter().filter(|row| row.row >= 60_000).count();
+        assert_eq!(kept, 500);
+        // What goes with the rows is forgotten with them.
+        assert_eq!(link.products.len(), link.rows.len());
+    }
+}
