@@ -323,15 +323,15 @@ fn rooms_are_judged_with_pictures_and_a_link_is_explained() {
     assert_eq!(status, 0, "{err}");
     assert!(out.contains("rooms_LOS: 3 links, 0 failed") && out.contains("rooms_NLOS: 3 links, 0 failed"), "{out}");
     for name in ["errors.png", "refusals.svg"] {
-        assert!(folder.path.join("pictures").join(name).is_file(), "{name}");
+        assert!(folder.0.join("pictures").join(name).is_file(), "{name}");
     }
-    capture(&folder, "place", &Link::default());
+    capture(&folder, "place", &link(600, 2.0));
     let (status, out, err) = folder.run(&["explain", "place/tx2", "--out", "link"]);
     assert_eq!(status, 0, "{err}");
     for part in ["turn-around", "sampling time", "candidates", "paths", "answer"] {
         assert!(out.contains(part), "{part}: {out}");
     }
-    let drawn: Vec<String> = std::fs::read_dir(folder.path.join("link"))
+    let drawn: Vec<String> = std::fs::read_dir(folder.0.join("link"))
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
