@@ -364,7 +364,7 @@ fn rooms_are_judged_with_pictures_and_a_link_is_explained() {
     for name in ["errors.png", "refusals.svg"] {
         assert!(folder.0.join("pictures").join(name).is_file(), "{name}");
     }
-    capture(&folder, "place", &link(400, 2.0 * std::f64::consts::FRAC_PI_3));
+    capture(&folder, "place", &link(600, 2.0));
     let (status, out, err) = folder.run(&["explain", "place/tx2", "--out", "link"]);
     assert_eq!(status, 0, "{err}");
     for part in ["turn-around", "sampling time", "candidates", "paths", "answer"] {
