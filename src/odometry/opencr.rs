@@ -624,7 +624,7 @@ mod tests {
         assert_eq!(opencr.trouble(), None);
         let refusal = |_, _| {
             let mut out = Vec::new();
-            dynamixel::emit(ID, dynamixel::instruction::STATUS, &[&[7]], &mut out);
+            dynamixel::emit(ID, dynamixel::instruction::STATUS, &[7], &mut out);
             out
         };
         talk(&mut opencr, &mut device, (2.0, 4.0), refusal);
