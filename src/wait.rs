@@ -63,11 +63,10 @@ impl Monotonic {
         until: Option<Instant>,
     ) -> Result<[bool; N], Error> {
         let Some(until) = until else { return self.wait(fds, None) };
-        if self.now() < until - NEAR {
-            let ready = self.wait(fds, Some(until - NEAR))?;
-            if ready.contains(&true) || self.now() < until - NEAR {
-                return Ok(ready);
-            }
+        // Nearer than that the files are looked at once all the same.
+        let ready = self.wait(fds, Some(until - NEAR))?;
+        if ready.contains(&true) || self.now() < until - NEAR {
+            return Ok(ready);
         }
         self.sleep_until(until);
         Ok([false; N])
