@@ -1,9 +1,10 @@
 //! What is said of a link: the flat form of a bearing, for people and for JSON Lines.
 
 use crate::bartlett::Geometry;
-use crate::near_field::Source;
+use crate::near_field::{Focus, Path, Source};
 use crate::pairing::{Side, SideCounts};
 use crate::pipeline::accurate::Placed;
+use crate::pipeline::explain::LinkPlan;
 use crate::pipeline::link::{Link, PairCounts};
 use crate::pipeline::{LinkReport, Report};
 use serde::Serialize;
@@ -45,9 +46,14 @@ pub struct Answer {
     pub position_m: Option<[f64; 3]>,
     /// Covariance of the position, metres squared, row by row.
     pub position_covariance_m2: Option<[[f64; 3]; 3]>,
-    /// Everything from which waves seem to come, the answer first.
+    /// The paths in the round trip, the answer first, the others falling in power.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub paths: Vec<PathAnswer>,
+    /// The answers that the search chose from, the best first; relative power is that of all views together.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub candidates: Vec<PathAnswer>,
+    /// What autofocus found of the trajectory, where several links were there to tell.
+    pub focus: Option<Focus>,
     /// Geometric mean of the powers that the views of the motion give the answer, 0..1.
     pub joint_power: Option<f64>,
     /// The powers themselves: round trip whole, one-way channel in windows.
@@ -89,9 +95,12 @@ pub struct Answer {
     pub receiver_records: SideCounts,
     /// Records of the link in the transmitter's log by what became of them.
     pub transmitter_records: SideCounts,
+    /// What was computed and what was not, where that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub plan: Option<LinkPlan>,
 }
 
-/// One apparent source.
+/// A direction from which waves come.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct PathAnswer {
     /// Bearing, degrees.
@@ -100,8 +109,24 @@ pub struct PathAnswer {
     pub abs_elevation_deg: f64,
     /// Apparent range, metres; none for a plane wave.
     pub range_m: Option<f64>,
-    /// Power relative to the answer's, dB.
+    /// Power: of a path, one way, relative to the strongest's; of a candidate, relative to the answer's; dB.
     pub relative_power_db: f64,
+    /// A false source: the product of two other paths of this list (by their places in it), as squaring makes it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cross_term_of: Option<[usize; 2]>,
+}
+
+impl PathAnswer {
+    fn new(place: (f64, f64, f64), relative_power_db: f64, cross_term_of: Option<[usize; 2]>) -> Self {
+        let (azimuth_rad, elevation_rad, curve) = place;
+        Self {
+            azimuth_deg: azimuth_rad.to_degrees(),
+            abs_elevation_deg: elevation_rad.to_degrees(),
+            range_m: (curve > 0.0).then(|| 1.0 / curve),
+            relative_power_db,
+            cross_term_of,
+        }
+    }
 }
 
 impl Answer {
@@ -122,7 +147,7 @@ impl Answer {
             Ok(bearing) => {
                 let estimate = &bearing.estimate;
                 answer.azimuth_deg = Some(estimate.azimuth_rad.to_degrees());
-                answer.azimuth_body_deg = bearing.azimuth_body_rad.map(f64::to_degrees);
+                answer.azimuth_body_deg = bearing.azimuth_body_rad().map(f64::to_degrees);
                 answer.abs_elevation_deg = Some(estimate.abs_elevation_rad.to_degrees());
                 answer.azimuth_sd_deg = Some(estimate.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
                 answer.mirror_deg = estimate.mirror_rad.map(f64::to_degrees);
@@ -177,13 +202,17 @@ impl Answer {
                 self.position_covariance_m2 = Some(covariance.into());
             }
         }
-        let path = |source: &Source| PathAnswer {
-            azimuth_deg: source.azimuth_rad.to_degrees(),
-            abs_elevation_deg: source.abs_elevation_rad.to_degrees(),
-            range_m: (source.inverse_range_per_m > 0.0).then(|| 1.0 / source.inverse_range_per_m),
-            relative_power_db: 10.0 * (source.power / best.power).log10(),
+        let candidate = |source: &Source| {
+            let place = (source.azimuth_rad, source.abs_elevation_rad, source.inverse_range_per_m);
+            PathAnswer::new(place, 10.0 * (source.power / best.power).log10(), None)
         };
-        self.paths = fix.sources.iter().map(path).collect();
+        self.candidates = fix.sources.iter().map(candidate).collect();
+        let path = |path: &Path| {
+            let place = (path.azimuth_rad, path.abs_elevation_rad, path.inverse_range_per_m);
+            PathAnswer::new(place, path.relative_power_db, path.cross_term_of)
+        };
+        self.paths = placed.paths.iter().map(path).collect();
+        self.focus = placed.focus;
         self.joint_power = Some(best.power);
         self.view_powers.clone_from(&fix.view_powers);
         self.view_spread_deg = Some(fix.view_spread_rad().to_degrees());

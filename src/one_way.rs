@@ -37,7 +37,7 @@ pub struct OneWay {
 /// Takes the square root of `rows` (round trips, common slope removed, in the order of time).
 #[must_use]
 pub fn one_way(rows: &[Row]) -> OneWay {
-    let mut roots: Vec<Row> = rows.iter().map(|row| row.map(Complex32::sqrt)).collect();
+    let mut roots: Vec<Row> = rows.iter().map(|row| row.map(root)).collect();
     track(&mut roots);
     let mut corrected = 0;
     for _ in 0..SWEEPS {
@@ -52,8 +52,9 @@ pub fn one_way(rows: &[Row]) -> OneWay {
         for (a, b) in pair[0].iter().zip(&pair[1]) {
             let product = b * a.conj();
             aligned += product;
-            full += product.norm();
-            slipped += if product.re < 0.0 { product.norm() } else { 0.0 };
+            let size = product.norm_sqr().sqrt();
+            full += size;
+            slipped += if product.re < 0.0 { size } else { 0.0 };
         }
     }
     let share = |part: f32| if full > 0.0 { f64::from(part / full) } else { 0.0 };
@@ -64,6 +65,14 @@ pub fn one_way(rows: &[Row]) -> OneWay {
         coherence: share(aligned.norm()),
         rows: roots,
     }
+}
+
+/// The square root with a positive real part, without the polar form.
+fn root(value: Complex32) -> Complex32 {
+    let large = (0.5 * (value.norm_sqr().sqrt() + value.re.abs())).sqrt();
+    let small = if large > 0.0 { 0.5 * value.im.abs() / large } else { 0.0 };
+    let (re, im) = if value.re >= 0.0 { (large, small) } else { (small, large) };
+    Complex32::new(re, im.copysign(value.im))
 }
 
 /// The first packet by continuity over the subcarriers, every other by a prediction from those before it.
@@ -125,6 +134,15 @@ mod tests {
         let power: f32 = truth.iter().flatten().map(Complex32::norm_sqr).sum();
         assert!(product.norm() / power > 0.999, "{}", product.norm() / power);
         assert!(found.slips < 1e-3 && found.coherence > 0.98, "{} {}", found.slips, found.coherence);
+    }
+
+    #[test]
+    fn roots_are_those_of_the_polar_form() {
+        for k in 0..64 {
+            let value = Complex32::from_polar(0.1 + 0.3 * k as f32, 0.1 * k as f32 - 3.1);
+            assert!((root(value) - value.sqrt()).norm() < 1e-5, "{value}");
+        }
+        assert_eq!(root(Complex32::default()), Complex32::default());
     }
 
     #[test]

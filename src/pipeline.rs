@@ -2,6 +2,7 @@
 //! estimator meet.
 
 pub mod accurate;
+pub mod explain;
 pub mod intake;
 pub mod link;
 
@@ -175,10 +176,12 @@ pub fn bearings(
     let report = |log: Log<'_>| LogReport { survey: log.front.survey, unused: log.front.unused };
     let finish = |((link, found), path)| LinkReport::new(link, found, trajectory, path, options);
     let jobs: Vec<_> = links.into_iter().zip(matches).zip(paths).collect();
-    let links = match options.parallel {
+    let mut links: Vec<LinkReport> = match options.parallel {
         true => jobs.into_par_iter().map(finish).collect(),
         false => jobs.into_iter().map(finish).collect(),
     };
+    let mut made: Vec<_> = links.iter_mut().filter_map(|link| link.bearing.as_mut().ok()).collect();
+    accurate::finish(&mut made, options);
     Ok(Report { receiver: report(rx), transmitters: txs.into_iter().map(report).collect(), links })
 }
 

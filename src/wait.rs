@@ -3,16 +3,26 @@
 //! Everything below is handed the time; here is where it comes from.
 
 use crate::backend::Error;
-use crate::time::Instant;
+use crate::time::{Instant, Span};
 use nix::poll::{PollFd, PollFlags, ppoll};
 use nix::sys::time::TimeSpec;
+use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
 use std::os::fd::BorrowedFd;
 use std::time::Duration;
+
+/// A wait for a deadline watches files until so long before it, and then sleeps to the point.
+const NEAR: Span = Span::from_us(300);
 
 /// The host's monotonic clock, from the moment this was made.
 #[derive(Clone, Copy, Debug)]
 pub struct Monotonic {
-    origin: std::time::Instant,
+    /// CLOCK_MONOTONIC at that moment, nanoseconds.
+    origin_ns: i64,
+}
+
+/// CLOCK_MONOTONIC, which every Linux has, nanoseconds.
+fn monotonic_ns() -> i64 {
+    clock_gettime(ClockId::CLOCK_MONOTONIC).map_or(0, |now| now.tv_sec() * 1_000_000_000 + now.tv_nsec())
 }
 
 impl Default for Monotonic {
@@ -25,13 +35,42 @@ impl Monotonic {
     /// A clock that shows zero now.
     #[must_use]
     pub fn new() -> Self {
-        Self { origin: std::time::Instant::now() }
+        Self { origin_ns: monotonic_ns() }
     }
 
     /// The time now.
     #[must_use]
     pub fn now(&self) -> Instant {
-        Instant::from_us(i64::try_from(self.origin.elapsed().as_micros()).unwrap_or(i64::MAX))
+        Instant::from_us((monotonic_ns() - self.origin_ns) / 1_000)
+    }
+
+    /// Sleeps until `until` is reached, on the absolute clock (clock_nanosleep), so that what comes between asking for
+    /// the time and sleeping makes nothing later. A signal ends it early.
+    pub fn sleep_until(&self, until: Instant) {
+        let at_ns = until.as_us().saturating_mul(1_000).saturating_add(self.origin_ns).max(0);
+        let at = TimeSpec::new(at_ns / 1_000_000_000, at_ns % 1_000_000_000);
+        let _ = clock_nanosleep(ClockId::CLOCK_MONOTONIC, ClockNanosleepFlags::TIMER_ABSTIME, &at);
+    }
+
+    /// As [`Monotonic::wait`], for a deadline that is to be met closely: the last 300 us before it are slept through to
+    /// the point, whatever becomes readable.
+    ///
+    /// # Errors
+    /// If the kernel refuses to poll.
+    pub fn wait_closely<const N: usize>(
+        &self,
+        fds: [BorrowedFd<'_>; N],
+        until: Option<Instant>,
+    ) -> Result<[bool; N], Error> {
+        let Some(until) = until else { return self.wait(fds, None) };
+        if self.now() < until - NEAR {
+            let ready = self.wait(fds, Some(until - NEAR))?;
+            if ready.contains(&true) || self.now() < until - NEAR {
+                return Ok(ready);
+            }
+        }
+        self.sleep_until(until);
+        Ok([false; N])
     }
 
     /// Sleeps until one of `fds` is readable or in error, or until `until`. Gives which ones are.

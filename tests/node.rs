@@ -142,17 +142,28 @@ fn a_robot_at_rest_finds_those_that_move_and_publish_their_poses() {
 }
 
 #[test]
-fn robots_that_sound_in_turns_find_each_other_all_the_same() {
-    let folder = folder("ring-turns");
-    let sounding = "[sounding]\ndialect = \"native\"\ninitiators = [\"r0\", \"r1\", \"r2\"]\n";
-    let text = scene(3, false).replace("[sounding]\n", sounding);
-    let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
-    let (_, last) = run(machine(&config(&folder, &text, 3, false)), Instant::from_us(23_000_000));
-    for (peer, report) in last.iter().enumerate() {
-        let off = off_deg(report, truth_deg(&room, peer + 1));
-        println!("in turns, r{}: {off:.3} deg off, {} pairs", peer + 1, report.answer.pairs);
-        assert!(off < 1.0 && report.answer.pairs > 1_500, "{off} {report:?}");
+fn a_robot_that_drives_for_long_keeps_only_what_its_window_needs() {
+    let folder = folder("ring-long");
+    let circle = "motion.circle = { radius_m = 0.3, duration_s = 20.0, start_s = 1.5 }";
+    let walk = "motion.random_walk = { speed_m_s = 0.2, duration_s = 400.0, within_m = 1.5 }";
+    let text = scene(2, false).replace(circle, walk).replace("duration_s = 24.0", "duration_s = 400.0");
+    let config = config(&folder, &text, 2, false);
+    let mut machine = machine(&config);
+    let (mut now, mut longest, mut most, mut last) = (Instant::ZERO, 0, 0, None);
+    while !machine.is_done(now) {
+        while machine.take(now).unwrap() {}
+        longest = longest.max(machine.estimator.track().len());
+        if let Some((_, report)) = machine.poll_report(now) {
+            most = most.max(report.answer.pairs_in_motion);
+            last = Some(report);
+        }
+        now += Span::from_ms(200);
     }
+    // Three metres at 0.2 m/s and 100 pairs a second; 180 s and 30 s about them at 50 poses a second.
+    let counts = machine.estimator.peers().next().unwrap().1;
+    println!("{most} of {} pairs, {longest} poses; {last:?}", counts.pairs);
+    assert!(counts.pairs > 35_000 && most < 2_500 && longest < 51 * 211, "{most} of {} pairs, {longest}", counts.pairs);
+    assert_eq!(last.unwrap().state, State::Bearing);
 }
 
 #[test]

@@ -22,6 +22,8 @@ pub const FLAGS_FCS: u8 = 0x10;
 pub const FLAGS_DATAPAD: u8 = 0x20;
 /// [`Repr::flags`]: the FCS was wrong (`IEEE80211_RADIOTAP_F_BADFCS`).
 pub const FLAGS_BAD_FCS: u8 = 0x40;
+/// [`Repr::tx_flags`] of a sent frame: it failed (`IEEE80211_RADIOTAP_F_TX_FAIL`).
+pub const TX_FLAGS_FAIL: u16 = 0x0001;
 /// [`Repr::tx_flags`]: expect no acknowledgement (`IEEE80211_RADIOTAP_F_TX_NOACK`).
 pub const TX_FLAGS_NO_ACK: u16 = 0x0008;
 

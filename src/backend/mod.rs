@@ -2,6 +2,8 @@
 //! robot are values of one type, [`CsiSource`].
 
 #[cfg(feature = "live")]
+pub mod monitor;
+#[cfg(feature = "live")]
 pub mod netlink;
 pub mod paced;
 pub mod recorder;
@@ -30,6 +32,36 @@ pub enum Error {
     /// The input is not what this source reads.
     #[error("{0}")]
     Input(String),
+    /// A frame was not sent; the next one may be.
+    #[error(transparent)]
+    NotSent(#[from] NotSent),
+}
+
+/// Why an injector did not take a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NotSent {
+    /// The queue of the kernel or the driver is full.
+    #[error("the kernel has no room for another frame (ENOBUFS)")]
+    NoRoom,
+    /// The interface is down.
+    #[error("the interface is down: `sudo ip link set INTERFACE up`")]
+    Down,
+    /// The frame is longer than the interface takes, its radiotap header included.
+    #[error("a frame of {len} bytes, at most {mtu} go out: `sudo ip link set INTERFACE mtu 2304`")]
+    TooLong {
+        /// Bytes with radiotap header.
+        len: usize,
+        /// Bytes possible.
+        mtu: usize,
+    },
+    /// Only a part of it was taken.
+    #[error("the kernel took {taken} of {len} bytes of a frame")]
+    Cut {
+        /// Bytes taken.
+        taken: usize,
+        /// Bytes there were.
+        len: usize,
+    },
 }
 
 /// Something that did not arrive, or arrived damaged. Counted and reported, never an error.
@@ -135,6 +167,27 @@ pub trait Injector {
     /// Hands over one 802.11 frame (no radiotap header, no FCS) to be sent at once.
     ///
     /// # Errors
-    /// When the frame was not taken.
+    /// When the frame was not taken; [`Error::NotSent`] where the next one may be.
     fn inject(&mut self, now: Instant, frame: &[u8]) -> Result<(), Error>;
+}
+
+/// A frame heard: the 802.11 frame without radiotap header and FCS.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Heard<'a> {
+    /// The frame.
+    pub frame: &'a [u8],
+    /// How long ago its reception ended, as far as is known.
+    pub age: crate::time::Span,
+}
+
+/// Something that hears frames from the air. It never blocks.
+pub trait FrameReceiver {
+    /// The next frame, or `None` if there is none yet.
+    ///
+    /// # Errors
+    /// Only for what cannot be gone on from; what is damaged is counted and left out.
+    fn hear(&mut self) -> Result<Option<Heard<'_>>, Error>;
+
+    /// Frames of which is known that they went out, if that can be known at all.
+    fn sent_for_certain(&self) -> Option<u64>;
 }

@@ -6,8 +6,9 @@ use driver_iface::record::{Framer, LOOKAHEAD, Record, Step};
 use std::io::Read;
 use std::path::Path;
 
-/// Bytes asked for at a time: large enough to cost few calls, small enough to stay in the second-level cache.
-const CHUNK: usize = 256 * 1024;
+/// Bytes asked for at a time: large enough to cost few calls; each page of it that is new to the process costs as much as
+/// decoding what fits on it.
+const CHUNK: usize = 64 * 1024;
 
 /// Plays back a log as fast as it is asked for. Memory is one buffer, whatever the size of the log.
 pub struct Replay<R> {

@@ -2,6 +2,8 @@
 
 use std::fmt;
 
+use serde::Serialize;
+
 use super::simd::Tier;
 
 /// How exact, and how.
@@ -22,7 +24,7 @@ impl Default for ProfileOptions {
 }
 
 /// The ways to a profile.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 pub enum Method {
     /// No motion within the tolerance: one value for all directions.
     Constant,
@@ -43,7 +45,7 @@ pub enum Method {
 }
 
 /// Numbers that the bulk of the work is done in; the front end is always double.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize)]
 pub enum Precision {
     /// `f32`.
     Single,
@@ -52,7 +54,7 @@ pub enum Precision {
 }
 
 /// What a plan does, what it costs and what it left out, as a value that prints.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Explanation {
     /// The method.
     pub method: Method,
@@ -93,5 +95,74 @@ impl fmt::Display for Explanation {
             writeln!(f, "  skipped: {skipped}")?;
         }
         Ok(())
+    }
+}
+
+/// What became of the elevation in a search.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub enum ElevationSearch {
+    /// The limit was 0: the horizon alone.
+    NotAsked,
+    /// This motion could say less of it than its limits do: the horizon alone.
+    NotObservable,
+    /// It was searched along with the azimuth.
+    Searched,
+}
+
+/// What a guaranteed search computed and what it left out, as a value that prints.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct SearchPlan {
+    /// The SIMD tier.
+    pub tier: Tier,
+    /// The precision of the samples of the profile; peaks are climbed in double.
+    pub precision: Precision,
+    /// Modes around a ring that phases can reach.
+    pub band_limit: usize,
+    /// Azimuths of a ring that are summed, half of them as antipodes where the motion is level.
+    pub summed: usize,
+    /// Azimuths of a ring that are interpolated from them: enough that no maximum is missed.
+    pub sampled: usize,
+    /// Rings of constant elevation.
+    pub rings: usize,
+    /// Directions in which the profile was computed exactly, on the way to its peaks.
+    pub exact: usize,
+    /// Samples that each of these sums is over.
+    pub samples: usize,
+    /// What became of the elevation.
+    pub elevation: ElevationSearch,
+    /// True if the motion is level: rings below the horizon are those above it.
+    pub level: bool,
+    /// The estimate of its cost, microseconds (a model, not a measurement).
+    pub estimate_us: f64,
+}
+
+impl SearchPlan {
+    /// What was not computed, and why.
+    #[must_use]
+    pub fn skipped(&self) -> Vec<String> {
+        let mut list = vec![format!(
+            "the profile on any grid: {} azimuths a ring hold its {} modes, and its maximum is found between them",
+            self.summed, self.band_limit
+        )];
+        match self.elevation {
+            ElevationSearch::NotAsked => list.push("every elevation: not asked for".into()),
+            ElevationSearch::NotObservable => {
+                list.push("every elevation but the horizon: this motion cannot observe it".into());
+            }
+            ElevationSearch::Searched if self.level => list.push("the lower hemisphere: the motion is level".into()),
+            ElevationSearch::Searched => {}
+        }
+        list
+    }
+}
+
+impl fmt::Display for SearchPlan {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(
+            f,
+            "search in {:?} precision on {:?}, about {:.0} us: {} rings of {} sums over {} samples, {} exact looks in double",
+            self.precision, self.tier, self.estimate_us, self.rings, self.summed, self.samples, self.exact
+        )?;
+        self.skipped().iter().try_for_each(|skipped| writeln!(f, "  skipped: {skipped}"))
     }
 }

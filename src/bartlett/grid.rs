@@ -71,13 +71,15 @@ impl Grid {
     /// 360/359 degrees) for each of `linspace(0, 90, 90)` polar angles from the zenith.
     #[must_use]
     pub fn wsr() -> Self {
-        let directions = (0..90)
-            .flat_map(|row| {
-                let elevation = PI / 2.0 * (1.0 - f64::from(row) / 89.0);
-                (0..360).map(move |column| (TAU * f64::from(column) / 359.0 - PI, elevation))
-            })
-            .collect();
+        let elevation = |row: usize| PI / 2.0 * (1.0 - row as f64 / (WSR_ROWS - 1) as f64);
+        let directions = (0..WSR_ROWS).flat_map(|row| wsr_azimuths().map(move |a| (a, elevation(row)))).collect();
         Self::new(Layout::List { directions, width: 360 })
+    }
+
+    /// The azimuths of [`Grid::wsr`] on the horizon: the toolbox's planar mode.
+    #[must_use]
+    pub fn wsr_azimuths() -> Self {
+        Self::directions(wsr_azimuths().map(|azimuth| (azimuth, 0.0)).collect())
     }
 
     /// Any list of (azimuth, elevation) in radians, in one row.
@@ -132,6 +134,14 @@ impl Grid {
     }
 }
 
+/// Polar angles of the toolbox's grid.
+const WSR_ROWS: usize = 90;
+
+/// `linspace(-180, 180, 360)` degrees, radians.
+fn wsr_azimuths() -> impl Iterator<Item = f64> {
+    (0..360).map(|column| TAU * f64::from(column) / 359.0 - PI)
+}
+
 /// Azimuth `index` of `count` around the circle from -180 degrees, radians.
 pub(crate) fn ring_azimuth(index: usize, count: usize) -> f64 {
     TAU * index as f64 / count as f64 - PI
@@ -170,18 +180,33 @@ impl Profile {
 /// a single direction.
 #[must_use]
 pub fn wsr_profile_variance(profile: &Profile) -> Option<f64> {
-    let (rows, columns) = profile.grid.shape();
+    profile_variance(profile, profile.grid.shape().0, |row, column, columns| profile.values[row * columns + column])
+}
+
+/// [`wsr_profile_variance`] of the toolbox's planar mode, which repeats one row of azimuths for each of its 90 polar angles;
+/// the highest of equal entries is the last.
+#[must_use]
+pub fn wsr_planar_profile_variance(azimuths: &Profile) -> Option<f64> {
+    profile_variance(azimuths, WSR_ROWS, |_, column, _| azimuths.values[column])
+}
+
+fn profile_variance(profile: &Profile, rows: usize, value: impl Fn(usize, usize, usize) -> f64) -> Option<f64> {
+    let columns = profile.grid.shape().1;
     let (peak, _) = profile.max()?;
-    let (peak_row, peak_column) = (peak / columns, peak % columns);
+    // Of one row that is repeated, the last one holds the last of the highest entries.
+    let peak_row = if rows > profile.grid.shape().0 { rows - 1 } else { peak / columns };
+    let peak_column = peak % columns;
     let (mut weighted, mut plain, mut sum) = (0.0, 0.0, 0.0);
-    for (index, value) in profile.values.iter().enumerate() {
-        let across = (index % columns).abs_diff(peak_column);
-        let across = across.min(columns - across) as f64;
-        let up = (index / columns).abs_diff(peak_row) as f64;
-        let d2 = across * across + up * up;
-        weighted += d2 * value;
-        plain += d2;
-        sum += value;
+    for row in 0..rows {
+        let up = row.abs_diff(peak_row) as f64;
+        for column in 0..columns {
+            let across = column.abs_diff(peak_column);
+            let across = across.min(columns - across) as f64;
+            let (d2, value) = (across * across + up * up, value(row, column, columns));
+            weighted += d2 * value;
+            plain += d2;
+            sum += value;
+        }
     }
     let n = (rows * columns) as f64;
     (plain > 0.0 && sum > 0.0).then(|| (weighted / sum) / (plain / n))

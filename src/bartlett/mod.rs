@@ -46,7 +46,8 @@ mod sums;
 mod tests;
 
 pub use error::Error;
-pub use grid::{Grid, Profile, direction, wsr_profile_variance};
+pub use explain::{ElevationSearch, SearchPlan};
+pub use grid::{Grid, Profile, direction, wsr_planar_profile_variance, wsr_profile_variance};
 pub use peak::{Estimate, Peak, SearchOptions, Searcher, search};
 pub use plan::{Explanation, Method, Plan, Planner, Precision, ProfileOptions};
 pub use scene::{Geometry, Shape};

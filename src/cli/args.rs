@@ -52,11 +52,16 @@ pub enum Step {
     NearField,
     /// The search for the elevation
     Elevation,
+    /// Autofocus of the trajectory over all transmitters
+    Focus,
+    /// The list of paths
+    Paths,
 }
 
 impl Step {
-    /// All of them.
-    pub const ALL: [Self; 5] = [Self::Compensation, Self::Alignment, Self::OneWay, Self::NearField, Self::Elevation];
+    /// All that change bearings.
+    pub const ALL: [Self; 6] =
+        [Self::Compensation, Self::Alignment, Self::OneWay, Self::NearField, Self::Elevation, Self::Focus];
 }
 
 impl Default for Estimation {
@@ -105,6 +110,8 @@ impl Estimation {
                 near_field: !left_out(Step::NearField),
                 align: !left_out(Step::Alignment),
                 one_way: !left_out(Step::OneWay),
+                focus: !left_out(Step::Focus),
+                paths: !left_out(Step::Paths),
                 range_min_m: self.range_min,
                 height_m: self.height,
             },
@@ -114,7 +121,8 @@ impl Estimation {
     }
 }
 
-fn antenna(text: &str) -> Result<Antenna, String> {
+/// An antenna by its letter.
+pub fn antenna(text: &str) -> Result<Antenna, String> {
     match text {
         "A" | "a" => Ok(Antenna::A),
         "B" | "b" => Ok(Antenna::B),

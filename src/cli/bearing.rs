@@ -7,6 +7,7 @@ use csi5300::backend::{CsiSource, replay::Replay};
 use csi5300::bartlett::Grid;
 use csi5300::channel::Channel;
 use csi5300::odometry;
+use csi5300::pipeline::explain::LinkPlan;
 use csi5300::pipeline::{JoinBy, LinkReport, LogReport, Options, Report, Transmitter, bearings};
 use csi5300::pose::Trajectory;
 use driver_iface::Mac;
@@ -52,6 +53,9 @@ pub struct Args {
     /// Links worked on at a time; 0 is one for each core
     #[arg(long, default_value_t = 0, value_name = "N")]
     threads: usize,
+    /// Also say for each link what was computed, at what cost, and what was skipped and why
+    #[arg(long)]
+    explain: bool,
     /// One JSON object a link instead of text
     #[arg(long)]
     json: bool,
@@ -131,10 +135,14 @@ pub fn run(args: Args) -> Result {
         if let Some(least) = args.min_confidence {
             answer.refuse_below(least);
         }
+        if let (true, Ok(bearing)) = (args.explain, &link.bearing) {
+            answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid).map_err(|error| error.to_string())?);
+        }
         if args.json {
             print_json(&answer);
         } else {
             print(&describe(&answer));
+            print(&answer.plan.as_ref().map(ToString::to_string).unwrap_or_default());
         }
         if let Some(error) = &answer.error {
             eprintln!("csi5300: {name}: {error}");
@@ -269,6 +277,15 @@ fn describe(answer: &Answer) -> String {
             );
         }
         _ => text += "  no range: the wave front's curvature does not fix it\n",
+    }
+    if answer.paths.len() > 1 {
+        text += "  paths (one-way power):\n";
+        text += &super::explain::places(&answer.paths);
+    }
+    if let Some(focus) = answer.focus.filter(|focus| focus.worthwhile) {
+        let (scale, turn_deg) = (focus.warp.scale, focus.warp.turn_rad_per_m.to_degrees());
+        let _ =
+            writeln!(text, "  trajectory sharpened over all links: scaled by {scale:.3}, bent by {turn_deg:.1} deg/m");
     }
     if let Some(body) = answer.azimuth_body_deg {
         let _ = writeln!(text, "  in the robot's frame: {body:.2} deg (heading at the last sample)");

@@ -7,6 +7,7 @@ mod demo;
 #[cfg(feature = "live")]
 mod doctor;
 mod evaluate;
+mod explain;
 mod export;
 mod info;
 #[cfg(feature = "live")]
@@ -26,10 +27,16 @@ mod replay;
 #[cfg(feature = "plot")]
 mod report;
 #[cfg(feature = "live")]
+mod respond;
+#[cfg(feature = "live")]
 mod serve;
 #[cfg(feature = "live")]
 mod setup;
 mod simulate;
+#[cfg(feature = "live")]
+mod sound;
+#[cfg(feature = "live")]
+mod sounding;
 mod suite;
 #[cfg(feature = "node")]
 mod watch;
@@ -89,6 +96,8 @@ enum Command {
     Report(report::Args),
     /// Where the receiver of a capture is, from its links to transmitters whose places are known
     Locate(locate::Args),
+    /// One link from end to end: phase, compensation, autofocus, candidates and paths, with pictures
+    Explain(explain::Args),
     /// Copies every intact record of a damaged log, and nothing else
     Recover(recover::Args),
     /// CSI of a log as CSV or NPZ, raw or scaled
@@ -102,6 +111,12 @@ enum Command {
     Compare(compare::Args),
     /// The paper's experiments, simulated, with repetitions: a table of errors, confidence and phase residual
     Suite(suite::Args),
+    /// Sounds other robots: sends them frames in turn, which they answer, so that both cards measure; live bearings
+    #[cfg(feature = "live")]
+    Sound(Box<sound::Args>),
+    /// Answers the frames of robots that sound
+    #[cfg(feature = "live")]
+    Respond(respond::Args),
     /// Records the driver's messages to a log, live
     #[cfg(feature = "live")]
     Record(record::Args),
@@ -133,6 +148,7 @@ pub fn run() -> ExitCode {
         #[cfg(feature = "plot")]
         Command::Report(args) => report::run(&args),
         Command::Locate(args) => locate::run(&args),
+        Command::Explain(args) => explain::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Export(args) => export::run(&args),
         #[cfg(feature = "foxglove")]
@@ -140,6 +156,10 @@ pub fn run() -> ExitCode {
         Command::Simulate(args) => simulate::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Suite(args) => suite::run(&args),
+        #[cfg(feature = "live")]
+        Command::Sound(args) => sound::run(&args),
+        #[cfg(feature = "live")]
+        Command::Respond(args) => respond::run(&args),
         #[cfg(feature = "live")]
         Command::Record(args) => record::run(&args),
         #[cfg(feature = "live")]

@@ -133,7 +133,7 @@ fn channel_flags(system: &dyn System, phy: &str, mhz: u32) -> Option<String> {
 }
 
 /// Where the driver's `monitor_tx_rate` is; its depth differs between kernels.
-pub(super) fn rate_file(system: &dyn System, phy: &str) -> Option<String> {
+pub(crate) fn rate_file(system: &dyn System, phy: &str) -> Option<String> {
     let base = format!("/sys/kernel/debug/ieee80211/{phy}/iwlwifi");
     let places = ["debug", "iwldvm/debug", "iwldvm", ""];
     let at = |place: &&str| format!("{base}/{place}/monitor_tx_rate").replace("//", "/");

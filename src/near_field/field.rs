@@ -1,16 +1,31 @@
 //! The kernel: how well spherical waves from many places explain the samples, eight or more places at a time.
 
 use super::aperture::Aperture;
-use crate::bartlett::simd::{V, sin_cos_turns};
+use super::focus::Warp;
+use crate::alignment::Row;
+use crate::bartlett::simd::{V, on_tier, sin_cos_turns};
 use crate::channel::SUBCARRIERS;
-use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch};
-use nalgebra::Vector3;
+use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
+use nalgebra::{DMatrix, Vector3};
+use num_complex::{Complex32, Complex64};
+
+/// How a trajectory is cut into windows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Taper {
+    /// Half-overlapping Hann windows.
+    #[default]
+    Hann,
+    /// Blocks side by side.
+    Block,
+}
 
 /// A way to look at an aperture.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
-    /// Half-overlapping Hann windows along the trajectory that are summed in power; 1 is the whole of it, coherent.
+    /// Windows along the trajectory that are summed in power; 1 is the whole of it, coherent.
     pub windows: usize,
+    /// Their shape.
+    pub taper: Taper,
     /// Exponent in the product of all views.
     pub weight: f64,
     /// How many subcarriers are used, about the channel centre. Few of them depend little on the sampling time.
@@ -24,15 +39,24 @@ pub(crate) struct Cell {
     pub inverse_range: f32,
 }
 
-/// One window of one view: its samples, weighted, column by column.
+/// Columns that the kernel takes at once: each needs four sums, and sixteen registers are there.
+const ABREAST: usize = 3;
+/// (re, im) of a sample on [`ABREAST`] columns.
+type Sample = [(f32, f32); ABREAST];
+
+/// One window of one view: its samples, weighted, some columns at a time.
+#[derive(Clone, Debug)]
 struct Window {
     from: usize,
-    /// `columns[k]` holds (re, im) of each sample from `from` on.
-    columns: Vec<Vec<(f32, f32)>>,
+    /// `columns[k]` holds each sample from `from` on.
+    columns: Vec<Vec<Sample>>,
 }
 
 /// An aperture ready for the kernel.
+#[derive(Clone, Debug)]
 pub(crate) struct Layer {
+    /// Where the samples were taken as recorded, about the middle, metres.
+    recorded_m: Vec<Vector3<f64>>,
     /// Positions about the middle and their squared norms, in turns.
     x: Vec<f32>,
     y: Vec<f32>,
@@ -46,60 +70,160 @@ pub(crate) struct Layer {
 impl Layer {
     /// `aperture` about `middle`, seen in `views`.
     pub fn new(aperture: &Aperture, middle: &Vector3<f64>, wavelength_m: f64, views: &[View]) -> Self {
-        let turn_m = wavelength_m / f64::from(aperture.path_gain);
-        let turns: Vec<Vector3<f64>> = aperture.displacement_m.iter().map(|p| (p - middle) / turn_m).collect();
-        Self {
-            x: turns.iter().map(|p| p.x as f32).collect(),
-            y: turns.iter().map(|p| p.y as f32).collect(),
-            z: turns.iter().map(|p| p.z as f32).collect(),
-            square: turns.iter().map(|p| p.norm_squared() as f32).collect(),
-            turn_m: turn_m as f32,
+        let mut layer = Self {
+            recorded_m: aperture.displacement_m.iter().map(|p| p - middle).collect(),
+            x: Vec::new(),
+            y: Vec::new(),
+            z: Vec::new(),
+            square: Vec::new(),
+            turn_m: (wavelength_m / f64::from(aperture.path_gain)) as f32,
             views: views.iter().map(|view| windows(aperture, view)).collect(),
+        };
+        layer.bend(&Warp::default());
+        layer
+    }
+
+    /// Moves the samples from where they were recorded as `warp` says.
+    pub fn bend(&mut self, warp: &Warp) {
+        let turn_m = f64::from(self.turn_m);
+        let turns: Vec<Vector3<f64>> = warp.applied(&self.recorded_m).into_iter().map(|p| p / turn_m).collect();
+        self.x = turns.iter().map(|p| p.x as f32).collect();
+        self.y = turns.iter().map(|p| p.y as f32).collect();
+        self.z = turns.iter().map(|p| p.z as f32).collect();
+        self.square = turns.iter().map(|p| p.norm_squared() as f32).collect();
+    }
+
+    /// Where the samples are, about the middle, metres.
+    pub fn offsets_m(&self) -> Vec<Vector3<f64>> {
+        let turn_m = f64::from(self.turn_m);
+        let place = |k: usize| Vector3::new(self.x[k], self.y[k], self.z[k]).map(f64::from) * turn_m;
+        (0..self.len()).map(place).collect()
+    }
+
+    /// The steering of every sample towards `cell`: what undoes its path.
+    pub fn steering(&self, cell: &Cell) -> Vec<Complex64> {
+        let u = Vector3::from(cell.unit).map(f64::from);
+        let curve = f64::from(cell.inverse_range * self.turn_m);
+        let turn = |k: usize| {
+            let p = Vector3::new(self.x[k], self.y[k], self.z[k]).map(f64::from);
+            let bend = curve * p.norm_squared() - 2.0 * u.dot(&p);
+            let turns = bend / ((1.0 + curve * bend).max(0.0).sqrt() + 1.0);
+            Complex64::cis(std::f64::consts::TAU * turns)
+        };
+        (0..self.len()).map(turn).collect()
+    }
+
+    /// The columns of the first window of the first view: with one window, those of the whole motion.
+    pub fn columns(&self) -> Vec<Vec<Complex64>> {
+        let window = self.views.first().and_then(|(windows, _)| windows.first());
+        let chunks = window.map(|window| window.columns.as_slice()).unwrap_or_default();
+        let column = |chunk: &[Sample], i: usize| {
+            chunk.iter().map(|sample| Complex64::new(f64::from(sample[i].0), f64::from(sample[i].1))).collect()
+        };
+        chunks.iter().flat_map(|chunk| (0..ABREAST).map(move |i| column(chunk, i))).collect()
+    }
+
+    /// The same samples with other columns (a multiple of [`ABREAST`] of them), seen as a whole.
+    pub fn with_columns(&self, columns: &[Vec<Complex64>]) -> Self {
+        let sample = |own: &[Vec<Complex64>], k: usize| -> Sample {
+            std::array::from_fn(|i| own.get(i).map_or((0.0, 0.0), |c| (c[k].re as f32, c[k].im as f32)))
+        };
+        let chunk = |own: &[Vec<Complex64>]| (0..self.len()).map(|k| sample(own, k)).collect();
+        let window = Window { from: 0, columns: columns.chunks(ABREAST).map(chunk).collect() };
+        let energy: f64 = columns.iter().flatten().map(Complex64::norm_sqr).sum();
+        Self {
+            recorded_m: self.recorded_m.clone(),
+            x: self.x.clone(),
+            y: self.y.clone(),
+            z: self.z.clone(),
+            square: self.square.clone(),
+            turn_m: self.turn_m,
+            views: vec![(vec![window], (energy * self.len() as f64) as f32)],
         }
     }
 
     fn len(&self) -> usize {
-        self.x.len()
+        self.recorded_m.len()
     }
 }
 
 /// The windows of a view, and what their powers sum to for a perfect match (Cauchy and Schwarz: for every window the
 /// sum of the weights times the weighted energy).
 fn windows(aperture: &Aperture, view: &View) -> (Vec<Window>, f32) {
-    let n = aperture.rows.len();
-    let count = view.windows.clamp(1, n.max(1));
     let wide = view.subcarriers.clamp(1, SUBCARRIERS);
-    let lowest = (SUBCARRIERS - wide) / 2;
-    let length = if count == 1 { n } else { (2 * n).div_ceil(count + 1).max(1) };
+    let (columns, energies) = principal(aperture, wide);
     let mut full = 0f64;
-    let window = |i: usize| {
-        let from = if count == 1 { 0 } else { i * (n - length) / (count - 1) };
-        let weight = |t: usize| match count {
-            1 => 1.0,
-            _ => (std::f64::consts::PI * (t as f64 + 1.0) / (length as f64 + 1.0)).sin().powi(2),
+    let window = |(from, weights): (usize, Vec<f64>)| {
+        let energy: f64 = weights.iter().zip(&energies[from..]).map(|(w, energy)| w * energy).sum();
+        full += weights.iter().sum::<f64>() * energy;
+        let weighted = |column: &Vec<Sample>| {
+            let part = column[from..].iter().zip(&weights);
+            part.map(|(sample, w)| sample.map(|(re, im)| (*w as f32 * re, *w as f32 * im))).collect()
         };
-        let mut columns = vec![Vec::with_capacity(length); wide];
-        let (mut weights, mut energy) = (0.0, 0.0);
-        for (t, row) in aperture.rows[from..from + length].iter().enumerate() {
-            let w = weight(t);
-            weights += w;
-            for (column, value) in columns.iter_mut().zip(&row[lowest..]) {
-                energy += w * f64::from(value.norm_sqr());
-                column.push((w as f32 * value.re, w as f32 * value.im));
-            }
-        }
-        full += weights * energy;
-        Window { from, columns }
+        Window { from, columns: columns.iter().map(weighted).collect() }
     };
-    let list = (0..count).map(window).collect();
+    let list = cuts(aperture.rows.len(), view).into_iter().map(window).collect();
     (list, full as f32)
+}
+
+/// First sample and weights of every window over `n` samples.
+fn cuts(n: usize, view: &View) -> Vec<(usize, Vec<f64>)> {
+    let count = view.windows.clamp(1, n.max(1));
+    if count == 1 || view.taper == Taper::Block {
+        let edge = |i: usize| i * n / count;
+        return (0..count).map(|i| (edge(i), vec![1.0; edge(i + 1) - edge(i)])).collect();
+    }
+    let length = (2 * n).div_ceil(count + 1).max(1);
+    let weight = |t: usize| (std::f64::consts::PI * (t as f64 + 1.0) / (length as f64 + 1.0)).sin().powi(2);
+    let weights: Vec<f64> = (0..length).map(weight).collect();
+    (0..count).map(|i| (i * (n - length) / (count - 1), weights.clone())).collect()
+}
+
+/// The `wide` subcarriers about the channel centre in few columns: summed over subcarriers, power is the same in every
+/// orthogonal basis, and in that of their correlation nearly all of it that is more than noise is in the first
+/// [`ABREAST`] (of up to six subcarriers) or twice as many columns. What is left out can only lower a power, by its
+/// share of the energy at most. Beside them the full energy of each sample.
+fn principal(aperture: &Aperture, wide: usize) -> (Vec<Vec<Sample>>, Vec<f64>) {
+    let lowest = (SUBCARRIERS - wide) / 2;
+    let band = |row: &Row| -> Vec<Complex32> { row[lowest..lowest + wide].to_vec() };
+    let rows: Vec<Vec<Complex32>> = aperture.rows.iter().map(band).collect();
+    let energies = rows.iter().map(|row| f64::from(row.iter().map(Complex32::norm_sqr).sum::<f32>())).collect();
+    let mut correlation = DMatrix::<Complex64>::zeros(wide, wide);
+    for i in 0..wide {
+        for k in i..wide {
+            let sum: Complex32 = rows.iter().map(|row| row[i].conj() * row[k]).sum();
+            correlation[(i, k)] = Complex64::new(f64::from(sum.re), f64::from(sum.im));
+            correlation[(k, i)] = correlation[(i, k)].conj();
+        }
+    }
+    let eigen = correlation.symmetric_eigen();
+    let mut order: Vec<usize> = (0..wide).collect();
+    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+    let chunks = if wide <= 2 * ABREAST { 1 } else { 2 };
+    let basis = |place: usize| -> Vec<Complex32> {
+        let column = order.get(place).map(|&own| eigen.eigenvectors.column(own));
+        column.map_or(vec![Complex32::default(); wide], |own| {
+            own.iter().map(|v| Complex32::new(v.re as f32, v.im as f32)).collect()
+        })
+    };
+    let chunk = |number: usize| {
+        let bases: [Vec<Complex32>; ABREAST] = std::array::from_fn(|i| basis(ABREAST * number + i));
+        let sample = |row: &Vec<Complex32>| -> Sample {
+            std::array::from_fn(|i| {
+                let value: Complex32 = row.iter().zip(&bases[i]).map(|(a, b)| a * b).sum();
+                (value.re, value.im)
+            })
+        };
+        rows.iter().map(sample).collect()
+    };
+    ((0..chunks).map(chunk).collect(), energies)
 }
 
 /// The power of every view of every layer for each cell, 0..1, view by view: `powers[cell * views + view]`.
 pub(crate) fn powers(level: Level, layers: &[Layer], cells: &[Cell]) -> Vec<f32> {
     let views: usize = layers.iter().map(|layer| layer.views.len()).sum();
     let mut powers = vec![0.0; views * cells.len()];
-    dispatch!(level, simd => powers_simd(simd, layers, cells, views, &mut powers));
+    on_tier!(level, simd => powers_simd(simd, layers, cells, views, &mut powers));
     powers
 }
 
@@ -152,17 +276,21 @@ fn steer<S: Simd>(simd: S, layer: &Layer, cells: &[Cell], steering: &mut [Turn<S
 fn window_power<S: Simd>(simd: S, window: &Window, steering: &[Turn<S>]) -> V<S, f32> {
     let zero = V::<S, f32>::splat(simd, 0.0);
     let mut power = zero;
-    for column in &window.columns {
-        let (mut re_cos, mut im_sin, mut re_sin, mut im_cos) = (zero, zero, zero, zero);
-        for (&(re, im), (cos, sin)) in column.iter().zip(&steering[window.from..]) {
-            let (re, im) = (V::<S, f32>::splat(simd, re), V::<S, f32>::splat(simd, im));
-            re_cos = cos.mul_add(re, re_cos);
-            im_sin = sin.mul_add(im, im_sin);
-            re_sin = sin.mul_add(re, re_sin);
-            im_cos = cos.mul_add(im, im_cos);
+    for samples in &window.columns {
+        let mut sums = [[zero; 4]; ABREAST];
+        for (sample, (cos, sin)) in samples.iter().zip(&steering[window.from..]) {
+            for (sum, &(re, im)) in sums.iter_mut().zip(sample) {
+                let (re, im) = (V::<S, f32>::splat(simd, re), V::<S, f32>::splat(simd, im));
+                sum[0] = cos.mul_add(re, sum[0]);
+                sum[1] = sin.mul_add(im, sum[1]);
+                sum[2] = sin.mul_add(re, sum[2]);
+                sum[3] = cos.mul_add(im, sum[3]);
+            }
         }
-        let (re, im) = (re_cos - im_sin, im_cos + re_sin);
-        power = re.mul_add(re, im.mul_add(im, power));
+        for [re_cos, im_sin, re_sin, im_cos] in sums {
+            let (re, im) = (re_cos - im_sin, im_cos + re_sin);
+            power = re.mul_add(re, im.mul_add(im, power));
+        }
     }
     power
 }

@@ -12,11 +12,21 @@
 
 mod aperture;
 mod field;
+mod fix;
+mod focus;
+mod grid;
+mod maps;
+mod paths;
 mod search;
 #[cfg(test)]
 mod tests;
 mod uncertainty;
 
 pub use aperture::Aperture;
-pub use field::View;
-pub use search::{Fix, Limits, Source, search};
+pub use field::{Taper, View};
+
+pub use fix::{Fix, Source};
+pub use focus::{Focus, Warp, focus};
+pub use maps::Maps;
+pub use paths::Path;
+pub use search::{Limits, Search, search};

@@ -52,7 +52,7 @@ fn limits() -> Limits {
     Limits { elevation_max_rad: 20f64.to_radians(), range_min_m: 1.8, height_m: None, tier: Tier::detect() }
 }
 
-const WHOLE: [View; 1] = [View { windows: 1, weight: 1.0, subcarriers: SUBCARRIERS }];
+const WHOLE: [View; 1] = [View { windows: 1, taper: Taper::Hann, weight: 1.0, subcarriers: SUBCARRIERS }];
 
 fn middle(path: &[Vector3<f64>]) -> Vector3<f64> {
     path.iter().sum::<Vector3<f64>>() / path.len() as f64
@@ -61,12 +61,23 @@ fn middle(path: &[Vector3<f64>]) -> Vector3<f64> {
 #[test]
 fn the_kernel_is_the_sum_as_written_on_every_tier() {
     let path = curve(137);
-    let data = rows(&path, 1, &[(Vector3::new(3.0, 2.0, 0.5), 1.0)], 0.7, 5);
+    let mut noise = Noise(5);
+    // Three shapes over the subcarriers: few enough for the kernel's columns to hold everything.
+    let data: Vec<Row> = rows(&path, 1, &[(Vector3::new(3.0, 2.0, 0.5), 1.0)], 0.0, 5)
+        .iter()
+        .map(|row| {
+            let (a, b) = (noise.complex(0.7), noise.complex(0.5));
+            std::array::from_fn(|k| {
+                let other = a * Complex64::cis(0.3 * k as f64) + b * Complex64::cis(-0.2 * k as f64);
+                row[k] + Complex32::new(other.re as f32, other.im as f32)
+            })
+        })
+        .collect();
     let aperture = Aperture { displacement_m: path.clone(), rows: data.clone(), path_gain: 1 };
     let middle = middle(&path);
     let views = [
-        View { windows: 1, weight: 1.0, subcarriers: SUBCARRIERS },
-        View { windows: 3, weight: 1.0, subcarriers: SUBCARRIERS },
+        View { windows: 1, taper: Taper::Hann, weight: 1.0, subcarriers: SUBCARRIERS },
+        View { windows: 3, taper: Taper::Hann, weight: 1.0, subcarriers: SUBCARRIERS },
     ];
     let layer = [Layer::new(&aperture, &middle, WAVELENGTH_M, &views)];
     let places = [(0.3, 0.1, 0.0), (2.0, 0.0, 0.4), (-1.2, 0.3, 0.55)];
@@ -142,7 +153,10 @@ fn one_way_windows_and_round_trip_agree_where_there_is_one_path() {
     let place = Vector3::new(-3.0, 1.0, 0.6);
     let round = Aperture::gather(&path, &rows(&path, 2, &[(place, 1.0)], 0.3, 3), 2, WAVELENGTH_M);
     let once = Aperture::gather(&path, &rows(&path, 1, &[(place, 1.0)], 0.3, 4), 1, WAVELENGTH_M);
-    let windows = [View { windows: 3, weight: 0.5, subcarriers: 6 }, View { windows: 6, weight: 0.5, subcarriers: 6 }];
+    let windows = [
+        View { windows: 3, taper: Taper::Hann, weight: 0.5, subcarriers: 6 },
+        View { windows: 6, taper: Taper::Block, weight: 0.5, subcarriers: 6 },
+    ];
     let fix = search(&[(&round, &WHOLE), (&once, &windows)], middle(&path), WAVELENGTH_M, &limits()).unwrap();
     assert_eq!((fix.view_azimuths_rad.len(), fix.view_powers.len()), (3, 3));
     let azimuth = fix.best().azimuth_rad;
@@ -163,4 +177,76 @@ fn small_arrays_see_plane_waves_and_say_nothing_of_range() {
     let huge: Vec<_> = curve(50).iter().map(|p| p * 1e6).collect();
     let aperture = Aperture::gather(&huge, &rows(&huge, 2, &[], 1.0, 1), 2, WAVELENGTH_M);
     assert!(search(&[(&aperture, &WHOLE)], middle(&huge), WAVELENGTH_M, &limits()).is_none());
+}
+
+/// The square of the sum of the waves, as a round trip is.
+fn squared(path: &[Vector3<f64>], sources: &[(Vector3<f64>, f64)], noise_sd: f64) -> Vec<Row> {
+    let mut noise = Noise(77);
+    let square = |row: &Row| row.map(|v| v * v);
+    let noisy = |row: Row| {
+        row.map(|v| {
+            let other = noise.complex(noise_sd);
+            v + Complex32::new(other.re as f32, other.im as f32)
+        })
+    };
+    rows(path, 1, sources, 0.0, 1).iter().map(square).map(noisy).collect()
+}
+
+#[test]
+fn paths_come_out_of_their_square_and_their_product_is_told() {
+    let path = curve(600);
+    let own = [(Vector3::new(4.0, 1.0, 0.3), 1.0), (Vector3::new(3.6, 2.6, 0.3), 0.7)];
+    let round = Aperture::gather(&path, &squared(&path, &own, 0.2), 2, WAVELENGTH_M);
+    let once = Aperture::gather(&path, &rows(&path, 1, &own, 0.2, 8), 1, WAVELENGTH_M);
+    let windows = [View { windows: 3, taper: Taper::Hann, weight: 2.0, subcarriers: SUBCARRIERS }];
+    let layers: [(&Aperture, &[View]); 2] = [(&round, &WHOLE), (&once, &windows)];
+    let mut search = Search::new(&layers, middle(&path), WAVELENGTH_M, &limits()).unwrap();
+    let fix = search.run().unwrap();
+    let paths = search.paths(&fix.best());
+    let sources: Vec<&Path> = paths.iter().filter(|path| path.cross_term_of.is_none()).collect();
+    let azimuth = |at: &Vector3<f64>| (at.y - middle(&path).y).atan2(at.x - middle(&path).x);
+    for (at, amplitude) in &own {
+        let near = |p: &&&Path| crate::pose::wrap_rad(p.azimuth_rad - azimuth(at)).abs() < 0.02;
+        let found = sources.iter().find(near).unwrap_or_else(|| panic!("{at}: {paths:?}"));
+        assert!((found.relative_power_db - 20.0 * f64::log10(*amplitude)).abs() < 1.0, "{paths:?}");
+    }
+    assert!(paths.iter().any(|path| path.cross_term_of.is_some()), "{paths:?}");
+    assert_eq!(sources.len(), 2, "{paths:?}");
+}
+
+#[test]
+fn a_bent_trajectory_is_straightened_where_it_pays_and_left_alone_where_not() {
+    let path = curve(500);
+    let places = [Vector3::new(4.2, 1.5, 0.4), Vector3::new(-2.0, -3.0, 0.5), Vector3::new(0.5, 4.0, 0.2)];
+    // Odometry that reports too little: too much would pass for elevation, which shortens the horizontal wave.
+    let wrong = Warp { scale: 0.95, turn_rad_per_m: -0.2 };
+    let middle = middle(&path);
+    let about: Vec<_> = path.iter().map(|p| p - middle).collect();
+    let bent: Vec<_> = wrong.applied(&about).iter().map(|p| p + middle).collect();
+    for (reported, drifts) in [(&path, false), (&bent, true)] {
+        let search = |(k, place): (usize, &Vector3<f64>)| {
+            let data = rows(&path, 2, &[(*place, 1.0)], 0.5, 40 + k as u64);
+            let aperture = Aperture::gather(reported, &data, 2, WAVELENGTH_M);
+            Search::new(&[(&aperture, &WHOLE)], middle, WAVELENGTH_M, &limits()).unwrap()
+        };
+        let mut searches: Vec<Search> = places.iter().enumerate().map(search).collect();
+        let fixes: Vec<Fix> = searches.iter_mut().map(|search| search.run().unwrap()).collect();
+        let mut links: Vec<(&mut Search, &Fix)> = searches.iter_mut().zip(&fixes).collect();
+        let found = focus(&mut links);
+        assert_eq!(found.worthwhile, drifts, "{found:?}");
+        if drifts {
+            assert!(found.warp.scale > 1.0, "{found:?}");
+            let error = |(search, place): (&mut Search, &Vector3<f64>)| {
+                let offset = search.run().unwrap().best().azimuth_rad - (place.y - middle.y).atan2(place.x - middle.x);
+                crate::pose::wrap_rad(offset).abs()
+            };
+            let before = fixes.iter().zip(&places).map(|(fix, place)| {
+                let offset = fix.best().azimuth_rad - (place.y - middle.y).atan2(place.x - middle.x);
+                crate::pose::wrap_rad(offset).abs()
+            });
+            let before: f64 = before.sum();
+            let after: f64 = searches.iter_mut().zip(&places).map(error).sum();
+            assert!(after < before, "{before} {after}");
+        }
+    }
 }

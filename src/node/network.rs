@@ -11,7 +11,7 @@ use crate::pose::Pose;
 use driver_iface::Mac;
 use driver_iface::record::Record;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -24,6 +24,8 @@ const BACKLOG: usize = 4_096;
 const MESSAGE_BYTES: usize = 32 * 1024;
 /// ... or this long after its first item.
 const HAND_OVER: Duration = Duration::from_millis(5);
+/// Messages that are still sent once it is told to stop: more than can wait.
+const LAST_MESSAGES: usize = 256;
 
 /// Something to publish.
 enum Item {
@@ -31,7 +33,7 @@ enum Item {
     Pose(Option<Pose>),
 }
 
-/// The network. Leaves it when dropped.
+/// The network. Leaves it when dropped, which must be outside of an async runtime: zenoh waits for its own.
 pub struct Network {
     session: zenoh::Session,
     prefix: String,
@@ -40,6 +42,8 @@ pub struct Network {
     mailboxes: Vec<(String, &'static str, Mailbox)>,
     publisher: Option<(SyncSender<Item>, JoinHandle<()>)>,
     unsent: Arc<AtomicU64>,
+    /// The publisher sends what waits, and ends.
+    stop: Arc<AtomicBool>,
     publishes: (bool, bool),
 }
 
@@ -73,6 +77,7 @@ impl Network {
             mailboxes: Vec::new(),
             publisher: None,
             unsent: Arc::default(),
+            stop: Arc::default(),
             publishes: (asked.publish_records, asked.publish_poses),
         };
         if asked.publish_records || asked.publish_poses {
@@ -92,13 +97,11 @@ impl Network {
         let (records, poses) = (publisher("records")?, publisher("poses")?);
         // Another one at each start, so that peers know numbers that began anew.
         let session = crate::wait::wall_us().unwrap_or(0) as u32 ^ std::process::id();
+        let stop = Arc::clone(&self.stop);
         let send = move || {
-            work(
-                &waiting,
-                session,
-                |message| drop(records.put(message).wait()),
-                |message| drop(poses.put(message).wait()),
-            );
+            let send_records = |message| drop(records.put::<Vec<u8>>(message).wait());
+            let send_poses = |message| drop(poses.put::<Vec<u8>>(message).wait());
+            work(&waiting, session, &stop, send_records, send_poses);
         };
         let thread = std::thread::Builder::new().name("csi5300 network".into()).spawn(send);
         let what = "cannot start the thread of the network".into();
@@ -147,6 +150,7 @@ impl Network {
 
 impl Drop for Network {
     fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
         if let Some((items, thread)) = self.publisher.take() {
             drop(items);
             let _ = thread.join();
@@ -161,14 +165,24 @@ fn key_of(mac: Mac) -> String {
 }
 
 /// Collects items into messages, and sends them.
-fn work(waiting: &Receiver<Item>, session: u32, send_records: impl Fn(Vec<u8>), send_poses: impl Fn(Vec<u8>)) {
+fn work(
+    waiting: &Receiver<Item>,
+    session: u32,
+    stop: &AtomicBool,
+    send_records: impl Fn(Vec<u8>),
+    send_poses: impl Fn(Vec<u8>),
+) {
     let (mut records, mut poses) = (Batch::records(session), Batch::poses(session));
-    loop {
+    let mut left = LAST_MESSAGES;
+    while left > 0 {
+        // Once told to stop it sends what waits and no more: a tap that goes on does not keep it alive.
+        let stopping = stop.load(Ordering::Relaxed);
+        left -= usize::from(stopping);
         match waiting.recv_timeout(HAND_OVER) {
             Ok(Item::Record(host_us, code, body)) => records.push_record(host_us, Record { code, body: &body }),
             Ok(Item::Pose(pose)) => poses.push_pose(pose),
-            Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => break,
+            Err(RecvTimeoutError::Timeout) if !stopping => {}
+            Err(_) => break,
         }
         // Whatever waits goes with it.
         while records.len() < MESSAGE_BYTES && poses.len() < MESSAGE_BYTES {
@@ -223,4 +237,26 @@ pub struct NetworkCounts {
     pub unsent: u64,
     /// Peers' MACs, what they publish, and what was counted of it.
     pub subscriptions: Vec<(String, &'static str, Counts)>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+
+    #[test]
+    fn the_publisher_ends_when_told_to_though_items_go_on_coming() {
+        let (items, waiting) = sync_channel(10);
+        let send = || drop(items.try_send(Item::Record(None, 0xBB, vec![1])));
+        (0..3).for_each(|_| send());
+        let sent = Cell::new(0);
+        let take = |message: Vec<u8>| {
+            sent.set(sent.get() + usize::from(!message.is_empty()));
+            send();
+        };
+        work(&waiting, 7, &AtomicBool::new(true), take, |_| {});
+        assert_eq!(sent.get(), LAST_MESSAGES);
+        work(&waiting, 7, &AtomicBool::new(true), |_| {}, |_| {});
+        assert!(waiting.try_recv().is_err(), "what waited was sent");
+    }
 }

@@ -1,16 +1,18 @@
 //! Beyond a plane wave at the channel centre: all subcarriers, aligned; the one-way channel; spherical waves.
 
 use super::Options;
+use super::link::Bearing;
 use crate::alignment::{Alignment, Row, align, remove_common_slope};
 use crate::bartlett::Estimate;
 use crate::channel::SUBCARRIERS;
 use crate::confidence::confidence;
-use crate::near_field::{self, Aperture, Fix, Limits, View};
+use crate::near_field::{self, Aperture, Fix, Focus, Limits, Maps, Path, Search, Taper, View};
 use crate::one_way::one_way;
 use crate::pose::wrap_rad;
 use crate::samples::Samples;
 use nalgebra::Vector3;
 use num_complex::{Complex32, Complex64};
+use rayon::prelude::*;
 
 /// Which steps are taken. Every one can be left out, to see what it brings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -21,6 +23,10 @@ pub struct Accuracy {
     pub align: bool,
     /// The one-way channel beside the round trip.
     pub one_way: bool,
+    /// Autofocus of the trajectory over all transmitters of a capture.
+    pub focus: bool,
+    /// The paths beside the answer.
+    pub paths: bool,
     /// Shortest distance of a transmitter, metres.
     pub range_min_m: f64,
     /// The transmitter's height above the receiver's antenna, metres, where known.
@@ -29,17 +35,27 @@ pub struct Accuracy {
 
 impl Default for Accuracy {
     fn default() -> Self {
-        Self { near_field: true, align: true, one_way: true, range_min_m: 1.8, height_m: None }
+        Self {
+            near_field: true,
+            align: true,
+            one_way: true,
+            focus: true,
+            paths: true,
+            range_min_m: 1.8,
+            height_m: None,
+        }
     }
 }
 
-const SHARE: f64 = 1.0 / 3.0;
 /// The round trip is looked at as a whole.
-const ROUND_TRIP: [View; 1] = [View { windows: 1, weight: SHARE, subcarriers: SUBCARRIERS }];
-/// The one-way channel in windows of half the motion and, on the subcarriers next to the channel centre (whose sign
-/// does not depend on the sampling time), of two sevenths of it.
-const ONE_WAY: [View; 2] =
-    [View { windows: 3, weight: SHARE, subcarriers: SUBCARRIERS }, View { windows: 6, weight: SHARE, subcarriers: 6 }];
+const ROUND_TRIP: [View; 1] = [View { windows: 1, taper: Taper::Hann, weight: 1.0 / 3.0, subcarriers: SUBCARRIERS }];
+/// The one-way channel in windows of half the motion, in blocks of an eighth, and, on the subcarriers next to the channel
+/// centre (whose sign does not depend on the sampling time), in windows of two sevenths.
+const ONE_WAY: [View; 3] = [
+    View { windows: 3, taper: Taper::Hann, weight: 2.0 / 9.0, subcarriers: SUBCARRIERS },
+    View { windows: 8, taper: Taper::Block, weight: 2.0 / 9.0, subcarriers: SUBCARRIERS },
+    View { windows: 6, taper: Taper::Hann, weight: 2.0 / 9.0, subcarriers: 6 },
+];
 
 /// What the accurate path found.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,7 +68,16 @@ pub struct Placed {
     pub slips: Option<f64>,
     /// Probability that the azimuth is within five degrees.
     pub confidence: f64,
+    /// What autofocus found of the trajectory, where several links were there to tell.
+    pub focus: Option<Focus>,
+    /// The paths in the round trip, the answer first.
+    pub paths: Vec<Path>,
+    /// The joint power over azimuth, elevation and range, where the course is kept for pictures.
+    pub maps: Option<Maps>,
 }
+
+/// Cells around of the maps.
+const MAP_AZIMUTHS: usize = 360;
 
 /// A range is reported where its predicted deviation is below this share of it.
 const RANGE_SHARE: f64 = 0.35;
@@ -80,7 +105,7 @@ pub(super) fn place(
     used: &[usize],
     estimate: &mut Estimate,
     options: &Options,
-) -> Option<Placed> {
+) -> Option<(Placed, Search)> {
     let steps = &options.accuracy;
     if !steps.near_field {
         return None;
@@ -104,10 +129,53 @@ pub(super) fn place(
         tier: options.search.tier,
     };
     let middle_m = displacement_m.iter().sum::<Vector3<f64>>() / displacement_m.len().max(1) as f64;
-    let fix = near_field::search(&layers, middle_m, wavelength_m, &limits)?;
+    let mut search = Search::new(&layers, middle_m, wavelength_m, &limits)?;
+    let fix = search.run()?;
     adopt(&fix, estimate);
-    let confidence = confidence(&fix);
-    Some(Placed { fix, alignment, slips: roots.map(|roots| roots.slips), confidence })
+    let (confidence, slips) = (confidence(&fix), roots.map(|roots| roots.slips));
+    Some((Placed { fix, alignment, slips, confidence, focus: None, paths: Vec::new(), maps: None }, search))
+}
+
+/// What takes all links of a capture: autofocus of their common trajectory and, after it, the paths of each.
+pub(super) fn finish(bearings: &mut [&mut Bearing], options: &Options) {
+    if options.accuracy.focus {
+        refocus(bearings);
+    }
+    let extract = |bearing: &mut &mut Bearing| {
+        let (Some(placed), Some(mut search)) = (&mut bearing.placed, bearing.search.take()) else { return };
+        if options.accuracy.paths {
+            placed.paths = search.paths(&placed.fix.best());
+        }
+        placed.maps = options.keep_course.then(|| search.maps(MAP_AZIMUTHS));
+    };
+    match options.parallel {
+        true => bearings.par_iter_mut().for_each(extract),
+        false => bearings.iter_mut().for_each(extract),
+    }
+}
+
+/// Changes the trajectory where that makes the answers of two or more links sharper than chance does.
+fn refocus(bearings: &mut [&mut Bearing]) {
+    let part = |bearing: &'_ &mut Bearing| bearing.search.is_some() && bearing.placed.is_some();
+    if bearings.iter().filter(|bearing| part(bearing)).count() < 2 {
+        return;
+    }
+    let mut links: Vec<(&mut Search, &Fix)> = bearings
+        .iter_mut()
+        .filter_map(|bearing| Some((bearing.search.as_mut()?, &bearing.placed.as_ref()?.fix)))
+        .collect();
+    let focus = near_field::focus(&mut links);
+    for bearing in bearings {
+        let (Some(search), Some(placed)) = (&mut bearing.search, &mut bearing.placed) else { continue };
+        placed.focus = Some(focus);
+        if focus.worthwhile
+            && let Some(fix) = search.run()
+        {
+            adopt(&fix, &mut bearing.estimate);
+            placed.confidence = confidence(&fix);
+            placed.fix = fix;
+        }
+    }
 }
 
 fn pick(rows: &[Row], used: &[usize]) -> Vec<Row> {

@@ -4,9 +4,10 @@ use crate::backend::{CsiSource, Error, Next};
 use crate::channel::SUBCARRIERS;
 use crate::survey::Survey;
 use crate::time::Instant;
+use driver_iface::sounding::native::Measurement;
 use driver_iface::{
     Mac,
-    bfee::{ALL_SUBCARRIERS, Antenna, Iq},
+    bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq},
 };
 use num_complex::Complex32;
 use std::collections::{BTreeMap, VecDeque};
@@ -26,6 +27,27 @@ pub struct Heard {
 }
 
 impl Heard {
+    /// What `antenna` heard of a frame, if the record has it.
+    #[must_use]
+    pub fn of(bfee: &Bfee<'_>, antenna: Antenna, number: u32, host_us: Option<i64>, row: u32) -> Option<Self> {
+        let mut iq = [Iq::default(); SUBCARRIERS];
+        bfee.column(bfee.chain_of(antenna)?, 0, &ALL_SUBCARRIERS, &mut iq)?;
+        Some(Self { number, timestamp_low: bfee.timestamp_low(), host_us, row, iq })
+    }
+
+    /// A forward frame as the robot that answered it has measured it.
+    #[must_use]
+    pub fn measured(measurement: &Measurement, row: u32) -> Self {
+        let iq = measurement.iq.map(|[i, q]| Iq { i, q });
+        Self { number: measurement.number, timestamp_low: measurement.timestamp_low, host_us: None, row, iq }
+    }
+
+    /// As raw pairs `[I, Q]` by reported subcarrier.
+    #[must_use]
+    pub fn iq(&self) -> [[i8; 2]; SUBCARRIERS] {
+        self.iq.map(|iq| [iq.i, iq.q])
+    }
+
     /// The CSI, unscaled, by reported subcarrier.
     #[must_use]
     pub fn csi(&self) -> [Complex32; SUBCARRIERS] {
@@ -72,15 +94,9 @@ impl Front {
         let row = self.rows.entry(identity.mac).or_default();
         let own_row = *row;
         *row += 1;
-        let mut iq = [Iq::default(); SUBCARRIERS];
-        let heard =
-            bfee.chain_of(self.antenna).filter(|&chain| bfee.column(chain, 0, &ALL_SUBCARRIERS, &mut iq).is_some());
-        if heard.is_none() {
-            self.unused.no_antenna += 1;
-            return None;
-        }
-        let timestamp_low = bfee.timestamp_low();
-        Some((identity.mac, Heard { number, timestamp_low, host_us: identity.host_us, row: own_row, iq }))
+        let heard = Heard::of(&bfee, self.antenna, number, identity.host_us, own_row);
+        self.unused.no_antenna += u64::from(heard.is_none());
+        heard.map(|heard| (identity.mac, heard))
     }
 }
 

@@ -3,8 +3,9 @@
 use super::accurate::{self, Placed};
 use super::intake::Heard;
 use super::{JoinBy, Options};
-use crate::bartlett::{self, Estimate, Grid, Profile};
+use crate::bartlett::{self, Estimate, Grid};
 use crate::cfo::{TurnAround, at_centre, round_trip, round_trip_at_centre};
+use crate::near_field::Search;
 use crate::pairing::{Pair, Pairing, Side, SideCounts};
 use crate::pose::{Motion, Trajectory, wrap_rad};
 use crate::samples::Samples;
@@ -112,6 +113,8 @@ pub struct Link {
     pub mac: Mac,
     pairing: Pairing<Heard>,
     rows: Vec<Row>,
+    /// The round trip of each row on all subcarriers, where a step of the accuracy layer wants it.
+    products: Vec<crate::alignment::Row>,
     silent: usize,
     span_us: Option<(i64, i64)>,
     outside: usize,
@@ -124,7 +127,6 @@ pub struct Link {
 #[derive(Clone, Copy, Debug)]
 struct Row {
     z: Complex64,
-    product: crate::alignment::Row,
     clock_rx_us: i64,
     difference_us: i64,
     host_us: Option<i64>,
@@ -134,14 +136,16 @@ struct Row {
 }
 
 /// Everything that a link gave.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Bearing {
     /// The estimate, azimuth in the trajectory's frame.
     pub estimate: Estimate,
     /// What spherical waves and all subcarriers added; the estimate's azimuth and elevation are then its own.
     pub placed: Option<Placed>,
-    /// Azimuth relative to the robot's heading at the last sample used, radians.
-    pub azimuth_body_rad: Option<f64>,
+    /// The search that placed it, until what takes all links of a capture is done.
+    pub(super) search: Option<Search>,
+    /// The robot's heading at the last sample used, radians.
+    pub heading_rad: Option<f64>,
     /// Turn-around compensation, where both clocks allowed one.
     pub turn_around: Option<TurnAround>,
     /// Whether it was applied.
@@ -158,6 +162,14 @@ pub struct Bearing {
     pub path_m: Vec<Vector3<f64>>,
     /// The phase of every pair, if [`Options::keep_course`] asked for it.
     pub course: Vec<Phase>,
+}
+
+impl Bearing {
+    /// Azimuth relative to the robot's heading at the last sample used, radians.
+    #[must_use]
+    pub fn azimuth_body_rad(&self) -> Option<f64> {
+        self.heading_rad.map(|heading| wrap_rad(self.estimate.azimuth_rad - heading))
+    }
 }
 
 /// The phase of one pair, for pictures.
@@ -185,13 +197,9 @@ pub struct PeerFigures {
 impl PeerFigures {
     fn of(samples: &Samples, wavelength_m: f64) -> Result<Self, bartlett::Error> {
         // The toolbox's planar mode: one azimuth profile, the same for each of its polar angles.
-        let whole = Grid::wsr();
-        let (rows, columns) = whole.shape();
-        let ring = Grid::directions((0..columns).map(|column| (whole.at(column).0, 0.0)).collect());
-        let profile = bartlett::profile(samples, wavelength_m, &ring)?;
+        let profile = bartlett::profile(samples, wavelength_m, &Grid::wsr_azimuths())?;
         let likelihood_share = profile.likelihood_share();
-        let tiled = Profile { values: profile.values.repeat(rows), grid: whole, sum_abs: profile.sum_abs };
-        Ok(Self { wsr_profile_variance: bartlett::wsr_profile_variance(&tiled), likelihood_share })
+        Ok(Self { wsr_profile_variance: bartlett::wsr_planar_profile_variance(&profile), likelihood_share })
     }
 }
 
@@ -204,6 +212,15 @@ const MAX_EXTENT_M: f64 = 50.0;
 /// Pairs kept of a link; of more every second one goes, again and again, so that a log of any length costs no more memory.
 /// At 100 exchanges a second it is over a minute within one trajectory, longer than odometry stays coherent.
 const MAX_ROWS: usize = 8_192;
+
+/// Leaves the first of every two.
+fn every_second<T>(list: &mut Vec<T>) {
+    let mut index = 0;
+    list.retain(|_| {
+        index += 1;
+        index % 2 == 1
+    });
+}
 
 /// The longest side of the box that holds all displacements, metres.
 fn extent_m(samples: &Samples) -> f64 {
@@ -220,7 +237,8 @@ impl Link {
     #[must_use]
     pub fn new(mac: Mac, span_us: Option<(i64, i64)>) -> Self {
         let pairing = Pairing::new(4_096);
-        Self { mac, pairing, rows: Vec::new(), silent: 0, span_us, outside: 0, first_us: None, stride: 1, thinned: 0 }
+        let (rows, products) = (Vec::new(), Vec::new());
+        Self { mac, pairing, rows, products, silent: 0, span_us, outside: 0, first_us: None, stride: 1, thinned: 0 }
     }
 
     /// Which side should be read next.
@@ -272,11 +290,8 @@ impl Link {
             return;
         }
         if self.rows.len() >= MAX_ROWS {
-            let mut index = 0;
-            self.rows.retain(|_| {
-                index += 1;
-                index % 2 == 1
-            });
+            every_second(&mut self.rows);
+            every_second(&mut self.products);
             self.thinned += MAX_ROWS - self.rows.len();
             self.stride *= 2;
         }
@@ -290,20 +305,31 @@ impl Link {
         self.rows.push(Row {
             one_way_rad: one_way.map_or(0.0, |one_way| one_way.h.arg()),
             z: coherent.h,
-            product: round_trip(&forward, &backward),
             clock_rx_us: pair.clock_rx_us,
             difference_us: pair.clock_difference_us,
             host_us: pair.receiver.host_us,
             partner_host_us: pair.transmitter.host_us,
             row: pair.receiver.row,
         });
+        if options.accuracy.near_field {
+            self.products.push(round_trip(&forward, &backward));
+        }
     }
 
     /// Forgets the pairs before `host_us` of the receiver: a live window moves on.
     pub fn forget_before(&mut self, host_us: i64) {
-        self.rows.retain(|row| row.host_us.is_none_or(|at| at >= host_us));
-        if self.rows.len() < MAX_ROWS / 4 {
-            self.stride = (self.stride / 2).max(1);
+        let stays: Vec<bool> = self.rows.iter().map(|row| row.host_us.is_none_or(|at| at >= host_us)).collect();
+        if self.products.len() == self.rows.len() {
+            // Row by row with them.
+            let mut stays = stays.iter();
+            self.products.retain(|_| stays.next().is_some_and(|stays| *stays));
+        }
+        let mut stays = stays.iter();
+        self.rows.retain(|_| stays.next().is_some_and(|stays| *stays));
+        // As dense from here on as what remains allows: after a long rest that is every pair again.
+        let mut expected = self.rows.len();
+        while self.stride > 1 && expected <= MAX_ROWS / 4 {
+            (self.stride, expected) = (self.stride / 2, expected * 2);
         }
     }
 
@@ -317,7 +343,7 @@ impl Link {
     /// stamp an exchange within the turn-around and the jitter of interrupts.
     #[must_use]
     pub fn partner_ahead_s(&self) -> Option<f64> {
-        let ahead = |row: &Row| Some(row.partner_host_us? - row.host_us?);
+        let ahead = |row: &Row| Some(row.partner_host_us?.saturating_sub(row.host_us?));
         let mut ahead_us: Vec<i64> = self.rows.iter().filter_map(ahead).collect();
         let middle = ahead_us.len() / 2;
         (!ahead_us.is_empty()).then(|| *ahead_us.select_nth_unstable(middle).1 as f64 * 1e-6)
@@ -408,13 +434,16 @@ impl Link {
             return Err(LinkError::TooLarge { extent_m, limit_m: MAX_EXTENT_M });
         }
         let mut estimate = bartlett::search(&samples, options.channel.wavelength_m(), &options.search)?;
-        let rows = self.rows.iter().zip(&z).map(|(row, z)| accurate::compensated(&row.product, z / row.z));
+        let turned = self.products.iter().zip(self.rows.iter().zip(&z));
+        let rows = turned.map(|(product, (row, z))| accurate::compensated(product, z / row.z));
         let placed = accurate::place(&samples, rows.collect(), &used, &mut estimate, options);
+        let (placed, search) = placed.unzip();
         let sum = samples.receiver_m.iter().fold(Vector3::zeros(), |sum, p| sum + p);
         Ok(Bearing {
-            azimuth_body_rad: heading_rad.map(|heading| wrap_rad(estimate.azimuth_rad - heading)),
+            heading_rad,
             estimate,
             placed,
+            search,
             peers: PeerFigures::of(&samples, options.channel.wavelength_m())?,
             turn_around,
             compensated,

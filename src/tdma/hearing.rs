@@ -167,6 +167,7 @@ impl Tdma {
     /// Weighs what a frame says about the turn. True if it is the turn that this robot goes by from now on.
     fn hear_claim(&mut self, claim: Claim) -> bool {
         let proven = self.key.is_some();
+        self.end_turn_at_successor(claim.turn);
         let accepted = if self.turn.is_some() {
             let yields = self.view.hear_as_holder(claim, proven);
             if yields {

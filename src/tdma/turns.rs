@@ -210,6 +210,17 @@ impl Tdma {
         self.view.begin(Claim { holder: self.roster.own_rank, turn: number, next: Some(next), end });
     }
 
+    /// A turn of which all slots were used and that was passed on ends with the first frame of a later turn, which may be
+    /// heard a little before this robot's own clock comes to the end.
+    pub(super) fn end_turn_at_successor(&mut self, turn_heard: u32) {
+        let used_up = |turn: &Turn| turn.slot >= turn.end && turn.next.is_some();
+        if let Some(turn) = self.turn.filter(used_up)
+            && turn_heard.wrapping_sub(turn.number).cast_signed() > 0
+        {
+            self.end_turn(turn);
+        }
+    }
+
     /// The announced end has come: pass the turn on, renew it, or fall silent.
     fn end_turn(&mut self, turn: Turn) {
         self.turn = None;

@@ -6,7 +6,7 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 root=$PWD
 place=$root/target/kernel
-TESTS="connector kernel_guest"
+TESTS="connector kernel_guest kernel_sounding"
 MODULES="virtio virtio_ring libarc4 rfkill cfg80211 mac80211 mac80211_hwsim"
 TARGET=x86_64-unknown-linux-gnu
 export DEBIAN_FRONTEND=noninteractive CARGO_TERM_COLOR=never
@@ -65,12 +65,12 @@ unpacked=$place/unpacked
 libraries=$unpacked/usr/lib/x86_64-linux-gnu:$unpacked/lib/x86_64-linux-gnu
 printf 'kernel %s: packages ready after %s s\n' "$V" "$SECONDS"
 
-# The module, with the compiler of the headers.
+# The modules, with the compiler of the headers.
 rm -rf "$place/kmod"
 cp -r driver-iface/kmod "$place/kmod"
-quietly make -C "/usr/src/linux-headers-$V" M="$place/kmod" modules || { echo "the module does not build"; exit 1; }
-strip --strip-debug "$place/kmod/csi5300_sender.ko"
-printf 'module built after %s s\n' "$SECONDS"
+quietly make -C "/usr/src/linux-headers-$V" M="$place/kmod" modules || { echo "the modules do not build"; exit 1; }
+strip --strip-debug "$place"/kmod/*.ko
+printf 'modules built after %s s\n' "$SECONDS"
 
 # Static binaries: the program, and the tests that run in the guest.
 flags=()
@@ -88,7 +88,7 @@ printf 'binaries built after %s s\n' "$SECONDS"
 # The guest's root.
 tree=$place/tree
 find "$place/boot" -name '*.ko' -exec cp {} "$tree/modules" \;
-cp "$place/kmod/csi5300_sender.ko" "$tree/modules"
+cp "$place"/kmod/*.ko "$tree/modules"
 cp tests/kernel/guest/*.sh "$tree/guest"
 cp tests/kernel/init "$tree/init"
 cp tests/kernel/load "$tree/bin/load"

@@ -318,6 +318,10 @@ fn profile_variance_is_one_for_a_flat_profile_and_small_for_a_sharp_one() {
     let flat = Profile { grid: grid.clone(), values: vec![0.5; 360], sum_abs: 1.0 };
     assert!((wsr_profile_variance(&flat).unwrap() - 1.0).abs() < 1e-12);
     assert!((flat.likelihood_share().unwrap() - 1.0 / 360.0).abs() < 1e-15);
+    let row: Vec<f64> = (0..360).map(|i| f64::from(i * 37 % 101)).collect();
+    let tiled = Profile { grid: Grid::wsr(), values: row.repeat(90), sum_abs: 1.0 };
+    let planar = Profile { grid: Grid::wsr_azimuths(), values: row, sum_abs: 1.0 };
+    assert_eq!(wsr_profile_variance(&tiled), wsr_planar_profile_variance(&planar));
     let mut values = vec![0.0; 360];
     (values[359], values[0]) = (1.0, 0.5);
     let sharp = Profile { grid, values, sum_abs: 1.0 };

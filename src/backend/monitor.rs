@@ -1,0 +1,229 @@
+//! A monitor interface: frames injected into the air, and sounding frames heard from it.
+//!
+//! A packet socket carries whole buffers of radiotap header and 802.11 frame, both ways. What the kernel does with them
+//! was measured on mac80211 (firmware-notes/injection.md):
+//!
+//! * a frame that it must not send (no-IR, DFS) or cannot parse is taken, and vanishes. Only a frame that was sent comes
+//!   back, as a **tx-status copy** with TX flags in its radiotap header; these are counted ([`Counters::tx_status`]);
+//! * every frame sent is also looped back to the socket as PACKET_OUTGOING; the socket's filter keeps those out;
+//! * the interface's MTU counts radiotap header and frame.
+//!
+//! What the kernel does not take is an [`Error::NotSent`] and counted by cause; the next frame may be taken again.
+
+mod filter;
+mod socket;
+
+use super::{Error, FrameReceiver, Heard, Injector, NotSent};
+use crate::time::{Instant, Span};
+use driver_iface::radiotap::{self, Bandwidth, Packet, Repr};
+use std::io::ErrorKind;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+
+/// Bytes of a received buffer that are looked at: a sounding frame and its radiotap header are far shorter.
+const RECEIVE_LEN: usize = 1_024;
+/// A receive stamp older than this is no stamp: the wall clock was set.
+const OLDEST: Span = Span::from_ms(1_000);
+
+/// What to open, and how frames are sent.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The interface, such as `mon0`.
+    pub interface: String,
+    /// MCS index of every frame. The CSI driver takes its `monitor_tx_rate` instead.
+    pub mcs: u8,
+    /// Channel width of every frame.
+    pub bandwidth: Bandwidth,
+    /// Length of the longest frame to be sent, bytes, without radiotap header and FCS.
+    pub longest: usize,
+    /// Reads the host's wall clock, microseconds since the Unix epoch, on which the kernel stamps what it receives.
+    pub wall_us: fn() -> Option<i64>,
+}
+
+/// Everything counted on an interface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Frames that the kernel took.
+    pub taken: u64,
+    /// Frames of which it took only a part.
+    pub cut: u64,
+    /// Frames not taken because its queue was full (ENOBUFS, EAGAIN).
+    pub no_room: u64,
+    /// Frames not taken because the interface was down.
+    pub down: u64,
+    /// Frames not taken because they are longer than the MTU.
+    pub too_long: u64,
+    /// Tx-status copies: frames that were really sent.
+    pub tx_status: u64,
+    /// Of these, marked as failed (no acknowledgement, or given up).
+    pub tx_failed: u64,
+    /// Frames handed out as heard.
+    pub heard: u64,
+    /// Copies of own frames on their way out, beyond those that the filter kept out.
+    pub outgoing: u64,
+    /// Frames with a wrong FCS.
+    pub bad_fcs: u64,
+    /// Buffers whose radiotap header makes no sense, or longer than any sounding frame.
+    pub damaged: u64,
+    /// Frames that the kernel dropped because they were not fetched in time.
+    pub dropped: u64,
+}
+
+impl Counters {
+    /// Frames that were to be sent and were not taken.
+    #[must_use]
+    pub fn not_taken(&self) -> u64 {
+        self.cut + self.no_room + self.down + self.too_long
+    }
+}
+
+/// A monitor interface, opened. Never blocks; wait on its file descriptor.
+#[derive(Debug)]
+pub struct Monitor {
+    socket: OwnedFd,
+    interface: String,
+    mac: Option<[u8; 6]>,
+    mtu: usize,
+    header_len: usize,
+    /// Radiotap header, written once, and room for the longest frame.
+    out: Box<[u8]>,
+    input: Box<[u8]>,
+    control: Vec<u8>,
+    wall_us: fn() -> Option<i64>,
+    counters: Counters,
+}
+
+impl Monitor {
+    /// Opens the interface. The filter is in place before the first frame can arrive.
+    ///
+    /// # Errors
+    /// No such interface, CAP_NET_RAW missing, another link type than radiotap, the interface down, or an MTU too small
+    /// for `longest`: each with what to do about it.
+    pub fn open(options: &Options) -> Result<Self, Error> {
+        let header = Repr::injected(options.mcs, options.bandwidth);
+        let header_len = header.header_len();
+        let mut out = vec![0; header_len + options.longest].into_boxed_slice();
+        header.emit(&mut out).map_err(|error| Error::Input(error.to_string()))?;
+        let opened = socket::open(&options.interface, out.len())?;
+        Ok(Self {
+            socket: opened.socket,
+            interface: options.interface.clone(),
+            mac: opened.mac,
+            mtu: opened.mtu,
+            header_len,
+            out,
+            input: vec![0; RECEIVE_LEN].into_boxed_slice(),
+            control: socket::control_buffer(),
+            wall_us: options.wall_us,
+            counters: Counters::default(),
+        })
+    }
+
+    /// The interface's own MAC, if it has one.
+    #[must_use]
+    pub fn mac(&self) -> Option<[u8; 6]> {
+        self.mac
+    }
+
+    /// Everything counted so far.
+    #[must_use]
+    pub fn counters(&mut self) -> Counters {
+        self.counters.dropped += socket::drops(&self.socket);
+        self.counters
+    }
+
+    /// Counts what became of a send of `len` bytes.
+    fn note_sent(&mut self, sent: std::io::Result<usize>, len: usize) -> Result<(), Error> {
+        let counters = &mut self.counters;
+        let (count, why) = match sent {
+            Ok(taken) if taken == len => {
+                counters.taken += 1;
+                return Ok(());
+            }
+            Ok(taken) => (&mut counters.cut, NotSent::Cut { taken, len }),
+            Err(error) => match error.raw_os_error() {
+                Some(libc::ENOBUFS | libc::EAGAIN | libc::ENOMEM) => (&mut counters.no_room, NotSent::NoRoom),
+                Some(libc::ENETDOWN) => (&mut counters.down, NotSent::Down),
+                Some(libc::EMSGSIZE) => (&mut counters.too_long, NotSent::TooLong { len, mtu: self.mtu }),
+                _ => return Err(socket::failed("sending on", &self.interface, error)),
+            },
+        };
+        *count += 1;
+        Err(Error::NotSent(why))
+    }
+
+    /// Where in the input buffer the frame of a received buffer of `len` bytes is, if it is one to hand out.
+    fn frame_in(&mut self, len: usize) -> Option<std::ops::Range<usize>> {
+        let counters = &mut self.counters;
+        let parsed = self.input.get(..len).and_then(|buffer| {
+            let packet = Packet::new_checked(buffer).ok()?;
+            let repr = Repr::parse(&packet).ok()?;
+            let frame_len = packet.frame(&repr).ok()?.len();
+            Some((repr, packet.header_len()..packet.header_len() + frame_len))
+        });
+        let Some((repr, range)) = parsed else {
+            counters.damaged += 1;
+            return None;
+        };
+        if repr.is_own_echo() {
+            counters.tx_status += 1;
+            counters.tx_failed += u64::from(repr.tx_flags.is_some_and(|flags| flags & radiotap::TX_FLAGS_FAIL != 0));
+            return None;
+        }
+        if repr.is_bad_fcs() {
+            counters.bad_fcs += 1;
+            return None;
+        }
+        counters.heard += 1;
+        Some(range)
+    }
+
+    /// How long ago the kernel stamped a frame; zero if it did not, or the wall clock was set since.
+    fn age(&self, stamp_us: Option<i64>) -> Span {
+        let age = stamp_us.zip((self.wall_us)()).map(|(stamp, now)| Span::from_us(now.saturating_sub(stamp)));
+        age.filter(|age| (Span::ZERO..OLDEST).contains(age)).unwrap_or(Span::ZERO)
+    }
+}
+
+impl AsFd for Monitor {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
+    }
+}
+
+impl Injector for Monitor {
+    fn inject(&mut self, _now: Instant, frame: &[u8]) -> Result<(), Error> {
+        let len = self.header_len + frame.len();
+        let Some(place) = self.out.get_mut(self.header_len..len) else {
+            self.counters.too_long += 1;
+            return Err(Error::NotSent(NotSent::TooLong { len, mtu: self.out.len() }));
+        };
+        place.copy_from_slice(frame);
+        let sent = socket::send(&self.socket, self.out.get(..len).unwrap_or_default());
+        self.note_sent(sent, len)
+    }
+}
+
+impl FrameReceiver for Monitor {
+    fn hear(&mut self) -> Result<Option<Heard<'_>>, Error> {
+        loop {
+            let received = match socket::receive(&self.socket, &mut self.input, &mut self.control) {
+                Ok(received) => received,
+                Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(None),
+                // Said once when the interface goes down; what is sent until it is up again is counted then.
+                Err(error) if error.raw_os_error() == Some(libc::ENETDOWN) => continue,
+                Err(error) if error.kind() == ErrorKind::Interrupted => continue,
+                Err(error) => return Err(socket::failed("receiving from", &self.interface, error)),
+            };
+            if received.is_outgoing {
+                self.counters.outgoing += 1;
+            } else if let Some(range) = self.frame_in(received.len) {
+                let age = self.age(received.stamp_us);
+                return Ok(self.input.get(range).map(|frame| Heard { frame, age }));
+            }
+        }
+    }
+
+    fn sent_for_certain(&self) -> Option<u64> {
+        Some(self.counters.tx_status)
+    }
+}

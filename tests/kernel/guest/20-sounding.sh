@@ -1,0 +1,93 @@
+# Sounding over mac80211: frames injected by the program cross simulated radios, are answered by the program on another
+# radio, and a kernel module turns what each radio hears into the driver's records. Times are the emulator's: no figure
+# of them means anything.
+for module in virtio_ring virtio libarc4 rfkill cfg80211 mac80211; do load "$module"; done
+load mac80211_hwsim radios=3 channels=2
+A=02:00:00:00:00:00 B=02:00:00:00:01:00 C=02:00:00:00:02:00
+slow="--turn-around 6000 --guard 1500"
+tune() {
+    for k in 0 1 2; do iw dev "wlan$k" set freq 5540 HT20; done
+}
+for k in 0 1 2; do
+    iw dev "wlan$k" set type monitor
+    ip link set "wlan$k" mtu 2304
+    ip link set "wlan$k" up
+done
+tune
+
+echo "a channel on which nobody may start to transmit: the kernel drops every frame, which is noticed"
+! csi5300 sound --interface wlan0 --peers "$B" --alone --rate 50 $slow --stop-after 4s 2>/tmp/said
+cat /tmp/said
+grep -q "it reports none of them as sent" /tmp/said
+grep -q "confirms none of" /tmp/said
+iw reg set PA
+until iw reg get | grep -q "country PA"; do :; done
+tune
+
+# listen NAME INDEX: records a card's messages.
+recorders=
+listen() {
+    csi5300 record "/tmp/$1.dat" --force --connector-index "$2" 2>"/tmp/$1.said" &
+    recorders="$recorders $!"
+    until grep -q "recording to" "/tmp/$1.said"; do :; done
+}
+stop() {
+    # The last records are still on their way.
+    sleep 1
+    kill -TERM $recorders
+    for pid in $recorders; do wait "$pid"; done
+    recorders=
+}
+# ready FILE PID: waits until the sender's thread says that it runs.
+ready() {
+    until grep -q "^sending under" "$1"; do kill -0 "$2"; done
+}
+check() {
+    CSI5300_TEST_GUEST_LINKS="$1" /tests/kernel_sounding --exact every_answered_frame_is_a_pair_of_the_logs --nocapture
+}
+
+for dialect in native wsr; do
+    echo "two radios, $dialect"
+    wsr=0 own=
+    [ "$dialect" = native ] || { wsr=1 own="--ack-len 57"; }
+    insmod /modules/csi5300_heard.ko interfaces=wlan0,wlan1 idx=26,25 wsr=$wsr
+    listen a 26
+    listen b 25
+    csi5300 respond --interface wlan1 --peers "$A" --dialect "$dialect" $own --rate 50 $slow --connector-index 25 2>/tmp/respond &
+    responder=$!
+    ready /tmp/respond "$responder"
+    csi5300 sound --interface wlan0 --peers "$B" --dialect "$dialect" --alone --rate 50 $slow --stop-after 10s 2>/tmp/sound
+    kill -TERM "$responder"
+    wait "$responder"
+    stop
+    cat /tmp/sound /tmp/respond
+    grep -q "sending under SCHED_FIFO, memory locked" /tmp/sound
+    check "/tmp/a.dat $A /tmp/b.dat $B /tmp/sound"
+    rmmod csi5300_heard
+done
+
+echo "three radios, native, with a key: two initiators in turn"
+head -c 16 /dev/urandom >/tmp/key
+insmod /modules/csi5300_heard.ko interfaces=wlan0,wlan1,wlan2 idx=26,25,23
+listen a 26
+listen b 25
+listen c 23
+common="--rate 40 $slow --links 2 --key /tmp/key"
+csi5300 respond --interface wlan2 --peers "$A,$B" $common --connector-index 23 2>/tmp/respond &
+responder=$!
+ready /tmp/respond "$responder"
+csi5300 sound --interface wlan1 --peers "$A,$C" $common 2>/tmp/sound-b &
+second=$!
+ready /tmp/sound-b "$second"
+csi5300 sound --interface wlan0 --peers "$B,$C" $common --log /tmp/own.dat --connector-index 26 --stop-after 20s 2>/tmp/sound-a
+kill -TERM "$second" "$responder"
+wait "$second"
+wait "$responder"
+stop
+cat /tmp/sound-a /tmp/sound-b /tmp/respond
+check "/tmp/a.dat $A /tmp/b.dat $B /tmp/sound-a
+/tmp/a.dat $A /tmp/c.dat $C /tmp/sound-a
+/tmp/own.dat $A /tmp/c.dat $C /tmp/sound-a
+/tmp/b.dat $B /tmp/a.dat $A /tmp/sound-b
+/tmp/b.dat $B /tmp/c.dat $C /tmp/sound-b"
+rmmod csi5300_heard
