@@ -314,3 +314,29 @@ fn an_evaluation_reports_bad_captures_and_goes_on() {
     assert_eq!(failed.count(), 2, "{out}");
     assert!(rows[4]["summary"]["B"]["from_mean_pose"]["mean_deg"].is_null(), "{out}");
 }
+
+#[test]
+#[cfg(feature = "plot")]
+fn rooms_are_judged_with_pictures_and_a_link_is_explained() {
+    let folder = Folder::new("rooms");
+    let (status, out, err) = folder.run(&["evaluate", "--rooms", "1", "--out", "pictures"]);
+    assert_eq!(status, 0, "{err}");
+    assert!(out.contains("rooms_LOS: 3 links, 0 failed") && out.contains("rooms_NLOS: 3 links, 0 failed"), "{out}");
+    for name in ["errors.png", "refusals.svg"] {
+        assert!(folder.path.join("pictures").join(name).is_file(), "{name}");
+    }
+    capture(&folder, "place", &Link::default());
+    let (status, out, err) = folder.run(&["explain", "place/tx2", "--out", "link"]);
+    assert_eq!(status, 0, "{err}");
+    for part in ["turn-around", "sampling time", "candidates", "paths", "answer"] {
+        assert!(out.contains(part), "{part}: {out}");
+    }
+    let drawn: Vec<String> = std::fs::read_dir(folder.path.join("link"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    for part in ["azimuth-elevation.png", "azimuth-range.png", "phase.png"] {
+        assert!(drawn.iter().any(|name| name.ends_with(part)), "{part}: {drawn:?}");
+    }
+    assert_eq!(folder.run(&["explain", "place/tx9"]).0, 1);
+}

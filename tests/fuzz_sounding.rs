@@ -21,10 +21,10 @@ fn crafted(state: &mut u64) -> Vec<u8> {
     let repr = native::Repr {
         sender: mac(state),
         number: few(state),
-        role: if random(state) % 2 == 0 { Role::Forward } else { Role::Backward },
+        role: if random(state).is_multiple_of(2) { Role::Forward } else { Role::Backward },
         destination: mac(state),
         next: mac(state),
-        wants_turn: random(state) % 2 == 0,
+        wants_turn: random(state).is_multiple_of(2),
         session: few(state),
         sender_session: few(state),
         turn: random(state) as u32 >> (random(state) % 32),
@@ -33,7 +33,7 @@ fn crafted(state: &mut u64) -> Vec<u8> {
         round_us: 5_000,
         slots: 2,
         measurement: None,
-        tag: (random(state) % 3 == 0).then_some([0; native::TAG_LEN]),
+        tag: random(state).is_multiple_of(3).then_some([0; native::TAG_LEN]),
     };
     let mut frame = vec![0; native::MAX_LEN];
     let len = repr.emit(&mut frame).unwrap();
@@ -51,7 +51,7 @@ fn hostile_air() {
             match operation % 8 {
                 1 | 2 => {
                     let mut frame = crafted(&mut state);
-                    if random(&mut state) % 4 == 0 {
+                    if random(&mut state).is_multiple_of(4) {
                         frame = (0..random(&mut state) % 90).map(|_| random(&mut state) as u8).collect();
                     }
                     if operation % 8 == 2 {

@@ -168,7 +168,6 @@ impl Served {
                         .map_err(|error| format!("cannot write a pose: {error}"))?;
                     written = true;
                 }
-                // A simulated robot keeps its frame.
                 NextPose::NewFrame => {}
                 NextPose::Pending => break source.next_at(),
                 NextPose::End => break None,

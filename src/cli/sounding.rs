@@ -349,6 +349,9 @@ pub fn run(
     Ok(conclude(common, exchange, logged, news_lost, failed.or(error.map(text))))
 }
 
+/// Said once where the driver's records cannot be told apart.
+pub const NO_NUMBERS: &str = "the driver's records carry neither sender nor number: load it with connector_log=0x5 (csitool), or use the WSR driver";
+
 /// Takes everything that the driver has said.
 fn take(source: &mut Source, now: Instant, running: &Running, task: &mut dyn Task) -> std::result::Result<(), Error> {
     loop {

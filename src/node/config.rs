@@ -409,6 +409,23 @@ impl Config {
         {
             say(capture_at, format!("there is no log {}", replay.file.display()));
         }
+        let mut room = None;
+        if let Capture::Room(asked) = self.capture.get_ref() {
+            match super::sources::scene(&asked.scene) {
+                Ok(scene) => room = Some(scene),
+                Err(error) => say(capture_at, error.to_string()),
+            }
+        }
+        let absent = |name: &str| {
+            let scene = room.as_ref().filter(|scene| scene.robot.iter().all(|robot| robot.name != name))?;
+            let names: Vec<&str> = scene.robot.iter().map(|robot| robot.name.as_str()).collect();
+            Some(format!("the scene has no robot `{name}`: it has {}", names.join(", ")))
+        };
+        if let Capture::Room(asked) = self.capture.get_ref()
+            && let Some(why) = absent(&asked.robot)
+        {
+            say(capture_at, why);
+        }
         let estimator = &self.estimator;
         if !(0.0..=90.0).contains(&estimator.elevation_max_deg) {
             say(place(text, "elevation_max_deg"), "elevation_max_deg: 0 to 90 degrees".into());
@@ -588,6 +605,10 @@ mod tests {
         assert!(lines[1].starts_with("line 3:") && lines[2].starts_with("line 4: peer `tx`"), "{two}");
         let twice = refused(&format!("{ROOM}[[peer]]\nname = \"tx\"\nrecords.room = {{}}\n"));
         assert!(twice.starts_with("line 7: peer `tx`: another peer"), "{twice}");
+        let nobody = refused(&ROOM.replace("name = \"tx\"", "name = \"ty\""));
+        assert!(nobody.starts_with("line 4: the scene has no robot `ty`: it has rx, tx"), "{nobody}");
+        let nowhere = refused(&ROOM.replace("lab-circle", "lab.toml"));
+        assert!(nowhere.starts_with("line 2:") && nowhere.contains("lab.toml"), "{nowhere}");
         let far = refused(&format!("{ROOM}[estimator]\nextrapolate_s = 30\n"));
         assert!(far.starts_with("line 8"), "{far}");
     }

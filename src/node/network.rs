@@ -24,6 +24,8 @@ const BACKLOG: usize = 4_096;
 const MESSAGE_BYTES: usize = 32 * 1024;
 /// ... or this long after its first item.
 const HAND_OVER: Duration = Duration::from_millis(5);
+/// Messages that are still sent once it is told to stop: more than can wait.
+const LAST_MESSAGES: usize = 256;
 
 /// Something to publish.
 enum Item {
@@ -31,7 +33,7 @@ enum Item {
     Pose(Option<Pose>),
 }
 
-/// The network. Leaves it when dropped.
+/// The network. Leaves it when dropped, which must be outside of an async runtime: zenoh waits for its own.
 pub struct Network {
     session: zenoh::Session,
     prefix: String,
@@ -149,7 +151,8 @@ impl Network {
 impl Drop for Network {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
-        if let Some((_, thread)) = self.publisher.take() {
+        if let Some((items, thread)) = self.publisher.take() {
+            drop(items);
             let _ = thread.join();
         }
         let _ = self.session.close().wait();
@@ -170,11 +173,15 @@ fn work(
     send_poses: impl Fn(Vec<u8>),
 ) {
     let (mut records, mut poses) = (Batch::records(session), Batch::poses(session));
-    loop {
+    let mut left = LAST_MESSAGES;
+    while left > 0 {
+        // Once told to stop it sends what waits and no more: a tap that goes on does not keep it alive.
+        let stopping = stop.load(Ordering::Relaxed);
+        left -= usize::from(stopping);
         match waiting.recv_timeout(HAND_OVER) {
             Ok(Item::Record(host_us, code, body)) => records.push_record(host_us, Record { code, body: &body }),
             Ok(Item::Pose(pose)) => poses.push_pose(pose),
-            Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => {}
+            Err(RecvTimeoutError::Timeout) if !stopping => {}
             Err(_) => break,
         }
         // Whatever waits goes with it.
@@ -230,4 +237,26 @@ pub struct NetworkCounts {
     pub unsent: u64,
     /// Peers' MACs, what they publish, and what was counted of it.
     pub subscriptions: Vec<(String, &'static str, Counts)>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+
+    #[test]
+    fn the_publisher_ends_when_told_to_though_items_go_on_coming() {
+        let (items, waiting) = sync_channel(10);
+        let send = || drop(items.try_send(Item::Record(None, 0xBB, vec![1])));
+        (0..3).for_each(|_| send());
+        let sent = Cell::new(0);
+        let take = |message: Vec<u8>| {
+            sent.set(sent.get() + usize::from(!message.is_empty()));
+            send();
+        };
+        work(&waiting, 7, &AtomicBool::new(true), take, |_| {});
+        assert_eq!(sent.get(), LAST_MESSAGES);
+        work(&waiting, 7, &AtomicBool::new(true), |_| {}, |_| {});
+        assert!(waiting.try_recv().is_err(), "what waited was sent");
+    }
 }

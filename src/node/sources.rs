@@ -76,8 +76,8 @@ impl Sources {
             Capture::Card(card) => {
                 #[cfg(feature = "live")]
                 {
-                    let (listener, fd) = listener(card, wall_us)?;
-                    wake = Some(fd);
+                    let listener = listener(card, wall_us)?;
+                    wake = Some(listener.wake()?);
                     Box::new(listener)
                 }
                 #[cfg(not(feature = "live"))]
@@ -190,7 +190,8 @@ fn still(place: &Place, offset_m: [f64; 3]) -> Track {
     Track::still(antenna, heading_rad)
 }
 
-fn scene(name: &Path) -> Result<Scene, Error> {
+/// A scene by its file, or by the name of a built-in one.
+pub(super) fn scene(name: &Path) -> Result<Scene, Error> {
     if let Some(scene) = name.to_str().and_then(Scene::built_in) {
         return Ok(scene);
     }
@@ -225,24 +226,18 @@ fn first_host_s(log: &Path) -> Result<f64, Error> {
 }
 
 #[cfg(feature = "live")]
-fn listener(
-    card: &super::config::Card,
-    wall_us: fn() -> Option<i64>,
-) -> Result<(crate::backend::netlink::Netlink, std::os::fd::OwnedFd), Error> {
+fn listener(card: &super::config::Card, wall_us: fn() -> Option<i64>) -> Result<super::threads::CardThread, Error> {
     use crate::backend::netlink::{Netlink, Options};
-    use std::os::fd::AsFd;
     let (connector_index, allow_user_sender) = (card.connector_index, card.allow_user_sender);
-    let listener = Netlink::open(&Options { connector_index, allow_user_sender, wall_us, ..Options::default() })?;
-    let io = |source| Error::Io { what: "the connector socket".into(), source };
-    let fd = listener.as_fd().try_clone_to_owned().map_err(io)?;
-    Ok((listener, fd))
+    let options = Options { connector_index, allow_user_sender, wall_us, ..Options::default() };
+    super::threads::CardThread::start(Netlink::open(&options)?)
 }
 
 #[cfg(feature = "node")]
 fn serial(port: &super::config::OpenCr, start: Instant, wall_us: fn() -> Option<i64>) -> Result<Poses, Error> {
     let geometry = port.model.map(super::config::Model::geometry);
     let serial = crate::odometry::serial::Serial::open(port.port.clone(), port.rate_hz, geometry, start, wall_us)?;
-    Ok(Box::new(serial))
+    Ok(Box::new(super::threads::PoseThread::start(serial)?))
 }
 
 #[cfg(not(feature = "node"))]

@@ -136,7 +136,7 @@ struct Row {
 }
 
 /// Everything that a link gave.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Bearing {
     /// The estimate, azimuth in the trajectory's frame.
     pub estimate: Estimate,
@@ -312,9 +312,18 @@ impl Link {
 
     /// Forgets the pairs before `host_us` of the receiver: a live window moves on.
     pub fn forget_before(&mut self, host_us: i64) {
-        self.rows.retain(|row| row.host_us.is_none_or(|at| at >= host_us));
-        if self.rows.len() < MAX_ROWS / 4 {
-            self.stride = (self.stride / 2).max(1);
+        let stays: Vec<bool> = self.rows.iter().map(|row| row.host_us.is_none_or(|at| at >= host_us)).collect();
+        if self.products.len() == self.rows.len() {
+            // Row by row with them.
+            let mut stays = stays.iter();
+            self.products.retain(|_| stays.next().is_some_and(|stays| *stays));
+        }
+        let mut stays = stays.iter();
+        self.rows.retain(|_| stays.next().is_some_and(|stays| *stays));
+        // As dense from here on as what remains allows: after a long rest that is every pair again.
+        let mut expected = self.rows.len();
+        while self.stride > 1 && expected <= MAX_ROWS / 4 {
+            (self.stride, expected) = (self.stride / 2, expected * 2);
         }
     }
 
@@ -328,7 +337,7 @@ impl Link {
     /// stamp an exchange within the turn-around and the jitter of interrupts.
     #[must_use]
     pub fn partner_ahead_s(&self) -> Option<f64> {
-        let ahead = |row: &Row| Some(row.partner_host_us? - row.host_us?);
+        let ahead = |row: &Row| Some(row.partner_host_us?.saturating_sub(row.host_us?));
         let mut ahead_us: Vec<i64> = self.rows.iter().filter_map(ahead).collect();
         let middle = ahead_us.len() / 2;
         (!ahead_us.is_empty()).then(|| *ahead_us.select_nth_unstable(middle).1 as f64 * 1e-6)

@@ -6,7 +6,7 @@
 use crate::backend::Next;
 use crate::pairing::Side;
 use crate::pipeline::Options;
-use crate::pipeline::intake::{Front, Heard};
+use crate::pipeline::intake::{Front, Heard, Unused};
 use crate::pipeline::link::{Bearing, Link, LinkError};
 use crate::pose::Trajectory;
 use crate::survey::Identity;
@@ -66,6 +66,12 @@ impl Products {
         let Some((link, row)) = find(&mut self.links, peer) else { return };
         link.handle(Side::Transmitter, Heard::measured(measurement, *row), &self.options);
         *row += 1;
+    }
+
+    /// Records of the card that could not be used, by reason.
+    #[must_use]
+    pub fn unused(&self) -> Unused {
+        self.front.unused
     }
 
     /// Products that there are, by link.

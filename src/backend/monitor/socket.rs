@@ -107,7 +107,7 @@ pub(super) struct Received {
 }
 
 /// Takes one buffer.
-pub(super) fn receive(socket: &OwnedFd, buffer: &mut [u8], control: &mut Vec<u8>) -> io::Result<Received> {
+pub(super) fn receive(socket: &OwnedFd, buffer: &mut [u8], control: &mut [u8]) -> io::Result<Received> {
     let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_TRUNC;
     let mut parts = [IoSliceMut::new(buffer)];
     let message = recvmsg::<LinkAddr>(socket.as_raw_fd(), &mut parts, Some(control), flags)?;
