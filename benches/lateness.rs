@@ -101,7 +101,8 @@ fn run(fifo_priority: Option<i32>, seconds: f64) -> Result<(), Failure> {
     println!("\n{granted}");
     println!("  {} sent, {} answered", counts.forward, counts.answered);
     println!("  {} skipped, {} perhaps late", counts.missed_slots + figures.too_late, figures.perhaps_late);
-    println!("  lateness of forward frames  {}", spread_of(&figures.lateness_us));
+    println!("  lateness of every due slot  {}", spread_of(&figures.due_us));
+    println!("  lateness of frames sent     {}", spread_of(&figures.lateness_us));
     println!("  turn-around                 {}", spread_of(&responder.figures.turn_around_us));
     println!("  answers skipped as late     {}", responder.tdma.counts().missed_replies);
     println!("  answer began after          {}", spread_of(&figures.answer_us));

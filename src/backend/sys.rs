@@ -141,7 +141,8 @@ fn request(interface: &str) -> io::Result<libc::ifreq> {
         return Err(io::Error::from(io::ErrorKind::InvalidInput));
     }
     for (place, byte) in request.ifr_name.iter_mut().zip(interface.bytes()) {
-        *place = byte.cast_signed();
+        // Signed or not, as the architecture has it.
+        *place = byte as libc::c_char;
     }
     Ok(request)
 }

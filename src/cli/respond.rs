@@ -67,7 +67,7 @@ pub fn run(args: &Args) -> Result {
     let signals = Signals::catch()?;
     let clock = Monotonic::new();
     let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
-    common.see_to_rate(args.antenna);
+    common.see_to_rate(args.antenna)?;
     let carries = common.dialect == Words::Native && !common.no_measurement;
     let source = common.source(if carries { Wanted::IfPossible } else { Wanted::Not })?;
     let peers = common.peers.clone();

@@ -198,7 +198,7 @@ pub fn run(args: &Args) -> Result {
             config.silence_slots = ALONE_SILENCE_SLOTS;
         }
     })?;
-    common.see_to_rate(args.estimation.antenna);
+    common.see_to_rate(args.estimation.antenna)?;
     let source = common.source(if bearings.is_some() { Wanted::Needed } else { Wanted::Not })?;
     drive(common, &signals, source, opened, clock, &mut Live { bearings })
 }

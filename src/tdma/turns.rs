@@ -78,6 +78,7 @@ impl Tdma {
         let peer = due?;
         if !in_time {
             self.counts.missed_slots += 1;
+            self.tell(Event::Missed { slots: 1, late: self.now - start, slot: self.plan.span_of(1) });
             return None;
         }
         self.number = self.number.checked_add(1).unwrap_or(1);
@@ -240,6 +241,10 @@ impl Tdma {
         self.quiet_since = self.now;
         self.view.expire();
         self.counts.overslept += 1;
+        let slots = turn.end.min(self.clock.slot_at(&self.plan, self.now) + 1) - turn.slot;
+        let late = self.now - self.clock.start(&self.plan, turn.slot);
+        let slots = u32::try_from(slots).unwrap_or(0);
+        self.tell(Event::Missed { slots, late, slot: self.plan.span_of(1) });
         self.tell(Event::TurnEnded { turn: turn.number, next: None });
     }
 
