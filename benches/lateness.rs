@@ -102,6 +102,7 @@ fn run(fifo_priority: Option<i32>, seconds: f64) -> Result<(), Failure> {
     println!("  {} sent, {} answered", counts.forward, counts.answered);
     println!("  {} skipped, {} perhaps late", counts.missed_slots + figures.too_late, figures.perhaps_late);
     println!("  lateness of forward frames  {}", spread_of(&figures.lateness_us));
+    println!("  waking up, with the skipped {}", spread_of(&figures.wake_us));
     println!("  turn-around                 {}", spread_of(&responder.figures.turn_around_us));
     println!("  answers skipped as late     {}", responder.tdma.counts().missed_replies);
     println!("  answer began after          {}", spread_of(&figures.answer_us));

@@ -414,6 +414,7 @@ fn summary(common: &Sounding, exchange: &Exchange<Monitor>, air: &Counters) -> S
             }
         }
         let _ = writeln!(text, "  lateness: {}", spread_of(&figures.lateness_us));
+        let _ = writeln!(text, "  lateness of waking up, skipped slots included: {}", spread_of(&figures.wake_us));
         let _ = writeln!(text, "  answers began after: {}", spread_of(&figures.answer_us));
     }
     if counts.replies > 0 {
@@ -431,6 +432,7 @@ fn summary(common: &Sounding, exchange: &Exchange<Monitor>, air: &Counters) -> S
     }
     let skipped = [
         (counts.missed_slots + figures.too_late, "frames skipped because the host was late (never sent late)"),
+        (counts.overslept, "turns lost because the host slept through them"),
         (counts.missed_replies, "answers skipped because they were late"),
         (figures.perhaps_late, "frames handed over in time, but taken only after it"),
     ];

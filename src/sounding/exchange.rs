@@ -31,6 +31,8 @@ pub struct Exchange<A> {
     watch: Watch,
     /// Number and hand-over of the last forward frame.
     last_forward: Option<(u32, Instant)>,
+    /// The machine's deadline, as of the last step.
+    due: Option<Instant>,
 }
 
 /// The frame being handled: when its reception ended, and its length with FCS.
@@ -40,7 +42,7 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
     /// A machine on an interface.
     #[must_use]
     pub fn new(tdma: Tdma, air: A) -> Self {
-        Self { tdma, air, figures: Figures::new(), watch: Watch::default(), last_forward: None }
+        Self { tdma, air, figures: Figures::new(), watch: Watch::default(), last_forward: None, due: None }
     }
 
     /// Takes in everything heard, sends everything due, and gives the time of the next step if nothing is heard before.
@@ -48,6 +50,10 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
     /// # Errors
     /// When the interface failed for good. What was only not taken is counted, and said in a [`Notice`].
     pub fn step(&mut self, now: &impl Fn() -> Instant, tell: &mut impl FnMut(News)) -> Result<Option<Instant>, Error> {
+        let begun = now();
+        if let Some(due) = self.due.filter(|due| *due <= begun) {
+            self.figures.note_wake(begun - due);
+        }
         while let Some(heard) = self.air.hear()? {
             let at = now();
             let ended = at - heard.age;
@@ -59,7 +65,8 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
         if let Some(notice) = self.watch.look(now(), self.air.sent_for_certain()) {
             tell(News::Notice(notice));
         }
-        Ok(self.tdma.poll_timeout())
+        self.due = self.tdma.poll_timeout();
+        Ok(self.due)
     }
 
     fn send_due(

@@ -19,6 +19,9 @@ const EDGES_US: [u64; 12] = [10, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_
 pub struct Figures {
     /// Microseconds from a slot's start to the hand-over of its forward frame.
     pub lateness_us: Histogram<u64>,
+    /// Microseconds from a deadline of the machine to the host's look at it, whatever was due: slots that are then
+    /// skipped are in it.
+    pub wake_us: Histogram<u64>,
     /// Microseconds from the kernel's stamp on a forward frame to the hand-over of its answer, which then was taken.
     pub turn_around_us: Histogram<u64>,
     /// Microseconds from the hand-over of a forward frame to the beginning of its answer, as heard.
@@ -46,6 +49,7 @@ impl Figures {
     pub fn new() -> Self {
         Self {
             lateness_us: histogram(),
+            wake_us: histogram(),
             turn_around_us: histogram(),
             answer_us: histogram(),
             too_late: 0,
@@ -67,6 +71,11 @@ impl Figures {
             (Role::Backward, None) => {}
         }
         self.perhaps_late += u64::from(after > transmit.latest);
+    }
+
+    /// A deadline was looked at so much later.
+    pub(super) fn note_wake(&mut self, late: Span) {
+        note(&mut self.wake_us, late);
     }
 
     /// An answer began so long after the forward frame was handed over.

@@ -80,6 +80,7 @@ fn lateness_is_what_it_was_and_nothing_is_sent_beyond_the_guard() {
     assert!(sent > 200 && exchange.figures.lateness_us.max() == 30);
     run(&mut exchange, 51, 10_000_000);
     assert_eq!(exchange.figures.lateness_us.len(), sent, "51 us are beyond the guard of 50");
+    assert_eq!(exchange.figures.wake_us.max(), 51, "but the waking-up is on record");
     assert!(exchange.tdma.counts().missed_slots > 200);
     assert_eq!(script.sent.len() as u64, sent);
 }
@@ -89,12 +90,12 @@ fn a_host_that_is_elsewhere_between_machine_and_air_sends_nothing_late() {
     let mut script = Script::default();
     let mut exchange = Exchange::new(initiator(), &mut script);
     let begin = exchange.tdma.poll_timeout().unwrap();
-    // Each look at the clock takes 40 us: in time for the machine, too late for the air.
+    // Each look at the clock takes 20 us: in time for the machine, too late for the air.
     let clock = Cell::new(begin.as_us());
     let slow = || {
         let now = clock.get();
-        clock.set(now + 40);
-        Instant::from_us(now + 40)
+        clock.set(now + 20);
+        Instant::from_us(now + 20)
     };
     exchange.step(&slow, &mut |_| {}).unwrap();
     assert_eq!((exchange.figures.too_late, exchange.figures.lateness_us.len()), (1, 0));
