@@ -8,7 +8,7 @@ use csi5300::backend::Next;
 use csi5300::channel::Channel;
 use csi5300::odometry;
 use csi5300::sounding::{Order, Products, Running};
-use csi5300::tdma::{Epoch, Event, Priority};
+use csi5300::tdma::{Epoch, Event, Plan, Priority};
 use csi5300::time::{Instant, Span};
 use csi5300::wait::Monotonic;
 use driver_iface::Mac;
@@ -16,7 +16,9 @@ use std::path::{Path, PathBuf};
 
 /// A link whose bearing is good enough is sounded in every so manieth round.
 const SETTLED_ROUNDS: u16 = 8;
-/// Silence after which a robot that alone wants to initiate takes a lost turn, slots.
+/// Silence after which a robot that alone wants to initiate takes a lost turn, microseconds and slots at least: a busy
+/// host that sleeps for less keeps its turn.
+const ALONE_SILENCE_US: f64 = 50_000.0;
 const ALONE_SILENCE_SLOTS: u32 = 2;
 
 /// Arguments of `sound`.
@@ -195,7 +197,8 @@ pub fn run(args: &Args) -> Result {
         (config.epoch, config.start) = (Epoch::Heard(now), now);
         (config.initiate, config.open_loop) = (true, args.open_loop);
         if args.alone || args.open_loop {
-            config.silence_slots = ALONE_SILENCE_SLOTS;
+            let slot_us = Plan::new(&config.request).map_or(ALONE_SILENCE_US, |plan| plan.slot_us());
+            config.silence_slots = ALONE_SILENCE_SLOTS.max((ALONE_SILENCE_US / slot_us).ceil() as u32);
         }
     })?;
     common.see_to_rate(args.estimation.antenna)?;
