@@ -13,6 +13,8 @@ use driver_iface::record::Record;
 
 /// Records or poses taken from one source before the others have their turn.
 const BURST: usize = 512;
+/// Bursts that are still taken at the end.
+const LAST_BURSTS: usize = 64;
 /// A peer over a network of which nothing came for so long has ended, once this robot's own records have.
 const QUIET: Span = Span::from_ms(5_000);
 
@@ -80,6 +82,28 @@ impl<S> Running<S> {
     }
 }
 
+impl Running<Poses> {
+    /// Hands over what is there, up to a burst; `None` where a new frame begins. A source that fails has ended; why.
+    fn drain(&mut self, now: Instant, mut each: impl FnMut(Option<Pose>)) -> Option<Error> {
+        for _ in 0..BURST {
+            if self.ended {
+                break;
+            }
+            match self.source.receive(now) {
+                Ok(NextPose::Pose(pose)) => each(Some(pose)),
+                Ok(NextPose::NewFrame) => each(None),
+                Ok(NextPose::Pending) => break,
+                Ok(NextPose::End) => self.ended = true,
+                Err(error) => {
+                    self.ended = true;
+                    return Some(error);
+                }
+            }
+        }
+        None
+    }
+}
+
 struct PeerRunning {
     records: Option<Running<Card>>,
     poses: Option<Running<Poses>>,
@@ -94,6 +118,8 @@ pub struct PoseCounts {
     pub poses: u64,
     /// Times that the sensor began anew.
     pub new_frames: u64,
+    /// Times that the host's wall clock was set: everything is measured anew.
+    pub clock_set: u64,
 }
 
 /// A running robot.
@@ -166,34 +192,20 @@ impl Machine {
     /// # Errors
     /// If this robot's card fails. A peer that fails is left out from then on, and said in [`Machine::trouble`].
     pub fn take(&mut self, now: Instant) -> Result<bool, Error> {
-        let mut more = false;
         // Poses first: what is measured needs a place.
-        if let Some(poses) = self.poses.as_mut().filter(|poses| !poses.ended) {
-            for _ in 0..BURST {
-                match poses.source.receive(now) {
-                    Ok(NextPose::Pose(pose)) => {
-                        self.pose_counts.poses += 1;
-                        self.estimator.handle_pose(pose);
-                        self.tap.iter_mut().for_each(|tap| tap.pose(Some(pose)));
-                    }
-                    Ok(NextPose::NewFrame) => {
-                        self.pose_counts.new_frames += 1;
-                        self.estimator.handle_new_frame();
-                        self.tap.iter_mut().for_each(|tap| tap.pose(None));
-                    }
-                    Ok(NextPose::Pending) => break,
-                    Ok(NextPose::End) => poses.ended = true,
-                    Err(error) => {
-                        poses.ended = true;
-                        self.trouble.push(format!("odometry: {error}"));
-                    }
+        if let Some(poses) = &mut self.poses {
+            let (estimator, tap, counts) = (&mut self.estimator, &mut self.tap, &mut self.pose_counts);
+            let failed = poses.drain(now, |pose| {
+                match pose {
+                    Some(pose) => estimator.handle_pose(pose),
+                    None => estimator.handle_new_frame(),
                 }
-                if poses.ended {
-                    break;
-                }
-            }
+                *(if pose.is_some() { &mut counts.poses } else { &mut counts.new_frames }) += 1;
+                tap.iter_mut().for_each(|tap| tap.pose(pose));
+            });
+            self.trouble.extend(failed.map(|error| format!("odometry: {error}")));
         }
-        more |= self.take_records(now)?;
+        let mut more = self.take_records(now)?;
         for peer in 0..self.peers.len() {
             more |= self.take_peer(peer, now);
         }
@@ -221,27 +233,16 @@ impl Machine {
 
     fn take_peer(&mut self, peer: usize, now: Instant) -> bool {
         let Some(running) = self.peers.get_mut(peer) else { return false };
-        let mut more = false;
-        if let Some(poses) = running.poses.as_mut().filter(|poses| !poses.ended) {
-            for _ in 0..BURST {
-                match poses.source.receive(now) {
-                    Ok(NextPose::Pose(pose)) => self.estimator.handle_peer_pose(peer, pose),
-                    Ok(NextPose::NewFrame) => self.estimator.handle_peer_new_frame(peer),
-                    Ok(NextPose::Pending) => break,
-                    Ok(NextPose::End) => poses.ended = true,
-                    Err(error) => {
-                        poses.ended = true;
-                        self.trouble.push(format!("poses of peer {peer}: {error}"));
-                    }
-                }
-                if poses.ended {
-                    break;
-                }
-            }
+        if let Some(poses) = &mut running.poses {
+            let estimator = &mut self.estimator;
+            let failed = poses.drain(now, |pose| match pose {
+                Some(pose) => estimator.handle_peer_pose(peer, pose),
+                None => estimator.handle_peer_new_frame(peer),
+            });
+            self.trouble.extend(failed.map(|error| format!("poses of peer {peer}: {error}")));
         }
         let Some(records) = running.records.as_mut().filter(|records| !records.ended) else { return false };
         for _ in 0..BURST {
-            more = true;
             match records.source.receive(now) {
                 Ok(next) => {
                     self.estimator.handle_peer(peer, &next);
@@ -260,7 +261,7 @@ impl Machine {
                 return false;
             }
         }
-        more
+        true
     }
 
     /// The next report that is due: the peer's number and what is said of it.
@@ -300,6 +301,19 @@ impl Machine {
         self.pose_counts
     }
 
+    /// What the source of this robot's poses counted of its own.
+    #[must_use]
+    pub fn odometry_counts(&self) -> Option<serde_json::Value> {
+        self.poses.as_ref().and_then(|poses| poses.source.counted())
+    }
+
+    /// This host's wall clock was set: what has a time of the old one is of no use, here and to the peers.
+    pub fn handle_clock_set(&mut self) {
+        self.pose_counts.clock_set += 1;
+        self.estimator.handle_new_frame();
+        self.tap.iter_mut().for_each(|tap| tap.pose(None));
+    }
+
     /// What is in the log.
     #[must_use]
     pub fn totals(&self) -> Option<Totals> {
@@ -319,7 +333,15 @@ impl Machine {
     /// # Errors
     /// If the log's writer died.
     pub fn finish(mut self, now: Instant) -> Result<(Vec<Report>, Option<Totals>), Error> {
-        let reports = self.estimator.finish();
-        Ok((reports, self.capture.source.finish(now)?))
+        // What has come is taken, as far as it does not go on coming for ever.
+        for _ in 0..LAST_BURSTS {
+            if self.capture.ended || !self.take_records(now).unwrap_or(false) {
+                break;
+            }
+        }
+        // The log first: it must be whole whatever the last estimates take.
+        let totals = self.capture.source.finish(now);
+        let reports = self.estimator.finish(now);
+        Ok((reports, totals?))
     }
 }

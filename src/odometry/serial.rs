@@ -116,7 +116,9 @@ impl OdometrySource for Serial {
             self.lose(now, &error);
         }
         if self.port.is_some() {
-            self.next = self.opencr.poll_timeout().min(now + LOOK).max(now + Span::from_us(1));
+            let due = self.opencr.poll_timeout();
+            let look = if self.opencr.is_waiting() { due.min(now + LOOK) } else { due };
+            self.next = look.max(now + Span::from_us(1));
         }
         Ok(match self.opencr.poll_found() {
             Some(Found::Pose(pose)) => NextPose::Pose(pose),
@@ -131,5 +133,9 @@ impl OdometrySource for Serial {
 
     fn trouble(&self) -> Option<String> {
         self.trouble.clone().or_else(|| self.opencr.trouble())
+    }
+
+    fn counted(&self) -> Option<serde_json::Value> {
+        Some(serde_json::json!({ "controller": self.opencr.counts(), "unplugged": self.unplugged }))
     }
 }
