@@ -143,8 +143,9 @@ fn errors_are_those_that_the_bound_predicts() {
         predicted += fix.deviations.azimuth_rad.powi(2);
     }
     let ratio = (squares / predicted).sqrt();
-    // 60 trials know a standard deviation to 9 % (one sigma).
-    assert!((0.72..1.28).contains(&ratio), "{ratio}");
+    // Predictions allow for a scale of the trajectory that is off by a per cent, which it is not here: errors are smaller.
+    // (60 trials know a standard deviation to 9 %, one sigma.)
+    assert!((0.45..1.28).contains(&ratio), "{ratio}");
 }
 
 #[test]
