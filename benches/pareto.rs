@@ -91,7 +91,7 @@ fn main() {
         table.save();
         if job.name == "planar" {
             let title = "360 x 181 directions, 1,000 packets, 0.3 m";
-            picture("pareto", title, "milliseconds, one thread", "largest error of F / max F", &series);
+            picture("pareto", title, "milliseconds, one thread", "largest error of F / max F, millionths", &series);
         }
     }
 }
@@ -102,7 +102,8 @@ fn draw(series: &mut Vec<Series>, who: &str, ms: f64, error: f64) {
         series.push(Series { label, points: Vec::new() });
         series.len() - 1
     });
-    series[at].points.push((ms, error.max(1e-16)));
+    // In millionths: the picture ends at 1e-10.
+    series[at].points.push((ms, 1e6 * error.max(1e-16)));
 }
 
 fn sizes(full: bool) -> Vec<(usize, f64)> {
@@ -134,11 +135,14 @@ fn measure(job: &Job, n: usize, radius: f64) -> (f64, Vec<Row>) {
     (naive, rows)
 }
 
+/// Fills a profile.
+type Call<'a> = Box<dyn FnMut(&mut Vec<f64>) + 'a>;
+
 /// Somebody to be timed.
 struct Contender<'a> {
     who: String,
     eps: f64,
-    call: Box<dyn FnMut(&mut Vec<f64>) + 'a>,
+    call: Call<'a>,
     out: Vec<f64>,
     ms: f64,
     spent_ms: f64,

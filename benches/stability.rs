@@ -19,37 +19,74 @@ fn main() {
         "stability",
         &[("case", 46), ("eps", 7), ("method", 20), ("error", 9), ("single", 9), ("double", 9), ("verdict", 26)],
     );
-    for (name, samples) in cases() {
-        for eps in [1e-4, 1e-10] {
-            let row = judge(&samples, eps);
-            table.row(&[vec![name.clone(), format!("{eps:.0e}")], row].concat());
+    for (name, make) in cases() {
+        for row in judge(&make()) {
+            table.row(&[vec![name.clone()], row].concat());
         }
     }
     table.save();
     phases();
+    breaking();
 }
 
-/// Error of F / (sum |z|)^2 over directions against the oracle: planned, forced single, forced double.
-fn judge(samples: &Samples, eps: f64) -> Vec<String> {
-    let grid = Grid::azimuth_elevation(24, 7);
-    let mut planner = Planner::default();
-    let options = ProfileOptions { eps, ..ProfileOptions::default() };
+/// Where each precision breaks: its error over the aperture, packets few enough that nothing averages out.
+fn breaking() {
+    let radii = [0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1_000.0];
+    let mut table =
+        Table::new("stability_aperture", &[("radius_m", 8), ("single", 9), ("double", 9), ("planned_1e-4", 12)]);
+    let mut lines: [Vec<(f64, f64)>; 3] = Default::default();
+    for radius in radii {
+        let samples = job(20, radius, 0.3 * radius, 5);
+        let grid = Grid::azimuth_elevation(72, 19);
+        let reference = oracle(&samples, WAVELENGTH_M, &grid).expect("a profile").values;
+        let forced = |precision| ProfileOptions { eps: 1e-4, method: Some(Method::Direct), precision: Some(precision) };
+        let ways = [forced(Precision::Single), forced(Precision::Double), ProfileOptions::default()];
+        let errors = ways.map(|options| worst(&samples, &grid, &options, &reference));
+        table.row(&[vec![radius.to_string()], errors.map(|e| format!("{e:.1e}")).into()].concat());
+        lines.iter_mut().zip(errors).for_each(|(line, e)| line.push((radius, 1e6 * e.max(1e-16))));
+    }
+    table.save();
+    let labels = ["direct, single", "direct, double", "the planner's choice at 1e-4"];
+    let series: Vec<_> = labels.into_iter().zip(lines).map(|(l, points)| Series { label: l.into(), points }).collect();
+    picture(
+        "stability",
+        "Error of a profile over the aperture, 20 packets",
+        "radius, m",
+        "largest error, millionths",
+        &series,
+    );
+}
+
+/// Largest difference of `|f| / sum |z|` from the reference.
+fn worst(samples: &Samples, grid: &Grid, options: &ProfileOptions, reference: &[f64]) -> f64 {
+    let values = Planner::default().profile(samples, WAVELENGTH_M, grid, options).expect("a profile").values;
+    values.iter().zip(reference).map(|(a, b)| (a.sqrt() - b.sqrt()).abs()).fold(0.0, f64::max)
+}
+
+/// Error of `|f| / sum |z|` over directions against the oracle, for both tolerances: planned, forced single, forced double.
+fn judge(samples: &Samples) -> Vec<Vec<String>> {
+    let many = samples.len() > 2_000_000;
+    let grid = if many { Grid::azimuth_elevation(8, 3) } else { Grid::azimuth_elevation(24, 7) };
     let reference = match oracle(samples, WAVELENGTH_M, &grid) {
         Ok(reference) => reference.values,
-        Err(error) => return vec!["-".into(), "-".into(), "-".into(), "-".into(), format!("error: {}", kind(error))],
+        Err(error) => {
+            let none = || String::from("-");
+            return vec![vec![none(), none(), none(), none(), none(), format!("error: {}", kind(error))]];
+        }
     };
-    let mut error = |options: &ProfileOptions| {
-        let values = planner.profile(samples, WAVELENGTH_M, &grid, options).expect("a profile").values;
-        let plan = planner.plan(samples, WAVELENGTH_M, &grid, options).expect("a plan");
-        let worst = values.iter().zip(&reference).map(|(a, b)| (a.sqrt() - b.sqrt()).abs()).fold(0.0, f64::max);
-        (worst, format!("{:?} {:?}", plan.explain().method, plan.explain().precision))
-    };
-    let (planned, method) = error(&options);
     let forced = |precision| ProfileOptions { eps: 1e-4, method: Some(Method::Direct), precision: Some(precision) };
-    let (single, _) = error(&forced(Precision::Single));
-    let (double, _) = error(&forced(Precision::Double));
-    let verdict = if planned <= eps { "held" } else { "BROKEN" };
-    vec![method, format!("{planned:.1e}"), format!("{single:.1e}"), format!("{double:.1e}"), verdict.into()]
+    let [single, double] =
+        [Precision::Single, Precision::Double].map(|p| worst(samples, &grid, &forced(p), &reference));
+    let row = |eps: f64| {
+        let options = ProfileOptions { eps, ..ProfileOptions::default() };
+        let planned = worst(samples, &grid, &options, &reference);
+        let plan = Planner::default().plan(samples, WAVELENGTH_M, &grid, &options).expect("a plan");
+        let method = format!("{:?} {:?}", plan.explain().method, plan.explain().precision);
+        let verdict = if planned <= eps { "held" } else { "BROKEN" };
+        let errors = [planned, single, double].map(|e| format!("{e:.1e}"));
+        [vec![format!("{eps:.0e}"), method], errors.into(), vec![verdict.into()]].concat()
+    };
+    [1e-4, 1e-10].map(row).into()
 }
 
 fn kind(error: Error) -> String {
@@ -62,38 +99,58 @@ fn changed(change: impl Fn(&mut Samples)) -> Samples {
     samples
 }
 
-fn cases() -> Vec<(String, Samples)> {
-    let mut cases = Vec::new();
+/// A name, and what makes the scene (ten million packets are better made one after the other).
+type Case = (String, Box<dyn Fn() -> Samples>);
+
+fn cases() -> Vec<Case> {
+    let mut cases: Vec<Case> = Vec::new();
+    let mut add = |name: String, make: Box<dyn Fn() -> Samples>| cases.push((name, make));
     for offset in [0.0, 1e3, 1e6, 1e9] {
         let shift = Vector3::new(offset, -offset, 0.5 * offset);
-        let moved = changed(|s| s.receiver_m.iter_mut().for_each(|p| *p += shift));
-        cases.push((format!("coordinates offset by {offset:.0e} m"), moved));
+        let make = move || changed(|s| s.receiver_m.iter_mut().for_each(|p| *p += shift));
+        add(format!("coordinates offset by {offset:.0e} m"), Box::new(make));
     }
     for radius in [1.0, 10.0, 100.0, 1_000.0] {
-        cases.push((format!("aperture of {radius} m"), job(500, radius, 0.0, 5)));
-        cases.push((format!("helix of {radius} m"), job(500, radius, radius, 5)));
+        add(format!("aperture of {radius} m"), Box::new(move || job(500, radius, 0.0, 5)));
+        add(format!("helix of {radius} m"), Box::new(move || job(500, radius, radius, 5)));
     }
     for scale in [1e-30, 1e-18, 1e18, 1e30, 1e-60, 1e60, 1e-300, 1e300, 5e-324] {
-        let name = format!("samples times {scale:.0e}");
-        cases.push((name, changed(|s| s.z.iter_mut().for_each(|z| *z = Complex64::new(z.re * scale, z.im * scale)))));
+        let times = move |z: &mut Complex64| *z = Complex64::new(z.re * scale, z.im * scale);
+        let make = move || changed(|s| s.z.iter_mut().for_each(times));
+        add(format!("samples times {scale:.0e}"), Box::new(make));
     }
-    let mixed = changed(|s| s.z.iter_mut().enumerate().for_each(|(t, z)| *z *= if t % 2 == 0 { 1e-30 } else { 1e30 }));
-    cases.push(("samples of 1e-30 and 1e30 mixed".into(), mixed));
-    cases.push(("nearly a line (1 um wide)".into(), changed(|s| s.receiver_m.iter_mut().for_each(|p| p.y *= 3e-6))));
-    cases.push(("nearly a plane (1 um high)".into(), {
-        changed(|s| s.receiver_m.iter_mut().enumerate().for_each(|(t, p)| p.z = 1e-6 * (t as f64).sin()))
-    }));
-    cases.push(("a plane with 2 mm of wobble".into(), {
-        changed(|s| s.receiver_m.iter_mut().enumerate().for_each(|(t, p)| p.z = 2e-3 * (t as f64).sin()))
-    }));
-    cases.push(("nearly static (1 um)".into(), changed(|s| s.receiver_m.iter_mut().for_each(|p| *p *= 3e-6))));
-    cases.push(("static".into(), changed(|s| s.receiver_m.fill(Vector3::x()))));
-    cases.push(("one packet".into(), job(1, 0.3, 0.0, 5)));
-    cases.push(("all samples zero".into(), changed(|s| s.z.fill(Complex64::ZERO))));
-    cases.push(("a NaN sample".into(), changed(|s| s.z[77].re = f64::NAN)));
-    cases.push(("an infinite position".into(), changed(|s| s.receiver_m[77].y = f64::INFINITY)));
-    cases.push(("1e6 packets".into(), job(1_000_000, 0.3, 0.0, 5)));
+    for (name, change) in shapes() {
+        add(name.into(), Box::new(move || changed(change)));
+    }
+    for n in [1, 1_000_000, 10_000_000] {
+        add(format!("{n} packets"), Box::new(move || job(n, 0.3, 0.0, 5)));
+    }
     cases
+}
+
+/// A name, and what is done to a circle.
+type Shaped = (&'static str, fn(&mut Samples));
+
+/// Ill-conditioned motion, and input that has no answer.
+fn shapes() -> [Shaped; 11] {
+    fn moved(s: &mut Samples, to: impl Fn(usize, &mut Vector3<f64>)) {
+        s.receiver_m.iter_mut().enumerate().for_each(|(t, p)| to(t, p));
+    }
+    [
+        ("samples of 1e-30 and 1e30 mixed", |s| {
+            s.z.iter_mut().enumerate().for_each(|(t, z)| *z *= if t % 2 == 0 { 1e-30 } else { 1e30 });
+        }),
+        ("a line", |s| moved(s, |_, p| p.y = 0.0)),
+        ("nearly a line (1 um wide)", |s| moved(s, |_, p| p.y *= 3e-6)),
+        ("nearly a plane (1 um high)", |s| moved(s, |t, p| p.z = 1e-6 * (t as f64).sin())),
+        ("a plane with 2 mm of wobble", |s| moved(s, |t, p| p.z = 2e-3 * (t as f64).sin())),
+        ("nearly static (1 um)", |s| moved(s, |_, p| *p *= 3e-6)),
+        ("static", |s| s.receiver_m.fill(Vector3::x())),
+        ("half of the time static", |s| s.receiver_m[..250].fill(Vector3::x() * 0.3)),
+        ("all samples zero", |s| s.z.fill(Complex64::ZERO)),
+        ("a NaN sample", |s| s.z[77].re = f64::NAN),
+        ("an infinite position", |s| s.receiver_m[77].y = f64::INFINITY),
+    ]
 }
 
 /// The paper's clock offset, 10 t + 1e4 sin(200 t) cycles, in both directions at one instant and 50 ns apart; and the

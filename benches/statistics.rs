@@ -1,6 +1,7 @@
 //! Bearing error against the Cramer-Rao bound; wrong peaks against a dense search.
 //!
-//! `cargo bench --bench statistics`; `-- --trials N` for other than 300 trials a point.
+//! `cargo bench --bench statistics`; `-- --trials N` for other than 300 trials a point, `--scenes N` for other than 10,000 random
+//! scenes.
 #![allow(clippy::expect_used)]
 
 mod common;
@@ -45,6 +46,8 @@ fn main() {
     bounds(after("--trials").unwrap_or(300));
 }
 
+const SNR_DB: [f64; 8] = [-12.0, -9.0, -6.0, -3.0, 0.0, 3.0, 10.0, 20.0];
+
 /// Trials at many signal-to-noise ratios: a trial is an outlier if it is off by more than a beam width.
 fn bounds(trials: usize) {
     let mut table = Table::new(
@@ -64,88 +67,131 @@ fn bounds(trials: usize) {
     );
     let mut series: Vec<Series> = Vec::new();
     let (mut pooled, mut pooled_count) = (0.0, 0.0);
-    let mut rng = ChaCha8Rng::seed_from_u64(3);
-    let mut searcher = Searcher::new(Tier::detect());
-    let mut planner = Planner::default();
+    let mut judge = Judge::new();
     for (shape, name) in SHAPES.into_iter().enumerate() {
         for n in [100, 1_000, 10_000] {
-            let points = track(shape, n, &mut rng);
-            let mut lines = [Vec::new(), Vec::new(), Vec::new()];
+            let points = track(shape, n, &mut judge.rng);
             let trials = if n > 1_000 { trials / 3 } else { trials };
-            for snr_db in [-12.0, -9.0, -6.0, -3.0, 0.0, 3.0, 10.0, 20.0] {
-                let g = 10f64.powf(snr_db / 10.0);
-                let mut sums = [0.0; 6];
-                let mut outliers = 0;
-                for _ in 0..trials {
-                    // A line is best seen from its side, and only up to its mirror.
-                    let truth = if shape == 1 { rng.random_range(0.8..2.3) } else { rng.random_range(-PI..PI) };
-                    // One-way channels of signal-to-noise ratio g in both directions; their product is the sample.
-                    let samples = product(&points, truth, g, &mut rng);
-                    let estimate = searcher.search(&samples, WAVELENGTH_M, 0.0).expect("a bearing");
-                    let mut error = wrap(estimate.azimuth_rad - truth);
-                    if shape == 1 {
-                        let mirrored = wrap(-estimate.azimuth_rad - truth);
-                        error = if mirrored.abs() < error.abs() { mirrored } else { error };
-                    }
-                    if error.abs() > 0.1 {
-                        outliers += 1;
-                        continue;
-                    }
-                    let grid = planner
-                        .profile(&samples, WAVELENGTH_M, &Grid::azimuth(360), &ProfileOptions::default())
-                        .expect("a profile");
-                    let top = grid.max().map_or(0.0, |(i, _)| grid.grid.at(i).0);
-                    let mut coarse = wrap(top - truth);
-                    if shape == 1 && wrap(-top - truth).abs() < coarse.abs() {
-                        coarse = wrap(-top - truth);
-                    }
-                    let crb = bound(&points, truth, g);
-                    let terms = [error * error, crb * crb, coarse * coarse, coarse, estimate.azimuth_sd_rad, 1.0];
-                    sums.iter_mut().zip(terms).for_each(|(s, t)| *s += t);
-                }
-                let count = sums[5].max(1.0);
-                let [rmse, crb, coarse] = [0, 1, 2].map(|i| (sums[i] / count).sqrt().to_degrees());
-                let rate = outliers as f64 / trials as f64;
-                table.row(&[
-                    name.into(),
-                    n.to_string(),
-                    snr_db.to_string(),
-                    format!("{rmse:.4}"),
-                    format!("{crb:.4}"),
-                    format!("{:.3}", rmse / crb),
-                    format!("{coarse:.4}"),
-                    format!("{:.4}", (sums[3] / count).to_degrees()),
-                    format!("{rate:.3}"),
-                    format!("{:.4}", (sums[4] / count).to_degrees()),
-                ]);
-                if outliers == 0 {
-                    pooled += rmse * rmse / (crb * crb) * count;
-                    pooled_count += count;
-                }
-                if rate < 0.01 {
-                    let x = g;
-                    lines[0].push((x, rmse));
-                    lines[1].push((x, crb));
-                    lines[2].push((x, coarse));
+            let tallies = SNR_DB.map(|snr_db| judge.tally(&points, shape, 10f64.powf(snr_db / 10.0), trials));
+            for (snr_db, tally) in SNR_DB.into_iter().zip(&tallies) {
+                table.row(&[vec![name.into(), n.to_string(), snr_db.to_string()], tally.cells()].concat());
+                if tally.outliers == 0 {
+                    pooled += tally.rmse().powi(2) / tally.crb().powi(2) * tally.count();
+                    pooled_count += tally.count();
                 }
             }
             if shape == 0 && n == 1_000 {
-                for (label, points) in ["search", "Cramer-Rao bound", "1-degree grid"].into_iter().zip(lines) {
-                    series.push(Series { label: label.into(), points });
-                }
+                series = lines(&tallies);
             }
         }
     }
     table.save();
     let ratio = (pooled / f64::max(pooled_count, 1.0)).sqrt();
     println!("error over bound, pooled over the {pooled_count} trials of rows without outliers: {ratio:.3}");
-    picture(
-        "statistics",
-        "Circle of 0.3 m, 1,000 packets, above the threshold",
-        "one-way signal-to-noise ratio",
-        "RMS error, degrees",
-        &series,
-    );
+    let title = "Circle of 0.3 m, 1,000 packets, above the threshold";
+    picture("statistics", title, "one-way signal-to-noise ratio", "RMS error, degrees", &series);
+}
+
+/// What a line of the picture shows.
+type Figure = (&'static str, fn(&Tally) -> f64);
+
+/// Error, bound and the 1-degree grid's error over the ratio, where outliers are rare.
+fn lines(tallies: &[Tally]) -> Vec<Series> {
+    let figures: [Figure; 3] =
+        [("search", Tally::rmse), ("Cramer-Rao bound", Tally::crb), ("1-degree grid", Tally::grid_rmse)];
+    let above = || SNR_DB.into_iter().zip(tallies).filter(|(_, tally)| tally.rate() < 0.01);
+    let line = |(label, figure): Figure| Series {
+        label: label.into(),
+        points: above().map(|(snr_db, tally)| (10f64.powf(snr_db / 10.0), figure(tally))).collect(),
+    };
+    figures.map(line).into()
+}
+
+/// What trials at one ratio gave: sums of squares, radians.
+#[derive(Default)]
+struct Tally {
+    error: f64,
+    crb: f64,
+    grid: f64,
+    grid_bias: f64,
+    predicted: f64,
+    used: usize,
+    outliers: usize,
+}
+
+impl Tally {
+    fn count(&self) -> f64 {
+        self.used.max(1) as f64
+    }
+    fn rmse(&self) -> f64 {
+        (self.error / self.count()).sqrt().to_degrees()
+    }
+    fn crb(&self) -> f64 {
+        (self.crb / self.count()).sqrt().to_degrees()
+    }
+    fn grid_rmse(&self) -> f64 {
+        (self.grid / self.count()).sqrt().to_degrees()
+    }
+    fn rate(&self) -> f64 {
+        self.outliers as f64 / (self.used + self.outliers).max(1) as f64
+    }
+    fn cells(&self) -> Vec<String> {
+        vec![
+            format!("{:.4}", self.rmse()),
+            format!("{:.4}", self.crb()),
+            format!("{:.3}", self.rmse() / self.crb()),
+            format!("{:.4}", self.grid_rmse()),
+            format!("{:.4}", (self.grid_bias / self.count()).to_degrees()),
+            format!("{:.3}", self.rate()),
+            format!("{:.4}", (self.predicted / self.count()).to_degrees()),
+        ]
+    }
+}
+
+/// Makes scenes and measures both estimators on them.
+struct Judge {
+    rng: ChaCha8Rng,
+    searcher: Searcher,
+    planner: Planner,
+}
+
+impl Judge {
+    fn new() -> Self {
+        let (searcher, planner) = (Searcher::new(Tier::detect()), Planner::default());
+        Self { rng: ChaCha8Rng::seed_from_u64(3), searcher, planner }
+    }
+
+    /// Trials of one track at the one-way ratio `g`.
+    fn tally(&mut self, points: &[Vector3<f64>], shape: usize, g: f64, trials: usize) -> Tally {
+        let mut tally = Tally::default();
+        for _ in 0..trials {
+            // A line is best seen from its side, and only up to its mirror.
+            let line = shape == 1;
+            let truth = if line { self.rng.random_range(0.8..2.3) } else { self.rng.random_range(-PI..PI) };
+            let off = |azimuth: f64| {
+                let (here, mirrored) = (wrap(azimuth - truth), wrap(-azimuth - truth));
+                if line && mirrored.abs() < here.abs() { mirrored } else { here }
+            };
+            // One-way channels of signal-to-noise ratio g in both directions; their product is the sample.
+            let samples = product(points, truth, g, &mut self.rng);
+            let estimate = self.searcher.search(&samples, WAVELENGTH_M, 0.0).expect("a bearing");
+            let error = off(estimate.azimuth_rad);
+            if error.abs() > 0.1 {
+                tally.outliers += 1;
+                continue;
+            }
+            let options = ProfileOptions::default();
+            let grid = self.planner.profile(&samples, WAVELENGTH_M, &Grid::azimuth(360), &options).expect("a profile");
+            let coarse = off(grid.max().map_or(0.0, |(i, _)| grid.grid.at(i).0));
+            tally.used += 1;
+            tally.error += error * error;
+            tally.crb += bound(points, truth, g).powi(2);
+            tally.grid += coarse * coarse;
+            tally.grid_bias += coarse;
+            tally.predicted += estimate.azimuth_sd_rad;
+        }
+        tally
+    }
 }
 
 /// Round-trip samples: the product of two noisy one-way channels.

@@ -57,7 +57,8 @@ fn main() -> Result<(), Error> {
 
     let errors = |scale: f64| (0..300).map(|i| scale * noise(i) * noise(i + 500)).collect::<Vec<f64>>();
     let series = vec![("one antenna".into(), errors(12.0)), ("three antennas".into(), errors(5.0))];
-    CdfPlot { title: "Bearing error".into(), x_label: "error (degrees)".into(), series }.write(&out.join("cdf"))?;
+    CdfPlot { title: "Bearing error".into(), x_label: "error (degrees)".into(), series, ..CdfPlot::default() }
+        .write(&out.join("cdf"))?;
     let pareto = |a: f64| (0..6).map(|k| (a * 4f64.powi(k), 8.0 / 2f64.powi(k) + 0.1)).collect();
     let series = vec![("direct".into(), pareto(2.0)), ("rings".into(), pareto(0.1))];
     let (x_label, y_label) = ("run time (ms)".into(), "error (degrees)".into());
@@ -74,6 +75,7 @@ fn main() -> Result<(), Error> {
         ray(2.245, "", RayClass::Truth),
         ray(-0.55, "A", RayClass::Mirror),
     ];
-    MapPlot { title: "Robots and bearings".into(), truth, rays, path_m }.write(&out.join("robots"))?;
+    MapPlot { title: "Robots and bearings".into(), truth, rays, path_m, ..MapPlot::default() }
+        .write(&out.join("robots"))?;
     Ok(())
 }

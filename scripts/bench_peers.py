@@ -15,12 +15,12 @@ import finufft  # noqa: E402
 import numpy as np  # noqa: E402
 
 
-def quickest(call, budget_s=0.4, least=5):
+def quickest(call, budget_s=1.0, least=5):
     best, spent, rounds = np.inf, 0.0, 0
     while rounds < least or (spent < budget_s and rounds < 500):
-        start = time.perf_counter()
+        start = time.thread_time()
         call()
-        took = time.perf_counter() - start
+        took = time.thread_time() - start
         best, spent, rounds = min(best, took), spent + took, rounds + 1
         if spent > 8 * budget_s and rounds >= 2:
             break

@@ -6,7 +6,7 @@
 //! jitters by microseconds to hundreds of them: at `df` of several kHz that is most of the phase noise left.
 //! Both cards' 1 MHz clocks (`timestamp_low`) measure the jitter, so it can be taken out again.
 //!
-//! Convention: `z * exp(+j 2 pi df d)`, with `d = clock_tx - clock_rx` less its linear drift. The drift has the same
+//! Convention: `z * exp(+j 2 pi df d)`, with `d = clock_tx - clock_rx` less the drift `df / carrier`. The drift has the same
 //! crystals behind it as `df`: `df ~ drift * carrier` to within about 1 kHz while the turn-around itself is steady
 //! (measured on the paper's and the WSR data set's captures).
 
@@ -89,9 +89,9 @@ pub struct TurnAround {
     pub df_hz: f64,
     /// Drift of `clock_tx - clock_rx`, parts per million of the receiver's clock.
     pub drift_ppm: f64,
-    /// Jitter `d` of each pair, microseconds.
+    /// Turn-around `d` of each pair against the median, microseconds, the clocks' drift taken to be that of the carriers.
     pub jitter_us: Vec<f64>,
-    /// Median of `|d|`, microseconds.
+    /// Median of its distance from a straight line, microseconds.
     pub jitter_median_us: f64,
     /// Coherence of second differences before, 0..1: `|mean(u)|`, `u = z[k-1] conj(z[k])^2 z[k+1]` of unit modulus.
     pub coherence_before: f64,
@@ -127,8 +127,8 @@ impl TurnAround {
         if line.slope.abs() > MAX_DRIFT {
             return None;
         }
-        let residual = |k: usize| difference_us[k] as f64 - line.at(clock_rx_us[k] as f64);
-        let jitter_us: Vec<f64> = (0..n).map(residual).collect();
+        let residual = |k: usize| (difference_us[k] as f64 - line.at(clock_rx_us[k] as f64)).abs();
+        let jitter_median_us = median((0..n).map(residual).collect());
         let terms = second_differences(z, clock_rx_us, difference_us);
         let total: f64 = terms.iter().map(|term| term.count).sum();
         if total < 4.0 {
@@ -137,12 +137,10 @@ impl TurnAround {
         let coherence = |df_hz: f64| sum_at(&terms, df_hz).norm() / total;
         let df_hz = maximise(coherence, line.slope * carrier_hz);
         let (before, after) = (coherence(0.0), coherence(df_hz));
-        let mut sorted: Vec<f64> = jitter_us.iter().map(|d| d.abs()).collect();
-        let jitter_median_us = *sorted.select_nth_unstable_by(n / 2, f64::total_cmp).1;
         Some(Self {
             df_hz,
             drift_ppm: line.slope * 1e6,
-            jitter_us,
+            jitter_us: jitter_us(clock_rx_us, difference_us, df_hz / carrier_hz),
             jitter_median_us,
             coherence_before: before,
             coherence_after: after,
@@ -156,6 +154,18 @@ impl TurnAround {
             *z *= Complex64::cis(TAU * (self.df_hz * d_us * 1e-6).fract());
         }
     }
+}
+
+/// The clock difference less a drift of `slope`, about its median.
+///
+/// The drift is that of the carriers, since one crystal makes both: a line through the differences themselves would
+/// also take out what the turn-around drifts (measured: up to 3 ppm, a radian over the motion), which the product of
+/// the frames holds.
+fn jitter_us(clock_us: &[i64], difference_us: &[i64], slope: f64) -> Vec<f64> {
+    let less_drift = |(clock, difference): (&i64, &i64)| *difference as f64 - slope * (clock - clock_us[0]) as f64;
+    let left: Vec<f64> = clock_us.iter().zip(difference_us).map(less_drift).collect();
+    let level = median(left.clone());
+    left.into_iter().map(|d| d - level).collect()
 }
 
 /// `value = middle + slope * (x - middle_x)`.
@@ -356,6 +366,19 @@ mod tests {
             found.apply(&mut z);
             assert!(second_difference_coherence(&z).unwrap() > 0.97);
         }
+    }
+
+    #[test]
+    fn a_turn_around_that_drifts_is_no_drift_of_the_clocks() {
+        let (z, clock, mut difference) = link(900, 9_000.0, 9_000.0 / 5_540.0);
+        difference.iter_mut().enumerate().for_each(|(k, d)| *d += k as i64 / 40);
+        // The product of the frames holds the longer turn-arounds too.
+        let drifts = |(k, z): (usize, &Complex64)| z * Complex64::cis(-TAU * 9_000.0 * 1e-6 * (k / 40) as f64);
+        let mut z: Vec<Complex64> = z.iter().enumerate().map(drifts).collect();
+        let (still, _, _) = link(900, 0.0, 0.0);
+        TurnAround::estimate(&z, &clock, &difference, 5.54e9).unwrap().apply(&mut z);
+        let left: Complex64 = z.iter().zip(&still).map(|(a, b)| a * b.conj()).sum();
+        assert!(left.norm() / z.len() as f64 > 0.98, "{left}");
     }
 
     #[test]

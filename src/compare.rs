@@ -13,4 +13,5 @@ pub mod table;
 
 pub use figures::{Figures, LinkFigures, measure, measure_scene};
 pub use fit::{Fitted, fit};
+pub use scene_text::scene_channel;
 pub use table::{Row, Verdict, rows};

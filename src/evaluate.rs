@@ -79,6 +79,14 @@ pub struct Judged {
     pub true_receiver_m: Option<[f64; 2]>,
 }
 
+impl Judged {
+    /// The set: the first part of the link's name.
+    #[must_use]
+    pub fn set(&self) -> &str {
+        self.answer.link.split('/').next().unwrap_or_default()
+    }
+}
+
 /// Errors of a set of links, degrees.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Errors {
@@ -140,7 +148,7 @@ pub struct SetSummary {
 /// Statistics by set (the first folder below the evaluated one) and of all.
 #[must_use]
 pub fn summarise(rows: &[Judged]) -> BTreeMap<String, SetSummary> {
-    let set_of = |row: &Judged| row.answer.link.split('/').next().unwrap_or_default().to_owned();
+    let set_of = |row: &Judged| row.set().to_owned();
     let mut names: Vec<String> = rows.iter().map(set_of).collect();
     names.sort();
     names.dedup();

@@ -125,6 +125,7 @@ pub fn compared(recorded: &Figures, simulated: &Figures, folder: &Path) -> Resul
         title: "Turn-around: distance from the usual".into(),
         x_label: "microseconds".into(),
         series: vec![late("recorded", recorded), late("simulated", simulated)],
+        ..CdfPlot::default()
     };
     let mut written = phase.write(&folder.join("compare-phase"))?;
     written.extend(turn_around.write(&folder.join("compare-turn-around"))?);

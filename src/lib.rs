@@ -67,6 +67,8 @@ pub mod doctor;
 pub mod evaluate;
 #[cfg(feature = "plot")]
 pub mod figures;
+#[cfg(feature = "plot")]
+pub mod gallery;
 pub mod locate;
 #[cfg(feature = "foxglove")]
 pub mod mcap;
@@ -80,6 +82,7 @@ pub mod pipeline;
 pub mod plot;
 pub mod pose;
 pub mod quality;
+pub mod rooms;
 pub mod samples;
 #[cfg(feature = "live")]
 pub mod sounding;

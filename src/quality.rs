@@ -25,18 +25,44 @@ pub struct Kept {
 /// The risk-coverage curve: errors when 100, 90, .. 50 % are kept.
 #[must_use]
 pub fn risk_coverage(rows: &[Judged]) -> Vec<Kept> {
+    kept(rows, (5..=10).rev().map(|tenths| f64::from(tenths) / 10.0))
+}
+
+/// The same in steps of 2 %, down to a tenth: for pictures.
+#[must_use]
+pub fn refusals(rows: &[Judged]) -> Vec<Kept> {
+    kept(rows, (5..=50).rev().map(|fiftieths| f64::from(fiftieths) / 50.0))
+}
+
+fn kept(rows: &[Judged], shares: impl Iterator<Item = f64>) -> Vec<Kept> {
     let mut sure: Vec<(f64, f64)> = certain(rows).collect();
     sure.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let kept = |tenths: usize| {
-        let count = (sure.len() * tenths).div_ceil(10);
+    let kept = |share: f64| {
+        // Half a link is no link more because of how a share is rounded.
+        let count = ((sure.len() as f64 * share - 1e-9).ceil() as usize).min(sure.len());
         let own = &sure[..count];
-        Kept {
-            share: tenths as f64 / 10.0,
-            confidence: own.last().map_or(0.0, |row| row.0),
-            errors: Errors::of(own.iter().map(|row| row.1)),
-        }
+        let confidence = own.last().map_or(0.0, |row| row.0);
+        Kept { share, confidence, errors: Errors::of(own.iter().map(|row| row.1)) }
     };
-    if sure.is_empty() { Vec::new() } else { (5..=10).rev().map(kept).collect() }
+    if sure.is_empty() { Vec::new() } else { shares.map(kept).collect() }
+}
+
+/// Median of `|error| / deviation` over that of a normal distribution: 1 where deviations tell the truth, whatever a few
+/// false answers do. `None` without links that have both.
+fn scale(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
+    let mut ratios: Vec<f64> = pairs.filter(|(_, sd)| *sd > 0.0).map(|(error, sd)| (error / sd).abs()).collect();
+    median(&mut ratios).map(|ratio| ratio / 0.674_5)
+}
+
+fn median(values: &mut [f64]) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+/// How the azimuths' errors compare with their predicted deviations: 1 at the Cramer-Rao bound.
+#[must_use]
+pub fn over_bound(rows: &[&Judged]) -> Option<f64> {
+    scale(rows.iter().filter_map(|row| row.error_from_mean_pose_deg.zip(row.answer.azimuth_sd_deg)))
 }
 
 /// Links of like confidence.
@@ -84,7 +110,9 @@ pub struct Ranges {
     /// Those that reported a range.
     pub reported: usize,
     /// Median of the absolute errors, metres.
-    pub median_m: f64,
+    pub median_m: Option<f64>,
+    /// How the errors compare with the predicted deviations: 1 where those tell the truth.
+    pub over_bound: Option<f64>,
 }
 
 /// How good the ranges are.
@@ -92,9 +120,9 @@ pub struct Ranges {
 pub fn ranges(rows: &[&Judged]) -> Ranges {
     let known = rows.iter().filter(|row| row.true_range_m.is_some() && row.answer.azimuth_deg.is_some());
     let mut errors: Vec<f64> = rows.iter().filter_map(|row| row.range_error_m).map(f64::abs).collect();
-    errors.sort_by(f64::total_cmp);
-    let median_m = errors.get(errors.len() / 2).copied().unwrap_or_default();
-    Ranges { links: known.count(), reported: errors.len(), median_m }
+    let reported = errors.len();
+    let over_bound = scale(rows.iter().filter_map(|row| row.range_error_m.zip(row.answer.range_sd_m)));
+    Ranges { links: known.count(), reported, median_m: median(&mut errors), over_bound }
 }
 
 /// A receiver located from its links.
@@ -215,6 +243,21 @@ mod tests {
         let bins = reliability(&rows);
         assert_eq!(bins.iter().map(|bin| bin.links).sum::<usize>(), 10);
         assert_eq!(bins[bins.len() - 1].right, 1.0);
+    }
+
+    #[test]
+    fn deviations_that_tell_the_truth_have_a_scale_of_one() {
+        let with_sd = |k: i32| {
+            let mut row = row("a/x", 0.0, f64::from(k), 0.5);
+            row.answer.azimuth_sd_deg = Some(10.0);
+            row
+        };
+        // Half of normal errors are within 0.6745 deviations.
+        let rows: Vec<Judged> = (-13..=13).map(with_sd).collect();
+        let rows: Vec<&Judged> = rows.iter().collect();
+        assert!((over_bound(&rows).unwrap() - 0.7 / 0.674_5).abs() < 1e-9, "{:?}", over_bound(&rows));
+        assert_eq!(over_bound(&[]), None);
+        assert_eq!(ranges(&rows), Ranges { links: 0, reported: 0, median_m: None, over_bound: None });
     }
 
     #[test]

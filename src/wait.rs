@@ -52,8 +52,8 @@ impl Monotonic {
         let _ = clock_nanosleep(ClockId::CLOCK_MONOTONIC, ClockNanosleepFlags::TIMER_ABSTIME, &at);
     }
 
-    /// As [`Monotonic::wait`], for a deadline that is to be met closely: the last 300 us before it are slept through to
-    /// the point, whatever becomes readable.
+    /// As [`Monotonic::wait`], with a deadline `point` that is to be met closely: the last 300 us before it are slept
+    /// through to the point, whatever becomes readable or `until` says, unless something is readable at their beginning.
     ///
     /// # Errors
     /// If the kernel refuses to poll.
@@ -61,15 +61,16 @@ impl Monotonic {
         &self,
         fds: [BorrowedFd<'_>; N],
         until: Option<Instant>,
+        point: Option<Instant>,
     ) -> Result<[bool; N], Error> {
-        let Some(until) = until else { return self.wait(fds, None) };
-        if self.now() < until - NEAR {
-            let ready = self.wait(fds, Some(until - NEAR))?;
-            if ready.contains(&true) || self.now() < until - NEAR {
-                return Ok(ready);
-            }
+        let near = |point: &Instant| until.is_none_or(|until| until >= *point - NEAR);
+        let Some(point) = point.filter(near) else { return self.wait(fds, until) };
+        // At least one look at the files, however near the deadline is: where one follows on the other there is no other.
+        let ready = self.wait(fds, Some(point - NEAR))?;
+        if ready.contains(&true) || self.now() < point - NEAR {
+            return Ok(ready);
         }
-        self.sleep_until(until);
+        self.sleep_until(point);
         Ok([false; N])
     }
 

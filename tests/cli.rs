@@ -314,3 +314,68 @@ fn an_evaluation_reports_bad_captures_and_goes_on() {
     assert_eq!(failed.count(), 2, "{out}");
     assert!(rows[4]["summary"]["B"]["from_mean_pose"]["mean_deg"].is_null(), "{out}");
 }
+
+#[test]
+fn a_simulated_capture_is_compared_with_the_scene_it_came_from() {
+    let folder = Folder::new("compare");
+    let text = "duration_s = 4.0\n[sounding]\nrate_hz = 100\n[radio]\nnoise.snr_db = 20.0\n[[robot]]\nname = \"rx\"\n\
+                motion.circle = { radius_m = 0.2, duration_s = 4.0 }\n[[robot]]\nname = \"tx\"\nposition_m = [4.0, 1.0, 0.0]\n";
+    folder.write("scene.toml", text.as_bytes());
+    let (status, said, error) = folder.run(&["simulate", "scene.toml", "--out", "capture"]);
+    assert_eq!(status, 0, "{said}{error}");
+    let stamp = "2023-11-14_221320";
+    let [rx, tx, path] =
+        [format!("csi_rx_{stamp}.dat"), format!("csi_tx1_{stamp}.dat"), format!("rx_trajectory_{stamp}_.csv")]
+            .map(|name| format!("capture/{name}"));
+    let recorded = ["compare", "--rx", &rx, "--tx", &tx, "--trajectory", &path, "--out", "out"];
+    // With the scene itself, and with the folder that it wrote: nothing differs.
+    for with in ["scene.toml", "capture"] {
+        let (status, said, error) = folder.run(&[&recorded[..], &[with]].concat());
+        assert_eq!(status, 0, "{said}{error}");
+        assert!(said.contains(" figures agree, 0 differ"), "{said}");
+    }
+    let (_, said, _) = folder.run(&[&recorded[..], &["capture", "--json"]].concat());
+    let rows: Vec<_> = said.lines().map(json).collect();
+    assert!(rows.len() > 80 && rows.iter().all(|row| row["recorded"] == row["simulated"]), "{said}");
+    let (status, _, error) = folder.run(&[&recorded[..], &["nowhere.toml"]].concat());
+    assert!(status == 1 && error.contains("nowhere.toml"), "{error}");
+}
+
+#[test]
+fn the_suite_writes_a_row_for_each_repetition() {
+    let folder = Folder::new("suite");
+    let (status, said, error) =
+        folder.run(&["suite", "--only", "circle 10", "--repetitions", "3", "--csv", "rows.csv"]);
+    assert_eq!(status, 0, "{said}{error}");
+    let rows = std::fs::read_to_string(folder.0.join("rows.csv")).unwrap();
+    assert_eq!(rows.lines().count(), 4, "{rows}");
+    assert!(rows.lines().skip(1).all(|row| row.starts_with("circle 10 cm,")), "{rows}");
+    let (status, _, error) = folder.run(&["suite", "--only", "triangle"]);
+    assert!(status == 1 && error.contains("line 30 cm"), "{error}");
+}
+
+#[test]
+#[cfg(feature = "plot")]
+fn rooms_are_judged_with_pictures_and_a_link_is_explained() {
+    let folder = Folder::new("rooms");
+    let (status, out, err) = folder.run(&["evaluate", "--rooms", "1", "--out", "pictures"]);
+    assert_eq!(status, 0, "{err}");
+    assert!(out.contains("rooms_LOS: 3 links, 0 failed") && out.contains("rooms_NLOS: 3 links, 0 failed"), "{out}");
+    for name in ["errors.png", "refusals.svg"] {
+        assert!(folder.0.join("pictures").join(name).is_file(), "{name}");
+    }
+    capture(&folder, "place", &link(600, 2.0));
+    let (status, out, err) = folder.run(&["explain", "place/tx2", "--out", "link"]);
+    assert_eq!(status, 0, "{err}");
+    for part in ["turn-around", "sampling time", "candidates", "paths", "answer"] {
+        assert!(out.contains(part), "{part}: {out}");
+    }
+    let drawn: Vec<String> = std::fs::read_dir(folder.0.join("link"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    for part in ["azimuth-elevation.png", "azimuth-range.png", "phase.png"] {
+        assert!(drawn.iter().any(|name| name.ends_with(part)), "{part}: {drawn:?}");
+    }
+    assert_eq!(folder.run(&["explain", "place/tx9"]).0, 1);
+}

@@ -6,40 +6,102 @@ mod common;
 use csi5300::backend::{replay::Replay, sim::Scene};
 use csi5300::channel::{Channel, Width};
 use csi5300::compare::fit::Known;
-use csi5300::compare::{Figures, Row, Verdict, fit, measure, measure_scene, rows};
+use csi5300::compare::table::Allowed;
+use csi5300::compare::{Figures, Fitted, Row, Verdict, fit, measure, measure_scene, rows};
 use csi5300::odometry::csv;
 use csi5300::pipeline::Options;
+use std::collections::BTreeSet;
+use std::fmt::Write;
 use std::path::Path;
 
 fn options() -> Options {
     Options::new(Channel::new(108, Width::Ht20).unwrap())
 }
 
-/// Figures that a fitted scene may miss, and why; see docs/simulation.md.
-const MISSED: [&str; 5] = [
-    // The real room's fading is not that of four walls, and filters ripple too.
-    "AGC",
-    "ripple",
-    // Rare delays of the sender are no exponential distribution.
-    "interval",
-    // Quartiles at the edge of a group of early answers.
-    "turn-around, quartile range",
-    "host latency",
+/// A figure that a fitted scene may miss: whose, which, and by how many times what is allowed at most.
+type Missed = (&'static str, &'static str, f64);
+
+/// The seeds that judge a fit, none of them the one that it was made with.
+const SEEDS: [u64; 2] = [2, 3];
+
+/// Figures that scenes fitted to the paper's captures miss; see docs/simulation.md.
+const MISSED: [Missed; 14] = [
+    // The real room's fading is not that of four walls.
+    ("receiver", "AGC, standard deviation", 2.0),
+    ("receiver", "AGC, 99 %", 2.5),
+    ("transmitter", "AGC, standard deviation", 2.0),
+    ("transmitter", "AGC, 99 %", 2.5),
+    ("transmitter", "AGC, 1 %", 2.0),
+    ("link", "coherence within a second", 1.1),
+    // Filters ripple too.
+    ("receiver", "ripple over the subcarriers", 2.3),
+    ("transmitter", "ripple over the subcarriers", 2.3),
+    // Rare delays of the sender are no exponential distribution: what its quartiles and its deviation say is halved
+    // between them.
+    ("transmitter", "interval, card, quartile range", 1.3),
+    ("transmitter", "interval, host, quartile range", 1.3),
+    ("transmitter", "interval, host, standard deviation", 1.1),
+    ("receiver", "interval, card, quartile range", 1.3),
+    // At the edge of what is allowed: 9,994 us recorded, up to 10,004 simulated.
+    ("receiver", "interval, host, median", 1.05),
+    // Real cores have corners, and where a quarter of the answers is away from the core the seed decides on which side
+    // of its edge the quartile falls.
+    ("link", "turn-around, quartile range", 6.5),
 ];
 
-fn check(name: &str, table: &[Row]) {
-    let differ: Vec<&Row> = table.iter().filter(|row| row.verdict == Verdict::Differs).collect();
-    for row in &differ {
-        println!("{name}: {} {} {:?} {:?}", row.of, row.name, row.recorded, row.simulated);
-        let known = MISSED.iter().any(|missed| row.name.contains(missed));
-        assert!(known, "{name}: {} {}: {:?}, not {:?}", row.of, row.name, row.simulated, row.recorded);
+/// Figures that a scene fitted to a simulated one misses.
+const MISSED_AGAIN: [Missed; 4] = [
+    ("receiver", "AGC, standard deviation", 1.2),
+    ("transmitter", "AGC, standard deviation", 1.2),
+    ("receiver", "ripple over the subcarriers", 1.6),
+    ("transmitter", "ripple over the subcarriers", 1.6),
+];
+
+/// By how many times what is allowed a figure is missed.
+fn ratio(row: &Row) -> f64 {
+    let (Some(recorded), Some(simulated)) = (row.recorded, row.simulated) else { return f64::INFINITY };
+    let allowed = match row.allowed {
+        Allowed::Nothing => 0.0,
+        Allowed::By(by) => by,
+        Allowed::Share(share) => share * recorded.abs(),
+        Allowed::Anything => f64::INFINITY,
+    };
+    (simulated - recorded).abs() / allowed
+}
+
+/// What differs beyond what may be missed, a line each. What is missed as it may be is noted in `seen`.
+fn differences(name: &str, table: &[Row], missed: &[Missed], seen: &mut BTreeSet<(&'static str, String)>) -> String {
+    let mut text = String::new();
+    for row in table.iter().filter(|row| row.verdict == Verdict::Differs) {
+        let ratio = ratio(row);
+        seen.insert((row.of, row.name.clone()));
+        let known = missed.iter().any(|(of, figure, most)| (*of, *figure) == (row.of, &row.name) && ratio <= *most);
+        if !known {
+            let (recorded, simulated) = (row.recorded, row.simulated);
+            let _ = writeln!(text, "{name}: {}, {}: {recorded:?}, {simulated:?}: {ratio:.2} times", row.of, row.name);
+        }
     }
-    assert!(differ.len() <= 10, "{name}: {} of {} figures differ", differ.len(), table.len());
-    let asked = ["phase spread before compensation", "phase spread after compensation", "coherence"];
-    for asked in asked {
-        let row = table.iter().find(|row| row.name == asked).unwrap();
-        assert_eq!(row.verdict, Verdict::Agrees, "{name}: {row:?}");
-    }
+    text
+}
+
+/// Checks tables against what may be missed, and that nothing may be missed that is not.
+fn check(tables: &[(String, Vec<Row>)], missed: &[Missed]) {
+    let mut seen = BTreeSet::new();
+    let differences: String = tables.iter().map(|(name, table)| differences(name, table, missed, &mut seen)).collect();
+    assert!(differences.is_empty(), "\n{differences}");
+    let never: Vec<_> = missed.iter().filter(|(of, figure, _)| !seen.contains(&(*of, (*figure).to_owned()))).collect();
+    assert!(never.is_empty(), "these agree, and need not be missed: {never:?}");
+}
+
+/// The figures of a fitted scene, and of the same scene with further seeds.
+fn judged(name: &str, recorded: &Figures, fitted: &Fitted) -> Vec<(String, Vec<Row>)> {
+    assert_eq!(fitted.scene.seed, SEEDS[0]);
+    let table = |seed: u64| {
+        let scene = Scene { seed, ..fitted.scene.clone() };
+        let figures = if seed == SEEDS[0] { &fitted.figures } else { &measure_scene(&scene, &options()).unwrap() };
+        (format!("{name}, seed {seed}"), rows(recorded, figures))
+    };
+    SEEDS.map(table).into()
 }
 
 #[test]
@@ -49,6 +111,7 @@ fn scenes_fitted_to_the_papers_captures_agree_with_them() {
         ("circle", ["real_10cm_1", "real_20cm_2", "real_30cm_2"]),
         ("line", ["real_10cm_2", "real_20cm_1", "real_30cm_3"]),
     ];
+    let mut tables = Vec::new();
     for (shape, name) in names.iter().flat_map(|(shape, names)| names.iter().map(move |name| (shape, name))) {
         let folder = captures.join("paper").join(shape);
         let log = |side: &str| Replay::open(&folder.join(format!("csi_{side}_{name}.dat"))).unwrap();
@@ -60,15 +123,15 @@ fn scenes_fitted_to_the_papers_captures_agree_with_them() {
             file: &std::fs::canonicalize(&path).unwrap(),
             folder: Path::new(""),
             transmitter_m: Some([-3.18, 1.11, 0.27]),
-            channel: 108,
         };
         let fitted = fit(&recorded, &known, &options()).unwrap();
-        check(&format!("{shape} {name}"), &rows(&recorded, &fitted.figures));
+        tables.extend(judged(&format!("{shape} {name}"), &recorded, &fitted));
     }
+    check(&tables, &MISSED);
 }
 
-/// Simulates a scene as a recording, fits a scene to it, and gives the figures of both.
-fn refitted(scene: &Scene, name: &str) -> (Figures, Figures) {
+/// Simulates a scene as a recording, fits a scene to it, and gives the recording's figures and those of both.
+fn refitted(scene: &Scene, name: &str) -> (Figures, Vec<(String, Vec<Row>)>) {
     let folder = std::env::temp_dir().join(format!("csi5300-compare-{name}-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let recorded = measure_scene(scene, &options()).unwrap();
@@ -84,19 +147,19 @@ fn refitted(scene: &Scene, name: &str) -> (Figures, Figures) {
         file: Path::new("t.csv"),
         folder: &folder,
         transmitter_m: Some(scene.robot[1].position_m),
-        channel: scene.channel,
     };
-    let fitted = fit(&recorded, &known, &options());
+    let fitted = fit(&recorded, &known, &options()).unwrap();
+    let tables = judged(name, &recorded, &fitted);
     std::fs::remove_dir_all(&folder).unwrap();
-    (recorded, fitted.unwrap().figures)
+    (recorded, tables)
 }
 
 #[test]
 fn a_fit_finds_a_simulated_scene_again() {
     let mut scene = Scene::built_in("lab-circle").unwrap();
     scene.duration_s = 29.0;
-    let (recorded, fitted) = refitted(&scene, "again");
-    check("lab-circle", &rows(&recorded, &fitted));
+    let (recorded, tables) = refitted(&scene, "again");
+    check(&tables, &MISSED_AGAIN);
     assert!((recorded.link.df_hz + 3.0 * 5_540.0).abs() < 400.0, "3 ppm of 5.54 GHz, not {}", recorded.link.df_hz);
     let late = recorded.link.groups[0];
     // The scene says 8 % early by 110 +- 45 us; those within 25 us count to the core, those beyond 160 to the next.
@@ -115,5 +178,38 @@ fn figures_of_different_scenes_differ() {
     for name in ["phase spread before compensation", "AGC, mean", "level C", "slope of the phase"] {
         assert!(differs(name), "{name}");
     }
-    assert!(!differs("record length, highest") && !differs("rate_n_flags, lowest"));
+    assert!(!differs("record length, highest") && !differs("rate_n_flags, total variation distance"));
+}
+
+#[test]
+fn compare_neither_overwrites_what_it_reads_nor_removes_what_is_there() {
+    let folder = std::env::temp_dir().join(format!("csi5300-compare-outputs-{}", std::process::id()));
+    std::fs::create_dir_all(folder.join("simulated")).unwrap();
+    let names = ["rx.dat", "tx.dat", "fitted-trajectory.csv", "trajectory.csv", "scene.toml", "simulated/kept.csv"];
+    for name in names {
+        std::fs::write(folder.join(name), name).unwrap();
+    }
+    let refused = |more: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
+        command.current_dir(&folder).args(["compare", "--rx", "rx.dat", "--tx", "tx.dat", "--out", "."]).args(more);
+        let out = command.output().unwrap();
+        assert_eq!(out.status.code(), Some(1));
+        String::from_utf8(out.stderr).unwrap()
+    };
+    let said = refused(&["--trajectory", "trajectory.csv"]);
+    assert!(said.contains("is there already: --force"), "{said}");
+    let said = refused(&["--trajectory", "fitted-trajectory.csv", "--force"]);
+    assert!(said.contains("fitted-trajectory.csv is an input"), "{said}");
+    let said = refused(&["--trajectory", "simulated/kept.csv", "--force"]);
+    assert!(said.contains("is an input inside"), "{said}");
+    let paper = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes/paper-circle.toml");
+    let with = ["--trajectory", "trajectory.csv", paper.to_str().unwrap()];
+    let said = refused(&with);
+    assert!(said.contains("simulated is there already"), "{said}");
+    let said = refused(&[&with[..], &["--force", "--channel", "36"]].concat());
+    assert!(said.contains("not of --channel 36"), "{said}");
+    for name in names {
+        assert_eq!(std::fs::read_to_string(folder.join(name)).unwrap(), name);
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
 }

@@ -19,6 +19,7 @@ use driver_iface::sounding::{Frame, native};
 use private::inside;
 use std::fs::File;
 use std::io::{Read, Write};
+use std::os::fd::AsFd;
 use std::process::{Child, Command, Stdio};
 
 /// Flags and protocol before every packet of a TUN device.
@@ -41,10 +42,14 @@ fn options(interface: &str) -> Options {
     Options { interface: interface.into(), mcs: 1, bandwidth: Bandwidth::Ht20, longest: native::MAX_LEN, wall_us }
 }
 
+/// Nothing here takes that long; a robot that has died is not waited for.
+const LONGEST: Span = Span::from_ms(100_000);
+
 /// The next packet sent to the device that is behind a radiotap header (IPv6 has its say too).
 fn sent(tun: &mut File) -> Vec<u8> {
-    let mut buffer = [0; 4_096];
+    let (clock, mut buffer) = (Monotonic::new(), [0; 4_096]);
     loop {
+        assert_eq!(clock.wait([tun.as_fd()], Some(clock.now() + LONGEST)).unwrap(), [true], "nobody sends");
         let len = tun.read(&mut buffer).unwrap();
         if buffer[4..8] == [0, 0, 13, 0] {
             return buffer[4..len].to_vec();
@@ -129,7 +134,21 @@ fn sounding_frames_come_in_and_nothing_else() {
     let counters = monitor.counters();
     assert_eq!((counters.heard, counters.bad_fcs, counters.damaged), (3, 1, 1), "{counters:?}");
     assert_eq!((counters.tx_status, counters.tx_failed, counters.dropped), (2, 1, 0));
-    assert_eq!(monitor.sent_for_certain(), Some(2));
+    assert_eq!((monitor.sent_for_certain(), monitor.failed_for_certain()), (Some(1), 1));
+}
+
+#[test]
+fn frames_that_lay_in_the_queue_for_too_long_are_dropped_and_counted() {
+    if !inside("frames_that_lay_in_the_queue_for_too_long_are_dropped_and_counted", "-Urn") {
+        return;
+    }
+    let Some(mut tun) = tun("mon0", 2_304) else { return };
+    // A host that comes to its frames an hour after they were stamped.
+    let later = || wall_us().map(|us| us + 3_600_000_000);
+    let mut monitor = Monitor::open(&Options { wall_us: later, ..options("mon0") }).unwrap();
+    (1..=3).for_each(|number| receive(&mut tun, &behind(&Repr::default(), &frame(number, 57))));
+    assert_eq!(hear(&mut monitor), None);
+    assert_eq!((monitor.counters().stale, monitor.counters().heard), (3, 0));
 }
 
 #[test]
@@ -171,10 +190,6 @@ fn what_the_kernel_does_not_take_is_said_and_counted_and_sending_goes_on() {
     assert_eq!(hear(&mut monitor), Some(frame(3, 57)));
     let counters = monitor.counters();
     assert_eq!((counters.taken, counters.down, counters.too_long, counters.not_taken()), (1, 1, 1, 2));
-    // Nobody reads from the device: its queue of 500 packets fills up.
-    let taken = (0..5_000).filter(|_| monitor.inject(Instant::ZERO, &frame(4, 57)).is_ok()).count() as u64;
-    let counters = monitor.counters();
-    assert_eq!(counters.taken, 1 + taken);
     drop(tun);
     let gone = monitor.inject(Instant::ZERO, &frame(5, 57)).unwrap_err().to_string();
     assert!(gone.contains("mon0") && gone.contains("gone"), "{gone}");
@@ -230,6 +245,7 @@ impl Robot {
         let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
         // Generous times: the machine that tests run on may be busy, and its figures are no part of the test.
         command.args(args).args(["--rate", "10", "--turn-around", "40000", "--guard", "15000", "--no-fifo"]);
+        command.env("XDG_STATE_HOME", env!("CARGO_TARGET_TMPDIR"));
         Self(command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap())
     }
 
@@ -310,7 +326,7 @@ fn sound_and_respond_exchange_frames_and_measurements() {
         assert!(answer.tag.is_some());
         numbers.push(answer.number);
         if let Some(measurement) = answer.measurement {
-            assert!(measurement.number < answer.number, "of an earlier frame");
+            assert!(measurement.number <= answer.number, "of this frame or an earlier one");
             assert_eq!((measurement.rssi, measurement.antenna_sel), ([33, 32, 31], 0x24));
             measured.push(measurement.number);
         }
@@ -341,6 +357,7 @@ fn frames_that_vanish_are_noticed() {
     let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
     command.args(["sound", "--interface", "mona", "--mac", "02:00:00:00:00:0a", "--peers", "02:00:00:00:00:0b"]);
     command.args(["--alone", "--open-loop", "--rate", "200", "--guard", "2000", "--stop-after", "3s"]);
+    command.env("XDG_STATE_HOME", env!("CARGO_TARGET_TMPDIR"));
     let output = command.output().unwrap();
     let said = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(1), "{said}");
@@ -380,11 +397,18 @@ fn a_wait_for_a_deadline_ends_at_it_or_when_something_comes() {
     let clock = Monotonic::new();
     let (reader, mut writer) = std::io::pipe().unwrap();
     let until = clock.now() + Span::from_us(2_000);
-    assert_eq!(clock.wait_closely([std::os::fd::AsFd::as_fd(&reader)], Some(until)).unwrap(), [false]);
+    assert_eq!(clock.wait_closely([reader.as_fd()], None, Some(until)).unwrap(), [false]);
     assert!(clock.now() >= until);
     writer.write_all(b"x").unwrap();
     let far = clock.now() + Span::from_s(60.0);
-    assert_eq!(clock.wait_closely([std::os::fd::AsFd::as_fd(&reader)], Some(far)).unwrap(), [true]);
+    assert_eq!(clock.wait_closely([reader.as_fd()], None, Some(far)).unwrap(), [true]);
     assert!(clock.now() < far);
-    assert_eq!(clock.wait_closely([std::os::fd::AsFd::as_fd(&reader)], None).unwrap(), [true]);
+    assert_eq!(clock.wait_closely([reader.as_fd()], None, None).unwrap(), [true]);
+    // However near the deadline is.
+    assert_eq!(clock.wait_closely([reader.as_fd()], None, Some(clock.now())).unwrap(), [true]);
+    // A deadline that may be met roughly, long before the one that is to be met closely.
+    let (quiet, _writer) = std::io::pipe().unwrap();
+    let until = clock.now() + Span::from_us(500);
+    assert_eq!(clock.wait_closely([quiet.as_fd()], Some(until), Some(clock.now() + LONGEST)).unwrap(), [false]);
+    assert!(clock.now() < until + LONGEST);
 }

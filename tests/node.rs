@@ -4,6 +4,7 @@
 mod common;
 
 use csi5300::backend::sim::{Room, Scene};
+use csi5300::backend::{CsiSource, Next};
 use csi5300::node::config::Config;
 use csi5300::node::estimator::{Report, State};
 use csi5300::node::machine::{Capture, Machine};
@@ -141,6 +142,40 @@ fn a_robot_at_rest_finds_those_that_move_and_publish_their_poses() {
     }
 }
 
+/// A card of which nothing comes from some time on.
+struct Vanishes(csi5300::node::sources::Card, Instant);
+
+impl CsiSource for Vanishes {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, csi5300::backend::Error> {
+        if now >= self.1 { Ok(Next::Pending) } else { self.0.receive(now) }
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        self.0.next_at().filter(|at| *at < self.1)
+    }
+}
+
+#[test]
+fn the_bearing_of_a_peer_that_vanished_grows_old() {
+    let folder = folder("ring-vanish");
+    let config = config(&folder, &scene(2, false), 2, false);
+    let mut sources = Sources::open(&config, Instant::ZERO, || None).unwrap();
+    let records = sources.peers[0].records.take().unwrap();
+    sources.peers[0].records = Some(Box::new(Vanishes(records, Instant::from_us(12_000_000))));
+    let plain = |card| Ok(Capture::Plain(card));
+    let machine = Machine::new(sources, plain, Sources::settings(&config), config.options(), Instant::ZERO).unwrap();
+    // This robot drives on until 21.5 s.
+    let (reports, _) = run(machine, Instant::from_us(20_000_000));
+    assert!(reports.iter().any(|(at, _, report)| at.as_s() < 12.0 && report.state == State::Bearing));
+    let late: Vec<_> = reports.iter().filter(|(at, ..)| at.as_s() > 13.0).collect();
+    assert!(late.len() > 10);
+    for (at, _, report) in late {
+        let age = at.as_s() - report.age_s;
+        assert!(report.state == State::NoPairs && (11.0..13.0).contains(&age), "{at:?} {report:?}");
+        assert!(report.answer.azimuth_deg.is_some(), "the last bearing is said again");
+    }
+}
+
 #[test]
 fn a_robot_that_drives_for_long_keeps_only_what_its_window_needs() {
     let folder = folder("ring-long");
@@ -195,7 +230,6 @@ fn a_replayed_capture_gives_the_bearings_that_are_made_offline() {
 
 /// Compares what a node says of a replayed capture with what `csi5300 bearing` does, link by link.
 fn compare(capture: &Path) -> usize {
-    use csi5300::backend::CsiSource;
     use csi5300::backend::replay::Replay;
     use csi5300::pipeline::{Transmitter, bearings};
     let files: Vec<PathBuf> = std::fs::read_dir(capture).unwrap().map(|entry| entry.unwrap().path()).collect();

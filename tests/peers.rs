@@ -69,6 +69,14 @@ impl Node {
         Self(command.spawn().unwrap())
     }
 
+    /// How it ended, after a signal if it goes on by itself: in order, if perhaps with losses.
+    fn end(mut self) {
+        let running = i32::try_from(self.0.id()).unwrap();
+        let _ = nix::sys::signal::kill(nix::unistd::Pid::from_raw(running), nix::sys::signal::Signal::SIGTERM);
+        let status = self.0.wait().unwrap();
+        assert!(matches!(status.code(), Some(0 | 3)), "{status}");
+    }
+
     /// Every report until it ends.
     fn reports(&mut self) -> impl Iterator<Item = serde_json::Value> + use<> {
         let lines = BufReader::new(self.0.stdout.take().unwrap()).lines();
@@ -145,8 +153,10 @@ fn two_processes_make_a_bearing() {
     let port = free_port();
     let mut own = Node::start(&folder, "r0", &driver(&folder, &logs, &path, port));
     let reports = own.reports();
-    let _other = Node::start(&folder, "r1", &publisher(&folder, &logs[1], port));
+    let other = Node::start(&folder, "r1", &publisher(&folder, &logs[1], port));
     assert_close(&last(reports, 1)[0], truth_deg(&scene, 1));
+    own.end();
+    other.end();
 }
 
 #[test]
@@ -162,11 +172,27 @@ fn four_processes_of_which_one_is_killed_and_started_again() {
     // Once the others have bearings one of them dies, and comes back from the beginning of its log.
     let first = reports.find(|report| report["link"] == "r3" && report["azimuth_deg"].is_f64()).unwrap();
     others[1].0.kill().unwrap();
+    // What was under way is in by the second report from here.
+    let had = reports.by_ref().filter(|report| report["link"] == "r2").nth(1).unwrap();
     others[1] = Node::start(&folder, "r2", &publishers[1]);
     let last = last(reports, 3);
     for peer in [1, 3] {
         assert_close(&last[peer - 1], truth_deg(&scene, peer));
         assert!(last[peer - 1]["pairs"].as_u64() > first["pairs"].as_u64(), "the others went on: {last:?}");
     }
-    assert!(last[1]["pairs"].as_u64().unwrap() > 0, "{}", last[1]);
+    let pairs = |report: &serde_json::Value| report["pairs"].as_u64().unwrap();
+    assert!(pairs(&last[1]) > pairs(&had) + 100, "nothing came after it was started again: {had} {}", last[1]);
+    own.end();
+    others.into_iter().for_each(Node::end);
+}
+
+#[test]
+fn a_signal_ends_a_robot_that_publishes() {
+    let folder = folder("peers-signal");
+    let (logs, path, _) = capture(&folder, 2);
+    let text = driver(&folder, &logs, &path, free_port()) + "publish_records = true\npublish_poses = true\n";
+    let mut own = Node::start(&folder, "r0", &text);
+    let mut reports = own.reports();
+    reports.next().unwrap();
+    own.end();
 }

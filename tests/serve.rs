@@ -9,7 +9,8 @@ use csi5300::backend::sim::{Room, Scene};
 use csi5300::backend::{CsiSource, Next, replay::Replay};
 use csi5300::odometry::csv;
 use csi5300::time::Instant;
-use driver_iface::bfee::offset;
+use csi5300::wait::{Monotonic, wall_us};
+use driver_iface::bfee::{Bfee, offset};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use private::inside;
@@ -51,6 +52,14 @@ fn bodies(source: &mut dyn CsiSource) -> Vec<Vec<u8>> {
     }
 }
 
+/// The driver's time in the first record, microseconds since the Unix epoch.
+fn first_host_us(log: &Path) -> i64 {
+    let mut log = Replay::open(log).unwrap();
+    let Next::Record(_, record) = log.receive(Instant::ZERO).unwrap() else { panic!("no record") };
+    let wsr = Bfee::new_checked(record.body).unwrap().wsr().unwrap();
+    i64::from(wsr.tv_sec) * 1_000_000 + i64::from(wsr.tv_usec)
+}
+
 /// Runs `record` on the connector while `serve` runs; gives what the server said.
 fn serve(scene: &Path, logs: &[(&Path, &str)], more: &[&str]) -> String {
     let own = env!("CARGO_BIN_EXE_csi5300");
@@ -89,7 +98,14 @@ fn a_served_room_is_heard_through_the_kernel() {
     let [scene, rx, tx, poses] = ["scene.toml", "rx.dat", "tx.dat", "poses.csv"].map(|name| folder.join(name));
     std::fs::write(&scene, SCENE).unwrap();
     let options = ["--speed", "20", "--robot", "rx=26", "--robot", "tx=12", "--poses", poses.to_str().unwrap()];
+    let (before_us, clock) = (wall_us().unwrap(), Monotonic::new());
     let said = serve(&scene, &[(&rx, "26"), (&tx, "12")], &options);
+    let (after_us, took_s) = (wall_us().unwrap(), clock.now().as_s());
+    // Three seconds at twenty times real time, and the first frames are of the first milliseconds.
+    assert!(took_s >= 3.0 / 20.0, "{took_s} s: not paced");
+    let first_us = first_host_us(&rx);
+    assert!((before_us..after_us).contains(&first_us), "{first_us} is not within {before_us} and {after_us}");
+    assert!(said.contains("ms behind real time"), "{said}");
 
     // Stalls and queues of the scene are left to the real listener; losses on air are not.
     let mut expected = Scene::from_toml(SCENE).unwrap();
@@ -108,4 +124,17 @@ fn a_served_room_is_heard_through_the_kernel() {
     let reach = trajectory.poses().iter().map(|pose| pose.position_m.norm()).fold(0.0, f64::max);
     assert!((reach - 0.6).abs() < 0.01, "{reach}");
     std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn two_robots_on_one_connector_index_are_refused() {
+    let scene = std::env::temp_dir().join(format!("csi5300-serve-index-{}.toml", std::process::id()));
+    std::fs::write(&scene, SCENE).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    command.arg("simulate").arg(&scene).args(["--serve", "--robot", "rx=9", "--robot", "tx=9"]);
+    let out = command.output().unwrap();
+    std::fs::remove_file(&scene).unwrap();
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert_eq!(out.status.code(), Some(1), "{said}");
+    assert!(said.contains("rx and tx would both be served on connector index 9"), "{said}");
 }

@@ -1,4 +1,4 @@
-//! The paper's own simulated captures, read and written again by our encoder, are byte-identical.
+//! The paper's own captures, simulated and real, read and written again by our encoder, are byte-identical.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 mod common;
@@ -6,13 +6,13 @@ mod common;
 use driver_iface::bfee::{Bfee, Iq, MAX_SAMPLES, Repr};
 use driver_iface::record::{Record, Step, Tail, events};
 
-/// Parses a log and writes every record anew.
+/// Parses a log and writes every record anew, up to a cut tail.
 fn again(bytes: &[u8]) -> (Vec<u8>, usize) {
     let (mut out, mut records) = (Vec::with_capacity(bytes.len()), 0);
     for event in events(bytes) {
         let record = match event {
             Step::Record { record, .. } => record,
-            Step::End(Tail::Clean) => break,
+            Step::End(Tail::Clean | Tail::Cut { .. }) => break,
             other => panic!("damage in a simulated capture: {other:?}"),
         };
         let bfee = Bfee::new_checked(record.body).unwrap();
@@ -42,4 +42,25 @@ fn the_papers_simulated_captures_survive_our_encoder() {
             assert!(written == bytes, "{} differs after reading and writing", path.display());
         }
     }
+}
+
+#[test]
+fn the_papers_real_captures_survive_it_too() {
+    let Some(captures) = common::captures() else { return };
+    let mut files = 0;
+    for shape in ["circle", "line"] {
+        for entry in std::fs::read_dir(captures.join("paper").join(shape)).unwrap() {
+            let path = entry.unwrap().path();
+            let name = path.file_name().unwrap().to_string_lossy().into_owned();
+            if !(name.ends_with(".dat") && name.contains("_real_")) {
+                continue;
+            }
+            let bytes = std::fs::read(&path).unwrap();
+            let (written, records) = again(&bytes);
+            assert!(records > 2_500 && bytes.len() - written.len() < 233, "{name}: {records} records");
+            assert!(bytes.starts_with(&written), "{name} differs after reading and writing");
+            files += 1;
+        }
+    }
+    assert_eq!(files, 12);
 }

@@ -16,6 +16,7 @@
 #include <linux/ktime.h>
 #include <linux/module.h>
 #include <linux/netdevice.h>
+#include <linux/rtnetlink.h>
 #include <linux/skbuff.h>
 #include <linux/slab.h>
 
@@ -94,7 +95,7 @@ static void send_bfee(unsigned int k, const u8 *frame, u32 number)
 {
 	u8 body[38 + CSI];
 	u16 header = wsr ? 38 : 20;
-	u32 us = (u32)(ktime_get_ns() / 1000);
+	u32 us = (u32)ktime_to_us(ktime_get());
 	struct timespec64 now;
 	u16 i;
 
@@ -157,18 +158,29 @@ static void unused(struct cn_msg *msg, struct netlink_skb_parms *parms)
 {
 }
 
-static void untap(void)
+/* Lets go of one interface, or of all of them if dev is NULL. The caller holds the RTNL. */
+static void untap(const struct net_device *dev)
 {
 	unsigned int k;
 
 	for (k = 0; k < CARDS; k++) {
-		if (!taps[k].dev)
+		if (!taps[k].dev || (dev && taps[k].dev != dev))
 			continue;
 		dev_remove_pack(&taps[k].tap);
 		dev_put(taps[k].dev);
 		taps[k].dev = NULL;
 	}
 }
+
+/* An interface cannot go away before everybody has let go of it. */
+static int interface_event(struct notifier_block *block, unsigned long event, void *info)
+{
+	if (event == NETDEV_UNREGISTER)
+		untap(netdev_notifier_info_to_dev(info));
+	return NOTIFY_DONE;
+}
+
+static struct notifier_block interface_events = { .notifier_call = interface_event };
 
 static int __init heard_init(void)
 {
@@ -181,15 +193,19 @@ static int __init heard_init(void)
 	error = cn_add_callback(&id, "iwlagn", unused);
 	if (error)
 		return error;
+	error = register_netdevice_notifier(&interface_events);
+	if (error)
+		goto no_notifier;
+	rtnl_lock();
 	for (k = 0; k < cards; k++) {
 		struct net_device *dev = dev_get_by_name(&init_net, interfaces[k]);
 
 		if (!dev || dev->type != ARPHRD_IEEE80211_RADIOTAP) {
 			if (dev)
 				dev_put(dev);
-			untap();
-			cn_del_callback(&id);
-			return -ENODEV;
+			untap(NULL);
+			error = -ENODEV;
+			break;
 		}
 		taps[k].dev = dev;
 		taps[k].tap.type = htons(ETH_P_ALL);
@@ -197,12 +213,21 @@ static int __init heard_init(void)
 		taps[k].tap.func = heard;
 		dev_add_pack(&taps[k].tap);
 	}
-	return 0;
+	rtnl_unlock();
+	if (!error)
+		return 0;
+	unregister_netdevice_notifier(&interface_events);
+no_notifier:
+	cn_del_callback(&id);
+	return error;
 }
 
 static void __exit heard_exit(void)
 {
-	untap();
+	unregister_netdevice_notifier(&interface_events);
+	rtnl_lock();
+	untap(NULL);
+	rtnl_unlock();
 	cn_del_callback(&id);
 }
 

@@ -190,4 +190,7 @@ pub trait FrameReceiver {
 
     /// Frames of which is known that they went out, if that can be known at all.
     fn sent_for_certain(&self) -> Option<u64>;
+
+    /// Frames of which is known that sending failed.
+    fn failed_for_certain(&self) -> u64;
 }

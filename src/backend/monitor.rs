@@ -21,7 +21,7 @@ use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
 /// Bytes of a received buffer that are looked at: a sounding frame and its radiotap header are far shorter.
 const RECEIVE_LEN: usize = 1_024;
-/// A receive stamp older than this is no stamp: the wall clock was set.
+/// A frame whose receive stamp is older than this is history: nobody waits for the answer, and no slot is meant.
 const OLDEST: Span = Span::from_ms(1_000);
 
 /// What to open, and how frames are sent.
@@ -52,12 +52,14 @@ pub struct Counters {
     pub down: u64,
     /// Frames not taken because they are longer than the MTU.
     pub too_long: u64,
-    /// Tx-status copies: frames that were really sent.
+    /// Tx-status copies: frames that the driver was given, and reported on.
     pub tx_status: u64,
     /// Of these, marked as failed (no acknowledgement, or given up).
     pub tx_failed: u64,
     /// Frames handed out as heard.
     pub heard: u64,
+    /// Frames that lay in the queue for so long that they mean nothing any more; the host was away.
+    pub stale: u64,
     /// Copies of own frames on their way out, beyond those that the filter kept out.
     pub outgoing: u64,
     /// Frames with a wrong FCS.
@@ -73,6 +75,23 @@ impl Counters {
     #[must_use]
     pub fn not_taken(&self) -> u64 {
         self.cut + self.no_room + self.down + self.too_long
+    }
+
+    /// Counts what became of a send of `len` bytes, and gives why the frame was not taken if it was not. An error that
+    /// cannot be gone on from is given back.
+    fn note_sent(&mut self, sent: std::io::Result<usize>, len: usize, mtu: usize) -> std::io::Result<Option<NotSent>> {
+        let (count, why) = match sent {
+            Ok(taken) if taken == len => (&mut self.taken, None),
+            Ok(taken) => (&mut self.cut, Some(NotSent::Cut { taken, len })),
+            Err(error) => match error.raw_os_error() {
+                Some(libc::ENOBUFS | libc::EAGAIN | libc::ENOMEM) => (&mut self.no_room, Some(NotSent::NoRoom)),
+                Some(libc::ENETDOWN) => (&mut self.down, Some(NotSent::Down)),
+                Some(libc::EMSGSIZE) => (&mut self.too_long, Some(NotSent::TooLong { len, mtu })),
+                _ => return Err(error),
+            },
+        };
+        *count += 1;
+        Ok(why)
     }
 }
 
@@ -133,22 +152,9 @@ impl Monitor {
 
     /// Counts what became of a send of `len` bytes.
     fn note_sent(&mut self, sent: std::io::Result<usize>, len: usize) -> Result<(), Error> {
-        let counters = &mut self.counters;
-        let (count, why) = match sent {
-            Ok(taken) if taken == len => {
-                counters.taken += 1;
-                return Ok(());
-            }
-            Ok(taken) => (&mut counters.cut, NotSent::Cut { taken, len }),
-            Err(error) => match error.raw_os_error() {
-                Some(libc::ENOBUFS | libc::EAGAIN | libc::ENOMEM) => (&mut counters.no_room, NotSent::NoRoom),
-                Some(libc::ENETDOWN) => (&mut counters.down, NotSent::Down),
-                Some(libc::EMSGSIZE) => (&mut counters.too_long, NotSent::TooLong { len, mtu: self.mtu }),
-                _ => return Err(socket::failed("sending on", &self.interface, error)),
-            },
-        };
-        *count += 1;
-        Err(Error::NotSent(why))
+        let why = self.counters.note_sent(sent, len, self.mtu);
+        let why = why.map_err(|error| socket::failed("sending on", &self.interface, error))?;
+        why.map_or(Ok(()), |why| Err(Error::NotSent(why)))
     }
 
     /// Where in the input buffer the frame of a received buffer of `len` bytes is, if it is one to hand out.
@@ -173,15 +179,15 @@ impl Monitor {
             counters.bad_fcs += 1;
             return None;
         }
-        counters.heard += 1;
         Some(range)
     }
+}
 
-    /// How long ago the kernel stamped a frame; zero if it did not, or the wall clock was set since.
-    fn age(&self, stamp_us: Option<i64>) -> Span {
-        let age = stamp_us.zip((self.wall_us)()).map(|(stamp, now)| Span::from_us(now.saturating_sub(stamp)));
-        age.filter(|age| (Span::ZERO..OLDEST).contains(age)).unwrap_or(Span::ZERO)
-    }
+/// How long ago a frame was stamped, by the wall clock: zero without a stamp, or if the clock was set back since; `None`
+/// if that was too long ago. A clock that was set ahead meanwhile costs the frames that were waiting.
+fn age(stamp_us: Option<i64>, wall_us: Option<i64>) -> Option<Span> {
+    let age = stamp_us.zip(wall_us).map_or(0, |(stamp, now)| now.saturating_sub(stamp));
+    Some(Span::from_us(age.max(0))).filter(|age| *age < OLDEST)
 }
 
 impl AsFd for Monitor {
@@ -217,13 +223,60 @@ impl FrameReceiver for Monitor {
             if received.is_outgoing {
                 self.counters.outgoing += 1;
             } else if let Some(range) = self.frame_in(received.len) {
-                let age = self.age(received.stamp_us);
+                let Some(age) = age(received.stamp_us, (self.wall_us)()) else {
+                    self.counters.stale += 1;
+                    continue;
+                };
+                self.counters.heard += 1;
                 return Ok(self.input.get(range).map(|frame| Heard { frame, age }));
             }
         }
     }
 
     fn sent_for_certain(&self) -> Option<u64> {
-        Some(self.counters.tx_status)
+        Some(self.counters.tx_status.saturating_sub(self.counters.tx_failed))
+    }
+
+    fn failed_for_certain(&self) -> u64 {
+        self.counters.tx_failed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io;
+
+    #[test]
+    fn every_result_of_sending_is_counted_by_its_cause() {
+        let refused = |errno| Err(io::Error::from_raw_os_error(errno));
+        let (no_room, down) = (Some(NotSent::NoRoom), Some(NotSent::Down));
+        let mut counters = Counters::default();
+        for (sent, why) in [
+            (Ok(57), None),
+            (Ok(20), Some(NotSent::Cut { taken: 20, len: 57 })),
+            (refused(libc::ENOBUFS), no_room),
+            (refused(libc::EAGAIN), no_room),
+            (refused(libc::ENOMEM), no_room),
+            (refused(libc::ENETDOWN), down),
+            (refused(libc::EMSGSIZE), Some(NotSent::TooLong { len: 57, mtu: 50 })),
+        ] {
+            assert_eq!(counters.note_sent(sent, 57, 50).unwrap(), why);
+        }
+        assert!(counters.note_sent(refused(libc::ENXIO), 57, 50).is_err());
+        let count = |counters: &Counters| {
+            [counters.taken, counters.cut, counters.no_room, counters.down, counters.too_long, counters.not_taken()]
+        };
+        assert_eq!(count(&counters), [1, 1, 3, 1, 1, 6]);
+    }
+
+    #[test]
+    fn an_old_frame_is_not_taken_for_a_new_one() {
+        let second = 1_000_000;
+        assert_eq!(age(Some(5), Some(65)), Some(Span::from_us(60)));
+        assert_eq!(age(Some(5), Some(second + 4)), Some(OLDEST - Span::from_us(1)));
+        assert_eq!(age(Some(5), Some(second + 5)), None);
+        assert_eq!(age(Some(second), Some(3)), Some(Span::ZERO), "the clock was set back");
+        assert_eq!((age(None, Some(9)), age(Some(9), None)), (Some(Span::ZERO), Some(Span::ZERO)));
     }
 }

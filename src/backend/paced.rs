@@ -44,6 +44,12 @@ impl<S: CsiSource> Paced<S> {
         }
     }
 
+    /// The same, its first record due at `at`.
+    #[must_use]
+    pub fn beginning(self, at: Instant) -> Self {
+        Self { due: Some(at), ..self }
+    }
+
     /// The log being played.
     pub fn source(&self) -> &S {
         &self.source
@@ -147,5 +153,17 @@ mod tests {
         assert_eq!(times(&clocks, 2.0, None), [500, 1_500, 2_500, 2_500, 7_500]);
         assert_eq!(times(&clocks, 1.0, Some(Span::from_ms(3))), [500, 2_500, 4_500, 4_500, 7_500]);
         assert_eq!(times(&clocks, f64::INFINITY, None), [500; 5]);
+    }
+
+    #[test]
+    fn a_log_may_begin_later() {
+        let bytes = log(&[7, 1_007]);
+        let begin = Instant::from_us(9_000);
+        let mut paced = Paced::new(Replay::new(bytes.as_slice(), "test".into()), 1.0, None).beginning(begin);
+        assert!(matches!(paced.receive(Instant::ZERO), Ok(Next::Pending)));
+        assert_eq!(paced.next_at(), Some(begin));
+        assert!(matches!(paced.receive(begin), Ok(Next::Record(..))));
+        assert!(matches!(paced.receive(begin), Ok(Next::Pending)));
+        assert_eq!(paced.next_at(), Some(Instant::from_us(10_000)));
     }
 }

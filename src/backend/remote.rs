@@ -3,9 +3,10 @@
 //!
 //! A message is `magic (4) | session (4) | number of its first item (8)` and then items, little-endian. A record's item
 //! is the host's receive time in microseconds since the Unix epoch (8; the smallest number for none) and the record as
-//! a `.dat` log has it. A pose's item is five 64-bit floats: seconds since the Unix epoch, x, y, z in metres, heading in
-//! radians (no number for none); one that begins a new frame has no time. Items are numbered from 0 within a session,
-//! so that what a network drops is counted, and another session is told from a gap.
+//! a `.dat` log has it. A pose's item is the number of its frame (8) and five 64-bit floats: seconds since the Unix epoch,
+//! x, y, z in metres, heading in radians (no number for none). Every pose says its frame, so that no loss mixes two. Items
+//! are numbered from 0 within a session, those too that the sender had no room for, so that whatever is dropped is
+//! counted, and another session is told from a gap.
 
 use super::{CsiSource, Error, Loss, Next, Stamps};
 use crate::odometry::{NextPose, OdometrySource};
@@ -17,9 +18,9 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
 
 const RECORDS: [u8; 4] = *b"c5r1";
-const POSES: [u8; 4] = *b"c5p1";
+const POSES: [u8; 4] = *b"c5p2";
 const HEAD: usize = 16;
-const POSE: usize = 40;
+const POSE: usize = 48;
 
 /// A message being filled.
 #[derive(Clone, Debug)]
@@ -43,13 +44,21 @@ impl Batch {
         Self { magic: POSES, session, next: 0, bytes: Vec::new() }
     }
 
+    /// The next item has this number. What was collected so far is given if the number does not follow it: send it first.
+    #[must_use]
+    pub fn number(&mut self, number: u64) -> Option<Vec<u8>> {
+        let message = (number != self.next && !self.is_empty()).then(|| self.take());
+        self.next = number;
+        message
+    }
+
     fn begin(&mut self) {
         if self.bytes.is_empty() {
             self.bytes.extend(self.magic);
             self.bytes.extend(self.session.to_le_bytes());
             self.bytes.extend(self.next.to_le_bytes());
         }
-        self.next += 1;
+        self.next = self.next.saturating_add(1);
     }
 
     /// Adds a record.
@@ -65,11 +74,10 @@ impl Batch {
         }
     }
 
-    /// Adds a pose, or the beginning of a new frame.
-    pub fn push_pose(&mut self, pose: Option<Pose>) {
+    /// Adds a pose, in frame number `frame`.
+    pub fn push_pose(&mut self, frame: u64, pose: Pose) {
         self.begin();
-        let none = Pose { t_s: f64::NAN, position_m: Vector3::zeros(), heading_rad: None };
-        let pose = pose.unwrap_or(none);
+        self.bytes.extend(frame.to_le_bytes());
         let [x, y, z] = pose.position_m.into();
         for value in [pose.t_s, x, y, z, pose.heading_rad.unwrap_or(f64::NAN)] {
             self.bytes.extend(value.to_le_bytes());
@@ -112,7 +120,8 @@ pub struct Counts {
 #[derive(Clone, Debug)]
 enum Item {
     Record(Option<i64>, u8, Vec<u8>),
-    Pose(NextPose),
+    /// A pose with the session and the number of its frame.
+    Pose((u32, u64), Pose),
     Missing(u64),
 }
 
@@ -139,7 +148,13 @@ pub struct RemoteCard {
 
 /// The poses that come out of a [`Mailbox`].
 #[derive(Debug)]
-pub struct RemotePoses(Mailbox);
+pub struct RemotePoses {
+    shared: Mailbox,
+    /// Session and number of the last pose's frame.
+    frame: Option<(u32, u64)>,
+    /// A pose in a new frame, which is said first.
+    held: Option<Pose>,
+}
 
 impl Mailbox {
     /// A queue in which at most `limit` items wait.
@@ -177,7 +192,7 @@ impl Mailbox {
     /// The other end, of a queue of poses.
     #[must_use]
     pub fn poses(&self) -> RemotePoses {
-        RemotePoses(self.clone())
+        RemotePoses { shared: self.clone(), frame: None, held: None }
     }
 }
 
@@ -194,19 +209,14 @@ impl Shared {
             Some((known, next)) if known == session && first >= next => self.miss(first - next),
             // An older message of this session, come late: its records were given up as missing.
             Some((known, _)) if known == session => return Some(()),
-            Some(_) => {
-                self.counts.sessions += 1;
-                if magic == POSES {
-                    self.push(Item::Pose(NextPose::NewFrame));
-                }
-            }
-            None => self.counts.sessions += 1,
+            _ => self.counts.sessions += 1,
         }
         let mut next = first;
+        self.at = Some((session, next));
         while !items.is_empty() {
-            let item = if magic == RECORDS { record(&mut items)? } else { pose(&mut items)? };
+            let item = if magic == RECORDS { record(&mut items)? } else { pose(&mut items, session)? };
             self.counts.received += 1;
-            next += 1;
+            next = next.saturating_add(1);
             self.at = Some((session, next));
             self.push(item);
         }
@@ -216,7 +226,7 @@ impl Shared {
 
     fn miss(&mut self, missing: u64) {
         if missing > 0 {
-            self.counts.missing += missing;
+            self.counts.missing = self.counts.missing.saturating_add(missing);
             self.push(Item::Missing(missing));
         }
     }
@@ -232,10 +242,10 @@ impl Shared {
                 }
             };
             match self.queue.front_mut() {
-                Some(Item::Missing(more)) => *more += lost,
+                Some(Item::Missing(more)) => *more = more.saturating_add(lost),
                 Some(front) => {
                     // The loss takes the place of the next item, which goes with it.
-                    *front = Item::Missing(lost + 1);
+                    *front = Item::Missing(lost.saturating_add(1));
                     self.counts.overflowed += 1;
                 }
                 None => self.queue.push_front(Item::Missing(lost)),
@@ -259,15 +269,16 @@ fn record(items: &mut &[u8]) -> Option<Item> {
     Some(Item::Record((host_us != i64::MIN).then_some(host_us), code, body.to_vec()))
 }
 
-fn pose(items: &mut &[u8]) -> Option<Item> {
+fn pose(items: &mut &[u8], session: u32) -> Option<Item> {
     let (item, rest) = items.split_at_checked(POSE)?;
     *items = rest;
+    let (frame, item) = item.split_first_chunk()?;
     let value = |k: usize| item.get(8 * k..8 * k + 8)?.try_into().ok().map(f64::from_le_bytes);
     let (t_s, heading) = (value(0)?, value(4)?);
     let position_m = Vector3::new(value(1)?, value(2)?, value(3)?);
     let heading_rad = (!heading.is_nan()).then_some(heading);
     let pose = Pose { t_s, position_m, heading_rad };
-    Some(Item::Pose(if t_s.is_nan() { NextPose::NewFrame } else { NextPose::Pose(pose) }))
+    Some(Item::Pose((session, u64::from_le_bytes(*frame)), pose))
 }
 
 impl CsiSource for RemoteCard {
@@ -280,7 +291,7 @@ impl CsiSource for RemoteCard {
                 Ok(Next::Record(Stamps { at: now, host_us, offset }, Record { code, body: &self.body }))
             }
             Some(Item::Missing(dropped)) => Ok(Next::Lost(Loss::Overrun { dropped: Some(dropped) })),
-            Some(Item::Pose(_)) | None => Ok(Next::Pending),
+            Some(Item::Pose(..)) | None => Ok(Next::Pending),
         }
     }
 
@@ -291,9 +302,18 @@ impl CsiSource for RemoteCard {
 
 impl OdometrySource for RemotePoses {
     fn receive(&mut self, _: Instant) -> Result<NextPose, Error> {
+        if let Some(pose) = self.held.take() {
+            return Ok(NextPose::Pose(pose));
+        }
         loop {
-            match self.0.with(|shared| shared.queue.pop_front()) {
-                Some(Item::Pose(next)) => return Ok(next),
+            match self.shared.with(|shared| shared.queue.pop_front()) {
+                Some(Item::Pose(frame, pose)) => {
+                    if self.frame.replace(frame).is_some_and(|before| before != frame) {
+                        self.held = Some(pose);
+                        return Ok(NextPose::NewFrame);
+                    }
+                    return Ok(NextPose::Pose(pose));
+                }
                 Some(_) => {}
                 None => return Ok(NextPose::Pending),
             }
@@ -365,13 +385,48 @@ mod tests {
         let pose = Pose { t_s: 1.5, position_m: Vector3::new(1.0, 2.0, 3.0), heading_rad: None };
         let turned = Pose { heading_rad: Some(-1.0), ..pose };
         let (mailbox, mut batch) = (Mailbox::new(10), Batch::poses(1));
-        batch.push_pose(Some(pose));
-        batch.push_pose(None);
-        batch.push_pose(Some(turned));
+        batch.push_pose(0, pose);
+        batch.push_pose(1, turned);
         mailbox.put(&batch.take());
         let mut poses = mailbox.poses();
         let got: Vec<NextPose> = (0..4).map(|_| poses.receive(NOW).unwrap()).collect();
         assert_eq!(got, [NextPose::Pose(pose), NextPose::NewFrame, NextPose::Pose(turned), NextPose::Pending]);
+    }
+
+    #[test]
+    fn a_new_frame_is_told_whatever_is_lost() {
+        let pose = |t_s| Pose { t_s, position_m: Vector3::zeros(), heading_rad: None };
+        // A queue of two, of which only the last pose is left.
+        let (mailbox, mut batch) = (Mailbox::new(2), Batch::poses(1));
+        let mut poses = mailbox.poses();
+        batch.push_pose(0, pose(1.0));
+        mailbox.put(&batch.take());
+        assert_eq!(poses.receive(NOW).unwrap(), NextPose::Pose(pose(1.0)));
+        (2..9).for_each(|k| batch.push_pose(1, pose(f64::from(k))));
+        mailbox.put(&batch.take());
+        assert_eq!(poses.receive(NOW).unwrap(), NextPose::NewFrame);
+        assert_eq!(poses.receive(NOW).unwrap(), NextPose::Pose(pose(8.0)));
+        // Another session has frames of its own, whatever their numbers.
+        let mut other = Batch::poses(2);
+        other.push_pose(1, pose(0.5));
+        mailbox.put(&other.take());
+        assert_eq!(poses.receive(NOW).unwrap(), NextPose::NewFrame);
+        assert_eq!(poses.receive(NOW).unwrap(), NextPose::Pose(pose(0.5)));
+    }
+
+    #[test]
+    fn hostile_numbers_are_numbers() {
+        let mailbox = Mailbox::new(3);
+        let mut batch = Batch::records(1);
+        mailbox.put(&message(&mut batch, 0..1));
+        assert!(batch.number(u64::MAX - 1).is_none());
+        mailbox.put(&message(&mut batch, 0..1));
+        mailbox.put(&[&message(&mut Batch::records(2), 0..1)[..], &[0; 7]].concat());
+        let mut end = message(&mut Batch::records(3), 0..3);
+        end[8..16].copy_from_slice(&u64::MAX.to_le_bytes());
+        (0..2).for_each(|_| mailbox.put(&end));
+        assert_eq!(mailbox.counts().missing, u64::MAX - 2);
+        assert!(!drain(&mut mailbox.card()).is_empty());
     }
 
     proptest! {
@@ -380,13 +435,29 @@ mod tests {
             cut in 0usize..200,
             noise in prop::collection::vec(any::<u8>(), 0..100),
         ) {
-            let mailbox = Mailbox::new(10);
+            let (mailbox, mut batch) = (Mailbox::new(100), Batch::records(3));
+            // Noise alone is no message: it would have to begin with the magic.
             mailbox.put(&noise);
-            let whole = message(&mut Batch::records(3), 0..9);
-            mailbox.put(whole.get(..cut).unwrap_or(&whole));
+            prop_assert_eq!(mailbox.counts(), Counts { foreign: 1, ..Counts::default() });
+            // Of one that was cut, what is whole is taken: 14 bytes each.
+            let whole = message(&mut batch, 0..9);
+            let cut = cut.min(whole.len());
+            mailbox.put(&whole[..cut]);
+            let taken = cut.saturating_sub(HEAD) / 14;
+            let mut expected: Vec<i64> = (0..taken as i64).collect();
+            prop_assert_eq!(mailbox.counts().received, taken as u64);
+            let intact = cut >= HEAD && (cut - HEAD) % 14 == 0;
+            prop_assert_eq!(mailbox.counts().foreign, 1 + u64::from(!intact));
+            // What comes after it is as good as ever, and what was missed is counted.
+            mailbox.put(&message(&mut batch, 9..10));
+            expected.extend((cut >= HEAD && taken < 9).then_some(taken as i64 - 9));
+            expected.push(9);
+            let got = drain(&mut mailbox.card());
+            prop_assert_eq!(&got, &expected);
+            // Behind a good head anything may stand, and nothing is taken twice.
+            let before = mailbox.counts().received;
             mailbox.put(&[&whole[..HEAD], &noise[..]].concat());
-            drain(&mut mailbox.card()).len();
-            prop_assert!(mailbox.counts().received <= 20);
+            prop_assert_eq!(mailbox.counts().received, before);
         }
     }
 }

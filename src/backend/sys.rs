@@ -96,6 +96,20 @@ pub fn bind_packet(socket: BorrowedFd<'_>, interface: u32) -> io::Result<()> {
     answered(unsafe { libc::bind(socket.as_raw_fd(), (&raw const address).cast(), size) })
 }
 
+/// Link type (ARPHRD_*) and MAC of the interface that a packet socket is bound to.
+///
+/// # Errors
+/// The kernel's refusal.
+pub fn packet_link(socket: BorrowedFd<'_>) -> io::Result<(u16, Option<[u8; 6]>)> {
+    // SAFETY: `sockaddr_ll` consists of integers and an array of them, for all of which zero is a value.
+    let mut address: libc::sockaddr_ll = unsafe { std::mem::zeroed() };
+    let mut size = size_of::<libc::sockaddr_ll>() as libc::socklen_t;
+    // SAFETY: the kernel writes at most `size` bytes, the size of `address`, which is ours alone until the call ends.
+    answered(unsafe { libc::getsockname(socket.as_raw_fd(), (&raw mut address).cast(), &raw mut size) })?;
+    let mac = address.sll_addr.first_chunk().copied().filter(|_| address.sll_halen == 6);
+    Ok((address.sll_hatype, mac))
+}
+
 /// Frames that a packet socket has dropped since this was asked last, its queue being full (PACKET_STATISTICS).
 ///
 /// # Errors
@@ -127,7 +141,8 @@ fn request(interface: &str) -> io::Result<libc::ifreq> {
         return Err(io::Error::from(io::ErrorKind::InvalidInput));
     }
     for (place, byte) in request.ifr_name.iter_mut().zip(interface.bytes()) {
-        *place = byte.cast_signed();
+        // Signed or not, as the architecture has it.
+        *place = byte as libc::c_char;
     }
     Ok(request)
 }

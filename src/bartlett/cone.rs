@@ -157,8 +157,8 @@ impl<T: Real> Cone<T> {
             let weights = self.at_offset::<STRIDE>(s);
             let (re, im) = (batch.re[t], batch.im[t]);
             for (cell, weight) in cells[from..from + STRIDE].iter_mut().zip(weights) {
-                cell.re = cell.re + T::of(weight * re);
-                cell.im = cell.im + T::of(weight * im);
+                cell.re += T::of(weight * re);
+                cell.im += T::of(weight * im);
             }
         }
     }
@@ -189,7 +189,7 @@ fn sum<T: Real>(values: &[T]) -> T {
     while width > 1 {
         width /= 2;
         for i in 0..width {
-            halves[i] = halves[i] + halves[width + i];
+            halves[i] += halves[width + i];
         }
     }
     halves[0]

@@ -43,24 +43,17 @@ pub(crate) struct Spread([f64; 6]);
 
 impl Spread {
     pub fn new(scene: &Scene, azimuth: f64) -> Self {
-        let (sin, cos) = azimuth.sin_cos();
-        let samples = || scene.weight.iter().zip(&scene.x).zip(&scene.y).zip(&scene.z);
-        let mut mean = [0.0; 3];
-        for (((w, x), y), z) in samples() {
-            for (m, p) in mean.iter_mut().zip([x, y, z]) {
-                *m += w * p;
-            }
-        }
-        let [mx, my, mz] = mean.map(|m| m / scene.weight_sum);
-        let mut sums = [0.0; 6];
-        for (((w, x), y), z) in samples() {
-            let (x, y, z) = (x - mx, y - my, z - mz);
-            let (h, v) = (cos * x + sin * y, cos * y - sin * x);
-            for (sum, product) in sums.iter_mut().zip([h * h, h * v, v * v, h * z, v * z, z * z]) {
-                *sum += w * product;
-            }
-        }
-        Self(sums)
+        let [xx, xy, yy, xz, yz, zz] = scene.weighted_scatter();
+        let (s, c) = azimuth.sin_cos();
+        // h = c x + s y, v = c y - s x.
+        Self([
+            c * c * xx + 2.0 * c * s * xy + s * s * yy,
+            c * s * (yy - xx) + (c * c - s * s) * xy,
+            s * s * xx - 2.0 * c * s * xy + c * c * yy,
+            c * xz + s * yz,
+            c * yz - s * xz,
+            zz,
+        ])
     }
 }
 

@@ -71,7 +71,7 @@ pub(crate) fn near_size(n: usize, step: usize) -> usize {
 
 fn is_smooth(n: usize, primes: &[usize]) -> bool {
     let divide = |mut rest: usize, p: &usize| {
-        while rest % p == 0 {
+        while rest.is_multiple_of(*p) {
             rest /= p;
         }
         rest

@@ -245,6 +245,45 @@ fn scatter_simd<S: Simd>(simd: S, at: [&[f64]; 3]) -> ([f64; 3], [f64; 6]) {
     (mean, products.map(|p| p.as_slice().iter().sum()))
 }
 
+/// Weighted scatter of positions about their weighted mean: xx, xy, yy, xz, yz, zz.
+pub(crate) fn weighted_scatter(level: Level, at: [&[f64]; 3], weight: &[f64], weight_sum: f64) -> [f64; 6] {
+    on_tier!(level, simd => weighted_scatter_simd(simd, at, weight, weight_sum))
+}
+
+#[inline(always)]
+fn weighted_scatter_simd<S: Simd>(simd: S, [x, y, z]: [&[f64]; 3], weight: &[f64], weight_sum: f64) -> [f64; 6] {
+    let columns = [x, y, z, weight];
+    let sums = fold(
+        simd,
+        columns,
+        [0.0; 4],
+        [0.0; 3],
+        #[inline(always)]
+        |[a, b, c], [x, y, z, w]| [w.mul_add(x, a), w.mul_add(y, b), w.mul_add(z, c)],
+    );
+    let m = sums.map(|s| V::<S, f64>::splat(simd, s.as_slice().iter().sum::<f64>() / weight_sum));
+    let products = fold(
+        simd,
+        columns,
+        [0.0; 4],
+        [0.0; 6],
+        #[inline(always)]
+        |[xx, xy, yy, xz, yz, zz], [x, y, z, w]| {
+            let [x, y, z] = [x - m[0], y - m[1], z - m[2]];
+            let [wx, wy, wz] = [w * x, w * y, w * z];
+            [
+                wx.mul_add(x, xx),
+                wx.mul_add(y, xy),
+                wy.mul_add(y, yy),
+                wx.mul_add(z, xz),
+                wy.mul_add(z, yz),
+                wz.mul_add(z, zz),
+            ]
+        },
+    );
+    products.map(|p| p.as_slice().iter().sum())
+}
+
 /// Smallest and largest coordinate along each of three directions.
 pub(crate) fn extents(level: Level, at: [&[f64]; 3], directions: [[f64; 3]; 3]) -> [[f64; 2]; 3] {
     on_tier!(level, simd => extents_simd(simd, at, directions))

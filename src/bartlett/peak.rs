@@ -129,12 +129,16 @@ pub struct Searcher {
     tier: Tier,
     single: Sampler<f32>,
     double: Sampler<f64>,
+    /// The last band limit, and the radius that it is for.
+    last: (f64, usize),
 }
 
 /// FFTs and buffers of one precision.
 struct Sampler<T: Real> {
     ffts: Ffts<T>,
     columns: [Vec<T>; 5],
+    /// Cosines and sines of the azimuths of a ring.
+    circle: Vec<[f64; 2]>,
     directions: Vec<[T; 3]>,
     rows: Vec<Complex<T>>,
     work: ResampleWork<T>,
@@ -144,7 +148,16 @@ impl Searcher {
     /// A searcher for a tier; one that this machine lacks runs the portable code.
     #[must_use]
     pub fn new(tier: Tier) -> Self {
-        Self { tier, single: Sampler::new(tier), double: Sampler::new(tier) }
+        Self { tier, single: Sampler::new(tier), double: Sampler::new(tier), last: (0.0, 0) }
+    }
+
+    /// The band limit for a radius in radians of phase: the last one if that was for one at most two percent larger.
+    fn order(&mut self, radius: f64) -> usize {
+        if !(0.98 * self.last.0..=self.last.0).contains(&radius) {
+            let above = 1.005 * radius;
+            self.last = (above, tail_order(above, TAIL));
+        }
+        self.last.1
     }
 
     /// As [`search`], up to `elevation_max_rad`.
@@ -164,7 +177,7 @@ impl Searcher {
                 limit_m: LIMIT_RADIUS / TAU * scene.turn_m,
             });
         }
-        let order = tail_order(TAU * scene.radius, TAIL);
+        let order = self.order(TAU * scene.radius);
         let evaluated = near_size(2 * order + 2, 2);
         let ring = good_size(SAMPLES_PER_ORDER * order + 16);
         let shape = scene.shape();
@@ -172,6 +185,9 @@ impl Searcher {
         Ok(search.run(elevation_max_rad))
     }
 }
+
+/// Above this many samples noise alone would be sampled as badly as rough sines are.
+const ROUGH_SAMPLES: usize = 4_096;
 
 /// One search under way.
 struct Search<'a> {
@@ -269,7 +285,8 @@ impl<'a> Search<'a> {
         let along = (self.order as f64 * PI / self.ring as f64).cos();
         let across = if rows > 1 { (RING_STEP / 2.0).cos() } else { 1.0 };
         let radius = TAU * self.scene.radius.hypot(self.scene.half_height);
-        let rounding = if self.in_double() { 1e-15 * radius } else { 1e-6 + 2e-7 * radius + ROUGH };
+        let rough = if self.scene.sines() == Sines::Rough { ROUGH } else { 0.0 };
+        let rounding = if self.in_double() { 1e-15 * radius } else { 1e-6 + 2e-7 * radius + rough };
         let [tail, lost] = [TAIL, TAIL + rounding].map(|share| share * self.scene.sum_abs);
         (along * across * (best - tail) - lost).max(0.0)
     }
@@ -410,6 +427,13 @@ fn elevation_rings(scene: &Scene, limit: f64) -> Vec<f64> {
     (0..=steps as usize).map(|i| if i == 0 { 0.0 } else { elevation(change(limit) * i as f64 / steps) }).collect()
 }
 
+impl Scene {
+    /// The sines that a search of these samples needs: errors count against the highest peak of noise.
+    fn sines(&self) -> Sines {
+        if self.len() <= ROUGH_SAMPLES { Sines::Rough } else { Sines::Fine }
+    }
+}
+
 /// How a ring is sampled.
 #[derive(Clone, Copy)]
 struct Ring {
@@ -424,18 +448,19 @@ struct Ring {
 impl<T: Real> Sampler<T> {
     fn new(tier: Tier) -> Self {
         let (columns, work) = (Default::default(), ResampleWork::default());
-        Self { ffts: Ffts::new(tier), columns, directions: Vec::new(), rows: Vec::new(), work }
+        Self { ffts: Ffts::new(tier), columns, circle: Vec::new(), directions: Vec::new(), rows: Vec::new(), work }
     }
 
     fn sample(&mut self, tier: Tier, scene: &Scene, elevations: &[f64], ring: Ring) -> Sampled {
+        if self.circle.len() != ring.evaluated {
+            let angle = |j: usize| TAU * j as f64 / ring.evaluated as f64;
+            self.circle = (0..ring.evaluated).map(|j| [angle(j).cos(), angle(j).sin()]).collect();
+        }
         self.directions.clear();
         for &elevation in elevations {
-            let columns = ring.columns(elevation);
             let (sin_el, cos_el) = elevation.sin_cos();
-            self.directions.extend((0..columns).map(|j| {
-                let (sin, cos) = (TAU * j as f64 / ring.evaluated as f64).sin_cos();
-                [cos_el * cos, cos_el * sin, sin_el].map(T::of)
-            }));
+            let turned = |[cos, sin]: &[f64; 2]| [cos_el * cos, cos_el * sin, sin_el].map(T::of);
+            self.directions.extend(self.circle[..ring.columns(elevation)].iter().map(turned));
         }
         let c = scene.columns();
         for (column, from) in self.columns.iter_mut().zip([c.x, c.y, c.z, c.re, c.im]) {
@@ -444,7 +469,7 @@ impl<T: Real> Sampler<T> {
         }
         let [x, y, z, re, im] = &self.columns;
         let columns = Columns { x, y, z, re, im };
-        let sums = pairs::<T>(tier.level_or_portable(), columns, &self.directions, Sines::Rough);
+        let sums = pairs::<T>(tier.level_or_portable(), columns, &self.directions, scene.sines());
         let elevations = self.arrange(elevations, &sums, ring);
         Resample::new(ring.evaluated, ring.dense, &mut self.ffts).run(&self.rows, &mut self.work);
         let values = self.work.dense.iter().map(|f| f.norm_sqr().into()).collect();
@@ -493,18 +518,24 @@ impl Ring {
 fn local_maxima(sampled: &Sampled, ring: usize) -> Vec<(usize, f64)> {
     let rows = sampled.elevations.len();
     let mut maxima = Vec::new();
+    let around = |i: usize| (if i == 0 { ring - 1 } else { i - 1 }, if i + 1 == ring { 0 } else { i + 1 });
     if rows == 1 {
         let values = &sampled.values;
-        let top = |i: usize| values[i] >= values[(i + ring - 1) % ring] && values[i] >= values[(i + 1) % ring];
-        maxima.extend((0..ring).filter(|i| top(*i)).map(|i| (i, values[i])));
+        let top = |&i: &usize| {
+            let (before, after) = around(i);
+            values[i] >= values[before] && values[i] >= values[after]
+        };
+        maxima.extend((0..ring).filter(top).map(|i| (i, values[i])));
         return maxima;
     }
     for row in 0..rows {
         for column in 0..ring {
             let value = sampled.values[row * ring + column];
-            let columns = [(column + ring - 1) % ring, column, (column + 1) % ring];
-            let around = row.saturating_sub(1)..(row + 2).min(rows);
-            if around.clone().all(|r| columns.iter().all(|c| sampled.values[r * ring + c] <= value)) {
+            let (before, after) = around(column);
+            let columns = [column, before, after];
+            if (row.saturating_sub(1)..(row + 2).min(rows))
+                .all(|r| columns.iter().all(|c| sampled.values[r * ring + c] <= value))
+            {
                 maxima.push((row * ring + column, value));
             }
         }
@@ -512,10 +543,10 @@ fn local_maxima(sampled: &Sampled, ring: usize) -> Vec<(usize, f64)> {
     maxima
 }
 
-/// Offset, in steps, of the vertex of the parabola through a sample and its neighbours around the ring.
+/// Offset, in steps, of the vertex of the parabola through the logarithms of a sample and its neighbours around the ring.
 fn vertex(values: &[f64], index: usize, ring: usize) -> f64 {
     let (row, column) = (index / ring * ring, index % ring);
-    let [before, here, after] = [ring - 1, 0, 1].map(|d| values[row + (column + d) % ring]);
+    let [before, here, after] = [ring - 1, 0, 1].map(|d| values[row + (column + d) % ring].max(f64::MIN_POSITIVE).ln());
     let bend = before - 2.0 * here + after;
     if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
 }

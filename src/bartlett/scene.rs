@@ -6,7 +6,7 @@ use fearless_simd::Level;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use super::error::Error;
-use super::front::{Front, check_lengths, extents, scatter};
+use super::front::{Front, check_lengths, extents, scatter, weighted_scatter};
 use super::simd::Tier;
 use super::sums::Columns;
 use crate::samples::Samples;
@@ -117,6 +117,11 @@ impl Scene {
         let ranges = extents(self.level, at, axes.map(Into::into));
         let half = ranges.map(|[low, high]| (high - low) / 2.0);
         Shape { geometry: classify(half, &axes), half_extent_m: half.map(|h| h * self.turn_m), axes }
+    }
+
+    /// Weighted scatter of the positions (turns squared): xx, xy, yy, xz, yz, zz.
+    pub fn weighted_scatter(&self) -> [f64; 6] {
+        weighted_scatter(self.level, [&self.x, &self.y, &self.z], &self.weight, self.weight_sum)
     }
 
     /// The largest value of a function of the positions (turns), at least 0.

@@ -278,6 +278,15 @@ fn describe(answer: &Answer) -> String {
         }
         _ => text += "  no range: the wave front's curvature does not fix it\n",
     }
+    if answer.paths.len() > 1 {
+        text += "  paths (one-way power):\n";
+        text += &super::explain::places(&answer.paths);
+    }
+    if let Some(focus) = answer.focus.filter(|focus| focus.worthwhile) {
+        let (scale, turn_deg) = (focus.warp.scale, focus.warp.turn_rad_per_m.to_degrees());
+        let _ =
+            writeln!(text, "  trajectory sharpened over all links: scaled by {scale:.3}, bent by {turn_deg:.1} deg/m");
+    }
     if let Some(body) = answer.azimuth_body_deg {
         let _ = writeln!(text, "  in the robot's frame: {body:.2} deg (heading at the last sample)");
     }

@@ -4,9 +4,9 @@ use super::args::channel;
 use super::{Outcome, Result, print, print_json, simulate};
 use csi5300::backend::replay::Replay;
 use csi5300::backend::sim::Scene;
-use csi5300::channel::Channel;
+use csi5300::channel::{Channel, Width};
 use csi5300::compare::fit::Known;
-use csi5300::compare::{Figures, Row, Verdict, fit, measure, rows};
+use csi5300::compare::{Figures, Row, Verdict, fit, measure, rows, scene_channel};
 use csi5300::evaluate::find;
 use csi5300::odometry;
 use csi5300::pipeline::Options;
@@ -34,9 +34,12 @@ pub struct Args {
     /// Where the transmitter's antenna was, metres, in the trajectory's frame; found from the capture if not given
     #[arg(long, value_name = "X,Y,Z", value_parser = place, allow_hyphen_values = true)]
     transmitter: Option<[f64; 3]>,
-    /// Folder for the fitted scene, the simulated capture and the pictures
+    /// Folder for the fitted scene and its trajectory, the simulated capture and the pictures
     #[arg(long, default_value = "csi5300-compare", value_name = "DIR")]
     out: PathBuf,
+    /// Replace what an earlier run left in that folder
+    #[arg(long)]
+    force: bool,
     /// A line of JSON for each figure
     #[arg(long)]
     json: bool,
@@ -55,22 +58,19 @@ type Words<T> = std::result::Result<T, String>;
 /// Puts a recorded and a simulated capture beside each other.
 pub fn run(args: &Args) -> Result {
     let options = Options::new(args.channel);
+    // Before anything is read or fitted: minutes of work end in these files.
+    args.check_outputs()?;
+    let given = args.with.as_deref().filter(|with| !with.is_dir()).map(|file| load(file, args.channel)).transpose()?;
     let (trajectory, counts) = odometry::csv::read(&args.trajectory).map_err(|error| error.to_string())?;
     if let Some((line, why)) = counts.first_bad {
         eprintln!("csi5300: {} rows left out, the first in line {line}: {why}", counts.bad_rows);
     }
     let recorded = read(&args.rx, &args.tx, &trajectory, &options)?;
-    let folder = args.out.join("simulated");
-    let capture = match &args.with {
-        Some(folder) if folder.is_dir() => folder.clone(),
-        Some(scene) => {
-            let scene = Scene::load(scene).map_err(|error| format!("{}: {error}", scene.display()))?;
-            clear(&folder)?;
-            simulate::write(&scene, &folder)?;
-            folder
-        }
-        None => {
-            let scene = fitted(args, &recorded, &trajectory, &options)?;
+    let folder = args.out.join(SIMULATED);
+    let capture = match (&args.with, given) {
+        (Some(folder), None) => folder.clone(),
+        (_, given) => {
+            let scene = given.map_or_else(|| fitted(args, &recorded, &trajectory, &options), Ok)?;
             clear(&folder)?;
             simulate::write(&scene, &folder)?;
             folder
@@ -85,6 +85,56 @@ pub fn run(args: &Args) -> Result {
     }
     draw(&args.out, &recorded, &simulated, args.json)?;
     Ok(Outcome::Done)
+}
+
+/// Names of what is written into the folder; the trajectory is a copy that the scene names.
+const TRAJECTORY: &str = "fitted-trajectory.csv";
+const SCENE: &str = "scene.toml";
+const SIMULATED: &str = "simulated";
+
+impl Args {
+    /// Refuses outputs that are inputs, and without --force those that are there.
+    fn check_outputs(&self) -> Words<()> {
+        let simulated = self.out.join(SIMULATED);
+        let written: Vec<PathBuf> = match &self.with {
+            Some(folder) if folder.is_dir() => return Ok(()),
+            Some(_) => Vec::new(),
+            None => [TRAJECTORY, SCENE].iter().map(|name| self.out.join(name)).collect(),
+        };
+        for input in [&self.rx, &self.tx, &self.trajectory].into_iter().chain(&self.with) {
+            if let Some(output) = written.iter().find(|output| super::is_same_file(input, output)) {
+                return Err(format!("{} is an input: another --out is needed", output.display()));
+            }
+            let inside = input.canonicalize().ok().zip(simulated.canonicalize().ok());
+            if inside.is_some_and(|(input, folder)| input.starts_with(folder)) {
+                let (input, folder) = (input.display(), simulated.display());
+                return Err(format!(
+                    "{input} is an input inside {folder}, which is written anew: another --out is needed"
+                ));
+            }
+        }
+        let used = std::fs::read_dir(&simulated).is_ok_and(|mut entries| entries.next().is_some());
+        let there = written.into_iter().find(|output| output.exists()).or(used.then_some(simulated));
+        match there.filter(|_| !self.force) {
+            Some(there) => Err(format!("{} is there already: --force replaces it", there.display())),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Reads a scene, which must be of the recording's channel.
+fn load(file: &Path, channel: Channel) -> Words<Scene> {
+    let scene = Scene::load(file).map_err(|error| format!("{}: {error}", file.display()))?;
+    let wide = channel.width() != Width::Ht20;
+    if (scene.channel, scene.bandwidth_mhz == 40) != (scene_channel(channel), wide) {
+        return Err(format!(
+            "{} is of channel {} at {} MHz, not of --channel {channel}",
+            file.display(),
+            scene.channel,
+            scene.bandwidth_mhz
+        ));
+    }
+    Ok(scene)
 }
 
 /// Removes the capture of an earlier run.
@@ -126,16 +176,10 @@ fn fitted(args: &Args, recorded: &Figures, trajectory: &Trajectory, options: &Op
         let heading = pose.heading_rad.map_or(String::new(), |heading| format!("{heading:.6},"));
         let _ = writeln!(poses, "{:.6},0,{:.6},{:.6},{:.6},{heading}", pose.t_s, p.x, p.y, p.z);
     }
-    written(&args.out.join("trajectory.csv"), &poses)?;
-    let known = Known {
-        trajectory,
-        file: Path::new("trajectory.csv"),
-        folder: &args.out,
-        transmitter_m: args.transmitter,
-        channel: args.channel.number() as u16,
-    };
+    written(&args.out.join(TRAJECTORY), &poses)?;
+    let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: &args.out, transmitter_m: args.transmitter };
     let fitted = fit(recorded, &known, options)?;
-    written(&args.out.join("scene.toml"), &fitted.toml)?;
+    written(&args.out.join(SCENE), &fitted.toml)?;
     Ok(fitted.scene)
 }
 

@@ -1,10 +1,10 @@
 //! `csi5300 evaluate`.
 
 use super::args::{Estimation, Step, channel};
-use super::{Outcome, Result, print, print_json};
+use super::{Outcome, Result, print, print_json, usage};
 use csi5300::channel::{Channel, Width};
 use csi5300::evaluate::{Capture, Errors, Evaluated, Judged, SetSummary, Source, find, summarise};
-use csi5300::quality::{ranges, receivers, reliability, risk_coverage};
+use csi5300::quality::{over_bound, ranges, receivers, reliability, risk_coverage};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -15,7 +15,19 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 pub struct Args {
     /// Folder with captures below it, as in the WSR data set
-    folder: PathBuf,
+    #[arg(required_unless_present = "rooms")]
+    folder: Option<PathBuf>,
+    /// Also evaluate this many simulated rooms with the transmitters in sight, and as many with walls before them (with
+    /// the true trajectory or odometry)
+    #[arg(long, value_name = "N")]
+    rooms: Option<u64>,
+    /// Seed of the first simulated room
+    #[arg(long, default_value_t = 1, value_name = "NUMBER")]
+    seed: u64,
+    /// Folder for pictures: error distributions, refusals, a map of each place
+    #[cfg(feature = "plot")]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
     /// Which trajectory to use
     #[arg(long, value_enum, default_value = "gt")]
     trajectory: Which,
@@ -33,6 +45,24 @@ pub struct Args {
     /// Captures worked on at a time; 0 is one for each core
     #[arg(long, default_value_t = 0, value_name = "N")]
     threads: usize,
+}
+
+/// Simulated rooms in a folder of their own, which goes with the value.
+struct Rooms(PathBuf);
+
+impl Rooms {
+    fn write(count: u64, seed: u64) -> std::result::Result<Self, String> {
+        let folder = std::env::temp_dir().join(format!("csi5300-rooms-{}", std::process::id()));
+        let rooms = Self(folder);
+        csi5300::rooms::write(&rooms.0, count, seed).map_err(|error| error.to_string())?;
+        Ok(rooms)
+    }
+}
+
+impl Drop for Rooms {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
 }
 
 /// A trajectory file of a capture.
@@ -58,22 +88,28 @@ impl From<Which> for Source {
 
 /// Evaluates a tree of captures.
 pub fn run(args: &Args) -> Result {
-    if !args.folder.is_dir() {
-        return Err(format!("{} is not a folder", args.folder.display()));
-    }
+    let rooms = args.rooms.map(|count| Rooms::write(count, args.seed)).transpose()?;
     let source = args.trajectory.into();
     // The channel here is a stand-in; each capture brings its own.
     let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
-    let options = args.estimation.options(args.channel.unwrap_or(fallback))?;
-    let (captures, unreadable) = find(&args.folder);
+    let options = args.estimation.options(args.channel.unwrap_or(fallback)).unwrap_or_else(|message| usage(&message));
+    let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
+    for folder in args.folder.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)) {
+        if !folder.is_dir() {
+            return Err(format!("{} is not a folder", folder.display()));
+        }
+        let (found, failed) = find(folder);
+        if found.is_empty() {
+            return Err(format!(
+                "no capture below {}: a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat",
+                folder.display()
+            ));
+        }
+        captures.extend(found);
+        unreadable.extend(failed);
+    }
     for folder in &unreadable {
         eprintln!("csi5300: cannot read {folder}");
-    }
-    if captures.is_empty() {
-        return Err(format!(
-            "no capture below {}: a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat",
-            args.folder.display()
-        ));
     }
     let bar = ProgressBar::with_draw_target(Some(captures.len() as u64), ProgressDrawTarget::stderr());
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} captures, {eta} left") {
@@ -105,6 +141,11 @@ pub fn run(args: &Args) -> Result {
     } else {
         print(&table(&rows, &summary));
         print(&worth(&rows));
+    }
+    #[cfg(feature = "plot")]
+    if let Some(folder) = &args.out {
+        let written = csi5300::gallery::evaluation(&rows, folder).map_err(|error| error.to_string())?;
+        eprintln!("{}: {} pictures", folder.display(), written.len());
     }
     for row in rows.iter().filter(|row| row.answer.error.is_some()) {
         eprintln!("csi5300: {}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
@@ -177,23 +218,26 @@ fn worth(rows: &[Judged]) -> String {
             located.iter().filter(|r| r.capture.starts_with(&format!("{set}/"))).filter_map(|r| r.off_m).collect();
         off.sort_by(f64::total_cmp);
         let median = off.get(off.len() / 2).map_or("-".into(), |off| format!("{off:.2} m"));
+        let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
         let _ = writeln!(
             text,
-            "{set}: range from {} of {} links, median error {:.2} m; {} receivers located, median error {median}",
+            "{set}: error over predicted deviation {}; range from {} of {} links, median error {} m, over predicted deviation {}; {} receivers located, median error {median}",
+            number(over_bound(&own)),
             ranges.reported,
             ranges.links,
-            ranges.median_m,
+            number(ranges.median_m),
+            number(ranges.over_bound),
             off.len()
         );
     }
     text
 }
 
-/// Links by the first part of their names.
+/// Links by set.
 fn sets(rows: &[Judged]) -> BTreeMap<&str, Vec<&Judged>> {
     let mut sets: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
     for row in rows {
-        sets.entry(row.answer.link.split('/').next().unwrap_or_default()).or_default().push(row);
+        sets.entry(row.set()).or_default().push(row);
     }
     sets
 }

@@ -10,7 +10,7 @@ use csi5300::pipeline::intake::Front;
 use csi5300::pipeline::{Options, Transmitter, bearings};
 use csi5300::pose::Trajectory;
 use csi5300::survey::Survey;
-use csi5300::time::Instant;
+use csi5300::time::{Instant, Unwrap32};
 use std::path::{Path, PathBuf};
 
 /// Arguments of `mcap`.
@@ -36,6 +36,9 @@ pub struct Args {
 pub fn run(args: &Args) -> Result {
     let names = names(&args.logs);
     let trajectory = args.trajectory.as_deref().map(read_trajectory).transpose()?;
+    // What is wrong with the options is said before there is a file.
+    let options = args.channel.filter(|_| trajectory.is_some());
+    let options = options.map(|channel| args.estimation.options(channel).unwrap_or_else(|message| usage(&message)));
     let mut recording = Recording::create(&args.out).map_err(|error| error.to_string())?;
     let (mut usable, mut lost) = (0, false);
     for (name, path) in names.iter().zip(&args.logs) {
@@ -46,11 +49,8 @@ pub fn run(args: &Args) -> Result {
     }
     if let Some(trajectory) = &trajectory {
         recording.trajectory(trajectory);
-        match args.channel {
-            Some(channel) => {
-                let options = args.estimation.options(channel).unwrap_or_else(|message| usage(&message));
-                lost |= estimate(&recording, &names, trajectory, &options, args)?;
-            }
+        match &options {
+            Some(options) => lost |= estimate(&recording, &names, trajectory, options, args)?,
             None => eprintln!("no bearings: they need --channel"),
         }
     }
@@ -71,13 +71,14 @@ fn convert(
 ) -> std::result::Result<(Survey, u64), String> {
     let mut log = Replay::open(path).map_err(|error| error.to_string())?;
     let mut front = Front::new(args.estimation.antenna);
-    let mut first_card_us = None;
+    let (mut clock, mut first_card_us) = (Unwrap32::default(), None);
     loop {
         let next = log.receive(Instant::ZERO).map_err(|error| error.to_string())?;
         if let Some((sender, heard)) = front.note(&next) {
-            let first = *first_card_us.get_or_insert(heard.timestamp_low);
-            let since_us = heard.timestamp_low.wrapping_sub(first);
-            let t_s = heard.host_us.map_or(f64::from(since_us) * 1e-6, |us| us as f64 * 1e-6);
+            // It wraps every 71.6 minutes.
+            let card_us = clock.next(heard.timestamp_low);
+            let since_us = card_us - *first_card_us.get_or_insert(card_us);
+            let t_s = heard.host_us.unwrap_or(since_us) as f64 * 1e-6;
             recording.record(name, t_s, sender, &heard);
         }
         if matches!(next, Next::End(_)) {

@@ -7,6 +7,7 @@ mod demo;
 #[cfg(feature = "live")]
 mod doctor;
 mod evaluate;
+mod explain;
 mod export;
 mod info;
 #[cfg(feature = "live")]
@@ -29,6 +30,8 @@ mod report;
 mod respond;
 #[cfg(feature = "live")]
 mod serve;
+#[cfg(feature = "live")]
+mod session;
 #[cfg(feature = "live")]
 mod setup;
 mod simulate;
@@ -95,6 +98,8 @@ enum Command {
     Report(report::Args),
     /// Where the receiver of a capture is, from its links to transmitters whose places are known
     Locate(locate::Args),
+    /// One link from end to end: phase, compensation, autofocus, candidates and paths, with pictures
+    Explain(explain::Args),
     /// Copies every intact record of a damaged log, and nothing else
     Recover(recover::Args),
     /// CSI of a log as CSV or NPZ, raw or scaled
@@ -145,6 +150,7 @@ pub fn run() -> ExitCode {
         #[cfg(feature = "plot")]
         Command::Report(args) => report::run(&args),
         Command::Locate(args) => locate::run(&args),
+        Command::Explain(args) => explain::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Export(args) => export::run(&args),
         #[cfg(feature = "foxglove")]

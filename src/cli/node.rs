@@ -33,7 +33,7 @@ pub fn run(args: &Args) -> Result {
     if let Some(error) = &ended.error {
         return Err(error.to_string());
     }
-    Ok(if ended.health.records == 0 {
+    Ok(if ended.health.records == 0 && !ended.signalled {
         Outcome::Nothing
     } else if ended.health.lost_something() {
         Outcome::DataLost

@@ -3,7 +3,7 @@
 use super::Result;
 use super::args::antenna;
 use super::live::Signals;
-use super::sounding::{Sounding, Task, Wanted, Words, run as drive};
+use super::sounding::{NO_NUMBERS, Sounding, Task, Wanted, Words, run as drive};
 use super::usage;
 use csi5300::backend::Next;
 use csi5300::sounding::{Order, Running, measurement};
@@ -34,11 +34,16 @@ struct Measuring {
     peers: Vec<Mac>,
     survey: Survey,
     carries: bool,
+    told: bool,
 }
 
 impl Task for Measuring {
     fn record(&mut self, next: &Next<'_>, running: &Running) {
         let Some((bfee, identity)) = self.survey.note(next) else { return };
+        if self.carries && identity.frame_count.is_none() && bfee.wsr().is_none() && !self.told {
+            self.told = true;
+            eprintln!("{NO_NUMBERS}");
+        }
         if self.carries
             && self.peers.contains(&identity.mac)
             && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
@@ -62,10 +67,10 @@ pub fn run(args: &Args) -> Result {
     let signals = Signals::catch()?;
     let clock = Monotonic::new();
     let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
-    common.see_to_rate(args.antenna);
+    common.see_to_rate(args.antenna)?;
     let carries = common.dialect == Words::Native && !common.no_measurement;
     let source = common.source(if carries { Wanted::IfPossible } else { Wanted::Not })?;
     let peers = common.peers.clone();
-    let mut task = Measuring { antenna: args.antenna, peers, survey: Survey::default(), carries };
+    let mut task = Measuring { antenna: args.antenna, peers, survey: Survey::default(), carries, told: false };
     drive(common, &signals, source, opened, clock, &mut task)
 }

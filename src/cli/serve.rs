@@ -65,19 +65,23 @@ type Words<T> = std::result::Result<T, String>;
 /// Serves a scene until its end or a signal.
 pub fn run(mut scene: Scene, args: &Args) -> Result {
     let signals = Signals::catch()?;
-    // Times are of now. The real socket has its own queue, and the real listener stalls by itself.
-    scene.start_unix_s = wall_us().map_or(scene.start_unix_s, |us| us.div_euclid(1_000_000));
+    let outputs = open(&scene, args)?;
+    for output in &outputs {
+        eprintln!("serving {} on connector index {}", output.name, output.sender.index());
+    }
+    // Times are of now: the scene begins when this clock does.
+    let (clock, wall_us) = (Monotonic::new(), wall_us());
+    let start_us = wall_us.unwrap_or(scene.start_unix_s.saturating_mul(1_000_000));
+    scene.start_unix_s = start_us.div_euclid(1_000_000);
     for robot in &mut scene.robot {
+        robot.host_clock.offset_s += start_us.rem_euclid(1_000_000) as f64 * 1e-6;
+        // The real socket has its own queue, and the real listener stalls by itself.
         (robot.faults.queue_records, robot.faults.stall_every_s) = (usize::MAX, 0.0);
     }
     let mut room = Room::new(&scene).map_err(|error| error.to_string())?;
-    let mut all = open(&mut room, args)?;
-    for robot in &all {
-        eprintln!("serving {} on connector index {}", robot.name, robot.sender.index());
-    }
+    let mut all = outputs.into_iter().map(|output| output.of(&mut room)).collect::<Words<Vec<_>>>()?;
     let speed = args.speed.unwrap_or(1.0);
-    let clock = Monotonic::new();
-    let mut now = Instant::ZERO;
+    let (mut now, mut behind) = (Instant::ZERO, Span::ZERO);
     loop {
         let mut next: Option<Instant> = None;
         for robot in &mut all {
@@ -86,14 +90,16 @@ pub fn run(mut scene: Scene, args: &Args) -> Result {
         let Some(next) = next else { break };
         // Without waiting, time still passes event by event.
         let until = speed.is_finite().then(|| Span::from_s(next.as_s() / speed));
-        let until = until.map_or(Instant::ZERO, |span| Instant::ZERO + span + Span::from_us(1));
-        if clock.wait([signals.as_fd()], Some(until)).map_err(|error| error.to_string())?[0] {
+        let until = until.map(|span| Instant::ZERO + span + Span::from_us(1));
+        if clock.wait([signals.as_fd()], Some(until.unwrap_or(Instant::ZERO))).map_err(|error| error.to_string())?[0] {
             break;
         }
+        let woken = clock.now();
         let waited = match speed.is_finite() {
-            true => Instant::ZERO + Span::from_s(clock.now().as_s() * speed),
+            true => Instant::ZERO + Span::from_s(woken.as_s() * speed),
             false => next,
         };
+        behind = until.map_or(behind, |until| behind.max(woken - until));
         now = waited.max(now);
     }
     let mut sent = 0;
@@ -102,27 +108,57 @@ pub fn run(mut scene: Scene, args: &Args) -> Result {
         let number = room.number(&robot.name).unwrap_or_default();
         eprintln!("{}: {} records sent; injected {:?}", robot.name, robot.sent, injected.get(number));
     }
+    if speed.is_finite() {
+        eprintln!("at most {:.1} ms behind real time", behind.as_s() * 1e3);
+    }
     Ok(if sent == 0 { Outcome::Nothing } else { Outcome::Done })
 }
 
-fn open(room: &mut Room, args: &Args) -> Words<Vec<Served>> {
-    let first = room.scene().initiators().first().and_then(|&k| room.scene().robot.get(k)).map(|r| r.name.clone());
+/// Opens everything that may take time or fail, before the scene's time begins.
+fn open(scene: &Scene, args: &Args) -> Words<Vec<Output>> {
+    let first = scene.initiators().first().and_then(|&k| scene.robot.get(k)).map(|robot| robot.name.clone());
     let named = if args.robot.is_empty() { vec![(first.unwrap_or_default(), CN_IDX)] } else { args.robot.clone() };
     if args.poses.len() > named.len() {
         return Err(format!("{} files for poses and {} robots served", args.poses.len(), named.len()));
     }
-    let mut all = Vec::new();
-    for (k, (name, index)) in named.into_iter().enumerate() {
+    for (k, (name, index)) in named.iter().enumerate() {
+        if !scene.robot.iter().any(|robot| robot.name == *name) {
+            return Err(format!("no robot {name} in the scene"));
+        }
+        for (other, same) in &named[..k] {
+            if other == name {
+                return Err(format!("{name} is served twice"));
+            }
+            if same == index {
+                let free = "give each its own, such as NAME=27";
+                return Err(format!("{other} and {name} would both be served on connector index {index}: {free}"));
+            }
+        }
+    }
+    let output = |(k, (name, index)): (usize, (String, u32))| {
+        let sender = Sender::open(index, true).map_err(|error| error.to_string())?;
+        let poses = args.poses.get(k).map(append).transpose()?;
+        Ok(Output { name, sender, poses })
+    };
+    named.into_iter().enumerate().map(output).collect()
+}
+
+/// Where a robot's records and poses go.
+struct Output {
+    name: String,
+    sender: Sender,
+    poses: Option<Box<dyn Write>>,
+}
+
+impl Output {
+    /// Joins the outputs with the robot's card and odometry.
+    fn of(self, room: &mut Room) -> Words<Served> {
+        let Self { name, sender, poses } = self;
         let number = room.number(&name).ok_or_else(|| format!("no robot {name} in the scene"))?;
         let card = room.card(number).ok_or_else(|| format!("{name} is served twice"))?;
-        let sender = Sender::open(index, true).map_err(|error| error.to_string())?;
-        let poses = match args.poses.get(k) {
-            None => None,
-            Some(path) => room.odometry(number).map(|source| Ok::<_, String>((source, append(path)?))).transpose()?,
-        };
-        all.push(Served { name, card, sender, sent: 0, poses, card_over: false });
+        let poses = poses.and_then(|out| room.odometry(number).map(|source| (source, out)));
+        Ok(Served { name, card, sender, sent: 0, poses, card_over: false })
     }
-    Ok(all)
 }
 
 fn append(path: &PathBuf) -> Words<Box<dyn Write>> {
@@ -168,7 +204,6 @@ impl Served {
                         .map_err(|error| format!("cannot write a pose: {error}"))?;
                     written = true;
                 }
-                // A simulated robot keeps its frame.
                 NextPose::NewFrame => {}
                 NextPose::Pending => break source.next_at(),
                 NextPose::End => break None,

@@ -2,7 +2,7 @@
 
 use super::args::{Estimation, channel};
 use super::live::{Signals, duration};
-use super::sounding::{Sounding, Task, Wanted, Words, run as drive};
+use super::sounding::{NO_NUMBERS, Sounding, Task, Wanted, Words, run as drive};
 use super::{Result, print, print_json, usage};
 use csi5300::backend::Next;
 use csi5300::channel::Channel;
@@ -74,6 +74,7 @@ struct Bearings<'a> {
     products: Products,
     path: &'a Path,
     next_at: Instant,
+    told: bool,
 }
 
 /// What `sound` does beside sounding.
@@ -105,7 +106,11 @@ impl Task for Live<'_> {
 }
 
 impl Bearings<'_> {
-    fn make(&self, running: &Running) {
+    fn make(&mut self, running: &Running) {
+        if self.products.unused().no_number > 0 && !self.told {
+            self.told = true;
+            eprintln!("{NO_NUMBERS}");
+        }
         let trajectory = match odometry::csv::read(self.path) {
             Ok((trajectory, _)) => trajectory,
             Err(error) => return eprintln!("{}: {error}", self.path.display()),
@@ -182,7 +187,7 @@ pub fn run(args: &Args) -> Result {
     let bearings = match (&args.trajectory, args.channel) {
         (Some(path), Some(channel)) => {
             let options = args.estimation.options(channel)?;
-            Some(Bearings { args, products: Products::new(&common.peers, options), path, next_at: now })
+            Some(Bearings { args, products: Products::new(&common.peers, options), path, next_at: now, told: false })
         }
         _ => None,
     };
@@ -193,7 +198,7 @@ pub fn run(args: &Args) -> Result {
             config.silence_slots = ALONE_SILENCE_SLOTS;
         }
     })?;
-    common.see_to_rate(args.estimation.antenna);
+    common.see_to_rate(args.estimation.antenna)?;
     let source = common.source(if bearings.is_some() { Wanted::Needed } else { Wanted::Not })?;
     drive(common, &signals, source, opened, clock, &mut Live { bearings })
 }

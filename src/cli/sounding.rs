@@ -2,6 +2,7 @@
 
 use super::args::mac;
 use super::live::{Listening, Signals, duration};
+use super::session;
 use super::{Outcome, Result, usage};
 use csi5300::backend::monitor::{self, Counters, Monitor};
 use csi5300::backend::netlink::Netlink;
@@ -44,7 +45,7 @@ pub struct Sounding {
     /// Links in a round, the same on all robots; as many as there are peers where not given
     #[arg(long, value_name = "N")]
     pub links: Option<u16>,
-    /// Modulation of every frame, 0 to 31
+    /// Modulation of every frame, 0 to 23; from 8 on it has several streams, on as many antennas
     #[arg(long, default_value_t = 1, value_name = "MCS")]
     pub mcs: u8,
     /// Frames 40 MHz wide
@@ -63,6 +64,10 @@ pub struct Sounding {
     #[arg(long, default_value_t = TURN_AROUND_US, value_name = "US")]
     pub turn_around: u32,
     /// File with a key that all robots share, 32 hexadecimal digits or 16 bytes: frames without it are ignored
+    ///
+    /// So are frames of an older session. A session is numbered by the clock, and later than the one before as kept in
+    /// $XDG_STATE_HOME/csi5300, ~/.local/state/csi5300 or /var/lib/csi5300: where none of these can be written and the
+    /// clock was set back, the others ignore this robot until its clock has caught up.
     #[arg(long, value_name = "FILE")]
     pub key: Option<PathBuf>,
     /// This robot's MAC, instead of the interface's own
@@ -155,7 +160,7 @@ impl Sounding {
         let own = self.mac.map(|mac| mac.0).or(monitor.mac());
         let own = own.ok_or_else(|| format!("{} has no MAC of its own: give --mac", self.interface))?;
         let peers: Vec<[u8; 6]> = self.peers.iter().map(|mac| mac.0).collect();
-        let session = wall_us().map_or(1, |us| (us / 1_000_000) as u32);
+        let session = session::begin(Mac(own), wall_us());
         let mut config = Config::new(own, self.own_index().unwrap_or(0), &peers, request, session);
         config.key = key;
         // A WSR robot without a length of its own answers nothing: its kernel may.
@@ -175,17 +180,21 @@ impl Sounding {
     }
 
     /// Sees to the driver's rate.
-    pub fn see_to_rate(&self, antenna: Antenna) {
+    pub fn see_to_rate(&self, antenna: Antenna) -> std::result::Result<(), String> {
         if self.keep_rate {
-            return;
+            return Ok(());
         }
-        match set_rate(&Machine, &self.interface, rate_n_flags(self.request().phy, antenna)) {
+        let rate = rate_n_flags(self.request().phy, antenna).ok_or_else(|| {
+            format!("--mcs {} has more streams than the card has antennas: 23 is the highest", self.mcs)
+        })?;
+        match set_rate(&Machine, &self.interface, rate) {
             Rate::FromRadiotap | Rate::Right(_) => {}
             Rate::Set(rate, before) => eprintln!("monitor_tx_rate set to {rate:#x} (was {before})"),
             Rate::Other { found, error, mend } => {
                 eprintln!("monitor_tx_rate is {found}, so frames go out at another rate ({error}): {mend}");
             }
         }
+        Ok(())
     }
 
     /// The driver's messages, if they are wanted: recorded, or only read.
@@ -340,6 +349,9 @@ pub fn run(
     Ok(conclude(common, exchange, logged, news_lost, failed.or(error.map(text))))
 }
 
+/// Said once where the driver's records cannot be told apart.
+pub const NO_NUMBERS: &str = "the driver's records carry neither sender nor number: load it with connector_log=0x5 (csitool), or use the WSR driver";
+
 /// Takes everything that the driver has said.
 fn take(source: &mut Source, now: Instant, running: &Running, task: &mut dyn Task) -> std::result::Result<(), Error> {
     loop {
@@ -410,7 +422,8 @@ fn summary(common: &Sounding, exchange: &Exchange<Monitor>, air: &Counters) -> S
                 let _ = writeln!(text, "  {mac}: {} sounded, {} answered", link.sounded, link.answered);
             }
         }
-        let _ = writeln!(text, "  lateness: {}", spread_of(&figures.lateness_us));
+        let _ = writeln!(text, "  lateness: {}: every slot that was due, skipped ones too", spread_of(&figures.due_us));
+        let _ = writeln!(text, "  lateness of the frames sent: {}", spread_of(&figures.lateness_us));
         let _ = writeln!(text, "  answers began after: {}", spread_of(&figures.answer_us));
     }
     if counts.replies > 0 {
@@ -439,6 +452,7 @@ fn summary(common: &Sounding, exchange: &Exchange<Monitor>, air: &Counters) -> S
     ];
     let heard = [
         (air.dropped, "frames heard but dropped by the kernel before they were read"),
+        (air.stale, "frames dropped because they had lain in the kernel's queue for a second or more"),
         (air.bad_fcs, "frames with a wrong check sequence"),
         (air.damaged, "frames behind an unreadable radiotap header"),
         (counts.foreign, "frames of another dialect or damaged"),
@@ -448,13 +462,22 @@ fn summary(common: &Sounding, exchange: &Exchange<Monitor>, air: &Counters) -> S
         (counts.unmatched, "answers to nothing that waits"),
         (counts.other_plan, "frames of another plan (--rate, --links)"),
         (counts.yields, "turns given up to another initiator"),
+        (counts.overslept, "turns lost because the host was away"),
+        (counts.rivals, "frames of an initiator or a turn that contradicts what was heard before"),
+        (counts.off_epoch, "frames at another time than their slot's"),
+        (counts.own_echoes, "copies of this robot's own frames"),
+        (counts.events_lost, "events lost because too many came at once"),
     ];
     for (count, what) in skipped.into_iter().chain(refused).chain(heard).filter(|(count, _)| *count > 0) {
         let _ = writeln!(text, "  {count} {what}");
     }
     let sent = counts.forward + counts.replies;
-    if air.tx_status > 0 {
-        let _ = writeln!(text, "  the kernel confirms {} of {sent} frames as sent", air.tx_status.min(sent));
+    if air.tx_failed > 0 {
+        let _ = writeln!(text, "  the kernel reports {} of {sent} frames as failed", air.tx_failed.min(sent));
+    }
+    let confirmed = air.tx_status.saturating_sub(air.tx_failed).min(sent);
+    if confirmed > 0 {
+        let _ = writeln!(text, "  the kernel confirms {confirmed} of {sent} frames as sent");
     } else if sent > 0 {
         let _ = writeln!(text, "  the kernel confirms none of {sent} frames as sent");
     }

@@ -29,16 +29,16 @@ pub struct LinkFigures {
     pub df_hz: f64,
     /// Drift of the transmitter's card clock against the receiver's, parts per million.
     pub drift_ppm: f64,
-    /// Host clock of the transmitter less the receiver's in the first pair, seconds.
-    pub host_apart_s: f64,
+    /// Host clock of the transmitter less the receiver's, median over the pairs, seconds; none without host times.
+    pub host_apart_s: Option<f64>,
     /// Turn-around less its median and drift, microseconds: how much later than usual an answer came.
     pub turn_around_us: Distribution,
     /// Standard deviation of the turn-arounds within [`CORE_US`] of the median, from their quartiles.
     pub core_us: f64,
     /// The other turn-arounds: early (by up to [`FAR_US`]), earlier, late.
     pub groups: [Group; 3],
-    /// Mean number of answers in a row that are away from the core.
-    pub run: f64,
+    /// Mean number of answers in a row that are away from the core; none if some pairs between were left out.
+    pub run: Option<f64>,
     /// Spread of the round trip's phase from packet to packet before turn-around compensation, radians: the circular
     /// standard deviation of its second difference over sqrt(6), so that motion does not count.
     pub spread_before_rad: f64,
@@ -109,8 +109,10 @@ pub fn measure(
     let options = Options { keep_course: true, ..options.clone() };
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
     let report = bearings(&mut rx, transmitters, trajectory, &options).map_err(|error| error.to_string())?;
-    let (receiver, transmitter) = (rx.finish(), tx.finish());
-    let link = link_figures(&report, &receiver, &transmitter, &options)?;
+    // The transmitter's log may hold others' frames too; the receiver's are most, as the pipeline has it.
+    let sender = report.links.first().and_then(|found| found.link.as_ref()).map(|link| link.mac);
+    let (receiver, transmitter) = (rx.finish(sender), tx.finish(options.rx_mac));
+    let link = link_figures(&report, &options)?;
     Ok(Figures { receiver, transmitter, link })
 }
 
@@ -147,7 +149,7 @@ pub fn true_path(room: &Room, robot: usize) -> Result<Trajectory, String> {
     Trajectory::new((0..=rows).filter_map(pose).collect()).map_err(|error| error.to_string())
 }
 
-fn link_figures(report: &Report, rx: &Side, tx: &Side, options: &Options) -> Result<LinkFigures, String> {
+fn link_figures(report: &Report, options: &Options) -> Result<LinkFigures, String> {
     let found = report.links.first().ok_or("no transmitter's log")?;
     let link = found.link.as_ref().ok_or_else(|| match &found.bearing {
         Err(error) => error.to_string(),
@@ -159,13 +161,14 @@ fn link_figures(report: &Report, rx: &Side, tx: &Side, options: &Options) -> Res
         pairs: link.pairs(),
         df_hz: turn.df_hz,
         drift_ppm: turn.drift_ppm,
-        host_apart_s: rx.host_us.zip(tx.host_us).map_or(0.0, |(rx, tx)| (tx.0 - rx.0) as f64 * 1e-6),
+        host_apart_s: link.partner_ahead_s(),
         late_us: turn.jitter_us.iter().map(|d| -d).collect(),
         spread_before_rad: spread_rad(turn.coherence_before),
         spread_after_rad: spread_rad(turn.coherence_after),
         ..LinkFigures::default()
     };
     turn_arounds(&mut figures);
+    figures.run = figures.run.filter(|_| link.thinned() == 0);
     if let Ok(bearing) = &found.bearing {
         place(&mut figures, bearing, options);
     }
@@ -200,7 +203,7 @@ fn turn_arounds(figures: &mut LinkFigures) {
         .filter(|run| run.first().is_some_and(away))
         .map(|run| run.len() as f64)
         .collect();
-    figures.run = Distribution::of(&runs).mean;
+    figures.run = Some(Distribution::of(&runs).mean);
 }
 
 fn place(figures: &mut LinkFigures, bearing: &Bearing, options: &Options) {

@@ -6,9 +6,10 @@
 //! scene and measures it as the recording was measured.
 
 use super::figures::{Figures, measure_scene};
-use super::scene_text::write;
+use super::scene_text::{is_wide, write};
 use super::side::Side;
 use crate::backend::sim::Scene;
+use crate::channel::Width;
 use crate::pipeline::Options;
 use crate::pose::Trajectory;
 use nalgebra::Vector3;
@@ -22,7 +23,7 @@ pub struct Fitted {
     pub toml: String,
     /// The scene.
     pub scene: Scene,
-    /// Its figures in the last round.
+    /// Its figures. The scene's seed is not the one it was fitted with, so these are no better than any other seed's.
     pub figures: Figures,
 }
 
@@ -36,8 +37,6 @@ pub struct Known<'a> {
     pub folder: &'a Path,
     /// Where the transmitter's antenna is, metres, in the trajectory's frame; where it seems to be if not known.
     pub transmitter_m: Option<[f64; 3]>,
-    /// Channel number.
-    pub channel: u16,
 }
 
 /// What is adjusted: phase noise of a frame, loss of the walls (no walls where there was no motion to tell), transmitted
@@ -54,6 +53,8 @@ pub(super) struct Adjusted {
 
 /// Rounds of adjustment.
 const ROUNDS: usize = 6;
+/// The seed with which scenes are fitted, and the one that they get.
+const SEEDS: [u64; 2] = [1, 2];
 /// Loss of walls that is tried first, and least and largest, dB.
 const WALL_DB: [f64; 3] = [12.0, 3.0, 40.0];
 /// A coefficient is rounded to integers: this is the power of the error, steps squared.
@@ -62,23 +63,32 @@ const ROUNDING: f64 = 2.0 / 12.0;
 /// Fits a scene.
 ///
 /// # Errors
-/// A sentence if the recording lacks what a scene needs, or the scene made of it cannot be simulated.
+/// A sentence if the recording lacks what a scene needs, is not of the options' channel, or the scene made of it cannot
+/// be simulated.
 pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<Fitted, String> {
+    if is_wide(&recorded.receiver) != (options.channel.width() != Width::Ht20) {
+        let wide = if is_wide(&recorded.receiver) { 40 } else { 20 };
+        return Err(format!("the records are of {wide} MHz, the channel {} is not", options.channel));
+    }
     let place = known.transmitter_m.or(recorded.link.place_m);
     let place = place.ok_or("the transmitter's place is not known, and without motion it cannot be found")?;
     let mut adjusted = first(recorded, known.trajectory, place);
-    let mut best: Option<(f64, Fitted)> = None;
-    for _ in 0..ROUNDS {
-        let toml = write(recorded, known, place, &adjusted);
+    let simulated = |adjusted: &Adjusted, seed: u64| {
+        let toml = write(recorded, known, place, adjusted, options.channel, seed);
         let scene = Scene::read(&toml, known.folder).map_err(|error| format!("the fitted scene: {error}\n{toml}"))?;
         let figures = measure_scene(&scene, options)?;
+        Ok::<_, String>(Fitted { toml, scene, figures })
+    };
+    let mut best = (f64::INFINITY, adjusted);
+    for _ in 0..ROUNDS {
+        let figures = simulated(&adjusted, SEEDS[0])?.figures;
         let off = distance(recorded, &figures);
-        adjust(&mut adjusted, recorded, &figures);
-        if best.as_ref().is_none_or(|(least, _)| off < *least) {
-            best = Some((off, Fitted { toml, scene, figures }));
+        if off < best.0 {
+            best = (off, adjusted);
         }
+        adjust(&mut adjusted, recorded, &figures);
     }
-    best.map(|(_, fitted)| fitted).ok_or_else(|| "no round was made".into())
+    simulated(&best.1, SEEDS[1])
 }
 
 /// The power of the noise of a subcarrier that the recording has beyond the rounding of its coefficients, relative to

@@ -3,7 +3,8 @@
 use super::distribution::QUARTILES;
 use super::figures::{Figures, Group};
 use super::fit::{Adjusted, Known, middle, noise};
-use super::side::Side;
+use super::side::{Side, usual};
+use crate::channel::{Channel, Width};
 use crate::pose::Trajectory;
 use std::f64::consts::{LN_2, SQRT_2, TAU};
 use std::fmt::Write;
@@ -16,7 +17,14 @@ const SPACING_HZ: f64 = crate::channel::SUBCARRIER_SPACING_HZ;
 const DB_PER_E: f64 = 8.685_889_638;
 
 /// Writes the scene of a recording: what its figures say, and what is adjusted.
-pub(super) fn write(recorded: &Figures, known: &Known<'_>, place: [f64; 3], adjusted: &Adjusted) -> String {
+pub(super) fn write(
+    recorded: &Figures,
+    known: &Known<'_>,
+    place: [f64; 3],
+    adjusted: &Adjusted,
+    channel: Channel,
+    seed: u64,
+) -> String {
     let (rx, tx, link) = (&recorded.receiver, &recorded.transmitter, &recorded.link);
     let (from_s, to_s) = known.trajectory.span_s();
     let (first_us, last_us) = rx.host_us.unwrap_or(((from_s * 1e6) as i64, (to_s * 1e6) as i64));
@@ -28,10 +36,12 @@ pub(super) fn write(recorded: &Figures, known: &Known<'_>, place: [f64; 3], adju
         String::from("# Fitted to a recorded capture; see docs/simulation.md for what each figure is taken from.\n");
     let _ = write!(
         text,
-        "name = \"fitted\"\nseed = 1\nduration_s = {:?}\nchannel = {}\nstart_unix_s = {start_unix_s}\ncfo = \"physical\"\n\
-         reflections = {}\n\n[sounding]\nrate_hz = {:?}\nstart_s = {start_s:?}\n",
+        "name = \"fitted\"\nseed = {seed}\nduration_s = {:?}\nchannel = {}\nbandwidth_mhz = {}\ndriver = {:?}\n\
+         start_unix_s = {start_unix_s}\ncfo = \"physical\"\nreflections = {}\n\n[sounding]\nrate_hz = {:?}\nstart_s = {start_s:?}\n",
         brief(since(last_us) + 0.005),
-        known.channel,
+        scene_channel(channel),
+        if is_wide(rx) { 40 } else { 20 },
+        if 2 * rx.stock > rx.records { "stock" } else { "wsr" },
         if adjusted.wall_loss_db.is_some() { 2 } else { 0 },
         brief(1e6 / interval_us.max(1.0)),
     );
@@ -42,13 +52,18 @@ pub(super) fn write(recorded: &Figures, known: &Known<'_>, place: [f64; 3], adju
     };
     // Cards are told by their hosts' clocks, and the hosts by each other; the offset itself is the finer measure of
     // how far the cards are apart.
-    let apart_ppm = 1e6 * link.df_hz / carrier_hz(known.channel);
+    let apart_ppm = 1e6 * link.df_hz / channel.centre_hz();
     let rx_ppm = rx.card_ppm;
     let tx_ppm = brief(rx_ppm + apart_ppm);
     // Two exponential latenesses make an interval: its quartiles and its deviation, which rare delays widen, both say
     // their mean.
     let jitter_us = (tx.interval_us.quartile_range() / (2.0 * LN_2) * tx.interval_us.sd / SQRT_2).sqrt();
     let jitter_us = brief(jitter_us);
+    // The clocks were compared in the middle of the capture, an answer later on one side than on the other.
+    let host_ppm = tx_ppm - tx.card_ppm;
+    let middle_s = 0.5 * (since(first_us) + since(last_us));
+    let later_us = TURN_AROUND_US + mean_latency_us(rx, 0) - mean_latency_us(tx, 1);
+    let host_offset_s = link.host_apart_s.map_or(0.0, |s| s + 1e-6 * (later_us - host_ppm * middle_s));
     let backward_loss = brief((rx.missing - tx.missing).max(0.0));
     let _ = write!(
         text,
@@ -62,7 +77,7 @@ pub(super) fn write(recorded: &Figures, known: &Known<'_>, place: [f64; 3], adju
     );
     let away_m = (middle(known.trajectory) - nalgebra::Vector3::from(place)).norm();
     let flight_ns = 1e9 * away_m / crate::channel::SPEED_OF_LIGHT_M_PER_S;
-    radio(&mut text, rx, adjusted, 0, flight_ns);
+    radio(&mut text, [rx, tx], adjusted, 0, flight_ns);
     let _ = writeln!(text, "send_jitter_us = {jitter_us:?}");
     let _ = write!(
         text,
@@ -70,27 +85,29 @@ pub(super) fn write(recorded: &Figures, known: &Known<'_>, place: [f64; 3], adju
          crystal = {{ offset_ppm = {tx_ppm:?}, clock_start_us = {} }}\n\
          host_clock = {{ offset_s = {:?}, drift_ppm = {:?} }}\nfaults = {{ loss = {:?}, killed = {} }}\n",
         clock_start(tx),
-        link.host_apart_s,
-        brief(tx_ppm - tx.card_ppm),
+        host_offset_s,
+        brief(host_ppm),
         brief(tx.missing),
         tx.tail_bytes > 0,
     );
-    radio(&mut text, tx, adjusted, 1, flight_ns);
-    let [early, far, late] = link.groups;
+    radio(&mut text, [tx, rx], adjusted, 1, flight_ns);
+    let ([early, far, late], turn) = (link.groups, &link.turn_around_us);
     let group = |g: Group| {
         format!("{{ share = {:?}, us = {:?}, spread_us = {:?} }}", brief(g.share), brief(g.mean_us), brief(g.sd_us))
     };
     let _ = writeln!(
         text,
-        "turn_around = {{ median_us = 450.0, spread_us = {:?}, tail = {:?}, tail_us = {:?}, tail_spread_us = {:?}, \
-         far = {}, late = {}, tail_run = {:?}, min_us = 130.0, max_us = 1500.0 }}",
+        "turn_around = {{ median_us = {TURN_AROUND_US:?}, spread_us = {:?}, tail = {:?}, tail_us = {:?}, \
+         tail_spread_us = {:?}, far = {}, late = {}, tail_run = {:?}, min_us = {:?}, max_us = {:?} }}",
         brief(adjusted.core_us),
         brief(early.share),
         brief(early.mean_us),
         brief(early.sd_us),
         group(far),
         group(late),
-        brief(link.run),
+        brief(link.run.unwrap_or(0.0)),
+        brief((TURN_AROUND_US + turn.min - turn.median).max(0.0)),
+        brief(TURN_AROUND_US + turn.max - turn.median),
     );
     if let Some(loss_db) = adjusted.wall_loss_db {
         walls(&mut text, known.trajectory, place, loss_db);
@@ -103,13 +120,29 @@ fn brief(value: f64) -> f64 {
     format!("{value:.5e}").parse().unwrap_or(value)
 }
 
-/// A robot's radio: what its own log says of it.
-fn radio(text: &mut String, side: &Side, adjusted: &Adjusted, k: usize, flight_ns: f64) {
+/// Whether the card reported channels of 40 MHz.
+pub(super) fn is_wide(side: &Side) -> bool {
+    usual(&side.rates).is_some_and(|rate| rate & RATE_40_MHZ != 0)
+}
+
+/// Standard deviation of a host's latency, microseconds. The responder's host is early where its answers are, which is
+/// said with them; the rest is the core.
+fn latency_us(side: &Side, k: usize) -> f64 {
+    if k == 1 { side.latency_core_us } else { side.latency_us.quartile_range() / QUARTILES }
+}
+
+fn mean_latency_us(side: &Side, k: usize) -> f64 {
+    LATENCY_US + 3.0 * latency_us(side, k)
+}
+
+/// A robot's radio: what its own log says of it, and what the other's says of how it sent.
+fn radio(text: &mut String, [side, other]: [&Side; 2], adjusted: &Adjusted, k: usize, flight_ns: f64) {
     let ns = |slope_rad: f64| 1e9 * slope_rad / (TAU * SPACING_HZ);
     let tones = noise(side);
-    // The responder's host is early where its answers are, which is said with them; the rest is the core.
-    let latency_us = if k == 1 { side.latency_core_us } else { side.latency_us.quartile_range() / QUARTILES };
     let _ = writeln!(text, "[robot.radio]\nphase_noise_rad = {:?}", brief(adjusted.phase_noise_rad));
+    let mcs = usual(&other.rates).map_or(0, |rate| rate & 7);
+    let chains = usual(&side.streams).map_or(3, |streams| streams / 10);
+    let _ = writeln!(text, "mcs = {mcs}\nchains = {chains}");
     if tones > 1e-6 {
         let _ = writeln!(text, "noise.snr_db = {:?}", brief(-10.0 * tones.log10()));
     }
@@ -127,8 +160,8 @@ fn radio(text: &mut String, side: &Side, adjusted: &Adjusted, k: usize, flight_n
         brief(ns(-side.slope_rad.mean) - flight_ns),
         brief(ns(adjusted.slope_sd_rad[k])),
         brief(adjusted.tx_power_dbm[k]),
-        brief(LATENCY_US + 3.0 * latency_us),
-        brief(latency_us),
+        brief(mean_latency_us(side, k)),
+        brief(latency_us(side, k)),
         brief(side.level[0].median),
         brief(rssi_a.mean),
         brief(rssi_a.sd),
@@ -144,6 +177,11 @@ fn radio(text: &mut String, side: &Side, adjusted: &Adjusted, k: usize, flight_n
 /// Mean latency of the host less three deviations, microseconds. It cannot be seen in a log; it must be long enough for
 /// an answer that is early to be early in the log too.
 const LATENCY_US: f64 = 300.0;
+/// Median turn-around, microseconds. It cannot be seen in two logs whose clocks have nothing to do with each other; it
+/// must be long enough for the earliest answers to come after the frame they answer.
+const TURN_AROUND_US: f64 = 450.0;
+/// The bit of `rate_n_flags` for 40 MHz.
+const RATE_40_MHZ: u16 = 0x800;
 
 /// Four walls about both robots.
 fn walls(text: &mut String, trajectory: &Trajectory, place: [f64; 3], loss_db: f64) {
@@ -162,8 +200,13 @@ fn walls(text: &mut String, trajectory: &Trajectory, place: [f64; 3], loss_db: f
     }
 }
 
-/// The centre frequency of a channel number, Hz.
-fn carrier_hz(channel: u16) -> f64 {
-    let number = u32::from(channel);
-    crate::channel::Channel::new(number, crate::channel::Width::Ht20).map_or(5.5e9, |channel| channel.centre_hz())
+/// A channel's number in a scene: at 40 MHz that of the centre, two above or below the primary channel's.
+#[must_use]
+pub fn scene_channel(channel: Channel) -> u16 {
+    let number = channel.number() as u16;
+    match channel.width() {
+        Width::Ht20 => number,
+        Width::Ht40Plus => number + 2,
+        Width::Ht40Minus => number.saturating_sub(2),
+    }
 }

@@ -5,7 +5,7 @@ use crate::backend::{CsiSource, Error, Next};
 use crate::cfo::drift_line;
 use crate::channel::SUBCARRIERS;
 use crate::pose::wrap_rad;
-use crate::survey::{Identity, Survey};
+use crate::survey::{Identity, SENDERS_KEPT, Survey};
 use crate::time::{Instant, Unwrap32};
 use driver_iface::Mac;
 use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq};
@@ -13,11 +13,15 @@ use driver_iface::record::Tail;
 use num_complex::Complex64;
 use std::collections::BTreeMap;
 
-/// Figures of one log.
+/// Figures of one log: of the frames of one sender in it.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct Side {
-    /// Intact bfee records.
+    /// Intact bfee records of the sender.
     pub records: usize,
+    /// Those of them in the stock layout.
+    pub stock: usize,
+    /// Intact bfee records of others, which are in no other figure.
+    pub of_others: usize,
     /// Records by length on disk, bytes.
     pub lengths: BTreeMap<usize, u64>,
     /// Records by receive chains and streams, `10 n_rx + n_tx`.
@@ -63,26 +67,54 @@ pub struct Side {
 /// A source that is passed on as it is, with its records' figures collected on the way.
 pub struct Observed<'a> {
     source: &'a mut dyn CsiSource,
-    collector: Collector,
+    indices: [i8; SUBCARRIERS],
+    survey: Survey,
+    unwrap: Unwrap32,
+    senders: BTreeMap<Mac, Collector>,
 }
 
 impl<'a> Observed<'a> {
     /// Observes `source`; the subcarrier `indices` are those of its channel.
     pub fn new(source: &'a mut dyn CsiSource, indices: [i8; SUBCARRIERS]) -> Self {
-        Self { source, collector: Collector { indices, ..Collector::default() } }
+        Self { source, indices, survey: Survey::default(), unwrap: Unwrap32::default(), senders: BTreeMap::new() }
     }
 
-    /// What was seen.
+    /// What was seen of one sender; of the one with the most numbered frames if none is given.
     #[must_use]
-    pub fn finish(self) -> Side {
-        self.collector.finish()
+    pub fn finish(mut self, sender: Option<Mac>) -> Side {
+        let most = || self.senders.iter().max_by_key(|(_, collector)| collector.frames).map(|(mac, _)| *mac);
+        let collector = sender.or_else(most).and_then(|mac| self.senders.remove(&mac));
+        let mut side = collector.map_or_else(Side::default, Collector::finish);
+        side.of_others = (self.survey.bfees() as usize).saturating_sub(side.records);
+        side.tail_bytes = match self.survey.tail {
+            Some(Tail::Cut { bytes, .. }) => bytes as usize,
+            _ => 0,
+        };
+        side
+    }
+
+    fn note(
+        survey: &mut Survey,
+        unwrap: &mut Unwrap32,
+        senders: &mut BTreeMap<Mac, Collector>,
+        next: &Next<'_>,
+        indices: [i8; SUBCARRIERS],
+    ) {
+        let Some((bfee, identity)) = survey.note(next) else { return };
+        let clock_us = unwrap.next(bfee.timestamp_low());
+        if senders.len() >= SENDERS_KEPT && !senders.contains_key(&identity.mac) {
+            return;
+        }
+        let new = || Collector { indices, ..Collector::default() };
+        let length = if let Next::Record(_, record) = next { record.emit_len() } else { 0 };
+        senders.entry(identity.mac).or_insert_with(new).note(&bfee, identity, clock_us, length);
     }
 }
 
 impl CsiSource for Observed<'_> {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
         let next = self.source.receive(now)?;
-        self.collector.note(&next);
+        Self::note(&mut self.survey, &mut self.unwrap, &mut self.senders, &next, self.indices);
         Ok(next)
     }
 
@@ -91,13 +123,13 @@ impl CsiSource for Observed<'_> {
     }
 }
 
-/// What is collected from a log.
+/// What is collected of one sender's frames.
 #[derive(Default)]
 struct Collector {
     indices: [i8; SUBCARRIERS],
-    survey: Survey,
-    unwrap: Unwrap32,
-    last: BTreeMap<Mac, Last>,
+    last: Option<Last>,
+    /// Frames with a number.
+    frames: usize,
     /// Numbers there, and numbers that should be.
     numbers: (u64, u64),
     side: Side,
@@ -125,17 +157,14 @@ struct Last {
 }
 
 impl Collector {
-    fn note(&mut self, next: &Next<'_>) {
-        let Some((bfee, identity)) = self.survey.note(next) else { return };
-        if let Next::Record(_, record) = next {
-            *self.side.lengths.entry(record.emit_len()).or_default() += 1;
-        }
-        self.fields(&bfee);
-        self.tones(&bfee);
-        let clock_us = self.unwrap.next(bfee.timestamp_low());
+    fn note(&mut self, bfee: &Bfee<'_>, identity: Identity, clock_us: i64, length: usize) {
+        *self.side.lengths.entry(length).or_default() += 1;
+        self.fields(bfee);
+        self.tones(bfee);
         if let Some(host_us) = identity.host_us {
             self.clocks.push(clock_us);
             self.ahead.push(host_us - clock_us);
+            self.side.host_us = Some((self.side.host_us.map_or(host_us, |(first, _)| first), host_us));
         }
         self.step(identity, clock_us);
     }
@@ -143,6 +172,7 @@ impl Collector {
     fn fields(&mut self, bfee: &Bfee<'_>) {
         let side = &mut self.side;
         side.records += 1;
+        side.stock += usize::from(bfee.wsr().is_none());
         *side.streams.entry(10 * bfee.n_rx() + bfee.n_tx()).or_default() += 1;
         *side.noise_dbm.entry(bfee.noise_dbm()).or_default() += 1;
         *side.rates.entry(bfee.rate_n_flags()).or_default() += 1;
@@ -173,11 +203,12 @@ impl Collector {
         }
     }
 
-    /// The step from a sender's last frame to this one.
+    /// The step from the last frame to this one.
     fn step(&mut self, identity: Identity, clock_us: i64) {
         let Some(number) = identity.frame_count else { return };
         let this = Last { number, clock_us, host_us: identity.host_us };
-        let Some(before) = self.last.insert(identity.mac, this) else { return };
+        self.frames += 1;
+        let Some(before) = self.last.replace(this) else { return };
         let ahead = number.wrapping_sub(before.number);
         // A restart or a repeated number is no gap.
         if (1..1_000).contains(&ahead) {
@@ -200,22 +231,25 @@ impl Collector {
         let (there, all) = self.numbers;
         side.missing = if all == 0 { 0.0 } else { 1.0 - there as f64 / all as f64 };
         side.tone_snr_db = if self.noise.0 > 0.0 { -10.0 * (self.noise.0 / self.noise.1).log10() } else { f64::NAN };
-        side.host_us = self.survey.host_us;
         side.clock_us = self.clocks.first().copied().zip(self.clocks.last().copied());
-        side.tail_bytes = match self.survey.tail {
-            Some(Tail::Cut { bytes, .. }) => bytes as usize,
-            _ => 0,
-        };
-        if self.ahead.len() >= 8 {
-            let line = drift_line(&self.clocks, &self.ahead);
-            let late = self.clocks.iter().zip(&self.ahead).map(|(&clock, &ahead)| ahead as f64 - line.at(clock as f64));
+        if let (8.., Some(&first)) = (self.ahead.len(), self.ahead.first()) {
+            // Less the first: times since 1970 in microseconds leave a double no digits for parts per million.
+            let ahead: Vec<i64> = self.ahead.iter().map(|ahead| ahead - first).collect();
+            let line = drift_line(&self.clocks, &ahead);
+            let late = self.clocks.iter().zip(&ahead).map(|(&clock, &ahead)| ahead as f64 - line.at(clock as f64));
             let late: Vec<f64> = late.collect();
             side.latency_us = Distribution::of(&late);
             side.latency_core_us = shortest_half(late) / QUARTILES;
-            side.card_ppm = -1e6 * (line.at(1e6) - line.at(0.0)) / 1e6;
+            let from = self.clocks.first().map_or(0.0, |&clock| clock as f64);
+            side.card_ppm = -(line.at(from + 1e6) - line.at(from));
         }
         side
     }
+}
+
+/// What most records have.
+pub(super) fn usual<K: Copy>(counts: &BTreeMap<K, u64>) -> Option<K> {
+    counts.iter().max_by_key(|(_, count)| **count).map(|(key, _)| *key)
 }
 
 /// Length of the shortest interval that holds half of the values: few on one side do not widen it.

@@ -3,7 +3,7 @@
 use super::distribution::Distribution;
 use super::figures::Figures;
 use super::side::Side;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// How far a simulated figure may be from the recorded one.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -64,6 +64,7 @@ pub fn rows(recorded: &Figures, simulated: &Figures) -> Vec<Row> {
     let mut table = Table { of: "link", rows: Vec::new() };
     table.add("pairs", "", a.pairs as f64, b.pairs as f64, Allowed::Share(0.02));
     table.add("carrier frequency offset", "Hz", a.df_hz, b.df_hz, Allowed::By(500.0));
+    table.maybe("host clocks apart", "s", [a.host_apart_s, b.host_apart_s], Allowed::By(1e-3));
     table.add("drift of the clocks", "ppm", a.drift_ppm, b.drift_ppm, Allowed::Anything);
     let (turn, other) = (&a.turn_around_us, &b.turn_around_us);
     table.add("turn-around, quartile range", "us", turn.quartile_range(), other.quartile_range(), Allowed::By(2.0));
@@ -99,11 +100,9 @@ impl Table {
         self.add("records", "", a.records as f64, b.records as f64, Allowed::Share(0.02));
         self.extent("record length", "bytes", &a.lengths, &b.lengths);
         self.extent("10 n_rx + n_tx", "", &a.streams, &b.streams);
-        self.extent("rate_n_flags", "", &a.rates, &b.rates);
+        self.shares("rate_n_flags", &a.rates, &b.rates);
         self.extent("noise", "dBm", &a.noise_dbm, &b.noise_dbm);
-        let usual = a.antenna_sel.iter().max_by_key(|(_, count)| **count).map_or(0, |(sel, _)| *sel);
-        let share = |side: &Side| side.antenna_sel.get(&usual).map_or(0.0, |&n| n as f64 / side.records.max(1) as f64);
-        self.add(&format!("antenna_sel 0x{usual:02x}, share"), "", share(a), share(b), Allowed::By(0.05));
+        self.shares("antenna_sel", &a.antenna_sel, &b.antenna_sel);
         for (antenna, (a, b)) in ["A", "B", "C"].iter().zip(a.rssi_db.iter().zip(&b.rssi_db)) {
             self.field(&format!("RSSI {antenna}"), "dB", a, b);
         }
@@ -131,6 +130,12 @@ impl Table {
         self.maybe(&format!("{name}, highest"), unit, [high, other_high], Allowed::Nothing);
     }
 
+    /// How the records share out over the values of a field: the total variation distance of the two, from 0 (alike) to
+    /// 1 (no value in common), which is 0 of the recorded one by itself.
+    fn shares<K: Copy + Ord>(&mut self, name: &str, a: &Counts<K>, b: &Counts<K>) {
+        self.add(&format!("{name}, total variation distance"), "", 0.0, variation(a, b), Allowed::By(0.05));
+    }
+
     fn field(&mut self, name: &str, unit: &'static str, a: &Distribution, b: &Distribution) {
         self.add(&format!("{name}, mean"), unit, a.mean, b.mean, Allowed::By(1.0));
         self.add(&format!("{name}, standard deviation"), unit, a.sd, b.sd, Allowed::By(0.7));
@@ -149,14 +154,18 @@ impl Table {
 
 type Counts<K> = BTreeMap<K, u64>;
 
+/// Total variation distance: half the sum of the differences of all shares.
+fn variation<K: Copy + Ord>(a: &Counts<K>, b: &Counts<K>) -> f64 {
+    let share = |counts: &Counts<K>, key: K| {
+        let all: u64 = counts.values().sum();
+        counts.get(&key).map_or(0.0, |&n| n as f64 / all.max(1) as f64)
+    };
+    let keys: BTreeSet<K> = a.keys().chain(b.keys()).copied().collect();
+    0.5 * keys.into_iter().map(|key| (share(a, key) - share(b, key)).abs()).sum::<f64>()
+}
+
 /// A field's value as a number.
 struct Number(f64);
-
-impl From<u16> for Number {
-    fn from(value: u16) -> Self {
-        Self(f64::from(value))
-    }
-}
 
 impl From<i8> for Number {
     fn from(value: i8) -> Self {
@@ -192,6 +201,17 @@ fn verdict(recorded: Option<f64>, simulated: Option<f64>, allowed: Allowed) -> V
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn distances_of_shares_see_every_value() {
+        let counts = |pairs: &[(u8, u64)]| pairs.iter().copied().collect::<Counts<u8>>();
+        let a = counts(&[(0x24, 60), (0x09, 30), (0x21, 10)]);
+        assert_eq!(variation(&a, &counts(&[(0x24, 6), (0x09, 3), (0x21, 1)])), 0.0);
+        // The most frequent one's share is the same; the others are swapped.
+        assert!((variation(&a, &counts(&[(0x24, 60), (0x09, 10), (0x21, 30)])) - 0.2).abs() < 1e-12);
+        assert_eq!(variation(&a, &counts(&[(0x12, 5)])), 1.0);
+        assert_eq!(variation(&a, &counts(&[])), 0.5);
+    }
 
     #[test]
     fn verdicts_follow_what_is_allowed() {

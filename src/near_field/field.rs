@@ -45,7 +45,7 @@ const ABREAST: usize = 3;
 type Sample = [(f32, f32); ABREAST];
 
 /// One window of one view: its samples, weighted, some columns at a time.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 struct Window {
     from: usize,
     /// `columns[k]` holds each sample from `from` on.
@@ -53,7 +53,7 @@ struct Window {
 }
 
 /// An aperture ready for the kernel.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Layer {
     /// Where the samples were taken as recorded, about the middle, metres.
     recorded_m: Vec<Vector3<f64>>,

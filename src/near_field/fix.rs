@@ -37,6 +37,8 @@ pub struct Fix {
     pub elevation_searched: bool,
     /// The shortest range that was searched, metres: an answer there is not one.
     pub range_min_m: f64,
+    /// The largest |elevation| that was searched, radians.
+    pub elevation_max_rad: f64,
     /// Places in which the field was evaluated.
     pub evaluations: usize,
 }
@@ -53,6 +55,15 @@ impl Fix {
     pub fn view_spread_rad(&self) -> f64 {
         let azimuth = self.best().azimuth_rad;
         self.view_azimuths_rad.iter().map(|a| wrap_rad(a - azimuth).abs()).fold(0.0, f64::max)
+    }
+
+    /// True if the answer lies at the shortest range or the largest elevation that were searched: what fits best is then
+    /// somewhere else, or no single place.
+    #[must_use]
+    pub fn at_edge(&self) -> bool {
+        let best = self.best();
+        let near = self.range_searched && best.inverse_range_per_m * self.range_min_m > 0.98;
+        near || self.elevation_searched && best.abs_elevation_rad > 0.995 * self.elevation_max_rad
     }
 
     /// Range to the answer and its standard deviation, metres, where the curvature fixes it to better than `share` of

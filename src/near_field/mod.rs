@@ -15,6 +15,7 @@ mod field;
 mod fix;
 mod focus;
 mod grid;
+mod maps;
 mod paths;
 mod search;
 #[cfg(test)]
@@ -26,5 +27,6 @@ pub use field::{Taper, View};
 
 pub use fix::{Fix, Source};
 pub use focus::{Focus, Warp, focus};
+pub use maps::Maps;
 pub use paths::Path;
 pub use search::{Limits, Search, search};

@@ -37,7 +37,7 @@ const FINE_RAD: f64 = 2e-5;
 const ROUGH_RAD: f64 = 2e-3;
 
 /// A motion ready to be searched: its layers and the grid that they ask for.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Search {
     pub(super) layers: Vec<Layer>,
     pub(super) axes: Axes,
@@ -129,6 +129,7 @@ impl Search {
             range_searched,
             elevation_searched,
             range_min_m: 1.0 / self.curve_max,
+            elevation_max_rad: self.limits.elevation_max_rad,
             evaluations: self.evaluations,
         })
     }
@@ -172,6 +173,12 @@ impl Search {
         let score =
             |own: &[f32]| own.iter().zip(&self.weights).map(|(p, w)| w * f64::from(p.max(1e-12)).ln()).sum::<f64>();
         powers.chunks(self.weights.len()).map(score).collect()
+    }
+
+    /// The joint power of each place, 0..1.
+    pub(super) fn joint_powers(&mut self, places: &[Place]) -> Vec<f64> {
+        let powers = self.powers(places);
+        self.scores(&powers).into_iter().map(|score| self.power(score)).collect()
     }
 
     fn power(&self, score: f64) -> f64 {

@@ -4,7 +4,7 @@
 use super::aperture::Aperture;
 use super::fix::Source;
 use crate::bartlett::direction;
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 use num_complex::Complex64;
 use std::f64::consts::{PI, TAU};
 
@@ -21,9 +21,13 @@ pub struct Deviations {
     pub covariance: Matrix3<f64>,
     /// Variance of the residual phase of one row, radians squared.
     pub phase_variance: f64,
-    /// Rows that share one independent error: 1 for white noise.
+    /// Rows that share one independent error, as slow errors count: 1 for white noise.
     pub correlated_rows: f64,
 }
+
+/// Standard deviation of the scale of a trajectory: antennas are not where markers are, and even motion capture was found
+/// up to two per cent off what the phases say.
+const SCALE_SD: f64 = 0.01;
 
 /// `|rx - place| - range` for a row at `p` from the middle, metres.
 fn excess_m(p: &Vector3<f64>, azimuth: f64, elevation: f64, curve: f64) -> f64 {
@@ -61,10 +65,18 @@ pub(crate) fn deviations(
             if free[i] { (phase(p, high) - phase(p, low)) / (2.0 * steps[i]) } else { 0.0 }
         })
     };
-    let gradients: Vec<Vector3<f64>> = points.iter().map(gradient).collect();
-    let mean = gradients.iter().sum::<Vector3<f64>>() / n;
-    let scatter: Matrix3<f64> = gradients.iter().map(|g| (g - mean) * (g - mean).transpose()).sum();
-    let mut information = scatter / (phase_variance * correlated_rows).max(1e-12);
+    let by_scale = |p: &Vector3<f64>| {
+        let scaled = |by: f64| phase(&(p * by), coordinates);
+        (scaled(1.0 + steps[0]) - scaled(1.0 - steps[0])) / (2.0 * steps[0])
+    };
+    let gradients: Vec<Vector4<f64>> = points.iter().map(|p| gradient(p).push(by_scale(p))).collect();
+    let mean = gradients.iter().sum::<Vector4<f64>>() / n;
+    let scatter: Matrix4<f64> = gradients.iter().map(|g| (g - mean) * (g - mean).transpose()).sum();
+    let whole = scatter / (phase_variance * correlated_rows).max(1e-12);
+    // The scale of the trajectory is known to its prior only; what it may explain is no information about the place.
+    let shared = whole.fixed_view::<3, 1>(0, 3).into_owned();
+    let scale = whole[(3, 3)] + SCALE_SD.powi(-2);
+    let mut information = whole.fixed_view::<3, 3>(0, 0).into_owned() - shared * shared.transpose() / scale;
     let priors = [PI / 3f64.sqrt(), prior[0], prior[1]];
     for i in 0..3 {
         // What is known gets no variance: as good as infinite information.
@@ -104,16 +116,25 @@ fn residual_phases(aperture: &Aperture, phases: impl Iterator<Item = f64>) -> Ve
     matched.iter().map(|m| if level > 0.0 { m.im / level } else { 0.0 }).collect()
 }
 
-/// The integrated autocorrelation, up to where it first falls below zero: how many rows share an error.
+/// Turns along the motion up to which an error is slow: a place shows in the first few of them.
+const SLOW: usize = 10;
+/// Parameters that were fitted to the residual, each taking one of the `2 SLOW` slow components away.
+const FITTED: f64 = 4.0;
+
+/// How many rows share an error: the residual's power density where a place shows (the first turns along the motion)
+/// over its mean density. Reflections and bent trajectories leave slow errors, which white noise of the same variance
+/// would not.
 fn correlation_rows(residual: &[f64]) -> f64 {
+    let n = residual.len();
     let energy: f64 = residual.iter().map(|e| e * e).sum();
-    let mut rows = 1.0;
-    for lag in 1..residual.len() / 4 {
-        let r = residual.iter().zip(&residual[lag..]).map(|(a, b)| a * b).sum::<f64>() / energy.max(f64::MIN_POSITIVE);
-        if r <= 2.0 / (residual.len() as f64).sqrt() {
-            break;
-        }
-        rows += 2.0 * r;
+    if n < 4 * SLOW || energy <= 0.0 {
+        return 1.0;
     }
-    rows
+    let component = |turns: usize| {
+        let wave = |(k, e): (usize, &f64)| Complex64::cis(TAU * (turns * k) as f64 / n as f64) * e;
+        residual.iter().enumerate().map(wave).sum::<Complex64>().norm_sqr()
+    };
+    let slow: f64 = (1..=SLOW).map(component).sum();
+    let (count, left) = (SLOW as f64, 1.0 - FITTED / (2.0 * SLOW as f64));
+    (slow / (count * left * energy)).max(0.5)
 }

@@ -312,6 +312,11 @@ pub struct Network {
     pub backlog: Option<usize>,
 }
 
+/// Bearings of each peer a second that can be asked for: one in a thousand seconds to what no processor keeps up with.
+const RATES_HZ: std::ops::RangeInclusive<f64> = 1e-3..=100.0;
+/// Records that can be let wait for or from the network: no more than some hundred megabytes.
+const BACKLOGS: std::ops::RangeInclusive<usize> = 16..=1_000_000;
+
 /// Everything that is wrong with a configuration.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n"))]
@@ -390,6 +395,34 @@ impl Config {
                 replay.file = folder.join(&replay.file);
             }
         }
+        if let Some(log) = &mut self.log {
+            log.file = folder.join(&log.file);
+        }
+        // Neither nowhere nor standard output.
+        if !["", "-"].contains(&self.output.bearings.as_str()) {
+            self.output.bearings = folder.join(&self.output.bearings).to_string_lossy().into_owned();
+        }
+        let socket = self.output.status_socket.iter_mut();
+        let zenoh = self.network.iter_mut().filter_map(|network| network.zenoh.as_mut());
+        socket.chain(zenoh).for_each(|file| *file = folder.join(&*file));
+    }
+
+    /// MACs that are not those of the simulated room: where, and why.
+    fn foreign_macs(&self, own_at: usize) -> Vec<(usize, String)> {
+        let Capture::Room(asked) = self.capture.get_ref() else { return Vec::new() };
+        let peers = self.peer.iter().map(|peer| (peer.span().start, peer.get_ref().name.as_str(), peer.get_ref().mac));
+        let all = std::iter::once((own_at, asked.robot.as_str(), self.mac)).chain(peers);
+        let given: Vec<_> = all.filter_map(|(at, name, mac)| Some((at, name, mac?))).collect();
+        if given.is_empty() {
+            return Vec::new();
+        }
+        let made = super::sources::scene(&asked.scene).ok();
+        let Some(room) = made.and_then(|scene| crate::backend::sim::Room::new(&scene).ok()) else { return Vec::new() };
+        let wrong = |(at, name, mac)| {
+            let is = room.number(name).and_then(|number| room.mac(number)).filter(|is| *is != mac)?;
+            Some((at, format!("`{name}` has the MAC {is} in this room, not {mac}: leave `mac` out")))
+        };
+        given.into_iter().filter_map(wrong).collect()
     }
 
     /// What contradicts itself or this machine.
@@ -434,11 +467,47 @@ impl Config {
             let why = "extrapolate_s: 0 to 1 second; a robot is somewhere else after a longer time";
             say(place(text, "extrapolate_s"), why.into());
         }
-        if estimator.least_motion_m.is_some_and(|least| least > estimator.window_m) {
-            say(
-                place(text, "least_motion_m"),
-                "least_motion_m is more than window_m: there would never be a bearing".into(),
+        self.foreign_macs(place(text, "mac")).into_iter().for_each(|(at, why)| say(at, why));
+        let usual_m = super::estimator::Settings::new(self.channel.wavelength_m()).least_m;
+        let least_m = estimator.least_motion_m.unwrap_or(usual_m);
+        if least_m > estimator.window_m {
+            let key = if estimator.least_motion_m.is_some() { "least_motion_m" } else { "window_m" };
+            let why = format!(
+                "window_m ({:.3} m) is less than the motion needed, {least_m:.3} m: there would never be a bearing",
+                estimator.window_m
             );
+            say(place(text, key), why);
+        }
+        if !RATES_HZ.contains(&estimator.rate_hz) {
+            let why = format!(
+                "rate_hz in [estimator]: {} to {} bearings of each peer a second",
+                RATES_HZ.start(),
+                RATES_HZ.end()
+            );
+            say(place(text, "rate_hz"), why);
+        }
+        let finite = |numbers: &[f64]| numbers.iter().all(|number| number.is_finite());
+        let place_of = |odometry: &Odometry| match odometry {
+            Odometry::Static(place) => finite(&place.position_m) && place.heading_deg.is_finite(),
+            _ => true,
+        };
+        if !finite(&self.antenna_offset_m) || !place_of(&self.odometry) {
+            let key = if finite(&self.antenna_offset_m) { "odometry" } else { "antenna_offset_m" };
+            say(place(text, key), format!("{key}: every number must be finite"));
+        }
+        for peer in &self.peer {
+            let (at, peer) = (peer.span().start, peer.get_ref());
+            if !finite(&peer.antenna_offset_m) || !peer.yaw_deg.is_finite() || !place_of(&peer.poses) {
+                say(at, format!("peer `{}`: antenna_offset_m, yaw_deg and poses must be finite numbers", peer.name));
+            }
+        }
+        let stands = |odometry: &Odometry| matches!(odometry, Odometry::Static(_));
+        if stands(&self.odometry) && !self.peer.is_empty() && self.peer.iter().all(|peer| stands(&peer.get_ref().poses))
+        {
+            let why = "no robot here ever moves (`static` poses, also where none are given), and without motion there is no \
+                       bearing: give this robot `odometry` or a peer `poses`";
+            let at = self.peer.first().map_or(capture_at, |peer| peer.span().start);
+            say(at, why.into());
         }
         let odometry = |poses: &Odometry, at: usize, own: bool| match poses {
             Odometry::Csv(csv) if !csv.file.is_file() => {
@@ -447,6 +516,11 @@ impl Config {
             Odometry::Csv(_) if !is_replay => {
                 Some((at, "`csv` poses need a replayed capture, whose pace they follow".into()))
             }
+            Odometry::Opencr(_) if is_room || is_replay => Some((
+                at,
+                "`opencr` poses are of now and need `capture.card`: with a replayed log use `csv`, in a room `room`"
+                    .into(),
+            )),
             Odometry::Room(_) if !is_room => Some((at, "`room` poses need `capture.room`".into())),
             Odometry::Opencr(_) if !own => Some((at, "a peer's port is not on this machine: use `network`".into())),
             Odometry::Network(_) if own => Some((at, "this robot's own poses do not come over the network".into())),
@@ -498,6 +572,10 @@ impl Config {
         if let Some(network) = &self.network {
             if !cfg!(feature = "zenoh") {
                 say(place(text, "network"), "[network] needs a program built with `--features zenoh`".into());
+            }
+            if network.backlog.is_some_and(|backlog| !BACKLOGS.contains(&backlog)) {
+                let why = format!("backlog: {} to {} records", BACKLOGS.start(), BACKLOGS.end());
+                say(place(text, "backlog"), why);
             }
             if network.zenoh.as_ref().is_some_and(|file| !file.is_file()) {
                 say(place(text, "zenoh"), "there is no such file of zenoh's".into());
@@ -590,6 +668,23 @@ mod tests {
     }
 
     #[test]
+    fn all_paths_are_relative_to_the_file() {
+        let more = "[log]\nfile = \"l.dat\"\n[output]\nbearings = \"b\"\nstatus_socket = \"s\"\n";
+        let config = Config::read(&format!("{ROOM}{more}"), Path::new("/f")).unwrap();
+        assert_eq!(config.log.unwrap().file, Path::new("/f/l.dat"));
+        assert_eq!((config.output.bearings.as_str(), config.output.status_socket), ("/f/b", Some("/f/s".into())));
+        for told in ["-", ""] {
+            let text = format!("{ROOM}[output]\nbearings = \"{told}\"\n");
+            assert_eq!(Config::read(&text, Path::new("/f")).unwrap().output.bearings, told);
+        }
+        let zenoh = refused(&format!("{ROOM}[network]\nzenoh = \"Cargo.toml\"\n"));
+        let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let there = Config::read(&format!("{ROOM}[network]\nzenoh = \"Cargo.toml\"\n"), here);
+        let words = there.map_or_else(|error| error.to_string(), |_| String::new());
+        assert!(!words.contains("no such file") && zenoh.contains("zenoh"), "{words}");
+    }
+
+    #[test]
     fn every_problem_has_its_line() {
         assert_eq!(refused(&ROOM.replace("108", "999")).split(':').next(), Some("line 1"));
         let unknown = refused(&format!("{ROOM}colour = 3\n"));
@@ -609,6 +704,29 @@ mod tests {
         assert!(nobody.starts_with("line 4: the scene has no robot `ty`: it has rx, tx"), "{nobody}");
         let nowhere = refused(&ROOM.replace("lab-circle", "lab.toml"));
         assert!(nowhere.starts_with("line 2:") && nowhere.contains("lab.toml"), "{nowhere}");
+        let room = |more: &str| refused(&format!("{ROOM}{more}"));
+        let short = room("[estimator]\nwindow_m = 0.05\n");
+        assert!(short.starts_with("line 8: window_m (0.050 m)"), "{short}");
+        for rate in ["1e9", "1e-9"] {
+            let absurd = room(&format!("[estimator]\nrate_hz = {rate}\n"));
+            assert!(absurd.starts_with("line 8: rate_hz"), "{absurd}");
+        }
+        let still = refused(&ROOM.replace("odometry.room = {}", ""));
+        assert!(still.starts_with("line 4: no robot here ever moves"), "{still}");
+        let live = refused(&ROOM.replace("odometry.room = {}", "odometry.opencr.port = \"/dev/null\""));
+        assert!(live.starts_with("line 3: `opencr` poses"), "{live}");
+        for (wrong, line) in
+            [("yaw_deg = nan", "line 4: peer `tx`"), ("antenna_offset_m = [inf, 0, 0]", "line 4: peer `tx`")]
+        {
+            let endless = room(&format!("{wrong}\n"));
+            assert!(endless.starts_with(line) && endless.contains("finite"), "{endless}");
+        }
+        let other = room("mac = \"02:00:00:00:00:99\"\n");
+        assert!(other.starts_with("line 4: `tx` has the MAC"), "{other}");
+        let own = refused(&format!("mac = \"02:00:00:00:00:99\"\n{ROOM}"));
+        assert!(own.starts_with("line 1: `rx` has the MAC"), "{own}");
+        let full = room("[network]\nbacklog = 0\n");
+        assert!(full.contains("line 8: backlog"), "{full}");
         let far = refused(&format!("{ROOM}[estimator]\nextrapolate_s = 30\n"));
         assert!(far.starts_with("line 8"), "{far}");
     }

@@ -2,7 +2,7 @@
 
 use super::motion::{Track, Window, aligned, window};
 use crate::answer::Answer;
-use crate::backend::Next;
+use crate::backend::{Loss, Next};
 use crate::pairing::Side;
 use crate::pipeline::intake::Front;
 use crate::pipeline::link::Link;
@@ -58,7 +58,7 @@ pub enum State {
     Held,
     /// The robots have not yet moved enough relative to each other.
     NotYet,
-    /// Too few exchanges, or none with a pose.
+    /// Too few exchanges, none with a pose, or none since the last bearing, which is said again.
     NoPairs,
     /// The estimator refused; see the error.
     Failed,
@@ -77,7 +77,7 @@ pub struct Report {
     pub moved_m: f64,
     /// Relative motion that is needed, metres.
     pub needed_m: f64,
-    /// Seconds of this robot's poses since the bearing was made, for one that is held.
+    /// Seconds since the bearing was made, for one that is said again.
     pub age_s: f64,
     /// The bearing and all that goes with it.
     #[serde(flatten)]
@@ -107,15 +107,37 @@ struct PeerState {
     link: Option<Link>,
     due: Instant,
     counts: PeerCounts,
-    /// The last answer, when it was made, and the motion at that time.
-    last: Option<(Answer, f64, Motion)>,
+    last: Option<Last>,
+    /// Pairs there were at the last search.
+    searched: Option<u64>,
 }
 
-/// How far things had got when an answer was made.
+/// The last answer.
+#[derive(Clone, Debug)]
+struct Last {
+    answer: Answer,
+    /// When it was made.
+    at: Instant,
+    motion: Motion,
+    moved_m: f64,
+}
+
+/// The newest poses, each in its own frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Motion {
-    receiver: Pose,
+    receiver: Option<Pose>,
     transmitter: Option<Pose>,
+}
+
+/// What all peers' reports share.
+#[derive(Clone, Copy)]
+struct Context<'a> {
+    track: &'a Track,
+    settings: &'a Settings,
+    options: &'a Options,
+    now: Instant,
+    /// Nothing more comes.
+    last: bool,
 }
 
 /// Relative motion since an answer that makes a new one worth while, metres.
@@ -138,7 +160,7 @@ pub struct Estimator {
     front: Front,
     track: Track,
     peers: Vec<PeerState>,
-    /// Losses that the own card's source reported.
+    /// Records lost on the way from the own card, as far as its source knows how many.
     losses: u64,
     strangers: u64,
 }
@@ -156,6 +178,7 @@ impl Estimator {
             due: now + Span::from_s((1.0 + k as f64 / count) / settings.rate_hz),
             counts: PeerCounts::default(),
             last: None,
+            searched: None,
             peer,
         };
         let peers = peers.into_iter().enumerate().map(state).collect();
@@ -164,7 +187,7 @@ impl Estimator {
 
     /// Takes what this robot's card gave.
     pub fn handle_own(&mut self, next: &Next<'_>) {
-        self.losses += u64::from(matches!(next, Next::Lost(_)));
+        self.losses = self.losses.saturating_add(lost(next));
         let Some((mac, heard)) = self.front.note(next) else { return };
         let Some(state) = self.peers.iter_mut().find(|state| state.peer.mac == mac) else {
             self.strangers += 1;
@@ -179,7 +202,7 @@ impl Estimator {
     /// Takes what the card of peer number `peer` gave.
     pub fn handle_peer(&mut self, peer: usize, next: &Next<'_>) {
         let Some(state) = self.peers.get_mut(peer) else { return };
-        state.counts.losses += u64::from(matches!(next, Next::Lost(_)));
+        state.counts.losses = state.counts.losses.saturating_add(lost(next));
         let Some((mac, heard)) = state.front.note(next) else { return };
         if mac != self.own {
             return;
@@ -230,19 +253,21 @@ impl Estimator {
         let state = self.peers.get_mut(index)?;
         // A driver that was away does not make up for what it missed.
         state.due = if now - state.due > period { now + period } else { state.due + period };
-        let report = state.report(&self.track, &self.settings, &self.options, false);
+        let context =
+            Context { track: &self.track, settings: &self.settings, options: &self.options, now, last: false };
+        let report = state.report(context);
         self.forget();
         Some((index, report))
     }
 
     /// Ends all sources: every peer's last report, from everything that came.
-    pub fn finish(&mut self) -> Vec<Report> {
-        let (track, settings, options) = (&self.track, &self.settings, &self.options);
+    pub fn finish(&mut self, now: Instant) -> Vec<Report> {
+        let context = Context { track: &self.track, settings: &self.settings, options: &self.options, now, last: true };
         let last = |state: &mut PeerState| {
             if let Some(link) = &mut state.link {
-                link.finish(options);
+                link.finish(context.options);
             }
-            state.report(track, settings, options, true)
+            state.report(context)
         };
         self.peers.iter_mut().map(last).collect()
     }
@@ -276,8 +301,10 @@ impl Estimator {
 
     /// Forgets what no window needs any more.
     fn forget(&mut self) {
-        let Some(last) = self.track.last().filter(|_| !self.track.is_still()) else { return };
-        self.track.forget_before(last.t_s - self.settings.window_s - SETTLE_S);
+        let keep_s = self.settings.window_s + SETTLE_S;
+        forget(&mut self.track, keep_s);
+        // Their clocks, and how late they come, are their own.
+        self.peers.iter_mut().for_each(|state| forget(&mut state.peer.track, keep_s + SETTLE_S + 60.0));
     }
 }
 
@@ -286,39 +313,63 @@ impl PeerState {
         if let Some(link) = &mut self.link {
             link.forget_before(i64::MAX);
         }
-        self.last = None;
+        (self.last, self.searched) = (None, None);
     }
 
-    fn report(&mut self, track: &Track, settings: &Settings, options: &Options, last: bool) -> Report {
+    fn pairs(&self) -> u64 {
+        self.link.as_ref().map_or(0, |link| link.counts(Side::Receiver).paired)
+    }
+
+    fn forget_before(&mut self, t_s: f64) {
+        if let Some(link) = &mut self.link {
+            link.forget_before((t_s * 1e6) as i64);
+        }
+    }
+
+    fn report(&mut self, context: Context<'_>) -> Report {
+        let Context { track, settings, now, .. } = context;
         let seen = self.link.as_ref().and_then(Link::last_us).map(|us| us as f64 * 1e-6);
+        let nothing_new = self.searched == Some(self.pairs());
+        if !context.last && nothing_new {
+            return self.without(State::NoPairs, "no exchange since the last search".into(), 0.0, context, seen);
+        }
         let Some(end_s) = seen else {
-            return self.without(State::NoPairs, "no exchange yet".into(), 0.0, settings, None);
+            return self.without(State::NoPairs, "no exchange yet".into(), 0.0, context, None);
         };
+        self.forget_before(end_s - settings.window_s - SETTLE_S);
+        let motion = Motion { receiver: track.last().copied(), transmitter: self.peer.track.last().copied() };
+        if !context.last
+            && let Some(moved_m) = self.last.as_ref().filter(|last| !motion.is_beyond(&last.motion)).map(|l| l.moved_m)
+        {
+            self.counts.skipped += 1;
+            return self.without(State::Held, "held: nothing moved since".into(), moved_m, context, seen);
+        }
         let span_s = (end_s - settings.window_s - SETTLE_S, end_s + settings.window_s);
         let Some((receiver, transmitter)) = self.trajectories(track, settings, span_s) else {
-            return self.without(State::NotYet, "no poses yet".into(), 0.0, settings, seen);
+            return self.without(State::NotYet, "no poses yet".into(), 0.0, context, seen);
         };
         let found = window(&receiver, transmitter.as_ref(), settings.window_m, settings.window_s);
         let Some(found) = found else {
-            return self.without(State::NotYet, "the robots' poses are of different times".into(), 0.0, settings, seen);
+            return self.without(State::NotYet, "the robots' poses are of different times".into(), 0.0, context, seen);
         };
+        if found.path_m == 0.0 {
+            // At rest only what settles slopes and signs is of use.
+            self.forget_before(end_s - SETTLE_S);
+        }
         if found.extent_m < settings.least_m {
             let words = format!("not yet: moved {:.2} m of {:.2} m", found.extent_m, settings.least_m);
-            return self.without(State::NotYet, words, found.extent_m, settings, seen);
+            return self.without(State::NotYet, words, found.extent_m, context, seen);
         }
-        let motion = Motion {
-            receiver: receiver.poses().last().copied().unwrap_or(Pose {
-                t_s: end_s,
-                position_m: Default::default(),
-                heading_rad: None,
-            }),
-            transmitter: transmitter.as_ref().and_then(|trajectory| trajectory.poses().last().copied()),
-        };
-        if !last && self.last.as_ref().is_some_and(|(.., before)| !motion.is_beyond(before)) {
-            self.counts.skipped += 1;
-            return self.without(State::Held, "held: nothing moved since".into(), found.extent_m, settings, seen);
+        self.searched = Some(self.pairs());
+        let mut report = self.estimate(&receiver, transmitter.as_ref(), &found, context);
+        if let Some(last) = self.last.as_ref().filter(|_| nothing_new) {
+            report.age_s = (now - last.at).as_s();
         }
-        self.estimate(&receiver, transmitter.as_ref(), &found, motion, settings, options)
+        if report.state == State::Bearing {
+            let (answer, moved_m) = (report.answer.clone(), found.extent_m);
+            self.last = Some(Last { answer, at: now, motion, moved_m });
+        }
+        report
     }
 
     /// Both trajectories on this robot's clock and in the directions of its frame.
@@ -342,59 +393,67 @@ impl PeerState {
         receiver: &Trajectory,
         transmitter: Option<&Trajectory>,
         found: &Window,
-        motion: Motion,
-        settings: &Settings,
-        options: &Options,
+        context: Context<'_>,
     ) -> Report {
-        let keep_from_s = if found.cut { found.from_s } else { found.from_s - SETTLE_S };
-        if let Some(link) = &mut self.link {
-            link.forget_before((keep_from_s * 1e6) as i64);
-        }
-        if !self.peer.track.is_still() {
-            self.peer.track.forget_before(found.to_s - settings.window_s - 2.0 * SETTLE_S - 60.0);
-        }
+        self.forget_before(if found.cut { found.from_s } else { found.from_s - SETTLE_S });
         let Some(link) = self.link.take() else {
-            return self.without(State::Failed, "the link is gone".into(), found.extent_m, settings, None);
+            return self.without(State::Failed, "the link is gone".into(), found.extent_m, context, None);
         };
         let seen = link.last_us().map(|us| us as f64 * 1e-6);
         let receiver = cut(receiver, found);
-        let bearing = link.bearing(&receiver, transmitter, options);
+        let bearing = link.bearing(&receiver, transmitter, context.options);
         self.counts.estimates += 1;
         let report = LinkReport { mac: Some(self.peer.mac), matched: None, link: Some(link), bearing };
         let answer = Answer::new(self.peer.name.clone(), &report);
         self.link = report.link;
         if answer.pairs_in_motion < LEAST_PAIRS && answer.error.is_none() {
             let words = format!("{} exchanges in motion, {LEAST_PAIRS} are needed", answer.pairs_in_motion);
-            return self.without(State::NoPairs, words, found.extent_m, settings, seen);
+            return self.without(State::NoPairs, words, found.extent_m, context, seen);
         }
         if let Some(error) = answer.error.clone() {
-            return self.without(State::Failed, error, found.extent_m, settings, seen);
+            return self.without(State::Failed, error, found.extent_m, context, seen);
         }
-        self.last = Some((answer.clone(), found.to_s, motion));
         let words = format!("bearing {:.2} deg", answer.azimuth_deg.unwrap_or(f64::NAN));
-        let (moved_m, needed_m) = (found.extent_m, settings.least_m);
+        let (moved_m, needed_m) = (found.extent_m, context.settings.least_m);
         Report { t_s: seen, state: State::Bearing, words, moved_m, needed_m, age_s: 0.0, answer }
     }
 
-    /// A report without a new bearing: the last one, if there is one, is said again.
-    fn without(&self, state: State, words: String, moved_m: f64, settings: &Settings, seen: Option<f64>) -> Report {
+    /// A report without a new bearing: the last one, if there is one, is said again with its age.
+    fn without(&self, state: State, words: String, moved_m: f64, context: Context<'_>, seen: Option<f64>) -> Report {
         let held = self.last.as_ref().filter(|_| state != State::Failed);
         let answer = held.map_or_else(
             || Answer { link: self.peer.name.clone(), mac: Some(self.peer.mac.to_string()), ..Answer::default() },
-            |(answer, ..)| answer.clone(),
+            |last| last.answer.clone(),
         );
-        let age_s = held.zip(seen).map_or(0.0, |((_, made_s, _), now_s)| (now_s - made_s).max(0.0));
-        let state = if held.is_some() { State::Held } else { state };
-        Report { t_s: seen, state, words, moved_m, needed_m: settings.least_m, age_s, answer }
+        let age_s = held.map_or(0.0, |last| (context.now - last.at).as_s());
+        let state = if held.is_some() && state == State::NotYet { State::Held } else { state };
+        Report { t_s: seen, state, words, moved_m, needed_m: context.settings.least_m, age_s, answer }
     }
 }
 
 impl Motion {
     /// True if either robot is elsewhere than before.
     fn is_beyond(&self, before: &Self) -> bool {
-        let moved = |now: &Pose, then: &Pose| (now.position_m - then.position_m).norm() >= WORTH_M;
-        let partner = self.transmitter.zip(before.transmitter).is_some_and(|(now, then)| moved(&now, &then));
-        partner || moved(&self.receiver, &before.receiver)
+        let moved = |now: Option<Pose>, then: Option<Pose>| {
+            now.zip(then).is_some_and(|(now, then)| (now.position_m - then.position_m).norm() >= WORTH_M)
+        };
+        moved(self.transmitter, before.transmitter) || moved(self.receiver, before.receiver)
+    }
+}
+
+/// Records lost, as far as a source knows how many.
+fn lost(next: &Next<'_>) -> u64 {
+    match next {
+        Next::Lost(Loss::Overrun { dropped: Some(dropped) }) => (*dropped).max(1),
+        Next::Lost(_) => 1,
+        Next::Record(..) | Next::Pending | Next::End(_) => 0,
+    }
+}
+
+/// Forgets what is older than `keep_s` by the track's own clock.
+fn forget(track: &mut Track, keep_s: f64) {
+    if let Some(last_s) = track.last().map(|pose| pose.t_s) {
+        track.forget_before(last_s - keep_s);
     }
 }
 
@@ -406,4 +465,31 @@ fn cut(trajectory: &Trajectory, found: &Window) -> Trajectory {
     let from = trajectory.poses().partition_point(|pose| pose.t_s < found.from_s).saturating_sub(1);
     let kept = trajectory.poses().get(from..).unwrap_or_default();
     Trajectory::new(kept.to_vec()).unwrap_or_else(|_| trajectory.clone())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn tracks_are_trimmed_though_nothing_moves_and_nothing_is_heard() {
+        let settings = Settings::new(0.054);
+        let peer = Peer { name: "b".into(), mac: Mac([2; 6]), track: Track::default(), yaw_rad: 0.0 };
+        let options = Options::new("108".parse().unwrap());
+        let mut estimator = Estimator::new(Mac([1; 6]), Track::default(), vec![peer], settings, options, Instant::ZERO);
+        for k in 0..6_000 {
+            // The peer's clock is an hour ahead.
+            let pose = |ahead_s: f64| Pose {
+                t_s: ahead_s + f64::from(k) * 0.1,
+                position_m: Vector3::zeros(),
+                heading_rad: None,
+            };
+            estimator.handle_pose(pose(0.0));
+            estimator.handle_peer_pose(0, pose(3_600.0));
+            estimator.poll_report(Instant::from_us(i64::from(k) * 100_000));
+        }
+        let kept = estimator.peers().next().unwrap().0.track.len();
+        assert!(kept < 3_100 && estimator.track().len() < 2_200, "{kept} {}", estimator.track().len());
+    }
 }

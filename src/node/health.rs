@@ -26,6 +26,8 @@ pub struct Health {
     pub strangers: u64,
     /// Odometry.
     pub poses: PoseCounts,
+    /// What the source of the poses counted of its own: its line, its controller, its wheels.
+    pub odometry: Option<serde_json::Value>,
     /// Poses a second.
     pub poses_hz: f64,
     /// The newest pose: seconds since the Unix epoch, x, y, z in metres, heading in degrees.
@@ -126,6 +128,7 @@ impl Looks {
             missing: survey.bfee_missing,
             strangers,
             poses,
+            odometry: machine.odometry_counts(),
             poses_hz: rate(poses.poses, poses_before),
             pose: pose.map(|pose| (pose.t_s, pose.position_m.into(), pose.heading_rad.map(f64::to_degrees))),
             log: machine.totals(),
@@ -169,6 +172,11 @@ impl Health {
     #[must_use]
     pub fn lost_something(&self) -> bool {
         let log = self.log.as_ref().is_some_and(|log| log.dropped + log.lost_on_disk > 0);
-        self.losses > 0 || log || self.load.lines_lost > 0 || self.peers.iter().any(|peer| peer.counts.losses > 0)
+        let unsent = self.network.as_ref().and_then(|network| network.get("unsent")?.as_u64()).unwrap_or(0);
+        self.losses > 0
+            || unsent > 0
+            || log
+            || self.load.lines_lost > 0
+            || self.peers.iter().any(|peer| peer.counts.losses > 0)
     }
 }

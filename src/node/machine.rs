@@ -13,6 +13,8 @@ use driver_iface::record::Record;
 
 /// Records or poses taken from one source before the others have their turn.
 const BURST: usize = 512;
+/// Bursts that are still taken at the end.
+const LAST_BURSTS: usize = 64;
 /// A peer over a network of which nothing came for so long has ended, once this robot's own records have.
 const QUIET: Span = Span::from_ms(5_000);
 
@@ -116,6 +118,8 @@ pub struct PoseCounts {
     pub poses: u64,
     /// Times that the sensor began anew.
     pub new_frames: u64,
+    /// Times that the host's wall clock was set: everything is measured anew.
+    pub clock_set: u64,
 }
 
 /// A running robot.
@@ -297,6 +301,19 @@ impl Machine {
         self.pose_counts
     }
 
+    /// What the source of this robot's poses counted of its own.
+    #[must_use]
+    pub fn odometry_counts(&self) -> Option<serde_json::Value> {
+        self.poses.as_ref().and_then(|poses| poses.source.counted())
+    }
+
+    /// This host's wall clock was set: what has a time of the old one is of no use, here and to the peers.
+    pub fn handle_clock_set(&mut self) {
+        self.pose_counts.clock_set += 1;
+        self.estimator.handle_new_frame();
+        self.tap.iter_mut().for_each(|tap| tap.pose(None));
+    }
+
     /// What is in the log.
     #[must_use]
     pub fn totals(&self) -> Option<Totals> {
@@ -316,7 +333,15 @@ impl Machine {
     /// # Errors
     /// If the log's writer died.
     pub fn finish(mut self, now: Instant) -> Result<(Vec<Report>, Option<Totals>), Error> {
-        let reports = self.estimator.finish();
-        Ok((reports, self.capture.source.finish(now)?))
+        // What has come is taken, as far as it does not go on coming for ever.
+        for _ in 0..LAST_BURSTS {
+            if self.capture.ended || !self.take_records(now).unwrap_or(false) {
+                break;
+            }
+        }
+        // The log first: it must be whole whatever the last estimates take.
+        let totals = self.capture.source.finish(now);
+        let reports = self.estimator.finish(now);
+        Ok((reports, totals?))
     }
 }

@@ -8,6 +8,7 @@
 //! | [`sources`] | what a configuration names, opened |
 //! | [`machine`] | the robot as one value |
 //! | [`health`] | what is published beside the bearings |
+//! | `threads` | the card and the wheels read on threads of their own (feature `live`) |
 //! | `service` | tokio: waits, hands over, publishes (feature `node`) |
 
 pub mod config;
@@ -16,6 +17,9 @@ pub mod health;
 pub mod machine;
 pub mod motion;
 pub mod sources;
+#[cfg(feature = "live")]
+pub mod threads;
+mod together;
 
 #[cfg(feature = "zenoh")]
 pub mod network;

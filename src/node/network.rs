@@ -24,14 +24,17 @@ const BACKLOG: usize = 4_096;
 const MESSAGE_BYTES: usize = 32 * 1024;
 /// ... or this long after its first item.
 const HAND_OVER: Duration = Duration::from_millis(5);
+/// Messages that are still sent once it is told to stop: more than can wait.
+const LAST_MESSAGES: usize = 256;
 
-/// Something to publish.
+/// Something to publish, with its number among those of its kind. What there was no room for has a number too.
 enum Item {
-    Record(Option<i64>, u8, Vec<u8>),
-    Pose(Option<Pose>),
+    Record(u64, Option<i64>, u8, Vec<u8>),
+    /// With the number of its frame.
+    Pose(u64, u64, Pose),
 }
 
-/// The network. Leaves it when dropped.
+/// The network. Leaves it when dropped, which must be outside of an async runtime: zenoh waits for its own.
 pub struct Network {
     session: zenoh::Session,
     prefix: String,
@@ -111,8 +114,7 @@ impl Network {
     #[must_use]
     pub fn tap(&self) -> Option<Box<dyn Tap>> {
         let (items, _) = self.publisher.as_ref()?;
-        let (records, poses) = self.publishes;
-        Some(Box::new(Published { items: items.clone(), unsent: Arc::clone(&self.unsent), records, poses }))
+        Some(Box::new(Published::new(items.clone(), Arc::clone(&self.unsent), self.publishes)))
     }
 
     /// A queue of a peer's `records` or `poses`; `wake` is called whenever something came.
@@ -149,7 +151,8 @@ impl Network {
 impl Drop for Network {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
-        if let Some((_, thread)) = self.publisher.take() {
+        if let Some((items, thread)) = self.publisher.take() {
+            drop(items);
             let _ = thread.join();
         }
         let _ = self.session.close().wait();
@@ -170,20 +173,31 @@ fn work(
     send_poses: impl Fn(Vec<u8>),
 ) {
     let (mut records, mut poses) = (Batch::records(session), Batch::poses(session));
-    loop {
+    // Into its message; one that its number does not continue is sent first.
+    let collect = |item, records: &mut Batch, poses: &mut Batch| match item {
+        Item::Record(number, host_us, code, body) => {
+            records.number(number).into_iter().for_each(&send_records);
+            records.push_record(host_us, Record { code, body: &body });
+        }
+        Item::Pose(number, frame, pose) => {
+            poses.number(number).into_iter().for_each(&send_poses);
+            poses.push_pose(frame, pose);
+        }
+    };
+    let mut left = LAST_MESSAGES;
+    while left > 0 {
+        // Once told to stop it sends what waits and no more: a tap that goes on does not keep it alive.
+        let stopping = stop.load(Ordering::Relaxed);
+        left -= usize::from(stopping);
         match waiting.recv_timeout(HAND_OVER) {
-            Ok(Item::Record(host_us, code, body)) => records.push_record(host_us, Record { code, body: &body }),
-            Ok(Item::Pose(pose)) => poses.push_pose(pose),
-            Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => {}
+            Ok(item) => collect(item, &mut records, &mut poses),
+            Err(RecvTimeoutError::Timeout) if !stopping => {}
             Err(_) => break,
         }
         // Whatever waits goes with it.
         while records.len() < MESSAGE_BYTES && poses.len() < MESSAGE_BYTES {
-            match waiting.try_recv() {
-                Ok(Item::Record(host_us, code, body)) => records.push_record(host_us, Record { code, body: &body }),
-                Ok(Item::Pose(pose)) => poses.push_pose(pose),
-                Err(_) => break,
-            }
+            let Ok(item) = waiting.try_recv() else { break };
+            collect(item, &mut records, &mut poses);
         }
         for (batch, send) in [(&mut records, &send_records as &dyn Fn(Vec<u8>)), (&mut poses, &send_poses)] {
             if !batch.is_empty() {
@@ -199,9 +213,15 @@ struct Published {
     unsent: Arc<AtomicU64>,
     records: bool,
     poses: bool,
+    /// Numbers of the next record, the next pose, and the frame.
+    next: (u64, u64, u64),
 }
 
 impl Published {
+    fn new(items: SyncSender<Item>, unsent: Arc<AtomicU64>, (records, poses): (bool, bool)) -> Self {
+        Self { items, unsent, records, poses, next: (0, 0, 0) }
+    }
+
     fn send(&self, item: Item) {
         if self.items.try_send(item).is_err() {
             self.unsent.fetch_add(1, Ordering::Relaxed);
@@ -212,13 +232,19 @@ impl Published {
 impl Tap for Published {
     fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
         if self.records {
-            self.send(Item::Record(host_us, record.code, record.body.to_vec()));
+            self.send(Item::Record(self.next.0, host_us, record.code, record.body.to_vec()));
+            self.next.0 += 1;
         }
     }
 
     fn pose(&mut self, pose: Option<Pose>) {
-        if self.poses {
-            self.send(Item::Pose(pose));
+        match pose {
+            Some(pose) if self.poses => {
+                self.send(Item::Pose(self.next.1, self.next.2, pose));
+                self.next.1 += 1;
+            }
+            Some(_) => {}
+            None => self.next.2 += 1,
         }
     }
 }
@@ -230,4 +256,45 @@ pub struct NetworkCounts {
     pub unsent: u64,
     /// Peers' MACs, what they publish, and what was counted of it.
     pub subscriptions: Vec<(String, &'static str, Counts)>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::{Cell, RefCell};
+
+    #[test]
+    fn the_publisher_ends_when_told_to_though_items_go_on_coming() {
+        let (items, waiting) = sync_channel(10);
+        let send = || drop(items.try_send(Item::Record(0, None, 0xBB, vec![1])));
+        (0..3).for_each(|_| send());
+        let sent = Cell::new(0);
+        let take = |message: Vec<u8>| {
+            sent.set(sent.get() + usize::from(!message.is_empty()));
+            send();
+        };
+        work(&waiting, 7, &AtomicBool::new(true), take, |_| {});
+        assert!(sent.get() >= LAST_MESSAGES, "{}", sent.get());
+        work(&waiting, 7, &AtomicBool::new(true), |_| {}, |_| {});
+        assert!(waiting.try_recv().is_err(), "what waited was sent");
+    }
+
+    #[test]
+    fn what_there_was_no_room_for_is_missed_by_the_peers() {
+        let (items, waiting) = sync_channel(2);
+        let unsent = Arc::new(AtomicU64::new(0));
+        let tap = RefCell::new(Published::new(items, Arc::clone(&unsent), (true, false)));
+        let offer = || tap.borrow_mut().record(None, Record { code: 0xBB, body: &[1] });
+        (0..5).for_each(|_| offer());
+        let (mailbox, first) = (Mailbox::new(100), Cell::new(true));
+        let send = |message: Vec<u8>| {
+            mailbox.put(&message);
+            if first.replace(false) {
+                offer();
+            }
+        };
+        work(&waiting, 7, &AtomicBool::new(true), send, |_| {});
+        let counts = mailbox.counts();
+        assert_eq!((counts.received, counts.missing, unsent.load(Ordering::Relaxed)), (3, 3, 3));
+    }
 }

@@ -7,8 +7,9 @@ use super::machine::{Capture, Machine};
 use super::outputs::{Lines, StatusSocket, StatusText};
 use super::sources::{Card, Sources};
 use crate::backend::Error;
-use crate::backend::recorder::{LogFiles, Options as RecorderOptions, Recorder, Rotation, Totals};
+use crate::backend::recorder::{LogFiles, Options as RecorderOptions, Recorder, Rotation, Totals, side_path};
 use crate::backend::sys::watch_fd;
+use crate::odometry::clock::WallWatch;
 use crate::time::{Instant, Span};
 use crate::wait::{Monotonic, processor_s, wall_us};
 use sd_notify::NotifyState;
@@ -33,6 +34,8 @@ pub struct Ended {
     pub totals: Option<Totals>,
     /// Bearings that were published.
     pub bearings: u64,
+    /// A signal ended it.
+    pub signalled: bool,
     /// What ended it, if that was an error.
     pub error: Option<Error>,
 }
@@ -46,7 +49,8 @@ pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
     let network = Joined::join(config, &sources)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let io = |source| Error::Io { what: "cannot start tokio".into(), source };
-    runtime.map_err(io)?.block_on(Service::serve(config, name, sources, network))
+    // The network is left outside of the runtime, where it may wait for its own, and after the machine is finished.
+    runtime.map_err(io)?.block_on(Service::serve(config, name, sources, &network))
 }
 
 /// Real time, and the sources' own, which runs `speed` times as fast.
@@ -76,8 +80,8 @@ struct Line<'a> {
     report: &'a Report,
 }
 
-struct Service {
-    network: Joined,
+struct Service<'a> {
+    network: &'a Joined,
     clock: Clock,
     machine: Machine,
     looks: Looks,
@@ -88,10 +92,13 @@ struct Service {
     /// Real time and processor time of the last look.
     looked: (Instant, f64),
     bearings: u64,
+    signalled: bool,
+    /// Of a live card; what is replayed or simulated has clocks of its own.
+    wall: Option<WallWatch>,
 }
 
-impl Service {
-    async fn serve(config: &Config, name: String, mut sources: Sources, network: Joined) -> Result<Ended, Error> {
+impl<'a> Service<'a> {
+    async fn serve(config: &Config, name: String, mut sources: Sources, network: &'a Joined) -> Result<Ended, Error> {
         // Signals first: one that comes from here on ends the robot in order.
         let mut signals = [SignalKind::terminate(), SignalKind::interrupt(), SignalKind::hangup()]
             .map(signal)
@@ -99,7 +106,7 @@ impl Service {
             .collect::<std::io::Result<Vec<Signal>>>()
             .map_err(|source| Error::Io { what: "cannot catch signals".into(), source })?;
         let wake = sources.wake.take().map(watch_fd).transpose();
-        let wake = wake.map_err(|source| Error::Io { what: "cannot register the connector socket".into(), source })?;
+        let wake = wake.map_err(|source| Error::Io { what: "cannot wait for the card's thread".into(), source })?;
         let clock = Clock { real: Monotonic::new(), speed: sources.speed };
         let logged = |card: Card| logged(card, config.log.as_ref());
         let mut machine = Machine::new(sources, logged, Sources::settings(config), config.options(), clock.now())?;
@@ -115,6 +122,8 @@ impl Service {
             load: Load::default(),
             looked: (clock.real.now(), processor_s()),
             bearings: 0,
+            signalled: false,
+            wall: wake.is_some().then(WallWatch::default),
         };
         // Without a service manager nobody listens, and that is no error.
         let _ = sd_notify::notify(&[NotifyState::Ready]);
@@ -134,6 +143,7 @@ impl Service {
         let mut alive_at = look_at;
         loop {
             let more = self.machine.take(self.clock.now())?;
+            self.watch_wall();
             self.estimate();
             let real = self.clock.real.now();
             if real >= look_at {
@@ -155,11 +165,23 @@ impl Service {
             };
             tokio::select! {
                 biased;
-                () = any(signals) => return Ok(()),
+                () = any(signals) => {
+                    self.signalled = true;
+                    return Ok(());
+                }
                 ready = readable(wake) => ready?,
                 () = self.network.wake.notified() => {}
                 () = tokio::time::sleep(wait) => self.note_lateness(),
             }
+        }
+    }
+
+    /// After everything that waited was taken, so that none of it comes later with a time of the old clock.
+    fn watch_wall(&mut self) {
+        if let (Some(watch), Some(wall_us)) = (&mut self.wall, wall_us())
+            && watch.was_set(wall_us, self.clock.real.now().as_us())
+        {
+            self.machine.handle_clock_set();
         }
     }
 
@@ -189,7 +211,7 @@ impl Service {
         }
         self.looked = (real, used_s);
         self.load.memory_mib = resident_mib().unwrap_or(0.0);
-        self.load.lines_lost = self.lines.lost;
+        self.load.lines_lost = self.lines.lost();
         let mut health = self.looks.look(&self.machine, self.clock.now(), self.load);
         health.network = self.network.counts();
         self.load.late_ms = 0.0;
@@ -210,8 +232,8 @@ impl Service {
             peer.report = Some(report);
         }
         health.log.clone_from(&totals);
-        health.load.lines_lost = self.lines.lost;
-        Ok(Ended { health, totals, bearings: self.bearings, error })
+        health.load.lines_lost = self.lines.finish();
+        Ok(Ended { health, totals, bearings: self.bearings, signalled: self.signalled, error })
     }
 }
 
@@ -285,12 +307,12 @@ async fn any(signals: &mut [Signal]) {
     .await;
 }
 
-/// Until the card's socket has something, or for ever without one.
+/// Until the card's thread has something, or for ever without one.
 async fn readable(wake: Option<&AsyncFd<std::os::fd::OwnedFd>>) -> Result<(), Error> {
     let Some(wake) = wake else { return std::future::pending().await };
     let ready = wake.ready(tokio::io::Interest::READABLE | tokio::io::Interest::ERROR).await;
     // What is there is taken before the next wait: were more to come meanwhile, it is an edge of its own.
-    ready.map_err(|source| Error::Io { what: "waiting for the connector socket".into(), source })?.clear_ready();
+    ready.map_err(|source| Error::Io { what: "waiting for the card's thread".into(), source })?.clear_ready();
     Ok(())
 }
 
@@ -298,17 +320,21 @@ async fn readable(wake: Option<&AsyncFd<std::os::fd::OwnedFd>>) -> Result<(), Er
 fn logged(card: Card, log: Option<&Log>) -> Result<Capture, Error> {
     let Some(log) = log else { return Ok(Capture::Plain(card)) };
     let rotation = Rotation { bytes: log.rotate_mib.map(|mib| mib.saturating_mul(1 << 20)), every: None };
-    let files = LogFiles::create(&free_name(&log.file), rotation, false)?;
+    let files = LogFiles::create(&free_name(&log.file, rotation), rotation, false)?;
     Ok(Capture::Logged(Box::new(Recorder::new(card, files, RecorderOptions::default())?)))
 }
 
-/// The first of `log.dat`, `log-r1.dat`, `log-r2.dat` ... that is not there: no start overwrites another's log.
-fn free_name(log: &Path) -> PathBuf {
+/// The first of `log.dat`, `log-r1.dat`, `log-r2.dat` ... of which nothing is there, rotated or not: no start overwrites
+/// another's log.
+fn free_name(log: &Path, rotation: Rotation) -> PathBuf {
     let stem = log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let numbered = |k: u32| log.with_file_name(format!("{stem}-r{k}.dat"));
     std::iter::once(log.to_owned())
         .chain((1..).map(numbered))
-        .find(|name| !name.exists())
+        .find(|name| {
+            let first = LogFiles::first(name, rotation);
+            ![name.clone(), side_path(&first), first].iter().any(|file| file.exists())
+        })
         .unwrap_or_else(|| log.to_owned())
 }
 

@@ -3,6 +3,7 @@
 use super::config::{Capture, Config, Odometry, Peer as PeerConfig, Place, Records};
 use super::estimator::{Peer, Settings};
 use super::motion::Track;
+use super::together::{self, Begin};
 use crate::backend::paced::Paced;
 use crate::backend::replay::Replay;
 use crate::backend::sim::{Room, Scene};
@@ -53,8 +54,10 @@ pub struct Sources {
 }
 
 /// What several sources of one configuration share.
-struct Shared {
+struct Shared<'a> {
     room: Option<Room>,
+    /// This robot's replayed log and its MAC.
+    replayed: Option<(&'a Path, Mac)>,
     /// Host time at which the replayed log begins, seconds.
     origin_s: f64,
     start: Instant,
@@ -67,7 +70,7 @@ impl Sources {
     /// What cannot be opened, with what to do about it.
     pub fn open(config: &Config, start: Instant, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
         let capture = config.capture.get_ref();
-        let mut shared = Shared { room: None, origin_s: 0.0, start };
+        let mut shared = Shared { room: None, replayed: None, origin_s: 0.0, start };
         let mut own = config.mac;
         let mut speed = 1.0;
         #[cfg(feature = "live")]
@@ -76,8 +79,8 @@ impl Sources {
             Capture::Card(card) => {
                 #[cfg(feature = "live")]
                 {
-                    let (listener, fd) = listener(card, wall_us)?;
-                    wake = Some(fd);
+                    let listener = listener(card, wall_us)?;
+                    wake = Some(listener.wake()?);
                     Box::new(listener)
                 }
                 #[cfg(not(feature = "live"))]
@@ -89,6 +92,7 @@ impl Sources {
             Capture::Replay(replay) => {
                 speed = replay.speed;
                 shared.origin_s = first_host_s(&replay.file)?;
+                shared.replayed = own.map(|own| (replay.file.as_path(), own));
                 Box::new(Paced::new(Replay::open(&replay.file)?, 1.0, None))
             }
             Capture::Room(room) => {
@@ -132,7 +136,7 @@ impl Sources {
     }
 }
 
-impl Shared {
+impl Shared<'_> {
     /// A source of poses, or the place of a robot that has none.
     fn poses(
         &self,
@@ -162,11 +166,24 @@ impl Shared {
         Ok((Some(mounted), Track::default()))
     }
 
+    /// A peer's log, to be played together with this robot's.
+    fn replay(&self, log: &Path, peer: Option<Mac>) -> Result<Card, Error> {
+        let mut replay = Replay::open(log)?;
+        let mut begin = Begin::default();
+        if let Some(((own_log, own), peer)) = self.replayed.zip(peer) {
+            begin = together::begin(|| Replay::open(own_log), || Replay::open(log), (own, peer))?;
+        }
+        for _ in 0..begin.skip {
+            replay.receive(self.start)?;
+        }
+        Ok(Box::new(Paced::new(replay, 1.0, None).beginning(self.start + begin.after)))
+    }
+
     fn peer(&mut self, peer: &PeerConfig, wall_us: fn() -> Option<i64>) -> Result<PeerSources, Error> {
         let mut mac = peer.mac;
         let records: Option<Card> = match &peer.records {
             Records::Network(_) => None,
-            Records::Replay(log) => Some(Box::new(Paced::new(Replay::open(&log.file)?, 1.0, None))),
+            Records::Replay(log) => Some(self.replay(&log.file, peer.mac)?),
             Records::Room(_) => {
                 let absent = || Error::Input(format!("the room has no robot `{}`, or it is used twice", peer.name));
                 let room = self.room.as_mut().ok_or_else(absent)?;
@@ -226,24 +243,18 @@ fn first_host_s(log: &Path) -> Result<f64, Error> {
 }
 
 #[cfg(feature = "live")]
-fn listener(
-    card: &super::config::Card,
-    wall_us: fn() -> Option<i64>,
-) -> Result<(crate::backend::netlink::Netlink, std::os::fd::OwnedFd), Error> {
+fn listener(card: &super::config::Card, wall_us: fn() -> Option<i64>) -> Result<super::threads::CardThread, Error> {
     use crate::backend::netlink::{Netlink, Options};
-    use std::os::fd::AsFd;
     let (connector_index, allow_user_sender) = (card.connector_index, card.allow_user_sender);
-    let listener = Netlink::open(&Options { connector_index, allow_user_sender, wall_us, ..Options::default() })?;
-    let io = |source| Error::Io { what: "the connector socket".into(), source };
-    let fd = listener.as_fd().try_clone_to_owned().map_err(io)?;
-    Ok((listener, fd))
+    let options = Options { connector_index, allow_user_sender, wall_us, ..Options::default() };
+    super::threads::CardThread::start(Netlink::open(&options)?)
 }
 
 #[cfg(feature = "node")]
 fn serial(port: &super::config::OpenCr, start: Instant, wall_us: fn() -> Option<i64>) -> Result<Poses, Error> {
     let geometry = port.model.map(super::config::Model::geometry);
     let serial = crate::odometry::serial::Serial::open(port.port.clone(), port.rate_hz, geometry, start, wall_us)?;
-    Ok(Box::new(serial))
+    Ok(Box::new(super::threads::PoseThread::start(serial)?))
 }
 
 #[cfg(not(feature = "node"))]

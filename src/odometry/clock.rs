@@ -28,12 +28,17 @@ pub struct ClockFit {
 }
 
 impl ClockFit {
-    /// Takes the two clocks' readings of about one moment, microseconds: the controller's, and the host's no earlier.
-    pub fn handle(&mut self, controller_us: i64, host_us: i64) {
-        let difference = host_us - controller_us;
-        if let Some(expected) = self.difference_us(controller_us)
-            && (difference as f64 - expected).abs() > STEP_US
-        {
+    /// Takes the two clocks' readings of about one moment, microseconds: the controller's, and the host's before it was
+    /// asked and after it had answered. True if one of the clocks was found to have been set.
+    pub fn handle(&mut self, controller_us: i64, (asked_us, answered_us): (i64, i64)) -> bool {
+        let (least, most) = (asked_us.min(answered_us) - controller_us, asked_us.max(answered_us) - controller_us);
+        // The middle of the exchange.
+        let difference = least + (most - least) / 2;
+        // An exchange may take long, as when the host was busy: only what is outside of it was set.
+        let set = self
+            .difference_us(controller_us)
+            .is_some_and(|expected| expected < least as f64 - STEP_US || expected > most as f64 + STEP_US);
+        if set {
             self.blocks.clear();
             self.steps += 1;
         }
@@ -51,6 +56,7 @@ impl ClockFit {
                 }
             }
         }
+        set
     }
 
     /// Forgets everything but the count: the controller's clock began anew.
@@ -82,9 +88,35 @@ impl ClockFit {
     }
 }
 
+/// Tells when the host's wall clock was set: it then goes on by more or less than the monotonic one.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct WallWatch {
+    last: Option<i64>,
+}
+
+impl WallWatch {
+    /// True if the wall clock was set since the last call; both clocks read at about one moment, microseconds.
+    pub fn was_set(&mut self, wall_us: i64, monotonic_us: i64) -> bool {
+        let difference = wall_us.saturating_sub(monotonic_us);
+        let last = self.last.replace(difference);
+        last.is_some_and(|last| difference.saturating_sub(last).unsigned_abs() as f64 > STEP_US)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_wall_clock_that_was_set_is_told_from_one_that_is_steered() {
+        let mut watch = WallWatch::default();
+        // 500 ppm for an hour, in looks of half a second.
+        assert!((0..7_200).all(|k| !watch.was_set(1_700_000_000_000_000 + k * 500_250, k * 500_000)));
+        let (wall_us, at_us) = (1_700_000_000_000_000 + 7_200 * 500_250, 7_200 * 500_000);
+        assert!(watch.was_set(wall_us - 2_000_000, at_us));
+        assert!(!watch.was_set(wall_us - 2_000_000 + 500_000, at_us + 500_000));
+        assert!(watch.was_set(wall_us + 3_600_000_000, at_us + 1_000_000));
+    }
 
     #[test]
     fn offset_and_drift_are_found_below_the_delays() {
@@ -94,7 +126,8 @@ mod tests {
             for k in 0..6_000_i64 {
                 let controller = k * 10_000;
                 let delay = 300 + (k * 7_919) % 19_000;
-                fit.handle(controller, true_host(controller) as i64 + delay);
+                let host = true_host(controller) as i64 + delay;
+                fit.handle(controller, (host, host));
             }
             let late = 60_000_000;
             let error_us = fit.host_us(late).unwrap() - true_host(late);
@@ -108,7 +141,8 @@ mod tests {
         assert_eq!(fit.host_us(5), None);
         for k in 0..1_000_i64 {
             let jump = if k < 500 { 0 } else { -3_600_000_000 };
-            fit.handle(k * 20_000, 5_000_000_000 + k * 20_000 + jump + 200);
+            let host = 5_000_000_000 + k * 20_000 + jump + 200;
+            assert_eq!(fit.handle(k * 20_000, (host, host)), k == 500);
         }
         assert_eq!(fit.steps, 1);
         assert!((fit.host_us(20_000_000).unwrap() - 1_420_000_200.0).abs() < 1.0);

@@ -42,6 +42,11 @@ pub trait OdometrySource {
     fn trouble(&self) -> Option<String> {
         None
     }
+
+    /// What the source counted of its own, if it counts.
+    fn counted(&self) -> Option<serde_json::Value> {
+        None
+    }
 }
 
 impl<S: OdometrySource + ?Sized> OdometrySource for Box<S> {
@@ -55,5 +60,9 @@ impl<S: OdometrySource + ?Sized> OdometrySource for Box<S> {
 
     fn trouble(&self) -> Option<String> {
         (**self).trouble()
+    }
+
+    fn counted(&self) -> Option<serde_json::Value> {
+        (**self).counted()
     }
 }

@@ -36,6 +36,13 @@ const SILENT: u32 = 5;
 const RETRY: Span = Span::from_ms(500);
 /// A controller's clock that goes on by so much more or less than the host's began anew, microseconds.
 const RESTART_US: i64 = 500_000;
+/// How often the controller refreshes its table (`turtlebot3.cpp`, INTERVAL_MS_TO_UPDATE_CONTROL_ITEM).
+const REFRESH: Span = Span::from_ms(20);
+/// A period in step with the refresh is shortened by this: values are then met at every age within a second, also at
+/// their freshest, by which the clocks are compared.
+const OUT_OF_STEP: f64 = 0.97;
+/// Bit 7 of a status is an alert of the device and no failure.
+const ERROR: u8 = 0x7f;
 
 /// What was counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
@@ -69,6 +76,7 @@ enum Known {
 
 #[derive(Clone, Copy, Debug)]
 struct Request {
+    sent: Instant,
     until: Instant,
     /// Host's wall clock at sending, microseconds.
     wall_us: i64,
@@ -96,6 +104,10 @@ pub struct OpenCr {
     waiting: Option<Request>,
     due: Instant,
     silent: u32,
+    /// Answers refused in a row, and the error of the last.
+    refused: (u32, u8),
+    /// What the controller says of itself; 0 is well.
+    device_status: i8,
     buffer: Vec<u8>,
     drive: Drive,
     clock: ClockFit,
@@ -110,7 +122,8 @@ struct Controller {
     millis: Unwrap32,
     last: (i64, u32),
     us: i64,
-    /// When it was read, on the driver's clock.
+    /// When it was asked and when it had answered, on the driver's clock: it was read in between.
+    asked: Instant,
     at: Instant,
 }
 
@@ -120,13 +133,15 @@ impl OpenCr {
     #[must_use]
     pub fn new(rate_hz: f64, geometry: Option<Geometry>, now: Instant) -> Self {
         Self {
-            period: Span::from_s(1.0 / rate_hz),
+            period: period(rate_hz),
             geometry,
             known: Known::Nothing,
             parser: Parser::default(),
             waiting: None,
             due: now,
             silent: 0,
+            refused: (0, 0),
+            device_status: 0,
             buffer: Vec::new(),
             drive: Drive::new(geometry.unwrap_or(Geometry::BURGER)),
             clock: ClockFit::default(),
@@ -149,6 +164,14 @@ impl OpenCr {
         match self.known {
             Known::Other(model) => Some(format!(
                 "the device answers as model {model:#06x}; the controller of a TurtleBot3 is {MODEL:#06x}: is this its port?"
+            )),
+            _ if self.refused.0 >= SILENT => Some(format!(
+                "the controller refuses to be read ({} times in a row, error {}): is its firmware that of ROS 2?",
+                self.refused.0, self.refused.1
+            )),
+            _ if self.silent < SILENT && self.device_status != 0 => Some(format!(
+                "the controller says device status {} (-1: it finds no motors): are its motors connected and powered?",
+                self.device_status
             )),
             _ if self.silent < SILENT => None,
             _ if self.parser.counts.packets == 0 && self.parser.counts.skipped_bytes > 0 => Some(
@@ -199,7 +222,7 @@ impl OpenCr {
             return None;
         }
         let (address, length) = if self.known == Known::TurtleBot { SENSORS } else { IDENTITY };
-        self.waiting = Some(Request { until: now + PATIENCE, wall_us, length: usize::from(length) });
+        self.waiting = Some(Request { sent: now, until: now + PATIENCE, wall_us, length: usize::from(length) });
         self.due = (self.due + self.period).max(now);
         self.counts.requests += 1;
         self.buffer.clear();
@@ -216,8 +239,7 @@ impl OpenCr {
                 continue;
             };
             self.silent = 0;
-            // Bit 7 is an alert of the device and no failure.
-            match status.data(request.length).filter(|_| status.id == ID && status.error & 0x7f == 0) {
+            match status.data(request.length).filter(|_| status.id == ID && status.error & ERROR == 0) {
                 Some(data) if self.known == Known::TurtleBot => self.sensors(&data, &request, now, wall_us),
                 Some(data) => self.identity(&data, now),
                 None => self.refuse(&status),
@@ -232,6 +254,7 @@ impl OpenCr {
 
     fn refuse(&mut self, status: &Status) {
         self.counts.refused += 1;
+        self.refused = (self.refused.0.saturating_add(1), status.error & ERROR);
         if status.id != ID {
             self.known = Known::Other(u16::from(status.id));
         }
@@ -249,13 +272,18 @@ impl OpenCr {
             self.drive = Drive::new(if info == 1 { Geometry::BURGER } else { Geometry::WAFFLE });
         }
         self.known = Known::TurtleBot;
+        self.refused = (0, 0);
     }
 
     fn sensors(&mut self, data: &[u8], request: &Request, now: Instant, wall_us: i64) {
         let Some(table) = Table::of(data) else { return };
-        let Some(controller_us) = self.controller_time(&table, now) else { return };
-        // The middle of the exchange: the answer was made up between the two.
-        self.clock.handle(controller_us, request.wall_us + (wall_us - request.wall_us) / 2);
+        (self.refused, self.device_status) = ((0, 0), table.device_status);
+        let Some(controller_us) = self.controller_time(&table, request.sent, now) else { return };
+        // The answer was made up between the two.
+        if self.clock.handle(controller_us, (request.wall_us, wall_us)) {
+            // The poses so far have times of another clock.
+            self.found.push_back(Found::NewFrame);
+        }
         let Some(host_us) = self.clock.host_us(controller_us) else { return };
         let reading = Reading {
             t_s: controller_us as f64 * 1e-6,
@@ -267,39 +295,51 @@ impl OpenCr {
             let (position_m, heading_rad) = self.drive.place();
             let pose = Pose { t_s: host_us * 1e-6, position_m, heading_rad: Some(heading_rad) };
             self.found.push_back(Found::Pose(pose));
+        } else {
+            // How far it went in that step is not known.
+            self.found.push_back(Found::NewFrame);
         }
     }
 
     /// The controller's clock, unwrapped microseconds; `None` if nothing was refreshed.
-    fn controller_time(&mut self, table: &Table, now: Instant) -> Option<i64> {
+    fn controller_time(&mut self, table: &Table, asked: Instant, now: Instant) -> Option<i64> {
         let mut controller = match self.controller {
             Some(controller) => controller,
             None => {
                 let last = (i64::from(table.millis), table.micros);
-                Controller { millis: Unwrap32::default(), last, us: 0, at: now }
+                Controller { millis: Unwrap32::default(), last, us: 0, asked, at: now }
             }
         };
         let first = self.controller.is_none();
         let millis = controller.millis.next(table.millis);
         let step_us = (millis - controller.last.0) * 1_000;
-        let elapsed_us = (now - controller.at).as_us();
-        if !first && (step_us < 0 || (step_us - elapsed_us).abs() > RESTART_US) {
+        // Each reading was made between asking and having the answer, however late that was looked at.
+        let (least_us, most_us) = ((asked - controller.at).as_us(), (now - controller.asked).as_us());
+        if !first && (step_us < 0 || step_us < least_us - RESTART_US || step_us > most_us + RESTART_US) {
             self.counts.restarts += 1;
             self.controller = None;
             self.clock.restart();
             self.drive.restart();
             self.found.push_back(Found::NewFrame);
-            return self.controller_time(table, now);
+            return self.controller_time(table, asked, now);
         }
         // Microseconds where the firmware keeps them along with the milliseconds.
         let fine_us = i64::from(table.micros.wrapping_sub(controller.last.1));
         controller.us += if (fine_us - step_us).abs() <= 2_000 { fine_us } else { step_us };
         let repeated = !first && step_us == 0 && controller.us == self.controller.map_or(0, |c| c.us);
-        (controller.last, controller.at) = ((millis, table.micros), now);
+        controller.last = (millis, table.micros);
+        (controller.asked, controller.at) = (asked, now);
         self.controller = Some(controller);
         self.counts.repeated += u64::from(repeated);
         (!repeated).then_some(controller.us)
     }
+}
+
+/// Time between requests, never in step with the controller's refresh.
+fn period(rate_hz: f64) -> Span {
+    let refreshes = 2.0 / (rate_hz * REFRESH.as_s());
+    let in_step = refreshes > 0.9 && (refreshes - refreshes.round()).abs() < 1.0 - OUT_OF_STEP;
+    Span::from_s(if in_step { OUT_OF_STEP } else { 1.0 } / rate_hz)
 }
 
 /// The part of the control table that is read.
@@ -307,6 +347,7 @@ impl OpenCr {
 struct Table {
     millis: u32,
     micros: u32,
+    device_status: i8,
     left: i32,
     right: i32,
     heading_rad: Option<f64>,
@@ -323,8 +364,8 @@ impl Table {
             float(ORIENTATION + 12)?,
         );
         let is_rotation = (q.norm() - 1.0).abs() < 0.1;
-        data.get(STATUS)?;
         Some(Self {
+            device_status: data.get(STATUS)?.cast_signed(),
             millis: word(MILLIS)?,
             micros: word(MICROS)?,
             left: word(LEFT)?.cast_signed(),
@@ -350,13 +391,23 @@ pub(super) mod emulated {
         pub imu: bool,
         /// Ticks of both wheels at time 0.
         pub ticks_from: i32,
+        pub device_status: i8,
         received: Vec<u8>,
     }
 
     impl Emulated {
         pub fn new() -> Self {
             let boot_us = (u64::from(u32::MAX) - 3_000) * 1_000;
-            Self { model: MODEL, radius_m: 0.3, turn_s: 20.0, boot_us, imu: true, ticks_from: -100, received: vec![] }
+            Self {
+                model: MODEL,
+                radius_m: 0.3,
+                turn_s: 20.0,
+                boot_us,
+                imu: true,
+                ticks_from: -100,
+                device_status: 0,
+                received: vec![],
+            }
         }
 
         /// Its control table at `t_us`, refreshed every 20 ms.
@@ -373,6 +424,7 @@ pub(super) mod emulated {
             put(6, &[4, ID]);
             put(10, &((clock_us / 1_000) as u32).to_le_bytes());
             put(14, &(clock_us as u32).to_le_bytes());
+            put(18, &self.device_status.to_le_bytes());
             if self.imu {
                 put(96, &((0.5 * (turned + 1.0)).cos() as f32).to_le_bytes());
                 put(108, &((0.5 * (turned + 1.0)).sin() as f32).to_le_bytes());
@@ -498,6 +550,60 @@ mod tests {
     }
 
     #[test]
+    fn a_stall_of_this_host_is_no_restart_of_the_controller() {
+        let (mut opencr, mut device) = (OpenCr::new(100.0, None, Instant::ZERO), Emulated::new());
+        let mut now = Instant::ZERO;
+        let mut got = Vec::new();
+        while now.as_s() < 20.0 {
+            let Some(asked) = opencr.poll_transmit(now, WALL_US + now.as_us()).map(<[u8]>::to_vec) else {
+                now = opencr.poll_timeout().max(now + Span::from_us(1));
+                continue;
+            };
+            let answer = device.answer(now.as_us() + 100, &asked);
+            // Every fifth second the answer lies there for 1.2 s before it is looked at, the next one for none.
+            let stalled = now.as_s() > 3.0 && now.as_us() / 10_000 % 500 < 2;
+            now += if stalled { Span::from_ms(1_200) } else { Span::from_us(600) };
+            opencr.handle_bytes(now, WALL_US + now.as_us(), &answer);
+            got.extend(std::iter::from_fn(|| opencr.poll_found()));
+        }
+        let counts = opencr.counts();
+        assert!(!got.contains(&Found::NewFrame) && poses(&got).len() > 700, "{counts:?}");
+        assert_eq!((counts.restarts, counts.clock_steps, counts.drive.jumps), (0, 0, 0), "{counts:?}");
+        let off = |pose: &Pose| (pose.position_m - truth(pose.t_s - WALL_US as f64 * 1e-6)).norm();
+        assert!(poses(&got).iter().skip(60).all(|pose| off(pose) < 2e-3));
+    }
+
+    #[test]
+    fn a_clock_that_was_set_and_a_jump_of_the_ticks_open_a_new_frame() {
+        let (mut opencr, mut device) = (OpenCr::new(100.0, None, Instant::ZERO), Emulated::new());
+        assert!(!talk(&mut opencr, &mut device, (0.0, 5.0), |_, bytes| bytes).contains(&Found::NewFrame));
+        device.ticks_from += 1 << 20;
+        let jumped = talk(&mut opencr, &mut device, (5.0, 6.0), |_, bytes| bytes);
+        assert_eq!(jumped.iter().filter(|found| **found == Found::NewFrame).count(), 1);
+        // The host's clock is set back by an hour.
+        let (now, back_us) = (Instant::from_us(6_100_000), WALL_US - 3_600_000_000);
+        let asked = opencr.poll_transmit(now, back_us + now.as_us()).unwrap().to_vec();
+        let answer = device.answer(now.as_us(), &asked);
+        opencr.handle_bytes(now, back_us + now.as_us(), &answer);
+        assert_eq!(opencr.poll_found(), Some(Found::NewFrame));
+        let Some(Found::Pose(pose)) = opencr.poll_found() else { panic!("a pose on the new clock") };
+        assert!((pose.t_s - (back_us as f64 * 1e-6 + 6.1)).abs() < 0.1, "{pose:?}");
+    }
+
+    #[test]
+    fn the_clocks_are_compared_where_values_are_fresh() {
+        for rate_hz in [25.0, 50.0, 100.0] {
+            let (mut opencr, mut device) = (OpenCr::new(rate_hz, None, Instant::ZERO), Emulated::new());
+            // Always asked 9 ms after a refresh, were it in step.
+            let found = talk(&mut opencr, &mut device, (0.009, 12.0), |_, bytes| bytes);
+            for pose in poses(&found).iter().filter(|pose| pose.t_s > WALL_US as f64 * 1e-6 + 5.0) {
+                let age_ms = ((pose.t_s - WALL_US as f64 * 1e-6) * 1e3 + 1.0).rem_euclid(20.0) - 1.0;
+                assert!(age_ms < 2.5, "{rate_hz} Hz: {age_ms} ms after the refresh");
+            }
+        }
+    }
+
+    #[test]
     fn wrong_devices_are_named() {
         let (mut opencr, mut device) = (OpenCr::new(50.0, None, Instant::ZERO), Emulated::new());
         device.model = 0x0406;
@@ -509,5 +615,19 @@ mod tests {
         let mut opencr = OpenCr::new(50.0, None, Instant::ZERO);
         talk(&mut opencr, &mut device, (0.0, 3.0), |_, _| vec![0xFF, 0xFE, 8, 0, 0xF7]);
         assert!(opencr.trouble().unwrap().contains("rosserial"));
+        let (mut opencr, mut device) = (OpenCr::new(50.0, None, Instant::ZERO), Emulated::new());
+        device.device_status = -1;
+        assert!(!talk(&mut opencr, &mut device, (0.0, 1.0), |_, bytes| bytes).is_empty());
+        assert!(opencr.trouble().unwrap().contains("device status -1"));
+        device.device_status = 0;
+        talk(&mut opencr, &mut device, (1.0, 2.0), |_, bytes| bytes);
+        assert_eq!(opencr.trouble(), None);
+        let refusal = |_, _| {
+            let mut out = Vec::new();
+            dynamixel::emit(ID, dynamixel::instruction::STATUS, &[7], &mut out);
+            out
+        };
+        talk(&mut opencr, &mut device, (2.0, 4.0), refusal);
+        assert!(opencr.trouble().unwrap().contains("error 7"), "{:?}", opencr.trouble());
     }
 }

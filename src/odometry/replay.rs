@@ -84,6 +84,10 @@ impl<S: OdometrySource> OdometrySource for Mounted<S> {
     fn trouble(&self) -> Option<String> {
         self.source.trouble()
     }
+
+    fn counted(&self) -> Option<serde_json::Value> {
+        self.source.counted()
+    }
 }
 
 #[cfg(test)]

@@ -134,4 +134,8 @@ impl OdometrySource for Serial {
     fn trouble(&self) -> Option<String> {
         self.trouble.clone().or_else(|| self.opencr.trouble())
     }
+
+    fn counted(&self) -> Option<serde_json::Value> {
+        Some(serde_json::json!({ "controller": self.opencr.counts(), "unplugged": self.unplugged }))
+    }
 }

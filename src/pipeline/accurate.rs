@@ -6,7 +6,7 @@ use crate::alignment::{Alignment, Row, align, remove_common_slope};
 use crate::bartlett::Estimate;
 use crate::channel::SUBCARRIERS;
 use crate::confidence::confidence;
-use crate::near_field::{self, Aperture, Fix, Focus, Limits, Path, Search, Taper, View};
+use crate::near_field::{self, Aperture, Fix, Focus, Limits, Maps, Path, Search, Taper, View};
 use crate::one_way::one_way;
 use crate::pose::wrap_rad;
 use crate::samples::Samples;
@@ -72,7 +72,12 @@ pub struct Placed {
     pub focus: Option<Focus>,
     /// The paths in the round trip, the answer first.
     pub paths: Vec<Path>,
+    /// The joint power over azimuth, elevation and range, where the course is kept for pictures.
+    pub maps: Option<Maps>,
 }
+
+/// Cells around of the maps.
+const MAP_AZIMUTHS: usize = 360;
 
 /// A range is reported where its predicted deviation is below this share of it.
 const RANGE_SHARE: f64 = 0.35;
@@ -128,7 +133,7 @@ pub(super) fn place(
     let fix = search.run()?;
     adopt(&fix, estimate);
     let (confidence, slips) = (confidence(&fix), roots.map(|roots| roots.slips));
-    Some((Placed { fix, alignment, slips, confidence, focus: None, paths: Vec::new() }, search))
+    Some((Placed { fix, alignment, slips, confidence, focus: None, paths: Vec::new(), maps: None }, search))
 }
 
 /// What takes all links of a capture: autofocus of their common trajectory and, after it, the paths of each.
@@ -137,11 +142,11 @@ pub(super) fn finish(bearings: &mut [&mut Bearing], options: &Options) {
         refocus(bearings);
     }
     let extract = |bearing: &mut &mut Bearing| {
-        if let (Some(placed), Some(mut search)) = (&mut bearing.placed, bearing.search.take())
-            && options.accuracy.paths
-        {
+        let (Some(placed), Some(mut search)) = (&mut bearing.placed, bearing.search.take()) else { return };
+        if options.accuracy.paths {
             placed.paths = search.paths(&placed.fix.best());
         }
+        placed.maps = options.keep_course.then(|| search.maps(MAP_AZIMUTHS));
     };
     match options.parallel {
         true => bearings.par_iter_mut().for_each(extract),

@@ -78,12 +78,21 @@ fn steps(bearing: &Bearing, options: &Options) -> Vec<StepPlan> {
     };
     let alignment = placed.is_some_and(|placed| placed.alignment.is_some());
     let one_way = placed.is_some_and(|placed| placed.slips.is_some());
+    let focus = placed.is_some_and(|placed| placed.focus.is_some());
+    let no_focus = if accuracy.near_field && accuracy.focus && !focus {
+        String::from("the links of this capture are too few to tell errors of the trajectory")
+    } else {
+        beyond(accuracy.focus, "errors of the trajectory found from all transmitters")
+    };
+    let paths = placed.is_some_and(|placed| !placed.paths.is_empty());
     vec![
         step("turn-around compensation", bearing.compensated, turn_around),
         step("pairs at rest", false, standing),
         step("spherical waves", placed.is_some(), near_field),
         step("sampling-time alignment", alignment, beyond(accuracy.align, "slopes from packet to packet taken out")),
         step("one-way channel", one_way, beyond(accuracy.one_way, "the root of the round trip, beside it")),
+        step("autofocus", focus, no_focus),
+        step("paths beside the answer", paths, beyond(accuracy.paths, "told apart by all subcarriers")),
     ]
 }
 

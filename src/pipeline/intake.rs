@@ -2,7 +2,7 @@
 
 use crate::backend::{CsiSource, Error, Next};
 use crate::channel::SUBCARRIERS;
-use crate::survey::Survey;
+use crate::survey::{SENDERS_KEPT, Survey};
 use crate::time::Instant;
 use driver_iface::sounding::native::Measurement;
 use driver_iface::{
@@ -91,9 +91,14 @@ impl Front {
             self.unused.no_number += 1;
             return None;
         };
+        if self.rows.len() >= SENDERS_KEPT && !self.rows.contains_key(&identity.mac) {
+            // Noise and malice make up any number of senders.
+            self.unused.other_sender += 1;
+            return None;
+        }
         let row = self.rows.entry(identity.mac).or_default();
         let own_row = *row;
-        *row += 1;
+        *row = row.saturating_add(1);
         let heard = Heard::of(&bfee, self.antenna, number, identity.host_us, own_row);
         self.unused.no_antenna += u64::from(heard.is_none());
         heard.map(|heard| (identity.mac, heard))

@@ -136,7 +136,7 @@ struct Row {
 }
 
 /// Everything that a link gave.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Bearing {
     /// The estimate, azimuth in the trajectory's frame.
     pub estimate: Estimate,
@@ -259,6 +259,12 @@ impl Link {
         self.rows.len() + self.outside + self.thinned
     }
 
+    /// Pairs left out evenly so far, because the link has more than are kept.
+    #[must_use]
+    pub fn thinned(&self) -> usize {
+        self.thinned
+    }
+
     /// Takes a frame of one side.
     pub fn handle(&mut self, side: Side, heard: Heard, options: &Options) {
         self.pairing.handle(side, heard.number, heard.timestamp_low, heard);
@@ -312,9 +318,18 @@ impl Link {
 
     /// Forgets the pairs before `host_us` of the receiver: a live window moves on.
     pub fn forget_before(&mut self, host_us: i64) {
-        self.rows.retain(|row| row.host_us.is_none_or(|at| at >= host_us));
-        if self.rows.len() < MAX_ROWS / 4 {
-            self.stride = (self.stride / 2).max(1);
+        let stays: Vec<bool> = self.rows.iter().map(|row| row.host_us.is_none_or(|at| at >= host_us)).collect();
+        if self.products.len() == self.rows.len() {
+            // Row by row with them.
+            let mut stays = stays.iter();
+            self.products.retain(|_| stays.next().is_some_and(|stays| *stays));
+        }
+        let mut stays = stays.iter();
+        self.rows.retain(|_| stays.next().is_some_and(|stays| *stays));
+        // As dense from here on as what remains allows: after a long rest that is every pair again.
+        let mut expected = self.rows.len();
+        while self.stride > 1 && expected <= MAX_ROWS / 4 {
+            (self.stride, expected) = (self.stride / 2, expected * 2);
         }
     }
 
@@ -328,7 +343,7 @@ impl Link {
     /// stamp an exchange within the turn-around and the jitter of interrupts.
     #[must_use]
     pub fn partner_ahead_s(&self) -> Option<f64> {
-        let ahead = |row: &Row| Some(row.partner_host_us? - row.host_us?);
+        let ahead = |row: &Row| Some(row.partner_host_us?.saturating_sub(row.host_us?));
         let mut ahead_us: Vec<i64> = self.rows.iter().filter_map(ahead).collect();
         let middle = ahead_us.len() / 2;
         (!ahead_us.is_empty()).then(|| *ahead_us.select_nth_unstable(middle).1 as f64 * 1e-6)
@@ -494,5 +509,43 @@ impl Link {
             return LinkError::AllCut { pairs: pairs.formed, length_s: to_s - from_s };
         }
         LinkError::OutsideTrajectory { pairs: pairs.formed, from_s, start_s, end_s }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use driver_iface::sounding::native::Measurement;
+
+    /// Exchange number `k`, 10 ms after the one before.
+    fn exchange(link: &mut Link, options: &Options, k: u32) {
+        let measurement = Measurement {
+            number: k,
+            timestamp_low: k * 10_000,
+            rx_antenna: 0,
+            antenna_sel: 0,
+            rssi: [40; 3],
+            noise_dbm: -127,
+            agc: 20,
+            iq: [[9, 1]; 30],
+        };
+        let mut heard = Heard::measured(&measurement, k);
+        heard.host_us = Some(i64::from(k) * 10_000);
+        link.handle(Side::Receiver, heard, options);
+        link.handle(Side::Transmitter, heard, options);
+    }
+
+    #[test]
+    fn after_a_long_rest_every_pair_is_kept_again() {
+        let options = Options::new("108".parse().unwrap());
+        let mut link = Link::new(Mac([2; 6]), None);
+        (0..60_000).for_each(|k| exchange(&mut link, &options, k));
+        assert!(link.stride > 4 && link.rows.len() <= MAX_ROWS, "{}", link.stride);
+        link.forget_before(599_000_000);
+        (60_000..60_500).for_each(|k| exchange(&mut link, &options, k));
+        let kept = link.rows.iter().filter(|row| row.row >= 60_000).count();
+        assert_eq!(kept, 500);
+        // What goes with the rows is forgotten with them.
+        assert_eq!(link.products.len(), link.rows.len());
     }
 }

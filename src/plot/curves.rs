@@ -12,6 +12,8 @@ pub struct CdfPlot {
     pub x_label: String,
     /// Name and errors of each series, any order. Magnitudes are drawn; an exact zero stands at the left edge.
     pub series: Vec<(String, Vec<f64>)>,
+    /// Name and known points (error, share) of others' distributions, dashed, in the colours of the series in their order.
+    pub known: Vec<(String, Vec<(f64, f64)>)>,
 }
 
 impl CdfPlot {
@@ -25,12 +27,16 @@ impl CdfPlot {
         let sorted: Vec<Vec<f64>> = self.series.iter().map(|s| sizes(&s.1)).collect();
         // Errors that are all zero have no place on a log axis: they stand at the edge of a made-up decade.
         let zeros = sorted.iter().any(|v| !v.is_empty()).then_some((0.1, 1.0));
-        let range = extent_log(sorted.iter().flatten().copied()).or(zeros);
+        let points = self.known.iter().flat_map(|known| known.1.iter().map(|point| point.0));
+        let range = extent_log(sorted.iter().flatten().copied().chain(points)).or(zeros);
         let range = range.ok_or(Error::Empty { what: "error distribution" })?;
         let mut canvas = Canvas::new(780.0, &self.title);
         let median = |v: &[f64]| v.get(v.len() / 2).map_or(String::new(), |m| format!(" (median {m:.2})"));
         let keys = self.series.iter().zip(&sorted).enumerate();
-        let keys: Vec<_> = keys.map(|(i, (s, v))| (Key::Line, series_colour(i), s.0.clone() + &median(v))).collect();
+        let mut keys: Vec<_> =
+            keys.map(|(i, (s, v))| (Key::Line, series_colour(i), s.0.clone() + &median(v))).collect();
+        let known = self.known.iter().enumerate().filter(|(_, known)| !known.1.is_empty());
+        keys.extend(known.map(|(i, known)| (Key::Dash, series_colour(i), known.0.clone())));
         let top = 74.0 + canvas.legend(58.0, &keys);
         let mut axes = Axes::new([120.0, top, WIDTH - 160.0, 690.0 - top], range, (0.0, 1.02));
         axes.log_x = true;
@@ -43,6 +49,11 @@ impl CdfPlot {
             });
             let end = (!values.is_empty()).then(|| axes.at(range.1, 1.0));
             canvas.polyline(stairs.chain(end).collect(), series_colour(i), 3.0);
+        }
+        for (i, known) in self.known.iter().enumerate() {
+            let points: Vec<_> = known.1.iter().map(|&(error, share)| axes.at(error, share)).collect();
+            points.windows(2).for_each(|pair| canvas.line(pair[0], pair[1], series_colour(i), 2.0, true));
+            canvas.dots(&points, 6.0, series_colour(i), 1.0);
         }
         canvas.save(stem)
     }

@@ -7,12 +7,14 @@
 mod canvas;
 mod curves;
 mod phase;
+mod place;
 mod plane;
 mod profile;
 
 pub use curves::{CdfPlot, ScatterLines};
 pub use phase::{PhasePlot, PhaseTrack};
-pub use plane::{MapPlot, Ray, RayClass, TrajectoryPlot};
+pub use place::PlaceMap;
+pub use plane::{Ellipse, MapPlot, Ray, RayClass, TrajectoryPlot};
 pub use profile::{ProfileMap, ProfilePlot};
 use std::path::PathBuf;
 

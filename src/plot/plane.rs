@@ -1,6 +1,6 @@
 //! Pictures in the plane of motion: one trajectory with its bearing, and the map of all robots.
 use super::Error;
-use super::canvas::{Axes, BLACK, BLUE, Canvas, GREEN, GREY, Key, RED, Rgb, SKY, WIDTH, extent};
+use super::canvas::{Axes, BLACK, BLUE, Canvas, GREEN, GREY, Key, PURPLE, RED, Rgb, SKY, WIDTH, extent};
 use kuva::render::render::TextAnchor;
 use std::path::{Path, PathBuf};
 
@@ -49,6 +49,31 @@ pub struct Ray {
     pub class: RayClass,
 }
 
+/// The two standard deviations of a position, as its covariance has them.
+#[derive(Debug, Clone)]
+pub struct Ellipse {
+    /// The position, metres.
+    pub centre_m: [f64; 2],
+    /// Its covariance, metres squared.
+    pub covariance_m2: [[f64; 2]; 2],
+    /// Name beside it; may be empty.
+    pub label: String,
+}
+
+impl Ellipse {
+    /// Points around, metres: the covariance's square root (Cholesky) on a circle.
+    fn around(&self) -> Vec<[f64; 2]> {
+        let [[a, b], [_, d]] = self.covariance_m2;
+        let l = a.max(1e-12).sqrt();
+        let (m, n) = (b / l, (d - b * b / (l * l)).max(0.0).sqrt());
+        let point = |k: i32| {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 72.0).sin_cos();
+            [self.centre_m[0] + 2.0 * l * cos, self.centre_m[1] + 2.0 * (m * cos + n * sin)]
+        };
+        finite(&(0..72).map(point).collect::<Vec<_>>())
+    }
+}
+
 /// Map of robots, paths and bearings, metre for metre in x and y.
 #[derive(Debug, Clone, Default)]
 pub struct MapPlot {
@@ -60,6 +85,8 @@ pub struct MapPlot {
     pub rays: Vec<Ray>,
     /// Path of the receiver, metres.
     pub path_m: Vec<[f64; 2]>,
+    /// Positions found.
+    pub ellipses: Vec<Ellipse>,
 }
 
 fn finite(points: &[[f64; 2]]) -> Vec<[f64; 2]> {
@@ -171,12 +198,19 @@ impl MapPlot {
                 keys.push((if dash { Key::Dash } else { Key::Line }, colour, name.to_owned()));
             }
         }
+        if !self.ellipses.is_empty() {
+            keys.push((Key::Dot, PURPLE, "position found, two deviations".to_owned()));
+        }
         let mut canvas = Canvas::new(900.0, &self.title);
         let top = 74.0 + canvas.legend(58.0, &keys);
         let axes = axes(top, &view, 0.12, "map")?;
         axes.draw(&mut canvas, "x (m)", "y (m)");
         let reach = 0.16 * (axes.y.1 - axes.y.0).max(axes.x.1 - axes.x.0);
         canvas.clipped(&axes, |canvas| {
+            for ellipse in &self.ellipses {
+                canvas.polygon(&pixels(&axes, &ellipse.around()), PURPLE, 0.35);
+                canvas.dots(&pixels(&axes, &finite(&[ellipse.centre_m])), 5.0, PURPLE, 1.0);
+            }
             canvas.polyline(pixels(&axes, &path), BLUE, 4.0);
             for ray in &rays {
                 let (colour, dash, _) = ray.class.look();

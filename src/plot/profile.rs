@@ -106,7 +106,7 @@ pub struct ProfileMap {
     pub value: Vec<f64>,
 }
 
-const FLOOR_DB: f64 = -20.0;
+pub(super) const FLOOR_DB: f64 = -20.0;
 
 impl ProfileMap {
     /// Writes `stem.png` and `stem.svg`.
@@ -149,6 +149,6 @@ impl ProfileMap {
     }
 }
 
-fn shade(db: f64) -> (u8, u8, u8) {
+pub(super) fn shade(db: f64) -> (u8, u8, u8) {
     ColorMap::Viridis.map_rgb((1.0 - db.max(FLOOR_DB) / FLOOR_DB).clamp(0.0, 1.0)).unwrap_or(PALE)
 }

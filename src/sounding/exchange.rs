@@ -49,15 +49,16 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
     /// When the interface failed for good. What was only not taken is counted, and said in a [`Notice`].
     pub fn step(&mut self, now: &impl Fn() -> Instant, tell: &mut impl FnMut(News)) -> Result<Option<Instant>, Error> {
         loop {
-            let Some(heard) = self.air.hear()? else { break };
+            // The time is read before the frame's age is: what comes between makes answers early, never late.
             let at = now();
+            let Some(heard) = self.air.hear()? else { break };
             let ended = at - heard.age;
             let heard_len = heard.frame.len() + FCS_LEN;
             self.tdma.handle_heard(at, ended, heard.frame);
             self.send_due(now, Some((ended, heard_len)), tell)?;
         }
         self.send_due(now, None, tell)?;
-        if let Some(notice) = self.watch.look(now(), self.air.sent_for_certain()) {
+        if let Some(notice) = self.watch.look(now(), self.air.sent_for_certain(), self.air.failed_for_certain()) {
             tell(News::Notice(notice));
         }
         Ok(self.tdma.poll_timeout())
@@ -71,30 +72,36 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
     ) -> Result<(), Error> {
         while let Some(transmit) = self.tdma.poll_transmit(now()) {
             let before = now();
+            let (role, number) = (transmit.role, transmit.number);
+            self.figures.note_due(&transmit, before);
             // The host may have been elsewhere since the machine gave the frame out.
             if before > transmit.latest {
                 self.figures.too_late += 1;
+                self.tdma.not_sent(role, number);
                 continue;
             }
-            match self.air.inject(before, transmit.frame) {
-                Ok(()) => {}
-                Err(Error::NotSent(why)) => {
-                    self.watch.not_sent(why).map(News::Notice).into_iter().for_each(&mut *tell);
-                    continue;
-                }
-                Err(error) => return Err(error),
+            let taken = self.air.inject(before, transmit.frame);
+            if let Err(error) = taken {
+                self.tdma.not_sent(role, number);
+                let Error::NotSent(why) = error else { return Err(error) };
+                self.watch.not_sent(why).map(News::Notice).into_iter().for_each(&mut *tell);
+                continue;
             }
             let after = now();
             self.figures.note_sent(&transmit, before, after, heard.map(|(ended, _)| ended));
-            if transmit.role == Role::Forward {
-                self.last_forward = Some((transmit.number, before));
-                self.watch.sent(before);
+            self.watch.sent(role, before);
+            if role == Role::Forward {
+                self.last_forward = Some((number, before));
             }
         }
         while let Some(event) = self.tdma.poll_event() {
-            if let Event::Answered { number, .. } = event {
-                self.watch.answered();
-                self.note_answer(number, heard);
+            match event {
+                Event::Answered { number, .. } => {
+                    self.watch.answered();
+                    self.note_answer(number, heard);
+                }
+                Event::Missed { slots, late, slot } => self.figures.note_missed(slots, late, slot),
+                _ => {}
             }
             tell(News::Event(event));
         }

@@ -17,7 +17,10 @@ const EDGES_US: [u64; 12] = [10, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_
 /// What was measured while sounding. Nothing is allocated after [`Figures::new`].
 #[derive(Clone, Debug)]
 pub struct Figures {
-    /// Microseconds from a slot's start to the hand-over of its forward frame.
+    /// Microseconds from a slot's start to the time at which the host came to it: of every slot that was due, those
+    /// skipped or not taken included. What the host's punctuality is to be judged by.
+    pub due_us: Histogram<u64>,
+    /// Microseconds from a slot's start to the hand-over of its forward frame: of frames sent, so never above the guard.
     pub lateness_us: Histogram<u64>,
     /// Microseconds from the kernel's stamp on a forward frame to the hand-over of its answer, which then was taken.
     pub turn_around_us: Histogram<u64>,
@@ -45,11 +48,26 @@ impl Figures {
     #[must_use]
     pub fn new() -> Self {
         Self {
+            due_us: histogram(),
             lateness_us: histogram(),
             turn_around_us: histogram(),
             answer_us: histogram(),
             too_late: 0,
             perhaps_late: 0,
+        }
+    }
+
+    /// The host came to a frame that was due.
+    pub(super) fn note_due(&mut self, transmit: &Transmit<'_>, at: Instant) {
+        if transmit.role == Role::Forward {
+            note(&mut self.due_us, at - transmit.at);
+        }
+    }
+
+    /// The host came to so many slots in a row too late: `late` after the first one's start, each a `slot` later.
+    pub(super) fn note_missed(&mut self, slots: u32, late: Span, slot: Span) {
+        for k in 0..i64::from(slots) {
+            note(&mut self.due_us, Span::from_us(late.as_us() - k * slot.as_us()));
         }
     }
 

@@ -9,6 +9,7 @@
 
 mod exchange;
 mod figures;
+mod mailbox;
 mod products;
 mod rate;
 mod thread;

@@ -6,10 +6,10 @@
 use crate::backend::Next;
 use crate::pairing::Side;
 use crate::pipeline::Options;
-use crate::pipeline::intake::Heard;
+use crate::pipeline::intake::{Front, Heard, Unused};
 use crate::pipeline::link::{Bearing, Link, LinkError};
 use crate::pose::Trajectory;
-use crate::survey::{Identity, Survey};
+use crate::survey::Identity;
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Bfee};
 use driver_iface::sounding::native::Measurement;
@@ -34,9 +34,9 @@ pub fn measurement(bfee: &Bfee<'_>, identity: &Identity, antenna: Antenna) -> Op
 #[derive(Debug)]
 pub struct Products {
     options: Options,
-    links: Vec<(Link, [u32; 2])>,
-    /// What the card reported.
-    pub survey: Survey,
+    /// Each with the number of measurements that came of it.
+    links: Vec<(Link, u32)>,
+    front: Front,
     /// Measurements of another antenna than the one in use; not used.
     pub other_antenna: u64,
 }
@@ -45,19 +45,14 @@ impl Products {
     /// Links to `peers`.
     #[must_use]
     pub fn new(peers: &[Mac], options: Options) -> Self {
-        let links = peers.iter().map(|mac| (Link::new(*mac, None), [0; 2])).collect();
-        Self { options, links, survey: Survey::default(), other_antenna: 0 }
+        let links = peers.iter().map(|mac| (Link::new(*mac, None), 0)).collect();
+        Self { front: Front::new(options.antenna), options, links, other_antenna: 0 }
     }
 
     /// Takes what the card's driver gave.
     pub fn note(&mut self, next: &Next<'_>) {
-        let Some((bfee, identity)) = self.survey.note(next) else { return };
-        let Some(number) = identity.frame_count else { return };
-        let antenna = self.options.antenna;
-        let Some((link, rows)) = find(&mut self.links, identity.mac) else { return };
-        let heard = Heard::of(&bfee, antenna, number, identity.host_us, rows[0]);
-        rows[0] += 1;
-        if let Some(heard) = heard {
+        let Some((mac, heard)) = self.front.note(next) else { return };
+        if let Some((link, _)) = find(&mut self.links, mac) {
             link.handle(Side::Receiver, heard, &self.options);
         }
     }
@@ -68,9 +63,15 @@ impl Products {
             self.other_antenna += 1;
             return;
         }
-        let Some((link, rows)) = find(&mut self.links, peer) else { return };
-        link.handle(Side::Transmitter, Heard::measured(measurement, rows[1]), &self.options);
-        rows[1] += 1;
+        let Some((link, row)) = find(&mut self.links, peer) else { return };
+        link.handle(Side::Transmitter, Heard::measured(measurement, *row), &self.options);
+        *row += 1;
+    }
+
+    /// Records of the card that could not be used, by reason.
+    #[must_use]
+    pub fn unused(&self) -> Unused {
+        self.front.unused
     }
 
     /// Products that there are, by link.
@@ -90,6 +91,6 @@ impl Products {
     }
 }
 
-fn find(links: &mut [(Link, [u32; 2])], mac: Mac) -> Option<&mut (Link, [u32; 2])> {
+fn find(links: &mut [(Link, u32)], mac: Mac) -> Option<&mut (Link, u32)> {
     links.iter_mut().find(|(link, _)| link.mac == mac)
 }

@@ -10,6 +10,9 @@ const HT: u32 = 0x100;
 /// RATE_MCS_HT40_MSK: 40 MHz wide.
 const HT40: u32 = 0x800;
 
+/// Antennas of the card.
+const ANTENNAS: u32 = 3;
+
 /// What became of the driver's rate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Rate {
@@ -31,18 +34,27 @@ pub enum Rate {
 }
 
 /// The driver's number for a rate (`rate_n_flags`, `dvm/commands.h`): 0x4101 is MCS 1, 20 MHz, antenna A.
+///
+/// Several streams (MCS 8 and up) go out on as many antennas: `antenna` and the next ones, A after C. `None` for more
+/// streams than the card has antennas (MCS 24 and up).
 #[must_use]
-pub fn rate_n_flags(phy: Phy, antenna: Antenna) -> u32 {
-    let antenna = match antenna {
-        Antenna::A => 0x4000,
-        Antenna::B => 0x8000,
-        Antenna::C => 0x10000,
+pub fn rate_n_flags(phy: Phy, antenna: Antenna) -> Option<u32> {
+    const ANTENNA_A: u32 = 0x4000;
+    let streams = u32::from(phy.mcs / 8 + 1);
+    if streams > ANTENNAS {
+        return None;
+    }
+    let first = match antenna {
+        Antenna::A => 0,
+        Antenna::B => 1,
+        Antenna::C => 2,
     };
+    let antennas = (first..first + streams).fold(0, |bits, k| bits | ANTENNA_A << (k % ANTENNAS));
     let width = match phy.bandwidth {
         Bandwidth::Ht20 => 0,
         Bandwidth::Ht40 => HT40,
     };
-    antenna | width | HT | u32::from(phy.mcs)
+    Some(antennas | width | HT | u32::from(phy.mcs))
 }
 
 /// Makes the driver send at this rate, if it is one that ignores radiotap.
@@ -66,6 +78,15 @@ mod tests {
     use crate::doctor::Tree;
 
     #[test]
+    fn every_stream_has_an_antenna() {
+        let rate = |mcs, antenna| rate_n_flags(Phy { mcs, bandwidth: Bandwidth::Ht20 }, antenna);
+        assert_eq!(rate_n_flags(Phy { mcs: 0, bandwidth: Bandwidth::Ht40 }, Antenna::B), Some(0x8900));
+        assert_eq!([rate(7, Antenna::C), rate(8, Antenna::A)], [Some(0x1_0107), Some(0xc108)]);
+        assert_eq!([rate(15, Antenna::C), rate(16, Antenna::B)], [Some(0x1_410f), Some(0x1_c110)]);
+        assert_eq!([rate(23, Antenna::A), rate(24, Antenna::A)], [Some(0x1_c117), None]);
+    }
+
+    #[test]
     fn the_driver_s_file_is_found_by_the_interface_and_set_once() {
         let root = std::env::temp_dir().join(format!("csi5300-rate-{}", std::process::id()));
         let files = [
@@ -80,9 +101,8 @@ mod tests {
         }
         let tree = Tree::new(root.clone());
         let phy = Phy { mcs: 1, bandwidth: Bandwidth::Ht20 };
-        let rate = rate_n_flags(phy, Antenna::A);
+        let rate = rate_n_flags(phy, Antenna::A).unwrap();
         assert_eq!(rate, 0x4101);
-        assert_eq!(rate_n_flags(Phy { mcs: 0, bandwidth: Bandwidth::Ht40 }, Antenna::B), 0x8900);
         assert_eq!(set_rate(&tree, "mon1", rate), Rate::FromRadiotap);
         assert_eq!(set_rate(&tree, "mon0", rate), Rate::Set(rate, "0x0".into()));
         assert_eq!(set_rate(&tree, "mon0", rate), Rate::Right(rate));

@@ -6,6 +6,7 @@ use crate::tdma::{Config, Epoch, Event, Request, Tdma};
 use crate::time::{Instant, Span};
 use std::cell::Cell;
 use std::collections::VecDeque;
+use std::rc::Rc;
 
 const A: [u8; 6] = [2, 0, 0, 0, 0, 1];
 const B: [u8; 6] = [2, 0, 0, 0, 0, 2];
@@ -21,6 +22,9 @@ struct Script {
     incoming: VecDeque<(Vec<u8>, Span)>,
     last: Vec<u8>,
     certain: Option<u64>,
+    failed: u64,
+    /// A host that is elsewhere for so long after it was asked for a frame.
+    stall: Option<(Rc<Cell<i64>>, i64)>,
 }
 
 impl Injector for &mut Script {
@@ -38,11 +42,18 @@ impl FrameReceiver for &mut Script {
     fn hear(&mut self) -> Result<Option<Heard<'_>>, Error> {
         let Some((frame, age)) = self.incoming.pop_front() else { return Ok(None) };
         self.last = frame;
+        if let Some((clock, us)) = &self.stall {
+            clock.set(clock.get() + us);
+        }
         Ok(Some(Heard { frame: &self.last, age }))
     }
 
     fn sent_for_certain(&self) -> Option<u64> {
         self.certain
+    }
+
+    fn failed_for_certain(&self) -> u64 {
+        self.failed
     }
 }
 
@@ -81,6 +92,8 @@ fn lateness_is_what_it_was_and_nothing_is_sent_beyond_the_guard() {
     run(&mut exchange, 51, 10_000_000);
     assert_eq!(exchange.figures.lateness_us.len(), sent, "51 us are beyond the guard of 50");
     assert!(exchange.tdma.counts().missed_slots > 200);
+    let (due, missed) = (&exchange.figures.due_us, exchange.tdma.counts().missed_slots);
+    assert_eq!((due.len(), due.max()), (sent + missed, 51), "those that were skipped are in the figures, too");
     assert_eq!(script.sent.len() as u64, sent);
 }
 
@@ -89,15 +102,17 @@ fn a_host_that_is_elsewhere_between_machine_and_air_sends_nothing_late() {
     let mut script = Script::default();
     let mut exchange = Exchange::new(initiator(), &mut script);
     let begin = exchange.tdma.poll_timeout().unwrap();
-    // Each look at the clock takes 40 us: in time for the machine, too late for the air.
+    // Each look at the clock takes 20 us: in time for the machine, too late for the air.
     let clock = Cell::new(begin.as_us());
     let slow = || {
         let now = clock.get();
-        clock.set(now + 40);
-        Instant::from_us(now + 40)
+        clock.set(now + 20);
+        Instant::from_us(now + 20)
     };
     exchange.step(&slow, &mut |_| {}).unwrap();
     assert_eq!((exchange.figures.too_late, exchange.figures.lateness_us.len()), (1, 0));
+    assert_eq!((exchange.figures.due_us.len(), exchange.figures.due_us.max()), (1, 60));
+    assert_eq!((exchange.tdma.counts().forward, exchange.tdma.link_counts(B).unwrap().sounded), (0, 0));
     assert!(script.sent.is_empty());
 }
 
@@ -126,6 +141,80 @@ fn refusals_are_said_once_for_each_cause_in_a_row() {
     exchange.air.refuses = Some(NotSent::Down);
     assert_eq!(notices(&run(&mut exchange, 0, 6_000_000)), [Notice::NotSent(NotSent::Down)]);
     assert_eq!(exchange.figures.lateness_us.len(), 0);
+    assert!(exchange.figures.due_us.len() > 200);
+    // What was not sent is not waited for either.
+    let counts = *exchange.tdma.counts();
+    assert_eq!((counts.forward, counts.unanswered), (0, 0));
+    assert_eq!(exchange.tdma.link_counts(B).unwrap().sounded, 0);
+}
+
+#[test]
+fn slots_slept_through_are_in_the_figures() {
+    let mut script = Script::default();
+    let mut exchange = Exchange::new(initiator(), &mut script);
+    run(&mut exchange, 0, 2_000_000);
+    let (due, at) = (exchange.figures.due_us.len(), exchange.tdma.poll_timeout().unwrap());
+    // Slots of 10 ms; 64 of them are what a turn survives.
+    exchange.step(&|| at + Span::from_ms(55), &mut |_| {}).unwrap();
+    assert_eq!((exchange.figures.due_us.len() - due, exchange.tdma.counts().missed_slots), (6, 6));
+    assert!((54_900..=55_100).contains(&exchange.figures.due_us.max()));
+    let at = exchange.tdma.poll_timeout().unwrap();
+    exchange.step(&|| at + Span::from_ms(100_000), &mut |_| {}).unwrap();
+    assert_eq!(exchange.tdma.counts().overslept, 1);
+    assert!(exchange.figures.due_us.len() > due + 6);
+    assert!(exchange.figures.due_us.max() > 9_000_000, "as long as is told apart");
+}
+
+#[test]
+fn a_responder_notices_that_its_answers_vanish_too() {
+    let mut asked = Script::default();
+    run(&mut Exchange::new(initiator(), &mut asked), 0, 10_000_000);
+    let answer_all = |failed, certain: fn(u64) -> u64| {
+        let mut air = Script::default();
+        let mut exchange = Exchange::new(Tdma::new(&config(B, A)).unwrap(), &mut air);
+        let mut told = Vec::new();
+        for (k, (at, frame)) in (1..).zip(&asked.sent) {
+            exchange.air.incoming.push_back((frame.clone(), Span::ZERO));
+            exchange.air.certain = Some(certain(k));
+            exchange.air.failed = if failed { k } else { 0 };
+            exchange.step(&|| *at, &mut |news| told.push(news)).unwrap();
+        }
+        assert!(exchange.tdma.counts().replies > 200);
+        notices(&told)
+    };
+    assert!(matches!(answer_all(false, |_| 0)[..], [Notice::NothingGoesOut { frames: 32.. }]));
+    assert_eq!(answer_all(false, |k| k), []);
+    assert_eq!(answer_all(true, |_| 0), [], "nobody acknowledges, nor answers, an answer");
+}
+
+#[test]
+fn frames_that_all_fail_are_noticed() {
+    let mut script = Script { certain: Some(0), ..Script::default() };
+    let mut exchange = Exchange::new(initiator(), &mut script);
+    let mut told = Vec::new();
+    for tenth in 1..40 {
+        exchange.air.failed += 10;
+        told.extend(notices(&run(&mut exchange, 0, tenth * 100_000)));
+    }
+    assert!(matches!(told[..], [Notice::AllFail { frames: 32.. }]), "{told:?}");
+    exchange.air.certain = Some(1);
+    assert_eq!(notices(&run(&mut exchange, 0, 4_100_000)), [Notice::GoesOut]);
+}
+
+#[test]
+fn a_host_that_is_elsewhere_while_it_takes_a_frame_answers_nothing_late() {
+    let mut asked = Script::default();
+    run(&mut Exchange::new(initiator(), &mut asked), 0, 3_000_000);
+    let (_, forward) = asked.sent.remove(0);
+    for (stall_us, answers) in [(200, 1), (300, 0)] {
+        let clock = Rc::new(Cell::new(1_000_000));
+        let mut script = Script { stall: Some((clock.clone(), stall_us)), ..Script::default() };
+        // 60 us old when its age was read.
+        script.incoming.push_back((forward.clone(), Span::from_us(60)));
+        let mut exchange = Exchange::new(Tdma::new(&config(B, A)).unwrap(), &mut script);
+        exchange.step(&|| Instant::from_us(clock.get()), &mut |_| {}).unwrap();
+        assert_eq!(exchange.air.sent.len(), answers, "{stall_us} us");
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! The thread that sends: what it is granted by the system, how it waits, and how others speak to it.
 
 use super::exchange::{Exchange, News};
+use super::mailbox::{Mailbox, Outbox};
 use crate::backend::Error;
 use crate::backend::monitor::Monitor;
 use crate::backend::sys;
@@ -11,11 +12,7 @@ use nix::sys::mman::{MlockAllFlags, mlockall};
 use nix::sys::prctl::set_timerslack;
 use std::io::{PipeReader, PipeWriter};
 use std::os::fd::AsFd;
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::JoinHandle;
-
-/// News and orders that may wait; made at the start.
-const QUEUE: usize = 4_096;
 
 /// What to ask the system for.
 #[derive(Clone, Copy, Debug)]
@@ -67,15 +64,15 @@ pub enum Order {
 pub struct Running {
     thread: JoinHandle<Ended>,
     stop: PipeWriter,
-    orders: SyncSender<Order>,
-    news: Receiver<News>,
+    orders: Mailbox<Order>,
+    news: Mailbox<News>,
 }
 
 /// What a thread leaves behind.
 struct Ended {
     exchange: Exchange<Monitor>,
     error: Option<Error>,
-    news_lost: u64,
+    news: Outbox<News>,
 }
 
 impl Running {
@@ -86,22 +83,22 @@ impl Running {
     pub fn start(tdma: Tdma, monitor: Monitor, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
         let io = |source| Error::Io { what: "cannot start the thread that sends".into(), source };
         let (stopped, stop) = std::io::pipe().map_err(io)?;
-        let (orders, ordered) = sync_channel(QUEUE);
-        let (told, news) = sync_channel(QUEUE);
+        let (orders, news) = (Mailbox::new(), Mailbox::new());
+        let (ordered, told) = (orders.clone(), Outbox::new(&news));
         let exchange = Exchange::new(tdma, monitor);
-        let work = move || run(exchange, clock, settings, &stopped, &ordered, &told);
+        let work = move || run(exchange, clock, settings, &stopped, &ordered, told);
         let thread = std::thread::Builder::new().name("csi5300 sender".into()).spawn(work).map_err(io)?;
         Ok(Self { thread, stop, orders, news })
     }
 
     /// Gives an order, to be followed before the next frame is handled. False if too many wait.
     pub fn order(&self, order: Order) -> bool {
-        self.orders.try_send(order).is_ok()
+        self.orders.put(order)
     }
 
     /// The next news, if there are any.
     pub fn news(&self) -> Option<News> {
-        self.news.try_recv().ok()
+        self.news.take()
     }
 
     /// True if the thread has ended by itself: its interface failed.
@@ -120,7 +117,9 @@ impl Running {
         drop(self.stop);
         let panicked = |_| Error::Input("the thread that sends has panicked".into());
         let ended = self.thread.join().map_err(panicked)?;
-        Ok((ended.exchange, self.news.try_iter().collect(), ended.news_lost, ended.error))
+        let left = std::iter::from_fn(|| self.news.take()).collect::<Vec<_>>();
+        let (held, lost) = ended.news.finish();
+        Ok((ended.exchange, left.into_iter().chain(held).collect(), lost, ended.error))
     }
 }
 
@@ -143,30 +142,28 @@ fn run(
     clock: Monotonic,
     settings: Settings,
     stopped: &PipeReader,
-    orders: &Receiver<Order>,
-    told: &SyncSender<News>,
+    orders: &Mailbox<Order>,
+    mut news: Outbox<News>,
 ) -> Ended {
-    let mut news_lost = 0;
-    let mut tell = |news| match told.try_send(news) {
-        Ok(()) | Err(TrySendError::Disconnected(_)) => {}
-        Err(TrySendError::Full(_)) => news_lost += 1,
-    };
-    tell(News::Started(ask(settings)));
+    news.put(News::Started(ask(settings)));
     let error = loop {
-        while let Ok(order) = orders.try_recv() {
-            // A robot that is no peer has no answers to wait for: nothing to be done about it.
+        while let Some(order) = orders.take_at_once() {
+            // A frame that was not for this robot, or a robot that is no peer: nothing to be done about it.
             let _ = match order {
                 Order::Measurement(peer, measurement) => exchange.tdma.set_measurement(peer, measurement),
                 Order::Priority(peer, priority) => exchange.tdma.set_priority(peer, priority),
             };
         }
-        let stepped = exchange.step(&|| clock.now(), &mut tell);
-        let waited = stepped.and_then(|until| clock.wait_closely([exchange.air.as_fd(), stopped.as_fd()], until));
+        let stepped = exchange.step(&|| clock.now(), &mut |told| news.put(told));
+        news.flush();
+        let waited = stepped.and_then(|until| {
+            clock.wait_closely([exchange.air.as_fd(), stopped.as_fd()], until, exchange.tdma.transmit_at())
+        });
         match waited {
             Ok([_, false]) => {}
             Ok([_, true]) => break None,
             Err(error) => break Some(error),
         }
     };
-    Ended { exchange, error, news_lost }
+    Ended { exchange, error, news }
 }

@@ -1,5 +1,6 @@
 //! What the scheduler tells its driver, and what it counts.
 
+use crate::time::Span;
 use driver_iface::sounding::native::Measurement;
 
 /// Something that the driver should know. Events are queued; see [`super::Tdma::poll_event`].
@@ -31,6 +32,15 @@ pub enum Event {
         number: u32,
         /// Its session: numbers of different sessions do not belong together. 0 in the WSR dialect.
         session: u32,
+    },
+    /// Slots of this robot's turn were skipped, as the driver came later than the guard.
+    Missed {
+        /// So many in a row.
+        slots: u32,
+        /// From the start of the first of them to the driver's coming.
+        late: Span,
+        /// From the start of one to that of the next.
+        slot: Span,
     },
     /// A robot was heard for the first time, or again after it was absent.
     Joined([u8; 6]),
@@ -80,7 +90,7 @@ pub enum Cause {
 /// Everything that was counted since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
-    /// Forward frames handed to the driver.
+    /// Forward frames handed to the driver, and not reported as not sent.
     pub forward: u64,
     /// Of these, answered.
     pub answered: u64,
@@ -88,7 +98,7 @@ pub struct Counts {
     pub unanswered: u64,
     /// Slots in which a forward frame was due but the driver came later than the guard: skipped, not sent late.
     pub missed_slots: u64,
-    /// Answers handed to the driver.
+    /// Answers handed to the driver, and not reported as not sent.
     pub replies: u64,
     /// Answers that would have begun too late: skipped.
     pub missed_replies: u64,

@@ -119,8 +119,11 @@ impl Tdma {
             self.tell(Event::Joined(repr.sender));
         }
         if known.is_some_and(|known| known != repr.sender_session) {
-            if let (Some(sender), Role::Backward) = (self.roster.peer_mut(peer), repr.role) {
-                sender.last_number = None;
+            if let Some(sender) = self.roster.peer_mut(peer) {
+                sender.forget_asked();
+                if repr.role == Role::Backward {
+                    sender.last_number = None;
+                }
             }
             self.tell(Event::Restarted { peer: repr.sender, session: repr.sender_session });
         }
@@ -167,6 +170,7 @@ impl Tdma {
     /// Weighs what a frame says about the turn. True if it is the turn that this robot goes by from now on.
     fn hear_claim(&mut self, claim: Claim) -> bool {
         let proven = self.key.is_some();
+        self.end_turn_at_successor(claim.turn);
         let accepted = if self.turn.is_some() {
             let yields = self.view.hear_as_holder(claim, proven);
             if yields {
@@ -193,7 +197,10 @@ impl Tdma {
             return;
         }
         let has_room = matches!(self.plan.dialect(), Dialect::Native { measurement: true, .. });
-        let kept = self.roster.peer_mut(peer).and_then(|peer| peer.measurement.take());
+        let Some(initiator) = self.roster.peer_mut(peer) else { return };
+        initiator.asked.push(repr.number);
+        let early = initiator.early.take_if(|early| early.number == repr.number);
+        let kept = initiator.measurement.take().or(early);
         let answer = native::Repr {
             sender: self.own,
             role: Role::Backward,
@@ -274,7 +281,8 @@ impl Tdma {
         let Some(initiator) = self.roster.peer_mut(peer) else { return };
         let rank = initiator.rank;
         let last = initiator.last_number.replace(number);
-        if last == Some(number) {
+        // WSR's senders give all frames of a round the same number: only one for this robot can be a repetition.
+        if for_this_robot && initiator.asked.last() == Some(number) {
             self.counts.replayed += 1;
             return;
         }
@@ -286,6 +294,9 @@ impl Tdma {
             return;
         }
         if let Ok(len) = wsr::emit_reply(frame, [0; 4], self.own, &mut self.reply_buffer) {
+            if let Some(initiator) = self.roster.peer_mut(peer) {
+                initiator.asked.push(number);
+            }
             self.queue_reply(sender, number, len, self.latest_reply(ended, None));
             self.tell(Event::Asked { peer: sender, number, session: 0 });
         }

@@ -189,6 +189,13 @@ impl Tdma {
         [reply, self.outstanding.next_at(), self.turn_timeout()].into_iter().flatten().min()
     }
 
+    /// When the next forward frame may be due: the one deadline that a driver must meet to the point. What else
+    /// [`Tdma::poll_timeout`] gives may wait for it.
+    #[must_use]
+    pub fn transmit_at(&self) -> Option<Instant> {
+        self.turn_timeout()
+    }
+
     /// The next event, oldest first.
     pub fn poll_event(&mut self) -> Option<Event> {
         self.events.pop_front()
@@ -210,11 +217,31 @@ impl Tdma {
 
     /// Hands over this robot's measurement of a forward frame from `peer`, to go with the next answer to it. A newer
     /// one replaces one that is not sent yet. False if there is no such peer or frames have no room for it.
+    ///
+    /// The card also measures what `peer` sends to others, whose answers it pairs with their own measurements: false for
+    /// a number that is not among the last 16 answered to `peer` in its session. The last one refused so is kept for the
+    /// answer to that very number, in case the card's word was here before the frame.
     pub fn set_measurement(&mut self, peer: [u8; 6], measurement: Measurement) -> bool {
         let has_room = matches!(self.plan.dialect(), Dialect::Native { measurement: true, .. });
         let at = self.roster.find(peer).filter(|_| has_room);
-        let peer = at.and_then(|at| self.roster.peer_mut(at));
-        peer.map(|peer| peer.measurement = Some(measurement)).is_some()
+        let Some(peer) = at.and_then(|at| self.roster.peer_mut(at)) else { return false };
+        let was_asked = peer.asked.contains(measurement.number);
+        *(if was_asked { &mut peer.measurement } else { &mut peer.early }) = Some(measurement);
+        was_asked
+    }
+
+    /// The driver did not send a frame that [`Tdma::poll_transmit`] gave out: it no longer counts, nor waits for an
+    /// answer. Its number is not used again.
+    pub fn not_sent(&mut self, role: Role, number: u32) {
+        if role == Role::Backward {
+            self.counts.replies = self.counts.replies.saturating_sub(1);
+            return;
+        }
+        let Some(waiting) = self.outstanding.take_back(number) else { return };
+        self.counts.forward = self.counts.forward.saturating_sub(1);
+        if let Some(link) = self.roster.link_of_peer_mut(waiting.peer) {
+            link.counts.sounded = link.counts.sounded.saturating_sub(1);
+        }
     }
 
     /// This robot leaves for good: it sends nothing from now on. The others go on, after a silence at the latest.

@@ -48,7 +48,46 @@ pub(super) struct Peer {
     /// Number of the last forward frame heard from it in its session, to whomever.
     pub(super) last_number: Option<u32>,
     pub(super) unanswered_in_a_row: u32,
+    /// Numbers of the frames that were answered to it in its session.
+    pub(super) asked: Asked,
     pub(super) measurement: Option<Measurement>,
+    /// A measurement of a frame that was not answered, as far as is known: it may have come before the frame itself.
+    pub(super) early: Option<Measurement>,
+}
+
+impl Peer {
+    /// Its numbers begin again: what was kept of the old ones belongs to no frame to come.
+    pub(super) fn forget_asked(&mut self) {
+        (self.asked, self.measurement, self.early) = (Asked::default(), None, None);
+    }
+}
+
+/// The numbers last answered to one initiator.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Asked {
+    numbers: [Option<u32>; Asked::CAPACITY],
+    next: usize,
+}
+
+impl Asked {
+    /// The card reports a frame within a few exchanges, or not at all.
+    const CAPACITY: usize = 16;
+
+    pub(super) fn push(&mut self, number: u32) {
+        if let Some(place) = self.numbers.get_mut(self.next) {
+            *place = Some(number);
+        }
+        self.next = (self.next + 1) % Self::CAPACITY;
+    }
+
+    pub(super) fn contains(&self, number: u32) -> bool {
+        self.numbers.contains(&Some(number))
+    }
+
+    /// The number answered last.
+    pub(super) fn last(&self) -> Option<u32> {
+        self.numbers.get((self.next + Self::CAPACITY - 1) % Self::CAPACITY).copied().flatten()
+    }
 }
 
 /// A link of this robot: slot `k` of a round belongs to link `k`.
@@ -84,7 +123,9 @@ impl Roster {
             session: None,
             last_number: None,
             unanswered_in_a_row: 0,
+            asked: Asked::default(),
             measurement: None,
+            early: None,
         });
         let peers: Vec<Peer> = peers.collect();
         let place = |mac: &[u8; 6]| peers.binary_search_by_key(mac, |peer| peer.mac).ok();
@@ -211,6 +252,12 @@ impl Outstanding {
     pub(super) fn answer(&mut self, number: u32, peer: usize) -> bool {
         let found = self.waiting.iter_mut().rev().find(|waiting| waiting.number == number && waiting.peer == peer);
         found.is_some_and(|waiting| !std::mem::replace(&mut waiting.answered, true))
+    }
+
+    /// Takes a frame back that was not sent after all; `None` if it does not wait.
+    pub(super) fn take_back(&mut self, number: u32) -> Option<Waiting> {
+        let at = self.waiting.iter().rposition(|waiting| waiting.number == number && !waiting.answered)?;
+        self.waiting.remove(at)
     }
 
     /// The oldest frame that is not answered and whose time is over.

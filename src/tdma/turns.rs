@@ -78,6 +78,7 @@ impl Tdma {
         let peer = due?;
         if !in_time {
             self.counts.missed_slots += 1;
+            self.tell(Event::Missed { slots: 1, late: self.now - start, slot: self.plan.span_of(1) });
             return None;
         }
         self.number = self.number.checked_add(1).unwrap_or(1);
@@ -210,6 +211,17 @@ impl Tdma {
         self.view.begin(Claim { holder: self.roster.own_rank, turn: number, next: Some(next), end });
     }
 
+    /// A turn of which all slots were used and that was passed on ends with the first frame of a later turn, which may be
+    /// heard a little before this robot's own clock comes to the end.
+    pub(super) fn end_turn_at_successor(&mut self, turn_heard: u32) {
+        let used_up = |turn: &Turn| turn.slot >= turn.end && turn.next.is_some();
+        if let Some(turn) = self.turn.filter(used_up)
+            && turn_heard.wrapping_sub(turn.number).cast_signed() > 0
+        {
+            self.end_turn(turn);
+        }
+    }
+
     /// The announced end has come: pass the turn on, renew it, or fall silent.
     fn end_turn(&mut self, turn: Turn) {
         self.turn = None;
@@ -229,6 +241,10 @@ impl Tdma {
         self.quiet_since = self.now;
         self.view.expire();
         self.counts.overslept += 1;
+        let slots = turn.end.min(self.clock.slot_at(&self.plan, self.now) + 1) - turn.slot;
+        let late = self.now - self.clock.start(&self.plan, turn.slot);
+        let slots = u32::try_from(slots).unwrap_or(0);
+        self.tell(Event::Missed { slots, late, slot: self.plan.span_of(1) });
         self.tell(Event::TurnEnded { turn: turn.number, next: None });
     }
 

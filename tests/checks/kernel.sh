@@ -114,7 +114,7 @@ printf 'initramfs of %s KiB after %s s\n' "$(($(stat -c %s "$place/initramfs") /
 
 # Plain emulation, in virtual time: KVM is not to be had everywhere, and the answer must not depend on it.
 status=0
-LD_LIBRARY_PATH=$libraries timeout 150 "$unpacked/usr/bin/qemu-system-x86_64" \
+LD_LIBRARY_PATH=$libraries timeout 400 "$unpacked/usr/bin/qemu-system-x86_64" \
     -L "$unpacked/usr/share/qemu" -L "$unpacked/usr/share/seabios" \
     -accel tcg,thread=single -icount shift=1,sleep=off -m 512 -smp 1 -nodefaults -no-reboot -display none \
     -serial stdio -device isa-debug-exit,iobase=0xf4,iosize=4 \

@@ -267,7 +267,7 @@ impl Air {
                     station.last_answer_us = self.now_us;
                     station.numbers.push(number);
                 }
-                Event::Unanswered { .. } | Event::Asked { .. } => {}
+                Event::Unanswered { .. } | Event::Asked { .. } | Event::Missed { .. } => {}
                 other => self.stations[k].events.push((self.now_us, other)),
             }
         }

@@ -1,7 +1,7 @@
 //! Join, leave, crash, restart, a lost turn, two initiators: each has its outcome.
 
 use crate::air::{Air, Skew, everybody, mac};
-use csi5300::tdma::{Cause, Config, Epoch, Event, Request};
+use csi5300::tdma::{Cause, Config, Dialect, Epoch, Event, Key, Request, Tdma};
 use csi5300::time::Instant;
 
 /// 3 robots at 100 rounds/s: slots of 5 ms, turns of 32 slots = 160 ms, silence of 64 slots = 320 ms.
@@ -228,9 +228,32 @@ fn a_driver_that_sleeps_through_its_turn_finds_it_gone() {
 }
 
 #[test]
+fn a_turn_passed_on_is_not_given_up_to_its_successor() {
+    // The successor's first frame comes before the driver of the robot whose turn is over has looked at its clock.
+    let dialect = Dialect::Native { measurement: false, authenticated: true };
+    let mut configs = everybody(2, Request { dialect, ..Request::new(1, 100.0) });
+    configs.iter_mut().for_each(|config| config.key = Some(Key::new([1; 16])));
+    let mut robots: Vec<Tdma> = configs.iter().map(|config| Tdma::new(config).unwrap()).collect();
+    let mut now = Instant::ZERO;
+    while now < Instant::from_us(30_000_000) {
+        now = robots.iter().filter_map(Tdma::poll_timeout).min().unwrap().max(now);
+        for k in [0, 1, 0] {
+            while let Some(frame) = robots[k].poll_transmit(now).map(|transmit| transmit.frame.to_vec()) {
+                robots[1 - k].handle_heard(now, now, &frame);
+            }
+        }
+    }
+    for robot in &robots {
+        let counts = robot.counts();
+        assert!(counts.turns > 40, "{counts:?}");
+        assert_eq!((counts.yields, counts.rivals, counts.forward - counts.answered), (0, 0, 0), "{counts:?}");
+    }
+}
+
+#[test]
 fn time_that_runs_back_is_taken_as_standing_still() {
     let configs = three();
-    let mut tdma = csi5300::tdma::Tdma::new(&configs[0]).unwrap();
+    let mut tdma = Tdma::new(&configs[0]).unwrap();
     let at = tdma.poll_timeout().unwrap();
     assert!(tdma.poll_transmit(at).is_some());
     assert!(tdma.poll_transmit(Instant::ZERO).is_none());

@@ -2,8 +2,9 @@
 
 use crate::air::{Air, Skew, everybody, mac};
 use csi5300::tdma::{Config, Epoch, Event, PlanError, Priority, Request, Tdma};
-use csi5300::time::Instant;
-use driver_iface::sounding::native::{Measurement, SUBCARRIERS};
+use csi5300::time::{Instant, Span};
+use driver_iface::sounding::Frame;
+use driver_iface::sounding::native::{self, Measurement, SUBCARRIERS};
 
 /// One initiator and `peers` responders.
 fn one_initiator(peers: usize, request: Request) -> Vec<Config> {
@@ -173,13 +174,10 @@ fn an_initiator_is_heard_to_be_there_even_if_no_link_matters() {
     assert_eq!(air.collisions, 0);
 }
 
-#[test]
-fn the_answer_carries_the_responders_measurement_once() {
-    let configs = one_initiator(1, Request::new(1, 100.0));
-    let mut first = Tdma::new(&configs[0]).unwrap();
-    let mut second = Tdma::new(&configs[1]).unwrap();
-    let measurement = Measurement {
-        number: 1,
+/// What a card measured of frame `number`.
+fn measured(number: u32) -> Measurement {
+    Measurement {
+        number,
         timestamp_low: 77,
         rx_antenna: 2,
         antenna_sel: 0x24,
@@ -187,8 +185,101 @@ fn the_answer_carries_the_responders_measurement_once() {
         noise_dbm: -92,
         agc: 30,
         iq: [[-128, 127]; SUBCARRIERS],
-    };
-    assert!(second.set_measurement(mac(0), measurement));
+    }
+}
+
+#[test]
+fn answers_carry_only_measurements_of_frames_that_were_for_their_robot() {
+    // A card reports every frame that it hears, whoever it is for, so many frames after it.
+    for lag in 0..6 {
+        let configs = one_initiator(2, Request::new(2, 100.0));
+        let mut robots: Vec<Tdma> = configs.iter().map(|config| Tdma::new(config).unwrap()).collect();
+        let (mut sounded, mut carried) = (Vec::new(), [0, 0, 0]);
+        let mut now = Instant::ZERO;
+        while sounded.len() < 200 {
+            now = now.max(robots[0].poll_timeout().unwrap());
+            let Some(transmit) = robots[0].poll_transmit(now) else { continue };
+            let frame = transmit.frame.to_vec();
+            sounded.push((transmit.number, transmit.peer));
+            for k in [1, 2] {
+                robots[k].handle_heard(now, now, &frame);
+                let answer = robots[k].poll_transmit(now).map(|transmit| transmit.frame.to_vec());
+                answer.iter().for_each(|answer| robots[0].handle_heard(now, now, answer));
+                let reported = sounded.len().checked_sub(lag + 1).map(|at| sounded[at]);
+                if let Some((number, peer)) = reported {
+                    assert_eq!(robots[k].set_measurement(mac(0), measured(number)), peer == mac(k));
+                }
+            }
+            while let Some(event) = robots[0].poll_event() {
+                if let Event::Answered { peer, measurement: Some(measurement), .. } = event {
+                    assert!(
+                        sounded.contains(&(measurement.number, peer)),
+                        "{} was not for {peer:?}",
+                        measurement.number
+                    );
+                    carried[usize::from(peer == mac(2)) + 1] += 1;
+                }
+            }
+        }
+        assert!(carried[1] >= 95 && carried[2] >= 95, "{carried:?} of 100 each, reported {lag} frames later");
+    }
+}
+
+#[test]
+fn measurements_of_another_session_are_not_carried() {
+    let configs = one_initiator(1, Request::new(1, 100.0));
+    let mut second = Tdma::new(&configs[1]).unwrap();
+    let mut carried = Vec::new();
+    for session in [1, 2] {
+        let mut first = Tdma::new(&Config { session, ..configs[0].clone() }).unwrap();
+        let (now, frame) = loop {
+            let now = first.poll_timeout().unwrap();
+            if let Some(transmit) = first.poll_transmit(now) {
+                break (now, transmit.frame.to_vec());
+            }
+        };
+        second.handle_heard(now, now, &frame);
+        let answer = second.poll_transmit(now).unwrap().frame.to_vec();
+        carried.push(native::Repr::parse(&Frame::new_checked(&answer).unwrap()).unwrap().measurement);
+        assert!(second.set_measurement(mac(0), measured(1)));
+    }
+    assert_eq!(carried, [None, None]);
+}
+
+#[test]
+fn a_frame_that_was_not_sent_neither_counts_nor_waits() {
+    let configs = one_initiator(1, Request::new(1, 100.0));
+    let mut first = Tdma::new(&configs[0]).unwrap();
+    let mut second = Tdma::new(&configs[1]).unwrap();
+    let (mut given, mut now) = (0, Instant::ZERO);
+    while given < 100 {
+        now = now.max(first.poll_timeout().unwrap());
+        let Some(transmit) = first.poll_transmit(now) else { continue };
+        let (role, number, frame) = (transmit.role, transmit.number, transmit.frame.to_vec());
+        given += 1;
+        second.handle_heard(now, now, &frame);
+        let answer = second.poll_transmit(now).map(|transmit| (transmit.role, transmit.number));
+        if given % 4 == 0 {
+            first.not_sent(role, number);
+            first.not_sent(role, number);
+            let (role, number) = answer.unwrap();
+            second.not_sent(role, number);
+        }
+    }
+    now = first.poll_timeout().unwrap().max(now + Span::from_ms(1_000));
+    let _ = first.poll_transmit(now);
+    let counts = first.counts();
+    assert_eq!((counts.forward, first.link_counts(mac(1)).unwrap().sounded, counts.unanswered), (75, 75, 75));
+    assert_eq!(second.counts().replies, 75);
+}
+
+#[test]
+fn the_answer_carries_the_responders_measurement_once() {
+    let configs = one_initiator(1, Request::new(1, 100.0));
+    let mut first = Tdma::new(&configs[0]).unwrap();
+    let mut second = Tdma::new(&configs[1]).unwrap();
+    let measurement = measured(1);
+    assert!(!second.set_measurement(mac(0), measurement), "not heard yet: kept for the answer to that frame");
     assert!(!second.set_measurement(mac(7), measurement));
     let mut received = Vec::new();
     let mut now = Instant::ZERO;

@@ -102,6 +102,24 @@ fn our_responder_answers_as_the_kernel_does() {
 }
 
 #[test]
+fn a_sender_with_one_number_for_all_robots_of_a_round_is_answered() {
+    let (own, initiator) = (mac(5), mac(200));
+    let mut tdma = Tdma::new(&Config::new(own, 1, &[initiator], request(3, 100.0), 1)).unwrap();
+    let mut buffer = [0; 80];
+    for number in 1..=100u32 {
+        for k in [0, 1, 1, 2] {
+            let repr = wsr::Repr { sender: initiator, number, len_with_fcs: 57 + 2 * k };
+            let len = repr.emit(&mut buffer, &mut wsr::Lfsr::default()).unwrap();
+            let now = Instant::from_us(i64::from(number) * 10_000 + k as i64 * 3_000);
+            tdma.handle_heard(now, now, &buffer[..len]);
+            while tdma.poll_transmit(now).is_some() {}
+        }
+    }
+    let counts = tdma.counts();
+    assert_eq!((counts.replies, counts.replayed), (100, 100), "the second frame for this robot is a repetition");
+}
+
+#[test]
 fn an_answer_given_too_late_is_skipped() {
     let (own, initiator) = (mac(5), mac(200));
     let mut tdma = Tdma::new(&Config::new(own, 0, &[initiator], request(3, 100.0), 1)).unwrap();

@@ -5,8 +5,8 @@ use crate::backend::Error;
 use crate::backend::sys::{self, ARPHRD_IEEE80211_RADIOTAP};
 use nix::errno::Errno;
 use nix::sys::socket::{
-    AddressFamily, ControlMessageOwned, LinkAddr, MsgFlags, SockFlag, SockType, SockaddrLike, getsockname, getsockopt,
-    recvmsg, setsockopt, socket, sockopt,
+    AddressFamily, ControlMessageOwned, LinkAddr, MsgFlags, SockFlag, SockType, SockaddrLike, getsockopt, recvmsg,
+    setsockopt, socket, sockopt,
 };
 use nix::sys::time::TimeSpec;
 use std::io::{self, IoSliceMut};
@@ -74,17 +74,16 @@ pub(super) fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
 
 /// Checks the link type; gives the MAC.
 fn link(socket: &OwnedFd, interface: &str) -> Result<Option<[u8; 6]>, Error> {
-    let bound: LinkAddr = getsockname(socket.as_raw_fd())
-        .map_err(|errno| Error::Io { what: format!("cannot ask for the link of {interface}"), source: errno.into() })?;
-    if bound.hatype() != ARPHRD_IEEE80211_RADIOTAP {
+    let (link_type, mac) = sys::packet_link(socket.as_fd())
+        .map_err(|source| Error::Io { what: format!("cannot ask for the link of {interface}"), source })?;
+    if link_type != ARPHRD_IEEE80211_RADIOTAP {
         return Err(Error::Input(format!(
-            "{interface} has link type {}, not that of a monitor interface ({ARPHRD_IEEE80211_RADIOTAP}, radiotap): \
-             `sudo ip link set {interface} down && sudo iw dev {interface} set type monitor && \
-             sudo ip link set {interface} up`",
-            bound.hatype()
+            "{interface} has link type {link_type}, not that of a monitor interface \
+             ({ARPHRD_IEEE80211_RADIOTAP}, radiotap): `sudo ip link set {interface} down && \
+             sudo iw dev {interface} set type monitor && sudo ip link set {interface} up`"
         )));
     }
-    Ok(bound.addr().filter(|_| bound.halen() == 6))
+    Ok(mac)
 }
 
 /// Room for what the kernel says beside a frame: its stamp.
@@ -108,7 +107,7 @@ pub(super) struct Received {
 }
 
 /// Takes one buffer.
-pub(super) fn receive(socket: &OwnedFd, buffer: &mut [u8], control: &mut Vec<u8>) -> io::Result<Received> {
+pub(super) fn receive(socket: &OwnedFd, buffer: &mut [u8], control: &mut [u8]) -> io::Result<Received> {
     let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_TRUNC;
     let mut parts = [IoSliceMut::new(buffer)];
     let message = recvmsg::<LinkAddr>(socket.as_raw_fd(), &mut parts, Some(control), flags)?;

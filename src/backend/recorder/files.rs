@@ -105,7 +105,7 @@ impl LogFiles {
     /// If a file is there already and `force` is not set, or cannot be written.
     pub fn create(path: &Path, rotation: Rotation, force: bool) -> Result<Self, Error> {
         let number = u32::from(rotation.is_on());
-        let (data, side) = open_pair(&numbered(path, number), force)?;
+        let (data, side) = open_pair(&Self::first(path, rotation), force)?;
         Ok(Self {
             path: path.into(),
             force,
@@ -117,6 +117,12 @@ impl LogFiles {
             records: 0,
             finished: Vec::new(),
         })
+    }
+
+    /// The data file that [`LogFiles::create`] makes first.
+    #[must_use]
+    pub fn first(path: &Path, rotation: Rotation) -> PathBuf {
+        numbered(path, u32::from(rotation.is_on()))
     }
 
     /// The data files written, in order, the current one last.

@@ -214,7 +214,10 @@ impl Air {
                 }
             }
             What::End { flight } => self.end(flight),
-            What::Again { robot, flight, role } => self.received(robot, &flight, t_ns, role, 0),
+            What::Again { robot, flight, role } => {
+                let again = self.received(robot, &flight, t_ns, role, 0);
+                self.nodes[robot].injected.duplicated += u64::from(again);
+            }
             What::Ask { robot } => {
                 if self.nodes[robot].armed_ns == Some(t_ns) {
                     self.nodes[robot].armed_ns = None;
@@ -321,7 +324,6 @@ impl Air {
         self.received(robot, flight, flight.start_ns, role, away_ns);
         if duplicated {
             let again_ns = flight.start_ns + radio.turn_around.draw_ns(away_ns, &mut self.nodes[robot].timing);
-            self.nodes[robot].injected.duplicated += 1;
             self.push(again_ns.max(flight.end_ns), What::Again { robot, flight: Arc::clone(flight), role });
         }
         if scene.robot[robot].ack_len == Some(flight.bytes.len() + mpdu::FCS) {
@@ -333,19 +335,20 @@ impl Air {
         }
     }
 
-    /// The driver counts a frame with CSI and hands its record on.
-    fn received(&mut self, robot: usize, flight: &Arc<Flight>, t_ns: i64, role: Role, away_ns: i64) {
+    /// The driver counts a frame with CSI and hands its record on, or loses it. False if there was nothing to count:
+    /// no CSI was asked for, or the robot is off.
+    fn received(&mut self, robot: usize, flight: &Arc<Flight>, t_ns: i64, role: Role, away_ns: i64) -> bool {
         let measured = [4, 10].iter().all(|&at| flight.bytes.get(at..at + 6) == Some(&MAGIC_MAC));
         let node = &mut self.nodes[robot];
         if !measured || !node.on {
-            return;
+            return false;
         }
         node.bfee_count = node.bfee_count.wrapping_add(1);
         node.injected.received += 1;
         let scene = self.world.scene();
         if node.loss.happens(scene.robot[robot].faults.driver_drop) {
             node.injected.driver_dropped += 1;
-            return;
+            return true;
         }
         let overheard = node.listening == Listening::Own && role == Role::Overheard;
         node.injected.overheard += u64::from(overheard);
@@ -366,6 +369,7 @@ impl Air {
                 role,
             });
         }
+        true
     }
 
     /// Asks a robot's sender for frames, and when to ask again.

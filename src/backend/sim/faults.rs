@@ -1,5 +1,6 @@
 //! What goes wrong on purpose, and the exact account of it.
 
+use crate::time::{Instant, Span};
 use serde::Deserialize;
 
 /// Losses and mishaps of one robot, each as its receiver sees it. All off by default.
@@ -43,14 +44,16 @@ impl Default for Faults {
 }
 
 impl Faults {
-    /// If the listening process is stopped at `t_s`, when it goes on. Stalls begin at whole multiples of their period.
+    /// If the listening process is stopped at `now`, when it goes on. Stalls begin at whole multiples of their period.
     #[must_use]
-    pub fn stalled_until_s(&self, t_s: f64) -> Option<f64> {
-        if self.stall_every_s <= 0.0 || self.stall_s <= 0.0 || t_s < self.stall_every_s {
+    pub fn stalled_until(&self, now: Instant) -> Option<Instant> {
+        // In whole microseconds: what is due at the end of a stall must not be found stalled by a rounding error.
+        let [every_us, stall_us] = [self.stall_every_s, self.stall_s].map(|s| Span::from_s(s).as_us());
+        if every_us <= 0 || stall_us <= 0 || now.as_us() < every_us {
             return None;
         }
-        let begin_s = (t_s / self.stall_every_s).floor() * self.stall_every_s;
-        (t_s < begin_s + self.stall_s).then_some(begin_s + self.stall_s)
+        let until_us = now.as_us() / every_us * every_us + stall_us;
+        (now.as_us() < until_us).then_some(Instant::from_us(until_us))
     }
 
     /// If the robot is off at `t_s`.
@@ -75,11 +78,12 @@ pub struct Injected {
     pub out_of_reach: u64,
     /// Frames lost because this robot was off.
     pub missed_while_off: u64,
-    /// Frames received a second time: [`Faults::duplicate`].
+    /// Frames received a second time: [`Faults::duplicate`]. Both copies are in `received`, and the driver may lose
+    /// either: a frame counts here although only one of its records was handed on.
     pub duplicated: u64,
     /// Records of others' exchanges, left out by a reader who wants only its own ([`super::Port::own_only`]).
     pub overheard: u64,
-    /// Records lost in the driver: [`Faults::driver_drop`].
+    /// Records lost in the driver, first and second copies of a frame alike: [`Faults::driver_drop`].
     pub driver_dropped: u64,
     /// Times the socket's queue ran over.
     pub overruns: u64,
@@ -111,10 +115,15 @@ mod tests {
     fn stalls_and_restarts_have_their_times() {
         let faults =
             Faults { stall_every_s: 10.0, stall_s: 2.0, restart_at_s: vec![3.0], restart_s: 0.5, ..Faults::default() };
-        assert_eq!(faults.stalled_until_s(1.0), None, "the first stall is after one period");
-        assert_eq!(faults.stalled_until_s(11.0), Some(12.0));
-        assert_eq!(faults.stalled_until_s(12.0), None);
+        let until_ms = |faults: &Faults, ms: i64| {
+            faults.stalled_until(Instant::from_us(1_000 * ms)).map(|until| until.as_us() / 1_000)
+        };
+        assert_eq!(until_ms(&faults, 1_000), None, "the first stall is after one period");
+        assert_eq!(until_ms(&faults, 11_000), Some(12_000));
+        assert_eq!(until_ms(&faults, 12_000), None);
+        let fine = Faults { stall_every_s: 3.0, stall_s: 0.4, ..Faults::default() };
+        assert_eq!((until_ms(&fine, 6_399), until_ms(&fine, 6_400)), (Some(6_400), None), "no endless stall");
         assert!(!faults.is_off(2.9) && faults.is_off(3.2) && !faults.is_off(3.5));
-        assert_eq!(Faults::default().stalled_until_s(20.0), None);
+        assert_eq!(until_ms(&Faults::default(), 20_000), None);
     }
 }

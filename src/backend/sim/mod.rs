@@ -39,6 +39,7 @@
 //! | [`radio`], `receiver` | tones into 8-bit coefficients: noise, gain control, RSSI, antenna order, saturation |
 //! | `station`, `sounder` | time into frames: the TDMA state machine |
 //! | `air`, `node` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
+//! | `turn_around` | frames into the moments of their answers |
 //! | `port` | receptions into records, behind a socket queue that overruns as the kernel's does |
 //! | `odometer` | true motion into a sensor's poses |
 //! | `dataset` | a room into a capture folder |
@@ -52,6 +53,7 @@
 //! One space-time stream is sent (MCS 0 to 7), as sounding does; up to three antennas receive.
 
 mod air;
+mod backend;
 mod built_in;
 mod carrier;
 pub mod crystal;
@@ -76,6 +78,7 @@ mod turn_around;
 mod world;
 
 pub use air::MakeStation;
+pub use backend::Backend;
 pub use built_in::BUILT_IN;
 pub use dataset::{Capture, Log, write_dataset};
 pub use faults::{Faults, Injected};

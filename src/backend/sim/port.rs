@@ -110,7 +110,7 @@ impl Port {
         self.now = self.now.max(now);
         let now_ns = self.now.as_us().saturating_mul(1_000);
         air.advance(now_ns);
-        if self.faults.stalled_until_s(self.now.as_s()).is_some() {
+        if self.faults.stalled_until(self.now).is_some() {
             return Ok(Read::Pending);
         }
         self.fill(&mut air, now_ns);
@@ -238,10 +238,7 @@ impl CsiSource for Port {
             ceil_us(air.next_ns().unwrap_or(air.end_ns()))
         };
         let at = at.max(self.now);
-        match self.faults.stalled_until_s(at.as_s()) {
-            Some(until_s) => Some(at.max(ceil_us((until_s * 1e9).ceil() as i64))),
-            None => Some(at),
-        }
+        Some(self.faults.stalled_until(at).unwrap_or(at))
     }
 }
 

@@ -176,6 +176,16 @@ fn losses_are_what_the_room_says() {
 }
 
 #[test]
+fn copies_that_never_come_are_not_counted() {
+    // Every frame comes twice, 112 and 225 us after its rise at least, but for one: its receiver is switched off between.
+    let scene = two("", "", "faults = { duplicate = 1.0, restart_at_s = [5.00015], restart_s = 0.005 }");
+    let ([_, tx], _, injected) = run(&scene);
+    let numbers: Vec<u32> = tx.iter().map(Row::number).collect();
+    let twice = numbers.windows(2).filter(|pair| pair[0] == pair[1]).count() as u64;
+    assert_eq!((injected[1].duplicated, injected[1].delivered), (twice, 2 * twice + 1), "{:?}", injected[1]);
+}
+
+#[test]
 fn a_stopped_reader_overruns_its_queue_and_the_counts_agree() {
     let scene = two("", "faults = { queue_records = 20, stall_every_s = 2.0, stall_s = 0.5 }", "");
     let ([rx, _], lost, injected) = run(&scene);

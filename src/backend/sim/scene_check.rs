@@ -181,8 +181,10 @@ impl Scene {
             ensure(sounding.rate_hz > 0.0, "rate_hz", || format!("is {}; it must be more than 0", sounding.rate_hz))?;
             not_negative("start_s", sounding.start_s)?;
             ensure(self.robot.len() >= 2, "rate_hz", || "needs two robots at least".to_owned())?;
-            for name in &sounding.initiators {
+            for (number, name) in sounding.initiators.iter().enumerate() {
                 ensure(self.robot.iter().any(|r| r.name == *name), "initiators", || format!("has no robot {name:?}"))?;
+                let twice = sounding.initiators[..number].contains(name);
+                ensure(!twice, "initiators", || format!("names {name:?} twice"))?;
             }
             let takes_turns = sounding.dialect == Dialect::Native || sounding.initiators.len() <= 1;
             ensure(takes_turns, "initiators", || "take turns, which only the native dialect knows".to_owned())?;
@@ -341,6 +343,13 @@ fn check_faults(faults: &Faults) -> Checked {
     ensure(faults.queue_records > 0, "queue_records", || "is 0: nothing would ever arrive".to_owned())?;
     not_negative("stall_every_s", faults.stall_every_s)?;
     not_negative("stall_s", faults.stall_s)?;
+    let goes_on = faults.stall_every_s == 0.0 || faults.stall_s < faults.stall_every_s;
+    ensure(goes_on, "stall_s", || {
+        format!(
+            "is {}, not less than stall_every_s, {}: the listener would never go on",
+            faults.stall_s, faults.stall_every_s
+        )
+    })?;
     faults.restart_at_s.iter().try_for_each(|&t_s| not_negative("restart_at_s", t_s))?;
     not_negative("restart_s", faults.restart_s)
 }

@@ -37,7 +37,7 @@ fn a_good_scene_is_read() {
 #[test]
 fn bad_scenes_are_refused_with_line_and_reason() {
     let good = good();
-    let cases: [(String, usize, &str); 13] = [
+    let cases: [(String, usize, &str); 14] = [
         (GOOD.to_owned(), 3, "noise_free"),
         (good.replace("duration_s = 10.0\nseed", "duration_s = -1.0\nseed"), 1, "more than 0"),
         (good.replace("seed = 3", "channel = 20"), 2, "channels are"),
@@ -50,6 +50,11 @@ fn bad_scenes_are_refused_with_line_and_reason() {
         (good.replace("radius_m = 0.3,", "radius_m = 1.6,"), 9, "drives, after"),
         (good.replace("name = \"tx\"", "name = \"tx\"\n[robot.faults]\nloss = 1.5\n[robot.x]"), 14, "x"),
         (good.replace("name = \"tx\"", "name = \"tx\"\nfaults.loss = 1.5"), 12, "a share"),
+        (
+            good.replace("name = \"tx\"", "name = \"tx\"\nfaults = { stall_every_s = 1.0, stall_s = 1.0 }"),
+            12,
+            "never go on",
+        ),
         (good.replace("to_m = [5.0, 3.0]", "to_m = [-5.0, 3.0]"), 15, "where the wall begins"),
     ];
     for (text, line, what) in cases {
@@ -67,4 +72,6 @@ fn missing_things_are_refused_too() {
     assert_eq!((line, reason.contains("rate_hz is -5")), (5, true), "{reason}");
     let nobody = good().replace("[cfo.paper]", "[sounding]\ninitiators = [\"me\"]\n[cfo.paper]");
     assert!(refused(&nobody).1.contains("no robot \"me\""));
+    let twice = nobody.replace("[\"me\"]", "[\"rx\", \"tx\", \"rx\"]");
+    assert!(refused(&twice).1.contains("names \"rx\" twice"));
 }

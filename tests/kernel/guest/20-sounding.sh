@@ -16,7 +16,10 @@ done
 tune
 
 echo "a channel on which nobody may start to transmit: the kernel drops every frame, which is noticed"
-! csi5300 sound --interface wlan0 --peers "$B" --alone --rate 50 $slow --stop-after 4s 2>/tmp/said
+if csi5300 sound --interface wlan0 --peers "$B" --alone --rate 50 $slow --stop-after 4s 2>/tmp/said; then
+    echo "frames that all vanish are no success"
+    exit 1
+fi
 cat /tmp/said
 grep -q "it reports none of them as sent" /tmp/said
 grep -q "confirms none of" /tmp/said
@@ -43,7 +46,12 @@ ready() {
     until grep -q "^sending under" "$1"; do kill -0 "$2"; done
 }
 check() {
-    CSI5300_TEST_GUEST_LINKS="$1" /tests/kernel_sounding --exact every_answered_frame_is_a_pair_of_the_logs --nocapture
+    CSI5300_TEST_GUEST_LINKS="$1" /tests/kernel_sounding --exact every_answered_frame_is_a_pair_of_the_logs --nocapture >/tmp/checked 2>&1 || {
+        cat /tmp/checked
+        exit 1
+    }
+    cat /tmp/checked
+    grep -q "1 passed" /tmp/checked
 }
 
 for dialect in native wsr; do

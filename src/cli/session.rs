@@ -1,0 +1,93 @@
+//! The number of a start: later than that of every start before, also where the clock is not.
+
+use driver_iface::Mac;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// 2025, seconds since 1970: a clock that shows less was never set.
+const PLAUSIBLE_S: u32 = 1_735_689_600;
+
+/// The session that begins now; what could not be kept is said where it matters.
+pub fn begin(own: Mac, wall_us: Option<i64>) -> u32 {
+    let wall_s = wall_us.and_then(|us| u32::try_from(us / 1_000_000).ok()).unwrap_or(0);
+    let (session, kept) = begin_in(&folders(|name| std::env::var_os(name).map(PathBuf::from)), own, wall_s);
+    if let (Err(why), true) = (kept, wall_s < PLAUSIBLE_S) {
+        eprintln!(
+            "the clock of this machine is not set, and the number of this start cannot be kept ({why}): robots that \
+             share a key will ignore this one if they have heard it before; set the clock, or XDG_STATE_HOME to a \
+             folder that can be written"
+        );
+    }
+    session
+}
+
+/// Where the last session may be kept, the best place first.
+fn folders(variable: impl Fn(&str) -> Option<PathBuf>) -> Vec<PathBuf> {
+    let set = |name| variable(name).filter(|path| path.is_absolute());
+    let state = set("XDG_STATE_HOME").or_else(|| set("HOME").map(|home| home.join(".local/state")));
+    state.into_iter().chain([PathBuf::from("/var/lib")]).map(|folder| folder.join("csi5300")).collect()
+}
+
+/// Later than every session kept in any of the folders, and kept in the first that can be written.
+fn begin_in(folders: &[PathBuf], own: Mac, wall_s: u32) -> (u32, io::Result<()>) {
+    let name = format!("session-{}", own.to_string().replace(':', ""));
+    let read = |folder: &PathBuf| std::fs::read_to_string(folder.join(&name)).ok()?.trim().parse::<u32>().ok();
+    let last = folders.iter().filter_map(read).max();
+    let session = wall_s.max(last.map_or(1, |last| last.saturating_add(1)));
+    let mut kept = Err(io::Error::from(io::ErrorKind::NotFound));
+    for folder in folders {
+        kept = keep(folder, &name, session);
+        if kept.is_ok() {
+            break;
+        }
+    }
+    (session, kept)
+}
+
+/// Written beside the old one and moved over it, so that a loss of power leaves either.
+fn keep(folder: &Path, name: &str, session: u32) -> io::Result<()> {
+    std::fs::create_dir_all(folder)?;
+    let new = folder.join(format!("{name}.new"));
+    std::fs::write(&new, format!("{session}\n"))?;
+    std::fs::File::open(&new)?.sync_all()?;
+    std::fs::rename(new, folder.join(name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_session_is_later_than_the_one_before_whatever_the_clock_shows() {
+        let root = std::env::temp_dir().join(format!("csi5300-session-{}", std::process::id()));
+        std::fs::create_dir_all(&root).unwrap();
+        std::fs::write(root.join("file"), "").unwrap();
+        // The first cannot be made: a file is in its place.
+        let folders = [root.join("file/csi5300"), root.join("state/csi5300")];
+        let (a, b) = (Mac([2, 0, 0, 0, 0, 1]), Mac([2, 0, 0, 0, 0, 2]));
+        let begin = |mac, wall_s| {
+            let (session, kept) = begin_in(&folders, mac, wall_s);
+            kept.unwrap();
+            session
+        };
+        assert_eq!([begin(a, 1_000), begin(a, 1_000), begin(a, 2_000)], [1_000, 1_001, 2_000]);
+        assert_eq!([begin(a, 0), begin(a, 5)], [2_001, 2_002], "a clock that was set back");
+        assert_eq!(begin(b, 7), 7, "each robot has its own");
+        std::fs::write(root.join("state/csi5300/session-020000000002"), "rubbish").unwrap();
+        assert_eq!([begin(b, 7), begin(b, 7)], [7, 8]);
+        let (session, kept) = begin_in(&folders[..1], a, 9);
+        assert!(session == 9 && kept.is_err());
+        std::fs::remove_dir_all(root).unwrap();
+    }
+
+    #[test]
+    fn the_users_own_folder_comes_first() {
+        let folders = |set: &[(&str, &str)]| -> Vec<String> {
+            let variable = |name: &str| set.iter().find(|(known, _)| *known == name).map(|(_, path)| path.into());
+            super::folders(variable).iter().map(|path| path.display().to_string()).collect()
+        };
+        assert_eq!(folders(&[("XDG_STATE_HOME", "/s"), ("HOME", "/h")]), ["/s/csi5300", "/var/lib/csi5300"]);
+        assert_eq!(folders(&[("HOME", "/h")]), ["/h/.local/state/csi5300", "/var/lib/csi5300"]);
+        assert_eq!(folders(&[("XDG_STATE_HOME", "relative")]), ["/var/lib/csi5300"]);
+    }
+}

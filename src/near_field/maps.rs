@@ -1,0 +1,59 @@
+//! The joint power over azimuth and elevation, and over azimuth and range: what a search looks at, for pictures.
+
+use super::search::{Place, Search};
+use std::f64::consts::{PI, TAU};
+
+/// Two maps of the joint power, each the highest over the coordinate that it does not show.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Maps {
+    /// Cells over azimuth, of equal width over -180 to 180 degrees.
+    pub azimuths: usize,
+    /// |elevation| of each row of `over_elevation`, radians.
+    pub elevations_rad: Vec<f64>,
+    /// 1 / range of each row of `over_range`, 1/m.
+    pub curves_per_m: Vec<f64>,
+    /// `over_elevation[row * azimuths + azimuth]`, 0..1.
+    pub over_elevation: Vec<f64>,
+    /// `over_range[row * azimuths + azimuth]`, 0..1.
+    pub over_range: Vec<f64>,
+}
+
+/// Rows of a map.
+const ROWS: usize = 24;
+
+impl Search {
+    /// Both maps, with `azimuths` cells around.
+    #[must_use]
+    pub fn maps(&mut self, azimuths: usize) -> Maps {
+        let spread = |most: f64, free: bool| -> Vec<f64> {
+            let rows = if free { ROWS } else { 1 };
+            (0..rows).map(|row| most * row as f64 / (ROWS - 1) as f64).collect()
+        };
+        let last = |values: &[f64]| values.last().copied().unwrap_or(0.0);
+        let elevations = spread(last(&self.axes.elevations), self.axes.elevations.len() > 1);
+        let curves = spread(last(&self.axes.curves), self.axes.curves.len() > 1);
+        let mut maps = Maps {
+            azimuths,
+            over_elevation: vec![0.0; azimuths * elevations.len()],
+            over_range: vec![0.0; azimuths * curves.len()],
+            elevations_rad: elevations,
+            curves_per_m: curves,
+        };
+        for column in 0..azimuths {
+            let azimuth = TAU * (column as f64 + 0.5) / azimuths as f64 - PI;
+            let places: Vec<Place> = maps
+                .elevations_rad
+                .iter()
+                .flat_map(|&elevation| maps.curves_per_m.iter().map(move |&curve| Place { azimuth, elevation, curve }))
+                .collect();
+            for (cell, power) in self.joint_powers(&places).into_iter().enumerate() {
+                let (row, curve) = (cell / maps.curves_per_m.len(), cell % maps.curves_per_m.len());
+                let by_elevation = &mut maps.over_elevation[row * azimuths + column];
+                *by_elevation = by_elevation.max(power);
+                let by_range = &mut maps.over_range[curve * azimuths + column];
+                *by_range = by_range.max(power);
+            }
+        }
+        maps
+    }
+}
