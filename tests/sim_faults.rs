@@ -197,7 +197,7 @@ fn a_killed_loggers_tail_is_what_the_log_lacks() {
     for (log, injected) in [(&report.receiver, injected[0]), (&report.transmitters[0], injected[1])] {
         assert_eq!(log.survey.bfees() + injected.tail_records, injected.delivered);
         let cut = match log.survey.tail {
-            Some(driver_iface::record::Tail::Cut { bytes, .. }) => bytes as u64,
+            Some(driver_iface::record::Tail::Cut { bytes, .. }) => bytes,
             _ => 0,
         };
         assert_eq!(cut, injected.tail_bytes);

@@ -446,7 +446,7 @@ mod tests {
             let taken = cut.saturating_sub(HEAD) / 14;
             let mut expected: Vec<i64> = (0..taken as i64).collect();
             prop_assert_eq!(mailbox.counts().received, taken as u64);
-            let intact = cut >= HEAD && (cut - HEAD) % 14 == 0;
+            let intact = cut >= HEAD && (cut - HEAD).is_multiple_of(14);
             prop_assert_eq!(mailbox.counts().foreign, 1 + u64::from(!intact));
             // What comes after it is as good as ever, and what was missed is counted.
             mailbox.put(&message(&mut batch, 9..10));
