@@ -327,7 +327,7 @@ fn a_simulated_capture_is_compared_with_the_scene_it_came_from() {
     let [rx, tx, path] =
         [format!("csi_rx_{stamp}.dat"), format!("csi_tx1_{stamp}.dat"), format!("rx_trajectory_{stamp}_.csv")]
             .map(|name| format!("capture/{name}"));
-    let recorded = ["compare", "--rx", &rx, "--tx", &tx, "--trajectory", &path, "--out", "out"];
+    let recorded = ["compare", "--rx", &rx, "--tx", &tx, "--trajectory", &path, "--out", "out", "--force"];
     // With the scene itself, and with the folder that it wrote: nothing differs.
     for with in ["scene.toml", "capture"] {
         let (status, said, error) = folder.run(&[&recorded[..], &[with]].concat());

@@ -21,6 +21,9 @@ fn options() -> Options {
 /// A figure that a fitted scene may miss: whose, which, and by how many times what is allowed at most.
 type Missed = (&'static str, &'static str, f64);
 
+/// A figure at the edge of what is allowed: how it rounds decides.
+const EDGE: f64 = 1.05;
+
 /// The seeds that judge a fit, none of them the one that it was made with.
 const SEEDS: [u64; 2] = [2, 3];
 
@@ -43,7 +46,7 @@ const MISSED: [Missed; 14] = [
     ("transmitter", "interval, host, standard deviation", 1.1),
     ("receiver", "interval, card, quartile range", 1.3),
     // At the edge of what is allowed: 9,994 us recorded, up to 10,004 simulated.
-    ("receiver", "interval, host, median", 1.05),
+    ("receiver", "interval, host, median", EDGE),
     // Real cores have corners, and where a quarter of the answers is away from the core the seed decides on which side
     // of its edge the quartile falls.
     ("link", "turn-around, quartile range", 6.5),
@@ -89,7 +92,8 @@ fn check(tables: &[(String, Vec<Row>)], missed: &[Missed]) {
     let mut seen = BTreeSet::new();
     let differences: String = tables.iter().map(|(name, table)| differences(name, table, missed, &mut seen)).collect();
     assert!(differences.is_empty(), "\n{differences}");
-    let never: Vec<_> = missed.iter().filter(|(of, figure, _)| !seen.contains(&(*of, (*figure).to_owned()))).collect();
+    let is_never = |(of, figure, most): &&Missed| *most > EDGE && !seen.contains(&(*of, (*figure).to_owned()));
+    let never: Vec<_> = missed.iter().filter(is_never).collect();
     assert!(never.is_empty(), "these agree, and need not be missed: {never:?}");
 }
 

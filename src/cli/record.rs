@@ -18,6 +18,8 @@ const LOOK: Span = Span::from_ms(500);
 /// Rest after records before the socket is looked at again, so that at high rates one waking-up serves several of
 /// them. It bounds the error of their host times; the first record after a pause is always stamped at once.
 const REST: Span = Span::from_ms(2);
+/// No rest after more records than this at once: the queue in the kernel could run over meanwhile.
+const FEW: u32 = 16;
 /// Records between two looks at signals and the view when the source never pauses.
 const BURST: u32 = 256;
 
@@ -149,7 +151,8 @@ impl Session<'_> {
         let mut told = None;
         let mut burst = 0;
         let mut ending = false;
-        let mut rested = true;
+        // Records since the last wait.
+        let mut taken = 0;
         loop {
             let now = self.clock.now();
             let next = source.receive(now).map_err(|error| error.to_string())?;
@@ -165,7 +168,7 @@ impl Session<'_> {
                 Next::Pending => true,
                 Next::End(_) => return Ok(()),
                 Next::Record(..) => {
-                    rested = self.args.live;
+                    taken += 1;
                     false
                 }
             };
@@ -191,7 +194,8 @@ impl Session<'_> {
             }
             let until =
                 if pending { [source.next_at(), end_at, Some(look_at)].into_iter().flatten().min() } else { Some(now) };
-            let signalled = if pending && !std::mem::replace(&mut rested, true) {
+            let may_rest = (1..=FEW).contains(&std::mem::take(&mut taken)) && !self.args.live;
+            let signalled = if pending && may_rest {
                 let rest = until.map_or(now + REST, |until| until.min(now + REST));
                 self.clock.wait([self.signals.as_fd()], Some(rest)).map(|[signalled]| signalled)
             } else {

@@ -563,6 +563,7 @@ impl Config {
                 Records::Network(_) if self.network.is_none() => {
                     say(at, format!("peer `{}`: `network` records need a [network] table", peer.name));
                 }
+                Records::Room(_) => absent(&peer.name).into_iter().for_each(|why| say(at, why)),
                 _ => {}
             }
             if let Some((at, why)) = odometry(&peer.poses, at, false) {
