@@ -18,8 +18,10 @@ const LOOK: Span = Span::from_ms(500);
 /// Rest after records before the socket is looked at again, so that at high rates one waking-up serves several of
 /// them. It bounds the error of their host times; the first record after a pause is always stamped at once.
 const REST: Span = Span::from_ms(2);
-/// No rest after more records than this at once: the queue in the kernel could run over meanwhile.
+/// No rest after more records than this at once, ...
 const FEW: u32 = 16;
+/// ... nor with a smaller receive buffer than this, bytes: the queue in the kernel could run over meanwhile.
+const ROOMY: usize = 1 << 20;
 /// Records between two looks at signals and the view when the source never pauses.
 const BURST: u32 = 256;
 
@@ -65,6 +67,8 @@ struct Session<'a> {
     signals: Signals,
     status: Status,
     view: View,
+    /// Whether a rest after records is safe and wanted.
+    rests: bool,
 }
 
 /// Where the live view goes.
@@ -88,6 +92,7 @@ pub fn run(args: &Args) -> Result {
     let mut session = Session {
         args,
         clock,
+        rests: !args.live && listener.receive_buffer() >= ROOMY,
         socket: listener.as_fd().try_clone_to_owned().map_err(|error| format!("the connector socket: {error}"))?,
         signals,
         status: Status::new(clock.now()),
@@ -194,7 +199,7 @@ impl Session<'_> {
             }
             let until =
                 if pending { [source.next_at(), end_at, Some(look_at)].into_iter().flatten().min() } else { Some(now) };
-            let may_rest = (1..=FEW).contains(&std::mem::take(&mut taken)) && !self.args.live;
+            let may_rest = (1..=FEW).contains(&std::mem::take(&mut taken)) && self.rests;
             let signalled = if pending && may_rest {
                 let rest = until.map_or(now + REST, |until| until.min(now + REST));
                 self.clock.wait([self.signals.as_fd()], Some(rest)).map(|[signalled]| signalled)

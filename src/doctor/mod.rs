@@ -11,6 +11,7 @@ mod setup;
 mod system;
 
 pub use heard::Heard;
+#[cfg(feature = "live")]
 pub(crate) use radio::rate_file;
 pub use setup::{Action, Driver, Request, Role, Step, default_interface, plan, undo};
 pub use system::{Machine, Ran, System, Tree};

@@ -72,7 +72,12 @@ impl Sources {
         let capture = config.capture.get_ref();
         let mut shared = Shared { room: None, replayed: None, origin_s: 0.0, start };
         let mut own = config.mac;
-        let mut speed = 1.0;
+        // A card's records come when they come.
+        let speed = match capture {
+            Capture::Card(_) => 1.0,
+            Capture::Replay(replay) => replay.speed,
+            Capture::Room(room) => room.speed,
+        };
         #[cfg(feature = "live")]
         let mut wake = None;
         let card: Card = match capture {
@@ -90,13 +95,11 @@ impl Sources {
                 }
             }
             Capture::Replay(replay) => {
-                speed = replay.speed;
                 shared.origin_s = first_host_s(&replay.file)?;
                 shared.replayed = own.map(|own| (replay.file.as_path(), own));
                 Box::new(Paced::new(Replay::open(&replay.file)?, 1.0, None))
             }
             Capture::Room(room) => {
-                speed = room.speed;
                 let made = Room::new(&scene(&room.scene)?)?;
                 let (number, made) = numbered(made, &room.robot)?;
                 let room = shared.room.insert(made);
