@@ -18,7 +18,7 @@ pub struct Source {
     pub power: f64,
 }
 
-/// What [`search`] found.
+/// What [`super::search`] found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fix {
     /// All sources found, falling in power; the first is the answer.

@@ -164,6 +164,9 @@ fn key_of(mac: Mac) -> String {
     mac.to_string().replace(':', "")
 }
 
+/// Items between two looks at whether to stop.
+const ITEMS_AT_ONCE: usize = 1_024;
+
 /// Collects items into messages, and sends them.
 fn work(
     waiting: &Receiver<Item>,
@@ -194,8 +197,11 @@ fn work(
             Err(RecvTimeoutError::Timeout) if !stopping => {}
             Err(_) => break,
         }
-        // Whatever waits goes with it.
-        while records.len() < MESSAGE_BYTES && poses.len() < MESSAGE_BYTES {
+        // Whatever waits goes with it, but not for ever: items may come as fast as they go.
+        for _ in 0..ITEMS_AT_ONCE {
+            if records.len() >= MESSAGE_BYTES || poses.len() >= MESSAGE_BYTES {
+                break;
+            }
             let Ok(item) = waiting.try_recv() else { break };
             collect(item, &mut records, &mut poses);
         }
