@@ -127,7 +127,8 @@ fn a_port_that_is_unplugged_and_plugged_in_again() {
     let again = poses(&got);
     assert!(again.len() > 100 && source.trouble().is_none(), "{}", again.len());
     // What was driven while it was unplugged is in the ticks.
-    let (from, to) = (first[0], again[again.len() - 1]);
+    // The fit of the clocks has settled by the middle of the first stretch.
+    let (from, to) = (first[first.len() / 2], again[again.len() - 1]);
     assert!((to.1 - from.1 - 0.1 * (to.0 - from.0)).abs() < 2e-3, "{from:?} {to:?}");
     assert!((to.0 - 10.0).abs() < 0.1, "its time is the host's: {to:?}");
     assert_eq!(source.counts().1, 1);
