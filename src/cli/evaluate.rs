@@ -1,8 +1,8 @@
 //! `csi5300 evaluate`.
 
-use super::args::{Estimation, Step, channel};
+use super::args::{Estimation, Step};
+use super::captures::Reading;
 use super::{Outcome, Result, print, print_json, usage};
-use csi5300::channel::{Channel, Width};
 use csi5300::evaluate::{Capture, Errors, Evaluated, Judged, SetSummary, Source, find, summarise};
 use csi5300::quality::{over_bound, ranges, receivers, reliability, risk_coverage};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -28,14 +28,8 @@ pub struct Args {
     #[cfg(feature = "plot")]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Which trajectory to use
-    #[arg(long, value_enum, default_value = "gt")]
-    trajectory: Which,
-    /// WiFi channel instead of the one in groundtruth_positions.json
-    #[arg(long, value_parser = channel, value_name = "NUMBER")]
-    channel: Option<Channel>,
     #[command(flatten)]
-    estimation: Estimation,
+    reading: Reading,
     /// JSON Lines: one object a link, then a summary
     #[arg(long)]
     json: bool,
@@ -65,34 +59,11 @@ impl Drop for Rooms {
     }
 }
 
-/// A trajectory file of a capture.
-#[derive(Clone, Copy, clap::ValueEnum)]
-pub enum Which {
-    /// Motion capture
-    Gt,
-    /// Tracking camera
-    T265,
-    /// Wheel odometry
-    Odom,
-}
-
-impl From<Which> for Source {
-    fn from(which: Which) -> Self {
-        match which {
-            Which::Gt => Self::GroundTruth,
-            Which::T265 => Self::T265,
-            Which::Odom => Self::Odometry,
-        }
-    }
-}
-
 /// Evaluates a tree of captures.
 pub fn run(args: &Args) -> Result {
     let rooms = args.rooms.map(|count| Rooms::write(count, args.seed)).transpose()?;
-    let source = args.trajectory.into();
-    // The channel here is a stand-in; each capture brings its own.
-    let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
-    let options = args.estimation.options(args.channel.unwrap_or(fallback)).unwrap_or_else(|message| usage(&message));
+    let source = args.reading.source();
+    let options = args.reading.options().unwrap_or_else(|message| usage(&message));
     let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
     for folder in args.folder.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)) {
         if !folder.is_dir() {
@@ -117,7 +88,7 @@ pub fn run(args: &Args) -> Result {
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build().map_err(|error| error.to_string())?;
     let one = |capture: &csi5300::evaluate::Capture| {
-        let evaluated = capture.evaluate(source, args.channel, &options);
+        let evaluated = capture.evaluate(source, args.reading.channel, &options);
         bar.inc(1);
         evaluated
     };
@@ -244,14 +215,13 @@ fn sets(rows: &[Judged]) -> BTreeMap<&str, Vec<&Judged>> {
 
 /// Evaluates with everything, then without each step.
 fn ablation(args: &Args, source: Source, captures: &[Capture]) -> std::result::Result<String, String> {
-    let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let mut text = String::from("error from the mean pose: mean / median / 90th percentile / share over 20 degrees\n");
     let runs = std::iter::once(None).chain(Step::ALL.into_iter().map(Some));
     for left_out in runs {
-        let estimation = Estimation { without: left_out.into_iter().collect(), ..args.estimation.clone() };
-        let options = estimation.options(args.channel.unwrap_or(fallback))?;
+        let estimation = Estimation { without: left_out.into_iter().collect(), ..args.reading.estimation.clone() };
+        let options = args.reading.options_of(&estimation)?;
         let rows: Vec<Judged> =
-            captures.par_iter().flat_map_iter(|c| c.evaluate(source, args.channel, &options).rows).collect();
+            captures.par_iter().flat_map_iter(|c| c.evaluate(source, args.reading.channel, &options).rows).collect();
         let name = left_out.map_or("everything".into(), |step| format!("without {step:?}"));
         for (set, own) in sets(&rows) {
             let errors = Errors::of(own.iter().filter_map(|row| row.error_from_mean_pose_deg));

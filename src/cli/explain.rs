@@ -1,10 +1,8 @@
 //! `csi5300 explain`.
 
-use super::args::{Estimation, channel};
-use super::evaluate::Which;
+use super::captures::Reading;
 use super::{Outcome, Result, print, usage};
 use csi5300::answer::PathAnswer;
-use csi5300::channel::{Channel, Width};
 use csi5300::evaluate::{Judged, find};
 use csi5300::pipeline::Options;
 use csi5300::pipeline::link::Bearing;
@@ -16,14 +14,8 @@ use std::path::PathBuf;
 pub struct Args {
     /// A capture, or a link of it: CAPTURE/tx2
     link: PathBuf,
-    /// Which trajectory to use
-    #[arg(long, value_enum, default_value = "gt")]
-    trajectory: Which,
-    /// WiFi channel instead of the one in groundtruth_positions.json
-    #[arg(long, value_parser = channel, value_name = "NUMBER")]
-    channel: Option<Channel>,
     #[command(flatten)]
-    estimation: Estimation,
+    reading: Reading,
     /// Folder for pictures: phase, trajectory, profile, joint power over azimuth and elevation, and azimuth and range
     #[cfg(feature = "plot")]
     #[arg(long, value_name = "DIR")]
@@ -32,8 +24,7 @@ pub struct Args {
 
 /// Shows links from end to end.
 pub fn run(args: &Args) -> Result {
-    let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
-    let options = args.estimation.options(args.channel.unwrap_or(fallback)).unwrap_or_else(|message| usage(&message));
+    let options = args.reading.options().unwrap_or_else(|message| usage(&message));
     let options = Options { keep_course: true, ..options };
     let (folder, wanted) = match (args.link.is_dir(), args.link.parent(), args.link.file_name()) {
         (false, Some(folder), Some(name)) => (folder.to_path_buf(), Some(format!("/{}", name.to_string_lossy()))),
@@ -49,7 +40,7 @@ pub fn run(args: &Args) -> Result {
                 links.push((name.to_owned(), bearing.clone(), options.clone()));
             }
         };
-        let evaluated = capture.evaluate_and(args.trajectory.into(), args.channel, &options, &mut look);
+        let evaluated = capture.evaluate_and(args.reading.source(), args.reading.channel, &options, &mut look);
         lost |= evaluated.lost;
         for (name, bearing, options) in &links {
             let Some(row) = evaluated.rows.iter().find(|row| row.answer.link == *name) else { continue };

@@ -1,9 +1,7 @@
 //! `csi5300 locate`.
 
-use super::args::{Estimation, channel};
-use super::evaluate::Which;
+use super::captures::Reading;
 use super::{Outcome, Result, print, print_json};
-use csi5300::channel::{Channel, Width};
 use csi5300::evaluate::{Judged, find};
 use csi5300::quality::{Receiver, receivers};
 use std::fmt::Write;
@@ -15,14 +13,8 @@ pub struct Args {
     /// A capture, or a folder with captures below it; the places of the transmitters are read from
     /// groundtruth_positions.json
     folder: PathBuf,
-    /// Which trajectory to use
-    #[arg(long, value_enum, default_value = "gt")]
-    trajectory: Which,
-    /// WiFi channel instead of the one in groundtruth_positions.json
-    #[arg(long, value_parser = channel, value_name = "NUMBER")]
-    channel: Option<Channel>,
     #[command(flatten)]
-    estimation: Estimation,
+    reading: Reading,
     /// JSON Lines: one object a receiver
     #[arg(long)]
     json: bool,
@@ -30,8 +22,7 @@ pub struct Args {
 
 /// Locates the receiver of every capture.
 pub fn run(args: &Args) -> Result {
-    let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
-    let options = args.estimation.options(args.channel.unwrap_or(fallback))?;
+    let options = args.reading.options()?;
     let (captures, unreadable) = find(&args.folder);
     for folder in &unreadable {
         eprintln!("csi5300: cannot read {folder}");
@@ -42,7 +33,7 @@ pub fn run(args: &Args) -> Result {
     let mut lost = !unreadable.is_empty();
     let mut rows: Vec<Judged> = Vec::new();
     for capture in &captures {
-        let evaluated = capture.evaluate(args.trajectory.into(), args.channel, &options);
+        let evaluated = capture.evaluate(args.reading.source(), args.reading.channel, &options);
         lost |= evaluated.lost;
         rows.extend(evaluated.rows);
     }

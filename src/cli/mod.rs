@@ -2,6 +2,7 @@
 
 mod args;
 mod bearing;
+mod captures;
 mod compare;
 mod demo;
 #[cfg(feature = "live")]

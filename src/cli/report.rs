@@ -1,9 +1,7 @@
 //! `csi5300 report`: one page with everything about a capture or a tree of them.
 
-use super::args::{Estimation, channel};
-use super::evaluate::Which;
+use super::captures::Reading;
 use super::{Outcome, Result, usage};
-use csi5300::channel::{Channel, Width};
 use csi5300::evaluate::{Evaluated, Judged, SetSummary, find, summarise};
 use csi5300::figures::Pictures;
 use csi5300::pipeline::Options;
@@ -20,14 +18,8 @@ pub struct Args {
     /// The page
     #[arg(long, short, value_name = "OUT.html", default_value = "report.html")]
     out: PathBuf,
-    /// Which trajectory to use
-    #[arg(long, value_enum, default_value = "gt")]
-    trajectory: Which,
-    /// WiFi channel instead of the one in groundtruth_positions.json
-    #[arg(long, value_parser = channel, value_name = "NUMBER")]
-    channel: Option<Channel>,
     #[command(flatten)]
-    estimation: Estimation,
+    reading: Reading,
     /// Leave the pictures out
     #[arg(long)]
     no_pictures: bool,
@@ -41,8 +33,7 @@ struct Shown {
 
 /// Writes the page.
 pub fn run(args: &Args) -> Result {
-    let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
-    let options = args.estimation.options(args.channel.unwrap_or(fallback)).unwrap_or_else(|message| usage(&message));
+    let options = args.reading.options().unwrap_or_else(|message| usage(&message));
     let options = Options { keep_course: !args.no_pictures, ..options };
     let (captures, unreadable) = find(&args.folder);
     if captures.is_empty() {
@@ -65,7 +56,7 @@ pub fn run(args: &Args) -> Result {
             }
         };
         let Evaluated { rows, lost: own, notes: said } =
-            capture.evaluate_and(args.trajectory.into(), args.channel, &options, &mut look);
+            capture.evaluate_and(args.reading.source(), args.reading.channel, &options, &mut look);
         lost |= own;
         notes.extend(said);
         notes.extend(failed);
