@@ -5,7 +5,7 @@
 //! reflecting the room is) is adjusted until the simulated figures are the recorded ones: each round simulates the
 //! scene and measures it as the recording was measured.
 
-use super::figures::{Figures, measure_scene};
+use super::figures::{Figures, measure_scene_along};
 use super::scene_text::{is_wide, write};
 use super::side::Side;
 use crate::backend::sim::Scene;
@@ -49,6 +49,8 @@ pub(super) struct Adjusted {
     pub(super) tx_power_dbm: [f64; 2],
     pub(super) slope_sd_rad: [f64; 2],
     pub(super) core_us: f64,
+    /// How far the robot was from where its trajectory says, metres: what coherence is lost slowly.
+    pub(super) stray_m: f64,
 }
 
 /// Rounds of adjustment.
@@ -76,7 +78,7 @@ pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<F
     let simulated = |adjusted: &Adjusted, seed: u64| {
         let toml = write(recorded, known, place, adjusted, options.channel, seed);
         let scene = Scene::read(&toml, known.folder).map_err(|error| format!("the fitted scene: {error}\n{toml}"))?;
-        let figures = measure_scene(&scene, options)?;
+        let figures = measure_scene_along(&scene, known.trajectory, options)?;
         Ok::<_, String>(Fitted { toml, scene, figures })
     };
     let mut best = (f64::INFINITY, adjusted);
@@ -86,7 +88,7 @@ pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<F
         if off < best.0 {
             best = (off, adjusted);
         }
-        adjust(&mut adjusted, recorded, &figures);
+        adjust(&mut adjusted, recorded, &figures, options.channel.wavelength_m());
     }
     simulated(&best.1, SEEDS[1])
 }
@@ -111,6 +113,7 @@ fn first(recorded: &Figures, trajectory: &Trajectory, place: [f64; 3]) -> Adjust
         wall_loss_db: recorded.link.coherence.map(|_| WALL_DB[0]),
         tx_power_dbm: [power(&recorded.receiver), power(&recorded.transmitter)],
         core_us: recorded.link.core_us,
+        stray_m: 0.0,
         slope_sd_rad: [recorded.receiver.slope_rad.sd, recorded.transmitter.slope_rad.sd],
     }
 }
@@ -124,7 +127,8 @@ pub(super) fn middle(trajectory: &Trajectory) -> Vector3<f64> {
 fn distance(recorded: &Figures, simulated: &Figures) -> f64 {
     let (a, b) = (&recorded.link, &simulated.link);
     let relative = |a: f64, b: f64| (b / a.max(1e-6)).max(1e-6).ln().abs() / 0.15;
-    let coherence = a.coherence.zip(b.coherence).map_or(0.0, |(a, b)| (a - b).abs() / 0.1);
+    let apart = |a: Option<f64>, b: Option<f64>| a.zip(b).map_or(0.0, |(a, b)| (a - b).abs() / 0.1);
+    let coherence = apart(a.coherence, b.coherence).max(apart(a.short_coherence, b.short_coherence));
     let gain = |a: &Side, b: &Side| (a.agc_db.mean - b.agc_db.mean).abs();
     let gains = gain(&recorded.receiver, &simulated.receiver) + gain(&recorded.transmitter, &simulated.transmitter);
     let spreads = [(a.spread_before_rad, b.spread_before_rad), (a.spread_after_rad, b.spread_after_rad)];
@@ -133,7 +137,7 @@ fn distance(recorded: &Figures, simulated: &Figures) -> f64 {
 }
 
 /// Moves what is adjusted towards the recorded figures.
-fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures) {
+fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures, wavelength_m: f64) {
     let (a, b) = (&recorded.link, &simulated.link);
     // Variances add: what is missing goes to the two frames in equal parts.
     let missing = 0.5 * (a.spread_after_rad.powi(2) - b.spread_after_rad.powi(2));
@@ -143,11 +147,17 @@ fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures) {
     let missing = (a.spread_before_rad.powi(2) - b.spread_before_rad.powi(2)) / rad_per_us.powi(2);
     let core_us = (adjusted.core_us.powi(2) + missing).max(0.0).sqrt();
     adjusted.core_us = core_us.clamp(0.7 * a.core_us, 1.4 * a.core_us);
-    if let (Some(loss_db), Some(wanted), Some(got)) = (adjusted.wall_loss_db, a.coherence, b.coherence) {
-        // The incoherent power scales with what the walls reflect.
+    if let (Some(loss_db), Some(wanted), Some(got)) = (adjusted.wall_loss_db, a.short_coherence, b.short_coherence) {
+        // Within a second reflections are what takes coherence, and its incoherent power scales with theirs.
         let incoherent = |c: f64| (1.0 - c.powi(2)).clamp(0.01, 0.99);
         let step_db = 5.0 * (incoherent(got) / incoherent(wanted)).log10() * 2.0;
         adjusted.wall_loss_db = Some((loss_db + step_db.clamp(-6.0, 6.0)).clamp(WALL_DB[1], WALL_DB[2]));
+    }
+    if let (Some(wanted), Some(got)) = (a.coherence, b.coherence) {
+        // Over all, places that are off by more than the waves allow: a phase of deviation s leaves exp(-s^2 / 2), and a
+        // round trip has 4 pi of it in a wavelength.
+        let missing = 2.0 * (got.max(0.01) / wanted.max(0.01)).ln() * (wavelength_m / (2.0 * TAU)).powi(2);
+        adjusted.stray_m = (adjusted.stray_m.powi(2) + missing).clamp(0.0, (0.25 * wavelength_m).powi(2)).sqrt();
     }
     let sides = [(&recorded.receiver, &simulated.receiver), (&recorded.transmitter, &simulated.transmitter)];
     for (power, (a, b)) in adjusted.tx_power_dbm.iter_mut().zip(sides) {
