@@ -149,6 +149,20 @@ position_m = [-386.0, 93.0, 0.0]
 crystal = { offset_ppm = -1.0, clock_start_us = 1000000 }
 "#;
 
+/// A node that listens to both cards.
+const NODE: &str = r#"
+channel = "108"
+capture.served = { socket = "room", robot = "rx" }
+odometry.room = {}
+[[peer]]
+name = "tx"
+records.room = {}
+[estimator]
+accurate = false
+[output]
+bearings = "bearings.jsonl"
+"#;
+
 /// A program whose words are waited for.
 struct Program {
     child: std::process::Child,
@@ -178,7 +192,15 @@ impl Program {
     /// Its exit status and all that it said.
     fn end(mut self) -> (Option<i32>, String) {
         self.stderr.read_to_string(&mut self.said).unwrap();
-        (self.child.wait().unwrap().code(), self.said)
+        (self.child.wait().unwrap().code(), std::mem::take(&mut self.said))
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // One that has ended is none the worse for it.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
     }
 }
 
@@ -196,9 +218,11 @@ fn number(said: &str, after: &str) -> u64 {
 fn programs_sound_each_other_in_a_served_room() {
     let folder = std::env::temp_dir().join(format!("csi5300-live-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
-    let paths = ["scene.toml", "rx.dat", "tx.dat", "poses.csv", "room", "record.dat"].map(|name| folder.join(name));
+    let names = ["scene.toml", "rx.dat", "tx.dat", "poses.csv", "room", "record.dat", "node.toml"];
+    let paths = names.map(|name| folder.join(name));
     std::fs::write(&paths[0], LIVE).unwrap();
-    let [scene, rx, tx, poses, socket, record] = paths.each_ref().map(|path| path.to_str().unwrap());
+    std::fs::write(&paths[6], NODE).unwrap();
+    let [scene, rx, tx, poses, socket, record, node] = paths.each_ref().map(|path| path.to_str().unwrap());
     let of = |robot: &str| format!("{socket}#{robot}");
     let mut room = Program::start(&["simulate", scene, "--serve", "--socket", socket, "--poses", poses]);
     room.until("serving the room at");
@@ -212,21 +236,31 @@ fn programs_sound_each_other_in_a_served_room() {
     // A second listener on the same card.
     let mut recorder = Program::start(&["record", record, "--room", &rx_room]);
     recorder.until("recording to");
+    let node = cfg!(feature = "node").then(|| Program::start(&["node", "--config", node]));
     let sound =
         ["sound", "--room", &rx_room, "--peers", "02:00:00:00:00:0b", "--alone", "--log", rx, "--stop-after", "8s"];
     let (status, sounded) = Program::start(&[&sound[..], &slow[..]].concat()).end();
     assert_eq!(status, Some(0), "{sounded}");
-    respond.stop();
-    recorder.stop();
+    [&respond, &recorder].into_iter().chain(&node).for_each(Program::stop);
     let (status, responded) = respond.end();
     assert_eq!(status, Some(0), "{responded}");
     let (_, recorded) = recorder.end();
+    let programs = if node.is_some() { 8 } else { 5 };
+    if let Some(node) = node {
+        let (status, said) = node.end();
+        let lines = std::fs::read_to_string(folder.join("bearings.jsonl")).unwrap();
+        let lines = lines.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+        let found = lines.filter(|line| line["state"] == "bearing").last();
+        let found = found.unwrap_or_else(|| panic!("no bearing, {status:?}: {said}"));
+        let off_deg = found["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
+        assert!(off_deg.abs() < 2.0, "{off_deg} degrees off: {found}");
+    }
     room.stop();
     let (status, served) = room.end();
     assert_eq!(status, Some(0), "{served}");
     let (answered, sent) = (number(&sounded, " answered"), number(&sounded, " forward frames"));
     assert!(answered > 100, "{answered} of {sent}:\n{sounded}\n{responded}\n{served}");
-    assert!(served.contains("5 programs joined, 0 were refused"), "{served}");
+    assert!(served.contains(&format!("{programs} programs joined, 0 were refused")), "{served}");
     // What each side says went out, the room put on air; nothing of it was lost.
     let on_air = number(&served, " frames put on air");
     assert_eq!(on_air, sent + number(&responded, " answers"), "{sounded}\n{responded}\n{served}");

@@ -90,7 +90,7 @@ fn the_stock_layout_says_in_its_side_file_what_wsr_records_say_themselves() {
     let folder = std::env::temp_dir().join(format!("csi5300-stock-{}", std::process::id()));
     let logs = |driver: Driver, killed: bool| {
         let mut scene = Scene { duration_s: 3.0, driver, ..Scene::built_in("lab-circle").unwrap() };
-        scene.robot[0].faults.killed = killed;
+        scene.robot.iter_mut().for_each(|robot| robot.faults.killed = killed);
         let dir = folder.join(format!("{driver:?}{killed}"));
         write_dataset(&mut Room::new(&scene).unwrap(), &dir, &mut |_| {}).unwrap()[0].logs.clone()
     };

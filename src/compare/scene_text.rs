@@ -10,8 +10,6 @@ use crate::pose::Trajectory;
 use std::f64::consts::TAU;
 use std::fmt::Write;
 
-/// Walls stand this far outside of the robots, metres.
-const MARGIN_M: f64 = 2.5;
 /// Subcarriers' spacing, Hz.
 const SPACING_HZ: f64 = crate::channel::SUBCARRIER_SPACING_HZ;
 /// A recorded trajectory strays in so many swings: slowly, as the windows of a second stay coherent.
@@ -115,7 +113,7 @@ pub(super) fn write(
         brief(TURN_AROUND_US + turn.max - turn.median),
     );
     if let Some(loss_db) = adjusted.wall_loss_db {
-        walls(&mut text, known.trajectory, place, loss_db);
+        walls(&mut text, known.trajectory, place, loss_db, adjusted.margin_m);
     }
     text
 }
@@ -211,7 +209,7 @@ const TURN_AROUND_US: f64 = 450.0;
 const RATE_40_MHZ: u16 = 0x800;
 
 /// Four walls about both robots.
-fn walls(text: &mut String, trajectory: &Trajectory, place: [f64; 3], loss_db: f64) {
+fn walls(text: &mut String, trajectory: &Trajectory, place: [f64; 3], loss_db: f64, margin_m: f64) {
     let mut low = [place[0], place[1]];
     let mut high = low;
     for pose in trajectory.poses() {
@@ -220,7 +218,7 @@ fn walls(text: &mut String, trajectory: &Trajectory, place: [f64; 3], loss_db: f
             high[axis] = high[axis].max(pose.position_m[axis]);
         }
     }
-    let ([x0, y0], [x1, y1]) = (low.map(|v| brief(v - MARGIN_M)), high.map(|v| brief(v + MARGIN_M)));
+    let ([x0, y0], [x1, y1]) = (low.map(|v| brief(v - margin_m)), high.map(|v| brief(v + margin_m)));
     let loss_db = brief(loss_db);
     for (from, to) in [([x0, y0], [x1, y0]), ([x1, y0], [x1, y1]), ([x1, y1], [x0, y1]), ([x0, y1], [x0, y0])] {
         let _ = write!(text, "\n[[wall]]\nfrom_m = {from:?}\nto_m = {to:?}\nbottom_m = -1.0\nloss_db = {loss_db:?}\n");

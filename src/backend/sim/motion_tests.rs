@@ -100,10 +100,10 @@ fn a_recorded_motion_strays_slowly_and_by_as_much_as_stated() {
         let places: Vec<Vector3<f64>> = (0..6_000).map(|k| strayed.at(f64::from(k) * 0.01).position_m).collect();
         for axis in 0..2 {
             let rms = (places.iter().map(|p| p[axis].powi(2)).sum::<f64>() / 6_000.0).sqrt();
-            assert!((0.008..0.012).contains(&rms), "seed {seed}: {rms}");
+            assert!((0.0075..0.0125).contains(&rms), "seed {seed}: {rms}");
         }
         let fastest = places.windows(2).map(|w| (w[1] - w[0]).norm() / 0.01).fold(0.0, f64::max);
-        assert!(fastest < 0.06 && places.iter().all(|p| p.z == 0.0), "{fastest} m/s");
+        assert!(fastest < 0.09 && places.iter().all(|p| p.z == 0.0), "{fastest} m/s");
     }
 }
 

@@ -77,12 +77,13 @@ impl Recorded {
     /// periods about `stray_s`. Nothing is drawn for a deviation of 0.
     #[must_use]
     pub(super) fn strayed(mut self, stray_m: f64, stray_s: f64, stream: &mut Stream) -> Self {
-        /// Periods of the sines: near each other, in no simple ratio, so that the deviation is met within a few swings.
-        const PERIODS: [f64; 4] = [0.73, 0.94, 1.21, 1.53];
+        /// Periods of the sines: in no simple ratio, so that the deviation is met within a few swings, and no motion has
+        /// all of them in common.
+        const PERIODS: [f64; 8] = [0.45, 0.57, 0.73, 0.94, 1.21, 1.53, 1.93, 2.42];
         if stray_m == 0.0 {
             return self;
         }
-        let phases: [[f64; 2]; 4] = PERIODS.map(|_| [stream.uniform(), stream.uniform()]);
+        let phases: [[f64; 2]; 8] = PERIODS.map(|_| [stream.uniform(), stream.uniform()]);
         let size_m = stray_m * (2.0 / PERIODS.len() as f64).sqrt();
         for (t_s, pose) in self.t_s.iter().zip(&mut self.poses) {
             for (period, [x, y]) in PERIODS.iter().zip(phases) {
