@@ -63,6 +63,8 @@ pub enum Capture {
     Replay(Replay),
     /// A simulated room.
     Room(Room),
+    /// A robot of a simulated room that another program runs (`csi5300 simulate --serve --socket`), in real time.
+    Served(Served),
 }
 
 /// See [`Capture::Card`].
@@ -97,6 +99,16 @@ pub struct Room {
     /// Times real time.
     #[serde(default = "one", deserialize_with = "positive")]
     pub speed: f64,
+}
+
+/// See [`Capture::Served`].
+#[derive(Clone, Debug, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Served {
+    /// The room's socket.
+    pub socket: PathBuf,
+    /// The robot of the scene that this is.
+    pub robot: String,
 }
 
 /// Where poses come from.
@@ -386,6 +398,7 @@ impl Config {
         match self.capture.get_mut() {
             Capture::Replay(replay) => replay.file = folder.join(&replay.file),
             Capture::Room(room) if room.scene.extension().is_some() => room.scene = folder.join(&room.scene),
+            Capture::Served(served) => served.socket = folder.join(&served.socket),
             Capture::Room(_) | Capture::Card(_) => {}
         }
         own(&mut self.odometry);
@@ -430,7 +443,7 @@ impl Config {
         let mut problems = Vec::new();
         let mut say = |at: usize, reason: String| problems.push(Problem { line: Some(line_of(text, at)), reason });
         let capture_at = self.capture.span().start;
-        let is_room = matches!(self.capture.get_ref(), Capture::Room(_));
+        let is_room = matches!(self.capture.get_ref(), Capture::Room(_) | Capture::Served(_));
         let is_replay = matches!(self.capture.get_ref(), Capture::Replay(_));
         if self.mac.is_none() && !is_room {
             let why = "`mac`, the address of this robot's card, is missing: `ip link` shows it, and `csi5300 info` shows the \
@@ -521,7 +534,7 @@ impl Config {
                 "`opencr` poses are of now and need `capture.card`: with a replayed log use `csv`, in a room `room`"
                     .into(),
             )),
-            Odometry::Room(_) if !is_room => Some((at, "`room` poses need `capture.room`".into())),
+            Odometry::Room(_) if !is_room => Some((at, "`room` poses need `capture.room` or `capture.served`".into())),
             Odometry::Opencr(_) if !own => Some((at, "a peer's port is not on this machine: use `network`".into())),
             Odometry::Network(_) if own => Some((at, "this robot's own poses do not come over the network".into())),
             Odometry::Network(_) if self.network.is_none() => {
@@ -558,7 +571,7 @@ impl Config {
                     );
                 }
                 Records::Room(_) if !is_room => {
-                    say(at, format!("peer `{}`: `room` records need `capture.room`", peer.name))
+                    say(at, format!("peer `{}`: `room` records need `capture.room` or `capture.served`", peer.name))
                 }
                 Records::Network(_) if self.network.is_none() => {
                     say(at, format!("peer `{}`: `network` records need a [network] table", peer.name));
@@ -666,6 +679,14 @@ mod tests {
         );
         assert_eq!(config.estimator, Estimation::default());
         assert_eq!(config.peer[0].get_ref().poses, Odometry::Static(Place::default()));
+    }
+
+    #[test]
+    fn a_room_that_another_program_runs_is_as_few() {
+        let served = ROOM.replace("capture.room = { scene = \"lab-circle\"", "capture.served = { socket = \"s\"");
+        let config = Config::read(&served, Path::new("/f")).unwrap();
+        let expected = Served { socket: "/f/s".into(), robot: "rx".into() };
+        assert_eq!(config.capture.get_ref(), &Capture::Served(expected));
     }
 
     #[test]

@@ -41,6 +41,7 @@
 //! | `air`, `node` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
 //! | `turn_around` | frames into the moments of their answers |
 //! | `port` | receptions into records, behind a socket queue that overruns as the kernel's does |
+//! | `interface` | frames for senders outside of the room, as a monitor interface gives them |
 //! | `odometer` | true motion into a sensor's poses |
 //! | `dataset` | a room into a capture folder |
 //!
@@ -59,6 +60,7 @@ mod carrier;
 pub mod crystal;
 mod dataset;
 mod faults;
+mod interface;
 mod maths;
 pub mod motion;
 mod node;
@@ -82,6 +84,7 @@ pub use backend::Backend;
 pub use built_in::BUILT_IN;
 pub use dataset::{Capture, Log, write_dataset};
 pub use faults::{Faults, Injected};
+pub use interface::{Interface, Seen};
 pub use odometer::Odometer;
 pub use port::Port;
 pub use recorded::Recorded;
