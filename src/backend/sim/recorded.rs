@@ -66,9 +66,7 @@ impl Recorded {
         };
         let (a, b) = (pose(after - 1), pose(after));
         let part = if to > from { (t_s - from) / (to - from) } else { 0.0 };
-        let turn = b.yaw_rad - a.yaw_rad;
-        let turn = turn - std::f64::consts::TAU * (turn / std::f64::consts::TAU).round();
-        Pose { position_m: a.position_m + (b.position_m - a.position_m) * part, yaw_rad: a.yaw_rad + turn * part }
+        a.towards(&b, part)
     }
 
     /// Headings along the way driven, for files that have none.

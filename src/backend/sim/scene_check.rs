@@ -290,6 +290,10 @@ fn check_motion(motion: &Motion) -> Checked {
             };
             check().map_err(|p: Problem| p.key("waypoints"))
         }
+        Motion::Followed(m) => {
+            let check = || finite("origin_m", &m.origin_m).and_then(|()| finite("origin_yaw_deg", &[m.origin_yaw_deg]));
+            check().map_err(|p: Problem| p.key("followed"))
+        }
         Motion::Recorded(m) => not_negative("start_s", m.start_s).map_err(|p| p.key("recorded")),
     }
 }

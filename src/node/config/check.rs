@@ -1,7 +1,6 @@
 //! What contradicts itself, or this machine, in a configuration: where, and why.
 
-use super::{Capture, Config, Odometry, Problem, Records};
-use driver_iface::Mac;
+use super::{Capture, Config, Odometry, Problem, Records, ros};
 use toml::Spanned;
 
 /// Bearings of each peer a second that can be asked for: one in a thousand seconds to what no processor keeps up with.
@@ -62,6 +61,7 @@ impl Config {
         {
             say(capture_at, why);
         }
+        ros::wrong_followed(self, room.as_ref()).into_iter().for_each(|why| say(capture_at, why));
         let estimator = &self.estimator;
         if !(0.0..=90.0).contains(&estimator.elevation_max_deg) {
             say(place(text, "elevation_max_deg"), "elevation_max_deg: 0 to 90 degrees".into());
@@ -112,7 +112,8 @@ impl Config {
             let at = self.peer.first().map_or(capture_at, |peer| peer.span().start);
             say(at, why.into());
         }
-        let odometry = |poses: &Odometry, at: usize, own: bool| match poses {
+        let odometry = |poses: &Odometry, at: usize, own: bool| {
+            match poses {
             Odometry::Csv(csv) if !csv.file.is_file() => {
                 Some((at, format!("there is no trajectory {}", csv.file.display())))
             }
@@ -124,6 +125,13 @@ impl Config {
                 "`opencr` poses are of now and need `capture.card`: with a replayed log use `csv`, in a room `room`"
                     .into(),
             )),
+            Odometry::Ros(_) if is_room || is_replay => Some((
+                at,
+                "`ros` poses are of now and need `capture.card`: with a replayed log use `csv`; in a room that follows the \
+                 topic (`follow`) use `room`"
+                    .into(),
+            )),
+            Odometry::Ros(topic) => ros::wrong_topic(topic, !own).map(|why| (at, why)),
             Odometry::Room(_) if !is_room => Some((at, "`room` poses need `capture.room`".into())),
             Odometry::Opencr(_) if !own => Some((at, "a peer's port is not on this machine: use `network`".into())),
             Odometry::Network(_) if own => Some((at, "this robot's own poses do not come over the network".into())),
@@ -131,12 +139,15 @@ impl Config {
                 Some((at, "`network` poses need a [network] table".into()))
             }
             _ => None,
+        }
         };
         if let Some((at, why)) = odometry(&self.odometry, place(text, "odometry"), true) {
             say(at, why);
         }
-        if self.peer.is_empty() && self.log.is_none() && self.network.is_none() {
-            say(capture_at, "no [[peer]], no [log] and no [network]: there is nothing to do".into());
+        let wrong = self.ros.as_ref().and_then(ros::wrong_ros);
+        wrong.into_iter().for_each(|(key, why)| say(place(text, key), why));
+        if self.peer.is_empty() && self.log.is_none() && self.network.is_none() && self.ros.is_none() {
+            say(capture_at, "no [[peer]], no [log], no [network] and no [ros]: there is nothing to do".into());
         }
         for (k, peer) in self.peer.iter().enumerate() {
             let (at, peer) = (peer.span().start, peer.get_ref());

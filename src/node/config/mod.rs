@@ -1,15 +1,17 @@
 //! The configuration of a robot: one TOML file, checked whole before anything starts.
 
 mod check;
+pub mod ros;
 
-use check::line_of;
 use crate::channel::Channel;
 use crate::odometry::drive::Geometry;
 use crate::pipeline::Options;
 use crate::pipeline::accurate::Accuracy;
+use check::line_of;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use serde::de::{Deserialize, Deserializer, Error as _};
+use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -54,6 +56,9 @@ pub struct Config {
     /// The network of the robots.
     #[serde(default)]
     pub network: Option<Network>,
+    /// This program as a node of ROS 1.
+    #[serde(default)]
+    pub ros: Option<ros::Ros>,
 }
 
 /// Where records come from.
@@ -100,6 +105,9 @@ pub struct Room {
     /// Times real time.
     #[serde(default = "one", deserialize_with = "positive")]
     pub speed: f64,
+    /// Whose poses the robots go by whose motion in the scene is `followed`.
+    #[serde(default)]
+    pub follow: BTreeMap<String, Odometry>,
 }
 
 /// Where poses come from.
@@ -112,6 +120,8 @@ pub enum Odometry {
     Csv(Csv),
     /// The simulated room's.
     Room(NoKeys),
+    /// A topic of ROS 1.
+    Ros(ros::Topic),
     /// The robot stands for ever.
     Static(Place),
     /// Other robots' poses come over the network.
@@ -379,12 +389,18 @@ impl Config {
     fn resolve(&mut self, folder: &Path) {
         let own = |odometry: &mut Odometry| match odometry {
             Odometry::Csv(csv) => csv.file = folder.join(&csv.file),
-            Odometry::Opencr(_) | Odometry::Room(_) | Odometry::Static(_) | Odometry::Network(_) => {}
+            Odometry::Opencr(_) | Odometry::Room(_) | Odometry::Ros(_) | Odometry::Static(_) | Odometry::Network(_) => {
+            }
         };
         match self.capture.get_mut() {
             Capture::Replay(replay) => replay.file = folder.join(&replay.file),
-            Capture::Room(room) if room.scene.extension().is_some() => room.scene = folder.join(&room.scene),
-            Capture::Room(_) | Capture::Card(_) => {}
+            Capture::Room(room) => {
+                if room.scene.extension().is_some() {
+                    room.scene = folder.join(&room.scene);
+                }
+                room.follow.values_mut().for_each(own);
+            }
+            Capture::Card(_) => {}
         }
         own(&mut self.odometry);
         for peer in &mut self.peer {

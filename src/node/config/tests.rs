@@ -12,7 +12,7 @@ fn a_simulated_room_is_a_few_lines() {
     let config = Config::read(ROOM, Path::new("/nowhere")).unwrap();
     assert_eq!(
         config.capture.get_ref(),
-        &Capture::Room(Room { scene: "lab-circle".into(), robot: "rx".into(), speed: 1.0 })
+        &Capture::Room(Room { scene: "lab-circle".into(), robot: "rx".into(), speed: 1.0, follow: BTreeMap::new() })
     );
     assert_eq!(config.estimator, Estimation::default());
     assert_eq!(config.peer[0].get_ref().poses, Odometry::Static(Place::default()));
@@ -44,8 +44,7 @@ fn every_problem_has_its_line() {
     assert!(negative.starts_with("line 8") && negative.contains("above 0"), "{negative}");
     let typo = refused(&ROOM.replace("records.room", "records.rom"));
     assert!(typo.starts_with("line 6"), "{typo}");
-    let two =
-        refused(&ROOM.replace("capture.room = { scene = \"lab-circle\", robot = \"rx\" }", "capture.card = {}"));
+    let two = refused(&ROOM.replace("capture.room = { scene = \"lab-circle\", robot = \"rx\" }", "capture.card = {}"));
     let lines: Vec<&str> = two.lines().collect();
     assert!(lines.len() == 3 && lines[0].starts_with("line 2: `mac`"), "{two}");
     assert!(lines[1].starts_with("line 3:") && lines[2].starts_with("line 4: peer `tx`"), "{two}");
@@ -80,4 +79,95 @@ fn every_problem_has_its_line() {
     assert!(full.contains("line 8: backlog"), "{full}");
     let far = refused(&format!("{ROOM}[estimator]\nextrapolate_s = 30\n"));
     assert!(far.starts_with("line 8"), "{far}");
+}
+
+/// A scene whose robot `a` is followed, in a folder of its own.
+fn followed(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("csi5300-config-{name}-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let scene = "duration_s = 9\n[[robot]]\nname = \"a\"\nmotion.followed = {}\n[[robot]]\nname = \"b\"\nposition_m = [4, 0, 0]\n";
+    std::fs::write(folder.join("scene.toml"), scene).unwrap();
+    folder
+}
+
+#[test]
+fn robots_of_a_room_follow_what_there_is() {
+    let folder = followed("follow");
+    let read = |follow: &str| {
+        let room = format!("capture.room = {{ scene = \"scene.toml\", robot = \"a\"{follow} }}");
+        let text = ROOM.replace("capture.room = { scene = \"lab-circle\", robot = \"rx\" }", &room).replace("tx", "b");
+        Config::read(&text, &folder).map_err(|error| error.to_string())
+    };
+    let alone = read("").unwrap_err();
+    assert!(alone.starts_with("line 2: robot `a` of the scene follows nothing"), "{alone}");
+    std::fs::write(folder.join("way.csv"), "0,0,0,0,0\n").unwrap();
+    let config = read(", follow.a.csv.file = \"way.csv\"").unwrap();
+    assert!(!ros::is_used(&config));
+    for (follow, why) in [
+        (", follow = { a.csv.file = \"no.csv\" }", "no trajectory"),
+        (", follow = { a.csv.file = \"way.csv\", c.csv.file = \"way.csv\" }", "no robot `c`"),
+        (", follow = { a.csv.file = \"way.csv\", b.csv.file = \"way.csv\" }", "`b` moves as the scene says"),
+        (", follow = { a.room = {} }", "`ros` or `csv`"),
+    ] {
+        let refused = read(follow).unwrap_err();
+        assert!(refused.starts_with("line 2: ") && refused.contains(why), "{refused}");
+    }
+    let topic = read(", follow = { a.ros.topic = \"/a/odom\" }");
+    if cfg!(feature = "ros1") {
+        assert!(ros::is_used(&topic.unwrap()));
+        for (follow, why) in [
+            (", follow = { a.ros.topic = \"odom\" }", "no name in ROS"),
+            (", speed = 2.0, follow = { a.ros.topic = \"/odom\" }", "of now"),
+            (", follow = { a.ros = { topic = \"/odom\", stamp = \"header\" } }", "at which poses come"),
+        ] {
+            let refused = read(follow).unwrap_err();
+            assert!(refused.starts_with("line 2: ") && refused.contains(why), "{refused}");
+        }
+    } else {
+        assert!(topic.unwrap_err().contains("--features ros1"));
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn a_node_of_ros_is_checked_like_everything_else() {
+    let card = "mac = \"00:21:6a:00:00:01\"\nchannel = \"108\"\ncapture.card = {}\nodometry.ros.topic = \"/odom\"\n\
+                [ros]\nmaster = \"http://10.0.0.1:11311/\"\n[log]\nfile = \"x.dat\"\n";
+    let read = |text: &str| Config::read(text, Path::new("/f")).map_err(|error| error.to_string());
+    let in_room = refused(&ROOM.replace("odometry.room = {}", "odometry.ros.topic = \"/odom\""));
+    assert!(in_room.starts_with("line 3: `ros` poses are of now"), "{in_room}");
+    if !cfg!(feature = "ros1") {
+        let lines: Vec<String> = read(card).unwrap_err().lines().map(str::to_owned).collect();
+        assert!(lines.len() == 2 && lines.iter().all(|line| line.contains("--features ros1")), "{lines:?}");
+        assert!(lines[0].starts_with("line 4: `ros` poses") && lines[1].starts_with("line 5: [ros]"), "{lines:?}");
+        return;
+    }
+    let config = read(card).unwrap();
+    assert!(ros::is_used(&config));
+    let ros = config.ros.clone().unwrap();
+    assert_eq!(
+        (ros.master().as_str(), ros.node(&config).as_str()),
+        ("http://10.0.0.1:11311", "/csi5300_00_21_6a_00_00_01")
+    );
+    for (from, to, why) in [
+        ("http://", "", "line 6: master"),
+        ("master", "node = \"a b\"\nmaster", "line 6: `a b` is no name"),
+        ("\"/odom\"", "\"/odom/\"", "line 4: `/odom/` is no name"),
+        ("odometry.ros.topic = \"/odom\"", "odometry.ros = { topic = \"/odom\", type = \"imu\" }", "line 4: "),
+        ("odometry.ros.topic = \"/odom\"", "odometry.ros = { topic = \"/odom\", stamp = \"now\" }", "line 4: "),
+    ] {
+        let refused = read(&card.replace(from, to)).unwrap_err();
+        assert!(refused.starts_with(why), "{refused}");
+    }
+    let peer = "[[peer]]\nname = \"b\"\nmac = \"00:21:6a:00:00:02\"\nrecords.network = {}\n\
+                poses.ros = { topic = \"/b/odom\", stamp = \"receipt\" }\n";
+    let refused = read(&format!("{card}{peer}")).unwrap_err();
+    assert!(refused.contains("line 9: peer `b`: a peer's poses have the times of its own clock"), "{refused}");
+}
+
+#[test]
+fn the_example_for_simulators_is_good() {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/ros/robot.toml");
+    let problems = Config::load(&file).err().map(|error| error.to_string()).unwrap_or_default();
+    assert!(problems.lines().all(|line| !cfg!(feature = "ros1") && line.contains("--features ros1")), "{problems}");
 }
