@@ -38,6 +38,8 @@ pub struct Health {
     pub peers: Vec<PeerHealth>,
     /// What was counted on the robots' network.
     pub network: Option<serde_json::Value>,
+    /// What was published over ROS.
+    pub ros: Option<serde_json::Value>,
     /// What it costs.
     pub load: Load,
     /// What is wrong at the moment, in words.
@@ -134,6 +136,7 @@ impl Looks {
             log: machine.totals(),
             peers: peers.collect(),
             network: None,
+            ros: None,
             load,
             trouble: machine.trouble(),
         };

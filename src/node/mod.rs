@@ -26,4 +26,6 @@ pub mod network;
 #[cfg(feature = "node")]
 mod outputs;
 #[cfg(feature = "node")]
+mod ros;
+#[cfg(feature = "node")]
 pub mod service;

@@ -5,6 +5,7 @@ use super::estimator::{Report, State};
 use super::health::{Health, Load, Looks};
 use super::machine::{Capture, Machine};
 use super::outputs::{Lines, StatusSocket, StatusText};
+use super::ros::Ros;
 use super::sources::{Card, Sources};
 use crate::backend::Error;
 use crate::backend::recorder::{LogFiles, Options as RecorderOptions, Recorder, Rotation, Totals, side_path};
@@ -45,12 +46,13 @@ pub struct Ended {
 /// # Errors
 /// If it cannot be started. What fails later is in [`Ended::error`].
 pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
-    let sources = Sources::open(config, Instant::ZERO, wall_us)?;
+    let mut sources = Sources::open(config, Instant::ZERO, wall_us)?;
     let network = Joined::join(config, &sources)?;
+    let mut ros = Ros::open(config, &mut sources);
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let io = |source| Error::Io { what: "cannot start tokio".into(), source };
-    // The network is left outside of the runtime, where it may wait for its own, and after the machine is finished.
-    runtime.map_err(io)?.block_on(Service::serve(config, name, sources, &network))
+    // The network and ROS are left outside of the runtime, where they may wait for their own, and after the machine is finished.
+    runtime.map_err(io)?.block_on(Service::serve(config, name, sources, (&network, &mut ros)))
 }
 
 /// Real time, and the sources' own, which runs `speed` times as fast.
@@ -82,6 +84,7 @@ struct Line<'a> {
 
 struct Service<'a> {
     network: &'a Joined,
+    ros: &'a mut Ros,
     clock: Clock,
     machine: Machine,
     looks: Looks,
@@ -98,7 +101,12 @@ struct Service<'a> {
 }
 
 impl<'a> Service<'a> {
-    async fn serve(config: &Config, name: String, mut sources: Sources, network: &'a Joined) -> Result<Ended, Error> {
+    async fn serve(
+        config: &Config,
+        name: String,
+        mut sources: Sources,
+        (network, ros): (&'a Joined, &'a mut Ros),
+    ) -> Result<Ended, Error> {
         // Signals first: one that comes from here on ends the robot in order.
         let mut signals = [SignalKind::terminate(), SignalKind::interrupt(), SignalKind::hangup()]
             .map(signal)
@@ -111,8 +119,10 @@ impl<'a> Service<'a> {
         let logged = |card: Card| logged(card, config.log.as_ref());
         let mut machine = Machine::new(sources, logged, Sources::settings(config), config.options(), clock.now())?;
         network.attach(&mut machine);
+        ros.attach(&mut machine);
         let mut service = Self {
             network,
+            ros,
             clock,
             machine,
             looks: Looks::new(name),
@@ -193,6 +203,7 @@ impl<'a> Service<'a> {
         self.load.longest_estimate_ms = self.load.longest_estimate_ms.max(self.load.estimate_ms);
         self.bearings += u64::from(report.state == State::Bearing);
         self.lines.write(&Line { took_ms: Some(self.load.estimate_ms), report: &report });
+        self.ros.report(peer, &report, self.machine.estimator.track().last());
         self.looks.note(peer, report);
     }
 
@@ -214,6 +225,8 @@ impl<'a> Service<'a> {
         self.load.lines_lost = self.lines.lost();
         let mut health = self.looks.look(&self.machine, self.clock.now(), self.load);
         health.network = self.network.counts();
+        health.ros = self.ros.counts();
+        health.trouble.extend(self.ros.trouble());
         self.load.late_ms = 0.0;
         if let Some(socket) = &self.socket {
             socket.tell(&health);
@@ -276,7 +289,7 @@ impl Joined {
         self.records.iter().for_each(|(peer, mailbox)| machine.set_records(*peer, Box::new(mailbox.card())));
         self.poses.iter().for_each(|(peer, mailbox)| machine.set_poses(*peer, Box::new(mailbox.poses())));
         if let Some(tap) = self.network.as_ref().and_then(super::network::Network::tap) {
-            machine.set_tap(tap);
+            machine.add_tap(tap);
         }
     }
 

@@ -4,6 +4,7 @@
 //! free. Coefficients are not computed here but when a record is read, and only for robots that somebody reads.
 
 use super::faults::Injected;
+use super::followed::Follower;
 use super::node::{Flight, Heard, Listening, Node, Outgoing, Reception};
 use super::radio::Radio;
 use super::station::{Role, Station};
@@ -89,6 +90,7 @@ pub struct Air {
     paths: Vec<Path>,
     make_station: MakeStation,
     scratch: Vec<u8>,
+    followers: Vec<Follower>,
 }
 
 impl std::fmt::Debug for Air {
@@ -114,6 +116,7 @@ impl Air {
             paths: Vec::new(),
             make_station,
             scratch: Vec::new(),
+            followers: Vec::new(),
             world,
         };
         for robot in 0..air.nodes.len() {
@@ -163,8 +166,26 @@ impl Air {
         self.events.peek().map(|Reverse(event)| event.t_ns).filter(|&t_ns| t_ns <= self.end_ns)
     }
 
+    /// From now on a robot goes where its source says. False if it follows one already.
+    pub fn follow(&mut self, follower: Follower) -> bool {
+        let free = self.follower(follower.robot).is_none();
+        if free {
+            self.followers.push(follower);
+        }
+        free
+    }
+
+    /// The source that a robot follows.
+    #[must_use]
+    pub fn follower(&self, robot: usize) -> Option<&Follower> {
+        self.followers.iter().find(|follower| follower.robot == robot)
+    }
+
     /// Lets time pass up to `until_ns`, but not beyond the end of the scene.
     pub fn advance(&mut self, until_ns: i64) {
+        // What has come by then says nothing of the time before.
+        let now = Instant::from_us(until_ns.max(self.now_ns) / 1_000);
+        self.followers.iter_mut().for_each(|follower| follower.take(now));
         let until_ns = until_ns.min(self.end_ns);
         while self.events.peek().is_some_and(|Reverse(event)| event.t_ns <= until_ns) {
             let Some(Reverse(event)) = self.events.pop() else { break };

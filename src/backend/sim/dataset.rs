@@ -78,8 +78,15 @@ struct Writing {
 /// gaps in `bfee_count`. `progress` is told the share of the scene that is done, about a hundred times.
 ///
 /// # Errors
-/// [`Error::Io`] when a file cannot be written, [`Error::Input`] when a card of the room was taken before.
+/// [`Error::Io`] when a file cannot be written, [`Error::Input`] when a card of the room was taken before, or a robot is
+/// `followed`: only a running node has poses for it.
 pub fn write_dataset(room: &mut Room, dir: &Path, progress: &mut dyn FnMut(f64)) -> Result<Vec<Capture>, Error> {
+    let followed = room.scene().robot.iter().find(|robot| matches!(robot.motion, super::motion::Motion::Followed(_)));
+    if let Some(robot) = followed {
+        let what =
+            "goes where an odometry source says while a node runs: `csi5300 node`, with `follow` in `capture.room`";
+        return Err(Error::Input(format!("robot `{}` {what}", robot.name)));
+    }
     let initiators = room.scene().initiators();
     let stamp = stamp(room.scene().start_unix_s);
     let mut folders = BTreeMap::new();

@@ -68,9 +68,7 @@ impl Recorded {
         };
         let (a, b) = (pose(after - 1), pose(after));
         let part = if to > from { (t_s - from) / (to - from) } else { 0.0 };
-        let turn = b.yaw_rad - a.yaw_rad;
-        let turn = turn - std::f64::consts::TAU * (turn / std::f64::consts::TAU).round();
-        Pose { position_m: a.position_m + (b.position_m - a.position_m) * part, yaw_rad: a.yaw_rad + turn * part }
+        a.towards(&b, part)
     }
 
     /// The same with every place off by slow swings: of standard deviation `stray_m` in x and in y, each of sines with

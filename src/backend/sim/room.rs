@@ -2,6 +2,7 @@
 
 use super::air::{Air, MakeStation};
 use super::faults::Injected;
+use super::followed::Follower;
 use super::interface::Interface;
 use super::motion::Pose;
 use super::odometer::Odometer;
@@ -11,6 +12,7 @@ use super::sounder::sounder;
 use super::station::Station;
 use super::world::World;
 use crate::backend::Error;
+use crate::odometry::OdometrySource;
 use crate::time::Instant;
 use driver_iface::Mac;
 use std::sync::{Arc, Mutex};
@@ -110,6 +112,23 @@ impl Room {
     #[must_use]
     pub fn odometry(&self, robot: usize) -> Option<Odometer> {
         (robot < self.taken.len()).then(|| Odometer::new(Arc::clone(&self.air), robot))
+    }
+
+    /// Makes a robot go where `source` says, from a tenth of a second after each pose came. Its motion in the scene must
+    /// be `followed`. What the robot's odometry gives is where the room has it, so that poses and records agree.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when there is no such robot, it has another motion, or it follows a source already.
+    pub fn follow(&mut self, robot: usize, source: Box<dyn OdometrySource + Send>) -> Result<(), Error> {
+        let name = self.scene().robot.get(robot).map_or("?", |robot| robot.name.as_str()).to_owned();
+        let way = self.world.way(robot).ok_or_else(|| {
+            Error::Input(format!("robot `{name}` follows no poses: its motion in the scene is not `followed`"))
+        })?;
+        if lock(&self.air).follow(Follower::new(robot, Arc::clone(way), source)) {
+            Ok(())
+        } else {
+            Err(Error::Input(format!("robot `{name}` follows a source already")))
+        }
     }
 
     /// A robot's MAC address, if there is such a robot.

@@ -303,6 +303,10 @@ fn check_motion(motion: &Motion) -> Checked {
             };
             check().map_err(|p: Problem| p.key("recorded"))
         }
+        Motion::Followed(m) => {
+            let check = || finite("origin_m", &m.origin_m).and_then(|()| finite("origin_yaw_deg", &[m.origin_yaw_deg]));
+            check().map_err(|p: Problem| p.key("followed"))
+        }
     }
 }
 

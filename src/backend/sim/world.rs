@@ -1,6 +1,7 @@
 //! A scene made ready: where everything is at any time, what the carriers do, and the channel between two robots.
 
 use super::carrier::{Carrier, Common, SAMPLE_20_S, Tones};
+use super::followed::{SharedWay, lock};
 use super::maths::{amplitude, heading};
 use super::motion::{Pose, Track};
 use super::random::{Purpose, Stream};
@@ -86,6 +87,19 @@ impl World {
     #[must_use]
     pub fn pose(&self, robot: usize, t_s: f64) -> Pose {
         self.robots[robot].track.at(t_s)
+    }
+
+    /// The way of a robot that follows a source; `None` for others.
+    #[must_use]
+    pub fn way(&self, robot: usize) -> Option<&SharedWay> {
+        self.robots.get(robot)?.track.way()
+    }
+
+    /// The number of the frame in which a followed robot's pose is at `t_s`, 0 before its first one came; `None` for a
+    /// robot that follows nobody.
+    #[must_use]
+    pub fn frame(&self, robot: usize, t_s: f64) -> Option<u32> {
+        self.way(robot).map(|way| lock(way).at(t_s).1)
     }
 
     /// True if a robot never moves.
