@@ -11,6 +11,10 @@ use std::collections::BTreeMap;
 pub const LOSSES_KEPT: usize = 16;
 /// Senders told apart; a log in which noise or malice made up more only counts them.
 pub const SENDERS_KEPT: usize = 256;
+/// Counts of frame numbers told apart for each sender, and how far numbers of one count are from each other at most:
+/// initiators begin further apart ([`crate::pairing::before_first_number`]).
+const COUNTS_KEPT: usize = 16;
+const SAME_COUNT: u32 = 1 << 22;
 /// Inter-packet times kept for the median.
 const STEPS_KEPT: usize = 4_096;
 
@@ -27,8 +31,9 @@ pub struct Sender {
     pub frames_repeated: u64,
     /// Steps back of the frame number: a sender that started anew.
     pub frames_restarted: u64,
+    /// The newest number of each count: where several robots initiate, a sender's answers bear the numbers of others.
     #[serde(skip)]
-    last_frame_count: Option<u32>,
+    last_frame_counts: Vec<u32>,
     #[serde(skip)]
     clock: Unwrap32,
     #[serde(skip)]
@@ -55,12 +60,7 @@ impl Sender {
         if let Some(number) = frame_count {
             let (low, high) = self.frame_count.unwrap_or((number, number));
             self.frame_count = Some((low.min(number), high.max(number)));
-            match self.last_frame_count.replace(number).map(|last| number.wrapping_sub(last)) {
-                None | Some(1) => {}
-                Some(0) => self.frames_repeated += 1,
-                Some(step) if step <= u32::MAX / 2 => self.frames_skipped += u64::from(step - 1),
-                Some(_) => self.frames_restarted += 1,
-            }
+            self.note_number(number);
         }
         let now_us = self.clock.next(timestamp_low);
         if let Some(last_us) = self.last_us
@@ -69,6 +69,25 @@ impl Sender {
             self.steps_us.push(now_us - last_us);
         }
         self.last_us = Some(now_us);
+    }
+
+    fn note_number(&mut self, number: u32) {
+        let step_from = |last: u32| number.wrapping_sub(last).cast_signed();
+        let has_room = self.last_frame_counts.len() < COUNTS_KEPT;
+        let nearest = self.last_frame_counts.iter_mut().min_by_key(|last| step_from(**last).unsigned_abs());
+        match nearest {
+            Some(last) if step_from(*last).unsigned_abs() <= SAME_COUNT => {
+                match step_from(*last) {
+                    1 => {}
+                    0 => self.frames_repeated += 1,
+                    step @ 2.. => self.frames_skipped += u64::from(step.unsigned_abs() - 1),
+                    _ => self.frames_restarted += 1,
+                }
+                *last = number;
+            }
+            _ if has_room => self.last_frame_counts.push(number),
+            _ => self.frames_restarted += 1,
+        }
     }
 }
 

@@ -83,10 +83,12 @@ fn draw(folder: &Path, name: &str, bearing: &Bearing, options: &Options) -> std:
     svgs.map(|path| std::fs::read_to_string(path).map_err(|error| error.to_string())).collect()
 }
 
+/// Links of a page whose pictures are seen at once; those of larger ones are looked at one by one.
+const OPEN: usize = 6;
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:76em;padding:0 1em;color:#222}\
 table{border-collapse:collapse;margin:1em 0}th,td{padding:.25em .7em;text-align:right;border-bottom:1px solid #ddd}\
-th:first-child,td:first-child{text-align:left}th{border-bottom:2px solid #888}td.bad{color:#b00020}\
-figure{margin:.5em 0;display:inline-block;width:32%;min-width:20em}figure svg{width:100%;height:auto}\
+th:first-child,td:first-child{text-align:left;white-space:nowrap}th{border-bottom:2px solid #888}td.bad{color:#b00020}\
+figure{margin:.5em 0;display:inline-block;vertical-align:top;width:32%;min-width:20em}figure svg{width:100%;height:auto}\
 details{margin:.4em 0}summary{cursor:pointer}.note{color:#b00020}";
 
 /// The whole page: no script, and nothing that is fetched from anywhere.
@@ -105,7 +107,7 @@ fn page(title: &str, shown: &[Shown], notes: &[String]) -> String {
     losses(&mut html, shown, notes);
     html.push_str("<h2>Links</h2>\n");
     for link in shown {
-        details(&mut html, link);
+        details(&mut html, link, shown.len() <= OPEN);
     }
     html.push_str("</body></html>\n");
     html
@@ -191,14 +193,15 @@ fn losses(html: &mut String, shown: &[Shown], notes: &[String]) {
     }
 }
 
-fn details(html: &mut String, link: &Shown) {
+fn details(html: &mut String, link: &Shown, open: bool) {
     let answer = &link.row.answer;
     let head = match (&answer.error, answer.azimuth_deg) {
         (Some(error), _) => error.clone(),
         (None, Some(azimuth)) => format!("{azimuth:.2} deg"),
         (None, None) => "no bearing".into(),
     };
-    let _ = writeln!(html, "<details><summary>{}: {}</summary>", escape(&answer.link), escape(&head));
+    let open = if open { " open" } else { "" };
+    let _ = writeln!(html, "<details{open}><summary>{}: {}</summary>", escape(&answer.link), escape(&head));
     let counts = &answer.pair_counts;
     let _ = writeln!(
         html,
@@ -222,9 +225,15 @@ fn details(html: &mut String, link: &Shown) {
     html.push_str("</details>\n");
 }
 
-/// An SVG ready to stand in a page with others: without its XML head, its ids its own.
+/// An SVG ready to stand in a page with others: without its XML head, as large as there is room, its ids its own.
 fn apart(svg: &str, prefix: &str) -> String {
     let body = svg.find("<svg").and_then(|from| svg.get(from..)).unwrap_or(svg);
+    let head = body.split('>').next().unwrap_or_default();
+    let size = |name: &str| head.split_once(&format!(" {name}=\""))?.1.split_once('"')?.0.parse::<f64>().ok();
+    let whole = size("width").zip(size("height")).filter(|_| !head.contains("viewBox"));
+    // Without it a picture that is made smaller is cut instead.
+    let whole = whole.map_or_else(String::new, |(width, height)| format!("<svg viewBox=\"0 0 {width} {height}\""));
+    let body = if whole.is_empty() { body.to_owned() } else { body.replacen("<svg", &whole, 1) };
     let prefix: String = prefix.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
     body.replace("id=\"", &format!("id=\"{prefix}"))
         .replace("url(#", &format!("url(#{prefix}"))
@@ -249,10 +258,16 @@ mod tests {
         row.answer.link = "<script>x</script>/tx2".into();
         let html = page(
             "a&b",
-            &[Shown { row, pictures: vec!["<?xml?><svg><g id=\"a\"/><use href=\"#a\"/></svg>".into()] }],
+            &[Shown {
+                row,
+                pictures: vec![
+                    "<?xml?><svg width=\"800\" height=\"600.5\"><g id=\"a\"/><use href=\"#a\"/></svg>".into(),
+                ],
+            }],
             &[],
         );
         assert!(!html.contains("<script>") && html.contains("a&amp;b"));
         assert!(!html.contains("<?xml") && !html.contains("id=\"a\""), "{html}");
+        assert!(html.contains("<svg viewBox=\"0 0 800 600.5\" width=\"800\""), "{html}");
     }
 }

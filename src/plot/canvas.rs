@@ -178,6 +178,10 @@ impl Canvas {
     /// Draws with everything that leaves the axes cut off.
     pub(super) fn clipped(&mut self, a: &Axes, draw: impl FnOnce(&mut Self)) {
         let id = format!("clip{}", self.0.elements.len());
+        // In SVG the region is defined apart from its use.
+        let (x, y, width, height) = (a.left, a.top, a.width, a.height);
+        let rect = format!("<rect x=\"{x}\" y=\"{y}\" width=\"{width}\" height=\"{height}\"/>");
+        self.0.defs.push(format!("<clipPath id=\"{id}\">{rect}</clipPath>"));
         self.0.elements.push(Primitive::ClipStart { x: a.left, y: a.top, width: a.width, height: a.height, id });
         draw(self);
         self.0.elements.push(Primitive::ClipEnd);

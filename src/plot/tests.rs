@@ -12,6 +12,10 @@ fn check(paths: &[PathBuf]) {
     assert_eq!(u32::from_be_bytes(bytes[16..20].try_into().unwrap()), 1200, "width in IHDR");
     let text = std::fs::read_to_string(svg).unwrap();
     assert!(text.starts_with("<svg") && text.trim_end().ends_with("</svg>"));
+    // What is cut off is cut off there too: every region that is used is defined.
+    for name in text.split("url(#").skip(1).filter_map(|rest| rest.split(')').next()) {
+        assert!(text.contains(&format!("id=\"{name}\"")), "{name} is not defined");
+    }
     assert!(text.contains("width=\"1200\"") && !text.contains("NaN") && !text.contains("inf"));
 }
 

@@ -8,6 +8,7 @@ use super::plan::{Dialect, Plan, PlanError};
 use super::roster::{ABSENT_AFTER, Outstanding, Priority, Roster};
 use super::turns::Turn;
 use super::view::View;
+use crate::pairing::before_first_number;
 use crate::time::Instant;
 use driver_iface::sounding::native::{self, Measurement, Role};
 use driver_iface::sounding::wsr;
@@ -74,7 +75,8 @@ pub struct Tdma {
     /// When a forward frame was last answered, or the turn was come by.
     pub(super) answered_at: Instant,
     pub(super) now: Instant,
-    /// The number of the last forward frame; 0 is left out, WSR drivers lose the sender's MAC with it.
+    /// The number of the last forward frame, each robot's in a range of its own; 0 is left out, WSR drivers lose the
+    /// sender's MAC with it.
     pub(super) number: u32,
     pub(super) reply: Option<Ready>,
     pub(super) forward_buffer: Box<[u8]>,
@@ -129,6 +131,7 @@ impl Tdma {
         };
         let buffer = vec![0; longest].into_boxed_slice();
         let roster = Roster::new(config);
+        let number = before_first_number(roster.own_rank, roster.robots());
         Ok(Self {
             own: config.own.mac,
             own_index: config.own.index,
@@ -149,7 +152,7 @@ impl Tdma {
             quiet_since: config.start,
             answered_at: config.start,
             now: config.start,
-            number: 0,
+            number,
             reply: None,
             forward_buffer: buffer.clone(),
             reply_buffer: buffer,

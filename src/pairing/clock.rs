@@ -1,0 +1,106 @@
+//! The cards' clocks along a link: whether two records of one number are of one exchange.
+
+use std::collections::VecDeque;
+
+/// How far `clock_tx - clock_rx` of a pair may be from the last pair's: 5 ms of turn-around and 200 ppm of drift.
+const CLOCK_SLACK_US: i64 = 5_000;
+const CLOCK_DRIFT_PER_S: i64 = 200;
+/// Candidates of one count that must agree before their clock difference is believed.
+const RUN: usize = 16;
+/// Candidates kept, of all counts.
+const RUNS_KEPT: usize = 8 * RUN;
+/// They agree if the median step of the difference from one to the next is at most this, microseconds: a turn-around
+/// jitters by 4 to 22 us (measured, paper-framework), the waits of two independent senders by hundreds.
+const RUN_STEP_US: i64 = 80;
+/// Without any run that agrees the first so many candidates are believed all the same: a slow responder is no mismatch.
+const PATIENCE: u32 = 1_024;
+
+/// A pair that does not continue the link, as far as is known.
+#[derive(Clone, Copy, Debug)]
+struct Candidate {
+    /// The count that it is of: where both robots initiate, the difference is one turn-around less in one robot's
+    /// exchanges and one more in the other's.
+    count: u32,
+    rx: u32,
+    difference: u32,
+}
+
+/// Unwraps the two card clocks along the link and judges whether a candidate continues it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Clock {
+    /// Receiver's clock and difference of the last pair, unwrapped.
+    last: Option<(i64, i64)>,
+    /// The latest candidates that do not continue the link.
+    run: VecDeque<Candidate>,
+    doubtful: u32,
+}
+
+impl Clock {
+    /// True once a difference is believed.
+    pub(super) fn is_known(&self) -> bool {
+        self.last.is_some()
+    }
+
+    /// The unwrapped (receiver clock, difference) of a candidate that continues the link, which it then does.
+    pub(super) fn follow(&mut self, rx: u32, tx: u32) -> Option<(i64, i64)> {
+        let raw = tx.wrapping_sub(rx);
+        let (last_rx, last_difference) = self.last?;
+        let step_us = i64::from(rx.wrapping_sub(last_rx as u32).cast_signed());
+        let change_us = i64::from(raw.wrapping_sub(last_difference as u32).cast_signed());
+        let slack_us = CLOCK_SLACK_US + step_us.abs() / 1_000_000 * CLOCK_DRIFT_PER_S;
+        let clocks = (change_us.abs() <= slack_us).then_some((last_rx + step_us, last_difference + change_us))?;
+        self.last = Some(clocks);
+        self.run.clear();
+        Some(clocks)
+    }
+
+    /// Notes a candidate of `count` that does not fit; true if a new difference is now believed.
+    pub(super) fn doubt(&mut self, count: u32, rx: u32, tx: u32) -> bool {
+        self.run.push_back(Candidate { count, rx, difference: tx.wrapping_sub(rx) });
+        if self.run.len() > RUNS_KEPT {
+            self.run.pop_front();
+        }
+        self.doubtful += 1;
+        let run = self.newest_run();
+        let patience_ends = self.last.is_none() && self.doubtful >= PATIENCE;
+        let agrees = run.len() == RUN && median_step_us(&run) <= RUN_STEP_US;
+        (agrees || patience_ends) && self.believe()
+    }
+
+    /// The latest candidates of the newest one's count, in order.
+    fn newest_run(&self) -> Vec<Candidate> {
+        let Some(newest) = self.run.back() else { return Vec::new() };
+        let mut run: Vec<Candidate> =
+            self.run.iter().rev().filter(|other| other.count == newest.count).take(RUN).copied().collect();
+        run.reverse();
+        run
+    }
+
+    /// Believes the newest run's difference (the middle one of the run); false if there is no run.
+    pub(super) fn believe(&mut self) -> bool {
+        let run = self.newest_run();
+        let Some(&Candidate { rx: first, difference: origin, .. }) = run.first() else { return false };
+        let mut offsets: Vec<i32> = run.iter().map(|one| one.difference.wrapping_sub(origin).cast_signed()).collect();
+        let middle = offsets.len() / 2;
+        let offset = *offsets.select_nth_unstable(middle).1;
+        let difference = i64::from(origin.cast_signed()) + i64::from(offset);
+        // Unwrapped clocks go on where they were, so that time does not jump back over a reset.
+        let rx = match self.last {
+            None => i64::from(first),
+            Some((last_rx, _)) => last_rx + i64::from(first.wrapping_sub(last_rx as u32).cast_signed()),
+        };
+        self.last = Some((rx, difference));
+        self.run.clear();
+        true
+    }
+}
+
+fn median_step_us(run: &[Candidate]) -> i64 {
+    let step = |pair: &[Candidate]| match pair {
+        [a, b] => i64::from(b.difference.wrapping_sub(a.difference).cast_signed()).abs(),
+        _ => 0,
+    };
+    let mut steps: Vec<i64> = run.windows(2).map(step).collect();
+    let middle = steps.len() / 2;
+    if steps.is_empty() { 0 } else { *steps.select_nth_unstable(middle).1 }
+}

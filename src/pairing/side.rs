@@ -1,0 +1,257 @@
+//! One log of a link: the counts that its records belong to, and the records that wait for their partners.
+
+use super::SideCounts;
+use std::collections::{HashMap, VecDeque};
+use std::hash::{BuildHasherDefault, Hasher};
+
+/// Steps of the frame number, forward or back, that need no confirmation by another record.
+const NEAR: u32 = 32;
+/// Largest confirmed step forward within a session: at the reference's highest rate (1,000 per second) a pause of more
+/// than half an hour. Counts that begin [apart](super::apart_by) are further from each other. A confirmed step back of no
+/// more is a restart of the same count.
+const MAX_STEP: u32 = 1 << 21;
+/// Counts followed at once: one for each robot that initiates, and some that ended.
+const MAX_COUNTS: usize = 16;
+/// Numbers that wait to be confirmed, and records within which that must happen: several robots may take turns of one
+/// slot.
+const MAX_SUSPECTS: usize = 4;
+const SUSPECT_RECORDS: u64 = 8;
+/// Sessions back in which a partner is looked for, besides those that go on.
+const SESSIONS_BACK: u32 = 3;
+
+/// Hashes the few thousand (session, number) keys of a window: one multiplication is plenty where the window is
+/// bounded, whoever chose the numbers.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct KeyHasher(u64);
+
+impl Hasher for KeyHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        bytes.iter().for_each(|byte| self.write_u32(u32::from(*byte)));
+    }
+
+    fn write_u32(&mut self, value: u32) {
+        self.0 = (self.0.rotate_left(32) ^ u64::from(value)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        self.0 ^= self.0 >> 29;
+    }
+}
+
+pub(super) type Waiting<T> = HashMap<(u32, u32), Entry<T>, BuildHasherDefault<KeyHasher>>;
+
+/// A record that waits for its partner.
+#[derive(Clone, Debug)]
+pub(super) struct Entry<T> {
+    pub(super) clock: u32,
+    /// It met a record of its number whose clock did not fit.
+    pub(super) met_other: bool,
+    pub(super) item: T,
+}
+
+/// Session and number.
+pub(super) type Key = (u32, u32);
+
+/// Numbers of one initiator, from one start of it on.
+#[derive(Clone, Copy, Debug)]
+struct Count {
+    session: u32,
+    /// Times that it began anew.
+    restarts: u32,
+    last: u32,
+}
+
+/// A number far from all counts, until another one confirms it.
+#[derive(Clone, Debug)]
+struct Suspect<T> {
+    number: u32,
+    /// Records handed in with it.
+    at: u64,
+    entry: Entry<T>,
+}
+
+/// One side of a link.
+#[derive(Clone, Debug)]
+pub(super) struct SideState<T> {
+    /// The next session.
+    sessions: u32,
+    /// The counts that go on, the one of the newest record last.
+    open: Vec<Count>,
+    suspects: VecDeque<Suspect<T>>,
+    pub(super) waiting: Waiting<T>,
+    order: VecDeque<Key>,
+    seen: VecDeque<Key>,
+    pub(super) counts: SideCounts,
+}
+
+impl<T> Default for SideState<T> {
+    fn default() -> Self {
+        Self {
+            sessions: 0,
+            open: Vec::new(),
+            suspects: VecDeque::new(),
+            waiting: Waiting::default(),
+            order: VecDeque::new(),
+            seen: VecDeque::new(),
+            counts: SideCounts::default(),
+        }
+    }
+}
+
+impl<T> SideState<T> {
+    /// Judges the number of a record: gives what is now known to belong to a session, a record that this one vouches for
+    /// and the record itself. Nothing while the record is suspect.
+    pub(super) fn place(&mut self, number: u32, entry: Entry<T>) -> [Option<(Key, Entry<T>)>; 2] {
+        self.counts.handed += 1;
+        self.drop_old_suspects();
+        let mut vouched = None;
+        if let Some(suspect) = self.take_confirmed(number) {
+            let session = self.jump(suspect.number);
+            vouched = Some(((session, suspect.number), suspect.entry));
+        }
+        if self.open.is_empty() {
+            self.begin(number);
+        }
+        match self.step(number) {
+            Some(session) => [vouched, Some(((session, number), entry))],
+            None => {
+                self.suspects.push_back(Suspect { number, at: self.counts.handed, entry });
+                [vouched, None]
+            }
+        }
+    }
+
+    /// The suspect that `number` confirms: the one that it follows, or, if it is near no count, one that it is near to.
+    fn take_confirmed(&mut self, number: u32) -> Option<Suspect<T>> {
+        let follows = |suspect: &Suspect<T>| number == suspect.number.wrapping_add(1);
+        let is_normal = self.open.iter().any(|count| near(count.last, number));
+        let at = self.suspects.iter().position(follows).or_else(|| {
+            let of = |suspect: &Suspect<T>| near(suspect.number, number);
+            self.suspects.iter().rposition(of).filter(|_| !is_normal)
+        })?;
+        self.suspects.remove(at)
+    }
+
+    fn drop_old_suspects(&mut self) {
+        let handed = self.counts.handed;
+        let is_old = |suspect: &Suspect<T>| handed - suspect.at > SUSPECT_RECORDS;
+        while self.suspects.len() >= MAX_SUSPECTS || self.suspects.front().is_some_and(is_old) {
+            self.suspects.pop_front();
+            self.counts.implausible += 1;
+        }
+    }
+
+    /// The session of a number near a count: of several the one that had the last record.
+    fn step(&mut self, number: u32) -> Option<u32> {
+        let at = self.open.iter().rposition(|count| near(count.last, number))?;
+        let mut count = self.open.remove(at);
+        let step = number.wrapping_sub(count.last);
+        if step != 0 && step <= NEAR {
+            self.counts.missing += u64::from(step - 1);
+            count.last = number;
+        }
+        self.open.push(count);
+        Some(count.session)
+    }
+
+    /// A jump that another record confirmed: a gap if it leads forward within reason from one of the counts, a restart if
+    /// it leads back within reason, else another count. Gives the session.
+    fn jump(&mut self, to: u32) -> u32 {
+        let forward = |count: &Count| to.wrapping_sub(count.last);
+        let nearest = |way: &dyn Fn(&Count) -> u32| {
+            let near = self.open.iter().enumerate().filter(|(_, count)| way(count) <= MAX_STEP);
+            near.min_by_key(|(_, count)| way(count)).map(|(at, _)| at)
+        };
+        if let Some(at) = nearest(&forward) {
+            let count = self.open.remove(at);
+            self.counts.missing += u64::from(forward(&count).saturating_sub(1));
+            self.open.push(Count { last: to, ..count });
+            return count.session;
+        }
+        self.counts.restarts += 1;
+        let began_anew = nearest(&|count| count.last.wrapping_sub(to)).map(|at| self.open.remove(at));
+        let session = self.begin(to);
+        if let (Some(before), Some(count)) = (began_anew, self.open.last_mut()) {
+            count.restarts = before.restarts + 1;
+        }
+        session
+    }
+
+    /// A count begins, in a session of its own.
+    fn begin(&mut self, number: u32) -> u32 {
+        let session = self.sessions;
+        self.sessions += 1;
+        if self.open.len() >= MAX_COUNTS {
+            self.open.remove(0);
+        }
+        self.open.push(Count { session, restarts: 0, last: number });
+        session
+    }
+
+    /// A placed record waits from now on; false for one whose number was there already.
+    pub(super) fn wait(&mut self, key: Key, entry: Entry<T>) -> bool {
+        if self.waiting.contains_key(&key) || self.seen.contains(&key) {
+            self.counts.duplicates += 1;
+            return false;
+        }
+        self.seen.push_back(key);
+        if self.seen.len() > (NEAR as usize) * 2 {
+            self.seen.pop_front();
+        }
+        self.waiting.insert(key, entry);
+        self.order.push_back(key);
+        true
+    }
+
+    /// Sessions in which the partner of another log's record may be: those that go on, the newest first, and the last
+    /// ones that ended.
+    pub(super) fn sessions(&self) -> impl Iterator<Item = u32> + use<T> {
+        let mut open = [None; MAX_COUNTS];
+        for (place, count) in open.iter_mut().zip(self.open.iter().rev()) {
+            *place = Some(count.session);
+        }
+        let ended = (self.sessions.saturating_sub(SESSIONS_BACK + 1)..self.sessions).rev();
+        let ended = ended.filter(move |session| !open.contains(&Some(*session)));
+        open.into_iter().flatten().chain(ended)
+    }
+
+    /// Lets at most `window` records wait.
+    pub(super) fn keep(&mut self, window: usize) {
+        while self.order.len() > window {
+            self.drop_oldest();
+        }
+    }
+
+    /// Gives up the record that waited longest.
+    fn drop_oldest(&mut self) {
+        let Some(oldest) = self.order.pop_front() else { return };
+        match self.waiting.remove(&oldest) {
+            Some(entry) if entry.met_other => self.counts.mispaired += 1,
+            Some(_) => self.counts.unpaired += 1,
+            None => {}
+        }
+    }
+
+    /// Nothing more comes: what waits is unpaired, what was not confirmed is implausible.
+    pub(super) fn finish(&mut self) {
+        self.keep(0);
+        self.counts.implausible += self.suspects.len() as u64;
+        self.suspects.clear();
+    }
+
+    /// How far the newest record is ahead of the same count in `other`: restarts, then numbers. `None` if there is no such
+    /// count.
+    pub(super) fn ahead_of(&self, other: &Self) -> Option<(i64, i64)> {
+        let newest = self.open.last()?;
+        let ahead = |count: &Count| newest.last.wrapping_sub(count.last).cast_signed();
+        let same = other.open.iter().min_by_key(|count| ahead(count).unsigned_abs())?;
+        let is_same = ahead(same).unsigned_abs() <= MAX_STEP;
+        is_same.then(|| (i64::from(newest.restarts) - i64::from(same.restarts), i64::from(ahead(same))))
+    }
+}
+
+/// True for numbers within some frames of each other, wrap included.
+fn near(a: u32, b: u32) -> bool {
+    b.wrapping_sub(a) <= NEAR || a.wrapping_sub(b) <= NEAR
+}
