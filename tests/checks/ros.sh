@@ -15,7 +15,8 @@ if [ ${#missing[@]} -gt 0 ]; then
     { install || { apt-get update && install; }; } >/dev/null 2>&1 ||
         { echo "cannot install ${missing[*]} (no root, or no Debian with ROS)"; exit 77; }
 fi
-cargo build --quiet --features ros1
+# As the tests with all features build it: nothing is built twice.
+cargo test --quiet --workspace --all-features --no-run
 csi5300=$PWD/${CARGO_TARGET_DIR:-target}/debug/csi5300
 
 folder=$(mktemp -d)
