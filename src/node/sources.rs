@@ -64,6 +64,8 @@ pub struct Sources {
 /// What several sources of one configuration share.
 struct Shared<'a> {
     room: Option<Room>,
+    /// The socket of a room that another program runs.
+    served: Option<&'a Path>,
     /// This robot's replayed log and its MAC.
     replayed: Option<(&'a Path, Mac)>,
     /// Host time at which the replayed log begins, seconds.
@@ -82,6 +84,7 @@ impl Sources {
         let capture = config.capture.get_ref();
         let mut shared = Shared {
             room: None,
+            served: None,
             replayed: None,
             origin_s: 0.0,
             start,
@@ -91,7 +94,7 @@ impl Sources {
         let mut own = config.mac;
         // A card's records come when they come.
         let speed = match capture {
-            Capture::Card(_) => 1.0,
+            Capture::Card(_) | Capture::Served(_) => 1.0,
             Capture::Replay(replay) => replay.speed,
             Capture::Room(room) => room.speed,
         };
@@ -111,6 +114,16 @@ impl Sources {
                     return Err(Error::Input("this program was built without the card (feature `live`)".into()));
                 }
             }
+            Capture::Served(served) => {
+                shared.served = Some(&served.socket);
+                let (card, mac) = served_card(&served.socket, &served.robot, wall_us)?;
+                own = own.or(Some(mac));
+                #[cfg(feature = "live")]
+                {
+                    wake = Some(card.wake()?);
+                }
+                Box::new(card)
+            }
             Capture::Replay(replay) => {
                 shared.origin_s = first_host_s(&replay.file)?;
                 shared.replayed = own.map(|own| (replay.file.as_path(), own));
@@ -127,7 +140,11 @@ impl Sources {
                 Box::new(card)
             }
         };
-        let robot = if let Capture::Room(room) = capture { room.robot.as_str() } else { "" };
+        let robot = match capture {
+            Capture::Room(room) => room.robot.as_str(),
+            Capture::Served(served) => served.robot.as_str(),
+            Capture::Card(_) | Capture::Replay(_) => "",
+        };
         let (poses, track) = shared.poses(&config.odometry, robot, config.antenna_offset_m, wall_us)?;
         let peers = config.peer.iter().map(|peer| shared.peer(peer.get_ref(), wall_us)).collect::<Result<_, _>>()?;
         let own = own.ok_or_else(|| Error::Input("this robot's MAC is not known".into()))?;
@@ -174,12 +191,10 @@ impl Shared<'_> {
             Odometry::Network(_) => return Ok((None, Track::default())),
             Odometry::Csv(file) => self.trajectory(file, Some(self.origin_s))?,
             Odometry::Ros(topic) => self.topic(topic, Stamp::Header)?,
-            Odometry::Room(_) => {
-                let absent = || Error::Input(format!("the room has no robot `{robot}`"));
-                let room = self.room.as_ref().ok_or_else(absent)?;
-                let number = room.number(robot).ok_or_else(absent)?;
-                Box::new(room.odometry(number).ok_or_else(absent)?)
-            }
+            Odometry::Room(_) => match self.served {
+                Some(socket) => served_poses(socket, robot)?,
+                None => self.room_poses(robot)?,
+            },
             Odometry::Opencr(port) => serial(port, self.start, wall_us)?,
         };
         let offset_m = Vector3::from(offset_m);
@@ -222,6 +237,22 @@ impl Shared<'_> {
         Ok(())
     }
 
+    fn room_poses(&self, robot: &str) -> Result<Poses, Error> {
+        let absent = || Error::Input(format!("the room has no robot `{robot}`"));
+        let room = self.room.as_ref().ok_or_else(absent)?;
+        let number = room.number(robot).ok_or_else(absent)?;
+        Ok(Box::new(room.odometry(number).ok_or_else(absent)?))
+    }
+
+    fn room_card(&mut self, robot: &str) -> Result<(Card, Mac), Error> {
+        let absent = || Error::Input(format!("the room has no robot `{robot}`, or it is used twice"));
+        let room = self.room.as_mut().ok_or_else(absent)?;
+        let number = room.number(robot).ok_or_else(absent)?;
+        let (mac, card) = (room.mac(number), room.card(number));
+        let (mac, card) = mac.zip(card).ok_or_else(absent)?;
+        Ok((Box::new(card), mac))
+    }
+
     /// A peer's log, to be played together with this robot's.
     fn replay(&self, log: &Path, peer: Option<Mac>) -> Result<Card, Error> {
         let mut replay = Replay::open(log)?;
@@ -241,11 +272,12 @@ impl Shared<'_> {
             Records::Network(_) => None,
             Records::Replay(log) => Some(self.replay(&log.file, peer.mac)?),
             Records::Room(_) => {
-                let absent = || Error::Input(format!("the room has no robot `{}`, or it is used twice", peer.name));
-                let room = self.room.as_mut().ok_or_else(absent)?;
-                let number = room.number(&peer.name).ok_or_else(absent)?;
-                mac = mac.or(room.mac(number));
-                Some(Box::new(room.card(number).ok_or_else(absent)?))
+                let (card, told) = match self.served {
+                    Some(socket) => boxed(served_card(socket, &peer.name, wall_us)?),
+                    None => self.room_card(&peer.name)?,
+                };
+                mac = mac.or(Some(told));
+                Some(card)
             }
         };
         let (poses, track) = self.poses(&peer.poses, &peer.name, peer.antenna_offset_m, wall_us)?;
@@ -314,6 +346,41 @@ fn link(config: &Config, wall_us: fn() -> Option<i64>) -> Result<Option<crate::r
     }
     let ros = config.ros.clone().unwrap_or_default();
     crate::ros1::Link::start(ros.master(), ros.node(config), wall_us).map(Some)
+}
+
+fn boxed((card, mac): (impl CsiSource + Send + 'static, Mac)) -> (Card, Mac) {
+    (Box::new(card), mac)
+}
+
+/// A robot's card in a room that another program runs, and its MAC.
+#[cfg(feature = "live")]
+fn served_card(
+    socket: &Path,
+    robot: &str,
+    wall_us: fn() -> Option<i64>,
+) -> Result<(super::threads::CardThread, Mac), Error> {
+    let (card, mac) = crate::backend::netlink::Netlink::served(&address(socket, robot), wall_us)?;
+    Ok((super::threads::CardThread::start(card)?, mac))
+}
+
+#[cfg(not(feature = "live"))]
+fn served_card(_: &Path, _: &str, _: fn() -> Option<i64>) -> Result<(Replay<std::fs::File>, Mac), Error> {
+    Err(Error::Input("this program was built without rooms of other programs (feature `live`)".into()))
+}
+
+#[cfg(feature = "live")]
+fn served_poses(socket: &Path, robot: &str) -> Result<Poses, Error> {
+    Ok(Box::new(crate::backend::served::Poses::join(&address(socket, robot))?))
+}
+
+#[cfg(not(feature = "live"))]
+fn served_poses(_: &Path, _: &str) -> Result<Poses, Error> {
+    Err(Error::Input("this program was built without rooms of other programs (feature `live`)".into()))
+}
+
+#[cfg(feature = "live")]
+fn address(socket: &Path, robot: &str) -> crate::backend::served::Address {
+    crate::backend::served::Address { socket: socket.to_owned(), robot: robot.to_owned() }
 }
 
 #[cfg(feature = "node")]

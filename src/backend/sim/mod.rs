@@ -42,6 +42,7 @@
 //! | `air`, `node` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
 //! | `turn_around` | frames into the moments of their answers |
 //! | `port` | receptions into records, behind a socket queue that overruns as the kernel's does |
+//! | `interface` | frames for senders outside of the room, as a monitor interface gives them |
 //! | `odometer` | true motion into a sensor's poses |
 //! | `dataset` | a room into a capture folder |
 //!
@@ -61,6 +62,7 @@ pub mod crystal;
 mod dataset;
 mod faults;
 mod followed;
+mod interface;
 mod maths;
 pub mod motion;
 mod node;
@@ -85,6 +87,7 @@ pub use built_in::BUILT_IN;
 pub use dataset::{Capture, Log, write_dataset};
 pub use faults::{Faults, Injected};
 pub use followed::FollowedCounts;
+pub use interface::{Interface, Seen};
 pub use odometer::Odometer;
 pub use port::Port;
 pub use recorded::Recorded;

@@ -199,6 +199,17 @@ pub struct RecordedMotion {
     /// When the file's first row is reached, seconds.
     #[serde(default)]
     pub start_s: f64,
+    /// How far the robot truly is from where the file says, metres (standard deviation of x and of y): the file is a
+    /// sensor's, and sensors stray.
+    #[serde(default)]
+    pub stray_m: f64,
+    /// About how long one swing of it takes, seconds.
+    #[serde(default = "ten")]
+    pub stray_s: f64,
+}
+
+fn ten() -> f64 {
+    10.0
 }
 
 /// See [`Motion::Followed`]. The robot waits at its own position until the first pose comes.
@@ -260,6 +271,7 @@ impl Track {
                 (Shape::Table(table), m.start_s, duration_s)
             }
             Motion::Recorded(m) => recorded.map_or((Shape::Still, 0.0, 0.0), |table| {
+                let table = table.strayed(m.stray_m, m.stray_s, stream);
                 let duration_s = table.duration_s();
                 (Shape::Table(table), m.start_s, duration_s)
             }),

@@ -3,9 +3,10 @@
 use super::air::{Air, MakeStation};
 use super::faults::Injected;
 use super::followed::Follower;
+use super::interface::Interface;
 use super::motion::Pose;
 use super::odometer::Odometer;
-use super::port::{Port, host_us, lock};
+use super::port::{Port, ceil_us, host_us, lock};
 use super::scene::Scene;
 use super::sounder::sounder;
 use super::station::Station;
@@ -86,6 +87,25 @@ impl Room {
         let taken = self.taken.get_mut(robot).filter(|taken| !**taken)?;
         *taken = true;
         Some(Port::new(Arc::clone(&self.air), robot))
+    }
+
+    /// A robot's monitor interface: frames injected and heard, for a sender outside of the room. `None` for no robot, or
+    /// while somebody has it. Frames that it hears are kept from then on.
+    pub fn interface(&mut self, robot: usize) -> Option<Interface> {
+        (robot < self.taken.len()).then(|| Interface::new(Arc::clone(&self.air), robot)).flatten()
+    }
+
+    /// Lets time pass, for rooms of whose robots nobody may read a record.
+    pub fn advance(&mut self, now: Instant) {
+        lock(&self.air).advance(now.as_us().saturating_mul(1_000));
+    }
+
+    /// When the next thing happens in the room; its end when nothing does before, `None` once that is over.
+    #[must_use]
+    pub fn next_at(&self) -> Option<Instant> {
+        let air = lock(&self.air);
+        let at_ns = air.next_ns().or((air.now_ns() < air.end_ns()).then(|| air.end_ns()));
+        at_ns.map(ceil_us)
     }
 
     /// A robot's odometry; `None` for no robot. Two of the same robot give the same poses, and count twice.

@@ -32,7 +32,7 @@ impl Config {
         let mut problems = Vec::new();
         let mut say = |at: usize, reason: String| problems.push(Problem { line: Some(line_of(text, at)), reason });
         let capture_at = self.capture.span().start;
-        let is_room = matches!(self.capture.get_ref(), Capture::Room(_));
+        let is_room = matches!(self.capture.get_ref(), Capture::Room(_) | Capture::Served(_));
         let is_replay = matches!(self.capture.get_ref(), Capture::Replay(_));
         if self.mac.is_none() && !is_room {
             let why = "`mac`, the address of this robot's card, is missing: `ip link` shows it, and `csi5300 info` shows the \
@@ -132,7 +132,7 @@ impl Config {
                     .into(),
             )),
             Odometry::Ros(topic) => ros::wrong_topic(topic, !own).map(|why| (at, why)),
-            Odometry::Room(_) if !is_room => Some((at, "`room` poses need `capture.room`".into())),
+            Odometry::Room(_) if !is_room => Some((at, "`room` poses need `capture.room` or `capture.served`".into())),
             Odometry::Opencr(_) if !own => Some((at, "a peer's port is not on this machine: use `network`".into())),
             Odometry::Network(_) if own => Some((at, "this robot's own poses do not come over the network".into())),
             Odometry::Network(_) if self.network.is_none() => {
@@ -172,7 +172,7 @@ impl Config {
                     );
                 }
                 Records::Room(_) if !is_room => {
-                    say(at, format!("peer `{}`: `room` records need `capture.room`", peer.name))
+                    say(at, format!("peer `{}`: `room` records need `capture.room` or `capture.served`", peer.name))
                 }
                 Records::Network(_) if self.network.is_none() => {
                     say(at, format!("peer `{}`: `network` records need a [network] table", peer.name));

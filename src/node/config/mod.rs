@@ -71,6 +71,8 @@ pub enum Capture {
     Replay(Replay),
     /// A simulated room.
     Room(Room),
+    /// A robot of a simulated room that another program runs (`csi5300 simulate --serve --socket`), in real time.
+    Served(Served),
 }
 
 /// See [`Capture::Card`].
@@ -108,6 +110,16 @@ pub struct Room {
     /// Whose poses the robots go by whose motion in the scene is `followed`.
     #[serde(default)]
     pub follow: BTreeMap<String, Odometry>,
+}
+
+/// See [`Capture::Served`].
+#[derive(Clone, Debug, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Served {
+    /// The room's socket.
+    pub socket: PathBuf,
+    /// The robot of the scene that this is.
+    pub robot: String,
 }
 
 /// Where poses come from.
@@ -400,6 +412,7 @@ impl Config {
                 }
                 room.follow.values_mut().for_each(own);
             }
+            Capture::Served(served) => served.socket = folder.join(&served.socket),
             Capture::Card(_) => {}
         }
         own(&mut self.odometry);

@@ -19,6 +19,14 @@ fn a_simulated_room_is_a_few_lines() {
 }
 
 #[test]
+fn a_room_that_another_program_runs_is_as_few() {
+    let served = ROOM.replace("capture.room = { scene = \"lab-circle\"", "capture.served = { socket = \"s\"");
+    let config = Config::read(&served, Path::new("/f")).unwrap();
+    let expected = Served { socket: "/f/s".into(), robot: "rx".into() };
+    assert_eq!(config.capture.get_ref(), &Capture::Served(expected));
+}
+
+#[test]
 fn all_paths_are_relative_to_the_file() {
     let more = "[log]\nfile = \"l.dat\"\n[output]\nbearings = \"b\"\nstatus_socket = \"s\"\n";
     let config = Config::read(&format!("{ROOM}{more}"), Path::new("/f")).unwrap();
