@@ -203,22 +203,6 @@ impl Shared<'_> {
         Ok((Some(mounted), Track::default()))
     }
 
-    fn room_poses(&self, robot: &str) -> Result<Poses, Error> {
-        let absent = || Error::Input(format!("the room has no robot `{robot}`"));
-        let room = self.room.as_ref().ok_or_else(absent)?;
-        let number = room.number(robot).ok_or_else(absent)?;
-        Ok(Box::new(room.odometry(number).ok_or_else(absent)?))
-    }
-
-    fn room_card(&mut self, robot: &str) -> Result<(Card, Mac), Error> {
-        let absent = || Error::Input(format!("the room has no robot `{robot}`, or it is used twice"));
-        let room = self.room.as_mut().ok_or_else(absent)?;
-        let number = room.number(robot).ok_or_else(absent)?;
-        let (mac, card) = (room.mac(number), room.card(number));
-        let (mac, card) = mac.zip(card).ok_or_else(absent)?;
-        Ok((Box::new(card), mac))
-    }
-
     /// A trajectory at its own pace from `origin_s` on, or from its first pose.
     fn trajectory(&self, file: &Csv, origin_s: Option<f64>) -> Result<Poses, Error> {
         let (trajectory, _) = csv::read(&file.file).map_err(|error| Error::Input(error.to_string()))?;
@@ -251,6 +235,22 @@ impl Shared<'_> {
             room.follow(room.number(name).ok_or_else(absent)?, source)?;
         }
         Ok(())
+    }
+
+    fn room_poses(&self, robot: &str) -> Result<Poses, Error> {
+        let absent = || Error::Input(format!("the room has no robot `{robot}`"));
+        let room = self.room.as_ref().ok_or_else(absent)?;
+        let number = room.number(robot).ok_or_else(absent)?;
+        Ok(Box::new(room.odometry(number).ok_or_else(absent)?))
+    }
+
+    fn room_card(&mut self, robot: &str) -> Result<(Card, Mac), Error> {
+        let absent = || Error::Input(format!("the room has no robot `{robot}`, or it is used twice"));
+        let room = self.room.as_mut().ok_or_else(absent)?;
+        let number = room.number(robot).ok_or_else(absent)?;
+        let (mac, card) = (room.mac(number), room.card(number));
+        let (mac, card) = mac.zip(card).ok_or_else(absent)?;
+        Ok((Box::new(card), mac))
     }
 
     /// A peer's log, to be played together with this robot's.
@@ -338,6 +338,16 @@ fn listener(card: &super::config::Card, wall_us: fn() -> Option<i64>) -> Result<
     super::threads::CardThread::start(Netlink::open(&options)?)
 }
 
+/// This program as a node of ROS, if anything of the configuration needs it.
+#[cfg(feature = "ros1")]
+fn link(config: &Config, wall_us: fn() -> Option<i64>) -> Result<Option<crate::ros1::Link>, Error> {
+    if !super::config::ros::is_used(config) {
+        return Ok(None);
+    }
+    let ros = config.ros.clone().unwrap_or_default();
+    crate::ros1::Link::start(ros.master(), ros.node(config), wall_us).map(Some)
+}
+
 fn boxed((card, mac): (impl CsiSource + Send + 'static, Mac)) -> (Card, Mac) {
     (Box::new(card), mac)
 }
@@ -371,16 +381,6 @@ fn served_poses(_: &Path, _: &str) -> Result<Poses, Error> {
 #[cfg(feature = "live")]
 fn address(socket: &Path, robot: &str) -> crate::backend::served::Address {
     crate::backend::served::Address { socket: socket.to_owned(), robot: robot.to_owned() }
-}
-
-/// This program as a node of ROS, if anything of the configuration needs it.
-#[cfg(feature = "ros1")]
-fn link(config: &Config, wall_us: fn() -> Option<i64>) -> Result<Option<crate::ros1::Link>, Error> {
-    if !super::config::ros::is_used(config) {
-        return Ok(None);
-    }
-    let ros = config.ros.clone().unwrap_or_default();
-    crate::ros1::Link::start(ros.master(), ros.node(config), wall_us).map(Some)
 }
 
 #[cfg(feature = "node")]

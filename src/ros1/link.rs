@@ -336,9 +336,8 @@ impl Node {
         self.uses.iter().filter_map(|what| what.inbox.as_ref()).any(|inbox| inbox.connection() == number)
     }
 
-    /// Says what is wrong with the connection, to everybody who asks.
+    /// Says what is wrong with the connection.
     fn say(&self, trouble: Option<String>) {
-        self.uses.iter().filter_map(|what| what.inbox.as_ref()).for_each(|inbox| inbox.say(trouble.clone()));
         self.state.say(trouble);
     }
 

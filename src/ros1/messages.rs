@@ -47,15 +47,21 @@ pub struct Time {
 }
 
 impl Time {
+    /// From microseconds since the Unix epoch; 0 for what a message cannot hold.
+    #[must_use]
+    pub fn from_us(us: i64) -> Self {
+        let nsecs = us.rem_euclid(1_000_000) as u32 * 1_000;
+        u32::try_from(us.div_euclid(1_000_000)).map_or_else(|_| Self::default(), |secs| Self { secs, nsecs })
+    }
+
     /// From seconds since the Unix epoch; 0 for what a message cannot hold.
     #[must_use]
     pub fn from_s(t_s: f64) -> Self {
-        let ns = (t_s * 1e9).round();
-        if !(0.0..4_294_967_296e9).contains(&ns) {
+        if !(0.0..4_294_967_295.0).contains(&t_s) {
             return Self::default();
         }
-        let ns = ns as u64;
-        Self { secs: (ns / 1_000_000_000) as u32, nsecs: (ns % 1_000_000_000) as u32 }
+        let nsecs = ((t_s - t_s.floor()) * 1e9).round() as u32;
+        Self { secs: t_s as u32 + nsecs / 1_000_000_000, nsecs: nsecs % 1_000_000_000 }
     }
 }
 

@@ -22,11 +22,12 @@ csi5300=$PWD/${CARGO_TARGET_DIR:-target}/debug/csi5300
 folder=$(mktemp -d)
 pids=()
 # Each was started as the leader of a group of its own.
-trap 'for pid in "${pids[@]}"; do kill -9 -- "-$pid" 2>/dev/null || true; done; rm -rf "$folder"' EXIT
+trap 'for pid in "${pids[@]}"; do kill -9 -- "-$pid" "$pid" 2>/dev/null || true; done; rm -rf "$folder"' EXIT
 start() { # NAME COMMAND...: in the background; its process id is in $started
     setsid "${@:2}" >"$folder/$1.log" 2>&1 </dev/null &
     started=$!
     pids+=("$started")
+    [ "$1" = node ] || disown
 }
 # roscore's own scripts are in Python, and another Python first in PATH has no rospy.
 mkdir "$folder/bin" && ln -s /usr/bin/python3 "$folder/bin/python3" && export PATH="$folder/bin:/usr/bin:$PATH"
@@ -54,7 +55,7 @@ cp examples/ros/*.toml "$folder"
 cat >>"$folder/room.toml" <<'TOML'
 [[robot]]
 name = "tb3_2"
-position_m = [-7.0, 8.0, 0.0]
+position_m = [-14.0, 16.0, 0.0]
 antenna_m = [-0.03, 0.0, 0.20]
 motion.followed = {}
 TOML
@@ -77,7 +78,7 @@ def stand(pose, x, y, heading):
     pose.orientation.z, pose.orientation.w = math.sin(heading / 2), math.cos(heading / 2)
 
 rospy.init_node("robots", disable_signals=True)
-circles = [("tb3_0", 0.0, 0.0, 0.3, 0.7), ("tb3_1", 12.0, 5.0, 0.25, -0.4)]
+circles = [("tb3_0", 0.0, 0.0, 0.3, 0.7), ("tb3_1", 24.0, 10.0, 0.25, -0.4)]
 publishers = [rospy.Publisher(f"/{name}/odom", Odometry, queue_size=10) for name, *_ in circles]
 mocap = rospy.Publisher("/tb3_2/pose", PoseStamped, queue_size=10)
 while True:
@@ -91,7 +92,7 @@ while True:
         publisher.publish(told)
     told = PoseStamped()
     told.header.frame_id = "world"
-    stand(told.pose, -7.0, 8.0, 0.3)
+    stand(told.pose, -14.0, 16.0, 0.3)
     mocap.publish(told)
     time.sleep(0.02)
 PYTHON
@@ -129,7 +130,7 @@ def off(radians, truth):
 
 def bearings(node):
     worst = 0.0
-    for peer, truth in [("tb3_1", math.atan2(5.0, 12.0)), ("tb3_2", math.atan2(8.0, -7.0))]:
+    for peer, truth in [("tb3_1", math.atan2(10.0, 24.0)), ("tb3_2", math.atan2(16.0, -14.0))]:
         end, good = time.monotonic() + 60, 0
         while good < 3:
             told = once(f"{node}/{peer}/bearing")
@@ -158,11 +159,19 @@ look() { (cd "$folder" && python3 -c "import sys; sys.argv = ['look', '', '$fold
 master() {
     start roscore roscore -p "$port"
     core=$started
-    for _ in $(seq 100); do rostopic list >/dev/null 2>&1 && return; sleep 0.2; done
+    for _ in $(seq 100); do
+        if rostopic list >/dev/null 2>&1; then
+            # roscore starts it in a group of its own.
+            core_master=$(python3 -c "import xmlrpc.client; print(xmlrpc.client.ServerProxy('$ROS_MASTER_URI').getPid('/check')[2])")
+            pids+=("$core_master")
+            return
+        fi
+        sleep 0.2
+    done
     cat "$folder/roscore.log"
     exit 1
 }
-failed() { echo "failed: the logs:"; tail -n 20 "$folder"/*.log; }
+failed() { echo "failed; the logs:"; tail -n 20 "$folder"/*.log; }
 trap failed ERR
 
 # The node comes first, and finds no master.
@@ -177,7 +186,7 @@ look 'until("poses", 10, lambda t: followed(t) > 100 and not t["trouble"])'
 look 'bearings("/csi5300_tb3_0"); csi("/csi5300_tb3_0")'
 
 # Without a master the robots go on; one that began anew is registered with, and robots that began anew are heard.
-kill -9 -- "-$core"
+kill -9 -- "-$core" "$core_master"
 look 'until("the master is missed", 10, lambda t: any("any more" in w for w in t["trouble"])); goes_on()'
 connections=$(look 'print(state()["ros"]["connections"])')
 master

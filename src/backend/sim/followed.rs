@@ -78,7 +78,7 @@ impl Way {
         let after = self.knots.partition_point(|knot| knot.t_s <= t_s);
         let Some(from) = self.knots.get(after.saturating_sub(1)) else { return (self.origin, 0) };
         match self.knots.get(after) {
-            Some(to) if after > 0 && to.frame == from.frame => {
+            Some(to) if after > 0 && from.t_s.is_finite() && to.frame == from.frame => {
                 (from.pose.towards(&to.pose, (t_s - from.t_s) / (to.t_s - from.t_s)), from.frame)
             }
             _ => (from.pose, from.frame),

@@ -143,7 +143,7 @@ fn csi(seq: u32, bfee: &Bfee<'_>, identity: Identity) -> Csi {
     let matrix = known.unwrap_or_else(|| Matrix::raw(bfee));
     let antenna = |row: usize| known.and_then(|known| known.antenna(row));
     let number = |antenna: Antenna| Antenna::ALL.iter().position(|other| *other == antenna).unwrap_or(0) as u8;
-    let stamp = Time::from_s(identity.host_us.unwrap_or(0) as f64 * 1e-6);
+    let stamp = Time::from_us(identity.host_us.unwrap_or(0));
     Csi {
         header: Header { seq, stamp, frame_id: String::new() },
         mac: if identity.mac == driver_iface::Mac::ZERO { String::new() } else { identity.mac.to_string() },

@@ -134,6 +134,8 @@ fn times_that_a_message_cannot_hold_are_none() {
     for none in [-1.0, f64::NAN, f64::INFINITY, 4_294_967_296.0] {
         assert_eq!(Time::from_s(none), Time::default());
     }
+    assert_eq!(Time::from_us(1_700_000_000_250_001), Time { secs: 1_700_000_000, nsecs: 250_001_000 });
+    assert_eq!([Time::from_us(-1), Time::from_us(i64::MAX)], [Time::default(); 2]);
 }
 
 #[test]
