@@ -72,8 +72,11 @@ fn the_papers_real_captures_survive_it_too() {
     assert_eq!(files, 12);
 }
 
-/// Number and host time of every bfee in a log, and how many records it has.
-fn identities(log: &Log) -> (Vec<(Option<u32>, Option<i64>)>, u64) {
+/// Number and host time of a bfee.
+type Told = (Option<u32>, Option<i64>);
+
+/// What is told of every bfee in a log, and how many records it has.
+fn identities(log: &Log) -> (Vec<Told>, u64) {
     let mut replay = Replay::open(&log.path).unwrap();
     let (mut survey, mut found) = (Survey::default(), Vec::new());
     loop {

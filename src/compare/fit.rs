@@ -58,10 +58,8 @@ pub(super) struct Adjusted {
 
 /// Rounds of adjustment.
 const ROUNDS: usize = 8;
-/// The seeds with which scenes are fitted: chance has a part in each capture, and less in the mean of two.
-const SEEDS: [u64; 2] = [1, 4];
-/// The seed that fitted scenes get.
-const SEED: u64 = 2;
+/// The seed with which scenes are fitted, and the one that they get.
+const SEEDS: [u64; 2] = [1, 2];
 /// Loss of walls that is tried first, and least and largest, dB.
 const WALL_DB: [f64; 3] = [12.0, 1.0, 40.0];
 /// How far outside of the robots walls stand at first, and at least and at most, metres: those of a laboratory.
@@ -90,15 +88,14 @@ pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<F
     };
     let mut best = (f64::INFINITY, adjusted);
     for _ in 0..ROUNDS {
-        let [one, other] = SEEDS.map(|seed| simulated(&adjusted, seed));
-        let figures = mean(one?.figures, &other?.figures);
+        let figures = simulated(&adjusted, SEEDS[0])?.figures;
         let off = distance(recorded, &figures);
         if off < best.0 {
             best = (off, adjusted);
         }
         adjust(&mut adjusted, recorded, &figures, options.channel.wavelength_m());
     }
-    simulated(&best.1, SEED)
+    simulated(&best.1, SEEDS[1])
 }
 
 /// The power of the noise of a subcarrier that the recording has beyond the rounding of its coefficients, relative to
@@ -130,24 +127,6 @@ fn first(recorded: &Figures, trajectory: &Trajectory, place: [f64; 3]) -> Adjust
 pub(super) fn middle(trajectory: &Trajectory) -> Vector3<f64> {
     let poses = trajectory.poses();
     poses.iter().map(|pose| pose.position_m).sum::<Vector3<f64>>() / poses.len().max(1) as f64
-}
-
-/// The figures of one capture, with the mean of two in what is adjusted.
-fn mean(mut one: Figures, other: &Figures) -> Figures {
-    let mean = |a: &mut f64, b: f64| *a = 0.5 * (*a + b);
-    let maybe = |a: &mut Option<f64>, b: Option<f64>| *a = a.zip(b).map(|(a, b)| 0.5 * (a + b));
-    let (link, b) = (&mut one.link, &other.link);
-    maybe(&mut link.coherence, b.coherence);
-    maybe(&mut link.short_coherence, b.short_coherence);
-    mean(&mut link.spread_before_rad, b.spread_before_rad);
-    mean(&mut link.spread_after_rad, b.spread_after_rad);
-    for (a, b) in [(&mut one.receiver, &other.receiver), (&mut one.transmitter, &other.transmitter)] {
-        mean(&mut a.agc_db.mean, b.agc_db.mean);
-        mean(&mut a.agc_db.sd, b.agc_db.sd);
-        mean(&mut a.slope_rad.sd, b.slope_rad.sd);
-        mean(&mut a.ripple.median, b.ripple.median);
-    }
-    one
 }
 
 /// Ripple over the subcarriers that the filters do not explain.

@@ -64,7 +64,7 @@ mod tests {
                 let pose = path.at(t_s);
                 let way = Vector3::from(place) - pose.position_m;
                 let a = way.y.atan2(way.x) - pose.yaw_rad;
-                let fading = if k % 2 == 0 { 1.0 } else { -1.0 };
+                let fading = if k.is_multiple_of(2) { 1.0 } else { -1.0 };
                 (t_s, -40.0 + truth.gain_db(a.cos(), a.sin()) + fading)
             };
             (0..3_000).map(power).collect()

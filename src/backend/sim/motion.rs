@@ -271,7 +271,7 @@ impl Track {
                 (Shape::Table(table), m.start_s, duration_s)
             }
             Motion::Recorded(m) => recorded.map_or((Shape::Still, 0.0, 0.0), |table| {
-                let table = table.strayed(m.stray_m, m.stray_s, stream);
+                let table = table.strayed(m.stray_m, m.stray_s);
                 let duration_s = table.duration_s();
                 (Shape::Table(table), m.start_s, duration_s)
             }),

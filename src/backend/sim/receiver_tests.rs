@@ -44,7 +44,8 @@ fn a_bare_record_is_the_channel_itself() {
 
 #[test]
 fn filters_shape_the_subcarriers_and_leave_the_level() {
-    let gains: Vec<String> = (0..30).map(|k| format!("{:.1}", if k < 3 || k > 26 { -6.0 } else { 3.0 })).collect();
+    let gains: Vec<String> =
+        (0..30).map(|k| format!("{:.1}", if !(3..=26).contains(&k) { -6.0 } else { 3.0 })).collect();
     let flat = receive(&scene("gain.agc = { target_lsb = 60.0 }", ""), 1)[0];
     let shaped = format!("gain.agc = {{ target_lsb = 60.0 }}\nfilter_db = [{}]", gains.join(", "));
     let shaped = receive(&scene(&shaped, ""), 1)[0];

@@ -1,7 +1,6 @@
 //! A table of poses as a motion: recorded trajectories, walks and waypoints.
 
 use super::motion::Pose;
-use super::random::Stream;
 use crate::odometry::csv;
 use crate::pose::Trajectory;
 use nalgebra::Vector3;
@@ -72,22 +71,23 @@ impl Recorded {
     }
 
     /// The same with every place off by slow swings: of standard deviation `stray_m` in x and in y, each of sines with
-    /// periods about `stray_s`. Nothing is drawn for a deviation of 0.
+    /// periods about `stray_s`. They are no matter of chance: where a robot was in a recording does not go with a seed.
     #[must_use]
-    pub(super) fn strayed(mut self, stray_m: f64, stray_s: f64, stream: &mut Stream) -> Self {
+    pub(super) fn strayed(mut self, stray_m: f64, stray_s: f64) -> Self {
         /// Periods of the sines: in no simple ratio, so that the deviation is met within a few swings, and no motion has
         /// all of them in common.
         const PERIODS: [f64; 8] = [0.45, 0.57, 0.73, 0.94, 1.21, 1.53, 1.93, 2.42];
+        /// Phases follow each other by the golden section of a turn, which spreads any number of them evenly.
+        const GOLDEN: f64 = 0.618_033_988_749_895;
         if stray_m == 0.0 {
             return self;
         }
-        let phases: [[f64; 2]; 8] = PERIODS.map(|_| [stream.uniform(), stream.uniform()]);
         let size_m = stray_m * (2.0 / PERIODS.len() as f64).sqrt();
         for (t_s, pose) in self.t_s.iter().zip(&mut self.poses) {
-            for (period, [x, y]) in PERIODS.iter().zip(phases) {
-                let turns = t_s / (stray_s * period);
-                pose.position_m.x += size_m * libm::sin(TAU * (turns + x));
-                pose.position_m.y += size_m * libm::sin(TAU * (turns + y));
+            for (k, period) in PERIODS.iter().enumerate() {
+                let swing = |k: usize| size_m * libm::sin(TAU * (t_s / (stray_s * period) + k as f64 * GOLDEN));
+                pose.position_m.x += swing(k + 1);
+                pose.position_m.y += swing(k + 1 + PERIODS.len());
             }
         }
         self
