@@ -21,8 +21,13 @@ csi5300=$PWD/${CARGO_TARGET_DIR:-target}/debug/csi5300
 
 folder=$(mktemp -d)
 pids=()
-# Each was started as the leader of a group of its own.
-trap 'for pid in "${pids[@]}"; do kill -9 -- "-$pid" "$pid" 2>/dev/null || true; done; rm -rf "$folder"' EXIT
+# Each is the leader of a group of its own; what roscore starts is known by the folder that it logs to.
+clean() {
+    for pid in "${pids[@]}"; do kill -9 -- "-$pid" 2>/dev/null || true; done
+    for command in $(grep -lsF -- "$folder" /proc/[0-9]*/cmdline); do kill -9 "$(basename "$(dirname "$command")")" 2>/dev/null || true; done
+    rm -rf "$folder"
+}
+trap clean EXIT
 start() { # NAME COMMAND...: in the background; its process id is in $started
     setsid "${@:2}" >"$folder/$1.log" 2>&1 </dev/null &
     started=$!
@@ -163,7 +168,6 @@ master() {
         if rostopic list >/dev/null 2>&1; then
             # roscore starts it in a group of its own.
             core_master=$(python3 -c "import xmlrpc.client; print(xmlrpc.client.ServerProxy('$ROS_MASTER_URI').getPid('/check')[2])")
-            pids+=("$core_master")
             return
         fi
         sleep 0.2
