@@ -250,7 +250,7 @@ fn programs_sound_each_other_in_a_served_room() {
         let (status, said) = node.end();
         let lines = std::fs::read_to_string(folder.join("bearings.jsonl")).unwrap();
         let lines = lines.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
-        let found = lines.filter(|line| line["state"] == "bearing").last();
+        let found = lines.filter(|line| line["state"] == "bearing").reduce(|_, later| later);
         let found = found.unwrap_or_else(|| panic!("no bearing, {status:?}: {said}"));
         let off_deg = found["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
         assert!(off_deg.abs() < 2.0, "{off_deg} degrees off: {found}");

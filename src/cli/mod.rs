@@ -32,6 +32,7 @@ mod respond;
 #[cfg(feature = "live")]
 mod serve;
 #[cfg(feature = "live")]
+#[path = "../sounding/session.rs"]
 mod session;
 #[cfg(feature = "live")]
 mod setup;

@@ -13,7 +13,7 @@ use std::fmt::Write;
 /// Subcarriers' spacing, Hz.
 const SPACING_HZ: f64 = crate::channel::SUBCARRIER_SPACING_HZ;
 /// A recorded trajectory strays in so many swings: slowly, as the windows of a second stay coherent.
-const SWINGS: f64 = 4.0;
+const SWINGS: f64 = 3.0;
 /// Decibels by which an amplitude grows that grows by a factor of e.
 const DB_PER_E: f64 = 8.685_889_638;
 

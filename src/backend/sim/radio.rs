@@ -46,7 +46,7 @@ pub struct Radio {
     /// captures' intervals of 10 ms have quartiles of 40 to 60 us either way and a standard deviation of 114 to 128: 45 to
     /// 70, and [`Radio::send_delay`].
     pub send_jitter_us: f64,
-    /// Frames that leave later still, because the sender's host was busy elsewhere. Real captures: one in fourteen, 270 us.
+    /// Frames that leave later still, because the sender's host was busy elsewhere. Real captures: one in 14 to 22, 240 to 280 us.
     pub send_delay: Group,
     /// From the end of a frame to its record on the host, microseconds: mean.
     pub host_latency_us: f64,

@@ -76,7 +76,7 @@ impl Recorded {
     pub(super) fn strayed(mut self, stray_m: f64, stray_s: f64) -> Self {
         /// Periods of the sines: in no simple ratio, so that the deviation is met within a few swings, and no motion has
         /// all of them in common.
-        const PERIODS: [f64; 8] = [0.45, 0.57, 0.73, 0.94, 1.21, 1.53, 1.93, 2.42];
+        const PERIODS: [f64; 8] = [0.62, 0.73, 0.86, 1.01, 1.19, 1.41, 1.67, 1.98];
         /// Phases follow each other by the golden section of a turn, which spreads any number of them evenly.
         const GOLDEN: f64 = 0.618_033_988_749_895;
         if stray_m == 0.0 {
@@ -85,9 +85,11 @@ impl Recorded {
         let size_m = stray_m * (2.0 / PERIODS.len() as f64).sqrt();
         for (t_s, pose) in self.t_s.iter().zip(&mut self.poses) {
             for (k, period) in PERIODS.iter().enumerate() {
-                let swing = |k: usize| size_m * libm::sin(TAU * (t_s / (stray_s * period) + k as f64 * GOLDEN));
-                pose.position_m.x += swing(k + 1);
-                pose.position_m.y += swing(k + 1 + PERIODS.len());
+                let turns = t_s / (stray_s * period) + k as f64 * GOLDEN;
+                // A quarter of a turn ahead or behind: as much in any direction.
+                let quarter = if k.is_multiple_of(2) { 0.25 } else { -0.25 };
+                pose.position_m.x += size_m * libm::sin(TAU * turns);
+                pose.position_m.y += size_m * libm::sin(TAU * (turns + quarter));
             }
         }
         self
