@@ -3,7 +3,6 @@
 use crate::channel::Channel;
 use crate::odometry::drive::Geometry;
 use crate::pipeline::Options;
-use crate::pipeline::accurate::Accuracy;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use serde::de::{Deserialize, Deserializer, Error as _};
@@ -51,6 +50,45 @@ pub struct Config {
     /// The network of the robots.
     #[serde(default)]
     pub network: Option<Network>,
+    /// This robot's part in the sounding exchange.
+    #[serde(default)]
+    pub sounding: Option<Sounding>,
+}
+
+/// A robot's part in the sounding exchange, in the native dialect, as `csi5300 sound` and `respond` have it (feature
+/// `live`). The peers are those of the file; what is not said to be this robot's own is the same on all robots.
+#[derive(Clone, Debug, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sounding {
+    /// Monitor interface.
+    pub interface: String,
+    /// This robot initiates, in turns with the others that do; otherwise it only answers. Its own.
+    #[serde(default = "yes")]
+    pub initiate: bool,
+    /// Rounds a second: one exchange with every peer each.
+    #[serde(default = "hundred", deserialize_with = "positive")]
+    pub rate_hz: f64,
+    /// Links in a round; as many as there are peers where absent.
+    #[serde(default)]
+    pub links: Option<u16>,
+    /// Modulation of every frame, 0 to 23.
+    #[serde(default = "mcs_1")]
+    pub mcs: u8,
+    /// How late a frame may be sent, microseconds.
+    #[serde(default = "guard_us")]
+    pub guard_us: u32,
+    /// How long after a forward frame its answer may begin, microseconds.
+    #[serde(default = "turn_around_us")]
+    pub turn_around_us: u32,
+    /// Answers carry what the card measured.
+    #[serde(default = "yes")]
+    pub measurement: bool,
+    /// File with a key that all robots share.
+    #[serde(default)]
+    pub key: Option<PathBuf>,
+    /// Ask for SCHED_FIFO. Its own.
+    #[serde(default = "yes")]
+    pub fifo: bool,
 }
 
 /// Where records come from.
@@ -201,6 +239,8 @@ pub struct Estimation {
     pub elevation_max_deg: f64,
     /// Spherical waves, all subcarriers and the one-way channel: better, and ten to a hundred times the work.
     pub accurate: bool,
+    /// That work is done once in so many seconds for each peer, and when nothing moves any more; 0: for every bearing.
+    pub accurate_every_s: f64,
 }
 
 impl Default for Estimation {
@@ -213,6 +253,7 @@ impl Default for Estimation {
             extrapolate_s: 0.05,
             elevation_max_deg: 20.0,
             accurate: true,
+            accurate_every_s: 5.0,
         }
     }
 }
@@ -272,11 +313,13 @@ pub struct Output {
     pub status_socket: Option<PathBuf>,
     /// One line of state on standard error: on a terminal (`auto`), `always` or `never`.
     pub status_line: StatusLine,
+    /// Where Foxglove's viewers connect: `127.0.0.1:8765` is what they ask for (feature `foxglove`).
+    pub foxglove: Option<std::net::SocketAddr>,
 }
 
 impl Default for Output {
     fn default() -> Self {
-        Self { bearings: "-".into(), status_socket: None, status_line: StatusLine::Auto }
+        Self { bearings: "-".into(), status_socket: None, status_line: StatusLine::Auto, foxglove: None }
     }
 }
 
@@ -373,7 +416,7 @@ impl Config {
         let mut options = Options { antenna: self.antenna, ..Options::new(self.channel) };
         options.search.elevation_max_rad = self.estimator.elevation_max_deg.to_radians();
         if !self.estimator.accurate {
-            options.accuracy = Accuracy { near_field: false, align: false, one_way: false, ..options.accuracy };
+            options.accuracy = options.accuracy.without_layers();
         }
         options
     }
@@ -398,6 +441,8 @@ impl Config {
         if let Some(log) = &mut self.log {
             log.file = folder.join(&log.file);
         }
+        let key = self.sounding.iter_mut().filter_map(|sounding| sounding.key.as_mut());
+        key.for_each(|key| *key = folder.join(&*key));
         // Neither nowhere nor standard output.
         if !["", "-"].contains(&self.output.bearings.as_str()) {
             self.output.bearings = folder.join(&self.output.bearings).to_string_lossy().into_owned();
@@ -405,6 +450,27 @@ impl Config {
         let socket = self.output.status_socket.iter_mut();
         let zenoh = self.network.iter_mut().filter_map(|network| network.zenoh.as_mut());
         socket.chain(zenoh).for_each(|file| *file = folder.join(&*file));
+    }
+
+    #[cfg(feature = "live")]
+    fn sounding_problem(&self) -> Option<String> {
+        let asked = self.sounding.as_ref()?;
+        if !matches!(self.capture.get_ref(), Capture::Card(_)) {
+            return Some("[sounding] is done with a card: it needs `capture.card`".into());
+        }
+        if self.peer.is_empty() {
+            return Some("[sounding] needs a [[peer]] to sound".into());
+        }
+        if let Some(key) = asked.key.as_ref().filter(|key| !key.is_file()) {
+            return Some(format!("there is no key {}", key.display()));
+        }
+        let is_40_mhz = self.channel.width() != crate::channel::Width::Ht20;
+        super::sounder::problem(asked, self.peer.len(), is_40_mhz).map(|why| format!("[sounding]: {why}"))
+    }
+
+    #[cfg(not(feature = "live"))]
+    fn sounding_problem(&self) -> Option<String> {
+        self.sounding.as_ref().map(|_| "[sounding] needs a program built with the feature `live`".into())
     }
 
     /// MACs that are not those of the simulated room: where, and why.
@@ -462,6 +528,9 @@ impl Config {
         let estimator = &self.estimator;
         if !(0.0..=90.0).contains(&estimator.elevation_max_deg) {
             say(place(text, "elevation_max_deg"), "elevation_max_deg: 0 to 90 degrees".into());
+        }
+        if !(0.0..=3_600.0).contains(&estimator.accurate_every_s) {
+            say(place(text, "accurate_every_s"), "accurate_every_s: 0 to 3600 seconds".into());
         }
         if !(0.0..=1.0).contains(&estimator.extrapolate_s) {
             let why = "extrapolate_s: 0 to 1 second; a robot is somewhere else after a longer time";
@@ -570,6 +639,11 @@ impl Config {
                 say(at, format!("peer `{}`: {why}", peer.name));
             }
         }
+        self.sounding_problem().into_iter().for_each(|why| say(place(text, "sounding"), why));
+        if self.output.foxglove.is_some() && !cfg!(feature = "foxglove") {
+            let why = "foxglove in [output] needs a program built with `--features foxglove`";
+            say(place(text, "foxglove"), why.into());
+        }
         if let Some(network) = &self.network {
             if !cfg!(feature = "zenoh") {
                 say(place(text, "network"), "[network] needs a program built with `--features zenoh`".into());
@@ -636,6 +710,22 @@ fn maybe_positive<'de, D: Deserializer<'de>>(input: D) -> Result<Option<f64>, D:
 
 fn antenna_a() -> Antenna {
     Antenna::A
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn mcs_1() -> u8 {
+    1
+}
+
+fn guard_us() -> u32 {
+    crate::tdma::GUARD_US
+}
+
+fn turn_around_us() -> u32 {
+    crate::tdma::TURN_AROUND_US
 }
 
 fn one() -> f64 {
@@ -728,6 +818,14 @@ mod tests {
         assert!(own.starts_with("line 1: `rx` has the MAC"), "{own}");
         let full = room("[network]\nbacklog = 0\n");
         assert!(full.contains("line 8: backlog"), "{full}");
+        let air = room("[sounding]\ninterface = \"mon0\"\n");
+        assert!(air.starts_with("line 7: [sounding] is done with a card"), "{air}");
+        let card = "mac = \"02:00:00:00:00:01\"\nchannel = \"108\"\ncapture.card = {}\nodometry.opencr.port = \"/dev/null\"\n\
+                    [network]\n[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n\
+                    [sounding]\ninterface = \"mon0\"\n";
+        let fast = refused(&format!("{card}rate_hz = 1e5\n"));
+        let said = if cfg!(feature = "live") { "rounds" } else { "feature `live`" };
+        assert!(fast.contains("line 10: [sounding]") && fast.contains(said), "{fast}");
         let far = refused(&format!("{ROOM}[estimator]\nextrapolate_s = 30\n"));
         assert!(far.starts_with("line 8"), "{far}");
     }

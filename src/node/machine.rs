@@ -62,7 +62,7 @@ impl Capture {
     }
 }
 
-/// Who is told of every record and pose of this robot: its peers, over a network.
+/// Who is told of every record and pose of this robot: its peers, over a network, and viewers.
 pub trait Tap: Send {
     /// A record of this robot's card.
     fn record(&mut self, host_us: Option<i64>, record: Record<'_>);
@@ -129,7 +129,7 @@ pub struct Machine {
     peers: Vec<PeerRunning>,
     /// The estimator.
     pub estimator: Estimator,
-    tap: Option<Box<dyn Tap>>,
+    taps: Vec<Box<dyn Tap>>,
     pose_counts: PoseCounts,
     trouble: Vec<String>,
     /// When a record last came from anybody.
@@ -160,16 +160,16 @@ impl Machine {
             poses: sources.poses.map(Running::new),
             peers,
             estimator: Estimator::new(sources.own, sources.track, told, settings, options, now),
-            tap: None,
+            taps: Vec::new(),
             pose_counts: PoseCounts::default(),
             trouble: Vec::new(),
             heard_at: now,
         })
     }
 
-    /// From now on `tap` is told of everything.
-    pub fn set_tap(&mut self, tap: Box<dyn Tap>) {
-        self.tap = Some(tap);
+    /// From now on `tap` is told of everything, too.
+    pub fn add_tap(&mut self, tap: Box<dyn Tap>) {
+        self.taps.push(tap);
     }
 
     /// The peer's records come from here, over a network.
@@ -194,14 +194,14 @@ impl Machine {
     pub fn take(&mut self, now: Instant) -> Result<bool, Error> {
         // Poses first: what is measured needs a place.
         if let Some(poses) = &mut self.poses {
-            let (estimator, tap, counts) = (&mut self.estimator, &mut self.tap, &mut self.pose_counts);
+            let (estimator, taps, counts) = (&mut self.estimator, &mut self.taps, &mut self.pose_counts);
             let failed = poses.drain(now, |pose| {
                 match pose {
                     Some(pose) => estimator.handle_pose(pose),
                     None => estimator.handle_new_frame(),
                 }
                 *(if pose.is_some() { &mut counts.poses } else { &mut counts.new_frames }) += 1;
-                tap.iter_mut().for_each(|tap| tap.pose(pose));
+                taps.iter_mut().for_each(|tap| tap.pose(pose));
             });
             self.trouble.extend(failed.map(|error| format!("odometry: {error}")));
         }
@@ -218,8 +218,8 @@ impl Machine {
                 return Ok(false);
             }
             let next = self.capture.source.receive(now)?;
-            if let (Next::Record(stamps, record), Some(tap)) = (&next, &mut self.tap) {
-                tap.record(stamps.host_us, *record);
+            if let Next::Record(stamps, record) = &next {
+                self.taps.iter_mut().for_each(|tap| tap.record(stamps.host_us, *record));
             }
             self.estimator.handle_own(&next);
             match next {
@@ -311,7 +311,7 @@ impl Machine {
     pub fn handle_clock_set(&mut self) {
         self.pose_counts.clock_set += 1;
         self.estimator.handle_new_frame();
-        self.tap.iter_mut().for_each(|tap| tap.pose(None));
+        self.taps.iter_mut().for_each(|tap| tap.pose(None));
     }
 
     /// What is in the log.
