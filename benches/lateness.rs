@@ -3,7 +3,8 @@
 //!
 //! `cargo bench --bench lateness` as root (or `-- --seconds 10`). The stand-ins are TUN devices with the radiotap link
 //! type in a network namespace of their own; what they show is the host's scheduling, not the air. SCHED_FIFO needs real
-//! root: in a user namespace it is refused, and said to be.
+//! root: in a user namespace it is refused, and said to be. Before and after each a bare loop of `clock_nanosleep` shows
+//! what this host does at best in these very minutes.
 
 use csi5300::backend::monitor::{Monitor, Options};
 use csi5300::backend::sys::{radiotap_tun, schedule_fifo};
@@ -13,6 +14,9 @@ use csi5300::time::Span;
 use csi5300::wait::{Monotonic, wall_us};
 use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::native;
+use hdrhistogram::Histogram;
+use nix::sys::time::{TimeSpec, TimeValLike};
+use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
 use std::fs::File;
 use std::io::{Read, Write};
 use std::process::Command;
@@ -44,9 +48,33 @@ fn main() -> Result<(), Failure> {
     std::thread::spawn(move || carry(b_in, a_out));
     println!("1,000 rounds/s for {seconds} s; slots may start 50 us late at most, later ones are skipped");
     for fifo_priority in [Some(50), None] {
+        println!("\n{}", if fifo_priority.is_some() { "SCHED_FIFO" } else { "the ordinary scheduler" });
+        println!("  bare loop before            {}", spread_of(&bare(fifo_priority, 10_000)?));
         run(fifo_priority, seconds)?;
+        println!("  bare loop after             {}", spread_of(&bare(fifo_priority, 10_000)?));
     }
     Ok(())
+}
+
+/// How late `clock_nanosleep` returns, once a millisecond, in a thread that does nothing else.
+fn bare(fifo_priority: Option<i32>, times: i64) -> Result<Histogram<u64>, Failure> {
+    let mut late_us = Histogram::new(3)?;
+    let waiting = move || -> Result<Histogram<u64>, nix::Error> {
+        if let Some(priority) = fifo_priority
+            && schedule_fifo(priority).is_err()
+        {
+            eprintln!("the bare loop runs under the ordinary scheduler");
+        }
+        let clock = ClockId::CLOCK_MONOTONIC;
+        let start = clock_gettime(clock)?;
+        for k in 1..=times {
+            let at = start + TimeSpec::milliseconds(k);
+            clock_nanosleep(clock, ClockNanosleepFlags::TIMER_ABSTIME, &at)?;
+            late_us.saturating_record((clock_gettime(clock)? - at).num_microseconds().unsigned_abs());
+        }
+        Ok(late_us)
+    };
+    Ok(std::thread::spawn(waiting).join().map_err(|_| "the bare loop ended early")??)
 }
 
 /// The air: what is sent on one device is received on the other, with an empty radiotap header instead of the sender's.

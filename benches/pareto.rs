@@ -50,7 +50,6 @@ fn error(values: &[f64], reference: &[f64]) -> f64 {
 fn main() {
     banner("Run time against error");
     let args: Vec<String> = std::env::args().collect();
-    let full = args.iter().any(|a| a == "--full");
     let mut table = Table::new(
         "pareto",
         &[
@@ -69,7 +68,7 @@ fn main() {
     let any = jobs().iter().any(named);
     let mut series: Vec<Series> = Vec::new();
     for job in jobs().into_iter().filter(|job| !any || named(job)) {
-        for (n, radius) in sizes(full) {
+        for (n, radius) in sizes(&args) {
             let (naive, rows) = measure(&job, n, radius);
             for (who, eps, ms, error) in rows {
                 table.row(&[
@@ -106,9 +105,11 @@ fn draw(series: &mut Vec<Series>, who: &str, ms: f64, error: f64) {
     series[at].points.push((ms, 1e6 * error.max(1e-16)));
 }
 
-fn sizes(full: bool) -> Vec<(usize, f64)> {
-    if !full {
-        return vec![(1_000, 0.3)];
+/// Numbers of packets and radii: all with `--full`, or as many packets as `--packets` says at 0.3 m.
+fn sizes(args: &[String]) -> Vec<(usize, f64)> {
+    if !args.iter().any(|a| a == "--full") {
+        let asked = args.iter().position(|a| a == "--packets").and_then(|at| args.get(at + 1)?.parse().ok());
+        return vec![(asked.unwrap_or(1_000), 0.3)];
     }
     let (packets, radii) = ([300, 1_000, 3_000, 30_000], [0.1, 0.3, 1.0, 2.0]);
     packets.into_iter().flat_map(|n| radii.map(|r| (n, r))).collect()

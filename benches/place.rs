@@ -58,9 +58,9 @@ fn main() {
     banner("One link, all steps");
     let (path, raw) = (path(), rows(&path()));
     let mut aligned = raw.clone();
-    align(&mut aligned, &INDICES_20_MHZ);
+    align(&mut aligned, &INDICES_20_MHZ, Tier::detect());
     remove_common_slope(&mut aligned, &INDICES_20_MHZ);
-    let roots = one_way(&aligned).rows;
+    let roots = one_way(&aligned, Tier::detect()).rows;
     let round = Aperture::gather(&path[STANDING..], &aligned[STANDING..], 2, WAVELENGTH_M);
     let once = Aperture::gather(&path[STANDING..], &roots[STANDING..], 1, WAVELENGTH_M);
     let view = |windows, taper, subcarriers| View { windows, taper, weight: 1.0, subcarriers };
@@ -73,23 +73,23 @@ fn main() {
         let ratio = ratio.map_or("-".into(), |ratio| format!("{ratio:.0}"));
         table.row(&[tier.into(), step.into(), format!("{ms:.3}"), ratio]);
     };
-    let alignment = quickest(300.0, || {
-        let mut own = raw.clone();
-        align(&mut own, &INDICES_20_MHZ);
-        remove_common_slope(&mut own, &INDICES_20_MHZ);
-    });
-    row("any", "alignment, 1,550 packets", alignment, None);
-    let root = quickest(300.0, || drop(one_way(&aligned)));
-    row("any", "one-way channel", root, None);
     let place_ms = oracle_ms(&round, &middle) + oracle_ms(&once, &middle) * 3.5;
     for tier in Tier::available() {
+        let name = format!("{tier:?}");
+        let alignment = quickest(300.0, || {
+            let mut own = raw.clone();
+            align(&mut own, &INDICES_20_MHZ, tier);
+            remove_common_slope(&mut own, &INDICES_20_MHZ);
+        });
+        row(&name, "alignment, 1,550 packets", alignment, None);
+        let root = quickest(300.0, || drop(one_way(&aligned, tier)));
+        row(&name, "one-way channel", root, None);
         let limits = Limits { elevation_max_rad: 20f64.to_radians(), range_min_m: 1.8, height_m: None, tier };
         let mut evaluations = 0;
         let searching = quickest(300.0, || {
             let mut search = Search::new(&layers, middle, WAVELENGTH_M, &limits).expect("a search");
             evaluations = search.run().expect("a place").evaluations;
         });
-        let name = format!("{tier:?}");
         row(&name, "search", searching, Some(place_ms * evaluations as f64 / searching));
         let mut search = Search::new(&layers, middle, WAVELENGTH_M, &limits).expect("a search");
         let best = search.run().expect("a place").best();

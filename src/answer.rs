@@ -67,6 +67,8 @@ pub struct Answer {
     pub slips: Option<f64>,
     /// Carrier frequency offset found from the turn-around jitter, Hz.
     pub cfo_hz: Option<f64>,
+    /// By how much it changed in the course of the record, Hz; null where one offset explains all.
+    pub cfo_span_hz: Option<f64>,
     /// Whether turn-around compensation was applied.
     pub compensated: bool,
     /// Coherence of second differences before compensation.
@@ -165,6 +167,7 @@ impl Answer {
                 }
                 if let Some(turn_around) = &bearing.turn_around {
                     answer.cfo_hz = Some(turn_around.df_hz);
+                    answer.cfo_span_hz = Some(turn_around.df_span_hz()).filter(|hz| *hz > 0.0);
                     answer.phase_coherence_before = Some(turn_around.coherence_before);
                     answer.phase_coherence_after = Some(turn_around.coherence_after);
                     answer.turn_around_jitter_us = Some(turn_around.jitter_median_us);

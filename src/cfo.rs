@@ -99,6 +99,11 @@ pub struct TurnAround {
     pub coherence_after: f64,
     /// Whether the compensation pays: the coherence rose by more than one free parameter explains.
     pub worthwhile: bool,
+    /// Where the offset was seen to drift: (receiver's clock in microseconds, Hz) in the middle of each block of pairs.
+    /// Empty where one offset explains all.
+    pub course: Vec<(f64, f64)>,
+    /// The offset at each pair, Hz, where it drifts.
+    offsets_hz: Vec<f64>,
 }
 
 /// Outliers of the turn-around are further than this from the line, microseconds.
@@ -108,6 +113,13 @@ const OUTLIER_US: f64 = 25.0;
 const SEARCH_HZ: f64 = 20_000.0;
 /// Step of the search, Hz: the coherence over `df` is about 1 / (2 pi 20 us) = 8 kHz wide.
 const STEP_HZ: f64 = 400.0;
+/// Pairs that an offset of their own is looked for in: 2 s at the usual rate. What so few leave open of it turns no phase,
+/// since it is the jitter that would have to show it.
+const BLOCK: usize = 200;
+/// How far a block's offset is looked for from that of all, Hz: 2.4 kHz within six seconds has been seen.
+const DRIFT_HZ: f64 = 4_000.0;
+/// By how much a block's own offset must raise the sum of its unit phasors, on average: chance gives half of one.
+const GAIN_PER_BLOCK: f64 = 2.0;
 /// Cards agree to 40 parts per million (802.11 allows each 20); more is a clock that was set anew, or no clock.
 const MAX_DRIFT: f64 = 100e-6;
 /// Second differences of the jitter beyond this are left out of the search, microseconds.
@@ -135,9 +147,23 @@ impl TurnAround {
             return None;
         }
         let coherence = |df_hz: f64| sum_at(&terms, df_hz).norm() / total;
-        let df_hz = maximise(coherence, line.slope * carrier_hz);
-        let (before, after) = (coherence(0.0), coherence(df_hz));
+        let df_hz = maximise(coherence, line.slope * carrier_hz, SEARCH_HZ);
+        let (before, mut after) = (coherence(0.0), coherence(df_hz));
+        let course = match course(z, clock_rx_us, difference_us, df_hz) {
+            Some((course, coherent)) => {
+                after = coherent / total;
+                course
+            }
+            None => Vec::new(),
+        };
         Some(Self {
+            offsets_hz: clock_rx_us
+                .iter()
+                .map(|us| along(&course, *us as f64))
+                .take_while(Option::is_some)
+                .flatten()
+                .collect(),
+            course,
             df_hz,
             drift_ppm: line.slope * 1e6,
             jitter_us: jitter_us(clock_rx_us, difference_us, df_hz / carrier_hz),
@@ -148,10 +174,18 @@ impl TurnAround {
         })
     }
 
+    /// From the lowest to the highest offset in the course of the record, Hz; 0 where one explains all.
+    #[must_use]
+    pub fn df_span_hz(&self) -> f64 {
+        let (low, high) = self.course.iter().fold((f64::MAX, f64::MIN), |(l, h), (_, hz)| (l.min(*hz), h.max(*hz)));
+        (high - low).max(0.0)
+    }
+
     /// Takes the offset out: `z[k] *= exp(+j 2 pi df d[k])`. Samples beyond the estimate's own are left alone.
     pub fn apply(&self, z: &mut [Complex64]) {
-        for (z, d_us) in z.iter_mut().zip(&self.jitter_us) {
-            *z *= Complex64::cis(TAU * (self.df_hz * d_us * 1e-6).fract());
+        let offsets_hz = self.offsets_hz.iter().copied().chain(std::iter::repeat(self.df_hz));
+        for ((z, d_us), df_hz) in z.iter_mut().zip(&self.jitter_us).zip(offsets_hz) {
+            *z *= Complex64::cis(TAU * (df_hz * d_us * 1e-6).fract());
         }
     }
 }
@@ -266,9 +300,37 @@ fn sum_at(terms: &[Term], df_hz: f64) -> Complex64 {
     terms.iter().map(|term| term.sum * Complex64::cis(rate * term.second_us)).sum()
 }
 
-/// The maximum of `f` within [`SEARCH_HZ`] of `near_hz`: a grid, then golden sections.
-fn maximise(f: impl Fn(f64) -> f64, near_hz: f64) -> f64 {
-    let steps = (SEARCH_HZ / STEP_HZ) as i32;
+/// Offsets block by block, and the sum of the blocks' coherent sums, if they gain more than their number explains.
+fn course(z: &[Complex64], clock_us: &[i64], difference_us: &[i64], df_hz: f64) -> Option<(Vec<(f64, f64)>, f64)> {
+    let blocks = z.len() / BLOCK;
+    if blocks < 2 {
+        return None;
+    }
+    let (mut course, mut with, mut without) = (Vec::new(), 0.0, 0.0);
+    for block in 0..blocks {
+        let (from, to) = (block * z.len() / blocks, (block + 1) * z.len() / blocks);
+        let terms = second_differences(&z[from..to], &clock_us[from..to], &difference_us[from..to]);
+        let coherent = |hz: f64| sum_at(&terms, hz).norm();
+        let own_hz = maximise(coherent, df_hz, DRIFT_HZ);
+        (with, without) = (with + coherent(own_hz), without + coherent(df_hz));
+        course.push((0.5 * (clock_us[from] + clock_us[to - 1]) as f64, own_hz));
+    }
+    (with - without > GAIN_PER_BLOCK * blocks as f64).then_some((course, with))
+}
+
+/// The value at `x` between the points of `course`, and that of the nearest beyond its ends; `None` if it is empty.
+fn along(course: &[(f64, f64)], x: f64) -> Option<f64> {
+    let after = course.partition_point(|point| point.0 <= x);
+    let (Some(left), Some(right)) = (course.get(after.saturating_sub(1)), course.get(after).or(course.last())) else {
+        return None;
+    };
+    let run = right.0 - left.0;
+    Some(if run > 0.0 { left.1 + (right.1 - left.1) * ((x - left.0) / run).clamp(0.0, 1.0) } else { left.1 })
+}
+
+/// The maximum of `f` within `reach_hz` of `near_hz`: a grid, then golden sections.
+fn maximise(f: impl Fn(f64) -> f64, near_hz: f64, reach_hz: f64) -> f64 {
+    let steps = (reach_hz / STEP_HZ) as i32;
     let mut best = (f64::NEG_INFINITY, near_hz);
     for k in -steps..=steps {
         let at = near_hz + f64::from(k) * STEP_HZ;
@@ -366,6 +428,38 @@ mod tests {
             found.apply(&mut z);
             assert!(second_difference_coherence(&z).unwrap() > 0.97);
         }
+    }
+
+    #[test]
+    fn an_offset_that_drifts_is_followed_and_a_steady_one_is_left_alone() {
+        let (mut z, clock, difference) = link(3_000, -15_000.0, -15_000.0 / 5_540.0);
+        assert!(TurnAround::estimate(&z, &clock, &difference, 5.54e9).unwrap().course.is_empty());
+        // From -15 kHz on it drifts by 2.4 kHz; `d` is the jitter that `link` made.
+        let extra_hz = |k: usize| -2_400.0 * k as f64 / 3_000.0;
+        let drift = -15_000.0 / 5.54e9;
+        for (k, z) in z.iter_mut().enumerate() {
+            let d_us = difference[k] as f64 + 7e6 - (drift * (clock[k] - clock[0]) as f64).round();
+            *z *= Complex64::cis(-TAU * extra_hz(k) * d_us * 1e-6);
+        }
+        let found = TurnAround::estimate(&z, &clock, &difference, 5.54e9).unwrap();
+        assert!((found.df_span_hz() - 2_240.0).abs() < 500.0, "{:?}", found.course);
+        assert!(
+            found.course.windows(2).all(|pair| (pair[1].1 - pair[0].1 + 160.0).abs() < 300.0),
+            "{:?}",
+            found.course
+        );
+        let mut one = z.clone();
+        TurnAround { offsets_hz: Vec::new(), ..found.clone() }.apply(&mut one);
+        found.apply(&mut z);
+        let (with, without) = (second_difference_coherence(&z).unwrap(), second_difference_coherence(&one).unwrap());
+        assert!(with > 0.97 && with > without + 0.005, "{with} {without}");
+    }
+
+    #[test]
+    fn points_beyond_a_course_have_its_end() {
+        let course = [(10.0, 1.0), (20.0, 3.0)];
+        assert_eq!([0.0, 10.0, 15.0, 20.0, 99.0].map(|x| along(&course, x)), [1.0, 1.0, 2.0, 3.0, 3.0].map(Some));
+        assert_eq!((along(&course[..1], 5.0), along(&[], 5.0)), (Some(1.0), None));
     }
 
     #[test]

@@ -7,11 +7,12 @@
 pub mod distribution;
 pub mod figures;
 pub mod fit;
+mod pattern;
 mod scene_text;
 pub mod side;
 pub mod table;
 
-pub use figures::{Figures, LinkFigures, measure, measure_scene};
+pub use figures::{Figures, LinkFigures, measure, measure_scene, measure_scene_along};
 pub use fit::{Fitted, fit};
 pub use scene_text::scene_channel;
 pub use table::{Row, Verdict, rows};

@@ -81,6 +81,8 @@ pub mod plot;
 pub mod pose;
 pub mod quality;
 pub mod rooms;
+#[cfg(feature = "ros1")]
+pub mod ros1;
 pub mod samples;
 #[cfg(feature = "live")]
 pub mod sounding;

@@ -23,7 +23,7 @@ const FLOORS: &[(u8, &[&str])] = &[
         ],
     ),
     (2, &["assign", "pairing", "tdma"]),
-    (3, &["backend", "odometry"]),
+    (3, &["backend", "odometry", "ros1"]),
     (
         4,
         &[

@@ -105,6 +105,31 @@ fn off_deg(report: &Report, truth: f64) -> f64 {
 }
 
 #[test]
+fn a_room_that_follows_poses_gives_the_bearing_of_where_they_lead() {
+    let folder = folder("followed");
+    let text = scene(2, false)
+        .replace("motion.circle = { radius_m = 0.3, duration_s = 20.0, start_s = 1.5 }", "motion.followed = {}");
+    std::fs::write(folder.join("ring.toml"), &text).unwrap();
+    // Somewhere else than where the robot waits, with a clock of its own.
+    let mut way = String::new();
+    for k in 0..1_200 {
+        let t_s = f64::from(k) * 0.02;
+        let angle = std::f64::consts::TAU * ((t_s - 1.0) / 20.0).clamp(0.0, 1.0);
+        let (x, y) = (1.0 + 0.3 * angle.cos(), -2.0 + 0.3 * angle.sin());
+        let _ = writeln!(way, "{:.3},0,{x:.6},{y:.6},0.2,{:.6},", 5_000.0 + t_s, angle + std::f64::consts::FRAC_PI_2);
+    }
+    std::fs::write(folder.join("way.csv"), way).unwrap();
+    let config = "channel = \"108\"\nodometry.room = {}\n[capture.room]\nscene = \"ring.toml\"\nrobot = \"r0\"\n\
+                  follow.r0.csv.file = \"way.csv\"\n[[peer]]\nname = \"r1\"\nrecords.room = {}\n";
+    let config = Config::read(config, &folder).unwrap_or_else(|error| panic!("{error}"));
+    let (_, last) = run(machine(&config), Instant::from_us(23_000_000));
+    let peer = Room::new(&Scene::from_toml(&text).unwrap()).unwrap().antenna(1, 0.0).unwrap();
+    let truth = (peer.y + 2.0).atan2(peer.x - 1.0).to_degrees();
+    let off = off_deg(&last[0], truth);
+    assert!(off < 1.0 && last[0].state == State::Bearing, "{off} {:?}", last[0]);
+}
+
+#[test]
 fn bearings_are_right_after_one_circle_with_two_four_and_eight_robots() {
     for robots in [2, 4, 8] {
         let folder = folder(&format!("ring-{robots}"));

@@ -126,6 +126,217 @@ fn a_served_room_is_heard_through_the_kernel() {
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
+/// Two robots, the one on circles for as long as the room lasts, radios as real ones; drivers in the stock layout.
+const LIVE: &str = r#"
+duration_s = 120.0
+cfo = "physical"
+driver = "stock"
+[radio]
+mcs = 1
+noise.snr_db = 20.0
+host_latency_us = 100.0
+delay_ns = 200.0
+sampling_offset = true
+[[robot]]
+name = "rx"
+mac = "02:00:00:00:00:0a"
+motion.circle = { radius_m = 0.3, duration_s = 120.0, turns = 30 }
+crystal.offset_ppm = 1.5
+[[robot]]
+name = "tx"
+mac = "02:00:00:00:00:0b"
+position_m = [-386.0, 93.0, 0.0]
+crystal = { offset_ppm = -1.0, clock_start_us = 1000000 }
+"#;
+
+/// A node that listens to both cards.
+const NODE: &str = r#"
+channel = "108"
+capture.served = { socket = "room", robot = "rx" }
+odometry.room = {}
+[[peer]]
+name = "tx"
+records.room = {}
+[estimator]
+accurate = false
+[output]
+bearings = "bearings.jsonl"
+"#;
+
+/// A program whose words are waited for.
+struct Program {
+    child: std::process::Child,
+    stderr: BufReader<std::process::ChildStderr>,
+    said: String,
+}
+
+impl Program {
+    fn start(args: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+        let mut child = command.args(args).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        let stderr = BufReader::new(child.stderr.take().unwrap());
+        Self { child, stderr, said: String::new() }
+    }
+
+    fn until(&mut self, word: &str) {
+        while !self.said.contains(word) {
+            let read = self.stderr.read_line(&mut self.said).unwrap();
+            assert!(read > 0, "it ended before it said `{word}`:\n{}", self.said);
+        }
+    }
+
+    fn stop(&self) {
+        kill(Pid::from_raw(self.child.id() as i32), Signal::SIGTERM).unwrap();
+    }
+
+    /// Its exit status and all that it said.
+    fn end(mut self) -> (Option<i32>, String) {
+        self.stderr.read_to_string(&mut self.said).unwrap();
+        (self.child.wait().unwrap().code(), std::mem::take(&mut self.said))
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // One that has ended is none the worse for it.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The number before a word in what a program said.
+fn number(said: &str, after: &str) -> u64 {
+    let words = said.split(after).next().unwrap_or_default();
+    words
+        .rsplit(|c: char| !c.is_ascii_digit())
+        .find(|word| !word.is_empty())
+        .and_then(|word| word.parse().ok())
+        .unwrap()
+}
+
+/// A node of that room that sounds, in turns with the other.
+#[cfg(feature = "node")]
+fn sounding_node(own: &str, peer: &str) -> String {
+    let moves = if own == "rx" { "odometry.room = {}\n" } else { "" };
+    let poses = if peer == "rx" { "poses.room = {}\n" } else { "" };
+    format!(
+        "channel = \"108\"\ncapture.served = {{ socket = \"room\", robot = \"{own}\" }}\n{moves}\
+         [[peer]]\nname = \"{peer}\"\nrecords.room = {{}}\n{poses}\
+         [estimator]\naccurate = false\n[output]\nbearings = \"{own}.jsonl\"\nstatus_line = \"always\"\n\
+         [sounding]\nrate_hz = 50.0\nturn_around_us = 6000\nguard_us = 1500\nfifo = false\n"
+    )
+}
+
+#[cfg(feature = "node")]
+#[test]
+fn nodes_sound_each_other_in_turns() {
+    let folder = std::env::temp_dir().join(format!("csi5300-turns-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let place = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    std::fs::write(place("scene.toml"), LIVE).unwrap();
+    let (scene, socket) = (place("scene.toml"), place("room"));
+    let mut room = Program::start(&["simulate", &scene, "--serve", "--socket", &socket]);
+    room.until("serving the room at");
+    let start = |own: &str, peer: &str| {
+        let file = place(&format!("{own}.toml"));
+        std::fs::write(&file, sounding_node(own, peer)).unwrap();
+        Program::start(&["node", "--config", &file])
+    };
+    let (mut rx, tx) = (start("rx", "tx"), start("tx", "rx"));
+    // Both have had turns once the robot that moves has a dozen bearings.
+    let bearings = || {
+        let lines = std::fs::read_to_string(place("rx.jsonl")).unwrap_or_default();
+        let lines = lines.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+        lines.filter(|line| line["state"] == "bearing").collect::<Vec<_>>()
+    };
+    while bearings().len() < 12 {
+        rx.said.clear();
+        rx.until("records/s");
+    }
+    [&rx, &tx].into_iter().for_each(Program::stop);
+    for node in [rx, tx] {
+        let (status, said) = node.end();
+        assert!(matches!(status, Some(0 | 3)), "{status:?}: {said}");
+    }
+    room.stop();
+    let (_, served) = room.end();
+    let last = bearings().pop().unwrap();
+    let off_deg = last["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
+    assert!(off_deg.abs() < 2.0, "{off_deg} degrees off: {last}");
+    let (own, other) = (&last["receiver_records"], &last["transmitter_records"]);
+    // Two counts in each log: both robots initiated. And none of their numbers met one of the other's.
+    assert!(own["restarts"] == 1 && other["restarts"] == 1, "{last}\n{served}");
+    assert!(own["mispaired"] == 0 && other["mispaired"] == 0 && last["pairs"].as_u64() > Some(50), "{last}");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn programs_sound_each_other_in_a_served_room() {
+    let folder = std::env::temp_dir().join(format!("csi5300-live-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let names = ["scene.toml", "rx.dat", "tx.dat", "poses.csv", "room", "record.dat", "node.toml"];
+    let paths = names.map(|name| folder.join(name));
+    std::fs::write(&paths[0], LIVE).unwrap();
+    std::fs::write(&paths[6], NODE).unwrap();
+    let [scene, rx, tx, poses, socket, record, node] = paths.each_ref().map(|path| path.to_str().unwrap());
+    let of = |robot: &str| format!("{socket}#{robot}");
+    let mut room = Program::start(&["simulate", scene, "--serve", "--socket", socket, "--poses", poses]);
+    room.until("serving the room at");
+    // A busy machine is late by milliseconds: slots are long, and answers have time.
+    let slow = ["--rate", "50", "--turn-around", "6000", "--guard", "1500", "--no-fifo"];
+    let tx_room = of("tx");
+    let respond = [&["respond", "--room", &tx_room, "--peers", "02:00:00:00:00:0a", "--log", tx], &slow[..]].concat();
+    let mut respond = Program::start(&respond);
+    respond.until("sending under");
+    let rx_room = of("rx");
+    // A second listener on the same card.
+    let mut recorder = Program::start(&["record", record, "--room", &rx_room]);
+    recorder.until("recording to");
+    let node = cfg!(feature = "node").then(|| Program::start(&["node", "--config", node]));
+    let sound =
+        ["sound", "--room", &rx_room, "--peers", "02:00:00:00:00:0b", "--alone", "--log", rx, "--stop-after", "8s"];
+    let (status, sounded) = Program::start(&[&sound[..], &slow[..]].concat()).end();
+    assert_eq!(status, Some(0), "{sounded}");
+    [&respond, &recorder].into_iter().chain(&node).for_each(Program::stop);
+    let (status, responded) = respond.end();
+    assert_eq!(status, Some(0), "{responded}");
+    let (_, recorded) = recorder.end();
+    let programs = if node.is_some() { 8 } else { 5 };
+    if let Some(node) = node {
+        let (status, said) = node.end();
+        let lines = std::fs::read_to_string(folder.join("bearings.jsonl")).unwrap();
+        let lines = lines.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+        let found = lines.filter(|line| line["state"] == "bearing").next_back();
+        let found = found.unwrap_or_else(|| panic!("no bearing, {status:?}: {said}"));
+        let off_deg = found["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
+        assert!(off_deg.abs() < 2.0, "{off_deg} degrees off: {found}");
+    }
+    room.stop();
+    let (status, served) = room.end();
+    assert_eq!(status, Some(0), "{served}");
+    let (answered, sent) = (number(&sounded, " answered"), number(&sounded, " forward frames"));
+    assert!(answered > 100, "{answered} of {sent}:\n{sounded}\n{responded}\n{served}");
+    assert!(served.contains(&format!("{programs} programs joined, 0 were refused")), "{served}");
+    // What each side says went out, the room put on air; nothing of it was lost.
+    let on_air = number(&served, " frames put on air");
+    assert_eq!(on_air, sent + number(&responded, " answers"), "{sounded}\n{responded}\n{served}");
+    assert!(served.contains(" 0 not;"), "{served}");
+
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    let args = ["bearing", "--channel", "108", "--rx", rx, "--tx", tx, "--trajectory", poses, "--json"];
+    let out = command.args(args).output().unwrap();
+    let said = String::from_utf8(out.stdout).unwrap();
+    assert_eq!(out.status.code(), Some(0), "{said}{}", String::from_utf8_lossy(&out.stderr));
+    let json: serde_json::Value = serde_json::from_str(said.lines().next().unwrap()).unwrap();
+    let azimuth_deg = json["azimuth_deg"].as_f64().unwrap_or_else(|| panic!("{said}"));
+    let truth_deg = 93f64.atan2(-386.0).to_degrees();
+    assert!((azimuth_deg - truth_deg).abs() < 2.0, "{azimuth_deg} of {truth_deg}: {said}");
+    // The other listener heard the same card.
+    let heard = number(&recorded, " records written");
+    assert!(heard >= answered, "{heard} of {answered}: {recorded}");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
 #[test]
 fn two_robots_on_one_connector_index_are_refused() {
     let scene = std::env::temp_dir().join(format!("csi5300-serve-index-{}.toml", std::process::id()));

@@ -3,6 +3,13 @@
 
 mod common;
 
+use csi5300::backend::recorder::side_path;
+use csi5300::backend::replay::Replay;
+use csi5300::backend::sim::scene::Driver;
+use csi5300::backend::sim::{Log, Room, Scene, write_dataset};
+use csi5300::backend::{CsiSource, Next};
+use csi5300::survey::Survey;
+use csi5300::time::Instant;
 use driver_iface::bfee::{Bfee, Iq, MAX_SAMPLES, Repr};
 use driver_iface::record::{Record, Step, Tail, events};
 
@@ -63,4 +70,42 @@ fn the_papers_real_captures_survive_it_too() {
         }
     }
     assert_eq!(files, 12);
+}
+
+/// Number and host time of a bfee.
+type Told = (Option<u32>, Option<i64>);
+
+/// What is told of every bfee in a log, and how many records it has.
+fn identities(log: &Log) -> (Vec<Told>, u64) {
+    let mut replay = Replay::open(&log.path).unwrap();
+    let (mut survey, mut found) = (Survey::default(), Vec::new());
+    loop {
+        let next = replay.receive(Instant::ZERO).unwrap();
+        found.extend(survey.note(&next).map(|(_, identity)| (identity.frame_count, identity.host_us)));
+        if matches!(next, Next::End(_)) {
+            return (found, survey.records);
+        }
+    }
+}
+
+#[test]
+fn the_stock_layout_says_in_its_side_file_what_wsr_records_say_themselves() {
+    let folder = std::env::temp_dir().join(format!("csi5300-stock-{}", std::process::id()));
+    let logs = |driver: Driver, killed: bool| {
+        let mut scene = Scene { duration_s: 3.0, driver, ..Scene::built_in("lab-circle").unwrap() };
+        scene.robot.iter_mut().for_each(|robot| robot.faults.killed = killed);
+        let dir = folder.join(format!("{driver:?}{killed}"));
+        write_dataset(&mut Room::new(&scene).unwrap(), &dir, &mut |_| {}).unwrap()[0].logs.clone()
+    };
+    let (wsr, stock) = (logs(Driver::Wsr, false), logs(Driver::Stock, false));
+    for (wsr, stock) in wsr.iter().zip(&stock) {
+        let ((said, records), (beside, twice)) = (identities(wsr), identities(stock));
+        assert!(said == beside && said.len() > 250 && said.iter().all(|said| said.1.is_some()));
+        assert_eq!((twice, stock.records), (2 * records, twice));
+        assert!(!side_path(&wsr.path).exists());
+    }
+    let cut = &logs(Driver::Stock, true)[0];
+    let stamps = std::fs::metadata(side_path(&cut.path)).unwrap().len();
+    assert!(cut.tail_records > 0 && stamps == 16 * cut.records, "{cut:?}: {stamps} bytes of stamps");
+    std::fs::remove_dir_all(&folder).unwrap();
 }

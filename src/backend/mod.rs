@@ -9,6 +9,8 @@ pub mod paced;
 pub mod recorder;
 pub mod remote;
 pub mod replay;
+#[cfg(feature = "live")]
+pub mod served;
 pub mod side;
 pub mod sim;
 #[cfg(feature = "live")]

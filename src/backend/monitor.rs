@@ -8,14 +8,18 @@
 //! * every frame sent is also looped back to the socket as PACKET_OUTGOING; the socket's filter keeps those out;
 //! * the interface's MTU counts radiotap header and frame.
 //!
+//! A robot of a served room ([`super::served`]) has such an interface too: [`Monitor::served`].
+//!
 //! What the kernel does not take is an [`Error::NotSent`] and counted by cause; the next frame may be taken again.
 
 mod filter;
 mod socket;
 
+use super::served::{self, Address};
 use super::{Error, FrameReceiver, Heard, Injector, NotSent};
 use crate::time::{Instant, Span};
 use driver_iface::radiotap::{self, Bandwidth, Packet, Repr};
+use socket::Opened;
 use std::io::ErrorKind;
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 
@@ -118,16 +122,30 @@ impl Monitor {
     /// No such interface, CAP_NET_RAW missing, another link type than radiotap, the interface down, or an MTU too small
     /// for `longest`: each with what to do about it.
     pub fn open(options: &Options) -> Result<Self, Error> {
+        Self::with(options, |longest| socket::open(&options.interface, longest))
+    }
+
+    /// The interface of a robot in a served room instead. Its name in `options` is for messages.
+    ///
+    /// # Errors
+    /// No room there, or no such robot in it; another program has its air.
+    pub fn served(address: &Address, options: &Options) -> Result<Self, Error> {
+        let (socket, mac) = served::join(address, served::Role::Air)?;
+        Self::with(options, |longest| Ok(Opened { socket, mac: Some(mac.0), mtu: longest }))
+    }
+
+    /// Makes room for buffers of the longest frame, and opens.
+    fn with(options: &Options, open: impl FnOnce(usize) -> Result<Opened, Error>) -> Result<Self, Error> {
         let header = Repr::injected(options.mcs, options.bandwidth);
         let header_len = header.header_len();
         let mut out = vec![0; header_len + options.longest].into_boxed_slice();
         header.emit(&mut out).map_err(|error| Error::Input(error.to_string()))?;
-        let opened = socket::open(&options.interface, out.len())?;
+        let Opened { socket, mac, mtu } = open(out.len())?;
         Ok(Self {
-            socket: opened.socket,
+            socket,
             interface: options.interface.clone(),
-            mac: opened.mac,
-            mtu: opened.mtu,
+            mac,
+            mtu,
             header_len,
             out,
             input: vec![0; RECEIVE_LEN].into_boxed_slice(),
@@ -220,6 +238,10 @@ impl FrameReceiver for Monitor {
                 Err(error) if error.kind() == ErrorKind::Interrupted => continue,
                 Err(error) => return Err(socket::failed("receiving from", &self.interface, error)),
             };
+            if received.len == 0 {
+                let what = format!("receiving from {}: the room has ended", self.interface);
+                return Err(Error::Io { what, source: ErrorKind::UnexpectedEof.into() });
+            }
             if received.is_outgoing {
                 self.counters.outgoing += 1;
             } else if let Some(range) = self.frame_in(received.len) {

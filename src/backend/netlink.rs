@@ -10,7 +10,8 @@
 //! NETLINK_S_CONGESTED). So the listener goes on reading at once, and reports [`Loss::Overrun`] where the gap is: before
 //! the first record whose `bfee_count` jumps, or when the queue is empty.
 //!
-//! CAP_NET_ADMIN is enough to listen; root is not needed.
+//! CAP_NET_ADMIN is enough to listen; root is not needed. A robot of a served room ([`super::served`]) is listened to by the
+//! same code: [`Netlink::served`].
 
 mod intake;
 mod send;
@@ -22,12 +23,16 @@ pub use send::Sender;
 pub use socket::Found;
 pub use stream::Stream;
 
+use super::served::{self, Address};
 use super::{CsiSource, Error, Loss, Next, Stamps};
 use crate::time::Instant;
+use driver_iface::Mac;
+use driver_iface::connector::CN_IDX;
+use driver_iface::record::Tail;
 use intake::{Intake, Turn};
 use netlink_sys::Socket;
-use std::io::ErrorKind;
-use std::os::fd::{AsFd, AsRawFd, BorrowedFd, RawFd};
+use std::io::{self, ErrorKind};
+use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd, RawFd};
 
 /// Bytes of receive buffer asked for: the kernel doubles it, and books 832 bytes for a 3x1 record and 1,280 for a WSR one
 /// (measured on 6.18), so this holds about two and a half seconds at 20,000 records a second.
@@ -55,8 +60,7 @@ impl Default for Options {
 /// A listener. Never blocks; wait on its file descriptor for [`Next::Pending`] to end.
 #[derive(Debug)]
 pub struct Netlink {
-    socket: Socket,
-    port: u32,
+    wire: Wire,
     indices: Vec<u32>,
     found: Found,
     receive_buffer: usize,
@@ -64,10 +68,30 @@ pub struct Netlink {
     intake: Intake,
 }
 
+/// Where datagrams come from.
+#[derive(Debug)]
+enum Wire {
+    /// The kernel's connector, and the socket's netlink port.
+    Kernel(Socket, u32),
+    /// A served room, which sends what the kernel would.
+    Room(OwnedFd),
+}
+
+impl Wire {
+    /// One datagram: its true length and the sender's port; `None` when the room has ended.
+    fn receive(&self, buffer: &mut [u8]) -> io::Result<Option<(usize, u32)>> {
+        match self {
+            Self::Kernel(socket, _) => socket::receive(socket, buffer).map(Some),
+            Self::Room(room) => Ok(Some((served::take(room, buffer)?, 0)).filter(|(len, _)| *len > 0)),
+        }
+    }
+}
+
 /// What the intake and the socket came to, without a borrow.
 enum Step {
     Lost(Loss),
     Pending,
+    End,
 }
 
 impl Netlink {
@@ -79,13 +103,24 @@ impl Netlink {
         let joined = socket::open(options)?;
         Ok(Self {
             intake: Intake::new(joined.indices.clone(), options.allow_user_sender),
-            socket: joined.socket,
-            port: joined.port,
+            wire: Wire::Kernel(joined.socket, joined.port),
             indices: joined.indices,
             found: joined.found,
             receive_buffer: joined.receive_buffer,
             wall_us: options.wall_us,
         })
+    }
+
+    /// Listens to a robot's card in a served room instead; gives the robot's MAC too. It ends with the room.
+    ///
+    /// # Errors
+    /// No room there, or no such robot in it.
+    pub fn served(address: &Address, wall_us: fn() -> Option<i64>) -> Result<(Self, Mac), Error> {
+        let (room, mac) = served::join(address, served::Role::Card)?;
+        let receive_buffer = socket::widen(&room, RECEIVE_BUFFER);
+        let indices = vec![CN_IDX];
+        let intake = Intake::new(indices.clone(), true);
+        Ok((Self { wire: Wire::Room(room), indices, found: Found::Served, receive_buffer, wall_us, intake }, mac))
     }
 
     /// The connector indices that are listened to, and how they were found.
@@ -106,10 +141,10 @@ impl Netlink {
         self.receive_buffer
     }
 
-    /// The netlink port of the socket, by which the kernel lists it.
+    /// The netlink port of the socket, by which the kernel lists it; 0 in a served room.
     #[must_use]
     pub fn port(&self) -> u32 {
-        self.port
+        if let Wire::Kernel(_, port) = self.wire { port } else { 0 }
     }
 
     /// Everything counted so far.
@@ -121,8 +156,9 @@ impl Netlink {
     /// Receives a datagram worth looking at (`None`), or says why there is none.
     fn step(&mut self) -> Result<Option<Step>, Error> {
         loop {
-            match socket::receive(&self.socket, self.intake.buffer()) {
-                Ok((sent, port)) => {
+            match self.wire.receive(self.intake.buffer()) {
+                Ok(None) => return Ok(Some(Step::End)),
+                Ok(Some((sent, port))) => {
                     if let Some(loss) = self.intake.datagram(sent, port) {
                         return Ok(Some(Step::Lost(loss)));
                     }
@@ -144,7 +180,7 @@ impl Netlink {
     }
 
     fn overrun(&mut self) -> Loss {
-        self.intake.report_overrun(socket::kernel_drops(self.port))
+        self.intake.report_overrun(socket::kernel_drops(self.port()))
     }
 }
 
@@ -156,6 +192,7 @@ impl CsiSource for Netlink {
                     None => {}
                     Some(Step::Lost(loss)) => return Ok(Next::Lost(loss)),
                     Some(Step::Pending) => return Ok(Next::Pending),
+                    Some(Step::End) => return Ok(Next::End(Tail::Clean)),
                 },
                 Turn::AskDrops => return Ok(Next::Lost(self.overrun())),
                 Turn::Lost(loss) => return Ok(Next::Lost(loss)),
@@ -174,12 +211,15 @@ impl CsiSource for Netlink {
 
 impl AsFd for Netlink {
     fn as_fd(&self) -> BorrowedFd<'_> {
-        self.socket.as_fd()
+        match &self.wire {
+            Wire::Kernel(socket, _) => socket.as_fd(),
+            Wire::Room(room) => room.as_fd(),
+        }
     }
 }
 
 impl AsRawFd for Netlink {
     fn as_raw_fd(&self) -> RawFd {
-        self.socket.as_raw_fd()
+        self.as_fd().as_raw_fd()
     }
 }

@@ -54,31 +54,10 @@ impl Kernel {
     /// Coefficients of the polynomial for each of the `width` cells that a point touches, highest degree first:
     /// `weight[j](s) = phi(s + (w - 1) / 2 - j)`, `s` in [-1/2, 1/2].
     pub fn polynomials(&self, degree: usize) -> Vec<Vec<f64>> {
-        let n = degree + 1;
-        // Interpolation at Chebyshev nodes, turned into powers of s by expanding Chebyshev polynomials.
-        let nodes: Vec<f64> = (0..n).map(|k| ((k as f64 + 0.5) * PI / n as f64).cos()).collect();
-        let mut powers = vec![vec![0.0; self.width]; n];
-        #[allow(clippy::needless_range_loop)]
+        let mut powers = vec![vec![0.0; self.width]; degree + 1];
         for j in 0..self.width {
-            let values: Vec<f64> =
-                nodes.iter().map(|c| self.value(0.5 * c + (self.width as f64 - 1.0) / 2.0 - j as f64)).collect();
-            let (mut below, mut here) = (vec![0.0; n], vec![0.0; n]);
-            here[0] = 1.0;
-            for order in 0..n {
-                let scale = if order == 0 { 1.0 } else { 2.0 } / n as f64;
-                let coefficient: f64 =
-                    (0..n).map(|k| scale * values[k] * (order as f64 * (k as f64 + 0.5) * PI / n as f64).cos()).sum();
-                for (power, t) in here.iter().enumerate() {
-                    powers[degree - power][j] += coefficient * t;
-                }
-                // T_{m+1}(x) = 2 x T_m - T_{m-1} with x = 2 s; T_1 = x.
-                let factor = if order == 0 { 2.0 } else { 4.0 };
-                let mut above: Vec<f64> = below.iter().map(|b| if order == 0 { 0.0 } else { -b }).collect();
-                for power in 1..n {
-                    above[power] += factor * here[power - 1];
-                }
-                (below, here) = (here, above);
-            }
+            let own = fit_polynomial(degree, |s| self.value(s + (self.width as f64 - 1.0) / 2.0 - j as f64));
+            powers.iter_mut().zip(own).for_each(|(power, coefficient)| power[j] = coefficient);
         }
         powers
     }
@@ -105,6 +84,32 @@ impl Kernel {
         }
         worst
     }
+}
+
+/// The polynomial through `f` at Chebyshev nodes of [-1/2, 1/2]: its coefficients, highest degree first, from expanding
+/// Chebyshev polynomials into powers.
+pub(crate) fn fit_polynomial(degree: usize, f: impl Fn(f64) -> f64) -> Vec<f64> {
+    let n = degree + 1;
+    let angle = |k: usize| (k as f64 + 0.5) * PI / n as f64;
+    let values: Vec<f64> = (0..n).map(|k| f(0.5 * angle(k).cos())).collect();
+    let mut powers = vec![0.0; n];
+    let (mut below, mut here) = (vec![0.0; n], vec![0.0; n]);
+    here[0] = 1.0;
+    for order in 0..n {
+        let scale = if order == 0 { 1.0 } else { 2.0 } / n as f64;
+        let coefficient: f64 = (0..n).map(|k| scale * values[k] * (order as f64 * angle(k)).cos()).sum();
+        for (power, t) in here.iter().enumerate() {
+            powers[degree - power] += coefficient * t;
+        }
+        // T_{m+1}(x) = 2 x T_m - T_{m-1} with x = 2 s; T_1 = x.
+        let factor = if order == 0 { 2.0 } else { 4.0 };
+        let mut above: Vec<f64> = below.iter().map(|b| if order == 0 { 0.0 } else { -b }).collect();
+        for power in 1..n {
+            above[power] += factor * here[power - 1];
+        }
+        (below, here) = (here, above);
+    }
+    powers
 }
 
 /// `exp(-x) I0(x)` from the trapezoidal rule on `I0(x) = 1/pi integral_0^pi exp(x cos t) dt`, which converges faster

@@ -30,7 +30,7 @@ mod explain;
 mod fft;
 mod front;
 mod grid;
-mod kernel;
+pub(crate) mod kernel;
 mod newton;
 mod nufft;
 mod peak;

@@ -321,7 +321,8 @@ fn describe(answer: &Answer) -> String {
         (answer.cfo_hz, answer.phase_coherence_before, answer.phase_coherence_after)
     {
         let verb = if answer.compensated { "taken out" } else { "not taken out: the phase gets no steadier" };
-        let _ = writeln!(text, "  CFO {cfo:.0} Hz {verb}; phase coherence {before:.2} -> {after:.2}");
+        let drifts = answer.cfo_span_hz.map_or(String::new(), |hz| format!(" (drifting by {hz:.0} Hz)"));
+        let _ = writeln!(text, "  CFO {cfo:.0} Hz{drifts} {verb}; phase coherence {before:.2} -> {after:.2}");
     }
     for (name, side) in [("receiver's", answer.receiver_records), ("transmitter's", answer.transmitter_records)] {
         let odd = side.duplicates + side.implausible + side.mispaired + side.restarts;

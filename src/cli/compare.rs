@@ -67,6 +67,8 @@ pub fn run(args: &Args) -> Result {
     }
     let recorded = read(&args.rx, &args.tx, &trajectory, &options)?;
     let folder = args.out.join(SIMULATED);
+    // A fitted scene's robot strays from the recorded trajectory, which is all that a recording has.
+    let along = args.with.is_none().then_some(&trajectory);
     let capture = match (&args.with, given) {
         (Some(folder), None) => folder.clone(),
         (_, given) => {
@@ -76,7 +78,7 @@ pub fn run(args: &Args) -> Result {
             folder
         }
     };
-    let simulated = read_folder(&capture, &options)?;
+    let simulated = read_folder(&capture, along, &options)?;
     let table = rows(&recorded, &simulated);
     if args.json {
         table.iter().for_each(print_json);
@@ -152,15 +154,19 @@ fn read(rx: &Path, tx: &Path, trajectory: &Trajectory, options: &Options) -> Wor
     measure(&mut open(rx)?, &mut open(tx)?, trajectory, options)
 }
 
-/// Reads the first capture and link of a folder in the layout of the WSR data set.
-fn read_folder(folder: &Path, options: &Options) -> Words<Figures> {
+/// Reads the first capture and link of a folder in the layout of the WSR data set, along its own trajectory if no other is
+/// given.
+fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> Words<Figures> {
     let (captures, _) = find(folder);
     let capture = captures.first().ok_or_else(|| format!("no capture in {}", folder.display()))?;
     let (_, tx) =
         capture.transmitters.first().ok_or_else(|| format!("no transmitter's log in {}", folder.display()))?;
     let beside = |name: String| capture.folder.join(name);
-    let path = beside(format!("rx_trajectory_{}_.csv", capture.stamp));
-    let (trajectory, _) = odometry::csv::read(&path).map_err(|error| error.to_string())?;
+    let own = |stamp: &str| {
+        let path = beside(format!("rx_trajectory_{stamp}_.csv"));
+        odometry::csv::read(&path).map(|(trajectory, _)| trajectory).map_err(|error| error.to_string())
+    };
+    let trajectory = along.map_or_else(|| own(&capture.stamp), |trajectory| Ok(trajectory.clone()))?;
     read(&beside(format!("csi_rx_{}.dat", capture.stamp)), tx, &trajectory, options)
 }
 
@@ -171,11 +177,7 @@ fn fitted(args: &Args, recorded: &Figures, trajectory: &Trajectory, options: &Op
     };
     std::fs::create_dir_all(&args.out).map_err(|error| format!("cannot make {}: {error}", args.out.display()))?;
     let mut poses = String::new();
-    for pose in trajectory.poses() {
-        let p = pose.position_m;
-        let heading = pose.heading_rad.map_or(String::new(), |heading| format!("{heading:.6},"));
-        let _ = writeln!(poses, "{:.6},0,{:.6},{:.6},{:.6},{heading}", pose.t_s, p.x, p.y, p.z);
-    }
+    trajectory.poses().iter().for_each(|pose| poses += &odometry::csv::line(pose));
     written(&args.out.join(TRAJECTORY), &poses)?;
     let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: &args.out, transmitter_m: args.transmitter };
     let fitted = fit(recorded, &known, options)?;

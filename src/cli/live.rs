@@ -1,6 +1,7 @@
 //! What the live commands share: arguments, signals, words.
 
 use csi5300::backend::netlink::{Found, Netlink, Options};
+use csi5300::backend::served::Address;
 use csi5300::time::Span;
 use csi5300::wait::wall_us;
 use nix::sys::signal::{SigSet, Signal};
@@ -19,11 +20,17 @@ pub struct Listening {
     /// Receive buffer to ask the kernel for
     #[arg(long, value_parser = size, default_value = "32M", value_name = "SIZE")]
     pub receive_buffer: u64,
+    /// Work with a robot of a simulated room (`simulate SCENE --serve --socket PATH`) as if it were the card
+    #[arg(long, value_name = "PATH#ROBOT", conflicts_with_all = ["connector_index", "allow_user_sender"])]
+    pub room: Option<Address>,
 }
 
 impl Listening {
     /// Opens the listener.
     pub fn open(&self) -> Result<Netlink, String> {
+        if let Some(address) = &self.room {
+            return Netlink::served(address, wall_us).map(|(card, _)| card).map_err(|error| error.to_string());
+        }
         let options = Options {
             connector_index: self.connector_index,
             allow_user_sender: self.allow_user_sender,
@@ -36,14 +43,15 @@ impl Listening {
     /// What a listener listens to, in words.
     pub fn describe(listener: &Netlink) -> String {
         let (indices, found) = listener.indices();
+        let kib = listener.receive_buffer() / 1024;
         let indices: Vec<_> = indices.iter().map(u32::to_string).collect();
         let how = match found {
             Found::Given => "as given",
             Found::Registered => "where the driver is registered",
+            Found::Served => return format!("listening to a card in a simulated room, receive buffer {kib} KiB"),
             Found::Guessed => "no CSI driver is registered in /proc/net/connector",
         };
         let indices = indices.join(" and ");
-        let kib = listener.receive_buffer() / 1024;
         format!("listening on connector index {indices} ({how}), receive buffer {kib} KiB")
     }
 }

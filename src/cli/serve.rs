@@ -3,12 +3,14 @@
 use super::live::Signals;
 use super::{Outcome, Result};
 use csi5300::backend::netlink::Sender;
-use csi5300::backend::sim::{Odometer, Port, Room, Scene};
+use csi5300::backend::served::{Counts, Server};
+use csi5300::backend::sim::{Injected, Odometer, Port, Room, Scene};
 use csi5300::backend::{CsiSource, Loss, Next};
-use csi5300::odometry::{NextPose, OdometrySource};
+use csi5300::odometry::{NextPose, OdometrySource, csv};
 use csi5300::time::{Instant, Span};
 use csi5300::wait::{Monotonic, wall_us};
 use driver_iface::connector::CN_IDX;
+use nix::sys::prctl::set_timerslack;
 use std::fs::{File, OpenOptions};
 use std::io::Write;
 use std::os::fd::AsFd;
@@ -21,11 +23,16 @@ pub struct Args {
     /// Run the room in real time: a robot's records go out on the kernel's connector, as its driver would send them
     #[arg(long, conflicts_with_all = ["out", "force"])]
     pub serve: bool,
-    /// The robot that is served, =INDEX for another connector index; several for several. The first initiator if none
+    /// Let other programs (`--room PATH#ROBOT` of sound, respond and record) work with the robots' cards and antennas, over
+    /// a socket made here. The robots then send nothing by themselves, but for drivers with an `ack_len`
+    #[arg(long, value_name = "PATH", requires = "serve")]
+    socket: Option<PathBuf>,
+    /// The robot that is served, =INDEX for another connector index; several for several. If none, the first initiator,
+    /// or with --socket nobody
     #[arg(long, value_name = "NAME[=INDEX]", value_parser = served)]
     robot: Vec<(String, u32)>,
     /// Append the poses of the robot's odometry here, a CSV line each as they come; - is standard output. Once for
-    /// each --robot, in their order
+    /// each --robot, in their order; with --socket and no --robot, of the first initiator
     #[arg(long, value_name = "FILE")]
     poses: Vec<PathBuf>,
     /// Times real time (1 if not given); max does not wait at all
@@ -36,7 +43,7 @@ pub struct Args {
 impl Args {
     /// True if anything was asked of serving.
     pub fn asked(&self) -> bool {
-        !self.robot.is_empty() || !self.poses.is_empty() || self.speed.is_some()
+        self.socket.is_some() || !self.robot.is_empty() || !self.poses.is_empty() || self.speed.is_some()
     }
 }
 
@@ -53,11 +60,11 @@ fn served(text: &str) -> std::result::Result<(String, u32), String> {
 /// One robot whose card and odometry are served.
 struct Served {
     name: String,
-    card: Port,
-    sender: Sender,
+    on_connector: bool,
+    /// Until its end.
+    card: Option<(Port, Sender)>,
     sent: u64,
     poses: Option<(Odometer, Box<dyn Write>)>,
-    card_over: bool,
 }
 
 type Words<T> = std::result::Result<T, String>;
@@ -65,12 +72,33 @@ type Words<T> = std::result::Result<T, String>;
 /// Serves a scene until its end or a signal.
 pub fn run(mut scene: Scene, args: &Args) -> Result {
     let signals = Signals::catch()?;
+    let speed = args.speed.unwrap_or(1.0);
+    if args.socket.is_some() && speed != 1.0 {
+        return Err("other programs live in real time: --socket and --speed do not go together".into());
+    }
     let outputs = open(&scene, args)?;
-    for output in &outputs {
-        eprintln!("serving {} on connector index {}", output.name, output.sender.index());
+    let server = args.socket.as_deref().map(Server::bind).transpose().map_err(|error| error.to_string())?;
+    for (output, sender) in outputs.iter().filter_map(|output| Some((output, output.sender.as_ref()?))) {
+        eprintln!("serving {} on connector index {}", output.name, sender.index());
+    }
+    if let Some(path) = &args.socket {
+        // A program that is to answer within microseconds has no time for the kernel's comfort; refused, it is late.
+        let _ = set_timerslack(1);
+        eprintln!("serving the room at {}", path.display());
     }
     // Times are of now: the scene begins when this clock does.
-    let (clock, wall_us) = (Monotonic::new(), wall_us());
+    let clock = Monotonic::new();
+    begin(&mut scene, wall_us());
+    let room = if server.is_some() { Room::quiet(&scene) } else { Room::new(&scene) };
+    let mut room = room.map_err(|error| error.to_string())?;
+    let robots = outputs.into_iter().map(|output| output.of(&mut room)).collect::<Words<Vec<_>>>()?;
+    let mut serving = Serving { room, server, robots, clock, speed, behind: Span::ZERO };
+    serving.work(&signals)?;
+    Ok(serving.conclude())
+}
+
+/// Makes a scene one of now.
+fn begin(scene: &mut Scene, wall_us: Option<i64>) {
     let start_us = wall_us.unwrap_or(scene.start_unix_s.saturating_mul(1_000_000));
     scene.start_unix_s = start_us.div_euclid(1_000_000);
     for robot in &mut scene.robot {
@@ -78,46 +106,101 @@ pub fn run(mut scene: Scene, args: &Args) -> Result {
         // The real socket has its own queue, and the real listener stalls by itself.
         (robot.faults.queue_records, robot.faults.stall_every_s) = (usize::MAX, 0.0);
     }
-    let mut room = Room::new(&scene).map_err(|error| error.to_string())?;
-    let mut all = outputs.into_iter().map(|output| output.of(&mut room)).collect::<Words<Vec<_>>>()?;
-    let speed = args.speed.unwrap_or(1.0);
-    let (mut now, mut behind) = (Instant::ZERO, Span::ZERO);
-    loop {
+}
+
+/// A room being served.
+struct Serving {
+    room: Room,
+    server: Option<Server>,
+    robots: Vec<Served>,
+    clock: Monotonic,
+    speed: f64,
+    /// The latest that anything came.
+    behind: Span,
+}
+
+impl Serving {
+    /// Until the scene's end or a signal.
+    fn work(&mut self, signals: &Signals) -> Words<()> {
+        let mut now = Instant::ZERO;
+        while let Some(next) = self.turn(&mut now)? {
+            // Without waiting, time still passes event by event.
+            let until = self.speed.is_finite().then(|| Span::from_s(next.as_s() / self.speed));
+            let until = until.map(|span| Instant::ZERO + span + Span::from_us(1));
+            // Without a socket the signals are waited for twice.
+            let fds = [signals.as_fd(), self.server.as_ref().map_or(signals.as_fd(), AsFd::as_fd)];
+            let ready =
+                self.clock.wait(fds, Some(until.unwrap_or(Instant::ZERO))).map_err(|error| error.to_string())?;
+            if ready[0] {
+                break;
+            }
+            let woken = self.clock.now();
+            let waited = match self.speed.is_finite() {
+                true => Instant::ZERO + Span::from_s(woken.as_s() * self.speed),
+                false => next,
+            };
+            self.behind = until.map_or(self.behind, |until| self.behind.max(woken - until));
+            now = waited.max(now);
+        }
+        Ok(())
+    }
+
+    /// Does what is due; when there is more, or nothing at the end.
+    fn turn(&mut self, now: &mut Instant) -> Words<Option<Instant>> {
         let mut next: Option<Instant> = None;
-        for robot in &mut all {
-            next = [next, robot.pump(now)?].into_iter().flatten().min();
+        if let Some(server) = &mut self.server {
+            // Both clocks at one moment: the kernel's stamps are of the one, the room's time is the other.
+            *now = self.clock.now();
+            next = server.turn(&mut self.room, *now, wall_us()).map_err(|error| error.to_string())?;
+            server.notice().into_iter().for_each(|why| eprintln!("a frame was not sent: {why}"));
         }
-        let Some(next) = next else { break };
-        // Without waiting, time still passes event by event.
-        let until = speed.is_finite().then(|| Span::from_s(next.as_s() / speed));
-        let until = until.map(|span| Instant::ZERO + span + Span::from_us(1));
-        if clock.wait([signals.as_fd()], Some(until.unwrap_or(Instant::ZERO))).map_err(|error| error.to_string())?[0] {
-            break;
+        for robot in &mut self.robots {
+            next = [next, robot.pump(*now)?].into_iter().flatten().min();
         }
-        let woken = clock.now();
-        let waited = match speed.is_finite() {
-            true => Instant::ZERO + Span::from_s(woken.as_s() * speed),
-            false => next,
-        };
-        behind = until.map_or(behind, |until| behind.max(woken - until));
-        now = waited.max(now);
+        Ok(next)
     }
-    let mut sent = 0;
-    for (robot, injected) in all.iter().map(|robot| (robot, room.injected())) {
-        sent += robot.sent;
-        let number = room.number(&robot.name).unwrap_or_default();
-        eprintln!("{}: {} records sent; injected {:?}", robot.name, robot.sent, injected.get(number));
+
+    fn conclude(&self) -> Outcome {
+        let (mut sent, injected) = (0, self.room.injected());
+        for robot in self.robots.iter().filter(|robot| robot.on_connector) {
+            sent += robot.sent;
+            let number = self.room.number(&robot.name).unwrap_or_default();
+            eprintln!("{}: {} records sent; injected {:?}", robot.name, robot.sent, injected.get(number));
+        }
+        if let Some(server) = &self.server {
+            sent += server.counts().records;
+            eprint!("{}", describe(self.room.scene(), &server.counts(), &injected));
+        }
+        if self.speed.is_finite() {
+            eprintln!("at most {:.1} ms behind real time", self.behind.as_s() * 1e3);
+        }
+        if sent == 0 { Outcome::Nothing } else { Outcome::Done }
     }
-    if speed.is_finite() {
-        eprintln!("at most {:.1} ms behind real time", behind.as_s() * 1e3);
+}
+
+/// What went over the socket, and what was done to each robot.
+fn describe(scene: &Scene, counts: &Counts, injected: &[Injected]) -> String {
+    let mut text = format!(
+        "{} programs joined, {} were refused; {} frames put on air, {} not; {} records sent\n",
+        counts.joined, counts.refused, counts.frames, counts.bad_frames, counts.records
+    );
+    if counts.untaken > 0 {
+        text += &format!("  {} messages were lost because a program did not read them\n", counts.untaken);
     }
-    Ok(if sent == 0 { Outcome::Nothing } else { Outcome::Done })
+    for (robot, injected) in scene.robot.iter().zip(injected) {
+        text += &format!("  {}: {injected:?}\n", robot.name);
+    }
+    text
 }
 
 /// Opens everything that may take time or fail, before the scene's time begins.
 fn open(scene: &Scene, args: &Args) -> Words<Vec<Output>> {
     let first = scene.initiators().first().and_then(|&k| scene.robot.get(k)).map(|robot| robot.name.clone());
-    let named = if args.robot.is_empty() { vec![(first.unwrap_or_default(), CN_IDX)] } else { args.robot.clone() };
+    let named = match args.robot.as_slice() {
+        [] if args.socket.is_some() && args.poses.is_empty() => Vec::new(),
+        [] => vec![(first.unwrap_or_default(), args.socket.is_none().then_some(CN_IDX))],
+        named => named.iter().map(|(name, index)| (name.clone(), Some(*index))).collect(),
+    };
     if args.poses.len() > named.len() {
         return Err(format!("{} files for poses and {} robots served", args.poses.len(), named.len()));
     }
@@ -129,14 +212,14 @@ fn open(scene: &Scene, args: &Args) -> Words<Vec<Output>> {
             if other == name {
                 return Err(format!("{name} is served twice"));
             }
-            if same == index {
+            if let Some(index) = index.filter(|_| same == index) {
                 let free = "give each its own, such as NAME=27";
                 return Err(format!("{other} and {name} would both be served on connector index {index}: {free}"));
             }
         }
     }
-    let output = |(k, (name, index)): (usize, (String, u32))| {
-        let sender = Sender::open(index, true).map_err(|error| error.to_string())?;
+    let output = |(k, (name, index)): (usize, (String, Option<u32>))| {
+        let sender = index.map(|index| Sender::open(index, true)).transpose().map_err(|error| error.to_string())?;
         let poses = args.poses.get(k).map(append).transpose()?;
         Ok(Output { name, sender, poses })
     };
@@ -146,7 +229,7 @@ fn open(scene: &Scene, args: &Args) -> Words<Vec<Output>> {
 /// Where a robot's records and poses go.
 struct Output {
     name: String,
-    sender: Sender,
+    sender: Option<Sender>,
     poses: Option<Box<dyn Write>>,
 }
 
@@ -155,9 +238,10 @@ impl Output {
     fn of(self, room: &mut Room) -> Words<Served> {
         let Self { name, sender, poses } = self;
         let number = room.number(&name).ok_or_else(|| format!("no robot {name} in the scene"))?;
-        let card = room.card(number).ok_or_else(|| format!("{name} is served twice"))?;
+        let twice = || format!("{name} is served twice");
+        let card = sender.map(|sender| room.card(number).map(|card| (card, sender)).ok_or_else(twice)).transpose()?;
         let poses = poses.and_then(|out| room.odometry(number).map(|source| (source, out)));
-        Ok(Served { name, card, sender, sent: 0, poses, card_over: false })
+        Ok(Served { name, on_connector: card.is_some(), card, sent: 0, poses })
     }
 }
 
@@ -177,18 +261,21 @@ impl Served {
     /// Sends what is due by `now`; when there is more, or nothing at the end.
     fn pump(&mut self, now: Instant) -> Words<Option<Instant>> {
         let words = |error: csi5300::backend::Error| error.to_string();
-        while !self.card_over {
-            match self.card.receive(now).map_err(words)? {
+        let mut card_at = None;
+        while let Some((card, sender)) = &mut self.card {
+            match card.receive(now).map_err(words)? {
                 Next::Record(_, record) => {
-                    self.sender.send(record).map_err(words)?;
+                    sender.send(record).map_err(words)?;
                     self.sent += 1;
                 }
                 Next::Lost(Loss::Overrun { .. } | Loss::Bytes { .. } | Loss::Datagram { .. }) => {}
-                Next::Pending => break,
-                Next::End(_) => self.card_over = true,
+                Next::Pending => {
+                    card_at = card.next_at();
+                    break;
+                }
+                Next::End(_) => self.card = None,
             }
         }
-        let card_at = if self.card_over { None } else { self.card.next_at() };
         Ok([card_at, self.pump_poses(now)?].into_iter().flatten().min())
     }
 
@@ -199,9 +286,8 @@ impl Served {
         let at = loop {
             match source.receive(now).map_err(|error| error.to_string())? {
                 NextPose::Pose(pose) => {
-                    let (p, yaw) = (pose.position_m, pose.heading_rad.unwrap_or(0.0));
-                    writeln!(out, "{:.6},0,{:.6},{:.6},{:.6},{yaw:.6},", pose.t_s, p.x, p.y, p.z)
-                        .map_err(|error| format!("cannot write a pose: {error}"))?;
+                    let line = csv::line(&pose);
+                    out.write_all(line.as_bytes()).map_err(|error| format!("cannot write a pose: {error}"))?;
                     written = true;
                 }
                 NextPose::NewFrame => {}

@@ -1,6 +1,7 @@
 //! `csi5300 simulate`.
 
 use super::{Outcome, Result, print};
+use csi5300::backend::sim::scene::Driver;
 use csi5300::backend::sim::{Capture, Injected, Room, Scene, write_dataset};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::fmt::Write;
@@ -18,6 +19,9 @@ pub struct Args {
     /// Seed instead of the scene's
     #[arg(long)]
     seed: Option<u64>,
+    /// Layout of the records instead of the scene's
+    #[arg(long, value_enum, value_name = "LAYOUT")]
+    layout: Option<Layout>,
     /// Write into a folder that is not empty
     #[arg(long)]
     force: bool,
@@ -26,17 +30,31 @@ pub struct Args {
     live: super::serve::Args,
 }
 
+/// A layout of records: that of a driver.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Layout {
+    /// The WSR toolbox's driver: host time, MAC and frame number in each record
+    Wsr,
+    /// The original CSI tool's: each record after a copy of its frame; host times in a side file
+    Stock,
+}
+
 /// Simulates a scene and writes what the robots' cards, drivers and loggers would have.
 pub fn run(args: &Args) -> Result {
     let mut scene = Scene::load(&args.scene).map_err(|error| format!("{}: {error}", args.scene.display()))?;
     scene.seed = args.seed.unwrap_or(scene.seed);
+    scene.driver = match args.layout {
+        None => scene.driver,
+        Some(Layout::Wsr) => Driver::Wsr,
+        Some(Layout::Stock) => Driver::Stock,
+    };
     #[cfg(feature = "live")]
     if args.live.serve {
         return super::serve::run(scene, &args.live);
     }
     #[cfg(feature = "live")]
     if args.live.asked() {
-        super::usage("--robot, --poses and --speed need --serve");
+        super::usage("--socket, --robot, --poses and --speed need --serve");
     }
     let out = args.out.as_deref().ok_or("--out names the folder to write into")?;
     let used = std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());

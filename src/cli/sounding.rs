@@ -30,8 +30,8 @@ const LOOK: Span = Span::from_ms(50);
 #[derive(clap::Args, Clone, Debug)]
 pub struct Sounding {
     /// Monitor interface
-    #[arg(long, value_name = "NAME")]
-    pub interface: String,
+    #[arg(long, value_name = "NAME", required_unless_present = "room", conflicts_with = "room")]
+    pub interface: Option<String>,
     /// MACs of the other robots, with commas between; in the WSR dialect the first is sounded with --first-len, the next
     /// with two bytes more, and so on
     #[arg(long, required = true, value_delimiter = ',', value_parser = mac, value_name = "MAC,..")]
@@ -123,6 +123,15 @@ impl Sounding {
         }
     }
 
+    /// What frames go through, in words.
+    fn name(&self) -> String {
+        match (&self.interface, &self.listening.room) {
+            (Some(interface), _) => interface.clone(),
+            (None, Some(address)) => address.to_string(),
+            (None, None) => String::new(),
+        }
+    }
+
     /// The robot's index in the WSR dialect, from the length that it answers.
     fn own_index(&self) -> Option<u16> {
         self.ack_len.map(|len| len.saturating_sub(self.first_len) / 2)
@@ -149,7 +158,8 @@ impl Sounding {
         let plan = Plan::new(&request).map_err(|error| refused(&error))?;
         let text = |error: Error| error.to_string();
         let setup = Setup {
-            interface: self.interface.clone(),
+            interface: self.name(),
+            room: self.listening.room.clone(),
             mac: self.mac,
             peers: self.peers.clone(),
             request,
@@ -165,7 +175,7 @@ impl Sounding {
         warning.into_iter().for_each(|warning| eprintln!("{warning}"));
         eprintln!(
             "{} is {}; {} links in a round, {:.3} rounds/s, slots of {:.0} us (at least {})",
-            self.interface,
+            self.name(),
             own,
             plan.slots(),
             plan.rate_hz(),
@@ -177,13 +187,11 @@ impl Sounding {
 
     /// Sees to the driver's rate.
     pub fn see_to_rate(&self, antenna: Antenna) -> std::result::Result<(), String> {
-        if self.keep_rate {
-            return Ok(());
-        }
+        let Some(interface) = self.interface.as_deref().filter(|_| !self.keep_rate) else { return Ok(()) };
         let rate = rate_n_flags(self.request().phy, antenna).ok_or_else(|| {
             format!("--mcs {} has more streams than the card has antennas: 23 is the highest", self.mcs)
         })?;
-        match set_rate(&Machine, &self.interface, rate) {
+        match set_rate(&Machine, interface, rate) {
             Rate::FromRadiotap | Rate::Right(_) => {}
             Rate::Set(rate, before) => eprintln!("monitor_tx_rate set to {rate:#x} (was {before})"),
             Rate::Other { found, error, mend } => {

@@ -5,7 +5,8 @@
 //! reflecting the room is) is adjusted until the simulated figures are the recorded ones: each round simulates the
 //! scene and measures it as the recording was measured.
 
-use super::figures::{Figures, measure_scene};
+use super::distribution::Distribution;
+use super::figures::{Figures, measure_scene_along};
 use super::scene_text::{is_wide, write};
 use super::side::Side;
 use crate::backend::sim::Scene;
@@ -49,14 +50,20 @@ pub(super) struct Adjusted {
     pub(super) tx_power_dbm: [f64; 2],
     pub(super) slope_sd_rad: [f64; 2],
     pub(super) core_us: f64,
+    /// How far the robot was from where its trajectory says, metres: what coherence is lost slowly.
+    pub(super) stray_m: f64,
+    /// How far outside of the robots the walls stand, metres: the longer the ways, the more do subcarriers differ.
+    pub(super) margin_m: f64,
 }
 
 /// Rounds of adjustment.
-const ROUNDS: usize = 6;
+const ROUNDS: usize = 8;
 /// The seed with which scenes are fitted, and the one that they get.
 const SEEDS: [u64; 2] = [1, 2];
 /// Loss of walls that is tried first, and least and largest, dB.
-const WALL_DB: [f64; 3] = [12.0, 3.0, 40.0];
+const WALL_DB: [f64; 3] = [12.0, 1.0, 40.0];
+/// How far outside of the robots walls stand at first, and at least and at most, metres: those of a laboratory.
+const MARGIN_M: [f64; 3] = [2.5, 1.5, 4.0];
 /// A coefficient is rounded to integers: this is the power of the error, steps squared.
 const ROUNDING: f64 = 2.0 / 12.0;
 
@@ -76,7 +83,7 @@ pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<F
     let simulated = |adjusted: &Adjusted, seed: u64| {
         let toml = write(recorded, known, place, adjusted, options.channel, seed);
         let scene = Scene::read(&toml, known.folder).map_err(|error| format!("the fitted scene: {error}\n{toml}"))?;
-        let figures = measure_scene(&scene, options)?;
+        let figures = measure_scene_along(&scene, known.trajectory, options)?;
         Ok::<_, String>(Fitted { toml, scene, figures })
     };
     let mut best = (f64::INFINITY, adjusted);
@@ -86,7 +93,7 @@ pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<F
         if off < best.0 {
             best = (off, adjusted);
         }
-        adjust(&mut adjusted, recorded, &figures);
+        adjust(&mut adjusted, recorded, &figures, options.channel.wavelength_m());
     }
     simulated(&best.1, SEEDS[1])
 }
@@ -111,6 +118,8 @@ fn first(recorded: &Figures, trajectory: &Trajectory, place: [f64; 3]) -> Adjust
         wall_loss_db: recorded.link.coherence.map(|_| WALL_DB[0]),
         tx_power_dbm: [power(&recorded.receiver), power(&recorded.transmitter)],
         core_us: recorded.link.core_us,
+        stray_m: 0.0,
+        margin_m: MARGIN_M[0],
         slope_sd_rad: [recorded.receiver.slope_rad.sd, recorded.transmitter.slope_rad.sd],
     }
 }
@@ -120,20 +129,33 @@ pub(super) fn middle(trajectory: &Trajectory) -> Vector3<f64> {
     poses.iter().map(|pose| pose.position_m).sum::<Vector3<f64>>() / poses.len().max(1) as f64
 }
 
+/// Ripple over the subcarriers that the filters do not explain.
+fn selective(side: &Side) -> f64 {
+    let filter = Distribution::of(&side.filter);
+    (side.ripple.median.powi(2) - (filter.sd / filter.mean.max(1e-6)).powi(2)).max(1e-6).sqrt()
+}
+
 /// How far figures are from the recorded ones, in what is adjusted.
 fn distance(recorded: &Figures, simulated: &Figures) -> f64 {
     let (a, b) = (&recorded.link, &simulated.link);
     let relative = |a: f64, b: f64| (b / a.max(1e-6)).max(1e-6).ln().abs() / 0.15;
-    let coherence = a.coherence.zip(b.coherence).map_or(0.0, |(a, b)| (a - b).abs() / 0.1);
+    let apart = |a: Option<f64>, b: Option<f64>| a.zip(b).map_or(0.0, |(a, b)| (a - b).abs() / 0.1);
+    let coherence = apart(a.coherence, b.coherence).max(apart(a.short_coherence, b.short_coherence));
     let gain = |a: &Side, b: &Side| (a.agc_db.mean - b.agc_db.mean).abs();
     let gains = gain(&recorded.receiver, &simulated.receiver) + gain(&recorded.transmitter, &simulated.transmitter);
     let spreads = [(a.spread_before_rad, b.spread_before_rad), (a.spread_after_rad, b.spread_after_rad)];
     let spread = spreads.into_iter().map(|(a, b)| relative(a, b)).fold(0.0, f64::max);
-    spread.max(coherence) + 0.1 * gains
+    // What is not adjusted by itself, but goes with the walls, in what the table allows.
+    let fading = |a: &Side, b: &Side| {
+        ((a.agc_db.sd - b.agc_db.sd).abs() / 0.7).max((a.ripple.median - b.ripple.median).abs() / 0.05)
+    };
+    let sides = [(&recorded.receiver, &simulated.receiver), (&recorded.transmitter, &simulated.transmitter)];
+    let fading = sides.into_iter().map(|(a, b)| fading(a, b)).fold(0.0, f64::max);
+    spread.max(coherence).max(fading) + 0.1 * gains
 }
 
 /// Moves what is adjusted towards the recorded figures.
-fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures) {
+fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures, wavelength_m: f64) {
     let (a, b) = (&recorded.link, &simulated.link);
     // Variances add: what is missing goes to the two frames in equal parts.
     let missing = 0.5 * (a.spread_after_rad.powi(2) - b.spread_after_rad.powi(2));
@@ -143,11 +165,22 @@ fn adjust(adjusted: &mut Adjusted, recorded: &Figures, simulated: &Figures) {
     let missing = (a.spread_before_rad.powi(2) - b.spread_before_rad.powi(2)) / rad_per_us.powi(2);
     let core_us = (adjusted.core_us.powi(2) + missing).max(0.0).sqrt();
     adjusted.core_us = core_us.clamp(0.7 * a.core_us, 1.4 * a.core_us);
-    if let (Some(loss_db), Some(wanted), Some(got)) = (adjusted.wall_loss_db, a.coherence, b.coherence) {
-        // The incoherent power scales with what the walls reflect.
+    if let (Some(loss_db), Some(wanted), Some(got)) = (adjusted.wall_loss_db, a.short_coherence, b.short_coherence) {
+        // Within a second reflections are what takes coherence, and its incoherent power scales with theirs.
         let incoherent = |c: f64| (1.0 - c.powi(2)).clamp(0.01, 0.99);
         let step_db = 5.0 * (incoherent(got) / incoherent(wanted)).log10() * 2.0;
         adjusted.wall_loss_db = Some((loss_db + step_db.clamp(-6.0, 6.0)).clamp(WALL_DB[1], WALL_DB[2]));
+    }
+    if adjusted.wall_loss_db.is_some() {
+        let of = |figures: &Figures| selective(&figures.receiver) + selective(&figures.transmitter);
+        let longer = (of(recorded) / of(simulated)).clamp(0.7, 1.4);
+        adjusted.margin_m = (adjusted.margin_m * longer).clamp(MARGIN_M[1], MARGIN_M[2]);
+    }
+    if let (Some(wanted), Some(got)) = (a.coherence, b.coherence) {
+        // Over all, places that are off by more than the waves allow: a phase of deviation s leaves exp(-s^2 / 2), and a
+        // round trip has 4 pi of it in a wavelength.
+        let missing = 2.0 * (got.max(0.01) / wanted.max(0.01)).ln() * (wavelength_m / (2.0 * TAU)).powi(2);
+        adjusted.stray_m = (adjusted.stray_m.powi(2) + missing).clamp(0.0, (0.25 * wavelength_m).powi(2)).sqrt();
     }
     let sides = [(&recorded.receiver, &simulated.receiver), (&recorded.transmitter, &simulated.transmitter)];
     for (power, (a, b)) in adjusted.tx_power_dbm.iter_mut().zip(sides) {

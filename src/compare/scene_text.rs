@@ -3,16 +3,17 @@
 use super::distribution::QUARTILES;
 use super::figures::{Figures, Group};
 use super::fit::{Adjusted, Known, middle, noise};
+use super::pattern::pattern;
 use super::side::{Side, usual};
 use crate::channel::{Channel, Width};
 use crate::pose::Trajectory;
-use std::f64::consts::{LN_2, SQRT_2, TAU};
+use std::f64::consts::TAU;
 use std::fmt::Write;
 
-/// Walls stand this far outside of the robots, metres.
-const MARGIN_M: f64 = 2.5;
 /// Subcarriers' spacing, Hz.
 const SPACING_HZ: f64 = crate::channel::SUBCARRIER_SPACING_HZ;
+/// A recorded trajectory strays in so many swings: slowly, as the windows of a second stay coherent.
+const SWINGS: f64 = 4.0;
 /// Decibels by which an amplitude grows that grows by a factor of e.
 const DB_PER_E: f64 = 8.685_889_638;
 
@@ -25,6 +26,7 @@ pub(super) fn write(
     channel: Channel,
     seed: u64,
 ) -> String {
+    let pattern = pattern(&recorded.receiver.powers, known.trajectory, place);
     let (rx, tx, link) = (&recorded.receiver, &recorded.transmitter, &recorded.link);
     let (from_s, to_s) = known.trajectory.span_s();
     let (first_us, last_us) = rx.host_us.unwrap_or(((from_s * 1e6) as i64, (to_s * 1e6) as i64));
@@ -55,10 +57,6 @@ pub(super) fn write(
     let apart_ppm = 1e6 * link.df_hz / channel.centre_hz();
     let rx_ppm = rx.card_ppm;
     let tx_ppm = brief(rx_ppm + apart_ppm);
-    // Two exponential latenesses make an interval: its quartiles and its deviation, which rare delays widen, both say
-    // their mean.
-    let jitter_us = (tx.interval_us.quartile_range() / (2.0 * LN_2) * tx.interval_us.sd / SQRT_2).sqrt();
-    let jitter_us = brief(jitter_us);
     // The clocks were compared in the middle of the capture, an answer later on one side than on the other.
     let host_ppm = tx_ppm - tx.card_ppm;
     let middle_s = 0.5 * (since(first_us) + since(last_us));
@@ -68,17 +66,25 @@ pub(super) fn write(
     let _ = write!(
         text,
         "\n[[robot]]\nname = \"rx\"\nposition_m = [{x:?}, {y:?}, {z:?}]\n\
-         motion.recorded = {{ file = {:?}, start_s = {:?} }}\n\
+         motion.recorded = {{ file = {:?}, start_s = {:?}, stray_m = {:?}, stray_s = {:?} }}\n\
+         pattern = {{ cos_db = {:?}, sin_db = {:?}, cos2_db = {:?}, sin2_db = {:?} }}\n\
          crystal = {{ offset_ppm = {rx_ppm:?}, clock_start_us = {} }}\nfaults = {{ loss = {backward_loss:?}, killed = {} }}\n",
         known.file,
         brief(from_s - start_unix_s as f64),
+        brief(adjusted.stray_m),
+        brief(((to_s - from_s) / SWINGS).max(0.1)),
+        brief(pattern.cos_db),
+        brief(pattern.sin_db),
+        brief(pattern.cos2_db),
+        brief(pattern.sin2_db),
         clock_start(rx),
         rx.tail_bytes > 0,
     );
     let away_m = (middle(known.trajectory) - nalgebra::Vector3::from(place)).norm();
     let flight_ns = 1e9 * away_m / crate::channel::SPEED_OF_LIGHT_M_PER_S;
     radio(&mut text, [rx, tx], adjusted, 0, flight_ns);
-    let _ = writeln!(text, "send_jitter_us = {jitter_us:?}");
+    let (jitter_us, delay) = lateness(tx);
+    let _ = writeln!(text, "send_jitter_us = {:?}\nsend_delay = {}", brief(jitter_us), group_text(delay));
     let _ = write!(
         text,
         "\n[[robot]]\nname = \"tx\"\nposition_m = {place:?}\n\
@@ -92,9 +98,6 @@ pub(super) fn write(
     );
     radio(&mut text, [tx, rx], adjusted, 1, flight_ns);
     let ([early, far, late], turn) = (link.groups, &link.turn_around_us);
-    let group = |g: Group| {
-        format!("{{ share = {:?}, us = {:?}, spread_us = {:?} }}", brief(g.share), brief(g.mean_us), brief(g.sd_us))
-    };
     let _ = writeln!(
         text,
         "turn_around = {{ median_us = {TURN_AROUND_US:?}, spread_us = {:?}, tail = {:?}, tail_us = {:?}, \
@@ -103,16 +106,35 @@ pub(super) fn write(
         brief(early.share),
         brief(early.mean_us),
         brief(early.sd_us),
-        group(far),
-        group(late),
+        group_text(far),
+        group_text(late),
         brief(link.run.unwrap_or(0.0)),
         brief((TURN_AROUND_US + turn.min - turn.median).max(0.0)),
         brief(TURN_AROUND_US + turn.max - turn.median),
     );
     if let Some(loss_db) = adjusted.wall_loss_db {
-        walls(&mut text, known.trajectory, place, loss_db);
+        walls(&mut text, known.trajectory, place, loss_db, adjusted.margin_m);
     }
     text
+}
+
+fn group_text(group: Group) -> String {
+    let [share, us, spread_us] = [group.share, group.mean_us, group.sd_us].map(brief);
+    format!("{{ share = {share:?}, us = {us:?}, spread_us = {spread_us:?} }}")
+}
+
+/// How late the sender sends: the mean of the exponential lateness of most frames, microseconds, and the delays of the
+/// others.
+///
+/// The difference of two exponential latenesses is symmetric; beyond `x` on one side is half of `exp(-x / mean)` of it. A
+/// delayed frame makes one interval long and the next one short, so it takes its share of either side.
+fn lateness(side: &Side) -> (f64, Group) {
+    let share = side.delayed.share.min(0.2);
+    let beyond = (0.25 - share) / (1.0 - 2.0 * share);
+    let mean_us = 0.5 * side.interval_us.quartile_range() / -(2.0 * beyond).ln();
+    // What is drawn later than usual is so beside the usual lateness.
+    let sd_us = (side.delayed.sd_us.powi(2) - 2.0 * mean_us.powi(2)).max(0.0).sqrt();
+    (mean_us, Group { share, sd_us, ..side.delayed })
 }
 
 /// Six significant digits: no figure is known better.
@@ -143,6 +165,9 @@ fn radio(text: &mut String, [side, other]: [&Side; 2], adjusted: &Adjusted, k: u
     let mcs = usual(&other.rates).map_or(0, |rate| rate & 7);
     let chains = usual(&side.streams).map_or(3, |streams| streams / 10);
     let _ = writeln!(text, "mcs = {mcs}\nchains = {chains}");
+    if side.filter.iter().all(|gain| *gain > 0.0) {
+        let _ = writeln!(text, "filter_db = {:?}", side.filter.map(|gain| brief(20.0 * gain.log10())));
+    }
     if tones > 1e-6 {
         let _ = writeln!(text, "noise.snr_db = {:?}", brief(-10.0 * tones.log10()));
     }
@@ -184,7 +209,7 @@ const TURN_AROUND_US: f64 = 450.0;
 const RATE_40_MHZ: u16 = 0x800;
 
 /// Four walls about both robots.
-fn walls(text: &mut String, trajectory: &Trajectory, place: [f64; 3], loss_db: f64) {
+fn walls(text: &mut String, trajectory: &Trajectory, place: [f64; 3], loss_db: f64, margin_m: f64) {
     let mut low = [place[0], place[1]];
     let mut high = low;
     for pose in trajectory.poses() {
@@ -193,7 +218,7 @@ fn walls(text: &mut String, trajectory: &Trajectory, place: [f64; 3], loss_db: f
             high[axis] = high[axis].max(pose.position_m[axis]);
         }
     }
-    let ([x0, y0], [x1, y1]) = (low.map(|v| brief(v - MARGIN_M)), high.map(|v| brief(v + MARGIN_M)));
+    let ([x0, y0], [x1, y1]) = (low.map(|v| brief(v - margin_m)), high.map(|v| brief(v + margin_m)));
     let loss_db = brief(loss_db);
     for (from, to) in [([x0, y0], [x1, y0]), ([x1, y0], [x1, y1]), ([x1, y1], [x0, y1]), ([x0, y1], [x0, y0])] {
         let _ = write!(text, "\n[[wall]]\nfrom_m = {from:?}\nto_m = {to:?}\nbottom_m = -1.0\nloss_db = {loss_db:?}\n");

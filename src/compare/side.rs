@@ -1,6 +1,7 @@
 //! What one robot's log shows of its card, driver and host.
 
 use super::distribution::{Distribution, QUARTILES};
+use super::figures::{Group, LOST_US};
 use crate::backend::{CsiSource, Error, Next};
 use crate::cfo::drift_line;
 use crate::channel::SUBCARRIERS;
@@ -42,6 +43,8 @@ pub struct Side {
     pub missing: f64,
     /// Time between frames of consecutive numbers on the card's clock, microseconds.
     pub interval_us: Distribution,
+    /// Frames that came late beyond the usual: by twice the quartile range or more.
+    pub delayed: Group,
     /// The same on the host's clock.
     pub host_interval_us: Distribution,
     /// Host time less card time without its drift, microseconds; its median is about 0.
@@ -54,6 +57,8 @@ pub struct Side {
     pub slope_rad: Distribution,
     /// Ripple of the magnitude over the subcarriers, standard deviation over mean, antenna A.
     pub ripple: Distribution,
+    /// Mean magnitude of each subcarrier relative to the root mean square of all, antenna A: what filters leave.
+    pub filter: [f64; SUBCARRIERS],
     /// Signal to noise of single subcarriers, from how they change from packet to packet, antenna A, dB.
     pub tone_snr_db: f64,
     /// First and last host time, microseconds since the Unix epoch.
@@ -62,6 +67,9 @@ pub struct Side {
     pub clock_us: Option<(i64, i64)>,
     /// Bytes of a last record that is cut.
     pub tail_bytes: usize,
+    /// Power at antenna A as the card has it, RSSI less gain, dB, by host time, seconds since the Unix epoch.
+    #[serde(skip)]
+    pub powers: Vec<(f64, f64)>,
 }
 
 /// A source that is passed on as it is, with its records' figures collected on the way.
@@ -162,6 +170,8 @@ impl Collector {
         self.fields(bfee);
         self.tones(bfee);
         if let Some(host_us) = identity.host_us {
+            let power_db = f64::from(bfee.rssi()[0]) - f64::from(bfee.agc());
+            self.side.powers.push((host_us as f64 * 1e-6, power_db));
             self.clocks.push(clock_us);
             self.ahead.push(host_us - clock_us);
             self.side.host_us = Some((self.side.host_us.map_or(host_us, |(first, _)| first), host_us));
@@ -196,6 +206,7 @@ impl Collector {
             if antenna == 0 && rms > 0.0 {
                 let (slope, row) = flattened(&tones, rms, &self.indices);
                 self.slopes.push(slope);
+                self.side.filter.iter_mut().zip(&row).for_each(|(sum, h)| *sum += h.norm());
                 let mean = row.iter().map(|h| h.norm()).sum::<f64>() / SUBCARRIERS as f64;
                 self.ripples.push((1.0 - mean * mean).max(0.0).sqrt() / mean);
                 change(&mut self.rows, &mut self.noise, row);
@@ -225,6 +236,8 @@ impl Collector {
         side.rssi_db = self.rssi.map(|values| Distribution::of(&values));
         side.level = self.level.map(|values| Distribution::of(&values));
         side.agc_db = Distribution::of(&self.agc);
+        side.filter.iter_mut().for_each(|sum| *sum /= self.ripples.len().max(1) as f64);
+        side.delayed = delayed(&self.intervals[0]);
         [side.interval_us, side.host_interval_us] = self.intervals.map(|values| Distribution::of(&values));
         side.slope_rad = Distribution::of(&self.slopes);
         side.ripple = Distribution::of(&self.ripples);
@@ -245,6 +258,16 @@ impl Collector {
         }
         side
     }
+}
+
+/// The frames that are late beyond the usual: what makes one interval longer makes the next one shorter, so only the long
+/// ones are counted.
+fn delayed(intervals_us: &[f64]) -> Group {
+    let usual = Distribution::of(intervals_us);
+    let late = intervals_us.iter().map(|interval| interval - usual.median);
+    let late: Vec<f64> = late.filter(|&late| late > 2.0 * usual.quartile_range() && late < LOST_US).collect();
+    let d = Distribution::of(&late);
+    Group { share: late.len() as f64 / intervals_us.len().max(1) as f64, mean_us: d.mean, sd_us: d.sd }
 }
 
 /// What most records have.

@@ -3,7 +3,8 @@
 use super::aperture::Aperture;
 use super::focus::Warp;
 use crate::alignment::Row;
-use crate::bartlett::simd::{V, on_tier, sin_cos_turns};
+use crate::bartlett::kernel::fit_polynomial;
+use crate::bartlett::simd::{V, on_tier, rough_sin_cos_turns, sin_cos_turns};
 use crate::channel::SUBCARRIERS;
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 use nalgebra::{DMatrix, Vector3};
@@ -64,12 +65,16 @@ pub(crate) struct Layer {
     square: Vec<f32>,
     /// Metres per turn.
     turn_m: f32,
+    /// Largest 1 / range that is asked for, 1/m.
+    curve_max: f64,
+    /// How far away waves are bent, for a rough look.
+    rough: Option<Rough>,
     views: Vec<(Vec<Window>, f32)>,
 }
 
 impl Layer {
-    /// `aperture` about `middle`, seen in `views`.
-    pub fn new(aperture: &Aperture, middle: &Vector3<f64>, wavelength_m: f64, views: &[View]) -> Self {
+    /// `aperture` about `middle`, seen in `views`, for places no nearer than `1 / curve_max`.
+    pub fn new(aperture: &Aperture, middle: &Vector3<f64>, wavelength_m: f64, curve_max: f64, views: &[View]) -> Self {
         let mut layer = Self {
             recorded_m: aperture.displacement_m.iter().map(|p| p - middle).collect(),
             x: Vec::new(),
@@ -77,6 +82,8 @@ impl Layer {
             z: Vec::new(),
             square: Vec::new(),
             turn_m: (wavelength_m / f64::from(aperture.path_gain)) as f32,
+            curve_max,
+            rough: None,
             views: views.iter().map(|view| windows(aperture, view)).collect(),
         };
         layer.bend(&Warp::default());
@@ -91,6 +98,8 @@ impl Layer {
         self.y = turns.iter().map(|p| p.y as f32).collect();
         self.z = turns.iter().map(|p| p.z as f32).collect();
         self.square = turns.iter().map(|p| p.norm_squared() as f32).collect();
+        let rim = turns.iter().map(Vector3::norm).fold(0.0, f64::max);
+        self.rough = Rough::new(self.curve_max * turn_m, rim);
     }
 
     /// Where the samples are, about the middle, metres.
@@ -138,6 +147,8 @@ impl Layer {
             z: self.z.clone(),
             square: self.square.clone(),
             turn_m: self.turn_m,
+            curve_max: self.curve_max,
+            rough: self.rough,
             views: vec![(vec![window], (energy * self.len() as f64) as f32)],
         }
     }
@@ -145,6 +156,52 @@ impl Layer {
     fn len(&self) -> usize {
         self.recorded_m.len()
     }
+
+    /// In how many ways it is looked at.
+    pub fn views(&self) -> usize {
+        self.views.len()
+    }
+}
+
+/// Degree of [`Rough`]'s polynomial.
+const DEGREE: usize = 6;
+/// Largest error of a phase in a rough look, turns: it costs 1.5 % of a power's root.
+const ROUGH_TURNS: f64 = 0.02;
+
+/// `1 / (sqrt(1 + x) + 1)` by a polynomial in `scale (x - middle)`: what divides the bend of a wave front. Root and
+/// division would take most of a look's time, and a search looks at thousands of places before it needs one exactly.
+#[derive(Clone, Copy, Debug)]
+struct Rough {
+    middle: f32,
+    scale: f32,
+    coefficients: [f32; DEGREE + 1],
+}
+
+impl Rough {
+    /// For curvatures up to `curve` (1/turns) over samples up to `rim` turns away; `None` where the polynomial is not
+    /// good enough: places hardly outside the motion.
+    fn new(curve: f64, rim: f64) -> Option<Self> {
+        let q = curve * rim;
+        // x = q' (q' + 2 cos) for q' up to q, which falls down to q' = 1.
+        let (low, high) = (q * (q - 2.0), q * (q + 2.0));
+        let (middle, width) = (0.5 * (low + high), (high - low).max(1e-3));
+        let exact = |s: f64| 1.0 / ((1.0 + middle + width * s).max(0.0).sqrt() + 1.0);
+        let fit = fit_polynomial(DEGREE, exact);
+        let value = |s: f64| fit.iter().fold(0.0, |sum, c| sum * s + c);
+        let off = (0..=64).map(|k| f64::from(k) / 64.0 - 0.5).map(|s| (value(s) - exact(s)).abs()).fold(0.0, f64::max);
+        let good = q < 1.0 && off * rim * (q + 2.0) < ROUGH_TURNS;
+        let coefficients = std::array::from_fn(|k| fit[k] as f32);
+        good.then_some(Self { middle: middle as f32, scale: (1.0 / width) as f32, coefficients })
+    }
+}
+
+/// How exactly a place is looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Look {
+    /// Single precision.
+    Exact,
+    /// Phases within [`ROUGH_TURNS`], for half the work: to find what is worth another look.
+    Rough,
 }
 
 /// The windows of a view, and what their powers sum to for a perfect match (Cauchy and Schwarz: for every window the
@@ -220,22 +277,25 @@ fn principal(aperture: &Aperture, wide: usize) -> (Vec<Vec<Sample>>, Vec<f64>) {
 }
 
 /// The power of every view of every layer for each cell, 0..1, view by view: `powers[cell * views + view]`.
-pub(crate) fn powers(level: Level, layers: &[Layer], cells: &[Cell]) -> Vec<f32> {
-    let views: usize = layers.iter().map(|layer| layer.views.len()).sum();
+pub(crate) fn powers(level: Level, layers: &[Layer], cells: &[Cell], look: Look) -> Vec<f32> {
+    let views: usize = layers.iter().map(Layer::views).sum();
     let mut powers = vec![0.0; views * cells.len()];
-    on_tier!(level, simd => powers_simd(simd, layers, cells, views, &mut powers));
+    on_tier!(level, simd => powers_simd(simd, layers, cells, views, look, &mut powers));
     powers
 }
 
 #[inline(always)]
-fn powers_simd<S: Simd>(simd: S, layers: &[Layer], cells: &[Cell], views: usize, powers: &mut [f32]) {
+fn powers_simd<S: Simd>(simd: S, layers: &[Layer], cells: &[Cell], views: usize, look: Look, powers: &mut [f32]) {
     let lanes = V::<S, f32>::LEN;
     let longest = layers.iter().map(Layer::len).max().unwrap_or(0);
     let mut steering = vec![(V::<S, f32>::splat(simd, 0.0), V::<S, f32>::splat(simd, 0.0)); longest];
     for (cells, powers) in cells.chunks(lanes).zip(powers.chunks_mut(lanes * views)) {
         let mut view = 0;
         for layer in layers {
-            steer(simd, layer, cells, &mut steering);
+            match layer.rough.filter(|_| look == Look::Rough) {
+                Some(rough) => steer_roughly(simd, layer, cells, &rough, &mut steering),
+                None => steer(simd, layer, cells, &mut steering),
+            }
             for (windows, full) in &layer.views {
                 let mut sum = V::<S, f32>::splat(simd, 0.0);
                 for window in windows {
@@ -253,21 +313,59 @@ fn powers_simd<S: Simd>(simd: S, layers: &[Layer], cells: &[Cell], views: usize,
 /// Cosine and sine of the steering phase, a lane for each cell.
 type Turn<S> = (V<S, f32>, V<S, f32>);
 
+/// What the cells of a vector have in common with no sample: twice their direction, and 1 / range in 1/turns.
+struct Lanes<S: Simd> {
+    twice: [V<S, f32>; 3],
+    curve: V<S, f32>,
+}
+
+impl<S: Simd> Lanes<S> {
+    #[inline(always)]
+    fn new(simd: S, layer: &Layer, cells: &[Cell]) -> Self {
+        let lane = |f: &dyn Fn(&Cell) -> f32| V::<S, f32>::from_fn(simd, |i| cells.get(i).map_or(0.0, f));
+        let twice = [0, 1, 2].map(|axis| lane(&|c| 2.0 * c.unit[axis]));
+        Self { twice, curve: lane(&|c| c.inverse_range * layer.turn_m) }
+    }
+
+    /// `length^2 / range^2 = 1 + curve * bend`; `length - range = bend / (length / range + 1)`.
+    #[inline(always)]
+    fn bend(&self, simd: S, layer: &Layer, t: usize) -> V<S, f32> {
+        let splat = |value: f32| V::<S, f32>::splat(simd, value);
+        let [x, y, z] = self.twice;
+        let along = x.mul_add(splat(layer.x[t]), y.mul_add(splat(layer.y[t]), z * splat(layer.z[t])));
+        self.curve.mul_add(splat(layer.square[t]), -along)
+    }
+}
+
 /// `exp(j 2 pi (|rx - place| - range))` in turns for each sample: what undoes the path. The difference of the two
 /// lengths is written without cancellation, and holds for infinite range.
 #[inline(always)]
 fn steer<S: Simd>(simd: S, layer: &Layer, cells: &[Cell], steering: &mut [Turn<S>]) {
-    let splat = |value: f32| V::<S, f32>::splat(simd, value);
-    let lane = |f: &dyn Fn(&Cell) -> f32| V::<S, f32>::from_fn(simd, |i| cells.get(i).map_or(0.0, f));
-    let (ux, uy, uz) = (lane(&|c| c.unit[0]), lane(&|c| c.unit[1]), lane(&|c| c.unit[2]));
-    let curve = lane(&|c| c.inverse_range * layer.turn_m);
-    let one = splat(1.0);
+    let lanes = Lanes::<S>::new(simd, layer, cells);
+    let (zero, one) = (V::<S, f32>::splat(simd, 0.0), V::<S, f32>::splat(simd, 1.0));
     for (t, slot) in steering.iter_mut().enumerate().take(layer.len()) {
-        let along = ux.mul_add(splat(layer.x[t]), uy.mul_add(splat(layer.y[t]), uz * splat(layer.z[t])));
-        // length^2 / range^2 = 1 + curve * bend; (length - range) = bend / (length / range + 1).
-        let bend = curve.mul_add(splat(layer.square[t]), -(along + along));
-        let ratio = curve.mul_add(bend, one).max(splat(0.0)).sqrt();
+        let bend = lanes.bend(simd, layer, t);
+        let ratio = lanes.curve.mul_add(bend, one).max(zero).sqrt();
         let (sin, cos) = sin_cos_turns::<S, f32>(simd, bend / (ratio + one));
+        *slot = (cos, sin);
+    }
+}
+
+/// As [`steer`], by the polynomial and with a rough sine.
+#[inline(always)]
+fn steer_roughly<S: Simd>(simd: S, layer: &Layer, cells: &[Cell], rough: &Rough, steering: &mut [Turn<S>]) {
+    let lanes = Lanes::<S>::new(simd, layer, cells);
+    let coefficients = rough.coefficients.map(|c| V::<S, f32>::splat(simd, c));
+    let scaled = lanes.curve * V::<S, f32>::splat(simd, rough.scale);
+    let offset = V::<S, f32>::splat(simd, -rough.middle * rough.scale);
+    for (t, slot) in steering.iter_mut().enumerate().take(layer.len()) {
+        let bend = lanes.bend(simd, layer, t);
+        let s = scaled.mul_add(bend, offset);
+        let mut part = coefficients[0];
+        for c in &coefficients[1..] {
+            part = part.mul_add(s, *c);
+        }
+        let (sin, cos) = rough_sin_cos_turns::<S, f32>(simd, bend * part);
         *slot = (cos, sin);
     }
 }

@@ -5,7 +5,7 @@
 //! fitted and all places climbed to anew (RELAX), and what they leave is searched again. A find that two stronger ones would make between them, and that is
 //! no stronger than they can make it, is told as their cross term.
 
-use super::field::{Layer, powers};
+use super::field::{Layer, Look, powers};
 use super::fix::Source;
 use super::search::{Place, Search};
 use crate::pose::wrap_rad;
@@ -96,15 +96,7 @@ impl Search {
 
     /// The place that explains most of `layer`.
     fn strongest(&self, layer: &Layer) -> Place {
-        let axes = &self.axes;
-        let mut places = Vec::new();
-        for i in 0..axes.azimuths {
-            for &elevation in &axes.elevations {
-                let azimuth = TAU * i as f64 / axes.azimuths as f64;
-                places.extend(axes.curves.iter().map(|&curve| Place { azimuth, elevation, curve }));
-            }
-        }
-        self.climb_in(layer, self.highest(layer, &places))
+        self.climb_in(layer, self.highest(layer, &self.axes.places(), Look::Rough))
     }
 
     /// The best place about `start`.
@@ -127,15 +119,15 @@ impl Search {
                     });
                 }
             }
-            best = self.highest(layer, &around);
+            best = self.highest(layer, &around, Look::Exact);
             (across, up, along) = (0.6 * across, 0.6 * up, 0.6 * along);
         }
         best
     }
 
-    fn highest(&self, layer: &Layer, places: &[Place]) -> Place {
+    fn highest(&self, layer: &Layer, places: &[Place], look: Look) -> Place {
         let cells: Vec<_> = places.iter().map(|place| self.cell(place)).collect();
-        let powers = powers(self.level(), std::slice::from_ref(layer), &cells);
+        let powers = powers(self.level(), std::slice::from_ref(layer), &cells, look);
         let best = powers.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
         places[best]
     }

@@ -1,7 +1,7 @@
 //! Coarse to fine: a grid as dense as the aperture asks for, then every high peak climbed.
 
 use super::aperture::Aperture;
-use super::field::{Cell, Layer, View, powers};
+use super::field::{Cell, Layer, Look, View, powers};
 use super::fix::{Fix, Source};
 use super::focus::Warp;
 use super::grid::{Axes, axes};
@@ -41,6 +41,8 @@ const ROUGH_RAD: f64 = 2e-3;
 pub struct Search {
     pub(super) layers: Vec<Layer>,
     pub(super) axes: Axes,
+    /// The grid that each layer asks for by itself.
+    own_axes: Vec<Axes>,
     reference: Aperture,
     weights: Vec<f64>,
     limits: Limits,
@@ -97,9 +99,11 @@ impl Search {
         let radius_m = layers.iter().map(|(aperture, _)| rim(aperture)).fold(0.0, f64::max);
         let gain = layers.iter().map(|(aperture, _)| aperture.path_gain).max()?;
         let curve_max = 1.0 / limits.range_min_m.max(1.2 * radius_m).max(1e-3);
+        let axes_of = |gain: u8| axes(radius_m, TAU * f64::from(gain) * radius_m / wavelength_m, curve_max, limits);
         Some(Self {
-            axes: axes(radius_m, TAU * f64::from(gain) * radius_m / wavelength_m, curve_max, limits)?,
-            layers: layers.iter().map(|(a, views)| Layer::new(a, &middle_m, wavelength_m, views)).collect(),
+            axes: axes_of(gain)?,
+            own_axes: layers.iter().map(|(aperture, _)| axes_of(aperture.path_gain)).collect::<Option<_>>()?,
+            layers: layers.iter().map(|(a, views)| Layer::new(a, &middle_m, wavelength_m, curve_max, views)).collect(),
             weights: layers.iter().flat_map(|(_, views)| views.iter().map(|view| view.weight)).collect(),
             reference,
             limits: *limits,
@@ -116,7 +120,7 @@ impl Search {
         let (peaks, view_azimuths_rad) = self.scan();
         let sources = self.climb_all(&peaks);
         let best = *sources.first()?;
-        let view_powers = self.powers(&[Place::from(&best)]).into_iter().map(f64::from).collect();
+        let view_powers = self.powers(&[Place::from(&best)], Look::Exact).into_iter().map(f64::from).collect();
         let (range_searched, elevation_searched) = (self.axes.curves.len() > 1, self.axes.elevations.len() > 1);
         let free = [true, elevation_searched, range_searched];
         let prior = [self.limits.elevation_max_rad / 12f64.sqrt(), self.curve_max / 12f64.sqrt()];
@@ -145,7 +149,7 @@ impl Search {
     /// search.
     pub(super) fn score_near(&mut self, sources: &[Source]) -> f64 {
         let rough_rad = 0.05 * TAU / self.axes.azimuths as f64;
-        sources.iter().map(|source| self.climb(Place::from(source), rough_rad).1).fold(f64::MIN, f64::max)
+        sources.iter().map(|source| self.climb(Place::from(source), rough_rad, Look::Rough).1).fold(f64::MIN, f64::max)
     }
 
     pub(super) fn level(&self) -> Level {
@@ -162,10 +166,10 @@ impl Search {
         Cell { unit: [u.x as f32, u.y as f32, u.z as f32], inverse_range: place.curve as f32 }
     }
 
-    fn powers(&mut self, places: &[Place]) -> Vec<f32> {
+    fn powers(&mut self, places: &[Place], look: Look) -> Vec<f32> {
         let cells: Vec<Cell> = places.iter().map(|place| self.cell(place)).collect();
         self.evaluations += cells.len();
-        powers(self.level(), &self.layers, &cells)
+        powers(self.level(), &self.layers, &cells, look)
     }
 
     /// `sum weight ln power` of each place.
@@ -177,7 +181,7 @@ impl Search {
 
     /// The joint power of each place, 0..1.
     pub(super) fn joint_powers(&mut self, places: &[Place]) -> Vec<f64> {
-        let powers = self.powers(places);
+        let powers = self.powers(places, Look::Exact);
         self.scores(&powers).into_iter().map(|score| self.power(score)).collect()
     }
 
@@ -187,23 +191,25 @@ impl Search {
 
     /// The grid: peaks over azimuth (best elevation and range of each), falling, and every view's own best azimuth.
     fn scan(&mut self) -> (Vec<(Place, f64)>, Vec<f64>) {
-        let axes = self.axes.clone();
-        let at = |i: usize| TAU * i as f64 / axes.azimuths as f64;
-        let depth = axes.elevations.len() * axes.curves.len();
-        let mut places = Vec::with_capacity(axes.azimuths * depth);
-        for i in 0..axes.azimuths {
-            for &elevation in &axes.elevations {
-                places.extend(axes.curves.iter().map(|&curve| Place { azimuth: at(i), elevation, curve }));
+        let places = self.axes.places();
+        let depth = places.len() / self.axes.azimuths;
+        let (mut scores, mut view_azimuths) = (vec![0.0; places.len()], Vec::new());
+        let mut weights = self.weights.iter();
+        for (layer, own) in self.layers.iter().zip(&self.own_axes) {
+            // Each layer on the grid that it asks for: one-way waves are twice as long, and need an eighth of the places.
+            let own_places = own.places();
+            let cells: Vec<Cell> = own_places.iter().map(|place| self.cell(place)).collect();
+            let powers = powers(self.level(), std::slice::from_ref(layer), &cells, Look::Rough);
+            self.evaluations += cells.len();
+            let views = layer.views();
+            for (view, weight) in (0..views).zip(&mut weights) {
+                let powers: Vec<f32> = powers.iter().skip(view).step_by(views).copied().collect();
+                let best = powers.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1));
+                view_azimuths.push(best.map_or(0.0, |(index, _)| wrap_rad(own_places[index].azimuth)));
+                let powers = if *own == self.axes { powers } else { own.spread(&powers, &self.axes) };
+                scores.iter_mut().zip(powers).for_each(|(s, p)| *s += weight * f64::from(p.max(1e-12).ln()));
             }
         }
-        let powers = self.powers(&places);
-        let views = self.weights.len();
-        let best_of = |view: usize| {
-            let own = powers.iter().skip(view).step_by(views).enumerate();
-            own.max_by(|a, b| a.1.total_cmp(b.1)).map_or(0.0, |(index, _)| wrap_rad(places[index].azimuth))
-        };
-        let view_azimuths = (0..views).map(best_of).collect();
-        let scores = self.scores(&powers);
         let ridge: Vec<(Place, f64)> = scores
             .chunks(depth)
             .enumerate()
@@ -228,10 +234,15 @@ impl Search {
         let step = TAU / self.axes.azimuths as f64;
         let high = |peak: &&(Place, f64)| ((peak.1 - peaks[0].1) / total).exp() >= FLOOR;
         let high: Vec<Place> = peaks.iter().take(CLIMBED).take_while(high).map(|peak| peak.0).collect();
-        let mut tops: Vec<(Place, f64)> = high.into_iter().map(|place| self.climb(place, ROUGH_RAD)).collect();
+        let mut tops: Vec<(Place, f64)> =
+            high.into_iter().map(|place| self.climb(place, ROUGH_RAD, Look::Rough)).collect();
+        // Rough looks led there; which is the highest is told exactly.
+        let places: Vec<Place> = tops.iter().map(|top| top.0).collect();
+        let powers = self.powers(&places, Look::Exact);
+        tops.iter_mut().zip(self.scores(&powers)).for_each(|(top, score)| top.1 = score);
         tops.sort_by(|a, b| b.1.total_cmp(&a.1));
         if let Some(first) = tops.first_mut() {
-            *first = self.climb(first.0, FINE_RAD);
+            *first = self.climb(first.0, FINE_RAD, Look::Exact);
         }
         let mut sources: Vec<Source> = Vec::new();
         for (place, score) in tops {
@@ -245,7 +256,7 @@ impl Search {
     }
 
     /// Pattern search: the neighbours in all directions; the best of them is next, or the steps are halved.
-    fn climb(&mut self, start: Place, fine_rad: f64) -> (Place, f64) {
+    fn climb(&mut self, start: Place, fine_rad: f64, look: Look) -> (Place, f64) {
         let spread = |free: bool| -> &[f64] { if free { &[0.0, -1.0, 1.0] } else { &[0.0] } };
         let (mut best, mut best_score) = (start, f64::MIN);
         let axes = self.axes.clone();
@@ -268,7 +279,7 @@ impl Search {
                     }
                 }
             }
-            let powers = self.powers(&places);
+            let powers = self.powers(&places, look);
             let scores = self.scores(&powers);
             // The first place is where the climb stands: only a better one moves it.
             let next =

@@ -40,6 +40,8 @@ pub struct Health {
     pub network: Option<serde_json::Value>,
     /// What was counted of this robot's part in the sounding exchange.
     pub sounding: Option<serde_json::Value>,
+    /// What was published over ROS.
+    pub ros: Option<serde_json::Value>,
     /// What it costs.
     pub load: Load,
     /// What is wrong at the moment, in words.
@@ -137,6 +139,7 @@ impl Looks {
             peers: peers.collect(),
             network: None,
             sounding: None,
+            ros: None,
             load,
             trouble: machine.trouble(),
         };

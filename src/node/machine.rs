@@ -324,8 +324,9 @@ impl Machine {
     #[must_use]
     pub fn trouble(&self) -> Vec<String> {
         let odometry = self.poses.as_ref().and_then(|poses| poses.source.trouble());
+        let peers = self.peers.iter().filter_map(|peer| peer.poses.as_ref()?.source.trouble());
         let disk = self.totals().and_then(|totals| totals.error);
-        self.trouble.iter().cloned().chain(odometry).chain(disk).collect()
+        self.trouble.iter().cloned().chain(odometry).chain(peers).chain(disk).collect()
     }
 
     /// Ends everything: the last reports, and what is in the log.

@@ -28,6 +28,8 @@ pub mod network;
 #[cfg(feature = "node")]
 mod outputs;
 #[cfg(feature = "node")]
+mod ros;
+#[cfg(feature = "node")]
 pub mod service;
 #[cfg(feature = "live")]
 mod sounder;

@@ -5,6 +5,7 @@ use super::estimator::{Report, State};
 use super::health::{Health, Load, Looks};
 use super::machine::{Capture, Machine};
 use super::outputs::{Lines, StatusSocket, StatusText};
+use super::ros::Ros;
 use super::sounder::Sounder;
 use super::sources::{Card, Sources};
 use super::viewers::Viewers;
@@ -50,13 +51,14 @@ pub struct Ended {
 /// # Errors
 /// If it cannot be started. What fails later is in [`Ended::error`].
 pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
-    let sources = Sources::open(config, Instant::ZERO, wall_us)?;
+    let mut sources = Sources::open(config, Instant::ZERO, wall_us)?;
     let network = Joined::join(config, &sources)?;
+    let mut ros = Ros::open(config, &mut sources);
     let viewers = Viewers::open(config, &name)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let io = |source| Error::Io { what: "cannot start tokio".into(), source };
-    // The network is left outside of the runtime, where it may wait for its own, and after the machine is finished.
-    let ended = runtime.map_err(io)?.block_on(Service::serve(config, name, sources, (&network, &viewers)));
+    // The network and ROS are left outside of the runtime, where they may wait for their own, and after the machine is finished.
+    let ended = runtime.map_err(io)?.block_on(Service::serve(config, name, sources, (&network, &mut ros, &viewers)));
     viewers.stop();
     ended
 }
@@ -93,6 +95,7 @@ struct Line<'a> {
 struct Service<'a> {
     network: &'a Joined,
     viewers: &'a Viewers,
+    ros: &'a mut Ros,
     clock: Clock,
     machine: Machine,
     sounder: Sounder,
@@ -114,7 +117,7 @@ impl<'a> Service<'a> {
         config: &Config,
         name: String,
         mut sources: Sources,
-        (network, viewers): (&'a Joined, &'a Viewers),
+        (network, ros, viewers): (&'a Joined, &'a mut Ros, &'a Viewers),
     ) -> Result<Ended, Error> {
         // Signals first: one that comes from here on ends the robot in order.
         let mut signals = [SignalKind::terminate(), SignalKind::interrupt(), SignalKind::hangup()]
@@ -125,16 +128,18 @@ impl<'a> Service<'a> {
         let wake = sources.wake.take().map(watch_fd).transpose();
         let wake = wake.map_err(|source| Error::Io { what: "cannot wait for the card's thread".into(), source })?;
         let clock = Clock { real: Monotonic::new(), speed: sources.speed };
-        let own = sources.own;
+        let (own, peers) = (sources.own, sources.peers.iter().map(|peer| peer.peer.mac).collect());
         let logged = |card: Card| logged(card, config.log.as_ref());
         let mut machine = Machine::new(sources, logged, Sources::settings(config), config.options(), clock.now())?;
         network.attach(&mut machine);
+        ros.attach(&mut machine);
         viewers.attach(&mut machine);
         // Last: from here on it sends.
-        let sounder = Sounder::start(config, own, clock.real)?;
+        let sounder = Sounder::start(config, own, peers, clock.real)?;
         sounder.attach(&mut machine);
         let mut service = Self {
             network,
+            ros,
             viewers,
             clock,
             machine,
@@ -241,6 +246,7 @@ impl<'a> Service<'a> {
         let latency_ms = report.heard_at.map(since);
         self.lines.write(&Line { took_ms: Some(self.load.estimate_ms), latency_ms, report: &report });
         self.viewers.report(&self.machine, peer, &report);
+        self.ros.report(peer, &report, self.machine.estimator.track().last());
         self.looks.note(peer, report);
     }
 
@@ -264,6 +270,8 @@ impl<'a> Service<'a> {
         health.network = self.network.counts();
         health.sounding = self.sounder.look().and_then(|counts| serde_json::to_value(counts).ok());
         health.trouble.extend(self.sounder.trouble());
+        health.ros = self.ros.counts();
+        health.trouble.extend(self.ros.trouble());
         self.load.late_ms = 0.0;
         if let Some(socket) = &self.socket {
             socket.tell(&health);

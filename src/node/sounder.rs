@@ -1,7 +1,9 @@
 //! The robot's part in the sounding exchange: the sender's thread beside the service, by the same file.
 
-use super::config::{Config, Sounding};
+use super::config::sounding::Sounding;
+use super::config::{Capture, Config};
 use super::machine::{Machine, Tap};
+use crate::backend::served::Address;
 use crate::backend::{Error, Next, Stamps};
 use crate::sounding::{
     Granted, News, Order, Rate, Running, Settings, Setup, measurement, rate_n_flags, read_key, set_rate,
@@ -68,12 +70,19 @@ pub(super) fn request(asked: &Sounding, peers: usize, ht40: bool) -> Request {
 
 impl Sounder {
     /// Starts the thread that sends, if one is asked for.
-    pub fn start(config: &Config, own: Mac, clock: Monotonic) -> Result<Self, Error> {
+    pub fn start(config: &Config, own: Mac, peers: Vec<Mac>, clock: Monotonic) -> Result<Self, Error> {
         let Some(asked) = &config.sounding else { return Ok(Self(None)) };
-        let peers: Vec<Mac> = config.peer.iter().filter_map(|peer| peer.get_ref().mac).collect();
         let request = request(asked, peers.len(), config.channel.width() != crate::channel::Width::Ht20);
+        let room = match config.capture.get_ref() {
+            Capture::Served(served) => Some(Address { socket: served.socket.clone(), robot: served.robot.clone() }),
+            _ => None,
+        };
         let setup = Setup {
-            interface: asked.interface.clone(),
+            interface: asked
+                .interface
+                .clone()
+                .unwrap_or_else(|| room.as_ref().map_or_else(String::new, Address::to_string)),
+            room: room.clone(),
             mac: Some(own),
             peers: peers.clone(),
             request,
@@ -86,7 +95,8 @@ impl Sounder {
         })?;
         let mut counts = SoundingCounts { notice: opened.warning, ..SoundingCounts::default() };
         if let Some(rate) = rate_n_flags(request.phy, config.antenna)
-            && let Rate::Other { found, mend, .. } = set_rate(&crate::doctor::Machine, &asked.interface, rate)
+            && let Some(interface) = &asked.interface
+            && let Rate::Other { found, mend, .. } = set_rate(&crate::doctor::Machine, interface, rate)
         {
             counts.notice = Some(format!("monitor_tx_rate is {found}: {mend}"));
         }

@@ -1,6 +1,7 @@
 //! What a configuration names, opened.
 
-use super::config::{Capture, Config, Odometry, Peer as PeerConfig, Place, Records};
+use super::config::ros::Topic;
+use super::config::{Capture, Config, Csv, Odometry, Peer as PeerConfig, Place, Records};
 use super::estimator::{Peer, Settings};
 use super::motion::Track;
 use super::together::{self, Begin};
@@ -9,11 +10,15 @@ use crate::backend::replay::Replay;
 use crate::backend::sim::{Room, Scene};
 use crate::backend::{CsiSource, Error, Next};
 use crate::odometry::replay::{Mounted, Replayed};
+use crate::odometry::ros::Stamp;
+#[cfg(feature = "ros1")]
+use crate::odometry::ros::Wanted;
 use crate::odometry::{OdometrySource, csv};
 use crate::survey::Survey;
 use crate::time::Instant;
 use driver_iface::Mac;
 use nalgebra::Vector3;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// A source of records that may move to another thread.
@@ -51,16 +56,23 @@ pub struct Sources {
     pub peers: Vec<PeerSources>,
     /// Times real time.
     pub speed: f64,
+    /// This program as a node of ROS.
+    #[cfg(feature = "ros1")]
+    pub ros: Option<crate::ros1::Link>,
 }
 
 /// What several sources of one configuration share.
 struct Shared<'a> {
     room: Option<Room>,
+    /// The socket of a room that another program runs.
+    served: Option<&'a Path>,
     /// This robot's replayed log and its MAC.
     replayed: Option<(&'a Path, Mac)>,
     /// Host time at which the replayed log begins, seconds.
     origin_s: f64,
     start: Instant,
+    #[cfg(feature = "ros1")]
+    ros: Option<crate::ros1::Link>,
 }
 
 impl Sources {
@@ -70,11 +82,19 @@ impl Sources {
     /// What cannot be opened, with what to do about it.
     pub fn open(config: &Config, start: Instant, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
         let capture = config.capture.get_ref();
-        let mut shared = Shared { room: None, replayed: None, origin_s: 0.0, start };
+        let mut shared = Shared {
+            room: None,
+            served: None,
+            replayed: None,
+            origin_s: 0.0,
+            start,
+            #[cfg(feature = "ros1")]
+            ros: link(config, wall_us)?,
+        };
         let mut own = config.mac;
         // A card's records come when they come.
         let speed = match capture {
-            Capture::Card(_) => 1.0,
+            Capture::Card(_) | Capture::Served(_) => 1.0,
             Capture::Replay(replay) => replay.speed,
             Capture::Room(room) => room.speed,
         };
@@ -94,21 +114,37 @@ impl Sources {
                     return Err(Error::Input("this program was built without the card (feature `live`)".into()));
                 }
             }
+            Capture::Served(served) => {
+                shared.served = Some(&served.socket);
+                let (card, mac) = served_card(&served.socket, &served.robot, wall_us)?;
+                own = own.or(Some(mac));
+                #[cfg(feature = "live")]
+                {
+                    wake = Some(card.wake()?);
+                }
+                Box::new(card)
+            }
             Capture::Replay(replay) => {
                 shared.origin_s = first_host_s(&replay.file)?;
                 shared.replayed = own.map(|own| (replay.file.as_path(), own));
                 Box::new(Paced::new(Replay::open(&replay.file)?, 1.0, None))
             }
-            Capture::Room(room) => {
-                let made = Room::new(&scene(&room.scene)?)?;
-                let (number, made) = numbered(made, &room.robot)?;
-                let room = shared.room.insert(made);
+            Capture::Room(asked) => {
+                let made = Room::new(&scene(&asked.scene)?)?;
+                let (number, made) = numbered(made, &asked.robot)?;
+                shared.room = Some(made);
+                shared.follow(&asked.follow)?;
+                let room = shared.room.as_mut().ok_or_else(|| Error::Input("there is no room".into()))?;
                 own = own.or(room.mac(number));
                 let card = room.card(number).ok_or_else(|| Error::Input("the room's card is taken".into()))?;
                 Box::new(card)
             }
         };
-        let robot = if let Capture::Room(room) = capture { room.robot.as_str() } else { "" };
+        let robot = match capture {
+            Capture::Room(room) => room.robot.as_str(),
+            Capture::Served(served) => served.robot.as_str(),
+            Capture::Card(_) | Capture::Replay(_) => "",
+        };
         let (poses, track) = shared.poses(&config.odometry, robot, config.antenna_offset_m, wall_us)?;
         let peers = config.peer.iter().map(|peer| shared.peer(peer.get_ref(), wall_us)).collect::<Result<_, _>>()?;
         let own = own.ok_or_else(|| Error::Input("this robot's MAC is not known".into()))?;
@@ -121,6 +157,8 @@ impl Sources {
             track,
             peers,
             speed,
+            #[cfg(feature = "ros1")]
+            ros: shared.ros,
         })
     }
 
@@ -152,22 +190,68 @@ impl Shared<'_> {
         let source: Poses = match odometry {
             Odometry::Static(place) => return Ok((None, still(place, offset_m))),
             Odometry::Network(_) => return Ok((None, Track::default())),
-            Odometry::Csv(file) => {
-                let (trajectory, _) = csv::read(&file.file).map_err(|error| Error::Input(error.to_string()))?;
-                Box::new(Replayed::new(&trajectory, self.origin_s, self.start, 1.0))
-            }
-            Odometry::Room(_) => {
-                let absent = || Error::Input(format!("the room has no robot `{robot}`"));
-                let room = self.room.as_ref().ok_or_else(absent)?;
-                let number = room.number(robot).ok_or_else(absent)?;
-                Box::new(room.odometry(number).ok_or_else(absent)?)
-            }
+            Odometry::Csv(file) => self.trajectory(file, Some(self.origin_s))?,
+            Odometry::Ros(topic) => self.topic(topic, Stamp::Header)?,
+            Odometry::Room(_) => match self.served {
+                Some(socket) => served_poses(socket, robot)?,
+                None => self.room_poses(robot)?,
+            },
             Odometry::Opencr(port) => serial(port, self.start, wall_us)?,
         };
         let offset_m = Vector3::from(offset_m);
         let mounted: Poses =
             if offset_m == Vector3::zeros() { source } else { Box::new(Mounted::new(source, offset_m)) };
         Ok((Some(mounted), Track::default()))
+    }
+
+    /// A trajectory at its own pace from `origin_s` on, or from its first pose.
+    fn trajectory(&self, file: &Csv, origin_s: Option<f64>) -> Result<Poses, Error> {
+        let (trajectory, _) = csv::read(&file.file).map_err(|error| Error::Input(error.to_string()))?;
+        Ok(Box::new(Replayed::new(&trajectory, origin_s.unwrap_or(trajectory.span_s().0), self.start, 1.0)))
+    }
+
+    #[cfg(feature = "ros1")]
+    fn topic(&self, topic: &Topic, usual: Stamp) -> Result<Poses, Error> {
+        let link = self.ros.as_ref().ok_or_else(|| Error::Input("there is no node of ROS".into()))?;
+        let wanted = Wanted { stamp: topic.stamp.unwrap_or(usual), frame: topic.frame.clone() };
+        Ok(Box::new(link.poses(&topic.topic, topic.kind, wanted)))
+    }
+
+    #[cfg(not(feature = "ros1"))]
+    fn topic(&self, _: &Topic, _: Stamp) -> Result<Poses, Error> {
+        Err(Error::Input("this program was built without ROS (feature `ros1`)".into()))
+    }
+
+    /// Robots of the room go where their sources say.
+    fn follow(&mut self, sources: &BTreeMap<String, Odometry>) -> Result<(), Error> {
+        for (name, odometry) in sources {
+            let source = match odometry {
+                Odometry::Csv(file) => self.trajectory(file, None)?,
+                // The room's time is that of this host.
+                Odometry::Ros(topic) => self.topic(topic, Stamp::Receipt)?,
+                _ => return Err(Error::Input(format!("robot `{name}` follows `ros` or `csv`"))),
+            };
+            let absent = || Error::Input(format!("the room has no robot `{name}`"));
+            let room = self.room.as_mut().ok_or_else(absent)?;
+            room.follow(room.number(name).ok_or_else(absent)?, source)?;
+        }
+        Ok(())
+    }
+
+    fn room_poses(&self, robot: &str) -> Result<Poses, Error> {
+        let absent = || Error::Input(format!("the room has no robot `{robot}`"));
+        let room = self.room.as_ref().ok_or_else(absent)?;
+        let number = room.number(robot).ok_or_else(absent)?;
+        Ok(Box::new(room.odometry(number).ok_or_else(absent)?))
+    }
+
+    fn room_card(&mut self, robot: &str) -> Result<(Card, Mac), Error> {
+        let absent = || Error::Input(format!("the room has no robot `{robot}`, or it is used twice"));
+        let room = self.room.as_mut().ok_or_else(absent)?;
+        let number = room.number(robot).ok_or_else(absent)?;
+        let (mac, card) = (room.mac(number), room.card(number));
+        let (mac, card) = mac.zip(card).ok_or_else(absent)?;
+        Ok((Box::new(card), mac))
     }
 
     /// A peer's log, to be played together with this robot's.
@@ -189,11 +273,12 @@ impl Shared<'_> {
             Records::Network(_) => None,
             Records::Replay(log) => Some(self.replay(&log.file, peer.mac)?),
             Records::Room(_) => {
-                let absent = || Error::Input(format!("the room has no robot `{}`, or it is used twice", peer.name));
-                let room = self.room.as_mut().ok_or_else(absent)?;
-                let number = room.number(&peer.name).ok_or_else(absent)?;
-                mac = mac.or(room.mac(number));
-                Some(Box::new(room.card(number).ok_or_else(absent)?))
+                let (card, told) = match self.served {
+                    Some(socket) => boxed(served_card(socket, &peer.name, wall_us)?),
+                    None => self.room_card(&peer.name)?,
+                };
+                mac = mac.or(Some(told));
+                Some(card)
             }
         };
         let (poses, track) = self.poses(&peer.poses, &peer.name, peer.antenna_offset_m, wall_us)?;
@@ -252,6 +337,51 @@ fn listener(card: &super::config::Card, wall_us: fn() -> Option<i64>) -> Result<
     let (connector_index, allow_user_sender) = (card.connector_index, card.allow_user_sender);
     let options = Options { connector_index, allow_user_sender, wall_us, ..Options::default() };
     super::threads::CardThread::start(Netlink::open(&options)?)
+}
+
+/// This program as a node of ROS, if anything of the configuration needs it.
+#[cfg(feature = "ros1")]
+fn link(config: &Config, wall_us: fn() -> Option<i64>) -> Result<Option<crate::ros1::Link>, Error> {
+    if !super::config::ros::is_used(config) {
+        return Ok(None);
+    }
+    let ros = config.ros.clone().unwrap_or_default();
+    crate::ros1::Link::start(ros.master(), ros.node(config), wall_us).map(Some)
+}
+
+fn boxed((card, mac): (impl CsiSource + Send + 'static, Mac)) -> (Card, Mac) {
+    (Box::new(card), mac)
+}
+
+/// A robot's card in a room that another program runs, and its MAC.
+#[cfg(feature = "live")]
+fn served_card(
+    socket: &Path,
+    robot: &str,
+    wall_us: fn() -> Option<i64>,
+) -> Result<(super::threads::CardThread, Mac), Error> {
+    let (card, mac) = crate::backend::netlink::Netlink::served(&address(socket, robot), wall_us)?;
+    Ok((super::threads::CardThread::start(card)?, mac))
+}
+
+#[cfg(not(feature = "live"))]
+fn served_card(_: &Path, _: &str, _: fn() -> Option<i64>) -> Result<(Replay<std::fs::File>, Mac), Error> {
+    Err(Error::Input("this program was built without rooms of other programs (feature `live`)".into()))
+}
+
+#[cfg(feature = "live")]
+fn served_poses(socket: &Path, robot: &str) -> Result<Poses, Error> {
+    Ok(Box::new(crate::backend::served::Poses::join(&address(socket, robot))?))
+}
+
+#[cfg(not(feature = "live"))]
+fn served_poses(_: &Path, _: &str) -> Result<Poses, Error> {
+    Err(Error::Input("this program was built without rooms of other programs (feature `live`)".into()))
+}
+
+#[cfg(feature = "live")]
+fn address(socket: &Path, robot: &str) -> crate::backend::served::Address {
+    crate::backend::served::Address { socket: socket.to_owned(), robot: robot.to_owned() }
 }
 
 #[cfg(feature = "node")]

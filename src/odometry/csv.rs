@@ -131,6 +131,27 @@ pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
     Ok((Trajectory::new(poses)?, counts))
 }
 
+/// Parses a single row.
+///
+/// # Errors
+/// What is wrong with it, in words.
+pub fn parse_line(line: &[u8]) -> Result<Pose, String> {
+    let mut reader =
+        ::csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(::csv::Trim::All).from_reader(line);
+    let mut record = ::csv::ByteRecord::new();
+    reader.read_byte_record(&mut record).map_err(|error| error.to_string())?;
+    let columns = record.len() - usize::from(record.iter().next_back().is_some_and(<[u8]>::is_empty));
+    pose(&record, columns).map_err(|error| error.to_string())
+}
+
+/// A pose as a row: 6 columns, 5 where it has no heading, and the trailing comma.
+#[must_use]
+pub fn line(pose: &Pose) -> String {
+    let p = pose.position_m;
+    let heading = pose.heading_rad.map_or(String::new(), |heading| format!("{heading:.6},"));
+    format!("{:.6},0,{:.6},{:.6},{:.6},{heading}\n", pose.t_s, p.x, p.y, p.z)
+}
+
 fn bad(counts: &mut CsvCounts, line: u64, why: String) {
     counts.bad_rows += 1;
     counts.first_bad.get_or_insert((line, why));
@@ -201,6 +222,15 @@ mod tests {
         let (trajectory, counts) = parse(text).unwrap();
         assert_eq!((trajectory.poses().len(), counts.bad_rows, counts.out_of_order), (3, 2, 0));
         assert_eq!(counts.first_bad.unwrap().0, 2);
+    }
+
+    #[test]
+    fn rows_that_are_written_are_read_again() {
+        for heading_rad in [None, Some(-0.5)] {
+            let pose = Pose { t_s: 1_700_000_000.25, position_m: Vector3::new(1.0, -2.5, 0.125), heading_rad };
+            assert_eq!(parse_line(line(&pose).as_bytes()), Ok(pose));
+        }
+        assert!(parse_line(b"").is_err() && parse_line(b"1,2,3").is_err() && parse_line(b"1,0,a,0,0").is_err());
     }
 
     #[test]

@@ -6,6 +6,7 @@ pub mod drive;
 pub mod dynamixel;
 pub mod opencr;
 pub mod replay;
+pub mod ros;
 #[cfg(feature = "node")]
 pub mod serial;
 

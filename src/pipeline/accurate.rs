@@ -120,12 +120,12 @@ pub(super) fn place(
     }
     let wavelength_m = options.channel.wavelength_m();
     let indices = options.channel.subcarriers();
-    let alignment = steps.align.then(|| align(&mut rows, &indices));
+    let alignment = steps.align.then(|| align(&mut rows, &indices, options.search.tier));
     remove_common_slope(&mut rows, &indices);
     let displacement_m: Vec<Vector3<f64>> =
         samples.receiver_m.iter().zip(&samples.transmitter_m).map(|(r, t)| r - t).collect();
     let round_trip = Aperture::gather(&displacement_m, &pick(&rows, used), 2, wavelength_m);
-    let roots = steps.one_way.then(|| one_way(&rows));
+    let roots = steps.one_way.then(|| one_way(&rows, options.search.tier));
     let one_way =
         roots.as_ref().map(|roots| Aperture::gather(&displacement_m, &pick(&roots.rows, used), 1, wavelength_m));
     let mut layers: Vec<(&Aperture, &[View])> = vec![(&round_trip, &ROUND_TRIP)];

@@ -3,6 +3,7 @@
 use super::session;
 use crate::backend::Error;
 use crate::backend::monitor::{Monitor, Options};
+use crate::backend::served::Address;
 use crate::tdma::{Config, Key, Request, Tdma};
 use crate::wait::wall_us;
 use driver_iface::Mac;
@@ -11,8 +12,10 @@ use std::path::Path;
 /// What an exchange is opened from.
 #[derive(Clone, Debug)]
 pub struct Setup {
-    /// Monitor interface.
+    /// Monitor interface; only a name for messages where there is a room.
     pub interface: String,
+    /// The air of a robot in a served room, instead of an interface.
+    pub room: Option<Address>,
     /// This robot's MAC, instead of the interface's own.
     pub mac: Option<Mac>,
     /// All other robots.
@@ -52,7 +55,10 @@ impl Setup {
             longest: forward.max(backward),
             wall_us,
         };
-        let monitor = Monitor::open(&options)?;
+        let monitor = match &self.room {
+            Some(address) => Monitor::served(address, &options),
+            None => Monitor::open(&options),
+        }?;
         let nameless = || Error::Input(format!("{} has no MAC of its own: say which it is to use", self.interface));
         let own = self.mac.or(monitor.mac().map(Mac)).ok_or_else(nameless)?;
         let (session, warning) = session::begin(own, wall_us());

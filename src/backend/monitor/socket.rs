@@ -93,7 +93,8 @@ pub(super) fn control_buffer() -> Vec<u8> {
 
 /// Hands one buffer over.
 pub(super) fn send(socket: &OwnedFd, buffer: &[u8]) -> io::Result<usize> {
-    Ok(nix::sys::socket::send(socket.as_raw_fd(), buffer, MsgFlags::MSG_DONTWAIT)?)
+    let flags = MsgFlags::MSG_DONTWAIT | MsgFlags::MSG_NOSIGNAL;
+    Ok(nix::sys::socket::send(socket.as_raw_fd(), buffer, flags)?)
 }
 
 /// What was received.

@@ -25,6 +25,8 @@ pub enum Found {
     Registered,
     /// No driver is registered: both indices in use are joined, and the one that delivers is the right one.
     Guessed,
+    /// A served room has one for each robot.
+    Served,
 }
 
 /// A joined socket.
@@ -95,7 +97,7 @@ fn join(socket: &Socket, indices: &[u32]) -> Result<(), Error> {
 }
 
 /// Asks for a receive buffer, beyond `net.core.rmem_max` where allowed. Gives what the kernel granted, in bytes.
-fn widen(socket: &Socket, bytes: usize) -> usize {
+pub(super) fn widen(socket: &impl AsFd, bytes: usize) -> usize {
     let granted = || getsockopt(socket, sockopt::RcvBuf).unwrap_or(0);
     if setsockopt(socket, sockopt::RcvBufForce, &bytes).is_err() {
         // Refused without CAP_NET_ADMIN in the first user namespace; the ordinary option is capped, never refused.

@@ -4,7 +4,9 @@
 //! free. Coefficients are not computed here but when a record is read, and only for robots that somebody reads.
 
 use super::faults::Injected;
+use super::followed::Follower;
 use super::node::{Flight, Heard, Listening, Node, Outgoing, Reception};
+use super::radio::Radio;
 use super::station::{Role, Station};
 use super::surfaces::Path;
 use super::world::World;
@@ -88,6 +90,7 @@ pub struct Air {
     paths: Vec<Path>,
     make_station: MakeStation,
     scratch: Vec<u8>,
+    followers: Vec<Follower>,
 }
 
 impl std::fmt::Debug for Air {
@@ -113,6 +116,7 @@ impl Air {
             paths: Vec::new(),
             make_station,
             scratch: Vec::new(),
+            followers: Vec::new(),
             world,
         };
         for robot in 0..air.nodes.len() {
@@ -144,6 +148,12 @@ impl Air {
         self.nodes.iter().map(|node| node.injected)
     }
 
+    /// The true time that the room has come to.
+    #[must_use]
+    pub fn now_ns(&self) -> i64 {
+        self.now_ns
+    }
+
     /// The end of the scene, true time.
     #[must_use]
     pub fn end_ns(&self) -> i64 {
@@ -156,8 +166,26 @@ impl Air {
         self.events.peek().map(|Reverse(event)| event.t_ns).filter(|&t_ns| t_ns <= self.end_ns)
     }
 
+    /// From now on a robot goes where its source says. False if it follows one already.
+    pub fn follow(&mut self, follower: Follower) -> bool {
+        let free = self.follower(follower.robot).is_none();
+        if free {
+            self.followers.push(follower);
+        }
+        free
+    }
+
+    /// The source that a robot follows.
+    #[must_use]
+    pub fn follower(&self, robot: usize) -> Option<&Follower> {
+        self.followers.iter().find(|follower| follower.robot == robot)
+    }
+
     /// Lets time pass up to `until_ns`, but not beyond the end of the scene.
     pub fn advance(&mut self, until_ns: i64) {
+        // What has come by then says nothing of the time before.
+        let now = Instant::from_us(until_ns.max(self.now_ns) / 1_000);
+        self.followers.iter_mut().for_each(|follower| follower.take(now));
         let until_ns = until_ns.min(self.end_ns);
         while self.events.peek().is_some_and(|Reverse(event)| event.t_ns <= until_ns) {
             let Some(Reverse(event)) = self.events.pop() else { break };
@@ -167,9 +195,9 @@ impl Air {
         self.now_ns = self.now_ns.max(until_ns);
     }
 
-    /// A robot's host hands a frame (no FCS) to its card at `now_ns`. It goes on air at once, an answer after the
-    /// turn-around, if the air is free; else when it is.
-    pub fn transmit(&mut self, robot: usize, now_ns: i64, bytes: &[u8]) {
+    /// A robot's host hands a frame (no FCS) to its card at `now_ns`, to be sent with the robot's own `mcs` if none is
+    /// given. It goes on air at once, an answer after the turn-around, if the air is free; else when it is.
+    pub fn transmit(&mut self, robot: usize, now_ns: i64, bytes: &[u8], mcs: Option<u8>) {
         let now_ns = now_ns.max(self.now_ns);
         if !self.nodes[robot].on {
             return;
@@ -188,7 +216,8 @@ impl Air {
             }
             None => (now_ns + radio.send_jitter_ns(&mut node.timing), None),
         };
-        node.outgoing.push_back(Outgoing { not_before_ns: start_ns, instant_ns, bytes: bytes.into() });
+        let mcs = mcs.unwrap_or(radio.mcs);
+        node.outgoing.push_back(Outgoing { not_before_ns: start_ns, instant_ns, mcs, bytes: bytes.into() });
         if node.outgoing.len() == 1 {
             self.attempt(robot, start_ns);
         }
@@ -239,7 +268,7 @@ impl Air {
         let restarts = self.nodes[robot].injected.restarts;
         let station = (self.make_station)(robot, restarts, local(&self.world, robot, t_ns));
         let node = &mut self.nodes[robot];
-        (node.on, node.bfee_count) = (true, 0);
+        (node.on, node.bfee_count, node.dropped_since) = (true, 0, None);
         node.clock_base_us = self.world.scene().robot[robot].crystal.clock_us(t_ns);
         node.station = station;
         self.arm(robot);
@@ -255,14 +284,14 @@ impl Air {
         }
         let node = &mut self.nodes[from];
         node.tried_ns = None;
-        let Some(Outgoing { bytes, instant_ns, .. }) = node.outgoing.pop_front() else { return };
+        let Some(Outgoing { bytes, instant_ns, mcs, .. }) = node.outgoing.pop_front() else { return };
         node.injected.sent += 1;
         let waiting_ns = node.outgoing.front().map(|next| next.not_before_ns);
         let scene = self.world.scene();
-        let radio = scene.radio_of(&scene.robot[from]);
+        let radio = Radio { mcs, ..*scene.radio_of(&scene.robot[from]) };
         let end_ns = t_ns + radio.airtime_ns(bytes.len() + mpdu::FCS, scene.bandwidth_mhz == 40);
         let instant_ns = instant_ns.unwrap_or(t_ns);
-        let flight = Arc::new(Flight { from, start_ns: t_ns, end_ns, instant_ns, bytes });
+        let flight = Arc::new(Flight { from, start_ns: t_ns, end_ns, instant_ns, mcs, bytes });
         let collided = !self.active.is_empty();
         self.active.iter_mut().for_each(|active| active.collided = true);
         let id = self.order;
@@ -277,6 +306,7 @@ impl Air {
     fn end(&mut self, id: u64) {
         let Some(at) = self.active.iter().position(|a| a.id == id) else { return };
         let Active { flight, collided, .. } = self.active.swap_remove(at);
+        self.nodes[flight.from].pass(&flight, true);
         for robot in 0..self.nodes.len() {
             if robot != flight.from && self.hears(robot, &flight, collided) {
                 self.hear(robot, &flight);
@@ -310,6 +340,7 @@ impl Air {
         let scene = world.scene();
         let radio = scene.radio_of(&scene.robot[robot]);
         let node = &mut self.nodes[robot];
+        node.pass(flight, false);
         let away_ns = radio.turn_around.draw_away_ns(&mut node.away, &mut node.timing);
         node.heard = Some(Heard {
             away_ns,
@@ -328,7 +359,7 @@ impl Air {
         }
         if scene.robot[robot].ack_len == Some(flight.bytes.len() + mpdu::FCS) {
             let answer = driver_answer(&flight.bytes, world.mac(robot).0);
-            self.transmit(robot, flight.end_ns, &answer);
+            self.transmit(robot, flight.end_ns, &answer, None);
         }
         if self.nodes[robot].station.is_some() {
             self.ask(robot, flight.end_ns);
@@ -348,6 +379,9 @@ impl Air {
         let scene = self.world.scene();
         if node.loss.happens(scene.robot[robot].faults.driver_drop) {
             node.injected.driver_dropped += 1;
+            // Until another record comes.
+            node.injected.driver_dropped_unseen += 1;
+            node.dropped_since = node.dropped_since.map(|dropped| dropped + 1);
             return true;
         }
         let overheard = node.listening == Listening::Own && role == Role::Overheard;
@@ -360,6 +394,7 @@ impl Air {
             node.last_arrival_ns = arrival_ns;
             let clock_us = scene.robot[robot].crystal.clock_us(t_ns).wrapping_sub(node.clock_base_us);
             let bfee_count = node.bfee_count;
+            node.injected.driver_dropped_unseen -= node.dropped_since.replace(0).unwrap_or(0);
             node.arrivals.push_back(Reception {
                 flight: Arc::clone(flight),
                 t_ns,
@@ -382,7 +417,7 @@ impl Air {
             if !station.transmit(now, &mut bytes) {
                 break;
             }
-            self.transmit(robot, t_ns, &bytes);
+            self.transmit(robot, t_ns, &bytes, None);
         }
         self.scratch = bytes;
         self.arm(robot);

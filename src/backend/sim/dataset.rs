@@ -3,7 +3,9 @@
 use super::motion::Pose;
 use super::port::Port;
 use super::room::Room;
+use super::scene::Driver;
 use super::station::Role;
+use crate::backend::recorder::{STAMP, side_path};
 use crate::backend::{CsiSource, Error, Next};
 use crate::odometry::{NextPose, OdometrySource};
 use crate::time::Instant;
@@ -51,6 +53,8 @@ struct Writing {
     out: BufWriter<File>,
     log: Log,
     len: u64,
+    /// Host times, for records that have none.
+    side: Option<BufWriter<File>>,
     /// Where the records of the last blocks begin.
     starts: Vec<u64>,
     scratch: Vec<u8>,
@@ -62,6 +66,7 @@ struct Writing {
 /// | file | what |
 /// |---|---|
 /// | `csi_rx_TS.dat` | the initiator's log: the backward frames of all responders |
+/// | `csi_*_TS.datstp` | beside each log in the stock layout, whose records have no host times: those of its records |
 /// | `csi_txK_TS.dat` | the log of robot number K: the initiator's forward frames to it |
 /// | `rx_trajectory_TS_.csv` | where the initiator's antenna A truly was: sec.frac, 0, x, y, z, |
 /// | `odom_rx_trajectory_TS_.csv` | its odometry: sec, nsec, x, y, z, quaternion, velocity, angular velocity, |
@@ -73,8 +78,15 @@ struct Writing {
 /// gaps in `bfee_count`. `progress` is told the share of the scene that is done, about a hundred times.
 ///
 /// # Errors
-/// [`Error::Io`] when a file cannot be written, [`Error::Input`] when a card of the room was taken before.
+/// [`Error::Io`] when a file cannot be written, [`Error::Input`] when a card of the room was taken before, or a robot is
+/// `followed`: only a running node has poses for it.
 pub fn write_dataset(room: &mut Room, dir: &Path, progress: &mut dyn FnMut(f64)) -> Result<Vec<Capture>, Error> {
+    let followed = room.scene().robot.iter().find(|robot| matches!(robot.motion, super::motion::Motion::Followed(_)));
+    if let Some(robot) = followed {
+        let what =
+            "goes where an odometry source says while a node runs: `csi5300 node`, with `follow` in `capture.room`";
+        return Err(Error::Input(format!("robot `{}` {what}", robot.name)));
+    }
     let initiators = room.scene().initiators();
     let stamp = stamp(room.scene().start_unix_s);
     let mut folders = BTreeMap::new();
@@ -114,7 +126,8 @@ fn run(
     for (&receiver, folder) in folders {
         for robot in 0..robots {
             let who = if robot == receiver { "rx".to_owned() } else { format!("tx{robot}") };
-            logs.insert((receiver, robot), Writing::create(folder.join(format!("csi_{who}_{stamp}.dat")), robot)?);
+            let path = folder.join(format!("csi_{who}_{stamp}.dat"));
+            logs.insert((receiver, robot), Writing::create(path, robot, room.scene().driver == Driver::Stock)?);
         }
     }
     cards.iter_mut().for_each(Port::own_only);
@@ -124,9 +137,9 @@ fn run(
         running = false;
         let mut next: Option<Instant> = None;
         for (robot, card) in cards.iter_mut().enumerate() {
-            let over = drain(card, now, |role, from, record| {
+            let over = drain(card, now, |role, from, host_us, record| {
                 let key = owner(folders, role, robot, from).map(|owner| (owner, robot));
-                key.and_then(|key| logs.get_mut(&key)).map_or(Ok(()), |log| log.write(record))
+                key.and_then(|key| logs.get_mut(&key)).map_or(Ok(()), |log| log.write(host_us, record))
             })?;
             running |= !over;
             let at = if over { None } else { card.next_at() };
@@ -153,11 +166,11 @@ fn run(
 fn drain(
     card: &mut Port,
     now: Instant,
-    mut keep: impl FnMut(Role, usize, &Record<'_>) -> Result<(), Error>,
+    mut keep: impl FnMut(Role, usize, Option<i64>, &Record<'_>) -> Result<(), Error>,
 ) -> Result<bool, Error> {
     loop {
         match card.receive_with_role(now)? {
-            (role, from, Next::Record(_, record)) => keep(role, from, &record)?,
+            (role, from, Next::Record(stamps, record)) => keep(role, from, stamps.host_us, &record)?,
             (.., Next::Lost(_)) => {}
             (.., Next::Pending) => return Ok(false),
             (.., Next::End(_)) => return Ok(true),
@@ -178,13 +191,28 @@ fn owner(folders: &BTreeMap<usize, PathBuf>, role: Role, robot: usize, from: usi
 }
 
 impl Writing {
-    fn create(path: PathBuf, robot: usize) -> Result<Self, Error> {
+    /// `timed` for a side file with the host times.
+    fn create(path: PathBuf, robot: usize, timed: bool) -> Result<Self, Error> {
         let file = at(&path, "create the log", File::create(&path))?;
+        let side = timed.then(|| side_path(&path));
+        let side = side.map(|path| at(&path, "create the side file", File::create(&path))).transpose()?;
         let log = Log { path, robot, records: 0, tail_records: 0, tail_bytes: 0 };
-        Ok(Self { out: BufWriter::new(file), log, len: 0, starts: Vec::new(), scratch: Vec::new() })
+        Ok(Self {
+            out: BufWriter::new(file),
+            log,
+            len: 0,
+            side: side.map(BufWriter::new),
+            starts: Vec::new(),
+            scratch: Vec::new(),
+        })
     }
 
-    fn write(&mut self, record: &Record<'_>) -> Result<(), Error> {
+    fn write(&mut self, host_us: Option<i64>, record: &Record<'_>) -> Result<(), Error> {
+        if let Some(side) = &mut self.side {
+            let us = host_us.unwrap_or(0);
+            let stamp = [us.div_euclid(1_000_000), us.rem_euclid(1_000_000)].map(i64::to_le_bytes).concat();
+            at(&self.log.path, "write the host times beside", side.write_all(&stamp))?;
+        }
         self.scratch.resize(record.emit_len(), 0);
         record.emit(&mut self.scratch).map_err(|e| Error::Input(format!("cannot frame a simulated record: {e}")))?;
         at(&self.log.path, "write the log", self.out.write_all(&self.scratch))?;
@@ -210,6 +238,11 @@ impl Writing {
             self.log.tail_records = cut.len() as u64;
             self.log.records -= self.log.tail_records;
             self.log.tail_bytes = cut.first().map_or(0, |&start| kept.saturating_sub(start));
+        }
+        if let Some(side) = &mut self.side {
+            let whole = self.log.records * STAMP as u64;
+            let done = side.flush().and_then(|()| side.get_ref().set_len(whole));
+            at(&self.log.path, "write the host times beside", done)?;
         }
         Ok(self.log)
     }

@@ -85,6 +85,10 @@ pub struct Injected {
     pub overheard: u64,
     /// Records lost in the driver, first and second copies of a frame alike: [`Faults::driver_drop`].
     pub driver_dropped: u64,
+    /// Those of them before the first and after the last record that the driver handed on, from each switching on to the
+    /// next. No gap in `bfee_count` shows them: a log that ends with lost records has the bytes of one that ended before
+    /// them, and one that begins after them those of one that was begun later.
+    pub driver_dropped_unseen: u64,
     /// Times the socket's queue ran over.
     pub overruns: u64,
     /// Records lost because of it.

@@ -32,6 +32,7 @@
 //! |---|---|
 //! | [`scene`] | TOML into a checked scene; refusals have the line and the reason |
 //! | [`motion`] | time into poses: shapes, walks, waypoints, recorded trajectories |
+//! | `followed` | an odometry source into poses, while it gives them |
 //! | `surfaces` | two places into paths: image method to any order, exact lengths, blocked and weakened paths |
 //! | `carrier` | paths into 30 tones at the card's true subcarrier indices |
 //! | [`crystal`] | time into a card's clock and carrier phase, which share one crystal |
@@ -41,6 +42,7 @@
 //! | `air`, `node` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
 //! | `turn_around` | frames into the moments of their answers |
 //! | `port` | receptions into records, behind a socket queue that overruns as the kernel's does |
+//! | `interface` | frames for senders outside of the room, as a monitor interface gives them |
 //! | `odometer` | true motion into a sensor's poses |
 //! | `dataset` | a room into a capture folder |
 //!
@@ -59,6 +61,8 @@ mod carrier;
 pub mod crystal;
 mod dataset;
 mod faults;
+mod followed;
+mod interface;
 mod maths;
 pub mod motion;
 mod node;
@@ -82,6 +86,8 @@ pub use backend::Backend;
 pub use built_in::BUILT_IN;
 pub use dataset::{Capture, Log, write_dataset};
 pub use faults::{Faults, Injected};
+pub use followed::FollowedCounts;
+pub use interface::{Interface, Seen};
 pub use odometer::Odometer;
 pub use port::Port;
 pub use recorded::Recorded;

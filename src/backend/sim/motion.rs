@@ -1,5 +1,6 @@
 //! How robots move: pose as a function of true time.
 
+use super::followed::{SharedWay, Way, lock};
 use super::maths::{heading, rad, turned};
 use super::random::Stream;
 use super::recorded::Recorded;
@@ -22,9 +23,18 @@ impl Pose {
     pub fn mounted(&self, offset_m: Vector3<f64>) -> Vector3<f64> {
         self.position_m + turned(offset_m, self.yaw_rad)
     }
+
+    /// The pose at `part` of the way to another: straight, turning the short way.
+    #[must_use]
+    pub(super) fn towards(&self, to: &Self, part: f64) -> Self {
+        let turn = to.yaw_rad - self.yaw_rad;
+        let turn = turn - TAU * (turn / TAU).round();
+        let position_m = self.position_m + (to.position_m - self.position_m) * part;
+        Self { position_m, yaw_rad: self.yaw_rad + turn * part }
+    }
 }
 
-/// A motion as a scene states it. All but `waypoints` and `recorded` begin at the robot's own position and heading,
+/// A motion as a scene states it. All but `waypoints`, `recorded` and `followed` begin at the robot's own position and heading,
 /// after `start_s` of rest, and end after `duration_s` of motion; then the robot rests.
 #[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -50,6 +60,8 @@ pub enum Motion {
     Waypoints(Waypoints),
     /// A trajectory file.
     Recorded(RecordedMotion),
+    /// Poses of an odometry source while they come, see [`super::Room::follow`].
+    Followed(FollowedMotion),
 }
 
 /// See [`Motion::Line`].
@@ -187,6 +199,27 @@ pub struct RecordedMotion {
     /// When the file's first row is reached, seconds.
     #[serde(default)]
     pub start_s: f64,
+    /// How far the robot truly is from where the file says, metres (standard deviation of x and of y): the file is a
+    /// sensor's, and sensors stray.
+    #[serde(default)]
+    pub stray_m: f64,
+    /// About how long one swing of it takes, seconds.
+    #[serde(default = "ten")]
+    pub stray_s: f64,
+}
+
+fn ten() -> f64 {
+    10.0
+}
+
+/// See [`Motion::Followed`]. The robot waits at its own position until the first pose comes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FollowedMotion {
+    /// Where the origin of the poses' frame lies in the room, metres.
+    pub origin_m: [f64; 3],
+    /// How the poses' frame is turned in the room, degrees from +x towards +y.
+    pub origin_yaw_deg: f64,
 }
 
 fn one() -> f64 {
@@ -214,6 +247,7 @@ enum Shape {
     Square { side_m: f64, turns: f64 },
     Eight { radius_m: f64, turns: f64 },
     Table(Recorded),
+    Followed(SharedWay),
 }
 
 impl Track {
@@ -237,9 +271,13 @@ impl Track {
                 (Shape::Table(table), m.start_s, duration_s)
             }
             Motion::Recorded(m) => recorded.map_or((Shape::Still, 0.0, 0.0), |table| {
+                let table = table.strayed(m.stray_m, m.stray_s);
                 let duration_s = table.duration_s();
                 (Shape::Table(table), m.start_s, duration_s)
             }),
+            Motion::Followed(m) => {
+                (Shape::Followed(std::sync::Arc::new(std::sync::Mutex::new(Way::new(start, m)))), 0.0, 0.0)
+            }
         };
         Self { start, shape, start_s, duration_s }
     }
@@ -248,6 +286,15 @@ impl Track {
     #[must_use]
     pub fn is_still(&self) -> bool {
         matches!(self.shape, Shape::Still)
+    }
+
+    /// The way of a followed robot.
+    #[must_use]
+    pub fn way(&self) -> Option<&SharedWay> {
+        match &self.shape {
+            Shape::Followed(way) => Some(way),
+            _ => None,
+        }
     }
 
     /// The pose at true time `t_s`, seconds since the scene began.
@@ -275,6 +322,7 @@ impl Track {
                 turn(self.start, *radius_m, signed)
             }
             Shape::Table(table) => table.at(moved_s),
+            Shape::Followed(way) => lock(way).at(t_s).0,
         }
     }
 }

@@ -88,6 +88,24 @@ fn walks_keep_within_their_bounds_and_differ_by_seed() {
     assert_ne!(a.at(60.0), b.at(60.0));
 }
 
+#[test]
+fn a_recorded_motion_strays_slowly_and_by_as_much_as_stated() {
+    let rows =
+        (0..=6_000).map(|k| (f64::from(k) * 0.01, Pose { position_m: Vector3::zeros(), yaw_rad: 0.5 })).collect();
+    let table = Recorded::from_rows(rows);
+    assert_eq!(table.clone().strayed(0.0, 6.0), table);
+    let strayed = table.strayed(0.01, 6.0);
+    let places: Vec<Vector3<f64>> = (0..6_000).map(|k| strayed.at(f64::from(k) * 0.01).position_m).collect();
+    for axis in 0..2 {
+        let rms = (places.iter().map(|p| p[axis].powi(2)).sum::<f64>() / 6_000.0).sqrt();
+        assert!((0.0085..0.0115).contains(&rms), "{rms}");
+    }
+    let both = places.iter().map(|p| p.x * p.y).sum::<f64>() / 6_000.0;
+    assert!(both.abs() < 3e-5, "x and y stray each for itself: {both}");
+    let fastest = places.windows(2).map(|w| (w[1] - w[0]).norm() / 0.01).fold(0.0, f64::max);
+    assert!(fastest < 0.09 && places.iter().all(|p| p.z == 0.0), "{fastest} m/s");
+}
+
 proptest! {
     /// No motion jumps: between two instants a robot goes no further than its top speed allows.
     #[test]

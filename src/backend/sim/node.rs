@@ -18,8 +18,19 @@ pub struct Flight {
     pub end_ns: i64,
     /// True time of the rise of its exchange's forward frame.
     pub instant_ns: i64,
+    /// Modulation and coding scheme.
+    pub mcs: u8,
     /// The frame, without FCS.
     pub bytes: Box<[u8]>,
+}
+
+/// A frame that passed a robot's monitor interface.
+#[derive(Clone, Debug)]
+pub struct Passed {
+    /// The frame.
+    pub flight: Arc<Flight>,
+    /// The robot sent it itself, and this is the card's report that it went out.
+    pub own: bool,
 }
 
 /// A frame that a card received and its driver handed on.
@@ -59,6 +70,10 @@ pub struct Node {
     pub injected: Injected,
     /// Which of this robot's records somebody reads.
     pub listening: Listening,
+    /// Frames that passed its monitor interface and were not fetched yet, if somebody has one.
+    pub passed: Option<VecDeque<Passed>>,
+    /// Frames lost because nobody fetched them.
+    pub passed_lost: u64,
     pub(super) station: Option<Box<dyn Station>>,
     /// The next time the station is asked.
     pub(super) armed_ns: Option<i64>,
@@ -72,6 +87,8 @@ pub struct Node {
     /// The card's clock at the last switching on, taken off what it shows.
     pub(super) clock_base_us: u64,
     pub(super) bfee_count: u16,
+    /// Records lost in the driver since the last that it handed on; `None` before the first.
+    pub(super) dropped_since: Option<u64>,
     pub(super) last_arrival_ns: i64,
     pub(super) timing: Stream,
     pub(super) loss: Stream,
@@ -95,15 +112,30 @@ pub(super) struct Heard {
 pub(super) struct Outgoing {
     pub(super) not_before_ns: i64,
     pub(super) instant_ns: Option<i64>,
+    pub(super) mcs: u8,
     pub(super) bytes: Box<[u8]>,
 }
 
+/// Frames that a monitor interface holds until they are fetched; the kernel's default holds about as many.
+const PASSED: usize = 256;
+
 impl Node {
+    /// A frame passes the robot's monitor interface, if somebody has it.
+    pub(super) fn pass(&mut self, flight: &Arc<Flight>, own: bool) {
+        match &mut self.passed {
+            Some(passed) if passed.len() < PASSED => passed.push_back(Passed { flight: Arc::clone(flight), own }),
+            Some(_) => self.passed_lost += 1,
+            None => {}
+        }
+    }
+
     pub(super) fn new(seed: u64, robot: usize) -> Self {
         Self {
             arrivals: VecDeque::new(),
             injected: Injected::default(),
             listening: Listening::Nobody,
+            passed: None,
+            passed_lost: 0,
             station: None,
             armed_ns: None,
             heard: None,
@@ -112,6 +144,7 @@ impl Node {
             on: true,
             clock_base_us: 0,
             bfee_count: 0,
+            dropped_since: None,
             last_arrival_ns: 0,
             timing: Stream::new(seed, robot, Purpose::Timing),
             loss: Stream::new(seed, robot, Purpose::Loss),

@@ -29,6 +29,8 @@ pub struct Odometer {
     before: motion::Pose,
     believed_m: Vector3<f64>,
     heading_error_rad: f64,
+    /// Of a followed robot: the frame of the last pose.
+    frame: u32,
 }
 
 impl Odometer {
@@ -45,6 +47,7 @@ impl Odometer {
             before,
             believed_m: before.position_m,
             heading_error_rad: 0.0,
+            frame: 0,
             air,
             world,
         }
@@ -61,10 +64,26 @@ impl Odometer {
         [late, self.measured_ns(self.next)].into_iter().flatten().min()
     }
 
+    /// True if a followed robot's poses are in another frame from `due_ns` on: dead reckoning begins anew.
+    fn begins_frame(&mut self, due_ns: i64) -> bool {
+        let t_s = due_ns as f64 * 1e-9;
+        let Some(frame) = self.world.frame(self.robot, t_s).filter(|frame| *frame != self.frame) else { return false };
+        let first = std::mem::replace(&mut self.frame, frame) == 0;
+        self.before = self.world.pose(self.robot, t_s);
+        (self.believed_m, self.heading_error_rad) = (self.before.position_m, 0.0);
+        self.late.clear();
+        !first
+    }
+
     /// The pose that is due at `due_ns`, if it is not dropped or late.
     fn take(&mut self, due_ns: i64) -> Option<Pose> {
         if let Some(at) = self.late.iter().position(|late| late.0 == due_ns) {
             return Some(self.late.swap_remove(at).1);
+        }
+        if self.world.frame(self.robot, due_ns as f64 * 1e-9) == Some(0) {
+            // Nobody knows yet where it is.
+            self.next += 1;
+            return None;
         }
         let pose = self.measure(due_ns);
         self.next += 1;
@@ -111,6 +130,9 @@ impl OdometrySource for Odometer {
             if due_ns > now_ns {
                 return Ok(NextPose::Pending);
             }
+            if self.begins_frame(due_ns) {
+                return Ok(NextPose::NewFrame);
+            }
             if let Some(pose) = self.take(due_ns) {
                 lock(&self.air).node(self.robot).injected.poses += 1;
                 return Ok(NextPose::Pose(pose));
@@ -121,5 +143,13 @@ impl OdometrySource for Odometer {
 
     fn next_at(&self) -> Option<Instant> {
         self.due_ns().map(|ns| Instant::from_us(ns.saturating_add(999).div_euclid(1_000)))
+    }
+
+    fn trouble(&self) -> Option<String> {
+        lock(&self.air).follower(self.robot)?.trouble()
+    }
+
+    fn counted(&self) -> Option<serde_json::Value> {
+        Some(lock(&self.air).follower(self.robot)?.counted())
     }
 }

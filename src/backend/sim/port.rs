@@ -3,6 +3,7 @@
 use super::air::Air;
 use super::faults::Faults;
 use super::node::{Flight, Listening, Reception};
+use super::radio::Radio;
 use super::receiver::{Arrival, Receiver};
 use super::scene::Driver;
 use super::station::Role;
@@ -187,7 +188,8 @@ impl Port {
             noise_dbm: NOISE_UNKNOWN_DBM,
             agc: measured.agc,
             antenna_sel: measured.antenna_sel,
-            rate_n_flags: scene.radio_of(&scene.robot[flight.from]).rate_n_flags(scene.bandwidth_mhz == 40),
+            rate_n_flags: Radio { mcs: flight.mcs, ..*scene.radio_of(&scene.robot[flight.from]) }
+                .rate_n_flags(scene.bandwidth_mhz == 40),
             wsr: (self.driver == Driver::Wsr).then(|| self.wsr(host_us(air, self.robot, reception.arrival_ns), flight)),
         };
         self.body.resize(repr.body_len(), 0);
@@ -244,17 +246,22 @@ impl CsiSource for Port {
 
 impl Injector for Port {
     fn inject(&mut self, now: Instant, frame: &[u8]) -> Result<(), Error> {
-        if !(mpdu::HEADER..=MAX_FRAME).contains(&frame.len()) {
-            let len = frame.len();
-            let what = format!("a frame of {len} bytes was not sent: {} to {MAX_FRAME} are possible", mpdu::HEADER);
-            return Err(Error::Input(what));
-        }
-        let mut air = lock(&self.air);
-        let now_ns = now.as_us().saturating_mul(1_000);
-        air.advance(now_ns);
-        air.transmit(self.robot, now_ns, frame);
-        Ok(())
+        inject(&self.air, self.robot, now, frame, None)
     }
+}
+
+/// A robot's host hands a frame to its card.
+pub(super) fn inject(air: &Mutex<Air>, robot: usize, now: Instant, frame: &[u8], mcs: Option<u8>) -> Result<(), Error> {
+    if !(mpdu::HEADER..=MAX_FRAME).contains(&frame.len()) {
+        let len = frame.len();
+        let what = format!("a frame of {len} bytes was not sent: {} to {MAX_FRAME} are possible", mpdu::HEADER);
+        return Err(Error::Input(what));
+    }
+    let mut air = lock(air);
+    let now_ns = now.as_us().saturating_mul(1_000);
+    air.advance(now_ns);
+    air.transmit(robot, now_ns, frame, mcs);
+    Ok(())
 }
 
 /// A host's wall clock at a true time, microseconds since the Unix epoch.
@@ -266,6 +273,6 @@ pub(super) fn host_us(air: &Air, robot: usize, t_ns: i64) -> i64 {
 }
 
 /// The first whole microsecond at or after a time.
-fn ceil_us(t_ns: i64) -> Instant {
+pub(super) fn ceil_us(t_ns: i64) -> Instant {
     Instant::from_us(t_ns.saturating_add(999).div_euclid(1_000))
 }

@@ -1,5 +1,7 @@
 //! What a card's radio does to a channel, as a scene states it. All effects are off by default.
 
+use super::carrier::TONES;
+use super::maths::amplitude;
 use super::random::Stream;
 pub use super::turn_around::{Away, Group, TurnAround};
 use serde::Deserialize;
@@ -21,6 +23,9 @@ pub struct Radio {
     /// runs through one sample period (50 ns at 20 MHz) again and again.
     #[doc(alias = "STO")]
     pub sampling_offset: bool,
+    /// What the filters of the sender's and this card leave of each of the 30 subcarriers, dB; only the shape counts.
+    /// Without it they are flat. Real cards: 2 dB less at the edges, and 0.5 dB up and down between.
+    pub filter_db: Option<[f64; TONES]>,
     /// How coefficients become 8-bit integers.
     pub gain: Gain,
     /// Transmitted power with antenna gains, dBm.
@@ -38,8 +43,11 @@ pub struct Radio {
     /// From the rise of a frame on air to the rise of its answer.
     pub turn_around: TurnAround,
     /// How late a frame is sent that is not an answer, microseconds: the mean of an exponential distribution. Real
-    /// captures' intervals of 10 ms have quartiles of 55 us either way and a standard deviation of 115 to 147: 85.
+    /// captures' intervals of 10 ms have quartiles of 40 to 60 us either way and a standard deviation of 114 to 128: 45 to
+    /// 70, and [`Radio::send_delay`].
     pub send_jitter_us: f64,
+    /// Frames that leave later still, because the sender's host was busy elsewhere. Real captures: one in fourteen, 270 us.
+    pub send_delay: Group,
     /// From the end of a frame to its record on the host, microseconds: mean.
     pub host_latency_us: f64,
     /// The same, standard deviation. Never less than a tenth of the mean.
@@ -54,6 +62,7 @@ impl Default for Radio {
             delay_ns: 0.0,
             delay_std_ns: 0.0,
             sampling_offset: false,
+            filter_db: None,
             gain: Gain::default(),
             tx_power_dbm: 15.0,
             chains: 3,
@@ -63,6 +72,7 @@ impl Default for Radio {
             mcs: 0,
             turn_around: TurnAround::default(),
             send_jitter_us: 0.0,
+            send_delay: Group::default(),
             host_latency_us: 100.0,
             host_latency_std_us: 0.0,
         }
@@ -156,10 +166,15 @@ pub enum AntennaOrder {
 impl Radio {
     /// A lateness in sending, nanoseconds.
     pub fn send_jitter_ns(&self, stream: &mut Stream) -> i64 {
-        if self.send_jitter_us == 0.0 {
-            return 0;
+        let mut us = 0.0;
+        if self.send_jitter_us != 0.0 {
+            us -= self.send_jitter_us * libm::log(1.0 - stream.uniform());
         }
-        (-self.send_jitter_us * libm::log(1.0 - stream.uniform()) * 1e3) as i64
+        let Group { share, us: delay_us, spread_us } = self.send_delay;
+        if stream.happens(share) {
+            us += (delay_us + stream.spread(spread_us)).max(0.0);
+        }
+        (us * 1e3) as i64
     }
 
     /// From the end of a frame on air to its record on the host, nanoseconds.
@@ -181,6 +196,14 @@ impl Radio {
         36_000 + 4_000 * symbols as i64
     }
 
+    /// What the filters leave of each subcarrier's amplitude, of unit mean square; `None` if they are flat.
+    #[must_use]
+    pub(super) fn filter(&self) -> Option<[f64; TONES]> {
+        let gains = self.filter_db?.map(amplitude);
+        let rms = (gains.iter().map(|gain| gain * gain).sum::<f64>() / TONES as f64).sqrt();
+        Some(gains.map(|gain| gain / rms))
+    }
+
     /// `fake_rate_n_flags`: HT, the scheme, and 40 MHz (bit 11). Long guard interval, no antenna bits, as recorded.
     #[must_use]
     pub fn rate_n_flags(&self, wide: bool) -> u16 {
@@ -190,7 +213,22 @@ impl Radio {
 
 #[cfg(test)]
 mod tests {
+    use super::super::random::Purpose;
     use super::*;
+
+    #[test]
+    fn frames_leave_late_as_stated() {
+        let send_delay = Group { share: 0.1, us: 300.0, spread_us: 10.0 };
+        let radio = Radio { send_jitter_us: 50.0, send_delay, ..Radio::default() };
+        let mut stream = Stream::new(1, 0, Purpose::Timing);
+        let late: Vec<f64> = (0..50_000).map(|_| radio.send_jitter_ns(&mut stream) as f64 * 1e-3).collect();
+        let mean = late.iter().sum::<f64>() / 50_000.0;
+        assert!((mean - 80.0).abs() < 2.0, "{mean}");
+        // Beyond 250 us: nearly all of the delayed, and exp(-5) of the others.
+        let share = late.iter().filter(|late| **late > 250.0).count() as f64 / 50_000.0;
+        assert!((share - 0.1 - 0.9 * (-5f64).exp()).abs() < 0.005, "{share}");
+        assert_eq!(Radio::default().send_jitter_ns(&mut stream), 0);
+    }
 
     #[test]
     fn a_sounding_frame_takes_its_time() {

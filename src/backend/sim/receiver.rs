@@ -45,6 +45,7 @@ pub struct Receiver {
     radio: Radio,
     stream: Stream,
     paths: Vec<Path>,
+    filter: Option<[f64; TONES]>,
 }
 
 /// What reaches the chains of one card, before the converter.
@@ -58,7 +59,7 @@ impl Receiver {
     /// The receiver of a robot.
     #[must_use]
     pub fn new(radio: Radio, seed: u64, robot: usize) -> Self {
-        Self { radio, stream: Stream::new(seed, robot, Purpose::Radio), paths: Vec::new() }
+        Self { filter: radio.filter(), radio, stream: Stream::new(seed, robot, Purpose::Radio), paths: Vec::new() }
     }
 
     /// Receives a frame. `None` if no path leads from sender to receiver.
@@ -102,6 +103,9 @@ impl Receiver {
         for (antenna, (tones, power)) in incoming.tones.iter_mut().zip(&mut incoming.power).enumerate().take(n_rx) {
             if world.paths(arrival.from, arrival.to, antenna, t_s, &mut self.paths) {
                 world.add(&self.paths, common, tones);
+                if let Some(filter) = &self.filter {
+                    tones.iter_mut().zip(filter).for_each(|(tone, gain)| *tone *= *gain);
+                }
                 *power = Some(tones.iter().map(Complex64::norm_sqr).sum::<f64>() / TONES as f64);
             }
         }

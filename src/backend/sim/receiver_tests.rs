@@ -43,6 +43,44 @@ fn a_bare_record_is_the_channel_itself() {
 }
 
 #[test]
+fn filters_shape_the_subcarriers_and_leave_the_level() {
+    let gains: Vec<String> =
+        (0..30).map(|k| format!("{:.1}", if !(3..=26).contains(&k) { -6.0 } else { 3.0 })).collect();
+    let flat = receive(&scene("gain.agc = { target_lsb = 60.0 }", ""), 1)[0];
+    let shaped = format!("gain.agc = {{ target_lsb = 60.0 }}\nfilter_db = [{}]", gains.join(", "));
+    let shaped = receive(&scene(&shaped, ""), 1)[0];
+    let size = |m: &Measured, i: usize| f64::from(m.csi[3 * i].i).hypot(f64::from(m.csi[3 * i].q));
+    let rms = |m: &Measured| ((0..30).map(|i| size(m, i).powi(2)).sum::<f64>() / 30.0).sqrt();
+    assert!((rms(&flat) - 60.0).abs() < 0.5 && (rms(&shaped) - 60.0).abs() < 0.5, "{} {}", rms(&flat), rms(&shaped));
+    let ratio = size(&shaped, 15) / size(&shaped, 0);
+    assert!((ratio - amplitude(9.0)).abs() < 0.05 * ratio, "{ratio}: 9 dB between middle and edge");
+    assert_eq!((shaped.agc, shaped.rssi), (flat.agc, flat.rssi));
+}
+
+#[test]
+fn a_pattern_weighs_both_directions_alike_by_the_robots_heading() {
+    let power = |more: &str, arrival: Arrival| {
+        let text = format!(
+            "duration_s = 1.0\nradio.gain.agc = {{ target_lsb = 60.0 }}\n[[robot]]\nname = \"rx\"\n{more}\n\
+             [[robot]]\nname = \"tx\"\nposition_m = [4.0, 0.0, 0.0]\n"
+        );
+        let patterned = Scene::from_toml(&text).unwrap();
+        let world = World::new(&patterned).unwrap();
+        let measured = Receiver::new(patterned.radio, 1, 0).measure(&world, arrival).unwrap();
+        i32::from(measured.rssi[0]) - i32::from(measured.agc)
+    };
+    let back = Arrival { from: 0, to: 1, t_ns: 0, instant_ns: 0 };
+    let plain = power("", arrival(0));
+    // The other robot is at +x: ahead, to the left, behind.
+    for (yaw_deg, db) in [(0.0, 6), (-90.0, 3), (180.0, -6), (90.0, -3)] {
+        let more = format!("yaw_deg = {yaw_deg:?}\npattern = {{ cos_db = 6.0, sin_db = 3.0 }}");
+        assert_eq!([power(&more, arrival(0)), power(&more, back)], [plain + db; 2], "{yaw_deg} degrees");
+    }
+    let more = "yaw_deg = 45.0\npattern = { cos2_db = 9.0, sin2_db = -4.0 }";
+    assert_eq!(power(more, arrival(0)), plain + 4, "45 degrees to the right: the second harmonic's sine is -1");
+}
+
+#[test]
 fn noise_has_the_stated_ratio_and_agc_the_stated_size() {
     let records = receive(&scene("noise.snr_db = 3.0", ""), 400);
     let clean = receive(&scene("", ""), 1)[0];

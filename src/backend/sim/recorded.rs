@@ -4,6 +4,7 @@ use super::motion::Pose;
 use crate::odometry::csv;
 use crate::pose::Trajectory;
 use nalgebra::Vector3;
+use std::f64::consts::TAU;
 use std::path::Path;
 
 /// Poses over time, interpolated linearly; at rest before the first row and after the last.
@@ -66,9 +67,30 @@ impl Recorded {
         };
         let (a, b) = (pose(after - 1), pose(after));
         let part = if to > from { (t_s - from) / (to - from) } else { 0.0 };
-        let turn = b.yaw_rad - a.yaw_rad;
-        let turn = turn - std::f64::consts::TAU * (turn / std::f64::consts::TAU).round();
-        Pose { position_m: a.position_m + (b.position_m - a.position_m) * part, yaw_rad: a.yaw_rad + turn * part }
+        a.towards(&b, part)
+    }
+
+    /// The same with every place off by slow swings: of standard deviation `stray_m` in x and in y, each of sines with
+    /// periods about `stray_s`. They are no matter of chance: where a robot was in a recording does not go with a seed.
+    #[must_use]
+    pub(super) fn strayed(mut self, stray_m: f64, stray_s: f64) -> Self {
+        /// Periods of the sines: in no simple ratio, so that the deviation is met within a few swings, and no motion has
+        /// all of them in common.
+        const PERIODS: [f64; 8] = [0.45, 0.57, 0.73, 0.94, 1.21, 1.53, 1.93, 2.42];
+        /// Phases follow each other by the golden section of a turn, which spreads any number of them evenly.
+        const GOLDEN: f64 = 0.618_033_988_749_895;
+        if stray_m == 0.0 {
+            return self;
+        }
+        let size_m = stray_m * (2.0 / PERIODS.len() as f64).sqrt();
+        for (t_s, pose) in self.t_s.iter().zip(&mut self.poses) {
+            for (k, period) in PERIODS.iter().enumerate() {
+                let swing = |k: usize| size_m * libm::sin(TAU * (t_s / (stray_s * period) + k as f64 * GOLDEN));
+                pose.position_m.x += swing(k + 1);
+                pose.position_m.y += swing(k + 1 + PERIODS.len());
+            }
+        }
+        self
     }
 
     /// Headings along the way driven, for files that have none.

@@ -2,14 +2,17 @@
 
 use super::air::{Air, MakeStation};
 use super::faults::Injected;
+use super::followed::Follower;
+use super::interface::Interface;
 use super::motion::Pose;
 use super::odometer::Odometer;
-use super::port::{Port, host_us, lock};
+use super::port::{Port, ceil_us, host_us, lock};
 use super::scene::Scene;
 use super::sounder::sounder;
 use super::station::Station;
 use super::world::World;
 use crate::backend::Error;
+use crate::odometry::OdometrySource;
 use crate::time::Instant;
 use driver_iface::Mac;
 use std::sync::{Arc, Mutex};
@@ -86,10 +89,46 @@ impl Room {
         Some(Port::new(Arc::clone(&self.air), robot))
     }
 
+    /// A robot's monitor interface: frames injected and heard, for a sender outside of the room. `None` for no robot, or
+    /// while somebody has it. Frames that it hears are kept from then on.
+    pub fn interface(&mut self, robot: usize) -> Option<Interface> {
+        (robot < self.taken.len()).then(|| Interface::new(Arc::clone(&self.air), robot)).flatten()
+    }
+
+    /// Lets time pass, for rooms of whose robots nobody may read a record.
+    pub fn advance(&mut self, now: Instant) {
+        lock(&self.air).advance(now.as_us().saturating_mul(1_000));
+    }
+
+    /// When the next thing happens in the room; its end when nothing does before, `None` once that is over.
+    #[must_use]
+    pub fn next_at(&self) -> Option<Instant> {
+        let air = lock(&self.air);
+        let at_ns = air.next_ns().or((air.now_ns() < air.end_ns()).then(|| air.end_ns()));
+        at_ns.map(ceil_us)
+    }
+
     /// A robot's odometry; `None` for no robot. Two of the same robot give the same poses, and count twice.
     #[must_use]
     pub fn odometry(&self, robot: usize) -> Option<Odometer> {
         (robot < self.taken.len()).then(|| Odometer::new(Arc::clone(&self.air), robot))
+    }
+
+    /// Makes a robot go where `source` says, from a tenth of a second after each pose came. Its motion in the scene must
+    /// be `followed`. What the robot's odometry gives is where the room has it, so that poses and records agree.
+    ///
+    /// # Errors
+    /// [`Error::Input`] when there is no such robot, it has another motion, or it follows a source already.
+    pub fn follow(&mut self, robot: usize, source: Box<dyn OdometrySource + Send>) -> Result<(), Error> {
+        let name = self.scene().robot.get(robot).map_or("?", |robot| robot.name.as_str()).to_owned();
+        let way = self.world.way(robot).ok_or_else(|| {
+            Error::Input(format!("robot `{name}` follows no poses: its motion in the scene is not `followed`"))
+        })?;
+        if lock(&self.air).follow(Follower::new(robot, Arc::clone(way), source)) {
+            Ok(())
+        } else {
+            Err(Error::Input(format!("robot `{name}` follows a source already")))
+        }
     }
 
     /// A robot's MAC address, if there is such a robot.

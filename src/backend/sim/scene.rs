@@ -167,6 +167,8 @@ pub struct Robot {
     pub antenna_b_m: Option<[f64; 3]>,
     /// Antenna C, if connected.
     pub antenna_c_m: Option<[f64; 3]>,
+    /// How strongly its antennas send and receive, by direction.
+    pub pattern: Pattern,
     /// How it moves.
     pub motion: Motion,
     /// Its card's crystal.
@@ -182,6 +184,30 @@ pub struct Robot {
     /// Frames of exactly this many bytes (with FCS) are answered by the card's driver, as the WSR driver's module
     /// parameter of this name does. For rooms whose frames come from outside.
     pub ack_len: Option<usize>,
+}
+
+/// The antennas' gain towards the other robot, dB, by its azimuth `a` in this robot's frame (0 ahead, to the left positive):
+/// `cos_db cos a + sin_db sin a + cos2_db cos 2a + sin2_db sin 2a`. Reflections arrive with the gain of the straight way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Pattern {
+    /// More ahead than behind.
+    pub cos_db: f64,
+    /// More to the left than to the right.
+    pub sin_db: f64,
+    /// More ahead and behind than to the sides.
+    pub cos2_db: f64,
+    /// More to the left ahead and to the right behind than to the other corners.
+    pub sin2_db: f64,
+}
+
+impl Pattern {
+    /// The gain, dB, towards a direction given by its cosine and sine in the robot's frame.
+    #[must_use]
+    pub fn gain_db(&self, cos: f64, sin: f64) -> f64 {
+        let (cos2, sin2) = (2.0 * cos * cos - 1.0, 2.0 * sin * cos);
+        self.cos_db * cos + self.sin_db * sin + self.cos2_db * cos2 + self.sin2_db * sin2
+    }
 }
 
 /// A host's wall clock: `true time + offset + drift`.

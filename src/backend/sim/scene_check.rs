@@ -4,7 +4,7 @@ use super::carrier::Carrier;
 use super::faults::Faults;
 use super::motion::Motion;
 use super::radio::{Gain, Noise, Radio};
-use super::scene::{Dialect, Odometry, Robot, Scene, SceneError};
+use super::scene::{Dialect, Odometry, Pattern, Robot, Scene, SceneError};
 use super::sounder::request;
 use super::world::{World, surfaces};
 use nalgebra::Vector3;
@@ -156,6 +156,11 @@ impl Scene {
         finite("position_m", &robot.position_m)?;
         finite("yaw_deg", &[robot.yaw_deg])?;
         finite("antenna_m", &robot.antenna_m)?;
+        let Pattern { cos_db, sin_db, cos2_db, sin2_db } = robot.pattern;
+        let harmonics = [cos_db, sin_db, cos2_db, sin2_db];
+        ensure(harmonics.iter().all(|db| db.abs() <= 60.0), "pattern", || {
+            "has no more than 60 dB of any kind".to_owned()
+        })?;
         check_motion(&robot.motion).map_err(|p| p.key("motion"))?;
         let c = &robot.crystal;
         let drifts = [c.offset_ppm, c.drift_ppm_per_s, c.warm_up_ppm, c.wander_ppm];
@@ -290,7 +295,18 @@ fn check_motion(motion: &Motion) -> Checked {
             };
             check().map_err(|p: Problem| p.key("waypoints"))
         }
-        Motion::Recorded(m) => not_negative("start_s", m.start_s).map_err(|p| p.key("recorded")),
+        Motion::Recorded(m) => {
+            let check = || {
+                not_negative("start_s", m.start_s)?;
+                not_negative("stray_m", m.stray_m)?;
+                positive("stray_s", m.stray_s)
+            };
+            check().map_err(|p: Problem| p.key("recorded"))
+        }
+        Motion::Followed(m) => {
+            let check = || finite("origin_m", &m.origin_m).and_then(|()| finite("origin_yaw_deg", &[m.origin_yaw_deg]));
+            check().map_err(|p: Problem| p.key("followed"))
+        }
     }
 }
 
@@ -304,6 +320,10 @@ fn check_radio(radio: &Radio) -> Checked {
     ];
     sizes.iter().try_for_each(|&(key, value)| not_negative(key, value))?;
     finite("delay_ns", &[radio.delay_ns])?;
+    finite("filter_db", &radio.filter_db.unwrap_or_default())?;
+    share("share", radio.send_delay.share).map_err(|p| p.key("send_delay"))?;
+    not_negative("us", radio.send_delay.us).map_err(|p| p.key("send_delay"))?;
+    not_negative("spread_us", radio.send_delay.spread_us).map_err(|p| p.key("send_delay"))?;
     finite("tx_power_dbm", &[radio.tx_power_dbm])?;
     ensure((1..=3).contains(&radio.chains), "chains", || format!("is {}; the card has 1 to 3", radio.chains))?;
     ensure(radio.mcs <= 7, "mcs", || format!("is {}; one stream has 0 to 7", radio.mcs))?;

@@ -37,7 +37,7 @@ fn a_good_scene_is_read() {
 #[test]
 fn bad_scenes_are_refused_with_line_and_reason() {
     let good = good();
-    let cases: [(String, usize, &str); 14] = [
+    let cases: [(String, usize, &str); 19] = [
         (GOOD.to_owned(), 3, "noise_free"),
         (good.replace("duration_s = 10.0\nseed", "duration_s = -1.0\nseed"), 1, "more than 0"),
         (good.replace("seed = 3", "channel = 20"), 2, "channels are"),
@@ -56,6 +56,18 @@ fn bad_scenes_are_refused_with_line_and_reason() {
             "never go on",
         ),
         (good.replace("to_m = [5.0, 3.0]", "to_m = [-5.0, 3.0]"), 15, "where the wall begins"),
+        (good.replace("seed = 3", "radio.send_delay = { share = 2.0 }"), 2, "a share"),
+        (good.replace("seed = 3", "radio.send_delay = { us = -1.0 }"), 2, "us is -1"),
+        (good.replace("seed = 3", "radio.filter_db = [0.0, 1.0]"), 2, "length 2"),
+        (good.replace("name = \"tx\"", "name = \"tx\"\npattern = { cos_db = 70.0 }"), 12, "60 dB"),
+        (
+            good.replace(
+                "circle = { radius_m = 0.3, duration_s = 10.0 }",
+                "recorded = { file = \"t\", stray_m = -0.1 }",
+            ),
+            9,
+            "stray_m is -0.1",
+        ),
     ];
     for (text, line, what) in cases {
         let (got, reason) = refused(&text);

@@ -1,5 +1,6 @@
 //! The room's own senders: the TDMA state machine that live cards run too, driven in virtual time.
 
+use super::radio::{Group, Radio};
 use super::scene::{Dialect, Scene, Sounding};
 use super::station::{Role, Station};
 use super::world::World;
@@ -10,8 +11,10 @@ use driver_iface::sounding::wsr;
 
 /// Silence after which a lost turn is taken, in slots, where only one robot wants it: nobody has to be waited for.
 const ALONE_SILENCE_SLOTS: u32 = 2;
-/// A guard is this many times the jitter of sending, so that frames keep out of each other's slots.
+/// A guard is this many times the jitter of sending, and the usual delay with this many deviations beside it, so that
+/// frames keep out of each other's slots.
 const GUARD_PER_JITTER: f64 = 5.0;
+const GUARD_DEVIATIONS: f64 = 3.0;
 
 /// One robot's side of the exchange.
 #[derive(Debug)]
@@ -49,7 +52,7 @@ impl Station for Sounder {
 /// [`PlanError`] when the rate does not fit, with the highest that does.
 pub(super) fn request(scene: &Scene, sounding: &Sounding) -> Result<Request, PlanError> {
     let radios = || scene.robot.iter().map(|robot| scene.radio_of(robot));
-    let longest = |of: fn(&super::radio::Radio) -> f64| radios().map(of).fold(0.0, f64::max);
+    let longest = |of: fn(&Radio) -> f64| radios().map(of).fold(0.0, f64::max);
     let request = Request {
         phy: tdma::Phy {
             mcs: radios().map(|radio| radio.mcs).min().unwrap_or(0),
@@ -60,7 +63,7 @@ pub(super) fn request(scene: &Scene, sounding: &Sounding) -> Result<Request, Pla
             Dialect::Native => tdma::Dialect::Native { measurement: false, authenticated: false },
         },
         turn_around_us: longest(|radio| radio.turn_around.max_us).ceil() as u32,
-        guard_us: tdma::GUARD_US.max((GUARD_PER_JITTER * longest(|radio| radio.send_jitter_us)).ceil() as u32),
+        guard_us: tdma::GUARD_US.max(longest(lateness_us).ceil() as u32),
         ..Request::new(scene.robot.len().saturating_sub(1) as u16, sounding.rate_hz)
     };
     if sounding.rate_hz != f64::INFINITY {
@@ -71,6 +74,13 @@ pub(super) fn request(scene: &Scene, sounding: &Sounding) -> Result<Request, Pla
         Err(other) => Err(other),
         Ok(_) => Ok(Request { rate_hz: 1e6, ..request }),
     }
+}
+
+/// How late frames of a radio leave at most, but for few, microseconds.
+fn lateness_us(radio: &Radio) -> f64 {
+    let Group { share, us, spread_us } = radio.send_delay;
+    let delayed_us = if share > 0.0 { us + GUARD_DEVIATIONS * spread_us } else { 0.0 };
+    GUARD_PER_JITTER * radio.send_jitter_us + delayed_us
 }
 
 /// The sender of a robot, switched on at `now` on its own clock, for the `restarts`-th time.

@@ -1,9 +1,11 @@
 //! A scene made ready: where everything is at any time, what the carriers do, and the channel between two robots.
 
 use super::carrier::{Carrier, Common, SAMPLE_20_S, Tones};
+use super::followed::{SharedWay, lock};
+use super::maths::{amplitude, heading};
 use super::motion::{Pose, Track};
 use super::random::{Purpose, Stream};
-use super::scene::{Cfo, Scene};
+use super::scene::{Cfo, Pattern, Scene};
 use super::surfaces::{Path, Surface, Surfaces};
 use driver_iface::Mac;
 use nalgebra::Vector3;
@@ -87,6 +89,19 @@ impl World {
         self.robots[robot].track.at(t_s)
     }
 
+    /// The way of a robot that follows a source; `None` for others.
+    #[must_use]
+    pub fn way(&self, robot: usize) -> Option<&SharedWay> {
+        self.robots.get(robot)?.track.way()
+    }
+
+    /// The number of the frame in which a followed robot's pose is at `t_s`, 0 before its first one came; `None` for a
+    /// robot that follows nobody.
+    #[must_use]
+    pub fn frame(&self, robot: usize, t_s: f64) -> Option<u32> {
+        self.way(robot).map(|way| lock(way).at(t_s).1)
+    }
+
     /// True if a robot never moves.
     #[must_use]
     pub fn is_still(&self, robot: usize) -> bool {
@@ -152,7 +167,27 @@ impl World {
         } else {
             self.surfaces.paths(p, q, found);
         }
+        if let Some(gain) = self.pattern_gain(from, to, q - p, t_s) {
+            found.iter_mut().for_each(|path| path.gain *= gain);
+        }
         !found.is_empty()
+    }
+
+    /// The amplitude that the patterns of both robots' antennas give, if either has one; `way` leads from one to the other.
+    fn pattern_gain(&self, from: usize, to: usize, way: Vector3<f64>, t_s: f64) -> Option<f64> {
+        let level = way.xy().norm();
+        let ends = [(from, way), (to, -way)];
+        let mut db = None;
+        for (robot, way) in ends {
+            let pattern = self.scene.robot[robot].pattern;
+            if pattern != Pattern::default() && level > 0.0 {
+                let ahead = heading(self.pose(robot, t_s).yaw_rad);
+                let (cos, sin) =
+                    ((ahead.x * way.x + ahead.y * way.y) / level, (ahead.x * way.y - ahead.y * way.x) / level);
+                db = Some(db.unwrap_or(0.0) + pattern.gain_db(cos, sin));
+            }
+        }
+        db.map(amplitude)
     }
 
     /// Adds a set of paths to tones; sizes are relative to free space at 1 m.
