@@ -1,54 +1,107 @@
 #!/usr/bin/env bash
-# What a node costs: N robots are simulated into logs, then one node replays its own and its peers' at their own pace.
-# Prints processor share, memory, and how long estimates took. Usage: scripts/node_load.sh [ROBOTS ...]
+# What a node costs: N robots are simulated into logs at 100 rounds a second, and N nodes in processes of their own replay
+# them in real time and exchange records and poses through zenoh. The first robot drives a circle of 30 cm. Prints how far
+# off its bearings are after the circle, how long after the last record they are published, and what the first node (all
+# others are its peers) and the others (it is their peer) cost. Usage: scripts/node_load.sh [ROBOTS ...]
 set -euo pipefail
 cd "$(dirname "$0")/.."
-cargo build --release --quiet
-csi5300=$PWD/${CARGO_TARGET_DIR:-target}/release/csi5300
-folder=$(mktemp -d)
-trap 'rm -rf "$folder"' EXIT
-for robots in "${@:-2 4 8}"; do
-    for count in $robots; do
-        python3 - "$count" >"$folder/scene.toml" <<'PYTHON'
-import math, sys
-n = int(sys.argv[1])
-print('name = "load"\nduration_s = 24.0\nchannel = 108\ncfo = "physical"\n[sounding]\nrate_hz = 100.0\n[radio]\nphase_noise_rad = 0.1')
-for k in range(n):
-    a, d = 0.4 + math.tau * k / n, 0 if k == 0 else 9
-    print(f'[[robot]]\nname = "r{k}"\nposition_m = [{d * math.cos(a):.3f}, {d * math.sin(a):.3f}, 0.2]')
+cargo build --release --quiet --features zenoh
+exec python3 - "${CARGO_TARGET_DIR:-target}/release/csi5300" "${@:-2 4 8}" <<'PYTHON'
+import glob, json, math, os, shutil, socket, subprocess, sys, tempfile, time
+
+csi5300 = os.path.abspath(sys.argv[1])
+TICKS = os.sysconf("SC_CLK_TCK")
+
+def place(k, robots):
+    angle = 0.4 + math.tau * k / robots
+    return (0.0, 0.0) if k == 0 else (9 * math.cos(angle), 9 * math.sin(angle))
+
+def simulate(folder, robots):
+    text = 'name = "load"\nduration_s = 24.0\nchannel = 108\ncfo = "physical"\n[sounding]\nrate_hz = 100.0\n[radio]\nphase_noise_rad = 0.1\n'
+    for k in range(robots):
+        x, y = place(k, robots)
+        text += f'[[robot]]\nname = "r{k}"\nposition_m = [{x:.3f}, {y:.3f}, 0.2]\n'
+        if k == 0:
+            text += "motion.circle = { radius_m = 0.3, duration_s = 20.0, start_s = 1.5 }\nodometry = { rate_hz = 50.0 }\n"
+    with open(f"{folder}/scene.toml", "w") as file:
+        file.write(text)
+    subprocess.run([csi5300, "simulate", f"{folder}/scene.toml", "--out", f"{folder}/logs"], check=True, stdout=subprocess.DEVNULL)
+    def found(name):
+        return glob.glob(f"{folder}/logs/**/{name}", recursive=True)[0]
+    return [found("csi_rx_*.dat")] + [found(f"csi_tx{k}_*.dat") for k in range(1, robots)], found("rx_trajectory_*.csv")
+
+def configure(folder, k, logs, path, port):
+    mac = lambda k: f"02:53:00:00:00:{k:02x}"
+    text = f'name = "r{k}"\nmac = "{mac(k)}"\nchannel = "108"\ncapture.replay = {{ file = "{logs[k]}" }}\n'
+    peer = lambda k: f'[[peer]]\nname = "r{k}"\nmac = "{mac(k)}"\nrecords.network = {{}}\n'
     if k == 0:
-        print("motion.circle = { radius_m = 0.3, duration_s = 20.0, start_s = 1.5 }\nodometry = { rate_hz = 50.0 }")
+        text += f'odometry.csv.file = "{path}"\n' + "".join(peer(other) for other in range(1, len(logs)))
+        network = f'listen = ["tcp/127.0.0.1:{port}"]\n'
+    else:
+        text += peer(0) + "poses.network = {}\n"
+        network = f'connect = ["tcp/127.0.0.1:{port}"]\n'
+    text += f'[output]\nbearings = "{folder}/r{k}.jsonl"\nstatus_socket = "{folder}/s{k}"\n'
+    text += f'[network]\nzenoh = "{folder}/zenoh.json5"\n{network}publish_records = true\npublish_poses = true\n'
+    with open(f"{folder}/r{k}.toml", "w") as file:
+        file.write(text)
+
+def cost(node):
+    fields = open(f"/proc/{node.pid}/stat").read().rsplit(")", 1)[1].split()
+    status = dict(line.split(":", 1) for line in open(f"/proc/{node.pid}/status") if ":" in line)
+    return (int(fields[11]) + int(fields[12])) / TICKS, int(status["VmRSS"].split()[0]) / 1024
+
+def at(values, part):
+    values = sorted(values)
+    return values[min(len(values) - 1, int(part * len(values)))] if values else math.nan
+
+def measure(robots):
+    folder = tempfile.mkdtemp()
+    nodes = []
+    try:
+        logs, path = simulate(folder, robots)
+        with open(f"{folder}/zenoh.json5", "w") as file:
+            file.write("{ scouting: { multicast: { enabled: false } } }")
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        for k in range(robots):
+            configure(folder, k, logs, path, port)
+            command = [csi5300, "node", "--config", f"{folder}/r{k}.toml"]
+            nodes.append(subprocess.Popen(command, stderr=open(f"{folder}/r{k}.err", "w")))
+        time.sleep(4)
+        begun, before = time.monotonic(), [cost(node) for node in nodes]
+        time.sleep(16)
+        seconds, after = time.monotonic() - begun, [cost(node) for node in nodes]
+        load = os.getloadavg()[0]
+        state = json.loads(subprocess.run([csi5300, "watch", f"{folder}/s0", "--once"], check=True, stdout=subprocess.PIPE).stdout)
+        for node in nodes:
+            node.wait(timeout=60)
+        share = [100 * (b[0] - a[0]) / seconds for a, b in zip(before, after)]
+        lines = [json.loads(line) for line in open(f"{folder}/r0.jsonl")]
+        made = [line for line in lines if line["state"] == "bearing" and line["took_ms"] is not None]
+        quick = [line for line in made if not line["accurate"]]
+        layers = [line["took_ms"] for line in made if line["accurate"]]
+        off = []
+        for k in range(1, robots):
+            x, y = place(k, robots)
+            truth = math.degrees(math.atan2(y - 0.3, x))
+            # A circle takes 20 s: the last ones with all of it.
+            for line in [line for line in lines if line["link"] == f"r{k}" and line["azimuth_deg"] is not None][-4:]:
+                off.append(abs((line["azimuth_deg"] - truth + 180) % 360 - 180))
+        lost = sum(counts["missing"] + counts["overflowed"] for _, _, counts in state["network"]["subscriptions"])
+        latency = [line["latency_ms"] for line in quick]
+        took = [line["took_ms"] for line in quick]
+        print(f"{robots} robots: after the circle at most {max(off):.3f} deg off; {len(quick)} bearings while driving, "
+              f"{at(latency, .5):.2f} ms after the last record (99 %: {at(latency, .99):.2f}, most {max(latency):.2f}), of which "
+              f"{at(took, .5):.2f} ms are the estimate; accuracy layer {len(layers)} times, {at(layers, .5):.1f} ms (most "
+              f"{max(layers, default=math.nan):.1f}); the first node {share[0]:.1f} % of a core and {after[0][1]:.1f} MiB, the others "
+              f"{at(share[1:], .5):.1f} % and {at([a[1] for a in after[1:]], .5):.1f} MiB; {lost} records lost; load {load:.1f}", flush=True)
+    finally:
+        for node in nodes:
+            node.kill()
+            node.wait()
+        shutil.rmtree(folder)
+
+for robots in " ".join(sys.argv[2:]).split():
+    measure(int(robots))
 PYTHON
-        rm -rf "$folder/logs"
-        "$csi5300" simulate "$folder/scene.toml" --out "$folder/logs" >/dev/null
-        rx=$(find "$folder/logs" -name 'csi_rx_*.dat')
-        mac=$(printf '02:53:00:00:00:%02x' 0)
-        {
-            echo "mac = \"$mac\""
-            echo 'channel = "108"'
-            echo "capture.replay = { file = '$rx', speed = 1.0 }"
-            echo "odometry.csv.file = '$(find "$folder/logs" -name 'rx_trajectory_*.csv')'"
-            for k in $(seq 1 $((count - 1))); do
-                log=$(find "$folder/logs" -name "csi_tx${k}_*.dat")
-                printf '[[peer]]\nname = "r%d"\nmac = "02:53:00:00:00:%02x"\nrecords.replay.file = "%s"\n' "$k" "$k" "$log"
-            done
-            printf '[output]\nbearings = "%s/lines.jsonl"\nstatus_socket = "%s/s"\n' "$folder" "$folder"
-        } >"$folder/robot.toml"
-        rm -f "$folder/lines.jsonl"
-        "$csi5300" node --config "$folder/robot.toml" 2>"$folder/err" &
-        node=$!
-        sleep 20
-        "$csi5300" watch "$folder/s" --once >"$folder/state.json"
-        read -r _ _ _ _ _ _ _ _ _ _ _ _ _ user system _ <"/proc/$node/stat"
-        wait "$node" || cat "$folder/err"
-        python3 - "$folder" "$count" "$((user + system))" <<'PYTHON'
-import json, os, sys
-state = json.load(open(sys.argv[1] + "/state.json"))
-took = sorted(l["took_ms"] for l in map(json.loads, open(sys.argv[1] + "/lines.jsonl")) if l["state"] == "bearing" and l["took_ms"])
-share = int(sys.argv[3]) / os.sysconf("SC_CLK_TCK") / state["uptime_s"] * 100
-at = lambda part: took[min(len(took) - 1, int(part * len(took)))]
-print(f"{sys.argv[2]} robots: {share:.1f} % of a core, {state['load']['memory_mib']:.1f} MiB; {len(took)} estimates, "
-      f"median {at(.5):.1f} ms, 99 % {at(.99):.1f} ms")
-PYTHON
-    done
-done

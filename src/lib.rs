@@ -70,8 +70,6 @@ pub mod figures;
 #[cfg(feature = "plot")]
 pub mod gallery;
 pub mod locate;
-#[cfg(feature = "foxglove")]
-pub mod mcap;
 pub mod near_field;
 pub mod node;
 pub mod odometry;
@@ -93,5 +91,7 @@ pub mod suite;
 pub mod survey;
 pub mod tdma;
 pub mod time;
+#[cfg(feature = "foxglove")]
+pub mod viewers;
 #[cfg(feature = "live")]
 pub mod wait;

@@ -1,27 +1,30 @@
-//! Captures and bearings as MCAP, with the stock schemas of Foxglove, for its viewers and for any MCAP reader.
+//! Captures and bearings for viewers, with the stock schemas of Foxglove: recorded as MCAP, for its viewers and for any MCAP
+//! reader, or live over a websocket (`foxglove.sdk.v1`), for its viewers. Both have the same channels.
 //!
 //! | topic | schema | what |
 //! |---|---|---|
 //! | `/csi/LOG` | `CsiRow` | one record: sender, number, magnitude and phase of one antenna by subcarrier |
 //! | `/counters/LOG` | `Counters` | what was read and lost in a log |
-//! | `/tf` | `foxglove.FrameTransform` | the robot in the trajectory's frame, `odom` -> `robot` |
-//! | `/pose` | `foxglove.PoseInFrame` | the same as a pose |
+//! | `/tf` | `foxglove.FrameTransform` | the robot in the trajectory's frame, `odom` -> `robot`, and each bearing, `odom` -> `bearing/LINK`, at the middle of the motion with its x axis to the transmitter |
+//! | `/pose` | `foxglove.PoseInFrame` | the robot as a pose |
 //! | `/trajectory` | `foxglove.PosesInFrame` | the whole path |
-//! | `/bearing/LINK` | `foxglove.PoseInFrame` | at the middle of the motion, x axis to the transmitter |
-//! | `/aoa_profile/LINK` | `foxglove.LaserScan` | the profile round the horizon, in metres of length 1 at its peak |
+//! | `/bearing/LINK` | `foxglove.PoseInFrame` | the bearing as a pose |
+//! | `/aoa_profile/LINK` | `foxglove.LaserScan` | the profile round the horizon, in metres of length 1 at its peak, about the robot |
 
 use crate::bartlett::{self, Grid};
 use crate::channel::SUBCARRIERS;
 use crate::pipeline::intake::Heard;
 use crate::pipeline::link::Bearing;
-use crate::pose::{Pose, Trajectory};
+use crate::pose::Pose;
 use crate::survey::Survey;
 use driver_iface::Mac;
 use foxglove::messages as fox;
-use foxglove::{Channel, Context, Encode, McapWriterHandle};
+use foxglove::{Channel, Context, Encode, McapWriterHandle, WebSocketServer, WebSocketServerHandle};
+use nalgebra::Vector3;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufWriter;
+use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -57,7 +60,7 @@ struct Counters {
     bfee_missing: u64,
 }
 
-/// Why no recording was written.
+/// What goes wrong with viewers.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// The file could not be written.
@@ -68,6 +71,14 @@ pub enum Error {
         /// The writer's reason.
         source: foxglove::FoxgloveError,
     },
+    /// No viewer can connect.
+    #[error("cannot listen for viewers on {address}: {source}")]
+    Listen {
+        /// Where.
+        address: SocketAddr,
+        /// The server's reason.
+        source: foxglove::FoxgloveError,
+    },
     /// A profile could not be computed.
     #[error(transparent)]
     Bartlett(#[from] bartlett::Error),
@@ -75,10 +86,10 @@ pub enum Error {
 
 /// A recording being written.
 pub struct Recording {
-    context: Arc<Context>,
+    /// What is recorded.
+    pub channels: Channels,
     writer: McapWriterHandle<BufWriter<File>>,
     path: String,
-    rows: BTreeMap<String, Channel<CsiRow>>,
 }
 
 impl Recording {
@@ -91,20 +102,89 @@ impl Recording {
         let context = Context::new();
         let writer = context.mcap_writer().create_new_buffered_file(path);
         let writer = writer.map_err(|source| Error::Write { path: named.clone(), source })?;
-        Ok(Self { context, writer, path: named, rows: BTreeMap::new() })
+        Ok(Self { channels: Channels::new(context), writer, path: named })
     }
 
-    fn channel<T: Encode>(&self, topic: &str) -> Channel<T> {
-        self.context.channel_builder(topic).build()
+    /// Ends the file.
+    ///
+    /// # Errors
+    /// If the rest cannot be written.
+    pub fn finish(self) -> Result<(), Error> {
+        let path = self.path;
+        self.writer.close().map(drop).map_err(|source| Error::Write { path, source })
+    }
+}
+
+/// A websocket for viewers, on threads of its own. A viewer that is slow loses messages, and holds nothing up.
+pub struct Live {
+    /// What is told.
+    pub channels: Channels,
+    server: WebSocketServerHandle,
+}
+
+impl Live {
+    /// Listens. Call it outside of an async runtime: the server has its own.
+    ///
+    /// # Errors
+    /// If nobody can listen there.
+    pub fn listen(name: &str, address: SocketAddr) -> Result<Self, Error> {
+        let context = Context::new();
+        let server = WebSocketServer::new().name(name).bind(address.ip().to_string(), address.port()).context(&context);
+        let server = server.start_blocking().map_err(|source| Error::Listen { address, source })?;
+        Ok(Self { channels: Channels::new(context), server })
+    }
+
+    /// The port that it listens on.
+    #[must_use]
+    pub fn port(&self) -> u16 {
+        self.server.port()
+    }
+
+    /// Ends it: viewers are disconnected.
+    pub fn stop(self) {
+        drop(self.server.stop());
+    }
+}
+
+/// The channels of a recording or of a websocket.
+pub struct Channels {
+    context: Arc<Context>,
+    transforms: Channel<fox::FrameTransform>,
+    poses: Channel<fox::PoseInFrame>,
+    trajectory: Channel<fox::PosesInFrame>,
+    rows: BTreeMap<String, Channel<CsiRow>>,
+    counters: BTreeMap<String, Channel<Counters>>,
+    bearings: BTreeMap<String, (Channel<fox::PoseInFrame>, Channel<fox::LaserScan>)>,
+}
+
+/// The channel of that name, made if it is not there yet.
+fn named<'a, T>(channels: &'a mut BTreeMap<String, T>, name: &str, make: impl FnOnce() -> T) -> &'a T {
+    if !channels.contains_key(name) {
+        channels.insert(name.to_owned(), make());
+    }
+    &channels[name]
+}
+
+impl Channels {
+    fn new(context: Arc<Context>) -> Self {
+        Self {
+            transforms: context.channel_builder("/tf").build(),
+            poses: context.channel_builder("/pose").build(),
+            trajectory: context.channel_builder("/trajectory").build(),
+            rows: BTreeMap::new(),
+            counters: BTreeMap::new(),
+            bearings: BTreeMap::new(),
+            context,
+        }
     }
 
     /// A record of the log `log`, received at `t_s`, seconds since the Unix epoch.
     pub fn record(&mut self, log: &str, t_s: f64, sender: Mac, heard: &Heard) {
-        if !self.rows.contains_key(log) {
-            let channel = self.channel(&format!("/csi/{log}"));
-            self.rows.insert(log.to_owned(), channel);
+        let context = &self.context;
+        let channel = named(&mut self.rows, log, || context.channel_builder(format!("/csi/{log}")).build());
+        if !channel.has_sinks() {
+            return;
         }
-        let Some(channel) = self.rows.get(log) else { return };
         let csi: [_; SUBCARRIERS] = heard.csi();
         let row = CsiRow {
             sender: sender.to_string(),
@@ -116,8 +196,8 @@ impl Recording {
         channel.log_with_time(&row, nanoseconds(t_s));
     }
 
-    /// What was counted in a log that ended at `t_s`.
-    pub fn counters(&self, log: &str, t_s: f64, survey: &Survey) {
+    /// What was counted in a log until `t_s`.
+    pub fn counters(&mut self, log: &str, t_s: f64, survey: &Survey) {
         let counters = Counters {
             records: survey.records,
             damages: survey.damages,
@@ -126,70 +206,86 @@ impl Recording {
             overruns: survey.overruns,
             bfee_missing: survey.bfee_missing,
         };
-        self.channel(&format!("/counters/{log}")).log_with_time(&counters, nanoseconds(t_s));
+        let context = &self.context;
+        let channel = named(&mut self.counters, log, || context.channel_builder(format!("/counters/{log}")).build());
+        channel.log_with_time(&counters, nanoseconds(t_s));
     }
 
-    /// The robot's path.
-    pub fn trajectory(&self, trajectory: &Trajectory) {
-        let (transforms, poses) =
-            (self.channel::<fox::FrameTransform>("/tf"), self.channel::<fox::PoseInFrame>("/pose"));
-        for pose in trajectory.poses() {
-            let (position, rotation) = (vector(pose), turn(pose.heading_rad.unwrap_or(0.0)));
-            let transform = fox::FrameTransform {
-                timestamp: Some(timestamp(pose.t_s)),
-                parent_frame_id: ODOM.into(),
-                child_frame_id: ROBOT.into(),
-                translation: Some(position),
-                rotation: Some(rotation),
-            };
-            transforms.log_with_time(&transform, nanoseconds(pose.t_s));
-            poses.log_with_time(&in_frame(pose, rotation), nanoseconds(pose.t_s));
-        }
-        let (start_s, _) = trajectory.span_s();
-        let path = fox::PosesInFrame {
-            timestamp: Some(timestamp(start_s)),
-            frame_id: ODOM.into(),
-            poses: trajectory.poses().iter().map(|pose| placed(pose, turn(pose.heading_rad.unwrap_or(0.0)))).collect(),
+    /// Where the robot is.
+    pub fn pose(&self, pose: &Pose) {
+        let rotation = turn(pose.heading_rad.unwrap_or(0.0));
+        self.transform(ROBOT, pose, rotation);
+        self.poses.log_with_time(&in_frame(pose, rotation), nanoseconds(pose.t_s));
+    }
+
+    fn transform(&self, child: &str, place: &Pose, rotation: fox::Quaternion) {
+        let transform = fox::FrameTransform {
+            timestamp: Some(timestamp(place.t_s)),
+            parent_frame_id: ODOM.into(),
+            child_frame_id: child.into(),
+            translation: Some(vector(place)),
+            rotation: Some(rotation),
         };
-        self.channel("/trajectory").log_with_time(&path, nanoseconds(start_s));
+        self.transforms.log_with_time(&transform, nanoseconds(place.t_s));
+    }
+
+    /// The robot's path, as known at `t_s`.
+    pub fn path<'a>(&self, t_s: f64, poses: impl Iterator<Item = &'a Pose>) {
+        let path = fox::PosesInFrame {
+            timestamp: Some(timestamp(t_s)),
+            frame_id: ODOM.into(),
+            poses: poses.map(|pose| placed(pose, turn(pose.heading_rad.unwrap_or(0.0)))).collect(),
+        };
+        self.trajectory.log_with_time(&path, nanoseconds(t_s));
     }
 
     /// A bearing and its profile.
     ///
     /// # Errors
     /// If the profile cannot be computed.
-    pub fn bearing(&self, link: &str, bearing: &Bearing, wavelength_m: f64) -> Result<(), Error> {
+    pub fn bearing(&mut self, link: &str, bearing: &Bearing, wavelength_m: f64) -> Result<(), Error> {
+        let context = &self.context;
+        let (poses, _) = named(&mut self.bearings, link, || {
+            let pose = context.channel_builder(format!("/bearing/{link}")).build();
+            (pose, context.channel_builder(format!("/aoa_profile/{link}")).build())
+        });
         let t_s = bearing.samples.t_s.last().copied().unwrap_or(0.0);
         let from = Pose { t_s, position_m: bearing.mean_position_m, heading_rad: None };
-        let azimuth = bearing.estimate.azimuth_rad;
-        self.channel(&format!("/bearing/{link}")).log_with_time(&in_frame(&from, turn(azimuth)), nanoseconds(t_s));
-        let elevation = bearing.estimate.abs_elevation_rad;
-        let directions: Vec<(f64, f64)> =
-            (0..DIRECTIONS).map(|k| (Grid::azimuth(DIRECTIONS).at(k).0, elevation)).collect();
-        let (first, last) = (directions[0].0, directions[DIRECTIONS - 1].0);
-        let profile = bartlett::profile(&bearing.samples, wavelength_m, &Grid::directions(directions))?;
-        let peak = profile.values.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
-        let scan = fox::LaserScan {
-            timestamp: Some(timestamp(t_s)),
-            frame_id: ODOM.into(),
-            pose: Some(placed(&from, turn(0.0))),
-            start_angle: first,
-            end_angle: last,
-            ranges: profile.values.iter().map(|value| value / peak).collect(),
-            intensities: profile.values.clone(),
+        let rotation = turn(bearing.estimate.azimuth_rad);
+        poses.log_with_time(&in_frame(&from, rotation), nanoseconds(t_s));
+        self.transform(&format!("bearing/{link}"), &from, rotation);
+        let Some((_, profiles)) = self.bearings.get(link).filter(|(_, profiles)| profiles.has_sinks()) else {
+            return Ok(());
         };
-        self.channel(&format!("/aoa_profile/{link}")).log_with_time(&scan, nanoseconds(t_s));
+        profiles.log_with_time(&profile(bearing, &from, wavelength_m)?, nanoseconds(t_s));
         Ok(())
     }
+}
 
-    /// Ends the file.
-    ///
-    /// # Errors
-    /// If the rest cannot be written.
-    pub fn finish(self) -> Result<(), Error> {
-        let path = self.path;
-        self.writer.close().map(drop).map_err(|source| Error::Write { path, source })
-    }
+/// The profile, in directions of the trajectory's frame, about the robot; about the middle of the motion where no heading
+/// is known.
+fn profile(bearing: &Bearing, from: &Pose, wavelength_m: f64) -> Result<fox::LaserScan, bartlett::Error> {
+    let elevation = bearing.estimate.abs_elevation_rad;
+    let directions: Vec<(f64, f64)> = (0..DIRECTIONS).map(|k| (Grid::azimuth(DIRECTIONS).at(k).0, elevation)).collect();
+    let (first, last) = (directions[0].0, directions[DIRECTIONS - 1].0);
+    let profile = bartlett::profile(&bearing.samples, wavelength_m, &Grid::directions(directions))?;
+    let peak = profile.values.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    let (frame_id, pose) = match bearing.heading_rad {
+        Some(heading) => {
+            let origin = Pose { position_m: Vector3::zeros(), ..*from };
+            (ROBOT, placed(&origin, turn(-heading)))
+        }
+        None => (ODOM, placed(from, turn(0.0))),
+    };
+    Ok(fox::LaserScan {
+        timestamp: Some(timestamp(from.t_s)),
+        frame_id: frame_id.into(),
+        pose: Some(pose),
+        start_angle: first,
+        end_angle: last,
+        ranges: profile.values.iter().map(|value| value / peak).collect(),
+        intensities: profile.values,
+    })
 }
 
 fn nanoseconds(t_s: f64) -> u64 {

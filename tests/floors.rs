@@ -27,8 +27,8 @@ const FLOORS: &[(u8, &[&str])] = &[
     (
         4,
         &[
-            "answer", "compare", "doctor", "evaluate", "figures", "gallery", "mcap", "node", "pipeline", "plot",
-            "quality", "rooms", "sounding", "status", "suite", "survey", "wait",
+            "answer", "compare", "doctor", "evaluate", "figures", "gallery", "node", "pipeline", "plot", "quality",
+            "rooms", "sounding", "status", "suite", "survey", "viewers", "wait",
         ],
     ),
 ];

@@ -240,6 +240,104 @@ fn nothing_is_computed_for_robots_that_stand() {
     assert!(!late.is_empty() && late.iter().all(|state| *state == State::Held), "{late:?}");
 }
 
+/// The same room, in which all robots initiate in turns.
+fn in_turns(robots: usize) -> String {
+    let names: Vec<String> = (0..robots).map(|k| format!("\"r{k}\"")).collect();
+    let turns = format!("rate_hz = 100.0\ninitiators = [{}]\ndialect = \"native\"\n", names.join(", "));
+    scene(robots, false).replace("rate_hz = 100.0\n", &turns)
+}
+
+#[test]
+fn robots_that_all_initiate_lose_no_pair_and_no_degree() {
+    for robots in [2, 3] {
+        let folder = folder(&format!("turns-{robots}"));
+        let text = in_turns(robots);
+        let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
+        let config = config(&folder, &text, robots, false);
+        let mut machine = machine(&config);
+        let mut now = Instant::ZERO;
+        while now < Instant::from_us(23_000_000) {
+            while machine.take(now).unwrap() {}
+            now += Span::from_ms(5);
+        }
+        let pairs: Vec<u64> = machine.estimator.peers().map(|(_, counts)| counts.pairs).collect();
+        // A link is sounded in the turns of its two robots: a round of a turn has one exchange with each peer.
+        let sounded = 2.0 / robots as f64 * 100.0 * 23.0;
+        let last = machine.finish(now).unwrap().0;
+        for (peer, report) in last.iter().enumerate() {
+            let off = off_deg(report, truth_deg(&room, peer + 1));
+            println!(
+                "{robots} robots in turns, r{}: {} pairs of {sounded:.0}, {off:.3} deg off",
+                peer + 1,
+                pairs[peer]
+            );
+            let (own, other) = (report.answer.receiver_records, report.answer.transmitter_records);
+            // The first turn begins after a listen.
+            assert!(pairs[peer] as f64 > 0.9 * sounded, "{own:?} {other:?}");
+            assert_eq!((own.duplicates, own.mispaired, other.duplicates, other.mispaired), (0, 0, 0, 0));
+            // Of two robots every frame is for the other.
+            assert!(robots > 2 || own.paired == own.handed, "{own:?}");
+            assert!(off < 1.0 && report.state == State::Bearing, "{off} {report:?}");
+        }
+    }
+}
+
+#[test]
+fn the_accuracy_layer_is_asked_now_and_then_and_has_the_last_word() {
+    let folder = folder("ring-refined");
+    let text = scene(2, false);
+    let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
+    let mut config = config(&folder, &text, 2, false);
+    config.estimator.accurate_every_s = 2.0;
+    // Until two seconds after the circle's end.
+    let (reports, last) = run(machine(&config), Instant::from_us(23_500_000));
+    let made: Vec<_> = reports.iter().filter(|(.., report)| report.state == State::Bearing).collect();
+    let accurate: Vec<_> = made.iter().filter(|(.., report)| report.accurate).collect();
+    assert!((8..=13).contains(&accurate.len()) && made.len() > 3 * accurate.len(), "{} {}", accurate.len(), made.len());
+    for (at, _, report) in &made {
+        let off = off_deg(report, truth_deg(&room, 1));
+        assert!(at.as_s() < 12.0 || off < 1.0, "{off} {report:?}");
+        // Each is made of what came at that moment.
+        let heard = report.heard_at.unwrap();
+        assert!(report.accurate || (*at - heard) < Span::from_ms(2), "{at:?} {heard:?}");
+    }
+    let held = reports.iter().rev().find(|(.., report)| report.state == State::Held).unwrap();
+    assert!(held.2.accurate && last[0].accurate, "{held:?}");
+}
+
+#[test]
+fn an_hour_of_driving_needs_no_more_memory_than_its_first_minutes() {
+    let folder = folder("ring-hour");
+    let circle = "motion.circle = { radius_m = 0.3, duration_s = 20.0, start_s = 1.5 }";
+    let walk = "motion.random_walk = { speed_m_s = 0.2, duration_s = 3600.0, within_m = 1.5 }";
+    let text = scene(2, false)
+        .replace(circle, walk)
+        .replace("duration_s = 24.0", "duration_s = 3600.0")
+        .replace("rate_hz = 100.0", "rate_hz = 20.0")
+        .replace("odometry = { rate_hz = 50.0", "odometry = { rate_hz = 20.0");
+    let mut config = config(&folder, &text, 2, false);
+    (config.estimator.window_s, config.estimator.rate_hz, config.estimator.accurate_every_s) = (60.0, 0.1, 100.0);
+    let mut machine = machine(&config);
+    let mut now = Instant::ZERO;
+    let mut grown = Vec::new();
+    for _ in 0..12 {
+        let until = now + Span::from_ms(300_000);
+        let minutes = allocation_counter::measure(|| {
+            while now < until {
+                while machine.take(now).unwrap() {}
+                while machine.poll_report(now).is_some() {}
+                now += Span::from_ms(200);
+            }
+        });
+        grown.push(minutes.bytes_current);
+    }
+    let counts = machine.estimator.peers().next().unwrap().1;
+    println!("bytes kept of each five minutes: {grown:?}; {counts:?}");
+    assert!(counts.pairs > 60_000 && counts.accurate > 30, "{counts:?}");
+    let later: i64 = grown[2..].iter().sum();
+    assert!(later.abs() < 256 * 1024, "{later} bytes more after an hour than after ten minutes");
+}
+
 #[test]
 fn a_replayed_capture_gives_the_bearings_that_are_made_offline() {
     let Some(captures) = common::captures() else { return };

@@ -2,6 +2,8 @@
 #![cfg(feature = "zenoh")]
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+mod common;
+
 use csi5300::backend::sim::{Room, Scene, write_dataset};
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader};
@@ -82,6 +84,13 @@ impl Node {
         let lines = BufReader::new(self.0.stdout.take().unwrap()).lines();
         lines.map(|line| serde_json::from_str(&line.unwrap()).unwrap())
     }
+
+    /// The same, once it listens: it has joined the network when it says something.
+    fn reports_when_it_listens(&mut self) -> impl Iterator<Item = serde_json::Value> + use<> {
+        let mut reports = self.reports();
+        let first = reports.next();
+        first.into_iter().chain(reports)
+    }
 }
 
 impl Drop for Node {
@@ -152,9 +161,68 @@ fn two_processes_make_a_bearing() {
     let (logs, path, scene) = capture(&folder, 2);
     let port = free_port();
     let mut own = Node::start(&folder, "r0", &driver(&folder, &logs, &path, port));
-    let reports = own.reports();
+    let reports = own.reports_when_it_listens();
     let other = Node::start(&folder, "r1", &publisher(&folder, &logs[1], port));
     assert_close(&last(reports, 1)[0], truth_deg(&scene, 1));
+    own.end();
+    other.end();
+}
+
+/// Certificates of the authority in `folder` for one robot on this machine, as the packaged script makes them. False
+/// (said on standard error) without openssl.
+fn certificates(folder: &Path, name: &str) -> bool {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging/certificates.sh");
+    let made = Command::new(script).arg(folder).args([name, "127.0.0.1"]).stdout(Stdio::null()).status();
+    let made = made.is_ok_and(|status| status.success());
+    if !made {
+        eprintln!("skipped: openssl makes no certificates here");
+    }
+    made
+}
+
+/// The packaged example for TLS with this test's files in it, for the robot `name` of the authority in `authority`.
+fn tls(folder: &Path, authority: &Path, name: &str, more: &str) -> String {
+    let example = Path::new(env!("CARGO_MANIFEST_DIR")).join("packaging/zenoh-tls.json5");
+    let users = folder.join("users");
+    std::fs::write(&users, "burger-1:change me\n").unwrap();
+    let place = |file: &str| authority.join(file).display().to_string();
+    let text = std::fs::read_to_string(example)
+        .unwrap()
+        .replace("/etc/csi5300/tls/ca.pem", &place("ca.pem"))
+        .replace("/etc/csi5300/tls/robot", &place(name))
+        .replace("/etc/csi5300/users", &users.display().to_string())
+        .replace("endpoints: [\"tls/0.0.0.0:7447\"]", "endpoints: []")
+        .replace("multicast: { enabled: true }", "multicast: { enabled: false }");
+    assert!(!text.contains("/etc/"), "{text}");
+    let file = folder.join(format!("{name}.json5"));
+    std::fs::write(&file, text).unwrap();
+    format!("[network]\nzenoh = '{}'\n{more}\n", file.display())
+}
+
+#[test]
+fn under_tls_only_robots_of_the_same_authority_are_heard() {
+    let folder = folder("peers-tls");
+    let (logs, path, scene) = capture(&folder, 3);
+    let (ours, theirs) = (folder.join("ours"), folder.join("theirs"));
+    if !["r0", "r1"].iter().all(|name| certificates(&ours, name)) || !certificates(&theirs, "r2") {
+        return;
+    }
+    let port = free_port();
+    let cut = |text: String| text.split("[network]").next().unwrap().to_owned();
+    let listen = format!("listen = [\"tls/127.0.0.1:{port}\"]");
+    let connect = format!("connect = [\"tls/127.0.0.1:{port}\"]\npublish_records = true");
+    let driver = cut(driver(&folder, &logs, &path, port)) + &tls(&folder, &ours, "r0", &listen);
+    let publisher = |k: usize, authority: &Path| {
+        cut(publisher(&folder, &logs[k], port)) + &tls(&folder, authority, &format!("r{k}"), &connect)
+    };
+    let mut own = Node::start(&folder, "r0", &driver);
+    let reports = own.reports_when_it_listens();
+    let other = Node::start(&folder, "r1", &publisher(1, &ours));
+    // It has a certificate, of somebody else: it goes on asking, and is killed in the end.
+    let _stranger = Node::start(&folder, "r2", &publisher(2, &theirs));
+    let last = last(reports, 2);
+    assert_close(&last[0], truth_deg(&scene, 1));
+    assert_eq!(last[1]["pairs"], 0, "{}", last[1]);
     own.end();
     other.end();
 }
@@ -165,7 +233,7 @@ fn four_processes_of_which_one_is_killed_and_started_again() {
     let (logs, path, scene) = capture(&folder, 4);
     let port = free_port();
     let mut own = Node::start(&folder, "r0", &driver(&folder, &logs, &path, port));
-    let mut reports = own.reports();
+    let mut reports = own.reports_when_it_listens();
     let publishers: Vec<String> = logs.iter().skip(1).map(|log| publisher(&folder, log, port)).collect();
     let mut others: Vec<Node> =
         publishers.iter().enumerate().map(|(k, text)| Node::start(&folder, &format!("r{}", k + 1), text)).collect();
@@ -184,6 +252,91 @@ fn four_processes_of_which_one_is_killed_and_started_again() {
     assert!(pairs(&last[1]) > pairs(&had) + 100, "nothing came after it was started again: {had} {}", last[1]);
     own.end();
     others.into_iter().for_each(Node::end);
+}
+
+/// Times its own pace at which a real capture is played.
+const REAL_SPEED: f64 = 16.0;
+
+/// What `csi5300 bearing` says of a real capture: the receiver's MAC, and for each log its MAC and bearing.
+fn offline(rx: &Path, trajectory: &Path, txs: &[PathBuf]) -> (String, Vec<(String, f64)>) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    command.arg("bearing").arg("--rx").arg(rx).arg("--trajectory").arg(trajectory).args(["--channel", "108", "--json"]);
+    txs.iter().for_each(|tx| {
+        command.arg("--tx").arg(tx);
+    });
+    let said = command.output().unwrap();
+    let lines = String::from_utf8(said.stdout).unwrap();
+    let rows = lines.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    let rows: Vec<_> = rows.filter(|row| row["azimuth_deg"].is_f64()).collect();
+    assert_eq!(rows.len(), txs.len(), "{lines}");
+    // The receiver is the sender of most frames in a transmitter's log.
+    let mut log = csi5300::backend::replay::Replay::open(&txs[0]).unwrap();
+    let mut survey = csi5300::survey::Survey::default();
+    loop {
+        let next = csi5300::backend::CsiSource::receive(&mut log, csi5300::time::Instant::ZERO).unwrap();
+        survey.note(&next);
+        if matches!(next, csi5300::backend::Next::End(_)) {
+            break;
+        }
+    }
+    let own = survey.senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0;
+    let answer =
+        |row: &serde_json::Value| (row["mac"].as_str().unwrap().to_owned(), row["azimuth_deg"].as_f64().unwrap());
+    (own.to_string(), rows.iter().map(answer).collect())
+}
+
+#[test]
+fn real_captures_through_two_nodes_give_what_is_made_offline() {
+    let Some(captures) = common::captures() else { return };
+    let mut compared = 0;
+    for set in ["LOS_Set_A/L1", "NLOS_Set_A/L1"] {
+        let capture = captures.join("wsr").join(set);
+        if !capture.is_dir() {
+            continue;
+        }
+        let files: Vec<PathBuf> = std::fs::read_dir(&capture).unwrap().map(|entry| entry.unwrap().path()).collect();
+        let named = |begin: &str| {
+            let mut found: Vec<PathBuf> = files
+                .iter()
+                .filter(|file| file.file_name().unwrap().to_str().unwrap().starts_with(begin))
+                .cloned()
+                .collect();
+            found.sort();
+            found
+        };
+        let (rx, trajectory, txs) = (&named("csi_rx_")[0], &named("rx_trajectory_")[0], named("csi_tx"));
+        let (own, links) = offline(rx, trajectory, &txs);
+        // One link at a time: two nodes.
+        for (tx, (mac, azimuth)) in txs.iter().zip(&links) {
+            let folder = folder(&format!("peers-real-{compared}"));
+            let port = free_port();
+            let driver = format!(
+                "mac = \"{own}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {REAL_SPEED} }}\n\
+                 odometry.csv.file = '{}'\n[estimator]\nwindow_m = 1000\nwindow_s = 100000\nrate_hz = 0.02\nextrapolate_s = 0\n\
+                 [[peer]]\nname = \"r1\"\nmac = \"{mac}\"\nrecords.network = {{}}\n",
+                rx.display(),
+                trajectory.display()
+            );
+            let driver = driver + &network(&folder, &format!("listen = [\"tcp/127.0.0.1:{port}\"]\nbacklog = 100000"));
+            let publisher = format!(
+                "mac = \"{mac}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {REAL_SPEED} }}\n",
+                tx.display()
+            );
+            let connect = format!("connect = [\"tcp/127.0.0.1:{port}\"]\npublish_records = true\nbacklog = 100000");
+            let publisher = publisher + &network(&folder, &connect);
+            let mut own = Node::start(&folder, "r0", &driver);
+            let reports = own.reports();
+            let other = Node::start(&folder, "r1", &publisher);
+            let last = last(reports, 1).remove(0);
+            let off = last["azimuth_deg"].as_f64().unwrap_or_else(|| panic!("no bearing: {last}")) - azimuth;
+            println!("{set} {mac}: {azimuth:.3} deg offline, {off:+.4} deg through two nodes, {} pairs", last["pairs"]);
+            assert!(off.abs() <= 0.01, "{off} {last}");
+            own.end();
+            other.end();
+            compared += 1;
+        }
+    }
+    assert!(compared >= 3, "{compared} links");
 }
 
 #[test]

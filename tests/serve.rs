@@ -214,6 +214,62 @@ fn number(said: &str, after: &str) -> u64 {
         .unwrap()
 }
 
+/// A node of that room that sounds, in turns with the other.
+#[cfg(feature = "node")]
+fn sounding_node(own: &str, peer: &str) -> String {
+    let moves = if own == "rx" { "odometry.room = {}\n" } else { "" };
+    let poses = if peer == "rx" { "poses.room = {}\n" } else { "" };
+    format!(
+        "channel = \"108\"\ncapture.served = {{ socket = \"room\", robot = \"{own}\" }}\n{moves}\
+         [[peer]]\nname = \"{peer}\"\nrecords.room = {{}}\n{poses}\
+         [estimator]\naccurate = false\n[output]\nbearings = \"{own}.jsonl\"\nstatus_line = \"always\"\n\
+         [sounding]\nrate_hz = 50.0\nturn_around_us = 6000\nguard_us = 1500\nfifo = false\n"
+    )
+}
+
+#[cfg(feature = "node")]
+#[test]
+fn nodes_sound_each_other_in_turns() {
+    let folder = std::env::temp_dir().join(format!("csi5300-turns-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let place = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    std::fs::write(place("scene.toml"), LIVE).unwrap();
+    let (scene, socket) = (place("scene.toml"), place("room"));
+    let mut room = Program::start(&["simulate", &scene, "--serve", "--socket", &socket]);
+    room.until("serving the room at");
+    let start = |own: &str, peer: &str| {
+        let file = place(&format!("{own}.toml"));
+        std::fs::write(&file, sounding_node(own, peer)).unwrap();
+        Program::start(&["node", "--config", &file])
+    };
+    let (mut rx, tx) = (start("rx", "tx"), start("tx", "rx"));
+    // Both have had turns once the robot that moves has a dozen bearings.
+    let bearings = || {
+        let lines = std::fs::read_to_string(place("rx.jsonl")).unwrap_or_default();
+        let lines = lines.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+        lines.filter(|line| line["state"] == "bearing").collect::<Vec<_>>()
+    };
+    while bearings().len() < 12 {
+        rx.said.clear();
+        rx.until("records/s");
+    }
+    [&rx, &tx].into_iter().for_each(Program::stop);
+    for node in [rx, tx] {
+        let (status, said) = node.end();
+        assert!(matches!(status, Some(0 | 3)), "{status:?}: {said}");
+    }
+    room.stop();
+    let (_, served) = room.end();
+    let last = bearings().pop().unwrap();
+    let off_deg = last["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
+    assert!(off_deg.abs() < 2.0, "{off_deg} degrees off: {last}");
+    let (own, other) = (&last["receiver_records"], &last["transmitter_records"]);
+    // Two counts in each log: both robots initiated. And none of their numbers met one of the other's.
+    assert!(own["restarts"] == 1 && other["restarts"] == 1, "{last}\n{served}");
+    assert!(own["mispaired"] == 0 && other["mispaired"] == 0 && last["pairs"].as_u64() > Some(50), "{last}");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
 #[test]
 fn programs_sound_each_other_in_a_served_room() {
     let folder = std::env::temp_dir().join(format!("csi5300-live-{}", std::process::id()));

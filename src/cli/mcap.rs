@@ -4,13 +4,13 @@ use super::args::{Estimation, channel};
 use super::{Outcome, Result, info, usage};
 use csi5300::backend::{CsiSource, Next, replay::Replay};
 use csi5300::channel::Channel;
-use csi5300::mcap::Recording;
 use csi5300::odometry;
 use csi5300::pipeline::intake::Front;
 use csi5300::pipeline::{Options, Transmitter, bearings};
 use csi5300::pose::Trajectory;
 use csi5300::survey::Survey;
 use csi5300::time::{Instant, Unwrap32};
+use csi5300::viewers::{Channels, Recording};
 use std::path::{Path, PathBuf};
 
 /// Arguments of `mcap`.
@@ -42,15 +42,16 @@ pub fn run(args: &Args) -> Result {
     let mut recording = Recording::create(&args.out).map_err(|error| error.to_string())?;
     let (mut usable, mut lost) = (0, false);
     for (name, path) in names.iter().zip(&args.logs) {
-        let (survey, bytes) = convert(&mut recording, name, path, args)?;
+        let (survey, bytes) = convert(&mut recording.channels, name, path, args)?;
         usable += survey.bfees();
         lost |= survey.lost_something();
         eprint!("{}: {} bfee records\n{}", path.display(), survey.bfees(), info::losses(&survey, bytes));
     }
     if let Some(trajectory) = &trajectory {
-        recording.trajectory(trajectory);
+        trajectory.poses().iter().for_each(|pose| recording.channels.pose(pose));
+        recording.channels.path(trajectory.span_s().0, trajectory.poses().iter());
         match &options {
-            Some(options) => lost |= estimate(&recording, &names, trajectory, options, args)?,
+            Some(options) => lost |= estimate(&mut recording.channels, &names, trajectory, options, args)?,
             None => eprintln!("no bearings: they need --channel"),
         }
     }
@@ -64,7 +65,7 @@ pub fn run(args: &Args) -> Result {
 
 /// Every record of a log. Those without a host time get the card's, from the log's beginning on.
 fn convert(
-    recording: &mut Recording,
+    channels: &mut Channels,
     name: &str,
     path: &Path,
     args: &Args,
@@ -79,20 +80,20 @@ fn convert(
             let card_us = clock.next(heard.timestamp_low);
             let since_us = card_us - *first_card_us.get_or_insert(card_us);
             let t_s = heard.host_us.unwrap_or(since_us) as f64 * 1e-6;
-            recording.record(name, t_s, sender, &heard);
+            channels.record(name, t_s, sender, &heard);
         }
         if matches!(next, Next::End(_)) {
             break;
         }
     }
     let end_s = front.survey.host_us.map_or(0.0, |(_, last)| last as f64 * 1e-6);
-    recording.counters(name, end_s, &front.survey);
+    channels.counters(name, end_s, &front.survey);
     Ok((front.survey, log.bytes()))
 }
 
 /// The bearings of the first log to the others; true if one failed.
 fn estimate(
-    recording: &Recording,
+    channels: &mut Channels,
     names: &[String],
     trajectory: &Trajectory,
     options: &Options,
@@ -113,7 +114,7 @@ fn estimate(
         match &link.bearing {
             Ok(bearing) => {
                 let wavelength_m = options.channel.wavelength_m();
-                recording.bearing(name, bearing, wavelength_m).map_err(|error| error.to_string())?;
+                channels.bearing(name, bearing, wavelength_m).map_err(|error| error.to_string())?;
                 eprintln!("{name}: {:.2} deg", bearing.estimate.azimuth_rad.to_degrees());
             }
             Err(error) => {

@@ -32,9 +32,6 @@ mod respond;
 #[cfg(feature = "live")]
 mod serve;
 #[cfg(feature = "live")]
-#[path = "../sounding/session.rs"]
-mod session;
-#[cfg(feature = "live")]
 mod setup;
 mod simulate;
 #[cfg(feature = "live")]

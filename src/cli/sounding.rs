@@ -2,26 +2,26 @@
 
 use super::args::mac;
 use super::live::{Listening, Signals, duration};
-use super::session;
 use super::{Outcome, Result, usage};
-use csi5300::backend::monitor::{self, Counters, Monitor};
+use csi5300::backend::monitor::{Counters, Monitor};
 use csi5300::backend::netlink::Netlink;
 use csi5300::backend::recorder::{LogFiles, Options, Recorder, Rotation, Totals};
 use csi5300::backend::{CsiSource, Error, Next};
 use csi5300::doctor::Machine;
 use csi5300::sounding::{
-    Exchange, KERNEL_TURN_AROUND_US, News, Rate, Running, Settings, rate_n_flags, set_rate, spread_of,
+    Exchange, KERNEL_TURN_AROUND_US, News, Opened, Rate, Running, Settings, Setup, rate_n_flags, read_key, set_rate,
+    spread_of,
 };
-use csi5300::tdma::{Config, Dialect, Event, GUARD_US, Key, Phy, Plan, PlanError, Request, TURN_AROUND_US, Tdma};
+use csi5300::tdma::{Config, Dialect, Event, GUARD_US, Phy, Plan, PlanError, Request, TURN_AROUND_US, Tdma};
 use csi5300::time::{Instant, Span};
-use csi5300::wait::{Monotonic, wall_us};
+use csi5300::wait::Monotonic;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::wsr;
 use std::fmt::Write as _;
 use std::os::fd::{AsFd, OwnedFd};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// How often news are fetched and the view is drawn.
 const LOOK: Span = Span::from_ms(50);
@@ -156,34 +156,27 @@ impl Sounding {
         self.check();
         let request = self.request();
         let plan = Plan::new(&request).map_err(|error| refused(&error))?;
-        let key = self.key.as_deref().map(read_key).transpose()?;
-        let (forward, backward) = request.dialect.longest(usize::from(request.links));
-        let options = monitor::Options {
+        let text = |error: Error| error.to_string();
+        let setup = Setup {
             interface: self.name(),
-            mcs: self.mcs,
-            bandwidth: request.phy.bandwidth,
-            longest: forward.max(backward),
-            wall_us,
+            room: self.listening.room.clone(),
+            mac: self.mac,
+            peers: self.peers.clone(),
+            request,
+            own_index: self.own_index().unwrap_or(0),
+            key: self.key.as_deref().map(read_key).transpose().map_err(text)?,
         };
-        let monitor = match &self.listening.room {
-            Some(address) => Monitor::served(address, &options),
-            None => Monitor::open(&options),
-        };
-        let monitor = monitor.map_err(|error| error.to_string())?;
-        let own = self.mac.map(|mac| mac.0).or(monitor.mac());
-        let own = own.ok_or_else(|| format!("{} has no MAC of its own: give --mac", options.interface))?;
-        let peers: Vec<[u8; 6]> = self.peers.iter().map(|mac| mac.0).collect();
-        let session = session::begin(Mac(own), wall_us());
-        let mut config = Config::new(own, self.own_index().unwrap_or(0), &peers, request, session);
-        config.key = key;
-        // A WSR robot without a length of its own answers nothing: its kernel may.
-        config.respond = self.dialect == Words::Native || self.ack_len.is_some();
-        settle(&mut config);
-        let tdma = Tdma::new(&config).map_err(|error| refused(&error))?;
+        let opened = setup.open(|config| {
+            // A WSR robot without a length of its own answers nothing: its kernel may.
+            config.respond = self.dialect == Words::Native || self.ack_len.is_some();
+            settle(config);
+        });
+        let Opened { tdma, monitor, own, warning } = opened.map_err(text)?;
+        warning.into_iter().for_each(|warning| eprintln!("{warning}"));
         eprintln!(
             "{} is {}; {} links in a round, {:.3} rounds/s, slots of {:.0} us (at least {})",
-            options.interface,
-            Mac(own),
+            self.name(),
+            own,
             plan.slots(),
             plan.rate_hz(),
             plan.slot_us(),
@@ -238,23 +231,6 @@ fn refused(error: &PlanError) -> String {
         }
         _ => error.to_string(),
     }
-}
-
-/// A key: 16 bytes, or 32 hexadecimal digits.
-fn read_key(path: &Path) -> std::result::Result<Key, String> {
-    let bytes = std::fs::read(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    if let Ok(key) = <[u8; 16]>::try_from(bytes.as_slice()) {
-        return Ok(Key::new(key));
-    }
-    let text = String::from_utf8_lossy(&bytes);
-    let digits = text.trim();
-    let number = u128::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 32 && !digits.starts_with('+'));
-    number.map(|number| Key::new(number.to_be_bytes())).ok_or_else(|| {
-        format!(
-            "{}: a key is 16 bytes or 32 hexadecimal digits; make one with `head -c 16 /dev/urandom > FILE`",
-            path.display()
-        )
-    })
 }
 
 /// Whether the driver's messages are needed.

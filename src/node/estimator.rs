@@ -4,8 +4,8 @@ use super::motion::{Track, Window, aligned, window};
 use crate::answer::Answer;
 use crate::backend::{Loss, Next};
 use crate::pairing::Side;
-use crate::pipeline::intake::Front;
-use crate::pipeline::link::Link;
+use crate::pipeline::intake::{Front, Heard};
+use crate::pipeline::link::{Bearing, Link};
 use crate::pipeline::{LinkReport, Options};
 use crate::pose::{Pose, Trajectory};
 use crate::time::{Instant, Span};
@@ -25,13 +25,23 @@ pub struct Settings {
     pub rate_hz: f64,
     /// Poses are carried on beyond the last one by at most this, seconds.
     pub extrapolate_s: f64,
+    /// The accuracy layer is asked this often for each peer, seconds: in between, bearings are of a plane wave at the
+    /// channel centre. 0: every time. When the robots stand still, and at the end, it has the last word.
+    pub accurate_every_s: f64,
 }
 
 impl Settings {
     /// Three metres within three minutes, twice a second, from two wavelengths on.
     #[must_use]
     pub fn new(wavelength_m: f64) -> Self {
-        Self { window_m: 3.0, window_s: 180.0, least_m: 2.0 * wavelength_m, rate_hz: 2.0, extrapolate_s: 0.05 }
+        Self {
+            window_m: 3.0,
+            window_s: 180.0,
+            least_m: 2.0 * wavelength_m,
+            rate_hz: 2.0,
+            extrapolate_s: 0.05,
+            accurate_every_s: 5.0,
+        }
     }
 }
 
@@ -79,6 +89,11 @@ pub struct Report {
     pub needed_m: f64,
     /// Seconds since the bearing was made, for one that is said again.
     pub age_s: f64,
+    /// The bearing is the accuracy layer's.
+    pub accurate: bool,
+    /// When the last record in it came, on the driver's clock.
+    #[serde(skip)]
+    pub heard_at: Option<Instant>,
     /// The bearing and all that goes with it.
     #[serde(flatten)]
     pub answer: Answer,
@@ -95,6 +110,8 @@ pub struct PeerCounts {
     pub pairs: u64,
     /// Searches made.
     pub estimates: u64,
+    /// Those of them with the accuracy layer.
+    pub accurate: u64,
     /// Searches left out because nothing moved.
     pub skipped: u64,
     /// Losses that the peer's source reported.
@@ -110,6 +127,13 @@ struct PeerState {
     last: Option<Last>,
     /// Pairs there were at the last search.
     searched: Option<u64>,
+    /// When the record came that made the newest pair.
+    paired_at: Option<Instant>,
+    /// When the accuracy layer was last asked, and whether it is to be asked next.
+    accurate_at: Option<Instant>,
+    unrefined: bool,
+    /// The last estimate with everything in it.
+    bearing: Option<Bearing>,
 }
 
 /// The last answer.
@@ -120,6 +144,7 @@ struct Last {
     at: Instant,
     motion: Motion,
     moved_m: f64,
+    accurate: bool,
 }
 
 /// The newest poses, each in its own frame.
@@ -135,15 +160,29 @@ struct Context<'a> {
     track: &'a Track,
     settings: &'a Settings,
     options: &'a Options,
+    /// The same without the accuracy layer.
+    plain: &'a Options,
     now: Instant,
+    why: Why,
+}
+
+/// What a report is made for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Why {
+    /// It is time.
+    Due,
+    /// The accuracy layer has not yet had its word on what was just said.
+    Refine,
     /// Nothing more comes.
-    last: bool,
+    End,
 }
 
 /// Relative motion since an answer that makes a new one worth while, metres.
 const WORTH_M: f64 = 0.01;
 /// Pairs with fewer than this make no bearing.
 const LEAST_PAIRS: usize = 24;
+/// A report that is due waits for the next pair, so that the news in it are new, but no longer than this.
+const WAIT: Span = Span::from_ms(25);
 /// Exchanges at rest before and after a motion that are kept, seconds: they settle slopes and signs.
 const SETTLE_S: f64 = 30.0;
 
@@ -157,6 +196,7 @@ pub struct Estimator {
     own: Mac,
     settings: Settings,
     options: Options,
+    plain: Options,
     front: Front,
     track: Track,
     peers: Vec<PeerState>,
@@ -179,10 +219,15 @@ impl Estimator {
             counts: PeerCounts::default(),
             last: None,
             searched: None,
+            paired_at: None,
+            accurate_at: None,
+            unrefined: false,
+            bearing: None,
             peer,
         };
         let peers = peers.into_iter().enumerate().map(state).collect();
-        Self { own, settings, front, track, peers, losses: 0, strangers: 0, options }
+        let plain = Options { accuracy: options.accuracy.without_layers(), ..options.clone() };
+        Self { own, settings, front, track, peers, losses: 0, strangers: 0, options, plain }
     }
 
     /// Takes what this robot's card gave.
@@ -194,9 +239,7 @@ impl Estimator {
             return;
         };
         state.counts.heard += 1;
-        if let Some(link) = &mut state.link {
-            link.handle(Side::Receiver, heard, &self.options);
-        }
+        state.handle(Side::Receiver, heard, next, &self.options);
     }
 
     /// Takes what the card of peer number `peer` gave.
@@ -208,9 +251,7 @@ impl Estimator {
             return;
         }
         state.counts.heard_by_peer += 1;
-        if let Some(link) = &mut state.link {
-            link.handle(Side::Transmitter, heard, &self.options);
-        }
+        state.handle(Side::Transmitter, heard, next, &self.options);
     }
 
     /// Takes a pose of this robot's antenna, on its own host's clock.
@@ -239,30 +280,50 @@ impl Estimator {
         }
     }
 
-    /// When the next estimate is due.
+    /// When the next report is due: from then on the next pair is waited for.
+    #[must_use]
+    pub fn next_due(&self) -> Option<Instant> {
+        let due = |state: &PeerState| {
+            if state.unrefined { state.last.as_ref().map_or(state.due, |last| last.at) } else { state.due }
+        };
+        self.peers.iter().map(due).min()
+    }
+
+    /// When [`poll_report`](Self::poll_report) has something to say whatever comes until then.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
-        self.peers.iter().map(|state| state.due).min()
+        let at = |state: &PeerState| {
+            let unrefined = state.last.as_ref().filter(|_| state.unrefined).map(|last| last.at);
+            unrefined.unwrap_or(state.due + WAIT)
+        };
+        self.peers.iter().map(at).min()
     }
 
     /// The next report, if one is due: the peer's number and what is said of it.
+    ///
+    /// One is due at its time as soon as another pair comes, or a moment later; and once more, from the accuracy layer, when
+    /// nothing else is due.
     pub fn poll_report(&mut self, now: Instant) -> Option<(usize, Report)> {
-        let due = self.peers.iter().enumerate().filter(|(_, state)| state.due <= now);
-        let (index, _) = due.min_by_key(|(_, state)| state.due)?;
+        let due = self.peers.iter().enumerate().filter(|(_, state)| state.is_ripe(now));
+        let due = due.min_by_key(|(_, state)| state.due).map(|(index, _)| (index, Why::Due));
+        let unrefined = || self.peers.iter().position(|state| state.unrefined).map(|index| (index, Why::Refine));
+        let (index, why) = due.or_else(unrefined)?;
         let period = Span::from_s(1.0 / self.settings.rate_hz);
         let state = self.peers.get_mut(index)?;
-        // A driver that was away does not make up for what it missed.
-        state.due = if now - state.due > period { now + period } else { state.due + period };
-        let context =
-            Context { track: &self.track, settings: &self.settings, options: &self.options, now, last: false };
-        let report = state.report(context);
+        if why == Why::Due {
+            // A driver that was away does not make up for what it missed.
+            state.due = if now - state.due > period { now + period } else { state.due + period };
+        }
+        let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
+        let report = state.report(Context { track, settings, options, plain, now, why });
         self.forget();
         Some((index, report))
     }
 
     /// Ends all sources: every peer's last report, from everything that came.
     pub fn finish(&mut self, now: Instant) -> Vec<Report> {
-        let context = Context { track: &self.track, settings: &self.settings, options: &self.options, now, last: true };
+        let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
+        let context = Context { track, settings, options, plain, now, why: Why::End };
         let last = |state: &mut PeerState| {
             if let Some(link) = &mut state.link {
                 link.finish(context.options);
@@ -270,6 +331,12 @@ impl Estimator {
             state.report(context)
         };
         self.peers.iter_mut().map(last).collect()
+    }
+
+    /// The last estimate of a peer's bearing, with everything in it.
+    #[must_use]
+    pub fn bearing(&self, peer: usize) -> Option<&Bearing> {
+        self.peers.get(peer)?.bearing.as_ref()
     }
 
     /// Peers and what was counted of them.
@@ -313,7 +380,25 @@ impl PeerState {
         if let Some(link) = &mut self.link {
             link.forget_before(i64::MAX);
         }
-        (self.last, self.searched) = (None, None);
+        (self.last, self.searched, self.bearing) = (None, None, None);
+        (self.accurate_at, self.unrefined) = (None, false);
+    }
+
+    /// Takes what one of the two cards heard of the other.
+    fn handle(&mut self, side: Side, heard: Heard, next: &Next<'_>, options: &Options) {
+        let Some(link) = &mut self.link else { return };
+        let before = link.counts(Side::Receiver).paired;
+        link.handle(side, heard, options);
+        if let Next::Record(stamps, _) = next
+            && link.counts(Side::Receiver).paired > before
+        {
+            self.paired_at = Some(stamps.at);
+        }
+    }
+
+    /// A report is due, and a pair has come since, or the time for one has passed.
+    fn is_ripe(&self, now: Instant) -> bool {
+        self.due <= now && (now - self.due >= WAIT || self.paired_at.is_some_and(|at| at >= self.due))
     }
 
     fn pairs(&self) -> u64 {
@@ -327,10 +412,11 @@ impl PeerState {
     }
 
     fn report(&mut self, context: Context<'_>) -> Report {
-        let Context { track, settings, now, .. } = context;
+        let Context { track, settings, now, why, .. } = context;
+        self.unrefined = false;
         let seen = self.link.as_ref().and_then(Link::last_us).map(|us| us as f64 * 1e-6);
         let nothing_new = self.searched == Some(self.pairs());
-        if !context.last && nothing_new {
+        if why == Why::Due && nothing_new {
             return self.without(State::NoPairs, "no exchange since the last search".into(), 0.0, context, seen);
         }
         let Some(end_s) = seen else {
@@ -338,10 +424,12 @@ impl PeerState {
         };
         self.forget_before(end_s - settings.window_s - SETTLE_S);
         let motion = Motion { receiver: track.last().copied(), transmitter: self.peer.track.last().copied() };
-        if !context.last
-            && let Some(moved_m) = self.last.as_ref().filter(|last| !motion.is_beyond(&last.motion)).map(|l| l.moved_m)
+        if why == Why::Due
+            && let Some(last) = self.last.as_ref().filter(|last| !motion.is_beyond(&last.motion))
         {
             self.counts.skipped += 1;
+            let moved_m = last.moved_m;
+            self.unrefined = context.has_layers() && !last.accurate;
             return self.without(State::Held, "held: nothing moved since".into(), moved_m, context, seen);
         }
         let span_s = (end_s - settings.window_s - SETTLE_S, end_s + settings.window_s);
@@ -362,14 +450,21 @@ impl PeerState {
         }
         self.searched = Some(self.pairs());
         let mut report = self.estimate(&receiver, transmitter.as_ref(), &found, context);
-        if let Some(last) = self.last.as_ref().filter(|_| nothing_new) {
+        if let Some(last) = self.last.as_ref().filter(|_| nothing_new && why == Why::End) {
             report.age_s = (now - last.at).as_s();
         }
         if report.state == State::Bearing {
-            let (answer, moved_m) = (report.answer.clone(), found.extent_m);
-            self.last = Some(Last { answer, at: now, motion, moved_m });
+            let (answer, moved_m, accurate) = (report.answer.clone(), found.extent_m, report.accurate);
+            self.last = Some(Last { answer, at: now, motion, moved_m, accurate });
+            self.unrefined = context.has_layers() && !accurate && self.is_layers_turn(context);
         }
         report
+    }
+
+    /// True if it is time for the accuracy layer.
+    fn is_layers_turn(&self, context: Context<'_>) -> bool {
+        let every = Span::from_s(context.settings.accurate_every_s);
+        self.accurate_at.is_none_or(|at| context.now - at >= every)
     }
 
     /// Both trajectories on this robot's clock and in the directions of its frame.
@@ -401,11 +496,16 @@ impl PeerState {
         };
         let seen = link.last_us().map(|us| us as f64 * 1e-6);
         let receiver = cut(receiver, found);
-        let bearing = link.bearing(&receiver, transmitter, context.options);
+        let accurate = context.has_layers() && (context.why != Why::Due || context.settings.accurate_every_s <= 0.0);
+        let bearing = link.bearing(&receiver, transmitter, if accurate { context.options } else { context.plain });
         self.counts.estimates += 1;
+        if accurate {
+            self.counts.accurate += 1;
+            self.accurate_at = Some(context.now);
+        }
         let report = LinkReport { mac: Some(self.peer.mac), matched: None, link: Some(link), bearing };
         let answer = Answer::new(self.peer.name.clone(), &report);
-        self.link = report.link;
+        (self.link, self.bearing) = (report.link, report.bearing.ok());
         if answer.pairs_in_motion < LEAST_PAIRS && answer.error.is_none() {
             let words = format!("{} exchanges in motion, {LEAST_PAIRS} are needed", answer.pairs_in_motion);
             return self.without(State::NoPairs, words, found.extent_m, context, seen);
@@ -414,8 +514,8 @@ impl PeerState {
             return self.without(State::Failed, error, found.extent_m, context, seen);
         }
         let words = format!("bearing {:.2} deg", answer.azimuth_deg.unwrap_or(f64::NAN));
-        let (moved_m, needed_m) = (found.extent_m, context.settings.least_m);
-        Report { t_s: seen, state: State::Bearing, words, moved_m, needed_m, age_s: 0.0, answer }
+        let (moved_m, needed_m, heard_at) = (found.extent_m, context.settings.least_m, self.paired_at);
+        Report { t_s: seen, state: State::Bearing, words, moved_m, needed_m, age_s: 0.0, accurate, heard_at, answer }
     }
 
     /// A report without a new bearing: the last one, if there is one, is said again with its age.
@@ -427,7 +527,15 @@ impl PeerState {
         );
         let age_s = held.map_or(0.0, |last| (context.now - last.at).as_s());
         let state = if held.is_some() && state == State::NotYet { State::Held } else { state };
-        Report { t_s: seen, state, words, moved_m, needed_m: context.settings.least_m, age_s, answer }
+        let (needed_m, accurate) = (context.settings.least_m, held.is_some_and(|last| last.accurate));
+        Report { t_s: seen, state, words, moved_m, needed_m, age_s, accurate, heard_at: None, answer }
+    }
+}
+
+impl Context<'_> {
+    /// True if the accuracy layer is asked at all.
+    fn has_layers(&self) -> bool {
+        self.options.accuracy.near_field
     }
 }
 

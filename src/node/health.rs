@@ -38,6 +38,8 @@ pub struct Health {
     pub peers: Vec<PeerHealth>,
     /// What was counted on the robots' network.
     pub network: Option<serde_json::Value>,
+    /// What was counted of this robot's part in the sounding exchange.
+    pub sounding: Option<serde_json::Value>,
     /// What was published over ROS.
     pub ros: Option<serde_json::Value>,
     /// What it costs.
@@ -136,6 +138,7 @@ impl Looks {
             log: machine.totals(),
             peers: peers.collect(),
             network: None,
+            sounding: None,
             ros: None,
             load,
             trouble: machine.trouble(),

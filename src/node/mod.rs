@@ -8,7 +8,9 @@
 //! | [`sources`] | what a configuration names, opened |
 //! | [`machine`] | the robot as one value |
 //! | [`health`] | what is published beside the bearings |
+//! | `sounder` | the robot's part in the sounding exchange (feature `live`) |
 //! | `threads` | the card and the wheels read on threads of their own (feature `live`) |
+//! | `network`, `viewers` | peers through zenoh, Foxglove's viewers over a websocket (features `zenoh`, `foxglove`) |
 //! | `service` | tokio: waits, hands over, publishes (feature `node`) |
 
 pub mod config;
@@ -29,3 +31,7 @@ mod outputs;
 mod ros;
 #[cfg(feature = "node")]
 pub mod service;
+#[cfg(feature = "live")]
+mod sounder;
+#[cfg(feature = "node")]
+mod viewers;

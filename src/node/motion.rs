@@ -78,6 +78,11 @@ impl Track {
         self.poses.is_empty()
     }
 
+    /// The poses kept, in the order of time.
+    pub fn poses(&self) -> impl Iterator<Item = &Pose> {
+        self.poses.iter()
+    }
+
     /// The newest pose.
     #[must_use]
     pub fn last(&self) -> Option<&Pose> {

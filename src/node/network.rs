@@ -24,6 +24,12 @@ const BACKLOG: usize = 4_096;
 const MESSAGE_BYTES: usize = 32 * 1024;
 /// ... or this long after its first item.
 const HAND_OVER: Duration = Duration::from_millis(5);
+/// Zenoh's own queue for each neighbour, batches of 64 KiB: at its own length what waited for a first reader does not fit, and
+/// is dropped. This is the longest; what is not needed is not allocated.
+const QUEUE: &str = "16";
+const ZENOH_QUEUE: &str = "2";
+/// Looks for a first reader, one each time that a message would be sent.
+const FIRST_LOOKS: u32 = 200;
 /// Messages that are still sent once it is told to stop: more than can wait.
 const LAST_MESSAGES: usize = 256;
 
@@ -68,6 +74,10 @@ impl Network {
                 config.insert_json5(key, &list).map_err(wrong("an endpoint of [network]"))?;
             }
         }
+        let queue = "transport/link/tx/queue/size/real_time";
+        if config.get_json(queue).is_ok_and(|size| size == ZENOH_QUEUE) {
+            config.insert_json5(queue, QUEUE).map_err(wrong("zenoh's queue"))?;
+        }
         let session = zenoh::open(config).wait().map_err(wrong("joining the network"))?;
         let group = if asked.group.is_empty() { "robots" } else { &asked.group };
         let mut network = Self {
@@ -99,7 +109,12 @@ impl Network {
         // Another one at each start, so that peers know numbers that began anew.
         let session = crate::wait::wall_us().unwrap_or(0) as u32 ^ std::process::id();
         let stop = Arc::clone(&self.stop);
+        let (publishes_records, publishes_poses) = self.publishes;
         let send = move || {
+            let is_read = |publisher: &zenoh::pubsub::Publisher<'_>| {
+                publisher.matching_status().wait().is_ok_and(|status| status.matching())
+            };
+            wait_for_reader(&stop, || (publishes_records && is_read(&records)) || (publishes_poses && is_read(&poses)));
             let send_records = |message| drop(records.put::<Vec<u8>>(message).wait());
             let send_poses = |message| drop(poses.put::<Vec<u8>>(message).wait());
             work(&waiting, session, &stop, send_records, send_poses);
@@ -162,6 +177,17 @@ impl Drop for Network {
 /// A MAC as part of a key.
 fn key_of(mac: Mac) -> String {
     mac.to_string().replace(':', "")
+}
+
+/// Waits for the first reader, but no longer than a second: what is put before one is known reaches nobody, while it may
+/// well be there, as the robots' programs find each other in some milliseconds.
+fn wait_for_reader(stop: &AtomicBool, is_read: impl Fn() -> bool) {
+    for _ in 0..FIRST_LOOKS {
+        if is_read() || stop.load(Ordering::Relaxed) {
+            break;
+        }
+        std::thread::sleep(HAND_OVER);
+    }
 }
 
 /// Items between two looks at whether to stop.

@@ -6,7 +6,9 @@ use super::health::{Health, Load, Looks};
 use super::machine::{Capture, Machine};
 use super::outputs::{Lines, StatusSocket, StatusText};
 use super::ros::Ros;
+use super::sounder::Sounder;
 use super::sources::{Card, Sources};
+use super::viewers::Viewers;
 use crate::backend::Error;
 use crate::backend::recorder::{LogFiles, Options as RecorderOptions, Recorder, Rotation, Totals, side_path};
 use crate::backend::sys::watch_fd;
@@ -23,6 +25,9 @@ use tokio::sync::Notify;
 
 /// How often the state is looked at.
 const LOOK: Span = Span::from_ms(500);
+/// While no report is due records may wait so long: what comes within it is taken at once, for one waking up instead of
+/// many.
+const TOGETHER: Span = Span::from_ms(3);
 /// The longest wait without looking at the sources.
 const LONGEST_WAIT: Span = Span::from_ms(500);
 
@@ -49,10 +54,13 @@ pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
     let mut sources = Sources::open(config, Instant::ZERO, wall_us)?;
     let network = Joined::join(config, &sources)?;
     let mut ros = Ros::open(config, &mut sources);
+    let viewers = Viewers::open(config, &name)?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let io = |source| Error::Io { what: "cannot start tokio".into(), source };
     // The network and ROS are left outside of the runtime, where they may wait for their own, and after the machine is finished.
-    runtime.map_err(io)?.block_on(Service::serve(config, name, sources, (&network, &mut ros)))
+    let ended = runtime.map_err(io)?.block_on(Service::serve(config, name, sources, (&network, &mut ros, &viewers)));
+    viewers.stop();
+    ended
 }
 
 /// Real time, and the sources' own, which runs `speed` times as fast.
@@ -78,15 +86,19 @@ impl Clock {
 struct Line<'a> {
     /// How long the estimate took, milliseconds.
     took_ms: Option<f64>,
+    /// How long ago the last record in it was taken, milliseconds.
+    latency_ms: Option<f64>,
     #[serde(flatten)]
     report: &'a Report,
 }
 
 struct Service<'a> {
     network: &'a Joined,
+    viewers: &'a Viewers,
     ros: &'a mut Ros,
     clock: Clock,
     machine: Machine,
+    sounder: Sounder,
     looks: Looks,
     lines: Lines,
     socket: Option<StatusSocket>,
@@ -105,7 +117,7 @@ impl<'a> Service<'a> {
         config: &Config,
         name: String,
         mut sources: Sources,
-        (network, ros): (&'a Joined, &'a mut Ros),
+        (network, ros, viewers): (&'a Joined, &'a mut Ros, &'a Viewers),
     ) -> Result<Ended, Error> {
         // Signals first: one that comes from here on ends the robot in order.
         let mut signals = [SignalKind::terminate(), SignalKind::interrupt(), SignalKind::hangup()]
@@ -116,15 +128,22 @@ impl<'a> Service<'a> {
         let wake = sources.wake.take().map(watch_fd).transpose();
         let wake = wake.map_err(|source| Error::Io { what: "cannot wait for the card's thread".into(), source })?;
         let clock = Clock { real: Monotonic::new(), speed: sources.speed };
+        let (own, peers) = (sources.own, sources.peers.iter().map(|peer| peer.peer.mac).collect());
         let logged = |card: Card| logged(card, config.log.as_ref());
         let mut machine = Machine::new(sources, logged, Sources::settings(config), config.options(), clock.now())?;
         network.attach(&mut machine);
         ros.attach(&mut machine);
+        viewers.attach(&mut machine);
+        // Last: from here on it sends.
+        let sounder = Sounder::start(config, own, peers, clock.real)?;
+        sounder.attach(&mut machine);
         let mut service = Self {
             network,
             ros,
+            viewers,
             clock,
             machine,
+            sounder,
             looks: Looks::new(name),
             lines: Lines::open(&config.output)?,
             socket: config.output.status_socket.as_deref().map(StatusSocket::open).transpose()?,
@@ -167,11 +186,22 @@ impl<'a> Service<'a> {
             if self.machine.is_done(self.clock.now()) {
                 return Ok(());
             }
+            let gather = if more { Duration::ZERO } else { self.gather() };
+            if !gather.is_zero() {
+                tokio::select! {
+                    biased;
+                    () = any(signals) => {
+                        self.signalled = true;
+                        return Ok(());
+                    }
+                    () = tokio::time::sleep(gather) => {}
+                }
+            }
             let until = self.machine.next_at().map_or(LONGEST_WAIT.as_s(), |at| self.clock.until(at).as_secs_f64());
             let wait = if more {
                 Duration::ZERO
             } else {
-                Duration::from_secs_f64(until.min((look_at - real).as_s().max(0.0)))
+                Duration::from_secs_f64(until.min((look_at - self.clock.real.now()).as_s().max(0.0)))
             };
             tokio::select! {
                 biased;
@@ -181,8 +211,18 @@ impl<'a> Service<'a> {
                 }
                 ready = readable(wake) => ready?,
                 () = self.network.wake.notified() => {}
-                () = tokio::time::sleep(wait) => self.note_lateness(),
+                () = tokio::time::sleep(wait) => if !wait.is_zero() { self.note_lateness() },
             }
+        }
+    }
+
+    /// How long records may wait: until a report is due, whose pair is then waited for.
+    fn gather(&self) -> Duration {
+        let now = self.clock.now();
+        match self.machine.estimator.next_due() {
+            Some(due) if due <= now => Duration::ZERO,
+            Some(due) => self.clock.until(due).min(Duration::from_micros(TOGETHER.as_us().unsigned_abs())),
+            None => Duration::ZERO,
         }
     }
 
@@ -202,7 +242,10 @@ impl<'a> Service<'a> {
         self.load.estimate_ms = (self.clock.real.now() - before).as_s() * 1e3;
         self.load.longest_estimate_ms = self.load.longest_estimate_ms.max(self.load.estimate_ms);
         self.bearings += u64::from(report.state == State::Bearing);
-        self.lines.write(&Line { took_ms: Some(self.load.estimate_ms), report: &report });
+        let since = |at: Instant| (self.clock.now() - at).as_s() / self.clock.speed * 1e3;
+        let latency_ms = report.heard_at.map(since);
+        self.lines.write(&Line { took_ms: Some(self.load.estimate_ms), latency_ms, report: &report });
+        self.viewers.report(&self.machine, peer, &report);
         self.ros.report(peer, &report, self.machine.estimator.track().last());
         self.looks.note(peer, report);
     }
@@ -225,6 +268,8 @@ impl<'a> Service<'a> {
         self.load.lines_lost = self.lines.lost();
         let mut health = self.looks.look(&self.machine, self.clock.now(), self.load);
         health.network = self.network.counts();
+        health.sounding = self.sounder.look().and_then(|counts| serde_json::to_value(counts).ok());
+        health.trouble.extend(self.sounder.trouble());
         health.ros = self.ros.counts();
         health.trouble.extend(self.ros.trouble());
         self.load.late_ms = 0.0;
@@ -232,6 +277,7 @@ impl<'a> Service<'a> {
             socket.tell(&health);
         }
         self.text.show(&health.line());
+        self.viewers.look(&self.machine);
         health
     }
 
@@ -239,9 +285,11 @@ impl<'a> Service<'a> {
         let mut health = self.look();
         self.text.clear();
         let (reports, totals) = self.machine.finish(self.clock.now())?;
+        // The machine held the sender too, to tell it what was measured.
+        let error = self.sounder.stop().or(error);
         for (report, peer) in reports.into_iter().zip(&mut health.peers) {
             self.bearings += u64::from(report.state == State::Bearing);
-            self.lines.write(&Line { took_ms: None, report: &report });
+            self.lines.write(&Line { took_ms: None, latency_ms: None, report: &report });
             peer.report = Some(report);
         }
         health.log.clone_from(&totals);

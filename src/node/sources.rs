@@ -173,6 +173,7 @@ impl Sources {
             least_m: asked.least_motion_m.unwrap_or(usual.least_m),
             rate_hz: asked.rate_hz,
             extrapolate_s: asked.extrapolate_s,
+            accurate_every_s: asked.accurate_every_s,
         }
     }
 }

@@ -47,6 +47,14 @@ impl Default for Accuracy {
     }
 }
 
+impl Accuracy {
+    /// Without any step: a plane wave at the channel centre.
+    #[must_use]
+    pub fn without_layers(self) -> Self {
+        Self { near_field: false, align: false, one_way: false, ..self }
+    }
+}
+
 /// The round trip is looked at as a whole.
 const ROUND_TRIP: [View; 1] = [View { windows: 1, taper: Taper::Hann, weight: 1.0 / 3.0, subcarriers: SUBCARRIERS }];
 /// The one-way channel in windows of half the motion, in blocks of an eighth, and, on the subcarriers next to the channel

@@ -7,18 +7,19 @@ use std::path::{Path, PathBuf};
 /// 2025, seconds since 1970: a clock that shows less was never set.
 const PLAUSIBLE_S: u32 = 1_735_689_600;
 
-/// The session that begins now; what could not be kept is said where it matters.
-pub fn begin(own: Mac, wall_us: Option<i64>) -> u32 {
+/// The session that begins now, and words where it could not be kept and that matters.
+pub(super) fn begin(own: Mac, wall_us: Option<i64>) -> (u32, Option<String>) {
     let wall_s = wall_us.and_then(|us| u32::try_from(us / 1_000_000).ok()).unwrap_or(0);
     let (session, kept) = begin_in(&folders(|name| std::env::var_os(name).map(PathBuf::from)), own, wall_s);
-    if let (Err(why), true) = (kept, wall_s < PLAUSIBLE_S) {
-        eprintln!(
+    let why = kept.err().filter(|_| wall_s < PLAUSIBLE_S);
+    let warning = why.map(|why| {
+        format!(
             "the clock of this machine is not set, and the number of this start cannot be kept ({why}): robots that \
              share a key will ignore this one if they have heard it before; set the clock, or XDG_STATE_HOME to a \
              folder that can be written"
-        );
-    }
-    session
+        )
+    });
+    (session, warning)
 }
 
 /// Where the last session may be kept, the best place first.

@@ -66,6 +66,9 @@ impl Config {
         if !(0.0..=90.0).contains(&estimator.elevation_max_deg) {
             say(place(text, "elevation_max_deg"), "elevation_max_deg: 0 to 90 degrees".into());
         }
+        if !(0.0..=3_600.0).contains(&estimator.accurate_every_s) {
+            say(place(text, "accurate_every_s"), "accurate_every_s: 0 to 3600 seconds".into());
+        }
         if !(0.0..=1.0).contains(&estimator.extrapolate_s) {
             let why = "extrapolate_s: 0 to 1 second; a robot is somewhere else after a longer time";
             say(place(text, "extrapolate_s"), why.into());
@@ -183,6 +186,11 @@ impl Config {
             if let Some((at, why)) = odometry(&peer.poses, at, false) {
                 say(at, format!("peer `{}`: {why}", peer.name));
             }
+        }
+        self.sounding_problem().into_iter().for_each(|why| say(place(text, "sounding"), why));
+        if self.output.foxglove.is_some() && !cfg!(feature = "foxglove") {
+            let why = "foxglove in [output] needs a program built with `--features foxglove`";
+            say(place(text, "foxglove"), why.into());
         }
         if let Some(network) = &self.network {
             if !cfg!(feature = "zenoh") {

@@ -2,11 +2,11 @@
 
 mod check;
 pub mod ros;
+pub mod sounding;
 
 use crate::channel::Channel;
 use crate::odometry::drive::Geometry;
 use crate::pipeline::Options;
-use crate::pipeline::accurate::Accuracy;
 use check::line_of;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
@@ -56,6 +56,9 @@ pub struct Config {
     /// The network of the robots.
     #[serde(default)]
     pub network: Option<Network>,
+    /// This robot's part in the sounding exchange.
+    #[serde(default)]
+    pub sounding: Option<sounding::Sounding>,
     /// This program as a node of ROS 1.
     #[serde(default)]
     pub ros: Option<ros::Ros>,
@@ -226,6 +229,8 @@ pub struct Estimation {
     pub elevation_max_deg: f64,
     /// Spherical waves, all subcarriers and the one-way channel: better, and ten to a hundred times the work.
     pub accurate: bool,
+    /// That work is done once in so many seconds for each peer, and when nothing moves any more; 0: for every bearing.
+    pub accurate_every_s: f64,
 }
 
 impl Default for Estimation {
@@ -238,6 +243,7 @@ impl Default for Estimation {
             extrapolate_s: 0.05,
             elevation_max_deg: 20.0,
             accurate: true,
+            accurate_every_s: 5.0,
         }
     }
 }
@@ -297,11 +303,13 @@ pub struct Output {
     pub status_socket: Option<PathBuf>,
     /// One line of state on standard error: on a terminal (`auto`), `always` or `never`.
     pub status_line: StatusLine,
+    /// Where Foxglove's viewers connect: `127.0.0.1:8765` is what they ask for (feature `foxglove`).
+    pub foxglove: Option<std::net::SocketAddr>,
 }
 
 impl Default for Output {
     fn default() -> Self {
-        Self { bearings: "-".into(), status_socket: None, status_line: StatusLine::Auto }
+        Self { bearings: "-".into(), status_socket: None, status_line: StatusLine::Auto, foxglove: None }
     }
 }
 
@@ -393,7 +401,7 @@ impl Config {
         let mut options = Options { antenna: self.antenna, ..Options::new(self.channel) };
         options.search.elevation_max_rad = self.estimator.elevation_max_deg.to_radians();
         if !self.estimator.accurate {
-            options.accuracy = Accuracy { near_field: false, align: false, one_way: false, ..options.accuracy };
+            options.accuracy = options.accuracy.without_layers();
         }
         options
     }
@@ -425,6 +433,8 @@ impl Config {
         if let Some(log) = &mut self.log {
             log.file = folder.join(&log.file);
         }
+        let key = self.sounding.iter_mut().filter_map(|sounding| sounding.key.as_mut());
+        key.for_each(|key| *key = folder.join(&*key));
         // Neither nowhere nor standard output.
         if !["", "-"].contains(&self.output.bearings.as_str()) {
             self.output.bearings = folder.join(&self.output.bearings).to_string_lossy().into_owned();

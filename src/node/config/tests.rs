@@ -85,6 +85,14 @@ fn every_problem_has_its_line() {
     assert!(own.starts_with("line 1: `rx` has the MAC"), "{own}");
     let full = room("[network]\nbacklog = 0\n");
     assert!(full.contains("line 8: backlog"), "{full}");
+    let air = room("[sounding]\ninterface = \"mon0\"\n");
+    assert!(air.starts_with("line 7: [sounding] is done with a card"), "{air}");
+    let card = "mac = \"02:00:00:00:00:01\"\nchannel = \"108\"\ncapture.card = {}\nodometry.opencr.port = \"/dev/null\"\n\
+                [network]\n[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n\
+                [sounding]\ninterface = \"mon0\"\n";
+    let fast = refused(&format!("{card}rate_hz = 1e5\n"));
+    let said = if cfg!(feature = "live") { "rounds" } else { "feature `live`" };
+    assert!(fast.contains("line 10: [sounding]") && fast.contains(said), "{fast}");
     let far = refused(&format!("{ROOM}[estimator]\nextrapolate_s = 30\n"));
     assert!(far.starts_with("line 8"), "{far}");
 }

@@ -11,6 +11,8 @@ fn report(state: State, azimuth_deg: Option<f64>) -> Report {
         moved_m: 0.04,
         needed_m: 0.11,
         age_s: 0.0,
+        accurate: false,
+        heard_at: None,
         answer: Answer { azimuth_deg, azimuth_sd_deg: Some(0.5), ..Answer::default() },
     }
 }
