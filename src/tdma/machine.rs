@@ -75,7 +75,7 @@ pub struct Tdma {
     /// When a forward frame was last answered, or the turn was come by.
     pub(super) answered_at: Instant,
     pub(super) now: Instant,
-    /// The number of the last forward frame, each robot's in a range of its own; 0 is left out, WSR drivers lose the
+    /// The number of the last forward frame, in our dialect each robot's in a range of its own; 0 is left out, WSR drivers lose the
     /// sender's MAC with it.
     pub(super) number: u32,
     pub(super) reply: Option<Ready>,
@@ -131,7 +131,11 @@ impl Tdma {
         };
         let buffer = vec![0; longest].into_boxed_slice();
         let roster = Roster::new(config);
-        let number = before_first_number(roster.own_rank, roster.robots());
+        // In WSR's dialect as WSR's sender counts, from 1.
+        let number = match plan.dialect() {
+            Dialect::Wsr { .. } => 0,
+            Dialect::Native { .. } => before_first_number(roster.own_rank, roster.robots()),
+        };
         Ok(Self {
             own: config.own.mac,
             own_index: config.own.index,
