@@ -1,6 +1,8 @@
 //! A robot's part in the sounding exchange, as the file says it.
 
-use super::{Capture, Config, hundred, positive};
+#[cfg(feature = "live")]
+use super::Capture;
+use super::{Config, hundred, positive};
 use std::path::PathBuf;
 
 /// A robot's part in the sounding exchange, in the native dialect, as `csi5300 sound` and `respond` have it (feature
