@@ -78,10 +78,8 @@ fn bare(fifo_priority: Option<i32>, times: i64) -> Result<Histogram<u64>, Failur
 }
 
 /// The air: what is sent on one device is received on the other, with an empty radiotap header instead of the sender's.
+/// An ordinary thread: the air must not take the processor from the threads that are measured.
 fn carry(mut from: File, mut to: File) {
-    if schedule_fifo(60).is_err() {
-        eprintln!("the stand-in for the air runs under the ordinary scheduler: turn-arounds are its own, too");
-    }
     let mut buffer = [0; 4_096];
     while let Ok(len) = from.read(&mut buffer) {
         let header = usize::from(buffer[6]);

@@ -117,8 +117,21 @@ status=0
 LD_LIBRARY_PATH=$libraries timeout 400 "$unpacked/usr/bin/qemu-system-x86_64" \
     -L "$unpacked/usr/share/qemu" -L "$unpacked/usr/share/seabios" \
     -accel tcg,thread=single -icount shift=1,sleep=off -m 512 -smp 1 -nodefaults -no-reboot -display none \
-    -serial stdio -device isa-debug-exit,iobase=0xf4,iosize=4 \
+    -serial stdio -serial "file:$place/out.tar.gz" -device isa-debug-exit,iobase=0xf4,iosize=4 \
     -kernel "$place"/boot/boot/vmlinuz-* -initrd "$place/initramfs" \
     -append "console=ttyS0 panic=-1 quiet" </dev/null | tee "$place/guest.log" || status=${PIPESTATUS[0]}
 printf 'guest ended with status %s after %s s\n' "$status" "$SECONDS"
 [ "$status" = 33 ] || exit 1
+
+# The logs of the guest's robots, read once more here: the same pairs, by the same test and by `info`.
+rm -rf "$place/out"
+mkdir "$place/out"
+tar -xzf "$place/out.tar.gz" -C "$place/out"
+for links in "$place"/out/*/links; do
+    cd "${links%/*}"
+    CSI5300_TEST_GUEST_LINKS=$(cat links) "$tree/tests/kernel_sounding" --exact every_answered_frame_is_a_pair_of_the_logs --nocapture >checked ||
+        { cat checked; echo "the copied logs of ${PWD##*/} are not those of the guest"; exit 1; }
+    grep -q "1 passed" checked
+    printf 'copied out, %s: %s\n' "${PWD##*/}" "$(grep -c pairs checked) links with pairs, $("$tree/bin/csi5300" info --json ./*.dat | wc -l) logs read"
+done
+[ -d "$place/out/three" ] && [ -d "$place/out/two-wsr" ]

@@ -10,7 +10,8 @@ ip netns add "$probe" 2>/dev/null || { echo "no network namespace can be made he
 ip -n "$probe" link add b type bridge 2>/dev/null && ip -n "$probe" link add v type veth peer name w 2>/dev/null ||
     { ip netns del "$probe"; echo "no bridge or no veth can be made here"; exit 77; }
 ip netns del "$probe"
-cargo build --quiet --features zenoh
+# As the tests with all features build it: nothing is built twice.
+cargo test --quiet --workspace --all-features --no-run
 exec python3 - "${CARGO_TARGET_DIR:-target}/debug/csi5300" <<'PYTHON'
 import glob, json, math, os, shutil, subprocess, sys, tempfile, time
 

@@ -30,9 +30,9 @@ tune
 # listen NAME INDEX: records a card's messages.
 recorders=
 listen() {
-    csi5300 record "/tmp/$1.dat" --force --connector-index "$2" 2>"/tmp/$1.said" &
+    csi5300 record "$1.dat" --force --connector-index "$2" 2>"$1.said" &
     recorders="$recorders $!"
-    until grep -q "recording to" "/tmp/$1.said"; do :; done
+    until grep -q "recording to" "$1.said"; do :; done
 }
 stop() {
     # The last records are still on their way.
@@ -45,7 +45,9 @@ stop() {
 ready() {
     until grep -q "^sending under" "$1"; do kill -0 "$2"; done
 }
+# check LINKS: the logs of this folder, here and once more on the host, to which /init copies /tmp/out.
 check() {
+    echo "$1" >links
     CSI5300_TEST_GUEST_LINKS="$1" /tests/kernel_sounding --exact every_answered_frame_is_a_pair_of_the_logs --nocapture >/tmp/checked 2>&1 || {
         cat /tmp/checked
         exit 1
@@ -56,46 +58,48 @@ check() {
 
 for dialect in native wsr; do
     echo "two radios, $dialect"
+    mkdir -p "/tmp/out/two-$dialect" && cd "/tmp/out/two-$dialect"
     wsr=0 own=
     [ "$dialect" = native ] || { wsr=1 own="--ack-len 57"; }
     insmod /modules/csi5300_heard.ko interfaces=wlan0,wlan1 idx=26,25 wsr=$wsr
     listen a 26
     listen b 25
-    csi5300 respond --interface wlan1 --peers "$A" --dialect "$dialect" $own --rate 50 $slow --connector-index 25 2>/tmp/respond &
+    csi5300 respond --interface wlan1 --peers "$A" --dialect "$dialect" $own --rate 50 $slow --connector-index 25 2>respond &
     responder=$!
-    ready /tmp/respond "$responder"
-    csi5300 sound --interface wlan0 --peers "$B" --dialect "$dialect" --alone --rate 50 $slow --stop-after 10s 2>/tmp/sound
+    ready respond "$responder"
+    csi5300 sound --interface wlan0 --peers "$B" --dialect "$dialect" --alone --rate 50 $slow --stop-after 10s 2>sound
     kill -TERM "$responder"
     wait "$responder"
     stop
-    cat /tmp/sound /tmp/respond
-    grep -q "sending under SCHED_FIFO, memory locked" /tmp/sound
-    check "/tmp/a.dat $A /tmp/b.dat $B /tmp/sound"
+    cat sound respond
+    grep -q "sending under SCHED_FIFO, memory locked" sound
+    check "a.dat $A b.dat $B sound"
     rmmod csi5300_heard
 done
 
 echo "three radios, native, with a key: two initiators in turn"
+mkdir -p /tmp/out/three && cd /tmp/out/three
 head -c 16 /dev/urandom >/tmp/key
 insmod /modules/csi5300_heard.ko interfaces=wlan0,wlan1,wlan2 idx=26,25,23
 listen a 26
 listen b 25
 listen c 23
 common="--rate 40 $slow --links 2 --key /tmp/key"
-csi5300 respond --interface wlan2 --peers "$A,$B" $common --connector-index 23 2>/tmp/respond &
+csi5300 respond --interface wlan2 --peers "$A,$B" $common --connector-index 23 2>respond &
 responder=$!
-ready /tmp/respond "$responder"
-csi5300 sound --interface wlan1 --peers "$A,$C" $common 2>/tmp/sound-b &
+ready respond "$responder"
+csi5300 sound --interface wlan1 --peers "$A,$C" $common 2>sound-b &
 second=$!
-ready /tmp/sound-b "$second"
-csi5300 sound --interface wlan0 --peers "$B,$C" $common --log /tmp/own.dat --connector-index 26 --stop-after 20s 2>/tmp/sound-a
+ready sound-b "$second"
+csi5300 sound --interface wlan0 --peers "$B,$C" $common --log own.dat --connector-index 26 --stop-after 20s 2>sound-a
 kill -TERM "$second" "$responder"
 wait "$second"
 wait "$responder"
 stop
-cat /tmp/sound-a /tmp/sound-b /tmp/respond
-check "/tmp/a.dat $A /tmp/b.dat $B /tmp/sound-a
-/tmp/a.dat $A /tmp/c.dat $C /tmp/sound-a
-/tmp/own.dat $A /tmp/c.dat $C /tmp/sound-a
-/tmp/b.dat $B /tmp/a.dat $A /tmp/sound-b
-/tmp/b.dat $B /tmp/c.dat $C /tmp/sound-b"
+cat sound-a sound-b respond
+check "a.dat $A b.dat $B sound-a
+a.dat $A c.dat $C sound-a
+own.dat $A c.dat $C sound-a
+b.dat $B a.dat $A sound-b
+b.dat $B c.dat $C sound-b"
 rmmod csi5300_heard
