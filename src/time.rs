@@ -149,6 +149,43 @@ impl Unwrap32 {
     }
 }
 
+/// When records reached the host, told by the card's own clock: whoever reads them late and several at once has stamped
+/// them late, and by how much differs from record to record.
+///
+/// The record with the least delay so far is the reference; the card's clock leads on from it, and no record is put later
+/// than it was read. The reference is let go by [`HostTimes::DRIFT`], so that the clocks may drift apart; where a record was
+/// read more than [`HostTimes::LATE_US`] after it should have come (a clock was set, a card restarted, a file played slowly),
+/// its reading is believed and is the new reference.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct HostTimes {
+    card: Unwrap32,
+    /// Host's and card's time of the reference, microseconds.
+    reference: Option<(i64, i64)>,
+}
+
+impl HostTimes {
+    /// How much slower than the host's the card's clock may run: twice the 20 ppm that 802.11 grants each, and more.
+    pub const DRIFT: f64 = 1e-4;
+    /// A reading later than this is not put down to the reader.
+    pub const LATE_US: i64 = 50_000;
+
+    /// Host time at which the record came, microseconds, from when it was read and its `timestamp_low`.
+    pub fn came_at(&mut self, read_us: i64, timestamp_low: u32) -> i64 {
+        let card = self.card.next(timestamp_low);
+        if let Some((host, reference)) = self.reference
+            && card >= reference
+        {
+            let since = card - reference;
+            let came = host.saturating_add(since).saturating_add((since as f64 * Self::DRIFT) as i64);
+            if (0..=Self::LATE_US).contains(&read_us.saturating_sub(came)) {
+                return came;
+            }
+        }
+        self.reference = Some((read_us, card));
+        read_us
+    }
+}
+
 /// Steps of a 16-bit wrapping counter (`bfee_count`).
 #[derive(Clone, Copy, Debug, Default)]
 #[doc(alias = "bfee_count")]
@@ -191,6 +228,37 @@ mod tests {
         assert_eq!(unwrap.next(1_000), 1_000);
         assert_eq!(unwrap.next_after((1_000 + hour_us) as u32, Some(hour_us - 70_000)), 1_000 + hour_us);
         assert_eq!(unwrap.next_after(2_000, None), 2_000 + (1 << 32));
+    }
+
+    #[test]
+    fn records_read_late_and_together_get_the_times_at_which_they_came() {
+        // A card 40 ppm slow, a record each 1.3 ms or so that takes 50 us or more, read every 10 ms.
+        let mut times = HostTimes::default();
+        let (mut last, mut worst) = (0, 0);
+        for k in 0..50_000_i64 {
+            let came = 7_000_000_000 + k * 1_300 + 50 + k * 7_919 % 300;
+            let read = (came / 10_000 + 1) * 10_000;
+            let card = 4_294_000_000.0 + (k * 1_300) as f64 * (1.0 - 4e-5);
+            let told = times.came_at(read, card as u64 as u32);
+            assert!(told <= read && told >= last, "record {k}: {told} after {last}, read at {read}");
+            last = told;
+            if k > 1_000 {
+                worst = worst.max((told - came).abs());
+            }
+        }
+        assert!(worst < 1_500, "{worst} us off, where readings alone are up to 10,000 off");
+    }
+
+    #[test]
+    fn clocks_that_are_set_are_followed() {
+        let mut times = HostTimes::default();
+        assert_eq!(times.came_at(1_000_000, 500), 1_000_000);
+        assert_eq!(times.came_at(1_012_000, 1_500), 1_001_000, "read late");
+        assert_eq!(times.came_at(9_000_000, 2_500), 9_000_000, "the host's clock was set");
+        assert_eq!(times.came_at(9_001_000, 3_500), 9_001_000);
+        assert_eq!(times.came_at(8_000_000, 4_500), 8_000_000, "and set back");
+        assert_eq!(times.came_at(8_001_000, 0), 8_001_000, "the card restarted");
+        assert_eq!(times.came_at(8_002_500, 1_000), 8_002_000);
     }
 
     #[test]

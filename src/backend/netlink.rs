@@ -25,7 +25,7 @@ pub use stream::Stream;
 
 use super::served::{self, Address};
 use super::{CsiSource, Error, Loss, Next, Stamps};
-use crate::time::Instant;
+use crate::time::{HostTimes, Instant};
 use driver_iface::Mac;
 use driver_iface::connector::CN_IDX;
 use driver_iface::record::Tail;
@@ -47,7 +47,8 @@ pub struct Options {
     pub allow_user_sender: bool,
     /// Bytes of receive buffer to ask for.
     pub receive_buffer: usize,
-    /// Reads the host's wall clock, microseconds since the Unix epoch: the receive time of each record.
+    /// Reads the host's wall clock, microseconds since the Unix epoch: the receive time of each record, which
+    /// [`HostTimes`] makes even.
     pub wall_us: fn() -> Option<i64>,
 }
 
@@ -65,6 +66,7 @@ pub struct Netlink {
     found: Found,
     receive_buffer: usize,
     wall_us: fn() -> Option<i64>,
+    host_times: HostTimes,
     intake: Intake,
 }
 
@@ -108,6 +110,7 @@ impl Netlink {
             found: joined.found,
             receive_buffer: joined.receive_buffer,
             wall_us: options.wall_us,
+            host_times: HostTimes::default(),
         })
     }
 
@@ -120,7 +123,8 @@ impl Netlink {
         let receive_buffer = socket::widen(&room, RECEIVE_BUFFER);
         let indices = vec![CN_IDX];
         let intake = Intake::new(indices.clone(), true);
-        Ok((Self { wire: Wire::Room(room), indices, found: Found::Served, receive_buffer, wall_us, intake }, mac))
+        let (wire, found, host_times) = (Wire::Room(room), Found::Served, HostTimes::default());
+        Ok((Self { wire, indices, found, receive_buffer, wall_us, host_times, intake }, mac))
     }
 
     /// The connector indices that are listened to, and how they were found.
@@ -196,8 +200,10 @@ impl CsiSource for Netlink {
                 },
                 Turn::AskDrops => return Ok(Next::Lost(self.overrun())),
                 Turn::Lost(loss) => return Ok(Next::Lost(loss)),
-                Turn::Record => {
-                    let stamps = Stamps { at: now, host_us: (self.wall_us)(), offset: self.intake.counters.records };
+                Turn::Record(timestamp_low) => {
+                    let read_us = (self.wall_us)();
+                    let came = |us| timestamp_low.map_or(us, |card| self.host_times.came_at(us, card));
+                    let stamps = Stamps { at: now, host_us: read_us.map(came), offset: self.intake.counters.records };
                     return Ok(self.intake.take().map_or(Next::Pending, |record| Next::Record(stamps, record)));
                 }
             }

@@ -16,10 +16,10 @@ use std::path::{Path, PathBuf};
 /// How often the live view is drawn.
 const LOOK: Span = Span::from_ms(500);
 /// Rest after records before the socket is looked at again, so that at high rates one waking-up serves several of
-/// them. It bounds the error of their host times; the first record after a pause is always stamped at once.
-const REST: Span = Span::from_ms(2);
+/// them. Their host times are told by the card's clock ([`csi5300::time::HostTimes`]), not by when they were read.
+const REST: Span = Span::from_ms(8);
 /// No rest after more records than this at once, ...
-const FEW: u32 = 16;
+const FEW: u32 = 32;
 /// ... nor with a smaller receive buffer than this, bytes: the queue in the kernel could run over meanwhile.
 const ROOMY: usize = 1 << 20;
 /// Records between two looks at signals and the view when the source never pauses.

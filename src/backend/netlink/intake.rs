@@ -34,8 +34,8 @@ pub struct Counters {
 /// What the intake wants or gives.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Turn {
-    /// A record: call [`Intake::take`].
-    Record,
+    /// A record, and its `timestamp_low` if it is a bfee: call [`Intake::take`].
+    Record(Option<u32>),
     /// Something was lost here.
     Lost(Loss),
     /// The place of an overrun: ask the kernel how much it dropped, then call [`Intake::report_overrun`].
@@ -62,7 +62,7 @@ pub(super) struct Intake {
 
 /// What the next message of a datagram is, without borrowing it.
 enum Look {
-    Record { bfee_count: Option<u16>, idx: u32 },
+    Record { bfee_count: Option<u16>, timestamp_low: Option<u32>, idx: u32 },
     Foreign,
     Refused(Refused),
     Empty,
@@ -158,7 +158,8 @@ impl Intake {
             return Look::Refused(Refused::Oversized { got: record.length(), max: MAX_LENGTH });
         }
         let bfee = (record.code == code::BFEE).then(|| Bfee::new_checked(record.body).ok()).flatten();
-        Look::Record { bfee_count: bfee.map(|bfee| bfee.bfee_count()), idx: message.idx }
+        let (bfee_count, timestamp_low) = bfee.map(|bfee| (bfee.bfee_count(), bfee.timestamp_low())).unzip();
+        Look::Record { bfee_count, timestamp_low, idx: message.idx }
     }
 
     /// What comes next of the datagram in the buffer.
@@ -185,10 +186,10 @@ impl Intake {
                 {
                     return Turn::AskDrops;
                 }
-                Look::Record { bfee_count, idx } => {
+                Look::Record { bfee_count, timestamp_low, idx } => {
                     self.note_count(bfee_count);
                     self.delivered.get_or_insert(idx);
-                    return Turn::Record;
+                    return Turn::Record(timestamp_low);
                 }
             }
         }

@@ -86,7 +86,8 @@ fn every_problem_has_its_line() {
     let full = room("[network]\nbacklog = 0\n");
     assert!(full.contains("line 8: backlog"), "{full}");
     let air = room("[sounding]\ninterface = \"mon0\"\n");
-    let said = if cfg!(feature = "live") { "is done with a card" } else { "needs a program built with the feature `live`" };
+    let said =
+        if cfg!(feature = "live") { "is done with a card" } else { "needs a program built with the feature `live`" };
     assert!(air.starts_with(&format!("line 7: [sounding] {said}")), "{air}");
     let card = "mac = \"02:00:00:00:00:01\"\nchannel = \"108\"\ncapture.card = {}\nodometry.opencr.port = \"/dev/null\"\n\
                 [network]\n[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n\
