@@ -13,7 +13,7 @@ use crate::bartlett::simd::{V, on_tier, sin_cos_turns};
 use crate::channel::SUBCARRIERS;
 use fearless_simd::{Simd, SimdBase};
 use num_complex::Complex32;
-use planes::{LANES, Lanes, Planes, lanes, planes_of, sum, with_neighbours};
+use planes::{LANES, Lanes, Planes, lanes, planes_of, settle, sum, with_neighbours};
 
 /// One channel sample on every reported subcarrier, in the order of the subcarrier indices.
 pub type Row = [Complex32; SUBCARRIERS];
@@ -203,6 +203,7 @@ pub fn align(rows: &mut [Row], indices: &[i8; SUBCARRIERS], tier: Tier) -> Align
 
 #[inline(always)]
 fn align_planes<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb) -> Alignment {
+    let turned = settle(rows);
     let mut slopes = vec![0f32; rows.len()];
     let coherence_before = coherence(rows);
     for number in 0..ROUNDS {
@@ -210,7 +211,9 @@ fn align_planes<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb) -> Alignment
     }
     let mean = slopes.iter().map(|s| f64::from(*s)).sum::<f64>() / slopes.len() as f64;
     let variance = slopes.iter().map(|s| (f64::from(*s) - mean).powi(2)).sum::<f64>() / slopes.len() as f64;
-    Alignment { slope_sd_rad: variance.sqrt(), coherence_before, coherence_after: coherence(rows) }
+    let coherence_after = coherence(rows);
+    rows.iter_mut().zip(turned).for_each(|(row, turned)| row.turn(turned));
+    Alignment { slope_sd_rad: variance.sqrt(), coherence_before, coherence_after }
 }
 
 #[cfg(test)]

@@ -100,6 +100,15 @@ impl Planes {
         lanes(|k| (self.re[k] * self.re[k] + self.im[k] * self.im[k]).sqrt())
     }
 
+    /// Turns the whole row by so many radians.
+    #[inline(always)]
+    pub fn turn(&mut self, by_rad: f64) {
+        let (sin, cos) = (by_rad.sin() as f32, by_rad.cos() as f32);
+        for (re, im) in self.re.iter_mut().zip(&mut self.im) {
+            (*re, *im) = (*re * cos - *im * sin, *re * sin + *im * cos);
+        }
+    }
+
     #[inline(always)]
     pub fn sum(&self) -> Complex32 {
         Complex32::new(sum(&self.re), sum(&self.im))
@@ -109,6 +118,22 @@ impl Planes {
 /// The planes of `rows`.
 pub(crate) fn planes_of(rows: &[Row]) -> Vec<Planes> {
     rows.iter().map(Planes::of).collect()
+}
+
+/// Turns each row as a whole so that it has the phase of the row before it: what motion and carrier do from packet to
+/// packet, and what would let the sum over neighbours fade where they go fast. Gives what each row was turned back by,
+/// radians, counted on from the first.
+#[inline(always)]
+pub(crate) fn settle(rows: &mut [Planes]) -> Vec<f64> {
+    let mut turned = 0.0;
+    let mut before: Option<Planes> = None;
+    let settled = rows.iter_mut().map(|row| {
+        let step = before.replace(*row).map_or(0.0, |before| f64::from(row.against(&before).sum().arg()));
+        turned += step;
+        row.turn(-turned);
+        turned
+    });
+    settled.collect()
 }
 
 /// Hands `step` each row's place and the sum over `2 reach + 1` rows about it (fewer at the ends), by running sums over

@@ -5,7 +5,7 @@ use super::field::{Cell, Layer, Look, View, powers};
 use super::fix::{Fix, Source};
 use super::focus::Warp;
 use super::grid::{Axes, axes};
-use super::uncertainty::deviations;
+use super::uncertainty::{deviations, polished};
 use crate::bartlett::{Tier, direction};
 use crate::pose::wrap_rad;
 use fearless_simd::Level;
@@ -118,11 +118,13 @@ impl Search {
     #[must_use]
     pub fn run(&mut self) -> Option<Fix> {
         let (peaks, view_azimuths_rad) = self.scan();
-        let sources = self.climb_all(&peaks);
-        let best = *sources.first()?;
+        let mut sources = self.climb_all(&peaks);
+        let free = [true, self.axes.elevations.len() > 1, self.axes.curves.len() > 1];
+        let first = sources.first_mut()?;
+        self.polish(first, free);
+        let best = *first;
         let view_powers = self.powers(&[Place::from(&best)], Look::Exact).into_iter().map(f64::from).collect();
-        let (range_searched, elevation_searched) = (self.axes.curves.len() > 1, self.axes.elevations.len() > 1);
-        let free = [true, elevation_searched, range_searched];
+        let [_, elevation_searched, range_searched] = free;
         let prior = [self.limits.elevation_max_rad / 12f64.sqrt(), self.curve_max / 12f64.sqrt()];
         Some(Fix {
             deviations: deviations(&self.reference, &self.middle_m, self.wavelength_m, &best, free, prior),
@@ -136,6 +138,23 @@ impl Search {
             elevation_max_rad: self.limits.elevation_max_rad,
             evaluations: self.evaluations,
         })
+    }
+
+    /// Moves the answer to the most likely place, where noise is all that it leaves.
+    fn polish(&self, answer: &mut Source, free: [bool; 3]) {
+        // A known height ties elevation to range: there is nothing to be had for either alone.
+        if self.limits.height_m.is_some() && free[2] {
+            return;
+        }
+        let Some([azimuth, elevation, curve]) =
+            polished(&self.reference, &self.middle_m, self.wavelength_m, answer, free)
+        else {
+            return;
+        };
+        if (0.0..=self.limits.elevation_max_rad).contains(&elevation) && (0.0..=self.curve_max).contains(&curve) {
+            answer.azimuth_rad = wrap_rad(azimuth);
+            (answer.abs_elevation_rad, answer.inverse_range_per_m) = (elevation, curve);
+        }
     }
 
     /// Moves the samples as `warp` says, about the middle.

@@ -36,6 +36,95 @@ fn excess_m(p: &Vector3<f64>, azimuth: f64, elevation: f64, curve: f64) -> f64 {
     bend / ((1.0 + curve * bend).max(0.0).sqrt() + 1.0)
 }
 
+/// Spherical waves over the rows of an aperture: azimuth, elevation and 1 / range are its coordinates.
+struct Waves<'a> {
+    aperture: &'a Aperture,
+    /// Rows from the middle, metres.
+    points: Vec<Vector3<f64>>,
+    /// Radians per metre of way.
+    kappa: f64,
+    /// Coordinates that are not known.
+    free: [bool; 3],
+}
+
+/// Steps of the numerical derivatives: radians, radians, 1/m.
+const STEPS: [f64; 3] = [1e-5, 1e-4, 1e-5];
+
+impl<'a> Waves<'a> {
+    fn new(aperture: &'a Aperture, middle_m: &Vector3<f64>, wavelength_m: f64, free: [bool; 3]) -> Self {
+        let kappa = TAU * f64::from(aperture.path_gain) / wavelength_m;
+        let points = aperture.displacement_m.iter().map(|p| p - middle_m).collect();
+        Self { aperture, points, kappa, free }
+    }
+
+    fn phase(&self, p: &Vector3<f64>, c: [f64; 3]) -> f64 {
+        self.kappa * excess_m(p, c[0], c[1], c[2])
+    }
+
+    /// Each row's phase by the free coordinates.
+    fn gradient(&self, p: &Vector3<f64>, c: [f64; 3]) -> Vector3<f64> {
+        Vector3::from_fn(|i, _| {
+            let (mut low, mut high) = (c, c);
+            low[i] -= STEPS[i];
+            high[i] += STEPS[i];
+            if self.free[i] { (self.phase(p, high) - self.phase(p, low)) / (2.0 * STEPS[i]) } else { 0.0 }
+        })
+    }
+
+    fn by_scale(&self, p: &Vector3<f64>, c: [f64; 3]) -> f64 {
+        let scaled = |by: f64| self.phase(&(p * by), c);
+        (scaled(1.0 + STEPS[0]) - scaled(1.0 - STEPS[0])) / (2.0 * STEPS[0])
+    }
+
+    fn residual(&self, c: [f64; 3]) -> Vec<f64> {
+        residual_phases(self.aperture, self.points.iter().map(|p| self.phase(p, c)))
+    }
+
+    /// The step to where the residual phases are least, to first order (Gauss and Newton).
+    fn step(&self, c: [f64; 3]) -> Option<Vector3<f64>> {
+        let gradients: Vec<Vector3<f64>> = self.points.iter().map(|p| self.gradient(p, c)).collect();
+        let mean = gradients.iter().sum::<Vector3<f64>>() / gradients.len() as f64;
+        let (mut scatter, mut towards) = (Matrix3::zeros(), Vector3::zeros());
+        for (gradient, e) in gradients.iter().zip(self.residual(c)) {
+            let gradient = gradient - mean;
+            scatter += gradient * gradient.transpose();
+            towards -= gradient * e;
+        }
+        for i in (0..3).filter(|i| !self.free[*i]) {
+            scatter[(i, i)] = 1.0;
+        }
+        Some(scatter.try_inverse()? * towards)
+    }
+}
+
+/// Residuals that share an error over more rows than this are no white noise (which has 1, give or take 0.35).
+const WHITE_ROWS: f64 = 2.0;
+/// Steps to the least residual; the first leaves the square of how far off the climb ended.
+const POLISHES: usize = 3;
+/// A polished answer further off than this, radians of azimuth, is another one.
+const POLISH_RAD: f64 = 2e-3;
+
+/// The coordinates of least residual phase next to `at`, over all rows as one: the most likely ones if noise is all that a
+/// single spherical wave leaves, which is when they are given. Where reflections leave more, no estimate of one place is
+/// the most likely one, and what all views agreed on stays.
+pub(crate) fn polished(
+    aperture: &Aperture,
+    middle_m: &Vector3<f64>,
+    wavelength_m: f64,
+    at: &Source,
+    free: [bool; 3],
+) -> Option<[f64; 3]> {
+    let waves = Waves::new(aperture, middle_m, wavelength_m, free);
+    let start = [at.azimuth_rad, at.abs_elevation_rad, at.inverse_range_per_m];
+    let mut c = start;
+    for _ in 0..POLISHES {
+        let step = waves.step(c)?;
+        c = std::array::from_fn(|i| c[i] + step[i]);
+    }
+    let near = (c[0] - start[0]).abs() < POLISH_RAD && c.iter().all(|v| v.is_finite());
+    (near && correlation_rows(&waves.residual(c)) <= WHITE_ROWS).then_some(c)
+}
+
 /// Deviations about `at`. The residual phase of each row (all subcarriers, matched) has a variance and, multipath being
 /// what it is, a correlation along the motion: the information of the geometry is divided by both.
 /// Coordinates that are not `free` are known; the others have a prior, the deviation of a uniform guess within their
@@ -48,28 +137,14 @@ pub(crate) fn deviations(
     free: [bool; 3],
     prior: [f64; 2],
 ) -> Deviations {
-    let kappa = TAU * f64::from(aperture.path_gain) / wavelength_m;
-    let points: Vec<Vector3<f64>> = aperture.displacement_m.iter().map(|p| p - middle_m).collect();
-    let coordinates = [at.azimuth_rad, at.abs_elevation_rad, at.inverse_range_per_m];
-    let phase = |p: &Vector3<f64>, c: [f64; 3]| kappa * excess_m(p, c[0], c[1], c[2]);
-    let residual = residual_phases(aperture, points.iter().map(|p| phase(p, coordinates)));
-    let n = points.len() as f64;
+    let waves = Waves::new(aperture, middle_m, wavelength_m, free);
+    let c = [at.azimuth_rad, at.abs_elevation_rad, at.inverse_range_per_m];
+    let residual = waves.residual(c);
+    let n = residual.len() as f64;
     let phase_variance = residual.iter().map(|e| e * e).sum::<f64>() / (n - 4.0).max(1.0);
     let correlated_rows = correlation_rows(&residual);
-    let steps = [1e-5, 1e-4, 1e-5];
-    let gradient = |p: &Vector3<f64>| {
-        Vector3::from_fn(|i, _| {
-            let (mut low, mut high) = (coordinates, coordinates);
-            low[i] -= steps[i];
-            high[i] += steps[i];
-            if free[i] { (phase(p, high) - phase(p, low)) / (2.0 * steps[i]) } else { 0.0 }
-        })
-    };
-    let by_scale = |p: &Vector3<f64>| {
-        let scaled = |by: f64| phase(&(p * by), coordinates);
-        (scaled(1.0 + steps[0]) - scaled(1.0 - steps[0])) / (2.0 * steps[0])
-    };
-    let gradients: Vec<Vector4<f64>> = points.iter().map(|p| gradient(p).push(by_scale(p))).collect();
+    let gradients: Vec<Vector4<f64>> =
+        waves.points.iter().map(|p| waves.gradient(p, c).push(waves.by_scale(p, c))).collect();
     let mean = gradients.iter().sum::<Vector4<f64>>() / n;
     let scatter: Matrix4<f64> = gradients.iter().map(|g| (g - mean) * (g - mean).transpose()).sum();
     let whole = scatter / (phase_variance * correlated_rows).max(1e-12);
