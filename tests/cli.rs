@@ -250,6 +250,24 @@ fn wrong_words_are_usage() {
 }
 
 #[test]
+fn one_log_that_cannot_be_read_costs_its_own_link_only() {
+    let folder = Folder::new("unread");
+    folder.link(&link(600, 2.0));
+    let both = |more: &[&str]| folder.bearing(&[&["--tx", "gone.dat", "--json"], more].concat());
+    let mac = TRANSMITTER.to_string();
+    for more in [&[][..], &["--tx-mac", &mac, "--tx-mac", "02:00:00:00:00:77"]] {
+        let (status, out, err) = both(more);
+        let answers: Vec<_> = out.lines().map(json).collect();
+        assert_eq!((status, answers.len(), answers[0]["error"].is_null()), (3, 2, true), "{out}{err}");
+        assert!(answers[1]["link"] == "gone" && answers[1]["error"].as_str().unwrap().contains("gone.dat"), "{out}");
+    }
+    // A MAC that the receiver never heard: it says whom it heard.
+    let (status, _, err) = folder.bearing(&["--tx-mac", "02:00:00:00:00:77"]);
+    assert_eq!(status, 1, "{err}");
+    assert!(err.contains(&format!("rx.dat has frames of: {mac} (600 records)")), "{err}");
+}
+
+#[test]
 fn standard_input_is_a_log_too() {
     let folder = Folder::new("stdin");
     folder.link(&link(300, 0.5));

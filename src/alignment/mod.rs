@@ -22,6 +22,8 @@ pub type Row = [Complex32; SUBCARRIERS];
 const REACH: usize = 7;
 /// Rounds: the neighbours' mean gets sharper as they are aligned.
 const ROUNDS: usize = 3;
+/// Subcarriers this near to the channel centre tell a packet's phase whatever its slope: up to 0.3 rad per index.
+const MIDDLE: f32 = 9.0;
 /// Newton steps on each packet's slope in each round.
 const STEPS: usize = 2;
 
@@ -203,11 +205,16 @@ pub fn align(rows: &mut [Row], indices: &[i8; SUBCARRIERS], tier: Tier) -> Align
 
 #[inline(always)]
 fn align_planes<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb) -> Alignment {
-    let turned = settle(rows);
+    let mut turned = vec![0.0; rows.len()];
+    // While slopes differ, only the middle of the band tells packets' phases; once they do not, all of it.
+    settle(rows, &lanes(|k| f32::from(k < SUBCARRIERS && comb.index[k].abs() <= MIDDLE)), &mut turned);
     let mut slopes = vec![0f32; rows.len()];
     let coherence_before = coherence(rows);
     for number in 0..ROUNDS {
         round(simd, rows, comb, number == 0, &mut slopes);
+        if number == 0 {
+            settle(rows, &[1.0; LANES], &mut turned);
+        }
     }
     let mean = slopes.iter().map(|s| f64::from(*s)).sum::<f64>() / slopes.len() as f64;
     let variance = slopes.iter().map(|s| (f64::from(*s) - mean).powi(2)).sum::<f64>() / slopes.len() as f64;

@@ -120,20 +120,23 @@ pub(crate) fn planes_of(rows: &[Row]) -> Vec<Planes> {
     rows.iter().map(Planes::of).collect()
 }
 
-/// Turns each row as a whole so that it has the phase of the row before it: what motion and carrier do from packet to
-/// packet, and what would let the sum over neighbours fade where they go fast. Gives what each row was turned back by,
-/// radians, counted on from the first.
+/// Turns each row as a whole so that it has the phase of the row before it, as told by the subcarriers of `weights`: what
+/// motion and carrier do from packet to packet, and what would let the sum over neighbours fade where they go fast. Adds to
+/// `turned` what each row was turned back by, radians, counted on from the first.
 #[inline(always)]
-pub(crate) fn settle(rows: &mut [Planes]) -> Vec<f64> {
-    let mut turned = 0.0;
+pub(crate) fn settle(rows: &mut [Planes], weights: &Lanes, turned: &mut [f64]) {
+    let mut total = 0.0;
     let mut before: Option<Planes> = None;
-    let settled = rows.iter_mut().map(|row| {
-        let step = before.replace(*row).map_or(0.0, |before| f64::from(row.against(&before).sum().arg()));
-        turned += step;
-        row.turn(-turned);
-        turned
-    });
-    settled.collect()
+    for (row, turned) in rows.iter_mut().zip(turned) {
+        let step = before.replace(*row).map_or(0.0, |before| {
+            let product = row.against(&before);
+            let weighted = |part: &Lanes| sum(&lanes(|k| part[k] * weights[k]));
+            f64::from(Complex32::new(weighted(&product.re), weighted(&product.im)).arg())
+        });
+        total += step;
+        row.turn(-total);
+        *turned += total;
+    }
 }
 
 /// Hands `step` each row's place and the sum over `2 reach + 1` rows about it (fewer at the ends), by running sums over

@@ -8,11 +8,13 @@ use csi5300::bartlett::Grid;
 use csi5300::channel::Channel;
 use csi5300::odometry;
 use csi5300::pipeline::explain::LinkPlan;
+use csi5300::pipeline::link::LinkError;
 use csi5300::pipeline::{JoinBy, LinkReport, LogReport, Options, Report, Transmitter, bearings};
 use csi5300::pose::Trajectory;
 use driver_iface::Mac;
 use nalgebra::Vector3;
 use std::fmt::Write;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `bearing`.
@@ -83,9 +85,10 @@ fn triple(text: &str) -> std::result::Result<Vector3<f64>, String> {
     }
 }
 
-/// Estimates and prints the bearings.
-pub fn run(args: Args) -> Result {
-    let options = options(&args).unwrap_or_else(|message| usage(&message));
+type Log = Replay<Box<dyn Read + Send>>;
+
+/// Ends the program where arguments contradict each other.
+fn check(args: &Args) {
     if args.tx_trajectory.len() > args.tx.len() || args.tx_mac.len() > args.tx.len() {
         usage("more --tx-trajectory or --tx-mac than --tx");
     }
@@ -101,19 +104,47 @@ pub fn run(args: Args) -> Result {
     if let Some(path) = args.profile.as_deref().filter(|path| !profile::is_known(path)) {
         usage(&format!("{}: a profile is written as .csv or .npz", path.display()));
     }
+}
+
+/// Opens the transmitters' logs. One that cannot be read is taken out of the arguments with what goes with it, and answered
+/// with why; an error if it is the only one.
+fn open_transmitters(args: &mut Args) -> std::result::Result<(Vec<Log>, Vec<Answer>), String> {
+    let (mut logs, mut unread, mut k) = (Vec::new(), Vec::new(), 0);
+    while let Some(path) = args.tx.get(k) {
+        match Replay::open(path) {
+            Ok(log) => {
+                logs.push(log);
+                k += 1;
+            }
+            Err(error) if logs.is_empty() && args.tx.len() == 1 => return Err(error.to_string()),
+            Err(error) => {
+                let link = stem(&args.tx.remove(k));
+                unread.push(Answer { link, error: Some(error.to_string()), ..Answer::default() });
+                if k < args.tx_mac.len() {
+                    args.tx_mac.remove(k);
+                }
+                if k < args.tx_trajectory.len() {
+                    args.tx_trajectory.remove(k);
+                }
+            }
+        }
+    }
+    Ok((logs, unread))
+}
+
+/// Estimates and prints the bearings.
+pub fn run(mut args: Args) -> Result {
+    let mut options = options(&args).unwrap_or_else(|message| usage(&message));
+    check(&args);
     let mut trajectory = read_trajectory(&args.trajectory)?;
     if let Some(offset) = args.antenna_offset {
         trajectory = trajectory.with_antenna_offset(offset).map_err(|error| error.to_string())?;
     }
+    let mut receiver = Replay::open(&args.rx).map_err(|error| error.to_string())?;
+    let (mut logs, unread) = open_transmitters(&mut args)?;
+    options.tx_macs.clone_from(&args.tx_mac);
     let partners =
         args.tx_trajectory.iter().map(|path| read_trajectory(path)).collect::<std::result::Result<Vec<_>, _>>()?;
-    let mut receiver = Replay::open(&args.rx).map_err(|error| error.to_string())?;
-    let mut logs = args
-        .tx
-        .iter()
-        .map(|path| Replay::open(path))
-        .collect::<std::result::Result<Vec<_>, _>>()
-        .map_err(|e| e.to_string())?;
     let transmitters = logs
         .iter_mut()
         .enumerate()
@@ -138,20 +169,14 @@ pub fn run(args: Args) -> Result {
         if let (true, Ok(bearing)) = (args.explain, &link.bearing) {
             answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid).map_err(|error| error.to_string())?);
         }
-        if args.json {
-            print_json(&answer);
-        } else {
-            print(&describe(&answer));
-            print(&answer.plan.as_ref().map(ToString::to_string).unwrap_or_default());
-        }
-        if let Some(error) = &answer.error {
-            eprintln!("csi5300: {name}: {error}");
-        }
+        tell(&answer, args.json);
+        say_heard(&args.rx, &report, link);
         artefacts(&args, &options, name, link, report.links.len())?;
     }
+    unread.iter().for_each(|answer| tell(answer, args.json));
     Ok(if report.links.iter().all(|link| link.bearing.is_err()) {
         Outcome::Nothing
-    } else if lost_something(&report) {
+    } else if !unread.is_empty() || lost_something(&report) {
         Outcome::DataLost
     } else {
         Outcome::Done
@@ -250,6 +275,32 @@ fn say_losses<R: std::io::Read, S: std::io::Read>(args: &Args, report: &Report, 
     }
 }
 
+/// One link's answer, and why there is none.
+fn tell(answer: &Answer, json: bool) {
+    if json {
+        print_json(answer);
+    } else {
+        print(&describe(answer));
+        print(&answer.plan.as_ref().map(ToString::to_string).unwrap_or_default());
+    }
+    if let Some(error) = &answer.error {
+        eprintln!("csi5300: {}: {error}", answer.link);
+    }
+}
+
+/// Of a link without a single frame in the receiver's log: whose frames there are.
+fn say_heard(rx: &Path, report: &Report, link: &LinkReport) {
+    if let Err(LinkError::NoPairs { receiver: 0, .. }) = &link.bearing {
+        let senders = report.receiver.survey.senders.iter();
+        let heard: Vec<String> = senders.map(|(mac, sender)| format!("{mac} ({} records)", sender.records)).collect();
+        eprintln!(
+            "  {} has frames of: {}",
+            rx.display(),
+            if heard.is_empty() { "nobody".into() } else { heard.join(", ") }
+        );
+    }
+}
+
 fn describe(answer: &Answer) -> String {
     let mut text = answer.link.clone();
     if let Some(mac) = &answer.mac {
@@ -290,20 +341,29 @@ fn describe(answer: &Answer) -> String {
     if let Some(body) = answer.azimuth_body_deg {
         let _ = writeln!(text, "  in the robot's frame: {body:.2} deg (heading at the last sample)");
     }
+    text += &quality(answer);
+    text += &pairs(answer);
+    text
+}
+
+/// How far the answer explains what was measured.
+fn quality(answer: &Answer) -> String {
     let or_dash = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
-    let _ = writeln!(
-        text,
-        "  |elevation| {} deg; coherence {}; next peak {} of the highest; WSR profile variance {}; likelihood share {}",
+    format!(
+        "  |elevation| {} deg; coherence {}; next peak {} of the highest; WSR profile variance {}; likelihood share {}\n",
         or_dash(answer.abs_elevation_deg),
         or_dash(answer.coherence),
         or_dash(answer.peak_ratio),
         or_dash(answer.wsr_profile_variance),
         answer.likelihood_share.map_or("-".into(), |share| format!("{share:.4}")),
-    );
+    )
+}
+
+/// What became of the pairs and of each log's frames.
+fn pairs(answer: &Answer) -> String {
     let counts = answer.pair_counts;
-    let _ = writeln!(
-        text,
-        "  {} pairs: {} in motion ({}), {} standing, {} without a pose, {} cut, {} silent{}",
+    let mut text = format!(
+        "  {} pairs: {} in motion ({}), {} standing, {} without a pose, {} cut, {} silent{}\n",
         answer.pairs,
         counts.in_motion,
         answer.geometry.as_deref().unwrap_or("-"),
