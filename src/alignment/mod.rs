@@ -206,15 +206,12 @@ pub fn align(rows: &mut [Row], indices: &[i8; SUBCARRIERS], tier: Tier) -> Align
 #[inline(always)]
 fn align_planes<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb) -> Alignment {
     let mut turned = vec![0.0; rows.len()];
-    // While slopes differ, only the middle of the band tells packets' phases; once they do not, all of it.
+    // While slopes differ, only the middle of the band tells packets' phases.
     settle(rows, &lanes(|k| f32::from(k < SUBCARRIERS && comb.index[k].abs() <= MIDDLE)), &mut turned);
     let mut slopes = vec![0f32; rows.len()];
     let coherence_before = coherence(rows);
     for number in 0..ROUNDS {
         round(simd, rows, comb, number == 0, &mut slopes);
-        if number == 0 {
-            settle(rows, &[1.0; LANES], &mut turned);
-        }
     }
     let mean = slopes.iter().map(|s| f64::from(*s)).sum::<f64>() / slopes.len() as f64;
     let variance = slopes.iter().map(|s| (f64::from(*s) - mean).powi(2)).sum::<f64>() / slopes.len() as f64;

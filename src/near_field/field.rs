@@ -29,7 +29,8 @@ pub struct View {
     pub taper: Taper,
     /// Exponent in the product of all views.
     pub weight: f64,
-    /// How many subcarriers are used, about the channel centre. Few of them depend little on the sampling time.
+    /// How many subcarriers are used, about the channel centre. Few of them depend little on the sampling time; none is
+    /// the phasor at the channel centre ([`Aperture::centre`]).
     pub subcarriers: usize,
 }
 
@@ -207,6 +208,9 @@ pub(crate) enum Look {
 /// The windows of a view, and what their powers sum to for a perfect match (Cauchy and Schwarz: for every window the
 /// sum of the weights times the weighted energy).
 fn windows(aperture: &Aperture, view: &View) -> (Vec<Window>, f32) {
+    if view.subcarriers == 0 {
+        return windows_of_centre(aperture, view);
+    }
     let wide = view.subcarriers.clamp(1, SUBCARRIERS);
     let (columns, energies) = principal(aperture, wide);
     let mut full = 0f64;
@@ -221,6 +225,26 @@ fn windows(aperture: &Aperture, view: &View) -> (Vec<Window>, f32) {
     };
     let list = cuts(aperture.rows.len(), view).into_iter().map(window).collect();
     (list, full as f32)
+}
+
+/// The same of the phasor at the channel centre: each column is one window of it, so that few sums serve all windows.
+fn windows_of_centre(aperture: &Aperture, view: &View) -> (Vec<Window>, f32) {
+    let (n, mut full) = (aperture.centre.len(), 0f64);
+    let column = |(from, weights): (usize, Vec<f64>)| {
+        let own = &aperture.centre[from..];
+        let energy: f64 = weights.iter().zip(own).map(|(w, z)| w * f64::from(z.norm_sqr())).sum();
+        full += weights.iter().sum::<f64>() * energy;
+        let mut column = vec![(0.0, 0.0); n];
+        for (slot, (w, z)) in column[from..].iter_mut().zip(weights.iter().zip(own)) {
+            *slot = (*w as f32 * z.re, *w as f32 * z.im);
+        }
+        column
+    };
+    let columns: Vec<Vec<(f32, f32)>> = cuts(n, view).into_iter().map(column).collect();
+    let abreast = |own: &[Vec<(f32, f32)>]| {
+        (0..n).map(|t| std::array::from_fn(|i| own.get(i).map_or((0.0, 0.0), |column| column[t]))).collect()
+    };
+    (vec![Window { from: 0, columns: columns.chunks(ABREAST).map(abreast).collect() }], full as f32)
 }
 
 /// First sample and weights of every window over `n` samples.

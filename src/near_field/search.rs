@@ -45,6 +45,8 @@ pub struct Search {
     own_axes: Vec<Axes>,
     reference: Aperture,
     weights: Vec<f64>,
+    /// Weights of the last climb, which places the answer: views of the channel centre alone choose, but do not place.
+    placing: Vec<f64>,
     limits: Limits,
     middle_m: Vector3<f64>,
     wavelength_m: f64,
@@ -99,12 +101,16 @@ impl Search {
         let radius_m = layers.iter().map(|(aperture, _)| rim(aperture)).fold(0.0, f64::max);
         let gain = layers.iter().map(|(aperture, _)| aperture.path_gain).max()?;
         let curve_max = 1.0 / limits.range_min_m.max(1.2 * radius_m).max(1e-3);
+        let views = || layers.iter().flat_map(|(_, views)| views.iter());
+        let none_is_wide = !views().any(|view| view.subcarriers > 0);
+        let places = |view: &View| view.subcarriers > 0 || none_is_wide;
         let axes_of = |gain: u8| axes(radius_m, TAU * f64::from(gain) * radius_m / wavelength_m, curve_max, limits);
         Some(Self {
             axes: axes_of(gain)?,
             own_axes: layers.iter().map(|(aperture, _)| axes_of(aperture.path_gain)).collect::<Option<_>>()?,
             layers: layers.iter().map(|(a, views)| Layer::new(a, &middle_m, wavelength_m, curve_max, views)).collect(),
-            weights: layers.iter().flat_map(|(_, views)| views.iter().map(|view| view.weight)).collect(),
+            weights: views().map(|view| view.weight).collect(),
+            placing: views().map(|view| if places(view) { view.weight } else { 0.0 }).collect(),
             reference,
             limits: *limits,
             middle_m,
@@ -261,7 +267,11 @@ impl Search {
         tops.iter_mut().zip(self.scores(&powers)).for_each(|(top, score)| top.1 = score);
         tops.sort_by(|a, b| b.1.total_cmp(&a.1));
         if let Some(first) = tops.first_mut() {
-            *first = self.climb(first.0, FINE_RAD, Look::Exact);
+            let weights = std::mem::replace(&mut self.weights, self.placing.clone());
+            first.0 = self.climb(first.0, FINE_RAD, Look::Exact).0;
+            self.weights = weights;
+            let powers = self.powers(&[first.0], Look::Exact);
+            first.1 = self.scores(&powers)[0];
         }
         let mut sources: Vec<Source> = Vec::new();
         for (place, score) in tops {

@@ -73,7 +73,7 @@ fn the_kernel_is_the_sum_as_written_on_every_tier() {
             })
         })
         .collect();
-    let aperture = Aperture { displacement_m: path.clone(), rows: data.clone(), path_gain: 1 };
+    let aperture = Aperture { displacement_m: path.clone(), rows: data.clone(), path_gain: 1, ..Aperture::default() };
     let middle = middle(&path);
     let views = [
         View { windows: 1, taper: Taper::Hann, weight: 1.0, subcarriers: SUBCARRIERS },
@@ -141,7 +141,7 @@ fn errors_are_those_that_the_bound_predicts() {
     let (mut squares, mut predicted, trials) = (0.0, 0.0, 60);
     for seed in 0..trials {
         let data = rows(&path, 2, &[(place, 1.0)], 1.5, 1_000 + seed);
-        let aperture = Aperture { displacement_m: path.clone(), rows: data, path_gain: 2 };
+        let aperture = Aperture { displacement_m: path.clone(), rows: data, path_gain: 2, ..Aperture::default() };
         let fix = search(&[(&aperture, &WHOLE)], middle(&path), WAVELENGTH_M, &limits()).unwrap();
         squares += (fix.best().azimuth_rad - true_azimuth).powi(2);
         predicted += fix.deviations.azimuth_rad.powi(2);

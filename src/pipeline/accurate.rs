@@ -55,8 +55,12 @@ impl Accuracy {
     }
 }
 
-/// The round trip is looked at as a whole.
-const ROUND_TRIP: [View; 1] = [View { windows: 1, taper: Taper::Hann, weight: 1.0 / 3.0, subcarriers: SUBCARRIERS }];
+/// The round trip is looked at as a whole, and its phase at the channel centre (which the subcarriers that fade turn less
+/// than they turn a sum) in windows of half the motion.
+const ROUND_TRIP: [View; 2] = [
+    View { windows: 1, taper: Taper::Hann, weight: 1.0 / 3.0, subcarriers: SUBCARRIERS },
+    View { windows: 3, taper: Taper::Hann, weight: 1.0 / 3.0, subcarriers: 0 },
+];
 /// The one-way channel in windows of half the motion, in blocks of an eighth, and, on the subcarriers next to the channel
 /// centre (whose sign does not depend on the sampling time), in windows of two sevenths.
 const ONE_WAY: [View; 3] = [
@@ -124,7 +128,7 @@ pub(super) fn place(
     remove_common_slope(&mut rows, &indices);
     let displacement_m: Vec<Vector3<f64>> =
         samples.receiver_m.iter().zip(&samples.transmitter_m).map(|(r, t)| r - t).collect();
-    let round_trip = Aperture::gather(&displacement_m, &pick(&rows, used), 2, wavelength_m);
+    let round_trip = Aperture::gather_with_centre(&displacement_m, &pick(&rows, used), &samples.z, 2, wavelength_m);
     let roots = steps.one_way.then(|| one_way(&rows, options.search.tier));
     let one_way =
         roots.as_ref().map(|roots| Aperture::gather(&displacement_m, &pick(&roots.rows, used), 1, wavelength_m));
