@@ -79,7 +79,7 @@ fn every_answered_frame_is_a_pair_of_the_logs() {
         let numbers = |frames: &[(u32, u32, u8)]| frames.iter().map(|frame| frame.0).collect::<Vec<_>>();
         assert!(numbers(&forward).is_sorted_by(|a, b| a < b), "{tx}: out of order");
         for (number, _, byte) in forward.iter().chain(&backward) {
-            assert_eq!(*byte, (31 * number) as u8, "CSI of another frame");
+            assert_eq!(*byte, number.wrapping_mul(31) as u8, "CSI of another frame");
         }
         let pairs = pairs(&backward, &forward);
         assert!(pairs.is_sorted_by(|a, b| a < b), "{link}: pairs out of order");

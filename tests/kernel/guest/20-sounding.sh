@@ -30,6 +30,7 @@ tune
 # listen NAME INDEX: records a card's messages.
 recorders=
 listen() {
+    : >"$1.said"
     csi5300 record "$1.dat" --force --connector-index "$2" 2>"$1.said" &
     recorders="$recorders $!"
     until grep -q "recording to" "$1.said"; do :; done
@@ -43,6 +44,7 @@ stop() {
 }
 # ready FILE PID: waits until the sender's thread says that it runs.
 ready() {
+    touch "$1"
     until grep -q "^sending under" "$1"; do kill -0 "$2"; done
 }
 # check LINKS: the logs of this folder, here and once more on the host, to which /init copies /tmp/out.
