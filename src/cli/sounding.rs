@@ -332,6 +332,14 @@ pub fn run(
     }
     let (exchange, left, news_lost, error) = running.stop().map_err(text)?;
     left.iter().for_each(|news| tell(news, task));
+    // What the driver had said by then belongs in the log.
+    while failed.is_none() {
+        match source.receive(clock.now()) {
+            Ok(Next::Pending | Next::End(_)) => break,
+            Ok(_) => {}
+            Err(error) => failed = Some(error.to_string()),
+        }
+    }
     let logged = source.finish(clock.now())?;
     Ok(conclude(common, exchange, logged, news_lost, failed.or(error.map(text))))
 }
