@@ -1,7 +1,7 @@
 //! How sure a bearing is: the probability that it is within five degrees of the truth.
 //!
 //! A logistic model of four things that can be read off a search: how much of the signal the answer explains in all
-//! views (log of the joint power), how close the next answer comes (log of the power ratio), how far the views would
+//! views (log of the joint power), how close the next answer comes (log of the ratio of their evidence), how far the views would
 //! disagree if each were asked alone (log of the largest difference of azimuths), and whether the answer is physically
 //! plausible (inside of what was searched, not at its edge). See `docs/accuracy.md` for the data it was fitted to, how
 //! it does on places and rooms that it was not fitted to, and how the share of hard links in that data was brought to
@@ -30,7 +30,7 @@ const LIMITS: (f64, f64) = (0.02, 0.98);
 #[must_use]
 pub fn confidence(fix: &Fix) -> f64 {
     let best = fix.best();
-    let ratio = fix.sources.get(1).map_or(NO_OTHER, |other| (other.power / best.power).clamp(NO_OTHER, 1.0));
+    let ratio = fix.sources.get(1).map_or(NO_OTHER, |other| (other.evidence / best.evidence).clamp(NO_OTHER, 1.0));
     let edge = if fix.at_edge() { AT_EDGE } else { 0.0 };
     let spread = fix.view_spread_rad().to_degrees().clamp(SPREAD_DEG.0, SPREAD_DEG.1);
     let logit = BASE + PER_POWER * best.power.max(1e-6).ln() + PER_RATIO * ratio.ln() + PER_SPREAD * spread.ln() + edge;

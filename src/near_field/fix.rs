@@ -16,12 +16,14 @@ pub struct Source {
     pub inverse_range_per_m: f64,
     /// Geometric mean of the views' normalised powers, 0..1.
     pub power: f64,
+    /// The same averaged over the elevations and ranges that this azimuth may have: what sources are ordered by.
+    pub evidence: f64,
 }
 
 /// What [`super::search`] found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fix {
-    /// All sources found, falling in power; the first is the answer.
+    /// All sources found, falling in evidence; the first is the answer.
     pub sources: Vec<Source>,
     /// Where azimuth, elevation and range are measured from, metres.
     pub middle_m: Vector3<f64>,

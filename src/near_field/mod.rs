@@ -17,6 +17,7 @@ mod focus;
 mod grid;
 mod maps;
 mod paths;
+mod prior;
 mod search;
 #[cfg(test)]
 mod tests;

@@ -5,6 +5,7 @@ use super::field::{Cell, Layer, Look, View, powers};
 use super::fix::{Fix, Source};
 use super::focus::Warp;
 use super::grid::{Axes, axes};
+use super::prior;
 use super::uncertainty::{deviations, polished};
 use crate::bartlett::{Tier, direction};
 use crate::pose::wrap_rad;
@@ -47,6 +48,8 @@ pub struct Search {
     weights: Vec<f64>,
     /// Weights of the last climb, which places the answer: views of the channel centre alone choose, but do not place.
     placing: Vec<f64>,
+    /// `sum weight ln power` that each azimuth of the grid has less, averaged over elevations and ranges, than at its best.
+    lost: Vec<f64>,
     limits: Limits,
     middle_m: Vector3<f64>,
     wavelength_m: f64,
@@ -111,6 +114,7 @@ impl Search {
             layers: layers.iter().map(|(a, views)| Layer::new(a, &middle_m, wavelength_m, curve_max, views)).collect(),
             weights: views().map(|view| view.weight).collect(),
             placing: views().map(|view| if places(view) { view.weight } else { 0.0 }).collect(),
+            lost: Vec::new(),
             reference,
             limits: *limits,
             middle_m,
@@ -127,8 +131,11 @@ impl Search {
         let mut sources = self.climb_all(&peaks);
         let free = [true, self.axes.elevations.len() > 1, self.axes.curves.len() > 1];
         let first = sources.first_mut()?;
-        self.polish(first, free);
+        let is_likeliest = self.polish(first, free);
         let best = *first;
+        if !is_likeliest {
+            self.weigh(first, free);
+        }
         let view_powers = self.powers(&[Place::from(&best)], Look::Exact).into_iter().map(f64::from).collect();
         let [_, elevation_searched, range_searched] = free;
         let prior = [self.limits.elevation_max_rad / 12f64.sqrt(), self.curve_max / 12f64.sqrt()];
@@ -146,21 +153,38 @@ impl Search {
         })
     }
 
-    /// Moves the answer to the most likely place, where noise is all that it leaves.
-    fn polish(&self, answer: &mut Source, free: [bool; 3]) {
+    /// Moves the answer to the most likely place, where noise is all that it leaves; false where more is left.
+    fn polish(&self, answer: &mut Source, free: [bool; 3]) -> bool {
         // A known height ties elevation to range: there is nothing to be had for either alone.
         if self.limits.height_m.is_some() && free[2] {
-            return;
+            return false;
         }
         let Some([azimuth, elevation, curve]) =
             polished(&self.reference, &self.middle_m, self.wavelength_m, answer, free)
         else {
-            return;
+            return false;
         };
         if (0.0..=self.limits.elevation_max_rad).contains(&elevation) && (0.0..=self.curve_max).contains(&curve) {
             answer.azimuth_rad = wrap_rad(azimuth);
             (answer.abs_elevation_rad, answer.inverse_range_per_m) = (elevation, curve);
         }
+        true
+    }
+
+    /// Moves the answer to the azimuth that is right on average over the elevations and ranges that it may have.
+    fn weigh(&mut self, answer: &mut Source, free: [bool; 3]) {
+        let cell_rad = TAU / self.axes.azimuths as f64;
+        let around = prior::around(free);
+        let place = |&(azimuth, elevation, curve): &(f64, Option<f64>, Option<f64>)| Place {
+            azimuth: answer.azimuth_rad + azimuth * cell_rad,
+            elevation: elevation.map_or(answer.abs_elevation_rad, |share| share * self.limits.elevation_max_rad),
+            curve: curve.map_or(answer.inverse_range_per_m, |share| share * self.curve_max),
+        };
+        let places: Vec<Place> = around.iter().map(place).collect();
+        let powers = self.powers(&places, Look::Exact);
+        let scores = scores(&powers, &self.placing);
+        let cells = prior::mean(&around, &scores, self.placing.iter().sum(), answer.power);
+        answer.azimuth_rad = wrap_rad(answer.azimuth_rad + cells * cell_rad);
     }
 
     /// Moves the samples as `warp` says, about the middle.
@@ -199,9 +223,7 @@ impl Search {
 
     /// `sum weight ln power` of each place.
     fn scores(&self, powers: &[f32]) -> Vec<f64> {
-        let score =
-            |own: &[f32]| own.iter().zip(&self.weights).map(|(p, w)| w * f64::from(p.max(1e-12)).ln()).sum::<f64>();
-        powers.chunks(self.weights.len()).map(score).collect()
+        scores(powers, &self.weights)
     }
 
     /// The joint power of each place, 0..1.
@@ -214,7 +236,8 @@ impl Search {
         (score / self.weights.iter().sum::<f64>()).exp()
     }
 
-    /// The grid: peaks over azimuth (best elevation and range of each), falling, and every view's own best azimuth.
+    /// The grid: peaks of the evidence over azimuth (with the best elevation and range of each), falling, and every view's
+    /// own best azimuth.
     fn scan(&mut self) -> (Vec<(Place, f64)>, Vec<f64>) {
         let places = self.axes.places();
         let depth = places.len() / self.axes.azimuths;
@@ -235,12 +258,15 @@ impl Search {
                 scores.iter_mut().zip(powers).for_each(|(s, p)| *s += weight * f64::from(p.max(1e-12).ln()));
             }
         }
+        let (shares, weight) = (prior::shares(&self.axes), self.weights.iter().sum());
+        self.lost = scores.chunks(depth).map(|own| prior::evidence_lost(own, &shares, weight)).collect();
         let ridge: Vec<(Place, f64)> = scores
             .chunks(depth)
+            .zip(&self.lost)
             .enumerate()
-            .map(|(i, own)| {
+            .map(|(i, (own, lost))| {
                 let (k, score) = own.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).unwrap_or((0, &f64::MIN));
-                (places[i * depth + k], *score)
+                (places[i * depth + k], score + lost)
             })
             .collect();
         let n = ridge.len();
@@ -265,7 +291,7 @@ impl Search {
         let places: Vec<Place> = tops.iter().map(|top| top.0).collect();
         let powers = self.powers(&places, Look::Exact);
         tops.iter_mut().zip(self.scores(&powers)).for_each(|(top, score)| top.1 = score);
-        tops.sort_by(|a, b| b.1.total_cmp(&a.1));
+        tops.sort_by(|a, b| (b.1 + self.lost_at(&b.0)).total_cmp(&(a.1 + self.lost_at(&a.0))));
         if let Some(first) = tops.first_mut() {
             let weights = std::mem::replace(&mut self.weights, self.placing.clone());
             first.0 = self.climb(first.0, FINE_RAD, Look::Exact).0;
@@ -282,6 +308,13 @@ impl Search {
             }
         }
         sources
+    }
+
+    /// What the evidence for a place's azimuth lacks to the place's own score.
+    fn lost_at(&self, place: &Place) -> f64 {
+        let n = self.axes.azimuths;
+        let cell = (place.azimuth.rem_euclid(TAU) / TAU * n as f64).round() as usize % n;
+        self.lost.get(cell).copied().unwrap_or(0.0)
     }
 
     /// Pattern search: the neighbours in all directions; the best of them is next, or the steps are halved.
@@ -334,6 +367,13 @@ impl Search {
             abs_elevation_rad: elevation,
             inverse_range_per_m: place.curve,
             power: self.power(score).min(1.0),
+            evidence: self.power(score + self.lost_at(place)).min(1.0),
         }
     }
+}
+
+/// `sum weight ln power` of each place.
+fn scores(powers: &[f32], weights: &[f64]) -> Vec<f64> {
+    let score = |own: &[f32]| own.iter().zip(weights).map(|(p, w)| w * f64::from(p.max(1e-12)).ln()).sum::<f64>();
+    powers.chunks(weights.len()).map(score).collect()
 }

@@ -1,0 +1,124 @@
+//! What elevation and range are likely to be before anything was heard, and what follows once it was: the evidence for an
+//! azimuth, and the azimuth that is right on average.
+//!
+//! The highest point over azimuth, elevation and range favours an azimuth that finds, among all heights and ranges, one
+//! that happens to fit; a trajectory that is bent or a reflection always offers some. Bayes' rule asks instead how well an
+//! azimuth does over all of them, each as often as it is likely. `|elevation|` is taken as uniform up to its limit, range
+//! as uniform in its logarithm, up to [`FARTHEST`] times the shortest one.
+
+use super::grid::Axes;
+
+/// The farthest range (beyond it, a plane wave), in units of the shortest.
+pub(super) const FARTHEST: f64 = 20.0;
+/// How many independent looks a motion is worth when peaks are compared: probability goes with the joint power to this.
+/// A motion has hundreds of pairs, but what reflections and odometry leave is shared by many of them.
+const LOOKS: f64 = 16.0;
+/// As many when the place within a peak is weighed, where half of the power is explained.
+const LOOKS_WITHIN: f64 = 12.0;
+/// Steps of the weighing on either side, in azimuth, and how long they are, in cells of the grid.
+const AZIMUTHS: i32 = 5;
+const AZIMUTH_STEP: f64 = 0.3;
+/// Elevations and ranges of the weighing.
+const ELEVATIONS: usize = 4;
+const RANGES: usize = 5;
+
+/// The share of the prior that each cell of one azimuth has, in the order of [`Axes::places`]; their sum is 1.
+pub(super) fn shares(axes: &Axes) -> Vec<f64> {
+    let elevations = lengths(&axes.elevations, |elevation| elevation);
+    let nearest = axes.curves.last().copied().unwrap_or_default();
+    let ranges = lengths(&axes.curves, |curve| curve.max(nearest / FARTHEST).ln());
+    elevations.iter().flat_map(|elevation| ranges.iter().map(move |range| elevation * range)).collect()
+}
+
+/// The length of each value's cell as a share of all; cells end halfway between values, and are measured by `scale`.
+fn lengths(values: &[f64], scale: impl Fn(f64) -> f64) -> Vec<f64> {
+    let (Some(&first), Some(&last)) = (values.first(), values.last()) else { return Vec::new() };
+    let whole = scale(last) - scale(first);
+    if values.len() == 1 || whole.is_nan() || whole <= 0.0 {
+        return vec![1.0 / values.len() as f64; values.len()];
+    }
+    let inner = values.windows(2).map(|pair| 0.5 * pair.iter().sum::<f64>());
+    let edges: Vec<f64> = std::iter::once(first).chain(inner).chain([last]).map(scale).collect();
+    edges.windows(2).map(|cell| if let [low, high] = cell { (high - low) / whole } else { 0.0 }).collect()
+}
+
+/// What an azimuth's evidence lacks to its highest point: `ln` of the mean over its cells of `(power / highest)^looks`, in
+/// the terms of `scores`, which are `weight x ln power`. Never above 0.
+pub(super) fn evidence_lost(scores: &[f64], shares: &[f64], weight: f64) -> f64 {
+    let highest = scores.iter().copied().fold(f64::MIN, f64::max);
+    let rate = LOOKS / weight;
+    let mean: f64 = scores.iter().zip(shares).map(|(score, share)| share * (rate * (score - highest)).exp()).sum();
+    mean.max(f64::MIN_POSITIVE).ln() / rate
+}
+
+/// The places about an answer at which it is weighed: (cells of azimuth from it, |elevation| as a share of its limit,
+/// 1/range as a share of its limit). All have the same prior. Coordinates that are not `free` are `None`.
+pub(super) fn around(free: [bool; 3]) -> Vec<(f64, Option<f64>, Option<f64>)> {
+    let even = |free: bool, n: usize, at: &dyn Fn(f64) -> f64| -> Vec<Option<f64>> {
+        if free { (0..n).map(|i| Some(at((i as f64 + 0.5) / n as f64))).collect() } else { vec![None] }
+    };
+    let elevations = even(free[1], ELEVATIONS, &|share| share);
+    let ranges = even(free[2], RANGES, &|share| FARTHEST.powf(-share));
+    let mut places = Vec::new();
+    for azimuth in -AZIMUTHS..=AZIMUTHS {
+        for elevation in &elevations {
+            places.extend(ranges.iter().map(|range| (f64::from(azimuth) * AZIMUTH_STEP, *elevation, *range)));
+        }
+    }
+    places
+}
+
+/// The mean azimuth of places, each as likely as its score says, in cells of azimuth. `power` is the joint power of the
+/// answer: likelihood goes with what is left unexplained, so that a clean answer hardly moves.
+pub(super) fn mean(places: &[(f64, Option<f64>, Option<f64>)], scores: &[f64], weight: f64, power: f64) -> f64 {
+    let rate = LOOKS_WITHIN / weight * power / (1.0 - power).max(1e-3);
+    let highest = scores.iter().copied().fold(f64::MIN, f64::max);
+    let (mut sum, mut total) = (0.0, 0.0);
+    for ((azimuth, ..), score) in places.iter().zip(scores) {
+        let likely = (rate * (score - highest)).exp();
+        sum += likely * azimuth;
+        total += likely;
+    }
+    if total > 0.0 { sum / total } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_prior_is_one_whatever_the_cells() {
+        for (elevations, curves) in [(1, 1), (3, 1), (1, 5), (4, 9)] {
+            let axes = Axes {
+                azimuths: 16,
+                elevations: (0..elevations).map(|i| 0.1 * f64::from(i)).collect(),
+                curves: (0..curves).map(|i| 0.07 * f64::from(i)).collect(),
+            };
+            let shares = shares(&axes);
+            assert_eq!(shares.len(), (elevations * curves) as usize);
+            assert!((shares.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{shares:?}");
+            assert!(shares.iter().all(|share| *share > 0.0), "{shares:?}");
+        }
+    }
+
+    #[test]
+    fn an_azimuth_that_fits_at_every_range_has_all_its_evidence() {
+        assert_eq!(evidence_lost(&[-0.7; 4], &[0.25; 4], 1.0), 0.0);
+        let lost = evidence_lost(&[-0.7, -60.0, -60.0, -60.0], &[0.25; 4], 1.0);
+        assert!((lost - 0.25f64.ln() / LOOKS).abs() < 1e-12, "{lost}");
+        let empty = evidence_lost(&[], &[], 1.0);
+        assert!(empty.is_finite(), "{empty}");
+    }
+
+    #[test]
+    fn what_is_even_about_an_answer_leaves_it() {
+        let places = around([true, true, true]);
+        assert_eq!(places.len(), 11 * ELEVATIONS * RANGES);
+        let scores: Vec<f64> = places.iter().map(|(azimuth, ..)| -azimuth * azimuth).collect();
+        assert!(mean(&places, &scores, 1.0, 0.5).abs() < 1e-12);
+        // One that leans to one side does so less the more of the power it explains.
+        let leaning: Vec<f64> = places.iter().map(|(azimuth, ..)| -azimuth.abs() + 0.5 * azimuth).collect();
+        let moved = [0.2, 0.5, 0.9].map(|power| mean(&places, &leaning, 1.0, power));
+        assert!(moved[0] > moved[1] && moved[1] > moved[2] && moved[2] > 0.0, "{moved:?}");
+    }
+}
