@@ -22,14 +22,17 @@ use zenoh::qos::{CongestionControl, Priority};
 const BACKLOG: usize = 4_096;
 /// A message is sent when it is this long, ...
 const MESSAGE_BYTES: usize = 32 * 1024;
-/// ... or this long after its first item.
-const HAND_OVER: Duration = Duration::from_millis(5);
+/// ... or this long after its first item: the threads of both ends wake for a message, not for every record.
+const HAND_OVER: Duration = Duration::from_millis(4);
+/// How soon it is seen that the publisher is to stop, while nothing comes.
+const STOP_LOOK: Duration = Duration::from_millis(50);
 /// Zenoh's own queue for each neighbour, batches of 64 KiB: at its own length what waited for a first reader does not fit, and
 /// is dropped. This is the longest; what is not needed is not allocated.
 const QUEUE: &str = "16";
 const ZENOH_QUEUE: &str = "2";
-/// Looks for a first reader, one each time that a message would be sent.
+/// Looks for a first reader, and the time between them.
 const FIRST_LOOKS: u32 = 200;
+const FIRST_LOOK: Duration = Duration::from_millis(5);
 /// Messages that are still sent once it is told to stop: more than can wait.
 const LAST_MESSAGES: usize = 256;
 
@@ -186,7 +189,7 @@ fn wait_for_reader(stop: &AtomicBool, is_read: impl Fn() -> bool) {
         if is_read() || stop.load(Ordering::Relaxed) {
             break;
         }
-        std::thread::sleep(HAND_OVER);
+        std::thread::sleep(FIRST_LOOK);
     }
 }
 
@@ -213,22 +216,29 @@ fn work(
             poses.push_pose(frame, pose);
         }
     };
-    let mut left = LAST_MESSAGES;
+    let (mut left, mut behind) = (LAST_MESSAGES, false);
     while left > 0 {
         // Once told to stop it sends what waits and no more: a tap that goes on does not keep it alive.
         let stopping = stop.load(Ordering::Relaxed);
         left -= usize::from(stopping);
-        match waiting.recv_timeout(HAND_OVER) {
+        match waiting.recv_timeout(STOP_LOOK) {
             Ok(item) => collect(item, &mut records, &mut poses),
-            Err(RecvTimeoutError::Timeout) if !stopping => {}
+            Err(RecvTimeoutError::Timeout) if !stopping => continue,
             Err(_) => break,
         }
+        if !stopping && !behind {
+            std::thread::sleep(HAND_OVER);
+        }
         // Whatever waits goes with it, but not for ever: items may come as fast as they go.
+        behind = true;
         for _ in 0..ITEMS_AT_ONCE {
             if records.len() >= MESSAGE_BYTES || poses.len() >= MESSAGE_BYTES {
                 break;
             }
-            let Ok(item) = waiting.try_recv() else { break };
+            let Ok(item) = waiting.try_recv() else {
+                behind = false;
+                break;
+            };
             collect(item, &mut records, &mut poses);
         }
         for (batch, send) in [(&mut records, &send_records as &dyn Fn(Vec<u8>)), (&mut poses, &send_poses)] {
