@@ -33,7 +33,7 @@ pub struct Answer {
     pub confidence: Option<f64>,
     /// `|sum z a| / sum |z|` at the peak, 0..1.
     pub coherence: Option<f64>,
-    /// Second highest peak over the highest.
+    /// Second highest peak over the highest: of their evidence, where places were searched.
     pub peak_ratio: Option<f64>,
     /// Predicted standard deviation of the elevation.
     pub elevation_sd_deg: Option<f64>,
@@ -49,14 +49,14 @@ pub struct Answer {
     /// The paths in the round trip, the answer first, the others falling in power.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub paths: Vec<PathAnswer>,
-    /// The answers that the search chose from, the best first; relative power is that of all views together.
+    /// The answers that the search chose from, by evidence, the best first; relative power is that of all views together.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub candidates: Vec<PathAnswer>,
     /// What autofocus found of the trajectory, where several links were there to tell.
     pub focus: Option<Focus>,
     /// Geometric mean of the powers that the views of the motion give the answer, 0..1.
     pub joint_power: Option<f64>,
-    /// The powers themselves: round trip whole, one-way channel in windows.
+    /// The powers themselves: round trip whole, its phase at the channel centre in windows, one-way channel in windows.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub view_powers: Vec<f64>,
     /// How far the view furthest off would have put the bearing, degrees.

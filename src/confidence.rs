@@ -1,7 +1,7 @@
 //! How sure a bearing is: the probability that it is within five degrees of the truth.
 //!
 //! A logistic model of four things that can be read off a search: how much of the signal the answer explains in all
-//! views (log of the joint power), how close the next answer comes (log of the ratio of their evidence), how far the views would
+//! views (log of the joint power), how close the next answer comes (log of the ratio of evidence), how far the views would
 //! disagree if each were asked alone (log of the largest difference of azimuths), and whether the answer is physically
 //! plausible (inside of what was searched, not at its edge). See `docs/accuracy.md` for the data it was fitted to, how
 //! it does on places and rooms that it was not fitted to, and how the share of hard links in that data was brought to

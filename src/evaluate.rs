@@ -125,11 +125,12 @@ impl Errors {
     }
 }
 
-/// The value below which `share` of the sorted values lie, interpolated linearly between neighbours.
-fn percentile(sorted: &[f64], share: f64) -> f64 {
-    let place = share * (sorted.len() - 1) as f64;
-    let (low, high) = (place.floor() as usize, place.ceil() as usize);
-    sorted[low] + (sorted[high] - sorted[low]) * place.fract()
+/// The value below which `share` of the sorted values lie, interpolated linearly between neighbours; not a number if there
+/// are none.
+pub(crate) fn percentile(sorted: &[f64], share: f64) -> f64 {
+    let place = share * sorted.len().saturating_sub(1) as f64;
+    let at = |index: f64| sorted.get(index as usize).copied().unwrap_or(f64::NAN);
+    at(place.floor()) + (at(place.ceil()) - at(place.floor())) * place.fract()
 }
 
 /// Statistics of one set.

@@ -93,6 +93,8 @@ const MIN_GAP_S: f64 = 0.25;
 /// A robot that moved less than this across a gap stood still in it, metres (several times the noise of motion
 /// capture and of a tracking camera at rest).
 const STILL_M: f64 = 0.005;
+/// Poses on either side of where even ones would put a time that are looked at first.
+const NEAR: usize = 8;
 /// Half the time over which speed is judged, seconds.
 const SPEED_HALF_S: f64 = 0.1;
 /// A robot slower than this share of its usual speed stands still.
@@ -175,22 +177,44 @@ impl Trajectory {
     /// in a gap during which the robot moved.
     #[must_use]
     pub fn at(&self, t_s: f64) -> Option<Pose> {
-        let after = self.poses.partition_point(|pose| pose.t_s <= t_s);
-        if after == 0 || after == self.poses.len() {
-            let last = self.poses.last().filter(|last| last.t_s == t_s);
-            return last.copied();
-        }
-        let (a, b) = (&self.poses[after - 1], &self.poses[after]);
-        let step = b.position_m - a.position_m;
-        if b.t_s - a.t_s > self.max_gap_s && step.norm() > STILL_M {
-            return None;
-        }
-        let share = (t_s - a.t_s) / (b.t_s - a.t_s);
+        let (a, b, share) = self.between(t_s)?;
         let heading_rad = match (a.heading_rad, b.heading_rad) {
             (Some(from), Some(to)) => Some(wrap_rad(from + share * wrap_rad(to - from))),
             _ => None,
         };
-        Some(Pose { t_s, position_m: a.position_m + step * share, heading_rad })
+        Some(Pose { t_s, position_m: a.position_m + (b.position_m - a.position_m) * share, heading_rad })
+    }
+
+    /// The position at `t_s`, where [`Trajectory::at`] has a pose.
+    fn position_m(&self, t_s: f64) -> Option<Vector3<f64>> {
+        let (a, b, share) = self.between(t_s)?;
+        Some(a.position_m + (b.position_m - a.position_m) * share)
+    }
+
+    /// The poses about `t_s`, and how far it is from the first to the second as a share of the way.
+    fn between(&self, t_s: f64) -> Option<(&Pose, &Pose, f64)> {
+        let after = self.after(t_s);
+        if after == 0 || after == self.poses.len() {
+            let last = self.poses.last().filter(|last| last.t_s == t_s)?;
+            return Some((last, last, 0.0));
+        }
+        let (a, b) = (&self.poses[after - 1], &self.poses[after]);
+        if b.t_s - a.t_s > self.max_gap_s && (b.position_m - a.position_m).norm() > STILL_M {
+            return None;
+        }
+        Some((a, b, (t_s - a.t_s) / (b.t_s - a.t_s)))
+    }
+
+    /// How many poses are not after `t_s`. They come nearly evenly, so it is near the place that even ones would have.
+    fn after(&self, t_s: f64) -> usize {
+        let n = self.poses.len();
+        let (start, end) = self.span_s();
+        let even = ((t_s - start) / (end - start) * (n - 1) as f64) as usize;
+        let (from, to) = (even.saturating_sub(NEAR).min(n - 1), even.saturating_add(NEAR).min(n - 1));
+        if self.poses[from].t_s <= t_s && t_s < self.poses[to].t_s {
+            return from + self.poses[from..to].partition_point(|pose| pose.t_s <= t_s);
+        }
+        self.poses.partition_point(|pose| pose.t_s <= t_s)
     }
 
     /// The antenna's trajectory: each position moved by `offset_m` (robot frame: x forward, y left, z up), turned with
@@ -237,8 +261,8 @@ impl Trajectory {
     pub fn speed_m_per_s(&self, t_s: f64) -> f64 {
         let (start, end) = self.span_s();
         let (from, to) = ((t_s - SPEED_HALF_S).max(start), (t_s + SPEED_HALF_S).min(end));
-        match (self.at(from), self.at(to)) {
-            (Some(a), Some(b)) if to > from => (b.position_m - a.position_m).norm() / (to - from),
+        match (self.position_m(from), self.position_m(to)) {
+            (Some(a), Some(b)) if to > from => (b - a).norm() / (to - from),
             _ => 0.0,
         }
     }
@@ -272,6 +296,22 @@ mod tests {
         assert!((pose.position_m.x - 0.246).abs() < 1e-12);
         assert!(trajectory.at(-0.01).is_none() && trajectory.at(1.0).is_none());
         assert!(trajectory.at(0.99).is_some(), "the last pose itself is inside");
+    }
+
+    #[test]
+    fn uneven_poses_are_found_as_a_search_finds_them() {
+        for bend in [1.0, 1.3, 6.0] {
+            let mut poses = line(500, |t| t).poses().to_vec();
+            poses.iter_mut().for_each(|pose| pose.t_s = pose.t_s.powf(bend));
+            let trajectory = Trajectory::new(poses).unwrap();
+            let (start, end) = trajectory.span_s();
+            for k in -10..=1_010 {
+                let t_s = start + (end - start) * f64::from(k) / 1_000.0;
+                let found = trajectory.poses.partition_point(|pose| pose.t_s <= t_s);
+                assert_eq!(trajectory.after(t_s), found, "{bend}: {t_s}");
+            }
+            assert!([f64::NAN, f64::INFINITY, f64::NEG_INFINITY].iter().all(|t_s| trajectory.at(*t_s).is_none()));
+        }
     }
 
     #[test]

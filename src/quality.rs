@@ -1,6 +1,6 @@
 //! What a set of judged links is worth: ranges, refusals, reliability of the confidence, receivers located.
 
-use crate::evaluate::{Errors, Judged};
+use crate::evaluate::{Errors, Judged, percentile};
 use crate::locate::{LocateError, Located, Sighting, locate};
 use nalgebra::Vector2;
 use serde::Serialize;
@@ -54,9 +54,11 @@ fn scale(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     median(&mut ratios).map(|ratio| ratio / 0.674_5)
 }
 
-fn median(values: &mut [f64]) -> Option<f64> {
+/// The median of values in any order, interpolated between the middle two.
+#[must_use]
+pub fn median(values: &mut [f64]) -> Option<f64> {
     values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
+    (!values.is_empty()).then(|| percentile(values, 0.5))
 }
 
 /// How the azimuths' errors compare with their predicted deviations: 1 at the Cramer-Rao bound.

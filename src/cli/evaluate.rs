@@ -4,7 +4,7 @@ use super::args::{Estimation, Step};
 use super::captures::Reading;
 use super::{Outcome, Result, print, print_json, usage};
 use csi5300::evaluate::{Capture, Errors, Evaluated, Judged, SetSummary, Source, find, summarise};
-use csi5300::quality::{over_bound, ranges, receivers, reliability, risk_coverage};
+use csi5300::quality::{median, over_bound, ranges, receivers, reliability, risk_coverage};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -166,7 +166,10 @@ fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
 }
 
 fn line(errors: &Errors) -> String {
-    let Errors { mean_deg, median_deg, p90_deg, over_20, .. } = errors;
+    let Errors { links, mean_deg, median_deg, p90_deg, over_20 } = errors;
+    if *links == 0 {
+        return "-".into();
+    }
     format!("{mean_deg:.2} / {median_deg:.2} / {p90_deg:.2} / {:.1} %", over_20 * 100.0)
 }
 
@@ -187,8 +190,7 @@ fn worth(rows: &[Judged]) -> String {
         let ranges = ranges(&own);
         let mut off: Vec<f64> =
             located.iter().filter(|r| r.capture.starts_with(&format!("{set}/"))).filter_map(|r| r.off_m).collect();
-        off.sort_by(f64::total_cmp);
-        let median = off.get(off.len() / 2).map_or("-".into(), |off| format!("{off:.2} m"));
+        let median = median(&mut off).map_or("-".into(), |off| format!("{off:.2} m"));
         let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
         let _ = writeln!(
             text,

@@ -131,8 +131,12 @@ fn describe(row: &Judged, bearing: &Bearing) -> String {
         );
     }
     let views: Vec<String> = answer.view_powers.iter().map(|power| format!("{power:.2}")).collect();
-    let _ = writeln!(text, "views         {} (round trip whole, one way in windows)", views.join(", "));
-    text += "candidates    (power of all views)\n";
+    let _ = writeln!(
+        text,
+        "views         {} (round trip whole, its centre in windows, one way in windows)",
+        views.join(", ")
+    );
+    text += "candidates    (by evidence; power of all views)\n";
     text += &places(&answer.candidates);
     text += "paths         (one-way power, of the round trip)\n";
     text += &places(&answer.paths);

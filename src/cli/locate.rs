@@ -3,7 +3,7 @@
 use super::captures::Reading;
 use super::{Outcome, Result, print, print_json};
 use csi5300::evaluate::{Judged, find};
-use csi5300::quality::{Receiver, receivers};
+use csi5300::quality::{Receiver, median, receivers};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -77,8 +77,7 @@ fn table(found: &[Receiver], rows: &[Judged]) -> String {
         }
     }
     let mut off: Vec<f64> = found.iter().filter_map(|receiver| receiver.off_m).collect();
-    off.sort_by(f64::total_cmp);
-    if let Some(median) = off.get(off.len() / 2) {
+    if let Some(median) = median(&mut off) {
         let _ = writeln!(text, "{} receivers located, median error {median:.2} m", off.len());
     }
     text

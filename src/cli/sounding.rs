@@ -26,6 +26,9 @@ use std::path::PathBuf;
 /// How often news are fetched and the view is drawn.
 const LOOK: Span = Span::from_ms(50);
 
+/// How long the driver is listened to after the end, if it does not fall silent before.
+const LAST_WORDS: Span = Span::from_ms(500);
+
 /// Arguments of both commands.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Sounding {
@@ -332,8 +335,9 @@ pub fn run(
     }
     let (exchange, left, news_lost, error) = running.stop().map_err(text)?;
     left.iter().for_each(|news| tell(news, task));
-    // What the driver had said by then belongs in the log.
-    while failed.is_none() {
+    // What the driver had said by then belongs in the log. A driver that never stops to speak does not hold up the end.
+    let enough_at = clock.now() + LAST_WORDS;
+    while failed.is_none() && matches!(source, Source::Logged(_)) && clock.now() < enough_at {
         match source.receive(clock.now()) {
             Ok(Next::Pending | Next::End(_)) => break,
             Ok(_) => {}

@@ -23,8 +23,11 @@ pub struct Source {
 /// What [`super::search`] found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fix {
-    /// All sources found, falling in evidence; the first is the answer.
+    /// All sources found, falling in evidence; the first is the answer's top.
     pub sources: Vec<Source>,
+    /// The azimuth of the answer, radians in (-pi, pi]: that of its top where noise is all that one wave leaves, else the
+    /// one that is right on average over the elevations and ranges about it.
+    pub azimuth_rad: f64,
     /// Where azimuth, elevation and range are measured from, metres.
     pub middle_m: Vector3<f64>,
     /// Azimuth of the highest peak of each view by itself, radians, in the order of the views.
@@ -46,7 +49,7 @@ pub struct Fix {
 }
 
 impl Fix {
-    /// The answer.
+    /// The top of the answer.
     #[must_use]
     pub fn best(&self) -> Source {
         self.sources[0]
@@ -55,7 +58,7 @@ impl Fix {
     /// How far the view furthest off would have put the azimuth, radians.
     #[must_use]
     pub fn view_spread_rad(&self) -> f64 {
-        let azimuth = self.best().azimuth_rad;
+        let azimuth = self.azimuth_rad;
         self.view_azimuths_rad.iter().map(|a| wrap_rad(a - azimuth).abs()).fold(0.0, f64::max)
     }
 
@@ -87,7 +90,7 @@ impl Fix {
         if !self.range_searched || c <= 0.0 {
             return None;
         }
-        let (a, e, r) = (best.azimuth_rad, best.abs_elevation_rad, 1.0 / c);
+        let (a, e, r) = (self.azimuth_rad, best.abs_elevation_rad, 1.0 / c);
         let u = direction(a, e);
         let by_azimuth = Vector3::new(-a.sin(), a.cos(), 0.0) * (r * e.cos());
         let by_elevation = Vector3::new(-a.cos() * e.sin(), -a.sin() * e.sin(), e.cos()) * r;

@@ -4,16 +4,18 @@
 //! The highest point over azimuth, elevation and range favours an azimuth that finds, among all heights and ranges, one
 //! that happens to fit; a trajectory that is bent or a reflection always offers some. Bayes' rule asks instead how well an
 //! azimuth does over all of them, each as often as it is likely. `|elevation|` is taken as uniform up to its limit, range
-//! as uniform in its logarithm, up to [`FARTHEST`] times the shortest one.
+//! as uniform in its logarithm up to [`FARTHEST`] times the shortest one; a little is left for all beyond that.
 
 use super::grid::Axes;
 
-/// The farthest range (beyond it, a plane wave), in units of the shortest.
-pub(super) const FARTHEST: f64 = 20.0;
+/// The range up to which all are as likely, in units of the shortest.
+const FARTHEST: f64 = 20.0;
+/// What is left for ranges beyond it, in units of what a range has to a range that is e times as far.
+const BEYOND: f64 = 0.02;
 /// How many independent looks a motion is worth when peaks are compared: probability goes with the joint power to this.
 /// A motion has hundreds of pairs, but what reflections and odometry leave is shared by many of them.
 const LOOKS: f64 = 16.0;
-/// As many when the place within a peak is weighed, where half of the power is explained.
+/// The same when places within a peak are weighed, for a peak that explains half of the power.
 const LOOKS_WITHIN: f64 = 12.0;
 /// Steps of the weighing on either side, in azimuth, and how long they are, in cells of the grid.
 const AZIMUTHS: i32 = 5;
@@ -26,7 +28,11 @@ const RANGES: usize = 5;
 pub(super) fn shares(axes: &Axes) -> Vec<f64> {
     let elevations = lengths(&axes.elevations, |elevation| elevation);
     let nearest = axes.curves.last().copied().unwrap_or_default();
-    let ranges = lengths(&axes.curves, |curve| curve.max(nearest / FARTHEST).ln());
+    let farthest = nearest / FARTHEST;
+    let ranges = lengths(&axes.curves, |curve| match curve / farthest {
+        beyond if beyond < 1.0 => BEYOND * (beyond - 1.0),
+        times => times.ln(),
+    });
     elevations.iter().flat_map(|elevation| ranges.iter().map(move |range| elevation * range)).collect()
 }
 
@@ -42,9 +48,9 @@ fn lengths(values: &[f64], scale: impl Fn(f64) -> f64) -> Vec<f64> {
     edges.windows(2).map(|cell| if let [low, high] = cell { (high - low) / whole } else { 0.0 }).collect()
 }
 
-/// What an azimuth's evidence lacks to its highest point: `ln` of the mean over its cells of `(power / highest)^looks`, in
+/// What an azimuth's evidence adds to its highest score: `ln` of the mean over its cells of `(power / highest)^looks`, in
 /// the terms of `scores`, which are `weight x ln power`. Never above 0.
-pub(super) fn evidence_lost(scores: &[f64], shares: &[f64], weight: f64) -> f64 {
+pub(super) fn averaging(scores: &[f64], shares: &[f64], weight: f64) -> f64 {
     let highest = scores.iter().copied().fold(f64::MIN, f64::max);
     let rate = LOOKS / weight;
     let mean: f64 = scores.iter().zip(shares).map(|(score, share)| share * (rate * (score - highest)).exp()).sum();
@@ -88,7 +94,7 @@ mod tests {
 
     #[test]
     fn the_prior_is_one_whatever_the_cells() {
-        for (elevations, curves) in [(1, 1), (3, 1), (1, 5), (4, 9)] {
+        for (elevations, curves) in [(1, 1), (3, 1), (1, 5), (4, 9), (2, 60)] {
             let axes = Axes {
                 azimuths: 16,
                 elevations: (0..elevations).map(|i| 0.1 * f64::from(i)).collect(),
@@ -103,10 +109,10 @@ mod tests {
 
     #[test]
     fn an_azimuth_that_fits_at_every_range_has_all_its_evidence() {
-        assert_eq!(evidence_lost(&[-0.7; 4], &[0.25; 4], 1.0), 0.0);
-        let lost = evidence_lost(&[-0.7, -60.0, -60.0, -60.0], &[0.25; 4], 1.0);
-        assert!((lost - 0.25f64.ln() / LOOKS).abs() < 1e-12, "{lost}");
-        let empty = evidence_lost(&[], &[], 1.0);
+        assert_eq!(averaging(&[-0.7; 4], &[0.25; 4], 1.0), 0.0);
+        let less = averaging(&[-0.7, -60.0, -60.0, -60.0], &[0.25; 4], 1.0);
+        assert!((less - 0.25f64.ln() / LOOKS).abs() < 1e-12, "{less}");
+        let empty = averaging(&[], &[], 1.0);
         assert!(empty.is_finite(), "{empty}");
     }
 

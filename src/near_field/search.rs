@@ -28,7 +28,7 @@ pub struct Limits {
 
 /// Peaks that are climbed at most.
 const CLIMBED: usize = 6;
-/// Peaks below this share of the highest (in power, before climbing) are left alone.
+/// Peaks below this share of the highest (in evidence, before climbing) are left alone.
 const FLOOR: f64 = 0.3;
 /// Rounds of a climb at most.
 const ROUNDS: usize = 40;
@@ -48,8 +48,9 @@ pub struct Search {
     weights: Vec<f64>,
     /// Weights of the last climb, which places the answer: views of the channel centre alone choose, but do not place.
     placing: Vec<f64>,
-    /// `sum weight ln power` that each azimuth of the grid has less, averaged over elevations and ranges, than at its best.
-    lost: Vec<f64>,
+    /// What averaging over elevations and ranges adds to the best `sum weight ln power` of each azimuth of the grid: never
+    /// above 0.
+    averaging: Vec<f64>,
     limits: Limits,
     middle_m: Vector3<f64>,
     wavelength_m: f64,
@@ -114,7 +115,7 @@ impl Search {
             layers: layers.iter().map(|(a, views)| Layer::new(a, &middle_m, wavelength_m, curve_max, views)).collect(),
             weights: views().map(|view| view.weight).collect(),
             placing: views().map(|view| if places(view) { view.weight } else { 0.0 }).collect(),
-            lost: Vec::new(),
+            averaging: Vec::new(),
             reference,
             limits: *limits,
             middle_m,
@@ -133,15 +134,14 @@ impl Search {
         let first = sources.first_mut()?;
         let is_likeliest = self.polish(first, free);
         let best = *first;
-        if !is_likeliest {
-            self.weigh(first, free);
-        }
+        let azimuth_rad = if is_likeliest { best.azimuth_rad } else { self.weighed_rad(&best, free) };
         let view_powers = self.powers(&[Place::from(&best)], Look::Exact).into_iter().map(f64::from).collect();
         let [_, elevation_searched, range_searched] = free;
         let prior = [self.limits.elevation_max_rad / 12f64.sqrt(), self.curve_max / 12f64.sqrt()];
         Some(Fix {
             deviations: deviations(&self.reference, &self.middle_m, self.wavelength_m, &best, free, prior),
             sources,
+            azimuth_rad,
             middle_m: self.middle_m,
             view_azimuths_rad,
             view_powers,
@@ -153,7 +153,8 @@ impl Search {
         })
     }
 
-    /// Moves the answer to the most likely place, where noise is all that it leaves; false where more is left.
+    /// Moves the answer to the most likely place, where noise is all that it leaves; false where more is left, or where a
+    /// known height leaves no choice.
     fn polish(&self, answer: &mut Source, free: [bool; 3]) -> bool {
         // A known height ties elevation to range: there is nothing to be had for either alone.
         if self.limits.height_m.is_some() && free[2] {
@@ -171,8 +172,8 @@ impl Search {
         true
     }
 
-    /// Moves the answer to the azimuth that is right on average over the elevations and ranges that it may have.
-    fn weigh(&mut self, answer: &mut Source, free: [bool; 3]) {
+    /// The azimuth that is right on average over the elevations and ranges that an answer may have.
+    fn weighed_rad(&mut self, answer: &Source, free: [bool; 3]) -> f64 {
         let cell_rad = TAU / self.axes.azimuths as f64;
         let around = prior::around(free);
         let place = |&(azimuth, elevation, curve): &(f64, Option<f64>, Option<f64>)| Place {
@@ -184,7 +185,7 @@ impl Search {
         let powers = self.powers(&places, Look::Exact);
         let scores = scores(&powers, &self.placing);
         let cells = prior::mean(&around, &scores, self.placing.iter().sum(), answer.power);
-        answer.azimuth_rad = wrap_rad(answer.azimuth_rad + cells * cell_rad);
+        wrap_rad(answer.azimuth_rad + cells * cell_rad)
     }
 
     /// Moves the samples as `warp` says, about the middle.
@@ -259,14 +260,14 @@ impl Search {
             }
         }
         let (shares, weight) = (prior::shares(&self.axes), self.weights.iter().sum());
-        self.lost = scores.chunks(depth).map(|own| prior::evidence_lost(own, &shares, weight)).collect();
+        self.averaging = scores.chunks(depth).map(|own| prior::averaging(own, &shares, weight)).collect();
         let ridge: Vec<(Place, f64)> = scores
             .chunks(depth)
-            .zip(&self.lost)
+            .zip(&self.averaging)
             .enumerate()
-            .map(|(i, (own, lost))| {
+            .map(|(i, (own, averaging))| {
                 let (k, score) = own.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).unwrap_or((0, &f64::MIN));
-                (places[i * depth + k], score + lost)
+                (places[i * depth + k], score + averaging)
             })
             .collect();
         let n = ridge.len();
@@ -291,7 +292,7 @@ impl Search {
         let places: Vec<Place> = tops.iter().map(|top| top.0).collect();
         let powers = self.powers(&places, Look::Exact);
         tops.iter_mut().zip(self.scores(&powers)).for_each(|(top, score)| top.1 = score);
-        tops.sort_by(|a, b| (b.1 + self.lost_at(&b.0)).total_cmp(&(a.1 + self.lost_at(&a.0))));
+        tops.sort_by(|a, b| (b.1 + self.averaging_at(&b.0)).total_cmp(&(a.1 + self.averaging_at(&a.0))));
         if let Some(first) = tops.first_mut() {
             let weights = std::mem::replace(&mut self.weights, self.placing.clone());
             first.0 = self.climb(first.0, FINE_RAD, Look::Exact).0;
@@ -310,11 +311,11 @@ impl Search {
         sources
     }
 
-    /// What the evidence for a place's azimuth lacks to the place's own score.
-    fn lost_at(&self, place: &Place) -> f64 {
+    /// What averaging over elevations and ranges adds to the score of a place: never above 0.
+    fn averaging_at(&self, place: &Place) -> f64 {
         let n = self.axes.azimuths;
         let cell = (place.azimuth.rem_euclid(TAU) / TAU * n as f64).round() as usize % n;
-        self.lost.get(cell).copied().unwrap_or(0.0)
+        self.averaging.get(cell).copied().unwrap_or(0.0)
     }
 
     /// Pattern search: the neighbours in all directions; the best of them is next, or the steps are halved.
@@ -367,7 +368,7 @@ impl Search {
             abs_elevation_rad: elevation,
             inverse_range_per_m: place.curve,
             power: self.power(score).min(1.0),
-            evidence: self.power(score + self.lost_at(place)).min(1.0),
+            evidence: self.power(score + self.averaging_at(place)).min(1.0),
         }
     }
 }

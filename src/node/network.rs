@@ -221,7 +221,7 @@ fn work(
         // Once told to stop it sends what waits and no more: a tap that goes on does not keep it alive.
         let stopping = stop.load(Ordering::Relaxed);
         left -= usize::from(stopping);
-        match waiting.recv_timeout(STOP_LOOK) {
+        match waiting.recv_timeout(if stopping { Duration::ZERO } else { STOP_LOOK }) {
             Ok(item) => collect(item, &mut records, &mut poses),
             Err(RecvTimeoutError::Timeout) if !stopping => continue,
             Err(_) => break,

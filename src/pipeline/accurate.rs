@@ -119,9 +119,6 @@ pub(super) fn place(
     options: &Options,
 ) -> Option<(Placed, Search)> {
     let steps = &options.accuracy;
-    if !steps.near_field {
-        return None;
-    }
     let wavelength_m = options.channel.wavelength_m();
     let indices = options.channel.subcarriers();
     let alignment = steps.align.then(|| align(&mut rows, &indices, options.search.tier));
@@ -198,13 +195,12 @@ fn pick(rows: &[Row], used: &[usize]) -> Vec<Row> {
 fn adopt(fix: &Fix, estimate: &mut Estimate) {
     let best = fix.best();
     if let Some(mirror) = estimate.mirror_rad {
-        estimate.mirror_rad = Some(wrap_rad(estimate.azimuth_rad + mirror - best.azimuth_rad));
+        estimate.mirror_rad = Some(wrap_rad(estimate.azimuth_rad + mirror - fix.azimuth_rad));
     }
-    estimate.azimuth_rad = best.azimuth_rad;
+    estimate.azimuth_rad = fix.azimuth_rad;
     estimate.azimuth_sd_rad = fix.deviations.azimuth_rad;
     estimate.abs_elevation_rad = best.abs_elevation_rad;
     estimate.elevation_sd_rad = fix.deviations.elevation_rad;
     estimate.signed_elevation_rad = None;
-    let others: Vec<f64> = fix.sources.iter().skip(1).map(|source| source.power).collect();
-    estimate.peak_ratio = others.first().map(|power| power / best.power);
+    estimate.peak_ratio = fix.sources.get(1).map(|other| (other.evidence / best.evidence).min(1.0));
 }

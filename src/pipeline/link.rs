@@ -434,10 +434,14 @@ impl Link {
             return Err(LinkError::TooLarge { extent_m, limit_m: MAX_EXTENT_M });
         }
         let mut estimate = bartlett::search(&samples, options.channel.wavelength_m(), &options.search)?;
-        let turned = self.products.iter().zip(self.rows.iter().zip(&z));
-        let rows = turned.map(|(product, (row, z))| accurate::compensated(product, z / row.z));
-        let placed = accurate::place(&samples, rows.collect(), &used, &mut estimate, options);
-        let (placed, search) = placed.unzip();
+        let (placed, search) = match options.accuracy.near_field {
+            true => {
+                let turned = self.products.iter().zip(self.rows.iter().zip(&z));
+                let rows = turned.map(|(product, (row, z))| accurate::compensated(product, z / row.z));
+                accurate::place(&samples, rows.collect(), &used, &mut estimate, options).unzip()
+            }
+            false => (None, None),
+        };
         let sum = samples.receiver_m.iter().fold(Vector3::zeros(), |sum, p| sum + p);
         Ok(Bearing {
             heading_rad,

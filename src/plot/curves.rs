@@ -1,6 +1,7 @@
 //! Error distributions and benchmark curves.
 use super::Error;
 use super::canvas::{Axes, Canvas, Key, WIDTH, extent, extent_log, series_colour};
+use crate::evaluate::percentile;
 use std::path::{Path, PathBuf};
 
 /// Empirical distribution functions over a logarithmic x axis.
@@ -31,7 +32,10 @@ impl CdfPlot {
         let range = extent_log(sorted.iter().flatten().copied().chain(points)).or(zeros);
         let range = range.ok_or(Error::Empty { what: "error distribution" })?;
         let mut canvas = Canvas::new(780.0, &self.title);
-        let median = |v: &[f64]| v.get(v.len() / 2).map_or(String::new(), |m| format!(" (median {m:.2})"));
+        let median = |v: &[f64]| match v {
+            [] => String::new(),
+            _ => format!(" (median {:.2})", percentile(v, 0.5)),
+        };
         let keys = self.series.iter().zip(&sorted).enumerate();
         let mut keys: Vec<_> =
             keys.map(|(i, (s, v))| (Key::Line, series_colour(i), s.0.clone() + &median(v))).collect();

@@ -6,7 +6,7 @@ use toml::Spanned;
 /// Bearings of each peer a second that can be asked for: one in a thousand seconds to what no processor keeps up with.
 const RATES_HZ: std::ops::RangeInclusive<f64> = 1e-3..=100.0;
 /// Records that can be let wait for or from the network: no more than some hundred megabytes.
-const BACKLOGS: std::ops::RangeInclusive<usize> = 16..=1_000_000;
+const BACKLOGS: std::ops::RangeInclusive<usize> = 256..=1_000_000;
 
 impl Config {
     /// MACs that are not those of the simulated room: where, and why.
