@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # What each feature costs: crates that it compiles, time of a release build from nothing, size of the stripped program.
 # Builds into a folder of its own, which it removes. Usage: scripts/feature_costs.sh [CARGO_ARGS ...], one row for each
-# argument (such as "--features zenoh"); all rows of docs/node.md without arguments.
+# argument (such as "--features zenoh"); all rows of the README without arguments.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 rows=("--no-default-features" "--no-default-features --features live,plot" "" "--features foxglove" "--features ros1" "--features zenoh")
