@@ -46,7 +46,7 @@ pub struct Answer {
     pub position_m: Option<[f64; 3]>,
     /// Covariance of the position, metres squared, row by row.
     pub position_covariance_m2: Option<[[f64; 3]; 3]>,
-    /// The paths in the round trip, the answer first, the others falling in power.
+    /// The paths in the round trip, the top of the answer first, the others falling in power.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub paths: Vec<PathAnswer>,
     /// The answers that the search chose from, by evidence, the best first; relative power is that of all views together.

@@ -3,7 +3,8 @@
 //! A logistic model of four things that can be read off a search: how much of the signal the answer explains in all
 //! views (log of the joint power), how close the next answer comes (log of the ratio of evidence), how far the views would
 //! disagree if each were asked alone (log of the largest difference of azimuths), and whether the answer is physically
-//! plausible (inside of what was searched, not at its edge). See `docs/accuracy.md` for the data it was fitted to, how
+//! plausible (inside of what was searched, not at its edge). The coefficients were fitted with the ratio of powers instead
+//! of evidence. See `docs/accuracy.md` for the data it was fitted to, how
 //! it does on places and rooms that it was not fitted to, and how the share of hard links in that data was brought to
 //! that of the whole data set.
 

@@ -65,7 +65,7 @@ class Air:
     """Carries IPv4 packets between the robots' TUN devices; those of a robot that is cut off go nowhere."""
 
     def __init__(self, robots):
-        self.robots, self.off, self.over, self.fds = robots, set(), False, []
+        self.off, self.over, self.fds = set(), False, []
         for k in range(robots):
             run("ip", "netns", "add", namespace(k))
             self.fds.append(self.open_tun(k))
@@ -97,7 +97,7 @@ class Air:
             for key, _ in waiting.select(0.1):
                 packet = os.read(key.fd, 65536)
                 to = packet[19] - 1 if packet[0] >> 4 == 4 and len(packet) >= 20 else -1
-                if 0 <= to < self.robots and not {key.data, to} & self.off:
+                if 0 <= to < len(self.fds) and not {key.data, to} & self.off:
                     try:
                         os.write(self.fds[to], packet)
                     except BlockingIOError:
@@ -106,9 +106,8 @@ class Air:
     def end(self):
         self.over = True
         self.thread.join()
-        for k, fd in enumerate(self.fds):
+        for fd in self.fds:
             os.close(fd)
-            subprocess.run(["ip", "netns", "del", namespace(k)])
 
 def start(folder, k):
     words = ["ip", "netns", "exec", namespace(k), csi5300, "node", "--config", f"{folder}/r{k}.toml"]
@@ -186,6 +185,8 @@ def check(robots):
             node.wait()
         if air:
             air.end()
+        for k in range(robots):
+            subprocess.run(["ip", "netns", "del", namespace(k)], stderr=subprocess.DEVNULL)
         shutil.rmtree(folder)
 
 for robots in (2, 4):

@@ -5,7 +5,8 @@ use toml::Spanned;
 
 /// Bearings of each peer a second that can be asked for: one in a thousand seconds to what no processor keeps up with.
 const RATES_HZ: std::ops::RangeInclusive<f64> = 1e-3..=100.0;
-/// Records that can be let wait for or from the network: no more than some hundred megabytes.
+/// Records that can be let wait for or from the network: no fewer than come while a message is collected, no more than
+/// some hundred megabytes.
 const BACKLOGS: std::ops::RangeInclusive<usize> = 256..=1_000_000;
 
 impl Config {
