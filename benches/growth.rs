@@ -14,7 +14,7 @@ fn main() {
     let mut table = Table::new("growth", &[("what", 12), ("size", 10), ("ms", 10), ("method", 14), ("plan_ms", 10)]);
     let mut series = Vec::new();
     let plain = Grid::azimuth_elevation(360, 181);
-    let mut sweep = |what: &str, label: &str, points: Vec<(f64, csi5300::samples::Samples, Grid)>| {
+    let mut sweep = |what: &str, label: &str, points: Vec<(f64, csi5300::signal::samples::Samples, Grid)>| {
         let mut line = Vec::new();
         for (size, samples, grid) in points {
             let mut planner = Planner::default();

@@ -6,12 +6,12 @@
 //! root: in a user namespace it is refused, and said to be. Before and after each a bare loop of `clock_nanosleep` shows
 //! what this host does at best in these very minutes.
 
-use csi5300::backend::monitor::{Monitor, Options};
-use csi5300::backend::sys::{radiotap_tun, schedule_fifo};
-use csi5300::sounding::{News, Running, Settings, spread_of};
-use csi5300::tdma::{Config, Epoch, Request, Tdma};
+use csi5300::exchange::tdma::{Config, Epoch, Request, Tdma};
 use csi5300::time::Span;
-use csi5300::wait::{Monotonic, wall_us};
+use csi5300_live::monitor::{Monitor, Options};
+use csi5300_live::sounding::{News, Running, Settings, spread_of};
+use csi5300_live::sys::{radiotap_tun, schedule_fifo};
+use csi5300_live::wait::{Monotonic, wall_us};
 use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::native;
 use hdrhistogram::Histogram;

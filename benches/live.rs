@@ -6,11 +6,11 @@
 #[path = "../tests/common/private.rs"]
 mod private;
 
-use csi5300::backend::netlink::{Netlink, Options, Sender};
-use csi5300::backend::recorder::{self, LogFiles, Recorder, Rotation};
-use csi5300::backend::{CsiSource, Next};
+use csi5300::source::recorder::{self, LogFiles, Recorder, Rotation};
+use csi5300::source::{CsiSource, Next};
 use csi5300::time::Span;
-use csi5300::wait::{Monotonic, wall_us};
+use csi5300_live::netlink::{Netlink, Options, Sender};
+use csi5300_live::wait::{Monotonic, wall_us};
 use driver_iface::bfee::Bfee;
 use driver_iface::connector::{CN_IDX, NETLINK_CONNECTOR};
 use driver_iface::record::{Record, code};
@@ -180,7 +180,7 @@ fn latency() {
         parsed.push(round_of(|origin, us| match own.receive(clock.now()).unwrap() {
             Next::Record(_, record) => {
                 let bfee = Bfee::new_checked(record.body).unwrap();
-                let csi = csi5300::csi::Csi::from_bfee(&bfee).unwrap();
+                let csi = csi5300::signal::csi::Csi::from_bfee(&bfee).unwrap();
                 black_box(&csi);
                 us.push(age_us(origin, record.body));
             }

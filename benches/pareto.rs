@@ -12,7 +12,7 @@ use std::process::Command;
 
 use common::*;
 use csi5300::bartlett::{Grid, Method, Planner, Precision, ProfileOptions, Searcher, Tier};
-use csi5300::samples::Samples;
+use csi5300::signal::samples::Samples;
 
 struct Job {
     name: &'static str,
@@ -244,7 +244,7 @@ fn bearings(samples: &Samples) -> Vec<Contender<'_>> {
 
 /// FINUFFT and NumPy on the same samples, in a process of their own.
 fn peers(job: &Job, samples: &Samples, reference: &[f64], n: usize, radius: f64) -> Vec<Row> {
-    let root = std::path::PathBuf::from(env!("CARGO_MANIFEST_DIR"));
+    let root = std::path::PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
     let python = root.join("target/venv/bin/python");
     if !python.exists() {
         println!("FINUFFT and NumPy skipped: run scripts/bench_venv.sh first");

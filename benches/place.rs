@@ -7,12 +7,12 @@
 mod common;
 
 use common::{Table, banner, quickest};
-use csi5300::alignment::{Row, align, remove_common_slope};
 use csi5300::bartlett::{Searcher, Tier};
-use csi5300::channel::{INDICES_20_MHZ, SUBCARRIERS};
-use csi5300::near_field::{Aperture, Limits, Search, Taper, View};
-use csi5300::one_way::one_way;
-use csi5300::samples::Samples;
+use csi5300::place::near_field::{Aperture, Limits, Search, Taper, View};
+use csi5300::signal::alignment::{Row, align, remove_common_slope};
+use csi5300::signal::channel::{INDICES_20_MHZ, SUBCARRIERS};
+use csi5300::signal::one_way::one_way;
+use csi5300::signal::samples::Samples;
 use nalgebra::Vector3;
 use num_complex::{Complex32, Complex64};
 use std::f64::consts::TAU;

@@ -1,9 +1,9 @@
 //! How fast the simulated room is: `cargo bench --bench sim`. One thread; each line is the best of five runs.
 #![allow(clippy::expect_used)]
 
-use csi5300::backend::sim::{Room, Scene};
-use csi5300::backend::{CsiSource, Next};
+use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant as Virtual;
+use csi5300_sim::{Room, Scene};
 use std::time::Instant;
 
 /// Every radio effect, no reflections.

@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 
 use common::*;
 use csi5300::bartlett::{Error, Grid, Method, Planner, Precision, ProfileOptions, direction, oracle, search};
-use csi5300::samples::Samples;
+use csi5300::signal::samples::Samples;
 use nalgebra::Vector3;
 use num_complex::Complex64;
 

@@ -195,8 +195,8 @@ impl Judge {
 }
 
 /// Round-trip samples: the product of two noisy one-way channels.
-fn product(points: &[Vector3<f64>], truth: f64, g: f64, rng: &mut ChaCha8Rng) -> csi5300::samples::Samples {
-    let mut samples = csi5300::samples::Samples::new(2);
+fn product(points: &[Vector3<f64>], truth: f64, g: f64, rng: &mut ChaCha8Rng) -> csi5300::signal::samples::Samples {
+    let mut samples = csi5300::signal::samples::Samples::new(2);
     let k = TAU / WAVELENGTH_M;
     let sd = (1.0 / g).sqrt();
     for (t, p) in points.iter().enumerate() {

@@ -4,7 +4,7 @@
 //! made are recorded and then made again on a fresh scheduler, timed as a whole. Every call counts in the time, but
 //! only frames heard and sent count as events.
 
-use csi5300::tdma::{Config, Dialect, Epoch, Key, Plan, Request, Tdma};
+use csi5300::exchange::tdma::{Config, Dialect, Epoch, Key, Plan, Request, Tdma};
 use csi5300::time::{Instant, Span};
 use driver_iface::sounding::native::Role;
 use std::hint::black_box;

@@ -2,9 +2,9 @@
 //!
 //! `cargo run --example bearing_from_logs -- [RX.dat TX.dat TRAJECTORY.csv CHANNEL]` (default: the fixture of the tests)
 
-use csi5300::backend::replay::Replay;
-use csi5300::odometry;
+use csi5300::motion::odometry;
 use csi5300::pipeline::{Options, Transmitter, bearings};
+use csi5300::source::replay::Replay;
 use std::path::Path;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -9,7 +9,7 @@ use std::error::Error;
 use std::fs;
 use std::io::{BufWriter, Write};
 
-use csi5300::csi::{Csi, scale_factor};
+use csi5300::signal::csi::{Csi, scale_factor};
 use driver_iface::bfee::Bfee;
 use driver_iface::record::{Step, code, events};
 use num_complex::Complex64;

@@ -2,8 +2,8 @@
 //!
 //! `cargo run --example read_log -- [LOG.dat]` (default: the fixture of the tests)
 
-use csi5300::backend::{CsiSource, Next, replay::Replay};
-use csi5300::survey::Survey;
+use csi5300::source::survey::Survey;
+use csi5300::source::{CsiSource, Next, replay::Replay};
 use csi5300::time::Instant;
 use std::path::PathBuf;
 

@@ -3,15 +3,15 @@
 //!
 //! `cargo run --release --example rendezvous`
 
-use csi5300::backend::replay::Replay;
-use csi5300::backend::sim::motion::{Circle, Motion};
-use csi5300::backend::sim::{Room, Scene, write_dataset};
-use csi5300::backend::{CsiSource, Error};
-use csi5300::channel::{Channel, Width};
-use csi5300::odometry::{NextPose, OdometrySource, csv};
+use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
+use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::{Options, Transmitter, bearings};
-use csi5300::pose::Trajectory;
+use csi5300::signal::channel::{Channel, Width};
+use csi5300::source::replay::Replay;
+use csi5300::source::{CsiSource, Error};
 use csi5300::time::Instant;
+use csi5300_sim::motion::{Circle, Motion};
+use csi5300_sim::{Room, Scene, write_dataset};
 
 type Anything<T> = Result<T, Box<dyn std::error::Error>>;
 

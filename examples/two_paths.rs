@@ -3,7 +3,7 @@
 //! `cargo run --example two_paths`
 
 use csi5300::bartlett::{Grid, profile};
-use csi5300::samples::Samples;
+use csi5300::signal::samples::Samples;
 use nalgebra::Vector3;
 use num_complex::Complex64;
 use std::f64::consts::TAU;

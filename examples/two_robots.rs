@@ -2,7 +2,7 @@
 //!
 //! `cargo run --release --example two_robots -- [SCENE.toml | name of a built-in scene] [DIR]`
 
-use csi5300::backend::sim::{Room, Scene, write_dataset};
+use csi5300_sim::{Room, Scene, write_dataset};
 use std::path::{Path, PathBuf};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

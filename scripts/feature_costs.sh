@@ -13,10 +13,10 @@ printf '| build | crates | seconds | megabytes |\n|---|---|---|---|\n'
 for row in "${rows[@]}"; do
     rm -rf "${target:?}"/*
     # shellcheck disable=SC2086
-    crates=$(cargo tree --edges normal,build --prefix none $row | sed 's/ (\*)$//' | sort -u | wc -l)
+    crates=$(cargo tree -p csi5300-cli --edges normal,build --prefix none $row | sed 's/ (\*)$//' | sort -u | wc -l)
     start=$EPOCHREALTIME
     # shellcheck disable=SC2086
-    CARGO_TARGET_DIR=$target cargo build --release --quiet --bin csi5300 $row
+    CARGO_TARGET_DIR=$target cargo build -p csi5300-cli --release --quiet $row
     seconds=$(awk -v a="$start" -v b="$EPOCHREALTIME" 'BEGIN { printf "%.0f", b - a }')
     strip -o "$target/stripped" "$target/release/csi5300"
     megabytes=$(awk -v bytes="$(stat -c %s "$target/stripped")" 'BEGIN { printf "%.1f", bytes / 1e6 }')

@@ -9,14 +9,14 @@
 //!
 //! 1. **Forward and backward.** Two robots exchange two frames almost at once. The CFO has opposite signs in the two
 //!    directions, the path the same: in the *product* of the two CSI vectors the offset cancels and the path is there
-//!    twice ([`cfo::round_trip`]; [`samples::Coherent`] remembers the "twice"). Frames are paired by number
-//!    ([`pairing`]), which transmitter wrote which log is told by clocks ([`assign`]).
+//!    twice ([`signal::cfo::round_trip`]; [`signal::samples::Coherent`] remembers the "twice"). Frames are paired by number
+//!    ([`exchange::pairing`]), which transmitter wrote which log is told by clocks ([`exchange::assign`]).
 //! 2. **The channel centre.** A line through the phase over the subcarriers, evaluated at subcarrier 0, makes 30 noisy
-//!    phases one good one ([`cfo::at_centre`]).
+//!    phases one good one ([`signal::cfo::at_centre`]).
 //! 3. **Turn-around.** What is left of the CFO is `2 pi df` times the jitter of the time between the two frames. Both
-//!    cards' microsecond clocks measure it, so it is taken out ([`cfo::TurnAround`]). Most of the phase noise goes with it.
+//!    cards' microsecond clocks measure it, so it is taken out ([`signal::cfo::TurnAround`]). Most of the phase noise goes with it.
 //! 4. **Motion makes the array.** While the robot drives, one antenna is at many places `p`: a virtual antenna array
-//!    ([`pose`], [`samples::Samples`]).
+//!    ([`motion::pose`], [`signal::samples::Samples`]).
 //! 5. **Bartlett.** For every direction `u` the samples are turned back by the phase that a wave from there would have
 //!    made, and summed: `F(u) = |sum z exp(-j 4 pi u.p / lambda)|^2`. Where they add up is the bearing
 //!    ([`bartlett::search`] finds the maximum with a guarantee, [`bartlett::profile`] gives the whole picture).
@@ -26,7 +26,7 @@
 //!
 //! ```
 //! use csi5300::bartlett::{SearchOptions, search};
-//! use csi5300::samples::Samples;
+//! use csi5300::signal::samples::Samples;
 //! use nalgebra::Vector3;
 //! use num_complex::Complex64;
 //! use std::f64::consts::TAU;
@@ -48,50 +48,19 @@
 //!
 //! # Where things come from
 //!
-//! Records come from a [`backend::CsiSource`]: a file ([`backend::replay`]) or a simulated room ([`backend::sim`]) today.
-//! [`pipeline::bearings`] is the whole machine; [`evaluate`] runs it over a tree of captures and compares with the truth.
-//! `ARCHITECTURE.md` has the plan of the house.
+//! Records come from a [`source::CsiSource`]: a file ([`source::replay`]), a card (crate `csi5300-live`) or a simulated
+//! room (crate `csi5300-sim`). [`pipeline::bearings`] is the whole machine. `ARCHITECTURE.md` has the plan of the house.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
-pub mod alignment;
-pub mod answer;
-pub mod assign;
-pub mod backend;
 pub mod bartlett;
-pub mod cfo;
-pub mod channel;
-pub mod compare;
-pub mod confidence;
-pub mod csi;
-pub mod doctor;
-pub mod evaluate;
-#[cfg(feature = "plot")]
-pub mod figures;
-#[cfg(feature = "plot")]
-pub mod gallery;
-pub mod locate;
-pub mod near_field;
-pub mod node;
-pub mod odometry;
-pub mod one_way;
-pub mod pairing;
+pub mod exchange;
+pub mod motion;
 pub mod pipeline;
-#[cfg(feature = "plot")]
-pub mod plot;
-pub mod pose;
-pub mod quality;
-pub mod rooms;
-#[cfg(feature = "ros1")]
-pub mod ros1;
-pub mod samples;
-#[cfg(feature = "live")]
-pub mod sounding;
-pub mod status;
-pub mod suite;
-pub mod survey;
-pub mod tdma;
+pub mod place;
+pub mod signal;
+pub mod source;
 pub mod time;
-#[cfg(feature = "foxglove")]
-pub mod viewers;
-#[cfg(feature = "live")]
-pub mod wait;
+
+pub use driver_iface;
+pub use nalgebra;
+pub use num_complex;

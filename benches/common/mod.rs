@@ -6,7 +6,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use csi5300::bartlett::{Grid, direction};
-use csi5300::samples::Samples;
+use csi5300::signal::samples::Samples;
 use nalgebra::Vector3;
 use num_complex::Complex64;
 use rand::{Rng, SeedableRng};
@@ -81,19 +81,11 @@ pub fn time<R>(call: impl FnOnce() -> R) -> f64 {
     (clock() - start) * 1e3
 }
 
-/// Seconds of this thread's processor time; of wall time where there is no such clock.
+/// Seconds of this thread's processor time.
 fn clock() -> f64 {
-    #[cfg(feature = "live")]
-    {
-        use nix::time::{ClockId, clock_gettime};
-        let now = clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).expect("Linux has this clock");
-        now.tv_sec() as f64 + now.tv_nsec() as f64 * 1e-9
-    }
-    #[cfg(not(feature = "live"))]
-    {
-        static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
-        START.get_or_init(std::time::Instant::now).elapsed().as_secs_f64()
-    }
+    use nix::time::{ClockId, clock_gettime};
+    let now = clock_gettime(ClockId::CLOCK_THREAD_CPUTIME_ID).expect("Linux has this clock");
+    now.tv_sec() as f64 + now.tv_nsec() as f64 * 1e-9
 }
 
 /// The quickest of many calls, milliseconds: at least 5 and then until `budget_ms` is spent.
@@ -114,7 +106,7 @@ pub fn quickest(budget_ms: f64, mut call: impl FnMut()) -> f64 {
 /// Where results go: `target/bench`, or the folder named by `CSI5300_BENCH_OUT`.
 pub fn out(name: &str) -> PathBuf {
     let folder = std::env::var_os("CSI5300_BENCH_OUT")
-        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("target/bench"), PathBuf::from);
+        .map_or_else(|| PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../target/bench"), PathBuf::from);
     std::fs::create_dir_all(&folder).expect("a folder for the results");
     folder.join(name)
 }

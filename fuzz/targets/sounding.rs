@@ -4,7 +4,7 @@
 //! The input is a list of `operation, argument, bytes`; see [`Step`]. Frames that the robots sent can be replayed,
 //! altered and delayed by it.
 
-use csi5300::tdma::{Config, Dialect, Event, Key, Request, Tdma};
+use csi5300::exchange::tdma::{Config, Dialect, Event, Key, Request, Tdma};
 use csi5300::time::{Instant, Span};
 use driver_iface::radiotap::{Packet, Repr};
 use driver_iface::sounding::native::Role;

@@ -1,6 +1,6 @@
 //! Any bytes as a trajectory file: refused with a reason, or poses that are finite, in order and can be interpolated.
 
-use csi5300::odometry::csv::parse;
+use csi5300::motion::odometry::csv::parse;
 
 /// Runs the target.
 pub fn run(bytes: &[u8]) {

@@ -6,7 +6,7 @@ pub enum Error {
     /// There is no sample at all.
     #[error("no samples: check that both logs cover the motion")]
     Empty,
-    /// The columns of [`crate::samples::Samples`] differ in length.
+    /// The columns of [`crate::signal::samples::Samples`] differ in length.
     #[error("columns of unequal length: {z} samples, {what} has {length}")]
     Lengths {
         /// Number of complex samples.

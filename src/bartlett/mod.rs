@@ -55,7 +55,7 @@ pub use simd::Tier;
 pub use stream::{Stream, StreamOptions};
 pub use subcarriers::{Subcarrier, subcarrier_profile};
 
-use crate::samples::Samples;
+use crate::signal::samples::Samples;
 
 /// The Bartlett profile of `samples` over `grid` with the default guarantee, `|f~ - f| <= 1e-4 sum w |z|`, by a planner
 /// of its own. Keep a [`Planner`] to reuse plans.

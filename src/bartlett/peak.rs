@@ -25,7 +25,7 @@ use super::resample::{Resample, ResampleWork};
 use super::scene::{Geometry, Scene, Shape};
 use super::simd::{ROUGH, Real, Tier};
 use super::sums::{Columns, PairSum, Sines, pairs};
-use crate::samples::Samples;
+use crate::signal::samples::Samples;
 
 /// Largest change of any phase between neighbouring rings of elevation, radians: no more than 0.4 to the nearest.
 const RING_STEP: f64 = 0.8;

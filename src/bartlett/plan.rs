@@ -22,7 +22,7 @@ use super::nufft::{Nufft, Setting};
 use super::rings::{RingWork, Rings};
 use super::scene::{Scene, ldexp};
 use super::simd::{Real, Tier};
-use crate::samples::Samples;
+use crate::signal::samples::Samples;
 
 /// Plans that a planner keeps.
 const KEPT: usize = 12;

@@ -9,7 +9,7 @@ use super::error::Error;
 use super::front::{Front, check_lengths, extents, scatter, weighted_scatter};
 use super::simd::Tier;
 use super::sums::Columns;
-use crate::samples::Samples;
+use crate::signal::samples::Samples;
 
 /// Half extents below this many turns of phase are no motion (3.6 degrees of phase; 0.27 mm for a round trip at 5.5 GHz).
 const STATIC_TURNS: f64 = 0.01;

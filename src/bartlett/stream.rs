@@ -31,7 +31,7 @@ const HEADROOM: f64 = (1u64 << 40) as f64;
 pub struct StreamOptions {
     /// Wavelength, metres.
     pub wavelength_m: f64,
-    /// How often a sample holds the path ([`crate::samples::Coherent`]).
+    /// How often a sample holds the path ([`crate::signal::samples::Coherent`]).
     pub path_gain: u8,
     /// Middle of the area that the robot will move in, metres.
     pub middle_m: Vector3<f64>,

@@ -14,7 +14,7 @@ use super::plan::{Planner, ProfileOptions};
 use super::rings::{RingWork, Rings};
 use super::scene::{Scene, ldexp};
 use super::simd::{Real, Tier};
-use crate::samples::Samples;
+use crate::signal::samples::Samples;
 
 /// The samples of one subcarrier.
 #[derive(Clone, Debug, PartialEq)]

@@ -2,14 +2,14 @@
 
 use super::Options;
 use super::link::Bearing;
-use crate::alignment::{Alignment, Row, align, remove_common_slope};
 use crate::bartlett::Estimate;
-use crate::channel::SUBCARRIERS;
-use crate::confidence::confidence;
-use crate::near_field::{self, Aperture, Fix, Focus, Limits, Maps, Path, Search, Taper, View};
-use crate::one_way::one_way;
-use crate::pose::wrap_rad;
-use crate::samples::Samples;
+use crate::motion::pose::wrap_rad;
+use crate::place::confidence::confidence;
+use crate::place::near_field::{self, Aperture, Fix, Focus, Limits, Maps, Path, Search, Taper, View};
+use crate::signal::alignment::{Alignment, Row, align, remove_common_slope};
+use crate::signal::channel::SUBCARRIERS;
+use crate::signal::one_way::one_way;
+use crate::signal::samples::Samples;
 use nalgebra::Vector3;
 use num_complex::{Complex32, Complex64};
 use rayon::prelude::*;

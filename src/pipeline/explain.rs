@@ -3,7 +3,7 @@
 use super::Options;
 use super::link::Bearing;
 use crate::bartlett::{self, Explanation, Grid, Planner, ProfileOptions, SearchPlan};
-use crate::channel::SUBCARRIERS;
+use crate::signal::channel::SUBCARRIERS;
 use serde::Serialize;
 use std::fmt;
 

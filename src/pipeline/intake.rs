@@ -1,8 +1,8 @@
 //! One log on its way into the pipeline: records in, frames of interest out, everything else counted.
 
-use crate::backend::{CsiSource, Error, Next};
-use crate::channel::SUBCARRIERS;
-use crate::survey::{SENDERS_KEPT, Survey};
+use crate::signal::channel::SUBCARRIERS;
+use crate::source::survey::{SENDERS_KEPT, Survey};
+use crate::source::{CsiSource, Error, Next};
 use crate::time::Instant;
 use driver_iface::sounding::native::Measurement;
 use driver_iface::{

@@ -4,11 +4,11 @@ use super::accurate::{self, Placed};
 use super::intake::Heard;
 use super::{JoinBy, Options};
 use crate::bartlett::{self, Estimate, Grid};
-use crate::cfo::{TurnAround, at_centre, round_trip, round_trip_at_centre};
-use crate::near_field::Search;
-use crate::pairing::{Pair, Pairing, Side, SideCounts};
-use crate::pose::{Motion, Trajectory, wrap_rad};
-use crate::samples::Samples;
+use crate::exchange::pairing::{Pair, Pairing, Side, SideCounts};
+use crate::motion::pose::{Motion, Trajectory, wrap_rad};
+use crate::place::near_field::Search;
+use crate::signal::cfo::{TurnAround, at_centre, round_trip, round_trip_at_centre};
+use crate::signal::samples::Samples;
 use driver_iface::Mac;
 use nalgebra::Vector3;
 use num_complex::Complex64;
@@ -81,7 +81,7 @@ pub enum LinkError {
     },
     /// The transmitter's log could not be matched.
     #[error(transparent)]
-    Unmatched(#[from] crate::assign::Unmatched),
+    Unmatched(#[from] crate::exchange::assign::Unmatched),
     /// The estimator refused.
     #[error(transparent)]
     Bartlett(#[from] bartlett::Error),
@@ -114,7 +114,7 @@ pub struct Link {
     pairing: Pairing<Heard>,
     rows: Vec<Row>,
     /// The round trip of each row on all subcarriers, where a step of the accuracy layer wants it.
-    products: Vec<crate::alignment::Row>,
+    products: Vec<crate::signal::alignment::Row>,
     silent: usize,
     span_us: Option<(i64, i64)>,
     outside: usize,

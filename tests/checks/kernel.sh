@@ -6,7 +6,6 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 root=$PWD
 place=$root/target/kernel
-TESTS="connector kernel_guest kernel_sounding"
 MODULES="virtio virtio_ring libarc4 rfkill cfg80211 mac80211 mac80211_hwsim"
 TARGET=x86_64-unknown-linux-gnu
 export DEBIAN_FRONTEND=noninteractive CARGO_TERM_COLOR=never
@@ -73,15 +72,15 @@ strip --strip-debug "$place"/kmod/*.ko
 printf 'modules built after %s s\n' "$SECONDS"
 
 # Static binaries: the program, and the tests that run in the guest.
-flags=()
-for test in $TESTS; do flags+=(--test "$test"); done
 export RUSTFLAGS="-C target-feature=+crt-static"
-cargo test --quiet --no-run --no-default-features --features live --target "$TARGET" "${flags[@]}" --message-format=json \
-    >"$place/built.json" </dev/null || { echo "the static binaries do not build"; exit 1; }
+{
+    cargo test --quiet --no-run -p csi5300-live --test live --target "$TARGET" --message-format=json &&
+        cargo build --quiet -p csi5300-cli --no-default-features --features live --target "$TARGET" --message-format=json
+} >"$place/built.json" </dev/null || { echo "the static binaries do not build"; exit 1; }
 rm -rf "$place/tree"
 mkdir -p "$place/tree"/{bin,tests,modules,guest,lib/firmware}
 binary() { sed -n "s/.*\"name\":\"$1\".*\"executable\":\"\([^\"]*\)\".*/\1/p" "$place/built.json" | tail -n 1; }
-for test in $TESTS; do strip -o "$place/tree/tests/$test" "$(binary "$test")"; done
+strip -o "$place/tree/tests/live" "$(binary live)"
 strip -o "$place/tree/bin/csi5300" "target/$TARGET/debug/csi5300"
 printf 'binaries built after %s s\n' "$SECONDS"
 
@@ -130,7 +129,7 @@ mkdir "$place/out"
 tar -xzmf "$place/out.tar.gz" -C "$place/out"
 for links in "$place"/out/*/links; do
     cd "${links%/*}"
-    CSI5300_TEST_GUEST_LINKS=$(cat links) "$tree/tests/kernel_sounding" --exact every_answered_frame_is_a_pair_of_the_logs --nocapture >checked ||
+    CSI5300_TEST_GUEST_LINKS=$(cat links) "$tree/tests/live" --exact kernel_sounding::every_answered_frame_is_a_pair_of_the_logs --nocapture >checked ||
         { cat checked; echo "the copied logs of ${PWD##*/} are not those of the guest"; exit 1; }
     grep -q "1 passed" checked
     printf 'copied out, %s: %s\n' "${PWD##*/}" "$(grep -c pairs checked) links with pairs, $("$tree/bin/csi5300" info --json ./*.dat | wc -l) logs read"

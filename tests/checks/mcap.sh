@@ -5,7 +5,7 @@ cd "$(dirname "$0")/../.."
 python=$(scripts/venv.sh mcap mcap-protobuf-support 2>/dev/null) || { echo "no Python, or mcap cannot be installed"; exit 77; }
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
-# As the tests with all features build it: nothing is built twice.
+# As the check of all features builds it: nothing is built twice.
 cargo test --quiet --workspace --all-features --no-run
 csi5300=${CARGO_TARGET_DIR:-target}/debug/csi5300
 capture=tests/fixtures/small-circle

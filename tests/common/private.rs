@@ -1,9 +1,9 @@
 //! Tests in a user, network and mount namespace of their own: the real netlink of the running kernel, no root needed.
 #![allow(dead_code)]
 
-use csi5300::backend::netlink::{Netlink, Options, Sender};
-use csi5300::backend::{CsiSource, Loss, Next};
+use csi5300::source::{CsiSource, Loss, Next};
 use csi5300::time::Instant;
+use csi5300_live::netlink::{Netlink, Options, Sender};
 use driver_iface::bfee::{self, csi_len};
 use driver_iface::record::{Record, code};
 use std::process::Command;
@@ -11,7 +11,7 @@ use std::process::Command;
 /// Set for a test that already is in its namespaces.
 const INSIDE: &str = "CSI5300_TEST_NAMESPACE";
 
-/// True where the test's body is to run: in namespaces of its own, or in a machine of its own where this is set to
+/// `test` is its path, `concat!(module_path!(), "::name")`. True where the test's body is to run: in namespaces of its own, or in a machine of its own where this is set to
 /// `own`. Otherwise runs the test there (with `options` of unshare(1)) and gives false.
 pub fn inside(test: &str, options: &str) -> bool {
     if std::env::var_os(INSIDE).is_some() {
@@ -23,6 +23,8 @@ pub fn inside(test: &str, options: &str) -> bool {
         return false;
     }
     let own = std::env::current_exe().unwrap();
+    // The harness knows tests by their path within the crate.
+    let test = test.split_once("::").map_or(test, |(_, path)| path);
     let mut command = Command::new("unshare");
     command.arg(options).arg(own).args(["--exact", test, "--nocapture"]).env(INSIDE, "1");
     let out = command.output().unwrap();

@@ -1,0 +1,142 @@
+//! Arguments that several commands share.
+
+use clap::Args;
+use csi5300::bartlett::SearchOptions;
+use csi5300::pipeline::Options;
+use csi5300::pipeline::accurate::Accuracy;
+use csi5300::signal::channel::Channel;
+use driver_iface::{Mac, bfee::Antenna};
+
+/// How bearings are made.
+#[derive(Args, Clone, Debug)]
+pub struct Estimation {
+    /// Antenna (RF port) used on both robots: A, B or C
+    #[arg(long, default_value = "A", value_parser = antenna)]
+    pub antenna: Antenna,
+    /// Added to the receiver's host time to get the trajectory's
+    #[arg(long, default_value_t = 0.0, value_name = "SECONDS", allow_negative_numbers = true)]
+    pub clock_offset: f64,
+    /// Largest elevation of a transmitter above or below the plane of motion, degrees
+    #[arg(long, default_value_t = 20.0, value_name = "DEGREES")]
+    pub elevation_max: f64,
+    /// Leave out the turn-around compensation
+    #[arg(long)]
+    pub no_compensation: bool,
+    /// Steps to leave out, to see what each brings
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "STEP,..")]
+    pub without: Vec<Step>,
+    /// Shortest distance of a transmitter, metres
+    #[arg(long, default_value_t = 1.8, value_name = "METRES")]
+    pub range_min: f64,
+    /// Height of the transmitter above the receiver's antenna, where known, metres
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
+    pub height: Option<f64>,
+    /// Use pairs from this many seconds after the link's first one on
+    #[arg(long, value_name = "SECONDS")]
+    pub from: Option<f64>,
+    /// Use pairs up to this many seconds after the link's first one
+    #[arg(long, value_name = "SECONDS")]
+    pub to: Option<f64>,
+}
+
+/// A step of the estimate that can be left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Step {
+    /// Turn-around compensation
+    Compensation,
+    /// Alignment of the sampling time from packet to packet
+    Alignment,
+    /// The one-way channel beside the round trip
+    OneWay,
+    /// Spherical waves (and with them all subcarriers, alignment and the one-way channel)
+    NearField,
+    /// The search for the elevation
+    Elevation,
+    /// Autofocus of the trajectory over all transmitters
+    Focus,
+    /// The list of paths
+    Paths,
+}
+
+impl Step {
+    /// All that change bearings.
+    pub const ALL: [Self; 6] =
+        [Self::Compensation, Self::Alignment, Self::OneWay, Self::NearField, Self::Elevation, Self::Focus];
+}
+
+impl Default for Estimation {
+    fn default() -> Self {
+        Self {
+            antenna: Antenna::A,
+            clock_offset: 0.0,
+            elevation_max: 20.0,
+            no_compensation: false,
+            without: Vec::new(),
+            range_min: 1.8,
+            height: None,
+            from: None,
+            to: None,
+        }
+    }
+}
+
+impl Estimation {
+    /// The pipeline's options, on `channel`.
+    pub fn options(&self, channel: Channel) -> Result<Options, String> {
+        let finite = [Some(self.clock_offset), Some(self.elevation_max), self.from, self.to];
+        if finite.iter().flatten().any(|value| !value.is_finite()) {
+            return Err("--clock-offset, --elevation-max, --from and --to take finite numbers".into());
+        }
+        if !(0.0..=90.0).contains(&self.elevation_max) {
+            return Err(format!("--elevation-max {}: 0 to 90 degrees", self.elevation_max));
+        }
+        if let (Some(from), Some(to)) = (self.from, self.to)
+            && from >= to
+        {
+            return Err(format!("--from {from} is not before --to {to}"));
+        }
+        if !(self.range_min.is_finite() && self.range_min > 0.0 && self.height.is_none_or(f64::is_finite)) {
+            return Err("--range-min takes a positive number of metres, --height a number of metres".into());
+        }
+        let left_out = |step| self.without.contains(&step);
+        let elevation_max = if left_out(Step::Elevation) { 0.0 } else { self.elevation_max };
+        Ok(Options {
+            antenna: self.antenna,
+            clock_offset_s: self.clock_offset,
+            from_s: self.from,
+            to_s: self.to,
+            compensate: !self.no_compensation && !left_out(Step::Compensation),
+            accuracy: Accuracy {
+                near_field: !left_out(Step::NearField),
+                align: !left_out(Step::Alignment),
+                one_way: !left_out(Step::OneWay),
+                focus: !left_out(Step::Focus),
+                paths: !left_out(Step::Paths),
+                range_min_m: self.range_min,
+                height_m: self.height,
+            },
+            search: SearchOptions { elevation_max_rad: elevation_max.to_radians(), ..SearchOptions::default() },
+            ..Options::new(channel)
+        })
+    }
+}
+
+/// An antenna by its letter.
+pub fn antenna(text: &str) -> Result<Antenna, String> {
+    match text {
+        "A" | "a" => Ok(Antenna::A),
+        "B" | "b" => Ok(Antenna::B),
+        "C" | "c" => Ok(Antenna::C),
+        _ => Err("A, B or C".into()),
+    }
+}
+
+/// A WiFi channel: its number, with `+` or `-` for a 40 MHz pair.
+pub fn channel(text: &str) -> Result<Channel, String> {
+    text.parse::<Channel>().map_err(|error| error.to_string())
+}
+
+/// A MAC address.
+pub fn mac(text: &str) -> Result<Mac, String> {
+    text.parse::<Mac>().map_err(|error| error.to_string())
+}

@@ -1,0 +1,404 @@
+//! `csi5300 bearing`.
+
+use super::args::{Estimation, channel, mac};
+use super::{Outcome, Result, info, print, print_json, profile, usage};
+use csi5300::bartlett::Grid;
+use csi5300::motion::odometry;
+use csi5300::motion::pose::Trajectory;
+use csi5300::pipeline::answer::{Answer, lost_something};
+use csi5300::pipeline::explain::LinkPlan;
+use csi5300::pipeline::link::LinkError;
+use csi5300::pipeline::{JoinBy, LinkReport, LogReport, Options, Report, Transmitter, bearings};
+use csi5300::signal::channel::Channel;
+use csi5300::source::{CsiSource, replay::Replay};
+use driver_iface::Mac;
+use nalgebra::Vector3;
+use std::fmt::Write;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `bearing`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Log of the receiver, the robot whose trajectory is given; - is standard input
+    #[arg(long, value_name = "RX.dat")]
+    rx: PathBuf,
+    /// Log of a transmitter; several make one link each
+    #[arg(long, required = true, value_name = "TX.dat")]
+    tx: Vec<PathBuf>,
+    /// Trajectory of the receiver: CSV with 5, 6, 9 or 15 columns
+    #[arg(long, value_name = "T.csv")]
+    trajectory: PathBuf,
+    /// Trajectory of a transmitter that moved, in the order of --tx, on the receiver's clock
+    #[arg(long, value_name = "T.csv")]
+    tx_trajectory: Vec<PathBuf>,
+    /// WiFi channel, with + or - for 40 MHz
+    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    channel: Channel,
+    /// MAC of a transmitter, in the order of --tx; found from the clocks where not given
+    #[arg(long, value_parser = mac, value_name = "MAC")]
+    tx_mac: Vec<Mac>,
+    /// MAC of the receiver in the transmitters' logs; the most frequent one where not given
+    #[arg(long, value_parser = mac, value_name = "MAC")]
+    rx_mac: Option<Mac>,
+    #[command(flatten)]
+    estimation: Estimation,
+    /// Join the n-th frame of a link with the n-th row of the trajectory instead of by time
+    #[arg(long)]
+    join_rows: bool,
+    /// Place of the antenna on the receiver: metres forward, left, up; turned with the heading
+    #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
+    antenna_offset: Option<Vector3<f64>>,
+    /// Refuse bearings whose probability of being within 5 degrees is below this, 0..1
+    #[arg(long, value_name = "P")]
+    min_confidence: Option<f64>,
+    /// Links worked on at a time; 0 is one for each core
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    threads: usize,
+    /// Also say for each link what was computed, at what cost, and what was skipped and why
+    #[arg(long)]
+    explain: bool,
+    /// One JSON object a link instead of text
+    #[arg(long)]
+    json: bool,
+    /// Write the profile of each link as CSV or NPZ
+    #[arg(long, value_name = "OUT.npz|.csv")]
+    profile: Option<PathBuf>,
+    /// Directions of the profile: 360x181 (azimuth x elevation), 360 (azimuth only), or wsr (the toolbox's own grid)
+    #[arg(long, default_value = "360", value_parser = profile::grid, value_name = "GRID")]
+    grid: Grid,
+    /// Draw phase, trajectory and profile of each link into this folder, as PNG and SVG
+    #[cfg(feature = "plot")]
+    #[arg(long, value_name = "DIR")]
+    plot: Option<PathBuf>,
+}
+
+fn triple(text: &str) -> std::result::Result<Vector3<f64>, String> {
+    let parts: Vec<f64> = text
+        .split(',')
+        .map(|part| part.trim().parse::<f64>())
+        .collect::<std::result::Result<_, _>>()
+        .map_err(|e| e.to_string())?;
+    match parts[..] {
+        [x, y, z] if parts.iter().all(|p| p.is_finite()) => Ok(Vector3::new(x, y, z)),
+        _ => Err("three finite numbers with commas between, in metres".into()),
+    }
+}
+
+type Log = Replay<Box<dyn Read + Send>>;
+
+/// Ends the program where arguments contradict each other.
+fn check(args: &Args) {
+    if args.tx_trajectory.len() > args.tx.len() || args.tx_mac.len() > args.tx.len() {
+        usage("more --tx-trajectory or --tx-mac than --tx");
+    }
+    if (1..args.tx_mac.len()).any(|k| args.tx_mac[..k].contains(&args.tx_mac[k])) {
+        usage("one --tx-mac is given twice: each log has a transmitter of its own");
+    }
+    if std::iter::once(&args.rx).chain(&args.tx).filter(|path| path.as_os_str() == "-").count() > 1 {
+        usage("standard input can be one log only");
+    }
+    if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
+        usage("--min-confidence takes a probability, 0 to 1");
+    }
+    if let Some(path) = args.profile.as_deref().filter(|path| !profile::is_known(path)) {
+        usage(&format!("{}: a profile is written as .csv or .npz", path.display()));
+    }
+}
+
+/// Opens the transmitters' logs. One that cannot be read is taken out of the arguments with what goes with it, and answered
+/// with why; an error if it is the only one.
+fn open_transmitters(args: &mut Args) -> std::result::Result<(Vec<Log>, Vec<Answer>), String> {
+    let (mut logs, mut unread, mut k) = (Vec::new(), Vec::new(), 0);
+    while let Some(path) = args.tx.get(k) {
+        match Replay::open(path) {
+            Ok(log) => {
+                logs.push(log);
+                k += 1;
+            }
+            Err(error) if logs.is_empty() && args.tx.len() == 1 => return Err(error.to_string()),
+            Err(error) => {
+                let link = stem(&args.tx.remove(k));
+                unread.push(Answer { link, error: Some(error.to_string()), ..Answer::default() });
+                if k < args.tx_mac.len() {
+                    args.tx_mac.remove(k);
+                }
+                if k < args.tx_trajectory.len() {
+                    args.tx_trajectory.remove(k);
+                }
+            }
+        }
+    }
+    Ok((logs, unread))
+}
+
+/// Estimates and prints the bearings.
+pub fn run(mut args: Args) -> Result {
+    let mut options = options(&args).unwrap_or_else(|message| usage(&message));
+    check(&args);
+    let mut trajectory = read_trajectory(&args.trajectory)?;
+    if let Some(offset) = args.antenna_offset {
+        trajectory = trajectory.with_antenna_offset(offset).map_err(|error| error.to_string())?;
+    }
+    let mut receiver = Replay::open(&args.rx).map_err(|error| error.to_string())?;
+    let (mut logs, unread) = open_transmitters(&mut args)?;
+    options.tx_macs.clone_from(&args.tx_mac);
+    let partners =
+        args.tx_trajectory.iter().map(|path| read_trajectory(path)).collect::<std::result::Result<Vec<_>, _>>()?;
+    let transmitters = logs
+        .iter_mut()
+        .enumerate()
+        .map(|(k, log)| Transmitter { log: log as &mut dyn CsiSource, trajectory: partners.get(k) })
+        .collect();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.min(64));
+    pool.build_global().map_err(|error| error.to_string())?;
+    let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
+    say_losses(&args, &report, &receiver, &logs);
+    let mut names: Vec<String> = args.tx.iter().map(|path| stem(path)).collect();
+    let stems = names.clone();
+    for (k, name) in stems.iter().enumerate() {
+        if stems.iter().filter(|other| *other == name).count() > 1 {
+            names[k] = format!("{name}.{}", k + 1);
+        }
+    }
+    for (name, link) in names.iter().zip(&report.links) {
+        let mut answer = Answer::new(name.clone(), link);
+        if let Some(least) = args.min_confidence {
+            answer.refuse_below(least);
+        }
+        if let (true, Ok(bearing)) = (args.explain, &link.bearing) {
+            answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid).map_err(|error| error.to_string())?);
+        }
+        tell(&answer, args.json);
+        say_heard(&args.rx, &report, link);
+        artefacts(&args, &options, name, link, report.links.len())?;
+    }
+    unread.iter().for_each(|answer| tell(answer, args.json));
+    Ok(if report.links.iter().all(|link| link.bearing.is_err()) {
+        Outcome::Nothing
+    } else if !unread.is_empty() || lost_something(&report) {
+        Outcome::DataLost
+    } else {
+        Outcome::Done
+    })
+}
+
+fn options(args: &Args) -> std::result::Result<Options, String> {
+    let options = args.estimation.options(args.channel)?;
+    let join = if args.join_rows { JoinBy::Row } else { JoinBy::Time };
+    #[cfg(feature = "plot")]
+    let options = Options { keep_course: args.plot.is_some(), ..options };
+    Ok(Options { tx_macs: args.tx_mac.clone(), rx_mac: args.rx_mac, join, parallel: args.tx.len() > 1, ..options })
+}
+
+/// Writes the profile and the pictures of a link that has a bearing.
+fn artefacts(
+    args: &Args,
+    options: &Options,
+    name: &str,
+    link: &LinkReport,
+    links: usize,
+) -> std::result::Result<(), String> {
+    let Ok(bearing) = &link.bearing else { return Ok(()) };
+    if let Some(path) = &args.profile {
+        let path = if links > 1 { numbered(path, name) } else { path.clone() };
+        profile::write(&path, &args.grid, &bearing.samples, options.channel.wavelength_m())?;
+        eprintln!("profile of {name}: {}", path.display());
+    }
+    #[cfg(feature = "plot")]
+    if let Some(folder) = &args.plot {
+        let wavelength_m = options.channel.wavelength_m();
+        let pictures = csi5300_lab::figures::Pictures { bearing, truth_rad: None, recorded: None, wavelength_m };
+        for path in pictures.write(folder, name).map_err(|error| error.to_string())? {
+            eprintln!("picture of {name}: {}", path.display());
+        }
+    }
+    Ok(())
+}
+
+/// `out.npz` becomes `out.NAME.npz`.
+fn numbered(path: &Path, name: &str) -> PathBuf {
+    let extension = path.extension().map(|e| e.to_string_lossy().into_owned()).unwrap_or_default();
+    path.with_extension(format!("{name}.{extension}"))
+}
+
+fn stem(path: &Path) -> String {
+    path.file_stem().map_or_else(|| path.display().to_string(), |stem| stem.to_string_lossy().into_owned())
+}
+
+fn read_trajectory(path: &Path) -> std::result::Result<Trajectory, String> {
+    let named = |error: odometry::csv::CsvError| match error {
+        odometry::csv::CsvError::Io { .. } => error.to_string(),
+        _ => format!("{}: {error}", path.display()),
+    };
+    let (trajectory, counts) = odometry::csv::read(path).map_err(named)?;
+    let name = path.display();
+    if let Some((line, why)) = &counts.first_bad {
+        eprintln!("{name}: {} rows left out, the first in line {line}: {why}", counts.bad_rows);
+    }
+    if counts.out_of_order > 0 {
+        eprintln!("{name}: {} rows out of order in time, sorted", counts.out_of_order);
+    }
+    if trajectory.stale_head() > 0 {
+        eprintln!("{name}: the first {} poses are from before the run and left out", trajectory.stale_head());
+    }
+    for gap in trajectory.gaps() {
+        let moved = gap.moved_m * 1e3;
+        eprintln!(
+            "{name}: no pose for {:.2} s from {:.3} s on (moved {moved:.0} mm meanwhile)",
+            gap.to_s - gap.from_s,
+            gap.from_s
+        );
+    }
+    Ok(trajectory)
+}
+
+fn say_losses<R: std::io::Read, S: std::io::Read>(args: &Args, report: &Report, rx: &Replay<R>, txs: &[Replay<S>]) {
+    let log = |path: &Path, report: &LogReport, bytes: u64| {
+        let lines = info::losses(&report.survey, bytes);
+        let unused = report.unused;
+        let mut text = String::new();
+        if unused.no_number + unused.no_antenna + unused.other_sender > 0 {
+            let _ = writeln!(
+                text,
+                "  not used: {} records without a frame number, {} without the antenna, {} of other senders",
+                unused.no_number, unused.no_antenna, unused.other_sender
+            );
+        }
+        if !lines.is_empty() || !text.is_empty() {
+            eprint!("{}: {} bfee records\n{lines}{text}", path.display(), report.survey.bfees());
+        }
+    };
+    log(&args.rx, &report.receiver, rx.bytes());
+    for ((path, report), source) in args.tx.iter().zip(&report.transmitters).zip(txs) {
+        log(path, report, source.bytes());
+    }
+}
+
+/// One link's answer, and why there is none.
+fn tell(answer: &Answer, json: bool) {
+    if json {
+        print_json(answer);
+    } else {
+        print(&describe(answer));
+        print(&answer.plan.as_ref().map(ToString::to_string).unwrap_or_default());
+    }
+    if let Some(error) = &answer.error {
+        eprintln!("csi5300: {}: {error}", answer.link);
+    }
+}
+
+/// Of a link without a single frame in the receiver's log: whose frames there are.
+fn say_heard(rx: &Path, report: &Report, link: &LinkReport) {
+    if let Err(LinkError::NoPairs { receiver: 0, .. }) = &link.bearing {
+        let senders = report.receiver.survey.senders.iter();
+        let heard: Vec<String> = senders.map(|(mac, sender)| format!("{mac} ({} records)", sender.records)).collect();
+        eprintln!(
+            "  {} has frames of: {}",
+            rx.display(),
+            if heard.is_empty() { "nobody".into() } else { heard.join(", ") }
+        );
+    }
+}
+
+fn describe(answer: &Answer) -> String {
+    let mut text = answer.link.clone();
+    if let Some(mac) = &answer.mac {
+        let _ = write!(text, " ({mac})");
+    }
+    let Some(azimuth) = answer.azimuth_deg else {
+        return format!("{text}: no bearing\n");
+    };
+    let _ = write!(text, ": {azimuth:.2} deg");
+    if let Some(sd) = answer.azimuth_sd_deg {
+        let _ = write!(text, " +- {sd:.2}");
+    }
+    if let Some(mirror) = answer.mirror_deg {
+        let _ = write!(text, ", or its mirror {mirror:.2} deg: motion along a line cannot tell them apart");
+    }
+    text.push('\n');
+    if let Some(confidence) = answer.confidence {
+        let _ = writeln!(text, "  within 5 degrees with probability {confidence:.2}");
+    }
+    match (answer.range_m, answer.range_sd_m, answer.position_m) {
+        (Some(range), Some(sd), Some([x, y, z])) => {
+            let _ = writeln!(
+                text,
+                "  range {range:.2} +- {sd:.2} m: x {x:.2}, y {y:.2}, z {z:.2} m in the trajectory's frame (the sign of the height is a guess)"
+            );
+        }
+        _ => text += "  no range: the wave front's curvature does not fix it\n",
+    }
+    if answer.paths.len() > 1 {
+        text += "  paths (one-way power):\n";
+        text += &super::explain::places(&answer.paths);
+    }
+    if let Some(focus) = answer.focus.filter(|focus| focus.worthwhile) {
+        let (scale, turn_deg) = (focus.warp.scale, focus.warp.turn_rad_per_m.to_degrees());
+        let _ =
+            writeln!(text, "  trajectory sharpened over all links: scaled by {scale:.3}, bent by {turn_deg:.1} deg/m");
+    }
+    if let Some(body) = answer.azimuth_body_deg {
+        let _ = writeln!(text, "  in the robot's frame: {body:.2} deg (heading at the last sample)");
+    }
+    text += &quality(answer);
+    text += &pairs(answer);
+    text
+}
+
+/// How far the answer explains what was measured.
+fn quality(answer: &Answer) -> String {
+    let or_dash = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+    format!(
+        "  |elevation| {} deg; coherence {}; next peak {} of the highest; WSR profile variance {}; likelihood share {}\n",
+        or_dash(answer.abs_elevation_deg),
+        or_dash(answer.coherence),
+        or_dash(answer.peak_ratio),
+        or_dash(answer.wsr_profile_variance),
+        answer.likelihood_share.map_or("-".into(), |share| format!("{share:.4}")),
+    )
+}
+
+/// What became of the pairs and of each log's frames.
+fn pairs(answer: &Answer) -> String {
+    let counts = answer.pair_counts;
+    let mut text = format!(
+        "  {} pairs: {} in motion ({}), {} standing, {} without a pose, {} cut, {} silent{}\n",
+        answer.pairs,
+        counts.in_motion,
+        answer.geometry.as_deref().unwrap_or("-"),
+        counts.standing,
+        counts.no_pose,
+        counts.cut,
+        counts.silent,
+        if counts.thinned > 0 {
+            format!(", {} left out evenly (more than are kept)", counts.thinned)
+        } else {
+            String::new()
+        }
+    );
+    if let (Some(cfo), Some(before), Some(after)) =
+        (answer.cfo_hz, answer.phase_coherence_before, answer.phase_coherence_after)
+    {
+        let verb = if answer.compensated { "taken out" } else { "not taken out: the phase gets no steadier" };
+        let drifts = answer.cfo_span_hz.map_or(String::new(), |hz| format!(" (drifting by {hz:.0} Hz)"));
+        let _ = writeln!(text, "  CFO {cfo:.0} Hz{drifts} {verb}; phase coherence {before:.2} -> {after:.2}");
+    }
+    for (name, side) in [("receiver's", answer.receiver_records), ("transmitter's", answer.transmitter_records)] {
+        let odd = side.duplicates + side.implausible + side.mispaired + side.restarts;
+        let _ = write!(
+            text,
+            "  {name} log: {} of {} frames paired, {} numbers missing",
+            side.paired, side.handed, side.missing
+        );
+        if odd > 0 {
+            let _ = write!(
+                text,
+                "; {} duplicates, {} implausible, {} of other sessions, {} restarts",
+                side.duplicates, side.implausible, side.mispaired, side.restarts
+            );
+        }
+        text.push('\n');
+    }
+    text
+}

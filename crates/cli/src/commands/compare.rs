@@ -1,0 +1,228 @@
+//! `csi5300 compare`.
+
+use super::args::channel;
+use super::{Outcome, Result, print, print_json, simulate};
+use csi5300::motion::odometry;
+use csi5300::motion::pose::Trajectory;
+use csi5300::pipeline::Options;
+use csi5300::signal::channel::{Channel, Width};
+use csi5300::source::replay::Replay;
+use csi5300_lab::compare::fit::Known;
+use csi5300_lab::compare::{Figures, Row, Verdict, fit, measure, rows, scene_channel};
+use csi5300_lab::evaluate::find;
+use csi5300_sim::Scene;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `compare`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// A scene, or a folder that `simulate --out` wrote; without it a scene is fitted to the recorded capture
+    with: Option<PathBuf>,
+    /// The recorded log of the robot that moved
+    #[arg(long, value_name = "RX.dat")]
+    rx: PathBuf,
+    /// The recorded log of the other robot
+    #[arg(long, value_name = "TX.dat")]
+    tx: PathBuf,
+    /// The recorded trajectory
+    #[arg(long, value_name = "T.csv")]
+    trajectory: PathBuf,
+    /// WiFi channel
+    #[arg(long, default_value = "108", value_parser = channel)]
+    channel: Channel,
+    /// Where the transmitter's antenna was, metres, in the trajectory's frame; found from the capture if not given
+    #[arg(long, value_name = "X,Y,Z", value_parser = place, allow_hyphen_values = true)]
+    transmitter: Option<[f64; 3]>,
+    /// Folder for the fitted scene and its trajectory, the simulated capture and the pictures
+    #[arg(long, default_value = "csi5300-compare", value_name = "DIR")]
+    out: PathBuf,
+    /// Replace what an earlier run left in that folder
+    #[arg(long)]
+    force: bool,
+    /// A line of JSON for each figure
+    #[arg(long)]
+    json: bool,
+}
+
+fn place(text: &str) -> Words<[f64; 3]> {
+    let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+    let place = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
+    place
+        .filter(|place| place.iter().all(|v| v.is_finite()))
+        .ok_or_else(|| "three numbers, such as -3.2,1.1,0.3".into())
+}
+
+type Words<T> = std::result::Result<T, String>;
+
+/// Puts a recorded and a simulated capture beside each other.
+pub fn run(args: &Args) -> Result {
+    let options = Options::new(args.channel);
+    // Before anything is read or fitted: minutes of work end in these files.
+    args.check_outputs()?;
+    let given = args.with.as_deref().filter(|with| !with.is_dir()).map(|file| load(file, args.channel)).transpose()?;
+    let (trajectory, counts) = odometry::csv::read(&args.trajectory).map_err(|error| error.to_string())?;
+    if let Some((line, why)) = counts.first_bad {
+        eprintln!("csi5300: {} rows left out, the first in line {line}: {why}", counts.bad_rows);
+    }
+    let recorded = read(&args.rx, &args.tx, &trajectory, &options)?;
+    let folder = args.out.join(SIMULATED);
+    // A fitted scene's robot strays from the recorded trajectory, which is all that a recording has.
+    let along = args.with.is_none().then_some(&trajectory);
+    let capture = match (&args.with, given) {
+        (Some(folder), None) => folder.clone(),
+        (_, given) => {
+            let scene = given.map_or_else(|| fitted(args, &recorded, &trajectory, &options), Ok)?;
+            clear(&folder)?;
+            simulate::write(&scene, &folder)?;
+            folder
+        }
+    };
+    let simulated = read_folder(&capture, along, &options)?;
+    let table = rows(&recorded, &simulated);
+    if args.json {
+        table.iter().for_each(print_json);
+    } else {
+        print(&describe(&table));
+    }
+    draw(&args.out, &recorded, &simulated, args.json)?;
+    Ok(Outcome::Done)
+}
+
+/// Names of what is written into the folder; the trajectory is a copy that the scene names.
+const TRAJECTORY: &str = "fitted-trajectory.csv";
+const SCENE: &str = "scene.toml";
+const SIMULATED: &str = "simulated";
+
+impl Args {
+    /// Refuses outputs that are inputs, and without --force those that are there.
+    fn check_outputs(&self) -> Words<()> {
+        let simulated = self.out.join(SIMULATED);
+        let written: Vec<PathBuf> = match &self.with {
+            Some(folder) if folder.is_dir() => return Ok(()),
+            Some(_) => Vec::new(),
+            None => [TRAJECTORY, SCENE].iter().map(|name| self.out.join(name)).collect(),
+        };
+        for input in [&self.rx, &self.tx, &self.trajectory].into_iter().chain(&self.with) {
+            if let Some(output) = written.iter().find(|output| super::is_same_file(input, output)) {
+                return Err(format!("{} is an input: another --out is needed", output.display()));
+            }
+            let inside = input.canonicalize().ok().zip(simulated.canonicalize().ok());
+            if inside.is_some_and(|(input, folder)| input.starts_with(folder)) {
+                let (input, folder) = (input.display(), simulated.display());
+                return Err(format!(
+                    "{input} is an input inside {folder}, which is written anew: another --out is needed"
+                ));
+            }
+        }
+        let used = std::fs::read_dir(&simulated).is_ok_and(|mut entries| entries.next().is_some());
+        let there = written.into_iter().find(|output| output.exists()).or(used.then_some(simulated));
+        match there.filter(|_| !self.force) {
+            Some(there) => Err(format!("{} is there already: --force replaces it", there.display())),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Reads a scene, which must be of the recording's channel.
+fn load(file: &Path, channel: Channel) -> Words<Scene> {
+    let scene = Scene::load(file).map_err(|error| format!("{}: {error}", file.display()))?;
+    let wide = channel.width() != Width::Ht20;
+    if (scene.channel, scene.bandwidth_mhz == 40) != (scene_channel(channel), wide) {
+        return Err(format!(
+            "{} is of channel {} at {} MHz, not of --channel {channel}",
+            file.display(),
+            scene.channel,
+            scene.bandwidth_mhz
+        ));
+    }
+    Ok(scene)
+}
+
+/// Removes the capture of an earlier run.
+fn clear(folder: &Path) -> Words<()> {
+    match std::fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(format!("cannot remove the earlier {}: {error}", folder.display()))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn read(rx: &Path, tx: &Path, trajectory: &Trajectory, options: &Options) -> Words<Figures> {
+    let open = |path: &Path| Replay::open(path).map_err(|error| error.to_string());
+    measure(&mut open(rx)?, &mut open(tx)?, trajectory, options)
+}
+
+/// Reads the first capture and link of a folder in the layout of the WSR data set, along its own trajectory if no other is
+/// given.
+fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> Words<Figures> {
+    let (captures, _) = find(folder);
+    let capture = captures.first().ok_or_else(|| format!("no capture in {}", folder.display()))?;
+    let (_, tx) =
+        capture.transmitters.first().ok_or_else(|| format!("no transmitter's log in {}", folder.display()))?;
+    let beside = |name: String| capture.folder.join(name);
+    let own = |stamp: &str| {
+        let path = beside(format!("rx_trajectory_{stamp}_.csv"));
+        odometry::csv::read(&path).map(|(trajectory, _)| trajectory).map_err(|error| error.to_string())
+    };
+    let trajectory = along.map_or_else(|| own(&capture.stamp), |trajectory| Ok(trajectory.clone()))?;
+    read(&beside(format!("csi_rx_{}.dat", capture.stamp)), tx, &trajectory, options)
+}
+
+/// Fits a scene to the recorded capture and keeps it, with the trajectory that it names.
+fn fitted(args: &Args, recorded: &Figures, trajectory: &Trajectory, options: &Options) -> Words<Scene> {
+    let written = |path: &Path, text: &str| {
+        std::fs::write(path, text).map_err(|error| format!("cannot write {}: {error}", path.display()))
+    };
+    std::fs::create_dir_all(&args.out).map_err(|error| format!("cannot make {}: {error}", args.out.display()))?;
+    let mut poses = String::new();
+    trajectory.poses().iter().for_each(|pose| poses += &odometry::csv::line(pose));
+    written(&args.out.join(TRAJECTORY), &poses)?;
+    let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: &args.out, transmitter_m: args.transmitter };
+    let fitted = fit(recorded, &known, options)?;
+    written(&args.out.join(SCENE), &fitted.toml)?;
+    Ok(fitted.scene)
+}
+
+fn describe(table: &[Row]) -> String {
+    let mut text = format!("{:<12} {:<40} {:>12} {:>12}\n", "", "", "recorded", "simulated");
+    let value = |value: Option<f64>| value.map_or_else(|| "-".into(), short);
+    for row in table {
+        let verdict = match row.verdict {
+            Verdict::Agrees => "agrees",
+            Verdict::Differs => "DIFFERS",
+            Verdict::Shown => "",
+        };
+        let (recorded, simulated) = (value(row.recorded), value(row.simulated));
+        let line = format!("{:<12} {:<40} {recorded:>12} {simulated:>12} {:<9} {verdict}", row.of, row.name, row.unit);
+        let _ = writeln!(text, "{}", line.trim_end());
+    }
+    let count = |verdict| table.iter().filter(|row| row.verdict == verdict).count();
+    let (agree, differ) = (count(Verdict::Agrees), count(Verdict::Differs));
+    let _ = writeln!(text, "{agree} figures agree, {differ} differ");
+    text
+}
+
+/// Four significant digits, no exponent.
+fn short(value: f64) -> String {
+    if value == value.trunc() && value.abs() < 1e9 {
+        return format!("{value}");
+    }
+    let digits = 3 - value.abs().log10().floor() as i32;
+    format!("{value:.*}", digits.clamp(0, 6) as usize)
+}
+
+#[cfg(not(feature = "plot"))]
+fn draw(_: &Path, _: &Figures, _: &Figures, _: bool) -> Words<()> {
+    Ok(())
+}
+
+#[cfg(feature = "plot")]
+fn draw(out: &Path, recorded: &Figures, simulated: &Figures, quiet: bool) -> Words<()> {
+    let written = csi5300_lab::figures::compared(recorded, simulated, out).map_err(|error| error.to_string())?;
+    for path in written.iter().filter(|path| !quiet && path.extension().is_some_and(|e| e == "png")) {
+        print(&format!("picture {}\n", path.display()));
+    }
+    Ok(())
+}

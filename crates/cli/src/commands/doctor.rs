@@ -1,0 +1,121 @@
+//! `csi5300 doctor`.
+
+use super::live::{Listening, Signals, duration};
+use super::{Outcome, Result, print, print_json};
+use csi5300::source::{CsiSource, Next};
+use csi5300::time::Span;
+use csi5300_live::doctor::{Check, Heard, Machine, System, Tree, Verdict, examine};
+use csi5300_live::wait::Monotonic;
+use std::fmt::Write;
+use std::os::fd::AsFd;
+use std::path::PathBuf;
+
+/// Arguments of `doctor`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// One JSON object instead of text
+    #[arg(long)]
+    json: bool,
+    /// Also listen for this long and say what comes
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    listen: Option<Span>,
+    /// Look at a copy of another machine's files (sys, proc, lib) instead of this machine
+    #[arg(long, value_name = "FOLDER")]
+    root: Option<PathBuf>,
+    #[command(flatten)]
+    listening: Listening,
+}
+
+#[derive(serde::Serialize)]
+struct Report<'a> {
+    ready: bool,
+    checks: &'a [Check],
+}
+
+/// Examines the machine.
+pub fn run(args: &Args) -> Result {
+    let system: Box<dyn System> = match &args.root {
+        Some(root) if !root.is_dir() => return Err(format!("{} is no folder", root.display())),
+        Some(root) => Box::new(Tree::new(root.clone())),
+        None => Box::new(Machine),
+    };
+    let mut checks = examine(system.as_ref());
+    if let Some(span) = args.listen {
+        checks.extend(listen(args, span)?);
+    }
+    let ready = !checks.iter().any(|check| check.verdict == Verdict::Bad);
+    if args.json {
+        print_json(&Report { ready, checks: &checks });
+    } else {
+        print(&text(&checks, ready));
+    }
+    Ok(if ready { Outcome::Done } else { Outcome::Nothing })
+}
+
+fn text(checks: &[Check], ready: bool) -> String {
+    let mut text = String::new();
+    for check in checks {
+        let mark = match check.verdict {
+            Verdict::Good => "ok  ",
+            Verdict::Doubt => "?   ",
+            Verdict::Bad => "BAD ",
+            Verdict::Unknown => "-   ",
+        };
+        let _ = writeln!(text, "{mark}{}: {}", check.name, check.found);
+        if check.verdict != Verdict::Good {
+            let _ = writeln!(text, "      expected: {}", check.expected);
+        }
+        if let Some(mend) = &check.mend {
+            let _ = writeln!(text, "      try: {mend}");
+        }
+    }
+    let bad = checks.iter().filter(|check| check.verdict == Verdict::Bad).count();
+    let _ = match ready {
+        true => writeln!(text, "\nnothing found that stands in the way"),
+        false => writeln!(text, "\n{bad} in the way; mend them from the top, then run the doctor again"),
+    };
+    text
+}
+
+fn listen(args: &Args, span: Span) -> std::result::Result<Vec<Check>, String> {
+    let signals = Signals::catch()?;
+    let mut heard = Heard::default();
+    let mut listener = match args.listening.open() {
+        Ok(listener) => listener,
+        Err(message) => {
+            return Ok(vec![Check {
+                name: "listener",
+                verdict: Verdict::Bad,
+                found: message,
+                expected: "a socket on the driver's connector group".into(),
+                mend: None,
+            }]);
+        }
+    };
+    eprintln!("{}", Listening::describe(&listener));
+    let clock = Monotonic::new();
+    let end = clock.now() + span;
+    while clock.now() < end {
+        let next = listener.receive(clock.now()).map_err(|error| error.to_string())?;
+        heard.note(&next);
+        if matches!(next, Next::Pending) {
+            let ready =
+                clock.wait([listener.as_fd(), signals.as_fd()], Some(end)).map_err(|error| error.to_string())?;
+            if ready[1] {
+                break;
+            }
+        }
+    }
+    let mut checks = heard.checks();
+    let refused = listener.counters().user_senders;
+    if refused > 0 {
+        checks.push(Check {
+            name: "other senders",
+            verdict: Verdict::Doubt,
+            found: format!("{refused} messages came from a program, not from the kernel"),
+            expected: "the driver's messages".into(),
+            mend: Some("--allow-user-sender takes them, where an emulator is meant".into()),
+        });
+    }
+    Ok(checks)
+}

@@ -1,0 +1,234 @@
+//! `csi5300 evaluate`.
+
+use super::args::{Estimation, Step};
+use super::captures::Reading;
+use super::{Outcome, Result, print, print_json, usage};
+use csi5300_lab::evaluate::{Capture, Errors, Evaluated, Judged, SetSummary, Source, find, summarise};
+use csi5300_lab::quality::{median, over_bound, ranges, receivers, reliability, risk_coverage};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Arguments of `evaluate`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Folder with captures below it, as in the WSR data set
+    #[arg(required_unless_present = "rooms")]
+    folder: Option<PathBuf>,
+    /// Also evaluate this many simulated rooms with the transmitters in sight, and as many with walls before them (with
+    /// the true trajectory or odometry)
+    #[arg(long, value_name = "N")]
+    rooms: Option<u64>,
+    /// Seed of the first simulated room
+    #[arg(long, default_value_t = 1, value_name = "NUMBER")]
+    seed: u64,
+    /// Folder for pictures: error distributions, refusals, a map of each place
+    #[cfg(feature = "plot")]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    #[command(flatten)]
+    reading: Reading,
+    /// JSON Lines: one object a link, then a summary
+    #[arg(long)]
+    json: bool,
+    /// Also evaluate with each step left out, and print what it brings
+    #[arg(long)]
+    ablation: bool,
+    /// Captures worked on at a time; 0 is one for each core
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    threads: usize,
+}
+
+/// Simulated rooms in a folder of their own, which goes with the value.
+struct Rooms(PathBuf);
+
+impl Rooms {
+    fn write(count: u64, seed: u64) -> std::result::Result<Self, String> {
+        let folder = std::env::temp_dir().join(format!("csi5300-rooms-{}", std::process::id()));
+        let rooms = Self(folder);
+        csi5300_lab::rooms::write(&rooms.0, count, seed).map_err(|error| error.to_string())?;
+        Ok(rooms)
+    }
+}
+
+impl Drop for Rooms {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// Evaluates a tree of captures.
+pub fn run(args: &Args) -> Result {
+    let rooms = args.rooms.map(|count| Rooms::write(count, args.seed)).transpose()?;
+    let source = args.reading.source();
+    let options = args.reading.options().unwrap_or_else(|message| usage(&message));
+    let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
+    for folder in args.folder.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)) {
+        if !folder.is_dir() {
+            return Err(format!("{} is not a folder", folder.display()));
+        }
+        let (found, failed) = find(folder);
+        if found.is_empty() {
+            return Err(format!(
+                "no capture below {}: a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat",
+                folder.display()
+            ));
+        }
+        captures.extend(found);
+        unreadable.extend(failed);
+    }
+    for folder in &unreadable {
+        eprintln!("csi5300: cannot read {folder}");
+    }
+    let bar = ProgressBar::with_draw_target(Some(captures.len() as u64), ProgressDrawTarget::stderr());
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} captures, {eta} left") {
+        bar.set_style(style);
+    }
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build().map_err(|error| error.to_string())?;
+    let one = |capture: &csi5300_lab::evaluate::Capture| {
+        let evaluated = capture.evaluate(source, args.reading.channel, &options);
+        bar.inc(1);
+        evaluated
+    };
+    if args.ablation {
+        let table = pool.install(|| ablation(args, source, &captures));
+        bar.finish_and_clear();
+        print(&table?);
+        return Ok(Outcome::Done);
+    }
+    let results: Vec<Evaluated> = pool.install(|| captures.par_iter().map(one).collect());
+    bar.finish_and_clear();
+    for note in results.iter().flat_map(|result| &result.notes) {
+        eprintln!("{note}");
+    }
+    let lost = !unreadable.is_empty() || results.iter().any(|result| result.lost);
+    let rows: Vec<Judged> = results.into_iter().flat_map(|result| result.rows).collect();
+    let summary = summarise(&rows);
+    if args.json {
+        rows.iter().for_each(print_json);
+        print_json(&BTreeMap::from([("summary", &summary)]));
+    } else {
+        print(&table(&rows, &summary));
+        print(&worth(&rows));
+    }
+    #[cfg(feature = "plot")]
+    if let Some(folder) = &args.out {
+        let written = csi5300_lab::gallery::evaluation(&rows, folder).map_err(|error| error.to_string())?;
+        eprintln!("{}: {} pictures", folder.display(), written.len());
+    }
+    for row in rows.iter().filter(|row| row.answer.error.is_some()) {
+        eprintln!("csi5300: {}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
+    }
+    Ok(match rows.iter().any(|row| row.answer.azimuth_deg.is_some()) {
+        false => Outcome::Nothing,
+        true if lost => Outcome::DataLost,
+        true => Outcome::Done,
+    })
+}
+
+fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
+    let width = rows.iter().map(|row| row.answer.link.len()).max().unwrap_or(4).max(4);
+    let mut text = format!(
+        "{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6} {:>8}\n",
+        "link", "azimuth", "sd", "mirror", "truth", "error", "coh.", "pairs", "CFO"
+    );
+    let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| format!("{value:.digits$}"));
+    for row in rows {
+        let a = &row.answer;
+        let _ = writeln!(
+            text,
+            "{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6} {:>8}",
+            a.link,
+            number(a.azimuth_deg, 2),
+            number(a.azimuth_sd_deg, 2),
+            number(a.mirror_deg, 2),
+            number(row.true_from_mean_pose_deg, 2),
+            number(row.error_from_mean_pose_deg, 2),
+            number(a.coherence, 2),
+            a.pairs_in_motion,
+            number(a.cfo_hz, 0),
+        );
+    }
+    let _ = writeln!(text, "\nabsolute error, degrees: mean / median / 90th percentile / share over 20 degrees");
+    for (set, s) in summary {
+        let _ = writeln!(
+            text,
+            "{set}: {} links, {} failed; from the mean pose {}; from the start {}",
+            s.links,
+            s.failed,
+            line(&s.from_mean_pose),
+            line(&s.from_start)
+        );
+    }
+    text
+}
+
+fn line(errors: &Errors) -> String {
+    let Errors { links, mean_deg, median_deg, p90_deg, over_20 } = errors;
+    if *links == 0 {
+        return "-".into();
+    }
+    format!("{mean_deg:.2} / {median_deg:.2} / {p90_deg:.2} / {:.1} %", over_20 * 100.0)
+}
+
+/// Refusals, reliability, ranges and receivers.
+fn worth(rows: &[Judged]) -> String {
+    let mut text = String::from("\nkept  least confidence  error from the mean pose\n");
+    for kept in risk_coverage(rows) {
+        let _ =
+            writeln!(text, "{:3.0} %  {:.2}              {}", kept.share * 100.0, kept.confidence, line(&kept.errors));
+    }
+    text += "\nconfidence  links  said  within 5 degrees\n";
+    for bin in reliability(rows) {
+        let (from, to) = (bin.from, bin.to);
+        let _ = writeln!(text, "{from:.1} .. {to:.1}  {:5}  {:.2}  {:.2}", bin.links, bin.said, bin.right);
+    }
+    let located = receivers(rows);
+    for (set, own) in sets(rows) {
+        let ranges = ranges(&own);
+        let mut off: Vec<f64> =
+            located.iter().filter(|r| r.capture.starts_with(&format!("{set}/"))).filter_map(|r| r.off_m).collect();
+        let median = median(&mut off).map_or("-".into(), |off| format!("{off:.2} m"));
+        let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+        let _ = writeln!(
+            text,
+            "{set}: error over predicted deviation {}; range from {} of {} links, median error {} m, over predicted deviation {}; {} receivers located, median error {median}",
+            number(over_bound(&own)),
+            ranges.reported,
+            ranges.links,
+            number(ranges.median_m),
+            number(ranges.over_bound),
+            off.len()
+        );
+    }
+    text
+}
+
+/// Links by set.
+fn sets(rows: &[Judged]) -> BTreeMap<&str, Vec<&Judged>> {
+    let mut sets: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
+    for row in rows {
+        sets.entry(row.set()).or_default().push(row);
+    }
+    sets
+}
+
+/// Evaluates with everything, then without each step.
+fn ablation(args: &Args, source: Source, captures: &[Capture]) -> std::result::Result<String, String> {
+    let mut text = String::from("error from the mean pose: mean / median / 90th percentile / share over 20 degrees\n");
+    let runs = std::iter::once(None).chain(Step::ALL.into_iter().map(Some));
+    for left_out in runs {
+        let estimation = Estimation { without: left_out.into_iter().collect(), ..args.reading.estimation.clone() };
+        let options = args.reading.options_of(&estimation)?;
+        let rows: Vec<Judged> =
+            captures.par_iter().flat_map_iter(|c| c.evaluate(source, args.reading.channel, &options).rows).collect();
+        let name = left_out.map_or("everything".into(), |step| format!("without {step:?}"));
+        for (set, own) in sets(&rows) {
+            let errors = Errors::of(own.iter().filter_map(|row| row.error_from_mean_pose_deg));
+            let _ = writeln!(text, "{name:22} {set:12} {:4} links  {}", errors.links, line(&errors));
+        }
+    }
+    Ok(text)
+}

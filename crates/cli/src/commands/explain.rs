@@ -1,0 +1,178 @@
+//! `csi5300 explain`.
+
+use super::captures::Reading;
+use super::{Outcome, Result, print, usage};
+use csi5300::pipeline::Options;
+use csi5300::pipeline::answer::PathAnswer;
+use csi5300::pipeline::link::Bearing;
+use csi5300_lab::evaluate::{Judged, find};
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Arguments of `explain`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// A capture, or a link of it: CAPTURE/tx2
+    link: PathBuf,
+    #[command(flatten)]
+    reading: Reading,
+    /// Folder for pictures: phase, trajectory, profile, joint power over azimuth and elevation, and azimuth and range
+    #[cfg(feature = "plot")]
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+/// Shows links from end to end.
+pub fn run(args: &Args) -> Result {
+    let options = args.reading.options().unwrap_or_else(|message| usage(&message));
+    let options = Options { keep_course: true, ..options };
+    let (folder, wanted) = match (args.link.is_dir(), args.link.parent(), args.link.file_name()) {
+        (false, Some(folder), Some(name)) => (folder.to_path_buf(), Some(format!("/{}", name.to_string_lossy()))),
+        _ => (args.link.clone(), None),
+    };
+    let (captures, _) = find(&folder);
+    let mut shown = 0;
+    let mut lost = false;
+    for capture in &captures {
+        let mut links: Vec<(String, Bearing, Options)> = Vec::new();
+        let mut look = |name: &str, bearing: &Bearing, options: &Options| {
+            if wanted.as_ref().is_none_or(|wanted| name.ends_with(wanted.as_str())) {
+                links.push((name.to_owned(), bearing.clone(), options.clone()));
+            }
+        };
+        let evaluated = capture.evaluate_and(args.reading.source(), args.reading.channel, &options, &mut look);
+        lost |= evaluated.lost;
+        for (name, bearing, options) in &links {
+            let Some(row) = evaluated.rows.iter().find(|row| row.answer.link == *name) else { continue };
+            print(&describe(row, bearing));
+            shown += 1;
+            #[cfg(feature = "plot")]
+            draw(args, row, bearing, options)?;
+            #[cfg(not(feature = "plot"))]
+            let _ = options;
+        }
+        for row in evaluated.rows.iter().filter(|row| row.answer.error.is_some()) {
+            eprintln!("csi5300: {}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
+        }
+    }
+    match shown {
+        0 if captures.is_empty() => Err(format!("no capture in or below {}", folder.display())),
+        0 => Err(format!("no link{} in {} gave a bearing", wanted.unwrap_or_default(), folder.display())),
+        _ => Ok(if lost { Outcome::DataLost } else { Outcome::Done }),
+    }
+}
+
+#[cfg(feature = "plot")]
+fn draw(args: &Args, row: &Judged, bearing: &Bearing, options: &Options) -> std::result::Result<(), String> {
+    let Some(folder) = &args.out else { return Ok(()) };
+    let pictures = csi5300_lab::figures::Pictures {
+        bearing,
+        truth_rad: row.true_from_mean_pose_deg.map(f64::to_radians),
+        recorded: None,
+        wavelength_m: options.channel.wavelength_m(),
+    };
+    let written = csi5300_lab::gallery::link(&pictures, folder, &row.answer.link).map_err(|error| error.to_string())?;
+    eprintln!("{}: {} pictures", folder.display(), written.len());
+    Ok(())
+}
+
+/// The link in the order of its steps.
+fn describe(row: &Judged, bearing: &Bearing) -> String {
+    let answer = &row.answer;
+    let mut text = format!("{}\n", answer.link);
+    let counts = answer.pair_counts;
+    let _ = writeln!(
+        text,
+        "pairs         {} formed, {} in motion, {} standing, {} without a pose",
+        counts.formed, counts.in_motion, counts.standing, counts.no_pose
+    );
+    match &bearing.turn_around {
+        Some(t) => {
+            let _ = writeln!(
+                text,
+                "turn-around   jitter {:.1} us (median), clocks drift {:.2} ppm, offset {:.0} Hz {}; coherence {:.2} -> {:.2}",
+                t.jitter_median_us,
+                t.drift_ppm,
+                t.df_hz,
+                if bearing.compensated { "taken out" } else { "left in" },
+                t.coherence_before,
+                t.coherence_after
+            );
+        }
+        None => text += "turn-around   not known\n",
+    }
+    if let Some(placed) = &bearing.placed {
+        if let Some(a) = &placed.alignment {
+            let _ = writeln!(
+                text,
+                "sampling time slopes {:.3} rad per subcarrier (deviation) taken out; coherence {:.2} -> {:.2}",
+                a.slope_sd_rad, a.coherence_before, a.coherence_after
+            );
+        }
+        if let Some(slips) = placed.slips {
+            let _ = writeln!(text, "one-way       {:.1} % of the power at sign slips", 100.0 * slips);
+        }
+        if let Some(focus) = &placed.focus {
+            let _ = writeln!(
+                text,
+                "autofocus     scale {:.3}, turn {:.1} deg/m: ln power {:+.3} over all links, {}",
+                focus.warp.scale,
+                focus.warp.turn_rad_per_m.to_degrees(),
+                focus.gain,
+                if focus.worthwhile { "applied" } else { "not worth its two parameters" }
+            );
+        }
+        let _ = writeln!(
+            text,
+            "search        {} places; residual phase {:.2} rad, {:.0} rows share an error",
+            placed.fix.evaluations,
+            placed.fix.deviations.phase_variance.sqrt(),
+            placed.fix.deviations.correlated_rows
+        );
+    }
+    let views: Vec<String> = answer.view_powers.iter().map(|power| format!("{power:.2}")).collect();
+    let _ = writeln!(
+        text,
+        "views         {} (round trip whole, its centre in windows, one way in windows)",
+        views.join(", ")
+    );
+    text += "candidates    (by evidence; power of all views)\n";
+    text += &places(&answer.candidates);
+    text += "paths         (one-way power, of the round trip)\n";
+    text += &places(&answer.paths);
+    let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+    let _ = writeln!(
+        text,
+        "answer        {} +- {} deg, within 5 deg with probability {}; range {} +- {} m",
+        number(answer.azimuth_deg),
+        number(answer.azimuth_sd_deg),
+        number(answer.confidence),
+        number(answer.range_m),
+        number(answer.range_sd_m)
+    );
+    if let (Some(truth), Some(error)) = (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) {
+        let _ = writeln!(text, "truth         {truth:.2} deg: off by {error:.2}; range {} m", number(row.true_range_m));
+    }
+    text
+}
+
+/// A line for each path.
+pub fn places(paths: &[PathAnswer]) -> String {
+    let mut text = String::new();
+    for (number, path) in paths.iter().enumerate() {
+        let range = path.range_m.map_or("far".into(), |range| format!("{range:.1} m"));
+        let _ = write!(
+            text,
+            "  {}: {:7.2} deg, |elevation| {:4.1} deg, {range}, {:.1} dB",
+            number + 1,
+            path.azimuth_deg,
+            path.abs_elevation_deg,
+            path.relative_power_db
+        );
+        if let Some([a, b]) = path.cross_term_of {
+            let _ = write!(text, ", the product of {} and {}", a + 1, b + 1);
+        }
+        text.push('\n');
+    }
+    text
+}

@@ -1,0 +1,248 @@
+//! `csi5300 info`.
+
+use super::{Outcome, Result, print, print_json};
+use csi5300::source::survey::{LOSSES_KEPT, SENDERS_KEPT, Sender, Survey};
+use csi5300::source::{CsiSource, Next, replay::Replay};
+use csi5300::time::Instant;
+use driver_iface::Mac;
+use driver_iface::record::{Tail, code};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `info`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Logs; - is standard input
+    #[arg(required = true)]
+    files: Vec<PathBuf>,
+    /// One JSON object a log instead of text
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(serde::Serialize)]
+struct SenderRow<'a> {
+    rate_hz: Option<f64>,
+    #[serde(flatten)]
+    sender: &'a Sender,
+}
+
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    file: String,
+    bytes: u64,
+    tail: String,
+    cut: bool,
+    senders: std::collections::BTreeMap<String, SenderRow<'a>>,
+    #[serde(flatten)]
+    survey: &'a Survey,
+}
+
+/// Describes logs.
+pub fn run(args: &Args) -> Result {
+    let (mut usable, mut lost, mut failed) = (false, false, false);
+    for (k, path) in args.files.iter().enumerate() {
+        match survey(path) {
+            Ok((survey, bytes)) => {
+                if args.json {
+                    print_json(&row(path, &survey, bytes));
+                } else {
+                    print(&format!(
+                        "{}{}",
+                        if k == 0 { "" } else { "\n" },
+                        describe(&path.display().to_string(), &survey, bytes)
+                    ));
+                }
+                usable |= survey.bfees() > 0 || survey.by_code.contains_key(&code::MPDU);
+                lost |= survey.lost_something();
+            }
+            Err(message) => {
+                failed = true;
+                eprintln!("csi5300: {message}");
+            }
+        }
+    }
+    Ok(match (usable, lost || failed) {
+        (false, _) => Outcome::Nothing,
+        (true, true) => Outcome::DataLost,
+        (true, false) => Outcome::Done,
+    })
+}
+
+fn survey(path: &Path) -> std::result::Result<(Survey, u64), String> {
+    let mut source = Replay::open(path).map_err(|error| error.to_string())?;
+    let mut survey = Survey::default();
+    loop {
+        let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
+        survey.note(&next);
+        if matches!(next, Next::End(_)) {
+            return Ok((survey, source.bytes()));
+        }
+    }
+}
+
+fn row<'a>(path: &Path, survey: &'a Survey, bytes: u64) -> Row<'a> {
+    let sender = |(mac, sender): (&Mac, &'a Sender)| (mac.to_string(), SenderRow { rate_hz: sender.rate_hz(), sender });
+    Row {
+        file: path.display().to_string(),
+        bytes,
+        tail: tail_words(survey, bytes),
+        cut: survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean)),
+        senders: survey.senders.iter().map(sender).collect(),
+        survey,
+    }
+}
+
+fn tail_words(survey: &Survey, bytes: u64) -> String {
+    match survey.tail {
+        None | Some(Tail::Clean) => "ends with a whole record".into(),
+        Some(tail @ Tail::Cut { offset, bytes: left, expected }) => {
+            let expected = expected.map_or(String::new(), |expected| format!(" of {expected}"));
+            let why = match tail.is_unflushed_buffer() {
+                true => ", at a multiple of 4096 bytes: the logger was killed before it flushed",
+                false => "",
+            };
+            format!(
+                "the last record, at offset {offset}, is cut ({left}{expected} bytes); the file ends at {bytes}{why}"
+            )
+        }
+    }
+}
+
+/// What was lost on the way, a line each; empty if nothing was.
+pub fn losses(survey: &Survey, bytes: u64) -> String {
+    let mut text = String::new();
+    for loss in &survey.losses {
+        let _ = writeln!(text, "  lost: {} bytes at offset {}: {}", loss.bytes, loss.offset, loss.reason);
+    }
+    let all = survey.damages + survey.bad_bfee;
+    if all > LOSSES_KEPT as u64 {
+        let _ = writeln!(text, "  lost: and {} more like these", all - LOSSES_KEPT as u64);
+    }
+    if survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean)) {
+        let _ = writeln!(text, "  end: {}", tail_words(survey, bytes));
+    }
+    text
+}
+
+fn describe(name: &str, survey: &Survey, bytes: u64) -> String {
+    let mut text = format!("{name}: {bytes} bytes, {} records\n", survey.records);
+    if survey.bfees() == 0 {
+        let why = match (bytes, survey.records) {
+            (0, _) => {
+                "the file is empty: was the logger's socket on the right connector index, and the CSI firmware loaded?"
+            }
+            (_, 0) => "no record of a csitool log in it: is it another kind of file?",
+            _ => "no CSI in it",
+        };
+        let _ = writeln!(text, "  {why}");
+    } else {
+        describe_csi(&mut text, survey);
+    }
+    for (code, count) in survey.by_code.iter().filter(|(code, _)| **code != code::BFEE) {
+        let _ = writeln!(text, "  code 0x{code:02X} ({}): {count}", code::name(*code).unwrap_or("unknown"));
+    }
+    if survey.mpdu_bad_fcs > 0 {
+        let _ = writeln!(text, "  MPDUs with a wrong frame check sequence: {}", survey.mpdu_bad_fcs);
+    }
+    describe_senders(&mut text, survey);
+    if survey.bfee_missing > 0 {
+        let _ = writeln!(text, "  missing from bfee_count: {} (lost, or filtered out of the log)", survey.bfee_missing);
+    }
+    for (count, what) in [
+        (survey.bfee_repeated, "records with the bfee_count of the one before"),
+        (survey.bfee_restarted, "steps back of bfee_count (the driver was loaded anew)"),
+    ] {
+        if count > 0 {
+            let _ = writeln!(text, "  {count} {what}");
+        }
+    }
+    text.push_str(&losses(survey, bytes));
+    if survey.damages > 0 {
+        let _ = writeln!(text, "  damaged: {} stretches, {} bytes in all", survey.damages, survey.damaged_bytes);
+    }
+    if survey.records > 0 && survey.tail == Some(Tail::Clean) && !survey.lost_something() {
+        text.push_str("  intact to the last byte\n");
+    }
+    text
+}
+
+fn describe_csi(text: &mut String, survey: &Survey) {
+    let layout = match (survey.stock, survey.wsr) {
+        (0, wsr) => format!("WSR layout, {wsr} bfee records"),
+        (stock, 0) => format!("stock layout, {stock} bfee records"),
+        (stock, wsr) => format!("mixed layouts: {stock} stock and {wsr} WSR bfee records"),
+    };
+    let mut streams = Vec::new();
+    for (rx, row) in survey.streams.iter().enumerate() {
+        for (tx, &count) in row.iter().enumerate().filter(|(_, count)| **count > 0) {
+            streams.push(format!("{}x{}: {count}", rx + 1, tx + 1));
+        }
+    }
+    let _ = writeln!(text, "  {layout}; receive x transmit streams {}", streams.join(", "));
+    if let Some((first, last)) = survey.clock_us {
+        let seconds = (last - first) as f64 * 1e-6;
+        let _ = writeln!(text, "  {seconds:.3} s on the card's clock (timestamp_low)");
+    }
+    let noise = match survey.noise_unknown {
+        all if all == survey.bfees() => "not measured (-127, usual in monitor mode)".into(),
+        _ => format!("{} to {} dBm", survey.noise_dbm.min, survey.noise_dbm.max),
+    };
+    let rates: Vec<_> = survey.rates.iter().map(|(rate, count)| format!("0x{rate:04x}: {count}")).collect();
+    let _ = writeln!(
+        text,
+        "  noise {noise}; AGC {} to {} dB; rate_n_flags {}",
+        survey.agc.min,
+        survey.agc.max,
+        rates.join(", ")
+    );
+    let rssi: Vec<_> =
+        "ABC"
+            .chars()
+            .zip(&survey.rssi)
+            .map(|(name, r)| {
+                if r.max == 0 { format!("{name} none") } else { format!("{name} {:.1} ({}..{})", r.mean, r.min, r.max) }
+            })
+            .collect();
+    let order: Vec<_> = survey.antenna_sel.iter().map(|(sel, count)| format!("0x{sel:02x}: {count}")).collect();
+    let _ = writeln!(text, "  RSSI mean (range) {}; antenna_sel {}", rssi.join(", "), order.join(", "));
+    if survey.bad_permutations > 0 {
+        let _ = writeln!(
+            text,
+            "  antenna_sel no permutation in {} records: antennas unknown there",
+            survey.bad_permutations
+        );
+    }
+}
+
+fn describe_senders(text: &mut String, survey: &Survey) {
+    for (mac, sender) in &survey.senders {
+        let name = if *mac == Mac::default() { "unknown sender".to_string() } else { format!("from {mac}") };
+        let rate = sender.rate_hz().map(|rate| format!(", {rate:.1} Hz")).unwrap_or_default();
+        let numbers = match sender.frame_count {
+            Some((low, high)) => format!(", frames {low}..{high}{}", steps(sender)),
+            None => String::new(),
+        };
+        let _ = writeln!(text, "  {name}: {} records{rate}{numbers}", sender.records);
+    }
+    if survey.further_senders > 0 {
+        let _ = writeln!(
+            text,
+            "  {} records of senders beyond the first {SENDERS_KEPT}: noise in the log, or not a log of the CSI tool",
+            survey.further_senders
+        );
+    }
+}
+
+/// What the frame numbers of a sender did other than count up by one.
+fn steps(sender: &Sender) -> String {
+    [
+        (sender.frames_skipped, "skipped"),
+        (sender.frames_repeated, "reported twice"),
+        (sender.frames_restarted, "restarts of the count"),
+    ]
+    .iter()
+    .filter(|(count, _)| *count > 0)
+    .map(|(count, what)| format!(", {count} {what}"))
+    .collect()
+}

@@ -1,0 +1,139 @@
+//! `csi5300 mcap`.
+
+use super::args::{Estimation, channel};
+use super::{Outcome, Result, info, usage};
+use csi5300::motion::odometry;
+use csi5300::motion::pose::Trajectory;
+use csi5300::pipeline::intake::Front;
+use csi5300::pipeline::{Options, Transmitter, bearings};
+use csi5300::signal::channel::Channel;
+use csi5300::source::survey::Survey;
+use csi5300::source::{CsiSource, Next, replay::Replay};
+use csi5300::time::{Instant, Unwrap32};
+use csi5300_node::foxglove::{Channels, Recording};
+use std::path::{Path, PathBuf};
+
+/// Arguments of `mcap`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Logs; with a trajectory the first is the receiver's, and the others make a bearing each
+    #[arg(required = true, value_name = "IN.dat")]
+    logs: Vec<PathBuf>,
+    /// The recording
+    #[arg(long, short, value_name = "OUT.mcap")]
+    out: PathBuf,
+    /// Trajectory of the receiver: CSV with 5, 6, 9 or 15 columns
+    #[arg(long, value_name = "T.csv")]
+    trajectory: Option<PathBuf>,
+    /// WiFi channel, with + or - for 40 MHz; needed for bearings
+    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    channel: Option<Channel>,
+    #[command(flatten)]
+    estimation: Estimation,
+}
+
+/// Converts captures.
+pub fn run(args: &Args) -> Result {
+    let names = names(&args.logs);
+    let trajectory = args.trajectory.as_deref().map(read_trajectory).transpose()?;
+    // What is wrong with the options is said before there is a file.
+    let options = args.channel.filter(|_| trajectory.is_some());
+    let options = options.map(|channel| args.estimation.options(channel).unwrap_or_else(|message| usage(&message)));
+    let mut recording = Recording::create(&args.out).map_err(|error| error.to_string())?;
+    let (mut usable, mut lost) = (0, false);
+    for (name, path) in names.iter().zip(&args.logs) {
+        let (survey, bytes) = convert(&mut recording.channels, name, path, args)?;
+        usable += survey.bfees();
+        lost |= survey.lost_something();
+        eprint!("{}: {} bfee records\n{}", path.display(), survey.bfees(), info::losses(&survey, bytes));
+    }
+    if let Some(trajectory) = &trajectory {
+        trajectory.poses().iter().for_each(|pose| recording.channels.pose(pose));
+        recording.channels.path(trajectory.span_s().0, trajectory.poses().iter());
+        match &options {
+            Some(options) => lost |= estimate(&mut recording.channels, &names, trajectory, options, args)?,
+            None => eprintln!("no bearings: they need --channel"),
+        }
+    }
+    recording.finish().map_err(|error| error.to_string())?;
+    Ok(match usable {
+        0 => Outcome::Nothing,
+        _ if lost => Outcome::DataLost,
+        _ => Outcome::Done,
+    })
+}
+
+/// Every record of a log. Those without a host time get the card's, from the log's beginning on.
+fn convert(
+    channels: &mut Channels,
+    name: &str,
+    path: &Path,
+    args: &Args,
+) -> std::result::Result<(Survey, u64), String> {
+    let mut log = Replay::open(path).map_err(|error| error.to_string())?;
+    let mut front = Front::new(args.estimation.antenna);
+    let (mut clock, mut first_card_us) = (Unwrap32::default(), None);
+    loop {
+        let next = log.receive(Instant::ZERO).map_err(|error| error.to_string())?;
+        if let Some((sender, heard)) = front.note(&next) {
+            // It wraps every 71.6 minutes.
+            let card_us = clock.next(heard.timestamp_low);
+            let since_us = card_us - *first_card_us.get_or_insert(card_us);
+            let t_s = heard.host_us.unwrap_or(since_us) as f64 * 1e-6;
+            channels.record(name, t_s, sender, &heard);
+        }
+        if matches!(next, Next::End(_)) {
+            break;
+        }
+    }
+    let end_s = front.survey.host_us.map_or(0.0, |(_, last)| last as f64 * 1e-6);
+    channels.counters(name, end_s, &front.survey);
+    Ok((front.survey, log.bytes()))
+}
+
+/// The bearings of the first log to the others; true if one failed.
+fn estimate(
+    channels: &mut Channels,
+    names: &[String],
+    trajectory: &Trajectory,
+    options: &Options,
+    args: &Args,
+) -> std::result::Result<bool, String> {
+    let text = |error: csi5300::source::Error| error.to_string();
+    let Some((receiver, others)) = args.logs.split_first().filter(|(_, others)| !others.is_empty()) else {
+        return Ok(false);
+    };
+    let mut receiver = Replay::open(receiver).map_err(text)?;
+    let mut logs =
+        others.iter().map(|path| Replay::open(path)).collect::<std::result::Result<Vec<_>, _>>().map_err(text)?;
+    let transmitters =
+        logs.iter_mut().map(|log| Transmitter { log: log as &mut dyn CsiSource, trajectory: None }).collect();
+    let report = bearings(&mut receiver, transmitters, trajectory, options).map_err(text)?;
+    let mut failed = false;
+    for (name, link) in names.iter().skip(1).zip(&report.links) {
+        match &link.bearing {
+            Ok(bearing) => {
+                let wavelength_m = options.channel.wavelength_m();
+                channels.bearing(name, bearing, wavelength_m).map_err(|error| error.to_string())?;
+                eprintln!("{name}: {:.2} deg", bearing.estimate.azimuth_rad.to_degrees());
+            }
+            Err(error) => {
+                eprintln!("csi5300: {name}: {error}");
+                failed = true;
+            }
+        }
+    }
+    Ok(failed)
+}
+
+/// Names of the logs as parts of topics: their stems, numbered where two are the same.
+fn names(logs: &[PathBuf]) -> Vec<String> {
+    let stems: Vec<String> =
+        logs.iter().map(|path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned()).collect();
+    let again = |k: usize| stems.iter().filter(|other| **other == stems[k]).count() > 1;
+    (0..stems.len()).map(|k| if again(k) { format!("{}.{}", stems[k], k + 1) } else { stems[k].clone() }).collect()
+}
+
+fn read_trajectory(path: &Path) -> std::result::Result<Trajectory, String> {
+    odometry::csv::read(path).map(|(trajectory, _)| trajectory).map_err(|error| format!("{}: {error}", path.display()))
+}

@@ -1,0 +1,71 @@
+//! `csi5300 node`.
+
+use super::{Outcome, Result, print, usage};
+use csi5300_node::config::Config;
+use csi5300_node::service::{self, Ended};
+use std::path::PathBuf;
+
+/// Arguments of `node`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The robot's configuration; packaging/robot.toml explains every key
+    #[arg(long, value_name = "ROBOT.toml")]
+    config: PathBuf,
+    /// Check the configuration, start nothing
+    #[arg(long)]
+    check: bool,
+}
+
+/// Runs the robot's own service.
+pub fn run(args: &Args) -> Result {
+    let config = Config::load(&args.config).unwrap_or_else(|error| {
+        let lines: Vec<String> =
+            error.0.iter().map(|problem| format!("{}: {problem}", args.config.display())).collect();
+        usage(&lines.join("\ncsi5300: "))
+    });
+    if args.check {
+        print(&format!("{}: good\n", args.config.display()));
+        return Ok(Outcome::Done);
+    }
+    let name = config.name.clone().unwrap_or_else(host_name);
+    let ended = service::run(&config, name).map_err(|error| error.to_string())?;
+    eprint!("{}", summary(&ended));
+    if let Some(error) = &ended.error {
+        return Err(error.to_string());
+    }
+    Ok(if ended.health.records == 0 && !ended.signalled {
+        Outcome::Nothing
+    } else if ended.health.lost_something() {
+        Outcome::DataLost
+    } else {
+        Outcome::Done
+    })
+}
+
+fn host_name() -> String {
+    std::fs::read_to_string("/proc/sys/kernel/hostname").map_or_else(|_| "robot".into(), |name| name.trim().to_owned())
+}
+
+fn summary(ended: &Ended) -> String {
+    let health = &ended.health;
+    let mut text = format!(
+        "{} records and {} poses in {:.1} s; {} bearings; {} losses\n",
+        health.records, health.poses.poses, health.uptime_s, ended.bearings, health.losses
+    );
+    for peer in &health.peers {
+        let words = peer.report.as_ref().map_or("nothing was said of it", |report| report.words.as_str());
+        let counts = &peer.counts;
+        text += &format!(
+            "  {}: {words}; {} pairs of {} records here and {} there\n",
+            peer.name, counts.pairs, counts.heard, counts.heard_by_peer
+        );
+    }
+    if let Some(log) = &ended.totals {
+        let missing = log.dropped + log.lost_on_disk;
+        text += &format!("  {} records in the log, {missing} not\n", log.written);
+    }
+    for trouble in &health.trouble {
+        text += &format!("  {trouble}\n");
+    }
+    text
+}

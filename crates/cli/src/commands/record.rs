@@ -1,0 +1,291 @@
+//! `csi5300 record`.
+
+use super::live::{Listening, Signals, duration, size};
+use super::{Outcome, Result};
+use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
+use csi5300::source::{CsiSource, Loss, Next};
+use csi5300::time::{Instant, Span};
+use csi5300_live::netlink::{Counters, Netlink};
+use csi5300_live::status::{Losses, Status};
+use csi5300_live::wait::Monotonic;
+use std::fmt::Write as _;
+use std::io::{IsTerminal, Write};
+use std::os::fd::{AsFd, OwnedFd};
+use std::path::{Path, PathBuf};
+
+/// How often the live view is drawn.
+const LOOK: Span = Span::from_ms(500);
+/// Rest after records before the socket is looked at again, so that at high rates one waking-up serves several of
+/// them. Their host times are told by the card's clock ([`csi5300::time::HostTimes`]), not by when they were read.
+const REST: Span = Span::from_ms(8);
+/// No rest after more records than this at once, ...
+const FEW: u32 = 32;
+/// ... nor with a smaller receive buffer than this, bytes: the queue in the kernel could run over meanwhile.
+const ROOMY: usize = 1 << 20;
+/// Records between two looks at signals and the view when the source never pauses.
+const BURST: u32 = 256;
+
+/// Arguments of `record`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The log; its side file with host times is OUT.datstp
+    #[arg(value_name = "OUT.dat")]
+    out: PathBuf,
+    /// Overwrite the log if it is there
+    #[arg(long)]
+    force: bool,
+    /// Make the log survive a power cut this often; 0s leaves it to the system
+    #[arg(long, value_parser = duration, default_value = "1s", value_name = "TIME")]
+    sync_every: Span,
+    /// Go on in a new file (OUT-0001.dat, OUT-0002.dat ...) before this size: 500k, 100M, 2G
+    #[arg(long, value_parser = size, value_name = "SIZE")]
+    rotate_size: Option<u64>,
+    /// Go on in a new file after this time: 30s, 10m, 1h
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    rotate_every: Option<Span>,
+    /// Stop after this time
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    stop_after: Option<Span>,
+    /// Stop after this many records
+    #[arg(long, value_name = "N")]
+    records: Option<u64>,
+    /// Also write the records to standard output, for another program
+    #[arg(long)]
+    live: bool,
+    /// A full page of live figures instead of one line
+    #[arg(long)]
+    watch: bool,
+    #[command(flatten)]
+    listening: Listening,
+}
+
+/// When and how to stop and show.
+struct Session<'a> {
+    args: &'a Args,
+    clock: Monotonic,
+    socket: OwnedFd,
+    signals: Signals,
+    status: Status,
+    view: View,
+    /// Whether a rest after records is safe and wanted.
+    rests: bool,
+}
+
+/// Where the live view goes.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum View {
+    None,
+    Line,
+    Page,
+}
+
+/// Records until told to stop.
+pub fn run(args: &Args) -> Result {
+    let text = |error: csi5300::source::Error| error.to_string();
+    // Signals first: one that comes during the opening must not leave half a start behind.
+    let signals = Signals::catch()?;
+    let listener = args.listening.open()?;
+    let rotation = Rotation { bytes: args.rotate_size, every: args.rotate_every };
+    let files = LogFiles::create(&args.out, rotation, args.force).map_err(text)?;
+    let terminal = std::io::stderr().is_terminal();
+    let clock = Monotonic::new();
+    let mut session = Session {
+        args,
+        clock,
+        rests: !args.live && listener.receive_buffer() >= ROOMY,
+        socket: listener.as_fd().try_clone_to_owned().map_err(|error| format!("the connector socket: {error}"))?,
+        signals,
+        status: Status::new(clock.now()),
+        view: if args.watch {
+            View::Page
+        } else if terminal {
+            View::Line
+        } else {
+            View::None
+        },
+    };
+    eprintln!("{}; recording to {}", Listening::describe(&listener), args.out.display());
+    let sync_every = (args.sync_every > Span::ZERO).then_some(args.sync_every);
+    let recorder = Recorder::new(listener, files, Options { sync_every, ..Options::default() }).map_err(text)?;
+    let (failed, listener, files, totals) = if args.live {
+        let pipe = Pipe::new(std::io::stdout());
+        let options = Options { sync_every: None, hand_over: Span::from_ms(10), ..Options::default() };
+        let mut tee = Recorder::new(recorder, pipe, options).map_err(text)?;
+        let failed = session.capture(&mut tee, |tee| (tee.source().totals(), tee.source().source().counters())).err();
+        let (recorder, _, piped) = tee.finish(clock.now()).map_err(text)?;
+        let missed = piped.received - piped.written;
+        if missed > 0 {
+            eprintln!("standard output missed {missed} records; the log has them");
+        }
+        let (listener, files, totals) = recorder.finish(clock.now()).map_err(text)?;
+        (failed, listener, files, totals)
+    } else {
+        let mut recorder = recorder;
+        let failed = session.capture(&mut recorder, |own| (own.totals(), own.source().counters())).err();
+        let (listener, files, totals) = recorder.finish(clock.now()).map_err(text)?;
+        (failed, listener, files, totals)
+    };
+    session.clear();
+    eprint!("{}", summary(&session.status, &listener, &totals, &files.paths()));
+    if let Some(message) = failed {
+        eprintln!("csi5300: {message}");
+    }
+    let lost = losses(&totals, &listener.counters());
+    Ok(match totals.written {
+        0 => Outcome::Nothing,
+        _ if lost != Losses::default() || session.status.survey.lost_something() => Outcome::DataLost,
+        _ => Outcome::Done,
+    })
+}
+
+fn losses(totals: &Totals, counters: &Counters) -> Losses {
+    // Where the kernel does not say how much it dropped, the jump in bfee_count does.
+    let kernel = counters.kernel_drops.max(counters.overrun_bfee_gap);
+    Losses { kernel, driver: counters.other_bfee_gap, disk: totals.dropped + totals.lost_on_disk }
+}
+
+impl Session<'_> {
+    /// Receives until a signal, a limit, or an error; what was received is in the recorder either way.
+    fn capture<S: CsiSource>(
+        &mut self,
+        source: &mut S,
+        tell: impl Fn(&S) -> (Totals, Counters),
+    ) -> std::result::Result<(), String> {
+        let end_at = self.args.stop_after.map(|span| self.clock.now() + span);
+        let mut look_at = self.clock.now() + LOOK;
+        let mut told = None;
+        let mut burst = 0;
+        let mut ending = false;
+        // Records since the last wait.
+        let mut taken = 0;
+        loop {
+            let now = self.clock.now();
+            let next = source.receive(now).map_err(|error| error.to_string())?;
+            self.status.note(now, &next);
+            let pending = match &next {
+                Next::Lost(loss) => {
+                    self.clear();
+                    eprintln!("{}", loss_words(loss));
+                    false
+                }
+                // What was queued when the signal came has been read.
+                Next::Pending if ending => return Ok(()),
+                Next::Pending => true,
+                Next::End(_) => return Ok(()),
+                Next::Record(..) => {
+                    taken += 1;
+                    false
+                }
+            };
+            burst += 1;
+            if !pending && burst < BURST && self.args.records.is_none_or(|limit| self.status.survey.records < limit) {
+                continue;
+            }
+            burst = 0;
+            if self.args.records.is_some_and(|limit| self.status.survey.records >= limit)
+                || end_at.is_some_and(|end| end <= now)
+            {
+                return Ok(());
+            }
+            if look_at <= now {
+                let (totals, counters) = tell(source);
+                if totals.error != told {
+                    self.clear();
+                    eprintln!("csi5300: {}", totals.error.as_deref().unwrap_or_default());
+                    told = totals.error.clone();
+                }
+                self.look(now, losses(&totals, &counters));
+                look_at = now + LOOK;
+            }
+            let until =
+                if pending { [source.next_at(), end_at, Some(look_at)].into_iter().flatten().min() } else { Some(now) };
+            let may_rest = (1..=FEW).contains(&std::mem::take(&mut taken)) && self.rests;
+            let signalled = if pending && may_rest {
+                let rest = until.map_or(now + REST, |until| until.min(now + REST));
+                self.clock.wait([self.signals.as_fd()], Some(rest)).map(|[signalled]| signalled)
+            } else {
+                self.clock.wait([self.socket.as_fd(), self.signals.as_fd()], until).map(|[_, signalled]| signalled)
+            };
+            ending |= signalled.map_err(|error| error.to_string())?;
+        }
+    }
+
+    fn look(&mut self, now: Instant, losses: Losses) {
+        self.status.refresh(now);
+        let text = match self.view {
+            View::None => return,
+            View::Line => format!("\r\x1b[K{}", self.status.line(losses)),
+            View::Page => {
+                let title = self.args.out.display().to_string();
+                format!("\x1b[H\x1b[J{}", self.status.page(now, &title, losses))
+            }
+        };
+        let mut stderr = std::io::stderr().lock();
+        let _ = stderr.write_all(text.as_bytes()).and_then(|()| stderr.flush());
+    }
+
+    /// Takes the live line away, before other words.
+    fn clear(&self) {
+        if self.view == View::Line {
+            eprint!("\r\x1b[K");
+        }
+    }
+}
+
+fn loss_words(loss: &Loss) -> String {
+    match loss {
+        Loss::Overrun { dropped: Some(dropped) } => format!("overrun: the kernel dropped {dropped} messages"),
+        Loss::Overrun { dropped: None } => "overrun: the kernel dropped messages".into(),
+        Loss::Datagram { number, reason, .. } => format!("datagram {number}: {reason}"),
+        Loss::Bytes { offset, len, reason } => format!("{len} bytes at {offset}: {reason}"),
+    }
+}
+
+fn summary(status: &Status, listener: &Netlink, totals: &Totals, files: &[PathBuf]) -> String {
+    let mut text = String::new();
+    let names: Vec<_> = files.iter().map(|path: &PathBuf| Path::display(path).to_string()).collect();
+    let seconds = status.first_at.zip(status.last_at).map_or(0.0, |(first, last)| (last - first).as_s());
+    let _ = writeln!(text, "{} records written to {} in {seconds:.1} s", totals.written, names.join(", "));
+    if seconds > 0.0 {
+        let _ = writeln!(text, "  {:.1} records/s", totals.written as f64 / seconds);
+    }
+    let counters = listener.counters();
+    if counters.overruns > 0 {
+        let _ = writeln!(
+            text,
+            "  {} overruns: the kernel dropped {} messages, bfee_count has gaps of {}",
+            counters.overruns, counters.kernel_drops, counters.overrun_bfee_gap
+        );
+    }
+    if counters.other_bfee_gap > 0 {
+        let _ = writeln!(text, "  {} numbers missing from bfee_count before this socket", counters.other_bfee_gap);
+    }
+    if totals.dropped + totals.lost_on_disk > 0 {
+        let _ = writeln!(
+            text,
+            "  not in the log: {} records for which the disk was too slow, {} that it refused",
+            totals.dropped, totals.lost_on_disk
+        );
+    }
+    if let Some(error) = &totals.error {
+        let _ = writeln!(text, "  {error}");
+    }
+    for (count, what) in [
+        (counters.truncated, "datagrams longer than the buffer"),
+        (counters.malformed, "datagrams that contradict themselves"),
+        (counters.foreign, "foreign messages left out"),
+        (counters.user_senders, "messages from other programs refused (--allow-user-sender takes them)"),
+    ] {
+        if count > 0 {
+            let _ = writeln!(text, "  {count} {what}");
+        }
+    }
+    for (mac, sender) in &status.survey.senders {
+        let name = if mac.is_zero() { "an unknown sender".to_string() } else { mac.to_string() };
+        let _ = writeln!(text, "  from {name}: {} records", sender.records);
+    }
+    if totals.received == 0 {
+        text.push_str("  nothing came: `csi5300 doctor --listen 10s` says what may be wrong\n");
+    }
+    text
+}

@@ -1,0 +1,76 @@
+//! `csi5300 respond`.
+
+use super::Result;
+use super::args::antenna;
+use super::live::Signals;
+use super::sounding::{NO_NUMBERS, Sounding, Task, Wanted, Words, run as drive};
+use super::usage;
+use csi5300::exchange::tdma::{Epoch, Event};
+use csi5300::source::Next;
+use csi5300::source::survey::Survey;
+use csi5300::time::Instant;
+use csi5300_live::sounding::{Order, Running, measurement};
+use csi5300_live::wait::Monotonic;
+use driver_iface::Mac;
+use driver_iface::bfee::Antenna;
+
+/// Arguments of `respond`.
+#[derive(clap::Args)]
+#[command(after_help = "Answers are given at once, from user space; with --dialect wsr --ack-len N as the WSR driver \
+                        gives them in the kernel. In the native dialect an answer carries what the card measured of an \
+                        earlier frame (run the driver with connector_log=0x5), so that the initiator has bearings live.\n\
+                        Example: csi5300 respond --interface mon0 --peers 00:21:6a:53:89:d2")]
+pub struct Args {
+    #[command(flatten)]
+    common: Sounding,
+    /// Antenna (RF port) whose measurements answers carry: A, B or C
+    #[arg(long, default_value = "A", value_parser = antenna)]
+    antenna: Antenna,
+}
+
+/// Hands the card's measurements to the answers.
+struct Measuring {
+    antenna: Antenna,
+    peers: Vec<Mac>,
+    survey: Survey,
+    carries: bool,
+    told: bool,
+}
+
+impl Task for Measuring {
+    fn record(&mut self, next: &Next<'_>, running: &Running) {
+        let Some((bfee, identity)) = self.survey.note(next) else { return };
+        if self.carries && identity.frame_count.is_none() && bfee.wsr().is_none() && !self.told {
+            self.told = true;
+            eprintln!("{NO_NUMBERS}");
+        }
+        if self.carries
+            && self.peers.contains(&identity.mac)
+            && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
+        {
+            // Where too many wait, the next one is newer.
+            running.order(Order::Measurement(identity.mac.0, measurement));
+        }
+    }
+
+    fn event(&mut self, _event: &Event) {}
+
+    fn look(&mut self, _now: Instant, _running: &Running) {}
+}
+
+/// Answers until told to stop.
+pub fn run(args: &Args) -> Result {
+    let common = &args.common;
+    if common.dialect == Words::Wsr && common.ack_len.is_none() {
+        usage("--dialect wsr needs --ack-len, the length of the frames meant for this robot (57 for the first)");
+    }
+    let signals = Signals::catch()?;
+    let clock = Monotonic::new();
+    let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
+    common.see_to_rate(args.antenna)?;
+    let carries = common.dialect == Words::Native && !common.no_measurement;
+    let source = common.source(if carries { Wanted::IfPossible } else { Wanted::Not })?;
+    let peers = common.peers.clone();
+    let mut task = Measuring { antenna: args.antenna, peers, survey: Survey::default(), carries, told: false };
+    drive(common, &signals, source, opened, clock, &mut task)
+}

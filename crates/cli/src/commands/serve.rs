@@ -1,0 +1,303 @@
+//! `csi5300 simulate --serve`: a room in real time.
+
+use super::live::Signals;
+use super::{Outcome, Result};
+use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
+use csi5300::source::{CsiSource, Loss, Next};
+use csi5300::time::{Instant, Span};
+use csi5300_live::netlink::Sender;
+use csi5300_live::wait::{Monotonic, wall_us};
+use csi5300_sim::served::{Counts, Server};
+use csi5300_sim::{Injected, Odometer, Port, Room, Scene};
+use driver_iface::connector::CN_IDX;
+use nix::sys::prctl::set_timerslack;
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+use std::os::fd::AsFd;
+use std::path::PathBuf;
+
+/// How a room is served.
+#[derive(clap::Args)]
+#[group(id = "serving")]
+pub struct Args {
+    /// Run the room in real time: a robot's records go out on the kernel's connector, as its driver would send them
+    #[arg(long, conflicts_with_all = ["out", "force"])]
+    pub serve: bool,
+    /// Let other programs (`--room PATH#ROBOT` of sound, respond and record) work with the robots' cards and antennas, over
+    /// a socket made here. The robots then send nothing by themselves, but for drivers with an `ack_len`
+    #[arg(long, value_name = "PATH", requires = "serve")]
+    socket: Option<PathBuf>,
+    /// The robot that is served, =INDEX for another connector index; several for several. If none, the first initiator,
+    /// or with --socket nobody
+    #[arg(long, value_name = "NAME[=INDEX]", value_parser = served)]
+    robot: Vec<(String, u32)>,
+    /// Append the poses of the robot's odometry here, a CSV line each as they come; - is standard output. Once for
+    /// each --robot, in their order; with --socket and no --robot, of the first initiator
+    #[arg(long, value_name = "FILE")]
+    poses: Vec<PathBuf>,
+    /// Times real time (1 if not given); max does not wait at all
+    #[arg(long, value_parser = super::live::speed)]
+    speed: Option<f64>,
+}
+
+impl Args {
+    /// True if anything was asked of serving.
+    pub fn asked(&self) -> bool {
+        self.socket.is_some() || !self.robot.is_empty() || !self.poses.is_empty() || self.speed.is_some()
+    }
+}
+
+fn served(text: &str) -> std::result::Result<(String, u32), String> {
+    match text.rsplit_once('=') {
+        None => Ok((text.to_owned(), CN_IDX)),
+        Some((name, index)) => {
+            let index = index.parse().ok().filter(|index| (1..=32).contains(index));
+            index.map(|index| (name.to_owned(), index)).ok_or_else(|| "a connector index is 1 to 32".into())
+        }
+    }
+}
+
+/// One robot whose card and odometry are served.
+struct Served {
+    name: String,
+    on_connector: bool,
+    /// Until its end.
+    card: Option<(Port, Sender)>,
+    sent: u64,
+    poses: Option<(Odometer, Box<dyn Write>)>,
+}
+
+type Words<T> = std::result::Result<T, String>;
+
+/// Serves a scene until its end or a signal.
+pub fn run(mut scene: Scene, args: &Args) -> Result {
+    let signals = Signals::catch()?;
+    let speed = args.speed.unwrap_or(1.0);
+    if args.socket.is_some() && speed != 1.0 {
+        return Err("other programs live in real time: --socket and --speed do not go together".into());
+    }
+    let outputs = open(&scene, args)?;
+    let server = args.socket.as_deref().map(Server::bind).transpose().map_err(|error| error.to_string())?;
+    for (output, sender) in outputs.iter().filter_map(|output| Some((output, output.sender.as_ref()?))) {
+        eprintln!("serving {} on connector index {}", output.name, sender.index());
+    }
+    if let Some(path) = &args.socket {
+        // A program that is to answer within microseconds has no time for the kernel's comfort; refused, it is late.
+        let _ = set_timerslack(1);
+        eprintln!("serving the room at {}", path.display());
+    }
+    // Times are of now: the scene begins when this clock does.
+    let clock = Monotonic::new();
+    begin(&mut scene, wall_us());
+    let room = if server.is_some() { Room::quiet(&scene) } else { Room::new(&scene) };
+    let mut room = room.map_err(|error| error.to_string())?;
+    let robots = outputs.into_iter().map(|output| output.of(&mut room)).collect::<Words<Vec<_>>>()?;
+    let mut serving = Serving { room, server, robots, clock, speed, behind: Span::ZERO };
+    serving.work(&signals)?;
+    Ok(serving.conclude())
+}
+
+/// Makes a scene one of now.
+fn begin(scene: &mut Scene, wall_us: Option<i64>) {
+    let start_us = wall_us.unwrap_or(scene.start_unix_s.saturating_mul(1_000_000));
+    scene.start_unix_s = start_us.div_euclid(1_000_000);
+    for robot in &mut scene.robot {
+        robot.host_clock.offset_s += start_us.rem_euclid(1_000_000) as f64 * 1e-6;
+        // The real socket has its own queue, and the real listener stalls by itself.
+        (robot.faults.queue_records, robot.faults.stall_every_s) = (usize::MAX, 0.0);
+    }
+}
+
+/// A room being served.
+struct Serving {
+    room: Room,
+    server: Option<Server>,
+    robots: Vec<Served>,
+    clock: Monotonic,
+    speed: f64,
+    /// The latest that anything came.
+    behind: Span,
+}
+
+impl Serving {
+    /// Until the scene's end or a signal.
+    fn work(&mut self, signals: &Signals) -> Words<()> {
+        let mut now = Instant::ZERO;
+        while let Some(next) = self.turn(&mut now)? {
+            // Without waiting, time still passes event by event.
+            let until = self.speed.is_finite().then(|| Span::from_s(next.as_s() / self.speed));
+            let until = until.map(|span| Instant::ZERO + span + Span::from_us(1));
+            // Without a socket the signals are waited for twice.
+            let fds = [signals.as_fd(), self.server.as_ref().map_or(signals.as_fd(), AsFd::as_fd)];
+            let ready =
+                self.clock.wait(fds, Some(until.unwrap_or(Instant::ZERO))).map_err(|error| error.to_string())?;
+            if ready[0] {
+                break;
+            }
+            let woken = self.clock.now();
+            let waited = match self.speed.is_finite() {
+                true => Instant::ZERO + Span::from_s(woken.as_s() * self.speed),
+                false => next,
+            };
+            self.behind = until.map_or(self.behind, |until| self.behind.max(woken - until));
+            now = waited.max(now);
+        }
+        Ok(())
+    }
+
+    /// Does what is due; when there is more, or nothing at the end.
+    fn turn(&mut self, now: &mut Instant) -> Words<Option<Instant>> {
+        let mut next: Option<Instant> = None;
+        if let Some(server) = &mut self.server {
+            // Both clocks at one moment: the kernel's stamps are of the one, the room's time is the other.
+            *now = self.clock.now();
+            next = server.turn(&mut self.room, *now, wall_us()).map_err(|error| error.to_string())?;
+            server.notice().into_iter().for_each(|why| eprintln!("a frame was not sent: {why}"));
+        }
+        for robot in &mut self.robots {
+            next = [next, robot.pump(*now)?].into_iter().flatten().min();
+        }
+        Ok(next)
+    }
+
+    fn conclude(&self) -> Outcome {
+        let (mut sent, injected) = (0, self.room.injected());
+        for robot in self.robots.iter().filter(|robot| robot.on_connector) {
+            sent += robot.sent;
+            let number = self.room.number(&robot.name).unwrap_or_default();
+            eprintln!("{}: {} records sent; injected {:?}", robot.name, robot.sent, injected.get(number));
+        }
+        if let Some(server) = &self.server {
+            sent += server.counts().records;
+            eprint!("{}", describe(self.room.scene(), &server.counts(), &injected));
+        }
+        if self.speed.is_finite() {
+            eprintln!("at most {:.1} ms behind real time", self.behind.as_s() * 1e3);
+        }
+        if sent == 0 { Outcome::Nothing } else { Outcome::Done }
+    }
+}
+
+/// What went over the socket, and what was done to each robot.
+fn describe(scene: &Scene, counts: &Counts, injected: &[Injected]) -> String {
+    let mut text = format!(
+        "{} programs joined, {} were refused; {} frames put on air, {} not; {} records sent\n",
+        counts.joined, counts.refused, counts.frames, counts.bad_frames, counts.records
+    );
+    if counts.untaken > 0 {
+        text += &format!("  {} messages were lost because a program did not read them\n", counts.untaken);
+    }
+    for (robot, injected) in scene.robot.iter().zip(injected) {
+        text += &format!("  {}: {injected:?}\n", robot.name);
+    }
+    text
+}
+
+/// Opens everything that may take time or fail, before the scene's time begins.
+fn open(scene: &Scene, args: &Args) -> Words<Vec<Output>> {
+    let first = scene.initiators().first().and_then(|&k| scene.robot.get(k)).map(|robot| robot.name.clone());
+    let named = match args.robot.as_slice() {
+        [] if args.socket.is_some() && args.poses.is_empty() => Vec::new(),
+        [] => vec![(first.unwrap_or_default(), args.socket.is_none().then_some(CN_IDX))],
+        named => named.iter().map(|(name, index)| (name.clone(), Some(*index))).collect(),
+    };
+    if args.poses.len() > named.len() {
+        return Err(format!("{} files for poses and {} robots served", args.poses.len(), named.len()));
+    }
+    for (k, (name, index)) in named.iter().enumerate() {
+        if !scene.robot.iter().any(|robot| robot.name == *name) {
+            return Err(format!("no robot {name} in the scene"));
+        }
+        for (other, same) in &named[..k] {
+            if other == name {
+                return Err(format!("{name} is served twice"));
+            }
+            if let Some(index) = index.filter(|_| same == index) {
+                let free = "give each its own, such as NAME=27";
+                return Err(format!("{other} and {name} would both be served on connector index {index}: {free}"));
+            }
+        }
+    }
+    let output = |(k, (name, index)): (usize, (String, Option<u32>))| {
+        let sender = index.map(|index| Sender::open(index, true)).transpose().map_err(|error| error.to_string())?;
+        let poses = args.poses.get(k).map(append).transpose()?;
+        Ok(Output { name, sender, poses })
+    };
+    named.into_iter().enumerate().map(output).collect()
+}
+
+/// Where a robot's records and poses go.
+struct Output {
+    name: String,
+    sender: Option<Sender>,
+    poses: Option<Box<dyn Write>>,
+}
+
+impl Output {
+    /// Joins the outputs with the robot's card and odometry.
+    fn of(self, room: &mut Room) -> Words<Served> {
+        let Self { name, sender, poses } = self;
+        let number = room.number(&name).ok_or_else(|| format!("no robot {name} in the scene"))?;
+        let twice = || format!("{name} is served twice");
+        let card = sender.map(|sender| room.card(number).map(|card| (card, sender)).ok_or_else(twice)).transpose()?;
+        let poses = poses.and_then(|out| room.odometry(number).map(|source| (source, out)));
+        Ok(Served { name, on_connector: card.is_some(), card, sent: 0, poses })
+    }
+}
+
+fn append(path: &PathBuf) -> Words<Box<dyn Write>> {
+    if path.as_os_str() == "-" {
+        return Ok(Box::new(std::io::stdout()));
+    }
+    let file: File = OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(path)
+        .map_err(|error| format!("cannot append poses to {}: {error}", path.display()))?;
+    Ok(Box::new(file))
+}
+
+impl Served {
+    /// Sends what is due by `now`; when there is more, or nothing at the end.
+    fn pump(&mut self, now: Instant) -> Words<Option<Instant>> {
+        let words = |error: csi5300::source::Error| error.to_string();
+        let mut card_at = None;
+        while let Some((card, sender)) = &mut self.card {
+            match card.receive(now).map_err(words)? {
+                Next::Record(_, record) => {
+                    sender.send(record).map_err(words)?;
+                    self.sent += 1;
+                }
+                Next::Lost(Loss::Overrun { .. } | Loss::Bytes { .. } | Loss::Datagram { .. }) => {}
+                Next::Pending => {
+                    card_at = card.next_at();
+                    break;
+                }
+                Next::End(_) => self.card = None,
+            }
+        }
+        Ok([card_at, self.pump_poses(now)?].into_iter().flatten().min())
+    }
+
+    /// Writes the poses that are due, in the columns of motion capture with a heading.
+    fn pump_poses(&mut self, now: Instant) -> Words<Option<Instant>> {
+        let Some((source, out)) = &mut self.poses else { return Ok(None) };
+        let mut written = false;
+        let at = loop {
+            match source.receive(now).map_err(|error| error.to_string())? {
+                NextPose::Pose(pose) => {
+                    let line = csv::line(&pose);
+                    out.write_all(line.as_bytes()).map_err(|error| format!("cannot write a pose: {error}"))?;
+                    written = true;
+                }
+                NextPose::NewFrame => {}
+                NextPose::Pending => break source.next_at(),
+                NextPose::End => break None,
+            }
+        };
+        if written {
+            out.flush().map_err(|error| format!("cannot write a pose: {error}"))?;
+        }
+        Ok(at)
+    }
+}

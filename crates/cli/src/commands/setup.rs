@@ -1,0 +1,94 @@
+//! `csi5300 setup`.
+
+use super::args::channel;
+use super::{Outcome, Result, print};
+use clap::ValueEnum;
+use csi5300::signal::channel::Channel;
+use csi5300_live::doctor::{self, Machine, Request, Step, default_interface, plan, undo};
+
+/// Arguments of `setup`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The card's interface; found on the PCI bus where not given
+    #[arg(long, value_name = "NAME")]
+    interface: Option<String>,
+    /// WiFi channel, with + or - for 40 MHz; the same on all robots
+    #[arg(long, value_parser = channel, value_name = "NUMBER", required_unless_present = "undo")]
+    channel: Option<Channel>,
+    /// What this robot does in a round
+    #[arg(long, value_enum, required_unless_present = "undo")]
+    role: Option<Role>,
+    /// The CSI driver; found by its parameters where not given
+    #[arg(long, value_enum)]
+    driver: Option<Driver>,
+    /// Length of the frames that this robot answers, checksum included (WSR driver, responder): 57, 59, 61 ...
+    #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u32).range(28..=2304))]
+    ack_len: Option<u32>,
+    /// Take the steps instead of printing them
+    #[arg(long)]
+    apply: bool,
+    /// The steps back to an ordinary WiFi card; with --apply they are taken
+    #[arg(long)]
+    undo: bool,
+}
+
+/// What the robot does in a round.
+#[derive(Clone, Copy, ValueEnum)]
+enum Role {
+    /// Sends the forward frames
+    Initiator,
+    /// Answers them
+    Responder,
+}
+
+/// The CSI driver.
+#[derive(Clone, Copy, ValueEnum)]
+enum Driver {
+    /// csitool
+    Stock,
+    /// WSR
+    Wsr,
+}
+
+/// Prints or takes the steps.
+pub fn run(args: &Args) -> Result {
+    let system = Machine;
+    let interface = match &args.interface {
+        Some(name) if name.is_empty() || name.starts_with('-') || name.contains(['/', ' ']) => {
+            return Err(format!("`{name}` is no name of an interface"));
+        }
+        Some(name) => name.clone(),
+        None => default_interface(&system)?,
+    };
+    let steps = match (args.undo, args.channel, args.role) {
+        (true, _, _) => undo(&system, &interface),
+        (false, Some(channel), Some(role)) => {
+            let role = match role {
+                Role::Initiator => doctor::Role::Initiator,
+                Role::Responder => doctor::Role::Responder,
+            };
+            let driver = args.driver.map(|driver| match driver {
+                Driver::Stock => doctor::Driver::Stock,
+                Driver::Wsr => doctor::Driver::Wsr,
+            });
+            plan(&system, &Request { interface, channel, role, driver, ack_len: args.ack_len })?
+        }
+        (false, _, _) => return Err("--channel and --role are needed".into()),
+    };
+    for step in &steps {
+        print(&line(step));
+        if args.apply {
+            step.take(&system)
+                .map_err(|error| format!("{error}\n  (`csi5300 setup --undo --apply` takes it all back)"))?;
+        }
+    }
+    if !args.apply {
+        eprintln!("printed only: --apply takes these steps");
+    }
+    Ok(Outcome::Done)
+}
+
+fn line(step: &Step) -> String {
+    let allowed = if step.may_fail { " || true" } else { "" };
+    format!("{}{allowed}  # {}\n", step.line(), step.why)
+}

@@ -1,0 +1,101 @@
+//! `csi5300 simulate`.
+
+use super::{Outcome, Result, print};
+use csi5300_sim::scene::Driver;
+use csi5300_sim::{Capture, Injected, Room, Scene, write_dataset};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `simulate`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The scene; see scenes/ for examples
+    scene: PathBuf,
+    /// Folder for logs, trajectories and truth
+    #[cfg_attr(feature = "live", arg(long, value_name = "DIR", required_unless_present = "serve"))]
+    #[cfg_attr(not(feature = "live"), arg(long, value_name = "DIR", required = true))]
+    out: Option<PathBuf>,
+    /// Seed instead of the scene's
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Layout of the records instead of the scene's
+    #[arg(long, value_enum, value_name = "LAYOUT")]
+    layout: Option<Layout>,
+    /// Write into a folder that is not empty
+    #[arg(long)]
+    force: bool,
+    #[cfg(feature = "live")]
+    #[command(flatten)]
+    live: super::serve::Args,
+}
+
+/// A layout of records: that of a driver.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+enum Layout {
+    /// The WSR toolbox's driver: host time, MAC and frame number in each record
+    Wsr,
+    /// The original CSI tool's: each record after a copy of its frame; host times in a side file
+    Stock,
+}
+
+/// Simulates a scene and writes what the robots' cards, drivers and loggers would have.
+pub fn run(args: &Args) -> Result {
+    let mut scene = Scene::load(&args.scene).map_err(|error| format!("{}: {error}", args.scene.display()))?;
+    scene.seed = args.seed.unwrap_or(scene.seed);
+    scene.driver = match args.layout {
+        None => scene.driver,
+        Some(Layout::Wsr) => Driver::Wsr,
+        Some(Layout::Stock) => Driver::Stock,
+    };
+    #[cfg(feature = "live")]
+    if args.live.serve {
+        return super::serve::run(scene, &args.live);
+    }
+    #[cfg(feature = "live")]
+    if args.live.asked() {
+        super::usage("--socket, --robot, --poses and --speed need --serve");
+    }
+    let out = args.out.as_deref().ok_or("--out names the folder to write into")?;
+    let used = std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
+    if used && !args.force {
+        return Err(format!("{} is not empty: --force writes into it all the same", out.display()));
+    }
+    let (captures, injected) = write(&scene, out)?;
+    print(&describe(&scene, &captures, &injected));
+    Ok(if captures.is_empty() { Outcome::Nothing } else { Outcome::Done })
+}
+
+/// Runs a scene into a folder, with a progress bar on a terminal.
+pub fn write(scene: &Scene, folder: &Path) -> std::result::Result<(Vec<Capture>, Vec<Injected>), String> {
+    let mut room = Room::new(scene).map_err(|error| error.to_string())?;
+    let bar = ProgressBar::with_draw_target(Some(100), ProgressDrawTarget::stderr());
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {percent} % of {msg}, {eta} left") {
+        bar.set_style(style);
+    }
+    bar.set_message(format!("{} s", scene.duration_s));
+    let captures = write_dataset(&mut room, folder, &mut |share| bar.set_position((share * 100.0) as u64));
+    bar.finish_and_clear();
+    Ok((captures.map_err(|error| error.to_string())?, room.injected()))
+}
+
+fn describe(scene: &Scene, captures: &[Capture], injected: &[Injected]) -> String {
+    let mut text = String::new();
+    let name = |robot: usize| scene.robot.get(robot).map_or("?", |robot| robot.name.as_str());
+    for capture in captures {
+        let _ = writeln!(
+            text,
+            "{}: receiver {}, time stamp {}",
+            capture.dir.display(),
+            name(capture.receiver),
+            capture.stamp
+        );
+        for log in &capture.logs {
+            let _ = writeln!(text, "  {}: {} records of {}", log.path.display(), log.records, name(log.robot));
+        }
+    }
+    for (robot, injected) in injected.iter().enumerate().filter(|(_, injected)| **injected != Injected::default()) {
+        let _ = writeln!(text, "  injected at {}: {injected:?}", name(robot));
+    }
+    text
+}

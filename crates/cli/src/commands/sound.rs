@@ -1,0 +1,207 @@
+//! `csi5300 sound`.
+
+use super::args::{Estimation, channel};
+use super::live::{Signals, duration};
+use super::sounding::{NO_NUMBERS, Sounding, Task, Wanted, Words, run as drive};
+use super::{Result, print, print_json, usage};
+use csi5300::exchange::tdma::{Epoch, Event, Plan, Priority};
+use csi5300::motion::odometry;
+use csi5300::signal::channel::Channel;
+use csi5300::source::Next;
+use csi5300::time::{Instant, Span};
+use csi5300_live::sounding::{Order, Products, Running};
+use csi5300_live::wait::Monotonic;
+use driver_iface::Mac;
+use std::path::{Path, PathBuf};
+
+/// A link whose bearing is good enough is sounded in every so manieth round.
+const SETTLED_ROUNDS: u16 = 8;
+/// Silence after which a robot that alone wants to initiate takes a lost turn, microseconds and slots at least: a busy
+/// host that sleeps for less keeps its turn.
+const ALONE_SILENCE_US: f64 = 50_000.0;
+const ALONE_SILENCE_SLOTS: u32 = 2;
+
+/// Arguments of `sound`.
+#[derive(clap::Args)]
+#[command(
+    after_help = "Examples:\n  csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2,00:21:6a:53:90:a4 --rate 100\n  \
+                        csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2 --log OUT.dat --trajectory T.csv --channel 64\n  \
+                        csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2 --dialect wsr --open-loop\n\
+                        A rate that does not fit is refused with the highest one that does. Frames that the kernel drops \
+                        silently (channels on which the card may not start to transmit) are noticed and said."
+)]
+pub struct Args {
+    #[command(flatten)]
+    common: Sounding,
+    /// No other robot initiates: begin at once, without a long listen
+    #[arg(long)]
+    alone: bool,
+    /// Sound every peer in every round, whether answers are heard here or not
+    #[arg(long)]
+    open_loop: bool,
+    /// Live bearings: trajectory of this robot as CSV, on this host's clock; read again for each bearing, it may grow
+    #[arg(long, value_name = "T.csv", requires = "channel")]
+    trajectory: Option<PathBuf>,
+    /// WiFi channel, with + or - for 40 MHz; needed for bearings
+    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    channel: Option<Channel>,
+    /// How often bearings are made
+    #[arg(long, value_parser = duration, default_value = "2s", value_name = "TIME")]
+    bearing_every: Span,
+    /// Sound a link in every eighth round only, once its bearing's deviation is at most this, degrees
+    #[arg(long, value_name = "DEGREES", requires = "trajectory")]
+    good_enough: Option<f64>,
+    /// Bearings as lines of JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    estimation: Estimation,
+}
+
+/// A bearing while sounding.
+#[derive(serde::Serialize)]
+struct Line {
+    mac: String,
+    pairs: usize,
+    azimuth_deg: Option<f64>,
+    azimuth_sd_deg: Option<f64>,
+    mirror_deg: Option<f64>,
+    coherence: Option<f64>,
+    error: Option<String>,
+}
+
+/// Makes bearings from products.
+struct Bearings<'a> {
+    args: &'a Args,
+    products: Products,
+    path: &'a Path,
+    next_at: Instant,
+    told: bool,
+}
+
+/// What `sound` does beside sounding.
+struct Live<'a> {
+    bearings: Option<Bearings<'a>>,
+}
+
+impl Task for Live<'_> {
+    fn record(&mut self, next: &Next<'_>, _running: &Running) {
+        if let Some(bearings) = &mut self.bearings {
+            bearings.products.note(next);
+        }
+    }
+
+    fn event(&mut self, event: &Event) {
+        if let (Some(bearings), Event::Answered { peer, measurement: Some(measurement), .. }) =
+            (&mut self.bearings, event)
+        {
+            bearings.products.answered(Mac(*peer), measurement);
+        }
+    }
+
+    fn look(&mut self, now: Instant, running: &Running) {
+        if let Some(bearings) = self.bearings.as_mut().filter(|bearings| bearings.next_at <= now) {
+            bearings.make(running);
+            bearings.next_at = now + bearings.args.bearing_every;
+        }
+    }
+}
+
+impl Bearings<'_> {
+    fn make(&mut self, running: &Running) {
+        if self.products.unused().no_number > 0 && !self.told {
+            self.told = true;
+            eprintln!("{NO_NUMBERS}");
+        }
+        let trajectory = match odometry::csv::read(self.path) {
+            Ok((trajectory, _)) => trajectory,
+            Err(error) => return eprintln!("{}: {error}", self.path.display()),
+        };
+        for (mac, pairs) in self.products.pairs().filter(|(_, pairs)| *pairs > 0) {
+            let line = match self.products.bearing(mac, &trajectory) {
+                Ok(bearing) => {
+                    let estimate = &bearing.estimate;
+                    let sd_deg = Some(estimate.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
+                    self.spare(mac, sd_deg, running);
+                    Line {
+                        mac: mac.to_string(),
+                        pairs,
+                        azimuth_deg: Some(estimate.azimuth_rad.to_degrees()),
+                        azimuth_sd_deg: sd_deg,
+                        mirror_deg: estimate.mirror_rad.map(f64::to_degrees),
+                        coherence: Some(estimate.coherence),
+                        error: None,
+                    }
+                }
+                Err(error) => Line {
+                    mac: mac.to_string(),
+                    pairs,
+                    azimuth_deg: None,
+                    azimuth_sd_deg: None,
+                    mirror_deg: None,
+                    coherence: None,
+                    error: Some(error.to_string()),
+                },
+            };
+            self.show(&line);
+        }
+    }
+
+    /// Leaves the channel to links that need it more.
+    fn spare(&self, mac: Mac, sd_deg: Option<f64>, running: &Running) {
+        if let Some(enough) = self.args.good_enough {
+            let settled = sd_deg.is_some_and(|sd| sd <= enough);
+            running
+                .order(Order::Priority(mac.0, if settled { Priority::every(SETTLED_ROUNDS) } else { Priority::FULL }));
+        }
+    }
+
+    fn show(&self, line: &Line) {
+        if self.args.json {
+            return print_json(line);
+        }
+        let Line { mac, pairs, .. } = line;
+        match (line.azimuth_deg, &line.error) {
+            (Some(azimuth), _) => {
+                let sd = line.azimuth_sd_deg.map_or(String::new(), |sd| format!(" +- {sd:.2}"));
+                let mirror = line.mirror_deg.map_or(String::new(), |mirror| format!(", or {mirror:.1}"));
+                let coherence = line.coherence.unwrap_or(0.0);
+                print(&format!("{mac}  {azimuth:.1}{sd} deg{mirror}; coherence {coherence:.2}, {pairs} pairs\n"));
+            }
+            (None, Some(error)) => print(&format!("{mac}  no bearing yet: {error}\n")),
+            (None, None) => {}
+        }
+    }
+}
+
+/// Sounds until told to stop.
+pub fn run(args: &Args) -> Result {
+    let common = &args.common;
+    if args.trajectory.is_some() && (common.dialect == Words::Wsr || common.no_measurement) {
+        usage(
+            "live bearings need the responder's measurements, which only native frames carry: leave out --trajectory, \
+             record with --log, and use `csi5300 bearing` on the logs of both robots",
+        );
+    }
+    let signals = Signals::catch()?;
+    let clock = Monotonic::new();
+    let now = clock.now();
+    let bearings = match (&args.trajectory, args.channel) {
+        (Some(path), Some(channel)) => {
+            let options = args.estimation.options(channel)?;
+            Some(Bearings { args, products: Products::new(&common.peers, options), path, next_at: now, told: false })
+        }
+        _ => None,
+    };
+    let opened = common.open(|config| {
+        (config.epoch, config.start) = (Epoch::Heard(now), now);
+        (config.initiate, config.open_loop) = (true, args.open_loop);
+        if args.alone || args.open_loop {
+            let slot_us = Plan::new(&config.request).map_or(ALONE_SILENCE_US, |plan| plan.slot_us());
+            config.silence_slots = ALONE_SILENCE_SLOTS.max((ALONE_SILENCE_US / slot_us).ceil() as u32);
+        }
+    })?;
+    common.see_to_rate(args.estimation.antenna)?;
+    let source = common.source(if bearings.is_some() { Wanted::Needed } else { Wanted::Not })?;
+    drive(common, &signals, source, opened, clock, &mut Live { bearings })
+}

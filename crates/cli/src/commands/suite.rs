@@ -1,0 +1,79 @@
+//! `csi5300 suite`.
+
+use super::{Outcome, Result, print};
+use csi5300::pipeline::Options;
+use csi5300::signal::channel::{Channel, Width};
+use csi5300_lab::suite::{REPETITIONS, Summary, experiments, run_all, summarise};
+use std::fmt::Write;
+use std::path::PathBuf;
+
+/// Arguments of `suite`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Repetitions of each experiment
+    #[arg(long, default_value_t = REPETITIONS, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    repetitions: u64,
+    /// Only experiments whose name holds this
+    #[arg(long, value_name = "TEXT")]
+    only: Option<String>,
+    /// A row for each repetition, as CSV
+    #[arg(long, default_value = "csi5300-suite.csv", value_name = "FILE")]
+    csv: PathBuf,
+}
+
+/// Runs the paper's experiments and prints a table of them.
+pub fn run(args: &Args) -> Result {
+    let mut all = experiments();
+    if let Some(text) = &args.only {
+        all.retain(|experiment| experiment.name.contains(text));
+    }
+    if all.is_empty() {
+        let names: Vec<String> = experiments().into_iter().map(|experiment| experiment.name).collect();
+        return Err(format!("no experiment has that in its name; there are: {}", names.join("; ")));
+    }
+    let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
+    let failed = |error: String| format!("cannot write {}: {error}", args.csv.display());
+    // Opened first: a file that cannot be written is found before minutes of work, not after.
+    let mut csv = csv::Writer::from_path(&args.csv).map_err(|error| failed(error.to_string()))?;
+    let runs = run_all(&all, args.repetitions, &Options::new(channel))?;
+    runs.iter().try_for_each(|run| csv.serialize(run)).map_err(|error| failed(error.to_string()))?;
+    csv.flush().map_err(|error| failed(error.to_string()))?;
+    print(&describe(&summarise(&runs)));
+    print(&format!("{} repetitions in {}\n", runs.len(), args.csv.display()));
+    Ok(Outcome::Done)
+}
+
+fn describe(table: &[Summary]) -> String {
+    let mut text = format!(
+        "{:<34} {:>5} {:>17} {:>11} {:>9} {:>10} {:>17}\n{:<34} {:>5} {:>17} {:>11} {:>9} {:>10} {:>17}\n",
+        "experiment",
+        "runs",
+        "|error| mean, max",
+        "confidence",
+        "share",
+        "coherence",
+        "residual, comp.",
+        "",
+        "",
+        "deg",
+        "",
+        "",
+        "",
+        "rad"
+    );
+    let value = |value: Option<f64>, digits: usize| value.map_or_else(|| "-".into(), |v| format!("{v:.digits$}"));
+    for row in table {
+        let error = row.error_deg.map_or_else(|| "-".into(), |(mean, max)| format!("{mean:.3}, {max:.3}"));
+        let residual = format!("{:.3}, {:.3}", row.residual_rad, row.residual_compensated_rad);
+        let _ = writeln!(
+            text,
+            "{:<34} {:>5} {error:>17} {:>11} {:>9} {:>10} {residual:>17}",
+            row.experiment,
+            row.repetitions,
+            value(row.confidence, 2),
+            value(row.likelihood_share, 4),
+            value(row.coherence, 3),
+        );
+    }
+    text
+}

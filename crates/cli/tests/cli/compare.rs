@@ -1,0 +1,272 @@
+//! Scenes fitted to captures: simulated and recorded figures agree.
+
+use csi5300::motion::odometry::csv;
+use csi5300::motion::pose::Trajectory;
+use csi5300::pipeline::Options;
+use csi5300::signal::channel::{Channel, Width};
+use csi5300::source::replay::Replay;
+use csi5300_lab::compare::fit::Known;
+use csi5300_lab::compare::table::Allowed;
+use csi5300_lab::compare::{Figures, Fitted, Row, Verdict, fit, measure, measure_scene, measure_scene_along, rows};
+use csi5300_sim::{Scene, scene::Driver};
+use std::collections::BTreeSet;
+use std::fmt::Write;
+use std::path::Path;
+
+fn options() -> Options {
+    Options::new(Channel::new(108, Width::Ht20).unwrap())
+}
+
+/// A figure that a fitted scene may miss: whose, which, and by how many times what is allowed at most.
+type Missed = (&'static str, &'static str, f64);
+
+/// A figure at the edge of what is allowed: how it rounds decides.
+const EDGE: f64 = 1.05;
+
+/// The seeds that judge a fit, none of them the one that it was made with.
+const SEEDS: [u64; 2] = [2, 3];
+
+/// Figures that scenes fitted to the paper's captures miss; see docs/simulation.md.
+const MISSED: [Missed; 3] = [
+    // At the edge of what is allowed: 9,994 us recorded, up to 10,005 simulated; 9,669 us recorded, 9,568 simulated.
+    ("receiver", "interval, host, median", 1.15),
+    ("receiver", "interval, host, 1 %", EDGE),
+    // Real cores have corners, and where a quarter of the answers is away from the core the seed decides on which side
+    // of its edge the quartile falls.
+    ("link", "turn-around, quartile range", 6.5),
+];
+
+/// Figures that a scene fitted to a simulated one misses.
+const MISSED_AGAIN: [Missed; 0] = [];
+
+/// By how many times what is allowed a figure is missed.
+fn ratio(row: &Row) -> f64 {
+    let (Some(recorded), Some(simulated)) = (row.recorded, row.simulated) else { return f64::INFINITY };
+    let allowed = match row.allowed {
+        Allowed::Nothing => 0.0,
+        Allowed::By(by) => by,
+        Allowed::Share(share) => share * recorded.abs(),
+        Allowed::Anything => f64::INFINITY,
+    };
+    (simulated - recorded).abs() / allowed
+}
+
+/// What differs beyond what may be missed, a line each. What is missed as it may be is noted in `seen`.
+fn differences(name: &str, table: &[Row], missed: &[Missed], seen: &mut BTreeSet<(&'static str, String)>) -> String {
+    let mut text = String::new();
+    for row in table.iter().filter(|row| row.verdict == Verdict::Differs) {
+        let ratio = ratio(row);
+        seen.insert((row.of, row.name.clone()));
+        let known = missed.iter().any(|(of, figure, most)| (*of, *figure) == (row.of, &row.name) && ratio <= *most);
+        if !known {
+            let (recorded, simulated) = (row.recorded, row.simulated);
+            let _ = writeln!(text, "{name}: {}, {}: {recorded:?}, {simulated:?}: {ratio:.2} times", row.of, row.name);
+        }
+    }
+    text
+}
+
+/// Checks tables against what may be missed; gives what is.
+fn check_only(tables: &[(String, Vec<Row>)], missed: &[Missed]) -> BTreeSet<(&'static str, String)> {
+    let mut seen = BTreeSet::new();
+    let differences: String = tables.iter().map(|(name, table)| differences(name, table, missed, &mut seen)).collect();
+    assert!(differences.is_empty(), "\n{differences}");
+    seen
+}
+
+/// Checks tables against what may be missed, and that nothing may be missed that is not.
+fn check(tables: &[(String, Vec<Row>)], missed: &[Missed]) {
+    let seen = check_only(tables, missed);
+    let is_never = |(of, figure, most): &&Missed| *most > EDGE && !seen.contains(&(*of, (*figure).to_owned()));
+    let never: Vec<_> = missed.iter().filter(is_never).collect();
+    assert!(never.is_empty(), "these agree, and need not be missed: {never:?}");
+}
+
+/// The figures of a fitted scene, and of the same scene with further seeds, along the recorded trajectory.
+fn judged(
+    name: &str,
+    recorded: &Figures,
+    fitted: &Fitted,
+    trajectory: &Trajectory,
+    options: &Options,
+) -> Vec<(String, Vec<Row>)> {
+    assert_eq!(fitted.scene.seed, SEEDS[0]);
+    let table = |seed: u64| {
+        let scene = Scene { seed, ..fitted.scene.clone() };
+        let again = || measure_scene_along(&scene, trajectory, options).unwrap();
+        let figures = if seed == SEEDS[0] { &fitted.figures } else { &again() };
+        (format!("{name}, seed {seed}"), rows(recorded, figures))
+    };
+    SEEDS.map(table).into()
+}
+
+#[test]
+fn scenes_fitted_to_the_papers_captures_agree_with_them() {
+    let Some(captures) = crate::common::captures() else { return };
+    let names = [
+        ("circle", ["real_10cm_1", "real_20cm_2", "real_30cm_2"]),
+        ("line", ["real_10cm_2", "real_20cm_1", "real_30cm_3"]),
+    ];
+    let mut tables = Vec::new();
+    for (shape, name) in names.iter().flat_map(|(shape, names)| names.iter().map(move |name| (shape, name))) {
+        let folder = captures.join("paper").join(shape);
+        let log = |side: &str| Replay::open(&folder.join(format!("csi_{side}_{name}.dat"))).unwrap();
+        let path = folder.join(format!("rx_movement_{name}.csv"));
+        let (trajectory, _) = csv::read(&path).unwrap();
+        let recorded = measure(&mut log("rx"), &mut log("tx"), &trajectory, &options()).unwrap();
+        let known = Known {
+            trajectory: &trajectory,
+            file: &std::fs::canonicalize(&path).unwrap(),
+            folder: Path::new(""),
+            transmitter_m: Some([-3.18, 1.11, 0.27]),
+        };
+        let fitted = fit(&recorded, &known, &options()).unwrap();
+        tables.extend(judged(&format!("{shape} {name}"), &recorded, &fitted, &trajectory, &options()));
+    }
+    check(&tables, &MISSED);
+}
+
+/// What came of fitting a scene to a simulated recording.
+struct Refitted {
+    recorded: Figures,
+    fitted: Fitted,
+    tables: Vec<(String, Vec<Row>)>,
+}
+
+/// Simulates a scene as a recording, and fits a scene to it; the transmitter's place is told or not.
+fn refitted(scene: &Scene, name: &str, told: bool, options: &Options) -> Refitted {
+    let folder = std::env::temp_dir().join(format!("csi5300-compare-{name}-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let recorded = measure_scene(scene, options).unwrap();
+    let room = csi5300_sim::Room::new(scene).unwrap();
+    let trajectory = csi5300_lab::compare::figures::true_path(&room, 0).unwrap();
+    std::fs::write(folder.join("t.csv"), trajectory.poses().iter().map(csv::line).collect::<String>()).unwrap();
+    let known = Known {
+        trajectory: &trajectory,
+        file: Path::new("t.csv"),
+        folder: &folder,
+        transmitter_m: told.then_some(scene.robot[1].position_m),
+    };
+    let fitted = fit(&recorded, &known, options).unwrap();
+    let tables = judged(name, &recorded, &fitted, &trajectory, options);
+    std::fs::remove_dir_all(&folder).unwrap();
+    Refitted { recorded, fitted, tables }
+}
+
+/// The built-in scene of a lab with real cards, for so long.
+fn lab(duration_s: f64) -> Scene {
+    Scene { duration_s, ..Scene::built_in("lab-circle").unwrap() }
+}
+
+#[test]
+fn a_fit_finds_a_simulated_scene_again() {
+    let Refitted { recorded, tables, .. } = refitted(&lab(29.0), "again", true, &options());
+    check(&tables, &MISSED_AGAIN);
+    assert!((recorded.link.df_hz + 3.0 * 5_540.0).abs() < 400.0, "3 ppm of 5.54 GHz, not {}", recorded.link.df_hz);
+    let late = recorded.link.groups[0];
+    // The scene says 8 % early by 110 +- 45 us; those within 25 us count to the core, those beyond 160 to the next.
+    assert!((0.045..0.085).contains(&late.share) && (-125.0..-95.0).contains(&late.mean_us), "{late:?}");
+}
+
+#[test]
+fn a_fit_finds_the_stock_layout_again() {
+    let scene = Scene { driver: Driver::Stock, ..lab(15.0) };
+    let Refitted { recorded, fitted, tables } = refitted(&scene, "stock", true, &options());
+    assert_eq!((recorded.receiver.stock, fitted.scene.driver), (recorded.receiver.records, Driver::Stock));
+    check_only(&tables, &MISSED_AGAIN);
+    // A record of a frame that the driver copied before it: no MAC, no number, no time in it, and so 18 bytes less.
+    assert_eq!(fitted.figures.receiver.lengths, recorded.receiver.lengths);
+    assert_eq!(recorded.receiver.lengths.keys().copied().collect::<Vec<_>>(), [215]);
+}
+
+#[test]
+fn a_fit_finds_40_mhz_again() {
+    // The scene's channel is the centre of the 40 MHz, the program's the primary one.
+    let scene = Scene { bandwidth_mhz: 40, channel: 110, ..lab(15.0) };
+    let wide = Options::new(Channel::new(108, Width::Ht40Plus).unwrap());
+    let Refitted { recorded, fitted, tables } = refitted(&scene, "wide", true, &wide);
+    assert_eq!((fitted.scene.bandwidth_mhz, fitted.scene.channel), (40, 110));
+    assert_eq!(recorded.receiver.rates.keys().copied().collect::<Vec<_>>(), [0x900]);
+    check_only(&tables, &MISSED_AGAIN);
+    let narrow =
+        Known { trajectory: &path_of(&scene), file: Path::new("t.csv"), folder: Path::new(""), transmitter_m: None };
+    let error = fit(&recorded, &narrow, &options()).unwrap_err();
+    assert!(error.contains("the records are of 40 MHz"), "{error}");
+}
+
+#[test]
+fn a_fit_finds_the_transmitter_where_nobody_says_where_it_is() {
+    let scene = lab(29.0);
+    let Refitted { recorded, fitted, tables } = refitted(&scene, "found", false, &options());
+    check_only(&tables, &MISSED_AGAIN);
+    let [x, y, _] = fitted.scene.robot[1].position_m;
+    let middle = csi5300_sim::Room::new(&scene).unwrap().antenna(0, 14.0).unwrap();
+    let azimuth_deg = (y - middle.y).atan2(x - middle.x).to_degrees();
+    let [tx, ty, _] = scene.robot[1].position_m;
+    let truth_deg = (ty - middle.y).atan2(tx - middle.x).to_degrees();
+    // The place is that of the found bearing, from a middle within the circle.
+    assert!((azimuth_deg - truth_deg).abs() < 5.0, "{azimuth_deg} of {truth_deg}");
+    assert!((fitted.figures.link.azimuth_deg.unwrap() - recorded.link.azimuth_deg.unwrap()).abs() < 0.5);
+    // Without motion nothing tells a place.
+    let mut still = scene;
+    still.robot[0].motion = csi5300_sim::motion::Motion::Static;
+    still.duration_s = 5.0;
+    let recorded = measure_scene(&still, &options()).unwrap();
+    let known =
+        Known { trajectory: &path_of(&still), file: Path::new("t.csv"), folder: Path::new(""), transmitter_m: None };
+    let error = fit(&recorded, &known, &options()).unwrap_err();
+    assert!(error.contains("without motion it cannot be found"), "{error}");
+}
+
+fn path_of(scene: &Scene) -> Trajectory {
+    let room = csi5300_sim::Room::new(scene).unwrap();
+    csi5300_lab::compare::figures::true_path(&room, 0).unwrap()
+}
+
+#[test]
+fn figures_of_different_scenes_differ() {
+    let measured = |name: &str| {
+        let mut scene = Scene::built_in(name).unwrap();
+        scene.duration_s = 6.0;
+        measure_scene(&scene, &options()).unwrap()
+    };
+    let table = rows(&measured("lab-circle"), &measured("paper-circle"));
+    let differs = |name: &str| table.iter().any(|row| row.name == name && row.verdict == Verdict::Differs);
+    for name in ["phase spread before compensation", "AGC, mean", "level C", "slope of the phase"] {
+        assert!(differs(name), "{name}");
+    }
+    assert!(!differs("record length, highest") && !differs("rate_n_flags, total variation distance"));
+}
+
+#[test]
+fn compare_neither_overwrites_what_it_reads_nor_removes_what_is_there() {
+    let folder = std::env::temp_dir().join(format!("csi5300-compare-outputs-{}", std::process::id()));
+    std::fs::create_dir_all(folder.join("simulated")).unwrap();
+    let names = ["rx.dat", "tx.dat", "fitted-trajectory.csv", "trajectory.csv", "scene.toml", "simulated/kept.csv"];
+    for name in names {
+        std::fs::write(folder.join(name), name).unwrap();
+    }
+    let refused = |more: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
+        command.current_dir(&folder).args(["compare", "--rx", "rx.dat", "--tx", "tx.dat", "--out", "."]).args(more);
+        let out = command.output().unwrap();
+        assert_eq!(out.status.code(), Some(1));
+        String::from_utf8(out.stderr).unwrap()
+    };
+    let said = refused(&["--trajectory", "trajectory.csv"]);
+    assert!(said.contains("is there already: --force"), "{said}");
+    let said = refused(&["--trajectory", "fitted-trajectory.csv", "--force"]);
+    assert!(said.contains("fitted-trajectory.csv is an input"), "{said}");
+    let said = refused(&["--trajectory", "simulated/kept.csv", "--force"]);
+    assert!(said.contains("is an input inside"), "{said}");
+    let paper = crate::common::root().join("scenes/paper-circle.toml");
+    let with = ["--trajectory", "trajectory.csv", paper.to_str().unwrap()];
+    let said = refused(&with);
+    assert!(said.contains("simulated is there already"), "{said}");
+    let said = refused(&[&with[..], &["--force", "--channel", "36"]].concat());
+    assert!(said.contains("not of --channel 36"), "{said}");
+    for name in names {
+        assert_eq!(std::fs::read_to_string(folder.join(name)).unwrap(), name);
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+}

@@ -1,0 +1,23 @@
+//! The program as its users meet it.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+#[path = "../../../../tests/common/mod.rs"]
+mod common;
+#[cfg(feature = "live")]
+#[path = "../../../../tests/common/private.rs"]
+mod private;
+
+mod commands;
+mod compare;
+#[cfg(feature = "live")]
+mod monitor;
+#[cfg(feature = "node")]
+mod node;
+#[cfg(feature = "zenoh")]
+mod peers;
+#[cfg(feature = "live")]
+mod recording;
+#[cfg(feature = "live")]
+mod serve;
+#[cfg(feature = "live")]
+mod served;

@@ -1,0 +1,158 @@
+//! `csi5300 node` and `watch` as their users meet them.
+
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&path);
+    std::fs::create_dir_all(&path).unwrap();
+    path
+}
+
+fn csi5300(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    command.current_dir(folder).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn said(output: Output) -> (i32, String, String) {
+    let words = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (output.status.code().expect("no signal"), words(output.stdout), words(output.stderr))
+}
+
+const ROOM: &str = "name = \"alpha\"\nchannel = \"108\"\ncapture.room = { scene = \"lab-circle\", robot = \"rx\", speed = 40 }\n\
+                    odometry.room = {}\n[[peer]]\nname = \"tx\"\nrecords.room = {}\n";
+
+#[test]
+fn a_configuration_is_checked_whole_before_anything_starts() {
+    let folder = folder("node-check");
+    std::fs::write(folder.join("good.toml"), ROOM).unwrap();
+    let check = |name: &str| said(csi5300(&folder).args(["node", "--config", name, "--check"]).output().unwrap());
+    let (status, out, err) = check("good.toml");
+    assert_eq!((status, out.as_str()), (0, "good.toml: good\n"), "{err}");
+    let bad = ROOM.replace("channel = \"108\"", "channel = \"13\"").replace("capture.room", "capture.radio");
+    std::fs::write(folder.join("bad.toml"), bad).unwrap();
+    let (status, _, err) = check("bad.toml");
+    assert!(status == 2 && err.contains("bad.toml: line 3") && err.contains("radio"), "{err}");
+    let (status, _, err) = check("absent.toml");
+    assert!(status == 2 && err.contains("absent.toml"), "{err}");
+}
+
+#[test]
+fn the_example_configuration_is_good() {
+    let example = crate::common::root().join("packaging/robot.toml");
+    let mut text = std::fs::read_to_string(example).unwrap();
+    if !cfg!(feature = "zenoh") {
+        // Without the network its peer has no records: the rest must still be good.
+        text = text.replace("records.network = {}", "records.replay.file = \"x.dat\"");
+    }
+    let refused = csi5300_node::config::Config::read(&text, Path::new(""));
+    if cfg!(feature = "zenoh") {
+        refused.unwrap();
+    } else {
+        let problems = refused.unwrap_err().0;
+        assert!(
+            problems.iter().all(|problem| problem.reason.contains("zenoh") || problem.reason.contains("x.dat")),
+            "{problems:?}"
+        );
+    }
+}
+
+#[test]
+fn a_simulated_robot_runs_to_its_end_with_its_log_and_its_bearings() {
+    let folder = folder("node-room");
+    let text = format!(
+        "{ROOM}[output]\nbearings = \"{0}/bearings.jsonl\"\nstatus_line = \"always\"\n[log]\nfile = \"{0}/own.dat\"\n",
+        folder.display()
+    );
+    // No start may take another's log for its own, whether or not it goes on in new files.
+    for (log, rotate) in
+        [("own.dat", ""), ("own-r1-0001.dat", "rotate_mib = 100\n"), ("own-r2-0001.dat", "rotate_mib = 100\n")]
+    {
+        std::fs::write(folder.join("robot.toml"), format!("{text}{rotate}")).unwrap();
+        let (status, out, err) = said(csi5300(&folder).args(["node", "--config", "robot.toml"]).output().unwrap());
+        // At forty times real time the simulated socket may run over, as a real one does: that is status 3.
+        assert!(matches!(status, 0 | 3) && out.is_empty(), "{status} {err}");
+        assert!(err.contains("tx: bearing") && err.contains("records/s"), "{err}");
+        let (status, info, _) = said(csi5300(&folder).args(["info", log]).output().unwrap());
+        assert!(status == 0 && info.contains("WSR layout") && err.contains("records in the log, 0 not"), "{info}{err}");
+    }
+    let lines = std::fs::read_to_string(folder.join("bearings.jsonl")).unwrap();
+    let reports: Vec<serde_json::Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let last = reports.last().unwrap();
+    // The scene: from the middle of the circle to the transmitter.
+    let truth = (1.11 + 0.494f64).atan2(-3.18 - 0.72).to_degrees();
+    let off = (last["azimuth_deg"].as_f64().unwrap() - truth).abs();
+    assert!(off < 3.0 && last["state"] == "bearing" && last["link"] == "tx", "{off} {last}");
+}
+
+/// A process that is ended with the test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn the_state_is_told_on_a_socket_and_a_signal_ends_the_robot_in_order() {
+    let folder = folder("node-socket");
+    let text = format!(
+        "{}[output]\nbearings = \"\"\nstatus_socket = \"{1}/s\"\n[log]\nfile = \"{1}/own.dat\"\n",
+        ROOM.replace("speed = 40", "speed = 1"),
+        folder.display()
+    );
+    std::fs::write(folder.join("robot.toml"), text).unwrap();
+    let mut node = Running(csi5300(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
+    let look = || said(csi5300(&folder).args(["watch", "s", "--once"]).output().unwrap());
+    // The socket appears when the robot is up.
+    let state = loop {
+        let (status, out, _) = look();
+        if status == 0 {
+            break serde_json::from_str::<serde_json::Value>(&out).unwrap();
+        }
+        assert!(node.0.try_wait().unwrap().is_none(), "the robot ended by itself");
+        std::thread::yield_now();
+    };
+    assert_eq!((state["name"].as_str(), state["peers"][0]["name"].as_str()), (Some("alpha"), Some("tx")));
+    // A second one on the same socket is refused, and does not take it away.
+    let (status, _, err) = said(csi5300(&folder).args(["node", "--config", "robot.toml"]).output().unwrap());
+    assert!(status == 1 && err.contains("another node answers"), "{err}");
+    assert_eq!(look().0, 0);
+    nix::sys::signal::kill(nix::unistd::Pid::from_raw(node.0.id() as i32), nix::sys::signal::Signal::SIGTERM).unwrap();
+    let status = node.0.wait().unwrap();
+    let mut err = String::new();
+    node.0.stderr.take().unwrap().read_to_string(&mut err).unwrap();
+    // Also where no record had come yet.
+    assert!(matches!(status.code(), Some(0 | 3)), "{status} {err}");
+    assert!(err.contains("records in the log, 0 not"), "{err}");
+    assert!(!folder.join("s").exists(), "the socket is gone with the robot");
+    let (_, _, err) = look();
+    assert!(err.contains("does the node run"), "{err}");
+}
+
+#[test]
+fn the_log_of_a_robot_that_was_killed_can_be_read() {
+    let folder = folder("node-killed");
+    let text = format!(
+        "{}[output]\nbearings = \"\"\n[log]\nfile = \"{}/own.dat\"\n",
+        ROOM.replace("speed = 40", "speed = 4"),
+        folder.display()
+    );
+    std::fs::write(folder.join("robot.toml"), text).unwrap();
+    let mut node = Running(csi5300(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
+    while std::fs::metadata(folder.join("own.dat")).map_or(0, |log| log.len()) < 20_000 {
+        assert!(node.0.try_wait().unwrap().is_none(), "the robot ended by itself");
+        std::thread::yield_now();
+    }
+    node.0.kill().unwrap();
+    node.0.wait().unwrap();
+    let (status, info, err) = said(csi5300(&folder).args(["info", "--json", "own.dat"]).output().unwrap());
+    let info: serde_json::Value = serde_json::from_str(&info).unwrap();
+    assert!(status == 0 && info["wsr"].as_u64() >= Some(80), "{info} {err}");
+    assert_eq!(info["damages"], 0);
+}

@@ -1,0 +1,209 @@
+//! `csi5300 record` under bad treatment: what is on disk is always a readable log, and what it says is lost is lost.
+
+use crate::private::{inside, send, send_gently};
+use csi5300::source::{CsiSource, Next, replay::Replay};
+use csi5300::time::Instant;
+use csi5300_live::netlink::Sender;
+use driver_iface::bfee::Bfee;
+use driver_iface::connector::CN_IDX;
+use driver_iface::record::Tail;
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStderr, Command, Stdio};
+
+fn folder(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("csi5300-recording-{}-{name}", std::process::id()));
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
+/// A running `csi5300 record` that is already listening.
+struct Running {
+    child: Child,
+    stderr: BufReader<ChildStderr>,
+}
+
+impl Running {
+    fn start(out: &Path, more: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+        command.arg("record").arg(out).args(["--allow-user-sender", "--connector-index", "26"]).args(more);
+        let mut child = command.stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        let mut stderr = BufReader::new(child.stderr.take().unwrap());
+        let mut line = String::new();
+        stderr.read_line(&mut line).unwrap();
+        assert!(line.starts_with("listening on connector index 26 (as given)"), "{line}");
+        Self { child, stderr }
+    }
+
+    fn signal(&self, signal: Signal) {
+        kill(Pid::from_raw(self.child.id() as i32), signal).unwrap();
+    }
+
+    /// Waits until the log has at least this many bytes.
+    fn wait_for_bytes(out: &Path, bytes: u64) {
+        while std::fs::metadata(out).map_or(0, |about| about.len()) < bytes {
+            std::thread::yield_now();
+        }
+    }
+
+    /// Ends it; gives its exit status and what it said.
+    fn end(mut self, signal: Signal) -> (Option<i32>, String) {
+        self.signal(signal);
+        let mut said = String::new();
+        self.stderr.read_to_string(&mut said).unwrap();
+        (self.child.wait().unwrap().code(), said)
+    }
+}
+
+/// The `bfee_count`s in a log, how it ends, and how many records have a host time.
+fn read(log: &Path) -> (Vec<u16>, Tail, usize) {
+    let mut replay = Replay::open(log).unwrap();
+    let (mut counts, mut stamped) = (Vec::new(), 0);
+    loop {
+        match replay.receive(Instant::ZERO).unwrap() {
+            Next::Record(stamps, record) => {
+                counts.push(Bfee::new_checked(record.body).unwrap().bfee_count());
+                stamped += usize::from(stamps.host_us.is_some());
+            }
+            Next::End(tail) => return (counts, tail, stamped),
+            other => panic!("{}: {other:?}", log.display()),
+        }
+    }
+}
+
+const RECORD: u64 = 2 + 213;
+
+#[test]
+fn a_signal_ends_the_log_whole() {
+    if !inside(concat!(module_path!(), "::a_signal_ends_the_log_whole"), "-Urn") {
+        return;
+    }
+    let folder = folder("signals");
+    for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {
+        let out = folder.join(format!("{signal}.dat"));
+        let running = Running::start(&out, &[]);
+        let mut sender = Sender::open(CN_IDX, true).unwrap();
+        send_gently(&mut sender, 0..1_400);
+        // These are still in its socket when the signal comes, or not: it reads them before it ends.
+        send(&mut sender, 1_400..1_500);
+        let (status, said) = running.end(signal);
+        assert_eq!(status, Some(0), "{said}");
+        assert!(said.contains("1500 records written"), "{said}");
+        let (counts, tail, stamped) = read(&out);
+        assert_eq!(counts, (0..1_500).collect::<Vec<_>>());
+        assert_eq!((tail, stamped), (Tail::Clean, 1_500));
+    }
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn a_kill_at_any_moment_leaves_a_readable_log() {
+    if !inside(concat!(module_path!(), "::a_kill_at_any_moment_leaves_a_readable_log"), "-Urn") {
+        return;
+    }
+    let folder = folder("kill");
+    let mut sender = Sender::open(CN_IDX, true).unwrap();
+    for round in 0..12_u16 {
+        let out = folder.join(format!("{round}.dat"));
+        let mut running = Running::start(&out, &["--sync-every", "20ms"]);
+        // The moment is somewhere in the middle of the writing, another one each time.
+        send_gently(&mut sender, 0..4_000 + round * 997);
+        running.signal(Signal::SIGKILL);
+        running.child.wait().unwrap();
+        let (counts, tail, stamped) = read(&out);
+        assert_eq!(counts, (0..counts.len() as u16).collect::<Vec<_>>(), "round {round}");
+        assert!(stamped <= counts.len());
+        if let Tail::Cut { offset, .. } = tail {
+            assert_eq!(offset, counts.len() as u64 * RECORD);
+        }
+    }
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn a_full_disk_is_counted_loss() {
+    if !inside(concat!(module_path!(), "::a_full_disk_is_counted_loss"), "-Urnm") {
+        return;
+    }
+    let folder = folder("full");
+    let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=256k", "none"]).arg(&folder).status();
+    if !mounted.is_ok_and(|status| status.success()) {
+        eprintln!("skipped: a tmpfs cannot be mounted here");
+        return;
+    }
+    let out = folder.join("out.dat");
+    let running = Running::start(&out, &[]);
+    let mut sender = Sender::open(CN_IDX, true).unwrap();
+    send_gently(&mut sender, 0..3_000);
+    // 240 KiB for the data leaves room for less than half; the side file takes its share.
+    Running::wait_for_bytes(&out, 200_000);
+    let (status, said) = running.end(Signal::SIGTERM);
+    assert_eq!(status, Some(3), "{said}");
+    let (counts, tail, stamped) = read(&out);
+    assert_eq!(tail, Tail::Clean, "{said}");
+    assert!(counts.is_sorted_by(|a, b| a < b));
+    assert!(stamped <= counts.len());
+    let kept = counts.len();
+    assert!(kept < 3_000);
+    assert!(said.contains(&format!("{kept} records written")), "{said}");
+    let lost = format!("{} that it refused", 3_000 - kept);
+    assert!(said.contains(&lost) && said.contains("No space left"), "expected {lost}:\n{said}");
+}
+
+#[test]
+fn a_stopped_recorder_reports_what_it_missed() {
+    if !inside(concat!(module_path!(), "::a_stopped_recorder_reports_what_it_missed"), "-Urn") {
+        return;
+    }
+    let folder = folder("stopped");
+    let out = folder.join("out.dat");
+    let running = Running::start(&out, &["--receive-buffer", "64k"]);
+    let mut sender = Sender::open(CN_IDX, true).unwrap();
+    running.signal(Signal::SIGSTOP);
+    send(&mut sender, 0..5_000);
+    running.signal(Signal::SIGCONT);
+    // It has recovered when something sent later arrives.
+    let mut next = 5_000_u16;
+    while std::fs::metadata(&out).unwrap().len() == 0 {
+        send(&mut sender, next..next + 1);
+        next += 1;
+        std::thread::yield_now();
+        assert!(next < 60_000);
+    }
+    let (status, said) = running.end(Signal::SIGTERM);
+    assert_eq!(status, Some(3), "{said}");
+    let (counts, tail, _) = read(&out);
+    assert_eq!(tail, Tail::Clean);
+    let gaps: u64 = counts.windows(2).map(|pair| u64::from(pair[1] - pair[0] - 1)).sum();
+    let told: u64 = said
+        .lines()
+        .find_map(|line| line.split_once("the kernel dropped ")?.1.split(' ').next()?.parse().ok())
+        .unwrap_or_else(|| panic!("no overrun told:\n{said}"));
+    assert!(gaps > 0 && counts.first() == Some(&0));
+    assert!(said.contains(&format!("bfee_count has gaps of {gaps}")), "{gaps} in the log:\n{said}");
+    assert!(told >= gaps.saturating_sub(1), "{told} told, {gaps} missing:\n{said}");
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn a_replayed_log_arrives_through_the_kernel() {
+    if !inside(concat!(module_path!(), "::a_replayed_log_arrives_through_the_kernel"), "-Urn") {
+        return;
+    }
+    let folder = folder("replay");
+    let (first, second) = (folder.join("a.dat"), folder.join("b.dat"));
+    let running = Running::start(&first, &["--records", "300"]);
+    send(&mut Sender::open(CN_IDX, true).unwrap(), 0..300);
+    let Running { mut child, .. } = running;
+    assert!(child.wait().unwrap().success());
+    let mut running = Running::start(&second, &["--records", "300"]);
+    let mut replay = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    let replay = replay.arg("replay").arg(&first).args(["--speed", "max", "--connector"]).output().unwrap();
+    assert!(replay.status.success(), "{}", String::from_utf8_lossy(&replay.stderr));
+    assert!(running.child.wait().unwrap().success());
+    assert_eq!(std::fs::read(&first).unwrap(), std::fs::read(&second).unwrap());
+    std::fs::remove_dir_all(folder).unwrap();
+}

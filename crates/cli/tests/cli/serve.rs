@@ -1,0 +1,353 @@
+//! `simulate --serve`: a room on the kernel's connector, heard by `record`, is the room that the library simulates.
+
+use crate::private::inside;
+use csi5300::motion::odometry::csv;
+use csi5300::source::{CsiSource, Next, replay::Replay};
+use csi5300::time::Instant;
+use csi5300_live::wait::{Monotonic, wall_us};
+use csi5300_sim::{Room, Scene};
+use driver_iface::bfee::{Bfee, offset};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+const SCENE: &str = r#"
+duration_s = 3.0
+[sounding]
+rate_hz = 100
+[radio]
+noise.snr_db = 20.0
+host_latency_us = 300.0
+[[robot]]
+name = "rx"
+motion.circle = { radius_m = 0.3, duration_s = 3.0 }
+odometry = { rate_hz = 50.0, noise_m = 0.001 }
+faults = { loss = 0.1, stall_every_s = 1.0, stall_s = 0.9, queue_records = 5 }
+[[robot]]
+name = "tx"
+position_m = [4.0, 0.0, 0.0]
+"#;
+
+/// The bodies of a source's records, without the host's time, which is that of the run.
+fn bodies(source: &mut dyn CsiSource) -> Vec<Vec<u8>> {
+    let (mut bodies, mut now) = (Vec::new(), Instant::ZERO);
+    loop {
+        match source.receive(now).unwrap() {
+            Next::Record(_, record) => {
+                let mut body = record.body.to_vec();
+                body[offset::TV_SEC..offset::TV_SEC + 8].fill(0);
+                bodies.push(body);
+            }
+            Next::Pending => now = source.next_at().unwrap(),
+            Next::End(_) => return bodies,
+            Next::Lost(loss) => panic!("{loss:?}"),
+        }
+    }
+}
+
+/// The driver's time in the first record, microseconds since the Unix epoch.
+fn first_host_us(log: &Path) -> i64 {
+    let mut log = Replay::open(log).unwrap();
+    let Next::Record(_, record) = log.receive(Instant::ZERO).unwrap() else { panic!("no record") };
+    let wsr = Bfee::new_checked(record.body).unwrap().wsr().unwrap();
+    i64::from(wsr.tv_sec) * 1_000_000 + i64::from(wsr.tv_usec)
+}
+
+/// Runs `record` on the connector while `serve` runs; gives what the server said.
+fn serve(scene: &Path, logs: &[(&Path, &str)], more: &[&str]) -> String {
+    let own = env!("CARGO_BIN_EXE_csi5300");
+    let recorders: Vec<_> = logs
+        .iter()
+        .map(|(log, index)| {
+            let mut command = Command::new(own);
+            command.arg("record").arg(log).args(["--allow-user-sender", "--connector-index", index]);
+            let mut child = command.stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+            let mut stderr = BufReader::new(child.stderr.take().unwrap());
+            let mut line = String::new();
+            stderr.read_line(&mut line).unwrap();
+            assert!(line.starts_with("listening"), "{line}");
+            (child, stderr)
+        })
+        .collect();
+    let out = Command::new(own).arg("simulate").arg(scene).arg("--serve").args(more).output().unwrap();
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert!(out.status.success(), "{said}");
+    for (mut child, mut stderr) in recorders {
+        kill(Pid::from_raw(child.id() as i32), Signal::SIGINT).unwrap();
+        let mut rest = String::new();
+        stderr.read_to_string(&mut rest).unwrap();
+        assert_eq!(child.wait().unwrap().code(), Some(0), "{rest}");
+    }
+    said
+}
+
+#[test]
+fn a_served_room_is_heard_through_the_kernel() {
+    if !inside(concat!(module_path!(), "::a_served_room_is_heard_through_the_kernel"), "-Urn") {
+        return;
+    }
+    let folder = std::env::temp_dir().join(format!("csi5300-serve-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let [scene, rx, tx, poses] = ["scene.toml", "rx.dat", "tx.dat", "poses.csv"].map(|name| folder.join(name));
+    std::fs::write(&scene, SCENE).unwrap();
+    let options = ["--speed", "20", "--robot", "rx=26", "--robot", "tx=12", "--poses", poses.to_str().unwrap()];
+    let (before_us, clock) = (wall_us().unwrap(), Monotonic::new());
+    let said = serve(&scene, &[(&rx, "26"), (&tx, "12")], &options);
+    let (after_us, took_s) = (wall_us().unwrap(), clock.now().as_s());
+    // Three seconds at twenty times real time, and the first frames are of the first milliseconds.
+    assert!(took_s >= 3.0 / 20.0, "{took_s} s: not paced");
+    let first_us = first_host_us(&rx);
+    assert!((before_us..after_us).contains(&first_us), "{first_us} is not within {before_us} and {after_us}");
+    assert!(said.contains("ms behind real time"), "{said}");
+
+    // Stalls and queues of the scene are left to the real listener; losses on air are not.
+    let mut expected = Scene::from_toml(SCENE).unwrap();
+    let faults = &mut expected.robot[0].faults;
+    (faults.stall_every_s, faults.queue_records) = (0.0, usize::MAX);
+    let mut room = Room::new(&expected).unwrap();
+    let cards = [room.card(0).unwrap(), room.card(1).unwrap()];
+    for (robot, (mut card, log)) in cards.into_iter().zip([&rx, &tx]).enumerate() {
+        let (heard, simulated) = (bodies(&mut Replay::open(log).unwrap()), bodies(&mut card));
+        assert!(heard.len() > 250, "{} records", heard.len());
+        assert!(heard == simulated, "robot {robot}: {} heard, {} simulated", heard.len(), simulated.len());
+        assert!(said.contains(&format!("{} records sent", heard.len())), "{said}");
+    }
+    let (trajectory, counts) = csv::read(&poses).unwrap();
+    assert_eq!((counts.rows, counts.bad_rows), (151, 0));
+    let reach = trajectory.poses().iter().map(|pose| pose.position_m.norm()).fold(0.0, f64::max);
+    assert!((reach - 0.6).abs() < 0.01, "{reach}");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// Two robots, the one on circles for as long as the room lasts, radios as real ones but for their crystals, which nearly
+/// agree: a busy machine answers milliseconds late, in which real ones would turn by tens of cycles (that they are
+/// compensated is tested in virtual time). Drivers in the stock layout.
+const LIVE: &str = r#"
+duration_s = 120.0
+cfo = "physical"
+driver = "stock"
+[radio]
+mcs = 1
+noise.snr_db = 20.0
+host_latency_us = 100.0
+delay_ns = 200.0
+sampling_offset = true
+[[robot]]
+name = "rx"
+mac = "02:00:00:00:00:0a"
+motion.circle = { radius_m = 0.3, duration_s = 120.0, turns = 30 }
+crystal.offset_ppm = 0.0015
+[[robot]]
+name = "tx"
+mac = "02:00:00:00:00:0b"
+position_m = [-386.0, 93.0, 0.0]
+crystal = { offset_ppm = -0.001, clock_start_us = 1000000 }
+"#;
+
+/// A node that listens to both cards.
+const NODE: &str = r#"
+channel = "108"
+capture.served = { socket = "room", robot = "rx" }
+odometry.room = {}
+[[peer]]
+name = "tx"
+records.room = {}
+[estimator]
+accurate = false
+[output]
+bearings = "bearings.jsonl"
+"#;
+
+/// A program whose words are waited for.
+struct Program {
+    child: std::process::Child,
+    stderr: BufReader<std::process::ChildStderr>,
+    said: String,
+}
+
+impl Program {
+    fn start(args: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+        let mut child = command.args(args).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        let stderr = BufReader::new(child.stderr.take().unwrap());
+        Self { child, stderr, said: String::new() }
+    }
+
+    fn until(&mut self, word: &str) {
+        while !self.said.contains(word) {
+            let read = self.stderr.read_line(&mut self.said).unwrap();
+            assert!(read > 0, "it ended before it said `{word}`:\n{}", self.said);
+        }
+    }
+
+    fn stop(&self) {
+        kill(Pid::from_raw(self.child.id() as i32), Signal::SIGTERM).unwrap();
+    }
+
+    /// Its exit status and all that it said.
+    fn end(mut self) -> (Option<i32>, String) {
+        self.stderr.read_to_string(&mut self.said).unwrap();
+        (self.child.wait().unwrap().code(), std::mem::take(&mut self.said))
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // One that has ended is none the worse for it.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The number before a word in what a program said.
+fn number(said: &str, after: &str) -> u64 {
+    let words = said.split(after).next().unwrap_or_default();
+    words
+        .rsplit(|c: char| !c.is_ascii_digit())
+        .find(|word| !word.is_empty())
+        .and_then(|word| word.parse().ok())
+        .unwrap()
+}
+
+/// A node of that room that sounds, in turns with the other.
+#[cfg(feature = "node")]
+fn sounding_node(own: &str, peer: &str) -> String {
+    let moves = if own == "rx" { "odometry.room = {}\n" } else { "" };
+    let poses = if peer == "rx" { "poses.room = {}\n" } else { "" };
+    format!(
+        "channel = \"108\"\ncapture.served = {{ socket = \"room\", robot = \"{own}\" }}\n{moves}\
+         [[peer]]\nname = \"{peer}\"\nrecords.room = {{}}\n{poses}\
+         [estimator]\naccurate = false\n[output]\nbearings = \"{own}.jsonl\"\nstatus_line = \"always\"\n\
+         [sounding]\nrate_hz = 50.0\nturn_around_us = 6000\nguard_us = 1500\nfifo = false\n"
+    )
+}
+
+#[cfg(feature = "node")]
+#[test]
+fn nodes_sound_each_other_in_turns() {
+    let folder = std::env::temp_dir().join(format!("csi5300-turns-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let place = |name: &str| folder.join(name).to_str().unwrap().to_owned();
+    std::fs::write(place("scene.toml"), LIVE).unwrap();
+    let (scene, socket) = (place("scene.toml"), place("room"));
+    let mut room = Program::start(&["simulate", &scene, "--serve", "--socket", &socket]);
+    room.until("serving the room at");
+    let start = |own: &str, peer: &str| {
+        let file = place(&format!("{own}.toml"));
+        std::fs::write(&file, sounding_node(own, peer)).unwrap();
+        Program::start(&["node", "--config", &file])
+    };
+    let (mut rx, tx) = (start("rx", "tx"), start("tx", "rx"));
+    // Both have had turns once the robot that moves has a dozen bearings.
+    let bearings = || {
+        let lines = std::fs::read_to_string(place("rx.jsonl")).unwrap_or_default();
+        let lines = lines.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
+        lines.filter(|line| line["state"] == "bearing").collect::<Vec<_>>()
+    };
+    while bearings().len() < 12 {
+        rx.said.clear();
+        rx.until("records/s");
+    }
+    [&rx, &tx].into_iter().for_each(Program::stop);
+    for node in [rx, tx] {
+        let (status, said) = node.end();
+        assert!(matches!(status, Some(0 | 3)), "{status:?}: {said}");
+    }
+    room.stop();
+    let (_, served) = room.end();
+    let last = bearings().pop().unwrap();
+    let off_deg = last["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
+    assert!(off_deg.abs() < 2.0, "{off_deg} degrees off: {last}");
+    let (own, other) = (&last["receiver_records"], &last["transmitter_records"]);
+    // Two counts in each log: both robots initiated. And their numbers do not meet, or one robot's exchanges would pair
+    // with the other's and be refused, half of all. A busy machine makes some answers late by more than the clocks allow.
+    let counts = |side: &serde_json::Value, of: &str| side[of].as_u64().unwrap();
+    for side in [own, other] {
+        assert!(counts(side, "restarts") >= 1, "{last}\n{served}");
+        assert!(counts(side, "mispaired") * 2 < counts(side, "paired"), "{last}");
+    }
+    assert!(last["pairs"].as_u64() > Some(50), "{last}");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn programs_sound_each_other_in_a_served_room() {
+    let folder = std::env::temp_dir().join(format!("csi5300-live-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let names = ["scene.toml", "rx.dat", "tx.dat", "poses.csv", "room", "record.dat", "node.toml"];
+    let paths = names.map(|name| folder.join(name));
+    std::fs::write(&paths[0], LIVE).unwrap();
+    std::fs::write(&paths[6], NODE).unwrap();
+    let [scene, rx, tx, poses, socket, record, node] = paths.each_ref().map(|path| path.to_str().unwrap());
+    let of = |robot: &str| format!("{socket}#{robot}");
+    let mut room = Program::start(&["simulate", scene, "--serve", "--socket", socket, "--poses", poses]);
+    room.until("serving the room at");
+    // A busy machine is late by milliseconds: slots are long, and answers have time.
+    let slow = ["--rate", "50", "--turn-around", "6000", "--guard", "1500", "--no-fifo"];
+    let tx_room = of("tx");
+    let respond = [&["respond", "--room", &tx_room, "--peers", "02:00:00:00:00:0a", "--log", tx], &slow[..]].concat();
+    let mut respond = Program::start(&respond);
+    respond.until("sending under");
+    let rx_room = of("rx");
+    // A second listener on the same card.
+    let mut recorder = Program::start(&["record", record, "--room", &rx_room]);
+    recorder.until("recording to");
+    let node = cfg!(feature = "node").then(|| Program::start(&["node", "--config", node]));
+    let sound =
+        ["sound", "--room", &rx_room, "--peers", "02:00:00:00:00:0b", "--alone", "--log", rx, "--stop-after", "8s"];
+    let (status, sounded) = Program::start(&[&sound[..], &slow[..]].concat()).end();
+    assert_eq!(status, Some(0), "{sounded}");
+    [&respond, &recorder].into_iter().chain(&node).for_each(Program::stop);
+    let (status, responded) = respond.end();
+    assert_eq!(status, Some(0), "{responded}");
+    let (_, recorded) = recorder.end();
+    let programs = if node.is_some() { 8 } else { 5 };
+    if let Some(node) = node {
+        let (status, said) = node.end();
+        let lines = std::fs::read_to_string(folder.join("bearings.jsonl")).unwrap();
+        let lines = lines.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+        let found = lines.filter(|line| line["state"] == "bearing").reduce(|_, later| later);
+        let found = found.unwrap_or_else(|| panic!("no bearing, {status:?}: {said}"));
+        let off_deg = found["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
+        assert!(off_deg.abs() < 2.0, "{off_deg} degrees off: {found}");
+    }
+    room.stop();
+    let (status, served) = room.end();
+    assert_eq!(status, Some(0), "{served}");
+    let (answered, sent) = (number(&sounded, " answered"), number(&sounded, " forward frames"));
+    assert!(answered > 100, "{answered} of {sent}:\n{sounded}\n{responded}\n{served}");
+    assert!(served.contains(&format!("{programs} programs joined, 0 were refused")), "{served}");
+    // What each side says went out, the room put on air; nothing of it was lost.
+    let on_air = number(&served, " frames put on air");
+    assert_eq!(on_air, sent + number(&responded, " answers"), "{sounded}\n{responded}\n{served}");
+    assert!(served.contains(" 0 not;"), "{served}");
+
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    let args = ["bearing", "--channel", "108", "--rx", rx, "--tx", tx, "--trajectory", poses, "--json"];
+    let out = command.args(args).output().unwrap();
+    let said = String::from_utf8(out.stdout).unwrap();
+    assert_eq!(out.status.code(), Some(0), "{said}{}", String::from_utf8_lossy(&out.stderr));
+    let json: serde_json::Value = serde_json::from_str(said.lines().next().unwrap()).unwrap();
+    let azimuth_deg = json["azimuth_deg"].as_f64().unwrap_or_else(|| panic!("{said}"));
+    let truth_deg = 93f64.atan2(-386.0).to_degrees();
+    assert!((azimuth_deg - truth_deg).abs() < 2.0, "{azimuth_deg} of {truth_deg}: {said}");
+    // The other listener heard the same card.
+    let heard = number(&recorded, " records written");
+    assert!(heard >= answered, "{heard} of {answered}: {recorded}");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn two_robots_on_one_connector_index_are_refused() {
+    let scene = std::env::temp_dir().join(format!("csi5300-serve-index-{}.toml", std::process::id()));
+    std::fs::write(&scene, SCENE).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    command.arg("simulate").arg(&scene).args(["--serve", "--robot", "rx=9", "--robot", "tx=9"]);
+    let out = command.output().unwrap();
+    std::fs::remove_file(&scene).unwrap();
+    let said = String::from_utf8(out.stderr).unwrap();
+    assert_eq!(out.status.code(), Some(1), "{said}");
+    assert!(said.contains("rx and tx would both be served on connector index 9"), "{said}");
+}

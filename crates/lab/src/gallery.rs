@@ -1,0 +1,157 @@
+//! The pictures of an evaluation (error distributions, refusals, a map of each place) and of one link from end to end.
+
+use crate::evaluate::Judged;
+use crate::figures::{Error, Pictures};
+use crate::plot::{CdfPlot, Ellipse, MapPlot, PlaceMap, Ray, RayClass, ScatterLines, file_safe};
+use crate::quality::{Receiver, receivers, refusals};
+use csi5300::pipeline::link::Bearing;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// What the WSR toolbox as released reaches on each set of its data, all links, against the mean pose, with motion
+/// capture (measured): name, median, 90th percentile, degrees.
+const TOOLBOX: [(&str, f64, f64); 5] = [
+    ("LOS_Set_A", 2.46, 5.97),
+    ("LOS_Set_B", 3.65, 14.80),
+    ("NLOS_Set_A", 8.72, 27.29),
+    ("NLOS_Set_B", 11.24, 88.30),
+    ("NLOS_Set_C", 2.15, 7.03),
+];
+
+/// Writes `errors`, `refusals` and a `map-PLACE` for each capture into a folder, each as .png and .svg.
+///
+/// # Errors
+/// If a picture cannot be drawn or written.
+pub fn evaluation(rows: &[Judged], folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let mut written = errors(rows).write(&folder.join("errors"))?;
+    written.extend(refused(rows).write(&folder.join("refusals"))?);
+    let mut captures: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
+    for row in rows {
+        if let Some((capture, _)) = row.answer.link.rsplit_once('/') {
+            captures.entry(capture).or_default().push(row);
+        }
+    }
+    let located = receivers(rows);
+    for (capture, own) in captures.into_iter().filter(|(_, own)| own.iter().any(|r| r.true_receiver_m.is_some())) {
+        let receiver = located.iter().find(|receiver| receiver.capture == capture);
+        let picture = map(capture, &own, receiver);
+        written.extend(picture.write(&folder.join(format!("map-{}", file_safe(capture))))?);
+    }
+    Ok(written)
+}
+
+fn errors(rows: &[Judged]) -> CdfPlot {
+    let mut sets: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+    for row in rows {
+        if let Some(error) = row.error_from_mean_pose_deg {
+            sets.entry(row.set().into()).or_default().push(error);
+        }
+    }
+    let known = |(name, median, p90): &(&str, f64, f64)| {
+        let points = vec![(*median, 0.5), (*p90, 0.9)];
+        (format!("toolbox {name}: median, 90th percentile"), points)
+    };
+    // In the order of the sets, so that each has the colour of its peer.
+    let peers = sets.keys().map(|set| TOOLBOX.iter().find(|peer| peer.0 == set));
+    CdfPlot {
+        title: "Bearing error against the mean pose".into(),
+        x_label: "error (degrees)".into(),
+        known: peers.map(|peer| peer.map(known).unwrap_or_default()).collect::<Vec<_>>(),
+        series: sets.into_iter().collect(),
+    }
+}
+
+fn refused(rows: &[Judged]) -> ScatterLines {
+    let curve = refusals(rows);
+    let points = |pick: fn(&crate::quality::Kept) -> f64| curve.iter().map(|k| (100.0 * k.share, pick(k))).collect();
+    ScatterLines {
+        title: "Error of the links that are kept when the least confident are refused".into(),
+        x_label: "links kept (%)".into(),
+        y_label: "error (degrees)".into(),
+        series: vec![
+            ("mean".into(), points(|kept| kept.errors.mean_deg)),
+            ("median".into(), points(|kept| kept.errors.median_deg)),
+            ("90th percentile".into(), points(|kept| kept.errors.p90_deg)),
+        ],
+        lines: true,
+        ..ScatterLines::default()
+    }
+}
+
+fn map(capture: &str, rows: &[&Judged], receiver: Option<&Receiver>) -> MapPlot {
+    let mut plot = MapPlot { title: capture.into(), ..MapPlot::default() };
+    for row in rows {
+        let name = row.answer.link.rsplit('/').next().unwrap_or_default();
+        plot.truth.extend(row.true_transmitter_m.map(|at| (name.to_owned(), at)));
+        let Some(origin_m) = row.true_receiver_m else { continue };
+        let mut ray = |azimuth_deg: Option<f64>, label: String, class| {
+            plot.rays.extend(azimuth_deg.map(|deg| Ray { origin_m, azimuth_rad: deg.to_radians(), label, class }));
+        };
+        ray(row.true_from_mean_pose_deg, String::new(), RayClass::Truth);
+        let sure = row.answer.confidence.map_or(String::new(), |c| format!("{name} {c:.2}"));
+        ray(row.answer.azimuth_deg, sure, RayClass::Measured);
+        ray(row.answer.mirror_deg, String::new(), RayClass::Mirror);
+        if let (Some([x, y, _]), Some(c)) = (row.answer.position_m, row.answer.position_covariance_m2) {
+            let covariance_m2 = [[c[0][0], c[0][1]], [c[1][0], c[1][1]]];
+            plot.ellipses.push(Ellipse { centre_m: [x, y], covariance_m2, label: name.into() });
+        }
+    }
+    if let Some((centre_m, covariance_m2)) = receiver.and_then(|r| r.position_m.zip(r.covariance_m2)) {
+        plot.ellipses.push(Ellipse { centre_m, covariance_m2, label: "receiver".into() });
+    }
+    plot.truth.extend(rows.iter().find_map(|row| row.true_receiver_m).map(|at| ("receiver".to_owned(), at)));
+    plot
+}
+
+/// Writes the pictures of one link: those of [`Pictures`], and `NAME-azimuth-elevation` and `NAME-azimuth-range`.
+///
+/// # Errors
+/// If a picture cannot be drawn or written.
+pub fn link(pictures: &Pictures<'_>, folder: &Path, name: &str) -> Result<Vec<PathBuf>, Error> {
+    let mut written = pictures.write(folder, name)?;
+    let stem = |what: &str| folder.join(format!("{}-{what}", file_safe(name)));
+    for (what, map) in places(pictures.bearing, name, pictures.truth_rad.map(f64::to_degrees)) {
+        written.extend(map.write(&stem(what))?);
+    }
+    Ok(written)
+}
+
+fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'static str, PlaceMap)> {
+    let Some((placed, maps)) = bearing.placed.as_ref().and_then(|placed| Some((placed, placed.maps.as_ref()?))) else {
+        return Vec::new();
+    };
+    let sources = || placed.fix.sources.iter();
+    let last = |values: &[f64]| values.last().copied().unwrap_or(0.0);
+    let mut found = Vec::new();
+    if maps.elevations_rad.len() > 1 {
+        let own = sources().map(|s| (s.azimuth_rad.to_degrees(), s.abs_elevation_rad.to_degrees()));
+        let map = PlaceMap {
+            title: format!("{name}: joint power, best range of each"),
+            y_label: "|elevation| (degrees)".into(),
+            y: (0.0, last(&maps.elevations_rad).to_degrees()),
+            n_az: maps.azimuths,
+            value: maps.over_elevation.clone(),
+            marks: own.collect(),
+            truth_deg,
+            ..PlaceMap::default()
+        };
+        found.push(("azimuth-elevation", map));
+    }
+    if maps.curves_per_m.len() > 1 {
+        let most = last(&maps.curves_per_m);
+        let ticks = [f64::INFINITY, 20.0, 10.0, 6.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.0];
+        let shown = ticks.into_iter().filter(|range| 1.0 / range <= most * 1.001);
+        let map = PlaceMap {
+            title: format!("{name}: joint power, best elevation of each"),
+            y_label: "range (m), even in 1/range".into(),
+            y: (0.0, most),
+            y_ticks: shown.map(|r| (1.0 / r, if r.is_finite() { r.to_string() } else { "far".into() })).collect(),
+            n_az: maps.azimuths,
+            value: maps.over_range.clone(),
+            marks: sources().map(|s| (s.azimuth_rad.to_degrees(), s.inverse_range_per_m)).collect(),
+            truth_deg,
+        };
+        found.push(("azimuth-range", map));
+    }
+    found
+}

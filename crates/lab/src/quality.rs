@@ -1,0 +1,283 @@
+//! What a set of judged links is worth: ranges, refusals, reliability of the confidence, receivers located.
+
+use crate::evaluate::{Errors, Judged, percentile};
+use csi5300::place::locate::{LocateError, Located, Sighting, locate};
+use nalgebra::Vector2;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Bearings further off than this are wrong, degrees: what [`csi5300::place::confidence`] predicts.
+const WRONG_DEG: f64 = 5.0;
+/// Edges of the table of reliability.
+const BINS: [f64; 6] = [0.0, 0.5, 0.7, 0.8, 0.9, 1.000_001];
+
+/// Errors of the links that are left when the least confident are refused.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Kept {
+    /// Share kept, 0..1.
+    pub share: f64,
+    /// Confidence of the least confident link kept.
+    pub confidence: f64,
+    /// Their errors.
+    pub errors: Errors,
+}
+
+/// The risk-coverage curve: errors when 100, 90, .. 50 % are kept.
+#[must_use]
+pub fn risk_coverage(rows: &[Judged]) -> Vec<Kept> {
+    kept(rows, (5..=10).rev().map(|tenths| f64::from(tenths) / 10.0))
+}
+
+/// The same in steps of 2 %, down to a tenth: for pictures.
+#[must_use]
+pub fn refusals(rows: &[Judged]) -> Vec<Kept> {
+    kept(rows, (5..=50).rev().map(|fiftieths| f64::from(fiftieths) / 50.0))
+}
+
+fn kept(rows: &[Judged], shares: impl Iterator<Item = f64>) -> Vec<Kept> {
+    let mut sure: Vec<(f64, f64)> = certain(rows).collect();
+    sure.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let kept = |share: f64| {
+        // Half a link is no link more because of how a share is rounded.
+        let count = ((sure.len() as f64 * share - 1e-9).ceil() as usize).min(sure.len());
+        let own = &sure[..count];
+        let confidence = own.last().map_or(0.0, |row| row.0);
+        Kept { share, confidence, errors: Errors::of(own.iter().map(|row| row.1)) }
+    };
+    if sure.is_empty() { Vec::new() } else { shares.map(kept).collect() }
+}
+
+/// Median of `|error| / deviation` over that of a normal distribution: 1 where deviations tell the truth, whatever a few
+/// false answers do. `None` without links that have both.
+fn scale(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
+    let mut ratios: Vec<f64> = pairs.filter(|(_, sd)| *sd > 0.0).map(|(error, sd)| (error / sd).abs()).collect();
+    median(&mut ratios).map(|ratio| ratio / 0.674_5)
+}
+
+/// The median of values in any order, interpolated between the middle two.
+#[must_use]
+pub fn median(values: &mut [f64]) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    (!values.is_empty()).then(|| percentile(values, 0.5))
+}
+
+/// How the azimuths' errors compare with their predicted deviations: 1 at the Cramer-Rao bound.
+#[must_use]
+pub fn over_bound(rows: &[&Judged]) -> Option<f64> {
+    scale(rows.iter().filter_map(|row| row.error_from_mean_pose_deg.zip(row.answer.azimuth_sd_deg)))
+}
+
+/// Links of like confidence.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Reliability {
+    /// From this confidence on.
+    pub from: f64,
+    /// Up to here.
+    pub to: f64,
+    /// Links.
+    pub links: usize,
+    /// Their mean confidence.
+    pub said: f64,
+    /// Share that was within five degrees.
+    pub right: f64,
+}
+
+/// How often links of each confidence were right.
+#[must_use]
+pub fn reliability(rows: &[Judged]) -> Vec<Reliability> {
+    let bin = |edges: &[f64]| {
+        let own: Vec<(f64, f64)> = certain(rows).filter(|(c, _)| (edges[0]..edges[1]).contains(c)).collect();
+        let n = own.len().max(1) as f64;
+        Reliability {
+            from: edges[0],
+            to: edges[1].min(1.0),
+            links: own.len(),
+            said: own.iter().map(|row| row.0).sum::<f64>() / n,
+            right: own.iter().filter(|row| row.1 <= WRONG_DEG).count() as f64 / n,
+        }
+    };
+    BINS.windows(2).map(bin).filter(|bin| bin.links > 0).collect()
+}
+
+/// (confidence, absolute error in degrees) of every link with both.
+fn certain(rows: &[Judged]) -> impl Iterator<Item = (f64, f64)> + '_ {
+    rows.iter().filter_map(|row| Some((row.answer.confidence?, row.error_from_mean_pose_deg?.abs())))
+}
+
+/// Errors of reported ranges.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Ranges {
+    /// Links with a bearing and a true range.
+    pub links: usize,
+    /// Those that reported a range.
+    pub reported: usize,
+    /// Median of the absolute errors, metres.
+    pub median_m: Option<f64>,
+    /// How the errors compare with the predicted deviations: 1 where those tell the truth.
+    pub over_bound: Option<f64>,
+}
+
+/// How good the ranges are.
+#[must_use]
+pub fn ranges(rows: &[&Judged]) -> Ranges {
+    let known = rows.iter().filter(|row| row.true_range_m.is_some() && row.answer.azimuth_deg.is_some());
+    let mut errors: Vec<f64> = rows.iter().filter_map(|row| row.range_error_m).map(f64::abs).collect();
+    let reported = errors.len();
+    let over_bound = scale(rows.iter().filter_map(|row| row.range_error_m.zip(row.answer.range_sd_m)));
+    Ranges { links: known.count(), reported, median_m: median(&mut errors), over_bound }
+}
+
+/// A receiver located from its links.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Receiver {
+    /// Name of the capture.
+    pub capture: String,
+    /// Links used.
+    pub links: usize,
+    /// Position, metres, in the frame of the true transmitters.
+    pub position_m: Option<[f64; 2]>,
+    /// Its covariance, metres squared, row by row.
+    pub covariance_m2: Option<[[f64; 2]; 2]>,
+    /// Share of its say that each link kept.
+    pub weights: Vec<f64>,
+    /// Why there is none.
+    pub error: Option<String>,
+    /// True mean position of the motion, metres.
+    pub true_position_m: Option<[f64; 2]>,
+    /// Distance between the two, metres.
+    pub off_m: Option<f64>,
+}
+
+/// Locates the receiver of every capture from its links to transmitters whose places are known.
+#[must_use]
+pub fn receivers(rows: &[Judged]) -> Vec<Receiver> {
+    let mut captures: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
+    for row in rows {
+        let name = row.answer.link.rsplit_once('/').map_or("", |(capture, _)| capture);
+        captures.entry(name).or_default().push(row);
+    }
+    captures.into_iter().map(|(name, rows)| receiver(name, &rows)).collect()
+}
+
+fn receiver(capture: &str, rows: &[&Judged]) -> Receiver {
+    let sightings: Vec<Sighting> = rows.iter().filter_map(|row| sighting(row)).collect();
+    let truth = rows.iter().find_map(|row| row.true_receiver_m);
+    let found: Result<Located, LocateError> = locate(&sightings);
+    let mut receiver = Receiver {
+        capture: capture.into(),
+        links: sightings.len(),
+        position_m: None,
+        covariance_m2: None,
+        weights: Vec::new(),
+        error: None,
+        true_position_m: truth,
+        off_m: None,
+    };
+    match found {
+        Ok(found) => {
+            receiver.off_m = truth.map(|truth| (found.position_m - Vector2::from(truth)).norm());
+            receiver.position_m = Some(found.position_m.into());
+            receiver.covariance_m2 = Some(found.covariance_m2.into());
+            receiver.weights = found.weights;
+        }
+        Err(error) => receiver.error = Some(error.to_string()),
+    }
+    receiver
+}
+
+/// A link as an equation for its receiver. The deviation of the bearing is that which the confidence stands for: a
+/// normal error is within five degrees with that probability.
+fn sighting(row: &Judged) -> Option<Sighting> {
+    let answer = &row.answer;
+    let sure = answer.confidence.unwrap_or(0.5);
+    let horizontal = answer.abs_elevation_deg.unwrap_or(0.0).to_radians().cos();
+    Some(Sighting {
+        transmitter_m: row.true_transmitter_m?.into(),
+        azimuth_rad: answer.azimuth_deg?.to_radians(),
+        azimuth_sd_rad: deviation_rad(sure).max(answer.azimuth_sd_deg.unwrap_or(0.0).to_radians()),
+        range_m: answer.range_m.zip(answer.range_sd_m).map(|(range, sd)| (range * horizontal, sd * horizontal)),
+    })
+}
+
+/// Standard deviation of a normal error that is within five degrees with probability `sure`: the error function is
+/// inverted by bisection.
+fn deviation_rad(sure: f64) -> f64 {
+    let (mut low, mut high) = (0.1, 6.0);
+    for _ in 0..40 {
+        let middle = 0.5 * (low + high);
+        if within(middle) < sure { low = middle } else { high = middle }
+    }
+    WRONG_DEG.to_radians() / high
+}
+
+/// Probability that a normal error is within `x` deviations (Simpson's rule on the density).
+fn within(x: f64) -> f64 {
+    let n = 64;
+    let h = x / f64::from(n);
+    let density = |k: i32| (-0.5 * (h * f64::from(k)).powi(2)).exp();
+    let inner: f64 = (1..n).map(|k| density(k) * if k % 2 == 1 { 4.0 } else { 2.0 }).sum();
+    2.0 * h / 3.0 * (density(0) + inner + density(n)) / std::f64::consts::TAU.sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300::pipeline::answer::Answer;
+
+    fn row(link: &str, azimuth_deg: f64, error_deg: f64, confidence: f64) -> Judged {
+        let answer = Answer {
+            link: link.into(),
+            azimuth_deg: Some(azimuth_deg),
+            confidence: Some(confidence),
+            ..Answer::default()
+        };
+        Judged { answer, error_from_mean_pose_deg: Some(error_deg), ..Judged::default() }
+    }
+
+    #[test]
+    fn refusing_the_unsure_lowers_the_error() {
+        let rows: Vec<Judged> = (0..10).map(|k| row("a/x", 0.0, f64::from(k), 1.0 - f64::from(k) * 0.1)).collect();
+        let curve = risk_coverage(&rows);
+        assert_eq!(curve.len(), 6);
+        assert_eq!((curve[0].errors.links, curve[5].errors.links), (10, 5));
+        assert!((curve[5].errors.mean_deg - 2.0).abs() < 1e-12 && (curve[0].errors.mean_deg - 4.5).abs() < 1e-12);
+        assert!(risk_coverage(&[]).is_empty());
+        let bins = reliability(&rows);
+        assert_eq!(bins.iter().map(|bin| bin.links).sum::<usize>(), 10);
+        assert_eq!(bins[bins.len() - 1].right, 1.0);
+    }
+
+    #[test]
+    fn deviations_that_tell_the_truth_have_a_scale_of_one() {
+        let with_sd = |k: i32| {
+            let mut row = row("a/x", 0.0, f64::from(k), 0.5);
+            row.answer.azimuth_sd_deg = Some(10.0);
+            row
+        };
+        // Half of normal errors are within 0.6745 deviations.
+        let rows: Vec<Judged> = (-13..=13).map(with_sd).collect();
+        let rows: Vec<&Judged> = rows.iter().collect();
+        assert!((over_bound(&rows).unwrap() - 0.7 / 0.674_5).abs() < 1e-9, "{:?}", over_bound(&rows));
+        assert_eq!(over_bound(&[]), None);
+        assert_eq!(ranges(&rows), Ranges { links: 0, reported: 0, median_m: None, over_bound: None });
+    }
+
+    #[test]
+    fn a_receiver_is_where_its_bearings_meet() {
+        let seen = |name: &str, tx: [f64; 2]| Judged {
+            true_transmitter_m: Some(tx),
+            true_receiver_m: Some([1.0, 2.0]),
+            ..row(&format!("place/stamp/{name}"), (tx[1] - 2.0).atan2(tx[0] - 1.0).to_degrees(), 0.0, 0.9)
+        };
+        let found = receivers(&[seen("tx2", [4.0, 2.5]), seen("tx3", [1.5, -3.0]), seen("tx4", [-2.0, 4.0])]);
+        assert_eq!((found.len(), found[0].links, found[0].capture.as_str()), (1, 3, "place/stamp"));
+        assert!(found[0].off_m.unwrap() < 1e-6);
+    }
+
+    #[test]
+    fn deviations_stand_for_their_confidence() {
+        // 68.27 % within one deviation, 95.45 % within two.
+        assert!((deviation_rad(0.682_689).to_degrees() - 5.0).abs() < 0.01);
+        assert!((deviation_rad(0.954_5).to_degrees() - 2.5).abs() < 0.01);
+    }
+}

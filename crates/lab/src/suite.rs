@@ -1,0 +1,187 @@
+//! The paper's experiments, simulated: stationary robots with a constant carrier offset and with the paper's
+//! sinusoid, circles and lines of three sizes; each goes through TDMA, bytes, pairing and the core.
+
+use crate::compare::figures::{spread_rad, true_path};
+use csi5300::motion::pose::wrap_rad;
+use csi5300::pipeline::link::Bearing;
+use csi5300::pipeline::{Options, Transmitter, bearings};
+use csi5300_sim::motion::{Circle, Line, Motion};
+use csi5300_sim::scene::{Cfo, PaperCfo, Scene};
+use csi5300_sim::{Port, Room};
+use rayon::prelude::*;
+use std::f64::consts::TAU;
+
+/// Durations of the stationary experiments, seconds (the paper's III-A).
+pub const STATIONARY_S: [f64; 5] = [10.0, 30.0, 60.0, 120.0, 300.0];
+/// Radii of circles, and lines as long as those are round, metres.
+pub const RADII_M: [f64; 3] = [0.1, 0.2, 0.3];
+/// Repetitions of each simulated experiment in the paper.
+pub const REPETITIONS: u64 = 10;
+
+/// One experiment.
+#[derive(Clone, Debug)]
+pub struct Experiment {
+    /// Its name.
+    pub name: String,
+    /// Its scene; repetitions differ by seed.
+    pub scene: Scene,
+}
+
+/// What one repetition gave.
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Run {
+    /// The experiment.
+    pub experiment: String,
+    /// Number of the repetition, from 1; the scene's seed.
+    pub repetition: u64,
+    /// Pairs formed.
+    pub pairs: usize,
+    /// Azimuth less the bearing from the mean pose, degrees; of a line's two answers the nearer one. None at rest.
+    pub error_deg: Option<f64>,
+    /// Predicted standard deviation of the azimuth, degrees.
+    pub sd_deg: Option<f64>,
+    /// Probability given for the azimuth to be within five degrees.
+    pub confidence: Option<f64>,
+    /// The paper's confidence: the profile's highest value over its sum.
+    pub likelihood_share: Option<f64>,
+    /// `|sum z a| / sum |z|` of the best plane wave.
+    pub coherence: Option<f64>,
+    /// Spread of the round trip's phase from packet to packet without motion, radians, as recorded.
+    pub residual_rad: f64,
+    /// The same after turn-around compensation.
+    pub residual_compensated_rad: f64,
+}
+
+/// All experiments, in the paper's order.
+#[must_use]
+pub fn experiments() -> Vec<Experiment> {
+    let Some(base) = Scene::built_in("paper-circle") else { return Vec::new() };
+    let mut all = Vec::new();
+    for (kind, c1) in [("constant CFO", 0.0), ("sinusoidal CFO", PaperCfo::default().c1)] {
+        for duration_s in STATIONARY_S {
+            let mut scene = Scene { duration_s, ..base.clone() };
+            scene.cfo = Cfo::Paper(PaperCfo { c1, ..PaperCfo::default() });
+            scene.robot[0].motion = Motion::Static;
+            all.push(Experiment { name: format!("stationary {duration_s} s, {kind}"), scene });
+        }
+    }
+    for radius_m in RADII_M {
+        let duration_s = base.duration_s;
+        let circle = Motion::Circle(Circle { radius_m, duration_s, turns: 1.0, start_s: 0.0 });
+        let line = Motion::Line(Line { length_m: TAU * radius_m, duration_s, start_s: 0.0 });
+        for (kind, motion) in [("circle", circle), ("line", line)] {
+            let mut scene = base.clone();
+            scene.robot[0].motion = motion;
+            all.push(Experiment { name: format!("{kind} {:.0} cm", 100.0 * radius_m), scene });
+        }
+    }
+    all
+}
+
+/// Runs every experiment so many times, on all cores of the current rayon pool; in order.
+///
+/// # Errors
+/// The first repetition that failed, with its experiment.
+pub fn run_all(experiments: &[Experiment], repetitions: u64, options: &Options) -> Result<Vec<Run>, String> {
+    let jobs: Vec<(&Experiment, u64)> =
+        experiments.iter().flat_map(|experiment| (1..=repetitions).map(move |k| (experiment, k))).collect();
+    let one = |(experiment, k): &(&Experiment, u64)| {
+        run(experiment, *k, options).map_err(|error| format!("{}, repetition {k}: {error}", experiment.name))
+    };
+    jobs.par_iter().map(one).collect()
+}
+
+/// Runs one repetition.
+///
+/// # Errors
+/// A sentence, if the scene cannot be simulated or gives no link.
+pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Result<Run, String> {
+    let scene = Scene { seed: repetition, ..experiment.scene.clone() };
+    let mut room = Room::new(&scene).map_err(|error| error.to_string())?;
+    let path = true_path(&room, 0)?;
+    let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or("two robots are needed")?;
+    [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
+    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
+    let options = Options { keep_course: true, ..options.clone() };
+    let report = bearings(&mut rx, transmitters, &path, &options).map_err(|error| error.to_string())?;
+    let found = report.links.first().ok_or("no link")?;
+    let link = found.link.as_ref().ok_or("no pairs")?;
+    let (turn_around, _) = link.phases(&options);
+    let turn_around = turn_around.ok_or("too few pairs")?;
+    let mut run = Run {
+        experiment: experiment.name.clone(),
+        repetition,
+        pairs: link.pairs(),
+        residual_rad: spread_rad(turn_around.coherence_before),
+        residual_compensated_rad: spread_rad(turn_around.coherence_after),
+        ..Run::default()
+    };
+    if scene.robot[0].motion != Motion::Static {
+        let bearing = found.bearing.as_ref().map_err(|error| error.to_string())?;
+        judge(&mut run, bearing, &room);
+    }
+    Ok(run)
+}
+
+fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
+    let estimate = &bearing.estimate;
+    let truth_rad = room.antenna(1, 0.0).map(|place| {
+        let to = place - bearing.mean_position_m;
+        to.y.atan2(to.x)
+    });
+    let off = |azimuth: f64| truth_rad.map(|truth| wrap_rad(azimuth - truth).to_degrees());
+    let answers = [Some(estimate.azimuth_rad), estimate.mirror_rad];
+    let errors = answers.into_iter().flatten().filter_map(off);
+    run.error_deg = errors.min_by(|a, b| a.abs().total_cmp(&b.abs()));
+    run.sd_deg = Some(estimate.azimuth_sd_rad.to_degrees());
+    run.confidence = bearing.placed.as_ref().map(|placed| placed.confidence);
+    run.likelihood_share = bearing.peers.likelihood_share;
+    run.coherence = Some(estimate.coherence);
+}
+
+/// Repetitions of one experiment together.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Summary {
+    /// The experiment.
+    pub experiment: String,
+    /// Its repetitions.
+    pub repetitions: usize,
+    /// Mean and largest absolute error, degrees.
+    pub error_deg: Option<(f64, f64)>,
+    /// Means over the repetitions, where there are any.
+    pub confidence: Option<f64>,
+    /// See [`Run::likelihood_share`].
+    pub likelihood_share: Option<f64>,
+    /// See [`Run::coherence`].
+    pub coherence: Option<f64>,
+    /// See [`Run::residual_rad`].
+    pub residual_rad: f64,
+    /// See [`Run::residual_compensated_rad`].
+    pub residual_compensated_rad: f64,
+}
+
+/// Sums runs up by experiment, in their order.
+#[must_use]
+pub fn summarise(runs: &[Run]) -> Vec<Summary> {
+    runs.chunk_by(|a, b| a.experiment == b.experiment).filter_map(Summary::of).collect()
+}
+
+impl Summary {
+    fn of(runs: &[Run]) -> Option<Self> {
+        let mean = |of: fn(&Run) -> Option<f64>| {
+            let values: Vec<f64> = runs.iter().filter_map(of).collect();
+            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+        };
+        let largest = runs.iter().filter_map(|run| run.error_deg).map(f64::abs).fold(0.0, f64::max);
+        Some(Self {
+            experiment: runs.first()?.experiment.clone(),
+            repetitions: runs.len(),
+            error_deg: mean(|run| run.error_deg.map(f64::abs)).map(|mean| (mean, largest)),
+            confidence: mean(|run| run.confidence),
+            likelihood_share: mean(|run| run.likelihood_share),
+            coherence: mean(|run| run.coherence),
+            residual_rad: mean(|run| Some(run.residual_rad))?,
+            residual_compensated_rad: mean(|run| Some(run.residual_compensated_rad))?,
+        })
+    }
+}

@@ -1,0 +1,174 @@
+//! Bearings of simulated captures: how near to the truth, and how near to the bound.
+
+use csi5300::bartlett::SearchOptions;
+use csi5300::pipeline::Options;
+use csi5300::pipeline::accurate::Accuracy;
+use csi5300::signal::channel::{Channel, Width};
+use csi5300_lab::suite::{Experiment, Run, run_all};
+use csi5300_sim::motion::{Arc, Circle, Motion};
+use csi5300_sim::radio::{Gain, Noise};
+use csi5300_sim::scene::Scene;
+use nalgebra::{Matrix3, Vector3};
+use std::f64::consts::TAU;
+
+fn options(near_field: bool) -> Options {
+    Options {
+        accuracy: Accuracy { near_field, ..Accuracy::default() },
+        ..Options::new(Channel::new(108, Width::Ht20).unwrap())
+    }
+}
+
+fn circle(radius_m: f64, duration_s: f64) -> Motion {
+    Motion::Circle(Circle { radius_m, duration_s, turns: 1.0, start_s: 0.0 })
+}
+
+/// The built-in scene of this name over a full circle of 30 cm, its transmitter 100 times as far and as loud.
+fn far(name: &str) -> Scene {
+    let mut scene = Scene::built_in(name).unwrap();
+    let place = &mut scene.robot[1].position_m;
+    (place[0], place[1]) = (100.0 * place[0], 100.0 * place[1]);
+    if let Gain::Fixed(fixed) = &mut scene.radio.gain {
+        fixed.lsb_at_1m *= 100.0;
+    }
+    if let Noise::FloorDbm(dbm) = &mut scene.radio.noise {
+        *dbm -= 40.0;
+    }
+    scene.wall.clear();
+    if name == "lab-circle" {
+        scene.robot[0].motion = circle(0.3, scene.duration_s - 2.0);
+    }
+    scene
+}
+
+fn runs(scene: Scene, repetitions: u64, options: &Options) -> Vec<Run> {
+    run_all(&[Experiment { name: scene.name.clone(), scene }], repetitions, options).unwrap()
+}
+
+fn errors(runs: &[Run]) -> Vec<f64> {
+    runs.iter().map(|run| run.error_deg.unwrap()).collect()
+}
+
+#[test]
+fn with_the_papers_noise_a_circle_is_right_to_a_tenth_of_a_degree() {
+    let found = errors(&runs(far("paper-circle"), 10, &options(true)));
+    println!("far: {found:.4?}");
+    assert!(found.iter().all(|error| error.abs() <= 0.1), "{found:?}");
+    // At this noise a plane wave, which looks at the channel centre alone, loses to phases that slip.
+    let plane = errors(&runs(far("paper-circle"), 10, &options(false)));
+    println!("far, plane wave: {plane:.4?}");
+    assert!(plane.iter().all(|error| error.abs() <= 0.3), "{plane:?}");
+    // At 4 m the wave front is curved: a plane wave is off by a bias, and now and then takes the wrong one of the peaks
+    // into which the curvature splits its own. The spherical wave has neither.
+    let close = || Scene::built_in("paper-circle").unwrap();
+    let (plane, spherical) = (errors(&runs(close(), 5, &options(false))), errors(&runs(close(), 5, &options(true))));
+    println!("close, plane wave: {plane:.4?}; spherical wave: {spherical:.4?}");
+    assert!(spherical.iter().all(|error| error.abs() <= 0.1), "{spherical:?}");
+    let mut sizes: Vec<f64> = plane.iter().map(|error| error.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    assert!(sizes[2] <= 0.2, "{plane:?}");
+}
+
+#[test]
+fn with_every_effect_of_real_radios_it_is_right_to_half_a_degree() {
+    for near_field in [false, true] {
+        let errors = errors(&runs(far("lab-circle"), 4, &options(near_field)));
+        println!("all effects, far: {errors:.4?}");
+        assert!(errors.iter().all(|error| error.abs() <= 0.5), "{errors:?}");
+    }
+}
+
+/// The Cramer-Rao bound of the azimuth, degrees, over a full circle: `n` round trips whose phase has the deviation
+/// `phase_rad`, common phase unknown, elevation known.
+fn bound_deg(n: f64, radius_m: f64, phase_rad: f64) -> f64 {
+    let per_metre = 2.0 * TAU * 5.54e9 / 299_792_458.0;
+    // Across the bearing, a circle's places have the variance radius^2 / 2.
+    (phase_rad / (per_metre * radius_m * (0.5 * n).sqrt())).to_degrees()
+}
+
+#[test]
+fn errors_follow_the_cramer_rao_bound() {
+    const SEEDS: u64 = 400;
+    let options =
+        Options { search: SearchOptions { elevation_max_rad: 0.0, ..SearchOptions::default() }, ..options(false) };
+    for snr_db in [12.0, 20.0] {
+        let mut scene = far("paper-circle");
+        (scene.duration_s, scene.robot[0].motion) = (4.0, circle(0.3, 4.0));
+        scene.cfo = csi5300_sim::scene::Cfo::Off;
+        scene.radio.noise = Noise::SnrDb(snr_db);
+        scene.radio.host_latency_us = 0.0;
+        let runs = runs(scene, SEEDS, &options);
+        let errors = errors(&runs);
+        let mean = errors.iter().sum::<f64>() / SEEDS as f64;
+        let sd = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / (SEEDS - 1) as f64).sqrt();
+        // Two directions, thirty subcarriers each.
+        let phase_rad = (2.0 / (2.0 * 30.0 * 10f64.powf(0.1 * snr_db))).sqrt();
+        let pairs = runs.iter().map(|run| run.pairs as f64).sum::<f64>() / SEEDS as f64;
+        let bound = bound_deg(pairs, 0.3, phase_rad);
+        let predicted = runs.iter().map(|run| run.sd_deg.unwrap()).sum::<f64>() / SEEDS as f64;
+        println!("{snr_db} dB: sd {sd:.5}, bound {bound:.5}, predicted {predicted:.5}, mean {mean:.5} deg");
+        // The deviation of 400 errors is itself known to 3.5 %.
+        assert!((sd / bound - 1.0).abs() < 0.1, "{snr_db} dB: {sd} of a bound of {bound}");
+        // The host stamps the end of the answer; the phase is that of the middle of the exchange, a quarter of a
+        // millisecond earlier, in which the robot drives 0.02 degrees of this circle.
+        assert!((mean - 0.02).abs() < 0.005, "{snr_db} dB: bias {mean}");
+    }
+}
+
+/// The Cramer-Rao bound of the azimuth of a transmitter at `place`, degrees, seen from `points`: round trips of this phase
+/// deviation; common phase, elevation and range are unknown too.
+fn near_bound_deg(points: &[Vector3<f64>], place: &Vector3<f64>, phase_rad: f64) -> f64 {
+    let middle = points.iter().sum::<Vector3<f64>>() / points.len() as f64;
+    let per_metre = 2.0 * TAU * 5.54e9 / 299_792_458.0;
+    let away = place - middle;
+    let (range, ground) = (away.norm(), away.xy().norm());
+    // How the place moves with azimuth, elevation and range.
+    let across = Vector3::new(-away.y, away.x, 0.0);
+    let up = Vector3::new(-away.x * away.z / ground, -away.y * away.z / ground, ground);
+    let moves = [across, up, away / range];
+    let gradient = |p: &Vector3<f64>| {
+        let towards = (place - p).normalize();
+        Vector3::from_fn(|i, _| per_metre * towards.dot(&moves[i]) / phase_rad)
+    };
+    let gradients: Vec<Vector3<f64>> = points.iter().map(gradient).collect();
+    let mean = gradients.iter().sum::<Vector3<f64>>() / gradients.len() as f64;
+    let information: Matrix3<f64> = gradients.iter().map(|g| (g - mean) * (g - mean).transpose()).sum();
+    information.try_inverse().unwrap()[(0, 0)].sqrt().to_degrees()
+}
+
+#[test]
+fn near_errors_follow_the_bound_with_range_and_height_unknown() {
+    const SEEDS: u64 = 40;
+    let mut squares = 0.0;
+    let cases = [
+        (0.3, 360.0, [-3.0, 1.2, 0.9], 10.0),
+        (0.35, 200.0, [2.5, -2.0, 0.8], 20.0),
+        (0.5, 220.0, [5.5, 1.0, 1.3], 15.0),
+    ];
+    for (radius_m, angle_deg, place_m, snr_db) in cases {
+        let mut scene = Scene::built_in("paper-circle").unwrap();
+        scene.duration_s = 5.0;
+        scene.robot[0].motion = Motion::Arc(Arc { radius_m, angle_deg, duration_s: 5.0, start_s: 0.0 });
+        scene.robot[1].position_m = place_m;
+        scene.cfo = csi5300_sim::scene::Cfo::Off;
+        scene.radio.noise = Noise::SnrDb(snr_db);
+        scene.radio.host_latency_us = 0.0;
+        let runs = runs(scene, SEEDS, &options(true));
+        let errors = errors(&runs);
+        let mean = errors.iter().sum::<f64>() / SEEDS as f64;
+        let sd = (errors.iter().map(|e| (e - mean).powi(2)).sum::<f64>() / (SEEDS - 1) as f64).sqrt();
+        let pairs = runs[0].pairs as i32;
+        let at = |k: i32| {
+            let (sin, cos) = (angle_deg.to_radians() * f64::from(k) / f64::from(pairs)).sin_cos();
+            Vector3::new(radius_m * sin, radius_m - radius_m * cos, 0.0)
+        };
+        let points: Vec<Vector3<f64>> = (0..pairs).map(at).collect();
+        let phase_rad = (2.0 / (2.0 * 30.0 * 10f64.powf(0.1 * snr_db))).sqrt();
+        let bound = near_bound_deg(&points, &Vector3::from(place_m), phase_rad);
+        println!("{angle_deg} degrees, {snr_db} dB: sd {sd:.5}, bound {bound:.5}, mean {mean:.5} deg");
+        squares += (sd / bound).powi(2) / cases.len() as f64;
+        // As far as the robot drives in the quarter of a millisecond that the host stamps late.
+        assert!((0.0..0.03).contains(&mean), "{mean}");
+    }
+    // The deviation of 120 errors is itself known to 6 %.
+    assert!((squares.sqrt() - 1.0).abs() < 0.1, "{} times the bound", squares.sqrt());
+}

@@ -1,0 +1,10 @@
+//! Captures, real and simulated, judged against their truth.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+#[path = "../../../../tests/common/mod.rs"]
+mod common;
+
+mod accuracy;
+mod faults;
+mod fixtures;
+mod real_bearings;

@@ -1,0 +1,84 @@
+//! What stands between a user and a first record: checks in the order in which things fail, and the set-up of the card.
+//!
+//! Every check reads the machine through [`System`], so that each failure can be staged from a folder of files. The
+//! facts are those of csitool's and WSR's installation notes and of their users' reports.
+
+mod card;
+mod heard;
+mod host;
+mod radio;
+mod setup;
+mod system;
+
+pub use heard::Heard;
+pub(crate) use radio::rate_file;
+pub use setup::{Action, Driver, Request, Role, Step, default_interface, plan, undo};
+pub use system::{Machine, Ran, System, Tree};
+
+/// How a check came out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// As it should be.
+    Good,
+    /// May be in the way.
+    Doubt,
+    /// Is in the way.
+    Bad,
+    /// Could not be found out.
+    Unknown,
+}
+
+/// One check.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct Check {
+    /// What was checked.
+    pub name: &'static str,
+    /// How it came out.
+    pub verdict: Verdict,
+    /// What was found.
+    pub found: String,
+    /// What was expected.
+    pub expected: String,
+    /// The command or step that mends it.
+    pub mend: Option<String>,
+}
+
+impl Check {
+    fn new(name: &'static str, verdict: Verdict, found: impl Into<String>, expected: impl Into<String>) -> Self {
+        Self { name, verdict, found: found.into(), expected: expected.into(), mend: None }
+    }
+
+    fn mend(mut self, mend: impl Into<String>) -> Self {
+        self.mend = Some(mend.into());
+        self
+    }
+
+    fn good(name: &'static str, found: impl Into<String>, expected: impl Into<String>) -> Self {
+        Self::new(name, Verdict::Good, found, expected)
+    }
+
+    fn bad(name: &'static str, found: impl Into<String>, expected: impl Into<String>) -> Self {
+        Self::new(name, Verdict::Bad, found, expected)
+    }
+
+    fn doubt(name: &'static str, found: impl Into<String>, expected: impl Into<String>) -> Self {
+        Self::new(name, Verdict::Doubt, found, expected)
+    }
+
+    fn unknown(name: &'static str, found: impl Into<String>, expected: impl Into<String>) -> Self {
+        Self::new(name, Verdict::Unknown, found, expected)
+    }
+}
+
+/// The checks that need no reception, in order.
+pub fn examine(system: &dyn System) -> Vec<Check> {
+    let card = card::Card::find(system);
+    let mut checks = card::checks(system, card.as_ref());
+    checks.extend(radio::checks(system, card.as_ref()));
+    checks.extend(host::checks(system));
+    checks
+}
+
+#[cfg(test)]
+mod tests;

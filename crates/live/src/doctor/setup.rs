@@ -1,0 +1,249 @@
+//! Putting the card into monitor mode for sounding, and taking it out again.
+
+use super::card::Card;
+use super::radio::rate_file;
+use super::system::System;
+use csi5300::signal::channel::{Channel, Width};
+
+/// Rate of injected frames: HT, MCS 1, antenna A (csitool's injection notes: 0x4101; WSR's set-up: 0x4100, MCS 0).
+const RATE: [(Driver, &str); 2] = [(Driver::Stock, "0x4101"), (Driver::Wsr, "0x4100")];
+/// Bit of a rate that makes it 40 MHz wide.
+const RATE_HT40: u32 = 0x800;
+/// `ack_len` with which the WSR driver answers nothing (its default).
+const NEVER_ANSWER: u32 = 1_000_000;
+
+/// Which patched driver is installed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Driver {
+    /// csitool.
+    Stock,
+    /// WSR: it answers sounding frames of its own length (`ack_len`).
+    Wsr,
+}
+
+/// What the robot does in a sounding round.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// Sends the forward frames.
+    Initiator,
+    /// Answers them.
+    Responder,
+}
+
+/// What is wanted.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Request {
+    /// The card's interface.
+    pub interface: String,
+    /// Where to sound.
+    pub channel: Channel,
+    /// Initiator or responder.
+    pub role: Role,
+    /// The driver; found out by its parameters where not given.
+    pub driver: Option<Driver>,
+    /// Length of the frames that this robot answers, frame check sequence included (WSR driver, responder): 57, 59 ...
+    pub ack_len: Option<u32>,
+}
+
+/// What a step does.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// Runs a program.
+    Run(Vec<String>),
+    /// Writes a file.
+    Write {
+        /// The file; a pattern where it appears only once the steps before were taken.
+        path: String,
+        /// What is written.
+        text: String,
+    },
+}
+
+/// One step.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Step {
+    /// Why it is taken.
+    pub why: &'static str,
+    /// What it does.
+    pub action: Action,
+    /// True where failing does not matter: the thing may not be there at all.
+    pub may_fail: bool,
+}
+
+impl Step {
+    fn run(why: &'static str, words: &[&str]) -> Self {
+        Self { why, action: Action::Run(words.iter().map(ToString::to_string).collect()), may_fail: false }
+    }
+
+    fn may_fail(mut self) -> Self {
+        self.may_fail = true;
+        self
+    }
+
+    /// The step as a line for a shell.
+    #[must_use]
+    pub fn line(&self) -> String {
+        match &self.action {
+            Action::Run(words) => format!("sudo {}", words.join(" ")),
+            Action::Write { path, text } => format!("echo {text} | sudo tee {path}"),
+        }
+    }
+
+    /// Takes the step.
+    ///
+    /// # Errors
+    /// What failed and how, unless that does not matter.
+    pub fn take(&self, system: &dyn System) -> Result<(), String> {
+        let outcome = match &self.action {
+            Action::Write { path, text } => match find_rate_file(system, path) {
+                Some(path) => system.write(&path, text),
+                None => Err(format!("{path} is not there: is debugfs mounted, and the driver a CSI driver?")),
+            },
+            Action::Run(words) => match system.run(&words.iter().map(String::as_str).collect::<Vec<_>>()) {
+                Some(ran) if ran.ok => Ok(()),
+                Some(ran) => Err(format!("{}: {}", words.join(" "), ran.text.trim())),
+                None => Err(format!("{} is not installed", words.first().map_or("", String::as_str))),
+            },
+        };
+        if self.may_fail { Ok(()) } else { outcome }
+    }
+}
+
+/// The pattern for the rate file of whichever phy the card gets.
+const RATE_FILE: &str = "/sys/kernel/debug/ieee80211/phy*/iwlwifi/*/debug/monitor_tx_rate";
+
+fn find_rate_file(system: &dyn System, path: &str) -> Option<String> {
+    if path != RATE_FILE {
+        return Some(path.to_string());
+    }
+    system.names("/sys/kernel/debug/ieee80211").iter().find_map(|phy| rate_file(system, phy))
+}
+
+/// The driver that is installed, by the parameters of its module.
+fn installed(system: &dyn System) -> Result<Driver, String> {
+    let loaded = |name: &str| system.text(&format!("/sys/module/iwlwifi/parameters/{name}")).is_some();
+    let known = system.run(&["modinfo", "-p", "iwlwifi"]).map(|ran| ran.text).unwrap_or_default();
+    let has = |name: &str| loaded(name) || known.lines().any(|line| line.starts_with(&format!("{name}:")));
+    match (has("ack_len"), has("connector_log")) {
+        (true, _) => Ok(Driver::Wsr),
+        (false, true) => Ok(Driver::Stock),
+        (false, false) => Err("iwlwifi has no connector_log: it is not a CSI driver (`csi5300 doctor` says more; \
+                               --driver overrides)"
+            .into()),
+    }
+}
+
+/// The steps from whatever state the card is in to sounding on the channel. Taking them twice changes nothing.
+///
+/// # Errors
+/// When no patched driver is installed, or a responder's `ack_len` is missing.
+pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, String> {
+    let driver = match request.driver {
+        Some(driver) => driver,
+        None => installed(system)?,
+    };
+    let interface = request.interface.as_str();
+    let ack_len = match (driver, request.role, request.ack_len) {
+        (Driver::Wsr, Role::Responder, None) => {
+            return Err("a responder with the WSR driver needs --ack-len, the length of the frames meant for it \
+                        (57 for the first robot, 59 for the second ...)"
+                .into());
+        }
+        (Driver::Wsr, Role::Responder, Some(length)) => Some(length),
+        (Driver::Wsr, Role::Initiator, _) => Some(NEVER_ANSWER),
+        (Driver::Stock, _, _) => None,
+    };
+    let mut steps = hands_off(interface);
+    steps.extend(reload(system, ack_len));
+    steps.extend(tune(interface, request.channel));
+    // What robots inject is also what they answer with, so both roles need an HT rate.
+    let rate = RATE.iter().find(|(known, _)| *known == driver).map_or("0x4101", |(_, rate)| rate);
+    let wide = u32::from_str_radix(rate.trim_start_matches("0x"), 16).unwrap_or(0x4101);
+    let rate = if request.channel.width() != Width::Ht20 { format!("{:#x}", wide | RATE_HT40) } else { rate.into() };
+    steps.push(
+        Step::run("the rate file is in debugfs", &["mount", "-t", "debugfs", "none", "/sys/kernel/debug"]).may_fail(),
+    );
+    steps.push(Step {
+        why: "frames must be HT to carry CSI",
+        action: Action::Write { path: RATE_FILE.into(), text: rate },
+        may_fail: false,
+    });
+    Ok(steps)
+}
+
+/// Other programs let go of the card.
+fn hands_off(interface: &str) -> Vec<Step> {
+    vec![
+        Step::run("NetworkManager must not touch it", &["nmcli", "device", "set", interface, "managed", "no"])
+            .may_fail(),
+        Step::run("the radio must be on", &["rfkill", "unblock", "wifi"]).may_fail(),
+    ]
+}
+
+/// The driver with its parameters, unless it already runs with them.
+fn reload(system: &dyn System, ack_len: Option<u32>) -> Vec<Step> {
+    let is = |name: &str, wanted: u32| {
+        let text = system.text(&format!("/sys/module/iwlwifi/parameters/{name}")).unwrap_or_default();
+        let value = text.strip_prefix("0x").map_or_else(|| text.parse().ok(), |hex| u32::from_str_radix(hex, 16).ok());
+        value == Some(wanted)
+    };
+    if is("connector_log", 1) && ack_len.is_none_or(|length| is("ack_len", length)) {
+        return Vec::new();
+    }
+    let mut load = vec!["modprobe".to_string(), "iwlwifi".into(), "connector_log=0x1".into()];
+    load.extend(ack_len.map(|length| format!("ack_len={length}")));
+    vec![
+        Step::run("the driver takes its parameters when it is loaded", &["modprobe", "-r", "iwldvm", "iwlwifi"])
+            .may_fail(),
+        Step { why: "CSI to the connector", action: Action::Run(load), may_fail: false },
+        Step::run("the interface comes up a moment after the module", &["udevadm", "settle", "--timeout=10"])
+            .may_fail(),
+    ]
+}
+
+/// Monitor mode and channel. The interface is down for the one and up for the other (newer kernels say -16 otherwise).
+fn tune(interface: &str, channel: Channel) -> Vec<Step> {
+    let number = channel.number().to_string();
+    let width = match channel.width() {
+        Width::Ht20 => "HT20",
+        Width::Ht40Plus => "HT40+",
+        Width::Ht40Minus => "HT40-",
+    };
+    vec![
+        Step::run("the mode changes while it is down", &["ip", "link", "set", interface, "down"]),
+        Step::run("monitor mode", &["iw", "dev", interface, "set", "type", "monitor"]),
+        Step::run("up before the channel", &["ip", "link", "set", interface, "up"]),
+        Step::run("the channel", &["iw", "dev", interface, "set", "channel", &number, width]),
+    ]
+}
+
+/// The steps back to an ordinary WiFi card.
+#[must_use]
+pub fn undo(system: &dyn System, interface: &str) -> Vec<Step> {
+    let mut steps = vec![
+        Step::run("the mode changes while it is down", &["ip", "link", "set", interface, "down"]).may_fail(),
+        Step::run("managed mode", &["iw", "dev", interface, "set", "type", "managed"]).may_fail(),
+    ];
+    let rate_written = system.names("/sys/kernel/debug/ieee80211").iter().any(|phy| rate_file(system, phy).is_some());
+    if rate_written || system.text("/sys/module/iwlwifi/parameters/connector_log").is_some_and(|log| log != "0") {
+        steps.extend([
+            Step::run("without parameters", &["modprobe", "-r", "iwldvm", "iwlwifi"]).may_fail(),
+            Step::run("without parameters", &["modprobe", "iwlwifi"]),
+            Step::run("the interface comes up a moment after the module", &["udevadm", "settle", "--timeout=10"])
+                .may_fail(),
+        ]);
+    }
+    steps
+        .push(Step::run("back to NetworkManager", &["nmcli", "device", "set", interface, "managed", "yes"]).may_fail());
+    steps
+}
+
+/// The interface of the card, when none is named.
+///
+/// # Errors
+/// When there is no card, or it has no interface.
+pub fn default_interface(system: &dyn System) -> Result<String, String> {
+    let card = Card::find(system).ok_or("no Intel 5300 on the PCI bus (`csi5300 doctor` says more)")?;
+    let interface = card.interfaces.into_iter().next();
+    interface.ok_or_else(|| "the card has no interface: name one with --interface".into())
+}

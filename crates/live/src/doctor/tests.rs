@@ -1,0 +1,412 @@
+use super::*;
+use csi5300::signal::channel::Channel;
+use csi5300::source::{Next, Stamps};
+use driver_iface::bfee::{self, csi_len};
+use driver_iface::record::{Record, code};
+use std::cell::RefCell;
+use std::os::unix::fs::symlink;
+use std::path::PathBuf;
+
+/// A machine as a folder of files, gone when dropped.
+struct Stage {
+    root: PathBuf,
+}
+
+impl Drop for Stage {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.root);
+    }
+}
+
+const CARD: &str = "sys/bus/pci/devices/0000:01:00.0";
+const RATE_PATH: &str = "sys/kernel/debug/ieee80211/phy0/iwlwifi/iwldvm/debug/monitor_tx_rate";
+
+impl Stage {
+    /// A machine on which everything is right.
+    fn healthy(name: &str) -> Self {
+        let root = std::env::temp_dir().join(format!("csi5300-doctor-{}-{name}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&root);
+        let stage = Self { root };
+        for (path, text) in [
+            (&*format!("{CARD}/vendor"), "0x8086\n"),
+            (&format!("{CARD}/device"), "0x4236\n"),
+            (&format!("{CARD}/net/wlp1s0/address"), "00:16:ea:00:00:01\n"),
+            (&format!("{CARD}/ieee80211/phy0/index"), "0\n"),
+            ("proc/sys/kernel/osrelease", "4.15.0-45-generic\n"),
+            ("proc/sys/net/core/rmem_max", "33554432\n"),
+            ("proc/net/connector", "Name            ID\ncn_proc         1:1\niwlagn          26:1\n"),
+            ("proc/self/status", "Name:\tcsi5300\nCapEff:\t0000000000001000\n"),
+            ("sys/module/iwlwifi/parameters/connector_log", "1\n"),
+            ("sys/class/rfkill/rfkill0/type", "wlan\n"),
+            ("sys/class/rfkill/rfkill0/soft", "0\n"),
+            ("sys/class/rfkill/rfkill0/hard", "0\n"),
+            ("sys/class/net/wlp1s0/type", "803\n"),
+            ("sys/class/net/wlp1s0/flags", "0x1003\n"),
+            (RATE_PATH, "0x4101\n"),
+            ("run/dmesg", "iwlwifi 0000:01:00.0: loaded firmware version 8.24.2.12\n"),
+            ("run/iw dev wlp1s0 info", "Interface wlp1s0\n\ttype monitor\n\tchannel 108 (5540 MHz), width: 20 MHz\n"),
+            (
+                "run/iw phy phy0 info",
+                "\t\t\t* 5540 MHz [108] (20.0 dBm)\n\t\t\t* 5560 MHz [112] (no IR, radar detection)\n",
+            ),
+            ("run/iw reg get", "global\ncountry BO: DFS-JP\n"),
+            ("run/nmcli -t -f DEVICE,STATE device", "eth0:connected\nwlp1s0:unmanaged\n"),
+            ("run/timedatectl show -p NTPSynchronized", "NTPSynchronized=yes\n"),
+            ("lib/firmware/iwlwifi-5000-2.ucode", &"x".repeat(336_252)),
+            ("lib/firmware/iwlwifi-5150-2.ucode", "another card's"),
+            ("sys/bus/pci/drivers/iwlwifi/bind", ""),
+        ] {
+            stage.put(path, text);
+        }
+        symlink("../../drivers/iwlwifi", stage.root.join(format!("{CARD}/driver"))).unwrap();
+        stage
+    }
+
+    fn put(&self, path: &str, text: &str) {
+        let path = self.root.join(path);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, text).unwrap();
+    }
+
+    fn remove(&self, path: &str) {
+        let path = self.root.join(path);
+        if path.is_dir() { std::fs::remove_dir_all(path).unwrap() } else { std::fs::remove_file(path).unwrap() }
+    }
+
+    fn examine(&self) -> Vec<Check> {
+        examine(&Tree::new(self.root.clone()))
+    }
+
+    fn check(&self, name: &str) -> Check {
+        let checks = self.examine();
+        checks
+            .iter()
+            .find(|check| check.name == name)
+            .unwrap_or_else(|| panic!("no check `{name}`: {checks:?}"))
+            .clone()
+    }
+}
+
+#[test]
+fn a_healthy_machine_has_nothing_in_the_way() {
+    let stage = Stage::healthy("healthy");
+    for check in stage.examine() {
+        assert_eq!(check.verdict, Verdict::Good, "{check:?}");
+        assert_eq!(check.mend, None, "{check:?}");
+    }
+    assert_eq!(stage.examine().len(), 20);
+}
+
+/// A failure: its name, how it is staged, which check tells, how gravely, a word of what is found, one of the remedy.
+type Case = (&'static str, fn(&Stage), &'static str, Verdict, &'static str, &'static str);
+
+const CASES: &[Case] = &[
+    ("no card", |s| s.remove(CARD), "card", Verdict::Bad, "none on the PCI bus", "lspci"),
+    ("other card", |s| s.put(&format!("{CARD}/device"), "0x4232"), "card", Verdict::Doubt, "4232", "5300"),
+    ("kernel", |s| s.put("proc/sys/kernel/osrelease", "4.4.0-1"), "kernel", Verdict::Doubt, "4.4.0", "4.15"),
+    ("kernel 4.150", |s| s.put("proc/sys/kernel/osrelease", "4.150.1"), "kernel", Verdict::Doubt, "4.150", "4.15"),
+    (
+        "secure boot",
+        |s| s.put("sys/firmware/efi/efivars/SecureBoot-8be4df61-93ca-11d2-aa0d-00e098032b8c", "\u{6}\0\0\0\u{1}"),
+        "Secure Boot",
+        Verdict::Bad,
+        "on",
+        "BIOS",
+    ),
+    ("unbound", |s| s.remove(&format!("{CARD}/driver")), "driver", Verdict::Bad, "no driver", "modprobe iwlwifi"),
+    (
+        "distribution's module",
+        |s| {
+            s.remove("sys/module/iwlwifi/parameters/connector_log");
+            s.put("sys/module/iwlwifi/parameters/swcrypto", "0");
+        },
+        "patched module",
+        Verdict::Bad,
+        "the distribution's module",
+        "connector_log=0x1",
+    ),
+    ("no module", |s| s.remove("sys/module/iwlwifi"), "patched module", Verdict::Bad, "not loaded", "install"),
+    (
+        "log off",
+        |s| s.put("sys/module/iwlwifi/parameters/connector_log", "4"),
+        "connector_log",
+        Verdict::Bad,
+        "no CSI",
+        "0x1",
+    ),
+    ("firmware", |s| s.put("lib/firmware/iwlwifi-5000-2.ucode", "y"), "firmware file", Verdict::Bad, "1 bytes", "cp "),
+    ("no firmware", |s| s.remove("lib/firmware"), "firmware file", Verdict::Bad, "not there", "sigcomm2010"),
+    (
+        "newer firmware",
+        |s| s.put("lib/firmware/iwlwifi-5000-5.ucode", "z"),
+        "other firmware",
+        Verdict::Bad,
+        "iwlwifi-5000-5.ucode win",
+        "mv /lib/firmware/iwlwifi-5000-5.ucode",
+    ),
+    (
+        "packed firmware",
+        |s| s.put("lib/firmware/iwlwifi-5000-5.ucode.zst", "z"),
+        "other firmware",
+        Verdict::Bad,
+        "5000-5",
+        "mv ",
+    ),
+    (
+        "wrong version",
+        |s| s.put("run/dmesg", "iwlwifi: loaded firmware version 8.83.5.1 build 33692"),
+        "firmware loaded",
+        Verdict::Bad,
+        "8.83.5.1",
+        "reload",
+    ),
+    (
+        "crashed",
+        |s| s.put("run/dmesg", "iwlwifi 0000:01:00.0: Microcode SW error detected.  Restarting 0x2000000."),
+        "firmware loaded",
+        Verdict::Bad,
+        "crashed",
+        "modprobe -r",
+    ),
+    ("soft block", |s| s.put("sys/class/rfkill/rfkill0/soft", "1"), "rfkill", Verdict::Bad, "software", "unblock"),
+    ("hard block", |s| s.put("sys/class/rfkill/rfkill0/hard", "1"), "rfkill", Verdict::Bad, "switch", "switch"),
+    ("no interface", |s| s.remove(&format!("{CARD}/net")), "interface", Verdict::Bad, "none", "iwldvm"),
+    (
+        "managed",
+        |s| s.put("sys/class/net/wlp1s0/type", "1"),
+        "interface",
+        Verdict::Doubt,
+        "not a monitor",
+        "type monitor",
+    ),
+    ("down", |s| s.put("sys/class/net/wlp1s0/flags", "0x1002"), "interface", Verdict::Bad, "down", "up"),
+    (
+        "NetworkManager",
+        |s| s.put("run/nmcli -t -f DEVICE,STATE device", "wlp1s0:disconnected\n"),
+        "other owners",
+        Verdict::Bad,
+        "NetworkManager",
+        "managed no",
+    ),
+    (
+        "wpa_supplicant",
+        |s| s.put("proc/4242/cmdline", "/sbin/wpa_supplicant\0-iwlp1s0\0-c/etc/w.conf\0"),
+        "other owners",
+        Verdict::Bad,
+        "4242",
+        "kill 4242",
+    ),
+    ("no channel", |s| s.put("run/iw dev wlp1s0 info", "Interface"), "channel", Verdict::Bad, "none", "set channel"),
+    (
+        "2.4 GHz",
+        |s| s.put("run/iw dev wlp1s0 info", "\tchannel 6 (2437 MHz), width: 20 MHz"),
+        "channel",
+        Verdict::Doubt,
+        "2.4 GHz",
+        "HT20",
+    ),
+    (
+        "forbidden",
+        |s| s.put("run/iw dev wlp1s0 info", "\tchannel 112 (5560 MHz), width: 20 MHz"),
+        "channel",
+        Verdict::Doubt,
+        "no IR",
+        "without these flags",
+    ),
+    ("legacy rate", |s| s.put(RATE_PATH, "0x4005"), "monitor_tx_rate", Verdict::Doubt, "not HT", "0x4101"),
+    ("rate off", |s| s.put(RATE_PATH, "0x0"), "monitor_tx_rate", Verdict::Doubt, "not HT", "monitor_tx_rate"),
+    ("no debugfs", |s| s.remove("sys/kernel/debug"), "monitor_tx_rate", Verdict::Unknown, "not found", "debugfs"),
+    (
+        "world",
+        |s| s.put("run/iw reg get", "country 00: DFS-UNSET"),
+        "regulatory domain",
+        Verdict::Doubt,
+        "00",
+        "reg set",
+    ),
+    ("namespace", |s| s.remove("proc/net/connector"), "network namespace", Verdict::Bad, "container", "host"),
+    (
+        "unregistered",
+        |s| s.put("proc/net/connector", "Name ID\n"),
+        "connector index",
+        Verdict::Bad,
+        "not registered",
+        "0x1",
+    ),
+    ("early tree", |s| s.put("proc/net/connector", "iwlagn 254:1"), "connector index", Verdict::Bad, "254", "newer"),
+    ("capability", |s| s.put("proc/self/status", "CapEff:\t0"), "capability", Verdict::Bad, "not held", "setcap"),
+    (
+        "buffers",
+        |s| s.put("proc/sys/net/core/rmem_max", "212992"),
+        "receive buffer",
+        Verdict::Doubt,
+        "212992",
+        "sysctl",
+    ),
+    (
+        "clock",
+        |s| s.put("run/timedatectl show -p NTPSynchronized", "NTPSynchronized=no"),
+        "clock",
+        Verdict::Doubt,
+        "not synchronised",
+        "chrony",
+    ),
+];
+
+#[test]
+fn each_failure_is_told_with_its_remedy() {
+    for (name, stage_it, check, verdict, found, mend) in CASES {
+        let stage = Stage::healthy(&name.replace(' ', "-"));
+        stage_it(&stage);
+        let check = stage.check(check);
+        assert_eq!(check.verdict, *verdict, "{name}: {check:?}");
+        assert!(check.found.contains(found), "{name}: {check:?}");
+        assert!(check.mend.as_ref().is_some_and(|said| said.contains(mend)), "{name}: {check:?}");
+    }
+}
+
+fn bfee(n_rx: u8, rssi: [u8; 3], csi: u8, count: u16) -> Vec<u8> {
+    let mut body = vec![0; bfee::STOCK_HEADER];
+    body.resize(bfee::STOCK_HEADER + csi_len(n_rx, 1), csi);
+    body[bfee::offset::BFEE_COUNT..][..2].copy_from_slice(&count.to_le_bytes());
+    (body[bfee::offset::N_RX], body[bfee::offset::N_TX]) = (n_rx, 1);
+    body[bfee::offset::RSSI..][..3].copy_from_slice(&rssi);
+    body[bfee::offset::ANTENNA_SEL] = 0b10_01_00;
+    body[bfee::offset::LEN..][..2].copy_from_slice(&(csi_len(n_rx, 1) as u16).to_le_bytes());
+    body
+}
+
+fn hear(records: &[(u8, Vec<u8>)]) -> Vec<Check> {
+    let mut heard = Heard::default();
+    for (code, body) in records {
+        heard.note(&Next::Record(Stamps::default(), Record { code: *code, body }));
+    }
+    heard.checks()
+}
+
+fn found(checks: &[Check], words: &str) -> bool {
+    checks.iter().any(|check| check.found.contains(words) && check.verdict != Verdict::Good)
+}
+
+#[test]
+fn receptions_are_told_apart() {
+    let all = [30, 31, 32];
+    let bfees = |n: u16, make: &dyn Fn(u16) -> Vec<u8>| (0..n).map(|k| (code::BFEE, make(k))).collect::<Vec<_>>();
+    assert!(found(&hear(&[]), "nothing"));
+    assert!(found(&hear(&[(code::MPDU, vec![0; 60])]), "only frames (0xC1)"));
+    assert!(found(&hear(&[(code::NOISE, vec![0; 4])]), "no CSI among them"));
+    assert!(found(&hear(&bfees(9, &|k| bfee(3, all, 0, k))), "nothing but zeros"));
+    assert!(found(&hear(&bfees(9, &|k| bfee(3, all, 0x5a, k))), "no record names its sender"));
+    assert!(found(&hear(&bfees(9, &|k| bfee(1, [30, 0, 0], 0x5a, k))), "one antenna only"));
+    assert!(!found(&hear(&bfees(9, &|k| bfee(3, all, 0x5a, k))), "one antenna only"));
+    assert!(found(&hear(&bfees(40, &|k| bfee(1 + (k % 3) as u8, all, 0x5a, k))), "receive chains changes 39 times"));
+    assert!(found(&hear(&bfees(9, &|k| bfee(3, all, 0x5a, 3 * k))), "16 numbers missing"));
+    // The WSR layout names its sender: nothing is left to say against it.
+    let wsr = |k: u16| {
+        let stock = bfee(3, all, 0x5a, k);
+        let (head, csi) = stock.split_at(bfee::STOCK_HEADER);
+        [head, &[1, 0, 0, 0, 1, 0, 0, 0, 2, 2, 2, 2, 2, 2, k as u8 + 1, 0, 0, 0], csi].concat()
+    };
+    let checks = hear(&bfees(9, &wsr));
+    assert_eq!((checks.len(), checks[0].verdict), (1, Verdict::Good), "{checks:?}");
+    assert_eq!(checks[0].found, "9 bfee records, 1 senders");
+}
+
+/// A machine on which commands succeed, are remembered, and change what the next look finds.
+struct Remembering<'a> {
+    tree: Tree,
+    stage: &'a Stage,
+    done: RefCell<Vec<String>>,
+}
+
+impl System for Remembering<'_> {
+    fn bytes(&self, path: &str) -> Option<Vec<u8>> {
+        self.tree.bytes(path)
+    }
+    fn names(&self, path: &str) -> Vec<String> {
+        self.tree.names(path)
+    }
+    fn link(&self, path: &str) -> Option<String> {
+        self.tree.link(path)
+    }
+    fn size(&self, path: &str) -> Option<u64> {
+        self.tree.size(path)
+    }
+    fn run(&self, words: &[&str]) -> Option<Ran> {
+        let line = words.join(" ");
+        if let Some(parameters) = line.strip_prefix("modprobe iwlwifi") {
+            for (name, value) in parameters.split_whitespace().filter_map(|word| word.split_once('=')) {
+                self.stage.put(&format!("sys/module/iwlwifi/parameters/{name}"), value.trim_start_matches("0x"));
+            }
+        }
+        self.done.borrow_mut().push(line);
+        Some(Ran { ok: true, text: String::new() })
+    }
+    fn write(&self, path: &str, text: &str) -> Result<(), String> {
+        self.done.borrow_mut().push(format!("{path} <- {text}"));
+        self.tree.write(path, text)
+    }
+}
+
+fn request(role: Role, channel: &str, ack_len: Option<u32>) -> Request {
+    Request { interface: "wlp1s0".into(), channel: channel.parse::<Channel>().unwrap(), role, driver: None, ack_len }
+}
+
+fn apply(system: &Remembering<'_>, steps: &[Step]) -> Vec<String> {
+    for step in steps {
+        step.take(system).unwrap();
+    }
+    system.done.take()
+}
+
+#[test]
+fn set_up_takes_each_step_once_and_can_be_undone() {
+    let stage = Stage::healthy("setup");
+    stage.put("sys/module/iwlwifi/parameters/connector_log", "0");
+    stage.put("sys/module/iwlwifi/parameters/ack_len", "1000000");
+    stage.put(RATE_PATH, "0x0");
+    let system = Remembering { tree: Tree::new(stage.root.clone()), stage: &stage, done: RefCell::default() };
+
+    let refused = plan(&system, &request(Role::Responder, "108", None)).unwrap_err();
+    assert!(refused.contains("--ack-len"), "{refused}");
+
+    let wanted = request(Role::Responder, "108", Some(57));
+    let done = apply(&system, &plan(&system, &wanted).unwrap());
+    let at =
+        |words: &str| done.iter().position(|line| line.contains(words)).unwrap_or_else(|| panic!("{words}: {done:?}"));
+    assert!(at("managed no") < at("modprobe -r iwldvm iwlwifi"));
+    assert!(at("modprobe -r") < at("modprobe iwlwifi connector_log=0x1 ack_len=57"));
+    assert!(at("link set wlp1s0 down") < at("set type monitor") && at("set type monitor") < at("link set wlp1s0 up"));
+    assert!(at("link set wlp1s0 up") < at("set channel 108 HT20"));
+    assert_eq!(done.last().unwrap(), &format!("/{RATE_PATH} <- 0x4100"));
+    assert_eq!(stage.check("monitor_tx_rate").verdict, Verdict::Good);
+
+    // A second time the driver is left alone, and the end is the same.
+    let again = apply(&system, &plan(&system, &wanted).unwrap());
+    assert!(!again.iter().any(|line| line.contains("modprobe")), "{again:?}");
+    // Another role needs other parameters.
+    let initiator = plan(&system, &request(Role::Initiator, "36+", None)).unwrap();
+    let lines: Vec<_> = initiator.iter().map(Step::line).collect();
+    assert!(lines.iter().any(|line| line.contains("ack_len=1000000")), "{lines:?}");
+    assert!(lines.iter().any(|line| line.contains("set channel 36 HT40+")), "{lines:?}");
+    assert!(lines.last().unwrap().starts_with("echo 0x4900 | sudo tee "), "{lines:?}");
+
+    let undone = apply(&system, &undo(&system, "wlp1s0"));
+    assert!(undone.iter().any(|line| line.contains("set type managed")));
+    assert!(undone.iter().any(|line| line == "modprobe iwlwifi"));
+    assert_eq!(undone.last().unwrap(), "nmcli device set wlp1s0 managed yes");
+}
+
+#[test]
+fn the_stock_driver_gets_its_own_rate_and_no_ack_len() {
+    let stage = Stage::healthy("stock");
+    stage.put("run/modinfo -p iwlwifi", "connector_log:what to log (int)\n");
+    stage.remove("sys/module/iwlwifi");
+    let system = Tree::new(stage.root.clone());
+    let lines: Vec<_> = plan(&system, &request(Role::Responder, "64", None)).unwrap().iter().map(Step::line).collect();
+    assert!(lines.iter().any(|line| line == "sudo modprobe iwlwifi connector_log=0x1"), "{lines:?}");
+    assert!(lines.last().unwrap().starts_with("echo 0x4101"), "{lines:?}");
+    stage.put("run/modinfo -p iwlwifi", "swcrypto:software crypto (int)\n");
+    assert!(plan(&system, &request(Role::Initiator, "64", None)).unwrap_err().contains("no connector_log"));
+    assert_eq!(default_interface(&system), Ok("wlp1s0".into()));
+}

@@ -1,0 +1,304 @@
+//! A monitor interface: frames injected into the air, and sounding frames heard from it.
+//!
+//! A packet socket carries whole buffers of radiotap header and 802.11 frame, both ways. What the kernel does with them
+//! was measured on mac80211 (firmware-notes/injection.md):
+//!
+//! * a frame that it must not send (no-IR, DFS) or cannot parse is taken, and vanishes. Only a frame that was sent comes
+//!   back, as a **tx-status copy** with TX flags in its radiotap header; these are counted ([`Counters::tx_status`]);
+//! * every frame sent is also looped back to the socket as PACKET_OUTGOING; the socket's filter keeps those out;
+//! * the interface's MTU counts radiotap header and frame.
+//!
+//! A simulated room in another process gives its robots such an interface too: [`Monitor::over`].
+//!
+//! What the kernel does not take is an [`Error::NotSent`] and counted by cause; the next frame may be taken again.
+
+mod filter;
+mod socket;
+
+use csi5300::source::{Error, FrameReceiver, Heard, Injector, NotSent};
+use csi5300::time::{Instant, Span};
+use driver_iface::Mac;
+use driver_iface::radiotap::{self, Bandwidth, Packet, Repr};
+use socket::Opened;
+use std::io::ErrorKind;
+use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
+
+/// Bytes of a received buffer that are looked at: a sounding frame and its radiotap header are far shorter.
+const RECEIVE_LEN: usize = 1_024;
+/// A frame whose receive stamp is older than this is history: nobody waits for the answer, and no slot is meant.
+const OLDEST: Span = Span::from_ms(1_000);
+
+/// What to open, and how frames are sent.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The interface, such as `mon0`.
+    pub interface: String,
+    /// MCS index of every frame. The CSI driver takes its `monitor_tx_rate` instead.
+    pub mcs: u8,
+    /// Channel width of every frame.
+    pub bandwidth: Bandwidth,
+    /// Length of the longest frame to be sent, bytes, without radiotap header and FCS.
+    pub longest: usize,
+    /// Reads the host's wall clock, microseconds since the Unix epoch, on which the kernel stamps what it receives.
+    pub wall_us: fn() -> Option<i64>,
+}
+
+/// Everything counted on an interface.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Frames that the kernel took.
+    pub taken: u64,
+    /// Frames of which it took only a part.
+    pub cut: u64,
+    /// Frames not taken because its queue was full (ENOBUFS, EAGAIN).
+    pub no_room: u64,
+    /// Frames not taken because the interface was down.
+    pub down: u64,
+    /// Frames not taken because they are longer than the MTU.
+    pub too_long: u64,
+    /// Tx-status copies: frames that the driver was given, and reported on.
+    pub tx_status: u64,
+    /// Of these, marked as failed (no acknowledgement, or given up).
+    pub tx_failed: u64,
+    /// Frames handed out as heard.
+    pub heard: u64,
+    /// Frames that lay in the queue for so long that they mean nothing any more; the host was away.
+    pub stale: u64,
+    /// Copies of own frames on their way out, beyond those that the filter kept out.
+    pub outgoing: u64,
+    /// Frames with a wrong FCS.
+    pub bad_fcs: u64,
+    /// Buffers whose radiotap header makes no sense, or longer than any sounding frame.
+    pub damaged: u64,
+    /// Frames that the kernel dropped because they were not fetched in time.
+    pub dropped: u64,
+}
+
+impl Counters {
+    /// Frames that were to be sent and were not taken.
+    #[must_use]
+    pub fn not_taken(&self) -> u64 {
+        self.cut + self.no_room + self.down + self.too_long
+    }
+
+    /// Counts what became of a send of `len` bytes, and gives why the frame was not taken if it was not. An error that
+    /// cannot be gone on from is given back.
+    fn note_sent(&mut self, sent: std::io::Result<usize>, len: usize, mtu: usize) -> std::io::Result<Option<NotSent>> {
+        let (count, why) = match sent {
+            Ok(taken) if taken == len => (&mut self.taken, None),
+            Ok(taken) => (&mut self.cut, Some(NotSent::Cut { taken, len })),
+            Err(error) => match error.raw_os_error() {
+                Some(libc::ENOBUFS | libc::EAGAIN | libc::ENOMEM) => (&mut self.no_room, Some(NotSent::NoRoom)),
+                Some(libc::ENETDOWN) => (&mut self.down, Some(NotSent::Down)),
+                Some(libc::EMSGSIZE) => (&mut self.too_long, Some(NotSent::TooLong { len, mtu })),
+                _ => return Err(error),
+            },
+        };
+        *count += 1;
+        Ok(why)
+    }
+}
+
+/// A monitor interface, opened. Never blocks; wait on its file descriptor.
+#[derive(Debug)]
+pub struct Monitor {
+    socket: OwnedFd,
+    interface: String,
+    mac: Option<[u8; 6]>,
+    mtu: usize,
+    header_len: usize,
+    /// Radiotap header, written once, and room for the longest frame.
+    out: Box<[u8]>,
+    input: Box<[u8]>,
+    control: Vec<u8>,
+    wall_us: fn() -> Option<i64>,
+    counters: Counters,
+}
+
+impl Monitor {
+    /// Opens the interface. The filter is in place before the first frame can arrive.
+    ///
+    /// # Errors
+    /// No such interface, CAP_NET_RAW missing, another link type than radiotap, the interface down, or an MTU too small
+    /// for `longest`: each with what to do about it.
+    pub fn open(options: &Options) -> Result<Self, Error> {
+        Self::with(options, |longest| socket::open(&options.interface, longest))
+    }
+
+    /// A message socket (SOCK_SEQPACKET) that speaks as a monitor interface does: one radiotap header and frame a
+    /// message, both ways. The interface's name in `options` is for messages to people.
+    ///
+    /// # Errors
+    /// Never at present; the frames of `options` cannot be longer than their header allows.
+    pub fn over(socket: OwnedFd, mac: Mac, options: &Options) -> Result<Self, Error> {
+        Self::with(options, |longest| Ok(Opened { socket, mac: Some(mac.0), mtu: longest }))
+    }
+
+    /// Makes room for buffers of the longest frame, and opens.
+    fn with(options: &Options, open: impl FnOnce(usize) -> Result<Opened, Error>) -> Result<Self, Error> {
+        let header = Repr::injected(options.mcs, options.bandwidth);
+        let header_len = header.header_len();
+        let mut out = vec![0; header_len + options.longest].into_boxed_slice();
+        header.emit(&mut out).map_err(|error| Error::Input(error.to_string()))?;
+        let Opened { socket, mac, mtu } = open(out.len())?;
+        Ok(Self {
+            socket,
+            interface: options.interface.clone(),
+            mac,
+            mtu,
+            header_len,
+            out,
+            input: vec![0; RECEIVE_LEN].into_boxed_slice(),
+            control: socket::control_buffer(),
+            wall_us: options.wall_us,
+            counters: Counters::default(),
+        })
+    }
+
+    /// The interface's own MAC, if it has one.
+    #[must_use]
+    pub fn mac(&self) -> Option<[u8; 6]> {
+        self.mac
+    }
+
+    /// Everything counted so far.
+    #[must_use]
+    pub fn counters(&mut self) -> Counters {
+        self.counters.dropped += socket::drops(&self.socket);
+        self.counters
+    }
+
+    /// Counts what became of a send of `len` bytes.
+    fn note_sent(&mut self, sent: std::io::Result<usize>, len: usize) -> Result<(), Error> {
+        let why = self.counters.note_sent(sent, len, self.mtu);
+        let why = why.map_err(|error| socket::failed("sending on", &self.interface, error))?;
+        why.map_or(Ok(()), |why| Err(Error::NotSent(why)))
+    }
+
+    /// Where in the input buffer the frame of a received buffer of `len` bytes is, if it is one to hand out.
+    fn frame_in(&mut self, len: usize) -> Option<std::ops::Range<usize>> {
+        let counters = &mut self.counters;
+        let parsed = self.input.get(..len).and_then(|buffer| {
+            let packet = Packet::new_checked(buffer).ok()?;
+            let repr = Repr::parse(&packet).ok()?;
+            let frame_len = packet.frame(&repr).ok()?.len();
+            Some((repr, packet.header_len()..packet.header_len() + frame_len))
+        });
+        let Some((repr, range)) = parsed else {
+            counters.damaged += 1;
+            return None;
+        };
+        if repr.is_own_echo() {
+            counters.tx_status += 1;
+            counters.tx_failed += u64::from(repr.tx_flags.is_some_and(|flags| flags & radiotap::TX_FLAGS_FAIL != 0));
+            return None;
+        }
+        if repr.is_bad_fcs() {
+            counters.bad_fcs += 1;
+            return None;
+        }
+        Some(range)
+    }
+}
+
+/// How long ago a frame was stamped, by the wall clock: zero without a stamp, or if the clock was set back since; `None`
+/// if that was too long ago. A clock that was set ahead meanwhile costs the frames that were waiting.
+fn age(stamp_us: Option<i64>, wall_us: Option<i64>) -> Option<Span> {
+    let age = stamp_us.zip(wall_us).map_or(0, |(stamp, now)| now.saturating_sub(stamp));
+    Some(Span::from_us(age.max(0))).filter(|age| *age < OLDEST)
+}
+
+impl AsFd for Monitor {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.socket.as_fd()
+    }
+}
+
+impl Injector for Monitor {
+    fn inject(&mut self, _now: Instant, frame: &[u8]) -> Result<(), Error> {
+        let len = self.header_len + frame.len();
+        let Some(place) = self.out.get_mut(self.header_len..len) else {
+            self.counters.too_long += 1;
+            return Err(Error::NotSent(NotSent::TooLong { len, mtu: self.out.len() }));
+        };
+        place.copy_from_slice(frame);
+        let sent = socket::send(&self.socket, self.out.get(..len).unwrap_or_default());
+        self.note_sent(sent, len)
+    }
+}
+
+impl FrameReceiver for Monitor {
+    fn hear(&mut self) -> Result<Option<Heard<'_>>, Error> {
+        loop {
+            let received = match socket::receive(&self.socket, &mut self.input, &mut self.control) {
+                Ok(received) => received,
+                Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(None),
+                // Said once when the interface goes down; what is sent until it is up again is counted then.
+                Err(error) if error.raw_os_error() == Some(libc::ENETDOWN) => continue,
+                Err(error) if error.kind() == ErrorKind::Interrupted => continue,
+                Err(error) => return Err(socket::failed("receiving from", &self.interface, error)),
+            };
+            if received.len == 0 {
+                let what = format!("receiving from {}: the room has ended", self.interface);
+                return Err(Error::Io { what, source: ErrorKind::UnexpectedEof.into() });
+            }
+            if received.is_outgoing {
+                self.counters.outgoing += 1;
+            } else if let Some(range) = self.frame_in(received.len) {
+                let Some(age) = age(received.stamp_us, (self.wall_us)()) else {
+                    self.counters.stale += 1;
+                    continue;
+                };
+                self.counters.heard += 1;
+                return Ok(self.input.get(range).map(|frame| Heard { frame, age }));
+            }
+        }
+    }
+
+    fn sent_for_certain(&self) -> Option<u64> {
+        Some(self.counters.tx_status.saturating_sub(self.counters.tx_failed))
+    }
+
+    fn failed_for_certain(&self) -> u64 {
+        self.counters.tx_failed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io;
+
+    #[test]
+    fn every_result_of_sending_is_counted_by_its_cause() {
+        let refused = |errno| Err(io::Error::from_raw_os_error(errno));
+        let (no_room, down) = (Some(NotSent::NoRoom), Some(NotSent::Down));
+        let mut counters = Counters::default();
+        for (sent, why) in [
+            (Ok(57), None),
+            (Ok(20), Some(NotSent::Cut { taken: 20, len: 57 })),
+            (refused(libc::ENOBUFS), no_room),
+            (refused(libc::EAGAIN), no_room),
+            (refused(libc::ENOMEM), no_room),
+            (refused(libc::ENETDOWN), down),
+            (refused(libc::EMSGSIZE), Some(NotSent::TooLong { len: 57, mtu: 50 })),
+        ] {
+            assert_eq!(counters.note_sent(sent, 57, 50).unwrap(), why);
+        }
+        assert!(counters.note_sent(refused(libc::ENXIO), 57, 50).is_err());
+        let count = |counters: &Counters| {
+            [counters.taken, counters.cut, counters.no_room, counters.down, counters.too_long, counters.not_taken()]
+        };
+        assert_eq!(count(&counters), [1, 1, 3, 1, 1, 6]);
+    }
+
+    #[test]
+    fn an_old_frame_is_not_taken_for_a_new_one() {
+        let second = 1_000_000;
+        assert_eq!(age(Some(5), Some(65)), Some(Span::from_us(60)));
+        assert_eq!(age(Some(5), Some(second + 4)), Some(OLDEST - Span::from_us(1)));
+        assert_eq!(age(Some(5), Some(second + 5)), None);
+        assert_eq!(age(Some(second), Some(3)), Some(Span::ZERO), "the clock was set back");
+        assert_eq!((age(None, Some(9)), age(Some(9), None)), (Some(Span::ZERO), Some(Span::ZERO)));
+    }
+}

@@ -1,0 +1,119 @@
+//! One robot's side of the exchange: air and state machine, in the order that the machine's contract asks for.
+
+use super::figures::Figures;
+use super::watch::{Notice, Watch};
+use csi5300::exchange::tdma::{Event, Tdma};
+use csi5300::source::{Error, FrameReceiver, Injector};
+use csi5300::time::Instant;
+use driver_iface::sounding::FCS_LEN;
+use driver_iface::sounding::native::Role;
+
+/// What the exchange tells whoever started it.
+#[derive(Clone, Debug)]
+pub enum News {
+    /// The thread runs, and this is what it was granted.
+    Started(super::Granted),
+    /// Something happened on the air.
+    Event(Event),
+    /// Something that the user should know.
+    Notice(Notice),
+}
+
+/// The machine, the air, and what was measured on the way.
+#[derive(Debug)]
+pub struct Exchange<A> {
+    /// The machine: its plan and counts.
+    pub tdma: Tdma,
+    /// The interface: its counters.
+    pub air: A,
+    /// Lateness and turn-around.
+    pub figures: Figures,
+    watch: Watch,
+    /// Number and hand-over of the last forward frame.
+    last_forward: Option<(u32, Instant)>,
+}
+
+/// The frame being handled: when its reception ended, and its length with FCS.
+type Heard = (Instant, usize);
+
+impl<A: Injector + FrameReceiver> Exchange<A> {
+    /// A machine on an interface.
+    #[must_use]
+    pub fn new(tdma: Tdma, air: A) -> Self {
+        Self { tdma, air, figures: Figures::new(), watch: Watch::default(), last_forward: None }
+    }
+
+    /// Takes in everything heard, sends everything due, and gives the time of the next step if nothing is heard before.
+    ///
+    /// # Errors
+    /// When the interface failed for good. What was only not taken is counted, and said in a [`Notice`].
+    pub fn step(&mut self, now: &impl Fn() -> Instant, tell: &mut impl FnMut(News)) -> Result<Option<Instant>, Error> {
+        loop {
+            // The time is read before the frame's age is: what comes between makes answers early, never late.
+            let at = now();
+            let Some(heard) = self.air.hear()? else { break };
+            let ended = at - heard.age;
+            let heard_len = heard.frame.len() + FCS_LEN;
+            self.tdma.handle_heard(at, ended, heard.frame);
+            self.send_due(now, Some((ended, heard_len)), tell)?;
+        }
+        self.send_due(now, None, tell)?;
+        if let Some(notice) = self.watch.look(now(), self.air.sent_for_certain(), self.air.failed_for_certain()) {
+            tell(News::Notice(notice));
+        }
+        Ok(self.tdma.poll_timeout())
+    }
+
+    fn send_due(
+        &mut self,
+        now: &impl Fn() -> Instant,
+        heard: Option<Heard>,
+        tell: &mut impl FnMut(News),
+    ) -> Result<(), Error> {
+        while let Some(transmit) = self.tdma.poll_transmit(now()) {
+            let before = now();
+            let (role, number) = (transmit.role, transmit.number);
+            self.figures.note_due(&transmit, before);
+            // The host may have been elsewhere since the machine gave the frame out.
+            if before > transmit.latest {
+                self.figures.too_late += 1;
+                self.tdma.not_sent(role, number);
+                continue;
+            }
+            let taken = self.air.inject(before, transmit.frame);
+            if let Err(error) = taken {
+                self.tdma.not_sent(role, number);
+                let Error::NotSent(why) = error else { return Err(error) };
+                self.watch.not_sent(why).map(News::Notice).into_iter().for_each(&mut *tell);
+                continue;
+            }
+            let after = now();
+            self.figures.note_sent(&transmit, before, after, heard.map(|(ended, _)| ended));
+            self.watch.sent(role, before);
+            if role == Role::Forward {
+                self.last_forward = Some((number, before));
+            }
+        }
+        while let Some(event) = self.tdma.poll_event() {
+            match event {
+                Event::Answered { number, .. } => {
+                    self.watch.answered();
+                    self.note_answer(number, heard);
+                }
+                Event::Missed { slots, late, slot } => self.figures.note_missed(slots, late, slot),
+                _ => {}
+            }
+            tell(News::Event(event));
+        }
+        Ok(())
+    }
+
+    /// How long after the forward frame's hand-over the answer to it began.
+    fn note_answer(&mut self, number: u32, heard: Option<Heard>) {
+        let sent = self.last_forward.filter(|(sent, _)| *sent == number);
+        if let (Some((_, sent)), Some((ended, len))) = (sent, heard) {
+            let airtime_us = i64::from(self.tdma.plan().phy().airtime_us(len));
+            self.figures.note_answer_us((ended - sent).as_us() - airtime_us);
+        }
+    }
+}

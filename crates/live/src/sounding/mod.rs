@@ -1,0 +1,30 @@
+//! Sounding, live: the scheduler's state machine ([`csi5300::exchange::tdma`]) on a monitor interface, in a thread of its own.
+//!
+//! * [`Exchange`] is one robot's side: frames from the air into the machine, frames from the machine into the air, and
+//!   figures of what that took. It has no clock of its own.
+//! * [`Setup`] opens one: interface, plan, key, session.
+//! * [`Running`] is its thread: under SCHED_FIFO and in locked memory where that is allowed, waiting for frames and for
+//!   absolute deadlines. Nothing that a bearing needs can delay a slot.
+//! * [`Products`] makes bearings while robots sound, from the card's records and the measurements in the answers.
+//! * [`set_rate`] sees to the rate of the CSI driver, which does not take it from radiotap.
+
+mod exchange;
+mod figures;
+mod mailbox;
+mod products;
+mod rate;
+mod session;
+mod setup;
+mod thread;
+mod watch;
+
+pub use exchange::{Exchange, News};
+pub use figures::{Figures, KERNEL_TURN_AROUND_US, spread_of};
+pub use products::{Products, measurement};
+pub use rate::{Rate, rate_n_flags, set_rate};
+pub use setup::{Opened, Setup, read_key};
+pub use thread::{Granted, Order, Running, Settings};
+pub use watch::Notice;
+
+#[cfg(test)]
+mod tests;

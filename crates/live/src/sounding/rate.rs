@@ -1,0 +1,111 @@
+//! The rate of injected frames where the driver takes it from debugfs instead of radiotap.
+
+use crate::doctor::{System, rate_file};
+use csi5300::exchange::tdma::Phy;
+use driver_iface::bfee::Antenna;
+use driver_iface::radiotap::Bandwidth;
+
+/// RATE_MCS_HT_MSK (`dvm/commands.h`): an HT rate, the only ones with CSI.
+const HT: u32 = 0x100;
+/// RATE_MCS_HT40_MSK: 40 MHz wide.
+const HT40: u32 = 0x800;
+
+/// Antennas of the card.
+const ANTENNAS: u32 = 3;
+
+/// What became of the driver's rate.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Rate {
+    /// The driver has no such file: it takes the rate from radiotap.
+    FromRadiotap,
+    /// It was right already.
+    Right(u32),
+    /// It was set, from what it was before.
+    Set(u32, String),
+    /// It is another one and could not be set; the command that does it.
+    Other {
+        /// What it is.
+        found: String,
+        /// What went wrong.
+        error: String,
+        /// The command that sets it.
+        mend: String,
+    },
+}
+
+/// The driver's number for a rate (`rate_n_flags`, `dvm/commands.h`): 0x4101 is MCS 1, 20 MHz, antenna A.
+///
+/// Several streams (MCS 8 and up) go out on as many antennas: `antenna` and the next ones, A after C. `None` for more
+/// streams than the card has antennas (MCS 24 and up).
+#[must_use]
+pub fn rate_n_flags(phy: Phy, antenna: Antenna) -> Option<u32> {
+    const ANTENNA_A: u32 = 0x4000;
+    let streams = u32::from(phy.mcs / 8 + 1);
+    if streams > ANTENNAS {
+        return None;
+    }
+    let first = match antenna {
+        Antenna::A => 0,
+        Antenna::B => 1,
+        Antenna::C => 2,
+    };
+    let antennas = (first..first + streams).fold(0, |bits, k| bits | ANTENNA_A << (k % ANTENNAS));
+    let width = match phy.bandwidth {
+        Bandwidth::Ht20 => 0,
+        Bandwidth::Ht40 => HT40,
+    };
+    Some(antennas | width | HT | u32::from(phy.mcs))
+}
+
+/// Makes the driver send at this rate, if it is one that ignores radiotap.
+#[must_use]
+pub fn set_rate(system: &dyn System, interface: &str, rate: u32) -> Rate {
+    let phy = system.text(&format!("/sys/class/net/{interface}/phy80211/name"));
+    let Some(path) = phy.and_then(|phy| rate_file(system, &phy)) else { return Rate::FromRadiotap };
+    let found = system.text(&path).unwrap_or_default();
+    if u32::from_str_radix(found.trim_start_matches("0x"), 16) == Ok(rate) {
+        return Rate::Right(rate);
+    }
+    match system.write(&path, &format!("{rate:#x}")) {
+        Ok(()) => Rate::Set(rate, found),
+        Err(error) => Rate::Other { found, error, mend: format!("echo {rate:#x} | sudo tee {path}") },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::doctor::Tree;
+
+    #[test]
+    fn every_stream_has_an_antenna() {
+        let rate = |mcs, antenna| rate_n_flags(Phy { mcs, bandwidth: Bandwidth::Ht20 }, antenna);
+        assert_eq!(rate_n_flags(Phy { mcs: 0, bandwidth: Bandwidth::Ht40 }, Antenna::B), Some(0x8900));
+        assert_eq!([rate(7, Antenna::C), rate(8, Antenna::A)], [Some(0x1_0107), Some(0xc108)]);
+        assert_eq!([rate(15, Antenna::C), rate(16, Antenna::B)], [Some(0x1_410f), Some(0x1_c110)]);
+        assert_eq!([rate(23, Antenna::A), rate(24, Antenna::A)], [Some(0x1_c117), None]);
+    }
+
+    #[test]
+    fn the_driver_s_file_is_found_by_the_interface_and_set_once() {
+        let root = std::env::temp_dir().join(format!("csi5300-rate-{}", std::process::id()));
+        let files = [
+            ("sys/class/net/mon0/phy80211/name", "phy3\n"),
+            ("sys/kernel/debug/ieee80211/phy3/iwlwifi/iwldvm/debug/monitor_tx_rate", "0x0\n"),
+            ("sys/class/net/mon1/phy80211/name", "phy4\n"),
+        ];
+        for (path, text) in files {
+            let path = root.join(path);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, text).unwrap();
+        }
+        let tree = Tree::new(root.clone());
+        let phy = Phy { mcs: 1, bandwidth: Bandwidth::Ht20 };
+        let rate = rate_n_flags(phy, Antenna::A).unwrap();
+        assert_eq!(rate, 0x4101);
+        assert_eq!(set_rate(&tree, "mon1", rate), Rate::FromRadiotap);
+        assert_eq!(set_rate(&tree, "mon0", rate), Rate::Set(rate, "0x0".into()));
+        assert_eq!(set_rate(&tree, "mon0", rate), Rate::Right(rate));
+        std::fs::remove_dir_all(root).unwrap();
+    }
+}

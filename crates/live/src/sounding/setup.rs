@@ -1,0 +1,102 @@
+//! An exchange opened: interface, plan, key and session.
+
+use super::session;
+use crate::monitor::{Monitor, Options};
+use crate::wait::wall_us;
+use csi5300::exchange::tdma::{Config, Key, Request, Tdma};
+use csi5300::source::Error;
+use driver_iface::Mac;
+use std::path::Path;
+
+/// What an exchange is opened from.
+#[derive(Clone, Debug)]
+pub struct Setup {
+    /// Monitor interface; only a name for messages where [`Setup::open_on`] is given one.
+    pub interface: String,
+    /// This robot's MAC, instead of the interface's own.
+    pub mac: Option<Mac>,
+    /// All other robots.
+    pub peers: Vec<Mac>,
+    /// Rate, frames and timing: the same on every robot.
+    pub request: Request,
+    /// WSR dialect: this robot's index.
+    pub own_index: u16,
+    /// Key that all robots share.
+    pub key: Option<Key>,
+}
+
+/// An exchange that can be started with [`Running::start`](super::Running::start).
+#[derive(Debug)]
+pub struct Opened {
+    /// The machine.
+    pub tdma: Tdma,
+    /// The interface.
+    pub monitor: Monitor,
+    /// This robot's MAC.
+    pub own: Mac,
+    /// What the user should know of the session's number.
+    pub warning: Option<String>,
+}
+
+impl Setup {
+    /// What the interface is opened with.
+    #[must_use]
+    pub fn options(&self) -> Options {
+        let (forward, backward) = self.request.dialect.longest(usize::from(self.request.links));
+        Options {
+            interface: self.interface.clone(),
+            mcs: self.request.phy.mcs,
+            bandwidth: self.request.phy.bandwidth,
+            longest: forward.max(backward),
+            wall_us,
+        }
+    }
+
+    /// Opens the interface and makes the machine, with what `settle` changes of its configuration.
+    ///
+    /// # Errors
+    /// If the interface cannot be opened or has no MAC, or the plan does not fit.
+    pub fn open(&self, settle: impl FnOnce(&mut Config)) -> Result<Opened, Error> {
+        self.open_on(Monitor::open(&self.options())?, settle)
+    }
+
+    /// As [`Setup::open`], on an interface that is open.
+    ///
+    /// # Errors
+    /// If it has no MAC, or the plan does not fit.
+    pub fn open_on(&self, monitor: Monitor, settle: impl FnOnce(&mut Config)) -> Result<Opened, Error> {
+        let nameless = || Error::Input(format!("{} has no MAC of its own: say which it is to use", self.interface));
+        let own = self.mac.or(monitor.mac().map(Mac)).ok_or_else(nameless)?;
+        let (session, warning) = session::begin(own, wall_us());
+        let mut config = self.config(own, session);
+        settle(&mut config);
+        let tdma = Tdma::new(&config).map_err(|error| Error::Input(error.to_string()))?;
+        Ok(Opened { tdma, monitor, own, warning })
+    }
+
+    /// The machine's configuration: a robot that answers, and does not initiate.
+    #[must_use]
+    pub fn config(&self, own: Mac, session: u32) -> Config {
+        let peers: Vec<[u8; 6]> = self.peers.iter().map(|mac| mac.0).collect();
+        Config { key: self.key, ..Config::new(own.0, self.own_index, &peers, self.request, session) }
+    }
+}
+
+/// Reads a key: 16 bytes, or 32 hexadecimal digits.
+///
+/// # Errors
+/// If the file cannot be read, or holds anything else.
+pub fn read_key(path: &Path) -> Result<Key, Error> {
+    let what = || format!("the key {}", path.display());
+    let bytes = std::fs::read(path).map_err(|source| Error::Io { what: what(), source })?;
+    if let Ok(key) = <[u8; 16]>::try_from(bytes.as_slice()) {
+        return Ok(Key::new(key));
+    }
+    let text = String::from_utf8_lossy(&bytes);
+    let digits = text.trim();
+    let number = u128::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 32 && !digits.starts_with('+'));
+    number.map(|number| Key::new(number.to_be_bytes())).ok_or_else(|| {
+        let rule = "a key is 16 bytes or 32 hexadecimal digits; make one with `head -c 16 /dev/urandom > FILE`";
+        Error::Input(format!("{}: {rule}", path.display()))
+    })
+}

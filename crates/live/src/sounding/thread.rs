@@ -1,0 +1,169 @@
+//! The thread that sends: what it is granted by the system, how it waits, and how others speak to it.
+
+use super::exchange::{Exchange, News};
+use super::mailbox::{Mailbox, Outbox};
+use crate::monitor::Monitor;
+use crate::sys;
+use crate::wait::Monotonic;
+use csi5300::exchange::tdma::{Priority, Tdma};
+use csi5300::source::Error;
+use driver_iface::sounding::native::Measurement;
+use nix::sys::mman::{MlockAllFlags, mlockall};
+use nix::sys::prctl::set_timerslack;
+use std::io::{PipeReader, PipeWriter};
+use std::os::fd::AsFd;
+use std::thread::JoinHandle;
+
+/// What to ask the system for.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// Priority under SCHED_FIFO, 1 to 99; `None` leaves the ordinary scheduler.
+    pub fifo_priority: Option<i32>,
+}
+
+impl Default for Settings {
+    /// 50, as interrupt threads have.
+    fn default() -> Self {
+        Self { fifo_priority: Some(50) }
+    }
+}
+
+/// What the system granted, or why not.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Granted {
+    /// SCHED_FIFO.
+    pub fifo: Result<(), String>,
+    /// All memory locked that there is at the start.
+    pub locked: Result<(), String>,
+}
+
+impl std::fmt::Display for Granted {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match &self.fifo {
+            Ok(()) => write!(f, "sending under SCHED_FIFO")?,
+            Err(why) => write!(f, "sending under the ordinary scheduler ({why}); slots will be missed under load")?,
+        }
+        match &self.locked {
+            Ok(()) => write!(f, ", memory locked"),
+            Err(why) => write!(f, "; memory not locked ({why})"),
+        }
+    }
+}
+
+/// What the thread may be told.
+#[derive(Clone, Copy, Debug)]
+pub enum Order {
+    /// This robot's measurement of a forward frame of that peer, for the next answer to it.
+    Measurement([u8; 6], Measurement),
+    /// How much the link to that peer matters from now on.
+    Priority([u8; 6], Priority),
+}
+
+/// An exchange that runs.
+#[derive(Debug)]
+pub struct Running {
+    thread: JoinHandle<Ended>,
+    stop: PipeWriter,
+    orders: Mailbox<Order>,
+    news: Mailbox<News>,
+}
+
+/// What a thread leaves behind.
+struct Ended {
+    exchange: Exchange<Monitor>,
+    error: Option<Error>,
+    news: Outbox<News>,
+}
+
+impl Running {
+    /// Starts the thread. It takes over what signals are blocked here.
+    ///
+    /// # Errors
+    /// If there is no pipe or thread to be had.
+    pub fn start(tdma: Tdma, monitor: Monitor, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
+        let io = |source| Error::Io { what: "cannot start the thread that sends".into(), source };
+        let (stopped, stop) = std::io::pipe().map_err(io)?;
+        let (orders, news) = (Mailbox::new(), Mailbox::new());
+        let (ordered, told) = (orders.clone(), Outbox::new(&news));
+        let exchange = Exchange::new(tdma, monitor);
+        let work = move || run(exchange, clock, settings, &stopped, &ordered, told);
+        let thread = std::thread::Builder::new().name("csi5300 sender".into()).spawn(work).map_err(io)?;
+        Ok(Self { thread, stop, orders, news })
+    }
+
+    /// Gives an order, to be followed before the next frame is handled. False if too many wait.
+    pub fn order(&self, order: Order) -> bool {
+        self.orders.put(order)
+    }
+
+    /// The next news, if there are any.
+    pub fn news(&self) -> Option<News> {
+        self.news.take()
+    }
+
+    /// True if the thread has ended by itself: its interface failed.
+    #[must_use]
+    pub fn has_ended(&self) -> bool {
+        self.thread.is_finished()
+    }
+
+    /// Stops the thread, and gives what it leaves: the exchange, news that were not fetched, the number of those lost
+    /// because they were not fetched in time, and the error that ended it if one did.
+    ///
+    /// # Errors
+    /// If the thread panicked.
+    #[allow(clippy::type_complexity)]
+    pub fn stop(self) -> Result<(Exchange<Monitor>, Vec<News>, u64, Option<Error>), Error> {
+        drop(self.stop);
+        let panicked = |_| Error::Input("the thread that sends has panicked".into());
+        let ended = self.thread.join().map_err(panicked)?;
+        let left = std::iter::from_fn(|| self.news.take()).collect::<Vec<_>>();
+        let (held, lost) = ended.news.finish();
+        Ok((ended.exchange, left.into_iter().chain(held).collect(), lost, ended.error))
+    }
+}
+
+/// Asks for what makes the thread punctual.
+fn ask(settings: Settings) -> Granted {
+    let words = |error: std::io::Error| error.to_string();
+    // Without SCHED_FIFO timers may be 50 us late for the sake of power.
+    let _ = set_timerslack(1);
+    // Only what is there now: with memory to come (MCL_FUTURE) a later bearing could run into the limit, and abort.
+    let locked = mlockall(MlockAllFlags::MCL_CURRENT).map_err(|errno| words(errno.into()));
+    let fifo = match settings.fifo_priority {
+        Some(priority) => sys::schedule_fifo(priority).map_err(words),
+        None => Err("as asked for".into()),
+    };
+    Granted { fifo, locked }
+}
+
+fn run(
+    mut exchange: Exchange<Monitor>,
+    clock: Monotonic,
+    settings: Settings,
+    stopped: &PipeReader,
+    orders: &Mailbox<Order>,
+    mut news: Outbox<News>,
+) -> Ended {
+    news.put(News::Started(ask(settings)));
+    let error = loop {
+        while let Some(order) = orders.take_at_once() {
+            // A frame that was not for this robot, or a robot that is no peer: nothing to be done about it.
+            let _ = match order {
+                Order::Measurement(peer, measurement) => exchange.tdma.set_measurement(peer, measurement),
+                Order::Priority(peer, priority) => exchange.tdma.set_priority(peer, priority),
+            };
+        }
+        let stepped = exchange.step(&|| clock.now(), &mut |told| news.put(told));
+        news.flush();
+        let waited = stepped.and_then(|until| {
+            clock.wait_closely([exchange.air.as_fd(), stopped.as_fd()], until, exchange.tdma.transmit_at())
+        });
+        match waited {
+            Ok([_, false]) => {}
+            Ok([_, true]) => break None,
+            Err(error) => break Some(error),
+        }
+    };
+    Ended { exchange, error, news }
+}

@@ -1,0 +1,194 @@
+//! The calls for which no crate has a safe form. All `unsafe` of the project is in this file.
+#![allow(unsafe_code)]
+
+use std::fs::File;
+use std::io;
+use std::os::fd::{AsRawFd, BorrowedFd};
+use tokio::io::Interest;
+use tokio::io::unix::AsyncFd;
+
+/// One instruction of a classic socket filter (`struct sock_filter`, `linux/filter.h`).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Instruction {
+    /// Operation, `BPF_*`.
+    pub code: u16,
+    /// Instructions to skip if true.
+    pub if_true: u8,
+    /// Instructions to skip if false.
+    pub if_false: u8,
+    /// Operand.
+    pub k: u32,
+}
+
+/// Attaches a classic filter to a socket (SO_ATTACH_FILTER); it replaces an earlier one.
+///
+/// # Errors
+/// The kernel's refusal, when the program is malformed or longer than it allows.
+pub fn attach_filter(socket: BorrowedFd<'_>, program: &[Instruction]) -> io::Result<()> {
+    let mut filter: Vec<libc::sock_filter> = program
+        .iter()
+        .map(|step| libc::sock_filter { code: step.code, jt: step.if_true, jf: step.if_false, k: step.k })
+        .collect();
+    let len = u16::try_from(filter.len()).map_err(|_| io::Error::from(io::ErrorKind::InvalidInput))?;
+    let program = libc::sock_fprog { len, filter: filter.as_mut_ptr() };
+    let size = size_of::<libc::sock_fprog>() as libc::socklen_t;
+    // SAFETY: `program` and the array that it points to live until after the call, `len` is that array's length and
+    // `size` that of the structure, as SO_ATTACH_FILTER demands; the kernel copies both and keeps no pointer.
+    let answer = unsafe {
+        libc::setsockopt(
+            socket.as_raw_fd(),
+            libc::SOL_SOCKET,
+            libc::SO_ATTACH_FILTER,
+            (&raw const program).cast::<libc::c_void>(),
+            size,
+        )
+    };
+    if answer == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+}
+
+/// Registers a descriptor with tokio's reactor, for reading and for errors.
+///
+/// # Errors
+/// The reactor's refusal.
+pub fn watch_fd(fd: std::os::fd::OwnedFd) -> io::Result<AsyncFd<std::os::fd::OwnedFd>> {
+    let interest = Interest::READABLE | Interest::ERROR;
+    // SAFETY: an `OwnedFd` is the same open descriptor from its making to its drop, and the `AsyncFd` owns it.
+    unsafe { AsyncFd::register_with_interest(fd, interest) }.map_err(|error| error.into_parts().1)
+}
+
+/// ARPHRD_IEEE80211_RADIOTAP (`linux/if_arp.h`): the link type of a monitor interface.
+pub const ARPHRD_IEEE80211_RADIOTAP: u16 = 803;
+
+fn answered(answer: libc::c_int) -> io::Result<()> {
+    if answer < 0 { Err(io::Error::last_os_error()) } else { Ok(()) }
+}
+
+/// Binds a packet socket to an interface, for frames of every protocol (`packet(7)`).
+///
+/// # Errors
+/// The kernel's refusal.
+pub fn bind_packet(socket: BorrowedFd<'_>, interface: u32) -> io::Result<()> {
+    let index = libc::c_int::try_from(interface).map_err(|_| io::Error::from(io::ErrorKind::InvalidInput))?;
+    let address = libc::sockaddr_ll {
+        sll_family: libc::AF_PACKET as u16,
+        sll_protocol: (libc::ETH_P_ALL as u16).to_be(),
+        sll_ifindex: index,
+        sll_hatype: 0,
+        sll_pkttype: 0,
+        sll_halen: 0,
+        sll_addr: [0; 8],
+    };
+    let size = size_of::<libc::sockaddr_ll>() as libc::socklen_t;
+    // SAFETY: `address` is a `sockaddr_ll` that lives until after the call, and `size` is its size; the kernel copies it.
+    answered(unsafe { libc::bind(socket.as_raw_fd(), (&raw const address).cast(), size) })
+}
+
+/// Link type (ARPHRD_*) and MAC of the interface that a packet socket is bound to.
+///
+/// # Errors
+/// The kernel's refusal.
+pub fn packet_link(socket: BorrowedFd<'_>) -> io::Result<(u16, Option<[u8; 6]>)> {
+    // SAFETY: `sockaddr_ll` consists of integers and an array of them, for all of which zero is a value.
+    let mut address: libc::sockaddr_ll = unsafe { std::mem::zeroed() };
+    let mut size = size_of::<libc::sockaddr_ll>() as libc::socklen_t;
+    // SAFETY: the kernel writes at most `size` bytes, the size of `address`, which is ours alone until the call ends.
+    answered(unsafe { libc::getsockname(socket.as_raw_fd(), (&raw mut address).cast(), &raw mut size) })?;
+    let mac = address.sll_addr.first_chunk().copied().filter(|_| address.sll_halen == 6);
+    Ok((address.sll_hatype, mac))
+}
+
+/// Frames that a packet socket has dropped since this was asked last, its queue being full (PACKET_STATISTICS).
+///
+/// # Errors
+/// The kernel's refusal.
+pub fn packet_drops(socket: BorrowedFd<'_>) -> io::Result<u32> {
+    /// PACKET_STATISTICS (`linux/if_packet.h`).
+    const STATISTICS: libc::c_int = 6;
+    let mut packets_and_drops = [0_u32; 2];
+    let mut size = size_of_val(&packets_and_drops) as libc::socklen_t;
+    // SAFETY: the kernel writes at most `size` bytes, the size of the array (`struct tpacket_stats`, two u32), which is
+    // ours alone until the call ends.
+    let answer = unsafe {
+        libc::getsockopt(
+            socket.as_raw_fd(),
+            libc::SOL_PACKET,
+            STATISTICS,
+            packets_and_drops.as_mut_ptr().cast(),
+            &raw mut size,
+        )
+    };
+    answered(answer).map(|()| packets_and_drops[1])
+}
+
+/// A request about an interface, its union all zero.
+fn request(interface: &str) -> io::Result<libc::ifreq> {
+    // SAFETY: `ifreq` consists of integers, arrays of them and pointers, for all of which zero is a value.
+    let mut request: libc::ifreq = unsafe { std::mem::zeroed() };
+    if interface.len() >= request.ifr_name.len() || interface.bytes().any(|byte| byte == 0) {
+        return Err(io::Error::from(io::ErrorKind::InvalidInput));
+    }
+    for (place, byte) in request.ifr_name.iter_mut().zip(interface.bytes()) {
+        // Signed or not, as the architecture has it.
+        *place = byte as libc::c_char;
+    }
+    Ok(request)
+}
+
+/// The longest packet that an interface takes, bytes (SIOCGIFMTU on any socket).
+///
+/// # Errors
+/// The kernel's refusal, or a name that cannot be one.
+pub fn mtu(socket: BorrowedFd<'_>, interface: &str) -> io::Result<usize> {
+    let mut request = request(interface)?;
+    // SAFETY: SIOCGIFMTU reads the name and writes `ifru_mtu` of the structure, which outlives the call.
+    answered(unsafe { libc::ioctl(socket.as_raw_fd(), libc::SIOCGIFMTU, &raw mut request) })?;
+    // SAFETY: the call succeeded, so `ifru_mtu` is the field that was written.
+    let mtu = unsafe { request.ifr_ifru.ifru_mtu };
+    Ok(usize::try_from(mtu).unwrap_or(0))
+}
+
+/// Lets the calling thread run under SCHED_FIFO: before every ordinary program, until it waits.
+///
+/// # Errors
+/// The kernel's refusal: CAP_SYS_NICE or a limit (`ulimit -r`) is needed.
+pub fn schedule_fifo(priority: i32) -> io::Result<()> {
+    let parameters = libc::sched_param { sched_priority: priority };
+    // SAFETY: `parameters` lives until after the call, which copies it; 0 names the calling thread.
+    answered(unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters) })
+}
+
+/// Makes a TUN device with the link type of a monitor interface, up, with room for `mtu` bytes. Packets written to the
+/// file are received from the device, packets sent to the device are read from the file; each after four bytes of
+/// flags and protocol. It lives as long as the file. For tests and measurements without a card.
+///
+/// # Errors
+/// The kernel's refusal: CAP_NET_ADMIN in the network namespace and access to /dev/net/tun are needed.
+pub fn radiotap_tun(interface: &str, mtu: usize) -> io::Result<File> {
+    let tun = File::options().read(true).write(true).open("/dev/net/tun")?;
+    let socket = std::net::UdpSocket::bind("0.0.0.0:0")?;
+    let mut create = request(interface)?;
+    create.ifr_ifru.ifru_flags = libc::IFF_TUN as libc::c_short;
+    // SAFETY: TUNSETIFF reads and writes the structure, which outlives the call.
+    answered(unsafe { libc::ioctl(tun.as_raw_fd(), libc::TUNSETIFF, &raw mut create) })?;
+    let link_type = libc::c_ulong::from(ARPHRD_IEEE80211_RADIOTAP);
+    // SAFETY: TUNSETLINK takes its argument by value.
+    answered(unsafe { libc::ioctl(tun.as_raw_fd(), libc::TUNSETLINK, link_type) })?;
+    let mut resize = request(interface)?;
+    resize.ifr_ifru.ifru_mtu = libc::c_int::try_from(mtu).unwrap_or(libc::c_int::MAX);
+    // SAFETY: SIOCSIFMTU reads the structure, which outlives the call.
+    answered(unsafe { libc::ioctl(socket.as_raw_fd(), libc::SIOCSIFMTU, &raw mut resize) })?;
+    set_up(interface, true)?;
+    Ok(tun)
+}
+
+/// Takes an interface up or down (SIOCSIFFLAGS, with no other flag set).
+///
+/// # Errors
+/// The kernel's refusal: CAP_NET_ADMIN in the network namespace is needed.
+pub fn set_up(interface: &str, up: bool) -> io::Result<()> {
+    let socket = std::net::UdpSocket::bind("0.0.0.0:0")?;
+    let mut request = request(interface)?;
+    request.ifr_ifru.ifru_flags = if up { libc::IFF_UP as libc::c_short } else { 0 };
+    // SAFETY: SIOCSIFFLAGS reads the structure, which outlives the call.
+    answered(unsafe { libc::ioctl(socket.as_raw_fd(), libc::SIOCSIFFLAGS, &raw mut request) })
+}

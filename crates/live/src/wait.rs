@@ -1,0 +1,110 @@
+//! The clocks of this machine, and waiting on them: for programs that drive live or paced sources.
+//!
+//! Everything below is handed the time; here is where it comes from.
+
+use csi5300::source::Error;
+use csi5300::time::{Instant, Span};
+use nix::poll::{PollFd, PollFlags, ppoll};
+use nix::sys::time::TimeSpec;
+use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
+use std::os::fd::BorrowedFd;
+use std::time::Duration;
+
+/// A wait for a deadline watches files until so long before it, and then sleeps to the point.
+const NEAR: Span = Span::from_us(300);
+
+/// The host's monotonic clock, from the moment this was made.
+#[derive(Clone, Copy, Debug)]
+pub struct Monotonic {
+    /// CLOCK_MONOTONIC at that moment, nanoseconds.
+    origin_ns: i64,
+}
+
+/// CLOCK_MONOTONIC, which every Linux has, nanoseconds.
+fn monotonic_ns() -> i64 {
+    clock_gettime(ClockId::CLOCK_MONOTONIC).map_or(0, |now| now.tv_sec() * 1_000_000_000 + now.tv_nsec())
+}
+
+impl Default for Monotonic {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Monotonic {
+    /// A clock that shows zero now.
+    #[must_use]
+    pub fn new() -> Self {
+        Self { origin_ns: monotonic_ns() }
+    }
+
+    /// The time now.
+    #[must_use]
+    pub fn now(&self) -> Instant {
+        Instant::from_us((monotonic_ns() - self.origin_ns) / 1_000)
+    }
+
+    /// Sleeps until `until` is reached, on the absolute clock (clock_nanosleep), so that what comes between asking for
+    /// the time and sleeping makes nothing later. A signal ends it early.
+    pub fn sleep_until(&self, until: Instant) {
+        let at_ns = until.as_us().saturating_mul(1_000).saturating_add(self.origin_ns).max(0);
+        let at = TimeSpec::new(at_ns / 1_000_000_000, at_ns % 1_000_000_000);
+        let _ = clock_nanosleep(ClockId::CLOCK_MONOTONIC, ClockNanosleepFlags::TIMER_ABSTIME, &at);
+    }
+
+    /// As [`Monotonic::wait`], with a deadline `point` that is to be met closely: the last 300 us before it are slept
+    /// through to the point, whatever becomes readable or `until` says, unless something is readable at their beginning.
+    ///
+    /// # Errors
+    /// If the kernel refuses to poll.
+    pub fn wait_closely<const N: usize>(
+        &self,
+        fds: [BorrowedFd<'_>; N],
+        until: Option<Instant>,
+        point: Option<Instant>,
+    ) -> Result<[bool; N], Error> {
+        let near = |point: &Instant| until.is_none_or(|until| until >= *point - NEAR);
+        let Some(point) = point.filter(near) else { return self.wait(fds, until) };
+        // At least one look at the files, however near the deadline is: where one follows on the other there is no other.
+        let ready = self.wait(fds, Some(point - NEAR))?;
+        if ready.contains(&true) || self.now() < point - NEAR {
+            return Ok(ready);
+        }
+        self.sleep_until(point);
+        Ok([false; N])
+    }
+
+    /// Sleeps until one of `fds` is readable or in error, or until `until`. Gives which ones are.
+    ///
+    /// An interrupting signal ends the wait early, with none ready.
+    ///
+    /// # Errors
+    /// If the kernel refuses to poll.
+    pub fn wait<const N: usize>(&self, fds: [BorrowedFd<'_>; N], until: Option<Instant>) -> Result<[bool; N], Error> {
+        let left = until.map(|until| {
+            let us = (until - self.now()).as_us().max(0);
+            TimeSpec::from_duration(Duration::from_micros(us.cast_unsigned()))
+        });
+        let mut polled = fds.map(|fd| PollFd::new(fd, PollFlags::POLLIN));
+        match ppoll(&mut polled, left, None) {
+            Ok(_) => Ok(polled.map(|fd| fd.any().unwrap_or(true))),
+            Err(nix::errno::Errno::EINTR) => Ok([false; N]),
+            Err(errno) => Err(Error::Io { what: "waiting for records".into(), source: errno.into() }),
+        }
+    }
+}
+
+/// The host's wall clock, microseconds since the Unix epoch; `None` before it.
+#[must_use]
+pub fn wall_us() -> Option<i64> {
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).ok()?;
+    i64::try_from(since.as_micros()).ok()
+}
+
+/// Processor time that this process has used so far, seconds.
+#[must_use]
+pub fn processor_s() -> f64 {
+    let Ok(used) = nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_SELF) else { return 0.0 };
+    let seconds = |time: nix::sys::time::TimeVal| time.tv_sec() as f64 + time.tv_usec() as f64 * 1e-6;
+    seconds(used.user_time()) + seconds(used.system_time())
+}

@@ -1,0 +1,74 @@
+//! Live bearings: products from the card's records and the measurements in the answers, as good as from both logs.
+
+use crate::common::link::{RECEIVER, TRANSMITTER, link};
+use csi5300::motion::odometry::csv;
+use csi5300::pipeline::Options;
+use csi5300::signal::channel::{Channel, Width};
+use csi5300::source::survey::Survey;
+use csi5300::source::{Next, Stamps};
+use csi5300_live::sounding::{Products, measurement};
+use driver_iface::Mac;
+use driver_iface::bfee::Antenna;
+use driver_iface::record::{Record, code};
+use driver_iface::sounding::{Frame, native};
+use std::collections::VecDeque;
+
+/// An answer that carries `measurement`, over the air and back.
+fn carried(measurement: native::Measurement) -> native::Measurement {
+    let repr = native::Repr {
+        sender: TRANSMITTER.0,
+        number: measurement.number + 1,
+        role: native::Role::Backward,
+        destination: RECEIVER.0,
+        next: RECEIVER.0,
+        wants_turn: false,
+        session: 1,
+        sender_session: 1,
+        turn: 1,
+        left: 0,
+        slot: 1,
+        round_us: 10_000,
+        slots: 1,
+        measurement: Some(measurement),
+        tag: None,
+    };
+    let mut buffer = [0; native::MAX_LEN];
+    let len = repr.emit(&mut buffer).unwrap();
+    native::Repr::parse(&Frame::new_checked(&buffer[..len]).unwrap()).unwrap().measurement.unwrap()
+}
+
+#[test]
+fn products_from_answers_give_the_bearing() {
+    let truth_rad = 2.0_f64;
+    let made = link(600, truth_rad);
+    let (trajectory, _) = csv::parse(made.trajectory.as_bytes()).unwrap();
+    let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
+    let mut products = Products::new(&[Mac([9; 6]), TRANSMITTER], options);
+    let mut responder = Survey::default();
+    // The responder's card reports a frame some exchanges later than it answers it.
+    let mut under_way = VecDeque::new();
+    for (k, (rx, tx)) in made.rx.iter().zip(&made.tx).enumerate() {
+        let record = |bytes| Next::Record(Stamps::default(), Record { code: code::BFEE, body: bytes });
+        let next = record(&tx[3..]);
+        let (bfee, identity) = responder.note(&next).unwrap();
+        let lost = k % 11 == 3;
+        under_way.extend(measurement(&bfee, &identity, Antenna::A).filter(|_| !lost));
+        assert_eq!(measurement(&bfee, &identity, Antenna::A).unwrap().number, k as u32 + 1);
+        products.note(&record(&rx[3..]));
+        if under_way.len() > 3 {
+            products.answered(TRANSMITTER, &carried(under_way.pop_front().unwrap()));
+        }
+    }
+    let pairs: Vec<_> = products.pairs().collect();
+    assert_eq!(pairs[0], (Mac([9; 6]), 0));
+    assert!(pairs[1].1 >= 540, "{pairs:?}");
+    let bearing = products.bearing(TRANSMITTER, &trajectory).unwrap();
+    let error_deg = (bearing.estimate.azimuth_rad - truth_rad).to_degrees();
+    assert!(error_deg.abs() < 0.1, "{error_deg}");
+    assert!(products.bearing(Mac([9; 6]), &trajectory).is_err());
+    // What another antenna measured does not belong to these products.
+    let mut other = under_way.pop_front().unwrap();
+    other.rx_antenna = 2;
+    products.answered(TRANSMITTER, &other);
+    assert_eq!(products.other_antenna, 1);
+}

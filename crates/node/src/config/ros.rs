@@ -1,0 +1,160 @@
+//! ROS 1 in a configuration: topics of poses, and this program as a node of a master.
+
+use super::{Capture, Config, Odometry};
+use csi5300::motion::odometry::ros::{Kind, Stamp};
+use csi5300_sim::Scene;
+use csi5300_sim::motion::Motion;
+use toml::Spanned;
+
+/// See [`Odometry::Ros`].
+#[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Topic {
+    /// Its name, from the root: `/tb3_0/odom`.
+    pub topic: String,
+    /// What is published on it.
+    #[serde(default, rename = "type")]
+    pub kind: Kind,
+    /// What is taken for the time of a pose: the stamp in its header, for a robot that the room follows its receipt.
+    #[serde(default)]
+    pub stamp: Option<Stamp>,
+    /// Poses of other frames are refused; without it another frame than that of the first pose is a new frame.
+    #[serde(default)]
+    pub frame: Option<String>,
+}
+
+/// This program as a node of ROS 1 (feature `ros1`).
+#[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Ros {
+    /// The master, `http://HOST:11311`; `$ROS_MASTER_URI` where absent, then that of this machine.
+    pub master: Option<String>,
+    /// Name of the node, from which its topics' names begin; `/csi5300_` and the robot's name where absent.
+    pub node: Option<String>,
+    /// `frame_id` of what is published: the frame of this robot's poses.
+    pub frame: String,
+    /// Publish bearings.
+    pub publish_bearings: bool,
+    /// Publish the CSI that this robot's card measures.
+    pub publish_csi: bool,
+}
+
+impl Default for Ros {
+    fn default() -> Self {
+        Self { master: None, node: None, frame: "odom".into(), publish_bearings: true, publish_csi: false }
+    }
+}
+
+impl Ros {
+    /// The master that is meant.
+    #[must_use]
+    pub fn master(&self) -> String {
+        let told = || std::env::var("ROS_MASTER_URI").ok().filter(|uri| !uri.is_empty());
+        let master = self.master.clone().or_else(told);
+        master.unwrap_or_else(|| "http://localhost:11311".into()).trim_end_matches('/').to_owned()
+    }
+
+    /// The name of the node: that of the robot where none is asked for, or of the room's robot, or the MAC.
+    #[must_use]
+    pub fn node(&self, config: &Config) -> String {
+        let in_room = match config.capture.get_ref() {
+            Capture::Room(room) => Some(room.robot.clone()),
+            Capture::Served(served) => Some(served.robot.clone()),
+            Capture::Card(_) | Capture::Replay(_) => None,
+        };
+        let robot = config.name.clone().or(in_room).or_else(|| Some(config.mac?.to_string())).unwrap_or_default();
+        self.node.clone().unwrap_or_else(|| format!("/csi5300_{}", name_part(&robot)))
+    }
+}
+
+/// A name as a part of a name in ROS, which has letters, digits and `_` only.
+#[must_use]
+pub fn name_part(name: &str) -> String {
+    let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+    name.chars().map(plain).collect()
+}
+
+/// What is wrong with a name of a node or topic: it begins at the root, and its parts are letters, digits and `_`.
+fn wrong_name(name: &str) -> Option<String> {
+    let part = |part: &str| {
+        part.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
+            && part.chars().all(|c| c.is_ascii_alphanumeric() || c == '_')
+    };
+    let good = name.strip_prefix('/').is_some_and(|parts| parts.split('/').all(part));
+    (!good).then(|| format!("`{name}` is no name in ROS: one looks like /tb3_0/odom"))
+}
+
+const NO_FEATURE: &str = "needs a program built with `--features ros1`";
+
+/// What is wrong with poses from a topic, of this robot, of a peer, or of a robot that the room follows.
+pub(super) fn wrong_topic(topic: &Topic, peers: bool) -> Option<String> {
+    if !cfg!(feature = "ros1") {
+        Some(format!("`ros` poses: {NO_FEATURE}"))
+    } else if peers && topic.stamp == Some(Stamp::Receipt) {
+        // How far a peer's clock is ahead is taken from the exchanges, and applied to its poses.
+        Some("a peer's poses have the times of its own clock: `stamp = \"header\"`".into())
+    } else {
+        wrong_name(&topic.topic)
+    }
+}
+
+/// What is wrong with the sources that robots of the room follow, and with those that have none.
+pub(super) fn wrong_followed(config: &Config, scene: Option<&Scene>) -> Vec<String> {
+    let Capture::Room(room) = config.capture.get_ref() else { return Vec::new() };
+    let Some(scene) = scene else { return Vec::new() };
+    let follows = |name: &str| {
+        let robot = scene.robot.iter().find(|robot| robot.name == name)?;
+        Some(matches!(robot.motion, Motion::Followed(_)))
+    };
+    let mut wrong = Vec::new();
+    for (name, odometry) in &room.follow {
+        let why = match (follows(name), odometry) {
+            (None, _) => Some(format!("the scene has no robot `{name}`")),
+            (Some(false), _) => {
+                Some(format!("robot `{name}` moves as the scene says: give it `motion.followed = {{}}`"))
+            }
+            (_, Odometry::Csv(csv)) if !csv.file.is_file() => {
+                Some(format!("there is no trajectory {}", csv.file.display()))
+            }
+            (_, Odometry::Csv(_)) => None,
+            (_, Odometry::Ros(_)) if room.speed != 1.0 => Some("topics are of now: `speed = 1`".into()),
+            (_, Odometry::Ros(topic)) if topic.stamp == Some(Stamp::Header) => {
+                Some("the room goes by the times at which poses come: `stamp = \"receipt\"`, or none".into())
+            }
+            (_, Odometry::Ros(topic)) => wrong_topic(topic, false),
+            _ => Some("a robot follows `ros` or `csv`".into()),
+        };
+        wrong.extend(why.map(|why| format!("follow `{name}`: {why}")));
+    }
+    let alone = scene.robot.iter().filter(|robot| follows(&robot.name) == Some(true));
+    for robot in alone.filter(|robot| !room.follow.contains_key(&robot.name)) {
+        let name = &robot.name;
+        wrong
+            .push(format!("robot `{name}` of the scene follows nothing: `follow.{name}.ros.topic = \"/{name}/odom\"`"));
+    }
+    wrong
+}
+
+/// What is wrong with the `[ros]` table: the key, and why.
+pub(super) fn wrong_ros(ros: &Ros) -> Option<(&'static str, String)> {
+    if !cfg!(feature = "ros1") {
+        return Some(("ros]", format!("[ros] {NO_FEATURE}")));
+    }
+    let master = ros.master.as_ref().filter(|master| !master.starts_with("http://"));
+    if let Some(master) = master {
+        return Some(("master", format!("master `{master}`: one looks like http://192.168.1.10:11311")));
+    }
+    ros.node.as_deref().and_then(wrong_name).map(|why| ("node", why))
+}
+
+/// True if anything is read from or published over ROS.
+#[must_use]
+pub fn is_used(config: &Config) -> bool {
+    let is_ros = |odometry: &Odometry| matches!(odometry, Odometry::Ros(_));
+    let follows = match config.capture.get_ref() {
+        Capture::Room(room) => room.follow.values().any(is_ros),
+        Capture::Card(_) | Capture::Replay(_) | Capture::Served(_) => false,
+    };
+    let mut peers = config.peer.iter().map(Spanned::get_ref);
+    config.ros.is_some() || follows || is_ros(&config.odometry) || peers.any(|peer| is_ros(&peer.poses))
+}

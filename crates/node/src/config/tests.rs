@@ -1,0 +1,188 @@
+use super::*;
+
+const ROOM: &str = "channel = \"108\"\ncapture.room = { scene = \"lab-circle\", robot = \"rx\" }\nodometry.room = {}\n\
+                    [[peer]]\nname = \"tx\"\nrecords.room = {}\n";
+
+fn refused(text: &str) -> String {
+    Config::read(text, Path::new("")).unwrap_err().to_string()
+}
+
+#[test]
+fn a_simulated_room_is_a_few_lines() {
+    let config = Config::read(ROOM, Path::new("/nowhere")).unwrap();
+    assert_eq!(
+        config.capture.get_ref(),
+        &Capture::Room(Room { scene: "lab-circle".into(), robot: "rx".into(), speed: 1.0, follow: BTreeMap::new() })
+    );
+    assert_eq!(config.estimator, Estimation::default());
+    assert_eq!(config.peer[0].get_ref().poses, Odometry::Static(Place::default()));
+}
+
+#[test]
+fn a_room_that_another_program_runs_is_as_few() {
+    let served = ROOM.replace("capture.room = { scene = \"lab-circle\"", "capture.served = { socket = \"s\"");
+    let config = Config::read(&served, Path::new("/f")).unwrap();
+    let expected = Served { socket: "/f/s".into(), robot: "rx".into() };
+    assert_eq!(config.capture.get_ref(), &Capture::Served(expected));
+}
+
+#[test]
+fn all_paths_are_relative_to_the_file() {
+    let more = "[log]\nfile = \"l.dat\"\n[output]\nbearings = \"b\"\nstatus_socket = \"s\"\n";
+    let config = Config::read(&format!("{ROOM}{more}"), Path::new("/f")).unwrap();
+    assert_eq!(config.log.unwrap().file, Path::new("/f/l.dat"));
+    assert_eq!((config.output.bearings.as_str(), config.output.status_socket), ("/f/b", Some("/f/s".into())));
+    for told in ["-", ""] {
+        let text = format!("{ROOM}[output]\nbearings = \"{told}\"\n");
+        assert_eq!(Config::read(&text, Path::new("/f")).unwrap().output.bearings, told);
+    }
+    let zenoh = refused(&format!("{ROOM}[network]\nzenoh = \"nowhere.json5\"\n"));
+    let here = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../.."));
+    let there = Config::read(&format!("{ROOM}[network]\nzenoh = \"Cargo.toml\"\n"), here);
+    let words = there.map_or_else(|error| error.to_string(), |_| String::new());
+    assert!(!words.contains("no such file") && zenoh.contains("zenoh"), "{words}");
+}
+
+#[test]
+fn every_problem_has_its_line() {
+    assert_eq!(refused(&ROOM.replace("108", "999")).split(':').next(), Some("line 1"));
+    let unknown = refused(&format!("{ROOM}colour = 3\n"));
+    assert!(unknown.starts_with("line 7") && unknown.contains("colour"), "{unknown}");
+    let negative = refused(&format!("{ROOM}[estimator]\nwindow_m = -3.0\n"));
+    assert!(negative.starts_with("line 8") && negative.contains("above 0"), "{negative}");
+    let typo = refused(&ROOM.replace("records.room", "records.rom"));
+    assert!(typo.starts_with("line 6"), "{typo}");
+    let two = refused(&ROOM.replace("capture.room = { scene = \"lab-circle\", robot = \"rx\" }", "capture.card = {}"));
+    let lines: Vec<&str> = two.lines().collect();
+    assert!(lines.len() == 3 && lines[0].starts_with("line 2: `mac`"), "{two}");
+    assert!(lines[1].starts_with("line 3:") && lines[2].starts_with("line 4: peer `tx`"), "{two}");
+    let twice = refused(&format!("{ROOM}[[peer]]\nname = \"tx\"\nrecords.room = {{}}\n"));
+    assert!(twice.starts_with("line 7: peer `tx`: another peer"), "{twice}");
+    let nobody = refused(&ROOM.replace("name = \"tx\"", "name = \"ty\""));
+    assert!(nobody.starts_with("line 4: the scene has no robot `ty`: it has rx, tx"), "{nobody}");
+    let nowhere = refused(&ROOM.replace("lab-circle", "lab.toml"));
+    assert!(nowhere.starts_with("line 2:") && nowhere.contains("lab.toml"), "{nowhere}");
+    let room = |more: &str| refused(&format!("{ROOM}{more}"));
+    let short = room("[estimator]\nwindow_m = 0.05\n");
+    assert!(short.starts_with("line 8: window_m (0.050 m)"), "{short}");
+    for rate in ["1e9", "1e-9"] {
+        let absurd = room(&format!("[estimator]\nrate_hz = {rate}\n"));
+        assert!(absurd.starts_with("line 8: rate_hz"), "{absurd}");
+    }
+    let still = refused(&ROOM.replace("odometry.room = {}", ""));
+    assert!(still.starts_with("line 4: no robot here ever moves"), "{still}");
+    let live = refused(&ROOM.replace("odometry.room = {}", "odometry.opencr.port = \"/dev/null\""));
+    assert!(live.starts_with("line 3: `opencr` poses"), "{live}");
+    for (wrong, line) in
+        [("yaw_deg = nan", "line 4: peer `tx`"), ("antenna_offset_m = [inf, 0, 0]", "line 4: peer `tx`")]
+    {
+        let endless = room(&format!("{wrong}\n"));
+        assert!(endless.starts_with(line) && endless.contains("finite"), "{endless}");
+    }
+    let other = room("mac = \"02:00:00:00:00:99\"\n");
+    assert!(other.starts_with("line 4: `tx` has the MAC"), "{other}");
+    let own = refused(&format!("mac = \"02:00:00:00:00:99\"\n{ROOM}"));
+    assert!(own.starts_with("line 1: `rx` has the MAC"), "{own}");
+    let full = room("[network]\nbacklog = 0\n");
+    assert!(full.contains("line 8: backlog"), "{full}");
+    let air = room("[sounding]\ninterface = \"mon0\"\n");
+    assert!(air.starts_with("line 7: [sounding] is done with a card"), "{air}");
+    let card = "mac = \"02:00:00:00:00:01\"\nchannel = \"108\"\ncapture.card = {}\nodometry.opencr.port = \"/dev/null\"\n\
+                [network]\n[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n\
+                [sounding]\ninterface = \"mon0\"\n";
+    let fast = refused(&format!("{card}rate_hz = 1e5\n"));
+    assert!(fast.contains("line 10: [sounding]") && fast.contains("rounds"), "{fast}");
+    let far = refused(&format!("{ROOM}[estimator]\nextrapolate_s = 30\n"));
+    assert!(far.starts_with("line 8"), "{far}");
+}
+
+/// A scene whose robot `a` is followed, in a folder of its own.
+fn followed(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("csi5300-config-{name}-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let scene = "duration_s = 9\n[[robot]]\nname = \"a\"\nmotion.followed = {}\n[[robot]]\nname = \"b\"\nposition_m = [4, 0, 0]\n";
+    std::fs::write(folder.join("scene.toml"), scene).unwrap();
+    folder
+}
+
+#[test]
+fn robots_of_a_room_follow_what_there_is() {
+    let folder = followed("follow");
+    let read = |follow: &str| {
+        let room = format!("capture.room = {{ scene = \"scene.toml\", robot = \"a\"{follow} }}");
+        let text = ROOM.replace("capture.room = { scene = \"lab-circle\", robot = \"rx\" }", &room).replace("tx", "b");
+        Config::read(&text, &folder).map_err(|error| error.to_string())
+    };
+    let alone = read("").unwrap_err();
+    assert!(alone.starts_with("line 2: robot `a` of the scene follows nothing"), "{alone}");
+    std::fs::write(folder.join("way.csv"), "0,0,0,0,0\n").unwrap();
+    let config = read(", follow.a.csv.file = \"way.csv\"").unwrap();
+    assert!(!ros::is_used(&config));
+    for (follow, why) in [
+        (", follow = { a.csv.file = \"no.csv\" }", "no trajectory"),
+        (", follow = { a.csv.file = \"way.csv\", c.csv.file = \"way.csv\" }", "no robot `c`"),
+        (", follow = { a.csv.file = \"way.csv\", b.csv.file = \"way.csv\" }", "`b` moves as the scene says"),
+        (", follow = { a.room = {} }", "`ros` or `csv`"),
+    ] {
+        let refused = read(follow).unwrap_err();
+        assert!(refused.starts_with("line 2: ") && refused.contains(why), "{refused}");
+    }
+    let topic = read(", follow = { a.ros.topic = \"/a/odom\" }");
+    if cfg!(feature = "ros1") {
+        assert!(ros::is_used(&topic.unwrap()));
+        for (follow, why) in [
+            (", follow = { a.ros.topic = \"odom\" }", "no name in ROS"),
+            (", speed = 2.0, follow = { a.ros.topic = \"/odom\" }", "of now"),
+            (", follow = { a.ros = { topic = \"/odom\", stamp = \"header\" } }", "at which poses come"),
+        ] {
+            let refused = read(follow).unwrap_err();
+            assert!(refused.starts_with("line 2: ") && refused.contains(why), "{refused}");
+        }
+    } else {
+        assert!(topic.unwrap_err().contains("--features ros1"));
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn a_node_of_ros_is_checked_like_everything_else() {
+    let card = "mac = \"00:21:6a:00:00:01\"\nchannel = \"108\"\ncapture.card = {}\nodometry.ros.topic = \"/odom\"\n\
+                [ros]\nmaster = \"http://10.0.0.1:11311/\"\n[log]\nfile = \"x.dat\"\n";
+    let read = |text: &str| Config::read(text, Path::new("/f")).map_err(|error| error.to_string());
+    let in_room = refused(&ROOM.replace("odometry.room = {}", "odometry.ros.topic = \"/odom\""));
+    assert!(in_room.starts_with("line 3: `ros` poses are of now"), "{in_room}");
+    if !cfg!(feature = "ros1") {
+        let lines: Vec<String> = read(card).unwrap_err().lines().map(str::to_owned).collect();
+        assert!(lines.len() == 2 && lines.iter().all(|line| line.contains("--features ros1")), "{lines:?}");
+        assert!(lines[0].starts_with("line 4: `ros` poses") && lines[1].starts_with("line 5: [ros]"), "{lines:?}");
+        return;
+    }
+    let config = read(card).unwrap();
+    assert!(ros::is_used(&config));
+    let ros = config.ros.clone().unwrap();
+    assert_eq!(
+        (ros.master().as_str(), ros.node(&config).as_str()),
+        ("http://10.0.0.1:11311", "/csi5300_00_21_6a_00_00_01")
+    );
+    for (from, to, why) in [
+        ("http://", "", "line 6: master"),
+        ("master", "node = \"a b\"\nmaster", "line 6: `a b` is no name"),
+        ("\"/odom\"", "\"/odom/\"", "line 4: `/odom/` is no name"),
+        ("odometry.ros.topic = \"/odom\"", "odometry.ros = { topic = \"/odom\", type = \"imu\" }", "line 4: "),
+        ("odometry.ros.topic = \"/odom\"", "odometry.ros = { topic = \"/odom\", stamp = \"now\" }", "line 4: "),
+    ] {
+        let refused = read(&card.replace(from, to)).unwrap_err();
+        assert!(refused.starts_with(why), "{refused}");
+    }
+    let peer = "[[peer]]\nname = \"b\"\nmac = \"00:21:6a:00:00:02\"\nrecords.network = {}\n\
+                poses.ros = { topic = \"/b/odom\", stamp = \"receipt\" }\n";
+    let refused = read(&format!("{card}{peer}")).unwrap_err();
+    assert!(refused.contains("line 9: peer `b`: a peer's poses have the times of its own clock"), "{refused}");
+}
+
+#[test]
+fn the_example_for_simulators_is_good() {
+    let file = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("examples/ros/robot.toml");
+    let problems = Config::load(&file).err().map(|error| error.to_string()).unwrap_or_default();
+    assert!(problems.lines().all(|line| !cfg!(feature = "ros1") && line.contains("--features ros1")), "{problems}");
+}

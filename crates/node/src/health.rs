@@ -1,0 +1,189 @@
+//! The state of a running robot: what the status socket tells and `csi5300 watch` shows.
+
+use super::estimator::{PeerCounts, Report};
+use super::machine::{Machine, PoseCounts};
+use csi5300::motion::odometry::SourceCounts;
+use csi5300::source::recorder::Totals;
+use csi5300::time::Instant;
+use serde::{Deserialize, Serialize};
+use std::fmt::Write;
+
+/// The state, as one JSON object.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Health {
+    /// This robot.
+    pub name: String,
+    /// Seconds since it was started.
+    pub uptime_s: f64,
+    /// Records of this robot's card, and those a second.
+    pub records: u64,
+    /// Records a second.
+    pub records_hz: f64,
+    /// Losses reported on the way from the card: overruns, damaged records.
+    pub losses: u64,
+    /// Numbers missing from `bfee_count`.
+    pub missing: u64,
+    /// Frames of senders that are no peers.
+    pub strangers: u64,
+    /// Odometry.
+    pub poses: PoseCounts,
+    /// What the source of the poses counted of its own: its line, its controller, its wheels.
+    pub odometry: Option<SourceCounts>,
+    /// Poses a second.
+    pub poses_hz: f64,
+    /// The newest pose: seconds since the Unix epoch, x, y, z in metres, heading in degrees.
+    pub pose: Option<(f64, [f64; 3], Option<f64>)>,
+    /// The log.
+    pub log: Option<Totals>,
+    /// The peers.
+    pub peers: Vec<PeerHealth>,
+    /// What was counted on the robots' network.
+    pub network: Option<serde_json::Value>,
+    /// What was counted of this robot's part in the sounding exchange.
+    pub sounding: Option<serde_json::Value>,
+    /// What was published over ROS.
+    pub ros: Option<serde_json::Value>,
+    /// What it costs.
+    pub load: Load,
+    /// What is wrong at the moment, in words.
+    pub trouble: Vec<String>,
+}
+
+/// The state of one peer.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct PeerHealth {
+    /// Its name.
+    pub name: String,
+    /// Its MAC.
+    pub mac: String,
+    /// What was counted.
+    pub counts: PeerCounts,
+    /// Pairs a second.
+    pub pairs_hz: f64,
+    /// What was last said of it.
+    pub report: Option<Report>,
+}
+
+/// What a robot costs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Load {
+    /// Share of one core since the last look, percent.
+    pub cpu_percent: f64,
+    /// The last estimate took so long, milliseconds.
+    pub estimate_ms: f64,
+    /// The longest estimate so far, milliseconds.
+    pub longest_estimate_ms: f64,
+    /// Resident memory, MiB.
+    pub memory_mib: f64,
+    /// The longest that anything waited for its time since the last look, milliseconds.
+    pub late_ms: f64,
+    /// Lines of bearings that could not be written.
+    pub lines_lost: u64,
+}
+
+/// Makes states, and rates from one to the next.
+#[derive(Clone, Debug, Default)]
+pub struct Looks {
+    name: String,
+    last: Option<(Instant, u64, u64, Vec<u64>)>,
+    reports: Vec<Option<Report>>,
+}
+
+impl Looks {
+    /// Looks at the robot `name`.
+    #[must_use]
+    pub fn new(name: String) -> Self {
+        Self { name, ..Self::default() }
+    }
+
+    /// Keeps what was last said of a peer.
+    pub fn note(&mut self, peer: usize, report: Report) {
+        if self.reports.len() <= peer {
+            self.reports.resize(peer + 1, None);
+        }
+        if let Some(place) = self.reports.get_mut(peer) {
+            *place = Some(report);
+        }
+    }
+
+    /// The state now.
+    pub fn look(&mut self, machine: &Machine, now: Instant, load: Load) -> Health {
+        let survey = &machine.estimator.front().survey;
+        let (losses, strangers) = machine.estimator.losses();
+        let poses = machine.pose_counts();
+        let pairs: Vec<u64> = machine.estimator.peers().map(|(_, counts)| counts.pairs).collect();
+        let (before, records_before, poses_before, pairs_before) =
+            self.last.take().unwrap_or((Instant::ZERO, 0, 0, vec![0; pairs.len()]));
+        let seconds = (now - before).as_s().max(1e-6);
+        let rate = |now: u64, before: u64| (now - before.min(now)) as f64 / seconds;
+        let peers = machine.estimator.peers().enumerate().map(|(k, (peer, counts))| PeerHealth {
+            name: peer.name.clone(),
+            mac: peer.mac.to_string(),
+            counts,
+            pairs_hz: rate(counts.pairs, pairs_before.get(k).copied().unwrap_or(0)),
+            report: self.reports.get(k).cloned().flatten(),
+        });
+        let pose = machine.estimator.track().last();
+        let health = Health {
+            name: self.name.clone(),
+            uptime_s: now.as_s(),
+            records: survey.records,
+            records_hz: rate(survey.records, records_before),
+            losses,
+            missing: survey.bfee_missing,
+            strangers,
+            poses,
+            odometry: machine.odometry_counts(),
+            poses_hz: rate(poses.poses, poses_before),
+            pose: pose.map(|pose| (pose.t_s, pose.position_m.into(), pose.heading_rad.map(f64::to_degrees))),
+            log: machine.totals(),
+            peers: peers.collect(),
+            network: None,
+            sounding: None,
+            ros: None,
+            load,
+            trouble: machine.trouble(),
+        };
+        self.last = Some((now, survey.records, poses.poses, pairs));
+        health
+    }
+}
+
+impl Health {
+    /// Everything on one line.
+    #[must_use]
+    pub fn line(&self) -> String {
+        let mut text = format!("{:.0} records/s, {:.0} poses/s", self.records_hz, self.poses_hz);
+        let disk = self.log.as_ref().map_or(0, |log| log.dropped + log.lost_on_disk);
+        let _ = write!(text, "; lost {}", self.losses + disk);
+        for peer in &self.peers {
+            let _ = write!(text, "; {} ", peer.name);
+            match &peer.report {
+                Some(report) => match report.answer.azimuth_deg {
+                    Some(azimuth) => {
+                        let _ = write!(text, "{azimuth:.1} deg");
+                    }
+                    None => text.push_str(&report.words),
+                },
+                None => text.push('-'),
+            }
+        }
+        let _ = write!(text, "; {:.0} % of a core", self.load.cpu_percent);
+        if let Some(trouble) = self.trouble.first() {
+            let _ = write!(text, "; {trouble}");
+        }
+        text
+    }
+
+    /// True if anything was lost.
+    #[must_use]
+    pub fn lost_something(&self) -> bool {
+        let log = self.log.as_ref().is_some_and(|log| log.dropped + log.lost_on_disk > 0);
+        let unsent = self.network.as_ref().and_then(|network| network.get("unsent")?.as_u64()).unwrap_or(0);
+        self.losses > 0
+            || unsent > 0
+            || log
+            || self.load.lines_lost > 0
+            || self.peers.iter().any(|peer| peer.counts.losses > 0)
+    }
+}

@@ -1,0 +1,348 @@
+//! All of a robot's sources and its estimator as one value, driven with the time as an argument: the service drives it
+//! with a real clock, tests with a virtual one.
+
+use super::estimator::{Estimator, Report};
+use super::sources::{Card, Poses, Sources};
+use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
+use csi5300::motion::pose::Pose;
+use csi5300::pipeline::Options;
+use csi5300::source::recorder::{LogFiles, Recorder, Totals};
+use csi5300::source::{CsiSource, Error, Next};
+use csi5300::time::{Instant, Span};
+use driver_iface::record::Record;
+
+/// Records or poses taken from one source before the others have their turn.
+const BURST: usize = 512;
+/// Bursts that are still taken at the end.
+const LAST_BURSTS: usize = 64;
+/// A peer over a network of which nothing came for so long has ended, once this robot's own records have.
+const QUIET: Span = Span::from_ms(5_000);
+
+/// This robot's records, with a log or without.
+pub enum Capture {
+    /// Not logged.
+    Plain(Card),
+    /// Logged.
+    Logged(Box<Recorder<Card, LogFiles>>),
+}
+
+impl Capture {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        match self {
+            Self::Plain(card) => card.receive(now),
+            Self::Logged(recorder) => recorder.receive(now),
+        }
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        match self {
+            Self::Plain(card) => card.next_at(),
+            Self::Logged(recorder) => recorder.next_at(),
+        }
+    }
+
+    /// What is in the log.
+    #[must_use]
+    pub fn totals(&self) -> Option<Totals> {
+        match self {
+            Self::Plain(_) => None,
+            Self::Logged(recorder) => Some(recorder.totals()),
+        }
+    }
+
+    /// Ends the log, every record in it.
+    ///
+    /// # Errors
+    /// If the writer died.
+    pub fn finish(self, now: Instant) -> Result<Option<Totals>, Error> {
+        match self {
+            Self::Plain(_) => Ok(None),
+            Self::Logged(recorder) => recorder.finish(now).map(|(_, _, totals)| Some(totals)),
+        }
+    }
+}
+
+/// Who is told of every record and pose of this robot: its peers, over a network, and viewers.
+pub trait Tap: Send {
+    /// A record of this robot's card.
+    fn record(&mut self, host_us: Option<i64>, record: Record<'_>);
+    /// A pose of this robot's antenna; `None`: those that follow are in another frame.
+    fn pose(&mut self, pose: Option<Pose>);
+}
+
+/// A source and whether it ended.
+struct Running<S> {
+    source: S,
+    ended: bool,
+}
+
+impl<S> Running<S> {
+    fn new(source: S) -> Self {
+        Self { source, ended: false }
+    }
+}
+
+impl Running<Poses> {
+    /// Hands over what is there, up to a burst; `None` where a new frame begins. A source that fails has ended; why.
+    fn drain(&mut self, now: Instant, mut each: impl FnMut(Option<Pose>)) -> Option<Error> {
+        for _ in 0..BURST {
+            if self.ended {
+                break;
+            }
+            match self.source.receive(now) {
+                Ok(NextPose::Pose(pose)) => each(Some(pose)),
+                Ok(NextPose::NewFrame) => each(None),
+                Ok(NextPose::Pending) => break,
+                Ok(NextPose::End) => self.ended = true,
+                Err(error) => {
+                    self.ended = true;
+                    return Some(error);
+                }
+            }
+        }
+        None
+    }
+}
+
+struct PeerRunning {
+    records: Option<Running<Card>>,
+    poses: Option<Running<Poses>>,
+    /// Its records come over a network, which does not say when they end.
+    open_ended: bool,
+}
+
+/// What was counted of this robot's odometry.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct PoseCounts {
+    /// Poses that came.
+    pub poses: u64,
+    /// Times that the sensor began anew.
+    pub new_frames: u64,
+    /// Times that the host's wall clock was set: everything is measured anew.
+    pub clock_set: u64,
+}
+
+/// A running robot.
+pub struct Machine {
+    capture: Running<Capture>,
+    poses: Option<Running<Poses>>,
+    peers: Vec<PeerRunning>,
+    /// The estimator.
+    pub estimator: Estimator,
+    taps: Vec<Box<dyn Tap>>,
+    pose_counts: PoseCounts,
+    trouble: Vec<String>,
+    /// When a record last came from anybody.
+    heard_at: Instant,
+}
+
+impl Machine {
+    /// A robot with these sources; `capture` is made of their card by the caller, who may have put a recorder around it.
+    pub fn new(
+        sources: Sources,
+        capture: impl FnOnce(Card) -> Result<Capture, Error>,
+        settings: super::estimator::Settings,
+        options: Options,
+        now: Instant,
+    ) -> Result<Self, Error> {
+        let mut peers = Vec::new();
+        let mut told = Vec::new();
+        for peer in sources.peers {
+            told.push(peer.peer);
+            peers.push(PeerRunning {
+                records: peer.records.map(Running::new),
+                poses: peer.poses.map(Running::new),
+                open_ended: false,
+            });
+        }
+        Ok(Self {
+            capture: Running::new(capture(sources.capture)?),
+            poses: sources.poses.map(Running::new),
+            peers,
+            estimator: Estimator::new(sources.own, sources.track, told, settings, options, now),
+            taps: Vec::new(),
+            pose_counts: PoseCounts::default(),
+            trouble: Vec::new(),
+            heard_at: now,
+        })
+    }
+
+    /// From now on `tap` is told of everything, too.
+    pub fn add_tap(&mut self, tap: Box<dyn Tap>) {
+        self.taps.push(tap);
+    }
+
+    /// The peer's records come from here, over a network.
+    pub fn set_records(&mut self, peer: usize, source: Card) {
+        if let Some(running) = self.peers.get_mut(peer) {
+            running.open_ended = true;
+            running.records = Some(Running::new(source));
+        }
+    }
+
+    /// The peer's poses come from here.
+    pub fn set_poses(&mut self, peer: usize, source: Poses) {
+        if let Some(running) = self.peers.get_mut(peer) {
+            running.poses = Some(Running::new(source));
+        }
+    }
+
+    /// Takes what is there, up to a burst from every source. True if there is more to take at once.
+    ///
+    /// # Errors
+    /// If this robot's card fails. A peer that fails is left out from then on, and said in [`Machine::trouble`].
+    pub fn take(&mut self, now: Instant) -> Result<bool, Error> {
+        // Poses first: what is measured needs a place.
+        if let Some(poses) = &mut self.poses {
+            let (estimator, taps, counts) = (&mut self.estimator, &mut self.taps, &mut self.pose_counts);
+            let failed = poses.drain(now, |pose| {
+                match pose {
+                    Some(pose) => estimator.handle_pose(pose),
+                    None => estimator.handle_new_frame(),
+                }
+                *(if pose.is_some() { &mut counts.poses } else { &mut counts.new_frames }) += 1;
+                taps.iter_mut().for_each(|tap| tap.pose(pose));
+            });
+            self.trouble.extend(failed.map(|error| format!("odometry: {error}")));
+        }
+        let mut more = self.take_records(now)?;
+        for peer in 0..self.peers.len() {
+            more |= self.take_peer(peer, now);
+        }
+        Ok(more)
+    }
+
+    fn take_records(&mut self, now: Instant) -> Result<bool, Error> {
+        for _ in 0..BURST {
+            if self.capture.ended {
+                return Ok(false);
+            }
+            let next = self.capture.source.receive(now)?;
+            if let Next::Record(stamps, record) = &next {
+                self.taps.iter_mut().for_each(|tap| tap.record(stamps.host_us, *record));
+            }
+            self.estimator.handle_own(&next);
+            match next {
+                Next::Pending => return Ok(false),
+                Next::End(_) => self.capture.ended = true,
+                Next::Record(..) | Next::Lost(_) => self.heard_at = now,
+            }
+        }
+        Ok(true)
+    }
+
+    fn take_peer(&mut self, peer: usize, now: Instant) -> bool {
+        let Some(running) = self.peers.get_mut(peer) else { return false };
+        if let Some(poses) = &mut running.poses {
+            let estimator = &mut self.estimator;
+            let failed = poses.drain(now, |pose| match pose {
+                Some(pose) => estimator.handle_peer_pose(peer, pose),
+                None => estimator.handle_peer_new_frame(peer),
+            });
+            self.trouble.extend(failed.map(|error| format!("poses of peer {peer}: {error}")));
+        }
+        let Some(records) = running.records.as_mut().filter(|records| !records.ended) else { return false };
+        for _ in 0..BURST {
+            match records.source.receive(now) {
+                Ok(next) => {
+                    self.estimator.handle_peer(peer, &next);
+                    match next {
+                        Next::Pending => return false,
+                        Next::End(_) => records.ended = true,
+                        Next::Record(..) | Next::Lost(_) => self.heard_at = now,
+                    }
+                }
+                Err(error) => {
+                    records.ended = true;
+                    self.trouble.push(format!("records of peer {peer}: {error}"));
+                }
+            }
+            if records.ended {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// The next report that is due: the peer's number and what is said of it.
+    pub fn poll_report(&mut self, now: Instant) -> Option<(usize, Report)> {
+        self.estimator.poll_report(now)
+    }
+
+    /// When something is to be done next, apart from what wakes it up.
+    #[must_use]
+    pub fn next_at(&self) -> Option<Instant> {
+        let own = (!self.capture.ended).then(|| self.capture.source.next_at()).flatten();
+        let poses = |poses: &Running<Poses>| if poses.ended { None } else { poses.source.next_at() };
+        let records = |records: &Running<Card>| if records.ended { None } else { records.source.next_at() };
+        let peers = self
+            .peers
+            .iter()
+            .flat_map(|peer| [peer.records.as_ref().and_then(records), peer.poses.as_ref().and_then(poses)]);
+        let mine = [own, self.poses.as_ref().and_then(poses), self.estimator.poll_timeout()];
+        mine.into_iter().chain(peers).flatten().min()
+    }
+
+    /// True once this robot's own records and those of all peers have ended; those that come over a network, once nothing
+    /// came for some seconds.
+    #[must_use]
+    pub fn is_done(&self, now: Instant) -> bool {
+        let quiet = now - self.heard_at >= QUIET;
+        let over = |peer: &PeerRunning| match &peer.records {
+            Some(records) => records.ended || (peer.open_ended && quiet),
+            None => true,
+        };
+        self.capture.ended && self.peers.iter().all(over)
+    }
+
+    /// What was counted of this robot's odometry.
+    #[must_use]
+    pub fn pose_counts(&self) -> PoseCounts {
+        self.pose_counts
+    }
+
+    /// What the source of this robot's poses counted of its own.
+    #[must_use]
+    pub fn odometry_counts(&self) -> Option<SourceCounts> {
+        self.poses.as_ref().and_then(|poses| poses.source.counted())
+    }
+
+    /// This host's wall clock was set: what has a time of the old one is of no use, here and to the peers.
+    pub fn handle_clock_set(&mut self) {
+        self.pose_counts.clock_set += 1;
+        self.estimator.handle_new_frame();
+        self.taps.iter_mut().for_each(|tap| tap.pose(None));
+    }
+
+    /// What is in the log.
+    #[must_use]
+    pub fn totals(&self) -> Option<Totals> {
+        self.capture.source.totals()
+    }
+
+    /// What is wrong at the moment, in words.
+    #[must_use]
+    pub fn trouble(&self) -> Vec<String> {
+        let odometry = self.poses.as_ref().and_then(|poses| poses.source.trouble());
+        let peers = self.peers.iter().filter_map(|peer| peer.poses.as_ref()?.source.trouble());
+        let disk = self.totals().and_then(|totals| totals.error);
+        self.trouble.iter().cloned().chain(odometry).chain(peers).chain(disk).collect()
+    }
+
+    /// Ends everything: the last reports, and what is in the log.
+    ///
+    /// # Errors
+    /// If the log's writer died.
+    pub fn finish(mut self, now: Instant) -> Result<(Vec<Report>, Option<Totals>), Error> {
+        // What has come is taken, as far as it does not go on coming for ever.
+        for _ in 0..LAST_BURSTS {
+            if self.capture.ended || !self.take_records(now).unwrap_or(false) {
+                break;
+            }
+        }
+        // The log first: it must be whole whatever the last estimates take.
+        let totals = self.capture.source.finish(now);
+        let reports = self.estimator.finish(now);
+        Ok((reports, totals?))
+    }
+}

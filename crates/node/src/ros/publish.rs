@@ -1,0 +1,167 @@
+//! See the parent.
+
+use crate::config::Config;
+use crate::config::ros::name_part;
+use crate::estimator::{Report, State};
+use crate::machine::{Machine, Tap};
+use crate::ros1::messages::{self, Bearing, Csi, Header, PoseStamped, Quaternion, Time, Vector};
+use crate::ros1::{Link, Outbox};
+use crate::sources::Sources;
+use csi5300::motion::pose::Pose;
+use csi5300::signal::csi::Csi as Matrix;
+use csi5300::source::survey::{Identity, Survey};
+use csi5300::source::{Next, Stamps};
+use driver_iface::bfee::{Antenna, Bfee};
+use driver_iface::record::Record;
+
+/// What is published of one peer.
+struct Peer {
+    name: String,
+    mac: String,
+    bearings: Outbox<Bearing>,
+    poses: Outbox<PoseStamped>,
+    seq: u32,
+}
+
+/// This program as a node of ROS, if it is one.
+pub struct Ros {
+    link: Option<Link>,
+    frame: String,
+    peers: Vec<Peer>,
+    csi: Option<String>,
+}
+
+impl Ros {
+    /// Takes the node of `sources`, and announces what it publishes.
+    pub fn open(config: &Config, sources: &mut Sources) -> Self {
+        let asked = config.ros.clone().unwrap_or_default();
+        let mut ros = Self { link: sources.ros.take(), frame: asked.frame.clone(), peers: Vec::new(), csi: None };
+        let (Some(link), true) = (&ros.link, config.ros.is_some()) else { return ros };
+        let node = asked.node(config);
+        if asked.publish_bearings {
+            let peer = |told: &crate::estimator::Peer| {
+                let topic = format!("{node}/{}", name_part(&told.name));
+                let (bearings, poses) = (format!("{topic}/bearing"), format!("{topic}/pose"));
+                let (bearings, poses) = (link.publish(&bearings), link.publish(&poses));
+                Peer { name: told.name.clone(), mac: told.mac.to_string(), bearings, poses, seq: 0 }
+            };
+            ros.peers = sources.peers.iter().map(|opened| peer(&opened.peer)).collect();
+        }
+        ros.csi = asked.publish_csi.then(|| format!("{node}/csi"));
+        ros
+    }
+
+    /// From now on the machine's records are published, if that was asked for.
+    pub fn attach(&self, machine: &mut Machine) {
+        if let (Some(link), Some(topic)) = (&self.link, &self.csi) {
+            machine.add_tap(Box::new(Records { csi: link.publish(topic), survey: Survey::default(), seq: 0 }));
+        }
+    }
+
+    /// Publishes what is said of peer number `peer`; `own` is where this robot's antenna is.
+    pub fn report(&mut self, peer: usize, report: &Report, own: Option<&Pose>) {
+        let Some(peer) = self.peers.get_mut(peer) else { return };
+        peer.seq = peer.seq.wrapping_add(1);
+        let stamp = Time::from_s(report.t_s.unwrap_or(0.0));
+        let header = Header { seq: peer.seq, stamp, frame_id: self.frame.clone() };
+        if let (State::Bearing | State::Held, Some(azimuth_deg), Some(own)) =
+            (report.state, report.answer.azimuth_deg, own)
+        {
+            peer.poses.put(pointing(header.clone(), own, azimuth_deg.to_radians()));
+        }
+        peer.bearings.put(bearing(header, &peer.name, &peer.mac, report));
+    }
+
+    /// What was counted.
+    pub fn counts(&self) -> Option<serde_json::Value> {
+        self.link.as_ref().map(Link::counted)
+    }
+
+    /// What is wrong with the connection to the master.
+    pub fn trouble(&self) -> Option<String> {
+        self.link.as_ref()?.trouble()
+    }
+}
+
+fn bearing(header: Header, peer: &str, mac: &str, report: &Report) -> Bearing {
+    let answer = &report.answer;
+    let number = |value: Option<f64>| value.unwrap_or(f64::NAN);
+    let angle = |degrees: Option<f64>| number(degrees).to_radians();
+    // As in the lines of JSON.
+    let state = serde_json::to_value(report.state).ok().and_then(|state| state.as_str().map(str::to_owned));
+    Bearing {
+        header,
+        peer: peer.to_owned(),
+        mac: mac.to_owned(),
+        state: state.unwrap_or_default(),
+        words: report.words.clone(),
+        azimuth: angle(answer.azimuth_deg),
+        azimuth_sd: angle(answer.azimuth_sd_deg),
+        azimuth_body: angle(answer.azimuth_body_deg),
+        mirror: angle(answer.mirror_deg),
+        elevation: angle(answer.abs_elevation_deg),
+        range: number(answer.range_m),
+        range_sd: number(answer.range_sd_m),
+        coherence: number(answer.coherence),
+        confidence: number(answer.confidence),
+        moved: report.moved_m,
+        needed: report.needed_m,
+        age: report.age_s,
+        pairs: u32::try_from(answer.pairs_in_motion).unwrap_or(u32::MAX),
+    }
+}
+
+/// A pose that stands where the antenna is and looks along the bearing.
+fn pointing(header: Header, own: &Pose, azimuth_rad: f64) -> PoseStamped {
+    let [x, y, z] = own.position_m.into();
+    let (sin, cos) = (0.5 * azimuth_rad).sin_cos();
+    let orientation = Quaternion { x: 0.0, y: 0.0, z: sin, w: cos };
+    PoseStamped { header, pose: messages::Pose { position: Vector { x, y, z }, orientation } }
+}
+
+/// Every record of the card, as a message.
+struct Records {
+    csi: Outbox<Csi>,
+    survey: Survey,
+    seq: u32,
+}
+
+impl Tap for Records {
+    fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
+        let stamps = Stamps { host_us, ..Stamps::default() };
+        let next = Next::Record(stamps, record);
+        let Some((bfee, identity)) = self.survey.note(&next) else { return };
+        self.seq = self.seq.wrapping_add(1);
+        self.csi.put(csi(self.seq, &bfee, identity));
+    }
+
+    fn pose(&mut self, _: Option<Pose>) {}
+}
+
+fn csi(seq: u32, bfee: &Bfee<'_>, identity: Identity) -> Csi {
+    let known = Matrix::from_bfee(bfee).ok();
+    let matrix = known.unwrap_or_else(|| Matrix::raw(bfee));
+    let antenna = |row: usize| known.and_then(|known| known.antenna(row));
+    let number = |antenna: Antenna| Antenna::ALL.iter().position(|other| *other == antenna).unwrap_or(0) as u8;
+    let stamp = Time::from_us(identity.host_us.unwrap_or(0));
+    Csi {
+        header: Header { seq, stamp, frame_id: String::new() },
+        mac: if identity.mac == driver_iface::Mac::ZERO { String::new() } else { identity.mac.to_string() },
+        frame_count: identity.frame_count.unwrap_or(0),
+        timestamp_low: bfee.timestamp_low(),
+        bfee_count: bfee.bfee_count(),
+        n_rx: matrix.n_rx() as u8,
+        n_tx: matrix.n_tx() as u8,
+        rssi: bfee.rssi(),
+        noise: bfee.noise_dbm(),
+        agc: bfee.agc(),
+        rate_n_flags: bfee.rate_n_flags(),
+        antennas: (0..matrix.n_rx()).filter_map(antenna).map(number).collect(),
+        // They are the card's 8 bits.
+        re: matrix.as_slice().iter().map(|h| h.re as i8).collect(),
+        im: matrix.as_slice().iter().map(|h| h.im as i8).collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests;

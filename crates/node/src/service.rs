@@ -1,0 +1,405 @@
+//! The service: one thread of tokio that waits for records, poses, times, signals and readers of the state.
+
+use super::config::{Config, Log};
+use super::estimator::{Report, State};
+use super::health::{Health, Load, Looks};
+use super::machine::{Capture, Machine};
+use super::outputs::{Lines, StatusSocket, StatusText};
+use super::ros::Ros;
+use super::sounder::Sounder;
+use super::sources::{Card, Sources};
+use super::viewers::Viewers;
+use csi5300::motion::odometry::clock::WallWatch;
+use csi5300::source::Error;
+use csi5300::source::recorder::{LogFiles, Options as RecorderOptions, Recorder, Rotation, Totals, side_path};
+use csi5300::time::{Instant, Span};
+use csi5300_live::sys::watch_fd;
+use csi5300_live::wait::{Monotonic, processor_s, wall_us};
+use sd_notify::NotifyState;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::io::unix::AsyncFd;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::Notify;
+
+/// How often the state is looked at.
+const LOOK: Span = Span::from_ms(500);
+/// While no report is due records may wait so long: what comes within it is taken at once, for one waking up instead of
+/// many.
+const TOGETHER: Span = Span::from_ms(3);
+/// The longest wait without looking at the sources.
+const LONGEST_WAIT: Span = Span::from_ms(500);
+
+/// How a service ended.
+#[derive(Debug)]
+pub struct Ended {
+    /// The state at the end.
+    pub health: Health,
+    /// What is in the log.
+    pub totals: Option<Totals>,
+    /// Bearings that were published.
+    pub bearings: u64,
+    /// A signal ended it.
+    pub signalled: bool,
+    /// What ended it, if that was an error.
+    pub error: Option<Error>,
+}
+
+/// Runs a robot until its records end or a signal comes. The log is whole and the last bearings are out when it returns.
+///
+/// # Errors
+/// If it cannot be started. What fails later is in [`Ended::error`].
+pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
+    let mut sources = Sources::open(config, Instant::ZERO, wall_us)?;
+    let network = Joined::join(config, &sources)?;
+    let mut ros = Ros::open(config, &mut sources);
+    let viewers = Viewers::open(config, &name)?;
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
+    let io = |source| Error::Io { what: "cannot start tokio".into(), source };
+    // The network and ROS are left outside of the runtime, where they may wait for their own, and after the machine is finished.
+    let ended = runtime.map_err(io)?.block_on(Service::serve(config, name, sources, (&network, &mut ros, &viewers)));
+    viewers.stop();
+    ended
+}
+
+/// Real time, and the sources' own, which runs `speed` times as fast.
+#[derive(Clone, Copy)]
+struct Clock {
+    real: Monotonic,
+    speed: f64,
+}
+
+impl Clock {
+    fn now(&self) -> Instant {
+        Instant::from_us((self.real.now().as_us() as f64 * self.speed) as i64)
+    }
+
+    /// Real time until `at`.
+    fn until(&self, at: Instant) -> Duration {
+        Duration::from_secs_f64(((at - self.now()).as_s() / self.speed).clamp(0.0, LONGEST_WAIT.as_s()))
+    }
+}
+
+/// A published line.
+#[derive(serde::Serialize)]
+struct Line<'a> {
+    /// How long the estimate took, milliseconds.
+    took_ms: Option<f64>,
+    /// How long ago the last record in it was taken, milliseconds.
+    latency_ms: Option<f64>,
+    #[serde(flatten)]
+    report: &'a Report,
+}
+
+struct Service<'a> {
+    network: &'a Joined,
+    viewers: &'a Viewers,
+    ros: &'a mut Ros,
+    clock: Clock,
+    machine: Machine,
+    sounder: Sounder,
+    looks: Looks,
+    lines: Lines,
+    socket: Option<StatusSocket>,
+    text: StatusText,
+    load: Load,
+    /// Real time and processor time of the last look.
+    looked: (Instant, f64),
+    bearings: u64,
+    signalled: bool,
+    /// Of a live card; what is replayed or simulated has clocks of its own.
+    wall: Option<WallWatch>,
+}
+
+impl<'a> Service<'a> {
+    async fn serve(
+        config: &Config,
+        name: String,
+        mut sources: Sources,
+        (network, ros, viewers): (&'a Joined, &'a mut Ros, &'a Viewers),
+    ) -> Result<Ended, Error> {
+        // Signals first: one that comes from here on ends the robot in order.
+        let mut signals = [SignalKind::terminate(), SignalKind::interrupt(), SignalKind::hangup()]
+            .map(signal)
+            .into_iter()
+            .collect::<std::io::Result<Vec<Signal>>>()
+            .map_err(|source| Error::Io { what: "cannot catch signals".into(), source })?;
+        let wake = sources.wake.take().map(watch_fd).transpose();
+        let wake = wake.map_err(|source| Error::Io { what: "cannot wait for the card's thread".into(), source })?;
+        let clock = Clock { real: Monotonic::new(), speed: sources.speed };
+        let (own, peers) = (sources.own, sources.peers.iter().map(|peer| peer.peer.mac).collect());
+        let logged = |card: Card| logged(card, config.log.as_ref());
+        let mut machine = Machine::new(sources, logged, Sources::settings(config), config.options(), clock.now())?;
+        network.attach(&mut machine);
+        ros.attach(&mut machine);
+        viewers.attach(&mut machine);
+        // Last: from here on it sends.
+        let sounder = Sounder::start(config, own, peers, clock.real)?;
+        sounder.attach(&mut machine);
+        let mut service = Self {
+            network,
+            ros,
+            viewers,
+            clock,
+            machine,
+            sounder,
+            looks: Looks::new(name),
+            lines: Lines::open(&config.output)?,
+            socket: config.output.status_socket.as_deref().map(StatusSocket::open).transpose()?,
+            text: StatusText::new(config.output.status_line),
+            load: Load::default(),
+            looked: (clock.real.now(), processor_s()),
+            bearings: 0,
+            signalled: false,
+            wall: wake.is_some().then(WallWatch::default),
+        };
+        // Without a service manager nobody listens, and that is no error.
+        let _ = sd_notify::notify(&[NotifyState::Ready]);
+        let error = service.work(wake.as_ref(), &mut signals).await.err();
+        let _ = sd_notify::notify(&[NotifyState::Stopping]);
+        service.finish(error)
+    }
+
+    /// Works until the records end or a signal comes.
+    async fn work(
+        &mut self,
+        wake: Option<&AsyncFd<std::os::fd::OwnedFd>>,
+        signals: &mut [Signal],
+    ) -> Result<(), Error> {
+        let watchdog = sd_notify::watchdog_enabled().map(|limit| limit / 2);
+        let mut look_at = self.clock.real.now();
+        let mut alive_at = look_at;
+        loop {
+            let more = self.machine.take(self.clock.now())?;
+            self.watch_wall();
+            self.estimate();
+            let real = self.clock.real.now();
+            if real >= look_at {
+                self.look();
+                look_at = real + LOOK;
+            }
+            if let Some(every) = watchdog.filter(|_| real >= alive_at) {
+                let _ = sd_notify::notify(&[NotifyState::Watchdog]);
+                alive_at = real + Span::from_us(i64::try_from(every.as_micros()).unwrap_or(i64::MAX));
+            }
+            if self.machine.is_done(self.clock.now()) {
+                return Ok(());
+            }
+            let gather = if more { Duration::ZERO } else { self.gather() };
+            if !gather.is_zero() {
+                tokio::select! {
+                    biased;
+                    () = any(signals) => {
+                        self.signalled = true;
+                        return Ok(());
+                    }
+                    () = tokio::time::sleep(gather) => {}
+                }
+            }
+            let until = self.machine.next_at().map_or(LONGEST_WAIT.as_s(), |at| self.clock.until(at).as_secs_f64());
+            let wait = if more {
+                Duration::ZERO
+            } else {
+                Duration::from_secs_f64(until.min((look_at - self.clock.real.now()).as_s().max(0.0)))
+            };
+            tokio::select! {
+                biased;
+                () = any(signals) => {
+                    self.signalled = true;
+                    return Ok(());
+                }
+                ready = readable(wake) => ready?,
+                () = self.network.wake.notified() => {}
+                () = tokio::time::sleep(wait) => if !wait.is_zero() { self.note_lateness() },
+            }
+        }
+    }
+
+    /// How long records may wait: until a report is due, whose pair is then waited for.
+    fn gather(&self) -> Duration {
+        let now = self.clock.now();
+        match self.machine.estimator.next_due() {
+            Some(due) if due <= now => Duration::ZERO,
+            Some(due) => self.clock.until(due).min(Duration::from_micros(TOGETHER.as_us().unsigned_abs())),
+            None => Duration::ZERO,
+        }
+    }
+
+    /// After everything that waited was taken, so that none of it comes later with a time of the old clock.
+    fn watch_wall(&mut self) {
+        if let (Some(watch), Some(wall_us)) = (&mut self.wall, wall_us())
+            && watch.was_set(wall_us, self.clock.real.now().as_us())
+        {
+            self.machine.handle_clock_set();
+        }
+    }
+
+    /// Makes at most one estimate, and publishes it.
+    fn estimate(&mut self) {
+        let before = self.clock.real.now();
+        let Some((peer, report)) = self.machine.poll_report(self.clock.now()) else { return };
+        self.load.estimate_ms = (self.clock.real.now() - before).as_s() * 1e3;
+        self.load.longest_estimate_ms = self.load.longest_estimate_ms.max(self.load.estimate_ms);
+        self.bearings += u64::from(report.state == State::Bearing);
+        let since = |at: Instant| (self.clock.now() - at).as_s() / self.clock.speed * 1e3;
+        let latency_ms = report.heard_at.map(since);
+        self.lines.write(&Line { took_ms: Some(self.load.estimate_ms), latency_ms, report: &report });
+        self.viewers.report(&self.machine, peer, &report);
+        self.ros.report(peer, &report, self.machine.estimator.track().last());
+        self.looks.note(peer, report);
+    }
+
+    fn note_lateness(&mut self) {
+        if let Some(at) = self.machine.next_at() {
+            let late_ms = (self.clock.now() - at).as_s() / self.clock.speed * 1e3;
+            self.load.late_ms = self.load.late_ms.max(late_ms);
+        }
+    }
+
+    fn look(&mut self) -> Health {
+        let (real, used_s) = (self.clock.real.now(), processor_s());
+        let seconds = (real - self.looked.0).as_s();
+        if seconds > 0.0 {
+            self.load.cpu_percent = 100.0 * (used_s - self.looked.1) / seconds;
+        }
+        self.looked = (real, used_s);
+        self.load.memory_mib = resident_mib().unwrap_or(0.0);
+        self.load.lines_lost = self.lines.lost();
+        let mut health = self.looks.look(&self.machine, self.clock.now(), self.load);
+        health.network = self.network.counts();
+        health.sounding = self.sounder.look().and_then(|counts| serde_json::to_value(counts).ok());
+        health.trouble.extend(self.sounder.trouble());
+        health.ros = self.ros.counts();
+        health.trouble.extend(self.ros.trouble());
+        self.load.late_ms = 0.0;
+        if let Some(socket) = &self.socket {
+            socket.tell(&health);
+        }
+        self.text.show(&health.line());
+        self.viewers.look(&self.machine);
+        health
+    }
+
+    fn finish(mut self, error: Option<Error>) -> Result<Ended, Error> {
+        let mut health = self.look();
+        self.text.clear();
+        let (reports, totals) = self.machine.finish(self.clock.now())?;
+        // The machine held the sender too, to tell it what was measured.
+        let error = self.sounder.stop().or(error);
+        for (report, peer) in reports.into_iter().zip(&mut health.peers) {
+            self.bearings += u64::from(report.state == State::Bearing);
+            self.lines.write(&Line { took_ms: None, latency_ms: None, report: &report });
+            peer.report = Some(report);
+        }
+        health.log.clone_from(&totals);
+        health.load.lines_lost = self.lines.finish();
+        Ok(Ended { health, totals, bearings: self.bearings, signalled: self.signalled, error })
+    }
+}
+
+/// The robots' network, joined where the configuration has one.
+struct Joined {
+    /// Something came from a peer.
+    wake: Arc<Notify>,
+    #[cfg(feature = "zenoh")]
+    network: Option<super::network::Network>,
+    #[cfg(feature = "zenoh")]
+    records: Vec<(usize, csi5300::source::remote::Mailbox)>,
+    #[cfg(feature = "zenoh")]
+    poses: Vec<(usize, csi5300::source::remote::Mailbox)>,
+}
+
+#[cfg(feature = "zenoh")]
+impl Joined {
+    fn join(config: &Config, sources: &Sources) -> Result<Self, Error> {
+        use super::config::{Odometry, Records};
+        let wake = Arc::new(Notify::new());
+        let mut joined = Self { wake, network: None, records: Vec::new(), poses: Vec::new() };
+        let Some(asked) = &config.network else { return Ok(joined) };
+        let network = joined.network.insert(super::network::Network::join(asked, sources.own)?);
+        for (k, (peer, opened)) in config.peer.iter().zip(&sources.peers).enumerate() {
+            let waker = || {
+                let wake = Arc::clone(&joined.wake);
+                move || wake.notify_one()
+            };
+            if matches!(peer.get_ref().records, Records::Network(_)) {
+                joined.records.push((k, network.subscribe(opened.peer.mac, "records", waker())?));
+            }
+            if matches!(peer.get_ref().poses, Odometry::Network(_)) {
+                joined.poses.push((k, network.subscribe(opened.peer.mac, "poses", waker())?));
+            }
+        }
+        Ok(joined)
+    }
+
+    fn attach(&self, machine: &mut Machine) {
+        self.records.iter().for_each(|(peer, mailbox)| machine.set_records(*peer, Box::new(mailbox.card())));
+        self.poses.iter().for_each(|(peer, mailbox)| machine.set_poses(*peer, Box::new(mailbox.poses())));
+        if let Some(tap) = self.network.as_ref().and_then(super::network::Network::tap) {
+            machine.add_tap(tap);
+        }
+    }
+
+    fn counts(&self) -> Option<serde_json::Value> {
+        serde_json::to_value(self.network.as_ref()?.counts()).ok()
+    }
+}
+
+#[cfg(not(feature = "zenoh"))]
+impl Joined {
+    fn join(_: &Config, _: &Sources) -> Result<Self, Error> {
+        Ok(Self { wake: Arc::new(Notify::new()) })
+    }
+
+    fn attach(&self, _: &mut Machine) {}
+
+    fn counts(&self) -> Option<serde_json::Value> {
+        None
+    }
+}
+
+/// Until one of the signals comes.
+async fn any(signals: &mut [Signal]) {
+    std::future::poll_fn(|context| {
+        let mut ready = signals.iter_mut().map(|signal| signal.poll_recv(context).is_ready());
+        if ready.any(|ready| ready) { std::task::Poll::Ready(()) } else { std::task::Poll::Pending }
+    })
+    .await;
+}
+
+/// Until the card's thread has something, or for ever without one.
+async fn readable(wake: Option<&AsyncFd<std::os::fd::OwnedFd>>) -> Result<(), Error> {
+    let Some(wake) = wake else { return std::future::pending().await };
+    let ready = wake.ready(tokio::io::Interest::READABLE | tokio::io::Interest::ERROR).await;
+    // What is there is taken before the next wait: were more to come meanwhile, it is an edge of its own.
+    ready.map_err(|source| Error::Io { what: "waiting for the card's thread".into(), source })?.clear_ready();
+    Ok(())
+}
+
+/// The card with a log of everything, if one is asked for.
+fn logged(card: Card, log: Option<&Log>) -> Result<Capture, Error> {
+    let Some(log) = log else { return Ok(Capture::Plain(card)) };
+    let rotation = Rotation { bytes: log.rotate_mib.map(|mib| mib.saturating_mul(1 << 20)), every: None };
+    let files = LogFiles::create(&free_name(&log.file, rotation), rotation, false)?;
+    Ok(Capture::Logged(Box::new(Recorder::new(card, files, RecorderOptions::default())?)))
+}
+
+/// The first of `log.dat`, `log-r1.dat`, `log-r2.dat` ... of which nothing is there, rotated or not: no start overwrites
+/// another's log.
+fn free_name(log: &Path, rotation: Rotation) -> PathBuf {
+    let stem = log.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let numbered = |k: u32| log.with_file_name(format!("{stem}-r{k}.dat"));
+    std::iter::once(log.to_owned())
+        .chain((1..).map(numbered))
+        .find(|name| {
+            let first = LogFiles::first(name, rotation);
+            ![name.clone(), side_path(&first), first].iter().any(|file| file.exists())
+        })
+        .unwrap_or_else(|| log.to_owned())
+}
+
+fn resident_mib() -> Option<f64> {
+    let pages: f64 = std::fs::read_to_string("/proc/self/statm").ok()?.split_whitespace().nth(1)?.parse().ok()?;
+    Some(pages * 4_096.0 / (1 << 20) as f64)
+}

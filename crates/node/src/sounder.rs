@@ -1,0 +1,208 @@
+//! The robot's part in the sounding exchange: the sender's thread beside the service, by the same file.
+
+use super::config::sounding::Sounding;
+use super::config::{Capture, Config};
+use super::machine::{Machine, Tap};
+use csi5300::exchange::tdma::{Dialect, Epoch, Event, Phy, Plan, Request};
+use csi5300::source::survey::Survey;
+use csi5300::source::{Error, Next, Stamps};
+use csi5300::time::Instant;
+use csi5300_live::monitor::Monitor;
+use csi5300_live::sounding::{
+    Granted, News, Order, Rate, Running, Settings, Setup, measurement, rate_n_flags, read_key, set_rate,
+};
+use csi5300_live::wait::Monotonic;
+use csi5300_sim::served::{self, Address};
+use driver_iface::Mac;
+use driver_iface::bfee::Antenna;
+use driver_iface::radiotap::Bandwidth;
+use driver_iface::record::Record;
+use serde::Serialize;
+use std::sync::Arc;
+
+/// What was counted of the exchange.
+#[derive(Clone, Debug, Default, Serialize)]
+pub(super) struct SoundingCounts {
+    /// Forward frames answered.
+    answered: u64,
+    /// Forward frames not answered in time.
+    unanswered: u64,
+    /// Forward frames of others for this robot, which it answered.
+    asked: u64,
+    /// Slots skipped because the host was late.
+    missed_slots: u64,
+    /// Turns that this robot had.
+    turns: u64,
+    /// Turns given up to another initiator.
+    yielded: u64,
+    /// Robots that no longer answer.
+    absent: Vec<String>,
+    /// What the system granted to the thread that sends.
+    granted: Option<String>,
+    /// The last thing that the interface did not do.
+    notice: Option<String>,
+    /// The thread has ended by itself: why is said when the node ends.
+    ended: bool,
+}
+
+/// A running exchange, if one is asked for.
+pub(super) struct Sounder(Option<Sounds>);
+
+struct Sounds {
+    running: Arc<Running>,
+    counts: SoundingCounts,
+    antenna: Antenna,
+    peers: Vec<Mac>,
+    measures: bool,
+}
+
+/// What the plan is asked, by the configuration alone.
+pub(super) fn request(asked: &Sounding, peers: usize, ht40: bool) -> Request {
+    let bandwidth = if ht40 { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
+    let links = asked.links.unwrap_or(u16::try_from(peers).unwrap_or(u16::MAX));
+    Request {
+        phy: Phy { mcs: asked.mcs, bandwidth },
+        dialect: Dialect::Native { measurement: asked.measurement, authenticated: asked.key.is_some() },
+        guard_us: asked.guard_us,
+        turn_around_us: asked.turn_around_us,
+        ..Request::new(links, asked.rate_hz)
+    }
+}
+
+impl Sounder {
+    /// Starts the thread that sends, if one is asked for.
+    pub fn start(config: &Config, own: Mac, peers: Vec<Mac>, clock: Monotonic) -> Result<Self, Error> {
+        let Some(asked) = &config.sounding else { return Ok(Self(None)) };
+        let request = request(asked, peers.len(), config.channel.width() != csi5300::signal::channel::Width::Ht20);
+        let room = match config.capture.get_ref() {
+            Capture::Served(served) => Some(Address { socket: served.socket.clone(), robot: served.robot.clone() }),
+            _ => None,
+        };
+        let setup = Setup {
+            interface: asked
+                .interface
+                .clone()
+                .unwrap_or_else(|| room.as_ref().map_or_else(String::new, Address::to_string)),
+            mac: Some(own),
+            peers: peers.clone(),
+            request,
+            own_index: 0,
+            key: asked.key.as_deref().map(read_key).transpose()?,
+        };
+        let now = clock.now();
+        let monitor = match &room {
+            Some(address) => {
+                let (air, mac) = served::join(address, served::Role::Air)?;
+                Monitor::over(air, mac, &setup.options())
+            }
+            None => Monitor::open(&setup.options()),
+        }?;
+        let opened = setup.open_on(monitor, |config| {
+            (config.epoch, config.start, config.initiate) = (Epoch::Heard(now), now, asked.initiate);
+        })?;
+        let mut counts = SoundingCounts { notice: opened.warning, ..SoundingCounts::default() };
+        if let Some(rate) = rate_n_flags(request.phy, config.antenna)
+            && let Some(interface) = &asked.interface
+            && let Rate::Other { found, mend, .. } = set_rate(&csi5300_live::doctor::Machine, interface, rate)
+        {
+            counts.notice = Some(format!("monitor_tx_rate is {found}: {mend}"));
+        }
+        let settings = Settings { fifo_priority: Settings::default().fifo_priority.filter(|_| asked.fifo) };
+        let running = Arc::new(Running::start(opened.tdma, opened.monitor, clock, settings)?);
+        Ok(Self(Some(Sounds { running, counts, antenna: config.antenna, peers, measures: asked.measurement })))
+    }
+
+    /// From now on answers carry what the card measures.
+    pub fn attach(&self, machine: &mut Machine) {
+        if let Some(sounds) = self.0.as_ref().filter(|sounds| sounds.measures) {
+            machine.add_tap(Box::new(Measuring {
+                running: Arc::clone(&sounds.running),
+                antenna: sounds.antenna,
+                peers: sounds.peers.clone(),
+                survey: Survey::default(),
+            }));
+        }
+    }
+
+    /// Takes the news; what was counted so far.
+    pub fn look(&mut self) -> Option<&SoundingCounts> {
+        let sounds = self.0.as_mut()?;
+        while let Some(news) = sounds.running.news() {
+            sounds.counts.note(&news);
+        }
+        sounds.counts.ended = sounds.running.has_ended();
+        Some(&sounds.counts)
+    }
+
+    /// What is wrong at the moment, in words.
+    pub fn trouble(&self) -> Option<String> {
+        let counts = self.0.as_ref().map(|sounds| &sounds.counts)?;
+        let ended = counts.ended.then(|| "sounding: the thread that sends has ended".to_owned());
+        ended.or_else(|| counts.notice.as_ref().map(|notice| format!("sounding: {notice}")))
+    }
+
+    /// Stops the thread; the error that had ended it, if one did.
+    pub fn stop(self) -> Option<Error> {
+        let running = Arc::into_inner(self.0?.running)?;
+        running.stop().map_or_else(Some, |(.., error)| error)
+    }
+}
+
+impl SoundingCounts {
+    fn note(&mut self, news: &News) {
+        match news {
+            News::Started(granted) => self.granted = Some(Granted::to_string(granted)),
+            News::Notice(notice) => self.notice = Some(notice.to_string()),
+            News::Event(event) => self.note_event(event),
+        }
+    }
+
+    fn note_event(&mut self, event: &Event) {
+        match event {
+            Event::Answered { .. } => self.answered += 1,
+            Event::Unanswered { .. } => self.unanswered += 1,
+            Event::Asked { .. } => self.asked += 1,
+            Event::Missed { slots, .. } => self.missed_slots += u64::from(*slots),
+            Event::TurnBegan { .. } => self.turns += 1,
+            Event::Yielded { .. } => self.yielded += 1,
+            Event::Absent(peer) => self.absent.push(Mac(*peer).to_string()),
+            Event::Joined(peer) => {
+                let peer = Mac(*peer).to_string();
+                self.absent.retain(|absent| *absent != peer);
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Hands the card's measurements to the answers.
+struct Measuring {
+    running: Arc<Running>,
+    antenna: Antenna,
+    peers: Vec<Mac>,
+    survey: Survey,
+}
+
+impl Tap for Measuring {
+    fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
+        let next = Next::Record(Stamps { at: Instant::ZERO, host_us, offset: 0 }, record);
+        let Some((bfee, identity)) = self.survey.note(&next) else { return };
+        if self.peers.contains(&identity.mac)
+            && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
+        {
+            // Where too many wait, the next one is newer.
+            self.running.order(Order::Measurement(identity.mac.0, measurement));
+        }
+    }
+
+    fn pose(&mut self, _: Option<csi5300::motion::pose::Pose>) {}
+}
+
+/// Why this robot cannot take part as asked.
+pub(super) fn problem(asked: &Sounding, peers: usize, ht40: bool) -> Option<String> {
+    let request = request(asked, peers, ht40);
+    if rate_n_flags(request.phy, Antenna::A).is_none() {
+        return Some(format!("mcs {} has more streams than the card has antennas: 23 is the highest", asked.mcs));
+    }
+    Plan::new(&request).err().map(|error| error.to_string())
+}

@@ -1,0 +1,326 @@
+//! The card and the wheels on threads of their own: what they say is read and stamped at once, however long an estimate
+//! takes. Both threads end with the source that reads from them.
+
+use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
+use csi5300::source::{CsiSource, Error, Loss, Next, Stamps};
+use csi5300::time::{Instant, Span};
+use csi5300_live::wait::Monotonic;
+use driver_iface::record::{Record, Tail};
+use std::io::{Read, Write};
+use std::net::Shutdown;
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::net::UnixStream;
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Records that wait at most; then the thread waits too, and what overruns in the kernel is counted there.
+const RECORDS: usize = 32_768;
+/// Poses that wait at most.
+const POSES: usize = 4_096;
+/// The reader is woken after so many records at the latest.
+const TELL: usize = 256;
+/// A source of poses is looked after this often at least.
+const LOOK: Span = Span::from_ms(500);
+
+enum Item {
+    Record(Stamps, u8, Vec<u8>),
+    Lost(Loss),
+    End(Tail),
+    Failed(Error),
+}
+
+/// A card that is read on a thread of its own.
+pub struct CardThread {
+    items: Receiver<Item>,
+    /// A byte comes whenever records did; shutting it down ends the thread.
+    told: UnixStream,
+    body: Vec<u8>,
+}
+
+impl CardThread {
+    /// Reads `card` from now on, and waits on its file descriptor.
+    ///
+    /// # Errors
+    /// If the thread cannot be started.
+    pub fn start<S: CsiSource + AsFd + Send + 'static>(card: S) -> Result<Self, Error> {
+        let io = |source| Error::Io { what: "cannot start the thread that listens to the card".into(), source };
+        let (told, tell) = UnixStream::pair().map_err(io)?;
+        told.set_nonblocking(true).map_err(io)?;
+        tell.set_nonblocking(true).map_err(io)?;
+        let (give, items) = sync_channel(RECORDS);
+        let read = move || {
+            if let Err(error) = listen(card, &give, &tell) {
+                let _ = give.send(Item::Failed(error));
+            }
+            let _ = (&tell).write(&[0]);
+        };
+        std::thread::Builder::new().name("csi5300 card".into()).spawn(read).map_err(io)?;
+        Ok(Self { items, told, body: Vec::new() })
+    }
+
+    /// Something to wait on for more records.
+    ///
+    /// # Errors
+    /// Out of file descriptors.
+    pub fn wake(&self) -> Result<OwnedFd, Error> {
+        let io = |source| Error::Io { what: "cannot wait for the card's thread".into(), source };
+        self.told.as_fd().try_clone_to_owned().map_err(io)
+    }
+
+    /// The next item. An empty queue is looked at once more after the bytes that announced it were taken: what comes later
+    /// is announced anew.
+    fn next(&mut self) -> Result<Item, TryRecvError> {
+        self.items.try_recv().or_else(|why| {
+            let mut bytes = [0; 64];
+            while matches!((&self.told).read(&mut bytes), Ok(read) if read > 0) {}
+            if why == TryRecvError::Empty { self.items.try_recv() } else { Err(why) }
+        })
+    }
+}
+
+/// Hands over what the card gives until the other end is shut.
+fn listen<S: CsiSource + AsFd>(mut card: S, give: &SyncSender<Item>, tell: &UnixStream) -> Result<(), Error> {
+    let clock = Monotonic::new();
+    let mut untold = 0;
+    loop {
+        let item = match card.receive(clock.now())? {
+            Next::Record(stamps, record) => Some(Item::Record(stamps, record.code, record.body.to_vec())),
+            Next::Lost(loss) => Some(Item::Lost(loss)),
+            Next::End(tail) => {
+                let _ = give.send(Item::End(tail));
+                return Ok(());
+            }
+            Next::Pending => None,
+        };
+        let pending = item.is_none();
+        untold += usize::from(!pending);
+        if item.is_some_and(|item| give.send(item).is_err()) {
+            return Ok(());
+        }
+        if untold > 0 && (pending || untold >= TELL) {
+            // No room means that it was told already.
+            let _ = (&*tell).write(&[0]);
+            untold = 0;
+        }
+        if pending {
+            let [_, shut] = clock.wait([card.as_fd(), tell.as_fd()], card.next_at())?;
+            if shut {
+                return Ok(());
+            }
+        }
+    }
+}
+
+impl CsiSource for CardThread {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        Ok(match self.next() {
+            Ok(Item::Record(stamps, code, body)) => {
+                self.body = body;
+                Next::Record(Stamps { at: now, ..stamps }, Record { code, body: &self.body })
+            }
+            Ok(Item::Lost(loss)) => Next::Lost(loss),
+            Ok(Item::End(tail)) => Next::End(tail),
+            Ok(Item::Failed(error)) => return Err(error),
+            Err(TryRecvError::Empty) => Next::Pending,
+            Err(TryRecvError::Disconnected) => {
+                return Err(Error::Input("the thread that listens to the card has ended".into()));
+            }
+        })
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        None
+    }
+}
+
+impl Drop for CardThread {
+    fn drop(&mut self) {
+        let _ = self.told.shutdown(Shutdown::Both);
+    }
+}
+
+/// Poses that are taken on a thread of their own.
+pub struct PoseThread {
+    poses: Receiver<Result<NextPose, Error>>,
+    told: Arc<Mutex<Told>>,
+}
+
+/// What a source of poses says of itself.
+#[derive(Default)]
+struct Told {
+    trouble: Option<String>,
+    counted: Option<SourceCounts>,
+    /// When it was last asked what it counted.
+    at: Option<Instant>,
+}
+
+impl Told {
+    fn ask(&mut self, source: &impl OdometrySource, now: Instant) {
+        self.trouble = source.trouble();
+        if self.at.is_none_or(|at| now - at >= LOOK) {
+            (self.counted, self.at) = (source.counted(), Some(now));
+        }
+    }
+}
+
+impl PoseThread {
+    /// Takes the poses of `source` from now on.
+    ///
+    /// # Errors
+    /// If the thread cannot be started.
+    pub fn start(mut source: impl OdometrySource + Send + 'static) -> Result<Self, Error> {
+        let (give, poses) = sync_channel(POSES);
+        let shared = Arc::new(Mutex::new(Told::default()));
+        let told = Arc::downgrade(&shared);
+        let take = move || {
+            let clock = Monotonic::new();
+            loop {
+                let now = clock.now();
+                match source.receive(now) {
+                    Ok(NextPose::Pending) => {
+                        // Nobody reads any more.
+                        let Some(told) = told.upgrade() else { return };
+                        told.lock().unwrap_or_else(PoisonError::into_inner).ask(&source, now);
+                        drop(told);
+                        clock.sleep_until(source.next_at().map_or(now + LOOK, |at| at.min(now + LOOK)));
+                    }
+                    last @ (Ok(NextPose::End) | Err(_)) => return drop(give.send(last)),
+                    next => {
+                        if give.send(next).is_err() {
+                            return;
+                        }
+                    }
+                }
+            }
+        };
+        let what = "cannot start the thread of the odometry".into();
+        let thread = std::thread::Builder::new().name("csi5300 poses".into()).spawn(take);
+        thread.map_err(|source| Error::Io { what, source })?;
+        Ok(Self { poses, told: shared })
+    }
+}
+
+impl OdometrySource for PoseThread {
+    fn receive(&mut self, _: Instant) -> Result<NextPose, Error> {
+        match self.poses.try_recv() {
+            Ok(next) => next,
+            Err(TryRecvError::Empty) => Ok(NextPose::Pending),
+            Err(TryRecvError::Disconnected) => Err(Error::Input("the thread of the odometry has ended".into())),
+        }
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        None
+    }
+
+    fn trouble(&self) -> Option<String> {
+        self.told.lock().unwrap_or_else(PoisonError::into_inner).trouble.clone()
+    }
+
+    fn counted(&self) -> Option<SourceCounts> {
+        self.told.lock().unwrap_or_else(PoisonError::into_inner).counted.clone()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300::motion::pose::Pose;
+    use std::os::fd::BorrowedFd;
+    use std::sync::atomic::{AtomicI64, Ordering};
+
+    /// A card that says the bytes that come on a socket, stamped with `WALL_US`.
+    struct Wire(UnixStream, Vec<u8>);
+
+    static WALL_US: AtomicI64 = AtomicI64::new(0);
+
+    impl CsiSource for Wire {
+        fn receive(&mut self, at: Instant) -> Result<Next<'_>, Error> {
+            self.1.resize(1, 0);
+            match self.0.read(&mut self.1) {
+                Ok(1) => {
+                    let stamps = Stamps { at, host_us: Some(WALL_US.load(Ordering::SeqCst)), offset: 0 };
+                    Ok(Next::Record(stamps, Record { code: 0xBB, body: &self.1 }))
+                }
+                Ok(_) => Err(Error::Input("unplugged".into())),
+                Err(_) => Ok(Next::Pending),
+            }
+        }
+
+        fn next_at(&self) -> Option<Instant> {
+            None
+        }
+    }
+
+    impl AsFd for Wire {
+        fn as_fd(&self) -> BorrowedFd<'_> {
+            self.0.as_fd()
+        }
+    }
+
+    #[test]
+    fn a_record_has_the_time_at_which_it_came_however_late_it_is_taken() {
+        let (mut card, wire) = UnixStream::pair().unwrap();
+        wire.set_nonblocking(true).unwrap();
+        let mut thread = CardThread::start(Wire(wire, Vec::new())).unwrap();
+        let wake = thread.wake().unwrap();
+        let wait = || Monotonic::new().wait([wake.as_fd()], None).unwrap();
+        for us in 1..=3 {
+            WALL_US.store(us, Ordering::SeqCst);
+            card.write_all(&[us as u8]).unwrap();
+            wait();
+            // An estimate takes its time.
+            WALL_US.store(1_000_000, Ordering::SeqCst);
+            let Next::Record(stamps, record) = thread.receive(Instant::from_us(7)).unwrap() else { panic!("a record") };
+            assert_eq!((stamps.at.as_us(), stamps.host_us, record.body), (7, Some(us), &[us as u8][..]));
+            assert!(matches!(thread.receive(Instant::ZERO), Ok(Next::Pending)));
+        }
+        drop(card);
+        wait();
+        let failed = std::iter::from_fn(|| match thread.receive(Instant::ZERO) {
+            Ok(_) => Some(None),
+            Err(error) => Some(Some(error)),
+        });
+        assert!(failed.flatten().next().unwrap().to_string().contains("unplugged"));
+    }
+
+    #[test]
+    fn the_card_is_let_go_when_nobody_reads() {
+        let (mut card, wire) = UnixStream::pair().unwrap();
+        wire.set_nonblocking(true).unwrap();
+        drop(CardThread::start(Wire(wire, Vec::new())).unwrap());
+        // The thread's end of the wire is closed: this ends.
+        assert_eq!(card.read(&mut [0; 1]).unwrap(), 0);
+    }
+
+    /// Two poses and their end.
+    struct Two(u8);
+
+    impl OdometrySource for Two {
+        fn receive(&mut self, _: Instant) -> Result<NextPose, Error> {
+            self.0 += 1;
+            let position_m = nalgebra::Vector3::zeros();
+            let pose = |t_s| NextPose::Pose(Pose { t_s, position_m, heading_rad: None });
+            Ok(if self.0 <= 2 { pose(f64::from(self.0)) } else { NextPose::End })
+        }
+
+        fn next_at(&self) -> Option<Instant> {
+            None
+        }
+    }
+
+    #[test]
+    fn poses_come_through_in_their_order() {
+        let mut thread = PoseThread::start(Two(0)).unwrap();
+        let mut times = Vec::new();
+        loop {
+            match thread.receive(Instant::ZERO).unwrap() {
+                NextPose::Pose(pose) => times.push(pose.t_s),
+                NextPose::Pending => std::thread::yield_now(),
+                NextPose::End => break,
+                NextPose::NewFrame => panic!("no frame"),
+            }
+        }
+        assert_eq!(times, [1.0, 2.0]);
+    }
+}

@@ -1,0 +1,7 @@
+//! The robot's service from outside.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+#[path = "../../../../tests/common/mod.rs"]
+mod common;
+
+mod robots;

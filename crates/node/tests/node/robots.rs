@@ -1,0 +1,388 @@
+//! A robot as one value, in virtual time: bearings while it drives, in a simulated room and from replayed captures.
+
+use csi5300::motion::pose::wrap_rad;
+use csi5300::source::{CsiSource, Next};
+use csi5300::time::{Instant, Span};
+use csi5300_node::config::Config;
+use csi5300_node::estimator::{Report, State};
+use csi5300_node::machine::{Capture, Machine};
+use csi5300_node::sources::Sources;
+use csi5300_sim::{Room, Scene};
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// A folder of its own for one test.
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&path);
+    std::fs::create_dir_all(&path).unwrap();
+    path
+}
+
+/// A robot that was configured, ready to run in virtual time.
+fn machine(config: &Config) -> Machine {
+    let sources = Sources::open(config, Instant::ZERO, || None).unwrap();
+    let plain = |card| Ok(Capture::Plain(card));
+    Machine::new(sources, plain, Sources::settings(config), config.options(), Instant::ZERO).unwrap()
+}
+
+/// Runs until the records end or `until`: every report with its time, and the last ones.
+fn run(mut machine: Machine, until: Instant) -> (Vec<(Instant, usize, Report)>, Vec<Report>) {
+    let mut now = Instant::ZERO;
+    let mut reports = Vec::new();
+    loop {
+        while machine.take(now).unwrap() {}
+        while let Some((peer, report)) = machine.poll_report(now) {
+            reports.push((now, peer, report));
+        }
+        if machine.is_done(now) || now >= until {
+            break;
+        }
+        // A service that wakes for every millisecond of work.
+        let next = machine.next_at().unwrap_or(now);
+        now = next.max(now + Span::from_ms(1));
+    }
+    (reports, machine.finish(now).unwrap().0)
+}
+
+/// A room in which the first of `robots` drives a circle of 30 cm and the others stand about it, or drive too.
+fn scene(robots: usize, peers_move: bool) -> String {
+    let mut text = String::from(
+        "name = \"ring\"\nseed = 7\nduration_s = 24.0\nchannel = 108\ncfo = \"physical\"\n[sounding]\nrate_hz = 100.0\n\
+         [radio]\nphase_noise_rad = 0.1\nsend_jitter_us = 60.0\nturn_around = { spread_us = 6.0 }\n",
+    );
+    for k in 0..robots {
+        let angle = 0.4 + std::f64::consts::TAU * k as f64 / robots as f64;
+        let away = if k == 0 { 0.0 } else { 9.0 + 0.3 * k as f64 };
+        let (x, y) = (away * angle.cos(), away * angle.sin());
+        let _ = write!(
+            text,
+            "[[robot]]\nname = \"r{k}\"\nposition_m = [{x:.4}, {y:.4}, 0.2]\n\
+             host_clock = {{ offset_s = {}, drift_ppm = {} }}\ncrystal = {{ offset_ppm = {} }}\n\
+             odometry = {{ rate_hz = 50.0, noise_m = 0.0003 }}\n",
+            3.0 * k as f64,
+            k,
+            1.5 * k as f64 - 3.0
+        );
+        let circle = (k == 0) != peers_move;
+        if circle {
+            let _ = writeln!(text, "motion.circle = {{ radius_m = 0.3, duration_s = 20.0, start_s = 1.5 }}");
+        }
+    }
+    text
+}
+
+/// The configuration of robot `own` in that room, with everybody else as its peer.
+fn config(folder: &Path, scene: &str, robots: usize, peers_move: bool) -> Config {
+    std::fs::write(folder.join("ring.toml"), scene).unwrap();
+    let mut text = "channel = \"108\"\ncapture.room = { scene = \"ring.toml\", robot = \"r0\" }\n".to_owned();
+    text += if peers_move { "odometry.static = {}\n" } else { "odometry.room = {}\n" };
+    for k in 1..robots {
+        let _ = write!(text, "[[peer]]\nname = \"r{k}\"\nrecords.room = {{}}\n");
+        if peers_move {
+            text += "poses.room = {}\n";
+        }
+    }
+    Config::read(&text, folder).unwrap_or_else(|error| panic!("{error}\n{text}"))
+}
+
+/// The true bearing from the middle of the circle, or of a peer's circle, degrees.
+fn truth_deg(room: &Room, peer: usize) -> f64 {
+    let middle = |robot: usize| {
+        let places = (0..200).map(|k| room.antenna(robot, 1.5 + 20.0 * f64::from(k) / 200.0).unwrap());
+        places.sum::<nalgebra::Vector3<f64>>() / 200.0
+    };
+    let towards = middle(peer) - middle(0);
+    towards.y.atan2(towards.x).to_degrees()
+}
+
+fn off_deg(report: &Report, truth: f64) -> f64 {
+    let azimuth = report.answer.azimuth_deg.unwrap_or_else(|| panic!("{report:?}"));
+    wrap_rad((azimuth - truth).to_radians()).to_degrees().abs()
+}
+
+#[test]
+fn a_room_that_follows_poses_gives_the_bearing_of_where_they_lead() {
+    let folder = folder("followed");
+    let text = scene(2, false)
+        .replace("motion.circle = { radius_m = 0.3, duration_s = 20.0, start_s = 1.5 }", "motion.followed = {}");
+    std::fs::write(folder.join("ring.toml"), &text).unwrap();
+    // Somewhere else than where the robot waits, with a clock of its own.
+    let mut way = String::new();
+    for k in 0..1_200 {
+        let t_s = f64::from(k) * 0.02;
+        let angle = std::f64::consts::TAU * ((t_s - 1.0) / 20.0).clamp(0.0, 1.0);
+        let (x, y) = (1.0 + 0.3 * angle.cos(), -2.0 + 0.3 * angle.sin());
+        let _ = writeln!(way, "{:.3},0,{x:.6},{y:.6},0.2,{:.6},", 5_000.0 + t_s, angle + std::f64::consts::FRAC_PI_2);
+    }
+    std::fs::write(folder.join("way.csv"), way).unwrap();
+    let config = "channel = \"108\"\nodometry.room = {}\n[capture.room]\nscene = \"ring.toml\"\nrobot = \"r0\"\n\
+                  follow.r0.csv.file = \"way.csv\"\n[[peer]]\nname = \"r1\"\nrecords.room = {}\n";
+    let config = Config::read(config, &folder).unwrap_or_else(|error| panic!("{error}"));
+    let (_, last) = run(machine(&config), Instant::from_us(23_000_000));
+    let peer = Room::new(&Scene::from_toml(&text).unwrap()).unwrap().antenna(1, 0.0).unwrap();
+    let truth = (peer.y + 2.0).atan2(peer.x - 1.0).to_degrees();
+    let off = off_deg(&last[0], truth);
+    assert!(off < 1.0 && last[0].state == State::Bearing, "{off} {:?}", last[0]);
+}
+
+#[test]
+fn bearings_are_right_after_one_circle_with_two_four_and_eight_robots() {
+    for robots in [2, 4, 8] {
+        let folder = folder(&format!("ring-{robots}"));
+        let text = scene(robots, false);
+        let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
+        let config = config(&folder, &text, robots, false);
+        let (reports, last) = run(machine(&config), Instant::from_us(23_000_000));
+        assert_eq!(last.len(), robots - 1);
+        for (peer, report) in last.iter().enumerate() {
+            let off = off_deg(report, truth_deg(&room, peer + 1));
+            println!("{robots} robots, r{}: {off:.3} deg off", peer + 1);
+            assert!(off < 1.0 && report.state == State::Bearing, "{off} {report:?}");
+        }
+        // At rest nothing is guessed; while it drives there is a bearing twice a second.
+        let words: Vec<&str> = reports.iter().map(|(.., report)| report.words.as_str()).collect();
+        assert!(words.iter().any(|words| words.starts_with("not yet: moved 0.0")), "{words:?}");
+        let early = reports.iter().find(|(.., report)| report.state == State::Bearing).unwrap();
+        assert!(early.2.moved_m >= early.2.needed_m && early.0.as_s() > 2.0, "{early:?}");
+        let made = reports.iter().filter(|(.., report)| report.state == State::Bearing).count();
+        assert!(made >= 30 * (robots - 1), "{made} bearings of {robots} robots");
+    }
+}
+
+#[test]
+fn a_robot_at_rest_finds_those_that_move_and_publish_their_poses() {
+    let folder = folder("ring-passive");
+    let text = scene(3, true);
+    let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
+    let config = config(&folder, &text, 3, true);
+    let (_, last) = run(machine(&config), Instant::from_us(23_000_000));
+    for (peer, report) in last.iter().enumerate() {
+        let off = off_deg(report, truth_deg(&room, peer + 1));
+        println!("passive, r{}: {off:.3} deg off", peer + 1);
+        assert!(off < 1.0, "{off} {report:?}");
+    }
+}
+
+/// A card of which nothing comes from some time on.
+struct Vanishes(csi5300_node::sources::Card, Instant);
+
+impl CsiSource for Vanishes {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, csi5300::source::Error> {
+        if now >= self.1 { Ok(Next::Pending) } else { self.0.receive(now) }
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        self.0.next_at().filter(|at| *at < self.1)
+    }
+}
+
+#[test]
+fn the_bearing_of_a_peer_that_vanished_grows_old() {
+    let folder = folder("ring-vanish");
+    let config = config(&folder, &scene(2, false), 2, false);
+    let mut sources = Sources::open(&config, Instant::ZERO, || None).unwrap();
+    let records = sources.peers[0].records.take().unwrap();
+    sources.peers[0].records = Some(Box::new(Vanishes(records, Instant::from_us(12_000_000))));
+    let plain = |card| Ok(Capture::Plain(card));
+    let machine = Machine::new(sources, plain, Sources::settings(&config), config.options(), Instant::ZERO).unwrap();
+    // This robot drives on until 21.5 s.
+    let (reports, _) = run(machine, Instant::from_us(20_000_000));
+    assert!(reports.iter().any(|(at, _, report)| at.as_s() < 12.0 && report.state == State::Bearing));
+    let late: Vec<_> = reports.iter().filter(|(at, ..)| at.as_s() > 13.0).collect();
+    assert!(late.len() > 10);
+    for (at, _, report) in late {
+        let age = at.as_s() - report.age_s;
+        assert!(report.state == State::NoPairs && (11.0..13.0).contains(&age), "{at:?} {report:?}");
+        assert!(report.answer.azimuth_deg.is_some(), "the last bearing is said again");
+    }
+}
+
+#[test]
+fn a_robot_that_drives_for_long_keeps_only_what_its_window_needs() {
+    let folder = folder("ring-long");
+    let circle = "motion.circle = { radius_m = 0.3, duration_s = 20.0, start_s = 1.5 }";
+    let walk = "motion.random_walk = { speed_m_s = 0.2, duration_s = 100.0, within_m = 1.5 }";
+    let text = scene(2, false).replace(circle, walk).replace("duration_s = 24.0", "duration_s = 100.0");
+    let mut config = config(&folder, &text, 2, false);
+    (config.estimator.window_m, config.estimator.window_s, config.estimator.rate_hz) = (1.0, 20.0, 0.25);
+    let mut machine = machine(&config);
+    let (mut now, mut longest, mut most, mut last) = (Instant::ZERO, 0, 0, None);
+    while !machine.is_done(now) {
+        while machine.take(now).unwrap() {}
+        longest = longest.max(machine.estimator.track().len());
+        if let Some((_, report)) = machine.poll_report(now) {
+            most = most.max(report.answer.pairs_in_motion);
+            last = Some(report);
+        }
+        now += Span::from_ms(200);
+    }
+    // A metre at 0.2 m/s and 100 pairs a second; 20 s and 30 s before them, and what comes between estimates, at 50 poses a
+    // second.
+    let counts = machine.estimator.peers().next().unwrap().1;
+    println!("{most} of {} pairs, {longest} poses; {last:?}", counts.pairs);
+    assert!(counts.pairs > 9_000 && most < 1_000 && longest < 50 * 56, "{most} of {} pairs, {longest}", counts.pairs);
+    assert_eq!(last.unwrap().state, State::Bearing);
+}
+
+#[test]
+fn nothing_is_computed_for_robots_that_stand() {
+    let folder = folder("ring-rest");
+    let text = scene(2, false);
+    let config = config(&folder, &text, 2, false);
+    // Two seconds after the circle's end.
+    let (reports, _) = run(machine(&config), Instant::from_us(23_500_000));
+    let late: Vec<State> =
+        reports.iter().filter(|(at, ..)| at.as_s() > 22.2).map(|(.., report)| report.state).collect();
+    assert!(!late.is_empty() && late.iter().all(|state| *state == State::Held), "{late:?}");
+}
+
+/// The same room, in which all robots initiate in turns.
+fn in_turns(robots: usize) -> String {
+    let names: Vec<String> = (0..robots).map(|k| format!("\"r{k}\"")).collect();
+    let turns = format!("rate_hz = 100.0\ninitiators = [{}]\ndialect = \"native\"\n", names.join(", "));
+    scene(robots, false).replace("rate_hz = 100.0\n", &turns)
+}
+
+#[test]
+fn robots_that_all_initiate_lose_no_pair_and_no_degree() {
+    for robots in [2, 3] {
+        let folder = folder(&format!("turns-{robots}"));
+        let text = in_turns(robots);
+        let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
+        let config = config(&folder, &text, robots, false);
+        let mut machine = machine(&config);
+        let mut now = Instant::ZERO;
+        while now < Instant::from_us(23_000_000) {
+            while machine.take(now).unwrap() {}
+            now += Span::from_ms(5);
+        }
+        let pairs: Vec<u64> = machine.estimator.peers().map(|(_, counts)| counts.pairs).collect();
+        // A link is sounded in the turns of its two robots: a round of a turn has one exchange with each peer.
+        let sounded = 2.0 / robots as f64 * 100.0 * 23.0;
+        let last = machine.finish(now).unwrap().0;
+        for (peer, report) in last.iter().enumerate() {
+            let off = off_deg(report, truth_deg(&room, peer + 1));
+            println!(
+                "{robots} robots in turns, r{}: {} pairs of {sounded:.0}, {off:.3} deg off",
+                peer + 1,
+                pairs[peer]
+            );
+            let (own, other) = (report.answer.receiver_records, report.answer.transmitter_records);
+            // The first turn begins after a listen.
+            assert!(pairs[peer] as f64 > 0.9 * sounded, "{own:?} {other:?}");
+            assert_eq!((own.duplicates, own.mispaired, other.duplicates, other.mispaired), (0, 0, 0, 0));
+            // Of two robots every frame is for the other.
+            assert!(robots > 2 || own.paired == own.handed, "{own:?}");
+            assert!(off < 1.0 && report.state == State::Bearing, "{off} {report:?}");
+        }
+    }
+}
+
+#[test]
+fn the_accuracy_layer_is_asked_now_and_then_and_has_the_last_word() {
+    let folder = folder("ring-refined");
+    let text = scene(2, false);
+    let room = Room::new(&Scene::from_toml(&text).unwrap()).unwrap();
+    let mut config = config(&folder, &text, 2, false);
+    config.estimator.accurate_every_s = 2.0;
+    // Until two seconds after the circle's end.
+    let (reports, last) = run(machine(&config), Instant::from_us(23_500_000));
+    let made: Vec<_> = reports.iter().filter(|(.., report)| report.state == State::Bearing).collect();
+    let accurate: Vec<_> = made.iter().filter(|(.., report)| report.accurate).collect();
+    assert!((8..=13).contains(&accurate.len()) && made.len() > 3 * accurate.len(), "{} {}", accurate.len(), made.len());
+    for (at, _, report) in &made {
+        let off = off_deg(report, truth_deg(&room, 1));
+        assert!(at.as_s() < 12.0 || off < 1.0, "{off} {report:?}");
+        // Each is made of what came at that moment.
+        let heard = report.heard_at.unwrap();
+        assert!(report.accurate || (*at - heard) < Span::from_ms(2), "{at:?} {heard:?}");
+    }
+    let held = reports.iter().rev().find(|(.., report)| report.state == State::Held).unwrap();
+    assert!(held.2.accurate && last[0].accurate, "{held:?}");
+}
+
+#[test]
+fn an_hour_of_driving_needs_no_more_memory_than_its_first_minutes() {
+    let folder = folder("ring-hour");
+    let circle = "motion.circle = { radius_m = 0.3, duration_s = 20.0, start_s = 1.5 }";
+    let walk = "motion.random_walk = { speed_m_s = 0.2, duration_s = 3600.0, within_m = 1.5 }";
+    let text = scene(2, false)
+        .replace(circle, walk)
+        .replace("duration_s = 24.0", "duration_s = 3600.0")
+        .replace("rate_hz = 100.0", "rate_hz = 20.0")
+        .replace("odometry = { rate_hz = 50.0", "odometry = { rate_hz = 20.0");
+    let mut config = config(&folder, &text, 2, false);
+    (config.estimator.window_s, config.estimator.rate_hz, config.estimator.accurate_every_s) = (60.0, 0.1, 100.0);
+    let mut machine = machine(&config);
+    let mut now = Instant::ZERO;
+    let mut grown = Vec::new();
+    for _ in 0..12 {
+        let until = now + Span::from_ms(300_000);
+        let minutes = allocation_counter::measure(|| {
+            while now < until {
+                while machine.take(now).unwrap() {}
+                while machine.poll_report(now).is_some() {}
+                now += Span::from_ms(200);
+            }
+        });
+        grown.push(minutes.bytes_current);
+    }
+    let counts = machine.estimator.peers().next().unwrap().1;
+    println!("bytes kept of each five minutes: {grown:?}; {counts:?}");
+    assert!(counts.pairs > 60_000 && counts.accurate > 30, "{counts:?}");
+    let later: i64 = grown[2..].iter().sum();
+    assert!(later.abs() < 256 * 1024, "{later} bytes more after an hour than after ten minutes");
+}
+
+#[test]
+fn a_replayed_capture_gives_the_bearings_that_are_made_offline() {
+    let Some(captures) = crate::common::captures() else { return };
+    let mut compared = 0;
+    for set in ["LOS_Set_A/L1", "NLOS_Set_A/L1"] {
+        let folder = captures.join("wsr").join(set);
+        if folder.is_dir() {
+            compared += compare(&folder);
+        }
+    }
+    assert!(compared >= 3, "{compared} links");
+}
+
+/// Compares what a node says of a replayed capture with what `csi5300 bearing` does, link by link.
+fn compare(capture: &Path) -> usize {
+    use csi5300::pipeline::{Transmitter, bearings};
+    use csi5300::source::replay::Replay;
+    let files: Vec<PathBuf> = std::fs::read_dir(capture).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let is = |file: &PathBuf, begin: &str| file.file_name().unwrap().to_str().unwrap().starts_with(begin);
+    let named = |begin: &str| files.iter().find(|file| is(file, begin)).unwrap();
+    let (rx, trajectory) = (named("csi_rx_"), named("rx_trajectory_"));
+    let txs: Vec<&PathBuf> = files.iter().filter(|file| is(file, "csi_tx")).collect();
+    let (path, _) = csi5300::motion::odometry::csv::read(trajectory).unwrap();
+    let mut logs: Vec<_> = txs.iter().map(|tx| Replay::open(tx).unwrap()).collect();
+    let transmitters =
+        logs.iter_mut().map(|log| Transmitter { log: log as &mut dyn CsiSource, trajectory: None }).collect();
+    let options = csi5300::pipeline::Options::new("108".parse().unwrap());
+    let offline = bearings(&mut Replay::open(rx).unwrap(), transmitters, &path, &options).unwrap();
+    // The receiver's own MAC is the sender of most frames in a transmitter's log.
+    let senders = &offline.transmitters[0].survey.senders;
+    let own = senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0;
+    let mut text = format!(
+        "mac = \"{own}\"\nchannel = \"108\"\ncapture.replay.file = '{}'\nodometry.csv.file = '{}'\n\
+         [estimator]\nwindow_m = 1000\nwindow_s = 100000\nrate_hz = 0.02\nextrapolate_s = 0\n",
+        rx.display(),
+        trajectory.display()
+    );
+    for (tx, link) in txs.iter().zip(&offline.links) {
+        let mac = link.mac.unwrap();
+        let _ = write!(text, "[[peer]]\nname = \"{mac}\"\nmac = \"{mac}\"\nrecords.replay.file = '{}'\n", tx.display());
+    }
+    let config = Config::read(&text, Path::new("")).unwrap_or_else(|error| panic!("{error}\n{text}"));
+    let (_, last) = run(machine(&config), Instant::from_us(i64::MAX));
+    for (link, report) in offline.links.iter().zip(&last) {
+        let expected = link.bearing.as_ref().unwrap();
+        let off = off_deg(report, expected.estimate.azimuth_rad.to_degrees());
+        println!("{}: {off:.4} deg, {} and {} pairs", report.answer.link, report.answer.pairs, expected.pairs.formed);
+        assert!(off <= 0.01, "{off} {report:?}");
+    }
+    last.len()
+}

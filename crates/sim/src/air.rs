@@ -1,0 +1,469 @@
+//! The air: frames in true time, who hears which, and what each card's driver makes of it.
+//!
+//! Everything is an event in a queue ordered by time; nothing happens between events, so an hour of an idle room is
+//! free. Coefficients are not computed here but when a record is read, and only for robots that somebody reads.
+
+use super::faults::Injected;
+use super::followed::Follower;
+use super::node::{Flight, Heard, Listening, Node, Outgoing, Reception};
+use super::radio::Radio;
+use super::station::{Role, Station};
+use super::surfaces::Path;
+use super::world::World;
+use csi5300::time::Instant;
+use driver_iface::mpdu;
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, VecDeque};
+use std::sync::Arc;
+
+/// Address 1 and 2 of frames for which a card in monitor mode reports CSI (iwlwifi dvm/sta.c, csitool FAQ).
+const MAGIC_MAC: [u8; 6] = [0x00, 0x16, 0xea, 0x12, 0x34, 0x56];
+/// Clear channel assessment takes this long: frames that start closer together do not hear each other (802.11 aCCATime).
+const SENSE_NS: i64 = 4_000;
+/// DIFS in the 5 GHz band, the slot of the back-off after it, and the number of slots (aCWmin + 1).
+const DIFS_NS: i64 = 34_000;
+const BACK_OFF_NS: i64 = 9_000;
+const BACK_OFF_SLOTS: f64 = 16.0;
+/// No answer begins sooner after a frame's end (SIFS).
+const SIFS_NS: i64 = 16_000;
+/// A frame that repeats a number heard no longer ago than this is its answer.
+const ANSWER_WITHIN_NS: i64 = 5_000_000;
+
+#[derive(Debug)]
+enum What {
+    Start { from: usize },
+    End { flight: u64 },
+    Again { robot: usize, flight: Arc<Flight>, role: Role },
+    Ask { robot: usize },
+    Off { robot: usize },
+    On { robot: usize },
+}
+
+#[derive(Debug)]
+struct Event {
+    t_ns: i64,
+    order: u64,
+    what: What,
+}
+
+impl PartialEq for Event {
+    fn eq(&self, other: &Self) -> bool {
+        self.order == other.order
+    }
+}
+
+impl Eq for Event {}
+
+impl PartialOrd for Event {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Event {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        (self.t_ns, self.order).cmp(&(other.t_ns, other.order))
+    }
+}
+
+/// A frame on air now.
+#[derive(Debug)]
+struct Active {
+    id: u64,
+    flight: Arc<Flight>,
+    collided: bool,
+}
+
+/// Makes a robot's sender, anew after each restart. The arguments: the robot, its restarts so far, and the time on its
+/// own clock at which it is switched on.
+pub type MakeStation = Box<dyn FnMut(usize, u64, Instant) -> Option<Box<dyn Station>> + Send>;
+
+/// All frames of a room.
+pub struct Air {
+    world: Arc<World>,
+    nodes: Vec<Node>,
+    events: BinaryHeap<Reverse<Event>>,
+    order: u64,
+    active: Vec<Active>,
+    now_ns: i64,
+    end_ns: i64,
+    paths: Vec<Path>,
+    make_station: MakeStation,
+    scratch: Vec<u8>,
+    followers: Vec<Follower>,
+}
+
+impl std::fmt::Debug for Air {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Air").field("now_ns", &self.now_ns).field("nodes", &self.nodes).finish_non_exhaustive()
+    }
+}
+
+impl Air {
+    /// The air of a world, at time 0. `make_station` makes the senders that the room itself runs.
+    #[must_use]
+    pub fn new(world: Arc<World>, make_station: MakeStation) -> Self {
+        let scene = world.scene();
+        let nodes = (0..scene.robot.len()).map(|robot| Node::new(scene.seed, robot)).collect();
+        let end_ns = (scene.duration_s * 1e9).round() as i64;
+        let mut air = Self {
+            nodes,
+            events: BinaryHeap::new(),
+            order: 0,
+            active: Vec::new(),
+            now_ns: 0,
+            end_ns,
+            paths: Vec::new(),
+            make_station,
+            scratch: Vec::new(),
+            followers: Vec::new(),
+            world,
+        };
+        for robot in 0..air.nodes.len() {
+            let faults = air.world.scene().robot[robot].faults.clone();
+            for at_s in faults.restart_at_s {
+                let (off, on) = ((at_s * 1e9) as i64, ((at_s + faults.restart_s) * 1e9) as i64);
+                air.push(off, What::Off { robot });
+                air.push(on, What::On { robot });
+            }
+            air.nodes[robot].station = (air.make_station)(robot, 0, Instant::ZERO);
+            air.arm(robot);
+        }
+        air
+    }
+
+    /// The world.
+    #[must_use]
+    pub fn world(&self) -> &Arc<World> {
+        &self.world
+    }
+
+    /// A robot's card, driver and counts.
+    pub fn node(&mut self, robot: usize) -> &mut Node {
+        &mut self.nodes[robot]
+    }
+
+    /// What was done to each robot.
+    pub fn injected(&self) -> impl Iterator<Item = Injected> + '_ {
+        self.nodes.iter().map(|node| node.injected)
+    }
+
+    /// The true time that the room has come to.
+    #[must_use]
+    pub fn now_ns(&self) -> i64 {
+        self.now_ns
+    }
+
+    /// The end of the scene, true time.
+    #[must_use]
+    pub fn end_ns(&self) -> i64 {
+        self.end_ns
+    }
+
+    /// When the next thing happens, if anything does before the end.
+    #[must_use]
+    pub fn next_ns(&self) -> Option<i64> {
+        self.events.peek().map(|Reverse(event)| event.t_ns).filter(|&t_ns| t_ns <= self.end_ns)
+    }
+
+    /// From now on a robot goes where its source says. False if it follows one already.
+    pub fn follow(&mut self, follower: Follower) -> bool {
+        let free = self.follower(follower.robot).is_none();
+        if free {
+            self.followers.push(follower);
+        }
+        free
+    }
+
+    /// The source that a robot follows.
+    #[must_use]
+    pub fn follower(&self, robot: usize) -> Option<&Follower> {
+        self.followers.iter().find(|follower| follower.robot == robot)
+    }
+
+    /// Lets time pass up to `until_ns`, but not beyond the end of the scene.
+    pub fn advance(&mut self, until_ns: i64) {
+        // What has come by then says nothing of the time before.
+        let now = Instant::from_us(until_ns.max(self.now_ns) / 1_000);
+        self.followers.iter_mut().for_each(|follower| follower.take(now));
+        let until_ns = until_ns.min(self.end_ns);
+        while self.events.peek().is_some_and(|Reverse(event)| event.t_ns <= until_ns) {
+            let Some(Reverse(event)) = self.events.pop() else { break };
+            self.now_ns = self.now_ns.max(event.t_ns);
+            self.handle(event);
+        }
+        self.now_ns = self.now_ns.max(until_ns);
+    }
+
+    /// A robot's host hands a frame (no FCS) to its card at `now_ns`, to be sent with the robot's own `mcs` if none is
+    /// given. It goes on air at once, an answer after the turn-around, if the air is free; else when it is.
+    pub fn transmit(&mut self, robot: usize, now_ns: i64, bytes: &[u8], mcs: Option<u8>) {
+        let now_ns = now_ns.max(self.now_ns);
+        if !self.nodes[robot].on {
+            return;
+        }
+        let node = &mut self.nodes[robot];
+        let scene = self.world.scene();
+        let radio = scene.radio_of(&scene.robot[robot]);
+        let answered = node.heard.filter(|heard| {
+            heard.number.is_some() && heard.number == number_of(bytes) && now_ns - heard.start_ns < ANSWER_WITHIN_NS
+        });
+        let (start_ns, instant_ns) = match answered {
+            Some(heard) => {
+                node.heard = None;
+                let after_ns = heard.start_ns + radio.turn_around.draw_ns(heard.away_ns, &mut node.timing);
+                (after_ns.max(heard.end_ns + SIFS_NS).max(now_ns), Some(heard.instant_ns))
+            }
+            None => (now_ns + radio.send_jitter_ns(&mut node.timing), None),
+        };
+        let mcs = mcs.unwrap_or(radio.mcs);
+        node.outgoing.push_back(Outgoing { not_before_ns: start_ns, instant_ns, mcs, bytes: bytes.into() });
+        if node.outgoing.len() == 1 {
+            self.attempt(robot, start_ns);
+        }
+    }
+
+    /// A card will try to send at `t_ns`.
+    fn attempt(&mut self, robot: usize, t_ns: i64) {
+        self.nodes[robot].tried_ns = Some(t_ns);
+        self.push(t_ns, What::Start { from: robot });
+    }
+
+    fn push(&mut self, t_ns: i64, what: What) {
+        self.order += 1;
+        self.events.push(Reverse(Event { t_ns, order: self.order, what }));
+    }
+
+    fn handle(&mut self, event: Event) {
+        let t_ns = event.t_ns;
+        match event.what {
+            What::Start { from } => {
+                if self.nodes[from].tried_ns == Some(t_ns) {
+                    self.start(t_ns, from);
+                }
+            }
+            What::End { flight } => self.end(flight),
+            What::Again { robot, flight, role } => {
+                let again = self.received(robot, &flight, t_ns, role, 0);
+                self.nodes[robot].injected.duplicated += u64::from(again);
+            }
+            What::Ask { robot } => {
+                if self.nodes[robot].armed_ns == Some(t_ns) {
+                    self.nodes[robot].armed_ns = None;
+                    self.ask(robot, t_ns);
+                }
+            }
+            What::Off { robot } => {
+                let node = &mut self.nodes[robot];
+                (node.on, node.station, node.armed_ns, node.heard) = (false, None, None, None);
+                (node.outgoing, node.tried_ns) = (VecDeque::new(), None);
+                node.injected.restarts += 1;
+            }
+            What::On { robot } => self.switch_on(robot, t_ns),
+        }
+    }
+
+    /// The driver is loaded anew: the counter begins at 1, the card's clock at 0, and the host's sender too.
+    fn switch_on(&mut self, robot: usize, t_ns: i64) {
+        let restarts = self.nodes[robot].injected.restarts;
+        let station = (self.make_station)(robot, restarts, local(&self.world, robot, t_ns));
+        let node = &mut self.nodes[robot];
+        (node.on, node.bfee_count, node.dropped_since) = (true, 0, None);
+        node.clock_base_us = self.world.scene().robot[robot].crystal.clock_us(t_ns);
+        node.station = station;
+        self.arm(robot);
+    }
+
+    /// A card's first frame begins, unless the air is heard to be busy.
+    fn start(&mut self, t_ns: i64, from: usize) {
+        let busy = self.active.iter().filter(|a| a.flight.from == from || a.flight.start_ns + SENSE_NS <= t_ns);
+        if let Some(busy_ns) = busy.map(|a| a.flight.end_ns).max() {
+            let slots = (self.nodes[from].timing.uniform() * BACK_OFF_SLOTS) as i64;
+            self.attempt(from, busy_ns + DIFS_NS + slots * BACK_OFF_NS);
+            return;
+        }
+        let node = &mut self.nodes[from];
+        node.tried_ns = None;
+        let Some(Outgoing { bytes, instant_ns, mcs, .. }) = node.outgoing.pop_front() else { return };
+        node.injected.sent += 1;
+        let waiting_ns = node.outgoing.front().map(|next| next.not_before_ns);
+        let scene = self.world.scene();
+        let radio = Radio { mcs, ..*scene.radio_of(&scene.robot[from]) };
+        let end_ns = t_ns + radio.airtime_ns(bytes.len() + mpdu::FCS, scene.bandwidth_mhz == 40);
+        let instant_ns = instant_ns.unwrap_or(t_ns);
+        let flight = Arc::new(Flight { from, start_ns: t_ns, end_ns, instant_ns, mcs, bytes });
+        let collided = !self.active.is_empty();
+        self.active.iter_mut().for_each(|active| active.collided = true);
+        let id = self.order;
+        self.active.push(Active { id, flight, collided });
+        self.push(end_ns, What::End { flight: id });
+        if let Some(waiting_ns) = waiting_ns {
+            self.attempt(from, waiting_ns.max(end_ns + DIFS_NS));
+        }
+    }
+
+    /// A frame ends: every other robot hears it, or not.
+    fn end(&mut self, id: u64) {
+        let Some(at) = self.active.iter().position(|a| a.id == id) else { return };
+        let Active { flight, collided, .. } = self.active.swap_remove(at);
+        self.nodes[flight.from].pass(&flight, true);
+        for robot in 0..self.nodes.len() {
+            if robot != flight.from && self.hears(robot, &flight, collided) {
+                self.hear(robot, &flight);
+            }
+        }
+    }
+
+    /// Whether a robot's card decodes a frame; counted if not.
+    fn hears(&mut self, robot: usize, flight: &Flight, collided: bool) -> bool {
+        let scene = self.world.scene();
+        let node = &mut self.nodes[robot];
+        if !node.on {
+            node.injected.missed_while_off += 1;
+        } else if collided {
+            node.injected.collided += 1;
+        } else if !self.world.is_open()
+            && !self.world.paths(flight.from, robot, 0, flight.start_ns as f64 * 1e-9, &mut self.paths)
+        {
+            node.injected.out_of_reach += 1;
+        } else if node.loss.happens(scene.robot[robot].faults.loss) {
+            node.injected.lost += 1;
+        } else {
+            return true;
+        }
+        false
+    }
+
+    /// A robot hears a frame: its sender is told, its driver makes a record and may answer by itself.
+    fn hear(&mut self, robot: usize, flight: &Arc<Flight>) {
+        let world = Arc::clone(&self.world);
+        let scene = world.scene();
+        let radio = scene.radio_of(&scene.robot[robot]);
+        let node = &mut self.nodes[robot];
+        node.pass(flight, false);
+        let away_ns = radio.turn_around.draw_away_ns(&mut node.away, &mut node.timing);
+        node.heard = Some(Heard {
+            away_ns,
+            start_ns: flight.start_ns,
+            end_ns: flight.end_ns,
+            instant_ns: flight.instant_ns,
+            number: number_of(&flight.bytes),
+        });
+        let now = local(&self.world, robot, flight.end_ns);
+        let role = node.station.as_mut().map_or(Role::Unknown, |s| s.heard(now, &flight.bytes));
+        let duplicated = node.loss.happens(scene.robot[robot].faults.duplicate);
+        self.received(robot, flight, flight.start_ns, role, away_ns);
+        if duplicated {
+            let again_ns = flight.start_ns + radio.turn_around.draw_ns(away_ns, &mut self.nodes[robot].timing);
+            self.push(again_ns.max(flight.end_ns), What::Again { robot, flight: Arc::clone(flight), role });
+        }
+        if scene.robot[robot].ack_len == Some(flight.bytes.len() + mpdu::FCS) {
+            let answer = driver_answer(&flight.bytes, world.mac(robot).0);
+            self.transmit(robot, flight.end_ns, &answer, None);
+        }
+        if self.nodes[robot].station.is_some() {
+            self.ask(robot, flight.end_ns);
+        }
+    }
+
+    /// The driver counts a frame with CSI and hands its record on, or loses it. False if there was nothing to count:
+    /// no CSI was asked for, or the robot is off.
+    fn received(&mut self, robot: usize, flight: &Arc<Flight>, t_ns: i64, role: Role, away_ns: i64) -> bool {
+        let measured = [4, 10].iter().all(|&at| flight.bytes.get(at..at + 6) == Some(&MAGIC_MAC));
+        let node = &mut self.nodes[robot];
+        if !measured || !node.on {
+            return false;
+        }
+        node.bfee_count = node.bfee_count.wrapping_add(1);
+        node.injected.received += 1;
+        let scene = self.world.scene();
+        if node.loss.happens(scene.robot[robot].faults.driver_drop) {
+            node.injected.driver_dropped += 1;
+            // Until another record comes.
+            node.injected.driver_dropped_unseen += 1;
+            node.dropped_since = node.dropped_since.map(|dropped| dropped + 1);
+            return true;
+        }
+        let overheard = node.listening == Listening::Own && role == Role::Overheard;
+        node.injected.overheard += u64::from(overheard);
+        if node.listening != Listening::Nobody && !overheard {
+            let radio = scene.radio_of(&scene.robot[robot]);
+            let end_ns = t_ns + flight.end_ns - flight.start_ns;
+            // The driver's queue keeps the order.
+            let arrival_ns = (end_ns + radio.host_latency_ns(away_ns, &mut node.timing)).max(node.last_arrival_ns);
+            node.last_arrival_ns = arrival_ns;
+            let clock_us = scene.robot[robot].crystal.clock_us(t_ns).wrapping_sub(node.clock_base_us);
+            let bfee_count = node.bfee_count;
+            node.injected.driver_dropped_unseen -= node.dropped_since.replace(0).unwrap_or(0);
+            node.arrivals.push_back(Reception {
+                flight: Arc::clone(flight),
+                t_ns,
+                arrival_ns,
+                bfee_count,
+                clock_us,
+                role,
+            });
+        }
+        true
+    }
+
+    /// Asks a robot's sender for frames, and when to ask again.
+    fn ask(&mut self, robot: usize, t_ns: i64) {
+        let now = local(&self.world, robot, t_ns);
+        let mut bytes = std::mem::take(&mut self.scratch);
+        loop {
+            bytes.clear();
+            let Some(station) = self.nodes[robot].station.as_mut() else { break };
+            if !station.transmit(now, &mut bytes) {
+                break;
+            }
+            self.transmit(robot, t_ns, &bytes, None);
+        }
+        self.scratch = bytes;
+        self.arm(robot);
+    }
+
+    /// Sees to it that a sender is asked when it wants to be.
+    fn arm(&mut self, robot: usize) {
+        let node = &mut self.nodes[robot];
+        let Some(at) = node.station.as_ref().and_then(|s| s.timeout()) else { return };
+        let t_ns = true_ns(&self.world, robot, at).max(self.now_ns + 1);
+        if node.armed_ns.is_none_or(|armed_ns| t_ns < armed_ns) {
+            node.armed_ns = Some(t_ns);
+            self.push(t_ns, What::Ask { robot });
+        }
+    }
+}
+
+/// The number of a sounding frame: the four bytes after the header, in both dialects.
+fn number_of(bytes: &[u8]) -> Option<[u8; 4]> {
+    bytes.get(mpdu::HEADER..)?.first_chunk().copied()
+}
+
+/// A true time on a host's monotonic clock, which runs like its wall clock and begins with the scene.
+fn local(world: &World, robot: usize, t_ns: i64) -> Instant {
+    let fast_ns = (t_ns as f64 * world.scene().robot[robot].host_clock.drift_ppm * 1e-6).round() as i64;
+    Instant::from_us((t_ns + fast_ns).div_euclid(1_000))
+}
+
+/// The first true time at which a host's monotonic clock shows `at`.
+fn true_ns(world: &World, robot: usize, at: Instant) -> i64 {
+    let local_ns = at.as_us().saturating_mul(1_000);
+    let rate = 1.0 + world.scene().robot[robot].host_clock.drift_ppm * 1e-6;
+    let mut t_ns = local_ns - (local_ns as f64 * (1.0 - 1.0 / rate)).round() as i64;
+    while local(world, robot, t_ns) < at {
+        t_ns += 1;
+    }
+    t_ns
+}
+
+/// What the WSR driver answers by itself: the frame with its FCS and one byte more, addr3 replaced by its own MAC.
+fn driver_answer(frame: &[u8], mac: [u8; 6]) -> Vec<u8> {
+    let mut answer = frame.to_vec();
+    answer.extend_from_slice(&mpdu::crc32(frame).to_le_bytes());
+    answer.push(0);
+    if let Some(addr3) = answer.get_mut(mpdu::offset::ADDR3..mpdu::offset::ADDR3 + 6) {
+        addr3.copy_from_slice(&mac);
+    }
+    answer
+}

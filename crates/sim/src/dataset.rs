@@ -1,0 +1,379 @@
+//! A simulated room as a capture folder in the layout of the WSR data set.
+
+use super::motion::Pose;
+use super::port::Port;
+use super::room::Room;
+use super::scene::Driver;
+use super::station::Role;
+use csi5300::motion::odometry::{NextPose, OdometrySource};
+use csi5300::source::recorder::{STAMP, side_path};
+use csi5300::source::{CsiSource, Error, Next};
+use csi5300::time::Instant;
+use driver_iface::record::Record;
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// Rows per second of the true trajectories, as motion capture gives them.
+const TRUTH_HZ: f64 = 200.0;
+/// What a killed logger leaves: whole blocks of its C library's buffer.
+const BLOCK: u64 = 4_096;
+
+/// One receiving robot's folder.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Capture {
+    /// The initiator's number; it is the receiver of the data set.
+    pub receiver: usize,
+    /// Its folder.
+    pub dir: PathBuf,
+    /// The time in its files' names.
+    pub stamp: String,
+    /// The logs in it.
+    pub logs: Vec<Log>,
+}
+
+/// One log.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Log {
+    /// Its file.
+    pub path: PathBuf,
+    /// The robot that logged.
+    pub robot: usize,
+    /// Whole records in it.
+    pub records: u64,
+    /// Records that are not in it whole, because its writer was killed.
+    pub tail_records: u64,
+    /// Bytes of the first of those.
+    pub tail_bytes: u64,
+}
+
+/// A log being written.
+struct Writing {
+    out: BufWriter<File>,
+    log: Log,
+    len: u64,
+    /// Host times, for records that have none.
+    side: Option<BufWriter<File>>,
+    /// Where the records of the last blocks begin.
+    starts: Vec<u64>,
+    scratch: Vec<u8>,
+}
+
+/// Runs a room to its end and writes what its robots log, one folder for each initiator (`dir` itself if there is one,
+/// else `dir/NAME`):
+///
+/// | file | what |
+/// |---|---|
+/// | `csi_rx_TS.dat` | the initiator's log: the backward frames of all responders |
+/// | `csi_*_TS.datstp` | beside each log in the stock layout, whose records have no host times: those of its records |
+/// | `csi_txK_TS.dat` | the log of robot number K: the initiator's forward frames to it |
+/// | `rx_trajectory_TS_.csv` | where the initiator's antenna A truly was: sec.frac, 0, x, y, z, |
+/// | `odom_rx_trajectory_TS_.csv` | its odometry: sec, nsec, x, y, z, quaternion, velocity, angular velocity, |
+/// | `txK_trajectory_TS_.csv` | where the antenna of a moving robot K truly was |
+/// | `groundtruth_positions.json` | channel and places of the transmitters' antennas at the start |
+///
+/// TS is the scene's start (UTC). Times in trajectories are those of the initiator's host clock, metres in the scene's
+/// frame. Records of exchanges in which the logging robot has no part are left out, as in the data set; they show as
+/// gaps in `bfee_count`. `progress` is told the share of the scene that is done, about a hundred times.
+///
+/// # Errors
+/// [`Error::Io`] when a file cannot be written, [`Error::Input`] when a card of the room was taken before, or a robot is
+/// `followed`: only a running node has poses for it.
+pub fn write_dataset(room: &mut Room, dir: &Path, progress: &mut dyn FnMut(f64)) -> Result<Vec<Capture>, Error> {
+    let followed = room.scene().robot.iter().find(|robot| matches!(robot.motion, super::motion::Motion::Followed(_)));
+    if let Some(robot) = followed {
+        let what =
+            "goes where an odometry source says while a node runs: `csi5300 node`, with `follow` in `capture.room`";
+        return Err(Error::Input(format!("robot `{}` {what}", robot.name)));
+    }
+    let initiators = room.scene().initiators();
+    let stamp = stamp(room.scene().start_unix_s);
+    let mut folders = BTreeMap::new();
+    for &receiver in &initiators {
+        let name = room.scene().robot.get(receiver).map_or("", |robot| &robot.name);
+        let folder = if initiators.len() == 1 { dir.to_owned() } else { dir.join(name) };
+        at(&folder, "create the folder", fs::create_dir_all(&folder))?;
+        folders.insert(receiver, folder);
+    }
+    let logs = run(room, &folders, &stamp, progress)?;
+    let mut captures = Vec::new();
+    for (&receiver, folder) in &folders {
+        write_truths(room, receiver, folder, &stamp)?;
+        write_odometry(room, receiver, folder, &stamp)?;
+        write_positions(room, receiver, folder)?;
+        let logs = logs.iter().filter(|((owner, _), _)| *owner == receiver).map(|(_, log)| log.clone()).collect();
+        captures.push(Capture { receiver, dir: folder.clone(), stamp: stamp.clone(), logs });
+    }
+    Ok(captures)
+}
+
+type Logs<T> = BTreeMap<(usize, usize), T>;
+
+/// Runs the room and writes all logs, by initiator and logging robot.
+fn run(
+    room: &mut Room,
+    folders: &BTreeMap<usize, PathBuf>,
+    stamp: &str,
+    progress: &mut dyn FnMut(f64),
+) -> Result<Logs<Log>, Error> {
+    let robots = room.scene().robot.len();
+    let mut cards: Vec<Port> = (0..robots).filter_map(|robot| room.card(robot)).collect();
+    if cards.len() != robots {
+        return Err(Error::Input("a card of this room was taken before; a data set needs all".to_owned()));
+    }
+    let mut logs: Logs<Writing> = BTreeMap::new();
+    for (&receiver, folder) in folders {
+        for robot in 0..robots {
+            let who = if robot == receiver { "rx".to_owned() } else { format!("tx{robot}") };
+            let path = folder.join(format!("csi_{who}_{stamp}.dat"));
+            logs.insert((receiver, robot), Writing::create(path, robot, room.scene().driver == Driver::Stock)?);
+        }
+    }
+    cards.iter_mut().for_each(Port::own_only);
+    let end_us = room.scene().duration_s * 1e6;
+    let (mut now, mut told, mut running) = (Instant::ZERO, -1.0, true);
+    while running {
+        running = false;
+        let mut next: Option<Instant> = None;
+        for (robot, card) in cards.iter_mut().enumerate() {
+            let over = drain(card, now, |role, from, host_us, record| {
+                let key = owner(folders, role, robot, from).map(|owner| (owner, robot));
+                key.and_then(|key| logs.get_mut(&key)).map_or(Ok(()), |log| log.write(host_us, record))
+            })?;
+            running |= !over;
+            let at = if over { None } else { card.next_at() };
+            next = [next, at].into_iter().flatten().min();
+        }
+        let share = (now.as_us() as f64 / end_us).min(1.0);
+        if share >= told + 0.01 {
+            told = share;
+            progress(share);
+        }
+        now = next.unwrap_or(now).max(now);
+    }
+    let mut done = BTreeMap::new();
+    for (key, writing) in logs {
+        let killed = room.scene().robot.get(key.1).is_some_and(|robot| robot.faults.killed);
+        let log = writing.finish(killed)?;
+        room.note_tail(key.1, log.tail_records, log.tail_bytes);
+        done.insert(key, log);
+    }
+    Ok(done)
+}
+
+/// Reads all that a card has at `now`; true when it is at its end.
+fn drain(
+    card: &mut Port,
+    now: Instant,
+    mut keep: impl FnMut(Role, usize, Option<i64>, &Record<'_>) -> Result<(), Error>,
+) -> Result<bool, Error> {
+    loop {
+        match card.receive_with_role(now)? {
+            (role, from, Next::Record(stamps, record)) => keep(role, from, stamps.host_us, &record)?,
+            (.., Next::Lost(_)) => {}
+            (.., Next::Pending) => return Ok(false),
+            (.., Next::End(_)) => return Ok(true),
+        }
+    }
+}
+
+/// The initiator in whose folder a record belongs.
+fn owner(folders: &BTreeMap<usize, PathBuf>, role: Role, robot: usize, from: usize) -> Option<usize> {
+    let initiates = |robot: &usize| folders.contains_key(robot);
+    match role {
+        Role::Forward => Some(from).filter(initiates),
+        Role::Backward => Some(robot).filter(initiates),
+        Role::Overheard => None,
+        // Nobody says: with one initiator it is clear.
+        Role::Unknown => Some(robot).filter(initiates).or(Some(from).filter(initiates)),
+    }
+}
+
+impl Writing {
+    /// `timed` for a side file with the host times.
+    fn create(path: PathBuf, robot: usize, timed: bool) -> Result<Self, Error> {
+        let file = at(&path, "create the log", File::create(&path))?;
+        let side = timed.then(|| side_path(&path));
+        let side = side.map(|path| at(&path, "create the side file", File::create(&path))).transpose()?;
+        let log = Log { path, robot, records: 0, tail_records: 0, tail_bytes: 0 };
+        Ok(Self {
+            out: BufWriter::new(file),
+            log,
+            len: 0,
+            side: side.map(BufWriter::new),
+            starts: Vec::new(),
+            scratch: Vec::new(),
+        })
+    }
+
+    fn write(&mut self, host_us: Option<i64>, record: &Record<'_>) -> Result<(), Error> {
+        if let Some(side) = &mut self.side {
+            let us = host_us.unwrap_or(0);
+            let stamp = [us.div_euclid(1_000_000), us.rem_euclid(1_000_000)].map(i64::to_le_bytes).concat();
+            at(&self.log.path, "write the host times beside", side.write_all(&stamp))?;
+        }
+        self.scratch.resize(record.emit_len(), 0);
+        record.emit(&mut self.scratch).map_err(|e| Error::Input(format!("cannot frame a simulated record: {e}")))?;
+        at(&self.log.path, "write the log", self.out.write_all(&self.scratch))?;
+        let block = self.len / BLOCK * BLOCK;
+        if self.starts.len() > 2_048 {
+            self.starts.retain(|&start| start + BLOCK >= block);
+        }
+        self.starts.push(self.len);
+        self.len += self.scratch.len() as u64;
+        self.log.records += 1;
+        Ok(())
+    }
+
+    /// Closes the log; a killed one is cut at its last full block.
+    fn finish(mut self, killed: bool) -> Result<Log, Error> {
+        at(&self.log.path, "write the log", self.out.flush())?;
+        let kept = self.len / BLOCK * BLOCK;
+        if killed && kept < self.len {
+            at(&self.log.path, "cut the log", self.out.get_ref().set_len(kept))?;
+            // A record is not whole if it ends after the cut: the next one begins there, or the log ends.
+            let ends = self.starts.iter().skip(1).copied().chain([self.len]);
+            let cut: Vec<u64> = self.starts.iter().zip(ends).filter(|&(_, end)| end > kept).map(|(&s, _)| s).collect();
+            self.log.tail_records = cut.len() as u64;
+            self.log.records -= self.log.tail_records;
+            self.log.tail_bytes = cut.first().map_or(0, |&start| kept.saturating_sub(start));
+        }
+        if let Some(side) = &mut self.side {
+            let whole = self.log.records * STAMP as u64;
+            let done = side.flush().and_then(|()| side.get_ref().set_len(whole));
+            at(&self.log.path, "write the host times beside", done)?;
+        }
+        Ok(self.log)
+    }
+}
+
+impl Room {
+    /// Adds to a robot's account what its killed logger lost.
+    fn note_tail(&self, robot: usize, records: u64, bytes: u64) {
+        let mut air = self.air();
+        let injected = &mut air.node(robot).injected;
+        injected.tail_records += records;
+        injected.tail_bytes += bytes;
+    }
+}
+
+/// True trajectories: the receiver's, and those of transmitters that move.
+fn write_truths(room: &Room, receiver: usize, folder: &Path, stamp: &str) -> Result<(), Error> {
+    for (robot, state) in room.scene().robot.iter().enumerate() {
+        let name = match robot {
+            _ if robot == receiver => format!("rx_trajectory_{stamp}_.csv"),
+            _ if state.motion != super::motion::Motion::Static => format!("tx{robot}_trajectory_{stamp}_.csv"),
+            _ => continue,
+        };
+        write_file(&folder.join(name), |out| {
+            let rows = (room.scene().duration_s * TRUTH_HZ).floor() as usize;
+            for row in 0..=rows {
+                let t_s = row as f64 / TRUTH_HZ;
+                let (Some(p), Some(us)) = (room.antenna(robot, t_s), room.host_us(receiver, t_s)) else { continue };
+                let (s, us) = (us.div_euclid(1_000_000), us.rem_euclid(1_000_000));
+                writeln!(out, "{s}.{us:06},0.000000,{:.6},{:.6},{:.6},", p.x, p.y, p.z)?;
+            }
+            Ok(())
+        })?;
+    }
+    Ok(())
+}
+
+/// The receiver's odometry, in the order in which poses came.
+fn write_odometry(room: &Room, receiver: usize, folder: &Path, stamp: &str) -> Result<(), Error> {
+    let Some(mut source) = room.odometry(receiver) else { return Ok(()) };
+    let mut rows = Vec::new();
+    let mut now = Instant::ZERO;
+    loop {
+        match source.receive(now)? {
+            NextPose::Pose(pose) => rows.push(pose),
+            NextPose::Pending => now = source.next_at().unwrap_or(now),
+            NextPose::NewFrame => {}
+            NextPose::End => break,
+        }
+    }
+    write_file(&folder.join(format!("odom_rx_trajectory_{stamp}_.csv")), |out| {
+        let mut before: Option<csi5300::motion::pose::Pose> = None;
+        for pose in rows {
+            let yaw_rad = pose.heading_rad.unwrap_or(0.0);
+            let (qz, qw) = libm::sincos(0.5 * yaw_rad);
+            let (mut speed, mut rate) = (0.0, 0.0);
+            if let Some(before) = before.filter(|before| before.t_s < pose.t_s) {
+                let step_s = pose.t_s - before.t_s;
+                let along = super::maths::heading(yaw_rad).dot(&(pose.position_m - before.position_m));
+                (speed, rate) = (along / step_s, (yaw_rad - before.heading_rad.unwrap_or(0.0)) / step_s);
+            }
+            let us = (pose.t_s * 1e6).round() as i64;
+            let (s, ns) = (us.div_euclid(1_000_000), us.rem_euclid(1_000_000) * 1_000);
+            let p = pose.position_m;
+            write!(out, "{s}.000000,{ns}.000000,{:.6},{:.6},{:.6},0.000000,0.000000,", p.x, p.y, p.z)?;
+            writeln!(out, "{qz:.6},{qw:.6},{speed:.6},0.000000,0.000000,0.000000,0.000000,{rate:.6},")?;
+            before = Some(pose);
+        }
+        Ok(())
+    })
+}
+
+/// `groundtruth_positions.json`, as the WSR toolbox reads it.
+fn write_positions(room: &Room, receiver: usize, folder: &Path) -> Result<(), Error> {
+    let mut places = serde_json::Map::new();
+    for robot in (0..room.scene().robot.len()).filter(|&robot| robot != receiver) {
+        let Some(p) = room.antenna(robot, 0.0) else { continue };
+        let yaw_rad = room.pose(robot, 0.0).map_or(0.0, |Pose { yaw_rad, .. }| yaw_rad);
+        let (z, w) = libm::sincos(0.5 * yaw_rad);
+        let place = serde_json::json!({
+            "position": { "x": p.x, "y": p.y, "z": p.z },
+            "orientation": { "x": 0, "y": 0, "z": z, "w": w },
+        });
+        places.insert(format!("tx{robot}"), place);
+    }
+    let all = serde_json::json!({
+        "channel": { "desc": "wireless channel used in the 5.0 GHz range", "value": room.scene().channel },
+        "true_rx_position": { "desc": "Position of RX_SAR robot as per the dataset map", "value": 1 },
+        "true_tx_positions": { "desc": "True groundtruth positions of TX for checking accuracy", "value": places },
+    });
+    write_file(&folder.join("groundtruth_positions.json"), |out| writeln!(out, "{all:#}"))
+}
+
+fn write_file(path: &Path, rows: impl FnOnce(&mut BufWriter<File>) -> io::Result<()>) -> Result<(), Error> {
+    let file = at(path, "create", File::create(path))?;
+    let mut out = BufWriter::new(file);
+    at(path, "write", rows(&mut out).and_then(|()| out.flush()))
+}
+
+/// Says what was tried on what.
+fn at<T>(path: &Path, tried: &str, result: io::Result<T>) -> Result<T, Error> {
+    let what = || format!("cannot {tried} {}; is the folder there, writable and on a disk with room", path.display());
+    result.map_err(|source| Error::Io { what: what(), source })
+}
+
+/// `YYYY-MM-DD_HHMMSS` (UTC) of seconds since the Unix epoch.
+fn stamp(unix_s: i64) -> String {
+    let (days, second) = (unix_s.div_euclid(86_400), unix_s.rem_euclid(86_400));
+    // Days since 1 March of year 0, in the proleptic Gregorian calendar: eras of 400 years have 146,097 days.
+    let days = days + 719_468;
+    let (era, day) = (days.div_euclid(146_097), days.rem_euclid(146_097));
+    let year_of_era = (day - day / 1_460 + day / 36_524 - day / 146_096) / 365;
+    let day_of_year = day - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month_from_march = (5 * day_of_year + 2) / 153;
+    let day_of_month = day_of_year - (153 * month_from_march + 2) / 5 + 1;
+    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
+    let year = year_of_era + 400 * era + i64::from(month <= 2);
+    let (h, m, s) = (second / 3_600, second / 60 % 60, second % 60);
+    format!("{year:04}-{month:02}-{day_of_month:02}_{h:02}{m:02}{s:02}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::stamp;
+
+    #[test]
+    fn stamps_are_dates() {
+        assert_eq!(stamp(0), "1970-01-01_000000");
+        assert_eq!(stamp(1_624_839_950), "2021-06-28_002550");
+        assert_eq!(stamp(951_782_399), "2000-02-28_235959");
+        assert_eq!(stamp(951_782_400), "2000-02-29_000000");
+        assert_eq!(stamp(4_107_542_400), "2100-03-01_000000");
+    }
+}

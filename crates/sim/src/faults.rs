@@ -1,0 +1,133 @@
+//! What goes wrong on purpose, and the exact account of it.
+
+use csi5300::time::{Instant, Span};
+use serde::Deserialize;
+
+/// Losses and mishaps of one robot, each as its receiver sees it. All off by default.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Faults {
+    /// Share of frames that this robot's card does not decode.
+    pub loss: f64,
+    /// Share of frames that come a second time, one turn-around later, as in captures with an old responder.
+    pub duplicate: f64,
+    /// Share of records lost in the driver, after `bfee_count` was counted up.
+    pub driver_drop: f64,
+    /// Records that the listener's socket holds: 166 with the kernel's default buffer and WSR records (measured).
+    pub queue_records: usize,
+    /// The listening process stops every so many seconds; 0 for never.
+    pub stall_every_s: f64,
+    /// And for so long, seconds.
+    pub stall_s: f64,
+    /// Times at which the robot is switched off and on: card clock, `bfee_count` and frame numbers begin anew.
+    pub restart_at_s: Vec<f64>,
+    /// How long a restart takes, seconds.
+    pub restart_s: f64,
+    /// The logger is killed: its file ends at the last full 4,096 bytes, mid-record.
+    pub killed: bool,
+}
+
+impl Default for Faults {
+    fn default() -> Self {
+        Self {
+            loss: 0.0,
+            duplicate: 0.0,
+            driver_drop: 0.0,
+            queue_records: 166,
+            stall_every_s: 0.0,
+            stall_s: 0.0,
+            restart_at_s: Vec::new(),
+            restart_s: 1.0,
+            killed: false,
+        }
+    }
+}
+
+impl Faults {
+    /// If the listening process is stopped at `now`, when it goes on. Stalls begin at whole multiples of their period.
+    #[must_use]
+    pub fn stalled_until(&self, now: Instant) -> Option<Instant> {
+        // In whole microseconds: what is due at the end of a stall must not be found stalled by a rounding error.
+        let [every_us, stall_us] = [self.stall_every_s, self.stall_s].map(|s| Span::from_s(s).as_us());
+        if every_us <= 0 || stall_us <= 0 || now.as_us() < every_us {
+            return None;
+        }
+        let until_us = now.as_us() / every_us * every_us + stall_us;
+        (now.as_us() < until_us).then_some(Instant::from_us(until_us))
+    }
+
+    /// If the robot is off at `t_s`.
+    #[must_use]
+    pub fn is_off(&self, t_s: f64) -> bool {
+        self.restart_at_s.iter().any(|&at_s| (at_s..at_s + self.restart_s).contains(&t_s))
+    }
+}
+
+/// What was done to one robot, exactly. The pipeline's own counts are held against it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Injected {
+    /// Frames that this robot sent.
+    pub sent: u64,
+    /// Frames that its card received and that asked for a record (duplicates included).
+    pub received: u64,
+    /// Frames lost: [`Faults::loss`].
+    pub lost: u64,
+    /// Frames lost because they overlapped with another on air, or because this robot was sending.
+    pub collided: u64,
+    /// Frames lost because no path reached this robot.
+    pub out_of_reach: u64,
+    /// Frames lost because this robot was off.
+    pub missed_while_off: u64,
+    /// Frames received a second time: [`Faults::duplicate`]. Both copies are in `received`, and the driver may lose
+    /// either: a frame counts here although only one of its records was handed on.
+    pub duplicated: u64,
+    /// Records of others' exchanges, left out by a reader who wants only its own ([`super::Port::own_only`]).
+    pub overheard: u64,
+    /// Records lost in the driver, first and second copies of a frame alike: [`Faults::driver_drop`].
+    pub driver_dropped: u64,
+    /// Those of them before the first and after the last record that the driver handed on, from each switching on to the
+    /// next. No gap in `bfee_count` shows them: a log that ends with lost records has the bytes of one that ended before
+    /// them, and one that begins after them those of one that was begun later.
+    pub driver_dropped_unseen: u64,
+    /// Times the socket's queue ran over.
+    pub overruns: u64,
+    /// Records lost because of it.
+    pub overrun_records: u64,
+    /// Restarts.
+    pub restarts: u64,
+    /// Records handed out, whole.
+    pub delivered: u64,
+    /// Components of channel coefficients cut to -128 or 127.
+    pub saturated: u64,
+    /// Records lost at the end of a log whose writer was killed, the cut one included.
+    pub tail_records: u64,
+    /// Bytes left of the cut record, its length field included.
+    pub tail_bytes: u64,
+    /// Poses handed out.
+    pub poses: u64,
+    /// Poses that never came.
+    pub poses_dropped: u64,
+    /// Poses that came late.
+    pub poses_late: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn stalls_and_restarts_have_their_times() {
+        let faults =
+            Faults { stall_every_s: 10.0, stall_s: 2.0, restart_at_s: vec![3.0], restart_s: 0.5, ..Faults::default() };
+        let until_ms = |faults: &Faults, ms: i64| {
+            faults.stalled_until(Instant::from_us(1_000 * ms)).map(|until| until.as_us() / 1_000)
+        };
+        assert_eq!(until_ms(&faults, 1_000), None, "the first stall is after one period");
+        assert_eq!(until_ms(&faults, 11_000), Some(12_000));
+        assert_eq!(until_ms(&faults, 12_000), None);
+        let fine = Faults { stall_every_s: 3.0, stall_s: 0.4, ..Faults::default() };
+        assert_eq!((until_ms(&fine, 6_399), until_ms(&fine, 6_400)), (Some(6_400), None), "no endless stall");
+        assert!(!faults.is_off(2.9) && faults.is_off(3.2) && !faults.is_off(3.5));
+        assert_eq!(until_ms(&Faults::default(), 20_000), None);
+    }
+}

@@ -1,0 +1,105 @@
+//! A room full of robots that speaks the card's bytes.
+//!
+//! It stands where the card, its driver and the logger stand: it moves robots, propagates waves, runs the TDMA
+//! exchange of live cards, and gives out the records that they would have given, in the same layouts, with the same
+//! 8 bits, losses, overruns and cut tails. Nothing behind [`csi5300::source::CsiSource`] can tell the difference.
+//!
+//! ```
+//! use csi5300_sim::{Room, Scene};
+//! use csi5300::source::{CsiSource, Next};
+//! use csi5300::time::Instant;
+//!
+//! let mut scene = Scene::built_in("paper-circle").expect("it comes with the program");
+//! scene.duration_s = 0.5;
+//! let mut room = Room::new(&scene)?;
+//! let mut card = room.card(0).expect("nobody took it before");
+//! let (mut now, mut records) = (Instant::ZERO, 0);
+//! loop {
+//!     match card.receive(now)? {
+//!         Next::Record(_, record) => records += usize::from(record.code == 0xBB),
+//!         Next::Lost(loss) => println!("{loss:?}"),
+//!         Next::Pending => now = card.next_at().unwrap_or(now),
+//!         Next::End(_) => break,
+//!     }
+//! }
+//! assert_eq!(records, 50); // 100 rounds per second
+//! # Ok::<(), csi5300::source::Error>(())
+//! ```
+//!
+//! The chain, from what a scene states to bytes:
+//!
+//! | module | what it turns into what |
+//! |---|---|
+//! | [`scene`] | TOML into a checked scene; refusals have the line and the reason |
+//! | [`motion`] | time into poses: shapes, walks, waypoints, recorded trajectories |
+//! | `followed` | an odometry source into poses, while it gives them |
+//! | `surfaces` | two places into paths: image method to any order, exact lengths, blocked and weakened paths |
+//! | `carrier` | paths into 30 tones at the card's true subcarrier indices |
+//! | [`crystal`] | time into a card's clock and carrier phase, which share one crystal |
+//! | `world` | all of these for every robot |
+//! | [`radio`], `receiver` | tones into 8-bit coefficients: noise, gain control, RSSI, antenna order, saturation |
+//! | `station`, `sounder` | time into frames: the TDMA state machine |
+//! | `air`, `node` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
+//! | `turn_around` | frames into the moments of their answers |
+//! | `port` | receptions into records, behind a socket queue that overruns as the kernel's does |
+//! | `interface` | frames for senders outside of the room, as a monitor interface gives them |
+//! | `odometer` | true motion into a sensor's poses |
+//! | `dataset` | a room into a capture folder |
+//!
+//! Two rules keep it fast and honest. What a scene does not ask for is not computed: an effect that is off draws no
+//! random number, reflections are searched only where surfaces stand, and coefficients are computed when a record is
+//! read, so not at all for robots and exchanges that nobody reads. And a seed gives the same bytes on any machine:
+//! random numbers are ChaCha8 streams, one for each purpose and robot, and all functions that end in a byte are plain
+//! arithmetic (see `maths`).
+//!
+//! One space-time stream is sent (MCS 0 to 7), as sounding does; up to three antennas receive.
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
+
+mod air;
+mod backend;
+mod built_in;
+mod carrier;
+pub mod crystal;
+mod dataset;
+mod faults;
+mod followed;
+mod interface;
+mod maths;
+pub mod motion;
+mod node;
+mod odometer;
+mod port;
+pub mod radio;
+mod random;
+mod receiver;
+mod recorded;
+mod room;
+pub mod scene;
+mod scene_check;
+#[cfg(feature = "serve")]
+pub mod served;
+mod sounder;
+mod station;
+mod surfaces;
+mod turn_around;
+mod world;
+
+pub use air::MakeStation;
+pub use backend::Backend;
+pub use built_in::BUILT_IN;
+pub use dataset::{Capture, Log, write_dataset};
+pub use faults::{Faults, Injected};
+pub use interface::{Interface, Seen};
+pub use odometer::Odometer;
+pub use port::Port;
+pub use recorded::Recorded;
+pub use room::Room;
+pub use scene::{Scene, SceneError};
+pub use station::{Role, Station};
+
+#[cfg(test)]
+mod dataset_tests;
+#[cfg(test)]
+mod room_tests;
+#[cfg(test)]
+mod sounding_tests;

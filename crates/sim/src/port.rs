@@ -1,0 +1,278 @@
+//! One robot's card as the rest of the program sees it: a [`CsiSource`] and an [`Injector`].
+
+use super::air::Air;
+use super::faults::Faults;
+use super::node::{Flight, Listening, Reception};
+use super::radio::Radio;
+use super::receiver::{Arrival, Receiver};
+use super::scene::Driver;
+use super::station::Role;
+use csi5300::source::{CsiSource, Error, Injector, Loss, Next, Stamps};
+use csi5300::time::Instant;
+use driver_iface::Mac;
+use driver_iface::bfee::{MAX_BODY, NOISE_UNKNOWN_DBM, Repr, Wsr};
+use driver_iface::mpdu;
+use driver_iface::record::{Record, Tail, code};
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Longest frame that mac80211 takes (IEEE80211_MAX_FRAME_LEN), without FCS.
+const MAX_FRAME: usize = 2_352 - mpdu::FCS;
+
+/// A robot's card, driver and listening socket.
+///
+/// Reading is what a process does that reads the kernel's socket: what came since the last reading waits in a queue
+/// of [`Faults::queue_records`]. If more came, the newest are lost until the queue has been read empty, as the
+/// kernel's overrun latch has it, and then one [`Loss::Overrun`] says how many. Records of the stock driver come in
+/// twos, 0xC1 before 0xBB; the pair counts as one in the queue.
+#[derive(Debug)]
+pub struct Port {
+    air: Arc<Mutex<Air>>,
+    robot: usize,
+    receiver: Receiver,
+    faults: Faults,
+    driver: Driver,
+    queue: VecDeque<Reception>,
+    /// Lost since the queue ran over; some while the latch holds.
+    overrun: Option<u64>,
+    /// The 0xBB that follows a 0xC1 already handed out.
+    follows: Option<Reception>,
+    body: Vec<u8>,
+    /// MAC and number of the last frame that had them; the driver keeps them for frames too short to.
+    last: (Mac, u32),
+    handed_out: u64,
+    now: Instant,
+}
+
+/// What was read; a record's body is in the port.
+enum Read {
+    Record(Stamps, u8, Role, usize),
+    Lost(Loss),
+    Pending,
+    End,
+}
+
+/// Locks the air. A panic elsewhere leaves it in order between events, so poison is no reason to stop.
+pub(super) fn lock(air: &Mutex<Air>) -> MutexGuard<'_, Air> {
+    air.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Port {
+    pub(super) fn new(air: Arc<Mutex<Air>>, robot: usize) -> Self {
+        let mut guard = lock(&air);
+        guard.node(robot).listening = Listening::All;
+        let world = Arc::clone(guard.world());
+        drop(guard);
+        let scene = world.scene();
+        let state = &scene.robot[robot];
+        Self {
+            air,
+            robot,
+            receiver: Receiver::new(*scene.radio_of(state), scene.seed, robot),
+            faults: state.faults.clone(),
+            driver: scene.driver,
+            queue: VecDeque::new(),
+            overrun: None,
+            follows: None,
+            body: vec![0; MAX_BODY],
+            last: (Mac::ZERO, 0),
+            handed_out: 0,
+            now: Instant::ZERO,
+        }
+    }
+
+    /// From now on only records of exchanges in which this robot takes part are made, as for a logger that keeps only
+    /// those. The driver counts the others all the same, so they are gaps in `bfee_count`, as in the WSR data set.
+    pub fn own_only(&mut self) {
+        lock(&self.air).node(self.robot).listening = Listening::Own;
+    }
+
+    /// [`CsiSource::receive`], with what a record was to this robot, which its bytes do not say but the room's own
+    /// sender does, and the number of the robot that sent it.
+    ///
+    /// # Errors
+    /// As [`CsiSource::receive`].
+    pub fn receive_with_role(&mut self, now: Instant) -> Result<(Role, usize, Next<'_>), Error> {
+        let next = self.read(now)?;
+        Ok(match next {
+            Read::Record(stamps, code, role, from) => {
+                (role, from, Next::Record(stamps, Record { code, body: &self.body }))
+            }
+            Read::Lost(loss) => (Role::Unknown, 0, Next::Lost(loss)),
+            Read::Pending => (Role::Unknown, 0, Next::Pending),
+            Read::End => (Role::Unknown, 0, Next::End(Tail::Clean)),
+        })
+    }
+
+    /// The next record, its body left in `self.body`.
+    fn read(&mut self, now: Instant) -> Result<Read, Error> {
+        let shared = Arc::clone(&self.air);
+        let mut air = lock(&shared);
+        self.now = self.now.max(now);
+        let now_ns = self.now.as_us().saturating_mul(1_000);
+        air.advance(now_ns);
+        if self.faults.stalled_until(self.now).is_some() {
+            return Ok(Read::Pending);
+        }
+        self.fill(&mut air, now_ns);
+        loop {
+            let (reception, second) = match self.follows.take() {
+                Some(reception) => (reception, true),
+                None => match self.queue.pop_front() {
+                    Some(reception) => (reception, false),
+                    None => break,
+                },
+            };
+            let first_of_two = self.driver == Driver::Stock && !second;
+            if first_of_two {
+                self.write_mpdu(&reception);
+            } else if !self.write_bfee(&mut air, &reception)? {
+                continue;
+            }
+            let stamps = self.stamps(&air, &reception);
+            self.handed_out += 1;
+            air.node(self.robot).injected.delivered += u64::from(!first_of_two);
+            let code = if first_of_two { code::MPDU } else { code::BFEE };
+            let read = Read::Record(stamps, code, reception.role, reception.flight.from);
+            self.follows = first_of_two.then_some(reception);
+            return Ok(read);
+        }
+        if let Some(dropped) = self.overrun.take() {
+            return Ok(Read::Lost(Loss::Overrun { dropped: Some(dropped) }));
+        }
+        let over = now_ns >= air.end_ns() && air.node(self.robot).arrivals.is_empty();
+        Ok(if over { Read::End } else { Read::Pending })
+    }
+
+    /// Moves what has arrived by now into the socket's queue; what does not fit is lost.
+    fn fill(&mut self, air: &mut Air, now_ns: i64) {
+        let node = air.node(self.robot);
+        while node.arrivals.front().is_some_and(|r| r.arrival_ns <= now_ns) {
+            let Some(reception) = node.arrivals.pop_front() else { break };
+            if let Some(dropped) = &mut self.overrun {
+                *dropped += 1;
+                node.injected.overrun_records += 1;
+            } else if self.queue.len() >= self.faults.queue_records {
+                self.overrun = Some(1);
+                node.injected.overruns += 1;
+                node.injected.overrun_records += 1;
+            } else {
+                self.queue.push_back(reception);
+            }
+        }
+    }
+
+    /// Writes the 0xC1 of a reception: the frame and its FCS.
+    fn write_mpdu(&mut self, reception: &Reception) {
+        let bytes = &reception.flight.bytes;
+        self.body.clear();
+        self.body.extend_from_slice(bytes);
+        self.body.extend_from_slice(&mpdu::crc32(bytes).to_le_bytes());
+    }
+
+    /// Measures a reception and writes its 0xBB. False if there is nothing to measure.
+    fn write_bfee(&mut self, air: &mut Air, reception: &Reception) -> Result<bool, Error> {
+        let world = Arc::clone(air.world());
+        let flight = &reception.flight;
+        let arrival =
+            Arrival { from: flight.from, to: self.robot, t_ns: reception.t_ns, instant_ns: flight.instant_ns };
+        let Some(measured) = self.receiver.measure(&world, arrival) else { return Ok(false) };
+        let scene = world.scene();
+        let repr = Repr {
+            timestamp_low: reception.clock_us as u32,
+            bfee_count: reception.bfee_count,
+            reserved: 0,
+            n_rx: measured.n_rx,
+            n_tx: 1,
+            rssi: measured.rssi,
+            noise_dbm: NOISE_UNKNOWN_DBM,
+            agc: measured.agc,
+            antenna_sel: measured.antenna_sel,
+            rate_n_flags: Radio { mcs: flight.mcs, ..*scene.radio_of(&scene.robot[flight.from]) }
+                .rate_n_flags(scene.bandwidth_mhz == 40),
+            wsr: (self.driver == Driver::Wsr).then(|| self.wsr(host_us(air, self.robot, reception.arrival_ns), flight)),
+        };
+        self.body.resize(repr.body_len(), 0);
+        let csi = measured.csi.get(..repr.samples()).unwrap_or(&[]);
+        repr.emit(csi, &mut self.body).map_err(|e| Error::Input(format!("cannot write a simulated record: {e}")))?;
+        air.node(self.robot).injected.saturated += u64::from(measured.saturated);
+        Ok(true)
+    }
+
+    /// What the WSR driver adds: host time, and MAC and number of the last frame long enough to have them.
+    fn wsr(&mut self, host_us: i64, flight: &Flight) -> Wsr {
+        let addr3 = flight.bytes.get(mpdu::offset::ADDR3..).and_then(|b| b.first_chunk());
+        let number = flight.bytes.get(mpdu::HEADER..).and_then(|b| b.first_chunk());
+        if let (Some(&mac), Some(&number)) = (addr3, number) {
+            let number = u32::from_be_bytes(number);
+            self.last = (if number == 0 { Mac::ZERO } else { Mac(mac) }, number);
+        }
+        Wsr {
+            tv_sec: host_us.div_euclid(1_000_000) as u32,
+            tv_usec: host_us.rem_euclid(1_000_000) as u32,
+            mac: self.last.0,
+            frame_count: self.last.1,
+        }
+    }
+
+    fn stamps(&self, air: &Air, reception: &Reception) -> Stamps {
+        Stamps {
+            at: ceil_us(reception.arrival_ns),
+            host_us: Some(host_us(air, self.robot, reception.arrival_ns)),
+            offset: self.handed_out,
+        }
+    }
+}
+
+impl CsiSource for Port {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        Ok(self.receive_with_role(now)?.2)
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        let mut air = lock(&self.air);
+        let arrival_ns = air.node(self.robot).arrivals.front().map(|r| r.arrival_ns);
+        let at = if self.follows.is_some() || !self.queue.is_empty() || self.overrun.is_some() {
+            self.now
+        } else if let Some(arrival_ns) = arrival_ns {
+            ceil_us(arrival_ns)
+        } else {
+            ceil_us(air.next_ns().unwrap_or(air.end_ns()))
+        };
+        let at = at.max(self.now);
+        Some(self.faults.stalled_until(at).unwrap_or(at))
+    }
+}
+
+impl Injector for Port {
+    fn inject(&mut self, now: Instant, frame: &[u8]) -> Result<(), Error> {
+        inject(&self.air, self.robot, now, frame, None)
+    }
+}
+
+/// A robot's host hands a frame to its card.
+pub(super) fn inject(air: &Mutex<Air>, robot: usize, now: Instant, frame: &[u8], mcs: Option<u8>) -> Result<(), Error> {
+    if !(mpdu::HEADER..=MAX_FRAME).contains(&frame.len()) {
+        let len = frame.len();
+        let what = format!("a frame of {len} bytes was not sent: {} to {MAX_FRAME} are possible", mpdu::HEADER);
+        return Err(Error::Input(what));
+    }
+    let mut air = lock(air);
+    let now_ns = now.as_us().saturating_mul(1_000);
+    air.advance(now_ns);
+    air.transmit(robot, now_ns, frame, mcs);
+    Ok(())
+}
+
+/// A host's wall clock at a true time, microseconds since the Unix epoch.
+pub(super) fn host_us(air: &Air, robot: usize, t_ns: i64) -> i64 {
+    let scene = air.world().scene();
+    let clock = scene.robot[robot].host_clock;
+    let ahead_ns = clock.offset_s * 1e9 + t_ns as f64 * clock.drift_ppm * 1e-6;
+    scene.start_unix_s * 1_000_000 + (t_ns + ahead_ns.round() as i64).div_euclid(1_000)
+}
+
+/// The first whole microsecond at or after a time.
+pub(super) fn ceil_us(t_ns: i64) -> Instant {
+    Instant::from_us(t_ns.saturating_add(999).div_euclid(1_000))
+}

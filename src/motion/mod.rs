@@ -1,0 +1,4 @@
+//! Where a robot is, and how that is known.
+
+pub mod odometry;
+pub mod pose;

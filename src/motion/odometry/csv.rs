@@ -1,0 +1,243 @@
+//! Trajectory CSV files: no header, the number of columns tells the kind.
+//!
+//! | columns | what | from |
+//! |---|---|---|
+//! | 5 | sec.frac, 0, x, y, z | motion capture, WSR data set (`rx_trajectory_*`) |
+//! | 6 | sec.frac, 0, x, y, z, yaw | motion capture, the paper's real captures |
+//! | 9 | sec.frac, 0, x, y, z, qx, qy, qz, qw | the paper's simulated captures |
+//! | 15 | sec, nsec, x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz | T265 and wheel odometry (`t265_rx_*`, `odom_rx_*`) |
+//!
+//! Time is column 0 plus column 1 x 1e-9 s; metres, radians; a trailing comma is usual. Rows that cannot be read are
+//! counted with their line and left out.
+
+use crate::motion::pose::{Pose, Trajectory, TrajectoryError, heading_of};
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use std::io::Read;
+use std::path::Path;
+
+/// What was read beside the poses.
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct CsvCounts {
+    /// Rows read into poses.
+    pub rows: u64,
+    /// Rows that could not be read.
+    pub bad_rows: u64,
+    /// Line and reason of the first of them.
+    pub first_bad: Option<(u64, String)>,
+    /// Rows whose time did not increase.
+    pub out_of_order: u64,
+    /// Number of columns (a trailing comma not counted).
+    pub columns: usize,
+}
+
+/// Why a file gave no trajectory.
+#[derive(Debug, thiserror::Error)]
+pub enum CsvError {
+    /// The file could not be opened or read.
+    #[error("cannot read the trajectory {path}: {source}")]
+    Io {
+        /// The file.
+        path: String,
+        /// The operating system's answer.
+        source: std::io::Error,
+    },
+    /// The first row is of no known kind.
+    #[error(
+        "line {line}: {found} columns; a trajectory has 5 (time, 0, x, y, z), 6 (.., yaw), 9 (.., quaternion) or 15 (T265, wheel odometry)"
+    )]
+    Columns {
+        /// Line of the row.
+        line: u64,
+        /// Columns found.
+        found: usize,
+    },
+    /// No row could be read.
+    #[error("no row of numbers{}", first.as_ref().map(|(line, why)| format!("; line {line}: {why}")).unwrap_or_default())]
+    Empty {
+        /// Line and reason of the first bad row, if any.
+        first: Option<(u64, String)>,
+    },
+    /// The rows make no trajectory.
+    #[error(transparent)]
+    Trajectory(#[from] TrajectoryError),
+}
+
+/// Reads a trajectory file.
+///
+/// # Errors
+/// If it cannot be read, is of no known kind, or holds fewer than two poses.
+pub fn read(path: &Path) -> Result<(Trajectory, CsvCounts), CsvError> {
+    let io = |source| CsvError::Io { path: path.display().to_string(), source };
+    if path.is_dir() {
+        return Err(io(std::io::Error::other("it is a directory; name the CSV file inside it")));
+    }
+    let mut bytes = Vec::new();
+    std::fs::File::open(path).map_err(io)?.read_to_end(&mut bytes).map_err(io)?;
+    parse(&bytes)
+}
+
+/// Parses a trajectory from bytes.
+///
+/// # Errors
+/// If it is of no known kind or holds fewer than two poses.
+pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
+    let mut reader =
+        ::csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(::csv::Trim::All).from_reader(bytes);
+    let mut counts = CsvCounts::default();
+    let mut poses: Vec<Pose> = Vec::with_capacity(bytes.len() / 80);
+    let mut record = ::csv::ByteRecord::new();
+    let mut fallback_line = 0;
+    loop {
+        fallback_line += 1;
+        match reader.read_byte_record(&mut record) {
+            Ok(true) => {}
+            Ok(false) => break,
+            Err(error) => {
+                bad(&mut counts, fallback_line, error.to_string());
+                if error.is_io_error() {
+                    break;
+                }
+                continue;
+            }
+        }
+        let line = record.position().map_or(fallback_line, ::csv::Position::line);
+        let columns = record.len() - usize::from(record.iter().next_back().is_some_and(<[u8]>::is_empty));
+        if columns == 0 {
+            continue;
+        }
+        match pose(&record, columns) {
+            Ok(pose) => {
+                if counts.columns == 0 {
+                    counts.columns = columns;
+                }
+                if columns != counts.columns {
+                    let why = format!("{columns} columns where the others have {}", counts.columns);
+                    bad(&mut counts, line, why);
+                    continue;
+                }
+                counts.rows += 1;
+                counts.out_of_order += u64::from(poses.last().is_some_and(|last| last.t_s >= pose.t_s));
+                poses.push(pose);
+            }
+            Err(RowError::Columns) if counts.rows == 0 && columns > 1 => {
+                return Err(CsvError::Columns { line, found: columns });
+            }
+            Err(error) => bad(&mut counts, line, error.to_string()),
+        }
+    }
+    if poses.is_empty() {
+        return Err(CsvError::Empty { first: counts.first_bad });
+    }
+    Ok((Trajectory::new(poses)?, counts))
+}
+
+/// Parses a single row.
+///
+/// # Errors
+/// What is wrong with it, in words.
+pub fn parse_line(line: &[u8]) -> Result<Pose, String> {
+    let mut reader =
+        ::csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(::csv::Trim::All).from_reader(line);
+    let mut record = ::csv::ByteRecord::new();
+    reader.read_byte_record(&mut record).map_err(|error| error.to_string())?;
+    let columns = record.len() - usize::from(record.iter().next_back().is_some_and(<[u8]>::is_empty));
+    pose(&record, columns).map_err(|error| error.to_string())
+}
+
+/// A pose as a row: 6 columns, 5 where it has no heading, and the trailing comma.
+#[must_use]
+pub fn line(pose: &Pose) -> String {
+    let p = pose.position_m;
+    let heading = pose.heading_rad.map_or(String::new(), |heading| format!("{heading:.6},"));
+    format!("{:.6},0,{:.6},{:.6},{:.6},{heading}\n", pose.t_s, p.x, p.y, p.z)
+}
+
+fn bad(counts: &mut CsvCounts, line: u64, why: String) {
+    counts.bad_rows += 1;
+    counts.first_bad.get_or_insert((line, why));
+}
+
+#[derive(Debug, thiserror::Error)]
+enum RowError {
+    #[error("not 5, 6, 9 or 15 columns")]
+    Columns,
+    #[error("column {0} is not a finite number")]
+    Number(usize),
+    #[error("the quaternion has no length")]
+    Quaternion,
+}
+
+fn pose(record: &::csv::ByteRecord, columns: usize) -> Result<Pose, RowError> {
+    if ![5, 6, 9, 15].contains(&columns) {
+        return Err(RowError::Columns);
+    }
+    let number = |column: usize| {
+        let text = record.get(column).and_then(|field| std::str::from_utf8(field).ok());
+        let value = text.and_then(|text| text.parse::<f64>().ok()).filter(|value| value.is_finite());
+        value.ok_or(RowError::Number(column))
+    };
+    let heading_rad = match columns {
+        5 => None,
+        6 => Some(number(5)?),
+        _ => {
+            let q = Quaternion::new(number(8)?, number(5)?, number(6)?, number(7)?);
+            if q.norm() <= 1e-6 {
+                return Err(RowError::Quaternion);
+            }
+            Some(heading_of(&UnitQuaternion::from_quaternion(q)))
+        }
+    };
+    let t_s = number(0)? + number(1)? * 1e-9;
+    Ok(Pose { t_s, position_m: Vector3::new(number(2)?, number(3)?, number(4)?), heading_rad })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_kind_is_told_by_its_columns() {
+        let five = b"10.5,0,1,2,3,\n10.6,0,1.1,2,3,\n";
+        let six = b"10.5,0,1,2,3,0.5,\n10.6,0,1.1,2,3,0.6,\n";
+        let nine = b"10.5,0,1,2,3,0,0,0,1\n10.6,0,1.1,2,3,0,0,0.38268343236509,0.923879532511287\n";
+        let fifteen = b"10,500000000,1,2,3,0,0,0,1,0,0,0,0,0,0,\n10,600000000,1.1,2,3,0,0,0,1,0,0,0,0,0,0,\n";
+        for (bytes, heading) in
+            [(&five[..], None), (six, Some(0.6)), (nine, Some(std::f64::consts::FRAC_PI_4)), (fifteen, Some(0.0))]
+        {
+            let (trajectory, counts) = parse(bytes).unwrap();
+            let last = trajectory.poses()[1];
+            assert_eq!(counts.rows, 2);
+            assert!((last.t_s - 10.6).abs() < 1e-9 && (last.position_m.x - 1.1).abs() < 1e-12);
+            match (last.heading_rad, heading) {
+                (None, None) => {}
+                (Some(a), Some(b)) => assert!((a - b).abs() < 1e-8, "{a} {b}"),
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn bad_rows_are_counted_and_the_rest_is_used() {
+        let text = b"1,0,0,0,0,\nnonsense\n2,0,1,0,0,\n3,0,nan,0,0,\n2.5,0,1,0,0,\n";
+        let (trajectory, counts) = parse(text).unwrap();
+        assert_eq!((trajectory.poses().len(), counts.bad_rows, counts.out_of_order), (3, 2, 0));
+        assert_eq!(counts.first_bad.unwrap().0, 2);
+    }
+
+    #[test]
+    fn rows_that_are_written_are_read_again() {
+        for heading_rad in [None, Some(-0.5)] {
+            let pose = Pose { t_s: 1_700_000_000.25, position_m: Vector3::new(1.0, -2.5, 0.125), heading_rad };
+            assert_eq!(parse_line(line(&pose).as_bytes()), Ok(pose));
+        }
+        assert!(parse_line(b"").is_err() && parse_line(b"1,2,3").is_err() && parse_line(b"1,0,a,0,0").is_err());
+    }
+
+    #[test]
+    fn wrong_files_say_what_is_wrong() {
+        assert!(matches!(parse(b""), Err(CsvError::Empty { first: None })));
+        assert!(matches!(parse(b"a,b,c\n"), Err(CsvError::Columns { line: 1, found: 3 })));
+        assert!(matches!(parse(&[0xBB, 0, 0xFF, b'\n', 7]), Err(CsvError::Empty { first: Some(_) })));
+        assert!(matches!(parse(b"1,0,0,0,0\n"), Err(CsvError::Trajectory(TrajectoryError::TooFew { poses: 1 }))));
+    }
+}

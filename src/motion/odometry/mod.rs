@@ -1,0 +1,103 @@
+//! Where poses come from.
+
+pub mod clock;
+pub mod csv;
+pub mod drive;
+pub mod dynamixel;
+pub mod opencr;
+pub mod replay;
+pub mod ros;
+
+use crate::motion::pose::Pose;
+use crate::source::Error;
+use crate::time::Instant;
+
+/// What [`OdometrySource::receive`] gives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum NextPose {
+    /// A pose of the robot (not of its antenna). Its time is the host's wall clock at the measurement, seconds since
+    /// the Unix epoch; a late pose may come after a newer one.
+    Pose(Pose),
+    /// The poses from here on are in another frame: the sensor began anew.
+    NewFrame,
+    /// Nothing yet: wait for [`OdometrySource::next_at`], or for the file descriptor.
+    Pending,
+    /// The source is exhausted.
+    End,
+}
+
+/// What was counted of a robot of a simulated room that follows a source of poses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub struct FollowedCounts {
+    /// Poses that it follows.
+    pub poses: u64,
+    /// Poses left out because a newer one had come, or because they were out of order.
+    pub late: u64,
+    /// Times that the source began anew.
+    pub new_frames: u64,
+    /// Times that the source's clock was set, or ran differently.
+    pub clock_set: u64,
+}
+
+/// What a source of poses counted of its own; in JSON the fields of the variant alone.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+#[serde(untagged)]
+#[non_exhaustive]
+pub enum SourceCounts {
+    /// A topic of ROS.
+    Topic(ros::Counts),
+    /// A TurtleBot3's controller on a serial port.
+    Controller {
+        /// Its line and its wheels.
+        controller: opencr::Counts,
+        /// Times that the port went away.
+        unplugged: u64,
+    },
+    /// A robot of a simulated room that follows another source.
+    Followed {
+        /// The following.
+        followed: FollowedCounts,
+        /// The source that it follows.
+        source: Option<Box<SourceCounts>>,
+    },
+}
+
+/// A source of poses: a serial port, ROS, a recorded file, a simulated robot. It never blocks.
+pub trait OdometrySource {
+    /// The next pose, or nothing yet. `now` is the driver's time and never runs backwards.
+    ///
+    /// # Errors
+    /// Only for what cannot be gone on from.
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error>;
+
+    /// When the next pose is due, if the source knows: replay and simulation do, a live port does not.
+    fn next_at(&self) -> Option<Instant>;
+
+    /// What is wrong with the source at the moment, in words, if anything is: unplugged, not answering.
+    fn trouble(&self) -> Option<String> {
+        None
+    }
+
+    /// What the source counted of its own, if it counts.
+    fn counted(&self) -> Option<SourceCounts> {
+        None
+    }
+}
+
+impl<S: OdometrySource + ?Sized> OdometrySource for Box<S> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
+        (**self).receive(now)
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        (**self).next_at()
+    }
+
+    fn trouble(&self) -> Option<String> {
+        (**self).trouble()
+    }
+
+    fn counted(&self) -> Option<SourceCounts> {
+        (**self).counted()
+    }
+}

@@ -1,0 +1,250 @@
+//! What is said of a link: the flat form of a bearing, for people and for JSON Lines.
+
+use crate::bartlett::Geometry;
+use crate::exchange::pairing::{Side, SideCounts};
+use crate::pipeline::accurate::Placed;
+use crate::pipeline::explain::LinkPlan;
+use crate::pipeline::link::{Link, PairCounts};
+use crate::pipeline::{LinkReport, Report};
+use crate::place::near_field::{Focus, Path, Source};
+use serde::Serialize;
+
+/// One link in degrees: a row of `--json`. Absent values are null.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Answer {
+    /// Name of the link.
+    pub link: String,
+    /// MAC of the transmitter.
+    pub mac: Option<String>,
+    /// Bearing to the transmitter in the trajectory's frame, from +x towards +y, (-180, 180].
+    pub azimuth_deg: Option<f64>,
+    /// Why there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error: Option<String>,
+    /// Bearing relative to the robot's heading at the last sample used.
+    pub azimuth_body_deg: Option<f64>,
+    /// Elevation; its sign is ambiguous for planar motion.
+    pub abs_elevation_deg: Option<f64>,
+    /// Predicted standard deviation of the azimuth (Cramer-Rao).
+    pub azimuth_sd_deg: Option<f64>,
+    /// The other bearing that motion along a line cannot tell from the first.
+    pub mirror_deg: Option<f64>,
+    /// 0..1; the coherence, until it is calibrated.
+    pub confidence: Option<f64>,
+    /// `|sum z a| / sum |z|` at the peak, 0..1.
+    pub coherence: Option<f64>,
+    /// Second highest peak over the highest: of their evidence, where places were searched.
+    pub peak_ratio: Option<f64>,
+    /// Predicted standard deviation of the elevation.
+    pub elevation_sd_deg: Option<f64>,
+    /// Range from the middle of the motion, metres; only where the wave front's curvature fixes it.
+    pub range_m: Option<f64>,
+    /// Its predicted standard deviation, metres.
+    pub range_sd_m: Option<f64>,
+    /// Position of the transmitter in the trajectory's frame, metres, where there is a range. Its height is drawn
+    /// upwards: level motion cannot tell up from down.
+    pub position_m: Option<[f64; 3]>,
+    /// Covariance of the position, metres squared, row by row.
+    pub position_covariance_m2: Option<[[f64; 3]; 3]>,
+    /// The paths in the round trip, the top of the answer first, the others falling in power.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub paths: Vec<PathAnswer>,
+    /// The answers that the search chose from, by evidence, the best first; relative power is that of all views together.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub candidates: Vec<PathAnswer>,
+    /// What autofocus found of the trajectory, where several links were there to tell.
+    pub focus: Option<Focus>,
+    /// Geometric mean of the powers that the views of the motion give the answer, 0..1.
+    pub joint_power: Option<f64>,
+    /// The powers themselves: round trip whole, its phase at the channel centre in windows, one-way channel in windows.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub view_powers: Vec<f64>,
+    /// How far the view furthest off would have put the bearing, degrees.
+    pub view_spread_deg: Option<f64>,
+    /// Sampling-time slopes taken out, standard deviation, radians per subcarrier.
+    pub slope_sd_rad: Option<f64>,
+    /// Share of the one-way channel's power at sign slips.
+    pub slips: Option<f64>,
+    /// Carrier frequency offset found from the turn-around jitter, Hz.
+    pub cfo_hz: Option<f64>,
+    /// By how much it changed in the course of the record, Hz; null where one offset explains all.
+    pub cfo_span_hz: Option<f64>,
+    /// Whether turn-around compensation was applied.
+    pub compensated: bool,
+    /// Coherence of second differences before compensation.
+    pub phase_coherence_before: Option<f64>,
+    /// Coherence of second differences after compensation.
+    pub phase_coherence_after: Option<f64>,
+    /// Median of the turn-around jitter, microseconds.
+    pub turn_around_jitter_us: Option<f64>,
+    /// Drift of one card's clock against the other's, parts per million.
+    pub clock_drift_ppm: Option<f64>,
+    /// Spread of the next best transmitter over that of this one, where the log was matched.
+    pub match_margin: Option<f64>,
+    /// Profile variance as the WSR toolbox defines it (lower is sharper, 1 is uniform).
+    pub wsr_profile_variance: Option<f64>,
+    /// Likelihood share of the peak as the paper's code defines it.
+    pub likelihood_share: Option<f64>,
+    /// Shape of the motion.
+    pub geometry: Option<String>,
+    /// Pairs formed.
+    pub pairs: usize,
+    /// Pairs used for the bearing.
+    pub pairs_in_motion: usize,
+    /// Pairs by what became of them.
+    pub pair_counts: PairCounts,
+    /// Records of the link in the receiver's log by what became of them.
+    pub receiver_records: SideCounts,
+    /// Records of the link in the transmitter's log by what became of them.
+    pub transmitter_records: SideCounts,
+    /// What was computed and what was not, where that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub plan: Option<LinkPlan>,
+}
+
+/// A direction from which waves come.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PathAnswer {
+    /// Bearing, degrees.
+    pub azimuth_deg: f64,
+    /// |elevation|, degrees.
+    pub abs_elevation_deg: f64,
+    /// Apparent range, metres; none for a plane wave.
+    pub range_m: Option<f64>,
+    /// Power: of a path, one way, relative to the strongest's; of a candidate, relative to the answer's; dB.
+    pub relative_power_db: f64,
+    /// A false source: the product of two other paths of this list (by their places in it), as squaring makes it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cross_term_of: Option<[usize; 2]>,
+}
+
+impl PathAnswer {
+    fn new(place: (f64, f64, f64), relative_power_db: f64, cross_term_of: Option<[usize; 2]>) -> Self {
+        let (azimuth_rad, elevation_rad, curve) = place;
+        Self {
+            azimuth_deg: azimuth_rad.to_degrees(),
+            abs_elevation_deg: elevation_rad.to_degrees(),
+            range_m: (curve > 0.0).then(|| 1.0 / curve),
+            relative_power_db,
+            cross_term_of,
+        }
+    }
+}
+
+impl Answer {
+    /// What `report` says of a link, under a name.
+    #[must_use]
+    pub fn new(link: String, report: &LinkReport) -> Self {
+        let counts = |side| report.link.as_ref().map(|link| link.counts(side)).unwrap_or_default();
+        let mut answer = Self {
+            link,
+            mac: report.mac.map(|mac| mac.to_string()),
+            match_margin: report.matched.and_then(|matched| matched.margin),
+            pairs: report.link.as_ref().map_or(0, Link::pairs),
+            receiver_records: counts(Side::Receiver),
+            transmitter_records: counts(Side::Transmitter),
+            ..Self::default()
+        };
+        match &report.bearing {
+            Ok(bearing) => {
+                let estimate = &bearing.estimate;
+                answer.azimuth_deg = Some(estimate.azimuth_rad.to_degrees());
+                answer.azimuth_body_deg = bearing.azimuth_body_rad().map(f64::to_degrees);
+                answer.abs_elevation_deg = Some(estimate.abs_elevation_rad.to_degrees());
+                answer.azimuth_sd_deg = Some(estimate.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
+                answer.mirror_deg = estimate.mirror_rad.map(f64::to_degrees);
+                answer.confidence = Some(estimate.coherence);
+                answer.coherence = Some(estimate.coherence);
+                answer.peak_ratio = estimate.peak_ratio;
+                answer.wsr_profile_variance = bearing.peers.wsr_profile_variance;
+                answer.likelihood_share = bearing.peers.likelihood_share;
+                answer.geometry = Some(geometry_words(&estimate.geometry));
+                answer.pairs_in_motion = bearing.pairs.in_motion;
+                answer.pair_counts = bearing.pairs;
+                answer.compensated = bearing.compensated;
+                if let Some(placed) = &bearing.placed {
+                    answer.place(placed);
+                }
+                if let Some(turn_around) = &bearing.turn_around {
+                    answer.cfo_hz = Some(turn_around.df_hz);
+                    answer.cfo_span_hz = Some(turn_around.df_span_hz()).filter(|hz| *hz > 0.0);
+                    answer.phase_coherence_before = Some(turn_around.coherence_before);
+                    answer.phase_coherence_after = Some(turn_around.coherence_after);
+                    answer.turn_around_jitter_us = Some(turn_around.jitter_median_us);
+                    answer.clock_drift_ppm = Some(turn_around.drift_ppm);
+                }
+            }
+            Err(error) => answer.error = Some(error.to_string()),
+        }
+        answer
+    }
+
+    /// Takes the bearing back, with the reason, if its confidence is below `least`.
+    pub fn refuse_below(&mut self, least: f64) {
+        let Some(confidence) = self.confidence.filter(|c| *c < least) else { return };
+        self.error = Some(format!("refused: confidence {confidence:.2} is below {least}"));
+        self.azimuth_deg = None;
+        self.azimuth_body_deg = None;
+        self.azimuth_sd_deg = None;
+        self.mirror_deg = None;
+        self.abs_elevation_deg = None;
+        self.elevation_sd_deg = None;
+        (self.range_m, self.range_sd_m) = (None, None);
+        (self.position_m, self.position_covariance_m2) = (None, None);
+    }
+
+    fn place(&mut self, placed: &Placed) {
+        let fix = &placed.fix;
+        let best = fix.best();
+        self.confidence = Some(placed.confidence);
+        self.elevation_sd_deg = fix.elevation_searched.then_some(fix.deviations.elevation_rad.to_degrees());
+        if let Some((range_m, sd_m)) = placed.range_m() {
+            (self.range_m, self.range_sd_m) = (Some(range_m), Some(sd_m));
+            if let Some((position, covariance)) = fix.position() {
+                self.position_m = Some(position.into());
+                self.position_covariance_m2 = Some(covariance.into());
+            }
+        }
+        let candidate = |source: &Source| {
+            let place = (source.azimuth_rad, source.abs_elevation_rad, source.inverse_range_per_m);
+            PathAnswer::new(place, 10.0 * (source.power / best.power).log10(), None)
+        };
+        self.candidates = fix.sources.iter().map(candidate).collect();
+        let path = |path: &Path| {
+            let place = (path.azimuth_rad, path.abs_elevation_rad, path.inverse_range_per_m);
+            PathAnswer::new(place, path.relative_power_db, path.cross_term_of)
+        };
+        self.paths = placed.paths.iter().map(path).collect();
+        self.focus = placed.focus;
+        self.joint_power = Some(best.power);
+        self.view_powers.clone_from(&fix.view_powers);
+        self.view_spread_deg = Some(fix.view_spread_rad().to_degrees());
+        self.slope_sd_rad = placed.alignment.map(|alignment| alignment.slope_sd_rad);
+        self.slips = placed.slips;
+    }
+
+    /// A link that failed before its logs were read.
+    #[must_use]
+    pub fn failed(link: String, error: String) -> Self {
+        Self { link, error: Some(error), ..Self::default() }
+    }
+}
+
+fn geometry_words(geometry: &Geometry) -> String {
+    let words = match geometry {
+        Geometry::Static => "no motion",
+        Geometry::Line => "along a line",
+        Geometry::Planar => "in a horizontal plane",
+        Geometry::TiltedPlane => "in a tilted plane",
+        Geometry::NearlyPlanar => "nearly in a plane",
+        Geometry::Spatial => "in three dimensions",
+    };
+    words.into()
+}
+
+/// True if any log lost records before its tail, or any link failed: exit status 3.
+#[must_use]
+pub fn lost_something(report: &Report) -> bool {
+    let logs = std::iter::once(&report.receiver).chain(&report.transmitters);
+    logs.into_iter().any(|log| log.survey.lost_something()) || report.links.iter().any(|link| link.bearing.is_err())
+}

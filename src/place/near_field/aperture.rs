@@ -1,0 +1,75 @@
+//! Channel rows along a trajectory, thinned to what the wavelength asks for.
+
+use crate::signal::alignment::Row;
+use crate::signal::channel::SUBCARRIERS;
+use nalgebra::Vector3;
+use num_complex::{Complex32, Complex64};
+
+/// Neighbouring samples are averaged over this much displacement, in turns of phase: the outermost then differ from
+/// their mean by 0.06 turns at most, and the average keeps 99 % of its amplitude for every direction.
+const SPAN_TURNS: f64 = 0.12;
+
+/// The synthetic array: rows of channel samples and where they were taken.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Aperture {
+    /// `receiver - transmitter displacement` for each row, metres, trajectory frame.
+    pub displacement_m: Vec<Vector3<f64>>,
+    /// One value per subcarrier.
+    pub rows: Vec<Row>,
+    /// The phasor at the channel centre of each row, by a line fitted to the phases of all subcarriers; empty where there
+    /// is none. Views that look at no subcarrier look at it.
+    pub centre: Vec<Complex32>,
+    /// How often the path is in them: 2 for round trips, 1 for one way.
+    pub path_gain: u8,
+}
+
+impl Aperture {
+    /// Gathers `rows` taken at `displacement_m`, averaging runs that lie within a small part of a wavelength.
+    /// Surplus entries of the longer list are left out.
+    #[must_use]
+    pub fn gather(displacement_m: &[Vector3<f64>], rows: &[Row], path_gain: u8, wavelength_m: f64) -> Self {
+        Self::gather_with_centre(displacement_m, rows, &[], path_gain, wavelength_m)
+    }
+
+    /// The same, with a sample at the channel centre for each row, of which the phase is kept; none if there are fewer of
+    /// them than rows.
+    #[must_use]
+    pub fn gather_with_centre(
+        displacement_m: &[Vector3<f64>],
+        rows: &[Row],
+        centre: &[Complex64],
+        path_gain: u8,
+        wavelength_m: f64,
+    ) -> Self {
+        let reach_m = SPAN_TURNS * wavelength_m / f64::from(path_gain.max(1));
+        let mut aperture = Self { path_gain: path_gain.max(1), ..Self::default() };
+        let mut from = 0;
+        let n = displacement_m.len().min(rows.len());
+        for k in 1..=n {
+            let ended = k == n || (displacement_m[k] - displacement_m[from]).norm() > reach_m;
+            if ended {
+                aperture.push_mean(&displacement_m[from..k], &rows[from..k]);
+                aperture.centre.extend(centre.get(..n).map(|centre| mean_phasor(&centre[from..k])));
+                from = k;
+            }
+        }
+        aperture
+    }
+
+    fn push_mean(&mut self, positions: &[Vector3<f64>], rows: &[Row]) {
+        let share = 1.0 / positions.len() as f64;
+        let mut mean = [Complex32::default(); SUBCARRIERS];
+        for row in rows {
+            mean.iter_mut().zip(row).for_each(|(sum, value)| *sum += value * share as f32);
+        }
+        self.displacement_m.push(positions.iter().sum::<Vector3<f64>>() * share);
+        self.rows.push(mean);
+    }
+}
+
+/// The mean of the samples' directions.
+fn mean_phasor(samples: &[Complex64]) -> Complex32 {
+    let unit = |z: &Complex64| Some(z / z.norm()).filter(|unit| unit.is_finite()).unwrap_or_default();
+    let mean = samples.iter().map(unit).sum::<Complex64>() / samples.len() as f64;
+    Complex32::new(mean.re as f32, mean.im as f32)
+}

@@ -1,0 +1,209 @@
+//! A few paths, taken out of the round trip one after the other.
+//!
+//! The round trip is the square of the channel: beside each path it holds the product of every two, a wave from between
+//! them. Orthogonal matching pursuit: the place that explains most of what is left joins the list, all amplitudes are
+//! fitted and all places climbed to anew (RELAX), and what they leave is searched again. A find that two stronger ones would make between them, and that is
+//! no stronger than they can make it, is told as their cross term.
+
+use super::field::{Layer, Look, powers};
+use super::fix::Source;
+use super::search::{Place, Search};
+use crate::motion::pose::wrap_rad;
+use nalgebra::{DMatrix, DVector};
+use num_complex::Complex64;
+use std::f64::consts::TAU;
+
+/// One wave of the round trip.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Path {
+    /// Azimuth from the middle of the motion, radians.
+    pub azimuth_rad: f64,
+    /// |elevation|, radians.
+    pub abs_elevation_rad: f64,
+    /// 1 / range, 1/m; 0 is a plane wave.
+    pub inverse_range_per_m: f64,
+    /// Power of the one-way path over that of the strongest, dB.
+    pub relative_power_db: f64,
+    /// Where it is the product of two other paths: their places in the list.
+    pub cross_term_of: Option<[usize; 2]>,
+}
+
+/// Waves that are looked for at most.
+const MOST: usize = 6;
+/// A wave that takes less than this share of what is left is not told from noise and side lobes.
+const LEAST_SHARE: f64 = 0.06;
+/// Weaker round trips than this share of the strongest are left, in power: 15 dB.
+const WEAKEST: f64 = 0.03;
+/// A wave is where two others' product is if its square resembles the square of that this much, 0..1: within half a beam.
+const ALIKE: f64 = 0.3;
+/// A product `2 a b` is stronger than `sqrt(a^2 b^2)` by 4 in power; more than this is a path of its own.
+const CROSS_GAIN: f64 = 8.0;
+
+/// What has been found: places and how each is steered to.
+struct Found {
+    places: Vec<Place>,
+    steering: Vec<Vec<Complex64>>,
+    /// Amplitudes of each, column by column.
+    amplitudes: Vec<DVector<Complex64>>,
+    /// Power of each, summed over the columns.
+    powers: Vec<f64>,
+}
+
+impl Search {
+    /// The paths of the first layer's first view, the answer `first`. Empty where the layer has no samples.
+    #[must_use]
+    pub fn paths(&mut self, first: &Source) -> Vec<Path> {
+        let Some(whole) = self.layers.first().map(|layer| layer.columns()) else { return Vec::new() };
+        let mut found = Found { places: Vec::new(), steering: Vec::new(), amplitudes: Vec::new(), powers: Vec::new() };
+        let mut next = Place::from(first);
+        let energy = |columns: &[Vec<Complex64>]| columns.iter().flatten().map(Complex64::norm_sqr).sum::<f64>();
+        let mut left = energy(&whole);
+        while found.places.len() < MOST {
+            let steering = self.layers[0].steering(&self.cell(&next));
+            found.places.push(next);
+            found.steering.push(steering);
+            self.relax(&mut found, &whole);
+            let Some(rest) = found.fit(&whole) else {
+                found.drop_last();
+                break;
+            };
+            let now = energy(&rest);
+            let strongest = found.powers.iter().copied().fold(0.0, f64::max);
+            let weak = found.powers.last().is_none_or(|own| *own < WEAKEST * strongest);
+            if found.places.len() > 1 && (left - now < LEAST_SHARE * left || weak) {
+                found.drop_last();
+                let _ = found.fit(&whole);
+                break;
+            }
+            left = now;
+            next = self.strongest(&self.layers[0].with_columns(&rest));
+        }
+        found.tell()
+    }
+
+    /// Moves every wave but the answer to where it explains most of what the others leave (RELAX), once around.
+    fn relax(&self, found: &mut Found, whole: &[Vec<Complex64>]) {
+        for i in 1..found.places.len() {
+            let Some(mut rest) = found.fit(whole) else { return };
+            for (column, amplitudes) in rest.iter_mut().zip(&found.amplitudes) {
+                column.iter_mut().zip(&found.steering[i]).for_each(|(v, s)| *v += amplitudes[i] * s.conj());
+            }
+            let layer = self.layers[0].with_columns(&rest);
+            found.places[i] = self.climb_in(&layer, found.places[i]);
+            found.steering[i] = layer.steering(&self.cell(&found.places[i]));
+        }
+    }
+
+    /// The place that explains most of `layer`.
+    fn strongest(&self, layer: &Layer) -> Place {
+        self.climb_in(layer, self.highest(layer, &self.axes.places(), Look::Rough))
+    }
+
+    /// The best place about `start`.
+    fn climb_in(&self, layer: &Layer, start: Place) -> Place {
+        let axes = &self.axes;
+        let step = TAU / axes.azimuths as f64;
+        let mut best = start;
+        let (mut across, mut along) = (0.5 * step, 0.5 * axes.curves.get(1).copied().unwrap_or(0.0));
+        let (low, high) = (axes.elevations[0], axes.elevations[axes.elevations.len() - 1]);
+        let mut up = 0.25 * (high - low);
+        for _ in 0..5 {
+            let mut around = vec![best];
+            for (a, e, c) in [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1)] {
+                for sign in [-1.0, 1.0] {
+                    let by = |k: i32, size: f64| sign * f64::from(k) * size;
+                    around.push(Place {
+                        azimuth: best.azimuth + by(a, across),
+                        elevation: (best.elevation + by(e, up)).clamp(low, high),
+                        curve: (best.curve + by(c, along)).clamp(0.0, axes.curves[axes.curves.len() - 1]),
+                    });
+                }
+            }
+            best = self.highest(layer, &around, Look::Exact);
+            (across, up, along) = (0.6 * across, 0.6 * up, 0.6 * along);
+        }
+        best
+    }
+
+    fn highest(&self, layer: &Layer, places: &[Place], look: Look) -> Place {
+        let cells: Vec<_> = places.iter().map(|place| self.cell(place)).collect();
+        let powers = powers(self.level(), std::slice::from_ref(layer), &cells, look);
+        let best = powers.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
+        places[best]
+    }
+}
+
+impl Found {
+    fn drop_last(&mut self) {
+        self.places.pop();
+        self.steering.pop();
+    }
+
+    /// Fits all amplitudes to `whole`, column by column, and gives what they leave; `None` if the waves cannot be told
+    /// apart.
+    fn fit(&mut self, whole: &[Vec<Complex64>]) -> Option<Vec<Vec<Complex64>>> {
+        let n = self.steering.len();
+        let along = |a: &[Complex64], b: &[Complex64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<Complex64>();
+        // A wave is the conjugate of its steering: <w_i, w_k> = sum s_i conj(s_k).
+        let product = |i: usize, k: usize| -> Complex64 {
+            self.steering[i].iter().zip(&self.steering[k]).map(|(a, b)| a * b.conj()).sum()
+        };
+        let gram = DMatrix::from_fn(n, n, product);
+        let inverse = gram.try_inverse()?;
+        let mut rest = whole.to_vec();
+        self.powers = vec![0.0; n];
+        self.amplitudes.clear();
+        for column in &mut rest {
+            let side = DVector::from_fn(n, |i, _| along(&self.steering[i], column));
+            let amplitudes = &inverse * side;
+            for (i, steering) in self.steering.iter().enumerate() {
+                self.powers[i] += amplitudes[i].norm_sqr();
+                column.iter_mut().zip(steering).for_each(|(v, s)| *v -= amplitudes[i] * s.conj());
+            }
+            self.amplitudes.push(amplitudes);
+        }
+        self.powers.iter().all(|p| p.is_finite()).then_some(rest)
+    }
+
+    /// The list in words: the answer first, the others falling in power, cross terms told.
+    fn tell(&self) -> Vec<Path> {
+        let mut order: Vec<usize> = (0..self.places.len()).collect();
+        order.get_mut(1..).unwrap_or_default().sort_by(|a, b| self.powers[*b].total_cmp(&self.powers[*a]));
+        let parents: Vec<_> =
+            (0..order.len()).map(|at| if at == 0 { None } else { self.parents(&order, at) }).collect();
+        let sources = order.iter().zip(&parents).filter(|(_, parents)| parents.is_none());
+        let strongest = sources.map(|(own, _)| self.powers[*own]).fold(f64::MIN_POSITIVE, f64::max);
+        let path = |(&own, &cross_term_of): (&usize, &Option<[usize; 2]>)| {
+            let place = &self.places[own];
+            Path {
+                azimuth_rad: wrap_rad(place.azimuth),
+                abs_elevation_rad: place.elevation,
+                inverse_range_per_m: place.curve,
+                // The round trip has the square of the path's power.
+                relative_power_db: 5.0 * (self.powers[own] / strongest).max(1e-12).log10(),
+                cross_term_of,
+            }
+        };
+        order.iter().zip(&parents).map(path).collect()
+    }
+
+    /// The two waves whose product the one at `at` of `order` may be.
+    fn parents(&self, order: &[usize], at: usize) -> Option<[usize; 2]> {
+        let others: Vec<usize> = (0..order.len()).filter(|&k| k != at).collect();
+        let pairs = others.iter().enumerate().flat_map(|(n, &i)| others[n + 1..].iter().map(move |&k| [i, k]));
+        let makes = |pair: &[usize; 2]| {
+            let [own, a, b] = [order[at], order[pair[0]], order[pair[1]]];
+            let possible = self.powers[own] < CROSS_GAIN * (self.powers[a] * self.powers[b]).sqrt();
+            possible && self.resemblance(own, a, b) > ALIKE
+        };
+        pairs.into_iter().find(makes)
+    }
+
+    /// How much wave `own` is like the product of the one-way waves of `a` and `b`, 0..1. The square of that product is
+    /// the product of their round trips, so nothing has to be unwrapped.
+    fn resemblance(&self, own: usize, a: usize, b: usize) -> f64 {
+        let (own, a, b) = (&self.steering[own], &self.steering[a], &self.steering[b]);
+        let squared = own.iter().zip(a).zip(b).map(|((own, a), b)| own * own * (a * b).conj());
+        squared.sum::<Complex64>().norm() / own.len().max(1) as f64
+    }
+}

@@ -1,0 +1,199 @@
+//! A row of subcarriers as two planes, real and imaginary, padded with zeros to whole vectors: plain loops over them are
+//! vector code on every tier (inside [`on_tier`](crate::bartlett::simd::on_tier)).
+
+use super::Row;
+use crate::signal::channel::SUBCARRIERS;
+use num_complex::Complex32;
+
+/// Subcarriers, and two places that stay zero.
+pub(crate) const LANES: usize = 32;
+
+/// One number per subcarrier.
+pub(crate) type Lanes = [f32; LANES];
+
+/// One channel sample on every reported subcarrier.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Planes {
+    pub re: Lanes,
+    pub im: Lanes,
+}
+
+/// `f` of every place.
+#[inline(always)]
+pub(crate) fn lanes(f: impl Fn(usize) -> f32) -> Lanes {
+    let mut out = [0.0; LANES];
+    for (k, slot) in out.iter_mut().enumerate() {
+        *slot = f(k);
+    }
+    out
+}
+
+/// The sum of all places, in an order that vectors can follow.
+#[inline(always)]
+pub(crate) fn sum(x: &Lanes) -> f32 {
+    let mut part = [0.0f32; 8];
+    for chunk in x.chunks_exact(8) {
+        part.iter_mut().zip(chunk).for_each(|(p, v)| *p += v);
+    }
+    let [a, b, c, d, e, f, g, h] = part;
+    ((a + e) + (c + g)) + ((b + f) + (d + h))
+}
+
+impl Planes {
+    pub const ZERO: Self = Self { re: [0.0; LANES], im: [0.0; LANES] };
+
+    #[inline(always)]
+    pub fn of(row: &Row) -> Self {
+        let mut planes = Self::ZERO;
+        for (k, value) in row.iter().enumerate() {
+            (planes.re[k], planes.im[k]) = (value.re, value.im);
+        }
+        planes
+    }
+
+    #[inline(always)]
+    pub fn row(&self) -> Row {
+        let mut row = [Complex32::default(); SUBCARRIERS];
+        for (k, value) in row.iter_mut().enumerate() {
+            *value = Complex32::new(self.re[k], self.im[k]);
+        }
+        row
+    }
+
+    /// Place by place.
+    #[inline(always)]
+    pub fn add(&mut self, other: &Self) {
+        self.re.iter_mut().zip(&other.re).for_each(|(s, v)| *s += v);
+        self.im.iter_mut().zip(&other.im).for_each(|(s, v)| *s += v);
+    }
+
+    /// Place by place.
+    #[inline(always)]
+    pub fn take(&mut self, other: &Self) {
+        self.re.iter_mut().zip(&other.re).for_each(|(s, v)| *s -= v);
+        self.im.iter_mut().zip(&other.im).for_each(|(s, v)| *s -= v);
+    }
+
+    /// Place by place.
+    #[inline(always)]
+    pub fn times(&self, other: &Self) -> Self {
+        let (a, b) = (self, other);
+        Self {
+            re: lanes(|k| a.re[k] * b.re[k] - a.im[k] * b.im[k]),
+            im: lanes(|k| a.re[k] * b.im[k] + a.im[k] * b.re[k]),
+        }
+    }
+
+    /// `self conj(other)`, place by place.
+    #[inline(always)]
+    pub fn against(&self, other: &Self) -> Self {
+        let (a, b) = (self, other);
+        Self {
+            re: lanes(|k| a.re[k] * b.re[k] + a.im[k] * b.im[k]),
+            im: lanes(|k| a.im[k] * b.re[k] - a.re[k] * b.im[k]),
+        }
+    }
+
+    /// The magnitude of each place.
+    #[inline(always)]
+    pub fn sizes(&self) -> Lanes {
+        lanes(|k| (self.re[k] * self.re[k] + self.im[k] * self.im[k]).sqrt())
+    }
+
+    /// Turns the whole row by so many radians.
+    #[inline(always)]
+    pub fn turn(&mut self, by_rad: f64) {
+        let (sin, cos) = (by_rad.sin() as f32, by_rad.cos() as f32);
+        for (re, im) in self.re.iter_mut().zip(&mut self.im) {
+            (*re, *im) = (*re * cos - *im * sin, *re * sin + *im * cos);
+        }
+    }
+
+    #[inline(always)]
+    pub fn sum(&self) -> Complex32 {
+        Complex32::new(sum(&self.re), sum(&self.im))
+    }
+}
+
+/// The planes of `rows`.
+pub(crate) fn planes_of(rows: &[Row]) -> Vec<Planes> {
+    rows.iter().map(Planes::of).collect()
+}
+
+/// Turns each row as a whole so that it has the phase of the row before it, as told by the subcarriers of `weights`: what
+/// motion and carrier do from packet to packet, and what would let the sum over neighbours fade where they go fast. Adds to
+/// `turned` what each row was turned back by, radians, counted on from the first.
+#[inline(always)]
+pub(crate) fn settle(rows: &mut [Planes], weights: &Lanes, turned: &mut [f64]) {
+    let mut total = 0.0;
+    let mut before: Option<Planes> = None;
+    for (row, turned) in rows.iter_mut().zip(turned) {
+        let step = before.replace(*row).map_or(0.0, |before| {
+            let product = row.against(&before);
+            let weighted = |part: &Lanes| sum(&lanes(|k| part[k] * weights[k]));
+            f64::from(Complex32::new(weighted(&product.re), weighted(&product.im)).arg())
+        });
+        total += step;
+        row.turn(-total);
+        *turned += total;
+    }
+}
+
+/// Hands `step` each row's place and the sum over `2 reach + 1` rows about it (fewer at the ends), by running sums over
+/// the rows as they are: `step` may only change the row that it is handed, which the sums of later rows do not see.
+#[inline(always)]
+pub(crate) fn with_neighbours(rows: &mut [Planes], reach: usize, mut step: impl FnMut(usize, &mut Planes, &Planes)) {
+    // The rows of before, which the running sum still has to lose.
+    let mut old = vec![Planes::ZERO; reach + 1];
+    let mut sum = Planes::ZERO;
+    rows.iter().take(reach).for_each(|row| sum.add(row));
+    for k in 0..rows.len() {
+        if let Some(row) = rows.get(k + reach) {
+            sum.add(row);
+        }
+        let slot = k % (reach + 1);
+        if k > reach {
+            sum.take(&old[slot]);
+        }
+        old[slot] = rows[k];
+        step(k, &mut rows[k], &sum);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn planes_and_rows_are_the_same_numbers() {
+        let row: Row = std::array::from_fn(|k| Complex32::new(k as f32 - 3.5, 2.0 - 0.3 * k as f32));
+        let other: Row = std::array::from_fn(|k| Complex32::cis(0.7 * k as f32));
+        let (a, b) = (Planes::of(&row), Planes::of(&other));
+        assert_eq!(a.row(), row);
+        let near = |got: Planes, expected: &dyn Fn(usize) -> Complex32| {
+            got.row().iter().enumerate().all(|(k, v)| (v - expected(k)).norm() < 1e-5)
+        };
+        assert!(near(a.times(&b), &|k| row[k] * other[k]));
+        assert!(near(a.against(&b), &|k| row[k] * other[k].conj()));
+        let total: Complex32 = row.iter().sum();
+        assert!((a.sum() - total).norm() < 1e-4);
+        assert!((sum(&a.sizes()) - row.iter().map(|v| v.norm()).sum::<f32>()).abs() < 1e-3);
+    }
+
+    #[test]
+    fn neighbours_are_summed_as_they_were() {
+        let row = |k: usize| Planes { re: [k as f32; LANES], im: [1.0; LANES] };
+        for (n, reach) in [(1, 3), (5, 2), (20, 4)] {
+            let mut rows: Vec<Planes> = (0..n).map(row).collect();
+            let mut seen = 0;
+            with_neighbours(&mut rows, reach, |k, row, sum| {
+                let around = k.saturating_sub(reach)..(k + reach + 1).min(n);
+                assert_eq!((sum.re[3], sum.im[7]), (around.clone().sum::<usize>() as f32, around.len() as f32));
+                // What is changed is not seen by later sums.
+                *row = Planes { re: [1e6; LANES], im: [1e6; LANES] };
+                seen += 1;
+            });
+            assert_eq!(seen, n);
+        }
+    }
+}

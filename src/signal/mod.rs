@@ -1,0 +1,8 @@
+//! From CSI to one complex number a packet: the channel's numbers, carrier frequency offset, alignment of sampling times.
+
+pub mod alignment;
+pub mod cfo;
+pub mod channel;
+pub mod csi;
+pub mod one_way;
+pub mod samples;

@@ -1,0 +1,244 @@
+//! Logs on disk: the data file, the side file with host times, and their rotation.
+
+use super::{Chunk, Sink, Written};
+use crate::source::Error;
+use crate::time::{Instant, Span};
+use driver_iface::record::LENGTH_FIELD;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+/// Bytes of a side file's entry: seconds and microseconds, each i64 little-endian, as csiread's `log_to_file` writes a
+/// `struct timeval` on a 64-bit host. All zero where the time is not known.
+pub const STAMP: usize = 16;
+
+/// When to go on in a new file.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Rotation {
+    /// Before the data file grows beyond this many bytes.
+    pub bytes: Option<u64>,
+    /// Once the file has been written to for this long.
+    pub every: Option<Span>,
+}
+
+impl Rotation {
+    fn is_on(self) -> bool {
+        self.bytes.is_some() || self.every.is_some()
+    }
+}
+
+/// The side file of a log: its name with `stp` behind it.
+#[must_use]
+pub fn side_path(log: &Path) -> PathBuf {
+    let mut name = log.as_os_str().to_owned();
+    name.push("stp");
+    name.into()
+}
+
+/// One file that only ever grows by whole units.
+#[derive(Debug)]
+struct Grown {
+    file: File,
+    path: PathBuf,
+    len: u64,
+}
+
+impl Grown {
+    fn create(path: PathBuf, force: bool) -> Result<Self, Error> {
+        let mut options = OpenOptions::new();
+        options.write(true);
+        if force {
+            options.create(true).truncate(true);
+        } else {
+            options.create_new(true);
+        }
+        let name = path.display();
+        let file = options.open(&path).map_err(|source| match source.kind() {
+            io::ErrorKind::AlreadyExists => Error::Input(format!("{name} is there already: --force overwrites it")),
+            _ => Error::Io { what: format!("cannot write {name}"), source },
+        })?;
+        Ok(Self { file, path, len: 0 })
+    }
+
+    /// Appends as many whole units of `bytes` as the disk takes; `whole` says how many of the first n bytes that is.
+    fn append(&mut self, bytes: &[u8], whole: impl Fn(usize) -> usize) -> (usize, io::Result<()>) {
+        let mut done = 0;
+        while done < bytes.len() {
+            match self.file.write(bytes.get(done..).unwrap_or_default()) {
+                Ok(0) => return self.take_back(whole(done), io::ErrorKind::WriteZero.into()),
+                Ok(more) => done += more,
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return self.take_back(whole(done), error),
+            }
+        }
+        self.len += done as u64;
+        (done, Ok(()))
+    }
+
+    /// After a failed write: ends the file with the last whole unit.
+    fn take_back(&mut self, whole: usize, error: io::Error) -> (usize, io::Result<()>) {
+        self.len += whole as u64;
+        let cut = self.file.set_len(self.len).and_then(|()| self.file.seek(SeekFrom::Start(self.len)));
+        (whole, Err(cut.err().unwrap_or(error)))
+    }
+}
+
+/// A log on disk: a [`Sink`] of data file and side file.
+#[derive(Debug)]
+pub struct LogFiles {
+    path: PathBuf,
+    force: bool,
+    rotation: Rotation,
+    number: u32,
+    since: Option<Instant>,
+    data: Grown,
+    side: Grown,
+    /// Records in the data file: the side file is brought up to it.
+    records: u64,
+    finished: Vec<PathBuf>,
+}
+
+impl LogFiles {
+    /// Creates the log and its side file; with a rotation, the first of a row (`name-0001.dat`).
+    ///
+    /// # Errors
+    /// If a file is there already and `force` is not set, or cannot be written.
+    pub fn create(path: &Path, rotation: Rotation, force: bool) -> Result<Self, Error> {
+        let number = u32::from(rotation.is_on());
+        let (data, side) = open_pair(&Self::first(path, rotation), force)?;
+        Ok(Self {
+            path: path.into(),
+            force,
+            rotation,
+            number,
+            since: None,
+            data,
+            side,
+            records: 0,
+            finished: Vec::new(),
+        })
+    }
+
+    /// The data file that [`LogFiles::create`] makes first.
+    #[must_use]
+    pub fn first(path: &Path, rotation: Rotation) -> PathBuf {
+        numbered(path, u32::from(rotation.is_on()))
+    }
+
+    /// The data files written, in order, the current one last.
+    #[must_use]
+    pub fn paths(&self) -> Vec<PathBuf> {
+        self.finished.iter().chain([&self.data.path]).cloned().collect()
+    }
+
+    fn is_due(&self, chunk: &Chunk) -> bool {
+        let larger = self.rotation.bytes.is_some_and(|limit| self.data.len + chunk.bytes.len() as u64 > limit);
+        let older = self.rotation.every.zip(self.since).is_some_and(|(every, since)| chunk.at - since >= every);
+        self.records > 0 && (larger || older)
+    }
+
+    /// Goes on in the next file; where that cannot be had, the old one goes on growing.
+    fn rotate(&mut self) -> Option<String> {
+        let problem = self.sync();
+        match open_pair(&numbered(&self.path, self.number + 1), self.force) {
+            Ok((data, side)) => {
+                self.finished.push(std::mem::replace(&mut self.data, data).path);
+                self.side = side;
+                self.number += 1;
+                (self.since, self.records) = (None, 0);
+                problem
+            }
+            Err(error) => Some(format!("cannot go on in a new file, so the old one grows: {error}")),
+        }
+    }
+
+    /// Brings the side file up to the data file: zeros for what an earlier failure left out, then `times`.
+    fn stamp(&mut self, before: u64, times: &[Option<i64>]) -> io::Result<()> {
+        let behind = before.saturating_sub(self.side.len / STAMP as u64) as usize;
+        let mut bytes = vec![0; behind * STAMP];
+        for time in times {
+            let us = time.unwrap_or(0);
+            bytes.extend_from_slice(&us.div_euclid(1_000_000).to_le_bytes());
+            bytes.extend_from_slice(&us.rem_euclid(1_000_000).to_le_bytes());
+        }
+        self.side.append(&bytes, |done| done - done % STAMP).1
+    }
+}
+
+fn open_pair(path: &Path, force: bool) -> Result<(Grown, Grown), Error> {
+    let data = Grown::create(path.into(), force)?;
+    let side = Grown::create(side_path(path), force).inspect_err(|_| {
+        // The data file is ours and empty: leave nothing behind.
+        let _ = std::fs::remove_file(path);
+    })?;
+    Ok((data, side))
+}
+
+/// `name-0003.dat` for number 3, the name itself for 0.
+fn numbered(path: &Path, number: u32) -> PathBuf {
+    if number == 0 {
+        return path.into();
+    }
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let extension = path.extension().map_or(String::new(), |extension| format!(".{}", extension.to_string_lossy()));
+    path.with_file_name(format!("{stem}-{number:04}{extension}"))
+}
+
+/// Bytes and number of the whole records in the first `done` bytes.
+fn whole_records(bytes: &[u8], done: usize) -> (usize, usize) {
+    let (mut at, mut records) = (0, 0);
+    while let Some(&[high, low]) = bytes.get(at..at + LENGTH_FIELD) {
+        let end = at + LENGTH_FIELD + usize::from(u16::from_be_bytes([high, low]));
+        if end > done {
+            break;
+        }
+        (at, records) = (end, records + 1);
+    }
+    (at, records)
+}
+
+impl Sink for LogFiles {
+    fn write(&mut self, chunk: &Chunk) -> Written {
+        let rotated = if self.is_due(chunk) { self.rotate() } else { None };
+        self.since.get_or_insert(chunk.at);
+        let (done, outcome) = self.data.append(&chunk.bytes, |done| whole_records(&chunk.bytes, done).0);
+        let records = whole_records(&chunk.bytes, done).1;
+        let lost = chunk.host_us.len() - records;
+        let before = self.records;
+        self.records += records as u64;
+        let stamped = self.stamp(before, chunk.host_us.get(..records).unwrap_or_default());
+        let words = |path: &Path, error: io::Error| format!("writing {}: {error}", path.display());
+        let error = outcome.map_err(|error| words(&self.data.path, error)).err();
+        let error = error.or_else(|| stamped.map_err(|error| words(&self.side.path, error)).err()).or(rotated);
+        Written { records: records as u64, lost: lost as u64, error }
+    }
+
+    fn sync(&mut self) -> Option<String> {
+        let synced = self.data.file.sync_data().and_then(|()| self.side.file.sync_data());
+        synced.err().map(|error| format!("syncing {}: {error}", self.data.path.display()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whole_records_end_where_their_lengths_say() {
+        let bytes = [0, 2, 0xBB, 1, 0, 1, 0xC1, 0, 3, 1, 2, 3];
+        let all: Vec<_> = (0..=bytes.len()).map(|done| whole_records(&bytes, done)).collect();
+        assert_eq!(all[3], (0, 0));
+        assert_eq!(all[4], (4, 1));
+        assert_eq!(all[7], (7, 2));
+        assert_eq!(all[11], (7, 2));
+        assert_eq!(all[12], (12, 3));
+    }
+
+    #[test]
+    fn names_in_a_row() {
+        assert_eq!(numbered(Path::new("a/out.dat"), 0), Path::new("a/out.dat"));
+        assert_eq!(numbered(Path::new("a/out.dat"), 12), Path::new("a/out-0012.dat"));
+        assert_eq!(numbered(Path::new("out"), 1), Path::new("out-0001"));
+        assert_eq!(side_path(Path::new("out.dat")), Path::new("out.datstp"));
+    }
+}

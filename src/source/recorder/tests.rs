@@ -1,0 +1,182 @@
+use super::*;
+use crate::source::replay::Replay;
+use driver_iface::bfee;
+use driver_iface::record::{Tail, code};
+use std::collections::VecDeque;
+
+/// A source of numbered records, as many as it is told.
+struct Numbered {
+    left: VecDeque<Option<u32>>,
+    body: Vec<u8>,
+}
+
+/// Bytes of a record in the log: length, code, and a 1x1 bfee.
+const RECORD: usize = 3 + bfee::STOCK_HEADER + bfee::csi_len(1, 1);
+
+impl Numbered {
+    fn new(records: impl IntoIterator<Item = Option<u32>>) -> Self {
+        let mut body = vec![0; RECORD - 3];
+        (body[bfee::offset::N_RX], body[bfee::offset::N_TX]) = (1, 1);
+        body[bfee::offset::LEN] = bfee::csi_len(1, 1) as u8;
+        Self { left: records.into_iter().collect(), body }
+    }
+}
+
+impl CsiSource for Numbered {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        match self.left.pop_front() {
+            None => Ok(Next::End(Tail::Clean)),
+            Some(None) => Ok(Next::Pending),
+            Some(Some(number)) => {
+                self.body[..4].copy_from_slice(&number.to_le_bytes());
+                let stamps = Stamps { at: now, host_us: Some(i64::from(number) + 5_000_000), offset: 0 };
+                Ok(Next::Record(stamps, Record { code: code::BFEE, body: &self.body }))
+            }
+        }
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        None
+    }
+}
+
+/// A disk that waits for permission before each write, and remembers.
+struct Gate {
+    open: Receiver<()>,
+    kept: Vec<u8>,
+    syncs: usize,
+}
+
+impl Sink for Gate {
+    fn write(&mut self, chunk: &Chunk) -> Written {
+        let _ = self.open.recv();
+        self.kept.extend_from_slice(&chunk.bytes);
+        Written { records: chunk.host_us.len() as u64, ..Written::default() }
+    }
+    fn sync(&mut self) -> Option<String> {
+        self.syncs += 1;
+        None
+    }
+}
+
+fn numbers(log: &[u8]) -> Vec<u32> {
+    log.chunks(RECORD).map(|record| u32::from_le_bytes(record[3..7].try_into().unwrap())).collect()
+}
+
+fn drain<W: Sink>(recorder: &mut Recorder<Numbered, W>, now: Instant) -> u64 {
+    let mut records = 0;
+    loop {
+        match recorder.receive(now).unwrap() {
+            Next::Record(..) => records += 1,
+            Next::End(_) => return records,
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn a_stopped_disk_makes_counted_loss_and_never_holds_the_source() {
+    let (open, gate) = channel();
+    let sink = Gate { open: gate, kept: Vec::new(), syncs: 0 };
+    // Chunks that hold the largest record and one small one; three of them.
+    let options = Options { chunk_bytes: 8_200, chunks: 3, ..Options::default() };
+    let source = Numbered::new((0..10_000).map(Some));
+    let mut recorder = Recorder::new(source, sink, options).unwrap();
+    // Every record arrives although nothing is written.
+    assert_eq!(drain(&mut recorder, Instant::ZERO), 10_000);
+    let dropped = recorder.totals().dropped;
+    assert!(dropped > 0, "the queue never filled");
+    assert_eq!(recorder.totals().written, 0);
+    drop(open);
+    let (_, sink, totals) = recorder.finish(Instant::ZERO).unwrap();
+    assert_eq!((totals.received, totals.dropped), (10_000, dropped));
+    assert_eq!(totals.written, 10_000 - dropped);
+    let kept = numbers(&sink.kept);
+    assert_eq!(kept.len() as u64, totals.written);
+    assert!(kept.is_sorted_by(|a, b| a < b));
+}
+
+#[test]
+fn chunks_and_syncs_keep_time() {
+    let (open, gate) = channel();
+    drop(open);
+    let sink = Gate { open: gate, kept: Vec::new(), syncs: 0 };
+    let source = Numbered::new([Some(1), None, None, None, None]);
+    let options = Options { hand_over: Span::from_ms(10), sync_every: Some(Span::from_ms(25)), ..Options::default() };
+    let mut recorder = Recorder::new(source, sink, options).unwrap();
+    assert_eq!(recorder.next_at(), None);
+    let _ = recorder.receive(Instant::ZERO).unwrap();
+    assert_eq!(recorder.next_at(), Some(Instant::from_us(10_000)));
+    let _ = recorder.receive(Instant::from_us(10_000)).unwrap();
+    assert_eq!(recorder.next_at(), Some(Instant::from_us(25_000)));
+    let _ = recorder.receive(Instant::from_us(25_000)).unwrap();
+    assert_eq!(recorder.next_at(), None, "nothing is left to write");
+    let (_, sink, totals) = recorder.finish(Instant::from_us(26_000)).unwrap();
+    assert_eq!((sink.syncs, numbers(&sink.kept)), (2, vec![1]));
+    assert_eq!(totals.written, 1);
+}
+
+fn folder(name: &str) -> std::path::PathBuf {
+    let folder = std::env::temp_dir().join(format!("csi5300-recorder-{}-{name}", std::process::id()));
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
+#[test]
+fn what_is_recorded_replays_with_its_host_times() {
+    let folder = folder("replay");
+    let path = folder.join("out.dat");
+    let files = LogFiles::create(&path, Rotation::default(), false).unwrap();
+    let mut recorder = Recorder::new(Numbered::new((0..500).map(Some)), files, Options::default()).unwrap();
+    drain(&mut recorder, Instant::ZERO);
+    let (_, _, totals) = recorder.finish(Instant::ZERO).unwrap();
+    assert_eq!((totals.written, totals.error), (500, None));
+    let mut replay = Replay::open(&path).unwrap();
+    for number in 0..500_u32 {
+        let Next::Record(stamps, record) = replay.receive(Instant::ZERO).unwrap() else { panic!("record {number}") };
+        assert_eq!(record.body[..4], number.to_le_bytes());
+        assert_eq!(stamps.host_us, Some(i64::from(number) + 5_000_000));
+    }
+    assert!(matches!(replay.receive(Instant::ZERO).unwrap(), Next::End(Tail::Clean)));
+    // Nothing is overwritten unless asked for, not even half of the pair.
+    let again = LogFiles::create(&path, Rotation::default(), false).unwrap_err();
+    assert!(again.to_string().contains("--force"), "{again}");
+    std::fs::remove_file(&path).unwrap();
+    let side_only = LogFiles::create(&path, Rotation::default(), false).unwrap_err();
+    assert!(side_only.to_string().contains("out.datstp"), "{side_only}");
+    assert!(!path.exists());
+    LogFiles::create(&path, Rotation::default(), true).unwrap();
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn rotation_by_size_and_by_time_loses_nothing() {
+    for (name, rotation) in [
+        ("size", Rotation { bytes: Some(250_000), every: None }),
+        ("time", Rotation { bytes: None, every: Some(Span::from_ms(1_000)) }),
+    ] {
+        let folder = folder(name);
+        let files = LogFiles::create(&folder.join("out.dat"), rotation, false).unwrap();
+        let options = Options { chunk_bytes: 10_000, ..Options::default() };
+        let mut recorder = Recorder::new(Numbered::new((0..5_000).map(Some)), files, options).unwrap();
+        let mut now = Instant::ZERO;
+        while !matches!(recorder.receive(now).unwrap(), Next::End(_)) {
+            now += Span::from_ms(1);
+        }
+        let (_, files, totals) = recorder.finish(now).unwrap();
+        assert_eq!((totals.written, totals.error), (5_000, None));
+        let paths = files.paths();
+        assert_eq!(paths.len(), if name == "size" { 2 } else { 5 }, "{paths:?}");
+        let mut all = Vec::new();
+        for path in &paths {
+            let log = std::fs::read(path).unwrap();
+            assert!(name != "size" || log.len() <= 250_000);
+            let stamps = std::fs::metadata(side_path(path)).unwrap().len();
+            assert_eq!(stamps as usize / 16, log.len() / RECORD);
+            all.extend(numbers(&log));
+        }
+        assert_eq!(all, (0..5_000).collect::<Vec<_>>());
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+}

@@ -1,0 +1,349 @@
+//! What is in a log, and what is not: counts of everything read, dropped and missing.
+
+use crate::source::{Loss, Next, Stamps};
+use crate::time::{Step16, Unwrap32};
+use driver_iface::mpdu::Mpdu;
+use driver_iface::record::{Record, Tail, code};
+use driver_iface::{Mac, bfee::Bfee};
+use std::collections::BTreeMap;
+
+/// Losses kept with their place; further ones are only counted.
+pub const LOSSES_KEPT: usize = 16;
+/// Senders told apart; a log in which noise or malice made up more only counts them.
+pub const SENDERS_KEPT: usize = 256;
+/// Counts of frame numbers told apart for each sender, and how far numbers of one count are from each other at most:
+/// initiators begin further apart ([`crate::exchange::pairing::before_first_number`]).
+const COUNTS_KEPT: usize = 16;
+const SAME_COUNT: u32 = 1 << 22;
+/// Inter-packet times kept for the median.
+const STEPS_KEPT: usize = 4_096;
+
+/// Frames of one sender in a log.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+pub struct Sender {
+    /// bfee records.
+    pub records: u64,
+    /// Lowest and highest frame number.
+    pub frame_count: Option<(u32, u32)>,
+    /// Frame numbers skipped on the way up.
+    pub frames_skipped: u64,
+    /// Frames with the number of the one before: the card reports some twice.
+    pub frames_repeated: u64,
+    /// Steps back of the frame number: a sender that started anew.
+    pub frames_restarted: u64,
+    /// The newest number of each count: where several robots initiate, a sender's answers bear the numbers of others.
+    #[serde(skip)]
+    last_frame_counts: Vec<u32>,
+    #[serde(skip)]
+    clock: Unwrap32,
+    #[serde(skip)]
+    last_us: Option<i64>,
+    #[serde(skip)]
+    steps_us: Vec<i64>,
+}
+
+impl Sender {
+    /// Frames per second from the median time between frames on the card's clock.
+    #[must_use]
+    pub fn rate_hz(&self) -> Option<f64> {
+        let mut steps = self.steps_us.clone();
+        if steps.is_empty() {
+            return None;
+        }
+        let middle = steps.len() / 2;
+        let median = *steps.select_nth_unstable(middle).1;
+        (median > 0).then(|| 1e6 / median as f64)
+    }
+
+    fn note(&mut self, frame_count: Option<u32>, timestamp_low: u32) {
+        self.records += 1;
+        if let Some(number) = frame_count {
+            let (low, high) = self.frame_count.unwrap_or((number, number));
+            self.frame_count = Some((low.min(number), high.max(number)));
+            self.note_number(number);
+        }
+        let now_us = self.clock.next(timestamp_low);
+        if let Some(last_us) = self.last_us
+            && self.steps_us.len() < STEPS_KEPT
+        {
+            self.steps_us.push(now_us - last_us);
+        }
+        self.last_us = Some(now_us);
+    }
+
+    fn note_number(&mut self, number: u32) {
+        let step_from = |last: u32| number.wrapping_sub(last).cast_signed();
+        let has_room = self.last_frame_counts.len() < COUNTS_KEPT;
+        let nearest = self.last_frame_counts.iter_mut().min_by_key(|last| step_from(**last).unsigned_abs());
+        match nearest {
+            Some(last) if step_from(*last).unsigned_abs() <= SAME_COUNT => {
+                match step_from(*last) {
+                    1 => {}
+                    0 => self.frames_repeated += 1,
+                    step @ 2.. => self.frames_skipped += u64::from(step.unsigned_abs() - 1),
+                    _ => self.frames_restarted += 1,
+                }
+                *last = number;
+            }
+            _ if has_room => self.last_frame_counts.push(number),
+            _ => self.frames_restarted += 1,
+        }
+    }
+}
+
+/// Smallest, largest and sum of a quantity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Range {
+    /// Smallest value.
+    pub min: i32,
+    /// Largest value.
+    pub max: i32,
+    /// Mean value.
+    pub mean: f64,
+    #[serde(skip)]
+    count: u64,
+}
+
+impl Range {
+    fn note(&mut self, value: i32) {
+        if self.count == 0 {
+            (self.min, self.max) = (value, value);
+        }
+        self.count += 1;
+        self.min = self.min.min(value);
+        self.max = self.max.max(value);
+        self.mean += (f64::from(value) - self.mean) / self.count as f64;
+    }
+}
+
+/// A stretch of a log that was lost, in words.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize)]
+pub struct LostBytes {
+    /// Offset of the first lost byte.
+    pub offset: u64,
+    /// Bytes skipped.
+    pub bytes: u64,
+    /// Why.
+    pub reason: String,
+}
+
+/// Everything counted while reading one log.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+pub struct Survey {
+    /// Records of any code.
+    pub records: u64,
+    /// Records by code.
+    pub by_code: BTreeMap<u8, u64>,
+    /// Intact bfee records in the stock layout.
+    pub stock: u64,
+    /// Intact bfee records in the WSR layout.
+    pub wsr: u64,
+    /// bfee records that were framed but hold something impossible.
+    pub bad_bfee: u64,
+    /// Stretches of bytes that are no record.
+    pub damages: u64,
+    /// Bytes in them.
+    pub damaged_bytes: u64,
+    /// The first of both kinds.
+    pub losses: Vec<LostBytes>,
+    /// Queue overruns reported by the source.
+    pub overruns: u64,
+    /// Numbers missing from `bfee_count` (lost, or filtered out of the log).
+    pub bfee_missing: u64,
+    /// Records with the `bfee_count` of the one before.
+    pub bfee_repeated: u64,
+    /// Steps back of `bfee_count`: the driver was loaded anew (or more than 32,767 records are missing).
+    pub bfee_restarted: u64,
+    /// Records of senders beyond [`SENDERS_KEPT`], which are not told apart.
+    pub further_senders: u64,
+    /// Records by receive chains and streams: `streams[n_rx - 1][n_tx - 1]`.
+    pub streams: [[u64; 3]; 3],
+    /// Records by `antenna_sel`.
+    pub antenna_sel: BTreeMap<u8, u64>,
+    /// Records whose `antenna_sel` is no permutation.
+    pub bad_permutations: u64,
+    /// Records by `fake_rate_n_flags`.
+    pub rates: BTreeMap<u16, u64>,
+    /// Records without a noise measurement (-127).
+    pub noise_unknown: u64,
+    /// Noise floor where measured, dBm.
+    pub noise_dbm: Range,
+    /// RSSI by antenna A, B, C, dB relative to the card's reference; zeros (not connected) left out.
+    pub rssi: [Range; 3],
+    /// Gain of the receiver, dB.
+    pub agc: Range,
+    /// Frames by sender; the all-zero MAC is "unknown".
+    #[serde(skip)]
+    pub senders: BTreeMap<Mac, Sender>,
+    /// First and last card clock, unwrapped microseconds.
+    pub clock_us: Option<(i64, i64)>,
+    /// First and last host time, microseconds since the Unix epoch.
+    pub host_us: Option<(i64, i64)>,
+    /// MPDU records whose frame check sequence does not fit.
+    pub mpdu_bad_fcs: u64,
+    /// How the log ended.
+    #[serde(skip)]
+    pub tail: Option<Tail>,
+    #[serde(skip)]
+    count: Step16,
+    #[serde(skip)]
+    clock: Unwrap32,
+    #[serde(skip)]
+    heard: Option<(Mac, Option<u32>)>,
+}
+
+/// The identity of a bfee: who sent the frame, its number, when the host saw it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// Sender (addr3 of the frame); all zero if unknown.
+    pub mac: Mac,
+    /// Sounding counter.
+    pub frame_count: Option<u32>,
+    /// Host time of the record, microseconds since the Unix epoch.
+    pub host_us: Option<i64>,
+}
+
+impl Survey {
+    /// Counts what a source gave. For an intact bfee record it gives the checked view and the frame's identity.
+    pub fn note<'a>(&mut self, next: &Next<'a>) -> Option<(Bfee<'a>, Identity)> {
+        match next {
+            Next::Record(stamps, record) => self.note_record(*stamps, *record),
+            Next::Lost(loss) => {
+                self.note_loss(loss);
+                None
+            }
+            Next::Pending => None,
+            Next::End(tail) => {
+                self.tail = Some(*tail);
+                None
+            }
+        }
+    }
+
+    fn note_record<'a>(&mut self, stamps: Stamps, record: Record<'a>) -> Option<(Bfee<'a>, Identity)> {
+        self.records += 1;
+        *self.by_code.entry(record.code).or_default() += 1;
+        match record.code {
+            code::BFEE => match Bfee::new_checked(record.body) {
+                Ok(bfee) => Some((bfee, self.note_bfee(stamps, &bfee))),
+                Err(error) => {
+                    self.bad_bfee += 1;
+                    self.keep(stamps.offset, record.body.len() as u64 + 3, error.to_string());
+                    None
+                }
+            },
+            code::MPDU => {
+                self.note_mpdu(record.body);
+                None
+            }
+            _ => None,
+        }
+    }
+
+    fn note_mpdu(&mut self, body: &[u8]) {
+        self.heard = None;
+        if let Ok(mpdu) = Mpdu::new_checked(body) {
+            if mpdu.fcs_is_good() {
+                self.heard = Some((mpdu.addr3(), mpdu.sounding_counter()));
+            } else {
+                self.mpdu_bad_fcs += 1;
+            }
+        }
+    }
+
+    fn note_bfee(&mut self, stamps: Stamps, bfee: &Bfee<'_>) -> Identity {
+        let heard = self.heard.take();
+        let identity = match bfee.wsr() {
+            Some(wsr) => {
+                self.wsr += 1;
+
+                let host_us = i64::from(wsr.tv_sec) * 1_000_000 + i64::from(wsr.tv_usec);
+                Identity {
+                    mac: wsr.mac,
+                    frame_count: wsr.sender_known().then_some(wsr.frame_count),
+                    // The driver's own time is nearer to the frame than a listener's.
+                    host_us: (host_us > 0).then_some(host_us).or(stamps.host_us),
+                }
+            }
+            None => {
+                self.stock += 1;
+                let (mac, frame_count) = heard.unwrap_or_default();
+                Identity { mac, frame_count, host_us: stamps.host_us }
+            }
+        };
+        match self.count.step(bfee.bfee_count()) {
+            None | Some(1) => {}
+            Some(0) => self.bfee_repeated += 1,
+            Some(step) if step <= u16::MAX / 2 => self.bfee_missing += u64::from(step - 1),
+            Some(_) => self.bfee_restarted += 1,
+        }
+        if let Some(row) = self.streams.get_mut(bfee.n_rx().wrapping_sub(1))
+            && let Some(count) = row.get_mut(bfee.n_tx().wrapping_sub(1))
+        {
+            *count += 1;
+        }
+        *self.antenna_sel.entry(bfee.antenna_sel()).or_default() += 1;
+        self.bad_permutations += u64::from(bfee.antennas().is_err());
+        let rate = bfee.rate_n_flags();
+        if self.rates.len() < SENDERS_KEPT || self.rates.contains_key(&rate) {
+            *self.rates.entry(rate).or_default() += 1;
+        }
+        match bfee.noise_dbm() {
+            -127 => self.noise_unknown += 1,
+            noise => self.noise_dbm.note(i32::from(noise)),
+        }
+        for (range, rssi) in self.rssi.iter_mut().zip(bfee.rssi()).filter(|(_, rssi)| *rssi != 0) {
+            range.note(i32::from(rssi));
+        }
+        self.agc.note(i32::from(bfee.agc()));
+        if self.senders.len() < SENDERS_KEPT || self.senders.contains_key(&identity.mac) {
+            self.senders.entry(identity.mac).or_default().note(identity.frame_count, bfee.timestamp_low());
+        } else {
+            self.further_senders += 1;
+        }
+        let elapsed_us = self.host_us.zip(identity.host_us).map(|((_, last), now)| now.saturating_sub(last));
+        let now_us = self.clock.next_after(bfee.timestamp_low(), elapsed_us);
+        self.clock_us = Some((self.clock_us.map_or(now_us, |(first, _)| first), now_us));
+        if let Some(host_us) = identity.host_us {
+            self.host_us = Some((self.host_us.map_or(host_us, |(first, _)| first), host_us));
+        }
+        identity
+    }
+
+    fn note_loss(&mut self, loss: &Loss) {
+        match loss {
+            Loss::Bytes { offset, len, reason } => {
+                self.damages += 1;
+                self.damaged_bytes += len;
+                self.keep(*offset, *len, reason.to_string());
+            }
+            Loss::Datagram { number, len, reason } => {
+                self.damages += 1;
+                self.damaged_bytes += len;
+                self.keep(*number, *len, reason.to_string());
+            }
+            Loss::Overrun { dropped } => self.overruns += dropped.unwrap_or(1),
+        }
+    }
+
+    fn keep(&mut self, offset: u64, bytes: u64, reason: String) {
+        if self.losses.len() < LOSSES_KEPT {
+            self.losses.push(LostBytes { offset, bytes, reason });
+        }
+    }
+
+    /// Intact bfee records.
+    #[must_use]
+    pub fn bfees(&self) -> u64 {
+        self.stock + self.wsr
+    }
+
+    /// True if anything before the tail was dropped or damaged.
+    #[must_use]
+    pub fn lost_something(&self) -> bool {
+        self.damages > 0 || self.bad_bfee > 0 || self.overruns > 0
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,6 @@
+//! The library from outside: the scheduler on a virtual air, bodies of the fuzz targets.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+mod fuzz_csv;
+mod fuzz_sounding;
+mod tdma;

@@ -1,0 +1,8 @@
+//! The scheduler on a virtual air.
+
+mod air;
+mod faults;
+mod golden;
+mod hostile;
+mod rounds;
+mod wsr;
