@@ -31,6 +31,7 @@
 //! | module | what it turns into what |
 //! |---|---|
 //! | [`scene`] | TOML into a checked scene; refusals have the line and the reason |
+//! | [`toml_lines`] | a place in a TOML text into its line |
 //! | [`motion`] | time into poses: shapes, walks, waypoints, recorded trajectories |
 //! | `followed` | an odometry source into poses, while it gives them |
 //! | `surfaces` | two places into paths: image method to any order, exact lengths, blocked and weakened paths |
@@ -81,6 +82,7 @@ pub mod served;
 mod sounder;
 mod station;
 mod surfaces;
+pub mod toml_lines;
 mod turn_around;
 mod world;
 

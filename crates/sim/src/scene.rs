@@ -7,7 +7,7 @@ use super::faults::Faults;
 use super::motion::{Motion, Pose};
 use super::radio::Radio;
 use super::recorded::Recorded;
-use super::scene_check;
+use super::toml_lines::line_of;
 use driver_iface::Mac;
 use nalgebra::Vector3;
 use serde::Deserialize;
@@ -346,7 +346,7 @@ impl Scene {
     /// As [`Scene::from_toml`].
     pub fn read(text: &str, folder: &Path) -> Result<Self, SceneError> {
         let mut scene: Self = toml::from_str(text).map_err(|error| SceneError {
-            line: error.span().map(|span| scene_check::line_of(text, span.start)),
+            line: error.span().map(|span| line_of(text, span.start)),
             reason: error.message().to_owned(),
         })?;
         for robot in &mut scene.robot {

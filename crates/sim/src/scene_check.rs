@@ -6,21 +6,14 @@ use super::motion::Motion;
 use super::radio::{Gain, Noise, Radio};
 use super::scene::{Dialect, Odometry, Pattern, Robot, Scene, SceneError};
 use super::sounder::request;
+use super::toml_lines::{Step, TomlLines};
 use super::world::{World, surfaces};
 use nalgebra::Vector3;
-use toml::de::{DeTable, DeValue};
-
-/// One step of the way to a value in the document.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Step {
-    Key(&'static str),
-    Index(usize),
-}
 
 /// What is wrong, and where in the document.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Problem {
-    at: Vec<Step>,
+    at: Vec<Step<'static>>,
     reason: String,
 }
 
@@ -32,7 +25,7 @@ impl Problem {
     }
 
     /// The same problem, one level further out.
-    fn within(mut self, step: Step) -> Self {
+    fn within(mut self, step: Step<'static>) -> Self {
         self.at.insert(0, step);
         self
     }
@@ -41,46 +34,10 @@ impl Problem {
         self.within(Step::Key(key))
     }
 
-    /// Finds the line of the problem: that of the innermost part of its place that the text has.
+    /// Finds the line of the problem.
     pub(super) fn locate(self, text: &str) -> SceneError {
-        let line = DeTable::parse(text).ok().and_then(|document| {
-            let mut found = None;
-            let mut value = DeValue::Table(document.into_inner());
-            for step in &self.at {
-                let (next, start) = descend(value, *step)?;
-                found = Some(start);
-                value = next;
-            }
-            found
-        });
-        SceneError { line: line.map(|start| line_of(text, start)), reason: self.reason }
+        SceneError { line: TomlLines::new(text).line(&self.at), reason: self.reason }
     }
-}
-
-/// The value one step further in, and where it (or its key) begins. A missing key stays where it is.
-fn descend(value: DeValue<'_>, step: Step) -> Option<(DeValue<'_>, usize)> {
-    match (value, step) {
-        (DeValue::Table(table), Step::Key(key)) => {
-            let (name, value) = table.into_iter().find(|(name, _)| name.get_ref() == key)?;
-            let start = match value.get_ref() {
-                // A table's span is its header or braces, an array of tables has that of its first.
-                DeValue::Table(_) | DeValue::Array(_) => value.span().start,
-                _ => name.span().start,
-            };
-            Some((value.into_inner(), start))
-        }
-        (DeValue::Array(array), Step::Index(index)) => {
-            let value = array.into_iter().nth(index)?;
-            let start = value.span().start;
-            Some((value.into_inner(), start))
-        }
-        _ => None,
-    }
-}
-
-/// The line, from 1, of a byte offset.
-pub(super) fn line_of(text: &str, offset: usize) -> usize {
-    1 + text.bytes().take(offset).filter(|&b| b == b'\n').count()
 }
 
 /// Refuses a value unless `ok`.
