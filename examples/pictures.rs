@@ -1,5 +1,5 @@
 //! One of each picture from made-up numbers: `cargo run --example pictures -- out`.
-use csi5300_lab::plot::*;
+use csi5300_lab::show::*;
 use std::f64::consts::TAU;
 use std::path::PathBuf;
 

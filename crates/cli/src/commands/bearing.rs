@@ -208,7 +208,7 @@ fn artefacts(
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
         let wavelength_m = options.channel.wavelength_m();
-        let pictures = csi5300_lab::figures::Pictures { bearing, truth_rad: None, recorded: None, wavelength_m };
+        let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, recorded: None, wavelength_m };
         for path in pictures.write(folder, name).map_err(|error| error.to_string())? {
             eprintln!("picture of {name}: {}", path.display());
         }

@@ -3,7 +3,7 @@
 use super::args::{Estimation, channel};
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
-use csi5300_lab::evaluate::Source;
+use csi5300_lab::evaluate::TrajectorySource;
 
 /// How captures are read.
 #[derive(clap::Args)]
@@ -20,11 +20,11 @@ pub struct Reading {
 
 impl Reading {
     /// The trajectory to use.
-    pub fn source(&self) -> Source {
+    pub fn source(&self) -> TrajectorySource {
         match self.trajectory {
-            Which::Gt => Source::GroundTruth,
-            Which::T265 => Source::T265,
-            Which::Odom => Source::Odometry,
+            Which::Gt => TrajectorySource::GroundTruth,
+            Which::T265 => TrajectorySource::T265,
+            Which::Odom => TrajectorySource::Odometry,
         }
     }
 

@@ -220,7 +220,7 @@ fn draw(_: &Path, _: &Figures, _: &Figures, _: bool) -> Words<()> {
 
 #[cfg(feature = "plot")]
 fn draw(out: &Path, recorded: &Figures, simulated: &Figures, quiet: bool) -> Words<()> {
-    let written = csi5300_lab::figures::compared(recorded, simulated, out).map_err(|error| error.to_string())?;
+    let written = csi5300_lab::show::compared::write(recorded, simulated, out).map_err(|error| error.to_string())?;
     for path in written.iter().filter(|path| !quiet && path.extension().is_some_and(|e| e == "png")) {
         print(&format!("picture {}\n", path.display()));
     }

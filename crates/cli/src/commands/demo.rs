@@ -131,8 +131,12 @@ fn draw(
     recorded: Option<&Bearing>,
     options: &Options,
 ) -> Words<()> {
-    let pictures =
-        csi5300_lab::figures::Pictures { bearing, truth_rad, recorded, wavelength_m: options.channel.wavelength_m() };
+    let pictures = csi5300_lab::show::link::LinkPictures {
+        bearing,
+        truth_rad,
+        recorded,
+        wavelength_m: options.channel.wavelength_m(),
+    };
     for path in pictures.write(out, name).map_err(|error| error.to_string())? {
         if path.extension().is_some_and(|extension| extension == "png") {
             print(&format!("  picture {}\n", path.display()));

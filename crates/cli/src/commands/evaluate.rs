@@ -3,8 +3,8 @@
 use super::args::{Estimation, Step};
 use super::captures::Reading;
 use super::{Outcome, Result, print, print_json, usage};
-use csi5300_lab::evaluate::{Capture, Errors, Evaluated, Judged, SetSummary, Source, find, summarise};
-use csi5300_lab::quality::{median, over_bound, ranges, receivers, reliability, risk_coverage};
+use csi5300_lab::evaluate::quality::{median, over_bound, ranges, receivers, reliability, risk_coverage};
+use csi5300_lab::evaluate::{Capture, Errors, Evaluated, Judged, SetSummary, TrajectorySource, find, summarise};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -115,7 +115,7 @@ pub fn run(args: &Args) -> Result {
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.out {
-        let written = csi5300_lab::gallery::evaluation(&rows, folder).map_err(|error| error.to_string())?;
+        let written = csi5300_lab::show::set::write(&rows, folder).map_err(|error| error.to_string())?;
         eprintln!("{}: {} pictures", folder.display(), written.len());
     }
     for row in rows.iter().filter(|row| row.answer.error.is_some()) {
@@ -216,7 +216,7 @@ fn sets(rows: &[Judged]) -> BTreeMap<&str, Vec<&Judged>> {
 }
 
 /// Evaluates with everything, then without each step.
-fn ablation(args: &Args, source: Source, captures: &[Capture]) -> std::result::Result<String, String> {
+fn ablation(args: &Args, source: TrajectorySource, captures: &[Capture]) -> std::result::Result<String, String> {
     let mut text = String::from("error from the mean pose: mean / median / 90th percentile / share over 20 degrees\n");
     let runs = std::iter::once(None).chain(Step::ALL.into_iter().map(Some));
     for left_out in runs {

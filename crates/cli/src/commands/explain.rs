@@ -65,13 +65,13 @@ pub fn run(args: &Args) -> Result {
 #[cfg(feature = "plot")]
 fn draw(args: &Args, row: &Judged, bearing: &Bearing, options: &Options) -> std::result::Result<(), String> {
     let Some(folder) = &args.out else { return Ok(()) };
-    let pictures = csi5300_lab::figures::Pictures {
+    let pictures = csi5300_lab::show::link::LinkPictures {
         bearing,
         truth_rad: row.true_from_mean_pose_deg.map(f64::to_radians),
         recorded: None,
         wavelength_m: options.channel.wavelength_m(),
     };
-    let written = csi5300_lab::gallery::link(&pictures, folder, &row.answer.link).map_err(|error| error.to_string())?;
+    let written = pictures.write_all(folder, &row.answer.link).map_err(|error| error.to_string())?;
     eprintln!("{}: {} pictures", folder.display(), written.len());
     Ok(())
 }

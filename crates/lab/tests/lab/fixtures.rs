@@ -2,7 +2,7 @@
 
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
-use csi5300_lab::evaluate::{Source, find};
+use csi5300_lab::evaluate::{TrajectorySource, find};
 use csi5300_sim::{Room, Scene, write_dataset};
 use std::path::{Path, PathBuf};
 
@@ -31,7 +31,7 @@ fn the_small_circle_gives_its_scenes_bearing() {
     let (captures, unreadable) = find(&fixtures());
     assert!(captures.len() == 1 && unreadable.is_empty(), "{captures:?}");
     let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
-    let evaluated = captures[0].evaluate(Source::GroundTruth, None, &options);
+    let evaluated = captures[0].evaluate(TrajectorySource::GroundTruth, None, &options);
     let row = &evaluated.rows[0];
     assert!(!evaluated.lost, "a cut tail is no loss");
     assert!(row.error_from_mean_pose_deg.unwrap().abs() < 0.1, "{row:?}");

@@ -5,15 +5,15 @@ use csi5300::motion::pose::wrap_rad;
 use csi5300::pipeline::{JoinBy, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::{CsiSource, replay::Replay};
-use csi5300_lab::evaluate::{Errors, Judged, Source, find};
-use csi5300_lab::quality::{ranges, receivers};
+use csi5300_lab::evaluate::quality::{ranges, receivers};
+use csi5300_lab::evaluate::{Errors, Judged, TrajectorySource, find};
 use std::path::Path;
 
 fn options(join: JoinBy) -> Options {
     Options { join, ..Options::new(Channel::new(108, Width::Ht20).unwrap()) }
 }
 
-fn evaluate(root: &Path, source: Source) -> Vec<Judged> {
+fn evaluate(root: &Path, source: TrajectorySource) -> Vec<Judged> {
     let (captures, unreadable) = find(root);
     assert!(unreadable.is_empty() && captures.len() >= 14, "{} captures, {unreadable:?}", captures.len());
     captures.iter().flat_map(|capture| capture.evaluate(source, None, &options(JoinBy::Time)).rows).collect()
@@ -29,7 +29,7 @@ fn errors(rows: &[Judged], set: &str) -> Errors {
 #[test]
 fn wsr_links_with_motion_capture() {
     let Some(captures) = crate::common::captures() else { return };
-    let rows = evaluate(&captures.join("wsr"), Source::GroundTruth);
+    let rows = evaluate(&captures.join("wsr"), TrajectorySource::GroundTruth);
     let (los, nlos) = (errors(&rows, "LOS"), errors(&rows, "NLOS"));
     println!("LOS {los:?}\nNLOS {nlos:?}");
     assert_eq!((los.links, nlos.links), (18, 20));
@@ -48,7 +48,7 @@ fn wsr_links_with_motion_capture() {
 #[test]
 fn wsr_truth_is_that_of_the_published_table() {
     let Some(captures) = crate::common::captures() else { return };
-    let rows = evaluate(&captures.join("wsr"), Source::GroundTruth);
+    let rows = evaluate(&captures.join("wsr"), TrajectorySource::GroundTruth);
     let mut table = csv::Reader::from_path(captures.join("wsr/links.csv")).unwrap();
     let mut compared = 0;
     for record in table.records().map(Result::unwrap).filter(|record| &record[2] == "gt") {
@@ -75,7 +75,7 @@ fn every_wsr_log_finds_its_transmitter() {
     let Some(captures) = crate::common::captures() else { return };
     // From the data set's description; the product knows none of these.
     let known = [("tx2", "00:21:6a:3f:17:5a"), ("tx3", "00:21:6a:30:d2:3c"), ("tx4", "00:21:6a:b2:6e:fa")];
-    for row in evaluate(&captures.join("wsr"), Source::GroundTruth) {
+    for row in evaluate(&captures.join("wsr"), TrajectorySource::GroundTruth) {
         let (_, mac) = known.iter().find(|(tx, _)| row.answer.link.ends_with(tx)).unwrap();
         assert_eq!(row.answer.mac.as_deref(), Some(*mac), "{}", row.answer.link);
         assert!(

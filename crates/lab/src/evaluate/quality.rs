@@ -1,6 +1,7 @@
 //! What a set of judged links is worth: ranges, refusals, reliability of the confidence, receivers located.
 
-use crate::evaluate::{Errors, Judged, percentile};
+use super::errors::percentile;
+use super::{Errors, Judged};
 use csi5300::place::locate::{LocateError, Located, Sighting, locate};
 use nalgebra::Vector2;
 use serde::Serialize;

@@ -1,6 +1,7 @@
 //! Error distributions and benchmark curves.
 use super::Error;
-use super::canvas::{Axes, Canvas, Key, WIDTH, extent, extent_log, series_colour};
+use super::axes::{Axes, extent, extent_log};
+use super::canvas::{Canvas, Key, WIDTH, series_colour};
 use crate::evaluate::percentile;
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,7 @@
 //! Phase of the round-trip product over time.
 use super::Error;
-use super::canvas::{Axes, BLACK, BLUE, Canvas, Key, ORANGE, WIDTH, extent};
+use super::axes::{Axes, extent};
+use super::canvas::{BLACK, BLUE, Canvas, Key, ORANGE, WIDTH};
 use kuva::render::render::TextAnchor;
 use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};

@@ -1,6 +1,7 @@
 //! Where waves seem to come from: a map over azimuth and one coordinate more.
 use super::Error;
-use super::canvas::{Axes, BLACK, Canvas, GREEN, Key, RED, WIDTH};
+use super::axes::Axes;
+use super::canvas::{BLACK, Canvas, GREEN, Key, RED, WIDTH};
 use super::profile::{FLOOR_DB, shade};
 use kuva::render::render::TextAnchor;
 use std::path::{Path, PathBuf};

@@ -1,15 +1,29 @@
-//! Pictures for papers and reports, each written as PNG and SVG (1200 px wide) beside each other.
+//! Pictures and pages: links, sets and comparisons drawn, each picture as PNG and SVG (1200 px wide) beside each other.
 //!
-//! Every picture is a plain struct with public fields and one `write(stem)`: it adds `.png` and `.svg` to `stem`, makes
-//! missing folders, and returns the two paths. Values that are not finite are dropped; a picture with nothing left is
+//! | file | what it shows |
+//! |---|---|
+//! | [`link`] | a link from end to end: [`link::LinkPictures`] |
+//! | [`set`] | an evaluation: error distributions, refusals, a map of each place |
+//! | [`compared`] | a recording and a simulation beside each other |
+//! | [`report`] | one HTML page of a tree of captures, pictures inside |
+//! | `phase`, `profile`, `place`, `plane`, `curves` | the kinds of picture |
+//! | `canvas`, `axes` | lines, text, legends, ticks; the only files that name the drawing library's scene |
+//!
+//! Every kind of picture is a plain struct with public fields and one `write(stem)`: it adds `.png` and `.svg` to `stem`,
+//! makes missing folders, and returns the two paths. Values that are not finite are dropped; a picture with nothing left is
 //! [`Error::Empty`]. Colours are those of Okabe and Ito (2008), safe for colour-blind readers; legends stand above the
 //! axes, never on the data. Azimuths count from +x towards +y.
+mod axes;
 mod canvas;
+pub mod compared;
 mod curves;
+pub mod link;
 mod phase;
 mod place;
 mod plane;
 mod profile;
+pub mod report;
+pub mod set;
 
 pub use curves::{CdfPlot, ScatterLines};
 pub use phase::{PhasePlot, PhaseTrack};
@@ -45,6 +59,17 @@ pub enum Error {
         /// The system's reason.
         source: std::io::Error,
     },
+    /// The folder of a link's pictures could not be made.
+    #[error("cannot make the folder {folder}: {source}")]
+    Folder {
+        /// The folder.
+        folder: String,
+        /// The operating system's answer.
+        source: std::io::Error,
+    },
+    /// A profile could not be computed.
+    #[error(transparent)]
+    Profile(#[from] csi5300::bartlett::Error),
     /// The rasteriser refused the picture.
     #[error("drawing failed: {0}")]
     Drawing(String),

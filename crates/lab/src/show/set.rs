@@ -1,10 +1,8 @@
-//! The pictures of an evaluation (error distributions, refusals, a map of each place) and of one link from end to end.
+//! The pictures of an evaluation: error distributions, refusals, a map of each place.
 
+use super::{CdfPlot, Ellipse, Error, MapPlot, Ray, RayClass, ScatterLines, file_safe};
 use crate::evaluate::Judged;
-use crate::figures::{Error, Pictures};
-use crate::plot::{CdfPlot, Ellipse, MapPlot, PlaceMap, Ray, RayClass, ScatterLines, file_safe};
-use crate::quality::{Receiver, receivers, refusals};
-use csi5300::pipeline::link::Bearing;
+use crate::evaluate::quality::{Kept, Receiver, receivers, refusals};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -22,7 +20,7 @@ const TOOLBOX: [(&str, f64, f64); 5] = [
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn evaluation(rows: &[Judged], folder: &Path) -> Result<Vec<PathBuf>, Error> {
+pub fn write(rows: &[Judged], folder: &Path) -> Result<Vec<PathBuf>, Error> {
     let mut written = errors(rows).write(&folder.join("errors"))?;
     written.extend(refused(rows).write(&folder.join("refusals"))?);
     let mut captures: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
@@ -51,19 +49,19 @@ fn errors(rows: &[Judged]) -> CdfPlot {
         let points = vec![(*median, 0.5), (*p90, 0.9)];
         (format!("toolbox {name}: median, 90th percentile"), points)
     };
-    // In the order of the sets, so that each has the colour of its peer.
-    let peers = sets.keys().map(|set| TOOLBOX.iter().find(|peer| peer.0 == set));
+    // In the order of the sets, so that each has the colour of the toolbox's.
+    let published = sets.keys().map(|set| TOOLBOX.iter().find(|own| own.0 == set));
     CdfPlot {
         title: "Bearing error against the mean pose".into(),
         x_label: "error (degrees)".into(),
-        known: peers.map(|peer| peer.map(known).unwrap_or_default()).collect::<Vec<_>>(),
+        known: published.map(|own| own.map(known).unwrap_or_default()).collect::<Vec<_>>(),
         series: sets.into_iter().collect(),
     }
 }
 
 fn refused(rows: &[Judged]) -> ScatterLines {
     let curve = refusals(rows);
-    let points = |pick: fn(&crate::quality::Kept) -> f64| curve.iter().map(|k| (100.0 * k.share, pick(k))).collect();
+    let points = |pick: fn(&Kept) -> f64| curve.iter().map(|k| (100.0 * k.share, pick(k))).collect();
     ScatterLines {
         title: "Error of the links that are kept when the least confident are refused".into(),
         x_label: "links kept (%)".into(),
@@ -101,57 +99,4 @@ fn map(capture: &str, rows: &[&Judged], receiver: Option<&Receiver>) -> MapPlot 
     }
     plot.truth.extend(rows.iter().find_map(|row| row.true_receiver_m).map(|at| ("receiver".to_owned(), at)));
     plot
-}
-
-/// Writes the pictures of one link: those of [`Pictures`], and `NAME-azimuth-elevation` and `NAME-azimuth-range`.
-///
-/// # Errors
-/// If a picture cannot be drawn or written.
-pub fn link(pictures: &Pictures<'_>, folder: &Path, name: &str) -> Result<Vec<PathBuf>, Error> {
-    let mut written = pictures.write(folder, name)?;
-    let stem = |what: &str| folder.join(format!("{}-{what}", file_safe(name)));
-    for (what, map) in places(pictures.bearing, name, pictures.truth_rad.map(f64::to_degrees)) {
-        written.extend(map.write(&stem(what))?);
-    }
-    Ok(written)
-}
-
-fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'static str, PlaceMap)> {
-    let Some((placed, maps)) = bearing.placed.as_ref().and_then(|placed| Some((placed, placed.maps.as_ref()?))) else {
-        return Vec::new();
-    };
-    let sources = || placed.fix.sources.iter();
-    let last = |values: &[f64]| values.last().copied().unwrap_or(0.0);
-    let mut found = Vec::new();
-    if maps.elevations_rad.len() > 1 {
-        let own = sources().map(|s| (s.azimuth_rad.to_degrees(), s.abs_elevation_rad.to_degrees()));
-        let map = PlaceMap {
-            title: format!("{name}: joint power, best range of each"),
-            y_label: "|elevation| (degrees)".into(),
-            y: (0.0, last(&maps.elevations_rad).to_degrees()),
-            n_az: maps.azimuths,
-            value: maps.over_elevation.clone(),
-            marks: own.collect(),
-            truth_deg,
-            ..PlaceMap::default()
-        };
-        found.push(("azimuth-elevation", map));
-    }
-    if maps.curves_per_m.len() > 1 {
-        let most = last(&maps.curves_per_m);
-        let ticks = [f64::INFINITY, 20.0, 10.0, 6.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.0];
-        let shown = ticks.into_iter().filter(|range| 1.0 / range <= most * 1.001);
-        let map = PlaceMap {
-            title: format!("{name}: joint power, best elevation of each"),
-            y_label: "range (m), even in 1/range".into(),
-            y: (0.0, most),
-            y_ticks: shown.map(|r| (1.0 / r, if r.is_finite() { r.to_string() } else { "far".into() })).collect(),
-            n_az: maps.azimuths,
-            value: maps.over_range.clone(),
-            marks: sources().map(|s| (s.azimuth_rad.to_degrees(), s.inverse_range_per_m)).collect(),
-            truth_deg,
-        };
-        found.push(("azimuth-range", map));
-    }
-    found
 }

@@ -1,6 +1,7 @@
 //! Pictures in the plane of motion: one trajectory with its bearing, and the map of all robots.
 use super::Error;
-use super::canvas::{Axes, BLACK, BLUE, Canvas, GREEN, GREY, Key, PURPLE, RED, Rgb, SKY, WIDTH, extent};
+use super::axes::{Axes, extent};
+use super::canvas::{BLACK, BLUE, Canvas, GREEN, GREY, Key, PURPLE, RED, Rgb, SKY, WIDTH};
 use kuva::render::render::TextAnchor;
 use std::path::{Path, PathBuf};
 

@@ -1,6 +1,7 @@
 //! Bartlett profiles over azimuth, and over azimuth and elevation.
 use super::Error;
-use super::canvas::{Axes, BLACK, Canvas, GREY, Key, PALE, RED, WIDTH, series_colour};
+use super::axes::Axes;
+use super::canvas::{BLACK, Canvas, GREY, Key, PALE, RED, WIDTH, series_colour};
 use kuva::plot::ColorMap;
 use kuva::render::render::TextAnchor;
 use std::path::{Path, PathBuf};

@@ -1,32 +1,12 @@
-//! The pictures of a link: phase, trajectory with the bearing on it, polar profile.
+//! The pictures of a link: phase, trajectory with the bearing on it, polar profile, maps of places.
 
-use crate::compare::Figures;
-use crate::plot::{self, CdfPlot, PhasePlot, PhaseTrack, ProfilePlot, TrajectoryPlot, file_safe};
+use super::{Error, PhasePlot, PhaseTrack, PlaceMap, ProfilePlot, TrajectoryPlot, file_safe};
 use csi5300::bartlett::{self, Grid};
 use csi5300::pipeline::link::{Bearing, Phase};
 use std::path::{Path, PathBuf};
 
-/// Why there is no picture.
-#[derive(Debug, thiserror::Error)]
-pub enum Error {
-    /// It could not be drawn or written.
-    #[error(transparent)]
-    Plot(#[from] plot::Error),
-    /// Its profile could not be computed.
-    #[error(transparent)]
-    Bartlett(#[from] bartlett::Error),
-    /// The folder could not be made.
-    #[error("cannot make the folder {folder}: {source}")]
-    Folder {
-        /// The folder.
-        folder: String,
-        /// The operating system's answer.
-        source: std::io::Error,
-    },
-}
-
 /// What is drawn of a link.
-pub struct Pictures<'a> {
+pub struct LinkPictures<'a> {
     /// The link; its phase is drawn if its course was kept.
     pub bearing: &'a Bearing,
     /// True azimuth, where known, radians.
@@ -40,7 +20,7 @@ pub struct Pictures<'a> {
 /// Azimuths of the profile.
 const AZIMUTHS: usize = 1_440;
 
-impl Pictures<'_> {
+impl LinkPictures<'_> {
     /// Writes `NAME-phase`, `NAME-trajectory` and `NAME-profile` into a folder, each as .png and .svg.
     ///
     /// # Errors
@@ -55,6 +35,19 @@ impl Pictures<'_> {
         }
         written.extend(self.trajectory(name).write(&stem("trajectory"))?);
         written.extend(self.profile(name)?.write(&stem("profile"))?);
+        Ok(written)
+    }
+
+    /// The same, and `NAME-azimuth-elevation` and `NAME-azimuth-range` where maps were asked for.
+    ///
+    /// # Errors
+    /// If a picture cannot be drawn or written.
+    pub fn write_all(&self, folder: &Path, name: &str) -> Result<Vec<PathBuf>, Error> {
+        let mut written = self.write(folder, name)?;
+        let stem = |what: &str| folder.join(format!("{}-{what}", file_safe(name)));
+        for (what, map) in places(self.bearing, name, self.truth_rad.map(f64::to_degrees)) {
+            written.extend(map.write(&stem(what))?);
+        }
         Ok(written)
     }
 
@@ -96,7 +89,7 @@ impl Pictures<'_> {
     }
 }
 
-fn track(label: &str, course: &[Phase]) -> PhaseTrack {
+pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {
     PhaseTrack {
         label: label.into(),
         t_s: course.iter().map(|phase| phase.t_s).collect(),
@@ -105,29 +98,42 @@ fn track(label: &str, course: &[Phase]) -> PhaseTrack {
     }
 }
 
-/// Writes the pictures of two captures beside each other into a folder: `compare-phase` (the round trip's phase before
-/// and after turn-around compensation) and `compare-turn-around` (how far answers are from their usual time).
-///
-/// # Errors
-/// If a picture cannot be drawn or written.
-pub fn compared(recorded: &Figures, simulated: &Figures, folder: &Path) -> Result<Vec<PathBuf>, Error> {
-    let round_trip = |label: &str, figures: &Figures| PhaseTrack {
-        before_rad: figures.link.course.iter().map(|phase| phase.round_trip_rad).collect(),
-        ..track(label, &figures.link.course)
+fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'static str, PlaceMap)> {
+    let Some((placed, maps)) = bearing.placed.as_ref().and_then(|placed| Some((placed, placed.maps.as_ref()?))) else {
+        return Vec::new();
     };
-    let phase = PhasePlot {
-        title: "Phase of the round trip at the channel centre".into(),
-        capture: round_trip("recorded", recorded),
-        other: Some(round_trip("simulated", simulated)),
-    };
-    let late = |label: &str, figures: &Figures| (label.to_owned(), figures.link.late_us.clone());
-    let turn_around = CdfPlot {
-        title: "Turn-around: distance from the usual".into(),
-        x_label: "microseconds".into(),
-        series: vec![late("recorded", recorded), late("simulated", simulated)],
-        ..CdfPlot::default()
-    };
-    let mut written = phase.write(&folder.join("compare-phase"))?;
-    written.extend(turn_around.write(&folder.join("compare-turn-around"))?);
-    Ok(written)
+    let sources = || placed.fix.sources.iter();
+    let last = |values: &[f64]| values.last().copied().unwrap_or(0.0);
+    let mut found = Vec::new();
+    if maps.elevations_rad.len() > 1 {
+        let own = sources().map(|s| (s.azimuth_rad.to_degrees(), s.abs_elevation_rad.to_degrees()));
+        let map = PlaceMap {
+            title: format!("{name}: joint power, best range of each"),
+            y_label: "|elevation| (degrees)".into(),
+            y: (0.0, last(&maps.elevations_rad).to_degrees()),
+            n_az: maps.azimuths,
+            value: maps.over_elevation.clone(),
+            marks: own.collect(),
+            truth_deg,
+            ..PlaceMap::default()
+        };
+        found.push(("azimuth-elevation", map));
+    }
+    if maps.curves_per_m.len() > 1 {
+        let most = last(&maps.curves_per_m);
+        let ticks = [f64::INFINITY, 20.0, 10.0, 6.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.0];
+        let shown = ticks.into_iter().filter(|range| 1.0 / range <= most * 1.001);
+        let map = PlaceMap {
+            title: format!("{name}: joint power, best elevation of each"),
+            y_label: "range (m), even in 1/range".into(),
+            y: (0.0, most),
+            y_ticks: shown.map(|r| (1.0 / r, if r.is_finite() { r.to_string() } else { "far".into() })).collect(),
+            n_az: maps.azimuths,
+            value: maps.over_range.clone(),
+            marks: sources().map(|s| (s.azimuth_rad.to_degrees(), s.inverse_range_per_m)).collect(),
+            truth_deg,
+        };
+        found.push(("azimuth-range", map));
+    }
+    found
 }

@@ -1,0 +1,103 @@
+//! Captures below a folder: their logs, and which of their trajectories is read.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// The file that makes a folder a capture.
+pub const TRUTH_FILE: &str = "groundtruth_positions.json";
+
+/// Which trajectory of a capture is used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum TrajectorySource {
+    /// Motion capture.
+    #[default]
+    GroundTruth,
+    /// Tracking camera.
+    T265,
+    /// Wheel odometry.
+    Odometry,
+}
+
+impl TrajectorySource {
+    pub(super) fn prefix(self) -> &'static str {
+        match self {
+            Self::GroundTruth => "rx_trajectory_",
+            Self::T265 => "t265_rx_trajectory_",
+            Self::Odometry => "odom_rx_trajectory_",
+        }
+    }
+}
+
+/// One run: the logs and trajectories of one time stamp.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Capture {
+    /// Folder below the evaluated one, with forward slashes.
+    pub place: String,
+    /// Time stamp in the file names.
+    pub stamp: String,
+    /// The folder.
+    pub folder: PathBuf,
+    /// Transmitters: name (`tx2`) and log.
+    pub transmitters: Vec<(String, PathBuf)>,
+}
+
+impl Capture {
+    /// Name of a link of this capture, or of the capture where `transmitter` is empty.
+    #[must_use]
+    pub fn link_name(&self, transmitter: &str) -> String {
+        let parts = [self.place.as_str(), self.stamp.as_str(), transmitter];
+        parts.iter().filter(|part| !part.is_empty()).copied().collect::<Vec<_>>().join("/")
+    }
+}
+
+/// Finds the captures below `root`, in the order of their names, and folders that could not be read.
+#[must_use]
+pub fn find(root: &Path) -> (Vec<Capture>, Vec<String>) {
+    let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
+    let mut folders = vec![root.to_path_buf()];
+    while let Some(folder) = folders.pop() {
+        let entries = match std::fs::read_dir(&folder) {
+            Ok(entries) => entries,
+            Err(error) => {
+                unreadable.push(format!("{}: {error}", folder.display()));
+                continue;
+            }
+        };
+        let mut names = Vec::new();
+        for entry in entries.flatten() {
+            // Links are not followed: they may lead in circles.
+            match entry.file_type() {
+                Ok(kind) if kind.is_dir() => folders.push(entry.path()),
+                _ => names.extend(entry.file_name().into_string().ok()),
+            }
+        }
+        if names.iter().any(|name| name == TRUTH_FILE) {
+            captures.extend(captures_in(root, &folder, &names));
+        }
+    }
+    captures.sort_by(|a, b| (&a.place, &a.stamp).cmp(&(&b.place, &b.stamp)));
+    unreadable.sort();
+    (captures, unreadable)
+}
+
+fn captures_in(root: &Path, folder: &Path, names: &[String]) -> Vec<Capture> {
+    let below = folder.strip_prefix(root).unwrap_or(folder);
+    let place: Vec<_> = below.components().map(|part| part.as_os_str().to_string_lossy().into_owned()).collect();
+    // A stamp with a transmitter's log only is a capture too, one that cannot be used and is said to be so.
+    let stamp_of = |name: &'_ String| -> Option<String> {
+        let name = name.strip_suffix(".dat")?;
+        let of_tx = || name.strip_prefix("csi_tx")?.trim_start_matches(|c: char| c.is_ascii_digit()).strip_prefix('_');
+        name.strip_prefix("csi_rx_").or_else(of_tx).map(str::to_owned)
+    };
+    let stamps: BTreeSet<String> = names.iter().filter_map(stamp_of).collect();
+    let capture = |stamp: &str| {
+        let transmitter = |name: &String| {
+            let k = name.strip_prefix("csi_tx")?.strip_suffix(".dat")?.strip_suffix(stamp)?.strip_suffix('_')?;
+            (!k.is_empty() && k.bytes().all(|b| b.is_ascii_digit())).then(|| (format!("tx{k}"), folder.join(name)))
+        };
+        let mut transmitters: Vec<_> = names.iter().filter_map(transmitter).collect();
+        transmitters.sort();
+        Capture { place: place.join("/"), stamp: stamp.into(), folder: folder.into(), transmitters }
+    };
+    stamps.iter().map(|stamp| capture(stamp)).collect()
+}

@@ -1,0 +1,214 @@
+//! One capture evaluated: its links estimated and compared with the truth.
+
+use super::find::{Capture, TrajectorySource};
+use super::truth::{EvaluateError, Truth};
+use csi5300::motion::odometry;
+use csi5300::motion::pose::{Trajectory, wrap_rad};
+use csi5300::pipeline::answer::{Answer, lost_something};
+use csi5300::pipeline::link::Bearing;
+use csi5300::pipeline::{LinkReport, Options, Report, Transmitter, bearings};
+use csi5300::signal::channel::{Channel, Width};
+use csi5300::source::survey::Survey;
+use csi5300::source::{CsiSource, replay::Replay};
+use nalgebra::{Vector2, Vector3};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// A link's answer beside its truth: a row of `evaluate --json`.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct Judged {
+    /// The answer.
+    #[serde(flatten)]
+    pub answer: Answer,
+    /// Bearing from the first pose of the motion, degrees.
+    pub true_from_start_deg: Option<f64>,
+    /// Bearing from the mean pose of the pairs used, degrees: what a far-field estimator sees.
+    pub true_from_mean_pose_deg: Option<f64>,
+    /// Estimate less truth, wrapped, degrees.
+    pub error_from_start_deg: Option<f64>,
+    /// Estimate less truth, wrapped, degrees.
+    pub error_from_mean_pose_deg: Option<f64>,
+    /// Horizontal distance from the mean pose to the transmitter, metres.
+    pub true_range_m: Option<f64>,
+    /// Horizontal range reported less the true one, metres.
+    pub range_error_m: Option<f64>,
+    /// Where the transmitter is, metres.
+    pub true_transmitter_m: Option<[f64; 2]>,
+    /// Mean pose of the pairs used, metres, from motion capture.
+    pub true_receiver_m: Option<[f64; 2]>,
+}
+
+impl Judged {
+    /// The set: the first part of the link's name.
+    #[must_use]
+    pub fn set(&self) -> &str {
+        self.answer.link.split('/').next().unwrap_or_default()
+    }
+}
+
+/// What the evaluation of a capture gave.
+pub struct Evaluated {
+    /// One row for each transmitter (one in all if the capture could not be read).
+    pub rows: Vec<Judged>,
+    /// True if records were lost before a log's tail or a link failed.
+    pub lost: bool,
+    /// What was lost or left out, a line each, with the file's name.
+    pub notes: Vec<String>,
+}
+
+/// Shown each link's bearing with the link's name and the options that it was made by.
+pub type Look<'a> = dyn FnMut(&str, &Bearing, &Options) + 'a;
+
+impl Capture {
+    /// Estimates every link and compares it with the truth. What cannot be read becomes a row with its error.
+    #[must_use]
+    pub fn evaluate(&self, source: TrajectorySource, channel: Option<Channel>, options: &Options) -> Evaluated {
+        self.evaluate_and(source, channel, options, &mut |_, _, _| {})
+    }
+
+    /// The same, showing each link's bearing to `look`: for pictures.
+    #[must_use]
+    pub fn evaluate_and(
+        &self,
+        source: TrajectorySource,
+        channel: Option<Channel>,
+        options: &Options,
+        look: &mut Look<'_>,
+    ) -> Evaluated {
+        self.try_evaluate(source, channel, options, look).unwrap_or_else(|error| {
+            let row = |name: &str| Judged {
+                answer: Answer::failed(self.link_name(name), error.to_string()),
+                ..Judged::default()
+            };
+            let rows = match self.transmitters.as_slice() {
+                [] => vec![row("")],
+                some => some.iter().map(|(name, _)| row(name)).collect(),
+            };
+            Evaluated { rows, lost: true, notes: Vec::new() }
+        })
+    }
+
+    fn try_evaluate(
+        &self,
+        source: TrajectorySource,
+        channel: Option<Channel>,
+        options: &Options,
+        look: &mut Look<'_>,
+    ) -> Result<Evaluated, EvaluateError> {
+        let truth = Truth::read(&self.folder)?;
+        let channel = match (channel, truth.channel()) {
+            (Some(channel), _) => channel,
+            (None, Some(number)) => Channel::new(number, Width::Ht20)?,
+            (None, None) => return Err(EvaluateError::NoChannel),
+        };
+        if self.transmitters.is_empty() {
+            return Err(EvaluateError::NoTransmitter { stamp: self.stamp.clone() });
+        }
+        let mut notes = Vec::new();
+        let trajectory = self.trajectory(source, &mut notes)?;
+        let reference = match source {
+            TrajectorySource::GroundTruth => Some(trajectory.clone()),
+            _ => self.trajectory(TrajectorySource::GroundTruth, &mut notes).ok(),
+        };
+        let options = Options { channel, ..options.clone() };
+        let (report, failed) = self.estimate(&trajectory, &options)?;
+        for ((name, _), link) in self.transmitters.iter().zip(&report.links) {
+            if let Ok(bearing) = &link.bearing {
+                look(&self.link_name(name), bearing, &options);
+            }
+        }
+        let judged = |(name, link): (&str, &LinkReport)| {
+            let answer = Answer::new(self.link_name(name), link);
+            let times_s = link.bearing.as_ref().map(|bearing| bearing.samples.t_s.as_slice()).unwrap_or_default();
+            judge(answer, truth.place(name), reference.as_ref(), times_s)
+        };
+        let names = self.transmitters.iter().map(|(name, _)| name.as_str());
+        let mut rows: Vec<Judged> = names.zip(&report.links).map(judged).collect();
+        for (row, error) in rows.iter_mut().zip(failed) {
+            if let Some(error) = error {
+                row.answer = Answer::failed(row.answer.link.clone(), error.to_string());
+            }
+        }
+        let rx_path = self.receiver_log();
+        let paths = std::iter::once(&rx_path).chain(self.transmitters.iter().map(|(_, path)| path));
+        let surveys = std::iter::once(&report.receiver).chain(&report.transmitters).map(|log| &log.survey);
+        notes.extend(paths.zip(surveys).filter_map(|(path, survey)| loss_note(path, survey)));
+        Ok(Evaluated { rows, lost: lost_something(&report), notes })
+    }
+
+    fn receiver_log(&self) -> PathBuf {
+        self.folder.join(format!("csi_rx_{}.dat", self.stamp))
+    }
+
+    fn trajectory(&self, source: TrajectorySource, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {
+        let path = self.folder.join(format!("{}{}_.csv", source.prefix(), self.stamp));
+        let (trajectory, counts) = match odometry::csv::read(&path) {
+            Ok(read) => read,
+            Err(source) => return Err(EvaluateError::Trajectory { path, source }),
+        };
+        if let Some((line, why)) = counts.first_bad {
+            let rows = counts.bad_rows;
+            notes.push(format!("{}: {rows} rows left out, the first in line {line}: {why}", path.display()));
+        }
+        Ok(trajectory)
+    }
+
+    /// The bearings of all links, and why a transmitter's log could not be opened: that costs its own link, the others go
+    /// on.
+    fn estimate(
+        &self,
+        trajectory: &Trajectory,
+        options: &Options,
+    ) -> Result<(Report, Vec<Option<csi5300::source::Error>>), EvaluateError> {
+        let mut receiver = Replay::open(&self.receiver_log())?;
+        let nothing = || Replay::new(Box::new(std::io::empty()) as Box<dyn std::io::Read + Send>, String::new());
+        let opened = self.transmitters.iter().map(|(_, path)| match Replay::open(path) {
+            Ok(log) => (log, None),
+            Err(error) => (nothing(), Some(error)),
+        });
+        let (mut logs, failed): (Vec<_>, Vec<_>) = opened.unzip();
+        let transmitters =
+            logs.iter_mut().map(|log| Transmitter { log: log as &mut dyn CsiSource, trajectory: None }).collect();
+        Ok((bearings(&mut receiver, transmitters, trajectory, options)?, failed))
+    }
+}
+
+/// What a log lost before its tail, in a line; nothing if nothing was.
+fn loss_note(path: &Path, survey: &Survey) -> Option<String> {
+    let first = survey.losses.first().map(|loss| format!("; the first at offset {}: {}", loss.offset, loss.reason));
+    let (damages, bytes, bad) = (survey.damages, survey.damaged_bytes, survey.bad_bfee);
+    survey.lost_something().then(|| {
+        let first = first.unwrap_or_default();
+        format!("{}: {damages} damaged stretches ({bytes} bytes), {bad} impossible records{first}", path.display())
+    })
+}
+
+fn judge(answer: Answer, position: Option<Vector2<f64>>, reference: Option<&Trajectory>, times_s: &[f64]) -> Judged {
+    let bearing_from = |from: Vector3<f64>| position.map(|p| (p.y - from.y).atan2(p.x - from.x).to_degrees());
+    let start = reference.and_then(|reference| {
+        let at_s = reference.motion().window_s.map_or(reference.span_s().0, |(from, _)| from);
+        reference.at(at_s)
+    });
+    let seen: Vec<_> = reference.map(|r| times_s.iter().filter_map(|&t| r.at(t)).collect()).unwrap_or_default();
+    let sum = seen.iter().fold(Vector3::zeros(), |sum, pose| sum + pose.position_m);
+    let mean = (!seen.is_empty()).then(|| sum / seen.len() as f64);
+    let true_from_start_deg = start.and_then(|pose| bearing_from(pose.position_m));
+    let true_from_mean_pose_deg = mean.and_then(bearing_from);
+    let error = |truth: Option<f64>| {
+        let (azimuth, truth) = answer.azimuth_deg.zip(truth)?;
+        Some(wrap_rad((azimuth - truth).to_radians()).to_degrees())
+    };
+    let true_range_m = position.zip(mean).map(|(p, from)| (p.x - from.x).hypot(p.y - from.y));
+    let level = answer.abs_elevation_deg.unwrap_or(0.0).to_radians().cos();
+    Judged {
+        true_range_m,
+        range_error_m: answer.range_m.zip(true_range_m).map(|(range, truth)| range * level - truth),
+        true_transmitter_m: position.map(|p| [p.x, p.y]),
+        true_receiver_m: mean.map(|mean| [mean.x, mean.y]),
+        error_from_start_deg: error(true_from_start_deg),
+        error_from_mean_pose_deg: error(true_from_mean_pose_deg),
+        true_from_start_deg,
+        true_from_mean_pose_deg,
+        answer,
+    }
+}

@@ -1,0 +1,20 @@
+//! Bearings against truth, over a tree of captures laid out as the WSR data set.
+//!
+//! A capture is a folder with `groundtruth_positions.json` and, for each time stamp TS in it, `csi_rx_TS.dat`, one
+//! `csi_txK_TS.dat` for each transmitter, and the receiver's trajectory as `rx_trajectory_TS_.csv` (motion capture),
+//! `t265_rx_trajectory_TS_.csv` or `odom_rx_trajectory_TS_.csv`. Folders may be nested anyhow.
+//!
+//! [`find`] lists captures, [`Capture::evaluate`] makes a row of each link ([`Judged`]), [`summarise`] their errors by
+//! set; [`quality`] says what a set of rows is worth beside its errors.
+
+mod errors;
+mod find;
+mod judge;
+pub mod quality;
+mod truth;
+
+pub(crate) use errors::percentile;
+pub use errors::{Errors, SetSummary, summarise};
+pub use find::{Capture, TRUTH_FILE, TrajectorySource, find};
+pub use judge::{Evaluated, Judged, Look};
+pub use truth::EvaluateError;

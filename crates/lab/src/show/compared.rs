@@ -1,0 +1,33 @@
+//! A recording and a simulation beside each other.
+
+use super::link::track;
+use super::{CdfPlot, Error, PhasePlot, PhaseTrack};
+use crate::compare::Figures;
+use std::path::{Path, PathBuf};
+
+/// Writes the pictures of two captures beside each other into a folder: `compare-phase` (the round trip's phase before
+/// and after turn-around compensation) and `compare-turn-around` (how far answers are from their usual time).
+///
+/// # Errors
+/// If a picture cannot be drawn or written.
+pub fn write(recorded: &Figures, simulated: &Figures, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let round_trip = |label: &str, figures: &Figures| PhaseTrack {
+        before_rad: figures.link.course.iter().map(|phase| phase.round_trip_rad).collect(),
+        ..track(label, &figures.link.course)
+    };
+    let phase = PhasePlot {
+        title: "Phase of the round trip at the channel centre".into(),
+        capture: round_trip("recorded", recorded),
+        other: Some(round_trip("simulated", simulated)),
+    };
+    let late = |label: &str, figures: &Figures| (label.to_owned(), figures.link.late_us.clone());
+    let turn_around = CdfPlot {
+        title: "Turn-around: distance from the usual".into(),
+        x_label: "microseconds".into(),
+        series: vec![late("recorded", recorded), late("simulated", simulated)],
+        ..CdfPlot::default()
+    };
+    let mut written = phase.write(&folder.join("compare-phase"))?;
+    written.extend(turn_around.write(&folder.join("compare-turn-around"))?);
+    Ok(written)
+}

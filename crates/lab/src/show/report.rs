@@ -1,0 +1,282 @@
+//! One HTML page with everything about a tree of captures: no script, and nothing that is fetched from anywhere.
+
+use super::link::LinkPictures;
+use crate::evaluate::{Capture, Evaluated, Judged, SetSummary, TrajectorySource, summarise};
+use csi5300::pipeline::Options;
+use csi5300::pipeline::link::Bearing;
+use csi5300::signal::channel::Channel;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// A page that grows by captures.
+#[derive(Default)]
+pub struct HtmlReport {
+    links: Vec<LinkShown>,
+    notes: Vec<String>,
+    lost: bool,
+    /// Where pictures are drawn before they go into the page; no pictures without.
+    pictures_in: Option<PathBuf>,
+}
+
+/// One link on the page.
+struct LinkShown {
+    row: Judged,
+    /// Its pictures, SVG.
+    pictures: Vec<String>,
+}
+
+impl HtmlReport {
+    /// A page without pictures.
+    #[must_use]
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// A page with pictures. They are drawn in `folder`, which the caller removes afterwards.
+    #[must_use]
+    pub fn with_pictures(folder: PathBuf) -> Self {
+        Self { pictures_in: Some(folder), ..Self::default() }
+    }
+
+    /// Adds a line in red below the losses, and makes the page one of a tree that lost something.
+    pub fn note(&mut self, note: String) {
+        self.notes.push(note);
+        self.lost = true;
+    }
+
+    /// Evaluates a capture and adds its links. Phases are drawn where `options.keep_course` is set.
+    pub fn add(&mut self, capture: &Capture, source: TrajectorySource, channel: Option<Channel>, options: &Options) {
+        let mut drawn: BTreeMap<String, Vec<String>> = BTreeMap::new();
+        let mut failed = None;
+        let folder = self.pictures_in.as_deref();
+        let mut look = |name: &str, bearing: &Bearing, options: &Options| match folder
+            .map(|folder| draw(folder, name, bearing, options))
+        {
+            Some(Ok(pictures)) => drop(drawn.insert(name.to_owned(), pictures)),
+            Some(Err(error)) => failed = Some(error),
+            None => {}
+        };
+        let Evaluated { rows, lost, notes } = capture.evaluate_and(source, channel, options, &mut look);
+        self.lost |= lost;
+        self.notes.extend(notes);
+        self.notes.extend(failed);
+        let with = |row: Judged| LinkShown { pictures: drawn.remove(&row.answer.link).unwrap_or_default(), row };
+        self.links.extend(rows.into_iter().map(with));
+    }
+
+    /// The links so far.
+    pub fn rows(&self) -> impl ExactSizeIterator<Item = &Judged> {
+        self.links.iter().map(|link| &link.row)
+    }
+
+    /// True if records were lost before a log's tail, a link failed, or something was noted.
+    #[must_use]
+    pub fn lost(&self) -> bool {
+        self.lost
+    }
+
+    /// The page.
+    #[must_use]
+    pub fn html(&self, title: &str) -> String {
+        page(title, &self.links, &self.notes)
+    }
+}
+
+/// The pictures of a link as SVG.
+fn draw(folder: &Path, name: &str, bearing: &Bearing, options: &Options) -> Result<Vec<String>, String> {
+    let wavelength_m = options.channel.wavelength_m();
+    let pictures = LinkPictures { bearing, truth_rad: None, recorded: None, wavelength_m };
+    let written = pictures.write(folder, name).map_err(|error| format!("{name}: {error}"))?;
+    let svgs = written.iter().filter(|path| path.extension().is_some_and(|extension| extension == "svg"));
+    svgs.map(|path| std::fs::read_to_string(path).map_err(|error| error.to_string())).collect()
+}
+
+/// Links of a page whose pictures are seen at once; those of larger ones are looked at one by one.
+const OPEN: usize = 6;
+const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:76em;padding:0 1em;color:#222}\
+table{border-collapse:collapse;margin:1em 0}th,td{padding:.25em .7em;text-align:right;border-bottom:1px solid #ddd}\
+th:first-child,td:first-child{text-align:left;white-space:nowrap}th{border-bottom:2px solid #888}td.bad{color:#b00020}\
+figure{margin:.5em 0;display:inline-block;vertical-align:top;width:32%;min-width:20em}figure svg{width:100%;height:auto}\
+details{margin:.4em 0}summary{cursor:pointer}.note{color:#b00020}";
+
+/// The whole page.
+fn page(title: &str, shown: &[LinkShown], notes: &[String]) -> String {
+    let mut html = format!(
+        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
+         <meta name=\"viewport\" content=\"width=device-width\"><title>{0}</title><style>{STYLE}</style></head>\
+         <body><h1>Bearings of {0}</h1>\n<p>csi5300 {1}. Azimuths in degrees, from +x towards +y of the trajectory's frame, \
+         from the receiver to the transmitter.</p>\n",
+        escape(title),
+        env!("CARGO_PKG_VERSION")
+    );
+    let rows: Vec<Judged> = shown.iter().map(|link| link.row.clone()).collect();
+    summary(&mut html, &summarise(&rows));
+    links(&mut html, shown);
+    losses(&mut html, shown, notes);
+    html.push_str("<h2>Links</h2>\n");
+    for link in shown {
+        details(&mut html, link, shown.len() <= OPEN);
+    }
+    html.push_str("</body></html>\n");
+    html
+}
+
+fn summary(html: &mut String, sets: &BTreeMap<String, SetSummary>) {
+    html.push_str(
+        "<h2>Errors</h2>\n<table><tr><th>set</th><th>links</th><th>failed</th><th>mean</th><th>median</th><th>90 %</th>\
+         <th>over 20 deg</th></tr>\n",
+    );
+    for (name, set) in sets {
+        let errors = &set.from_mean_pose;
+        let _ = writeln!(
+            html,
+            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
+            escape(name),
+            set.links,
+            set.failed,
+            figure(Some(errors.mean_deg), 2),
+            figure(Some(errors.median_deg), 2),
+            figure(Some(errors.p90_deg), 2),
+            figure(Some(errors.over_20 * 100.0), 0) + " %"
+        );
+    }
+    html.push_str("</table>\n<p>Absolute azimuth errors against the bearing from the mean pose, degrees.</p>\n");
+}
+
+fn links(html: &mut String, shown: &[LinkShown]) {
+    html.push_str(
+        "<table><tr><th>link</th><th>azimuth</th><th>&plusmn;</th><th>mirror</th><th>truth</th><th>error</th>\
+         <th>probability within 5</th><th>coherence</th><th>range, m</th><th>pairs</th></tr>\n",
+    );
+    for LinkShown { row, .. } in shown {
+        let answer = &row.answer;
+        let _ = writeln!(
+            html,
+            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td{}>{}</td><td>{}</td><td>{}</td><td>{}</td>\
+             <td>{}</td></tr>",
+            escape(&answer.link),
+            figure(answer.azimuth_deg, 2),
+            figure(answer.azimuth_sd_deg, 2),
+            figure(answer.mirror_deg, 2),
+            figure(row.true_from_mean_pose_deg, 2),
+            if row.error_from_mean_pose_deg.is_some_and(|error| error.abs() > 20.0) { " class=\"bad\"" } else { "" },
+            figure(row.error_from_mean_pose_deg, 2),
+            figure(answer.confidence, 2),
+            figure(answer.coherence, 2),
+            figure(answer.range_m, 2),
+            answer.pairs_in_motion
+        );
+    }
+    html.push_str("</table>\n");
+}
+
+/// What was lost, log by log, and what was said of it.
+fn losses(html: &mut String, shown: &[LinkShown], notes: &[String]) {
+    html.push_str(
+        "<h2>Losses</h2>\n<table><tr><th>link</th><th>log</th><th>frames</th><th>paired</th><th>unpaired</th>\
+         <th>numbers missing</th><th>duplicates</th><th>implausible</th><th>other sessions</th><th>restarts</th></tr>\n",
+    );
+    for LinkShown { row, .. } in shown {
+        let answer = &row.answer;
+        for (log, side) in [("receiver", answer.receiver_records), ("transmitter", answer.transmitter_records)] {
+            let _ = writeln!(
+                html,
+                "<tr><td>{}</td><td>{log}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>\
+                 <td>{}</td><td>{}</td></tr>",
+                escape(&answer.link),
+                side.handed,
+                side.paired,
+                side.unpaired,
+                side.missing,
+                side.duplicates,
+                side.implausible,
+                side.mispaired,
+                side.restarts
+            );
+        }
+    }
+    html.push_str("</table>\n");
+    for note in notes {
+        let _ = writeln!(html, "<p class=\"note\">{}</p>", escape(note));
+    }
+}
+
+fn details(html: &mut String, link: &LinkShown, open: bool) {
+    let answer = &link.row.answer;
+    let head = match (&answer.error, answer.azimuth_deg) {
+        (Some(error), _) => error.clone(),
+        (None, Some(azimuth)) => format!("{azimuth:.2} deg"),
+        (None, None) => "no bearing".into(),
+    };
+    let open = if open { " open" } else { "" };
+    let _ = writeln!(html, "<details{open}><summary>{}: {}</summary>", escape(&answer.link), escape(&head));
+    let counts = &answer.pair_counts;
+    let _ = writeln!(
+        html,
+        "<p>{} pairs formed: {} in motion ({}), {} standing, {} without a pose, {} cut, {} silent, {} thinned. Carrier offset \
+         {} Hz; phase coherence {} before and {} after compensation.</p>",
+        counts.formed,
+        counts.in_motion,
+        escape(answer.geometry.as_deref().unwrap_or("-")),
+        counts.standing,
+        counts.no_pose,
+        counts.cut,
+        counts.silent,
+        counts.thinned,
+        figure(answer.cfo_hz, 0),
+        figure(answer.phase_coherence_before, 2),
+        figure(answer.phase_coherence_after, 2)
+    );
+    for (k, picture) in link.pictures.iter().enumerate() {
+        let _ = writeln!(html, "<figure>{}</figure>", apart(picture, &format!("{}-{k}-", answer.link)));
+    }
+    html.push_str("</details>\n");
+}
+
+/// An SVG ready to stand in a page with others: without its XML head, as large as there is room, its ids its own.
+fn apart(svg: &str, prefix: &str) -> String {
+    let body = svg.find("<svg").and_then(|from| svg.get(from..)).unwrap_or(svg);
+    let head = body.split('>').next().unwrap_or_default();
+    let size = |name: &str| head.split_once(&format!(" {name}=\""))?.1.split_once('"')?.0.parse::<f64>().ok();
+    let whole = size("width").zip(size("height")).filter(|_| !head.contains("viewBox"));
+    // Without it a picture that is made smaller is cut instead.
+    let whole = whole.map_or_else(String::new, |(width, height)| format!("<svg viewBox=\"0 0 {width} {height}\""));
+    let body = if whole.is_empty() { body.to_owned() } else { body.replacen("<svg", &whole, 1) };
+    let prefix: String = prefix.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).collect();
+    body.replace("id=\"", &format!("id=\"{prefix}"))
+        .replace("url(#", &format!("url(#{prefix}"))
+        .replace("href=\"#", &format!("href=\"#{prefix}"))
+}
+
+fn figure(value: Option<f64>, digits: usize) -> String {
+    value.filter(|value| value.is_finite()).map_or_else(|| "-".into(), |value| format!("{value:.digits$}"))
+}
+
+fn escape(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_from_outside_cannot_become_markup_and_ids_do_not_clash() {
+        let mut row = Judged::default();
+        row.answer.link = "<script>x</script>/tx2".into();
+        let html = page(
+            "a&b",
+            &[LinkShown {
+                row,
+                pictures: vec![
+                    "<?xml?><svg width=\"800\" height=\"600.5\"><g id=\"a\"/><use href=\"#a\"/></svg>".into(),
+                ],
+            }],
+            &[],
+        );
+        assert!(!html.contains("<script>") && html.contains("a&amp;b"));
+        assert!(!html.contains("<?xml") && !html.contains("id=\"a\""), "{html}");
+        assert!(html.contains("<svg viewBox=\"0 0 800 600.5\" width=\"800\""), "{html}");
+    }
+}
