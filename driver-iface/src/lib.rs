@@ -7,6 +7,7 @@
 //! |---|---|
 //! | [`connector`] | a datagram of the kernel connector: nlmsghdr, cn_msg, then a [`record::Record`] |
 //! | [`record`] | `.dat` logs: a big-endian length and a record, over and over; [`record::Framer`] finds its feet after damage |
+//! | [`side_file`] | `.datstp`, the host's receive times beside a `.dat` log |
 //! | [`bfee`] | 0xBB, the CSI of one frame, stock and WSR layout |
 //! | [`mpdu`] | 0xC1, the frame itself |
 //! | [`sounding`], [`radiotap`] | what is injected |
@@ -26,6 +27,7 @@ pub mod connector;
 pub mod mpdu;
 pub mod radiotap;
 pub mod record;
+pub mod side_file;
 pub mod sounding;
 
 pub use mac::{Mac, ParseMacError};

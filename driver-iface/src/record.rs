@@ -108,5 +108,20 @@ impl<'a> Record<'a> {
     }
 }
 
+/// Bytes and number of the whole records in the first `upto` bytes of an intact stream: where a write that stopped there
+/// is to be cut.
+#[must_use]
+pub fn whole_records(bytes: &[u8], upto: usize) -> (usize, usize) {
+    let (mut at, mut records) = (0, 0);
+    while let Some(&[high, low]) = bytes.get(at..at + LENGTH_FIELD) {
+        let end = at + LENGTH_FIELD + usize::from(u16::from_be_bytes([high, low]));
+        if end > upto {
+            break;
+        }
+        (at, records) = (end, records + 1);
+    }
+    (at, records)
+}
+
 #[cfg(test)]
 mod tests;

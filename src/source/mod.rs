@@ -5,8 +5,10 @@ pub mod paced;
 pub mod recorder;
 pub mod remote;
 pub mod replay;
-pub mod side;
+mod side_file;
 pub mod survey;
+
+pub use side_file::side_path;
 
 use crate::time::Instant;
 use driver_iface::connector;

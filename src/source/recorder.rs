@@ -8,7 +8,7 @@
 mod files;
 mod pipe;
 
-pub use files::{LogFiles, Rotation, STAMP, side_path};
+pub use files::{LogFiles, Rotation};
 pub use pipe::Pipe;
 
 use super::{CsiSource, Error, Next, Stamps};

@@ -1,6 +1,6 @@
 //! A recorded `.dat` log as a [`CsiSource`]: read in chunks, never loaded.
 
-use super::{CsiSource, Error, Loss, Next, Stamps, side::Side};
+use super::{CsiSource, Error, Loss, Next, Stamps, side_file::SideFile};
 use crate::time::Instant;
 use driver_iface::record::{Framer, LOOKAHEAD, Record, Step};
 use std::io::Read;
@@ -20,7 +20,7 @@ pub struct Replay<R> {
     end_of_file: bool,
     framer: Framer,
     bytes: u64,
-    side: Option<Side>,
+    side: Option<SideFile>,
 }
 
 impl Replay<Box<dyn Read + Send>> {
@@ -38,7 +38,7 @@ impl Replay<Box<dyn Read + Send>> {
             return Err(Error::Input(format!("{name} is a directory: name a .dat file inside it, or use `evaluate`")));
         }
         let file = std::fs::File::open(path).map_err(io)?;
-        Ok(Self { side: Side::of(path), ..Self::new(Box::new(file), name.clone()) })
+        Ok(Self { side: SideFile::of(path), ..Self::new(Box::new(file), name.clone()) })
     }
 }
 
@@ -113,7 +113,7 @@ impl<R: Read> CsiSource for Replay<R> {
                 Step::End(tail) => return Ok(Next::End(tail)),
             }
         };
-        let host_us = self.side.as_mut().and_then(Side::next_us);
+        let host_us = self.side.as_mut().and_then(SideFile::next_us);
         Ok(Next::Record(Stamps { at: now, host_us, offset }, Record { code, body: &self.buffer[from..to] }))
     }
 

@@ -6,10 +6,10 @@ use super::room::Room;
 use super::scene::Driver;
 use super::station::Role;
 use csi5300::motion::odometry::{NextPose, OdometrySource};
-use csi5300::source::recorder::{STAMP, side_path};
-use csi5300::source::{CsiSource, Error, Next};
+use csi5300::source::{CsiSource, Error, Next, side_path};
 use csi5300::time::Instant;
 use driver_iface::record::Record;
+use driver_iface::side_file::{self, Width};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -209,9 +209,8 @@ impl Writing {
 
     fn write(&mut self, host_us: Option<i64>, record: &Record<'_>) -> Result<(), Error> {
         if let Some(side) = &mut self.side {
-            let us = host_us.unwrap_or(0);
-            let stamp = [us.div_euclid(1_000_000), us.rem_euclid(1_000_000)].map(i64::to_le_bytes).concat();
-            at(&self.log.path, "write the host times beside", side.write_all(&stamp))?;
+            let entry = side_file::emit_wide(host_us);
+            at(&self.log.path, "write the host times beside", side.write_all(&entry))?;
         }
         self.scratch.resize(record.emit_len(), 0);
         record.emit(&mut self.scratch).map_err(|e| Error::Input(format!("cannot frame a simulated record: {e}")))?;
@@ -240,7 +239,7 @@ impl Writing {
             self.log.tail_bytes = cut.first().map_or(0, |&start| kept.saturating_sub(start));
         }
         if let Some(side) = &mut self.side {
-            let whole = self.log.records * STAMP as u64;
+            let whole = self.log.records * Width::Wide.bytes() as u64;
             let done = side.flush().and_then(|()| side.get_ref().set_len(whole));
             at(&self.log.path, "write the host times beside", done)?;
         }

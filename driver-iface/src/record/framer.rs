@@ -1,23 +1,39 @@
-//! The sans-IO reader of a record stream.
+//! The sans-IO reader of a record stream: a state machine of three states, [`State`].
+//!
+//! Each [`Framer::step`] classes the bytes at the front by their head ([`Front`]), asks for the evidence that this class
+//! needs, and reaches one [`Verdict`]. The questions, in order; the first that is answered decides:
+//!
+//! | front | question | verdict |
+//! |---|---|---|
+//! | `Nothing` | is the stream over? | `End(Clean)`, else `Wait` |
+//! | `Partial`, stream not over | | `Wait` |
+//! | `Partial`, stream over | does a record begin inside? | `Skip` to it |
+//! | | is the code unknown, its length read? | `Skip` all: nothing says that it is a record |
+//! | | | `End(Cut)` |
+//! | `Damage` | | `Seek` |
+//! | `Sure` | is what follows sure too? | `Take`, state `Vouched` |
+//! | | do records follow that vouch for it? | `Take` |
+//! | | does a record begin inside? | `Skip` to it |
+//! | | are a bfee's unused bits zero? | `Take`, else `Seek` behind it |
+//! | `Doubtful` | do records follow, and does none that is sure begin inside? | `Take` |
+//! | | is it an MPDU with a good checksum? | `Take`, else `Seek` |
+//!
+//! Any question that needs bytes which are not there yet gives `Wait`. `Seek` looks for the next record in at most
+//! [`SEARCH`] positions: found, it is a `Skip` to it; not found, a `Skip` of all of them, state `Lost`. In state `Lost`
+//! the front is `Damage` from its first byte on; a record found right there ends that state.
+
+mod evidence;
 
 use super::head::{Codes, Head, Reason, SURE, head};
-use super::{LENGTH_FIELD, MAX_LENGTH, Record, code};
-use crate::bfee::{Bfee, MAX_BODY};
-use crate::mpdu::fcs_is_good;
+use super::{LENGTH_FIELD, MAX_LENGTH, Record};
+use crate::bfee::MAX_BODY;
+use evidence::{CREDIT, CREDIT_PER_BYTE, Chain, Found, Links, MAX_LINKS, gaps_are_clear};
 
 /// Bytes of buffer with which [`Framer::step`] can always decide.
 pub const LOOKAHEAD: usize = 72 * 1024;
 
-/// Records that are looked at after one in doubt.
-const MAX_LINKS: usize = 6;
-
 /// Positions searched before a stretch of damage is reported in parts.
 const SEARCH: usize = 16 * 1024;
-
-/// Bytes of which checksums may be taken at once, and per byte consumed: what keeps the work linear when every few
-/// bytes pretend to be a long frame. A frame that is not checked for want of credit counts as unchecked.
-const CREDIT: usize = 64 * 1024;
-const CREDIT_PER_BYTE: usize = 8;
 
 // The furthest byte looked at: the head of the last link after a candidate at the end of a search behind a bfee.
 const _: () = assert!(LENGTH_FIELD + 1 + MAX_BODY + SEARCH + MAX_LINKS * (LENGTH_FIELD + MAX_LENGTH) + 23 <= LOOKAHEAD);
@@ -90,16 +106,13 @@ impl Tail {
 #[derive(Clone, Debug)]
 pub struct Framer {
     offset: u64,
+    state: State,
     /// Codes of believed records.
     seen: Codes,
     /// Positions of the present front that are known to begin no record.
     searched: usize,
-    /// The step before ended in damage without finding a record.
-    lost: bool,
     /// Bytes that checksums may still be taken of; see [`CREDIT`].
     credit: usize,
-    /// Length of the record at the front when the step before has found it to vouch for itself.
-    ahead: Option<usize>,
 }
 
 impl Default for Framer {
@@ -108,37 +121,61 @@ impl Default for Framer {
     }
 }
 
-/// Outcome of a look at what follows.
+/// What the step before knows of the bytes at the front.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Chain {
-    Yes,
-    /// Yes, but only because the stream ends there.
-    End,
-    No,
-    Short,
+enum State {
+    /// Nothing.
+    Fresh,
+    /// A record of `len` bytes that vouches for itself.
+    Vouched { len: usize },
+    /// They follow damage in which no record was found.
+    Lost,
 }
 
-/// Which records may stand between one in doubt and what vouches for it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Links {
-    /// Those of codes that are known or were met before.
-    Known,
-    /// Any.
-    Any,
-}
-
-/// Outcome of a search.
-enum Found {
-    At(usize),
+/// The bytes at the front by their head.
+enum Front {
+    /// None.
     Nothing,
-    Short,
+    /// A part of a record; `expected` bytes where its length can be read.
+    Partial { expected: Option<usize> },
+    /// No record; one may begin `from` bytes on.
+    Damage { from: usize, reason: Reason },
+    /// A whole record that vouches for itself.
+    Sure { len: usize },
+    /// A whole record by its length, with `bits` of evidence.
+    Doubtful { len: usize, bits: u32 },
+}
+
+/// What to do with the front.
+enum Verdict {
+    /// It is a record of `len` bytes; `next` is known of what follows.
+    Take { len: usize, next: State },
+    /// The first `len` bytes are none; `next` is known of what follows.
+    Skip { len: usize, reason: Reason, next: State },
+    /// The first `from` bytes are none: find out where the next record begins.
+    Seek { from: usize, reason: Reason },
+    /// More bytes are needed.
+    Wait,
+    /// The stream is over.
+    End(Tail),
+}
+
+impl Verdict {
+    fn take(len: usize) -> Self {
+        Self::Take { len, next: State::Fresh }
+    }
+
+    /// Skips to a record that was found at `next`.
+    fn skip_to(next: usize, reason: Reason) -> Self {
+        Self::Skip { len: next, reason, next: State::Fresh }
+    }
 }
 
 impl Framer {
     /// At the start of a stream.
     #[must_use]
     pub fn new() -> Self {
-        Self { offset: 0, seen: Codes::default(), searched: 0, lost: false, credit: CREDIT, ahead: None }
+        Self { offset: 0, state: State::Fresh, seen: Codes::default(), searched: 0, credit: CREDIT }
     }
 
     /// Position in the stream: bytes consumed so far.
@@ -149,253 +186,150 @@ impl Framer {
 
     /// Looks at the front of the unconsumed bytes; `end` says that no more will follow.
     pub fn step<'a>(&mut self, front: &'a [u8], end: bool) -> Step<'a> {
-        if let Some(len) = self.ahead
-            && len <= front.len()
-        {
-            return self.sure(front, end, len);
-        }
-        if front.is_empty() {
-            return if end { Step::End(Tail::Clean) } else { Step::Incomplete };
-        }
-        if self.lost {
-            return self.resync(front, end, 0, Reason::StillLost);
-        }
-        match head(front, &self.seen) {
-            Head::Short if end => self.tail(front, None),
-            Head::Short => Step::Incomplete,
-            Head::Bad(reason) => self.resync(front, end, 1, reason),
-            Head::Good { len, .. } if len > front.len() && end => self.tail(front, Some(len)),
-            Head::Good { len, .. } if len > front.len() => Step::Incomplete,
-            Head::Good { len, bits } if bits >= SURE => self.sure(front, end, len),
-            Head::Good { len, bits } => self.doubtful(front, end, len, bits),
+        match self.judge(front, end) {
+            Verdict::Take { len, next } => self.take(front, len, next),
+            verdict => self.settle(front, end, verdict),
         }
     }
 
-    /// A record that vouches for itself and is there in full, unless another begins inside it.
-    fn sure<'a>(&mut self, front: &'a [u8], end: bool, len: usize) -> Step<'a> {
+    /// Carries a verdict out, after the search that a `Seek` asks for.
+    #[inline(never)]
+    fn settle<'a>(&mut self, front: &'a [u8], end: bool, verdict: Verdict) -> Step<'a> {
+        match verdict {
+            Verdict::Take { len, next } => self.take(front, len, next),
+            Verdict::Skip { len, reason, next } => Step::Bad { offset: self.consume(len, next), skipped: len, reason },
+            Verdict::Wait => Step::Incomplete,
+            Verdict::End(tail) => Step::End(tail),
+            Verdict::Seek { from, reason } => {
+                let found = self.seek(front, end, from, reason);
+                self.settle(front, end, found)
+            }
+        }
+    }
+
+    /// The verdict after a search from position `from` on.
+    fn seek(&mut self, front: &[u8], end: bool, from: usize, reason: Reason) -> Verdict {
+        match self.search(front, end, from, from + SEARCH) {
+            // In state `Lost` only: the front is judged again, as a record.
+            Found::At(0) => {
+                self.state = State::Fresh;
+                self.judge(front, end)
+            }
+            Found::At(next) => Verdict::skip_to(next, reason),
+            Found::Short => Verdict::Wait,
+            Found::Nothing => Verdict::Skip { len: (from + SEARCH).min(front.len()), reason, next: State::Lost },
+        }
+    }
+
+    /// The rows of the table.
+    #[inline(always)]
+    fn judge(&mut self, front: &[u8], end: bool) -> Verdict {
+        match self.class(front) {
+            Front::Sure { len } => self.judge_sure(front, end, len),
+            Front::Doubtful { len, bits } => self.judge_doubtful(front, end, len, bits),
+            Front::Damage { from, reason } => Verdict::Seek { from, reason },
+            Front::Nothing if end => Verdict::End(Tail::Clean),
+            Front::Partial { expected } if end => self.judge_tail(front, expected),
+            Front::Nothing | Front::Partial { .. } => Verdict::Wait,
+        }
+    }
+
+    #[inline(always)]
+    fn class(&self, front: &[u8]) -> Front {
+        match self.state {
+            State::Vouched { len } if len <= front.len() => return Front::Sure { len },
+            _ if front.is_empty() => return Front::Nothing,
+            State::Lost => return Front::Damage { from: 0, reason: Reason::StillLost },
+            State::Fresh | State::Vouched { .. } => {}
+        }
+        match head(front, &self.seen) {
+            Head::Short => Front::Partial { expected: None },
+            Head::Bad(reason) => Front::Damage { from: 1, reason },
+            Head::Good { len, .. } if len > front.len() => Front::Partial { expected: Some(len) },
+            Head::Good { len, bits } if bits >= SURE => Front::Sure { len },
+            Head::Good { len, bits } => Front::Doubtful { len, bits },
+        }
+    }
+
+    /// A record that vouches for itself, unless another begins inside it.
+    #[inline(always)]
+    fn judge_sure(&mut self, front: &[u8], end: bool, len: usize) -> Verdict {
         if let Some(rest) = front.get(len..)
             && let Head::Good { len: next, bits } = head(rest, &self.seen)
             && bits >= SURE
         {
-            let step = self.accept(front, len);
-            self.ahead = Some(next);
-            return step;
+            return Verdict::Take { len, next: State::Vouched { len: next } };
         }
+        self.judge_sure_alone(front, end, len)
+    }
+
+    /// A record that vouches for itself and is not followed by one that does.
+    #[inline(never)]
+    fn judge_sure_alone(&mut self, front: &[u8], end: bool, len: usize) -> Verdict {
         match self.chain(front, end, len, 0, Links::Known) {
-            Chain::Yes | Chain::End => return self.accept(front, len),
-            Chain::Short => return Step::Incomplete,
+            Chain::Yes | Chain::End => return Verdict::take(len),
+            Chain::Short => return Verdict::Wait,
             Chain::No => {}
         }
         match self.search(front, end, 1, len) {
-            Found::At(next) => self.bad(next, Reason::Overlapped { expect: len, got: next }),
-            Found::Short => Step::Incomplete,
-            Found::Nothing if gaps_are_clear(front, len) => self.accept(front, len),
-            Found::Nothing => self.resync(front, end, len, Reason::GapBits),
+            Found::At(next) => Verdict::skip_to(next, Reason::Overlapped { expect: len, got: next }),
+            Found::Short => Verdict::Wait,
+            Found::Nothing if gaps_are_clear(front, len) => Verdict::take(len),
+            Found::Nothing => Verdict::Seek { from: len, reason: Reason::GapBits },
         }
     }
 
     /// A record that needs a witness: what follows it, or an MPDU's checksum.
-    fn doubtful<'a>(&mut self, front: &'a [u8], end: bool, len: usize, bits: u32) -> Step<'a> {
+    #[inline(never)]
+    fn judge_doubtful(&mut self, front: &[u8], end: bool, len: usize, bits: u32) -> Verdict {
         let reason = match self.chain(front, end, len, bits, Links::Any) {
-            Chain::Short => return Step::Incomplete,
+            Chain::Short => return Verdict::Wait,
             Chain::No => Reason::NotFollowed { code: code_of(front), expect: len },
             Chain::Yes | Chain::End => match self.search_sure(front, end, len) {
-                Found::Nothing => return self.accept(front, len),
-                Found::Short => return Step::Incomplete,
+                Found::Nothing => return Verdict::take(len),
+                Found::Short => return Verdict::Wait,
                 Found::At(next) => Reason::Overlapped { expect: len, got: next },
             },
         };
-        if self.checksum(front, len) == Some(true) {
-            self.accept(front, len)
-        } else {
-            self.resync(front, end, 1, reason)
-        }
-    }
-
-    /// Follows the lengths from the record at the front on, until something vouches for them.
-    ///
-    /// `len` is that record's length, `bits` the evidence that it brings. A code that comes again counts as known.
-    fn chain(&self, front: &[u8], end: bool, len: usize, mut bits: u32, links: Links) -> Chain {
-        let mut seen = self.seen;
-        note(&mut seen, front);
-        let mut at = len;
-        for _ in 0..MAX_LINKS {
-            let rest = front.get(at..).unwrap_or_default();
-            if at >= front.len() && end {
-                return if at == front.len() { Chain::End } else { Chain::No };
-            }
-            match head(rest, &seen) {
-                Head::Short if end => return Chain::End,
-                Head::Short => return Chain::Short,
-                Head::Bad(_) => return Chain::No,
-                Head::Good { bits: 0, .. } if links == Links::Known => return Chain::No,
-                Head::Good { len, bits: more } => {
-                    bits += more;
-                    at += len;
-                }
-            }
-            if bits >= SURE {
-                return Chain::Yes;
-            }
-            note(&mut seen, rest);
-        }
-        Chain::No
-    }
-
-    /// The first position of `from..to` at which a record can be believed.
-    fn search(&mut self, front: &[u8], end: bool, from: usize, to: usize) -> Found {
-        for at in from.max(self.searched)..to.min(front.len()) {
-            let rest = front.get(at..).unwrap_or_default();
-            let verdict = match head(rest, &self.seen) {
-                Head::Short if end => Chain::No,
-                Head::Short => Chain::Short,
-                Head::Good { bits, .. } if bits >= SURE => Chain::Yes,
-                Head::Good { len, bits } if bits > 0 => self.candidate(rest, end, len, bits),
-                _ => Chain::No,
-            };
-            match verdict {
-                Chain::Yes => return Found::At(at),
-                Chain::Short if !end => {
-                    self.searched = at;
-                    return Found::Short;
-                }
-                _ => {}
-            }
-        }
-        if front.len() < to && !end {
-            self.searched = front.len();
-            return Found::Short;
-        }
-        self.searched = to;
-        Found::Nothing
-    }
-
-    /// Whether a record after damage can be believed that does not vouch for itself.
-    ///
-    /// It needs witnesses behind it, not just the stream's end; an MPDU needs both them and its checksum, for among
-    /// many positions one or the other is met by chance.
-    fn candidate(&mut self, rest: &[u8], end: bool, len: usize, bits: u32) -> Chain {
-        let chain = self.chain(rest, end, len, bits, Links::Known);
-        if !matches!(chain, Chain::Yes | Chain::End) {
-            return chain;
-        }
-        match self.checksum(rest, len) {
-            Some(true) => Chain::Yes,
-            Some(false) => Chain::No,
-            None => chain,
-        }
-    }
-
-    /// Whether an MPDU's checksum is right; `None` for other records and when the credit is used up.
-    fn checksum(&mut self, front: &[u8], len: usize) -> Option<bool> {
-        let record = front.get(LENGTH_FIELD..len).and_then(Record::from_message)?;
-        if record.code != code::MPDU {
-            return None;
-        }
-        self.credit = self.credit.checked_sub(len)?;
-        Some(fcs_is_good(record.body))
-    }
-
-    /// The first position inside a record of `len` bytes at which another begins that vouches for itself.
-    fn search_sure(&mut self, front: &[u8], end: bool, len: usize) -> Found {
-        for at in self.searched.max(1)..len {
-            match head(front.get(at..).unwrap_or_default(), &self.seen) {
-                Head::Good { bits, .. } if bits >= SURE => return Found::At(at),
-                Head::Short if !end => {
-                    self.searched = at;
-                    return Found::Short;
-                }
-                _ => {}
-            }
-        }
-        Found::Nothing
-    }
-
-    /// Gives up the front and looks for the next record from position `from` on.
-    fn resync<'a>(&mut self, front: &'a [u8], end: bool, from: usize, reason: Reason) -> Step<'a> {
-        let to = from + SEARCH;
-        match self.search(front, end, from, to) {
-            Found::At(0) => {
-                self.lost = false;
-                self.step(front, end)
-            }
-            Found::At(next) => self.bad(next, reason),
-            Found::Short => Step::Incomplete,
-            Found::Nothing => {
-                let skipped = to.min(front.len());
-                let step = self.bad(skipped, reason);
-                self.lost = true;
-                step
-            }
-        }
+        if self.checksum(front, len) == Some(true) { Verdict::take(len) } else { Verdict::Seek { from: 1, reason } }
     }
 
     /// The stream ends inside the record at the front, or in what looks like one.
-    fn tail<'a>(&mut self, front: &'a [u8], expected: Option<usize>) -> Step<'a> {
-        match self.search(front, true, 1, front.len()) {
-            Found::At(next) => {
-                let expect = expected.unwrap_or(next);
-                return self.bad(next, Reason::Overlapped { expect, got: next });
-            }
-            Found::Nothing | Found::Short => {}
+    fn judge_tail(&mut self, front: &[u8], expected: Option<usize>) -> Verdict {
+        if let Found::At(next) = self.search(front, true, 1, front.len()) {
+            return Verdict::skip_to(next, Reason::Overlapped { expect: expected.unwrap_or(next), got: next });
         }
-        let doubtful = match head(front, &self.seen) {
-            Head::Good { bits, .. } => bits == 0,
-            _ => false,
-        };
-        if let (true, Some(expect)) = (doubtful, expected) {
-            let code = code_of(front);
-            return self.bad(front.len(), Reason::NotFollowed { code, expect });
+        if let (Some(expect), Head::Good { bits: 0, .. }) = (expected, head(front, &self.seen)) {
+            return Verdict::skip_to(front.len(), Reason::NotFollowed { code: code_of(front), expect });
         }
         let expected = expected.map(|len| len as u64);
-        Step::End(Tail::Cut { offset: self.offset, bytes: front.len() as u64, expected })
+        Verdict::End(Tail::Cut { offset: self.offset, bytes: front.len() as u64, expected })
     }
 
-    fn accept<'a>(&mut self, front: &'a [u8], len: usize) -> Step<'a> {
+    #[inline(always)]
+    fn take<'a>(&mut self, front: &'a [u8], len: usize, next: State) -> Step<'a> {
         let message = front.get(LENGTH_FIELD..len).and_then(Record::from_message);
         let Some(record) = message else { return Step::Incomplete };
-        let offset = self.consume(len);
+        let offset = self.consume(len, next);
         self.seen.insert(record.code);
         Step::Record { offset, used: len, record }
     }
 
-    fn bad<'a>(&mut self, skipped: usize, reason: Reason) -> Step<'a> {
-        let offset = self.consume(skipped);
-        Step::Bad { offset, skipped, reason }
-    }
-
     /// Moves on; returns where the consumed bytes began.
-    fn consume(&mut self, bytes: usize) -> u64 {
+    #[inline(always)]
+    fn consume(&mut self, bytes: usize, next: State) -> u64 {
         let offset = self.offset;
         self.offset += bytes as u64;
         self.credit = self.credit.saturating_add(bytes.saturating_mul(CREDIT_PER_BYTE)).min(CREDIT);
         self.searched = 0;
-        self.lost = false;
-        self.ahead = None;
+        self.state = next;
         offset
-    }
-}
-
-/// Remembers the code of the record at the front, unless it is only the same byte over and over.
-fn note(seen: &mut Codes, front: &[u8]) {
-    if let [high, low, code, ..] = front
-        && (high != code || low != code)
-    {
-        seen.insert(*code);
     }
 }
 
 /// The code byte of the record at the front.
 fn code_of(front: &[u8]) -> u8 {
     front.get(LENGTH_FIELD).copied().unwrap_or(0)
-}
-
-/// True unless the record is a bfee with bits where none should be.
-fn gaps_are_clear(front: &[u8], len: usize) -> bool {
-    match front.get(LENGTH_FIELD..len).and_then(Record::from_message) {
-        Some(Record { code: code::BFEE, body }) => Bfee::new_checked(body).is_ok_and(|bfee| bfee.gaps_are_clear()),
-        _ => true,
-    }
 }
 
 /// All steps over bytes that are wholly in memory, the last of them [`Step::End`].

@@ -88,6 +88,17 @@ fn without(log: &[Vec<u8>], at: usize) -> Vec<Vec<u8>> {
 }
 
 #[test]
+fn whole_records_end_where_their_lengths_say() {
+    let bytes = [0, 2, 0xBB, 1, 0, 1, 0xC1, 0, 3, 1, 2, 3];
+    let all: Vec<_> = (0..=bytes.len()).map(|upto| whole_records(&bytes, upto)).collect();
+    assert_eq!(all[3], (0, 0));
+    assert_eq!(all[4], (4, 1));
+    assert_eq!(all[7], (7, 2));
+    assert_eq!(all[11], (7, 2));
+    assert_eq!(all[12], (12, 3));
+}
+
+#[test]
 fn intact_logs_are_read_whole() {
     for log in logs() {
         let whole = log.concat();

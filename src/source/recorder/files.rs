@@ -2,15 +2,13 @@
 
 use super::{Chunk, Sink, Written};
 use crate::source::Error;
+use crate::source::side_file::side_path;
 use crate::time::{Instant, Span};
-use driver_iface::record::LENGTH_FIELD;
+use driver_iface::record::whole_records;
+use driver_iface::side_file::{Width, emit_wide};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
-
-/// Bytes of a side file's entry: seconds and microseconds, each i64 little-endian, as csiread's `log_to_file` writes a
-/// `struct timeval` on a 64-bit host. All zero where the time is not known.
-pub const STAMP: usize = 16;
 
 /// When to go on in a new file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -25,14 +23,6 @@ impl Rotation {
     fn is_on(self) -> bool {
         self.bytes.is_some() || self.every.is_some()
     }
-}
-
-/// The side file of a log: its name with `stp` behind it.
-#[must_use]
-pub fn side_path(log: &Path) -> PathBuf {
-    let mut name = log.as_os_str().to_owned();
-    name.push("stp");
-    name.into()
 }
 
 /// One file that only ever grows by whole units.
@@ -154,14 +144,11 @@ impl LogFiles {
 
     /// Brings the side file up to the data file: zeros for what an earlier failure left out, then `times`.
     fn stamp(&mut self, before: u64, times: &[Option<i64>]) -> io::Result<()> {
-        let behind = before.saturating_sub(self.side.len / STAMP as u64) as usize;
-        let mut bytes = vec![0; behind * STAMP];
-        for time in times {
-            let us = time.unwrap_or(0);
-            bytes.extend_from_slice(&us.div_euclid(1_000_000).to_le_bytes());
-            bytes.extend_from_slice(&us.rem_euclid(1_000_000).to_le_bytes());
-        }
-        self.side.append(&bytes, |done| done - done % STAMP).1
+        const ENTRY: usize = Width::Wide.bytes();
+        let behind = before.saturating_sub(self.side.len / ENTRY as u64) as usize;
+        let behind = std::iter::repeat_n(&None, behind);
+        let bytes: Vec<u8> = behind.chain(times).flat_map(|time| emit_wide(*time)).collect();
+        self.side.append(&bytes, |done| done - done % ENTRY).1
     }
 }
 
@@ -182,19 +169,6 @@ fn numbered(path: &Path, number: u32) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let extension = path.extension().map_or(String::new(), |extension| format!(".{}", extension.to_string_lossy()));
     path.with_file_name(format!("{stem}-{number:04}{extension}"))
-}
-
-/// Bytes and number of the whole records in the first `done` bytes.
-fn whole_records(bytes: &[u8], done: usize) -> (usize, usize) {
-    let (mut at, mut records) = (0, 0);
-    while let Some(&[high, low]) = bytes.get(at..at + LENGTH_FIELD) {
-        let end = at + LENGTH_FIELD + usize::from(u16::from_be_bytes([high, low]));
-        if end > done {
-            break;
-        }
-        (at, records) = (end, records + 1);
-    }
-    (at, records)
 }
 
 impl Sink for LogFiles {
@@ -224,21 +198,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn whole_records_end_where_their_lengths_say() {
-        let bytes = [0, 2, 0xBB, 1, 0, 1, 0xC1, 0, 3, 1, 2, 3];
-        let all: Vec<_> = (0..=bytes.len()).map(|done| whole_records(&bytes, done)).collect();
-        assert_eq!(all[3], (0, 0));
-        assert_eq!(all[4], (4, 1));
-        assert_eq!(all[7], (7, 2));
-        assert_eq!(all[11], (7, 2));
-        assert_eq!(all[12], (12, 3));
-    }
-
-    #[test]
     fn names_in_a_row() {
         assert_eq!(numbered(Path::new("a/out.dat"), 0), Path::new("a/out.dat"));
         assert_eq!(numbered(Path::new("a/out.dat"), 12), Path::new("a/out-0012.dat"));
         assert_eq!(numbered(Path::new("out"), 1), Path::new("out-0001"));
-        assert_eq!(side_path(Path::new("out.dat")), Path::new("out.datstp"));
     }
 }

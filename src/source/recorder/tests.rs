@@ -1,5 +1,6 @@
 use super::*;
 use crate::source::replay::Replay;
+use crate::source::side_path;
 use driver_iface::bfee;
 use driver_iface::record::{Tail, code};
 use std::collections::VecDeque;
