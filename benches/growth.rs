@@ -1,4 +1,4 @@
-//! Cost as the work grows: packets, aperture, directions, links, window length; and what a stream costs.
+//! Cost as the work grows: packets, aperture, directions, links.
 //!
 //! `cargo bench --bench growth`
 #![allow(clippy::expect_used)]
@@ -6,8 +6,7 @@
 mod common;
 
 use common::*;
-use csi5300::bartlett::{Grid, Planner, ProfileOptions, SearchOptions, Searcher, Stream, StreamOptions, Tier};
-use nalgebra::Vector3;
+use csi5300::bartlett::{Grid, Planner, ProfileOptions, SearchOptions, Searcher, Tier};
 
 fn main() {
     banner("Cost as the work grows");
@@ -19,11 +18,11 @@ fn main() {
         for (size, samples, grid) in points {
             let mut planner = Planner::default();
             let options = ProfileOptions::default();
-            let plan_ms = time(|| planner.plan(&samples, WAVELENGTH_M, &grid, &options).expect("a plan"));
-            let plan = planner.plan(&samples, WAVELENGTH_M, &grid, &options).expect("a plan");
+            let plan_ms = time(|| planner.plan(&samples, &grid, &options).expect("a plan"));
+            let plan = planner.plan(&samples, &grid, &options).expect("a plan");
             let mut out = Vec::new();
             let ms = quickest(100.0, || {
-                planner.profile_into(&samples, WAVELENGTH_M, &grid, &options, &mut out).expect("a profile");
+                planner.profile_into(&samples, &grid, &options, &mut out).expect("a profile");
             });
             table.row(&[
                 what.into(),
@@ -48,8 +47,6 @@ fn main() {
     sweep("helix", "packets, helix", tall.map(|n| (n as f64, job(n, 0.3, 0.3, 1), plain.clone())).into());
 
     links(&mut table, &mut series);
-    windows(&mut table, &mut series);
-    adding(&mut table);
     table.save();
     picture("growth", "Cost as the work grows", "size", "milliseconds, one thread", &series);
 }
@@ -63,58 +60,11 @@ fn links(table: &mut Table, series: &mut Vec<Series>) {
         let mut searcher = Searcher::new(Tier::detect());
         let ms = quickest(100.0, || {
             for samples in &all {
-                searcher.search(samples, WAVELENGTH_M, limit).expect("a bearing");
+                searcher.search(samples, limit).expect("a bearing");
             }
         });
         table.row(&["robots".into(), robots.to_string(), format!("{ms:.4}"), "bearings".into(), String::new()]);
         line.push((f64::from(robots as u32), ms));
     }
     series.push(Series { label: "robots: bearings of one to all others".into(), points: line });
-}
-
-fn options(window: Option<usize>) -> StreamOptions {
-    StreamOptions {
-        wavelength_m: WAVELENGTH_M,
-        path_gain: 2,
-        middle_m: Vector3::zeros(),
-        reach_m: 0.31,
-        window,
-        eps: 1e-4,
-        tier: Tier::detect(),
-    }
-}
-
-/// A query of a sliding window.
-fn windows(table: &mut Table, series: &mut Vec<Series>) {
-    let mut line = Vec::new();
-    for window in [100, 1_000, 10_000, 100_000] {
-        let samples = job(window + window / 4, 0.3, 0.0, 1);
-        let mut stream = Stream::new(options(Some(window)), &Grid::azimuth_elevation(360, 181)).expect("a stream");
-        for (z, p) in samples.z.iter().zip(&samples.receiver_m) {
-            stream.push(*z, *p).expect("inside the reach");
-        }
-        let mut out = Vec::new();
-        let ms = quickest(100.0, || {
-            stream.query(&mut out).expect("a profile");
-        });
-        table.row(&["window".into(), window.to_string(), format!("{ms:.4}"), "query".into(), String::new()]);
-        line.push((window as f64, ms));
-    }
-    series.push(Series { label: "window: one query".into(), points: line });
-}
-
-/// Adding packets to a stream, nanoseconds each.
-fn adding(table: &mut Table) {
-    let samples = job(100_000, 0.3, 0.0, 1);
-    for window in [None, Some(1_000)] {
-        let mut stream = Stream::new(options(window), &Grid::azimuth_elevation(360, 181)).expect("a stream");
-        let ms = quickest(300.0, || {
-            for (z, p) in samples.z.iter().zip(&samples.receiver_m) {
-                stream.push(*z, *p).expect("inside the reach");
-            }
-        });
-        let name = if window.is_some() { "push, window" } else { "push" };
-        table.row(&[name.into(), "1".into(), format!("{:.7}", ms / 1e5), "stream".into(), String::new()]);
-        println!("{name}: {:.1} ns per packet", ms * 10.0);
-    }
 }

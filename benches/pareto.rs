@@ -32,10 +32,10 @@ fn jobs() -> [Job; 4] {
 /// The direct sums in double, which agree with the oracle (checked here on 200 directions, printed).
 fn reference(samples: &Samples, grid: &Grid) -> Vec<f64> {
     let options = ProfileOptions { eps: 1e-13, method: Some(Method::Direct), precision: Some(Precision::Double) };
-    let values = Planner::default().profile(samples, WAVELENGTH_M, grid, &options).expect("a profile").values;
+    let values = Planner::default().profile(samples, grid, &options).expect("a profile").values;
     let picked: Vec<usize> = (0..200).map(|i| i * (grid.len() - 1) / 199).collect();
     let list = Grid::directions(picked.iter().map(|i| grid.at(*i)).collect());
-    let exact = csi5300::bartlett::oracle(samples, WAVELENGTH_M, &list).expect("a profile").values;
+    let exact = csi5300::bartlett::oracle(samples, &list).expect("a profile").values;
     let top = values.iter().copied().fold(0.0, f64::max);
     let worst = picked.iter().zip(&exact).map(|(i, e)| (values[*i] - e).abs() / top).fold(0.0, f64::max);
     assert!(worst < 1e-12, "reference off by {worst}");
@@ -180,12 +180,12 @@ fn tiers() -> impl Iterator<Item = Tier> {
 /// A profile by a planner of its own.
 fn profiler<'a>(job: &'a Job, samples: &'a Samples, tier: Tier, options: ProfileOptions, note: &str) -> Contender<'a> {
     let mut planner = Planner::new(tier);
-    let plan = planner.plan(samples, WAVELENGTH_M, &job.grid, &options).expect("a plan");
+    let plan = planner.plan(samples, &job.grid, &options).expect("a plan");
     let e = plan.explain();
     let precision = if e.precision == Precision::Single { "f32" } else { "f64" };
     let who = format!("{tier:?} {precision}:{:?}{note}", e.method);
     Contender::new(who, options.eps, move |out| {
-        planner.profile_into(samples, WAVELENGTH_M, &job.grid, &options, out).expect("a profile");
+        planner.profile_into(samples, &job.grid, &options, out).expect("a profile");
     })
 }
 
@@ -219,12 +219,12 @@ fn forced<'a>(job: &'a Job, samples: &'a Samples) -> Vec<Contender<'a>> {
 /// The guaranteed search, azimuth alone; the error is how far its peak is below that of a grid of 0.01 degrees.
 fn bearings(samples: &Samples) -> Vec<Contender<'_>> {
     let options = ProfileOptions { eps: 1e-12, method: Some(Method::Direct), precision: Some(Precision::Double) };
-    let dense = Planner::default().profile(samples, WAVELENGTH_M, &Grid::azimuth(36_000), &options).expect("a profile");
+    let dense = Planner::default().profile(samples, &Grid::azimuth(36_000), &options).expect("a profile");
     let top = dense.max().map_or(0.0, |(_, top)| top);
     let search = |tier: Tier| {
         let mut searcher = Searcher::new(tier);
         Contender::new(format!("{tier:?} bearing only"), 1e-4, move |out: &mut Vec<f64>| {
-            let found = searcher.search(samples, WAVELENGTH_M, 0.0).expect("a bearing");
+            let found = searcher.search(samples, 0.0).expect("a bearing");
             *out = vec![(1.0 - found.value / top).max(0.0)];
         })
     };
@@ -234,7 +234,7 @@ fn bearings(samples: &Samples) -> Vec<Contender<'_>> {
             let mut values = Vec::new();
             Contender::new(format!("{tier:?} {name} profile beside it"), 1e-4, move |out: &mut Vec<f64>| {
                 let options = ProfileOptions::default();
-                planner.profile_into(samples, WAVELENGTH_M, &grid, &options, &mut values).expect("a profile");
+                planner.profile_into(samples, &grid, &options, &mut values).expect("a profile");
                 *out = vec![0.0];
             })
         })
@@ -251,10 +251,11 @@ fn peers(job: &Job, samples: &Samples, reference: &[f64], n: usize, radius: f64)
         return Vec::new();
     }
     let k = std::f64::consts::TAU * 2.0 / WAVELENGTH_M;
-    let columns = samples.z.iter().zip(&samples.receiver_m).flat_map(|(z, p)| [k * p.x, k * p.y, k * p.z, z.re, z.im]);
+    let columns =
+        samples.z().iter().zip(samples.receiver_m()).flat_map(|(z, p)| [k * p.x, k * p.y, k * p.z, z.re, z.im]);
     let bytes = |v: Vec<f64>| v.into_iter().flat_map(f64::to_le_bytes).collect::<Vec<u8>>();
     let scale = {
-        let sum: f64 = samples.z.iter().map(|z| z.norm()).sum();
+        let sum: f64 = samples.z().iter().map(|z| z.norm()).sum();
         sum * sum
     };
     std::fs::write(out("samples.bin"), bytes(columns.collect())).expect("a file for the peers");

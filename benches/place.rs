@@ -99,7 +99,7 @@ fn main() {
         let samples = samples(&path, &aligned);
         let mut searcher = Searcher::new(tier);
         let lean = quickest(300.0, || {
-            searcher.search(&samples, WAVELENGTH_M, 0.0).expect("a bearing");
+            searcher.search(&samples, 0.0).expect("a bearing");
         });
         row(&name, "plane wave, azimuth only", lean, None);
     }
@@ -108,10 +108,11 @@ fn main() {
 
 /// The samples at the channel centre, as a plane wave takes them.
 fn samples(path: &[Vector3<f64>], rows: &[Row]) -> Samples {
-    let mut samples = Samples::new(2);
+    let mut samples = Samples::new(WAVELENGTH_M, 2).expect("a wavelength");
     for (k, (p, row)) in path.iter().zip(rows).enumerate().skip(STANDING) {
         let h = row[14] + row[15];
-        samples.push(0.01 * k as f64, Complex64::new(f64::from(h.re), f64::from(h.im)), *p, Vector3::zeros());
+        let h = Complex64::new(f64::from(h.re), f64::from(h.im));
+        samples.push(0.01 * k as f64, h, *p, Vector3::zeros()).expect("finite samples");
     }
     samples
 }

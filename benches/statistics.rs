@@ -174,14 +174,14 @@ impl Judge {
             };
             // One-way channels of signal-to-noise ratio g in both directions; their product is the sample.
             let samples = product(points, truth, g, &mut self.rng);
-            let estimate = self.searcher.search(&samples, WAVELENGTH_M, 0.0).expect("a bearing");
+            let estimate = self.searcher.search(&samples, 0.0).expect("a bearing");
             let error = off(estimate.azimuth_rad);
             if error.abs() > 0.1 {
                 tally.outliers += 1;
                 continue;
             }
             let options = ProfileOptions::default();
-            let grid = self.planner.profile(&samples, WAVELENGTH_M, &Grid::azimuth(360), &options).expect("a profile");
+            let grid = self.planner.profile(&samples, &Grid::azimuth(360), &options).expect("a profile");
             let coarse = off(grid.max().map_or(0.0, |(i, _)| grid.grid.at(i).0));
             tally.used += 1;
             tally.error += error * error;
@@ -196,13 +196,13 @@ impl Judge {
 
 /// Round-trip samples: the product of two noisy one-way channels.
 fn product(points: &[Vector3<f64>], truth: f64, g: f64, rng: &mut ChaCha8Rng) -> csi5300::signal::samples::Samples {
-    let mut samples = csi5300::signal::samples::Samples::new(2);
+    let mut samples = csi5300::signal::samples::Samples::new(WAVELENGTH_M, 2).expect("a wavelength");
     let k = TAU / WAVELENGTH_M;
     let sd = (1.0 / g).sqrt();
     for (t, p) in points.iter().enumerate() {
         let h = num_complex::Complex64::from_polar(1.0, k * (truth.cos() * p.x + truth.sin() * p.y));
         let z = (h + noise(rng) * sd) * (h + noise(rng) * sd);
-        samples.push(t as f64 * 0.01, z, *p, Vector3::zeros());
+        samples.push(t as f64 * 0.01, z, *p, Vector3::zeros()).expect("finite samples");
     }
     samples
 }
@@ -231,15 +231,15 @@ fn wrong_peaks(scenes: usize) {
             .collect();
         let variance = 10f64.powf(rng.random_range(-2.0..0.5));
         let samples = samples(&points, &paths, variance, &mut rng);
-        let estimate = searcher.search(&samples, WAVELENGTH_M, 0.0).expect("a bearing");
+        let estimate = searcher.search(&samples, 0.0).expect("a bearing");
         evaluations += estimate.evaluations;
         let extent = points.iter().flat_map(|p| [p.x.abs(), p.y.abs()]).fold(0.0, f64::max) * 1.5;
         let count = (4 * (20.0 * 232.2 * extent) as usize + 400).next_multiple_of(4);
         let options = ProfileOptions { eps: 1e-10, method: Some(Method::Direct), precision: Some(Precision::Double) };
-        let dense = planner.profile(&samples, WAVELENGTH_M, &Grid::azimuth(count), &options).expect("a profile");
+        let dense = planner.profile(&samples, &Grid::azimuth(count), &options).expect("a profile");
         let (_, top) = dense.max().expect("a direction");
         wrong += usize::from(estimate.value < top * (1.0 - 1e-9));
-        let coarse = planner.profile(&samples, WAVELENGTH_M, &Grid::azimuth(360), &options).expect("a profile");
+        let coarse = planner.profile(&samples, &Grid::azimuth(360), &options).expect("a profile");
         let (i, _) = coarse.max().expect("a direction");
         grid_wrong +=
             usize::from(wrap(coarse.grid.at(i).0 - estimate.azimuth_rad).abs() > 2f64.to_radians() && case % 4 != 1);

@@ -17,15 +17,15 @@ fn main() -> Result<(), csi5300::bartlett::Error> {
         };
         path(30.0, 1.0) + path(100.0, 0.6)
     };
-    let mut samples = Samples::new(2);
+    let mut samples = Samples::new(wavelength_m, 2)?;
     for k in 0..800 {
         let (sin, cos) = (TAU * f64::from(k) / 800.0).sin_cos();
         let p = Vector3::new(0.2 * cos, 0.2 * sin, 0.0);
         // Forward times backward: the channel, squared.
         let channel = one_way(&p);
-        samples.push(f64::from(k) * 0.01, channel * channel, p, Vector3::zeros());
+        samples.push(f64::from(k) * 0.01, channel * channel, p, Vector3::zeros())?;
     }
-    let profile = profile(&samples, wavelength_m, &Grid::azimuth(72))?;
+    let profile = profile(&samples, &Grid::azimuth(72))?;
     for (index, value) in profile.values.iter().enumerate() {
         let azimuth_deg = profile.grid.at(index).0.to_degrees();
         if (-20.0..=160.0).contains(&azimuth_deg) {

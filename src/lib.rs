@@ -33,15 +33,15 @@
 //!
 //! // A robot on a circle of 30 cm, a far transmitter at 40 degrees, path gain 2 (forward times backward).
 //! let (lambda_m, bearing) = (0.0541, 40f64.to_radians());
-//! let mut samples = Samples::new(2);
+//! let mut samples = Samples::new(lambda_m, 2)?;
 //! for k in 0..500 {
 //!     let (sin, cos) = (TAU * f64::from(k) / 500.0).sin_cos();
 //!     let p = Vector3::new(0.3 * cos, 0.3 * sin, 0.0);
 //!     let towards = p.x * bearing.cos() + p.y * bearing.sin();
 //!     let z = Complex64::cis(2.0 * TAU * towards / lambda_m);
-//!     samples.push(f64::from(k) * 0.01, z, p, Vector3::zeros());
+//!     samples.push(f64::from(k) * 0.01, z, p, Vector3::zeros())?;
 //! }
-//! let estimate = search(&samples, lambda_m, &SearchOptions::default())?;
+//! let estimate = search(&samples, &SearchOptions::default())?;
 //! assert!((estimate.azimuth_rad - bearing).abs() < 1e-6);
 //! # Ok::<(), csi5300::bartlett::Error>(())
 //! ```

@@ -23,13 +23,13 @@ pub fn noise(rng: &mut ChaCha8Rng) -> Complex64 {
 
 /// Plane waves (azimuth, elevation, amplitude) over `points` in noise of the given variance; path gain 2.
 pub fn samples(points: &[Vector3<f64>], paths: &[(f64, f64, f64)], variance: f64, rng: &mut ChaCha8Rng) -> Samples {
-    let mut samples = Samples::new(2);
+    let mut samples = Samples::new(WAVELENGTH_M, 2).expect("a wavelength");
     for (t, p) in points.iter().enumerate() {
         let wave = |&(a, e, g): &(f64, f64, f64)| {
             Complex64::from_polar(g, TAU * 2.0 / WAVELENGTH_M * direction(a, e).dot(p) + 5.0 * a)
         };
         let z = paths.iter().map(wave).sum::<Complex64>() + noise(rng) * variance.sqrt();
-        samples.push(t as f64 * 0.01, z, *p, Vector3::zeros());
+        samples.push(t as f64 * 0.01, z, *p, Vector3::zeros()).expect("finite samples");
     }
     samples
 }
@@ -50,13 +50,13 @@ pub fn job(n: usize, radius: f64, height: f64, seed: u64) -> Samples {
 
 /// The naive double loop: one libm sine and cosine per direction and packet, over `count` directions from `from`.
 pub fn naive(samples: &Samples, grid: &Grid, from: usize, count: usize) -> f64 {
-    let k = TAU * f64::from(samples.path_gain) / WAVELENGTH_M;
+    let k = TAU * f64::from(samples.path_gain()) / samples.wavelength_m();
     let mut sum = 0.0;
     for index in from..from + count {
         let (azimuth, elevation) = grid.at(index);
         let u = direction(azimuth, elevation);
         let mut f = Complex64::ZERO;
-        for (z, p) in samples.z.iter().zip(&samples.receiver_m) {
+        for (z, p) in samples.z().iter().zip(samples.receiver_m()) {
             let (sin, cos) = (k * (u.x * p.x + u.y * p.y + u.z * p.z)).sin_cos();
             f += z * Complex64::new(cos, -sin);
         }

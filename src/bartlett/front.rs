@@ -80,9 +80,9 @@ pub(crate) struct Front {
 impl Front {
     pub fn new(level: Level, samples: &Samples, turn_m: f64) -> Result<Self, Error> {
         let (at, radius, half_height) = centred_turns(level, samples, turn_m)?;
-        let mut re: Vec<f64> = samples.z.iter().map(|z| z.re).collect();
-        let mut im: Vec<f64> = samples.z.iter().map(|z| z.im).collect();
-        let mut weight = samples.weight.clone();
+        let mut re: Vec<f64> = samples.z().iter().map(|z| z.re).collect();
+        let mut im: Vec<f64> = samples.z().iter().map(|z| z.im).collect();
+        let mut weight = samples.weight().to_vec();
         let (z_exponent, w_exponent) = exponents(level, &re, &im, &weight)?;
         let halves = |exponent: i32| [exponent / 2, exponent - exponent / 2].map(|half| 2f64.powi(half));
         let factors = [halves(z_exponent), halves(w_exponent)];
@@ -91,28 +91,10 @@ impl Front {
     }
 }
 
-pub(crate) fn check_lengths(samples: &Samples) -> Result<(), Error> {
-    let z = samples.z.len();
-    if z == 0 {
-        return Err(Error::Empty);
-    }
-    for (what, length) in [
-        ("receiver_m", samples.receiver_m.len()),
-        ("transmitter_m", samples.transmitter_m.len()),
-        ("weight", samples.weight.len()),
-        ("t_s", samples.t_s.len()),
-    ] {
-        if length != z {
-            return Err(Error::Lengths { z, what, length });
-        }
-    }
-    Ok(())
-}
-
 /// Displacements in turns about the middle of their bounding box, by axis; their horizontal radius and half height.
 fn centred_turns(level: Level, samples: &Samples, turn_m: f64) -> Result<([Vec<f64>; 3], f64, f64), Error> {
     let mut columns: [Vec<f64>; 3] = std::array::from_fn(|axis| {
-        let pairs = samples.receiver_m.iter().zip(&samples.transmitter_m);
+        let pairs = samples.receiver_m().iter().zip(samples.transmitter_m());
         pairs.map(|(r, t)| r[axis] - t[axis]).collect()
     });
     let not_finite = |columns: &[Vec<f64>; 3], what, limit: f64| {
@@ -160,18 +142,10 @@ fn farthest<S: Simd>(simd: S, x: &[f64], y: &[f64]) -> f64 {
 
 /// Powers of two that bring the largest sample and the largest weight into [0.5, 1).
 fn exponents(level: Level, re: &[f64], im: &[f64], weight: &[f64]) -> Result<(i32, i32), Error> {
-    let not_finite = |what, columns: [&[f64]; 2]| {
-        let wrong = |t: &usize| columns.iter().any(|c| !c[*t].is_finite());
-        Error::NonFinite { what, index: (0..re.len()).find(wrong).unwrap_or(0) }
-    };
-    let (Some([re_low, re_high]), Some([im_low, im_high])) = (range(level, re), range(level, im)) else {
-        return Err(not_finite("sample", [re, im]));
-    };
-    let Some([w_low, w_max]) = range(level, weight) else { return Err(not_finite("weight", [weight; 2])) };
-    if w_low < 0.0 {
-        let index = weight.iter().position(|w| *w < 0.0).unwrap_or(0);
-        return Err(Error::Weight { index, weight: weight[index] });
-    }
+    // Samples are finite ([`Samples::push`]): without a range there is none.
+    let [re_low, re_high] = range(level, re).ok_or(Error::Empty)?;
+    let [im_low, im_high] = range(level, im).ok_or(Error::Empty)?;
+    let [w_low, w_max] = range(level, weight).ok_or(Error::Empty)?;
     let mut z_max = re_high.max(-re_low).max(im_high).max(-im_low);
     if w_low == 0.0 {
         // Samples that weigh nothing have no say.

@@ -39,8 +39,6 @@ mod resample;
 mod rings;
 mod scene;
 pub(crate) mod simd;
-mod stream;
-mod subcarriers;
 mod sums;
 #[cfg(test)]
 mod tests;
@@ -52,8 +50,6 @@ pub use peak::{Estimate, Peak, SearchOptions, Searcher, search};
 pub use plan::{Explanation, Method, Plan, Planner, Precision, ProfileOptions};
 pub use scene::{Geometry, Shape};
 pub use simd::Tier;
-pub use stream::{Stream, StreamOptions};
-pub use subcarriers::{Subcarrier, subcarrier_profile};
 
 use crate::signal::samples::Samples;
 
@@ -62,16 +58,16 @@ use crate::signal::samples::Samples;
 ///
 /// # Errors
 /// As [`Planner::profile`].
-pub fn profile(samples: &Samples, wavelength_m: f64, grid: &Grid) -> Result<Profile, Error> {
-    Planner::default().profile(samples, wavelength_m, grid, &ProfileOptions::default())
+pub fn profile(samples: &Samples, grid: &Grid) -> Result<Profile, Error> {
+    Planner::default().profile(samples, grid, &ProfileOptions::default())
 }
 
 /// The profile by the oracle: the sum as written, phases exact to the last bit. Slow; every other path is held to it.
 ///
 /// # Errors
 /// As [`profile`].
-pub fn oracle(samples: &Samples, wavelength_m: f64, grid: &Grid) -> Result<Profile, Error> {
-    let scene = scene::Scene::new(samples, wavelength_m)?;
+pub fn oracle(samples: &Samples, grid: &Grid) -> Result<Profile, Error> {
+    let scene = scene::Scene::new(samples)?;
     grid.check()?;
     let full = scene.sum_abs * scene.sum_abs;
     let value = |(azimuth, elevation)| (direct::sum(&scene, &direction(azimuth, elevation)).norm_sqr() / full).min(1.0);

@@ -118,10 +118,10 @@ pub struct Estimate {
 /// Finds the bearing: the continuous maximum of the Bartlett profile over azimuth and |elevation|.
 ///
 /// # Errors
-/// [`Error`] for input that is empty, of unequal lengths, not finite, without energy; for an elevation limit outside 0
+/// [`Error`] for input that is empty or without energy, for positions not finite in wavelengths; for an elevation limit outside 0
 /// to 90 degrees; [`Error::NoMotion`] where the receiver did not move horizontally.
-pub fn search(samples: &Samples, wavelength_m: f64, options: &SearchOptions) -> Result<Estimate, Error> {
-    Searcher::new(options.tier).search(samples, wavelength_m, options.elevation_max_rad)
+pub fn search(samples: &Samples, options: &SearchOptions) -> Result<Estimate, Error> {
+    Searcher::new(options.tier).search(samples, options.elevation_max_rad)
 }
 
 /// A search that keeps its FFTs from call to call.
@@ -164,8 +164,8 @@ impl Searcher {
     ///
     /// # Errors
     /// As [`search`].
-    pub fn search(&mut self, samples: &Samples, wavelength_m: f64, elevation_max_rad: f64) -> Result<Estimate, Error> {
-        let scene = Scene::on(self.tier, samples, wavelength_m)?;
+    pub fn search(&mut self, samples: &Samples, elevation_max_rad: f64) -> Result<Estimate, Error> {
+        let scene = Scene::on(self.tier, samples)?;
         if !(0.0..=PI / 2.0).contains(&elevation_max_rad) {
             return Err(Error::ElevationMax { elevation_max_rad });
         }

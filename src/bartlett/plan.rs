@@ -136,14 +136,8 @@ impl Planner {
     ///
     /// # Errors
     /// As [`Planner::profile`].
-    pub fn plan(
-        &mut self,
-        samples: &Samples,
-        wavelength_m: f64,
-        grid: &Grid,
-        options: &ProfileOptions,
-    ) -> Result<Arc<Plan>, Error> {
-        let scene = Scene::on(self.tier, samples, wavelength_m)?;
+    pub fn plan(&mut self, samples: &Samples, grid: &Grid, options: &ProfileOptions) -> Result<Arc<Plan>, Error> {
+        let scene = Scene::on(self.tier, samples)?;
         self.plan_scene(&scene, grid, options)
     }
 
@@ -152,17 +146,11 @@ impl Planner {
     /// A receiver that did not move has a constant profile: that is a profile, though not a bearing.
     ///
     /// # Errors
-    /// [`Error`] for input that is empty, of unequal lengths, not finite or without energy, for directions that are
+    /// [`Error`] for input that is empty or without energy, for positions not finite in wavelengths, for directions that are
     /// not finite and a tolerance below 0.
-    pub fn profile(
-        &mut self,
-        samples: &Samples,
-        wavelength_m: f64,
-        grid: &Grid,
-        options: &ProfileOptions,
-    ) -> Result<Profile, Error> {
+    pub fn profile(&mut self, samples: &Samples, grid: &Grid, options: &ProfileOptions) -> Result<Profile, Error> {
         let mut values = Vec::new();
-        let sum_abs = self.profile_into(samples, wavelength_m, grid, options, &mut values)?;
+        let sum_abs = self.profile_into(samples, grid, options, &mut values)?;
         Ok(Profile { grid: grid.clone(), values, sum_abs })
     }
 
@@ -173,12 +161,11 @@ impl Planner {
     pub fn profile_into(
         &mut self,
         samples: &Samples,
-        wavelength_m: f64,
         grid: &Grid,
         options: &ProfileOptions,
         out: &mut Vec<f64>,
     ) -> Result<f64, Error> {
-        let scene = Scene::on(self.tier, samples, wavelength_m)?;
+        let scene = Scene::on(self.tier, samples)?;
         let plan = self.plan_scene(&scene, grid, options)?;
         out.resize(grid.len(), 0.0);
         self.run(&plan, &scene, out);

@@ -6,7 +6,7 @@ use fearless_simd::Level;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use super::error::Error;
-use super::front::{Front, check_lengths, extents, scatter, weighted_scatter};
+use super::front::{Front, extents, scatter, weighted_scatter};
 use super::simd::Tier;
 use super::sums::Columns;
 use crate::signal::samples::Samples;
@@ -80,19 +80,15 @@ pub(crate) struct Scene {
 
 impl Scene {
     /// On the widest tier of this machine.
-    pub fn new(samples: &Samples, wavelength_m: f64) -> Result<Self, Error> {
-        Self::on(Tier::detect(), samples, wavelength_m)
+    pub fn new(samples: &Samples) -> Result<Self, Error> {
+        Self::on(Tier::detect(), samples)
     }
 
-    pub fn on(tier: Tier, samples: &Samples, wavelength_m: f64) -> Result<Self, Error> {
-        check_lengths(samples)?;
-        if !(wavelength_m.is_finite() && wavelength_m > 0.0) {
-            return Err(Error::Wavelength { wavelength_m });
+    pub fn on(tier: Tier, samples: &Samples) -> Result<Self, Error> {
+        if samples.is_empty() {
+            return Err(Error::Empty);
         }
-        if samples.path_gain == 0 {
-            return Err(Error::PathGain);
-        }
-        let turn_m = wavelength_m / f64::from(samples.path_gain);
+        let turn_m = samples.wavelength_m() / f64::from(samples.path_gain());
         let level = tier.level_or_portable();
         let Front { at: [x, y, z], radius, half_height, re, im, weight, exponent, sums } =
             Front::new(level, samples, turn_m)?;

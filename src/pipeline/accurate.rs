@@ -123,9 +123,8 @@ pub(super) fn place(
     let indices = options.channel.subcarriers();
     let alignment = steps.align.then(|| align(&mut rows, &indices, options.search.tier));
     remove_common_slope(&mut rows, &indices);
-    let displacement_m: Vec<Vector3<f64>> =
-        samples.receiver_m.iter().zip(&samples.transmitter_m).map(|(r, t)| r - t).collect();
-    let round_trip = Aperture::gather_with_centre(&displacement_m, &pick(&rows, used), &samples.z, 2, wavelength_m);
+    let displacement_m: Vec<Vector3<f64>> = samples.displacements_m().collect();
+    let round_trip = Aperture::gather_with_centre(&displacement_m, &pick(&rows, used), samples.z(), 2, wavelength_m);
     let roots = steps.one_way.then(|| one_way(&rows, options.search.tier));
     let one_way =
         roots.as_ref().map(|roots| Aperture::gather(&displacement_m, &pick(&roots.rows, used), 1, wavelength_m));

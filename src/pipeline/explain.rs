@@ -37,8 +37,7 @@ impl LinkPlan {
     /// # Errors
     /// As [`Planner::plan`].
     pub fn of(bearing: &Bearing, options: &Options, grid: &Grid) -> Result<Self, bartlett::Error> {
-        let wavelength_m = options.channel.wavelength_m();
-        let plan = Planner::default().plan(&bearing.samples, wavelength_m, grid, &ProfileOptions::default())?;
+        let plan = Planner::default().plan(&bearing.samples, grid, &ProfileOptions::default())?;
         let decoded = format!(
             "antenna {:?}, first stream, {SUBCARRIERS} subcarriers (the channel centre is a line fitted through all of them); \
              other antennas and streams stay packed",

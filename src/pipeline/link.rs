@@ -195,9 +195,9 @@ pub struct PeerFigures {
 }
 
 impl PeerFigures {
-    fn of(samples: &Samples, wavelength_m: f64) -> Result<Self, bartlett::Error> {
+    fn of(samples: &Samples) -> Result<Self, bartlett::Error> {
         // The toolbox's planar mode: one azimuth profile, the same for each of its polar angles.
-        let profile = bartlett::profile(samples, wavelength_m, &Grid::wsr_azimuths())?;
+        let profile = bartlett::profile(samples, &Grid::wsr_azimuths())?;
         let likelihood_share = profile.likelihood_share();
         Ok(Self { wsr_profile_variance: bartlett::wsr_planar_profile_variance(&profile), likelihood_share })
     }
@@ -225,8 +225,7 @@ fn every_second<T>(list: &mut Vec<T>) {
 /// The longest side of the box that holds all displacements, metres.
 fn extent_m(samples: &Samples) -> f64 {
     let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
-    for (receiver, transmitter) in samples.receiver_m.iter().zip(&samples.transmitter_m) {
-        let p = receiver - transmitter;
+    for p in samples.displacements_m() {
         (low, high) = (low.inf(&p), high.sup(&p));
     }
     (high - low).max()
@@ -394,7 +393,7 @@ impl Link {
         let first_s =
             self.first_us.filter(|_| options.join == JoinBy::Time).map(|us| us as f64 * 1e-6 + options.clock_offset_s);
         let first_s = first_s.unwrap_or(times[0]);
-        let mut samples = Samples::new(2);
+        let mut samples = Samples::new(options.channel.wavelength_m(), 2).map_err(bartlett::Error::from)?;
         let mut heading_rad = None;
         let mut used = Vec::new();
         let motion = (receiver.motion(), transmitter.map(Trajectory::motion));
@@ -423,7 +422,7 @@ impl Link {
             }
             heading_rad = pose.heading_rad;
             used.push(index);
-            samples.push(t_s, z / z.norm(), pose.position_m, partner);
+            samples.push(t_s, z / z.norm(), pose.position_m, partner).map_err(bartlett::Error::from)?;
         }
         pairs.in_motion = samples.len();
         if samples.is_empty() {
@@ -433,7 +432,7 @@ impl Link {
         if extent_m > MAX_EXTENT_M {
             return Err(LinkError::TooLarge { extent_m, limit_m: MAX_EXTENT_M });
         }
-        let mut estimate = bartlett::search(&samples, options.channel.wavelength_m(), &options.search)?;
+        let mut estimate = bartlett::search(&samples, &options.search)?;
         let (placed, search) = match options.accuracy.near_field {
             true => {
                 let turned = self.products.iter().zip(self.rows.iter().zip(&z));
@@ -442,13 +441,13 @@ impl Link {
             }
             false => (None, None),
         };
-        let sum = samples.receiver_m.iter().fold(Vector3::zeros(), |sum, p| sum + p);
+        let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
         Ok(Bearing {
             heading_rad,
             estimate,
             placed,
             search,
-            peers: PeerFigures::of(&samples, options.channel.wavelength_m())?,
+            peers: PeerFigures::of(&samples)?,
             turn_around,
             compensated,
             pairs,

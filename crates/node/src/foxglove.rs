@@ -243,13 +243,13 @@ impl Channels {
     ///
     /// # Errors
     /// If the profile cannot be computed.
-    pub fn bearing(&mut self, link: &str, bearing: &Bearing, wavelength_m: f64) -> Result<(), Error> {
+    pub fn bearing(&mut self, link: &str, bearing: &Bearing) -> Result<(), Error> {
         let context = &self.context;
         let (poses, _) = named(&mut self.bearings, link, || {
             let pose = context.channel_builder(format!("/bearing/{link}")).build();
             (pose, context.channel_builder(format!("/aoa_profile/{link}")).build())
         });
-        let t_s = bearing.samples.t_s.last().copied().unwrap_or(0.0);
+        let t_s = bearing.samples.t_s().last().copied().unwrap_or(0.0);
         let from = Pose { t_s, position_m: bearing.mean_position_m, heading_rad: None };
         let rotation = turn(bearing.estimate.azimuth_rad);
         poses.log_with_time(&in_frame(&from, rotation), nanoseconds(t_s));
@@ -257,18 +257,18 @@ impl Channels {
         let Some((_, profiles)) = self.bearings.get(link).filter(|(_, profiles)| profiles.has_sinks()) else {
             return Ok(());
         };
-        profiles.log_with_time(&profile(bearing, &from, wavelength_m)?, nanoseconds(t_s));
+        profiles.log_with_time(&profile(bearing, &from)?, nanoseconds(t_s));
         Ok(())
     }
 }
 
 /// The profile, in directions of the trajectory's frame, about the robot; about the middle of the motion where no heading
 /// is known.
-fn profile(bearing: &Bearing, from: &Pose, wavelength_m: f64) -> Result<fox::LaserScan, bartlett::Error> {
+fn profile(bearing: &Bearing, from: &Pose) -> Result<fox::LaserScan, bartlett::Error> {
     let elevation = bearing.estimate.abs_elevation_rad;
     let directions: Vec<(f64, f64)> = (0..DIRECTIONS).map(|k| (Grid::azimuth(DIRECTIONS).at(k).0, elevation)).collect();
     let (first, last) = (directions[0].0, directions[DIRECTIONS - 1].0);
-    let profile = bartlett::profile(&bearing.samples, wavelength_m, &Grid::directions(directions))?;
+    let profile = bartlett::profile(&bearing.samples, &Grid::directions(directions))?;
     let peak = profile.values.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     let (frame_id, pose) = match bearing.heading_rad {
         Some(heading) => {

@@ -50,7 +50,6 @@ mod told {
         live: Arc<Mutex<Live>>,
         name: String,
         antenna: driver_iface::bfee::Antenna,
-        wavelength_m: f64,
     }
 
     impl Shown {
@@ -64,12 +63,7 @@ mod told {
         pub fn open(config: &Config, name: &str) -> Result<Self, Error> {
             let Some(address) = config.output.foxglove else { return Ok(Self(None)) };
             let live = Live::listen(name, address).map_err(|error| Error::Input(error.to_string()))?;
-            Ok(Self(Some(Shown {
-                live: Arc::new(Mutex::new(live)),
-                name: name.to_owned(),
-                antenna: config.antenna,
-                wavelength_m: config.channel.wavelength_m(),
-            })))
+            Ok(Self(Some(Shown { live: Arc::new(Mutex::new(live)), name: name.to_owned(), antenna: config.antenna })))
         }
 
         /// From now on records and poses are told.
@@ -85,7 +79,7 @@ mod told {
             let Some(shown) = self.0.as_ref().filter(|_| report.state == State::Bearing) else { return };
             if let Some(bearing) = machine.estimator.bearing(peer) {
                 // What is refused has no profile, and is in the report.
-                let _ = shown.with(|live| live.channels.bearing(&report.answer.link, bearing, shown.wavelength_m));
+                let _ = shown.with(|live| live.channels.bearing(&report.answer.link, bearing));
             }
         }
 

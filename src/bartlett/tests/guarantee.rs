@@ -11,7 +11,7 @@ fn error(
     planner: &mut Planner,
     rng: &mut ChaCha8Rng,
 ) -> (f64, Explanation) {
-    let scene = Scene::new(samples, WAVELENGTH).unwrap();
+    let scene = Scene::new(samples).unwrap();
     let plan = planner.plan_scene(&scene, grid, options).unwrap();
     let sums = planner.sums(&plan, &scene);
     let tilted = plan.explain().skipped.iter().any(|s| s.contains("tilted plane"));
@@ -66,7 +66,7 @@ struct Exact {
 
 impl Exact {
     fn new(samples: &Samples, grid: Grid, count: usize, rng: &mut ChaCha8Rng) -> Self {
-        let scene = Scene::new(samples, WAVELENGTH).unwrap();
+        let scene = Scene::new(samples).unwrap();
         let indices =
             (0..count).map(|i| if i < 3 { i * (grid.len() - 1) / 2 } else { rng.random_range(0..grid.len()) });
         let exact = |index| {
@@ -202,7 +202,7 @@ fn a_line_takes_one_dimension_and_gives_both_mirrors() {
             // Level lines need no lower hemisphere.
             assert_eq!(explanation.evaluated < grid.len(), along.z == 0.0, "{explanation}");
             if along == Vector3::x() {
-                let values = planner.profile(&samples, WAVELENGTH, &grid, &options).unwrap().values;
+                let values = planner.profile(&samples, &grid, &options).unwrap().values;
                 let row = &values[20 * 72..21 * 72];
                 assert!((1..36).all(|j| (row[j] - row[72 - j]).abs() <= 2.0 * eps), "azimuth a and -a");
             }
@@ -218,17 +218,17 @@ fn plans_are_reused_and_the_oracle_is_exact() {
     for turn in 0..5 {
         let points: Vec<_> = track(0, 0.3 - 1e-4 * f64::from(turn), 500, &mut rng);
         let samples = samples(&points, &[(1.0, 0.0, Complex64::ONE)], 0.1, &mut rng);
-        planner.profile(&samples, WAVELENGTH, &grid, &ProfileOptions::default()).unwrap();
+        planner.profile(&samples, &grid, &ProfileOptions::default()).unwrap();
     }
     assert!(planner.built() <= 2, "{} plans for one aperture", planner.built());
     let points = track(4, 0.3, 50, &mut rng);
     let samples = samples(&points, &[(1.0, 0.0, Complex64::ONE)], 0.1, &mut rng);
     let options = ProfileOptions { eps: 0.0, ..ProfileOptions::default() };
-    let exact = planner.profile(&samples, WAVELENGTH, &grid, &options).unwrap();
-    let reference = oracle(&samples, WAVELENGTH, &grid).unwrap();
+    let exact = planner.profile(&samples, &grid, &options).unwrap();
+    let reference = oracle(&samples, &grid).unwrap();
     assert!(exact.values.iter().zip(&reference.values).all(|(a, b)| (a - b).abs() < 1e-15));
     let bad = ProfileOptions { eps: -1.0, ..options };
-    assert!(matches!(planner.profile(&samples, WAVELENGTH, &grid, &bad), Err(Error::Tolerance { .. })));
+    assert!(matches!(planner.profile(&samples, &grid, &bad), Err(Error::Tolerance { .. })));
 }
 
 #[test]
@@ -238,7 +238,7 @@ fn explanations_say_what_was_left_out() {
     let mut explain = |shape: usize, radius: f64, grid: &Grid| {
         let points = track(shape, radius, 1_000, &mut rng);
         let samples = samples(&points, &[(1.0, 0.0, Complex64::ONE)], 0.1, &mut rng);
-        planner.plan(&samples, WAVELENGTH, grid, &ProfileOptions::default()).unwrap().explain().clone()
+        planner.plan(&samples, grid, &ProfileOptions::default()).unwrap().explain().clone()
     };
     let full = Grid::azimuth_elevation(360, 181);
     let planar = explain(0, 0.3, &full);
@@ -249,73 +249,4 @@ fn explanations_say_what_was_left_out() {
     assert!(explain(1, 0.3, &full).to_string().contains("across the line"));
     assert_eq!(explain(0, 1e-9, &full).method, Method::Constant);
     assert!(!explain(4, 0.3, &full).to_string().contains("hemisphere"));
-}
-
-#[test]
-fn a_stream_gives_the_profile_of_its_window() {
-    let mut rng = ChaCha8Rng::seed_from_u64(24);
-    let grid = Grid::azimuth_elevation(72, 37);
-    for window in [None, Some(400)] {
-        let options = StreamOptions {
-            wavelength_m: WAVELENGTH,
-            path_gain: 2,
-            middle_m: Vector3::new(5.0, -3.0, 0.0),
-            reach_m: 0.4,
-            window,
-            eps: 1e-4,
-            tier: Tier::detect(),
-        };
-        let mut stream = Stream::new(options, &grid).unwrap();
-        let mut out = Vec::new();
-        assert_eq!(stream.query(&mut out), Err(Error::Empty));
-        let points: Vec<_> = track(0, 0.3, 1_237, &mut rng).into_iter().map(|p| p + options.middle_m).collect();
-        let all = samples(&points, &[(1.0, 0.1, Complex64::new(1e-9, 0.0))], 1e-19, &mut rng);
-        for (t, (z, p)) in all.z.iter().zip(&all.receiver_m).enumerate() {
-            stream.push(*z, *p).unwrap();
-            if t % 300 == 7 || t + 1 == all.len() {
-                let mut covered = Samples::new(2);
-                for i in t + 1 - stream.len()..=t {
-                    covered.push(0.0, all.z[i], all.receiver_m[i], Vector3::zeros());
-                }
-                let sum_abs = stream.query(&mut out).unwrap();
-                let exact = oracle(&covered, WAVELENGTH, &grid).unwrap();
-                assert!((sum_abs / exact.sum_abs - 1.0).abs() < 1e-12);
-                // |f~^2 - f^2| <= 2 eps for |f| <= 1.
-                assert!(out.iter().zip(&exact.values).all(|(a, b)| (a - b).abs() < 2e-4));
-            }
-        }
-        assert!(window.is_none_or(|w| stream.len() <= w + w / 8 && stream.len() + w / 8 >= w));
-        assert!(matches!(stream.push(Complex64::ONE, Vector3::zeros()), Err(Error::Aperture { .. })));
-        assert!(matches!(stream.push(Complex64::new(f64::NAN, 0.0), options.middle_m), Err(Error::NonFinite { .. })));
-    }
-}
-
-#[test]
-fn subcarriers_together_are_the_sum_of_each_alone() {
-    let mut rng = ChaCha8Rng::seed_from_u64(25);
-    for shape in [0, 4] {
-        let points = track(shape, 0.3, 400, &mut rng);
-        let grid = Grid::azimuth_elevation(72, 37);
-        let subcarriers: Vec<Subcarrier> = [1.0, 1.001, 1.002]
-            .into_iter()
-            .map(|stretch| Subcarrier {
-                wavelength_m: WAVELENGTH * stretch,
-                z: samples(&points, &[(1.0, 0.1, Complex64::new(stretch, 0.0))], 0.3, &mut rng).z,
-            })
-            .collect();
-        let base = samples(&points, &[(0.0, 0.0, Complex64::ONE)], 0.1, &mut rng);
-        let (mut sum, mut full) = (vec![0.0; grid.len()], 0.0);
-        for s in &subcarriers {
-            let alone = oracle(&Samples { z: s.z.clone(), ..base.clone() }, s.wavelength_m, &grid).unwrap();
-            full += alone.sum_abs.powi(2);
-            sum.iter_mut().zip(&alone.values).for_each(|(t, v)| *t += v * alone.sum_abs.powi(2));
-        }
-        for eps in [1e-4, 1e-8] {
-            let together = subcarrier_profile(&base, &subcarriers, &grid, eps, Tier::detect()).unwrap();
-            assert!(together.values.iter().zip(&sum).all(|(a, b)| (a - b / full).abs() < 2.0 * eps), "{eps}");
-        }
-        let short = [Subcarrier { z: vec![Complex64::ONE; 399], ..subcarriers[0].clone() }];
-        assert!(matches!(subcarrier_profile(&base, &short, &grid, 1e-4, Tier::detect()), Err(Error::Lengths { .. })));
-        assert_eq!(subcarrier_profile(&base, &[], &grid, 1e-4, Tier::detect()), Err(Error::Empty));
-    }
 }

@@ -25,13 +25,13 @@ fn noise(rng: &mut ChaCha8Rng) -> Complex64 {
 
 /// Plane waves (azimuth, elevation, amplitude) over `points`, in white noise of variance `variance`.
 fn samples(points: &[Vector3<f64>], paths: &[(f64, f64, Complex64)], variance: f64, rng: &mut ChaCha8Rng) -> Samples {
-    let mut samples = Samples::new(2);
+    let mut samples = Samples::new(WAVELENGTH, 2).unwrap();
     for (t, p) in points.iter().enumerate() {
         let wave = |&(a, e, g): &(f64, f64, Complex64)| {
             g * Complex64::from_polar(1.0, TAU * 2.0 / WAVELENGTH * direction(a, e).dot(p))
         };
         let z = paths.iter().map(wave).sum::<Complex64>() + noise(rng) * variance.sqrt();
-        samples.push(t as f64 * 0.01, z, *p, Vector3::zeros());
+        samples.push(t as f64 * 0.01, z, *p, Vector3::zeros()).unwrap();
     }
     samples
 }
@@ -77,7 +77,7 @@ fn columns(scene: &Scene) -> Columns<'_, f64> {
 
 /// The highest value on a grid far denser than any bound asks for, at the given elevations.
 fn dense_max(samples: &Samples, elevations: &[f64], oversampling: f64) -> f64 {
-    let scene = Scene::new(samples, WAVELENGTH).unwrap();
+    let scene = Scene::new(samples).unwrap();
     let half = (oversampling * (TAU * scene.radius + 10.0)).ceil() as usize;
     let directions: Vec<[f64; 3]> = elevations
         .iter()
@@ -94,11 +94,11 @@ fn the_azimuth_search_finds_the_continuous_maximum() {
     for case in 0..400 {
         let samples = random_scene(case, &mut rng);
         let options = SearchOptions { elevation_max_rad: 0.0, ..SearchOptions::default() };
-        let estimate = search(&samples, WAVELENGTH, &options).unwrap();
+        let estimate = search(&samples, &options).unwrap();
         let dense = dense_max(&samples, &[0.0], 20.0);
         assert!(estimate.value >= dense * (1.0 - 1e-12), "case {case}: {} below {dense}", estimate.value);
         // Not above what the profile really is.
-        let exact = oracle(&samples, WAVELENGTH, &Grid::directions(vec![(estimate.azimuth_rad, 0.0)])).unwrap();
+        let exact = oracle(&samples, &Grid::directions(vec![(estimate.azimuth_rad, 0.0)])).unwrap();
         assert!((exact.values[0] - estimate.value).abs() < 1e-12);
     }
 }
@@ -109,7 +109,7 @@ fn the_search_over_elevation_finds_the_continuous_maximum() {
     let mut searched = 0;
     for case in 0..120 {
         let samples = random_scene(case, &mut rng);
-        let estimate = search(&samples, WAVELENGTH, &SearchOptions::default()).unwrap();
+        let estimate = search(&samples, &SearchOptions::default()).unwrap();
         if !estimate.elevation_searched {
             continue;
         }
@@ -126,7 +126,7 @@ fn the_search_over_elevation_finds_the_continuous_maximum() {
 fn kernels_agree_with_the_oracle_on_every_tier() {
     let mut rng = ChaCha8Rng::seed_from_u64(3);
     for case in 0..10 {
-        let scene = Scene::new(&random_scene(case, &mut rng), WAVELENGTH).unwrap();
+        let scene = Scene::new(&random_scene(case, &mut rng)).unwrap();
         let directions: Vec<Vector3<f64>> =
             (0..37).map(|_| direction(TAU * rng.random::<f64>(), rng.random_range(-1.5..1.5))).collect();
         let single = |c: &[f64]| c.iter().map(|v| f32::of(*v)).collect::<Vec<_>>();
@@ -162,10 +162,10 @@ fn estimates_agree_across_tiers() {
     let mut rng = ChaCha8Rng::seed_from_u64(4);
     for case in 0..5 {
         let samples = random_scene(case, &mut rng);
-        let reference = search(&samples, WAVELENGTH, &SearchOptions::default()).unwrap();
+        let reference = search(&samples, &SearchOptions::default()).unwrap();
         for tier in Tier::available() {
             let options = SearchOptions { tier, ..SearchOptions::default() };
-            let estimate = search(&samples, WAVELENGTH, &options).unwrap();
+            let estimate = search(&samples, &options).unwrap();
             assert!((estimate.value - reference.value).abs() < 1e-12);
         }
     }
@@ -183,7 +183,7 @@ fn the_observed_deviation_is_the_cramer_rao_bound() {
             let raised = if elevation_max_rad > 0.0 { 0.2 } else { 0.0 };
             let samples = samples(&points, &[(truth, raised, Complex64::ONE)], variance, &mut rng);
             let options = SearchOptions { elevation_max_rad, ..SearchOptions::default() };
-            let estimate = search(&samples, WAVELENGTH, &options).unwrap();
+            let estimate = search(&samples, &options).unwrap();
             squares += wrap(estimate.azimuth_rad - truth).powi(2);
             predicted += estimate.azimuth_sd_rad;
             elevation += ((estimate.abs_elevation_rad - raised) / estimate.elevation_sd_rad).powi(2);
@@ -207,12 +207,12 @@ fn a_raised_transmitter_does_not_bias_the_azimuth_of_an_arc() {
     let mut rng = ChaCha8Rng::seed_from_u64(6);
     let points = track(2, 0.5, 300, &mut rng);
     let samples = samples(&points, &[(0.7, 0.25, Complex64::ONE)], 1e-4, &mut rng);
-    let free = search(&samples, WAVELENGTH, &SearchOptions::default()).unwrap();
+    let free = search(&samples, &SearchOptions::default()).unwrap();
     assert!((free.azimuth_rad - 0.7).abs() < 5.0 * free.azimuth_sd_rad);
     assert!((free.abs_elevation_rad - 0.25).abs() < 5.0 * free.elevation_sd_rad);
     assert_eq!(free.signed_elevation_rad, None);
     let options = SearchOptions { elevation_max_rad: 0.0, ..SearchOptions::default() };
-    let level = search(&samples, WAVELENGTH, &options).unwrap();
+    let level = search(&samples, &options).unwrap();
     assert!((level.azimuth_rad - 0.7).abs() > 5.0 * free.azimuth_sd_rad, "the bias that the elevation removes");
 }
 
@@ -222,7 +222,7 @@ fn a_helix_tells_the_sign_of_the_elevation() {
     for elevation in [-0.2, 0.2] {
         let points = track(4, 0.3, 300, &mut rng);
         let samples = samples(&points, &[(2.0, elevation, Complex64::ONE)], 0.1, &mut rng);
-        let estimate = search(&samples, WAVELENGTH, &SearchOptions::default()).unwrap();
+        let estimate = search(&samples, &SearchOptions::default()).unwrap();
         assert_eq!(estimate.geometry, Geometry::Spatial);
         assert!((estimate.signed_elevation_rad.unwrap() - elevation).abs() < 5.0 * estimate.elevation_sd_rad);
     }
@@ -236,7 +236,7 @@ fn a_line_reports_both_bearings() {
         let axis = points[199].y.atan2(points[199].x);
         let off = rng.random_range(0.4..2.7);
         let samples = samples(&points, &[(axis + off, 0.0, Complex64::ONE)], 0.1, &mut rng);
-        let estimate = search(&samples, WAVELENGTH, &SearchOptions::default()).unwrap();
+        let estimate = search(&samples, &SearchOptions::default()).unwrap();
         assert_eq!(estimate.geometry, Geometry::Line);
         assert!(!estimate.elevation_searched);
         let mirror = estimate.mirror_rad.unwrap();
@@ -248,35 +248,62 @@ fn a_line_reports_both_bearings() {
     }
 }
 
+/// The columns of samples, to be changed and made samples again.
+struct Parts {
+    wavelength_m: f64,
+    path_gain: u8,
+    z: Vec<Complex64>,
+    receiver_m: Vec<Vector3<f64>>,
+    weight: Vec<f64>,
+}
+
+impl Parts {
+    fn of(samples: &Samples) -> Self {
+        Self {
+            wavelength_m: samples.wavelength_m(),
+            path_gain: samples.path_gain(),
+            z: samples.z().to_vec(),
+            receiver_m: samples.receiver_m().to_vec(),
+            weight: samples.weight().to_vec(),
+        }
+    }
+
+    fn samples(&self) -> Result<Samples, Error> {
+        let mut samples = Samples::new(self.wavelength_m, self.path_gain)?;
+        for ((z, p), w) in self.z.iter().zip(&self.receiver_m).zip(&self.weight) {
+            samples.push_weighted(0.0, *z, *p, Vector3::zeros(), *w)?;
+        }
+        Ok(samples)
+    }
+}
+
 #[test]
 fn bad_input_has_its_own_error_each() {
+    use crate::signal::samples::SamplesError::{NonFinite, PathGain, Wavelength, Weight};
     let mut rng = ChaCha8Rng::seed_from_u64(9);
     let points = track(0, 0.3, 50, &mut rng);
     let good = samples(&points, &[(1.0, 0.0, Complex64::ONE)], 0.1, &mut rng);
-    let run = |change: &dyn Fn(&mut Samples)| {
-        let mut samples = good.clone();
-        change(&mut samples);
-        search(&samples, WAVELENGTH, &SearchOptions::default())
+    let run = |change: &dyn Fn(&mut Parts)| {
+        let mut parts = Parts::of(&good);
+        change(&mut parts);
+        search(&parts.samples()?, &SearchOptions::default())
     };
     assert!(run(&|_| ()).is_ok());
-    assert_eq!(run(&|s| *s = Samples::new(2)).unwrap_err(), Error::Empty);
-    assert!(matches!(run(&|s| s.weight.truncate(49)), Err(Error::Lengths { what: "weight", z: 50, length: 49 })));
-    assert!(matches!(run(&|s| s.z[7].im = f64::NAN), Err(Error::NonFinite { what: "sample", index: 7 })));
-    assert!(matches!(run(&|s| s.receiver_m[3].z = f64::INFINITY), Err(Error::NonFinite { index: 3, .. })));
-    assert!(matches!(run(&|s| s.weight[2] = -1.0), Err(Error::Weight { index: 2, .. })));
+    assert_eq!(run(&|s| s.z.clear()).unwrap_err(), Error::Empty);
+    assert!(matches!(run(&|s| s.z[7].im = f64::NAN), Err(Error::Samples(NonFinite { what: "sample", index: 7 }))));
+    assert!(matches!(run(&|s| s.receiver_m[3].z = f64::INFINITY), Err(Error::Samples(NonFinite { index: 3, .. }))));
+    assert!(matches!(run(&|s| s.receiver_m[3].z = f64::MAX), Err(Error::NonFinite { .. })));
+    assert!(matches!(run(&|s| s.weight[2] = -1.0), Err(Error::Samples(Weight { index: 2, .. }))));
     assert!(matches!(run(&|s| s.z.fill(Complex64::ZERO)), Err(Error::ZeroEnergy { count: 50 })));
-    assert!(matches!(run(&|s| s.path_gain = 0), Err(Error::PathGain)));
+    assert!(matches!(run(&|s| s.path_gain = 0), Err(Error::Samples(PathGain))));
     assert!(matches!(run(&|s| s.receiver_m.fill(Vector3::x())), Err(Error::NoMotion { .. })));
     assert!(matches!(run(&|s| s.receiver_m.iter_mut().for_each(|p| *p *= 1e9)), Err(Error::Aperture { .. })));
     for wavelength in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-        assert!(matches!(search(&good, wavelength, &SearchOptions::default()), Err(Error::Wavelength { .. })));
+        assert!(matches!(run(&|s| s.wavelength_m = wavelength), Err(Error::Samples(Wavelength { .. }))));
     }
     let options = SearchOptions { elevation_max_rad: 2.0, ..SearchOptions::default() };
-    assert!(matches!(search(&good, WAVELENGTH, &options), Err(Error::ElevationMax { .. })));
-    assert!(matches!(
-        profile(&good, WAVELENGTH, &Grid::directions(vec![(0.0, f64::NAN)])),
-        Err(Error::Direction { .. })
-    ));
+    assert!(matches!(search(&good, &options), Err(Error::ElevationMax { .. })));
+    assert!(matches!(profile(&good, &Grid::directions(vec![(0.0, f64::NAN)])), Err(Error::Direction { .. })));
 }
 
 #[test]
@@ -284,12 +311,12 @@ fn offsets_and_magnitudes_cost_nothing() {
     let mut rng = ChaCha8Rng::seed_from_u64(10);
     let points = track(2, 0.3, 100, &mut rng);
     let samples = samples(&points, &[(1.0, 0.1, Complex64::ONE)], 0.1, &mut rng);
-    let reference = search(&samples, WAVELENGTH, &SearchOptions::default()).unwrap();
+    let reference = search(&samples, &SearchOptions::default()).unwrap();
     for (offset, scale) in [(1e6, 1.0), (0.0, 1e-300), (0.0, 1e300), (-1e6, 1e-30)] {
-        let mut moved = samples.clone();
+        let mut moved = Parts::of(&samples);
         moved.receiver_m.iter_mut().for_each(|p| *p += Vector3::new(offset, -offset, 0.0));
         moved.z.iter_mut().for_each(|z| *z *= scale);
-        let estimate = search(&moved, WAVELENGTH, &SearchOptions::default()).unwrap();
+        let estimate = search(&moved.samples().unwrap(), &SearchOptions::default()).unwrap();
         // At 1e6 m the positions themselves are rounded to 1e-10 m.
         assert!(wrap(estimate.azimuth_rad - reference.azimuth_rad).abs() < 1e-7);
         assert!((estimate.value - reference.value).abs() < 1e-7);

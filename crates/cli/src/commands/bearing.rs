@@ -171,7 +171,7 @@ pub fn run(mut args: Args) -> Result {
         }
         tell(&answer, args.json);
         say_heard(&args.rx, &report, link);
-        artefacts(&args, &options, name, link, report.links.len())?;
+        artefacts(&args, name, link, report.links.len())?;
     }
     unread.iter().for_each(|answer| tell(answer, args.json));
     Ok(if report.links.iter().all(|link| link.bearing.is_err()) {
@@ -192,23 +192,16 @@ fn options(args: &Args) -> std::result::Result<Options, String> {
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.
-fn artefacts(
-    args: &Args,
-    options: &Options,
-    name: &str,
-    link: &LinkReport,
-    links: usize,
-) -> std::result::Result<(), String> {
+fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::result::Result<(), String> {
     let Ok(bearing) = &link.bearing else { return Ok(()) };
     if let Some(path) = &args.profile {
         let path = if links > 1 { numbered(path, name) } else { path.clone() };
-        profile::write(&path, &args.grid, &bearing.samples, options.channel.wavelength_m())?;
+        profile::write(&path, &args.grid, &bearing.samples)?;
         eprintln!("profile of {name}: {}", path.display());
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
-        let wavelength_m = options.channel.wavelength_m();
-        let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, recorded: None, wavelength_m };
+        let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, recorded: None };
         for path in pictures.write(folder, name).map_err(|error| error.to_string())? {
             eprintln!("picture of {name}: {}", path.display());
         }

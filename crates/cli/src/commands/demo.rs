@@ -55,7 +55,7 @@ pub fn run(args: &Args) -> Result {
         let bearing = estimate(&rx, &tx, &trajectory, &options)?;
         let truth_rad = truth(&scene, &bearing);
         print(&describe(name, &folder, &bearing, truth_rad));
-        draw(&args.out, name, &bearing, truth_rad, recorded.as_ref().filter(|_| name == "circle"), &options)?;
+        draw(&args.out, name, &bearing, truth_rad, recorded.as_ref().filter(|_| name == "circle"))?;
     }
     print(&format!("\nLogs and pictures are in {}. Try next:\n{next}", args.out.display()));
     Ok(Outcome::Done)
@@ -118,25 +118,13 @@ fn describe(name: &str, folder: &Path, bearing: &Bearing, truth_rad: Option<f64>
 }
 
 #[cfg(not(feature = "plot"))]
-fn draw(_: &Path, _: &str, _: &Bearing, _: Option<f64>, _: Option<&Bearing>, _: &Options) -> Words<()> {
+fn draw(_: &Path, _: &str, _: &Bearing, _: Option<f64>, _: Option<&Bearing>) -> Words<()> {
     Ok(())
 }
 
 #[cfg(feature = "plot")]
-fn draw(
-    out: &Path,
-    name: &str,
-    bearing: &Bearing,
-    truth_rad: Option<f64>,
-    recorded: Option<&Bearing>,
-    options: &Options,
-) -> Words<()> {
-    let pictures = csi5300_lab::show::link::LinkPictures {
-        bearing,
-        truth_rad,
-        recorded,
-        wavelength_m: options.channel.wavelength_m(),
-    };
+fn draw(out: &Path, name: &str, bearing: &Bearing, truth_rad: Option<f64>, recorded: Option<&Bearing>) -> Words<()> {
+    let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad, recorded };
     for path in pictures.write(out, name).map_err(|error| error.to_string())? {
         if path.extension().is_some_and(|extension| extension == "png") {
             print(&format!("  picture {}\n", path.display()));

@@ -34,22 +34,20 @@ pub fn run(args: &Args) -> Result {
     let mut shown = 0;
     let mut lost = false;
     for capture in &captures {
-        let mut links: Vec<(String, Bearing, Options)> = Vec::new();
-        let mut look = |name: &str, bearing: &Bearing, options: &Options| {
+        let mut links: Vec<(String, Bearing)> = Vec::new();
+        let mut look = |name: &str, bearing: &Bearing, _: &Options| {
             if wanted.as_ref().is_none_or(|wanted| name.ends_with(wanted.as_str())) {
-                links.push((name.to_owned(), bearing.clone(), options.clone()));
+                links.push((name.to_owned(), bearing.clone()));
             }
         };
         let evaluated = capture.evaluate_and(args.reading.source(), args.reading.channel, &options, &mut look);
         lost |= evaluated.lost;
-        for (name, bearing, options) in &links {
+        for (name, bearing) in &links {
             let Some(row) = evaluated.rows.iter().find(|row| row.answer.link == *name) else { continue };
             print(&describe(row, bearing));
             shown += 1;
             #[cfg(feature = "plot")]
-            draw(args, row, bearing, options)?;
-            #[cfg(not(feature = "plot"))]
-            let _ = options;
+            draw(args, row, bearing)?;
         }
         for row in evaluated.rows.iter().filter(|row| row.answer.error.is_some()) {
             eprintln!("csi5300: {}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
@@ -63,13 +61,12 @@ pub fn run(args: &Args) -> Result {
 }
 
 #[cfg(feature = "plot")]
-fn draw(args: &Args, row: &Judged, bearing: &Bearing, options: &Options) -> std::result::Result<(), String> {
+fn draw(args: &Args, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
     let Some(folder) = &args.out else { return Ok(()) };
     let pictures = csi5300_lab::show::link::LinkPictures {
         bearing,
         truth_rad: row.true_from_mean_pose_deg.map(f64::to_radians),
         recorded: None,
-        wavelength_m: options.channel.wavelength_m(),
     };
     let written = pictures.write_all(folder, &row.answer.link).map_err(|error| error.to_string())?;
     eprintln!("{}: {} pictures", folder.display(), written.len());

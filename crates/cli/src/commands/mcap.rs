@@ -113,8 +113,7 @@ fn estimate(
     for (name, link) in names.iter().skip(1).zip(&report.links) {
         match &link.bearing {
             Ok(bearing) => {
-                let wavelength_m = options.channel.wavelength_m();
-                channels.bearing(name, bearing, wavelength_m).map_err(|error| error.to_string())?;
+                channels.bearing(name, bearing).map_err(|error| error.to_string())?;
                 eprintln!("{name}: {:.2} deg", bearing.estimate.azimuth_rad.to_degrees());
             }
             Err(error) => {

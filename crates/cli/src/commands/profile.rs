@@ -32,8 +32,8 @@ pub fn is_known(path: &Path) -> bool {
 /// `azimuth_deg`, `elevation_deg`, `value`, rows of elevations by columns of azimuths).
 ///
 /// Values are `|f|^2 / (sum |z|)^2`, 0 to 1.
-pub fn write(path: &Path, grid: &Grid, samples: &Samples, wavelength_m: f64) -> Result<(), String> {
-    let profile = bartlett::profile(samples, wavelength_m, grid).map_err(|error| error.to_string())?;
+pub fn write(path: &Path, grid: &Grid, samples: &Samples) -> Result<(), String> {
+    let profile = bartlett::profile(samples, grid).map_err(|error| error.to_string())?;
     let (rows, columns) = profile.grid.shape();
     let shape = [rows as u64, columns as u64];
     let angles = || (0..profile.values.len()).map(|index| profile.grid.at(index));

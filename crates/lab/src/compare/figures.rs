@@ -193,7 +193,7 @@ fn link_figures(report: &Report, options: &Options) -> Result<LinkFigures, Strin
     turn_arounds(&mut figures);
     figures.run = figures.run.filter(|_| link.thinned() == 0);
     if let Ok(bearing) = &found.bearing {
-        place(&mut figures, bearing, options);
+        place(&mut figures, bearing);
     }
     figures.course = course;
     Ok(figures)
@@ -229,7 +229,7 @@ fn turn_arounds(figures: &mut LinkFigures) {
     figures.run = Some(Distribution::of(&runs).mean);
 }
 
-fn place(figures: &mut LinkFigures, bearing: &Bearing, options: &Options) {
+fn place(figures: &mut LinkFigures, bearing: &Bearing) {
     let estimate = &bearing.estimate;
     figures.coherence = Some(estimate.coherence);
     figures.azimuth_deg = Some(estimate.azimuth_rad.to_degrees());
@@ -239,21 +239,21 @@ fn place(figures: &mut LinkFigures, bearing: &Bearing, options: &Options) {
     let away_m = range.unwrap_or(USUAL_RANGE_M);
     let middle = bearing.mean_position_m;
     figures.place_m = Some([middle.x + away_m * cos, middle.y + away_m * sin, middle.z]);
-    figures.short_coherence = short_coherence(bearing, options.channel.wavelength_m());
+    figures.short_coherence = short_coherence(bearing);
 }
 
 /// The mean over windows of the coherence with the plane wave found.
-fn short_coherence(bearing: &Bearing, wavelength_m: f64) -> Option<f64> {
+fn short_coherence(bearing: &Bearing) -> Option<f64> {
     let estimate = &bearing.estimate;
     let level = estimate.abs_elevation_rad.cos();
     let (sin, cos) = estimate.azimuth_rad.sin_cos();
     let samples = &bearing.samples;
-    let turned = samples.z.iter().zip(&samples.receiver_m).map(|(z, p)| {
-        let turns = 2.0 * level * (p.x * cos + p.y * sin) / wavelength_m;
+    let turned = samples.z().iter().zip(samples.receiver_m()).map(|(z, p)| {
+        let turns = 2.0 * level * (p.x * cos + p.y * sin) / samples.wavelength_m();
         z * num_complex::Complex64::cis(-TAU * turns)
     });
     let turned: Vec<_> = turned.collect();
-    let windows = samples.t_s.chunk_by(|a, b| (a / WINDOW_S).floor() == (b / WINDOW_S).floor());
+    let windows = samples.t_s().chunk_by(|a, b| (a / WINDOW_S).floor() == (b / WINDOW_S).floor());
     let (mut at, mut sum, mut count) = (0, 0.0, 0.0);
     for window in windows {
         let part = &turned[at..at + window.len()];

@@ -119,7 +119,7 @@ impl Capture {
         }
         let judged = |(name, link): (&str, &LinkReport)| {
             let answer = Answer::new(self.link_name(name), link);
-            let times_s = link.bearing.as_ref().map(|bearing| bearing.samples.t_s.as_slice()).unwrap_or_default();
+            let times_s = link.bearing.as_ref().map(|bearing| bearing.samples.t_s()).unwrap_or_default();
             judge(answer, truth.place(name), reference.as_ref(), times_s)
         };
         let names = self.transmitters.iter().map(|(name, _)| name.as_str());

@@ -13,8 +13,6 @@ pub struct LinkPictures<'a> {
     pub truth_rad: Option<f64>,
     /// A recorded link whose phase is drawn beside.
     pub recorded: Option<&'a Bearing>,
-    /// Wavelength, metres.
-    pub wavelength_m: f64,
 }
 
 /// Azimuths of the profile.
@@ -63,7 +61,7 @@ impl LinkPictures<'_> {
         TrajectoryPlot {
             title: format!("{name}: {:.1} deg", estimate.azimuth_rad.to_degrees()),
             path_m: self.bearing.path_m.iter().map(|p| [p.x, p.y]).collect(),
-            used_m: self.bearing.samples.receiver_m.iter().map(|p| [p.x, p.y]).collect(),
+            used_m: self.bearing.samples.receiver_m().iter().map(|p| [p.x, p.y]).collect(),
             azimuth_rad: estimate.azimuth_rad,
             mirror_rad: estimate.mirror_rad,
             sd_rad: Some(estimate.azimuth_sd_rad),
@@ -77,7 +75,7 @@ impl LinkPictures<'_> {
         let elevation = estimate.abs_elevation_rad;
         let azimuths: Vec<f64> = (0..AZIMUTHS).map(|k| Grid::azimuth(AZIMUTHS).at(k).0).collect();
         let ring = Grid::directions(azimuths.iter().map(|&azimuth| (azimuth, elevation)).collect());
-        let profile = bartlett::profile(&self.bearing.samples, self.wavelength_m, &ring)?;
+        let profile = bartlett::profile(&self.bearing.samples, &ring)?;
         let degrees: Vec<f64> = azimuths.iter().map(|azimuth| azimuth.to_degrees()).collect();
         Ok(ProfilePlot {
             title: format!("{name}: Bartlett profile"),

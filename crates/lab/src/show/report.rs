@@ -50,13 +50,12 @@ impl HtmlReport {
         let mut drawn: BTreeMap<String, Vec<String>> = BTreeMap::new();
         let mut failed = None;
         let folder = self.pictures_in.as_deref();
-        let mut look = |name: &str, bearing: &Bearing, options: &Options| match folder
-            .map(|folder| draw(folder, name, bearing, options))
-        {
-            Some(Ok(pictures)) => drop(drawn.insert(name.to_owned(), pictures)),
-            Some(Err(error)) => failed = Some(error),
-            None => {}
-        };
+        let mut look =
+            |name: &str, bearing: &Bearing, _: &Options| match folder.map(|folder| draw(folder, name, bearing)) {
+                Some(Ok(pictures)) => drop(drawn.insert(name.to_owned(), pictures)),
+                Some(Err(error)) => failed = Some(error),
+                None => {}
+            };
         let Evaluated { rows, lost, notes } = capture.evaluate_and(source, channel, options, &mut look);
         self.lost |= lost;
         self.notes.extend(notes);
@@ -84,9 +83,8 @@ impl HtmlReport {
 }
 
 /// The pictures of a link as SVG.
-fn draw(folder: &Path, name: &str, bearing: &Bearing, options: &Options) -> Result<Vec<String>, String> {
-    let wavelength_m = options.channel.wavelength_m();
-    let pictures = LinkPictures { bearing, truth_rad: None, recorded: None, wavelength_m };
+fn draw(folder: &Path, name: &str, bearing: &Bearing) -> Result<Vec<String>, String> {
+    let pictures = LinkPictures { bearing, truth_rad: None, recorded: None };
     let written = pictures.write(folder, name).map_err(|error| format!("{name}: {error}"))?;
     let svgs = written.iter().filter(|path| path.extension().is_some_and(|extension| extension == "svg"));
     svgs.map(|path| std::fs::read_to_string(path).map_err(|error| error.to_string())).collect()
