@@ -10,6 +10,7 @@ use std::f64::consts::{PI, TAU};
 
 use common::*;
 use csi5300::bartlett::{Grid, Method, Planner, Precision, ProfileOptions, Searcher, Tier};
+use csi5300::maths::wrap_rad;
 use nalgebra::Vector3;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -32,10 +33,6 @@ fn track(shape: usize, n: usize, rng: &mut ChaCha8Rng) -> Vec<Vector3<f64>> {
         }
     });
     points.collect()
-}
-
-fn wrap(a: f64) -> f64 {
-    (a + PI).rem_euclid(TAU) - PI
 }
 
 fn main() {
@@ -169,7 +166,7 @@ impl Judge {
             let line = shape == 1;
             let truth = if line { self.rng.random_range(0.8..2.3) } else { self.rng.random_range(-PI..PI) };
             let off = |azimuth: f64| {
-                let (here, mirrored) = (wrap(azimuth - truth), wrap(-azimuth - truth));
+                let (here, mirrored) = (wrap_rad(azimuth - truth), wrap_rad(-azimuth - truth));
                 if line && mirrored.abs() < here.abs() { mirrored } else { here }
             };
             // One-way channels of signal-to-noise ratio g in both directions; their product is the sample.
@@ -241,8 +238,9 @@ fn wrong_peaks(scenes: usize) {
         wrong += usize::from(estimate.value < top * (1.0 - 1e-9));
         let coarse = planner.profile(&samples, &Grid::azimuth(360), &options).expect("a profile");
         let (i, _) = coarse.max().expect("a direction");
-        grid_wrong +=
-            usize::from(wrap(coarse.grid.at(i).0 - estimate.azimuth_rad).abs() > 2f64.to_radians() && case % 4 != 1);
+        grid_wrong += usize::from(
+            wrap_rad(coarse.grid.at(i).0 - estimate.azimuth_rad).abs() > 2f64.to_radians() && case % 4 != 1,
+        );
     }
     println!(
         "\n{scenes} random scenes: {wrong} wrong peaks; a 1-degree grid is on another peak in {grid_wrong} (lines"

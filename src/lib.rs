@@ -54,6 +54,7 @@
 
 pub mod bartlett;
 pub mod exchange;
+pub mod maths;
 pub mod motion;
 pub mod pipeline;
 pub mod place;

@@ -3,6 +3,7 @@
 //! Nothing on the floors below `pipeline` reads a clock. Whoever drives a state machine or a backend hands it an
 //! [`Instant`] of its own monotonic clock, real or virtual.
 
+use crate::maths::unwrap_near;
 use std::ops::{Add, AddAssign, Sub};
 
 /// A point on the driver's own monotonic clock, in microseconds from an arbitrary origin.
@@ -139,10 +140,7 @@ impl Unwrap32 {
     pub fn next_after(&mut self, raw: u32, elapsed_us: Option<i64>) -> i64 {
         let value = match self.last {
             None => i64::from(raw),
-            Some(last) => {
-                let expected = last.saturating_add(elapsed_us.unwrap_or(0));
-                expected.saturating_add(i64::from(raw.wrapping_sub(expected as u32).cast_signed()))
-            }
+            Some(last) => unwrap_near(last.saturating_add(elapsed_us.unwrap_or(0)), raw),
         };
         self.last = Some(value);
         value

@@ -11,7 +11,7 @@ use super::grid::{Grid, Layout};
 use super::nufft::{Axis, Setting};
 use super::rings::{azimuths_for, distinct, nodes_for};
 use super::scene::{Geometry, Scene};
-use super::simd::Tier;
+use crate::maths::simd::Tier;
 
 /// What a plan is made for.
 #[derive(Clone, Debug, PartialEq)]

@@ -14,7 +14,7 @@ use super::evaluate::{Batch, Buffers, carry, narrow};
 use super::fft::Ffts;
 use super::kernel::Kernel;
 use super::nufft::{Axis, CARRY, Setting, locate};
-use super::simd::{Real, Tier, V, on_tier};
+use crate::maths::simd::{Real, Tier, V, on_tier};
 
 /// A planned transform for samples within an extent along a line, and for cosines.
 pub(crate) struct Cone<T: Real> {

@@ -8,8 +8,8 @@ use num_complex::Complex;
 use super::cone::Cone;
 use super::kernel::Kernel;
 use super::nufft::{Axis, CARRY, Nufft, Setting, Targets, Work};
-use super::simd::Real;
 use super::sums::{Columns, Sines, pairs};
+use crate::maths::simd::Real;
 
 /// Samples as an evaluation takes them: positions in turns about the middle, in the axes of the plan.
 #[derive(Clone, Debug, Default)]

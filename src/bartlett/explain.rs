@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::simd::Tier;
+use crate::maths::simd::Tier;
 
 /// How exact, and how.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use rustfft::{Fft, FftNum, FftPlanner, FftPlannerScalar};
 
-use super::simd::Tier;
+use crate::maths::simd::Tier;
 
 /// The planner of one tier, with its cache.
 pub(crate) struct Ffts<T: FftNum> {

@@ -3,7 +3,7 @@
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 
 use super::error::Error;
-use super::simd::{V, on_tier};
+use crate::maths::simd::{V, on_tier};
 use crate::signal::samples::Samples;
 
 /// Folds columns of one length, a vector of elements at a time; what the last vector lacks is `pad`.

@@ -38,18 +38,17 @@ mod plan;
 mod resample;
 mod rings;
 mod scene;
-pub(crate) mod simd;
 mod sums;
 #[cfg(test)]
 mod tests;
 
+pub use crate::maths::Tier;
 pub use error::Error;
 pub use explain::{ElevationSearch, SearchPlan};
 pub use grid::{Grid, Profile, direction, wsr_planar_profile_variance, wsr_profile_variance};
 pub use peak::{Estimate, Peak, SearchOptions, Searcher, search};
 pub use plan::{Explanation, Method, Plan, Planner, Precision, ProfileOptions};
 pub use scene::{Geometry, Shape};
-pub use simd::Tier;
 
 use crate::signal::samples::Samples;
 

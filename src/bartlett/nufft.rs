@@ -13,7 +13,7 @@ use rustfft::Fft;
 
 use super::fft::Ffts;
 use super::kernel::Kernel;
-use super::simd::{Real, Tier, V, on_tier};
+use crate::maths::simd::{Real, Tier, V, on_tier};
 
 /// Samples between two carries of single-precision cells to double: keeps the error of a cell below 1e-6 of what fell
 /// into it, however long the robot stands still.

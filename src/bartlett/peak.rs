@@ -23,8 +23,9 @@ use super::fft::{Ffts, good_size, near_size};
 use super::newton::{Hill, Point, Second, Top};
 use super::resample::{Resample, ResampleWork};
 use super::scene::{Geometry, Scene, Shape};
-use super::simd::{ROUGH, Real, Tier};
 use super::sums::{Columns, PairSum, Sines, pairs};
+use crate::maths::simd::{ROUGH, Real, Tier};
+use crate::maths::wrap_rad;
 use crate::signal::samples::Samples;
 
 /// Largest change of any phase between neighbouring rings of elevation, radians: no more than 0.4 to the nearest.
@@ -359,11 +360,11 @@ impl<'a> Search<'a> {
         let scene = self.scene;
         let full = scene.sum_abs * scene.sum_abs;
         let peak = |top: &Top| Peak {
-            azimuth_rad: wrap(top.at.azimuth),
+            azimuth_rad: wrap_rad(top.at.azimuth),
             abs_elevation_rad: hill.kind.elevation(top.at.second).abs(),
             value: (top.value / full).min(1.0),
         };
-        let near = |a: f64, b: f64| wrap(a - b).abs() < self.resolution();
+        let near = |a: f64, b: f64| wrap_rad(a - b).abs() < self.resolution();
         let mut peaks: Vec<Peak> = Vec::new();
         for candidate in tops.iter().map(peak) {
             if !peaks.iter().any(|p| near(p.azimuth_rad, candidate.azimuth_rad)) {
@@ -373,7 +374,7 @@ impl<'a> Search<'a> {
         let (top, best) = (tops[0], peak(&tops[0]));
         let mirror = self.axis().and_then(|axis| {
             let reflected = 2.0 * axis - best.azimuth_rad;
-            let close = |p: &&Peak| wrap(p.azimuth_rad - reflected).abs() < 2.0 * self.resolution();
+            let close = |p: &&Peak| wrap_rad(p.azimuth_rad - reflected).abs() < 2.0 * self.resolution();
             peaks.iter().skip(1).find(close).filter(|p| p.value >= MIRROR_RATIO * best.value).copied()
         });
         let other = peaks.iter().skip(1).find(|p| mirror.is_none_or(|m| m != **p));
@@ -553,10 +554,4 @@ fn vertex(values: &[f64], index: usize, ring: usize) -> f64 {
 
 fn argmax(values: &[f64]) -> (usize, f64) {
     values.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or((0, 0.0))
-}
-
-/// The angle in (-pi, pi].
-pub(crate) fn wrap(angle: f64) -> f64 {
-    let turned = angle.rem_euclid(TAU);
-    if turned > PI { turned - TAU } else { turned }
 }

@@ -21,7 +21,7 @@ use super::grid::{Grid, Layout, Profile, direction, ring_azimuth};
 use super::nufft::{Nufft, Setting};
 use super::rings::{RingWork, Rings};
 use super::scene::{Scene, ldexp};
-use super::simd::{Real, Tier};
+use crate::maths::simd::{Real, Tier};
 use crate::signal::samples::Samples;
 
 /// Plans that a planner keeps.

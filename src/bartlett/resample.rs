@@ -6,7 +6,7 @@ use num_complex::Complex;
 use rustfft::Fft;
 
 use super::fft::{Ffts, near_size};
-use super::simd::Real;
+use crate::maths::simd::Real;
 
 /// Takes `d` values around a circle to `n`.
 pub(crate) struct Resample<T: Real> {

@@ -15,7 +15,7 @@ use num_complex::Complex;
 use super::fft::Ffts;
 pub(crate) use super::resample::azimuths_for;
 use super::resample::{Resample, ResampleWork};
-use super::simd::{Real, V, on_tier};
+use crate::maths::simd::{Real, V, on_tier};
 
 /// Half rings are padded to a multiple of this many values, so that vectors of any width fit.
 const PAD: usize = 16;

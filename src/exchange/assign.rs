@@ -9,6 +9,7 @@
 //! nothing: it is wrong or tied on half of them.
 
 use crate::exchange::pairing::{Pairing, Side};
+use crate::maths::upper_median;
 use crate::signal::cfo::drift_line;
 
 /// One record as far as matching needs it: frame number and card clock (`timestamp_low`).
@@ -67,8 +68,7 @@ pub fn spread(receiver: &[Mark], transmitter: &[Mark]) -> Option<Spread> {
     let line = drift_line(&clock, &difference);
     let mut deviations: Vec<f64> =
         clock.iter().zip(&difference).map(|(&x, &y)| (y as f64 - line.at(x as f64)).abs()).collect();
-    let middle = deviations.len() / 2;
-    let spread_us = *deviations.select_nth_unstable_by(middle, f64::total_cmp).1;
+    let spread_us = upper_median(&mut deviations)?;
     Some(Spread { spread_us, common: clock.len() })
 }
 

@@ -2,15 +2,8 @@
 //!
 //! Frame: the trajectory file's own, metres, right-handed; azimuth and heading from +x towards +y.
 
+use crate::maths::{lower_rank, upper_median, wrap_rad};
 use nalgebra::{UnitQuaternion, Vector3};
-use std::f64::consts::{PI, TAU};
-
-/// An angle brought into (-pi, pi].
-#[must_use]
-pub fn wrap_rad(angle_rad: f64) -> f64 {
-    let wrapped = angle_rad - TAU * (angle_rad / TAU).round();
-    if wrapped <= -PI { wrapped + TAU } else { wrapped }
-}
 
 /// Where a robot was, and which way it looked.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -126,8 +119,7 @@ impl Trajectory {
             return Err(TrajectoryError::TooFew { poses: poses.len() });
         }
         let mut steps: Vec<f64> = poses.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
-        let middle = steps.len() / 2;
-        let usual = *steps.select_nth_unstable_by(middle, f64::total_cmp).1;
+        let usual = upper_median(&mut steps).unwrap_or(0.0);
         let mut trajectory = Self { poses, max_gap_s: MIN_GAP_S.max(10.0 * usual), stale_head: 0 };
         trajectory.drop_stale_head();
         Ok(trajectory)
@@ -243,7 +235,7 @@ impl Trajectory {
         let speeds: Vec<f64> = self.poses.iter().map(|pose| self.speed_m_per_s(pose.t_s)).collect();
         let mut sorted = speeds.clone();
         sorted.sort_by(f64::total_cmp);
-        let usual = sorted[(sorted.len() - 1) * 9 / 10];
+        let usual = lower_rank(&sorted, 0.9).unwrap_or(0.0);
         let floor = (STILL_SHARE * usual).max(STILL_M_PER_S);
         let moving = |k: &usize| speeds[*k] > floor;
         let first = (0..speeds.len()).find(moving);

@@ -3,7 +3,7 @@
 use super::Options;
 use super::link::Bearing;
 use crate::bartlett::Estimate;
-use crate::motion::pose::wrap_rad;
+use crate::maths::wrap_rad;
 use crate::place::confidence::confidence;
 use crate::place::near_field::{self, Aperture, Fix, Focus, Limits, Maps, Path, Search, Taper, View};
 use crate::signal::alignment::{Alignment, Row, align, remove_common_slope};

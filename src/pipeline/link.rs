@@ -5,7 +5,8 @@ use super::intake::Heard;
 use super::{JoinBy, Options};
 use crate::bartlett::{self, Estimate, Grid};
 use crate::exchange::pairing::{Pair, Pairing, Side, SideCounts};
-use crate::motion::pose::{Motion, Trajectory, wrap_rad};
+use crate::maths::{upper_median_ord, wrap_rad};
+use crate::motion::pose::{Motion, Trajectory};
 use crate::place::near_field::Search;
 use crate::signal::cfo::{TurnAround, at_centre, round_trip, round_trip_at_centre};
 use crate::signal::samples::Samples;
@@ -344,8 +345,7 @@ impl Link {
     pub fn partner_ahead_s(&self) -> Option<f64> {
         let ahead = |row: &Row| Some(row.partner_host_us?.saturating_sub(row.host_us?));
         let mut ahead_us: Vec<i64> = self.rows.iter().filter_map(ahead).collect();
-        let middle = ahead_us.len() / 2;
-        (!ahead_us.is_empty()).then(|| *ahead_us.select_nth_unstable(middle).1 as f64 * 1e-6)
+        upper_median_ord(&mut ahead_us).map(|us| us as f64 * 1e-6)
     }
 
     /// Ends both logs.

@@ -4,7 +4,7 @@
 //! is several deviations out. Started from every crossing of two bearings, so that one wrong bearing cannot choose the
 //! valley. The covariance is that of the linearised problem at the answer, with the weights of the loss.
 
-use crate::motion::pose::wrap_rad;
+use crate::maths::wrap_rad;
 use nalgebra::{Matrix2, Vector2};
 
 /// What one link says.

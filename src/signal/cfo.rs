@@ -10,10 +10,11 @@
 //! crystals behind it as `df`: `df ~ drift * carrier` to within about 1 kHz while the turn-around itself is steady
 //! (measured on the paper's and the WSR data set's captures).
 
+use crate::maths::{upper_median, wrap_rad};
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::samples::Coherent;
 use num_complex::{Complex32, Complex64};
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 /// The round trip of one antenna pair: `forward[k] * backward[k]`, no conjugate, so the path is in it twice and the
 /// CFO, which has opposite signs, cancels.
@@ -69,7 +70,7 @@ fn centre(csi: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS], slope: f6
     for k in 0..SUBCARRIERS {
         let x = f64::from(indices[k]);
         let phase = f64::from(csi[k].arg()) - slope * x;
-        let phase = if k == 0 { phase } else { last + crate::motion::pose::wrap_rad(phase - last) };
+        let phase = if k == 0 { phase } else { last + wrap_rad(phase - last) };
         last = phase;
         sum += phase;
         sum_x += x;
@@ -256,12 +257,9 @@ pub fn drift_line(clock_us: &[i64], difference_us: &[i64]) -> Line {
     line
 }
 
+/// The upper median; 0 if there are no values.
 fn median(mut values: Vec<f64>) -> f64 {
-    if values.is_empty() {
-        return 0.0;
-    }
-    let middle = values.len() / 2;
-    *values.select_nth_unstable_by(middle, f64::total_cmp).1
+    upper_median(&mut values).unwrap_or(0.0)
 }
 
 /// Unit second differences summed by the (integer) second difference of the turn-around that goes with them: the
@@ -360,20 +358,6 @@ pub fn second_difference_coherence(z: &[Complex64]) -> Option<f64> {
         if product.norm() > 0.0 { product / product.norm() } else { Complex64::default() }
     };
     (z.len() >= 3).then(|| z.windows(3).map(unit).sum::<Complex64>().norm() / (z.len() - 2) as f64)
-}
-
-/// Unwraps phases: each within pi of the one before it.
-#[must_use]
-pub fn unwrap_rad(phases: &[f64]) -> Vec<f64> {
-    let mut last = phases.first().copied().unwrap_or(0.0);
-    phases
-        .iter()
-        .map(|&phase| {
-            let step = phase - last;
-            last += step - TAU * ((step + PI) / TAU).floor();
-            last
-        })
-        .collect()
 }
 
 #[cfg(test)]
@@ -485,12 +469,5 @@ mod tests {
         let stopped = vec![4; z.len()];
         assert_eq!(TurnAround::estimate(&z, &stopped, &stopped, 5.54e9), None);
         assert_eq!(TurnAround::estimate(&z, &clock[1..], &difference, 5.54e9), None);
-    }
-
-    #[test]
-    fn unwrapping_follows_the_phase() {
-        let course: Vec<f64> = (0..200).map(|k| 0.3 * f64::from(k)).collect();
-        let wrapped: Vec<f64> = course.iter().map(|&p| crate::motion::pose::wrap_rad(p)).collect();
-        assert!(unwrap_rad(&wrapped).iter().zip(&course).all(|(a, b)| (a - b).abs() < 1e-9));
     }
 }

@@ -11,7 +11,7 @@
 //! magnitude. It needs a channel whose slope over the subcarriers and turn-around phase have been taken out first.
 
 use crate::bartlett::Tier;
-use crate::bartlett::simd::on_tier;
+use crate::maths::simd::on_tier;
 use crate::signal::alignment::Row;
 use crate::signal::alignment::planes::{LANES, Lanes, Planes, lanes, planes_of, sum, with_neighbours};
 use crate::signal::channel::SUBCARRIERS;

@@ -1,5 +1,6 @@
 //! What is in a log, and what is not: counts of everything read, dropped and missing.
 
+use crate::maths::upper_median_ord;
 use crate::source::{Loss, Next, Stamps};
 use crate::time::{Step16, Unwrap32};
 use driver_iface::mpdu::Mpdu;
@@ -46,12 +47,7 @@ impl Sender {
     /// Frames per second from the median time between frames on the card's clock.
     #[must_use]
     pub fn rate_hz(&self) -> Option<f64> {
-        let mut steps = self.steps_us.clone();
-        if steps.is_empty() {
-            return None;
-        }
-        let middle = steps.len() / 2;
-        let median = *steps.select_nth_unstable(middle).1;
+        let median = upper_median_ord(&mut self.steps_us.clone())?;
         (median > 0).then(|| 1e6 / median as f64)
     }
 

@@ -2,7 +2,7 @@
 //! sinusoid, circles and lines of three sizes; each goes through TDMA, bytes, pairing and the core.
 
 use crate::compare::figures::{spread_rad, true_path};
-use csi5300::motion::pose::wrap_rad;
+use csi5300::maths::wrap_rad;
 use csi5300::pipeline::link::Bearing;
 use csi5300::pipeline::{Options, Transmitter, bearings};
 use csi5300_sim::motion::{Circle, Line, Motion};

@@ -79,7 +79,7 @@ fn a_capture_folder_is_what_the_toolbox_reads() {
     let (odometry, counts) = csv::read(&folder.0.join(format!("odom_rx_trajectory_{ts}_.csv"))).unwrap();
     assert_eq!((counts.columns, counts.rows), (15, 301));
     let (at, yaw) = (odometry.at(1_624_839_951.5).unwrap(), room.pose(0, 1.5).unwrap().yaw_rad);
-    assert!((csi5300::motion::pose::wrap_rad(at.heading_rad.unwrap() - yaw)).abs() < 1e-5);
+    assert!((csi5300::maths::wrap_rad(at.heading_rad.unwrap() - yaw)).abs() < 1e-5);
     assert!(folder.0.join(format!("tx2_trajectory_{ts}_.csv")).is_file(), "the one that moves");
     assert!(!folder.0.join(format!("tx1_trajectory_{ts}_.csv")).exists());
 

@@ -157,7 +157,7 @@ fn crystals_turn_the_two_directions_against_each_other() {
     // 225 us of turn-around leave 2 pi f d.
     let late = (phase(0, 1, 0) * phase(1, 0, 225_000) / still).arg();
     let want = std::f64::consts::TAU * (-11_080.0 * 225e-6);
-    assert!(csi5300::motion::pose::wrap_rad(late - want).abs() < 0.03, "{late}, not {want}");
+    assert!(csi5300::maths::wrap_rad(late - want).abs() < 0.03, "{late}, not {want}");
 }
 
 #[test]

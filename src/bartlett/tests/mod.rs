@@ -7,11 +7,11 @@ use num_complex::Complex64;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
-use super::peak::wrap;
 use super::scene::Scene;
-use super::simd::{ROUGH, Real, Tier};
 use super::sums::{Columns, Sines, pairs};
 use super::*;
+use crate::maths::simd::{ROUGH, Real, Tier};
+use crate::maths::wrap_rad;
 
 mod guarantee;
 
@@ -184,7 +184,7 @@ fn the_observed_deviation_is_the_cramer_rao_bound() {
             let samples = samples(&points, &[(truth, raised, Complex64::ONE)], variance, &mut rng);
             let options = SearchOptions { elevation_max_rad, ..SearchOptions::default() };
             let estimate = search(&samples, &options).unwrap();
-            squares += wrap(estimate.azimuth_rad - truth).powi(2);
+            squares += wrap_rad(estimate.azimuth_rad - truth).powi(2);
             predicted += estimate.azimuth_sd_rad;
             elevation += ((estimate.abs_elevation_rad - raised) / estimate.elevation_sd_rad).powi(2);
             assert!((estimate.snr * variance - 1.0).abs() < 0.3);
@@ -242,7 +242,10 @@ fn a_line_reports_both_bearings() {
         let mirror = estimate.mirror_rad.unwrap();
         let pair = [estimate.azimuth_rad, mirror];
         for expected in [axis + off, axis - off] {
-            assert!(pair.iter().any(|a| wrap(a - expected).abs() < 0.02), "case {case}: {pair:?} without {expected}");
+            assert!(
+                pair.iter().any(|a| wrap_rad(a - expected).abs() < 0.02),
+                "case {case}: {pair:?} without {expected}"
+            );
         }
         assert!(estimate.peak_ratio.unwrap() < 0.9);
     }
@@ -318,7 +321,7 @@ fn offsets_and_magnitudes_cost_nothing() {
         moved.z.iter_mut().for_each(|z| *z *= scale);
         let estimate = search(&moved.samples().unwrap(), &SearchOptions::default()).unwrap();
         // At 1e6 m the positions themselves are rounded to 1e-10 m.
-        assert!(wrap(estimate.azimuth_rad - reference.azimuth_rad).abs() < 1e-7);
+        assert!(wrap_rad(estimate.azimuth_rad - reference.azimuth_rad).abs() < 1e-7);
         assert!((estimate.value - reference.value).abs() < 1e-7);
         assert!((estimate.snr / reference.snr - 1.0).abs() < 1e-5);
     }

@@ -1,5 +1,6 @@
 //! The cards' clocks along a link: whether two records of one number are of one exchange.
 
+use crate::maths::{unwrap_near, upper_median_ord};
 use std::collections::VecDeque;
 
 /// How far `clock_tx - clock_rx` of a pair may be from the last pair's: 5 ms of turn-around and 200 ppm of drift.
@@ -81,13 +82,12 @@ impl Clock {
         let run = self.newest_run();
         let Some(&Candidate { rx: first, difference: origin, .. }) = run.first() else { return false };
         let mut offsets: Vec<i32> = run.iter().map(|one| one.difference.wrapping_sub(origin).cast_signed()).collect();
-        let middle = offsets.len() / 2;
-        let offset = *offsets.select_nth_unstable(middle).1;
+        let Some(offset) = upper_median_ord(&mut offsets) else { return false };
         let difference = i64::from(origin.cast_signed()) + i64::from(offset);
         // Unwrapped clocks go on where they were, so that time does not jump back over a reset.
         let rx = match self.last {
             None => i64::from(first),
-            Some((last_rx, _)) => last_rx + i64::from(first.wrapping_sub(last_rx as u32).cast_signed()),
+            Some((last_rx, _)) => unwrap_near(last_rx, first),
         };
         self.last = Some((rx, difference));
         self.run.clear();
@@ -101,6 +101,5 @@ fn median_step_us(run: &[Candidate]) -> i64 {
         _ => 0,
     };
     let mut steps: Vec<i64> = run.windows(2).map(step).collect();
-    let middle = steps.len() / 2;
-    if steps.is_empty() { 0 } else { *steps.select_nth_unstable(middle).1 }
+    upper_median_ord(&mut steps).unwrap_or(0)
 }

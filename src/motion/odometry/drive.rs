@@ -1,6 +1,6 @@
 //! A differential drive: wheel ticks and a gyroscope's heading into a pose.
 
-use crate::motion::pose::wrap_rad;
+use crate::maths::wrap_rad;
 use nalgebra::Vector3;
 
 /// Turns of the wheel in one tick, radians (TurtleBot3: 4,096 ticks a turn).

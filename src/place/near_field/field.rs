@@ -3,7 +3,7 @@
 use super::aperture::Aperture;
 use super::focus::Warp;
 use crate::bartlett::kernel::fit_polynomial;
-use crate::bartlett::simd::{V, on_tier, rough_sin_cos_turns, sin_cos_turns};
+use crate::maths::simd::{V, on_tier, rough_sin_cos_turns, sin_cos_turns};
 use crate::signal::alignment::Row;
 use crate::signal::channel::SUBCARRIERS;
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat};

@@ -2,7 +2,7 @@
 
 use super::uncertainty::Deviations;
 use crate::bartlett::direction;
-use crate::motion::pose::wrap_rad;
+use crate::maths::wrap_rad;
 use nalgebra::{Matrix3, Vector3};
 
 /// A place from which the samples can be explained: a local maximum.

@@ -8,7 +8,7 @@
 use super::field::{Layer, Look, powers};
 use super::fix::Source;
 use super::search::{Place, Search};
-use crate::motion::pose::wrap_rad;
+use crate::maths::wrap_rad;
 use nalgebra::{DMatrix, DVector};
 use num_complex::Complex64;
 use std::f64::consts::TAU;

@@ -8,7 +8,7 @@ use super::grid::{Axes, axes};
 use super::prior;
 use super::uncertainty::{deviations, polished};
 use crate::bartlett::{Tier, direction};
-use crate::motion::pose::wrap_rad;
+use crate::maths::wrap_rad;
 use fearless_simd::Level;
 use nalgebra::Vector3;
 use std::f64::consts::TAU;

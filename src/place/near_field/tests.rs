@@ -122,7 +122,7 @@ fn a_place_is_found_with_its_range_and_height() {
         let aperture = Aperture::gather(&path, &rows(&path, 2, &[(place, 1.0)], 0.5, 11), 2, WAVELENGTH_M);
         let fix = search(&[(&aperture, &WHOLE)], middle(&path), WAVELENGTH_M, &limits()).unwrap();
         let true_azimuth = (y - middle(&path).y).atan2(x - middle(&path).x);
-        let off = crate::motion::pose::wrap_rad(fix.best().azimuth_rad - true_azimuth);
+        let off = crate::maths::wrap_rad(fix.best().azimuth_rad - true_azimuth);
         assert!(off.abs() < 5.0 * fix.deviations.azimuth_rad.max(2e-4), "{off} {:?}", fix.deviations);
         let (found, covariance) = fix.position().unwrap();
         let error = found - place;
@@ -165,7 +165,7 @@ fn one_way_windows_and_round_trip_agree_where_there_is_one_path() {
     let fix = search(&[(&round, &WHOLE), (&once, &windows)], middle(&path), WAVELENGTH_M, &limits()).unwrap();
     assert_eq!((fix.view_azimuths_rad.len(), fix.view_powers.len()), (3, 3));
     let azimuth = fix.best().azimuth_rad;
-    assert!(fix.view_azimuths_rad.iter().all(|a| crate::motion::pose::wrap_rad(a - azimuth).abs() < 0.05), "{fix:?}");
+    assert!(fix.view_azimuths_rad.iter().all(|a| crate::maths::wrap_rad(a - azimuth).abs() < 0.05), "{fix:?}");
     assert!((fix.position().unwrap().0 - place).norm() < 0.1);
 }
 
@@ -211,7 +211,7 @@ fn paths_come_out_of_their_square_and_their_product_is_told() {
     let sources: Vec<&Path> = paths.iter().filter(|path| path.cross_term_of.is_none()).collect();
     let azimuth = |at: &Vector3<f64>| (at.y - middle(&path).y).atan2(at.x - middle(&path).x);
     for (at, amplitude) in &own {
-        let near = |p: &&&Path| crate::motion::pose::wrap_rad(p.azimuth_rad - azimuth(at)).abs() < 0.02;
+        let near = |p: &&&Path| crate::maths::wrap_rad(p.azimuth_rad - azimuth(at)).abs() < 0.02;
         let found = sources.iter().find(near).unwrap_or_else(|| panic!("{at}: {paths:?}"));
         assert!((found.relative_power_db - 20.0 * f64::log10(*amplitude)).abs() < 1.0, "{paths:?}");
     }
@@ -243,11 +243,11 @@ fn a_bent_trajectory_is_straightened_where_it_pays_and_left_alone_where_not() {
             assert!(found.warp.scale > 1.0, "{found:?}");
             let error = |(search, place): (&mut Search, &Vector3<f64>)| {
                 let offset = search.run().unwrap().best().azimuth_rad - (place.y - middle.y).atan2(place.x - middle.x);
-                crate::motion::pose::wrap_rad(offset).abs()
+                crate::maths::wrap_rad(offset).abs()
             };
             let before = fixes.iter().zip(&places).map(|(fix, place)| {
                 let offset = fix.best().azimuth_rad - (place.y - middle.y).atan2(place.x - middle.x);
-                crate::motion::pose::wrap_rad(offset).abs()
+                crate::maths::wrap_rad(offset).abs()
             });
             let before: f64 = before.sum();
             let after: f64 = searches.iter_mut().zip(&places).map(error).sum();

@@ -9,7 +9,7 @@
 pub(crate) mod planes;
 
 use crate::bartlett::Tier;
-use crate::bartlett::simd::{V, on_tier, sin_cos_turns};
+use crate::maths::simd::{V, on_tier, sin_cos_turns};
 use crate::signal::channel::SUBCARRIERS;
 use fearless_simd::{Simd, SimdBase};
 use num_complex::Complex32;

@@ -2,8 +2,8 @@
 
 use super::args::Estimation;
 use super::{Outcome, Result, print, simulate};
+use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry;
-use csi5300::motion::pose::wrap_rad;
 use csi5300::pipeline::link::Bearing;
 use csi5300::pipeline::{Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};

@@ -3,7 +3,8 @@
 use super::args::{Estimation, Step};
 use super::captures::Reading;
 use super::{Outcome, Result, print, print_json, usage};
-use csi5300_lab::evaluate::quality::{median, over_bound, ranges, receivers, reliability, risk_coverage};
+use csi5300::maths::median;
+use csi5300_lab::evaluate::quality::{over_bound, ranges, receivers, reliability, risk_coverage};
 use csi5300_lab::evaluate::{Capture, Errors, Evaluated, Judged, SetSummary, TrajectorySource, find, summarise};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use rayon::prelude::*;

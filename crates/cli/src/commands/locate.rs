@@ -2,7 +2,8 @@
 
 use super::captures::Reading;
 use super::{Outcome, Result, print, print_json};
-use csi5300_lab::evaluate::quality::{Receiver, median, receivers};
+use csi5300::maths::median;
+use csi5300_lab::evaluate::quality::{Receiver, receivers};
 use csi5300_lab::evaluate::{Judged, find};
 use std::fmt::Write;
 use std::path::PathBuf;

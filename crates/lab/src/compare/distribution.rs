@@ -1,5 +1,7 @@
 //! Numbers summed up by their mean, spread and order statistics.
 
+use csi5300::maths::nearest_rank;
+
 /// Distance between the quartiles of a normal distribution of deviation 1.
 pub(super) const QUARTILES: f64 = 1.349;
 
@@ -38,7 +40,7 @@ impl Distribution {
         let n = sorted.len() as f64;
         let mean = sorted.iter().sum::<f64>() / n;
         let variance = sorted.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n;
-        let at = |share: f64| sorted[(share * (sorted.len() - 1) as f64).round() as usize];
+        let at = |share: f64| nearest_rank(&sorted, share).unwrap_or(f64::NAN);
         Self {
             count: sorted.len(),
             mean,

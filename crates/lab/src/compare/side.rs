@@ -2,7 +2,7 @@
 
 use super::distribution::{Distribution, QUARTILES};
 use super::figures::{Group, LOST_US};
-use csi5300::motion::pose::wrap_rad;
+use csi5300::maths::wrap_rad;
 use csi5300::signal::cfo::drift_line;
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::source::survey::{Identity, SENDERS_KEPT, Survey};

@@ -1,6 +1,7 @@
 //! Errors of sets of links in few numbers.
 
 use super::Judged;
+use csi5300::maths::percentile;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -40,14 +41,6 @@ impl Errors {
             over_20: over / n,
         }
     }
-}
-
-/// The value below which `share` of the sorted values lie, interpolated linearly between neighbours; not a number if there
-/// are none.
-pub(crate) fn percentile(sorted: &[f64], share: f64) -> f64 {
-    let place = share * sorted.len().saturating_sub(1) as f64;
-    let at = |index: f64| sorted.get(index as usize).copied().unwrap_or(f64::NAN);
-    at(place.floor()) + (at(place.ceil()) - at(place.floor())) * place.fract()
 }
 
 /// Statistics of one set.

@@ -2,8 +2,9 @@
 
 use super::find::{Capture, TrajectorySource};
 use super::truth::{EvaluateError, Truth};
+use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry;
-use csi5300::motion::pose::{Trajectory, wrap_rad};
+use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::answer::{Answer, lost_something};
 use csi5300::pipeline::link::Bearing;
 use csi5300::pipeline::{LinkReport, Options, Report, Transmitter, bearings};

@@ -13,7 +13,6 @@ mod judge;
 pub mod quality;
 mod truth;
 
-pub(crate) use errors::percentile;
 pub use errors::{Errors, SetSummary, summarise};
 pub use find::{Capture, TRUTH_FILE, TrajectorySource, find};
 pub use judge::{Evaluated, Judged, Look};

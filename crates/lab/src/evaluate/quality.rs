@@ -1,7 +1,7 @@
 //! What a set of judged links is worth: ranges, refusals, reliability of the confidence, receivers located.
 
-use super::errors::percentile;
 use super::{Errors, Judged};
+use csi5300::maths::median;
 use csi5300::place::locate::{LocateError, Located, Sighting, locate};
 use nalgebra::Vector2;
 use serde::Serialize;
@@ -53,13 +53,6 @@ fn kept(rows: &[Judged], shares: impl Iterator<Item = f64>) -> Vec<Kept> {
 fn scale(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     let mut ratios: Vec<f64> = pairs.filter(|(_, sd)| *sd > 0.0).map(|(error, sd)| (error / sd).abs()).collect();
     median(&mut ratios).map(|ratio| ratio / 0.674_5)
-}
-
-/// The median of values in any order, interpolated between the middle two.
-#[must_use]
-pub fn median(values: &mut [f64]) -> Option<f64> {
-    values.sort_by(f64::total_cmp);
-    (!values.is_empty()).then(|| percentile(values, 0.5))
 }
 
 /// How the azimuths' errors compare with their predicted deviations: 1 at the Cramer-Rao bound.

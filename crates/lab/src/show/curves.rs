@@ -2,7 +2,7 @@
 use super::Error;
 use super::axes::{Axes, extent, extent_log};
 use super::canvas::{Canvas, Key, WIDTH, series_colour};
-use crate::evaluate::percentile;
+use csi5300::maths::percentile;
 use std::path::{Path, PathBuf};
 
 /// Empirical distribution functions over a logarithmic x axis.

@@ -2,8 +2,9 @@
 use super::Error;
 use super::axes::{Axes, extent};
 use super::canvas::{BLACK, BLUE, Canvas, Key, ORANGE, WIDTH};
+use csi5300::maths::{unwrap_rad, wrap_rad};
 use kuva::render::render::TextAnchor;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
 /// The phase of one capture; the three vectors have one length.
@@ -68,7 +69,7 @@ fn draw_track(canvas: &mut Canvas, track: &PhaseTrack, left: f64, width: f64) ->
     wrapped.draw(canvas, "", "wrapped phase (rad)");
     for (phase, colour, opacity) in [(&before, ORANGE, 0.55), (&after, BLUE, 0.8)] {
         let r = if phase.len() > 800 { 2.2 } else { 3.2 };
-        let px: Vec<_> = phase.iter().map(|p| wrapped.at(p.0, p.1 - TAU * (p.1 / TAU).round())).collect();
+        let px: Vec<_> = phase.iter().map(|p| wrapped.at(p.0, wrap_rad(p.1))).collect();
         canvas.dots(&px, r, colour, opacity);
     }
     let line = unwrap(&after);
@@ -80,14 +81,9 @@ fn draw_track(canvas: &mut Canvas, track: &PhaseTrack, left: f64, width: f64) ->
     Ok(())
 }
 
-/// Removes jumps of whole turns between neighbours; the first value becomes zero.
+/// Phases without jumps of whole turns between neighbours; the first becomes zero.
 fn unwrap(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let (mut last, mut sum) = (None, 0.0);
-    let mut step = |&(t, phase): &(f64, f64)| {
-        let turn: f64 = last.map_or(0.0, |last: f64| phase - last);
-        sum += turn - TAU * (turn / TAU).round();
-        last = Some(phase);
-        (t, sum)
-    };
-    points.iter().map(&mut step).collect()
+    let phases = unwrap_rad(&points.iter().map(|point| point.1).collect::<Vec<_>>());
+    let first = phases.first().copied().unwrap_or(0.0);
+    points.iter().zip(&phases).map(|(point, phase)| (point.0, phase - first)).collect()
 }

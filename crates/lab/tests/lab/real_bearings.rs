@@ -1,7 +1,7 @@
 //! Bearings on real captures against the truth. The bounds are the errors of the released WSR toolbox on the same links,
 //! or well below; nothing in the product is tuned to these files.
 
-use csi5300::motion::pose::wrap_rad;
+use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{JoinBy, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::{CsiSource, replay::Replay};

@@ -1,6 +1,6 @@
 //! A robot as one value, in virtual time: bearings while it drives, in a simulated room and from replayed captures.
 
-use csi5300::motion::pose::wrap_rad;
+use csi5300::maths::wrap_rad;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_node::config::Config;

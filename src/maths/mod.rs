@@ -1,0 +1,11 @@
+//! Small mathematics that every floor above uses: angles, order statistics, wrapping counters, SIMD tiers.
+
+mod angle;
+mod counter;
+mod order;
+pub(crate) mod simd;
+
+pub use angle::{unwrap_rad, wrap_rad};
+pub use counter::unwrap_near;
+pub use order::{lower_rank, median, nearest_rank, percentile, upper_median, upper_median_ord};
+pub use simd::Tier;
