@@ -348,7 +348,7 @@ mod tests {
         let pose = |t_s, heading| Pose { t_s, position_m: Vector3::zeros(), heading_rad: Some(heading) };
         let trajectory = Trajectory::new(vec![pose(0.0, 3.1), pose(0.1, -3.1)]).unwrap();
         let heading = trajectory.at(0.05).unwrap().heading_rad.unwrap();
-        assert!((heading.abs() - PI).abs() < 1e-9);
+        assert!((heading.abs() - std::f64::consts::PI).abs() < 1e-9);
         let moved = trajectory.with_antenna_offset(Vector3::new(0.1, 0.0, 0.2)).unwrap();
         let antenna = moved.poses()[0].position_m;
         assert!((antenna.x - 0.1 * 3.1f64.cos()).abs() < 1e-12 && antenna.z == 0.2);
