@@ -8,7 +8,7 @@ mod common;
 
 use common::{Table, banner, quickest};
 use csi5300::bartlett::{Searcher, Tier};
-use csi5300::place::near_field::{Aperture, Limits, Search, Taper, View};
+use csi5300::place::near_field::{Aperture, Band, Limits, Search, Taper, View};
 use csi5300::signal::alignment::{Row, align, remove_common_slope};
 use csi5300::signal::channel::{INDICES_20_MHZ, SUBCARRIERS};
 use csi5300::signal::one_way::one_way;
@@ -63,7 +63,7 @@ fn main() {
     let roots = one_way(&aligned, Tier::detect()).rows;
     let round = Aperture::gather(&path[STANDING..], &aligned[STANDING..], 2, WAVELENGTH_M);
     let once = Aperture::gather(&path[STANDING..], &roots[STANDING..], 1, WAVELENGTH_M);
-    let view = |windows, taper, subcarriers| View { windows, taper, weight: 1.0, subcarriers };
+    let view = |windows, taper, subcarriers| View::new(windows, taper, Band::Subcarriers(subcarriers));
     let whole = [view(1, Taper::Hann, SUBCARRIERS)];
     let windows = [view(3, Taper::Hann, SUBCARRIERS), view(8, Taper::Block, SUBCARRIERS), view(6, Taper::Hann, 6)];
     let layers: [(&Aperture, &[View]); 2] = [(&round, &whole), (&once, &windows)];
@@ -84,7 +84,7 @@ fn main() {
         row(&name, "alignment, 1,550 packets", alignment, None);
         let root = quickest(300.0, || drop(one_way(&aligned, tier)));
         row(&name, "one-way channel", root, None);
-        let limits = Limits { elevation_max_rad: 20f64.to_radians(), range_min_m: 1.8, height_m: None, tier };
+        let limits = Limits::new(20f64.to_radians(), 1.8).with_tier(tier);
         let mut evaluations = 0;
         let searching = quickest(300.0, || {
             let mut search = Search::new(&layers, middle, WAVELENGTH_M, &limits).expect("a search");

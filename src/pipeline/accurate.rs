@@ -5,9 +5,10 @@ use super::link::Bearing;
 use crate::bartlett::Estimate;
 use crate::maths::wrap_rad;
 use crate::place::confidence::confidence;
-use crate::place::near_field::{self, Aperture, Fix, Focus, Limits, Maps, Path, Search, Taper, View};
+use crate::place::near_field::{
+    self, Aperture, Fix, Focus, Limits, Maps, ONE_WAY_VIEWS, Path, ROUND_TRIP_VIEWS, Search, View,
+};
 use crate::signal::alignment::{Alignment, Row, align, remove_common_slope};
-use crate::signal::channel::SUBCARRIERS;
 use crate::signal::one_way::one_way;
 use crate::signal::samples::Samples;
 use nalgebra::Vector3;
@@ -54,20 +55,6 @@ impl Accuracy {
         Self { near_field: false, align: false, one_way: false, ..self }
     }
 }
-
-/// The round trip is looked at as a whole, and its phase at the channel centre (which the subcarriers that fade turn less
-/// than they turn a sum) in windows of half the motion.
-const ROUND_TRIP: [View; 2] = [
-    View { windows: 1, taper: Taper::Hann, weight: 1.0 / 3.0, subcarriers: SUBCARRIERS },
-    View { windows: 3, taper: Taper::Hann, weight: 1.0 / 3.0, subcarriers: 0 },
-];
-/// The one-way channel in windows of half the motion, in blocks of an eighth, and, on the subcarriers next to the channel
-/// centre (whose sign does not depend on the sampling time), in windows of two sevenths.
-const ONE_WAY: [View; 3] = [
-    View { windows: 3, taper: Taper::Hann, weight: 2.0 / 9.0, subcarriers: SUBCARRIERS },
-    View { windows: 8, taper: Taper::Block, weight: 2.0 / 9.0, subcarriers: SUBCARRIERS },
-    View { windows: 6, taper: Taper::Hann, weight: 2.0 / 9.0, subcarriers: 6 },
-];
 
 /// What the accurate path found.
 #[derive(Clone, Debug, PartialEq)]
@@ -128,8 +115,8 @@ pub(super) fn place(
     let roots = steps.one_way.then(|| one_way(&rows, options.search.tier));
     let one_way =
         roots.as_ref().map(|roots| Aperture::gather(&displacement_m, &pick(&roots.rows, used), 1, wavelength_m));
-    let mut layers: Vec<(&Aperture, &[View])> = vec![(&round_trip, &ROUND_TRIP)];
-    layers.extend(one_way.as_ref().map(|aperture| (aperture, ONE_WAY.as_slice())));
+    let mut layers: Vec<(&Aperture, &[View])> = vec![(&round_trip, &ROUND_TRIP_VIEWS)];
+    layers.extend(one_way.as_ref().map(|aperture| (aperture, ONE_WAY_VIEWS.as_slice())));
     let limits = Limits {
         elevation_max_rad: if estimate.elevation_searched { options.search.elevation_max_rad } else { 0.0 },
         range_min_m: steps.range_min_m,

@@ -1,6 +1,5 @@
 //! What a search finds.
 
-use super::uncertainty::Deviations;
 use crate::bartlett::direction;
 use crate::maths::wrap_rad;
 use nalgebra::{Matrix3, Vector3};
@@ -18,6 +17,23 @@ pub struct Source {
     pub power: f64,
     /// The same averaged over the elevations and ranges that this azimuth may have: what sources are ordered by.
     pub evidence: f64,
+}
+
+/// Standard deviations of a place's coordinates.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Deviations {
+    /// Azimuth, radians.
+    pub azimuth_rad: f64,
+    /// |elevation|, radians.
+    pub elevation_rad: f64,
+    /// 1 / range, 1/m.
+    pub inverse_range_per_m: f64,
+    /// Covariance of (azimuth, elevation, 1 / range).
+    pub covariance: Matrix3<f64>,
+    /// Variance of the residual phase of one row, radians squared.
+    pub phase_variance: f64,
+    /// Rows that share one independent error, as slow errors count: 1 for white noise.
+    pub correlated_rows: f64,
 }
 
 /// What [`super::search`] found.

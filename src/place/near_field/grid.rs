@@ -1,6 +1,6 @@
 //! How finely an aperture has to be searched.
 
-use super::search::{Limits, Place};
+use super::types::{Limits, Place};
 use std::f64::consts::TAU;
 
 /// Phases at the rim of the aperture change by at most twice this from one cell to the next, radians: an edge of 1.2

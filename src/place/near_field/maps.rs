@@ -1,6 +1,7 @@
-//! The joint power over azimuth and elevation, and over azimuth and range: what a search looks at, for pictures.
+//! The joint power over azimuth and elevation, and over azimuth and range: for pictures.
 
-use super::search::{Place, Search};
+use super::search::Search;
+use super::types::Place;
 use std::f64::consts::{PI, TAU};
 
 /// Two maps of the joint power, each the highest over the coordinate that it does not show.

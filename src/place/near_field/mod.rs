@@ -5,29 +5,59 @@
 //! and range about the middle of the trajectory (the mean position of its samples). The curvature changes slowly with
 //! range and the focus with height, so few of either suffice, and 1/range is what is sampled evenly.
 //!
-//! Sources and signs are those of [`crate::bartlett`]. Several views of the same motion are multiplied (the geometric
-//! mean of their normalised powers): the round trip, coherent over the whole motion, is sharp and, in line of sight,
-//! right; the one-way channel over windows summed in power is blunt, but has no sources that are not there and does
-//! not mind when a path comes or goes. What all of them like is where the transmitter is.
+//! Sources and signs are those of [`crate::bartlett`]. What is maximised is the joint power: the geometric mean of the
+//! normalised powers of several views of the same motion. The round trip, coherent over the whole motion, has the
+//! narrowest beam, and products of paths in it; the one-way channel over windows summed in power has wider beams, no
+//! products of paths, and does not need a path to last for the whole motion.
+//!
+//! ```text
+//!   Aperture (round trip)      Aperture (one way)         rows of subcarriers, and where they were taken
+//!     | View, View               | View, View, View       windows, taper, band, weight
+//!     v                          v
+//!   PreparedAperture           PreparedAperture           positions in turns; BendPolynomial for rough powers
+//!     PreparedView               PreparedView             its windows, and the power of a perfect match
+//!       Window                     Window                 weighted columns, three abreast
+//!     |                          |
+//!     +------------+-------------+
+//!                  |   Place: azimuth, elevation, 1 / range
+//!                  v
+//!   kernel::powers(apertures, places, Precision)          one power for each view and place
+//!                  |   sum weight ln power = score
+//!                  v
+//!   Search   scan:  grid of Axes  -> peaks by evidence (prior)       Precision::Rough
+//!            climb: peaks         -> tops                            Rough, the answer's Exact
+//!            polish or weigh the answer (uncertainty, prior)
+//!                  |
+//!                  v
+//!   Fix: Sources, Deviations      beside it: Search::paths (waves one by one), Search::maps (pictures),
+//!                                 focus (one Warp of the trajectory for several searches)
+//! ```
+//!
+//! Files depend on those above them only: `types`, `aperture`, `bend`; `prepared`; `kernel`; `grid`, `prior`, `fix`,
+//! `uncertainty`; `search` with `scan` and `climb`; `paths`, `maps`, `focus`.
 
 mod aperture;
-mod field;
+mod bend;
+mod climb;
 mod fix;
 mod focus;
 mod grid;
+mod kernel;
 mod maps;
 mod paths;
+mod prepared;
 mod prior;
+mod scan;
 mod search;
 #[cfg(test)]
 mod tests;
+mod types;
 mod uncertainty;
 
 pub use aperture::Aperture;
-pub use field::{Taper, View};
-
-pub use fix::{Fix, Source};
-pub use focus::{Focus, Warp, focus};
+pub use fix::{Deviations, Fix, Source};
+pub use focus::{Focus, focus};
 pub use maps::Maps;
 pub use paths::Path;
-pub use search::{Limits, Search, search};
+pub use search::{Search, search};
+pub use types::{Band, Limits, ONE_WAY_VIEWS, ROUND_TRIP_VIEWS, Taper, View, Warp};

@@ -2,12 +2,15 @@
 //!
 //! The round trip is the square of the channel: beside each path it holds the product of every two, a wave from between
 //! them. Orthogonal matching pursuit: the place that explains most of what is left joins the list, all amplitudes are
-//! fitted and all places climbed to anew (RELAX), and what they leave is searched again. A find that two stronger ones would make between them, and that is
-//! no stronger than they can make it, is told as their cross term.
+//! fitted and all places climbed to anew ([relax] in docs/references.md), and what they leave is searched again. A find that
+//! two stronger ones would make between them, and that is no stronger than they can make it, is reported as their cross
+//! term.
 
-use super::field::{Layer, Look, powers};
 use super::fix::Source;
-use super::search::{Place, Search};
+use super::kernel::powers;
+use super::prepared::PreparedAperture;
+use super::search::Search;
+use super::types::{Place, Precision};
 use crate::maths::wrap_rad;
 use nalgebra::{DMatrix, DVector};
 use num_complex::Complex64;
@@ -50,16 +53,16 @@ struct Found {
 }
 
 impl Search {
-    /// The paths of the first layer's first view, the answer `first`. Empty where the layer has no samples.
+    /// The paths of the first aperture's first view, the answer `first`. Empty where it has no samples.
     #[must_use]
     pub fn paths(&mut self, first: &Source) -> Vec<Path> {
-        let Some(whole) = self.layers.first().map(|layer| layer.columns()) else { return Vec::new() };
+        let Some(whole) = self.apertures.first().map(PreparedAperture::columns) else { return Vec::new() };
         let mut found = Found { places: Vec::new(), steering: Vec::new(), amplitudes: Vec::new(), powers: Vec::new() };
         let mut next = Place::from(first);
         let energy = |columns: &[Vec<Complex64>]| columns.iter().flatten().map(Complex64::norm_sqr).sum::<f64>();
         let mut left = energy(&whole);
         while found.places.len() < MOST {
-            let steering = self.layers[0].steering(&self.cell(&next));
+            let steering = self.apertures[0].steering(&self.at_height(&next));
             found.places.push(next);
             found.steering.push(steering);
             self.relax(&mut found, &whole);
@@ -76,31 +79,31 @@ impl Search {
                 break;
             }
             left = now;
-            next = self.strongest(&self.layers[0].with_columns(&rest));
+            next = self.strongest(&self.apertures[0].with_columns(&rest));
         }
-        found.tell()
+        found.list()
     }
 
-    /// Moves every wave but the answer to where it explains most of what the others leave (RELAX), once around.
+    /// Moves every wave but the answer to where it explains most of what the others leave ([relax]), once around.
     fn relax(&self, found: &mut Found, whole: &[Vec<Complex64>]) {
         for i in 1..found.places.len() {
             let Some(mut rest) = found.fit(whole) else { return };
             for (column, amplitudes) in rest.iter_mut().zip(&found.amplitudes) {
                 column.iter_mut().zip(&found.steering[i]).for_each(|(v, s)| *v += amplitudes[i] * s.conj());
             }
-            let layer = self.layers[0].with_columns(&rest);
-            found.places[i] = self.climb_in(&layer, found.places[i]);
-            found.steering[i] = layer.steering(&self.cell(&found.places[i]));
+            let aperture = self.apertures[0].with_columns(&rest);
+            found.places[i] = self.climb_in(&aperture, found.places[i]);
+            found.steering[i] = aperture.steering(&self.at_height(&found.places[i]));
         }
     }
 
-    /// The place that explains most of `layer`.
-    fn strongest(&self, layer: &Layer) -> Place {
-        self.climb_in(layer, self.highest(layer, &self.axes.places(), Look::Rough))
+    /// The place that explains most of `aperture`.
+    fn strongest(&self, aperture: &PreparedAperture) -> Place {
+        self.climb_in(aperture, self.highest(aperture, &self.axes.places(), Precision::Rough))
     }
 
     /// The best place about `start`.
-    fn climb_in(&self, layer: &Layer, start: Place) -> Place {
+    fn climb_in(&self, aperture: &PreparedAperture, start: Place) -> Place {
         let axes = &self.axes;
         let step = TAU / axes.azimuths as f64;
         let mut best = start;
@@ -119,15 +122,15 @@ impl Search {
                     });
                 }
             }
-            best = self.highest(layer, &around, Look::Exact);
+            best = self.highest(aperture, &around, Precision::Exact);
             (across, up, along) = (0.6 * across, 0.6 * up, 0.6 * along);
         }
         best
     }
 
-    fn highest(&self, layer: &Layer, places: &[Place], look: Look) -> Place {
-        let cells: Vec<_> = places.iter().map(|place| self.cell(place)).collect();
-        let powers = powers(self.level(), std::slice::from_ref(layer), &cells, look);
+    fn highest(&self, aperture: &PreparedAperture, places: &[Place], precision: Precision) -> Place {
+        let at_height: Vec<Place> = places.iter().map(|place| self.at_height(place)).collect();
+        let powers = powers(self.level(), std::slice::from_ref(aperture), &at_height, precision);
         let best = powers.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
         places[best]
     }
@@ -165,8 +168,8 @@ impl Found {
         self.powers.iter().all(|p| p.is_finite()).then_some(rest)
     }
 
-    /// The list in words: the answer first, the others falling in power, cross terms told.
-    fn tell(&self) -> Vec<Path> {
+    /// The answer first, the others falling in power, with the cross terms among them.
+    fn list(&self) -> Vec<Path> {
         let mut order: Vec<usize> = (0..self.places.len()).collect();
         order.get_mut(1..).unwrap_or_default().sort_by(|a, b| self.powers[*b].total_cmp(&self.powers[*a]));
         let parents: Vec<_> =

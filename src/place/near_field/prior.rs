@@ -7,6 +7,7 @@
 //! as uniform in its logarithm up to [`FARTHEST`] times the shortest one; a little is left for all beyond that.
 
 use super::grid::Axes;
+use super::types::Free;
 
 /// The range up to which all are as likely, in units of the shortest.
 const FARTHEST: f64 = 20.0;
@@ -58,32 +59,43 @@ pub(super) fn averaging(scores: &[f64], shares: &[f64], weight: f64) -> f64 {
     mean.max(f64::MIN_POSITIVE).ln() / rate
 }
 
-/// The places about an answer at which it is weighed: (cells of azimuth from it, |elevation| as a share of its limit,
-/// 1/range as a share of its limit). All have the same prior. Coordinates that are not `free` are `None`.
-pub(super) fn around(free: [bool; 3]) -> Vec<(f64, Option<f64>, Option<f64>)> {
+/// A place about an answer, at which it is weighed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Offset {
+    /// Azimuth from the answer's, in cells of the grid.
+    pub azimuth_cells: f64,
+    /// |elevation| as a share of its limit; `None` where it is not searched.
+    pub elevation_share: Option<f64>,
+    /// 1 / range as a share of its limit; `None` where it is not searched.
+    pub curve_share: Option<f64>,
+}
+
+/// The places about an answer at which it is weighed. All have the same prior.
+pub(super) fn offsets(free: Free) -> Vec<Offset> {
     let even = |free: bool, n: usize, at: &dyn Fn(f64) -> f64| -> Vec<Option<f64>> {
         if free { (0..n).map(|i| Some(at((i as f64 + 0.5) / n as f64))).collect() } else { vec![None] }
     };
-    let elevations = even(free[1], ELEVATIONS, &|share| share);
-    let ranges = even(free[2], RANGES, &|share| FARTHEST.powf(-share));
-    let mut places = Vec::new();
-    for azimuth in -AZIMUTHS..=AZIMUTHS {
-        for elevation in &elevations {
-            places.extend(ranges.iter().map(|range| (f64::from(azimuth) * AZIMUTH_STEP, *elevation, *range)));
+    let elevations = even(free.elevation, ELEVATIONS, &|share| share);
+    let curves = even(free.range, RANGES, &|share| FARTHEST.powf(-share));
+    let mut offsets = Vec::new();
+    for step in -AZIMUTHS..=AZIMUTHS {
+        let azimuth_cells = f64::from(step) * AZIMUTH_STEP;
+        for &elevation_share in &elevations {
+            offsets.extend(curves.iter().map(|&curve_share| Offset { azimuth_cells, elevation_share, curve_share }));
         }
     }
-    places
+    offsets
 }
 
-/// The mean azimuth of places, each as likely as its score says, in cells of azimuth. `power` is the joint power of the
-/// answer: likelihood goes with what is left unexplained, so that a clean answer hardly moves.
-pub(super) fn mean(places: &[(f64, Option<f64>, Option<f64>)], scores: &[f64], weight: f64, power: f64) -> f64 {
+/// The mean azimuth of places, each as likely as its score says, in cells of azimuth from the answer. `power` is the joint
+/// power of the answer: likelihood goes with what is left unexplained, so that a clean answer hardly moves.
+pub(super) fn mean_cells(offsets: &[Offset], scores: &[f64], weight: f64, power: f64) -> f64 {
     let rate = LOOKS_WITHIN / weight * power / (1.0 - power).max(1e-3);
     let highest = scores.iter().copied().fold(f64::MIN, f64::max);
     let (mut sum, mut total) = (0.0, 0.0);
-    for ((azimuth, ..), score) in places.iter().zip(scores) {
+    for (offset, score) in offsets.iter().zip(scores) {
         let likely = (rate * (score - highest)).exp();
-        sum += likely * azimuth;
+        sum += likely * offset.azimuth_cells;
         total += likely;
     }
     if total > 0.0 { sum / total } else { 0.0 }
@@ -119,13 +131,14 @@ mod tests {
 
     #[test]
     fn what_is_even_about_an_answer_leaves_it() {
-        let places = around([true, true, true]);
-        assert_eq!(places.len(), 11 * ELEVATIONS * RANGES);
-        let scores: Vec<f64> = places.iter().map(|(azimuth, ..)| -azimuth * azimuth).collect();
-        assert!(mean(&places, &scores, 1.0, 0.5).abs() < 1e-12);
+        let offsets = offsets(Free { elevation: true, range: true });
+        assert_eq!(offsets.len(), 11 * ELEVATIONS * RANGES);
+        let scores: Vec<f64> = offsets.iter().map(|offset| -offset.azimuth_cells * offset.azimuth_cells).collect();
+        assert!(mean_cells(&offsets, &scores, 1.0, 0.5).abs() < 1e-12);
         // One that leans to one side does so less the more of the power it explains.
-        let leaning: Vec<f64> = places.iter().map(|(azimuth, ..)| -azimuth.abs() + 0.5 * azimuth).collect();
-        let moved = [0.2, 0.5, 0.9].map(|power| mean(&places, &leaning, 1.0, power));
+        let lean = |offset: &Offset| -offset.azimuth_cells.abs() + 0.5 * offset.azimuth_cells;
+        let leaning: Vec<f64> = offsets.iter().map(lean).collect();
+        let moved = [0.2, 0.5, 0.9].map(|power| mean_cells(&offsets, &leaning, 1.0, power));
         assert!(moved[0] > moved[1] && moved[1] > moved[2] && moved[2] > 0.0, "{moved:?}");
     }
 }

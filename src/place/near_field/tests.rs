@@ -1,4 +1,6 @@
-use super::field::{Cell, Layer, Look, powers};
+use super::kernel::powers;
+use super::prepared::PreparedAperture;
+use super::types::{Place, Precision};
 use super::*;
 use crate::bartlett::{Tier, direction};
 use crate::signal::alignment::Row;
@@ -49,10 +51,11 @@ fn rows(path: &[Vector3<f64>], gain: u8, sources: &[(Vector3<f64>, f64)], noise_
 }
 
 fn limits() -> Limits {
-    Limits { elevation_max_rad: 20f64.to_radians(), range_min_m: 1.8, height_m: None, tier: Tier::detect() }
+    Limits::new(20f64.to_radians(), 1.8)
 }
 
-const WHOLE: [View; 1] = [View { windows: 1, taper: Taper::Hann, weight: 1.0, subcarriers: SUBCARRIERS }];
+const ALL: Band = Band::Subcarriers(SUBCARRIERS);
+const WHOLE: [View; 1] = [View::new(1, Taper::Hann, ALL)];
 
 fn middle(path: &[Vector3<f64>]) -> Vector3<f64> {
     path.iter().sum::<Vector3<f64>>() / path.len() as f64
@@ -75,18 +78,11 @@ fn the_kernel_is_the_sum_as_written_on_every_tier() {
         .collect();
     let aperture = Aperture { displacement_m: path.clone(), rows: data.clone(), path_gain: 1, ..Aperture::default() };
     let middle = middle(&path);
-    let views = [
-        View { windows: 1, taper: Taper::Hann, weight: 1.0, subcarriers: SUBCARRIERS },
-        View { windows: 3, taper: Taper::Hann, weight: 1.0, subcarriers: SUBCARRIERS },
-    ];
-    let layer = [Layer::new(&aperture, &middle, WAVELENGTH_M, 0.6, &views)];
-    let places = [(0.3, 0.1, 0.0), (2.0, 0.0, 0.4), (-1.2, 0.3, 0.55)];
-    let cell = |&(azimuth, elevation, curve): &(f64, f64, f64)| {
-        let u = direction(azimuth, elevation);
-        Cell { unit: [u.x as f32, u.y as f32, u.z as f32], inverse_range: curve as f32 }
-    };
-    let cells: Vec<Cell> = places.iter().map(cell).collect();
-    let written = |&(azimuth, elevation, curve): &(f64, f64, f64)| {
+    let views = [View::new(1, Taper::Hann, ALL), View::new(3, Taper::Hann, ALL)];
+    let prepared = [PreparedAperture::new(&aperture, &middle, WAVELENGTH_M, 0.6, &views)];
+    let place = |(azimuth, elevation, curve)| Place { azimuth, elevation, curve };
+    let places = [(0.3, 0.1, 0.0), (2.0, 0.0, 0.4), (-1.2, 0.3, 0.55)].map(place);
+    let written = |&Place { azimuth, elevation, curve }: &Place| {
         let mut sums = [Complex64::default(); SUBCARRIERS];
         let mut energy = 0.0;
         for (p, row) in path.iter().zip(&data) {
@@ -102,13 +98,13 @@ fn the_kernel_is_the_sum_as_written_on_every_tier() {
         sums.iter().map(Complex64::norm_sqr).sum::<f64>() / (energy * path.len() as f64)
     };
     for tier in Tier::available() {
-        let found = powers(tier.level_or_portable(), &layer, &cells, Look::Exact);
+        let found = powers(tier.level_or_portable(), &prepared, &places, Precision::Exact);
         for (place, own) in places.iter().zip(found.chunks(2)) {
             assert!((f64::from(own[0]) - written(place)).abs() < 1e-5, "{tier:?} {place:?}: {own:?}");
             assert!((0.0..=1.0).contains(&own[1]), "{own:?}");
         }
-        // A rough look: phases a fiftieth of a turn off, so the root of a power is off by an eighth at most.
-        let rough = powers(tier.level_or_portable(), &layer, &cells, Look::Rough);
+        // Rough powers: phases a fiftieth of a turn off, so the root of a power is off by an eighth at most.
+        let rough = powers(tier.level_or_portable(), &prepared, &places, Precision::Rough);
         assert_ne!(rough, found, "{tier:?}");
         assert!(rough.iter().zip(&found).all(|(a, b)| (a.sqrt() - b.sqrt()).abs() < 0.125), "{rough:?} {found:?}");
     }
@@ -159,8 +155,8 @@ fn one_way_windows_and_round_trip_agree_where_there_is_one_path() {
     let round = Aperture::gather(&path, &rows(&path, 2, &[(place, 1.0)], 0.3, 3), 2, WAVELENGTH_M);
     let once = Aperture::gather(&path, &rows(&path, 1, &[(place, 1.0)], 0.3, 4), 1, WAVELENGTH_M);
     let windows = [
-        View { windows: 3, taper: Taper::Hann, weight: 0.5, subcarriers: 6 },
-        View { windows: 6, taper: Taper::Block, weight: 0.5, subcarriers: 6 },
+        View::new(3, Taper::Hann, Band::Subcarriers(6)).with_weight(0.5),
+        View::new(6, Taper::Block, Band::Subcarriers(6)).with_weight(0.5),
     ];
     let fix = search(&[(&round, &WHOLE), (&once, &windows)], middle(&path), WAVELENGTH_M, &limits()).unwrap();
     assert_eq!((fix.view_azimuths_rad.len(), fix.view_powers.len()), (3, 3));
@@ -198,12 +194,12 @@ fn squared(path: &[Vector3<f64>], sources: &[(Vector3<f64>, f64)], noise_sd: f64
 }
 
 #[test]
-fn paths_come_out_of_their_square_and_their_product_is_told() {
+fn paths_come_out_of_their_square_and_their_product_is_named() {
     let path = curve(600);
     let own = [(Vector3::new(4.0, 1.0, 0.3), 1.0), (Vector3::new(3.6, 2.6, 0.3), 0.7)];
     let round = Aperture::gather(&path, &squared(&path, &own, 0.2), 2, WAVELENGTH_M);
     let once = Aperture::gather(&path, &rows(&path, 1, &own, 0.2, 8), 1, WAVELENGTH_M);
-    let windows = [View { windows: 3, taper: Taper::Hann, weight: 2.0, subcarriers: SUBCARRIERS }];
+    let windows = [View::new(3, Taper::Hann, ALL).with_weight(2.0)];
     let layers: [(&Aperture, &[View]); 2] = [(&round, &WHOLE), (&once, &windows)];
     let mut search = Search::new(&layers, middle(&path), WAVELENGTH_M, &limits()).unwrap();
     let fix = search.run().unwrap();

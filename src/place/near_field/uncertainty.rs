@@ -2,28 +2,12 @@
 //! left, which on real captures are no white noise.
 
 use super::aperture::Aperture;
-use super::fix::Source;
+use super::fix::{Deviations, Source};
+use super::types::{Free, Place};
 use crate::bartlett::direction;
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 use num_complex::Complex64;
 use std::f64::consts::{PI, TAU};
-
-/// Standard deviations of a place's coordinates.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Deviations {
-    /// Azimuth, radians.
-    pub azimuth_rad: f64,
-    /// |elevation|, radians.
-    pub elevation_rad: f64,
-    /// 1 / range, 1/m.
-    pub inverse_range_per_m: f64,
-    /// Covariance of (azimuth, elevation, 1 / range).
-    pub covariance: Matrix3<f64>,
-    /// Variance of the residual phase of one row, radians squared.
-    pub phase_variance: f64,
-    /// Rows that share one independent error, as slow errors count: 1 for white noise.
-    pub correlated_rows: f64,
-}
 
 /// Standard deviation of the scale of a trajectory: antennas are not where markers are, and even motion capture was found
 /// up to two per cent off what the phases say.
@@ -43,7 +27,7 @@ struct Waves<'a> {
     points: Vec<Vector3<f64>>,
     /// Radians per metre of way.
     kappa: f64,
-    /// Coordinates that are not known.
+    /// Which coordinates are not known.
     free: [bool; 3],
 }
 
@@ -51,10 +35,10 @@ struct Waves<'a> {
 const STEPS: [f64; 3] = [1e-5, 1e-4, 1e-5];
 
 impl<'a> Waves<'a> {
-    fn new(aperture: &'a Aperture, middle_m: &Vector3<f64>, wavelength_m: f64, free: [bool; 3]) -> Self {
+    fn new(aperture: &'a Aperture, middle_m: &Vector3<f64>, wavelength_m: f64, free: Free) -> Self {
         let kappa = TAU * f64::from(aperture.path_gain) / wavelength_m;
         let points = aperture.displacement_m.iter().map(|p| p - middle_m).collect();
-        Self { aperture, points, kappa, free }
+        Self { aperture, points, kappa, free: free.each() }
     }
 
     fn phase(&self, p: &Vector3<f64>, c: [f64; 3]) -> f64 {
@@ -107,13 +91,13 @@ const POLISH_RAD: f64 = 2e-3;
 /// The coordinates of least residual phase next to `at`, over all rows as one: the most likely ones if noise is all that a
 /// single spherical wave leaves, which is when they are given. Where reflections leave more, no estimate of one place is
 /// the most likely one, and what all views agreed on stays.
-pub(crate) fn polished(
+pub(super) fn polished(
     aperture: &Aperture,
     middle_m: &Vector3<f64>,
     wavelength_m: f64,
     at: &Source,
-    free: [bool; 3],
-) -> Option<[f64; 3]> {
+    free: Free,
+) -> Option<Place> {
     let waves = Waves::new(aperture, middle_m, wavelength_m, free);
     let start = [at.azimuth_rad, at.abs_elevation_rad, at.inverse_range_per_m];
     let mut c = start;
@@ -122,19 +106,20 @@ pub(crate) fn polished(
         c = std::array::from_fn(|i| c[i] + step[i]);
     }
     let near = (c[0] - start[0]).abs() < POLISH_RAD && c.iter().all(|v| v.is_finite());
-    (near && correlation_rows(&waves.residual(c)) <= WHITE_ROWS).then_some(c)
+    let [azimuth, elevation, curve] = c;
+    (near && correlation_rows(&waves.residual(c)) <= WHITE_ROWS).then_some(Place { azimuth, elevation, curve })
 }
 
 /// Deviations about `at`. The residual phase of each row (all subcarriers, matched) has a variance and, multipath being
 /// what it is, a correlation along the motion: the information of the geometry is divided by both.
 /// Coordinates that are not `free` are known; the others have a prior, the deviation of a uniform guess within their
 /// limits (elevation, 1/range).
-pub(crate) fn deviations(
+pub(super) fn deviations(
     aperture: &Aperture,
     middle_m: &Vector3<f64>,
     wavelength_m: f64,
     at: &Source,
-    free: [bool; 3],
+    free: Free,
     prior: [f64; 2],
 ) -> Deviations {
     let waves = Waves::new(aperture, middle_m, wavelength_m, free);
@@ -155,7 +140,7 @@ pub(crate) fn deviations(
     let priors = [PI / 3f64.sqrt(), prior[0], prior[1]];
     for i in 0..3 {
         // What is known gets no variance: as good as infinite information.
-        information[(i, i)] += if free[i] && priors[i] > 0.0 { priors[i].powi(-2) } else { 1e18 };
+        information[(i, i)] += if waves.free[i] && priors[i] > 0.0 { priors[i].powi(-2) } else { 1e18 };
     }
     let covariance = information.try_inverse().unwrap_or_else(|| Matrix3::from_diagonal(&priors.map(|p| p * p).into()));
     Deviations {

@@ -1,0 +1,151 @@
+//! From the peaks of the grid to the tops of the field.
+
+use super::fix::Source;
+use super::search::{Search, scores};
+use super::types::{Place, Precision, Scored};
+use crate::maths::wrap_rad;
+use std::f64::consts::TAU;
+
+/// Peaks that are climbed at most.
+const CLIMBED: usize = 6;
+/// Peaks below this share of the highest (in evidence, before climbing) are left alone.
+const FLOOR: f64 = 0.3;
+/// Rounds of a climb at most.
+const ROUNDS: usize = 40;
+/// The climb of the answer ends when its steps in azimuth are smaller than this, radians: a thousandth of a degree.
+const FINE_RAD: f64 = 2e-5;
+/// The climbs of all others end with a tenth of a degree.
+const COARSE_RAD: f64 = 2e-3;
+/// Climbs that only judge a change of the trajectory end with this share of a cell.
+const JUDGING_CELLS: f64 = 0.05;
+
+/// What a climb goes up on, and how far.
+#[derive(Clone, Copy)]
+struct Climb<'a> {
+    /// Exponents of the views.
+    weights: &'a [f64],
+    precision: Precision,
+    /// It ends when its steps in azimuth are smaller than this, radians.
+    end_rad: f64,
+}
+
+impl Search {
+    /// Climbs the high peaks to see which is the highest, then that one to its top. Those that meet are one.
+    pub(super) fn climb_all(&mut self, peaks: &[Scored]) -> Vec<Source> {
+        let mut tops = self.coarse_tops(peaks);
+        if let Some(first) = tops.first_mut() {
+            *first = self.fine_top(first.place);
+        }
+        let cell_rad = TAU / self.axes.azimuths as f64;
+        let mut sources: Vec<Source> = Vec::new();
+        for top in &tops {
+            let source = self.source(top);
+            let same = |other: &Source| wrap_rad(other.azimuth_rad - source.azimuth_rad).abs() < 2.0 * cell_rad;
+            if !sources.iter().any(same) {
+                sources.push(source);
+            }
+        }
+        sources
+    }
+
+    /// Where climbs from the high peaks end, by evidence, falling.
+    fn coarse_tops(&mut self, peaks: &[Scored]) -> Vec<Scored> {
+        let weights = self.weights.choosing.clone();
+        let total: f64 = weights.iter().sum();
+        let high = |peak: &&Scored| ((peak.score - peaks[0].score) / total).exp() >= FLOOR;
+        let high: Vec<Place> = peaks.iter().take(CLIMBED).take_while(high).map(|peak| peak.place).collect();
+        let climb = Climb { weights: &weights, precision: Precision::Rough, end_rad: COARSE_RAD };
+        let places: Vec<Place> = high.into_iter().map(|place| self.climb(place, climb).place).collect();
+        // Rough powers led there; exact ones decide which is the highest.
+        let powers = self.powers(&places, Precision::Exact);
+        let scores = scores(&powers, &weights);
+        let mut tops: Vec<Scored> =
+            places.into_iter().zip(scores).map(|(place, score)| Scored { place, score }).collect();
+        let evidence = |top: &Scored| top.score + self.averaging_at(&top.place);
+        tops.sort_by(|a, b| evidence(b).total_cmp(&evidence(a)));
+        tops
+    }
+
+    /// The top above `start` by the views that place, with its score by the views that choose.
+    fn fine_top(&mut self, start: Place) -> Scored {
+        let placing = self.weights.placing.clone();
+        let climb = Climb { weights: &placing, precision: Precision::Exact, end_rad: FINE_RAD };
+        let place = self.climb(start, climb).place;
+        let powers = self.powers(&[place], Precision::Exact);
+        Scored { place, score: scores(&powers, &self.weights.choosing)[0] }
+    }
+
+    /// The highest score to be climbed to from `sources`: what a change of the trajectory is judged by, without another
+    /// search.
+    pub(super) fn score_near(&mut self, sources: &[Source]) -> f64 {
+        let weights = self.weights.choosing.clone();
+        let end_rad = JUDGING_CELLS * TAU / self.axes.azimuths as f64;
+        let climb = Climb { weights: &weights, precision: Precision::Rough, end_rad };
+        sources.iter().map(|source| self.climb(Place::from(source), climb).score).fold(f64::MIN, f64::max)
+    }
+
+    /// What averaging over elevations and ranges adds to the score of a place: never above 0.
+    fn averaging_at(&self, place: &Place) -> f64 {
+        let n = self.axes.azimuths;
+        let cell = (place.azimuth.rem_euclid(TAU) / TAU * n as f64).round() as usize % n;
+        self.averaging.get(cell).copied().unwrap_or(0.0)
+    }
+
+    /// Pattern search: the neighbours in all directions; the best of them is next, or the steps are halved.
+    fn climb(&mut self, start: Place, climb: Climb<'_>) -> Scored {
+        let mut best = Scored { place: start, score: f64::MIN };
+        let mut reach = Place {
+            azimuth: 0.5 * TAU / self.axes.azimuths as f64,
+            elevation: 0.125 * self.limits.elevation_max_rad,
+            curve: 0.5 * self.axes.curves.get(1).copied().unwrap_or(0.0),
+        };
+        for _ in 0..ROUNDS {
+            let places = self.neighbours(&best.place, &reach);
+            let powers = self.powers(&places, climb.precision);
+            // The first place is where the climb stands: only a better one moves it.
+            let (next, score) = scores(&powers, climb.weights)
+                .into_iter()
+                .enumerate()
+                .fold((0, f64::MIN), |top, (k, score)| if score > top.1 { (k, score) } else { top });
+            best = Scored { place: places[next], score };
+            if next == 0 {
+                reach =
+                    Place { azimuth: reach.azimuth * 0.5, elevation: reach.elevation * 0.5, curve: reach.curve * 0.5 };
+                if reach.azimuth < climb.end_rad {
+                    break;
+                }
+            }
+        }
+        best
+    }
+
+    /// `at` itself, then the places a `reach` away along every free coordinate and all diagonals.
+    fn neighbours(&self, at: &Place, reach: &Place) -> Vec<Place> {
+        let steps = |free: bool| -> &[f64] { if free { &[0.0, -1.0, 1.0] } else { &[0.0] } };
+        let elevation_free = self.axes.elevations.len() > 1 && self.limits.height_m.is_none();
+        let mut places = Vec::with_capacity(27);
+        for a in steps(true) {
+            for e in steps(elevation_free) {
+                for c in steps(self.axes.curves.len() > 1) {
+                    places.push(Place {
+                        azimuth: at.azimuth + a * reach.azimuth,
+                        elevation: (at.elevation + e * reach.elevation).clamp(0.0, self.limits.elevation_max_rad),
+                        curve: (at.curve + c * reach.curve).clamp(0.0, self.curve_max),
+                    });
+                }
+            }
+        }
+        places
+    }
+
+    fn source(&self, top: &Scored) -> Source {
+        let place = self.at_height(&top.place);
+        Source {
+            azimuth_rad: wrap_rad(place.azimuth),
+            abs_elevation_rad: if self.limits.height_m.is_some() { place.elevation.abs() } else { place.elevation },
+            inverse_range_per_m: place.curve,
+            power: self.power(top.score).min(1.0),
+            evidence: self.power(top.score + self.averaging_at(&place)).min(1.0),
+        }
+    }
+}

@@ -1,0 +1,240 @@
+//! An aperture as the kernel takes it: positions in turns of phase, samples in few columns, weighted by each window.
+
+use super::aperture::Aperture;
+use super::bend::BendPolynomial;
+use super::types::{Band, Place, Taper, View, Warp};
+use crate::signal::alignment::Row;
+use crate::signal::channel::SUBCARRIERS;
+use nalgebra::{DMatrix, Vector3};
+use num_complex::{Complex32, Complex64};
+
+/// Columns that the kernel sums at once: each needs four sums, and sixteen registers are there.
+pub(super) const ABREAST: usize = 3;
+/// (re, im) of one packet in [`ABREAST`] columns.
+pub(super) type Abreast = [(f32, f32); ABREAST];
+
+/// One window of a view: its samples, weighted.
+#[derive(Clone, Debug)]
+pub(super) struct Window {
+    /// Its first packet.
+    pub from: usize,
+    /// `columns[k]` holds each packet from `from` on.
+    pub columns: Vec<Vec<Abreast>>,
+}
+
+/// The windows of a view.
+#[derive(Clone, Debug)]
+pub(super) struct PreparedView {
+    pub windows: Vec<Window>,
+    /// What their powers sum to for a perfect match (Cauchy and Schwarz: for every window the sum of the weights times
+    /// the weighted energy).
+    pub full: f32,
+}
+
+/// An aperture and its views, ready for the kernel.
+#[derive(Clone, Debug)]
+pub(super) struct PreparedAperture {
+    /// Where the samples were taken as recorded, about the middle, metres.
+    recorded_m: Vec<Vector3<f64>>,
+    /// Positions about the middle and their squared norms, in turns.
+    pub x: Vec<f32>,
+    pub y: Vec<f32>,
+    pub z: Vec<f32>,
+    pub square: Vec<f32>,
+    /// Metres per turn.
+    pub turn_m: f32,
+    /// Largest 1 / range that is asked for, 1/m.
+    curve_max: f64,
+    /// For rough powers, where it is good enough.
+    pub polynomial: Option<BendPolynomial>,
+    pub views: Vec<PreparedView>,
+}
+
+impl PreparedAperture {
+    /// `aperture` about `middle` in `views`, for places no nearer than `1 / curve_max`.
+    pub fn new(aperture: &Aperture, middle: &Vector3<f64>, wavelength_m: f64, curve_max: f64, views: &[View]) -> Self {
+        let mut prepared = Self {
+            recorded_m: aperture.displacement_m.iter().map(|p| p - middle).collect(),
+            x: Vec::new(),
+            y: Vec::new(),
+            z: Vec::new(),
+            square: Vec::new(),
+            turn_m: (wavelength_m / f64::from(aperture.path_gain)) as f32,
+            curve_max,
+            polynomial: None,
+            views: views.iter().map(|view| PreparedView::new(aperture, view)).collect(),
+        };
+        prepared.warp(&Warp::default());
+        prepared
+    }
+
+    /// Moves the samples from where they were recorded as `warp` says.
+    pub fn warp(&mut self, warp: &Warp) {
+        let turn_m = f64::from(self.turn_m);
+        let turns: Vec<Vector3<f64>> = warp.applied(&self.recorded_m).into_iter().map(|p| p / turn_m).collect();
+        self.x = turns.iter().map(|p| p.x as f32).collect();
+        self.y = turns.iter().map(|p| p.y as f32).collect();
+        self.z = turns.iter().map(|p| p.z as f32).collect();
+        self.square = turns.iter().map(|p| p.norm_squared() as f32).collect();
+        let rim = turns.iter().map(Vector3::norm).fold(0.0, f64::max);
+        self.polynomial = BendPolynomial::new(self.curve_max * turn_m, rim);
+    }
+
+    /// Where the samples are, about the middle, metres.
+    pub fn offsets_m(&self) -> Vec<Vector3<f64>> {
+        let turn_m = f64::from(self.turn_m);
+        let place = |k: usize| Vector3::new(self.x[k], self.y[k], self.z[k]).map(f64::from) * turn_m;
+        (0..self.len()).map(place).collect()
+    }
+
+    /// The steering of every sample towards `place`: what undoes its path.
+    pub fn steering(&self, place: &Place) -> Vec<Complex64> {
+        let u = Vector3::from(place.unit()).map(f64::from);
+        let curve = f64::from(place.curve as f32 * self.turn_m);
+        let turn = |k: usize| {
+            let p = Vector3::new(self.x[k], self.y[k], self.z[k]).map(f64::from);
+            let bend = curve * p.norm_squared() - 2.0 * u.dot(&p);
+            let turns = bend / ((1.0 + curve * bend).max(0.0).sqrt() + 1.0);
+            Complex64::cis(std::f64::consts::TAU * turns)
+        };
+        (0..self.len()).map(turn).collect()
+    }
+
+    /// The columns of the first window of the first view: with one window, those of the whole motion.
+    pub fn columns(&self) -> Vec<Vec<Complex64>> {
+        let window = self.views.first().and_then(|view| view.windows.first());
+        let chunks = window.map(|window| window.columns.as_slice()).unwrap_or_default();
+        let column = |chunk: &[Abreast], i: usize| {
+            chunk.iter().map(|sample| Complex64::new(f64::from(sample[i].0), f64::from(sample[i].1))).collect()
+        };
+        chunks.iter().flat_map(|chunk| (0..ABREAST).map(move |i| column(chunk, i))).collect()
+    }
+
+    /// The same positions with other columns (a multiple of [`ABREAST`] of them), in one view over the whole motion.
+    pub fn with_columns(&self, columns: &[Vec<Complex64>]) -> Self {
+        let sample = |own: &[Vec<Complex64>], k: usize| -> Abreast {
+            std::array::from_fn(|i| own.get(i).map_or((0.0, 0.0), |c| (c[k].re as f32, c[k].im as f32)))
+        };
+        let chunk = |own: &[Vec<Complex64>]| (0..self.len()).map(|k| sample(own, k)).collect();
+        let window = Window { from: 0, columns: columns.chunks(ABREAST).map(chunk).collect() };
+        let energy: f64 = columns.iter().flatten().map(Complex64::norm_sqr).sum();
+        Self {
+            recorded_m: self.recorded_m.clone(),
+            x: self.x.clone(),
+            y: self.y.clone(),
+            z: self.z.clone(),
+            square: self.square.clone(),
+            views: vec![PreparedView { windows: vec![window], full: (energy * self.len() as f64) as f32 }],
+            ..*self
+        }
+    }
+
+    /// Samples.
+    pub fn len(&self) -> usize {
+        self.recorded_m.len()
+    }
+}
+
+impl PreparedView {
+    fn new(aperture: &Aperture, view: &View) -> Self {
+        match view.band {
+            Band::Centre => Self::of_centre(aperture, view),
+            Band::Subcarriers(count) => Self::of_subcarriers(aperture, view, count.clamp(1, SUBCARRIERS)),
+        }
+    }
+
+    fn of_subcarriers(aperture: &Aperture, view: &View, count: usize) -> Self {
+        let (columns, energies) = principal(aperture, count);
+        let mut full = 0f64;
+        let window = |(from, weights): (usize, Vec<f64>)| {
+            let energy: f64 = weights.iter().zip(&energies[from..]).map(|(w, energy)| w * energy).sum();
+            full += weights.iter().sum::<f64>() * energy;
+            let weighted = |column: &Vec<Abreast>| {
+                let part = column[from..].iter().zip(&weights);
+                part.map(|(sample, w)| sample.map(|(re, im)| (*w as f32 * re, *w as f32 * im))).collect()
+            };
+            Window { from, columns: columns.iter().map(weighted).collect() }
+        };
+        let windows = cuts(aperture.rows.len(), view).into_iter().map(window).collect();
+        Self { windows, full: full as f32 }
+    }
+
+    /// Each column is one window of the phasor at the channel centre, so that few sums serve all windows.
+    fn of_centre(aperture: &Aperture, view: &View) -> Self {
+        let (n, mut full) = (aperture.centre.len(), 0f64);
+        let column = |(from, weights): (usize, Vec<f64>)| {
+            let own = &aperture.centre[from..];
+            let energy: f64 = weights.iter().zip(own).map(|(w, z)| w * f64::from(z.norm_sqr())).sum();
+            full += weights.iter().sum::<f64>() * energy;
+            let mut column = vec![(0.0, 0.0); n];
+            for (slot, (w, z)) in column[from..].iter_mut().zip(weights.iter().zip(own)) {
+                *slot = (*w as f32 * z.re, *w as f32 * z.im);
+            }
+            column
+        };
+        let columns: Vec<Vec<(f32, f32)>> = cuts(n, view).into_iter().map(column).collect();
+        let abreast = |own: &[Vec<(f32, f32)>]| {
+            (0..n).map(|t| std::array::from_fn(|i| own.get(i).map_or((0.0, 0.0), |column| column[t]))).collect()
+        };
+        let window = Window { from: 0, columns: columns.chunks(ABREAST).map(abreast).collect() };
+        Self { windows: vec![window], full: full as f32 }
+    }
+}
+
+/// First sample and weights of every window over `n` samples.
+fn cuts(n: usize, view: &View) -> Vec<(usize, Vec<f64>)> {
+    let count = view.windows.clamp(1, n.max(1));
+    if count == 1 || view.taper == Taper::Block {
+        let edge = |i: usize| i * n / count;
+        return (0..count).map(|i| (edge(i), vec![1.0; edge(i + 1) - edge(i)])).collect();
+    }
+    let length = (2 * n).div_ceil(count + 1).max(1);
+    let weight = |t: usize| (std::f64::consts::PI * (t as f64 + 1.0) / (length as f64 + 1.0)).sin().powi(2);
+    let weights: Vec<f64> = (0..length).map(weight).collect();
+    (0..count).map(|i| (i * (n - length) / (count - 1), weights.clone())).collect()
+}
+
+/// The `count` subcarriers about the channel centre in few columns: summed over subcarriers, power is the same in every
+/// orthogonal basis, and in that of their correlation nearly all of it that is more than noise is in the first
+/// [`ABREAST`] (of up to six subcarriers) or twice as many columns. What is left out can only lower a power, by its
+/// share of the energy at most. Beside them the full energy of each sample.
+fn principal(aperture: &Aperture, count: usize) -> (Vec<Vec<Abreast>>, Vec<f64>) {
+    let lowest = (SUBCARRIERS - count) / 2;
+    let band = |row: &Row| -> Vec<Complex32> { row[lowest..lowest + count].to_vec() };
+    let rows: Vec<Vec<Complex32>> = aperture.rows.iter().map(band).collect();
+    let energies = rows.iter().map(|row| f64::from(row.iter().map(Complex32::norm_sqr).sum::<f32>())).collect();
+    let chunks = if count <= 2 * ABREAST { 1 } else { 2 };
+    let bases = strongest(&rows, count, chunks * ABREAST);
+    let chunk = |bases: &[Vec<Complex32>]| {
+        let sample = |row: &Vec<Complex32>| -> Abreast {
+            std::array::from_fn(|i| {
+                let value: Complex32 = row.iter().zip(&bases[i]).map(|(a, b)| a * b).sum();
+                (value.re, value.im)
+            })
+        };
+        rows.iter().map(sample).collect()
+    };
+    (bases.chunks(ABREAST).map(chunk).collect(), energies)
+}
+
+/// The `most` strongest eigenvectors of the correlation of the `count` columns of `rows`; zeros where there are fewer.
+fn strongest(rows: &[Vec<Complex32>], count: usize, most: usize) -> Vec<Vec<Complex32>> {
+    let mut correlation = DMatrix::<Complex64>::zeros(count, count);
+    for i in 0..count {
+        for k in i..count {
+            let sum: Complex32 = rows.iter().map(|row| row[i].conj() * row[k]).sum();
+            correlation[(i, k)] = Complex64::new(f64::from(sum.re), f64::from(sum.im));
+            correlation[(k, i)] = correlation[(i, k)].conj();
+        }
+    }
+    let eigen = correlation.symmetric_eigen();
+    let mut order: Vec<usize> = (0..count).collect();
+    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+    let basis = |place: usize| -> Vec<Complex32> {
+        let column = order.get(place).map(|&own| eigen.eigenvectors.column(own));
+        column.map_or(vec![Complex32::default(); count], |own| {
+            own.iter().map(|v| Complex32::new(v.re as f32, v.im as f32)).collect()
+        })
+    };
+    (0..most).map(basis).collect()
+}
