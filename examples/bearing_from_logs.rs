@@ -24,14 +24,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let report = bearings(&mut rx, transmitters, &trajectory, &Options::new(channel.parse()?))?;
     for link in report.links {
         let bearing = link.bearing?;
-        let estimate = &bearing.estimate;
+        let answer = &bearing.answer;
         println!(
             "{:.2} +- {:.2} deg from {} of {} pairs, coherence {:.2}",
-            estimate.azimuth_rad.to_degrees(),
-            estimate.azimuth_sd_rad.to_degrees(),
+            answer.azimuth_rad.to_degrees(),
+            answer.azimuth_sd_rad.to_degrees(),
             bearing.pairs.in_motion,
             bearing.pairs.formed,
-            estimate.coherence
+            bearing.plane_wave.coherence
         );
         if let Some(turn_around) = bearing.turn_around {
             println!("CFO {:.0} Hz, turn-around jitter {:.1} us", turn_around.df_hz, turn_around.jitter_median_us);

@@ -1,26 +1,38 @@
 //! What is said of a link: the flat form of a bearing, for people and for JSON Lines.
 
+use super::accurate::Placed;
+use super::bearing::{Bearing, BearingAnswer, Candidate, PairCounts, WaveModel};
+use super::error::LinkError;
+use super::explain::LinkPlan;
+use super::link::Link;
+use super::{CaptureReport, LinkReport};
 use crate::bartlett::Geometry;
 use crate::exchange::pairing::{Side, SideCounts};
-use crate::pipeline::accurate::Placed;
-use crate::pipeline::explain::LinkPlan;
-use crate::pipeline::link::{Link, PairCounts};
-use crate::pipeline::{LinkReport, Report};
-use crate::place::near_field::{Focus, Path, Source};
+use crate::place::near_field::{Focus, Path};
+use driver_iface::Mac;
 use serde::Serialize;
 
-/// One link in degrees: a row of `--json`. Absent values are null.
+/// One link in degrees: a line of JSON. Absent values are null.
+///
+/// Azimuth, elevation, their deviations, mirror, peak ratio, candidates, range, position and confidence are of the wave
+/// that `model` names. Coherence, profile variance and likelihood share are always of the plane wave.
 #[derive(Clone, Debug, Default, Serialize)]
+#[non_exhaustive]
 pub struct Answer {
     /// Name of the link.
     pub link: String,
     /// MAC of the transmitter.
     pub mac: Option<String>,
+    /// The wave that the answer is of; none without an answer.
+    pub model: Option<WaveModel>,
     /// Bearing to the transmitter in the trajectory's frame, from +x towards +y, (-180, 180].
     pub azimuth_deg: Option<f64>,
     /// Why there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub error: Option<String>,
+    /// The same as a value, for a program that has words of its own.
+    #[serde(skip)]
+    pub cause: Option<LinkError>,
     /// Bearing relative to the robot's heading at the last sample used.
     pub azimuth_body_deg: Option<f64>,
     /// Elevation; its sign is ambiguous for planar motion.
@@ -29,13 +41,14 @@ pub struct Answer {
     pub azimuth_sd_deg: Option<f64>,
     /// The other bearing that motion along a line cannot tell from the first.
     pub mirror_deg: Option<f64>,
-    /// 0..1; the coherence, until it is calibrated.
+    /// Calibrated probability that the azimuth is within five degrees, 0..1; none where no calibration exists.
     pub confidence: Option<f64>,
-    /// `|sum z a| / sum |z|` at the peak, 0..1.
+    /// `|sum z a| / sum |z|` of the best plane wave, 0..1.
     pub coherence: Option<f64>,
-    /// Second highest peak over the highest: of their evidence, where places were searched.
+    /// What speaks for the second candidate over what speaks for the first, 0..1: their powers for a plane wave, their
+    /// evidence for a spherical one.
     pub peak_ratio: Option<f64>,
-    /// Predicted standard deviation of the elevation.
+    /// Predicted standard deviation of the elevation, where it was searched.
     pub elevation_sd_deg: Option<f64>,
     /// Range from the middle of the motion, metres; only where the wave front's curvature fixes it.
     pub range_m: Option<f64>,
@@ -49,7 +62,8 @@ pub struct Answer {
     /// The paths in the round trip, the top of the answer first, the others falling in power.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub paths: Vec<PathAnswer>,
-    /// The answers that the search chose from, by evidence, the best first; relative power is that of all views together.
+    /// The directions that the search chose from, the best first; of a spherical wave by evidence, relative power being
+    /// that of all views together.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub candidates: Vec<PathAnswer>,
     /// What autofocus found of the trajectory, where several links were there to tell.
@@ -83,7 +97,7 @@ pub struct Answer {
     pub match_margin: Option<f64>,
     /// Profile variance as the WSR toolbox defines it (lower is sharper, 1 is uniform).
     pub wsr_profile_variance: Option<f64>,
-    /// Likelihood share of the peak as the paper's code defines it.
+    /// Likelihood share of the peak as the code of `[paper]` defines it.
     pub likelihood_share: Option<f64>,
     /// Shape of the motion.
     pub geometry: Option<String>,
@@ -134,55 +148,104 @@ impl PathAnswer {
 impl Answer {
     /// What `report` says of a link, under a name.
     #[must_use]
-    pub fn new(link: String, report: &LinkReport) -> Self {
-        let counts = |side| report.link.as_ref().map(|link| link.counts(side)).unwrap_or_default();
+    pub fn new(name: String, report: &LinkReport) -> Self {
+        let mut answer = Self::of(name, report.link.as_ref(), report.bearing.as_ref());
+        answer.mac = report.mac.map(|mac| mac.to_string());
+        answer.match_margin = report.matched.and_then(|matched| matched.margin);
+        answer
+    }
+
+    /// What a link and its bearing say, under a name.
+    pub(super) fn of(name: String, link: Option<&Link>, bearing: Result<&Bearing, &LinkError>) -> Self {
+        let counts = |side| link.map(|link| link.counts(side)).unwrap_or_default();
         let mut answer = Self {
-            link,
-            mac: report.mac.map(|mac| mac.to_string()),
-            match_margin: report.matched.and_then(|matched| matched.margin),
-            pairs: report.link.as_ref().map_or(0, Link::pairs),
+            link: name,
+            mac: link.map(|link| link.mac.to_string()),
+            pairs: link.map_or(0, Link::pairs),
             receiver_records: counts(Side::Receiver),
             transmitter_records: counts(Side::Transmitter),
             ..Self::default()
         };
-        match &report.bearing {
-            Ok(bearing) => {
-                let estimate = &bearing.estimate;
-                answer.azimuth_deg = Some(estimate.azimuth_rad.to_degrees());
-                answer.azimuth_body_deg = bearing.azimuth_body_rad().map(f64::to_degrees);
-                answer.abs_elevation_deg = Some(estimate.abs_elevation_rad.to_degrees());
-                answer.azimuth_sd_deg = Some(estimate.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
-                answer.mirror_deg = estimate.mirror_rad.map(f64::to_degrees);
-                answer.confidence = Some(estimate.coherence);
-                answer.coherence = Some(estimate.coherence);
-                answer.peak_ratio = estimate.peak_ratio;
-                answer.wsr_profile_variance = bearing.peers.wsr_profile_variance;
-                answer.likelihood_share = bearing.peers.likelihood_share;
-                answer.geometry = Some(geometry_words(&estimate.geometry));
-                answer.pairs_in_motion = bearing.pairs.in_motion;
-                answer.pair_counts = bearing.pairs;
-                answer.compensated = bearing.compensated;
-                if let Some(placed) = &bearing.placed {
-                    answer.place(placed);
-                }
-                if let Some(turn_around) = &bearing.turn_around {
-                    answer.cfo_hz = Some(turn_around.df_hz);
-                    answer.cfo_span_hz = Some(turn_around.df_span_hz()).filter(|hz| *hz > 0.0);
-                    answer.phase_coherence_before = Some(turn_around.coherence_before);
-                    answer.phase_coherence_after = Some(turn_around.coherence_after);
-                    answer.turn_around_jitter_us = Some(turn_around.jitter_median_us);
-                    answer.clock_drift_ppm = Some(turn_around.drift_ppm);
-                }
+        match bearing {
+            Ok(bearing) => answer.take(bearing),
+            Err(error) => {
+                answer.error = Some(error.to_string());
+                answer.cause = Some(*error);
             }
-            Err(error) => answer.error = Some(error.to_string()),
         }
         answer
     }
 
-    /// Takes the bearing back, with the reason, if its confidence is below `least`.
+    fn take(&mut self, bearing: &Bearing) {
+        self.take_answer(&bearing.answer);
+        self.azimuth_body_deg = bearing.azimuth_body_rad().map(f64::to_degrees);
+        self.coherence = Some(bearing.plane_wave.coherence);
+        self.wsr_profile_variance = bearing.figures.wsr_profile_variance;
+        self.likelihood_share = bearing.figures.likelihood_share;
+        self.geometry = Some(geometry_words(&bearing.plane_wave.geometry));
+        self.pairs_in_motion = bearing.pairs.in_motion;
+        self.pair_counts = bearing.pairs;
+        self.compensated = bearing.compensated;
+        if let Some(placed) = &bearing.placed {
+            self.take_placed(placed);
+        }
+        if let Some(turn_around) = &bearing.turn_around {
+            self.cfo_hz = Some(turn_around.df_hz);
+            self.cfo_span_hz = Some(turn_around.df_span_hz()).filter(|hz| *hz > 0.0);
+            self.phase_coherence_before = Some(turn_around.coherence_before);
+            self.phase_coherence_after = Some(turn_around.coherence_after);
+            self.turn_around_jitter_us = Some(turn_around.jitter_median_us);
+            self.clock_drift_ppm = Some(turn_around.drift_ppm);
+        }
+    }
+
+    fn take_answer(&mut self, answer: &BearingAnswer) {
+        self.model = Some(answer.model);
+        self.azimuth_deg = Some(answer.azimuth_rad.to_degrees());
+        self.azimuth_sd_deg = Some(answer.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
+        self.abs_elevation_deg = Some(answer.abs_elevation_rad.to_degrees());
+        self.elevation_sd_deg = answer.elevation_sd_rad.map(f64::to_degrees);
+        self.mirror_deg = answer.mirror_rad.map(f64::to_degrees);
+        self.peak_ratio = answer.peak_ratio;
+        self.confidence = answer.probability;
+        if let Some(range) = &answer.range {
+            (self.range_m, self.range_sd_m) = (Some(range.range_m), Some(range.sd_m));
+            self.position_m = Some(range.position_m.into());
+            self.position_covariance_m2 = Some(range.covariance_m2.into());
+        }
+        let best = answer.candidates.first().map_or(1.0, |best| best.power);
+        let candidate = |other: &Candidate| {
+            let place = (other.azimuth_rad, other.abs_elevation_rad, other.inverse_range_per_m);
+            PathAnswer::new(place, 10.0 * (other.power / best).log10(), None)
+        };
+        self.candidates = answer.candidates.iter().map(candidate).collect();
+    }
+
+    fn take_placed(&mut self, placed: &Placed) {
+        let fix = &placed.fix;
+        let path = |path: &Path| {
+            let place = (path.azimuth_rad, path.abs_elevation_rad, path.inverse_range_per_m);
+            PathAnswer::new(place, path.relative_power_db, path.cross_term_of)
+        };
+        self.paths = placed.paths.iter().map(path).collect();
+        self.focus = placed.focus;
+        self.joint_power = Some(fix.best().power);
+        self.view_powers.clone_from(&fix.view_powers);
+        self.view_spread_deg = Some(fix.view_spread_rad().to_degrees());
+        self.slope_sd_rad = placed.alignment.map(|alignment| alignment.slope_sd_rad);
+        self.slips = placed.slips;
+    }
+
+    /// Takes the bearing back, with the reason, if the probability that it is within five degrees is below `least`, or not
+    /// known: who asks for a probability is not served by an answer that has none.
     pub fn refuse_below(&mut self, least: f64) {
-        let Some(confidence) = self.confidence.filter(|c| *c < least) else { return };
-        self.error = Some(format!("refused: confidence {confidence:.2} is below {least}"));
+        let error = match self.confidence {
+            _ if self.azimuth_deg.is_none() => return,
+            Some(confidence) if confidence >= least => return,
+            Some(confidence) => format!("refused: confidence {confidence:.2} is below {least}"),
+            None => format!("refused: no probability is known for a bearing of this kind, and {least} was asked for"),
+        };
+        self.error = Some(error);
         self.azimuth_deg = None;
         self.azimuth_body_deg = None;
         self.azimuth_sd_deg = None;
@@ -193,34 +256,10 @@ impl Answer {
         (self.position_m, self.position_covariance_m2) = (None, None);
     }
 
-    fn place(&mut self, placed: &Placed) {
-        let fix = &placed.fix;
-        let best = fix.best();
-        self.confidence = Some(placed.confidence);
-        self.elevation_sd_deg = fix.elevation_searched.then_some(fix.deviations.elevation_rad.to_degrees());
-        if let Some((range_m, sd_m)) = placed.range_m() {
-            (self.range_m, self.range_sd_m) = (Some(range_m), Some(sd_m));
-            if let Some((position, covariance)) = fix.position() {
-                self.position_m = Some(position.into());
-                self.position_covariance_m2 = Some(covariance.into());
-            }
-        }
-        let candidate = |source: &Source| {
-            let place = (source.azimuth_rad, source.abs_elevation_rad, source.inverse_range_per_m);
-            PathAnswer::new(place, 10.0 * (source.power / best.power).log10(), None)
-        };
-        self.candidates = fix.sources.iter().map(candidate).collect();
-        let path = |path: &Path| {
-            let place = (path.azimuth_rad, path.abs_elevation_rad, path.inverse_range_per_m);
-            PathAnswer::new(place, path.relative_power_db, path.cross_term_of)
-        };
-        self.paths = placed.paths.iter().map(path).collect();
-        self.focus = placed.focus;
-        self.joint_power = Some(best.power);
-        self.view_powers.clone_from(&fix.view_powers);
-        self.view_spread_deg = Some(fix.view_spread_rad().to_degrees());
-        self.slope_sd_rad = placed.alignment.map(|alignment| alignment.slope_sd_rad);
-        self.slips = placed.slips;
+    /// A link of which nothing is known yet.
+    #[must_use]
+    pub fn nothing(name: String, mac: Mac) -> Self {
+        Self { link: name, mac: Some(mac.to_string()), ..Self::default() }
     }
 
     /// A link that failed before its logs were read.
@@ -244,7 +283,7 @@ fn geometry_words(geometry: &Geometry) -> String {
 
 /// True if any log lost records before its tail, or any link failed: exit status 3.
 #[must_use]
-pub fn lost_something(report: &Report) -> bool {
+pub fn lost_something(report: &CaptureReport) -> bool {
     let logs = std::iter::once(&report.receiver).chain(&report.transmitters);
     logs.into_iter().any(|log| log.survey.lost_something()) || report.links.iter().any(|link| link.bearing.is_err())
 }

@@ -1,7 +1,7 @@
 //! What was computed for a link, and what was left out and why: a value that prints.
 
-use super::Options;
-use super::link::Bearing;
+use super::bearing::Bearing;
+use super::options::Options;
 use crate::bartlett::{self, Explanation, Grid, Planner, ProfileOptions, SearchPlan};
 use crate::signal::channel::SUBCARRIERS;
 use serde::Serialize;
@@ -46,7 +46,7 @@ impl LinkPlan {
         Ok(Self {
             decoded,
             steps: steps(bearing, options),
-            search: bearing.estimate.plan,
+            search: bearing.plane_wave.plan,
             profile: plan.explain().clone(),
         })
     }

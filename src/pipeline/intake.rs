@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// One frame as one antenna heard it: about a hundred bytes, so that many can wait for their partners.
 #[derive(Clone, Copy, Debug)]
-pub struct Heard {
+pub struct FrameHeard {
     /// Frame number.
     pub number: u32,
     /// Card clock, microseconds, wrapping.
@@ -26,7 +26,7 @@ pub struct Heard {
     iq: [Iq; SUBCARRIERS],
 }
 
-impl Heard {
+impl FrameHeard {
     /// What `antenna` heard of a frame, if the record has it.
     #[must_use]
     pub fn of(bfee: &Bfee<'_>, antenna: Antenna, number: u32, host_us: Option<i64>, row: u32) -> Option<Self> {
@@ -57,7 +57,7 @@ impl Heard {
 
 /// Intact bfee records that the pipeline could not use, by reason.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct Unused {
+pub struct UnusedRecords {
     /// No frame number: a stock record without an MPDU before it, or an unknown sender.
     pub no_number: u64,
     /// The antenna asked for is not in the record, or its place is not known.
@@ -73,7 +73,7 @@ pub struct Front {
     /// What was counted.
     pub survey: Survey,
     /// What was not used.
-    pub unused: Unused,
+    pub unused: UnusedRecords,
     rows: BTreeMap<Mac, u32>,
 }
 
@@ -81,11 +81,11 @@ impl Front {
     /// A front of which only `antenna` is decoded.
     #[must_use]
     pub fn new(antenna: Antenna) -> Self {
-        Self { antenna, survey: Survey::default(), unused: Unused::default(), rows: BTreeMap::new() }
+        Self { antenna, survey: Survey::default(), unused: UnusedRecords::default(), rows: BTreeMap::new() }
     }
 
     /// Notes what a source gave, and gives the frame in it with its sender.
-    pub fn note(&mut self, next: &Next<'_>) -> Option<(Mac, Heard)> {
+    pub fn note(&mut self, next: &Next<'_>) -> Option<(Mac, FrameHeard)> {
         let (bfee, identity) = self.survey.note(next)?;
         let Some(number) = identity.frame_count else {
             self.unused.no_number += 1;
@@ -99,23 +99,23 @@ impl Front {
         let row = self.rows.entry(identity.mac).or_default();
         let own_row = *row;
         *row = row.saturating_add(1);
-        let heard = Heard::of(&bfee, self.antenna, number, identity.host_us, own_row);
+        let heard = FrameHeard::of(&bfee, self.antenna, number, identity.host_us, own_row);
         self.unused.no_antenna += u64::from(heard.is_none());
         heard.map(|heard| (identity.mac, heard))
     }
 }
 
 /// A log being read.
-pub struct Log<'a> {
+pub(crate) struct LogReader<'a> {
     source: &'a mut dyn CsiSource,
     /// What was counted and used.
     pub front: Front,
-    queue: VecDeque<(Mac, Heard)>,
+    queue: VecDeque<(Mac, FrameHeard)>,
     now: Instant,
     ended: bool,
 }
 
-impl<'a> Log<'a> {
+impl<'a> LogReader<'a> {
     /// A log from `source`, of which only `antenna` is decoded.
     pub fn new(source: &'a mut dyn CsiSource, antenna: Antenna) -> Self {
         Self { source, front: Front::new(antenna), queue: VecDeque::new(), now: Instant::ZERO, ended: false }
@@ -125,7 +125,7 @@ impl<'a> Log<'a> {
     ///
     /// # Errors
     /// If the source fails.
-    pub fn read_ahead(&mut self, limit: usize) -> Result<&VecDeque<(Mac, Heard)>, Error> {
+    pub fn read_ahead(&mut self, limit: usize) -> Result<&VecDeque<(Mac, FrameHeard)>, Error> {
         while self.queue.len() < limit && !self.ended {
             self.pull()?;
         }
@@ -136,7 +136,7 @@ impl<'a> Log<'a> {
     ///
     /// # Errors
     /// If the source fails.
-    pub fn next_frame(&mut self) -> Result<Option<(Mac, Heard)>, Error> {
+    pub fn next_frame(&mut self) -> Result<Option<(Mac, FrameHeard)>, Error> {
         while self.queue.is_empty() && !self.ended {
             self.pull()?;
         }

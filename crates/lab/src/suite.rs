@@ -3,7 +3,7 @@
 
 use crate::compare::figures::{spread_rad, true_path};
 use csi5300::maths::wrap_rad;
-use csi5300::pipeline::link::Bearing;
+use csi5300::pipeline::Bearing;
 use csi5300::pipeline::{Options, Transmitter, bearings};
 use csi5300_sim::motion::{Circle, Line, Motion};
 use csi5300_sim::scene::{Cfo, PaperCfo, Scene};
@@ -40,7 +40,7 @@ pub struct Run {
     pub error_deg: Option<f64>,
     /// Predicted standard deviation of the azimuth, degrees.
     pub sd_deg: Option<f64>,
-    /// Probability given for the azimuth to be within five degrees.
+    /// Calibrated probability that the azimuth is within five degrees, where there is one.
     pub confidence: Option<f64>,
     /// The paper's confidence: the profile's highest value over its sum.
     pub likelihood_share: Option<f64>,
@@ -102,7 +102,7 @@ pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Resul
     let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or("two robots are needed")?;
     [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
-    let options = Options { keep_course: true, ..options.clone() };
+    let options = options.clone().with_keep_course(true);
     let report = bearings(&mut rx, transmitters, &path, &options).map_err(|error| error.to_string())?;
     let found = report.links.first().ok_or("no link")?;
     let link = found.link.as_ref().ok_or("no pairs")?;
@@ -124,19 +124,19 @@ pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Resul
 }
 
 fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
-    let estimate = &bearing.estimate;
+    let answer = &bearing.answer;
     let truth_rad = room.antenna(1, 0.0).map(|place| {
         let to = place - bearing.mean_position_m;
         to.y.atan2(to.x)
     });
     let off = |azimuth: f64| truth_rad.map(|truth| wrap_rad(azimuth - truth).to_degrees());
-    let answers = [Some(estimate.azimuth_rad), estimate.mirror_rad];
+    let answers = [Some(answer.azimuth_rad), answer.mirror_rad];
     let errors = answers.into_iter().flatten().filter_map(off);
     run.error_deg = errors.min_by(|a, b| a.abs().total_cmp(&b.abs()));
-    run.sd_deg = Some(estimate.azimuth_sd_rad.to_degrees());
-    run.confidence = bearing.placed.as_ref().map(|placed| placed.confidence);
-    run.likelihood_share = bearing.peers.likelihood_share;
-    run.coherence = Some(estimate.coherence);
+    run.sd_deg = Some(answer.azimuth_sd_rad.to_degrees());
+    run.confidence = answer.probability;
+    run.likelihood_share = bearing.figures.likelihood_share;
+    run.coherence = Some(bearing.plane_wave.coherence);
 }
 
 /// Repetitions of one experiment together.

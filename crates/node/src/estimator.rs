@@ -3,10 +3,7 @@
 use super::motion::{Track, Window, aligned, window};
 use csi5300::exchange::pairing::Side;
 use csi5300::motion::pose::{Pose, Trajectory};
-use csi5300::pipeline::answer::Answer;
-use csi5300::pipeline::intake::{Front, Heard};
-use csi5300::pipeline::link::{Bearing, Link};
-use csi5300::pipeline::{LinkReport, Options};
+use csi5300::pipeline::{Answer, Bearing, FrameHeard, Front, Link, LinkError, LinkJoin, LinkReport, Options, estimate};
 use csi5300::source::{Loss, Next};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
@@ -226,7 +223,7 @@ impl Estimator {
             peer,
         };
         let peers = peers.into_iter().enumerate().map(state).collect();
-        let plain = Options { accuracy: options.accuracy.without_layers(), ..options.clone() };
+        let plain = options.clone().with_accuracy(options.accuracy.without_layers());
         Self { own, settings, front, track, peers, losses: 0, strangers: 0, options, plain }
     }
 
@@ -385,7 +382,7 @@ impl PeerState {
     }
 
     /// Takes what one of the two cards heard of the other.
-    fn handle(&mut self, side: Side, heard: Heard, next: &Next<'_>, options: &Options) {
+    fn handle(&mut self, side: Side, heard: FrameHeard, next: &Next<'_>, options: &Options) {
         let Some(link) = &mut self.link else { return };
         let before = link.counts(Side::Receiver).paired;
         link.handle(side, heard, options);
@@ -497,7 +494,10 @@ impl PeerState {
         let seen = link.last_us().map(|us| us as f64 * 1e-6);
         let receiver = cut(receiver, found);
         let accurate = context.has_layers() && (context.why != Why::Due || context.settings.accurate_every_s <= 0.0);
-        let bearing = link.bearing(&receiver, transmitter, if accurate { context.options } else { context.plain });
+        let join = LinkJoin { link: &link, receiver: &receiver, transmitter };
+        let options = if accurate { context.options } else { context.plain };
+        let made = estimate(&[join], options).into_iter().next();
+        let bearing = made.unwrap_or(Err(LinkError::NoPairs { receiver: 0, transmitter: 0 }));
         self.counts.estimates += 1;
         if accurate {
             self.counts.accurate += 1;
@@ -521,10 +521,8 @@ impl PeerState {
     /// A report without a new bearing: the last one, if there is one, is said again with its age.
     fn without(&self, state: State, words: String, moved_m: f64, context: Context<'_>, seen: Option<f64>) -> Report {
         let held = self.last.as_ref().filter(|_| state != State::Failed);
-        let answer = held.map_or_else(
-            || Answer { link: self.peer.name.clone(), mac: Some(self.peer.mac.to_string()), ..Answer::default() },
-            |last| last.answer.clone(),
-        );
+        let answer =
+            held.map_or_else(|| Answer::nothing(self.peer.name.clone(), self.peer.mac), |last| last.answer.clone());
         let age_s = held.map_or(0.0, |last| (context.now - last.at).as_s());
         let state = if held.is_some() && state == State::NotYet { State::Held } else { state };
         let (needed_m, accurate) = (context.settings.least_m, held.is_some_and(|last| last.accurate));

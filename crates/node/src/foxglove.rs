@@ -13,8 +13,8 @@
 
 use csi5300::bartlett::{self, Grid};
 use csi5300::motion::pose::Pose;
-use csi5300::pipeline::intake::Heard;
-use csi5300::pipeline::link::Bearing;
+use csi5300::pipeline::Bearing;
+use csi5300::pipeline::FrameHeard;
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::source::survey::Survey;
 use driver_iface::Mac;
@@ -179,7 +179,7 @@ impl Channels {
     }
 
     /// A record of the log `log`, received at `t_s`, seconds since the Unix epoch.
-    pub fn record(&mut self, log: &str, t_s: f64, sender: Mac, heard: &Heard) {
+    pub fn record(&mut self, log: &str, t_s: f64, sender: Mac, heard: &FrameHeard) {
         let context = &self.context;
         let channel = named(&mut self.rows, log, || context.channel_builder(format!("/csi/{log}")).build());
         if !channel.has_sinks() {
@@ -251,7 +251,7 @@ impl Channels {
         });
         let t_s = bearing.samples.t_s().last().copied().unwrap_or(0.0);
         let from = Pose { t_s, position_m: bearing.mean_position_m, heading_rad: None };
-        let rotation = turn(bearing.estimate.azimuth_rad);
+        let rotation = turn(bearing.answer.azimuth_rad);
         poses.log_with_time(&in_frame(&from, rotation), nanoseconds(t_s));
         self.transform(&format!("bearing/{link}"), &from, rotation);
         let Some((_, profiles)) = self.bearings.get(link).filter(|(_, profiles)| profiles.has_sinks()) else {
@@ -265,7 +265,7 @@ impl Channels {
 /// The profile, in directions of the trajectory's frame, about the robot; about the middle of the motion where no heading
 /// is known.
 fn profile(bearing: &Bearing, from: &Pose) -> Result<fox::LaserScan, bartlett::Error> {
-    let elevation = bearing.estimate.abs_elevation_rad;
+    let elevation = bearing.answer.abs_elevation_rad;
     let directions: Vec<(f64, f64)> = (0..DIRECTIONS).map(|k| (Grid::azimuth(DIRECTIONS).at(k).0, elevation)).collect();
     let (first, last) = (directions[0].0, directions[DIRECTIONS - 1].0);
     let profile = bartlett::profile(&bearing.samples, &Grid::directions(directions))?;

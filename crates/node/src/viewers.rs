@@ -34,7 +34,7 @@ mod told {
     use crate::foxglove::Live;
     use crate::machine::Tap;
     use csi5300::motion::pose::Pose;
-    use csi5300::pipeline::intake::Front;
+    use csi5300::pipeline::Front;
     use csi5300::source::{Next, Stamps};
     use csi5300::time::Instant;
     use driver_iface::record::Record;

@@ -2,8 +2,8 @@
 
 use clap::Args;
 use csi5300::bartlett::SearchOptions;
+use csi5300::pipeline::Accuracy;
 use csi5300::pipeline::Options;
-use csi5300::pipeline::accurate::Accuracy;
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
 
@@ -100,24 +100,22 @@ impl Estimation {
         }
         let left_out = |step| self.without.contains(&step);
         let elevation_max = if left_out(Step::Elevation) { 0.0 } else { self.elevation_max };
-        Ok(Options {
-            antenna: self.antenna,
-            clock_offset_s: self.clock_offset,
-            from_s: self.from,
-            to_s: self.to,
-            compensate: !self.no_compensation && !left_out(Step::Compensation),
-            accuracy: Accuracy {
-                near_field: !left_out(Step::NearField),
-                align: !left_out(Step::Alignment),
-                one_way: !left_out(Step::OneWay),
-                focus: !left_out(Step::Focus),
-                paths: !left_out(Step::Paths),
-                range_min_m: self.range_min,
-                height_m: self.height,
-            },
-            search: SearchOptions { elevation_max_rad: elevation_max.to_radians(), ..SearchOptions::default() },
-            ..Options::new(channel)
-        })
+        let mut accuracy = Accuracy::default()
+            .with_near_field(!left_out(Step::NearField))
+            .with_range_min_m(self.range_min)
+            .with_height_m(self.height);
+        accuracy.align = !left_out(Step::Alignment);
+        accuracy.one_way = !left_out(Step::OneWay);
+        accuracy.focus = !left_out(Step::Focus);
+        accuracy.paths = !left_out(Step::Paths);
+        let search = SearchOptions { elevation_max_rad: elevation_max.to_radians(), ..SearchOptions::default() };
+        Ok(Options::new(channel)
+            .with_antenna(self.antenna)
+            .with_clock_offset_s(self.clock_offset)
+            .with_cut(self.from, self.to)
+            .with_compensate(!self.no_compensation && !left_out(Step::Compensation))
+            .with_accuracy(accuracy)
+            .with_search(search))
     }
 }
 

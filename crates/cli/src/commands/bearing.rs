@@ -1,14 +1,14 @@
 //! `csi5300 bearing`.
 
 use super::args::{Estimation, channel, mac};
-use super::{Outcome, Result, info, print, print_json, profile, usage};
+use super::{Outcome, Result, hint, info, print, print_json, profile, usage};
 use csi5300::bartlett::Grid;
 use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
-use csi5300::pipeline::answer::{Answer, lost_something};
-use csi5300::pipeline::explain::LinkPlan;
-use csi5300::pipeline::link::LinkError;
-use csi5300::pipeline::{JoinBy, LinkReport, LogReport, Options, Report, Transmitter, bearings};
+use csi5300::pipeline::LinkError;
+use csi5300::pipeline::LinkPlan;
+use csi5300::pipeline::{Answer, lost_something};
+use csi5300::pipeline::{CaptureReport, JoinBy, LinkReport, LogReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, replay::Replay};
 use driver_iface::Mac;
@@ -49,7 +49,8 @@ pub struct Args {
     /// Place of the antenna on the receiver: metres forward, left, up; turned with the heading
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
     antenna_offset: Option<Vector3<f64>>,
-    /// Refuse bearings whose probability of being within 5 degrees is below this, 0..1
+    /// Refuse bearings whose probability of being within 5 degrees is below this, 0..1, or not known (as without
+    /// spherical waves)
     #[arg(long, value_name = "P")]
     min_confidence: Option<f64>,
     /// Links worked on at a time; 0 is one for each core
@@ -119,7 +120,7 @@ fn open_transmitters(args: &mut Args) -> std::result::Result<(Vec<Log>, Vec<Answ
             Err(error) if logs.is_empty() && args.tx.len() == 1 => return Err(error.to_string()),
             Err(error) => {
                 let link = stem(&args.tx.remove(k));
-                unread.push(Answer { link, error: Some(error.to_string()), ..Answer::default() });
+                unread.push(Answer::failed(link, error.to_string()));
                 if k < args.tx_mac.len() {
                     args.tx_mac.remove(k);
                 }
@@ -163,6 +164,7 @@ pub fn run(mut args: Args) -> Result {
     }
     for (name, link) in names.iter().zip(&report.links) {
         let mut answer = Answer::new(name.clone(), link);
+        hint::add(&mut answer);
         if let Some(least) = args.min_confidence {
             answer.refuse_below(least);
         }
@@ -187,8 +189,9 @@ fn options(args: &Args) -> std::result::Result<Options, String> {
     let options = args.estimation.options(args.channel)?;
     let join = if args.join_rows { JoinBy::Row } else { JoinBy::Time };
     #[cfg(feature = "plot")]
-    let options = Options { keep_course: args.plot.is_some(), ..options };
-    Ok(Options { tx_macs: args.tx_mac.clone(), rx_mac: args.rx_mac, join, parallel: args.tx.len() > 1, ..options })
+    let options = options.with_keep_course(args.plot.is_some());
+    let options = options.with_tx_macs(args.tx_mac.clone()).with_rx_mac(args.rx_mac).with_join(join);
+    Ok(options.with_parallel(args.tx.len() > 1))
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.
@@ -246,7 +249,12 @@ fn read_trajectory(path: &Path) -> std::result::Result<Trajectory, String> {
     Ok(trajectory)
 }
 
-fn say_losses<R: std::io::Read, S: std::io::Read>(args: &Args, report: &Report, rx: &Replay<R>, txs: &[Replay<S>]) {
+fn say_losses<R: std::io::Read, S: std::io::Read>(
+    args: &Args,
+    report: &CaptureReport,
+    rx: &Replay<R>,
+    txs: &[Replay<S>],
+) {
     let log = |path: &Path, report: &LogReport, bytes: u64| {
         let lines = info::losses(&report.survey, bytes);
         let unused = report.unused;
@@ -282,7 +290,7 @@ fn tell(answer: &Answer, json: bool) {
 }
 
 /// Of a link without a single frame in the receiver's log: whose frames there are.
-fn say_heard(rx: &Path, report: &Report, link: &LinkReport) {
+fn say_heard(rx: &Path, report: &CaptureReport, link: &LinkReport) {
     if let Err(LinkError::NoPairs { receiver: 0, .. }) = &link.bearing {
         let senders = report.receiver.survey.senders.iter();
         let heard: Vec<String> = senders.map(|(mac, sender)| format!("{mac} ({} records)", sender.records)).collect();

@@ -4,7 +4,7 @@ use super::args::Estimation;
 use super::{Outcome, Result, print, simulate};
 use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry;
-use csi5300::pipeline::link::Bearing;
+use csi5300::pipeline::Bearing;
 use csi5300::pipeline::{Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::{CsiSource, replay::Replay};
@@ -37,7 +37,7 @@ pub fn run(args: &Args) -> Result {
     );
     print("CFO, 3 dB of noise, 8-bit CSI. What follows reads those logs as if they were recorded.\n\n");
     let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
-    let options = Options { keep_course: true, ..Estimation::default().options(channel)? };
+    let options = Estimation::default().options(channel)?.with_keep_course(true);
     let recorded = match args.recorded.as_slice() {
         [rx, tx, trajectory] => Some(estimate(rx, tx, trajectory, &options)?),
         _ => None,
@@ -92,26 +92,26 @@ fn truth(scene: &Scene, bearing: &Bearing) -> Option<f64> {
 }
 
 fn describe(name: &str, folder: &Path, bearing: &Bearing, truth_rad: Option<f64>) -> String {
-    let estimate = &bearing.estimate;
+    let answer = &bearing.answer;
     let mut text = format!(
         "{name}: {} pairs; azimuth {:.2} +- {:.2} deg",
         bearing.pairs.formed,
-        estimate.azimuth_rad.to_degrees(),
-        estimate.azimuth_sd_rad.to_degrees()
+        answer.azimuth_rad.to_degrees(),
+        answer.azimuth_sd_rad.to_degrees()
     );
-    if let Some(mirror) = estimate.mirror_rad {
+    if let Some(mirror) = answer.mirror_rad {
         text += &format!(", or its mirror {:.2} deg (a line cannot tell them apart)", mirror.to_degrees());
     }
     if let Some(truth_rad) = truth_rad {
         let off = |azimuth: f64| wrap_rad(azimuth - truth_rad).to_degrees();
-        let errors = [Some(estimate.azimuth_rad), estimate.mirror_rad].into_iter().flatten().map(off);
+        let errors = [Some(answer.azimuth_rad), answer.mirror_rad].into_iter().flatten().map(off);
         let error = errors.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
         text += &format!("\n  truth {:.2} deg from the mean pose: error {error:+.2} deg", truth_rad.to_degrees());
     }
-    let share = bearing.peers.likelihood_share.unwrap_or_default();
+    let share = bearing.figures.likelihood_share.unwrap_or_default();
     text += &format!(
         "\n  coherence {:.2}, likelihood share {share:.4}; logs in {}\n",
-        estimate.coherence,
+        bearing.plane_wave.coherence,
         folder.display()
     );
     text

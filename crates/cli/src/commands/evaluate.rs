@@ -89,7 +89,8 @@ pub fn run(args: &Args) -> Result {
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build().map_err(|error| error.to_string())?;
     let one = |capture: &csi5300_lab::evaluate::Capture| {
-        let evaluated = capture.evaluate(source, args.reading.channel, &options);
+        let mut evaluated = capture.evaluate(source, args.reading.channel, &options);
+        super::hint::add_all(&mut evaluated.rows);
         bar.inc(1);
         evaluated
     };

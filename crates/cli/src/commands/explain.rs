@@ -1,10 +1,10 @@
 //! `csi5300 explain`.
 
 use super::captures::Reading;
-use super::{Outcome, Result, print, usage};
+use super::{Outcome, Result, hint, print, usage};
+use csi5300::pipeline::Bearing;
 use csi5300::pipeline::Options;
-use csi5300::pipeline::answer::PathAnswer;
-use csi5300::pipeline::link::Bearing;
+use csi5300::pipeline::PathAnswer;
 use csi5300_lab::evaluate::{Judged, find};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -25,7 +25,7 @@ pub struct Args {
 /// Shows links from end to end.
 pub fn run(args: &Args) -> Result {
     let options = args.reading.options().unwrap_or_else(|message| usage(&message));
-    let options = Options { keep_course: true, ..options };
+    let options = options.with_keep_course(true);
     let (folder, wanted) = match (args.link.is_dir(), args.link.parent(), args.link.file_name()) {
         (false, Some(folder), Some(name)) => (folder.to_path_buf(), Some(format!("/{}", name.to_string_lossy()))),
         _ => (args.link.clone(), None),
@@ -40,7 +40,8 @@ pub fn run(args: &Args) -> Result {
                 links.push((name.to_owned(), bearing.clone()));
             }
         };
-        let evaluated = capture.evaluate_and(args.reading.source(), args.reading.channel, &options, &mut look);
+        let mut evaluated = capture.evaluate_and(args.reading.source(), args.reading.channel, &options, &mut look);
+        hint::add_all(&mut evaluated.rows);
         lost |= evaluated.lost;
         for (name, bearing) in &links {
             let Some(row) = evaluated.rows.iter().find(|row| row.answer.link == *name) else { continue };

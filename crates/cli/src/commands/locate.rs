@@ -1,9 +1,9 @@
 //! `csi5300 locate`.
 
 use super::captures::Reading;
-use super::{Outcome, Result, print, print_json};
+use super::{Outcome, Result, hint, print, print_json};
 use csi5300::maths::median;
-use csi5300_lab::evaluate::quality::{Receiver, receivers};
+use csi5300_lab::evaluate::quality::{Receiver, UNKNOWN_PROBABILITY, receivers};
 use csi5300_lab::evaluate::{Judged, find};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -34,7 +34,8 @@ pub fn run(args: &Args) -> Result {
     let mut lost = !unreadable.is_empty();
     let mut rows: Vec<Judged> = Vec::new();
     for capture in &captures {
-        let evaluated = capture.evaluate(args.reading.source(), args.reading.channel, &options);
+        let mut evaluated = capture.evaluate(args.reading.source(), args.reading.channel, &options);
+        hint::add_all(&mut evaluated.rows);
         lost |= evaluated.lost;
         rows.extend(evaluated.rows);
     }
@@ -69,6 +70,13 @@ fn table(found: &[Receiver], rows: &[Judged]) -> String {
         }
         if let Some(off) = receiver.off_m {
             let _ = write!(text, "; {off:.2} m from the truth");
+        }
+        if receiver.without_probability > 0 {
+            let _ = write!(
+                text,
+                "; {} links without a calibrated probability weighed as within 5 degrees with {UNKNOWN_PROBABILITY}",
+                receiver.without_probability
+            );
         }
         text.push('\n');
         let own = rows.iter().filter(|row| row.answer.link.starts_with(&format!("{}/", receiver.capture)));

@@ -4,7 +4,7 @@ use super::args::{Estimation, channel};
 use super::{Outcome, Result, info, usage};
 use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
-use csi5300::pipeline::intake::Front;
+use csi5300::pipeline::Front;
 use csi5300::pipeline::{Options, Transmitter, bearings};
 use csi5300::signal::channel::Channel;
 use csi5300::source::survey::Survey;
@@ -114,7 +114,7 @@ fn estimate(
         match &link.bearing {
             Ok(bearing) => {
                 channels.bearing(name, bearing).map_err(|error| error.to_string())?;
-                eprintln!("{name}: {:.2} deg", bearing.estimate.azimuth_rad.to_degrees());
+                eprintln!("{name}: {:.2} deg", bearing.answer.azimuth_rad.to_degrees());
             }
             Err(error) => {
                 eprintln!("csi5300: {name}: {error}");

@@ -10,6 +10,7 @@ mod doctor;
 mod evaluate;
 mod explain;
 mod export;
+mod hint;
 mod info;
 #[cfg(feature = "live")]
 mod live;

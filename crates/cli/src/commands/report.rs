@@ -2,7 +2,6 @@
 
 use super::captures::Reading;
 use super::{Outcome, Result, usage};
-use csi5300::pipeline::Options;
 use csi5300_lab::evaluate::find;
 use csi5300_lab::show::report::HtmlReport;
 use std::path::PathBuf;
@@ -25,7 +24,7 @@ pub struct Args {
 /// Writes the page.
 pub fn run(args: &Args) -> Result {
     let options = args.reading.options().unwrap_or_else(|message| usage(&message));
-    let options = Options { keep_course: !args.no_pictures, ..options };
+    let options = options.with_keep_course(!args.no_pictures);
     let (captures, unreadable) = find(&args.folder);
     if captures.is_empty() {
         let needed = "a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat";

@@ -3,7 +3,7 @@
 use super::args::{Estimation, channel};
 use super::live::{Signals, duration};
 use super::sounding::{NO_NUMBERS, Sounding, Task, Wanted, Words, run as drive};
-use super::{Result, print, print_json, usage};
+use super::{Result, hint, print, print_json, usage};
 use csi5300::exchange::tdma::{Epoch, Event, Plan, Priority};
 use csi5300::motion::odometry;
 use csi5300::signal::channel::Channel;
@@ -117,19 +117,20 @@ impl Bearings<'_> {
             Ok((trajectory, _)) => trajectory,
             Err(error) => return eprintln!("{}: {error}", self.path.display()),
         };
-        for (mac, pairs) in self.products.pairs().filter(|(_, pairs)| *pairs > 0) {
-            let line = match self.products.bearing(mac, &trajectory) {
+        let pairs = self.products.pairs().filter(|(_, pairs)| *pairs > 0).map(|(_, pairs)| pairs);
+        for (pairs, (mac, bearing)) in pairs.zip(self.products.bearings(&trajectory)) {
+            let line = match bearing {
                 Ok(bearing) => {
-                    let estimate = &bearing.estimate;
-                    let sd_deg = Some(estimate.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
+                    let answer = &bearing.answer;
+                    let sd_deg = Some(answer.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
                     self.spare(mac, sd_deg, running);
                     Line {
                         mac: mac.to_string(),
                         pairs,
-                        azimuth_deg: Some(estimate.azimuth_rad.to_degrees()),
+                        azimuth_deg: Some(answer.azimuth_rad.to_degrees()),
                         azimuth_sd_deg: sd_deg,
-                        mirror_deg: estimate.mirror_rad.map(f64::to_degrees),
-                        coherence: Some(estimate.coherence),
+                        mirror_deg: answer.mirror_rad.map(f64::to_degrees),
+                        coherence: Some(bearing.plane_wave.coherence),
                         error: None,
                     }
                 }
@@ -140,7 +141,7 @@ impl Bearings<'_> {
                     azimuth_sd_deg: None,
                     mirror_deg: None,
                     coherence: None,
-                    error: Some(error.to_string()),
+                    error: Some(hint::words(&error)),
                 },
             };
             self.show(&line);

@@ -90,7 +90,7 @@ fn live_state_machines_sound_each_other_in_a_room_in_virtual_time() {
     let report = bearings(&mut rx, transmitters, &path, &options).unwrap();
     let link = &report.links[0];
     assert_eq!(link.link.as_ref().unwrap().counts(Side::Receiver).paired, answered as u64);
-    let azimuth_deg = link.bearing.as_ref().unwrap().estimate.azimuth_rad.to_degrees();
+    let azimuth_deg = link.bearing.as_ref().unwrap().answer.azimuth_rad.to_degrees();
     assert!((azimuth_deg - 45.0).abs() < 0.3, "{azimuth_deg}");
     let [a, b] = room.injected()[..] else { panic!("two robots") };
     assert_eq!((a.sent, b.sent, a.collided + b.collided), (counts.forward, answered as u64, 0));

@@ -3,8 +3,8 @@
 use super::distribution::{Distribution, QUARTILES};
 use super::side::{Observed, Side};
 use csi5300::motion::pose::{Pose, Trajectory};
-use csi5300::pipeline::link::{Bearing, Phase};
-use csi5300::pipeline::{Options, Report, Transmitter, bearings};
+use csi5300::pipeline::{Bearing, Phase};
+use csi5300::pipeline::{CaptureReport, Options, Transmitter, bearings};
 use csi5300::source::{CsiSource, Error};
 use csi5300_sim::{Port, Room, Scene};
 use std::f64::consts::TAU;
@@ -114,7 +114,7 @@ pub fn measure(
 ) -> Result<Figures, String> {
     let indices = options.channel.subcarriers();
     let (mut rx, mut tx) = (Observed::new(receiver, indices), Observed::new(transmitter, indices));
-    let options = Options { keep_course: true, ..options.clone() };
+    let options = options.clone().with_keep_course(true);
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
     let report = bearings(&mut rx, transmitters, trajectory, &options).map_err(|error| error.to_string())?;
     // The transmitter's log may hold others' frames too; the receiver's are most, as the pipeline has it.
@@ -172,7 +172,7 @@ pub fn true_path(room: &Room, robot: usize) -> Result<Trajectory, String> {
     Trajectory::new((0..=rows).filter_map(pose).collect()).map_err(|error| error.to_string())
 }
 
-fn link_figures(report: &Report, options: &Options) -> Result<LinkFigures, String> {
+fn link_figures(report: &CaptureReport, options: &Options) -> Result<LinkFigures, String> {
     let found = report.links.first().ok_or("no transmitter's log")?;
     let link = found.link.as_ref().ok_or_else(|| match &found.bearing {
         Err(error) => error.to_string(),
@@ -230,23 +230,22 @@ fn turn_arounds(figures: &mut LinkFigures) {
 }
 
 fn place(figures: &mut LinkFigures, bearing: &Bearing) {
-    let estimate = &bearing.estimate;
-    figures.coherence = Some(estimate.coherence);
-    figures.azimuth_deg = Some(estimate.azimuth_rad.to_degrees());
-    let range = bearing.placed.as_ref().and_then(|placed| placed.range_m()).map(|(range_m, _)| range_m);
+    let answer = &bearing.answer;
+    figures.coherence = Some(bearing.plane_wave.coherence);
+    figures.azimuth_deg = Some(answer.azimuth_rad.to_degrees());
+    let range = answer.range.map(|range| range.range_m);
     figures.range_m = range;
-    let (sin, cos) = estimate.azimuth_rad.sin_cos();
+    let (sin, cos) = answer.azimuth_rad.sin_cos();
     let away_m = range.unwrap_or(USUAL_RANGE_M);
     let middle = bearing.mean_position_m;
     figures.place_m = Some([middle.x + away_m * cos, middle.y + away_m * sin, middle.z]);
     figures.short_coherence = short_coherence(bearing);
 }
 
-/// The mean over windows of the coherence with the plane wave found.
+/// The mean over windows of the coherence with a plane wave from the answer's direction.
 fn short_coherence(bearing: &Bearing) -> Option<f64> {
-    let estimate = &bearing.estimate;
-    let level = estimate.abs_elevation_rad.cos();
-    let (sin, cos) = estimate.azimuth_rad.sin_cos();
+    let level = bearing.answer.abs_elevation_rad.cos();
+    let (sin, cos) = bearing.answer.azimuth_rad.sin_cos();
     let samples = &bearing.samples;
     let turned = samples.z().iter().zip(samples.receiver_m()).map(|(z, p)| {
         let turns = 2.0 * level * (p.x * cos + p.y * sin) / samples.wavelength_m();

@@ -5,9 +5,7 @@ use super::truth::{EvaluateError, Truth};
 use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
-use csi5300::pipeline::answer::{Answer, lost_something};
-use csi5300::pipeline::link::Bearing;
-use csi5300::pipeline::{LinkReport, Options, Report, Transmitter, bearings};
+use csi5300::pipeline::{Answer, Bearing, CaptureReport, LinkReport, Options, Transmitter, bearings, lost_something};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, replay::Replay};
@@ -111,7 +109,7 @@ impl Capture {
             TrajectorySource::GroundTruth => Some(trajectory.clone()),
             _ => self.trajectory(TrajectorySource::GroundTruth, &mut notes).ok(),
         };
-        let options = Options { channel, ..options.clone() };
+        let options = options.clone().with_channel(channel);
         let (report, failed) = self.estimate(&trajectory, &options)?;
         for ((name, _), link) in self.transmitters.iter().zip(&report.links) {
             if let Ok(bearing) = &link.bearing {
@@ -160,7 +158,7 @@ impl Capture {
         &self,
         trajectory: &Trajectory,
         options: &Options,
-    ) -> Result<(Report, Vec<Option<csi5300::source::Error>>), EvaluateError> {
+    ) -> Result<(CaptureReport, Vec<Option<csi5300::source::Error>>), EvaluateError> {
         let mut receiver = Replay::open(&self.receiver_log())?;
         let nothing = || Replay::new(Box::new(std::io::empty()) as Box<dyn std::io::Read + Send>, String::new());
         let opened = self.transmitters.iter().map(|(_, path)| match Replay::open(path) {

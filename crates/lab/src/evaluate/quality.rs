@@ -128,6 +128,9 @@ pub struct Receiver {
     pub capture: String,
     /// Links used.
     pub links: usize,
+    /// Those of them that have no calibrated probability: they are weighed by [`UNKNOWN_PROBABILITY`].
+    #[serde(skip_serializing_if = "is_zero")]
+    pub without_probability: usize,
     /// Position, metres, in the frame of the true transmitters.
     pub position_m: Option<[f64; 2]>,
     /// Its covariance, metres squared, row by row.
@@ -140,6 +143,10 @@ pub struct Receiver {
     pub true_position_m: Option<[f64; 2]>,
     /// Distance between the two, metres.
     pub off_m: Option<f64>,
+}
+
+fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 /// Locates the receiver of every capture from its links to transmitters whose places are known.
@@ -160,6 +167,7 @@ fn receiver(capture: &str, rows: &[&Judged]) -> Receiver {
     let mut receiver = Receiver {
         capture: capture.into(),
         links: sightings.len(),
+        without_probability: rows.iter().filter(|row| is_unweighed(row)).count(),
         position_m: None,
         covariance_m2: None,
         weights: Vec::new(),
@@ -179,11 +187,20 @@ fn receiver(capture: &str, rows: &[&Judged]) -> Receiver {
     receiver
 }
 
-/// A link as an equation for its receiver. The deviation of the bearing is that which the confidence stands for: a
-/// normal error is within five degrees with that probability.
+/// True for a link that is used and has no calibrated probability.
+fn is_unweighed(row: &Judged) -> bool {
+    sighting(row).is_some() && row.answer.confidence.is_none()
+}
+
+/// The probability that a link without one is weighed by: as likely within five degrees as not.
+pub const UNKNOWN_PROBABILITY: f64 = 0.5;
+
+/// A link as an equation for its receiver. The deviation of the bearing is that which the probability stands for (a
+/// normal error is within five degrees with that probability; [`UNKNOWN_PROBABILITY`] where none is known), at least the
+/// predicted one.
 fn sighting(row: &Judged) -> Option<Sighting> {
     let answer = &row.answer;
-    let sure = answer.confidence.unwrap_or(0.5);
+    let sure = answer.confidence.unwrap_or(UNKNOWN_PROBABILITY);
     let horizontal = answer.abs_elevation_deg.unwrap_or(0.0).to_radians().cos();
     Some(Sighting {
         transmitter_m: row.true_transmitter_m?.into(),
@@ -216,15 +233,11 @@ fn within(x: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use csi5300::pipeline::answer::Answer;
+    use csi5300::pipeline::Answer;
 
     fn row(link: &str, azimuth_deg: f64, error_deg: f64, confidence: f64) -> Judged {
-        let answer = Answer {
-            link: link.into(),
-            azimuth_deg: Some(azimuth_deg),
-            confidence: Some(confidence),
-            ..Answer::default()
-        };
+        let mut answer = Answer::failed(link.into(), String::new());
+        (answer.error, answer.azimuth_deg, answer.confidence) = (None, Some(azimuth_deg), Some(confidence));
         Judged { answer, error_from_mean_pose_deg: Some(error_deg), ..Judged::default() }
     }
 

@@ -2,7 +2,7 @@
 
 use super::{Error, PhasePlot, PhaseTrack, PlaceMap, ProfilePlot, TrajectoryPlot, file_safe};
 use csi5300::bartlett::{self, Grid};
-use csi5300::pipeline::link::{Bearing, Phase};
+use csi5300::pipeline::{Bearing, Candidate, Phase};
 use std::path::{Path, PathBuf};
 
 /// What is drawn of a link.
@@ -57,32 +57,36 @@ impl LinkPictures<'_> {
     }
 
     fn trajectory(&self, name: &str) -> TrajectoryPlot {
-        let estimate = &self.bearing.estimate;
+        let answer = &self.bearing.answer;
         TrajectoryPlot {
-            title: format!("{name}: {:.1} deg", estimate.azimuth_rad.to_degrees()),
+            title: format!("{name}: {:.1} deg", answer.azimuth_rad.to_degrees()),
             path_m: self.bearing.path_m.iter().map(|p| [p.x, p.y]).collect(),
             used_m: self.bearing.samples.receiver_m().iter().map(|p| [p.x, p.y]).collect(),
-            azimuth_rad: estimate.azimuth_rad,
-            mirror_rad: estimate.mirror_rad,
-            sd_rad: Some(estimate.azimuth_sd_rad),
+            azimuth_rad: answer.azimuth_rad,
+            mirror_rad: answer.mirror_rad,
+            sd_rad: Some(answer.azimuth_sd_rad),
             truth_rad: self.truth_rad,
             transmitter_m: None,
         }
     }
 
+    /// The plane wave's profile at the answer's |elevation|, and on it the answer's candidates by their relative power.
     fn profile(&self, name: &str) -> Result<ProfilePlot, bartlett::Error> {
-        let estimate = &self.bearing.estimate;
-        let elevation = estimate.abs_elevation_rad;
+        let answer = &self.bearing.answer;
+        let elevation = answer.abs_elevation_rad;
         let azimuths: Vec<f64> = (0..AZIMUTHS).map(|k| Grid::azimuth(AZIMUTHS).at(k).0).collect();
         let ring = Grid::directions(azimuths.iter().map(|&azimuth| (azimuth, elevation)).collect());
         let profile = bartlett::profile(&self.bearing.samples, &ring)?;
+        let highest = profile.values.iter().copied().fold(0.0, f64::max);
+        let best = answer.candidates.first().map_or(1.0, |best| best.power);
+        let mark = |other: &Candidate| (other.azimuth_rad.to_degrees(), highest * other.power / best);
         let degrees: Vec<f64> = azimuths.iter().map(|azimuth| azimuth.to_degrees()).collect();
         Ok(ProfilePlot {
             title: format!("{name}: Bartlett profile"),
             series: vec![(format!("|elevation| {:.0} deg", elevation.to_degrees()), degrees, profile.values)],
-            peaks: estimate.peaks.iter().take(3).map(|peak| (peak.azimuth_rad.to_degrees(), peak.value)).collect(),
+            peaks: answer.candidates.iter().take(3).map(mark).collect(),
             truth_deg: self.truth_rad.map(f64::to_degrees),
-            mirror_deg: estimate.mirror_rad.map(f64::to_degrees),
+            mirror_deg: answer.mirror_rad.map(f64::to_degrees),
         })
     }
 }
@@ -97,14 +101,14 @@ pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {
 }
 
 fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'static str, PlaceMap)> {
-    let Some((placed, maps)) = bearing.placed.as_ref().and_then(|placed| Some((placed, placed.maps.as_ref()?))) else {
+    let Some(maps) = bearing.placed.as_ref().and_then(|placed| placed.maps.as_ref()) else {
         return Vec::new();
     };
-    let sources = || placed.fix.sources.iter();
+    let candidates = || bearing.answer.candidates.iter();
     let last = |values: &[f64]| values.last().copied().unwrap_or(0.0);
     let mut found = Vec::new();
     if maps.elevations_rad.len() > 1 {
-        let own = sources().map(|s| (s.azimuth_rad.to_degrees(), s.abs_elevation_rad.to_degrees()));
+        let own = candidates().map(|s| (s.azimuth_rad.to_degrees(), s.abs_elevation_rad.to_degrees()));
         let map = PlaceMap {
             title: format!("{name}: joint power, best range of each"),
             y_label: "|elevation| (degrees)".into(),
@@ -128,7 +132,7 @@ fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'stati
             y_ticks: shown.map(|r| (1.0 / r, if r.is_finite() { r.to_string() } else { "far".into() })).collect(),
             n_az: maps.azimuths,
             value: maps.over_range.clone(),
-            marks: sources().map(|s| (s.azimuth_rad.to_degrees(), s.inverse_range_per_m)).collect(),
+            marks: candidates().map(|s| (s.azimuth_rad.to_degrees(), s.inverse_range_per_m)).collect(),
             truth_deg,
         };
         found.push(("azimuth-range", map));

@@ -2,8 +2,8 @@
 
 use super::link::LinkPictures;
 use crate::evaluate::{Capture, Evaluated, Judged, SetSummary, TrajectorySource, summarise};
+use csi5300::pipeline::Bearing;
 use csi5300::pipeline::Options;
-use csi5300::pipeline::link::Bearing;
 use csi5300::signal::channel::Channel;
 use std::collections::BTreeMap;
 use std::fmt::Write;

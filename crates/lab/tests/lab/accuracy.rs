@@ -1,8 +1,8 @@
 //! Bearings of simulated captures: how near to the truth, and how near to the bound.
 
 use csi5300::bartlett::SearchOptions;
+use csi5300::pipeline::Accuracy;
 use csi5300::pipeline::Options;
-use csi5300::pipeline::accurate::Accuracy;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::suite::{Experiment, Run, run_all};
 use csi5300_sim::motion::{Arc, Circle, Motion};
@@ -12,10 +12,8 @@ use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::TAU;
 
 fn options(near_field: bool) -> Options {
-    Options {
-        accuracy: Accuracy { near_field, ..Accuracy::default() },
-        ..Options::new(Channel::new(108, Width::Ht20).unwrap())
-    }
+    let accuracy = Accuracy::default().with_near_field(near_field);
+    Options::new(Channel::new(108, Width::Ht20).unwrap()).with_accuracy(accuracy)
 }
 
 fn circle(radius_m: f64, duration_s: f64) -> Motion {
@@ -88,8 +86,7 @@ fn bound_deg(n: f64, radius_m: f64, phase_rad: f64) -> f64 {
 #[test]
 fn errors_follow_the_cramer_rao_bound() {
     const SEEDS: u64 = 400;
-    let options =
-        Options { search: SearchOptions { elevation_max_rad: 0.0, ..SearchOptions::default() }, ..options(false) };
+    let options = options(false).with_search(SearchOptions { elevation_max_rad: 0.0, ..SearchOptions::default() });
     for snr_db in [12.0, 20.0] {
         let mut scene = far("paper-circle");
         (scene.duration_s, scene.robot[0].motion) = (4.0, circle(0.3, 4.0));

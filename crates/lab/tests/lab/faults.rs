@@ -2,7 +2,7 @@
 
 use csi5300::exchange::pairing::{Side, SideCounts};
 use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
-use csi5300::pipeline::{Options, Report, Transmitter, bearings};
+use csi5300::pipeline::{CaptureReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
@@ -27,7 +27,7 @@ fn scene(seed: u64, rx: &str, tx: &str) -> Scene {
 }
 
 struct Ran {
-    report: Report,
+    report: CaptureReport,
     rx: Injected,
     tx: Injected,
 }

@@ -10,7 +10,7 @@ use csi5300_lab::evaluate::{Errors, Judged, TrajectorySource, find};
 use std::path::Path;
 
 fn options(join: JoinBy) -> Options {
-    Options { join, ..Options::new(Channel::new(108, Width::Ht20).unwrap()) }
+    Options::new(Channel::new(108, Width::Ht20).unwrap()).with_join(join)
 }
 
 fn evaluate(root: &Path, source: TrajectorySource) -> Vec<Judged> {
@@ -100,11 +100,11 @@ fn paper(captures: &Path, shape: &str, name: &str, join: JoinBy, transmitter_m: 
     let from = bearing.mean_position_m;
     let truth = (transmitter_m[1] - from.y).atan2(transmitter_m[0] - from.x);
     let off = |azimuth: f64| wrap_rad(azimuth - truth).to_degrees();
-    let estimate = &bearing.estimate;
-    let folded = estimate.mirror_rad.map_or(f64::INFINITY, off);
-    let direct = off(estimate.azimuth_rad);
+    let answer = &bearing.answer;
+    let folded = answer.mirror_rad.map_or(f64::INFINITY, off);
+    let direct = off(answer.azimuth_rad);
     let error = if folded.abs() < direct.abs() { folded } else { direct };
-    println!("{shape} {name}: {error:.2} ({:?})", estimate.geometry);
+    println!("{shape} {name}: {error:.2} ({:?})", bearing.plane_wave.geometry);
     error
 }
 

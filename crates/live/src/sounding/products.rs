@@ -5,9 +5,7 @@
 
 use csi5300::exchange::pairing::Side;
 use csi5300::motion::pose::Trajectory;
-use csi5300::pipeline::Options;
-use csi5300::pipeline::intake::{Front, Heard, Unused};
-use csi5300::pipeline::link::{Bearing, Link, LinkError};
+use csi5300::pipeline::{Bearing, FrameHeard, Front, Link, LinkError, LinkJoin, Options, UnusedRecords, estimate};
 use csi5300::source::Next;
 use csi5300::source::survey::Identity;
 use driver_iface::Mac;
@@ -17,7 +15,7 @@ use driver_iface::sounding::native::Measurement;
 /// One antenna's CSI of a forward frame, to be sent to its initiator; `None` without that antenna or a number.
 #[must_use]
 pub fn measurement(bfee: &Bfee<'_>, identity: &Identity, antenna: Antenna) -> Option<Measurement> {
-    let heard = Heard::of(bfee, antenna, identity.frame_count?, None, 0)?;
+    let heard = FrameHeard::of(bfee, antenna, identity.frame_count?, None, 0)?;
     Some(Measurement {
         number: heard.number,
         timestamp_low: heard.timestamp_low,
@@ -64,13 +62,13 @@ impl Products {
             return;
         }
         let Some((link, row)) = find(&mut self.links, peer) else { return };
-        link.handle(Side::Transmitter, Heard::measured(measurement, *row), &self.options);
+        link.handle(Side::Transmitter, FrameHeard::measured(measurement, *row), &self.options);
         *row += 1;
     }
 
     /// Records of the card that could not be used, by reason.
     #[must_use]
-    pub fn unused(&self) -> Unused {
+    pub fn unused(&self) -> UnusedRecords {
         self.front.unused
     }
 
@@ -79,15 +77,14 @@ impl Products {
         self.links.iter().map(|(link, _)| (link.mac, link.pairs()))
     }
 
-    /// The bearing to `peer` from all products so far.
-    ///
-    /// # Errors
-    /// If there is nothing to make one from yet; see [`LinkError`].
-    pub fn bearing(&self, peer: Mac, trajectory: &Trajectory) -> Result<Bearing, LinkError> {
-        match self.links.iter().find(|(link, _)| link.mac == peer) {
-            Some((link, _)) => link.bearing(trajectory, None, &self.options),
-            None => Err(LinkError::NoPairs { receiver: 0, transmitter: 0 }),
-        }
+    /// The bearings to all peers with a product, from all products so far; an error where there is nothing to make one
+    /// from yet.
+    #[must_use]
+    pub fn bearings(&self, trajectory: &Trajectory) -> Vec<(Mac, Result<Bearing, LinkError>)> {
+        let links = || self.links.iter().map(|(link, _)| link).filter(|link| link.pairs() > 0);
+        let join = |link| LinkJoin { link, receiver: trajectory, transmitter: None };
+        let made = estimate(&links().map(join).collect::<Vec<_>>(), &self.options);
+        links().map(|link| link.mac).zip(made).collect()
     }
 }
 

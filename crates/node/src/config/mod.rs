@@ -398,7 +398,7 @@ impl Config {
     /// What the pipeline is told.
     #[must_use]
     pub fn options(&self) -> Options {
-        let mut options = Options { antenna: self.antenna, ..Options::new(self.channel) };
+        let mut options = Options::new(self.channel).with_antenna(self.antenna);
         options.search.elevation_max_rad = self.estimator.elevation_max_deg.to_radians();
         if !self.estimator.accurate {
             options.accuracy = options.accuracy.without_layers();

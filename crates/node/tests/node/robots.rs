@@ -380,7 +380,7 @@ fn compare(capture: &Path) -> usize {
     let (_, last) = run(machine(&config), Instant::from_us(i64::MAX));
     for (link, report) in offline.links.iter().zip(&last) {
         let expected = link.bearing.as_ref().unwrap();
-        let off = off_deg(report, expected.estimate.azimuth_rad.to_degrees());
+        let off = off_deg(report, expected.answer.azimuth_rad.to_degrees());
         println!("{}: {off:.4} deg, {} and {} pairs", report.answer.link, report.answer.pairs, expected.pairs.formed);
         assert!(off <= 0.01, "{off} {report:?}");
     }

@@ -1,9 +1,11 @@
 use super::*;
-use csi5300::pipeline::answer::Answer;
+use csi5300::pipeline::Answer;
 use driver_iface::bfee::{Iq, Repr, Wsr};
 use driver_iface::record::code;
 
 fn report(state: State, azimuth_deg: Option<f64>) -> Report {
+    let mut answer = Answer::default();
+    (answer.azimuth_deg, answer.azimuth_sd_deg) = (azimuth_deg, Some(0.5));
     Report {
         t_s: Some(1_700_000_000.25),
         state,
@@ -13,7 +15,7 @@ fn report(state: State, azimuth_deg: Option<f64>) -> Report {
         age_s: 0.0,
         accurate: false,
         heard_at: None,
-        answer: Answer { azimuth_deg, azimuth_sd_deg: Some(0.5), ..Answer::default() },
+        answer,
     }
 }
 

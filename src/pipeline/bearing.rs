@@ -1,0 +1,226 @@
+//! What a link gave: one answer, all of one kind, and beside it what it was made of.
+
+use super::accurate::Placed;
+use crate::bartlett::{self, Estimate, Grid};
+use crate::maths::wrap_rad;
+use crate::place::confidence::confidence;
+use crate::place::near_field::Fix;
+use crate::signal::cfo::TurnAround;
+use crate::signal::samples::Samples;
+use nalgebra::{Matrix3, Vector3};
+
+/// The wave that an answer is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WaveModel {
+    /// From infinitely far away, at the channel centre: a direction.
+    PlaneWave,
+    /// From a place, over all subcarriers: a direction and a curvature.
+    SphericalWave,
+}
+
+/// A direction that explains the samples.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Candidate {
+    /// Azimuth, radians in (-pi, pi], from +x towards +y in the trajectory's frame.
+    pub azimuth_rad: f64,
+    /// |elevation|, radians.
+    pub abs_elevation_rad: f64,
+    /// 1 / range, 1/m; 0 for a plane wave.
+    pub inverse_range_per_m: f64,
+    /// How much of the samples it explains, 0..1: of a plane wave `F / (sum w |z|)^2`, of a spherical wave the geometric
+    /// mean of the views' normalised powers. Comparable within one answer only.
+    pub power: f64,
+}
+
+/// Range of the transmitter from the middle of the motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Range {
+    /// Metres.
+    pub range_m: f64,
+    /// Its predicted standard deviation, metres.
+    pub sd_m: f64,
+    /// The transmitter in the trajectory's frame, metres. Its height is drawn upwards: level motion cannot tell up from
+    /// down.
+    pub position_m: Vector3<f64>,
+    /// Covariance of the position, metres squared.
+    pub covariance_m2: Matrix3<f64>,
+}
+
+/// Where the transmitter is: every field is of the wave that [`model`](Self::model) names.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct BearingAnswer {
+    /// The wave.
+    pub model: WaveModel,
+    /// Azimuth of the transmitter, radians in (-pi, pi], from +x towards +y in the trajectory's frame.
+    pub azimuth_rad: f64,
+    /// Predicted standard deviation of the azimuth, radians; at most that of a uniform guess, pi / sqrt 3.
+    pub azimuth_sd_rad: f64,
+    /// |elevation|, radians; 0 where it was not searched or cannot be observed.
+    pub abs_elevation_rad: f64,
+    /// Predicted standard deviation of |elevation|, radians, where it was searched.
+    pub elevation_sd_rad: Option<f64>,
+    /// The mirror bearing of motion (nearly) along a line, radians: the reflection about that line explains the samples
+    /// (nearly) as well.
+    pub mirror_rad: Option<f64>,
+    /// The directions that were chosen from, the best first.
+    pub candidates: Vec<Candidate>,
+    /// What speaks for the second candidate over what speaks for the first, 0..1; none without a second.
+    pub peak_ratio: Option<f64>,
+    /// Range and position, where the wave front's curvature fixes them.
+    pub range: Option<Range>,
+    /// Probability that the azimuth is within five degrees of the truth, calibrated for this kind of answer; none where
+    /// no calibration exists.
+    pub probability: Option<f64>,
+}
+
+impl BearingAnswer {
+    /// The answer of the plane wave alone.
+    pub(super) fn of_plane_wave(plane_wave: &Estimate) -> Self {
+        let candidate = |peak: &bartlett::Peak| Candidate {
+            azimuth_rad: peak.azimuth_rad,
+            abs_elevation_rad: peak.abs_elevation_rad,
+            inverse_range_per_m: 0.0,
+            power: peak.value,
+        };
+        Self {
+            model: WaveModel::PlaneWave,
+            azimuth_rad: plane_wave.azimuth_rad,
+            azimuth_sd_rad: plane_wave.azimuth_sd_rad,
+            abs_elevation_rad: plane_wave.abs_elevation_rad,
+            elevation_sd_rad: plane_wave.elevation_searched.then_some(plane_wave.elevation_sd_rad),
+            mirror_rad: plane_wave.mirror_rad,
+            candidates: plane_wave.peaks.iter().map(candidate).collect(),
+            peak_ratio: plane_wave.peak_ratio,
+            range: None,
+            probability: None,
+        }
+    }
+
+    /// The answer of a search over places. Its mirror is the reflection about the line of motion, which the plane wave and
+    /// its own mirror give.
+    pub(super) fn of_spherical_wave(placed: &Placed, plane_wave: &Estimate) -> Self {
+        let fix = &placed.fix;
+        let best = fix.best();
+        let mirror = |mirror: f64| wrap_rad(plane_wave.azimuth_rad + mirror - fix.azimuth_rad);
+        Self {
+            model: WaveModel::SphericalWave,
+            azimuth_rad: fix.azimuth_rad,
+            azimuth_sd_rad: fix.deviations.azimuth_rad,
+            abs_elevation_rad: best.abs_elevation_rad,
+            elevation_sd_rad: fix.elevation_searched.then_some(fix.deviations.elevation_rad),
+            mirror_rad: plane_wave.mirror_rad.map(mirror),
+            candidates: candidates(fix),
+            peak_ratio: fix.sources.get(1).map(|other| (other.evidence / best.evidence).min(1.0)),
+            range: range(placed),
+            probability: Some(confidence(fix)),
+        }
+    }
+}
+
+fn candidates(fix: &Fix) -> Vec<Candidate> {
+    let candidate = |source: &crate::place::near_field::Source| Candidate {
+        azimuth_rad: source.azimuth_rad,
+        abs_elevation_rad: source.abs_elevation_rad,
+        inverse_range_per_m: source.inverse_range_per_m,
+        power: source.power,
+    };
+    fix.sources.iter().map(candidate).collect()
+}
+
+fn range(placed: &Placed) -> Option<Range> {
+    let (range_m, sd_m) = placed.range_m()?;
+    let (position_m, covariance_m2) = placed.fix.position()?;
+    Some(Range { range_m, sd_m, position_m, covariance_m2 })
+}
+
+/// Everything that a link gave.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Bearing {
+    /// Where the transmitter is.
+    pub answer: BearingAnswer,
+    /// The best plane wave at the channel centre: the answer itself where no spherical waves were searched, and its own
+    /// value where they were. Its coherence says how much of the samples one plane wave explains.
+    pub plane_wave: Estimate,
+    /// What the search over places found and what it was made of, where it was made.
+    pub placed: Option<Placed>,
+    /// The robot's heading at the last sample used, radians.
+    pub heading_rad: Option<f64>,
+    /// Turn-around compensation, where both clocks allowed one.
+    pub turn_around: Option<TurnAround>,
+    /// Whether it was applied.
+    pub compensated: bool,
+    /// Pairs by fate.
+    pub pairs: PairCounts,
+    /// Mean receiver position of the samples used, metres, trajectory frame.
+    pub mean_position_m: Vector3<f64>,
+    /// Figures of merit of the plane wave's azimuth profile, as other programs define them.
+    pub figures: ProfileFigures,
+    /// The samples used.
+    pub samples: Samples,
+    /// The receiver's whole path, if [`super::Options::keep_course`] asked for it, metres.
+    pub path_m: Vec<Vector3<f64>>,
+    /// The phase of every pair, if [`super::Options::keep_course`] asked for it.
+    pub course: Vec<Phase>,
+}
+
+impl Bearing {
+    /// Azimuth of the answer relative to the robot's heading at the last sample used, radians.
+    #[must_use]
+    pub fn azimuth_body_rad(&self) -> Option<f64> {
+        self.heading_rad.map(|heading| wrap_rad(self.answer.azimuth_rad - heading))
+    }
+}
+
+/// Pairs by what became of them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
+pub struct PairCounts {
+    /// Pairs formed.
+    pub formed: usize,
+    /// Used for the bearing.
+    pub in_motion: usize,
+    /// Taken while no robot moved.
+    pub standing: usize,
+    /// Outside the trajectory, or in a gap of it.
+    pub no_pose: usize,
+    /// Outside the stretch that was asked for.
+    pub cut: usize,
+    /// Without energy at the antenna.
+    pub silent: usize,
+    /// Left out evenly, because the link has more pairs than are kept.
+    pub thinned: usize,
+}
+
+/// The phase of one pair, for pictures.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Phase {
+    /// Seconds from the link's first pair.
+    pub t_s: f64,
+    /// Phase of what the receiver alone heard, at the channel centre, radians.
+    pub one_way_rad: f64,
+    /// Phase of the round-trip product, radians.
+    pub round_trip_rad: f64,
+    /// The same after turn-around compensation, radians.
+    pub compensated_rad: f64,
+}
+
+/// Figures of merit as other programs define them, from an azimuth profile on the WSR toolbox's grid.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ProfileFigures {
+    /// The WSR toolbox's profile variance: lower is sharper, 1 is uniform.
+    pub wsr_profile_variance: Option<f64>,
+    /// The likelihood share of `[paper]`: the highest entry over the sum (its code prints half, holding each column twice).
+    pub likelihood_share: Option<f64>,
+}
+
+impl ProfileFigures {
+    pub(super) fn of(samples: &Samples) -> Result<Self, bartlett::Error> {
+        // The toolbox's planar mode: one azimuth profile, the same for each of its polar angles.
+        let profile = bartlett::profile(samples, &Grid::wsr_azimuths())?;
+        let likelihood_share = profile.likelihood_share();
+        Ok(Self { wsr_profile_variance: bartlett::wsr_planar_profile_variance(&profile), likelihood_share })
+    }
+}

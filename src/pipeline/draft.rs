@@ -1,0 +1,301 @@
+//! From the pairs of all links of a capture to their bearings, in steps: clocks, compensation, gate, search, accuracy;
+//! then what takes all links together, and what each search still gives.
+
+use super::accurate::{self, Placed};
+use super::bearing::{Bearing, BearingAnswer, PairCounts, ProfileFigures};
+use super::error::LinkError;
+use super::link::{Link, PairRow};
+use super::options::{JoinBy, Options};
+use crate::bartlett;
+use crate::exchange::pairing::Side;
+use crate::motion::pose::{Motion, Trajectory};
+use crate::place::near_field::Search;
+use crate::signal::cfo::TurnAround;
+use crate::signal::samples::Samples;
+use nalgebra::Vector3;
+use num_complex::Complex64;
+use rayon::prelude::*;
+
+/// With a turn-around that jitters by more than this no phase survives the product of two frames, microseconds: at the
+/// offsets that cards have (4 to 21 kHz) it is several turns.
+const MAX_SPREAD_US: f64 = 500.0;
+/// Largest motion that is searched as one array, metres: far beyond what odometry follows to a fraction of a wavelength.
+const MAX_EXTENT_M: f64 = 50.0;
+/// The time of a pair whose time is not known: no pose is that late, so the single pair is counted and the link goes on.
+const NEVER_S: f64 = f64::MAX;
+
+/// A link and the trajectories that its pairs are joined with, both on the receiver's clock.
+#[derive(Clone, Copy, Debug)]
+pub struct LinkJoin<'a> {
+    /// The link, with all its pairs.
+    pub link: &'a Link,
+    /// The receiver's trajectory: the same for all links of one call.
+    pub receiver: &'a Trajectory,
+    /// The transmitter's, if it moved.
+    pub transmitter: Option<&'a Trajectory>,
+}
+
+/// The bearings of all links of a capture, in their order. Together, because autofocus finds what the trajectory that
+/// they share lacks from all of them; a single link is a capture of one.
+///
+/// Each is an error by itself: see [`LinkError`].
+#[must_use]
+pub fn estimate(links: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bearing, LinkError>> {
+    let begin = |join: &LinkJoin<'_>| Draft::begin(join, options);
+    let mut drafts: Vec<Result<Draft, LinkError>> = match options.parallel {
+        true => links.par_iter().map(begin).collect(),
+        false => links.iter().map(begin).collect(),
+    };
+    if options.accuracy.focus {
+        let placed = drafts.iter_mut().flatten().filter_map(|draft| draft.placed.as_mut());
+        accurate::refocus(&mut placed.collect::<Vec<_>>());
+    }
+    let finish = |draft: Result<Draft, LinkError>| draft.map(|draft| draft.finish(options));
+    match options.parallel {
+        true => drafts.into_par_iter().map(finish).collect(),
+        false => drafts.into_iter().map(finish).collect(),
+    }
+}
+
+/// A bearing before what takes all links of a capture: its search is still open.
+struct Draft {
+    placed: Option<(Placed, Search)>,
+    bearing: Bearing,
+}
+
+impl Draft {
+    fn begin(join: &LinkJoin<'_>, options: &Options) -> Result<Self, LinkError> {
+        let LinkJoin { link, receiver, transmitter } = *join;
+        something(link, receiver, options)?;
+        let phases = Compensated::new(link, options);
+        let times_s = times_s(link.rows(), receiver, options)?;
+        phases.check()?;
+        let gate = Gate::new(link, receiver, transmitter, &times_s, options);
+        let gated = gate.pass(&times_s, &phases.z)?;
+        gated.check(&times_s, receiver)?;
+        let samples = gated.samples;
+        let plane_wave = bartlett::search(&samples, &options.search)?;
+        let rows = || phases.round_trips(link);
+        let place = || accurate::place(&samples, rows(), &gated.used, &plane_wave, options);
+        let placed = options.accuracy.near_field.then(place).flatten();
+        let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
+        let bearing = Bearing {
+            answer: BearingAnswer::of_plane_wave(&plane_wave),
+            plane_wave,
+            placed: None,
+            heading_rad: gated.heading_rad,
+            figures: ProfileFigures::of(&samples)?,
+            compensated: phases.compensated,
+            turn_around: phases.turn_around,
+            pairs: gated.pairs,
+            mean_position_m: sum / samples.len() as f64,
+            samples,
+            path_m: receiver.poses().iter().filter(|_| options.keep_course).map(|pose| pose.position_m).collect(),
+            course: if options.keep_course { link.course(&times_s, &phases.z) } else { Vec::new() },
+        };
+        Ok(Self { placed, bearing })
+    }
+
+    /// The bearing; its search is spent.
+    fn finish(self, options: &Options) -> Bearing {
+        let Self { placed, mut bearing } = self;
+        if let Some(placed) = placed {
+            let placed = accurate::extract(placed, options);
+            bearing.answer = BearingAnswer::of_spherical_wave(&placed, &bearing.plane_wave);
+            bearing.placed = Some(placed);
+        }
+        bearing
+    }
+}
+
+/// Refuses a link without any pair to join.
+fn something(link: &Link, receiver: &Trajectory, options: &Options) -> Result<(), LinkError> {
+    if !link.rows().is_empty() {
+        return Ok(());
+    }
+    if link.outside() > 0 {
+        let from_s = link.first_us().map_or(0.0, |us| us as f64 * 1e-6 + options.clock_offset_s);
+        let (start_s, end_s) = receiver.span_s();
+        return Err(LinkError::OutsideTrajectory { pairs: link.outside(), from_s, start_s, end_s });
+    }
+    let handed = |side| link.counts(side).handed;
+    Err(LinkError::NoPairs { receiver: handed(Side::Receiver), transmitter: handed(Side::Transmitter) })
+}
+
+/// The time of each pair on the trajectory's clock.
+fn times_s(rows: &[PairRow], trajectory: &Trajectory, options: &Options) -> Result<Vec<f64>, LinkError> {
+    let time = |row: &PairRow| match options.join {
+        JoinBy::Time => row.host_us.map_or(NEVER_S, |us| us as f64 * 1e-6 + options.clock_offset_s),
+        JoinBy::Row => trajectory.poses().get(row.row as usize).map_or(NEVER_S, |pose| pose.t_s),
+    };
+    if options.join == JoinBy::Time && rows.iter().all(|row| row.host_us.is_none()) {
+        return Err(LinkError::NoHostTime);
+    }
+    Ok(rows.iter().map(time).collect())
+}
+
+/// The round trips at the channel centre, with the turn-around taken out where that pays.
+struct Compensated {
+    z: Vec<Complex64>,
+    turn_around: Option<TurnAround>,
+    compensated: bool,
+}
+
+impl Compensated {
+    fn new(link: &Link, options: &Options) -> Self {
+        let mut z: Vec<Complex64> = link.rows().iter().map(|row| row.z).collect();
+        let turn_around = link.turn_around(&z, options.channel.centre_hz());
+        let compensated = options.compensate && turn_around.as_ref().is_some_and(|t| t.worthwhile);
+        if let Some(turn_around) = turn_around.as_ref().filter(|_| compensated) {
+            turn_around.apply(&mut z);
+        }
+        Self { z, turn_around, compensated }
+    }
+
+    /// Refuses clocks that no exchange ties together.
+    fn check(&self) -> Result<(), LinkError> {
+        let spread_us = self.turn_around.as_ref().map(|t| t.jitter_median_us).filter(|us| *us > MAX_SPREAD_US);
+        spread_us.map_or(Ok(()), |spread_us| Err(LinkError::NotOfOneRun { spread_us }))
+    }
+
+    /// The round trips on all subcarriers, turned as those at the channel centre were.
+    fn round_trips(&self, link: &Link) -> Vec<crate::signal::alignment::Row> {
+        let turned = link.products().iter().zip(link.rows().iter().zip(&self.z));
+        turned.map(|(product, (row, z))| accurate::compensated(product, z / row.z)).collect()
+    }
+}
+
+/// What decides which pairs make samples: the stretch asked for, both trajectories, and motion.
+struct Gate<'a> {
+    receiver: (&'a Trajectory, Motion),
+    transmitter: Option<(&'a Trajectory, Motion)>,
+    options: &'a Options,
+    /// The link's first pair on the trajectory's clock.
+    first_s: f64,
+    /// Pairs that never came this far.
+    before: PairCounts,
+}
+
+/// Why a pair makes no sample.
+enum Stopped {
+    Cut,
+    NoPose,
+    Standing,
+}
+
+/// A pair's place: receiver, transmitter, heading.
+struct PairPlace {
+    receiver_m: Vector3<f64>,
+    transmitter_m: Vector3<f64>,
+    heading_rad: Option<f64>,
+}
+
+impl<'a> Gate<'a> {
+    fn new(
+        link: &Link,
+        receiver: &'a Trajectory,
+        transmitter: Option<&'a Trajectory>,
+        times_s: &[f64],
+        options: &'a Options,
+    ) -> Self {
+        let by_time = link.first_us().filter(|_| options.join == JoinBy::Time);
+        let first_s = by_time.map(|us| us as f64 * 1e-6 + options.clock_offset_s);
+        let with_motion = |trajectory: &'a Trajectory| (trajectory, trajectory.motion());
+        Self {
+            receiver: with_motion(receiver),
+            transmitter: transmitter.map(with_motion),
+            options,
+            first_s: first_s.or_else(|| times_s.first().copied()).unwrap_or(NEVER_S),
+            before: link.counts_before(),
+        }
+    }
+
+    /// The samples that pass, with unit phases.
+    fn pass(&self, times_s: &[f64], z: &[Complex64]) -> Result<Gated, LinkError> {
+        let samples = Samples::new(self.options.channel.wavelength_m(), 2).map_err(bartlett::Error::from)?;
+        let mut gated = Gated { samples, used: Vec::new(), heading_rad: None, pairs: self.before };
+        for (index, (&t_s, &z)) in times_s.iter().zip(z).enumerate() {
+            match self.place(t_s) {
+                Ok(place) => {
+                    gated.heading_rad = place.heading_rad;
+                    gated.used.push(index);
+                    let pushed = gated.samples.push(t_s, z / z.norm(), place.receiver_m, place.transmitter_m);
+                    pushed.map_err(bartlett::Error::from)?;
+                }
+                Err(Stopped::Cut) => gated.pairs.cut += 1,
+                Err(Stopped::NoPose) => gated.pairs.no_pose += 1,
+                Err(Stopped::Standing) => gated.pairs.standing += 1,
+            }
+        }
+        gated.pairs.in_motion = gated.samples.len();
+        Ok(gated)
+    }
+
+    fn place(&self, t_s: f64) -> Result<PairPlace, Stopped> {
+        if !self.options.keeps(t_s - self.first_s) {
+            return Err(Stopped::Cut);
+        }
+        let partner = match &self.transmitter {
+            Some((trajectory, _)) => trajectory.at(t_s).map(|pose| pose.position_m),
+            None => Some(Vector3::zeros()),
+        };
+        let (Some(pose), Some(transmitter_m)) = (self.receiver.0.at(t_s), partner) else {
+            return Err(Stopped::NoPose);
+        };
+        let moves = |(trajectory, motion): &(&Trajectory, Motion)| {
+            let inside = motion.window_s.is_some_and(|(from, to)| (from..=to).contains(&t_s));
+            inside && trajectory.speed_m_per_s(t_s) > motion.floor_m_per_s
+        };
+        if !self.transmitter.as_ref().is_some_and(moves) && !moves(&self.receiver) {
+            return Err(Stopped::Standing);
+        }
+        Ok(PairPlace { receiver_m: pose.position_m, transmitter_m, heading_rad: pose.heading_rad })
+    }
+}
+
+/// What came through the gate.
+struct Gated {
+    samples: Samples,
+    /// The rows of the link that they are of.
+    used: Vec<usize>,
+    /// The robot's heading at the last of them.
+    heading_rad: Option<f64>,
+    pairs: PairCounts,
+}
+
+impl Gated {
+    /// Refuses what no bearing can be made of, with why.
+    fn check(&self, times_s: &[f64], receiver: &Trajectory) -> Result<(), LinkError> {
+        if self.samples.is_empty() {
+            return Err(self.nothing(times_s, receiver));
+        }
+        let extent_m = extent_m(&self.samples);
+        if extent_m > MAX_EXTENT_M {
+            return Err(LinkError::TooLarge { extent_m, limit_m: MAX_EXTENT_M });
+        }
+        Ok(())
+    }
+
+    fn nothing(&self, times_s: &[f64], receiver: &Trajectory) -> LinkError {
+        let pairs = &self.pairs;
+        let (start_s, end_s) = receiver.span_s();
+        let known = times_s.iter().copied().filter(|t| *t != NEVER_S);
+        let (from_s, to_s) = known.fold((f64::MAX, f64::MIN), |(low, high), t| (low.min(t), high.max(t)));
+        if pairs.standing > 0 {
+            return LinkError::NoMotion { pairs: pairs.formed };
+        }
+        if pairs.cut > 0 && pairs.no_pose == 0 {
+            return LinkError::AllCut { pairs: pairs.formed, length_s: to_s - from_s };
+        }
+        LinkError::OutsideTrajectory { pairs: pairs.formed, from_s, start_s, end_s }
+    }
+}
+
+/// The longest side of the box that holds all displacements, metres.
+fn extent_m(samples: &Samples) -> f64 {
+    let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
+    for p in samples.displacements_m() {
+        (low, high) = (low.inf(&p), high.sup(&p));
+    }
+    (high - low).max()
+}

@@ -1,0 +1,77 @@
+//! Why a link gives no bearing.
+
+use crate::bartlett;
+use crate::exchange::assign::Unmatched;
+
+/// Why a link gives no bearing.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum LinkError {
+    /// No frame of this transmitter is in both logs.
+    #[error(
+        "no frame number of this link is in both logs ({receiver} records in the receiver's, {transmitter} in the transmitter's): are they of one run?"
+    )]
+    NoPairs {
+        /// Frames in the receiver's log.
+        receiver: u64,
+        /// Frames in the transmitter's log.
+        transmitter: u64,
+    },
+    /// The receiver's records hold no host time, so they cannot be joined with a trajectory by time.
+    #[error("the receiver's records hold no host time (stock layout): join with the trajectory row by row")]
+    NoHostTime,
+    /// No pair is left in the stretch that was asked for ([`super::Options::with_cut`]).
+    #[error("all {pairs} pairs are outside the stretch asked for (the link lasts {length_s:.3} s)")]
+    AllCut {
+        /// Pairs.
+        pairs: usize,
+        /// Time from the first to the last pair, s.
+        length_s: f64,
+    },
+    /// The clocks of the pairs have nothing to do with each other.
+    #[error(
+        "the two logs do not belong together: their clocks' difference spreads by {spread_us:.0} us from pair to pair, where an exchange spreads by some tens"
+    )]
+    NotOfOneRun {
+        /// Median of the deviation from a straight line, microseconds.
+        spread_us: f64,
+    },
+    /// The trajectory reaches further than any array of use.
+    #[error(
+        "the robots moved {extent_m:.0} m relative to each other: are the trajectories in metres? At most {limit_m:.0} m are used at once"
+    )]
+    TooLarge {
+        /// Extent of the motion, metres.
+        extent_m: f64,
+        /// The largest that is searched, metres.
+        limit_m: f64,
+    },
+    /// All pairs lie outside the trajectory.
+    #[error(
+        "the {pairs} pairs (from about {from_s:.3} s) lie outside the trajectory ({start_s:.3} s to {end_s:.3} s): is it of this run?"
+    )]
+    OutsideTrajectory {
+        /// Pairs.
+        pairs: usize,
+        /// Time of the first pair on the trajectory's clock, s.
+        from_s: f64,
+        /// First pose, s.
+        start_s: f64,
+        /// Last pose, s.
+        end_s: f64,
+    },
+    /// The robots did not move relative to each other.
+    #[error(
+        "no motion: none of the {pairs} pairs was taken while a robot moved, and without motion there is no bearing"
+    )]
+    NoMotion {
+        /// Pairs.
+        pairs: usize,
+    },
+    /// The transmitter's log could not be matched.
+    #[error(transparent)]
+    Unmatched(#[from] Unmatched),
+    /// The estimator refused.
+    #[error(transparent)]
+    Bartlett(#[from] bartlett::Error),
+}

@@ -1,0 +1,235 @@
+//! How bearings are to be made.
+
+use crate::bartlett::SearchOptions;
+use crate::motion::pose::Trajectory;
+use crate::signal::channel::Channel;
+use driver_iface::{Mac, bfee::Antenna};
+
+/// Pairs this long before and after the trajectory are kept, seconds; others are counted and forgotten, so that a log
+/// of hours costs no memory.
+const SETTLE_S: f64 = 30.0;
+
+/// How pairs find their place on the trajectory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum JoinBy {
+    /// By the receiver's host time.
+    #[default]
+    Time,
+    /// The n-th frame of the link in the receiver's log belongs to the n-th pose.
+    Row,
+}
+
+/// Which steps beyond a plane wave at the channel centre are taken. Every one can be left out, to see what it brings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Accuracy {
+    /// Spherical waves: range and position beside the bearing. Without them none of the other steps is taken.
+    pub near_field: bool,
+    /// Alignment of the sampling time from packet to packet.
+    pub align: bool,
+    /// The one-way channel beside the round trip.
+    pub one_way: bool,
+    /// Autofocus of the trajectory over all transmitters of a capture.
+    pub focus: bool,
+    /// The paths beside the answer.
+    pub paths: bool,
+    /// Shortest distance of a transmitter, metres.
+    pub range_min_m: f64,
+    /// The transmitter's height above the receiver's antenna, metres, where known.
+    pub height_m: Option<f64>,
+}
+
+impl Default for Accuracy {
+    fn default() -> Self {
+        Self {
+            near_field: true,
+            align: true,
+            one_way: true,
+            focus: true,
+            paths: true,
+            range_min_m: 1.8,
+            height_m: None,
+        }
+    }
+}
+
+impl Accuracy {
+    /// Without any step: a plane wave at the channel centre.
+    #[must_use]
+    pub fn without_layers(self) -> Self {
+        Self { near_field: false, align: false, one_way: false, ..self }
+    }
+
+    /// With or without spherical waves.
+    #[must_use]
+    pub fn with_near_field(mut self, near_field: bool) -> Self {
+        self.near_field = near_field;
+        self
+    }
+
+    /// With another shortest distance of a transmitter, metres.
+    #[must_use]
+    pub fn with_range_min_m(mut self, range_min_m: f64) -> Self {
+        self.range_min_m = range_min_m;
+        self
+    }
+
+    /// With the transmitter's height above the receiver's antenna, metres.
+    #[must_use]
+    pub fn with_height_m(mut self, height_m: Option<f64>) -> Self {
+        self.height_m = height_m;
+        self
+    }
+}
+
+/// How bearings are to be made.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Options {
+    /// The WiFi channel.
+    pub channel: Channel,
+    /// The antenna used on both robots.
+    pub antenna: Antenna,
+    /// MACs of the transmitters, in the order of their logs; found where absent.
+    pub tx_macs: Vec<Mac>,
+    /// MAC of the receiver in the transmitters' logs; the most frequent one where absent.
+    pub rx_mac: Option<Mac>,
+    /// Added to the receiver's host time to get the trajectory's, seconds.
+    pub clock_offset_s: f64,
+    /// How pairs are joined with the trajectory.
+    pub join: JoinBy,
+    /// Only pairs from here on, seconds after the link's first pair.
+    pub from_s: Option<f64>,
+    /// Only pairs up to here, seconds after the link's first pair.
+    pub to_s: Option<f64>,
+    /// Whether turn-around compensation may be applied.
+    pub compensate: bool,
+    /// Whether links are estimated on all cores of the current rayon pool, or one after the other.
+    pub parallel: bool,
+    /// Whether the course of the phase and maps of the joint power are kept for pictures.
+    pub keep_course: bool,
+    /// What is done beyond a plane wave.
+    pub accuracy: Accuracy,
+    /// How the bearing is searched for.
+    pub search: SearchOptions,
+}
+
+impl Options {
+    /// The defaults, on `channel`: antenna A, transmitters and receiver found, joined by time, compensated.
+    #[must_use]
+    pub fn new(channel: Channel) -> Self {
+        Self {
+            channel,
+            antenna: Antenna::A,
+            tx_macs: Vec::new(),
+            rx_mac: None,
+            clock_offset_s: 0.0,
+            join: JoinBy::Time,
+            from_s: None,
+            to_s: None,
+            compensate: true,
+            accuracy: Accuracy::default(),
+            parallel: false,
+            keep_course: false,
+            search: SearchOptions::default(),
+        }
+    }
+
+    /// On another channel.
+    #[must_use]
+    pub fn with_channel(mut self, channel: Channel) -> Self {
+        self.channel = channel;
+        self
+    }
+
+    /// With another antenna, the same on both robots.
+    #[must_use]
+    pub fn with_antenna(mut self, antenna: Antenna) -> Self {
+        self.antenna = antenna;
+        self
+    }
+
+    /// With the transmitters' MACs, in the order of their logs.
+    #[must_use]
+    pub fn with_tx_macs(mut self, tx_macs: Vec<Mac>) -> Self {
+        self.tx_macs = tx_macs;
+        self
+    }
+
+    /// With the receiver's MAC; `None` for the most frequent sender in the transmitters' logs.
+    #[must_use]
+    pub fn with_rx_mac(mut self, rx_mac: Option<Mac>) -> Self {
+        self.rx_mac = rx_mac;
+        self
+    }
+
+    /// With so much added to the receiver's host time to get the trajectory's, seconds.
+    #[must_use]
+    pub fn with_clock_offset_s(mut self, clock_offset_s: f64) -> Self {
+        self.clock_offset_s = clock_offset_s;
+        self
+    }
+
+    /// Joined with the trajectory by time or row by row.
+    #[must_use]
+    pub fn with_join(mut self, join: JoinBy) -> Self {
+        self.join = join;
+        self
+    }
+
+    /// With pairs from `from_s` to `to_s` only, seconds after the link's first pair.
+    #[must_use]
+    pub fn with_cut(mut self, from_s: Option<f64>, to_s: Option<f64>) -> Self {
+        (self.from_s, self.to_s) = (from_s, to_s);
+        self
+    }
+
+    /// With or without turn-around compensation.
+    #[must_use]
+    pub fn with_compensate(mut self, compensate: bool) -> Self {
+        self.compensate = compensate;
+        self
+    }
+
+    /// On all cores of the current rayon pool, or one link after the other.
+    #[must_use]
+    pub fn with_parallel(mut self, parallel: bool) -> Self {
+        self.parallel = parallel;
+        self
+    }
+
+    /// With or without what pictures need.
+    #[must_use]
+    pub fn with_keep_course(mut self, keep_course: bool) -> Self {
+        self.keep_course = keep_course;
+        self
+    }
+
+    /// With other steps beyond a plane wave.
+    #[must_use]
+    pub fn with_accuracy(mut self, accuracy: Accuracy) -> Self {
+        self.accuracy = accuracy;
+        self
+    }
+
+    /// With another search.
+    #[must_use]
+    pub fn with_search(mut self, search: SearchOptions) -> Self {
+        self.search = search;
+        self
+    }
+
+    /// The receiver's host time, microseconds, in which pairs are of use: the trajectory's and some seconds about it, in
+    /// which the robot stands and the phase settles.
+    pub(super) fn span_us(&self, trajectory: &Trajectory) -> Option<(i64, i64)> {
+        let (start_s, end_s) = trajectory.span_s();
+        let us = |t_s: f64| ((t_s - self.clock_offset_s) * 1e6) as i64;
+        let margin_us = (SETTLE_S * 1e6) as i64;
+        let span = (us(start_s).saturating_sub(margin_us), us(end_s).saturating_add(margin_us));
+        (self.join == JoinBy::Time).then_some(span)
+    }
+
+    pub(super) fn keeps(&self, since_first_s: f64) -> bool {
+        self.from_s.is_none_or(|from| since_first_s >= from) && self.to_s.is_none_or(|to| since_first_s <= to)
+    }
+}
