@@ -9,6 +9,8 @@ use std::f64::consts::TAU;
 const WAVELENGTH_M: f64 = 299_792_458.0 / 5.54e9;
 /// Seconds since the Unix epoch at which it begins.
 const START_S: f64 = 1_700_000_000.0;
+/// How far the transmitter's host clock is ahead of the receiver's, seconds.
+pub const PARTNER_AHEAD_S: f64 = 60.0;
 /// The robots' MACs.
 pub const RECEIVER: Mac = Mac([0, 0x21, 0x6a, 1, 2, 3]);
 pub const TRANSMITTER: Mac = Mac([0, 0x21, 0x6a, 4, 5, 6]);
@@ -26,6 +28,11 @@ pub struct Link {
 /// A link whose transmitter is far away at `azimuth_rad`; the robot stands for half a second, then drives a circle of
 /// 30 cm radius. The host clocks are a minute apart, the turn-around jitters.
 pub fn link(n: u32, azimuth_rad: f64) -> Link {
+    louder_link(n, azimuth_rad, 1)
+}
+
+/// The same with every component of the CSI times `gain`, exactly; at most 3 fits eight bits.
+pub fn louder_link(n: u32, azimuth_rad: f64, gain: i8) -> Link {
     let place = |t_s: f64| {
         let turn = ((t_s - 0.5).max(0.0) / (f64::from(n) * 0.01 - 0.5) * TAU).sin_cos();
         (0.3 * turn.1 - 0.3, 0.3 * turn.0)
@@ -38,8 +45,10 @@ pub fn link(n: u32, azimuth_rad: f64) -> Link {
         let jitter_us = k.wrapping_mul(2_654_435_761) >> 28;
         let cfo_rad = 0.7 * f64::from(k) + TAU * 5_000.0 * f64::from(jitter_us) * 1e-6;
         let clock_us = 10_000 * k;
-        made.tx.push(record(k, clock_us + 5_000, RECEIVER, START_S + 60.0 + t_s, path_rad + cfo_rad));
-        made.rx.push(record(k, clock_us + 240 + jitter_us, TRANSMITTER, START_S + t_s, path_rad - 0.7 * f64::from(k)));
+        let forward_rad = path_rad + cfo_rad;
+        let backward_rad = path_rad - 0.7 * f64::from(k);
+        made.tx.push(record(k, clock_us + 5_000, RECEIVER, START_S + PARTNER_AHEAD_S + t_s, (forward_rad, gain)));
+        made.rx.push(record(k, clock_us + 240 + jitter_us, TRANSMITTER, START_S + t_s, (backward_rad, gain)));
     }
     for row in 0..=(2 * n) {
         let t_s = f64::from(row) * 0.005;
@@ -49,7 +58,7 @@ pub fn link(n: u32, azimuth_rad: f64) -> Link {
     made
 }
 
-fn record(k: u32, timestamp_low: u32, mac: Mac, host_s: f64, phase_rad: f64) -> Vec<u8> {
+fn record(k: u32, timestamp_low: u32, mac: Mac, host_s: f64, (phase_rad, gain): (f64, i8)) -> Vec<u8> {
     let tv_usec = ((host_s.fract() * 1e6).round() as u32).min(999_999);
     let wsr = Wsr { tv_sec: host_s as u32, tv_usec, mac, frame_count: k + 1 };
     let repr =
@@ -57,7 +66,8 @@ fn record(k: u32, timestamp_low: u32, mac: Mac, host_s: f64, phase_rad: f64) -> 
     let mut csi = vec![Iq::default(); repr.samples()];
     for (subcarrier, chains) in csi.chunks_mut(3).enumerate() {
         let phase = phase_rad - 0.4 * (2.0 * subcarrier as f64 - 29.0);
-        chains[0] = Iq { i: (40.0 * phase.cos()).round() as i8, q: (40.0 * phase.sin()).round() as i8 };
+        let part = |of: f64| gain * (40.0 * of).round() as i8;
+        chains[0] = Iq { i: part(phase.cos()), q: part(phase.sin()) };
     }
     let mut body = vec![0; repr.body_len()];
     repr.emit(&csi, &mut body).unwrap();

@@ -1,6 +1,9 @@
 //! The library from outside: the scheduler on a virtual air, bodies of the fuzz targets.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+#[path = "../common/mod.rs"]
+mod common;
 mod fuzz_csv;
 mod fuzz_sounding;
+mod pipeline;
 mod tdma;

@@ -1,0 +1,123 @@
+//! The pipeline from outside: a golden answer, and what no answer may depend on.
+
+use crate::common::link::{Link, PARTNER_AHEAD_S, link, louder_link};
+use crate::common::root;
+use csi5300::motion::odometry::csv;
+use csi5300::motion::pose::{Pose, Trajectory, wrap_rad};
+use csi5300::pipeline::{Answer, Bearing, CaptureReport, Options, Transmitter, bearings};
+use csi5300::source::replay::Replay;
+use nalgebra::{Rotation3, Vector3};
+use proptest::prelude::*;
+use serde_json::Value;
+use std::io::Cursor;
+
+/// Floats of the golden answer agree to this share of themselves; SIMD tiers sum in different orders.
+const TOLERANCE: f64 = 1e-4;
+
+fn options() -> Options {
+    Options::new("108".parse().unwrap())
+}
+
+/// Records as a log in memory.
+fn log(records: &[Vec<u8>]) -> Replay<Cursor<Vec<u8>>> {
+    Replay::new(Cursor::new(records.concat()), String::new())
+}
+
+fn trajectory(link: &Link) -> Trajectory {
+    csv::parse(link.trajectory.as_bytes()).unwrap().0
+}
+
+fn run(rx: &[Vec<u8>], tx: &[Vec<u8>], trajectory: &Trajectory, options: &Options) -> CaptureReport {
+    let (mut rx, mut tx) = (log(rx), log(tx));
+    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
+    bearings(&mut rx, transmitters, trajectory, options).unwrap()
+}
+
+fn bearing(link: &Link, trajectory: &Trajectory) -> Bearing {
+    let mut report = run(&link.rx, &link.tx, trajectory, &options());
+    report.links.remove(0).bearing.unwrap()
+}
+
+/// Where two values differ, as a path into them.
+fn difference(at: &str, golden: &Value, found: &Value) -> Option<String> {
+    match (golden, found) {
+        (Value::Object(a), Value::Object(b)) => {
+            let keys = a.keys().chain(b.keys().filter(|key| !a.contains_key(*key)));
+            keys.into_iter().find_map(|key| {
+                let of = |object: &serde_json::Map<String, Value>| object.get(key).cloned().unwrap_or(Value::Null);
+                difference(&format!("{at}/{key}"), &of(a), &of(b))
+            })
+        }
+        (Value::Array(a), Value::Array(b)) if a.len() == b.len() => {
+            a.iter().zip(b).enumerate().find_map(|(k, (a, b))| difference(&format!("{at}/{k}"), a, b))
+        }
+        (Value::Number(a), Value::Number(b)) => {
+            let (a, b) = (a.as_f64().unwrap(), b.as_f64().unwrap());
+            ((a - b).abs() > TOLERANCE * a.abs() + 1e-9).then(|| format!("{at}: {a} and {b}"))
+        }
+        _ => (golden != found).then(|| format!("{at}: {golden} and {found}")),
+    }
+}
+
+/// `CSI5300_REGENERATE=1 cargo test --test library golden` writes the golden answer anew.
+#[test]
+fn the_fixture_gives_the_golden_answer() {
+    let fixtures = root().join("tests/fixtures");
+    let file = |name: &str| fixtures.join("small-circle").join(name);
+    let mut rx = Replay::open(&file("csi_rx_2023-11-14_221320.dat")).unwrap();
+    let mut tx = Replay::open(&file("csi_tx1_2023-11-14_221320.dat")).unwrap();
+    let (path, _) = csv::read(&file("rx_trajectory_2023-11-14_221320_.csv")).unwrap();
+    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
+    let report = bearings(&mut rx, transmitters, &path, &options()).unwrap();
+    let found = serde_json::to_value(Answer::new("tx1".into(), &report.links[0])).unwrap();
+    let golden = fixtures.join("small-circle.answer.json");
+    if std::env::var_os("CSI5300_REGENERATE").is_some() {
+        std::fs::write(&golden, serde_json::to_string_pretty(&found).unwrap() + "\n").unwrap();
+    }
+    let golden = serde_json::from_str(&std::fs::read_to_string(golden).unwrap()).unwrap();
+    assert_eq!(difference("", &golden, &found), None);
+}
+
+#[test]
+fn an_answer_is_the_same_however_loud_both_cards_are() {
+    let (quiet, loud) = (louder_link(300, 0.7, 1), louder_link(300, 0.7, 3));
+    assert_ne!(quiet.rx, loud.rx);
+    let path = trajectory(&quiet);
+    let (quiet, loud) = (bearing(&quiet, &path).answer, bearing(&loud, &path).answer);
+    assert!((quiet.azimuth_rad - loud.azimuth_rad).abs() < 1e-6, "{quiet:?} {loud:?}");
+    assert!((quiet.probability.unwrap() - loud.probability.unwrap()).abs() < 1e-4);
+}
+
+#[test]
+fn who_exchanges_the_two_logs_finds_the_negated_carrier_frequency_offset() {
+    let made = link(400, 2.0);
+    let path = trajectory(&made);
+    let offset_hz = |rx: &[Vec<u8>], tx: &[Vec<u8>], options: &Options| {
+        let report = run(rx, tx, &path, options);
+        report.links[0].link.as_ref().unwrap().phases(options).0.unwrap().df_hz
+    };
+    let own = offset_hz(&made.rx, &made.tx, &options());
+    // The other robot's records are stamped by its own clock.
+    let other = offset_hz(&made.tx, &made.rx, &options().with_clock_offset_s(-PARTNER_AHEAD_S));
+    assert!(own.abs() > 1_000.0 && (own + other).abs() < 1.0, "{own} {other}");
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 6, failure_persistence: None, ..ProptestConfig::default() })]
+    #[test]
+    fn a_turned_trajectory_turns_the_bearing(azimuth_rad in -3.1..3.1f64, turn_rad in -3.1..3.1f64) {
+        let made = link(300, azimuth_rad);
+        let path = trajectory(&made);
+        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), turn_rad);
+        let turned = |pose: &Pose| Pose {
+            position_m: turn * pose.position_m,
+            heading_rad: pose.heading_rad.map(|heading| wrap_rad(heading + turn_rad)),
+            ..*pose
+        };
+        let turned = Trajectory::new(path.poses().iter().map(turned).collect()).unwrap();
+        let (own, turned) = (bearing(&made, &path), bearing(&made, &turned));
+        let off = |own: f64, turned: f64| wrap_rad(turned - own - turn_rad).abs();
+        prop_assert!(off(own.plane_wave.azimuth_rad, turned.plane_wave.azimuth_rad) < 1e-5);
+        prop_assert!(off(own.answer.azimuth_rad, turned.answer.azimuth_rad) < 1e-3, "{:?} {:?}", own.answer, turned.answer);
+    }
+}
