@@ -10,7 +10,7 @@ use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Error};
 use csi5300::time::Instant;
-use csi5300_sim::motion::{Circle, Motion};
+use csi5300_sim::motion::{Circle, RobotMotion};
 use csi5300_sim::{Room, Scene, write_dataset};
 
 type Anything<T> = Result<T, Box<dyn std::error::Error>>;
@@ -71,7 +71,8 @@ fn scene(places: &[[f64; 2]; 4], robot: usize, seed: u64) -> Anything<Scene> {
         text += "odometry = { noise_m = 0.0005 }\n";
     }
     let mut scene = Scene::from_toml(&text)?;
-    scene.robot[0].motion = Motion::Circle(Circle { radius_m: RADIUS_M, duration_s: TURN_S, turns: 1.0, start_s: 0.0 });
+    scene.robot[0].motion =
+        RobotMotion::Circle(Circle { radius_m: RADIUS_M, duration_s: TURN_S, turns: 1.0, start_s: 0.0 });
     Ok(scene)
 }
 

@@ -5,12 +5,13 @@
 //! rooms a wall stands before every transmitter, which takes 8 to 30 dB off the straight path. Odometry (not the true
 //! trajectory) has a scale and a drifting heading.
 
-use csi5300::source::Error;
-use csi5300_sim::{Room, Scene, write_dataset};
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
+use csi5300_sim::crystal::Crystal;
+use csi5300_sim::motion::{Arc, RobotMotion};
+use csi5300_sim::radio::Radio;
+use csi5300_sim::random::Stream;
+use csi5300_sim::scene::{Cfo, Odometry, Robot, Sounding, Wall};
+use csi5300_sim::{Room, RoomError, Scene, SceneError, write_dataset};
 use rayon::prelude::*;
-use std::fmt::Write;
 use std::path::Path;
 
 /// Folder of rooms in which nothing stands between receiver and transmitters.
@@ -18,74 +19,133 @@ pub const IN_SIGHT: &str = "rooms_LOS";
 /// Folder of rooms with walls between them.
 pub const BEHIND_WALLS: &str = "rooms_NLOS";
 
+/// Which room could not be written, and why.
+#[derive(Debug, thiserror::Error)]
+#[error("room {number}: {source}")]
+pub struct RoomsError {
+    /// Its number.
+    pub number: u64,
+    /// Why.
+    pub source: RoomError,
+}
+
 /// Writes `count` rooms of either kind as captures below `folder`; `seed` chooses them.
 ///
 /// # Errors
 /// If a file cannot be written, or a room cannot be built.
-pub fn write(folder: &Path, count: u64, seed: u64) -> Result<(), Error> {
+pub fn write(folder: &Path, count: u64, seed: u64) -> Result<(), RoomsError> {
     let jobs: Vec<(u64, bool)> = (0..count).flat_map(|number| [(number, true), (number, false)]).collect();
     jobs.into_par_iter().try_for_each(|(number, in_sight)| {
-        let text = toml(seed.wrapping_add(2 * number + u64::from(in_sight)), in_sight);
-        let scene = Scene::from_toml(&text).map_err(|error| Error::Input(format!("room {number}: {error}")))?;
-        let mut room = Room::new(&scene).map_err(|error| Error::Input(format!("room {number}: {error}")))?;
+        let refused = |source| RoomsError { number, source };
+        let scene =
+            scene(seed.wrapping_add(2 * number + u64::from(in_sight)), in_sight).map_err(|e| refused(e.into()))?;
+        let mut room = Room::new(&scene).map_err(refused)?;
         let set = if in_sight { IN_SIGHT } else { BEHIND_WALLS };
-        write_dataset(&mut room, &folder.join(set).join(format!("{number:03}")), &mut |_| {}).map(|_| ())
+        let written = write_dataset(&mut room, &folder.join(set).join(format!("{number:03}")), &mut |_| {});
+        written.map(|_| ()).map_err(|error| refused(error.into()))
     })
 }
 
 /// The scene of a room.
-fn toml(seed: u64, in_sight: bool) -> String {
-    let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut between = |low: f64, high: f64| random.random_range(low..high);
-    let angle_deg = between(150.0, 300.0);
-    let radius_m = 1.0 / angle_deg.to_radians() * between(0.9, 1.6);
-    let (scale, drift_deg_s) = (between(0.96, 1.03), between(-0.8, 0.8));
-    let mut text = format!(
-        "name = \"room\"\nseed = {seed}\nduration_s = 13.0\nchannel = 108\ncfo = \"physical\"\nreflections = 1\n\
-         [sounding]\nrate_hz = 100.0\n{RADIO}\n\
-         [[robot]]\nname = \"rx\"\nposition_m = [0.0, 0.0, 0.3]\nyaw_deg = {:.1}\n\
-         motion.arc = {{ radius_m = {radius_m:.3}, angle_deg = {angle_deg:.1}, duration_s = 7.0, start_s = 5.0 }}\n\
-         odometry = {{ rate_hz = 200.0, noise_m = 0.0003, scale = {scale:.4}, heading_drift_deg_s = {drift_deg_s:.3} }}\n\
-         crystal = {{ offset_ppm = {:.2}, clock_start_us = 3420000000 }}\n",
-        between(-180.0, 180.0),
-        between(-1.5, 1.5),
-    );
-    let turned_deg = between(-180.0, 180.0);
+fn scene(seed: u64, in_sight: bool) -> Result<Scene, SceneError> {
+    let mut random = Stream::of_seed(seed);
+    let mut robot = vec![receiver(&mut random)];
+    let mut wall = Vec::new();
+    let turned_deg = random.between(-180.0, 180.0);
     for number in 0..3 {
-        let (azimuth, range_m) = (turned_deg + 120.0 * f64::from(number) + between(-45.0, 45.0), between(2.2, 5.0));
-        let (sin, cos) = azimuth.to_radians().sin_cos();
-        let _ = writeln!(
-            text,
-            "[[robot]]\nname = \"tx{number}\"\nposition_m = [{:.3}, {:.3}, {:.3}]\n\
-             crystal = {{ offset_ppm = {:.2}, wander_ppm = 0.02, wander_period_s = 40.0, clock_start_us = 1200000000 }}",
-            range_m * cos,
-            range_m * sin,
-            between(0.3, 1.1),
-            between(-2.5, 2.5),
-        );
+        let azimuth_deg = turned_deg + 120.0 * f64::from(number) + random.between(-45.0, 45.0);
+        let range_m = random.between(2.2, 5.0);
+        let (sin, cos) = azimuth_deg.to_radians().sin_cos();
+        robot.push(transmitter(number, [range_m * cos, range_m * sin], &mut random));
         if !in_sight {
-            // A wall across the straight way, close to the transmitter.
-            let (at_m, half_m, through_db) = (range_m - between(0.4, 0.8), between(0.6, 1.4), between(8.0, 30.0));
-            let end = |side: f64| (at_m * cos - side * half_m * sin, at_m * sin + side * half_m * cos);
-            let ((x0, y0), (x1, y1)) = (end(1.0), end(-1.0));
-            let _ = writeln!(
-                text,
-                "[[wall]]\nfrom_m = [{x0:.3}, {y0:.3}]\nto_m = [{x1:.3}, {y1:.3}]\nloss_db = 8.0\nthrough_db = {through_db:.1}"
-            );
+            wall.push(screen(range_m, sin, cos, &mut random));
         }
     }
-    let loss_db = if in_sight { between(10.0, 16.0) } else { between(2.0, 8.0) };
-    let (west, east, south, north) = (-between(6.0, 8.0), between(6.0, 8.0), -between(6.0, 8.0), between(6.0, 8.0));
-    for (x0, y0, x1, y1) in
-        [(west, south, east, south), (east, south, east, north), (east, north, west, north), (west, north, west, south)]
-    {
-        let _ =
-            writeln!(text, "[[wall]]\nfrom_m = [{x0:.2}, {y0:.2}]\nto_m = [{x1:.2}, {y1:.2}]\nloss_db = {loss_db:.1}");
+    wall.extend(outer_walls(in_sight, &mut random));
+    Ok(Scene {
+        name: "room".into(),
+        seed,
+        duration_s: 13.0,
+        channel: 108,
+        cfo: Cfo::Physical,
+        reflections: 1,
+        sounding: Some(Sounding { rate_hz: 100.0, ..Sounding::default() }),
+        radio: radio()?,
+        robot,
+        wall,
+        ..Scene::default()
+    })
+}
+
+/// As many digits after the point as a scene's text would have.
+fn rounded(value: f64, digits: usize) -> f64 {
+    format!("{value:.digits$}").parse().unwrap_or(value)
+}
+
+/// The robot that drives an arc of about a metre.
+fn receiver(random: &mut Stream) -> Robot {
+    let angle_deg = random.between(150.0, 300.0);
+    let radius_m = 1.0 / angle_deg.to_radians() * random.between(0.9, 1.6);
+    let (scale, drift_deg_s) = (random.between(0.96, 1.03), random.between(-0.8, 0.8));
+    let (radius_m, angle_deg) = (rounded(radius_m, 3), rounded(angle_deg, 1));
+    Robot {
+        name: "rx".into(),
+        position_m: [0.0, 0.0, 0.3],
+        yaw_deg: rounded(random.between(-180.0, 180.0), 1),
+        motion: RobotMotion::Arc(Arc { radius_m, angle_deg, duration_s: 7.0, start_s: 5.0 }),
+        odometry: Odometry {
+            rate_hz: 200.0,
+            noise_m: 0.0003,
+            scale: rounded(scale, 4),
+            heading_drift_deg_s: rounded(drift_deg_s, 3),
+            ..Odometry::default()
+        },
+        crystal: Crystal {
+            offset_ppm: rounded(random.between(-1.5, 1.5), 2),
+            clock_start_us: 3_420_000_000,
+            ..Crystal::default()
+        },
+        ..Robot::default()
     }
-    text
+}
+
+fn transmitter(number: i32, [x, y]: [f64; 2], random: &mut Stream) -> Robot {
+    Robot {
+        name: format!("tx{number}"),
+        position_m: [rounded(x, 3), rounded(y, 3), rounded(random.between(0.3, 1.1), 3)],
+        crystal: Crystal {
+            offset_ppm: rounded(random.between(-2.5, 2.5), 2),
+            wander_ppm: 0.02,
+            wander_period_s: 40.0,
+            clock_start_us: 1_200_000_000,
+            ..Crystal::default()
+        },
+        ..Robot::default()
+    }
+}
+
+/// A wall across the straight way to a transmitter `range_m` away, close to it.
+fn screen(range_m: f64, sin: f64, cos: f64, random: &mut Stream) -> Wall {
+    let at_m = range_m - random.between(0.4, 0.8);
+    let (half_m, through_db) = (random.between(0.6, 1.4), random.between(8.0, 30.0));
+    let end = |side: f64| [at_m * cos - side * half_m * sin, at_m * sin + side * half_m * cos].map(|v| rounded(v, 3));
+    Wall { loss_db: 8.0, through_db: Some(rounded(through_db, 1)), ..Wall::between(end(1.0), end(-1.0)) }
+}
+
+fn outer_walls(in_sight: bool, random: &mut Stream) -> Vec<Wall> {
+    let loss_db = if in_sight { random.between(10.0, 16.0) } else { random.between(2.0, 8.0) };
+    let mut away_m = || rounded(random.between(6.0, 8.0), 2);
+    let (west, east, south, north) = (-away_m(), away_m(), -away_m(), away_m());
+    let corners = [[west, south], [east, south], [east, north], [west, north], [west, south]];
+    let wall = |ends: &[[f64; 2]]| Wall { loss_db: rounded(loss_db, 1), ..Wall::between(ends[0], ends[1]) };
+    corners.windows(2).map(wall).collect()
 }
 
 /// The radio of `lab-circle`, which is fitted to real cards.
+fn radio() -> Result<Radio, SceneError> {
+    Scene::parse(RADIO).map(|scene| scene.radio)
+}
+
 const RADIO: &str = "[radio]
 mcs = 0
 noise.floor_dbm = -88.0
@@ -107,12 +167,12 @@ mod tests {
     fn every_room_can_be_built_and_differs_from_the_others() {
         for seed in 0..40 {
             for in_sight in [true, false] {
-                let text = toml(seed, in_sight);
-                let scene = Scene::from_toml(&text).unwrap_or_else(|error| panic!("{error}\n{text}"));
+                let scene = scene(seed, in_sight).unwrap();
+                Room::new(&scene).unwrap_or_else(|error| panic!("{error}\n{}", scene.to_toml().unwrap()));
                 assert_eq!(scene.robot.len(), 4);
                 assert_eq!(scene.wall.len(), if in_sight { 4 } else { 7 });
             }
-            assert_ne!(toml(seed, true), toml(seed + 1, true));
+            assert_ne!(scene(seed, true).unwrap().robot, scene(seed + 1, true).unwrap().robot);
         }
     }
 }

@@ -1,11 +1,12 @@
 //! The paper's experiments, simulated: stationary robots with a constant carrier offset and with the paper's
 //! sinusoid, circles and lines of three sizes; each goes through TDMA, bytes, pairing and the core.
 
+use crate::compare::CompareError;
 use crate::compare::figures::{spread_rad, true_path};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::Bearing;
 use csi5300::pipeline::{Options, Transmitter, bearings};
-use csi5300_sim::motion::{Circle, Line, Motion};
+use csi5300_sim::motion::{Circle, Line, RobotMotion};
 use csi5300_sim::scene::{Cfo, PaperCfo, Scene};
 use csi5300_sim::{Port, Room};
 use rayon::prelude::*;
@@ -61,14 +62,14 @@ pub fn experiments() -> Vec<Experiment> {
         for duration_s in STATIONARY_S {
             let mut scene = Scene { duration_s, ..base.clone() };
             scene.cfo = Cfo::Paper(PaperCfo { c1, ..PaperCfo::default() });
-            scene.robot[0].motion = Motion::Static;
+            scene.robot[0].motion = RobotMotion::Static;
             all.push(Experiment { name: format!("stationary {duration_s} s, {kind}"), scene });
         }
     }
     for radius_m in RADII_M {
         let duration_s = base.duration_s;
-        let circle = Motion::Circle(Circle { radius_m, duration_s, turns: 1.0, start_s: 0.0 });
-        let line = Motion::Line(Line { length_m: TAU * radius_m, duration_s, start_s: 0.0 });
+        let circle = RobotMotion::Circle(Circle { radius_m, duration_s, turns: 1.0, start_s: 0.0 });
+        let line = RobotMotion::Line(Line { length_m: TAU * radius_m, duration_s, start_s: 0.0 });
         for (kind, motion) in [("circle", circle), ("line", line)] {
             let mut scene = base.clone();
             scene.robot[0].motion = motion;
@@ -78,15 +79,28 @@ pub fn experiments() -> Vec<Experiment> {
     all
 }
 
+/// Which repetition failed, and why.
+#[derive(Debug, thiserror::Error)]
+#[error("{experiment}, repetition {repetition}: {source}")]
+pub struct SuiteError {
+    /// The experiment.
+    pub experiment: String,
+    /// Its repetition, from 1.
+    pub repetition: u64,
+    /// Why.
+    pub source: CompareError,
+}
+
 /// Runs every experiment so many times, on all cores of the current rayon pool; in order.
 ///
 /// # Errors
 /// The first repetition that failed, with its experiment.
-pub fn run_all(experiments: &[Experiment], repetitions: u64, options: &Options) -> Result<Vec<Run>, String> {
+pub fn run_all(experiments: &[Experiment], repetitions: u64, options: &Options) -> Result<Vec<Run>, SuiteError> {
     let jobs: Vec<(&Experiment, u64)> =
         experiments.iter().flat_map(|experiment| (1..=repetitions).map(move |k| (experiment, k))).collect();
     let one = |(experiment, k): &(&Experiment, u64)| {
-        run(experiment, *k, options).map_err(|error| format!("{}, repetition {k}: {error}", experiment.name))
+        let named = |source| SuiteError { experiment: experiment.name.clone(), repetition: *k, source };
+        run(experiment, *k, options).map_err(named)
     };
     jobs.par_iter().map(one).collect()
 }
@@ -94,20 +108,20 @@ pub fn run_all(experiments: &[Experiment], repetitions: u64, options: &Options) 
 /// Runs one repetition.
 ///
 /// # Errors
-/// A sentence, if the scene cannot be simulated or gives no link.
-pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Result<Run, String> {
+/// If the scene cannot be simulated or gives no link.
+pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Result<Run, CompareError> {
     let scene = Scene { seed: repetition, ..experiment.scene.clone() };
-    let mut room = Room::new(&scene).map_err(|error| error.to_string())?;
+    let mut room = Room::new(&scene)?;
     let path = true_path(&room, 0)?;
-    let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or("two robots are needed")?;
+    let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or(CompareError::OneRobot)?;
     [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
     let options = options.clone().with_keep_course(true);
-    let report = bearings(&mut rx, transmitters, &path, &options).map_err(|error| error.to_string())?;
-    let found = report.links.first().ok_or("no link")?;
-    let link = found.link.as_ref().ok_or("no pairs")?;
+    let report = bearings(&mut rx, transmitters, &path, &options)?;
+    let found = report.links.first().ok_or(CompareError::NoTransmitter)?;
+    let link = found.link.as_ref().ok_or_else(|| CompareError::NoLink { reason: "no pairs".into() })?;
     let (turn_around, _) = link.phases(&options);
-    let turn_around = turn_around.ok_or("too few pairs")?;
+    let turn_around = turn_around.ok_or(CompareError::FewPairs { pairs: link.pairs() })?;
     let mut run = Run {
         experiment: experiment.name.clone(),
         repetition,
@@ -116,8 +130,9 @@ pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Resul
         residual_compensated_rad: spread_rad(turn_around.coherence_after),
         ..Run::default()
     };
-    if scene.robot[0].motion != Motion::Static {
-        let bearing = found.bearing.as_ref().map_err(|error| error.to_string())?;
+    if scene.robot[0].motion != RobotMotion::Static {
+        let none = |error: &dyn std::fmt::Display| CompareError::NoLink { reason: error.to_string() };
+        let bearing = found.bearing.as_ref().map_err(|error| none(error))?;
         judge(&mut run, bearing, &room);
     }
     Ok(run)

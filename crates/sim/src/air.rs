@@ -3,21 +3,20 @@
 //! Everything is an event in a queue ordered by time; nothing happens between events, so an hour of an idle room is
 //! free. Coefficients are not computed here but when a record is read, and only for robots that somebody reads.
 
+use super::event::{Event, What};
 use super::faults::Injected;
 use super::followed::Follower;
-use super::node::{Flight, Heard, Listening, Node, Outgoing, Reception};
+use super::node::{Flight, FrameBytes, FrameHeard, Listening, Node, Outgoing, Reception};
 use super::radio::Radio;
-use super::station::{Role, Station};
+use super::station::{FrameRole, Station};
 use super::surfaces::Path;
 use super::world::World;
 use csi5300::time::Instant;
-use driver_iface::mpdu;
+use driver_iface::{Mac, sounding};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, VecDeque};
 use std::sync::Arc;
 
-/// Address 1 and 2 of frames for which a card in monitor mode reports CSI (iwlwifi dvm/sta.c, csitool FAQ).
-const MAGIC_MAC: [u8; 6] = [0x00, 0x16, 0xea, 0x12, 0x34, 0x56];
 /// Clear channel assessment takes this long: frames that start closer together do not hear each other (802.11 aCCATime).
 const SENSE_NS: i64 = 4_000;
 /// DIFS in the 5 GHz band, the slot of the back-off after it, and the number of slots (aCWmin + 1).
@@ -28,43 +27,6 @@ const BACK_OFF_SLOTS: f64 = 16.0;
 const SIFS_NS: i64 = 16_000;
 /// A frame that repeats a number heard no longer ago than this is its answer.
 const ANSWER_WITHIN_NS: i64 = 5_000_000;
-
-#[derive(Debug)]
-enum What {
-    Start { from: usize },
-    End { flight: u64 },
-    Again { robot: usize, flight: Arc<Flight>, role: Role },
-    Ask { robot: usize },
-    Off { robot: usize },
-    On { robot: usize },
-}
-
-#[derive(Debug)]
-struct Event {
-    t_ns: i64,
-    order: u64,
-    what: What,
-}
-
-impl PartialEq for Event {
-    fn eq(&self, other: &Self) -> bool {
-        self.order == other.order
-    }
-}
-
-impl Eq for Event {}
-
-impl PartialOrd for Event {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Event {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        (self.t_ns, self.order).cmp(&(other.t_ns, other.order))
-    }
-}
 
 /// A frame on air now.
 #[derive(Debug)]
@@ -197,16 +159,17 @@ impl Air {
 
     /// A robot's host hands a frame (no FCS) to its card at `now_ns`, to be sent with the robot's own `mcs` if none is
     /// given. It goes on air at once, an answer after the turn-around, if the air is free; else when it is.
-    pub fn transmit(&mut self, robot: usize, now_ns: i64, bytes: &[u8], mcs: Option<u8>) {
+    pub fn transmit(&mut self, robot: usize, now_ns: i64, frame: &[u8], mcs: Option<u8>) {
         let now_ns = now_ns.max(self.now_ns);
         if !self.nodes[robot].on {
             return;
         }
+        let bytes = FrameBytes::new(frame);
         let node = &mut self.nodes[robot];
         let scene = self.world.scene();
         let radio = scene.radio_of(&scene.robot[robot]);
         let answered = node.heard.filter(|heard| {
-            heard.number.is_some() && heard.number == number_of(bytes) && now_ns - heard.start_ns < ANSWER_WITHIN_NS
+            heard.number.is_some() && heard.number == bytes.number() && now_ns - heard.start_ns < ANSWER_WITHIN_NS
         });
         let (start_ns, instant_ns) = match answered {
             Some(heard) => {
@@ -217,7 +180,7 @@ impl Air {
             None => (now_ns + radio.send_jitter_ns(&mut node.timing), None),
         };
         let mcs = mcs.unwrap_or(radio.mcs);
-        node.outgoing.push_back(Outgoing { not_before_ns: start_ns, instant_ns, mcs, bytes: bytes.into() });
+        node.outgoing.push_back(Outgoing { not_before_ns: start_ns, instant_ns, mcs, bytes });
         if node.outgoing.len() == 1 {
             self.attempt(robot, start_ns);
         }
@@ -289,7 +252,7 @@ impl Air {
         let waiting_ns = node.outgoing.front().map(|next| next.not_before_ns);
         let scene = self.world.scene();
         let radio = Radio { mcs, ..*scene.radio_of(&scene.robot[from]) };
-        let end_ns = t_ns + radio.airtime_ns(bytes.len() + mpdu::FCS, scene.bandwidth_mhz == 40);
+        let end_ns = t_ns + radio.airtime_ns(bytes.with_fcs().len(), scene.bandwidth_mhz == 40);
         let instant_ns = instant_ns.unwrap_or(t_ns);
         let flight = Arc::new(Flight { from, start_ns: t_ns, end_ns, instant_ns, mcs, bytes });
         let collided = !self.active.is_empty();
@@ -342,24 +305,24 @@ impl Air {
         let node = &mut self.nodes[robot];
         node.pass(flight, false);
         let away_ns = radio.turn_around.draw_away_ns(&mut node.away, &mut node.timing);
-        node.heard = Some(Heard {
+        node.heard = Some(FrameHeard {
             away_ns,
             start_ns: flight.start_ns,
             end_ns: flight.end_ns,
             instant_ns: flight.instant_ns,
-            number: number_of(&flight.bytes),
+            number: flight.bytes.number(),
         });
         let now = local(&self.world, robot, flight.end_ns);
-        let role = node.station.as_mut().map_or(Role::Unknown, |s| s.heard(now, &flight.bytes));
+        let role = node.station.as_mut().map_or(FrameRole::Unknown, |s| s.heard(now, flight.bytes.without_fcs()));
         let duplicated = node.loss.happens(scene.robot[robot].faults.duplicate);
         self.received(robot, flight, flight.start_ns, role, away_ns);
         if duplicated {
             let again_ns = flight.start_ns + radio.turn_around.draw_ns(away_ns, &mut self.nodes[robot].timing);
             self.push(again_ns.max(flight.end_ns), What::Again { robot, flight: Arc::clone(flight), role });
         }
-        if scene.robot[robot].ack_len == Some(flight.bytes.len() + mpdu::FCS) {
-            let answer = driver_answer(&flight.bytes, world.mac(robot).0);
-            self.transmit(robot, flight.end_ns, &answer, None);
+        if scene.robot[robot].ack_len == Some(flight.bytes.with_fcs().len()) {
+            let answer = driver_answer(&flight.bytes, world.mac(robot));
+            answer.into_iter().for_each(|answer| self.transmit(robot, flight.end_ns, &answer, None));
         }
         if self.nodes[robot].station.is_some() {
             self.ask(robot, flight.end_ns);
@@ -368,10 +331,9 @@ impl Air {
 
     /// The driver counts a frame with CSI and hands its record on, or loses it. False if there was nothing to count:
     /// no CSI was asked for, or the robot is off.
-    fn received(&mut self, robot: usize, flight: &Arc<Flight>, t_ns: i64, role: Role, away_ns: i64) -> bool {
-        let measured = [4, 10].iter().all(|&at| flight.bytes.get(at..at + 6) == Some(&MAGIC_MAC));
+    fn received(&mut self, robot: usize, flight: &Arc<Flight>, t_ns: i64, role: FrameRole, away_ns: i64) -> bool {
         let node = &mut self.nodes[robot];
-        if !measured || !node.on {
+        if !flight.bytes.is_measured() || !node.on {
             return false;
         }
         node.bfee_count = node.bfee_count.wrapping_add(1);
@@ -384,7 +346,7 @@ impl Air {
             node.dropped_since = node.dropped_since.map(|dropped| dropped + 1);
             return true;
         }
-        let overheard = node.listening == Listening::Own && role == Role::Overheard;
+        let overheard = node.listening == Listening::Own && role == FrameRole::Overheard;
         node.injected.overheard += u64::from(overheard);
         if node.listening != Listening::Nobody && !overheard {
             let radio = scene.radio_of(&scene.robot[robot]);
@@ -435,11 +397,6 @@ impl Air {
     }
 }
 
-/// The number of a sounding frame: the four bytes after the header, in both dialects.
-fn number_of(bytes: &[u8]) -> Option<[u8; 4]> {
-    bytes.get(mpdu::HEADER..)?.first_chunk().copied()
-}
-
 /// A true time on a host's monotonic clock, which runs like its wall clock and begins with the scene.
 fn local(world: &World, robot: usize, t_ns: i64) -> Instant {
     let fast_ns = (t_ns as f64 * world.scene().robot[robot].host_clock.drift_ppm * 1e-6).round() as i64;
@@ -457,13 +414,12 @@ fn true_ns(world: &World, robot: usize, at: Instant) -> i64 {
     t_ns
 }
 
-/// What the WSR driver answers by itself: the frame with its FCS and one byte more, addr3 replaced by its own MAC.
-fn driver_answer(frame: &[u8], mac: [u8; 6]) -> Vec<u8> {
-    let mut answer = frame.to_vec();
-    answer.extend_from_slice(&mpdu::crc32(frame).to_le_bytes());
-    answer.push(0);
-    if let Some(addr3) = answer.get_mut(mpdu::offset::ADDR3..mpdu::offset::ADDR3 + 6) {
-        addr3.copy_from_slice(&mac);
-    }
-    answer
+/// What the WSR driver answers a sounding frame by itself: the frame with its FCS and one byte more, addr3 replaced by its
+/// own MAC.
+fn driver_answer(frame: &FrameBytes, own: Mac) -> Option<Vec<u8>> {
+    let forward = sounding::Frame::new_checked(frame.without_fcs()).ok()?;
+    let fcs = frame.mpdu()?.fcs().to_le_bytes();
+    let mut answer = vec![0; frame.without_fcs().len() + sounding::wsr::REPLY_GROWTH];
+    sounding::wsr::emit_reply(&forward, fcs, own.0, &mut answer).ok()?;
+    Some(answer)
 }

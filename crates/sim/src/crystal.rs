@@ -5,13 +5,13 @@
 //! `x(t)` (seconds gained since the scene began), from which everything else follows:
 //! card time `t + x(t)`, carrier phase `fc x(t)` turns ahead of a perfect card's.
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// How far a card's crystal is off, as a relative frequency error over time; all zeros is a perfect one.
 ///
 /// `y(t) = offset + drift t + warm_up exp(-t / warm_up_s) + wander sin(2 pi t / wander_period_s)`, in ppm.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Crystal {
     /// Constant offset, ppm; 1 ppm is 5.5 kHz at channel 108. Between real cards: 0.7 to 3.8 ppm.

@@ -4,7 +4,7 @@ use super::motion::Pose;
 use super::port::Port;
 use super::room::Room;
 use super::scene::Driver;
-use super::station::Role;
+use super::station::FrameRole;
 use csi5300::motion::odometry::{NextPose, OdometrySource};
 use csi5300::source::{CsiSource, Error, Next, side_path};
 use csi5300::time::Instant;
@@ -22,7 +22,7 @@ const BLOCK: u64 = 4_096;
 
 /// One receiving robot's folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Capture {
+pub struct WrittenCapture {
     /// The initiator's number; it is the receiver of the data set.
     pub receiver: usize,
     /// Its folder.
@@ -30,12 +30,12 @@ pub struct Capture {
     /// The time in its files' names.
     pub stamp: String,
     /// The logs in it.
-    pub logs: Vec<Log>,
+    pub logs: Vec<WrittenLog>,
 }
 
 /// One log.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Log {
+pub struct WrittenLog {
     /// Its file.
     pub path: PathBuf,
     /// The robot that logged.
@@ -51,7 +51,7 @@ pub struct Log {
 /// A log being written.
 struct Writing {
     out: BufWriter<File>,
-    log: Log,
+    log: WrittenLog,
     len: u64,
     /// Host times, for records that have none.
     side: Option<BufWriter<File>>,
@@ -80,8 +80,9 @@ struct Writing {
 /// # Errors
 /// [`Error::Io`] when a file cannot be written, [`Error::Input`] when a card of the room was taken before, or a robot is
 /// `followed`: only a running node has poses for it.
-pub fn write_dataset(room: &mut Room, dir: &Path, progress: &mut dyn FnMut(f64)) -> Result<Vec<Capture>, Error> {
-    let followed = room.scene().robot.iter().find(|robot| matches!(robot.motion, super::motion::Motion::Followed(_)));
+pub fn write_dataset(room: &mut Room, dir: &Path, progress: &mut dyn FnMut(f64)) -> Result<Vec<WrittenCapture>, Error> {
+    let followed =
+        room.scene().robot.iter().find(|robot| matches!(robot.motion, super::motion::RobotMotion::Followed(_)));
     if let Some(robot) = followed {
         let what =
             "goes where an odometry source says while a node runs: `csi5300 node`, with `follow` in `capture.room`";
@@ -103,7 +104,7 @@ pub fn write_dataset(room: &mut Room, dir: &Path, progress: &mut dyn FnMut(f64))
         write_odometry(room, receiver, folder, &stamp)?;
         write_positions(room, receiver, folder)?;
         let logs = logs.iter().filter(|((owner, _), _)| *owner == receiver).map(|(_, log)| log.clone()).collect();
-        captures.push(Capture { receiver, dir: folder.clone(), stamp: stamp.clone(), logs });
+        captures.push(WrittenCapture { receiver, dir: folder.clone(), stamp: stamp.clone(), logs });
     }
     Ok(captures)
 }
@@ -116,7 +117,7 @@ fn run(
     folders: &BTreeMap<usize, PathBuf>,
     stamp: &str,
     progress: &mut dyn FnMut(f64),
-) -> Result<Logs<Log>, Error> {
+) -> Result<Logs<WrittenLog>, Error> {
     let robots = room.scene().robot.len();
     let mut cards: Vec<Port> = (0..robots).filter_map(|robot| room.card(robot)).collect();
     if cards.len() != robots {
@@ -166,7 +167,7 @@ fn run(
 fn drain(
     card: &mut Port,
     now: Instant,
-    mut keep: impl FnMut(Role, usize, Option<i64>, &Record<'_>) -> Result<(), Error>,
+    mut keep: impl FnMut(FrameRole, usize, Option<i64>, &Record<'_>) -> Result<(), Error>,
 ) -> Result<bool, Error> {
     loop {
         match card.receive_with_role(now)? {
@@ -179,14 +180,14 @@ fn drain(
 }
 
 /// The initiator in whose folder a record belongs.
-fn owner(folders: &BTreeMap<usize, PathBuf>, role: Role, robot: usize, from: usize) -> Option<usize> {
+fn owner(folders: &BTreeMap<usize, PathBuf>, role: FrameRole, robot: usize, from: usize) -> Option<usize> {
     let initiates = |robot: &usize| folders.contains_key(robot);
     match role {
-        Role::Forward => Some(from).filter(initiates),
-        Role::Backward => Some(robot).filter(initiates),
-        Role::Overheard => None,
+        FrameRole::Forward => Some(from).filter(initiates),
+        FrameRole::Backward => Some(robot).filter(initiates),
+        FrameRole::Overheard => None,
         // Nobody says: with one initiator it is clear.
-        Role::Unknown => Some(robot).filter(initiates).or(Some(from).filter(initiates)),
+        FrameRole::Unknown => Some(robot).filter(initiates).or(Some(from).filter(initiates)),
     }
 }
 
@@ -196,7 +197,7 @@ impl Writing {
         let file = at(&path, "create the log", File::create(&path))?;
         let side = timed.then(|| side_path(&path));
         let side = side.map(|path| at(&path, "create the side file", File::create(&path))).transpose()?;
-        let log = Log { path, robot, records: 0, tail_records: 0, tail_bytes: 0 };
+        let log = WrittenLog { path, robot, records: 0, tail_records: 0, tail_bytes: 0 };
         Ok(Self {
             out: BufWriter::new(file),
             log,
@@ -226,7 +227,7 @@ impl Writing {
     }
 
     /// Closes the log; a killed one is cut at its last full block.
-    fn finish(mut self, killed: bool) -> Result<Log, Error> {
+    fn finish(mut self, killed: bool) -> Result<WrittenLog, Error> {
         at(&self.log.path, "write the log", self.out.flush())?;
         let kept = self.len / BLOCK * BLOCK;
         if killed && kept < self.len {
@@ -262,7 +263,7 @@ fn write_truths(room: &Room, receiver: usize, folder: &Path, stamp: &str) -> Res
     for (robot, state) in room.scene().robot.iter().enumerate() {
         let name = match robot {
             _ if robot == receiver => format!("rx_trajectory_{stamp}_.csv"),
-            _ if state.motion != super::motion::Motion::Static => format!("tx{robot}_trajectory_{stamp}_.csv"),
+            _ if state.motion != super::motion::RobotMotion::Static => format!("tx{robot}_trajectory_{stamp}_.csv"),
             _ => continue,
         };
         write_file(&folder.join(name), |out| {

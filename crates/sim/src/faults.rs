@@ -1,10 +1,10 @@
 //! What goes wrong on purpose, and the exact account of it.
 
 use csi5300::time::{Instant, Span};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// Losses and mishaps of one robot, each as its receiver sees it. All off by default.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Faults {
     /// Share of frames that this robot's card does not decode.

@@ -156,5 +156,5 @@ fn a_scene_says_where_the_poses_frame_lies() {
     };
     assert!(scene("origin_m = [1, 2, 3], origin_yaw_deg = 30").is_ok());
     let refused = scene("origin_yaw_deg = nan").unwrap_err();
-    assert_eq!(refused.line, Some(4));
+    assert_eq!(refused.line(), Some(4));
 }

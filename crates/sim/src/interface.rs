@@ -54,7 +54,7 @@ impl Interface {
         drop(air);
         self.went_out += u64::from(own);
         let flight = self.current.insert(flight);
-        Some(Seen { frame: &flight.bytes, mcs: flight.mcs, age, own })
+        Some(Seen { frame: flight.bytes.without_fcs(), mcs: flight.mcs, age, own })
     }
 
     /// As [`Injector::inject`], at a modulation and coding scheme of one stream, 0 to 7, other than the scene's.
@@ -94,7 +94,7 @@ impl FrameReceiver for Interface {
                 None => return Ok(None),
                 Some((true, _)) => {}
                 Some((false, age)) => {
-                    let frame = self.current.as_ref().map(|flight| &*flight.bytes);
+                    let frame = self.current.as_ref().map(|flight| flight.bytes.without_fcs());
                     return Ok(frame.map(|frame| Heard { frame, age }));
                 }
             }

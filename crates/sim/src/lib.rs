@@ -6,46 +6,42 @@
 //!
 //! ```
 //! use csi5300_sim::{Room, Scene};
-//! use csi5300::source::{CsiSource, Next};
-//! use csi5300::time::Instant;
 //!
-//! let mut scene = Scene::built_in("paper-circle").expect("it comes with the program");
-//! scene.duration_s = 0.5;
-//! let mut room = Room::new(&scene)?;
-//! let mut card = room.card(0).expect("nobody took it before");
-//! let (mut now, mut records) = (Instant::ZERO, 0);
-//! loop {
-//!     match card.receive(now)? {
-//!         Next::Record(_, record) => records += usize::from(record.code == 0xBB),
-//!         Next::Lost(loss) => println!("{loss:?}"),
-//!         Next::Pending => now = card.next_at().unwrap_or(now),
-//!         Next::End(_) => break,
-//!     }
-//! }
-//! assert_eq!(records, 50); // 100 rounds per second
-//! # Ok::<(), csi5300::source::Error>(())
+//! let scene = "duration_s = 2.0\nsounding.rate_hz = 100\n\
+//!              [[robot]]\nname = \"rx\"\nmotion.circle = { radius_m = 0.3, duration_s = 2.0 }\n\
+//!              [[robot]]\nname = \"tx\"\nposition_m = [3.0, 1.0, 0.5]\n";
+//! let run = Room::new(&Scene::parse(scene)?)?.run()?;
+//! let (rx, tx) = (&run.robots[0], &run.robots[1]);
+//! assert_eq!((rx.records, tx.records), (200, 200)); // 100 rounds per second
+//! assert_eq!(tx.start_m().map(|place| place.x), Some(3.0));
+//! # Ok::<(), csi5300_sim::RoomError>(())
 //! ```
+//!
+//! A log is the bytes of a `.dat` file ([`SimulatedRobot::replay`] reads it); [`Room::card`] hands out a live card instead,
+//! [`write_dataset`] writes a capture folder.
 //!
 //! The chain, from what a scene states to bytes:
 //!
 //! | module | what it turns into what |
 //! |---|---|
-//! | [`scene`] | TOML into a checked scene; refusals have the line and the reason |
+//! | [`scene`] | TOML into values and back |
+//! | `scene_check`, `refusal` | values into refusals with their place |
 //! | [`toml_lines`] | a place in a TOML text into its line |
 //! | [`motion`] | time into poses: shapes, walks, waypoints, recorded trajectories |
 //! | `followed` | an odometry source into poses, while it gives them |
 //! | `surfaces` | two places into paths: image method to any order, exact lengths, blocked and weakened paths |
 //! | `carrier` | paths into 30 tones at the card's true subcarrier indices |
 //! | [`crystal`] | time into a card's clock and carrier phase, which share one crystal |
-//! | `world` | all of these for every robot |
+//! | `world`, `world_check` | all of these for every robot; refusals of what cannot be |
 //! | [`radio`], `receiver` | tones into 8-bit coefficients: noise, gain control, RSSI, antenna order, saturation |
 //! | `station`, `sounder` | time into frames: the TDMA state machine |
-//! | `air`, `node` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
+//! | `air`, `event`, `node` | frames into receptions: carrier sense, collisions, turn-around, losses, the driver's counters |
 //! | `turn_around` | frames into the moments of their answers |
 //! | `port` | receptions into records, behind a socket queue that overruns as the kernel's does |
 //! | `interface` | frames for senders outside of the room, as a monitor interface gives them |
 //! | `odometer` | true motion into a sensor's poses |
-//! | `dataset` | a room into a capture folder |
+//! | `dataset`, `simulation` | a room into a capture folder, or logs in memory |
+//! | [`random`] | a seed into random numbers |
 //!
 //! Two rules keep it fast and honest. What a scene does not ask for is not computed: an effect that is off draws no
 //! random number, reflections are searched only where surfaces stand, and coefficients are computed when a record is
@@ -62,6 +58,7 @@ mod built_in;
 mod carrier;
 pub mod crystal;
 mod dataset;
+mod event;
 mod faults;
 mod followed;
 mod interface;
@@ -71,33 +68,40 @@ mod node;
 mod odometer;
 mod port;
 pub mod radio;
-mod random;
+pub mod random;
 mod receiver;
 mod recorded;
+mod refusal;
 mod room;
+mod room_error;
 pub mod scene;
 mod scene_check;
 #[cfg(feature = "serve")]
 pub mod served;
+mod simulation;
 mod sounder;
 mod station;
 mod surfaces;
 pub mod toml_lines;
 mod turn_around;
 mod world;
+mod world_check;
 
 pub use air::MakeStation;
 pub use backend::Backend;
 pub use built_in::BUILT_IN;
-pub use dataset::{Capture, Log, write_dataset};
+pub use dataset::{WrittenCapture, WrittenLog, write_dataset};
 pub use faults::{Faults, Injected};
 pub use interface::{Interface, Seen};
 pub use odometer::Odometer;
 pub use port::Port;
-pub use recorded::Recorded;
+pub use recorded::{Recorded, RecordedError};
+pub use refusal::{SceneError, ScenePlace};
 pub use room::Room;
-pub use scene::{Scene, SceneError};
-pub use station::{Role, Station};
+pub use room_error::RoomError;
+pub use scene::Scene;
+pub use simulation::{SimulatedRobot, Simulation};
+pub use station::{FrameRole, Station};
 
 #[cfg(test)]
 mod dataset_tests;

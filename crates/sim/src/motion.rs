@@ -5,7 +5,7 @@ use super::maths::{heading, rad, turned};
 use super::random::Stream;
 use super::recorded::Recorded;
 use nalgebra::Vector3;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::f64::consts::TAU;
 
 /// Where a robot is and where it faces, in the scene's frame.
@@ -36,9 +36,9 @@ impl Pose {
 
 /// A motion as a scene states it. All but `waypoints`, `recorded` and `followed` begin at the robot's own position and heading,
 /// after `start_s` of rest, and end after `duration_s` of motion; then the robot rests.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Motion {
+pub enum RobotMotion {
     /// No motion.
     #[default]
     Static,
@@ -64,8 +64,8 @@ pub enum Motion {
     Followed(FollowedMotion),
 }
 
-/// See [`Motion::Line`].
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+/// See [`RobotMotion::Line`].
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Line {
     /// Length, metres.
@@ -77,8 +77,8 @@ pub struct Line {
     pub start_s: f64,
 }
 
-/// See [`Motion::Circle`].
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+/// See [`RobotMotion::Circle`].
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Circle {
     /// Radius, metres.
@@ -93,8 +93,8 @@ pub struct Circle {
     pub start_s: f64,
 }
 
-/// See [`Motion::Arc`].
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+/// See [`RobotMotion::Arc`].
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Arc {
     /// Radius, metres.
@@ -108,8 +108,8 @@ pub struct Arc {
     pub start_s: f64,
 }
 
-/// See [`Motion::Square`].
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+/// See [`RobotMotion::Square`].
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Square {
     /// Side, metres.
@@ -124,8 +124,8 @@ pub struct Square {
     pub start_s: f64,
 }
 
-/// See [`Motion::Helix`].
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+/// See [`RobotMotion::Helix`].
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Helix {
     /// Radius, metres.
@@ -142,8 +142,8 @@ pub struct Helix {
     pub start_s: f64,
 }
 
-/// See [`Motion::FigureEight`].
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+/// See [`RobotMotion::FigureEight`].
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct FigureEight {
     /// Radius of either circle, metres.
@@ -158,8 +158,8 @@ pub struct FigureEight {
     pub start_s: f64,
 }
 
-/// See [`Motion::RandomWalk`].
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+/// See [`RobotMotion::RandomWalk`].
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct RandomWalk {
     /// Speed, metres per second.
@@ -177,8 +177,8 @@ pub struct RandomWalk {
     pub start_s: f64,
 }
 
-/// See [`Motion::Waypoints`].
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+/// See [`RobotMotion::Waypoints`].
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Waypoints {
     /// Points in the scene's frame, metres, visited in order after the robot's own position.
@@ -190,8 +190,8 @@ pub struct Waypoints {
     pub start_s: f64,
 }
 
-/// See [`Motion::Recorded`].
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+/// See [`RobotMotion::Recorded`].
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecordedMotion {
     /// A trajectory CSV in any of the layouts that [`Recorded`] reads, relative to the scene's file.
@@ -212,8 +212,8 @@ fn ten() -> f64 {
     10.0
 }
 
-/// See [`Motion::Followed`]. The robot waits at its own position until the first pose comes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+/// See [`RobotMotion::Followed`]. The robot waits at its own position until the first pose comes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FollowedMotion {
     /// Where the origin of the poses' frame lies in the room, metres.
@@ -253,29 +253,31 @@ enum Shape {
 impl Track {
     /// Makes a motion ready. Random walks draw from `stream`; `recorded` is the file of a recorded one.
     #[must_use]
-    pub fn new(start: Pose, motion: &Motion, recorded: Option<Recorded>, stream: &mut Stream) -> Self {
+    pub fn new(start: Pose, motion: &RobotMotion, recorded: Option<Recorded>, stream: &mut Stream) -> Self {
         let (shape, start_s, duration_s) = match motion {
-            Motion::Static => (Shape::Still, 0.0, 0.0),
-            Motion::Line(m) => (Shape::Straight { length_m: m.length_m }, m.start_s, m.duration_s),
-            Motion::Circle(m) => (Shape::turning(m.radius_m, TAU * m.turns, 0.0), m.start_s, m.duration_s),
-            Motion::Arc(m) => (Shape::turning(m.radius_m, rad(m.angle_deg), 0.0), m.start_s, m.duration_s),
-            Motion::Helix(m) => {
+            RobotMotion::Static => (Shape::Still, 0.0, 0.0),
+            RobotMotion::Line(m) => (Shape::Straight { length_m: m.length_m }, m.start_s, m.duration_s),
+            RobotMotion::Circle(m) => (Shape::turning(m.radius_m, TAU * m.turns, 0.0), m.start_s, m.duration_s),
+            RobotMotion::Arc(m) => (Shape::turning(m.radius_m, rad(m.angle_deg), 0.0), m.start_s, m.duration_s),
+            RobotMotion::Helix(m) => {
                 (Shape::turning(m.radius_m, TAU * m.turns, m.rise_m * m.turns.abs()), m.start_s, m.duration_s)
             }
-            Motion::Square(m) => (Shape::Square { side_m: m.side_m, turns: m.turns }, m.start_s, m.duration_s),
-            Motion::FigureEight(m) => (Shape::Eight { radius_m: m.radius_m, turns: m.turns }, m.start_s, m.duration_s),
-            Motion::RandomWalk(m) => (Shape::Table(walk(start, m, stream)), m.start_s, m.duration_s),
-            Motion::Waypoints(m) => {
+            RobotMotion::Square(m) => (Shape::Square { side_m: m.side_m, turns: m.turns }, m.start_s, m.duration_s),
+            RobotMotion::FigureEight(m) => {
+                (Shape::Eight { radius_m: m.radius_m, turns: m.turns }, m.start_s, m.duration_s)
+            }
+            RobotMotion::RandomWalk(m) => (Shape::Table(walk(start, m, stream)), m.start_s, m.duration_s),
+            RobotMotion::Waypoints(m) => {
                 let table = legs(start, m);
                 let duration_s = table.duration_s();
                 (Shape::Table(table), m.start_s, duration_s)
             }
-            Motion::Recorded(m) => recorded.map_or((Shape::Still, 0.0, 0.0), |table| {
+            RobotMotion::Recorded(m) => recorded.map_or((Shape::Still, 0.0, 0.0), |table| {
                 let table = table.strayed(m.stray_m, m.stray_s);
                 let duration_s = table.duration_s();
                 (Shape::Table(table), m.start_s, duration_s)
             }),
-            Motion::Followed(m) => {
+            RobotMotion::Followed(m) => {
                 (Shape::Followed(std::sync::Arc::new(std::sync::Mutex::new(Way::new(start, m)))), 0.0, 0.0)
             }
         };

@@ -2,28 +2,28 @@ use super::*;
 use crate::random::Purpose;
 use proptest::prelude::*;
 
-fn track(motion: &Motion) -> Track {
+fn track(motion: &RobotMotion) -> Track {
     let start = Pose { position_m: Vector3::new(1.0, -2.0, 0.3), yaw_rad: 0.4 };
     Track::new(start, motion, None, &mut Stream::new(5, 0, Purpose::Walk))
 }
 
-fn all() -> Vec<Motion> {
+fn all() -> Vec<RobotMotion> {
     vec![
-        Motion::Static,
-        Motion::Line(Line { length_m: 1.885, duration_s: 10.0, start_s: 1.0 }),
-        Motion::Circle(Circle { radius_m: 0.3, duration_s: 10.0, turns: 1.0, start_s: 1.0 }),
-        Motion::Arc(Arc { radius_m: 0.4, angle_deg: -120.0, duration_s: 7.0, start_s: 1.0 }),
-        Motion::Square(Square { side_m: 0.5, duration_s: 8.0, turns: 1.0, start_s: 1.0 }),
-        Motion::Helix(Helix { radius_m: 0.2, rise_m: 0.1, duration_s: 9.0, turns: 3.0, start_s: 1.0 }),
-        Motion::FigureEight(FigureEight { radius_m: 0.2, duration_s: 8.0, turns: 1.0, start_s: 1.0 }),
-        Motion::RandomWalk(RandomWalk {
+        RobotMotion::Static,
+        RobotMotion::Line(Line { length_m: 1.885, duration_s: 10.0, start_s: 1.0 }),
+        RobotMotion::Circle(Circle { radius_m: 0.3, duration_s: 10.0, turns: 1.0, start_s: 1.0 }),
+        RobotMotion::Arc(Arc { radius_m: 0.4, angle_deg: -120.0, duration_s: 7.0, start_s: 1.0 }),
+        RobotMotion::Square(Square { side_m: 0.5, duration_s: 8.0, turns: 1.0, start_s: 1.0 }),
+        RobotMotion::Helix(Helix { radius_m: 0.2, rise_m: 0.1, duration_s: 9.0, turns: 3.0, start_s: 1.0 }),
+        RobotMotion::FigureEight(FigureEight { radius_m: 0.2, duration_s: 8.0, turns: 1.0, start_s: 1.0 }),
+        RobotMotion::RandomWalk(RandomWalk {
             speed_m_s: 0.2,
             turning_deg_s: 60.0,
             within_m: 0.5,
             duration_s: 10.0,
             start_s: 1.0,
         }),
-        Motion::Waypoints(Waypoints {
+        RobotMotion::Waypoints(Waypoints {
             points_m: vec![[2.0, -2.0, 0.3], [2.0, -1.0, 0.3]],
             speed_m_s: 0.2,
             start_s: 1.0,
@@ -38,37 +38,37 @@ fn every_motion_rests_starts_at_the_start_and_then_stays() {
         assert_eq!(t.at(0.0).position_m, t.at(1.0).position_m, "{motion:?} rests first");
         assert!((t.at(0.0).position_m - Vector3::new(1.0, -2.0, 0.3)).norm() < 1e-12, "{motion:?}");
         assert_eq!(t.at(100.0), t.at(1000.0), "{motion:?} rests afterwards");
-        assert_eq!(t.is_still(), motion == Motion::Static);
+        assert_eq!(t.is_still(), motion == RobotMotion::Static);
     }
 }
 
 #[test]
 fn closed_figures_close_and_go_where_they_say() {
-    let t = track(&Motion::Circle(Circle { radius_m: 0.3, duration_s: 10.0, turns: 1.0, start_s: 0.0 }));
+    let t = track(&RobotMotion::Circle(Circle { radius_m: 0.3, duration_s: 10.0, turns: 1.0, start_s: 0.0 }));
     let half = t.at(5.0);
     // To the left of the heading, one diameter away, facing back.
     let across = turned(Vector3::new(0.0, 0.6, 0.0), 0.4);
     assert!((half.position_m - t.at(0.0).position_m - across).norm() < 1e-12);
     assert!((half.yaw_rad - 0.4 - std::f64::consts::PI).abs() < 1e-12);
 
-    let t = track(&Motion::FigureEight(FigureEight { radius_m: 0.2, duration_s: 8.0, turns: 1.0, start_s: 0.0 }));
+    let t = track(&RobotMotion::FigureEight(FigureEight { radius_m: 0.2, duration_s: 8.0, turns: 1.0, start_s: 0.0 }));
     let (left, right) = (t.at(2.0).position_m, t.at(6.0).position_m);
     assert!((left - right).norm() > 0.79 && (t.at(4.0).position_m - t.at(0.0).position_m).norm() < 1e-12);
 
     for turns in [1.0, 2.0] {
-        let t = track(&Motion::Square(Square { side_m: 0.5, duration_s: 8.0, turns, start_s: 0.0 }));
+        let t = track(&RobotMotion::Square(Square { side_m: 0.5, duration_s: 8.0, turns, start_s: 0.0 }));
         assert!((t.at(8.0).position_m - t.at(0.0).position_m).norm() < 1e-12);
         let diagonal = t.at(4.0 / turns).position_m - t.at(0.0).position_m;
         assert!((diagonal.norm() - 0.5 * 2f64.sqrt()).abs() < 1e-12, "{diagonal}");
     }
 
-    let t = track(&Motion::Helix(Helix { radius_m: 0.2, rise_m: 0.1, duration_s: 9.0, turns: 3.0, start_s: 0.0 }));
+    let t = track(&RobotMotion::Helix(Helix { radius_m: 0.2, rise_m: 0.1, duration_s: 9.0, turns: 3.0, start_s: 0.0 }));
     assert!((t.at(9.0).position_m.z - 0.3 - 0.3).abs() < 1e-12);
 }
 
 #[test]
 fn a_right_hand_arc_goes_right() {
-    let arc = Motion::Arc(Arc { radius_m: 1.0, angle_deg: -90.0, duration_s: 1.0, start_s: 0.0 });
+    let arc = RobotMotion::Arc(Arc { radius_m: 1.0, angle_deg: -90.0, duration_s: 1.0, start_s: 0.0 });
     let start = Pose { position_m: Vector3::zeros(), yaw_rad: 0.0 };
     let t = Track::new(start, &arc, None, &mut Stream::new(0, 0, Purpose::Walk));
     assert!((t.at(1.0).position_m - Vector3::new(1.0, -1.0, 0.0)).norm() < 1e-12);
@@ -78,7 +78,7 @@ fn a_right_hand_arc_goes_right() {
 fn walks_keep_within_their_bounds_and_differ_by_seed() {
     let walk = RandomWalk { speed_m_s: 0.3, turning_deg_s: 90.0, within_m: 0.5, duration_s: 120.0, start_s: 0.0 };
     let start = Pose { position_m: Vector3::zeros(), yaw_rad: 0.0 };
-    let of = |seed| Track::new(start, &Motion::RandomWalk(walk), None, &mut Stream::new(seed, 0, Purpose::Walk));
+    let of = |seed| Track::new(start, &RobotMotion::RandomWalk(walk), None, &mut Stream::new(seed, 0, Purpose::Walk));
     let (a, b) = (of(1), of(2));
     let mut furthest: f64 = 0.0;
     for i in 0..12_000 {

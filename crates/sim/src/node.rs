@@ -3,7 +3,10 @@
 use super::faults::Injected;
 use super::radio::Away;
 use super::random::{Purpose, Stream};
-use super::station::{Role, Station};
+use super::station::{FrameRole, Station};
+use driver_iface::Mac;
+use driver_iface::mpdu::{self, Mpdu};
+use driver_iface::sounding::MAGIC_MAC;
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -20,8 +23,48 @@ pub struct Flight {
     pub instant_ns: i64,
     /// Modulation and coding scheme.
     pub mcs: u8,
-    /// The frame, without FCS.
-    pub bytes: Box<[u8]>,
+    /// The frame with its FCS.
+    pub bytes: FrameBytes,
+}
+
+/// A frame as it is on air, its FCS at the end.
+#[derive(Clone, Debug)]
+pub struct FrameBytes(Box<[u8]>);
+
+impl FrameBytes {
+    /// A frame to which the card appends the FCS.
+    pub fn new(frame: &[u8]) -> Self {
+        let mut bytes = Vec::with_capacity(frame.len() + mpdu::FCS);
+        bytes.extend_from_slice(frame);
+        bytes.extend_from_slice(&mpdu::crc32(frame).to_le_bytes());
+        Self(bytes.into())
+    }
+
+    /// All bytes.
+    pub fn with_fcs(&self) -> &[u8] {
+        &self.0
+    }
+
+    /// The bytes that a host hands to its card or gets from it.
+    pub fn without_fcs(&self) -> &[u8] {
+        self.0.split_last_chunk::<{ mpdu::FCS }>().map_or(&[], |(frame, _)| frame)
+    }
+
+    /// The fields of the header; `None` of a frame shorter than one.
+    pub fn mpdu(&self) -> Option<Mpdu<'_>> {
+        Mpdu::new_checked(&self.0).ok()
+    }
+
+    /// The number of a sounding frame, in both dialects.
+    pub fn number(&self) -> Option<u32> {
+        self.mpdu()?.sounding_counter()
+    }
+
+    /// Whether a card in monitor mode reports CSI of it: addresses 1 and 2 are the magic ones (iwlwifi dvm/sta.c,
+    /// csitool FAQ).
+    pub fn is_measured(&self) -> bool {
+        self.mpdu().is_some_and(|mpdu| [mpdu.addr1(), mpdu.addr2()] == [Mac(MAGIC_MAC); 2])
+    }
 }
 
 /// A frame that passed a robot's monitor interface.
@@ -47,7 +90,7 @@ pub struct Reception {
     /// What the card's clock shows, not wrapped.
     pub clock_us: u64,
     /// What the frame was to this robot.
-    pub role: Role,
+    pub role: FrameRole,
 }
 
 /// Which records of a robot somebody reads; nobody computes the others.
@@ -78,7 +121,7 @@ pub struct Node {
     /// The next time the station is asked.
     pub(super) armed_ns: Option<i64>,
     /// The frame heard last, while it is not answered.
-    pub(super) heard: Option<Heard>,
+    pub(super) heard: Option<FrameHeard>,
     /// Frames that the card is to send, in order.
     pub(super) outgoing: VecDeque<Outgoing>,
     /// When the first of them is tried.
@@ -98,13 +141,13 @@ pub struct Node {
 
 /// A frame heard.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Heard {
+pub(super) struct FrameHeard {
     pub(super) start_ns: i64,
     pub(super) end_ns: i64,
     pub(super) instant_ns: i64,
     /// How much the host's interrupt is away from the usual.
     pub(super) away_ns: i64,
-    pub(super) number: Option<[u8; 4]>,
+    pub(super) number: Option<u32>,
 }
 
 /// A frame in a card's queue.
@@ -113,7 +156,7 @@ pub(super) struct Outgoing {
     pub(super) not_before_ns: i64,
     pub(super) instant_ns: Option<i64>,
     pub(super) mcs: u8,
-    pub(super) bytes: Box<[u8]>,
+    pub(super) bytes: FrameBytes,
 }
 
 /// Frames that a monitor interface holds until they are fetched; the kernel's default holds about as many.

@@ -6,7 +6,7 @@ use super::node::{Flight, Listening, Reception};
 use super::radio::Radio;
 use super::receiver::{Arrival, Receiver};
 use super::scene::Driver;
-use super::station::Role;
+use super::station::FrameRole;
 use csi5300::source::{CsiSource, Error, Injector, Loss, Next, Stamps};
 use csi5300::time::Instant;
 use driver_iface::Mac;
@@ -46,7 +46,7 @@ pub struct Port {
 
 /// What was read; a record's body is in the port.
 enum Read {
-    Record(Stamps, u8, Role, usize),
+    Record(Stamps, u8, FrameRole, usize),
     Lost(Loss),
     Pending,
     End,
@@ -92,15 +92,15 @@ impl Port {
     ///
     /// # Errors
     /// As [`CsiSource::receive`].
-    pub fn receive_with_role(&mut self, now: Instant) -> Result<(Role, usize, Next<'_>), Error> {
+    pub fn receive_with_role(&mut self, now: Instant) -> Result<(FrameRole, usize, Next<'_>), Error> {
         let next = self.read(now)?;
         Ok(match next {
             Read::Record(stamps, code, role, from) => {
                 (role, from, Next::Record(stamps, Record { code, body: &self.body }))
             }
-            Read::Lost(loss) => (Role::Unknown, 0, Next::Lost(loss)),
-            Read::Pending => (Role::Unknown, 0, Next::Pending),
-            Read::End => (Role::Unknown, 0, Next::End(Tail::Clean)),
+            Read::Lost(loss) => (FrameRole::Unknown, 0, Next::Lost(loss)),
+            Read::Pending => (FrameRole::Unknown, 0, Next::Pending),
+            Read::End => (FrameRole::Unknown, 0, Next::End(Tail::Clean)),
         })
     }
 
@@ -164,10 +164,8 @@ impl Port {
 
     /// Writes the 0xC1 of a reception: the frame and its FCS.
     fn write_mpdu(&mut self, reception: &Reception) {
-        let bytes = &reception.flight.bytes;
         self.body.clear();
-        self.body.extend_from_slice(bytes);
-        self.body.extend_from_slice(&mpdu::crc32(bytes).to_le_bytes());
+        self.body.extend_from_slice(reception.flight.bytes.with_fcs());
     }
 
     /// Measures a reception and writes its 0xBB. False if there is nothing to measure.
@@ -201,11 +199,9 @@ impl Port {
 
     /// What the WSR driver adds: host time, and MAC and number of the last frame long enough to have them.
     fn wsr(&mut self, host_us: i64, flight: &Flight) -> Wsr {
-        let addr3 = flight.bytes.get(mpdu::offset::ADDR3..).and_then(|b| b.first_chunk());
-        let number = flight.bytes.get(mpdu::HEADER..).and_then(|b| b.first_chunk());
-        if let (Some(&mac), Some(&number)) = (addr3, number) {
-            let number = u32::from_be_bytes(number);
-            self.last = (if number == 0 { Mac::ZERO } else { Mac(mac) }, number);
+        let mpdu = flight.bytes.mpdu();
+        if let Some((mpdu, number)) = mpdu.and_then(|mpdu| Some((mpdu, mpdu.sounding_counter()?))) {
+            self.last = (if number == 0 { Mac::ZERO } else { mpdu.addr3() }, number);
         }
         Wsr {
             tv_sec: host_us.div_euclid(1_000_000) as u32,

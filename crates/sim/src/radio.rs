@@ -3,11 +3,11 @@
 use super::carrier::TONES;
 use super::maths::amplitude;
 use super::random::Stream;
-pub use super::turn_around::{Away, Group, TurnAround};
-use serde::Deserialize;
+pub use super::turn_around::{Away, DelayGroup, TurnAround};
+use serde::{Deserialize, Serialize};
 
 /// A radio.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Radio {
     /// White noise.
@@ -47,7 +47,7 @@ pub struct Radio {
     /// 70, and [`Radio::send_delay`].
     pub send_jitter_us: f64,
     /// Frames that leave later still, because the sender's host was busy elsewhere. Real captures: one in 14 to 22, 240 to 280 us.
-    pub send_delay: Group,
+    pub send_delay: DelayGroup,
     /// From the end of a frame to its record on the host, microseconds: mean.
     pub host_latency_us: f64,
     /// The same, standard deviation. Never less than a tenth of the mean.
@@ -72,7 +72,7 @@ impl Default for Radio {
             mcs: 0,
             turn_around: TurnAround::default(),
             send_jitter_us: 0.0,
-            send_delay: Group::default(),
+            send_delay: DelayGroup::default(),
             host_latency_us: 100.0,
             host_latency_std_us: 0.0,
         }
@@ -80,7 +80,7 @@ impl Default for Radio {
 }
 
 /// White Gaussian noise on every coefficient.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Noise {
     /// None.
@@ -93,7 +93,7 @@ pub enum Noise {
 }
 
 /// How coefficients become integers.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Gain {
     /// The same for every record.
@@ -109,7 +109,7 @@ impl Default for Gain {
 }
 
 /// See [`Gain::Fixed`].
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct FixedGain {
     /// Size of a coefficient at a distance of 1 m in free space, in steps of the converter. The paper's circles: 256.
@@ -120,7 +120,7 @@ pub struct FixedGain {
 }
 
 /// See [`Gain::Agc`]. The defaults are steady versions of what real captures show.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Agc {
     /// Root mean square of the strongest antenna's coefficients, in steps of the converter. Real captures: 31.
@@ -140,7 +140,7 @@ impl Default for Agc {
 }
 
 /// A chain without an antenna: crosstalk and noise.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Stray {
     /// Root mean square of its coefficients, in steps of the converter.
@@ -152,7 +152,7 @@ pub struct Stray {
 }
 
 /// The order of the chains in a record (`antenna_sel`).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[doc(alias = "antenna_sel")]
 pub enum AntennaOrder {
@@ -170,7 +170,7 @@ impl Radio {
         if self.send_jitter_us != 0.0 {
             us -= self.send_jitter_us * libm::log(1.0 - stream.uniform());
         }
-        let Group { share, us: delay_us, spread_us } = self.send_delay;
+        let DelayGroup { share, us: delay_us, spread_us } = self.send_delay;
         if stream.happens(share) {
             us += (delay_us + stream.spread(spread_us)).max(0.0);
         }
@@ -218,7 +218,7 @@ mod tests {
 
     #[test]
     fn frames_leave_late_as_stated() {
-        let send_delay = Group { share: 0.1, us: 300.0, spread_us: 10.0 };
+        let send_delay = DelayGroup { share: 0.1, us: 300.0, spread_us: 10.0 };
         let radio = Radio { send_jitter_us: 50.0, send_delay, ..Radio::default() };
         let mut stream = Stream::new(1, 0, Purpose::Timing);
         let late: Vec<f64> = (0..50_000).map(|_| radio.send_jitter_ns(&mut stream) as f64 * 1e-3).collect();

@@ -9,7 +9,7 @@ use std::sync::OnceLock;
 
 /// What a stream of random numbers is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Purpose {
+pub(crate) enum Purpose {
     /// Receiver noise and everything else inside one record.
     Radio,
     /// Send jitter, turn-around, host latency.
@@ -34,10 +34,21 @@ pub struct Stream {
 impl Stream {
     /// The stream of robot number `robot` for one purpose, under a scene's seed.
     #[must_use]
-    pub fn new(seed: u64, robot: usize, purpose: Purpose) -> Self {
+    pub(crate) fn new(seed: u64, robot: usize, purpose: Purpose) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
         rng.set_stream(((robot as u64) << 8) | purpose as u64);
         Self { rng, ziggurat: Ziggurat::get() }
+    }
+
+    /// A stream for whatever is no robot's, under a seed.
+    #[must_use]
+    pub fn of_seed(seed: u64) -> Self {
+        Self { rng: ChaCha8Rng::seed_from_u64(seed), ziggurat: Ziggurat::get() }
+    }
+
+    /// Uniform from `low` to below `high`.
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.uniform()
     }
 
     /// Uniform in [0, 1).

@@ -5,7 +5,7 @@ use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::Trajectory;
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Poses over time, interpolated linearly; at rest before the first row and after the last.
 #[derive(Clone, Debug, PartialEq)]
@@ -13,6 +13,29 @@ pub struct Recorded {
     /// Seconds since the first row, never falling.
     t_s: Vec<f64>,
     poses: Vec<Pose>,
+}
+
+/// Why a trajectory file is no motion.
+#[derive(Debug, thiserror::Error)]
+pub enum RecordedError {
+    /// It cannot be read.
+    #[error("trajectory {}: {source}", file.display())]
+    Csv {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        source: csv::CsvError,
+    },
+    /// A row is none.
+    #[error("trajectory {}, line {line}: {reason}", file.display())]
+    Row {
+        /// The file.
+        file: PathBuf,
+        /// Its line.
+        line: u64,
+        /// What is wrong with it.
+        reason: String,
+    },
 }
 
 impl Recorded {
@@ -28,11 +51,12 @@ impl Recorded {
     /// Reads a trajectory file, see [`csi5300::motion::odometry::csv`]. Where it has no headings the robot faces where it goes.
     ///
     /// # Errors
-    /// A sentence with the file's name; rows that cannot be read are an error here, since a scene must be exact.
-    pub fn load(file: &Path) -> Result<Self, String> {
-        let (trajectory, counts) = csv::read(file).map_err(|e| format!("trajectory {}: {e}", file.display()))?;
-        if let Some((line, why)) = counts.first_bad {
-            return Err(format!("trajectory {}, line {line}: {why}", file.display()));
+    /// Rows that cannot be read are an error here, since a scene must be exact.
+    pub fn load(file: &Path) -> Result<Self, RecordedError> {
+        let (trajectory, counts) =
+            csv::read(file).map_err(|source| RecordedError::Csv { file: file.to_owned(), source })?;
+        if let Some((line, reason)) = counts.first_bad {
+            return Err(RecordedError::Row { file: file.to_owned(), line, reason: reason.to_string() });
         }
         Ok(Self::from_trajectory(&trajectory))
     }
@@ -124,7 +148,7 @@ mod tests {
         let (six, _) = csv::parse("10.0,0,1,2,3,0.5,\n11.0,0,1,2,3,0.5,\n".as_bytes()).unwrap();
         let six = Recorded::from_trajectory(&six);
         assert_eq!(six.at(99.0), Pose { position_m: Vector3::new(1.0, 2.0, 3.0), yaw_rad: 0.5 });
-        assert!(Recorded::load(Path::new("no such file.csv")).unwrap_err().contains("no such file.csv"));
+        assert!(Recorded::load(Path::new("no such file.csv")).unwrap_err().to_string().contains("no such file.csv"));
     }
 
     #[test]

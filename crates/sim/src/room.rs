@@ -7,12 +7,13 @@ use super::interface::Interface;
 use super::motion::Pose;
 use super::odometer::Odometer;
 use super::port::{Port, ceil_us, host_us, lock};
+use super::room_error::RoomError;
 use super::scene::Scene;
 use super::sounder::sounder;
 use super::station::Station;
 use super::world::World;
+use super::world_check::check;
 use csi5300::motion::odometry::OdometrySource;
-use csi5300::source::Error;
 use csi5300::time::Instant;
 use driver_iface::Mac;
 use std::sync::{Arc, Mutex};
@@ -33,11 +34,12 @@ impl Room {
     /// `sounding` in the scene it is [`Room::quiet`].
     ///
     /// # Errors
-    /// [`Error::Input`] when a trajectory file cannot be read, or the sounding does not fit.
-    pub fn new(scene: &Scene) -> Result<Self, Error> {
-        let world = Arc::new(World::new(scene).map_err(Error::Input)?);
+    /// [`RoomError::Scene`] when a value of the scene makes no sense, a trajectory file cannot be read, the sounding does
+    /// not fit, or a robot is inside a wall; [`RoomError::Sounding`] when there is no sender for the scene's sounding.
+    pub fn new(scene: &Scene) -> Result<Self, RoomError> {
+        let world = Self::checked(scene)?;
         // All that can fail does so for the first robot already.
-        sounder(&world, 0, 0, Instant::ZERO).map_err(|e| Error::Input(e.to_string()))?;
+        sounder(&world, 0, 0, Instant::ZERO)?;
         let stations = Arc::clone(&world);
         let make = move |robot, restarts, now| {
             let sounder = sounder(&stations, robot, restarts, now).ok().flatten()?;
@@ -50,17 +52,23 @@ impl Room {
     /// `ack_len` answers). The scene's `sounding` is left to whoever injects.
     ///
     /// # Errors
-    /// [`Error::Input`] when a trajectory file cannot be read.
-    pub fn quiet(scene: &Scene) -> Result<Self, Error> {
+    /// [`RoomError::Scene`] as [`Room::new`].
+    pub fn quiet(scene: &Scene) -> Result<Self, RoomError> {
         Self::with_stations(scene, Box::new(|_, _, _| None))
     }
 
     /// A room with senders of its own; `make` is asked for one for each robot, and again after each restart.
     ///
     /// # Errors
-    /// [`Error::Input`] when a trajectory file cannot be read.
-    pub fn with_stations(scene: &Scene, make: MakeStation) -> Result<Self, Error> {
-        Ok(Self::in_world(Arc::new(World::new(scene).map_err(Error::Input)?), make))
+    /// [`RoomError::Scene`] as [`Room::new`].
+    pub fn with_stations(scene: &Scene, make: MakeStation) -> Result<Self, RoomError> {
+        Ok(Self::in_world(Self::checked(scene)?, make))
+    }
+
+    fn checked(scene: &Scene) -> Result<Arc<World>, RoomError> {
+        let world = World::new(scene)?;
+        check(&world)?;
+        Ok(Arc::new(world))
     }
 
     fn in_world(world: Arc<World>, make: MakeStation) -> Self {
@@ -118,16 +126,14 @@ impl Room {
     /// be `followed`. What the robot's odometry gives is where the room has it, so that poses and records agree.
     ///
     /// # Errors
-    /// [`Error::Input`] when there is no such robot, it has another motion, or it follows a source already.
-    pub fn follow(&mut self, robot: usize, source: Box<dyn OdometrySource + Send>) -> Result<(), Error> {
-        let name = self.scene().robot.get(robot).map_or("?", |robot| robot.name.as_str()).to_owned();
-        let way = self.world.way(robot).ok_or_else(|| {
-            Error::Input(format!("robot `{name}` follows no poses: its motion in the scene is not `followed`"))
-        })?;
+    /// [`RoomError::NotFollowed`] when there is no such robot or it has another motion, [`RoomError::FollowsAlready`].
+    pub fn follow(&mut self, robot: usize, source: Box<dyn OdometrySource + Send>) -> Result<(), RoomError> {
+        let name = || self.scene().robot.get(robot).map_or("?", |robot| robot.name.as_str()).to_owned();
+        let way = self.world.way(robot).ok_or_else(|| RoomError::NotFollowed { robot: name() })?;
         if lock(&self.air).follow(Follower::new(robot, Arc::clone(way), source)) {
             Ok(())
         } else {
-            Err(Error::Input(format!("robot `{name}` follows a source already")))
+            Err(RoomError::FollowsAlready { robot: name() })
         }
     }
 

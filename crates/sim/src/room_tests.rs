@@ -29,8 +29,8 @@ struct Beacon {
 }
 
 impl Station for Beacon {
-    fn heard(&mut self, _: Instant, _: &[u8]) -> Role {
-        Role::Unknown
+    fn heard(&mut self, _: Instant, _: &[u8]) -> FrameRole {
+        FrameRole::Unknown
     }
 
     fn transmit(&mut self, now: Instant, out: &mut Vec<u8>) -> bool {

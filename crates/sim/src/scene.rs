@@ -4,17 +4,16 @@
 
 use super::crystal::Crystal;
 use super::faults::Faults;
-use super::motion::{Motion, Pose};
+use super::motion::{Pose, RobotMotion};
 use super::radio::Radio;
-use super::recorded::Recorded;
+use super::refusal::SceneError;
 use super::toml_lines::line_of;
 use driver_iface::Mac;
 use nalgebra::Vector3;
-use serde::Deserialize;
-use std::path::Path;
+use serde::{Deserialize, Serialize};
 
 /// A room, its robots and what they do.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Scene {
     /// A name for reports.
@@ -32,18 +31,24 @@ pub struct Scene {
     /// Highest number of reflections of a path.
     pub reflections: u8,
     /// What the carriers' offsets are made of.
+    #[serde(skip_serializing_if = "is_default")]
     pub cfo: Cfo,
     /// The layout of the records: what driver the robots have.
+    #[serde(skip_serializing_if = "is_default")]
     pub driver: Driver,
     /// Who sounds whom, and how often.
     pub sounding: Option<Sounding>,
     /// The radios of all robots that state none of their own.
+    #[serde(skip_serializing_if = "is_default")]
     pub radio: Radio,
     /// The robots.
+    #[serde(skip_serializing_if = "is_default")]
     pub robot: Vec<Robot>,
     /// Upright walls.
+    #[serde(skip_serializing_if = "is_default")]
     pub wall: Vec<Wall>,
     /// Flat reflectors of any orientation: floors, ceilings, cupboards.
+    #[serde(skip_serializing_if = "is_default")]
     pub reflector: Vec<Reflector>,
 }
 
@@ -69,7 +74,7 @@ impl Default for Scene {
 }
 
 /// Carrier frequency offset.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[doc(alias = "CFO")]
 pub enum Cfo {
@@ -87,7 +92,7 @@ pub enum Cfo {
 /// With the paper's values it swings by `c1 c2` = 2 MHz, which no crystal does: at true frame times the two
 /// directions would have nothing in common. So, as in the paper, both are evaluated at one instant, the forward
 /// frame's, but for a uniformly distributed difference of at most `jitter_ns` either way.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PaperCfo {
     /// Constant part, Hz.
@@ -107,7 +112,7 @@ impl Default for PaperCfo {
 }
 
 /// The driver that the robots' cards have.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Driver {
     /// The WSR toolbox's: records carry host time, MAC and frame number.
@@ -118,7 +123,7 @@ pub enum Driver {
 }
 
 /// The sounding exchange that the room itself runs.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Sounding {
     /// Rounds per second; a round is one forward and one backward frame with every other robot. `inf` is the highest
@@ -139,7 +144,7 @@ impl Default for Sounding {
 }
 
 /// The dialect of sounding frames.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Dialect {
     /// The WSR toolbox's: robots told apart by frame length.
@@ -150,7 +155,7 @@ pub enum Dialect {
 }
 
 /// One robot.
-#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Robot {
     /// Its name, in file names too.
@@ -168,18 +173,24 @@ pub struct Robot {
     /// Antenna C, if connected.
     pub antenna_c_m: Option<[f64; 3]>,
     /// How strongly its antennas send and receive, by direction.
+    #[serde(skip_serializing_if = "is_default")]
     pub pattern: Pattern,
     /// How it moves.
-    pub motion: Motion,
+    #[serde(skip_serializing_if = "is_default")]
+    pub motion: RobotMotion,
     /// Its card's crystal.
+    #[serde(skip_serializing_if = "is_default")]
     pub crystal: Crystal,
     /// Its host's clock.
+    #[serde(skip_serializing_if = "is_default")]
     pub host_clock: HostClock,
     /// Its radio, where it differs from the scene's; replaces all of it.
     pub radio: Option<Radio>,
     /// What goes wrong with it.
+    #[serde(skip_serializing_if = "is_default")]
     pub faults: Faults,
     /// Its odometry.
+    #[serde(skip_serializing_if = "is_default")]
     pub odometry: Odometry,
     /// Frames of exactly this many bytes (with FCS) are answered by the card's driver, as the WSR driver's module
     /// parameter of this name does. For rooms whose frames come from outside.
@@ -188,7 +199,7 @@ pub struct Robot {
 
 /// The antennas' gain towards the other robot, dB, by its azimuth `a` in this robot's frame (0 ahead, to the left positive):
 /// `cos_db cos a + sin_db sin a + cos2_db cos 2a + sin2_db sin 2a`. Reflections arrive with the gain of the straight way.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Pattern {
     /// More ahead than behind.
@@ -211,7 +222,7 @@ impl Pattern {
 }
 
 /// A host's wall clock: `true time + offset + drift`.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HostClock {
     /// Seconds ahead of true time.
@@ -221,7 +232,7 @@ pub struct HostClock {
 }
 
 /// Odometry as a sensor. The default is perfect, at 100 Hz.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Odometry {
     /// Poses per second.
@@ -261,7 +272,7 @@ impl Default for Odometry {
 }
 
 /// An upright wall.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Wall {
     /// One end on the floor, metres.
@@ -285,7 +296,7 @@ pub struct Wall {
 }
 
 /// A flat parallelogram.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Reflector {
     /// A corner, metres.
@@ -313,59 +324,31 @@ fn plaster() -> f64 {
     6.0
 }
 
-/// Why a scene was refused: where, and the reason.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub struct SceneError {
-    /// Line in the TOML text, from 1, where there is a text.
-    pub line: Option<usize>,
-    /// What is wrong, and what would be right.
-    pub reason: String,
-}
-
-impl std::fmt::Display for SceneError {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self.line {
-            Some(line) => write!(f, "line {line}: {}", self.reason),
-            None => f.write_str(&self.reason),
-        }
-    }
+/// Left out of a written scene: what would be read the same without it.
+fn is_default<T: Default + PartialEq>(value: &T) -> bool {
+    *value == T::default()
 }
 
 impl Scene {
-    /// Reads and checks a scene's text. Trajectory files are relative to the current folder.
+    /// Reads a scene's text into values. Their sense is checked when they become a room; trajectory files are as the text
+    /// names them.
     ///
     /// # Errors
-    /// [`SceneError`] with the line and the reason: unknown keys, values out of range, robots inside walls, ...
-    pub fn from_toml(text: &str) -> Result<Self, SceneError> {
-        Self::read(text, Path::new(""))
-    }
-
-    /// Reads and checks a scene's text; trajectory files in it are relative to `folder`.
-    ///
-    /// # Errors
-    /// As [`Scene::from_toml`].
-    pub fn read(text: &str, folder: &Path) -> Result<Self, SceneError> {
-        let mut scene: Self = toml::from_str(text).map_err(|error| SceneError {
+    /// [`SceneError::Toml`] with the line: no TOML, an unknown key, a value of another kind.
+    pub fn parse(text: &str) -> Result<Self, SceneError> {
+        toml::from_str(text).map_err(|error| SceneError::Toml {
             line: error.span().map(|span| line_of(text, span.start)),
             reason: error.message().to_owned(),
-        })?;
-        for robot in &mut scene.robot {
-            if let Motion::Recorded(motion) = &mut robot.motion {
-                motion.file = folder.join(&motion.file);
-            }
-        }
-        scene.check().map_err(|problem| problem.locate(text))?;
-        Ok(scene)
+        })
     }
 
-    /// Reads and checks a scene file.
+    /// The scene as TOML that [`Scene::parse`] reads into the same scene. What is as by default is left out where it is a
+    /// table of its own.
     ///
     /// # Errors
-    /// As [`Scene::from_toml`], and when the file cannot be read.
-    pub fn load(file: &Path) -> Result<Self, SceneError> {
-        let text = std::fs::read_to_string(file)
-            .map_err(|e| SceneError { line: None, reason: format!("cannot read {}: {e}", file.display()) })?;
-        Self::read(&text, file.parent().unwrap_or(Path::new("")))
+    /// [`SceneError::Unwritable`] if a value has no text, as the path of a trajectory that is not UTF-8.
+    pub fn to_toml(&self) -> Result<String, SceneError> {
+        toml::to_string(self).map_err(|error| SceneError::Unwritable { reason: error.to_string() })
     }
 
     /// The radio of a robot.
@@ -381,6 +364,15 @@ impl Scene {
         let numbers: Vec<usize> =
             named.iter().filter_map(|name| self.robot.iter().position(|r| r.name == *name)).collect();
         if numbers.is_empty() { vec![0] } else { numbers }
+    }
+}
+
+impl Wall {
+    /// A wall from the floor to 2.5 m, 10 cm thick, that takes 6 dB off a reflection and lets nothing through; ends in metres.
+    #[must_use]
+    pub fn between(from_m: [f64; 2], to_m: [f64; 2]) -> Self {
+        let (top_m, thickness_m, loss_db) = (storey(), thickness(), plaster());
+        Self { from_m, to_m, bottom_m: 0.0, top_m, thickness_m, loss_db, through_db: None }
     }
 }
 
@@ -400,13 +392,8 @@ impl Robot {
             None => Some(Mac([0x02, 0x53, 0, 0, (number >> 8) as u8, number as u8])),
         }
     }
-
-    /// The trajectory file of a recorded motion.
-    ///
-    /// # Errors
-    /// A sentence with the file's name.
-    pub fn recorded(&self) -> Result<Option<Recorded>, String> {
-        let Motion::Recorded(motion) = &self.motion else { return Ok(None) };
-        Recorded::load(&motion.file).map(Some)
-    }
 }
+
+#[cfg(test)]
+#[path = "scene_written_tests.rs"]
+mod tests;

@@ -1,73 +1,16 @@
-//! The refusal of bad scenes, with the line and the reason.
+//! The refusal of scenes whose values make no sense.
 
 use super::carrier::Carrier;
 use super::faults::Faults;
-use super::motion::Motion;
+use super::motion::RobotMotion;
 use super::radio::{Gain, Noise, Radio};
-use super::scene::{Dialect, Odometry, Pattern, Robot, Scene, SceneError};
-use super::sounder::request;
-use super::toml_lines::{Step, TomlLines};
-use super::world::{World, surfaces};
+use super::refusal::{Checked, Problem, ensure, finite, not_negative, positive, share};
+use super::scene::{Dialect, Odometry, Pattern, Robot, Scene};
 use nalgebra::Vector3;
 
-/// What is wrong, and where in the document.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Problem {
-    at: Vec<Step<'static>>,
-    reason: String,
-}
-
-type Checked = Result<(), Problem>;
-
-impl Problem {
-    fn new(reason: impl Into<String>) -> Self {
-        Self { at: Vec::new(), reason: reason.into() }
-    }
-
-    /// The same problem, one level further out.
-    fn within(mut self, step: Step<'static>) -> Self {
-        self.at.insert(0, step);
-        self
-    }
-
-    fn key(self, key: &'static str) -> Self {
-        self.within(Step::Key(key))
-    }
-
-    /// Finds the line of the problem.
-    pub(super) fn locate(self, text: &str) -> SceneError {
-        SceneError { line: TomlLines::new(text).line(&self.at), reason: self.reason }
-    }
-}
-
-/// Refuses a value unless `ok`.
-fn ensure(ok: bool, key: &'static str, reason: impl FnOnce() -> String) -> Checked {
-    if ok { Ok(()) } else { Err(Problem::new(format!("{key} {}", reason())).key(key)) }
-}
-
-/// Refuses values that are negative or not finite.
-fn not_negative(key: &'static str, value: f64) -> Checked {
-    ensure(value >= 0.0 && value.is_finite(), key, || format!("is {value}; it must be a number of at least 0"))
-}
-
-/// Refuses values that are not positive and finite.
-fn positive(key: &'static str, value: f64) -> Checked {
-    ensure(value > 0.0 && value.is_finite(), key, || format!("is {value}; it must be more than 0"))
-}
-
-/// Refuses what is no share.
-fn share(key: &'static str, value: f64) -> Checked {
-    ensure((0.0..=1.0).contains(&value), key, || format!("is {value}; it is a share, from 0 to 1"))
-}
-
-/// Refuses what is no finite number.
-fn finite(key: &'static str, values: &[f64]) -> Checked {
-    ensure(values.iter().all(|v| v.is_finite()), key, || "must be finite numbers".to_owned())
-}
-
 impl Scene {
-    /// Checks everything that the types do not.
-    pub(super) fn check(&self) -> Result<(), Problem> {
+    /// Checks every value by itself and beside its neighbours; what needs the world is checked with it.
+    pub(crate) fn check_values(&self) -> Checked {
         positive("duration_s", self.duration_s)?;
         ensure(matches!(self.bandwidth_mhz, 20 | 40), "bandwidth_mhz", || {
             format!("is {}; the card has 20 and 40", self.bandwidth_mhz)
@@ -87,13 +30,12 @@ impl Scene {
             let within = |p: Problem| {
                 let name = if robot.name.is_empty() { format!("robot {}", number + 1) } else { robot.name.clone() };
                 let reason = format!("{name}: {}", p.reason);
-                Problem { reason, ..p }.within(Step::Index(number)).key("robot")
+                p.because(reason).item("robot", number)
             };
             self.check_robot(number, robot).map_err(within)?;
         }
         self.check_sounding()?;
-        self.check_surfaces()?;
-        self.check_ways()
+        self.check_surfaces()
     }
 
     fn check_robot(&self, number: usize, robot: &Robot) -> Checked {
@@ -150,7 +92,6 @@ impl Scene {
             }
             let takes_turns = sounding.dialect == Dialect::Native || sounding.initiators.len() <= 1;
             ensure(takes_turns, "initiators", || "take turns, which only the native dialect knows".to_owned())?;
-            request(self, sounding).map_err(|e| Problem::new(e.to_string()).key("rate_hz"))?;
             Ok(())
         };
         check().map_err(|p: Problem| p.key("sounding"))
@@ -166,7 +107,7 @@ impl Scene {
                 not_negative("thickness_m", wall.thickness_m)?;
                 check_losses(wall.loss_db, wall.through_db)
             };
-            check().map_err(|p: Problem| p.within(Step::Index(index)).key("wall"))?;
+            check().map_err(|p: Problem| p.item("wall", index))?;
         }
         for (index, panel) in self.reflector.iter().enumerate() {
             let check = || {
@@ -175,43 +116,7 @@ impl Scene {
                 ensure(area > 1e-6, "edge_b_m", || "spans no area with edge_a_m".to_owned())?;
                 check_losses(panel.loss_db, panel.through_db)
             };
-            check().map_err(|p: Problem| p.within(Step::Index(index)).key("reflector"))?;
-        }
-        Ok(())
-    }
-
-    /// Robots neither begin inside walls nor drive into or through them, and never share a place.
-    fn check_ways(&self) -> Checked {
-        let robot = |index: usize, p: Problem| p.within(Step::Index(index)).key("robot");
-        let world = World::new(self).map_err(|reason| Problem::new(reason).key("robot"))?;
-        let walls = surfaces(self).unwrap_or_default();
-        let steps = (self.duration_s / 0.05).ceil().min(20_000.0) as usize;
-        for (index, state) in self.robot.iter().enumerate() {
-            let steps = if world.is_still(index) || walls.is_empty() { 0 } else { steps };
-            let mut before = world.pose(index, 0.0).position_m;
-            for step in 0..=steps {
-                let t_s = if steps == 0 { 0.0 } else { self.duration_s * step as f64 / steps as f64 };
-                let here = world.pose(index, t_s).position_m;
-                for (wall, surface) in self.wall.iter().zip(&walls) {
-                    let inside = surface.distance_m(here) <= 0.5 * wall.thickness_m;
-                    if inside || surface.separates(before, here) {
-                        let when = if step == 0 { "is".to_owned() } else { format!("drives, after {t_s:.1} s,") };
-                        let [x0, y0] = wall.from_m;
-                        let [x1, y1] = wall.to_m;
-                        let reason = format!("{} {when} inside the wall from ({x0}, {y0}) to ({x1}, {y1})", state.name);
-                        let key = if step == 0 { "position_m" } else { "motion" };
-                        return Err(robot(index, Problem::new(reason).key(key)));
-                    }
-                }
-                before = here;
-            }
-            for other in 0..index {
-                let apart = world.pose(index, 0.0).position_m - world.pose(other, 0.0).position_m;
-                if apart.norm() < 0.01 {
-                    let reason = format!("{} is where {} is", state.name, self.robot[other].name);
-                    return Err(robot(index, Problem::new(reason).key("position_m")));
-                }
-            }
+            check().map_err(|p: Problem| p.item("reflector", index))?;
         }
         Ok(())
     }
@@ -222,7 +127,7 @@ fn check_losses(loss_db: f64, through_db: Option<f64>) -> Checked {
     through_db.map_or(Ok(()), |db| not_negative("through_db", db))
 }
 
-fn check_motion(motion: &Motion) -> Checked {
+fn check_motion(motion: &RobotMotion) -> Checked {
     let timed = |kind: &'static str, size: (&'static str, f64), duration_s: f64, start_s: f64| {
         let check = || {
             not_negative(size.0, size.1)?;
@@ -232,18 +137,18 @@ fn check_motion(motion: &Motion) -> Checked {
         check().map_err(|p: Problem| p.key(kind))
     };
     match motion {
-        Motion::Static => Ok(()),
-        Motion::Line(m) => timed("line", ("length_m", m.length_m), m.duration_s, m.start_s),
-        Motion::Circle(m) => timed("circle", ("radius_m", m.radius_m), m.duration_s, m.start_s),
-        Motion::Arc(m) => timed("arc", ("radius_m", m.radius_m), m.duration_s, m.start_s),
-        Motion::Square(m) => timed("square", ("side_m", m.side_m), m.duration_s, m.start_s),
-        Motion::Helix(m) => timed("helix", ("radius_m", m.radius_m), m.duration_s, m.start_s),
-        Motion::FigureEight(m) => timed("figure_eight", ("radius_m", m.radius_m), m.duration_s, m.start_s),
-        Motion::RandomWalk(m) => {
+        RobotMotion::Static => Ok(()),
+        RobotMotion::Line(m) => timed("line", ("length_m", m.length_m), m.duration_s, m.start_s),
+        RobotMotion::Circle(m) => timed("circle", ("radius_m", m.radius_m), m.duration_s, m.start_s),
+        RobotMotion::Arc(m) => timed("arc", ("radius_m", m.radius_m), m.duration_s, m.start_s),
+        RobotMotion::Square(m) => timed("square", ("side_m", m.side_m), m.duration_s, m.start_s),
+        RobotMotion::Helix(m) => timed("helix", ("radius_m", m.radius_m), m.duration_s, m.start_s),
+        RobotMotion::FigureEight(m) => timed("figure_eight", ("radius_m", m.radius_m), m.duration_s, m.start_s),
+        RobotMotion::RandomWalk(m) => {
             positive("within_m", m.within_m).map_err(|p| p.key("random_walk"))?;
             timed("random_walk", ("speed_m_s", m.speed_m_s), m.duration_s, m.start_s)
         }
-        Motion::Waypoints(m) => {
+        RobotMotion::Waypoints(m) => {
             let check = || {
                 positive("speed_m_s", m.speed_m_s)?;
                 not_negative("start_s", m.start_s)?;
@@ -252,7 +157,7 @@ fn check_motion(motion: &Motion) -> Checked {
             };
             check().map_err(|p: Problem| p.key("waypoints"))
         }
-        Motion::Recorded(m) => {
+        RobotMotion::Recorded(m) => {
             let check = || {
                 not_negative("start_s", m.start_s)?;
                 not_negative("stray_m", m.stray_m)?;
@@ -260,7 +165,7 @@ fn check_motion(motion: &Motion) -> Checked {
             };
             check().map_err(|p: Problem| p.key("recorded"))
         }
-        Motion::Followed(m) => {
+        RobotMotion::Followed(m) => {
             let check = || finite("origin_m", &m.origin_m).and_then(|()| finite("origin_yaw_deg", &[m.origin_yaw_deg]));
             check().map_err(|p: Problem| p.key("followed"))
         }
@@ -342,7 +247,3 @@ fn check_odometry(odometry: &Odometry) -> Checked {
     share("late", odometry.late)?;
     not_negative("late_s", odometry.late_s)
 }
-
-#[cfg(test)]
-#[path = "scene_tests.rs"]
-mod tests;

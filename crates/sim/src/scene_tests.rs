@@ -23,7 +23,7 @@ fn good() -> String {
 
 fn refused(text: &str) -> (usize, String) {
     let error = Scene::from_toml(text).unwrap_err();
-    (error.line.unwrap_or_else(|| panic!("no line: {error}")), error.reason)
+    (error.line().unwrap_or_else(|| panic!("no line: {error}")), error.to_string())
 }
 
 #[test]
@@ -78,7 +78,7 @@ fn bad_scenes_are_refused_with_line_and_reason() {
 
 #[test]
 fn missing_things_are_refused_too() {
-    assert!(Scene::from_toml("duration_s = 1.0").unwrap_err().reason.contains("[[robot]]"));
+    assert!(Scene::from_toml("duration_s = 1.0").unwrap_err().to_string().contains("[[robot]]"));
     let no_rate = good().replace("[cfo.paper]", "[sounding]\nrate_hz = -5.0\n[cfo.paper]");
     let (line, reason) = refused(&no_rate);
     assert_eq!((line, reason.contains("rate_hz is -5")), (5, true), "{reason}");

@@ -1,8 +1,8 @@
 //! The room's own senders: the TDMA state machine that live cards run too, driven in virtual time.
 
-use super::radio::{Group, Radio};
+use super::radio::{DelayGroup, Radio};
 use super::scene::{Dialect, Scene, Sounding};
-use super::station::{Role, Station};
+use super::station::{FrameRole, Station};
 use super::world::World;
 use csi5300::exchange::tdma::{self, Config, Event, Plan, PlanError, Request, Tdma};
 use csi5300::time::{Instant, Span};
@@ -23,13 +23,13 @@ pub struct Sounder {
 }
 
 impl Station for Sounder {
-    fn heard(&mut self, now: Instant, frame: &[u8]) -> Role {
+    fn heard(&mut self, now: Instant, frame: &[u8]) -> FrameRole {
         self.tdma.handle_heard(now, now, frame);
-        let mut role = Role::Overheard;
+        let mut role = FrameRole::Overheard;
         while let Some(event) = self.tdma.poll_event() {
             match event {
-                Event::Asked { .. } => role = Role::Forward,
-                Event::Answered { .. } => role = Role::Backward,
+                Event::Asked { .. } => role = FrameRole::Forward,
+                Event::Answered { .. } => role = FrameRole::Backward,
                 _ => {}
             }
         }
@@ -78,7 +78,7 @@ pub(super) fn request(scene: &Scene, sounding: &Sounding) -> Result<Request, Pla
 
 /// How late frames of a radio leave at most, but for few, microseconds.
 fn lateness_us(radio: &Radio) -> f64 {
-    let Group { share, us, spread_us } = radio.send_delay;
+    let DelayGroup { share, us, spread_us } = radio.send_delay;
     let delayed_us = if share > 0.0 { us + GUARD_DEVIATIONS * spread_us } else { 0.0 };
     GUARD_PER_JITTER * radio.send_jitter_us + delayed_us
 }

@@ -23,10 +23,10 @@ fn numbers(port: &mut Port) -> BTreeMap<(&'static str, u8), Vec<u32>> {
             (role, _, Next::Record(_, record)) => {
                 let wsr = Bfee::new_checked(record.body).unwrap().wsr().unwrap();
                 let role = match role {
-                    Role::Forward => "forward",
-                    Role::Backward => "backward",
-                    Role::Overheard => "overheard",
-                    Role::Unknown => panic!("a robot that sounds knows"),
+                    FrameRole::Forward => "forward",
+                    FrameRole::Backward => "backward",
+                    FrameRole::Overheard => "overheard",
+                    FrameRole::Unknown => panic!("a robot that sounds knows"),
                 };
                 heard.entry((role, wsr.mac.0[5])).or_default().push(wsr.frame_count);
             }
@@ -101,7 +101,7 @@ fn thirty_two_robots_run_at_the_highest_rate_that_fits() {
     let rounds = heard.values().map(Vec::len).min().unwrap();
     assert!(rounds * 31 + 31 >= pairs && rounds > 80, "{rounds} rounds");
     let refused = scene_text_of_32().unwrap_err();
-    assert!(refused.reason.contains("do not fit") && refused.line == Some(4), "{refused}");
+    assert!(refused.to_string().contains("do not fit") && refused.line() == Some(4), "{refused}");
 }
 
 fn scene_text_of_32() -> Result<Scene, SceneError> {

@@ -4,7 +4,7 @@ use csi5300::time::Instant;
 
 /// What a frame was to the robot that heard it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
+pub enum FrameRole {
     /// A forward frame for this robot, which it answers.
     Forward,
     /// The answer to a forward frame of this robot.
@@ -21,7 +21,7 @@ pub enum Role {
 /// room asks [`Station::transmit`] until there is no frame.
 pub trait Station: Send + std::fmt::Debug {
     /// A frame (no FCS) whose end was at `now`.
-    fn heard(&mut self, now: Instant, frame: &[u8]) -> Role;
+    fn heard(&mut self, now: Instant, frame: &[u8]) -> FrameRole;
 
     /// Appends a frame to be sent at once to `frame`, which is empty; false if there is none.
     fn transmit(&mut self, now: Instant, frame: &mut Vec<u8>) -> bool;

@@ -1,7 +1,7 @@
 //! How long a responder takes to answer.
 
 use super::random::Stream;
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 /// The turn-around time of a responder, air rise to air rise.
 ///
@@ -11,7 +11,7 @@ use serde::Deserialize;
 /// responder's driver answers when it is interrupted, and sometimes that is at once. Its records reach the host that
 /// much earlier too (measured: the same groups in the responder's host times), so they do here. Answers away come in
 /// runs (measured: of 2 to 3 on average).
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TurnAround {
     /// Median, microseconds.
@@ -25,9 +25,9 @@ pub struct TurnAround {
     /// Its standard deviation, microseconds.
     pub tail_spread_us: f64,
     /// A second group away from the core.
-    pub far: Group,
+    pub far: DelayGroup,
     /// A third.
-    pub late: Group,
+    pub late: DelayGroup,
     /// Mean number of answers in a row that are away, and of one group; 0 where one tells nothing about the next.
     pub tail_run: f64,
     /// Lower bound, microseconds.
@@ -37,9 +37,9 @@ pub struct TurnAround {
 }
 
 /// Answers away from the core.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Group {
+pub struct DelayGroup {
     /// Share of all answers.
     pub share: f64,
     /// How much later they are than the core, microseconds; negative for earlier.
@@ -60,8 +60,8 @@ impl Default for TurnAround {
             tail: 0.0,
             tail_us: -100.0,
             tail_spread_us: 0.0,
-            far: Group::default(),
-            late: Group::default(),
+            far: DelayGroup::default(),
+            late: DelayGroup::default(),
             tail_run: 0.0,
             min_us: 145.0,
             max_us: 322.0,
@@ -72,8 +72,8 @@ impl Default for TurnAround {
 impl TurnAround {
     /// The groups away from the core.
     #[must_use]
-    pub fn groups(&self) -> [Group; 3] {
-        [Group { share: self.tail, us: self.tail_us, spread_us: self.tail_spread_us }, self.far, self.late]
+    pub fn groups(&self) -> [DelayGroup; 3] {
+        [DelayGroup { share: self.tail, us: self.tail_us, spread_us: self.tail_spread_us }, self.far, self.late]
     }
 
     /// One turn-around, nanoseconds. `away_ns` is what [`TurnAround::draw_away_ns`] gave for the frame that is answered.
@@ -101,13 +101,13 @@ impl TurnAround {
             None => pick(&groups, share, stream),
         };
         last.0 = Some(group);
-        let Group { us, spread_us, .. } = groups[group];
+        let DelayGroup { us, spread_us, .. } = groups[group];
         ((us + stream.spread(spread_us)) * 1e3).round() as i64
     }
 }
 
 /// The number of a group, by their shares; nothing is drawn for a single one.
-fn pick(groups: &[Group; 3], share: f64, stream: &mut Stream) -> usize {
+fn pick(groups: &[DelayGroup; 3], share: f64, stream: &mut Stream) -> usize {
     if let Some(only) = groups.iter().position(|group| group.share == share) {
         return only;
     }
@@ -144,7 +144,7 @@ mod tests {
     }
     #[test]
     fn answers_away_come_in_runs_and_groups() {
-        let group = |share, us| Group { share, us, spread_us: 0.0 };
+        let group = |share, us| DelayGroup { share, us, spread_us: 0.0 };
         let turn = TurnAround {
             tail: 0.1,
             far: group(0.06, -200.0),

@@ -3,9 +3,11 @@
 use super::carrier::{Carrier, Common, SAMPLE_20_S, Tones};
 use super::followed::{SharedWay, lock};
 use super::maths::{amplitude, heading};
-use super::motion::{Pose, Track};
+use super::motion::{Pose, RobotMotion, Track};
 use super::random::{Purpose, Stream};
-use super::scene::{Cfo, Pattern, Scene};
+use super::recorded::Recorded;
+use super::refusal::{Problem, SceneError};
+use super::scene::{Cfo, Pattern, Robot, Scene};
 use super::surfaces::{Path, Surface, Surfaces};
 use driver_iface::Mac;
 use nalgebra::Vector3;
@@ -34,23 +36,30 @@ impl World {
     /// Makes a scene ready.
     ///
     /// # Errors
-    /// A sentence, when a trajectory file cannot be read or the scene was not checked.
-    pub fn new(scene: &Scene) -> Result<Self, String> {
+    /// [`SceneError::Value`] when a value makes no sense or a trajectory file cannot be read.
+    pub fn new(scene: &Scene) -> Result<Self, SceneError> {
+        scene.check_values()?;
         let wide = scene.bandwidth_mhz == 40;
-        let carrier = Carrier::new(scene.channel, wide).ok_or_else(|| format!("no channel {}", scene.channel))?;
+        let carrier =
+            Carrier::new(scene.channel, wide).ok_or_else(|| Problem::new("no such channel").key("channel"))?;
         let mut robots = Vec::with_capacity(scene.robot.len());
         for (number, robot) in scene.robot.iter().enumerate() {
             let mut walk = Stream::new(scene.seed, number, Purpose::Walk);
             let mut card = Stream::new(scene.seed, number, Purpose::Card);
             let antennas = [Some(robot.antenna_m), robot.antenna_b_m, robot.antenna_c_m];
             robots.push(Placed {
-                track: Track::new(robot.start(), &robot.motion, robot.recorded()?, &mut walk),
-                mac: robot.mac_address(number).ok_or_else(|| format!("{}: no MAC address", robot.name))?,
+                track: Track::new(
+                    robot.start(),
+                    &robot.motion,
+                    recorded(robot).map_err(|p| p.key("motion").item("robot", number))?,
+                    &mut walk,
+                ),
+                mac: robot.mac_address(number).ok_or_else(|| Problem::new("no MAC address").item("robot", number))?,
                 antennas_m: antennas.map(|place| place.map(Vector3::from)),
                 lock_turns: card.uniform(),
             });
         }
-        let surfaces = surfaces(scene).ok_or("a wall or reflector without area")?;
+        let surfaces = surfaces(scene).ok_or_else(|| Problem::new("a wall or reflector has no area").key("wall"))?;
         Ok(Self {
             carrier,
             surfaces: Surfaces::new(surfaces, usize::from(scene.reflections)),
@@ -203,6 +212,12 @@ impl World {
         let turns = 2.0 * std::f64::consts::TAU / self.carrier.wavelength_m();
         20.0 * libm::log10(turns)
     }
+}
+
+/// The trajectory of a recorded motion.
+fn recorded(robot: &Robot) -> Result<Option<Recorded>, Problem> {
+    let RobotMotion::Recorded(motion) = &robot.motion else { return Ok(None) };
+    Recorded::load(&motion.file).map(Some).map_err(|error| Problem::new(error.to_string()))
 }
 
 /// The surfaces of a scene; `None` if one has no area.

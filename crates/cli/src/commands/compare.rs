@@ -8,7 +8,7 @@ use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
 use csi5300_lab::compare::fit::Known;
-use csi5300_lab::compare::{Figures, Row, Verdict, fit, measure, rows, scene_channel};
+use csi5300_lab::compare::{FigureRow, Figures, Verdict, fit, measure, rows, scene_channel};
 use csi5300_lab::evaluate::find;
 use csi5300_sim::Scene;
 use std::fmt::Write;
@@ -151,7 +151,7 @@ fn clear(folder: &Path) -> Words<()> {
 
 fn read(rx: &Path, tx: &Path, trajectory: &Trajectory, options: &Options) -> Words<Figures> {
     let open = |path: &Path| Replay::open(path).map_err(|error| error.to_string());
-    measure(&mut open(rx)?, &mut open(tx)?, trajectory, options)
+    measure(&mut open(rx)?, &mut open(tx)?, trajectory, options).map_err(|error| error.to_string())
 }
 
 /// Reads the first capture and link of a folder in the layout of the WSR data set, along its own trajectory if no other is
@@ -180,12 +180,12 @@ fn fitted(args: &Args, recorded: &Figures, trajectory: &Trajectory, options: &Op
     trajectory.poses().iter().for_each(|pose| poses += &odometry::csv::line(pose));
     written(&args.out.join(TRAJECTORY), &poses)?;
     let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: &args.out, transmitter_m: args.transmitter };
-    let fitted = fit(recorded, &known, options)?;
+    let fitted = fit(recorded, &known, options).map_err(|error| error.to_string())?;
     written(&args.out.join(SCENE), &fitted.toml)?;
     Ok(fitted.scene)
 }
 
-fn describe(table: &[Row]) -> String {
+fn describe(table: &[FigureRow]) -> String {
     let mut text = format!("{:<12} {:<40} {:>12} {:>12}\n", "", "", "recorded", "simulated");
     let value = |value: Option<f64>| value.map_or_else(|| "-".into(), short);
     for row in table {

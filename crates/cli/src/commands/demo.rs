@@ -8,7 +8,7 @@ use csi5300::pipeline::Bearing;
 use csi5300::pipeline::{Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::{CsiSource, replay::Replay};
-use csi5300_sim::{Capture as Simulated, Scene};
+use csi5300_sim::{Scene, WrittenCapture};
 use std::path::{Path, PathBuf};
 
 /// Arguments of `demo`.
@@ -67,7 +67,7 @@ fn commands(rx: &Path, tx: &Path, trajectory: &Path) -> String {
     format!("  csi5300 info {rx}\n  {bearing}\n")
 }
 
-fn files(capture: &Simulated) -> (PathBuf, PathBuf, PathBuf) {
+fn files(capture: &WrittenCapture) -> (PathBuf, PathBuf, PathBuf) {
     let log = |receiver: bool| {
         let own = capture.logs.iter().find(|log| (log.robot == capture.receiver) == receiver);
         own.map(|log| log.path.clone()).unwrap_or_default()

@@ -65,21 +65,7 @@ pub fn run(args: &Args) -> Result {
     let rooms = args.rooms.map(|count| Rooms::write(count, args.seed)).transpose()?;
     let source = args.reading.source();
     let options = args.reading.options().unwrap_or_else(|message| usage(&message));
-    let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
-    for folder in args.folder.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)) {
-        if !folder.is_dir() {
-            return Err(format!("{} is not a folder", folder.display()));
-        }
-        let (found, failed) = find(folder);
-        if found.is_empty() {
-            return Err(format!(
-                "no capture below {}: a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat",
-                folder.display()
-            ));
-        }
-        captures.extend(found);
-        unreadable.extend(failed);
-    }
+    let (captures, unreadable) = find_all(args.folder.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)))?;
     for folder in &unreadable {
         eprintln!("csi5300: cannot read {folder}");
     }
@@ -88,7 +74,7 @@ pub fn run(args: &Args) -> Result {
         bar.set_style(style);
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build().map_err(|error| error.to_string())?;
-    let one = |capture: &csi5300_lab::evaluate::Capture| {
+    let one = |capture: &Capture| {
         let mut evaluated = capture.evaluate(source, args.reading.channel, &options);
         super::hint::add_all(&mut evaluated.rows);
         bar.inc(1);
@@ -107,19 +93,7 @@ pub fn run(args: &Args) -> Result {
     }
     let lost = !unreadable.is_empty() || results.iter().any(|result| result.lost);
     let rows: Vec<Judged> = results.into_iter().flat_map(|result| result.rows).collect();
-    let summary = summarise(&rows);
-    if args.json {
-        rows.iter().for_each(print_json);
-        print_json(&BTreeMap::from([("summary", &summary)]));
-    } else {
-        print(&table(&rows, &summary));
-        print(&worth(&rows));
-    }
-    #[cfg(feature = "plot")]
-    if let Some(folder) = &args.out {
-        let written = csi5300_lab::show::set::write(&rows, folder).map_err(|error| error.to_string())?;
-        eprintln!("{}: {} pictures", folder.display(), written.len());
-    }
+    show(args, &rows)?;
     for row in rows.iter().filter(|row| row.answer.error.is_some()) {
         eprintln!("csi5300: {}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
     }
@@ -128,6 +102,46 @@ pub fn run(args: &Args) -> Result {
         true if lost => Outcome::DataLost,
         true => Outcome::Done,
     })
+}
+
+/// The captures below all folders, and folders that could not be read.
+fn find_all<'a>(
+    folders: impl Iterator<Item = &'a PathBuf>,
+) -> std::result::Result<(Vec<Capture>, Vec<String>), String> {
+    let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
+    for folder in folders {
+        if !folder.is_dir() {
+            return Err(format!("{} is not a folder", folder.display()));
+        }
+        let (found, failed) = find(folder);
+        if found.is_empty() {
+            return Err(format!(
+                "no capture below {}: a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat",
+                folder.display()
+            ));
+        }
+        captures.extend(found);
+        unreadable.extend(failed);
+    }
+    Ok((captures, unreadable))
+}
+
+/// Prints rows and summary, and draws the pictures that were asked for.
+fn show(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
+    let summary = summarise(rows);
+    if args.json {
+        rows.iter().for_each(print_json);
+        print_json(&BTreeMap::from([("summary", &summary)]));
+    } else {
+        print(&table(rows, &summary));
+        print(&worth(rows));
+    }
+    #[cfg(feature = "plot")]
+    if let Some(folder) = &args.out {
+        let written = csi5300_lab::show::set::write(rows, folder).map_err(|error| error.to_string())?;
+        eprintln!("{}: {} pictures", folder.display(), written.len());
+    }
+    Ok(())
 }
 
 fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {

@@ -84,6 +84,24 @@ fn describe(row: &Judged, bearing: &Bearing) -> String {
         "pairs         {} formed, {} in motion, {} standing, {} without a pose",
         counts.formed, counts.in_motion, counts.standing, counts.no_pose
     );
+    turn_around(&mut text, bearing);
+    placed(&mut text, bearing);
+    let views: Vec<String> = answer.view_powers.iter().map(|power| format!("{power:.2}")).collect();
+    let _ = writeln!(
+        text,
+        "views         {} (round trip whole, its centre in windows, one way in windows)",
+        views.join(", ")
+    );
+    text += "candidates    (by evidence; power of all views)\n";
+    text += &places(&answer.candidates);
+    text += "paths         (one-way power, of the round trip)\n";
+    text += &places(&answer.paths);
+    conclusion(&mut text, row);
+    text
+}
+
+/// How far the clocks explain the phase.
+fn turn_around(text: &mut String, bearing: &Bearing) {
     match &bearing.turn_around {
         Some(t) => {
             let _ = writeln!(
@@ -97,8 +115,12 @@ fn describe(row: &Judged, bearing: &Bearing) -> String {
                 t.coherence_after
             );
         }
-        None => text += "turn-around   not known\n",
+        None => text.push_str("turn-around   not known\n"),
     }
+}
+
+/// What the search over places found out on its way.
+fn placed(text: &mut String, bearing: &Bearing) {
     if let Some(placed) = &bearing.placed {
         if let Some(a) = &placed.alignment {
             let _ = writeln!(
@@ -128,16 +150,11 @@ fn describe(row: &Judged, bearing: &Bearing) -> String {
             placed.fix.deviations.correlated_rows
         );
     }
-    let views: Vec<String> = answer.view_powers.iter().map(|power| format!("{power:.2}")).collect();
-    let _ = writeln!(
-        text,
-        "views         {} (round trip whole, its centre in windows, one way in windows)",
-        views.join(", ")
-    );
-    text += "candidates    (by evidence; power of all views)\n";
-    text += &places(&answer.candidates);
-    text += "paths         (one-way power, of the round trip)\n";
-    text += &places(&answer.paths);
+}
+
+/// The answer, and the truth where it is known.
+fn conclusion(text: &mut String, row: &Judged) {
+    let answer = &row.answer;
     let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
     let _ = writeln!(
         text,
@@ -151,7 +168,6 @@ fn describe(row: &Judged, bearing: &Bearing) -> String {
     if let (Some(truth), Some(error)) = (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) {
         let _ = writeln!(text, "truth         {truth:.2} deg: off by {error:.2}; range {} m", number(row.true_range_m));
     }
-    text
 }
 
 /// A line for each path.

@@ -7,7 +7,7 @@ use csi5300::source::{CsiSource, Loss, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_live::netlink::Sender;
 use csi5300_live::wait::{Monotonic, wall_us};
-use csi5300_sim::served::{Counts, Server};
+use csi5300_sim::served::{ServedCounts, Server};
 use csi5300_sim::{Injected, Odometer, Port, Room, Scene};
 use driver_iface::connector::CN_IDX;
 use nix::sys::prctl::set_timerslack;
@@ -179,7 +179,7 @@ impl Serving {
 }
 
 /// What went over the socket, and what was done to each robot.
-fn describe(scene: &Scene, counts: &Counts, injected: &[Injected]) -> String {
+fn describe(scene: &Scene, counts: &ServedCounts, injected: &[Injected]) -> String {
     let mut text = format!(
         "{} programs joined, {} were refused; {} frames put on air, {} not; {} records sent\n",
         counts.joined, counts.refused, counts.frames, counts.bad_frames, counts.records

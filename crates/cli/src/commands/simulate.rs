@@ -2,7 +2,7 @@
 
 use super::{Outcome, Result, print};
 use csi5300_sim::scene::Driver;
-use csi5300_sim::{Capture, Injected, Room, Scene, write_dataset};
+use csi5300_sim::{Injected, Room, Scene, WrittenCapture, write_dataset};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -67,7 +67,7 @@ pub fn run(args: &Args) -> Result {
 }
 
 /// Runs a scene into a folder, with a progress bar on a terminal.
-pub fn write(scene: &Scene, folder: &Path) -> std::result::Result<(Vec<Capture>, Vec<Injected>), String> {
+pub fn write(scene: &Scene, folder: &Path) -> std::result::Result<(Vec<WrittenCapture>, Vec<Injected>), String> {
     let mut room = Room::new(scene).map_err(|error| error.to_string())?;
     let bar = ProgressBar::with_draw_target(Some(100), ProgressDrawTarget::stderr());
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {percent} % of {msg}, {eta} left") {
@@ -79,7 +79,7 @@ pub fn write(scene: &Scene, folder: &Path) -> std::result::Result<(Vec<Capture>,
     Ok((captures.map_err(|error| error.to_string())?, room.injected()))
 }
 
-fn describe(scene: &Scene, captures: &[Capture], injected: &[Injected]) -> String {
+fn describe(scene: &Scene, captures: &[WrittenCapture], injected: &[Injected]) -> String {
     let mut text = String::new();
     let name = |robot: usize| scene.robot.get(robot).map_or("?", |robot| robot.name.as_str());
     for capture in captures {

@@ -35,7 +35,7 @@ pub fn run(args: &Args) -> Result {
     let failed = |error: String| format!("cannot write {}: {error}", args.csv.display());
     // Opened first: a file that cannot be written is found before minutes of work, not after.
     let mut csv = csv::Writer::from_path(&args.csv).map_err(|error| failed(error.to_string()))?;
-    let runs = run_all(&all, args.repetitions, &Options::new(channel))?;
+    let runs = run_all(&all, args.repetitions, &Options::new(channel)).map_err(|error| error.to_string())?;
     runs.iter().try_for_each(|run| csv.serialize(run)).map_err(|error| failed(error.to_string()))?;
     csv.flush().map_err(|error| failed(error.to_string()))?;
     print(&describe(&summarise(&runs)));

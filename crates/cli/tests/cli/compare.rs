@@ -7,7 +7,9 @@ use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
 use csi5300_lab::compare::fit::Known;
 use csi5300_lab::compare::table::Allowed;
-use csi5300_lab::compare::{Figures, Fitted, Row, Verdict, fit, measure, measure_scene, measure_scene_along, rows};
+use csi5300_lab::compare::{
+    FigureRow, Figures, Fitted, Verdict, fit, measure, measure_scene, measure_scene_along, rows,
+};
 use csi5300_sim::{Scene, scene::Driver};
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -40,7 +42,7 @@ const MISSED: [Missed; 3] = [
 const MISSED_AGAIN: [Missed; 0] = [];
 
 /// By how many times what is allowed a figure is missed.
-fn ratio(row: &Row) -> f64 {
+fn ratio(row: &FigureRow) -> f64 {
     let (Some(recorded), Some(simulated)) = (row.recorded, row.simulated) else { return f64::INFINITY };
     let allowed = match row.allowed {
         Allowed::Nothing => 0.0,
@@ -52,7 +54,12 @@ fn ratio(row: &Row) -> f64 {
 }
 
 /// What differs beyond what may be missed, a line each. What is missed as it may be is noted in `seen`.
-fn differences(name: &str, table: &[Row], missed: &[Missed], seen: &mut BTreeSet<(&'static str, String)>) -> String {
+fn differences(
+    name: &str,
+    table: &[FigureRow],
+    missed: &[Missed],
+    seen: &mut BTreeSet<(&'static str, String)>,
+) -> String {
     let mut text = String::new();
     for row in table.iter().filter(|row| row.verdict == Verdict::Differs) {
         let ratio = ratio(row);
@@ -67,7 +74,7 @@ fn differences(name: &str, table: &[Row], missed: &[Missed], seen: &mut BTreeSet
 }
 
 /// Checks tables against what may be missed; gives what is.
-fn check_only(tables: &[(String, Vec<Row>)], missed: &[Missed]) -> BTreeSet<(&'static str, String)> {
+fn check_only(tables: &[(String, Vec<FigureRow>)], missed: &[Missed]) -> BTreeSet<(&'static str, String)> {
     let mut seen = BTreeSet::new();
     let differences: String = tables.iter().map(|(name, table)| differences(name, table, missed, &mut seen)).collect();
     assert!(differences.is_empty(), "\n{differences}");
@@ -75,7 +82,7 @@ fn check_only(tables: &[(String, Vec<Row>)], missed: &[Missed]) -> BTreeSet<(&'s
 }
 
 /// Checks tables against what may be missed, and that nothing may be missed that is not.
-fn check(tables: &[(String, Vec<Row>)], missed: &[Missed]) {
+fn check(tables: &[(String, Vec<FigureRow>)], missed: &[Missed]) {
     let seen = check_only(tables, missed);
     let is_never = |(of, figure, most): &&Missed| *most > EDGE && !seen.contains(&(*of, (*figure).to_owned()));
     let never: Vec<_> = missed.iter().filter(is_never).collect();
@@ -89,7 +96,7 @@ fn judged(
     fitted: &Fitted,
     trajectory: &Trajectory,
     options: &Options,
-) -> Vec<(String, Vec<Row>)> {
+) -> Vec<(String, Vec<FigureRow>)> {
     assert_eq!(fitted.scene.seed, SEEDS[0]);
     let table = |seed: u64| {
         let scene = Scene { seed, ..fitted.scene.clone() };
@@ -130,7 +137,7 @@ fn scenes_fitted_to_the_papers_captures_agree_with_them() {
 struct Refitted {
     recorded: Figures,
     fitted: Fitted,
-    tables: Vec<(String, Vec<Row>)>,
+    tables: Vec<(String, Vec<FigureRow>)>,
 }
 
 /// Simulates a scene as a recording, and fits a scene to it; the transmitter's place is told or not.
@@ -191,7 +198,7 @@ fn a_fit_finds_40_mhz_again() {
     let narrow =
         Known { trajectory: &path_of(&scene), file: Path::new("t.csv"), folder: Path::new(""), transmitter_m: None };
     let error = fit(&recorded, &narrow, &options()).unwrap_err();
-    assert!(error.contains("the records are of 40 MHz"), "{error}");
+    assert!(error.to_string().contains("the records are of 40 MHz"), "{error}");
 }
 
 #[test]
@@ -209,13 +216,13 @@ fn a_fit_finds_the_transmitter_where_nobody_says_where_it_is() {
     assert!((fitted.figures.link.azimuth_deg.unwrap() - recorded.link.azimuth_deg.unwrap()).abs() < 0.5);
     // Without motion nothing tells a place.
     let mut still = scene;
-    still.robot[0].motion = csi5300_sim::motion::Motion::Static;
+    still.robot[0].motion = csi5300_sim::motion::RobotMotion::Static;
     still.duration_s = 5.0;
     let recorded = measure_scene(&still, &options()).unwrap();
     let known =
         Known { trajectory: &path_of(&still), file: Path::new("t.csv"), folder: Path::new(""), transmitter_m: None };
     let error = fit(&recorded, &known, &options()).unwrap_err();
-    assert!(error.contains("without motion it cannot be found"), "{error}");
+    assert!(error.to_string().contains("without motion it cannot be found"), "{error}");
 }
 
 fn path_of(scene: &Scene) -> Trajectory {

@@ -1,11 +1,12 @@
 //! What is measured of a capture: both robots' logs and what they give together.
 
+use super::CompareError;
 use super::distribution::{Distribution, QUARTILES};
-use super::side::{Observed, Side};
-use csi5300::motion::pose::{Pose, Trajectory};
+use super::side::{Observed, SideFigures};
+use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::{Bearing, Phase};
 use csi5300::pipeline::{CaptureReport, Options, Transmitter, bearings};
-use csi5300::source::{CsiSource, Error};
+use csi5300::source::CsiSource;
 use csi5300_sim::{Port, Room, Scene};
 use std::f64::consts::TAU;
 
@@ -13,9 +14,9 @@ use std::f64::consts::TAU;
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Figures {
     /// The log of the robot that moved: backward frames.
-    pub receiver: Side,
+    pub receiver: SideFigures,
     /// The other robot's log: forward frames.
-    pub transmitter: Side,
+    pub transmitter: SideFigures,
     /// What both give together.
     pub link: LinkFigures,
 }
@@ -36,7 +37,7 @@ pub struct LinkFigures {
     /// Standard deviation of the turn-arounds within [`CORE_US`] of the median, from their quartiles.
     pub core_us: f64,
     /// The other turn-arounds: early (by up to [`FAR_US`]), earlier, late.
-    pub groups: [Group; 3],
+    pub groups: [LateGroup; 3],
     /// Mean number of answers in a row that are away from the core; none if some pairs between were left out.
     pub run: Option<f64>,
     /// Spread of the round trip's phase from packet to packet before turn-around compensation, radians: the circular
@@ -64,7 +65,7 @@ pub struct LinkFigures {
 
 /// Turn-arounds away from the core, or frames sent late.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
-pub struct Group {
+pub struct LateGroup {
     /// Share of all.
     pub share: f64,
     /// Mean, microseconds later than the core.
@@ -105,18 +106,18 @@ const TRUTH_HZ: f64 = 180.0;
 /// Measures a capture.
 ///
 /// # Errors
-/// A sentence if a log cannot be read or the two have no frame in common.
+/// If a log cannot be read or the two have no frame in common.
 pub fn measure(
     receiver: &mut dyn CsiSource,
     transmitter: &mut dyn CsiSource,
     trajectory: &Trajectory,
     options: &Options,
-) -> Result<Figures, String> {
+) -> Result<Figures, CompareError> {
     let indices = options.channel.subcarriers();
     let (mut rx, mut tx) = (Observed::new(receiver, indices), Observed::new(transmitter, indices));
     let options = options.clone().with_keep_course(true);
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
-    let report = bearings(&mut rx, transmitters, trajectory, &options).map_err(|error| error.to_string())?;
+    let report = bearings(&mut rx, transmitters, trajectory, &options)?;
     // The transmitter's log may hold others' frames too; the receiver's are most, as the pipeline has it.
     let sender = report.links.first().and_then(|found| found.link.as_ref()).map(|link| link.mac);
     let (receiver, transmitter) = (rx.finish(sender), tx.finish(options.rx_mac));
@@ -129,7 +130,7 @@ pub fn measure(
 ///
 /// # Errors
 /// As [`measure`], and if the scene cannot be simulated.
-pub fn measure_scene(scene: &Scene, options: &Options) -> Result<Figures, String> {
+pub fn measure_scene(scene: &Scene, options: &Options) -> Result<Figures, CompareError> {
     simulated(scene, None, options)
 }
 
@@ -137,13 +138,12 @@ pub fn measure_scene(scene: &Scene, options: &Options) -> Result<Figures, String
 ///
 /// # Errors
 /// As [`measure_scene`].
-pub fn measure_scene_along(scene: &Scene, trajectory: &Trajectory, options: &Options) -> Result<Figures, String> {
+pub fn measure_scene_along(scene: &Scene, trajectory: &Trajectory, options: &Options) -> Result<Figures, CompareError> {
     simulated(scene, Some(trajectory), options)
 }
 
-fn simulated(scene: &Scene, trajectory: Option<&Trajectory>, options: &Options) -> Result<Figures, String> {
-    let words = |error: Error| error.to_string();
-    let mut room = Room::new(scene).map_err(words)?;
+fn simulated(scene: &Scene, trajectory: Option<&Trajectory>, options: &Options) -> Result<Figures, CompareError> {
+    let mut room = Room::new(scene)?;
     let receiver = scene.initiators().first().copied().unwrap_or(0);
     let other = usize::from(receiver == 0);
     let trajectory = match trajectory {
@@ -151,7 +151,7 @@ fn simulated(scene: &Scene, trajectory: Option<&Trajectory>, options: &Options) 
         None => true_path(&room, receiver)?,
     };
     let (Some(mut rx), Some(mut tx)) = (room.card(receiver), room.card(other)) else {
-        return Err("a scene of one robot has no link to measure".into());
+        return Err(CompareError::OneRobot);
     };
     [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
     measure(&mut rx, &mut tx, &trajectory, options)
@@ -161,25 +161,21 @@ fn simulated(scene: &Scene, trajectory: Option<&Trajectory>, options: &Options) 
 ///
 /// # Errors
 /// If the scene is too short for two poses.
-pub fn true_path(room: &Room, robot: usize) -> Result<Trajectory, String> {
-    let rows = (room.scene().duration_s * TRUTH_HZ).floor() as usize;
-    let pose = |row: usize| {
-        let t_s = row as f64 / TRUTH_HZ;
-        let (position_m, host_us) = (room.antenna(robot, t_s)?, room.host_us(robot, t_s)?);
-        let heading_rad = room.pose(robot, t_s).map(|pose| pose.yaw_rad);
-        Some(Pose { t_s: host_us as f64 * 1e-6, position_m, heading_rad })
-    };
-    Trajectory::new((0..=rows).filter_map(pose).collect()).map_err(|error| error.to_string())
+pub fn true_path(room: &Room, robot: usize) -> Result<Trajectory, CompareError> {
+    room.true_path(robot, TRUTH_HZ).ok_or_else(|| CompareError::Short { duration_s: room.scene().duration_s })
 }
 
-fn link_figures(report: &CaptureReport, options: &Options) -> Result<LinkFigures, String> {
-    let found = report.links.first().ok_or("no transmitter's log")?;
-    let link = found.link.as_ref().ok_or_else(|| match &found.bearing {
-        Err(error) => error.to_string(),
-        Ok(_) => "the logs have nothing in common".into(),
+fn link_figures(report: &CaptureReport, options: &Options) -> Result<LinkFigures, CompareError> {
+    let found = report.links.first().ok_or(CompareError::NoTransmitter)?;
+    let link = found.link.as_ref().ok_or_else(|| {
+        let reason = match &found.bearing {
+            Err(error) => error.to_string(),
+            Ok(_) => "the logs have nothing in common".into(),
+        };
+        CompareError::NoLink { reason }
     })?;
     let (turn_around, course) = link.phases(options);
-    let turn = turn_around.ok_or_else(|| format!("{} pairs are too few to measure a link", course.len()))?;
+    let turn = turn_around.ok_or(CompareError::FewPairs { pairs: course.len() })?;
     let mut figures = LinkFigures {
         pairs: link.pairs(),
         df_hz: turn.df_hz,
@@ -216,7 +212,7 @@ fn turn_arounds(figures: &mut LinkFigures) {
     let group = |low: f64, high: f64| {
         let values = within(low, high);
         let d = Distribution::of(&values);
-        Group { share: values.len() as f64 / figures.late_us.len().max(1) as f64, mean_us: d.mean, sd_us: d.sd }
+        LateGroup { share: values.len() as f64 / figures.late_us.len().max(1) as f64, mean_us: d.mean, sd_us: d.sd }
     };
     figures.groups = [group(-FAR_US, -CORE_US), group(-LOST_US, -FAR_US), group(CORE_US, LOST_US)];
     let away = |late: &f64| (late - middle_us).abs() > CORE_US;

@@ -5,10 +5,11 @@
 //! reflecting the room is) is adjusted until the simulated figures are the recorded ones: each round simulates the
 //! scene and measures it as the recording was measured.
 
+use super::CompareError;
 use super::distribution::Distribution;
 use super::figures::{Figures, measure_scene_along};
-use super::scene_text::{is_wide, write};
-use super::side::Side;
+use super::fitted_scene::{Recording, is_wide, text};
+use super::side::SideFigures;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::Width;
@@ -70,21 +71,24 @@ const ROUNDING: f64 = 2.0 / 12.0;
 /// Fits a scene.
 ///
 /// # Errors
-/// A sentence if the recording lacks what a scene needs, is not of the options' channel, or the scene made of it cannot
+/// If the recording lacks what a scene needs, is not of the options' channel, or the scene made of it cannot
 /// be simulated.
-pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<Fitted, String> {
+pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<Fitted, CompareError> {
     if is_wide(&recorded.receiver) != (options.channel.width() != Width::Ht20) {
-        let wide = if is_wide(&recorded.receiver) { 40 } else { 20 };
-        return Err(format!("the records are of {wide} MHz, the channel {} is not", options.channel));
+        let recorded_mhz = if is_wide(&recorded.receiver) { 40 } else { 20 };
+        return Err(CompareError::Width { recorded_mhz, channel: options.channel });
     }
-    let place = known.transmitter_m.or(recorded.link.place_m);
-    let place = place.ok_or("the transmitter's place is not known, and without motion it cannot be found")?;
+    let place = known.transmitter_m.or(recorded.link.place_m).ok_or(CompareError::NoPlace)?;
+    let recording = Recording { figures: recorded, known, place, channel: options.channel };
     let mut adjusted = first(recorded, known.trajectory, place);
     let simulated = |adjusted: &Adjusted, seed: u64| {
-        let toml = write(recorded, known, place, adjusted, options.channel, seed);
-        let scene = Scene::read(&toml, known.folder).map_err(|error| format!("the fitted scene: {error}\n{toml}"))?;
+        let scene = recording.scene(adjusted, seed);
+        let unwritable = |source| CompareError::Fitted { toml: String::new(), source };
+        let toml = text(&scene).map_err(unwritable)?;
+        let read = Scene::read(&toml, known.folder);
+        let scene = read.map_err(|source| CompareError::Fitted { toml: toml.clone(), source })?;
         let figures = measure_scene_along(&scene, known.trajectory, options)?;
-        Ok::<_, String>(Fitted { toml, scene, figures })
+        Ok::<_, CompareError>(Fitted { toml, scene, figures })
     };
     let mut best = (f64::INFINITY, adjusted);
     for _ in 0..ROUNDS {
@@ -100,7 +104,7 @@ pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<F
 
 /// The power of the noise of a subcarrier that the recording has beyond the rounding of its coefficients, relative to
 /// the signal, at the antenna of one side.
-pub(super) fn noise(side: &Side) -> f64 {
+pub(super) fn noise(side: &SideFigures) -> f64 {
     let rounding = ROUNDING / side.level[0].median.max(1.0).powi(2);
     (10f64.powf(-0.1 * side.tone_snr_db) - rounding).max(0.0)
 }
@@ -112,7 +116,7 @@ fn first(recorded: &Figures, trajectory: &Trajectory, place: [f64; 3]) -> Adjust
     let away_m = middle(trajectory).metric_distance(&Vector3::from(place)).max(0.1);
     // Free space over the first metre at 5.5 GHz is 47.3 dB.
     let lost_db = 47.3 + 20.0 * away_m.log10();
-    let power = |side: &Side| side.rssi_db[0].mean - 44.0 - side.agc_db.mean + lost_db;
+    let power = |side: &SideFigures| side.rssi_db[0].mean - 44.0 - side.agc_db.mean + lost_db;
     Adjusted {
         phase_noise_rad: (0.5 * (spread * spread - from_tones)).max(0.0).sqrt(),
         wall_loss_db: recorded.link.coherence.map(|_| WALL_DB[0]),
@@ -130,7 +134,7 @@ pub(super) fn middle(trajectory: &Trajectory) -> Vector3<f64> {
 }
 
 /// Ripple over the subcarriers that the filters do not explain.
-fn selective(side: &Side) -> f64 {
+fn selective(side: &SideFigures) -> f64 {
     let filter = Distribution::of(&side.filter);
     (side.ripple.median.powi(2) - (filter.sd / filter.mean.max(1e-6)).powi(2)).max(1e-6).sqrt()
 }
@@ -141,12 +145,12 @@ fn distance(recorded: &Figures, simulated: &Figures) -> f64 {
     let relative = |a: f64, b: f64| (b / a.max(1e-6)).max(1e-6).ln().abs() / 0.15;
     let apart = |a: Option<f64>, b: Option<f64>| a.zip(b).map_or(0.0, |(a, b)| (a - b).abs() / 0.1);
     let coherence = apart(a.coherence, b.coherence).max(apart(a.short_coherence, b.short_coherence));
-    let gain = |a: &Side, b: &Side| (a.agc_db.mean - b.agc_db.mean).abs();
+    let gain = |a: &SideFigures, b: &SideFigures| (a.agc_db.mean - b.agc_db.mean).abs();
     let gains = gain(&recorded.receiver, &simulated.receiver) + gain(&recorded.transmitter, &simulated.transmitter);
     let spreads = [(a.spread_before_rad, b.spread_before_rad), (a.spread_after_rad, b.spread_after_rad)];
     let spread = spreads.into_iter().map(|(a, b)| relative(a, b)).fold(0.0, f64::max);
     // What is not adjusted by itself, but goes with the walls, in what the table allows.
-    let fading = |a: &Side, b: &Side| {
+    let fading = |a: &SideFigures, b: &SideFigures| {
         ((a.agc_db.sd - b.agc_db.sd).abs() / 0.7).max((a.ripple.median - b.ripple.median).abs() / 0.05)
     };
     let sides = [(&recorded.receiver, &simulated.receiver), (&recorded.transmitter, &simulated.transmitter)];

@@ -5,14 +5,16 @@
 //! differ, and [`fit()`] derives a scene from a recorded capture.
 
 pub mod distribution;
+mod error;
 pub mod figures;
 pub mod fit;
+mod fitted_scene;
 mod pattern;
-mod scene_text;
 pub mod side;
 pub mod table;
 
+pub use error::CompareError;
 pub use figures::{Figures, LinkFigures, measure, measure_scene, measure_scene_along};
 pub use fit::{Fitted, fit};
-pub use scene_text::scene_channel;
-pub use table::{Row, Verdict, rows};
+pub use fitted_scene::scene_channel;
+pub use table::{FigureRow, Verdict, rows};

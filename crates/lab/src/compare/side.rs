@@ -1,7 +1,7 @@
 //! What one robot's log shows of its card, driver and host.
 
 use super::distribution::{Distribution, QUARTILES};
-use super::figures::{Group, LOST_US};
+use super::figures::{LOST_US, LateGroup};
 use csi5300::maths::wrap_rad;
 use csi5300::signal::cfo::drift_line;
 use csi5300::signal::channel::SUBCARRIERS;
@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 
 /// Figures of one log: of the frames of one sender in it.
 #[derive(Clone, Debug, Default, serde::Serialize)]
-pub struct Side {
+pub struct SideFigures {
     /// Intact bfee records of the sender.
     pub records: usize,
     /// Those of them in the stock layout.
@@ -44,7 +44,7 @@ pub struct Side {
     /// Time between frames of consecutive numbers on the card's clock, microseconds.
     pub interval_us: Distribution,
     /// Frames that came late beyond the usual: by twice the quartile range or more.
-    pub delayed: Group,
+    pub delayed: LateGroup,
     /// The same on the host's clock.
     pub host_interval_us: Distribution,
     /// Host time less card time without its drift, microseconds; its median is about 0.
@@ -89,10 +89,10 @@ impl<'a> Observed<'a> {
 
     /// What was seen of one sender; of the one with the most numbered frames if none is given.
     #[must_use]
-    pub fn finish(mut self, sender: Option<Mac>) -> Side {
+    pub fn finish(mut self, sender: Option<Mac>) -> SideFigures {
         let most = || self.senders.iter().max_by_key(|(_, collector)| collector.frames).map(|(mac, _)| *mac);
         let collector = sender.or_else(most).and_then(|mac| self.senders.remove(&mac));
-        let mut side = collector.map_or_else(Side::default, Collector::finish);
+        let mut side = collector.map_or_else(SideFigures::default, Collector::finish);
         side.of_others = (self.survey.bfees() as usize).saturating_sub(side.records);
         side.tail_bytes = match self.survey.tail {
             Some(Tail::Cut { bytes, .. }) => bytes as usize,
@@ -135,12 +135,12 @@ impl CsiSource for Observed<'_> {
 #[derive(Default)]
 struct Collector {
     indices: [i8; SUBCARRIERS],
-    last: Option<Last>,
+    last: Option<LastFrame>,
     /// Frames with a number.
     frames: usize,
     /// Numbers there, and numbers that should be.
     numbers: (u64, u64),
-    side: Side,
+    side: SideFigures,
     rssi: [Vec<f64>; 3],
     agc: Vec<f64>,
     level: [Vec<f64>; 3],
@@ -150,15 +150,15 @@ struct Collector {
     slopes: Vec<f64>,
     ripples: Vec<f64>,
     /// The last two packets, flattened.
-    rows: [Row; 2],
+    rows: [Tones; 2],
     /// Power of noise, and how many tones it is of.
     noise: (f64, f64),
 }
 
-type Row = [Complex64; SUBCARRIERS];
+type Tones = [Complex64; SUBCARRIERS];
 
 #[derive(Clone, Copy)]
-struct Last {
+struct LastFrame {
     number: u32,
     clock_us: i64,
     host_us: Option<i64>,
@@ -217,7 +217,7 @@ impl Collector {
     /// The step from the last frame to this one.
     fn step(&mut self, identity: Identity, clock_us: i64) {
         let Some(number) = identity.frame_count else { return };
-        let this = Last { number, clock_us, host_us: identity.host_us };
+        let this = LastFrame { number, clock_us, host_us: identity.host_us };
         self.frames += 1;
         let Some(before) = self.last.replace(this) else { return };
         let ahead = number.wrapping_sub(before.number);
@@ -231,7 +231,7 @@ impl Collector {
         }
     }
 
-    fn finish(self) -> Side {
+    fn finish(self) -> SideFigures {
         let mut side = self.side;
         side.rssi_db = self.rssi.map(|values| Distribution::of(&values));
         side.level = self.level.map(|values| Distribution::of(&values));
@@ -262,12 +262,12 @@ impl Collector {
 
 /// The frames that are late beyond the usual: what makes one interval longer makes the next one shorter, so only the long
 /// ones are counted.
-fn delayed(intervals_us: &[f64]) -> Group {
+fn delayed(intervals_us: &[f64]) -> LateGroup {
     let usual = Distribution::of(intervals_us);
     let late = intervals_us.iter().map(|interval| interval - usual.median);
     let late: Vec<f64> = late.filter(|&late| late > 2.0 * usual.quartile_range() && late < LOST_US).collect();
     let d = Distribution::of(&late);
-    Group { share: late.len() as f64 / intervals_us.len().max(1) as f64, mean_us: d.mean, sd_us: d.sd }
+    LateGroup { share: late.len() as f64 / intervals_us.len().max(1) as f64, mean_us: d.mean, sd_us: d.sd }
 }
 
 /// What most records have.
@@ -283,7 +283,7 @@ fn shortest_half(mut values: Vec<f64>) -> f64 {
 }
 
 /// Power of the second difference of each subcarrier over time: six times that of its noise.
-fn change(rows: &mut [Row; 2], noise: &mut (f64, f64), row: Row) {
+fn change(rows: &mut [Tones; 2], noise: &mut (f64, f64), row: Tones) {
     if rows[0].iter().any(|h| *h != Complex64::default()) {
         let second = (0..SUBCARRIERS).map(|k| (rows[0][k] - 2.0 * rows[1][k] + row[k]).norm_sqr() / 6.0);
         noise.0 += second.sum::<f64>();
@@ -293,14 +293,14 @@ fn change(rows: &mut [Row; 2], noise: &mut (f64, f64), row: Row) {
 }
 
 /// The slope of the phase per subcarrier index, and the tones at unit power without it and without their mean phase.
-fn flattened(tones: &Row, rms: f64, indices: &[i8; SUBCARRIERS]) -> (f64, Row) {
+fn flattened(tones: &Tones, rms: f64, indices: &[i8; SUBCARRIERS]) -> (f64, Tones) {
     let usual = indices[1] - indices[0];
     let steps = (1..SUBCARRIERS).filter(|&k| indices[k] - indices[k - 1] == usual);
     let rough = steps.map(|k| tones[k] * tones[k - 1].conj()).sum::<Complex64>().arg() / f64::from(usual);
-    let flat = |slope: f64, phase: f64| -> Row {
+    let flat = |slope: f64, phase: f64| -> Tones {
         std::array::from_fn(|k| tones[k] * Complex64::from_polar(1.0 / rms, -slope * f64::from(indices[k]) - phase))
     };
-    let mean = |row: &Row| row.iter().sum::<Complex64>().arg();
+    let mean = |row: &Tones| row.iter().sum::<Complex64>().arg();
     let once = flat(rough, 0.0);
     let phase = mean(&once);
     // What is left after the rough slope is a small tilt about the mean.

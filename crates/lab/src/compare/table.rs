@@ -2,7 +2,7 @@
 
 use super::distribution::Distribution;
 use super::figures::Figures;
-use super::side::Side;
+use super::side::SideFigures;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// How far a simulated figure may be from the recorded one.
@@ -33,7 +33,7 @@ pub enum Verdict {
 
 /// One figure of both captures.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct Row {
+pub struct FigureRow {
     /// Whose: `link`, `receiver`, `transmitter`.
     pub of: &'static str,
     /// What.
@@ -59,7 +59,7 @@ const WIDTH: Allowed = Allowed::Share(0.2);
 
 /// All figures of two captures beside each other.
 #[must_use]
-pub fn rows(recorded: &Figures, simulated: &Figures) -> Vec<Row> {
+pub fn rows(recorded: &Figures, simulated: &Figures) -> Vec<FigureRow> {
     let (a, b) = (&recorded.link, &simulated.link);
     let mut table = Table { of: "link", rows: Vec::new() };
     table.add("pairs", "", a.pairs as f64, b.pairs as f64, Allowed::Share(0.02));
@@ -81,7 +81,7 @@ pub fn rows(recorded: &Figures, simulated: &Figures) -> Vec<Row> {
 
 struct Table {
     of: &'static str,
-    rows: Vec<Row>,
+    rows: Vec<FigureRow>,
 }
 
 impl Table {
@@ -92,10 +92,10 @@ impl Table {
     fn maybe(&mut self, name: &str, unit: &'static str, values: [Option<f64>; 2], allowed: Allowed) {
         let [recorded, simulated] = values.map(|value| value.filter(|value| value.is_finite()));
         let verdict = verdict(recorded, simulated, allowed);
-        self.rows.push(Row { of: self.of, name: name.into(), unit, recorded, simulated, allowed, verdict });
+        self.rows.push(FigureRow { of: self.of, name: name.into(), unit, recorded, simulated, allowed, verdict });
     }
 
-    fn side(&mut self, of: &'static str, a: &Side, b: &Side) {
+    fn side(&mut self, of: &'static str, a: &SideFigures, b: &SideFigures) {
         self.of = of;
         self.add("records", "", a.records as f64, b.records as f64, Allowed::Share(0.02));
         self.extent("record length", "bytes", &a.lengths, &b.lengths);
@@ -123,8 +123,9 @@ impl Table {
     }
 
     /// The range of a field that takes few values: lowest and highest must be the same.
-    fn extent<K: Copy + Into<Number>>(&mut self, name: &str, unit: &'static str, a: &Counts<K>, b: &Counts<K>) {
-        let ends = |map: &Counts<K>| [map.keys().next(), map.keys().next_back()].map(|key| key.map(|k| (*k).into().0));
+    fn extent<K: Copy + Into<Number>>(&mut self, name: &str, unit: &'static str, a: &Histogram<K>, b: &Histogram<K>) {
+        let ends =
+            |map: &Histogram<K>| [map.keys().next(), map.keys().next_back()].map(|key| key.map(|k| (*k).into().0));
         let ([low, high], [other_low, other_high]) = (ends(a), ends(b));
         self.maybe(&format!("{name}, lowest"), unit, [low, other_low], Allowed::Nothing);
         self.maybe(&format!("{name}, highest"), unit, [high, other_high], Allowed::Nothing);
@@ -132,7 +133,7 @@ impl Table {
 
     /// How the records share out over the values of a field: the total variation distance of the two, from 0 (alike) to
     /// 1 (no value in common), which is 0 of the recorded one by itself.
-    fn shares<K: Copy + Ord>(&mut self, name: &str, a: &Counts<K>, b: &Counts<K>) {
+    fn shares<K: Copy + Ord>(&mut self, name: &str, a: &Histogram<K>, b: &Histogram<K>) {
         self.add(&format!("{name}, total variation distance"), "", 0.0, variation(a, b), Allowed::By(0.05));
     }
 
@@ -152,11 +153,11 @@ impl Table {
     }
 }
 
-type Counts<K> = BTreeMap<K, u64>;
+type Histogram<K> = BTreeMap<K, u64>;
 
 /// Total variation distance: half the sum of the differences of all shares.
-fn variation<K: Copy + Ord>(a: &Counts<K>, b: &Counts<K>) -> f64 {
-    let share = |counts: &Counts<K>, key: K| {
+fn variation<K: Copy + Ord>(a: &Histogram<K>, b: &Histogram<K>) -> f64 {
+    let share = |counts: &Histogram<K>, key: K| {
         let all: u64 = counts.values().sum();
         counts.get(&key).map_or(0.0, |&n| n as f64 / all.max(1) as f64)
     };
@@ -204,7 +205,7 @@ mod tests {
 
     #[test]
     fn distances_of_shares_see_every_value() {
-        let counts = |pairs: &[(u8, u64)]| pairs.iter().copied().collect::<Counts<u8>>();
+        let counts = |pairs: &[(u8, u64)]| pairs.iter().copied().collect::<Histogram<u8>>();
         let a = counts(&[(0x24, 60), (0x09, 30), (0x21, 10)]);
         assert_eq!(variation(&a, &counts(&[(0x24, 6), (0x09, 3), (0x21, 1)])), 0.0);
         // The most frequent one's share is the same; the others are swapped.

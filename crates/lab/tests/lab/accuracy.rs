@@ -5,7 +5,7 @@ use csi5300::pipeline::Accuracy;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::suite::{Experiment, Run, run_all};
-use csi5300_sim::motion::{Arc, Circle, Motion};
+use csi5300_sim::motion::{Arc, Circle, RobotMotion};
 use csi5300_sim::radio::{Gain, Noise};
 use csi5300_sim::scene::Scene;
 use nalgebra::{Matrix3, Vector3};
@@ -16,8 +16,8 @@ fn options(near_field: bool) -> Options {
     Options::new(Channel::new(108, Width::Ht20).unwrap()).with_accuracy(accuracy)
 }
 
-fn circle(radius_m: f64, duration_s: f64) -> Motion {
-    Motion::Circle(Circle { radius_m, duration_s, turns: 1.0, start_s: 0.0 })
+fn circle(radius_m: f64, duration_s: f64) -> RobotMotion {
+    RobotMotion::Circle(Circle { radius_m, duration_s, turns: 1.0, start_s: 0.0 })
 }
 
 /// The built-in scene of this name over a full circle of 30 cm, its transmitter 100 times as far and as loud.
@@ -144,7 +144,7 @@ fn near_errors_follow_the_bound_with_range_and_height_unknown() {
     for (radius_m, angle_deg, place_m, snr_db) in cases {
         let mut scene = Scene::built_in("paper-circle").unwrap();
         scene.duration_s = 5.0;
-        scene.robot[0].motion = Motion::Arc(Arc { radius_m, angle_deg, duration_s: 5.0, start_s: 0.0 });
+        scene.robot[0].motion = RobotMotion::Arc(Arc { radius_m, angle_deg, duration_s: 5.0, start_s: 0.0 });
         scene.robot[1].position_m = place_m;
         scene.cfo = csi5300_sim::scene::Cfo::Off;
         scene.radio.noise = Noise::SnrDb(snr_db);

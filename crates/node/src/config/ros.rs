@@ -3,7 +3,7 @@
 use super::{Capture, Config, Odometry};
 use csi5300::motion::odometry::ros::{Kind, Stamp};
 use csi5300_sim::Scene;
-use csi5300_sim::motion::Motion;
+use csi5300_sim::motion::RobotMotion;
 use toml::Spanned;
 
 /// See [`Odometry::Ros`].
@@ -104,7 +104,7 @@ pub(super) fn wrong_followed(config: &Config, scene: Option<&Scene>) -> Vec<Stri
     let Some(scene) = scene else { return Vec::new() };
     let follows = |name: &str| {
         let robot = scene.robot.iter().find(|robot| robot.name == name)?;
-        Some(matches!(robot.motion, Motion::Followed(_)))
+        Some(matches!(robot.motion, RobotMotion::Followed(_)))
     };
     let mut wrong = Vec::new();
     for (name, odometry) in &room.follow {

@@ -23,7 +23,7 @@ mod poses;
 mod server;
 
 pub use poses::Poses;
-pub use server::{Counts, Server};
+pub use server::{ServedCounts, Server};
 
 use csi5300::source::Error;
 use driver_iface::Mac;

@@ -26,7 +26,7 @@ const SEND_BUFFER: usize = 1 << 18;
 
 /// Everything counted at a served room's socket.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
+pub struct ServedCounts {
     /// Programs that joined.
     pub joined: u64,
     /// And were refused.
@@ -76,7 +76,7 @@ pub struct Server {
     clients: Vec<Client>,
     robots: Vec<Robot>,
     buffer: Box<[u8]>,
-    counts: Counts,
+    counts: ServedCounts,
     told: Option<String>,
 }
 
@@ -116,14 +116,14 @@ impl Server {
             clients: Vec::new(),
             robots: Vec::new(),
             buffer: vec![0; MAX_DATAGRAM.max(LONGEST)].into_boxed_slice(),
-            counts: Counts::default(),
+            counts: ServedCounts::default(),
             told: None,
         })
     }
 
     /// Everything counted so far.
     #[must_use]
-    pub fn counts(&self) -> Counts {
+    pub fn counts(&self) -> ServedCounts {
         self.counts
     }
 

@@ -6,7 +6,7 @@ use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
 use csi5300_sim::scene::Driver;
-use csi5300_sim::{Log, Room, Scene, write_dataset};
+use csi5300_sim::{Room, Scene, WrittenLog, write_dataset};
 use driver_iface::bfee::{Bfee, Iq, MAX_SAMPLES, Repr};
 use driver_iface::record::{Record, Step, Tail, events};
 
@@ -73,7 +73,7 @@ fn the_papers_real_captures_survive_it_too() {
 type Told = (Option<u32>, Option<i64>);
 
 /// What is told of every bfee in a log, and how many records it has.
-fn identities(log: &Log) -> (Vec<Told>, u64) {
+fn identities(log: &WrittenLog) -> (Vec<Told>, u64) {
     let mut replay = Replay::open(&log.path).unwrap();
     let (mut survey, mut found) = (Survey::default(), Vec::new());
     loop {

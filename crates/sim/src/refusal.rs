@@ -1,0 +1,158 @@
+//! Why a scene is refused, and where in it.
+
+use super::toml_lines::{Step, TomlLines};
+use std::fmt;
+use std::path::PathBuf;
+
+/// Why a scene was refused.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SceneError {
+    /// Its file could not be read.
+    #[error("cannot read {}: {source}", file.display())]
+    Io {
+        /// The file.
+        file: PathBuf,
+        /// The operating system's answer.
+        source: std::io::Error,
+    },
+    /// It is no TOML, or no scene's: an unknown key, a value of another kind.
+    #[error("{}{reason}", At(*line))]
+    Toml {
+        /// Line of the text, from 1, where it is known.
+        line: Option<usize>,
+        /// What the TOML reader said.
+        reason: String,
+    },
+    /// A value makes no sense, or robots are where they cannot be.
+    #[error("{}{reason}", At(*line))]
+    Value {
+        /// The way to the value from the scene's root, `robot[1].faults.loss`.
+        place: ScenePlace,
+        /// Line of the text, from 1; `None` for a scene without a text.
+        line: Option<usize>,
+        /// What is wrong, and what would be right.
+        reason: String,
+    },
+    /// A value has no text in TOML.
+    #[error("the scene cannot be written: {reason}")]
+    Unwritable {
+        /// What the TOML writer said.
+        reason: String,
+    },
+}
+
+/// The line of a text, before what is wrong with it.
+struct At(Option<usize>);
+
+impl fmt::Display for At {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.map_or(Ok(()), |line| write!(f, "line {line}: "))
+    }
+}
+
+impl SceneError {
+    /// Line of the text, from 1, where it is known.
+    #[must_use]
+    pub fn line(&self) -> Option<usize> {
+        match self {
+            Self::Toml { line, .. } | Self::Value { line, .. } => *line,
+            Self::Io { .. } | Self::Unwritable { .. } => None,
+        }
+    }
+
+    /// The same error with the line that the text has for its place.
+    #[must_use]
+    pub fn locate(self, text: &str) -> Self {
+        match self {
+            Self::Value { place, line: None, reason } => {
+                let line = TomlLines::new(text).line(&place.0);
+                Self::Value { place, line, reason }
+            }
+            other => other,
+        }
+    }
+}
+
+/// The way to a value from a scene's root.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct ScenePlace(Vec<Step<'static>>);
+
+impl fmt::Display for ScenePlace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (depth, step) in self.0.iter().enumerate() {
+            match step {
+                Step::Key(key) if depth == 0 => write!(f, "{key}")?,
+                Step::Key(key) => write!(f, ".{key}")?,
+                Step::Index(index) => write!(f, "[{index}]")?,
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What is wrong, with the place as far as it is known yet: checks of inner tables are told the outer ones afterwards.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Problem {
+    place: ScenePlace,
+    pub(crate) reason: String,
+}
+
+pub(crate) type Checked = Result<(), Problem>;
+
+impl Problem {
+    pub(crate) fn new(reason: impl Into<String>) -> Self {
+        Self { place: ScenePlace::default(), reason: reason.into() }
+    }
+
+    /// The same place with another reason.
+    pub(crate) fn because(self, reason: String) -> Self {
+        Self { reason, ..self }
+    }
+
+    /// The same problem, one level further out.
+    pub(crate) fn within(mut self, step: Step<'static>) -> Self {
+        self.place.0.insert(0, step);
+        self
+    }
+
+    pub(crate) fn key(self, key: &'static str) -> Self {
+        self.within(Step::Key(key))
+    }
+
+    /// The same problem of a table in an array of tables.
+    pub(crate) fn item(self, key: &'static str, index: usize) -> Self {
+        self.within(Step::Index(index)).key(key)
+    }
+}
+
+impl From<Problem> for SceneError {
+    fn from(problem: Problem) -> Self {
+        Self::Value { place: problem.place, line: None, reason: problem.reason }
+    }
+}
+
+/// Refuses a value unless `ok`.
+pub(crate) fn ensure(ok: bool, key: &'static str, reason: impl FnOnce() -> String) -> Checked {
+    if ok { Ok(()) } else { Err(Problem::new(format!("{key} {}", reason())).key(key)) }
+}
+
+/// Refuses values that are negative or not finite.
+pub(crate) fn not_negative(key: &'static str, value: f64) -> Checked {
+    ensure(value >= 0.0 && value.is_finite(), key, || format!("is {value}; it must be a number of at least 0"))
+}
+
+/// Refuses values that are not positive and finite.
+pub(crate) fn positive(key: &'static str, value: f64) -> Checked {
+    ensure(value > 0.0 && value.is_finite(), key, || format!("is {value}; it must be more than 0"))
+}
+
+/// Refuses what is no share.
+pub(crate) fn share(key: &'static str, value: f64) -> Checked {
+    ensure((0.0..=1.0).contains(&value), key, || format!("is {value}; it is a share, from 0 to 1"))
+}
+
+/// Refuses what is no finite number.
+pub(crate) fn finite(key: &'static str, values: &[f64]) -> Checked {
+    ensure(values.iter().all(|v| v.is_finite()), key, || "must be finite numbers".to_owned())
+}

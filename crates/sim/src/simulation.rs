@@ -1,0 +1,138 @@
+//! A room run to its end in memory: what its robots logged, and where they truly were.
+
+use super::faults::Injected;
+use super::port::Port;
+use super::room::Room;
+use super::room_error::RoomError;
+use csi5300::motion::pose::{Pose, Trajectory};
+use csi5300::source::replay::Replay;
+use csi5300::source::{CsiSource, Error, Next};
+use csi5300::time::Instant;
+use driver_iface::Mac;
+use driver_iface::record::Record;
+use nalgebra::Vector3;
+
+/// Rows per second of true paths, as motion capture gives them.
+const TRUTH_HZ: f64 = 200.0;
+
+/// A room that was run to its end.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct Simulation {
+    /// Its robots, in the scene's order.
+    pub robots: Vec<SimulatedRobot>,
+}
+
+/// What a robot of a simulation logged, and the truth about it.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub struct SimulatedRobot {
+    /// Its name in the scene.
+    pub name: String,
+    /// Its card's MAC address.
+    pub mac: Mac,
+    /// The bytes of its log (`.dat`): the records of exchanges in which it took part.
+    pub log: Vec<u8>,
+    /// Whole records in it.
+    pub records: u64,
+    /// Where its antenna A truly was, 200 times a second on its host's clock, metres in the scene's frame; `None` of a
+    /// scene too short for two poses.
+    pub true_path: Option<Trajectory>,
+    /// What was done to it on purpose.
+    pub injected: Injected,
+}
+
+impl Simulation {
+    /// The robot of this name.
+    #[must_use]
+    pub fn robot(&self, name: &str) -> Option<&SimulatedRobot> {
+        self.robots.iter().find(|robot| robot.name == name)
+    }
+}
+
+impl SimulatedRobot {
+    /// Its log as a source of records.
+    #[must_use]
+    pub fn replay(&self) -> Replay<&[u8]> {
+        Replay::new(&self.log, format!("the log of {}", self.name))
+    }
+
+    /// Where its antenna A was at the start, metres in the scene's frame.
+    #[must_use]
+    pub fn start_m(&self) -> Option<Vector3<f64>> {
+        self.true_path.as_ref()?.poses().first().map(|pose| pose.position_m)
+    }
+}
+
+impl Room {
+    /// Runs the room to its end and keeps all logs in memory, as loggers would have written them that keep only records
+    /// of exchanges in which their robot took part.
+    ///
+    /// # Errors
+    /// [`RoomError::CardTaken`] if somebody reads one of the cards already; [`RoomError::Source`] as a card's
+    /// [`CsiSource::receive`].
+    pub fn run(mut self) -> Result<Simulation, RoomError> {
+        let count = self.scene().robot.len();
+        let mut cards: Vec<Port> = (0..count).filter_map(|robot| self.card(robot)).collect();
+        if cards.len() != count {
+            return Err(RoomError::CardTaken);
+        }
+        cards.iter_mut().for_each(Port::own_only);
+        let mut logs = vec![(Vec::new(), 0); count];
+        let mut now = Instant::ZERO;
+        loop {
+            let mut next: Option<Instant> = None;
+            for (card, (log, records)) in cards.iter_mut().zip(&mut logs) {
+                if !drain(card, now, log, records)? {
+                    next = [next, card.next_at()].into_iter().flatten().min();
+                }
+            }
+            let Some(at) = next else { break };
+            now = now.max(at);
+        }
+        let injected = self.injected();
+        let robots = logs.into_iter().zip(injected).enumerate().map(|(robot, ((log, records), injected))| {
+            let name = self.scene().robot.get(robot).map_or_else(String::new, |state| state.name.clone());
+            let mac = self.mac(robot).unwrap_or(Mac::ZERO);
+            SimulatedRobot { name, mac, log, records, true_path: self.true_path(robot, TRUTH_HZ), injected }
+        });
+        Ok(Simulation { robots: robots.collect() })
+    }
+
+    /// Where a robot's antenna A truly is, start to end, `rate_hz` times a second on its host's clock, metres in the
+    /// scene's frame; `None` for no robot, or of a scene too short for two poses.
+    #[must_use]
+    pub fn true_path(&self, robot: usize, rate_hz: f64) -> Option<Trajectory> {
+        let rows = (self.scene().duration_s * rate_hz).floor() as usize;
+        let pose = |row: usize| {
+            let t_s = row as f64 / rate_hz;
+            let (position_m, host_us) = (self.antenna(robot, t_s)?, self.host_us(robot, t_s)?);
+            let heading_rad = self.pose(robot, t_s).map(|pose| pose.yaw_rad);
+            Some(Pose { t_s: host_us as f64 * 1e-6, position_m, heading_rad })
+        };
+        Trajectory::new((0..=rows).filter_map(pose).collect()).ok()
+    }
+}
+
+/// Logs all that a card has at `now`; true when it is at its end.
+fn drain(card: &mut Port, now: Instant, log: &mut Vec<u8>, records: &mut u64) -> Result<bool, RoomError> {
+    loop {
+        match card.receive(now)? {
+            Next::Record(_, record) => {
+                append(log, &record)?;
+                *records += 1;
+            }
+            Next::Lost(_) => {}
+            Next::Pending => return Ok(false),
+            Next::End(_) => return Ok(true),
+        }
+    }
+}
+
+fn append(log: &mut Vec<u8>, record: &Record<'_>) -> Result<(), Error> {
+    let from = log.len();
+    log.resize(from + record.emit_len(), 0);
+    let place = log.get_mut(from..).unwrap_or_default();
+    let written = record.emit(place).map_err(|e| Error::Input(format!("cannot frame a simulated record: {e}")));
+    written.map(|_| ())
+}
