@@ -11,7 +11,7 @@ use csi5300::time::Span;
 use csi5300_live::monitor::{Monitor, Options};
 use csi5300_live::sounding::{News, Running, Settings, spread_of};
 use csi5300_live::sys::{radiotap_tun, schedule_fifo};
-use csi5300_live::wait::{Monotonic, wall_us};
+use csi5300_live::wait::Monotonic;
 use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::native;
 use hdrhistogram::Histogram;
@@ -91,8 +91,7 @@ fn carry(mut from: File, mut to: File) {
 }
 
 fn robot(own: usize, interface: &str, fifo_priority: Option<i32>, clock: Monotonic) -> Result<Running, Failure> {
-    let options =
-        Options { interface: interface.into(), mcs: 1, bandwidth: Bandwidth::Ht20, longest: native::MAX_LEN, wall_us };
+    let options = Options::new(interface, native::MAX_LEN).with_rate(1, Bandwidth::Ht20);
     let now = clock.now();
     let config = Config {
         initiate: own == 0,

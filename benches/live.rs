@@ -10,7 +10,7 @@ use csi5300::source::recorder::{self, LogFiles, Recorder, Rotation};
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Span;
 use csi5300_live::netlink::{Netlink, Options, Sender};
-use csi5300_live::wait::{Monotonic, wall_us};
+use csi5300_live::wait::Monotonic;
 use driver_iface::bfee::Bfee;
 use driver_iface::connector::{CN_IDX, NETLINK_CONNECTOR};
 use driver_iface::record::{Record, code};
@@ -52,7 +52,10 @@ fn main() {
 }
 
 fn listener(receive_buffer: usize) -> Netlink {
-    let options = Options { connector_index: Some(CN_IDX), allow_user_sender: true, receive_buffer, wall_us };
+    let options = Options::default()
+        .with_connector_index(Some(CN_IDX))
+        .with_allow_user_sender(true)
+        .with_receive_buffer(receive_buffer);
     Netlink::open(&options).unwrap()
 }
 

@@ -65,3 +65,4 @@ pub mod time;
 pub use driver_iface;
 pub use nalgebra;
 pub use num_complex;
+pub use source::log::{Frame, Log};

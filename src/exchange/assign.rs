@@ -92,9 +92,7 @@ pub enum Unmatched {
     )]
     NothingInCommon,
     /// Two MACs go with it about equally well.
-    #[error(
-        "two transmitters go with it about equally well ({spread_us:.1} us against {next_us:.1} us): name its MAC with --tx-mac"
-    )]
+    #[error("two transmitters go with it about equally well ({spread_us:.1} us against {next_us:.1} us): name its MAC")]
     Unclear {
         /// Spread of the best, microseconds.
         spread_us: f64,
@@ -102,14 +100,14 @@ pub enum Unmatched {
         next_us: f64,
     },
     /// The MAC it goes with best was named for another log.
-    #[error("its best match ({spread_us:.1} us) was named for another log: check the order of --tx-mac")]
+    #[error("its best match ({spread_us:.1} us) was named for another log: check the order of the MACs")]
     Named {
         /// Spread of this log, microseconds.
         spread_us: f64,
     },
     /// Another log goes better with the same MAC.
     #[error(
-        "its best match belongs to another log, which goes better with it ({other_us:.1} us against {spread_us:.1} us): name its MAC with --tx-mac"
+        "its best match belongs to another log, which goes better with it ({other_us:.1} us against {spread_us:.1} us): name its MAC"
     )]
     Taken {
         /// Spread of this log, microseconds.

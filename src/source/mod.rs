@@ -1,6 +1,8 @@
 //! The edge: where records come from and where frames go. A card, a recorded file, a simulated room and a remote
-//! robot are values of one type, [`CsiSource`].
+//! robot are values of one type, [`CsiSource`]. Who only wants to read a log takes [`Log`](log::Log).
 
+mod error;
+pub mod log;
 pub mod paced;
 pub mod recorder;
 pub mod remote;
@@ -8,57 +10,12 @@ pub mod replay;
 mod side_file;
 pub mod survey;
 
+pub use error::{Error, NotSent};
 pub use side_file::side_path;
 
 use crate::time::Instant;
 use driver_iface::connector;
 use driver_iface::record::{Reason, Record, Tail};
-
-/// Why a source or an injector failed. Loss is not a failure: see [`Loss`].
-#[derive(Debug, thiserror::Error)]
-pub enum Error {
-    /// The operating system said no. `what` says what was tried, and what to check.
-    #[error("{what}: {source}")]
-    Io {
-        /// What was tried, on what, and what to check next.
-        what: String,
-        /// The operating system's answer.
-        source: std::io::Error,
-    },
-    /// The input is not what this source reads.
-    #[error("{0}")]
-    Input(String),
-    /// A frame was not sent; the next one may be.
-    #[error(transparent)]
-    NotSent(#[from] NotSent),
-}
-
-/// Why an injector did not take a frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum NotSent {
-    /// The queue of the kernel or the driver is full.
-    #[error("the kernel has no room for another frame (ENOBUFS)")]
-    NoRoom,
-    /// The interface is down.
-    #[error("the interface is down: `sudo ip link set INTERFACE up`")]
-    Down,
-    /// The frame is longer than the interface takes, its radiotap header included.
-    #[error("a frame of {len} bytes, at most {mtu} go out: `sudo ip link set INTERFACE mtu 2304`")]
-    TooLong {
-        /// Bytes with radiotap header.
-        len: usize,
-        /// Bytes possible.
-        mtu: usize,
-    },
-    /// Only a part of it was taken.
-    #[error("the kernel took {taken} of {len} bytes of a frame")]
-    Cut {
-        /// Bytes taken.
-        taken: usize,
-        /// Bytes there were.
-        len: usize,
-    },
-}
 
 /// Something that did not arrive, or arrived damaged. Counted and reported, never an error.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -132,8 +89,40 @@ pub struct Stamps {
     pub at: Instant,
     /// Host wall clock at receipt, microseconds since the Unix epoch, where a side file or the listener has one.
     pub host_us: Option<i64>,
-    /// Offset of the record in its file, or its running number.
-    pub offset: u64,
+    /// Where the record is among the others of its source.
+    pub origin: Origin,
+}
+
+/// The place of a record in what it came from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// In a file or another stream of bytes.
+    File {
+        /// Bytes before its length field.
+        offset: u64,
+    },
+    /// From a card or a network, or made here.
+    Live {
+        /// Running number of the record, from 0.
+        number: u64,
+    },
+}
+
+impl Default for Origin {
+    fn default() -> Self {
+        Self::Live { number: 0 }
+    }
+}
+
+impl Origin {
+    /// The offset or the number, for reports that say elsewhere which of the two it is.
+    #[must_use]
+    pub fn position(self) -> u64 {
+        match self {
+            Self::File { offset } => offset,
+            Self::Live { number } => number,
+        }
+    }
 }
 
 /// A source of records. It never blocks and never parses; it lends its own buffer.
@@ -144,7 +133,10 @@ pub trait CsiSource {
     /// Only for what cannot be gone on from; loss is [`Next::Lost`].
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error>;
 
-    /// When the next record is due, if the source knows: replay and simulation do, a live socket does not.
+    /// When to call [`receive`](Self::receive) again, on the driver's clock; at once where that is not after its time.
+    ///
+    /// `None` where time alone brings nothing: a live socket is waited for by its file descriptor, and a source that has
+    /// ended gives nothing more.
     fn next_at(&self) -> Option<Instant>;
 }
 

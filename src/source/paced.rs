@@ -17,6 +17,8 @@ pub struct Paced<S> {
     last_card_us: Option<i64>,
     due: Option<Instant>,
     held: Held,
+    /// The time of the last call.
+    asked: Instant,
     body: Vec<u8>,
 }
 
@@ -40,6 +42,7 @@ impl<S: CsiSource> Paced<S> {
             last_card_us: None,
             due: None,
             held: Held::Nothing,
+            asked: Instant::ZERO,
             body: Vec::new(),
         }
     }
@@ -81,6 +84,7 @@ impl<S: CsiSource> Paced<S> {
 
 impl<S: CsiSource> CsiSource for Paced<S> {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        self.asked = now;
         if matches!(self.held, Held::Nothing) {
             self.read_ahead(now)?;
         }
@@ -101,7 +105,7 @@ impl<S: CsiSource> CsiSource for Paced<S> {
     fn next_at(&self) -> Option<Instant> {
         match self.held {
             Held::Nothing => self.source.next_at(),
-            _ => Some(self.due.unwrap_or(Instant::ZERO)),
+            _ => Some(self.due.unwrap_or(self.asked)),
         }
     }
 }

@@ -4,19 +4,21 @@
 //! is allocated per record, and their number is bounded: where the disk cannot keep up, records are dropped **and
 //! counted**, and the source is never held up. Chunks hold whole records, and a write that the disk cut short is taken
 //! back to the last whole record.
+//!
+//! A recorder that is dropped writes what it was handed before the drop returns, as [`Recorder::finish`] does; a
+//! [`Tally`] taken before says what came of it.
 
 mod files;
 mod pipe;
+mod queue;
 
 pub use files::{LogFiles, Rotation};
 pub use pipe::Pipe;
 
-use super::{CsiSource, Error, Next, Stamps};
+use super::{CsiSource, Error, Next};
 use crate::time::{Instant, Span};
-use driver_iface::record::Record;
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, channel, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
+use queue::{Queue, Shared};
+use std::sync::Arc;
 
 /// Whole records on their way to the disk.
 #[derive(Debug, Default)]
@@ -50,6 +52,7 @@ pub trait Sink: Send + 'static {
 
 /// How records wait for the disk.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct Options {
     /// Bytes of a chunk; a fuller one is handed over.
     pub chunk_bytes: usize,
@@ -73,8 +76,29 @@ impl Default for Options {
     }
 }
 
+impl Options {
+    /// Sets [`chunk_bytes`](Self::chunk_bytes) and [`chunks`](Self::chunks).
+    #[must_use]
+    pub fn with_queue(self, chunk_bytes: usize, chunks: usize) -> Self {
+        Self { chunk_bytes, chunks, ..self }
+    }
+
+    /// Sets [`hand_over`](Self::hand_over).
+    #[must_use]
+    pub fn with_hand_over(self, hand_over: Span) -> Self {
+        Self { hand_over, ..self }
+    }
+
+    /// Sets [`sync_every`](Self::sync_every).
+    #[must_use]
+    pub fn with_sync_every(self, sync_every: Option<Span>) -> Self {
+        Self { sync_every, ..self }
+    }
+}
+
 /// What was recorded. `received = written + dropped + lost_on_disk` once the recorder is finished.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
 pub struct Totals {
     /// Records that passed through.
     pub received: u64,
@@ -82,70 +106,37 @@ pub struct Totals {
     pub written: u64,
     /// Records dropped because the disk was too slow and the queue full.
     pub dropped: u64,
-    /// Records that the disk refused.
+    /// Records that the disk refused, or that its thread took with it when it died.
     pub lost_on_disk: u64,
     /// The last thing that went wrong on the disk.
     pub error: Option<String>,
 }
 
-enum Message {
-    Write { chunk: Chunk, sync: bool },
-    Sync,
+/// The totals of a recorder, to be asked from any thread, and after the recorder is gone.
+#[derive(Clone, Debug)]
+pub struct Tally(Arc<Shared>);
+
+impl Tally {
+    /// What was recorded so far.
+    #[must_use]
+    pub fn totals(&self) -> Totals {
+        self.0.totals()
+    }
 }
 
 /// A source whose records are also written to `W`.
-pub struct Recorder<S, W> {
+pub struct Recorder<S, W: Sink> {
     source: S,
-    options: Options,
-    current: Chunk,
-    made: usize,
-    full: SyncSender<Message>,
-    empty: Receiver<Chunk>,
-    writer: JoinHandle<W>,
-    outcome: Arc<Mutex<Written>>,
-    received: u64,
-    dropped: u64,
-    hand_over_at: Option<Instant>,
-    sync_at: Option<Instant>,
+    queue: Queue<W>,
 }
 
 impl<S: CsiSource, W: Sink> Recorder<S, W> {
-    /// Records `source` into `sink`, from now on.
+    /// Records `source` into `sink`, from its next record on.
     ///
     /// # Errors
     /// If the writer thread cannot be started.
     pub fn new(source: S, sink: W, options: Options) -> Result<Self, Error> {
-        // One more than chunks, for a bare request to sync: sending never waits.
-        let (full, from_receiver) = sync_channel(options.chunks + 1);
-        let (to_receiver, empty) = channel();
-        let outcome = Arc::new(Mutex::new(Written::default()));
-        let shared = Arc::clone(&outcome);
-        let write = move || {
-            let mut sink = sink;
-            while let Ok(message) = from_receiver.recv() {
-                work(&mut sink, message, &shared, |chunk| drop(to_receiver.send(chunk)));
-            }
-            note(&shared, Written { error: sink.sync(), ..Written::default() });
-            sink
-        };
-        let named = std::thread::Builder::new().name("csi5300 writer".into());
-        let what = "cannot start the thread that writes the log".into();
-        let writer = named.spawn(write).map_err(|source| Error::Io { what, source })?;
-        let current = Chunk { bytes: Vec::with_capacity(options.chunk_bytes), ..Chunk::default() };
-        Ok(Self {
-            source,
-            options,
-            current,
-            made: 1,
-            full,
-            empty,
-            writer,
-            outcome,
-            received: 0,
-            dropped: 0,
-            hand_over_at: None,
-            sync_at: None,
-        })
+        Ok(Self { source, queue: Queue::new(sink, options)? })
     }
 
     /// The source being recorded.
@@ -156,14 +147,13 @@ impl<S: CsiSource, W: Sink> Recorder<S, W> {
     /// What was recorded so far.
     #[must_use]
     pub fn totals(&self) -> Totals {
-        let written = self.outcome.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        Totals {
-            received: self.received,
-            written: written.records,
-            dropped: self.dropped,
-            lost_on_disk: written.lost,
-            error: written.error,
-        }
+        self.queue.shared().totals()
+    }
+
+    /// The totals, for whoever outlives the recorder.
+    #[must_use]
+    pub fn tally(&self) -> Tally {
+        Tally(Arc::clone(self.queue.shared()))
     }
 
     /// Writes what is left, makes it last, and gives everything back.
@@ -171,137 +161,23 @@ impl<S: CsiSource, W: Sink> Recorder<S, W> {
     /// # Errors
     /// If the writer thread died.
     pub fn finish(mut self, now: Instant) -> Result<(S, W, Totals), Error> {
-        let left = self.current.host_us.len() as u64;
-        self.current.at = now;
-        let chunk = std::mem::take(&mut self.current);
-        if self.full.send(Message::Write { chunk, sync: false }).is_err() {
-            self.dropped += left;
-        }
-        drop(self.full);
-        let sink = self.writer.join().map_err(|_| Error::Input("the thread that writes the log died".into()))?;
-        let written = self.outcome.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let totals = Totals {
-            received: self.received,
-            written: written.records,
-            dropped: self.dropped,
-            lost_on_disk: written.lost,
-            error: written.error,
-        };
-        Ok((self.source, sink, totals))
-    }
-
-    /// An empty chunk, if the bound allows one.
-    fn spare(&mut self) -> Option<Chunk> {
-        match self.empty.try_recv() {
-            Ok(mut chunk) => {
-                chunk.bytes.clear();
-                chunk.host_us.clear();
-                Some(chunk)
-            }
-            Err(TryRecvError::Empty | TryRecvError::Disconnected) if self.made < self.options.chunks => {
-                self.made += 1;
-                Some(Chunk { bytes: Vec::with_capacity(self.options.chunk_bytes), ..Chunk::default() })
-            }
-            Err(_) => None,
-        }
-    }
-
-    /// Gives the current chunk to the writer; false if there is no other to go on with.
-    fn hand_over(&mut self, now: Instant) -> bool {
-        let Some(spare) = self.spare() else { return false };
-        let mut chunk = std::mem::replace(&mut self.current, spare);
-        chunk.at = now;
-        let sync = self.sync_at.is_some_and(|at| at <= now);
-        let records = chunk.host_us.len() as u64;
-        if self.full.try_send(Message::Write { chunk, sync }).is_err() {
-            self.dropped += records;
-        }
-        self.hand_over_at = None;
-        self.sync_at = match self.sync_at {
-            Some(at) if !sync => Some(at),
-            _ => self.options.sync_every.map(|every| now + every),
-        };
-        true
-    }
-
-    /// What is due by now: a chunk that waited long enough, or a sync.
-    fn keep_time(&mut self, now: Instant) {
-        if self.hand_over_at.is_some_and(|at| at <= now) && !self.hand_over(now) {
-            self.hand_over_at = Some(now + self.options.hand_over);
-        }
-        if self.hand_over_at.is_none() && self.sync_at.is_some_and(|at| at <= now) {
-            // A full channel means that a chunk is being written: ask again with the next one.
-            let sent = self.full.try_send(Message::Sync).is_ok();
-            self.sync_at = if sent { None } else { Some(now + self.options.hand_over) };
-        }
-    }
-}
-
-/// Copies a record into the chunk; false if it does not fit the chunk.
-fn push(chunk: &mut Chunk, limit: usize, stamps: Stamps, record: Record<'_>) -> bool {
-    let (from, need) = (chunk.bytes.len(), record.emit_len());
-    // A record longer than a whole chunk still gets one of its own.
-    if from > 0 && from + need > limit {
-        return false;
-    }
-    chunk.bytes.resize(from + need, 0);
-    let Some(room) = chunk.bytes.get_mut(from..) else { return false };
-    if record.emit(room).is_err() {
-        chunk.bytes.truncate(from);
-        return false;
-    }
-    chunk.host_us.push(stamps.host_us);
-    true
-}
-
-fn work<W: Sink>(sink: &mut W, message: Message, shared: &Mutex<Written>, give_back: impl FnOnce(Chunk)) {
-    let sync = match message {
-        Message::Sync => true,
-        Message::Write { chunk, sync } => {
-            let written = if chunk.host_us.is_empty() { Written::default() } else { sink.write(&chunk) };
-            note(shared, written);
-            give_back(chunk);
-            sync
-        }
-    };
-    if sync {
-        note(shared, Written { error: sink.sync(), ..Written::default() });
-    }
-}
-
-fn note(shared: &Mutex<Written>, written: Written) {
-    let mut total = shared.lock().unwrap_or_else(PoisonError::into_inner);
-    total.records += written.records;
-    total.lost += written.lost;
-    if written.error.is_some() {
-        total.error = written.error;
+        let sink = self.queue.close(now).ok_or(Error::WriterDied)?;
+        Ok((self.source, sink, self.queue.shared().totals()))
     }
 }
 
 impl<S: CsiSource, W: Sink> CsiSource for Recorder<S, W> {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
-        self.keep_time(now);
-        // The source lends its buffer, so the recorder's own parts are borrowed one by one from here on.
-        if self.current.bytes.len() + driver_iface::record::MAX_LENGTH + 2 > self.options.chunk_bytes {
-            self.hand_over(now);
-        }
+        self.queue.keep_time(now);
         let next = self.source.receive(now)?;
         if let Next::Record(stamps, record) = &next {
-            self.received += 1;
-            if push(&mut self.current, self.options.chunk_bytes, *stamps, *record) {
-                self.hand_over_at.get_or_insert(now + self.options.hand_over);
-                if let (None, Some(every)) = (self.sync_at, self.options.sync_every) {
-                    self.sync_at = Some(now + every);
-                }
-            } else {
-                self.dropped += 1;
-            }
+            self.queue.push(now, stamps.host_us, *record);
         }
         Ok(next)
     }
 
     fn next_at(&self) -> Option<Instant> {
-        [self.source.next_at(), self.hand_over_at, self.sync_at].into_iter().flatten().min()
+        self.source.next_at().into_iter().chain(self.queue.next_at()).min()
     }
 }
 

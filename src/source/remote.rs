@@ -8,7 +8,7 @@
 //! are numbered from 0 within a session, those too that the sender had no room for, so that whatever is dropped is
 //! counted, and another session is told from a gap.
 
-use super::{CsiSource, Error, Loss, Next, Stamps};
+use super::{CsiSource, Error, Loss, Next, Origin, Stamps};
 use crate::motion::odometry::{NextPose, OdometrySource};
 use crate::motion::pose::Pose;
 use crate::time::Instant;
@@ -286,9 +286,9 @@ impl CsiSource for RemoteCard {
         match self.shared.with(|shared| shared.queue.pop_front()) {
             Some(Item::Record(host_us, code, body)) => {
                 self.body = body;
-                let offset = self.number;
+                let origin = Origin::Live { number: self.number };
                 self.number += 1;
-                Ok(Next::Record(Stamps { at: now, host_us, offset }, Record { code, body: &self.body }))
+                Ok(Next::Record(Stamps { at: now, host_us, origin }, Record { code, body: &self.body }))
             }
             Some(Item::Missing(dropped)) => Ok(Next::Lost(Loss::Overrun { dropped: Some(dropped) })),
             Some(Item::Pose(..)) | None => Ok(Next::Pending),

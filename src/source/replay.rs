@@ -1,6 +1,6 @@
 //! A recorded `.dat` log as a [`CsiSource`]: read in chunks, never loaded.
 
-use super::{CsiSource, Error, Loss, Next, Stamps, side_file::SideFile};
+use super::{CsiSource, Error, Loss, Next, Origin, Stamps, side_file::SideFile};
 use crate::time::Instant;
 use driver_iface::record::{Framer, LOOKAHEAD, Record, Step};
 use std::io::Read;
@@ -21,6 +21,8 @@ pub struct Replay<R> {
     framer: Framer,
     bytes: u64,
     side: Option<SideFile>,
+    /// The time of the last call: the next record is due by then. None once the log has ended.
+    due: Option<Instant>,
 }
 
 impl Replay<Box<dyn Read + Send>> {
@@ -35,7 +37,7 @@ impl Replay<Box<dyn Read + Send>> {
         }
         let io = |source| Error::Io { what: format!("cannot read the log {name}"), source };
         if path.is_dir() {
-            return Err(Error::Input(format!("{name} is a directory: name a .dat file inside it, or use `evaluate`")));
+            return Err(Error::Directory { path: path.into() });
         }
         let file = std::fs::File::open(path).map_err(io)?;
         Ok(Self { side: SideFile::of(path), ..Self::new(Box::new(file), name.clone()) })
@@ -56,6 +58,7 @@ impl<R: Read> Replay<R> {
             framer: Framer::new(),
             bytes: 0,
             side: None,
+            due: Some(Instant::ZERO),
         }
     }
 
@@ -95,6 +98,7 @@ impl<R: Read> Replay<R> {
 
 impl<R: Read> CsiSource for Replay<R> {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        self.due = Some(now);
         let (offset, code, from, to) = loop {
             match self.framer.step(&self.buffer[self.start..self.filled], self.end_of_file) {
                 Step::Record { offset, used, record } => {
@@ -110,14 +114,18 @@ impl<R: Read> CsiSource for Replay<R> {
                     self.side = None;
                     return Ok(Next::Lost(Loss::Bytes { offset, len: skipped as u64, reason }));
                 }
-                Step::End(tail) => return Ok(Next::End(tail)),
+                Step::End(tail) => {
+                    self.due = None;
+                    return Ok(Next::End(tail));
+                }
             }
         };
         let host_us = self.side.as_mut().and_then(SideFile::next_us);
-        Ok(Next::Record(Stamps { at: now, host_us, offset }, Record { code, body: &self.buffer[from..to] }))
+        let stamps = Stamps { at: now, host_us, origin: Origin::File { offset } };
+        Ok(Next::Record(stamps, Record { code, body: &self.buffer[from..to] }))
     }
 
     fn next_at(&self) -> Option<Instant> {
-        Some(Instant::ZERO)
+        self.due
     }
 }

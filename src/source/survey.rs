@@ -224,7 +224,7 @@ impl Survey {
                 Ok(bfee) => Some((bfee, self.note_bfee(stamps, &bfee))),
                 Err(error) => {
                     self.bad_bfee += 1;
-                    self.keep(stamps.offset, record.body.len() as u64 + 3, error.to_string());
+                    self.keep(stamps.origin.position(), record.body.len() as u64 + 3, error.to_string());
                     None
                 }
             },

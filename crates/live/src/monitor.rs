@@ -12,8 +12,11 @@
 //!
 //! What the kernel does not take is an [`Error::NotSent`] and counted by cause; the next frame may be taken again.
 
+mod error;
 mod filter;
 mod socket;
+
+pub use error::MonitorError;
 
 use csi5300::source::{Error, FrameReceiver, Heard, Injector, NotSent};
 use csi5300::time::{Instant, Span};
@@ -30,6 +33,7 @@ const OLDEST: Span = Span::from_ms(1_000);
 
 /// What to open, and how frames are sent.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Options {
     /// The interface, such as `mon0`.
     pub interface: String,
@@ -43,8 +47,30 @@ pub struct Options {
     pub wall_us: fn() -> Option<i64>,
 }
 
+impl Options {
+    /// Frames of MCS 0 in 20 MHz, at most `longest` bytes without radiotap header and FCS; ages by the host's clock.
+    #[must_use]
+    pub fn new(interface: impl Into<String>, longest: usize) -> Self {
+        let (interface, wall_us) = (interface.into(), crate::wait::wall_us);
+        Self { interface, mcs: 0, bandwidth: Bandwidth::Ht20, longest, wall_us }
+    }
+
+    /// Sets [`mcs`](Self::mcs) and [`bandwidth`](Self::bandwidth).
+    #[must_use]
+    pub fn with_rate(self, mcs: u8, bandwidth: Bandwidth) -> Self {
+        Self { mcs, bandwidth, ..self }
+    }
+
+    /// Sets [`wall_us`](Self::wall_us).
+    #[must_use]
+    pub fn with_wall_us(self, wall_us: fn() -> Option<i64>) -> Self {
+        Self { wall_us, ..self }
+    }
+}
+
 /// Everything counted on an interface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Counters {
     /// Frames that the kernel took.
     pub taken: u64,
@@ -139,7 +165,7 @@ impl Monitor {
         let header = Repr::injected(options.mcs, options.bandwidth);
         let header_len = header.header_len();
         let mut out = vec![0; header_len + options.longest].into_boxed_slice();
-        header.emit(&mut out).map_err(|error| Error::Input(error.to_string()))?;
+        header.emit(&mut out).map_err(MonitorError::Header)?;
         let Opened { socket, mac, mtu } = open(out.len())?;
         Ok(Self {
             socket,

@@ -13,17 +13,19 @@
 //! CAP_NET_ADMIN is enough to listen; root is not needed. The card of a robot in a
 //! simulated room is listened to by the same code: [`Netlink::over`].
 
+mod error;
 mod intake;
 mod send;
 mod socket;
 mod stream;
 
+pub use error::NetlinkError;
 pub use intake::Counters;
 pub use send::Sender;
 pub use socket::Found;
 pub use stream::Stream;
 
-use csi5300::source::{CsiSource, Error, Loss, Next, Stamps};
+use csi5300::source::{CsiSource, Error, Loss, Next, Origin, Stamps};
 use csi5300::time::{HostTimes, Instant};
 use driver_iface::connector::CN_IDX;
 use driver_iface::record::Tail;
@@ -38,6 +40,7 @@ pub const RECEIVE_BUFFER: usize = 32 * 1024 * 1024;
 
 /// How to listen.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct Options {
     /// The connector index, instead of looking for it.
     pub connector_index: Option<u32>,
@@ -51,8 +54,40 @@ pub struct Options {
 }
 
 impl Default for Options {
+    /// The driver's index is looked for, only the kernel is believed, and records bear the host's time.
     fn default() -> Self {
-        Self { connector_index: None, allow_user_sender: false, receive_buffer: RECEIVE_BUFFER, wall_us: || None }
+        Self {
+            connector_index: None,
+            allow_user_sender: false,
+            receive_buffer: RECEIVE_BUFFER,
+            wall_us: crate::wait::wall_us,
+        }
+    }
+}
+
+impl Options {
+    /// Sets [`connector_index`](Self::connector_index).
+    #[must_use]
+    pub fn with_connector_index(self, connector_index: Option<u32>) -> Self {
+        Self { connector_index, ..self }
+    }
+
+    /// Sets [`allow_user_sender`](Self::allow_user_sender).
+    #[must_use]
+    pub fn with_allow_user_sender(self, allow_user_sender: bool) -> Self {
+        Self { allow_user_sender, ..self }
+    }
+
+    /// Sets [`receive_buffer`](Self::receive_buffer), bytes.
+    #[must_use]
+    pub fn with_receive_buffer(self, receive_buffer: usize) -> Self {
+        Self { receive_buffer, ..self }
+    }
+
+    /// Sets [`wall_us`](Self::wall_us).
+    #[must_use]
+    pub fn with_wall_us(self, wall_us: fn() -> Option<i64>) -> Self {
+        Self { wall_us, ..self }
     }
 }
 
@@ -199,7 +234,8 @@ impl CsiSource for Netlink {
                 Turn::Record(timestamp_low) => {
                     let read_us = (self.wall_us)();
                     let came = |us| timestamp_low.map_or(us, |card| self.host_times.came_at(us, card));
-                    let stamps = Stamps { at: now, host_us: read_us.map(came), offset: self.intake.counters.records };
+                    let origin = Origin::Live { number: self.intake.counters.records };
+                    let stamps = Stamps { at: now, host_us: read_us.map(came), origin };
                     return Ok(self.intake.take().map_or(Next::Pending, |record| Next::Record(stamps, record)));
                 }
             }

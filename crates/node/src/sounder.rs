@@ -185,7 +185,7 @@ struct Measuring {
 
 impl Tap for Measuring {
     fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
-        let next = Next::Record(Stamps { at: Instant::ZERO, host_us, offset: 0 }, record);
+        let next = Next::Record(Stamps { at: Instant::ZERO, host_us, ..Stamps::default() }, record);
         let Some((bfee, identity)) = self.survey.note(&next) else { return };
         if self.peers.contains(&identity.mac)
             && let Some(measurement) = measurement(&bfee, &identity, self.antenna)

@@ -323,7 +323,10 @@ fn first_host_s(log: &Path) -> Result<f64, Error> {
 
 fn listener(card: &super::config::Card, wall_us: fn() -> Option<i64>) -> Result<super::threads::CardThread, Error> {
     let (connector_index, allow_user_sender) = (card.connector_index, card.allow_user_sender);
-    let options = Options { connector_index, allow_user_sender, wall_us, ..Options::default() };
+    let options = Options::default()
+        .with_connector_index(connector_index)
+        .with_allow_user_sender(allow_user_sender)
+        .with_wall_us(wall_us);
     super::threads::CardThread::start(Netlink::open(&options)?)
 }
 

@@ -239,7 +239,7 @@ mod tests {
             self.1.resize(1, 0);
             match self.0.read(&mut self.1) {
                 Ok(1) => {
-                    let stamps = Stamps { at, host_us: Some(WALL_US.load(Ordering::SeqCst)), offset: 0 };
+                    let stamps = Stamps { at, host_us: Some(WALL_US.load(Ordering::SeqCst)), ..Stamps::default() };
                     Ok(Next::Record(stamps, Record { code: 0xBB, body: &self.1 }))
                 }
                 Ok(_) => Err(Error::Input("unplugged".into())),

@@ -116,7 +116,7 @@ mod told {
 
     impl Tap for Told {
         fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
-            let stamps = Stamps { at: Instant::ZERO, host_us, offset: 0 };
+            let stamps = Stamps { at: Instant::ZERO, host_us, ..Stamps::default() };
             let Some((sender, heard)) = self.front.note(&Next::Record(stamps, record)) else { return };
             let t_s = heard.host_us.map_or(0.0, |us| us as f64 * 1e-6);
             let mut live = self.live.lock().unwrap_or_else(PoisonError::into_inner);

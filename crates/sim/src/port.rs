@@ -7,7 +7,7 @@ use super::radio::Radio;
 use super::receiver::{Arrival, Receiver};
 use super::scene::Driver;
 use super::station::FrameRole;
-use csi5300::source::{CsiSource, Error, Injector, Loss, Next, Stamps};
+use csi5300::source::{CsiSource, Error, Injector, Loss, Next, Origin, Stamps};
 use csi5300::time::Instant;
 use driver_iface::Mac;
 use driver_iface::bfee::{MAX_BODY, NOISE_UNKNOWN_DBM, Repr, Wsr};
@@ -215,7 +215,7 @@ impl Port {
         Stamps {
             at: ceil_us(reception.arrival_ns),
             host_us: Some(host_us(air, self.robot, reception.arrival_ns)),
-            offset: self.handed_out,
+            origin: Origin::Live { number: self.handed_out },
         }
     }
 }

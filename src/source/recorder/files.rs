@@ -42,10 +42,9 @@ impl Grown {
         } else {
             options.create_new(true);
         }
-        let name = path.display();
         let file = options.open(&path).map_err(|source| match source.kind() {
-            io::ErrorKind::AlreadyExists => Error::Input(format!("{name} is there already: --force overwrites it")),
-            _ => Error::Io { what: format!("cannot write {name}"), source },
+            io::ErrorKind::AlreadyExists => Error::Exists { path: path.clone() },
+            _ => Error::Io { what: format!("cannot write {}", path.display()), source },
         })?;
         Ok(Self { file, path, len: 0 })
     }

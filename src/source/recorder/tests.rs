@@ -1,9 +1,12 @@
 use super::*;
+use crate::source::Stamps;
 use crate::source::replay::Replay;
 use crate::source::side_path;
 use driver_iface::bfee;
-use driver_iface::record::{Tail, code};
+use driver_iface::record::{Record, Tail, code};
 use std::collections::VecDeque;
+use std::sync::Mutex;
+use std::sync::mpsc::{Receiver, channel};
 
 /// A source of numbered records, as many as it is told.
 struct Numbered {
@@ -30,7 +33,7 @@ impl CsiSource for Numbered {
             Some(None) => Ok(Next::Pending),
             Some(Some(number)) => {
                 self.body[..4].copy_from_slice(&number.to_le_bytes());
-                let stamps = Stamps { at: now, host_us: Some(i64::from(number) + 5_000_000), offset: 0 };
+                let stamps = Stamps { at: now, host_us: Some(i64::from(number) + 5_000_000), ..Stamps::default() };
                 Ok(Next::Record(stamps, Record { code: code::BFEE, body: &self.body }))
             }
         }
@@ -142,7 +145,7 @@ fn what_is_recorded_replays_with_its_host_times() {
     assert!(matches!(replay.receive(Instant::ZERO).unwrap(), Next::End(Tail::Clean)));
     // Nothing is overwritten unless asked for, not even half of the pair.
     let again = LogFiles::create(&path, Rotation::default(), false).unwrap_err();
-    assert!(again.to_string().contains("--force"), "{again}");
+    assert!(matches!(&again, Error::Exists { path: there } if *there == path), "{again}");
     std::fs::remove_file(&path).unwrap();
     let side_only = LogFiles::create(&path, Rotation::default(), false).unwrap_err();
     assert!(side_only.to_string().contains("out.datstp"), "{side_only}");
@@ -179,5 +182,61 @@ fn rotation_by_size_and_by_time_loses_nothing() {
         }
         assert_eq!(all, (0..5_000).collect::<Vec<_>>());
         std::fs::remove_dir_all(folder).unwrap();
+    }
+}
+
+/// A disk that remembers in a place that outlives it; it dies at its `dies_at`th chunk.
+struct Kept {
+    log: Arc<Mutex<Vec<u8>>>,
+    syncs: Arc<Mutex<u32>>,
+    dies_at: Option<u32>,
+}
+
+impl Sink for Kept {
+    fn write(&mut self, chunk: &Chunk) -> Written {
+        self.dies_at = self.dies_at.map(|left| left.checked_sub(1).expect("a disk that dies"));
+        self.log.lock().unwrap().extend_from_slice(&chunk.bytes);
+        Written { records: chunk.host_us.len() as u64, ..Written::default() }
+    }
+    fn sync(&mut self) -> Option<String> {
+        *self.syncs.lock().unwrap() += 1;
+        None
+    }
+}
+
+#[test]
+fn a_dropped_recorder_writes_what_it_was_handed() {
+    let (log, syncs) = (Arc::<Mutex<Vec<u8>>>::default(), Arc::<Mutex<u32>>::default());
+    let sink = Kept { log: Arc::clone(&log), syncs: Arc::clone(&syncs), dies_at: None };
+    let options = Options::default().with_queue(10_000, 1_000);
+    let mut recorder = Recorder::new(Numbered::new((0..1_000).map(Some)), sink, options).unwrap();
+    let tally = recorder.tally();
+    drain(&mut recorder, Instant::ZERO);
+    drop(recorder);
+    let totals = tally.totals();
+    assert_eq!((totals.received, totals.written, totals.dropped, totals.lost_on_disk), (1_000, 1_000, 0, 0));
+    assert_eq!(numbers(&log.lock().unwrap()), (0..1_000).collect::<Vec<_>>());
+    assert_eq!(*syncs.lock().unwrap(), 1);
+}
+
+#[test]
+fn what_a_dead_writer_took_with_it_is_counted() {
+    for finish in [false, true] {
+        let log = Arc::<Mutex<Vec<u8>>>::default();
+        let sink = Kept { log: Arc::clone(&log), syncs: Arc::default(), dies_at: Some(1) };
+        let options = Options::default().with_queue(10_000, 1_000);
+        let mut recorder = Recorder::new(Numbered::new((0..1_000).map(Some)), sink, options).unwrap();
+        let tally = recorder.tally();
+        drain(&mut recorder, Instant::ZERO);
+        if finish {
+            assert!(matches!(recorder.finish(Instant::ZERO), Err(Error::WriterDied)));
+        } else {
+            drop(recorder);
+        }
+        let totals = tally.totals();
+        assert!(totals.written > 0 && totals.lost_on_disk + totals.dropped > 0, "{totals:?}");
+        assert_eq!(totals.received, totals.written + totals.dropped + totals.lost_on_disk);
+        assert_eq!(totals.written, numbers(&log.lock().unwrap()).len() as u64);
+        assert!(totals.error.is_some_and(|error| error.contains("died")));
     }
 }

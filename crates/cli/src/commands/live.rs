@@ -25,6 +25,14 @@ pub struct Listening {
     pub room: Option<Address>,
 }
 
+/// Why a log cannot be made, with the flag that helps.
+pub fn create_refused(error: &csi5300::source::Error) -> String {
+    match error {
+        csi5300::source::Error::Exists { .. } => format!("{error}: --force overwrites it"),
+        _ => error.to_string(),
+    }
+}
+
 impl Listening {
     /// Opens the listener.
     pub fn open(&self) -> Result<Netlink, String> {
@@ -32,12 +40,11 @@ impl Listening {
             let (card, _) = served::join(address, served::Role::Card).map_err(|error| error.to_string())?;
             return Ok(Netlink::over(card, wall_us));
         }
-        let options = Options {
-            connector_index: self.connector_index,
-            allow_user_sender: self.allow_user_sender,
-            receive_buffer: usize::try_from(self.receive_buffer).unwrap_or(usize::MAX).min(i32::MAX as usize / 2),
-            wall_us,
-        };
+        let receive_buffer = usize::try_from(self.receive_buffer).unwrap_or(usize::MAX).min(i32::MAX as usize / 2);
+        let options = Options::default()
+            .with_connector_index(self.connector_index)
+            .with_allow_user_sender(self.allow_user_sender)
+            .with_receive_buffer(receive_buffer);
         Netlink::open(&options).map_err(|error| error.to_string())
     }
 

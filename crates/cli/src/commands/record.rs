@@ -1,6 +1,6 @@
 //! `csi5300 record`.
 
-use super::live::{Listening, Signals, duration, size};
+use super::live::{Listening, Signals, create_refused, duration, size};
 use super::{Outcome, Result};
 use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
 use csi5300::source::{CsiSource, Loss, Next};
@@ -86,7 +86,7 @@ pub fn run(args: &Args) -> Result {
     let signals = Signals::catch()?;
     let listener = args.listening.open()?;
     let rotation = Rotation { bytes: args.rotate_size, every: args.rotate_every };
-    let files = LogFiles::create(&args.out, rotation, args.force).map_err(text)?;
+    let files = LogFiles::create(&args.out, rotation, args.force).map_err(|error| create_refused(&error))?;
     let terminal = std::io::stderr().is_terminal();
     let clock = Monotonic::new();
     let mut session = Session {
@@ -106,10 +106,10 @@ pub fn run(args: &Args) -> Result {
     };
     eprintln!("{}; recording to {}", Listening::describe(&listener), args.out.display());
     let sync_every = (args.sync_every > Span::ZERO).then_some(args.sync_every);
-    let recorder = Recorder::new(listener, files, Options { sync_every, ..Options::default() }).map_err(text)?;
+    let recorder = Recorder::new(listener, files, Options::default().with_sync_every(sync_every)).map_err(text)?;
     let (failed, listener, files, totals) = if args.live {
         let pipe = Pipe::new(std::io::stdout());
-        let options = Options { sync_every: None, hand_over: Span::from_ms(10), ..Options::default() };
+        let options = Options::default().with_sync_every(None).with_hand_over(Span::from_ms(10));
         let mut tee = Recorder::new(recorder, pipe, options).map_err(text)?;
         let failed = session.capture(&mut tee, |tee| (tee.source().totals(), tee.source().source().counters())).err();
         let (recorder, _, piped) = tee.finish(clock.now()).map_err(text)?;

@@ -1,7 +1,7 @@
 //! What `sound` and `respond` share: arguments, the running exchange, its summary.
 
 use super::args::mac;
-use super::live::{Listening, Signals, duration};
+use super::live::{Listening, Signals, create_refused, duration};
 use super::{Outcome, Result, usage};
 use csi5300::exchange::tdma::{Config, Dialect, Event, GUARD_US, Phy, Plan, PlanError, Request, TURN_AROUND_US, Tdma};
 use csi5300::source::recorder::{LogFiles, Options, Recorder, Rotation, Totals};
@@ -227,7 +227,7 @@ impl Sounding {
         eprintln!("{}", Listening::describe(&listener));
         let Some(log) = &self.log else { return Ok(Source::Bare(Box::new(listener))) };
         let text = |error: Error| error.to_string();
-        let files = LogFiles::create(log, Rotation::default(), self.force).map_err(text)?;
+        let files = LogFiles::create(log, Rotation::default(), self.force).map_err(|error| create_refused(&error))?;
         let recorder = Recorder::new(listener, files, Options::default()).map_err(text)?;
         Ok(Source::Logged(Box::new(recorder)))
     }

@@ -1,6 +1,6 @@
 //! The packet socket: opened, filtered, bound; and every refusal in words.
 
-use super::filter;
+use super::{MonitorError, filter};
 use crate::sys::{self, ARPHRD_IEEE80211_RADIOTAP};
 use csi5300::source::Error;
 use nix::errno::Errno;
@@ -60,14 +60,11 @@ pub(super) fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
     let mac = link(&socket, interface)?;
     // Binding to an interface that is down leaves its error on the socket.
     if getsockopt(&socket, sockopt::SocketError) == Ok(libc::ENETDOWN) {
-        return Err(Error::Input(format!("{interface} is down: `sudo ip link set {interface} up`")));
+        return Err(MonitorError::Down { interface: interface.into() }.into());
     }
     let mtu = sys::mtu(socket.as_fd(), interface).map_err(io("cannot ask for the MTU of"))?;
     if mtu < longest {
-        return Err(Error::Input(format!(
-            "{interface} takes {mtu} bytes at most, frames here have up to {longest} with their radiotap header: \
-             `sudo ip link set {interface} mtu 2304`"
-        )));
+        return Err(MonitorError::Mtu { interface: interface.into(), mtu, longest }.into());
     }
     Ok(Opened { socket, mac, mtu })
 }
@@ -77,11 +74,7 @@ fn link(socket: &OwnedFd, interface: &str) -> Result<Option<[u8; 6]>, Error> {
     let (link_type, mac) = sys::packet_link(socket.as_fd())
         .map_err(|source| Error::Io { what: format!("cannot ask for the link of {interface}"), source })?;
     if link_type != ARPHRD_IEEE80211_RADIOTAP {
-        return Err(Error::Input(format!(
-            "{interface} has link type {link_type}, not that of a monitor interface \
-             ({ARPHRD_IEEE80211_RADIOTAP}, radiotap): `sudo ip link set {interface} down && \
-             sudo iw dev {interface} set type monitor && sudo ip link set {interface} up`"
-        )));
+        return Err(MonitorError::LinkType { interface: interface.into(), link_type }.into());
     }
     Ok(mac)
 }

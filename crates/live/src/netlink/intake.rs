@@ -8,6 +8,7 @@ use driver_iface::record::{MAX_LENGTH, Record, code};
 
 /// Everything that a listener counted since it was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
 pub struct Counters {
     /// Datagrams taken from the socket.
     pub datagrams: u64,

@@ -1,5 +1,6 @@
 //! Records multicast to the driver's group from user space: what `replay --connector` and the tests use.
 
+use super::NetlinkError;
 use csi5300::source::Error;
 use driver_iface::connector::{CN_VAL, MAX_DATAGRAM, NETLINK_CONNECTOR, Repr};
 use driver_iface::record::Record;
@@ -23,7 +24,7 @@ impl Sender {
     /// When the index cannot be sent to, or there is no connector socket to be had.
     pub fn open(index: u32, padded: bool) -> Result<Self, Error> {
         let mask = index.checked_sub(1).and_then(|bit| 1_u32.checked_shl(bit));
-        let mask = mask.ok_or_else(|| Error::Input(format!("connector index {index}: 1 to 32 can be sent to")))?;
+        let mask = mask.ok_or(NetlinkError::Index { index })?;
         let io = |source| Error::Io { what: "cannot open a connector socket to send".into(), source };
         let mut socket = Socket::new(isize::from(NETLINK_CONNECTOR.cast_signed())).map_err(io)?;
         socket.bind_auto().map_err(io)?;
@@ -43,7 +44,7 @@ impl Sender {
     /// A record that does not fit a message, or the kernel's refusal.
     pub fn send(&mut self, record: Record<'_>) -> Result<(), Error> {
         let repr = Repr { idx: self.index, val: CN_VAL, record, padded: self.padded };
-        let len = repr.emit(&mut self.buffer).map_err(|error| Error::Input(error.to_string()))?;
+        let len = repr.emit(&mut self.buffer).map_err(NetlinkError::Emit)?;
         self.send_bytes(self.buffer.get(..len).unwrap_or_default())
     }
 

@@ -1,6 +1,6 @@
 //! The socket itself: opened, joined, widened, filtered; and every refusal in words.
 
-use super::Options;
+use super::{NetlinkError, Options};
 use crate::sys::{Instruction, attach_filter};
 use csi5300::source::Error;
 use driver_iface::connector::{CN_IDX, CN_IDX_10_USERS, NETLINK_CONNECTOR, offset, registered_idx};
@@ -14,7 +14,7 @@ const PROC_CONNECTOR: &str = "/proc/thread-self/net/connector";
 /// The table of netlink sockets, with their drops.
 const PROC_NETLINK: &str = "/proc/thread-self/net/netlink";
 /// Largest multicast group of the connector: what fits a netlink group mask rounded up to 32 (`af_netlink.c`).
-const MAX_GROUP: u32 = 32;
+pub(super) const MAX_GROUP: u32 = 32;
 
 /// How the connector index was found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,11 +43,7 @@ pub(super) fn open(options: &Options) -> Result<Joined, Error> {
     let listed = std::fs::read_to_string(PROC_CONNECTOR);
     // The file is absent in every network namespace but the first, where the kernel's messages arrive.
     if listed.is_err() && !options.allow_user_sender {
-        return Err(Error::Input(
-            "the kernel's connector is not in this network namespace (/proc/net/connector is absent): run outside of \
-             the container or `ip netns`, on a kernel with CONFIG_CONNECTOR=y"
-                .into(),
-        ));
+        return Err(NetlinkError::OtherNamespace.into());
     }
     let registered = listed.ok().and_then(|text| registered_idx(&text));
     let (indices, found) = match (options.connector_index, registered) {
@@ -81,7 +77,7 @@ fn join(socket: &Socket, indices: &[u32]) -> Result<(), Error> {
         }
     }
     match refused {
-        // An unprivileged process may join odd groups only, by an accident of newer kernels: half a guess is no guess.
+        // An unprivileged process may join odd groups only, by an accident of newer kernels.
         Some((_, source)) if source.kind() == io::ErrorKind::PermissionDenied => Err(Error::Io {
             what: "not allowed to listen to the driver: give the program the capability once, \
                    `sudo setcap cap_net_admin+ep $(command -v csi5300)`, or run it as root"

@@ -43,13 +43,8 @@ impl Setup {
     #[must_use]
     pub fn options(&self) -> Options {
         let (forward, backward) = self.request.dialect.longest(usize::from(self.request.links));
-        Options {
-            interface: self.interface.clone(),
-            mcs: self.request.phy.mcs,
-            bandwidth: self.request.phy.bandwidth,
-            longest: forward.max(backward),
-            wall_us,
-        }
+        let phy = self.request.phy;
+        Options::new(self.interface.clone(), forward.max(backward)).with_rate(phy.mcs, phy.bandwidth)
     }
 
     /// Opens the interface and makes the machine, with what `settle` changes of its configuration.
