@@ -31,7 +31,8 @@ fn jobs() -> [Job; 4] {
 
 /// The direct sums in double, which agree with the oracle (checked here on 200 directions, printed).
 fn reference(samples: &Samples, grid: &Grid) -> Vec<f64> {
-    let options = ProfileOptions { eps: 1e-13, method: Some(Method::Direct), precision: Some(Precision::Double) };
+    let options =
+        ProfileOptions::default().with_eps(1e-13).with_method(Method::Direct).with_precision(Precision::Double);
     let values = Planner::default().profile(samples, grid, &options).expect("a profile").values;
     let picked: Vec<usize> = (0..200).map(|i| i * (grid.len() - 1) / 199).collect();
     let list = Grid::directions(picked.iter().map(|i| grid.at(*i)).collect());
@@ -116,10 +117,10 @@ fn sizes(args: &[String]) -> Vec<(usize, f64)> {
 }
 
 /// Who, tolerance asked for, milliseconds, error.
-type Row = (String, f64, f64, f64);
+type Timing = (String, f64, f64, f64);
 
 /// One size of a job: the naive loop's milliseconds, and everybody's rows.
-fn measure(job: &Job, n: usize, radius: f64) -> (f64, Vec<Row>) {
+fn measure(job: &Job, n: usize, radius: f64) -> (f64, Vec<Timing>) {
     let samples = common::job(n, radius, job.height * radius, 7);
     let reference = reference(&samples, &job.grid);
     let mut contenders = if job.name == "bearing" { bearings(&samples) } else { planned(job, &samples) };
@@ -128,9 +129,9 @@ fn measure(job: &Job, n: usize, radius: f64) -> (f64, Vec<Row>) {
     }
     let naive = race(&mut contenders, &samples, &job.grid);
     let error_of = |c: &Contender<'_>| if job.name == "bearing" { c.out[0] } else { error(&c.out, &reference) };
-    let mut rows: Vec<Row> = contenders.iter().map(|c| (c.who.clone(), c.eps, c.ms, error_of(c))).collect();
+    let mut rows: Vec<Timing> = contenders.iter().map(|c| (c.who.clone(), c.eps, c.ms, error_of(c))).collect();
     if job.name != "bearing" {
-        rows.extend(peers(job, &samples, &reference, n, radius));
+        rows.extend(others(job, &samples, &reference, n, radius));
     }
     rows.push((String::from("naive double loop"), 0.0, naive, 1e-15));
     (naive, rows)
@@ -193,8 +194,7 @@ fn profiler<'a>(job: &'a Job, samples: &'a Samples, tier: Tier, options: Profile
 fn planned<'a>(job: &'a Job, samples: &'a Samples) -> Vec<Contender<'a>> {
     let tolerances = [1e-3, 1e-4, 1e-5, 1e-6, 1e-8, 1e-10, 1e-12];
     let all = tiers().flat_map(|tier| tolerances.map(|eps| (tier, eps)));
-    all.map(|(tier, eps)| profiler(job, samples, tier, ProfileOptions { eps, ..ProfileOptions::default() }, ""))
-        .collect()
+    all.map(|(tier, eps)| profiler(job, samples, tier, ProfileOptions::default().with_eps(eps), "")).collect()
 }
 
 /// Every method that can serve the job, in both precisions, on every tier.
@@ -208,7 +208,7 @@ fn forced<'a>(job: &'a Job, samples: &'a Samples) -> Vec<Contender<'a>> {
     for tier in tiers() {
         for &method in methods {
             for (precision, eps) in [(Precision::Single, 1e-4), (Precision::Double, 1e-12)] {
-                let options = ProfileOptions { eps, method: Some(method), precision: Some(precision) };
+                let options = ProfileOptions::default().with_eps(eps).with_method(method).with_precision(precision);
                 all.push(profiler(job, samples, tier, options, " forced"));
             }
         }
@@ -218,7 +218,8 @@ fn forced<'a>(job: &'a Job, samples: &'a Samples) -> Vec<Contender<'a>> {
 
 /// The guaranteed search, azimuth alone; the error is how far its peak is below that of a grid of 0.01 degrees.
 fn bearings(samples: &Samples) -> Vec<Contender<'_>> {
-    let options = ProfileOptions { eps: 1e-12, method: Some(Method::Direct), precision: Some(Precision::Double) };
+    let options =
+        ProfileOptions::default().with_eps(1e-12).with_method(Method::Direct).with_precision(Precision::Double);
     let dense = Planner::default().profile(samples, &Grid::azimuth(36_000), &options).expect("a profile");
     let top = dense.max().map_or(0.0, |(_, top)| top);
     let search = |tier: Tier| {
@@ -243,7 +244,7 @@ fn bearings(samples: &Samples) -> Vec<Contender<'_>> {
 }
 
 /// FINUFFT and NumPy on the same samples, in a process of their own.
-fn peers(job: &Job, samples: &Samples, reference: &[f64], n: usize, radius: f64) -> Vec<Row> {
+fn others(job: &Job, samples: &Samples, reference: &[f64], n: usize, radius: f64) -> Vec<Timing> {
     let root = std::path::PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../..");
     let python = root.join("target/venv/bin/python");
     if !python.exists() {
@@ -258,7 +259,7 @@ fn peers(job: &Job, samples: &Samples, reference: &[f64], n: usize, radius: f64)
         let sum: f64 = samples.z().iter().map(|z| z.norm()).sum();
         sum * sum
     };
-    std::fs::write(out("samples.bin"), bytes(columns.collect())).expect("a file for the peers");
+    std::fs::write(out("samples.bin"), bytes(columns.collect())).expect("a file for the others");
     std::fs::write(out("reference.bin"), bytes(reference.iter().map(|v| v * scale).collect())).expect("a file");
     let run = Command::new(python)
         .arg(root.join("scripts/bench_peers.py"))

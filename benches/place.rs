@@ -9,7 +9,7 @@ mod common;
 use common::{Table, banner, quickest};
 use csi5300::bartlett::{Searcher, Tier};
 use csi5300::place::near_field::{Aperture, Band, Limits, Search, Taper, View};
-use csi5300::signal::alignment::{Row, align, remove_common_slope};
+use csi5300::signal::alignment::{CsiRow, align, remove_common_slope};
 use csi5300::signal::channel::{INDICES_20_MHZ, SUBCARRIERS};
 use csi5300::signal::one_way::one_way;
 use csi5300::signal::samples::Samples;
@@ -31,14 +31,14 @@ fn path() -> Vec<Vector3<f64>> {
 }
 
 /// The square of two paths on every subcarrier, with a slope of its own in every packet, and noise.
-fn rows(path: &[Vector3<f64>]) -> Vec<Row> {
+fn rows(path: &[Vector3<f64>]) -> Vec<CsiRow> {
     let mut state = 7u64;
     let mut random = move || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         (state >> 40) as f32 / (1u32 << 24) as f32 - 0.5
     };
     let ways = [(Vector3::new(3.8, 1.2, 0.4), 1.0f32), (Vector3::new(-1.0, 5.0, 0.4), 0.5)];
-    let row = |p: &Vector3<f64>| -> Row {
+    let row = |p: &Vector3<f64>| -> CsiRow {
         let slope = 0.3 * random();
         std::array::from_fn(|k| {
             let index = f32::from(INDICES_20_MHZ[k]);
@@ -107,7 +107,7 @@ fn main() {
 }
 
 /// The samples at the channel centre, as a plane wave takes them.
-fn samples(path: &[Vector3<f64>], rows: &[Row]) -> Samples {
+fn samples(path: &[Vector3<f64>], rows: &[CsiRow]) -> Samples {
     let mut samples = Samples::new(WAVELENGTH_M, 2).expect("a wavelength");
     for (k, (p, row)) in path.iter().zip(rows).enumerate().skip(STANDING) {
         let h = row[14] + row[15];

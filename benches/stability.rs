@@ -39,7 +39,8 @@ fn breaking() {
         let samples = job(20, radius, 0.3 * radius, 5);
         let grid = Grid::azimuth_elevation(72, 19);
         let reference = oracle(&samples, &grid).expect("a profile").values;
-        let forced = |precision| ProfileOptions { eps: 1e-4, method: Some(Method::Direct), precision: Some(precision) };
+        let forced =
+            |precision| ProfileOptions::default().with_eps(1e-4).with_method(Method::Direct).with_precision(precision);
         let ways = [forced(Precision::Single), forced(Precision::Double), ProfileOptions::default()];
         let errors = ways.map(|options| worst(&samples, &grid, &options, &reference));
         table.row(&[vec![radius.to_string()], errors.map(|e| format!("{e:.1e}")).into()].concat());
@@ -74,11 +75,12 @@ fn judge(made: Result<Samples, Error>) -> Vec<Vec<String>> {
             return vec![vec![none(), none(), none(), none(), none(), format!("error: {}", kind(error))]];
         }
     };
-    let forced = |precision| ProfileOptions { eps: 1e-4, method: Some(Method::Direct), precision: Some(precision) };
+    let forced =
+        |precision| ProfileOptions::default().with_eps(1e-4).with_method(Method::Direct).with_precision(precision);
     let [single, double] =
         [Precision::Single, Precision::Double].map(|p| worst(&samples, &grid, &forced(p), &reference));
     let row = |eps: f64| {
-        let options = ProfileOptions { eps, ..ProfileOptions::default() };
+        let options = ProfileOptions::default().with_eps(eps);
         let planned = worst(&samples, &grid, &options, &reference);
         let plan = Planner::default().plan(&samples, &grid, &options).expect("a plan");
         let method = format!("{:?} {:?}", plan.explain().method, plan.explain().precision);
@@ -169,7 +171,7 @@ fn shapes() -> [Shaped; 11] {
     ]
 }
 
-/// The paper's clock offset, 10 t + 1e4 sin(200 t) cycles, in both directions at one instant and 50 ns apart; and the
+/// The clock offset of [paper], 10 t + 1e4 sin(200 t) cycles, in both directions at one instant and 50 ns apart; and the
 /// bearing that is left of it.
 fn phases() {
     let mut table = Table::new("stability_cfo", &[("case", 46), ("coherence", 10), ("error_deg", 10), ("sd_deg", 8)]);

@@ -232,7 +232,8 @@ fn wrong_peaks(scenes: usize) {
         evaluations += estimate.evaluations;
         let extent = points.iter().flat_map(|p| [p.x.abs(), p.y.abs()]).fold(0.0, f64::max) * 1.5;
         let count = (4 * (20.0 * 232.2 * extent) as usize + 400).next_multiple_of(4);
-        let options = ProfileOptions { eps: 1e-10, method: Some(Method::Direct), precision: Some(Precision::Double) };
+        let options =
+            ProfileOptions::default().with_eps(1e-10).with_method(Method::Direct).with_precision(Precision::Double);
         let dense = planner.profile(&samples, &Grid::azimuth(count), &options).expect("a profile");
         let (_, top) = dense.max().expect("a direction");
         wrong += usize::from(estimate.value < top * (1.0 - 1e-9));

@@ -13,7 +13,8 @@ use rustfft::Fft;
 use super::evaluate::{Batch, Buffers, carry, narrow};
 use super::fft::Ffts;
 use super::kernel::Kernel;
-use super::nufft::{Axis, CARRY, Setting, locate};
+use super::nufft::CARRY;
+use super::setting::{Axis, Setting, locate};
 use crate::maths::simd::{Real, Tier, V, on_tier};
 
 /// A planned transform for samples within an extent along a line, and for cosines.

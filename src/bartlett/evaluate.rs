@@ -7,7 +7,8 @@ use num_complex::Complex;
 
 use super::cone::Cone;
 use super::kernel::Kernel;
-use super::nufft::{Axis, CARRY, Nufft, Setting, Targets, Work};
+use super::nufft::{CARRY, Nufft, Targets, Work};
+use super::setting::{Axis, Setting};
 use super::sums::{Columns, Sines, pairs};
 use crate::maths::simd::Real;
 

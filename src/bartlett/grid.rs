@@ -165,7 +165,7 @@ impl Profile {
         self.values.iter().copied().enumerate().max_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// The paper's likelihood of the highest entry: its share of the profile's sum, `F / sum F`.
+    /// The likelihood of the highest entry [paper]: its share of the profile's sum, `F / sum F`.
     #[must_use]
     pub fn likelihood_share(&self) -> Option<f64> {
         let sum: f64 = self.values.iter().sum();
@@ -173,20 +173,22 @@ impl Profile {
     }
 }
 
-/// The WSR toolbox's profile variance about the highest peak: lower is sharper, 1 is a uniform profile.
+/// The profile variance [wsr-ijrr] about the highest peak, as the WSR toolbox [wsr] has it: lower is sharper, 1 is a uniform
+/// profile.
 ///
 /// `[sum d^2 F / sum F] / [sum d^2 / n]` with `d` the distance to the peak in grid steps, azimuth steps wrapped
-/// around the circle (WSR_Module.cpp:1352; there in single precision). None for an empty grid or
-/// a single direction.
-#[must_use]
-pub fn wsr_profile_variance(profile: &Profile) -> Option<f64> {
+/// around the circle (WSR_Module.cpp:1352; there in single precision). None for an empty grid or a single direction.
+#[cfg(test)]
+pub(crate) fn wsr_profile_variance(profile: &Profile) -> Option<f64> {
     profile_variance(profile, profile.grid.shape().0, |row, column, columns| profile.values[row * columns + column])
 }
 
-/// [`wsr_profile_variance`] of the toolbox's planar mode, which repeats one row of azimuths for each of its 90 polar angles;
-/// the highest of equal entries is the last.
-#[must_use]
-pub fn wsr_planar_profile_variance(azimuths: &Profile) -> Option<f64> {
+/// The profile variance [wsr-ijrr] about the highest peak: lower is sharper, 1 is a uniform profile.
+///
+/// `[sum d^2 F / sum F] / [sum d^2 / n]` with `d` the distance to the peak in grid steps, azimuth steps wrapped around the
+/// circle, as in the planar mode of the WSR toolbox [wsr] (WSR_Module.cpp:1352; there in single precision): one row of
+/// azimuths, repeated for each of its 90 polar angles; the highest of equal entries is the last. None for an empty grid.
+pub(crate) fn wsr_planar_profile_variance(azimuths: &Profile) -> Option<f64> {
     profile_variance(azimuths, WSR_ROWS, |_, column, _| azimuths.values[column])
 }
 

@@ -1,4 +1,4 @@
-//! The Kaiser-Bessel kernel of the NUFFT: values, transform, piecewise polynomials, and what it loses.
+//! The Kaiser-Bessel kernel of the NUFFT [beatty2005], as piecewise polynomials [finufft2019]: values, transform, piecewise polynomials, and what it loses.
 
 use std::f64::consts::PI;
 
@@ -16,8 +16,8 @@ pub(crate) struct Kernel {
 }
 
 impl Kernel {
-    /// The kernel for a grid that is `oversampling` times as fine as the band asks for (Beatty, Nishimura and Pauly
-    /// 2005, equation 5).
+    /// The kernel for a grid that is `oversampling` times as fine as the band asks for ([beatty2005], equation
+    /// 5).
     pub fn new(width: usize, oversampling: f64) -> Self {
         let ratio = width as f64 / oversampling * (oversampling - 0.5);
         let beta = PI * (ratio * ratio - 0.8).sqrt();

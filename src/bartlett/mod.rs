@@ -7,48 +7,68 @@
 //! trip), so with the displacement `p = rx - tx` a plane wave from `u` has `z ~ exp(+j 2 pi g u.p / lambda)`: moving
 //! towards the transmitter turns the phase forward. The profile is
 //!
-//! `F(u) = |f(u)|^2,  f(u) = sum_t w_t z_t exp(-j 2 pi g u.p_t / lambda)`.
+//! `F(u) = |f(u)|^2,  f(u) = sum_t w_t z_t exp(-j 2 pi g u.p_t / lambda)`
+//!
+//! (Bartlett's spectrum [bartlett1948] over directions [stoica-moses2005]; keys in brackets are those of `docs/references.md`).
 //!
 //! In polar coordinates of the displacement (length `rho`, azimuth `phi_p`, angle from the zenith `xi`) and of the
 //! direction (azimuth `phi`, angle from the zenith `theta`) the exponent is
 //! `2 pi g rho / lambda * (sin(theta) sin(xi) cos(phi - phi_p) + cos(xi) cos(theta))`, `g = 2` giving the familiar
-//! `4 pi`. As printed, the paper's equation of the steering vector lacks the parentheses around the two terms, and it
-//! names theta the azimuth where the formula needs the zenith angle (its phi being the azimuth).
+//! `4 pi`. As printed, the steering vector of [paper] lacks the parentheses around the two terms, and
+//! theta is called the azimuth where the formula needs the zenith angle (phi being the azimuth).
 //!
 //! # Rooms
-//! `front` validates and centres, `scene` holds what it makes, `direct` is the oracle, `sums` its fast form, `peak` the guaranteed search with
-//! `newton`, `crb` the predicted deviation, `grid` the directions and profiles.
+//! * **Input**: `front` centres and scales samples, `scene` holds them and the shape of the motion.
+//! * **Sums**: `direct` is the oracle, `sums` its vector form for antipodal pairs of directions.
+//! * **Profiles**: `planner` keeps plans; for a `key` (grid, tolerance, motion) `choose` takes the method of the least `cost` and
+//!   `plan` holds its tables: `rings` (band limits from `bessel`), `nufft` with `kernel` and `setting`, `cone` for lines;
+//!   `evaluate` runs them. `grid` has the directions and the profile, `explain` what was chosen.
+//! * **Bearings**: `search` samples rings (`sampler`, `resample`), takes the `maxima` that the bound does not rule out, climbs
+//!   them (`newton`) and makes an `estimate` of them (`report`, with deviations from `crb`).
 
 mod bessel;
 mod choose;
 mod cone;
+mod cost;
 mod crb;
 mod direct;
 mod error;
+mod estimate;
 mod evaluate;
 mod explain;
 mod fft;
 mod front;
 mod grid;
 pub(crate) mod kernel;
+mod key;
+mod maxima;
 mod newton;
 mod nufft;
-mod peak;
 mod plan;
+mod planner;
+mod report;
 mod resample;
 mod rings;
+mod sampler;
 mod scene;
+mod search;
+mod setting;
 mod sums;
 #[cfg(test)]
 mod tests;
 
 pub use crate::maths::Tier;
 pub use error::Error;
-pub use explain::{ElevationSearch, SearchPlan};
-pub use grid::{Grid, Profile, direction, wsr_planar_profile_variance, wsr_profile_variance};
-pub use peak::{Estimate, Peak, SearchOptions, Searcher, search};
-pub use plan::{Explanation, Method, Plan, Planner, Precision, ProfileOptions};
+pub use estimate::{Estimate, Peak, SearchOptions};
+pub use explain::{ElevationSearch, Explanation, Method, Precision, ProfileOptions, SearchPlan};
+pub(crate) use grid::wsr_planar_profile_variance;
+#[cfg(test)]
+use grid::wsr_profile_variance;
+pub use grid::{Grid, Profile, direction};
+pub use plan::Plan;
+pub use planner::Planner;
 pub use scene::{Geometry, Shape};
+pub use search::{Searcher, search};
 
 use crate::signal::samples::Samples;
 

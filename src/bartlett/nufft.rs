@@ -1,4 +1,4 @@
-//! A two-dimensional NUFFT from samples anywhere to directions anywhere ("type 3"), for motion in a plane.
+//! A two-dimensional NUFFT from samples anywhere to directions anywhere ("type 3"), for motion in a plane [dutt-rokhlin1993] [finufft2019].
 //!
 //! Samples are spread onto a grid of positions, the grid is transformed to a grid of direction cosines, and the wanted
 //! directions are interpolated from that: two kernels, each undone where it acts (the first divides the results, the
@@ -13,87 +13,12 @@ use rustfft::Fft;
 
 use super::fft::Ffts;
 use super::kernel::Kernel;
+use super::setting::{Axis, Setting, locate};
 use crate::maths::simd::{Real, Tier, V, on_tier};
 
 /// Samples between two carries of single-precision cells to double: keeps the error of a cell below 1e-6 of what fell
 /// into it, however long the robot stands still.
 pub(crate) const CARRY: usize = 4_096;
-
-/// Kernel width and oversampling, and the error they cause, relative to `sum |z|`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Setting {
-    pub width: usize,
-    pub oversampling: f64,
-    /// Both kernels in both dimensions, measured ([`Kernel::loss`]).
-    pub loss: f64,
-}
-
-const fn setting(width: usize, oversampling: f64, loss: f64) -> Setting {
-    Setting { width, oversampling, loss }
-}
-
-/// Cheapest first.
-const SETTINGS: [Setting; 10] = [
-    setting(4, 2.0, 4.4e-3),
-    setting(8, 1.5, 1.5e-5),
-    setting(8, 1.75, 2.8e-6),
-    setting(8, 2.0, 7.5e-7),
-    setting(12, 1.5, 1.3e-8),
-    setting(12, 1.75, 8e-10),
-    setting(12, 2.0, 1.4e-10),
-    setting(16, 1.5, 9.2e-12),
-    setting(16, 1.75, 2.6e-13),
-    setting(16, 2.0, 6e-14),
-];
-
-impl Setting {
-    /// The cheapest setting that loses at most `eps`; none if there is no such. Widths 4 and 8 exist in single
-    /// precision, 8 to 16 in double.
-    pub fn for_eps(eps: f64, single: bool) -> Option<Self> {
-        let there = |width: usize| if single { width <= 8 } else { width >= 8 };
-        SETTINGS.into_iter().find(|s| s.loss <= eps && there(s.width))
-    }
-}
-
-/// One dimension of the transform.
-#[derive(Clone, Debug)]
-pub(crate) struct Axis {
-    /// Grid cells per turn of position.
-    pub per_turn: f64,
-    /// Cells on either side of the middle that samples reach.
-    pub half: usize,
-    /// FFT length.
-    pub n: usize,
-}
-
-impl Axis {
-    /// For positions within `extent` turns of the middle.
-    pub fn new(extent: f64, setting: Setting) -> Self {
-        let sigma = setting.oversampling;
-        let per_turn = 2.0 * sigma;
-        let half = (extent * per_turn + 0.5 * setting.width as f64).ceil() as usize;
-        // The second kernel's band, and room for it beyond the largest direction cosine.
-        let band = (2.0 * sigma * half as f64).ceil() as usize;
-        let room = ((setting.width + 3) as f64 / (1.0 - 1.0 / sigma)).ceil() as usize;
-        Self { per_turn, half, n: super::fft::good_size(band.max(room)) }
-    }
-
-    fn support(&self) -> usize {
-        2 * self.half + 1
-    }
-
-    /// First cell that a direction cosine `u` touches, and the offset for the polynomials.
-    pub fn locate(&self, u: f64, width: usize) -> (isize, f64) {
-        locate(u * self.n as f64 / self.per_turn, width)
-    }
-}
-
-/// First cell that position `x` (cells) touches, and the offset for the polynomials.
-pub(crate) fn locate(x: f64, width: usize) -> (isize, f64) {
-    let middle = (width as f64 - 1.0) / 2.0;
-    let first = (x - middle).round_ties_even();
-    (first as isize, x - first - middle)
-}
 
 /// A planned transform for samples within a box.
 pub(crate) struct Nufft<T: Real> {

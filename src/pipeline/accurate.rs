@@ -5,7 +5,7 @@ use crate::bartlett::Estimate;
 use crate::place::near_field::{
     self, Aperture, Fix, Focus, Limits, Maps, ONE_WAY_VIEWS, Path, ROUND_TRIP_VIEWS, Search, View,
 };
-use crate::signal::alignment::{Alignment, Row, align, remove_common_slope};
+use crate::signal::alignment::{Alignment, CsiRow, align, remove_common_slope};
 use crate::signal::one_way::one_way;
 use crate::signal::samples::Samples;
 use nalgebra::Vector3;
@@ -44,17 +44,17 @@ impl Placed {
 }
 
 /// A round trip of unit power with the turn-around taken out: `turn` is what the compensation multiplied by.
-pub(super) fn compensated(product: &Row, turn: Complex64) -> Row {
+pub(super) fn compensated(product: &CsiRow, turn: Complex64) -> CsiRow {
     let power = product.iter().map(Complex32::norm_sqr).sum::<f32>() / product.len() as f32;
     let factor = Complex32::new(turn.re as f32, turn.im as f32) / power.sqrt();
-    if factor.is_finite() { product.map(|v| v * factor) } else { Row::default() }
+    if factor.is_finite() { product.map(|v| v * factor) } else { CsiRow::default() }
 }
 
 /// Searches the place of the transmitter. `rows` are all pairs of the link: those taken at rest tell nothing of the
 /// bearing, but settle slopes and signs. `used` are those of `samples`.
 pub(super) fn place(
     samples: &Samples,
-    mut rows: Vec<Row>,
+    mut rows: Vec<CsiRow>,
     used: &[usize],
     plane_wave: &Estimate,
     options: &Options,
@@ -111,6 +111,6 @@ pub(super) fn extract((mut placed, mut search): (Placed, Search), options: &Opti
     placed
 }
 
-fn pick(rows: &[Row], used: &[usize]) -> Vec<Row> {
+fn pick(rows: &[CsiRow], used: &[usize]) -> Vec<CsiRow> {
     used.iter().filter_map(|&index| rows.get(index)).copied().collect()
 }

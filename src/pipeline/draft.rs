@@ -159,7 +159,7 @@ impl Compensated {
     }
 
     /// The round trips on all subcarriers, turned as those at the channel centre were.
-    fn round_trips(&self, link: &Link) -> Vec<crate::signal::alignment::Row> {
+    fn round_trips(&self, link: &Link) -> Vec<crate::signal::alignment::CsiRow> {
         let turned = link.products().iter().zip(link.rows().iter().zip(&self.z));
         turned.map(|(product, (row, z))| accurate::compensated(product, z / row.z)).collect()
     }

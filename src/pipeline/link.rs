@@ -30,7 +30,7 @@ pub struct Link {
     pairing: Pairing<FrameHeard>,
     rows: Vec<PairRow>,
     /// The round trip of each row on all subcarriers, where a step of the accuracy layer wants it.
-    products: Vec<crate::signal::alignment::Row>,
+    products: Vec<crate::signal::alignment::CsiRow>,
     silent: usize,
     span_us: Option<(i64, i64)>,
     outside: usize,
@@ -97,7 +97,7 @@ impl Link {
     }
 
     /// The round trip of each on all subcarriers; empty where no step wants them.
-    pub(super) fn products(&self) -> &[crate::signal::alignment::Row] {
+    pub(super) fn products(&self) -> &[crate::signal::alignment::CsiRow] {
         &self.products
     }
 

@@ -42,20 +42,36 @@ pub struct Channel {
     width: Width,
 }
 
-/// What is no channel.
+/// Why there is no such channel.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no channel: 1 to 14 (2.4 GHz) or 34 to 196 (5 GHz), with + or - for 40 MHz, for example 108 or 36+")]
-pub struct NoChannel(pub String);
+#[non_exhaustive]
+pub enum ChannelError {
+    /// No channel of either band has this number, or it has no second half at 40 MHz (14).
+    #[error("`{number}` is no channel: {KNOWN}")]
+    Number {
+        /// The number.
+        number: u32,
+    },
+    /// A text that names no channel.
+    #[error("`{text}` is no channel: {KNOWN}")]
+    Text {
+        /// The text.
+        text: String,
+    },
+}
+
+/// What is a channel.
+const KNOWN: &str = "1 to 14 (2.4 GHz) or 34 to 196 (5 GHz), with + or - for 40 MHz, for example 108 or 36+";
 
 impl Channel {
     /// A channel by its number and width.
     ///
     /// # Errors
-    /// If no channel of the 2.4 or 5 GHz band has this number.
-    pub fn new(number: u32, width: Width) -> Result<Self, NoChannel> {
+    /// [`ChannelError::Number`] if no channel of the 2.4 or 5 GHz band has this number.
+    pub fn new(number: u32, width: Width) -> Result<Self, ChannelError> {
         let known = (1..=14).contains(&number) || (34..=196).contains(&number);
         let wide = !(number == 14 && width != Width::Ht20);
-        if known && wide { Ok(Self { number, width }) } else { Err(NoChannel(number.to_string())) }
+        if known && wide { Ok(Self { number, width }) } else { Err(ChannelError::Number { number }) }
     }
 
     /// Its number.
@@ -92,12 +108,6 @@ impl Channel {
         SPEED_OF_LIGHT_M_PER_S / self.centre_hz()
     }
 
-    /// True in the 2.4 GHz band, where the card's phases jump by multiples of pi/2 at every tuning.
-    #[must_use]
-    pub fn is_2_4_ghz(self) -> bool {
-        self.number <= 14
-    }
-
     /// Indices of the reported subcarriers about the centre.
     #[must_use]
     pub fn subcarriers(self) -> [i8; SUBCARRIERS] {
@@ -109,16 +119,17 @@ impl Channel {
 }
 
 impl FromStr for Channel {
-    type Err = NoChannel;
+    type Err = ChannelError;
 
-    fn from_str(text: &str) -> Result<Self, NoChannel> {
+    fn from_str(text: &str) -> Result<Self, ChannelError> {
+        let wrong = || ChannelError::Text { text: text.into() };
         let (digits, width) = match (text.strip_suffix('+'), text.strip_suffix('-')) {
             (Some(digits), _) => (digits, Width::Ht40Plus),
             (_, Some(digits)) => (digits, Width::Ht40Minus),
             _ => (text, Width::Ht20),
         };
-        let number = digits.parse().map_err(|_| NoChannel(text.into()))?;
-        Self::new(number, width).map_err(|_| NoChannel(text.into()))
+        let number = digits.parse().map_err(|_| wrong())?;
+        Self::new(number, width).map_err(|_| wrong())
     }
 }
 

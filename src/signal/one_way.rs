@@ -12,7 +12,7 @@
 
 use crate::bartlett::Tier;
 use crate::maths::simd::on_tier;
-use crate::signal::alignment::Row;
+use crate::signal::alignment::CsiRow;
 use crate::signal::alignment::planes::{LANES, Lanes, Planes, lanes, planes_of, sum, with_neighbours};
 use crate::signal::channel::SUBCARRIERS;
 use fearless_simd::Simd;
@@ -28,7 +28,7 @@ const SWEEPS: usize = 12;
 #[derive(Clone, Debug, PartialEq)]
 pub struct OneWay {
     /// The one-way channel, up to one common sign: path gain 1.
-    pub rows: Vec<Row>,
+    pub rows: Vec<CsiRow>,
     /// Signs that the sweeps still changed after tracking, as a share of all samples, 0..1.
     pub corrected: f64,
     /// Share of the power whose sign disagrees with the packet before it on the same subcarrier: slips, 0..1.
@@ -39,7 +39,7 @@ pub struct OneWay {
 
 /// Takes the square root of `rows` (round trips, common slope removed, in the order of time), on `tier`.
 #[must_use]
-pub fn one_way(rows: &[Row], tier: Tier) -> OneWay {
+pub fn one_way(rows: &[CsiRow], tier: Tier) -> OneWay {
     let mut planes = planes_of(rows);
     on_tier!(tier.level_or_portable(), simd => roots_of(simd, &mut planes))
 }
@@ -159,8 +159,8 @@ mod tests {
             let (t, k) = (t as f32, k as f32);
             Complex32::cis(0.11 * t) + Complex32::from_polar(0.6, 1.0 - 0.09 * t + 0.05 * k)
         };
-        let truth: Vec<Row> = (0..600).map(|t| std::array::from_fn(|k| channel(t, k))).collect();
-        let squared: Vec<Row> = truth.iter().map(|row| row.map(|v| v * v)).collect();
+        let truth: Vec<CsiRow> = (0..600).map(|t| std::array::from_fn(|k| channel(t, k))).collect();
+        let squared: Vec<CsiRow> = truth.iter().map(|row| row.map(|v| v * v)).collect();
         let found = one_way(&squared, Tier::detect());
         let product: Complex32 =
             truth.iter().flatten().zip(found.rows.iter().flatten()).map(|(a, b)| a * b.conj()).sum();
@@ -189,7 +189,7 @@ mod tests {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             (state >> 40) as f32 / (1u32 << 24) as f32
         };
-        let rows: Vec<Row> =
+        let rows: Vec<CsiRow> =
             (0..300).map(|_| std::array::from_fn(|_| Complex32::cis(std::f32::consts::TAU * random()))).collect();
         assert!(one_way(&rows, Tier::detect()).coherence < 0.8);
         assert!(one_way(&rows, Tier::detect()).slips > 0.05);

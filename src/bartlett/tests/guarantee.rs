@@ -1,7 +1,6 @@
 //! `|f~ - f| <= eps sum w |z|` for every path, precision and tier.
 
 use super::*;
-use crate::bartlett::plan::*;
 
 /// The largest error over some directions of a grid, relative to `sum w |z|`, and the method that was used.
 fn error(
@@ -171,7 +170,7 @@ fn floors_of_single_precision_are_measured() {
                 let (error, explanation) = exact.error(&mut Planner::default(), &options);
                 if explanation.method == method {
                     worst = worst.max(error);
-                    floor = crate::bartlett::choose::single_floor(method, TAU * exact.scene.radius);
+                    floor = crate::bartlett::cost::single_floor(method, TAU * exact.scene.radius);
                 }
             }
             assert!(worst <= floor, "{method:?} {radius} m: {worst:.1e} above the floor {floor:.1e}");

@@ -1,6 +1,6 @@
 //! Channel rows along a trajectory, thinned to what the wavelength asks for.
 
-use crate::signal::alignment::Row;
+use crate::signal::alignment::CsiRow;
 use crate::signal::channel::SUBCARRIERS;
 use nalgebra::Vector3;
 use num_complex::{Complex32, Complex64};
@@ -15,7 +15,7 @@ pub struct Aperture {
     /// `receiver - transmitter displacement` for each row, metres, trajectory frame.
     pub displacement_m: Vec<Vector3<f64>>,
     /// One value per subcarrier.
-    pub rows: Vec<Row>,
+    pub rows: Vec<CsiRow>,
     /// The phasor at the channel centre of each row, by a line fitted to the phases of all subcarriers; empty where there
     /// is none. Views that look at no subcarrier look at it.
     pub centre: Vec<Complex32>,
@@ -27,7 +27,7 @@ impl Aperture {
     /// Gathers `rows` taken at `displacement_m`, averaging runs that lie within a small part of a wavelength.
     /// Surplus entries of the longer list are left out.
     #[must_use]
-    pub fn gather(displacement_m: &[Vector3<f64>], rows: &[Row], path_gain: u8, wavelength_m: f64) -> Self {
+    pub fn gather(displacement_m: &[Vector3<f64>], rows: &[CsiRow], path_gain: u8, wavelength_m: f64) -> Self {
         Self::gather_with_centre(displacement_m, rows, &[], path_gain, wavelength_m)
     }
 
@@ -36,7 +36,7 @@ impl Aperture {
     #[must_use]
     pub fn gather_with_centre(
         displacement_m: &[Vector3<f64>],
-        rows: &[Row],
+        rows: &[CsiRow],
         centre: &[Complex64],
         path_gain: u8,
         wavelength_m: f64,
@@ -56,7 +56,7 @@ impl Aperture {
         aperture
     }
 
-    fn push_mean(&mut self, positions: &[Vector3<f64>], rows: &[Row]) {
+    fn push_mean(&mut self, positions: &[Vector3<f64>], rows: &[CsiRow]) {
         let share = 1.0 / positions.len() as f64;
         let mut mean = [Complex32::default(); SUBCARRIERS];
         for row in rows {

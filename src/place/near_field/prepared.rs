@@ -3,7 +3,7 @@
 use super::aperture::Aperture;
 use super::bend::BendPolynomial;
 use super::types::{Band, Place, Taper, View, Warp};
-use crate::signal::alignment::Row;
+use crate::signal::alignment::CsiRow;
 use crate::signal::channel::SUBCARRIERS;
 use nalgebra::{DMatrix, Vector3};
 use num_complex::{Complex32, Complex64};
@@ -200,7 +200,7 @@ fn cuts(n: usize, view: &View) -> Vec<(usize, Vec<f64>)> {
 /// share of the energy at most. Beside them the full energy of each sample.
 fn principal(aperture: &Aperture, count: usize) -> (Vec<Vec<Abreast>>, Vec<f64>) {
     let lowest = (SUBCARRIERS - count) / 2;
-    let band = |row: &Row| -> Vec<Complex32> { row[lowest..lowest + count].to_vec() };
+    let band = |row: &CsiRow| -> Vec<Complex32> { row[lowest..lowest + count].to_vec() };
     let rows: Vec<Vec<Complex32>> = aperture.rows.iter().map(band).collect();
     let energies = rows.iter().map(|row| f64::from(row.iter().map(Complex32::norm_sqr).sum::<f32>())).collect();
     let chunks = if count <= 2 * ABREAST { 1 } else { 2 };

@@ -3,7 +3,7 @@ use super::prepared::PreparedAperture;
 use super::types::{Place, Precision};
 use super::*;
 use crate::bartlett::{Tier, direction};
-use crate::signal::alignment::Row;
+use crate::signal::alignment::CsiRow;
 use crate::signal::channel::SUBCARRIERS;
 use nalgebra::Vector3;
 use num_complex::{Complex32, Complex64};
@@ -36,10 +36,10 @@ fn curve(n: usize) -> Vec<Vector3<f64>> {
 }
 
 /// Rows of `gain` times the path to each of `sources` (position, amplitude), with noise on every subcarrier.
-fn rows(path: &[Vector3<f64>], gain: u8, sources: &[(Vector3<f64>, f64)], noise_sd: f64, seed: u64) -> Vec<Row> {
+fn rows(path: &[Vector3<f64>], gain: u8, sources: &[(Vector3<f64>, f64)], noise_sd: f64, seed: u64) -> Vec<CsiRow> {
     let mut noise = Noise(seed);
     let kappa = TAU * f64::from(gain) / WAVELENGTH_M;
-    let row = |p: &Vector3<f64>| -> Row {
+    let row = |p: &Vector3<f64>| -> CsiRow {
         let wave = |(at, amplitude): &(Vector3<f64>, f64)| Complex64::from_polar(*amplitude, -kappa * (p - at).norm());
         let sum: Complex64 = sources.iter().map(wave).sum();
         std::array::from_fn(|_| {
@@ -66,7 +66,7 @@ fn the_kernel_is_the_sum_as_written_on_every_tier() {
     let path = curve(137);
     let mut noise = Noise(5);
     // Three shapes over the subcarriers: few enough for the kernel's columns to hold everything.
-    let data: Vec<Row> = rows(&path, 1, &[(Vector3::new(3.0, 2.0, 0.5), 1.0)], 0.0, 5)
+    let data: Vec<CsiRow> = rows(&path, 1, &[(Vector3::new(3.0, 2.0, 0.5), 1.0)], 0.0, 5)
         .iter()
         .map(|row| {
             let (a, b) = (noise.complex(0.7), noise.complex(0.5));
@@ -181,10 +181,10 @@ fn small_arrays_see_plane_waves_and_say_nothing_of_range() {
 }
 
 /// The square of the sum of the waves, as a round trip is.
-fn squared(path: &[Vector3<f64>], sources: &[(Vector3<f64>, f64)], noise_sd: f64) -> Vec<Row> {
+fn squared(path: &[Vector3<f64>], sources: &[(Vector3<f64>, f64)], noise_sd: f64) -> Vec<CsiRow> {
     let mut noise = Noise(77);
-    let square = |row: &Row| row.map(|v| v * v);
-    let noisy = |row: Row| {
+    let square = |row: &CsiRow| row.map(|v| v * v);
+    let noisy = |row: CsiRow| {
         row.map(|v| {
             let other = noise.complex(noise_sd);
             v + Complex32::new(other.re as f32, other.im as f32)

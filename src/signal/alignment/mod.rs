@@ -16,7 +16,7 @@ use num_complex::Complex32;
 use planes::{LANES, Lanes, Planes, lanes, planes_of, settle, sum, with_neighbours};
 
 /// One channel sample on every reported subcarrier, in the order of the subcarrier indices.
-pub type Row = [Complex32; SUBCARRIERS];
+pub type CsiRow = [Complex32; SUBCARRIERS];
 
 /// Neighbours on either side that a packet is compared with.
 const REACH: usize = 7;
@@ -39,7 +39,7 @@ pub struct Alignment {
 }
 
 /// Takes the slope that all rows have in common out of each: neighbouring subcarriers then differ by the channel only.
-pub fn remove_common_slope(rows: &mut [Row], indices: &[i8; SUBCARRIERS]) {
+pub fn remove_common_slope(rows: &mut [CsiRow], indices: &[i8; SUBCARRIERS]) {
     let step = indices[1] - indices[0];
     let mut turn = Complex32::default();
     for row in rows.iter() {
@@ -50,13 +50,13 @@ pub fn remove_common_slope(rows: &mut [Row], indices: &[i8; SUBCARRIERS]) {
 }
 
 /// `sum v[k] conj(v[k-1])` over neighbours `step` indices apart.
-fn neighbour_products(row: &Row, indices: &[i8; SUBCARRIERS], step: i8) -> Complex32 {
+fn neighbour_products(row: &CsiRow, indices: &[i8; SUBCARRIERS], step: i8) -> Complex32 {
     let apart = |k: &usize| indices[*k] - indices[*k - 1] == step;
     (1..SUBCARRIERS).filter(apart).map(|k| row[k] * row[k - 1].conj()).sum()
 }
 
 /// `row[k] *= exp(-j slope index[k])`.
-fn turn_by(row: &mut Row, indices: &[i8; SUBCARRIERS], slope: f32) {
+fn turn_by(row: &mut CsiRow, indices: &[i8; SUBCARRIERS], slope: f32) {
     let turn = |index: &i8| Complex32::cis(-slope * f32::from(*index));
     row.iter_mut().zip(indices).for_each(|(value, index)| *value *= turn(index));
 }
@@ -193,7 +193,7 @@ fn round<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb, first: bool, slopes
 /// Aligns `rows`, one per packet in the order of time, in place, on `tier`.
 ///
 /// Rows should be of like magnitude. With fewer than three rows nothing is done.
-pub fn align(rows: &mut [Row], indices: &[i8; SUBCARRIERS], tier: Tier) -> Alignment {
+pub fn align(rows: &mut [CsiRow], indices: &[i8; SUBCARRIERS], tier: Tier) -> Alignment {
     if rows.len() < 3 {
         return Alignment::default();
     }
@@ -226,7 +226,7 @@ mod tests {
     use crate::signal::channel::INDICES_20_MHZ;
 
     /// Packets along a path of two rays, each with its own slope about a common one.
-    fn packets(jitter_rad: f32) -> (Vec<Row>, Vec<Row>) {
+    fn packets(jitter_rad: f32) -> (Vec<CsiRow>, Vec<CsiRow>) {
         let mut state = 7u64;
         let mut random = move || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -237,7 +237,7 @@ mod tests {
             let t = t as f32;
             Complex32::cis(0.2 * t - 0.8 * x) + Complex32::from_polar(0.4, -0.15 * t - 0.83 * x)
         };
-        let clean: Vec<Row> = (0..200).map(|t| std::array::from_fn(|k| channel(t, k))).collect();
+        let clean: Vec<CsiRow> = (0..200).map(|t| std::array::from_fn(|k| channel(t, k))).collect();
         let jittered = clean.iter().map(|row| {
             let mut row = *row;
             turn_by(&mut row, &INDICES_20_MHZ, jitter_rad * random());
@@ -255,11 +255,11 @@ mod tests {
         assert!(best > 0.99 && found.coherence_before < 0.65 && found.coherence_after > 0.88, "{found:?} {best}");
         assert!((found.slope_sd_rad - 0.3 / 12f64.sqrt()).abs() < 0.025, "{found:?}");
         // What is left of each packet's own slope: common or slowly wandering, and nothing at the channel centre.
-        let left: Vec<Row> =
+        let left: Vec<CsiRow> =
             clean.iter().zip(&rows).map(|(a, b)| std::array::from_fn(|k| b[k] * a[k].conj())).collect();
-        let full = |row: &Row| row.iter().map(Complex32::norm_sqr).sum::<f32>();
+        let full = |row: &CsiRow| row.iter().map(Complex32::norm_sqr).sum::<f32>();
         assert!(left.iter().all(|row| (row[14] + row[15]).arg().abs() < 0.01));
-        let alike = |pair: &[Row]| {
+        let alike = |pair: &[CsiRow]| {
             let product: Complex32 = pair[1].iter().zip(&pair[0]).map(|(b, a)| b * a.conj()).sum();
             product.norm() / (full(&pair[0]) * full(&pair[1])).sqrt()
         };

@@ -1,7 +1,7 @@
 //! A row of subcarriers as two planes, real and imaginary, padded with zeros to whole vectors: plain loops over them are
 //! vector code on every tier (inside [`on_tier`](crate::maths::simd::on_tier)).
 
-use super::Row;
+use super::CsiRow;
 use crate::signal::channel::SUBCARRIERS;
 use num_complex::Complex32;
 
@@ -43,7 +43,7 @@ impl Planes {
     pub const ZERO: Self = Self { re: [0.0; LANES], im: [0.0; LANES] };
 
     #[inline(always)]
-    pub fn of(row: &Row) -> Self {
+    pub fn of(row: &CsiRow) -> Self {
         let mut planes = Self::ZERO;
         for (k, value) in row.iter().enumerate() {
             (planes.re[k], planes.im[k]) = (value.re, value.im);
@@ -52,7 +52,7 @@ impl Planes {
     }
 
     #[inline(always)]
-    pub fn row(&self) -> Row {
+    pub fn row(&self) -> CsiRow {
         let mut row = [Complex32::default(); SUBCARRIERS];
         for (k, value) in row.iter_mut().enumerate() {
             *value = Complex32::new(self.re[k], self.im[k]);
@@ -116,7 +116,7 @@ impl Planes {
 }
 
 /// The planes of `rows`.
-pub(crate) fn planes_of(rows: &[Row]) -> Vec<Planes> {
+pub(crate) fn planes_of(rows: &[CsiRow]) -> Vec<Planes> {
     rows.iter().map(Planes::of).collect()
 }
 
@@ -166,8 +166,8 @@ mod tests {
 
     #[test]
     fn planes_and_rows_are_the_same_numbers() {
-        let row: Row = std::array::from_fn(|k| Complex32::new(k as f32 - 3.5, 2.0 - 0.3 * k as f32));
-        let other: Row = std::array::from_fn(|k| Complex32::cis(0.7 * k as f32));
+        let row: CsiRow = std::array::from_fn(|k| Complex32::new(k as f32 - 3.5, 2.0 - 0.3 * k as f32));
+        let other: CsiRow = std::array::from_fn(|k| Complex32::cis(0.7 * k as f32));
         let (a, b) = (Planes::of(&row), Planes::of(&other));
         assert_eq!(a.row(), row);
         let near = |got: Planes, expected: &dyn Fn(usize) -> Complex32| {

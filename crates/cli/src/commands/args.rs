@@ -108,7 +108,7 @@ impl Estimation {
         accuracy.one_way = !left_out(Step::OneWay);
         accuracy.focus = !left_out(Step::Focus);
         accuracy.paths = !left_out(Step::Paths);
-        let search = SearchOptions { elevation_max_rad: elevation_max.to_radians(), ..SearchOptions::default() };
+        let search = SearchOptions::default().with_elevation_max_rad(elevation_max.to_radians());
         Ok(Options::new(channel)
             .with_antenna(self.antenna)
             .with_clock_offset_s(self.clock_offset)

@@ -2,7 +2,7 @@
 
 use super::find::TRUTH_FILE;
 use csi5300::motion::odometry::csv::CsvError;
-use csi5300::signal::channel::NoChannel;
+use csi5300::signal::channel::ChannelError;
 use nalgebra::Vector2;
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -29,7 +29,7 @@ pub enum EvaluateError {
     },
     /// The file with the truth names a channel that is none.
     #[error("{TRUTH_FILE}: {0}")]
-    Channel(#[from] NoChannel),
+    Channel(#[from] ChannelError),
     /// Neither the file with the truth nor the caller names a channel.
     #[error("{TRUTH_FILE} names no channel, and none was given")]
     NoChannel,

@@ -86,7 +86,7 @@ fn bound_deg(n: f64, radius_m: f64, phase_rad: f64) -> f64 {
 #[test]
 fn errors_follow_the_cramer_rao_bound() {
     const SEEDS: u64 = 400;
-    let options = options(false).with_search(SearchOptions { elevation_max_rad: 0.0, ..SearchOptions::default() });
+    let options = options(false).with_search(SearchOptions::default().with_elevation_max_rad(0.0));
     for snr_db in [12.0, 20.0] {
         let mut scene = far("paper-circle");
         (scene.duration_s, scene.robot[0].motion) = (4.0, circle(0.3, 4.0));

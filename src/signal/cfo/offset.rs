@@ -1,0 +1,113 @@
+//! The search for the carrier frequency offset `df` that makes the product's phase steady.
+
+use num_complex::Complex64;
+use std::f64::consts::TAU;
+
+/// Step of the search, Hz: the coherence over `df` is about 1 / (2 pi 20 us) = 8 kHz wide.
+const STEP_HZ: f64 = 400.0;
+/// Pairs that an offset of their own is looked for in: 2 s at the usual rate. What so few leave open of it turns no phase,
+/// since it is the jitter that would have to show it.
+const BLOCK: usize = 200;
+/// How far a block's offset is looked for from that of all, Hz: 2.4 kHz within six seconds has been seen.
+const DRIFT_HZ: f64 = 4_000.0;
+/// By how much a block's own offset must raise the sum of its unit phasors, on average: chance gives half of one.
+const GAIN_PER_BLOCK: f64 = 2.0;
+/// Second differences of the jitter beyond this are left out of the search, microseconds.
+const MAX_SECOND_DIFFERENCE_US: i64 = 500;
+
+/// Unit second differences summed by the (integer) second difference of the turn-around that goes with them: the
+/// histogram makes the search over `df` as cheap as the jitter is small.
+pub(super) struct Term {
+    /// Second difference of the turn-around, microseconds.
+    pub second_us: f64,
+    /// Sum of the unit second differences of the phase.
+    pub sum: Complex64,
+    /// How many there are.
+    pub count: f64,
+}
+
+/// The terms of a record.
+pub(super) fn second_differences(z: &[Complex64], clock_us: &[i64], difference_us: &[i64]) -> Vec<Term> {
+    let width = 2 * MAX_SECOND_DIFFERENCE_US as usize + 1;
+    let mut sums = vec![(Complex64::default(), 0.0); width];
+    for k in 1..z.len() - 1 {
+        let (before, after) = (clock_us[k] - clock_us[k - 1], clock_us[k + 1] - clock_us[k]);
+        let second = difference_us[k - 1] - 2 * difference_us[k] + difference_us[k + 1];
+        let even = before > 0 && after > 0 && 2 * (before - after).abs() < before + after;
+        if !even || second.abs() > MAX_SECOND_DIFFERENCE_US {
+            continue;
+        }
+        let product = z[k - 1] * z[k].conj() * z[k].conj() * z[k + 1];
+        let norm = product.norm();
+        if norm > 0.0 && norm.is_finite() {
+            let bin = &mut sums[(second + MAX_SECOND_DIFFERENCE_US) as usize];
+            bin.0 += product / norm;
+            bin.1 += 1.0;
+        }
+    }
+    let term = |(k, &(sum, count)): (usize, &(Complex64, f64))| Term {
+        second_us: (k as i64 - MAX_SECOND_DIFFERENCE_US) as f64,
+        sum,
+        count,
+    };
+    sums.iter().enumerate().filter(|(_, bin)| bin.1 > 0.0).map(term).collect()
+}
+
+/// The sum of all terms with an offset of `df_hz` taken out.
+pub(super) fn sum_at(terms: &[Term], df_hz: f64) -> Complex64 {
+    let rate = TAU * df_hz * 1e-6;
+    terms.iter().map(|term| term.sum * Complex64::cis(rate * term.second_us)).sum()
+}
+
+/// Offsets block by block, and the sum of the blocks' coherent sums, if they gain more than their number explains.
+pub(super) fn course(
+    z: &[Complex64],
+    clock_us: &[i64],
+    difference_us: &[i64],
+    df_hz: f64,
+) -> Option<(Vec<(f64, f64)>, f64)> {
+    let blocks = z.len() / BLOCK;
+    if blocks < 2 {
+        return None;
+    }
+    let (mut course, mut with, mut without) = (Vec::new(), 0.0, 0.0);
+    for block in 0..blocks {
+        let (from, to) = (block * z.len() / blocks, (block + 1) * z.len() / blocks);
+        let terms = second_differences(&z[from..to], &clock_us[from..to], &difference_us[from..to]);
+        let coherent = |hz: f64| sum_at(&terms, hz).norm();
+        let own_hz = maximise(coherent, df_hz, DRIFT_HZ);
+        (with, without) = (with + coherent(own_hz), without + coherent(df_hz));
+        course.push((0.5 * (clock_us[from] + clock_us[to - 1]) as f64, own_hz));
+    }
+    (with - without > GAIN_PER_BLOCK * blocks as f64).then_some((course, with))
+}
+
+/// The value at `x` between the points of `course`, and that of the nearest beyond its ends; `None` if it is empty.
+pub(super) fn along(course: &[(f64, f64)], x: f64) -> Option<f64> {
+    let after = course.partition_point(|point| point.0 <= x);
+    let (Some(left), Some(right)) = (course.get(after.saturating_sub(1)), course.get(after).or(course.last())) else {
+        return None;
+    };
+    let run = right.0 - left.0;
+    Some(if run > 0.0 { left.1 + (right.1 - left.1) * ((x - left.0) / run).clamp(0.0, 1.0) } else { left.1 })
+}
+
+/// The maximum of `f` within `reach_hz` of `near_hz`: a grid, then golden sections.
+pub(super) fn maximise(f: impl Fn(f64) -> f64, near_hz: f64, reach_hz: f64) -> f64 {
+    let steps = (reach_hz / STEP_HZ) as i32;
+    let mut best = (f64::NEG_INFINITY, near_hz);
+    for k in -steps..=steps {
+        let at = near_hz + f64::from(k) * STEP_HZ;
+        let value = f(at);
+        if value > best.0 {
+            best = (value, at);
+        }
+    }
+    let ratio = (5f64.sqrt() - 1.0) / 2.0;
+    let (mut low, mut high) = (best.1 - STEP_HZ, best.1 + STEP_HZ);
+    while high - low > 0.5 {
+        let (a, b) = (high - ratio * (high - low), low + ratio * (high - low));
+        if f(a) >= f(b) { high = b } else { low = a }
+    }
+    0.5 * (low + high)
+}

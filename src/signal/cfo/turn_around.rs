@@ -1,0 +1,113 @@
+//! What the turn-around's jitter turns, estimated and taken out.
+
+use super::drift_line::{drift_line, median};
+use super::offset::{along, course, maximise, second_differences, sum_at};
+use num_complex::Complex64;
+use std::f64::consts::TAU;
+
+/// How far from `drift * carrier` the offset is looked for, Hz: the turn-around's own drift has been seen to fake up to
+/// 2 ppm (11 kHz).
+const SEARCH_HZ: f64 = 20_000.0;
+/// Cards agree to 40 parts per million (802.11 allows each 20); more is a clock that was set anew, or no clock.
+const MAX_DRIFT: f64 = 100e-6;
+
+/// What [`TurnAround::estimate`] found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TurnAround {
+    /// Carrier frequency offset between the two cards, Hz, in the sign of the convention above.
+    pub df_hz: f64,
+    /// Drift of `clock_tx - clock_rx`, parts per million of the receiver's clock.
+    pub drift_ppm: f64,
+    /// Turn-around `d` of each pair against the median, microseconds, the clocks' drift taken to be that of the carriers.
+    pub jitter_us: Vec<f64>,
+    /// Median of its distance from a straight line, microseconds.
+    pub jitter_median_us: f64,
+    /// Coherence of second differences before, 0..1: `|mean(u)|`, `u = z[k-1] conj(z[k])^2 z[k+1]` of unit modulus.
+    pub coherence_before: f64,
+    /// The same after taking out `df`.
+    pub coherence_after: f64,
+    /// Whether the compensation pays: the coherence rose by more than one free parameter explains.
+    pub worthwhile: bool,
+    /// Where the offset was seen to drift: (receiver's clock in microseconds, Hz) in the middle of each block of pairs.
+    /// Empty where one offset explains all.
+    pub course: Vec<(f64, f64)>,
+    /// The offset at each pair, Hz, where it drifts.
+    pub(super) offsets_hz: Vec<f64>,
+}
+
+impl TurnAround {
+    /// Estimates the offset from samples, the receiver's card clock and the clock difference `tx - rx` (both unwrapped,
+    /// microseconds), one entry per pair in time order. `None` with fewer than 8 pairs, where a clock stands still or
+    /// drifts by more than any two cards do (it was reset), or if the lengths differ.
+    #[must_use]
+    pub fn estimate(z: &[Complex64], clock_rx_us: &[i64], difference_us: &[i64], carrier_hz: f64) -> Option<Self> {
+        let n = z.len();
+        if n < 8 || clock_rx_us.len() != n || difference_us.len() != n || clock_rx_us[n - 1] <= clock_rx_us[0] {
+            return None;
+        }
+        let line = drift_line(clock_rx_us, difference_us);
+        if line.slope.abs() > MAX_DRIFT {
+            return None;
+        }
+        let residual = |k: usize| (difference_us[k] as f64 - line.at(clock_rx_us[k] as f64)).abs();
+        let jitter_median_us = median((0..n).map(residual).collect());
+        let terms = second_differences(z, clock_rx_us, difference_us);
+        let total: f64 = terms.iter().map(|term| term.count).sum();
+        if total < 4.0 {
+            return None;
+        }
+        let coherence = |df_hz: f64| sum_at(&terms, df_hz).norm() / total;
+        let df_hz = maximise(coherence, line.slope * carrier_hz, SEARCH_HZ);
+        let (before, mut after) = (coherence(0.0), coherence(df_hz));
+        let course = match course(z, clock_rx_us, difference_us, df_hz) {
+            Some((course, coherent)) => {
+                after = coherent / total;
+                course
+            }
+            None => Vec::new(),
+        };
+        Some(Self {
+            offsets_hz: clock_rx_us
+                .iter()
+                .map(|us| along(&course, *us as f64))
+                .take_while(Option::is_some)
+                .flatten()
+                .collect(),
+            course,
+            df_hz,
+            drift_ppm: line.slope * 1e6,
+            jitter_us: jitter_us(clock_rx_us, difference_us, df_hz / carrier_hz),
+            jitter_median_us,
+            coherence_before: before,
+            coherence_after: after,
+            worthwhile: after > before + 1.0 / total.sqrt(),
+        })
+    }
+
+    /// From the lowest to the highest offset in the course of the record, Hz; 0 where one explains all.
+    #[must_use]
+    pub fn df_span_hz(&self) -> f64 {
+        let (low, high) = self.course.iter().fold((f64::MAX, f64::MIN), |(l, h), (_, hz)| (l.min(*hz), h.max(*hz)));
+        (high - low).max(0.0)
+    }
+
+    /// Takes the offset out: `z[k] *= exp(+j 2 pi df d[k])`. Samples beyond the estimate's own are left alone.
+    pub fn apply(&self, z: &mut [Complex64]) {
+        let offsets_hz = self.offsets_hz.iter().copied().chain(std::iter::repeat(self.df_hz));
+        for ((z, d_us), df_hz) in z.iter_mut().zip(&self.jitter_us).zip(offsets_hz) {
+            *z *= Complex64::cis(TAU * (df_hz * d_us * 1e-6).fract());
+        }
+    }
+}
+
+/// The clock difference less a drift of `slope`, about its median.
+///
+/// The drift is that of the carriers, since one crystal makes both: a line through the differences themselves would
+/// also take out what the turn-around drifts (measured: up to 3 ppm, a radian over the motion), which the product of
+/// the frames holds.
+fn jitter_us(clock_us: &[i64], difference_us: &[i64], slope: f64) -> Vec<f64> {
+    let less_drift = |(clock, difference): (&i64, &i64)| *difference as f64 - slope * (clock - clock_us[0]) as f64;
+    let left: Vec<f64> = clock_us.iter().zip(difference_us).map(less_drift).collect();
+    let level = median(left.clone());
+    left.into_iter().map(|d| d - level).collect()
+}
