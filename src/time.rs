@@ -136,7 +136,7 @@ impl Unwrap32 {
     }
 
     /// The same, where another clock says how long ago the last reading was (to within half an hour): pauses of any
-    /// length are then told apart.
+    /// length are then distinguished.
     pub fn next_after(&mut self, raw: u32, elapsed_us: Option<i64>) -> i64 {
         let value = match self.last {
             None => i64::from(raw),
@@ -147,8 +147,8 @@ impl Unwrap32 {
     }
 }
 
-/// When records reached the host, told by the card's own clock: whoever reads them late and several at once has stamped
-/// them late, and by how much differs from record to record.
+/// When records reached the host, by the card's own clock: records that are read late, several at once, carry host stamps
+/// that are late by an amount that differs from record to record.
 ///
 /// The record with the least delay so far is the reference; the card's clock leads on from it, and no record is put later
 /// than it was read. The reference is let go by [`HostTimes::DRIFT`], so that the clocks may drift apart; where a record was
@@ -237,11 +237,11 @@ mod tests {
             let came = 7_000_000_000 + k * 1_300 + 50 + k * 7_919 % 300;
             let read = (came / 10_000 + 1) * 10_000;
             let card = 4_294_000_000.0 + (k * 1_300) as f64 * (1.0 - 4e-5);
-            let told = times.came_at(read, card as u64 as u32);
-            assert!(told <= read && told >= last, "record {k}: {told} after {last}, read at {read}");
-            last = told;
+            let stamp = times.came_at(read, card as u64 as u32);
+            assert!(stamp <= read && stamp >= last, "record {k}: {stamp} after {last}, read at {read}");
+            last = stamp;
             if k > 1_000 {
-                worst = worst.max((told - came).abs());
+                worst = worst.max((stamp - came).abs());
             }
         }
         assert!(worst < 1_500, "{worst} us off, where readings alone are up to 10,000 off");

@@ -1,4 +1,4 @@
-//! Grids of directions, profiles over them, and the two figures that peers take from a profile.
+//! Grids of directions, profiles over them, and the two figures that [paper] and the WSR toolbox [wsr] take from a profile.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::sync::Arc;

@@ -120,7 +120,7 @@ pub(crate) fn planes_of(rows: &[CsiRow]) -> Vec<Planes> {
     rows.iter().map(Planes::of).collect()
 }
 
-/// Turns each row as a whole so that it has the phase of the row before it, as told by the subcarriers of `weights`: what
+/// Turns each row as a whole so that it has the phase of the row before it, measured on the subcarriers of `weights`: what
 /// motion and carrier do from packet to packet, and what would let the sum over neighbours fade where they go fast. Adds to
 /// `turned` what each row was turned back by, radians, counted on from the first.
 #[inline(always)]
