@@ -12,6 +12,7 @@ use csi5300_live::monitor::{Monitor, Options};
 use csi5300_live::sounding::{News, Running, Settings, spread_of};
 use csi5300_live::sys::{radiotap_tun, schedule_fifo};
 use csi5300_live::wait::Monotonic;
+use driver_iface::Mac;
 use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::native;
 use hdrhistogram::Histogram;
@@ -21,7 +22,7 @@ use std::fs::File;
 use std::io::{Read, Write};
 use std::process::Command;
 
-const MACS: [[u8; 6]; 2] = [[2, 0, 0, 0, 0, 1], [2, 0, 0, 0, 0, 2]];
+const MACS: [Mac; 2] = [Mac([2, 0, 0, 0, 0, 1]), Mac([2, 0, 0, 0, 0, 2])];
 /// Set in the namespace.
 const INSIDE: &str = "CSI5300_BENCH_NAMESPACE";
 

@@ -6,6 +6,7 @@
 
 use csi5300::exchange::tdma::{Config, Dialect, Epoch, Key, Plan, Request, Tdma};
 use csi5300::time::{Instant, Span};
+use driver_iface::Mac;
 use driver_iface::sounding::native::Role;
 use std::hint::black_box;
 
@@ -47,13 +48,13 @@ fn main() {
 }
 
 fn configs(dialect: Dialect) -> Vec<Config> {
-    let macs: Vec<[u8; 6]> = (0..=PEERS as u8).map(|last| [2, 0, 0, 0, 0, last]).collect();
+    let macs: Vec<Mac> = (0..=PEERS as u8).map(|last| Mac([2, 0, 0, 0, 0, last])).collect();
     let request = Request { dialect, ..Request::new(PEERS as u16, 100.0) };
     let is_authenticated = matches!(dialect, Dialect::Native { authenticated: true, .. });
-    let config = |(own, index): (&[u8; 6], u16)| {
-        let peers: Vec<[u8; 6]> = macs.iter().copied().filter(|mac| mac != own).collect();
+    let config = |(own, index): (&Mac, u16)| {
+        let peers: Vec<Mac> = macs.iter().copied().filter(|mac| mac != own).collect();
         let mut config = Config::new(*own, index, &peers, request, 1);
-        config.peers.iter_mut().for_each(|peer| peer.index = u16::from(peer.mac[5]));
+        config.peers.iter_mut().for_each(|peer| peer.index = u16::from(peer.mac.0[5]));
         config.initiate = index == 0;
         config.epoch = Epoch::Common(Instant::ZERO);
         config.key = is_authenticated.then(|| Key::new([7; 16]));

@@ -21,11 +21,12 @@
 pub mod native;
 pub mod wsr;
 
+use crate::Mac;
 use byteorder::{BigEndian, ByteOrder};
 use core::fmt;
 
 /// addr1 and addr2 of every sounding frame (WSR `random_packets.c`; iwlwifi `dvm/sta.c`, `dvm/tx.c`).
-pub const MAGIC_MAC: [u8; 6] = [0x00, 0x16, 0xea, 0x12, 0x34, 0x56];
+pub const MAGIC_MAC: Mac = Mac([0x00, 0x16, 0xea, 0x12, 0x34, 0x56]);
 /// Bytes of the 802.11 header (three addresses, no QoS).
 pub const HEADER_LEN: usize = 24;
 /// Bytes of the FCS that the card appends on air.
@@ -62,7 +63,7 @@ pub enum Error {
     /// Not a plain data frame; the first two bytes are given.
     FrameControl([u8; 2]),
     /// addr1 is not [`MAGIC_MAC`].
-    Receiver([u8; 6]),
+    Receiver(Mac),
     /// The body does not begin with [`native::MAGIC`].
     Magic([u8; 3]),
     /// A native frame of a version other than [`native::VERSION`].
@@ -78,7 +79,7 @@ impl fmt::Display for Error {
         match self {
             Self::Length { expect, got } => write!(f, "sounding frame of {got} bytes, {expect} needed"),
             Self::FrameControl([a, b]) => write!(f, "frame control {a:02x} {b:02x} is no plain data frame (08 00)"),
-            Self::Receiver(mac) => write!(f, "addr1 {mac:02x?} is not the magic MAC {MAGIC_MAC:02x?}"),
+            Self::Receiver(mac) => write!(f, "addr1 {mac} is not the magic MAC {MAGIC_MAC}"),
             Self::Magic(magic) => write!(f, "body begins with {magic:02x?}: not of the native dialect"),
             Self::Version(version) => {
                 write!(f, "native dialect version {version}, this is {}; update the other robot", native::VERSION)
@@ -111,7 +112,7 @@ impl<'a> Frame<'a> {
         if control[0] != FRAME_CONTROL[0] || control[1] & FLAGS_MUST_BE_CLEAR != 0 {
             return Err(Error::FrameControl(control));
         }
-        let addr1 = frame.array(field::ADDR1);
+        let addr1 = Mac(frame.array(field::ADDR1));
         if addr1 != MAGIC_MAC { Err(Error::Receiver(addr1)) } else { Ok(frame) }
     }
 
@@ -122,15 +123,15 @@ impl<'a> Frame<'a> {
 
     /// addr2: [`MAGIC_MAC`] for frames whose CSI the receiver reports.
     #[must_use]
-    pub fn addr2(&self) -> [u8; 6] {
-        self.array(field::ADDR2)
+    pub fn addr2(&self) -> Mac {
+        Mac(self.array(field::ADDR2))
     }
 
     /// addr3: the sender's own MAC.
     #[must_use]
     #[doc(alias = "addr3")]
-    pub fn sender(&self) -> [u8; 6] {
-        self.array(field::ADDR3)
+    pub fn sender(&self) -> Mac {
+        Mac(self.array(field::ADDR3))
     }
 
     /// The frame number.
@@ -160,14 +161,14 @@ impl<'a> Frame<'a> {
 }
 
 /// Writes header and number at the start of `buffer` (at least [`MIN_LEN`] long, or nothing is written).
-fn emit_header(buffer: &mut [u8], sender: [u8; 6], number: u32) {
+fn emit_header(buffer: &mut [u8], sender: Mac, number: u32) {
     if let Some(header) = buffer.first_chunk_mut::<MIN_LEN>() {
         header.fill(0);
         put(header, field::FRAME_CONTROL, &FRAME_CONTROL);
         put(header, field::DURATION, &[0xff, 0xff]);
-        put(header, field::ADDR1, &MAGIC_MAC);
-        put(header, field::ADDR2, &MAGIC_MAC);
-        put(header, field::ADDR3, &sender);
+        put(header, field::ADDR1, &MAGIC_MAC.0);
+        put(header, field::ADDR2, &MAGIC_MAC.0);
+        put(header, field::ADDR3, &sender.0);
         put(header, field::NUMBER, &number.to_be_bytes());
     }
 }

@@ -73,7 +73,7 @@ fn every_constant_is_that_of_rust() {
     }
     assert_eq!(macros.remove("H"), Some(""));
     assert_eq!(macros.remove("CN_NAME"), Some(format!("{:?}", connector::CN_NAME).as_str()));
-    let magic: String = sounding::MAGIC_MAC.iter().map(|octet| format!("\\x{octet:02x}")).collect();
+    let magic: String = sounding::MAGIC_MAC.0.iter().map(|octet| format!("\\x{octet:02x}")).collect();
     assert_eq!(macros.remove("SOUNDING_MAGIC_MAC"), Some(format!("\"{magic}\"").as_str()));
     assert_eq!(macros.remove("CSI_LEN"), Some("n_rx, n_tx) (60 * (n_rx) * (n_tx) + 12)"));
     assert_eq!(bfee::csi_len(3, 2), 60 * 3 * 2 + 12);

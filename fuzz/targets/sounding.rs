@@ -6,10 +6,11 @@
 
 use csi5300::exchange::tdma::{Config, Dialect, Event, Key, Request, Tdma};
 use csi5300::time::{Instant, Span};
+use driver_iface::Mac;
 use driver_iface::radiotap::{Packet, Repr};
 use driver_iface::sounding::native::Role;
 
-const MACS: [[u8; 6]; 3] = [[2, 0, 0, 0, 0, 1], [2, 0, 0, 0, 0, 2], [2, 0, 0, 0, 0, 3]];
+const MACS: [Mac; 3] = [Mac([2, 0, 0, 0, 0, 1]), Mac([2, 0, 0, 0, 0, 2]), Mac([2, 0, 0, 0, 0, 3])];
 
 /// What one part of the input asks for.
 enum Step<'a> {
@@ -52,7 +53,7 @@ struct Air {
     robots: [Tdma; 2],
     now: Instant,
     sent: Vec<Vec<u8>>,
-    sounded: Vec<([u8; 6], u32)>,
+    sounded: Vec<(Mac, u32)>,
 }
 
 impl Air {
@@ -64,7 +65,7 @@ impl Air {
         };
         let request = Request { dialect, ..Request::new(2, 200.0) };
         let robot = |own: usize| {
-            let peers: Vec<[u8; 6]> = MACS.iter().copied().filter(|mac| *mac != MACS[own]).collect();
+            let peers: Vec<Mac> = MACS.iter().copied().filter(|mac| *mac != MACS[own]).collect();
             let config = Config {
                 initiate: own == 0,
                 silence_slots: 2,

@@ -18,11 +18,11 @@ fn crafted(state: &mut u64) -> Vec<u8> {
     let mac = |state: &mut u64| [2, 0, 0, 0, 0, 1 + (random(state) % 4) as u8];
     let few = |state: &mut u64| (random(state) % 4) as u32;
     let repr = native::Repr {
-        sender: mac(state),
+        sender: driver_iface::Mac(mac(state)),
         number: few(state),
         role: if random(state).is_multiple_of(2) { Role::Forward } else { Role::Backward },
-        destination: mac(state),
-        next: mac(state),
+        destination: driver_iface::Mac(mac(state)),
+        next: driver_iface::Mac(mac(state)),
         wants_turn: random(state).is_multiple_of(2),
         session: few(state),
         sender_session: few(state),

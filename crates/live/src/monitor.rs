@@ -130,7 +130,7 @@ impl Counters {
 pub struct Monitor {
     socket: OwnedFd,
     interface: String,
-    mac: Option<[u8; 6]>,
+    mac: Option<Mac>,
     mtu: usize,
     header_len: usize,
     /// Radiotap header, written once, and room for the longest frame.
@@ -157,7 +157,7 @@ impl Monitor {
     /// # Errors
     /// Never at present; the frames of `options` cannot be longer than their header allows.
     pub fn over(socket: OwnedFd, mac: Mac, options: &Options) -> Result<Self, Error> {
-        Self::with(options, |longest| Ok(Opened { socket, mac: Some(mac.0), mtu: longest }))
+        Self::with(options, |longest| Ok(Opened { socket, mac: Some(mac), mtu: longest }))
     }
 
     /// Makes room for buffers of the longest frame, and opens.
@@ -183,7 +183,7 @@ impl Monitor {
 
     /// The interface's own MAC, if it has one.
     #[must_use]
-    pub fn mac(&self) -> Option<[u8; 6]> {
+    pub fn mac(&self) -> Option<Mac> {
         self.mac
     }
 

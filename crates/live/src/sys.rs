@@ -1,6 +1,7 @@
 //! The calls for which no crate has a safe form. All `unsafe` of the project is in this file.
 #![allow(unsafe_code)]
 
+use driver_iface::Mac;
 use std::fs::File;
 use std::io;
 use std::os::fd::{AsRawFd, BorrowedFd};
@@ -87,13 +88,13 @@ pub fn bind_packet(socket: BorrowedFd<'_>, interface: u32) -> io::Result<()> {
 ///
 /// # Errors
 /// The kernel's refusal.
-pub fn packet_link(socket: BorrowedFd<'_>) -> io::Result<(u16, Option<[u8; 6]>)> {
+pub fn packet_link(socket: BorrowedFd<'_>) -> io::Result<(u16, Option<Mac>)> {
     // SAFETY: `sockaddr_ll` consists of integers and an array of them, for all of which zero is a value.
     let mut address: libc::sockaddr_ll = unsafe { std::mem::zeroed() };
     let mut size = size_of::<libc::sockaddr_ll>() as libc::socklen_t;
     // SAFETY: the kernel writes at most `size` bytes, the size of `address`, which is ours alone until the call ends.
     answered(unsafe { libc::getsockname(socket.as_raw_fd(), (&raw mut address).cast(), &raw mut size) })?;
-    let mac = address.sll_addr.first_chunk().copied().filter(|_| address.sll_halen == 6);
+    let mac = address.sll_addr.first_chunk().copied().filter(|_| address.sll_halen == 6).map(Mac);
     Ok((address.sll_hatype, mac))
 }
 

@@ -165,9 +165,9 @@ impl SoundingCounts {
             Event::Missed { slots, .. } => self.missed_slots += u64::from(*slots),
             Event::TurnBegan { .. } => self.turns += 1,
             Event::Yielded { .. } => self.yielded += 1,
-            Event::Absent(peer) => self.absent.push(Mac(*peer).to_string()),
+            Event::Absent(peer) => self.absent.push(peer.to_string()),
             Event::Joined(peer) => {
-                let peer = Mac(*peer).to_string();
+                let peer = peer.to_string();
                 self.absent.retain(|absent| *absent != peer);
             }
             _ => {}
@@ -191,7 +191,7 @@ impl Tap for Measuring {
             && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
         {
             // Where too many wait, the next one is newer.
-            self.running.order(Order::Measurement(identity.mac.0, measurement));
+            self.running.order(Order::Measurement(identity.mac, measurement));
         }
     }
 

@@ -420,6 +420,6 @@ fn driver_answer(frame: &FrameBytes, own: Mac) -> Option<Vec<u8>> {
     let forward = sounding::Frame::new_checked(frame.without_fcs()).ok()?;
     let fcs = frame.mpdu()?.fcs().to_le_bytes();
     let mut answer = vec![0; frame.without_fcs().len() + sounding::wsr::REPLY_GROWTH];
-    sounding::wsr::emit_reply(&forward, fcs, own.0, &mut answer).ok()?;
+    sounding::wsr::emit_reply(&forward, fcs, own, &mut answer).ok()?;
     Some(answer)
 }

@@ -4,7 +4,6 @@ use super::faults::Injected;
 use super::radio::Away;
 use super::random::{Purpose, Stream};
 use super::station::{FrameRole, Station};
-use driver_iface::Mac;
 use driver_iface::mpdu::{self, Mpdu};
 use driver_iface::sounding::MAGIC_MAC;
 use std::collections::VecDeque;
@@ -63,7 +62,7 @@ impl FrameBytes {
     /// Whether a card in monitor mode reports CSI of it: addresses 1 and 2 are the magic ones (iwlwifi dvm/sta.c,
     /// csitool FAQ).
     pub fn is_measured(&self) -> bool {
-        self.mpdu().is_some_and(|mpdu| [mpdu.addr1(), mpdu.addr2()] == [Mac(MAGIC_MAC); 2])
+        self.mpdu().is_some_and(|mpdu| [mpdu.addr1(), mpdu.addr2()] == [MAGIC_MAC; 2])
     }
 }
 

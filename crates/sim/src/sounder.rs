@@ -96,12 +96,18 @@ pub(super) fn sounder(world: &World, robot: usize, restarts: u64, now: Instant) 
     let peers = (0..scene.robot.len()).filter(|&peer| peer != robot);
     let begin = Instant::from_us((sounding.start_s * 1e6).round() as i64);
     let mut config = Config {
-        own: tdma::Robot { mac: world.mac(robot).0, index: index(robot) },
-        peers: peers.map(|peer| tdma::Robot { mac: world.mac(peer).0, index: index(peer) }).collect(),
+        own: tdma::Robot { mac: world.mac(robot), index: index(robot) },
+        peers: peers.map(|peer| tdma::Robot { mac: world.mac(peer), index: index(peer) }).collect(),
         initiate: initiators.contains(&robot),
         epoch: tdma::Epoch::Heard(begin),
         start: now.max(begin),
-        ..Config::new([0; 6], 0, &[], request, (scene.start_unix_s as u32).wrapping_add(restarts as u32))
+        ..Config::new(
+            driver_iface::Mac::ZERO,
+            0,
+            &[],
+            request,
+            (scene.start_unix_s as u32).wrapping_add(restarts as u32),
+        )
     };
     if initiators.len() == 1 {
         config.silence_slots = ALONE_SILENCE_SLOTS;

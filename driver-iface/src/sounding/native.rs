@@ -25,6 +25,7 @@
 //! that it answers.
 
 use super::{Error, FCS_LEN, Frame, emit_header, put};
+use crate::Mac;
 
 /// First bytes of a native body.
 pub const MAGIC: [u8; 3] = *b"csi";
@@ -151,15 +152,15 @@ impl Measurement {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Repr {
     /// The sender's own MAC (addr3).
-    pub sender: [u8; 6],
+    pub sender: Mac,
     /// Frame number, counted by the initiator.
     pub number: u32,
     /// Forward or backward.
     pub role: Role,
     /// The robot for whom the frame is meant.
-    pub destination: [u8; 6],
+    pub destination: Mac,
     /// Who initiates after this turn.
-    pub next: [u8; 6],
+    pub next: Mac,
     /// The sender would like to initiate.
     pub wants_turn: bool,
     /// Session of the initiator.
@@ -224,8 +225,8 @@ impl Repr {
             sender: frame.sender(),
             number: frame.number(),
             role,
-            destination: array(head, field::DESTINATION),
-            next: array(head, field::NEXT),
+            destination: Mac(array(head, field::DESTINATION)),
+            next: Mac(array(head, field::NEXT)),
             wants_turn: flags & flag::WANTS_TURN != 0,
             session: u32::from_be_bytes(array(head, field::SESSION)),
             sender_session: u32::from_be_bytes(array(head, field::SENDER_SESSION)),
@@ -259,8 +260,8 @@ impl Repr {
         put(frame, field::VERSION, &[VERSION]);
         put(frame, field::ROLE, &[role]);
         put(frame, field::FLAGS, &[flags]);
-        put(frame, field::DESTINATION, &self.destination);
-        put(frame, field::NEXT, &self.next);
+        put(frame, field::DESTINATION, &self.destination.0);
+        put(frame, field::NEXT, &self.next.0);
         put(frame, field::SESSION, &self.session.to_be_bytes());
         put(frame, field::SENDER_SESSION, &self.sender_session.to_be_bytes());
         put(frame, field::TURN, &self.turn.to_be_bytes());

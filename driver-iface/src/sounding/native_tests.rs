@@ -21,9 +21,9 @@ fn any_repr() -> impl Strategy<Value = Repr> {
     let numbers = any::<(u32, u32, u32, u16, u64, u32, u16)>();
     let extras = (proptest::option::of(any_measurement()), any::<Option<[u8; TAG_LEN]>>());
     (addresses, numbers, extras).prop_map(|(a, n, (measurement, tag))| Repr {
-        sender: a.0,
-        destination: a.1,
-        next: a.2,
+        sender: Mac(a.0),
+        destination: Mac(a.1),
+        next: Mac(a.2),
         number: a.3,
         role: if a.4 { Role::Forward } else { Role::Backward },
         wants_turn: a.5,
@@ -41,11 +41,11 @@ fn any_repr() -> impl Strategy<Value = Repr> {
 
 fn plain() -> Repr {
     Repr {
-        sender: [2, 0, 0, 0, 0, 1],
+        sender: Mac([2, 0, 0, 0, 0, 1]),
         number: 0x0102_0304,
         role: Role::Forward,
-        destination: [2, 0, 0, 0, 0, 2],
-        next: [2, 0, 0, 0, 0, 3],
+        destination: Mac([2, 0, 0, 0, 0, 2]),
+        next: Mac([2, 0, 0, 0, 0, 3]),
         wants_turn: true,
         session: 5,
         sender_session: 5,
@@ -64,8 +64,8 @@ fn a_native_frame_keeps_what_csi_and_wsr_logs_need() {
     let mut buffer = [0; MAX_LEN];
     let len = plain().emit(&mut buffer).unwrap();
     assert_eq!(len, 74);
-    assert_eq!(buffer[4..10], MAGIC_MAC);
-    assert_eq!(buffer[10..16], MAGIC_MAC);
+    assert_eq!(buffer[4..10], MAGIC_MAC.0);
+    assert_eq!(buffer[10..16], MAGIC_MAC.0);
     assert_eq!(buffer[16..22], [2, 0, 0, 0, 0, 1]);
     assert_eq!(buffer[24..28], [1, 2, 3, 4]);
     assert_eq!(buffer[28..34], [b'c', b's', b'i', 1, 0, 4]);

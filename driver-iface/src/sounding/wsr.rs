@@ -7,6 +7,7 @@
 //! answered. Sources: WSR `injection/random_packets.c`; driver `dvm/rx.c`, `check_and_send_ack`.
 
 use super::{Error, FCS_LEN, Frame, MIN_LEN, emit_header, field, put};
+use crate::Mac;
 
 /// On-air length of the forward frame to the first robot in WSR's examples.
 pub const DEFAULT_LEN: usize = 57;
@@ -59,7 +60,7 @@ impl Lfsr {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Repr {
     /// The initiator's own MAC (addr3).
-    pub sender: [u8; 6],
+    pub sender: Mac,
     /// Frame number; WSR starts at 1. With 0 its driver forgets the sender's MAC.
     pub number: u32,
     /// Length on air, FCS included: addresses the robot.
@@ -107,7 +108,7 @@ impl Repr {
 pub fn emit_reply(
     forward: &Frame<'_>,
     forward_fcs: [u8; FCS_LEN],
-    responder: [u8; 6],
+    responder: Mac,
     buffer: &mut [u8],
 ) -> Result<usize, Error> {
     let copied = forward.mpdu();
@@ -117,7 +118,7 @@ pub fn emit_reply(
     reply.fill(0);
     put(reply, 0, copied);
     put(reply, copied.len(), &forward_fcs);
-    put(reply, field::ADDR3, &responder);
+    put(reply, field::ADDR3, &responder.0);
     Ok(len)
 }
 

@@ -36,7 +36,7 @@ fn header_is_that_of_the_stock_sender_but_for_addr3_and_duration() {
         0xff, 0xff, 0xff, 0xff, 0x00, 0x00,
     ];
     let mut buffer = [0; 64];
-    let repr = Repr { sender: [0xff; 6], number: 1, len_with_fcs: 57 };
+    let repr = Repr { sender: Mac([0xff; 6]), number: 1, len_with_fcs: 57 };
     assert_eq!(repr.emit(&mut buffer, &mut Lfsr::default()), Ok(53));
     assert_eq!(buffer[..2], on_air[..2]);
     assert_eq!(buffer[2..4], [0xff, 0xff]);
@@ -49,7 +49,7 @@ fn the_counter_stays_true_and_the_filler_runs_on_beyond_68_966_frames() {
     let (mut filler, mut slow) = (Lfsr::default(), 0x1f3d_5b79);
     let mut buffer = [0; 64];
     for number in 1..=150_000u32 {
-        let repr = Repr { sender: [2; 6], number, len_with_fcs: 57 };
+        let repr = Repr { sender: Mac([2; 6]), number, len_with_fcs: 57 };
         let len = repr.emit(&mut buffer, &mut filler).unwrap();
         let frame = Frame::new_checked(&buffer[..len]).unwrap();
         assert_eq!(Repr::parse(&frame), repr);
@@ -60,18 +60,19 @@ fn the_counter_stays_true_and_the_filler_runs_on_beyond_68_966_frames() {
 #[test]
 fn an_answer_is_the_forward_frame_grown_by_five_with_the_responders_mac() {
     let mut buffer = [0; 64];
-    let len = Repr { sender: [2; 6], number: 9, len_with_fcs: 59 }.emit(&mut buffer, &mut Lfsr::default()).unwrap();
+    let len =
+        Repr { sender: Mac([2; 6]), number: 9, len_with_fcs: 59 }.emit(&mut buffer, &mut Lfsr::default()).unwrap();
     let forward = Frame::new_checked(&buffer[..len]).unwrap();
     let mut reply = [0xee; 64];
-    let reply_len = emit_reply(&forward, [1, 2, 3, 4], [7; 6], &mut reply).unwrap();
+    let reply_len = emit_reply(&forward, [1, 2, 3, 4], Mac([7; 6]), &mut reply).unwrap();
     let answer = Frame::new_checked(&reply[..reply_len]).unwrap();
     assert_eq!(answer.len_with_fcs(), 64); // driver-interface: 62, 64, 66 for 57, 59, 61
-    assert_eq!((answer.sender(), answer.number()), ([7; 6], 9));
+    assert_eq!((answer.sender(), answer.number()), (Mac([7; 6]), 9));
     assert_eq!(answer.mpdu()[..16], buffer[..16]);
     assert_eq!(answer.mpdu()[22..55], buffer[22..55]);
     assert_eq!(reply[55..60], [1, 2, 3, 4, 0]);
     assert_eq!(answer.addr2(), MAGIC_MAC);
-    assert_eq!(emit_reply(&forward, [0; 4], [7; 6], &mut [0; 59]), Err(Error::Length { expect: 60, got: 59 }));
+    assert_eq!(emit_reply(&forward, [0; 4], Mac([7; 6]), &mut [0; 59]), Err(Error::Length { expect: 60, got: 59 }));
 }
 
 #[test]
@@ -86,7 +87,7 @@ fn no_answer_is_ever_answered() {
 #[test]
 fn frames_too_short_or_not_ours_are_refused() {
     let mut buffer = [0; 64];
-    let short = Repr { sender: [2; 6], number: 1, len_with_fcs: 31 };
+    let short = Repr { sender: Mac([2; 6]), number: 1, len_with_fcs: 31 };
     assert_eq!(short.emit(&mut buffer, &mut Lfsr::default()), Err(Error::Length { expect: 28, got: 27 }));
     let len = Repr { len_with_fcs: 57, ..short }.emit(&mut buffer, &mut Lfsr::default()).unwrap();
     assert_eq!(Frame::new_checked(&buffer[..27]).err(), Some(Error::Length { expect: 28, got: 27 }));
@@ -101,7 +102,7 @@ fn frames_too_short_or_not_ours_are_refused() {
 proptest! {
     #[test]
     fn emit_then_parse_is_the_identity(sender: [u8; 6], number: u32, len_with_fcs in 32usize..300) {
-        let repr = Repr { sender, number, len_with_fcs };
+        let repr = Repr { sender: Mac(sender), number, len_with_fcs };
         let mut buffer = [0; 300];
         let len = repr.emit(&mut buffer, &mut Lfsr::default()).unwrap();
         prop_assert_eq!(Repr::parse(&Frame::new_checked(&buffer[..len]).unwrap()), repr);

@@ -5,12 +5,13 @@ use super::clock::Epoch;
 use super::plan::Dialect;
 use super::plan::{MAX_ROBOTS, Plan, PlanError, Request};
 use crate::time::Instant;
+use driver_iface::Mac;
 
 /// A robot of the exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Robot {
     /// Its own MAC, addr3 of its frames.
-    pub mac: [u8; 6],
+    pub mac: Mac,
     /// WSR dialect: forward frames to it are `first_len + 2 * index` long (its driver's `ack_len`). Otherwise unused.
     #[doc(alias = "ack_len")]
     pub index: u16,
@@ -24,7 +25,7 @@ pub struct Config {
     /// All others, in any order.
     pub peers: Vec<Robot>,
     /// MACs of the peers that this robot sounds, in order of their slots; `None` for all, in order of `peers`.
-    pub links: Option<Vec<[u8; 6]>>,
+    pub links: Option<Vec<Mac>>,
     /// Rate, frames and timing; `links` of the request are the slots of a round, at least as many as any robot's
     /// links. The same on every robot.
     pub request: Request,
@@ -58,7 +59,7 @@ impl Config {
     ///
     /// Peers are given by MAC and get indices in their order; `own_index` is this robot's in the WSR dialect.
     #[must_use]
-    pub fn new(own: [u8; 6], own_index: u16, peers: &[[u8; 6]], request: Request, session: u32) -> Self {
+    pub fn new(own: Mac, own_index: u16, peers: &[Mac], request: Request, session: u32) -> Self {
         let peers = peers.iter().zip(0..).map(|(&mac, index)| Robot { mac, index }).collect();
         Self {
             own: Robot { mac: own, index: own_index },
@@ -78,7 +79,7 @@ impl Config {
     }
 
     /// The MACs this robot sounds.
-    pub(super) fn link_macs(&self) -> Vec<[u8; 6]> {
+    pub(super) fn link_macs(&self) -> Vec<Mac> {
         self.links.clone().unwrap_or_else(|| self.peers.iter().map(|peer| peer.mac).collect())
     }
 

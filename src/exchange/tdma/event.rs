@@ -1,6 +1,7 @@
 //! What the scheduler tells its driver, and what it counts.
 
 use crate::time::Span;
+use driver_iface::Mac;
 use driver_iface::sounding::native::Measurement;
 
 /// Something that the driver should know. Events are queued; see [`super::Tdma::poll_event`].
@@ -9,7 +10,7 @@ pub enum Event {
     /// A forward frame of this robot was answered: both cards have measured number `number` of this session.
     Answered {
         /// The responder.
-        peer: [u8; 6],
+        peer: Mac,
         /// The frame number that both frames carry.
         number: u32,
         /// The responder's session: another one than before means that it was started anew. 0 in the WSR dialect.
@@ -20,14 +21,14 @@ pub enum Event {
     /// A forward frame of this robot was not answered in time.
     Unanswered {
         /// The robot that should have answered.
-        peer: [u8; 6],
+        peer: Mac,
         /// The number of the forward frame.
         number: u32,
     },
     /// A forward frame for this robot was heard; its answer is due at once.
     Asked {
         /// The initiator.
-        peer: [u8; 6],
+        peer: Mac,
         /// Its frame number.
         number: u32,
         /// Its session: numbers of different sessions do not belong together. 0 in the WSR dialect.
@@ -43,13 +44,13 @@ pub enum Event {
         slot: Span,
     },
     /// A robot was heard for the first time, or again after it was absent.
-    Joined([u8; 6]),
+    Joined(Mac),
     /// A robot has not answered 64 times in a row; it is asked less often from now on, and not given the turn.
-    Absent([u8; 6]),
+    Absent(Mac),
     /// A robot was started anew: its numbers begin again, under another session.
     Restarted {
         /// The robot.
-        peer: [u8; 6],
+        peer: Mac,
         /// Its new session.
         session: u32,
     },
@@ -65,12 +66,12 @@ pub enum Event {
         /// Number of the turn.
         turn: u32,
         /// Who is next, if the turn was passed on.
-        next: Option<[u8; 6]>,
+        next: Option<Mac>,
     },
     /// Another robot initiates at the same time and takes precedence: this robot's turn is over.
     Yielded {
         /// The robot that goes on.
-        to: [u8; 6],
+        to: Mac,
         /// Number of its turn.
         turn: u32,
     },

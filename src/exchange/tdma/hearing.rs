@@ -5,6 +5,7 @@ use super::machine::{Ready, Tdma};
 use super::plan::Dialect;
 use super::view::Claim;
 use crate::time::{Instant, Span};
+use driver_iface::Mac;
 use driver_iface::sounding::native::{self, Role};
 use driver_iface::sounding::{Frame, wsr};
 
@@ -229,7 +230,7 @@ impl Tdma {
     }
 
     /// Queues the answer in the reply buffer.
-    fn queue_reply(&mut self, peer: [u8; 6], number: u32, len: usize, latest: Instant) {
+    fn queue_reply(&mut self, peer: Mac, number: u32, len: usize, latest: Instant) {
         if self.reply.is_some() {
             self.counts.missed_replies += 1;
         }

@@ -10,6 +10,7 @@ use super::turns::Turn;
 use super::view::View;
 use crate::exchange::pairing::before_first_number;
 use crate::time::Instant;
+use driver_iface::Mac;
 use driver_iface::sounding::native::{self, Measurement, Role};
 use driver_iface::sounding::wsr;
 use std::collections::VecDeque;
@@ -52,7 +53,7 @@ const EVENT_CAPACITY: usize = 256;
 /// after a silence so long that loss alone does not make it (see [`Config::silence_slots`]).
 #[derive(Clone, Debug)]
 pub struct Tdma {
-    pub(super) own: [u8; 6],
+    pub(super) own: Mac,
     pub(super) own_index: u16,
     pub(super) initiate: bool,
     pub(super) respond: bool,
@@ -93,7 +94,7 @@ pub(super) struct Ready {
     pub(super) len: usize,
     pub(super) at: Instant,
     pub(super) latest: Instant,
-    pub(super) peer: [u8; 6],
+    pub(super) peer: Mac,
     pub(super) number: u32,
 }
 
@@ -109,7 +110,7 @@ pub struct Transmit<'a> {
     /// Forward or backward.
     pub role: Role,
     /// The robot for whom it is meant.
-    pub peer: [u8; 6],
+    pub peer: Mac,
     /// Its frame number.
     pub number: u32,
 }
@@ -217,7 +218,7 @@ impl Tdma {
     ///
     /// Links that do not move, or whose bearing is good enough, need less of the channel. An initiator sounds in at
     /// least one of four slots whatever the priorities, so that the others hear that it is there.
-    pub fn set_priority(&mut self, peer: [u8; 6], priority: Priority) -> bool {
+    pub fn set_priority(&mut self, peer: Mac, priority: Priority) -> bool {
         let link = self.roster.find(peer).and_then(|at| self.roster.link_of_peer_mut(at));
         link.map(|link| link.priority = priority).is_some()
     }
@@ -228,7 +229,7 @@ impl Tdma {
     /// The card also measures what `peer` sends to others, whose answers it pairs with their own measurements: false for
     /// a number that is not among the last 16 answered to `peer` in its session. The last one refused so is kept for the
     /// answer to that very number, in case the card's word was here before the frame.
-    pub fn set_measurement(&mut self, peer: [u8; 6], measurement: Measurement) -> bool {
+    pub fn set_measurement(&mut self, peer: Mac, measurement: Measurement) -> bool {
         let has_room = matches!(self.plan.dialect(), Dialect::Native { measurement: true, .. });
         let at = self.roster.find(peer).filter(|_| has_room);
         let Some(peer) = at.and_then(|at| self.roster.peer_mut(at)) else { return false };
@@ -271,7 +272,7 @@ impl Tdma {
 
     /// The robot that has the turn, or had it last, as far as is known here.
     #[must_use]
-    pub fn initiator(&self) -> Option<[u8; 6]> {
+    pub fn initiator(&self) -> Option<Mac> {
         let rank = self.view.current()?.holder;
         let peer = self.roster.peer_of_rank(rank).and_then(|at| self.roster.peer(at));
         Some(peer.map_or(self.own, |peer| peer.mac))
@@ -297,7 +298,7 @@ impl Tdma {
 
     /// What was counted on the link to `peer`, if there is one.
     #[must_use]
-    pub fn link_counts(&self, peer: [u8; 6]) -> Option<LinkCounts> {
+    pub fn link_counts(&self, peer: Mac) -> Option<LinkCounts> {
         let at = self.roster.find(peer)?;
         self.roster.link_of_peer(at).map(|link| link.counts)
     }

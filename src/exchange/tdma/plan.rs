@@ -1,6 +1,7 @@
 //! What fits into a round: airtime, slot length, the highest rate.
 
 use crate::time::{Instant, Span};
+use driver_iface::Mac;
 use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::{native, wsr};
 
@@ -171,8 +172,8 @@ pub enum PlanError {
     #[error("first length {0}; odd and at least {min} is needed, WSR's own is 57", min = wsr::MIN_FORWARD_LEN)]
     FirstLen(u16),
     /// The same MAC (or, in the WSR dialect, the same index) twice.
-    #[error("{0:02x?} (or its index) is in the list of robots twice")]
-    Twice([u8; 6]),
+    #[error("{0} (or its index) is in the list of robots twice")]
+    Twice(Mac),
     /// A WSR index whose frames are longer than the plan allows for.
     #[error("index {index} is beyond the {links} links that the slot length was planned for; number robots from 0")]
     Index {
@@ -182,8 +183,8 @@ pub enum PlanError {
         links: u16,
     },
     /// A link to a robot that is not among the peers.
-    #[error("{0:02x?} is to be sounded but is not among the peers")]
-    UnknownPeer([u8; 6]),
+    #[error("{0} is to be sounded but is not among the peers")]
+    UnknownPeer(Mac),
     /// A key without tags in the dialect, or tags without a key.
     #[error("a key is given and frames have no tag, or the other way round; WSR frames have none")]
     Key,

@@ -3,6 +3,7 @@
 use super::config::Config;
 use super::event::LinkCounts;
 use crate::time::{Instant, Span};
+use driver_iface::Mac;
 use driver_iface::sounding::native::Measurement;
 
 /// After so many unanswered frames a robot counts as absent.
@@ -36,7 +37,7 @@ impl Priority {
 /// What is known of one peer.
 #[derive(Clone, Debug)]
 pub(super) struct Peer {
-    pub(super) mac: [u8; 6],
+    pub(super) mac: Mac,
     pub(super) index: u16,
     /// Place among all robots by MAC, this one included.
     pub(super) rank: u16,
@@ -128,7 +129,7 @@ impl Roster {
             early: None,
         });
         let peers: Vec<Peer> = peers.collect();
-        let place = |mac: &[u8; 6]| peers.binary_search_by_key(mac, |peer| peer.mac).ok();
+        let place = |mac: &Mac| peers.binary_search_by_key(mac, |peer| peer.mac).ok();
         let macs = config.link_macs();
         let links = macs.iter().filter_map(place);
         let link = |peer| Link { peer, priority: Priority::FULL, credit: 0, counts: LinkCounts::default() };
@@ -142,7 +143,7 @@ impl Roster {
     }
 
     /// Place of a peer by MAC.
-    pub(super) fn find(&self, mac: [u8; 6]) -> Option<usize> {
+    pub(super) fn find(&self, mac: Mac) -> Option<usize> {
         self.peers.binary_search_by_key(&mac, |peer| peer.mac).ok()
     }
 
@@ -287,12 +288,12 @@ mod tests {
     use super::super::plan::Request;
     use super::*;
 
-    fn mac(last: u8) -> [u8; 6] {
-        [2, 0, 0, 0, 0, last]
+    fn mac(last: u8) -> Mac {
+        Mac([2, 0, 0, 0, 0, last])
     }
 
     fn roster(own: u8, peers: &[u8]) -> Roster {
-        let macs: Vec<[u8; 6]> = peers.iter().map(|last| mac(*last)).collect();
+        let macs: Vec<Mac> = peers.iter().map(|last| mac(*last)).collect();
         Roster::new(&Config::new(mac(own), 0, &macs, Request::new(peers.len() as u16, 10.0), 1))
     }
 

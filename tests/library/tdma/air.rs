@@ -6,6 +6,7 @@
 
 use csi5300::exchange::tdma::{Config, Event, Plan, Request, Tdma};
 use csi5300::time::Instant;
+use driver_iface::Mac;
 use driver_iface::sounding::native::Role;
 use std::cell::Cell;
 use std::cmp::Reverse;
@@ -67,7 +68,7 @@ pub struct Station {
     pub skew: Skew,
     pub on: bool,
     wake_us: i64,
-    pub mac: [u8; 6],
+    pub mac: Mac,
     session: u32,
     /// Events other than the everyday ones, with their time.
     pub events: Vec<(i64, Event)>,
@@ -87,7 +88,7 @@ struct OnAir {
     collided: Cell<bool>,
     role: Role,
     number: u32,
-    to: [u8; 6],
+    to: Mac,
     session: u32,
     bytes: Vec<u8>,
 }
@@ -119,17 +120,17 @@ pub struct Air {
 
 pub type Adversary = Box<dyn FnMut(i64, &[u8], &mut Dice) -> Vec<(i64, Vec<u8>)>>;
 
-pub fn mac(k: usize) -> [u8; 6] {
-    [2, 0x53, 0, 0, (k >> 8) as u8, k as u8]
+pub fn mac(k: usize) -> Mac {
+    Mac([2, 0x53, 0, 0, (k >> 8) as u8, k as u8])
 }
 
 /// Configurations of `n` robots that all sound all others and all want the turn.
 pub fn everybody(n: usize, request: Request) -> Vec<Config> {
-    let macs: Vec<[u8; 6]> = (0..n).map(mac).collect();
+    let macs: Vec<Mac> = (0..n).map(mac).collect();
     let config = |k: usize| {
-        let peers: Vec<[u8; 6]> = macs.iter().copied().filter(|other| *other != macs[k]).collect();
+        let peers: Vec<Mac> = macs.iter().copied().filter(|other| *other != macs[k]).collect();
         let mut config = Config::new(macs[k], k as u16, &peers, request, 1);
-        config.peers.iter_mut().for_each(|peer| peer.index = u16::from(peer.mac[5]));
+        config.peers.iter_mut().for_each(|peer| peer.index = u16::from(peer.mac.0[5]));
         config.epoch = csi5300::exchange::tdma::Epoch::Common(Instant::ZERO);
         config.initiate = true;
         config
@@ -273,7 +274,7 @@ impl Air {
         }
     }
 
-    fn send(&mut self, sender: usize, role: Role, number: u32, to: [u8; 6], bytes: Vec<u8>) {
+    fn send(&mut self, sender: usize, role: Role, number: u32, to: Mac, bytes: Vec<u8>) {
         let airtime_us = i64::from(self.plan.phy().airtime_us(bytes.len() + 4));
         let (start_us, end_us) = (self.now_us, self.now_us + airtime_us);
         self.frames += 1;

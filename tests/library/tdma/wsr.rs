@@ -3,6 +3,7 @@
 use super::air::{Air, everybody, mac};
 use csi5300::exchange::tdma::{Config, Dialect, Event, Request, Tdma};
 use csi5300::time::{Instant, Span};
+use driver_iface::Mac;
 use driver_iface::sounding::{Frame, wsr};
 
 fn request(links: u16, rate_hz: f64) -> Request {
@@ -10,14 +11,14 @@ fn request(links: u16, rate_hz: f64) -> Request {
 }
 
 /// What WSR's kernel driver does with `ack_len` (driver-interface: `check_and_send_ack`), written down again.
-fn kernel_answer(mpdu: &[u8], ack_len: usize, own: [u8; 6]) -> Option<Vec<u8>> {
+fn kernel_answer(mpdu: &[u8], ack_len: usize, own: Mac) -> Option<Vec<u8>> {
     let mut with_fcs = mpdu.to_vec();
     with_fcs.extend([0xde, 0xad, 0xbe, 0xef]);
     if with_fcs.len() != ack_len {
         return None;
     }
     with_fcs.push(0x55); // whatever was in the buffer
-    with_fcs[16..22].copy_from_slice(&own);
+    with_fcs[16..22].copy_from_slice(&own.0);
     Some(with_fcs)
 }
 
@@ -40,7 +41,7 @@ fn three_kernel_responders_are_sounded_beyond_100_000_packets() {
         assert_eq!(frame.len() + 4, 57 + 2 * robot);
         let header = [8, 0, 0xff, 0xff, 0, 0x16, 0xea, 0x12, 0x34, 0x56, 0, 0x16, 0xea, 0x12, 0x34, 0x56];
         assert_eq!(frame[..16], header);
-        assert_eq!((&frame[16..22], &frame[22..24]), (&own[..], &[0, 0][..]));
+        assert_eq!((&frame[16..22], &frame[22..24]), (&own.0[..], &[0, 0][..]));
         assert_eq!(frame[24..28], sent.to_be_bytes());
         if let Some(last_at) = last_at {
             let gap: Span = transmit.at - last_at;

@@ -49,7 +49,7 @@ impl Task for Measuring {
             && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
         {
             // Where too many wait, the next one is newer.
-            running.order(Order::Measurement(identity.mac.0, measurement));
+            running.order(Order::Measurement(identity.mac, measurement));
         }
     }
 

@@ -95,7 +95,7 @@ impl Task for Live<'_> {
         if let (Some(bearings), Event::Answered { peer, measurement: Some(measurement), .. }) =
             (&mut self.bearings, event)
         {
-            bearings.products.answered(Mac(*peer), measurement);
+            bearings.products.answered(*peer, measurement);
         }
     }
 
@@ -152,8 +152,7 @@ impl Bearings<'_> {
     fn spare(&self, mac: Mac, sd_deg: Option<f64>, running: &Running) {
         if let Some(enough) = self.args.good_enough {
             let settled = sd_deg.is_some_and(|sd| sd <= enough);
-            running
-                .order(Order::Priority(mac.0, if settled { Priority::every(SETTLED_ROUNDS) } else { Priority::FULL }));
+            running.order(Order::Priority(mac, if settled { Priority::every(SETTLED_ROUNDS) } else { Priority::FULL }));
         }
     }
 

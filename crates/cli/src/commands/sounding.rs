@@ -375,10 +375,10 @@ fn tell(news: &News, task: &mut dyn Task) {
         News::Notice(notice) => eprintln!("{notice}"),
         News::Event(event) => {
             match event {
-                Event::Joined(peer) => eprintln!("{} is there", Mac(*peer)),
-                Event::Absent(peer) => eprintln!("{} does not answer any more", Mac(*peer)),
-                Event::Restarted { peer, .. } => eprintln!("{} was started anew", Mac(*peer)),
-                Event::Yielded { to, .. } => eprintln!("{} initiates too, and takes precedence", Mac(*to)),
+                Event::Joined(peer) => eprintln!("{} is there", peer),
+                Event::Absent(peer) => eprintln!("{} does not answer any more", peer),
+                Event::Restarted { peer, .. } => eprintln!("{} was started anew", peer),
+                Event::Yielded { to, .. } => eprintln!("{} initiates too, and takes precedence", to),
                 _ => {}
             }
             task.event(event);
@@ -424,7 +424,7 @@ fn summary(common: &Sounding, exchange: &Exchange<Monitor>, air: &Counters) -> S
     if counts.forward > 0 {
         let _ = writeln!(text, "{} forward frames, {} answered", counts.forward, counts.answered);
         for mac in &common.peers {
-            if let Some(link) = exchange.tdma.link_counts(mac.0) {
+            if let Some(link) = exchange.tdma.link_counts(*mac) {
                 let _ = writeln!(text, "  {mac}: {} sounded, {} answered", link.sounded, link.answered);
             }
         }

@@ -8,6 +8,7 @@ use csi5300_live::monitor::{Monitor, Options};
 use csi5300_live::netlink::Sender;
 use csi5300_live::sys::{radiotap_tun, set_up};
 use csi5300_live::wait::{Monotonic, wall_us};
+use driver_iface::Mac;
 use driver_iface::radiotap::{Bandwidth, Repr, TX_FLAGS_FAIL};
 use driver_iface::record::{Record, code};
 use driver_iface::sounding::wsr::{self, Lfsr};
@@ -19,8 +20,8 @@ use std::process::{Child, Command, Stdio};
 
 /// Flags and protocol before every packet of a TUN device.
 const BEFORE: [u8; 4] = [0, 0, 0, 4];
-const A: [u8; 6] = [2, 0, 0, 0, 0, 0xa];
-const B: [u8; 6] = [2, 0, 0, 0, 0, 0xb];
+const A: Mac = Mac([2, 0, 0, 0, 0, 0xa]);
+const B: Mac = Mac([2, 0, 0, 0, 0, 0xb]);
 
 /// A stand-in for a monitor interface; `None`, said, where there is no /dev/net/tun to be had.
 fn tun(name: &str, mtu: usize) -> Option<File> {
@@ -275,7 +276,7 @@ fn report(sender: &mut Sender, frame: &[u8], clock_us: u32) {
     let view = Frame::new_checked(frame).unwrap();
     let mut body = crate::private::body(view.number() as u16, 3, 1, true);
     body[..4].copy_from_slice(&clock_us.to_le_bytes());
-    body[28..34].copy_from_slice(&view.sender());
+    body[28..34].copy_from_slice(&view.sender().0);
     body[34..38].copy_from_slice(&view.number().to_le_bytes());
     body[10..13].copy_from_slice(&[33, 32, 31]);
     body[38..].fill(view.number() as u8);

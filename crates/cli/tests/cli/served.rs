@@ -37,13 +37,12 @@ fn card_of(address: &Address, wall_us: fn() -> Option<i64>) -> (Netlink, Mac) {
 
 /// The state machine that `sound` or `respond` runs.
 fn machine(room: &Room, own: usize, initiate: bool) -> Tdma {
-    let peers: Vec<[u8; 6]> =
-        (0..room.scene().robot.len()).filter(|&k| k != own).map(|k| room.mac(k).unwrap().0).collect();
+    let peers: Vec<Mac> = (0..room.scene().robot.len()).filter(|&k| k != own).map(|k| room.mac(k).unwrap()).collect();
     let phy = Phy { mcs: 1, bandwidth: Bandwidth::Ht20 };
     let request = Request { phy, ..Request::new(1, 100.0) };
     let epoch = Epoch::Heard(Instant::ZERO);
     let config =
-        Config { initiate, epoch, silence_slots: 2, ..Config::new(room.mac(own).unwrap().0, 0, &peers, request, 1) };
+        Config { initiate, epoch, silence_slots: 2, ..Config::new(room.mac(own).unwrap(), 0, &peers, request, 1) };
     Tdma::new(&config).unwrap()
 }
 

@@ -21,7 +21,7 @@ pub(super) fn sounding() -> Vec<Instruction> {
     const TO_X: u16 = 0x07; // BPF_MISC | BPF_TAX
     const JUMP_IF_EQUAL: u16 = 0x15; // BPF_JMP | BPF_JEQ | BPF_K
     const RETURN: u16 = 0x06; // BPF_RET | BPF_K
-    let [a, b, c, d, e, f] = MAGIC_MAC;
+    let [a, b, c, d, e, f] = MAGIC_MAC.0;
     let (magic_high, magic_low) = (u32::from_be_bytes([a, b, c, d]), u32::from_be_bytes([0, 0, e, f]));
     let steps = [
         (LOAD_WORD, 0, 0, PACKET_TYPE),
@@ -89,7 +89,7 @@ mod tests {
     fn sounding_frames_pass_behind_any_header_and_nothing_else_does() {
         let program = sounding();
         let mut frame = [0; 60];
-        let repr = wsr::Repr { sender: [2; 6], number: 7, len_with_fcs: 57 };
+        let repr = wsr::Repr { sender: driver_iface::Mac([2; 6]), number: 7, len_with_fcs: 57 };
         let len = repr.emit(&mut frame, &mut Lfsr::default()).unwrap();
         let frame = &frame[..len];
         for header in [Repr::default(), Repr::injected(1, Bandwidth::Ht20), Repr::lorcon(5_540)] {

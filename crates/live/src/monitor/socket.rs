@@ -3,6 +3,7 @@
 use super::{MonitorError, filter};
 use crate::sys::{self, ARPHRD_IEEE80211_RADIOTAP};
 use csi5300::source::Error;
+use driver_iface::Mac;
 use nix::errno::Errno;
 use nix::sys::socket::{
     AddressFamily, ControlMessageOwned, LinkAddr, MsgFlags, SockFlag, SockType, SockaddrLike, getsockopt, recvmsg,
@@ -19,7 +20,7 @@ const OUTGOING: u8 = 4;
 #[derive(Debug)]
 pub(super) struct Opened {
     pub(super) socket: OwnedFd,
-    pub(super) mac: Option<[u8; 6]>,
+    pub(super) mac: Option<Mac>,
     pub(super) mtu: usize,
 }
 
@@ -70,7 +71,7 @@ pub(super) fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
 }
 
 /// Checks the link type; gives the MAC.
-fn link(socket: &OwnedFd, interface: &str) -> Result<Option<[u8; 6]>, Error> {
+fn link(socket: &OwnedFd, interface: &str) -> Result<Option<Mac>, Error> {
     let (link_type, mac) = sys::packet_link(socket.as_fd())
         .map_err(|source| Error::Io { what: format!("cannot ask for the link of {interface}"), source })?;
     if link_type != ARPHRD_IEEE80211_RADIOTAP {

@@ -61,7 +61,7 @@ impl Setup {
     /// If it has no MAC, or the plan does not fit.
     pub fn open_on(&self, monitor: Monitor, settle: impl FnOnce(&mut Config)) -> Result<Opened, Error> {
         let nameless = || Error::Input(format!("{} has no MAC of its own: say which it is to use", self.interface));
-        let own = self.mac.or(monitor.mac().map(Mac)).ok_or_else(nameless)?;
+        let own = self.mac.or(monitor.mac()).ok_or_else(nameless)?;
         let (session, warning) = session::begin(own, wall_us());
         let mut config = self.config(own, session);
         settle(&mut config);
@@ -72,8 +72,7 @@ impl Setup {
     /// The machine's configuration: a robot that answers, and does not initiate.
     #[must_use]
     pub fn config(&self, own: Mac, session: u32) -> Config {
-        let peers: Vec<[u8; 6]> = self.peers.iter().map(|mac| mac.0).collect();
-        Config { key: self.key, ..Config::new(own.0, self.own_index, &peers, self.request, session) }
+        Config { key: self.key, ..Config::new(own, self.own_index, &self.peers, self.request, session) }
     }
 }
 

@@ -4,12 +4,13 @@ use super::*;
 use csi5300::exchange::tdma::{Config, Epoch, Event, Request, Tdma};
 use csi5300::source::{Error, FrameReceiver, Heard, Injector, NotSent};
 use csi5300::time::{Instant, Span};
+use driver_iface::Mac;
 use std::cell::Cell;
 use std::collections::VecDeque;
 use std::rc::Rc;
 
-const A: [u8; 6] = [2, 0, 0, 0, 0, 1];
-const B: [u8; 6] = [2, 0, 0, 0, 0, 2];
+const A: Mac = Mac([2, 0, 0, 0, 0, 1]);
+const B: Mac = Mac([2, 0, 0, 0, 0, 2]);
 
 /// An air that keeps what is sent, and gives what is put there; a host that takes time.
 #[derive(Default)]
@@ -63,7 +64,7 @@ fn initiator() -> Tdma {
     Tdma::new(&config).unwrap()
 }
 
-fn config(own: [u8; 6], peer: [u8; 6]) -> Config {
+fn config(own: Mac, peer: Mac) -> Config {
     Config::new(own, 0, &[peer], Request::new(1, 100.0), 1)
 }
 

@@ -7,6 +7,7 @@ use crate::sys;
 use crate::wait::Monotonic;
 use csi5300::exchange::tdma::{Priority, Tdma};
 use csi5300::source::Error;
+use driver_iface::Mac;
 use driver_iface::sounding::native::Measurement;
 use nix::sys::mman::{MlockAllFlags, mlockall};
 use nix::sys::prctl::set_timerslack;
@@ -54,9 +55,9 @@ impl std::fmt::Display for Granted {
 #[derive(Clone, Copy, Debug)]
 pub enum Order {
     /// This robot's measurement of a forward frame of that peer, for the next answer to it.
-    Measurement([u8; 6], Measurement),
+    Measurement(Mac, Measurement),
     /// How much the link to that peer matters from now on.
-    Priority([u8; 6], Priority),
+    Priority(Mac, Priority),
 }
 
 /// An exchange that runs.

@@ -16,11 +16,11 @@ use std::collections::VecDeque;
 /// An answer that carries `measurement`, over the air and back.
 fn carried(measurement: native::Measurement) -> native::Measurement {
     let repr = native::Repr {
-        sender: TRANSMITTER.0,
+        sender: TRANSMITTER,
         number: measurement.number + 1,
         role: native::Role::Backward,
-        destination: RECEIVER.0,
-        next: RECEIVER.0,
+        destination: RECEIVER,
+        next: RECEIVER,
         wants_turn: false,
         session: 1,
         sender_session: 1,
