@@ -195,19 +195,19 @@ tuning! {
     /// Probability that the azimuth of a bearing by a plane wave is within five degrees.
     quick_probability: QuickProbabilityTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
         /// Intercept.
-        base: f64 = 0.0, "fit", "not measured";
+        base: f64 = -4.66, "fit: 838 bearings of 30 places", "not measured";
         /// Per unit of ln(coherence).
-        per_coherence: f64 = 0.0, "fit", "not measured";
+        per_coherence: f64 = 1.92, "fit: 838 bearings of 30 places", "not measured";
         /// Per unit of ln(second peak / highest).
-        per_ratio: f64 = 0.0, "fit", "not measured";
+        per_ratio: f64 = -1.10, "fit: 838 bearings of 30 places", "not measured";
         /// Per unit of ln(longest side of the aperture in wavelengths).
-        per_aperture: f64 = 0.0, "fit", "not measured";
+        per_aperture: f64 = 2.63, "fit: 838 bearings of 30 places", "not measured";
         /// Where the turn-around was compensated.
-        compensated: f64 = 0.0, "fit", "not measured";
+        compensated: f64 = -0.13, "fit: 838 bearings of 30 places", "not measured";
         /// The ratio that stands for no second peak.
-        no_other: f64 = 0.1, "chosen: below the weakest second peak of the captures", "not measured";
+        no_other: f64 = 0.1, "chosen", "not measured";
         /// The aperture is clamped to these, wavelengths.
-        aperture_wavelengths: [f64; 2] = [2.0, 30.0], "chosen: what the captures and their parts span", "not measured";
+        aperture_wavelengths: [f64; 2] = [4.7, 13.8], "measured: what the captures and their parts span", "not measured";
         /// Least and largest probability.
         limits: [f64; 2] = [0.02, 0.98], "as full_probability.limits", "not measured";
     }

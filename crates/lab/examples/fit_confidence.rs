@@ -8,8 +8,7 @@
 //! given. Every capture gives bearings by motion capture and by the tracking camera; those by a plane wave also of parts of
 //! the motion, 4 s each.
 
-use csi5300::pipeline::Options;
-use csi5300::pipeline::link::Bearing;
+use csi5300::pipeline::{Bearing, Options};
 use csi5300::place::confidence::{full_features, quick_features, quick_probability};
 use csi5300_lab::evaluate::{Capture, TrajectorySource, find};
 use csi5300_lab::fit_confidence::{LabelledBearing, LogisticModel, See, calibration, gather, leave_one_place_out};
@@ -38,8 +37,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 fn fit(captures: &[Capture]) -> Result<(), Box<dyn std::error::Error>> {
     // Each capture is evaluated on its own channel, whatever stands here.
     let whole = Options::new("108".parse()?);
-    let quick = Options { accuracy: whole.accuracy.without_layers(), ..whole.clone() };
-    let part = |from: f64| Options { from_s: Some(from), to_s: Some(from + PART_S), ..quick.clone() };
+    let quick = whole.clone().with_accuracy(whole.accuracy.without_layers());
+    let part = |from: f64| quick.clone().with_cut(Some(from), Some(from + PART_S));
     let parts: Vec<Options> = std::iter::once(quick.clone()).chain(PARTS_S.map(part)).collect();
     let full_names = ["per_power", "per_ratio", "per_spread", "at_edge"];
     let quick_names = ["per_coherence", "per_ratio", "per_aperture", "compensated"];
@@ -55,13 +54,13 @@ fn both(captures: &[Capture], options: &[Options], see: &See) -> Vec<LabelledBea
 
 fn see_full(bearing: &Bearing, _: &Options) -> Option<(Vec<f64>, f64)> {
     let placed = bearing.placed.as_ref()?;
-    Some((full_features(&placed.fix).to_vec(), placed.confidence))
+    Some((full_features(&placed.fix).to_vec(), bearing.answer.probability?))
 }
 
 fn see_quick(bearing: &Bearing, options: &Options) -> Option<(Vec<f64>, f64)> {
     let wavelength_m = options.channel.wavelength_m();
-    let probability = quick_probability(&bearing.estimate, bearing.compensated, wavelength_m)?;
-    Some((quick_features(&bearing.estimate, bearing.compensated, wavelength_m).to_vec(), probability))
+    let probability = quick_probability(&bearing.plane_wave, bearing.compensated, wavelength_m)?;
+    Some((quick_features(&bearing.plane_wave, bearing.compensated, wavelength_m).to_vec(), probability))
 }
 
 fn report(what: &str, group: &str, names: &[&str], rows: &[LabelledBearing]) {

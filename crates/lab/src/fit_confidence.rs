@@ -7,8 +7,7 @@
 //! same rows give the same digits.
 
 use crate::evaluate::{Capture, TrajectorySource};
-use csi5300::pipeline::Options;
-use csi5300::pipeline::link::Bearing;
+use csi5300::pipeline::{Bearing, Options};
 use nalgebra::{DMatrix, DVector};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
