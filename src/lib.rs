@@ -46,6 +46,27 @@
 //! # Ok::<(), csi5300::bartlett::Error>(())
 //! ```
 //!
+//! # Listen
+//!
+//! Every record that the driver of this machine's card sends, with its host time; CAP_NET_ADMIN is needed.
+//!
+//! ```no_run
+//! use csi5300::source::{CsiSource, Next};
+//! use csi5300_live::{netlink::{Netlink, Options}, wait::Monotonic};
+//! use std::os::fd::AsFd;
+//!
+//! let (mut card, clock) = (Netlink::open(&Options::default())?, Monotonic::new());
+//! loop {
+//!     match card.receive(clock.now())? {
+//!         Next::Record(stamps, record) => println!("{:?} us: {} bytes", stamps.host_us, record.body.len()),
+//!         Next::Lost(loss) => eprintln!("{loss:?}"),
+//!         Next::Pending => drop(clock.wait([card.as_fd()], None)?),
+//!         Next::End(_) => break,
+//!     }
+//! }
+//! # Ok::<(), csi5300::source::Error>(())
+//! ```
+//!
 //! # Where things come from
 //!
 //! Records come from a [`source::CsiSource`]: a file ([`source::replay`]), a card (crate `csi5300-live`) or a simulated
@@ -61,7 +82,6 @@ pub mod place;
 pub mod signal;
 pub mod source;
 pub mod time;
-pub mod tuning;
 
 pub use driver_iface;
 pub use nalgebra;

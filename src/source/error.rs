@@ -1,5 +1,6 @@
 //! Why records do not come or frames do not go.
 
+use crate::motion::odometry::OdometryError;
 use std::path::PathBuf;
 
 /// Why a source or an injector failed. Loss is not a failure: see [`Loss`].
@@ -38,6 +39,15 @@ pub enum Error {
     /// A frame was not sent; the next one may be.
     #[error(transparent)]
     NotSent(#[from] NotSent),
+}
+
+impl From<OdometryError> for Error {
+    fn from(error: OdometryError) -> Self {
+        match error {
+            OdometryError::Io { what, source } => Self::Io { what: what.into(), source },
+            other => Self::Backend(Box::new(other)),
+        }
+    }
 }
 
 /// Why an injector did not take a frame.

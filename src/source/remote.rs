@@ -9,7 +9,7 @@
 //! counted, and another session is told from a gap.
 
 use super::{CsiSource, Error, Loss, Next, Origin, Stamps};
-use crate::motion::odometry::{NextPose, OdometrySource};
+use crate::motion::odometry::{NextPose, OdometryError, OdometrySource};
 use crate::motion::pose::Pose;
 use crate::time::Instant;
 use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record};
@@ -301,7 +301,7 @@ impl CsiSource for RemoteCard {
 }
 
 impl OdometrySource for RemotePoses {
-    fn receive(&mut self, _: Instant) -> Result<NextPose, Error> {
+    fn receive(&mut self, _: Instant) -> Result<NextPose, OdometryError> {
         if let Some(pose) = self.held.take() {
             return Ok(NextPose::Pose(pose));
         }

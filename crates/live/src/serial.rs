@@ -1,8 +1,8 @@
 //! The serial port of a TurtleBot3: opened, watched, and opened again when it was unplugged.
 
 use csi5300::motion::odometry::drive::Geometry;
-use csi5300::motion::odometry::opencr::{Counts, Found, OpenCr};
-use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
+use csi5300::motion::odometry::opencr::{ControllerCounts, Found, OpenCr};
+use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
 use csi5300::source::Error;
 use csi5300::time::{Instant, Span};
 use serialport::{SerialPort, TTYPort};
@@ -50,7 +50,7 @@ impl Serial {
 
     /// What was counted on the line, and how often the port was lost.
     #[must_use]
-    pub fn counts(&self) -> (Counts, u64) {
+    pub fn counts(&self) -> (ControllerCounts, u64) {
         (self.opencr.counts(), self.unplugged)
     }
 
@@ -110,7 +110,7 @@ impl Serial {
 }
 
 impl OdometrySource for Serial {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
         self.connect(now);
         if let Err(error) = self.exchange(now) {
             self.lose(now, &error);

@@ -1,6 +1,6 @@
 use super::*;
 use crate::{Room, Scene};
-use csi5300::source::Error;
+use csi5300::motion::odometry::OdometryError;
 use proptest::prelude::*;
 use std::f64::consts::FRAC_PI_2;
 
@@ -94,7 +94,7 @@ proptest! {
 struct Scripted(u32);
 
 impl OdometrySource for Scripted {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
         let due = Instant::from_us(i64::from(self.0) * 50_000 + 20_000);
         if due > now {
             return Ok(NextPose::Pending);
@@ -102,7 +102,7 @@ impl OdometrySource for Scripted {
         self.0 += 1;
         match self.0 {
             40 => Ok(NextPose::NewFrame),
-            80.. => Err(Error::Input("unplugged".into())),
+            80.. => Err(OdometryError::Other("unplugged".into())),
             k => Ok(NextPose::Pose(pose(7e8 + due.as_s(), if k > 40 { 20.0 } else { due.as_s() }))),
         }
     }

@@ -7,9 +7,8 @@ use super::port::{host_us, lock};
 use super::random::{Purpose, Stream};
 use super::scene::Odometry;
 use super::world::World;
-use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
+use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
 use csi5300::motion::pose::Pose;
-use csi5300::source::Error;
 use csi5300::time::Instant;
 use nalgebra::Vector3;
 use std::sync::{Arc, Mutex};
@@ -124,7 +123,7 @@ impl Odometer {
 }
 
 impl OdometrySource for Odometer {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
         let now_ns = now.as_us().saturating_mul(1_000);
         while let Some(due_ns) = self.due_ns() {
             if due_ns > now_ns {

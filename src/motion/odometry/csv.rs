@@ -17,13 +17,14 @@ use std::path::Path;
 
 /// What was read beside the poses.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
 pub struct CsvCounts {
     /// Rows read into poses.
     pub rows: u64,
     /// Rows that could not be read.
     pub bad_rows: u64,
-    /// Line and reason of the first of them.
-    pub first_bad: Option<(u64, String)>,
+    /// Line, from 1, and reason of the first of them.
+    pub first_bad: Option<(u64, RowError)>,
     /// Rows whose time did not increase.
     pub out_of_order: u64,
     /// Number of columns (a trailing comma not counted).
@@ -54,8 +55,8 @@ pub enum CsvError {
     /// No row could be read.
     #[error("no row of numbers{}", first.as_ref().map(|(line, why)| format!("; line {line}: {why}")).unwrap_or_default())]
     Empty {
-        /// Line and reason of the first bad row, if any.
-        first: Option<(u64, String)>,
+        /// Line, from 1, and reason of the first bad row, if any.
+        first: Option<(u64, RowError)>,
     },
     /// The rows make no trajectory.
     #[error(transparent)]
@@ -93,7 +94,7 @@ pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
             Ok(true) => {}
             Ok(false) => break,
             Err(error) => {
-                bad(&mut counts, fallback_line, error.to_string());
+                bad(&mut counts, fallback_line, RowError::Unreadable(error.to_string()));
                 if error.is_io_error() {
                     break;
                 }
@@ -111,7 +112,7 @@ pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
                     counts.columns = columns;
                 }
                 if columns != counts.columns {
-                    let why = format!("{columns} columns where the others have {}", counts.columns);
+                    let why = RowError::OtherColumns { found: columns, others: counts.columns };
                     bad(&mut counts, line, why);
                     continue;
                 }
@@ -122,7 +123,7 @@ pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
             Err(RowError::Columns) if counts.rows == 0 && columns > 1 => {
                 return Err(CsvError::Columns { line, found: columns });
             }
-            Err(error) => bad(&mut counts, line, error.to_string()),
+            Err(error) => bad(&mut counts, line, error),
         }
     }
     if poses.is_empty() {
@@ -134,14 +135,14 @@ pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
 /// Parses a single row.
 ///
 /// # Errors
-/// What is wrong with it, in words.
-pub fn parse_line(line: &[u8]) -> Result<Pose, String> {
+/// What is wrong with it.
+pub fn parse_line(line: &[u8]) -> Result<Pose, RowError> {
     let mut reader =
         ::csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(::csv::Trim::All).from_reader(line);
     let mut record = ::csv::ByteRecord::new();
-    reader.read_byte_record(&mut record).map_err(|error| error.to_string())?;
+    reader.read_byte_record(&mut record).map_err(|error| RowError::Unreadable(error.to_string()))?;
     let columns = record.len() - usize::from(record.iter().next_back().is_some_and(<[u8]>::is_empty));
-    pose(&record, columns).map_err(|error| error.to_string())
+    pose(&record, columns)
 }
 
 /// A pose as a row: 6 columns, 5 where it has no heading, and the trailing comma.
@@ -152,19 +153,42 @@ pub fn line(pose: &Pose) -> String {
     format!("{:.6},0,{:.6},{:.6},{:.6},{heading}\n", pose.t_s, p.x, p.y, p.z)
 }
 
-fn bad(counts: &mut CsvCounts, line: u64, why: String) {
+fn bad(counts: &mut CsvCounts, line: u64, why: RowError) {
     counts.bad_rows += 1;
     counts.first_bad.get_or_insert((line, why));
 }
 
-#[derive(Debug, thiserror::Error)]
-enum RowError {
+/// What is wrong with one row.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
+pub enum RowError {
+    /// Its number of columns is of no known kind.
     #[error("not 5, 6, 9 or 15 columns")]
     Columns,
+    /// Its number of columns is not that of the rows before.
+    #[error("{found} columns where the others have {others}")]
+    OtherColumns {
+        /// Columns found.
+        found: usize,
+        /// Columns of the rows before.
+        others: usize,
+    },
+    /// A column, from 0, is not a finite number.
     #[error("column {0} is not a finite number")]
     Number(usize),
+    /// The quaternion has no length.
     #[error("the quaternion has no length")]
     Quaternion,
+    /// It is no row of a CSV file; with the reader's reason.
+    #[error("{0}")]
+    Unreadable(String),
+}
+
+/// In its words.
+impl serde::Serialize for RowError {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
 }
 
 fn pose(record: &::csv::ByteRecord, columns: usize) -> Result<Pose, RowError> {

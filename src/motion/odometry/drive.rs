@@ -43,7 +43,7 @@ pub struct Reading {
 
 /// What was odd.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct Counts {
+pub struct WheelCounts {
     /// Steps whose heading is the IMU's.
     pub by_imu: u64,
     /// Steps whose heading is the wheels', the IMU having none, a dead one, or one that jumped.
@@ -62,7 +62,7 @@ pub struct Drive {
     /// How far the wheels turned the robot since the IMU's heading last changed, radians.
     unseen_rad: f64,
     /// What was odd.
-    pub counts: Counts,
+    pub counts: WheelCounts,
 }
 
 impl Drive {
@@ -70,7 +70,7 @@ impl Drive {
     #[must_use]
     pub fn new(geometry: Geometry) -> Self {
         let position_m = Vector3::zeros();
-        Self { geometry, last: None, position_m, heading_rad: 0.0, unseen_rad: 0.0, counts: Counts::default() }
+        Self { geometry, last: None, position_m, heading_rad: 0.0, unseen_rad: 0.0, counts: WheelCounts::default() }
     }
 
     /// Position of the middle between the wheels, metres, and heading, radians.

@@ -85,7 +85,7 @@ impl Status {
 
 /// What the parser counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct Counts {
+pub struct PacketCounts {
     /// Intact answers.
     pub packets: u64,
     /// Packets whose CRC does not fit.
@@ -100,7 +100,7 @@ pub struct Counts {
 pub struct Parser {
     buffer: Vec<u8>,
     /// What was counted.
-    pub counts: Counts,
+    pub counts: PacketCounts,
 }
 
 impl Parser {
@@ -205,7 +205,7 @@ mod tests {
         plain.extend(crc16(&plain).to_le_bytes());
         parser.push(&plain);
         assert_eq!(parser.poll_status().unwrap().data(8), Some(ticks));
-        assert_eq!(parser.counts, Counts { packets: 2, ..Counts::default() });
+        assert_eq!(parser.counts, PacketCounts { packets: 2, ..PacketCounts::default() });
     }
 
     #[test]

@@ -4,12 +4,14 @@ pub mod clock;
 pub mod csv;
 pub mod drive;
 pub mod dynamixel;
+mod error;
 pub mod opencr;
 pub mod replay;
 pub mod ros;
 
+pub use error::OdometryError;
+
 use crate::motion::pose::Pose;
-use crate::source::Error;
 use crate::time::Instant;
 
 /// What [`OdometrySource::receive`] gives.
@@ -45,11 +47,11 @@ pub struct FollowedCounts {
 #[non_exhaustive]
 pub enum SourceCounts {
     /// A topic of ROS.
-    Topic(ros::Counts),
+    Topic(ros::TopicCounts),
     /// A TurtleBot3's controller on a serial port.
     Controller {
         /// Its line and its wheels.
-        controller: opencr::Counts,
+        controller: opencr::ControllerCounts,
         /// Times that the port went away.
         unplugged: u64,
     },
@@ -68,7 +70,7 @@ pub trait OdometrySource {
     ///
     /// # Errors
     /// Only for what cannot be gone on from.
-    fn receive(&mut self, now: Instant) -> Result<NextPose, Error>;
+    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError>;
 
     /// When the next pose is due, if the source knows: replay and simulation do, a live port does not.
     fn next_at(&self) -> Option<Instant>;
@@ -85,7 +87,7 @@ pub trait OdometrySource {
 }
 
 impl<S: OdometrySource + ?Sized> OdometrySource for Box<S> {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
         (**self).receive(now)
     }
 

@@ -1,8 +1,7 @@
 //! Poses from a recorded trajectory at its own pace, poses that never change, and antennas on robots.
 
-use super::{NextPose, OdometrySource};
+use super::{NextPose, OdometryError, OdometrySource};
 use crate::motion::pose::{Pose, Trajectory};
-use crate::source::Error;
 use crate::time::{Instant, Span};
 use nalgebra::Vector3;
 
@@ -31,7 +30,7 @@ impl Replayed {
 }
 
 impl OdometrySource for Replayed {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
         match self.due().zip(self.poses.get(self.next)) {
             None => Ok(NextPose::End),
             Some((due, _)) if due > now => Ok(NextPose::Pending),
@@ -67,12 +66,9 @@ impl<S: OdometrySource> Mounted<S> {
 }
 
 impl<S: OdometrySource> OdometrySource for Mounted<S> {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
         Ok(match self.source.receive(now)? {
-            NextPose::Pose(pose) => {
-                let mounted = pose.mounted(self.offset_m).map_err(|error| Error::Input(error.to_string()))?;
-                NextPose::Pose(mounted)
-            }
+            NextPose::Pose(pose) => NextPose::Pose(pose.mounted(self.offset_m)?),
             other => other,
         })
     }

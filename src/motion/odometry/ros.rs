@@ -1,9 +1,8 @@
 //! Poses from a topic of ROS 1, `nav_msgs/Odometry` or `geometry_msgs/PoseStamped`: what a message means, and the bounded
 //! queue that its source reads. The connection itself is in `csi5300_node::ros1` (feature `ros1`).
 
-use super::{NextPose, OdometrySource};
+use super::{NextPose, OdometryError, OdometrySource};
 use crate::motion::pose::{Pose, heading_of};
-use crate::source::Error;
 use crate::time::{Instant, Span};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::collections::VecDeque;
@@ -65,7 +64,7 @@ pub struct Message<'a> {
 
 /// What was counted of a topic.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
-pub struct Counts {
+pub struct TopicCounts {
     /// Messages that came.
     pub messages: u64,
     /// Messages that are not of the topic's type.
@@ -92,7 +91,7 @@ pub struct Reader {
     last_s: Option<f64>,
     /// The next pose begins a frame.
     begins: bool,
-    counts: Counts,
+    counts: TopicCounts,
 }
 
 impl Reader {
@@ -255,7 +254,7 @@ pub struct Topic {
 }
 
 impl OdometrySource for Topic {
-    fn receive(&mut self, now: Instant) -> Result<NextPose, Error> {
+    fn receive(&mut self, now: Instant) -> Result<NextPose, OdometryError> {
         let mut state = self.inbox.lock();
         let messages = state.reader.counts.messages;
         if std::mem::replace(&mut self.messages, messages) != messages || self.heard_at.is_none() {

@@ -1,7 +1,7 @@
 //! A robot's odometry in a served room.
 
 use super::{Address, Role, join, take};
-use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
+use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, csv};
 use csi5300::source::Error;
 use csi5300::time::Instant;
 use std::io::ErrorKind;
@@ -28,19 +28,20 @@ impl Poses {
 }
 
 impl OdometrySource for Poses {
-    fn receive(&mut self, _: Instant) -> Result<NextPose, Error> {
+    fn receive(&mut self, _: Instant) -> Result<NextPose, OdometryError> {
         let mut line = [0; LINE];
         while !self.ended {
             match take(&self.socket, &mut line) {
                 Ok(0) => self.ended = true,
                 Ok(len) => {
                     let line = line.get(..len).unwrap_or_default();
-                    let pose = csv::parse_line(line).map_err(|why| Error::Input(format!("a pose of a room: {why}")))?;
+                    let what = "a pose of a room";
+                    let pose = csv::parse_line(line).map_err(|source| OdometryError::Row { what, source })?;
                     return Ok(NextPose::Pose(pose));
                 }
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(NextPose::Pending),
                 Err(error) if error.kind() == ErrorKind::Interrupted => {}
-                Err(source) => return Err(Error::Io { what: "receiving poses from a room".into(), source }),
+                Err(source) => return Err(OdometryError::Io { what: "receiving poses from a room", source }),
             }
         }
         Ok(NextPose::End)
