@@ -10,6 +10,27 @@
 //! | [`status`] | a running capture in words |
 //! | [`wait`] | the clocks of this machine, and waiting on them |
 //! | [`sys`] | calls that no crate offers: all `unsafe` of the project |
+//!
+//! # Listen
+//!
+//! Every record that the driver of this machine's card sends, with its host time; CAP_NET_ADMIN is needed.
+//!
+//! ```no_run
+//! use csi5300::source::{CsiSource, Next};
+//! use csi5300_live::{netlink::{Netlink, Options}, wait::Monotonic};
+//! use std::os::fd::AsFd;
+//!
+//! let (mut card, clock) = (Netlink::open(&Options::default())?, Monotonic::new());
+//! loop {
+//!     match card.receive(clock.now())? {
+//!         Next::Record(stamps, record) => println!("{:?} us: {} bytes", stamps.host_us, record.body.len()),
+//!         Next::Lost(loss) => eprintln!("{loss:?}"),
+//!         Next::Pending => drop(clock.wait([card.as_fd()], None)?),
+//!         Next::End(_) => break,
+//!     }
+//! }
+//! # Ok::<(), csi5300::source::Error>(())
+//! ```
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod doctor;

@@ -3,7 +3,7 @@
 use super::live::{Listening, Signals, create_refused, duration, size};
 use super::{Outcome, Result};
 use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
-use csi5300::source::{CsiSource, Loss, Next};
+use csi5300::source::{CsiSource, Error, Loss, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_live::netlink::{Counters, Netlink};
 use csi5300_live::status::{Losses, Status};
@@ -200,13 +200,19 @@ impl Session<'_> {
             let until =
                 if pending { [source.next_at(), end_at, Some(look_at)].into_iter().flatten().min() } else { Some(now) };
             let may_rest = (1..=FEW).contains(&std::mem::take(&mut taken)) && self.rests;
-            let signalled = if pending && may_rest {
-                let rest = until.map_or(now + REST, |until| until.min(now + REST));
-                self.clock.wait([self.signals.as_fd()], Some(rest)).map(|[signalled]| signalled)
-            } else {
-                self.clock.wait([self.socket.as_fd(), self.signals.as_fd()], until).map(|[_, signalled]| signalled)
-            };
-            ending |= signalled.map_err(|error| error.to_string())?;
+            let rest = (pending && may_rest).then_some(now + REST);
+            ending |= self.wait(until, rest).map_err(|error| error.to_string())?;
+        }
+    }
+
+    /// Waits for records until `until`, or rests from them until `rest`. True if a signal came.
+    fn wait(&self, until: Option<Instant>, rest: Option<Instant>) -> std::result::Result<bool, Error> {
+        match rest {
+            Some(rest) => {
+                let until = until.map_or(rest, |until| until.min(rest));
+                self.clock.wait([self.signals.as_fd()], Some(until)).map(|[signalled]| signalled)
+            }
+            None => self.clock.wait([self.socket.as_fd(), self.signals.as_fd()], until).map(|[_, signalled]| signalled),
         }
     }
 

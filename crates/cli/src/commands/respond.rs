@@ -3,13 +3,12 @@
 use super::Result;
 use super::args::antenna;
 use super::live::Signals;
-use super::sounding::{NO_NUMBERS, Sounding, Task, Wanted, Words, run as drive};
+use super::sounding::{NO_NUMBERS, Sounding, Wanted, Words, tell};
 use super::usage;
-use csi5300::exchange::tdma::{Epoch, Event};
+use csi5300::exchange::tdma::Epoch;
 use csi5300::source::Next;
 use csi5300::source::survey::Survey;
-use csi5300::time::Instant;
-use csi5300_live::sounding::{Order, Running, measurement};
+use csi5300_live::sounding::{News, Observer, Order, Running, measurement};
 use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
@@ -37,7 +36,7 @@ struct Measuring {
     told: bool,
 }
 
-impl Task for Measuring {
+impl Observer for Measuring {
     fn record(&mut self, next: &Next<'_>, running: &Running) {
         let Some((bfee, identity)) = self.survey.note(next) else { return };
         if self.carries && identity.frame_count.is_none() && bfee.wsr().is_none() && !self.told {
@@ -53,9 +52,9 @@ impl Task for Measuring {
         }
     }
 
-    fn event(&mut self, _event: &Event) {}
-
-    fn look(&mut self, _now: Instant, _running: &Running) {}
+    fn news(&mut self, news: &News) {
+        tell(news);
+    }
 }
 
 /// Answers until told to stop.
@@ -69,8 +68,8 @@ pub fn run(args: &Args) -> Result {
     let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
     common.see_to_rate(args.antenna)?;
     let carries = common.dialect == Words::Native && !common.no_measurement;
-    let source = common.source(if carries { Wanted::IfPossible } else { Wanted::Not })?;
+    let messages = common.messages(if carries { Wanted::IfPossible } else { Wanted::Not })?;
     let peers = common.peers.clone();
     let mut task = Measuring { antenna: args.antenna, peers, survey: Survey::default(), carries, told: false };
-    drive(common, &signals, source, opened, clock, &mut task)
+    common.run(&signals, messages, opened, clock, &mut task)
 }

@@ -4,7 +4,7 @@ use super::args::channel;
 use super::{Outcome, Result, print};
 use clap::ValueEnum;
 use csi5300::signal::channel::Channel;
-use csi5300_live::doctor::{self, Machine, Request, Step, default_interface, plan, undo};
+use csi5300_live::doctor::{self, Machine, Request, SetupError, Step, default_interface, plan, undo};
 
 /// Arguments of `setup`.
 #[derive(clap::Args)]
@@ -58,7 +58,7 @@ pub fn run(args: &Args) -> Result {
             return Err(format!("`{name}` is no name of an interface"));
         }
         Some(name) => name.clone(),
-        None => default_interface(&system)?,
+        None => default_interface(&system).map_err(|error| words(&error))?,
     };
     let steps = match (args.undo, args.channel, args.role) {
         (true, _, _) => undo(&system, &interface),
@@ -71,7 +71,8 @@ pub fn run(args: &Args) -> Result {
                 Driver::Stock => doctor::Driver::Stock,
                 Driver::Wsr => doctor::Driver::Wsr,
             });
-            plan(&system, &Request { interface, channel, role, driver, ack_len: args.ack_len })?
+            let request = Request { interface, channel, role, driver, ack_len: args.ack_len };
+            plan(&system, &request).map_err(|error| words(&error))?
         }
         (false, _, _) => return Err("--channel and --role are needed".into()),
     };
@@ -86,6 +87,21 @@ pub fn run(args: &Args) -> Result {
         eprintln!("printed only: --apply takes these steps");
     }
     Ok(Outcome::Done)
+}
+
+/// A refusal with the argument that mends it.
+fn words(error: &SetupError) -> String {
+    match error {
+        SetupError::NoCsiDriver => format!("{error} (`csi5300 doctor` says more; --driver overrides)"),
+        SetupError::NoAckLen => {
+            "a responder with the WSR driver needs --ack-len, the length of the frames meant for it \
+                                 (57 for the first robot, 59 for the second ...)"
+                .into()
+        }
+        SetupError::NoCard => format!("{error} (`csi5300 doctor` says more)"),
+        SetupError::NoInterface => format!("{error}: name one with --interface"),
+        _ => error.to_string(),
+    }
 }
 
 fn line(step: &Step) -> String {

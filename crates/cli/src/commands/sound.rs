@@ -2,14 +2,14 @@
 
 use super::args::{Estimation, channel};
 use super::live::{Signals, duration};
-use super::sounding::{NO_NUMBERS, Sounding, Task, Wanted, Words, run as drive};
+use super::sounding::{NO_NUMBERS, Sounding, Wanted, Words, tell};
 use super::{Result, hint, print, print_json, usage};
 use csi5300::exchange::tdma::{Epoch, Event, Plan, Priority};
 use csi5300::motion::odometry;
 use csi5300::signal::channel::Channel;
 use csi5300::source::Next;
 use csi5300::time::{Instant, Span};
-use csi5300_live::sounding::{Order, Products, Running};
+use csi5300_live::sounding::{News, Observer, Order, Products, Running};
 use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
 use std::path::{Path, PathBuf};
@@ -84,16 +84,17 @@ struct Live<'a> {
     bearings: Option<Bearings<'a>>,
 }
 
-impl Task for Live<'_> {
+impl Observer for Live<'_> {
     fn record(&mut self, next: &Next<'_>, _running: &Running) {
         if let Some(bearings) = &mut self.bearings {
             bearings.products.note(next);
         }
     }
 
-    fn event(&mut self, event: &Event) {
-        if let (Some(bearings), Event::Answered { peer, measurement: Some(measurement), .. }) =
-            (&mut self.bearings, event)
+    fn news(&mut self, news: &News) {
+        tell(news);
+        if let (Some(bearings), News::Event(Event::Answered { peer, measurement: Some(measurement), .. })) =
+            (&mut self.bearings, news)
         {
             bearings.products.answered(*peer, measurement);
         }
@@ -202,6 +203,6 @@ pub fn run(args: &Args) -> Result {
         }
     })?;
     common.see_to_rate(args.estimation.antenna)?;
-    let source = common.source(if bearings.is_some() { Wanted::Needed } else { Wanted::Not })?;
-    drive(common, &signals, source, opened, clock, &mut Live { bearings })
+    let messages = common.messages(if bearings.is_some() { Wanted::Needed } else { Wanted::Not })?;
+    common.run(&signals, messages, opened, clock, &mut Live { bearings })
 }

@@ -1,18 +1,16 @@
-//! What `sound` and `respond` share: arguments, the running exchange, its summary.
+//! What `sound` and `respond` share: arguments, what they open, and the words for it.
 
 use super::args::mac;
 use super::live::{Listening, Signals, create_refused, duration};
 use super::{Outcome, Result, usage};
-use csi5300::exchange::tdma::{Config, Dialect, Event, GUARD_US, Phy, Plan, PlanError, Request, TURN_AROUND_US, Tdma};
-use csi5300::source::recorder::{LogFiles, Options, Recorder, Rotation, Totals};
-use csi5300::source::{CsiSource, Error, Next};
-use csi5300::time::{Instant, Span};
+use csi5300::exchange::tdma::{Config, Dialect, GUARD_US, Phy, Plan, PlanError, Request, TURN_AROUND_US};
+use csi5300::source::Error;
+use csi5300::source::recorder::{LogFiles, Rotation};
+use csi5300::time::Span;
 use csi5300_live::doctor::Machine;
-use csi5300_live::monitor::{Counters, Monitor};
-use csi5300_live::netlink::Netlink;
+use csi5300_live::monitor::Monitor;
 use csi5300_live::sounding::{
-    Exchange, KERNEL_TURN_AROUND_US, News, Opened, Rate, Running, Settings, Setup, rate_n_flags, read_key, set_rate,
-    spread_of,
+    DriverMessages, Finished, Observer, Opened, Rate, Session, Settings, Setup, rate_n_flags, read_key, set_rate,
 };
 use csi5300_live::wait::Monotonic;
 use csi5300_sim::served;
@@ -20,15 +18,12 @@ use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use driver_iface::radiotap::Bandwidth;
 use driver_iface::sounding::wsr;
-use std::fmt::Write as _;
-use std::os::fd::{AsFd, OwnedFd};
+use std::os::fd::AsFd;
 use std::path::PathBuf;
 
-/// How often news are fetched and the view is drawn.
-const LOOK: Span = Span::from_ms(50);
+mod words;
 
-/// How long the driver is listened to after the end, if it does not fall silent before.
-const LAST_WORDS: Span = Span::from_ms(500);
+pub use words::{NO_NUMBERS, tell};
 
 /// Arguments of both commands.
 #[derive(clap::Args, Clone, Debug)]
@@ -156,7 +151,7 @@ impl Sounding {
     }
 
     /// Opens the interface and makes the machine.
-    pub fn open(&self, settle: impl FnOnce(&mut Config)) -> std::result::Result<(Tdma, Monitor), String> {
+    pub fn open(&self, settle: impl FnOnce(&mut Config)) -> std::result::Result<Opened, String> {
         self.check();
         let request = self.request();
         let plan = Plan::new(&request).map_err(|error| refused(&error))?;
@@ -181,18 +176,18 @@ impl Sounding {
                 settle(config);
             })
         });
-        let Opened { tdma, monitor, own, warning } = opened.map_err(text)?;
-        warning.into_iter().for_each(|warning| eprintln!("{warning}"));
+        let opened = opened.map_err(text)?;
+        opened.warning.iter().for_each(|warning| eprintln!("{warning}"));
         eprintln!(
             "{} is {}; {} links in a round, {:.3} rounds/s, slots of {:.0} us (at least {})",
             self.name(),
-            own,
+            opened.own,
             plan.slots(),
             plan.rate_hz(),
             plan.slot_us(),
             plan.shortest_slot_us()
         );
-        Ok((tdma, monitor))
+        Ok(opened)
     }
 
     /// Sees to the driver's rate.
@@ -212,24 +207,62 @@ impl Sounding {
     }
 
     /// The driver's messages, if they are wanted: recorded, or only read.
-    pub fn source(&self, wanted: Wanted) -> std::result::Result<Source, String> {
+    pub fn messages(&self, wanted: Wanted) -> std::result::Result<DriverMessages, String> {
         if self.log.is_none() && wanted == Wanted::Not {
-            return Ok(Source::None);
+            return Ok(DriverMessages::none());
         }
         let listener = match self.listening.open() {
             Ok(listener) => listener,
             Err(error) if self.log.is_none() && wanted == Wanted::IfPossible => {
                 eprintln!("answers carry no measurement: {error}");
-                return Ok(Source::None);
+                return Ok(DriverMessages::none());
             }
             Err(error) => return Err(error),
         };
         eprintln!("{}", Listening::describe(&listener));
-        let Some(log) = &self.log else { return Ok(Source::Bare(Box::new(listener))) };
-        let text = |error: Error| error.to_string();
-        let files = LogFiles::create(log, Rotation::default(), self.force).map_err(|error| create_refused(&error))?;
-        let recorder = Recorder::new(listener, files, Options::default()).map_err(text)?;
-        Ok(Source::Logged(Box::new(recorder)))
+        let Some(log) = &self.log else { return Ok(DriverMessages::read(listener)) };
+        let files = LogFiles::create(log, Rotation::default(), self.force);
+        files.and_then(|files| DriverMessages::recorded(listener, files)).map_err(|error| create_refused(&error))
+    }
+
+    /// Runs until a signal, the time is up, or the interface fails; then says how it went.
+    pub fn run(
+        &self,
+        signals: &Signals,
+        messages: DriverMessages,
+        opened: Opened,
+        clock: Monotonic,
+        observer: &mut dyn Observer,
+    ) -> Result {
+        let fifo_priority = Settings::default().fifo_priority.filter(|_| !self.no_fifo);
+        let session = Session::new(clock, signals.as_fd())
+            .with_settings(Settings { fifo_priority })
+            .with_stop_at(self.stop_after.map(|span| clock.now() + span));
+        let finished = session.run(opened, messages, observer).map_err(|error| error.to_string())?;
+        Ok(self.conclude(&finished))
+    }
+
+    /// Says how it went, and gives the outcome.
+    fn conclude(&self, finished: &Finished) -> Outcome {
+        eprint!("{}", words::summary(&self.peers, finished));
+        if finished.news_lost > 0 {
+            eprintln!("  {} news of the air were not fetched in time", finished.news_lost);
+        }
+        if let (Some(totals), Some(log)) = (&finished.log, &self.log) {
+            eprintln!("{} records written to {}", totals.recorded.written, log.display());
+            if totals.missing() > 0 {
+                eprintln!("  {} records are not in it", totals.missing());
+            }
+        }
+        if let Some(error) = &finished.error {
+            eprintln!("csi5300: {error}");
+        }
+        let counts = finished.counts();
+        match counts.answered + counts.replies {
+            0 => Outcome::Nothing,
+            _ if finished.lost_anything() => Outcome::DataLost,
+            _ => Outcome::Done,
+        }
     }
 }
 
@@ -252,240 +285,4 @@ pub enum Wanted {
     IfPossible,
     /// Nothing goes without them.
     Needed,
-}
-
-/// The driver's messages.
-pub enum Source {
-    /// Not listened to.
-    None,
-    /// Only read.
-    Bare(Box<Netlink>),
-    /// Also recorded.
-    Logged(Box<Recorder<Netlink, LogFiles>>),
-}
-
-impl Source {
-    fn fd(&self) -> std::result::Result<Option<OwnedFd>, String> {
-        let fd = match self {
-            Self::None => return Ok(None),
-            Self::Bare(listener) => listener.as_fd(),
-            Self::Logged(recorder) => recorder.source().as_fd(),
-        };
-        fd.try_clone_to_owned().map(Some).map_err(|error| format!("the connector socket: {error}"))
-    }
-
-    fn receive(&mut self, now: Instant) -> std::result::Result<Next<'_>, Error> {
-        match self {
-            Self::None => Ok(Next::Pending),
-            Self::Bare(listener) => listener.receive(now),
-            Self::Logged(recorder) => recorder.receive(now),
-        }
-    }
-
-    fn next_at(&self) -> Option<Instant> {
-        if let Self::Logged(recorder) = self { recorder.next_at() } else { None }
-    }
-
-    /// Ends the log; gives what is in it, and what the kernel dropped before it.
-    fn finish(self, now: Instant) -> std::result::Result<Option<(Totals, u64)>, String> {
-        let Self::Logged(recorder) = self else { return Ok(None) };
-        let (listener, _, totals) = recorder.finish(now).map_err(|error| error.to_string())?;
-        let counters = listener.counters();
-        Ok(Some((totals, counters.kernel_drops.max(counters.overrun_bfee_gap) + counters.other_bfee_gap)))
-    }
-}
-
-/// What a command does with what comes.
-pub trait Task {
-    /// Something from the driver.
-    fn record(&mut self, next: &Next<'_>, running: &Running);
-    /// Something from the air.
-    fn event(&mut self, event: &Event);
-    /// Time to look up and speak.
-    fn look(&mut self, now: Instant, running: &Running);
-}
-
-/// Runs until a signal, the time is up, or the interface fails; then says how it went.
-pub fn run(
-    common: &Sounding,
-    signals: &Signals,
-    mut source: Source,
-    (tdma, monitor): (Tdma, Monitor),
-    clock: Monotonic,
-    task: &mut dyn Task,
-) -> Result {
-    let text = |error: Error| error.to_string();
-    let settings = Settings { fifo_priority: Settings::default().fifo_priority.filter(|_| !common.no_fifo) };
-    let connector = source.fd()?;
-    let running = Running::start(tdma, monitor, clock, settings).map_err(text)?;
-    let end_at = common.stop_after.map(|span| clock.now() + span);
-    let mut failed = None;
-    loop {
-        if let Err(error) = take(&mut source, clock.now(), &running, task) {
-            failed = Some(error.to_string());
-            break;
-        }
-        while let Some(news) = running.news() {
-            tell(&news, task);
-        }
-        let now = clock.now();
-        task.look(now, &running);
-        if running.has_ended() || end_at.is_some_and(|end| end <= now) {
-            break;
-        }
-        let until = [source.next_at(), end_at, Some(now + LOOK)].into_iter().flatten().min();
-        // Without a listener the signals are waited for twice.
-        let first = connector.as_ref().map_or(signals.as_fd(), |fd| fd.as_fd());
-        if clock.wait([first, signals.as_fd()], until).map_err(text)?[1] {
-            break;
-        }
-    }
-    let (exchange, left, news_lost, error) = running.stop().map_err(text)?;
-    left.iter().for_each(|news| tell(news, task));
-    // What the driver had said by then belongs in the log. A driver that never stops to speak does not hold up the end.
-    let enough_at = clock.now() + LAST_WORDS;
-    while failed.is_none() && matches!(source, Source::Logged(_)) && clock.now() < enough_at {
-        match source.receive(clock.now()) {
-            Ok(Next::Pending | Next::End(_)) => break,
-            Ok(_) => {}
-            Err(error) => failed = Some(error.to_string()),
-        }
-    }
-    let logged = source.finish(clock.now())?;
-    Ok(conclude(common, exchange, logged, news_lost, failed.or(error.map(text))))
-}
-
-/// Said once where the driver's records cannot be told apart.
-pub const NO_NUMBERS: &str = "the driver's records carry neither sender nor number: load it with connector_log=0x5 (csitool), or use the WSR driver";
-
-/// Takes everything that the driver has said.
-fn take(source: &mut Source, now: Instant, running: &Running, task: &mut dyn Task) -> std::result::Result<(), Error> {
-    loop {
-        let next = source.receive(now)?;
-        if matches!(next, Next::Pending | Next::End(_)) {
-            return Ok(());
-        }
-        task.record(&next, running);
-    }
-}
-
-fn tell(news: &News, task: &mut dyn Task) {
-    match news {
-        News::Started(granted) => eprintln!("{granted}"),
-        News::Notice(notice) => eprintln!("{notice}"),
-        News::Event(event) => {
-            match event {
-                Event::Joined(peer) => eprintln!("{} is there", peer),
-                Event::Absent(peer) => eprintln!("{} does not answer any more", peer),
-                Event::Restarted { peer, .. } => eprintln!("{} was started anew", peer),
-                Event::Yielded { to, .. } => eprintln!("{} initiates too, and takes precedence", to),
-                _ => {}
-            }
-            task.event(event);
-        }
-    }
-}
-
-/// Says how it went, and gives the outcome.
-fn conclude(
-    common: &Sounding,
-    mut exchange: Exchange<Monitor>,
-    logged: Option<(Totals, u64)>,
-    news_lost: u64,
-    failed: Option<String>,
-) -> Outcome {
-    let air = exchange.air.counters();
-    eprint!("{}", summary(common, &exchange, &air));
-    if news_lost > 0 {
-        eprintln!("  {news_lost} news of the air were not fetched in time");
-    }
-    let mut lost = air.not_taken() > 0 || failed.is_some();
-    if let (Some((totals, before)), Some(log)) = (logged, &common.log) {
-        eprintln!("{} records written to {}", totals.written, log.display());
-        let missing = totals.dropped + totals.lost_on_disk + before;
-        if missing > 0 {
-            eprintln!("  {missing} records are not in it");
-            lost = true;
-        }
-    }
-    if let Some(message) = failed {
-        eprintln!("csi5300: {message}");
-    }
-    let counts = exchange.tdma.counts();
-    match counts.answered + counts.replies {
-        0 => Outcome::Nothing,
-        _ if lost => Outcome::DataLost,
-        _ => Outcome::Done,
-    }
-}
-
-fn summary(common: &Sounding, exchange: &Exchange<Monitor>, air: &Counters) -> String {
-    let (counts, figures, mut text) = (exchange.tdma.counts(), &exchange.figures, String::new());
-    if counts.forward > 0 {
-        let _ = writeln!(text, "{} forward frames, {} answered", counts.forward, counts.answered);
-        for mac in &common.peers {
-            if let Some(link) = exchange.tdma.link_counts(*mac) {
-                let _ = writeln!(text, "  {mac}: {} sounded, {} answered", link.sounded, link.answered);
-            }
-        }
-        let _ = writeln!(text, "  lateness: {}: every slot that was due, skipped ones too", spread_of(&figures.due_us));
-        let _ = writeln!(text, "  lateness of the frames sent: {}", spread_of(&figures.lateness_us));
-        let _ = writeln!(text, "  answers began after: {}", spread_of(&figures.answer_us));
-    }
-    if counts.replies > 0 {
-        let _ = writeln!(text, "{} answers", counts.replies);
-        let _ =
-            writeln!(text, "  turn-around, from the kernel's receive stamp: {}", spread_of(&figures.turn_around_us));
-    }
-    if counts.answered + counts.replies > 0 {
-        let [least, median, most] = KERNEL_TURN_AROUND_US;
-        let airtime_us = exchange.tdma.plan().phy().airtime_us(wsr::DEFAULT_LEN);
-        let _ = writeln!(
-            text,
-            "  the WSR kernel driver: {least} to {most} us, median {median}, from rise to rise, {airtime_us} us of it on air"
-        );
-    }
-    let skipped = [
-        (counts.missed_slots + figures.too_late, "frames skipped because the host was late (never sent late)"),
-        (counts.missed_replies, "answers skipped because they were late"),
-        (figures.perhaps_late, "frames handed over in time, but taken only after it"),
-    ];
-    let refused = [
-        (air.no_room, "frames not taken: no room in the kernel's queue"),
-        (air.down, "frames not taken: the interface was down"),
-        (air.too_long, "frames not taken: longer than the MTU"),
-        (air.cut, "frames of which the kernel took only a part"),
-    ];
-    let heard = [
-        (air.dropped, "frames heard but dropped by the kernel before they were read"),
-        (air.stale, "frames dropped because they had lain in the kernel's queue for a second or more"),
-        (air.bad_fcs, "frames with a wrong check sequence"),
-        (air.damaged, "frames behind an unreadable radiotap header"),
-        (counts.foreign, "frames of another dialect or damaged"),
-        (counts.strangers, "frames of robots that are no peers"),
-        (counts.unauthenticated, "frames without the key"),
-        (counts.replayed, "frames repeated or of an old session"),
-        (counts.unmatched, "answers to nothing that waits"),
-        (counts.other_plan, "frames of another plan (--rate, --links)"),
-        (counts.yields, "turns given up to another initiator"),
-        (counts.overslept, "turns lost because the host was away"),
-        (counts.rivals, "frames of an initiator or a turn that contradicts what was heard before"),
-        (counts.off_epoch, "frames at another time than their slot's"),
-        (counts.own_echoes, "copies of this robot's own frames"),
-        (counts.events_lost, "events lost because too many came at once"),
-    ];
-    for (count, what) in skipped.into_iter().chain(refused).chain(heard).filter(|(count, _)| *count > 0) {
-        let _ = writeln!(text, "  {count} {what}");
-    }
-    let sent = counts.forward + counts.replies;
-    if air.tx_failed > 0 {
-        let _ = writeln!(text, "  the kernel reports {} of {sent} frames as failed", air.tx_failed.min(sent));
-    }
-    let confirmed = air.tx_status.saturating_sub(air.tx_failed).min(sent);
-    if confirmed > 0 {
-        let _ = writeln!(text, "  the kernel confirms {confirmed} of {sent} frames as sent");
-    } else if sent > 0 {
-        let _ = writeln!(text, "  the kernel confirms none of {sent} frames as sent");
-    }
-    text
 }

@@ -272,6 +272,19 @@ fn nodes_sound_each_other_in_turns() {
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
+/// `bearing` finds the robot of the served room in both logs.
+fn bearing_is_right(rx: &str, tx: &str, poses: &str) {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    let args = ["bearing", "--channel", "108", "--rx", rx, "--tx", tx, "--trajectory", poses, "--json"];
+    let out = command.args(args).output().unwrap();
+    let said = String::from_utf8(out.stdout).unwrap();
+    assert_eq!(out.status.code(), Some(0), "{said}{}", String::from_utf8_lossy(&out.stderr));
+    let json: serde_json::Value = serde_json::from_str(said.lines().next().unwrap()).unwrap();
+    let azimuth_deg = json["azimuth_deg"].as_f64().unwrap_or_else(|| panic!("{said}"));
+    let truth_deg = 93f64.atan2(-386.0).to_degrees();
+    assert!((azimuth_deg - truth_deg).abs() < 2.0, "{azimuth_deg} of {truth_deg}: {said}");
+}
+
 #[test]
 fn programs_sound_each_other_in_a_served_room() {
     let folder = std::env::temp_dir().join(format!("csi5300-live-{}", std::process::id()));
@@ -324,15 +337,7 @@ fn programs_sound_each_other_in_a_served_room() {
     assert_eq!(on_air, sent + number(&responded, " answers"), "{sounded}\n{responded}\n{served}");
     assert!(served.contains(" 0 not;"), "{served}");
 
-    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
-    let args = ["bearing", "--channel", "108", "--rx", rx, "--tx", tx, "--trajectory", poses, "--json"];
-    let out = command.args(args).output().unwrap();
-    let said = String::from_utf8(out.stdout).unwrap();
-    assert_eq!(out.status.code(), Some(0), "{said}{}", String::from_utf8_lossy(&out.stderr));
-    let json: serde_json::Value = serde_json::from_str(said.lines().next().unwrap()).unwrap();
-    let azimuth_deg = json["azimuth_deg"].as_f64().unwrap_or_else(|| panic!("{said}"));
-    let truth_deg = 93f64.atan2(-386.0).to_degrees();
-    assert!((azimuth_deg - truth_deg).abs() < 2.0, "{azimuth_deg} of {truth_deg}: {said}");
+    bearing_is_right(rx, tx, poses);
     // The other listener heard the same card.
     let heard = number(&recorded, " records written");
     assert!(heard >= answered, "{heard} of {answered}: {recorded}");

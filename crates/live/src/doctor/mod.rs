@@ -4,12 +4,14 @@
 //! facts are those of csitool's and WSR's installation notes and of their users' reports.
 
 mod card;
+mod error;
 mod heard;
 mod host;
 mod radio;
 mod setup;
 mod system;
 
+pub use error::SetupError;
 pub use heard::Heard;
 pub(crate) use radio::rate_file;
 pub use setup::{Action, Driver, Request, Role, Step, default_interface, plan, undo};

@@ -1,5 +1,6 @@
 //! Putting the card into monitor mode for sounding, and taking it out again.
 
+use super::SetupError;
 use super::card::Card;
 use super::radio::rate_file;
 use super::system::System;
@@ -93,16 +94,16 @@ impl Step {
     ///
     /// # Errors
     /// What failed and how, unless that does not matter.
-    pub fn take(&self, system: &dyn System) -> Result<(), String> {
+    pub fn take(&self, system: &dyn System) -> Result<(), SetupError> {
         let outcome = match &self.action {
             Action::Write { path, text } => match find_rate_file(system, path) {
-                Some(path) => system.write(&path, text),
-                None => Err(format!("{path} is not there: is debugfs mounted, and the driver a CSI driver?")),
+                Some(path) => system.write(&path, text).map_err(|source| SetupError::Write { path, source }),
+                None => Err(SetupError::NoRateFile { pattern: path.clone() }),
             },
             Action::Run(words) => match system.run(&words.iter().map(String::as_str).collect::<Vec<_>>()) {
                 Some(ran) if ran.ok => Ok(()),
-                Some(ran) => Err(format!("{}: {}", words.join(" "), ran.text.trim())),
-                None => Err(format!("{} is not installed", words.first().map_or("", String::as_str))),
+                Some(ran) => Err(SetupError::Command { command: words.join(" "), output: ran.text.trim().to_owned() }),
+                None => Err(SetupError::NotInstalled { program: words.first().cloned().unwrap_or_default() }),
             },
         };
         if self.may_fail { Ok(()) } else { outcome }
@@ -120,16 +121,14 @@ fn find_rate_file(system: &dyn System, path: &str) -> Option<String> {
 }
 
 /// The driver that is installed, by the parameters of its module.
-fn installed(system: &dyn System) -> Result<Driver, String> {
+fn installed(system: &dyn System) -> Result<Driver, SetupError> {
     let loaded = |name: &str| system.text(&format!("/sys/module/iwlwifi/parameters/{name}")).is_some();
     let known = system.run(&["modinfo", "-p", "iwlwifi"]).map(|ran| ran.text).unwrap_or_default();
     let has = |name: &str| loaded(name) || known.lines().any(|line| line.starts_with(&format!("{name}:")));
     match (has("ack_len"), has("connector_log")) {
         (true, _) => Ok(Driver::Wsr),
         (false, true) => Ok(Driver::Stock),
-        (false, false) => Err("iwlwifi has no connector_log: it is not a CSI driver (`csi5300 doctor` says more; \
-                               --driver overrides)"
-            .into()),
+        (false, false) => Err(SetupError::NoCsiDriver),
     }
 }
 
@@ -137,18 +136,14 @@ fn installed(system: &dyn System) -> Result<Driver, String> {
 ///
 /// # Errors
 /// When no patched driver is installed, or a responder's `ack_len` is missing.
-pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, String> {
+pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, SetupError> {
     let driver = match request.driver {
         Some(driver) => driver,
         None => installed(system)?,
     };
     let interface = request.interface.as_str();
     let ack_len = match (driver, request.role, request.ack_len) {
-        (Driver::Wsr, Role::Responder, None) => {
-            return Err("a responder with the WSR driver needs --ack-len, the length of the frames meant for it \
-                        (57 for the first robot, 59 for the second ...)"
-                .into());
-        }
+        (Driver::Wsr, Role::Responder, None) => return Err(SetupError::NoAckLen),
         (Driver::Wsr, Role::Responder, Some(length)) => Some(length),
         (Driver::Wsr, Role::Initiator, _) => Some(NEVER_ANSWER),
         (Driver::Stock, _, _) => None,
@@ -242,8 +237,7 @@ pub fn undo(system: &dyn System, interface: &str) -> Vec<Step> {
 ///
 /// # Errors
 /// When there is no card, or it has no interface.
-pub fn default_interface(system: &dyn System) -> Result<String, String> {
-    let card = Card::find(system).ok_or("no Intel 5300 on the PCI bus (`csi5300 doctor` says more)")?;
-    let interface = card.interfaces.into_iter().next();
-    interface.ok_or_else(|| "the card has no interface: name one with --interface".into())
+pub fn default_interface(system: &dyn System) -> Result<String, SetupError> {
+    let card = Card::find(system).ok_or(SetupError::NoCard)?;
+    card.interfaces.into_iter().next().ok_or(SetupError::NoInterface)
 }

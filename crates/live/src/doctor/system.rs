@@ -28,8 +28,8 @@ pub trait System {
     /// Replaces a file's content.
     ///
     /// # Errors
-    /// What went wrong, in words.
-    fn write(&self, path: &str, text: &str) -> Result<(), String>;
+    /// The operating system's answer.
+    fn write(&self, path: &str, text: &str) -> std::io::Result<()>;
 
     /// A file as trimmed text.
     fn text(&self, path: &str) -> Option<String> {
@@ -64,8 +64,8 @@ impl System for Machine {
         let text = [out.stdout, out.stderr].concat();
         Some(Ran { ok: out.status.success(), text: String::from_utf8_lossy(&text).into_owned() })
     }
-    fn write(&self, path: &str, text: &str) -> Result<(), String> {
-        std::fs::write(path, text).map_err(|error| format!("writing {path}: {error}"))
+    fn write(&self, path: &str, text: &str) -> std::io::Result<()> {
+        std::fs::write(path, text)
     }
 }
 
@@ -104,8 +104,8 @@ impl System for Tree {
         let text = std::fs::read_to_string(self.root.join("run").join(words.join(" ").replace('/', "_"))).ok()?;
         Some(Ran { ok: true, text })
     }
-    fn write(&self, path: &str, text: &str) -> Result<(), String> {
-        std::fs::write(self.at(path), text).map_err(|error| format!("writing {path}: {error}"))
+    fn write(&self, path: &str, text: &str) -> std::io::Result<()> {
+        std::fs::write(self.at(path), text)
     }
 }
 

@@ -5,14 +5,18 @@
 //! * [`Setup`] opens one: interface, plan, key, session.
 //! * [`Running`] is its thread: under SCHED_FIFO and in locked memory where that is allowed, waiting for frames and for
 //!   absolute deadlines. Nothing that a bearing needs can delay a slot.
+//! * [`Session`] is all of it from start to end, with the driver's messages; an [`Observer`] is handed what comes, and
+//!   [`Finished`] says how it went.
 //! * [`Products`] makes bearings while robots sound, from the card's records and the measurements in the answers.
 //! * [`set_rate`] sees to the rate of the CSI driver, which does not take it from radiotap.
 
 mod exchange;
 mod figures;
 mod mailbox;
+mod messages;
 mod products;
 mod rate;
+mod run;
 mod session;
 mod setup;
 mod thread;
@@ -20,10 +24,12 @@ mod watch;
 
 pub use exchange::{Exchange, News};
 pub use figures::{Figures, KERNEL_TURN_AROUND_US, spread_of};
+pub use messages::{DriverMessages, LogTotals};
 pub use products::{Products, measurement};
 pub use rate::{Rate, rate_n_flags, set_rate};
+pub use run::{Finished, Observer, Session};
 pub use setup::{Opened, Setup, read_key};
-pub use thread::{Granted, Order, Running, Settings};
+pub use thread::{Granted, NotGranted, Order, Running, Settings};
 pub use watch::Notice;
 
 #[cfg(test)]

@@ -68,7 +68,11 @@ pub fn set_rate(system: &dyn System, interface: &str, rate: u32) -> Rate {
     }
     match system.write(&path, &format!("{rate:#x}")) {
         Ok(()) => Rate::Set(rate, found),
-        Err(error) => Rate::Other { found, error, mend: format!("echo {rate:#x} | sudo tee {path}") },
+        Err(error) => Rate::Other {
+            found,
+            error: format!("writing {path}: {error}"),
+            mend: format!("echo {rate:#x} | sudo tee {path}"),
+        },
     }
 }
 

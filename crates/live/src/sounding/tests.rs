@@ -268,3 +268,57 @@ fn a_histogram_in_words() {
     assert!(words.starts_with("p50 40, p90 12"), "{words}");
     assert!(words.ends_with("(<10: 2, <50: 1, <100: 1, <100000: 1)"), "{words}");
 }
+
+/// Keeps what comes.
+#[derive(Default)]
+struct Kept {
+    news: Vec<News>,
+    looks: u32,
+}
+
+impl Observer for Kept {
+    fn news(&mut self, news: &News) {
+        self.news.push(news.clone());
+    }
+
+    fn look(&mut self, _: Instant, _: &Running) {
+        self.looks += 1;
+    }
+}
+
+/// A session on a socket, with what `stop_at` and `stopped` end it by.
+fn session(stopped: bool, stop_at: Option<Instant>) -> (Kept, Finished) {
+    use nix::sys::socket::{AddressFamily, SockFlag, SockType, socketpair};
+    let (ours, _theirs) = socketpair(AddressFamily::Unix, SockType::SeqPacket, None, SockFlag::SOCK_NONBLOCK).unwrap();
+    let (own, peer) = (A, B);
+    let setup = Setup {
+        interface: "a socket".into(),
+        mac: Some(own),
+        peers: vec![peer],
+        request: Request::new(1, 100.0),
+        own_index: 0,
+        key: None,
+    };
+    let monitor = crate::monitor::Monitor::over(ours, own, &setup.options()).unwrap();
+    let tdma = Tdma::new(&config(A, B)).unwrap();
+    let opened = Opened { tdma, monitor, own, warning: None };
+    let (stop, end) = std::io::pipe().unwrap();
+    let end = Some(end).filter(|_| !stopped);
+    let mut kept = Kept::default();
+    let session = Session::new(crate::wait::Monotonic::new(), std::os::fd::AsFd::as_fd(&stop))
+        .with_settings(Settings { fifo_priority: None })
+        .with_stop_at(stop_at);
+    let finished = session.run(opened, DriverMessages::none(), &mut kept).unwrap();
+    drop(end);
+    (kept, finished)
+}
+
+#[test]
+fn a_session_ends_when_it_is_stopped_and_when_its_time_is_up() {
+    for (kept, finished) in [session(true, None), session(false, Some(Instant::ZERO))] {
+        assert!(matches!(kept.news[..], [News::Started(_), ..]), "{:?}", kept.news);
+        assert!(kept.looks > 0 && finished.error.is_none() && finished.log.is_none());
+        assert_eq!((finished.sent(), finished.confirmed(), finished.news_lost), (0, 0, 0));
+        assert!(!finished.lost_anything());
+    }
+}

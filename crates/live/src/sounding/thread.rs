@@ -29,13 +29,24 @@ impl Default for Settings {
     }
 }
 
+/// Why something was not granted.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NotGranted {
+    /// It was not to be asked for.
+    #[error("as asked for")]
+    NotAskedFor,
+    /// The system refused, with its words.
+    #[error("{0}")]
+    Refused(String),
+}
+
 /// What the system granted, or why not.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Granted {
     /// SCHED_FIFO.
-    pub fifo: Result<(), String>,
+    pub fifo: Result<(), NotGranted>,
     /// All memory locked that there is at the start.
-    pub locked: Result<(), String>,
+    pub locked: Result<(), NotGranted>,
 }
 
 impl std::fmt::Display for Granted {
@@ -126,14 +137,14 @@ impl Running {
 
 /// Asks for what makes the thread punctual.
 fn ask(settings: Settings) -> Granted {
-    let words = |error: std::io::Error| error.to_string();
+    let words = |error: std::io::Error| NotGranted::Refused(error.to_string());
     // Without SCHED_FIFO timers may be 50 us late for the sake of power.
     let _ = set_timerslack(1);
     // Only what is there now: with memory to come (MCL_FUTURE) a later bearing could run into the limit, and abort.
     let locked = mlockall(MlockAllFlags::MCL_CURRENT).map_err(|errno| words(errno.into()));
     let fifo = match settings.fifo_priority {
         Some(priority) => sys::schedule_fifo(priority).map_err(words),
-        None => Err("as asked for".into()),
+        None => Err(NotGranted::NotAskedFor),
     };
     Granted { fifo, locked }
 }

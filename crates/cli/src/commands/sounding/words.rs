@@ -1,0 +1,113 @@
+//! What `sound` and `respond` say: while they run, and at the end.
+
+use csi5300::exchange::tdma::{Counts, Event};
+use csi5300_live::monitor::Counters;
+use csi5300_live::sounding::{Figures, Finished, KERNEL_TURN_AROUND_US, News, spread_of};
+use driver_iface::Mac;
+use driver_iface::sounding::wsr;
+use std::fmt::Write as _;
+
+/// Said once where the driver's records cannot be told apart.
+pub const NO_NUMBERS: &str = "the driver's records carry neither sender nor number: load it with connector_log=0x5 (csitool), or use the WSR driver";
+
+/// Says news as they come.
+pub fn tell(news: &News) {
+    match news {
+        News::Started(granted) => eprintln!("{granted}"),
+        News::Notice(notice) => eprintln!("{notice}"),
+        News::Event(Event::Joined(peer)) => eprintln!("{} is there", peer),
+        News::Event(Event::Absent(peer)) => eprintln!("{} does not answer any more", peer),
+        News::Event(Event::Restarted { peer, .. }) => eprintln!("{} was started anew", peer),
+        News::Event(Event::Yielded { to, .. }) => eprintln!("{} initiates too, and takes precedence", to),
+        News::Event(_) => {}
+    }
+}
+
+/// How a session went.
+pub fn summary(peers: &[Mac], finished: &Finished) -> String {
+    let (counts, figures, air) = (finished.counts(), &finished.exchange.figures, finished.air);
+    let mut text = String::new();
+    if counts.forward > 0 {
+        let _ = writeln!(text, "{} forward frames, {} answered", counts.forward, counts.answered);
+        for mac in peers {
+            if let Some(link) = finished.exchange.tdma.link_counts(*mac) {
+                let _ = writeln!(text, "  {mac}: {} sounded, {} answered", link.sounded, link.answered);
+            }
+        }
+        let _ = writeln!(text, "  lateness: {}: every slot that was due, skipped ones too", spread_of(&figures.due_us));
+        let _ = writeln!(text, "  lateness of the frames sent: {}", spread_of(&figures.lateness_us));
+        let _ = writeln!(text, "  answers began after: {}", spread_of(&figures.answer_us));
+    }
+    if counts.replies > 0 {
+        let _ = writeln!(text, "{} answers", counts.replies);
+        let turn_around = spread_of(&figures.turn_around_us);
+        let _ = writeln!(text, "  turn-around, from the kernel's receive stamp: {turn_around}");
+    }
+    if counts.answered + counts.replies > 0 {
+        let [least, median, most] = KERNEL_TURN_AROUND_US;
+        let airtime_us = finished.exchange.tdma.plan().phy().airtime_us(wsr::DEFAULT_LEN);
+        let _ = writeln!(
+            text,
+            "  the WSR kernel driver: {least} to {most} us, median {median}, from rise to rise, {airtime_us} us of it on air"
+        );
+    }
+    for (count, what) in not_sent(counts, figures, &air).into_iter().chain(not_used(counts, &air)) {
+        if count > 0 {
+            let _ = writeln!(text, "  {count} {what}");
+        }
+    }
+    text + &confirmed(finished)
+}
+
+/// Frames that were to be sent: how many were not, or perhaps late, by cause.
+fn not_sent(counts: &Counts, figures: &Figures, air: &Counters) -> [(u64, &'static str); 7] {
+    [
+        (counts.missed_slots + figures.too_late, "frames skipped because the host was late (never sent late)"),
+        (counts.missed_replies, "answers skipped because they were late"),
+        (figures.perhaps_late, "frames handed over in time, but taken only after it"),
+        (air.no_room, "frames not taken: no room in the kernel's queue"),
+        (air.down, "frames not taken: the interface was down"),
+        (air.too_long, "frames not taken: longer than the MTU"),
+        (air.cut, "frames of which the kernel took only a part"),
+    ]
+}
+
+/// Frames heard and turns had: how many came to nothing, by cause.
+fn not_used(counts: &Counts, air: &Counters) -> [(u64, &'static str); 16] {
+    [
+        (air.dropped, "frames heard but dropped by the kernel before they were read"),
+        (air.stale, "frames dropped because they had lain in the kernel's queue for a second or more"),
+        (air.bad_fcs, "frames with a wrong check sequence"),
+        (air.damaged, "frames behind an unreadable radiotap header"),
+        (counts.foreign, "frames of another dialect or damaged"),
+        (counts.strangers, "frames of robots that are no peers"),
+        (counts.unauthenticated, "frames without the key"),
+        (counts.replayed, "frames repeated or of an old session"),
+        (counts.unmatched, "answers to nothing that waits"),
+        (counts.other_plan, "frames of another plan (--rate, --links)"),
+        (counts.yields, "turns given up to another initiator"),
+        (counts.overslept, "turns lost because the host was away"),
+        (counts.rivals, "frames of an initiator or a turn that contradicts what was heard before"),
+        (counts.off_epoch, "frames at another time than their slot's"),
+        (counts.own_echoes, "copies of this robot's own frames"),
+        (counts.events_lost, "events lost because too many came at once"),
+    ]
+}
+
+/// What the kernel reports of the frames sent.
+fn confirmed(finished: &Finished) -> String {
+    let (sent, failed, mut text) = (finished.sent(), finished.reported_failed(), String::new());
+    if finished.air.tx_failed > 0 {
+        let _ = writeln!(text, "  the kernel reports {failed} of {sent} frames as failed");
+    }
+    match finished.confirmed() {
+        0 if sent > 0 => {
+            let _ = writeln!(text, "  the kernel confirms none of {sent} frames as sent");
+        }
+        0 => {}
+        confirmed => {
+            let _ = writeln!(text, "  the kernel confirms {confirmed} of {sent} frames as sent");
+        }
+    }
+    text
+}
