@@ -5,13 +5,19 @@
 //! | [`config`] | the one file that says everything, checked whole before anything starts |
 //! | [`motion`] | poses as they come, and how far two robots have moved relative to each other |
 //! | [`estimator`] | records and poses in, bearings out: sans-IO, time as an argument |
-//! | [`sources`] | what a configuration names, opened |
-//! | [`machine`] | the robot as one value |
-//! | [`health`] | what is published beside the bearings |
-//! | `sounder` | the robot's part in the sounding exchange |
+//! | [`sources`] | what a configuration names, opened: one module a kind of source |
+//! | `together` | where to begin in two replayed logs, so that they play together |
 //! | `threads` | the card and the wheels read on threads of their own |
-//! | `network`, `viewers` | peers through zenoh, Foxglove's viewers over a websocket (features `zenoh`, `foxglove`) |
-//! | `service` | tokio: waits, hands over, publishes |
+//! | [`machine`] | the robot as one value: sources, log, estimator, taps |
+//! | `sounder` | the robot's part in the sounding exchange |
+//! | `joined`, `network` | peers through zenoh (feature `zenoh`) |
+//! | `viewers`, `foxglove` | Foxglove's viewers over a websocket, and recordings for them (feature `foxglove`) |
+//! | `ros`, `ros1` | bearings, poses and CSI on topics of ROS 1, and poses from topics (feature `ros1`) |
+//! | [`health`] | what is published beside the bearings |
+//! | `outputs` | bearings as lines, the status socket, the status line |
+//! | [`service`] | tokio: waits, hands over, publishes |
+//!
+//! Where a feature is absent, the module that uses it has a twin without it (`absent.rs`): callers have no `cfg`.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod config;
@@ -23,6 +29,7 @@ pub mod sources;
 pub mod threads;
 mod together;
 
+mod joined;
 #[cfg(feature = "zenoh")]
 pub mod network;
 mod outputs;

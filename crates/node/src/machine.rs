@@ -96,7 +96,7 @@ impl Running<Poses> {
                 Ok(NextPose::End) => self.ended = true,
                 Err(error) => {
                     self.ended = true;
-                    return Some(error);
+                    return Some(error.into());
                 }
             }
         }

@@ -3,6 +3,7 @@
 use super::config::{Config, Log};
 use super::estimator::{Report, State};
 use super::health::{Health, Load, Looks};
+use super::joined::Joined;
 use super::machine::{Capture, Machine};
 use super::outputs::{Lines, StatusSocket, StatusText};
 use super::ros::Ros;
@@ -18,11 +19,9 @@ use csi5300_live::sys::watch_fd;
 use csi5300_live::wait::{Monotonic, processor_s, wall_us};
 use sd_notify::NotifyState;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 use std::time::Duration;
 use tokio::io::unix::AsyncFd;
 use tokio::signal::unix::{Signal, SignalKind, signal};
-use tokio::sync::Notify;
 
 /// How often the state is looked at.
 const LOOK: Span = Span::from_ms(500);
@@ -131,7 +130,7 @@ impl<'a> Service<'a> {
         let clock = Clock { real: Monotonic::new(), speed: sources.speed };
         let (own, peers) = (sources.own, sources.peers.iter().map(|peer| peer.peer.mac).collect());
         let logged = |card: Card| logged(card, config.log.as_ref());
-        let mut machine = Machine::new(sources, logged, Sources::settings(config), config.options(), clock.now())?;
+        let mut machine = Machine::new(sources, logged, config.estimator_settings(), config.options(), clock.now())?;
         network.attach(&mut machine);
         ros.attach(&mut machine);
         viewers.attach(&mut machine);
@@ -211,7 +210,7 @@ impl<'a> Service<'a> {
                     return Ok(());
                 }
                 ready = readable(wake) => ready?,
-                () = self.network.wake.notified() => {}
+                () = self.network.wake().notified() => {}
                 () = tokio::time::sleep(wait) => if !wait.is_zero() { self.note_lateness() },
             }
         }
@@ -296,67 +295,6 @@ impl<'a> Service<'a> {
         health.log.clone_from(&totals);
         health.load.lines_lost = self.lines.finish();
         Ok(Ended { health, totals, bearings: self.bearings, signalled: self.signalled, error })
-    }
-}
-
-/// The robots' network, joined where the configuration has one.
-struct Joined {
-    /// Something came from a peer.
-    wake: Arc<Notify>,
-    #[cfg(feature = "zenoh")]
-    network: Option<super::network::Network>,
-    #[cfg(feature = "zenoh")]
-    records: Vec<(usize, csi5300::source::remote::Mailbox)>,
-    #[cfg(feature = "zenoh")]
-    poses: Vec<(usize, csi5300::source::remote::Mailbox)>,
-}
-
-#[cfg(feature = "zenoh")]
-impl Joined {
-    fn join(config: &Config, sources: &Sources) -> Result<Self, Error> {
-        use super::config::{Odometry, Records};
-        let wake = Arc::new(Notify::new());
-        let mut joined = Self { wake, network: None, records: Vec::new(), poses: Vec::new() };
-        let Some(asked) = &config.network else { return Ok(joined) };
-        let network = joined.network.insert(super::network::Network::join(asked, sources.own)?);
-        for (k, (peer, opened)) in config.peer.iter().zip(&sources.peers).enumerate() {
-            let waker = || {
-                let wake = Arc::clone(&joined.wake);
-                move || wake.notify_one()
-            };
-            if matches!(peer.get_ref().records, Records::Network(_)) {
-                joined.records.push((k, network.subscribe(opened.peer.mac, "records", waker())?));
-            }
-            if matches!(peer.get_ref().poses, Odometry::Network(_)) {
-                joined.poses.push((k, network.subscribe(opened.peer.mac, "poses", waker())?));
-            }
-        }
-        Ok(joined)
-    }
-
-    fn attach(&self, machine: &mut Machine) {
-        self.records.iter().for_each(|(peer, mailbox)| machine.set_records(*peer, Box::new(mailbox.card())));
-        self.poses.iter().for_each(|(peer, mailbox)| machine.set_poses(*peer, Box::new(mailbox.poses())));
-        if let Some(tap) = self.network.as_ref().and_then(super::network::Network::tap) {
-            machine.add_tap(tap);
-        }
-    }
-
-    fn counts(&self) -> Option<serde_json::Value> {
-        serde_json::to_value(self.network.as_ref()?.counts()).ok()
-    }
-}
-
-#[cfg(not(feature = "zenoh"))]
-impl Joined {
-    fn join(_: &Config, _: &Sources) -> Result<Self, Error> {
-        Ok(Self { wake: Arc::new(Notify::new()) })
-    }
-
-    fn attach(&self, _: &mut Machine) {}
-
-    fn counts(&self) -> Option<serde_json::Value> {
-        None
     }
 }
 

@@ -1,9 +1,8 @@
 //! The robot's part in the sounding exchange: the sender's thread beside the service, by the same file.
 
-use super::config::sounding::Sounding;
 use super::config::{Capture, Config};
 use super::machine::{Machine, Tap};
-use csi5300::exchange::tdma::{Dialect, Epoch, Event, Phy, Plan, Request};
+use csi5300::exchange::tdma::{Epoch, Event};
 use csi5300::source::survey::Survey;
 use csi5300::source::{Error, Next, Stamps};
 use csi5300::time::Instant;
@@ -15,7 +14,6 @@ use csi5300_live::wait::Monotonic;
 use csi5300_sim::served::{self, Address};
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
-use driver_iface::radiotap::Bandwidth;
 use driver_iface::record::Record;
 use serde::Serialize;
 use std::sync::Arc;
@@ -56,24 +54,12 @@ struct Sounds {
     measures: bool,
 }
 
-/// What the plan is asked, by the configuration alone.
-pub(super) fn request(asked: &Sounding, peers: usize, ht40: bool) -> Request {
-    let bandwidth = if ht40 { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
-    let links = asked.links.unwrap_or(u16::try_from(peers).unwrap_or(u16::MAX));
-    Request {
-        phy: Phy { mcs: asked.mcs, bandwidth },
-        dialect: Dialect::Native { measurement: asked.measurement, authenticated: asked.key.is_some() },
-        guard_us: asked.guard_us,
-        turn_around_us: asked.turn_around_us,
-        ..Request::new(links, asked.rate_hz)
-    }
-}
-
 impl Sounder {
     /// Starts the thread that sends, if one is asked for.
     pub fn start(config: &Config, own: Mac, peers: Vec<Mac>, clock: Monotonic) -> Result<Self, Error> {
-        let Some(asked) = &config.sounding else { return Ok(Self(None)) };
-        let request = request(asked, peers.len(), config.channel.width() != csi5300::signal::channel::Width::Ht20);
+        let Some((asked, request)) = config.sounding.as_ref().zip(config.sounding_request()) else {
+            return Ok(Self(None));
+        };
         let room = match config.capture.get_ref() {
             Capture::Served(served) => Some(Address { socket: served.socket.clone(), robot: served.robot.clone() }),
             _ => None,
@@ -196,13 +182,4 @@ impl Tap for Measuring {
     }
 
     fn pose(&mut self, _: Option<csi5300::motion::pose::Pose>) {}
-}
-
-/// Why this robot cannot take part as asked.
-pub(super) fn problem(asked: &Sounding, peers: usize, ht40: bool) -> Option<String> {
-    let request = request(asked, peers, ht40);
-    if rate_n_flags(request.phy, Antenna::A).is_none() {
-        return Some(format!("mcs {} has more streams than the card has antennas: 23 is the highest", asked.mcs));
-    }
-    Plan::new(&request).err().map(|error| error.to_string())
 }

@@ -1,7 +1,7 @@
 //! The card and the wheels on threads of their own: what they say is read and stamped at once, however long an estimate
 //! takes. Both threads end with the source that reads from them.
 
-use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
+use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
 use csi5300::source::{CsiSource, Error, Loss, Next, Stamps};
 use csi5300::time::{Instant, Span};
 use csi5300_live::wait::Monotonic;
@@ -141,7 +141,7 @@ impl Drop for CardThread {
 
 /// Poses that are taken on a thread of their own.
 pub struct PoseThread {
-    poses: Receiver<Result<NextPose, Error>>,
+    poses: Receiver<Result<NextPose, OdometryError>>,
     told: Arc<Mutex<Told>>,
 }
 
@@ -201,11 +201,11 @@ impl PoseThread {
 }
 
 impl OdometrySource for PoseThread {
-    fn receive(&mut self, _: Instant) -> Result<NextPose, Error> {
+    fn receive(&mut self, _: Instant) -> Result<NextPose, OdometryError> {
         match self.poses.try_recv() {
             Ok(next) => next,
             Err(TryRecvError::Empty) => Ok(NextPose::Pending),
-            Err(TryRecvError::Disconnected) => Err(Error::Input("the thread of the odometry has ended".into())),
+            Err(TryRecvError::Disconnected) => Err(OdometryError::ThreadEnded),
         }
     }
 
@@ -297,7 +297,7 @@ mod tests {
     struct Two(u8);
 
     impl OdometrySource for Two {
-        fn receive(&mut self, _: Instant) -> Result<NextPose, Error> {
+        fn receive(&mut self, _: Instant) -> Result<NextPose, OdometryError> {
             self.0 += 1;
             let position_m = nalgebra::Vector3::zeros();
             let pose = |t_s| NextPose::Pose(Pose { t_s, position_m, heading_rad: None });

@@ -1,6 +1,6 @@
 //! ROS 1 in a configuration: topics of poses, and this program as a node of a master.
 
-use super::{Capture, Config, Odometry};
+use super::{Capture, Config, Odometry, Room};
 use csi5300::motion::odometry::ros::{Kind, Stamp};
 use csi5300_sim::Scene;
 use csi5300_sim::motion::RobotMotion;
@@ -57,11 +57,7 @@ impl Ros {
     /// The name of the node: that of the robot where none is asked for, or of the room's robot, or the MAC.
     #[must_use]
     pub fn node(&self, config: &Config) -> String {
-        let in_room = match config.capture.get_ref() {
-            Capture::Room(room) => Some(room.robot.clone()),
-            Capture::Served(served) => Some(served.robot.clone()),
-            Capture::Card(_) | Capture::Replay(_) => None,
-        };
+        let in_room = config.capture.get_ref().robot().map(str::to_owned);
         let robot = config.name.clone().or(in_room).or_else(|| Some(config.mac?.to_string())).unwrap_or_default();
         self.node.clone().unwrap_or_else(|| format!("/csi5300_{}", name_part(&robot)))
     }
@@ -86,65 +82,67 @@ fn wrong_name(name: &str) -> Option<String> {
 
 const NO_FEATURE: &str = "needs a program built with `--features ros1`";
 
-/// What is wrong with poses from a topic, of this robot, of a peer, or of a robot that the room follows.
-pub(super) fn wrong_topic(topic: &Topic, peers: bool) -> Option<String> {
+/// What is wrong with poses from a topic, of this robot, of a peer, or of a robot that the room follows: the key below
+/// `ros`, if it is one, and why.
+pub(super) fn wrong_topic(topic: &Topic, peers: bool) -> Option<(Option<&'static str>, String)> {
     if !cfg!(feature = "ros1") {
-        Some(format!("`ros` poses: {NO_FEATURE}"))
+        Some((None, format!("`ros` poses: {NO_FEATURE}")))
     } else if peers && topic.stamp == Some(Stamp::Receipt) {
         // How far a peer's clock is ahead is taken from the exchanges, and applied to its poses.
-        Some("a peer's poses have the times of its own clock: `stamp = \"header\"`".into())
+        Some((Some("stamp"), "a peer's poses have the times of its own clock: `stamp = \"header\"`".into()))
     } else {
-        wrong_name(&topic.topic)
+        wrong_name(&topic.topic).map(|why| (Some("topic"), why))
     }
 }
 
-/// What is wrong with the sources that robots of the room follow, and with those that have none.
-pub(super) fn wrong_followed(config: &Config, scene: Option<&Scene>) -> Vec<String> {
-    let Capture::Room(room) = config.capture.get_ref() else { return Vec::new() };
-    let Some(scene) = scene else { return Vec::new() };
+/// What is wrong with a source that a robot of the room follows.
+fn wrong_source(room: &Room, odometry: &Odometry) -> Option<String> {
+    match odometry {
+        Odometry::Csv(csv) if !csv.file.is_file() => Some(format!("there is no trajectory {}", csv.file.display())),
+        Odometry::Csv(_) => None,
+        Odometry::Ros(_) if room.speed != 1.0 => Some("topics are of now: `speed = 1`".into()),
+        Odometry::Ros(topic) if topic.stamp == Some(Stamp::Header) => {
+            Some("the room goes by the times at which poses come: `stamp = \"receipt\"`, or none".into())
+        }
+        Odometry::Ros(topic) => wrong_topic(topic, false).map(|(_, why)| why),
+        _ => Some("a robot follows `ros` or `csv`".into()),
+    }
+}
+
+/// What is wrong with the sources that robots of the room follow, by the robot's name, and with robots that have none.
+pub(super) fn wrong_followed<'r>(room: &'r Room, scene: &Scene) -> Vec<(Option<&'r str>, String)> {
     let follows = |name: &str| {
         let robot = scene.robot.iter().find(|robot| robot.name == name)?;
         Some(matches!(robot.motion, RobotMotion::Followed(_)))
     };
     let mut wrong = Vec::new();
     for (name, odometry) in &room.follow {
-        let why = match (follows(name), odometry) {
-            (None, _) => Some(format!("the scene has no robot `{name}`")),
-            (Some(false), _) => {
-                Some(format!("robot `{name}` moves as the scene says: give it `motion.followed = {{}}`"))
-            }
-            (_, Odometry::Csv(csv)) if !csv.file.is_file() => {
-                Some(format!("there is no trajectory {}", csv.file.display()))
-            }
-            (_, Odometry::Csv(_)) => None,
-            (_, Odometry::Ros(_)) if room.speed != 1.0 => Some("topics are of now: `speed = 1`".into()),
-            (_, Odometry::Ros(topic)) if topic.stamp == Some(Stamp::Header) => {
-                Some("the room goes by the times at which poses come: `stamp = \"receipt\"`, or none".into())
-            }
-            (_, Odometry::Ros(topic)) => wrong_topic(topic, false),
-            _ => Some("a robot follows `ros` or `csv`".into()),
+        let why = match follows(name) {
+            None => Some(format!("the scene has no robot `{name}`")),
+            Some(false) => Some(format!("robot `{name}` moves as the scene says: give it `motion.followed = {{}}`")),
+            Some(true) => wrong_source(room, odometry),
         };
-        wrong.extend(why.map(|why| format!("follow `{name}`: {why}")));
+        wrong.extend(why.map(|why| (Some(name.as_str()), format!("follow `{name}`: {why}"))));
     }
     let alone = scene.robot.iter().filter(|robot| follows(&robot.name) == Some(true));
     for robot in alone.filter(|robot| !room.follow.contains_key(&robot.name)) {
         let name = &robot.name;
-        wrong
-            .push(format!("robot `{name}` of the scene follows nothing: `follow.{name}.ros.topic = \"/{name}/odom\"`"));
+        let why = format!("robot `{name}` of the scene follows nothing: `follow.{name}.ros.topic = \"/{name}/odom\"`");
+        wrong.push((None, why));
     }
     wrong
 }
 
-/// What is wrong with the `[ros]` table: the key, and why.
-pub(super) fn wrong_ros(ros: &Ros) -> Option<(&'static str, String)> {
+/// What is wrong with the `[ros]` table: the key, if it is one, and why.
+pub(super) fn wrong_ros(ros: &Ros) -> Option<(Option<&'static str>, String)> {
     if !cfg!(feature = "ros1") {
-        return Some(("ros]", format!("[ros] {NO_FEATURE}")));
+        return Some((None, format!("[ros] {NO_FEATURE}")));
     }
     let master = ros.master.as_ref().filter(|master| !master.starts_with("http://"));
     if let Some(master) = master {
-        return Some(("master", format!("master `{master}`: one looks like http://192.168.1.10:11311")));
+        return Some((Some("master"), format!("master `{master}`: one looks like http://192.168.1.10:11311")));
     }
-    ros.node.as_deref().and_then(wrong_name).map(|why| ("node", why))
+    ros.node.as_deref().and_then(wrong_name).map(|why| (Some("node"), why))
 }
 
 /// True if anything is read from or published over ROS.

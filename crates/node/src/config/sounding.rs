@@ -1,7 +1,12 @@
 //! A robot's part in the sounding exchange, as the file says it.
 
-use super::Capture;
-use super::{Config, hundred, positive};
+use super::values::{hundred, positive};
+use super::{Capture, Config};
+use csi5300::exchange::tdma::{Dialect, Phy, Plan, PlanError, Request};
+use csi5300::signal::channel::Width;
+use csi5300_live::sounding::rate_n_flags;
+use driver_iface::bfee::Antenna;
+use driver_iface::radiotap::Bandwidth;
 use std::path::PathBuf;
 
 /// A robot's part in the sounding exchange, in the native dialect, as `csi5300 sound` and `respond` have it (feature
@@ -41,29 +46,70 @@ pub struct Sounding {
     pub fifo: bool,
 }
 
+impl Sounding {
+    /// What the plan is asked for so many peers.
+    #[must_use]
+    pub fn request(&self, peers: usize, bandwidth: Bandwidth) -> Request {
+        let links = self.links.unwrap_or(u16::try_from(peers).unwrap_or(u16::MAX));
+        Request {
+            phy: Phy { mcs: self.mcs, bandwidth },
+            dialect: Dialect::Native { measurement: self.measurement, authenticated: self.key.is_some() },
+            guard_us: self.guard_us,
+            turn_around_us: self.turn_around_us,
+            ..Request::new(links, self.rate_hz)
+        }
+    }
+}
+
 impl Config {
-    pub(super) fn sounding_problem(&self) -> Option<String> {
+    /// What the plan of the sounding exchange is asked, if this robot takes part.
+    #[must_use]
+    pub fn sounding_request(&self) -> Option<Request> {
+        let is_20_mhz = self.channel.width() == Width::Ht20;
+        let bandwidth = if is_20_mhz { Bandwidth::Ht20 } else { Bandwidth::Ht40 };
+        Some(self.sounding.as_ref()?.request(self.peer.len(), bandwidth))
+    }
+
+    /// Why this robot cannot take part as asked: the key in `[sounding]`, if it is one, and the reason.
+    pub(super) fn wrong_sounding(&self) -> Option<(Option<&'static str>, String)> {
         let asked = self.sounding.as_ref()?;
+        let table = |why: &str| Some((None, why.to_owned()));
         match (self.capture.get_ref(), &asked.interface) {
             (Capture::Card(_), Some(_)) | (Capture::Served(_), None) => {}
-            (Capture::Card(_), None) => return Some("[sounding]: `interface`, a monitor interface, is missing".into()),
+            (Capture::Card(_), None) => return table("[sounding]: `interface`, a monitor interface, is missing"),
             (Capture::Served(_), Some(_)) => {
-                return Some("[sounding]: a served room is the air itself: leave `interface` out".into());
+                let why = "[sounding]: a served room is the air itself: leave `interface` out";
+                return Some((Some("interface"), why.into()));
             }
             (Capture::Replay(_) | Capture::Room(_), _) => {
-                let why = "[sounding] is done with a card: it needs `capture.card` or `capture.served`";
-                return Some(why.into());
+                return table("[sounding] is done with a card: it needs `capture.card` or `capture.served`");
             }
         }
         if self.peer.is_empty() {
-            return Some("[sounding] needs a [[peer]] to sound".into());
+            return table("[sounding] needs a [[peer]] to sound");
         }
         if let Some(key) = asked.key.as_ref().filter(|key| !key.is_file()) {
-            return Some(format!("there is no key {}", key.display()));
+            return Some((Some("key"), format!("there is no key {}", key.display())));
         }
-        let is_40_mhz = self.channel.width() != csi5300::signal::channel::Width::Ht20;
-        crate::sounder::problem(asked, self.peer.len(), is_40_mhz).map(|why| format!("[sounding]: {why}"))
+        wrong_plan(&self.sounding_request()?).map(|(key, why)| (key, format!("[sounding]: {why}")))
     }
+}
+
+/// Why there is no plan for a request: the key that is wrong, if it is one, and the reason.
+fn wrong_plan(request: &Request) -> Option<(Option<&'static str>, String)> {
+    if rate_n_flags(request.phy, Antenna::A).is_none() {
+        let mcs = request.phy.mcs;
+        let why = format!("mcs {mcs} has more streams than the card has antennas: 23 is the highest");
+        return Some((Some("mcs"), why));
+    }
+    let error = Plan::new(request).err()?;
+    let key = match error {
+        PlanError::Rate { .. } | PlanError::NotARate(_) => Some("rate_hz"),
+        PlanError::Links(_) => Some("links"),
+        PlanError::Mcs(_) => Some("mcs"),
+        _ => None,
+    };
+    Some((key, error.to_string()))
 }
 
 fn yes() -> bool {

@@ -1,4 +1,6 @@
 use super::*;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 const ROOM: &str = "channel = \"108\"\ncapture.room = { scene = \"lab-circle\", robot = \"rx\" }\nodometry.room = {}\n\
                     [[peer]]\nname = \"tx\"\nrecords.room = {}\n";
@@ -55,11 +57,11 @@ fn every_problem_has_its_line() {
     let two = refused(&ROOM.replace("capture.room = { scene = \"lab-circle\", robot = \"rx\" }", "capture.card = {}"));
     let lines: Vec<&str> = two.lines().collect();
     assert!(lines.len() == 3 && lines[0].starts_with("line 2: `mac`"), "{two}");
-    assert!(lines[1].starts_with("line 3:") && lines[2].starts_with("line 4: peer `tx`"), "{two}");
+    assert!(lines[1].starts_with("line 3:") && lines[2].starts_with("line 6: peer `tx`"), "{two}");
     let twice = refused(&format!("{ROOM}[[peer]]\nname = \"tx\"\nrecords.room = {{}}\n"));
-    assert!(twice.starts_with("line 7: peer `tx`: another peer"), "{twice}");
+    assert!(twice.starts_with("line 8: peer `tx`: another peer"), "{twice}");
     let nobody = refused(&ROOM.replace("name = \"tx\"", "name = \"ty\""));
-    assert!(nobody.starts_with("line 4: the scene has no robot `ty`: it has rx, tx"), "{nobody}");
+    assert!(nobody.starts_with("line 5: the scene has no robot `ty`: it has rx, tx"), "{nobody}");
     let nowhere = refused(&ROOM.replace("lab-circle", "lab.toml"));
     assert!(nowhere.starts_with("line 2:") && nowhere.contains("lab.toml"), "{nowhere}");
     let room = |more: &str| refused(&format!("{ROOM}{more}"));
@@ -74,13 +76,13 @@ fn every_problem_has_its_line() {
     let live = refused(&ROOM.replace("odometry.room = {}", "odometry.opencr.port = \"/dev/null\""));
     assert!(live.starts_with("line 3: `opencr` poses"), "{live}");
     for (wrong, line) in
-        [("yaw_deg = nan", "line 4: peer `tx`"), ("antenna_offset_m = [inf, 0, 0]", "line 4: peer `tx`")]
+        [("yaw_deg = nan", "line 7: peer `tx`"), ("antenna_offset_m = [inf, 0, 0]", "line 7: peer `tx`")]
     {
         let endless = room(&format!("{wrong}\n"));
         assert!(endless.starts_with(line) && endless.contains("finite"), "{endless}");
     }
     let other = room("mac = \"02:00:00:00:00:99\"\n");
-    assert!(other.starts_with("line 4: `tx` has the MAC"), "{other}");
+    assert!(other.starts_with("line 7: `tx` has the MAC"), "{other}");
     let own = refused(&format!("mac = \"02:00:00:00:00:99\"\n{ROOM}"));
     assert!(own.starts_with("line 1: `rx` has the MAC"), "{own}");
     let full = room("[network]\nbacklog = 0\n");
@@ -91,7 +93,7 @@ fn every_problem_has_its_line() {
                 [network]\n[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n\
                 [sounding]\ninterface = \"mon0\"\n";
     let fast = refused(&format!("{card}rate_hz = 1e5\n"));
-    assert!(fast.contains("line 10: [sounding]") && fast.contains("rounds"), "{fast}");
+    assert!(fast.contains("line 12: [sounding]") && fast.contains("rounds"), "{fast}");
     let far = refused(&format!("{ROOM}[estimator]\nextrapolate_s = 30\n"));
     assert!(far.starts_with("line 8"), "{far}");
 }
@@ -177,7 +179,7 @@ fn a_node_of_ros_is_checked_like_everything_else() {
     let peer = "[[peer]]\nname = \"b\"\nmac = \"00:21:6a:00:00:02\"\nrecords.network = {}\n\
                 poses.ros = { topic = \"/b/odom\", stamp = \"receipt\" }\n";
     let refused = read(&format!("{card}{peer}")).unwrap_err();
-    assert!(refused.contains("line 9: peer `b`: a peer's poses have the times of its own clock"), "{refused}");
+    assert!(refused.contains("line 13: peer `b`: a peer's poses have the times of its own clock"), "{refused}");
 }
 
 #[test]

@@ -5,7 +5,7 @@ use crate::config::ros::name_part;
 use crate::estimator::{Report, State};
 use crate::machine::{Machine, Tap};
 use crate::ros1::messages::{self, Bearing, Csi, Header, PoseStamped, Quaternion, Time, Vector};
-use crate::ros1::{Link, Outbox};
+use crate::ros1::{Outbox, RosLink};
 use crate::sources::Sources;
 use csi5300::motion::pose::Pose;
 use csi5300::signal::csi::Csi as Matrix;
@@ -25,7 +25,7 @@ struct Peer {
 
 /// This program as a node of ROS, if it is one.
 pub struct Ros {
-    link: Option<Link>,
+    link: Option<RosLink>,
     frame: String,
     peers: Vec<Peer>,
     csi: Option<String>,
@@ -35,7 +35,7 @@ impl Ros {
     /// Takes the node of `sources`, and announces what it publishes.
     pub fn open(config: &Config, sources: &mut Sources) -> Self {
         let asked = config.ros.clone().unwrap_or_default();
-        let mut ros = Self { link: sources.ros.take(), frame: asked.frame.clone(), peers: Vec::new(), csi: None };
+        let mut ros = Self { link: sources.ros.0.take(), frame: asked.frame.clone(), peers: Vec::new(), csi: None };
         let (Some(link), true) = (&ros.link, config.ros.is_some()) else { return ros };
         let node = asked.node(config);
         if asked.publish_bearings {
@@ -74,7 +74,7 @@ impl Ros {
 
     /// What was counted.
     pub fn counts(&self) -> Option<serde_json::Value> {
-        self.link.as_ref().map(Link::counted)
+        self.link.as_ref().map(RosLink::counted)
     }
 
     /// What is wrong with the connection to the master.

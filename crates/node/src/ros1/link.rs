@@ -1,6 +1,8 @@
 //! A node of ROS on a thread of its own. A master that was started anew knows nothing of its nodes: this one looks after
 //! it, and registers again.
 
+mod topics;
+
 use super::messages::{Odometry, PoseStamped};
 use csi5300::motion::odometry::ros::{Inbox, Kind, Message, Topic, Wanted};
 use csi5300::source::Error;
@@ -12,9 +14,10 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
-use tokio::sync::mpsc::{Receiver, Sender, UnboundedReceiver, UnboundedSender, channel, unbounded_channel};
+use tokio::sync::mpsc::{Sender, UnboundedReceiver, UnboundedSender, channel, unbounded_channel};
 use tokio::task::JoinSet;
 use tokio::time::timeout;
+use topics::{read, write};
 
 /// Messages that wait at most, in either direction; further ones are lost and counted.
 const QUEUE: usize = 1_024;
@@ -57,7 +60,7 @@ impl State {
 }
 
 /// A node of ROS. It leaves the master when dropped, which must be outside of an async runtime: it waits for its thread.
-pub struct Link {
+pub struct RosLink {
     uses: Option<UnboundedSender<Use>>,
     state: Arc<State>,
     counts: Mutex<Vec<(String, Arc<OutCounts>)>>,
@@ -87,7 +90,7 @@ impl<T> Outbox<T> {
     }
 }
 
-impl Link {
+impl RosLink {
     /// A node called `name` (`/csi5300_burger_1`) of the master at `master` (`http://localhost:11311`), which need not be
     /// there yet. `wall_us` reads the host's wall clock.
     ///
@@ -174,72 +177,13 @@ impl Link {
     }
 }
 
-impl Drop for Link {
+impl Drop for RosLink {
     fn drop(&mut self) {
         self.uses.take();
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
     }
-}
-
-/// Reads a topic until a newer connection does.
-async fn read<T: RosMessageType>(
-    node: NodeHandle,
-    connection: u64,
-    inbox: Inbox,
-    used: fn(&T) -> Message<'_>,
-    wall_us: fn() -> Option<i64>,
-) -> Ended {
-    let mut subscriber = match node.subscribe::<T>(inbox.topic(), QUEUE).await {
-        Ok(subscriber) => subscriber,
-        Err(error) => return format!("cannot subscribe to {}: {error}", inbox.topic()),
-    };
-    loop {
-        match subscriber.next().await {
-            Some(Ok(message)) => {
-                // Without a wall clock there is nothing to compare stamps with.
-                let Some(received_us) = wall_us() else { continue };
-                if !inbox.put(connection, &used(&message), received_us) {
-                    return String::new();
-                }
-            }
-            Some(Err(error)) => match skipped(&error.to_string()) {
-                Some(messages) => inbox.dropped(messages),
-                None => inbox.unreadable(),
-            },
-            None => return format!("the subscription to {} has ended", inbox.topic()),
-        }
-    }
-}
-
-/// How many messages the library dropped, if that is what its error says: it has no other name for it.
-fn skipped(error: &str) -> Option<u64> {
-    error.strip_prefix("you are too slow, ")?.split(' ').next()?.parse().ok()
-}
-
-/// Writes a topic as long as there is something to write.
-async fn write<T: RosMessageType>(
-    node: NodeHandle,
-    topic: String,
-    waiting: Arc<tokio::sync::Mutex<Receiver<T>>>,
-    counts: Arc<OutCounts>,
-) -> Ended {
-    let publisher = match node.advertise::<T>(&topic, QUEUE, false).await {
-        Ok(publisher) => publisher,
-        Err(error) => return format!("cannot publish {topic}: {error}"),
-    };
-    let mut waiting = waiting.lock().await;
-    // What waited for a master is old.
-    while waiting.try_recv().is_ok() {
-        counts.lost.fetch_add(1, Ordering::Relaxed);
-    }
-    while let Some(message) = waiting.recv().await {
-        let sent = publisher.publish(&message).await.is_ok();
-        (if sent { &counts.sent } else { &counts.lost }).fetch_add(1, Ordering::Relaxed);
-    }
-    // Nobody has anything to publish any more; the topic stays until the end.
-    std::future::pending().await
 }
 
 /// One registration with a master.
@@ -428,15 +372,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_the_library_drops_is_told_from_its_words() {
-        assert_eq!(skipped("you are too slow, 7 messages were skipped"), Some(7));
-        assert_eq!(skipped("serde_rosmsg Error: 7"), None);
-    }
-
-    #[test]
     fn without_a_master_messages_are_lost_and_counted_and_nothing_waits() {
         // Nobody listens on port 1.
-        let link = Link::start("http://127.0.0.1:1".into(), "/csi5300_test".into(), || Some(0)).unwrap();
+        let link = RosLink::start("http://127.0.0.1:1".into(), "/csi5300_test".into(), || Some(0)).unwrap();
         let outbox = link.publish::<PoseStamped>("/csi5300_test/pose");
         (0..QUEUE + 9).for_each(|_| outbox.put(PoseStamped::default()));
         let counted = link.counted();

@@ -10,4 +10,4 @@
 pub mod link;
 pub mod messages;
 
-pub use link::{Link, Outbox};
+pub use link::{Outbox, RosLink};

@@ -23,7 +23,7 @@ fn folder(name: &str) -> PathBuf {
 fn machine(config: &Config) -> Machine {
     let sources = Sources::open(config, Instant::ZERO, || None).unwrap();
     let plain = |card| Ok(Capture::Plain(card));
-    Machine::new(sources, plain, Sources::settings(config), config.options(), Instant::ZERO).unwrap()
+    Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap()
 }
 
 /// Runs until the records end or `until`: every report with its time, and the last ones.
@@ -185,7 +185,7 @@ fn the_bearing_of_a_peer_that_vanished_grows_old() {
     let records = sources.peers[0].records.take().unwrap();
     sources.peers[0].records = Some(Box::new(Vanishes(records, Instant::from_us(12_000_000))));
     let plain = |card| Ok(Capture::Plain(card));
-    let machine = Machine::new(sources, plain, Sources::settings(&config), config.options(), Instant::ZERO).unwrap();
+    let machine = Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap();
     // This robot drives on until 21.5 s.
     let (reports, _) = run(machine, Instant::from_us(20_000_000));
     assert!(reports.iter().any(|(at, _, report)| at.as_s() < 12.0 && report.state == State::Bearing));

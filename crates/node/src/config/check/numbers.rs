@@ -1,0 +1,68 @@
+//! Numbers that must be in a range, or finite.
+
+use super::super::Estimation;
+use super::{Check, not_finite, wrong_place};
+use csi5300_sim::toml_lines::Step::{Index, Key};
+
+/// Bearings of each peer a second that can be asked for: one in a thousand seconds to what no processor keeps up with.
+const RATES_HZ: std::ops::RangeInclusive<f64> = 1e-3..=100.0;
+
+/// What the rules of `[estimator]` refuse: the key, and why.
+fn wrong_estimation(asked: &Estimation, least_m: f64) -> Vec<(&'static str, String)> {
+    let mut wrong = Vec::new();
+    if !(0.0..=90.0).contains(&asked.elevation_max_deg) {
+        wrong.push(("elevation_max_deg", "elevation_max_deg: 0 to 90 degrees".into()));
+    }
+    if !(0.0..=3_600.0).contains(&asked.accurate_every_s) {
+        wrong.push(("accurate_every_s", "accurate_every_s: 0 to 3600 seconds".into()));
+    }
+    if !(0.0..=1.0).contains(&asked.extrapolate_s) {
+        let why = "extrapolate_s: 0 to 1 second; a robot is somewhere else after a longer time";
+        wrong.push(("extrapolate_s", why.into()));
+    }
+    if least_m > asked.window_m {
+        let key = if asked.least_motion_m.is_some() { "least_motion_m" } else { "window_m" };
+        let why = format!(
+            "window_m ({:.3} m) is less than the motion needed, {least_m:.3} m: there would never be a bearing",
+            asked.window_m
+        );
+        wrong.push((key, why));
+    }
+    if !RATES_HZ.contains(&asked.rate_hz) {
+        let (least, most) = (RATES_HZ.start(), RATES_HZ.end());
+        wrong.push(("rate_hz", format!("rate_hz in [estimator]: {least} to {most} bearings of each peer a second")));
+    }
+    wrong
+}
+
+impl Check<'_> {
+    /// How bearings are made.
+    pub(super) fn estimator(&mut self) {
+        let asked = &self.config.estimator;
+        let least_m = asked.motion_needed_m(self.config.channel.wavelength_m());
+        for (key, why) in wrong_estimation(asked, least_m) {
+            self.refuse(&[Key("estimator"), Key(key)], why);
+        }
+    }
+
+    /// Places and angles of this robot and its peers.
+    pub(super) fn finite(&mut self) {
+        let config = self.config;
+        if let Some(number) = not_finite(&config.antenna_offset_m) {
+            let why = "antenna_offset_m: every number must be finite";
+            self.refuse(&[Key("antenna_offset_m"), Index(number)], why);
+        } else if let Some(place) = wrong_place(&config.odometry) {
+            let place: Vec<_> = std::iter::once(Key("odometry")).chain(place).collect();
+            self.refuse(&place, "odometry: every number must be finite");
+        }
+        for (k, peer) in config.peer.iter().map(|peer| peer.get_ref()).enumerate() {
+            let offset = not_finite(&peer.antenna_offset_m).map(|number| vec![Key("antenna_offset_m"), Index(number)]);
+            let yaw = (!peer.yaw_deg.is_finite()).then(|| vec![Key("yaw_deg")]);
+            let poses = || wrong_place(&peer.poses).map(|place| [vec![Key("poses")], place].concat());
+            if let Some(key) = offset.or(yaw).or_else(poses) {
+                let why = format!("peer `{}`: antenna_offset_m, yaw_deg and poses must be finite numbers", peer.name);
+                self.refuse(&[vec![Key("peer"), Index(k)], key].concat(), why);
+            }
+        }
+    }
+}

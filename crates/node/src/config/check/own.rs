@@ -1,0 +1,95 @@
+//! This robot: its card, its room, its poses.
+
+use super::super::{Capture, Odometry, ros};
+use super::Check;
+use csi5300_sim::Room;
+use csi5300_sim::toml_lines::Step::{Index, Key};
+
+impl Check<'_> {
+    /// This robot's MAC and log.
+    pub(super) fn own_card(&mut self) {
+        if self.config.mac.is_none() && !self.is_room() {
+            let why = "`mac`, the address of this robot's card, is missing: `ip link` shows it, and `csi5300 info` shows the \
+                       senders in a log";
+            self.refuse(&[Key("capture")], why);
+        }
+        if let Capture::Replay(replay) = self.capture()
+            && !replay.file.is_file()
+        {
+            let why = format!("there is no log {}", replay.file.display());
+            self.refuse(&[Key("capture"), Key("replay"), Key("file")], why);
+        }
+    }
+
+    /// The scene of a simulated room, and this robot and those that follow something in it.
+    pub(super) fn own_room(&mut self) {
+        let config = self.config;
+        let Capture::Room(asked) = config.capture.get_ref() else { return };
+        let key = |key| [Key("capture"), Key("room"), Key(key)];
+        match asked.load_scene() {
+            Ok(scene) => self.scene = Some(scene),
+            Err(error) => self.refuse(&key("scene"), error.to_string()),
+        }
+        if let Some(why) = self.absent(&asked.robot) {
+            self.refuse(&key("robot"), why);
+        }
+        let Some(scene) = &self.scene else { return };
+        for (robot, why) in ros::wrong_followed(asked, scene) {
+            let [capture, room, follow] = key("follow");
+            match robot {
+                Some(robot) => self.refuse(&[capture, room, follow, Key(robot)], why),
+                None => self.refuse(&[capture, room], why),
+            }
+        }
+    }
+
+    /// MACs that are not those of the simulated room.
+    pub(super) fn macs_of_the_room(&mut self) {
+        let config = self.config;
+        let Capture::Room(asked) = config.capture.get_ref() else { return };
+        let peers = config.peer.iter().map(|peer| (peer.get_ref().name.as_str(), peer.get_ref().mac));
+        let all = std::iter::once((asked.robot.as_str(), config.mac)).chain(peers);
+        let given: Vec<_> = all.enumerate().filter_map(|(k, (name, mac))| Some((k, name, mac?))).collect();
+        if given.is_empty() {
+            return;
+        }
+        let Some(room) = self.scene.as_ref().and_then(|scene| Room::new(scene).ok()) else { return };
+        for (k, name, mac) in given {
+            let is = room.number(name).and_then(|number| room.mac(number)).filter(|is| *is != mac);
+            let Some(is) = is else { continue };
+            let why = format!("`{name}` has the MAC {is} in this room, not {mac}: leave `mac` out");
+            match k.checked_sub(1) {
+                None => self.refuse(&[Key("mac")], why),
+                Some(peer) => self.refuse(&[Key("peer"), Index(peer), Key("mac")], why),
+            }
+        }
+    }
+
+    /// Without relative motion there is no bearing.
+    pub(super) fn motion(&mut self) {
+        let stands = |odometry: &Odometry| matches!(odometry, Odometry::Static(_));
+        let peers = &self.config.peer;
+        if !peers.is_empty() && stands(&self.config.odometry) && peers.iter().all(|peer| stands(&peer.get_ref().poses))
+        {
+            let why = "no robot here ever moves (`static` poses, also where none are given), and without motion there is no \
+                       bearing: give this robot `odometry` or a peer `poses`";
+            self.refuse(&[Key("peer"), Index(0)], why);
+        }
+    }
+
+    /// This robot's poses.
+    pub(super) fn own_poses(&mut self) {
+        if let Some((place, why)) = self.wrong_poses(&self.config.odometry, true) {
+            let place: Vec<_> = std::iter::once(Key("odometry")).chain(place).collect();
+            self.refuse(&place, why);
+        }
+    }
+
+    /// A program without a purpose.
+    pub(super) fn something_to_do(&mut self) {
+        let config = self.config;
+        if config.peer.is_empty() && config.log.is_none() && config.network.is_none() && config.ros.is_none() {
+            self.refuse(&[Key("capture")], "no [[peer]], no [log], no [network] and no [ros]: there is nothing to do");
+        }
+    }
+}

@@ -1,0 +1,66 @@
+//! The peers: who they are, and where their records and poses come from.
+
+use super::super::{Peer, Records};
+use super::Check;
+use csi5300_sim::toml_lines::Step;
+use csi5300_sim::toml_lines::Step::{Index, Key};
+
+impl Check<'_> {
+    /// Every peer.
+    pub(super) fn peers(&mut self) {
+        let config = self.config;
+        for (k, peer) in config.peer.iter().map(|peer| peer.get_ref()).enumerate() {
+            let wrong = [self.wrong_identity(k, peer), self.wrong_records(peer), self.wrong_peer_poses(peer)].concat();
+            for (key, why) in wrong {
+                self.refuse(&[vec![Key("peer"), Index(k)], key].concat(), why);
+            }
+        }
+    }
+
+    /// Its name and MAC.
+    fn wrong_identity(&self, k: usize, peer: &Peer) -> Vec<(Vec<Step<'static>>, String)> {
+        let (name, mut wrong) = (&peer.name, Vec::new());
+        let others = || self.config.peer.iter().take(k).map(|other| other.get_ref());
+        let same_name = others().any(|other| other.name == *name);
+        if same_name || others().any(|other| other.mac.is_some() && other.mac == peer.mac) {
+            let key = if same_name { "name" } else { "mac" };
+            wrong.push((vec![Key(key)], format!("peer `{name}`: another peer has its name or MAC")));
+        }
+        if peer.mac.is_none() && !matches!(peer.records, Records::Room(_)) {
+            wrong.push((Vec::new(), format!("peer `{name}`: `mac` is missing")));
+        }
+        if peer.mac.is_some() && peer.mac == self.config.mac {
+            wrong.push((vec![Key("mac")], format!("peer `{name}` has this robot's own MAC")));
+        }
+        wrong
+    }
+
+    fn wrong_records(&self, peer: &Peer) -> Vec<(Vec<Step<'static>>, String)> {
+        let name = &peer.name;
+        let (key, why) = match &peer.records {
+            Records::Replay(replay) if !replay.file.is_file() => {
+                let why = format!("peer `{name}`: there is no log {}", replay.file.display());
+                return vec![(vec![Key("records"), Key("replay"), Key("file")], why)];
+            }
+            Records::Replay(_) if !self.is_replay() => {
+                ("replay", format!("peer `{name}`: a replayed log needs `capture.replay`, whose pace it follows"))
+            }
+            Records::Room(_) if !self.is_room() => {
+                ("room", format!("peer `{name}`: `room` records need `capture.room` or `capture.served`"))
+            }
+            Records::Network(_) if self.config.network.is_none() => {
+                ("network", format!("peer `{name}`: `network` records need a [network] table"))
+            }
+            Records::Room(_) => return self.absent(name).map(|why| (vec![Key("name")], why)).into_iter().collect(),
+            Records::Replay(_) | Records::Network(_) => return Vec::new(),
+        };
+        vec![(vec![Key("records"), Key(key)], why)]
+    }
+
+    fn wrong_peer_poses(&self, peer: &Peer) -> Vec<(Vec<Step<'static>>, String)> {
+        let wrong = self.wrong_poses(&peer.poses, false);
+        let within =
+            |(key, why): (Vec<_>, String)| ([vec![Key("poses")], key].concat(), format!("peer `{}`: {why}", peer.name));
+        wrong.map(within).into_iter().collect()
+    }
+}

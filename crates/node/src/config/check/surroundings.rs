@@ -1,0 +1,54 @@
+//! ROS, sounding, output and the network.
+
+use super::super::ros;
+use super::Check;
+use csi5300_sim::toml_lines::Step::Key;
+
+/// Records that can be let wait for or from the network: no fewer than come while a message is collected, no more than
+/// some hundred megabytes.
+const BACKLOGS: std::ops::RangeInclusive<usize> = 256..=1_000_000;
+
+impl Check<'_> {
+    /// This program as a node of ROS.
+    pub(super) fn ros(&mut self) {
+        if let Some((key, why)) = self.config.ros.as_ref().and_then(ros::wrong_ros) {
+            self.refuse_in("ros", key, why);
+        }
+    }
+
+    /// This robot's part in the sounding exchange.
+    pub(super) fn sounding(&mut self) {
+        if let Some((key, why)) = self.config.wrong_sounding() {
+            self.refuse_in("sounding", key, why);
+        }
+    }
+
+    /// What is published.
+    pub(super) fn output(&mut self) {
+        if self.config.output.foxglove.is_some() && !cfg!(feature = "foxglove") {
+            let why = "foxglove in [output] needs a program built with `--features foxglove`";
+            self.refuse_in("output", Some("foxglove"), why);
+        }
+    }
+
+    /// The network of the robots.
+    pub(super) fn network(&mut self) {
+        let Some(network) = &self.config.network else { return };
+        if !cfg!(feature = "zenoh") {
+            self.refuse_in("network", None, "[network] needs a program built with `--features zenoh`");
+        }
+        if network.backlog.is_some_and(|backlog| !BACKLOGS.contains(&backlog)) {
+            let why = format!("backlog: {} to {} records", BACKLOGS.start(), BACKLOGS.end());
+            self.refuse_in("network", Some("backlog"), why);
+        }
+        if network.zenoh.as_ref().is_some_and(|file| !file.is_file()) {
+            self.refuse_in("network", Some("zenoh"), "there is no such file of zenoh's");
+        }
+    }
+
+    /// Refuses a key of a table, or the table.
+    fn refuse_in(&mut self, table: &str, key: Option<&str>, reason: impl Into<String>) {
+        let place: Vec<_> = std::iter::once(table).chain(key).map(Key).collect();
+        self.refuse(&place, reason);
+    }
+}

@@ -1,0 +1,157 @@
+//! Every rule with a configuration where the offending key is not first: the refusal names its line.
+
+use crate::config::Config;
+use std::path::Path;
+
+/// A room in which nothing is wrong; peers come last.
+const ROOM: &str = "name = \"here\"\nchannel = \"108\"\n\n# A comment that names mac, odometry and rate_hz.\n\
+                    capture.room = { scene = \"lab-circle\", robot = \"rx\" }\nodometry.room = {}\n";
+/// A card in which nothing is wrong but what a feature is needed for.
+const CARD: &str = "name = \"here\"\nchannel = \"108\"\nmac = \"02:00:00:00:00:01\"\ncapture.card = {}\n\
+                    odometry.opencr.port = \"/dev/null\"\n[log]\nfile = \"x.dat\"\n";
+const PEER: &str = "[[peer]]\nname = \"tx\"\nyaw_deg = 0.0\nrecords.room = {}\n";
+
+/// Refusals of a text, each `line N: why`.
+fn refusals(text: &str) -> Vec<String> {
+    let folder = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/src"));
+    let refused = Config::read(text, folder).err().map(|error| error.to_string());
+    refused.unwrap_or_default().lines().map(str::to_owned).collect()
+}
+
+/// One of the refusals is `wanted`, from its beginning; its line is that of `key` in the text.
+#[track_caller]
+fn refused(text: &str, key: &str, why: &str) {
+    let line = text.lines().position(|line| line.contains(key)).unwrap() + 1;
+    let all = refusals(text);
+    let is_it = |refusal: &&String| refusal.starts_with(&format!("line {line}: ")) && refusal.contains(why);
+    assert!(all.iter().any(|refusal| is_it(&refusal)), "line {line} ({key}), {why}: {all:?}\n{text}");
+}
+
+#[test]
+fn what_the_others_are_made_from_is_good() {
+    assert_eq!(refusals(&format!("{ROOM}{PEER}")), Vec::<String>::new());
+    assert_eq!(refusals(CARD), Vec::<String>::new());
+}
+
+#[test]
+fn this_robot() {
+    let card = |from: &str, to: &str| CARD.replace(from, to);
+    refused(&card("mac = \"02:00:00:00:00:01\"\n", ""), "capture.card", "`mac`");
+    let replay = format!("{}[capture.replay]\nspeed = 2\nfile = \"no.dat\"\n", card("capture.card = {}\n", ""));
+    refused(&replay, "no.dat", "there is no log");
+    let room = |from: &str, to: &str| format!("{ROOM}{PEER}").replace(from, to);
+    let inline = "capture.room = { scene = \"lab-circle\", robot = \"rx\" }\nodometry.room = {}";
+    let table = |scene: &str, robot: &str| {
+        room(
+            inline,
+            &format!("odometry.room = {{}}\n[capture.room]\nspeed = 2.0\nscene = \"{scene}\"\nrobot = \"{robot}\""),
+        )
+    };
+    refused(&table("no.toml", "rx"), "no.toml", "no.toml");
+    refused(&table("lab-circle", "nobody"), "nobody", "no robot `nobody`");
+    let followed = table("lab-circle", "rx\"\n[capture.room.follow]\ntx.csv.file = \"way.csv");
+    refused(&followed, "tx.csv", "`tx` moves as the scene says");
+    refused(&room("channel", "mac = \"02:00:00:00:00:99\"\nchannel"), "mac =", "`rx` has the MAC");
+    refused(&format!("{ROOM}{PEER}mac = \"02:00:00:00:00:99\"\n"), "mac = ", "`tx` has the MAC");
+    refused(&room("odometry.room = {}\n", ""), "[[peer]]", "no robot here ever moves");
+    refused(&card("[log]\nfile = \"x.dat\"\n", ""), "capture.card", "there is nothing to do");
+}
+
+#[test]
+fn numbers() {
+    let estimator = |more: &str| format!("{ROOM}{PEER}[estimator]\naccurate = true\n{more}\n");
+    for (key, value) in [
+        ("elevation_max_deg", "91.0"),
+        ("accurate_every_s", "-1.0"),
+        ("extrapolate_s", "2.0"),
+        ("window_m", "0.05"),
+        ("least_motion_m", "9.0"),
+        ("rate_hz", "101.0"),
+    ] {
+        refused(&estimator(&format!("{key} = {value}")), &format!("{key} ="), "");
+    }
+    let room = |from: &str, to: &str| format!("{ROOM}{PEER}").replace(from, to);
+    refused(&room("odometry.room", "antenna_offset_m = [0.0,\n  inf, 0.0]\nodometry.room"), "inf", "antenna_offset_m");
+    let place = "[odometry.static]\nposition_m = [0.0, 0.0, 0.0]\nheading_deg = nan";
+    refused(&room("odometry.room = {}", place), "nan", "odometry: every number");
+    refused(&room("yaw_deg = 0.0", "yaw_deg = nan"), "nan", "peer `tx`");
+    refused(&format!("{ROOM}{PEER}antenna_offset_m = [0, nan, 0]\n"), "nan", "peer `tx`");
+    refused(&format!("{ROOM}{PEER}[peer.poses.static]\nheading_deg = 1.0\nposition_m = [0, 0, inf]\n"), "inf", "peer");
+}
+
+#[test]
+fn poses() {
+    let card = |poses: &str| CARD.replace("odometry.opencr.port = \"/dev/null\"", poses);
+    refused(&card("odometry.csv.file = \"no.csv\""), "no.csv", "no trajectory");
+    refused(&card("odometry.csv.file = \"lib.rs\""), "odometry.csv", "replayed capture");
+    refused(&card("odometry.room = {}"), "odometry.room", "`room` poses");
+    refused(&card("odometry.network = {}"), "odometry.network", "own poses");
+    let room = |poses: &str| format!("{ROOM}{PEER}").replace("odometry.room = {}", poses);
+    refused(&room("odometry.opencr.port = \"/dev/null\""), "opencr", "`opencr` poses are of now");
+    refused(&room("odometry.ros.topic = \"/odom\""), "odometry.ros", "`ros` poses are of now");
+    let peer = "[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n";
+    refused(&format!("{CARD}{peer}poses.network = {{}}\n"), "poses.network", "peer `b`: `network` poses");
+    refused(&format!("{CARD}{peer}poses.opencr.port = \"x\"\n"), "poses.opencr", "peer `b`: a peer's port");
+    refused(&card("odometry.ros = {\n  topic = \"odom\" }"), if cfg!(feature = "ros1") { "topic" } else { "ros" }, "");
+}
+
+#[test]
+fn the_peers() {
+    let peer = |name: &str, more: &str| format!("[[peer]]\nname = \"{name}\"\n{more}\n");
+    let two =
+        |second: &str| format!("{CARD}{}{second}", peer("a", "mac = \"02:00:00:00:00:02\"\nrecords.network = {}"));
+    let second = |more: &str| two(&peer("b", more));
+    let mac = "mac = \"02:00:00:00:00:03\"\n";
+    refused(&two(&format!("[[peer]]\n{mac}records.network = {{}}\nname = \"a\" # again\n")), "# again", "has its name");
+    let same = "records.network = {}\nmac = \"02:00:00:00:00:02\" # again";
+    refused(&second(same), "# again", "another peer has its name or MAC");
+    let missing = two("[[peer]] # b\nname = \"b\"\nrecords.network = {}\n");
+    refused(&missing, "# b", "peer `b`: `mac` is missing");
+    refused(&second("records.network = {}\nmac = \"02:00:00:00:00:01\" # own"), "# own", "this robot's own MAC");
+    refused(&second(&format!("{mac}records.replay.file = \"no.dat\"")), "no.dat", "there is no log");
+    refused(&second(&format!("{mac}records.replay.file = \"lib.rs\"")), "lib.rs", "a replayed log needs");
+    refused(&second(&format!("{mac}records.room = {{}}")), "records.room", "`room` records need");
+    refused(&second(&format!("{mac}records.network = {{}} # b")), "# b", "`network` records need a [network]");
+    refused(&format!("{ROOM}{PEER}[[peer]]\nrecords.room = {{}}\nname = \"ty\"\n"), "\"ty\"", "no robot `ty`");
+}
+
+#[test]
+fn ros_and_sounding() {
+    let ros = |more: &str| format!("{CARD}[ros]\nframe = \"odom\"\n{more}\n");
+    if cfg!(feature = "ros1") {
+        refused(&ros("master = \"10.0.0.1\""), "master", "one looks like");
+        refused(&ros("node = \"a b\""), "node", "no name in ROS");
+    } else {
+        refused(&ros("publish_csi = true"), "[ros]", "--features ros1");
+    }
+    let peer = "[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n";
+    let sounding = |more: &str| format!("{CARD}{peer}[sounding]\nfifo = false\n{more}\n");
+    let mon = "interface = \"mon0\"\n";
+    refused(&sounding(""), "[sounding]", "a monitor interface, is missing");
+    refused(&format!("{CARD}[sounding]\n{mon}"), "[sounding]", "needs a [[peer]]");
+    refused(&format!("{ROOM}{PEER}[sounding]\n{mon}"), "[sounding]", "is done with a card");
+    let served = sounding(mon).replace("capture.card = {}", "capture.served = { socket = \"s\", robot = \"a\" }");
+    refused(&served, "interface", "leave `interface` out");
+    for (key, why) in [
+        ("key = \"no.key\"", "there is no key"),
+        ("rate_hz = 1e5", "rounds"),
+        ("mcs = 24", "23"),
+        ("links = 0", "links"),
+    ] {
+        refused(&sounding(&format!("{mon}{key}")), key, why);
+    }
+}
+
+#[test]
+fn output_and_network() {
+    if !cfg!(feature = "foxglove") {
+        let output = "[output]\nbearings = \"-\"\nfoxglove = \"127.0.0.1:1\"\n";
+        refused(&format!("{CARD}{output}"), "foxglove", "foxglove in [output]");
+    }
+    let network = |more: &str| format!("{CARD}[network]\ngroup = \"g\"\n{more}\n");
+    if !cfg!(feature = "zenoh") {
+        refused(&network(""), "[network]", "--features zenoh");
+    }
+    refused(&network("backlog = 1"), "backlog", "256 to 1000000");
+    refused(&network("zenoh = \"no.json5\""), "no.json5", "no such file");
+}

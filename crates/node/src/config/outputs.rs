@@ -1,0 +1,66 @@
+//! What is recorded and published, and the network of the robots.
+
+use std::path::PathBuf;
+
+/// The log of everything that this robot's card reports.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Log {
+    /// The file, `.dat`; later starts get a number behind its name.
+    pub file: PathBuf,
+    /// Go on in a new file before this size, MiB.
+    #[serde(default)]
+    pub rotate_mib: Option<u64>,
+}
+
+/// What is published where.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Output {
+    /// Bearings as JSON lines: a file, or `-` for standard output; empty for nowhere.
+    pub bearings: String,
+    /// A Unix socket on which the state is told, for `csi5300 watch`.
+    pub status_socket: Option<PathBuf>,
+    /// One line of state on standard error: on a terminal (`auto`), `always` or `never`.
+    pub status_line: StatusLine,
+    /// Where Foxglove's viewers connect: `127.0.0.1:8765` is what they ask for (feature `foxglove`).
+    pub foxglove: Option<std::net::SocketAddr>,
+}
+
+impl Default for Output {
+    fn default() -> Self {
+        Self { bearings: "-".into(), status_socket: None, status_line: StatusLine::Auto, foxglove: None }
+    }
+}
+
+/// See [`Output::status_line`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StatusLine {
+    /// On a terminal.
+    Auto,
+    /// Always.
+    Always,
+    /// Never.
+    Never,
+}
+
+/// The network of the robots (feature `zenoh`).
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Network {
+    /// First part of all keys, so that several groups share a network.
+    pub group: String,
+    /// Zenoh's own configuration file, for TLS, users, routers; its defaults (peer to peer, discovery) where absent.
+    pub zenoh: Option<PathBuf>,
+    /// Endpoints to connect to, such as `tcp/192.168.1.10:7447`, beside those that are discovered.
+    pub connect: Vec<String>,
+    /// Endpoints to listen on.
+    pub listen: Vec<String>,
+    /// Publish this robot's records.
+    pub publish_records: bool,
+    /// Publish this robot's poses.
+    pub publish_poses: bool,
+    /// Records of a peer that wait at most; further ones are lost and counted.
+    pub backlog: Option<usize>,
+}

@@ -1,0 +1,123 @@
+//! This robot's odometry and its peers.
+
+use super::ros;
+use super::values::{hundred, maybe_parsed, positive};
+use csi5300::motion::odometry::drive::Geometry;
+use driver_iface::Mac;
+use std::path::PathBuf;
+
+/// Where poses come from.
+#[derive(Clone, Debug, PartialEq, serde::Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Odometry {
+    /// The controller of a TurtleBot3, over its serial port.
+    Opencr(OpenCr),
+    /// A trajectory file, at the pace of the replayed log.
+    Csv(Csv),
+    /// The simulated room's.
+    Room(NoKeys),
+    /// A topic of ROS 1.
+    Ros(ros::Topic),
+    /// The robot stands for ever.
+    Static(Place),
+    /// Other robots' poses come over the network.
+    Network(NoKeys),
+}
+
+impl Default for Odometry {
+    fn default() -> Self {
+        Self::Static(Place::default())
+    }
+}
+
+/// A table without keys: `{}`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NoKeys {}
+
+/// See [`Odometry::Opencr`].
+#[derive(Clone, Debug, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OpenCr {
+    /// The serial port.
+    pub port: PathBuf,
+    /// The robot's model; the controller says it where absent.
+    #[serde(default)]
+    pub model: Option<Model>,
+    /// Readings a second.
+    #[serde(default = "hundred", deserialize_with = "positive")]
+    pub rate_hz: f64,
+}
+
+/// A TurtleBot3.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Model {
+    /// Burger.
+    Burger,
+    /// Waffle and Waffle Pi.
+    Waffle,
+}
+
+impl Model {
+    /// Its wheels.
+    #[must_use]
+    pub fn geometry(self) -> Geometry {
+        match self {
+            Self::Burger => Geometry::BURGER,
+            Self::Waffle => Geometry::WAFFLE,
+        }
+    }
+}
+
+/// See [`Odometry::Csv`].
+#[derive(Clone, Debug, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Csv {
+    /// The trajectory.
+    pub file: PathBuf,
+}
+
+/// See [`Odometry::Static`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Place {
+    /// Metres.
+    pub position_m: [f64; 3],
+    /// Degrees from +x towards +y.
+    pub heading_deg: f64,
+}
+
+/// A robot whose bearing is wanted.
+#[derive(Clone, Debug, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Peer {
+    /// Its name.
+    pub name: String,
+    /// Its MAC; in a simulated room the scene says it.
+    #[serde(default, deserialize_with = "maybe_parsed")]
+    pub mac: Option<Mac>,
+    /// Where the records of its card come from.
+    pub records: Records,
+    /// Where its poses come from.
+    #[serde(default)]
+    pub poses: Odometry,
+    /// Its antenna's place on it: metres forward, left, up.
+    #[serde(default)]
+    pub antenna_offset_m: [f64; 3],
+    /// How far its frame is turned against this robot's, degrees.
+    #[serde(default)]
+    pub yaw_deg: f64,
+}
+
+/// Where the records of a peer's card come from.
+#[derive(Clone, Debug, PartialEq, serde::Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Records {
+    /// A recorded log, at the pace of this robot's.
+    Replay(Csv),
+    /// The robot of this peer's name in the simulated room.
+    Room(NoKeys),
+    /// The network of the robots.
+    Network(NoKeys),
+}

@@ -1,0 +1,28 @@
+//! No node of ROS: a configuration that asks for one was refused.
+
+use crate::config::Config;
+use crate::estimator::Report;
+use crate::machine::Machine;
+use crate::sources::{RosNode, Sources};
+use csi5300::motion::pose::Pose;
+
+pub struct Ros;
+
+impl Ros {
+    pub fn open(_: &Config, sources: &mut Sources) -> Self {
+        let RosNode = sources.ros;
+        Self
+    }
+
+    pub fn attach(&self, _: &mut Machine) {}
+
+    pub fn report(&mut self, _: usize, _: &Report, _: Option<&Pose>) {}
+
+    pub fn counts(&self) -> Option<serde_json::Value> {
+        None
+    }
+
+    pub fn trouble(&self) -> Option<String> {
+        None
+    }
+}

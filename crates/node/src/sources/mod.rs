@@ -1,0 +1,188 @@
+//! What a configuration names, opened: one module a kind of source.
+
+mod card;
+mod poses;
+mod replay;
+mod room;
+#[cfg(feature = "ros1")]
+mod ros;
+#[cfg(not(feature = "ros1"))]
+#[path = "ros_absent.rs"]
+mod ros;
+mod serial;
+mod served;
+
+pub(crate) use ros::RosNode;
+
+use crate::config::{Capture, Config, Odometry, Peer as PeerConfig, Records};
+use crate::estimator::Peer;
+use crate::motion::Track;
+use csi5300::motion::odometry::OdometrySource;
+use csi5300::motion::odometry::replay::Mounted;
+use csi5300::motion::odometry::ros::Stamp;
+use csi5300::source::{CsiSource, Error};
+use csi5300::time::Instant;
+use driver_iface::Mac;
+use nalgebra::Vector3;
+use replay::Replayed;
+use room::SharedRoom;
+use std::os::fd::OwnedFd;
+use std::path::Path;
+
+/// A source of records that may move to another thread.
+pub type Card = Box<dyn CsiSource + Send>;
+/// A source of poses that may move to another thread.
+pub type Poses = Box<dyn OdometrySource + Send>;
+
+/// One peer's sources. What comes over the network has none here.
+pub struct PeerSources {
+    /// What the estimator is told of it.
+    pub peer: Peer,
+    /// Its records.
+    pub records: Option<Card>,
+    /// Its poses.
+    pub poses: Option<Poses>,
+}
+
+/// Everything that a configuration names.
+pub struct Sources {
+    /// This robot's MAC.
+    pub own: Mac,
+    /// This robot's records.
+    pub capture: Card,
+    /// Something to wait on for more records, for a source that does not know when they come.
+    pub wake: Option<OwnedFd>,
+    /// This robot's poses.
+    pub poses: Option<Poses>,
+    /// Its place, if it never moves.
+    pub track: Track,
+    /// The peers.
+    pub peers: Vec<PeerSources>,
+    /// Times real time.
+    pub speed: f64,
+    /// This program as a node of ROS.
+    pub(crate) ros: RosNode,
+}
+
+/// This robot's records, opened.
+struct Opened {
+    card: Card,
+    wake: Option<OwnedFd>,
+    /// The MAC of the card, where the source says it.
+    mac: Option<Mac>,
+    /// Times real time.
+    speed: f64,
+}
+
+/// What several sources of one configuration share.
+struct Shared<'a> {
+    start: Instant,
+    /// Reads the host's wall clock.
+    wall_us: fn() -> Option<i64>,
+    ros: RosNode,
+    /// The simulated room of this process.
+    room: Option<SharedRoom>,
+    /// The socket of a room that another program runs.
+    served: Option<&'a Path>,
+    /// This robot's replayed log.
+    replayed: Option<Replayed<'a>>,
+}
+
+impl Sources {
+    /// Opens everything; the sources' time begins at `start`. `wall_us` reads the host's wall clock.
+    ///
+    /// # Errors
+    /// What cannot be opened, with what to do about it.
+    pub fn open(config: &Config, start: Instant, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
+        let ros = RosNode::start(config, wall_us)?;
+        let mut shared = Shared { start, wall_us, ros, room: None, served: None, replayed: None };
+        let capture = config.capture.get_ref();
+        let Opened { card, wake, mac, speed } = shared.capture(capture, config.mac)?;
+        let own = config.mac.or(mac);
+        let robot = capture.robot().unwrap_or_default();
+        let (poses, track) = shared.poses(&config.odometry, robot, config.antenna_offset_m)?;
+        let peers = config.peer.iter().map(|peer| shared.peer(peer.get_ref())).collect::<Result<_, _>>()?;
+        let own = own.ok_or_else(|| Error::Input("this robot's MAC is not known".into()))?;
+        Ok(Self { own, capture: card, wake, poses, track, peers, speed, ros: shared.ros })
+    }
+}
+
+impl<'a> Shared<'a> {
+    /// This robot's records.
+    fn capture(&mut self, capture: &'a Capture, own: Option<Mac>) -> Result<Opened, Error> {
+        match capture {
+            Capture::Card(asked) => card::open(asked, self.wall_us),
+            Capture::Served(served) => {
+                self.served = Some(&served.socket);
+                served::open(served, self.wall_us)
+            }
+            Capture::Replay(asked) => {
+                let (opened, replayed) = replay::open(asked, own)?;
+                self.replayed = Some(replayed);
+                Ok(opened)
+            }
+            Capture::Room(asked) => {
+                let mut room = SharedRoom::open(asked)?;
+                room.follow(&asked.follow, |odometry| match odometry {
+                    Odometry::Csv(file) => poses::trajectory(file, None, self.start),
+                    // The room's time is that of this host.
+                    Odometry::Ros(topic) => self.ros.poses(topic, Stamp::Receipt),
+                    _ => Err(Error::Input("a robot follows `ros` or `csv`".into())),
+                })?;
+                let (card, mac) = room.own_card(&asked.robot)?;
+                self.room = Some(room);
+                Ok(Opened { card, wake: None, mac, speed: asked.speed })
+            }
+        }
+    }
+
+    /// A source of poses, or the place of a robot that has none.
+    fn poses(&self, odometry: &Odometry, robot: &str, offset_m: [f64; 3]) -> Result<(Option<Poses>, Track), Error> {
+        let source: Poses = match odometry {
+            Odometry::Static(place) => return Ok((None, poses::still(place, offset_m))),
+            Odometry::Network(_) => return Ok((None, Track::default())),
+            Odometry::Csv(file) => {
+                let origin_s = self.replayed.as_ref().map_or(0.0, |replayed| replayed.origin_s);
+                poses::trajectory(file, Some(origin_s), self.start)?
+            }
+            Odometry::Ros(topic) => self.ros.poses(topic, Stamp::Header)?,
+            Odometry::Room(_) => match (self.served, &self.room) {
+                (Some(socket), _) => served::poses(socket, robot)?,
+                (None, Some(room)) => room.poses(robot)?,
+                (None, None) => return Err(room::absent(robot)),
+            },
+            Odometry::Opencr(port) => serial::poses(port, self.start, self.wall_us)?,
+        };
+        let offset_m = Vector3::from(offset_m);
+        let mounted: Poses =
+            if offset_m == Vector3::zeros() { source } else { Box::new(Mounted::new(source, offset_m)) };
+        Ok((Some(mounted), Track::default()))
+    }
+
+    /// A peer's records; its MAC, where the source says it.
+    fn records(&mut self, peer: &PeerConfig) -> Result<(Option<Card>, Option<Mac>), Error> {
+        match &peer.records {
+            Records::Network(_) => Ok((None, None)),
+            Records::Replay(log) => {
+                Ok((Some(replay::peer(&log.file, peer.mac, self.replayed.as_ref(), self.start)?), None))
+            }
+            Records::Room(_) => {
+                let (card, mac) = match (self.served, &mut self.room) {
+                    (Some(socket), _) => served::peer(socket, &peer.name, self.wall_us)?,
+                    (None, Some(room)) => room.peer_card(&peer.name)?,
+                    (None, None) => return Err(room::absent(&peer.name)),
+                };
+                Ok((Some(card), Some(mac)))
+            }
+        }
+    }
+
+    fn peer(&mut self, peer: &PeerConfig) -> Result<PeerSources, Error> {
+        let (records, mac) = self.records(peer)?;
+        let (poses, track) = self.poses(&peer.poses, &peer.name, peer.antenna_offset_m)?;
+        let unknown = || Error::Input(format!("the MAC of peer `{}` is not known", peer.name));
+        let mac = peer.mac.or(mac).ok_or_else(unknown)?;
+        let told = Peer { name: peer.name.clone(), mac, track, yaw_rad: peer.yaw_deg.to_radians() };
+        Ok(PeerSources { peer: told, records, poses })
+    }
+}

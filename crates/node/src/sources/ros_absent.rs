@@ -1,0 +1,19 @@
+//! No node of ROS: a configuration that asks for one was refused.
+
+use super::Poses;
+use crate::config::Config;
+use crate::config::ros::Topic;
+use csi5300::motion::odometry::ros::Stamp;
+use csi5300::source::Error;
+
+pub(crate) struct RosNode;
+
+impl RosNode {
+    pub(super) fn start(_: &Config, _: fn() -> Option<i64>) -> Result<Self, Error> {
+        Ok(Self)
+    }
+
+    pub(super) fn poses(&self, _: &Topic, _: Stamp) -> Result<Poses, Error> {
+        Err(Error::Input("this program was built without ROS (feature `ros1`)".into()))
+    }
+}
