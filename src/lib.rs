@@ -82,6 +82,7 @@ pub mod place;
 pub mod signal;
 pub mod source;
 pub mod time;
+pub mod tuning;
 
 pub use driver_iface;
 pub use nalgebra;

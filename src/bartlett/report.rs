@@ -8,13 +8,14 @@ use super::explain::{ElevationSearch, SearchPlan};
 use super::newton::{Hill, Point, Second, Top};
 use super::scene::{Geometry, Scene, Shape};
 use crate::maths::wrap_rad;
+use crate::tuning::TUNING;
 
 /// Peaks that are reported; those that the bound rules out as the highest as they were sampled.
 pub(super) const REPORTED: usize = 6;
 /// A trajectory at most this wide for its length has a mirror worth a look.
-const ELONGATED: f64 = 0.15;
+const ELONGATED: f64 = TUNING.plane_wave.elongated;
 /// A mirror peak at least this high (relative) is reported.
-const MIRROR_RATIO: f64 = 0.8;
+const MIRROR_RATIO: f64 = TUNING.plane_wave.mirror_ratio;
 
 /// Azimuth of a long, narrow horizontal trajectory's axis.
 fn axis(shape: &Shape) -> Option<f64> {

@@ -30,6 +30,7 @@ use super::scene::{Scene, Shape};
 use super::sums::Sines;
 use crate::maths::simd::{ROUGH, Tier};
 use crate::signal::samples::Samples;
+use crate::tuning::TUNING;
 
 /// Samples per ring, in units of the profile's degree `M`: `4 M` suffice, more leave fewer candidates. They are
 /// interpolated from `2 M + 2` evaluated ones.
@@ -43,7 +44,7 @@ const LIMIT_RADIUS: f64 = 5e5;
 /// Azimuth and elevation must turn the phases differently by this share of their variance before the elevation is
 /// searched. On a line they turn them alike; millimetres of wobble would then decide between them, and millimetres are
 /// what odometry, a curved wave front and reflections get wrong, whatever the noise allows.
-const INDEPENDENT: f64 = 0.1;
+const INDEPENDENT: f64 = TUNING.plane_wave.independent;
 
 /// Finds the bearing: the continuous maximum of the Bartlett profile over azimuth and |elevation|.
 ///

@@ -11,6 +11,7 @@
 use crate::exchange::pairing::{Pairing, Side};
 use crate::maths::upper_median;
 use crate::signal::cfo::drift_line;
+use crate::tuning::TUNING;
 
 /// One record as far as matching needs it: frame number and card clock (`timestamp_low`).
 pub type Mark = (u32, u32);
@@ -25,9 +26,9 @@ pub struct Spread {
 }
 
 /// Fewer common numbers than this say nothing.
-pub const MIN_COMMON: usize = 16;
+pub const MIN_COMMON: usize = TUNING.pairing.min_common;
 /// The best match must spread less than the next best by this factor.
-pub const MIN_MARGIN: f64 = 1.5;
+pub const MIN_MARGIN: f64 = TUNING.pairing.min_margin;
 /// Pairs looked at: a median of a few hundred is steady.
 const MAX_COMMON: usize = 768;
 

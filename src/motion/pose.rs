@@ -3,6 +3,7 @@
 //! Frame: the trajectory file's own, metres, right-handed; azimuth and heading from +x towards +y.
 
 use crate::maths::{lower_rank, upper_median, wrap_rad};
+use crate::tuning::TUNING;
 use nalgebra::{UnitQuaternion, Vector3};
 
 /// Where a robot was, and which way it looked.
@@ -82,18 +83,18 @@ pub enum TrajectoryError {
 }
 
 /// Poses further apart than this (or than ten usual steps) leave a gap.
-const MIN_GAP_S: f64 = 0.25;
+const MIN_GAP_S: f64 = TUNING.motion.min_gap_s;
 /// A robot that moved less than this across a gap stood still in it, metres (several times the noise of motion
 /// capture and of a tracking camera at rest).
-const STILL_M: f64 = 0.005;
+const STILL_M: f64 = TUNING.motion.still_m;
 /// Poses on either side of where even ones would put a time that are looked at first.
 const NEAR: usize = 8;
 /// Half the time over which speed is judged, seconds.
-const SPEED_HALF_S: f64 = 0.1;
+const SPEED_HALF_S: f64 = TUNING.motion.speed_half_s;
 /// A robot slower than this share of its usual speed stands still.
-const STILL_SHARE: f64 = 0.15;
+const STILL_SHARE: f64 = TUNING.motion.still_share;
 /// No robot drives slower than this, m/s; motion capture at rest seems to move by less.
-const STILL_M_PER_S: f64 = 0.004;
+const STILL_M_PER_S: f64 = TUNING.motion.still_m_per_s;
 
 impl Trajectory {
     /// A trajectory from poses in any order; of several at one time the last stays.

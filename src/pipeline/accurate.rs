@@ -8,6 +8,7 @@ use crate::place::near_field::{
 use crate::signal::alignment::{Alignment, CsiRow, align, remove_common_slope};
 use crate::signal::one_way::one_way;
 use crate::signal::samples::Samples;
+use crate::tuning::TUNING;
 use nalgebra::Vector3;
 use num_complex::{Complex32, Complex64};
 
@@ -33,7 +34,7 @@ pub struct Placed {
 const MAP_AZIMUTHS: usize = 360;
 
 /// A range is reported where its predicted deviation is below this share of it.
-const RANGE_SHARE: f64 = 0.35;
+const RANGE_SHARE: f64 = TUNING.deviations.range_share;
 
 impl Placed {
     /// Range and its standard deviation, metres, where the curvature fixes it.

@@ -3,7 +3,7 @@
 use super::accurate::Placed;
 use crate::bartlett::{self, Estimate, Grid};
 use crate::maths::wrap_rad;
-use crate::place::confidence::confidence;
+use crate::place::confidence::full_probability;
 use crate::place::near_field::Fix;
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
@@ -114,7 +114,7 @@ impl BearingAnswer {
             candidates: candidates(fix),
             peak_ratio: fix.sources.get(1).map(|other| (other.evidence / best.evidence).min(1.0)),
             range: range(placed),
-            probability: Some(confidence(fix)),
+            probability: Some(full_probability(fix)),
         }
     }
 }

@@ -12,15 +12,16 @@ use crate::motion::pose::{Motion, Trajectory};
 use crate::place::near_field::Search;
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
+use crate::tuning::TUNING;
 use nalgebra::Vector3;
 use num_complex::Complex64;
 use rayon::prelude::*;
 
 /// With a turn-around that jitters by more than this no phase survives the product of two frames, microseconds: at the
 /// offsets that cards have (4 to 21 kHz) it is several turns.
-const MAX_SPREAD_US: f64 = 500.0;
+const MAX_SPREAD_US: f64 = TUNING.turn_around.max_spread_us;
 /// Largest motion that is searched as one array, metres: far beyond what odometry follows to a fraction of a wavelength.
-const MAX_EXTENT_M: f64 = 50.0;
+const MAX_EXTENT_M: f64 = TUNING.motion.max_extent_m;
 /// The time of a pair whose time is not known: no pose is that late, so the single pair is counted and the link goes on.
 const NEVER_S: f64 = f64::MAX;
 

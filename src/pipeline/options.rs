@@ -3,6 +3,7 @@
 use crate::bartlett::SearchOptions;
 use crate::motion::pose::Trajectory;
 use crate::signal::channel::Channel;
+use crate::tuning::TUNING;
 use driver_iface::{Mac, bfee::Antenna};
 
 /// Pairs this long before and after the trajectory are kept, seconds; others are counted and forgotten, so that a log
@@ -47,7 +48,7 @@ impl Default for Accuracy {
             one_way: true,
             focus: true,
             paths: true,
-            range_min_m: 1.8,
+            range_min_m: TUNING.deviations.range_min_m,
             height_m: None,
         }
     }

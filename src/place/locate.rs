@@ -1,14 +1,16 @@
 //! Where a receiver is, from bearings and ranges to transmitters whose places are known.
 //!
-//! Least squares over the position with a robust loss (Cauchy): a bearing that came off a wall pulls no further once it
+//! Least squares over the position with a robust loss (Cauchy): a bearing that came off a wall loses its weight once it
 //! is several deviations out. Started from every crossing of two bearings, so that one wrong bearing cannot choose the
-//! valley. The covariance is that of the linearised problem at the answer, with the weights of the loss.
+//! minimum. The covariance is that of the linearised problem at the answer, with the weights of the loss.
 
 use crate::maths::wrap_rad;
+use crate::tuning::TUNING;
 use nalgebra::{Matrix2, Vector2};
 
 /// What one link says.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Sighting {
     /// Where the transmitter is, metres.
     pub transmitter_m: Vector2<f64>,
@@ -20,19 +22,35 @@ pub struct Sighting {
     pub range_m: Option<(f64, f64)>,
 }
 
+impl Sighting {
+    /// A bearing without a range: the transmitter's place in metres, the azimuth to it and its deviation in radians.
+    #[must_use]
+    pub fn new(transmitter_m: Vector2<f64>, azimuth_rad: f64, azimuth_sd_rad: f64) -> Self {
+        Self { transmitter_m, azimuth_rad, azimuth_sd_rad, range_m: None }
+    }
+
+    /// The same with the horizontal range and its standard deviation, metres, where known.
+    #[must_use]
+    pub fn with_range_m(self, range_m: Option<(f64, f64)>) -> Self {
+        Self { range_m, ..self }
+    }
+}
+
 /// A position.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Located {
     /// The receiver, metres, in the frame of the transmitters.
     pub position_m: Vector2<f64>,
     /// Its covariance, metres squared.
     pub covariance_m2: Matrix2<f64>,
-    /// Share of its say that each sighting kept, 0..1: small for one that fits nothing else.
+    /// Share of its weight that each sighting kept, 0..1: small for one that fits nothing else.
     pub weights: Vec<f64>,
 }
 
 /// Why there is no position.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
 pub enum LocateError {
     /// Two bearings cross in a point; one is a line, unless it has a range.
     #[error("{sightings} usable bearing(s) and no range: a position needs two bearings, or one with a range")]
@@ -47,13 +65,13 @@ pub enum LocateError {
 
 /// Model error that no bearing is better than (reflections, antenna patterns, positions), radians: measured the
 /// median error in line of sight is about one degree however small the predicted deviation.
-const AZIMUTH_FLOOR_RAD: f64 = 0.02;
+const AZIMUTH_FLOOR_RAD: f64 = TUNING.locate.azimuth_floor_rad;
 /// The same for range, relative: reflections bend wave fronts too (measured half within a tenth, one in six off by more
 /// than three tenths).
-const RANGE_FLOOR: f64 = 0.3;
-/// Residuals (in deviations) at which a sighting has lost half its say.
-const CAUCHY: f64 = 2.0;
-const ITERATIONS: usize = 60;
+const RANGE_FLOOR: f64 = TUNING.locate.range_floor;
+/// Residuals (in deviations) at which a sighting has lost half its weight.
+const CAUCHY: f64 = TUNING.locate.cauchy;
+const ITERATIONS: usize = TUNING.locate.steps;
 
 struct Equation {
     residual: f64,
@@ -134,7 +152,7 @@ fn normal(equations: &[Equation]) -> (Matrix2<f64>, Vector2<f64>) {
     (matrix, side)
 }
 
-/// Levenberg and Marquardt from `start`.
+/// Levenberg and Marquardt ([levenberg] in docs/references.md) from `start`, each residual weighted anew by the loss.
 fn descend(start: Vector2<f64>, sightings: &[Sighting]) -> Option<(Vector2<f64>, f64)> {
     let (mut at, mut own) = (start, cost(&start, sightings));
     let mut damping = 1e-3;

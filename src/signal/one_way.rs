@@ -15,14 +15,15 @@ use crate::maths::simd::on_tier;
 use crate::signal::alignment::CsiRow;
 use crate::signal::alignment::planes::{LANES, Lanes, Planes, lanes, planes_of, sum, with_neighbours};
 use crate::signal::channel::SUBCARRIERS;
+use crate::tuning::TUNING;
 use fearless_simd::Simd;
 
 /// Packets on either side that a sample is compared with.
-const REACH: usize = 5;
+const REACH: usize = TUNING.one_way.reach;
 /// How much of the prediction a packet inherits while tracking.
-const MEMORY: f32 = 0.7;
+const MEMORY: f32 = TUNING.one_way.memory;
 /// Sweeps at most.
-const SWEEPS: usize = 12;
+const SWEEPS: usize = TUNING.one_way.sweeps;
 
 /// What [`one_way`] gives.
 #[derive(Clone, Debug, PartialEq)]

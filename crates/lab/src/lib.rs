@@ -14,6 +14,7 @@
 
 pub mod compare;
 pub mod evaluate;
+pub mod fit_confidence;
 pub mod rooms;
 #[cfg(feature = "plot")]
 pub mod show;

@@ -1,20 +1,21 @@
 //! The cards' clocks along a link: whether two records of one number are of one exchange.
 
 use crate::maths::{unwrap_near, upper_median_ord};
+use crate::tuning::TUNING;
 use std::collections::VecDeque;
 
 /// How far `clock_tx - clock_rx` of a pair may be from the last pair's: 5 ms of turn-around and 200 ppm of drift.
-const CLOCK_SLACK_US: i64 = 5_000;
-const CLOCK_DRIFT_PER_S: i64 = 200;
+const CLOCK_SLACK_US: i64 = TUNING.pairing.clock_slack_us;
+const CLOCK_DRIFT_PER_S: i64 = TUNING.pairing.clock_drift_per_s;
 /// Candidates of one count that must agree before their clock difference is believed.
-const RUN: usize = 16;
+const RUN: usize = TUNING.pairing.run;
 /// Candidates kept, of all counts.
 const RUNS_KEPT: usize = 8 * RUN;
 /// They agree if the median step of the difference from one to the next is at most this, microseconds: a turn-around
 /// jitters by 4 to 22 us (measured, paper-framework), the waits of two independent senders by hundreds.
-const RUN_STEP_US: i64 = 80;
+const RUN_STEP_US: i64 = TUNING.pairing.run_step_us;
 /// Without any run that agrees the first so many candidates are believed all the same: a slow responder is no mismatch.
-const PATIENCE: u32 = 1_024;
+const PATIENCE: u32 = TUNING.pairing.patience;
 
 /// A pair that does not continue the link, as far as is known.
 #[derive(Clone, Copy, Debug)]

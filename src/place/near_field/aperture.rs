@@ -2,12 +2,13 @@
 
 use crate::signal::alignment::CsiRow;
 use crate::signal::channel::SUBCARRIERS;
+use crate::tuning::TUNING;
 use nalgebra::Vector3;
 use num_complex::{Complex32, Complex64};
 
 /// Neighbouring samples are averaged over this much displacement, in turns of phase: the outermost then differ from
 /// their mean by 0.06 turns at most, and the average keeps 99 % of its amplitude for every direction.
-const SPAN_TURNS: f64 = 0.12;
+const SPAN_TURNS: f64 = TUNING.aperture.span_turns;
 
 /// The synthetic array: rows of channel samples and where they were taken.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,11 +1,12 @@
 //! The bend of a wave front by a polynomial, where half the work matters more than the last digits.
 
 use crate::bartlett::kernel::fit_polynomial;
+use crate::tuning::TUNING;
 
 /// Degree of the polynomial.
 pub(super) const DEGREE: usize = 6;
 /// Largest error of a phase computed roughly, turns: it costs 1.5 % of a power's root.
-pub(super) const ROUGH_TURNS: f64 = 0.02;
+pub(super) const ROUGH_TURNS: f64 = TUNING.grid.rough_turns;
 
 /// `1 / (sqrt(1 + x) + 1)` by a polynomial in `scale (x - middle)`: what divides the bend of a wave front. Root and
 /// division would take most of the kernel's time, and a search computes thousands of powers before it needs one exactly.

@@ -4,20 +4,21 @@ use super::fix::Source;
 use super::search::{Search, scores};
 use super::types::{Place, Precision, Scored};
 use crate::maths::wrap_rad;
+use crate::tuning::TUNING;
 use std::f64::consts::TAU;
 
 /// Peaks that are climbed at most.
-const CLIMBED: usize = 6;
+const CLIMBED: usize = TUNING.climb.most;
 /// Peaks below this share of the highest (in evidence, before climbing) are left alone.
-const FLOOR: f64 = 0.3;
+const FLOOR: f64 = TUNING.climb.floor;
 /// Rounds of a climb at most.
-const ROUNDS: usize = 40;
+const ROUNDS: usize = TUNING.climb.rounds;
 /// The climb of the answer ends when its steps in azimuth are smaller than this, radians: a thousandth of a degree.
-const FINE_RAD: f64 = 2e-5;
+const FINE_RAD: f64 = TUNING.climb.fine_rad;
 /// The climbs of all others end with a tenth of a degree.
-const COARSE_RAD: f64 = 2e-3;
+const COARSE_RAD: f64 = TUNING.climb.coarse_rad;
 /// Climbs that only judge a change of the trajectory end with this share of a cell.
-const JUDGING_CELLS: f64 = 0.05;
+const JUDGING_CELLS: f64 = TUNING.climb.judging_cells;
 
 /// What a climb goes up on, and how far.
 #[derive(Clone, Copy)]

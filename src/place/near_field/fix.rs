@@ -6,6 +6,7 @@ use nalgebra::{Matrix3, Vector3};
 
 /// A place from which the samples can be explained: a local maximum.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Source {
     /// Azimuth from the middle of the motion, radians in (-pi, pi].
     pub azimuth_rad: f64,
@@ -21,6 +22,7 @@ pub struct Source {
 
 /// Standard deviations of a place's coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Deviations {
     /// Azimuth, radians.
     pub azimuth_rad: f64,
@@ -38,6 +40,7 @@ pub struct Deviations {
 
 /// What [`super::search`] found.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Fix {
     /// All sources found, falling in evidence; the first is the answer's top.
     pub sources: Vec<Source>,

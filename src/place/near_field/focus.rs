@@ -9,9 +9,11 @@
 use super::fix::Fix;
 use super::search::Search;
 use super::types::Warp;
+use crate::tuning::TUNING;
 
 /// What the odometry was found to lack.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[non_exhaustive]
 pub struct Focus {
     /// The change that makes the answers sharpest.
     pub warp: Warp,
@@ -22,15 +24,15 @@ pub struct Focus {
 }
 
 /// Scales that are tried.
-const SCALES: [f64; 4] = [0.95, 0.975, 1.025, 1.05];
+const SCALES: [f64; 4] = TUNING.focus.scales;
 /// Turns that are tried, radians per metre: 6 and 12 degrees.
-const TURNS: [f64; 4] = [-0.2, -0.1, 0.1, 0.2];
+const TURNS: [f64; 4] = TUNING.focus.turns_rad_per_m;
 /// Answers of each link that are followed: which of them is right may change.
-const FOLLOWED: usize = 2;
+const FOLLOWED: usize = TUNING.focus.followed;
 /// Independent looks that a motion gives: the blocks in which the one-way channel is summed.
-const LOOKS: f64 = 8.0;
+const LOOKS: f64 = TUNING.focus.looks;
 /// Parameters that are fitted; each explains half a unit of log-likelihood by chance, and Akaike's criterion asks for one.
-const PARAMETERS: f64 = 2.0;
+const PARAMETERS: f64 = TUNING.focus.parameters;
 
 /// Looks for the change of the common trajectory that makes the answers of all `links` (each with what was found
 /// without any) sharpest. The searches are left bent by it if it is worthwhile, and as recorded if not.

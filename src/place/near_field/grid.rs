@@ -1,15 +1,16 @@
 //! How finely an aperture has to be searched.
 
 use super::types::{Limits, Place};
+use crate::tuning::TUNING;
 use std::f64::consts::TAU;
 
 /// Phases at the rim of the aperture change by at most twice this from one cell to the next, radians: an edge of 1.2
 /// costs a parabola-like beam a tenth of its height.
-const RIM_RAD: f64 = 1.2;
+const RIM_RAD: f64 = TUNING.grid.rim_rad;
 /// Less curvature than this over the whole aperture, radians, is a plane wave.
-const PLANE_RAD: f64 = 0.3;
+const PLANE_RAD: f64 = TUNING.grid.plane_rad;
 /// Cells at most: beyond that (apertures of many metres) there is no search.
-const MAX_CELLS: usize = 400_000;
+const MAX_CELLS: usize = TUNING.grid.max_cells;
 
 /// The coordinates of the grid.
 #[derive(Clone, Debug, PartialEq)]

@@ -6,6 +6,7 @@ use std::f64::consts::{PI, TAU};
 
 /// Two maps of the joint power, each the highest over the coordinate that it does not show.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Maps {
     /// Cells over azimuth, of equal width over -180 to 180 degrees.
     pub azimuths: usize,

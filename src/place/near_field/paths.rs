@@ -12,12 +12,14 @@ use super::prepared::PreparedAperture;
 use super::search::Search;
 use super::types::{Place, Precision};
 use crate::maths::wrap_rad;
+use crate::tuning::TUNING;
 use nalgebra::{DMatrix, DVector};
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
 /// One wave of the round trip.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Path {
     /// Azimuth from the middle of the motion, radians.
     pub azimuth_rad: f64,
@@ -32,15 +34,15 @@ pub struct Path {
 }
 
 /// Waves that are looked for at most.
-const MOST: usize = 6;
+const MOST: usize = TUNING.paths.most;
 /// A wave that takes less than this share of what is left is not told from noise and side lobes.
-const LEAST_SHARE: f64 = 0.06;
+const LEAST_SHARE: f64 = TUNING.paths.least_share;
 /// Weaker round trips than this share of the strongest are left, in power: 15 dB.
-const WEAKEST: f64 = 0.03;
+const WEAKEST: f64 = TUNING.paths.weakest;
 /// A wave is where two others' product is if its square resembles the square of that this much, 0..1: within half a beam.
-const ALIKE: f64 = 0.3;
+const ALIKE: f64 = TUNING.paths.alike;
 /// A product `2 a b` is stronger than `sqrt(a^2 b^2)` by 4 in power; more than this is a path of its own.
-const CROSS_GAIN: f64 = 8.0;
+const CROSS_GAIN: f64 = TUNING.paths.cross_gain;
 
 /// What has been found: places and how each is steered to.
 struct Found {

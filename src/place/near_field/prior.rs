@@ -8,23 +8,24 @@
 
 use super::grid::Axes;
 use super::types::Free;
+use crate::tuning::TUNING;
 
 /// The range up to which all are as likely, in units of the shortest.
-const FARTHEST: f64 = 20.0;
+const FARTHEST: f64 = TUNING.prior.farthest;
 /// What is left for ranges beyond it, in units of what a range has to a range that is e times as far.
-const BEYOND: f64 = 0.02;
+const BEYOND: f64 = TUNING.prior.beyond;
 /// How many independent looks a motion is worth when peaks are compared: probability goes with the joint power to this.
 /// A motion has hundreds of pairs, but what reflections and odometry leave is shared by many of them. Chosen by parts of
 /// real captures (docs/accuracy.md); from 12 to 27 they tell no difference.
-const LOOKS: f64 = 16.0;
+const LOOKS: f64 = TUNING.prior.looks_between_peaks;
 /// The same when places within a peak are weighed, for a peak that explains half of the power.
-const LOOKS_WITHIN: f64 = 12.0;
+const LOOKS_WITHIN: f64 = TUNING.prior.looks_within_peak;
 /// Steps of the weighing on either side, in azimuth, and how long they are, in cells of the grid.
-const AZIMUTHS: i32 = 5;
-const AZIMUTH_STEP: f64 = 0.3;
+const AZIMUTHS: i32 = TUNING.prior.azimuth_steps;
+const AZIMUTH_STEP: f64 = TUNING.prior.azimuth_step_cells;
 /// Elevations and ranges of the weighing.
-const ELEVATIONS: usize = 4;
-const RANGES: usize = 5;
+const ELEVATIONS: usize = TUNING.prior.elevations;
+const RANGES: usize = TUNING.prior.ranges;
 
 /// The share of the prior that each cell of one azimuth has, in the order of [`Axes::places`]; their sum is 1.
 pub(super) fn shares(axes: &Axes) -> Vec<f64> {

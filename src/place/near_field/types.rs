@@ -2,6 +2,7 @@
 
 use crate::bartlett::{Tier, direction};
 use crate::signal::channel::SUBCARRIERS;
+use crate::tuning::TUNING;
 use nalgebra::Vector3;
 
 /// How a trajectory is cut into windows.
@@ -54,17 +55,21 @@ impl View {
 /// Views of the round trip: the whole of it, and its phase at the channel centre (which the subcarriers that fade turn
 /// less than they turn a sum) in windows of half the motion.
 pub const ROUND_TRIP_VIEWS: [View; 2] = [
-    View::new(1, Taper::Hann, Band::Subcarriers(SUBCARRIERS)).with_weight(1.0 / 3.0),
-    View::new(3, Taper::Hann, Band::Centre).with_weight(1.0 / 3.0),
+    View::new(1, Taper::Hann, Band::Subcarriers(SUBCARRIERS)).with_weight(TUNING.views.round_trip_weight),
+    View::new(TUNING.views.centre_windows, Taper::Hann, Band::Centre).with_weight(TUNING.views.centre_weight),
 ];
 
 /// Views of the one-way channel: in windows of half the motion, in blocks of an eighth, and, on the subcarriers next to the
 /// channel centre (whose sign does not depend on the sampling time), in windows of two sevenths.
 pub const ONE_WAY_VIEWS: [View; 3] = [
-    View::new(3, Taper::Hann, Band::Subcarriers(SUBCARRIERS)).with_weight(2.0 / 9.0),
-    View::new(8, Taper::Block, Band::Subcarriers(SUBCARRIERS)).with_weight(2.0 / 9.0),
-    View::new(6, Taper::Hann, Band::Subcarriers(6)).with_weight(2.0 / 9.0),
+    one_way_view(TUNING.views.one_way_windows, Taper::Hann, SUBCARRIERS),
+    one_way_view(TUNING.views.one_way_blocks, Taper::Block, SUBCARRIERS),
+    one_way_view(TUNING.views.inner_windows, Taper::Hann, TUNING.views.inner_subcarriers),
 ];
+
+const fn one_way_view(windows: usize, taper: Taper, subcarriers: usize) -> View {
+    View::new(windows, taper, Band::Subcarriers(subcarriers)).with_weight(TUNING.views.one_way_weight)
+}
 
 /// What is known of the scene beforehand.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,13 +5,14 @@ use super::aperture::Aperture;
 use super::fix::{Deviations, Source};
 use super::types::{Free, Place};
 use crate::bartlett::direction;
+use crate::tuning::TUNING;
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 use num_complex::Complex64;
 use std::f64::consts::{PI, TAU};
 
 /// Standard deviation of the scale of a trajectory: antennas are not where markers are, and even motion capture was found
 /// up to two per cent off what the phases say.
-const SCALE_SD: f64 = 0.01;
+const SCALE_SD: f64 = TUNING.deviations.scale_sd;
 
 /// `|rx - place| - range` for a row at `p` from the middle, metres.
 fn excess_m(p: &Vector3<f64>, azimuth: f64, elevation: f64, curve: f64) -> f64 {
@@ -82,11 +83,11 @@ impl<'a> Waves<'a> {
 }
 
 /// Residuals that share an error over more rows than this are no white noise (which has 1, give or take 0.35).
-const WHITE_ROWS: f64 = 2.0;
+const WHITE_ROWS: f64 = TUNING.deviations.white_rows;
 /// Steps to the least residual; the first leaves the square of how far off the climb ended.
-const POLISHES: usize = 3;
+const POLISHES: usize = TUNING.deviations.polishes;
 /// A polished answer further off than this, radians of azimuth, is another one.
-const POLISH_RAD: f64 = 2e-3;
+const POLISH_RAD: f64 = TUNING.deviations.polish_rad;
 
 /// The coordinates of least residual phase next to `at`, over all rows as one: the most likely ones if noise is all that a
 /// single spherical wave leaves, which is when they are given. Where reflections leave more, no estimate of one place is
@@ -177,9 +178,9 @@ fn residual_phases(aperture: &Aperture, phases: impl Iterator<Item = f64>) -> Ve
 }
 
 /// Turns along the motion up to which an error is slow: a place shows in the first few of them.
-const SLOW: usize = 10;
+const SLOW: usize = TUNING.deviations.slow_turns;
 /// Parameters that were fitted to the residual, each taking one of the `2 SLOW` slow components away.
-const FITTED: f64 = 4.0;
+const FITTED: f64 = TUNING.deviations.fitted;
 
 /// How many rows share an error: the residual's power density where a place shows (the first turns along the motion)
 /// over its mean density. Reflections and bent trajectories leave slow errors, which white noise of the same variance

@@ -11,6 +11,7 @@ pub(crate) mod planes;
 use crate::bartlett::Tier;
 use crate::maths::simd::{V, on_tier, sin_cos_turns};
 use crate::signal::channel::SUBCARRIERS;
+use crate::tuning::TUNING;
 use fearless_simd::{Simd, SimdBase};
 use num_complex::Complex32;
 use planes::{LANES, Lanes, Planes, lanes, planes_of, settle, sum, with_neighbours};
@@ -19,13 +20,13 @@ use planes::{LANES, Lanes, Planes, lanes, planes_of, settle, sum, with_neighbour
 pub type CsiRow = [Complex32; SUBCARRIERS];
 
 /// Neighbours on either side that a packet is compared with.
-const REACH: usize = 7;
+const REACH: usize = TUNING.alignment.reach;
 /// Rounds: the neighbours' mean gets sharper as they are aligned.
-const ROUNDS: usize = 3;
+const ROUNDS: usize = TUNING.alignment.rounds;
 /// Subcarriers this near to the channel centre tell a packet's phase whatever its slope: up to 0.3 rad per index.
-const MIDDLE: f32 = 9.0;
+const MIDDLE: f32 = TUNING.alignment.middle;
 /// Newton steps on each packet's slope in each round.
-const STEPS: usize = 2;
+const STEPS: usize = TUNING.alignment.steps;
 
 /// What [`align`] found.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -63,9 +64,9 @@ fn turn_by(row: &mut CsiRow, indices: &[i8; SUBCARRIERS], slope: f32) {
 
 /// Slopes that are tried first, radians per index, from -0.52 by this much: measured outliers reach 0.4. A lobe over 56
 /// indices is 0.22 wide.
-const TRIED_STEP: f32 = 0.04;
+const TRIED_STEP: f32 = TUNING.alignment.tried_step;
 /// How many.
-const TRIED: usize = 27;
+const TRIED: usize = TUNING.alignment.tried;
 
 /// The subcarrier indices, and what is made of them once.
 struct Comb {

@@ -1,9 +1,10 @@
 //! The drift of one card's clock against another's, as a straight line.
 
 use crate::maths::upper_median;
+use crate::tuning::TUNING;
 
 /// Outliers of the turn-around are further than this from the line, microseconds.
-const OUTLIER_US: f64 = 25.0;
+const OUTLIER_US: f64 = TUNING.turn_around.outlier_us;
 
 /// `value = middle + slope * (x - middle_x)`.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,19 +1,20 @@
 //! The search for the carrier frequency offset `df` that makes the product's phase steady.
 
+use crate::tuning::TUNING;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
 /// Step of the search, Hz: the coherence over `df` is about 1 / (2 pi 20 us) = 8 kHz wide.
-const STEP_HZ: f64 = 400.0;
+const STEP_HZ: f64 = TUNING.turn_around.step_hz;
 /// Pairs that an offset of their own is looked for in: 2 s at the usual rate. What so few leave open of it turns no phase,
 /// since it is the jitter that would have to show it.
-const BLOCK: usize = 200;
+const BLOCK: usize = TUNING.turn_around.block;
 /// How far a block's offset is looked for from that of all, Hz: 2.4 kHz within six seconds has been seen.
-const DRIFT_HZ: f64 = 4_000.0;
+const DRIFT_HZ: f64 = TUNING.turn_around.drift_hz;
 /// By how much a block's own offset must raise the sum of its unit phasors, on average: chance gives half of one.
-const GAIN_PER_BLOCK: f64 = 2.0;
+const GAIN_PER_BLOCK: f64 = TUNING.turn_around.gain_per_block;
 /// Second differences of the jitter beyond this are left out of the search, microseconds.
-const MAX_SECOND_DIFFERENCE_US: i64 = 500;
+const MAX_SECOND_DIFFERENCE_US: i64 = TUNING.turn_around.max_second_difference_us;
 
 /// Unit second differences summed by the (integer) second difference of the turn-around that goes with them: the
 /// histogram makes the search over `df` as cheap as the jitter is small.

@@ -2,14 +2,15 @@
 
 use super::drift_line::{drift_line, median};
 use super::offset::{along, course, maximise, second_differences, sum_at};
+use crate::tuning::TUNING;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
 /// How far from `drift * carrier` the offset is looked for, Hz: the turn-around's own drift has been seen to fake up to
 /// 2 ppm (11 kHz).
-const SEARCH_HZ: f64 = 20_000.0;
+const SEARCH_HZ: f64 = TUNING.turn_around.search_hz;
 /// Cards agree to 40 parts per million (802.11 allows each 20); more is a clock that was set anew, or no clock.
-const MAX_DRIFT: f64 = 100e-6;
+const MAX_DRIFT: f64 = TUNING.turn_around.max_drift;
 
 /// What [`TurnAround::estimate`] found.
 #[derive(Clone, Debug, PartialEq)]

@@ -202,12 +202,10 @@ fn sighting(row: &Judged) -> Option<Sighting> {
     let answer = &row.answer;
     let sure = answer.confidence.unwrap_or(UNKNOWN_PROBABILITY);
     let horizontal = answer.abs_elevation_deg.unwrap_or(0.0).to_radians().cos();
-    Some(Sighting {
-        transmitter_m: row.true_transmitter_m?.into(),
-        azimuth_rad: answer.azimuth_deg?.to_radians(),
-        azimuth_sd_rad: deviation_rad(sure).max(answer.azimuth_sd_deg.unwrap_or(0.0).to_radians()),
-        range_m: answer.range_m.zip(answer.range_sd_m).map(|(range, sd)| (range * horizontal, sd * horizontal)),
-    })
+    let azimuth_sd_rad = deviation_rad(sure).max(answer.azimuth_sd_deg.unwrap_or(0.0).to_radians());
+    let range_m = answer.range_m.zip(answer.range_sd_m).map(|(range, sd)| (range * horizontal, sd * horizontal));
+    let sighting = Sighting::new(row.true_transmitter_m?.into(), answer.azimuth_deg?.to_radians(), azimuth_sd_rad);
+    Some(sighting.with_range_m(range_m))
 }
 
 /// Standard deviation of a normal error that is within five degrees with probability `sure`: the error function is

@@ -1,5 +1,6 @@
 //! Bearings on real captures against the truth. The bounds are the errors of the released WSR toolbox on the same links,
-//! or well below; nothing in the product is tuned to these files.
+//! or well below. They are no held-out test: probabilities were fitted to these links, and weights and exponents of the
+//! near field were chosen on them (docs/tuning.md).
 
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{JoinBy, Options, Transmitter, bearings};

@@ -1,0 +1,201 @@
+//! The logistic models of [`csi5300::place::confidence`], fitted to captures with known truth.
+//!
+//! A row is one bearing: its features, and whether it was within five degrees. Bearings of one place are near copies of
+//! each other, so the place is the unit: every place has the same weight in the fit, however many bearings it has, and
+//! calibration is judged on places that the fit has not seen (leave one out). The fit maximises the weighted likelihood
+//! less a ridge on the coefficients of standardised features (not on the intercept), by Newton's method from zero: the
+//! same rows give the same digits.
+
+use crate::evaluate::{Capture, TrajectorySource};
+use csi5300::pipeline::{Bearing, Options};
+use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Bearings further off than this are wrong, degrees.
+pub const WRONG_DEG: f64 = 5.0;
+/// Ridge on each coefficient, in units of places.
+const RIDGE: f64 = 1.0;
+/// Newton steps; the last ones change nothing.
+const STEPS: usize = 50;
+/// Edges of the bins that calibration is judged in.
+const BINS: [f64; 6] = [0.0, 0.2, 0.4, 0.6, 0.8, 1.000_001];
+
+/// One bearing with its features and whether it was right.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct LabelledBearing {
+    /// The place that it was recorded at.
+    pub place: String,
+    /// Features of the model.
+    pub features: Vec<f64>,
+    /// Whether the azimuth was within [`WRONG_DEG`] of the bearing from the mean pose.
+    pub right: bool,
+    /// What the library's own model says, 0..1.
+    pub probability: f64,
+}
+
+/// A fitted model.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct LogisticModel {
+    /// Intercept.
+    pub base: f64,
+    /// Per unit of each feature.
+    pub coefficients: Vec<f64>,
+}
+
+/// How well probabilities agree with what happened; each place weighs the same.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Calibration {
+    /// Mean squared difference between the probability and 0 or 1.
+    pub brier: f64,
+    /// Mean over five bins of the difference between mean probability and share right, weighed by their bearings.
+    pub expected_error: f64,
+}
+
+/// What a model sees of a bearing: its features and the probability in use; `None` where the model does not apply.
+pub type See = dyn Fn(&Bearing, &Options) -> Option<(Vec<f64>, f64)> + Sync;
+
+/// Bearings of all `captures` by the trajectory of `source` and each of `options`, as `see` sees them.
+#[must_use]
+pub fn gather(captures: &[Capture], source: TrajectorySource, options: &[Options], see: &See) -> Vec<LabelledBearing> {
+    let of_capture = |capture: &Capture| -> Vec<LabelledBearing> {
+        let of_options = |options: &Options| {
+            let mut seen = BTreeMap::new();
+            let mut look = |name: &str, bearing: &Bearing, options: &Options| {
+                seen.extend(see(bearing, options).map(|own| (name.to_owned(), own)));
+            };
+            let rows = capture.evaluate_and(source, None, options, &mut look).rows;
+            let label = |row: &crate::evaluate::Judged| {
+                let (features, probability) = seen.remove(&row.answer.link)?;
+                let right = row.error_from_mean_pose_deg?.abs() <= WRONG_DEG;
+                Some(LabelledBearing { place: capture.place.clone(), features, right, probability })
+            };
+            rows.iter().filter_map(label).collect::<Vec<_>>()
+        };
+        options.iter().flat_map(of_options).collect()
+    };
+    captures.par_iter().map(of_capture).collect::<Vec<_>>().into_iter().flatten().collect()
+}
+
+/// The weight of each bearing: those of a place sum to one.
+fn weights(rows: &[&LabelledBearing]) -> Vec<f64> {
+    let mut counts: BTreeMap<&str, f64> = BTreeMap::new();
+    rows.iter().for_each(|row| *counts.entry(&row.place).or_default() += 1.0);
+    rows.iter().map(|row| 1.0 / counts.get(row.place.as_str()).copied().unwrap_or(1.0)).collect()
+}
+
+fn sigmoid(logit: f64) -> f64 {
+    1.0 / (1.0 + (-logit).exp())
+}
+
+impl LogisticModel {
+    /// Fits `rows`; `None` if there are none, or if a feature is not finite.
+    #[must_use]
+    pub fn fit(rows: &[&LabelledBearing]) -> Option<Self> {
+        let n = rows.first()?.features.len();
+        let weights = weights(rows);
+        let total: f64 = weights.iter().sum();
+        let mean_of = |f: &dyn Fn(&LabelledBearing) -> f64| {
+            rows.iter().zip(&weights).map(|(row, weight)| weight * f(row)).sum::<f64>() / total
+        };
+        let means: Vec<f64> = (0..n).map(|i| mean_of(&|row| row.features[i])).collect();
+        let deviation = |i: usize| mean_of(&|row| (row.features[i] - means[i]).powi(2)).sqrt();
+        // A feature that never changes has no coefficient: any deviation serves.
+        let deviations: Vec<f64> = (0..n).map(|i| Some(deviation(i)).filter(|d| *d > 1e-9).unwrap_or(1.0)).collect();
+        let standard = |row: &LabelledBearing| {
+            DVector::from_fn(n + 1, |i, _| match i.checked_sub(1) {
+                None => 1.0,
+                Some(k) => (row.features[k] - means[k]) / deviations[k],
+            })
+        };
+        let inputs: Vec<DVector<f64>> = rows.iter().map(|row| standard(row)).collect();
+        let solution = newton(&inputs, rows, &weights)?;
+        let coefficients: Vec<f64> = (0..n).map(|i| solution[i + 1] / deviations[i]).collect();
+        let shift: f64 = coefficients.iter().zip(&means).map(|(c, mean)| c * mean).sum();
+        Some(Self { base: solution[0] - shift, coefficients })
+    }
+
+    /// The probability of a bearing with these features.
+    #[must_use]
+    pub fn probability(&self, features: &[f64]) -> f64 {
+        sigmoid(self.coefficients.iter().zip(features).fold(self.base, |sum, (c, x)| sum + c * x))
+    }
+}
+
+/// The maximum of the weighted likelihood less the ridge.
+fn newton(inputs: &[DVector<f64>], rows: &[&LabelledBearing], weights: &[f64]) -> Option<DVector<f64>> {
+    let n = inputs.first()?.len();
+    let ridge = DVector::from_fn(n, |i, _| if i == 0 { 1e-9 } else { RIDGE });
+    let mut solution = DVector::zeros(n);
+    for _ in 0..STEPS {
+        let mut slope = -ridge.component_mul(&solution);
+        let mut curvature = DMatrix::from_diagonal(&ridge);
+        for ((x, row), weight) in inputs.iter().zip(rows).zip(weights) {
+            let p = sigmoid(solution.dot(x));
+            slope += x * (weight * (f64::from(u8::from(row.right)) - p));
+            curvature += x * x.transpose() * (weight * p * (1.0 - p));
+        }
+        solution += curvature.lu().solve(&slope)?;
+    }
+    solution.iter().all(|v| v.is_finite()).then_some(solution)
+}
+
+/// Calibration of one probability for each of `rows`.
+#[must_use]
+pub fn calibration(rows: &[&LabelledBearing], probabilities: &[f64]) -> Calibration {
+    let weights = weights(rows);
+    let total: f64 = weights.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+    let each = || rows.iter().zip(&weights).zip(probabilities);
+    let label = |row: &LabelledBearing| f64::from(u8::from(row.right));
+    let brier = each().map(|((row, weight), p)| weight * (p - label(row)).powi(2)).sum::<f64>() / total;
+    let gap = |edges: &[f64]| {
+        let inside = each().filter(|(_, p)| (edges[0]..edges[1]).contains(*p));
+        inside.map(|((row, weight), p)| weight * (p - label(row))).sum::<f64>().abs()
+    };
+    Calibration { brier, expected_error: BINS.windows(2).map(gap).sum::<f64>() / total }
+}
+
+/// The probability of each bearing by a model that was fitted to all other places, and how well those agree with what
+/// happened.
+#[must_use]
+pub fn leave_one_place_out(rows: &[LabelledBearing]) -> Option<Calibration> {
+    let places: BTreeSet<&str> = rows.iter().map(|row| row.place.as_str()).collect();
+    let (mut judged, mut probabilities) = (Vec::new(), Vec::new());
+    for place in places {
+        let (own, others): (Vec<_>, Vec<_>) = rows.iter().partition(|row| row.place == place);
+        let model = LogisticModel::fit(&others)?;
+        probabilities.extend(own.iter().map(|row| model.probability(&row.features)));
+        judged.extend(own);
+    }
+    Some(calibration(&judged, &probabilities))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(place: usize, x: f64, right: bool) -> LabelledBearing {
+        LabelledBearing { place: place.to_string(), features: vec![x, 7.0], right, probability: 0.5 }
+    }
+
+    #[test]
+    fn a_feature_that_tells_right_from_wrong_is_found_and_one_that_does_not_is_left() {
+        let rows: Vec<_> =
+            (0..200).map(|k| row(k % 40, f64::from(k as u32 % 20) - 9.5, k % 20 + k / 20 % 3 > 10)).collect();
+        let all: Vec<&LabelledBearing> = rows.iter().collect();
+        let model = LogisticModel::fit(&all).unwrap();
+        assert!(model.coefficients[0] > 0.2 && model.coefficients[1].abs() < 1e-6, "{model:?}");
+        let own: Vec<f64> = all.iter().map(|row| model.probability(&row.features)).collect();
+        let (fitted, base) = (calibration(&all, &own), calibration(&all, &[0.5; 200]));
+        assert!(fitted.brier < base.brier && base.brier == 0.25, "{fitted:?}");
+        assert!(leave_one_place_out(&rows).unwrap().brier < base.brier);
+    }
+
+    #[test]
+    fn without_rows_there_is_no_model() {
+        assert!(LogisticModel::fit(&[]).is_none());
+    }
+}

@@ -1,0 +1,65 @@
+//! Every number that was chosen, fitted or measured rather than derived or standardised: [`TUNING`].
+//!
+//! Each field states its value, where it comes from, what happens at half and at double where that was measured, and each
+//! group the command that shows what a change does. Physical constants, protocol constants, sizes of buffers and
+//! tolerances of numerics (which tests hold to the plain sum) are not here. `docs/tuning.md` has the same table; a test
+//! compares the two.
+//!
+//! A value is changed by editing it and running the group's command; nothing changes at run time.
+
+mod values;
+
+pub use values::*;
+
+/// One number of [`TUNING`], as text.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct TuningEntry {
+    /// `group.field`.
+    pub name: String,
+    /// Its value.
+    pub value: String,
+    /// Where it comes from.
+    pub origin: &'static str,
+    /// What happens at half and at double.
+    pub sensitivity: &'static str,
+    /// The command that shows what a change does.
+    pub command: &'static str,
+}
+
+/// The table of `docs/tuning.md`: a heading and the command of each group, and a row for each of its numbers.
+#[must_use]
+pub fn markdown() -> String {
+    let mut text = String::new();
+    let mut group = "";
+    let entries = entries();
+    for entry in &entries {
+        let (own, field) = entry.name.split_once('.').unwrap_or(("", &entry.name));
+        if own != group {
+            group = own;
+            text += &format!("\n### {own}\n\n`{}`\n\n", entry.command);
+            text += "| field | value | origin | at half and at double |\n|---|---|---|---|\n";
+        }
+        text += &format!("| `{field}` | {} | {} | {} |\n", entry.value, entry.origin, entry.sensitivity);
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_document_has_the_same_table() {
+        let document = include_str!("../../docs/tuning.md");
+        let table = markdown();
+        assert!(document.contains(&table), "docs/tuning.md should contain\n{table}");
+    }
+
+    #[test]
+    fn round_trip_and_one_way_channel_weigh_the_same() {
+        let views = TUNING.views;
+        let difference = views.round_trip_weight + views.centre_weight - 3.0 * views.one_way_weight;
+        assert!(difference.abs() < 1e-12, "{difference}");
+    }
+}

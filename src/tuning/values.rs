@@ -1,0 +1,318 @@
+//! The numbers themselves.
+
+use super::TuningEntry;
+
+/// Declares the groups as structs, their values as a constant, and the same as a table.
+macro_rules! tuning {
+    ($( $(#[doc = $about:literal])* $group:ident: $Group:ident, $command:literal {
+        $( $(#[doc = $what:literal])* $name:ident: $type:ty = $value:expr, $origin:literal, $sensitivity:literal; )*
+    } )*) => {
+        /// All groups.
+        #[derive(Clone, Copy, Debug, PartialEq)]
+        #[non_exhaustive]
+        pub struct Tuning {
+            $( $(#[doc = $about])* pub $group: $Group, )*
+        }
+
+        $(
+            $(#[doc = $about])*
+            #[doc = ""]
+            #[doc = "Shown by"]
+            #[doc = concat!("`", $command, "`.")]
+            #[derive(Clone, Copy, Debug, PartialEq)]
+            #[non_exhaustive]
+            pub struct $Group {
+                $(
+                    $(#[doc = $what])*
+                    #[doc = ""]
+                    #[doc = concat!("Origin: ", $origin, ". At half and at double: ", $sensitivity, ".")]
+                    pub $name: $type,
+                )*
+            }
+        )*
+
+        /// The values in use.
+        pub const TUNING: Tuning = Tuning { $( $group: $Group { $( $name: $value, )* }, )* };
+
+        /// The same as a list, in the order of the fields.
+        #[must_use]
+        pub fn entries() -> Vec<TuningEntry> {
+            vec![$( $( TuningEntry {
+                name: concat!(stringify!($group), ".", stringify!($name)).into(),
+                value: format!("{:?}", TUNING.$group.$name),
+                origin: $origin,
+                sensitivity: $sensitivity,
+                command: $command,
+            }, )* )*]
+        }
+    };
+}
+
+tuning! {
+    /// Thinning of the samples of a near-field search.
+    aperture: ApertureTuning, "csi5300 evaluate ../shared/captures/wsr" {
+        /// Neighbouring samples are averaged over this much displacement, turns of phase.
+        span_turns: f64 = 0.12, "theory: the outermost differ from their mean by 0.06 turns, the average keeps 99 % of its amplitude", "not measured";
+    }
+
+    /// The views whose powers are multiplied, their windows and exponents.
+    views: ViewTuning, "csi5300 evaluate --ablation ../shared/captures/wsr" {
+        /// Exponent of the whole round trip.
+        round_trip_weight: f64 = 1.0 / 3.0, "chosen on real captures and rooms (docs/accuracy.md)", "not measured";
+        /// Exponent of the phase at the channel centre, which only chooses between peaks.
+        centre_weight: f64 = 1.0 / 3.0, "chosen on real captures and rooms (docs/accuracy.md)", "not measured; as the round trip's only view worse in line of sight";
+        /// Windows of the phase at the channel centre.
+        centre_windows: usize = 3, "chosen on real captures (docs/accuracy.md)", "1: LOS 1.34 / 0.79 instead of 1.00 / 0.70 degrees, views of then";
+        /// Exponent of each of the three views of the one-way channel.
+        one_way_weight: f64 = 2.0 / 9.0, "two thirds in all, by three", "not measured";
+        /// Windows of the one-way channel on all subcarriers.
+        one_way_windows: usize = 3, "exploration of 637 links", "all numbers of windows together at 2/3, 1.6 and 2 times: no gain (docs/accuracy.md)";
+        /// Blocks of the one-way channel on all subcarriers.
+        one_way_blocks: usize = 8, "exploration of 637 links", "as one_way_windows";
+        /// Windows of the one-way channel next to the channel centre.
+        inner_windows: usize = 6, "exploration of 637 links", "as one_way_windows";
+        /// Subcarriers next to the channel centre, whose sign the sampling time cannot turn.
+        inner_subcarriers: usize = 6, "exploration of 637 links", "not measured";
+    }
+
+    /// How densely places are searched.
+    grid: GridTuning, "cargo bench --bench place" {
+        /// Half of the largest change of a phase at the rim from one cell to the next, radians.
+        rim_rad: f64 = 1.2, "theory: at 1.2 a beam like a parabola has lost a tenth of its height", "not measured";
+        /// Less curvature than this over the aperture, radians, is a plane wave.
+        plane_rad: f64 = 0.3, "theory: a phase this small cannot move a bearing by a part of the beam", "not measured";
+        /// Cells at most; there is no search beyond.
+        max_cells: usize = 400_000, "chosen: some seconds of one core", "not measured";
+        /// Largest error of a phase where powers are computed roughly, turns.
+        rough_turns: f64 = 0.02, "theory: 1.5 % of a power's root", "not measured";
+    }
+
+    /// From peaks of the grid to tops.
+    climb: ClimbTuning, "csi5300 evaluate ../shared/captures/wsr" {
+        /// Peaks climbed at most.
+        most: usize = 6, "chosen", "not measured";
+        /// Peaks below this share of the highest, in evidence, are not climbed.
+        floor: f64 = 0.3, "chosen; confidence counts a ratio below as no other answer", "not measured";
+        /// Rounds of a climb at most.
+        rounds: usize = 40, "chosen: enough to halve the steps to fine_rad", "not measured";
+        /// Steps at which the climb of the answer ends, radians.
+        fine_rad: f64 = 2e-5, "chosen: a thousandth of a degree", "not measured";
+        /// Steps at which the climbs of the others end, radians.
+        coarse_rad: f64 = 2e-3, "chosen: a tenth of a degree", "not measured";
+        /// Steps at which climbs end that judge a change of the trajectory, cells.
+        judging_cells: f64 = 0.05, "chosen", "not measured";
+    }
+
+    /// What is likely before anything was received, and how much a motion says against it. A motion has three exponents
+    /// (here two, and `focus.looks`): they turn joint power into likelihood for three questions, and were set separately.
+    prior: PriorTuning, "csi5300 evaluate ../shared/captures/wsr" {
+        /// The range up to which all are as likely, in units of the shortest.
+        farthest: f64 = 20.0, "chosen on real captures", "150 and 1,000: T265 LOS 4.1 / 3.5, but LOS 1.3 / 0.7 and 1.8 / 1.5 degrees";
+        /// What is left for ranges beyond it, in units of what a range has to one e times as far.
+        beyond: f64 = 0.02, "chosen", "not measured";
+        /// Independent looks where peaks are compared: probability goes with the joint power to this.
+        looks_between_peaks: f64 = 16.0, "parts of real captures (docs/accuracy.md)", "12 to 27: within the noise of the parts";
+        /// Independent looks where places within a peak are weighed, for a peak that explains half of the power.
+        looks_within_peak: f64 = 12.0, "parts of real captures (docs/accuracy.md)", "not measured";
+        /// Steps of the weighing on either side, in azimuth.
+        azimuth_steps: i32 = 5, "chosen: three cells in all", "not measured";
+        /// Their length, cells of the grid.
+        azimuth_step_cells: f64 = 0.3, "chosen", "not measured";
+        /// Elevations of the weighing.
+        elevations: usize = 4, "chosen", "not measured";
+        /// Ranges of the weighing.
+        ranges: usize = 5, "chosen", "not measured";
+    }
+
+    /// Autofocus of the trajectory.
+    focus: FocusTuning, "csi5300 evaluate --ablation --trajectory t265 ../shared/captures/wsr" {
+        /// Scales that are tried.
+        scales: [f64; 4] = [0.95, 0.975, 1.025, 1.05], "chosen: what odometry is seen to be wrong by", "not measured";
+        /// Turns of the heading that are tried, radians per metre.
+        turns_rad_per_m: [f64; 4] = [-0.2, -0.1, 0.1, 0.2], "chosen: 6 and 12 degrees per metre", "not measured";
+        /// Answers of each link that are followed.
+        followed: usize = 2, "chosen", "not measured";
+        /// Independent looks that a motion gives: the blocks in which the one-way channel is summed.
+        looks: f64 = 8.0, "equal to views.one_way_blocks", "not measured";
+        /// What the gain has to exceed, in units of log-likelihood: the parameters fitted.
+        parameters: f64 = 2.0, "theory: Akaike's criterion with two parameters", "0: most motion-capture trajectories would be changed";
+    }
+
+    /// Taking paths out of the round trip.
+    paths: PathTuning, "csi5300 explain --out DIR LINK" {
+        /// Waves at most.
+        most: usize = 6, "chosen", "not measured";
+        /// A wave that takes less than this share of what is left is noise or a side lobe.
+        least_share: f64 = 0.06, "chosen on simulated paths", "not measured";
+        /// Waves weaker than this share of the strongest are left, in power of the round trip.
+        weakest: f64 = 0.03, "chosen: 15 dB", "not measured";
+        /// A wave is at two others' product if its square resembles the square of that by this, 0..1.
+        alike: f64 = 0.3, "theory: within half a beam", "not measured";
+        /// Largest power of a product over the geometric mean of its two paths' powers.
+        cross_gain: f64 = 8.0, "theory: 2 a b has 4; twice that for what the fit gets wrong", "not measured";
+    }
+
+    /// Deviations of places.
+    deviations: DeviationTuning, "csi5300 evaluate ../shared/captures/wsr" {
+        /// Standard deviation of the scale of a trajectory.
+        scale_sd: f64 = 0.01, "measured: motion capture is up to 2 % off what the phases say", "not measured";
+        /// Residuals that share an error over more rows than this are no white noise.
+        white_rows: f64 = 2.0, "theory: white noise has 1, give or take 0.35", "not measured";
+        /// Steps to the least residual.
+        polishes: usize = 3, "theory: the first leaves the square of the climb's error", "not measured";
+        /// A polished answer further off than this, radians of azimuth, is another one.
+        polish_rad: f64 = 2e-3, "equal to climb.coarse_rad", "not measured";
+        /// Turns along the motion up to which an error is slow.
+        slow_turns: usize = 10, "chosen: a place shows in the first few", "not measured";
+        /// Parameters that were fitted to the residual.
+        fitted: f64 = 4.0, "theory: amplitude's phase, azimuth, elevation, range", "not measured";
+        /// A range is reported where its predicted deviation is below this share of it.
+        range_share: f64 = 0.35, "chosen on real captures", "not measured";
+        /// Shortest distance of a transmitter by default, metres.
+        range_min_m: f64 = 1.8, "chosen: nearest transmitter of the WSR data set", "not measured";
+    }
+
+    /// Probability that a full answer's azimuth is within five degrees.
+    full_probability: FullProbabilityTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
+        /// Intercept.
+        base: f64 = 2.3, "fit (docs/tuning.md)", "not measured";
+        /// Per unit of ln(joint power).
+        per_power: f64 = 0.15, "fit (docs/tuning.md)", "not measured";
+        /// Per unit of ln(next / highest).
+        per_ratio: f64 = -0.45, "fit (docs/tuning.md)", "not measured";
+        /// For an answer at the edge of what was searched.
+        at_edge: f64 = -0.55, "fit (docs/tuning.md)", "not measured";
+        /// Per unit of ln(degrees between the views).
+        per_spread: f64 = -0.8, "fit (docs/tuning.md)", "not measured";
+        /// Differences of the views are clamped to these, degrees.
+        spread_deg: [f64; 2] = [1.0, 90.0], "chosen: views that differ by less agree, by more are unrelated", "not measured";
+        /// The ratio that stands for no other answer.
+        no_other: f64 = 0.3, "equal to climb.floor", "not measured";
+        /// Least and largest probability.
+        limits: [f64; 2] = [0.02, 0.98], "chosen: what some tens of independent places can support", "not measured";
+    }
+
+    /// Probability that the azimuth of a bearing by a plane wave is within five degrees.
+    quick_probability: QuickProbabilityTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
+        /// Intercept.
+        base: f64 = -4.66, "fit: 838 bearings of 30 places", "not measured";
+        /// Per unit of ln(coherence).
+        per_coherence: f64 = 1.92, "fit: 838 bearings of 30 places", "not measured";
+        /// Per unit of ln(second peak / highest).
+        per_ratio: f64 = -1.10, "fit: 838 bearings of 30 places", "not measured";
+        /// Per unit of ln(longest side of the aperture in wavelengths).
+        per_aperture: f64 = 2.63, "fit: 838 bearings of 30 places", "not measured";
+        /// Where the turn-around was compensated.
+        compensated: f64 = -0.13, "fit: 838 bearings of 30 places", "not measured";
+        /// The ratio that stands for no second peak.
+        no_other: f64 = 0.1, "chosen", "not measured";
+        /// The aperture is clamped to these, wavelengths.
+        aperture_wavelengths: [f64; 2] = [4.7, 13.8], "measured: what the captures and their parts span", "not measured";
+        /// Least and largest probability.
+        limits: [f64; 2] = [0.02, 0.98], "as full_probability.limits", "not measured";
+    }
+
+    /// Robust location.
+    locate: LocateTuning, "csi5300 evaluate ../shared/captures/wsr" {
+        /// Error that no bearing is better than, radians.
+        azimuth_floor_rad: f64 = 0.02, "measured: median error in line of sight about one degree whatever was predicted", "not measured";
+        /// The same for range, relative.
+        range_floor: f64 = 0.3, "measured: one range in six is off by more", "0.1: 0.22 instead of 0.15 m median in line of sight";
+        /// Residual, in deviations, at which a sighting has lost half of its weight.
+        cauchy: f64 = 2.0, "chosen", "not measured";
+        /// Steps at most.
+        steps: usize = 60, "chosen", "not measured";
+    }
+
+    /// Alignment of the sampling time.
+    alignment: AlignmentTuning, "csi5300 evaluate --ablation ../shared/captures/wsr" {
+        /// Neighbours on either side that a packet is compared with.
+        reach: usize = 7, "exploration of real captures", "not measured";
+        /// Rounds.
+        rounds: usize = 3, "chosen: neighbours' means converge", "not measured";
+        /// Subcarrier indices this near to the centre give a packet's phase whatever its slope.
+        middle: f32 = 9.0, "theory: up to 0.3 rad per index", "the whole band: parts of LOS 2.9 / 1.8 instead of 2.6 / 1.7 degrees";
+        /// Newton steps on each slope in each round.
+        steps: usize = 2, "chosen", "not measured";
+        /// Distance of the slopes tried first, radians per index.
+        tried_step: f32 = 0.04, "theory: a lobe over 56 indices is 0.22 wide", "not measured";
+        /// How many are tried.
+        tried: usize = 27, "measured: outliers reach 0.4 rad per index", "not measured";
+    }
+
+    /// The square root of the round trip.
+    one_way: OneWayTuning, "csi5300 evaluate --ablation ../shared/captures/wsr" {
+        /// Packets on either side that a sample is compared with.
+        reach: usize = 5, "exploration of real captures", "not measured";
+        /// How much of the prediction a packet inherits.
+        memory: f32 = 0.7, "exploration of real captures", "not measured";
+        /// Sweeps at most.
+        sweeps: usize = 12, "chosen: they end earlier", "not measured";
+    }
+
+    /// Turn-around compensation.
+    turn_around: TurnAroundTuning, "csi5300 evaluate --ablation ../shared/captures/wsr" {
+        /// Outliers are further than this from the line, microseconds.
+        outlier_us: f64 = 25.0, "measured: the jitter is 4 to 22", "not measured";
+        /// How far from the clocks' drift the offset is searched, Hz.
+        search_hz: f64 = 20_000.0, "measured: the turn-around's own drift fakes up to 2 ppm, 11 kHz", "not measured";
+        /// Step of the search, Hz.
+        step_hz: f64 = 400.0, "theory: the coherence is 8 kHz wide", "not measured";
+        /// Pairs that an offset of their own is searched in.
+        block: usize = 200, "chosen: 2 s at the usual rate", "not measured";
+        /// How far a block's offset is searched from that of all, Hz.
+        drift_hz: f64 = 4_000.0, "measured: 2.4 kHz within six seconds", "not measured";
+        /// By how much a block's own offset must raise the sum of its unit phasors, on average.
+        gain_per_block: f64 = 2.0, "theory: chance gives half of one", "not measured";
+        /// Clocks that drift apart by more are not two cards'.
+        max_drift: f64 = 100e-6, "theory: 802.11 allows each 20 ppm", "not measured";
+        /// Second differences of the jitter beyond this are left out, microseconds.
+        max_second_difference_us: i64 = 500, "chosen: 20 times outlier_us", "not measured";
+        /// A turn-around that jitters by more leaves no phase, microseconds.
+        max_spread_us: f64 = 500.0, "theory: several turns at the offsets that cards have", "not measured";
+    }
+
+    /// Whether two records are of one exchange, and two logs of one link.
+    pairing: PairingTuning, "cargo test -p csi5300 pairing" {
+        /// Largest change of the clocks' difference between pairs, microseconds.
+        clock_slack_us: i64 = 5_000, "chosen: far above the jitter of a turn-around", "not measured";
+        /// The same per second between them, microseconds.
+        clock_drift_per_s: i64 = 200, "theory: 200 ppm, five times what two cards differ by", "not measured";
+        /// Candidates that must agree before their difference is believed.
+        run: usize = 16, "chosen", "not measured";
+        /// They agree if the median step is at most this, microseconds.
+        run_step_us: i64 = 80, "measured: a turn-around jitters by 4 to 22, independent senders by hundreds", "not measured";
+        /// Candidates after which any are believed.
+        patience: u32 = 1_024, "chosen", "not measured";
+        /// Common numbers that say something of whether logs match.
+        min_common: usize = 16, "chosen", "not measured";
+        /// By this factor the best match must spread less than the next.
+        min_margin: f64 = 1.5, "chosen", "not measured";
+    }
+
+    /// Which poses are motion.
+    motion: MotionTuning, "cargo test -p csi5300 motion" {
+        /// Poses further apart than this, or than ten usual steps, leave a gap, seconds.
+        min_gap_s: f64 = 0.25, "chosen", "not measured";
+        /// A robot that moved less across a gap stood still, metres.
+        still_m: f64 = 0.005, "measured: several times the noise of motion capture at rest", "not measured";
+        /// Half the time over which speed is judged, seconds.
+        speed_half_s: f64 = 0.1, "chosen", "not measured";
+        /// A robot slower than this share of its usual speed stands still.
+        still_share: f64 = 0.15, "chosen", "not measured";
+        /// No robot drives slower, m/s.
+        still_m_per_s: f64 = 0.004, "measured: motion capture at rest seems to move by less", "not measured";
+        /// Largest motion that is searched as one array, metres.
+        max_extent_m: f64 = 50.0, "chosen: far beyond what odometry follows to a wavelength", "not measured";
+    }
+
+    /// What a plane-wave search makes of the shape of the motion.
+    plane_wave: PlaneWaveTuning, "cargo test -p csi5300 bartlett" {
+        /// A trajectory at most this wide for its length may have a mirror.
+        elongated: f64 = 0.15, "chosen", "not measured";
+        /// Azimuth and elevation must differ by this share of the phases' variance for elevation to be searched.
+        independent: f64 = 0.1, "chosen: odometry's millimetres must not decide", "not measured";
+        /// A mirror at least this high is reported.
+        mirror_ratio: f64 = 0.8, "chosen", "not measured";
+    }
+}
