@@ -161,7 +161,7 @@ pub trait Injector {
 
 /// A frame heard: the 802.11 frame without radiotap header and FCS.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Heard<'a> {
+pub struct HeardFrame<'a> {
     /// The frame.
     pub frame: &'a [u8],
     /// How long ago its reception ended, as far as is known.
@@ -174,7 +174,7 @@ pub trait FrameReceiver {
     ///
     /// # Errors
     /// Only for what cannot be gone on from; what is damaged is counted and left out.
-    fn hear(&mut self) -> Result<Option<Heard<'_>>, Error>;
+    fn hear(&mut self) -> Result<Option<HeardFrame<'_>>, Error>;
 
     /// Frames of which is known that they went out, if that can be known at all.
     fn sent_for_certain(&self) -> Option<u64>;

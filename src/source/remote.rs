@@ -104,7 +104,7 @@ impl Batch {
 
 /// What a queue counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-pub struct Counts {
+pub struct QueueCounts {
     /// Items that came.
     pub received: u64,
     /// Items that the network dropped: their numbers are missing.
@@ -131,7 +131,7 @@ struct Shared {
     limit: usize,
     /// Session, and the number expected next.
     at: Option<(u32, u64)>,
-    counts: Counts,
+    counts: QueueCounts,
 }
 
 /// The end of a queue into which messages are put, from any thread.
@@ -160,7 +160,7 @@ impl Mailbox {
     /// A queue in which at most `limit` items wait.
     #[must_use]
     pub fn new(limit: usize) -> Self {
-        let counts = Counts::default();
+        let counts = QueueCounts::default();
         Self(Arc::new(Mutex::new(Shared { queue: VecDeque::new(), limit: limit.max(1), at: None, counts })))
     }
 
@@ -179,7 +179,7 @@ impl Mailbox {
 
     /// What was counted.
     #[must_use]
-    pub fn counts(&self) -> Counts {
+    pub fn counts(&self) -> QueueCounts {
         self.with(|shared| shared.counts)
     }
 
@@ -368,7 +368,7 @@ mod tests {
         // Another session begins its numbers anew, and that is no loss.
         mailbox.put(&message(&mut Batch::records(8), 0..2));
         assert_eq!(drain(&mut card), [0, 1]);
-        assert_eq!(mailbox.counts(), Counts { received: 6, missing: 2, sessions: 2, ..Counts::default() });
+        assert_eq!(mailbox.counts(), QueueCounts { received: 6, missing: 2, sessions: 2, ..QueueCounts::default() });
     }
 
     #[test]
@@ -438,7 +438,7 @@ mod tests {
             let (mailbox, mut batch) = (Mailbox::new(100), Batch::records(3));
             // Noise alone is no message: it would have to begin with the magic.
             mailbox.put(&noise);
-            prop_assert_eq!(mailbox.counts(), Counts { foreign: 1, ..Counts::default() });
+            prop_assert_eq!(mailbox.counts(), QueueCounts { foreign: 1, ..QueueCounts::default() });
             // Of one that was cut, what is whole is taken: 14 bytes each.
             let whole = message(&mut batch, 0..9);
             let cut = cut.min(whole.len());

@@ -18,7 +18,7 @@ mod socket;
 
 pub use error::MonitorError;
 
-use csi5300::source::{Error, FrameReceiver, Heard, Injector, NotSent};
+use csi5300::source::{Error, FrameReceiver, HeardFrame, Injector, NotSent};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::radiotap::{self, Bandwidth, Packet, Repr};
@@ -254,7 +254,7 @@ impl Injector for Monitor {
 }
 
 impl FrameReceiver for Monitor {
-    fn hear(&mut self) -> Result<Option<Heard<'_>>, Error> {
+    fn hear(&mut self) -> Result<Option<HeardFrame<'_>>, Error> {
         loop {
             let received = match socket::receive(&self.socket, &mut self.input, &mut self.control) {
                 Ok(received) => received,
@@ -276,7 +276,7 @@ impl FrameReceiver for Monitor {
                     continue;
                 };
                 self.counters.heard += 1;
-                return Ok(self.input.get(range).map(|frame| Heard { frame, age }));
+                return Ok(self.input.get(range).map(|frame| HeardFrame { frame, age }));
             }
         }
     }

@@ -7,7 +7,7 @@ use super::config::Network as Asked;
 use super::machine::Tap;
 use csi5300::motion::pose::Pose;
 use csi5300::source::Error;
-use csi5300::source::remote::{Batch, Counts, Mailbox};
+use csi5300::source::remote::{Batch, Mailbox, QueueCounts};
 use driver_iface::Mac;
 use driver_iface::record::Record;
 use std::sync::Arc;
@@ -297,7 +297,7 @@ pub struct NetworkCounts {
     /// Records and poses that were not sent because too many waited.
     pub unsent: u64,
     /// Peers' MACs, what they publish, and what was counted of it.
-    pub subscriptions: Vec<(String, &'static str, Counts)>,
+    pub subscriptions: Vec<(String, &'static str, QueueCounts)>,
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use super::air::Air;
 use super::node::{Flight, Passed};
 use super::port::{inject, lock};
-use csi5300::source::{Error, FrameReceiver, Heard, Injector};
+use csi5300::source::{Error, FrameReceiver, HeardFrame, Injector};
 use csi5300::time::{Instant, Span};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
@@ -88,14 +88,14 @@ impl Injector for Interface {
 }
 
 impl FrameReceiver for Interface {
-    fn hear(&mut self) -> Result<Option<Heard<'_>>, Error> {
+    fn hear(&mut self) -> Result<Option<HeardFrame<'_>>, Error> {
         loop {
             match self.see().map(|seen| (seen.own, seen.age)) {
                 None => return Ok(None),
                 Some((true, _)) => {}
                 Some((false, age)) => {
                     let frame = self.current.as_ref().map(|flight| flight.bytes.without_fcs());
-                    return Ok(frame.map(|frame| Heard { frame, age }));
+                    return Ok(frame.map(|frame| HeardFrame { frame, age }));
                 }
             }
         }

@@ -1,4 +1,15 @@
 //! One log of a link: the counts that its records belong to, and the records that wait for their partners.
+//!
+//! A *count* is the run of frame numbers of one initiator since its last start; it is a *session*, numbered in the order
+//! in which counts began. A record passes through three states:
+//!
+//! | state | where | leaves it when |
+//! |---|---|---|
+//! | suspect: its number is near no open count | `suspects` | a number near it follows: its count is opened or goes on ([`SideState::jump`]); or too many records pass: *implausible* |
+//! | waiting: it belongs to a session | `waiting`, and `order` by age | its partner comes: *paired*; or it is the oldest of a full window: *unpaired*, or *mispaired* where a partner's clock did not fit |
+//! | seen: its key is remembered, so that a repetition is a *duplicate* | `seen` | newer keys take its place |
+//!
+//! [`SideState::place`] takes a record to the end of the first state, [`SideState::wait`] to that of the second.
 
 use super::SideCounts;
 use std::collections::{HashMap, VecDeque};
@@ -7,7 +18,7 @@ use std::hash::{BuildHasherDefault, Hasher};
 /// Steps of the frame number, forward or back, that need no confirmation by another record.
 const NEAR: u32 = 32;
 /// Largest confirmed step forward within a session: at the reference's highest rate (1,000 per second) a pause of more
-/// than half an hour. Counts that begin [apart](super::apart_by) are further from each other. A confirmed step back of no
+/// than half an hour. Counts that begin [apart](super::before_first_number) are further from each other. A confirmed step back of no
 /// more is a restart of the same count.
 const MAX_STEP: u32 = 1 << 21;
 /// Counts followed at once: one for each robot that initiates, and some that ended.
@@ -78,9 +89,12 @@ pub(super) struct SideState<T> {
     sessions: u32,
     /// The counts that go on, the one of the newest record last.
     open: Vec<Count>,
+    /// Records whose number is near no count, the oldest first.
     suspects: VecDeque<Suspect<T>>,
     pub(super) waiting: Waiting<T>,
+    /// Keys in the order in which their records began to wait; those that left are skipped when their turn comes.
     order: VecDeque<Key>,
+    /// The latest keys.
     seen: VecDeque<Key>,
     pub(super) counts: SideCounts,
 }
@@ -158,24 +172,30 @@ impl<T> SideState<T> {
     /// A jump that another record confirmed: a gap if it leads forward within reason from one of the counts, a restart if
     /// it leads back within reason, else another count. Gives the session.
     fn jump(&mut self, to: u32) -> u32 {
-        let forward = |count: &Count| to.wrapping_sub(count.last);
-        let nearest = |way: &dyn Fn(&Count) -> u32| {
-            let near = self.open.iter().enumerate().filter(|(_, count)| way(count) <= MAX_STEP);
-            near.min_by_key(|(_, count)| way(count)).map(|(at, _)| at)
-        };
-        if let Some(at) = nearest(&forward) {
-            let count = self.open.remove(at);
-            self.counts.missing += u64::from(forward(&count).saturating_sub(1));
-            self.open.push(Count { last: to, ..count });
-            return count.session;
+        if let Some(at) = self.nearest(|count| to.wrapping_sub(count.last)) {
+            return self.leap(at, to);
         }
         self.counts.restarts += 1;
-        let began_anew = nearest(&|count| count.last.wrapping_sub(to)).map(|at| self.open.remove(at));
+        let began_anew = self.nearest(|count| count.last.wrapping_sub(to)).map(|at| self.open.remove(at));
         let session = self.begin(to);
         if let (Some(before), Some(count)) = (began_anew, self.open.last_mut()) {
             count.restarts = before.restarts + 1;
         }
         session
+    }
+
+    /// The open count with the smallest `distance` of at most [`MAX_STEP`].
+    fn nearest(&self, distance: impl Fn(&Count) -> u32) -> Option<usize> {
+        let in_reach = self.open.iter().enumerate().filter(|(_, count)| distance(count) <= MAX_STEP);
+        in_reach.min_by_key(|(_, count)| distance(count)).map(|(at, _)| at)
+    }
+
+    /// The count at `at` goes on with number `to`; those between are missing. Gives its session.
+    fn leap(&mut self, at: usize, to: u32) -> u32 {
+        let count = self.open.remove(at);
+        self.counts.missing += u64::from(to.wrapping_sub(count.last).saturating_sub(1));
+        self.open.push(Count { last: to, ..count });
+        count.session
     }
 
     /// A count begins, in a session of its own.

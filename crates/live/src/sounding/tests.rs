@@ -2,7 +2,7 @@
 
 use super::*;
 use csi5300::exchange::tdma::{Config, Epoch, Event, Request, Tdma};
-use csi5300::source::{Error, FrameReceiver, Heard, Injector, NotSent};
+use csi5300::source::{Error, FrameReceiver, HeardFrame, Injector, NotSent};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use std::cell::Cell;
@@ -40,13 +40,13 @@ impl Injector for &mut Script {
 }
 
 impl FrameReceiver for &mut Script {
-    fn hear(&mut self) -> Result<Option<Heard<'_>>, Error> {
+    fn hear(&mut self) -> Result<Option<HeardFrame<'_>>, Error> {
         let Some((frame, age)) = self.incoming.pop_front() else { return Ok(None) };
         self.last = frame;
         if let Some((clock, us)) = &self.stall {
             clock.set(clock.get() + us);
         }
-        Ok(Some(Heard { frame: &self.last, age }))
+        Ok(Some(HeardFrame { frame: &self.last, age }))
     }
 
     fn sent_for_certain(&self) -> Option<u64> {
