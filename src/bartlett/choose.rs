@@ -5,8 +5,8 @@ use super::cost::{ORACLE_TERM_NS, price};
 use super::explain::{Method, Precision};
 use super::key::{Key, cone_rows, ring_shape};
 use super::scene::{Geometry, Scene};
-use super::setting::Setting;
-use crate::maths::simd::Tier;
+use csi5300_kernels::setting::Setting;
+use csi5300_kernels::simd::Tier;
 
 /// A method with what it costs and what it leaves out.
 pub(crate) struct Choice {

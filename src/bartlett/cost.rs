@@ -4,11 +4,11 @@
 //! (`cargo bench --bench pareto` prints the time of every method beside each other, forced ones included); a wrong one
 //! costs time, never accuracy.
 
-use super::evaluate::Slab;
 use super::explain::{Method, Precision};
 use super::key::{Key, cone_rows, ring_shape};
-use super::setting::{Axis, Setting};
-use crate::maths::simd::Tier;
+use csi5300_kernels::evaluate::Slab;
+use csi5300_kernels::setting::{Axis, Setting};
+use csi5300_kernels::simd::Tier;
 
 /// The oracle: one term, a sine and a cosine to the last bit with the phase reduced exactly, nanoseconds.
 pub(super) const ORACLE_TERM_NS: f64 = 60.0;

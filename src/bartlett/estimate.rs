@@ -2,7 +2,7 @@
 
 use super::explain::SearchPlan;
 use super::scene::{Geometry, Shape};
-use crate::maths::simd::Tier;
+use csi5300_kernels::simd::Tier;
 
 /// What to search.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::Serialize;
 
-use crate::maths::simd::Tier;
+use csi5300_kernels::simd::Tier;
 
 /// How exact, and how.
 #[derive(Clone, Copy, Debug, PartialEq)]

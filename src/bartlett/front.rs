@@ -3,8 +3,8 @@
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 
 use super::error::Error;
-use crate::maths::simd::{V, on_tier};
 use crate::signal::samples::Samples;
+use csi5300_kernels::simd::{V, on_tier};
 
 /// Folds columns of one length, a vector of elements at a time; what the last vector lacks is `pad`.
 #[inline(always)]

@@ -6,8 +6,8 @@ use nalgebra::Vector3;
 
 use super::explain::ProfileOptions;
 use super::grid::{Grid, Layout};
-use super::rings::{azimuths_for, distinct, nodes_for};
 use super::scene::Scene;
+use csi5300_kernels::rings::{azimuths_for, distinct, nodes_for};
 
 /// Ratio of one bucket of extents, and of numbers of samples, to the next: tables are at most 5 percent too large.
 const EXTENT_STEP: f64 = 1.05;

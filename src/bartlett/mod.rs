@@ -28,32 +28,23 @@
 
 mod bessel;
 mod choose;
-mod cone;
 mod cost;
 mod crb;
 mod direct;
 mod error;
 mod estimate;
-mod evaluate;
 mod explain;
-mod fft;
 mod front;
 mod grid;
-pub(crate) mod kernel;
 mod key;
 mod maxima;
 mod newton;
-mod nufft;
 mod plan;
 mod planner;
 mod report;
-mod resample;
-mod rings;
 mod sampler;
 mod scene;
 mod search;
-mod setting;
-mod sums;
 #[cfg(test)]
 mod tests;
 

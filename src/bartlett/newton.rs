@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use fearless_simd::Level;
 use num_complex::Complex64;
 
-use super::sums::{Aim, Columns, Wanted, moments};
+use csi5300_kernels::sums::{Aim, Columns, Wanted, moments};
 
 /// The second coordinate of a search: what it means depends on the motion.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -5,16 +5,16 @@ use nalgebra::Vector3;
 use num_complex::Complex64;
 
 use super::choose::Choice;
-use super::cone::Cone;
-use super::evaluate::{Batch, Buffers, Evaluator, Places, Slab};
 use super::explain::{Explanation, Method};
-use super::fft::Ffts;
 use super::grid::{Grid, Layout, direction, ring_azimuth};
 use super::key::{Key, cone_rows, ring_shape};
-use super::nufft::Nufft;
-use super::rings::{RingWork, Rings};
-use super::setting::Setting;
-use crate::maths::simd::{Real, Tier};
+use csi5300_kernels::cone::Cone;
+use csi5300_kernels::evaluate::{Batch, Buffers, Evaluator, Places, Slab};
+use csi5300_kernels::fft::Ffts;
+use csi5300_kernels::nufft::Nufft;
+use csi5300_kernels::rings::{RingWork, Rings};
+use csi5300_kernels::setting::Setting;
+use csi5300_kernels::simd::{Real, Tier};
 
 /// A reusable plan.
 pub struct Plan {

@@ -13,14 +13,14 @@ use num_complex::Complex64;
 use super::choose::choose;
 use super::direct;
 use super::error::Error;
-use super::evaluate::Batch;
 use super::explain::{Explanation, Method, Precision, ProfileOptions};
 use super::grid::{Grid, Profile};
 use super::key::Key;
 use super::plan::{Bench, Core, Engine, Frame, Plan, unit};
 use super::scene::{Scene, ldexp};
-use crate::maths::simd::Tier;
 use crate::signal::samples::Samples;
+use csi5300_kernels::evaluate::Batch;
+use csi5300_kernels::simd::Tier;
 
 /// Plans that a planner keeps.
 const KEPT: usize = 12;

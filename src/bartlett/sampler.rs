@@ -7,11 +7,11 @@ use std::f64::consts::TAU;
 
 use num_complex::Complex;
 
-use super::fft::Ffts;
-use super::resample::{Resample, ResampleWork};
 use super::scene::Scene;
-use super::sums::{Columns, PairSum, Sines, pairs};
-use crate::maths::simd::{Real, Tier};
+use csi5300_kernels::fft::Ffts;
+use csi5300_kernels::resample::{Resample, ResampleWork};
+use csi5300_kernels::simd::{Real, Tier};
+use csi5300_kernels::sums::{Columns, PairSum, Sines, pairs};
 
 /// Largest change of any phase between neighbouring rings of elevation, radians: no more than 0.4 to the nearest.
 pub(super) const RING_STEP: f64 = 0.8;

@@ -7,9 +7,9 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
 use super::error::Error;
 use super::front::{Front, extents, scatter, weighted_scatter};
-use super::sums::Columns;
-use crate::maths::simd::Tier;
 use crate::signal::samples::Samples;
+use csi5300_kernels::simd::Tier;
+use csi5300_kernels::sums::Columns;
 
 /// Half extents below this many turns of phase are no motion (3.6 degrees of phase; 0.27 mm for a round trip at 5.5 GHz).
 const STATIC_TURNS: f64 = 0.01;

@@ -21,16 +21,16 @@ use super::crb::{Fit, Spread, deviations, independence};
 use super::error::Error;
 use super::estimate::{Estimate, SearchOptions};
 use super::explain::{ElevationSearch, Precision, SearchPlan};
-use super::fft::{good_size, near_size};
 use super::maxima::{argmax, local_maxima, vertex};
 use super::newton::{Hill, Point, Second, Top};
 use super::report::{Findings, REPORTED, mirror_start};
 use super::sampler::{RING_STEP, Ring, Sampled, Sampler, elevation_rings};
 use super::scene::{Scene, Shape};
-use super::sums::Sines;
-use crate::maths::simd::{ROUGH, Tier};
 use crate::signal::samples::Samples;
 use crate::tuning::TUNING;
+use csi5300_kernels::fft::{good_size, near_size};
+use csi5300_kernels::simd::{ROUGH, Tier};
+use csi5300_kernels::sums::Sines;
 
 /// Samples per ring, in units of the profile's degree `M`: `4 M` suffice, more leave fewer candidates. They are
 /// interpolated from `2 M + 2` evaluated ones.

@@ -11,11 +11,11 @@
 //! magnitude. It needs a channel whose slope over the subcarriers and turn-around phase have been taken out first.
 
 use crate::bartlett::Tier;
-use crate::maths::simd::on_tier;
 use crate::signal::alignment::CsiRow;
 use crate::signal::alignment::planes::{LANES, Lanes, Planes, lanes, planes_of, sum, with_neighbours};
 use crate::signal::channel::SUBCARRIERS;
 use crate::tuning::TUNING;
+use csi5300_kernels::simd::on_tier;
 use fearless_simd::Simd;
 
 /// Packets on either side that a sample is compared with.

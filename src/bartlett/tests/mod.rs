@@ -8,10 +8,10 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::scene::Scene;
-use super::sums::{Columns, Sines, pairs};
 use super::*;
-use crate::maths::simd::{ROUGH, Real, Tier};
 use crate::maths::wrap_rad;
+use csi5300_kernels::simd::{ROUGH, Real, Tier};
+use csi5300_kernels::sums::{Columns, Sines, pairs};
 
 mod guarantee;
 

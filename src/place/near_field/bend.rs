@@ -1,7 +1,7 @@
 //! The bend of a wave front by a polynomial, where half the work matters more than the last digits.
 
-use crate::bartlett::kernel::fit_polynomial;
 use crate::tuning::TUNING;
+use csi5300_kernels::kernel::fit_polynomial;
 
 /// Degree of the polynomial.
 pub(super) const DEGREE: usize = 6;

@@ -3,7 +3,7 @@
 use super::bend::BendPolynomial;
 use super::prepared::{ABREAST, PreparedAperture, Window};
 use super::types::{Place, Precision};
-use crate::maths::simd::{V, on_tier, rough_sin_cos_turns, sin_cos_turns};
+use csi5300_kernels::simd::{V, on_tier, rough_sin_cos_turns, sin_cos_turns};
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 
 /// The power of every view of every aperture for each place, 0..1, view by view: `powers[place * views + view]`.

@@ -9,9 +9,9 @@
 pub(crate) mod planes;
 
 use crate::bartlett::Tier;
-use crate::maths::simd::{V, on_tier, sin_cos_turns};
 use crate::signal::channel::SUBCARRIERS;
 use crate::tuning::TUNING;
+use csi5300_kernels::simd::{V, on_tier, sin_cos_turns};
 use fearless_simd::{Simd, SimdBase};
 use num_complex::Complex32;
 use planes::{LANES, Lanes, Planes, lanes, planes_of, settle, sum, with_neighbours};

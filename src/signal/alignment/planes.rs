@@ -1,5 +1,5 @@
 //! A row of subcarriers as two planes, real and imaginary, padded with zeros to whole vectors: plain loops over them are
-//! vector code on every tier (inside [`on_tier`](crate::maths::simd::on_tier)).
+//! vector code on every tier (inside [`on_tier`](csi5300_kernels::simd::on_tier)).
 
 use super::CsiRow;
 use crate::signal::channel::SUBCARRIERS;

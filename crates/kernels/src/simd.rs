@@ -1,6 +1,12 @@
 //! SIMD tiers, the two precisions, and the sine and cosine of an angle in turns.
 
+use crate::evaluate::{Batch, Buffers, Evaluator};
+use crate::rings::{RingWork, Rings};
+use crate::sums::{Columns, PairSum, Sines};
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, SimdFloatElement};
+use num_complex::Complex;
+
+pub use fearless_simd;
 
 /// An instruction set that the kernels are compiled for; chosen at run time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, serde::Serialize)]
@@ -34,7 +40,7 @@ impl Tier {
     }
 
     /// The dispatch level, or none where this machine lacks the instructions.
-    pub(crate) fn level(self) -> Option<Level> {
+    pub fn level(self) -> Option<Level> {
         let level = Level::new();
         match self {
             Self::Portable => Some(Level::fallback()),
@@ -54,37 +60,38 @@ impl Tier {
     }
 
     /// The dispatch level, the portable one where this machine lacks the instructions.
-    pub(crate) fn level_or_portable(self) -> Level {
+    pub fn level_or_portable(self) -> Level {
         self.level().unwrap_or_else(Level::fallback)
     }
 }
 
 /// Runs `$op` compiled for the tier of `$level`; `fearless_simd::dispatch!` without the tiers that [`Tier`] lacks.
+#[macro_export]
 macro_rules! on_tier {
     ($level:expr, $simd:ident => $op:expr) => {{
         #[cfg(target_arch = "x86_64")]
         {
-            use fearless_simd::{Level, Simd};
+            use $crate::simd::fearless_simd::{Level, Simd};
             match $level {
                 Level::Avx512($simd) => $simd.vectorize(#[inline(always)] || $op),
                 Level::Avx2($simd) => $simd.vectorize(#[inline(always)] || $op),
                 Level::Sse4_2($simd) => $simd.vectorize(#[inline(always)] || $op),
                 _ => {
-                    let $simd = fearless_simd::Fallback::new();
+                    let $simd = $crate::simd::fearless_simd::Fallback::new();
                     $simd.vectorize(#[inline(always)] || $op)
                 }
             }
         }
         #[cfg(not(target_arch = "x86_64"))]
         {
-            fearless_simd::dispatch!($level, $simd => $op)
+            $crate::simd::fearless_simd::dispatch!($level, $simd => $op)
         }
     }};
 }
-pub(crate) use on_tier;
+pub use crate::on_tier;
 
-/// The two precisions of the kernels.
-pub(crate) trait Real: SimdFloatElement + Into<f64> + rustfft::FftNum + bytemuck::Pod {
+/// The two precisions of the kernels, and the entries to what is generic over them: compiled here for both.
+pub trait Real: SimdFloatElement + Into<f64> + rustfft::FftNum + bytemuck::Pod {
     /// Rounds from double.
     fn of(x: f64) -> Self;
     /// Coefficients of `sqrt 2 sin(pi r) / r` in `r^2`, for `|r| <= 1/2`.
@@ -93,11 +100,48 @@ pub(crate) trait Real: SimdFloatElement + Into<f64> + rustfft::FftNum + bytemuck
     const COS: &'static [Self];
     /// [`Real::SIN`] and [`Real::COS`] for [`ROUGH`]; the same ones in double.
     const ROUGH_SIN: &'static [Self] = Self::SIN;
+    /// [`Real::COS`] for [`ROUGH`].
     const ROUGH_COS: &'static [Self] = Self::COS;
+
+    /// [`crate::sums::pairs`].
+    fn pairs(level: Level, samples: Columns<'_, Self>, directions: &[[Self; 3]], sines: Sines) -> Vec<PairSum>;
+    /// [`Evaluator::run`].
+    fn run(evaluator: &Evaluator<Self>, batch: &Batch, buffers: &mut Buffers<Self>);
+    /// [`Rings::powers`].
+    fn powers(rings: &Rings<Self>, values: &[Complex<Self>], scale: f64, work: &mut RingWork<Self>, out: &mut [f64]);
+    /// [`Rings::values`].
+    fn values(rings: &Rings<Self>, values: &[Complex<Self>], work: &mut RingWork<Self>, out: &mut [Complex<Self>]);
+}
+
+/// The entries of [`Real`], for one precision.
+macro_rules! entries {
+    () => {
+        fn pairs(level: Level, samples: Columns<'_, Self>, directions: &[[Self; 3]], sines: Sines) -> Vec<PairSum> {
+            crate::sums::pairs_of(level, samples, directions, sines)
+        }
+
+        fn run(evaluator: &Evaluator<Self>, batch: &Batch, buffers: &mut Buffers<Self>) {
+            evaluator.run_of(batch, buffers);
+        }
+
+        fn powers(
+            rings: &Rings<Self>,
+            values: &[Complex<Self>],
+            scale: f64,
+            work: &mut RingWork<Self>,
+            out: &mut [f64],
+        ) {
+            rings.powers_of(values, scale, work, out);
+        }
+
+        fn values(rings: &Rings<Self>, values: &[Complex<Self>], work: &mut RingWork<Self>, out: &mut [Complex<Self>]) {
+            rings.values_of(values, work, out);
+        }
+    };
 }
 
 /// Largest error of [`rough_sin_cos_turns`] in single precision (measured: 1.29e-3).
-pub(crate) const ROUGH: f64 = 1.3e-3;
+pub const ROUGH: f64 = 1.3e-3;
 
 // Near-minimax coefficients (Chebyshev fit in r^2 over [0, 1/4], 40 digits); errors 2e-8 and 7e-8 in single (rough:
 // 3.9e-4 and 8.5e-4), 9e-19 and 5.6e-18 in double.
@@ -110,6 +154,7 @@ impl Real for f32 {
     const COS: &'static [Self] = &[1.41421349594, -6.97885090878, 5.73945958198, -1.88355282147, 0.310677862835];
     const ROUGH_SIN: &'static [Self] = &[4.44248986911, -7.27989367869, 3.30064540401];
     const ROUGH_COS: &'static [Self] = &[1.41335061281, -6.91657587107, 5.06589404007];
+    entries!();
 }
 
 #[allow(clippy::excessive_precision, clippy::approx_constant)]
@@ -139,10 +184,11 @@ impl Real for f64 {
         -0.0001478794379711949596,
         5.868370187285554516e-6,
     ];
+    entries!();
 }
 
 /// A native-width vector of `T`.
-pub(crate) type V<S, T> = <T as SimdFloatElement>::Native<S>;
+pub type V<S, T> = <T as SimdFloatElement>::Native<S>;
 
 #[inline(always)]
 fn polynomial<S: Simd, T: Real>(simd: S, t: V<S, T>, coefficients: &[T]) -> V<S, T> {
@@ -158,13 +204,13 @@ fn polynomial<S: Simd, T: Real>(simd: S, t: V<S, T>, coefficients: &[T]) -> V<S,
 /// Reduced to half a turn around 0 and halved: `sin 2a = 2 sin a cos a`, `cos 2a = 1 - 2 sin^2 a`, the root of the 2 in
 /// either factor. No branches, no integer operations, the same code in both precisions and at every width.
 #[inline(always)]
-pub(crate) fn sin_cos_turns<S: Simd, T: Real>(simd: S, turns: V<S, T>) -> (V<S, T>, V<S, T>) {
+pub fn sin_cos_turns<S: Simd, T: Real>(simd: S, turns: V<S, T>) -> (V<S, T>, V<S, T>) {
     sin_cos_by::<S, T>(simd, turns, T::SIN, T::COS)
 }
 
 /// As [`sin_cos_turns`], absolute error at most [`ROUGH`] in single precision, for four operations less.
 #[inline(always)]
-pub(crate) fn rough_sin_cos_turns<S: Simd, T: Real>(simd: S, turns: V<S, T>) -> (V<S, T>, V<S, T>) {
+pub fn rough_sin_cos_turns<S: Simd, T: Real>(simd: S, turns: V<S, T>) -> (V<S, T>, V<S, T>) {
     sin_cos_by::<S, T>(simd, turns, T::ROUGH_SIN, T::ROUGH_COS)
 }
 

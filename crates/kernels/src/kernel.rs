@@ -1,4 +1,5 @@
-//! The Kaiser-Bessel kernel of the NUFFT [beatty2005], as piecewise polynomials [finufft2019]: values, transform, piecewise polynomials, and what it loses.
+//! The Kaiser-Bessel kernel of the NUFFT [beatty2005]: values, transform, piecewise polynomials [finufft2019], and what
+//! it loses.
 
 use std::f64::consts::PI;
 
@@ -6,7 +7,8 @@ use std::f64::consts::PI;
 ///
 /// `phi(x) = I0(beta sqrt(1 - (2 x / w)^2)) / I0(beta)` for `|x| <= w / 2`, x in cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Kernel {
+pub struct Kernel {
+    /// Cells that it covers.
     pub width: usize,
     /// Oversampling that `beta` is meant for.
     pub oversampling: f64,
@@ -64,7 +66,6 @@ impl Kernel {
 
     /// Largest error that spreading with this kernel makes, relative to the size of a sample, for frequencies up to
     /// `1 / (2 oversampling)` cycles per cell: measured here over offsets and frequencies, not estimated.
-    #[cfg(test)]
     pub fn loss(&self) -> f64 {
         let mut worst = 0f64;
         for step in 0..=16 {
@@ -88,7 +89,7 @@ impl Kernel {
 
 /// The polynomial through `f` at Chebyshev nodes of [-1/2, 1/2]: its coefficients, highest degree first, from expanding
 /// Chebyshev polynomials into powers.
-pub(crate) fn fit_polynomial(degree: usize, f: impl Fn(f64) -> f64) -> Vec<f64> {
+pub fn fit_polynomial(degree: usize, f: impl Fn(f64) -> f64) -> Vec<f64> {
     let n = degree + 1;
     let angle = |k: usize| (k as f64 + 0.5) * PI / n as f64;
     let values: Vec<f64> = (0..n).map(|k| f(0.5 * angle(k).cos())).collect();
@@ -117,50 +118,4 @@ pub(crate) fn fit_polynomial(degree: usize, f: impl Fn(f64) -> f64) -> Vec<f64> 
 fn i0_scaled(x: f64) -> f64 {
     let n = 48 + (4.0 * x.sqrt()) as usize;
     (0..n).map(|k| (x * (((k as f64 + 0.5) * PI / n as f64).cos() - 1.0)).exp()).sum::<f64>() / n as f64
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_transform_is_the_integral_of_the_value() {
-        for (width, oversampling) in [(4, 1.5), (8, 2.0), (16, 1.5)] {
-            let kernel = Kernel::new(width, oversampling);
-            for xi in [0.0, 0.1, 0.33] {
-                let n = 20_000;
-                let h = width as f64 / f64::from(n);
-                let sum: f64 = (0..n)
-                    .map(|i| {
-                        let x = (f64::from(i) + 0.5) * h - width as f64 / 2.0;
-                        kernel.value(x) * (2.0 * PI * xi * x).cos() * h
-                    })
-                    .sum();
-                assert!((sum - kernel.transform(xi)).abs() < 1e-7, "{width} {xi}");
-            }
-        }
-    }
-
-    #[test]
-    fn polynomials_follow_the_kernel() {
-        for (width, degree, tolerance) in [(4, 9, 2e-7), (8, 12, 2e-8), (12, 17, 1e-12), (16, 20, 3e-14)] {
-            let kernel = Kernel::new(width, 1.5);
-            let powers = kernel.polynomials(degree);
-            for step in 0..=10 {
-                let s = f64::from(step) / 10.0 - 0.5;
-                for j in 0..width {
-                    let value = powers.iter().fold(0.0, |v, row| v * s + row[j]);
-                    let exact = kernel.value(s + (width as f64 - 1.0) / 2.0 - j as f64);
-                    assert!((value - exact).abs() < tolerance, "w {width} s {s} j {j}: {value} {exact}");
-                }
-            }
-        }
-    }
-
-    #[test]
-    fn losses_fall_with_width_and_oversampling() {
-        for (width, oversampling, loss) in [(4, 2.0, 1.1e-3), (8, 1.5, 3.7e-6), (8, 2.0, 1.9e-7), (16, 2.0, 2e-14)] {
-            assert!(Kernel::new(width, oversampling).loss() < loss, "{width} {oversampling}");
-        }
-    }
 }

@@ -5,11 +5,11 @@ use std::sync::Arc;
 use num_complex::Complex;
 use rustfft::Fft;
 
-use super::fft::{Ffts, near_size};
-use crate::maths::simd::Real;
+use crate::fft::{Ffts, near_size};
+use crate::simd::Real;
 
 /// Takes `d` values around a circle to `n`.
-pub(crate) struct Resample<T: Real> {
+pub struct Resample<T: Real> {
     d: usize,
     n: usize,
     forward: Arc<dyn Fft<T>>,
@@ -18,7 +18,7 @@ pub(crate) struct Resample<T: Real> {
 
 /// Buffers, reused.
 #[derive(Clone, Default)]
-pub(crate) struct ResampleWork<T> {
+pub struct ResampleWork<T> {
     spectra: Vec<Complex<T>>,
     scratch: Vec<Complex<T>>,
     /// `[ring][n]`.
@@ -27,12 +27,13 @@ pub(crate) struct ResampleWork<T> {
 
 /// How many azimuths to evaluate for a grid of `n` (a multiple of 4) and modes up to `order`: a multiple of 4 that
 /// FFTs like, or `n` where little would be saved.
-pub(crate) fn azimuths_for(n: usize, order: usize) -> usize {
+pub fn azimuths_for(n: usize, order: usize) -> usize {
     let d = near_size(2 * order.min(n) + 2, 4);
     if 20 * d > 17 * n { n } else { d }
 }
 
 impl<T: Real> Resample<T> {
+    /// From `d` azimuths to `n` on every ring.
     pub fn new(d: usize, n: usize, ffts: &mut Ffts<T>) -> Self {
         Self { d, n, forward: ffts.forward(d), inverse: ffts.inverse(n) }
     }

@@ -3,7 +3,7 @@
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 use num_complex::Complex64;
 
-use crate::maths::simd::{Real, V, on_tier, rough_sin_cos_turns, sin_cos_turns};
+use crate::simd::{Real, V, on_tier, rough_sin_cos_turns, sin_cos_turns};
 
 /// Samples per block: single-precision sums are carried over to double after each, so that their error does not grow
 /// with the number of samples (measured: 4e-9 at 1e7 samples with a flush each 4,096).
@@ -13,18 +13,22 @@ const WIDE: usize = 2;
 
 /// Samples (positions in turns, weighted values) in one precision.
 #[derive(Clone, Copy)]
-pub(crate) struct Columns<'a, T> {
+pub struct Columns<'a, T> {
+    /// Along the first axis from the middle, turns.
     pub x: &'a [T],
+    /// Along the second axis, turns.
     pub y: &'a [T],
-    /// Empty if every height is zero.
+    /// Along the third axis, turns; empty if every height is zero.
     pub z: &'a [T],
+    /// Real parts.
     pub re: &'a [T],
+    /// Imaginary parts.
     pub im: &'a [T],
 }
 
 /// The four partial sums of a direction `u` and its antipode `-u`.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct PairSum {
+pub struct PairSum {
     re_cos: f64,
     im_sin: f64,
     im_cos: f64,
@@ -45,15 +49,20 @@ impl PairSum {
 
 /// How exact sines are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Sines {
+pub enum Sines {
     /// To the last place.
     Fine,
-    /// To [`crate::maths::simd::ROUGH`] in single precision: for a search, whose answer does not come from these sums.
+    /// To [`crate::simd::ROUGH`] in single precision: for a search, whose answer does not come from these sums.
     Rough,
 }
 
 /// `f(u)` and `f(-u)` for each direction; one sine and cosine for both.
-pub(crate) fn pairs<T: Real>(
+#[must_use]
+pub fn pairs<T: Real>(level: Level, samples: Columns<'_, T>, directions: &[[T; 3]], sines: Sines) -> Vec<PairSum> {
+    T::pairs(level, samples, directions, sines)
+}
+
+pub(crate) fn pairs_of<T: Real>(
     level: Level,
     samples: Columns<'_, T>,
     directions: &[[T; 3]],
@@ -157,31 +166,45 @@ fn block<S: Simd, T: Real, const TALL: bool, const ROUGH: bool, const N: usize>(
 /// `h` is the position along the horizontal direction `(cos a, sin a)`, `v` along `(-sin a, cos a)`, `z` upwards,
 /// in turns.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Moments {
+pub struct Moments {
+    /// `sum w`.
     pub one: Complex64,
+    /// `sum h w`.
     pub h: Complex64,
+    /// `sum v w`.
     pub v: Complex64,
+    /// `sum h h w`.
     pub hh: Complex64,
+    /// `sum h v w`.
     pub hv: Complex64,
+    /// `sum v v w`.
     pub vv: Complex64,
+    /// `sum z w`.
     pub z: Complex64,
+    /// `sum h z w`.
     pub hz: Complex64,
+    /// `sum v z w`.
     pub vz: Complex64,
+    /// `sum z z w`.
     pub zz: Complex64,
 }
 
 /// A direction as the moments need it: `u = (s cos a, s sin a, height)`.
 #[derive(Clone, Copy)]
-pub(crate) struct Aim {
+pub struct Aim {
+    /// `cos a` of the azimuth.
     pub cos: f64,
+    /// `sin a` of the azimuth.
     pub sin: f64,
+    /// Cosine of the elevation.
     pub s: f64,
+    /// Sine of the elevation.
     pub height: f64,
 }
 
 /// Which derivatives are wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Wanted {
+pub enum Wanted {
     /// By azimuth alone: the moments one, h, v and vv.
     Azimuth,
     /// By azimuth and the second coordinate: all moments up to second order.
@@ -189,7 +212,7 @@ pub(crate) enum Wanted {
 }
 
 /// The moments of the samples, in double.
-pub(crate) fn moments(level: Level, samples: Columns<'_, f64>, aim: Aim, wanted: Wanted) -> Moments {
+pub fn moments(level: Level, samples: Columns<'_, f64>, aim: Aim, wanted: Wanted) -> Moments {
     let mut sums = [0.0; 20];
     match (samples.z.is_empty(), wanted) {
         (true, Wanted::Both) => on_tier!(level, simd => moments_simd::<_, false, true>(simd, samples, aim, &mut sums)),

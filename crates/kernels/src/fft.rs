@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use rustfft::{Fft, FftNum, FftPlanner, FftPlannerScalar};
 
-use crate::maths::simd::Tier;
+use crate::simd::Tier;
 
 /// The planner of one tier, with its cache.
-pub(crate) struct Ffts<T: FftNum> {
+pub struct Ffts<T: FftNum> {
     tier: Tier,
     planner: Planner<T>,
 }
@@ -33,10 +33,12 @@ impl<T: FftNum> Ffts<T> {
         Self { tier, planner }
     }
 
+    /// The tier that plans are made for.
     pub fn tier(&self) -> Tier {
         self.tier
     }
 
+    /// The forward transform of `length` points, planned once.
     pub fn forward(&mut self, length: usize) -> Arc<dyn Fft<T>> {
         match &mut self.planner {
             Planner::Detected(planner) => planner.plan_fft_forward(length),
@@ -46,6 +48,7 @@ impl<T: FftNum> Ffts<T> {
         }
     }
 
+    /// The inverse transform of `length` points, planned once.
     pub fn inverse(&mut self, length: usize) -> Arc<dyn Fft<T>> {
         match &mut self.planner {
             Planner::Detected(planner) => planner.plan_fft_inverse(length),
@@ -57,14 +60,14 @@ impl<T: FftNum> Ffts<T> {
 }
 
 /// The least even `2^a 3^b 5^c >= n`: lengths that FFTs like.
-pub(crate) fn good_size(n: usize) -> usize {
+pub fn good_size(n: usize) -> usize {
     let even = n.max(2).next_multiple_of(2);
     (even..).step_by(2).find(|m| is_smooth(*m, &[2, 3, 5])).unwrap_or(even)
 }
 
 /// The least multiple of `step` from `n` on without a prime above 11: for short FFTs beside which each value costs a sum
 /// over all samples.
-pub(crate) fn near_size(n: usize, step: usize) -> usize {
+pub fn near_size(n: usize, step: usize) -> usize {
     let least = n.max(step).next_multiple_of(step);
     (least..).step_by(step).find(|m| is_smooth(*m, &[2, 3, 5, 7, 11])).unwrap_or(least)
 }

@@ -1,4 +1,5 @@
-//! A two-dimensional NUFFT from samples anywhere to directions anywhere ("type 3"), for motion in a plane [dutt-rokhlin1993] [finufft2019].
+//! A two-dimensional NUFFT from samples anywhere to directions anywhere ("type 3"), for motion in a plane [dutt-rokhlin1993]
+//! [finufft2019].
 //!
 //! Samples are spread onto a grid of positions, the grid is transformed to a grid of direction cosines, and the wanted
 //! directions are interpolated from that: two kernels, each undone where it acts (the first divides the results, the
@@ -11,19 +12,22 @@ use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 use num_complex::Complex;
 use rustfft::Fft;
 
-use super::fft::Ffts;
-use super::kernel::Kernel;
-use super::setting::{Axis, Setting, locate};
-use crate::maths::simd::{Real, Tier, V, on_tier};
+use crate::fft::Ffts;
+use crate::kernel::Kernel;
+use crate::setting::{Axis, Setting, locate};
+use crate::simd::{Real, Tier, V, on_tier};
 
 /// Samples between two carries of single-precision cells to double: keeps the error of a cell below 1e-6 of what fell
 /// into it, however long the robot stands still.
-pub(crate) const CARRY: usize = 4_096;
+pub const CARRY: usize = 4_096;
 
 /// A planned transform for samples within a box.
-pub(crate) struct Nufft<T: Real> {
+pub struct Nufft<T: Real> {
+    /// Window and oversampling.
     pub setting: Setting,
+    /// First axis.
     pub x: Axis,
+    /// Second axis.
     pub y: Axis,
     level: Level,
     kernel: Kernel,
@@ -42,15 +46,15 @@ pub(crate) struct Nufft<T: Real> {
 
 /// Buffers of a transform, reused from call to call.
 #[derive(Clone, Default)]
-pub(crate) struct Work<T> {
+pub struct Work<T> {
     rows: Vec<Complex<T>>,
-    pub plane: Vec<Complex<T>>,
+    pub(crate) plane: Vec<Complex<T>>,
     scratch: Vec<Complex<T>>,
 }
 
 /// Directions as the interpolation needs them.
 #[derive(Clone, Default)]
-pub(crate) struct Targets<T> {
+pub struct Targets<T> {
     /// First row and column of each; of each quadruple: (row, mirrored row, column, mirrored column).
     cells: Vec<[u32; 4]>,
     /// Per entry `width` row weights (with the first kernel's correction), `2 width` doubled column weights and, for
@@ -60,6 +64,7 @@ pub(crate) struct Targets<T> {
 }
 
 impl<T> Targets<T> {
+    /// Bytes kept.
     pub fn bytes(&self) -> usize {
         self.cells.len() * 16 + self.weights.len() * size_of::<T>()
     }

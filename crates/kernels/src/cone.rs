@@ -10,17 +10,18 @@ use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 use num_complex::Complex;
 use rustfft::Fft;
 
-use super::evaluate::{Batch, Buffers, carry, narrow};
-use super::fft::Ffts;
-use super::kernel::Kernel;
-use super::nufft::CARRY;
-use super::setting::{Axis, Setting, locate};
-use crate::maths::simd::{Real, Tier, V, on_tier};
+use crate::evaluate::{Batch, Buffers, carry, narrow};
+use crate::fft::Ffts;
+use crate::kernel::Kernel;
+use crate::nufft::CARRY;
+use crate::setting::{Axis, Setting, locate};
+use crate::simd::{Real, Tier, V, on_tier};
 
 /// A planned transform for samples within an extent along a line, and for cosines.
-pub(crate) struct Cone<T: Real> {
+pub struct Cone<T: Real> {
     level: Level,
     setting: Setting,
+    /// Positions along the line.
     pub axis: Axis,
     /// Weights of a sample or target: the kernel's width, padded with zeros so that vectors of any width fit.
     stride: usize,
@@ -90,6 +91,8 @@ impl<T: Real> Cone<T> {
     }
 
     /// Number of targets.
+    #[must_use]
+    #[allow(clippy::len_without_is_empty)]
     pub fn len(&self) -> usize {
         self.first.len()
     }

@@ -12,16 +12,16 @@ use std::f64::consts::FRAC_PI_2;
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat};
 use num_complex::Complex;
 
-use super::fft::Ffts;
-pub(crate) use super::resample::azimuths_for;
-use super::resample::{Resample, ResampleWork};
-use crate::maths::simd::{Real, V, on_tier};
+use crate::fft::Ffts;
+pub use crate::resample::azimuths_for;
+use crate::resample::{Resample, ResampleWork};
+use crate::simd::{Real, V, on_tier};
 
 /// Half rings are padded to a multiple of this many values, so that vectors of any width fit.
 const PAD: usize = 16;
 
 /// Which elevations a ring grid is evaluated at, and which rows come of it.
-pub(crate) struct Rings<T: Real> {
+pub struct Rings<T: Real> {
     level: Level,
     /// Evaluated azimuths per ring, from -pi.
     pub d: usize,
@@ -29,6 +29,7 @@ pub(crate) struct Rings<T: Real> {
     n: usize,
     /// Elevations (at least 0) that are evaluated; with `tall` also their negatives.
     pub nodes: Vec<f64>,
+    /// Whether motion has heights: rings below the horizon differ from those above.
     pub tall: bool,
     resample: Option<Resample<T>>,
     /// Rows that are nodes, with their node.
@@ -50,7 +51,7 @@ struct Row {
 
 /// Buffers, reused.
 #[derive(Clone, Default)]
-pub(crate) struct RingWork<T> {
+pub struct RingWork<T> {
     resample: ResampleWork<T>,
     /// Finished rows: re here, re opposite, im here, im opposite; above, then (tall) below.
     line: Vec<T>,
@@ -59,7 +60,7 @@ pub(crate) struct RingWork<T> {
 }
 
 /// Evaluated elevations a side for `rows` different ones and modes up to `order`: few, and with many rows among them.
-pub(crate) fn nodes_for(elevations: &[f64], order: usize) -> Vec<f64> {
+pub fn nodes_for(elevations: &[f64], order: usize) -> Vec<f64> {
     let least = (order + 2) / 2;
     if least + 1 >= elevations.len() {
         return elevations.to_vec();
@@ -73,7 +74,7 @@ pub(crate) fn nodes_for(elevations: &[f64], order: usize) -> Vec<f64> {
 }
 
 /// The different |elevations| of a list, rising.
-pub(crate) fn distinct(elevations: &[f64]) -> Vec<f64> {
+pub fn distinct(elevations: &[f64]) -> Vec<f64> {
     rows_of(elevations).into_iter().map(|r| r.elevation).collect()
 }
 
@@ -106,6 +107,10 @@ impl<T: Real> Rings<T> {
 
     /// Fills `out` (the grid, row by row) with `|f|^2 * scale` from the rings: `[node][above, (tall) below][d]`.
     pub fn powers(&self, rings: &[Complex<T>], scale: f64, work: &mut RingWork<T>, out: &mut [f64]) {
+        T::powers(self, rings, scale, work, out);
+    }
+
+    pub(crate) fn powers_of(&self, rings: &[Complex<T>], scale: f64, work: &mut RingWork<T>, out: &mut [f64]) {
         let (n, half) = (self.n, self.n / 2);
         self.resample(rings, work);
         on_tier!(self.level, simd => self.run(simd, rings, work, #[inline(always)] |rows: &[usize], line: &[T]| {
@@ -127,8 +132,11 @@ impl<T: Real> Rings<T> {
     }
 
     /// Fills `out` with `f` itself.
-    #[cfg(test)]
     pub fn values(&self, rings: &[Complex<T>], work: &mut RingWork<T>, out: &mut [Complex<T>]) {
+        T::values(self, rings, work, out);
+    }
+
+    pub(crate) fn values_of(&self, rings: &[Complex<T>], work: &mut RingWork<T>, out: &mut [Complex<T>]) {
         let (n, half) = (self.n, self.n / 2);
         self.resample(rings, work);
         on_tier!(self.level, simd => self.run(simd, rings, work, #[inline(always)] |rows: &[usize], line: &[T]| {

@@ -5,52 +5,85 @@ use std::f64::consts::{PI, TAU};
 use fearless_simd::Level;
 use num_complex::Complex;
 
-use super::cone::Cone;
-use super::kernel::Kernel;
-use super::nufft::{CARRY, Nufft, Targets, Work};
-use super::setting::{Axis, Setting};
-use super::sums::{Columns, Sines, pairs};
-use crate::maths::simd::Real;
+use crate::cone::Cone;
+use crate::kernel::Kernel;
+use crate::nufft::{CARRY, Nufft, Targets, Work};
+use crate::setting::{Axis, Setting};
+use crate::simd::Real;
+use crate::sums::{Columns, Sines, pairs};
 
 /// Samples as an evaluation takes them: positions in turns about the middle, in the axes of the plan.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Batch {
+pub struct Batch {
+    /// Along the first axis, turns.
     pub x: Vec<f64>,
+    /// Along the second axis, turns.
     pub y: Vec<f64>,
+    /// Along the third axis, turns; empty for a plane.
     pub z: Vec<f64>,
+    /// Real parts of the weighted samples.
     pub re: Vec<f64>,
+    /// Imaginary parts.
     pub im: Vec<f64>,
 }
 
 /// Where values are wanted.
-pub(crate) enum Places {
+pub enum Places {
     /// `d` azimuths from -pi on rings at elevations (at least 0); `tall`: and at their negatives.
-    Rings { d: usize, nodes: Vec<f64>, tall: bool },
+    Rings {
+        /// Azimuths of a ring.
+        d: usize,
+        /// Elevations, radians, at least 0.
+        nodes: Vec<f64>,
+        /// Also at the negatives of the elevations.
+        tall: bool,
+    },
     /// Unit vectors in the axes of the plan.
     List(Vec<[f64; 3]>),
 }
 
 /// A planned evaluation.
-pub(crate) enum Evaluator<T: Real> {
-    Direct { level: Level, directions: Vec<[T; 3]>, places: Places },
-    Planar { nufft: Nufft<T>, targets: Targets<T>, places: Places },
+pub enum Evaluator<T: Real> {
+    /// Direct sums.
+    Direct {
+        /// What they run on.
+        level: Level,
+        /// Unit vectors.
+        directions: Vec<[T; 3]>,
+        /// The places that these are.
+        places: Places,
+    },
+    /// A non-uniform transform in the plane of motion.
+    Planar {
+        /// The transform.
+        nufft: Nufft<T>,
+        /// Where it is read.
+        targets: Targets<T>,
+        /// The places that these are.
+        places: Places,
+    },
+    /// One planar transform for each of some heights, joined by interpolation.
     Slab(Slab<T>),
+    /// Motion along a line: a transform in one dimension.
     Cone(Cone<T>),
 }
 
 /// Buffers of an evaluation.
 #[derive(Clone, Default)]
-pub(crate) struct Buffers<T> {
-    pub cells: Vec<Complex<T>>,
+pub struct Buffers<T> {
+    pub(crate) cells: Vec<Complex<T>>,
     carried: Vec<Complex<f64>>,
-    pub work: Work<T>,
+    pub(crate) work: Work<T>,
     found: Vec<Complex<T>>,
-    pub column: [Vec<T>; 5],
+    pub(crate) column: [Vec<T>; 5],
     /// The values: `[node][above, (tall) below][d]`, or one per listed direction.
     pub values: Vec<Complex<T>>,
 }
 
 impl Places {
+    /// Number of places.
+    #[must_use]
+    #[allow(clippy::len_without_is_empty)]
     pub fn len(&self) -> usize {
         match self {
             Self::Rings { d, nodes, tall } => d * nodes.len() * if *tall { 2 } else { 1 },
@@ -119,10 +152,12 @@ fn quarter_places(q: usize, d: usize) -> [usize; 4] {
 }
 
 impl<T: Real> Evaluator<T> {
+    /// Direct sums at every place.
     pub fn direct(level: Level, places: Places) -> Self {
         Self::Direct { level, directions: places.direct(), places }
     }
 
+    /// A transform in the plane of motion.
     pub fn planar(nufft: Nufft<T>, places: Places) -> Self {
         let targets = places.targets(&nufft, 1.0);
         Self::Planar { nufft, targets, places }
@@ -140,6 +175,10 @@ impl<T: Real> Evaluator<T> {
 
     /// Computes `buffers.values`.
     pub fn run(&self, batch: &Batch, buffers: &mut Buffers<T>) {
+        T::run(self, batch, buffers);
+    }
+
+    pub(crate) fn run_of(&self, batch: &Batch, buffers: &mut Buffers<T>) {
         match self {
             Self::Direct { level, directions, places } => direct(*level, directions, places, batch, buffers),
             Self::Planar { nufft, .. } => {
@@ -220,7 +259,7 @@ fn spread_all<T: Real>(nufft: &Nufft<T>, batch: &Batch, buffers: &mut Buffers<T>
 }
 
 /// Moves what is in `cells` to the double-precision `carried`.
-pub(crate) fn carry<T: Real>(cells: &mut [Complex<T>], carried: &mut [Complex<f64>]) {
+pub fn carry<T: Real>(cells: &mut [Complex<T>], carried: &mut [Complex<f64>]) {
     for (cell, sum) in cells.iter_mut().zip(carried) {
         *sum += Complex::new(cell.re.into(), cell.im.into());
         *cell = Complex::new(T::of(0.0), T::of(0.0));
@@ -228,7 +267,7 @@ pub(crate) fn carry<T: Real>(cells: &mut [Complex<T>], carried: &mut [Complex<f6
 }
 
 /// Rounds `carried` into `cells`.
-pub(crate) fn narrow<T: Real>(carried: &[Complex<f64>], cells: &mut [Complex<T>]) {
+pub fn narrow<T: Real>(carried: &[Complex<f64>], cells: &mut [Complex<T>]) {
     for (cell, sum) in cells.iter_mut().zip(carried) {
         *cell = Complex::new(T::of(sum.re), T::of(sum.im));
     }
@@ -236,7 +275,7 @@ pub(crate) fn narrow<T: Real>(carried: &[Complex<f64>], cells: &mut [Complex<T>]
 
 /// Motion in three dimensions (or nearly in a plane): the same kernel in z onto a few planes, each a planar
 /// transform; along z there is no FFT, each ring of one elevation sums its planes with one phase each.
-pub(crate) struct Slab<T: Real> {
+pub struct Slab<T: Real> {
     nufft: Nufft<T>,
     kernel: Kernel,
     z: Axis,

@@ -2,10 +2,12 @@
 
 /// Kernel width and oversampling, and the error they cause, relative to `sum |z|`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Setting {
+pub struct Setting {
+    /// Cells that the window covers.
     pub width: usize,
+    /// Cells per band limit.
     pub oversampling: f64,
-    /// Both kernels in both dimensions, measured ([`super::kernel::Kernel::loss`]).
+    /// Both kernels in both dimensions, measured ([`crate::kernel::Kernel::loss`]).
     pub loss: f64,
 }
 
@@ -38,7 +40,7 @@ impl Setting {
 
 /// One dimension of the transform.
 #[derive(Clone, Debug)]
-pub(crate) struct Axis {
+pub struct Axis {
     /// Grid cells per turn of position.
     pub per_turn: f64,
     /// Cells on either side of the middle that samples reach.
@@ -56,7 +58,7 @@ impl Axis {
         // The second kernel's band, and room for it beyond the largest direction cosine.
         let band = (2.0 * sigma * half as f64).ceil() as usize;
         let room = ((setting.width + 3) as f64 / (1.0 - 1.0 / sigma)).ceil() as usize;
-        Self { per_turn, half, n: super::fft::good_size(band.max(room)) }
+        Self { per_turn, half, n: crate::fft::good_size(band.max(room)) }
     }
 
     /// Cells that samples reach.
@@ -71,7 +73,7 @@ impl Axis {
 }
 
 /// First cell that position `x` (cells) touches, and the offset for the polynomials.
-pub(crate) fn locate(x: f64, width: usize) -> (isize, f64) {
+pub fn locate(x: f64, width: usize) -> (isize, f64) {
     let middle = (width as f64 - 1.0) / 2.0;
     let first = (x - middle).round_ties_even();
     (first as isize, x - first - middle)
