@@ -62,17 +62,17 @@ tuning! {
         /// Exponent of the phase at the channel centre, which only chooses between peaks.
         centre_weight: f64 = 1.0 / 3.0, "chosen on real captures and rooms (docs/accuracy.md)", "not measured; as the round trip's only view worse in line of sight";
         /// Windows of the phase at the channel centre.
-        centre_windows: usize = 3, "chosen on real captures (docs/accuracy.md)", "1: LOS 1.34 / 0.79 instead of 1.00 / 0.70 degrees, views of then";
+        centre_windows: usize = 3, "chosen on real captures (docs/accuracy.md)", "1: LOS 1.34 / 0.79 degrees, with the views of then (docs/accuracy.md)";
         /// Exponent of each of the three views of the one-way channel.
         one_way_weight: f64 = 2.0 / 9.0, "two thirds in all, by three", "not measured";
         /// Windows of the one-way channel on all subcarriers.
-        one_way_windows: usize = 3, "exploration of 637 links", "all numbers of windows together at 2/3, 1.6 and 2 times: no gain (docs/accuracy.md)";
+        one_way_windows: usize = 3, "not recorded", "all numbers of windows together at 2/3, 1.6 and 2 times: no gain (docs/accuracy.md)";
         /// Blocks of the one-way channel on all subcarriers.
         one_way_blocks: usize = 8, "exploration of 637 links", "as one_way_windows";
         /// Windows of the one-way channel next to the channel centre.
-        inner_windows: usize = 6, "exploration of 637 links", "as one_way_windows";
+        inner_windows: usize = 6, "not recorded", "as one_way_windows";
         /// Subcarriers next to the channel centre, whose sign the sampling time cannot turn.
-        inner_subcarriers: usize = 6, "exploration of 637 links", "not measured";
+        inner_subcarriers: usize = 6, "chosen: few enough that the sampling time turns no sign", "not measured";
     }
 
     /// How densely places are searched.
@@ -80,9 +80,9 @@ tuning! {
         /// Half of the largest change of a phase at the rim from one cell to the next, radians.
         rim_rad: f64 = 1.2, "theory: at 1.2 a beam like a parabola has lost a tenth of its height", "not measured";
         /// Less curvature than this over the aperture, radians, is a plane wave.
-        plane_rad: f64 = 0.3, "theory: a phase this small cannot move a bearing by a part of the beam", "not measured";
+        plane_rad: f64 = 0.3, "not recorded", "not measured";
         /// Cells at most; there is no search beyond.
-        max_cells: usize = 400_000, "chosen: some seconds of one core", "not measured";
+        max_cells: usize = 400_000, "chosen: apertures of many metres exceed it", "not measured";
         /// Largest error of a phase where powers are computed roughly, turns.
         rough_turns: f64 = 0.02, "theory: 1.5 % of a power's root", "not measured";
     }
@@ -90,7 +90,7 @@ tuning! {
     /// From peaks of the grid to tops.
     climb: ClimbTuning, "csi5300 evaluate ../shared/captures/wsr" {
         /// Peaks climbed at most.
-        most: usize = 6, "chosen", "not measured";
+        most: usize = 6, "not recorded", "not measured";
         /// Peaks below this share of the highest, in evidence, are not climbed.
         floor: f64 = 0.3, "chosen; confidence counts a ratio below as no other answer", "not measured";
         /// Rounds of a climb at most.
@@ -100,7 +100,7 @@ tuning! {
         /// Steps at which the climbs of the others end, radians.
         coarse_rad: f64 = 2e-3, "chosen: a tenth of a degree", "not measured";
         /// Steps at which climbs end that judge a change of the trajectory, cells.
-        judging_cells: f64 = 0.05, "chosen", "not measured";
+        judging_cells: f64 = 0.05, "not recorded", "not measured";
     }
 
     /// What is likely before anything was received, and how much a motion says against it. A motion has three exponents
@@ -109,29 +109,29 @@ tuning! {
         /// The range up to which all are as likely, in units of the shortest.
         farthest: f64 = 20.0, "chosen on real captures", "150 and 1,000: T265 LOS 4.1 / 3.5, but LOS 1.3 / 0.7 and 1.8 / 1.5 degrees";
         /// What is left for ranges beyond it, in units of what a range has to one e times as far.
-        beyond: f64 = 0.02, "chosen", "not measured";
+        beyond: f64 = 0.02, "not recorded", "not measured";
         /// Independent looks where peaks are compared: probability goes with the joint power to this.
         looks_between_peaks: f64 = 16.0, "parts of real captures (docs/accuracy.md)", "12 to 27: within the noise of the parts";
         /// Independent looks where places within a peak are weighed, for a peak that explains half of the power.
-        looks_within_peak: f64 = 12.0, "parts of real captures (docs/accuracy.md)", "not measured";
+        looks_within_peak: f64 = 12.0, "not recorded", "not measured";
         /// Steps of the weighing on either side, in azimuth.
-        azimuth_steps: i32 = 5, "chosen: three cells in all", "not measured";
+        azimuth_steps: i32 = 5, "not recorded", "not measured";
         /// Their length, cells of the grid.
-        azimuth_step_cells: f64 = 0.3, "chosen", "not measured";
+        azimuth_step_cells: f64 = 0.3, "not recorded", "not measured";
         /// Elevations of the weighing.
-        elevations: usize = 4, "chosen", "not measured";
+        elevations: usize = 4, "not recorded", "not measured";
         /// Ranges of the weighing.
-        ranges: usize = 5, "chosen", "not measured";
+        ranges: usize = 5, "not recorded", "not measured";
     }
 
     /// Autofocus of the trajectory.
     focus: FocusTuning, "csi5300 evaluate --ablation --trajectory t265 ../shared/captures/wsr" {
         /// Scales that are tried.
-        scales: [f64; 4] = [0.95, 0.975, 1.025, 1.05], "chosen: what odometry is seen to be wrong by", "not measured";
+        scales: [f64; 4] = [0.95, 0.975, 1.025, 1.05], "not recorded", "not measured";
         /// Turns of the heading that are tried, radians per metre.
-        turns_rad_per_m: [f64; 4] = [-0.2, -0.1, 0.1, 0.2], "chosen: 6 and 12 degrees per metre", "not measured";
+        turns_rad_per_m: [f64; 4] = [-0.2, -0.1, 0.1, 0.2], "not recorded", "not measured";
         /// Answers of each link that are followed.
-        followed: usize = 2, "chosen", "not measured";
+        followed: usize = 2, "not recorded", "not measured";
         /// Independent looks that a motion gives: the blocks in which the one-way channel is summed.
         looks: f64 = 8.0, "equal to views.one_way_blocks", "not measured";
         /// What the gain has to exceed, in units of log-likelihood: the parameters fitted.
@@ -141,15 +141,15 @@ tuning! {
     /// Taking paths out of the round trip.
     paths: PathTuning, "csi5300 explain --out DIR LINK" {
         /// Waves at most.
-        most: usize = 6, "chosen", "not measured";
+        most: usize = 6, "not recorded", "not measured";
         /// A wave that takes less than this share of what is left is noise or a side lobe.
-        least_share: f64 = 0.06, "chosen on simulated paths", "not measured";
+        least_share: f64 = 0.06, "not recorded", "not measured";
         /// Waves weaker than this share of the strongest are left, in power of the round trip.
         weakest: f64 = 0.03, "chosen: 15 dB", "not measured";
         /// A wave is at two others' product if its square resembles the square of that by this, 0..1.
         alike: f64 = 0.3, "theory: within half a beam", "not measured";
         /// Largest power of a product over the geometric mean of its two paths' powers.
-        cross_gain: f64 = 8.0, "theory: 2 a b has 4; twice that for what the fit gets wrong", "not measured";
+        cross_gain: f64 = 8.0, "theory: 2 a b has 4; chosen above that", "not measured";
     }
 
     /// Deviations of places.
@@ -167,9 +167,9 @@ tuning! {
         /// Parameters that were fitted to the residual.
         fitted: f64 = 4.0, "theory: amplitude's phase, azimuth, elevation, range", "not measured";
         /// A range is reported where its predicted deviation is below this share of it.
-        range_share: f64 = 0.35, "chosen on real captures", "not measured";
+        range_share: f64 = 0.35, "not recorded", "not measured";
         /// Shortest distance of a transmitter by default, metres.
-        range_min_m: f64 = 1.8, "chosen: nearest transmitter of the WSR data set", "not measured";
+        range_min_m: f64 = 1.8, "not recorded", "not measured";
     }
 
     /// Probability that a full answer's azimuth is within five degrees.
@@ -205,7 +205,7 @@ tuning! {
         /// Where the turn-around was compensated.
         compensated: f64 = -0.13, "fit: 838 bearings of 30 places", "not measured";
         /// The ratio that stands for no second peak.
-        no_other: f64 = 0.1, "chosen", "not measured";
+        no_other: f64 = 0.1, "not recorded", "not measured";
         /// The aperture is clamped to these, wavelengths.
         aperture_wavelengths: [f64; 2] = [4.7, 13.8], "measured: what the captures and their parts span", "not measured";
         /// Least and largest probability.
@@ -219,21 +219,21 @@ tuning! {
         /// The same for range, relative.
         range_floor: f64 = 0.3, "measured: one range in six is off by more", "0.1: 0.22 instead of 0.15 m median in line of sight";
         /// Residual, in deviations, at which a sighting has lost half of its weight.
-        cauchy: f64 = 2.0, "chosen", "not measured";
+        cauchy: f64 = 2.0, "not recorded", "not measured";
         /// Steps at most.
-        steps: usize = 60, "chosen", "not measured";
+        steps: usize = 60, "not recorded", "not measured";
     }
 
     /// Alignment of the sampling time.
     alignment: AlignmentTuning, "csi5300 evaluate --ablation ../shared/captures/wsr" {
         /// Neighbours on either side that a packet is compared with.
-        reach: usize = 7, "exploration of real captures", "not measured";
+        reach: usize = 7, "not recorded", "not measured";
         /// Rounds.
         rounds: usize = 3, "chosen: neighbours' means converge", "not measured";
         /// Subcarrier indices this near to the centre give a packet's phase whatever its slope.
         middle: f32 = 9.0, "theory: up to 0.3 rad per index", "the whole band: parts of LOS 2.9 / 1.8 instead of 2.6 / 1.7 degrees";
         /// Newton steps on each slope in each round.
-        steps: usize = 2, "chosen", "not measured";
+        steps: usize = 2, "not recorded", "not measured";
         /// Distance of the slopes tried first, radians per index.
         tried_step: f32 = 0.04, "theory: a lobe over 56 indices is 0.22 wide", "not measured";
         /// How many are tried.
@@ -243,11 +243,11 @@ tuning! {
     /// The square root of the round trip.
     one_way: OneWayTuning, "csi5300 evaluate --ablation ../shared/captures/wsr" {
         /// Packets on either side that a sample is compared with.
-        reach: usize = 5, "exploration of real captures", "not measured";
+        reach: usize = 5, "not recorded", "not measured";
         /// How much of the prediction a packet inherits.
-        memory: f32 = 0.7, "exploration of real captures", "not measured";
+        memory: f32 = 0.7, "not recorded", "not measured";
         /// Sweeps at most.
-        sweeps: usize = 12, "chosen: they end earlier", "not measured";
+        sweeps: usize = 12, "not recorded", "not measured";
     }
 
     /// Turn-around compensation.
@@ -259,7 +259,7 @@ tuning! {
         /// Step of the search, Hz.
         step_hz: f64 = 400.0, "theory: the coherence is 8 kHz wide", "not measured";
         /// Pairs that an offset of their own is searched in.
-        block: usize = 200, "chosen: 2 s at the usual rate", "not measured";
+        block: usize = 200, "not recorded", "not measured";
         /// How far a block's offset is searched from that of all, Hz.
         drift_hz: f64 = 4_000.0, "measured: 2.4 kHz within six seconds", "not measured";
         /// By how much a block's own offset must raise the sum of its unit phasors, on average.
@@ -267,7 +267,7 @@ tuning! {
         /// Clocks that drift apart by more are not two cards'.
         max_drift: f64 = 100e-6, "theory: 802.11 allows each 20 ppm", "not measured";
         /// Second differences of the jitter beyond this are left out, microseconds.
-        max_second_difference_us: i64 = 500, "chosen: 20 times outlier_us", "not measured";
+        max_second_difference_us: i64 = 500, "not recorded", "not measured";
         /// A turn-around that jitters by more leaves no phase, microseconds.
         max_spread_us: f64 = 500.0, "theory: several turns at the offsets that cards have", "not measured";
     }
@@ -275,31 +275,31 @@ tuning! {
     /// Whether two records are of one exchange, and two logs of one link.
     pairing: PairingTuning, "cargo test -p csi5300 pairing" {
         /// Largest change of the clocks' difference between pairs, microseconds.
-        clock_slack_us: i64 = 5_000, "chosen: far above the jitter of a turn-around", "not measured";
+        clock_slack_us: i64 = 5_000, "not recorded", "not measured";
         /// The same per second between them, microseconds.
-        clock_drift_per_s: i64 = 200, "theory: 200 ppm, five times what two cards differ by", "not measured";
+        clock_drift_per_s: i64 = 200, "theory: 200 ppm; 802.11 allows two cards 40", "not measured";
         /// Candidates that must agree before their difference is believed.
-        run: usize = 16, "chosen", "not measured";
+        run: usize = 16, "not recorded", "not measured";
         /// They agree if the median step is at most this, microseconds.
         run_step_us: i64 = 80, "measured: a turn-around jitters by 4 to 22, independent senders by hundreds", "not measured";
         /// Candidates after which any are believed.
-        patience: u32 = 1_024, "chosen", "not measured";
+        patience: u32 = 1_024, "not recorded", "not measured";
         /// Common numbers that say something of whether logs match.
-        min_common: usize = 16, "chosen", "not measured";
+        min_common: usize = 16, "not recorded", "not measured";
         /// By this factor the best match must spread less than the next.
-        min_margin: f64 = 1.5, "chosen", "not measured";
+        min_margin: f64 = 1.5, "not recorded", "not measured";
     }
 
     /// Which poses are motion.
     motion: MotionTuning, "cargo test -p csi5300 motion" {
         /// Poses further apart than this, or than ten usual steps, leave a gap, seconds.
-        min_gap_s: f64 = 0.25, "chosen", "not measured";
+        min_gap_s: f64 = 0.25, "not recorded", "not measured";
         /// A robot that moved less across a gap stood still, metres.
         still_m: f64 = 0.005, "measured: several times the noise of motion capture at rest", "not measured";
         /// Half the time over which speed is judged, seconds.
-        speed_half_s: f64 = 0.1, "chosen", "not measured";
+        speed_half_s: f64 = 0.1, "not recorded", "not measured";
         /// A robot slower than this share of its usual speed stands still.
-        still_share: f64 = 0.15, "chosen", "not measured";
+        still_share: f64 = 0.15, "not recorded", "not measured";
         /// No robot drives slower, m/s.
         still_m_per_s: f64 = 0.004, "measured: motion capture at rest seems to move by less", "not measured";
         /// Largest motion that is searched as one array, metres.
@@ -309,10 +309,10 @@ tuning! {
     /// What a plane-wave search makes of the shape of the motion.
     plane_wave: PlaneWaveTuning, "cargo test -p csi5300 bartlett" {
         /// A trajectory at most this wide for its length may have a mirror.
-        elongated: f64 = 0.15, "chosen", "not measured";
+        elongated: f64 = 0.15, "not recorded", "not measured";
         /// Azimuth and elevation must differ by this share of the phases' variance for elevation to be searched.
         independent: f64 = 0.1, "chosen: odometry's millimetres must not decide", "not measured";
         /// A mirror at least this high is reported.
-        mirror_ratio: f64 = 0.8, "chosen", "not measured";
+        mirror_ratio: f64 = 0.8, "not recorded", "not measured";
     }
 }
