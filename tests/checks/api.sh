@@ -1,0 +1,26 @@
+#!/usr/bin/env bash
+# The public items of the published crates beside the committed lists in docs/api: a change of the API shows in review.
+# `tests/checks/api.sh --write` writes the lists anew. 77: cargo-public-api cannot be installed here.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+version=0.52.0
+tool=target/tools/bin/cargo-public-api
+if [ "$("$tool" --version 2>/dev/null || true)" != "cargo-public-api $version" ]; then
+    cargo install --quiet --locked --root target/tools "cargo-public-api@$version" || { echo "cargo-public-api cannot be installed"; exit 77; }
+fi
+different=0
+for crate in driver-iface csi5300; do
+    # The list comes from rustdoc's JSON, which the compiler gives only when it is told to act as a nightly one.
+    RUSTC_BOOTSTRAP=1 cargo rustdoc --quiet -p "$crate" --lib --target-dir target/api -- -Z unstable-options --output-format json
+    found=target/api/$crate.txt
+    "$tool" --rustdoc-json "target/api/doc/${crate//-/_}.json" -sss >"$found"
+    items=$(grep -cE '^(pub|#\[non_exhaustive\] pub) (const fn|fn|struct|enum|trait|const|static|type|mod|macro|use|unsafe fn)' "$found")
+    printf '%s: %s public items\n' "$crate" "$items"
+    if [ "${1:-}" = --write ]; then
+        mkdir -p docs/api && cp "$found" "docs/api/$crate.txt"
+    elif ! diff -u "docs/api/$crate.txt" "$found"; then
+        echo "the public API of $crate changed: if that is meant, tests/checks/api.sh --write, and a line in CHANGELOG.md"
+        different=1
+    fi
+done
+exit "$different"

@@ -1,0 +1,13 @@
+#!/usr/bin/env bash
+# What crates.io would say: the library and what it stands on are packaged, and built from their packages alone.
+# 77: crates.io cannot be reached.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+said=$(mktemp)
+trap 'rm -f "$said"' EXIT
+if ! cargo publish --dry-run --allow-dirty -p driver-iface -p csi5300-kernels -p csi5300 2>"$said"; then
+    cat "$said"
+    grep -qE 'failed to (get|fetch|download)|network|spurious' "$said" && { echo "crates.io cannot be reached"; exit 77; }
+    exit 1
+fi
+grep -E 'Packaged|Uploading' "$said"
