@@ -2,7 +2,7 @@
 
 /// The least `M` with `2 sum_{m > M} |J_m(x)| <= eps`, for `x >= 0`.
 ///
-/// By Jacobi and Anger [jacobi-anger] `exp(j x cos a) = sum_m j^m J_m(x) exp(j m a)`: a sample at `x` radians from the middle of a
+/// By Jacobi and Anger \[jacobi-anger\] `exp(j x cos a) = sum_m j^m J_m(x) exp(j m a)`: a sample at `x` radians from the middle of a
 /// circle of directions needs the modes up to `M` and leaves out at most `eps`. Since `J_m` for `m > x` rises with `x`,
 /// the largest radius of a trajectory bounds all of it.
 pub(crate) fn tail_order(x: f64, eps: f64) -> usize {
@@ -21,7 +21,7 @@ pub(crate) fn tail_order(x: f64, eps: f64) -> usize {
     0
 }
 
-/// `J_0(x) .. J_top(x)` by Miller's backward recurrence [miller-recurrence], normalised by `J_0 + 2 sum J_2k = 1`.
+/// `J_0(x) .. J_top(x)` by Miller's backward recurrence \[miller-recurrence\], normalised by `J_0 + 2 sum J_2k = 1`.
 pub(crate) fn bessel_j(x: f64, top: usize) -> Vec<f64> {
     let mut values = vec![0.0; top + 1];
     if x == 0.0 {

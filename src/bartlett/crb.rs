@@ -1,4 +1,4 @@
-//! The Cramer-Rao bound of a bearing [stoica-nehorai1989], from the geometry and an estimated signal-to-noise ratio.
+//! The Cramer-Rao bound of a bearing \[stoica-nehorai1989\], from the geometry and an estimated signal-to-noise ratio.
 //!
 //! The model is `z_t = A exp(j 2 pi q_t . u) + n_t` with an unknown complex `A` and white complex noise of variance
 //! `sigma^2 / w_t`. The Fisher information of a direction coordinate is then `2 |A|^2 / sigma^2` times the weighted,

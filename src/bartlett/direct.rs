@@ -9,7 +9,7 @@ use num_complex::Complex64;
 
 use super::scene::Scene;
 
-/// `a * b` as a rounded product and its rounding error [dekker1971].
+/// `a * b` as a rounded product and its rounding error \[dekker1971\].
 fn two_product(a: f64, b: f64) -> (f64, f64) {
     let p = a * b;
     (p, a.mul_add(b, -p))
@@ -26,7 +26,7 @@ fn turns(q: [f64; 3], u: &Vector3<f64>) -> f64 {
     whole + rest
 }
 
-/// A sum with Neumaier's compensation [neumaier1974].
+/// A sum with Neumaier's compensation \[neumaier1974\].
 #[derive(Clone, Copy, Default)]
 struct Compensated {
     sum: f64,

@@ -1,4 +1,4 @@
-//! Grids of directions, profiles over them, and the two figures that [paper] and the WSR toolbox [wsr] take from a profile.
+//! Grids of directions, profiles over them, and the two figures that \[paper\] and the WSR toolbox \[wsr\] take from a profile.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 use std::sync::Arc;
@@ -173,7 +173,7 @@ impl Profile {
     }
 }
 
-/// The profile variance [wsr-ijrr] about the highest peak, as the WSR toolbox [wsr] has it: lower is sharper, 1 is a uniform
+/// The profile variance \[wsr-ijrr\] about the highest peak, as the WSR toolbox \[wsr\] has it: lower is sharper, 1 is a uniform
 /// profile.
 ///
 /// `[sum d^2 F / sum F] / [sum d^2 / n]` with `d` the distance to the peak in grid steps, azimuth steps wrapped
@@ -183,10 +183,10 @@ pub(crate) fn wsr_profile_variance(profile: &Profile) -> Option<f64> {
     profile_variance(profile, profile.grid.shape().0, |row, column, columns| profile.values[row * columns + column])
 }
 
-/// The profile variance [wsr-ijrr] about the highest peak: lower is sharper, 1 is a uniform profile.
+/// The profile variance \[wsr-ijrr\] about the highest peak: lower is sharper, 1 is a uniform profile.
 ///
 /// `[sum d^2 F / sum F] / [sum d^2 / n]` with `d` the distance to the peak in grid steps, azimuth steps wrapped around the
-/// circle, as in the planar mode of the WSR toolbox [wsr] (WSR_Module.cpp:1352; there in single precision): one row of
+/// circle, as in the planar mode of the WSR toolbox \[wsr\] (WSR_Module.cpp:1352; there in single precision): one row of
 /// azimuths, repeated for each of its 90 polar angles; the highest of equal entries is the last. None for an empty grid.
 pub(crate) fn wsr_planar_profile_variance(azimuths: &Profile) -> Option<f64> {
     profile_variance(azimuths, WSR_ROWS, |_, column, _| azimuths.values[column])

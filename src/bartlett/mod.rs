@@ -9,12 +9,12 @@
 //!
 //! `F(u) = |f(u)|^2,  f(u) = sum_t w_t z_t exp(-j 2 pi g u.p_t / lambda)`
 //!
-//! (Bartlett's spectrum [bartlett1948] over directions [stoica-moses2005]; keys in brackets are those of `docs/references.md`).
+//! (Bartlett's spectrum \[bartlett1948\] over directions \[stoica-moses2005\]; keys in brackets are those of `docs/references.md`).
 //!
 //! In polar coordinates of the displacement (length `rho`, azimuth `phi_p`, angle from the zenith `xi`) and of the
 //! direction (azimuth `phi`, angle from the zenith `theta`) the exponent is
 //! `2 pi g rho / lambda * (sin(theta) sin(xi) cos(phi - phi_p) + cos(xi) cos(theta))`, `g = 2` giving the familiar
-//! `4 pi`. As printed, the steering vector of [paper] lacks the parentheses around the two terms, and
+//! `4 pi`. As printed, the steering vector of \[paper\] lacks the parentheses around the two terms, and
 //! theta is called the azimuth where the formula needs the zenith angle (phi being the azimuth).
 //!
 //! # Rooms

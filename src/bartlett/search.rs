@@ -1,7 +1,7 @@
 //! The search that is guaranteed to find the continuous maximum over azimuth.
 //!
 //! Around a ring of constant elevation `F = |f|^2` is a non-negative trigonometric polynomial of degree `2 M`, `M` from the
-//! Bessel tail of the radius. Riesz's inequality [riesz1914], applied to `F - F_max / 2`, gives
+//! Bessel tail of the radius. Riesz's inequality \[riesz1914\], applied to `F - F_max / 2`, gives
 //!
 //! `F(a + d) >= F_max cos^2(M d)  for |d| <= pi / (2 M)`:
 //!

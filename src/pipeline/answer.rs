@@ -97,7 +97,7 @@ pub struct Answer {
     pub match_margin: Option<f64>,
     /// Profile variance as the WSR toolbox defines it (lower is sharper, 1 is uniform).
     pub wsr_profile_variance: Option<f64>,
-    /// Likelihood share of the peak as the code of `[paper]` defines it.
+    /// Likelihood share of the peak as the code of `\[paper\]` defines it.
     pub likelihood_share: Option<f64>,
     /// Shape of the motion.
     pub geometry: Option<String>,

@@ -212,7 +212,7 @@ pub struct Phase {
 pub struct ProfileFigures {
     /// The WSR toolbox's profile variance: lower is sharper, 1 is uniform.
     pub wsr_profile_variance: Option<f64>,
-    /// The likelihood share of `[paper]`: the highest entry over the sum (its code prints half, holding each column twice).
+    /// The likelihood share of `\[paper\]`: the highest entry over the sum (its code prints half, holding each column twice).
     pub likelihood_share: Option<f64>,
 }
 

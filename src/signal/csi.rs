@@ -2,7 +2,7 @@
 //!
 //! The card reports small integers whose scale floats with its gain control. [`Csi::from_bfee`] puts the receive
 //! chains in antenna order; [`scale_factor`] turns the integers into sqrt(SNR), the channel's gain over the noise.
-//! The steps are those of csitool [csitool] (`get_total_rss.m`, `get_scaled_csi.m`, `remove_sm.m`).
+//! The steps are those of csitool \[csitool\] (`get_total_rss.m`, `get_scaled_csi.m`, `remove_sm.m`).
 
 use std::f64::consts::TAU;
 

@@ -1,4 +1,4 @@
-//! The Kaiser-Bessel kernel of the NUFFT [beatty2005]: values, transform, piecewise polynomials [finufft2019], and what
+//! The Kaiser-Bessel kernel of the NUFFT [beatty2005]: values, transform, piecewise polynomials \[finufft2019\], and what
 //! it loses.
 
 use std::f64::consts::PI;
@@ -18,7 +18,7 @@ pub struct Kernel {
 }
 
 impl Kernel {
-    /// The kernel for a grid that is `oversampling` times as fine as the band asks for ([beatty2005], equation
+    /// The kernel for a grid that is `oversampling` times as fine as the band asks for (\[beatty2005\], equation
     /// 5).
     pub fn new(width: usize, oversampling: f64) -> Self {
         let ratio = width as f64 / oversampling * (oversampling - 0.5);

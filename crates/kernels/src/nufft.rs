@@ -1,5 +1,5 @@
-//! A two-dimensional NUFFT from samples anywhere to directions anywhere ("type 3"), for motion in a plane [dutt-rokhlin1993]
-//! [finufft2019].
+//! A two-dimensional NUFFT from samples anywhere to directions anywhere ("type 3"), for motion in a plane \[dutt-rokhlin1993\]
+//! \[finufft2019\].
 //!
 //! Samples are spread onto a grid of positions, the grid is transformed to a grid of direction cosines, and the wanted
 //! directions are interpolated from that: two kernels, each undone where it acts (the first divides the results, the

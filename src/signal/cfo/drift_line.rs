@@ -26,7 +26,7 @@ impl DriftLine {
 /// The drift of one card's clock against another's: a line through `difference_us` (their difference) over `clock_us` (one
 /// of them), both unwrapped, microseconds, one entry per pair in time order.
 ///
-/// The median of the slopes between pairs half a record apart (after Theil and Sen [theil-sen]), then least squares without
+/// The median of the slopes between pairs half a record apart (after Theil and Sen \[theil-sen\]), then least squares without
 /// the pairs that are further than 25 us from the line, four times over.
 pub fn drift_line(clock_us: &[i64], difference_us: &[i64]) -> DriftLine {
     let n = clock_us.len();

@@ -8,7 +8,7 @@
 //!
 //! Convention: `z * exp(+j 2 pi df d)`, with `d = clock_tx - clock_rx` less the drift `df / carrier`. The drift has the same
 //! crystals behind it as `df`: `df ~ drift * carrier` to within about 1 kHz while the turn-around itself is steady
-//! (measured on the captures of [paper] and [wsr]).
+//! (measured on the captures of \[paper\] and \[wsr\]).
 //!
 //! `round_trip` multiplies the two directions, `centre` brings one to the channel's centre, `drift_line` fits the drift of
 //! one card's clock against the other's, `turn_around` estimates `df` and takes it out, `offset` is the search for it.
