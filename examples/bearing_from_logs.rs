@@ -1,4 +1,4 @@
-//! Two logs and a trajectory to a bearing, through the library.
+//! Two logs and a trajectory to a bearing. Prints the azimuth with its deviation, then carrier offset and turn-around jitter.
 //!
 //! `cargo run --example bearing_from_logs -- [RX.dat TX.dat TRAJECTORY.csv CHANNEL]` (default: the fixture of the tests)
 

@@ -1,4 +1,5 @@
-//! A byte is missing in the middle of a log: what is lost, and that nothing else is.
+//! A byte is missing in the middle of a log, and a hundred are foreign. Prints what is lost, where and why, and how many records
+//! are left.
 //!
 //! `cargo run --example damaged_log`
 

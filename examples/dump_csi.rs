@@ -1,6 +1,7 @@
-//! Writes the CSI of a log in three forms, for comparison with other readers.
+//! Writes the CSI of a log in three forms, for comparison with other readers. Prints the log's name and its records.
 //!
-//! `cargo run --example dump_csi -- LOG OUT` writes OUT as little-endian f64: for each bfee the numbers
+//! `cargo run --example dump_csi -- [LOG OUT]` (default: the fixture of the tests, and `csi5300-dump.bin` in the folder for
+//! temporary files) writes OUT as little-endian f64: for each bfee the numbers
 //! `offset, timestamp_low, bfee_count, n_rx, n_tx, is_40_mhz` and then three times `30 n_rx n_tx` complex values
 //! `[subcarrier][antenna][tx]`: the card's integers, sqrt(SNR), and sqrt(SNR) without spatial mapping.
 //! A value that cannot be made (no RSSI, no valid antenna permutation) is NaN.
@@ -16,10 +17,9 @@ use num_complex::Complex64;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
-    let (Some(log), Some(out)) = (arguments.next(), arguments.next()) else {
-        println!("usage: dump_csi LOG OUT");
-        return Ok(());
-    };
+    let fixture = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat");
+    let log = arguments.next().unwrap_or_else(|| fixture.to_owned());
+    let out = arguments.next().map_or_else(|| std::env::temp_dir().join("csi5300-dump.bin"), Into::into);
     let bytes = fs::read(&log)?;
     let mut out = BufWriter::new(fs::File::create(out)?);
     let mut records = 0;

@@ -1,4 +1,5 @@
-//! Pays only for what it looks at: one antenna, eight subcarriers, found in packets whose antennas change places.
+//! Decodes one antenna and eight subcarriers of each packet, and nothing else. Prints, for five of them, which
+//! chain the antenna is and its eight coefficients.
 //!
 //! `cargo run --example lazy_decode`
 

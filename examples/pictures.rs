@@ -1,4 +1,7 @@
-//! One of each picture from made-up numbers: `cargo run --example pictures -- out`.
+//! One of each picture from made-up numbers. Prints how long the largest took; the pictures are in the folder `pictures`.
+//!
+//! `cargo run -p csi5300-lab --example pictures -- [DIR]`
+
 use csi5300_lab::show::*;
 use std::f64::consts::TAU;
 use std::path::PathBuf;

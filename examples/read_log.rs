@@ -1,4 +1,4 @@
-//! What is in a log: frames and their channel, senders, losses, and how it ended.
+//! What is in a log. Prints its frames and their channel, each sender, what was lost, and how the log ended.
 //!
 //! `cargo run --example read_log -- [LOG.dat]` (default: the fixture of the tests)
 

@@ -1,5 +1,6 @@
 //! Four robots that know nothing of each other but bearings meet: each in turn drives a small circle, sounds the others
-//! and learns their directions; then all go a step along the mean of theirs, and it begins again.
+//! and learns their directions; then all go a step along the mean of theirs, and it begins again. Prints a line a round, with
+//! a distance that falls from 10 m to less than 2.5 m.
 //!
 //! `cargo run --release --example rendezvous`
 

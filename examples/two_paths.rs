@@ -1,4 +1,5 @@
-//! A Bartlett profile of two paths, drawn in the terminal: the squared channel shows a false peak between them.
+//! A Bartlett profile of two paths, at 30 and 100 degrees. Draws it in the terminal: the squared channel shows a false peak
+//! between them.
 //!
 //! `cargo run --example two_paths`
 

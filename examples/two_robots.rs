@@ -1,4 +1,4 @@
-//! Two robots in a room: one drives a circle and sounds the other; both logs are written as a capture folder.
+//! Two robots in a room, written as a capture folder. Prints each log with its records, and what was done to each robot.
 //!
 //! `cargo run --release --example two_robots -- [SCENE.toml | name of a built-in scene] [DIR]`
 

@@ -67,6 +67,24 @@
 //! # Ok::<(), csi5300::source::Error>(())
 //! ```
 //!
+//! # Simulate
+//!
+//! The crate `csi5300-sim` stands where cards, drivers and loggers stand: a scene becomes a room, the room is run, and each
+//! robot has its log, to the byte, beside the truth.
+//!
+//! ```
+//! use csi5300_sim::{Room, Scene};
+//!
+//! let scene = "duration_s = 2.0\nsounding.rate_hz = 100\n\
+//!              [[robot]]\nname = \"rx\"\nmotion.circle = { radius_m = 0.3, duration_s = 2.0 }\n\
+//!              [[robot]]\nname = \"tx\"\nposition_m = [3.0, 1.0, 0.5]\n";
+//! let run = Room::new(&Scene::parse(scene)?)?.run()?;
+//! let (rx, tx) = (&run.robots[0], &run.robots[1]);
+//! assert_eq!((rx.records, tx.records), (200, 200)); // 100 rounds per second; `rx.replay()` reads the log
+//! assert!(rx.true_path.is_some() && tx.log.len() > 200 * 100);
+//! # Ok::<(), csi5300_sim::RoomError>(())
+//! ```
+//!
 //! # Where things come from
 //!
 //! Records come from a [`source::CsiSource`]: a file ([`source::replay`]), a card (crate `csi5300-live`) or a simulated

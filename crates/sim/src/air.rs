@@ -38,7 +38,7 @@ struct Active {
 
 /// Makes a robot's sender, anew after each restart. The arguments: the robot, its restarts so far, and the time on its
 /// own clock at which it is switched on.
-pub type MakeStation = Box<dyn FnMut(usize, u64, Instant) -> Option<Box<dyn Station>> + Send>;
+pub(crate) type MakeStation = Box<dyn FnMut(usize, u64, Instant) -> Option<Box<dyn Station>> + Send>;
 
 /// All frames of a room.
 pub struct Air {

@@ -65,6 +65,7 @@ impl Faults {
 
 /// What was done to one robot, exactly. The pipeline's own counts are held against it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Injected {
     /// Frames that this robot sent.
     pub sent: u64,

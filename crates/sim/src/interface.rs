@@ -22,6 +22,7 @@ pub struct Interface {
 
 /// A frame that passed the interface.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Seen<'a> {
     /// The frame, without FCS.
     pub frame: &'a [u8],

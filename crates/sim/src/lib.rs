@@ -87,7 +87,6 @@ mod turn_around;
 mod world;
 mod world_check;
 
-pub use air::MakeStation;
 pub use backend::Backend;
 pub use built_in::BUILT_IN;
 pub use dataset::{WrittenCapture, WrittenLog, write_dataset};
@@ -101,7 +100,9 @@ pub use room::Room;
 pub use room_error::RoomError;
 pub use scene::Scene;
 pub use simulation::{SimulatedRobot, Simulation};
-pub use station::{FrameRole, Station};
+
+#[cfg(test)]
+use station::{FrameRole, Station};
 
 #[cfg(test)]
 mod dataset_tests;

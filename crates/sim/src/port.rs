@@ -92,7 +92,7 @@ impl Port {
     ///
     /// # Errors
     /// As [`CsiSource::receive`].
-    pub fn receive_with_role(&mut self, now: Instant) -> Result<(FrameRole, usize, Next<'_>), Error> {
+    pub(crate) fn receive_with_role(&mut self, now: Instant) -> Result<(FrameRole, usize, Next<'_>), Error> {
         let next = self.read(now)?;
         Ok(match next {
             Read::Record(stamps, code, role, from) => {

@@ -17,6 +17,7 @@ pub struct Recorded {
 
 /// Why a trajectory file is no motion.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum RecordedError {
     /// It cannot be read.
     #[error("trajectory {}: {source}", file.display())]

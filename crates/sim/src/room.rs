@@ -61,7 +61,7 @@ impl Room {
     ///
     /// # Errors
     /// [`RoomError::Scene`] as [`Room::new`].
-    pub fn with_stations(scene: &Scene, make: MakeStation) -> Result<Self, RoomError> {
+    pub(crate) fn with_stations(scene: &Scene, make: MakeStation) -> Result<Self, RoomError> {
         Ok(Self::in_world(Self::checked(scene)?, make))
     }
 

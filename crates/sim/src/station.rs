@@ -4,7 +4,7 @@ use csi5300::time::Instant;
 
 /// What a frame was to the robot that heard it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum FrameRole {
+pub(crate) enum FrameRole {
     /// A forward frame for this robot, which it answers.
     Forward,
     /// The answer to a forward frame of this robot.
@@ -19,7 +19,7 @@ pub enum FrameRole {
 ///
 /// All times are its host's own monotonic clock. After each [`Station::heard`] and at each [`Station::timeout`] the
 /// room asks [`Station::transmit`] until there is no frame.
-pub trait Station: Send + std::fmt::Debug {
+pub(crate) trait Station: Send + std::fmt::Debug {
     /// A frame (no FCS) whose end was at `now`.
     fn heard(&mut self, now: Instant, frame: &[u8]) -> FrameRole;
 

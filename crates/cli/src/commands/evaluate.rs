@@ -182,7 +182,7 @@ fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
 }
 
 fn line(errors: &Errors) -> String {
-    let Errors { links, mean_deg, median_deg, p90_deg, over_20 } = errors;
+    let Errors { links, mean_deg, median_deg, p90_deg, over_20, .. } = errors;
     if *links == 0 {
         return "-".into();
     }

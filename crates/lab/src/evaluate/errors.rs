@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 /// Errors of a set of links, degrees.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Errors {
     /// Links with an error.
     pub links: usize,
@@ -45,6 +46,7 @@ impl Errors {
 
 /// Statistics of one set.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct SetSummary {
     /// Links found, failed ones included.
     pub links: usize,

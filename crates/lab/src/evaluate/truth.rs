@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 
 /// Why a capture could not be evaluated.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum EvaluateError {
     /// A file could not be read.
     #[error("{}: {source}", path.display())]

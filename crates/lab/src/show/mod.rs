@@ -34,6 +34,7 @@ use std::path::PathBuf;
 
 /// Why a picture was not written.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum Error {
     /// No finite value to draw.
     #[error("{what}: no finite value to draw; check that the estimator produced output")]

@@ -7,17 +7,25 @@ use csi5300::pipeline::{JoinBy, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::{CsiSource, replay::Replay};
 use csi5300_lab::evaluate::quality::{ranges, receivers};
-use csi5300_lab::evaluate::{Errors, Judged, TrajectorySource, find};
+use csi5300_lab::evaluate::{Capture, Errors, Judged, TrajectorySource, find};
+use rayon::prelude::*;
 use std::path::Path;
+use std::sync::OnceLock;
 
 fn options(join: JoinBy) -> Options {
     Options::new(Channel::new(108, Width::Ht20).unwrap()).with_join(join)
 }
 
-fn evaluate(root: &Path, source: TrajectorySource) -> Vec<Judged> {
-    let (captures, unreadable) = find(root);
-    assert!(unreadable.is_empty() && captures.len() >= 14, "{} captures, {unreadable:?}", captures.len());
-    captures.iter().flat_map(|capture| capture.evaluate(source, None, &options(JoinBy::Time)).rows).collect()
+/// The links of the WSR data set, evaluated once for all tests with motion capture.
+fn wsr(captures: &Path) -> &'static [Judged] {
+    static ROWS: OnceLock<Vec<Judged>> = OnceLock::new();
+    ROWS.get_or_init(|| {
+        let (captures, unreadable) = find(&captures.join("wsr"));
+        assert!(unreadable.is_empty() && captures.len() >= 14, "{} captures, {unreadable:?}", captures.len());
+        let rows =
+            |capture: &Capture| capture.evaluate(TrajectorySource::GroundTruth, None, &options(JoinBy::Time)).rows;
+        captures.par_iter().flat_map_iter(rows).collect()
+    })
 }
 
 fn errors(rows: &[Judged], set: &str) -> Errors {
@@ -30,8 +38,8 @@ fn errors(rows: &[Judged], set: &str) -> Errors {
 #[test]
 fn wsr_links_with_motion_capture() {
     let Some(captures) = crate::common::captures() else { return };
-    let rows = evaluate(&captures.join("wsr"), TrajectorySource::GroundTruth);
-    let (los, nlos) = (errors(&rows, "LOS"), errors(&rows, "NLOS"));
+    let rows = wsr(&captures);
+    let (los, nlos) = (errors(rows, "LOS"), errors(rows, "NLOS"));
     println!("LOS {los:?}\nNLOS {nlos:?}");
     assert_eq!((los.links, nlos.links), (18, 20));
     // The toolbox: 4.08 and 2.41 in line of sight, a median of 5.94 without.
@@ -41,7 +49,7 @@ fn wsr_links_with_motion_capture() {
     let ranges = ranges(&in_sight);
     assert!(ranges.reported >= 11 && ranges.median_m.is_some_and(|m| m <= 0.7), "{ranges:?}");
     let mut off: Vec<f64> =
-        receivers(&rows).iter().filter(|r| r.capture.starts_with("LOS")).filter_map(|r| r.off_m).collect();
+        receivers(rows).iter().filter(|r| r.capture.starts_with("LOS")).filter_map(|r| r.off_m).collect();
     off.sort_by(f64::total_cmp);
     assert!(off.len() == 6 && off[3] <= 0.25, "{off:?}");
 }
@@ -49,7 +57,7 @@ fn wsr_links_with_motion_capture() {
 #[test]
 fn wsr_truth_is_that_of_the_published_table() {
     let Some(captures) = crate::common::captures() else { return };
-    let rows = evaluate(&captures.join("wsr"), TrajectorySource::GroundTruth);
+    let rows = wsr(&captures);
     let mut table = csv::Reader::from_path(captures.join("wsr/links.csv")).unwrap();
     let mut compared = 0;
     for record in table.records().map(Result::unwrap).filter(|record| &record[2] == "gt") {
@@ -76,7 +84,7 @@ fn every_wsr_log_finds_its_transmitter() {
     let Some(captures) = crate::common::captures() else { return };
     // From the data set's description; the product knows none of these.
     let known = [("tx2", "00:21:6a:3f:17:5a"), ("tx3", "00:21:6a:30:d2:3c"), ("tx4", "00:21:6a:b2:6e:fa")];
-    for row in evaluate(&captures.join("wsr"), TrajectorySource::GroundTruth) {
+    for row in wsr(&captures) {
         let (_, mac) = known.iter().find(|(tx, _)| row.answer.link.ends_with(tx)).unwrap();
         assert_eq!(row.answer.mac.as_deref(), Some(*mac), "{}", row.answer.link);
         assert!(

@@ -26,6 +26,7 @@ const SEND_BUFFER: usize = 1 << 18;
 
 /// Everything counted at a served room's socket.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct ServedCounts {
     /// Programs that joined.
     pub joined: u64,
