@@ -67,10 +67,30 @@
 //! # Ok::<(), csi5300::source::Error>(())
 //! ```
 //!
+//! # Bearing from logs
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use csi5300::pipeline::Capture;
+//!
+//! let capture = Capture::new("108".parse()?)
+//!     .receiver("tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat")?
+//!     .transmitter("tests/fixtures/small-circle/csi_tx1_2023-11-14_221320.dat")?
+//!     .trajectory("tests/fixtures/small-circle/rx_trajectory_2023-11-14_221320_.csv")?;
+//! for bearing in capture.bearings()? {
+//!     let answer = bearing?.answer;
+//!     let azimuth_deg = answer.azimuth_rad.to_degrees();
+//!     println!("{azimuth_deg:.1} deg, within 5 deg with probability {:.2?}", answer.probability);
+//!     # assert!((azimuth_deg - 120.5).abs() < 0.5);
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
 //! # Where things come from
 //!
 //! Records come from a [`source::CsiSource`]: a file ([`source::replay`]), a card (crate `csi5300-live`) or a simulated
-//! room (crate `csi5300-sim`). [`pipeline::bearings`] is the whole machine. `ARCHITECTURE.md` has the plan of the house.
+//! room (crate `csi5300-sim`). [`pipeline::Capture`] and [`pipeline::bearings`] are the whole machine. `ARCHITECTURE.md` has the plan of the house.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod bartlett;

@@ -1,6 +1,8 @@
 //! The whole machine: logs and a trajectory in, bearings out. The one place where sources, state machines and the
 //! estimator meet.
 //!
+//! [`Capture`] is the short way in; [`bearings`] takes sources that the caller keeps.
+//!
 //! | step | where |
 //! |---|---|
 //! | records of each log become frames of one antenna | `intake` |
@@ -13,6 +15,7 @@
 mod accurate;
 mod answer;
 mod bearing;
+mod capture;
 mod draft;
 mod error;
 mod explain;
@@ -25,6 +28,7 @@ mod reading;
 pub use accurate::Placed;
 pub use answer::{Answer, PathAnswer, lost_something};
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
+pub use capture::{Capture, CaptureError};
 pub use draft::{LinkJoin, estimate};
 pub use error::LinkError;
 pub use explain::{LinkPlan, StepPlan};
