@@ -10,6 +10,7 @@
 //! | all logs read in step, frames paired, each pair a round trip | `reading`, `link` |
 //! | clocks, compensation, gate, plane wave | `draft` |
 //! | spherical waves over all subcarriers, autofocus over all links, paths | `accurate` |
+//! | the same while robots drive, over the last metres | [`live`] |
 //! | the answer, as values and as a line of JSON | `bearing`, `answer`, `explain` |
 
 mod accurate;
@@ -21,6 +22,7 @@ mod error;
 mod explain;
 mod intake;
 mod link;
+pub mod live;
 mod matching;
 mod options;
 mod reading;

@@ -2,7 +2,7 @@
 
 use super::Poses;
 use crate::config::{Csv, Place};
-use crate::motion::Track;
+use csi5300::pipeline::live::Track;
 use csi5300::motion::odometry::csv;
 use csi5300::motion::odometry::replay::Replayed;
 use csi5300::motion::pose::Pose;
