@@ -2,7 +2,7 @@
 
 use super::Config;
 use super::values::{maybe_positive, positive};
-use csi5300::pipeline::live::Settings;
+use csi5300::pipeline::live::LiveSettings;
 
 /// How bearings are made.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]

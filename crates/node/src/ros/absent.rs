@@ -1,10 +1,10 @@
 //! No node of ROS: a configuration that asks for one was refused.
 
 use crate::config::Config;
-use csi5300::pipeline::live::Report;
 use crate::machine::Machine;
 use crate::sources::{RosNode, Sources};
 use csi5300::motion::pose::Pose;
+use csi5300::pipeline::live::PeerReport;
 
 pub struct Ros;
 

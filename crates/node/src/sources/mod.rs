@@ -15,10 +15,10 @@ mod served;
 pub(crate) use ros::RosNode;
 
 use crate::config::{Capture, Config, Odometry, Peer as PeerConfig, Records};
-use csi5300::pipeline::live::{LivePeer, Track};
 use csi5300::motion::odometry::OdometrySource;
 use csi5300::motion::odometry::replay::Mounted;
 use csi5300::motion::odometry::ros::Stamp;
+use csi5300::pipeline::live::{LivePeer, Track};
 use csi5300::source::{CsiSource, Error};
 use csi5300::time::Instant;
 use driver_iface::Mac;

@@ -1,8 +1,8 @@
 //! Nobody looks: a configuration that asks for viewers was refused.
 
 use crate::config::Config;
-use csi5300::pipeline::live::Report;
 use crate::machine::Machine;
+use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
 
 pub struct Viewers;

@@ -1,11 +1,11 @@
 //! The channels of a recording, over a websocket.
 
 use crate::config::Config;
-use csi5300::pipeline::live::{PeerReport, PeerState};
 use crate::foxglove::Live;
 use crate::machine::{Machine, Tap};
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::Front;
+use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::source::{Error, Next, Stamps};
 use csi5300::time::Instant;
 use driver_iface::record::Record;
