@@ -1,11 +1,9 @@
 //! Two logs and a trajectory to a bearing. Prints the azimuth with its deviation, then carrier offset and turn-around jitter.
 //!
-//! `cargo run --example bearing_from_logs -- [RX.dat TX.dat TRAJECTORY.csv CHANNEL]` (default: the fixture of the tests)
+//! `cargo run --example bearing_from_logs -- [RX.dat TX.dat TRAJECTORY.csv CHANNEL]` (default: the fixture of the tests).
+//! Expect `120.48 +- 0.02 deg from 245 of 277 pairs, coherence 0.99`, and a line with the carrier frequency offset.
 
-use csi5300::motion::odometry;
-use csi5300::pipeline::{Options, Transmitter, bearings};
-use csi5300::source::replay::Replay;
-use std::path::Path;
+use csi5300::pipeline::Capture;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
@@ -18,20 +16,16 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "108".into(),
         ]
     });
-    let (trajectory, _) = odometry::csv::read(Path::new(&trajectory))?;
-    let (mut rx, mut tx) = (Replay::open(Path::new(&rx))?, Replay::open(Path::new(&tx))?);
-    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
-    let report = bearings(&mut rx, transmitters, &trajectory, &Options::new(channel.parse()?))?;
-    for link in report.links {
-        let bearing = link.bearing?;
-        let answer = &bearing.answer;
+    let capture = Capture::new(channel.parse()?).receiver(rx)?.transmitter(tx)?.trajectory(trajectory)?;
+    for bearing in capture.bearings()? {
+        let bearing = bearing?;
+        let (azimuth_deg, sd_deg) =
+            (bearing.answer.azimuth_rad.to_degrees(), bearing.answer.azimuth_sd_rad.to_degrees());
+        let pairs = bearing.pairs;
+        let coherence = bearing.plane_wave.coherence;
         println!(
-            "{:.2} +- {:.2} deg from {} of {} pairs, coherence {:.2}",
-            answer.azimuth_rad.to_degrees(),
-            answer.azimuth_sd_rad.to_degrees(),
-            bearing.pairs.in_motion,
-            bearing.pairs.formed,
-            bearing.plane_wave.coherence
+            "{azimuth_deg:.2} +- {sd_deg:.2} deg from {} of {} pairs, coherence {coherence:.2}",
+            pairs.in_motion, pairs.formed
         );
         if let Some(turn_around) = bearing.turn_around {
             println!("CFO {:.0} Hz, turn-around jitter {:.1} us", turn_around.df_hz, turn_around.jitter_median_us);

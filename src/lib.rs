@@ -46,6 +46,41 @@
 //! # Ok::<(), csi5300::bartlett::Error>(())
 //! ```
 //!
+//! # Read a log
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! let mut log = csi5300::Log::open("tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat")?;
+//! let mut frames = 0;
+//! for frame in &mut log {
+//!     frames += usize::from(frame?.mac().is_some());
+//! }
+//! println!("{frames} frames, how it ended: {:?}", log.tail()); // what was lost is in `log.survey()`
+//! # assert!(frames > 100);
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! # Bearing from logs
+//!
+//! ```
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! use csi5300::pipeline::Capture;
+//!
+//! let capture = Capture::new("108".parse()?)
+//!     .receiver("tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat")?
+//!     .transmitter("tests/fixtures/small-circle/csi_tx1_2023-11-14_221320.dat")?
+//!     .trajectory("tests/fixtures/small-circle/rx_trajectory_2023-11-14_221320_.csv")?;
+//! for bearing in capture.bearings()? {
+//!     let answer = bearing?.answer;
+//!     let azimuth_deg = answer.azimuth_rad.to_degrees();
+//!     println!("{azimuth_deg:.1} deg, within 5 deg with probability {:.2?}", answer.probability);
+//!     # assert!((azimuth_deg - 120.5).abs() < 0.5);
+//! }
+//! # Ok(())
+//! # }
+//! ```
+//!
 //! # Listen
 //!
 //! Every record that the driver of this machine's card sends, with its host time; CAP_NET_ADMIN is needed.
@@ -88,7 +123,7 @@
 //! # Where things come from
 //!
 //! Records come from a [`source::CsiSource`]: a file ([`source::replay`]), a card (crate `csi5300-live`) or a simulated
-//! room (crate `csi5300-sim`). [`pipeline::bearings`] is the whole machine. `ARCHITECTURE.md` has the plan of the house.
+//! room (crate `csi5300-sim`). [`pipeline::Capture`] and [`pipeline::bearings`] are the whole machine. `ARCHITECTURE.md` has the plan of the house.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod bartlett;

@@ -58,6 +58,11 @@ pub fn estimate(links: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bearing
     }
 }
 
+/// The bearing of one link by itself: a capture of one.
+pub(super) fn estimate_one(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing, LinkError> {
+    Ok(Draft::begin(join, options)?.finish(options))
+}
+
 /// A bearing before what takes all links of a capture: its search is still open.
 struct Draft {
     placed: Option<(Placed, Search)>,

@@ -37,7 +37,7 @@ impl FrameHeard {
 
     /// A forward frame as the robot that answered it has measured it.
     #[must_use]
-    pub fn measured(measurement: &Measurement, row: u32) -> Self {
+    pub(crate) fn measured(measurement: &Measurement, row: u32) -> Self {
         let iq = measurement.iq.map(|[i, q]| Iq { i, q });
         Self { number: measurement.number, timestamp_low: measurement.timestamp_low, host_us: None, row, iq }
     }
@@ -117,7 +117,7 @@ pub(crate) struct LogReader<'a> {
 
 impl<'a> LogReader<'a> {
     /// A log from `source`, of which only `antenna` is decoded.
-    pub fn new(source: &'a mut dyn CsiSource, antenna: Antenna) -> Self {
+    pub(crate) fn new(source: &'a mut dyn CsiSource, antenna: Antenna) -> Self {
         Self { source, front: Front::new(antenna), queue: VecDeque::new(), now: Instant::ZERO, ended: false }
     }
 
@@ -125,7 +125,7 @@ impl<'a> LogReader<'a> {
     ///
     /// # Errors
     /// If the source fails.
-    pub fn read_ahead(&mut self, limit: usize) -> Result<&VecDeque<(Mac, FrameHeard)>, Error> {
+    pub(crate) fn read_ahead(&mut self, limit: usize) -> Result<&VecDeque<(Mac, FrameHeard)>, Error> {
         while self.queue.len() < limit && !self.ended {
             self.pull()?;
         }
@@ -136,7 +136,7 @@ impl<'a> LogReader<'a> {
     ///
     /// # Errors
     /// If the source fails.
-    pub fn next_frame(&mut self) -> Result<Option<(Mac, FrameHeard)>, Error> {
+    pub(crate) fn next_frame(&mut self) -> Result<Option<(Mac, FrameHeard)>, Error> {
         while self.queue.is_empty() && !self.ended {
             self.pull()?;
         }
@@ -145,7 +145,7 @@ impl<'a> LogReader<'a> {
 
     /// True once everything was read and given out.
     #[must_use]
-    pub fn is_done(&self) -> bool {
+    pub(crate) fn is_done(&self) -> bool {
         self.ended && self.queue.is_empty()
     }
 

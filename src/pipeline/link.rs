@@ -61,7 +61,7 @@ pub(super) struct PairRow {
 impl Link {
     /// A link to `mac` with nothing in it yet. Pairs outside `span_us` of the receiver's host time are only counted.
     #[must_use]
-    pub fn new(mac: Mac, span_us: Option<(i64, i64)>) -> Self {
+    pub(crate) fn new(mac: Mac, span_us: Option<(i64, i64)>) -> Self {
         let pairing = Pairing::new(4_096);
         let (rows, products) = (Vec::new(), Vec::new());
         Self { mac, pairing, rows, products, silent: 0, span_us, outside: 0, first_us: None, stride: 1, thinned: 0 }
@@ -69,7 +69,7 @@ impl Link {
 
     /// Which side should be read next.
     #[must_use]
-    pub fn behind(&self) -> Side {
+    pub(crate) fn behind(&self) -> Side {
         self.pairing.behind()
     }
 
@@ -123,7 +123,7 @@ impl Link {
     }
 
     /// Takes a frame of one side.
-    pub fn handle(&mut self, side: Side, heard: FrameHeard, options: &Options) {
+    pub(crate) fn handle(&mut self, side: Side, heard: FrameHeard, options: &Options) {
         self.pairing.handle(side, heard.number, heard.timestamp_low, heard);
         self.take_pairs(options);
     }
@@ -174,7 +174,7 @@ impl Link {
     }
 
     /// Forgets the pairs before `host_us` of the receiver: a live window moves on.
-    pub fn forget_before(&mut self, host_us: i64) {
+    pub(crate) fn forget_before(&mut self, host_us: i64) {
         let stays: Vec<bool> = self.rows.iter().map(|row| row.host_us.is_none_or(|at| at >= host_us)).collect();
         if self.products.len() == self.rows.len() {
             // Row by row with them.
@@ -192,7 +192,7 @@ impl Link {
 
     /// The receiver's host time of the last pair kept, microseconds since the Unix epoch.
     #[must_use]
-    pub fn last_us(&self) -> Option<i64> {
+    pub(crate) fn last_us(&self) -> Option<i64> {
         self.rows.iter().rev().find_map(|row| row.host_us)
     }
 
@@ -206,7 +206,7 @@ impl Link {
     }
 
     /// Ends both logs.
-    pub fn finish(&mut self, options: &Options) {
+    pub(crate) fn finish(&mut self, options: &Options) {
         self.pairing.finish();
         self.take_pairs(options);
     }

@@ -1,6 +1,8 @@
 //! The whole machine: logs and a trajectory in, bearings out. The one place where sources, state machines and the
 //! estimator meet.
 //!
+//! [`Capture`] is the short way in; [`bearings`] takes sources that the caller keeps.
+//!
 //! | step | where |
 //! |---|---|
 //! | records of each log become frames of one antenna | `intake` |
@@ -8,16 +10,19 @@
 //! | all logs read in step, frames paired, each pair a round trip | `reading`, `link` |
 //! | clocks, compensation, gate, plane wave | `draft` |
 //! | spherical waves over all subcarriers, autofocus over all links, paths | `accurate` |
+//! | the same while robots drive, over the last metres | [`live`] |
 //! | the answer, as values and as a line of JSON | `bearing`, `answer`, `explain` |
 
 mod accurate;
 mod answer;
 mod bearing;
+mod capture;
 mod draft;
 mod error;
 mod explain;
 mod intake;
 mod link;
+pub mod live;
 mod matching;
 mod options;
 mod reading;
@@ -25,6 +30,7 @@ mod reading;
 pub use accurate::Placed;
 pub use answer::{Answer, PathAnswer, lost_something};
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
+pub use capture::{Capture, CaptureError};
 pub use draft::{LinkJoin, estimate};
 pub use error::LinkError;
 pub use explain::{LinkPlan, StepPlan};

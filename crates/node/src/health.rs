@@ -1,8 +1,8 @@
 //! The state of a running robot: what the status socket tells and `csi5300 watch` shows.
 
-use super::estimator::{PeerCounts, Report};
 use super::machine::{Machine, PoseCounts};
 use csi5300::motion::odometry::SourceCounts;
+use csi5300::pipeline::live::{PeerCounts, PeerReport};
 use csi5300::source::recorder::Totals;
 use csi5300::time::Instant;
 use serde::{Deserialize, Serialize};
@@ -61,7 +61,7 @@ pub struct PeerHealth {
     /// Pairs a second.
     pub pairs_hz: f64,
     /// What was last said of it.
-    pub report: Option<Report>,
+    pub report: Option<PeerReport>,
 }
 
 /// What a robot costs.
@@ -86,7 +86,7 @@ pub struct Load {
 pub struct Looks {
     name: String,
     last: Option<(Instant, u64, u64, Vec<u64>)>,
-    reports: Vec<Option<Report>>,
+    reports: Vec<Option<PeerReport>>,
 }
 
 impl Looks {
@@ -97,7 +97,7 @@ impl Looks {
     }
 
     /// Keeps what was last said of a peer.
-    pub fn note(&mut self, peer: usize, report: Report) {
+    pub fn note(&mut self, peer: usize, report: PeerReport) {
         if self.reports.len() <= peer {
             self.reports.resize(peer + 1, None);
         }

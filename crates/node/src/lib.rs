@@ -3,8 +3,7 @@
 //! | module | what it is |
 //! |---|---|
 //! | [`config`] | the one file that says everything, checked whole before anything starts |
-//! | [`motion`] | poses as they come, and how far two robots have moved relative to each other |
-//! | [`estimator`] | records and poses in, bearings out: sans-IO, time as an argument |
+//! | [`csi5300::pipeline::live`] | the library's estimator: records and poses in, bearings out, time as an argument |
 //! | [`sources`] | what a configuration names, opened: one module a kind of source |
 //! | `together` | where to begin in two replayed logs, so that they play together |
 //! | `threads` | the card and the wheels read on threads of their own |
@@ -21,10 +20,8 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod config;
-pub mod estimator;
 pub mod health;
 pub mod machine;
-pub mod motion;
 pub mod sources;
 pub mod threads;
 mod together;

@@ -1,11 +1,11 @@
 //! All of a robot's sources and its estimator as one value, driven with the time as an argument: the service drives it
 //! with a real clock, tests with a virtual one.
 
-use super::estimator::{Estimator, Report};
 use super::sources::{Card, Poses, Sources};
 use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::Options;
+use csi5300::pipeline::live::{LiveEstimator, PeerReport};
 use csi5300::source::recorder::{LogFiles, Recorder, Totals};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
@@ -128,7 +128,7 @@ pub struct Machine {
     poses: Option<Running<Poses>>,
     peers: Vec<PeerRunning>,
     /// The estimator.
-    pub estimator: Estimator,
+    pub estimator: LiveEstimator,
     taps: Vec<Box<dyn Tap>>,
     pose_counts: PoseCounts,
     trouble: Vec<String>,
@@ -141,7 +141,7 @@ impl Machine {
     pub fn new(
         sources: Sources,
         capture: impl FnOnce(Card) -> Result<Capture, Error>,
-        settings: super::estimator::Settings,
+        settings: csi5300::pipeline::live::LiveSettings,
         options: Options,
         now: Instant,
     ) -> Result<Self, Error> {
@@ -159,7 +159,7 @@ impl Machine {
             capture: Running::new(capture(sources.capture)?),
             poses: sources.poses.map(Running::new),
             peers,
-            estimator: Estimator::new(sources.own, sources.track, told, settings, options, now),
+            estimator: LiveEstimator::new(sources.own, sources.track, told, settings, options, now),
             taps: Vec::new(),
             pose_counts: PoseCounts::default(),
             trouble: Vec::new(),
@@ -265,7 +265,7 @@ impl Machine {
     }
 
     /// The next report that is due: the peer's number and what is said of it.
-    pub fn poll_report(&mut self, now: Instant) -> Option<(usize, Report)> {
+    pub fn poll_report(&mut self, now: Instant) -> Option<(usize, PeerReport)> {
         self.estimator.poll_report(now)
     }
 
@@ -333,7 +333,7 @@ impl Machine {
     ///
     /// # Errors
     /// If the log's writer died.
-    pub fn finish(mut self, now: Instant) -> Result<(Vec<Report>, Option<Totals>), Error> {
+    pub fn finish(mut self, now: Instant) -> Result<(Vec<PeerReport>, Option<Totals>), Error> {
         // What has come is taken, as far as it does not go on coming for ever.
         for _ in 0..LAST_BURSTS {
             if self.capture.ended || !self.take_records(now).unwrap_or(false) {

@@ -1,7 +1,6 @@
 //! The service: one thread of tokio that waits for records, poses, times, signals and readers of the state.
 
 use super::config::{Config, Log};
-use super::estimator::{Report, State};
 use super::health::{Health, Load, Looks};
 use super::joined::Joined;
 use super::machine::{Capture, Machine};
@@ -11,6 +10,7 @@ use super::sounder::Sounder;
 use super::sources::{Card, Sources};
 use super::viewers::Viewers;
 use csi5300::motion::odometry::clock::WallWatch;
+use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::source::Error;
 use csi5300::source::recorder::{LogFiles, Options as RecorderOptions, Recorder, Rotation, Totals};
 use csi5300::source::side_path;
@@ -89,7 +89,7 @@ struct Line<'a> {
     /// How long ago the last record in it was taken, milliseconds.
     latency_ms: Option<f64>,
     #[serde(flatten)]
-    report: &'a Report,
+    report: &'a PeerReport,
 }
 
 struct Service<'a> {
@@ -241,7 +241,7 @@ impl<'a> Service<'a> {
         let Some((peer, report)) = self.machine.poll_report(self.clock.now()) else { return };
         self.load.estimate_ms = (self.clock.real.now() - before).as_s() * 1e3;
         self.load.longest_estimate_ms = self.load.longest_estimate_ms.max(self.load.estimate_ms);
-        self.bearings += u64::from(report.state == State::Bearing);
+        self.bearings += u64::from(report.state == PeerState::Bearing);
         let since = |at: Instant| (self.clock.now() - at).as_s() / self.clock.speed * 1e3;
         let latency_ms = report.heard_at.map(since);
         self.lines.write(&Line { took_ms: Some(self.load.estimate_ms), latency_ms, report: &report });
@@ -288,7 +288,7 @@ impl<'a> Service<'a> {
         // The machine held the sender too, to tell it what was measured.
         let error = self.sounder.stop().or(error);
         for (report, peer) in reports.into_iter().zip(&mut health.peers) {
-            self.bearings += u64::from(report.state == State::Bearing);
+            self.bearings += u64::from(report.state == PeerState::Bearing);
             self.lines.write(&Line { took_ms: None, latency_ms: None, report: &report });
             peer.report = Some(report);
         }

@@ -6,6 +6,7 @@ use super::sounding::{NO_NUMBERS, Sounding, Wanted, Words, tell};
 use super::{Result, hint, print, print_json, usage};
 use csi5300::exchange::tdma::{Epoch, Event, Plan, Priority};
 use csi5300::motion::odometry;
+use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::signal::channel::Channel;
 use csi5300::source::Next;
 use csi5300::time::{Instant, Span};
@@ -62,12 +63,30 @@ pub struct Args {
 #[derive(serde::Serialize)]
 struct Line {
     mac: String,
-    pairs: usize,
+    pairs: u64,
     azimuth_deg: Option<f64>,
     azimuth_sd_deg: Option<f64>,
     mirror_deg: Option<f64>,
     coherence: Option<f64>,
     error: Option<String>,
+}
+
+impl Line {
+    fn new(mac: Mac, pairs: u64, report: &PeerReport) -> Self {
+        let answer = &report.answer;
+        let made = report.state == PeerState::Bearing;
+        let of = |value: Option<f64>| value.filter(|_| made);
+        let why = || answer.cause.as_ref().map_or_else(|| report.words.clone(), hint::words);
+        Self {
+            mac: mac.to_string(),
+            pairs,
+            azimuth_deg: of(answer.azimuth_deg),
+            azimuth_sd_deg: of(answer.azimuth_sd_deg),
+            mirror_deg: of(answer.mirror_deg),
+            coherence: of(answer.coherence),
+            error: (!made).then(why),
+        }
+    }
 }
 
 /// Makes bearings from products.
@@ -102,14 +121,14 @@ impl Observer for Live<'_> {
 
     fn look(&mut self, now: Instant, running: &Running) {
         if let Some(bearings) = self.bearings.as_mut().filter(|bearings| bearings.next_at <= now) {
-            bearings.make(running);
+            bearings.make(now, running);
             bearings.next_at = now + bearings.args.bearing_every;
         }
     }
 }
 
 impl Bearings<'_> {
-    fn make(&mut self, running: &Running) {
+    fn make(&mut self, now: Instant, running: &Running) {
         if self.products.unused().no_number > 0 && !self.told {
             self.told = true;
             eprintln!("{NO_NUMBERS}");
@@ -118,33 +137,13 @@ impl Bearings<'_> {
             Ok((trajectory, _)) => trajectory,
             Err(error) => return eprintln!("{}: {error}", self.path.display()),
         };
-        let pairs = self.products.pairs().filter(|(_, pairs)| *pairs > 0).map(|(_, pairs)| pairs);
-        for (pairs, (mac, bearing)) in pairs.zip(self.products.bearings(&trajectory)) {
-            let line = match bearing {
-                Ok(bearing) => {
-                    let answer = &bearing.answer;
-                    let sd_deg = Some(answer.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
-                    self.spare(mac, sd_deg, running);
-                    Line {
-                        mac: mac.to_string(),
-                        pairs,
-                        azimuth_deg: Some(answer.azimuth_rad.to_degrees()),
-                        azimuth_sd_deg: sd_deg,
-                        mirror_deg: answer.mirror_rad.map(f64::to_degrees),
-                        coherence: Some(bearing.plane_wave.coherence),
-                        error: None,
-                    }
-                }
-                Err(error) => Line {
-                    mac: mac.to_string(),
-                    pairs,
-                    azimuth_deg: None,
-                    azimuth_sd_deg: None,
-                    mirror_deg: None,
-                    coherence: None,
-                    error: Some(hint::words(&error)),
-                },
-            };
+        let pairs: Vec<_> = self.products.pairs().collect();
+        let reports = self.products.reports(&trajectory, now);
+        for ((mac, pairs), report) in pairs.into_iter().zip(reports).filter(|((_, pairs), _)| *pairs > 0) {
+            let line = Line::new(mac, pairs, &report);
+            if line.error.is_none() {
+                self.spare(mac, line.azimuth_sd_deg, running);
+            }
             self.show(&line);
         }
     }

@@ -1,13 +1,16 @@
 //! Live bearings: products of forward and backward frames while robots sound, with no second network.
 //!
 //! The initiator's card reports the backward frame; what the responder's card reported of the forward frame comes in a
-//! later answer ([`driver_iface::sounding::native::Measurement`]). Both go into the pipeline's [`Link`], as from logs.
+//! later answer ([`driver_iface::sounding::native::Measurement`]). Both go into the library's live estimator, as a node's
+//! records do.
 
-use csi5300::exchange::pairing::Side;
 use csi5300::motion::pose::Trajectory;
-use csi5300::pipeline::{Bearing, FrameHeard, Front, Link, LinkError, LinkJoin, Options, UnusedRecords, estimate};
+use csi5300::nalgebra::Vector3;
+use csi5300::pipeline::live::{LiveEstimator, LivePeer, LiveSettings, PeerReport, Track};
+use csi5300::pipeline::{FrameHeard, Options, UnusedRecords};
 use csi5300::source::Next;
 use csi5300::source::survey::Identity;
+use csi5300::time::Instant;
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Bfee};
 use driver_iface::sounding::native::Measurement;
@@ -28,66 +31,54 @@ pub fn measurement(bfee: &Bfee<'_>, identity: &Identity, antenna: Antenna) -> Op
     })
 }
 
-/// The links of one initiator.
-#[derive(Debug)]
+/// The links of one initiator to peers that stand still.
 pub struct Products {
-    options: Options,
-    /// Each with the number of measurements that came of it.
-    links: Vec<(Link, u32)>,
-    front: Front,
-    /// Measurements of another antenna than the one in use; not used.
-    pub other_antenna: u64,
+    estimator: LiveEstimator,
 }
 
 impl Products {
     /// Links to `peers`.
     #[must_use]
     pub fn new(peers: &[Mac], options: Options) -> Self {
-        let links = peers.iter().map(|mac| (Link::new(*mac, None), 0)).collect();
-        Self { front: Front::new(options.antenna), options, links, other_antenna: 0 }
+        let still = || Track::still(Vector3::zeros(), 0.0);
+        let peer = |mac: &Mac| LivePeer { name: mac.to_string(), mac: *mac, track: still(), yaw_rad: 0.0 };
+        let peers = peers.iter().map(peer).collect();
+        // It is asked for bearings: it has no schedule, and no peer's log to tell this robot's own MAC from others in.
+        let (own, now) = (Mac::ZERO, Instant::ZERO);
+        let settings = LiveSettings::everything();
+        Self { estimator: LiveEstimator::new(own, Track::default(), peers, settings, options, now) }
     }
 
     /// Takes what the card's driver gave.
     pub fn note(&mut self, next: &Next<'_>) {
-        let Some((mac, heard)) = self.front.note(next) else { return };
-        if let Some((link, _)) = find(&mut self.links, mac) {
-            link.handle(Side::Receiver, heard, &self.options);
-        }
+        self.estimator.handle_own(next);
     }
 
     /// Takes what a peer's answer carried.
     pub fn answered(&mut self, peer: Mac, measurement: &Measurement) {
-        if measurement.rx_antenna != self.options.antenna as u8 {
-            self.other_antenna += 1;
-            return;
-        }
-        let Some((link, row)) = find(&mut self.links, peer) else { return };
-        link.handle(Side::Transmitter, FrameHeard::measured(measurement, *row), &self.options);
-        *row += 1;
+        self.estimator.handle_measurement(peer, measurement);
     }
 
     /// Records of the card that could not be used, by reason.
     #[must_use]
     pub fn unused(&self) -> UnusedRecords {
-        self.front.unused
+        self.estimator.front().unused
+    }
+
+    /// Measurements of another antenna than the one in use: not used.
+    #[must_use]
+    pub fn other_antenna(&self) -> u64 {
+        self.estimator.other_antenna()
     }
 
     /// Products that there are, by link.
-    pub fn pairs(&self) -> impl Iterator<Item = (Mac, usize)> {
-        self.links.iter().map(|(link, _)| (link.mac, link.pairs()))
+    pub fn pairs(&self) -> impl Iterator<Item = (Mac, u64)> {
+        self.estimator.peers().map(|(peer, counts)| (peer.mac, counts.pairs))
     }
 
-    /// The bearings to all peers with a product, from all products so far; an error where there is nothing to make one
-    /// from yet.
-    #[must_use]
-    pub fn bearings(&self, trajectory: &Trajectory) -> Vec<(Mac, Result<Bearing, LinkError>)> {
-        let links = || self.links.iter().map(|(link, _)| link).filter(|link| link.pairs() > 0);
-        let join = |link| LinkJoin { link, receiver: trajectory, transmitter: None };
-        let made = estimate(&links().map(join).collect::<Vec<_>>(), &self.options);
-        links().map(|link| link.mac).zip(made).collect()
+    /// What is known of each peer, in their order, from all products so far and the trajectory so far.
+    pub fn reports(&mut self, trajectory: &Trajectory, now: Instant) -> Vec<PeerReport> {
+        self.estimator.handle_trajectory(trajectory);
+        self.estimator.ask(now)
     }
-}
-
-fn find(links: &mut [(Link, u32)], mac: Mac) -> Option<&mut (Link, u32)> {
-    links.iter_mut().find(|(link, _)| link.mac == mac)
 }

@@ -2,7 +2,7 @@
 
 use super::Config;
 use super::values::{maybe_positive, positive};
-use crate::estimator::Settings;
+use csi5300::pipeline::live::LiveSettings;
 
 /// How bearings are made.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
@@ -49,22 +49,22 @@ impl Estimation {
     /// Relative motion needed for a bearing, metres, at this wavelength.
     #[must_use]
     pub fn motion_needed_m(&self, wavelength_m: f64) -> f64 {
-        self.least_motion_m.unwrap_or_else(|| Settings::new(wavelength_m).least_m)
+        self.least_motion_m.unwrap_or_else(|| LiveSettings::new(wavelength_m).least_m)
     }
 }
 
 impl Config {
     /// How the estimator is set.
     #[must_use]
-    pub fn estimator_settings(&self) -> Settings {
+    pub fn estimator_settings(&self) -> LiveSettings {
         let asked = &self.estimator;
-        Settings {
-            window_m: asked.window_m,
-            window_s: asked.window_s,
-            least_m: asked.motion_needed_m(self.channel.wavelength_m()),
-            rate_hz: asked.rate_hz,
-            extrapolate_s: asked.extrapolate_s,
-            accurate_every_s: asked.accurate_every_s,
-        }
+        let wavelength_m = self.channel.wavelength_m();
+        let mut settings = LiveSettings::new(wavelength_m);
+        (settings.window_m, settings.window_s) = (asked.window_m, asked.window_s);
+        settings.least_m = asked.motion_needed_m(wavelength_m);
+        settings.rate_hz = asked.rate_hz;
+        settings.extrapolate_s = asked.extrapolate_s;
+        settings.accurate_every_s = asked.accurate_every_s;
+        settings
     }
 }

@@ -1,10 +1,10 @@
 //! No node of ROS: a configuration that asks for one was refused.
 
 use crate::config::Config;
-use crate::estimator::Report;
 use crate::machine::Machine;
 use crate::sources::{RosNode, Sources};
 use csi5300::motion::pose::Pose;
+use csi5300::pipeline::live::PeerReport;
 
 pub struct Ros;
 
@@ -16,7 +16,7 @@ impl Ros {
 
     pub fn attach(&self, _: &mut Machine) {}
 
-    pub fn report(&mut self, _: usize, _: &Report, _: Option<&Pose>) {}
+    pub fn report(&mut self, _: usize, _: &PeerReport, _: Option<&Pose>) {}
 
     pub fn counts(&self) -> Option<serde_json::Value> {
         None

@@ -2,12 +2,12 @@
 
 use crate::config::Config;
 use crate::config::ros::name_part;
-use crate::estimator::{Report, State};
 use crate::machine::{Machine, Tap};
 use crate::ros1::messages::{self, Bearing, Csi, Header, PoseStamped, Quaternion, Time, Vector};
 use crate::ros1::{Outbox, RosLink};
 use crate::sources::Sources;
 use csi5300::motion::pose::Pose;
+use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::signal::csi::Csi as Matrix;
 use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{Next, Stamps};
@@ -39,7 +39,7 @@ impl Ros {
         let (Some(link), true) = (&ros.link, config.ros.is_some()) else { return ros };
         let node = asked.node(config);
         if asked.publish_bearings {
-            let peer = |told: &crate::estimator::Peer| {
+            let peer = |told: &csi5300::pipeline::live::LivePeer| {
                 let topic = format!("{node}/{}", name_part(&told.name));
                 let (bearings, poses) = (format!("{topic}/bearing"), format!("{topic}/pose"));
                 let (bearings, poses) = (link.publish(&bearings), link.publish(&poses));
@@ -59,12 +59,12 @@ impl Ros {
     }
 
     /// Publishes what is said of peer number `peer`; `own` is where this robot's antenna is.
-    pub fn report(&mut self, peer: usize, report: &Report, own: Option<&Pose>) {
+    pub fn report(&mut self, peer: usize, report: &PeerReport, own: Option<&Pose>) {
         let Some(peer) = self.peers.get_mut(peer) else { return };
         peer.seq = peer.seq.wrapping_add(1);
         let stamp = Time::from_s(report.t_s.unwrap_or(0.0));
         let header = Header { seq: peer.seq, stamp, frame_id: self.frame.clone() };
-        if let (State::Bearing | State::Held, Some(azimuth_deg), Some(own)) =
+        if let (PeerState::Bearing | PeerState::Held, Some(azimuth_deg), Some(own)) =
             (report.state, report.answer.azimuth_deg, own)
         {
             peer.poses.put(pointing(header.clone(), own, azimuth_deg.to_radians()));
@@ -83,7 +83,7 @@ impl Ros {
     }
 }
 
-fn bearing(header: Header, peer: &str, mac: &str, report: &Report) -> Bearing {
+fn bearing(header: Header, peer: &str, mac: &str, report: &PeerReport) -> Bearing {
     let answer = &report.answer;
     let number = |value: Option<f64>| value.unwrap_or(f64::NAN);
     let angle = |degrees: Option<f64>| number(degrees).to_radians();

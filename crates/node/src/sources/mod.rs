@@ -15,11 +15,10 @@ mod served;
 pub(crate) use ros::RosNode;
 
 use crate::config::{Capture, Config, Odometry, Peer as PeerConfig, Records};
-use crate::estimator::Peer;
-use crate::motion::Track;
 use csi5300::motion::odometry::OdometrySource;
 use csi5300::motion::odometry::replay::Mounted;
 use csi5300::motion::odometry::ros::Stamp;
+use csi5300::pipeline::live::{LivePeer, Track};
 use csi5300::source::{CsiSource, Error};
 use csi5300::time::Instant;
 use driver_iface::Mac;
@@ -37,7 +36,7 @@ pub type Poses = Box<dyn OdometrySource + Send>;
 /// One peer's sources. What comes over the network has none here.
 pub struct PeerSources {
     /// What the estimator is told of it.
-    pub peer: Peer,
+    pub peer: LivePeer,
     /// Its records.
     pub records: Option<Card>,
     /// Its poses.
@@ -182,7 +181,7 @@ impl<'a> Shared<'a> {
         let (poses, track) = self.poses(&peer.poses, &peer.name, peer.antenna_offset_m)?;
         let unknown = || Error::Input(format!("the MAC of peer `{}` is not known", peer.name));
         let mac = peer.mac.or(mac).ok_or_else(unknown)?;
-        let told = Peer { name: peer.name.clone(), mac, track, yaw_rad: peer.yaw_deg.to_radians() };
+        let told = LivePeer { name: peer.name.clone(), mac, track, yaw_rad: peer.yaw_deg.to_radians() };
         Ok(PeerSources { peer: told, records, poses })
     }
 }

@@ -2,10 +2,10 @@
 
 use super::Poses;
 use crate::config::{Csv, Place};
-use crate::motion::Track;
 use csi5300::motion::odometry::csv;
 use csi5300::motion::odometry::replay::Replayed;
 use csi5300::motion::pose::Pose;
+use csi5300::pipeline::live::Track;
 use csi5300::source::Error;
 use csi5300::time::Instant;
 use nalgebra::Vector3;

@@ -1,8 +1,8 @@
 //! Nobody looks: a configuration that asks for viewers was refused.
 
 use crate::config::Config;
-use crate::estimator::Report;
 use crate::machine::Machine;
+use csi5300::pipeline::live::PeerReport;
 use csi5300::source::Error;
 
 pub struct Viewers;
@@ -14,7 +14,7 @@ impl Viewers {
 
     pub fn attach(&self, _: &mut Machine) {}
 
-    pub fn report(&self, _: &Machine, _: usize, _: &Report) {}
+    pub fn report(&self, _: &Machine, _: usize, _: &PeerReport) {}
 
     pub fn look(&self, _: &Machine) {}
 

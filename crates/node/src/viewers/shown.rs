@@ -1,11 +1,11 @@
 //! The channels of a recording, over a websocket.
 
 use crate::config::Config;
-use crate::estimator::{Report, State};
 use crate::foxglove::Live;
 use crate::machine::{Machine, Tap};
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::Front;
+use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::source::{Error, Next, Stamps};
 use csi5300::time::Instant;
 use driver_iface::record::Record;
@@ -46,8 +46,8 @@ impl Viewers {
     }
 
     /// Tells a new bearing.
-    pub fn report(&self, machine: &Machine, peer: usize, report: &Report) {
-        let Some(shown) = self.0.as_ref().filter(|_| report.state == State::Bearing) else { return };
+    pub fn report(&self, machine: &Machine, peer: usize, report: &PeerReport) {
+        let Some(shown) = self.0.as_ref().filter(|_| report.state == PeerState::Bearing) else { return };
         if let Some(bearing) = machine.estimator.bearing(peer) {
             // What is refused has no profile, and is in the report.
             let _ = shown.with(|live| live.channels.bearing(&report.answer.link, bearing));

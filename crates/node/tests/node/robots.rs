@@ -1,10 +1,10 @@
 //! A robot as one value, in virtual time: bearings while it drives, in a simulated room and from replayed captures.
 
 use csi5300::maths::wrap_rad;
+use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_node::config::Config;
-use csi5300_node::estimator::{Report, State};
 use csi5300_node::machine::{Capture, Machine};
 use csi5300_node::sources::Sources;
 use csi5300_sim::{Room, Scene};
@@ -27,7 +27,7 @@ fn machine(config: &Config) -> Machine {
 }
 
 /// Runs until the records end or `until`: every report with its time, and the last ones.
-fn run(mut machine: Machine, until: Instant) -> (Vec<(Instant, usize, Report)>, Vec<Report>) {
+fn run(mut machine: Machine, until: Instant) -> (Vec<(Instant, usize, PeerReport)>, Vec<PeerReport>) {
     let mut now = Instant::ZERO;
     let mut reports = Vec::new();
     loop {
@@ -96,7 +96,7 @@ fn truth_deg(room: &Room, peer: usize) -> f64 {
     towards.y.atan2(towards.x).to_degrees()
 }
 
-fn off_deg(report: &Report, truth: f64) -> f64 {
+fn off_deg(report: &PeerReport, truth: f64) -> f64 {
     let azimuth = report.answer.azimuth_deg.unwrap_or_else(|| panic!("{report:?}"));
     wrap_rad((azimuth - truth).to_radians()).to_degrees().abs()
 }
@@ -123,7 +123,7 @@ fn a_room_that_follows_poses_gives_the_bearing_of_where_they_lead() {
     let peer = Room::new(&Scene::from_toml(&text).unwrap()).unwrap().antenna(1, 0.0).unwrap();
     let truth = (peer.y + 2.0).atan2(peer.x - 1.0).to_degrees();
     let off = off_deg(&last[0], truth);
-    assert!(off < 1.0 && last[0].state == State::Bearing, "{off} {:?}", last[0]);
+    assert!(off < 1.0 && last[0].state == PeerState::Bearing, "{off} {:?}", last[0]);
 }
 
 #[test]
@@ -138,14 +138,14 @@ fn bearings_are_right_after_one_circle_with_two_four_and_eight_robots() {
         for (peer, report) in last.iter().enumerate() {
             let off = off_deg(report, truth_deg(&room, peer + 1));
             println!("{robots} robots, r{}: {off:.3} deg off", peer + 1);
-            assert!(off < 1.0 && report.state == State::Bearing, "{off} {report:?}");
+            assert!(off < 1.0 && report.state == PeerState::Bearing, "{off} {report:?}");
         }
         // At rest nothing is guessed; while it drives there is a bearing twice a second.
         let words: Vec<&str> = reports.iter().map(|(.., report)| report.words.as_str()).collect();
         assert!(words.iter().any(|words| words.starts_with("not yet: moved 0.0")), "{words:?}");
-        let early = reports.iter().find(|(.., report)| report.state == State::Bearing).unwrap();
+        let early = reports.iter().find(|(.., report)| report.state == PeerState::Bearing).unwrap();
         assert!(early.2.moved_m >= early.2.needed_m && early.0.as_s() > 2.0, "{early:?}");
-        let made = reports.iter().filter(|(.., report)| report.state == State::Bearing).count();
+        let made = reports.iter().filter(|(.., report)| report.state == PeerState::Bearing).count();
         assert!(made >= 30 * (robots - 1), "{made} bearings of {robots} robots");
     }
 }
@@ -188,12 +188,12 @@ fn the_bearing_of_a_peer_that_vanished_grows_old() {
     let machine = Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap();
     // This robot drives on until 21.5 s.
     let (reports, _) = run(machine, Instant::from_us(20_000_000));
-    assert!(reports.iter().any(|(at, _, report)| at.as_s() < 12.0 && report.state == State::Bearing));
+    assert!(reports.iter().any(|(at, _, report)| at.as_s() < 12.0 && report.state == PeerState::Bearing));
     let late: Vec<_> = reports.iter().filter(|(at, ..)| at.as_s() > 13.0).collect();
     assert!(late.len() > 10);
     for (at, _, report) in late {
         let age = at.as_s() - report.age_s;
-        assert!(report.state == State::NoPairs && (11.0..13.0).contains(&age), "{at:?} {report:?}");
+        assert!(report.state == PeerState::NoPairs && (11.0..13.0).contains(&age), "{at:?} {report:?}");
         assert!(report.answer.azimuth_deg.is_some(), "the last bearing is said again");
     }
 }
@@ -222,7 +222,7 @@ fn a_robot_that_drives_for_long_keeps_only_what_its_window_needs() {
     let counts = machine.estimator.peers().next().unwrap().1;
     println!("{most} of {} pairs, {longest} poses; {last:?}", counts.pairs);
     assert!(counts.pairs > 9_000 && most < 1_000 && longest < 50 * 56, "{most} of {} pairs, {longest}", counts.pairs);
-    assert_eq!(last.unwrap().state, State::Bearing);
+    assert_eq!(last.unwrap().state, PeerState::Bearing);
 }
 
 #[test]
@@ -232,9 +232,9 @@ fn nothing_is_computed_for_robots_that_stand() {
     let config = config(&folder, &text, 2, false);
     // Two seconds after the circle's end.
     let (reports, _) = run(machine(&config), Instant::from_us(23_500_000));
-    let late: Vec<State> =
+    let late: Vec<PeerState> =
         reports.iter().filter(|(at, ..)| at.as_s() > 22.2).map(|(.., report)| report.state).collect();
-    assert!(!late.is_empty() && late.iter().all(|state| *state == State::Held), "{late:?}");
+    assert!(!late.is_empty() && late.iter().all(|state| *state == PeerState::Held), "{late:?}");
 }
 
 /// The same room, in which all robots initiate in turns.
@@ -274,7 +274,7 @@ fn robots_that_all_initiate_lose_no_pair_and_no_degree() {
             assert_eq!((own.duplicates, own.mispaired, other.duplicates, other.mispaired), (0, 0, 0, 0));
             // Of two robots every frame is for the other.
             assert!(robots > 2 || own.paired == own.handed, "{own:?}");
-            assert!(off < 1.0 && report.state == State::Bearing, "{off} {report:?}");
+            assert!(off < 1.0 && report.state == PeerState::Bearing, "{off} {report:?}");
         }
     }
 }
@@ -288,7 +288,7 @@ fn the_accuracy_layer_is_asked_now_and_then_and_has_the_last_word() {
     config.estimator.accurate_every_s = 2.0;
     // Until two seconds after the circle's end.
     let (reports, last) = run(machine(&config), Instant::from_us(23_500_000));
-    let made: Vec<_> = reports.iter().filter(|(.., report)| report.state == State::Bearing).collect();
+    let made: Vec<_> = reports.iter().filter(|(.., report)| report.state == PeerState::Bearing).collect();
     let accurate: Vec<_> = made.iter().filter(|(.., report)| report.accurate).collect();
     assert!((8..=13).contains(&accurate.len()) && made.len() > 3 * accurate.len(), "{} {}", accurate.len(), made.len());
     for (at, _, report) in &made {
@@ -298,7 +298,7 @@ fn the_accuracy_layer_is_asked_now_and_then_and_has_the_last_word() {
         let heard = report.heard_at.unwrap();
         assert!(report.accurate || (*at - heard) < Span::from_ms(2), "{at:?} {heard:?}");
     }
-    let held = reports.iter().rev().find(|(.., report)| report.state == State::Held).unwrap();
+    let held = reports.iter().rev().find(|(.., report)| report.state == PeerState::Held).unwrap();
     assert!(held.2.accurate && last[0].accurate, "{held:?}");
 }
 

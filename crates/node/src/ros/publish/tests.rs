@@ -3,10 +3,10 @@ use csi5300::pipeline::Answer;
 use driver_iface::bfee::{Iq, Repr, Wsr};
 use driver_iface::record::code;
 
-fn report(state: State, azimuth_deg: Option<f64>) -> Report {
+fn report(state: PeerState, azimuth_deg: Option<f64>) -> PeerReport {
     let mut answer = Answer::default();
     (answer.azimuth_deg, answer.azimuth_sd_deg) = (azimuth_deg, Some(0.5));
-    Report {
+    PeerReport {
         t_s: Some(1_700_000_000.25),
         state,
         words: "moved 0.04 m".into(),
@@ -21,10 +21,10 @@ fn report(state: State, azimuth_deg: Option<f64>) -> Report {
 
 #[test]
 fn a_bearing_is_in_radians_and_what_is_not_known_is_no_number() {
-    let told = bearing(Header::default(), "b", "02:00:00:00:00:01", &report(State::NotYet, None));
+    let told = bearing(Header::default(), "b", "02:00:00:00:00:01", &report(PeerState::NotYet, None));
     assert_eq!((told.state.as_str(), told.words.as_str(), told.moved), ("not_yet", "moved 0.04 m", 0.04));
     assert!(told.azimuth.is_nan() && told.range.is_nan() && (told.azimuth_sd - 0.5_f64.to_radians()).abs() < 1e-12);
-    let told = bearing(Header::default(), "b", "", &report(State::Bearing, Some(-90.0)));
+    let told = bearing(Header::default(), "b", "", &report(PeerState::Bearing, Some(-90.0)));
     assert!((told.azimuth + std::f64::consts::FRAC_PI_2).abs() < 1e-12);
 }
 

@@ -1,7 +1,7 @@
 //! Poses of one robot as they come, and the stretch of two robots' relative motion that an estimate is made of.
 
-use csi5300::maths::wrap_rad;
-use csi5300::motion::pose::{Pose, Trajectory};
+use crate::maths::wrap_rad;
+use crate::motion::pose::{Pose, Trajectory};
 use nalgebra::{Rotation3, Vector3};
 use std::collections::VecDeque;
 

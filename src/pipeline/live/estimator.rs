@@ -1,0 +1,263 @@
+//! The live estimator: records and poses of this robot and its peers in, bearings out.
+
+use super::peer::{Context, PeerLink, SETTLE_S, WAIT, Why};
+use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport};
+use super::track::Track;
+use crate::exchange::pairing::Side;
+use crate::motion::pose::{Pose, Trajectory};
+use crate::pipeline::{Bearing, Front, Options};
+use crate::source::{Loss, Next};
+use crate::time::{Instant, Span};
+use driver_iface::Mac;
+use driver_iface::sounding::native::Measurement;
+
+/// Makes bearings of one robot to its peers, over and over.
+///
+/// Hand over what sources give with [`handle_own`](Self::handle_own), [`handle_peer`](Self::handle_peer),
+/// [`handle_pose`](Self::handle_pose) and [`handle_peer_pose`](Self::handle_peer_pose), in any order; then
+/// [`poll_report`](Self::poll_report) until `None`, then wait until [`poll_timeout`](Self::poll_timeout). One call makes
+/// at most one estimate, so that a driver can look after its sources in between.
+pub struct LiveEstimator {
+    own: Mac,
+    settings: LiveSettings,
+    options: Options,
+    plain: Options,
+    front: Front,
+    track: Track,
+    peers: Vec<PeerLink>,
+    /// Records lost on the way from the own card, as far as its source knows how many.
+    losses: u64,
+    strangers: u64,
+    other_antenna: u64,
+}
+
+impl LiveEstimator {
+    /// An estimator for the robot `own`, whose poses come, or are `track` for ever. `now` is when it begins.
+    #[must_use]
+    pub fn new(
+        own: Mac,
+        track: Track,
+        peers: Vec<LivePeer>,
+        settings: LiveSettings,
+        options: Options,
+        now: Instant,
+    ) -> Self {
+        let front = Front::new(options.antenna);
+        let count = peers.len().max(1) as f64;
+        // One after the other, so that the load is even.
+        let due = |k: usize| now + Span::from_s((1.0 + k as f64 / count) / settings.rate_hz);
+        let state = |(k, peer): (usize, LivePeer)| PeerLink::new(peer, options.antenna, due(k));
+        let peers = peers.into_iter().enumerate().map(state).collect();
+        let plain = options.clone().with_accuracy(options.accuracy.without_layers());
+        Self { own, settings, front, track, peers, losses: 0, strangers: 0, other_antenna: 0, options, plain }
+    }
+
+    /// Takes what this robot's card gave.
+    pub fn handle_own(&mut self, next: &Next<'_>) {
+        self.losses = self.losses.saturating_add(lost(next));
+        let Some((mac, heard)) = self.front.note(next) else { return };
+        let Some(state) = self.peers.iter_mut().find(|state| state.peer.mac == mac) else {
+            self.strangers += 1;
+            return;
+        };
+        state.counts.heard += 1;
+        state.handle(Side::Receiver, heard, next, &self.options);
+    }
+
+    /// Takes what the card of peer number `peer` gave.
+    pub fn handle_peer(&mut self, peer: usize, next: &Next<'_>) {
+        let Some(state) = self.peers.get_mut(peer) else { return };
+        state.counts.losses = state.counts.losses.saturating_add(lost(next));
+        let Some((mac, heard)) = state.front.note(next) else { return };
+        if mac != self.own {
+            return;
+        }
+        state.counts.heard_by_peer += 1;
+        state.handle(Side::Transmitter, heard, next, &self.options);
+    }
+
+    /// Takes what the answer of the peer `mac` carried: what its card reported of a frame of this robot's. Of another
+    /// antenna than the one in use it is only counted.
+    pub fn handle_measurement(&mut self, mac: Mac, measurement: &Measurement) {
+        if measurement.rx_antenna != self.options.antenna as u8 {
+            self.other_antenna += 1;
+            return;
+        }
+        if let Some(state) = self.peers.iter_mut().find(|state| state.peer.mac == mac) {
+            state.handle_measurement(measurement, &self.options);
+        }
+    }
+
+    /// Takes this robot's trajectory so far in place of all poses before.
+    pub fn handle_trajectory(&mut self, trajectory: &Trajectory) {
+        self.track.clear();
+        trajectory.poses().iter().for_each(|pose| self.track.push(*pose));
+    }
+
+    /// Takes a pose of this robot's antenna, on its own host's clock.
+    pub fn handle_pose(&mut self, pose: Pose) {
+        self.track.push(pose);
+    }
+
+    /// This robot's poses from here on are in another frame: what was measured in the last one is of no use.
+    pub fn handle_new_frame(&mut self) {
+        self.track.clear();
+        self.peers.iter_mut().for_each(PeerLink::begin_anew);
+    }
+
+    /// Takes a pose of a peer's antenna, on the peer's clock and in its frame.
+    pub fn handle_peer_pose(&mut self, peer: usize, pose: Pose) {
+        if let Some(state) = self.peers.get_mut(peer) {
+            state.peer.track.push(pose);
+        }
+    }
+
+    /// A peer's poses from here on are in another frame.
+    pub fn handle_peer_new_frame(&mut self, peer: usize) {
+        if let Some(state) = self.peers.get_mut(peer) {
+            state.peer.track.clear();
+            state.begin_anew();
+        }
+    }
+
+    /// When the next report is due: from then on the next pair is waited for.
+    #[must_use]
+    pub fn next_due(&self) -> Option<Instant> {
+        let due = |state: &PeerLink| state.unrefined_since().unwrap_or(state.due);
+        self.peers.iter().map(due).min()
+    }
+
+    /// When [`poll_report`](Self::poll_report) has something to say whatever comes until then.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        let at = |state: &PeerLink| state.unrefined_since().unwrap_or(state.due + WAIT);
+        self.peers.iter().map(at).min()
+    }
+
+    /// The next report, if one is due: the peer's number and what is said of it.
+    ///
+    /// One is due at its time as soon as another pair comes, or a moment later; and once more, from the accuracy layer, when
+    /// nothing else is due.
+    pub fn poll_report(&mut self, now: Instant) -> Option<(usize, PeerReport)> {
+        let due = self.peers.iter().enumerate().filter(|(_, state)| state.is_ripe(now));
+        let due = due.min_by_key(|(_, state)| state.due).map(|(index, _)| (index, Why::Due));
+        let unrefined = || self.peers.iter().position(|state| state.unrefined).map(|index| (index, Why::Refine));
+        let (index, why) = due.or_else(unrefined)?;
+        let period = Span::from_s(1.0 / self.settings.rate_hz);
+        let state = self.peers.get_mut(index)?;
+        if why == Why::Due {
+            // A driver that was away does not make up for what it missed.
+            state.due = if now - state.due > period { now + period } else { state.due + period };
+        }
+        let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
+        let report = state.report(Context { track, settings, options, plain, now, why });
+        self.forget();
+        Some((index, report))
+    }
+
+    /// Every peer's report, due or not, from everything in its window, with the accuracy layer.
+    pub fn ask(&mut self, now: Instant) -> Vec<PeerReport> {
+        let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
+        let context = Context { track, settings, options, plain, now, why: Why::Refine };
+        self.peers.iter_mut().map(|state| state.report(context)).collect()
+    }
+
+    /// Ends all sources: every peer's last report, from everything that came.
+    pub fn finish(&mut self, now: Instant) -> Vec<PeerReport> {
+        let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
+        let context = Context { track, settings, options, plain, now, why: Why::End };
+        let last = |state: &mut PeerLink| {
+            state.link.finish(context.options);
+            state.report(context)
+        };
+        self.peers.iter_mut().map(last).collect()
+    }
+
+    /// The last estimate of a peer's bearing, with everything in it.
+    #[must_use]
+    pub fn bearing(&self, peer: usize) -> Option<&Bearing> {
+        self.peers.get(peer)?.bearing.as_ref()
+    }
+
+    /// Peers and what was counted of them.
+    pub fn peers(&self) -> impl Iterator<Item = (&LivePeer, PeerCounts)> {
+        let counts = |state: &PeerLink| PeerCounts { pairs: state.pairs(), ..state.counts };
+        self.peers.iter().map(move |state| (&state.peer, counts(state)))
+    }
+
+    /// What was counted of this robot's own card.
+    #[must_use]
+    pub fn front(&self) -> &Front {
+        &self.front
+    }
+
+    /// Poses of this robot that are kept, and the newest.
+    #[must_use]
+    pub fn track(&self) -> &Track {
+        &self.track
+    }
+
+    /// Losses that the own card's source reported, and frames of senders that are no peers.
+    #[must_use]
+    pub fn losses(&self) -> (u64, u64) {
+        (self.losses, self.strangers)
+    }
+
+    /// Measurements of another antenna than the one in use: not used.
+    #[must_use]
+    pub fn other_antenna(&self) -> u64 {
+        self.other_antenna
+    }
+
+    /// Forgets what no window needs any more.
+    fn forget(&mut self) {
+        let keep_s = self.settings.window_s + SETTLE_S;
+        forget(&mut self.track, keep_s);
+        // Their clocks, and how late they come, are their own.
+        self.peers.iter_mut().for_each(|state| forget(&mut state.peer.track, keep_s + SETTLE_S + 60.0));
+    }
+}
+
+/// Records lost, as far as a source knows how many.
+fn lost(next: &Next<'_>) -> u64 {
+    match next {
+        Next::Lost(Loss::Overrun { dropped: Some(dropped) }) => (*dropped).max(1),
+        Next::Lost(_) => 1,
+        Next::Record(..) | Next::Pending | Next::End(_) => 0,
+    }
+}
+
+/// Forgets what is older than `keep_s` by the track's own clock.
+fn forget(track: &mut Track, keep_s: f64) {
+    if let Some(last_s) = track.last().map(|pose| pose.t_s) {
+        track.forget_before(last_s - keep_s);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::Vector3;
+
+    #[test]
+    fn tracks_are_trimmed_though_nothing_moves_and_nothing_is_heard() {
+        let settings = LiveSettings::new(0.054);
+        let peer = LivePeer { name: "b".into(), mac: Mac([2; 6]), track: Track::default(), yaw_rad: 0.0 };
+        let options = Options::new("108".parse().unwrap());
+        let mut estimator =
+            LiveEstimator::new(Mac([1; 6]), Track::default(), vec![peer], settings, options, Instant::ZERO);
+        for k in 0..6_000 {
+            // The peer's clock is an hour ahead.
+            let pose = |ahead_s: f64| Pose {
+                t_s: ahead_s + f64::from(k) * 0.1,
+                position_m: Vector3::zeros(),
+                heading_rad: None,
+            };
+            estimator.handle_pose(pose(0.0));
+            estimator.handle_peer_pose(0, pose(3_600.0));
+            estimator.poll_report(Instant::from_us(i64::from(k) * 100_000));
+        }
+        let kept = estimator.peers().next().unwrap().0.track.len();
+        assert!(kept < 3_100 && estimator.track().len() < 2_200, "{kept} {}", estimator.track().len());
+    }
+}

@@ -1,0 +1,17 @@
+//! Live bearings: records and poses as they come in, bearings out, with the time as an argument.
+//!
+//! A robot's node hands over what its own card, its peers' cards and both odometries give, and is told a bearing of each
+//! peer several times a second over the last metres of relative motion. A robot that sounds alone hands over its own card's
+//! records and the measurements in its peers' answers, and asks for bearings when it wants them.
+//!
+//! `report` has the values, `track` poses as they come and the stretch of relative motion, `peer` one peer, `estimator` the
+//! machine.
+
+mod estimator;
+mod peer;
+mod report;
+mod track;
+
+pub use estimator::LiveEstimator;
+pub use report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
+pub use track::Track;

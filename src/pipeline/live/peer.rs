@@ -1,0 +1,317 @@
+//! One peer: its link, its schedule, its last answer, and how a report of it is made.
+
+use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
+use super::track::{Track, Window, aligned, window};
+use crate::exchange::pairing::Side;
+use crate::motion::pose::{Pose, Trajectory};
+use crate::pipeline::draft::estimate_one;
+use crate::pipeline::{Answer, Bearing, FrameHeard, Front, Link, LinkJoin, Options};
+use crate::source::Next;
+use crate::time::{Instant, Span};
+use driver_iface::bfee::Antenna;
+use driver_iface::sounding::native::Measurement;
+
+/// Relative motion since an answer that makes a new one worth while, metres.
+const WORTH_M: f64 = 0.01;
+/// Pairs with fewer than this make no bearing.
+const LEAST_PAIRS: usize = 24;
+
+/// A report that is due waits for the next pair, so that the news in it are new, but no longer than this.
+pub(super) const WAIT: Span = Span::from_ms(25);
+/// Exchanges at rest before and after a motion that are kept, seconds: they settle slopes and signs.
+pub(super) const SETTLE_S: f64 = 30.0;
+
+pub(super) struct PeerLink {
+    pub(super) peer: LivePeer,
+    pub(super) front: Front,
+    pub(super) link: Link,
+    /// When its next report is due.
+    pub(super) due: Instant,
+    pub(super) counts: PeerCounts,
+    /// Measurements that came in its answers.
+    measured: u32,
+    last: Option<LastAnswer>,
+    /// Pairs there were at the last search.
+    searched: Option<u64>,
+    /// When the record came that made the newest pair.
+    paired_at: Option<Instant>,
+    /// When the accuracy layer was last asked, and whether it is to be asked next.
+    accurate_at: Option<Instant>,
+    pub(super) unrefined: bool,
+    /// The last estimate with everything in it.
+    pub(super) bearing: Option<Bearing>,
+}
+
+/// The last answer.
+#[derive(Clone, Debug)]
+struct LastAnswer {
+    answer: Answer,
+    /// When it was made.
+    at: Instant,
+    motion: NewestPoses,
+    moved_m: f64,
+    accurate: bool,
+}
+
+/// The newest poses, each in its own frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct NewestPoses {
+    receiver: Option<Pose>,
+    transmitter: Option<Pose>,
+}
+
+/// What all peers' reports share.
+#[derive(Clone, Copy)]
+pub(super) struct Context<'a> {
+    pub(super) track: &'a Track,
+    pub(super) settings: &'a LiveSettings,
+    pub(super) options: &'a Options,
+    /// The same without the accuracy layer.
+    pub(super) plain: &'a Options,
+    pub(super) now: Instant,
+    pub(super) why: Why,
+}
+
+/// What a report is made for.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Why {
+    /// It is time.
+    Due,
+    /// The accuracy layer has not yet had its word on what was just said, or the driver asks.
+    Refine,
+    /// Nothing more comes.
+    End,
+}
+
+impl PeerLink {
+    /// A peer of which nothing was heard yet.
+    pub(super) fn new(peer: LivePeer, antenna: Antenna, due: Instant) -> Self {
+        Self {
+            front: Front::new(antenna),
+            link: Link::new(peer.mac, None),
+            peer,
+            due,
+            counts: PeerCounts::default(),
+            measured: 0,
+            last: None,
+            searched: None,
+            paired_at: None,
+            accurate_at: None,
+            unrefined: false,
+            bearing: None,
+        }
+    }
+
+    /// Forgets what was measured in another frame.
+    pub(super) fn begin_anew(&mut self) {
+        self.link.forget_before(i64::MAX);
+        (self.last, self.searched, self.bearing) = (None, None, None);
+        (self.accurate_at, self.unrefined) = (None, false);
+    }
+
+    /// Takes what one of the two cards heard of the other.
+    pub(super) fn handle(&mut self, side: Side, heard: FrameHeard, next: &Next<'_>, options: &Options) {
+        let before = self.pairs();
+        self.link.handle(side, heard, options);
+        if let Next::Record(stamps, _) = next
+            && self.pairs() > before
+        {
+            self.paired_at = Some(stamps.at);
+        }
+    }
+
+    /// Takes what the peer's card measured of a frame of this robot's, from its answer.
+    pub(super) fn handle_measurement(&mut self, measurement: &Measurement, options: &Options) {
+        self.link.handle(Side::Transmitter, FrameHeard::measured(measurement, self.measured), options);
+        self.measured = self.measured.saturating_add(1);
+        self.counts.heard_by_peer += 1;
+    }
+
+    /// When its last answer was made, if the accuracy layer is still to have its word on it.
+    pub(super) fn unrefined_since(&self) -> Option<Instant> {
+        self.last.as_ref().filter(|_| self.unrefined).map(|last| last.at)
+    }
+
+    /// A report is due, and a pair has come since, or the time for one has passed.
+    pub(super) fn is_ripe(&self, now: Instant) -> bool {
+        self.due <= now && (now - self.due >= WAIT || self.paired_at.is_some_and(|at| at >= self.due))
+    }
+
+    /// Pairs formed so far.
+    pub(super) fn pairs(&self) -> u64 {
+        self.link.counts(Side::Receiver).paired
+    }
+
+    fn forget_before(&mut self, t_s: f64) {
+        self.link.forget_before((t_s * 1e6) as i64);
+    }
+
+    /// What is to be said.
+    pub(super) fn report(&mut self, context: Context<'_>) -> PeerReport {
+        let Context { track, settings, now, why, .. } = context;
+        self.unrefined = false;
+        let seen = self.link.last_us().map(|us| us as f64 * 1e-6);
+        let nothing_new = self.searched == Some(self.pairs());
+        if why == Why::Due && nothing_new {
+            return self.without(PeerState::NoPairs, "no exchange since the last search".into(), 0.0, context, seen);
+        }
+        let Some(end_s) = seen else {
+            return self.without(PeerState::NoPairs, "no exchange yet".into(), 0.0, context, None);
+        };
+        self.forget_before(end_s - settings.window_s - SETTLE_S);
+        let motion = NewestPoses { receiver: track.last().copied(), transmitter: self.peer.track.last().copied() };
+        if why == Why::Due
+            && let Some(last) = self.last.as_ref().filter(|last| !motion.is_beyond(&last.motion))
+        {
+            self.counts.skipped += 1;
+            let moved_m = last.moved_m;
+            self.unrefined = context.has_layers() && !last.accurate;
+            return self.without(PeerState::Held, "held: nothing moved since".into(), moved_m, context, seen);
+        }
+        let span_s = (end_s - settings.window_s - SETTLE_S, end_s + settings.window_s);
+        let Some((receiver, transmitter)) = self.trajectories(track, settings, span_s) else {
+            return self.without(PeerState::NotYet, "no poses yet".into(), 0.0, context, seen);
+        };
+        let found = window(&receiver, transmitter.as_ref(), settings.window_m, settings.window_s);
+        let Some(found) = found else {
+            return self.without(
+                PeerState::NotYet,
+                "the robots' poses are of different times".into(),
+                0.0,
+                context,
+                seen,
+            );
+        };
+        if found.path_m == 0.0 {
+            // At rest only what settles slopes and signs is of use.
+            self.forget_before(end_s - SETTLE_S);
+        }
+        if found.extent_m < settings.least_m {
+            let words = format!("not yet: moved {:.2} m of {:.2} m", found.extent_m, settings.least_m);
+            return self.without(PeerState::NotYet, words, found.extent_m, context, seen);
+        }
+        self.searched = Some(self.pairs());
+        let mut report = self.estimate(&receiver, transmitter.as_ref(), &found, context);
+        if let Some(last) = self.last.as_ref().filter(|_| nothing_new && why == Why::End) {
+            report.age_s = (now - last.at).as_s();
+        }
+        if report.state == PeerState::Bearing {
+            let (answer, moved_m, accurate) = (report.answer.clone(), found.extent_m, report.accurate);
+            self.last = Some(LastAnswer { answer, at: now, motion, moved_m, accurate });
+            self.unrefined = context.has_layers() && !accurate && self.is_layers_turn(context);
+        }
+        report
+    }
+
+    /// True if it is time for the accuracy layer.
+    fn is_layers_turn(&self, context: Context<'_>) -> bool {
+        let every = Span::from_s(context.settings.accurate_every_s);
+        self.accurate_at.is_none_or(|at| context.now - at >= every)
+    }
+
+    /// Both trajectories on this robot's clock and in the directions of its frame.
+    fn trajectories(
+        &self,
+        track: &Track,
+        settings: &LiveSettings,
+        span_s: (f64, f64),
+    ) -> Option<(Trajectory, Option<Trajectory>)> {
+        let receiver = track.trajectory(settings.extrapolate_s, span_s)?;
+        if self.peer.track.is_still() {
+            return Some((receiver, None));
+        }
+        let ahead_s = self.link.partner_ahead_s()?;
+        let transmitter = self.peer.track.trajectory(settings.extrapolate_s, span_s)?;
+        Some((receiver, Some(aligned(&transmitter, ahead_s, self.peer.yaw_rad)?)))
+    }
+
+    fn estimate(
+        &mut self,
+        receiver: &Trajectory,
+        transmitter: Option<&Trajectory>,
+        found: &Window,
+        context: Context<'_>,
+    ) -> PeerReport {
+        self.forget_before(if found.cut { found.from_s } else { found.from_s - SETTLE_S });
+        let seen = self.link.last_us().map(|us| us as f64 * 1e-6);
+        let receiver = cut(receiver, found);
+        let accurate = context.has_layers() && (context.why != Why::Due || context.settings.accurate_every_s <= 0.0);
+        let join = LinkJoin { link: &self.link, receiver: &receiver, transmitter };
+        let options = if accurate { context.options } else { context.plain };
+        let made = estimate_one(&join, options);
+        let answer = Answer::of(self.peer.name.clone(), Some(&self.link), made.as_ref());
+        self.bearing = made.ok();
+        self.counts.estimates += 1;
+        if accurate {
+            self.counts.accurate += 1;
+            self.accurate_at = Some(context.now);
+        }
+        if answer.pairs_in_motion < LEAST_PAIRS && answer.error.is_none() {
+            let words = format!("{} exchanges in motion, {LEAST_PAIRS} are needed", answer.pairs_in_motion);
+            return self.without(PeerState::NoPairs, words, found.extent_m, context, seen);
+        }
+        if let Some(error) = answer.error.clone() {
+            let mut report = self.without(PeerState::Failed, error, found.extent_m, context, seen);
+            report.answer.cause = answer.cause;
+            return report;
+        }
+        let words = format!("bearing {:.2} deg", answer.azimuth_deg.unwrap_or(f64::NAN));
+        let (moved_m, needed_m, heard_at) = (found.extent_m, context.settings.least_m, self.paired_at);
+        PeerReport {
+            t_s: seen,
+            state: PeerState::Bearing,
+            words,
+            moved_m,
+            needed_m,
+            age_s: 0.0,
+            accurate,
+            heard_at,
+            answer,
+        }
+    }
+
+    /// A report without a new bearing: the last one, if there is one, is said again with its age.
+    fn without(
+        &self,
+        state: PeerState,
+        words: String,
+        moved_m: f64,
+        context: Context<'_>,
+        seen: Option<f64>,
+    ) -> PeerReport {
+        let held = self.last.as_ref().filter(|_| state != PeerState::Failed);
+        let answer =
+            held.map_or_else(|| Answer::nothing(self.peer.name.clone(), self.peer.mac), |last| last.answer.clone());
+        let age_s = held.map_or(0.0, |last| (context.now - last.at).as_s());
+        let state = if held.is_some() && state == PeerState::NotYet { PeerState::Held } else { state };
+        let (needed_m, accurate) = (context.settings.least_m, held.is_some_and(|last| last.accurate));
+        PeerReport { t_s: seen, state, words, moved_m, needed_m, age_s, accurate, heard_at: None, answer }
+    }
+}
+
+impl Context<'_> {
+    /// True if the accuracy layer is asked at all.
+    fn has_layers(&self) -> bool {
+        self.options.accuracy.near_field
+    }
+}
+
+impl NewestPoses {
+    /// True if either robot is elsewhere than before.
+    fn is_beyond(&self, before: &Self) -> bool {
+        let moved = |now: Option<Pose>, then: Option<Pose>| {
+            now.zip(then).is_some_and(|(now, then)| (now.position_m - then.position_m).norm() >= WORTH_M)
+        };
+        moved(self.transmitter, before.transmitter) || moved(self.receiver, before.receiver)
+    }
+}
+
+/// The trajectory from the window's beginning on, where earlier motion was left out of it.
+fn cut(trajectory: &Trajectory, found: &Window) -> Trajectory {
+    if !found.cut {
+        return trajectory.clone();
+    }
+    let from = trajectory.poses().partition_point(|pose| pose.t_s < found.from_s).saturating_sub(1);
+    let kept = trajectory.poses().get(from..).unwrap_or_default();
+    Trajectory::new(kept.to_vec()).unwrap_or_else(|_| trajectory.clone())
+}
