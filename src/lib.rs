@@ -53,7 +53,7 @@
 //! let mut log = csi5300::Log::open("tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat")?;
 //! let mut frames = 0;
 //! for frame in &mut log {
-//!     frames += usize::from(frame?.mac().is_some());
+//!     frames += usize::from(frame?.mac.is_some());
 //! }
 //! println!("{frames} frames, how it ended: {:?}", log.tail()); // what was lost is in `log.survey()`
 //! # assert!(frames > 100);

@@ -12,6 +12,7 @@
 //!
 //! ```
 //! use csi5300::exchange::tdma::{Config, Epoch, Plan, PlanError, Request, Tdma};
+//! use csi5300::driver_iface::Mac;
 //! use csi5300::time::Instant;
 //!
 //! // Twelve peers at 100 rounds per second fit, 32 do not; the error says what would.
@@ -20,7 +21,7 @@
 //! assert!(matches!(Plan::new(&Request::new(32, 100.0)), Err(PlanError::Rate { highest_hz, .. }) if highest_hz > 40.0));
 //!
 //! // Two robots on one air, without loss. The first initiates, the second answers.
-//! let (a, b) = ([2, 0, 0, 0, 0, 1], [2, 0, 0, 0, 0, 2]);
+//! let (a, b) = (Mac([2, 0, 0, 0, 0, 1]), Mac([2, 0, 0, 0, 0, 2]));
 //! let request = Request::new(1, 100.0);
 //! let mut first = Tdma::new(&Config { initiate: true, ..Config::new(a, 0, &[b], request, 1) })?;
 //! let mut second = Tdma::new(&Config::new(b, 0, &[a], request, 1))?;
