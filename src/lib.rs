@@ -10,7 +10,7 @@
 //! 1. **Forward and backward.** Two robots exchange two frames almost at once. The CFO has opposite signs in the two
 //!    directions, the path the same: in the *product* of the two CSI vectors the offset cancels and the path is there
 //!    twice ([`signal::cfo::round_trip`]; [`signal::samples::Coherent`] remembers the "twice"). Frames are paired by number
-//!    ([`exchange::pairing`]), which transmitter wrote which log is told by clocks ([`exchange::assign`]).
+//!    ([`exchange::pairing`]), which transmitter wrote which log follows from the clocks ([`exchange::assign`]).
 //! 2. **The channel centre.** A line through the phase over the subcarriers, evaluated at subcarrier 0, makes 30 noisy
 //!    phases one good one ([`signal::cfo::at_centre`]).
 //! 3. **Turn-around.** What is left of the CFO is `2 pi df` times the jitter of the time between the two frames. Both
@@ -123,7 +123,7 @@
 //! # Where things come from
 //!
 //! Records come from a [`source::CsiSource`]: a file ([`source::replay`]), a card (crate `csi5300-live`) or a simulated
-//! room (crate `csi5300-sim`). [`pipeline::Capture`] and [`pipeline::bearings`] are the whole machine. `ARCHITECTURE.md` has the plan of the house.
+//! room (crate `csi5300-sim`). [`pipeline::Capture`] and [`pipeline::bearings`] run all steps. `ARCHITECTURE.md` has the plan of crates and modules.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod bartlett;

@@ -4,7 +4,7 @@
 //! [`Pairing`] takes both logs of one link in any interleaving and gives the pairs. Host clocks, which differ by up
 //! to a minute between robots, are never looked at.
 //!
-//! What goes wrong in the field, and what is done:
+//! Cases that occur in real logs, and what is done:
 //! * **restart**: the counter starts anew (the sender was restarted). A jump back that another record confirms opens a
 //!   new session.
 //! * **two initiators**: where both robots initiate in turns, or answer a third, each log has several counts under one
@@ -14,12 +14,12 @@
 //! * **duplicate**: the same number again within a session (overheard echoes, measured 892 in one log): the first
 //!   stays, the others are counted.
 //! * **implausible jump**: a number more than some frames from its neighbours that no record soon after confirms (a
-//!   flipped bit; the reference sender's counter turns to noise after 68,966 packets; stale header fields): dropped and
+//!   flipped bit; the counter of the WSR toolbox's sender turns to noise after 68,966 packets; stale header fields): dropped and
 //!   counted, and nothing else is lost by it.
 //! * **another session's partner**: numbers repeat from session to session, and one log may have missed a whole one. The
-//!   cards' own clocks tell: `clock_tx - clock_rx` of a pair continues that of the last one to within its drift. A
+//!   cards' own clocks distinguish them: `clock_tx - clock_rx` of a pair continues that of the last one to within its drift. A
 //!   candidate that does not is left waiting for its real partner. Where nothing fits any more (a card was reset) a new
-//!   difference is believed once a run of candidates agrees to within the jitter of a turn-around: exchanges do, frames
+//!   difference is accepted once a run of candidates agrees to within the jitter of a turn-around: exchanges do, frames
 //!   of different sessions do not.
 
 mod clock;

@@ -9,7 +9,7 @@ use crate::signal::cfo::{TurnAround, at_centre, round_trip, round_trip_at_centre
 use driver_iface::Mac;
 use num_complex::Complex64;
 
-/// Pairs kept of a link; of more every second one goes, again and again, so that a log of any length costs no more memory.
+/// Most pairs kept of a link. At this number every second pair is dropped, so memory is bounded for a log of any length.
 /// At 100 exchanges a second it is over a minute within one trajectory, longer than odometry stays coherent.
 const MAX_ROWS: usize = 8_192;
 

@@ -152,7 +152,8 @@ fn normal(equations: &[Equation]) -> (Matrix2<f64>, Vector2<f64>) {
     (matrix, side)
 }
 
-/// Levenberg and Marquardt ([levenberg1944], [marquardt1963] in docs/references.md) from `start`, each residual weighted anew by the loss.
+/// Levenberg and Marquardt (\[levenberg1944\], \[marquardt1963\] in docs/references.md) from `start`, each residual
+/// weighted by the loss in every step.
 fn descend(start: Vector2<f64>, sightings: &[Sighting]) -> Option<(Vector2<f64>, f64)> {
     let (mut at, mut own) = (start, cost(&start, sightings));
     let mut damping = 1e-3;

@@ -60,7 +60,7 @@ pub struct Options {
     pub chunks: usize,
     /// A chunk that is not full is handed over this long after its first record.
     pub hand_over: Span,
-    /// How often the disk is told to make it last; `None` leaves that to the system.
+    /// How often the files are synchronised to the disk (`fsync`); `None` leaves that to the system.
     pub sync_every: Option<Span>,
 }
 

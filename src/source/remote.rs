@@ -6,7 +6,7 @@
 //! a `.dat` log has it. A pose's item is the number of its frame (8) and five 64-bit floats: seconds since the Unix epoch,
 //! x, y, z in metres, heading in radians (no number for none). Every pose says its frame, so that no loss mixes two. Items
 //! are numbered from 0 within a session, those too that the sender had no room for, so that whatever is dropped is
-//! counted, and another session is told from a gap.
+//! counted, and another session is distinguished from a gap.
 
 use super::{CsiSource, Error, Loss, Next, Origin, Stamps};
 use crate::motion::odometry::{NextPose, OdometryError, OdometrySource};

@@ -10,9 +10,9 @@ use std::collections::BTreeMap;
 
 /// Losses kept with their place; further ones are only counted.
 pub const LOSSES_KEPT: usize = 16;
-/// Senders told apart; a log in which noise or malice made up more only counts them.
+/// Senders that are surveyed one by one; records of further ones (noise or malice can make up any number) are only counted.
 pub const SENDERS_KEPT: usize = 256;
-/// Counts of frame numbers told apart for each sender, and how far numbers of one count are from each other at most:
+/// Counts of frame numbers distinguished for each sender, and how far numbers of one count are from each other at most:
 /// initiators begin further apart ([`crate::exchange::pairing::before_first_number`]).
 const COUNTS_KEPT: usize = 16;
 const SAME_COUNT: u32 = 1 << 22;
@@ -150,7 +150,7 @@ pub struct Survey {
     pub bfee_repeated: u64,
     /// Steps back of `bfee_count`: the driver was loaded anew (or more than 32,767 records are missing).
     pub bfee_restarted: u64,
-    /// Records of senders beyond [`SENDERS_KEPT`], which are not told apart.
+    /// Records of senders beyond [`SENDERS_KEPT`], which are only counted.
     pub further_senders: u64,
     /// Records by receive chains and streams: `streams[n_rx - 1][n_tx - 1]`.
     pub streams: [[u64; 3]; 3],

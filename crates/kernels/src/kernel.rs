@@ -1,4 +1,4 @@
-//! The Kaiser-Bessel kernel of the NUFFT [beatty2005]: values, transform, piecewise polynomials \[finufft2019\], and what
+//! The Kaiser-Bessel kernel of the NUFFT \[beatty2005\]: values, transform, piecewise polynomials \[finufft2019\], and what
 //! it loses.
 
 use std::f64::consts::PI;

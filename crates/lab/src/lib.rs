@@ -1,11 +1,11 @@
 //! Judging and showing: captures evaluated against their truth, recordings beside simulations, the experiments of
-//! the paper (`[paper]` in docs/references.md) repeated, and pictures of all of them.
+//! Dijkstra et al. (\[paper\] in docs/references.md) repeated, and pictures of all of them.
 //!
 //! | module | what goes in | what comes out |
 //! |---|---|---|
 //! | [`evaluate`] | a folder of captures with their truth | a row of each link, errors by set, what the rows are worth |
 //! | [`compare`] | a recorded capture, and a simulated one or none | their figures beside each other; a scene fitted to the recording |
-//! | [`suite`] | the paper's experiments as scenes | each repeated and summed up |
+//! | [`suite`] | the experiments of \[paper\] as scenes | each repeated and summed up |
 //! | [`rooms`] | a seed | random rooms with known truth, written as captures |
 //! | `show` (feature `plot`) | bearings, rows, figures | pictures (PNG, SVG) and one HTML page |
 //!

@@ -1,5 +1,5 @@
-//! The paper's experiments, simulated: stationary robots with a constant carrier offset and with the paper's
-//! sinusoid, circles and lines of three sizes; each goes through TDMA, bytes, pairing and the core.
+//! The experiments of Dijkstra et al. (\[paper\] in docs/references.md), simulated: stationary robots with a constant
+//! carrier offset and with their sinusoid, circles and lines of three sizes; each goes through TDMA, bytes, pairing and the core.
 
 use crate::compare::CompareError;
 use crate::compare::figures::{spread_rad, true_path};
@@ -12,11 +12,11 @@ use csi5300_sim::{Port, Room};
 use rayon::prelude::*;
 use std::f64::consts::TAU;
 
-/// Durations of the stationary experiments, seconds (the paper's III-A).
+/// Durations of the stationary experiments, seconds (\[paper\], section III-A).
 pub const STATIONARY_S: [f64; 5] = [10.0, 30.0, 60.0, 120.0, 300.0];
 /// Radii of circles, and lines as long as those are round, metres.
 pub const RADII_M: [f64; 3] = [0.1, 0.2, 0.3];
-/// Repetitions of each simulated experiment in the paper.
+/// Repetitions of each simulated experiment (\[paper\]).
 pub const REPETITIONS: u64 = 10;
 
 /// One experiment.
@@ -43,7 +43,7 @@ pub struct Run {
     pub sd_deg: Option<f64>,
     /// Calibrated probability that the azimuth is within five degrees, where there is one.
     pub confidence: Option<f64>,
-    /// The paper's confidence: the profile's highest value over its sum.
+    /// What \[paper\] calls confidence: the profile's highest value over its sum.
     pub likelihood_share: Option<f64>,
     /// `|sum z a| / sum |z|` of the best plane wave.
     pub coherence: Option<f64>,
@@ -53,7 +53,7 @@ pub struct Run {
     pub residual_compensated_rad: f64,
 }
 
-/// All experiments, in the paper's order.
+/// All experiments, in the order of \[paper\].
 #[must_use]
 pub fn experiments() -> Vec<Experiment> {
     let Some(base) = Scene::built_in("paper-circle") else { return Vec::new() };

@@ -11,7 +11,7 @@ use std::fmt::Write;
 /// Bars of a sparkline, lowest first.
 const BARS: [char; 8] = ['▁', '▂', '▃', '▄', '▅', '▆', '▇', '█'];
 
-/// Losses on the way to the disk and in the kernel, as told by those who know.
+/// Losses on the way to the disk and in the kernel, as counted by socket, pipe and recorder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Losses {
     /// Messages that the kernel dropped at the socket.

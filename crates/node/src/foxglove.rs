@@ -117,7 +117,7 @@ impl Recording {
 
 /// A websocket for viewers, on threads of its own. A viewer that is slow loses messages, and holds nothing up.
 pub struct Live {
-    /// What is told.
+    /// The channels that viewers subscribe to.
     pub channels: Channels,
     server: WebSocketServerHandle,
 }

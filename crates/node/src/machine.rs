@@ -62,7 +62,7 @@ impl Capture {
     }
 }
 
-/// Who is told of every record and pose of this robot: its peers, over a network, and viewers.
+/// A receiver of every record and pose of this robot: its peers, over a network, or viewers.
 pub trait Tap: Send {
     /// A record of this robot's card.
     fn record(&mut self, host_us: Option<i64>, record: Record<'_>);
@@ -167,7 +167,7 @@ impl Machine {
         })
     }
 
-    /// From now on `tap` is told of everything, too.
+    /// Adds a receiver of every record and pose that follows.
     pub fn add_tap(&mut self, tap: Box<dyn Tap>) {
         self.taps.push(tap);
     }

@@ -33,7 +33,7 @@ const ZENOH_QUEUE: &str = "2";
 /// Looks for a first reader, and the time between them.
 const FIRST_LOOKS: u32 = 200;
 const FIRST_LOOK: Duration = Duration::from_millis(5);
-/// Messages that are still sent once it is told to stop: more than can wait.
+/// Messages that are still sent after a request to stop: more than can wait.
 const LAST_MESSAGES: usize = 256;
 
 /// Something to publish, with its number among those of its kind. What there was no room for has a number too.
@@ -128,7 +128,7 @@ impl Network {
         Ok(())
     }
 
-    /// What is to be told of every record and pose of this robot, if anything is published.
+    /// The receiver of every record and pose of this robot, if anything is published.
     #[must_use]
     pub fn tap(&self) -> Option<Box<dyn Tap>> {
         let (items, _) = self.publisher.as_ref()?;
@@ -218,7 +218,7 @@ fn work(
     };
     let (mut left, mut behind) = (LAST_MESSAGES, false);
     while left > 0 {
-        // Once told to stop it sends what waits and no more: a tap that goes on does not keep it alive.
+        // After a request to stop it sends what waits and no more: a tap that goes on does not keep it alive.
         let stopping = stop.load(Ordering::Relaxed);
         left -= usize::from(stopping);
         match waiting.recv_timeout(if stopping { Duration::ZERO } else { STOP_LOOK }) {

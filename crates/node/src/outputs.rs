@@ -101,7 +101,7 @@ impl Lines {
     }
 }
 
-/// The status socket: everybody who connects is told the state, once a look, as lines of JSON.
+/// The status socket: every connection gets the state as one line of JSON a look.
 pub(super) struct StatusSocket {
     path: PathBuf,
     told: watch::Sender<Arc<str>>,

@@ -297,7 +297,7 @@ impl Air {
         false
     }
 
-    /// A robot hears a frame: its sender is told, its driver makes a record and may answer by itself.
+    /// A robot hears a frame: its scheduler gets it, its driver makes a record and may answer by itself.
     fn hear(&mut self, robot: usize, flight: &Arc<Flight>) {
         let world = Arc::clone(&self.world);
         let scene = world.scene();

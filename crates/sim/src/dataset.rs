@@ -77,7 +77,7 @@ struct Writing {
 ///
 /// TS is the scene's start (UTC). Times in trajectories are those of the initiator's host clock, metres in the scene's
 /// frame. Records of exchanges in which the logging robot has no part are left out, as in the data set; they show as
-/// gaps in `bfee_count`. `progress` is told the share of the scene that is done, about a hundred times.
+/// gaps in `bfee_count`. `progress` is called with the share of the scene that is done, 0 to 1, about a hundred times.
 ///
 /// # Errors
 /// [`Error::Io`] when a file cannot be written, [`Error::Input`] when a card of the room was taken before, or a robot is

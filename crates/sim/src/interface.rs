@@ -8,7 +8,7 @@ use csi5300::time::{Instant, Span};
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex};
 
-/// A robot's monitor interface in a room. It is to the room what `backend::monitor` is to a card.
+/// A robot's monitor interface in a room. What `csi5300_live::monitor::Monitor` is for a card, this is for the room.
 ///
 /// It hears what happened until the time that the room has come to: to which its cards, odometries and injectors were
 /// asked, or [`super::Room::advance`] was. A sender of the room's own on the same robot goes on beside it.

@@ -20,7 +20,7 @@ pub struct Radio {
     /// 60 (0.05 to 0.12 radians a subcarrier).
     pub delay_std_ns: f64,
     /// Sampling time offset: the two cards' sample grids slide over each other as their crystals do, so the delay
-    /// runs through one sample period (50 ns at 20 MHz) again and again.
+    /// is a sawtooth over one sample period (50 ns at 20 MHz).
     #[doc(alias = "STO")]
     pub sampling_offset: bool,
     /// What the filters of the sender's and this card leave of each of the 30 subcarriers, dB; only the shape counts.
@@ -86,7 +86,7 @@ pub enum Noise {
     /// None.
     #[default]
     Off,
-    /// At this ratio to the strongest antenna's mean power in each record, dB (as the paper adds it).
+    /// At this ratio to the strongest antenna's mean power in each record, dB (as \[paper\] of docs/references.md adds noise).
     SnrDb(f64),
     /// At this power, dBm: the ratio follows from distance and transmitted power.
     FloorDbm(f64),
@@ -112,7 +112,7 @@ impl Default for Gain {
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct FixedGain {
-    /// Size of a coefficient at a distance of 1 m in free space, in steps of the converter. The paper's circles: 256.
+    /// Size of a coefficient at a distance of 1 m in free space, in steps of the converter. In the circles of \[paper\]: 256.
     pub lsb_at_1m: f64,
     /// The `agc` field, dB.
     #[serde(default)]

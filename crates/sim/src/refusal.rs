@@ -91,7 +91,7 @@ impl fmt::Display for ScenePlace {
     }
 }
 
-/// What is wrong, with the place as far as it is known yet: checks of inner tables are told the outer ones afterwards.
+/// What is wrong, with the place as far as it is known yet: checks of inner tables get the names of the outer ones added afterwards.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Problem {
     place: ScenePlace,

@@ -83,14 +83,15 @@ pub enum Cfo {
     Off,
     /// Each carrier runs from its card's crystal and is evaluated at the true time of each frame.
     Physical,
-    /// The paper's `df t + c1 sin(c2 t)`, both directions at one instant.
+    /// `df t + c1 sin(c2 t)` of \[paper\], both directions at one instant.
     Paper(PaperCfo),
 }
 
-/// The paper's carrier offset (its equation for CFO_ij): `df t + c1 sin(c2 t)` cycles.
+/// The carrier offset of Dijkstra et al. (\[paper\] in docs/references.md, the equation for CFO_ij): `df t + c1 sin(c2 t)`
+/// cycles.
 ///
-/// With the paper's values it swings by `c1 c2` = 2 MHz, which no crystal does: at true frame times the two
-/// directions would have nothing in common. So, as in the paper, both are evaluated at one instant, the forward
+/// With their values it swings by `c1 c2` = 2 MHz, which no crystal does: at true frame times the two
+/// directions would be incoherent. So, as there, both are evaluated at one instant, the forward
 /// frame's, but for a uniformly distributed difference of at most `jitter_ns` either way.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
@@ -101,7 +102,7 @@ pub struct PaperCfo {
     pub c1: f64,
     /// Angular rate, radians per second.
     pub c2: f64,
-    /// The time difference's magnitude (the paper's epsilon_t), nanoseconds.
+    /// The time difference's magnitude (epsilon_t in \[paper\]), nanoseconds.
     pub jitter_ns: f64,
 }
 
@@ -147,7 +148,7 @@ impl Default for Sounding {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Dialect {
-    /// The WSR toolbox's: robots told apart by frame length.
+    /// The WSR toolbox's: the length of a frame says to which robot it is.
     #[default]
     Wsr,
     /// Ours: destination, role and number in the payload.

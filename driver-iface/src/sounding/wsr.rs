@@ -1,4 +1,4 @@
-//! The dialect of the WSR toolbox: robots are told apart by frame length.
+//! The dialect of the WSR toolbox: the length of a frame says to which robot it is.
 //!
 //! A forward frame to robot `k` is `n + 2 k` bytes long on air, FCS included (`n` = 57 in WSR's own examples). The
 //! driver of robot `k`, loaded with `ack_len` = `n + 2 k`, answers every frame of exactly that length with a copy of

@@ -72,12 +72,12 @@ impl Phy {
 /// How frames look.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Dialect {
-    /// As the WSR toolbox: robots told apart by length.
+    /// As the WSR toolbox: the length of a frame says to which robot it is.
     Wsr {
         /// On-air length (FCS included) of the forward frame to the robot of index 0; odd.
         first_len: u16,
     },
-    /// Ours, see [`driver_iface::sounding::native`].
+    /// The dialect of this project, see [`driver_iface::sounding::native`].
     Native {
         /// Leave room for a measurement in the backward frame.
         measurement: bool,

@@ -1,10 +1,10 @@
-//! Trajectory CSV files: no header, the number of columns tells the kind.
+//! Trajectory CSV files without header; the number of columns is the kind. `\[paper\]`: see docs/references.md.
 //!
 //! | columns | what | from |
 //! |---|---|---|
 //! | 5 | sec.frac, 0, x, y, z | motion capture, WSR data set (`rx_trajectory_*`) |
-//! | 6 | sec.frac, 0, x, y, z, yaw | motion capture, the paper's real captures |
-//! | 9 | sec.frac, 0, x, y, z, qx, qy, qz, qw | the paper's simulated captures |
+//! | 6 | sec.frac, 0, x, y, z, yaw | motion capture, real captures of \[paper\] |
+//! | 9 | sec.frac, 0, x, y, z, qx, qy, qz, qw | simulated captures of \[paper\] |
 //! | 15 | sec, nsec, x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz | T265 and wheel odometry (`t265_rx_*`, `odom_rx_*`) |
 //!
 //! Time is column 0 plus column 1 x 1e-9 s; metres, radians; a trailing comma is usual. Rows that cannot be read are

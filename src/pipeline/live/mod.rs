@@ -1,6 +1,6 @@
 //! Live bearings: records and poses as they come in, bearings out, with the time as an argument.
 //!
-//! A robot's node hands over what its own card, its peers' cards and both odometries give, and is told a bearing of each
+//! A robot's node hands over what its own card, its peers' cards and both odometries give, and gets a bearing of each
 //! peer several times a second over the last metres of relative motion. A robot that sounds alone hands over its own card's
 //! records and the measurements in its peers' answers, and asks for bearings when it wants them.
 //!

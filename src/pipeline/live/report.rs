@@ -1,4 +1,4 @@
-//! What the live estimator is told, and what it says.
+//! Settings, inputs and reports of the live estimator.
 
 use super::track::Track;
 use crate::pipeline::Answer;

@@ -3,7 +3,7 @@
 //!
 //! A rotation of the whole trajectory cannot be seen this way (it turns all bearings alike); a wrong scale and a bending
 //! path can, because no place explains the phases of all samples then. Sharper answers alone prove nothing: two
-//! parameters more always fit a little better, so the gain has to exceed what they explain ([akaike1974] in
+//! parameters more always fit a little better, so the gain has to exceed what they explain (\[akaike1974\] in
 //! docs/references.md).
 
 use super::fix::Fix;

@@ -2,7 +2,7 @@
 //!
 //! The round trip is the square of the channel: beside each path it holds the product of every two, a wave from between
 //! them. Orthogonal matching pursuit: the place that explains most of what is left joins the list, all amplitudes are
-//! fitted and all places climbed to anew ([li-stoica1996] in docs/references.md), and what they leave is searched again. A find that
+//! fitted and all places climbed to anew (\[li-stoica1996\] in docs/references.md), and what they leave is searched again. A find that
 //! two stronger ones would make between them, and that is no stronger than they can make it, is reported as their cross
 //! term.
 
@@ -35,7 +35,7 @@ pub struct Path {
 
 /// Waves that are looked for at most.
 const MOST: usize = TUNING.paths.most;
-/// A wave that takes less than this share of what is left is not told from noise and side lobes.
+/// A wave that takes less than this share of what is left is not distinguished from noise and side lobes.
 const LEAST_SHARE: f64 = TUNING.paths.least_share;
 /// Weaker round trips than this share of the strongest are left, in power: 15 dB.
 const WEAKEST: f64 = TUNING.paths.weakest;
@@ -86,7 +86,7 @@ impl Search {
         found.list()
     }
 
-    /// Moves every wave but the answer to where it explains most of what the others leave ([li-stoica1996]), once around.
+    /// Moves every wave but the answer to where it explains most of what the others leave (\[li-stoica1996\]), once around.
     fn relax(&self, found: &mut Found, whole: &[Vec<Complex64>]) {
         for i in 1..found.places.len() {
             let Some(mut rest) = found.fit(whole) else { return };

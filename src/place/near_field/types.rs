@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 /// How a trajectory is cut into windows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Taper {
-    /// Half-overlapping Hann windows ([harris1978] in docs/references.md).
+    /// Half-overlapping Hann windows (\[harris1978\] in docs/references.md).
     #[default]
     Hann,
     /// Blocks side by side.

@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 use std::sync::Mutex;
 use std::sync::mpsc::{Receiver, channel};
 
-/// A source of numbered records, as many as it is told.
+/// A source of numbered records, as many as it is made with.
 struct Numbered {
     left: VecDeque<Option<u32>>,
     body: Vec<u8>,

@@ -1,4 +1,5 @@
-//! `csi5300 demo`: the paper's circle and line, simulated, decoded and estimated.
+//! `csi5300 demo`: the circle and line of Dijkstra et al. (\[paper\] in docs/references.md), simulated, decoded
+//! and estimated.
 
 use super::args::Estimation;
 use super::{Outcome, Result, print, simulate};
@@ -22,7 +23,7 @@ pub struct Args {
     recorded: Vec<PathBuf>,
 }
 
-/// The paper's two experiments, and what they are drawn as.
+/// Its two experiments, and what they are drawn as.
 const SCENES: [(&str, &str); 2] = [
     ("circle", include_str!("../../../../scenes/paper-circle.toml")),
     ("line", include_str!("../../../../scenes/paper-line.toml")),

@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 /// How often the live view is drawn.
 const LOOK: Span = Span::from_ms(500);
 /// Rest after records before the socket is looked at again, so that at high rates one waking-up serves several of
-/// them. Their host times are told by the card's clock ([`csi5300::time::HostTimes`]), not by when they were read.
+/// them. Their host times are computed from the card's clock ([`csi5300::time::HostTimes`]), not from when they were read.
 const REST: Span = Span::from_ms(8);
 /// No rest after more records than this at once, ...
 const FEW: u32 = 32;

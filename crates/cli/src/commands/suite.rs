@@ -21,7 +21,7 @@ pub struct Args {
     csv: PathBuf,
 }
 
-/// Runs the paper's experiments and prints a table of them.
+/// Runs the experiments of Dijkstra et al. (\[paper\] in docs/references.md) and prints a table of them.
 pub fn run(args: &Args) -> Result {
     let mut all = experiments();
     if let Some(text) = &args.only {

@@ -119,8 +119,8 @@ impl Recording<'_> {
 
     fn transmitter(&self, adjusted: &Adjusted, times: &Times) -> Robot {
         let (rx, tx, link) = (&self.figures.receiver, &self.figures.transmitter, &self.figures.link);
-        // Cards are told by their hosts' clocks, and the hosts by each other; the offset itself is the finer measure of
-        // how far the cards are apart.
+        // Each card's clock is known against its host's, and the hosts' against each other; the carrier offset is the
+        // finer measure of the difference between the cards.
         let apart_ppm = 1e6 * link.df_hz / self.channel.centre_hz();
         let tx_ppm = brief(rx.card_ppm + apart_ppm);
         // The clocks were compared in the middle of the capture, an answer later on one side than on the other.

@@ -96,7 +96,7 @@ fn every_wsr_log_finds_its_transmitter() {
     }
 }
 
-/// Runs one of the paper's captures; the error against the bearing from the mean pose, lines folded on their mirror.
+/// Runs one of the captures of \[paper\] (docs/references.md); the error against the bearing from the mean pose, lines folded on their mirror.
 fn paper(captures: &Path, shape: &str, name: &str, join: JoinBy, transmitter_m: [f64; 2]) -> f64 {
     let folder = captures.join("paper").join(shape);
     let log = |side: &str| Replay::open(&folder.join(format!("csi_{side}_{name}.dat"))).unwrap();

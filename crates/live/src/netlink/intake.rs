@@ -181,7 +181,7 @@ impl Intake {
                     }
                     return Turn::Lost(loss);
                 }
-                // A jump in bfee_count is where the kernel dropped: the overrun is told before this record.
+                // A jump in bfee_count is where the kernel dropped: the overrun is reported before this record.
                 Look::Record { bfee_count: Some(count), .. }
                     if self.overrun_untold && self.step.clone().missing(count) > 0 =>
                 {

@@ -9,7 +9,7 @@ use std::fmt::Write;
 /// Turn-around of the WSR kernel responder, microseconds, from the rise of the forward frame to that of its answer: at
 /// least, median, at most (892 answers in WSR's `test_count_rx_5.dat`).
 pub const KERNEL_TURN_AROUND_US: [u32; 3] = [145, 225, 322];
-/// Longest time that is told apart, microseconds.
+/// Longer times count as this, microseconds.
 const LONGEST_US: u64 = 10_000_000;
 /// Upper edges of the classes in which a histogram is printed, microseconds.
 const EDGES_US: [u64; 12] = [10, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 100_000, LONGEST_US];

@@ -68,7 +68,7 @@ fn config(own: Mac, peer: Mac) -> Config {
     Config::new(own, 0, &[peer], Request::new(1, 100.0), 1)
 }
 
-/// Steps at every deadline, `late_us` late, until `until_us`; gives what was told.
+/// Steps at every deadline, `late_us` late, until `until_us`; gives the news.
 fn run(exchange: &mut Exchange<&mut Script>, late_us: i64, until_us: i64) -> Vec<News> {
     let (mut told, mut at) = (Vec::new(), exchange.tdma.poll_timeout());
     while let Some(due) = at.filter(|due| due.as_us() < until_us) {

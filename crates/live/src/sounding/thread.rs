@@ -62,12 +62,12 @@ impl std::fmt::Display for Granted {
     }
 }
 
-/// What the thread may be told.
+/// What can be handed to the thread while it runs.
 #[derive(Clone, Copy, Debug)]
 pub enum Order {
     /// This robot's measurement of a forward frame of that peer, for the next answer to it.
     Measurement(Mac, Measurement),
-    /// How much the link to that peer matters from now on.
+    /// The priority of the link to that peer, for the rounds that follow.
     Priority(Mac, Priority),
 }
 

@@ -110,7 +110,7 @@ impl Config {
         if problems.is_empty() { Ok(config) } else { Err(ConfigError(problems)) }
     }
 
-    /// What the pipeline is told.
+    /// The options of the pipeline.
     #[must_use]
     pub fn options(&self) -> Options {
         let mut options = Options::new(self.channel).with_antenna(self.antenna);

@@ -19,7 +19,7 @@ pub struct Log {
 pub struct Output {
     /// Bearings as JSON lines: a file, or `-` for standard output; empty for nowhere.
     pub bearings: String,
-    /// A Unix socket on which the state is told, for `csi5300 watch`.
+    /// A Unix socket on which the state is published, for `csi5300 watch`.
     pub status_socket: Option<PathBuf>,
     /// One line of state on standard error: on a terminal (`auto`), `always` or `never`.
     pub status_line: StatusLine,

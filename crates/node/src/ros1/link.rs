@@ -29,7 +29,7 @@ const RETRY: Duration = Duration::from_millis(500);
 const PATIENCE: Duration = Duration::from_secs(3);
 /// Looks at which a master knew nothing of this node, before it registers again: registering takes a moment.
 const UNKNOWN: u32 = 2;
-/// So long the master is told, at the end, that this node is gone.
+/// Time limit of unregistering from the master at the end.
 const FAREWELL: Duration = Duration::from_millis(500);
 
 /// Why a task ended.

@@ -35,7 +35,7 @@ pub type Poses = Box<dyn OdometrySource + Send>;
 
 /// One peer's sources. What comes over the network has none here.
 pub struct PeerSources {
-    /// What the estimator is told of it.
+    /// What the estimator knows of it.
     pub peer: LivePeer,
     /// Its records.
     pub records: Option<Card>,

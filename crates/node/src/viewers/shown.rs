@@ -37,7 +37,7 @@ impl Viewers {
         Ok(Self(Some(Shown { live: Arc::new(Mutex::new(live)), name: name.to_owned(), antenna: config.antenna })))
     }
 
-    /// From now on records and poses are told.
+    /// Begins to hand the machine's records and poses to the viewers.
     pub fn attach(&self, machine: &mut Machine) {
         if let Some(shown) = &self.0 {
             let live = Arc::clone(&shown.live);

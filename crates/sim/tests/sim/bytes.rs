@@ -1,4 +1,4 @@
-//! The paper's own captures, simulated and real, read and written again by our encoder, are byte-identical.
+//! The captures of Dijkstra et al. (\[paper\] in docs/references.md), simulated and real, read and written again by our encoder, are byte-identical.
 
 use csi5300::source::replay::Replay;
 use csi5300::source::side_path;
@@ -72,7 +72,7 @@ fn the_papers_real_captures_survive_it_too() {
 /// Number and host time of a bfee.
 type Told = (Option<u32>, Option<i64>);
 
-/// What is told of every bfee in a log, and how many records it has.
+/// Frame number and host time of every bfee in a log, and how many records it has.
 fn identities(log: &WrittenLog) -> (Vec<Told>, u64) {
     let mut replay = Replay::open(&log.path).unwrap();
     let (mut survey, mut found) = (Survey::default(), Vec::new());
