@@ -41,7 +41,8 @@ pub struct Answer {
     pub azimuth_sd_deg: Option<f64>,
     /// The other bearing that motion along a line cannot tell from the first.
     pub mirror_deg: Option<f64>,
-    /// Calibrated probability that the azimuth is within five degrees, 0..1; none where no calibration exists.
+    /// Calibrated probability that the azimuth is within five degrees, 0..1; none for a plane wave
+    /// with a mirror.
     pub confidence: Option<f64>,
     /// `|sum z a| / sum |z|` of the best plane wave, 0..1.
     pub coherence: Option<f64>,
@@ -97,7 +98,7 @@ pub struct Answer {
     pub match_margin: Option<f64>,
     /// Profile variance as the WSR toolbox defines it (lower is sharper, 1 is uniform).
     pub wsr_profile_variance: Option<f64>,
-    /// Likelihood share of the peak as the code of `\[paper\]` defines it.
+    /// Likelihood share of the peak as the code of \[paper\] defines it.
     pub likelihood_share: Option<f64>,
     /// Shape of the motion.
     pub geometry: Option<String>,

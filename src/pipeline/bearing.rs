@@ -3,7 +3,7 @@
 use super::accurate::Placed;
 use crate::bartlett::{self, Estimate, Grid};
 use crate::maths::wrap_rad;
-use crate::place::confidence::full_probability;
+use crate::place::confidence::{full_probability, quick_probability};
 use crate::place::near_field::Fix;
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
@@ -70,14 +70,15 @@ pub struct BearingAnswer {
     pub peak_ratio: Option<f64>,
     /// Range and position, where the wave front's curvature fixes them.
     pub range: Option<Range>,
-    /// Probability that the azimuth is within five degrees of the truth, calibrated for this kind of answer; none where
-    /// no calibration exists.
+    /// Probability that the azimuth is within five degrees of the truth, calibrated for the wave that `model` names; none
+    /// for a plane wave with a mirror, which is as likely as the bearing itself.
     pub probability: Option<f64>,
 }
 
 impl BearingAnswer {
-    /// The answer of the plane wave alone.
-    pub(super) fn of_plane_wave(plane_wave: &Estimate) -> Self {
+    /// The answer of the plane wave alone, of length `wavelength_m`, in metres; `compensated` says whether the turn-around
+    /// was taken out of its samples.
+    pub(super) fn of_plane_wave(plane_wave: &Estimate, compensated: bool, wavelength_m: f64) -> Self {
         let candidate = |peak: &bartlett::Peak| Candidate {
             azimuth_rad: peak.azimuth_rad,
             abs_elevation_rad: peak.abs_elevation_rad,
@@ -94,7 +95,7 @@ impl BearingAnswer {
             candidates: plane_wave.peaks.iter().map(candidate).collect(),
             peak_ratio: plane_wave.peak_ratio,
             range: None,
-            probability: None,
+            probability: quick_probability(plane_wave, compensated, wavelength_m),
         }
     }
 
@@ -212,7 +213,7 @@ pub struct Phase {
 pub struct ProfileFigures {
     /// The WSR toolbox's profile variance: lower is sharper, 1 is uniform.
     pub wsr_profile_variance: Option<f64>,
-    /// The likelihood share of `\[paper\]`: the highest entry over the sum (its code prints half, holding each column twice).
+    /// The likelihood share of \[paper\]: the highest entry over the sum (its code prints half, holding each column twice).
     pub likelihood_share: Option<f64>,
 }
 

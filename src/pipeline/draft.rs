@@ -86,7 +86,7 @@ impl Draft {
         let placed = options.accuracy.near_field.then(place).flatten();
         let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
         let bearing = Bearing {
-            answer: BearingAnswer::of_plane_wave(&plane_wave),
+            answer: BearingAnswer::of_plane_wave(&plane_wave, phases.compensated, options.channel.wavelength_m()),
             plane_wave,
             placed: None,
             heading_rad: gated.heading_rad,

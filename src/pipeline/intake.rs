@@ -156,10 +156,7 @@ impl<'a> LogReader<'a> {
             Next::End(_) => self.ended = true,
             Next::Pending => match self.source.next_at() {
                 Some(at) => self.now = at.max(self.now),
-                None => {
-                    let what = "a live source cannot be read to its end: record it, then give the log".into();
-                    return Err(Error::Input(what));
-                }
+                None => return Err(Error::Endless),
             },
             Next::Record(..) | Next::Lost(_) => {}
         }

@@ -30,6 +30,9 @@ pub enum Error {
     /// The thread that writes a recorder's log panicked: what it had not written is lost.
     #[error("the thread that writes the log died")]
     WriterDied,
+    /// A source without an end, as a card is, where a log is read to its end.
+    #[error("a live source cannot be read to its end: record it, then give the log")]
+    Endless,
     /// What a device, an interface or another program said is not what this source reads.
     #[error("{0}")]
     Input(String),

@@ -90,6 +90,19 @@ fn an_answer_is_the_same_however_loud_both_cards_are() {
 }
 
 #[test]
+fn a_quick_bearing_has_a_probability_unless_it_has_a_mirror() {
+    let made = link(400, 2.0);
+    let quick = options().with_accuracy(options().accuracy.without_layers());
+    let answer = |path: &Trajectory| run(&made.rx, &made.tx, path, &quick).links.remove(0).bearing.unwrap().answer;
+    let circle = answer(&trajectory(&made));
+    assert!(circle.mirror_rad.is_none() && (0.02..=0.98).contains(&circle.probability.unwrap()), "{circle:?}");
+    let mut poses = trajectory(&made).poses().to_vec();
+    poses.iter_mut().for_each(|pose| pose.position_m.y = 0.0);
+    let line = answer(&Trajectory::new(poses).unwrap());
+    assert!(line.mirror_rad.is_some() && line.probability.is_none(), "{line:?}");
+}
+
+#[test]
 fn who_exchanges_the_two_logs_finds_the_negated_carrier_frequency_offset() {
     let made = link(400, 2.0);
     let path = trajectory(&made);

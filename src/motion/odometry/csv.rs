@@ -94,7 +94,7 @@ pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
             Ok(true) => {}
             Ok(false) => break,
             Err(error) => {
-                bad(&mut counts, fallback_line, RowError::Unreadable(error.to_string()));
+                bad(&mut counts, fallback_line, RowError::Unreadable);
                 if error.is_io_error() {
                     break;
                 }
@@ -140,7 +140,7 @@ pub fn parse_line(line: &[u8]) -> Result<Pose, RowError> {
     let mut reader =
         ::csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(::csv::Trim::All).from_reader(line);
     let mut record = ::csv::ByteRecord::new();
-    reader.read_byte_record(&mut record).map_err(|error| RowError::Unreadable(error.to_string()))?;
+    reader.read_byte_record(&mut record).map_err(|_| RowError::Unreadable)?;
     let columns = record.len() - usize::from(record.iter().next_back().is_some_and(<[u8]>::is_empty));
     pose(&record, columns)
 }
@@ -179,9 +179,9 @@ pub enum RowError {
     /// The quaternion has no length.
     #[error("the quaternion has no length")]
     Quaternion,
-    /// It is no row of a CSV file; with the reader's reason.
-    #[error("{0}")]
-    Unreadable(String),
+    /// It is no row of a CSV file.
+    #[error("no row of a CSV file")]
+    Unreadable,
 }
 
 /// In its words.

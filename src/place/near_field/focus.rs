@@ -31,7 +31,8 @@ const TURNS: [f64; 4] = TUNING.focus.turns_rad_per_m;
 const FOLLOWED: usize = TUNING.focus.followed;
 /// Independent looks that a motion gives: the blocks in which the one-way channel is summed.
 const LOOKS: f64 = TUNING.focus.looks;
-/// Parameters that are fitted; each explains half a unit of log-likelihood by chance, and Akaike's criterion asks for one.
+/// Parameters that are fitted; each explains half a unit of log-likelihood by chance, and Akaike's criterion
+/// (\[akaike1974\]) asks for one.
 const PARAMETERS: f64 = TUNING.focus.parameters;
 
 /// Looks for the change of the common trajectory that makes the answers of all `links` (each with what was found

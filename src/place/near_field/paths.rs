@@ -2,7 +2,7 @@
 //!
 //! The round trip is the square of the channel: beside each path it holds the product of every two, a wave from between
 //! them. Orthogonal matching pursuit: the place that explains most of what is left joins the list, all amplitudes are
-//! fitted and all places climbed to anew (\[li-stoica1996\] in docs/references.md), and what they leave is searched again. A find that
+//! fitted and all places climbed to anew (RELAX, \[li-stoica1996\] in docs/references.md), and what they leave is searched again. A find that
 //! two stronger ones would make between them, and that is no stronger than they can make it, is reported as their cross
 //! term.
 

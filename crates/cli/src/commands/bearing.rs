@@ -49,8 +49,8 @@ pub struct Args {
     /// Place of the antenna on the receiver: metres forward, left, up; turned with the heading
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
     antenna_offset: Option<Vector3<f64>>,
-    /// Refuse bearings whose probability of being within 5 degrees is below this, 0..1, or not known (as without
-    /// spherical waves)
+    /// Refuse bearings whose probability of being within 5 degrees is below this, 0..1, or not known (as of a plane
+    /// wave with a mirror)
     #[arg(long, value_name = "P")]
     min_confidence: Option<f64>,
     /// Links worked on at a time; 0 is one for each core
