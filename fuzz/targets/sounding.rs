@@ -63,15 +63,13 @@ impl Air {
             1 => Dialect::Native { measurement: false, authenticated: true },
             _ => Dialect::Wsr { first_len: 57 },
         };
-        let request = Request { dialect, ..Request::new(2, 200.0) };
+        let request = Request::new(2, 200.0).with_dialect(dialect);
         let robot = |own: usize| {
             let peers: Vec<Mac> = MACS.iter().copied().filter(|mac| *mac != MACS[own]).collect();
-            let config = Config {
-                initiate: own == 0,
-                silence_slots: 2,
-                key: (kind % 3 == 1).then(|| Key::new([7; 16])),
-                ..Config::new(MACS[own], own as u16, &peers, request, 1)
-            };
+            let config = Config::new(MACS[own], own as u16, &peers, request, 1)
+                .with_initiate(own == 0)
+                .with_silence_slots(2)
+                .with_key((kind % 3 == 1).then(|| Key::new([7; 16])));
             Tdma::new(&config).unwrap()
         };
         Self { robots: [robot(0), robot(1)], now: Instant::ZERO, sent: Vec::new(), sounded: Vec::new() }

@@ -8,7 +8,7 @@
 //! too the median tells best, since outliers of the turn-around are common). The number of common frame numbers tells
 //! nothing: it is wrong or tied on half of them.
 
-use crate::exchange::pairing::{Pairing, Side};
+use crate::exchange::pairing::{LinkSide, Pairing};
 use crate::maths::upper_median;
 use crate::signal::cfo::drift_line;
 use crate::tuning::TUNING;
@@ -48,11 +48,12 @@ pub fn spread(receiver: &[Mark], transmitter: &[Mark]) -> Option<Spread> {
     loop {
         let side = pairing.behind();
         let next = match side {
-            Side::Receiver => r.next().map(|mark| (side, mark)),
-            Side::Transmitter => t.next().map(|mark| (side, mark)),
+            LinkSide::Receiver => r.next().map(|mark| (side, mark)),
+            LinkSide::Transmitter => t.next().map(|mark| (side, mark)),
         };
-        let next = next.or_else(|| r.next().map(|mark| (Side::Receiver, mark)));
-        let Some((side, &(number, timestamp_low))) = next.or_else(|| t.next().map(|mark| (Side::Transmitter, mark)))
+        let next = next.or_else(|| r.next().map(|mark| (LinkSide::Receiver, mark)));
+        let Some((side, &(number, timestamp_low))) =
+            next.or_else(|| t.next().map(|mark| (LinkSide::Transmitter, mark)))
         else {
             break;
         };

@@ -31,7 +31,7 @@ use std::collections::VecDeque;
 
 /// The log a record is from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Side {
+pub enum LinkSide {
     /// The log of the robot whose trajectory is known: it heard the backward frames.
     Receiver,
     /// The log of the other robot: it heard the forward frames.
@@ -56,6 +56,7 @@ pub struct Pair<T> {
 /// Records of one side, by what became of them. `handed = paired + unpaired + duplicates + implausible + mispaired`
 /// once [`Pairing::finish`] was called.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
 pub struct SideCounts {
     /// Records handed in.
     pub handed: u64,
@@ -114,7 +115,7 @@ impl<T> Pairing<T> {
     }
 
     /// Takes a record of `side` with its frame number and its card's clock (`timestamp_low`).
-    pub fn handle(&mut self, side: Side, number: u32, timestamp_low: u32, item: T) {
+    pub fn handle(&mut self, side: LinkSide, number: u32, timestamp_low: u32, item: T) {
         let entry = Entry { clock: timestamp_low, met_other: false, item };
         for (key, entry) in self.side_mut(side).place(number, entry).into_iter().flatten() {
             if self.side_mut(side).wait(key, entry) && self.seek(side, key) {
@@ -130,15 +131,15 @@ impl<T> Pairing<T> {
         let mut keys: Vec<Key> = self.receiver.waiting.keys().copied().collect();
         keys.sort_unstable();
         for key in keys {
-            self.seek(Side::Receiver, key);
+            self.seek(LinkSide::Receiver, key);
         }
     }
 
     /// Looks for the partner of a waiting record. True if the clocks' difference was learnt anew.
-    fn seek(&mut self, side: Side, key: Key) -> bool {
+    fn seek(&mut self, side: LinkSide, key: Key) -> bool {
         let (own, other) = match side {
-            Side::Receiver => (&mut self.receiver, &mut self.transmitter),
-            Side::Transmitter => (&mut self.transmitter, &mut self.receiver),
+            LinkSide::Receiver => (&mut self.receiver, &mut self.transmitter),
+            LinkSide::Transmitter => (&mut self.transmitter, &mut self.receiver),
         };
         let Some(entry) = own.waiting.get_mut(&key) else { return false };
         let mut learnt = false;
@@ -146,8 +147,8 @@ impl<T> Pairing<T> {
             let candidate = (session, key.1);
             let Some(partner) = other.waiting.get_mut(&candidate) else { continue };
             let (receiver, transmitter, rx, tx) = match side {
-                Side::Receiver => (key, candidate, entry.clock, partner.clock),
-                Side::Transmitter => (candidate, key, partner.clock, entry.clock),
+                LinkSide::Receiver => (key, candidate, entry.clock, partner.clock),
+                LinkSide::Transmitter => (candidate, key, partner.clock, entry.clock),
             };
             if let Some(clocks) = self.clock.follow(rx, tx) {
                 self.pair_up(receiver, transmitter, clocks);
@@ -177,17 +178,17 @@ impl<T> Pairing<T> {
     /// The side whose log is behind in (session, frame number), and so should be read next: by the count of the newest
     /// record of either side. A count that only one side has says that this side is ahead, until the other is.
     #[must_use]
-    pub fn behind(&self) -> Side {
+    pub fn behind(&self) -> LinkSide {
         let (receiver, transmitter) = (&self.receiver, &self.transmitter);
         let is_ahead = |ahead: Option<(i64, i64)>| ahead.is_some_and(|by| by > (0, 0));
         let (by_receiver, by_transmitter) = (receiver.ahead_of(transmitter), transmitter.ahead_of(receiver));
         match (is_ahead(by_receiver), is_ahead(by_transmitter)) {
-            (true, false) => Side::Transmitter,
-            (false, true) => Side::Receiver,
-            (false, false) if by_receiver.is_some() => Side::Receiver,
-            (false, false) if by_transmitter.is_some() => Side::Transmitter,
-            _ if transmitter.counts.handed < receiver.counts.handed => Side::Transmitter,
-            _ => Side::Receiver,
+            (true, false) => LinkSide::Transmitter,
+            (false, true) => LinkSide::Receiver,
+            (false, false) if by_receiver.is_some() => LinkSide::Receiver,
+            (false, false) if by_transmitter.is_some() => LinkSide::Transmitter,
+            _ if transmitter.counts.handed < receiver.counts.handed => LinkSide::Transmitter,
+            _ => LinkSide::Receiver,
         }
     }
 
@@ -203,17 +204,17 @@ impl<T> Pairing<T> {
 
     /// What became of the records of `side` so far.
     #[must_use]
-    pub fn counts(&self, side: Side) -> SideCounts {
+    pub fn counts(&self, side: LinkSide) -> SideCounts {
         match side {
-            Side::Receiver => self.receiver.counts,
-            Side::Transmitter => self.transmitter.counts,
+            LinkSide::Receiver => self.receiver.counts,
+            LinkSide::Transmitter => self.transmitter.counts,
         }
     }
 
-    fn side_mut(&mut self, side: Side) -> &mut SideState<T> {
+    fn side_mut(&mut self, side: LinkSide) -> &mut SideState<T> {
         match side {
-            Side::Receiver => &mut self.receiver,
-            Side::Transmitter => &mut self.transmitter,
+            LinkSide::Receiver => &mut self.receiver,
+            LinkSide::Transmitter => &mut self.transmitter,
         }
     }
 }

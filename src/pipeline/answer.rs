@@ -7,7 +7,7 @@ use super::explain::LinkPlan;
 use super::link::Link;
 use super::{CaptureReport, LinkReport};
 use crate::bartlett::Geometry;
-use crate::exchange::pairing::{Side, SideCounts};
+use crate::exchange::pairing::{LinkSide, SideCounts};
 use crate::place::near_field::{Focus, Path};
 use driver_iface::Mac;
 use serde::Serialize;
@@ -163,8 +163,8 @@ impl Answer {
             link: name,
             mac: link.map(|link| link.mac.to_string()),
             pairs: link.map_or(0, Link::pairs),
-            receiver_records: counts(Side::Receiver),
-            transmitter_records: counts(Side::Transmitter),
+            receiver_records: counts(LinkSide::Receiver),
+            transmitter_records: counts(LinkSide::Transmitter),
             ..Self::default()
         };
         match bearing {

@@ -7,7 +7,7 @@ use super::error::LinkError;
 use super::link::{Link, PairRow};
 use super::options::{JoinBy, Options};
 use crate::bartlett;
-use crate::exchange::pairing::Side;
+use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Motion, Trajectory};
 use crate::place::near_field::Search;
 use crate::signal::cfo::TurnAround;
@@ -125,7 +125,7 @@ fn something(link: &Link, receiver: &Trajectory, options: &Options) -> Result<()
         return Err(LinkError::OutsideTrajectory { pairs: link.outside(), from_s, start_s, end_s });
     }
     let handed = |side| link.counts(side).handed;
-    Err(LinkError::NoPairs { receiver: handed(Side::Receiver), transmitter: handed(Side::Transmitter) })
+    Err(LinkError::NoPairs { receiver: handed(LinkSide::Receiver), transmitter: handed(LinkSide::Transmitter) })
 }
 
 /// The time of each pair on the trajectory's clock.

@@ -3,7 +3,7 @@
 use super::bearing::{PairCounts, Phase};
 use super::intake::FrameHeard;
 use super::options::Options;
-use crate::exchange::pairing::{Pair, Pairing, Side, SideCounts};
+use crate::exchange::pairing::{LinkSide, Pair, Pairing, SideCounts};
 use crate::maths::upper_median_ord;
 use crate::signal::cfo::{TurnAround, at_centre, round_trip, round_trip_at_centre};
 use driver_iface::Mac;
@@ -69,13 +69,13 @@ impl Link {
 
     /// Which side should be read next.
     #[must_use]
-    pub(crate) fn behind(&self) -> Side {
+    pub(crate) fn behind(&self) -> LinkSide {
         self.pairing.behind()
     }
 
     /// Records of one side by fate.
     #[must_use]
-    pub fn counts(&self, side: Side) -> SideCounts {
+    pub fn counts(&self, side: LinkSide) -> SideCounts {
         self.pairing.counts(side)
     }
 
@@ -123,7 +123,7 @@ impl Link {
     }
 
     /// Takes a frame of one side.
-    pub(crate) fn handle(&mut self, side: Side, heard: FrameHeard, options: &Options) {
+    pub(crate) fn handle(&mut self, side: LinkSide, heard: FrameHeard, options: &Options) {
         self.pairing.handle(side, heard.number, heard.timestamp_low, heard);
         self.take_pairs(options);
     }
@@ -261,8 +261,8 @@ mod tests {
         };
         let mut heard = FrameHeard::measured(&measurement, k);
         heard.host_us = Some(i64::from(k) * 10_000);
-        link.handle(Side::Receiver, heard, options);
-        link.handle(Side::Transmitter, heard, options);
+        link.handle(LinkSide::Receiver, heard, options);
+        link.handle(LinkSide::Transmitter, heard, options);
     }
 
     #[test]

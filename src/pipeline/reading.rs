@@ -4,7 +4,7 @@ use super::intake::{FrameHeard, LogReader};
 use super::link::Link;
 use super::matching::most_frequent;
 use super::options::Options;
-use crate::exchange::pairing::Side;
+use crate::exchange::pairing::LinkSide;
 use crate::source::Error;
 use driver_iface::Mac;
 
@@ -20,15 +20,15 @@ pub(super) fn read(
         txs.iter_mut().map(|tx| Ok(options.rx_mac.or(most_frequent(tx)?))).collect::<Result<Vec<_>, Error>>()?;
     loop {
         let behind = links.iter().zip(txs.iter()).position(|(link, tx)| {
-            !tx.is_done() && link.as_ref().is_none_or(|link| rx.is_done() || link.behind() == Side::Transmitter)
+            !tx.is_done() && link.as_ref().is_none_or(|link| rx.is_done() || link.behind() == LinkSide::Transmitter)
         });
         if let Some(k) = behind {
             if let (Some(heard), Some(link)) = (next_from(&mut txs[k], receiver[k])?, &mut links[k]) {
-                link.handle(Side::Transmitter, heard, options);
+                link.handle(LinkSide::Transmitter, heard, options);
             }
         } else if let Some((mac, heard)) = rx.next_frame()? {
             match links.iter_mut().flatten().find(|link| link.mac == mac) {
-                Some(link) => link.handle(Side::Receiver, heard, options),
+                Some(link) => link.handle(LinkSide::Receiver, heard, options),
                 None => rx.front.unused.other_sender += 1,
             }
         } else if txs.iter().all(LogReader::is_done) {

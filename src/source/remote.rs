@@ -104,6 +104,7 @@ impl Batch {
 
 /// What a queue counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
 pub struct QueueCounts {
     /// Items that came.
     pub received: u64,

@@ -53,26 +53,26 @@ impl Station for Sounder {
 pub(super) fn request(scene: &Scene, sounding: &Sounding) -> Result<Request, PlanError> {
     let radios = || scene.robot.iter().map(|robot| scene.radio_of(robot));
     let longest = |of: fn(&Radio) -> f64| radios().map(of).fold(0.0, f64::max);
-    let request = Request {
-        phy: tdma::Phy {
-            mcs: radios().map(|radio| radio.mcs).min().unwrap_or(0),
-            bandwidth: if scene.bandwidth_mhz == 40 { Bandwidth::Ht40 } else { Bandwidth::Ht20 },
-        },
-        dialect: match sounding.dialect {
-            Dialect::Wsr => tdma::Dialect::Wsr { first_len: wsr::DEFAULT_LEN as u16 },
-            Dialect::Native => tdma::Dialect::Native { measurement: false, authenticated: false },
-        },
-        turn_around_us: longest(|radio| radio.turn_around.max_us).ceil() as u32,
-        guard_us: tdma::GUARD_US.max(longest(lateness_us).ceil() as u32),
-        ..Request::new(scene.robot.len().saturating_sub(1) as u16, sounding.rate_hz)
+    let phy = tdma::Phy {
+        mcs: radios().map(|radio| radio.mcs).min().unwrap_or(0),
+        bandwidth: if scene.bandwidth_mhz == 40 { Bandwidth::Ht40 } else { Bandwidth::Ht20 },
     };
+    let dialect = match sounding.dialect {
+        Dialect::Wsr => tdma::Dialect::Wsr { first_len: wsr::DEFAULT_LEN as u16 },
+        Dialect::Native => tdma::Dialect::Native { measurement: false, authenticated: false },
+    };
+    let request = Request::new(scene.robot.len().saturating_sub(1) as u16, sounding.rate_hz)
+        .with_phy(phy)
+        .with_dialect(dialect)
+        .with_turn_around_us(longest(|radio| radio.turn_around.max_us).ceil() as u32)
+        .with_guard_us(tdma::GUARD_US.max(longest(lateness_us).ceil() as u32));
     if sounding.rate_hz != f64::INFINITY {
         return Plan::new(&request).map(|_| request);
     }
-    match Plan::new(&Request { rate_hz: 1e6, ..request }) {
-        Err(PlanError::Rate { highest_hz, .. }) => Ok(Request { rate_hz: highest_hz, ..request }),
+    match Plan::new(&request.with_rate_hz(1e6)) {
+        Err(PlanError::Rate { highest_hz, .. }) => Ok(request.with_rate_hz(highest_hz)),
         Err(other) => Err(other),
-        Ok(_) => Ok(Request { rate_hz: 1e6, ..request }),
+        Ok(_) => Ok(request.with_rate_hz(1e6)),
     }
 }
 
@@ -95,20 +95,12 @@ pub(super) fn sounder(world: &World, robot: usize, restarts: u64, now: Instant) 
     let index = |robot: usize| u16::try_from(robot).unwrap_or(u16::MAX);
     let peers = (0..scene.robot.len()).filter(|&peer| peer != robot);
     let begin = Instant::from_us((sounding.start_s * 1e6).round() as i64);
-    let mut config = Config {
-        own: tdma::Robot { mac: world.mac(robot), index: index(robot) },
-        peers: peers.map(|peer| tdma::Robot { mac: world.mac(peer), index: index(peer) }).collect(),
-        initiate: initiators.contains(&robot),
-        epoch: tdma::Epoch::Heard(begin),
-        start: now.max(begin),
-        ..Config::new(
-            driver_iface::Mac::ZERO,
-            0,
-            &[],
-            request,
-            (scene.start_unix_s as u32).wrapping_add(restarts as u32),
-        )
-    };
+    let session = (scene.start_unix_s as u32).wrapping_add(restarts as u32);
+    let mut config = Config::new(world.mac(robot), index(robot), &[], request, session)
+        .with_peers(peers.map(|peer| tdma::Robot { mac: world.mac(peer), index: index(peer) }).collect())
+        .with_initiate(initiators.contains(&robot))
+        .with_epoch(tdma::Epoch::Heard(begin))
+        .with_start(now.max(begin));
     if initiators.len() == 1 {
         config.silence_slots = ALONE_SILENCE_SLOTS;
         if restarts == 0 {

@@ -8,11 +8,11 @@ fn run(receiver: &[(u32, u32)], transmitter: &[(u32, u32)]) -> (Vec<u32>, Pairin
     loop {
         let side = pairing.behind();
         let next = match side {
-            Side::Receiver => {
-                r.next().map(|n| (Side::Receiver, n)).or_else(|| t.next().map(|n| (Side::Transmitter, n)))
+            LinkSide::Receiver => {
+                r.next().map(|n| (LinkSide::Receiver, n)).or_else(|| t.next().map(|n| (LinkSide::Transmitter, n)))
             }
-            Side::Transmitter => {
-                t.next().map(|n| (Side::Transmitter, n)).or_else(|| r.next().map(|n| (Side::Receiver, n)))
+            LinkSide::Transmitter => {
+                t.next().map(|n| (LinkSide::Transmitter, n)).or_else(|| r.next().map(|n| (LinkSide::Receiver, n)))
             }
         };
         let Some((side, &(number, clock))) = next else { break };
@@ -44,7 +44,7 @@ fn loss_on_either_side_costs_only_those_numbers() {
     let (numbers, pairing) =
         run(&timed((1..100).filter(|n| n % 7 != 0), 5), &timed((1..120).filter(|n| n % 5 != 0), 900_000));
     assert_eq!(numbers, (1..100).filter(|n| n % 7 != 0 && n % 5 != 0).collect::<Vec<_>>());
-    let counts = pairing.counts(Side::Receiver);
+    let counts = pairing.counts(LinkSide::Receiver);
     assert_eq!(counts.handed, counts.paired + counts.unpaired);
 }
 
@@ -54,8 +54,8 @@ fn restart_opens_a_session_and_old_numbers_do_not_pair_with_new_ones() {
     let t: Vec<_> = log((1..50).chain(1..30), 77);
     let (numbers, pairing) = run(&r, &t);
     assert_eq!(numbers.len(), 49 + 29);
-    assert_eq!(pairing.counts(Side::Receiver).restarts, 1);
-    assert_eq!(pairing.counts(Side::Receiver).duplicates, 0);
+    assert_eq!(pairing.counts(LinkSide::Receiver).restarts, 1);
+    assert_eq!(pairing.counts(LinkSide::Receiver).duplicates, 0);
 }
 
 /// Numbers from 1, 10 ms apart, the sender's timer off by up to a millisecond.
@@ -75,10 +75,10 @@ fn a_session_that_one_log_missed_is_told_by_the_card_clocks() {
     let late = |k: usize| of(k).map(|(n, c)| (n, c + 250));
     let t: Vec<_> = late(0).chain(late(2)).collect();
     let (_, pairing) = run(&r, &t);
-    let counts = pairing.counts(Side::Receiver);
-    assert_eq!((counts.paired, pairing.counts(Side::Transmitter).paired), (400, 400), "{counts:?}");
+    let counts = pairing.counts(LinkSide::Receiver);
+    assert_eq!((counts.paired, pairing.counts(LinkSide::Transmitter).paired), (400, 400), "{counts:?}");
     let (_, pairing) = run(&r, &late(2).collect::<Vec<_>>());
-    assert_eq!(pairing.counts(Side::Transmitter).paired, 200);
+    assert_eq!(pairing.counts(LinkSide::Transmitter).paired, 200);
 }
 
 #[test]
@@ -98,8 +98,8 @@ fn one_altered_number_costs_one_pair() {
         let mut t = r.clone();
         t[200].0 = t[200].0.wrapping_add(off);
         let (numbers, pairing) = run(&r, &t);
-        assert_eq!(numbers.len(), 398, "{off}: {:?}", pairing.counts(Side::Transmitter));
-        assert_eq!(pairing.counts(Side::Transmitter).implausible, 1, "{off}");
+        assert_eq!(numbers.len(), 398, "{off}: {:?}", pairing.counts(LinkSide::Transmitter));
+        assert_eq!(pairing.counts(LinkSide::Transmitter).implausible, 1, "{off}");
     }
 }
 
@@ -108,7 +108,7 @@ fn a_long_gap_is_no_restart() {
     let kept = |n: &u32| !(100..400).contains(n);
     let (numbers, pairing) = run(&timed((1..600).filter(kept), 0), &timed(1..600, 70));
     assert_eq!(numbers.len(), 299);
-    let counts = pairing.counts(Side::Receiver);
+    let counts = pairing.counts(LinkSide::Receiver);
     assert_eq!((counts.restarts, counts.missing), (0, 300));
 }
 
@@ -120,8 +120,8 @@ fn wrap_is_a_step_of_one_and_noise_in_the_counter_is_dropped() {
     t.insert(25, (0x1f3d_5b79, 250_001));
     let (numbers, pairing) = run(&r, &t);
     assert_eq!(numbers.len(), 50);
-    assert_eq!(pairing.counts(Side::Transmitter).implausible, 1);
-    assert_eq!(pairing.counts(Side::Receiver).restarts, 0);
+    assert_eq!(pairing.counts(LinkSide::Transmitter).implausible, 1);
+    assert_eq!(pairing.counts(LinkSide::Receiver).restarts, 0);
 }
 
 #[test]
@@ -131,7 +131,7 @@ fn duplicates_keep_the_first_and_are_counted() {
     r.insert(60, r[58]);
     let (numbers, pairing) = run(&r, &log(1..100, 0));
     assert_eq!(numbers, (1..100).collect::<Vec<_>>());
-    assert_eq!(pairing.counts(Side::Receiver).duplicates, 2);
+    assert_eq!(pairing.counts(LinkSide::Receiver).duplicates, 2);
 }
 
 proptest! {
@@ -141,7 +141,7 @@ proptest! {
         t in prop::collection::vec((0..50u32, 0..1_000u32), 0..200),
     ) {
         let (numbers, pairing) = run(&r, &t);
-        for side in [Side::Receiver, Side::Transmitter] {
+        for side in [LinkSide::Receiver, LinkSide::Transmitter] {
             let c = pairing.counts(side);
             prop_assert_eq!(c.handed, c.paired + c.unpaired + c.duplicates + c.implausible + c.mispaired);
             prop_assert_eq!(c.paired, numbers.len() as u64);
@@ -155,7 +155,7 @@ fn in_turns(
     slots: u32,
     exchanges: u32,
     first: [u32; 2],
-    lost: impl Fn(Side, u32) -> bool,
+    lost: impl Fn(LinkSide, u32) -> bool,
 ) -> [Vec<(u32, u32, u32)>; 2] {
     let mut next = first;
     let (mut receiver, mut transmitter) = (Vec::new(), Vec::new());
@@ -166,10 +166,10 @@ fn in_turns(
         // 300 us of turn-around, before or after the other's clock, and some jitter.
         let at = exchange * 5_000 + (exchange.wrapping_mul(0x9e37_79b9) >> 28);
         let (rx, tx) = if initiator == 0 { (at + 300, at) } else { (at, at + 300) };
-        if !lost(Side::Receiver, exchange) {
+        if !lost(LinkSide::Receiver, exchange) {
             receiver.push((number, rx, exchange));
         }
-        if !lost(Side::Transmitter, exchange) {
+        if !lost(LinkSide::Transmitter, exchange) {
             transmitter.push((number, tx.wrapping_sub(77_000), exchange));
         }
     }
@@ -184,11 +184,11 @@ fn pair_in_turns([receiver, transmitter]: &[Vec<(u32, u32, u32)>; 2]) -> (usize,
     let mut ended = false;
     while !ended {
         let next = match pairing.behind() {
-            Side::Receiver => {
-                r.next().map(|n| (Side::Receiver, n)).or_else(|| t.next().map(|n| (Side::Transmitter, n)))
+            LinkSide::Receiver => {
+                r.next().map(|n| (LinkSide::Receiver, n)).or_else(|| t.next().map(|n| (LinkSide::Transmitter, n)))
             }
-            Side::Transmitter => {
-                t.next().map(|n| (Side::Transmitter, n)).or_else(|| r.next().map(|n| (Side::Receiver, n)))
+            LinkSide::Transmitter => {
+                t.next().map(|n| (LinkSide::Transmitter, n)).or_else(|| r.next().map(|n| (LinkSide::Receiver, n)))
             }
         };
         match next {
@@ -211,7 +211,7 @@ fn where_both_robots_initiate_every_exchange_is_one_pair() {
     let apart = [before_first_number(0, 2) + 1, before_first_number(1, 2) + 1];
     for slots in [1, 2, 7, 32, 5_000] {
         let (pairs, wrong, pairing) = pair_in_turns(&in_turns(slots, 20_000, apart, |_, _| false));
-        let counts = pairing.counts(Side::Receiver);
+        let counts = pairing.counts(LinkSide::Receiver);
         assert_eq!((pairs, wrong), (20_000, 0), "{slots} slots: {counts:?}");
         assert_eq!((counts.restarts, counts.missing), (1, 0), "{slots} slots");
     }
@@ -219,18 +219,18 @@ fn where_both_robots_initiate_every_exchange_is_one_pair() {
 
 #[test]
 fn losses_and_restarts_of_two_initiators_make_no_wrong_pair() {
-    let dice = |side: Side, exchange: u32| {
-        let salt = if side == Side::Receiver { 1 } else { 2 };
+    let dice = |side: LinkSide, exchange: u32| {
+        let salt = if side == LinkSide::Receiver { 1 } else { 2 };
         (exchange ^ salt << 20).wrapping_mul(0x85eb_ca6b) >> 24
     };
     let apart = [before_first_number(0, 2) + 1, before_first_number(1, 2) + 1];
     for slots in [1, 4, 32] {
         // A fifth of the records is lost, whole turns among them, and the second robot begins anew half-way.
-        let lost = |side: Side, exchange: u32| dice(side, exchange) < 51 || dice(side, exchange / 50 + 9_000) < 4;
+        let lost = |side: LinkSide, exchange: u32| dice(side, exchange) < 51 || dice(side, exchange / 50 + 9_000) < 4;
         let [mut r, mut t] = in_turns(slots, 10_000, apart, lost);
         let both = r.iter().filter(|one| t.iter().any(|other| other.2 == one.2)).count();
         let (pairs, wrong, pairing) = pair_in_turns(&[r.clone(), t.clone()]);
-        let counts = pairing.counts(Side::Receiver);
+        let counts = pairing.counts(LinkSide::Receiver);
         assert_eq!(wrong, 0, "{slots} slots");
         assert!(pairs + 8 >= both, "{slots} slots: {pairs} of {both}: {counts:?}");
         for log in [&mut r, &mut t] {
@@ -248,7 +248,7 @@ fn losses_and_restarts_of_two_initiators_make_no_wrong_pair() {
 fn counts_that_begin_together_cost_pairs_and_make_no_wrong_ones() {
     for slots in [1, 32, 100] {
         let (pairs, wrong, pairing) = pair_in_turns(&in_turns(slots, 10_000, [1, 1], |_, _| false));
-        assert_eq!(wrong, 0, "{slots} slots: {:?}", pairing.counts(Side::Receiver));
+        assert_eq!(wrong, 0, "{slots} slots: {:?}", pairing.counts(LinkSide::Receiver));
         assert!(pairs >= 4_000, "{slots} slots: {pairs}");
     }
 }
@@ -260,7 +260,7 @@ fn a_count_of_a_third_robot_in_one_log_holds_nothing_up() {
     let third = before_first_number(2, 3) + 1;
     let r: Vec<_> = count(1).zip(count(third)).flat_map(|((n, c), (m, _))| [(n, c), (m, c + 5_000)]).collect();
     let (numbers, pairing) = run(&r, &count(1).map(|(n, c)| (n, c + 70)).collect::<Vec<_>>());
-    assert_eq!(numbers.len(), 20_000, "{:?}", pairing.counts(Side::Receiver));
+    assert_eq!(numbers.len(), 20_000, "{:?}", pairing.counts(LinkSide::Receiver));
 }
 
 #[test]

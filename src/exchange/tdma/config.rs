@@ -19,6 +19,7 @@ pub struct Robot {
 
 /// What a scheduler is made from: the same robots and the same request on every robot, the rest its own.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Config {
     /// This robot.
     pub own: Robot,
@@ -76,6 +77,83 @@ impl Config {
             silence_slots: 64,
             patience_us: 10_000,
         }
+    }
+
+    /// With these peers, each with an index of its own, in any order.
+    #[must_use]
+    pub fn with_peers(mut self, peers: Vec<Robot>) -> Self {
+        self.peers = peers;
+        self
+    }
+
+    /// Sounds these peers only, in order of their slots.
+    #[must_use]
+    pub fn with_links(mut self, links: Vec<Mac>) -> Self {
+        self.links = Some(links);
+        self
+    }
+
+    /// Wants the turn, or only answers.
+    #[must_use]
+    pub const fn with_initiate(mut self, initiate: bool) -> Self {
+        self.initiate = initiate;
+        self
+    }
+
+    /// Answers forward frames itself, or leaves it to the kernel driver.
+    #[must_use]
+    pub const fn with_respond(mut self, respond: bool) -> Self {
+        self.respond = respond;
+        self
+    }
+
+    /// Sounds in every round whether answered or not.
+    #[must_use]
+    pub const fn with_open_loop(mut self, open_loop: bool) -> Self {
+        self.open_loop = open_loop;
+        self
+    }
+
+    /// Number of this start, larger after every restart.
+    #[must_use]
+    pub const fn with_session(mut self, session: u32) -> Self {
+        self.session = session;
+        self
+    }
+
+    /// The shared key, or none.
+    #[must_use]
+    pub const fn with_key(mut self, key: Option<Key>) -> Self {
+        self.key = key;
+        self
+    }
+
+    /// Where slot 0 is.
+    #[must_use]
+    pub const fn with_epoch(mut self, epoch: Epoch) -> Self {
+        self.epoch = epoch;
+        self
+    }
+
+    /// When this robot is switched on, on its own clock.
+    #[must_use]
+    pub const fn with_start(mut self, start: Instant) -> Self {
+        self.start = start;
+        self
+    }
+
+    /// Silence that means that the last initiator is gone, slots.
+    #[must_use]
+    pub const fn with_silence_slots(mut self, silence_slots: u32) -> Self {
+        self.silence_slots = silence_slots;
+        self
+    }
+
+    /// How long an answer is waited for, microseconds.
+    #[must_use]
+    pub const fn with_patience_us(mut self, patience_us: u32) -> Self {
+        self.patience_us = patience_us;
+        self
     }
 
     /// The MACs this robot sounds.

@@ -90,7 +90,8 @@ pub enum Cause {
 
 /// Everything that was counted since the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Counts {
+#[non_exhaustive]
+pub struct TdmaCounts {
     /// Forward frames handed to the driver, and not reported as not sent.
     pub forward: u64,
     /// Of these, answered.
@@ -137,6 +138,7 @@ pub struct Counts {
 
 /// What was counted on one link, this robot initiating.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct LinkCounts {
     /// Forward frames sent.
     pub sounded: u64,

@@ -3,7 +3,7 @@
 use super::auth::Key;
 use super::clock::SlotClock;
 use super::config::Config;
-use super::event::{Counts, Event, LinkCounts};
+use super::event::{Event, LinkCounts, TdmaCounts};
 use super::plan::{Dialect, Plan, PlanError};
 use super::roster::{ABSENT_AFTER, Outstanding, Priority, Roster};
 use super::turns::Turn;
@@ -83,7 +83,7 @@ pub struct Tdma {
     pub(super) forward_buffer: Box<[u8]>,
     pub(super) reply_buffer: Box<[u8]>,
     pub(super) filler: wsr::Lfsr,
-    pub(super) counts: Counts,
+    pub(super) counts: TdmaCounts,
     events: VecDeque<Event>,
 }
 
@@ -162,7 +162,7 @@ impl Tdma {
             forward_buffer: buffer.clone(),
             reply_buffer: buffer,
             filler: wsr::Lfsr::default(),
-            counts: Counts::default(),
+            counts: TdmaCounts::default(),
             events: VecDeque::with_capacity(EVENT_CAPACITY),
         })
     }
@@ -292,7 +292,7 @@ impl Tdma {
 
     /// Everything counted since the start.
     #[must_use]
-    pub fn counts(&self) -> &Counts {
+    pub fn counts(&self) -> &TdmaCounts {
         &self.counts
     }
 

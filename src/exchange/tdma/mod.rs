@@ -23,7 +23,7 @@
 //! // Two robots on one air, without loss. The first initiates, the second answers.
 //! let (a, b) = (Mac([2, 0, 0, 0, 0, 1]), Mac([2, 0, 0, 0, 0, 2]));
 //! let request = Request::new(1, 100.0);
-//! let mut first = Tdma::new(&Config { initiate: true, ..Config::new(a, 0, &[b], request, 1) })?;
+//! let mut first = Tdma::new(&Config::new(a, 0, &[b], request, 1).with_initiate(true))?;
 //! let mut second = Tdma::new(&Config::new(b, 0, &[a], request, 1))?;
 //! let mut now = Instant::ZERO;
 //! while first.counts().answered < 3 {
@@ -52,7 +52,7 @@ mod view;
 pub use auth::Key;
 pub use clock::Epoch;
 pub use config::{Config, Robot};
-pub use event::{Cause, Counts, Event, LinkCounts};
+pub use event::{Cause, Event, LinkCounts, TdmaCounts};
 pub use machine::{Tdma, Transmit};
 pub use plan::{
     Dialect, GUARD_US, MAX_ROBOTS, MAX_TURN_SLOTS, Phy, Plan, PlanError, Request, TURN_AROUND_US, TURN_SLOTS,

@@ -104,6 +104,7 @@ impl Dialect {
 
 /// What is asked of a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Request {
     /// Links that an initiator sounds in one round; every robot of an exchange asks for the same number.
     pub links: u16,
@@ -136,6 +137,55 @@ impl Request {
             guard_us: GUARD_US,
             turn_slots: TURN_SLOTS,
         }
+    }
+
+    /// Links that an initiator sounds in one round.
+    #[must_use]
+    pub const fn with_links(mut self, links: u16) -> Self {
+        self.links = links;
+        self
+    }
+
+    /// Rounds per second.
+    #[must_use]
+    pub const fn with_rate_hz(mut self, rate_hz: f64) -> Self {
+        self.rate_hz = rate_hz;
+        self
+    }
+
+    /// Modulation.
+    #[must_use]
+    pub const fn with_phy(mut self, phy: Phy) -> Self {
+        self.phy = phy;
+        self
+    }
+
+    /// Frame dialect.
+    #[must_use]
+    pub const fn with_dialect(mut self, dialect: Dialect) -> Self {
+        self.dialect = dialect;
+        self
+    }
+
+    /// Longest time from the end of a forward frame to the start of its answer, microseconds.
+    #[must_use]
+    pub const fn with_turn_around_us(mut self, turn_around_us: u32) -> Self {
+        self.turn_around_us = turn_around_us;
+        self
+    }
+
+    /// How late a forward frame may start, microseconds.
+    #[must_use]
+    pub const fn with_guard_us(mut self, guard_us: u32) -> Self {
+        self.guard_us = guard_us;
+        self
+    }
+
+    /// Slots of a turn, rounded up to whole rounds.
+    #[must_use]
+    pub const fn with_turn_slots(mut self, turn_slots: u16) -> Self {
+        self.turn_slots = turn_slots;
+        self
     }
 }
 

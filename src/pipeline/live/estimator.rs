@@ -3,7 +3,7 @@
 use super::peer::{Context, PeerLink, SETTLE_S, WAIT, Why};
 use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport};
 use super::track::Track;
-use crate::exchange::pairing::Side;
+use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Pose, Trajectory};
 use crate::pipeline::{Bearing, Front, Options};
 use crate::source::{Loss, Next};
@@ -61,7 +61,7 @@ impl LiveEstimator {
             return;
         };
         state.counts.heard += 1;
-        state.handle(Side::Receiver, heard, next, &self.options);
+        state.handle(LinkSide::Receiver, heard, next, &self.options);
     }
 
     /// Takes what the card of peer number `peer` gave.
@@ -73,7 +73,7 @@ impl LiveEstimator {
             return;
         }
         state.counts.heard_by_peer += 1;
-        state.handle(Side::Transmitter, heard, next, &self.options);
+        state.handle(LinkSide::Transmitter, heard, next, &self.options);
     }
 
     /// Takes what the answer of the peer `mac` carried: what its card reported of a frame of this robot's. Of another

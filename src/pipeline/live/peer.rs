@@ -2,7 +2,7 @@
 
 use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
 use super::track::{Track, Window, aligned, window};
-use crate::exchange::pairing::Side;
+use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Pose, Trajectory};
 use crate::pipeline::draft::estimate_one;
 use crate::pipeline::{Answer, Bearing, FrameHeard, Front, Link, LinkJoin, Options};
@@ -110,7 +110,7 @@ impl PeerLink {
     }
 
     /// Takes what one of the two cards heard of the other.
-    pub(super) fn handle(&mut self, side: Side, heard: FrameHeard, next: &Next<'_>, options: &Options) {
+    pub(super) fn handle(&mut self, side: LinkSide, heard: FrameHeard, next: &Next<'_>, options: &Options) {
         let before = self.pairs();
         self.link.handle(side, heard, options);
         if let Next::Record(stamps, _) = next
@@ -122,7 +122,7 @@ impl PeerLink {
 
     /// Takes what the peer's card measured of a frame of this robot's, from its answer.
     pub(super) fn handle_measurement(&mut self, measurement: &Measurement, options: &Options) {
-        self.link.handle(Side::Transmitter, FrameHeard::measured(measurement, self.measured), options);
+        self.link.handle(LinkSide::Transmitter, FrameHeard::measured(measurement, self.measured), options);
         self.measured = self.measured.saturating_add(1);
         self.counts.heard_by_peer += 1;
     }
@@ -139,7 +139,7 @@ impl PeerLink {
 
     /// Pairs formed so far.
     pub(super) fn pairs(&self) -> u64 {
-        self.link.counts(Side::Receiver).paired
+        self.link.counts(LinkSide::Receiver).paired
     }
 
     fn forget_before(&mut self, t_s: f64) {

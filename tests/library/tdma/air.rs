@@ -189,7 +189,7 @@ impl Air {
     /// Turns a robot on with an empty memory.
     pub fn start(&mut self, k: usize, config: &Config) {
         let skew = self.stations[k].skew;
-        let config = Config { start: skew.local(self.now_us), ..config.clone() };
+        let config = config.clone().with_start(skew.local(self.now_us));
         let station = &mut self.stations[k];
         (station.tdma, station.session) = (Tdma::new(&config).unwrap(), config.session);
         (station.on, station.wake_us) = (true, self.now_us);
@@ -205,7 +205,7 @@ impl Air {
     pub fn restart_with_skew(&mut self, configs: &[Config], skews: &[Skew]) {
         self.stations.clear();
         for (config, skew) in configs.iter().zip(skews) {
-            let config = Config { start: skew.local(self.now_us), ..config.clone() };
+            let config = config.clone().with_start(skew.local(self.now_us));
             self.add(&config, *skew);
         }
     }

@@ -53,7 +53,7 @@ fn a_crashed_responder_is_absent_and_asked_rarely() {
     // 64 rounds until it is absent, then every eighth (priority 32 of 255) of the rest.
     let asked = sounded(&air) - before;
     assert!((64 + 100..64 + 135).contains(&asked), "{asked}");
-    air.start(1, &Config { session: 2, ..configs[1].clone() });
+    air.start(1, &configs[1].clone().with_session(2));
     let (before, answers) = (sounded(&air), air.stations[0].answered[1]);
     air.run_s(1);
     assert!(sounded(&air) - before >= 90);
@@ -97,7 +97,7 @@ fn a_crashed_initiator_is_replaced_within_the_claim_windows() {
         }
         // Two silences, and then one window of a silence for each of three robots.
         assert!(air.now_us - crash_us <= 5 * SILENCE_US + 50_000, "{} us", air.now_us - crash_us);
-        let config = Config { session: 2, ..three()[victim].clone() };
+        let config = three()[victim].clone().with_session(2);
         air.start(victim, &config);
     }
     air.run_s(5);
@@ -132,7 +132,7 @@ fn a_restart_begins_numbers_anew_under_another_session() {
     air.crash(1);
     air.run_us(1_234_567);
     air.stations[1].numbers.clear();
-    air.start(1, &Config { session: 7, ..configs[1].clone() });
+    air.start(1, &configs[1].clone().with_session(7));
     air.run_s(10);
     let numbers = &air.stations[1].numbers;
     assert_eq!(numbers[0], before_first_number(1, 3) + 1);
@@ -232,7 +232,7 @@ fn a_driver_that_sleeps_through_its_turn_finds_it_gone() {
 fn a_turn_passed_on_is_not_given_up_to_its_successor() {
     // The successor's first frame comes before the driver of the robot whose turn is over has looked at its clock.
     let dialect = Dialect::Native { measurement: false, authenticated: true };
-    let mut configs = everybody(2, Request { dialect, ..Request::new(1, 100.0) });
+    let mut configs = everybody(2, Request::new(1, 100.0).with_dialect(dialect));
     configs.iter_mut().for_each(|config| config.key = Some(Key::new([1; 16])));
     let mut robots: Vec<Tdma> = configs.iter().map(|config| Tdma::new(config).unwrap()).collect();
     let mut now = Instant::ZERO;

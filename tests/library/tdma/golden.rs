@@ -14,7 +14,7 @@ fn row(n: usize, loss_percent: u32, jitter_us: u64) -> String {
     (air.loss, air.jitter_us) = (f64::from(loss_percent) / 100.0, jitter_us);
     let cycle_us = air.stations[0].tdma.plan().cycle_us(n as u32) as i64;
     air.run_us(cycle_us * (120 / n as i64).max(10));
-    let total = |count: fn(&csi5300::exchange::tdma::Counts) -> u64| -> u64 {
+    let total = |count: fn(&csi5300::exchange::tdma::TdmaCounts) -> u64| -> u64 {
         air.stations.iter().map(|station| count(station.tdma.counts())).sum()
     };
     assert_eq!(air.collisions, 0, "{n} robots, {loss_percent} % loss, {jitter_us} us jitter: frames overlapped");

@@ -2,7 +2,7 @@
 //! (the air checks every pair that is reported).
 
 use super::air::{Air, Dice, everybody, mac};
-use csi5300::exchange::tdma::{Config, Dialect, Event, Key, PlanError, Request, Tdma};
+use csi5300::exchange::tdma::{Dialect, Event, Key, PlanError, Request, Tdma};
 use csi5300::time::{Instant, Span};
 use driver_iface::sounding::native::Role;
 use proptest::prelude::*;
@@ -58,7 +58,7 @@ fn adversary(age_us: i64, dice_seed: u64) -> super::air::Adversary {
 }
 
 fn request(authenticated: bool) -> Request {
-    Request { dialect: Dialect::Native { measurement: true, authenticated }, ..Request::new(3, 200.0) }
+    Request::new(3, 200.0).with_dialect(Dialect::Native { measurement: true, authenticated })
 }
 
 #[test]
@@ -113,7 +113,7 @@ fn without_a_key_forgeries_cost_some_pairs_and_stop_nothing() {
 #[test]
 fn a_key_is_needed_on_both_sides_and_in_the_plan() {
     let key = Some(Key::new([1; 16]));
-    let with = |authenticated, key| Tdma::new(&Config { key, ..everybody(4, request(authenticated))[0].clone() });
+    let with = |authenticated, key| Tdma::new(&everybody(4, request(authenticated))[0].clone().with_key(key));
     assert_eq!(with(true, None).err(), Some(PlanError::Key));
     assert_eq!(with(false, key).err(), Some(PlanError::Key));
     assert!(with(true, key).is_ok());
@@ -121,9 +121,9 @@ fn a_key_is_needed_on_both_sides_and_in_the_plan() {
 
 #[test]
 fn a_wrong_key_and_an_old_session_are_not_answered() {
-    let configs = everybody(2, Request { links: 1, ..request(true) });
+    let configs = everybody(2, request(true).with_links(1));
     let with = |k: usize, key: u8, session| {
-        let config = Config { key: Some(Key::new([key; 16])), session, initiate: k == 0, ..configs[k].clone() };
+        let config = configs[k].clone().with_key(Some(Key::new([key; 16]))).with_session(session).with_initiate(k == 0);
         Tdma::new(&config).unwrap()
     };
     let first_frame = |mut tdma: Tdma| {
@@ -173,7 +173,7 @@ proptest! {
         by_length: bool,
     ) {
         let dialect = if by_length { Dialect::Wsr { first_len: 57 } } else { request(false).dialect };
-        let configs = everybody(4, Request { dialect, ..request(false) });
+        let configs = everybody(4, request(false).with_dialect(dialect));
         let mut tdmas: Vec<Tdma> = configs.iter().take(2).map(|config| Tdma::new(config).unwrap()).collect();
         let mut frames: Vec<Vec<u8>> = vec![Vec::new()];
         let (mut now, mut sounded) = (Instant::ZERO, Vec::new());

@@ -34,7 +34,7 @@ fn thirty_two_peers_are_refused_at_100_and_run_at_the_rate_that_is_offered() {
     let Err(PlanError::Rate { highest_hz, .. }) = Tdma::new(&one_initiator(32, request)[0]) else {
         panic!("32 peers at 100 rounds/s cannot fit");
     };
-    let mut air = Air::new(&one_initiator(32, Request { rate_hz: highest_hz, ..request }), 2);
+    let mut air = Air::new(&one_initiator(32, request.with_rate_hz(highest_hz)), 2);
     air.jitter_us = 50;
     air.run_s(5);
     let before = air.pairs();
@@ -70,7 +70,7 @@ fn answers_are_fair_under_20_percent_loss() {
 
 #[test]
 fn short_turns_interleave_the_robots() {
-    let request = Request { turn_slots: 2, ..Request::new(2, 100.0) };
+    let request = Request::new(2, 100.0).with_turn_slots(2);
     let mut air = Air::new(&everybody(3, request), 14);
     air.loss = 0.02;
     air.run_s(60);
@@ -231,7 +231,7 @@ fn measurements_of_another_session_are_not_carried() {
     let mut second = Tdma::new(&configs[1]).unwrap();
     let mut carried = Vec::new();
     for session in [1, 2] {
-        let mut first = Tdma::new(&Config { session, ..configs[0].clone() }).unwrap();
+        let mut first = Tdma::new(&configs[0].clone().with_session(session)).unwrap();
         let (now, frame) = loop {
             let now = first.poll_timeout().unwrap();
             if let Some(transmit) = first.poll_transmit(now) {

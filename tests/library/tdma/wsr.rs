@@ -7,7 +7,7 @@ use driver_iface::Mac;
 use driver_iface::sounding::{Frame, wsr};
 
 fn request(links: u16, rate_hz: f64) -> Request {
-    Request { dialect: Dialect::Wsr { first_len: 57 }, ..Request::new(links, rate_hz) }
+    Request::new(links, rate_hz).with_dialect(Dialect::Wsr { first_len: 57 })
 }
 
 /// What WSR's kernel driver does with `ack_len` (driver-interface: `check_and_send_ack`), written down again.
@@ -25,7 +25,7 @@ fn kernel_answer(mpdu: &[u8], ack_len: usize, own: Mac) -> Option<Vec<u8>> {
 #[test]
 fn three_kernel_responders_are_sounded_beyond_100_000_packets() {
     let (own, peers) = (mac(200), [mac(3), mac(1), mac(2)]);
-    let config = Config { initiate: true, ..Config::new(own, 0, &peers, request(3, 100.0), 1) };
+    let config = Config::new(own, 0, &peers, request(3, 100.0), 1).with_initiate(true);
     let mut tdma = Tdma::new(&config).unwrap();
     let (mut sent, mut answered) = (0u32, 0u32);
     let mut last_at = None;
@@ -67,7 +67,7 @@ fn an_open_loop_sender_goes_on_without_hearing_anything() {
     for (open_loop, sounded) in [(true, 6_000), (false, 1_000)] {
         let request = request(3, 100.0);
         let config =
-            Config { initiate: true, open_loop, ..Config::new(mac(9), 0, &[mac(1), mac(2), mac(3)], request, 1) };
+            Config::new(mac(9), 0, &[mac(1), mac(2), mac(3)], request, 1).with_initiate(true).with_open_loop(open_loop);
         let mut tdma = Tdma::new(&config).unwrap();
         let begun = tdma.poll_timeout().unwrap();
         while tdma.poll_timeout().unwrap() < begun + Span::from_s(20.0) {

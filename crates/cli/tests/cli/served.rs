@@ -1,6 +1,6 @@
 //! Live programs in a simulated room: their state machines on its air, in virtual time and through its socket.
 
-use csi5300::exchange::pairing::Side;
+use csi5300::exchange::pairing::LinkSide;
 use csi5300::exchange::tdma::{Config, Epoch, Event, Phy, Request, Tdma};
 use csi5300::motion::odometry::{NextPose, OdometrySource};
 use csi5300::pipeline::{Options, Transmitter, bearings};
@@ -39,11 +39,10 @@ fn card_of(address: &Address, wall_us: fn() -> Option<i64>) -> (Netlink, Mac) {
 fn machine(room: &Room, own: usize, initiate: bool) -> Tdma {
     let peers: Vec<Mac> = (0..room.scene().robot.len()).filter(|&k| k != own).map(|k| room.mac(k).unwrap()).collect();
     let phy = Phy { mcs: 1, bandwidth: Bandwidth::Ht20 };
-    let request = Request { phy, ..Request::new(1, 100.0) };
+    let request = Request::new(1, 100.0).with_phy(phy);
     let epoch = Epoch::Heard(Instant::ZERO);
-    let config =
-        Config { initiate, epoch, silence_slots: 2, ..Config::new(room.mac(own).unwrap(), 0, &peers, request, 1) };
-    Tdma::new(&config).unwrap()
+    let config = Config::new(room.mac(own).unwrap(), 0, &peers, request, 1);
+    Tdma::new(&config.with_initiate(initiate).with_epoch(epoch).with_silence_slots(2)).unwrap()
 }
 
 /// Steps the exchanges as their threads would, in virtual time, until the room's end; gives what each said.
@@ -88,7 +87,7 @@ fn live_state_machines_sound_each_other_in_a_room_in_virtual_time() {
     let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
     let report = bearings(&mut rx, transmitters, &path, &options).unwrap();
     let link = &report.links[0];
-    assert_eq!(link.link.as_ref().unwrap().counts(Side::Receiver).paired, answered as u64);
+    assert_eq!(link.link.as_ref().unwrap().counts(LinkSide::Receiver).paired, answered as u64);
     let azimuth_deg = link.bearing.as_ref().unwrap().answer.azimuth_rad.to_degrees();
     assert!((azimuth_deg - 45.0).abs() < 0.3, "{azimuth_deg}");
     let [a, b] = room.injected()[..] else { panic!("two robots") };

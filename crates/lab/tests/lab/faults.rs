@@ -1,6 +1,6 @@
 //! What the room does to its robots on purpose, the pipeline finds: counts equal, exactly.
 
-use csi5300::exchange::pairing::{Side, SideCounts};
+use csi5300::exchange::pairing::{LinkSide, SideCounts};
 use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
 use csi5300::pipeline::{CaptureReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
@@ -47,7 +47,7 @@ impl Ran {
             assert_eq!(log.survey.overruns, injected.overrun_records);
             assert_eq!((log.survey.bad_bfee, log.survey.damages), (0, 0));
         }
-        for side in [Side::Receiver, Side::Transmitter] {
+        for side in [LinkSide::Receiver, LinkSide::Transmitter] {
             let c = ran.counts(side);
             let fates = c.paired + c.unpaired + c.duplicates + c.implausible + c.mispaired;
             assert_eq!(c.handed, fates, "{side:?}: {c:?}");
@@ -55,7 +55,7 @@ impl Ran {
         ran
     }
 
-    fn counts(&self, side: Side) -> SideCounts {
+    fn counts(&self, side: LinkSide) -> SideCounts {
         self.report.links[0].link.as_ref().unwrap().counts(side)
     }
 
@@ -65,7 +65,7 @@ impl Ran {
 
     /// Records of both sides, none of which is a duplicate or suspect.
     fn clean(&self) -> (SideCounts, SideCounts) {
-        let sides = (self.counts(Side::Receiver), self.counts(Side::Transmitter));
+        let sides = (self.counts(LinkSide::Receiver), self.counts(LinkSide::Transmitter));
         for c in [sides.0, sides.1] {
             assert_eq!((c.implausible, c.mispaired), (0, 0), "{c:?}");
         }
@@ -187,7 +187,7 @@ fn a_restart_of_the_initiator_is_seen_by_both_and_one_of_the_responder_by_none()
     assert_eq!(ran.pairs() + rx.unpaired, ran.rx.delivered);
     assert_eq!((rx.unpaired, tx.handed - tx.paired), (0, ran.tx.delivered - ran.rx.delivered));
     let ran = Ran::new(&scene(2, "", "faults = { restart_at_s = [4.0], restart_s = 0.5 }"));
-    let (rx, tx) = (ran.counts(Side::Receiver), ran.counts(Side::Transmitter));
+    let (rx, tx) = (ran.counts(LinkSide::Receiver), ran.counts(LinkSide::Transmitter));
     assert_eq!((rx.restarts, tx.restarts, ran.tx.restarts), (0, 0, 1), "its frames have the initiator's numbers");
     assert_eq!(tx.missing, ran.tx.missed_while_off, "as long as it was off");
     assert_eq!(ran.pairs(), ran.tx.delivered, "its card's clock began anew, and every pair is found");
@@ -218,9 +218,9 @@ fn all_faults_at_once_add_up() {
                       crystal.offset_ppm = 9.0\nhost_clock.drift_ppm = 40.0";
         // Every record is accounted for, on both sides; Ran::new asserts it.
         let ran = Ran::new(&scene(seed, faults, faults));
-        assert_eq!(ran.counts(Side::Receiver).handed, ran.rx.delivered);
-        assert_eq!(ran.counts(Side::Transmitter).handed, ran.tx.delivered);
-        assert_eq!(ran.counts(Side::Receiver).paired, ran.pairs());
+        assert_eq!(ran.counts(LinkSide::Receiver).handed, ran.rx.delivered);
+        assert_eq!(ran.counts(LinkSide::Transmitter).handed, ran.tx.delivered);
+        assert_eq!(ran.counts(LinkSide::Receiver).paired, ran.pairs());
         assert!(ran.pairs() > 300, "seed {seed}: {} pairs", ran.pairs());
     }
 }

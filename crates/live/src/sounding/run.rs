@@ -4,7 +4,7 @@ use super::messages::{DriverMessages, LogTotals};
 use super::{Exchange, News, Opened, Running, Settings};
 use crate::monitor::{Counters, Monitor};
 use crate::wait::Monotonic;
-use csi5300::exchange::tdma::Counts;
+use csi5300::exchange::tdma::TdmaCounts;
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
 use std::os::fd::{AsFd, BorrowedFd};
@@ -154,7 +154,7 @@ fn take(
 impl Finished {
     /// What the machine counted.
     #[must_use]
-    pub fn counts(&self) -> &Counts {
+    pub fn counts(&self) -> &TdmaCounts {
         self.exchange.tdma.counts()
     }
 

@@ -60,7 +60,7 @@ impl FrameReceiver for &mut Script {
 
 fn initiator() -> Tdma {
     // In an open loop it sounds in every round, answered or not.
-    let config = Config { initiate: true, open_loop: true, epoch: Epoch::Common(Instant::ZERO), ..config(A, B) };
+    let config = config(A, B).with_initiate(true).with_open_loop(true).with_epoch(Epoch::Common(Instant::ZERO));
     Tdma::new(&config).unwrap()
 }
 

@@ -1,6 +1,6 @@
 //! Checks, inside the guest of tests/checks/kernel.sh, the logs of robots that sounded each other over mac80211.
 
-use csi5300::exchange::pairing::{Pairing, Side};
+use csi5300::exchange::pairing::{LinkSide, Pairing};
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next, replay::Replay};
 use csi5300::time::Instant;
@@ -42,9 +42,9 @@ fn pairs(backward: &[(u32, u32, u8)], forward: &[(u32, u32, u8)]) -> Vec<u32> {
     let mut pairs = Vec::new();
     let (mut rx, mut tx) = (backward.iter().peekable(), forward.iter().peekable());
     while rx.peek().is_some() || tx.peek().is_some() {
-        let side = if tx.peek().is_none() { Side::Receiver } else { pairing.behind() };
-        let side = if rx.peek().is_none() { Side::Transmitter } else { side };
-        let next = if side == Side::Receiver { rx.next() } else { tx.next() };
+        let side = if tx.peek().is_none() { LinkSide::Receiver } else { pairing.behind() };
+        let side = if rx.peek().is_none() { LinkSide::Transmitter } else { side };
+        let next = if side == LinkSide::Receiver { rx.next() } else { tx.next() };
         let (number, clock, _) = next.unwrap();
         pairing.handle(side, *number, *clock, ());
         pairs.extend(std::iter::from_fn(|| pairing.poll_pair()).map(|pair| pair.number));

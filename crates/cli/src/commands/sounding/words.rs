@@ -1,6 +1,6 @@
 //! What `sound` and `respond` say: while they run, and at the end.
 
-use csi5300::exchange::tdma::{Counts, Event};
+use csi5300::exchange::tdma::{Event, TdmaCounts};
 use csi5300_live::monitor::Counters;
 use csi5300_live::sounding::{Figures, Finished, KERNEL_TURN_AROUND_US, News, spread_of};
 use driver_iface::Mac;
@@ -60,7 +60,7 @@ pub fn summary(peers: &[Mac], finished: &Finished) -> String {
 }
 
 /// Frames that were to be sent: how many were not, or perhaps late, by cause.
-fn not_sent(counts: &Counts, figures: &Figures, air: &Counters) -> [(u64, &'static str); 7] {
+fn not_sent(counts: &TdmaCounts, figures: &Figures, air: &Counters) -> [(u64, &'static str); 7] {
     [
         (counts.missed_slots + figures.too_late, "frames skipped because the host was late (never sent late)"),
         (counts.missed_replies, "answers skipped because they were late"),
@@ -73,7 +73,7 @@ fn not_sent(counts: &Counts, figures: &Figures, air: &Counters) -> [(u64, &'stat
 }
 
 /// Frames heard and turns had: how many came to nothing, by cause.
-fn not_used(counts: &Counts, air: &Counters) -> [(u64, &'static str); 16] {
+fn not_used(counts: &TdmaCounts, air: &Counters) -> [(u64, &'static str); 16] {
     [
         (air.dropped, "frames heard but dropped by the kernel before they were read"),
         (air.stale, "frames dropped because they had lain in the kernel's queue for a second or more"),
