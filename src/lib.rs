@@ -4,12 +4,12 @@
 //!
 //! An Intel 5300 card reports **channel state information** (CSI): for each received frame the complex gain
 //! `h[subcarrier]` of the channel, on 30 subcarriers, in 8-bit integers. The phase of `h` says how long the path was,
-//! modulo a wavelength (5.4 cm at 5.54 GHz): `h ~ exp(-j 2 pi d / lambda)`. One phase alone is useless, because the two
+//! modulo a wavelength (5.4 cm at 5.54 GHz): `h ~ exp(-j 2 pi d / lambda)`. One phase alone says nothing of the path, because the two
 //! cards' carriers differ by some kHz (the **carrier frequency offset**, CFO) and turn it at random from frame to frame.
 //!
 //! 1. **Forward and backward.** Two robots exchange two frames almost at once. The CFO has opposite signs in the two
 //!    directions, the path the same: in the *product* of the two CSI vectors the offset cancels and the path is there
-//!    twice ([`signal::cfo::round_trip`]; [`signal::samples::Coherent`] remembers the "twice"). Frames are paired by number
+//!    twice ([`signal::cfo::round_trip`]; [`signal::samples::Coherent`] holds this factor). Frames are paired by number
 //!    ([`exchange::pairing`]), which transmitter wrote which log follows from the clocks ([`exchange::assign`]).
 //! 2. **The channel centre.** A line through the phase over the subcarriers, evaluated at subcarrier 0, makes 30 noisy
 //!    phases one good one ([`signal::cfo::at_centre`]).
@@ -18,11 +18,11 @@
 //! 4. **Motion makes the array.** While the robot drives, one antenna is at many places `p`: a virtual antenna array
 //!    ([`motion::pose`], [`signal::samples::Samples`]).
 //! 5. **Bartlett.** For every direction `u` the samples are turned back by the phase that a wave from there would have
-//!    made, and summed: `F(u) = |sum z exp(-j 4 pi u.p / lambda)|^2`. Where they add up is the bearing
-//!    ([`bartlett::search`] finds the maximum with a guarantee, [`bartlett::profile`] gives the whole picture).
+//!    made, and summed: `F(u) = |sum z exp(-j 4 pi u.p / lambda)|^2`. The bearing is the direction of its maximum
+//!    ([`bartlett::search`] finds the maximum with a guarantee, [`bartlett::profile`] gives all of `F`).
 //!
-//! Motion along a line cannot tell left from right, and the answer then has a mirror. Motion in a plane cannot tell up
-//! from down, but a raised transmitter shortens the wavelength seen in the plane, so |elevation| is searched too.
+//! Motion along a line does not distinguish left from right: the answer has a mirror. Motion in a plane does not
+//! distinguish up from down, but a raised transmitter shortens the wavelength seen in the plane, so |elevation| is searched too.
 //!
 //! ```
 //! use csi5300::bartlett::{SearchOptions, search};
@@ -104,8 +104,8 @@
 //!
 //! # Simulate
 //!
-//! The crate `csi5300-sim` stands where cards, drivers and loggers stand: a scene becomes a room, the room is run, and each
-//! robot has its log, to the byte, beside the truth.
+//! The crate `csi5300-sim` takes the place of cards, drivers and loggers: a scene becomes a room, the room is run, and the
+//! result has each robot's log, in the bytes that a card's logger writes, and its true path.
 //!
 //! ```
 //! use csi5300_sim::{Room, Scene};

@@ -1,7 +1,7 @@
 //! Time as an argument: instants in whole microseconds, and the unwrapping of the card's counters.
 //!
-//! Nothing on the floors below `pipeline` reads a clock. Whoever drives a state machine or a backend hands it an
-//! [`Instant`] of its own monotonic clock, real or virtual.
+//! No module of this library but `pipeline` reads a clock. The caller of a state machine or a source hands it an
+//! [`Instant`] of a monotonic clock, real or virtual.
 
 use crate::maths::unwrap_near;
 use std::ops::{Add, AddAssign, Sub};

@@ -2,7 +2,7 @@
 //!
 //! The model is `z_t = A exp(j 2 pi q_t . u) + n_t` with an unknown complex `A` and white complex noise of variance
 //! `sigma^2 / w_t`. The Fisher information of a direction coordinate is then `2 |A|^2 / sigma^2` times the weighted,
-//! centred second moment of the phase's derivative; for one coordinate and unit weights that is the familiar
+//! centred second moment of the phase's derivative; for one coordinate and unit weights that is
 //! `sd^2 = 1 / (2 g kappa^2 sum ((p_t - mean) . u_perp)^2)`. Samples that are products of a forward and a backward
 //! channel have the signal-to-noise ratio `g / (2 + 1/g)` of the product, which is what is estimated here.
 
@@ -69,7 +69,7 @@ pub(crate) fn deviations(fit: Fit, spread: Spread, kind: Second, at: Point, seco
     if second_known {
         return [sd(gain * aa).min(SD_MAX), f64::INFINITY];
     }
-    // A determinant lost in rounding says that the two cannot be told apart.
+    // A determinant of the size of rounding errors: the two coordinates have the same effect on the phases.
     if det <= 1e-13 * aa * bb {
         return [SD_MAX, f64::INFINITY];
     }

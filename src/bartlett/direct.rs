@@ -1,6 +1,6 @@
 //! The oracle: the sum as it is written, in double, with phases that are exact to the last bit.
 //!
-//! Nothing here is fast. Every other path is tested against it, and a tolerance of 0 asks for it.
+//! It is slow. Every other method is tested against it, and a tolerance of 0 selects it.
 
 use std::f64::consts::TAU;
 

@@ -13,17 +13,17 @@
 //!
 //! In polar coordinates of the displacement (length `rho`, azimuth `phi_p`, angle from the zenith `xi`) and of the
 //! direction (azimuth `phi`, angle from the zenith `theta`) the exponent is
-//! `2 pi g rho / lambda * (sin(theta) sin(xi) cos(phi - phi_p) + cos(xi) cos(theta))`, `g = 2` giving the familiar
-//! `4 pi`. As printed, the steering vector of \[paper\] lacks the parentheses around the two terms, and
+//! `2 pi g rho / lambda * (sin(theta) sin(xi) cos(phi - phi_p) + cos(xi) cos(theta))`, `4 pi rho / lambda * (...)` for
+//! `g = 2`. As printed, the steering vector of \[paper\] lacks the parentheses around the two terms, and
 //! theta is called the azimuth where the formula needs the zenith angle (phi being the azimuth).
 //!
-//! # Rooms
+//! # Modules
 //! * **Input**: `front` centres and scales samples, `scene` holds them and the shape of the motion.
-//! * **Sums**: `direct` is the oracle, `sums` its vector form for antipodal pairs of directions.
+//! * **Sums**: `direct` is the oracle; its vector form for antipodal pairs of directions is `sums` of `csi5300_kernels`.
 //! * **Profiles**: `planner` keeps plans; for a `key` (grid, tolerance, motion) `choose` takes the method of the least `cost` and
-//!   `plan` holds its tables: `rings` (band limits from `bessel`), `nufft` with `kernel` and `setting`, `cone` for lines;
-//!   `evaluate` runs them. `grid` has the directions and the profile, `explain` what was chosen.
-//! * **Bearings**: `search` samples rings (`sampler`, `resample`), takes the `maxima` that the bound does not rule out, climbs
+//!   `plan` holds its tables (band limits from `bessel`): those of `rings`, `nufft` or, for lines, `cone` of `csi5300_kernels`,
+//!   whose `evaluate` runs them. `grid` has the directions and the profile, `explain` what was chosen.
+//! * **Bearings**: `search` samples rings (`sampler`), takes the `maxima` that the bound does not rule out, climbs
 //!   them (`newton`) and makes an `estimate` of them (`report`, with deviations from `crb`).
 
 mod bessel;

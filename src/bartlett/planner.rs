@@ -1,4 +1,4 @@
-//! Only what the scene needs: the planner.
+//! The planner: the cheapest method for a scene and a tolerance, and plans kept for the next call.
 //!
 //! A plan is chosen by the geometry of the motion, the grid, the number of samples and the tolerance; it holds every
 //! table that does not depend on the samples, for a bucket of apertures (5 percent wide), and prints what it does and

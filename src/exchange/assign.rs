@@ -1,12 +1,12 @@
 //! Which transmitter wrote which log.
 //!
 //! A transmitter's log holds only the receiver's MAC, not its own, and all robots of a round share frame numbers. What
-//! tells them apart is time: between a robot's reception and its own answer lies only the turn-around, so
+//! distinguishes them is time: between a robot's reception and its own answer lies only the turn-around, so
 //! `clock_tx - clock_rx` of the right match is a straight line but for some tens of microseconds of jitter. A wrong
 //! match holds the waits of the sender's slots as well and spreads by more: on the 36 links of the WSR data set at hand that
-//! have a choice, 2.2 times at least and mostly over 4 times (measured; of the mean and the root mean square deviation
-//! too the median tells best, since outliers of the turn-around are common). The number of common frame numbers tells
-//! nothing: it is wrong or tied on half of them.
+//! have a choice, 2.2 times at least and mostly over 4 times (measured; the median of the deviations separates them better
+//! than their mean or root mean square, since outliers of the turn-around are common). The number of common frame
+//! numbers does not decide: it is wrong or tied on half of these links.
 
 use crate::exchange::pairing::{LinkSide, Pairing};
 use crate::maths::upper_median;

@@ -126,7 +126,7 @@ impl<T> Pairing<T> {
         self.side_mut(side).keep(window);
     }
 
-    /// What now is believed of the clocks may fit others that wait.
+    /// Pairs waiting candidates that fit a difference of the clocks that was just accepted.
     fn seek_all(&mut self) {
         let mut keys: Vec<Key> = self.receiver.waiting.keys().copied().collect();
         keys.sort_unstable();

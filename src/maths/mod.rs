@@ -1,4 +1,4 @@
-//! Small mathematics that every floor above uses: angles, order statistics, wrapping counters, SIMD tiers.
+//! Mathematics that all other modules use: angles, order statistics, wrapping counters, SIMD tiers.
 
 mod angle;
 mod counter;

@@ -1,4 +1,4 @@
-//! What is said of a link: the flat form of a bearing, for people and for JSON Lines.
+//! The flat form of a bearing, for printing and for JSON Lines.
 
 use super::accurate::Placed;
 use super::bearing::{Bearing, BearingAnswer, Candidate, PairCounts, WaveModel};

@@ -1,4 +1,4 @@
-//! What a link gave: one answer, all of one kind, and beside it what it was made of.
+//! The result of a link: one answer (all of one wave model), and beside it what it was computed from.
 
 use super::accurate::Placed;
 use crate::bartlett::{self, Estimate, Grid};

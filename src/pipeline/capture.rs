@@ -1,4 +1,4 @@
-//! Bearings in a few lines: what a capture consists of, named piece by piece.
+//! A capture named file by file, and the bearings from it.
 
 use super::{Bearing, CaptureReport, LinkError, Options, Transmitter, bearings};
 use crate::motion::odometry::csv::{self, CsvError};

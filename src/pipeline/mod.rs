@@ -1,5 +1,4 @@
-//! The whole machine: logs and a trajectory in, bearings out. The one place where sources, state machines and the
-//! estimator meet.
+//! Logs and a trajectory in, bearings out: the module that connects sources, state machines and the estimator.
 //!
 //! [`Capture`] is the short way in; [`bearings`] takes sources that the caller keeps.
 //!

@@ -1,4 +1,4 @@
-//! How sure a bearing is: the probability that its azimuth is within five degrees of the truth.
+//! Confidence: the calibrated probability that an azimuth is within five degrees of the truth.
 //!
 //! `p = 1 / (1 + exp(-(base + sum coefficient x feature)))`, with one model for answers of a near-field search
 //! ([`full_probability`]) and one for bearings by a plane wave at the channel centre ([`quick_probability`]): they fail

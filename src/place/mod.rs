@@ -1,4 +1,4 @@
-//! Beyond the plane wave: places of transmitters and of receivers, and how sure.
+//! Beyond the plane wave: places of transmitters (spherical waves) and of receivers, and the probability of a bearing.
 
 pub mod confidence;
 pub mod locate;

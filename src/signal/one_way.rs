@@ -1,8 +1,8 @@
 //! The one-way channel out of the round trip: `h` from `h^2`, its sign kept by continuity.
 //!
 //! Forward and backward channel are the same but for the radios, so their product is the square of one channel. With
-//! several paths the square also holds each pair of them, at the mean of their directions: sources that are not
-//! there. The square root has only the paths, each once (path gain 1), but its sign is open for every packet and
+//! several paths the square also holds the product of each two of them, a wave at the mean of their directions
+//! without a source. The square root has only the paths, each once (path gain 1), but its sign is open for every packet and
 //! subcarrier.
 //!
 //! Signs are chosen so that the channel varies as little as it can: from packet to packet along each subcarrier, then

@@ -1,4 +1,4 @@
-//! The one value between the front end and every estimator.
+//! Coherent samples with their positions: what the front end makes and every estimator takes.
 
 use nalgebra::Vector3;
 use num_complex::Complex64;

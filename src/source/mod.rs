@@ -1,4 +1,4 @@
-//! The edge: where records come from and where frames go. A card, a recorded file, a simulated room and a remote
+//! Where records come from and where frames go. A card, a recorded file, a simulated room and a remote
 //! robot are values of one type, [`CsiSource`]. Who only wants to read a log takes [`Log`](log::Log).
 
 mod error;

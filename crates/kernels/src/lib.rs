@@ -1,5 +1,5 @@
 //! The vector code of `csi5300`, in a crate of its own so that it is compiled once, optimised in every profile, and not
-//! again with each edit of the library. Internal: it makes no promises; `csi5300::bartlett` is its face.
+//! again with each edit of the library. Internal, without a stable interface: use `csi5300::bartlett`.
 //!
 //! | module | what it computes |
 //! |---|---|

@@ -1,4 +1,4 @@
-//! Random rooms with known truth: what bearings are judged by where no capture is at hand.
+//! Random simulated rooms with known truth, to judge bearings by without captures.
 //!
 //! Each room has four walls, a receiver that drives an arc of about a metre, and three transmitters two to five metres
 //! away and up to 0.8 m higher; cards, clocks and radios are those of the built-in `lab-circle`. In half of the

@@ -5,7 +5,7 @@
 //! | [`netlink`] | the driver's records from the kernel's connector: a [`CsiSource`](csi5300::source::CsiSource) |
 //! | [`monitor`] | frames injected into and heard from a monitor interface |
 //! | [`sounding`] | the scheduler on that interface, in a thread of its own |
-//! | [`doctor`] | what stands between this machine and a first record |
+//! | [`doctor`] | checks of everything that a first record needs, and the card's set-up |
 //! | `serial` | the TurtleBot3's controller on its serial port (feature `serial`) |
 //! | [`status`] | a running capture in words |
 //! | [`wait`] | the clocks of this machine, and waiting on them |

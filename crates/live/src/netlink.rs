@@ -2,7 +2,7 @@
 //!
 //! It differs from csitool's `log_to_file` in what goes wrong in the field: the multicast group is joined by number
 //! (bind's `nl_groups` is a bit mask, and 26 means groups 2, 4 and 5 there); the index is found instead of compiled
-//! in; only the kernel is believed; a message ends where `cn_msg.len` says; and an overrun is counted and reported
+//! in; only messages of the kernel are accepted; a message ends where `cn_msg.len` says; and an overrun is counted and reported
 //! instead of ending the capture.
 //!
 //! **Overruns.** When the socket's queue is full the kernel drops the newest messages, says ENOBUFS once, ahead of the
@@ -54,7 +54,7 @@ pub struct Options {
 }
 
 impl Default for Options {
-    /// The driver's index is looked for, only the kernel is believed, and records bear the host's time.
+    /// The driver's index is looked for, only messages of the kernel are accepted, and records have the host's time.
     fn default() -> Self {
         Self {
             connector_index: None,

@@ -1,4 +1,4 @@
-//! What goes wrong on purpose, and the exact account of it.
+//! Injected faults, and exact counts of them.
 
 use csi5300::time::{Instant, Span};
 use serde::{Deserialize, Serialize};

@@ -1,8 +1,8 @@
 //! A room full of robots that speaks the card's bytes.
 //!
-//! It stands where the card, its driver and the logger stand: it moves robots, propagates waves, runs the TDMA
+//! It takes the place of the card, its driver and the logger: it moves robots, propagates waves, runs the TDMA
 //! exchange of live cards, and gives out the records that they would have given, in the same layouts, with the same
-//! 8 bits, losses, overruns and cut tails. Nothing behind [`csi5300::source::CsiSource`] can tell the difference.
+//! 8 bits, losses, overruns and cut tails. Code behind [`csi5300::source::CsiSource`] works unchanged with both.
 //!
 //! ```
 //! use csi5300_sim::{Room, Scene};
@@ -43,7 +43,7 @@
 //! | `dataset`, `simulation` | a room into a capture folder, or logs in memory |
 //! | [`random`] | a seed into random numbers |
 //!
-//! Two rules keep it fast and honest. What a scene does not ask for is not computed: an effect that is off draws no
+//! Two rules. What a scene does not ask for is not computed: an effect that is off draws no
 //! random number, reflections are searched only where surfaces stand, and coefficients are computed when a record is
 //! read, so not at all for robots and exchanges that nobody reads. And a seed gives the same bytes on any machine:
 //! random numbers are ChaCha8 streams, one for each purpose and robot, and all functions that end in a byte are plain

@@ -1,6 +1,6 @@
 //! What a scene states: the TOML of a simulated room.
 //!
-//! Every effect is off unless a scene asks for it, and what is off costs nothing. Keys nobody knows are refused.
+//! Every effect is off unless a scene asks for it, and what is off costs nothing. Unknown keys are refused.
 
 use super::crystal::Crystal;
 use super::faults::Faults;

@@ -98,16 +98,16 @@ impl Tail {
 /// `skipped`). The same bytes give the same steps whatever the chunks in which they arrive. Work is linear in the
 /// bytes; a look further ahead is bounded by [`LOOKAHEAD`].
 ///
-/// A record is believed when its own contents vouch for it (a bfee whose lengths obey the formula, a noise value, an
+/// A record is accepted when its own contents are consistent (a bfee whose lengths obey the formula, a noise value, an
 /// MPDU with a good checksum) or when such a record, or the stream's end, follows where its length says. A bfee or
 /// MPDU followed by nothing is searched for the head of another record: if there is one inside, bytes are missing
 /// from the first and it is given up, so one lost or 100 foreign bytes cost the record that they are in, no more.
-/// Records of unknown codes are legal; right after damage one is believed only if its code was met before.
+/// Records of unknown codes are legal; right after damage one is accepted only if its code was met before.
 #[derive(Clone, Debug)]
 pub struct Framer {
     offset: u64,
     state: State,
-    /// Codes of believed records.
+    /// Codes of accepted records.
     seen: Codes,
     /// Positions of the present front that are known to begin no record.
     searched: usize,

@@ -7,14 +7,14 @@ use std::collections::VecDeque;
 /// How far `clock_tx - clock_rx` of a pair may be from the last pair's: 5 ms of turn-around and 200 ppm of drift.
 const CLOCK_SLACK_US: i64 = TUNING.pairing.clock_slack_us;
 const CLOCK_DRIFT_PER_S: i64 = TUNING.pairing.clock_drift_per_s;
-/// Candidates of one count that must agree before their clock difference is believed.
+/// Candidates of one count that must agree before their clock difference is accepted.
 const RUN: usize = TUNING.pairing.run;
 /// Candidates kept, of all counts.
 const RUNS_KEPT: usize = 8 * RUN;
 /// They agree if the median step of the difference from one to the next is at most this, microseconds: a turn-around
 /// jitters by 4 to 22 us (measured, paper-framework), the waits of two independent senders by hundreds.
 const RUN_STEP_US: i64 = TUNING.pairing.run_step_us;
-/// Without any run that agrees the first so many candidates are believed all the same: a slow responder is no mismatch.
+/// Without any run that agrees the first so many candidates are accepted all the same: a slow responder is no mismatch.
 const PATIENCE: u32 = TUNING.pairing.patience;
 
 /// A pair that does not continue the link, as far as is known.
@@ -38,7 +38,7 @@ pub(super) struct Clock {
 }
 
 impl Clock {
-    /// True once a difference is believed.
+    /// True once a difference is accepted.
     pub(super) fn is_known(&self) -> bool {
         self.last.is_some()
     }
@@ -56,7 +56,7 @@ impl Clock {
         Some(clocks)
     }
 
-    /// Notes a candidate of `count` that does not fit; true if a new difference is now believed.
+    /// Notes a candidate of `count` that does not fit; true if this makes a new difference the accepted one.
     pub(super) fn doubt(&mut self, count: u32, rx: u32, tx: u32) -> bool {
         self.run.push_back(Candidate { count, rx, difference: tx.wrapping_sub(rx) });
         if self.run.len() > RUNS_KEPT {

@@ -1,6 +1,6 @@
 //! The shared-key tag of native frames: SipHash-2-4 with a 128-bit key and a 128-bit output.
 //!
-//! SipHash is a keyed function made for authenticating short messages (Aumasson and Bernstein, 2012); the full
+//! SipHash is a keyed function made for authenticating short messages \[siphash2012\]; the full
 //! 128-bit output is sent. It shows that a frame was made by someone with the key, not that it is new: for that
 //! there are sessions and numbers, see [`super::Tdma`].
 

@@ -5,10 +5,10 @@
 //! offset in its product. A round is one exchange with every peer; after one or more rounds the turn goes to the
 //! next robot that wants it.
 //!
-//! * [`Plan`] cuts time into slots and refuses what does not fit, saying what would; anybody may use it.
+//! * [`Plan`] cuts time into slots and refuses what does not fit, saying what would.
 //! * [`Tdma`] is one robot's state machine; the contract is written there. The live card's thread and the simulated
 //!   air drive the same one.
-//! * [`Dialect`] chooses between WSR's frames and ours.
+//! * [`Dialect`] chooses between the frames of the WSR toolbox and the native ones of this project.
 //!
 //! ```
 //! use csi5300::exchange::tdma::{Config, Epoch, Plan, PlanError, Request, Tdma};

@@ -2,8 +2,8 @@
 //!
 //! Turns are numbered; every frame names the initiator, the turn, who is next and how many slots are left. The rule
 //! for two initiators at once is the same on every robot: **the later turn wins, and of equal turns the initiator
-//! with the lower MAC**. One frame that contradicts this robot's view does not convince it if it could be forged: it
-//! takes three in a row that agree, or one with a valid tag.
+//! with the lower MAC**. A frame that contradicts this robot's view changes it only with a valid tag, or as the third in a
+//! row that agree: a single one without a tag could be forged.
 
 /// What one frame says about the turn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

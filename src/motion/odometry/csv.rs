@@ -1,4 +1,4 @@
-//! Trajectory CSV files without header; the number of columns is the kind. `\[paper\]`: see docs/references.md.
+//! Trajectory CSV files without header; the number of columns is the kind. Keys in brackets: docs/references.md.
 //!
 //! | columns | what | from |
 //! |---|---|---|

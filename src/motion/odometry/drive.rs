@@ -106,7 +106,7 @@ impl Drive {
         true
     }
 
-    /// How far the robot turned: by the IMU where it can be believed, by the wheels elsewhere.
+    /// How far the robot turned: by the IMU where it is plausible, by the wheels elsewhere.
     fn turned_rad(&mut self, last: &Reading, now: &Reading, by_wheels: f64) -> f64 {
         let by_imu = last.heading_rad.zip(now.heading_rad).map(|(from, to)| wrap_rad(to - from));
         self.unseen_rad = if by_imu == Some(0.0) { self.unseen_rad + by_wheels } else { 0.0 };

@@ -9,7 +9,7 @@ const HEADER: [u8; 4] = [0xFF, 0xFF, 0xFD, 0x00];
 /// Bytes before the instruction.
 const PREFIX: usize = 7;
 const CRC: usize = 2;
-/// The longest packet that is believed: a whole control table of 1 KiB, stuffed.
+/// The longest packet that is accepted: a whole control table of 1 KiB, stuffed.
 const MAX_PACKET: usize = 1_400;
 
 /// Instructions that are used here. There is deliberately none that writes.

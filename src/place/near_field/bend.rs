@@ -1,4 +1,4 @@
-//! The bend of a wave front by a polynomial, where half the work matters more than the last digits.
+//! The curvature of a wave front (its phase less that of a plane wave) by a polynomial: half the work of the exact one.
 
 use crate::tuning::TUNING;
 use csi5300_kernels::kernel::fit_polynomial;

@@ -1,4 +1,4 @@
-//! From the peaks of the grid to the tops of the field.
+//! From the peaks of the grid to the local maxima of the joint power (tops).
 
 use super::fix::Source;
 use super::search::{Search, scores};

@@ -1,9 +1,9 @@
-//! Odometry that drifts: a scale and a turn of the heading per metre driven, found from how sharp the answers of all
-//! transmitters get.
+//! Odometry that drifts: a scale and a turn of the heading per metre driven, found by maximising the joint power of the answers
+//! of all transmitters.
 //!
 //! A rotation of the whole trajectory cannot be seen this way (it turns all bearings alike); a wrong scale and a bending
-//! path can, because no place explains the phases of all samples then. Sharper answers alone prove nothing: two
-//! parameters more always fit a little better, so the gain has to exceed what they explain (\[akaike1974\] in
+//! path can, because no place explains the phases of all samples then. Two
+//! more parameters always raise the power, so the gain has to exceed what they explain by chance (\[akaike1974\] in
 //! docs/references.md).
 
 use super::fix::Fix;
@@ -11,7 +11,7 @@ use super::search::Search;
 use super::types::Warp;
 use crate::tuning::TUNING;
 
-/// What the odometry was found to lack.
+/// The change of the odometry that was found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 #[non_exhaustive]
 pub struct Focus {

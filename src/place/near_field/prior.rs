@@ -1,9 +1,12 @@
-//! What elevation and range are likely to be before anything was heard, and what follows once it was: the evidence for an
-//! azimuth, and the azimuth that is right on average.
+//! Prior of elevation and range, and what follows from it and the joint power `P`:
+//!
+//! * the evidence of an azimuth, `(mean of P^n)^(1/n)` over elevations and ranges, `n` = [`LOOKS`];
+//! * the azimuth of an answer as the mean of a posterior, with the weights `P^(m p / (1 - p))`, `m` = [`LOOKS_WITHIN`], `p`
+//!   the joint power of the answer.
 //!
 //! The highest point over azimuth, elevation and range favours an azimuth that finds, among all heights and ranges, one
-//! that happens to fit; a trajectory that is bent or a reflection always offers some. Bayes' rule asks instead how well an
-//! azimuth does over all of them, each as often as it is likely. `|elevation|` is taken as uniform up to its limit, range
+//! that happens to fit; a trajectory that is bent or a reflection always offers some. Bayes' rule takes the mean over all
+//! of them, weighted by their prior. `|elevation|` is taken as uniform up to its limit, range
 //! as uniform in its logarithm up to [`FARTHEST`] times the shortest one; a little is left for all beyond that.
 
 use super::grid::Axes;
@@ -16,7 +19,7 @@ const FARTHEST: f64 = TUNING.prior.farthest;
 const BEYOND: f64 = TUNING.prior.beyond;
 /// How many independent looks a motion is worth when peaks are compared: probability goes with the joint power to this.
 /// A motion has hundreds of pairs, but what reflections and odometry leave is shared by many of them. Chosen by parts of
-/// real captures (docs/accuracy.md); from 12 to 27 they tell no difference.
+/// real captures (docs/accuracy.md); from 12 to 27 their errors differ by no more than noise.
 const LOOKS: f64 = TUNING.prior.looks_between_peaks;
 /// The same when places within a peak are weighed, for a peak that explains half of the power.
 const LOOKS_WITHIN: f64 = TUNING.prior.looks_within_peak;

@@ -1,5 +1,5 @@
-//! How far a place is known: the Cramer-Rao bound of its coordinates from the geometry and from the phases that are
-//! left, which on real captures are no white noise.
+//! Standard deviations of a place: the Cramer-Rao bound of its coordinates from the geometry and the residual phases,
+//! which on real captures are no white noise.
 
 use super::aperture::Aperture;
 use super::fix::{Deviations, Source};

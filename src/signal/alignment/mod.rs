@@ -2,7 +2,7 @@
 //!
 //! Both cards start sampling a little early or late in each frame, which turns the phase of a product by
 //! `slope * subcarrier index` (measured: 0.05 to 0.12 rad per index from packet to packet, so a turn at the edges of
-//! the band). The mean slope belongs to the path and the radios and says nothing; what changes from one packet to
+//! the band). The mean slope belongs to the path and the radios and is left; what changes from one packet to
 //! the next cannot be motion, which turns the slope by 2 pi per 153 m. So each packet is turned to the slope of its
 //! neighbours, about index 0, where the slope does nothing: the phase at the channel centre is left as it is.
 

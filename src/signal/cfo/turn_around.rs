@@ -1,4 +1,4 @@
-//! What the turn-around's jitter turns, estimated and taken out.
+//! The phase `2 pi df d` that the jitter `d` of the turn-around leaves: `df` estimated, the phase taken out.
 
 use super::drift_line::{drift_line, median};
 use super::offset::{along, course, maximise, second_differences, sum_at};

@@ -1,4 +1,4 @@
-//! How alike two captures are: a recorded one and a simulated one of the same scene.
+//! A recorded capture compared with a simulated one of the same scene, figure by figure.
 //!
 //! [`Figures`] are what can be measured of any capture: what its records look like, when they came, what the radios
 //! and the channel did to the phase. [`rows`] puts those of two captures beside each other with how far they may

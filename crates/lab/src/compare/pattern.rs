@@ -1,4 +1,4 @@
-//! What of the received power goes with the robot's heading.
+//! The antenna pattern of a robot: received power over the azimuth to the transmitter in the robot's frame.
 
 use csi5300::motion::pose::Trajectory;
 use csi5300_sim::Recorded;

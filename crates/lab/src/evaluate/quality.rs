@@ -1,4 +1,4 @@
-//! What a set of judged links is worth: ranges, refusals, reliability of the confidence, receivers located.
+//! Figures of a set of judged links beside their errors: ranges, refusals, reliability of the confidence, receivers located.
 
 use super::{Errors, Judged};
 use csi5300::maths::median;

@@ -1,4 +1,4 @@
-//! What a short reception says.
+//! Checks on the records of a short reception.
 
 use super::Check;
 use csi5300::source::Next;

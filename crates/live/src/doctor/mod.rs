@@ -1,4 +1,4 @@
-//! What stands between a user and a first record: checks in the order in which things fail, and the set-up of the card.
+//! Checks of everything that a first record needs, in the order in which things fail, and the set-up of the card.
 //!
 //! Every check reads the machine through [`System`], so that each failure can be staged from a folder of files. The
 //! facts are those of csitool's and WSR's installation notes and of their users' reports.

@@ -1,4 +1,4 @@
-//! The interface: its mode, channel and rate, and who else has a hand on it.
+//! The interface: its mode, channel and rate, and which other programs use it.
 
 use super::card::Card;
 use super::{Check, System};

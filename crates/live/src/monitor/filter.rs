@@ -1,4 +1,4 @@
-//! The socket's filter: sounding frames only, so that other traffic on the channel wakes nobody.
+//! The socket's filter: sounding frames only, so that other traffic on the channel does not wake the process.
 
 use crate::sys::Instruction;
 use driver_iface::sounding::MAGIC_MAC;
