@@ -1,6 +1,6 @@
 //! Time as an argument: instants in whole microseconds, and the unwrapping of the card's counters.
 //!
-//! No module of this library but `pipeline` reads a clock. The caller of a state machine or a source hands it an
+//! No module of this library reads a clock. The caller of a state machine or a source hands it an
 //! [`Instant`] of a monotonic clock, real or virtual.
 
 use crate::maths::unwrap_near;
