@@ -5,7 +5,7 @@ use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport};
 use super::track::Track;
 use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Pose, Trajectory};
-use crate::pipeline::{Bearing, Front, Options};
+use crate::pipeline::{Bearing, Front, Link, LinkError, LinkJoin, Options, estimate};
 use crate::source::{Loss, Next};
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
@@ -88,12 +88,6 @@ impl LiveEstimator {
         }
     }
 
-    /// Takes this robot's trajectory so far in place of all poses before.
-    pub fn handle_trajectory(&mut self, trajectory: &Trajectory) {
-        self.track.clear();
-        trajectory.poses().iter().for_each(|pose| self.track.push(*pose));
-    }
-
     /// Takes a pose of this robot's antenna, on its own host's clock.
     pub fn handle_pose(&mut self, pose: Pose) {
         self.track.push(pose);
@@ -155,11 +149,16 @@ impl LiveEstimator {
         Some((index, report))
     }
 
-    /// Every peer's report, due or not, from everything in its window, with the accuracy layer.
-    pub fn ask(&mut self, now: Instant) -> Vec<PeerReport> {
-        let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
-        let context = Context { track, settings, options, plain, now, why: Why::Refine };
-        self.peers.iter_mut().map(|state| state.report(context)).collect()
+    /// Each peer's link and its bearing, from all pairs that are kept and `trajectory` in place of the poses that came:
+    /// what a bearing from logs is made of, autofocus over all links included. Peers stand still. It has no window and no
+    /// schedule, forgets nothing, and changes no report.
+    ///
+    /// Each is an error by itself: see [`LinkError`].
+    #[must_use]
+    pub fn bearings(&self, trajectory: &Trajectory) -> Vec<(&Link, Result<Bearing, LinkError>)> {
+        let links = || self.peers.iter().map(|state| &state.link);
+        let joins: Vec<_> = links().map(|link| LinkJoin { link, receiver: trajectory, transmitter: None }).collect();
+        links().zip(estimate(&joins, &self.options)).collect()
     }
 
     /// Ends all sources: every peer's last report, from everything that came.

@@ -38,24 +38,7 @@ impl LiveSettings {
             accurate_every_s: 5.0,
         }
     }
-
-    /// All motion there was, the accuracy layer every time: what a bearing from logs is made of. For one who asks with
-    /// [`super::LiveEstimator::ask`].
-    #[must_use]
-    pub fn everything() -> Self {
-        Self {
-            window_m: f64::INFINITY,
-            window_s: FOREVER_S,
-            least_m: 0.0,
-            rate_hz: 1.0,
-            extrapolate_s: 0.0,
-            accurate_every_s: 0.0,
-        }
-    }
 }
-
-/// A window without an end, seconds: thirty years.
-const FOREVER_S: f64 = 1e9;
 
 /// A robot whose bearing is wanted.
 #[derive(Clone, Debug)]

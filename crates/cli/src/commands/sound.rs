@@ -6,7 +6,7 @@ use super::sounding::{NO_NUMBERS, Sounding, Wanted, Words, tell};
 use super::{Result, hint, print, print_json, usage};
 use csi5300::exchange::tdma::{Epoch, Event, Plan, Priority};
 use csi5300::motion::odometry;
-use csi5300::pipeline::live::{PeerReport, PeerState};
+use csi5300::pipeline::{Bearing, LinkError};
 use csi5300::signal::channel::Channel;
 use csi5300::source::Next;
 use csi5300::time::{Instant, Span};
@@ -63,7 +63,7 @@ pub struct Args {
 #[derive(serde::Serialize)]
 struct Line {
     mac: String,
-    pairs: u64,
+    pairs: usize,
     azimuth_deg: Option<f64>,
     azimuth_sd_deg: Option<f64>,
     mirror_deg: Option<f64>,
@@ -72,19 +72,18 @@ struct Line {
 }
 
 impl Line {
-    fn new(mac: Mac, pairs: u64, report: &PeerReport) -> Self {
-        let answer = &report.answer;
-        let made = report.state == PeerState::Bearing;
-        let of = |value: Option<f64>| value.filter(|_| made);
-        let why = || answer.cause.as_ref().map_or_else(|| report.words.clone(), hint::words);
+    fn new(mac: Mac, pairs: usize, made: &std::result::Result<Bearing, LinkError>) -> Self {
+        let bearing = made.as_ref().ok();
+        let answer = bearing.map(|bearing| &bearing.answer);
+        let finite = |sd: &f64| sd.is_finite();
         Self {
             mac: mac.to_string(),
             pairs,
-            azimuth_deg: of(answer.azimuth_deg),
-            azimuth_sd_deg: of(answer.azimuth_sd_deg),
-            mirror_deg: of(answer.mirror_deg),
-            coherence: of(answer.coherence),
-            error: (!made).then(why),
+            azimuth_deg: answer.map(|answer| answer.azimuth_rad.to_degrees()),
+            azimuth_sd_deg: answer.map(|answer| answer.azimuth_sd_rad.to_degrees()).filter(finite),
+            mirror_deg: answer.and_then(|answer| answer.mirror_rad).map(f64::to_degrees),
+            coherence: bearing.map(|bearing| bearing.plane_wave.coherence),
+            error: made.as_ref().err().map(hint::words),
         }
     }
 }
@@ -121,14 +120,14 @@ impl Observer for Live<'_> {
 
     fn look(&mut self, now: Instant, running: &Running) {
         if let Some(bearings) = self.bearings.as_mut().filter(|bearings| bearings.next_at <= now) {
-            bearings.make(now, running);
+            bearings.make(running);
             bearings.next_at = now + bearings.args.bearing_every;
         }
     }
 }
 
 impl Bearings<'_> {
-    fn make(&mut self, now: Instant, running: &Running) {
+    fn make(&mut self, running: &Running) {
         if self.products.unused().no_number > 0 && !self.told {
             self.told = true;
             eprintln!("{NO_NUMBERS}");
@@ -137,10 +136,8 @@ impl Bearings<'_> {
             Ok((trajectory, _)) => trajectory,
             Err(error) => return eprintln!("{}: {error}", self.path.display()),
         };
-        let pairs: Vec<_> = self.products.pairs().collect();
-        let reports = self.products.reports(&trajectory, now);
-        for ((mac, pairs), report) in pairs.into_iter().zip(reports).filter(|((_, pairs), _)| *pairs > 0) {
-            let line = Line::new(mac, pairs, &report);
+        for (mac, pairs, made) in self.products.bearings(&trajectory) {
+            let line = Line::new(mac, pairs, &made);
             if line.error.is_none() {
                 self.spare(mac, line.azimuth_sd_deg, running);
             }

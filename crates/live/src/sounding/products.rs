@@ -6,8 +6,8 @@
 
 use csi5300::motion::pose::Trajectory;
 use csi5300::nalgebra::Vector3;
-use csi5300::pipeline::live::{LiveEstimator, LivePeer, LiveSettings, PeerReport, Track};
-use csi5300::pipeline::{FrameHeard, Options, UnusedRecords};
+use csi5300::pipeline::live::{LiveEstimator, LivePeer, LiveSettings, Track};
+use csi5300::pipeline::{Bearing, FrameHeard, LinkError, Options, UnusedRecords};
 use csi5300::source::Next;
 use csi5300::source::survey::Identity;
 use csi5300::time::Instant;
@@ -45,7 +45,7 @@ impl Products {
         let peers = peers.iter().map(peer).collect();
         // It is asked for bearings: it has no schedule, and no peer's log to tell this robot's own MAC from others in.
         let (own, now) = (Mac::ZERO, Instant::ZERO);
-        let settings = LiveSettings::everything();
+        let settings = LiveSettings::new(options.channel.wavelength_m());
         Self { estimator: LiveEstimator::new(own, Track::default(), peers, settings, options, now) }
     }
 
@@ -71,14 +71,13 @@ impl Products {
         self.estimator.other_antenna()
     }
 
-    /// Products that there are, by link.
-    pub fn pairs(&self) -> impl Iterator<Item = (Mac, u64)> {
-        self.estimator.peers().map(|(peer, counts)| (peer.mac, counts.pairs))
-    }
-
-    /// What is known of each peer, in their order, from all products so far and the trajectory so far.
-    pub fn reports(&mut self, trajectory: &Trajectory, now: Instant) -> Vec<PeerReport> {
-        self.estimator.handle_trajectory(trajectory);
-        self.estimator.ask(now)
+    /// Every peer with a product: how many there are, and the bearing from all of them and the trajectory so far. One after
+    /// the other they are what [`Products::new`] was given.
+    ///
+    /// Each is an error by itself: see [`LinkError`].
+    #[must_use]
+    pub fn bearings(&self, trajectory: &Trajectory) -> Vec<(Mac, usize, Result<Bearing, LinkError>)> {
+        let made = self.estimator.bearings(trajectory).into_iter().filter(|(link, _)| link.pairs() > 0);
+        made.map(|(link, bearing)| (link.mac, link.pairs(), bearing)).collect()
     }
 }

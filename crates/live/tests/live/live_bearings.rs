@@ -3,11 +3,9 @@
 use crate::common::link::{RECEIVER, TRANSMITTER, link};
 use csi5300::motion::odometry::csv;
 use csi5300::pipeline::Options;
-use csi5300::pipeline::live::PeerState;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::survey::Survey;
 use csi5300::source::{Next, Stamps};
-use csi5300::time::Instant;
 use csi5300_live::sounding::{Products, measurement};
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
@@ -61,15 +59,13 @@ fn products_from_answers_give_the_bearing() {
             products.answered(TRANSMITTER, &carried(under_way.pop_front().unwrap()));
         }
     }
-    let pairs: Vec<_> = products.pairs().collect();
-    assert_eq!(pairs[0], (Mac([9; 6]), 0));
-    assert!(pairs[1].1 >= 540, "{pairs:?}");
-    let made = products.reports(&trajectory, Instant::ZERO);
-    assert_eq!(made.len(), 2);
-    assert_eq!((made[0].state, made[0].answer.azimuth_deg), (PeerState::NoPairs, None));
-    let answer = &made[1].answer;
-    assert_eq!((made[1].state, answer.mac.clone()), (PeerState::Bearing, Some(TRANSMITTER.to_string())));
-    let error_deg = answer.azimuth_deg.unwrap() - truth_rad.to_degrees();
+    let made = products.bearings(&trajectory);
+    // One that never answered has no product, and no bearing.
+    assert_eq!(made.len(), 1);
+    let (mac, pairs, bearing) = &made[0];
+    assert_eq!(*mac, TRANSMITTER);
+    assert!(*pairs >= 540, "{pairs}");
+    let error_deg = (bearing.as_ref().unwrap().answer.azimuth_rad - truth_rad).to_degrees();
     assert!(error_deg.abs() < 0.1, "{error_deg}");
     // What another antenna measured does not belong to these products.
     let mut other = under_way.pop_front().unwrap();
