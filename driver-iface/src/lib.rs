@@ -6,13 +6,13 @@
 //! | module | bytes |
 //! |---|---|
 //! | [`connector`] | a datagram of the kernel connector: nlmsghdr, cn_msg, then a [`record::Record`] |
-//! | [`record`] | `.dat` logs: a big-endian length and a record, over and over; [`record::Framer`] finds its feet after damage |
+//! | [`record`] | `.dat` logs: a big-endian length and a record, over and over; [`record::Framer`] resynchronises after damage |
 //! | [`side_file`] | `.datstp`, the host's receive times beside a `.dat` log |
 //! | [`bfee`] | 0xBB, the CSI of one frame, stock and WSR layout |
 //! | [`mpdu`] | 0xC1, the frame itself |
 //! | [`sounding`], [`radiotap`] | what is injected |
 //!
-//! All multi-byte fields are little-endian unless said otherwise; the driver only ever ran on such hosts.
+//! All multi-byte fields are little-endian unless said otherwise; the driver runs on such hosts only.
 #![no_std]
 #![forbid(unsafe_code)]
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]

@@ -1,7 +1,7 @@
 //! Records and the `.dat` log: for each message of the driver a big-endian u16 length, then that many bytes, a code
 //! and a body (`log_to_file.c`). No file header, no time stamps, no trailer.
 //!
-//! [`Framer`] walks such a stream, tells damage from records, and finds its feet again.
+//! [`Framer`] walks such a stream, distinguishes records from damage, and resynchronises.
 
 mod framer;
 mod head;

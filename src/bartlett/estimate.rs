@@ -55,7 +55,7 @@ pub struct Estimate {
     pub azimuth_rad: f64,
     /// |elevation| of the peak, radians; 0 where it was not searched or cannot be observed.
     pub abs_elevation_rad: f64,
-    /// The elevation with its sign, where the motion tells the two apart.
+    /// The elevation with its sign, where the motion distinguishes the two.
     pub signed_elevation_rad: Option<f64>,
     /// Predicted standard deviation of the azimuth (Cramer-Rao), radians; with the elevation as a nuisance where that
     /// was searched. At most that of a uniform guess, pi / sqrt 3.

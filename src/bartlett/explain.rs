@@ -125,9 +125,9 @@ impl fmt::Display for Explanation {
 /// What became of the elevation in a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub enum ElevationSearch {
-    /// The limit was 0: the horizon alone.
+    /// The limit of |elevation| was 0: only the horizon was searched.
     NotAsked,
-    /// This motion could say less of it than its limits do: the horizon alone.
+    /// Its predicted deviation is above that of a uniform guess within the limits: only the horizon was searched.
     NotObservable,
     /// It was searched along with the azimuth.
     Searched,

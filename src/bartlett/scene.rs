@@ -18,7 +18,7 @@ const FLAT_TURNS: f64 = 0.016;
 /// A third axis that is below this many turns and a tenth of the second is a wobble, not a dimension.
 const NEARLY_FLAT_TURNS: f64 = 1.0;
 
-/// The shape of a trajectory, as far as phases can tell.
+/// The shape of a trajectory, to the resolution of phases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Geometry {
     /// No motion: the profile is constant, there is no bearing.

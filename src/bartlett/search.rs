@@ -203,7 +203,7 @@ impl<'a> Search<'a> {
         (along * across * (best - tail) - lost).max(0.0)
     }
 
-    /// True if the data can say more about the elevation than its limits do: the predicted deviation, azimuth as a
+    /// True if the data determine the elevation better than its limits do: the predicted deviation, azimuth as a
     /// nuisance, is below that of a uniform guess (range / sqrt 12) in the cosine or, off the plane, in the angle.
     fn elevation_observable(&self, horizon: &Sampled, limit: f64) -> bool {
         let (index, value) = argmax(&horizon.values);

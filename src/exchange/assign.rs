@@ -25,7 +25,7 @@ pub struct Spread {
     pub common: usize,
 }
 
-/// Fewer common numbers than this say nothing.
+/// Logs with fewer common numbers than this are not compared.
 pub const MIN_COMMON: usize = TUNING.pairing.min_common;
 /// The best match must spread less than the next best by this factor.
 pub const MIN_MARGIN: f64 = TUNING.pairing.min_margin;

@@ -176,7 +176,7 @@ impl<T> Pairing<T> {
     }
 
     /// The side whose log is behind in (session, frame number), and so should be read next: by the count of the newest
-    /// record of either side. A count that only one side has says that this side is ahead, until the other is.
+    /// record of either side. Where only one side has a count, that side is ahead, until the other is.
     #[must_use]
     pub fn behind(&self) -> LinkSide {
         let (receiver, transmitter) = (&self.receiver, &self.transmitter);

@@ -22,7 +22,7 @@ pub struct Placed {
     pub alignment: Option<Alignment>,
     /// Share of the one-way channel's power at sign slips, where it was made.
     pub slips: Option<f64>,
-    /// What autofocus found of the trajectory, where several links were there to tell.
+    /// The change of the trajectory that autofocus found, where there were two links or more.
     pub focus: Option<Focus>,
     /// The paths in the round trip, the answer first.
     pub paths: Vec<Path>,
@@ -51,8 +51,8 @@ pub(super) fn compensated(product: &CsiRow, turn: Complex64) -> CsiRow {
     if factor.is_finite() { product.map(|v| v * factor) } else { CsiRow::default() }
 }
 
-/// Searches the place of the transmitter. `rows` are all pairs of the link: those taken at rest tell nothing of the
-/// bearing, but settle slopes and signs. `used` are those of `samples`.
+/// Searches the place of the transmitter. `rows` are all pairs of the link: those taken at rest do not depend on
+/// the bearing, but help to find slopes and signs. `used` are those of `samples`.
 pub(super) fn place(
     samples: &Samples,
     mut rows: Vec<CsiRow>,
@@ -85,8 +85,8 @@ pub(super) fn place(
     Some((Placed { fix, alignment, slips, focus: None, paths: Vec::new(), maps: None }, search))
 }
 
-/// Changes the trajectory that all links share where that makes the answers of two or more of them sharper than chance
-/// does.
+/// Changes the trajectory that all links share where that raises the joint powers of two or more of them by more than its
+/// parameters do by chance.
 pub(super) fn refocus(links: &mut [&mut (Placed, Search)]) {
     if links.len() < 2 {
         return;

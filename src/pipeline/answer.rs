@@ -39,7 +39,7 @@ pub struct Answer {
     pub abs_elevation_deg: Option<f64>,
     /// Predicted standard deviation of the azimuth (Cramer-Rao).
     pub azimuth_sd_deg: Option<f64>,
-    /// The other bearing that motion along a line cannot tell from the first.
+    /// The other bearing that fits a motion along a line equally well: the first, mirrored on the line.
     pub mirror_deg: Option<f64>,
     /// Calibrated probability that the azimuth is within five degrees, 0..1; none for a plane wave
     /// with a mirror.
@@ -56,7 +56,7 @@ pub struct Answer {
     /// Its predicted standard deviation, metres.
     pub range_sd_m: Option<f64>,
     /// Position of the transmitter in the trajectory's frame, metres, where there is a range. Its height is drawn
-    /// upwards: level motion cannot tell up from down.
+    /// upwards: level motion does not distinguish up from down.
     pub position_m: Option<[f64; 3]>,
     /// Covariance of the position, metres squared, row by row.
     pub position_covariance_m2: Option<[[f64; 3]; 3]>,
@@ -67,7 +67,7 @@ pub struct Answer {
     /// that of all views together.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub candidates: Vec<PathAnswer>,
-    /// What autofocus found of the trajectory, where several links were there to tell.
+    /// The change of the trajectory that autofocus found, where there were two links or more.
     pub focus: Option<Focus>,
     /// Geometric mean of the powers that the views of the motion give the answer, 0..1.
     pub joint_power: Option<f64>,
@@ -156,7 +156,7 @@ impl Answer {
         answer
     }
 
-    /// What a link and its bearing say, under a name.
+    /// The answer of a link and its bearing, under a name.
     pub(super) fn of(name: String, link: Option<&Link>, bearing: Result<&Bearing, &LinkError>) -> Self {
         let counts = |side| link.map(|link| link.counts(side)).unwrap_or_default();
         let mut answer = Self {
@@ -237,8 +237,7 @@ impl Answer {
         self.slips = placed.slips;
     }
 
-    /// Takes the bearing back, with the reason, if the probability that it is within five degrees is below `least`, or not
-    /// known: who asks for a probability is not served by an answer that has none.
+    /// Replaces the bearing by an error if the probability that it is within five degrees is below `least`, or unknown.
     pub fn refuse_below(&mut self, least: f64) {
         let error = match self.confidence {
             _ if self.azimuth_deg.is_none() => return,

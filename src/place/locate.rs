@@ -8,7 +8,7 @@ use crate::maths::wrap_rad;
 use crate::tuning::TUNING;
 use nalgebra::{Matrix2, Vector2};
 
-/// What one link says.
+/// The bearing of one link, and its range where known.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Sighting {

@@ -3,7 +3,7 @@
 use crate::motion::odometry::OdometryError;
 use std::path::PathBuf;
 
-/// Why a source or an injector failed. Loss is not a failure: see [`Loss`].
+/// Why a source or an injector failed. Loss is not a failure: see [`Loss`](super::Loss).
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {

@@ -82,7 +82,7 @@ pub enum Next<'a> {
     End(Tail),
 }
 
-/// When a record was received, on the clocks that say so. The card's own clock is inside the record.
+/// When a record was received, on the clocks that were read. The card's own clock is inside the record.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Stamps {
     /// The driver's own time at which the record was handed over. For waiting, not for measuring.
@@ -115,7 +115,7 @@ impl Default for Origin {
 }
 
 impl Origin {
-    /// The offset or the number, for reports that say elsewhere which of the two it is.
+    /// The offset or the number, for reports that state elsewhere which of the two it is.
     #[must_use]
     pub fn position(self) -> u64 {
         match self {

@@ -1,6 +1,6 @@
 //! The driver's records, live: a listener on the kernel's connector.
 //!
-//! It differs from csitool's `log_to_file` in what goes wrong in the field: the multicast group is joined by number
+//! It differs from csitool's `log_to_file` in five points, each a cause of lost captures: the multicast group is joined by number
 //! (bind's `nl_groups` is a bit mask, and 26 means groups 2, 4 and 5 there); the index is found instead of compiled
 //! in; only messages of the kernel are accepted; a message ends where `cn_msg.len` says; and an overrun is counted and reported
 //! instead of ending the capture.

@@ -1,4 +1,4 @@
-//! What a running capture looks like: rates, losses, senders, signal, a picture of the channel.
+//! A running capture in words and pictures: rates, losses, senders, signal, a picture of the channel.
 
 use csi5300::source::Next;
 use csi5300::source::survey::{SENDERS_KEPT, Survey};

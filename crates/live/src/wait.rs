@@ -1,6 +1,6 @@
 //! The clocks of this machine, and waiting on them: for programs that drive live or paced sources.
 //!
-//! Everything below is handed the time; here is where it comes from.
+//! The library takes the time as an argument; it is read here.
 
 use csi5300::source::Error;
 use csi5300::time::{Instant, Span};

@@ -1,4 +1,4 @@
-//! The state of a running robot: what the status socket tells and `csi5300 watch` shows.
+//! The state of a running robot: what the status socket gives and `csi5300 watch` shows.
 
 use super::machine::{Machine, PoseCounts};
 use csi5300::motion::odometry::SourceCounts;

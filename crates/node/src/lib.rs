@@ -2,7 +2,7 @@
 //!
 //! | module | what it is |
 //! |---|---|
-//! | [`config`] | the one file that says everything, checked whole before anything starts |
+//! | [`config`] | the configuration file, checked whole before anything starts |
 //! | [`csi5300::pipeline::live`] | the library's estimator: records and poses in, bearings out, time as an argument |
 //! | [`sources`] | what a configuration names, opened: one module a kind of source |
 //! | `together` | where to begin in two replayed logs, so that they play together |

@@ -16,7 +16,7 @@ pub enum Epoch {
 const OFF_EPOCH_FRAMES: u32 = 8;
 /// The epoch is kept in sixteenths of a microsecond, so that small corrections are not lost to rounding.
 const FRACTION: i64 = 16;
-/// Weight of an error in sixteenths: frames are only ever late (scheduling, delivery), so an early one says more.
+/// Weight of an error in sixteenths: frames are only ever late (scheduling, delivery), so an early one has more weight.
 const EARLY: i64 = 8;
 const LATE: i64 = 1;
 

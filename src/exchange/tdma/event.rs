@@ -1,4 +1,4 @@
-//! What the scheduler tells its driver, and what it counts.
+//! Events and counts of the scheduler.
 
 use crate::time::Span;
 use driver_iface::Mac;

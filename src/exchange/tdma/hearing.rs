@@ -130,7 +130,7 @@ impl Tdma {
         }
     }
 
-    /// Follows the initiator of a frame in turn and epoch. A frame at a time that is not its slot's says nothing.
+    /// Follows the initiator of a frame in turn and epoch. A frame outside of its slot is ignored.
     fn follow(&mut self, repr: &native::Repr, peer: usize, began: Instant) -> Fit {
         let is_same_plan = (repr.round_us, repr.slots) == (self.plan.round_us(), self.plan.slots());
         if !is_same_plan || repr.slot > MAX_SLOT || u32::from(repr.left) >= self.plan.turn_slots() {

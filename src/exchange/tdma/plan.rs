@@ -218,7 +218,7 @@ pub enum PlanError {
     /// An MCS index that is not planned for.
     #[error("MCS {0}; 0 to {max} are possible", max = Phy::MAX_MCS)]
     Mcs(u8),
-    /// A WSR length that no responder can tell from an answer.
+    /// A WSR length at which a responder would take a forward frame for an answer.
     #[error("first length {0}; odd and at least {min} is needed, WSR's own is 57", min = wsr::MIN_FORWARD_LEN)]
     FirstLen(u16),
     /// The same MAC (or, in the WSR dialect, the same index) twice.

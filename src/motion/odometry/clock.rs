@@ -14,7 +14,7 @@ const BLOCKS: usize = 60;
 const DRIFT_BLOCKS: usize = 10;
 /// Two crystals do not differ by more than this.
 const MAX_DRIFT: f64 = 500e-6;
-/// A difference this far from what the line says means that one clock was set, microseconds.
+/// A difference this far from the line means that one clock was set, microseconds.
 const STEP_US: f64 = 500_000.0;
 
 /// The fit.

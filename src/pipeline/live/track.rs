@@ -11,7 +11,7 @@ const STEP_M: f64 = 0.01;
 const LOOK_S: f64 = 0.02;
 /// Poses from which the speed for extrapolation is taken reach back this far, seconds.
 const SPEED_S: f64 = 0.1;
-/// Poses kept of one robot, whatever their times say: half an hour at 50 Hz.
+/// Poses kept of one robot at most, whatever their times: half an hour at 50 Hz.
 const MAX_POSES: usize = 90_000;
 
 /// Poses of a robot, in the order of time.

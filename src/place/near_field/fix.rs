@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Vector3};
 pub struct Source {
     /// Azimuth from the middle of the motion, radians in (-pi, pi].
     pub azimuth_rad: f64,
-    /// |elevation|, radians: planar motion cannot tell up from down.
+    /// |elevation|, radians: planar motion does not distinguish up from down.
     pub abs_elevation_rad: f64,
     /// 1 / range, 1/m; 0 is a plane wave.
     pub inverse_range_per_m: f64,

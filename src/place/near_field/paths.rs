@@ -144,8 +144,8 @@ impl Found {
         self.steering.pop();
     }
 
-    /// Fits all amplitudes to `whole`, column by column, and gives what they leave; `None` if the waves cannot be told
-    /// apart.
+    /// Fits all amplitudes to `whole`, column by column, and gives what they leave; `None` if their steering vectors are
+    /// linearly dependent.
     fn fit(&mut self, whole: &[Vec<Complex64>]) -> Option<Vec<Vec<Complex64>>> {
         let n = self.steering.len();
         let along = |a: &[Complex64], b: &[Complex64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<Complex64>();

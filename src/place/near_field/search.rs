@@ -134,7 +134,7 @@ impl Search {
     /// Moves the answer to the most likely place, where noise is all that it leaves; false where more is left, or where a
     /// known height leaves no choice.
     fn polish(&self, answer: &mut Source, free: Free) -> bool {
-        // A known height ties elevation to range: there is nothing to be had for either alone.
+        // A known height makes elevation a function of range: neither can be refined alone.
         if self.limits.height_m.is_some() && free.range {
             return false;
         }
@@ -149,7 +149,7 @@ impl Search {
         true
     }
 
-    /// The azimuth that is right on average over the elevations and ranges that an answer may have.
+    /// The posterior mean of the azimuth over the elevations and ranges that an answer may have.
     fn weighed_rad(&mut self, answer: &Source, free: Free) -> f64 {
         let cell_rad = TAU / self.axes.azimuths as f64;
         let offsets = prior::offsets(free);

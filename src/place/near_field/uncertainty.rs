@@ -10,8 +10,8 @@ use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 use num_complex::Complex64;
 use std::f64::consts::{PI, TAU};
 
-/// Standard deviation of the scale of a trajectory: antennas are not where markers are, and even motion capture was found
-/// up to two per cent off what the phases say.
+/// Standard deviation of the scale of a trajectory: antennas are not where markers are, and the scale
+/// of motion capture was found up to two per cent off the one that fits the phases best.
 const SCALE_SD: f64 = TUNING.deviations.scale_sd;
 
 /// `|rx - place| - range` for a row at `p` from the middle, metres.

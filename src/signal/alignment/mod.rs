@@ -23,7 +23,7 @@ pub type CsiRow = [Complex32; SUBCARRIERS];
 const REACH: usize = TUNING.alignment.reach;
 /// Rounds: the neighbours' mean gets sharper as they are aligned.
 const ROUNDS: usize = TUNING.alignment.rounds;
-/// Subcarriers this near to the channel centre tell a packet's phase whatever its slope: up to 0.3 rad per index.
+/// Subcarriers this near to the channel centre give a packet's phase whatever its slope: up to 0.3 rad per index.
 const MIDDLE: f32 = TUNING.alignment.middle;
 /// Newton steps on each packet's slope in each round.
 const STEPS: usize = TUNING.alignment.steps;
@@ -207,7 +207,7 @@ pub fn align(rows: &mut [CsiRow], indices: &[i8; SUBCARRIERS], tier: Tier) -> Al
 #[inline(always)]
 fn align_planes<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb) -> Alignment {
     let mut turned = vec![0.0; rows.len()];
-    // While slopes differ, only the middle of the band tells packets' phases.
+    // While slopes differ, only the middle of the band gives packets' phases.
     settle(rows, &lanes(|k| f32::from(k < SUBCARRIERS && comb.index[k].abs() <= MIDDLE)), &mut turned);
     let mut slopes = vec![0f32; rows.len()];
     let coherence_before = coherence(rows);

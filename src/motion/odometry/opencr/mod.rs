@@ -1,4 +1,4 @@
-//! The controller of a TurtleBot3 (OpenCR with the ROS 2 firmware), sans-IO: what to ask it, and poses from its answers.
+//! The controller of a TurtleBot3 (OpenCR with the ROS 2 firmware), sans-IO: requests to it, and poses from its answers.
 //!
 //! It is asked for one stretch of its control table that holds its clock, the IMU's orientation and the wheels' ticks,
 //! so that the three belong together. Nothing is ever written to it. The table: `turtlebot3_node`'s `control_table.hpp`
