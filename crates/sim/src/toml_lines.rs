@@ -68,7 +68,7 @@ fn descend<'v, 't>(value: &'v DeValue<'t>, step: Step<'_>) -> Option<(&'v DeValu
             Some((value.get_ref(), start))
         }
         (DeValue::Array(array), Step::Index(index)) => {
-            array.iter().nth(index).map(|value| (value.get_ref(), value.span().start))
+            array.get(index).map(|value| (value.get_ref(), value.span().start))
         }
         _ => None,
     }

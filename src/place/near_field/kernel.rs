@@ -50,6 +50,12 @@ fn powers_simd<S: Simd>(
     }
 }
 
+/// A place as the kernel takes it: unit vector, and 1 / range in 1/m.
+type Point = ([f32; 3], f32);
+
+/// Cosine and sine of the steering phase, a lane for each place.
+type Turn<S> = (V<S, f32>, V<S, f32>);
+
 /// A vector of places, as all samples of an aperture see them: twice their direction, and 1 / range in 1/turns.
 struct PlaceLanes<S: Simd> {
     twice: [V<S, f32>; 3],
@@ -59,8 +65,8 @@ struct PlaceLanes<S: Simd> {
 impl<S: Simd> PlaceLanes<S> {
     /// `points` are unit vectors and 1 / range in 1/m; lanes beyond them are zero.
     #[inline(always)]
-    fn new(simd: S, aperture: &PreparedAperture, points: &[([f32; 3], f32)]) -> Self {
-        let lane = |f: &dyn Fn(&([f32; 3], f32)) -> f32| V::<S, f32>::from_fn(simd, |i| points.get(i).map_or(0.0, f));
+    fn new(simd: S, aperture: &PreparedAperture, points: &[Point]) -> Self {
+        let lane = |f: &dyn Fn(&Point) -> f32| V::<S, f32>::from_fn(simd, |i| points.get(i).map_or(0.0, f));
         let twice = [0, 1, 2].map(|axis| lane(&|(unit, _)| 2.0 * unit[axis]));
         Self { twice, curve: lane(&|(_, inverse_range)| inverse_range * aperture.turn_m) }
     }
@@ -78,12 +84,7 @@ impl<S: Simd> PlaceLanes<S> {
 /// `exp(j 2 pi (|rx - place| - range))` in turns for each sample, as (cosine, sine): what undoes the path. The difference
 /// of the two lengths is written without cancellation, and holds for infinite range.
 #[inline(always)]
-fn steer<S: Simd>(
-    simd: S,
-    aperture: &PreparedAperture,
-    lanes: &PlaceLanes<S>,
-    steering: &mut [(V<S, f32>, V<S, f32>)],
-) {
+fn steer<S: Simd>(simd: S, aperture: &PreparedAperture, lanes: &PlaceLanes<S>, steering: &mut [Turn<S>]) {
     let (zero, one) = (V::<S, f32>::splat(simd, 0.0), V::<S, f32>::splat(simd, 1.0));
     for (t, slot) in steering.iter_mut().enumerate().take(aperture.len()) {
         let bend = lanes.bend(simd, aperture, t);
@@ -100,7 +101,7 @@ fn steer_roughly<S: Simd>(
     aperture: &PreparedAperture,
     lanes: &PlaceLanes<S>,
     polynomial: &BendPolynomial,
-    steering: &mut [(V<S, f32>, V<S, f32>)],
+    steering: &mut [Turn<S>],
 ) {
     let coefficients = polynomial.coefficients.map(|c| V::<S, f32>::splat(simd, c));
     let scaled = lanes.curve * V::<S, f32>::splat(simd, polynomial.scale);
@@ -119,7 +120,7 @@ fn steer_roughly<S: Simd>(
 
 /// The power of a window in each lane, summed over its columns.
 #[inline(always)]
-fn window_power<S: Simd>(simd: S, window: &Window, steering: &[(V<S, f32>, V<S, f32>)]) -> V<S, f32> {
+fn window_power<S: Simd>(simd: S, window: &Window, steering: &[Turn<S>]) -> V<S, f32> {
     let zero = V::<S, f32>::splat(simd, 0.0);
     let mut power = zero;
     for samples in &window.columns {
