@@ -77,7 +77,7 @@ pub(super) struct Context<'a> {
 pub(super) enum Why {
     /// It is time.
     Due,
-    /// The accuracy layer has not yet had its word on what was just said.
+    /// The last report was of a plane wave, and the accuracy layer is due.
     Refine,
     /// Nothing more comes.
     End,

@@ -85,7 +85,7 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// The paper's circle and line experiments, simulated, decoded and estimated, with pictures
+    /// The circle and line experiments of Dijkstra et al., simulated, decoded and estimated, with pictures
     Demo(demo::Args),
     /// The bearing from a receiver that moved to one or more transmitters, from their logs
     Bearing(Box<bearing::Args>),
@@ -111,7 +111,7 @@ enum Command {
     Simulate(simulate::Args),
     /// A recorded capture beside a simulated one: every figure of both, and pictures
     Compare(compare::Args),
-    /// The paper's experiments, simulated, with repetitions: a table of errors, confidence and phase residual
+    /// The experiments of Dijkstra et al., simulated, with repetitions: a table of errors, confidence and phase residual
     Suite(suite::Args),
     /// Sounds other robots: sends them frames in turn, which they answer, so that both cards measure; live bearings
     #[cfg(feature = "live")]

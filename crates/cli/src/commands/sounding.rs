@@ -99,7 +99,7 @@ pub struct Sounding {
 pub enum Words {
     /// Ours: destination, role, number and slot in the frame
     Native,
-    /// The WSR toolbox's: robots told apart by length
+    /// The WSR toolbox's: the length of a frame says to which robot it is
     Wsr,
 }
 
