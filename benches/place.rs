@@ -13,6 +13,7 @@ use csi5300::signal::alignment::{CsiRow, align, remove_common_slope};
 use csi5300::signal::channel::{INDICES_20_MHZ, SUBCARRIERS};
 use csi5300::signal::one_way::one_way;
 use csi5300::signal::samples::Samples;
+use csi5300_sim::random::Stream;
 use nalgebra::Vector3;
 use num_complex::{Complex32, Complex64};
 use std::f64::consts::TAU;
@@ -32,11 +33,8 @@ fn path() -> Vec<Vector3<f64>> {
 
 /// The square of two paths on every subcarrier, with a slope of its own in every packet, and noise.
 fn rows(path: &[Vector3<f64>]) -> Vec<CsiRow> {
-    let mut state = 7u64;
-    let mut random = move || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 40) as f32 / (1u32 << 24) as f32 - 0.5
-    };
+    let mut stream = Stream::of_seed(7);
+    let mut random = move || stream.between(-0.5, 0.5) as f32;
     let ways = [(Vector3::new(3.8, 1.2, 0.4), 1.0f32), (Vector3::new(-1.0, 5.0, 0.4), 0.5)];
     let row = |p: &Vector3<f64>| -> CsiRow {
         let slope = 0.3 * random();

@@ -11,13 +11,12 @@ use std::f64::consts::{PI, TAU};
 use common::*;
 use csi5300::bartlett::{Grid, Method, Planner, Precision, ProfileOptions, Searcher, Tier};
 use csi5300::maths::wrap_rad;
+use csi5300_sim::random::Stream;
 use nalgebra::Vector3;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 const SHAPES: [&str; 4] = ["circle", "line", "arc", "walk"];
 
-fn track(shape: usize, n: usize, rng: &mut ChaCha8Rng) -> Vec<Vector3<f64>> {
+fn track(shape: usize, n: usize, rng: &mut Stream) -> Vec<Vector3<f64>> {
     let mut at = Vector3::zeros();
     let points = (0..n).map(|t| {
         let s = t as f64 / (n - 1) as f64;
@@ -147,7 +146,7 @@ impl Tally {
 
 /// Makes scenes and measures both estimators on them.
 struct Judge {
-    rng: ChaCha8Rng,
+    rng: Stream,
     searcher: Searcher,
     planner: Planner,
 }
@@ -155,7 +154,7 @@ struct Judge {
 impl Judge {
     fn new() -> Self {
         let (searcher, planner) = (Searcher::new(Tier::detect()), Planner::default());
-        Self { rng: ChaCha8Rng::seed_from_u64(3), searcher, planner }
+        Self { rng: Stream::of_seed(3), searcher, planner }
     }
 
     /// Trials of one track at the one-way ratio `g`.
@@ -164,7 +163,7 @@ impl Judge {
         for _ in 0..trials {
             // A line is best seen from its side, and only up to its mirror.
             let line = shape == 1;
-            let truth = if line { self.rng.random_range(0.8..2.3) } else { self.rng.random_range(-PI..PI) };
+            let truth = if line { self.rng.between(0.8, 2.3) } else { self.rng.between(-PI, PI) };
             let off = |azimuth: f64| {
                 let (here, mirrored) = (wrap_rad(azimuth - truth), wrap_rad(-azimuth - truth));
                 if line && mirrored.abs() < here.abs() { mirrored } else { here }
@@ -192,7 +191,7 @@ impl Judge {
 }
 
 /// Round-trip samples: the product of two noisy one-way channels.
-fn product(points: &[Vector3<f64>], truth: f64, g: f64, rng: &mut ChaCha8Rng) -> csi5300::signal::samples::Samples {
+fn product(points: &[Vector3<f64>], truth: f64, g: f64, rng: &mut Stream) -> csi5300::signal::samples::Samples {
     let mut samples = csi5300::signal::samples::Samples::new(WAVELENGTH_M, 2).expect("a wavelength");
     let k = TAU / WAVELENGTH_M;
     let sd = (1.0 / g).sqrt();
@@ -215,18 +214,17 @@ fn bound(points: &[Vector3<f64>], truth: f64, g: f64) -> f64 {
 
 /// Random scenes, one to three similar paths, radii 0.05 to 1.5 m: the search against a dense one.
 fn wrong_peaks(scenes: usize) {
-    let mut rng = ChaCha8Rng::seed_from_u64(9);
+    let mut rng = Stream::of_seed(9);
     let mut searcher = Searcher::new(Tier::detect());
     let mut planner = Planner::default();
     let (mut wrong, mut grid_wrong, mut evaluations) = (0, 0, 0);
     for case in 0..scenes {
-        let scale = 0.05 * 30f64.powf(rng.random::<f64>()) / 0.3;
-        let n = rng.random_range(30..150);
+        let scale = 0.05 * 30f64.powf(rng.uniform()) / 0.3;
+        let n = 30 + rng.below(120) as usize;
         let points: Vec<_> = track(case % 4, n, &mut rng).into_iter().map(|p| p * scale).collect();
-        let paths: Vec<_> = (0..rng.random_range(1..=3))
-            .map(|_| (rng.random_range(-PI..PI), rng.random_range(-0.3..0.3), rng.random_range(0.7..1.0)))
-            .collect();
-        let variance = 10f64.powf(rng.random_range(-2.0..0.5));
+        let paths: Vec<_> =
+            (0..=rng.below(3)).map(|_| (rng.between(-PI, PI), rng.between(-0.3, 0.3), rng.between(0.7, 1.0))).collect();
+        let variance = 10f64.powf(rng.between(-2.0, 0.5));
         let samples = samples(&points, &paths, variance, &mut rng);
         let estimate = searcher.search(&samples, 0.0).expect("a bearing");
         evaluations += estimate.evaluations;

@@ -1,28 +1,26 @@
 //! What the benchmarks share: scenes, the naive loop, timing, tables, CSV and pictures.
 #![allow(dead_code)]
 
-use std::f64::consts::TAU;
+use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use csi5300::bartlett::{Grid, direction};
 use csi5300::signal::samples::Samples;
+use csi5300_sim::random::Stream;
 use nalgebra::Vector3;
 use num_complex::Complex64;
-use rand::{Rng, SeedableRng};
-use rand_chacha::ChaCha8Rng;
 
 /// `4 pi / lambda = 232.2 rad/m`: channel 108 (5.54 GHz), round trip.
 pub const WAVELENGTH_M: f64 = 2.0 * TAU / 232.2;
 
 /// Circularly symmetric noise of unit variance.
-pub fn noise(rng: &mut ChaCha8Rng) -> Complex64 {
-    let radius = (-(1.0 - rng.random::<f64>()).ln()).sqrt();
-    Complex64::from_polar(radius, TAU * rng.random::<f64>())
+pub fn noise(rng: &mut Stream) -> Complex64 {
+    Complex64::new(rng.normal(), rng.normal()) * FRAC_1_SQRT_2
 }
 
 /// Plane waves (azimuth, elevation, amplitude) over `points` in noise of the given variance; path gain 2.
-pub fn samples(points: &[Vector3<f64>], paths: &[(f64, f64, f64)], variance: f64, rng: &mut ChaCha8Rng) -> Samples {
+pub fn samples(points: &[Vector3<f64>], paths: &[(f64, f64, f64)], variance: f64, rng: &mut Stream) -> Samples {
     let mut samples = Samples::new(WAVELENGTH_M, 2).expect("a wavelength");
     for (t, p) in points.iter().enumerate() {
         let wave = |&(a, e, g): &(f64, f64, f64)| {
@@ -36,12 +34,12 @@ pub fn samples(points: &[Vector3<f64>], paths: &[(f64, f64, f64)], variance: f64
 
 /// The job of the reference: two paths, 3 dB noise, a circle of `radius` that climbs by `height`.
 pub fn job(n: usize, radius: f64, height: f64, seed: u64) -> Samples {
-    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut rng = Stream::of_seed(seed);
     let points: Vec<_> = (0..n)
         .map(|t| {
             let s = t as f64 / n as f64;
             // A little off the exact circle: positions as odometry gives them.
-            let r = radius * (1.0 + 1e-3 * rng.random_range(-1.0..1.0));
+            let r = radius * (1.0 + 1e-3 * rng.between(-1.0, 1.0));
             Vector3::new(r * (TAU * s).cos(), r * (TAU * s).sin(), height * s)
         })
         .collect();

@@ -47,7 +47,7 @@ impl Default for Crystal {
 impl Crystal {
     /// Time gained on true time since the scene began, seconds, at true time `t_s`.
     #[must_use]
-    pub fn gained_s(&self, t_s: f64) -> f64 {
+    pub(crate) fn gained_s(&self, t_s: f64) -> f64 {
         let mut ppm_s = self.offset_ppm * t_s + 0.5 * self.drift_ppm_per_s * t_s * t_s;
         if self.warm_up_ppm != 0.0 {
             ppm_s += self.warm_up_ppm * self.warm_up_s * (1.0 - libm::exp(-t_s / self.warm_up_s));

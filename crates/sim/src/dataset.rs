@@ -3,6 +3,7 @@
 use super::motion::Pose;
 use super::port::Port;
 use super::room::Room;
+use super::room_error::{CardError, RoomError};
 use super::scene::Driver;
 use super::station::FrameRole;
 use csi5300::motion::odometry::{NextPose, OdometrySource};
@@ -80,15 +81,13 @@ struct Writing {
 /// gaps in `bfee_count`. `progress` is called with the share of the scene that is done, 0 to 1, about a hundred times.
 ///
 /// # Errors
-/// [`Error::Io`] when a file cannot be written, [`Error::Input`] when a card of the room was taken before, or a robot is
-/// `followed`: only a running node has poses for it.
+/// [`Error::Io`] when a file cannot be written; [`Error::Backend`] with [`RoomError::CardTaken`] or
+/// [`RoomError::Followed`], and with [`CardError`] as a card fails.
 pub fn write_dataset(room: &mut Room, dir: &Path, progress: &mut dyn FnMut(f64)) -> Result<Vec<WrittenCapture>, Error> {
     let followed =
         room.scene().robot.iter().find(|robot| matches!(robot.motion, super::motion::RobotMotion::Followed(_)));
     if let Some(robot) = followed {
-        let what =
-            "goes where an odometry source says while a node runs: `csi5300 node`, with `follow` in `capture.room`";
-        return Err(Error::Input(format!("robot `{}` {what}", robot.name)));
+        return Err(RoomError::Followed { robot: robot.name.clone() }.into());
     }
     let initiators = room.scene().initiators();
     let stamp = stamp(room.scene().start_unix_s);
@@ -123,7 +122,7 @@ fn run(
     let robots = room.scene().robot.len();
     let mut cards: Vec<Port> = (0..robots).filter_map(|robot| room.card(robot)).collect();
     if cards.len() != robots {
-        return Err(Error::Input("a card of this room was taken before; a data set needs all".to_owned()));
+        return Err(RoomError::CardTaken.into());
     }
     let mut logs: Logs<Writing> = BTreeMap::new();
     for (&receiver, folder) in folders {
@@ -216,7 +215,7 @@ impl Writing {
             at(&self.log.path, "write the host times beside", side.write_all(&entry))?;
         }
         self.scratch.resize(record.emit_len(), 0);
-        record.emit(&mut self.scratch).map_err(|e| Error::Input(format!("cannot frame a simulated record: {e}")))?;
+        record.emit(&mut self.scratch).map_err(CardError::Frame)?;
         at(&self.log.path, "write the log", self.out.write_all(&self.scratch))?;
         let block = self.len / BLOCK * BLOCK;
         if self.starts.len() > 2_048 {

@@ -46,7 +46,7 @@ impl Default for Faults {
 impl Faults {
     /// If the listening process is stopped at `now`, when it goes on. Stalls begin at whole multiples of their period.
     #[must_use]
-    pub fn stalled_until(&self, now: Instant) -> Option<Instant> {
+    pub(crate) fn stalled_until(&self, now: Instant) -> Option<Instant> {
         // In whole microseconds: what is due at the end of a stall must not be found stalled by a rounding error.
         let [every_us, stall_us] = [self.stall_every_s, self.stall_s].map(|s| Span::from_s(s).as_us());
         if every_us <= 0 || stall_us <= 0 || now.as_us() < every_us {

@@ -3,6 +3,7 @@
 use super::air::Air;
 use super::node::{Flight, Passed};
 use super::port::{inject, lock};
+use super::room_error::CardError;
 use csi5300::source::{Error, FrameReceiver, HeardFrame, Injector};
 use csi5300::time::{Instant, Span};
 use std::collections::VecDeque;
@@ -61,10 +62,11 @@ impl Interface {
     /// As [`Injector::inject`], at a modulation and coding scheme of one stream, 0 to 7, other than the scene's.
     ///
     /// # Errors
-    /// [`Error::Input`] for another scheme, or a frame too short or too long.
+    /// [`Error::Backend`] with [`CardError::Mcs`] for another scheme, [`CardError::FrameLength`] for a frame too short or too
+    /// long.
     pub fn inject_at(&mut self, now: Instant, frame: &[u8], mcs: u8) -> Result<(), Error> {
         if mcs > 7 {
-            return Err(Error::Input(format!("MCS {mcs}: cards in a room send one stream, MCS 0 to 7")));
+            return Err(CardError::Mcs { mcs }.into());
         }
         inject(&self.air, self.robot, now, frame, Some(mcs))
     }

@@ -29,7 +29,7 @@
 //! | [`toml_lines`] | a place in a TOML text into its line |
 //! | [`motion`] | time into poses: shapes, walks, waypoints, recorded trajectories |
 //! | `followed` | an odometry source into poses, while it gives them |
-//! | `surfaces` | two places into paths: image method to any order, exact lengths, blocked and weakened paths |
+//! | `surfaces` | two places into paths: image method \[allen-berkley1979\] to any order, exact lengths, blocked and weakened paths |
 //! | `carrier` | paths into 30 tones at the card's true subcarrier indices |
 //! | [`crystal`] | time into a card's clock and carrier phase, which share one crystal |
 //! | `world`, `world_check` | all of these for every robot; refusals of what cannot be |
@@ -46,7 +46,7 @@
 //! Two rules. What a scene does not ask for is not computed: an effect that is off draws no
 //! random number, reflections are searched only where surfaces stand, and coefficients are computed when a record is
 //! read, so not at all for robots and exchanges that nobody reads. And a seed gives the same bytes on any machine:
-//! random numbers are ChaCha8 streams, one for each purpose and robot, and all functions that end in a byte are plain
+//! random numbers are ChaCha8 streams \[chacha\], one for each purpose and robot, and all functions that end in a byte are plain
 //! arithmetic (see `maths`).
 //!
 //! One space-time stream is sent (MCS 0 to 7), as sounding does; up to three antennas receive.
@@ -97,7 +97,7 @@ pub use port::Port;
 pub use recorded::{Recorded, RecordedError};
 pub use refusal::{SceneError, ScenePlace};
 pub use room::Room;
-pub use room_error::RoomError;
+pub use room_error::{CardError, RoomError};
 pub use scene::Scene;
 pub use simulation::{SimulatedRobot, Simulation};
 

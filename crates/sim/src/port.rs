@@ -5,6 +5,7 @@ use super::faults::Faults;
 use super::node::{Flight, Listening, Reception};
 use super::radio::Radio;
 use super::receiver::{Arrival, Receiver};
+use super::room_error::CardError;
 use super::scene::Driver;
 use super::station::FrameRole;
 use csi5300::source::{CsiSource, Error, Injector, Loss, Next, Origin, Stamps};
@@ -192,7 +193,7 @@ impl Port {
         };
         self.body.resize(repr.body_len(), 0);
         let csi = measured.csi.get(..repr.samples()).unwrap_or(&[]);
-        repr.emit(csi, &mut self.body).map_err(|e| Error::Input(format!("cannot write a simulated record: {e}")))?;
+        repr.emit(csi, &mut self.body).map_err(CardError::Body)?;
         air.node(self.robot).injected.saturated += u64::from(measured.saturated);
         Ok(true)
     }
@@ -250,8 +251,7 @@ impl Injector for Port {
 pub(super) fn inject(air: &Mutex<Air>, robot: usize, now: Instant, frame: &[u8], mcs: Option<u8>) -> Result<(), Error> {
     if !(mpdu::HEADER..=MAX_FRAME).contains(&frame.len()) {
         let len = frame.len();
-        let what = format!("a frame of {len} bytes was not sent: {} to {MAX_FRAME} are possible", mpdu::HEADER);
-        return Err(Error::Input(what));
+        return Err(CardError::FrameLength { len, least: mpdu::HEADER, most: MAX_FRAME }.into());
     }
     let mut air = lock(air);
     let now_ns = now.as_us().saturating_mul(1_000);

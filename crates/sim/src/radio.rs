@@ -165,7 +165,7 @@ pub enum AntennaOrder {
 
 impl Radio {
     /// A lateness in sending, nanoseconds.
-    pub fn send_jitter_ns(&self, stream: &mut Stream) -> i64 {
+    pub(crate) fn send_jitter_ns(&self, stream: &mut Stream) -> i64 {
         let mut us = 0.0;
         if self.send_jitter_us != 0.0 {
             us -= self.send_jitter_us * libm::log(1.0 - stream.uniform());
@@ -178,7 +178,7 @@ impl Radio {
     }
 
     /// From the end of a frame on air to its record on the host, nanoseconds.
-    pub fn host_latency_ns(&self, away_ns: i64, stream: &mut Stream) -> i64 {
+    pub(crate) fn host_latency_ns(&self, away_ns: i64, stream: &mut Stream) -> i64 {
         let us = self.host_latency_us + stream.spread(self.host_latency_std_us) + away_ns as f64 * 1e-3;
         (us.max(0.1 * self.host_latency_us) * 1e3).round() as i64
     }
@@ -188,7 +188,7 @@ impl Radio {
     /// 802.11n mixed format (20.3.11, table 20-30): 36 us of preamble for one stream, then symbols of 4 us with 26, 52, 78, 104, 156, 208, 234 or 260 data bits
     /// at 20 MHz (54/26 as many at 40 MHz), 16 service and 6 tail bits.
     #[must_use]
-    pub fn airtime_ns(&self, len: usize, wide: bool) -> i64 {
+    pub(crate) fn airtime_ns(&self, len: usize, wide: bool) -> i64 {
         const BITS_20: [usize; 8] = [26, 52, 78, 104, 156, 208, 234, 260];
         let bits_20 = BITS_20[usize::from(self.mcs & 7)];
         let per_symbol = if wide { bits_20 / 26 * 54 } else { bits_20 };
@@ -206,7 +206,7 @@ impl Radio {
 
     /// `fake_rate_n_flags`: HT, the scheme, and 40 MHz (bit 11). Long guard interval, no antenna bits, as recorded.
     #[must_use]
-    pub fn rate_n_flags(&self, wide: bool) -> u16 {
+    pub(crate) fn rate_n_flags(&self, wide: bool) -> u16 {
         0x100 | u16::from(self.mcs & 7) | if wide { 0x800 } else { 0 }
     }
 }

@@ -1,4 +1,4 @@
-//! Random numbers that are the same on every machine: ChaCha8 streams and a ziggurat.
+//! Random numbers that are the same on every machine: ChaCha8 streams \[chacha\] and a ziggurat \[ziggurat2000\].
 //!
 //! Each purpose (noise, timing, losses, odometry, a walk) of each robot has a stream of its own, so switching one
 //! effect on does not change what another draws.
@@ -53,7 +53,17 @@ impl Stream {
 
     /// Uniform in [0, 1).
     pub fn uniform(&mut self) -> f64 {
-        unit(self.rng.next_u64())
+        unit(self.bits())
+    }
+
+    /// Uniform over all numbers of 64 bits.
+    pub fn bits(&mut self) -> u64 {
+        self.rng.next_u64()
+    }
+
+    /// Uniform from 0 to `end` - 1, but for a bias of `end` / 2^64; 0 where there is no choice, for which nothing is drawn.
+    pub fn below(&mut self, end: u64) -> u64 {
+        if end <= 1 { 0 } else { ((u128::from(self.bits()) * u128::from(end)) >> 64) as u64 }
     }
 
     /// Uniform in [-1, 1).
@@ -69,7 +79,7 @@ impl Stream {
     /// Normal with mean 0 and standard deviation 1.
     pub fn normal(&mut self) -> f64 {
         loop {
-            let bits = self.rng.next_u64();
+            let bits = self.bits();
             let layer = (bits & 127) as usize;
             let u = 2.0 * unit(bits) - 1.0;
             let x = u * self.ziggurat.x[layer];
@@ -112,7 +122,8 @@ fn unit(bits: u64) -> f64 {
     (bits >> 11) as f64 * (1.0 / (1u64 << 53) as f64)
 }
 
-/// Marsaglia and Tsang's ziggurat for the normal density, 128 layers, in Doornik's form (ZIGNOR, 2005).
+/// Marsaglia and Tsang's ziggurat for the normal density, 128 layers, in Doornik's form ZIGNOR
+/// \[ziggurat2000\].
 #[derive(Debug)]
 struct Ziggurat {
     x: [f64; 129],

@@ -42,7 +42,7 @@ pub enum RecordedError {
 impl Recorded {
     /// A trajectory from rows of (seconds, pose), which are put into the order of time.
     #[must_use]
-    pub fn from_rows(mut rows: Vec<(f64, Pose)>) -> Self {
+    pub(crate) fn from_rows(mut rows: Vec<(f64, Pose)>) -> Self {
         rows.sort_by(|a, b| a.0.total_cmp(&b.0));
         let first = rows.first().map_or(0.0, |row| row.0);
         let (t_s, poses) = rows.into_iter().map(|(t, pose)| (t - first, pose)).unzip();

@@ -354,7 +354,7 @@ impl Scene {
 
     /// The radio of a robot.
     #[must_use]
-    pub fn radio_of<'a>(&'a self, robot: &'a Robot) -> &'a Radio {
+    pub(crate) fn radio_of<'a>(&'a self, robot: &'a Robot) -> &'a Radio {
         robot.radio.as_ref().unwrap_or(&self.radio)
     }
 

@@ -3,7 +3,7 @@
 use super::faults::Injected;
 use super::port::Port;
 use super::room::Room;
-use super::room_error::RoomError;
+use super::room_error::{CardError, RoomError};
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Error, Next};
@@ -133,6 +133,6 @@ fn append(log: &mut Vec<u8>, record: &Record<'_>) -> Result<(), Error> {
     let from = log.len();
     log.resize(from + record.emit_len(), 0);
     let place = log.get_mut(from..).unwrap_or_default();
-    let written = record.emit(place).map_err(|e| Error::Input(format!("cannot frame a simulated record: {e}")));
+    let written = record.emit(place).map_err(|error| CardError::Frame(error).into());
     written.map(|_| ())
 }

@@ -1,4 +1,4 @@
-//! Walls and reflectors, and the image method: every specular path up to a given order, exactly.
+//! Walls and reflectors, and the image method \[allen-berkley1979\]: every specular path up to a given order, exactly.
 
 use super::maths::amplitude;
 use nalgebra::Vector3;

@@ -77,13 +77,13 @@ impl TurnAround {
     }
 
     /// One turn-around, nanoseconds. `away_ns` is what [`TurnAround::draw_away_ns`] gave for the frame that is answered.
-    pub fn draw_ns(&self, away_ns: i64, stream: &mut Stream) -> i64 {
+    pub(crate) fn draw_ns(&self, away_ns: i64, stream: &mut Stream) -> i64 {
         let us = self.median_us + stream.spread(self.spread_us) + away_ns as f64 * 1e-3;
         (us.clamp(self.min_us, self.max_us) * 1e3).round() as i64
     }
 
     /// How much the interrupt of one frame is away from the usual, nanoseconds; 0 in the core.
-    pub fn draw_away_ns(&self, last: &mut Away, stream: &mut Stream) -> i64 {
+    pub(crate) fn draw_away_ns(&self, last: &mut Away, stream: &mut Stream) -> i64 {
         let groups = self.groups();
         let share = groups.iter().map(|group| group.share).sum::<f64>();
         let runs = self.tail_run > 1.0 && share < 1.0;

@@ -18,7 +18,7 @@ const PROPAGATION_US: i64 = 1;
 /// A receiver's way from antenna to user space at best; with the jitter it stays within the turn-around.
 const PROCESS_US: i64 = 120;
 
-/// Numbers that look random and are the same everywhere (SplitMix64).
+/// Numbers that look random and are the same everywhere (SplitMix64); the committed golden table holds its draws.
 #[derive(Clone, Debug)]
 pub struct Dice(pub u64);
 

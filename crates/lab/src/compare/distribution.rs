@@ -57,7 +57,7 @@ impl Distribution {
 
     /// Distance between the quartiles.
     #[must_use]
-    pub fn quartile_range(&self) -> f64 {
+    pub(crate) fn quartile_range(&self) -> f64 {
         self.q3 - self.q1
     }
 }

@@ -53,7 +53,7 @@ pub struct FigureRow {
 /// Spreads of the phase may differ by this share.
 pub const SPREAD: Allowed = Allowed::Share(0.15);
 /// Coherences may differ by this much.
-pub const COHERENCE: Allowed = Allowed::By(0.1);
+pub(crate) const COHERENCE: Allowed = Allowed::By(0.1);
 /// Quartile ranges of times, and levels, may differ by this share.
 const WIDTH: Allowed = Allowed::Share(0.2);
 
