@@ -225,7 +225,7 @@ impl RosMessageType for Bearing {
         "csi5300_msgs/Bearing",
         "421597c5d5176e77846ecf883227aa70",
         definition!(
-            include_str!("../../packaging/ros/csi5300_msgs/msg/Bearing.msg");
+            include_str!("../../../../packaging/ros/csi5300_msgs/msg/Bearing.msg");
             "std_msgs/Header": header!()
         ),
     );
@@ -236,7 +236,7 @@ impl RosMessageType for Csi {
         "csi5300_msgs/Csi",
         "06ae38ed8668d9e96d9bd0fc2a748063",
         definition!(
-            include_str!("../../packaging/ros/csi5300_msgs/msg/Csi.msg");
+            include_str!("../../../../packaging/ros/csi5300_msgs/msg/Csi.msg");
             "std_msgs/Header": header!()
         ),
     );
