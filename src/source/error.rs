@@ -16,7 +16,7 @@ pub enum Error {
         source: std::io::Error,
     },
     /// A log was named by its folder.
-    #[error("{} is a directory: name a .dat file inside it, or use `evaluate`", .path.display())]
+    #[error("{} is a directory: name a .dat file inside it", .path.display())]
     Directory {
         /// The folder.
         path: PathBuf,

@@ -117,10 +117,10 @@ fn open_transmitters(args: &mut Args) -> std::result::Result<(Vec<Log>, Vec<Answ
                 logs.push(log);
                 k += 1;
             }
-            Err(error) if logs.is_empty() && args.tx.len() == 1 => return Err(error.to_string()),
+            Err(error) if logs.is_empty() && args.tx.len() == 1 => return Err(super::hint::log_refused(&error)),
             Err(error) => {
                 let link = stem(&args.tx.remove(k));
-                unread.push(Answer::failed(link, error.to_string()));
+                unread.push(Answer::failed(link, super::hint::log_refused(&error)));
                 if k < args.tx_mac.len() {
                     args.tx_mac.remove(k);
                 }
@@ -141,7 +141,7 @@ pub fn run(mut args: Args) -> Result {
     if let Some(offset) = args.antenna_offset {
         trajectory = trajectory.with_antenna_offset(offset).map_err(|error| error.to_string())?;
     }
-    let mut receiver = Replay::open(&args.rx).map_err(|error| error.to_string())?;
+    let mut receiver = Replay::open(&args.rx).map_err(|error| super::hint::log_refused(&error))?;
     let (mut logs, unread) = open_transmitters(&mut args)?;
     options.tx_macs.clone_from(&args.tx_mac);
     let partners =

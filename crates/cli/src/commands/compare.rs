@@ -150,7 +150,7 @@ fn clear(folder: &Path) -> Words<()> {
 }
 
 fn read(rx: &Path, tx: &Path, trajectory: &Trajectory, options: &Options) -> Words<Figures> {
-    let open = |path: &Path| Replay::open(path).map_err(|error| error.to_string());
+    let open = |path: &Path| Replay::open(path).map_err(|error| super::hint::log_refused(&error));
     measure(&mut open(rx)?, &mut open(tx)?, trajectory, options).map_err(|error| error.to_string())
 }
 

@@ -77,7 +77,7 @@ fn files(capture: &WrittenCapture) -> (PathBuf, PathBuf, PathBuf) {
 }
 
 fn estimate(rx: &Path, tx: &Path, trajectory: &Path, options: &Options) -> Words<Bearing> {
-    let open = |path: &Path| Replay::open(path).map_err(|error| error.to_string());
+    let open = |path: &Path| Replay::open(path).map_err(|error| super::hint::log_refused(&error));
     let (mut receiver, mut transmitter) = (open(rx)?, open(tx)?);
     let (path, _) = odometry::csv::read(trajectory).map_err(|error| format!("{}: {error}", trajectory.display()))?;
     let transmitters = vec![Transmitter { log: &mut transmitter as &mut dyn CsiSource, trajectory: None }];

@@ -66,7 +66,7 @@ pub fn run(args: &Args) -> Result {
 
 /// Reads a log once and hands over each intact bfee record.
 fn scan(path: &Path, mut each: impl FnMut(&Bfee<'_>, Identity) -> Words<()>) -> Words<(Survey, u64)> {
-    let mut source = Replay::open(path).map_err(|error| error.to_string())?;
+    let mut source = Replay::open(path).map_err(|error| super::hint::log_refused(&error))?;
     let mut survey = Survey::default();
     loop {
         let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;

@@ -1,6 +1,16 @@
-//! Which flag helps a link that gave no bearing: the library names none.
+//! Which flag or command helps where a log or a link was refused: the library names none.
 
+use csi5300::exchange::assign::Unmatched;
 use csi5300::pipeline::{Answer, LinkError};
+use csi5300::source::Error;
+
+/// Why a log was not opened, with the command that takes a directory.
+pub fn log_refused(error: &Error) -> String {
+    match error {
+        Error::Directory { .. } => format!("{error}, or use `evaluate`"),
+        _ => error.to_string(),
+    }
+}
 
 /// An error in words, with the flag that may help.
 pub fn words(error: &LinkError) -> String {
@@ -15,14 +25,41 @@ pub fn words(error: &LinkError) -> String {
     }
 }
 
-/// Puts the flag that may help into the error of an answer.
+/// An error of `bearing` in words: it alone has `--tx-mac`.
+fn bearing_words(error: &LinkError) -> String {
+    match error {
+        LinkError::Unmatched(Unmatched::Unclear { .. } | Unmatched::Taken { .. }) => format!("{error} with --tx-mac"),
+        LinkError::Unmatched(Unmatched::Named { .. }) => format!("{error} (--tx-mac)"),
+        _ => words(error),
+    }
+}
+
+/// Puts the flag that may help into the error of an answer of `bearing`.
 pub fn add(answer: &mut Answer) {
     if let Some(cause) = &answer.cause {
-        answer.error = Some(words(cause));
+        answer.error = Some(bearing_words(cause));
     }
 }
 
 /// Puts the flags that may help into the errors of judged links.
 pub fn add_all(rows: &mut [csi5300_lab::evaluate::Judged]) {
-    rows.iter_mut().for_each(|row| add(&mut row.answer));
+    for answer in rows.iter_mut().map(|row| &mut row.answer) {
+        if let Some(cause) = &answer.cause {
+            answer.error = Some(words(cause));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_ambiguous_log_and_a_directory_have_a_way_on() {
+        let unclear = LinkError::Unmatched(Unmatched::Unclear { spread_us: 1.0, next_us: 1.5 });
+        assert!(bearing_words(&unclear).ends_with("name its MAC with --tx-mac"));
+        assert!(!words(&unclear).contains("--tx-mac"));
+        let directory = log_refused(&Error::Directory { path: "logs".into() });
+        assert_eq!(directory, "logs is a directory: name a .dat file inside it, or use `evaluate`");
+    }
 }

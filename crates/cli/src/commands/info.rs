@@ -70,7 +70,7 @@ pub fn run(args: &Args) -> Result {
 }
 
 fn survey(path: &Path) -> std::result::Result<(Survey, u64), String> {
-    let mut source = Replay::open(path).map_err(|error| error.to_string())?;
+    let mut source = Replay::open(path).map_err(|error| super::hint::log_refused(&error))?;
     let mut survey = Survey::default();
     loop {
         let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;

@@ -70,7 +70,7 @@ fn convert(
     path: &Path,
     args: &Args,
 ) -> std::result::Result<(Survey, u64), String> {
-    let mut log = Replay::open(path).map_err(|error| error.to_string())?;
+    let mut log = Replay::open(path).map_err(|error| super::hint::log_refused(&error))?;
     let mut front = Front::new(args.estimation.antenna);
     let (mut clock, mut first_card_us) = (Unwrap32::default(), None);
     loop {
@@ -99,7 +99,7 @@ fn estimate(
     options: &Options,
     args: &Args,
 ) -> std::result::Result<bool, String> {
-    let text = |error: csi5300::source::Error| error.to_string();
+    let text = |error: csi5300::source::Error| super::hint::log_refused(&error);
     let Some((receiver, others)) = args.logs.split_first().filter(|(_, others)| !others.is_empty()) else {
         return Ok(false);
     };

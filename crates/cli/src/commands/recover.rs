@@ -23,7 +23,7 @@ pub struct Args {
 
 /// Copies the intact records of a log.
 pub fn run(args: &Args) -> Result {
-    let mut source = Replay::open(&args.input).map_err(|error| error.to_string())?;
+    let mut source = Replay::open(&args.input).map_err(|error| super::hint::log_refused(&error))?;
     let output = args.output.display();
     let mut options = std::fs::OpenOptions::new();
     options.write(true).create(true);

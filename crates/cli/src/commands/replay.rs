@@ -54,7 +54,7 @@ impl Target {
 /// Plays a log.
 pub fn run(args: &Args) -> Result {
     let signals = Signals::catch()?;
-    let log = Replay::open(&args.file).map_err(|error| error.to_string())?;
+    let log = Replay::open(&args.file).map_err(|error| super::hint::log_refused(&error))?;
     let mut target = match args.connector {
         true => Target::Connector(Sender::open(args.connector_index, true).map_err(|error| error.to_string())?),
         false => Target::Stdout(std::io::stdout().lock(), Vec::new()),
