@@ -17,6 +17,20 @@ const LOOK: Span = Span::from_ms(1);
 /// How often an absent port is tried again.
 const REOPEN: Span = Span::from_ms(500);
 
+/// What is at the path is a file or a folder.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{} is no serial port", .path.display())]
+pub struct NotAPort {
+    /// The path.
+    pub path: PathBuf,
+}
+
+impl From<NotAPort> for Error {
+    fn from(error: NotAPort) -> Self {
+        Self::Backend(Box::new(error))
+    }
+}
+
 /// Wheel odometry of a TurtleBot3 over its controller's port. It only reads: it never commands the motors.
 pub struct Serial {
     path: PathBuf,
@@ -42,7 +56,7 @@ impl Serial {
         wall_us: fn() -> Option<i64>,
     ) -> Result<Self, Error> {
         if path.is_dir() || path.is_file() {
-            return Err(Error::Input(format!("{} is no serial port", path.display())));
+            return Err(NotAPort { path }.into());
         }
         let opencr = OpenCr::new(rate_hz, geometry, now);
         Ok(Self { path, port: None, opencr, wall_us, next: now, unplugged: 0, trouble: None })

@@ -20,11 +20,14 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod config;
+mod error;
 pub mod health;
 pub mod machine;
 pub mod sources;
 pub mod threads;
 mod together;
+
+pub use error::NodeError;
 
 mod joined;
 #[cfg(feature = "zenoh")]

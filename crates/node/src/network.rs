@@ -58,7 +58,7 @@ pub struct Network {
 }
 
 fn wrong(what: &str) -> impl Fn(zenoh::Error) -> Error + '_ {
-    move |error| Error::Input(format!("{what}: {error}"))
+    move |error| Error::Backend(format!("{what}: {error}").into())
 }
 
 impl Network {

@@ -1,6 +1,7 @@
 //! Where bearings and states go: lines of JSON, a Unix socket, one line on a terminal.
 
 use super::config::{Output, StatusLine};
+use crate::NodeError;
 use csi5300::source::Error;
 use std::fs::{File, Permissions};
 use std::io::{ErrorKind, IsTerminal, Write};
@@ -132,10 +133,10 @@ fn make_way(path: &Path) -> Result<(), Error> {
     let name = path.display();
     let Ok(there) = std::fs::symlink_metadata(path) else { return Ok(()) };
     if !there.file_type().is_socket() {
-        return Err(Error::Input(format!("{name} is there and is no socket: give `status_socket` another name")));
+        return Err(NodeError::NoSocket { path: path.to_owned() }.into());
     }
     match std::os::unix::net::UnixStream::connect(path) {
-        Ok(_) => Err(Error::Input(format!("another node answers on {name}: stop it first"))),
+        Ok(_) => Err(NodeError::AnotherNode { path: path.to_owned() }.into()),
         Err(error) if error.kind() == ErrorKind::ConnectionRefused => {
             let io =
                 |source| Error::Io { what: format!("cannot remove the socket {name} that nobody listens on"), source };

@@ -1,6 +1,7 @@
 //! The card and the wheels on threads of their own: what they say is read and stamped at once, however long an estimate
 //! takes. Both threads end with the source that reads from them.
 
+use crate::NodeError;
 use csi5300::motion::odometry::{NextPose, OdometryError, OdometrySource, SourceCounts};
 use csi5300::source::{CsiSource, Error, Loss, Next, Stamps};
 use csi5300::time::{Instant, Span};
@@ -123,7 +124,7 @@ impl CsiSource for CardThread {
             Ok(Item::Failed(error)) => return Err(error),
             Err(TryRecvError::Empty) => Next::Pending,
             Err(TryRecvError::Disconnected) => {
-                return Err(Error::Input("the thread that listens to the card has ended".into()));
+                return Err(NodeError::CardThreadEnded.into());
             }
         })
     }
@@ -242,7 +243,7 @@ mod tests {
                     let stamps = Stamps { at, host_us: Some(WALL_US.load(Ordering::SeqCst)), ..Stamps::default() };
                     Ok(Next::Record(stamps, Record { code: 0xBB, body: &self.1 }))
                 }
-                Ok(_) => Err(Error::Input("unplugged".into())),
+                Ok(_) => Err(Error::Backend("unplugged".into())),
                 Err(_) => Ok(Next::Pending),
             }
         }

@@ -10,6 +10,7 @@
 //! * [`Products`] makes bearings while robots sound, from the card's records and the measurements in the answers.
 //! * [`set_rate`] sees to the rate of the CSI driver, which does not take it from radiotap.
 
+mod error;
 mod exchange;
 mod figures;
 mod mailbox;
@@ -22,6 +23,7 @@ mod setup;
 mod thread;
 mod watch;
 
+pub use error::SoundingError;
 pub use exchange::{Exchange, News};
 pub use figures::{Figures, KERNEL_TURN_AROUND_US, spread_of};
 pub use messages::{DriverMessages, LogTotals};

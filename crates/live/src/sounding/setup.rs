@@ -1,6 +1,6 @@
 //! An exchange opened: interface, plan, key and session.
 
-use super::session;
+use super::{SoundingError, session};
 use crate::monitor::{Monitor, Options};
 use crate::wait::wall_us;
 use csi5300::exchange::tdma::{Config, Key, Request, Tdma};
@@ -60,12 +60,12 @@ impl Setup {
     /// # Errors
     /// If it has no MAC, or the plan does not fit.
     pub fn open_on(&self, monitor: Monitor, settle: impl FnOnce(&mut Config)) -> Result<Opened, Error> {
-        let nameless = || Error::Input(format!("{} has no MAC of its own: say which it is to use", self.interface));
+        let nameless = || SoundingError::NoMac { interface: self.interface.clone() };
         let own = self.mac.or(monitor.mac()).ok_or_else(nameless)?;
         let (session, warning) = session::begin(own, wall_us());
         let mut config = self.config(own, session);
         settle(&mut config);
-        let tdma = Tdma::new(&config).map_err(|error| Error::Input(error.to_string()))?;
+        let tdma = Tdma::new(&config).map_err(|error| Error::Backend(Box::new(error)))?;
         Ok(Opened { tdma, monitor, own, warning })
     }
 
@@ -89,8 +89,7 @@ pub fn read_key(path: &Path) -> Result<Key, Error> {
     let text = String::from_utf8_lossy(&bytes);
     let digits = text.trim();
     let number = u128::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 32 && !digits.starts_with('+'));
-    number.map(|number| Key::new(number.to_be_bytes())).ok_or_else(|| {
-        let rule = "a key is 16 bytes or 32 hexadecimal digits; make one with `head -c 16 /dev/urandom > FILE`";
-        Error::Input(format!("{}: {rule}", path.display()))
-    })
+    number
+        .map(|number| Key::new(number.to_be_bytes()))
+        .ok_or_else(|| SoundingError::Key { path: path.to_owned() }.into())
 }

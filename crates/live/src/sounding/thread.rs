@@ -1,5 +1,6 @@
 //! The thread that sends: what it is granted by the system, how it waits, and how others speak to it.
 
+use super::SoundingError;
 use super::exchange::{Exchange, News};
 use super::mailbox::{Mailbox, Outbox};
 use crate::monitor::Monitor;
@@ -127,8 +128,7 @@ impl Running {
     #[allow(clippy::type_complexity)]
     pub fn stop(self) -> Result<(Exchange<Monitor>, Vec<News>, u64, Option<Error>), Error> {
         drop(self.stop);
-        let panicked = |_| Error::Input("the thread that sends has panicked".into());
-        let ended = self.thread.join().map_err(panicked)?;
+        let ended = self.thread.join().map_err(|_| SoundingError::Panicked)?;
         let left = std::iter::from_fn(|| self.news.take()).collect::<Vec<_>>();
         let (held, lost) = ended.news.finish();
         Ok((ended.exchange, left.into_iter().chain(held).collect(), lost, ended.error))

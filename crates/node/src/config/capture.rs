@@ -2,6 +2,7 @@
 
 use super::robots::Odometry;
 use super::values::{one, positive};
+use crate::NodeError;
 use csi5300::source::Error;
 use csi5300_sim::Scene;
 use std::collections::BTreeMap;
@@ -90,6 +91,6 @@ impl Room {
         if let Some(scene) = name.to_str().and_then(Scene::built_in) {
             return Ok(scene);
         }
-        Scene::load(name).map_err(|error| Error::Input(format!("{}: {error}", name.display())))
+        Scene::load(name).map_err(|source| NodeError::Scene { scene: name.clone(), source }.into())
     }
 }

@@ -14,6 +14,7 @@ mod served;
 
 pub(crate) use ros::RosNode;
 
+use crate::NodeError;
 use crate::config::{Capture, Config, Odometry, Peer as PeerConfig, Records};
 use csi5300::motion::odometry::OdometrySource;
 use csi5300::motion::odometry::replay::Mounted;
@@ -101,7 +102,7 @@ impl Sources {
         let robot = capture.robot().unwrap_or_default();
         let (poses, track) = shared.poses(&config.odometry, robot, config.antenna_offset_m)?;
         let peers = config.peer.iter().map(|peer| shared.peer(peer.get_ref())).collect::<Result<_, _>>()?;
-        let own = own.ok_or_else(|| Error::Input("this robot's MAC is not known".into()))?;
+        let own = own.ok_or(NodeError::OwnMac)?;
         Ok(Self { own, capture: card, wake, poses, track, peers, speed, ros: shared.ros })
     }
 }
@@ -122,11 +123,11 @@ impl<'a> Shared<'a> {
             }
             Capture::Room(asked) => {
                 let mut room = SharedRoom::open(asked)?;
-                room.follow(&asked.follow, |odometry| match odometry {
+                room.follow(&asked.follow, |robot, odometry| match odometry {
                     Odometry::Csv(file) => poses::trajectory(file, None, self.start),
                     // The room's time is that of this host.
                     Odometry::Ros(topic) => self.ros.poses(topic, Stamp::Receipt),
-                    _ => Err(Error::Input("a robot follows `ros` or `csv`".into())),
+                    _ => Err(NodeError::Follows { robot: robot.to_owned() }.into()),
                 })?;
                 let (card, mac) = room.own_card(&asked.robot)?;
                 self.room = Some(room);
@@ -179,7 +180,7 @@ impl<'a> Shared<'a> {
     fn peer(&mut self, peer: &PeerConfig) -> Result<PeerSources, Error> {
         let (records, mac) = self.records(peer)?;
         let (poses, track) = self.poses(&peer.poses, &peer.name, peer.antenna_offset_m)?;
-        let unknown = || Error::Input(format!("the MAC of peer `{}` is not known", peer.name));
+        let unknown = || NodeError::PeerMac { peer: peer.name.clone() };
         let mac = peer.mac.or(mac).ok_or_else(unknown)?;
         let told = LivePeer { name: peer.name.clone(), mac, track, yaw_rad: peer.yaw_deg.to_radians() };
         Ok(PeerSources { peer: told, records, poses })

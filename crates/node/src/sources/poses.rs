@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 
 /// A trajectory at its own pace from `origin_s` on, or from its first pose.
 pub(super) fn trajectory(file: &Csv, origin_s: Option<f64>, start: Instant) -> Result<Poses, Error> {
-    let (trajectory, _) = csv::read(&file.file).map_err(|error| Error::Input(error.to_string()))?;
+    let (trajectory, _) = csv::read(&file.file).map_err(|error| Error::Backend(Box::new(error)))?;
     Ok(Box::new(Replayed::new(&trajectory, origin_s.unwrap_or(trajectory.span_s().0), start, 1.0)))
 }
 

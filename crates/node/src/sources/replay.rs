@@ -1,6 +1,7 @@
 //! Recorded logs at their own pace.
 
 use super::{Card, Opened};
+use crate::NodeError;
 use crate::config::Replay as Asked;
 use crate::together::{self, Begin};
 use csi5300::source::paced::Paced;
@@ -58,7 +59,5 @@ fn first_host_s(log: &Path) -> Result<f64, Error> {
             break;
         }
     }
-    let what =
-        "no record has a host time (WSR layout, or a .datstp file beside the log), so poses cannot be joined with it";
-    Err(Error::Input(format!("{}: {what}", log.display())))
+    Err(NodeError::NoHostTime { log: log.to_owned() }.into())
 }

@@ -1,6 +1,7 @@
 //! Robots of a simulated room in this process.
 
 use super::{Card, Poses};
+use crate::NodeError;
 use crate::config::{Odometry, Room as Asked};
 use csi5300::source::Error;
 use csi5300_sim::Room;
@@ -12,7 +13,7 @@ pub(super) struct SharedRoom(Room);
 
 /// There is no such robot.
 pub(super) fn absent(robot: &str) -> Error {
-    Error::Input(format!("the room has no robot `{robot}`"))
+    NodeError::NotInRoom { robot: robot.to_owned() }.into()
 }
 
 impl SharedRoom {
@@ -20,8 +21,8 @@ impl SharedRoom {
     pub(super) fn open(asked: &Asked) -> Result<Self, Error> {
         let (room, robot) = (Room::new(&asked.load_scene()?)?, &asked.robot);
         if room.number(robot).is_none() {
-            let names: Vec<&str> = room.scene().robot.iter().map(|robot| robot.name.as_str()).collect();
-            return Err(Error::Input(format!("the scene has no robot `{robot}`: it has {}", names.join(", "))));
+            let known = room.scene().robot.iter().map(|robot| robot.name.clone()).collect();
+            return Err(NodeError::NotInScene { robot: robot.clone(), known }.into());
         }
         Ok(Self(room))
     }
@@ -30,10 +31,10 @@ impl SharedRoom {
     pub(super) fn follow(
         &mut self,
         sources: &BTreeMap<String, Odometry>,
-        open: impl Fn(&Odometry) -> Result<Poses, Error>,
+        open: impl Fn(&str, &Odometry) -> Result<Poses, Error>,
     ) -> Result<(), Error> {
         for (name, odometry) in sources {
-            let source = open(odometry)?;
+            let source = open(name, odometry)?;
             self.0.follow(self.number(name)?, source)?;
         }
         Ok(())
@@ -42,13 +43,13 @@ impl SharedRoom {
     /// This robot's card, and its MAC.
     pub(super) fn own_card(&mut self, robot: &str) -> Result<(Card, Option<Mac>), Error> {
         let number = self.number(robot)?;
-        let card = self.0.card(number).ok_or_else(|| Error::Input("the room's card is taken".into()))?;
+        let card = self.0.card(number).ok_or(NodeError::CardTaken)?;
         Ok((Box::new(card), self.0.mac(number)))
     }
 
     /// A peer's card, and its MAC.
     pub(super) fn peer_card(&mut self, robot: &str) -> Result<(Card, Mac), Error> {
-        let absent = || Error::Input(format!("the room has no robot `{robot}`, or it is used twice"));
+        let absent = || NodeError::NotInRoomOrTwice { robot: robot.to_owned() };
         let number = self.0.number(robot).ok_or_else(absent)?;
         let (mac, card) = (self.0.mac(number), self.0.card(number));
         let (mac, card) = mac.zip(card).ok_or_else(absent)?;

@@ -1,6 +1,7 @@
 //! This program as a node of ROS 1, and poses from topics.
 
 use super::Poses;
+use crate::NodeError;
 use crate::config::Config;
 use crate::config::ros::{Topic, is_used};
 use crate::ros1::RosLink;
@@ -21,7 +22,7 @@ impl RosNode {
 
     /// Poses of a topic, with the time that is usual unless the configuration says which.
     pub(super) fn poses(&self, topic: &Topic, usual: Stamp) -> Result<Poses, Error> {
-        let link = self.0.as_ref().ok_or_else(|| Error::Input("there is no node of ROS".into()))?;
+        let link = self.0.as_ref().ok_or(NodeError::NoRosNode)?;
         let wanted = Wanted { stamp: topic.stamp.unwrap_or(usual), frame: topic.frame.clone() };
         Ok(Box::new(link.poses(&topic.topic, topic.kind, wanted)))
     }

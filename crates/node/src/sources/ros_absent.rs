@@ -1,6 +1,7 @@
 //! No node of ROS: a configuration that asks for one was refused.
 
 use super::Poses;
+use crate::NodeError;
 use crate::config::Config;
 use crate::config::ros::Topic;
 use csi5300::motion::odometry::ros::Stamp;
@@ -14,6 +15,6 @@ impl RosNode {
     }
 
     pub(super) fn poses(&self, _: &Topic, _: Stamp) -> Result<Poses, Error> {
-        Err(Error::Input("this program was built without ROS (feature `ros1`)".into()))
+        Err(NodeError::WithoutRos.into())
     }
 }

@@ -1,0 +1,92 @@
+//! Why a robot's service cannot start, or cannot go on: what is its own beside the errors of sources.
+
+use csi5300::source;
+use std::path::PathBuf;
+
+/// What this crate refuses. Within [`csi5300::source::Error`] it is a backend's error.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum NodeError {
+    /// Neither the configuration nor the card's source says this robot's MAC.
+    #[error("this robot's MAC is not known")]
+    OwnMac,
+    /// Neither the configuration nor the records' source says a peer's MAC.
+    #[error("the MAC of peer `{peer}` is not known")]
+    PeerMac {
+        /// The peer's name.
+        peer: String,
+    },
+    /// A scene cannot be loaded.
+    #[error("{}: {source}", .scene.display())]
+    Scene {
+        /// Its file.
+        scene: PathBuf,
+        /// Why.
+        source: csi5300_sim::SceneError,
+    },
+    /// A robot of the room is to follow something that gives no poses of this host.
+    #[error("robot `{robot}` follows `ros` or `csv`")]
+    Follows {
+        /// Its name.
+        robot: String,
+    },
+    /// The scene has no robot of that name.
+    #[error("the scene has no robot `{robot}`: it has {}", .known.join(", "))]
+    NotInScene {
+        /// The name.
+        robot: String,
+        /// The names that it has.
+        known: Vec<String>,
+    },
+    /// The room has no robot of that name.
+    #[error("the room has no robot `{robot}`")]
+    NotInRoom {
+        /// The name.
+        robot: String,
+    },
+    /// The room has no card of that robot left.
+    #[error("the room has no robot `{robot}`, or it is used twice")]
+    NotInRoomOrTwice {
+        /// The robot's name.
+        robot: String,
+    },
+    /// This robot's card of the room was taken before.
+    #[error("the room's card is taken")]
+    CardTaken,
+    /// A log cannot be joined with poses.
+    #[error(
+        "{}: no record has a host time (WSR layout, or a .datstp file beside the log), so poses cannot be joined with it",
+        .log.display()
+    )]
+    NoHostTime {
+        /// The log.
+        log: PathBuf,
+    },
+    /// Poses from a topic are asked for where no node of ROS runs.
+    #[error("there is no node of ROS")]
+    NoRosNode,
+    /// Poses from a topic are asked for, and ROS is not compiled in.
+    #[error("this program was built without ROS (feature `ros1`)")]
+    WithoutRos,
+    /// The thread that listens to the card has ended.
+    #[error("the thread that listens to the card has ended")]
+    CardThreadEnded,
+    /// What is at the status socket's path is no socket.
+    #[error("{} is there and is no socket: give `status_socket` another name", .path.display())]
+    NoSocket {
+        /// The path.
+        path: PathBuf,
+    },
+    /// Another process listens on the status socket.
+    #[error("another node answers on {}: stop it first", .path.display())]
+    AnotherNode {
+        /// The socket.
+        path: PathBuf,
+    },
+}
+
+impl From<NodeError> for source::Error {
+    fn from(error: NodeError) -> Self {
+        Self::Backend(Box::new(error))
+    }
+}
