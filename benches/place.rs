@@ -8,10 +8,8 @@ mod common;
 
 use common::{Table, banner, quickest};
 use csi5300::bartlett::{Searcher, Tier};
-use csi5300::place::near_field::{Aperture, Band, Limits, Search, Taper, View};
-use csi5300::signal::alignment::{CsiRow, align, remove_common_slope};
+use csi5300::internal::{Aperture, Band, CsiRow, Limits, Search, Taper, View, align, one_way, remove_common_slope};
 use csi5300::signal::channel::{INDICES_20_MHZ, SUBCARRIERS};
-use csi5300::signal::one_way::one_way;
 use csi5300::signal::samples::Samples;
 use csi5300_sim::random::Stream;
 use nalgebra::Vector3;

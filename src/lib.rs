@@ -135,9 +135,24 @@ pub mod place;
 pub mod signal;
 pub mod source;
 pub mod time;
-pub mod tuning;
+mod tuning;
 
 pub use driver_iface;
 pub use nalgebra;
 pub use num_complex;
 pub use source::log::{Frame, Log};
+
+/// What benches, examples and other crates of this workspace measure and fit beneath the library's interface: no part of
+/// it, and free to change with any version.
+#[doc(hidden)]
+pub mod internal {
+    /// Packets of the OpenCR's protocol.
+    pub mod dynamixel {
+        pub use crate::motion::odometry::dynamixel::{emit, instruction};
+    }
+    pub use crate::place::confidence::{full_features, quick_features, quick_probability};
+    pub use crate::place::near_field::types::{Band, Limits, Taper, View};
+    pub use crate::place::near_field::{aperture::Aperture, search::Search};
+    pub use crate::signal::alignment::{CsiRow, align, remove_common_slope};
+    pub use crate::signal::one_way::one_way;
+}

@@ -137,7 +137,7 @@ impl Unwrap32 {
 
     /// The same, where another clock says how long ago the last reading was (to within half an hour): pauses of any
     /// length are then distinguished.
-    pub fn next_after(&mut self, raw: u32, elapsed_us: Option<i64>) -> i64 {
+    pub(crate) fn next_after(&mut self, raw: u32, elapsed_us: Option<i64>) -> i64 {
         let value = match self.last {
             None => i64::from(raw),
             Some(last) => unwrap_near(last.saturating_add(elapsed_us.unwrap_or(0)), raw),
@@ -151,8 +151,8 @@ impl Unwrap32 {
 /// that are late by an amount that differs from record to record.
 ///
 /// The record with the least delay so far is the reference; the card's clock leads on from it, and no record is put later
-/// than it was read. The reference is let go by [`HostTimes::DRIFT`], so that the clocks may drift apart; where a record was
-/// read more than [`HostTimes::LATE_US`] after it should have come (a clock was set, a card restarted, a file played slowly),
+/// than it was read. The reference is let go by 1e-4 of the time since, so that the clocks may drift apart;
+/// where a record was read more than 50 ms after it should have come (a clock was set, a card restarted, a file played slowly),
 /// its reading is believed and is the new reference.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct HostTimes {
@@ -163,9 +163,9 @@ pub struct HostTimes {
 
 impl HostTimes {
     /// How much slower than the host's the card's clock may run: twice the 20 ppm that 802.11 grants each, and more.
-    pub const DRIFT: f64 = 1e-4;
+    pub(crate) const DRIFT: f64 = 1e-4;
     /// A reading later than this is not put down to the reader.
-    pub const LATE_US: i64 = 50_000;
+    pub(crate) const LATE_US: i64 = 50_000;
 
     /// Host time at which the record came, microseconds, from when it was read and its `timestamp_low`.
     pub fn came_at(&mut self, read_us: i64, timestamp_low: u32) -> i64 {

@@ -16,5 +16,5 @@ pub fn run(bytes: &[u8]) {
         }
     }
     assert!(trajectory.at(f64::NAN).is_none() && trajectory.at(f64::INFINITY).is_none());
-    let _ = (trajectory.motion(), trajectory.gaps(), trajectory.reach_m());
+    let _ = (trajectory.motion(), trajectory.gaps());
 }

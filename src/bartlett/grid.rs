@@ -78,7 +78,7 @@ impl Grid {
 
     /// The azimuths of [`Grid::wsr`] on the horizon: the toolbox's planar mode.
     #[must_use]
-    pub fn wsr_azimuths() -> Self {
+    pub(crate) fn wsr_azimuths() -> Self {
         Self::directions(wsr_azimuths().map(|azimuth| (azimuth, 0.0)).collect())
     }
 

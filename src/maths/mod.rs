@@ -5,6 +5,7 @@ mod counter;
 mod order;
 
 pub use angle::{unwrap_rad, wrap_rad};
-pub use counter::unwrap_near;
+pub(crate) use counter::unwrap_near;
 pub use csi5300_kernels::simd::Tier;
-pub use order::{lower_rank, median, nearest_rank, percentile, upper_median, upper_median_ord};
+pub(crate) use order::{lower_rank, upper_median, upper_median_ord};
+pub use order::{median, nearest_rank, percentile};

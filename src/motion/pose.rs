@@ -223,13 +223,6 @@ impl Trajectory {
         Ok(moved)
     }
 
-    /// The largest distance between the position at any time and the first one, metres.
-    #[must_use]
-    pub fn reach_m(&self) -> f64 {
-        let first = self.poses[0].position_m;
-        self.poses.iter().map(|pose| (pose.position_m - first).norm()).fold(0.0, f64::max)
-    }
-
     /// When the robot moved: relative to its own usual speed, so that slow and fast robots need no threshold.
     #[must_use]
     pub fn motion(&self) -> Motion {
@@ -251,7 +244,7 @@ impl Trajectory {
 
     /// Speed about `t_s` over a fifth of a second, m/s; 0 where the trajectory has no poses.
     #[must_use]
-    pub fn speed_m_per_s(&self, t_s: f64) -> f64 {
+    pub(crate) fn speed_m_per_s(&self, t_s: f64) -> f64 {
         let (start, end) = self.span_s();
         let (from, to) = ((t_s - SPEED_HALF_S).max(start), (t_s + SPEED_HALF_S).min(end));
         match (self.position_m(from), self.position_m(to)) {

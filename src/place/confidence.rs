@@ -10,7 +10,7 @@ use crate::bartlett::Estimate;
 use crate::place::near_field::Fix;
 use crate::tuning::TUNING;
 
-/// Features of [`full_probability`], in the order of their coefficients.
+/// Features of `full_probability`, in the order of their coefficients.
 #[must_use]
 pub fn full_features(fix: &Fix) -> [f64; 4] {
     let tuning = TUNING.full_probability;

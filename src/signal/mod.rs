@@ -4,5 +4,5 @@ pub mod alignment;
 pub mod cfo;
 pub mod channel;
 pub mod csi;
-pub mod one_way;
+pub(crate) mod one_way;
 pub mod samples;

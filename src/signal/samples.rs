@@ -108,7 +108,7 @@ impl Samples {
     ///
     /// # Errors
     /// As [`Samples::push`], and [`SamplesError::Weight`] for a weight below 0; the set is then unchanged.
-    pub fn push_weighted(
+    pub(crate) fn push_weighted(
         &mut self,
         t_s: f64,
         z: Complex64,
@@ -181,7 +181,7 @@ impl Samples {
     }
 
     /// `receiver - transmitter` at each sample, metres.
-    pub fn displacements_m(&self) -> impl ExactSizeIterator<Item = Vector3<f64>> + '_ {
+    pub(crate) fn displacements_m(&self) -> impl ExactSizeIterator<Item = Vector3<f64>> + '_ {
         self.receiver_m.iter().zip(&self.transmitter_m).map(|(receiver, transmitter)| receiver - transmitter)
     }
 

@@ -9,12 +9,11 @@
 
 mod values;
 
-pub use values::*;
+pub(crate) use values::*;
 
 /// One number of [`TUNING`], as text.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct TuningEntry {
+#[cfg(test)]
+struct TuningEntry {
     /// `group.field`.
     pub name: String,
     /// Its value.
@@ -28,8 +27,8 @@ pub struct TuningEntry {
 }
 
 /// The table of `docs/tuning.md`: a heading and the command of each group, and a row for each of its numbers.
-#[must_use]
-pub fn markdown() -> String {
+#[cfg(test)]
+fn markdown() -> String {
     let mut text = String::new();
     let mut group = "";
     let entries = entries();

@@ -1,5 +1,6 @@
 //! The numbers themselves.
 
+#[cfg(test)]
 use super::TuningEntry;
 
 /// Declares the groups as structs, their values as a constant, and the same as a table.
@@ -35,8 +36,8 @@ macro_rules! tuning {
         pub const TUNING: Tuning = Tuning { $( $group: $Group { $( $name: $value, )* }, )* };
 
         /// The same as a list, in the order of the fields.
-        #[must_use]
-        pub fn entries() -> Vec<TuningEntry> {
+        #[cfg(test)]
+        pub(super) fn entries() -> Vec<TuningEntry> {
             vec![$( $( TuningEntry {
                 name: concat!(stringify!($group), ".", stringify!($name)).into(),
                 value: format!("{:?}", TUNING.$group.$name),

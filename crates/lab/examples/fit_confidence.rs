@@ -1,4 +1,4 @@
-//! Fits the probabilities of `csi5300::place::confidence` to captures with known truth, and tells how they do on places
+//! Fits the probabilities of `src/place/confidence.rs` to captures with known truth, and tells how they do on places
 //! that they were not fitted to.
 //!
 //! `cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures [ROOMS]`
@@ -8,8 +8,8 @@
 //! given. Every capture gives bearings by motion capture and by the tracking camera; those by a plane wave also of parts of
 //! the motion, 4 s each.
 
+use csi5300::internal::{full_features, quick_features, quick_probability};
 use csi5300::pipeline::{Bearing, Options};
-use csi5300::place::confidence::{full_features, quick_features, quick_probability};
 use csi5300_lab::evaluate::{Capture, TrajectorySource, find};
 use csi5300_lab::fit_confidence::{LabelledBearing, LogisticModel, See, calibration, gather, leave_one_place_out};
 use std::path::Path;

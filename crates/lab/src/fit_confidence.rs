@@ -1,4 +1,4 @@
-//! The logistic models of [`csi5300::place::confidence`], fitted to captures with known truth.
+//! The logistic models of `src/place/confidence.rs`, fitted to captures with known truth.
 //!
 //! A row is one bearing: its features, and whether it was within five degrees. Bearings of one place are near copies of
 //! each other, so the place is the unit: every place has the same weight in the fit, however many bearings it has, and

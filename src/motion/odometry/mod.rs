@@ -3,7 +3,7 @@
 pub mod clock;
 pub mod csv;
 pub mod drive;
-pub mod dynamixel;
+pub(crate) mod dynamixel;
 mod error;
 pub mod opencr;
 pub mod replay;

@@ -38,7 +38,7 @@ pub struct Deviations {
     pub correlated_rows: f64,
 }
 
-/// What [`super::search`] found.
+/// What the search found.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Fix {

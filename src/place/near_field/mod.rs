@@ -36,7 +36,7 @@
 //! Files depend on those above them only: `types`, `aperture`, `bend`; `prepared`; `kernel`; `grid`, `prior`, `fix`,
 //! `uncertainty`; `search` with `scan` and `climb`; `paths`, `maps`, `focus`.
 
-mod aperture;
+pub(crate) mod aperture;
 mod bend;
 mod climb;
 mod fix;
@@ -48,16 +48,18 @@ mod paths;
 mod prepared;
 mod prior;
 mod scan;
-mod search;
+pub(crate) mod search;
 #[cfg(test)]
 mod tests;
-mod types;
+pub(crate) mod types;
 mod uncertainty;
 
-pub use aperture::Aperture;
+pub(crate) use aperture::Aperture;
 pub use fix::{Deviations, Fix, Source};
-pub use focus::{Focus, focus};
+pub use focus::Focus;
+pub(crate) use focus::focus;
 pub use maps::Maps;
 pub use paths::Path;
-pub use search::{Search, search};
-pub use types::{Band, Limits, ONE_WAY_VIEWS, ROUND_TRIP_VIEWS, Taper, View, Warp};
+pub(crate) use search::Search;
+pub use types::Warp;
+pub(crate) use types::{Limits, ONE_WAY_VIEWS, ROUND_TRIP_VIEWS, View};

@@ -53,8 +53,8 @@ impl Weights {
 }
 
 /// Searches the place that explains all `layers`: see [`Search::new`] and [`Search::run`].
-#[must_use]
-pub fn search(
+#[cfg(test)]
+pub(super) fn search(
     layers: &[(&Aperture, &[View])],
     middle_m: Vector3<f64>,
     wavelength_m: f64,

@@ -1,6 +1,7 @@
 use super::kernel::powers;
 use super::prepared::PreparedAperture;
-use super::types::{Place, Precision};
+use super::search::search;
+use super::types::{Band, Place, Precision, Taper};
 use super::*;
 use crate::bartlett::{Tier, direction};
 use crate::signal::alignment::CsiRow;

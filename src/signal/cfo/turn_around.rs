@@ -87,7 +87,7 @@ impl TurnAround {
 
     /// From the lowest to the highest offset in the course of the record, Hz; 0 where one explains all.
     #[must_use]
-    pub fn df_span_hz(&self) -> f64 {
+    pub(crate) fn df_span_hz(&self) -> f64 {
         let (low, high) = self.course.iter().fold((f64::MAX, f64::MIN), |(l, h), (_, hz)| (l.min(*hz), h.max(*hz)));
         (high - low).max(0.0)
     }

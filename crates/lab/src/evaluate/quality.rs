@@ -7,7 +7,7 @@ use nalgebra::Vector2;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Bearings further off than this are wrong, degrees: what [`csi5300::place::confidence`] predicts.
+/// Bearings further off than this are wrong, degrees: what an answer's probability is of.
 const WRONG_DEG: f64 = 5.0;
 /// Edges of the table of reliability.
 const BINS: [f64; 6] = [0.0, 0.5, 0.7, 0.8, 0.9, 1.000_001];

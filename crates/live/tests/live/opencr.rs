@@ -1,6 +1,6 @@
 //! The serial source against an emulated TurtleBot3 controller behind a pseudo terminal: real ports, virtual time.
 
-use csi5300::motion::odometry::dynamixel::{emit, instruction};
+use csi5300::internal::dynamixel::{emit, instruction};
 use csi5300::motion::odometry::{NextPose, OdometrySource};
 use csi5300::time::{Instant, Span};
 use csi5300_live::serial::Serial;
