@@ -6,9 +6,7 @@ python=$(scripts/venv.sh websockets protobuf 2>/dev/null) || { echo "no Python, 
 folder=$(mktemp -d)
 node=
 trap '[ -z "$node" ] || kill "$node" 2>/dev/null || true; rm -rf "$folder"' EXIT
-# As the check of all features builds it: nothing is built twice.
-cargo test --quiet --workspace --all-features --no-run
-csi5300=${CARGO_TARGET_DIR:-target}/debug/csi5300
+csi5300=$(scripts/program.sh)
 port=$("$python" -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])')
 cat >"$folder/robot.toml" <<END
 name = "burger"

@@ -5,9 +5,7 @@ cd "$(dirname "$0")/../.."
 python=$(scripts/venv.sh mcap mcap-protobuf-support 2>/dev/null) || { echo "no Python, or mcap cannot be installed"; exit 77; }
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
-# As the check of all features builds it: nothing is built twice.
-cargo test --quiet --workspace --all-features --no-run
-csi5300=${CARGO_TARGET_DIR:-target}/debug/csi5300
+csi5300=$(scripts/program.sh)
 capture=tests/fixtures/small-circle
 logs=$(find "$capture" -name 'csi_rx_*.dat'; find "$capture" -name 'csi_tx*_*.dat' | sort)
 path=$(find "$capture" -name 'rx_trajectory_*.csv')

@@ -10,9 +10,8 @@ probe=c5-probe-$$
 ip netns add "$probe" 2>/dev/null || { echo "no network namespace can be made here"; exit 77; }
 ip -n "$probe" tuntap add probe mode tun 2>/dev/null || { ip netns del "$probe"; echo "no TUN device can be made here"; exit 77; }
 ip netns del "$probe"
-# As the check of all features builds it: nothing is built twice.
-cargo test --quiet --workspace --all-features --no-run
-exec python3 - "${CARGO_TARGET_DIR:-target}/debug/csi5300" <<'PYTHON'
+csi5300=$(scripts/program.sh)
+exec python3 - "$csi5300" <<'PYTHON'
 import ctypes, fcntl, glob, json, math, os, selectors, shutil, struct, subprocess, sys, tempfile, threading, time
 
 csi5300 = os.path.abspath(sys.argv[1])

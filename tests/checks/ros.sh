@@ -15,9 +15,7 @@ if [ ${#missing[@]} -gt 0 ]; then
     { install || { apt-get update && install; }; } >/dev/null 2>&1 ||
         { echo "cannot install ${missing[*]} (no root, or no Debian with ROS)"; exit 77; }
 fi
-# As the check of all features builds it: nothing is built twice.
-cargo test --quiet --workspace --all-features --no-run
-csi5300=$PWD/${CARGO_TARGET_DIR:-target}/debug/csi5300
+csi5300=$(scripts/program.sh)
 
 folder=$(mktemp -d)
 pids=()
