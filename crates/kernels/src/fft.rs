@@ -2,35 +2,63 @@
 
 use std::sync::Arc;
 
+#[cfg(target_arch = "x86_64")]
+use rustfft::FftPlannerSse;
 use rustfft::{Fft, FftNum, FftPlanner, FftPlannerScalar};
 
-use crate::simd::Tier;
+use crate::simd::{Real, Tier};
+
+/// What each of the planners of `rustfft` can do.
+pub(crate) trait Plans<T: FftNum>: Send {
+    fn forward(&mut self, length: usize) -> Arc<dyn Fft<T>>;
+    fn inverse(&mut self, length: usize) -> Arc<dyn Fft<T>>;
+}
+
+macro_rules! plans {
+    ($planner:ident) => {
+        impl<T: FftNum> Plans<T> for $planner<T> {
+            fn forward(&mut self, length: usize) -> Arc<dyn Fft<T>> {
+                self.plan_fft_forward(length)
+            }
+
+            fn inverse(&mut self, length: usize) -> Arc<dyn Fft<T>> {
+                self.plan_fft_inverse(length)
+            }
+        }
+    };
+}
+plans!(FftPlanner);
+plans!(FftPlannerScalar);
+#[cfg(target_arch = "x86_64")]
+plans!(FftPlannerSse);
+
+/// The planners in one precision; only [`Real`] calls it, so that all of `rustfft` is compiled in this crate alone.
+#[inline(always)]
+pub(crate) fn plans_of<T: FftNum>(tier: Tier) -> Box<dyn Plans<T>> {
+    match tier {
+        #[cfg(target_arch = "x86_64")]
+        Tier::Sse42 => match FftPlannerSse::new() {
+            Ok(planner) => Box::new(planner),
+            Err(()) => Box::new(FftPlannerScalar::new()),
+        },
+        Tier::Avx2 | Tier::Avx512 | Tier::Native => Box::new(FftPlanner::new()),
+        _ => Box::new(FftPlannerScalar::new()),
+    }
+}
 
 /// The planner of one tier, with its cache.
-pub struct Ffts<T: FftNum> {
+pub struct Ffts<T: Real> {
     tier: Tier,
     planner: Planner<T>,
 }
 
-enum Planner<T: FftNum> {
-    Detected(FftPlanner<T>),
-    #[cfg(target_arch = "x86_64")]
-    Sse(rustfft::FftPlannerSse<T>),
-    Scalar(FftPlannerScalar<T>),
-}
+/// A planner of `rustfft`, without its type.
+pub struct Planner<T: FftNum>(pub(crate) Box<dyn Plans<T>>);
 
-impl<T: FftNum> Ffts<T> {
+impl<T: Real> Ffts<T> {
     /// For a tier that this machine can run. (An AVX-512 tier runs the FFTs of AVX2: there are no wider ones.)
     pub fn new(tier: Tier) -> Self {
-        let planner = match tier {
-            #[cfg(target_arch = "x86_64")]
-            Tier::Sse42 => {
-                rustfft::FftPlannerSse::new().map_or_else(|()| Planner::Scalar(FftPlannerScalar::new()), Planner::Sse)
-            }
-            Tier::Avx2 | Tier::Avx512 | Tier::Native => Planner::Detected(FftPlanner::new()),
-            _ => Planner::Scalar(FftPlannerScalar::new()),
-        };
-        Self { tier, planner }
+        Self { tier, planner: T::planner(tier) }
     }
 
     /// The tier that plans are made for.
@@ -40,22 +68,12 @@ impl<T: FftNum> Ffts<T> {
 
     /// The forward transform of `length` points, planned once.
     pub fn forward(&mut self, length: usize) -> Arc<dyn Fft<T>> {
-        match &mut self.planner {
-            Planner::Detected(planner) => planner.plan_fft_forward(length),
-            #[cfg(target_arch = "x86_64")]
-            Planner::Sse(planner) => planner.plan_fft_forward(length),
-            Planner::Scalar(planner) => planner.plan_fft_forward(length),
-        }
+        self.planner.0.forward(length)
     }
 
     /// The inverse transform of `length` points, planned once.
     pub fn inverse(&mut self, length: usize) -> Arc<dyn Fft<T>> {
-        match &mut self.planner {
-            Planner::Detected(planner) => planner.plan_fft_inverse(length),
-            #[cfg(target_arch = "x86_64")]
-            Planner::Sse(planner) => planner.plan_fft_inverse(length),
-            Planner::Scalar(planner) => planner.plan_fft_inverse(length),
-        }
+        self.planner.0.inverse(length)
     }
 }
 

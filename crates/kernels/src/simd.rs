@@ -1,6 +1,7 @@
 //! SIMD tiers, the two precisions, and the sine and cosine of an angle in turns.
 
 use crate::evaluate::{Batch, Buffers, Evaluator};
+use crate::fft::Planner;
 use crate::rings::{RingWork, Rings};
 use crate::sums::{Columns, PairSum, Sines};
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, SimdFloatElement};
@@ -103,6 +104,8 @@ pub trait Real: SimdFloatElement + Into<f64> + rustfft::FftNum + bytemuck::Pod {
     /// [`Real::COS`] for [`ROUGH`].
     const ROUGH_COS: &'static [Self] = Self::COS;
 
+    /// The FFTs of a tier: [`crate::fft::Ffts::new`].
+    fn planner(tier: Tier) -> Planner<Self>;
     /// [`crate::sums::pairs`].
     fn pairs(level: Level, samples: Columns<'_, Self>, directions: &[[Self; 3]], sines: Sines) -> Vec<PairSum>;
     /// [`Evaluator::run`].
@@ -116,6 +119,11 @@ pub trait Real: SimdFloatElement + Into<f64> + rustfft::FftNum + bytemuck::Pod {
 /// The entries of [`Real`], for one precision.
 macro_rules! entries {
     () => {
+        #[inline(never)]
+        fn planner(tier: Tier) -> Planner<Self> {
+            Planner(crate::fft::plans_of(tier))
+        }
+
         fn pairs(level: Level, samples: Columns<'_, Self>, directions: &[[Self; 3]], sines: Sines) -> Vec<PairSum> {
             crate::sums::pairs_of(level, samples, directions, sines)
         }
