@@ -125,6 +125,7 @@ impl Sub for Span {
 /// Reordered stamps (small steps back) are allowed and unwrap to a smaller value.
 #[derive(Clone, Copy, Debug, Default)]
 #[doc(alias = "timestamp_low")]
+#[doc(hidden)]
 pub struct Unwrap32 {
     last: Option<i64>,
 }
@@ -155,6 +156,7 @@ impl Unwrap32 {
 /// where a record was read more than 50 ms after it should have come (a clock was set, a card restarted, a file played slowly),
 /// its reading is believed and is the new reference.
 #[derive(Clone, Copy, Debug, Default)]
+#[doc(hidden)]
 pub struct HostTimes {
     card: Unwrap32,
     /// Host's and card's time of the reference, microseconds.
@@ -187,6 +189,7 @@ impl HostTimes {
 /// Steps of a 16-bit wrapping counter (`bfee_count`).
 #[derive(Clone, Copy, Debug, Default)]
 #[doc(alias = "bfee_count")]
+#[doc(hidden)]
 pub struct Step16 {
     last: Option<u16>,
 }

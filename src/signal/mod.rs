@@ -1,6 +1,6 @@
 //! From CSI to one complex number a packet: the channel's numbers, carrier frequency offset, alignment of sampling times.
 
-pub mod alignment;
+pub(crate) mod alignment;
 pub mod cfo;
 pub mod channel;
 pub mod csi;

@@ -33,9 +33,6 @@ pub enum Error {
     /// A source without an end, as a card is, where a log is read to its end.
     #[error("a live source cannot be read to its end: record it, then give the log")]
     Endless,
-    /// What a device, an interface or another program said is not what this source reads.
-    #[error("{0}")]
-    Input(String),
     /// A failure of a source or an injector that another crate implements, in that crate's own type.
     #[error(transparent)]
     Backend(#[from] Box<dyn std::error::Error + Send + Sync>),

@@ -3,12 +3,16 @@
 
 mod error;
 pub mod log;
-pub mod paced;
 pub mod recorder;
-pub mod remote;
 pub mod replay;
 mod side_file;
 pub mod survey;
+
+// What the robot's service is made of: public for the crates of this workspace, no part of the library's interface.
+#[doc(hidden)]
+pub mod paced;
+#[doc(hidden)]
+pub mod remote;
 
 pub use error::{Error, NotSent};
 pub use side_file::side_path;
@@ -117,7 +121,7 @@ impl Default for Origin {
 impl Origin {
     /// The offset or the number, for reports that state elsewhere which of the two it is.
     #[must_use]
-    pub fn position(self) -> u64 {
+    pub(crate) fn position(self) -> u64 {
         match self {
             Self::File { offset } => offset,
             Self::Live { number } => number,

@@ -2,7 +2,7 @@
 
 use super::auth::Key;
 use super::clock::Epoch;
-use super::plan::Dialect;
+use super::phy::Dialect;
 use super::plan::{MAX_ROBOTS, Plan, PlanError, Request};
 use crate::time::Instant;
 use driver_iface::Mac;

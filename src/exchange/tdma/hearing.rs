@@ -2,7 +2,7 @@
 
 use super::event::Event;
 use super::machine::{Ready, Tdma};
-use super::plan::Dialect;
+use super::phy::Dialect;
 use super::view::Claim;
 use crate::time::{Instant, Span};
 use driver_iface::Mac;

@@ -44,6 +44,7 @@ mod config;
 mod event;
 mod hearing;
 mod machine;
+mod phy;
 mod plan;
 mod roster;
 mod turns;
@@ -54,7 +55,6 @@ pub use clock::Epoch;
 pub use config::{Config, Robot};
 pub use event::{Cause, Event, LinkCounts, TdmaCounts};
 pub use machine::{Tdma, Transmit};
-pub use plan::{
-    Dialect, GUARD_US, MAX_ROBOTS, MAX_TURN_SLOTS, Phy, Plan, PlanError, Request, TURN_AROUND_US, TURN_SLOTS,
-};
+pub use phy::{Dialect, Phy};
+pub use plan::{GUARD_US, MAX_ROBOTS, MAX_TURN_SLOTS, Plan, PlanError, Request, TURN_AROUND_US, TURN_SLOTS};
 pub use roster::Priority;

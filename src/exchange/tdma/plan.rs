@@ -1,9 +1,9 @@
-//! What fits into a round: airtime, slot length, the highest rate.
+//! What fits into a round: slot length, the highest rate.
 
+use super::phy::{Dialect, Phy};
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
-use driver_iface::radiotap::Bandwidth;
-use driver_iface::sounding::{native, wsr};
+use driver_iface::sounding::wsr;
 
 /// Longest time from the end of a forward frame to the start of its answer, microseconds: the WSR driver answers
 /// within 145 to 322 us, median 225 (892 second frames in WSR's `test_count_rx_5.dat`, rise to rise).
@@ -17,90 +17,6 @@ pub const MAX_ROBOTS: usize = 256;
 pub const TURN_SLOTS: u16 = 32;
 /// Longest turn, slots (before it is rounded up to whole rounds).
 pub const MAX_TURN_SLOTS: u16 = 60_000;
-
-/// HT modulation of every frame: one of MCS 0 to 31, long guard interval, BCC.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Phy {
-    /// MCS index; `monitor_tx_rate` 0x4101 is MCS 1.
-    pub mcs: u8,
-    /// Channel width.
-    pub bandwidth: Bandwidth,
-}
-
-impl Default for Phy {
-    /// HT20 MCS 1, 13 Mb/s: what the csitool README sets (0x4101).
-    fn default() -> Self {
-        Self { mcs: 1, bandwidth: Bandwidth::Ht20 }
-    }
-}
-
-impl Phy {
-    /// Highest MCS with equal modulation on up to four streams (802.11-2016 clause 19.5).
-    pub const MAX_MCS: u8 = 31;
-
-    /// Data bits in one OFDM symbol of 4 us (802.11-2016 tables 19-27 to 19-34).
-    #[must_use]
-    pub fn bits_per_symbol(&self) -> u32 {
-        const HT20: [u32; 8] = [26, 52, 78, 104, 156, 208, 234, 260];
-        const HT40: [u32; 8] = [54, 108, 162, 216, 324, 432, 486, 540];
-        let table = match self.bandwidth {
-            Bandwidth::Ht20 => HT20,
-            Bandwidth::Ht40 => HT40,
-        };
-        let one_stream = table.get(usize::from(self.mcs % 8)).copied().unwrap_or(26);
-        one_stream * self.streams()
-    }
-
-    fn streams(&self) -> u32 {
-        u32::from(self.mcs / 8 + 1)
-    }
-
-    /// Time on air of a frame of `len_with_fcs` bytes, microseconds: HT-mixed preamble (L-STF, L-LTF, L-SIG, HT-SIG,
-    /// HT-STF, one HT-LTF per stream, four for three) and whole symbols of 4 us (802.11-2016 equation 19-90).
-    #[must_use]
-    pub fn airtime_us(&self, len_with_fcs: usize) -> u32 {
-        let ltf = match self.streams() {
-            3 => 4,
-            streams => streams,
-        };
-        let preamble = 8 + 8 + 4 + 8 + 4 + 4 * ltf;
-        let bits = 16 + 8 * len_with_fcs as u32 + 6;
-        preamble + 4 * bits.div_ceil(self.bits_per_symbol())
-    }
-}
-
-/// How frames look.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Dialect {
-    /// As the WSR toolbox: the length of a frame says to which robot it is.
-    Wsr {
-        /// On-air length (FCS included) of the forward frame to the robot of index 0; odd.
-        first_len: u16,
-    },
-    /// The dialect of this project, see [`driver_iface::sounding::native`].
-    Native {
-        /// Leave room for a measurement in the backward frame.
-        measurement: bool,
-        /// Leave room for an authentication tag in every frame.
-        authenticated: bool,
-    },
-}
-
-impl Dialect {
-    /// Longest forward and backward frames on air, FCS included, if robots' indices go up to `last_index`.
-    #[must_use]
-    pub fn longest(&self, last_index: usize) -> (usize, usize) {
-        match *self {
-            Self::Wsr { first_len } => {
-                let forward = wsr::forward_len(usize::from(first_len), last_index);
-                (forward, forward + wsr::REPLY_GROWTH)
-            }
-            Self::Native { measurement, authenticated } => {
-                (native::len_with_fcs(false, authenticated), native::len_with_fcs(measurement, authenticated))
-            }
-        }
-    }
-}
 
 /// What is asked of a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -315,7 +231,7 @@ impl Plan {
 
     /// Length of a round, microseconds.
     #[must_use]
-    pub fn round_us(&self) -> u32 {
+    pub(super) fn round_us(&self) -> u32 {
         self.round_us
     }
 
@@ -345,7 +261,7 @@ impl Plan {
 
     /// Slots of one turn: whole rounds, at least as many as requested.
     #[must_use]
-    pub fn turn_slots(&self) -> u32 {
+    pub(super) fn turn_slots(&self) -> u32 {
         u32::from(self.turn_slots).next_multiple_of(u32::from(self.slots))
     }
 
@@ -357,19 +273,13 @@ impl Plan {
 
     /// Airtime of the longest forward frame, microseconds.
     #[must_use]
-    pub fn forward_us(&self) -> u32 {
+    pub(super) fn forward_us(&self) -> u32 {
         self.forward_us
-    }
-
-    /// Airtime of the longest backward frame, microseconds.
-    #[must_use]
-    pub fn backward_us(&self) -> u32 {
-        self.backward_us
     }
 
     /// How late a forward frame may start.
     #[must_use]
-    pub fn guard(&self) -> Span {
+    pub(super) fn guard(&self) -> Span {
         Span::from_us(i64::from(self.guard_us))
     }
 
@@ -387,13 +297,13 @@ impl Plan {
 
     /// Frame dialect.
     #[must_use]
-    pub fn dialect(&self) -> Dialect {
+    pub(super) fn dialect(&self) -> Dialect {
         self.dialect
     }
 
     /// Start of slot `n` after the epoch: `floor(n * round / slots)`, exact for every `n`.
     #[must_use]
-    pub fn offset_of(&self, n: i64) -> Span {
+    pub(super) fn offset_of(&self, n: i64) -> Span {
         let slots = i64::from(self.slots);
         let (rounds, rest) = (n.div_euclid(slots), n.rem_euclid(slots));
         let round_us = i64::from(self.round_us);
@@ -402,7 +312,7 @@ impl Plan {
 
     /// The slot that contains the point `offset` after the epoch; the inverse of [`Plan::offset_of`].
     #[must_use]
-    pub fn slot_at(&self, offset: Span) -> i64 {
+    pub(super) fn slot_at(&self, offset: Span) -> i64 {
         let (slots, round_us) = (i64::from(self.slots), i64::from(self.round_us));
         let (rounds, rest) = (offset.as_us().div_euclid(round_us), offset.as_us().rem_euclid(round_us));
         rounds * slots + ((rest + 1) * slots - 1) / round_us
@@ -410,7 +320,7 @@ impl Plan {
 
     /// Start of slot `n` for a given epoch.
     #[must_use]
-    pub fn slot_start(&self, epoch: Instant, n: i64) -> Instant {
+    pub(super) fn slot_start(&self, epoch: Instant, n: i64) -> Instant {
         epoch + self.offset_of(n)
     }
 }
@@ -419,16 +329,6 @@ impl Plan {
 mod tests {
     use super::*;
     use proptest::prelude::*;
-
-    #[test]
-    fn airtime_is_that_of_the_standard() {
-        let ht20 = |mcs| Phy { mcs, bandwidth: Bandwidth::Ht20 };
-        // 57 bytes: 478 bits; 19 symbols of 26, 10 of 52, 2 of 260.
-        assert_eq!([0, 1, 7].map(|mcs| ht20(mcs).airtime_us(57)), [36 + 76, 36 + 40, 36 + 8]);
-        assert_eq!(Phy { mcs: 0, bandwidth: Bandwidth::Ht40 }.airtime_us(57), 36 + 36);
-        // Three streams: four HT-LTFs, 78 bits a symbol.
-        assert_eq!(ht20(16).airtime_us(57), 48 + 28);
-    }
 
     #[test]
     fn twelve_peers_at_100_rounds_fit_and_32_are_refused_with_a_rate_that_fits() {

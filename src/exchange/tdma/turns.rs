@@ -2,7 +2,7 @@
 
 use super::event::{Cause, Event};
 use super::machine::{Ready, Tdma};
-use super::plan::Dialect;
+use super::phy::Dialect;
 use super::roster::rounds_before;
 use super::view::Claim;
 use crate::time::{Instant, Span};

@@ -136,6 +136,7 @@ pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
 ///
 /// # Errors
 /// What is wrong with it.
+#[doc(hidden)]
 pub fn parse_line(line: &[u8]) -> Result<Pose, RowError> {
     let mut reader =
         ::csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(::csv::Trim::All).from_reader(line);
@@ -147,6 +148,7 @@ pub fn parse_line(line: &[u8]) -> Result<Pose, RowError> {
 
 /// A pose as a row: 6 columns, 5 where it has no heading, and the trailing comma.
 #[must_use]
+#[doc(hidden)]
 pub fn line(pose: &Pose) -> String {
     let p = pose.position_m;
     let heading = pose.heading_rad.map_or(String::new(), |heading| format!("{heading:.6},"));

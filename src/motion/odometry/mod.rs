@@ -1,12 +1,19 @@
 //! Where poses come from.
 
-pub mod clock;
 pub mod csv;
-pub mod drive;
 pub(crate) mod dynamixel;
 mod error;
+
+// What the robot's service is made of: public for the crates of this workspace, no part of the library's interface.
+#[doc(hidden)]
+pub mod clock;
+#[doc(hidden)]
+pub mod drive;
+#[doc(hidden)]
 pub mod opencr;
+#[doc(hidden)]
 pub mod replay;
+#[doc(hidden)]
 pub mod ros;
 
 pub use error::OdometryError;

@@ -14,4 +14,5 @@ mod track;
 
 pub use estimator::LiveEstimator;
 pub use report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
+#[doc(hidden)]
 pub use track::Track;

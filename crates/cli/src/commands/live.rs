@@ -33,11 +33,21 @@ pub fn create_refused(error: &csi5300::source::Error) -> String {
     }
 }
 
+/// Why a served room cannot be joined, with the command that serves one.
+pub fn join_refused(error: &served::JoinError) -> String {
+    match error {
+        served::JoinError::NoRoom { .. } => {
+            format!("{error}; does `csi5300 simulate SCENE --serve --socket PATH` run there?")
+        }
+        _ => error.to_string(),
+    }
+}
+
 impl Listening {
     /// Opens the listener.
     pub fn open(&self) -> Result<Netlink, String> {
         if let Some(address) = &self.room {
-            let (card, _) = served::join(address, served::Role::Card).map_err(|error| error.to_string())?;
+            let (card, _) = served::join(address, served::Role::Card).map_err(|error| join_refused(&error))?;
             return Ok(Netlink::over(card, wall_us));
         }
         let receive_buffer = usize::try_from(self.receive_buffer).unwrap_or(usize::MAX).min(i32::MAX as usize / 2);

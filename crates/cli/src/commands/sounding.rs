@@ -1,7 +1,7 @@
 //! What `sound` and `respond` share: arguments, what they open, and the words for it.
 
 use super::args::mac;
-use super::live::{Listening, Signals, create_refused, duration};
+use super::live::{Listening, Signals, create_refused, duration, join_refused};
 use super::{Outcome, Result, usage};
 use csi5300::exchange::tdma::{Config, Dialect, GUARD_US, Phy, Plan, PlanError, Request, TURN_AROUND_US};
 use csi5300::source::Error;
@@ -163,8 +163,10 @@ impl Sounding {
             key: self.key.as_deref().map(read_key).transpose().map_err(text)?,
         };
         let monitor = match &self.listening.room {
-            Some(address) => served::join(address, served::Role::Air)
-                .and_then(|(air, mac)| Monitor::over(air, mac, &setup.options())),
+            Some(address) => {
+                let (air, mac) = served::join(address, served::Role::Air).map_err(|error| join_refused(&error))?;
+                Monitor::over(air, mac, &setup.options())
+            }
             None => Monitor::open(&setup.options()),
         };
         let opened = monitor.and_then(|monitor| {

@@ -19,23 +19,21 @@
 //! A frame is on air from the moment at which its sender handed it over, by the kernel's stamp of the message; what
 //! overlaps collides. Several may listen to one card; one at a time has a robot's air.
 
+mod address;
 mod poses;
 mod server;
 
+pub use address::{Address, AddressError, JoinError};
 pub use poses::Poses;
 pub use server::{ServedCounts, Server};
 
-use csi5300::source::Error;
 use driver_iface::Mac;
 use nix::sys::socket::{
     AddressFamily, MsgFlags, SockFlag, SockType, UnixAddr, connect, recv, send, setsockopt, socket, sockopt,
 };
 use nix::sys::time::TimeVal;
-use std::fmt;
 use std::io;
 use std::os::fd::{AsRawFd, OwnedFd};
-use std::path::PathBuf;
-use std::str::FromStr;
 
 /// First word of the first message, and the version of what follows.
 const GREETING: &str = "csi5300-room 1";
@@ -43,34 +41,6 @@ const GREETING: &str = "csi5300-room 1";
 const WORDS: usize = 512;
 /// How long the room is waited for, seconds.
 const PATIENCE_S: i64 = 10;
-
-/// A robot of a served room: `PATH#ROBOT`.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Address {
-    /// The room's socket.
-    pub socket: PathBuf,
-    /// The robot's name in the scene.
-    pub robot: String,
-}
-
-impl FromStr for Address {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text.rsplit_once('#') {
-            Some((path, robot)) if !path.is_empty() && !robot.is_empty() => {
-                Ok(Self { socket: path.into(), robot: robot.into() })
-            }
-            _ => Err("a robot of a served room is PATH#ROBOT, such as /tmp/room#rx".into()),
-        }
-    }
-}
-
-impl fmt::Display for Address {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} of the room at {}", self.robot, self.socket.display())
-    }
-}
 
 /// What of a robot is asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -94,30 +64,25 @@ impl Role {
 /// Connects to a robot of a room; gives the socket, which does not block and stamps what it receives, and the robot's MAC.
 ///
 /// # Errors
-/// No room there, or its refusal.
-pub fn join(address: &Address, role: Role) -> Result<(OwnedFd, Mac), Error> {
-    let words =
-        |what: &str| format!("{what} {address}; does `csi5300 simulate SCENE --serve --socket PATH` run there?");
-    let io = |what: &str| {
-        let what = words(what);
-        move |errno: nix::errno::Errno| Error::Io { what, source: errno.into() }
-    };
-    let socket = seqpacket(SockFlag::empty()).map_err(io("cannot open a socket to"))?;
-    let patience = TimeVal::new(PATIENCE_S, 0);
-    setsockopt(&socket, sockopt::ReceiveTimeout, &patience).map_err(io("cannot set a time limit for"))?;
-    let path = UnixAddr::new(&address.socket).map_err(io("cannot reach"))?;
-    connect(socket.as_raw_fd(), &path).map_err(io("cannot reach"))?;
+/// [`JoinError::NoRoom`] where no room is served, [`JoinError::Refused`] with the room's reason, [`JoinError::Answer`] from
+/// something else that listens there.
+pub fn join(address: &Address, role: Role) -> Result<(OwnedFd, Mac), JoinError> {
+    let no_room = |source: nix::errno::Errno| JoinError::NoRoom { address: address.clone(), source: source.into() };
+    let socket = seqpacket(SockFlag::empty()).map_err(no_room)?;
+    setsockopt(&socket, sockopt::ReceiveTimeout, &TimeVal::new(PATIENCE_S, 0)).map_err(no_room)?;
+    let path = UnixAddr::new(&address.socket).map_err(no_room)?;
+    connect(socket.as_raw_fd(), &path).map_err(no_room)?;
     let hello = format!("{GREETING} {} {}", role.word(), address.robot);
-    send(socket.as_raw_fd(), hello.as_bytes(), MsgFlags::MSG_NOSIGNAL).map_err(io("cannot ask for"))?;
+    send(socket.as_raw_fd(), hello.as_bytes(), MsgFlags::MSG_NOSIGNAL).map_err(no_room)?;
     let mut answer = [0; WORDS];
-    let len = recv(socket.as_raw_fd(), &mut answer, MsgFlags::empty()).map_err(io("no answer from"))?;
+    let len = recv(socket.as_raw_fd(), &mut answer, MsgFlags::empty()).map_err(no_room)?;
     let answer = String::from_utf8_lossy(answer.get(..len).unwrap_or_default());
-    let mac = match answer.split_once(' ') {
-        Some(("ok", mac)) => mac.parse().map_err(|_| Error::Input(words("no MAC address from")))?,
-        Some(("no", why)) => return Err(Error::Input(format!("{address}: {why}"))),
-        _ => return Err(Error::Input(words("no sense in what comes from"))),
-    };
-    Ok((socket, mac))
+    let strange = || JoinError::Answer { address: address.clone(), len };
+    match answer.split_once(' ') {
+        Some(("ok", mac)) => Ok((socket, mac.parse().map_err(|_| strange())?)),
+        Some(("no", why)) => Err(JoinError::Refused { address: address.clone(), why: why.into() }),
+        _ => Err(strange()),
+    }
 }
 
 /// A socket that stamps what it receives.
@@ -146,19 +111,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_robot_of_a_room_is_its_socket_and_its_name() {
-        let address: Address = "/tmp/a#b/room#rx".parse().unwrap();
-        assert_eq!(address, Address { socket: "/tmp/a#b/room".into(), robot: "rx".into() });
-        assert_eq!(address.to_string(), "rx of the room at /tmp/a#b/room");
-        for wrong in ["", "#", "/tmp/room", "/tmp/room#", "#rx"] {
-            assert!(wrong.parse::<Address>().is_err(), "{wrong}");
-        }
-    }
-
-    #[test]
-    fn where_no_room_is_the_error_says_what_would_make_one() {
+    fn where_no_room_is_the_error_says_who_was_looked_for_and_where() {
         let address = Address { socket: "/nowhere/room".into(), robot: "rx".into() };
-        let error = join(&address, Role::Air).unwrap_err().to_string();
-        assert!(error.contains("rx of the room at /nowhere/room") && error.contains("--serve --socket"), "{error}");
+        let error = join(&address, Role::Air).unwrap_err();
+        assert!(error.to_string().contains("rx of the room at /nowhere/room"), "{error}");
+        assert!(matches!(error, JoinError::NoRoom { source, .. } if source.kind() == io::ErrorKind::NotFound));
     }
 }
