@@ -4,6 +4,7 @@
 //! | module | what goes in | what comes out |
 //! |---|---|---|
 //! | [`evaluate`] | a folder of captures with their truth | a row of each link, errors by set, what the rows are worth |
+//! | [`folds`] | captures with their truth | errors and calibration on places that nothing was fitted to |
 //! | [`compare`] | a recorded capture, and a simulated one or none | their figures beside each other; a scene fitted to the recording |
 //! | [`suite`] | the experiments of \[paper\] as scenes | each repeated and summed up |
 //! | [`rooms`] | a seed | random rooms with known truth, written as captures |
@@ -15,6 +16,7 @@
 pub mod compare;
 pub mod evaluate;
 pub mod fit_confidence;
+pub mod folds;
 pub mod rooms;
 #[cfg(feature = "plot")]
 pub mod show;

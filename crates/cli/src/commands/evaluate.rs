@@ -15,9 +15,9 @@ use std::path::PathBuf;
 /// Arguments of `evaluate`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Folder with captures below it, as in the WSR data set
-    #[arg(required_unless_present = "rooms")]
-    folder: Option<PathBuf>,
+    /// Folders with captures below them, as in the WSR data set
+    #[arg(required_unless_present = "rooms", value_name = "DIR")]
+    folders: Vec<PathBuf>,
     /// Also evaluate this many simulated rooms with the transmitters in sight, and as many with walls before them (with
     /// the true trajectory or odometry)
     #[arg(long, value_name = "N")]
@@ -37,9 +37,20 @@ pub struct Args {
     /// Also evaluate with each step left out, and print what it brings
     #[arg(long)]
     ablation: bool,
+    /// Leave each place out in turn, with everything fitted to the others: errors with intervals, by motion capture and by
+    /// the tracking camera, whole motions, halves and quarters. A place is the last two folders of a capture
+    #[arg(long, value_enum, value_name = "UNIT", conflicts_with_all = ["ablation", "trajectory"])]
+    folds: Option<Folds>,
     /// Captures worked on at a time; 0 is one for each core
     #[arg(long, default_value_t = 0, value_name = "N")]
     threads: usize,
+}
+
+/// What is left out in turn.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Folds {
+    /// A set's folder, with all of its captures
+    Places,
 }
 
 /// Simulated rooms in a folder of their own, which goes with the value.
@@ -65,7 +76,7 @@ pub fn run(args: &Args) -> Result {
     let rooms = args.rooms.map(|count| Rooms::write(count, args.seed)).transpose()?;
     let source = args.reading.source();
     let options = args.reading.options().unwrap_or_else(|message| usage(&message));
-    let (captures, unreadable) = find_all(args.folder.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)))?;
+    let (captures, unreadable) = find_all(args.folders.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)))?;
     for folder in &unreadable {
         eprintln!("csi5300: cannot read {folder}");
     }
@@ -74,6 +85,10 @@ pub fn run(args: &Args) -> Result {
         bar.set_style(style);
     }
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build().map_err(|error| error.to_string())?;
+    if let Some(Folds::Places) = args.folds {
+        bar.finish_and_clear();
+        return pool.install(|| super::folds::run(&captures, &options, args.json));
+    }
     let one = |capture: &Capture| {
         let mut evaluated = capture.evaluate(source, args.reading.channel, &options);
         super::hint::add_all(&mut evaluated.rows);

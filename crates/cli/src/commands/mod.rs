@@ -10,6 +10,7 @@ mod doctor;
 mod evaluate;
 mod explain;
 mod export;
+mod folds;
 mod hint;
 mod info;
 #[cfg(feature = "live")]

@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 pub const TRUTH_FILE: &str = "groundtruth_positions.json";
 
 /// Which trajectory of a capture is used.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum TrajectorySource {
     /// Motion capture.
     #[default]

@@ -1,6 +1,7 @@
 //! One capture evaluated: its links estimated and compared with the truth.
 
 use super::find::{Capture, TrajectorySource};
+use super::part::Part;
 use super::truth::{EvaluateError, Truth};
 use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry;
@@ -74,7 +75,20 @@ impl Capture {
         options: &Options,
         look: &mut Look<'_>,
     ) -> Evaluated {
-        self.try_evaluate(source, channel, options, look).unwrap_or_else(|error| {
+        self.evaluate_part(source, channel, options, Part::WHOLE, look)
+    }
+
+    /// The same for a part of the motion, whose bearings are judged from the mean pose of the part.
+    #[must_use]
+    pub fn evaluate_part(
+        &self,
+        source: TrajectorySource,
+        channel: Option<Channel>,
+        options: &Options,
+        part: Part,
+        look: &mut Look<'_>,
+    ) -> Evaluated {
+        self.try_evaluate(source, channel, options, part, look).unwrap_or_else(|error| {
             let row = |name: &str| Judged {
                 answer: Answer::failed(self.link_name(name), error.to_string()),
                 ..Judged::default()
@@ -92,6 +106,7 @@ impl Capture {
         source: TrajectorySource,
         channel: Option<Channel>,
         options: &Options,
+        part: Part,
         look: &mut Look<'_>,
     ) -> Result<Evaluated, EvaluateError> {
         let truth = Truth::read(&self.folder)?;
@@ -110,7 +125,7 @@ impl Capture {
             _ => self.trajectory(TrajectorySource::GroundTruth, &mut notes).ok(),
         };
         let options = options.clone().with_channel(channel);
-        let (report, failed) = self.estimate(&trajectory, &options)?;
+        let (report, failed) = self.estimate(&part.cut(&trajectory)?, &options)?;
         for ((name, _), link) in self.transmitters.iter().zip(&report.links) {
             if let Ok(bearing) = &link.bearing {
                 look(&self.link_name(name), bearing, &options);
@@ -139,8 +154,17 @@ impl Capture {
         self.folder.join(format!("csi_rx_{}.dat", self.stamp))
     }
 
+    /// True if the capture has this trajectory.
+    pub(crate) fn has(&self, source: TrajectorySource) -> bool {
+        self.trajectory_path(source).is_file()
+    }
+
+    fn trajectory_path(&self, source: TrajectorySource) -> PathBuf {
+        self.folder.join(format!("{}{}_.csv", source.prefix(), self.stamp))
+    }
+
     fn trajectory(&self, source: TrajectorySource, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {
-        let path = self.folder.join(format!("{}{}_.csv", source.prefix(), self.stamp));
+        let path = self.trajectory_path(source);
         let (trajectory, counts) = match odometry::csv::read(&path) {
             Ok(read) => read,
             Err(source) => return Err(EvaluateError::Trajectory { path, source }),

@@ -10,10 +10,12 @@
 mod errors;
 mod find;
 mod judge;
+mod part;
 pub mod quality;
 mod truth;
 
 pub use errors::{Errors, SetSummary, summarise};
 pub use find::{Capture, TRUTH_FILE, TrajectorySource, find};
 pub use judge::{Evaluated, Judged, Look};
+pub use part::Part;
 pub use truth::EvaluateError;

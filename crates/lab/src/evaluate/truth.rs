@@ -48,6 +48,9 @@ pub enum EvaluateError {
         /// Why.
         source: CsvError,
     },
+    /// A part of the motion has too few poses.
+    #[error(transparent)]
+    Part(#[from] csi5300::motion::pose::TrajectoryError),
     /// A log cannot be read.
     #[error(transparent)]
     Log(#[from] csi5300::source::Error),

@@ -7,4 +7,5 @@ mod common;
 mod accuracy;
 mod faults;
 mod fixtures;
+mod folds;
 mod real_bearings;

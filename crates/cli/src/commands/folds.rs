@@ -1,0 +1,85 @@
+//! `csi5300 evaluate --folds places`: the tables.
+
+use super::{Outcome, Result, print, print_json};
+use csi5300::pipeline::Options;
+use csi5300_lab::evaluate::{Capture, Errors, TrajectorySource};
+use csi5300_lab::folds::{ConfidenceColumn, ErrorColumn, Kind, Report, gather, report};
+use std::fmt::Write;
+
+/// Leaves every place of `captures` out in turn, and prints what came of it.
+pub(super) fn run(captures: &[Capture], options: &Options, json: bool) -> Result {
+    let report = report(&gather(captures, options));
+    if json {
+        print_json(&report);
+    } else {
+        print(&text(&report));
+    }
+    let found = report.errors.iter().any(|column| column.errors.links > 0);
+    Ok(if found { Outcome::Done } else { Outcome::Nothing })
+}
+
+fn text(report: &Report) -> String {
+    let mut text = format!(
+        "{} places, {} links; each place is judged by what was fitted to the others\n\n\
+         absolute error from the mean pose, degrees: mean / median / 90th percentile / share over 20 degrees,\n\
+         in brackets 95 % intervals by resampling places; oracle: the best of the first five candidates\n",
+        report.places, report.links
+    );
+    let mut last = None;
+    for column in &report.errors {
+        let which = (column.which.source, column.which.parts, column.which.kind);
+        if last.replace(which) != Some(which) {
+            let _ = writeln!(text, "\n{}", heading(which.0, which.1, which.2));
+        }
+        line(&mut text, column);
+    }
+    text += "\nconfidence from models fitted to the other places (whole motions and halves): bearings, said, right,\n\
+             expected calibration error, and what a perfect calibration would show with as many\n";
+    report.confidence.iter().for_each(|column| confidence(&mut text, column));
+    text
+}
+
+fn heading(source: TrajectorySource, parts: u32, kind: Kind) -> String {
+    let source = match source {
+        TrajectorySource::GroundTruth => "motion capture",
+        TrajectorySource::T265 => "tracking camera",
+        TrajectorySource::Odometry => "wheel odometry",
+    };
+    let parts = match parts {
+        1 => "whole motions",
+        2 => "halves",
+        _ => "quarters",
+    };
+    match kind {
+        Kind::Full => format!("{source}, {parts}, everything on"),
+        Kind::Quick => format!("{source}, {parts}, plane wave"),
+    }
+}
+
+fn line(text: &mut String, column: &ErrorColumn) {
+    let (own, places) = (&column.errors, column.places);
+    let _ =
+        write!(text, "{:12} {places:3} places {:4} links {:3} failed  ", column.which.group, own.links, column.failed);
+    let figures = [own.mean_deg, own.median_deg, own.p90_deg];
+    for (figure, range) in figures.iter().zip(&column.intervals) {
+        let _ = write!(text, "{figure:.2} [{:.2} .. {:.2}] / ", range.low, range.high);
+    }
+    let range = column.intervals[3];
+    let [over, low, high] = [own.over_20, range.low, range.high].map(|share| 100.0 * share);
+    let _ = write!(text, "{over:.1} % [{low:.1} .. {high:.1}]");
+    let Errors { mean_deg, median_deg, p90_deg, over_20, .. } = column.oracle;
+    let _ = writeln!(text, "  oracle {mean_deg:.2} / {median_deg:.2} / {p90_deg:.2} / {:.1} %", 100.0 * over_20);
+}
+
+fn confidence(text: &mut String, column: &ConfidenceColumn) {
+    let _ = writeln!(
+        text,
+        "{:50} {:4}  said {:.2}  right {:.2}  error {:.3}  perfect {:.3}",
+        heading(column.source, column.parts, column.kind),
+        column.bearings,
+        column.said,
+        column.right,
+        column.expected_error,
+        column.perfect
+    );
+}

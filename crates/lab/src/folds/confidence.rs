@@ -1,0 +1,123 @@
+//! Probabilities of places that the models were not fitted to.
+
+use super::gather::{FoldRow, Kind, PARTS, SOURCES};
+use crate::evaluate::TrajectorySource;
+use crate::fit_confidence::{LabelledBearing, LogisticModel, WRONG_DEG, calibration};
+use csi5300_sim::random::Stream;
+use serde::Serialize;
+use std::collections::BTreeSet;
+
+/// Parts that models are fitted to: whole motions and halves. Quarters are judged, too, but not fitted to.
+const FITTED: u32 = 2;
+/// Outcomes drawn to see what a perfect probability would have for an error.
+const DRAWS: usize = 200;
+
+/// How well probabilities from other places agree with what happened.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct ConfidenceColumn {
+    /// Trajectory.
+    pub source: TrajectorySource,
+    /// Parts that the motion was cut into.
+    pub parts: u32,
+    /// Kind of answer.
+    pub kind: Kind,
+    /// Bearings with a probability.
+    pub bearings: usize,
+    /// Share of them within five degrees.
+    pub right: f64,
+    /// Mean probability.
+    pub said: f64,
+    /// Expected calibration error in five bins, places weighing the same.
+    pub expected_error: f64,
+    /// The same for outcomes drawn from the probabilities themselves, on average: what so few bearings show of a
+    /// perfect calibration.
+    pub perfect: f64,
+}
+
+/// A bearing with its probability from all other places.
+struct Told<'a> {
+    row: &'a FoldRow,
+    labelled: LabelledBearing,
+}
+
+/// The columns of one kind of answer.
+pub(super) fn columns(rows: &[FoldRow], kind: Kind) -> Vec<ConfidenceColumn> {
+    let told = told(rows, kind);
+    let each = SOURCES.into_iter().flat_map(|source| PARTS.map(move |parts| (source, parts)));
+    let column = |(source, parts)| {
+        let own: Vec<&LabelledBearing> = told
+            .iter()
+            .filter(|told| told.row.source == source && told.row.part.of == parts)
+            .map(|told| &told.labelled)
+            .collect();
+        (!own.is_empty()).then(|| column(source, parts, kind, &own))
+    };
+    each.filter_map(column).collect()
+}
+
+fn column(source: TrajectorySource, parts: u32, kind: Kind, own: &[&LabelledBearing]) -> ConfidenceColumn {
+    let probabilities: Vec<f64> = own.iter().map(|row| row.probability).collect();
+    let bearings = own.len();
+    ConfidenceColumn {
+        source,
+        parts,
+        kind,
+        bearings,
+        right: own.iter().filter(|row| row.right).count() as f64 / bearings as f64,
+        said: probabilities.iter().sum::<f64>() / bearings as f64,
+        expected_error: calibration(own, &probabilities).expected_error,
+        perfect: perfect(own, &probabilities),
+    }
+}
+
+/// The calibration error of outcomes that are drawn from the probabilities, on average.
+fn perfect(own: &[&LabelledBearing], probabilities: &[f64]) -> f64 {
+    let mut random = Stream::of_seed(1);
+    let mut draw = || {
+        let drawn: Vec<LabelledBearing> = own
+            .iter()
+            .map(|row| LabelledBearing { right: random.happens(row.probability), ..(*row).clone() })
+            .collect();
+        calibration(&drawn.iter().collect::<Vec<_>>(), probabilities).expected_error
+    };
+    (0..DRAWS).map(|_| draw()).sum::<f64>() / DRAWS as f64
+}
+
+/// What probabilities are fitted to: bearings of whole motions and halves, by motion capture and by the tracking camera.
+#[must_use]
+pub fn labelled(rows: &[FoldRow], kind: Kind) -> Vec<LabelledBearing> {
+    rows.iter().filter(|row| is_fitted_to(row)).filter_map(|row| label(row, kind)).collect()
+}
+
+pub(super) fn is_fitted_to(row: &FoldRow) -> bool {
+    row.part.of <= FITTED && row.source != TrajectorySource::Odometry
+}
+
+fn label(row: &FoldRow, kind: Kind) -> Option<LabelledBearing> {
+    let answered = row.answered(kind)?;
+    Some(LabelledBearing {
+        place: row.place.clone(),
+        features: answered.features.clone()?,
+        right: answered.error_deg.abs() <= WRONG_DEG,
+        probability: f64::NAN,
+    })
+}
+
+/// Every bearing with the probability of a model that was fitted to all other places.
+fn told(rows: &[FoldRow], kind: Kind) -> Vec<Told<'_>> {
+    let places: BTreeSet<&str> = rows.iter().map(|row| row.place.as_str()).collect();
+    let fitted = labelled(rows, kind);
+    let mut told = Vec::new();
+    for place in places {
+        let others: Vec<&LabelledBearing> = fitted.iter().filter(|row| row.place != place).collect();
+        let Some(model) = LogisticModel::fit(&others) else { continue };
+        let own = rows.iter().filter(|row| row.place == place);
+        told.extend(own.filter_map(|row| {
+            let mut labelled = label(row, kind)?;
+            labelled.probability = model.probability(&labelled.features);
+            Some(Told { row, labelled })
+        }));
+    }
+    told
+}

@@ -1,0 +1,146 @@
+//! Every link by each trajectory, over the whole motion and parts of it.
+
+use crate::evaluate::{Capture, Judged, Part, TrajectorySource};
+use csi5300::internal::{full_features, quick_features};
+use csi5300::maths::wrap_rad;
+use csi5300::pipeline::{Bearing, Options};
+use rayon::prelude::*;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Trajectories that captures are judged by. Wheel odometry, whose bearings are off by tens of degrees, is judged on whole
+/// motions only, and nothing is fitted to it.
+pub(super) const SOURCES: [TrajectorySource; 3] =
+    [TrajectorySource::GroundTruth, TrajectorySource::T265, TrajectorySource::Odometry];
+/// Numbers of parts that motions are cut into.
+pub(super) const PARTS: [u32; 3] = [1, 2, 4];
+/// Candidates of which the best is the oracle's.
+const CANDIDATES: usize = 5;
+
+/// Which answer of a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// Of everything that is on.
+    Full,
+    /// Of a plane wave at the channel centre.
+    Quick,
+}
+
+/// An answer beside the truth, and what models see of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct Answered {
+    /// Azimuth less the bearing from the mean pose, wrapped, degrees.
+    pub error_deg: f64,
+    /// The least absolute error of the answer and the first five directions that it was chosen from, degrees.
+    pub oracle_deg: f64,
+    /// Features of the probability; none where the kind of answer has no probability.
+    pub features: Option<Vec<f64>>,
+}
+
+/// A link, by one trajectory, over one part of the motion.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct FoldRow {
+    /// Set and folder: the unit that is left out.
+    pub place: String,
+    /// The set: the first part of the place.
+    pub set: String,
+    /// The link's name.
+    pub link: String,
+    /// Trajectory by which it was estimated.
+    pub source: TrajectorySource,
+    /// Part of the motion.
+    pub part: Part,
+    /// The answer of everything that is on; none where the link failed.
+    pub full: Option<Answered>,
+    /// The answer of a plane wave at the channel centre.
+    pub quick: Option<Answered>,
+}
+
+impl FoldRow {
+    /// The answer of a kind.
+    #[must_use]
+    pub fn answered(&self, kind: Kind) -> Option<&Answered> {
+        match kind {
+            Kind::Full => self.full.as_ref(),
+            Kind::Quick => self.quick.as_ref(),
+        }
+    }
+}
+
+/// All links of `captures` by each trajectory that they have, whole and in parts.
+#[must_use]
+pub fn gather(captures: &[Capture], options: &Options) -> Vec<FoldRow> {
+    let parts: Vec<Part> = PARTS.into_iter().flat_map(Part::each).collect();
+    let jobs: Vec<(&Capture, TrajectorySource)> =
+        captures.iter().flat_map(|capture| SOURCES.map(|source| (capture, source))).collect();
+    let of_run = |&&(capture, source): &&(&Capture, TrajectorySource)| -> Vec<FoldRow> {
+        let judged = |part: &&Part| source != TrajectorySource::Odometry || **part == Part::WHOLE;
+        parts.iter().filter(judged).flat_map(|part| rows(capture, source, *part, options)).collect()
+    };
+    let jobs: Vec<_> = jobs.iter().filter(|(capture, source)| capture.has(*source)).collect();
+    jobs.par_iter().map(of_run).collect::<Vec<_>>().into_iter().flatten().collect()
+}
+
+fn rows(capture: &Capture, source: TrajectorySource, part: Part, options: &Options) -> Vec<FoldRow> {
+    let mut seen: BTreeMap<String, Seen> = BTreeMap::new();
+    let mut look = |name: &str, bearing: &Bearing, options: &Options| {
+        seen.insert(name.to_owned(), Seen::of(bearing, options));
+    };
+    let judged = capture.evaluate_part(source, None, options, part, &mut look).rows;
+    let (set, place) = set_and_place(&capture.place);
+    let row = |judged: Judged| {
+        let own = seen.remove(&judged.answer.link).zip(judged.true_from_mean_pose_deg);
+        let (full, quick) = own.map_or((None, None), |(own, truth_deg)| own.answered(truth_deg));
+        FoldRow { place: place.clone(), set: set.clone(), link: judged.answer.link, source, part, full, quick }
+    };
+    judged.into_iter().map(row).collect()
+}
+
+/// The last two folders of a capture's path: a set, and a place of it.
+fn set_and_place(path: &str) -> (String, String) {
+    let mut folders = path.rsplit('/');
+    let last = folders.next().unwrap_or_default();
+    match folders.next() {
+        Some(set) => (set.to_owned(), format!("{set}/{last}")),
+        None => (last.to_owned(), last.to_owned()),
+    }
+}
+
+/// What is kept of a bearing: azimuth, candidates, features.
+struct Seen {
+    full: Option<(f64, Vec<f64>, Vec<f64>)>,
+    quick: (f64, Vec<f64>, Option<Vec<f64>>),
+}
+
+impl Seen {
+    fn of(bearing: &Bearing, options: &Options) -> Self {
+        let plane = &bearing.plane_wave;
+        let features = quick_features(plane, bearing.compensated, options.channel.wavelength_m()).to_vec();
+        let peaks = plane.peaks.iter().map(|peak| peak.azimuth_rad).collect();
+        let full = bearing.placed.as_ref().map(|placed| {
+            let sources = placed.fix.sources.iter().map(|source| source.azimuth_rad).collect();
+            (bearing.answer.azimuth_rad, sources, full_features(&placed.fix).to_vec())
+        });
+        Self { full, quick: (plane.azimuth_rad, peaks, plane.mirror_rad.is_none().then_some(features)) }
+    }
+
+    fn answered(self, truth_deg: f64) -> (Option<Answered>, Option<Answered>) {
+        let off_deg = |azimuth_rad: f64| wrap_rad(azimuth_rad - truth_deg.to_radians()).to_degrees();
+        let answered = |azimuth_rad: f64, candidates: &[f64], features: Option<Vec<f64>>| {
+            let error_deg = off_deg(azimuth_rad);
+            let others = candidates.iter().take(CANDIDATES).map(|other| off_deg(*other).abs());
+            Answered { error_deg, oracle_deg: others.fold(error_deg.abs(), f64::min), features }
+        };
+        let (azimuth_rad, peaks, features) = self.quick;
+        let quick = answered(azimuth_rad, &peaks, features);
+        // Without a search over places the plane wave is the whole answer.
+        let full = match self.full {
+            Some((azimuth_rad, sources, features)) => answered(azimuth_rad, &sources, Some(features)),
+            None => Answered { features: None, ..quick.clone() },
+        };
+        (Some(full), Some(quick))
+    }
+}

@@ -1,0 +1,23 @@
+//! Accuracy on places that nothing was fitted to: leave one place out.
+//!
+//! A place is a set and a folder of it (`LOS_Set_A/L1`); captures of one place are near copies of each other, so it is
+//! the unit of everything here. Every link is estimated by motion capture and by the tracking camera over the whole
+//! motion, its halves and its quarters, and by wheel odometry over the whole motion ([`gather`]). For each place, whatever is fitted is fitted to all others and
+//! then judged on this one; errors come with intervals from a bootstrap over places (\[efron-tibshirani1993\] in
+//! docs/references.md). The same captures give the same digits.
+//!
+//! [`report`] has one [`ErrorColumn`] for each trajectory, length of motion, kind of answer and group of links (in line
+//! of sight, without, each set), and one [`ConfidenceColumn`] for each trajectory, length and kind.
+
+mod bootstrap;
+mod confidence;
+mod gather;
+mod report;
+
+pub use bootstrap::Interval;
+pub use confidence::{ConfidenceColumn, labelled};
+pub use gather::{Answered, FoldRow, Kind, gather};
+pub use report::{ErrorColumn, Report, Which, report};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,77 @@
+use super::*;
+use crate::evaluate::{Part, TrajectorySource};
+
+/// Bearings of 20 places, of which every fourth is wrong, as a feature says.
+fn rows() -> Vec<FoldRow> {
+    let mut rows = Vec::new();
+    for place in 0..20u32 {
+        let set = if place % 2 == 0 { "LOS_Set_A" } else { "NLOS_Set_B" };
+        for source in [TrajectorySource::GroundTruth, TrajectorySource::T265] {
+            for part in Part::each(1).chain(Part::each(2)) {
+                for link in 0..3u32 {
+                    let wrong = (place / 2 + link) % 4 == 0;
+                    let error_deg = if wrong { 40.0 } else { 1.0 };
+                    let features = Some(vec![f64::from(u8::from(wrong)), 0.5]);
+                    let full = Some(Answered { error_deg, oracle_deg: 1.0, features });
+                    rows.push(FoldRow {
+                        place: format!("{set}/L{place}"),
+                        set: set.into(),
+                        link: format!("{place}/{link}"),
+                        source,
+                        part,
+                        quick: full.clone(),
+                        full: full.filter(|_| (place, link) != (3, 0)),
+                    });
+                }
+            }
+        }
+    }
+    rows
+}
+
+#[test]
+fn groups_are_pooled_by_sight_and_listed_by_set() {
+    let report = report(&rows());
+    assert_eq!((report.places, report.links), (20, 60));
+    let whole = |kind: Kind, group: &str| {
+        let is_it = |column: &&ErrorColumn| {
+            let which = &column.which;
+            which.source == TrajectorySource::T265 && which.parts == 1 && which.kind == kind && which.group == group
+        };
+        report.errors.iter().find(is_it).unwrap().clone()
+    };
+    let (sight, behind) = (whole(Kind::Full, "LOS"), whole(Kind::Full, "NLOS"));
+    assert_eq!((sight.places, sight.failed, sight.errors.links), (10, 0, 30));
+    assert_eq!((behind.places, behind.failed, behind.errors.links), (10, 1, 29));
+    assert_eq!(whole(Kind::Quick, "NLOS_Set_B").errors.links, 30);
+    assert_eq!(whole(Kind::Full, "LOS_Set_A").errors, sight.errors);
+    assert!((sight.oracle.mean_deg - 1.0).abs() < 1e-12 && sight.errors.mean_deg > 5.0);
+    let [mean, ..] = sight.intervals;
+    assert!(mean.low < sight.errors.mean_deg && sight.errors.mean_deg < mean.high, "{sight:?}");
+}
+
+#[test]
+fn probabilities_come_from_other_places() {
+    let rows = rows();
+    let honest = report(&rows);
+    let whole = |report: &Report| {
+        let is_it = |column: &&ConfidenceColumn| column.parts == 1 && column.source == TrajectorySource::GroundTruth;
+        report.confidence.iter().find(is_it).unwrap().clone()
+    };
+    let own = whole(&honest);
+    assert!((own.said - own.right).abs() < 0.05 && own.expected_error < 0.15, "{own:?}");
+    // A feature that means something else at one place only cannot be learnt from the others.
+    let mut odd = rows;
+    for row in odd.iter_mut().filter(|row| row.place == "LOS_Set_A/L4") {
+        if let Some(full) = &mut row.full {
+            full.features = full.features.take().map(|f| vec![1.0 - f[0], f[1]]);
+        }
+    }
+    assert!(whole(&report(&odd)).expected_error > own.expected_error + 0.02, "{:?}", whole(&report(&odd)));
+}
+
+#[test]
+fn the_same_rows_give_the_same_digits() {
+    assert_eq!(report(&rows()), report(&rows()));
+    assert!(report(&[]).errors.is_empty() && report(&[]).confidence.is_empty());
+}
