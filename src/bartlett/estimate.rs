@@ -2,7 +2,9 @@
 
 use super::explain::SearchPlan;
 use super::scene::{Geometry, Shape};
+use crate::tuning::TUNING;
 use csi5300_kernels::simd::Tier;
+use nalgebra::Vector3;
 
 /// What to search.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -10,13 +12,20 @@ use csi5300_kernels::simd::Tier;
 pub struct SearchOptions {
     /// Largest |elevation| of the search, radians, 0 to pi/2. Default 20 degrees. 0 fixes the horizon.
     pub elevation_max_rad: f64,
+    /// Assumed error of the positions, metres, standard deviation: what decides, with the noise, whether the motion's depth
+    /// tells a direction from its reflection. Default 3 mm.
+    pub odometry_sd_m: f64,
     /// The SIMD tier to run on. Default: the widest of this machine.
     pub tier: Tier,
 }
 
 impl Default for SearchOptions {
     fn default() -> Self {
-        Self { elevation_max_rad: 20f64.to_radians(), tier: Tier::detect() }
+        Self {
+            elevation_max_rad: 20f64.to_radians(),
+            odometry_sd_m: TUNING.plane_wave.odometry_sd_m,
+            tier: Tier::detect(),
+        }
     }
 }
 
@@ -25,6 +34,13 @@ impl SearchOptions {
     #[must_use]
     pub fn with_elevation_max_rad(mut self, elevation_max_rad: f64) -> Self {
         self.elevation_max_rad = elevation_max_rad;
+        self
+    }
+
+    /// With another assumed error of the positions, metres; not negative.
+    #[must_use]
+    pub fn with_odometry_sd_m(mut self, odometry_sd_m: f64) -> Self {
+        self.odometry_sd_m = odometry_sd_m;
         self
     }
 
@@ -55,7 +71,8 @@ pub struct Estimate {
     pub azimuth_rad: f64,
     /// |elevation| of the peak, radians; 0 where it was not searched or cannot be observed.
     pub abs_elevation_rad: f64,
-    /// The elevation with its sign, where the motion distinguishes the two.
+    /// The elevation with its sign, where the motion distinguishes the two; in a tilted plane the sign that goes with this
+    /// azimuth, the [mirror](Self::mirror_rad) having its own.
     pub signed_elevation_rad: Option<f64>,
     /// Predicted standard deviation of the azimuth (Cramer-Rao), radians; with the elevation as a nuisance where that
     /// was searched. At most that of a uniform guess, pi / sqrt 3.
@@ -64,9 +81,16 @@ pub struct Estimate {
     pub elevation_sd_rad: f64,
     /// True if the elevation was searched: it was asked for, and this motion can observe it.
     pub elevation_searched: bool,
-    /// The mirror bearing, radians, for motion along (nearly) a line: reflected about that line, it explains the
-    /// samples (nearly) as well. Neither is preferred for a reason.
+    /// Azimuth of the mirror, radians: the bearing reflected in the line or in the tilted plane of the motion, where noise and
+    /// the odometry's error explain the difference between the two. Neither is preferred for a reason. None where the
+    /// reflection differs by the sign of the elevation alone (a horizontal plane).
     pub mirror_rad: Option<f64>,
+    /// Elevation of the mirror, radians, with its sign; none where the elevation was not searched.
+    pub mirror_elevation_rad: Option<f64>,
+    /// Share of the evidence that the mirror has of the two, 0.01 to 0.5.
+    pub mirror_share: Option<f64>,
+    /// Unit normal of the plane that the mirror is reflected in.
+    pub(crate) mirror_normal: Option<Vector3<f64>>,
     /// `|sum w z a| / sum w |z|` at the peak, 0 to 1.
     pub coherence: f64,
     /// Estimated signal-to-noise ratio of one sample (a power ratio); other paths count as noise.

@@ -24,7 +24,8 @@
 //!   `plan` holds its tables (band limits from `bessel`): those of `rings`, `nufft` or, for lines, `cone` of `csi5300_kernels`,
 //!   whose `evaluate` runs them. `grid` has the directions and the profile, `explain` what was chosen.
 //! * **Bearings**: `search` samples rings (`sampler`), takes the `maxima` that the bound does not rule out, climbs
-//!   them (`newton`) and makes an `estimate` of them (`report`, with deviations from `crb`).
+//!   them (`newton`) and makes an `estimate` of them (`report`, with deviations from `crb`); `mirror` judges which directions the
+//!   motion cannot tell apart.
 
 mod bessel;
 mod choose;
@@ -38,6 +39,7 @@ mod front;
 mod grid;
 mod key;
 mod maxima;
+mod mirror;
 mod newton;
 mod plan;
 mod planner;

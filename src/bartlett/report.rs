@@ -1,32 +1,20 @@
-//! From the tops that were climbed to an estimate: distinct peaks, the mirror, predicted deviations.
+//! From the tops that were climbed to an estimate: distinct peaks, predicted deviations.
 
 use std::f64::consts::{PI, TAU};
 
 use super::crb::{Fit, Spread, deviations, elevation_deviation};
 use super::estimate::{Estimate, Peak};
 use super::explain::{ElevationSearch, SearchPlan};
+use super::mirror::{Reflections, axis, is_thin};
 use super::newton::{Hill, Point, Second, Top};
 use super::scene::{Geometry, Scene, Shape};
 use crate::maths::wrap_rad;
-use crate::tuning::TUNING;
 
 /// Peaks that are reported; those that the bound rules out as the highest as they were sampled.
 pub(super) const REPORTED: usize = 6;
-/// A trajectory at most this wide for its length has a mirror worth a look.
-const ELONGATED: f64 = TUNING.plane_wave.elongated;
-/// A mirror peak at least this high (relative) is reported.
-const MIRROR_RATIO: f64 = TUNING.plane_wave.mirror_ratio;
-
-/// Azimuth of a long, narrow horizontal trajectory's axis.
-fn axis(shape: &Shape) -> Option<f64> {
-    let [long, wide, _] = shape.half_extent_m;
-    let axis = shape.axes[0];
-    (wide <= ELONGATED * long && axis.x.hypot(axis.y) > 0.5).then(|| axis.y.atan2(axis.x))
-}
-
-/// Where to climb for the mirror of the highest top: reflected about the axis of the motion, if it has one.
+/// Where to climb for the mirror of the highest top: reflected about the axis of the motion, if it is long and narrow.
 pub(super) fn mirror_start(shape: &Shape, tops: &[Top]) -> Option<Point> {
-    let axis = axis(shape)?;
+    let axis = axis(shape).filter(|_| is_thin(shape, 1))?;
     let best = tops.iter().max_by(|a, b| a.value.total_cmp(&b.value))?;
     Some(Point { azimuth: 2.0 * axis - best.at.azimuth, second: best.at.second })
 }
@@ -39,6 +27,8 @@ pub(super) struct Findings<'a> {
     /// Falling, at least one.
     pub tops: &'a [Top],
     pub plan: SearchPlan,
+    /// Assumed error of the positions, metres.
+    pub odometry_sd_m: f64,
     /// Directions in which the profile was evaluated.
     pub evaluations: usize,
 }
@@ -48,27 +38,34 @@ impl Findings<'_> {
         let observable = self.plan.elevation == ElevationSearch::Searched;
         let mut peaks = self.peaks();
         let (top, best) = (self.tops[0], self.peak(&self.tops[0]));
-        let mirror = self.mirror(&peaks, best);
-        let other = peaks.iter().skip(1).find(|p| mirror.is_none_or(|m| m != **p));
+        let errors = [self.odometry_sd_m / self.scene.turn_m, self.resolution()];
+        let reflections = Reflections::new(self.scene, &self.shape, self.hill, top, errors, observable);
+        let (mirror, geometry) = (reflections.mirror(), reflections.geometry());
+        let is_mirror = |peak: &Peak, of: f64| wrap_rad(peak.azimuth_rad - of).abs() < 2.0 * self.resolution();
+        let other = peaks.iter().skip(1).find(|p| mirror.is_none_or(|m| !is_mirror(p, m.azimuth)));
         let peak_ratio = other.map(|p| p.value / best.value);
         let fit = Fit::new(self.scene, top.value);
         let [azimuth_sd_rad, elevation_sd_rad] = self.deviations(fit, top, observable);
         let signed = self.hill.kind.elevation(top.at.second);
+        let has_sign = geometry == Geometry::Spatial || geometry == Geometry::TiltedPlane && mirror.is_some();
         peaks.truncate(REPORTED);
         Estimate {
             azimuth_rad: best.azimuth_rad,
             abs_elevation_rad: best.abs_elevation_rad,
-            signed_elevation_rad: (observable && self.shape.geometry == Geometry::Spatial).then_some(signed),
+            signed_elevation_rad: (observable && has_sign).then_some(signed),
             azimuth_sd_rad,
             elevation_sd_rad,
             elevation_searched: observable,
-            mirror_rad: mirror.map(|p| p.azimuth_rad),
+            mirror_rad: mirror.map(|mirror| mirror.azimuth),
+            mirror_elevation_rad: mirror.map(|mirror| mirror.elevation).filter(|_| observable),
+            mirror_share: mirror.map(|mirror| mirror.share),
+            mirror_normal: mirror.map(|mirror| mirror.normal),
             coherence: best.value.sqrt(),
             snr: fit.snr,
             peak_ratio,
             peaks,
-            shape: self.shape,
-            geometry: self.shape.geometry,
+            shape: Shape { geometry, ..self.shape },
+            geometry,
             value: best.value,
             evaluations: self.evaluations,
             plan: self.plan,
@@ -101,13 +98,6 @@ impl Findings<'_> {
             }
         }
         peaks
-    }
-
-    /// The peak at the reflection of `best` about the axis of the motion, if it is about as high.
-    fn mirror(&self, peaks: &[Peak], best: Peak) -> Option<Peak> {
-        let reflected = 2.0 * axis(&self.shape)? - best.azimuth_rad;
-        let close = |p: &&Peak| wrap_rad(p.azimuth_rad - reflected).abs() < 2.0 * self.resolution();
-        peaks.iter().skip(1).find(close).filter(|p| p.value >= MIRROR_RATIO * best.value).copied()
     }
 
     /// Predicted deviations of azimuth and |elevation| at a top, radians.

@@ -120,6 +120,14 @@ impl Scene {
         weighted_scatter(self.level, [&self.x, &self.y, &self.z], &self.weight, self.weight_sum)
     }
 
+    /// Mean square distance of the positions from their mean along a unit vector, turns squared.
+    pub fn depth_squared(&self, n: Vector3<f64>) -> f64 {
+        let [xx, xy, yy, xz, yz, zz] = self.weighted_scatter();
+        let sum = n.x * n.x * xx + n.y * n.y * yy + n.z * n.z * zz;
+        let cross = n.x * n.y * xy + n.x * n.z * xz + n.y * n.z * yz;
+        ((sum + 2.0 * cross) / self.weight_sum).max(0.0)
+    }
+
     /// The largest value of a function of the positions (turns), at least 0.
     pub fn farthest(&self, distance: impl Fn(Vector3<f64>) -> f64) -> f64 {
         let at = |t: usize| distance(Vector3::new(self.x[t], self.y[t], self.z[t]));

@@ -22,6 +22,7 @@ use super::error::Error;
 use super::estimate::{Estimate, SearchOptions};
 use super::explain::{ElevationSearch, Precision, SearchPlan};
 use super::maxima::{argmax, local_maxima, vertex};
+use super::mirror::odometry_tells;
 use super::newton::{Hill, Point, Second, Top};
 use super::report::{Findings, REPORTED, mirror_start};
 use super::sampler::{RING_STEP, Ring, Sampled, Sampler, elevation_rings};
@@ -31,6 +32,7 @@ use crate::tuning::TUNING;
 use csi5300_kernels::fft::{good_size, near_size};
 use csi5300_kernels::simd::{ROUGH, Tier};
 use csi5300_kernels::sums::Sines;
+use nalgebra::Vector3;
 
 /// Samples per ring, in units of the profile's degree `M`: `4 M` suffice, more leave fewer candidates. They are
 /// interpolated from `2 M + 2` evaluated ones.
@@ -52,7 +54,7 @@ const INDEPENDENT: f64 = TUNING.plane_wave.independent;
 /// [`Error`] for input that is empty or without energy, for positions not finite in wavelengths; for an elevation limit outside 0
 /// to 90 degrees; [`Error::NoMotion`] where the receiver did not move horizontally.
 pub fn search(samples: &Samples, options: &SearchOptions) -> Result<Estimate, Error> {
-    Searcher::new(options.tier).search(samples, options.elevation_max_rad)
+    Searcher::new(options.tier).search_with(samples, options.elevation_max_rad, options.odometry_sd_m)
 }
 
 /// A search that keeps its FFTs from call to call.
@@ -85,6 +87,15 @@ impl Searcher {
     /// # Errors
     /// As [`search`].
     pub fn search(&mut self, samples: &Samples, elevation_max_rad: f64) -> Result<Estimate, Error> {
+        self.search_with(samples, elevation_max_rad, TUNING.plane_wave.odometry_sd_m)
+    }
+
+    fn search_with(
+        &mut self,
+        samples: &Samples,
+        elevation_max_rad: f64,
+        odometry_sd_m: f64,
+    ) -> Result<Estimate, Error> {
         let scene = Scene::on(self.tier, samples)?;
         if !(0.0..=PI / 2.0).contains(&elevation_max_rad) {
             return Err(Error::ElevationMax { elevation_max_rad });
@@ -102,7 +113,7 @@ impl Searcher {
         let ring = good_size(SAMPLES_PER_ORDER * order + 16);
         let shape = scene.shape();
         let search = Search { scene: &scene, shape, tools: self, order, evaluated, ring, evaluations: 0, exact: 0 };
-        Ok(search.run(elevation_max_rad))
+        Ok(search.run(elevation_max_rad, odometry_sd_m))
     }
 }
 
@@ -123,9 +134,9 @@ struct Search<'a> {
 }
 
 impl<'a> Search<'a> {
-    fn run(mut self, elevation_max: f64) -> Estimate {
+    fn run(mut self, elevation_max: f64, odometry_sd_m: f64) -> Estimate {
         let horizon = self.sample(&[0.0]);
-        let observable = elevation_max > 0.0 && self.elevation_observable(&horizon, elevation_max);
+        let observable = elevation_max > 0.0 && self.elevation_observable(&horizon, elevation_max, odometry_sd_m);
         let limit = if observable { elevation_max } else { 0.0 };
         let sampled = if observable { self.sample(&elevation_rings(self.scene, limit)) } else { horizon };
         let kind = if self.scene.is_flat() { Second::Cosine } else { Second::Elevation };
@@ -138,7 +149,8 @@ impl<'a> Search<'a> {
             (false, false) => ElevationSearch::NotAsked,
         };
         let plan = self.plan(elevation, sampled.elevations.len());
-        Findings { scene: self.scene, shape: self.shape, hill: &hill, tops: &tops, plan, evaluations: self.evaluations }
+        let evaluations = self.evaluations;
+        Findings { scene: self.scene, shape: self.shape, hill: &hill, tops: &tops, plan, odometry_sd_m, evaluations }
             .estimate()
     }
 
@@ -204,17 +216,19 @@ impl<'a> Search<'a> {
     }
 
     /// True if the data determine the elevation better than its limits do: the predicted deviation, azimuth as a
-    /// nuisance, is below that of a uniform guess (range / sqrt 12) in the cosine or, off the plane, in the angle.
-    fn elevation_observable(&self, horizon: &Sampled, limit: f64) -> bool {
+    /// nuisance, is below that of a uniform guess (range / sqrt 12) in the cosine or, where the odometry is good enough for the
+    /// height of the motion, in the angle.
+    fn elevation_observable(&self, horizon: &Sampled, limit: f64, odometry_sd_m: f64) -> bool {
         let (index, value) = argmax(&horizon.values);
         let azimuth = TAU * index as f64 / self.ring as f64;
         let (fit, spread) = (Fit::new(self.scene, value), Spread::new(self.scene, azimuth));
         let uniform = 12f64.sqrt();
         let cosine = deviations(fit, spread, Second::Cosine, Point { azimuth, second: 1.0 }, false)[1];
         let angle = deviations(fit, spread, Second::Elevation, Point { azimuth, second: 0.0 }, false)[1];
+        let high = odometry_tells(self.scene.depth_squared(Vector3::z()), odometry_sd_m / self.scene.turn_m);
         let apart = |kind, second| independence(spread, kind, Point { azimuth, second }) > INDEPENDENT;
         (cosine < (1.0 - limit.cos()) / uniform && apart(Second::Cosine, 1.0))
-            || (angle < 2.0 * limit / uniform && apart(Second::Elevation, 0.0))
+            || (high && angle < 2.0 * limit / uniform && apart(Second::Elevation, 0.0))
     }
 
     /// Climbs from every candidate that the bound does not rule out; a few more are reported as they were sampled.

@@ -39,8 +39,13 @@ pub struct Answer {
     pub abs_elevation_deg: Option<f64>,
     /// Predicted standard deviation of the azimuth (Cramer-Rao).
     pub azimuth_sd_deg: Option<f64>,
-    /// The other bearing that fits a motion along a line equally well: the first, mirrored on the line.
+    /// The other bearing that fits a motion along a line or in a tilted plane as well as noise and odometry let one tell:
+    /// the first, mirrored in it.
     pub mirror_deg: Option<f64>,
+    /// Elevation of the mirror with its sign, where the elevation was searched.
+    pub mirror_elevation_deg: Option<f64>,
+    /// Share of the evidence that the mirror has of the two, 0.01 to 0.5.
+    pub mirror_share: Option<f64>,
     /// Calibrated probability that the azimuth is within five degrees, 0..1; none for a plane wave
     /// with a mirror.
     pub confidence: Option<f64>,
@@ -207,6 +212,8 @@ impl Answer {
         self.abs_elevation_deg = Some(answer.abs_elevation_rad.to_degrees());
         self.elevation_sd_deg = answer.elevation_sd_rad.map(f64::to_degrees);
         self.mirror_deg = answer.mirror_rad.map(f64::to_degrees);
+        self.mirror_elevation_deg = answer.mirror_elevation_rad.map(f64::to_degrees);
+        self.mirror_share = answer.mirror_share;
         self.peak_ratio = answer.peak_ratio;
         self.confidence = answer.probability;
         if let Some(range) = &answer.range {
@@ -249,7 +256,7 @@ impl Answer {
         self.azimuth_deg = None;
         self.azimuth_body_deg = None;
         self.azimuth_sd_deg = None;
-        self.mirror_deg = None;
+        (self.mirror_deg, self.mirror_elevation_deg, self.mirror_share) = (None, None, None);
         self.abs_elevation_deg = None;
         self.elevation_sd_deg = None;
         (self.range_m, self.range_sd_m) = (None, None);

@@ -61,9 +61,13 @@ pub struct BearingAnswer {
     pub abs_elevation_rad: f64,
     /// Predicted standard deviation of |elevation|, radians, where it was searched.
     pub elevation_sd_rad: Option<f64>,
-    /// The mirror bearing of motion (nearly) along a line, radians: the reflection about that line explains the samples
-    /// (nearly) as well.
+    /// The mirror bearing of motion along a line or in a tilted plane, radians: reflected in it, the bearing explains the
+    /// samples as well as noise and the odometry's error let one tell.
     pub mirror_rad: Option<f64>,
+    /// Elevation of the mirror, radians, with its sign, where the elevation was searched.
+    pub mirror_elevation_rad: Option<f64>,
+    /// Share of the evidence that the mirror has of the two, 0.01 to 0.5.
+    pub mirror_share: Option<f64>,
     /// The directions that were chosen from, the best first.
     pub candidates: Vec<Candidate>,
     /// What speaks for the second candidate over what speaks for the first, 0..1; none without a second.
@@ -92,6 +96,8 @@ impl BearingAnswer {
             abs_elevation_rad: plane_wave.abs_elevation_rad,
             elevation_sd_rad: plane_wave.elevation_searched.then_some(plane_wave.elevation_sd_rad),
             mirror_rad: plane_wave.mirror_rad,
+            mirror_elevation_rad: plane_wave.mirror_elevation_rad,
+            mirror_share: plane_wave.mirror_share,
             candidates: plane_wave.peaks.iter().map(candidate).collect(),
             peak_ratio: plane_wave.peak_ratio,
             range: None,
@@ -99,25 +105,40 @@ impl BearingAnswer {
         }
     }
 
-    /// The answer of a search over places. Its mirror is the reflection about the line of motion, which the plane wave and
-    /// its own mirror give.
+    /// The answer of a search over places. Its mirror is its reflection in the line or plane that the plane wave and its own
+    /// mirror give.
     pub(super) fn of_spherical_wave(placed: &Placed, plane_wave: &Estimate) -> Self {
         let fix = &placed.fix;
         let best = fix.best();
-        let mirror = |mirror: f64| wrap_rad(plane_wave.azimuth_rad + mirror - fix.azimuth_rad);
+        let (mirror_rad, mirror_elevation_rad) = mirror_of(fix, plane_wave).unzip();
         Self {
             model: WaveModel::SphericalWave,
             azimuth_rad: fix.azimuth_rad,
             azimuth_sd_rad: fix.deviations.azimuth_rad,
             abs_elevation_rad: best.abs_elevation_rad,
             elevation_sd_rad: fix.elevation_searched.then_some(fix.deviations.elevation_rad),
-            mirror_rad: plane_wave.mirror_rad.map(mirror),
+            mirror_rad,
+            mirror_elevation_rad: mirror_elevation_rad.filter(|_| fix.elevation_searched),
+            mirror_share: plane_wave.mirror_share,
             candidates: candidates(fix),
             peak_ratio: fix.sources.get(1).map(|other| (other.evidence / best.evidence).min(1.0)),
             range: range(placed),
             probability: Some(full_probability(fix)),
         }
     }
+}
+
+/// Azimuth and signed elevation of the reflection of a search's answer, if its motion hides one.
+fn mirror_of(fix: &Fix, plane_wave: &Estimate) -> Option<(f64, f64)> {
+    let (mirror, normal) = (plane_wave.mirror_rad?, plane_wave.mirror_normal?);
+    let elevation = fix.best().abs_elevation_rad.copysign(plane_wave.signed_elevation_rad.unwrap_or(1.0));
+    if normal.z == 0.0 {
+        // About a line: the course of the motion bends its axis for both alike.
+        return Some((wrap_rad(plane_wave.azimuth_rad + mirror - fix.azimuth_rad), elevation));
+    }
+    let towards = bartlett::direction(fix.azimuth_rad, elevation);
+    let image = towards - normal * (2.0 * towards.dot(&normal));
+    Some((image.y.atan2(image.x), image.z.clamp(-1.0, 1.0).asin()))
 }
 
 fn candidates(fix: &Fix) -> Vec<Candidate> {

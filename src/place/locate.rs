@@ -16,7 +16,9 @@ pub struct Sighting {
     pub transmitter_m: Vector2<f64>,
     /// Bearing to it from the receiver, radians, from +x towards +y.
     pub azimuth_rad: f64,
-    /// Its standard deviation, radians.
+    /// The other bearing that the motion cannot tell from it, radians, where there is one.
+    pub mirror_rad: Option<f64>,
+    /// Standard deviation of the bearing, radians.
     pub azimuth_sd_rad: f64,
     /// Horizontal range and its standard deviation, metres, where known.
     pub range_m: Option<(f64, f64)>,
@@ -26,7 +28,18 @@ impl Sighting {
     /// A bearing without a range: the transmitter's place in metres, the azimuth to it and its deviation in radians.
     #[must_use]
     pub fn new(transmitter_m: Vector2<f64>, azimuth_rad: f64, azimuth_sd_rad: f64) -> Self {
-        Self { transmitter_m, azimuth_rad, azimuth_sd_rad, range_m: None }
+        Self { transmitter_m, azimuth_rad, mirror_rad: None, azimuth_sd_rad, range_m: None }
+    }
+
+    /// The same with the other bearing that the motion cannot tell from it, radians: the place decides between the two.
+    #[must_use]
+    pub fn with_mirror_rad(self, mirror_rad: Option<f64>) -> Self {
+        Self { mirror_rad, ..self }
+    }
+
+    /// Each bearing that it may be, radians.
+    fn azimuths_rad(&self) -> impl Iterator<Item = f64> {
+        std::iter::once(self.azimuth_rad).chain(self.mirror_rad)
     }
 
     /// The same with the horizontal range and its standard deviation, metres, where known.
@@ -85,7 +98,7 @@ struct Equation {
 /// [`LocateError`] where the sightings do not fix a position. Sightings that are not finite are left out.
 pub fn locate(sightings: &[Sighting]) -> Result<Located, LocateError> {
     let finite = |s: &&Sighting| {
-        s.azimuth_rad.is_finite() && s.azimuth_sd_rad >= 0.0 && s.transmitter_m.iter().all(|v| v.is_finite())
+        s.azimuths_rad().all(f64::is_finite) && s.azimuth_sd_rad >= 0.0 && s.transmitter_m.iter().all(|v| v.is_finite())
     };
     let usable: Vec<Sighting> = sightings.iter().filter(finite).copied().collect();
     let starts = starts(&usable);
@@ -97,18 +110,22 @@ pub fn locate(sightings: &[Sighting]) -> Result<Located, LocateError> {
     finish(best.0, &usable).ok_or(LocateError::Parallel)
 }
 
-/// Crossings of all pairs of bearings that lie ahead, and the ends of ranges.
+/// Crossings of all pairs of bearings that lie ahead, and the ends of ranges; mirrors are bearings too.
 fn starts(sightings: &[Sighting]) -> Vec<Vector2<f64>> {
-    let back = |s: &Sighting| -Vector2::new(s.azimuth_rad.cos(), s.azimuth_rad.sin());
-    let mut starts: Vec<Vector2<f64>> =
-        sightings.iter().filter_map(|s| s.range_m.map(|(range, _)| s.transmitter_m + back(s) * range)).collect();
+    let back = |azimuth: f64| -Vector2::new(azimuth.cos(), azimuth.sin());
+    let bearings = |s: &Sighting| s.azimuths_rad().map(back).collect::<Vec<_>>();
+    let mut starts = Vec::new();
     for (i, a) in sightings.iter().enumerate() {
-        for b in &sightings[i + 1..] {
-            let (u, v) = (back(a), back(b));
-            let cross = u.perp(&v);
-            if cross.abs() > 1e-3 {
-                let along = (b.transmitter_m - a.transmitter_m).perp(&v) / cross;
-                starts.push(a.transmitter_m + u * along);
+        for u in bearings(a) {
+            starts.extend(a.range_m.map(|(range, _)| a.transmitter_m + u * range));
+            for b in &sightings[i + 1..] {
+                for v in bearings(b) {
+                    let cross = u.perp(&v);
+                    if cross.abs() > 1e-3 {
+                        let along = (b.transmitter_m - a.transmitter_m).perp(&v) / cross;
+                        starts.push(a.transmitter_m + u * along);
+                    }
+                }
             }
         }
     }
@@ -122,7 +139,8 @@ fn equations(at: &Vector2<f64>, sightings: &[Sighting]) -> Vec<Equation> {
         let distance = to.norm().max(1e-3);
         let sd = s.azimuth_sd_rad.hypot(AZIMUTH_FLOOR_RAD);
         let across = Vector2::new(to.y, -to.x) / (distance * distance);
-        let residual = wrap_rad(to.y.atan2(to.x) - s.azimuth_rad) / sd;
+        let off = s.azimuths_rad().map(|azimuth| wrap_rad(to.y.atan2(to.x) - azimuth));
+        let residual = off.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default() / sd;
         equations.push(Equation { residual, gradient: across / sd, source });
         if let Some((range, own)) = s.range_m.filter(|(range, own)| range.is_finite() && *own >= 0.0) {
             let sd = own.hypot(RANGE_FLOOR * range).max(1e-3);
@@ -195,6 +213,7 @@ mod tests {
         Sighting {
             transmitter_m: Vector2::new(tx.0, tx.1),
             azimuth_rad: wrap_rad(azimuth),
+            mirror_rad: None,
             azimuth_sd_rad: 0.01,
             range_m: None,
         }
@@ -219,6 +238,22 @@ mod tests {
         let found = locate(&own).unwrap();
         assert!((found.position_m - Vector2::new(0.3, -0.4)).norm() < 0.1, "{found:?}");
         assert!(found.weights[1] < 0.1);
+    }
+
+    #[test]
+    fn of_a_bearing_and_its_mirror_the_place_decides() {
+        // The motion was along x: each bearing may be its negative, and the first two are given as that.
+        let at = (0.3, -0.4);
+        let mut own: Vec<_> = ROBOTS[..3].iter().map(|tx| sighting(at, *tx, 0.0)).collect();
+        for (k, one) in own.iter_mut().enumerate() {
+            let (right, mirror) = (one.azimuth_rad, -one.azimuth_rad);
+            (one.azimuth_rad, one.mirror_rad) = if k < 2 { (mirror, Some(right)) } else { (right, Some(mirror)) };
+        }
+        let found = locate(&own).unwrap();
+        let off = |y: f64| (found.position_m - Vector2::new(at.0, y)).norm();
+        assert!(off(at.1) < 1e-3, "{found:?}");
+        own.iter_mut().for_each(|one| one.mirror_rad = None);
+        assert!((locate(&own).unwrap().position_m - Vector2::new(at.0, at.1)).norm() > 0.5);
     }
 
     #[test]

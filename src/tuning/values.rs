@@ -313,7 +313,15 @@ tuning! {
         elongated: f64 = 0.15, "not recorded", "not measured";
         /// Azimuth and elevation must differ by this share of the phases' variance for elevation to be searched.
         independent: f64 = 0.1, "chosen: odometry's millimetres must not decide", "not measured";
-        /// A mirror at least this high is reported.
+        /// A mirror that the odometry would exclude is reported from this height on.
         mirror_ratio: f64 = 0.8, "not recorded", "not measured";
+        /// Assumed error of the positions, metres.
+        odometry_sd_m: f64 = 0.003, "chosen: millimetres are what wheels, a tracking camera and a curved wave front get wrong", "not measured";
+        /// A reflection is excluded by this natural logarithm of the likelihood ratio.
+        mirror_excluded: f64 = 4.6, "theory: ln 99, a share of one percent", "not measured";
+        /// A plane tilted by less is level, radians.
+        level_rad: f64 = 0.1, "chosen: floors and cameras on them tilt by less", "not measured";
+        /// A reflection in a level plane whose azimuth differs by less is the elevation's sign, radians.
+        same_azimuth_rad: f64 = 0.087, "chosen: five degrees, as confidence counts", "not measured";
     }
 }

@@ -14,6 +14,7 @@ use csi5300_kernels::simd::{ROUGH, Real, Tier};
 use csi5300_kernels::sums::{Columns, Sines, pairs};
 
 mod guarantee;
+mod mirrors;
 
 const WAVELENGTH: f64 = 0.054;
 

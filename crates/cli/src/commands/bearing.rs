@@ -315,7 +315,11 @@ fn describe(answer: &Answer) -> String {
         let _ = write!(text, " +- {sd:.2}");
     }
     if let Some(mirror) = answer.mirror_deg {
-        let _ = write!(text, ", or its mirror {mirror:.2} deg: motion along a line cannot tell them apart");
+        let (height, motion) = match answer.mirror_elevation_deg {
+            Some(elevation) => (format!(" at elevation {elevation:.1} deg"), "in a plane"),
+            None => (String::new(), "along a line"),
+        };
+        let _ = write!(text, ", or its mirror {mirror:.2} deg{height}: motion {motion} cannot tell them apart");
     }
     text.push('\n');
     if let Some(confidence) = answer.confidence {

@@ -195,17 +195,22 @@ fn is_unweighed(row: &Judged) -> bool {
 /// The probability that a link without one is weighed by: as likely within five degrees as not.
 pub const UNKNOWN_PROBABILITY: f64 = 0.5;
 
+/// No bearing is surer than this, with its mirror: the largest calibrated probability.
+const MOST_SURE: f64 = 0.98;
+
 /// A link as an equation for its receiver. The deviation of the bearing is that which the probability stands for (a
 /// normal error is within five degrees with that probability; [`UNKNOWN_PROBABILITY`] where none is known), at least the
 /// predicted one.
 fn sighting(row: &Judged) -> Option<Sighting> {
     let answer = &row.answer;
-    let sure = answer.confidence.unwrap_or(UNKNOWN_PROBABILITY);
+    // The probability that the bearing or its mirror is within five degrees: the place decides between the two.
+    let either = |confidence: f64| confidence / (1.0 - answer.mirror_share.unwrap_or(0.0).min(0.5));
+    let sure = answer.confidence.map_or(UNKNOWN_PROBABILITY, |confidence| either(confidence).min(MOST_SURE));
     let horizontal = answer.abs_elevation_deg.unwrap_or(0.0).to_radians().cos();
     let azimuth_sd_rad = deviation_rad(sure).max(answer.azimuth_sd_deg.unwrap_or(0.0).to_radians());
     let range_m = answer.range_m.zip(answer.range_sd_m).map(|(range, sd)| (range * horizontal, sd * horizontal));
     let sighting = Sighting::new(row.true_transmitter_m?.into(), answer.azimuth_deg?.to_radians(), azimuth_sd_rad);
-    Some(sighting.with_range_m(range_m))
+    Some(sighting.with_mirror_rad(answer.mirror_deg.map(f64::to_radians)).with_range_m(range_m))
 }
 
 /// Standard deviation of a normal error that is within five degrees with probability `sure`: the error function is

@@ -1,0 +1,221 @@
+//! Directions that a motion cannot tell apart: a direction and its reflection in the motion's line or plane.
+//!
+//! The reflection of `u` in the plane through the motion with the unit normal `n` is `u - 2 (u.n) n`. Over the positions `p` the
+//! phases of the two differ by `4 pi g (u.n) (n.p) / lambda`: by the motion's depth along `n` and nothing else. Let `c` be the
+//! share of that difference which is found in the samples: 0 if `u` is right, 1 if its reflection is. Two errors blur `c`:
+//!
+//! * the noise of the samples, with variance `1 / (2 L)`, `L` the logarithm of the likelihood ratio of the two directions,
+//!   `looks * ln((E - F') / (E - F))` with the energy `E` and what each direction explains of it (the amplitude and the noise's
+//!   variance fitted), `looks` the number of samples whose residuals are independent: other paths leave residuals that are
+//!   alike over many samples;
+//! * the error of the odometry, with variance `(s / 2 h)^2` for an error of `s` and a depth of `h` (root mean squares), since in
+//!   the worst case the error has the course of the depth.
+//!
+//! Both together leave `D = 1 / (1 / L + s^2 / (2 h^2))` of the logarithm, and the reflection has the share `1 / (1 + e^D)` of
+//! the evidence. A reflection with less than one percent is not given.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use nalgebra::Vector3;
+use num_complex::Complex64;
+
+use super::grid::direction;
+use super::newton::{Hill, Point, Second, Top};
+use super::scene::{Geometry, Scene, Shape};
+use crate::maths::wrap_rad;
+use crate::tuning::TUNING;
+
+/// A trajectory at most this wide for its length (or this deep for its width) may have a mirror that only the odometry excludes.
+const ELONGATED: f64 = TUNING.plane_wave.elongated;
+/// Such a mirror is at least this high, relative to the peak.
+const MIRROR_RATIO: f64 = TUNING.plane_wave.mirror_ratio;
+/// A reflection that speaks less for itself by this (natural logarithm of the likelihood ratio) is excluded.
+const EXCLUDED: f64 = TUNING.plane_wave.mirror_excluded;
+/// A plane tilted by less, radians, is level: of a direction's reflection the sign of the elevation is new,
+const LEVEL: f64 = TUNING.plane_wave.level_rad;
+/// and its azimuth where that is this far from the direction's, radians.
+const SAME_AZIMUTH: f64 = TUNING.plane_wave.same_azimuth_rad;
+/// Fewest blocks in which the independence of residuals is judged.
+const LEAST_BLOCKS: usize = 8;
+/// Share of the energy that is never explained: noise-free samples.
+const FLOOR: f64 = 1e-9;
+
+/// A direction that the samples cannot tell from the highest peak.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Mirror {
+    /// Azimuth and signed elevation, radians.
+    pub azimuth: f64,
+    pub elevation: f64,
+    /// Its share of the evidence of the two, 0 to 1/2.
+    pub share: f64,
+    /// Unit normal of the plane that it is reflected in.
+    pub normal: Vector3<f64>,
+}
+
+/// A search's result, judged for what its motion cannot tell.
+pub(super) struct Reflections<'a> {
+    pub scene: &'a Scene,
+    pub shape: &'a Shape,
+    pub hill: &'a Hill<'a>,
+    pub best: Top,
+    /// Whether the elevation was searched.
+    pub elevation: bool,
+    /// Assumed error of the positions, turns.
+    pub odometry: f64,
+    /// Directions closer than this are one, radians.
+    pub resolution: f64,
+    looks: f64,
+}
+
+/// Azimuth of the horizontal part of the longest axis of a motion, if it has one.
+pub(super) fn axis(shape: &Shape) -> Option<f64> {
+    let axis = shape.axes[0];
+    (axis.x.hypot(axis.y) > 0.5).then(|| axis.y.atan2(axis.x))
+}
+
+/// True if a side of the motion is thin for the next longer one.
+pub(super) fn is_thin(shape: &Shape, side: usize) -> bool {
+    shape.half_extent_m[side] <= ELONGATED * shape.half_extent_m[side - 1]
+}
+
+impl<'a> Reflections<'a> {
+    pub fn new(
+        scene: &'a Scene,
+        shape: &'a Shape,
+        hill: &'a Hill<'a>,
+        best: Top,
+        [odometry, resolution]: [f64; 2],
+        elevation: bool,
+    ) -> Self {
+        let looks = looks(scene, unit(hill.kind, best.at));
+        Self { scene, shape, hill, best, elevation, odometry, resolution, looks }
+    }
+
+    /// The class of the motion: which of its sides are deep enough, for the noise and for the odometry's error, that a
+    /// direction is told from its reflection.
+    pub fn geometry(&self) -> Geometry {
+        if self.shape.geometry == Geometry::Static {
+            return Geometry::Static;
+        }
+        let [_, across, normal] = self.shape.axes;
+        if !self.tells(across) {
+            Geometry::Line
+        } else if !self.tells(normal) {
+            if self.tells(Vector3::z()) { Geometry::TiltedPlane } else { Geometry::Planar }
+        } else if self.elevation && self.reflected(normal, 2).is_some() {
+            Geometry::NearlyPlanar
+        } else {
+            Geometry::Spatial
+        }
+    }
+
+    /// The reflection that the samples cannot tell from the highest peak, if it is another direction.
+    pub fn mirror(&self) -> Option<Mirror> {
+        let [along, across, normal] = self.shape.axes;
+        if !self.tells(along) {
+            return None;
+        }
+        let upright = |azimuth: f64| Vector3::new(-azimuth.sin(), azimuth.cos(), 0.0);
+        let about_line = || axis(self.shape).and_then(|azimuth| self.reflected(upright(azimuth), 1));
+        let in_plane = (self.elevation && self.tells(across)).then(|| self.reflected(normal, 2)).flatten();
+        let another = |mirror: &Mirror| self.is_another(mirror);
+        in_plane.filter(another).or_else(|| about_line().filter(another))
+    }
+
+    /// Whether a depth as that along `normal` tells a direction at right angles to the motion from its reflection.
+    fn tells(&self, normal: Vector3<f64>) -> bool {
+        let depth = self.scene.depth_squared(normal);
+        let snr = self.explained(self.best.value) / self.unexplained(self.best.value);
+        // The loss of a wave whose phases are off by so much, as a share of what it explains.
+        let lost = 1.0 - (-(2.0 * TAU).powi(2) * depth).exp();
+        evidence(self.looks * (snr * lost).ln_1p(), depth, self.odometry) >= EXCLUDED
+    }
+
+    fn explained(&self, value: f64) -> f64 {
+        value / self.scene.weight_sum
+    }
+
+    fn unexplained(&self, value: f64) -> f64 {
+        (self.scene.energy - self.explained(value)).max(FLOOR * self.scene.energy)
+    }
+
+    /// The highest peak reflected, if the samples cannot tell; `side` is the axis of the shape that `normal` belongs to.
+    fn reflected(&self, normal: Vector3<f64>, side: usize) -> Option<Mirror> {
+        let towards = unit(self.hill.kind, self.best.at);
+        let image = towards - normal * (2.0 * towards.dot(&normal));
+        let (azimuth, elevation) = (image.y.atan2(image.x), image.z.clamp(-1.0, 1.0).asin());
+        let hill = self.hill_for(side);
+        let start = Point { azimuth, second: hill.kind.of_elevation(elevation) };
+        let top = hill.climb(start);
+        let near = unit(hill.kind, top.at).dot(&image) > (2.0 * self.resolution).min(FRAC_PI_2).cos();
+        let value = if near { top.value } else { hill.local(start).value };
+        let logarithm = self.looks * (self.unexplained(value) / self.unexplained(self.best.value)).ln();
+        let depth = self.scene.depth_squared(normal);
+        let against = evidence(logarithm.max(0.0), depth, self.odometry);
+        let by_shape = odometry_tells(depth, self.odometry)
+            && !(is_thin(self.shape, side) && value >= MIRROR_RATIO * self.best.value);
+        // Of a line the peak itself, since its course bends both directions; of a plane the image, which is exact.
+        let at = if near && side == 1 { top.at.azimuth } else { azimuth };
+        (against < EXCLUDED && !by_shape).then(|| Mirror {
+            azimuth: wrap_rad(at),
+            elevation,
+            share: 1.0 / (1.0 + against.exp()),
+            normal,
+        })
+    }
+
+    /// The search's own region about a line; all elevations about a plane.
+    fn hill_for(&self, side: usize) -> Hill<'a> {
+        if side == 1 || self.scene.is_flat() {
+            return *self.hill;
+        }
+        Hill { kind: Second::Elevation, low: -FRAC_PI_2, high: FRAC_PI_2, ..*self.hill }
+    }
+
+    /// True unless it is the same direction, or differs by the sign of the elevation alone.
+    fn is_another(&self, mirror: &Mirror) -> bool {
+        let off = wrap_rad(mirror.azimuth - self.best.at.azimuth).abs();
+        if mirror.normal.z.abs() > LEVEL.cos() {
+            return off >= self.resolution.max(SAME_AZIMUTH);
+        }
+        let image = direction(mirror.azimuth, mirror.elevation);
+        unit(self.hill.kind, self.best.at).dot(&image) < self.resolution.min(FRAC_PI_2).cos()
+    }
+}
+
+/// What is left of the logarithm of a likelihood ratio by an odometry whose error is `odometry` against a depth (squared).
+fn evidence(logarithm: f64, depth_squared: f64, odometry: f64) -> f64 {
+    1.0 / (1.0 / logarithm + odometry * odometry / (2.0 * depth_squared))
+}
+
+/// Whether a depth (squared) is told from nothing by an odometry whose error is `odometry`, however small the noise.
+pub(super) fn odometry_tells(depth_squared: f64, odometry: f64) -> bool {
+    evidence(f64::INFINITY, depth_squared, odometry) >= EXCLUDED
+}
+
+/// The unit vector of a point of a search.
+fn unit(kind: Second, at: Point) -> Vector3<f64> {
+    direction(at.azimuth, kind.elevation(at.second))
+}
+
+/// Number of independent residuals that a plane wave from `towards` leaves: the samples over the number of them that share
+/// an error. That is the largest ratio, over block lengths of powers of two, of the blocks' variance to that of
+/// independent residuals.
+fn looks(scene: &Scene, towards: Vector3<f64>) -> f64 {
+    let phase = |t: usize| TAU * (towards.x * scene.x[t] + towards.y * scene.y[t] + towards.z * scene.z[t]);
+    let turned = |t: usize| Complex64::new(scene.re[t], scene.im[t]) * Complex64::cis(-phase(t));
+    let mut rest: Vec<Complex64> = (0..scene.len()).map(turned).collect();
+    let amplitude = rest.iter().sum::<Complex64>() / scene.weight_sum;
+    rest.iter_mut().zip(&scene.weight).for_each(|(z, w)| *z -= amplitude * w);
+    let single: f64 = rest.iter().map(Complex64::norm_sqr).sum::<f64>() / rest.len() as f64;
+    let (samples, mut shared, mut length) = (rest.len() as f64, 1.0f64, 1usize);
+    while rest.len() / 2 >= LEAST_BLOCKS {
+        rest = rest.chunks_exact(2).map(|pair| pair[0] + pair[1]).collect();
+        length *= 2;
+        let mean = rest.iter().map(Complex64::norm_sqr).sum::<f64>() / rest.len() as f64;
+        if single > 0.0 {
+            shared = shared.max(mean / (length as f64 * single));
+        }
+    }
+    samples / shared
+}
