@@ -112,7 +112,7 @@ impl<'a> Reflections<'a> {
     /// The reflection that the samples cannot tell from the highest peak, if it is another direction.
     pub fn mirror(&self) -> Option<Mirror> {
         let [along, across, normal] = self.shape.axes;
-        if !self.tells(along) {
+        if !odometry_tells(self.scene.depth_squared(along), self.odometry) {
             return None;
         }
         let upright = |azimuth: f64| Vector3::new(-azimuth.sin(), azimuth.cos(), 0.0);

@@ -139,7 +139,11 @@ fn a_line_that_wobbles_by_less_than_odometry_errs_has_a_mirror() {
         let pair = [Some(found.azimuth_rad), found.mirror_rad];
         for expected in [axis + off, axis - off] {
             let near = |a: &f64| wrap_rad(a - expected).abs() < 0.03;
-            assert!(pair.iter().flatten().any(near), "case {case}: {pair:?} without {expected} ({wobble_m} m) {axis} {off} {half_m} {bow} {:?}", found.shape);
+            assert!(
+                pair.iter().flatten().any(near),
+                "case {case}: {pair:?} without {expected} ({wobble_m} m) {axis} {off} {half_m} {bow} {:?}",
+                found.shape
+            );
         }
         assert!(found.mirror_share.unwrap() > 0.05, "case {case}: {:?}", found.mirror_share);
     }
@@ -155,7 +159,11 @@ fn level_motion_hides_the_sign_of_the_elevation_and_no_more() {
         let towards = (uniform(&mut rng, -PI, PI), uniform(&mut rng, 0.0, 0.3));
         let found = search(&heard(&motion, towards, 15.0, &mut rng), &SearchOptions::default()).unwrap();
         assert_eq!((found.mirror_rad, found.signed_elevation_rad), (None, None), "case {case}: {found:?}");
-        assert!(matches!(found.geometry, Geometry::Planar | Geometry::TiltedPlane), "case {case}: {:?}", found.geometry);
+        assert!(
+            matches!(found.geometry, Geometry::Planar | Geometry::TiltedPlane),
+            "case {case}: {:?}",
+            found.geometry
+        );
     }
 }
 
