@@ -15,7 +15,8 @@ fn track(label: &str, n: usize, noisy: f64) -> PhaseTrack {
     let t_s: Vec<f64> = (0..n).map(|i| i as f64 * 0.01).collect();
     let after = |(i, t): (usize, &f64)| 6.0 * (0.4 * t).sin() + noisy * noise(i);
     let after_rad: Vec<f64> = t_s.iter().enumerate().map(after).collect();
-    PhaseTrack { label: label.into(), before_rad: (0..n).map(|i| 40.0 * noise(i + 7)).collect(), after_rad, t_s }
+    let before_rad = (0..n).map(|i| 40.0 * noise(i + 7)).collect();
+    PhaseTrack { label: label.into(), before_rad, after_rad, t_s, ..PhaseTrack::default() }
 }
 
 fn lobe(azimuth_deg: f64, at: f64, width: f64) -> f64 {
@@ -26,7 +27,7 @@ fn main() -> Result<(), Error> {
     let out = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| "pictures".into()));
     let (recorded, simulated) = (track("recorded", 3000, 0.4), track("simulated", 3000, 0.2));
     let start = std::time::Instant::now();
-    let phase = PhasePlot { title: "Phase of one link".into(), capture: recorded, other: None };
+    let phase = PhasePlot { title: "Phase of one link".into(), capture: recorded, ..PhasePlot::default() };
     phase.write(&out.join("phase"))?;
     println!("phase plot of 3000 points: {:.2} s", start.elapsed().as_secs_f64());
     PhasePlot { title: "Recorded and simulated".into(), other: Some(simulated), ..phase }.write(&out.join("phases"))?;
@@ -48,11 +49,18 @@ fn main() -> Result<(), Error> {
     let azimuth: Vec<f64> = (-180..180).map(f64::from).collect();
     let profile =
         |k: f64| azimuth.iter().map(move |a| 0.95 * lobe(*a, 35.0 + k, 9.0) + 0.4 * lobe(*a, 140.0, 14.0) + 0.05);
-    let series = [("run 1", 4.0), ("run 2", -5.0), ("run 3", 0.0)];
-    let series = series.map(|(name, k)| (name.to_owned(), azimuth.clone(), profile(k).collect())).to_vec();
-    let peaks = vec![(35.0, 1.0), (140.0, 0.45)];
-    let title = "Bartlett profile".to_owned();
-    ProfilePlot { title, series, peaks, truth_deg: Some(33.0), mirror_deg: Some(-35.0) }.write(&out.join("profile"))?;
+    let series = |name: &str, k: f64| (name.to_owned(), azimuth.clone(), profile(k).collect());
+    let profile = ProfilePlot {
+        title: "Where the signal comes from".into(),
+        chosen_from: series("run 3", 0.0),
+        others: vec![series("run 1", 4.0), series("run 2", -5.0)],
+        candidates_deg: vec![35.0, 140.0],
+        answer_deg: Some(35.0),
+        answer_sd_deg: Some(1.5),
+        truth_deg: Some(33.0),
+        mirror_deg: Some(-35.0),
+    };
+    profile.write(&out.join("profile"))?;
 
     let cell = |i: usize| lobe((i % 180) as f64 * 2.0 - 180.0, 35.0, 30.0) * lobe((i / 180) as f64 * 2.0, 25.0, 20.0);
     let value = (0..180 * 45).map(|i| cell(i) + 0.02 + 0.01 * noise(i)).collect();

@@ -3,7 +3,7 @@
 use super::options::Options;
 use crate::bartlett::Estimate;
 use crate::place::near_field::{
-    self, Aperture, Fix, Focus, Limits, Maps, ONE_WAY_VIEWS, Path, ROUND_TRIP_VIEWS, Search, View,
+    self, Aperture, Evidence, Fix, Focus, Limits, Maps, ONE_WAY_VIEWS, Path, ROUND_TRIP_VIEWS, Search, View,
 };
 use crate::signal::alignment::{Alignment, CsiRow, align, remove_common_slope};
 use crate::signal::one_way::one_way;
@@ -28,10 +28,14 @@ pub struct Placed {
     pub paths: Vec<Path>,
     /// The joint power over azimuth, elevation and range, where the course is kept for pictures.
     pub maps: Option<Maps>,
+    /// What the azimuth was chosen from, where the course is kept for pictures.
+    pub evidence: Option<Evidence>,
 }
 
 /// Cells around of the maps.
 const MAP_AZIMUTHS: usize = 360;
+/// Azimuths of the evidence.
+const EVIDENCE_AZIMUTHS: usize = 1_440;
 
 /// A range is reported where its predicted deviation is below this share of it.
 const RANGE_SHARE: f64 = TUNING.deviations.range_share;
@@ -82,7 +86,7 @@ pub(super) fn place(
     let mut search = Search::new(&layers, middle_m, wavelength_m, &limits)?;
     let fix = search.run()?;
     let slips = roots.map(|roots| roots.slips);
-    Some((Placed { fix, alignment, slips, focus: None, paths: Vec::new(), maps: None }, search))
+    Some((Placed { fix, alignment, slips, focus: None, paths: Vec::new(), maps: None, evidence: None }, search))
 }
 
 /// Changes the trajectory that all links share where that raises the joint powers of two or more of them by more than its
@@ -108,7 +112,10 @@ pub(super) fn extract((mut placed, mut search): (Placed, Search), options: &Opti
     if options.accuracy.paths {
         placed.paths = search.paths(&placed.fix.best());
     }
-    placed.maps = options.keep_course.then(|| search.maps(MAP_AZIMUTHS));
+    if options.keep_course {
+        placed.maps = Some(search.maps(MAP_AZIMUTHS));
+        placed.evidence = Some(search.evidence(EVIDENCE_AZIMUTHS, &placed.fix.sources));
+    }
     placed
 }
 

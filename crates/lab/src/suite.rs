@@ -2,15 +2,18 @@
 //! carrier offset and with their sinusoid, circles and lines of three sizes; each goes through TDMA, bytes, pairing and the core.
 
 use crate::compare::CompareError;
-use crate::compare::figures::{spread_rad, true_path};
+pub use crate::compare::figures::spread_rad;
+use crate::compare::figures::true_path;
+use csi5300::bartlett::{self, Grid};
 use csi5300::maths::wrap_rad;
-use csi5300::pipeline::Bearing;
-use csi5300::pipeline::{Options, Transmitter, bearings};
+use csi5300::pipeline::{Bearing, CaptureReport, Options, Phase, Transmitter, bearings};
+use csi5300::signal::cfo::TurnAround;
 use csi5300_sim::motion::{Circle, Line, RobotMotion};
 use csi5300_sim::scene::{Cfo, PaperCfo, Scene};
 use csi5300_sim::{Port, Room};
+use num_complex::Complex64;
 use rayon::prelude::*;
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 /// Durations of the stationary experiments, seconds (\[paper\], section III-A).
 pub const STATIONARY_S: [f64; 5] = [10.0, 30.0, 60.0, 120.0, 300.0];
@@ -37,6 +40,12 @@ pub struct Run {
     pub repetition: u64,
     /// Pairs formed.
     pub pairs: usize,
+    /// The bearing to the transmitter from the mean pose, degrees. None at rest.
+    pub truth_deg: Option<f64>,
+    /// The answer, degrees. None at rest.
+    pub azimuth_deg: Option<f64>,
+    /// Its mirror, degrees, where it has one.
+    pub mirror_deg: Option<f64>,
     /// Azimuth less the bearing from the mean pose, degrees; of a line's two answers the nearer one. None at rest.
     pub error_deg: Option<f64>,
     /// Predicted standard deviation of the azimuth, degrees.
@@ -51,6 +60,21 @@ pub struct Run {
     pub residual_rad: f64,
     /// The same after turn-around compensation.
     pub residual_compensated_rad: f64,
+    /// What the azimuth was chosen from at [`PROFILE_AZIMUTHS`] azimuths, the highest 1; empty at rest.
+    #[serde(skip)]
+    pub profile: Vec<f64>,
+    /// The phase of every pair; of the first repetition only.
+    #[serde(skip)]
+    pub course: Vec<Phase>,
+}
+
+/// Azimuths of [`Run::profile`], even around the circle.
+pub const PROFILE_AZIMUTHS: usize = 1_440;
+
+/// Azimuth of a value of [`Run::profile`], radians in (-pi, pi].
+#[must_use]
+pub fn profile_azimuth_rad(index: usize) -> f64 {
+    TAU * (index + 1) as f64 / PROFILE_AZIMUTHS as f64 - PI
 }
 
 /// All experiments, in the order of \[paper\].
@@ -120,7 +144,7 @@ pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Resul
     let report = bearings(&mut rx, transmitters, &path, &options)?;
     let found = report.links.first().ok_or(CompareError::NoTransmitter)?;
     let link = found.link.as_ref().ok_or_else(|| CompareError::NoLink { reason: "no pairs".into() })?;
-    let (turn_around, _) = link.phases(&options);
+    let (turn_around, course) = link.phases(&options);
     let turn_around = turn_around.ok_or(CompareError::FewPairs { pairs: link.pairs() })?;
     let mut run = Run {
         experiment: experiment.name.clone(),
@@ -128,6 +152,7 @@ pub fn run(experiment: &Experiment, repetition: u64, options: &Options) -> Resul
         pairs: link.pairs(),
         residual_rad: spread_rad(turn_around.coherence_before),
         residual_compensated_rad: spread_rad(turn_around.coherence_after),
+        course: if repetition == 1 { course } else { Vec::new() },
         ..Run::default()
     };
     if scene.robot[0].motion != RobotMotion::Static {
@@ -144,6 +169,10 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
         let to = place - bearing.mean_position_m;
         to.y.atan2(to.x)
     });
+    run.truth_deg = truth_rad.map(f64::to_degrees);
+    run.azimuth_deg = Some(answer.azimuth_rad.to_degrees());
+    run.mirror_deg = answer.mirror_rad.map(f64::to_degrees);
+    run.profile = profile(bearing);
     let off = |azimuth: f64| truth_rad.map(|truth| wrap_rad(azimuth - truth).to_degrees());
     let answers = [Some(answer.azimuth_rad), answer.mirror_rad];
     let errors = answers.into_iter().flatten().filter_map(off);
@@ -152,6 +181,61 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
     run.confidence = answer.probability;
     run.likelihood_share = bearing.figures.likelihood_share;
     run.coherence = Some(bearing.plane_wave.coherence);
+}
+
+/// The evidence over azimuth relative to its highest; the plane wave's profile where no other was searched.
+fn profile(bearing: &Bearing) -> Vec<f64> {
+    let evidence = bearing.placed.as_ref().and_then(|placed| placed.evidence.as_ref());
+    let at = |index: usize| profile_azimuth_rad(index);
+    let values: Vec<f64> = match evidence {
+        Some(evidence) => (0..PROFILE_AZIMUTHS)
+            .map(|index| {
+                let next = evidence.azimuths_rad.partition_point(|azimuth| *azimuth < at(index) - 1e-9);
+                evidence.values.get(next).copied().unwrap_or_default()
+            })
+            .collect(),
+        None => {
+            let ring = Grid::directions((0..PROFILE_AZIMUTHS).map(|index| (at(index), 0.0)).collect());
+            bartlett::profile(&bearing.samples, &ring).map(|profile| profile.values).unwrap_or_default()
+        }
+    };
+    let highest = values.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    values.into_iter().map(|value| value / highest).collect()
+}
+
+/// The phase of two robots that stand, where only the radios change it.
+#[derive(Clone, Debug)]
+pub struct Standing {
+    /// The phase of every pair.
+    pub course: Vec<Phase>,
+    /// The turn-around compensation.
+    pub turn_around: TurnAround,
+    /// Spread from packet to packet, radians, of one direction.
+    pub spread_one_way_rad: f64,
+    /// The same of both directions multiplied.
+    pub spread_rad: f64,
+    /// The same with the turn-around taken out.
+    pub spread_compensated_rad: f64,
+}
+
+/// The phase of the first link of `report`; one-way phases need [`Options::keep_course`]. `None` without a link, or where
+/// it has too few pairs.
+#[must_use]
+pub fn standing(report: &CaptureReport, options: &Options) -> Option<Standing> {
+    let link = report.links.first()?.link.as_ref()?;
+    let (turn_around, course) = link.phases(options);
+    let turn_around = turn_around?;
+    let one_way: Vec<f64> = course.iter().map(|phase| phase.one_way_rad).collect();
+    let turned = |three: &[f64]| Complex64::cis(three[0] - 2.0 * three[1] + three[2]);
+    let sum: Complex64 = one_way.windows(3).map(turned).sum();
+    let coherence = sum.norm() / one_way.windows(3).len().max(1) as f64;
+    Some(Standing {
+        spread_one_way_rad: spread_rad(coherence),
+        spread_rad: spread_rad(turn_around.coherence_before),
+        spread_compensated_rad: spread_rad(turn_around.coherence_after),
+        course,
+        turn_around,
+    })
 }
 
 /// Repetitions of one experiment together.

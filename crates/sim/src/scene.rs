@@ -83,7 +83,7 @@ pub enum Cfo {
     Off,
     /// Each carrier runs from its card's crystal and is evaluated at the true time of each frame.
     Physical,
-    /// `df t + c1 sin(c2 t)` of \[paper\], both directions at one instant.
+    /// `df t + c1 sin(c2 t)` of \[paper\], both directions at one instant, and what the crystals add at each frame's own.
     Paper(PaperCfo),
 }
 
@@ -92,7 +92,8 @@ pub enum Cfo {
 ///
 /// With their values it swings by `c1 c2` = 2 MHz, which no crystal does: at true frame times the two
 /// directions would be incoherent. So, as there, both are evaluated at one instant, the forward
-/// frame's, but for a uniformly distributed difference of at most `jitter_ns` either way.
+/// frame's, but for a uniformly distributed difference of at most `jitter_ns` either way. Crystals that differ turn both
+/// directions at their own times beside it, which leaves `2 pi f d` of a turn-around `d` in the round trip.
 #[derive(Clone, Copy, Debug, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PaperCfo {

@@ -141,7 +141,9 @@ impl World {
                 // Its equation: exp(-2 pi i CFO) one way, exp(+2 pi i CFO) the other.
                 let (sign, jitter_ns) = if to < from { (-1.0, jitter * cfo.jitter_ns) } else { (1.0, 0.0) };
                 let t_s = (instant_ns as f64 + jitter_ns) * 1e-9;
-                sign * (cfo.df_hz * t_s + cfo.c1 * libm::sin(cfo.c2 * t_s))
+                let own = sign * (cfo.df_hz * t_s + cfo.c1 * libm::sin(cfo.c2 * t_s));
+                // What the crystals add is of the frame's own time, as on real cards: a turn-around that jitters shows it.
+                own + self.carrier.centre_hz * self.gained_s(from, to, t_ns)
             }
         }
     }

@@ -1,8 +1,21 @@
-//! The joint power over azimuth and elevation, and over azimuth and range: for pictures.
+//! The joint power over azimuth and elevation, and over azimuth and range, and the evidence over azimuth: for pictures.
 
-use super::search::Search;
-use super::types::Place;
+use super::fix::Source;
+use super::prior;
+use super::search::{Search, scores};
+use super::types::{Place, Precision};
 use std::f64::consts::{PI, TAU};
+
+/// What the azimuth of an answer was chosen from: the evidence of every azimuth, `(mean of P^n)^(1/n)` of the joint power
+/// `P` over the elevations and ranges that an azimuth may have.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Evidence {
+    /// Azimuths, radians in (-pi, pi], rising: even around the circle, and those of all sources.
+    pub azimuths_rad: Vec<f64>,
+    /// Evidence of each, 0..1.
+    pub values: Vec<f64>,
+}
 
 /// Two maps of the joint power, each the highest over the coordinate that it does not show.
 #[derive(Clone, Debug, PartialEq)]
@@ -24,6 +37,29 @@ pub struct Maps {
 const ROWS: usize = 24;
 
 impl Search {
+    /// The evidence over azimuth: of `azimuths` of them even around the circle, and of those of `sources`. The elevations
+    /// and ranges of the sources are looked at beside the grid's, which may miss a narrow peak between two of its own.
+    #[must_use]
+    pub fn evidence(&mut self, azimuths: usize, sources: &[Source]) -> Evidence {
+        let even = (1..=azimuths).map(|k| TAU * k as f64 / azimuths as f64 - PI);
+        let mut azimuths_rad: Vec<f64> = even.chain(sources.iter().map(|source| source.azimuth_rad)).collect();
+        azimuths_rad.sort_by(f64::total_cmp);
+        let depth = self.axes.elevations.len() * self.axes.curves.len();
+        let column: Vec<Place> =
+            self.axes.places().into_iter().take(depth).chain(sources.iter().map(Place::from)).collect();
+        let (shares, weight) = (prior::shares(&self.axes), self.weights.choosing.iter().sum());
+        let mut value = |azimuth: &f64| {
+            let places: Vec<Place> = column.iter().map(|place| Place { azimuth: *azimuth, ..*place }).collect();
+            let powers = self.powers(&places, Precision::Exact);
+            let all = scores(&powers, &self.weights.choosing);
+            let highest = all.iter().copied().fold(f64::MIN, f64::max);
+            let averaging = prior::averaging(all.get(..depth).unwrap_or_default(), &shares, weight);
+            self.power(highest + averaging).min(1.0)
+        };
+        let values = azimuths_rad.iter().map(&mut value).collect();
+        Evidence { azimuths_rad, values }
+    }
+
     /// Both maps, with `azimuths` cells around.
     #[must_use]
     pub fn maps(&mut self, azimuths: usize) -> Maps {

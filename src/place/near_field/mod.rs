@@ -58,7 +58,7 @@ pub(crate) use aperture::Aperture;
 pub use fix::{Deviations, Fix, Source};
 pub use focus::Focus;
 pub(crate) use focus::focus;
-pub use maps::Maps;
+pub use maps::{Evidence, Maps};
 pub use paths::Path;
 pub(crate) use search::Search;
 pub use types::Warp;

@@ -64,11 +64,7 @@ pub fn run(args: &Args) -> Result {
 #[cfg(feature = "plot")]
 fn draw(args: &Args, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
     let Some(folder) = &args.out else { return Ok(()) };
-    let pictures = csi5300_lab::show::link::LinkPictures {
-        bearing,
-        truth_rad: row.true_from_mean_pose_deg.map(f64::to_radians),
-        recorded: None,
-    };
+    let pictures = csi5300_lab::show::link::LinkPictures::of(row, bearing, args.reading.source());
     let written = pictures.write_all(folder, &row.answer.link).map_err(|error| error.to_string())?;
     eprintln!("{}: {} pictures", folder.display(), written.len());
     Ok(())
@@ -158,15 +154,21 @@ fn conclusion(text: &mut String, row: &Judged) {
     let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
     let _ = writeln!(
         text,
-        "answer        {} +- {} deg, within 5 deg with probability {}; range {} +- {} m",
+        "answer        {} +- {} deg, within 5 deg with probability {}; {}",
         number(answer.azimuth_deg),
         number(answer.azimuth_sd_deg),
         number(answer.confidence),
-        number(answer.range_m),
-        number(answer.range_sd_m)
+        match (answer.range_m, answer.range_sd_m) {
+            (Some(range), Some(sd)) => format!("range {range:.2} +- {sd:.2} m"),
+            _ => "no range".into(),
+        }
     );
+    if let Some(mirror) = answer.mirror_deg {
+        let _ = writeln!(text, "mirror        {mirror:.2} deg: motion along a line cannot tell them apart");
+    }
     if let (Some(truth), Some(error)) = (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) {
-        let _ = writeln!(text, "truth         {truth:.2} deg: off by {error:.2}; range {} m", number(row.true_range_m));
+        let range = row.true_range_m.map_or(String::new(), |range| format!("; range {range:.2} m"));
+        let _ = writeln!(text, "truth         {truth:.2} deg: off by {error:.2}{range}");
     }
 }
 

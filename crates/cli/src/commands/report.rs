@@ -16,6 +16,9 @@ pub struct Args {
     out: PathBuf,
     #[command(flatten)]
     reading: Reading,
+    /// Overwrite the page if it is there
+    #[arg(long)]
+    force: bool,
     /// Leave the pictures out
     #[arg(long)]
     no_pictures: bool,
@@ -25,6 +28,7 @@ pub struct Args {
 pub fn run(args: &Args) -> Result {
     let options = args.reading.options().unwrap_or_else(|message| usage(&message));
     let options = options.with_keep_course(!args.no_pictures);
+    super::must_not_exist(&args.out, args.force)?;
     let (captures, unreadable) = find(&args.folder);
     if captures.is_empty() {
         let needed = "a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat";
@@ -33,9 +37,11 @@ pub fn run(args: &Args) -> Result {
     let pictures_in = std::env::temp_dir().join(format!("csi5300-report-{}", std::process::id()));
     let mut report = if args.no_pictures { HtmlReport::new() } else { HtmlReport::with_pictures(pictures_in.clone()) };
     unreadable.iter().for_each(|folder| report.note(format!("cannot read {folder}")));
-    for capture in &captures {
+    for (k, capture) in captures.iter().enumerate() {
+        super::progress(&format!("{} of {} captures", k + 1, captures.len()));
         report.add(capture, args.reading.source(), args.reading.channel, &options);
     }
+    super::progress("");
     let _ = std::fs::remove_dir_all(&pictures_in);
     let page = report.html(&args.folder.display().to_string());
     std::fs::write(&args.out, &page).map_err(|error| format!("{}: {error}", args.out.display()))?;

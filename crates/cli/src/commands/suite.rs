@@ -19,6 +19,13 @@ pub struct Args {
     /// A row for each repetition, as CSV
     #[arg(long, default_value = "csi5300-suite.csv", value_name = "FILE")]
     csv: PathBuf,
+    /// Draw each experiment into this folder: phase before and after, and the profile averaged over the repetitions
+    #[cfg(feature = "plot")]
+    #[arg(long, value_name = "DIR")]
+    plot: Option<PathBuf>,
+    /// Overwrite the table, and pictures of the same names, if they are there
+    #[arg(long)]
+    force: bool,
 }
 
 /// Runs the experiments of Dijkstra et al. (\[paper\] in docs/references.md) and prints a table of them.
@@ -33,12 +40,24 @@ pub fn run(args: &Args) -> Result {
     }
     let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let failed = |error: String| format!("cannot write {}: {error}", args.csv.display());
+    super::must_not_exist(&args.csv, args.force)?;
     // Opened first: a file that cannot be written is found before minutes of work, not after.
     let mut csv = csv::Writer::from_path(&args.csv).map_err(|error| failed(error.to_string()))?;
-    let runs = run_all(&all, args.repetitions, &Options::new(channel)).map_err(|error| error.to_string())?;
+    let mut runs = Vec::new();
+    for (k, experiment) in all.iter().enumerate() {
+        super::progress(&format!("{} of {} experiments: {}", k + 1, all.len(), experiment.name));
+        let own = run_all(std::slice::from_ref(experiment), args.repetitions, &Options::new(channel));
+        runs.extend(own.map_err(|error| error.to_string())?);
+    }
+    super::progress("");
     runs.iter().try_for_each(|run| csv.serialize(run)).map_err(|error| failed(error.to_string()))?;
     csv.flush().map_err(|error| failed(error.to_string()))?;
     print(&describe(&summarise(&runs)));
+    #[cfg(feature = "plot")]
+    if let Some(folder) = &args.plot {
+        let written = csi5300_lab::show::repeated::write(&runs, folder).map_err(|error| error.to_string())?;
+        print(&format!("{} pictures in {}\n", written.len(), folder.display()));
+    }
     print(&format!("{} repetitions in {}\n", runs.len(), args.csv.display()));
     Ok(Outcome::Done)
 }

@@ -198,7 +198,7 @@ fn link_figures(report: &CaptureReport, options: &Options) -> Result<LinkFigures
 /// The circular standard deviation of one phase, from the coherence of second differences, which have six times its
 /// variance.
 #[must_use]
-pub(crate) fn spread_rad(coherence: f64) -> f64 {
+pub fn spread_rad(coherence: f64) -> f64 {
     (-2.0 * coherence.max(1e-12).ln() / 6.0).max(0.0).sqrt()
 }
 

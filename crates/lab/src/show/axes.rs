@@ -52,7 +52,7 @@ impl Axes {
             canvas.line((x, bottom), (x, bottom + 7.0), BLACK, 1.5, false);
             canvas.text((x, bottom + 31.0), &name, FONT - 2, TextAnchor::Middle, BLACK);
         }
-        let y_ticks = self.y_ticks.clone().unwrap_or_else(|| ticks(self.y, self.log_y, (self.height / 60.0) as usize));
+        let y_ticks = self.y_ticks.clone().unwrap_or_else(|| ticks(self.y, self.log_y, (self.height / 45.0) as usize));
         for (v, name) in y_ticks {
             let y = self.at(self.x.0, v).1;
             canvas.line((self.left, y), (right, y), PALE, 1.0, false);
@@ -64,8 +64,8 @@ impl Axes {
             canvas.line(*from, *to, BLACK, 1.5, false);
         }
         canvas.text((self.left + self.width / 2.0, bottom + 64.0), x_label, FONT, TextAnchor::Middle, BLACK);
-        let at = (self.left - 82.0, self.top + self.height / 2.0);
-        canvas.label(at, y_label, FONT, TextAnchor::Middle, BLACK, Some(-90.0));
+        // Flat, above the axis: kuva smears letters that it turns.
+        canvas.text(((self.left - 82.0).max(20.0), self.top - 11.0), y_label, FONT - 2, TextAnchor::Start, BLACK);
     }
 }
 

@@ -1,6 +1,7 @@
 //! Lines, text, legends and marks on kuva's scene, which writes both formats. Pixels, y down.
 use super::Error;
 use super::axes::Axes;
+use super::log::Format;
 use kuva::RasterBackend;
 use kuva::backend::svg::SvgBackend;
 use kuva::render::color::Color;
@@ -37,16 +38,24 @@ pub(super) enum Key {
 
 pub(super) struct Canvas(Scene);
 
+/// Points from which on [`Canvas::cloud`] bins, and the size of a bin, pixels.
+const BINNED_FROM: usize = 4_000;
+const BIN_PX: f64 = 3.0;
+
 fn colour(c: Rgb) -> Color {
     Color::Rgb(c.0, c.1, c.2)
 }
 
 impl Canvas {
     pub(super) fn new(height: f64, title: &str) -> Self {
-        let mut scene = Scene::new(WIDTH, height);
+        Self::sized(WIDTH, height, title)
+    }
+
+    pub(super) fn sized(width: f64, height: f64, title: &str) -> Self {
+        let mut scene = Scene::new(width, height);
         scene.font_family = Some("DejaVu Sans, Verdana, sans-serif".into());
         let mut canvas = Self(scene);
-        canvas.text((WIDTH / 2.0, 42.0), title, 28, TextAnchor::Middle, BLACK);
+        canvas.text((width / 2.0, 42.0), title, 28, TextAnchor::Middle, BLACK);
         canvas
     }
 
@@ -121,7 +130,10 @@ impl Canvas {
     }
 
     pub(super) fn text(&mut self, at: (f64, f64), content: &str, size: u32, anchor: TextAnchor, c: Rgb) {
-        self.label(at, content, size, anchor, c, None);
+        // A dollar sign opens a formula in kuva.
+        let (content, color) = (content.replace('$', "\\$"), Some(colour(c)));
+        let rotate = None;
+        self.0.elements.push(Primitive::Text { x: at.0, y: at.1, content, size, anchor, rotate, bold: false, color });
     }
 
     /// Text on a white ground, readable where lines pass below.
@@ -139,27 +151,13 @@ impl Canvas {
         self.text(at, content, size, anchor, BLACK);
     }
 
-    pub(super) fn label(
-        &mut self,
-        at: (f64, f64),
-        content: &str,
-        size: u32,
-        anchor: TextAnchor,
-        c: Rgb,
-        rotate: Option<f64>,
-    ) {
-        // A dollar sign opens a formula in kuva.
-        let (content, color) = (content.replace('$', "\\$"), Some(colour(c)));
-        self.0.elements.push(Primitive::Text { x: at.0, y: at.1, content, size, anchor, rotate, bold: false, color });
-    }
-
     /// Legend rows centred below `y`, outside of the axes; returns the height used.
     pub(super) fn legend(&mut self, y: f64, entries: &[(Key, Rgb, String)]) -> f64 {
         let width = |e: &(Key, Rgb, String)| 80.0 + 12.5 * e.2.chars().count() as f64;
         let mut rows: Vec<Vec<&(Key, Rgb, String)>> = vec![vec![]];
         let mut used = 0.0;
         for e in entries {
-            if used + width(e) > WIDTH - 40.0 && used > 0.0 {
+            if used + width(e) > self.0.width - 40.0 && used > 0.0 {
                 rows.push(vec![]);
                 used = 0.0;
             }
@@ -169,7 +167,7 @@ impl Canvas {
             }
         }
         for (i, row) in rows.iter().enumerate() {
-            let mut x = (WIDTH - row.iter().map(|e| width(e)).sum::<f64>()) / 2.0 + 10.0;
+            let mut x = (self.0.width - row.iter().map(|e| width(e)).sum::<f64>()) / 2.0 + 10.0;
             let y = y + 20.0 + 32.0 * i as f64;
             for e in row {
                 match e.0 {
@@ -182,6 +180,31 @@ impl Canvas {
             }
         }
         32.0 * rows.len() as f64
+    }
+
+    /// Points of `series` as dots, or, where they are too many to be seen one by one, as cells of one pixel grid that are
+    /// the darker the more points they hold: on [`BINNED_FROM`] points and more.
+    pub(super) fn cloud(&mut self, a: &Axes, points: &[(f64, f64)], r: f64, c: Rgb, opacity: f64) {
+        if points.len() < BINNED_FROM {
+            self.dots(points, r, c, opacity);
+            return;
+        }
+        let (columns, rows) = ((a.width / BIN_PX) as usize + 1, (a.height / BIN_PX) as usize + 1);
+        let mut counts = vec![0_u32; columns * rows];
+        for p in points {
+            let (x, y) = ((p.0 - a.left) / BIN_PX, (p.1 - a.top) / BIN_PX);
+            if x >= 0.0 && y >= 0.0 && x < columns as f64 && y < rows as f64 {
+                counts[y as usize * columns + x as usize] += 1;
+            }
+        }
+        let most = f64::from(counts.iter().copied().max().unwrap_or(1).max(1));
+        let cells = counts.iter().enumerate().filter(|(_, count)| **count > 0).map(|(i, count)| {
+            let share = 0.25 + 0.75 * (f64::from(*count) / most).sqrt();
+            let mix = |own: u8| (255.0 - share * (255.0 - f64::from(own))).round() as u8;
+            let at = [a.left + (i % columns) as f64 * BIN_PX, a.top + (i / columns) as f64 * BIN_PX, BIN_PX, BIN_PX];
+            (at, (mix(c.0), mix(c.1), mix(c.2)))
+        });
+        self.cells(cells);
     }
 
     /// Draws with everything that leaves the axes cut off.
@@ -198,6 +221,11 @@ impl Canvas {
 
     /// Writes `stem.png` and `stem.svg`.
     pub(super) fn save(self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+        self.save_as(stem, &Format::default())
+    }
+
+    /// Writes those of `stem.png` and `stem.svg` that are asked for, at the resolution asked for.
+    pub(super) fn save_as(self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let path = |ext: &str| {
             let mut name = stem.as_os_str().to_owned();
             name.push(ext);
@@ -211,9 +239,17 @@ impl Canvas {
             std::fs::create_dir_all(folder).map_err(fail(folder))?;
         }
         let (png, svg) = (path(".png"), path(".svg"));
-        let pixels = RasterBackend::new().with_scale(1.0).render_scene(&self.0).map_err(Error::Drawing)?;
-        std::fs::write(&png, pixels).map_err(fail(&png))?;
-        std::fs::write(&svg, SvgBackend::new().render_scene(&self.0)).map_err(fail(&svg))?;
-        Ok(vec![png, svg])
+        let mut written = Vec::new();
+        if format.png {
+            let scale = (format.dpi / 96.0) as f32;
+            let pixels = RasterBackend::new().with_scale(scale).render_scene(&self.0).map_err(Error::Drawing)?;
+            std::fs::write(&png, pixels).map_err(fail(&png))?;
+            written.push(png);
+        }
+        if format.svg {
+            std::fs::write(&svg, SvgBackend::new().render_scene(&self.0)).map_err(fail(&svg))?;
+            written.push(svg);
+        }
+        Ok(written)
     }
 }

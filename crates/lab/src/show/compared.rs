@@ -17,6 +17,7 @@ pub fn write(recorded: &Figures, simulated: &Figures, folder: &Path) -> Result<V
     };
     let phase = PhasePlot {
         title: "Phase of the round trip at the channel centre".into(),
+        before: "both directions multiplied".into(),
         capture: round_trip("recorded", recorded),
         other: Some(round_trip("simulated", simulated)),
     };

@@ -1,8 +1,12 @@
 //! The pictures of a link: phase, trajectory with the bearing on it, polar profile, maps of places.
 
 use super::{Error, PhasePlot, PhaseTrack, PlaceMap, ProfilePlot, TrajectoryPlot, file_safe};
+use crate::evaluate::{Judged, TrajectorySource};
 use csi5300::bartlett::{self, Grid};
-use csi5300::pipeline::{Bearing, Candidate, Phase};
+use csi5300::maths::wrap_rad;
+use csi5300::pipeline::{Bearing, Phase};
+use nalgebra::Vector3;
+use num_complex::Complex64;
 use std::path::{Path, PathBuf};
 
 /// What is drawn of a link.
@@ -11,6 +15,8 @@ pub struct LinkPictures<'a> {
     pub bearing: &'a Bearing,
     /// True azimuth, where known, radians.
     pub truth_rad: Option<f64>,
+    /// True place of the transmitter in the trajectory's frame, where known, metres.
+    pub transmitter_m: Option<[f64; 2]>,
     /// A recorded link whose phase is drawn beside.
     pub recorded: Option<&'a Bearing>,
 }
@@ -18,7 +24,16 @@ pub struct LinkPictures<'a> {
 /// Azimuths of the profile.
 const AZIMUTHS: usize = 1_440;
 
-impl LinkPictures<'_> {
+impl<'a> LinkPictures<'a> {
+    /// A link with the truth that its row knows. Places are those of motion capture: they are on the picture of a
+    /// trajectory of that frame only.
+    #[must_use]
+    pub fn of(row: &Judged, bearing: &'a Bearing, source: TrajectorySource) -> Self {
+        let transmitter_m = row.true_transmitter_m.filter(|_| source == TrajectorySource::GroundTruth);
+        let truth_rad = row.true_from_mean_pose_deg.map(f64::to_radians);
+        Self { bearing, truth_rad, transmitter_m, recorded: None }
+    }
+
     /// Writes `NAME-phase`, `NAME-trajectory` and `NAME-profile` into a folder, each as .png and .svg.
     ///
     /// # Errors
@@ -50,45 +65,78 @@ impl LinkPictures<'_> {
     }
 
     fn phase(&self, name: &str) -> PhasePlot {
-        let title = format!("{name}: CSI phase at the channel centre");
+        let title = format!("{name}: phase at the channel centre");
         let label = if self.recorded.is_some() { "this capture" } else { "" };
-        let other = self.recorded.map(|recorded| track("recorded", &recorded.course));
-        PhasePlot { title, capture: track(label, &self.bearing.course), other }
+        let other = self.recorded.map(|recorded| whole_track("recorded", recorded));
+        PhasePlot { title, before: "one direction".into(), capture: whole_track(label, self.bearing), other }
     }
 
     fn trajectory(&self, name: &str) -> TrajectoryPlot {
         let answer = &self.bearing.answer;
         TrajectoryPlot {
-            title: format!("{name}: {:.1} deg", answer.azimuth_rad.to_degrees()),
+            title: format!("{name}: trajectory and bearing"),
             path_m: self.bearing.path_m.iter().map(|p| [p.x, p.y]).collect(),
             used_m: self.bearing.samples.receiver_m().iter().map(|p| [p.x, p.y]).collect(),
             azimuth_rad: answer.azimuth_rad,
             mirror_rad: answer.mirror_rad,
             sd_rad: Some(answer.azimuth_sd_rad),
             truth_rad: self.truth_rad,
-            transmitter_m: None,
+            transmitter_m: self.transmitter_m,
         }
     }
 
-    /// The plane wave's profile at the answer's |elevation|, and on it the answer's candidates by their relative power.
+    /// What the answer was chosen from: the evidence over azimuth of the spherical waves, with the plane wave's profile thin
+    /// beside it, or the plane wave's alone where no other was searched.
     fn profile(&self, name: &str) -> Result<ProfilePlot, bartlett::Error> {
         let answer = &self.bearing.answer;
-        let elevation = answer.abs_elevation_rad;
-        let azimuths: Vec<f64> = (0..AZIMUTHS).map(|k| Grid::azimuth(AZIMUTHS).at(k).0).collect();
-        let ring = Grid::directions(azimuths.iter().map(|&azimuth| (azimuth, elevation)).collect());
-        let profile = bartlett::profile(&self.bearing.samples, &ring)?;
-        let highest = profile.values.iter().copied().fold(0.0, f64::max);
-        let best = answer.candidates.first().map_or(1.0, |best| best.power);
-        let mark = |other: &Candidate| (other.azimuth_rad.to_degrees(), highest * other.power / best);
-        let degrees: Vec<f64> = azimuths.iter().map(|azimuth| azimuth.to_degrees()).collect();
+        let plane_wave = plane_wave(self.bearing)?;
+        let evidence = evidence(self.bearing);
+        let (chosen_from, others) = match evidence {
+            Some(evidence) => (evidence, vec![plane_wave]),
+            None => (plane_wave, Vec::new()),
+        };
+        let degrees = answer.azimuth_rad.to_degrees();
         Ok(ProfilePlot {
-            title: format!("{name}: Bartlett profile"),
-            series: vec![(format!("|elevation| {:.0} deg", elevation.to_degrees()), degrees, profile.values)],
-            peaks: answer.candidates.iter().take(3).map(mark).collect(),
+            title: format!("{name}: where the signal comes from"),
+            chosen_from,
+            others,
+            candidates_deg: answer.candidates.iter().map(|other| other.azimuth_rad.to_degrees()).collect(),
+            answer_deg: Some(degrees),
+            answer_sd_deg: Some(answer.azimuth_sd_rad.to_degrees()),
             truth_deg: self.truth_rad.map(f64::to_degrees),
             mirror_deg: answer.mirror_rad.map(f64::to_degrees),
         })
     }
+}
+
+/// Name, azimuths in degrees and values of a curve over azimuth.
+pub(super) type Curve = (String, Vec<f64>, Vec<f64>);
+
+/// The evidence over azimuth, where spherical waves were searched and what pictures need was kept.
+pub(super) fn evidence(bearing: &Bearing) -> Option<Curve> {
+    let evidence = bearing.placed.as_ref()?.evidence.as_ref()?;
+    let degrees = evidence.azimuths_rad.iter().map(|azimuth| azimuth.to_degrees()).collect();
+    Some(("evidence of spherical waves, all subcarriers".into(), degrees, evidence.values.clone()))
+}
+
+/// The plane wave's profile over azimuth: the highest of the |elevations| that its peaks have.
+pub(super) fn plane_wave(bearing: &Bearing) -> Result<Curve, bartlett::Error> {
+    let azimuths: Vec<f64> = (0..AZIMUTHS).map(|k| Grid::azimuth(AZIMUTHS).at(k).0).collect();
+    let own = bearing.plane_wave.peaks.iter().map(|peak| peak.abs_elevation_rad);
+    let mut elevations: Vec<f64> = own.chain([bearing.plane_wave.abs_elevation_rad]).collect();
+    elevations.sort_by(f64::total_cmp);
+    elevations.dedup_by(|a, b| (*a - *b).abs() < 1e-3);
+    let mut values = vec![0.0_f64; AZIMUTHS];
+    for elevation in elevations {
+        let ring = Grid::directions(azimuths.iter().map(|&azimuth| (azimuth, elevation)).collect());
+        let profile = bartlett::profile(&bearing.samples, &ring)?;
+        values.iter_mut().zip(profile.values).for_each(|(value, own)| *value = value.max(own));
+    }
+    let mut points: Vec<(f64, f64)> =
+        azimuths.iter().map(|azimuth| wrap_rad(*azimuth).to_degrees()).zip(values).collect();
+    points.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (degrees, values) = points.into_iter().unzip();
+    Ok(("plane wave at the channel centre".into(), degrees, values))
 }
 
 pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {
@@ -97,7 +145,40 @@ pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {
         t_s: course.iter().map(|phase| phase.t_s).collect(),
         before_rad: course.iter().map(|phase| phase.one_way_rad).collect(),
         after_rad: course.iter().map(|phase| phase.compensated_rad).collect(),
+        ..PhaseTrack::default()
     }
+}
+
+/// The track of a link with the product of both directions, and with what is left without the motion.
+fn whole_track(label: &str, bearing: &Bearing) -> PhaseTrack {
+    PhaseTrack {
+        product_rad: bearing.course.iter().map(|phase| phase.round_trip_rad).collect(),
+        left: without_motion(bearing),
+        ..track(label, &bearing.course)
+    }
+}
+
+/// What is left of the phases of the samples once the paths to the answer are taken out, about their mean.
+fn without_motion(bearing: &Bearing) -> Vec<(f64, f64)> {
+    let Some(best) = bearing.answer.candidates.first() else { return Vec::new() };
+    let (samples, curve) = (&bearing.samples, best.inverse_range_per_m);
+    let u = bartlett::direction(bearing.answer.azimuth_rad, best.abs_elevation_rad);
+    let at: Vec<Vector3<f64>> = samples.receiver_m().iter().zip(samples.transmitter_m()).map(|(r, t)| r - t).collect();
+    let middle = at.iter().sum::<Vector3<f64>>() / samples.len().max(1) as f64;
+    let turned = |(z, p): (&Complex64, &Vector3<f64>)| {
+        let offset = p - middle;
+        // How much nearer the answer is than from the middle of the motion: u.p of a plane wave, bent by the range.
+        let nearer_m = match curve > 0.0 {
+            true => (u / curve).norm() - (u / curve - offset).norm(),
+            false => u.dot(&offset),
+        };
+        let turns = f64::from(samples.path_gain()) * nearer_m / samples.wavelength_m();
+        z * Complex64::cis(-std::f64::consts::TAU * turns)
+    };
+    let left: Vec<Complex64> = samples.z().iter().zip(&at).map(turned).collect();
+    let mean: Complex64 = left.iter().sum();
+    let first_s = samples.t_s().first().copied().unwrap_or_default();
+    samples.t_s().iter().zip(&left).map(|(t_s, z)| (t_s - first_s, (z * mean.conj()).arg())).collect()
 }
 
 fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'static str, PlaceMap)> {

@@ -3,8 +3,10 @@
 //! | file | what it shows |
 //! |---|---|
 //! | [`link`] | a link from end to end: [`link::LinkPictures`] |
+//! | [`log`] | a log over time: heat maps of CSI, levels, rate, what is missing |
 //! | [`set`] | an evaluation: error distributions, refusals, a map of each place |
 //! | [`compared`] | a recording and a simulation beside each other |
+//! | [`repeated`] | the experiments of \[paper\] (docs/references.md): phases, averaged profiles |
 //! | [`report`] | one HTML page of a tree of captures, pictures inside |
 //! | `phase`, `profile`, `place`, `plane`, `curves` | the kinds of picture |
 //! | `canvas`, `axes` | lines, text, legends, ticks; the only files that name the drawing library's scene |
@@ -18,10 +20,12 @@ mod canvas;
 pub mod compared;
 mod curves;
 pub mod link;
+pub mod log;
 mod phase;
 mod place;
 mod plane;
 mod profile;
+pub mod repeated;
 pub mod report;
 pub mod set;
 

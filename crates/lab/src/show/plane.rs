@@ -22,7 +22,7 @@ pub struct TrajectoryPlot {
     pub sd_rad: Option<f64>,
     /// True bearing, radians.
     pub truth_rad: Option<f64>,
-    /// True position of the transmitter, metres; left out of view if further than four path lengths.
+    /// True position of the transmitter, metres; left out of view if further than eight path lengths.
     pub transmitter_m: Option<[f64; 2]>,
 }
 
@@ -122,7 +122,7 @@ impl TrajectoryPlot {
         let of = if used.is_empty() { &path } else { &used };
         let n = of.len() as f64;
         let mean = [of.iter().map(|p| p[0]).sum::<f64>() / n, of.iter().map(|p| p[1]).sum::<f64>() / n];
-        let near = |p: &[f64; 2]| (p[0] - mean[0]).hypot(p[1] - mean[1]) <= 4.0 * size;
+        let near = |p: &[f64; 2]| (p[0] - mean[0]).hypot(p[1] - mean[1]) <= 8.0 * size;
         let transmitter = self.transmitter_m.filter(near);
         view.extend(transmitter);
 
@@ -135,7 +135,7 @@ impl TrajectoryPlot {
         let mut keys = vec![(Key::Line, SKY, "path".to_owned()), (Key::Dot, BLUE, "CSI used".to_owned())];
         keys.extend(rays.iter().rev().map(|&(azimuth, colour, dash, name)| {
             let key = if dash { Key::Dash } else { Key::Line };
-            (key, colour, format!("{name} {:.1}°", azimuth.to_degrees()))
+            (key, colour, format!("{name} {:.2}°", azimuth.to_degrees()))
         }));
         let mut canvas = Canvas::new(900.0, &self.title);
         let top = 74.0 + canvas.legend(58.0, &keys);
@@ -148,8 +148,10 @@ impl TrajectoryPlot {
                 let [low, high] = [-half, half].map(|d| beyond(&axes, mean, self.azimuth_rad + d));
                 canvas.polygon(&[start, low, high], RED, 0.18);
             }
-            for &(azimuth, colour, dash, _) in &rays {
-                canvas.line(start, beyond(&axes, mean, azimuth), colour, 3.5, dash);
+            // The truth is wider than the bearing on it, so that both are seen where they agree.
+            for &(azimuth, colour, dash, name) in &rays {
+                let width = if name == "truth" { 9.0 } else { 3.0 };
+                canvas.line(start, beyond(&axes, mean, azimuth), colour, width, dash);
             }
             canvas.polyline(pixels(&axes, &path), SKY, 4.0);
             canvas.dots(&pixels(&axes, &used), 3.5, BLUE, 0.9);

@@ -47,21 +47,28 @@ impl HtmlReport {
 
     /// Evaluates a capture and adds its links. Phases are drawn where `options.keep_course` is set.
     pub fn add(&mut self, capture: &Capture, source: TrajectorySource, channel: Option<Channel>, options: &Options) {
-        let mut drawn: BTreeMap<String, Vec<String>> = BTreeMap::new();
-        let mut failed = None;
         let folder = self.pictures_in.as_deref();
-        let mut look =
-            |name: &str, bearing: &Bearing, _: &Options| match folder.map(|folder| draw(folder, name, bearing)) {
-                Some(Ok(pictures)) => drop(drawn.insert(name.to_owned(), pictures)),
-                Some(Err(error)) => failed = Some(error),
-                None => {}
-            };
+        let mut bearings: BTreeMap<String, Bearing> = BTreeMap::new();
+        let mut look = |name: &str, bearing: &Bearing, _: &Options| {
+            if folder.is_some() {
+                bearings.insert(name.to_owned(), bearing.clone());
+            }
+        };
         let Evaluated { rows, lost, notes } = capture.evaluate_and(source, channel, options, &mut look);
         self.lost |= lost;
         self.notes.extend(notes);
-        self.notes.extend(failed);
-        let with = |row: Judged| LinkShown { pictures: drawn.remove(&row.answer.link).unwrap_or_default(), row };
-        self.links.extend(rows.into_iter().map(with));
+        for row in rows {
+            let bearing = bearings.remove(&row.answer.link).zip(folder);
+            let pictures = match bearing.map(|(bearing, folder)| draw(folder, &row, &bearing, source)) {
+                Some(Err(error)) => {
+                    self.notes.push(error);
+                    Vec::new()
+                }
+                Some(Ok(pictures)) => pictures,
+                None => Vec::new(),
+            };
+            self.links.push(LinkShown { row, pictures });
+        }
     }
 
     /// The links so far.
@@ -83,8 +90,9 @@ impl HtmlReport {
 }
 
 /// The pictures of a link as SVG.
-fn draw(folder: &Path, name: &str, bearing: &Bearing) -> Result<Vec<String>, String> {
-    let pictures = LinkPictures { bearing, truth_rad: None, recorded: None };
+fn draw(folder: &Path, row: &Judged, bearing: &Bearing, source: TrajectorySource) -> Result<Vec<String>, String> {
+    let name = &row.answer.link;
+    let pictures = LinkPictures::of(row, bearing, source);
     let written = pictures.write(folder, name).map_err(|error| format!("{name}: {error}"))?;
     let svgs = written.iter().filter(|path| path.extension().is_some_and(|extension| extension == "svg"));
     svgs.map(|path| std::fs::read_to_string(path).map_err(|error| error.to_string())).collect()

@@ -29,16 +29,27 @@ fn draws_around_values_that_are_not_finite() {
         t_s: t_s.clone(),
         before_rad: vec![1.0, f64::INFINITY, 2.0, 9.0],
         after_rad: t_s,
+        left: vec![(0.0, f64::NAN), (1.0, 4.0)],
+        ..PhaseTrack::default()
     };
-    check(&PhasePlot { title: "t".into(), other: Some(capture.clone()), capture }.write(&at.join("phase")).unwrap());
+    check(
+        &PhasePlot { title: "t".into(), before: String::new(), other: Some(capture.clone()), capture }
+            .write(&at.join("phase"))
+            .unwrap(),
+    );
     let path_m = vec![[0.0, 0.0], [f64::NAN, 1.0], [1.0, 1.0]];
     let plot = TrajectoryPlot { path_m, azimuth_rad: f64::NAN, sd_rad: Some(0.1), ..Default::default() };
     check(&plot.write(&at.join("path.v1")).unwrap());
     assert!(at.join("path.v1.png").exists(), "a dot in the stem is kept");
     let map = ProfileMap { n_az: 2, n_el: 2, value: vec![0.0, f64::NAN, 1.0, -1.0], ..Default::default() };
     check(&map.write(&at.join("map")).unwrap());
-    let series = vec![("s".into(), vec![0.0, 90.0], vec![f64::NAN, 1.0])];
-    check(&ProfilePlot { series, ..Default::default() }.write(&at.join("polar")).unwrap());
+    let chosen_from = ("s".into(), vec![0.0, 90.0], vec![f64::NAN, 1.0]);
+    let (answer_deg, answer_sd_deg, truth_deg) = (Some(90.0), Some(f64::INFINITY), Some(f64::NAN));
+    check(
+        &ProfilePlot { chosen_from, answer_deg, answer_sd_deg, truth_deg, ..Default::default() }
+            .write(&at.join("polar"))
+            .unwrap(),
+    );
     let cdf = CdfPlot { series: vec![("s".into(), vec![0.0, f64::NAN, 2.0])], ..Default::default() };
     check(&cdf.write(&at.join("cdf")).unwrap());
     let lines =

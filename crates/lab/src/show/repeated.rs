@@ -1,0 +1,78 @@
+//! The experiments of Dijkstra et al. (\[paper\] in docs/references.md) as it draws them: the phase of each before and after
+//! the offset is cancelled, and profiles over azimuth averaged over the repetitions.
+
+use super::link::track;
+use super::{Error, PhasePlot, PhaseTrack, ProfilePlot, file_safe};
+use crate::suite::{Run, Standing, profile_azimuth_rad};
+use std::path::{Path, PathBuf};
+
+/// Single repetitions drawn beside the average.
+const SINGLES: usize = 5;
+
+/// Writes `NAME-phase` (the first repetition) and, where the robot moved, `NAME-profile` for each experiment.
+///
+/// # Errors
+/// If a picture cannot be drawn or written.
+pub fn write(runs: &[Run], folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let mut written = Vec::new();
+    for own in runs.chunk_by(|a, b| a.experiment == b.experiment) {
+        let Some(first) = own.first() else { continue };
+        let stem = |what: &str| folder.join(format!("{}-{what}", file_safe(&first.experiment)));
+        if !first.course.is_empty() {
+            written.extend(phase(first).write(&stem("phase"))?);
+        }
+        if !first.profile.is_empty() {
+            written.extend(averaged(own).write(&stem("profile"))?);
+        }
+    }
+    Ok(written)
+}
+
+/// The phase of two robots that stand.
+#[must_use]
+pub fn standing(standing: &Standing) -> PhasePlot {
+    let product_rad = standing.course.iter().map(|phase| phase.round_trip_rad).collect();
+    let spread = format!(
+        "from packet to packet: {:.2} rad, {:.2} rad, {:.2} rad",
+        standing.spread_one_way_rad, standing.spread_rad, standing.spread_compensated_rad
+    );
+    PhasePlot {
+        title: "Two robots that stand: phase at the channel centre".into(),
+        before: "one direction".into(),
+        capture: PhaseTrack { product_rad, ..track(&spread, &standing.course) },
+        other: None,
+    }
+}
+
+fn phase(run: &Run) -> PhasePlot {
+    let spread = format!(
+        "spread from packet to packet {:.2} rad, {:.2} rad with the turn-around taken out",
+        run.residual_rad, run.residual_compensated_rad
+    );
+    let product_rad = run.course.iter().map(|phase| phase.round_trip_rad).collect();
+    PhasePlot {
+        title: format!("{}: phase at the channel centre", run.experiment),
+        before: "one direction".into(),
+        capture: PhaseTrack { product_rad, ..track(&spread, &run.course) },
+        other: None,
+    }
+}
+
+/// The mean of the repetitions' profiles, each relative to its highest.
+fn averaged(runs: &[Run]) -> ProfilePlot {
+    let azimuths: Vec<f64> = (0..runs[0].profile.len()).map(|k| profile_azimuth_rad(k).to_degrees()).collect();
+    let with: Vec<&Run> = runs.iter().filter(|run| run.profile.len() == azimuths.len()).collect();
+    let mean = |k: usize| with.iter().map(|run| run.profile[k]).sum::<f64>() / with.len() as f64;
+    let name = |k: usize| if k == 0 { "single repetitions".to_owned() } else { String::new() };
+    let singles = with.iter().take(SINGLES).filter(|_| with.len() > 1).enumerate();
+    let (errors, truth_deg): (Vec<f64>, _) = (with.iter().filter_map(|run| run.error_deg).collect(), runs[0].truth_deg);
+    let largest = errors.iter().fold(0.0_f64, |most, error| most.max(error.abs()));
+    ProfilePlot {
+        title: format!("{}: {} repetitions, largest error {largest:.2}°", runs[0].experiment, runs.len()),
+        chosen_from: ("average of the repetitions".into(), azimuths.clone(), (0..azimuths.len()).map(mean).collect()),
+        others: singles.map(|(k, run)| (name(k), azimuths.clone(), run.profile.clone())).collect(),
+        truth_deg,
+        mirror_deg: truth_deg.filter(|_| runs.iter().any(|run| run.mirror_deg.is_some())).and(runs[0].mirror_deg),
+        ..ProfilePlot::default()
+    }
+}
