@@ -13,9 +13,9 @@ const US_PER_S: i64 = 1_000_000;
 /// Size of a side file's entries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Width {
-    /// 8 bytes: two u32.
+    /// 8 bytes: two u32. What csiread reads, and what recordings of this project have.
     Narrow,
-    /// 16 bytes: two i64. What this project writes.
+    /// 16 bytes: two i64.
     Wide,
 }
 

@@ -19,11 +19,52 @@ const SAME_COUNT: u32 = 1 << 22;
 /// Inter-packet times kept for the median.
 const STEPS_KEPT: usize = 4_096;
 
+/// Records this far apart on the card's clock, microseconds, have a pause between them.
+pub const PAUSE_US: i64 = 1_000_000;
+/// Steps of a frame number that count as counting up: a sender that several robots share counts past the others' frames.
+const COUNTING_UP: std::ops::RangeInclusive<i32> = 1..=64;
+
+/// How the card's clock went on from record to record.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
+pub struct ClockSteps {
+    /// Sum of the steps forward, microseconds.
+    pub forward_us: i64,
+    /// Steps back: the card was reset, or its clock jumped.
+    pub steps_back: u64,
+    /// The largest of them, microseconds, positive.
+    pub furthest_back_us: i64,
+    /// Steps forward of [`PAUSE_US`] and more.
+    pub pauses: u64,
+    /// The longest of them, microseconds.
+    pub longest_pause_us: i64,
+}
+
+impl ClockSteps {
+    fn note(&mut self, step_us: i64) {
+        if step_us < 0 {
+            self.steps_back += 1;
+            self.furthest_back_us = self.furthest_back_us.max(-step_us);
+            return;
+        }
+        self.forward_us += step_us;
+        if step_us >= PAUSE_US {
+            self.pauses += 1;
+            self.longest_pause_us = self.longest_pause_us.max(step_us);
+        }
+    }
+}
+
 /// Frames of one sender in a log.
 #[derive(Clone, Debug, Default, serde::Serialize)]
 pub struct Sender {
     /// bfee records.
     pub records: u64,
+    /// How the card's clock went on from one to the next.
+    pub clock_steps: ClockSteps,
+    /// Steps of the frame number by 1 to 64.
+    #[serde(skip)]
+    followed: u64,
     /// Lowest and highest frame number.
     pub frame_count: Option<(u32, u32)>,
     /// Frame numbers skipped on the way up.
@@ -51,6 +92,21 @@ impl Sender {
         (median > 0).then(|| 1e6 / median as f64)
     }
 
+    /// Frames per second over the whole log: steps over their sum on the card's clock, pauses included, steps back left
+    /// out.
+    #[must_use]
+    pub fn mean_rate_hz(&self) -> Option<f64> {
+        let (steps, us) = (self.records.saturating_sub(1 + self.clock_steps.steps_back), self.clock_steps.forward_us);
+        (steps > 0 && us > 0).then(|| 1e6 * steps as f64 / us as f64)
+    }
+
+    /// Whether what stands where a sounding frame has its number counts up from frame to frame, in at least half of the
+    /// records. Frames of other programs have anything there.
+    #[must_use]
+    pub fn counts_up(&self) -> bool {
+        self.frame_count.is_some() && 2 * self.followed + 2 * self.frames_repeated + 1 >= self.records
+    }
+
     fn note(&mut self, frame_count: Option<u32>, timestamp_low: u32) {
         self.records += 1;
         if let Some(number) = frame_count {
@@ -59,10 +115,11 @@ impl Sender {
             self.note_number(number);
         }
         let now_us = self.clock.next(timestamp_low);
-        if let Some(last_us) = self.last_us
-            && self.steps_us.len() < STEPS_KEPT
-        {
-            self.steps_us.push(now_us - last_us);
+        if let Some(last_us) = self.last_us {
+            self.clock_steps.note(now_us - last_us);
+            if self.steps_us.len() < STEPS_KEPT {
+                self.steps_us.push(now_us - last_us);
+            }
         }
         self.last_us = Some(now_us);
     }
@@ -73,6 +130,7 @@ impl Sender {
         let nearest = self.last_frame_counts.iter_mut().min_by_key(|last| step_from(**last).unsigned_abs());
         match nearest {
             Some(last) if step_from(*last).unsigned_abs() <= SAME_COUNT => {
+                self.followed += u64::from(COUNTING_UP.contains(&step_from(*last)));
                 match step_from(*last) {
                     1 => {}
                     0 => self.frames_repeated += 1,
@@ -87,8 +145,9 @@ impl Sender {
     }
 }
 
-/// Smallest, largest and sum of a quantity.
+/// Smallest, largest and mean value of a quantity; null in JSON where it was never measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[serde(into = "Option<Spread>")]
 pub struct Range {
     /// Smallest value.
     pub min: i32,
@@ -96,11 +155,30 @@ pub struct Range {
     pub max: i32,
     /// Mean value.
     pub mean: f64,
-    #[serde(skip)]
     count: u64,
 }
 
+/// A [`Range`] of something, as JSON has it.
+#[derive(serde::Serialize)]
+struct Spread {
+    min: i32,
+    max: i32,
+    mean: f64,
+}
+
+impl From<Range> for Option<Spread> {
+    fn from(range: Range) -> Self {
+        range.is_measured().then_some(Spread { min: range.min, max: range.max, mean: range.mean })
+    }
+}
+
 impl Range {
+    /// False if there was no value.
+    #[must_use]
+    pub fn is_measured(&self) -> bool {
+        self.count > 0
+    }
+
     fn note(&mut self, value: i32) {
         if self.count == 0 {
             (self.min, self.max) = (value, value);
@@ -173,6 +251,8 @@ pub struct Survey {
     pub senders: BTreeMap<Mac, Sender>,
     /// First and last card clock, unwrapped microseconds.
     pub clock_us: Option<(i64, i64)>,
+    /// How it went on from record to record.
+    pub clock_steps: ClockSteps,
     /// First and last host time, microseconds since the Unix epoch.
     pub host_us: Option<(i64, i64)>,
     /// MPDU records whose frame check sequence does not fit.
@@ -240,7 +320,11 @@ impl Survey {
         self.heard = None;
         if let Ok(mpdu) = Mpdu::new_checked(body) {
             if mpdu.fcs_is_good() {
-                self.heard = Some((mpdu.addr3(), mpdu.sounding_counter()));
+                // A sounding frame has its sender in address 3. A group address sends nothing: that frame is of another
+                // program (csitool's injection broadcasts there), its sender in address 2, its payload no number.
+                let addr3 = mpdu.addr3();
+                let is_group = addr3.0[0] & 1 == 1;
+                self.heard = Some(if is_group { (mpdu.addr2(), None) } else { (addr3, mpdu.sounding_counter()) });
             } else {
                 self.mpdu_bad_fcs += 1;
             }
@@ -299,6 +383,9 @@ impl Survey {
         }
         let elapsed_us = self.host_us.zip(identity.host_us).map(|((_, last), now)| now.saturating_sub(last));
         let now_us = self.clock.next_after(bfee.timestamp_low(), elapsed_us);
+        if let Some((_, last_us)) = self.clock_us {
+            self.clock_steps.note(now_us - last_us);
+        }
         self.clock_us = Some((self.clock_us.map_or(now_us, |(first, _)| first), now_us));
         if let Some(host_us) = identity.host_us {
             self.host_us = Some((self.host_us.map_or(host_us, |(first, _)| first), host_us));

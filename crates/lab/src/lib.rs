@@ -7,6 +7,7 @@
 //! | [`folds`] | captures with their truth | errors and calibration on places that nothing was fitted to |
 //! | [`compare`] | a recorded capture, and a simulated one or none | their figures beside each other; a scene fitted to the recording |
 //! | [`suite`] | the experiments of \[paper\] as scenes | each repeated and summed up |
+//! | [`course`] | a log | CSI, levels and rate over time, binned |
 //! | [`rooms`] | a seed | random rooms with known truth, written as captures |
 //! | `show` (feature `plot`) | bearings, rows, figures | pictures (PNG, SVG) and one HTML page |
 //!
@@ -14,6 +15,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod compare;
+pub mod course;
 pub mod evaluate;
 pub mod fit_confidence;
 pub mod folds;

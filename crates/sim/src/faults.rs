@@ -112,6 +112,37 @@ pub struct Injected {
     pub poses_late: u64,
 }
 
+impl std::fmt::Display for Injected {
+    /// What there was any of, in words.
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let all = [
+            (self.sent, "frames sent"),
+            (self.received, "received"),
+            (self.lost, "lost"),
+            (self.collided, "collided"),
+            (self.out_of_reach, "out of reach"),
+            (self.missed_while_off, "missed while off"),
+            (self.duplicated, "duplicated"),
+            (self.overheard, "overheard"),
+            (self.driver_dropped, "records dropped by the driver"),
+            (self.driver_dropped_unseen, "of them at an end, where no gap shows them"),
+            (self.overruns, "overruns"),
+            (self.overrun_records, "records lost in them"),
+            (self.restarts, "restarts"),
+            (self.delivered, "records delivered"),
+            (self.saturated, "coefficients saturated"),
+            (self.tail_records, "records lost at the end of a killed log"),
+            (self.tail_bytes, "bytes left of the cut one"),
+            (self.poses, "poses"),
+            (self.poses_dropped, "poses dropped"),
+            (self.poses_late, "poses late"),
+        ];
+        let words: Vec<String> =
+            all.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}")).collect();
+        out.write_str(&if words.is_empty() { "nothing".to_owned() } else { words.join(", ") })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -138,7 +138,7 @@ pub enum PlanError {
     #[error("first length {0}; odd and at least {min} is needed, WSR's own is 57", min = wsr::MIN_FORWARD_LEN)]
     FirstLen(u16),
     /// The same MAC (or, in the WSR dialect, the same index) twice.
-    #[error("{0} (or its index) is in the list of robots twice")]
+    #[error("{0} is in the list of robots twice, or (WSR frames) another one has its number")]
     Twice(Mac),
     /// A WSR index whose frames are longer than the plan allows for.
     #[error("index {index} is beyond the {links} links that the slot length was planned for; number robots from 0")]

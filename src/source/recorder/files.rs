@@ -5,7 +5,7 @@ use crate::source::Error;
 use crate::source::side_file::side_path;
 use crate::time::{Instant, Span};
 use driver_iface::record::whole_records;
-use driver_iface::side_file::{Width, emit_wide};
+use driver_iface::side_file::{Width, emit};
 use std::fs::{File, OpenOptions};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -82,6 +82,8 @@ pub struct LogFiles {
     since: Option<Instant>,
     data: Grown,
     side: Grown,
+    /// Of the side file's entries.
+    width: Width,
     /// Records in the data file: the side file is brought up to it.
     records: u64,
     finished: Vec<PathBuf>,
@@ -103,9 +105,18 @@ impl LogFiles {
             since: None,
             data,
             side,
+            width: Width::Narrow,
             records: 0,
             finished: Vec::new(),
         })
+    }
+
+    /// With side files of another width: narrow, as csiread and its logger on a 32-bit host have them, is what is written
+    /// otherwise. Call it before the first record.
+    #[must_use]
+    pub fn with_side_width(mut self, width: Width) -> Self {
+        self.width = width;
+        self
     }
 
     /// The data file that [`LogFiles::create`] makes first.
@@ -143,11 +154,15 @@ impl LogFiles {
 
     /// Brings the side file up to the data file: zeros for what an earlier failure left out, then `times`.
     fn stamp(&mut self, before: u64, times: &[Option<i64>]) -> io::Result<()> {
-        const ENTRY: usize = Width::Wide.bytes();
-        let behind = before.saturating_sub(self.side.len / ENTRY as u64) as usize;
-        let behind = std::iter::repeat_n(&None, behind);
-        let bytes: Vec<u8> = behind.chain(times).flat_map(|time| emit_wide(*time)).collect();
-        self.side.append(&bytes, |done| done - done % ENTRY).1
+        let length = self.width.bytes();
+        let behind = before.saturating_sub(self.side.len / length as u64) as usize;
+        let entries: Vec<Option<i64>> = std::iter::repeat_n(None, behind).chain(times.iter().copied()).collect();
+        let mut bytes = vec![0; entries.len() * length];
+        for (time, entry) in entries.into_iter().zip(bytes.chunks_exact_mut(length)) {
+            // A time that a narrow entry cannot hold (before 1970, after 2106) stays zeros: not known.
+            let _ = emit(time, self.width, entry);
+        }
+        self.side.append(&bytes, |done| done - done % length).1
     }
 }
 

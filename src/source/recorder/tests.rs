@@ -177,7 +177,7 @@ fn rotation_by_size_and_by_time_loses_nothing() {
             let log = std::fs::read(path).unwrap();
             assert!(name != "size" || log.len() <= 250_000);
             let stamps = std::fs::metadata(side_path(path)).unwrap().len();
-            assert_eq!(stamps as usize / 16, log.len() / RECORD);
+            assert_eq!(stamps as usize / 8, log.len() / RECORD);
             all.extend(numbers(&log));
         }
         assert_eq!(all, (0..5_000).collect::<Vec<_>>());

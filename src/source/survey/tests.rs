@@ -50,3 +50,68 @@ fn what_noise_makes_up_is_bounded() {
     assert_eq!((survey.senders.len(), survey.rates.len()), (SENDERS_KEPT, SENDERS_KEPT));
     assert_eq!(survey.further_senders, 1_000 - SENDERS_KEPT as u64);
 }
+
+#[test]
+fn a_clock_that_pauses_or_steps_back_is_seen_and_the_rate_is_that_of_the_whole_log() {
+    let mut sender = Sender::default();
+    // 101 frames 10 ms apart, a pause of 9 s, 100 more; then the clock falls back by 3 s and 10 frames follow.
+    let steps = [vec![10_000_i64; 100], vec![9_000_000], vec![10_000; 99], vec![-3_000_000], vec![10_000; 9]].concat();
+    let mut at_us = 5_000_000_i64;
+    sender.note(None, at_us as u32);
+    for step in steps {
+        at_us += step;
+        sender.note(None, at_us as u32);
+    }
+    let clock = sender.clock_steps;
+    assert_eq!((clock.pauses, clock.longest_pause_us), (1, 9_000_000));
+    assert_eq!((clock.steps_back, clock.furthest_back_us), (1, 3_000_000));
+    assert_eq!(clock.forward_us, 208 * 10_000 + 9_000_000);
+    assert_eq!(sender.rate_hz(), Some(100.0));
+    let mean = sender.mean_rate_hz().unwrap();
+    assert!((mean - 209.0 / 11.08).abs() < 1e-9, "{mean}");
+}
+
+#[test]
+fn random_payload_is_no_frame_number() {
+    let random: Vec<u32> = (1..500_u32).map(|k| k.wrapping_mul(2_654_435_761) ^ 0x5bd1_e995).collect();
+    assert!(!sender(&random).counts_up());
+    assert!(sender(&[7, 8, 8, 12, 13, 1, 2, 2, 2, 4]).counts_up());
+    assert!(!Sender::default().counts_up());
+}
+
+#[test]
+fn a_broadcast_address_is_no_sender() {
+    let frame = |addr3: Mac| {
+        let repr = driver_iface::mpdu::Repr {
+            frame_control: 0x0008,
+            duration_us: 0,
+            seq_ctrl: 0,
+            addr1: Mac([2; 6]),
+            addr2: Mac([4; 6]),
+            addr3,
+            payload: &[0, 0, 0, 9],
+        };
+        let mut frame = vec![0; repr.emit_len()];
+        repr.emit(&mut frame).unwrap();
+        frame
+    };
+    for (addr3, sender, number) in [(Mac([0xff; 6]), Mac([4; 6]), None), (Mac([6; 6]), Mac([6; 6]), Some(9))] {
+        let repr = Repr::default();
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
+        let mut survey = Survey::default();
+        let mpdu = frame(addr3);
+        survey.note(&Next::Record(Stamps::default(), Record { code: code::MPDU, body: &mpdu }));
+        let record = Record { code: code::BFEE, body: &body };
+        let (_, identity) = survey.note(&Next::Record(Stamps::default(), record)).unwrap();
+        assert_eq!((identity.mac, identity.frame_count), (sender, number));
+    }
+}
+
+#[test]
+fn what_was_never_measured_has_no_range() {
+    let mut range = Range::default();
+    assert!(!range.is_measured());
+    range.note(0);
+    assert!(range.is_measured());
+}

@@ -1,14 +1,14 @@
 //! `csi5300 bearing`.
 
 use super::args::{Estimation, channel, mac};
-use super::{Outcome, Result, hint, info, print, print_json, profile, usage};
+use super::{Outcome, Result, hint, info, print, print_json, profile, some, usage};
 use csi5300::bartlett::Grid;
 use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::LinkError;
 use csi5300::pipeline::LinkPlan;
 use csi5300::pipeline::{Answer, lost_something};
-use csi5300::pipeline::{CaptureReport, JoinBy, LinkReport, LogReport, Options, Transmitter, bearings};
+use csi5300::pipeline::{CaptureReport, JoinBy, LinkReport, LogReport, Options, Transmitter, WaveModel, bearings};
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, replay::Replay};
 use driver_iface::Mac;
@@ -162,6 +162,7 @@ pub fn run(mut args: Args) -> Result {
             names[k] = format!("{name}.{}", k + 1);
         }
     }
+    let mut answered = 0;
     for (name, link) in names.iter().zip(&report.links) {
         let mut answer = Answer::new(name.clone(), link);
         hint::add(&mut answer);
@@ -171,14 +172,15 @@ pub fn run(mut args: Args) -> Result {
         if let (true, Ok(bearing)) = (args.explain, &link.bearing) {
             answer.plan = Some(LinkPlan::of(bearing, &options, &args.grid).map_err(|error| error.to_string())?);
         }
+        answered += usize::from(answer.azimuth_deg.is_some());
         tell(&answer, args.json);
         say_heard(&args.rx, &report, link);
         artefacts(&args, name, link, report.links.len())?;
     }
     unread.iter().for_each(|answer| tell(answer, args.json));
-    Ok(if report.links.iter().all(|link| link.bearing.is_err()) {
+    Ok(if answered == 0 {
         Outcome::Nothing
-    } else if !unread.is_empty() || lost_something(&report) {
+    } else if answered < report.links.len() || !unread.is_empty() || lost_something(&report) {
         Outcome::DataLost
     } else {
         Outcome::Done
@@ -204,7 +206,8 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
-        let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, recorded: None };
+        let pictures =
+            csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, transmitter_m: None, recorded: None };
         for path in pictures.write(folder, name).map_err(|error| error.to_string())? {
             eprintln!("picture of {name}: {}", path.display());
         }
@@ -320,6 +323,9 @@ fn describe(answer: &Answer) -> String {
             None => (String::new(), "along a line"),
         };
         let _ = write!(text, ", or its mirror {mirror:.2} deg{height}: motion {motion} cannot tell them apart");
+    } else if let (Some(ratio), Some(next)) = (answer.peak_ratio.filter(|r| *r >= ALIKE), answer.candidates.get(1)) {
+        let share = 100.0 * ratio;
+        let _ = write!(text, ", or {:.2} deg, for which {share:.0} % as much speaks", next.azimuth_deg);
     }
     text.push('\n');
     if let Some(confidence) = answer.confidence {
@@ -332,6 +338,8 @@ fn describe(answer: &Answer) -> String {
                 "  range {range:.2} +- {sd:.2} m: x {x:.2}, y {y:.2}, z {z:.2} m in the trajectory's frame (the sign of the height is a guess)"
             );
         }
+        // A plane wave has no range to be found.
+        _ if answer.model != Some(WaveModel::SphericalWave) => {}
         _ => text += "  no range: the wave front's curvature does not fix it\n",
     }
     if answer.paths.len() > 1 {
@@ -351,11 +359,16 @@ fn describe(answer: &Answer) -> String {
     text
 }
 
+/// A second candidate for which this share as much speaks as for the first is said beside it.
+const ALIKE: f64 = 0.9;
+
 /// How far the answer explains what was measured.
 fn quality(answer: &Answer) -> String {
     let or_dash = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
     format!(
-        "  |elevation| {} deg; coherence {}; next peak {} of the highest; WSR profile variance {}; likelihood share {}\n",
+        "  |elevation| {} deg; one plane wave explains {} of the phases (coherence, 0 to 1); the next candidate has {} of \
+         the evidence of the first\n  as other programs measure it: profile variance of the WSR toolbox {} (lower is sharper), \
+         likelihood share of Dijkstra et al. {} (of 360 azimuths)\n",
         or_dash(answer.abs_elevation_deg),
         or_dash(answer.coherence),
         or_dash(answer.peak_ratio),
@@ -393,8 +406,10 @@ fn pairs(answer: &Answer) -> String {
         let odd = side.duplicates + side.implausible + side.mispaired + side.restarts;
         let _ = write!(
             text,
-            "  {name} log: {} of {} frames paired, {} numbers missing",
-            side.paired, side.handed, side.missing
+            "  {name} log: {} of {} frames paired, {} missing",
+            side.paired,
+            side.handed,
+            some(side.missing as u64, "number", "numbers")
         );
         if odd > 0 {
             let _ = write!(

@@ -3,6 +3,7 @@
 use super::args::{Estimation, Step};
 use super::captures::Reading;
 use super::{Outcome, Result, print, print_json, usage};
+use clap::ValueEnum;
 use csi5300::maths::median;
 use csi5300_lab::evaluate::quality::{over_bound, ranges, receivers, reliability, risk_coverage};
 use csi5300_lab::evaluate::{Capture, Errors, Evaluated, Judged, SetSummary, TrajectorySource, find, summarise};
@@ -255,7 +256,10 @@ fn ablation(args: &Args, source: TrajectorySource, captures: &[Capture]) -> std:
         let options = args.reading.options_of(&estimation)?;
         let rows: Vec<Judged> =
             captures.par_iter().flat_map_iter(|c| c.evaluate(source, args.reading.channel, &options).rows).collect();
-        let name = left_out.map_or("everything".into(), |step| format!("without {step:?}"));
+        let name = left_out.map_or("everything".into(), |step| {
+            let name = step.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
+            format!("without {name}")
+        });
         for (set, own) in sets(&rows) {
             let errors = Errors::of(own.iter().filter_map(|row| row.error_from_mean_pose_deg));
             let _ = writeln!(text, "{name:22} {set:12} {:4} links  {}", errors.links, line(&errors));

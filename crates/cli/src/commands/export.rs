@@ -1,7 +1,7 @@
 //! `csi5300 export`.
 
 use super::npz::Npz;
-use super::{Outcome, Result, info};
+use super::{Outcome, Result, info, usage};
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::signal::csi::{Csi, scale_factor, total_rss_dbm};
 use csi5300::source::survey::{Identity, Survey};
@@ -34,16 +34,18 @@ type Words<T> = std::result::Result<T, String>;
 
 /// Writes the CSI of a log.
 pub fn run(args: &Args) -> Result {
-    if args.output.exists() && !args.force {
-        return Err(format!("{} is there already: --force overwrites it", args.output.display()));
+    let extension = args.output.extension().and_then(|extension| extension.to_str());
+    if !matches!(extension, Some("csv" | "npz")) {
+        usage(&format!("{}: CSI is exported as .csv or .npz", args.output.display()));
     }
+    super::must_not_exist(&args.output, args.force)?;
     if super::is_same_file(&args.file, &args.output) {
         return Err(format!("{} is the input itself: name another file", args.output.display()));
     }
-    let (survey, bytes) = match args.output.extension().and_then(|extension| extension.to_str()) {
-        Some("csv") => csv(args)?,
-        Some("npz") => npz(args)?,
-        _ => return Err(format!("{}: CSI is exported as .csv or .npz", args.output.display())),
+    let mut unscaled = 0;
+    let (survey, bytes) = match extension {
+        Some("csv") => csv(args, &mut unscaled)?,
+        _ => npz(args, &mut unscaled)?,
     };
     eprint!("{}", info::losses(&survey, bytes));
     if survey.bad_permutations > 0 {
@@ -51,6 +53,10 @@ pub fn run(args: &Args) -> Result {
             "  {} records without a valid antenna_sel are in chain order (antennas_known 0)",
             survey.bad_permutations
         );
+    }
+    if unscaled > 0 {
+        let of = survey.bfees();
+        eprintln!("  {unscaled} of {of} records have no scale (RSSI or CSI all 0): not a number there");
     }
     if survey.bfees() == 0 {
         super::remove_empty(&args.output);
@@ -79,20 +85,25 @@ fn scan(path: &Path, mut each: impl FnMut(&Bfee<'_>, Identity) -> Words<()>) -> 
     }
 }
 
-/// The CSI of a record as asked for, and whether its rows are antennas (rather than chains).
-fn csi(bfee: &Bfee<'_>, args: &Args) -> (Csi, bool) {
+/// The CSI of a record as asked for, and whether its rows are antennas (rather than chains); counts in `unscaled` a record
+/// that has no scale, and gives nothing for it.
+fn csi(bfee: &Bfee<'_>, args: &Args, unscaled: &mut u64) -> Option<(Csi, bool)> {
     let (mut csi, known) = match Csi::from_bfee(bfee) {
         Ok(csi) => (csi, true),
         Err(_) => (Csi::raw(bfee), false),
     };
     if args.scaled {
-        // A record without energy has no scale; it stays zero.
-        csi = csi.scaled(bfee).unwrap_or(csi);
+        // RSSI are what the scale is made from.
+        let Ok(scaled) = csi.scaled(bfee) else {
+            *unscaled += 1;
+            return None;
+        };
+        csi = scaled;
     }
     if args.remove_spatial_mapping {
         csi = csi.without_spatial_mapping(bfee.is_40_mhz());
     }
-    (csi, known)
+    Some((csi, known))
 }
 
 /// One sample by antenna A, B, C (chain 1, 2, 3 where the antennas are not known); `None` where there is none.
@@ -122,27 +133,81 @@ const FIELDS: [&str; 17] = [
     "record",
 ];
 
-/// The value of a field; not a number where the record does not have it.
-fn field(name: &str, index: u64, bfee: &Bfee<'_>, identity: Identity) -> f64 {
+/// A value as an array of its field holds it. Integers that a record does not have are -1.
+#[derive(Clone, Copy, Debug)]
+enum Value {
+    U8(u8),
+    I8(i8),
+    U16(u16),
+    U32(u32),
+    I64(Option<i64>),
+    F64(f64),
+}
+
+impl std::fmt::Display for Value {
+    /// As a cell of CSV: nothing where there is no value.
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::U8(value) => value.fmt(out),
+            Self::I8(value) => value.fmt(out),
+            Self::U16(value) => value.fmt(out),
+            Self::U32(value) => value.fmt(out),
+            Self::I64(value) => value.map_or(Ok(()), |value| value.fmt(out)),
+            Self::F64(value) if value.is_nan() => Ok(()),
+            Self::F64(value) => value.fmt(out),
+        }
+    }
+}
+
+/// The value of a field.
+fn field(name: &str, index: u64, bfee: &Bfee<'_>, identity: Identity) -> Value {
     let [a, b, c] = bfee.rssi();
     match name {
-        "record" => index as f64,
-        "timestamp_low" => f64::from(bfee.timestamp_low()),
-        "bfee_count" => f64::from(bfee.bfee_count()),
-        "host_us" => identity.host_us.map_or(f64::NAN, |us| us as f64),
-        "frame_count" => identity.frame_count.map_or(f64::NAN, f64::from),
-        "n_rx" => bfee.n_rx() as f64,
-        "n_tx" => bfee.n_tx() as f64,
-        "rssi_a" => f64::from(a),
-        "rssi_b" => f64::from(b),
-        "rssi_c" => f64::from(c),
-        "noise_dbm" => f64::from(bfee.noise_dbm()),
-        "agc" => f64::from(bfee.agc()),
-        "antenna_sel" => f64::from(bfee.antenna_sel()),
-        "rate_n_flags" => f64::from(bfee.rate_n_flags()),
-        "antennas_known" => f64::from(u8::from(bfee.antennas().is_ok())),
-        "total_rss_dbm" => total_rss_dbm(bfee).unwrap_or(f64::NAN),
-        _ => scale_factor(bfee).unwrap_or(f64::NAN),
+        "record" => Value::I64(i64::try_from(index).ok()),
+        "timestamp_low" => Value::U32(bfee.timestamp_low()),
+        "bfee_count" => Value::U16(bfee.bfee_count()),
+        "host_us" => Value::I64(identity.host_us),
+        "frame_count" => Value::I64(identity.frame_count.map(i64::from)),
+        "n_rx" => Value::U8(bfee.n_rx() as u8),
+        "n_tx" => Value::U8(bfee.n_tx() as u8),
+        "rssi_a" => Value::U8(a),
+        "rssi_b" => Value::U8(b),
+        "rssi_c" => Value::U8(c),
+        "noise_dbm" => Value::I8(bfee.noise_dbm()),
+        "agc" => Value::U8(bfee.agc()),
+        "antenna_sel" => Value::U8(bfee.antenna_sel()),
+        "rate_n_flags" => Value::U16(bfee.rate_n_flags()),
+        "antennas_known" => Value::U8(u8::from(bfee.antennas().is_ok())),
+        "total_rss_dbm" => Value::F64(total_rss_dbm(bfee).unwrap_or(f64::NAN)),
+        _ => Value::F64(scale_factor(bfee).unwrap_or(f64::NAN)),
+    }
+}
+
+/// One field of all records as an array of its own kind.
+fn field_array(npz: &mut Npz, name: &str, n: u64, path: &Path) -> Words<()> {
+    // One kind a field: what the first match says of a field holds for all its records.
+    macro_rules! array {
+        ($kind:pat => $value:expr) => {
+            npz.array_in(name, &[n], |push| {
+                let mut index = 0;
+                let each = |bfee: &Bfee<'_>, identity: Identity| {
+                    index += 1;
+                    match field(name, index - 1, bfee, identity) {
+                        $kind => push($value),
+                        other => Err(format!("{name}: {other:?} is of another kind than the field")),
+                    }
+                };
+                scan(path, each).map(|_| ())
+            })
+        };
+    }
+    match name {
+        "record" | "host_us" | "frame_count" => array!(Value::I64(value) => value.unwrap_or(-1)),
+        "timestamp_low" => array!(Value::U32(value) => value),
+        "bfee_count" | "rate_n_flags" => array!(Value::U16(value) => value),
+        "noise_dbm" => array!(Value::I8(value) => value),
+        "total_rss_dbm" | "scale" => array!(Value::F64(value) => value),
+        _ => array!(Value::U8(value) => value),
     }
 }
 
@@ -156,7 +221,7 @@ fn streams(path: &Path) -> Words<usize> {
     Ok((1..=3).rev().find(used).unwrap_or(1))
 }
 
-fn csv(args: &Args) -> Words<(Survey, u64)> {
+fn csv(args: &Args, unscaled: &mut u64) -> Words<(Survey, u64)> {
     let streams = streams(&args.file)?;
     let failed = |error: std::io::Error| format!("writing {}: {error}", args.output.display());
     let mut out = BufWriter::with_capacity(1 << 18, std::fs::File::create(&args.output).map_err(failed)?);
@@ -174,13 +239,13 @@ fn csv(args: &Args) -> Words<(Survey, u64)> {
     let done = scan(&args.file, |bfee, identity| {
         let mut line = String::with_capacity(2_048);
         for name in FIELDS {
-            let value = field(name, index, bfee, identity);
-            line += &if value.is_nan() { ",".into() } else { format!("{value},") };
+            line += &format!("{},", field(name, index, bfee, identity));
         }
         line += &identity.mac.to_string();
-        let (csi, known) = csi(bfee, args);
+        let csi = csi(bfee, args, unscaled);
         for (s, port, stream) in cells() {
-            line += &sample(&csi, known, s, port, stream).map_or(",,".into(), |h| format!(",{},{}", h.re, h.im));
+            let sample = csi.as_ref().and_then(|(csi, known)| sample(csi, *known, s, port, stream));
+            line += &sample.map_or(",,".into(), |h| format!(",{},{}", h.re, h.im));
         }
         index += 1;
         writeln!(out, "{line}").map_err(failed)
@@ -191,9 +256,9 @@ fn csv(args: &Args) -> Words<(Survey, u64)> {
 
 /// Arrays go into an NPZ one after the other and whole, so the log is read once for each: time is cheap here, memory
 /// stays small for a log of any size.
-fn npz(args: &Args) -> Words<(Survey, u64)> {
+fn npz(args: &Args, unscaled: &mut u64) -> Words<(Survey, u64)> {
     if args.file.as_os_str() == "-" {
-        return Err("an .npz needs several passes, and standard input has one: export to .csv, or name a file".into());
+        usage("an .npz needs several passes, and standard input has one: export to .csv, or name a file");
     }
     let streams = streams(&args.file)?;
     let (survey, bytes) = scan(&args.file, |_, _| Ok(()))?;
@@ -202,10 +267,11 @@ fn npz(args: &Args) -> Words<(Survey, u64)> {
     npz.array_in("csi", &[n, SUBCARRIERS as u64, 3, streams as u64], |push| {
         let nothing = Complex32::new(f32::NAN, f32::NAN);
         scan(&args.file, |bfee, _| {
-            let (csi, known) = csi(bfee, args);
+            let csi = csi(bfee, args, unscaled);
             for s in 0..SUBCARRIERS {
                 for (port, stream) in (0..3).flat_map(|port| (0..streams).map(move |stream| (port, stream))) {
-                    push(sample(&csi, known, s, port, stream).unwrap_or(nothing))?;
+                    let sample = csi.as_ref().and_then(|(csi, known)| sample(csi, *known, s, port, stream));
+                    push(sample.unwrap_or(nothing))?;
                 }
             }
             Ok(())
@@ -213,14 +279,7 @@ fn npz(args: &Args) -> Words<(Survey, u64)> {
         .map(|_| ())
     })?;
     for name in FIELDS {
-        npz.array_in(name, &[n], |push| {
-            let mut index = 0;
-            let each = |bfee: &Bfee<'_>, identity: Identity| {
-                index += 1;
-                push(field(name, index - 1, bfee, identity))
-            };
-            scan(&args.file, each).map(|_| ())
-        })?;
+        field_array(&mut npz, name, n, &args.file)?;
     }
     npz.array_in("mac", &[n, 6], |push| {
         scan(&args.file, |_, identity| identity.mac.0.iter().try_for_each(|byte| push(*byte))).map(|_| ())

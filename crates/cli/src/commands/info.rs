@@ -1,7 +1,7 @@
 //! `csi5300 info`.
 
 use super::{Outcome, Result, print, print_json};
-use csi5300::source::survey::{LOSSES_KEPT, SENDERS_KEPT, Sender, Survey};
+use csi5300::source::survey::{ClockSteps, LOSSES_KEPT, SENDERS_KEPT, Sender, Survey};
 use csi5300::source::{CsiSource, Next, replay::Replay};
 use csi5300::time::Instant;
 use driver_iface::Mac;
@@ -23,8 +23,30 @@ pub struct Args {
 #[derive(serde::Serialize)]
 struct SenderRow<'a> {
     rate_hz: Option<f64>,
-    #[serde(flatten)]
-    sender: &'a Sender,
+    median_rate_hz: Option<f64>,
+    /// Without what is no frame number.
+    frame_count: Option<(u32, u32)>,
+    frames_skipped: Option<u64>,
+    frames_repeated: Option<u64>,
+    frames_restarted: Option<u64>,
+    records: u64,
+    clock_steps: &'a ClockSteps,
+}
+
+impl<'a> SenderRow<'a> {
+    fn new(sender: &'a Sender) -> Self {
+        let counted = |count: u64| sender.counts_up().then_some(count);
+        Self {
+            rate_hz: sender.mean_rate_hz(),
+            median_rate_hz: sender.rate_hz(),
+            frame_count: sender.frame_count.filter(|_| sender.counts_up()),
+            frames_skipped: counted(sender.frames_skipped),
+            frames_repeated: counted(sender.frames_repeated),
+            frames_restarted: counted(sender.frames_restarted),
+            records: sender.records,
+            clock_steps: &sender.clock_steps,
+        }
+    }
 }
 
 #[derive(serde::Serialize)]
@@ -82,7 +104,7 @@ fn survey(path: &Path) -> std::result::Result<(Survey, u64), String> {
 }
 
 fn row<'a>(path: &Path, survey: &'a Survey, bytes: u64) -> Row<'a> {
-    let sender = |(mac, sender): (&Mac, &'a Sender)| (mac.to_string(), SenderRow { rate_hz: sender.rate_hz(), sender });
+    let sender = |(mac, sender): (&Mac, &'a Sender)| (mac.to_string(), SenderRow::new(sender));
     Row {
         file: path.display().to_string(),
         bytes,
@@ -180,9 +202,14 @@ fn describe_csi(text: &mut String, survey: &Survey) {
         }
     }
     let _ = writeln!(text, "  {layout}; receive x transmit streams {}", streams.join(", "));
-    if let Some((first, last)) = survey.clock_us {
-        let seconds = (last - first) as f64 * 1e-6;
-        let _ = writeln!(text, "  {seconds:.3} s on the card's clock (timestamp_low)");
+    let steps = &survey.clock_steps;
+    if survey.clock_us.is_some() {
+        let _ = writeln!(
+            text,
+            "  {:.3} s on the card's clock (timestamp_low){}",
+            steps.forward_us as f64 * 1e-6,
+            clock_words(steps)
+        );
     }
     let noise = match survey.noise_unknown {
         all if all == survey.bfees() => "not measured (-127, usual in monitor mode)".into(),
@@ -196,14 +223,17 @@ fn describe_csi(text: &mut String, survey: &Survey) {
         survey.agc.max,
         rates.join(", ")
     );
-    let rssi: Vec<_> =
-        "ABC"
-            .chars()
-            .zip(&survey.rssi)
-            .map(|(name, r)| {
-                if r.max == 0 { format!("{name} none") } else { format!("{name} {:.1} ({}..{})", r.mean, r.min, r.max) }
-            })
-            .collect();
+    let rssi: Vec<_> = "ABC"
+        .chars()
+        .zip(&survey.rssi)
+        .map(|(name, r)| {
+            if !r.is_measured() {
+                format!("{name} none")
+            } else {
+                format!("{name} {:.1} ({}..{})", r.mean, r.min, r.max)
+            }
+        })
+        .collect();
     let order: Vec<_> = survey.antenna_sel.iter().map(|(sel, count)| format!("0x{sel:02x}: {count}")).collect();
     let _ = writeln!(text, "  RSSI mean (range) {}; antenna_sel {}", rssi.join(", "), order.join(", "));
     if survey.bad_permutations > 0 {
@@ -215,11 +245,41 @@ fn describe_csi(text: &mut String, survey: &Survey) {
     }
 }
 
+/// What a clock did other than go on: pauses and steps back.
+fn clock_words(steps: &ClockSteps) -> String {
+    let mut text = String::new();
+    let some = |count: u64, one: &str, many: &str| format!("{count} {}", if count == 1 { one } else { many });
+    if steps.pauses > 0 {
+        let longest = steps.longest_pause_us as f64 * 1e-6;
+        let pauses = some(steps.pauses, "pause", "pauses");
+        let _ = write!(text, "; {pauses} of a second and more, the longest {longest:.1} s");
+    }
+    if steps.steps_back > 0 {
+        let furthest = steps.furthest_back_us as f64 * 1e-6;
+        let back = some(steps.steps_back, "step", "steps");
+        let _ = write!(text, "; {back} back, the furthest by {furthest:.3} s");
+    }
+    text
+}
+
+/// Frames per second over the log, and between frames where that differs.
+fn rate_words(sender: &Sender) -> String {
+    match (sender.mean_rate_hz(), sender.rate_hz()) {
+        (Some(mean), Some(median)) if (median / mean - 1.0).abs() > 0.05 => {
+            format!(", {mean:.1} Hz over the log ({median:.1} Hz is the median between frames)")
+        }
+        (Some(mean), _) => format!(", {mean:.1} Hz"),
+        (None, Some(median)) => format!(", {median:.1} Hz"),
+        (None, None) => String::new(),
+    }
+}
+
 fn describe_senders(text: &mut String, survey: &Survey) {
     for (mac, sender) in &survey.senders {
         let name = if *mac == Mac::default() { "unknown sender".to_string() } else { format!("from {mac}") };
-        let rate = sender.rate_hz().map(|rate| format!(", {rate:.1} Hz")).unwrap_or_default();
+        let rate = rate_words(sender);
         let numbers = match sender.frame_count {
+            Some(_) if !sender.counts_up() => ", no frame numbers: what stands there does not count up".into(),
             Some((low, high)) => format!(", frames {low}..{high}{}", steps(sender)),
             None => String::new(),
         };

@@ -21,6 +21,8 @@ mod mcap;
 #[cfg(feature = "node")]
 mod node;
 mod npz;
+#[cfg(feature = "plot")]
+mod plot;
 mod profile;
 #[cfg(feature = "live")]
 mod record;
@@ -76,8 +78,11 @@ pub type Result = std::result::Result<Outcome, String>;
 #[command(
     name = "csi5300",
     version,
-    after_help = "Exit status: 0 done (a log cut at its end is normal); 1 nothing usable; 2 wrong usage; \
-                  3 done, but records were lost before the end of a log, or a link or capture failed."
+    after_help = "Exit status, of every command:\n  \
+                  0  done; a log cut at its end, a room that ends and a stop by a signal are normal\n  \
+                  1  nothing usable: a file that is missing or cannot be written, no link with a bearing, no record\n  \
+                  2  wrong usage: arguments, extensions and configurations that cannot be meant\n  \
+                  3  done, but records were lost before the end of a log, or a link or capture failed"
 )]
 struct Cli {
     #[command(subcommand)]
@@ -92,6 +97,9 @@ enum Command {
     Bearing(Box<bearing::Args>),
     /// What is in logs: layout, senders, rates, losses with their offsets, where and why a log was cut
     Info(info::Args),
+    /// A log over time as pictures: CSI, levels, rate, gaps and losses
+    #[cfg(feature = "plot")]
+    Plot(plot::Args),
     /// Bearings of a whole tree of captures against the truth
     Evaluate(evaluate::Args),
     /// One self-contained HTML page about a tree of captures: pictures, tables, losses
@@ -108,6 +116,10 @@ enum Command {
     /// Captures as MCAP, for Foxglove, Lichtblick and MCAP readers
     #[cfg(feature = "foxglove")]
     Mcap(mcap::Args),
+    /// Captures as MCAP: this program was built without it (feature `foxglove`)
+    #[cfg(not(feature = "foxglove"))]
+    #[command(hide = true)]
+    Mcap(Missing),
     /// A room full of robots: writes the logs that their cards would have recorded
     Simulate(simulate::Args),
     /// A recorded capture beside a simulated one: every figure of both, and pictures
@@ -140,6 +152,14 @@ enum Command {
     Setup(setup::Args),
 }
 
+/// Arguments of a command that was not compiled in: any.
+#[cfg(not(feature = "foxglove"))]
+#[derive(clap::Args)]
+struct Missing {
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+    _any: Vec<String>,
+}
+
 /// Runs the command named by the arguments.
 pub fn run() -> ExitCode {
     let cli = Cli::parse();
@@ -147,6 +167,8 @@ pub fn run() -> ExitCode {
         Command::Demo(args) => demo::run(&args),
         Command::Bearing(args) => bearing::run(*args),
         Command::Info(args) => info::run(&args),
+        #[cfg(feature = "plot")]
+        Command::Plot(args) => plot::run(&args),
         Command::Evaluate(args) => evaluate::run(&args),
         #[cfg(feature = "plot")]
         Command::Report(args) => report::run(&args),
@@ -156,6 +178,8 @@ pub fn run() -> ExitCode {
         Command::Export(args) => export::run(&args),
         #[cfg(feature = "foxglove")]
         Command::Mcap(args) => mcap::run(&args),
+        #[cfg(not(feature = "foxglove"))]
+        Command::Mcap(_) => usage("`mcap` needs a program built with the feature: --features foxglove"),
         Command::Simulate(args) => simulate::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Suite(args) => suite::run(&args),
@@ -214,11 +238,51 @@ pub fn is_same_file(input: &std::path::Path, output: &std::path::Path) -> bool {
     }
 }
 
+/// Refuses an output that is there already, unless `--force` was given.
+pub fn must_not_exist(output: &std::path::Path, force: bool) -> std::result::Result<(), String> {
+    // Devices and pipes hold nothing that could be lost.
+    match output.metadata() {
+        Ok(found) if !force && found.is_file() => {
+            Err(format!("{} is there already: --force overwrites it", output.display()))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Says on a terminal how far a long command is; an empty text takes the line away.
+pub fn progress(text: &str) {
+    use std::io::{IsTerminal, Write};
+    let mut stderr = std::io::stderr().lock();
+    if stderr.is_terminal() {
+        let _ = write!(stderr, "\r\x1b[K{text}").and_then(|()| stderr.flush());
+    }
+}
+
 /// Takes away an output in which nothing is, so that nobody takes it for a result; devices and pipes stay.
 pub fn remove_empty(output: &std::path::Path) {
     if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
         eprintln!("nothing to write: no {}", output.display());
     }
+}
+
+/// A count and its noun: `1 number`, `2 numbers`.
+pub fn some(count: u64, one: &str, many: &str) -> String {
+    format!("{count} {}", if count == 1 { one } else { many })
+}
+
+/// True where a program's end of a served room's sockets says that the room has ended: a normal end.
+#[cfg(feature = "live")]
+pub fn is_end_of_room(error: &(dyn std::error::Error + 'static)) -> bool {
+    use std::io::ErrorKind;
+    let mut cause = Some(error);
+    while let Some(error) = cause {
+        if let Some(error) = error.downcast_ref::<std::io::Error>() {
+            let ended = [ErrorKind::UnexpectedEof, ErrorKind::BrokenPipe, ErrorKind::ConnectionReset];
+            return ended.contains(&error.kind());
+        }
+        cause = error.source();
+    }
+    false
 }
 
 /// Prints one value as a line of JSON.

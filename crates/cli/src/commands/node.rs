@@ -1,7 +1,7 @@
 //! `csi5300 node`.
 
-use super::{Outcome, Result, print, usage};
-use csi5300_node::config::Config;
+use super::{Outcome, Result, is_end_of_room, print, usage};
+use csi5300_node::config::{Capture, Config};
 use csi5300_node::service::{self, Ended};
 use std::path::PathBuf;
 
@@ -30,8 +30,12 @@ pub fn run(args: &Args) -> Result {
     let name = config.name.clone().unwrap_or_else(host_name);
     let ended = service::run(&config, name).map_err(|error| error.to_string())?;
     eprint!("{}", summary(&ended));
-    if let Some(error) = &ended.error {
-        return Err(error.to_string());
+    match &ended.error {
+        Some(error) if matches!(config.capture.get_ref(), Capture::Served(_)) && is_end_of_room(error) => {
+            eprintln!("the room has ended");
+        }
+        Some(error) => return Err(error.to_string()),
+        None => {}
     }
     Ok(if ended.health.records == 0 && !ended.signalled {
         Outcome::Nothing

@@ -17,19 +17,18 @@ pub trait Element {
     fn emit(self, out: &mut impl Write) -> io::Result<()>;
 }
 
-impl Element for u8 {
-    const DESCR: &str = "|u1";
-    fn emit(self, out: &mut impl Write) -> io::Result<()> {
-        out.write_all(&[self])
-    }
+macro_rules! elements {
+    ($($of:ty: $descr:literal),*) => {$(
+        impl Element for $of {
+            const DESCR: &str = $descr;
+            fn emit(self, out: &mut impl Write) -> io::Result<()> {
+                out.write_all(&self.to_le_bytes())
+            }
+        }
+    )*};
 }
 
-impl Element for f64 {
-    const DESCR: &str = "<f8";
-    fn emit(self, out: &mut impl Write) -> io::Result<()> {
-        out.write_all(&self.to_le_bytes())
-    }
-}
+elements!(u8: "|u1", i8: "|i1", u16: "<u2", u32: "<u4", i64: "<i8", f64: "<f8");
 
 impl Element for Complex32 {
     const DESCR: &str = "<c8";

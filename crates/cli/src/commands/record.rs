@@ -3,11 +3,12 @@
 use super::live::{Listening, Signals, create_refused, duration, size};
 use super::{Outcome, Result};
 use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
-use csi5300::source::{CsiSource, Error, Loss, Next};
+use csi5300::source::{CsiSource, Error, Loss, Next, side_path};
 use csi5300::time::{Instant, Span};
 use csi5300_live::netlink::{Counters, Netlink};
 use csi5300_live::status::{Losses, Status};
 use csi5300_live::wait::Monotonic;
+use driver_iface::side_file::Width;
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
 use std::os::fd::{AsFd, OwnedFd};
@@ -34,6 +35,9 @@ pub struct Args {
     /// Overwrite the log if it is there
     #[arg(long)]
     force: bool,
+    /// Entries of 16 bytes in the side file (times after 2106) instead of the 8 that csiread reads
+    #[arg(long)]
+    wide_times: bool,
     /// Make the log survive a power cut this often; 0s leaves it to the system
     #[arg(long, value_parser = duration, default_value = "1s", value_name = "TIME")]
     sync_every: Span,
@@ -87,6 +91,7 @@ pub fn run(args: &Args) -> Result {
     let listener = args.listening.open()?;
     let rotation = Rotation { bytes: args.rotate_size, every: args.rotate_every };
     let files = LogFiles::create(&args.out, rotation, args.force).map_err(|error| create_refused(&error))?;
+    let files = files.with_side_width(if args.wide_times { Width::Wide } else { Width::Narrow });
     let terminal = std::io::stderr().is_terminal();
     let clock = Monotonic::new();
     let mut session = Session {
@@ -131,6 +136,10 @@ pub fn run(args: &Args) -> Result {
         eprintln!("csi5300: {message}");
     }
     let lost = losses(&totals, &listener.counters());
+    if totals.written == 0 {
+        // Nobody takes them for a recording, and the next try needs no --force.
+        files.paths().iter().flat_map(|log| [log.clone(), side_path(log)]).for_each(|path| super::remove_empty(&path));
+    }
     Ok(match totals.written {
         0 => Outcome::Nothing,
         _ if lost != Losses::default() || session.status.survey.lost_something() => Outcome::DataLost,

@@ -165,7 +165,8 @@ impl Serving {
         for robot in self.robots.iter().filter(|robot| robot.on_connector) {
             sent += robot.sent;
             let number = self.room.number(&robot.name).unwrap_or_default();
-            eprintln!("{}: {} records sent; injected {:?}", robot.name, robot.sent, injected.get(number));
+            let done = injected.get(number).map_or_else(|| "nothing".into(), ToString::to_string);
+            eprintln!("{}: {} records sent; in the room: {done}", robot.name, robot.sent);
         }
         if let Some(server) = &self.server {
             sent += server.counts().records;
@@ -188,7 +189,7 @@ fn describe(scene: &Scene, counts: &ServedCounts, injected: &[Injected]) -> Stri
         text += &format!("  {} messages were lost because a program did not read them\n", counts.untaken);
     }
     for (robot, injected) in scene.robot.iter().zip(injected) {
-        text += &format!("  {}: {injected:?}\n", robot.name);
+        text += &format!("  {}: {injected}\n", robot.name);
     }
     text
 }

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 /// Arguments of `simulate`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The scene; see scenes/ for examples
+    /// The scene, a file or the name of a built-in one: lab-circle, lab-line, paper-circle, paper-line
     scene: PathBuf,
     /// Folder for logs, trajectories and truth
     #[cfg_attr(feature = "live", arg(long, value_name = "DIR", required_unless_present = "serve"))]
@@ -41,7 +41,7 @@ enum Layout {
 
 /// Simulates a scene and writes what the robots' cards, drivers and loggers would have.
 pub fn run(args: &Args) -> Result {
-    let mut scene = Scene::load(&args.scene).map_err(|error| format!("{}: {error}", args.scene.display()))?;
+    let mut scene = load(&args.scene)?;
     scene.seed = args.seed.unwrap_or(scene.seed);
     scene.driver = match args.layout {
         None => scene.driver,
@@ -64,6 +64,12 @@ pub fn run(args: &Args) -> Result {
     let (captures, injected) = write(&scene, out)?;
     print(&describe(&scene, &captures, &injected));
     Ok(if captures.is_empty() { Outcome::Nothing } else { Outcome::Done })
+}
+
+/// A scene from its file, or the built-in one of that name where there is no such file.
+fn load(scene: &Path) -> std::result::Result<Scene, String> {
+    let built_in = || scene.to_str().filter(|_| !scene.exists()).and_then(Scene::built_in);
+    built_in().map_or_else(|| Scene::load(scene).map_err(|error| format!("{}: {error}", scene.display())), Ok)
 }
 
 /// Runs a scene into a folder, with a progress bar on a terminal.
@@ -95,7 +101,7 @@ fn describe(scene: &Scene, captures: &[WrittenCapture], injected: &[Injected]) -
         }
     }
     for (robot, injected) in injected.iter().enumerate().filter(|(_, injected)| **injected != Injected::default()) {
-        let _ = writeln!(text, "  injected at {}: {injected:?}", name(robot));
+        let _ = writeln!(text, "  in the room, {}: {injected}", name(robot));
     }
     text
 }

@@ -2,7 +2,7 @@
 
 use super::args::mac;
 use super::live::{Listening, Signals, create_refused, duration, join_refused};
-use super::{Outcome, Result, usage};
+use super::{Outcome, Result, is_end_of_room, usage};
 use csi5300::exchange::tdma::{Config, Dialect, GUARD_US, Phy, Plan, PlanError, Request, TURN_AROUND_US};
 use csi5300::source::Error;
 use csi5300::source::recorder::{LogFiles, Rotation};
@@ -254,13 +254,18 @@ impl Sounding {
                 eprintln!("  {} records are not in it", totals.missing());
             }
         }
-        if let Some(error) = &finished.error {
-            eprintln!("csi5300: {error}");
+        let over = finished.error.as_ref().is_some_and(|error| self.listening.room.is_some() && is_end_of_room(error));
+        match &finished.error {
+            Some(_) if over => eprintln!("the room has ended"),
+            Some(error) => eprintln!("csi5300: {error}"),
+            None => {}
         }
+        let unlogged = finished.log.as_ref().is_some_and(|log| log.missing() > 0);
+        let lost = if over { unlogged } else { finished.lost_anything() };
         let counts = finished.counts();
         match counts.answered + counts.replies {
             0 => Outcome::Nothing,
-            _ if finished.lost_anything() => Outcome::DataLost,
+            _ if lost => Outcome::DataLost,
             _ => Outcome::Done,
         }
     }

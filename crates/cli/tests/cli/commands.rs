@@ -5,30 +5,30 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
 /// A folder of its own for one test, gone with it.
-struct Folder(PathBuf);
+pub struct Folder(pub PathBuf);
 
 impl Folder {
-    fn new(name: &str) -> Self {
+    pub fn new(name: &str) -> Self {
         let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         let _ = std::fs::remove_dir_all(&path);
         std::fs::create_dir_all(&path).unwrap();
         Self(path)
     }
 
-    fn write(&self, name: &str, bytes: &[u8]) -> PathBuf {
+    pub fn write(&self, name: &str, bytes: &[u8]) -> PathBuf {
         let path = self.0.join(name);
         std::fs::write(&path, bytes).unwrap();
         path
     }
 
     /// Writes a link's logs and trajectory.
-    fn link(&self, link: &Link) {
+    pub fn link(&self, link: &Link) {
         self.write("rx.dat", &link.rx.concat());
         self.write("tx.dat", &link.tx.concat());
         self.write("t.csv", link.trajectory.as_bytes());
     }
 
-    fn run(&self, args: &[&str]) -> (i32, String, String) {
+    pub fn run(&self, args: &[&str]) -> (i32, String, String) {
         let output =
             Command::new(env!("CARGO_BIN_EXE_csi5300")).current_dir(&self.0).args(args).stdin(Stdio::null()).output();
         let Output { status, stdout, stderr } = output.unwrap();
@@ -38,14 +38,14 @@ impl Folder {
         (status.code().expect("no signal"), words(stdout), stderr)
     }
 
-    fn bearing(&self, more: &[&str]) -> (i32, String, String) {
+    pub fn bearing(&self, more: &[&str]) -> (i32, String, String) {
         let mut args = vec!["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "108"];
         args.extend(more);
         self.run(&args)
     }
 }
 
-fn json(line: &str) -> serde_json::Value {
+pub fn json(line: &str) -> serde_json::Value {
     serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"))
 }
 
@@ -122,7 +122,7 @@ fn info_says_where_a_log_was_cut_and_why() {
     folder.write("cut.dat", &bytes[..2 * 4096]);
     let (status, out, _) = folder.run(&["info", "cut.dat"]);
     assert!(status == 0 && out.contains("the logger was killed before it flushed"), "{out}");
-    assert!(out.contains("WSR layout, 35 bfee records") && out.contains("100.1 Hz"), "{out}");
+    assert!(out.contains("WSR layout, 35 bfee records") && out.contains("100.0 Hz"), "{out}");
     let (_, out, _) = folder.run(&["info", "--json", "cut.dat"]);
     assert_eq!(json(&out)["wsr"].as_u64(), Some(35));
 }
@@ -166,7 +166,7 @@ fn exports_hold_what_the_log_holds() {
     assert_eq!(status, 0, "{err}");
     assert!(std::fs::read(folder.0.join("log.npz")).unwrap().starts_with(b"PK"));
     let (status, _, err) = folder.run(&["export", "log.dat", "log.xls"]);
-    assert!(status == 1 && err.contains(".csv or .npz"), "{err}");
+    assert!(status == 2 && err.contains(".csv or .npz"), "{err}");
 }
 
 #[test]

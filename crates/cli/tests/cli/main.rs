@@ -9,6 +9,7 @@ mod private;
 
 mod commands;
 mod compare;
+mod looking;
 #[cfg(feature = "live")]
 mod monitor;
 #[cfg(feature = "node")]

@@ -90,7 +90,7 @@ impl Config {
     /// [`ConfigError`] with every problem found.
     pub fn load(file: &Path) -> Result<Self, ConfigError> {
         let text = std::fs::read_to_string(file).map_err(|error| {
-            let reason = format!("cannot read {}: {error}", file.display());
+            let reason = format!("cannot be read: {error}");
             ConfigError(vec![Problem { line: None, reason }])
         })?;
         Self::read(&text, file.parent().unwrap_or(Path::new("")))

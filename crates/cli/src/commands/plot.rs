@@ -1,0 +1,130 @@
+//! `csi5300 plot`.
+
+use super::args::{antenna, mac};
+use super::{Outcome, Result, hint, usage};
+use csi5300_lab::course::{Course, Wanted};
+use csi5300_lab::show::file_safe;
+use csi5300_lab::show::log::{Format, LogPictures};
+use driver_iface::Mac;
+use driver_iface::bfee::Antenna;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `plot`.
+#[derive(clap::Args)]
+#[command(
+    after_help = "NAME-csi: amplitude and phase of each antenna over time and subcarrier, as heat maps. NAME-levels: \
+                        amplitude, RSSI and gain over time, and the rate, with gaps, losses and steps back of the card's \
+                        clock marked. Times are of the card's clock, from the first record on.\n\
+                        Example: csi5300 plot rx.dat --antenna A --from 2 --to 8 --out pictures"
+)]
+pub struct Args {
+    /// Logs
+    #[arg(required = true, value_name = "LOG")]
+    logs: Vec<PathBuf>,
+    /// Folder for the pictures
+    #[arg(long, default_value = ".", value_name = "DIR")]
+    out: PathBuf,
+    /// Only frames of these senders
+    #[arg(long, value_delimiter = ',', value_parser = mac, value_name = "MAC,..")]
+    mac: Vec<Mac>,
+    /// Only these antennas (RF ports): A,B,C
+    #[arg(long, value_delimiter = ',', value_parser = antenna, value_name = "A,..")]
+    antenna: Vec<Antenna>,
+    /// From this time on, seconds after the first record
+    #[arg(long, value_name = "SECONDS")]
+    from: Option<f64>,
+    /// Up to this time, seconds after the first record
+    #[arg(long, value_name = "SECONDS")]
+    to: Option<f64>,
+    /// Size of the drawing, pixels at 96 to the inch
+    #[arg(long, default_value = "1200x1100", value_parser = size, value_name = "WIDTHxHEIGHT")]
+    size: (f64, f64),
+    /// Pixels to the inch of a PNG: 192 gives twice as many as --size says
+    #[arg(long, default_value_t = 96.0, value_name = "DPI")]
+    dpi: f64,
+    /// Formats
+    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [Kind::Png, Kind::Svg], value_name = "FORMAT,..")]
+    format: Vec<Kind>,
+    /// Overwrite pictures of the same names
+    #[arg(long)]
+    force: bool,
+}
+
+/// A format of pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Kind {
+    Png,
+    Svg,
+}
+
+fn size(text: &str) -> std::result::Result<(f64, f64), String> {
+    let parts = text.split_once('x').and_then(|(w, h)| Some((w.parse::<f64>().ok()?, h.parse::<f64>().ok()?)));
+    let good = |side: f64| (400.0..=10_000.0).contains(&side);
+    parts
+        .filter(|(w, h)| good(*w) && good(*h))
+        .ok_or_else(|| "WIDTHxHEIGHT, each 400 to 10000, such as 1600x1000".into())
+}
+
+/// Draws logs.
+pub fn run(args: &Args) -> Result {
+    if !(24.0..=1_200.0).contains(&args.dpi) {
+        usage("--dpi takes 24 to 1200");
+    }
+    let (png, svg) = (args.format.contains(&Kind::Png), args.format.contains(&Kind::Svg));
+    let format = Format { size: args.size, dpi: args.dpi, png, svg };
+    let wanted =
+        Wanted::default().with_macs(args.mac.clone()).with_antennas(args.antenna.clone()).with_cut(args.from, args.to);
+    let (mut drawn, mut failed) = (0, 0);
+    for (k, log) in args.logs.iter().enumerate() {
+        super::progress(&format!("{} of {} logs", k + 1, args.logs.len()));
+        match draw(args, log, &stem(args, k), &wanted, format) {
+            Ok(written) => {
+                super::progress("");
+                drawn += 1;
+                written.iter().for_each(|path| eprintln!("{}", path.display()));
+            }
+            Err(message) => {
+                super::progress("");
+                failed += 1;
+                eprintln!("csi5300: {message}");
+            }
+        }
+    }
+    Ok(match (drawn, failed) {
+        (0, _) => Outcome::Nothing,
+        (_, 0) => Outcome::Done,
+        _ => Outcome::DataLost,
+    })
+}
+
+/// What a log's pictures are called: its name, with a number where another log has the same.
+fn stem(args: &Args, k: usize) -> PathBuf {
+    let name = |log: &PathBuf| log.file_stem().map_or("log".into(), |stem| stem.to_string_lossy().into_owned());
+    let own = name(&args.logs[k]);
+    let same = args.logs.iter().filter(|log| name(log) == own).count() > 1;
+    args.out.join(file_safe(&if same { format!("{own}.{}", k + 1) } else { own }))
+}
+
+fn draw(
+    args: &Args,
+    log: &Path,
+    stem: &Path,
+    wanted: &Wanted,
+    format: Format,
+) -> std::result::Result<Vec<PathBuf>, String> {
+    for what in ["csi", "levels"] {
+        for extension in ["png", "svg"] {
+            super::must_not_exist(&PathBuf::from(format!("{}-{what}.{extension}", stem.display())), args.force)?;
+        }
+    }
+    if log.as_os_str() == "-" {
+        usage("a log is read twice for its pictures, and standard input only once: name a file");
+    }
+    let course = Course::read(log, wanted).map_err(|error| hint::log_refused(&error))?;
+    if course.records == 0 {
+        return Err(format!("{}: no record that is wanted: `csi5300 info` says what is in it", log.display()));
+    }
+    let title = log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+    let pictures = LogPictures { title: &title, course: &course, format };
+    pictures.write(stem).map_err(|error| error.to_string())
+}

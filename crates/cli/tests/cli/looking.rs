@@ -1,0 +1,170 @@
+//! What people look at first: the demonstration, `info`, `export`, pictures; and how commands end.
+
+use super::commands::{Folder, json};
+use crate::common::link::link;
+use driver_iface::bfee::{Bfee, Iq, Repr};
+use driver_iface::record::{Record, code};
+
+/// The records of a log, each with its length field.
+fn records(log: &[u8]) -> Vec<Vec<u8>> {
+    let (mut rest, mut found) = (log, Vec::new());
+    while let [high, low, ..] = rest {
+        let (record, after) = rest.split_at(2 + usize::from(u16::from_be_bytes([*high, *low])));
+        found.push(record.to_vec());
+        rest = after;
+    }
+    found
+}
+
+/// A record with other header fields.
+fn changed(record: &[u8], change: impl FnOnce(&mut Repr)) -> Vec<u8> {
+    let bfee = Bfee::new_checked(&record[3..]).unwrap();
+    let mut repr = Repr::parse(&bfee);
+    change(&mut repr);
+    let all = (0..30).flat_map(|k| (0..bfee.n_rx()).flat_map(move |rx| (0..bfee.n_tx()).map(move |tx| (k, rx, tx))));
+    let csi: Vec<Iq> = all.map(|(k, rx, tx)| bfee.iq(k, rx, tx).unwrap()).collect();
+    let mut body = vec![0; repr.body_len()];
+    repr.emit(&csi, &mut body).unwrap();
+    let record = Record { code: code::BFEE, body: &body };
+    let mut bytes = vec![0; record.emit_len()];
+    record.emit(&mut bytes).unwrap();
+    bytes
+}
+
+#[test]
+fn the_demonstration_shows_what_it_is_about_and_overwrites_nothing() {
+    let folder = Folder::new("demo");
+    let (status, out, err) = folder.run(&["demo", "--out", "d"]);
+    assert_eq!(status, 0, "{err}");
+    let spread = |name: &str| -> f64 {
+        let line = out.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("no {name}: {out}"));
+        line.split(name).nth(1).unwrap().split_whitespace().next().unwrap().parse().unwrap()
+    };
+    let (one, product, taken_out) =
+        (spread("one direction"), spread("both directions multiplied"), spread("the turn-around taken out"));
+    assert!(one > 0.9 && product < 0.75 * one && taken_out < 0.5 * product, "{out}");
+    for name in ["circle", "line"] {
+        let row = out.lines().find(|line| line.trim_start().starts_with(name)).unwrap();
+        let error: f64 = row.split_whitespace().nth(6).unwrap().parse().unwrap();
+        assert!(error.abs() < 0.5, "{row}");
+    }
+    let (status, _, err) = folder.run(&["demo", "--out", "d"]);
+    assert!(status == 1 && err.contains("--force"), "{err}");
+}
+
+#[test]
+fn info_says_what_the_clock_did_and_nothing_of_what_was_not_measured() {
+    let folder = Folder::new("info-clock");
+    let log = link(300, 1.0).rx.concat();
+    // After 150 records the card's clock falls back by 4 s, 50 later it is 6 s further.
+    let jump = |k: usize, record: &Vec<u8>| match k {
+        150..200 => changed(record, |repr| repr.timestamp_low = repr.timestamp_low.wrapping_sub(4_000_000)),
+        200.. => changed(record, |repr| repr.timestamp_low = repr.timestamp_low.wrapping_add(2_000_000)),
+        _ => record.clone(),
+    };
+    let all: Vec<u8> = records(&log).iter().enumerate().flat_map(|(k, record)| jump(k, record)).collect();
+    folder.write("jump.dat", &all);
+    let (_, out, _) = folder.run(&["info", "jump.dat"]);
+    assert!(
+        out.contains("1 step back, the furthest by 3.9") || out.contains("1 step back, the furthest by 4.0"),
+        "{out}"
+    );
+    assert!(out.contains("1 pause of a second and more, the longest 6.0 s"), "{out}");
+    assert!(out.contains("is the median between frames"), "{out}");
+    let (_, out, _) = folder.run(&["info", "--json", "jump.dat"]);
+    let row = json(&out);
+    assert!(row["noise_dbm"].is_null() || row["noise_unknown"].as_u64() == Some(0), "{out}");
+    let sender = row["senders"].as_object().unwrap().values().next().unwrap().clone();
+    assert!(sender["rate_hz"].as_f64().unwrap() < 0.6 * sender["median_rate_hz"].as_f64().unwrap(), "{out}");
+}
+
+#[test]
+fn what_has_no_scale_is_exported_as_no_number_and_counted() {
+    let folder = Folder::new("export-scale");
+    let silent = |k: usize, record: &Vec<u8>| match k {
+        0..10 => changed(record, |repr| repr.rssi = [0; 3]),
+        _ => record.clone(),
+    };
+    let log = link(40, 1.0).rx.concat();
+    let all: Vec<u8> = records(&log).iter().enumerate().flat_map(|(k, record)| silent(k, record)).collect();
+    folder.write("rx.dat", &all);
+    let (status, _, err) = folder.run(&["export", "rx.dat", "rx.csv", "--scaled"]);
+    assert!(status == 0 && err.contains("10 of 40 records have no scale"), "{err}");
+    let text = std::fs::read_to_string(folder.0.join("rx.csv")).unwrap();
+    let cells: Vec<Vec<&str>> = text.lines().map(|line| line.split(',').collect()).collect();
+    let at = cells[0].iter().position(|name| *name == "re_0_a_1").unwrap();
+    assert!(cells[1..11].iter().all(|row| row[at].is_empty()) && cells[11..].iter().all(|row| !row[at].is_empty()));
+    assert_eq!(folder.run(&["export", "rx.dat", "rx.npz"]).0, 0);
+    let npz = std::fs::read(folder.0.join("rx.npz")).unwrap();
+    let descr = |name: &str| {
+        let from = npz.windows(name.len()).position(|window| window == name.as_bytes()).unwrap();
+        let head = String::from_utf8_lossy(&npz[from..from + 200]).into_owned();
+        head.split("'descr': '").nth(1).unwrap().split('\'').next().unwrap().to_owned()
+    };
+    assert_eq!(descr("timestamp_low.npy"), "<u4");
+    assert_eq!(descr("noise_dbm.npy"), "|i1");
+    assert_eq!(descr("host_us.npy"), "<i8");
+    assert_eq!(descr("scale.npy"), "<f8");
+}
+
+#[test]
+fn a_wsr_log_becomes_one_of_the_stock_layout_with_the_same_csi() {
+    let folder = Folder::new("recover-stock");
+    folder.link(&link(600, 2.0));
+    for name in ["rx", "tx"] {
+        let (log, stock) = (format!("{name}.dat"), format!("stock-{name}.dat"));
+        let (status, _, err) = folder.run(&["recover", &log, &stock, "--layout", "stock"]);
+        assert_eq!(status, 0, "{err}");
+    }
+    let (_, out, _) = folder.run(&["info", "stock-rx.dat"]);
+    assert!(out.contains("stock layout, ") && out.contains("code 0xC1"), "{out}");
+    let args = ["--trajectory", "t.csv", "--channel", "108", "--json"];
+    let answer = |rx: &str, tx: &str| json(&folder.run(&[&["bearing", "--rx", rx, "--tx", tx][..], &args].concat()).1);
+    let (wsr, stock) = (answer("rx.dat", "tx.dat"), answer("stock-rx.dat", "stock-tx.dat"));
+    for key in ["azimuth_deg", "pairs", "pairs_in_motion", "mac"] {
+        assert_eq!(wsr[key], stock[key], "{key}: {wsr}\n{stock}");
+    }
+    let side = std::fs::metadata(folder.0.join("stock-rx.datstp")).unwrap().len();
+    assert_eq!(side as usize, 8 * records(&std::fs::read(folder.0.join("stock-rx.dat")).unwrap()).len());
+}
+
+#[test]
+fn commands_end_alike() {
+    let folder = Folder::new("ends");
+    folder.link(&link(300, 2.0));
+    assert_eq!(folder.bearing(&["--min-confidence", "1"]).0, 1, "the only link was refused");
+    assert_eq!(folder.run(&["export", "rx.dat", "rx.mat"]).0, 2, "an extension that cannot be meant");
+    for command in [&["info", "none.dat"][..], &["export", "none.dat", "x.csv"], &["recover", "none.dat", "x.dat"]] {
+        let (status, _, err) = folder.run(command);
+        assert_eq!(status, 1, "{command:?}: {err}");
+    }
+    assert_eq!(folder.run(&["simulate", "lab-circle", "--out", "room"]).0, 0, "a built-in scene by its name");
+    if cfg!(not(feature = "foxglove")) {
+        let (status, _, err) = folder.run(&["mcap", "rx.dat", "-o", "x.mcap"]);
+        assert!(status == 2 && err.contains("foxglove"), "{err}");
+    }
+    let (_, help, _) = folder.run(&["--help"]);
+    assert!(help.contains("Exit status, of every command"), "{help}");
+}
+
+#[cfg(feature = "plot")]
+#[test]
+fn a_log_is_drawn_with_what_is_asked_for() {
+    let folder = Folder::new("plot");
+    folder.link(&link(300, 2.0));
+    let args = ["plot", "rx.dat", "--out", "p", "--antenna", "A", "--size", "800x600", "--dpi", "192"];
+    let (status, _, err) = folder.run(&args);
+    assert_eq!(status, 0, "{err}");
+    for what in ["csi", "levels"] {
+        let png = std::fs::read(folder.0.join(format!("p/rx-{what}.png"))).unwrap();
+        let side = |at: usize| u32::from_be_bytes(png[at..at + 4].try_into().unwrap());
+        assert_eq!((side(16), side(20)), (1600, 1200));
+        let svg = std::fs::read_to_string(folder.0.join(format!("p/rx-{what}.svg"))).unwrap();
+        assert!(svg.contains("width=\"800\"") && !svg.contains("NaN"), "{what}");
+    }
+    let (status, _, err) = folder.run(&args);
+    assert!(status == 1 && err.contains("--force"), "{err}");
+    let (status, _, err) = folder.run(&["plot", "rx.dat", "--mac", "02:00:00:00:00:77", "--out", "q"]);
+    assert!(status == 1 && err.contains("no record that is wanted"), "{err}");
+    assert_eq!(folder.run(&["plot", "rx.dat", "--size", "3"]).0, 2);
+}
