@@ -1,7 +1,7 @@
 //! One log on its way into the pipeline: records in, frames of interest out, everything else counted.
 
 use crate::signal::channel::SUBCARRIERS;
-use crate::source::survey::{SENDERS_KEPT, Survey};
+use crate::source::survey::Survey;
 use crate::source::{CsiSource, Error, Next};
 use crate::time::Instant;
 use driver_iface::sounding::native::Measurement;
@@ -10,7 +10,7 @@ use driver_iface::{
     bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq},
 };
 use num_complex::Complex32;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::VecDeque;
 
 /// One frame as one antenna heard it: about a hundred bytes, so that many can wait for their partners.
 #[derive(Clone, Copy, Debug)]
@@ -74,14 +74,20 @@ pub struct Front {
     pub survey: Survey,
     /// What was not used.
     pub unused: UnusedRecords,
-    rows: BTreeMap<Mac, u32>,
 }
 
 impl Front {
     /// A front of which only `antenna` is decoded.
     #[must_use]
     pub fn new(antenna: Antenna) -> Self {
-        Self { antenna, survey: Survey::default(), unused: UnusedRecords::default(), rows: BTreeMap::new() }
+        Self { antenna, survey: Survey::default(), unused: UnusedRecords::default() }
+    }
+
+    /// The same, in which these senders always have a place: strangers compete for the others (see [`Survey::with_known`]).
+    #[must_use]
+    pub fn with_known(mut self, known: impl IntoIterator<Item = Mac>) -> Self {
+        self.survey = Survey::with_known(known);
+        self
     }
 
     /// Notes what a source gave, and gives the frame in it with its sender.
@@ -91,15 +97,8 @@ impl Front {
             self.unused.no_number += 1;
             return None;
         };
-        if self.rows.len() >= SENDERS_KEPT && !self.rows.contains_key(&identity.mac) {
-            // Noise and malice make up any number of senders.
-            self.unused.other_sender += 1;
-            return None;
-        }
-        let row = self.rows.entry(identity.mac).or_default();
-        let own_row = *row;
-        *row = row.saturating_add(1);
-        let heard = FrameHeard::of(&bfee, self.antenna, number, identity.host_us, own_row);
+        let row = self.survey.senders.get(&identity.mac).map_or(0, |sender| sender.numbered.saturating_sub(1));
+        let heard = FrameHeard::of(&bfee, self.antenna, number, identity.host_us, row);
         self.unused.no_antenna += u64::from(heard.is_none());
         heard.map(|heard| (identity.mac, heard))
     }
@@ -116,9 +115,10 @@ pub(crate) struct LogReader<'a> {
 }
 
 impl<'a> LogReader<'a> {
-    /// A log from `source`, of which only `antenna` is decoded.
-    pub(crate) fn new(source: &'a mut dyn CsiSource, antenna: Antenna) -> Self {
-        Self { source, front: Front::new(antenna), queue: VecDeque::new(), now: Instant::ZERO, ended: false }
+    /// A log from `source`, of which only `antenna` is decoded; `known` are senders that are looked for by name.
+    pub(crate) fn new(source: &'a mut dyn CsiSource, antenna: Antenna, known: impl IntoIterator<Item = Mac>) -> Self {
+        let front = Front::new(antenna).with_known(known);
+        Self { source, front, queue: VecDeque::new(), now: Instant::ZERO, ended: false }
     }
 
     /// Reads ahead until `limit` frames wait or the log ends, and gives those that wait.

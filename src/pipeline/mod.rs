@@ -96,9 +96,10 @@ pub fn bearings(
     trajectory: &Trajectory,
     options: &Options,
 ) -> Result<CaptureReport, Error> {
-    let mut rx = LogReader::new(receiver, options.antenna);
+    let mut rx = LogReader::new(receiver, options.antenna, options.tx_macs.iter().copied());
     let (logs, paths): (Vec<_>, Vec<_>) = transmitters.into_iter().map(|t| (t.log, t.trajectory)).unzip();
-    let mut txs: Vec<LogReader<'_>> = logs.into_iter().map(|log| LogReader::new(log, options.antenna)).collect();
+    let mut txs: Vec<LogReader<'_>> =
+        logs.into_iter().map(|log| LogReader::new(log, options.antenna, options.rx_mac)).collect();
     let found = find_macs(&mut rx, &mut txs, options)?;
     let span_us = options.span_us(trajectory);
     let link = |found: &MacFound| found.as_ref().ok().map(|(mac, _)| Link::new(*mac, span_us));

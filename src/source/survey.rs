@@ -6,11 +6,14 @@ use crate::time::{Step16, Unwrap32};
 use driver_iface::mpdu::Mpdu;
 use driver_iface::record::{Record, Tail, code};
 use driver_iface::{Mac, bfee::Bfee};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+
+mod senders;
 
 /// Losses kept with their place; further ones are only counted.
 pub const LOSSES_KEPT: usize = 16;
-/// Senders that are surveyed one by one; records of further ones (noise or malice can make up any number) are only counted.
+/// Senders that are surveyed one by one, besides those [named](Survey::with_known). Noise and malice make up any number of
+/// them: beyond this the one with the least evidence is forgotten for each that is new.
 pub const SENDERS_KEPT: usize = 256;
 /// Counts of frame numbers distinguished for each sender, and how far numbers of one count are from each other at most:
 /// initiators begin further apart ([`crate::exchange::pairing::before_first_number`]).
@@ -82,6 +85,11 @@ pub struct Sender {
     last_us: Option<i64>,
     #[serde(skip)]
     steps_us: Vec<i64>,
+    /// Frames that had a number.
+    #[serde(skip)]
+    pub(crate) numbered: u32,
+    #[serde(skip)]
+    standing: senders::Standing,
 }
 
 impl Sender {
@@ -109,6 +117,7 @@ impl Sender {
 
     fn note(&mut self, frame_count: Option<u32>, timestamp_low: u32) {
         self.records += 1;
+        self.numbered = self.numbered.saturating_add(u32::from(frame_count.is_some()));
         if let Some(number) = frame_count {
             let (low, high) = self.frame_count.unwrap_or((number, number));
             self.frame_count = Some((low.min(number), high.max(number)));
@@ -228,8 +237,10 @@ pub struct Survey {
     pub bfee_repeated: u64,
     /// Steps back of `bfee_count`: the driver was loaded anew (or more than 32,767 records are missing).
     pub bfee_restarted: u64,
-    /// Records of senders beyond [`SENDERS_KEPT`], which are only counted.
+    /// Records of senders that were forgotten, as there were more than [`SENDERS_KEPT`].
     pub further_senders: u64,
+    /// Times that a sender was forgotten for a new one.
+    pub senders_forgotten: u64,
     /// Records by receive chains and streams: `streams[n_rx - 1][n_tx - 1]`.
     pub streams: [[u64; 3]; 3],
     /// Records by `antenna_sel`.
@@ -266,6 +277,9 @@ pub struct Survey {
     clock: Unwrap32,
     #[serde(skip)]
     heard: Option<(Mac, Option<u32>)>,
+    /// Senders that always have a place.
+    #[serde(skip)]
+    known: BTreeSet<Mac>,
 }
 
 /// The identity of a bfee: who sent the frame, its number, when the host saw it.
@@ -280,6 +294,12 @@ pub struct Identity {
 }
 
 impl Survey {
+    /// A survey in which these senders always have a place, whoever else is heard.
+    #[must_use]
+    pub fn with_known(known: impl IntoIterator<Item = Mac>) -> Self {
+        Self { known: known.into_iter().collect(), ..Self::default() }
+    }
+
     /// Counts what a source gave. For an intact bfee record it gives the checked view and the frame's identity.
     pub fn note<'a>(&mut self, next: &Next<'a>) -> Option<(Bfee<'a>, Identity)> {
         match next {
@@ -376,11 +396,7 @@ impl Survey {
             range.note(i32::from(rssi));
         }
         self.agc.note(i32::from(bfee.agc()));
-        if self.senders.len() < SENDERS_KEPT || self.senders.contains_key(&identity.mac) {
-            self.senders.entry(identity.mac).or_default().note(identity.frame_count, bfee.timestamp_low());
-        } else {
-            self.further_senders += 1;
-        }
+        self.sender(identity.mac).note(identity.frame_count, bfee.timestamp_low());
         let elapsed_us = self.host_us.zip(identity.host_us).map(|((_, last), now)| now.saturating_sub(last));
         let now_us = self.clock.next_after(bfee.timestamp_low(), elapsed_us);
         if let Some((_, last_us)) = self.clock_us {

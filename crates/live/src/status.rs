@@ -75,7 +75,8 @@ impl Status {
         let seconds = (now - self.window_from).as_s();
         if seconds > 0.0 {
             self.rates_hz = self.window.iter().map(|(mac, count)| (*mac, *count as f64 / seconds)).collect();
-            self.window.values_mut().for_each(|count| *count = 0);
+            // Senders that fell silent make room.
+            self.window.retain(|_, count| std::mem::take(count) > 0);
             self.window_from = now;
         }
     }

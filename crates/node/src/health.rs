@@ -4,7 +4,8 @@ use super::machine::{Machine, PoseCounts};
 use csi5300::motion::odometry::SourceCounts;
 use csi5300::pipeline::live::{PeerCounts, PeerReport};
 use csi5300::source::recorder::Totals;
-use csi5300::time::Instant;
+use csi5300::source::survey::SENDERS_KEPT;
+use csi5300::time::{Instant, Span};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 
@@ -25,6 +26,8 @@ pub struct Health {
     pub missing: u64,
     /// Frames of senders that are no peers.
     pub strangers: u64,
+    /// Times that one of them was forgotten for another, as there are more than are kept.
+    pub strangers_forgotten: u64,
     /// Odometry.
     pub poses: PoseCounts,
     /// What the source of the poses counted of its own: its line, its controller, its wheels.
@@ -81,11 +84,37 @@ pub struct Load {
     pub lines_lost: u64,
 }
 
+/// So long after the last stranger had to be forgotten it is said.
+const CROWD_LASTS: Span = Span::from_ms(60_000);
+
+/// Whether more senders are on the air than are kept.
+#[derive(Clone, Copy, Debug, Default)]
+struct Crowd {
+    forgotten: u64,
+    at: Option<Instant>,
+}
+
+impl Crowd {
+    /// What is wrong, in words.
+    fn look(&mut self, forgotten: u64, now: Instant) -> Option<String> {
+        if forgotten > self.forgotten {
+            (self.forgotten, self.at) = (forgotten, Some(now));
+        }
+        self.at.filter(|at| now - *at < CROWD_LASTS).map(|_| {
+            format!(
+                "more than {SENDERS_KEPT} senders on this channel ({forgotten} were forgotten): a busy channel, or frames \
+                 with made-up addresses; peers are heard all the same"
+            )
+        })
+    }
+}
+
 /// Makes states, and rates from one to the next.
 #[derive(Clone, Debug, Default)]
 pub struct Looks {
     name: String,
     last: Option<(Instant, u64, u64, Vec<u64>)>,
+    crowd: Crowd,
     reports: Vec<Option<PeerReport>>,
 }
 
@@ -132,6 +161,7 @@ impl Looks {
             losses,
             missing: survey.bfee_missing,
             strangers,
+            strangers_forgotten: survey.senders_forgotten,
             poses,
             odometry: machine.odometry_counts(),
             poses_hz: rate(poses.poses, poses_before),
@@ -142,7 +172,7 @@ impl Looks {
             sounding: None,
             ros: None,
             load,
-            trouble: machine.trouble(),
+            trouble: machine.trouble().into_iter().chain(self.crowd.look(survey.senders_forgotten, now)).collect(),
         };
         self.last = Some((now, survey.records, poses.poses, pairs));
         health

@@ -42,11 +42,11 @@ impl LiveEstimator {
         options: Options,
         now: Instant,
     ) -> Self {
-        let front = Front::new(options.antenna);
+        let front = Front::new(options.antenna).with_known(peers.iter().map(|peer| peer.mac));
         let count = peers.len().max(1) as f64;
         // One after the other, so that the load is even.
         let due = |k: usize| now + Span::from_s((1.0 + k as f64 / count) / settings.rate_hz);
-        let state = |(k, peer): (usize, LivePeer)| PeerLink::new(peer, options.antenna, due(k));
+        let state = |(k, peer): (usize, LivePeer)| PeerLink::new(peer, own, options.antenna, due(k));
         let peers = peers.into_iter().enumerate().map(state).collect();
         let plain = options.clone().with_accuracy(options.accuracy.without_layers());
         Self { own, settings, front, track, peers, losses: 0, strangers: 0, other_antenna: 0, options, plain }

@@ -16,3 +16,6 @@ pub use estimator::LiveEstimator;
 pub use report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
 #[doc(hidden)]
 pub use track::Track;
+
+#[cfg(test)]
+mod strangers;

@@ -8,6 +8,7 @@ use crate::pipeline::draft::estimate_one;
 use crate::pipeline::{Answer, Bearing, FrameHeard, Front, Link, LinkJoin, Options};
 use crate::source::Next;
 use crate::time::{Instant, Span};
+use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use driver_iface::sounding::native::Measurement;
 
@@ -85,9 +86,9 @@ pub(super) enum Why {
 
 impl PeerLink {
     /// A peer of which nothing was heard yet.
-    pub(super) fn new(peer: LivePeer, antenna: Antenna, due: Instant) -> Self {
+    pub(super) fn new(peer: LivePeer, own: Mac, antenna: Antenna, due: Instant) -> Self {
         Self {
-            front: Front::new(antenna),
+            front: Front::new(antenna).with_known([own]),
             link: Link::new(peer.mac, None),
             peer,
             due,

@@ -115,3 +115,33 @@ fn what_was_never_measured_has_no_range() {
     range.note(0);
     assert!(range.is_measured());
 }
+
+fn made_up(n: u32) -> Mac {
+    let [_, a, b, c] = n.to_be_bytes();
+    Mac([2, 0x66, 0, a, b, c])
+}
+
+#[test]
+fn a_busy_stranger_has_a_place_among_any_number_of_made_up_ones() {
+    // Made up before it came, and three for each of its records.
+    let before = (0..1_000).map(made_up);
+    let busy = Mac([2; 6]);
+    let among = (0..2_000).flat_map(|n| [made_up(1_000 + 3 * n), made_up(1_001 + 3 * n), busy, made_up(1_002 + 3 * n)]);
+    let survey = survey(before.chain(among).map(|mac| (mac, 0, 0x101)));
+    let sender = &survey.senders[&busy];
+    assert!(sender.records >= 1_990, "{}", sender.records);
+    assert_eq!(survey.senders.len(), SENDERS_KEPT);
+    let kept: u64 = survey.senders.values().map(|sender| sender.records).sum();
+    assert_eq!(kept + survey.further_senders, 9_000, "every record is counted once");
+}
+
+#[test]
+fn strangers_of_long_ago_make_room() {
+    let old = (0..SENDERS_KEPT as u32).flat_map(|n| vec![made_up(n); 50]);
+    // One in twenty is of a robot that came later.
+    let late = Mac([2; 6]);
+    let later = (0..60_000).map(|n| if n % 20 == 0 { late } else { made_up(1_000 + n) });
+    let survey = survey(old.chain(later).map(|mac| (mac, 0, 0x101)));
+    let records = survey.senders[&late].records;
+    assert!(records >= 1_500, "{records} of 3,000");
+}

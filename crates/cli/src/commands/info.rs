@@ -288,7 +288,7 @@ fn describe_senders(text: &mut String, survey: &Survey) {
     if survey.further_senders > 0 {
         let _ = writeln!(
             text,
-            "  {} records of senders beyond the first {SENDERS_KEPT}: noise in the log, or not a log of the CSI tool",
+            "  {} records of more than {SENDERS_KEPT} senders, whose rarest are not listed: noise in the log, or not a log of the CSI tool",
             survey.further_senders
         );
     }
