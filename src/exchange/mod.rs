@@ -1,5 +1,6 @@
 //! The exchange of frames: who sends when, and which frames belong together. State machines without I/O.
 
+pub(crate) mod admission;
 pub mod pairing;
 pub mod tdma;
 

@@ -1,5 +1,7 @@
 //! One log on its way into the pipeline: records in, frames of interest out, everything else counted.
 
+use super::options::Options;
+use crate::exchange::tdma::{Key, Proof, Prover};
 use crate::signal::channel::SUBCARRIERS;
 use crate::source::survey::Survey;
 use crate::source::{CsiSource, Error, Next};
@@ -23,6 +25,8 @@ pub struct FrameHeard {
     pub host_us: Option<i64>,
     /// Running number among the frames of its sender in this log, from 0.
     pub row: u32,
+    /// What is known of the frame itself.
+    pub proof: Proof,
     iq: [Iq; SUBCARRIERS],
 }
 
@@ -32,14 +36,15 @@ impl FrameHeard {
     pub fn of(bfee: &Bfee<'_>, antenna: Antenna, number: u32, host_us: Option<i64>, row: u32) -> Option<Self> {
         let mut iq = [Iq::default(); SUBCARRIERS];
         bfee.column(bfee.chain_of(antenna)?, 0, &ALL_SUBCARRIERS, &mut iq)?;
-        Some(Self { number, timestamp_low: bfee.timestamp_low(), host_us, row, iq })
+        Some(Self { number, timestamp_low: bfee.timestamp_low(), host_us, row, proof: Proof::Unknown, iq })
     }
 
     /// A forward frame as the robot that answered it has measured it.
     #[must_use]
     pub(crate) fn measured(measurement: &Measurement, row: u32) -> Self {
         let iq = measurement.iq.map(|[i, q]| Iq { i, q });
-        Self { number: measurement.number, timestamp_low: measurement.timestamp_low, host_us: None, row, iq }
+        let Measurement { number, timestamp_low, .. } = *measurement;
+        Self { number, timestamp_low, host_us: None, row, proof: Proof::Unknown, iq }
     }
 
     /// As raw pairs `[I, Q]` by reported subcarrier.
@@ -64,6 +69,8 @@ pub struct UnusedRecords {
     pub no_antenna: u64,
     /// From a sender that takes no part.
     pub other_sender: u64,
+    /// With a key: the frame that was measured has no tag, or another one.
+    pub unauthenticated: u64,
 }
 
 /// What of each record the pipeline uses: one antenna of frames with a number. Everything is counted.
@@ -74,13 +81,22 @@ pub struct Front {
     pub survey: Survey,
     /// What was not used.
     pub unused: UnusedRecords,
+    /// With a key: records that were used, though there is no frame with them to be checked.
+    pub unchecked: u64,
+    prover: Prover,
 }
 
 impl Front {
     /// A front of which only `antenna` is decoded.
     #[must_use]
     pub fn new(antenna: Antenna) -> Self {
-        Self { antenna, survey: Survey::default(), unused: UnusedRecords::default() }
+        Self {
+            antenna,
+            survey: Survey::default(),
+            unused: UnusedRecords::default(),
+            unchecked: 0,
+            prover: Prover::default(),
+        }
     }
 
     /// The same, in which these senders always have a place: strangers compete for the others (see [`Survey::with_known`]).
@@ -90,8 +106,16 @@ impl Front {
         self
     }
 
+    /// The same; where frames come with the records, only those with a tag of this key are used.
+    #[must_use]
+    pub fn with_key(mut self, key: Option<Key>) -> Self {
+        self.prover = Prover::new(key);
+        self
+    }
+
     /// Notes what a source gave, and gives the frame in it with its sender.
     pub fn note(&mut self, next: &Next<'_>) -> Option<(Mac, FrameHeard)> {
+        let proof = self.prover.note(next);
         let (bfee, identity) = self.survey.note(next)?;
         let Some(number) = identity.frame_count else {
             self.unused.no_number += 1;
@@ -100,7 +124,12 @@ impl Front {
         let row = self.survey.senders.get(&identity.mac).map_or(0, |sender| sender.numbered.saturating_sub(1));
         let heard = FrameHeard::of(&bfee, self.antenna, number, identity.host_us, row);
         self.unused.no_antenna += u64::from(heard.is_none());
-        heard.map(|heard| (identity.mac, heard))
+        if proof == Proof::Wrong {
+            self.unused.unauthenticated += 1;
+            return None;
+        }
+        self.unchecked += u64::from(proof == Proof::Unknown && self.prover.has_key() && heard.is_some());
+        heard.map(|heard| (identity.mac, FrameHeard { proof, ..heard }))
     }
 }
 
@@ -116,8 +145,8 @@ pub(crate) struct LogReader<'a> {
 
 impl<'a> LogReader<'a> {
     /// A log from `source`, of which only `antenna` is decoded; `known` are senders that are looked for by name.
-    pub(crate) fn new(source: &'a mut dyn CsiSource, antenna: Antenna, known: impl IntoIterator<Item = Mac>) -> Self {
-        let front = Front::new(antenna).with_known(known);
+    pub(crate) fn new(source: &'a mut dyn CsiSource, options: &Options, known: impl IntoIterator<Item = Mac>) -> Self {
+        let front = Front::new(options.antenna).with_known(known).with_key(options.key.clone());
         Self { source, front, queue: VecDeque::new(), now: Instant::ZERO, ended: false }
     }
 

@@ -60,6 +60,8 @@ pub struct LogReport {
     pub survey: Survey,
     /// What the pipeline could not use.
     pub unused: UnusedRecords,
+    /// With a key: records that were used, though there is no frame with them to be checked.
+    pub unchecked: u64,
 }
 
 /// What became of one transmitter's log.
@@ -96,10 +98,10 @@ pub fn bearings(
     trajectory: &Trajectory,
     options: &Options,
 ) -> Result<CaptureReport, Error> {
-    let mut rx = LogReader::new(receiver, options.antenna, options.tx_macs.iter().copied());
+    let mut rx = LogReader::new(receiver, options, options.tx_macs.iter().copied());
     let (logs, paths): (Vec<_>, Vec<_>) = transmitters.into_iter().map(|t| (t.log, t.trajectory)).unzip();
     let mut txs: Vec<LogReader<'_>> =
-        logs.into_iter().map(|log| LogReader::new(log, options.antenna, options.rx_mac)).collect();
+        logs.into_iter().map(|log| LogReader::new(log, options, options.rx_mac)).collect();
     let found = find_macs(&mut rx, &mut txs, options)?;
     let span_us = options.span_us(trajectory);
     let link = |found: &MacFound| found.as_ref().ok().map(|(mac, _)| Link::new(*mac, span_us));
@@ -118,6 +120,10 @@ pub fn bearings(
         LinkReport { mac, matched, link, bearing }
     };
     let links = links.into_iter().zip(found).map(report).collect();
-    let log = |log: LogReader<'_>| LogReport { survey: log.front.survey, unused: log.front.unused };
+    let log = |log: LogReader<'_>| LogReport {
+        survey: log.front.survey,
+        unused: log.front.unused,
+        unchecked: log.front.unchecked,
+    };
     Ok(CaptureReport { receiver: log(rx), transmitters: txs.into_iter().map(log).collect(), links })
 }

@@ -1,6 +1,7 @@
 //! How bearings are to be made.
 
 use crate::bartlett::SearchOptions;
+use crate::exchange::tdma::Key;
 use crate::motion::pose::Trajectory;
 use crate::signal::channel::Channel;
 use crate::tuning::TUNING;
@@ -95,6 +96,8 @@ pub struct Options {
     pub tx_macs: Vec<Mac>,
     /// MAC of the receiver in the transmitters' logs; the most frequent one where absent.
     pub rx_mac: Option<Mac>,
+    /// The key of the exchange, where it had one: records whose frame has no valid tag are left out.
+    pub key: Option<Key>,
     /// Added to the receiver's host time to get the trajectory's, seconds.
     pub clock_offset_s: f64,
     /// How pairs are joined with the trajectory.
@@ -116,6 +119,13 @@ pub struct Options {
 }
 
 impl Options {
+    /// With the key of the exchange.
+    #[must_use]
+    pub fn with_key(mut self, key: Option<Key>) -> Self {
+        self.key = key;
+        self
+    }
+
     /// The defaults, on `channel`: antenna A, transmitters and receiver found, joined by time, compensated.
     #[must_use]
     pub fn new(channel: Channel) -> Self {
@@ -124,6 +134,7 @@ impl Options {
             antenna: Antenna::A,
             tx_macs: Vec::new(),
             rx_mac: None,
+            key: None,
             clock_offset_s: 0.0,
             join: JoinBy::Time,
             from_s: None,

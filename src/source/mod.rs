@@ -2,6 +2,7 @@
 //! robot are values of one type, [`CsiSource`]. Who only wants to read a log takes [`Log`](log::Log).
 
 mod error;
+pub mod key_file;
 pub mod log;
 pub mod recorder;
 pub mod replay;

@@ -84,28 +84,63 @@ pub struct Load {
     pub lines_lost: u64,
 }
 
-/// So long after the last stranger had to be forgotten it is said.
-const CROWD_LASTS: Span = Span::from_ms(60_000);
+/// So long after something was last counted that should not be it is said.
+const ALARM_LASTS: Span = Span::from_ms(60_000);
 
-/// Whether more senders are on the air than are kept.
+/// A count that is an alarm while it rises, and for a minute after.
 #[derive(Clone, Copy, Debug, Default)]
-struct Crowd {
-    forgotten: u64,
+struct Alarm {
+    count: u64,
     at: Option<Instant>,
 }
 
-impl Crowd {
-    /// What is wrong, in words.
-    fn look(&mut self, forgotten: u64, now: Instant) -> Option<String> {
-        if forgotten > self.forgotten {
-            (self.forgotten, self.at) = (forgotten, Some(now));
+impl Alarm {
+    /// True while it is to be said.
+    fn is_on(&mut self, count: u64, now: Instant) -> bool {
+        if count > self.count {
+            (self.count, self.at) = (count, Some(now));
         }
-        self.at.filter(|at| now - *at < CROWD_LASTS).map(|_| {
-            format!(
+        self.at.is_some_and(|at| now - at < ALARM_LASTS)
+    }
+}
+
+/// Everything that is an alarm while it is counted.
+#[derive(Clone, Debug, Default)]
+struct Alarms {
+    crowd: Alarm,
+    unauthenticated: Alarm,
+    contested: Vec<Alarm>,
+}
+
+impl Alarms {
+    /// What is wrong, in words.
+    fn look(&mut self, machine: &Machine, now: Instant) -> Vec<String> {
+        let front = machine.estimator.front();
+        let (forgotten, unauthenticated) = (front.survey.senders_forgotten, front.unused.unauthenticated);
+        let mut words = Vec::new();
+        if self.crowd.is_on(forgotten, now) {
+            words.push(format!(
                 "more than {SENDERS_KEPT} senders on this channel ({forgotten} were forgotten): a busy channel, or frames \
                  with made-up addresses; peers are heard all the same"
-            )
-        })
+            ));
+        }
+        if self.unauthenticated.is_on(unauthenticated, now) {
+            words.push(format!(
+                "{unauthenticated} frames with numbers of the exchange and without its key were measured and left out"
+            ));
+        }
+        self.contested.resize(machine.estimator.peers().count(), Alarm::default());
+        for (alarm, (peer, counts)) in self.contested.iter_mut().zip(machine.estimator.peers()) {
+            let contested = counts.refused.contested;
+            if alarm.is_on(contested, now) {
+                words.push(format!(
+                    "{}: {contested} exchanges have two records: somebody sends in its name or in this robot's; none of \
+                     them is used",
+                    peer.name
+                ));
+            }
+        }
+        words
     }
 }
 
@@ -114,7 +149,7 @@ impl Crowd {
 pub struct Looks {
     name: String,
     last: Option<(Instant, u64, u64, Vec<u64>)>,
-    crowd: Crowd,
+    alarms: Alarms,
     reports: Vec<Option<PeerReport>>,
 }
 
@@ -172,7 +207,7 @@ impl Looks {
             sounding: None,
             ros: None,
             load,
-            trouble: machine.trouble().into_iter().chain(self.crowd.look(survey.senders_forgotten, now)).collect(),
+            trouble: machine.trouble().into_iter().chain(self.alarms.look(machine, now)).collect(),
         };
         self.last = Some((now, survey.records, poses.poses, pairs));
         health

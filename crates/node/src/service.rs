@@ -171,6 +171,7 @@ impl<'a> Service<'a> {
         let mut look_at = self.clock.real.now();
         let mut alive_at = look_at;
         loop {
+            self.sounder.take(&mut self.machine, self.clock.now());
             let more = self.machine.take(self.clock.now())?;
             self.watch_wall();
             self.estimate();

@@ -2,7 +2,7 @@
 
 use super::config::{Capture, Config};
 use super::machine::{Machine, Tap};
-use csi5300::exchange::tdma::{Epoch, Event};
+use csi5300::exchange::tdma::{Epoch, Event, Key, Proof, Prover};
 use csi5300::source::survey::Survey;
 use csi5300::source::{Error, Next, Stamps};
 use csi5300::time::Instant;
@@ -52,6 +52,7 @@ struct Sounds {
     antenna: Antenna,
     peers: Vec<Mac>,
     measures: bool,
+    key: Option<Key>,
 }
 
 impl Sounder {
@@ -86,7 +87,7 @@ impl Sounder {
         let opened = setup.open_on(monitor, |config| {
             (config.epoch, config.start, config.initiate) = (Epoch::Heard(now), now, asked.initiate);
         })?;
-        let mut counts = SoundingCounts { notice: opened.warning, ..SoundingCounts::default() };
+        let mut counts = SoundingCounts { notice: opened.warning.clone(), ..SoundingCounts::default() };
         if let Some(rate) = rate_n_flags(request.phy, config.antenna)
             && let Some(interface) = &asked.interface
             && let Rate::Other { found, mend, .. } = set_rate(&csi5300_live::doctor::Machine, interface, rate)
@@ -94,28 +95,41 @@ impl Sounder {
             counts.notice = Some(format!("monitor_tx_rate is {found}: {mend}"));
         }
         let settings = Settings { fifo_priority: Settings::default().fifo_priority.filter(|_| asked.fifo) };
-        let running = Arc::new(Running::start(opened.tdma, opened.monitor, clock, settings)?);
-        Ok(Self(Some(Sounds { running, counts, antenna: config.antenna, peers, measures: asked.measurement })))
+        let (key, measures) = (opened.key.clone(), asked.measurement);
+        let running = Arc::new(Running::start(opened, clock, settings)?);
+        Ok(Self(Some(Sounds { running, counts, antenna: config.antenna, peers, measures, key })))
     }
 
-    /// From now on answers carry what the card measures.
+    /// From now on answers carry what the card measures, and with a key only exchanges that are confirmed are used.
     pub fn attach(&self, machine: &mut Machine) {
+        if let Some(key) = self.0.as_ref().and_then(|sounds| sounds.key.as_ref()) {
+            machine.estimator.require_key(key);
+        }
         if let Some(sounds) = self.0.as_ref().filter(|sounds| sounds.measures) {
             machine.add_tap(Box::new(Measuring {
                 running: Arc::clone(&sounds.running),
                 antenna: sounds.antenna,
                 peers: sounds.peers.clone(),
-                survey: Survey::default(),
+                survey: Survey::with_known(sounds.peers.iter().copied()),
+                prover: Prover::new(sounds.key.clone()),
             }));
         }
     }
 
-    /// Takes the news; what was counted so far.
-    pub fn look(&mut self) -> Option<&SoundingCounts> {
-        let sounds = self.0.as_mut()?;
+    /// Takes the news: exchanges that the machine may use.
+    pub fn take(&mut self, machine: &mut Machine, now: Instant) {
+        let Some(sounds) = &mut self.0 else { return };
         while let Some(news) = sounds.running.news() {
             sounds.counts.note(&news);
+            if let News::Event(Event::Answered { peer, number, .. } | Event::Asked { peer, number, .. }) = news {
+                machine.estimator.handle_confirmed(peer, number, now);
+            }
         }
+    }
+
+    /// What was counted so far.
+    pub fn look(&mut self) -> Option<&SoundingCounts> {
+        let sounds = self.0.as_mut()?;
         sounds.counts.ended = sounds.running.has_ended();
         Some(&sounds.counts)
     }
@@ -167,13 +181,16 @@ struct Measuring {
     antenna: Antenna,
     peers: Vec<Mac>,
     survey: Survey,
+    prover: Prover,
 }
 
 impl Tap for Measuring {
     fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
         let next = Next::Record(Stamps { at: Instant::ZERO, host_us, ..Stamps::default() }, record);
+        let proof = self.prover.note(&next);
         let Some((bfee, identity)) = self.survey.note(&next) else { return };
-        if self.peers.contains(&identity.mac)
+        if proof != Proof::Wrong
+            && self.peers.contains(&identity.mac)
             && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
         {
             // Where too many wait, the next one is newer.

@@ -19,7 +19,7 @@
 //! | 68 | 4 | length of a round, microseconds |
 //! | 72 | 2 | slots of a round |
 //! | 74 | 76 | [`Measurement`], if flagged |
-//! | .. | 16 | authentication tag, if flagged; over [`authenticated_parts`] |
+//! | .. | 16 | authentication tag, if flagged; over [`authenticated_parts`]: 8 bytes by the group's key, 8 by that of sender and destination |
 //!
 //! A backward frame repeats number, initiator's session, turn, left, next, slot, round and slots of the forward frame
 //! that it answers.

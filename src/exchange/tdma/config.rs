@@ -40,6 +40,9 @@ pub struct Config {
     /// Number of this start: larger after every restart (wrapping), such as seconds since 1970. In the native dialect
     /// frame numbers are counted within it; with a key, robots ignore frames of an older session.
     pub session: u32,
+    /// With a key: robots that were heard before this start, with their newest session and number: frames of an older
+    /// session, or of this session up to this number, are ignored.
+    pub heard: Vec<(Mac, u32, u32)>,
     /// Shared key; needs [`super::Dialect::Native`] with `authenticated`.
     pub key: Option<Key>,
     /// Where slot 0 is. The WSR dialect has no slot numbers, so there a heard epoch stays this robot's own.
@@ -71,6 +74,7 @@ impl Config {
             respond: true,
             open_loop: false,
             session,
+            heard: Vec::new(),
             key: None,
             epoch: Epoch::Heard(Instant::ZERO),
             start: Instant::ZERO,
@@ -123,7 +127,7 @@ impl Config {
 
     /// The shared key, or none.
     #[must_use]
-    pub const fn with_key(mut self, key: Option<Key>) -> Self {
+    pub fn with_key(mut self, key: Option<Key>) -> Self {
         self.key = key;
         self
     }
@@ -159,6 +163,11 @@ impl Config {
     /// The MACs this robot sounds.
     pub(super) fn link_macs(&self) -> Vec<Mac> {
         self.links.clone().unwrap_or_else(|| self.peers.iter().map(|peer| peer.mac).collect())
+    }
+
+    /// MACs of all other robots.
+    pub(super) fn peer_macs(&self) -> Vec<Mac> {
+        self.peers.iter().map(|peer| peer.mac).collect()
     }
 
     /// Checks the robots and the key against the plan.

@@ -120,6 +120,8 @@ pub struct TdmaCounts {
     pub own_echoes: u64,
     /// Without a tag, or with a wrong one.
     pub unauthenticated: u64,
+    /// With a key: measurements that were not sent, as the card reported two frames of their number.
+    pub contested: u64,
     /// Forward frames heard before, or of an old session.
     pub replayed: u64,
     /// Backward frames for this robot that answer nothing (late, replayed, forged).

@@ -1,5 +1,6 @@
 //! Hearing: what each received frame means, in either dialect.
 
+use super::auth::Shown;
 use super::event::Event;
 use super::machine::{Ready, Tdma};
 use super::phy::Dialect;
@@ -53,9 +54,9 @@ impl Tdma {
     }
 
     fn hear_native(&mut self, ended: Instant, frame: &Frame<'_>, repr: &native::Repr, peer: usize) {
-        if let Some(key) = &self.key
-            && !repr.tag.as_ref().is_some_and(|tag| key.verifies(frame.mpdu(), tag))
-        {
+        // What is for this robot must be of its sender; what is for others says whose turn it is, and is of the group.
+        let is_valid = |shown| shown == Shown::Pair || (shown == Shown::Group && repr.destination != self.own);
+        if self.key.as_ref().is_some_and(|key| !is_valid(key.check(frame.mpdu(), repr))) {
             self.counts.unauthenticated += 1;
             return;
         }
@@ -209,12 +210,12 @@ impl Tdma {
             wants_turn: self.initiate,
             sender_session: self.session,
             measurement: kept.filter(|_| has_room),
-            tag: self.key.map(|_| [0; native::TAG_LEN]),
+            tag: self.key.as_ref().map(|_| [0; native::TAG_LEN]),
             ..*repr
         };
         let Ok(len) = answer.emit(&mut self.reply_buffer) else { return };
         if let (Some(key), Some(mpdu)) = (&self.key, self.reply_buffer.get_mut(..len)) {
-            native::set_tag(mpdu, key.tag(mpdu));
+            native::set_tag(mpdu, key.tag(mpdu, answer.sender, answer.destination).unwrap_or_default());
         }
         let slot_start = (fit == Fit::InSlot).then(|| self.clock.start(&self.plan, repr.slot.cast_signed()));
         self.queue_reply(repr.sender, repr.number, len, self.latest_reply(ended, slot_start));

@@ -145,7 +145,7 @@ impl Tdma {
             respond: config.respond,
             open_loop: config.open_loop,
             session: config.session,
-            key: config.key,
+            key: config.key.as_ref().map(|key| key.for_robot(config.own.mac, &config.peer_macs())),
             silence_slots: config.silence_slots.max(2),
             patience_us: i64::from(config.patience_us).max(plan.span_of(1).as_us()),
             plan,
@@ -230,11 +230,23 @@ impl Tdma {
     /// The card also measures what `peer` sends to others, whose answers it pairs with their own measurements: false for
     /// a number that is not among the last 16 answered to `peer` in its session. The last one refused so is kept for the
     /// answer to that very number, in case the card's word was here before the frame.
+    ///
+    /// With a key, two measurements of one number are of two frames, one of them somebody else's: false, and neither is
+    /// sent, unless the first one is already.
     pub fn set_measurement(&mut self, peer: Mac, measurement: Measurement) -> bool {
         let has_room = matches!(self.plan.dialect(), Dialect::Native { measurement: true, .. });
         let at = self.roster.find(peer).filter(|_| has_room);
         let Some(peer) = at.and_then(|at| self.roster.peer_mut(at)) else { return false };
-        let was_asked = peer.asked.contains(measurement.number);
+        let (number, clock) = (measurement.number, measurement.timestamp_low);
+        let other = peer.measured.replace((number, clock)).filter(|(_, before)| *before != clock);
+        if self.key.is_some() && (other.is_some_and(|(before, _)| before == number) || peer.contested == Some(number)) {
+            peer.contested = Some(number);
+            let of_number = |kept: &mut Measurement| kept.number == number;
+            (peer.measurement.take_if(of_number), peer.early.take_if(of_number));
+            self.counts.contested += 1;
+            return false;
+        }
+        let was_asked = peer.asked.contains(number);
         *(if was_asked { &mut peer.measurement } else { &mut peer.early }) = Some(measurement);
         was_asked
     }

@@ -54,6 +54,10 @@ pub(super) struct Peer {
     pub(super) measurement: Option<Measurement>,
     /// A measurement of a frame that was not answered, as far as is known: it may have come before the frame itself.
     pub(super) early: Option<Measurement>,
+    /// Number and card's clock of the last measurement that was handed over.
+    pub(super) measured: Option<(u32, u32)>,
+    /// The last number of which two frames were measured.
+    pub(super) contested: Option<u32>,
 }
 
 impl Peer {
@@ -114,6 +118,8 @@ impl Roster {
         let mut robots = config.peers.clone();
         robots.sort_by_key(|robot| robot.mac);
         let own_rank = robots.iter().filter(|robot| robot.mac < config.own.mac).count() as u16;
+        let heard = |mac| config.heard.iter().find(|(heard, ..)| config.key.is_some() && *heard == mac);
+        let known = |mac| heard(mac).map(|(_, session, number)| (*session, *number));
         let peers = robots.iter().zip(0u16..).map(|(robot, at)| Peer {
             mac: robot.mac,
             index: robot.index,
@@ -121,12 +127,14 @@ impl Roster {
             heard_at: None,
             wants_turn: false,
             let_turn_lapse: false,
-            session: None,
-            last_number: None,
+            session: known(robot.mac).map(|(session, _)| session),
+            last_number: known(robot.mac).map(|(_, number)| number),
             unanswered_in_a_row: 0,
             asked: Asked::default(),
             measurement: None,
             early: None,
+            measured: None,
+            contested: None,
         });
         let peers: Vec<Peer> = peers.collect();
         let place = |mac: &Mac| peers.binary_search_by_key(mac, |peer| peer.mac).ok();

@@ -121,11 +121,11 @@ impl Tdma {
             round_us: self.plan.round_us(),
             slots: self.plan.slots(),
             measurement: None,
-            tag: self.key.map(|_| [0; native::TAG_LEN]),
+            tag: self.key.as_ref().map(|_| [0; native::TAG_LEN]),
         };
         let len = repr.emit(buffer).ok()?;
         if let (Some(key), Some(mpdu)) = (&self.key, buffer.get_mut(..len)) {
-            native::set_tag(mpdu, key.tag(mpdu));
+            native::set_tag(mpdu, key.tag(mpdu, repr.sender, repr.destination).unwrap_or_default());
         }
         Some(len)
     }

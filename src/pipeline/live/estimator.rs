@@ -3,7 +3,9 @@
 use super::peer::{Context, PeerLink, SETTLE_S, WAIT, Why};
 use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport};
 use super::track::Track;
+use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
+use crate::exchange::tdma::Key;
 use crate::motion::pose::{Pose, Trajectory};
 use crate::pipeline::{Bearing, Front, Link, LinkError, LinkJoin, Options, estimate};
 use crate::source::{Loss, Next};
@@ -50,6 +52,27 @@ impl LiveEstimator {
         let peers = peers.into_iter().enumerate().map(state).collect();
         let plain = options.clone().with_accuracy(options.accuracy.without_layers());
         Self { own, settings, front, track, peers, losses: 0, strangers: 0, other_antenna: 0, options, plain }
+    }
+
+    /// From now on only exchanges are used that the scheduler, which shares this key, has
+    /// [confirmed](Self::handle_confirmed), and where frames come with the records only those with a valid tag. A number with
+    /// two records is an alarm ([`PeerCounts::refused`]), and neither is used.
+    pub fn require_key(&mut self, key: &Key) {
+        let fronts = self.peers.iter_mut().map(|state| &mut state.front);
+        for front in fronts.chain([&mut self.front]) {
+            *front = std::mem::replace(front, Front::new(self.options.antenna)).with_key(Some(key.clone()));
+        }
+        self.peers.iter_mut().for_each(|state| state.admission = Some(Admission::default()));
+    }
+
+    /// The scheduler has seen a frame of the peer `mac` with this number, its tag valid: an answer to this robot, or a frame
+    /// that this robot answers.
+    pub fn handle_confirmed(&mut self, mac: Mac, number: u32, now: Instant) {
+        let Some(state) = self.peers.iter_mut().find(|state| state.peer.mac == mac) else { return };
+        if let Some(admission) = &mut state.admission {
+            admission.confirm(number, now);
+            state.admit(now, &self.options);
+        }
     }
 
     /// Takes what this robot's card gave.
@@ -133,6 +156,7 @@ impl LiveEstimator {
     /// One is due at its time as soon as another pair comes, or a moment later; and once more, from the accuracy layer, when
     /// nothing else is due.
     pub fn poll_report(&mut self, now: Instant) -> Option<(usize, PeerReport)> {
+        self.peers.iter_mut().for_each(|state| state.admit(now, &self.options));
         let due = self.peers.iter().enumerate().filter(|(_, state)| state.is_ripe(now));
         let due = due.min_by_key(|(_, state)| state.due).map(|(index, _)| (index, Why::Due));
         let unrefined = || self.peers.iter().position(|state| state.unrefined).map(|index| (index, Why::Refine));
@@ -166,6 +190,7 @@ impl LiveEstimator {
         let (track, settings, options, plain) = (&self.track, &self.settings, &self.options, &self.plain);
         let context = Context { track, settings, options, plain, now, why: Why::End };
         let last = |state: &mut PeerLink| {
+            state.admit_last(now, context.options);
             state.link.finish(context.options);
             state.report(context)
         };
@@ -180,7 +205,9 @@ impl LiveEstimator {
 
     /// Peers and what was counted of them.
     pub fn peers(&self) -> impl Iterator<Item = (&LivePeer, PeerCounts)> {
-        let counts = |state: &PeerLink| PeerCounts { pairs: state.pairs(), ..state.counts };
+        let refused = |state: &PeerLink| state.admission.as_ref().map_or_else(Default::default, |gate| gate.counts);
+        let counts =
+            move |state: &PeerLink| PeerCounts { pairs: state.pairs(), refused: refused(state), ..state.counts };
         self.peers.iter().map(move |state| (&state.peer, counts(state)))
     }
 

@@ -2,6 +2,7 @@
 
 use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
 use super::track::{Track, Window, aligned, window};
+use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Pose, Trajectory};
 use crate::pipeline::draft::estimate_one;
@@ -29,6 +30,8 @@ pub(super) struct PeerLink {
     /// When its next report is due.
     pub(super) due: Instant,
     pub(super) counts: PeerCounts,
+    /// Where the scheduler shares a key: what waits for its word.
+    pub(super) admission: Option<Admission<FrameHeard>>,
     /// Measurements that came in its answers.
     measured: u32,
     last: Option<LastAnswer>,
@@ -93,6 +96,7 @@ impl PeerLink {
             peer,
             due,
             counts: PeerCounts::default(),
+            admission: None,
             measured: 0,
             last: None,
             searched: None,
@@ -112,12 +116,31 @@ impl PeerLink {
 
     /// Takes what one of the two cards heard of the other.
     pub(super) fn handle(&mut self, side: LinkSide, heard: FrameHeard, next: &Next<'_>, options: &Options) {
+        let Next::Record(stamps, _) = next else { return };
+        let Some(admission) = &mut self.admission else { return self.pair(side, heard, stamps.at, options) };
+        admission.handle(side, (heard.number, heard.timestamp_low), stamps.at, heard);
+        self.admit(stamps.at, options);
+    }
+
+    /// Hands on what the scheduler has confirmed.
+    pub(super) fn admit(&mut self, now: Instant, options: &Options) {
+        while let Some((side, at, heard)) = self.admission.as_mut().and_then(|admission| admission.poll(now)) {
+            self.pair(side, heard, at, options);
+        }
+    }
+
+    /// The same at the end.
+    pub(super) fn admit_last(&mut self, now: Instant, options: &Options) {
+        while let Some((side, at, heard)) = self.admission.as_mut().and_then(|admission| admission.poll_last(now)) {
+            self.pair(side, heard, at, options);
+        }
+    }
+
+    fn pair(&mut self, side: LinkSide, heard: FrameHeard, at: Instant, options: &Options) {
         let before = self.pairs();
         self.link.handle(side, heard, options);
-        if let Next::Record(stamps, _) = next
-            && self.pairs() > before
-        {
-            self.paired_at = Some(stamps.at);
+        if self.pairs() > before {
+            self.paired_at = Some(at);
         }
     }
 

@@ -1,6 +1,7 @@
 //! Settings, inputs and reports of the live estimator.
 
 use super::track::Track;
+use crate::exchange::admission::AdmissionCounts;
 use crate::pipeline::Answer;
 use crate::time::Instant;
 use driver_iface::Mac;
@@ -111,4 +112,6 @@ pub struct PeerCounts {
     pub skipped: u64,
     /// Losses that the peer's source reported.
     pub losses: u64,
+    /// Where the scheduler shares a key: what was not admitted.
+    pub refused: AdmissionCounts,
 }

@@ -65,7 +65,7 @@ fn request(authenticated: bool) -> Request {
 fn a_stranger_without_the_key_does_not_even_slow_the_exchange() {
     let key = Key::new(*b"0123456789abcdef");
     let mut configs = everybody(4, request(true));
-    configs.iter_mut().for_each(|config| (config.key, config.patience_us) = (Some(key), 0));
+    configs.iter_mut().for_each(|config| (config.key, config.patience_us) = (Some(key.clone()), 0));
     for loss in [0.0, 0.3] {
         let pairs: Vec<u64> = [false, true]
             .map(|hostile| {

@@ -10,7 +10,7 @@ use csi5300::pipeline::LinkPlan;
 use csi5300::pipeline::{Answer, lost_something};
 use csi5300::pipeline::{CaptureReport, JoinBy, LinkReport, LogReport, Options, Transmitter, WaveModel, bearings};
 use csi5300::signal::channel::Channel;
-use csi5300::source::{CsiSource, replay::Replay};
+use csi5300::source::{CsiSource, key_file, replay::Replay};
 use driver_iface::Mac;
 use nalgebra::Vector3;
 use std::fmt::Write;
@@ -49,6 +49,10 @@ pub struct Args {
     /// Place of the antenna on the receiver: metres forward, left, up; turned with the heading
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
     antenna_offset: Option<Vector3<f64>>,
+    /// The key that the robots shared: frames without its tag are left out, where the logs hold frames (records 0xC1 of the
+    /// stock driver); records of the WSR driver hold none and cannot be checked, which is said
+    #[arg(long, value_name = "FILE")]
+    key: Option<PathBuf>,
     /// Refuse bearings whose probability of being within 5 degrees is below this, 0..1, or not known (as of a plane
     /// wave with a mirror)
     #[arg(long, value_name = "P")]
@@ -192,7 +196,8 @@ fn options(args: &Args) -> std::result::Result<Options, String> {
     let join = if args.join_rows { JoinBy::Row } else { JoinBy::Time };
     #[cfg(feature = "plot")]
     let options = options.with_keep_course(args.plot.is_some());
-    let options = options.with_tx_macs(args.tx_mac.clone()).with_rx_mac(args.rx_mac).with_join(join);
+    let key = args.key.as_deref().map(key_file::read).transpose().map_err(|error| error.to_string())?;
+    let options = options.with_key(key).with_tx_macs(args.tx_mac.clone()).with_rx_mac(args.rx_mac).with_join(join);
     Ok(options.with_parallel(args.tx.len() > 1))
 }
 
@@ -262,6 +267,17 @@ fn say_losses<R: std::io::Read, S: std::io::Read>(
         let lines = info::losses(&report.survey, bytes);
         let unused = report.unused;
         let mut text = String::new();
+        if unused.unauthenticated > 0 {
+            let _ = writeln!(text, "  not used: {} records of frames without a valid tag", unused.unauthenticated);
+        }
+        if report.unchecked > 0 {
+            let _ = writeln!(
+                text,
+                "  {} records have no frame with them (WSR's layout, or a robot's key for frames of others): their tags \
+                 cannot be checked, and whoever sent with the robots' addresses is among them",
+                report.unchecked
+            );
+        }
         if unused.no_number + unused.no_antenna + unused.other_sender > 0 {
             let _ = writeln!(
                 text,

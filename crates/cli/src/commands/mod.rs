@@ -13,6 +13,7 @@ mod export;
 mod folds;
 mod hint;
 mod info;
+mod key;
 #[cfg(feature = "live")]
 mod live;
 mod locate;
@@ -126,6 +127,8 @@ enum Command {
     Compare(compare::Args),
     /// The experiments of Dijkstra et al., simulated, with repetitions: a table of errors, confidence and phase residual
     Suite(suite::Args),
+    /// Keys of the sounding exchange: a new secret of a group, and from it one robot's own
+    Key(key::Args),
     /// Sounds other robots: sends them frames in turn, which they answer, so that both cards measure; live bearings
     #[cfg(feature = "live")]
     Sound(Box<sound::Args>),
@@ -183,6 +186,7 @@ pub fn run() -> ExitCode {
         Command::Simulate(args) => simulate::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Suite(args) => suite::run(&args),
+        Command::Key(args) => key::run(&args),
         #[cfg(feature = "live")]
         Command::Sound(args) => sound::run(&args),
         #[cfg(feature = "live")]

@@ -5,7 +5,7 @@ use super::args::antenna;
 use super::live::Signals;
 use super::sounding::{NO_NUMBERS, Sounding, Wanted, Words, tell};
 use super::usage;
-use csi5300::exchange::tdma::Epoch;
+use csi5300::exchange::tdma::{Epoch, Proof, Prover};
 use csi5300::source::Next;
 use csi5300::source::survey::Survey;
 use csi5300_live::sounding::{News, Observer, Order, Running, measurement};
@@ -32,18 +32,21 @@ struct Measuring {
     antenna: Antenna,
     peers: Vec<Mac>,
     survey: Survey,
+    prover: Prover,
     carries: bool,
     told: bool,
 }
 
 impl Observer for Measuring {
     fn record(&mut self, next: &Next<'_>, running: &Running) {
+        let proof = self.prover.note(next);
         let Some((bfee, identity)) = self.survey.note(next) else { return };
         if self.carries && identity.frame_count.is_none() && bfee.wsr().is_none() && !self.told {
             self.told = true;
             eprintln!("{NO_NUMBERS}");
         }
         if self.carries
+            && proof != Proof::Wrong
             && self.peers.contains(&identity.mac)
             && let Some(measurement) = measurement(&bfee, &identity, self.antenna)
         {
@@ -70,6 +73,7 @@ pub fn run(args: &Args) -> Result {
     let carries = common.dialect == Words::Native && !common.no_measurement;
     let messages = common.messages(if carries { Wanted::IfPossible } else { Wanted::Not })?;
     let peers = common.peers.clone();
-    let mut task = Measuring { antenna: args.antenna, peers, survey: Survey::default(), carries, told: false };
+    let (survey, prover) = (Survey::with_known(peers.iter().copied()), Prover::new(opened.key.clone()));
+    let mut task = Measuring { antenna: args.antenna, peers, survey, prover, carries, told: false };
     common.run(&signals, messages, opened, clock, &mut task)
 }

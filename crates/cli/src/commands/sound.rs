@@ -94,7 +94,10 @@ struct Bearings<'a> {
     products: Products,
     path: &'a Path,
     next_at: Instant,
+    clock: Monotonic,
     told: bool,
+    /// Numbers with two records that were said.
+    contested: u64,
 }
 
 /// What `sound` does beside sounding.
@@ -111,9 +114,13 @@ impl Observer for Live<'_> {
 
     fn news(&mut self, news: &News) {
         tell(news);
-        if let (Some(bearings), News::Event(Event::Answered { peer, measurement: Some(measurement), .. })) =
+        let (Some(bearings), News::Event(Event::Answered { peer, number, measurement, .. })) =
             (&mut self.bearings, news)
-        {
+        else {
+            return;
+        };
+        bearings.products.confirmed(*peer, *number, bearings.clock.now());
+        if let Some(measurement) = measurement {
             bearings.products.answered(*peer, measurement);
         }
     }
@@ -131,6 +138,11 @@ impl Bearings<'_> {
         if self.products.unused().no_number > 0 && !self.told {
             self.told = true;
             eprintln!("{NO_NUMBERS}");
+        }
+        let contested = self.products.contested();
+        if contested > self.contested {
+            self.contested = contested;
+            eprintln!("{contested} numbers have two records: somebody answers in a peer's name; none of them is used");
         }
         let trajectory = match odometry::csv::read(self.path) {
             Ok((trajectory, _)) => trajectory,
@@ -183,13 +195,6 @@ pub fn run(args: &Args) -> Result {
     let signals = Signals::catch()?;
     let clock = Monotonic::new();
     let now = clock.now();
-    let bearings = match (&args.trajectory, args.channel) {
-        (Some(path), Some(channel)) => {
-            let options = args.estimation.options(channel)?;
-            Some(Bearings { args, products: Products::new(&common.peers, options), path, next_at: now, told: false })
-        }
-        _ => None,
-    };
     let opened = common.open(|config| {
         (config.epoch, config.start) = (Epoch::Heard(now), now);
         (config.initiate, config.open_loop) = (true, args.open_loop);
@@ -198,6 +203,14 @@ pub fn run(args: &Args) -> Result {
             config.silence_slots = ALONE_SILENCE_SLOTS.max((ALONE_SILENCE_US / slot_us).ceil() as u32);
         }
     })?;
+    let bearings = match (&args.trajectory, args.channel) {
+        (Some(path), Some(channel)) => {
+            let options = args.estimation.options(channel)?;
+            let products = Products::new(&common.peers, options).with_key(opened.key.as_ref());
+            Some(Bearings { args, products, path, next_at: now, clock, told: false, contested: 0 })
+        }
+        _ => None,
+    };
     common.see_to_rate(args.estimation.antenna)?;
     let messages = common.messages(if bearings.is_some() { Wanted::Needed } else { Wanted::Not })?;
     common.run(&signals, messages, opened, clock, &mut Live { bearings })

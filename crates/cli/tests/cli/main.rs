@@ -7,6 +7,8 @@ mod common;
 #[path = "../../../../tests/common/private.rs"]
 mod private;
 
+#[cfg(feature = "node")]
+mod attacks;
 mod commands;
 mod compare;
 mod looking;

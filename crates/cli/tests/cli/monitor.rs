@@ -297,7 +297,8 @@ fn sound_and_respond_exchange_frames_and_measurements() {
     let _ = std::fs::remove_dir_all(&folder);
     std::fs::create_dir_all(&folder).unwrap();
     let (key, log) = (folder.join("key"), folder.join("own.dat"));
-    std::fs::write(&key, "000102030405060708090a0b0c0d0e0f\n").unwrap();
+    std::fs::write(&key, "3f7c1e9a5b2d8046c1e0f4a7936bd258\n").unwrap();
+    std::fs::set_permissions(&key, std::os::unix::fs::PermissionsExt::from_mode(0o600)).unwrap();
     let (key, log) = (key.to_str().unwrap(), log.to_str().unwrap());
     let both = ["--key", key, "--allow-user-sender", "--connector-index"];
     let one = ["respond", "--interface", "monb", "--mac", "02:00:00:00:00:0b", "--peers", "02:00:00:00:00:0a"];

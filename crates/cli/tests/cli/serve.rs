@@ -124,7 +124,7 @@ fn a_served_room_is_heard_through_the_kernel() {
 /// Two robots, the one on circles for as long as the room lasts, radios as real ones but for their crystals, which nearly
 /// agree: a busy machine answers milliseconds late, in which real ones would turn by tens of cycles (that they are
 /// compensated is tested in virtual time). Drivers in the stock layout.
-const LIVE: &str = r#"
+pub const LIVE: &str = r#"
 duration_s = 120.0
 cfo = "physical"
 driver = "stock"
@@ -161,33 +161,33 @@ bearings = "bearings.jsonl"
 "#;
 
 /// A program whose words are waited for.
-struct Program {
+pub struct Program {
     child: std::process::Child,
     stderr: BufReader<std::process::ChildStderr>,
-    said: String,
+    pub said: String,
 }
 
 impl Program {
-    fn start(args: &[&str]) -> Self {
+    pub fn start(args: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
         let mut child = command.args(args).stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
         let stderr = BufReader::new(child.stderr.take().unwrap());
         Self { child, stderr, said: String::new() }
     }
 
-    fn until(&mut self, word: &str) {
+    pub fn until(&mut self, word: &str) {
         while !self.said.contains(word) {
             let read = self.stderr.read_line(&mut self.said).unwrap();
             assert!(read > 0, "it ended before it said `{word}`:\n{}", self.said);
         }
     }
 
-    fn stop(&self) {
+    pub fn stop(&self) {
         kill(Pid::from_raw(self.child.id() as i32), Signal::SIGTERM).unwrap();
     }
 
     /// Its exit status and all that it said.
-    fn end(mut self) -> (Option<i32>, String) {
+    pub fn end(mut self) -> (Option<i32>, String) {
         self.stderr.read_to_string(&mut self.said).unwrap();
         (self.child.wait().unwrap().code(), std::mem::take(&mut self.said))
     }

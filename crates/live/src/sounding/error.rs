@@ -1,6 +1,6 @@
 //! Why an exchange cannot be opened or brought to its end.
 
-use std::path::PathBuf;
+use driver_iface::Mac;
 
 /// What an exchange refuses. Within [`csi5300::source::Error`] it is a backend's error.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -12,14 +12,13 @@ pub enum SoundingError {
         /// The interface.
         interface: String,
     },
-    /// A key's file holds something else.
-    #[error(
-        "{}: a key is 16 bytes or 32 hexadecimal digits; make one with `head -c 16 /dev/urandom > FILE`",
-        .path.display()
-    )]
-    Key {
-        /// The file.
-        path: PathBuf,
+    /// A robot's key file has no key with a peer.
+    #[error("the key file has no key of {own} with {peer}: make another with `csi5300 key robot`, all peers named")]
+    NoKeyWith {
+        /// This robot.
+        own: Mac,
+        /// The peer.
+        peer: Mac,
     },
     /// The thread that sends has panicked.
     #[error("the thread that sends has panicked")]

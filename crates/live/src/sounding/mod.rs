@@ -13,6 +13,7 @@
 mod error;
 mod exchange;
 mod figures;
+mod heard;
 mod mailbox;
 mod messages;
 mod products;

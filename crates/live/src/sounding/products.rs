@@ -4,6 +4,7 @@
 //! later answer ([`driver_iface::sounding::native::Measurement`]). Both go into the library's live estimator, as a node's
 //! records do.
 
+use csi5300::exchange::tdma::Key;
 use csi5300::motion::pose::Trajectory;
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::live::{LiveEstimator, LivePeer, LiveSettings, Track};
@@ -47,6 +48,26 @@ impl Products {
         let (own, now) = (Mac::ZERO, Instant::ZERO);
         let settings = LiveSettings::new(options.channel.wavelength_m());
         Self { estimator: LiveEstimator::new(own, Track::default(), peers, settings, options, now) }
+    }
+
+    /// The same, where robots share a key: only exchanges that are [confirmed](Self::confirmed) are used.
+    #[must_use]
+    pub fn with_key(mut self, key: Option<&Key>) -> Self {
+        if let Some(key) = key {
+            self.estimator.require_key(key);
+        }
+        self
+    }
+
+    /// The scheduler has seen the answer of this number, its tag valid.
+    pub fn confirmed(&mut self, peer: Mac, number: u32, now: Instant) {
+        self.estimator.handle_confirmed(peer, number, now);
+    }
+
+    /// Numbers with two records, of all peers: somebody answers in a peer's name. Neither is used.
+    #[must_use]
+    pub fn contested(&self) -> u64 {
+        self.estimator.peers().map(|(_, counts)| counts.refused.contested).sum()
     }
 
     /// Takes what the card's driver gave.

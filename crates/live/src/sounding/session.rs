@@ -1,16 +1,18 @@
 //! The number of a start: later than that of every start before, also where the clock is not.
 
 use driver_iface::Mac;
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 /// 2025, seconds since 1970: a clock that shows less was never set.
 const PLAUSIBLE_S: u32 = 1_735_689_600;
+/// Bytes of a file with sessions at most: a line of 40 bytes for each robot of an exchange.
+const LONGEST: u64 = 1 << 16;
 
 /// The session that begins now, and words where it could not be kept and that matters.
 pub(super) fn begin(own: Mac, wall_us: Option<i64>) -> (u32, Option<String>) {
     let wall_s = wall_us.and_then(|us| u32::try_from(us / 1_000_000).ok()).unwrap_or(0);
-    let (session, kept) = begin_in(&folders(|name| std::env::var_os(name).map(PathBuf::from)), own, wall_s);
+    let (session, kept) = begin_in(&usual_folders(), own, wall_s);
     let why = kept.err().filter(|_| wall_s < PLAUSIBLE_S);
     let warning = why.map(|why| {
         format!(
@@ -20,6 +22,18 @@ pub(super) fn begin(own: Mac, wall_us: Option<i64>) -> (u32, Option<String>) {
         )
     });
     (session, warning)
+}
+
+/// Where the last session may be kept on this machine.
+pub(super) fn usual_folders() -> Vec<PathBuf> {
+    folders(|name| std::env::var_os(name).map(PathBuf::from))
+}
+
+/// What was kept in a file; nothing in one that is longer than any.
+pub(super) fn read(file: &Path) -> Option<String> {
+    let mut text = String::new();
+    std::fs::File::open(file).ok()?.take(LONGEST).read_to_string(&mut text).ok()?;
+    Some(text)
 }
 
 /// Where the last session may be kept, the best place first.
@@ -32,12 +46,12 @@ fn folders(variable: impl Fn(&str) -> Option<PathBuf>) -> Vec<PathBuf> {
 /// Later than every session kept in any of the folders, and kept in the first that can be written.
 fn begin_in(folders: &[PathBuf], own: Mac, wall_s: u32) -> (u32, io::Result<()>) {
     let name = format!("session-{}", own.to_string().replace(':', ""));
-    let read = |folder: &PathBuf| std::fs::read_to_string(folder.join(&name)).ok()?.trim().parse::<u32>().ok();
+    let read = |folder: &PathBuf| read(&folder.join(&name))?.trim().parse::<u32>().ok();
     let last = folders.iter().filter_map(read).max();
     let session = wall_s.max(last.map_or(1, |last| last.saturating_add(1)));
     let mut kept = Err(io::Error::from(io::ErrorKind::NotFound));
     for folder in folders {
-        kept = keep(folder, &name, session);
+        kept = keep(folder, &name, &format!("{session}\n"));
         if kept.is_ok() {
             break;
         }
@@ -46,10 +60,10 @@ fn begin_in(folders: &[PathBuf], own: Mac, wall_s: u32) -> (u32, io::Result<()>)
 }
 
 /// Written beside the old one and moved over it, so that a loss of power leaves either.
-fn keep(folder: &Path, name: &str, session: u32) -> io::Result<()> {
+pub(super) fn keep(folder: &Path, name: &str, text: &str) -> io::Result<()> {
     std::fs::create_dir_all(folder)?;
     let new = folder.join(format!("{name}.new"));
-    std::fs::write(&new, format!("{session}\n"))?;
+    std::fs::write(&new, text)?;
     std::fs::File::open(&new)?.sync_all()?;
     std::fs::rename(new, folder.join(name))
 }

@@ -1,10 +1,11 @@
 //! An exchange opened: interface, plan, key and session.
 
+use super::heard::Heard;
 use super::{SoundingError, session};
 use crate::monitor::{Monitor, Options};
 use crate::wait::wall_us;
 use csi5300::exchange::tdma::{Config, Key, Request, Tdma};
-use csi5300::source::Error;
+use csi5300::source::{Error, key_file};
 use driver_iface::Mac;
 use std::path::Path;
 
@@ -34,6 +35,10 @@ pub struct Opened {
     pub monitor: Monitor,
     /// This robot's MAC.
     pub own: Mac,
+    /// The key that all robots share.
+    pub key: Option<Key>,
+    /// What is known of the peers' sessions, with a key.
+    pub(super) heard: Heard,
     /// What the user should know of the session's number.
     pub warning: Option<String>,
 }
@@ -64,32 +69,28 @@ impl Setup {
         let own = self.mac.or(monitor.mac()).ok_or_else(nameless)?;
         let (session, warning) = session::begin(own, wall_us());
         let mut config = self.config(own, session);
+        let stranger = self.key.as_ref().and_then(|key| self.peers.iter().find(|peer| !key.has_pair(own, **peer)));
+        if let Some(peer) = stranger {
+            return Err(SoundingError::NoKeyWith { own, peer: *peer }.into());
+        }
+        let heard = self.key.is_some().then(|| Heard::open(own)).unwrap_or_default();
+        config.heard = heard.peers();
         settle(&mut config);
         let tdma = Tdma::new(&config).map_err(|error| Error::Backend(Box::new(error)))?;
-        Ok(Opened { tdma, monitor, own, warning })
+        Ok(Opened { tdma, monitor, own, key: self.key.clone(), heard, warning })
     }
 
     /// The machine's configuration: a robot that answers, and does not initiate.
     #[must_use]
     pub fn config(&self, own: Mac, session: u32) -> Config {
-        Config::new(own, self.own_index, &self.peers, self.request, session).with_key(self.key)
+        Config::new(own, self.own_index, &self.peers, self.request, session).with_key(self.key.clone())
     }
 }
 
-/// Reads a key: 16 bytes, or 32 hexadecimal digits.
+/// Reads a key: see [`csi5300::source::key_file`].
 ///
 /// # Errors
-/// If the file cannot be read, or holds anything else.
+/// If the file is refused.
 pub fn read_key(path: &Path) -> Result<Key, Error> {
-    let what = || format!("the key {}", path.display());
-    let bytes = std::fs::read(path).map_err(|source| Error::Io { what: what(), source })?;
-    if let Ok(key) = <[u8; 16]>::try_from(bytes.as_slice()) {
-        return Ok(Key::new(key));
-    }
-    let text = String::from_utf8_lossy(&bytes);
-    let digits = text.trim();
-    let number = u128::from_str_radix(digits, 16).ok().filter(|_| digits.len() == 32 && !digits.starts_with('+'));
-    number
-        .map(|number| Key::new(number.to_be_bytes()))
-        .ok_or_else(|| SoundingError::Key { path: path.to_owned() }.into())
+    key_file::read(path).map_err(|error| Error::Backend(Box::new(error)))
 }

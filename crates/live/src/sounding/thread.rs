@@ -2,11 +2,13 @@
 
 use super::SoundingError;
 use super::exchange::{Exchange, News};
+use super::heard::Heard;
 use super::mailbox::{Mailbox, Outbox};
+use super::setup::Opened;
 use crate::monitor::Monitor;
 use crate::sys;
 use crate::wait::Monotonic;
-use csi5300::exchange::tdma::{Priority, Tdma};
+use csi5300::exchange::tdma::Priority;
 use csi5300::source::Error;
 use driver_iface::Mac;
 use driver_iface::sounding::native::Measurement;
@@ -14,6 +16,7 @@ use nix::sys::mman::{MlockAllFlags, mlockall};
 use nix::sys::prctl::set_timerslack;
 use std::io::{PipeReader, PipeWriter};
 use std::os::fd::AsFd;
+use std::sync::{Mutex, PoisonError};
 use std::thread::JoinHandle;
 
 /// What to ask the system for.
@@ -79,6 +82,7 @@ pub struct Running {
     stop: PipeWriter,
     orders: Mailbox<Order>,
     news: Mailbox<News>,
+    heard: Mutex<Heard>,
 }
 
 /// What a thread leaves behind.
@@ -93,7 +97,8 @@ impl Running {
     ///
     /// # Errors
     /// If there is no pipe or thread to be had.
-    pub fn start(tdma: Tdma, monitor: Monitor, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
+    pub fn start(opened: Opened, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
+        let Opened { tdma, monitor, heard, .. } = opened;
         let io = |source| Error::Io { what: "cannot start the thread that sends".into(), source };
         let (stopped, stop) = std::io::pipe().map_err(io)?;
         let (orders, news) = (Mailbox::new(), Mailbox::new());
@@ -101,7 +106,7 @@ impl Running {
         let exchange = Exchange::new(tdma, monitor);
         let work = move || run(exchange, clock, settings, &stopped, &ordered, told);
         let thread = std::thread::Builder::new().name("csi5300 sender".into()).spawn(work).map_err(io)?;
-        Ok(Self { thread, stop, orders, news })
+        Ok(Self { thread, stop, orders, news, heard: Mutex::new(heard) })
     }
 
     /// Gives an order, to be followed before the next frame is handled. False if too many wait.
@@ -111,7 +116,13 @@ impl Running {
 
     /// The next news, if there are any.
     pub fn news(&self) -> Option<News> {
-        self.news.take()
+        let news = self.news.take();
+        let mut heard = self.heard.lock().unwrap_or_else(PoisonError::into_inner);
+        match &news {
+            Some(news) => heard.note(news),
+            None => heard.keep_if_due(),
+        }
+        news
     }
 
     /// True if the thread has ended by itself: its interface failed.
@@ -131,7 +142,11 @@ impl Running {
         let ended = self.thread.join().map_err(|_| SoundingError::Panicked)?;
         let left = std::iter::from_fn(|| self.news.take()).collect::<Vec<_>>();
         let (held, lost) = ended.news.finish();
-        Ok((ended.exchange, left.into_iter().chain(held).collect(), lost, ended.error))
+        let left: Vec<News> = left.into_iter().chain(held).collect();
+        let mut heard = self.heard.into_inner().unwrap_or_else(PoisonError::into_inner);
+        left.iter().for_each(|news| heard.note(news));
+        heard.keep();
+        Ok((ended.exchange, left, lost, ended.error))
     }
 }
 

@@ -73,7 +73,7 @@ fn not_sent(counts: &TdmaCounts, figures: &Figures, air: &Counters) -> [(u64, &'
 }
 
 /// Frames heard and turns had: how many came to nothing, by cause.
-fn not_used(counts: &TdmaCounts, air: &Counters) -> [(u64, &'static str); 16] {
+fn not_used(counts: &TdmaCounts, air: &Counters) -> [(u64, &'static str); 17] {
     [
         (air.dropped, "frames heard but dropped by the kernel before they were read"),
         (air.stale, "frames dropped because they had lain in the kernel's queue for a second or more"),
@@ -82,6 +82,7 @@ fn not_used(counts: &TdmaCounts, air: &Counters) -> [(u64, &'static str); 16] {
         (counts.foreign, "frames of another dialect or damaged"),
         (counts.strangers, "frames of robots that are no peers"),
         (counts.unauthenticated, "frames without the key"),
+        (counts.contested, "measurements of numbers that two frames had"),
         (counts.replayed, "frames repeated or of an old session"),
         (counts.unmatched, "answers to nothing that waits"),
         (counts.other_plan, "frames of another plan (--rate, --links)"),

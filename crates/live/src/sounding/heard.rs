@@ -1,0 +1,119 @@
+//! The newest session of each peer, and its newest number, kept over restarts: frames taped from an older one are not
+//! answered by a robot that was started anew.
+
+use super::exchange::News;
+use super::session;
+use csi5300::exchange::tdma::Event;
+use driver_iface::Mac;
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+/// Numbers are kept this often. What was taped within so long before a restart, in the session that goes on, may still be
+/// answered once.
+const KEEP_EVERY: Duration = Duration::from_secs(5);
+
+/// What is known of peers that share a key.
+#[derive(Debug, Default)]
+pub struct Heard {
+    name: String,
+    folders: Vec<PathBuf>,
+    /// Session and number.
+    peers: BTreeMap<Mac, (u32, u32)>,
+    changed: bool,
+    kept_at: Option<Instant>,
+}
+
+impl Heard {
+    /// What this robot kept of its peers. It is kept where the robot's own session is.
+    pub(super) fn open(own: Mac) -> Self {
+        Self::open_in(session::usual_folders(), own)
+    }
+
+    fn open_in(folders: Vec<PathBuf>, own: Mac) -> Self {
+        let name = format!("peers-{}", own.to_string().replace(':', ""));
+        let mut peers = BTreeMap::new();
+        for text in folders.iter().filter_map(|folder| session::read(&folder.join(&name))) {
+            for (mac, at) in text.lines().filter_map(entry) {
+                let newest = peers.entry(mac).or_insert(at);
+                *newest = at.max(*newest);
+            }
+        }
+        Self { name, folders, peers, ..Self::default() }
+    }
+
+    /// Peers with their newest session and number.
+    pub(super) fn peers(&self) -> Vec<(Mac, u32, u32)> {
+        self.peers.iter().map(|(mac, (session, number))| (*mac, *session, *number)).collect()
+    }
+
+    /// Takes what happened on the air: the scheduler has checked its tag.
+    pub(super) fn note(&mut self, news: &News) {
+        let News::Event(event) = news else { return };
+        let (mac, at) = match *event {
+            Event::Asked { peer, number, session } => (peer, (session, number)),
+            Event::Answered { peer, peer_session, .. } => (peer, (peer_session, 0)),
+            Event::Restarted { peer, session } => (peer, (session, 0)),
+            _ => return,
+        };
+        // A session's own numbers only go up.
+        let newest = self.peers.entry(mac).or_default();
+        if at > *newest {
+            *newest = at;
+            self.changed = true;
+        }
+    }
+
+    /// Writes it down if it is time.
+    pub(super) fn keep_if_due(&mut self) {
+        if self.kept_at.is_none_or(|at| at.elapsed() >= KEEP_EVERY) {
+            self.keep();
+        }
+    }
+
+    /// Writes it down where that can be done; without such a place replays of older sessions are only known while it runs.
+    pub(super) fn keep(&mut self) {
+        if !std::mem::take(&mut self.changed) {
+            return;
+        }
+        self.kept_at = Some(Instant::now());
+        let line = |(mac, (session, number)): (&Mac, &(u32, u32))| format!("{mac} {session} {number}\n");
+        let text: String = self.peers.iter().map(line).collect();
+        for folder in &self.folders {
+            if session::keep(folder, &self.name, &text).is_ok() {
+                break;
+            }
+        }
+    }
+}
+
+fn entry(line: &str) -> Option<(Mac, (u32, u32))> {
+    let mut words = line.split(' ');
+    let entry = (words.next()?.parse().ok()?, (words.next()?.parse().ok()?, words.next()?.parse().ok()?));
+    words.next().is_none().then_some(entry)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_newest_session_of_each_peer_outlives_a_restart() {
+        let root = std::env::temp_dir().join(format!("csi5300-heard-{}", std::process::id()));
+        let folders = vec![root.join("state/csi5300")];
+        let [own, a, b] = [1, 2, 3].map(|last| Mac([2, 0, 0, 0, 0, last]));
+        let mut heard = Heard::open_in(folders.clone(), own);
+        let asked = |peer, session, number| News::Event(Event::Asked { peer, number, session });
+        for news in [asked(a, 100, 7), asked(a, 100, 9), asked(a, 99, 1_000), asked(b, 5, 1)] {
+            heard.note(&news);
+        }
+        let answered = Event::Answered { peer: b, number: 3, peer_session: 6, measurement: None };
+        heard.note(&News::Event(answered));
+        heard.keep();
+        assert_eq!(Heard::open_in(folders.clone(), own).peers(), [(a, 100, 9), (b, 6, 0)]);
+        assert!(Heard::open_in(folders.clone(), a).peers().is_empty(), "each robot has its own");
+        std::fs::write(root.join("state/csi5300/peers-020000000001"), "rubbish\n02:00:00:00:00:02 8 9 10\n").unwrap();
+        assert!(Heard::open_in(folders, own).peers().is_empty());
+        std::fs::remove_dir_all(root).unwrap();
+    }
+}

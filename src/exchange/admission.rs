@@ -1,0 +1,268 @@
+//! Which records of a link go to pairing where the scheduler shares a key: those of exchanges that it confirmed.
+//!
+//! A card measures every frame of the right shape, whoever sent it, and a record in the WSR layout holds no more of it than
+//! MAC and number. The scheduler sees the frames themselves and checks their tags. So a record waits until the scheduler has
+//! confirmed the exchange of its number with that robot, and a moment longer: where another record bears the same number,
+//! one of the two frames was somebody else's, and neither is used. (Where the driver hands frames over, a record whose frame
+//! has no valid tag does not get so far: see [`Prover`](super::tdma::Prover).)
+//!
+//! A number counts as contested only beside a record that is about as old: frames with numbers that are yet to come are
+//! dropped as unconfirmed, once for each.
+
+use super::pairing::LinkSide;
+use crate::time::{Instant, Span};
+use serde::Serialize;
+use std::collections::{BTreeMap, VecDeque};
+
+/// A record waits for another of its number so long: a card reports all frames of a turn-around within a few milliseconds.
+const HOLD: Span = Span::from_ms(20);
+/// A record and the word of the scheduler on it come within this time; numbers of records admitted are kept as long.
+const PATIENCE: Span = Span::from_ms(2_000);
+/// Records of a side that wait, and numbers that are kept, at most.
+const KEPT: usize = 4_096;
+
+/// What was not admitted, by reason.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[non_exhaustive]
+pub struct AdmissionCounts {
+    /// Records of exchanges that the scheduler did not confirm.
+    pub unconfirmed: u64,
+    /// Numbers with two records: an alarm. Neither is used.
+    pub contested: u64,
+}
+
+/// A record that waits.
+#[derive(Clone, Debug)]
+struct Held<T> {
+    number: u32,
+    /// The card's clock: two records with the same one are of one reception.
+    clock: u32,
+    at: Instant,
+    contested: bool,
+    item: T,
+}
+
+#[derive(Clone, Debug)]
+struct Side<T> {
+    held: VecDeque<Held<T>>,
+    /// Number, card's clock and time of what was admitted last.
+    admitted: VecDeque<(u32, u32, Instant)>,
+}
+
+impl<T> Default for Side<T> {
+    fn default() -> Self {
+        Self { held: VecDeque::new(), admitted: VecDeque::new() }
+    }
+}
+
+/// Lets records of one link through.
+#[derive(Clone, Debug)]
+pub(crate) struct Admission<T> {
+    receiver: Side<T>,
+    transmitter: Side<T>,
+    confirmed: BTreeMap<u32, Instant>,
+    /// Numbers confirmed, the oldest first.
+    order: VecDeque<u32>,
+    pub(crate) counts: AdmissionCounts,
+}
+
+impl<T> Default for Admission<T> {
+    fn default() -> Self {
+        Self {
+            receiver: Side::default(),
+            transmitter: Side::default(),
+            confirmed: BTreeMap::new(),
+            order: VecDeque::new(),
+            counts: AdmissionCounts::default(),
+        }
+    }
+}
+
+impl<T> Admission<T> {
+    /// Takes a record of `side`.
+    pub(crate) fn handle(&mut self, side: LinkSide, (number, clock): (u32, u32), now: Instant, item: T) {
+        let state = self.side_mut(side);
+        if let Some(twin) = state.held.iter_mut().rev().find(|held| held.number == number) {
+            let is_news = twin.clock != clock && !twin.contested;
+            twin.contested |= is_news;
+            self.counts.contested += u64::from(is_news);
+            return;
+        }
+        while state.admitted.front().is_some_and(|(.., at)| now - *at > PATIENCE) {
+            state.admitted.pop_front();
+        }
+        if let Some((_, admitted, _)) = state.admitted.iter().find(|(admitted, ..)| *admitted == number) {
+            let is_other = *admitted != clock;
+            self.counts.contested += u64::from(is_other);
+            return;
+        }
+        let full = state.held.len() >= KEPT;
+        let lost = full.then(|| state.held.pop_front()).flatten().is_some();
+        state.held.push_back(Held { number, clock, at: now, contested: false, item });
+        self.counts.unconfirmed += u64::from(lost);
+    }
+
+    /// The scheduler has seen the exchange of this number, its tag valid.
+    pub(crate) fn confirm(&mut self, number: u32, now: Instant) {
+        if self.confirmed.insert(number, now).is_none() {
+            self.order.push_back(number);
+        }
+        if self.order.len() > KEPT
+            && let Some(oldest) = self.order.pop_front()
+        {
+            self.confirmed.remove(&oldest);
+        }
+    }
+
+    /// The next record to be paired, in the order of its log as far as records are confirmed in it. To be called until it
+    /// gives `None`.
+    pub(crate) fn poll(&mut self, now: Instant) -> Option<(LinkSide, Instant, T)> {
+        self.poll_side(LinkSide::Transmitter, now, HOLD).or_else(|| self.poll_side(LinkSide::Receiver, now, HOLD))
+    }
+
+    /// The same at the end, when nothing more comes.
+    pub(crate) fn poll_last(&mut self, now: Instant) -> Option<(LinkSide, Instant, T)> {
+        let mut last = |side| self.poll_side(side, now, Span::ZERO);
+        last(LinkSide::Transmitter).or_else(|| last(LinkSide::Receiver))
+    }
+
+    fn poll_side(&mut self, side: LinkSide, now: Instant, hold: Span) -> Option<(LinkSide, Instant, T)> {
+        // What comes over a network may come much later than the scheduler's word.
+        let in_time = |at: Instant, confirmed: Instant| match side {
+            LinkSide::Receiver => at - confirmed <= PATIENCE && confirmed - at <= PATIENCE,
+            LinkSide::Transmitter => confirmed - at <= PATIENCE,
+        };
+        let (state, confirmed) = match side {
+            LinkSide::Receiver => (&mut self.receiver, &self.confirmed),
+            LinkSide::Transmitter => (&mut self.transmitter, &self.confirmed),
+        };
+        let mut at = 0;
+        while let Some(held) = state.held.get(at) {
+            let age = now - held.at;
+            let is_confirmed = confirmed.get(&held.number).is_some_and(|confirmed| in_time(held.at, *confirmed));
+            if age < hold {
+                // Those that follow are younger.
+                return None;
+            }
+            if !is_confirmed && age <= PATIENCE {
+                at += 1;
+                continue;
+            }
+            let Some(held) = state.held.remove(at) else { return None };
+            if !is_confirmed {
+                self.counts.unconfirmed += 1;
+            } else if !held.contested {
+                state.admitted.push_back((held.number, held.clock, now));
+                if state.admitted.len() > KEPT {
+                    state.admitted.pop_front();
+                }
+                return Some((side, held.at, held.item));
+            }
+        }
+        None
+    }
+
+    fn side_mut(&mut self, side: LinkSide) -> &mut Side<T> {
+        match side {
+            LinkSide::Receiver => &mut self.receiver,
+            LinkSide::Transmitter => &mut self.transmitter,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use LinkSide::{Receiver, Transmitter};
+
+    fn ms(ms: i64) -> Instant {
+        Instant::from_us(1_000 * ms)
+    }
+
+    fn drain(admission: &mut Admission<&'static str>, now: Instant) -> Vec<&'static str> {
+        std::iter::from_fn(|| admission.poll(now).map(|(.., item)| item)).collect()
+    }
+
+    fn counts(admission: &Admission<&'static str>) -> (u64, u64) {
+        (admission.counts.unconfirmed, admission.counts.contested)
+    }
+
+    #[test]
+    fn what_the_scheduler_did_not_confirm_is_not_used() {
+        let mut admission = Admission::default();
+        admission.handle(Receiver, (1, 10), ms(0), "confirmed before");
+        admission.handle(Receiver, (2, 20), ms(0), "never");
+        admission.handle(Receiver, (3, 30), ms(0), "confirmed after");
+        admission.confirm(1, ms(0));
+        assert!(drain(&mut admission, ms(19)).is_empty(), "another may come");
+        assert_eq!(drain(&mut admission, ms(20)), ["confirmed before"]);
+        admission.confirm(3, ms(500));
+        assert_eq!(drain(&mut admission, ms(501)), ["confirmed after"]);
+        assert!(drain(&mut admission, ms(2_001)).is_empty());
+        admission.confirm(2, ms(2_100));
+        assert!(drain(&mut admission, ms(2_200)).is_empty(), "too late");
+        assert_eq!(counts(&admission), (1, 0));
+    }
+
+    #[test]
+    fn of_two_records_of_one_number_neither_is_used() {
+        for (first, second) in [(ms(0), ms(1)), (ms(0), ms(19))] {
+            let mut admission = Admission::default();
+            admission.confirm(7, ms(0));
+            admission.handle(Receiver, (7, 100), first, "a stranger's");
+            admission.handle(Receiver, (7, 400), second, "the peer's");
+            admission.handle(Receiver, (7, 700), second, "another stranger's");
+            assert!(drain(&mut admission, ms(100)).is_empty());
+            assert_eq!(counts(&admission), (0, 1));
+        }
+    }
+
+    #[test]
+    fn a_second_record_that_comes_late_is_an_alarm_and_changes_nothing() {
+        let mut admission = Admission::default();
+        admission.confirm(7, ms(0));
+        admission.handle(Transmitter, (7, 100), ms(0), "the peer's");
+        assert_eq!(drain(&mut admission, ms(30)), ["the peer's"]);
+        admission.handle(Transmitter, (7, 900), ms(40), "a stranger's");
+        assert!(drain(&mut admission, ms(100)).is_empty());
+        assert_eq!(counts(&admission), (0, 1));
+    }
+
+    #[test]
+    fn a_reception_that_is_reported_twice_is_no_alarm() {
+        let mut admission = Admission::default();
+        admission.confirm(7, ms(0));
+        admission.handle(Receiver, (7, 100), ms(0), "once");
+        admission.handle(Receiver, (7, 100), ms(0), "twice");
+        assert_eq!(drain(&mut admission, ms(30)), ["once"]);
+        admission.handle(Receiver, (7, 100), ms(31), "thrice");
+        assert!(drain(&mut admission, ms(100)).is_empty());
+        assert_eq!(counts(&admission), (0, 0));
+    }
+
+    #[test]
+    fn records_of_a_network_may_come_much_later() {
+        let mut admission = Admission::default();
+        admission.confirm(7, ms(0));
+        admission.handle(Transmitter, (7, 100), ms(10_000), "late");
+        admission.handle(Receiver, (7, 100), ms(10_000), "a tape");
+        assert_eq!(drain(&mut admission, ms(10_020)), ["late"]);
+        assert!(drain(&mut admission, ms(13_000)).is_empty());
+        assert_eq!(counts(&admission), (1, 0));
+    }
+
+    #[test]
+    fn a_flood_is_bounded_and_counted() {
+        let mut admission = Admission::default();
+        for number in 0..3 * KEPT as u32 {
+            admission.handle(Receiver, (number, number), ms(0), "made up");
+            admission.confirm(1_000_000 + number, ms(0));
+        }
+        assert_eq!(
+            (admission.receiver.held.len(), admission.confirmed.len(), admission.order.len()),
+            (KEPT, KEPT, KEPT)
+        );
+        assert!(drain(&mut admission, ms(3_000)).is_empty());
+        assert_eq!(counts(&admission), (3 * KEPT as u64, 0));
+    }
+}
