@@ -27,6 +27,12 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// Another recorder writes this log.
+    #[error("{} is being recorded by another program", .path.display())]
+    InUse {
+        /// The file.
+        path: PathBuf,
+    },
     /// The thread that writes a recorder's log panicked: what it had not written is lost.
     #[error("the thread that writes the log died")]
     WriterDied,

@@ -110,6 +110,8 @@ pub struct Totals {
     pub lost_on_disk: u64,
     /// The last thing that went wrong on the disk.
     pub error: Option<String>,
+    /// It is wrong still: nothing was written without it since.
+    pub failing: bool,
 }
 
 /// The totals of a recorder, to be asked from any thread, and after the recorder is gone.

@@ -15,7 +15,7 @@ pub use batch::Batch;
 use super::{CsiSource, Error, Loss, Next, Origin, Stamps};
 use crate::motion::odometry::{NextPose, OdometryError, OdometrySource};
 use crate::motion::pose::Pose;
-use crate::time::Instant;
+use crate::time::{Instant, Span};
 use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record};
 use nalgebra::Vector3;
 use std::collections::VecDeque;
@@ -23,6 +23,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 const RECORDS: [u8; 4] = *b"c5r1";
 const POSES: [u8; 4] = *b"c5p2";
+/// A sender that fell silent for so long has left its address to others.
+const OWNED: Span = Span::from_ms(1_000);
 const HEAD: usize = 16;
 const POSE: usize = 48;
 
@@ -40,6 +42,8 @@ pub struct QueueCounts {
     pub foreign: u64,
     /// Times that the other side began anew.
     pub sessions: u64,
+    /// Messages of a second sender under the same address: refused.
+    pub contested: u64,
 }
 
 #[derive(Clone, Debug)]
@@ -57,6 +61,8 @@ struct Shared {
     /// Session, and the number expected next.
     at: Option<(u32, u64)>,
     counts: QueueCounts,
+    /// Session that the queue belongs to, and when a message of it last came.
+    owner: Option<(u32, Instant)>,
 }
 
 /// The end of a queue into which messages are put, from any thread.
@@ -86,7 +92,13 @@ impl Mailbox {
     #[must_use]
     pub fn new(limit: usize) -> Self {
         let counts = QueueCounts::default();
-        Self(Arc::new(Mutex::new(Shared { queue: VecDeque::new(), limit: limit.max(1), at: None, counts })))
+        Self(Arc::new(Mutex::new(Shared {
+            queue: VecDeque::new(),
+            limit: limit.max(1),
+            at: None,
+            counts,
+            owner: None,
+        })))
     }
 
     fn with<T>(&self, use_it: impl FnOnce(&mut Shared) -> T) -> T {
@@ -99,6 +111,21 @@ impl Mailbox {
             if shared.put(message).is_none() {
                 shared.counts.foreign += 1;
             }
+        });
+    }
+
+    /// The same with its time: the queue belongs to the session that it has until nothing of it came for a second. A message
+    /// of another one meanwhile is of a second sender under this address; it is refused and counted.
+    pub fn put_at(&self, now: Instant, message: &[u8]) {
+        let session = message.get(4..8).and_then(|bytes| bytes.try_into().ok()).map(u32::from_le_bytes);
+        self.with(|shared| match (session, shared.owner) {
+            (Some(session), Some((owner, at))) if session != owner && now - at < OWNED => {
+                shared.counts.contested += 1;
+            }
+            _ => match shared.put(message) {
+                Some(()) => shared.owner = session.map(|session| (session, now)),
+                None => shared.counts.foreign += 1,
+            },
         });
     }
 

@@ -24,7 +24,10 @@ pub(super) struct SideFile {
 impl SideFile {
     /// The side file of a log, if it has one.
     pub(super) fn of(log: &Path) -> Option<Self> {
-        let mut rest = BufReader::new(File::open(side_path(log)).ok()?);
+        let path = side_path(log);
+        // A pipe of that name would be waited for.
+        std::fs::metadata(&path).ok().filter(std::fs::Metadata::is_file)?;
+        let mut rest = BufReader::new(File::open(path).ok()?);
         let mut head = Vec::new();
         rest.by_ref().take(Width::Wide.bytes() as u64).read_to_end(&mut head).ok()?;
         let width = Width::of(&head);

@@ -9,4 +9,4 @@ trap 'rm -rf "$folder"' EXIT
 sed 's|/usr/local/bin/csi5300|/bin/true|' packaging/csi5300-node.service >"$folder/csi5300-node.service"
 said=$(systemd-analyze verify "$folder/csi5300-node.service" 2>&1) || { echo "$said"; exit 1; }
 [ -z "$said" ] || { echo "$said"; exit 1; }
-systemd-analyze security --offline=true --threshold=30 "$folder/csi5300-node.service" | tail -n 1
+systemd-analyze security --offline=true --threshold=22 "$folder/csi5300-node.service" | tail -n 1

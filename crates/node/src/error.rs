@@ -71,6 +71,15 @@ pub enum NodeError {
     /// The thread that listens to the card has ended.
     #[error("the thread that listens to the card has ended")]
     CardThreadEnded,
+    /// The robots' network would let anybody in.
+    #[error(
+        "anybody who reaches {endpoint} could publish as any robot: ask for a password or a certificate in zenoh's file \
+         (`network.zenoh`), listen on 127.0.0.1, or say `insecure = true` in [network]"
+    )]
+    OpenNetwork {
+        /// Where it would listen.
+        endpoint: String,
+    },
     /// What is at the status socket's path is no socket.
     #[error("{} is there and is no socket: give `status_socket` another name", .path.display())]
     NoSocket {

@@ -11,6 +11,7 @@
 //! | `/bearing/LINK` | `foxglove.PoseInFrame` | the bearing as a pose |
 //! | `/aoa_profile/LINK` | `foxglove.LaserScan` | the profile round the horizon, in metres of length 1 at its peak, about the robot |
 
+use crate::door::{Door, Rules};
 use csi5300::bartlett::{self, Grid};
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::Bearing;
@@ -79,6 +80,14 @@ pub enum Error {
         /// The server's reason.
         source: foxglove::FoxgloveError,
     },
+    /// No viewer can connect.
+    #[error("cannot listen for viewers on {address}: {source}")]
+    Door {
+        /// Where.
+        address: SocketAddr,
+        /// The system's reason.
+        source: std::io::Error,
+    },
     /// A profile could not be computed.
     #[error(transparent)]
     Bartlett(#[from] bartlett::Error),
@@ -115,33 +124,50 @@ impl Recording {
     }
 }
 
-/// A websocket for viewers, on threads of its own. A viewer that is slow loses messages, and holds nothing up.
+/// A websocket for viewers, on threads of its own, behind a [door](crate::door). A viewer that is slow loses messages, and
+/// holds nothing up.
 pub struct Live {
     /// The channels that viewers subscribe to.
     pub channels: Channels,
+    door: Door,
     server: WebSocketServerHandle,
 }
 
 impl Live {
-    /// Listens. Call it outside of an async runtime: the server has its own.
+    /// Listens, with the channels of the log `name` and of `links`. Call it outside of an async runtime: the server has its
+    /// own. Viewers may come from the pages `origins`, and from those that are always welcome.
+    ///
+    /// All channels are made before a viewer can be there: the SDK (0.30) advertises a channel that is made later before it
+    /// knows it itself, and refuses a viewer that subscribes in between.
     ///
     /// # Errors
     /// If nobody can listen there.
-    pub fn listen(name: &str, address: SocketAddr) -> Result<Self, Error> {
+    pub fn listen<'a>(
+        name: &str,
+        links: impl Iterator<Item = &'a str>,
+        address: SocketAddr,
+        origins: Vec<String>,
+    ) -> Result<Self, Error> {
         let context = Context::new();
-        let server = WebSocketServer::new().name(name).bind(address.ip().to_string(), address.port()).context(&context);
+        let mut channels = Channels::new(Arc::clone(&context));
+        channels.make(name, links);
+        let server = WebSocketServer::new().name(name).bind("127.0.0.1", 0).context(&context);
         let server = server.start_blocking().map_err(|source| Error::Listen { address, source })?;
-        Ok(Self { channels: Channels::new(context), server })
+        let inside = SocketAddr::from(([127, 0, 0, 1], server.port()));
+        let door =
+            Door::open(address, inside, Rules::new(origins)).map_err(|source| Error::Door { address, source })?;
+        Ok(Self { channels, door, server })
     }
 
     /// The port that it listens on.
     #[must_use]
     pub fn port(&self) -> u16 {
-        self.server.port()
+        self.door.address().port()
     }
 
     /// Ends it: viewers are disconnected.
     pub fn stop(self) {
+        drop(self.door);
         drop(self.server.stop());
     }
 }
@@ -165,6 +191,12 @@ fn named<'a, T>(channels: &'a mut BTreeMap<String, T>, name: &str, make: impl Fn
     &channels[name]
 }
 
+/// The channels of a link: its bearing and its profile.
+fn of_link(context: &Arc<Context>, link: &str) -> (Channel<fox::PoseInFrame>, Channel<fox::LaserScan>) {
+    let pose = context.channel_builder(format!("/bearing/{link}")).build();
+    (pose, context.channel_builder(format!("/aoa_profile/{link}")).build())
+}
+
 impl Channels {
     fn new(context: Arc<Context>) -> Self {
         Self {
@@ -175,6 +207,16 @@ impl Channels {
             counters: BTreeMap::new(),
             bearings: BTreeMap::new(),
             context,
+        }
+    }
+
+    /// Makes the channels of a log and of links, which otherwise are made with their first messages.
+    fn make<'a>(&mut self, log: &str, links: impl Iterator<Item = &'a str>) {
+        let context = &self.context;
+        named(&mut self.rows, log, || context.channel_builder(format!("/csi/{log}")).build());
+        named(&mut self.counters, log, || context.channel_builder(format!("/counters/{log}")).build());
+        for link in links {
+            named(&mut self.bearings, link, || of_link(context, link));
         }
     }
 
@@ -245,10 +287,7 @@ impl Channels {
     /// If the profile cannot be computed.
     pub fn bearing(&mut self, link: &str, bearing: &Bearing) -> Result<(), Error> {
         let context = &self.context;
-        let (poses, _) = named(&mut self.bearings, link, || {
-            let pose = context.channel_builder(format!("/bearing/{link}")).build();
-            (pose, context.channel_builder(format!("/aoa_profile/{link}")).build())
-        });
+        let (poses, _) = named(&mut self.bearings, link, || of_link(context, link));
         let t_s = bearing.samples.t_s().last().copied().unwrap_or(0.0);
         let from = Pose { t_s, position_m: bearing.mean_position_m, heading_rad: None };
         let rotation = turn(bearing.answer.azimuth_rad);
@@ -315,4 +354,23 @@ fn placed(pose: &Pose, orientation: fox::Quaternion) -> fox::Pose {
 fn in_frame(pose: &Pose, orientation: fox::Quaternion) -> fox::PoseInFrame {
     let pose_in = Some(placed(pose, orientation));
     fox::PoseInFrame { timestamp: Some(timestamp(pose.t_s)), frame_id: ODOM.into(), pose: pose_in }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_channel_of_a_robot_is_made_before_a_viewer_can_come() {
+        let address = SocketAddr::from(([127, 0, 0, 1], 0));
+        let mut live = Live::listen("burger", ["a", "b"].into_iter(), address, Vec::new()).unwrap();
+        let ids = |live: &Live| {
+            live.channels.bearings.values().map(|(pose, scan)| (pose.id(), scan.id())).collect::<Vec<_>>()
+        };
+        let before = ids(&live);
+        assert_eq!((before.len(), live.channels.rows.len(), live.channels.counters.len()), (2, 1, 1));
+        live.channels.make("burger", ["a", "b"].into_iter());
+        assert_eq!(ids(&live), before, "none is made twice");
+        live.stop();
+    }
 }

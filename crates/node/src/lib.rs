@@ -20,7 +20,12 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod config;
+mod descriptors;
+#[cfg_attr(not(feature = "foxglove"), allow(dead_code))]
+mod door;
 mod error;
+#[cfg_attr(not(feature = "zenoh"), allow(dead_code))]
+mod exposure;
 pub mod health;
 pub mod machine;
 pub mod sources;

@@ -325,7 +325,7 @@ impl Machine {
     pub fn trouble(&self) -> Vec<String> {
         let odometry = self.poses.as_ref().and_then(|poses| poses.source.trouble());
         let peers = self.peers.iter().filter_map(|peer| peer.poses.as_ref()?.source.trouble());
-        let disk = self.totals().and_then(|totals| totals.error);
+        let disk = self.totals().filter(|totals| totals.failing).and_then(|totals| totals.error);
         self.trouble.iter().cloned().chain(odometry).chain(peers).chain(disk).collect()
     }
 

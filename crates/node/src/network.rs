@@ -4,7 +4,9 @@
 //! zenoh's, by its own configuration file.
 
 use super::config::Network as Asked;
+use super::exposure::{Doors, LOCAL, Verdict};
 use super::machine::Tap;
+use crate::NodeError;
 use csi5300::motion::pose::Pose;
 use csi5300::source::Error;
 use csi5300::source::remote::{Batch, Mailbox, QueueCounts};
@@ -61,22 +63,80 @@ fn wrong(what: &str) -> impl Fn(zenoh::Error) -> Error + '_ {
     move |error| Error::Backend(format!("{what}: {error}").into())
 }
 
+/// Zenoh's configuration with the endpoints of ours, closed to whoever is not asked who they are.
+fn configured(asked: &Asked) -> Result<zenoh::Config, Error> {
+    let mut config = match &asked.zenoh {
+        Some(file) => zenoh::Config::from_file(file).map_err(wrong("zenoh's configuration"))?,
+        None => zenoh::Config::default(),
+    };
+    for (key, endpoints) in [("connect/endpoints", &asked.connect), ("listen/endpoints", &asked.listen)] {
+        if !endpoints.is_empty() {
+            let list = serde_json::to_string(endpoints).unwrap_or_default();
+            config.insert_json5(key, &list).map_err(wrong("an endpoint of [network]"))?;
+        }
+    }
+    if asked.insecure {
+        return Ok(config);
+    }
+    let doors = doors(&config);
+    match doors.judge() {
+        Verdict::Good => {}
+        Verdict::Open(endpoint) => return Err(NodeError::OpenNetwork { endpoint }.into()),
+        Verdict::KeepLocal => {
+            if doors.listen.is_none() {
+                let local = serde_json::to_string(&[LOCAL]).unwrap_or_default();
+                config.insert_json5("listen/endpoints", &local).map_err(wrong("an endpoint of this machine"))?;
+            }
+            // Whom it finds is not asked who it is.
+            config.insert_json5("scouting/multicast/enabled", "false").map_err(wrong("zenoh's discovery"))?;
+        }
+    }
+    Ok(config)
+}
+
+/// What of a configuration decides who takes part.
+fn doors(config: &zenoh::Config) -> Doors {
+    let value = |config: &zenoh::Config, key: &str| {
+        config
+            .get_json(key)
+            .ok()
+            .and_then(|text| serde_json::from_str::<serde_json::Value>(&text).ok())
+            .unwrap_or_default()
+    };
+    let (listen, usual) = (value(config, "listen/endpoints"), value(&zenoh::Config::default(), "listen/endpoints"));
+    let connect = endpoints(&value(config, "connect/endpoints"));
+    let users = value(config, "transport/auth/usrpwd/dictionary_file");
+    let certificates = value(config, "transport/link/tls/enable_mtls");
+    Doors {
+        listen: (listen != usual).then(|| endpoints(&listen)),
+        connect,
+        has_users: users.as_str().is_some_and(|file| !file.is_empty()),
+        has_certificates: certificates == serde_json::Value::Bool(true),
+    }
+}
+
+/// Every endpoint in a list, or in the lists of each mode.
+fn endpoints(value: &serde_json::Value) -> Vec<String> {
+    match value {
+        serde_json::Value::String(endpoint) => vec![endpoint.clone()],
+        serde_json::Value::Array(list) => list.iter().flat_map(endpoints).collect(),
+        serde_json::Value::Object(modes) => modes.values().flat_map(endpoints).collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// Why this network would not be joined, for `--check`.
+pub(crate) fn refusal(asked: &Asked) -> Option<String> {
+    configured(asked).err().map(|error| error.to_string())
+}
+
 impl Network {
     /// Joins. Call it outside of an async runtime: zenoh has its own.
     ///
     /// # Errors
     /// If zenoh refuses its configuration or cannot listen.
     pub fn join(asked: &Asked, own: Mac) -> Result<Self, Error> {
-        let mut config = match &asked.zenoh {
-            Some(file) => zenoh::Config::from_file(file).map_err(wrong("zenoh's configuration"))?,
-            None => zenoh::Config::default(),
-        };
-        for (key, endpoints) in [("connect/endpoints", &asked.connect), ("listen/endpoints", &asked.listen)] {
-            if !endpoints.is_empty() {
-                let list = serde_json::to_string(endpoints).unwrap_or_default();
-                config.insert_json5(key, &list).map_err(wrong("an endpoint of [network]"))?;
-            }
-        }
+        let mut config = configured(asked)?;
         let queue = "transport/link/tx/queue/size/real_time";
         if config.get_json(queue).is_ok_and(|size| size == ZENOH_QUEUE) {
             config.insert_json5(queue, QUEUE).map_err(wrong("zenoh's queue"))?;
@@ -146,16 +206,21 @@ impl Network {
         wake: impl Fn() + Send + Sync + 'static,
     ) -> Result<Mailbox, Error> {
         let mailbox = Mailbox::new(self.backlog);
-        let inside = mailbox.clone();
+        let (inside, clock) = (mailbox.clone(), csi5300_live::wait::Monotonic::new());
         let key = format!("{}/{}/{what}", self.prefix, key_of(peer));
         let take = move |sample: zenoh::sample::Sample| {
-            inside.put(&sample.payload().to_bytes());
+            inside.put_at(clock.now(), &sample.payload().to_bytes());
             wake();
         };
         let subscriber = self.session.declare_subscriber(key).callback(take).wait();
         self.subscribers.push(subscriber.map_err(wrong("subscribing to a peer"))?);
         self.mailboxes.push((peer.to_string(), what, mailbox.clone()));
         Ok(mailbox)
+    }
+
+    /// Messages of second senders under the address of a peer, by peer.
+    pub fn contested(&self) -> impl Iterator<Item = (&str, u64)> {
+        self.mailboxes.iter().map(|(mac, _, mailbox)| (mac.as_str(), mailbox.counts().contested))
     }
 
     /// What was counted so far.

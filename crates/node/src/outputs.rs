@@ -1,7 +1,7 @@
 //! Where bearings and states go: lines of JSON, a Unix socket, one line on a terminal.
 
 use super::config::{Output, StatusLine};
-use crate::NodeError;
+use crate::{NodeError, descriptors};
 use csi5300::source::Error;
 use std::fs::{File, Permissions};
 use std::io::{ErrorKind, IsTerminal, Write};
@@ -13,12 +13,16 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::Duration;
 use tokio::io::AsyncWriteExt;
 use tokio::net::{UnixListener, UnixStream};
-use tokio::sync::watch;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 
 /// Lines that wait at most for a reader that is slow or stands still; further ones are lost and counted.
 const LINES: usize = 1_024;
 /// At the end so long is waited for them.
 const LAST_LINES: Duration = Duration::from_secs(1);
+/// Readers of the state at a time.
+const READERS: usize = 16;
+/// A reader that takes nothing for so long is let go.
+const STUCK: Duration = Duration::from_secs(10);
 /// Pause when no more connections can be accepted.
 const NO_DESCRIPTORS: Duration = Duration::from_millis(500);
 
@@ -114,8 +118,8 @@ impl StatusSocket {
         let io = |source| Error::Io { what: format!("cannot listen on {}", path.display()), source };
         make_way(path)?;
         let listener = UnixListener::bind(path).map_err(io)?;
-        // Anybody on this machine may look: nothing is ever read from it.
-        std::fs::set_permissions(path, Permissions::from_mode(0o666)).map_err(io)?;
+        // This user and its group may look; nothing is ever read from it.
+        std::fs::set_permissions(path, Permissions::from_mode(0o660)).map_err(io)?;
         let (told, states) = watch::channel(Arc::from(""));
         tokio::spawn(accept(listener, states));
         Ok(Self { path: path.to_owned(), told })
@@ -153,19 +157,28 @@ impl Drop for StatusSocket {
 }
 
 async fn accept(listener: UnixListener, states: watch::Receiver<Arc<str>>) {
+    let places = Arc::new(Semaphore::new(READERS));
     loop {
         match listener.accept().await {
-            Ok((stream, _)) => drop(tokio::spawn(serve(stream, states.clone()))),
+            // Whoever finds no place is let go at once.
+            Ok((stream, _)) => {
+                if let Ok(place) = Arc::clone(&places).try_acquire_owned()
+                    && descriptors::are_to_spare()
+                {
+                    drop(tokio::spawn(serve(stream, states.clone(), place)));
+                }
+            }
             // Out of descriptors: it would fail again at once.
             Err(_) => tokio::time::sleep(NO_DESCRIPTORS).await,
         }
     }
 }
 
-async fn serve(mut stream: UnixStream, mut states: watch::Receiver<Arc<str>>) {
+async fn serve(mut stream: UnixStream, mut states: watch::Receiver<Arc<str>>, _place: OwnedSemaphorePermit) {
     loop {
         let text = Arc::clone(&states.borrow_and_update());
-        if stream.write_all(text.as_bytes()).await.is_err() || states.changed().await.is_err() {
+        let written = tokio::time::timeout(STUCK, stream.write_all(text.as_bytes())).await;
+        if !matches!(written, Ok(Ok(()))) || states.changed().await.is_err() {
             return;
         }
     }
@@ -248,5 +261,34 @@ mod tests {
         assert!(!socket.exists());
         make_way(&socket).unwrap();
         std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn readers_of_the_state_are_of_the_group_and_not_without_number() {
+        let folder = std::env::temp_dir().join(format!("csi5300-readers-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let path = folder.join("status.sock");
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(async {
+            let socket = StatusSocket::open(&path).unwrap();
+            assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o660);
+            socket.tell(&7);
+            let mut readers = Vec::new();
+            for _ in 0..READERS {
+                readers.push(UnixStream::connect(&path).await.unwrap());
+                assert_eq!(read(readers.last_mut().unwrap()).await, 2);
+            }
+            assert_eq!(read(&mut UnixStream::connect(&path).await.unwrap()).await, 0, "no place is left");
+            // One that goes makes room: that it went is seen when it is next written to.
+            drop(readers.pop());
+            while read(&mut UnixStream::connect(&path).await.unwrap()).await == 0 {
+                socket.tell(&7);
+            }
+        });
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    async fn read(reader: &mut UnixStream) -> usize {
+        tokio::io::AsyncReadExt::read(reader, &mut [0; 2]).await.unwrap_or(0)
     }
 }

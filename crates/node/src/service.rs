@@ -271,6 +271,7 @@ impl<'a> Service<'a> {
         health.network = self.network.counts();
         health.sounding = self.sounder.look().and_then(|counts| serde_json::to_value(counts).ok());
         health.trouble.extend(self.sounder.trouble());
+        health.trouble.extend(self.network.trouble());
         health.ros = self.ros.counts();
         health.trouble.extend(self.ros.trouble());
         self.load.late_ms = 0.0;

@@ -96,7 +96,7 @@ impl Sounder {
         }
         let settings = Settings { fifo_priority: Settings::default().fifo_priority.filter(|_| asked.fifo) };
         let (key, measures) = (opened.key.clone(), asked.measurement);
-        let running = Arc::new(Running::start(opened, clock, settings)?);
+        let running = Arc::new(Running::start_opened(opened, clock, settings)?);
         Ok(Self(Some(Sounds { running, counts, antenna: config.antenna, peers, measures, key })))
     }
 

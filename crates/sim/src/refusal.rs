@@ -147,6 +147,11 @@ pub(crate) fn positive(key: &'static str, value: f64) -> Checked {
     ensure(value > 0.0 && value.is_finite(), key, || format!("is {value}; it must be more than 0"))
 }
 
+/// Refuses values above what makes sense: what they are multiplied with would be too much for the machine.
+pub(crate) fn at_most(key: &'static str, value: f64, most: f64) -> Checked {
+    ensure(value <= most, key, || format!("is {value}; {most} is the most"))
+}
+
 /// Refuses what is no share.
 pub(crate) fn share(key: &'static str, value: f64) -> Checked {
     ensure((0.0..=1.0).contains(&value), key, || format!("is {value}; it is a share, from 0 to 1"))

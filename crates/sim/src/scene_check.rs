@@ -4,14 +4,22 @@ use super::carrier::Carrier;
 use super::faults::Faults;
 use super::motion::RobotMotion;
 use super::radio::{Gain, Noise, Radio};
-use super::refusal::{Checked, Problem, ensure, finite, not_negative, positive, share};
+use super::refusal::{Checked, Problem, at_most, ensure, finite, not_negative, positive, share};
 use super::scene::{Dialect, Odometry, Pattern, Robot, Scene};
 use nalgebra::Vector3;
+
+/// A scene lasts a year at most, seconds.
+const LONGEST_S: f64 = 31_536_000.0;
+/// Rounds, and poses, a second at most: more than a card or an encoder has.
+const FASTEST_HZ: f64 = 100_000.0;
+/// No delay is longer than a quarter of an hour, microseconds.
+const LATEST_US: f64 = 1e9;
 
 impl Scene {
     /// Checks every value by itself and beside its neighbours; what needs the world is checked with it.
     pub(crate) fn check_values(&self) -> Checked {
         positive("duration_s", self.duration_s)?;
+        at_most("duration_s", self.duration_s, LONGEST_S)?;
         ensure(matches!(self.bandwidth_mhz, 20 | 40), "bandwidth_mhz", || {
             format!("is {}; the card has 20 and 40", self.bandwidth_mhz)
         })?;
@@ -83,6 +91,7 @@ impl Scene {
         let Some(sounding) = &self.sounding else { return Ok(()) };
         let check = || {
             ensure(sounding.rate_hz > 0.0, "rate_hz", || format!("is {}; it must be more than 0", sounding.rate_hz))?;
+            at_most("rate_hz", sounding.rate_hz, FASTEST_HZ)?;
             not_negative("start_s", sounding.start_s)?;
             ensure(self.robot.len() >= 2, "rate_hz", || "needs two robots at least".to_owned())?;
             for (number, name) in sounding.initiators.iter().enumerate() {
@@ -180,7 +189,9 @@ fn check_radio(radio: &Radio) -> Checked {
         ("host_latency_us", radio.host_latency_us),
         ("host_latency_std_us", radio.host_latency_std_us),
     ];
-    sizes.iter().try_for_each(|&(key, value)| not_negative(key, value))?;
+    sizes
+        .iter()
+        .try_for_each(|&(key, value)| not_negative(key, value).and_then(|()| at_most(key, value, LATEST_US)))?;
     finite("delay_ns", &[radio.delay_ns])?;
     finite("filter_db", &radio.filter_db.unwrap_or_default())?;
     share("share", radio.send_delay.share).map_err(|p| p.key("send_delay"))?;
@@ -238,6 +249,7 @@ fn check_faults(faults: &Faults) -> Checked {
 
 fn check_odometry(odometry: &Odometry) -> Checked {
     positive("rate_hz", odometry.rate_hz)?;
+    at_most("rate_hz", odometry.rate_hz, FASTEST_HZ)?;
     not_negative("noise_m", odometry.noise_m)?;
     not_negative("noise_deg", odometry.noise_deg)?;
     positive("scale", odometry.scale)?;

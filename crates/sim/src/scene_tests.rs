@@ -37,9 +37,12 @@ fn a_good_scene_is_read() {
 #[test]
 fn bad_scenes_are_refused_with_line_and_reason() {
     let good = good();
-    let cases: [(String, usize, &str); 19] = [
+    let cases: [(String, usize, &str); 22] = [
         (GOOD.to_owned(), 3, "noise_free"),
         (good.replace("duration_s = 10.0\nseed", "duration_s = -1.0\nseed"), 1, "more than 0"),
+        (good.replace("duration_s = 10.0\nseed", "duration_s = 1e12\nseed"), 1, "is the most"),
+        (good.replace("seed = 3", "radio.host_latency_std_us = 1e18"), 2, "is the most"),
+        (good.replace("name = \"tx\"", "name = \"tx\"\nodometry.rate_hz = 1e12"), 12, "is the most"),
         (good.replace("seed = 3", "channel = 20"), 2, "channels are"),
         (good.replace("radius_m = 0.3,", "radius_m = -0.3,"), 9, "radius_m is -0.3"),
         (good.replace("radius_m = 0.3,", "radius_m = 0.3, colour = 1,"), 9, "colour"),

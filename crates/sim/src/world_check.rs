@@ -6,6 +6,7 @@ use super::refusal::{Checked, Problem, SceneError};
 use super::scene::Scene;
 use super::sounder::request;
 use super::world::{World, surfaces};
+use std::io::Read;
 use std::path::Path;
 
 /// A way is checked this often, seconds, and at no more places than these.
@@ -70,6 +71,9 @@ fn check_places(world: &World) -> Checked {
     Ok(())
 }
 
+/// Bytes of a scene's file at most.
+const LONGEST: u64 = 16 << 20;
+
 impl Scene {
     /// Reads and checks a scene's text, with the lines of what is refused. Trajectory files are relative to the current
     /// folder.
@@ -101,7 +105,15 @@ impl Scene {
     /// # Errors
     /// As [`Scene::from_toml`], and when the file cannot be read.
     pub fn load(file: &Path) -> Result<Self, SceneError> {
-        let text = std::fs::read_to_string(file).map_err(|source| SceneError::Io { file: file.to_owned(), source })?;
+        let io = |source| SceneError::Io { file: file.to_owned(), source };
+        let mut text = String::new();
+        std::fs::File::open(file).map_err(io)?.take(LONGEST + 1).read_to_string(&mut text).map_err(io)?;
+        if text.len() as u64 > LONGEST {
+            return Err(io(std::io::Error::other(format!(
+                "it is longer than {} MiB, which no scene is",
+                LONGEST >> 20
+            ))));
+        }
         Self::read(&text, file.parent().unwrap_or(Path::new("")))
     }
 }

@@ -63,6 +63,9 @@ pub enum CsvError {
     Trajectory(#[from] TrajectoryError),
 }
 
+/// Bytes of a trajectory file at most: an hour of a thousand poses a second, twice over.
+const LONGEST: u64 = 512 << 20;
+
 /// Reads a trajectory file.
 ///
 /// # Errors
@@ -73,7 +76,13 @@ pub fn read(path: &Path) -> Result<(Trajectory, CsvCounts), CsvError> {
         return Err(io(std::io::Error::other("it is a directory; name the CSV file inside it")));
     }
     let mut bytes = Vec::new();
-    std::fs::File::open(path).map_err(io)?.read_to_end(&mut bytes).map_err(io)?;
+    std::fs::File::open(path).map_err(io)?.take(LONGEST + 1).read_to_end(&mut bytes).map_err(io)?;
+    if bytes.len() as u64 > LONGEST {
+        return Err(io(std::io::Error::other(format!(
+            "it is longer than {} MiB, which no trajectory is",
+            LONGEST >> 20
+        ))));
+    }
     parse(&bytes)
 }
 

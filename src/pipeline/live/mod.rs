@@ -12,6 +12,7 @@ mod peer;
 mod report;
 mod track;
 
+pub use crate::exchange::admission::AdmissionCounts;
 pub use estimator::LiveEstimator;
 pub use report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
 #[doc(hidden)]

@@ -6,7 +6,7 @@ use crate::source::side_file::side_path;
 use crate::time::{Instant, Span};
 use driver_iface::record::whole_records;
 use driver_iface::side_file::{Width, emit};
-use std::fs::{File, OpenOptions};
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
@@ -38,7 +38,7 @@ impl Grown {
         let mut options = OpenOptions::new();
         options.write(true);
         if force {
-            options.create(true).truncate(true);
+            options.create(true).truncate(false);
         } else {
             options.create_new(true);
         }
@@ -46,6 +46,14 @@ impl Grown {
             io::ErrorKind::AlreadyExists => Error::Exists { path: path.clone() },
             _ => Error::Io { what: format!("cannot write {}", path.display()), source },
         })?;
+        // Another recorder's log is not overwritten; where there are no locks nothing is known of others.
+        if matches!(file.try_lock(), Err(TryLockError::WouldBlock)) {
+            return Err(Error::InUse { path });
+        }
+        if force && file.metadata().is_ok_and(|found| found.is_file()) {
+            let io = |source| Error::Io { what: format!("cannot write {}", path.display()), source };
+            file.set_len(0).map_err(io)?;
+        }
         Ok(Self { file, path, len: 0 })
     }
 
@@ -166,6 +174,20 @@ impl LogFiles {
     }
 }
 
+/// True for a file that has no name any more.
+fn is_deleted(file: &File) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        file.metadata().is_ok_and(|found| found.is_file() && found.nlink() == 0)
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = file;
+        false
+    }
+}
+
 fn open_pair(path: &Path, force: bool) -> Result<(Grown, Grown), Error> {
     let data = Grown::create(path.into(), force)?;
     let side = Grown::create(side_path(path), force).inspect_err(|_| {
@@ -203,13 +225,32 @@ impl Sink for LogFiles {
 
     fn sync(&mut self) -> Option<String> {
         let synced = self.data.file.sync_data().and_then(|()| self.side.file.sync_data());
-        synced.err().map(|error| format!("syncing {}: {error}", self.data.path.display()))
+        let synced = synced.err().map(|error| format!("syncing {}: {error}", self.data.path.display()));
+        let gone =
+            || format!("{} was deleted: what is recorded from here on is lost with it", self.data.path.display());
+        synced.or_else(|| is_deleted(&self.data.file).then(gone))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_log_that_another_recorder_writes_is_left_alone_and_a_deleted_one_is_noticed() {
+        let folder = std::env::temp_dir().join(format!("csi5300-locked-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let log = folder.join("out.dat");
+        let mut first = LogFiles::create(&log, Rotation::default(), false).unwrap();
+        assert!(matches!(LogFiles::create(&log, Rotation::default(), true), Err(Error::InUse { .. })));
+        assert_eq!(first.sync(), None);
+        std::fs::remove_file(&log).unwrap();
+        assert!(first.sync().unwrap().contains("was deleted"));
+        drop(first);
+        let again = LogFiles::create(&log, Rotation::default(), true).unwrap();
+        assert_eq!(again.data.file.metadata().unwrap().len(), 0);
+        std::fs::remove_dir_all(folder).unwrap();
+    }
 
     #[test]
     fn names_in_a_row() {

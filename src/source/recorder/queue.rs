@@ -4,7 +4,7 @@ use super::{Chunk, Options, Sink, Totals, Written};
 use crate::source::Error;
 use crate::time::Instant;
 use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -20,6 +20,7 @@ pub(super) struct Shared {
     received: AtomicU64,
     dropped: AtomicU64,
     written: Mutex<Written>,
+    failing: AtomicBool,
 }
 
 impl Shared {
@@ -31,6 +32,7 @@ impl Shared {
             dropped: self.dropped.load(Ordering::Relaxed),
             lost_on_disk: written.lost,
             error: written.error,
+            failing: self.failing.load(Ordering::Relaxed),
         }
     }
 
@@ -42,6 +44,9 @@ impl Shared {
         let mut total = self.written.lock().unwrap_or_else(PoisonError::into_inner);
         total.records += written.records;
         total.lost += written.lost;
+        if written.error.is_some() || written.records > 0 {
+            self.failing.store(written.error.is_some(), Ordering::Relaxed);
+        }
         if written.error.is_some() {
             total.error = written.error;
         }

@@ -99,6 +99,22 @@ fn hostile_numbers_are_numbers() {
     assert!(!drain(&mut mailbox.card()).is_empty());
 }
 
+#[test]
+fn a_second_sender_under_an_address_is_refused_until_the_first_is_silent() {
+    let (mailbox, mut batch, mut rogue) = (Mailbox::new(100), Batch::records(7), Batch::records(8));
+    let at = Instant::from_us;
+    mailbox.put_at(at(0), &message(&mut batch, 0..2));
+    mailbox.put_at(at(1_000), &message(&mut rogue, 50..60));
+    mailbox.put_at(at(900_000), &message(&mut batch, 2..4));
+    mailbox.put_at(at(1_800_000), &message(&mut rogue, 60..70));
+    assert_eq!(drain(&mut mailbox.card()), [0, 1, 2, 3]);
+    assert_eq!((mailbox.counts().contested, mailbox.counts().sessions), (2, 1));
+    // A robot that was started anew has its address again after a second.
+    mailbox.put_at(at(1_900_000), &message(&mut Batch::records(9), 0..2));
+    assert_eq!(drain(&mut mailbox.card()), [0, 1]);
+    assert_eq!((mailbox.counts().contested, mailbox.counts().sessions), (2, 2));
+}
+
 proptest! {
     #[test]
     fn foreign_bytes_are_counted_and_nothing_more(

@@ -4,6 +4,7 @@
 use super::air::{Air, Dice, everybody, mac};
 use csi5300::exchange::tdma::{Dialect, Event, Key, PlanError, Request, Tdma};
 use csi5300::time::{Instant, Span};
+use driver_iface::Mac;
 use driver_iface::sounding::native::Role;
 use proptest::prelude::*;
 
@@ -115,7 +116,7 @@ fn a_key_is_needed_on_both_sides_and_in_the_plan() {
     let key = Some(Key::new([1; 16]));
     let with = |authenticated, key| Tdma::new(&everybody(4, request(authenticated))[0].clone().with_key(key));
     assert_eq!(with(true, None).err(), Some(PlanError::Key));
-    assert_eq!(with(false, key).err(), Some(PlanError::Key));
+    assert_eq!(with(false, key.clone()).err(), Some(PlanError::Key));
     assert!(with(true, key).is_ok());
 }
 
@@ -143,6 +144,36 @@ fn a_wrong_key_and_an_old_session_are_not_answered() {
     assert!(!answers(&good), "a repetition");
     assert!(!answers(&old), "a restart has a later session");
     assert_eq!((responder.counts().unauthenticated, responder.counts().replayed), (1, 2));
+}
+
+#[test]
+fn what_was_taped_before_a_restart_is_not_answered_after_it() {
+    let configs = everybody(2, request(true).with_links(1));
+    let key = Some(Key::new([1; 16]));
+    let initiator = |session| configs[0].clone().with_key(key.clone()).with_session(session).with_initiate(true);
+    let frames = |session| {
+        let (mut tdma, mut frames) = (Tdma::new(&initiator(session)).unwrap(), Vec::new());
+        while frames.len() < 3 {
+            let now = tdma.poll_timeout().unwrap();
+            frames.extend(tdma.poll_transmit(now).map(|transmit| (now, transmit.number, transmit.frame.to_vec())));
+        }
+        frames
+    };
+    let (old, current) = (frames(4), frames(5));
+    let answers = |heard: &[(Mac, u32, u32)], (now, _, frame): &(Instant, u32, Vec<u8>)| {
+        let mut config = configs[1].clone().with_key(key.clone()).with_session(9);
+        config.heard = heard.to_vec();
+        let mut responder = Tdma::new(&config).unwrap();
+        responder.handle_heard(*now, *now, frame);
+        responder.poll_transmit(*now).is_some()
+    };
+    assert!(answers(&[], &old[0]), "without memory a tape is as good as a frame");
+    // It had heard session 5 up to the second frame's number.
+    let heard = [(configs[0].own.mac, 5, current[1].1)];
+    assert!(!answers(&heard, &old[0]) && !answers(&heard, &old[2]), "an older session");
+    assert!(!answers(&heard, &current[0]) && !answers(&heard, &current[1]), "of this session, up to there");
+    assert!(answers(&heard, &current[2]), "the exchange goes on");
+    assert!(answers(&heard, &frames(6)[0]), "a newer session");
 }
 
 /// One step of a hostile driver.

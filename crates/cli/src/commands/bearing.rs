@@ -1,7 +1,7 @@
 //! `csi5300 bearing`.
 
 use super::args::{Estimation, channel, mac};
-use super::{Outcome, Result, hint, info, print, print_json, profile, some, usage};
+use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, some, usage};
 use csi5300::bartlett::Grid;
 use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
@@ -102,6 +102,10 @@ fn check(args: &Args) {
     }
     if std::iter::once(&args.rx).chain(&args.tx).filter(|path| path.as_os_str() == "-").count() > 1 {
         usage("standard input can be one log only");
+    }
+    let logs = || std::iter::once(&args.rx).chain(&args.tx).enumerate();
+    if let Some((_, twice)) = logs().find(|(k, log)| logs().take(*k).any(|(_, other)| is_same_file(log, other))) {
+        usage(&format!("{} is given twice: each robot has a log of its own", twice.display()));
     }
     if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
         usage("--min-confidence takes a probability, 0 to 1");

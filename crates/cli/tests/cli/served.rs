@@ -294,3 +294,42 @@ fn a_socket_left_behind_is_replaced_and_one_in_use_is_not() {
     drop(again);
     assert!(!left.exists());
 }
+
+/// Connects and says nothing.
+fn idle(socket: &std::path::Path) -> std::os::fd::OwnedFd {
+    use nix::sys::socket::{AddressFamily, SockFlag, SockType, UnixAddr, connect, socket as open};
+    let idle = open(AddressFamily::Unix, SockType::SeqPacket, SockFlag::SOCK_CLOEXEC, None).unwrap();
+    connect(std::os::fd::AsRawFd::as_raw_fd(&idle), &UnixAddr::new(socket).unwrap()).unwrap();
+    idle
+}
+
+#[test]
+fn a_room_outlives_idle_programs_and_a_flood_of_frames() {
+    let mut served = Served::new(&scene(20.0, ""), "flood");
+    let mut air = served.monitor("rx", 1);
+    let mut idlers = Vec::new();
+    for _ in 0..300 {
+        idlers.push(idle(&served.socket));
+        served.turn(0);
+    }
+    assert_eq!(served.server.counts().refused, 45, "beyond 256");
+    // Who says nothing for five seconds is let go.
+    served.turn(6_000_000);
+    idlers.push(idle(&served.socket));
+    served.turn(6_000_000);
+    assert_eq!(served.server.counts().refused, 45);
+    let sent = frame(&served.room, 0, 1);
+    for _ in 0..40 {
+        for _ in 0..200 {
+            let _ = air.inject(Instant::ZERO, &sent);
+        }
+        served.turn(6_000_000);
+    }
+    let counts = served.server.counts();
+    assert!(counts.frames <= 2_501 && counts.bad_frames > 1_000, "{counts:?}");
+    assert!(served.server.notice().unwrap().contains("more frames than the air has room for"));
+    // And what comes at its own time is sent as ever.
+    air.inject(Instant::ZERO, &sent).unwrap();
+    served.turn(7_000_000);
+    assert_eq!(served.server.counts().frames, counts.frames + 1);
+}

@@ -89,7 +89,7 @@ impl<'a> Session<'a> {
         observer: &mut dyn Observer,
     ) -> Result<Finished, Error> {
         let connector = messages.fd()?;
-        let running = Running::start(opened, self.clock, self.settings)?;
+        let running = Running::start_opened(opened, self.clock, self.settings)?;
         let failed = loop {
             if let Err(error) = take(&mut messages, self.clock.now(), &running, observer) {
                 break Some(error);

@@ -8,7 +8,7 @@ use super::setup::Opened;
 use crate::monitor::Monitor;
 use crate::sys;
 use crate::wait::Monotonic;
-use csi5300::exchange::tdma::Priority;
+use csi5300::exchange::tdma::{Priority, Tdma};
 use csi5300::source::Error;
 use driver_iface::Mac;
 use driver_iface::sounding::native::Measurement;
@@ -97,8 +97,7 @@ impl Running {
     ///
     /// # Errors
     /// If there is no pipe or thread to be had.
-    pub fn start(opened: Opened, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
-        let Opened { tdma, monitor, heard, .. } = opened;
+    pub fn start(tdma: Tdma, monitor: Monitor, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
         let io = |source| Error::Io { what: "cannot start the thread that sends".into(), source };
         let (stopped, stop) = std::io::pipe().map_err(io)?;
         let (orders, news) = (Mailbox::new(), Mailbox::new());
@@ -106,7 +105,16 @@ impl Running {
         let exchange = Exchange::new(tdma, monitor);
         let work = move || run(exchange, clock, settings, &stopped, &ordered, told);
         let thread = std::thread::Builder::new().name("csi5300 sender".into()).spawn(work).map_err(io)?;
-        Ok(Self { thread, stop, orders, news, heard: Mutex::new(heard) })
+        Ok(Self { thread, stop, orders, news, heard: Mutex::default() })
+    }
+
+    /// The same for what [`Setup::open`](super::Setup::open) has opened: what it hears of its peers' sessions outlives it.
+    ///
+    /// # Errors
+    /// As [`Running::start`].
+    pub fn start_opened(opened: Opened, clock: Monotonic, settings: Settings) -> Result<Self, Error> {
+        let running = Self::start(opened.tdma, opened.monitor, clock, settings)?;
+        Ok(Self { heard: Mutex::new(opened.heard), ..running })
     }
 
     /// Gives an order, to be followed before the next frame is handled. False if too many wait.

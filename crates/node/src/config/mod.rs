@@ -32,9 +32,13 @@ use csi5300::signal::channel::Channel;
 use csi5300_sim::toml_lines::line_of;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
+use std::io::Read;
 use std::path::Path;
 use toml::Spanned;
 use values::{antenna, antenna_a, maybe_parsed, parsed};
+
+/// Bytes of a configuration that are read: more than any has.
+const LONGEST: u64 = 1 << 20;
 
 /// A configuration that was checked. See `packaging/robot.toml` for every key with its meaning.
 #[derive(Clone, Debug, serde::Deserialize)]
@@ -89,7 +93,9 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] with every problem found.
     pub fn load(file: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(file).map_err(|error| {
+        let mut text = String::new();
+        let read = std::fs::File::open(file).and_then(|open| open.take(LONGEST).read_to_string(&mut text));
+        read.map_err(|error| {
             let reason = format!("cannot be read: {error}");
             ConfigError(vec![Problem { line: None, reason }])
         })?;

@@ -25,11 +25,19 @@ pub struct Output {
     pub status_line: StatusLine,
     /// Where Foxglove's viewers connect: `127.0.0.1:8765` is what they ask for (feature `foxglove`).
     pub foxglove: Option<std::net::SocketAddr>,
+    /// Web pages from which viewers come, beside Foxglove's own and those of this machine: `https://lichtblick.lab`.
+    pub foxglove_origins: Vec<String>,
 }
 
 impl Default for Output {
     fn default() -> Self {
-        Self { bearings: "-".into(), status_socket: None, status_line: StatusLine::Auto, foxglove: None }
+        Self {
+            bearings: "-".into(),
+            status_socket: None,
+            status_line: StatusLine::Auto,
+            foxglove: None,
+            foxglove_origins: Vec::new(),
+        }
     }
 }
 
@@ -55,8 +63,11 @@ pub struct Network {
     pub zenoh: Option<PathBuf>,
     /// Endpoints to connect to, such as `tcp/192.168.1.10:7447`, beside those that are discovered.
     pub connect: Vec<String>,
-    /// Endpoints to listen on.
+    /// Endpoints to listen on; a port of this machine that only its own programs reach where there are none here, and
+    /// nobody is asked for a password or a certificate.
     pub listen: Vec<String>,
+    /// Anybody who reaches this network may take part: publish as any robot, and read everything.
+    pub insecure: bool,
     /// Publish this robot's records.
     pub publish_records: bool,
     /// Publish this robot's poses.

@@ -23,6 +23,11 @@ impl Joined {
         &self.wake
     }
 
+    /// Nothing is.
+    pub fn trouble(&self) -> Vec<String> {
+        Vec::new()
+    }
+
     pub fn counts(&self) -> Option<serde_json::Value> {
         None
     }

@@ -46,6 +46,15 @@ impl Joined {
         }
     }
 
+    /// What is wrong, in words.
+    pub fn trouble(&self) -> Vec<String> {
+        let contested = self.network.iter().flat_map(Network::contested).filter(|(_, count)| *count > 0);
+        let words = |(mac, count): (&str, u64)| {
+            format!("network: {count} messages of a second sender under the address {mac} were refused")
+        };
+        contested.map(words).collect()
+    }
+
     /// Notified when something came from a peer.
     pub fn wake(&self) -> &Notify {
         &self.wake

@@ -33,7 +33,9 @@ impl Viewers {
     /// Listens, outside of an async runtime.
     pub fn open(config: &Config, name: &str) -> Result<Self, Error> {
         let Some(address) = config.output.foxglove else { return Ok(Self(None)) };
-        let live = Live::listen(name, address).map_err(|error| Error::Backend(Box::new(error)))?;
+        let links = config.peer.iter().map(|peer| peer.get_ref().name.as_str());
+        let origins = config.output.foxglove_origins.clone();
+        let live = Live::listen(name, links, address, origins).map_err(|error| Error::Backend(Box::new(error)))?;
         Ok(Self(Some(Shown { live: Arc::new(Mutex::new(live)), name: name.to_owned(), antenna: config.antenna })))
     }
 

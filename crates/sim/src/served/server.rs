@@ -21,6 +21,13 @@ use std::path::{Path, PathBuf};
 
 /// Longest radiotap header and frame that are taken, bytes (IEEE80211_MAX_FRAME_LEN and a header of ours).
 const LONGEST: usize = 2_352 + driver_iface::radiotap::MAX_EMIT_LEN;
+/// Programs at a time: more than any scene's robots need.
+const CLIENTS: usize = 256;
+/// A program that came must say within this time what it wants.
+const PATIENCE: Span = Span::from_ms(5_000);
+/// No frame is on air for a shorter time, and a card's queue holds no more than this.
+const SHORTEST: Span = Span::from_us(40);
+const QUEUED: Span = Span::from_ms(100);
 /// Bytes that the kernel is asked to hold for a client that does not read: about a second of records at 200 a second.
 const SEND_BUFFER: usize = 1 << 18;
 
@@ -48,6 +55,22 @@ struct Client {
     socket: OwnedFd,
     /// What it asked for, once it has, and of which robot.
     what: Option<(Role, usize)>,
+    /// When it came.
+    since: Instant,
+    /// When the frames that it has handed over would be on air, one after the other.
+    free_at: Instant,
+}
+
+impl Client {
+    /// True for a frame at `at` that a card with a queue could still send; then it counts.
+    fn has_air(&mut self, at: Instant) -> bool {
+        let free_at = self.free_at.max(at);
+        let has_air = free_at - at <= QUEUED;
+        if has_air {
+            self.free_at = free_at + SHORTEST;
+        }
+        has_air
+    }
 }
 
 /// What of a robot is in use.
@@ -141,7 +164,7 @@ impl Server {
     /// When the socket cannot be gone on with. What a program does is no error.
     pub fn turn(&mut self, room: &mut Room, now: Instant, wall_us: Option<i64>) -> Result<Option<Instant>, Error> {
         self.robots.resize_with(room.scene().robot.len(), Robot::default);
-        self.accept()?;
+        self.accept(now)?;
         let (mut frames, gone) = self.listen(room, now, wall_us);
         frames.sort_by_key(|frame| frame.at);
         for frame in frames {
@@ -167,9 +190,11 @@ impl Server {
     }
 
     /// Lets new programs in; what they want, they say.
-    fn accept(&mut self) -> Result<(), Error> {
+    fn accept(&mut self, now: Instant) -> Result<(), Error> {
         loop {
             match self.listener.accept() {
+                // Whoever finds no place is let go at once.
+                Ok(_) if self.clients.len() >= CLIENTS => self.counts.refused += 1,
                 Ok((stream, _)) => {
                     let socket = OwnedFd::from(stream);
                     let stamped = setsockopt(&socket, sockopt::ReceiveTimestampns, &true);
@@ -177,7 +202,7 @@ impl Server {
                     let _ = setsockopt(&socket, sockopt::SndBuf, &SEND_BUFFER);
                     let watched = self.ready.add(&socket, EpollEvent::new(EpollFlags::EPOLLIN, 0));
                     if stamped.and(watched).is_ok() {
-                        self.clients.push(Client { socket, what: None });
+                        self.clients.push(Client { socket, what: None, since: now, free_at: now });
                     }
                 }
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(()),
@@ -207,12 +232,16 @@ impl Server {
                             }
                             Some((Role::Air, robot)) => {
                                 let at = (now - Span::from_us(age)).max(Instant::ZERO);
-                                frames.extend(self.frame(room, robot, at, len));
+                                if client.has_air(at) {
+                                    frames.extend(self.frame(room, robot, at, len));
+                                } else {
+                                    self.refuse("more frames than the air has room for".into());
+                                }
                             }
                             Some(_) => {}
                         }
                     }
-                    Err(Errno::EAGAIN) => break true,
+                    Err(Errno::EAGAIN) => break client.what.is_some() || now - client.since <= PATIENCE,
                     // It left something unread; what it had said before is still to be had.
                     Err(Errno::EINTR | Errno::ECONNRESET) => {}
                     Err(_) => break false,

@@ -38,6 +38,7 @@ pub(super) fn problems(config: &Config, text: &str) -> Vec<Problem> {
     check.sounding();
     check.output();
     check.network();
+    check.open_network();
     check.problems
 }
 

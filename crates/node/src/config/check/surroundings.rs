@@ -46,6 +46,21 @@ impl Check<'_> {
         }
     }
 
+    /// A network that lets anybody in.
+    #[cfg(feature = "zenoh")]
+    pub(super) fn open_network(&mut self) {
+        let network =
+            self.config.network.as_ref().filter(|network| network.zenoh.as_ref().is_none_or(|file| file.is_file()));
+        if let Some(why) = network.and_then(crate::network::refusal) {
+            self.refuse_in("network", None, why);
+        }
+    }
+
+    /// Without the feature there is no network.
+    #[cfg(not(feature = "zenoh"))]
+    #[allow(clippy::unused_self, reason = "the twin of the one above")]
+    pub(super) fn open_network(&mut self) {}
+
     /// Refuses a key of a table, or the table.
     fn refuse_in(&mut self, table: &str, key: Option<&str>, reason: impl Into<String>) {
         let place: Vec<_> = std::iter::once(table).chain(key).map(Key).collect();

@@ -1,0 +1,117 @@
+//! Who can take part in the robots' network, by its endpoints and by what is asked of those who connect.
+
+/// Endpoints of this machine that only its own programs reach: for a network that asks nobody for anything.
+pub(crate) const LOCAL: &str = "tcp/127.0.0.1:0";
+
+/// What of zenoh's configuration decides who takes part.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Doors {
+    /// Endpoints on which it listens, if any are named.
+    pub listen: Option<Vec<String>>,
+    /// Endpoints to which it connects.
+    pub connect: Vec<String>,
+    /// A file with users and their passwords.
+    pub has_users: bool,
+    /// Both ends of TLS show a certificate.
+    pub has_certificates: bool,
+}
+
+/// What is to be done about them.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Verdict {
+    /// Who takes part must know a password or show a certificate, or nobody but programs of this machine can.
+    Good,
+    /// Nothing is asked, and nothing was said of where to listen: on [`LOCAL`], without discovery.
+    KeepLocal,
+    /// Anybody who reaches this endpoint takes part.
+    Open(String),
+}
+
+impl Doors {
+    /// Judges them.
+    pub(crate) fn judge(&self) -> Verdict {
+        let encrypted = |endpoint: &String| ["tls/", "quic/"].iter().any(|scheme| endpoint.starts_with(scheme));
+        let all: Vec<&String> = self.listen.iter().flatten().chain(&self.connect).collect();
+        let by_certificate =
+            self.has_certificates && !all.is_empty() && self.listen.is_some() && all.iter().all(|one| encrypted(one));
+        if self.has_users || by_certificate {
+            return Verdict::Good;
+        }
+        match &self.listen {
+            None => Verdict::KeepLocal,
+            Some(listen) => match listen.iter().find(|endpoint| !is_local(endpoint)) {
+                Some(open) => Verdict::Open(open.clone()),
+                None => Verdict::KeepLocal,
+            },
+        }
+    }
+}
+
+/// True for an endpoint that only programs of this machine reach, such as `tcp/127.0.0.1:7447`.
+fn is_local(endpoint: &str) -> bool {
+    let Some((scheme, rest)) = endpoint.split_once('/') else { return false };
+    if scheme.starts_with("unixsock") || scheme == "unixpipe" {
+        return true;
+    }
+    // Behind the address there may be metadata (`?`) and settings (`#`).
+    let address = rest.split(['?', '#']).next().unwrap_or_default();
+    let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+    let host = host.trim_start_matches('[').trim_end_matches(']');
+    host.parse::<std::net::IpAddr>().is_ok_and(|ip| ip.is_loopback())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn doors(listen: Option<&[&str]>, connect: &[&str]) -> Doors {
+        let owned = |endpoints: &[&str]| endpoints.iter().map(|one| (*one).to_owned()).collect::<Vec<_>>();
+        Doors { listen: listen.map(owned), connect: owned(connect), ..Doors::default() }
+    }
+
+    #[test]
+    fn only_this_machine_is_local() {
+        for local in [
+            "tcp/127.0.0.1:0",
+            "tcp/127.8.0.1:7447",
+            "tcp/[::1]:7447",
+            "unixsock-stream//run/z",
+            "udp/127.0.0.1:1#iface=lo",
+        ] {
+            assert!(is_local(local), "{local}");
+        }
+        // A name may be anybody's: what it stands for is not known here.
+        for open in [
+            "tcp/0.0.0.0:7447",
+            "tcp/[::]:0",
+            "tcp/10.0.0.1:7447",
+            "tls/burger:7447",
+            "tcp/localhost:1",
+            "",
+            "tcp",
+            "tcp/",
+        ] {
+            assert!(!is_local(open), "{open}");
+        }
+    }
+
+    #[test]
+    fn an_open_door_is_said_and_a_closed_one_is_not() {
+        let all = "tcp/0.0.0.0:7447";
+        assert_eq!(doors(None, &[]).judge(), Verdict::KeepLocal);
+        assert_eq!(
+            doors(None, &["tcp/10.0.0.1:7447"]).judge(),
+            Verdict::KeepLocal,
+            "peers that are named may be asked"
+        );
+        assert_eq!(doors(Some(&["tcp/127.0.0.1:7447"]), &[]).judge(), Verdict::KeepLocal);
+        assert_eq!(doors(Some(&["tcp/127.0.0.1:1", all]), &[]).judge(), Verdict::Open(all.into()));
+        let with_users = Doors { has_users: true, ..doors(Some(&[all]), &[]) };
+        assert_eq!(with_users.judge(), Verdict::Good);
+        let tls = |listen: &[&str], connect: &[&str]| Doors { has_certificates: true, ..doors(Some(listen), connect) };
+        assert_eq!(tls(&["tls/0.0.0.0:7447"], &["quic/10.0.0.1:1"]).judge(), Verdict::Good);
+        assert_eq!(tls(&["tls/0.0.0.0:7447", all], &[]).judge(), Verdict::Open("tls/0.0.0.0:7447".into()));
+        let unsaid = Doors { has_certificates: true, ..doors(None, &["tls/10.0.0.1:1"]) };
+        assert_eq!(unsaid.judge(), Verdict::KeepLocal, "it would listen without TLS");
+    }
+}
