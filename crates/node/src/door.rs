@@ -178,8 +178,8 @@ fn origin(head: &[u8]) -> Option<String> {
 
 fn is_welcome(origin: String, rules: &Rules) -> bool {
     let host = origin.split_once("://").map_or("", |(_, host)| host);
-    let name = host.strip_prefix("[::1]").map_or_else(|| host.split(':').next().unwrap_or_default(), |_| "localhost");
-    ["localhost", "127.0.0.1"].contains(&name)
+    let name = host.rsplit_once(':').filter(|(_, port)| port.parse::<u16>().is_ok()).map_or(host, |(name, _)| name);
+    ["localhost", "127.0.0.1", "[::1]"].contains(&name)
         || PAGES.contains(&origin.as_str())
         || rules.origins.contains(&origin)
         // A program of its own, as Foxglove's on the desktop.
@@ -241,6 +241,8 @@ mod tests {
         for origin in [
             "https://evil.example",
             "http://localhost.evil.example",
+            "http://[::1].evil.example",
+            "http://localhost:1@evil.example",
             "https://app.foxglove.dev.evil",
             "null",
             "https://lichtblick.lab\r\nOrigin: http://localhost",

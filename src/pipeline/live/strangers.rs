@@ -1,6 +1,7 @@
 //! Tests: whoever else is heard, a peer keeps its place.
 
 use super::*;
+use crate::exchange::tdma::Key;
 use crate::pipeline::Options;
 use crate::source::{Next, Stamps};
 use crate::time::Instant;
@@ -45,4 +46,26 @@ fn a_peer_is_heard_though_strangers_came_first() {
     assert_eq!((counts.heard, counts.heard_by_peer), (50, 50));
     estimator.finish(Instant::from_us(1_000_000));
     assert_eq!(estimator.peers().next().unwrap().1.pairs, 50);
+}
+
+#[test]
+fn with_a_key_a_strangers_answers_replace_no_pair() {
+    let mut estimator = estimator();
+    estimator.require_key(&Key::new([7; 16]));
+    for number in 1..=100 {
+        let at = 10_000 * number;
+        hear(OWN, number, at, &mut |next| estimator.handle_peer(0, next));
+        if number % 2 == 0 {
+            // Sooner than the peer, in its name.
+            hear(PEER, number, at + 200, &mut |next| estimator.handle_own(next));
+        }
+        hear(PEER, number, at + 300, &mut |next| estimator.handle_own(next));
+        if number % 5 != 0 {
+            estimator.handle_confirmed(PEER, number, Instant::ZERO);
+        }
+    }
+    estimator.finish(Instant::from_us(100_000));
+    let counts = estimator.peers().next().unwrap().1;
+    // Odd numbers that the scheduler has seen answered.
+    assert_eq!((counts.pairs, counts.refused.contested), (40, 50));
 }

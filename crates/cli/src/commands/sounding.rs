@@ -62,7 +62,8 @@ pub struct Sounding {
     /// How long after a forward frame its answer may begin, microseconds
     #[arg(long, default_value_t = TURN_AROUND_US, value_name = "US")]
     pub turn_around: u32,
-    /// File with a key that all robots share, 32 hexadecimal digits or 16 bytes: frames without it are ignored
+    /// File with the group's key or this robot's own (`csi5300 key` makes both): frames without a valid tag are ignored, and
+    /// only exchanges with one are used for bearings
     ///
     /// So are frames of an older session. A session is numbered by the clock, and later than the one before as kept in
     /// $XDG_STATE_HOME/csi5300, ~/.local/state/csi5300 or /var/lib/csi5300: where none of these can be written and the

@@ -7,6 +7,7 @@ use csi5300::exchange::tdma::Event;
 use driver_iface::Mac;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// Numbers are kept this often. What was taped within so long before a restart, in the session that goes on, may still be
@@ -22,6 +23,8 @@ pub struct Heard {
     peers: BTreeMap<Mac, (u32, u32)>,
     changed: bool,
     kept_at: Option<Instant>,
+    /// The disk may take its time: nobody waits for it but the end.
+    writing: Option<JoinHandle<()>>,
 }
 
 impl Heard {
@@ -66,24 +69,36 @@ impl Heard {
 
     /// Writes it down if it is time.
     pub(super) fn keep_if_due(&mut self) {
-        if self.kept_at.is_none_or(|at| at.elapsed() >= KEEP_EVERY) {
-            self.keep();
+        let is_due = self.kept_at.is_none_or(|at| at.elapsed() >= KEEP_EVERY);
+        if !is_due || self.writing.as_ref().is_some_and(|writing| !writing.is_finished()) {
+            return;
+        }
+        if let Some(write) = self.write() {
+            self.writing = std::thread::Builder::new().name("csi5300 sessions".into()).spawn(write).ok();
         }
     }
 
-    /// Writes it down where that can be done; without such a place replays of older sessions are only known while it runs.
+    /// Writes it down now.
     pub(super) fn keep(&mut self) {
-        if !std::mem::take(&mut self.changed) {
-            return;
+        if let Some(writing) = self.writing.take() {
+            let _ = writing.join();
         }
+        if let Some(write) = self.write() {
+            write();
+        }
+    }
+
+    /// What writes it down where that can be done; without such a place replays of older sessions are only known while it
+    /// runs. None where nothing is new.
+    fn write(&mut self) -> Option<impl FnOnce() + Send + use<>> {
+        std::mem::take(&mut self.changed).then_some(())?;
         self.kept_at = Some(Instant::now());
         let line = |(mac, (session, number)): (&Mac, &(u32, u32))| format!("{mac} {session} {number}\n");
         let text: String = self.peers.iter().map(line).collect();
-        for folder in &self.folders {
-            if session::keep(folder, &self.name, &text).is_ok() {
-                break;
-            }
-        }
+        let (folders, name) = (self.folders.clone(), self.name.clone());
+        Some(move || {
+            let _ = folders.iter().any(|folder| session::keep(folder, &name, &text).is_ok());
+        })
     }
 }
 
