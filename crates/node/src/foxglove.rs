@@ -124,7 +124,7 @@ impl Recording {
     }
 }
 
-/// A websocket for viewers, on threads of its own, behind a [door](crate::door). A viewer that is slow loses messages, and
+/// A websocket for viewers, on threads of its own, behind a door. A viewer that is slow loses messages, and
 /// holds nothing up.
 pub struct Live {
     /// The channels that viewers subscribe to.
