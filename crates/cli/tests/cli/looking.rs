@@ -128,6 +128,39 @@ fn a_wsr_log_becomes_one_of_the_stock_layout_with_the_same_csi() {
     assert_eq!(side as usize, 8 * records(&std::fs::read(folder.0.join("stock-rx.dat")).unwrap()).len());
 }
 
+/// Names of fields within a value, of objects in it too; `senders` and codes have names of their own making.
+fn names(value: &serde_json::Value, found: &mut std::collections::BTreeSet<String>) {
+    match value {
+        serde_json::Value::Array(values) => values.iter().for_each(|value| names(value, found)),
+        serde_json::Value::Object(fields) => {
+            for (name, value) in fields {
+                found.insert(name.clone());
+                match name.as_str() {
+                    "senders" => value.as_object().unwrap().values().for_each(|sender| names(sender, found)),
+                    // Keyed by what was found; and what is described in place.
+                    "by_code" | "rates" | "antenna_sel" | "focus" | "plan" | "losses" | "rssi" | "agc"
+                    | "noise_dbm" => {}
+                    _ => names(value, found),
+                }
+            }
+        }
+        _ => {}
+    }
+}
+
+#[test]
+fn every_field_of_json_is_in_the_documentation() {
+    let folder = Folder::new("formats");
+    folder.link(&link(300, 2.0));
+    let page = std::fs::read_to_string(crate::common::root().join("docs/formats.md")).unwrap();
+    let mut found = std::collections::BTreeSet::new();
+    names(&json(&folder.bearing(&["--json"]).1), &mut found);
+    names(&json(&folder.run(&["info", "rx.dat", "--json"]).1), &mut found);
+    assert!(found.len() > 60, "{found:?}");
+    let missing: Vec<&String> = found.iter().filter(|name| !page.contains(&format!("`{name}`"))).collect();
+    assert!(missing.is_empty(), "docs/formats.md does not name {missing:?}");
+}
+
 #[test]
 fn commands_end_alike() {
     let folder = Folder::new("ends");
