@@ -76,6 +76,9 @@ pub struct Args {
     #[cfg(feature = "plot")]
     #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
+    /// Overwrite the profile and pictures of the same names if they are there
+    #[arg(long)]
+    force: bool,
 }
 
 fn triple(text: &str) -> std::result::Result<Vector3<f64>, String> {
@@ -210,11 +213,14 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
     let Ok(bearing) = &link.bearing else { return Ok(()) };
     if let Some(path) = &args.profile {
         let path = if links > 1 { numbered(path, name) } else { path.clone() };
+        super::must_not_exist(&path, args.force)?;
         profile::write(&path, &args.grid, &bearing.samples)?;
         eprintln!("profile of {name}: {}", path.display());
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
+        let file = format!("{}-profile.png", csi5300_lab::show::file_safe(name));
+        super::must_not_exist(&folder.join(file), args.force)?;
         let pictures =
             csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, transmitter_m: None, recorded: None };
         for path in pictures.write(folder, name).map_err(|error| error.to_string())? {

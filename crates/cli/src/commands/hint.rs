@@ -15,7 +15,6 @@ pub fn log_refused(error: &Error) -> String {
 /// An error in words, with the flag that may help.
 pub fn words(error: &LinkError) -> String {
     match error {
-        LinkError::NoHostTime => format!("{error} (--join-rows)"),
         LinkError::AllCut { pairs, length_s } => {
             format!("all {pairs} pairs are outside --from and --to (the link lasts {length_s:.3} s)")
         }
@@ -25,9 +24,10 @@ pub fn words(error: &LinkError) -> String {
     }
 }
 
-/// An error of `bearing` in words: it alone has `--tx-mac`.
+/// An error of `bearing` in words: it alone has `--tx-mac` and `--join-rows`.
 fn bearing_words(error: &LinkError) -> String {
     match error {
+        LinkError::NoHostTime => format!("{error} (--join-rows)"),
         LinkError::Unmatched(Unmatched::Unclear { .. } | Unmatched::Taken { .. }) => format!("{error} with --tx-mac"),
         LinkError::Unmatched(Unmatched::Named { .. }) => format!("{error} (--tx-mac)"),
         _ => words(error),
@@ -59,6 +59,9 @@ mod tests {
         let unclear = LinkError::Unmatched(Unmatched::Unclear { spread_us: 1.0, next_us: 1.5 });
         assert!(bearing_words(&unclear).ends_with("name its MAC with --tx-mac"));
         assert!(!words(&unclear).contains("--tx-mac"));
+        // Only `bearing` joins rows.
+        assert!(bearing_words(&LinkError::NoHostTime).contains("--join-rows"));
+        assert!(!words(&LinkError::NoHostTime).contains("--join-rows"));
         let directory = log_refused(&Error::Directory { path: "logs".into() });
         assert_eq!(directory, "logs is a directory: name a .dat file inside it, or use `evaluate`");
     }

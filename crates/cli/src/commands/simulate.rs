@@ -79,7 +79,7 @@ pub fn write(scene: &Scene, folder: &Path) -> std::result::Result<(Vec<WrittenCa
     if let Ok(style) = ProgressStyle::with_template("{bar:40} {percent} % of {msg}, {eta} left") {
         bar.set_style(style);
     }
-    bar.set_message(format!("{} s", scene.duration_s));
+    bar.set_message(format!("{:.0} s", scene.duration_s));
     let captures = write_dataset(&mut room, folder, &mut |share| bar.set_position((share * 100.0) as u64));
     bar.finish_and_clear();
     Ok((captures.map_err(|error| error.to_string())?, room.injected()))

@@ -28,7 +28,13 @@ pub fn summary(peers: &[Mac], finished: &Finished) -> String {
     let (counts, figures, air) = (finished.counts(), &finished.exchange.figures, finished.air);
     let mut text = String::new();
     if counts.forward > 0 {
-        let _ = writeln!(text, "{} forward frames, {} answered", counts.forward, counts.answered);
+        let _ = writeln!(
+            text,
+            "{} forward frames, {} answered{}",
+            counts.forward,
+            counts.answered,
+            unanswered(counts.forward, counts.answered)
+        );
         for mac in peers {
             if let Some(link) = finished.exchange.tdma.link_counts(*mac) {
                 let _ = writeln!(text, "  {mac}: {} sounded, {} answered", link.sounded, link.answered);
@@ -57,6 +63,18 @@ pub fn summary(peers: &[Mac], finished: &Finished) -> String {
         }
     }
     text + &confirmed(finished)
+}
+
+/// How many frames came to nothing, where they are more than a few, and what helps.
+fn unanswered(forward: u64, answered: u64) -> String {
+    let missing = forward.saturating_sub(answered);
+    match missing * 20 > forward {
+        true => format!(
+            "; {missing} ({:.0} %) were not: the other robot is off, far, or later than --turn-around allows",
+            100.0 * missing as f64 / forward as f64
+        ),
+        false => String::new(),
+    }
 }
 
 /// Frames that were to be sent: how many were not, or perhaps late, by cause.
@@ -111,4 +129,16 @@ fn confirmed(finished: &Finished) -> String {
         }
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounds_without_an_answer_are_said_where_they_are_many() {
+        assert_eq!(unanswered(1_000, 980), "");
+        assert_eq!(unanswered(0, 0), "");
+        assert!(unanswered(900, 600).contains("300 (33 %)"));
+    }
 }
