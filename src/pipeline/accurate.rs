@@ -1,9 +1,10 @@
 //! Beyond a plane wave at the channel centre: all subcarriers, aligned; the one-way channel; spherical waves.
 
+use super::direction::Direction;
 use super::options::Options;
-use crate::bartlett::Estimate;
+use crate::place::near_field::mirror::{decisive, log_odds};
 use crate::place::near_field::{
-    self, Aperture, Evidence, Fix, Focus, Limits, Maps, ONE_WAY_VIEWS, Path, ROUND_TRIP_VIEWS, Search, View,
+    self, Aperture, Edge, Elevations, Evidence, Fix, Focus, Limits, Maps, ONE_WAY_VIEWS, Path, ROUND_TRIP_VIEWS, Search, View,
 };
 use crate::signal::alignment::{Alignment, CsiRow, align, remove_common_slope};
 use crate::signal::one_way::one_way;
@@ -61,7 +62,7 @@ pub(super) fn place(
     samples: &Samples,
     mut rows: Vec<CsiRow>,
     used: &[usize],
-    plane_wave: &Estimate,
+    direction: &Direction,
     options: &Options,
 ) -> Option<(Placed, Search)> {
     let steps = &options.accuracy;
@@ -77,16 +78,40 @@ pub(super) fn place(
     let mut layers: Vec<(&Aperture, &[View])> = vec![(&round_trip, &ROUND_TRIP_VIEWS)];
     layers.extend(one_way.as_ref().map(|aperture| (aperture, ONE_WAY_VIEWS.as_slice())));
     let limits = Limits {
-        elevation_max_rad: if plane_wave.elevation_searched { options.search.elevation_max_rad } else { 0.0 },
-        range_min_m: steps.range_min_m,
+        elevation_max_rad: if direction.plane_wave.elevation_searched { options.search.elevation_max_rad } else { 0.0 },
+        elevations: direction.elevations,
+        // Motion in space tells near places from far ones: there is no need to expect any.
+        range_min_m: if direction.elevations == Elevations::Signed { 0.0 } else { steps.range_min_m },
         height_m: steps.height_m,
         tier: options.search.tier,
     };
     let middle_m = displacement_m.iter().sum::<Vector3<f64>>() / displacement_m.len().max(1) as f64;
-    let mut search = Search::new(&layers, middle_m, wavelength_m, &limits)?;
-    let fix = search.run()?;
+    let run = |limits: &Limits| {
+        let mut search = Search::new(&layers, middle_m, wavelength_m, limits)?;
+        Some((search.run()?, search))
+    };
+    let (fix, search) = beyond_expected(run(&limits)?, &limits, direction.beyond, run);
     let slips = roots.map(|roots| roots.slips);
     Some((Placed { fix, alignment, slips, focus: None, paths: Vec::new(), maps: None, evidence: None }, search))
+}
+
+/// The answer within what is expected, or one beyond it that leaves no doubt: higher, where the plane wave is (`higher`);
+/// nearer, where the answer is at the shortest range.
+fn beyond_expected(
+    expected: (Fix, Search),
+    limits: &Limits,
+    higher: bool,
+    run: impl Fn(&Limits) -> Option<(Fix, Search)>,
+) -> (Fix, Search) {
+    let nearer = matches!(expected.0.edge(), Some(Edge::Range | Edge::ElevationAndRange));
+    if !(higher || nearer) {
+        return expected;
+    }
+    let elevations = if higher { Elevations::Beyond } else { limits.elevations };
+    let range_min_m = if nearer { 0.0 } else { limits.range_min_m };
+    let wider = run(&Limits { elevations, range_min_m, ..*limits });
+    let likelier = |(fix, _): &(Fix, Search)| decisive(log_odds(fix.best().power, expected.0.best().power));
+    wider.filter(likelier).unwrap_or(expected)
 }
 
 /// Changes the trajectory that all links share where that raises the joint powers of two or more of them by more than its

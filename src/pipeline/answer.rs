@@ -8,7 +8,7 @@ use super::link::Link;
 use super::{CaptureReport, LinkReport};
 use crate::bartlett::Geometry;
 use crate::exchange::pairing::{LinkSide, SideCounts};
-use crate::place::near_field::{Focus, Path};
+use crate::place::near_field::{Edge, Focus, Path};
 use driver_iface::Mac;
 use serde::Serialize;
 
@@ -35,8 +35,12 @@ pub struct Answer {
     pub cause: Option<LinkError>,
     /// Bearing relative to the robot's heading at the last sample used.
     pub azimuth_body_deg: Option<f64>,
-    /// Elevation; its sign is ambiguous for planar motion.
+    /// |elevation|.
     pub abs_elevation_deg: Option<f64>,
+    /// Elevation with its sign, where the motion distinguishes up from down.
+    pub elevation_deg: Option<f64>,
+    /// Which limits of the search the answer lies at (`elevation`, `range`, `elevation_and_range`).
+    pub at_edge: Option<Edge>,
     /// Predicted standard deviation of the azimuth (Cramer-Rao).
     pub azimuth_sd_deg: Option<f64>,
     /// The other bearing that fits a motion along a line or in a tilted plane as well as noise and odometry let one tell:
@@ -60,9 +64,11 @@ pub struct Answer {
     pub range_m: Option<f64>,
     /// Its predicted standard deviation, metres.
     pub range_sd_m: Option<f64>,
-    /// Position of the transmitter in the trajectory's frame, metres, where there is a range. Its height is drawn
-    /// upwards: level motion does not distinguish up from down.
+    /// Position of the transmitter in the trajectory's frame at `position_t_s`, metres, where there is a range. Without an
+    /// `elevation_deg` its height is drawn upwards: level motion does not distinguish up from down.
     pub position_m: Option<[f64; 3]>,
+    /// The time of the position, seconds on the trajectory's clock: that of the last sample used.
+    pub position_t_s: Option<f64>,
     /// Covariance of the position, metres squared, row by row.
     pub position_covariance_m2: Option<[[f64; 3]; 3]>,
     /// The paths in the round trip, the top of the answer first, the others falling in power.
@@ -129,6 +135,9 @@ pub struct PathAnswer {
     pub azimuth_deg: f64,
     /// |elevation|, degrees.
     pub abs_elevation_deg: f64,
+    /// Elevation with its sign, degrees, where the motion distinguishes up from down.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub elevation_deg: Option<f64>,
     /// Apparent range, metres; none for a plane wave.
     pub range_m: Option<f64>,
     /// Power: of a path, one way, relative to the strongest's; of a candidate, relative to the answer's; dB.
@@ -139,11 +148,13 @@ pub struct PathAnswer {
 }
 
 impl PathAnswer {
-    fn new(place: (f64, f64, f64), relative_power_db: f64, cross_term_of: Option<[usize; 2]>) -> Self {
-        let (azimuth_rad, elevation_rad, curve) = place;
+    /// `place`: azimuth, |elevation|, the elevation where it has a sign, 1 / range.
+    fn new(place: (f64, f64, Option<f64>, f64), relative_power_db: f64, cross_term_of: Option<[usize; 2]>) -> Self {
+        let (azimuth_rad, abs_elevation_rad, signed_elevation_rad, curve) = place;
         Self {
             azimuth_deg: azimuth_rad.to_degrees(),
-            abs_elevation_deg: elevation_rad.to_degrees(),
+            abs_elevation_deg: abs_elevation_rad.to_degrees(),
+            elevation_deg: signed_elevation_rad.map(f64::to_degrees),
             range_m: (curve > 0.0).then(|| 1.0 / curve),
             relative_power_db,
             cross_term_of,
@@ -210,6 +221,8 @@ impl Answer {
         self.azimuth_deg = Some(answer.azimuth_rad.to_degrees());
         self.azimuth_sd_deg = Some(answer.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
         self.abs_elevation_deg = Some(answer.abs_elevation_rad.to_degrees());
+        self.elevation_deg = answer.signed_elevation_rad.map(f64::to_degrees);
+        self.at_edge = answer.edge;
         self.elevation_sd_deg = answer.elevation_sd_rad.map(f64::to_degrees);
         self.mirror_deg = answer.mirror_rad.map(f64::to_degrees);
         self.mirror_elevation_deg = answer.mirror_elevation_rad.map(f64::to_degrees);
@@ -219,11 +232,13 @@ impl Answer {
         if let Some(range) = &answer.range {
             (self.range_m, self.range_sd_m) = (Some(range.range_m), Some(range.sd_m));
             self.position_m = Some(range.position_m.into());
+            self.position_t_s = Some(range.position_t_s);
             self.position_covariance_m2 = Some(range.covariance_m2.into());
         }
         let best = answer.candidates.first().map_or(1.0, |best| best.power);
         let candidate = |other: &Candidate| {
-            let place = (other.azimuth_rad, other.abs_elevation_rad, other.inverse_range_per_m);
+            let place =
+                (other.azimuth_rad, other.abs_elevation_rad, other.signed_elevation_rad, other.inverse_range_per_m);
             PathAnswer::new(place, 10.0 * (other.power / best).log10(), None)
         };
         self.candidates = answer.candidates.iter().map(candidate).collect();
@@ -232,7 +247,7 @@ impl Answer {
     fn take_placed(&mut self, placed: &Placed) {
         let fix = &placed.fix;
         let path = |path: &Path| {
-            let place = (path.azimuth_rad, path.abs_elevation_rad, path.inverse_range_per_m);
+            let place = (path.azimuth_rad, path.abs_elevation_rad, path.signed_elevation_rad, path.inverse_range_per_m);
             PathAnswer::new(place, path.relative_power_db, path.cross_term_of)
         };
         self.paths = placed.paths.iter().map(path).collect();
@@ -257,10 +272,10 @@ impl Answer {
         self.azimuth_body_deg = None;
         self.azimuth_sd_deg = None;
         (self.mirror_deg, self.mirror_elevation_deg, self.mirror_share) = (None, None, None);
-        self.abs_elevation_deg = None;
+        (self.abs_elevation_deg, self.elevation_deg, self.at_edge) = (None, None, None);
         self.elevation_sd_deg = None;
         (self.range_m, self.range_sd_m) = (None, None);
-        (self.position_m, self.position_covariance_m2) = (None, None);
+        (self.position_m, self.position_t_s, self.position_covariance_m2) = (None, None, None);
     }
 
     /// A link of which nothing is known yet.

@@ -1,10 +1,11 @@
 //! The result of a link: one answer (all of one wave model), and beside it what it was computed from.
 
 use super::accurate::Placed;
+use super::direction::Direction;
 use crate::bartlett::{self, Estimate, Grid};
 use crate::maths::wrap_rad;
 use crate::place::confidence::{full_probability, quick_probability};
-use crate::place::near_field::Fix;
+use crate::place::near_field::{Edge, Fix};
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
 use nalgebra::{Matrix3, Vector3};
@@ -26,6 +27,8 @@ pub struct Candidate {
     pub azimuth_rad: f64,
     /// |elevation|, radians.
     pub abs_elevation_rad: f64,
+    /// The elevation with its sign, radians, where the motion distinguishes the two; none of a plane wave's other peaks.
+    pub signed_elevation_rad: Option<f64>,
     /// 1 / range, 1/m; 0 for a plane wave.
     pub inverse_range_per_m: f64,
     /// How much of the samples it explains, 0..1: of a plane wave `F / (sum w |z|)^2`, of a spherical wave the geometric
@@ -40,9 +43,12 @@ pub struct Range {
     pub range_m: f64,
     /// Its predicted standard deviation, metres.
     pub sd_m: f64,
-    /// The transmitter in the trajectory's frame, metres. Its height is drawn upwards: level motion cannot tell up from
-    /// down.
+    /// The transmitter in the trajectory's frame at [`position_t_s`](Self::position_t_s), metres. Where the elevation's
+    /// sign is not observed its height is drawn upwards.
     pub position_m: Vector3<f64>,
+    /// The time that the position is of, seconds on the trajectory's clock: that of the last sample used. A transmitter
+    /// that stands still is there at any time.
+    pub position_t_s: f64,
     /// Covariance of the position, metres squared.
     pub covariance_m2: Matrix3<f64>,
 }
@@ -59,6 +65,8 @@ pub struct BearingAnswer {
     pub azimuth_sd_rad: f64,
     /// |elevation|, radians; 0 where it was not searched or cannot be observed.
     pub abs_elevation_rad: f64,
+    /// The elevation with its sign, radians, where the motion distinguishes up from down.
+    pub signed_elevation_rad: Option<f64>,
     /// Predicted standard deviation of |elevation|, radians, where it was searched.
     pub elevation_sd_rad: Option<f64>,
     /// The mirror bearing of motion along a line or in a tilted plane, radians: reflected in it, the bearing explains the
@@ -74,16 +82,28 @@ pub struct BearingAnswer {
     pub peak_ratio: Option<f64>,
     /// Range and position, where the wave front's curvature fixes them.
     pub range: Option<Range>,
+    /// Which limits of the search the answer lies at: the samples may be explained better beyond them, but not so much
+    /// better that it outweighs what is expected.
+    pub edge: Option<Edge>,
     /// Probability that the azimuth is within five degrees of the truth, calibrated for the wave that `model` names; none
     /// for a plane wave with a mirror, which is as likely as the bearing itself.
     pub probability: Option<f64>,
 }
 
 impl BearingAnswer {
+    /// The elevation with its sign where that is known, else its magnitude, radians.
+    #[must_use]
+    pub fn elevation_rad(&self) -> f64 {
+        self.signed_elevation_rad.unwrap_or(self.abs_elevation_rad)
+    }
+
     /// The answer of the plane wave alone, of length `wavelength_m`, in metres; `compensated` says whether the turn-around
     /// was taken out of its samples.
-    pub(super) fn of_plane_wave(plane_wave: &Estimate, compensated: bool, wavelength_m: f64) -> Self {
+    pub(super) fn of_plane_wave(direction: &Direction, compensated: bool, wavelength_m: f64) -> Self {
+        let plane_wave = &direction.plane_wave;
+        let signed = |peak: &bartlett::Peak| plane_wave.peaks.first().filter(|best| *best == peak);
         let candidate = |peak: &bartlett::Peak| Candidate {
+            signed_elevation_rad: signed(peak).and(plane_wave.signed_elevation_rad),
             azimuth_rad: peak.azimuth_rad,
             abs_elevation_rad: peak.abs_elevation_rad,
             inverse_range_per_m: 0.0,
@@ -94,6 +114,8 @@ impl BearingAnswer {
             azimuth_rad: plane_wave.azimuth_rad,
             azimuth_sd_rad: plane_wave.azimuth_sd_rad,
             abs_elevation_rad: plane_wave.abs_elevation_rad,
+            signed_elevation_rad: plane_wave.signed_elevation_rad,
+            edge: Edge::of(false, direction.at_edge),
             elevation_sd_rad: plane_wave.elevation_searched.then_some(plane_wave.elevation_sd_rad),
             mirror_rad: plane_wave.mirror_rad,
             mirror_elevation_rad: plane_wave.mirror_elevation_rad,
@@ -107,7 +129,7 @@ impl BearingAnswer {
 
     /// The answer of a search over places. Its mirror is its reflection in the line or plane that the plane wave and its own
     /// mirror give.
-    pub(super) fn of_spherical_wave(placed: &Placed, plane_wave: &Estimate) -> Self {
+    pub(super) fn of_spherical_wave(placed: &Placed, plane_wave: &Estimate, samples: &Samples) -> Self {
         let fix = &placed.fix;
         let best = fix.best();
         let (mirror_rad, mirror_elevation_rad) = mirror_of(fix, plane_wave).unzip();
@@ -116,13 +138,15 @@ impl BearingAnswer {
             azimuth_rad: fix.azimuth_rad,
             azimuth_sd_rad: fix.deviations.azimuth_rad,
             abs_elevation_rad: best.abs_elevation_rad,
+            signed_elevation_rad: best.signed_elevation_rad,
+            edge: fix.edge(),
             elevation_sd_rad: fix.elevation_searched.then_some(fix.deviations.elevation_rad),
             mirror_rad,
             mirror_elevation_rad: mirror_elevation_rad.filter(|_| fix.elevation_searched),
             mirror_share: plane_wave.mirror_share,
             candidates: candidates(fix),
             peak_ratio: fix.sources.get(1).map(|other| (other.evidence / best.evidence).min(1.0)),
-            range: range(placed),
+            range: range(placed, samples),
             probability: Some(full_probability(fix)),
         }
     }
@@ -145,16 +169,20 @@ fn candidates(fix: &Fix) -> Vec<Candidate> {
     let candidate = |source: &crate::place::near_field::Source| Candidate {
         azimuth_rad: source.azimuth_rad,
         abs_elevation_rad: source.abs_elevation_rad,
+        signed_elevation_rad: source.signed_elevation_rad,
         inverse_range_per_m: source.inverse_range_per_m,
         power: source.power,
     };
     fix.sources.iter().map(candidate).collect()
 }
 
-fn range(placed: &Placed) -> Option<Range> {
+/// Range and position. The search sees the transmitter where it would stand if its own displacements were zero; at the last
+/// sample it is its displacement there away.
+fn range(placed: &Placed, samples: &Samples) -> Option<Range> {
     let (range_m, sd_m) = placed.range_m()?;
-    let (position_m, covariance_m2) = placed.fix.position()?;
-    Some(Range { range_m, sd_m, position_m, covariance_m2 })
+    let (at_rest_m, covariance_m2) = placed.fix.position()?;
+    let (displaced_m, position_t_s) = samples.transmitter_m().last().zip(samples.t_s().last())?;
+    Some(Range { range_m, sd_m, position_m: at_rest_m + displaced_m, position_t_s: *position_t_s, covariance_m2 })
 }
 
 /// Everything that a link gave.

@@ -3,6 +3,7 @@
 
 use super::accurate::{self, Placed};
 use super::bearing::{Bearing, BearingAnswer, PairCounts, ProfileFigures};
+use super::direction::Direction;
 use super::error::LinkError;
 use super::link::{Link, PairRow};
 use super::options::{JoinBy, Options};
@@ -48,7 +49,9 @@ pub fn estimate(links: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bearing
         false => links.iter().map(begin).collect(),
     };
     if options.accuracy.focus {
-        let placed = drafts.iter_mut().flatten().filter_map(|draft| draft.placed.as_mut());
+        // What links share is the receiver's trajectory: the displacements of a moving transmitter are no path of it.
+        let still = |draft: &&mut Draft| !draft.bearing.samples.transmitter_moves();
+        let placed = drafts.iter_mut().flatten().filter(still).filter_map(|draft| draft.placed.as_mut());
         accurate::refocus(&mut placed.collect::<Vec<_>>());
     }
     let finish = |draft: Result<Draft, LinkError>| draft.map(|draft| draft.finish(options));
@@ -80,14 +83,14 @@ impl Draft {
         let gated = gate.pass(&times_s, &phases.z)?;
         gated.check(&times_s, receiver)?;
         let samples = gated.samples;
-        let plane_wave = bartlett::search(&samples, &options.search)?;
+        let direction = Direction::of(&samples, options)?;
         let rows = || phases.round_trips(link);
-        let place = || accurate::place(&samples, rows(), &gated.used, &plane_wave, options);
+        let place = || accurate::place(&samples, rows(), &gated.used, &direction, options);
         let placed = options.accuracy.near_field.then(place).flatten();
         let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
         let bearing = Bearing {
-            answer: BearingAnswer::of_plane_wave(&plane_wave, phases.compensated, options.channel.wavelength_m()),
-            plane_wave,
+            answer: BearingAnswer::of_plane_wave(&direction, phases.compensated, options.channel.wavelength_m()),
+            plane_wave: direction.plane_wave,
             placed: None,
             heading_rad: gated.heading_rad,
             figures: ProfileFigures::of(&samples)?,
@@ -107,7 +110,7 @@ impl Draft {
         let Self { placed, mut bearing } = self;
         if let Some(placed) = placed {
             let placed = accurate::extract(placed, options);
-            bearing.answer = BearingAnswer::of_spherical_wave(&placed, &bearing.plane_wave);
+            bearing.answer = BearingAnswer::of_spherical_wave(&placed, &bearing.plane_wave, &bearing.samples);
             bearing.placed = Some(placed);
         }
         bearing

@@ -16,6 +16,7 @@ mod accurate;
 mod answer;
 mod bearing;
 mod capture;
+mod direction;
 mod draft;
 mod error;
 mod explain;

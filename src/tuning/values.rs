@@ -111,6 +111,11 @@ tuning! {
         farthest: f64 = 20.0, "chosen on real captures", "150 and 1,000: T265 LOS 4.1 / 3.5, but LOS 1.3 / 0.7 and 1.8 / 1.5 degrees";
         /// What is left for ranges beyond it, in units of what a range has to one e times as far.
         beyond: f64 = 0.02, "not recorded", "not measured";
+        /// How likely an elevation beyond the largest that is expected is, in units of one within.
+        above: f64 = 0.1, "chosen: twins of a tilted plane are told by it, clean data by themselves", "not measured";
+        /// An answer this many times likelier than another is the only one of the two; one beyond the limits of elevation
+        /// and range has to be so.
+        odds: f64 = 100.0, "chosen: clean data exceed it by far, real captures of level motion stay below", "not measured";
         /// Independent looks where peaks are compared: probability goes with the joint power to this.
         looks_between_peaks: f64 = 16.0, "parts of real captures (docs/accuracy.md)", "12 to 27: within the noise of the parts";
         /// Independent looks where places within a peak are weighed, for a peak that explains half of the power.
@@ -123,6 +128,17 @@ tuning! {
         elevations: usize = 4, "not recorded", "not measured";
         /// Ranges of the weighing.
         ranges: usize = 5, "not recorded", "not measured";
+    }
+
+    /// Which elevations are searched.
+    elevation: ElevationTuning, "csi5300 evaluate ../shared/captures/wsr" {
+        /// Motion that reaches no further up and down than this does not distinguish up from down, turns of phase.
+        level_turns: f64 = 0.35, "theory: 20 degrees above and below then differ by a quarter of a turn either way", "not measured";
+        /// Motion that reaches further up and down than this share of its largest extent distinguishes up from down.
+        tall: f64 = 0.2, "chosen: a tracking camera's height drifts by up to a seventh of a circle's radius", "not measured";
+        /// A plane wave within the expected elevations that explains less of the power than this may have a better one
+        /// beyond.
+        clear: f64 = 0.5, "theory: the next best leaves no doubt only if it explains far more", "not measured";
     }
 
     /// Autofocus of the trajectory.

@@ -16,6 +16,7 @@
 
 pub mod compare;
 pub mod course;
+pub mod ends;
 pub mod evaluate;
 pub mod fit_confidence;
 pub mod folds;

@@ -48,6 +48,10 @@ pub struct Run {
     pub mirror_deg: Option<f64>,
     /// Azimuth less the bearing from the mean pose, degrees; of a line's two answers the nearer one. None at rest.
     pub error_deg: Option<f64>,
+    /// |elevation| of the answer, degrees.
+    pub abs_elevation_deg: Option<f64>,
+    /// Its elevation with its sign, where the motion distinguishes up from down, degrees.
+    pub elevation_deg: Option<f64>,
     /// Predicted standard deviation of the azimuth, degrees.
     pub sd_deg: Option<f64>,
     /// Calibrated probability that the azimuth is within five degrees, where there is one.
@@ -177,6 +181,8 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
     let answers = [Some(answer.azimuth_rad), answer.mirror_rad];
     let errors = answers.into_iter().flatten().filter_map(off);
     run.error_deg = errors.min_by(|a, b| a.abs().total_cmp(&b.abs()));
+    run.abs_elevation_deg = Some(answer.abs_elevation_rad.to_degrees());
+    run.elevation_deg = answer.signed_elevation_rad.map(f64::to_degrees);
     run.sd_deg = Some(answer.azimuth_sd_rad.to_degrees());
     run.confidence = answer.probability;
     run.likelihood_share = bearing.figures.likelihood_share;

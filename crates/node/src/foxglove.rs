@@ -290,7 +290,7 @@ impl Channels {
         let (poses, _) = named(&mut self.bearings, link, || of_link(context, link));
         let t_s = bearing.samples.t_s().last().copied().unwrap_or(0.0);
         let from = Pose { t_s, position_m: bearing.mean_position_m, heading_rad: None };
-        let rotation = turn(bearing.answer.azimuth_rad);
+        let rotation = aim(bearing.answer.azimuth_rad, bearing.answer.signed_elevation_rad.unwrap_or(0.0));
         poses.log_with_time(&in_frame(&from, rotation), nanoseconds(t_s));
         self.transform(&format!("bearing/{link}"), &from, rotation);
         let Some((_, profiles)) = self.bearings.get(link).filter(|(_, profiles)| profiles.has_sinks()) else {
@@ -304,7 +304,7 @@ impl Channels {
 /// The profile, in directions of the trajectory's frame, about the robot; about the middle of the motion where no heading
 /// is known.
 fn profile(bearing: &Bearing, from: &Pose) -> Result<fox::LaserScan, bartlett::Error> {
-    let elevation = bearing.answer.abs_elevation_rad;
+    let elevation = bearing.answer.elevation_rad();
     let directions: Vec<(f64, f64)> = (0..DIRECTIONS).map(|k| (Grid::azimuth(DIRECTIONS).at(k).0, elevation)).collect();
     let (first, last) = (directions[0].0, directions[DIRECTIONS - 1].0);
     let profile = bartlett::profile(&bearing.samples, &Grid::directions(directions))?;
@@ -345,6 +345,12 @@ fn vector(pose: &Pose) -> fox::Vector3 {
 fn turn(azimuth_rad: f64) -> fox::Quaternion {
     let (z, w) = (0.5 * azimuth_rad).sin_cos();
     fox::Quaternion { x: 0.0, y: 0.0, z, w }
+}
+
+/// The rotation that turns +x to an azimuth and from there up to an elevation.
+fn aim(azimuth_rad: f64, elevation_rad: f64) -> fox::Quaternion {
+    let ((z, w), (up, level)) = ((0.5 * azimuth_rad).sin_cos(), (-0.5 * elevation_rad).sin_cos());
+    fox::Quaternion { x: -z * up, y: w * up, z: z * level, w: w * level }
 }
 
 fn placed(pose: &Pose, orientation: fox::Quaternion) -> fox::Pose {

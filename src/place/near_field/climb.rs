@@ -2,7 +2,8 @@
 
 use super::fix::Source;
 use super::search::{Search, scores};
-use super::types::{Place, Precision, Scored};
+use super::types::{Elevations, Place, Precision, Scored};
+use crate::bartlett::direction;
 use crate::maths::wrap_rad;
 use crate::tuning::TUNING;
 use std::f64::consts::TAU;
@@ -41,7 +42,10 @@ impl Search {
         let mut sources: Vec<Source> = Vec::new();
         for top in &tops {
             let source = self.source(top);
-            let same = |other: &Source| wrap_rad(other.azimuth_rad - source.azimuth_rad).abs() < 2.0 * cell_rad;
+            let same = |other: &Source| match self.limits.elevations {
+                Elevations::Signed => same_direction(other, &source, 2.0 * cell_rad),
+                _ => wrap_rad(other.azimuth_rad - source.azimuth_rad).abs() < 2.0 * cell_rad,
+            };
             if !sources.iter().any(same) {
                 sources.push(source);
             }
@@ -85,6 +89,13 @@ impl Search {
         sources.iter().map(|source| self.climb(Place::from(source), climb).score).fold(f64::MIN, f64::max)
     }
 
+    /// The top that a climb on exact powers leads to from `start`, by the views that choose.
+    pub(super) fn judged_top(&mut self, start: Place) -> Source {
+        let weights = self.weights.choosing.clone();
+        let top = self.climb(start, Climb { weights: &weights, precision: Precision::Exact, end_rad: COARSE_RAD });
+        self.source(&top)
+    }
+
     /// What averaging over elevations and ranges adds to the score of a place: never above 0.
     fn averaging_at(&self, place: &Place) -> f64 {
         let n = self.axes.azimuths;
@@ -95,9 +106,13 @@ impl Search {
     /// Pattern search: the neighbours in all directions; the best of them is next, or the steps are halved.
     fn climb(&mut self, start: Place, climb: Climb<'_>) -> Scored {
         let mut best = Scored { place: start, score: f64::MIN };
+        let [_, highest] = self.limits.elevation_span_rad();
         let mut reach = Place {
             azimuth: 0.5 * TAU / self.axes.azimuths as f64,
-            elevation: 0.125 * self.limits.elevation_max_rad,
+            elevation: match self.limits.elevations {
+                Elevations::Expected => 0.125 * self.limits.elevation_max_rad,
+                _ => 0.5 * highest / (self.axes.elevations.len() as f64 / 2.0).max(1.0),
+            },
             curve: 0.5 * self.axes.curves.get(1).copied().unwrap_or(0.0),
         };
         for _ in 0..ROUNDS {
@@ -124,13 +139,14 @@ impl Search {
     fn neighbours(&self, at: &Place, reach: &Place) -> Vec<Place> {
         let steps = |free: bool| -> &[f64] { if free { &[0.0, -1.0, 1.0] } else { &[0.0] } };
         let elevation_free = self.axes.elevations.len() > 1 && self.limits.height_m.is_none();
+        let [lowest, highest] = self.limits.elevation_span_rad();
         let mut places = Vec::with_capacity(27);
         for a in steps(true) {
             for e in steps(elevation_free) {
                 for c in steps(self.axes.curves.len() > 1) {
                     places.push(Place {
                         azimuth: at.azimuth + a * reach.azimuth,
-                        elevation: (at.elevation + e * reach.elevation).clamp(0.0, self.limits.elevation_max_rad),
+                        elevation: (at.elevation + e * reach.elevation).clamp(lowest, highest),
                         curve: (at.curve + c * reach.curve).clamp(0.0, self.curve_max),
                     });
                 }
@@ -141,12 +157,21 @@ impl Search {
 
     fn source(&self, top: &Scored) -> Source {
         let place = self.at_height(&top.place);
+        let signed = self.limits.elevations == Elevations::Signed || self.limits.height_m.is_some();
         Source {
             azimuth_rad: wrap_rad(place.azimuth),
-            abs_elevation_rad: if self.limits.height_m.is_some() { place.elevation.abs() } else { place.elevation },
+            abs_elevation_rad: place.elevation.abs(),
+            signed_elevation_rad: signed.then_some(place.elevation),
             inverse_range_per_m: place.curve,
             power: self.power(top.score).min(1.0),
             evidence: self.power(top.score + self.averaging_at(&place)).min(1.0),
         }
     }
+}
+
+/// True if two sources are nearer to each other than `within_rad`, whatever their ranges.
+pub(super) fn same_direction(a: &Source, b: &Source, within_rad: f64) -> bool {
+    let towards = |source: &Source| direction(source.azimuth_rad, source.elevation_rad());
+    // Of small angles the chord keeps more digits than the cosine.
+    (towards(a) - towards(b)).norm() < within_rad
 }

@@ -3,6 +3,7 @@
 use crate::bartlett::direction;
 use crate::maths::wrap_rad;
 use nalgebra::{Matrix3, Vector3};
+use std::f64::consts::FRAC_PI_2;
 
 /// A place from which the samples can be explained: a local maximum.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -10,8 +11,10 @@ use nalgebra::{Matrix3, Vector3};
 pub struct Source {
     /// Azimuth from the middle of the motion, radians in (-pi, pi].
     pub azimuth_rad: f64,
-    /// |elevation|, radians: planar motion does not distinguish up from down.
+    /// |elevation|, radians.
     pub abs_elevation_rad: f64,
+    /// The elevation with its sign, radians, where the motion distinguishes the two.
+    pub signed_elevation_rad: Option<f64>,
     /// 1 / range, 1/m; 0 is a plane wave.
     pub inverse_range_per_m: f64,
     /// Geometric mean of the views' normalised powers, 0..1.
@@ -20,13 +23,45 @@ pub struct Source {
     pub evidence: f64,
 }
 
+impl Source {
+    /// The elevation with its sign where that is known, else its magnitude, radians.
+    #[must_use]
+    pub fn elevation_rad(&self) -> f64 {
+        self.signed_elevation_rad.unwrap_or(self.abs_elevation_rad)
+    }
+}
+
+/// A limit of what was searched at which an answer lies: the samples may be explained better beyond it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Edge {
+    /// The largest |elevation|.
+    Elevation,
+    /// The shortest range.
+    Range,
+    /// Both.
+    ElevationAndRange,
+}
+
+impl Edge {
+    /// From whether an answer is at the shortest range, and at the largest elevation.
+    pub(crate) fn of(near: bool, high: bool) -> Option<Self> {
+        match (near, high) {
+            (false, false) => None,
+            (false, true) => Some(Self::Elevation),
+            (true, false) => Some(Self::Range),
+            (true, true) => Some(Self::ElevationAndRange),
+        }
+    }
+}
+
 /// Standard deviations of a place's coordinates.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Deviations {
     /// Azimuth, radians.
     pub azimuth_rad: f64,
-    /// |elevation|, radians.
+    /// Elevation, radians.
     pub elevation_rad: f64,
     /// 1 / range, 1/m.
     pub inverse_range_per_m: f64,
@@ -61,7 +96,7 @@ pub struct Fix {
     pub elevation_searched: bool,
     /// The shortest range that was searched, metres: an answer there is not one.
     pub range_min_m: f64,
-    /// The largest |elevation| that was searched, radians.
+    /// The largest |elevation| that was searched, radians; pi / 2 is no limit.
     pub elevation_max_rad: f64,
     /// Places in which the field was evaluated.
     pub evaluations: usize,
@@ -85,9 +120,16 @@ impl Fix {
     /// somewhere else, or no single place.
     #[must_use]
     pub fn at_edge(&self) -> bool {
+        self.edge().is_some()
+    }
+
+    /// Which limits of the search the answer lies at.
+    #[must_use]
+    pub fn edge(&self) -> Option<Edge> {
         let best = self.best();
         let near = self.range_searched && best.inverse_range_per_m * self.range_min_m > 0.98;
-        near || self.elevation_searched && best.abs_elevation_rad > 0.995 * self.elevation_max_rad
+        let limited = self.elevation_searched && self.elevation_max_rad < FRAC_PI_2;
+        Edge::of(near, limited && best.abs_elevation_rad > 0.995 * self.elevation_max_rad)
     }
 
     /// Range to the answer and its standard deviation, metres, where the curvature fixes it to better than `share` of
@@ -100,8 +142,8 @@ impl Fix {
         (self.range_searched && inside && relative < share).then(|| (1.0 / c, relative / c))
     }
 
-    /// Position of the answer in the frame of the displacements, and its covariance, metres; the sign of its height
-    /// above the motion is taken as upwards.
+    /// Position of the answer in the frame of the displacements, and its covariance, metres; where the sign of its height
+    /// above the motion is not observed it is taken as upwards.
     #[must_use]
     pub fn position(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         let best = self.best();
@@ -109,7 +151,7 @@ impl Fix {
         if !self.range_searched || c <= 0.0 {
             return None;
         }
-        let (a, e, r) = (self.azimuth_rad, best.abs_elevation_rad, 1.0 / c);
+        let (a, e, r) = (self.azimuth_rad, best.elevation_rad(), 1.0 / c);
         let u = direction(a, e);
         let by_azimuth = Vector3::new(-a.sin(), a.cos(), 0.0) * (r * e.cos());
         let by_elevation = Vector3::new(-a.cos() * e.sin(), -a.sin() * e.sin(), e.cos()) * r;

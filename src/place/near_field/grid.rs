@@ -34,7 +34,7 @@ impl Axes {
     }
 
     /// Values at these places brought to those of `fine`, linearly along each axis: both have the same ends, and even
-    /// steps in azimuth, cosine of elevation and 1 / range.
+    /// steps in azimuth, in the largest change of a phase with elevation, and in 1 / range.
     pub fn spread(&self, values: &[f32], fine: &Self) -> Vec<f32> {
         let line = |from: usize, to: usize| -> Vec<(usize, usize, f32)> {
             let at = |i: usize| (from - 1) as f32 * i as f32 / to.max(2).saturating_sub(1) as f32;
@@ -65,12 +65,24 @@ impl Axes {
     }
 }
 
+/// The size of an aperture.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Extent {
+    /// Largest distance of a sample from the middle, metres.
+    pub radius_m: f64,
+    /// Largest vertical distance over the largest distance.
+    pub height_share: f64,
+}
+
 /// How finely this aperture has to be searched: `order` is the phase at its rim, radians.
-pub(super) fn axes(radius_m: f64, order: f64, curve_max: f64, limits: &Limits) -> Option<Axes> {
+pub(super) fn axes(extent: Extent, order: f64, curve_max: f64, limits: &Limits) -> Option<Axes> {
+    let Extent { radius_m, height_share } = extent;
     let azimuths = (TAU * order / (2.0 * RIM_RAD)).ceil().max(16.0);
     let steps = |change: f64| (change / (2.0 * RIM_RAD)).ceil().max(1.0);
-    let lift = 1.0 - limits.elevation_max_rad.cos();
-    let rings = if limits.elevation_max_rad > 0.0 { steps(order * lift) } else { 0.0 };
+    let [lowest, highest] = limits.elevation_span_rad();
+    let tilt = if lowest < 0.0 { height_share } else { 0.0 };
+    let lift = change(highest, tilt);
+    let rings = if highest > 0.0 { steps(order * lift) } else { 0.0 };
     // The quadratic term is order * radius / 2 * curve at the rim, half of that about its mean.
     let bend = order * radius_m / 2.0 * curve_max;
     let ranges = if bend < PLANE_RAD { 0.0 } else { steps(bend) };
@@ -81,14 +93,46 @@ pub(super) fn axes(radius_m: f64, order: f64, curve_max: f64, limits: &Limits) -
     let (rings, ranges) = (rings as usize, ranges as usize);
     Some(Axes {
         azimuths: azimuths as usize,
-        elevations: (0..=rings).map(|i| (1.0 - lift * i as f64 / rings.max(1) as f64).acos()).collect(),
+        elevations: elevations(rings, lift, tilt, lowest < 0.0),
         curves: (0..=ranges).map(|i| curve_max * i as f64 / ranges.max(1) as f64).collect(),
     })
+}
+
+/// Largest change of a phase from the horizon to `elevation`, in units of the phase at the rim; `tilt` is the height of
+/// the motion over its radius.
+fn change(elevation: f64, tilt: f64) -> f64 {
+    let (sin, cos) = elevation.sin_cos();
+    1.0 - cos + tilt * sin
+}
+
+/// `rings` even steps of [`change`] from the horizon to `lift`, and as many below it where `signed`.
+fn elevations(rings: usize, lift: f64, tilt: f64, signed: bool) -> Vec<f64> {
+    // 1 - cos e + t sin e = c: with w = hypot(1, t), e = asin((c - 1) / w) + atan2(1, t).
+    let (width, phase) = (1f64.hypot(tilt), 1f64.atan2(tilt));
+    let up = |i: usize| match lift * i as f64 / rings.max(1) as f64 {
+        0.0 => 0.0,
+        change if tilt == 0.0 => (1.0 - change).acos(),
+        change => ((change - 1.0) / width).clamp(-1.0, 1.0).asin() + phase,
+    };
+    let below = (1..=rings).rev().filter(|_| signed).map(|i| -up(i));
+    below.chain((0..=rings).map(up)).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rings_are_even_in_phase_from_nadir_to_zenith() {
+        for tilt in [0.05, 0.4, 1.0] {
+            let rings = elevations(9, change(std::f64::consts::FRAC_PI_2, tilt), tilt, true);
+            assert_eq!((rings.len(), rings[9]), (19, 0.0));
+            assert!((rings[18] - std::f64::consts::FRAC_PI_2).abs() < 1e-7 && (rings[0] + rings[18]).abs() < 1e-12);
+            let steps: Vec<f64> = rings[9..].windows(2).map(|w| change(w[1], tilt) - change(w[0], tilt)).collect();
+            assert!(steps.iter().all(|step| (step - steps[0]).abs() < 1e-9), "{steps:?}");
+        }
+        assert_eq!(elevations(2, change(0.3, 0.0), 0.0, false).len(), 3);
+    }
 
     #[test]
     fn what_is_linear_comes_over_as_it_was() {

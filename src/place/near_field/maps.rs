@@ -23,7 +23,8 @@ pub struct Evidence {
 pub struct Maps {
     /// Cells over azimuth, of equal width over -180 to 180 degrees.
     pub azimuths: usize,
-    /// |elevation| of each row of `over_elevation`, radians.
+    /// Elevation of each row of `over_elevation`, radians: from the horizon up, or from the nadir where the motion
+    /// distinguishes up from down.
     pub elevations_rad: Vec<f64>,
     /// 1 / range of each row of `over_range`, 1/m.
     pub curves_per_m: Vec<f64>,
@@ -63,13 +64,13 @@ impl Search {
     /// Both maps, with `azimuths` cells around.
     #[must_use]
     pub fn maps(&mut self, azimuths: usize) -> Maps {
-        let spread = |most: f64, free: bool| -> Vec<f64> {
-            let rows = if free { ROWS } else { 1 };
-            (0..rows).map(|row| most * row as f64 / (ROWS - 1) as f64).collect()
+        let spread = |values: &[f64]| -> Vec<f64> {
+            let (Some(&low), Some(&high)) = (values.first(), values.last()) else { return Vec::new() };
+            let rows = if values.len() > 1 { ROWS } else { 1 };
+            (0..rows).map(|row| low + (high - low) * row as f64 / (ROWS - 1) as f64).collect()
         };
-        let last = |values: &[f64]| values.last().copied().unwrap_or(0.0);
-        let elevations = spread(last(&self.axes.elevations), self.axes.elevations.len() > 1);
-        let curves = spread(last(&self.axes.curves), self.axes.curves.len() > 1);
+        let elevations = spread(&self.axes.elevations);
+        let curves = spread(&self.axes.curves);
         let mut maps = Maps {
             azimuths,
             over_elevation: vec![0.0; azimuths * elevations.len()],

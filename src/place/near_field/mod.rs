@@ -1,8 +1,8 @@
 //! Positions from spherical waves.
 //!
 //! A trajectory of half a metre sees a transmitter four metres away with a curved wave front: 10 to 30 radians of phase
-//! at its ends that a plane wave has to explain by a wrong bearing. Here the search is over places: azimuth, |elevation|
-//! and range about the middle of the trajectory (the mean position of its samples). The curvature changes slowly with
+//! at its ends that a plane wave has to explain by a wrong bearing. Here the search is over places: azimuth, elevation
+//! (|elevation| where level motion does not distinguish up from down) and range about the middle of the trajectory (the mean position of its samples). The curvature changes slowly with
 //! range and the focus with height, so few of either suffice, and 1/range is what is sampled evenly.
 //!
 //! Sources and signs are those of [`crate::bartlett`]. What is maximised is the joint power: the geometric mean of the
@@ -34,7 +34,7 @@
 //! ```
 //!
 //! Files depend on those above them only: `types`, `aperture`, `bend`; `prepared`; `kernel`; `grid`, `prior`, `fix`,
-//! `uncertainty`; `search` with `scan` and `climb`; `paths`, `maps`, `focus`.
+//! `uncertainty`; `search` with `scan`, `climb` and `mirror`; `paths`, `maps`, `focus`.
 
 pub(crate) mod aperture;
 mod bend;
@@ -44,6 +44,7 @@ mod focus;
 mod grid;
 mod kernel;
 mod maps;
+pub(crate) mod mirror;
 mod paths;
 mod prepared;
 mod prior;
@@ -55,11 +56,11 @@ pub(crate) mod types;
 mod uncertainty;
 
 pub(crate) use aperture::Aperture;
-pub use fix::{Deviations, Fix, Source};
+pub use fix::{Deviations, Edge, Fix, Source};
 pub use focus::Focus;
 pub(crate) use focus::focus;
 pub use maps::{Evidence, Maps};
 pub use paths::Path;
 pub(crate) use search::Search;
 pub use types::Warp;
-pub(crate) use types::{Limits, ONE_WAY_VIEWS, ROUND_TRIP_VIEWS, View};
+pub(crate) use types::{Elevations, Limits, ONE_WAY_VIEWS, ROUND_TRIP_VIEWS, View};

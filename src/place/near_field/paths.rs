@@ -25,6 +25,8 @@ pub struct Path {
     pub azimuth_rad: f64,
     /// |elevation|, radians.
     pub abs_elevation_rad: f64,
+    /// The elevation with its sign, radians, where the motion distinguishes the two.
+    pub signed_elevation_rad: Option<f64>,
     /// 1 / range, 1/m; 0 is a plane wave.
     pub inverse_range_per_m: f64,
     /// Power of the one-way path over that of the strongest, dB.
@@ -83,7 +85,7 @@ impl Search {
             left = now;
             next = self.strongest(&self.apertures[0].with_columns(&rest));
         }
-        found.list()
+        found.list(first.signed_elevation_rad.is_some())
     }
 
     /// Moves every wave but the answer to where it explains most of what the others leave (\[li-stoica1996\]), once around.
@@ -170,8 +172,9 @@ impl Found {
         self.powers.iter().all(|p| p.is_finite()).then_some(rest)
     }
 
-    /// The answer first, the others falling in power, with the cross terms among them.
-    fn list(&self) -> Vec<Path> {
+    /// The answer first, the others falling in power, with the cross terms among them; `signed` where elevations have a
+    /// sign.
+    fn list(&self, signed: bool) -> Vec<Path> {
         let mut order: Vec<usize> = (0..self.places.len()).collect();
         order.get_mut(1..).unwrap_or_default().sort_by(|a, b| self.powers[*b].total_cmp(&self.powers[*a]));
         let parents: Vec<_> =
@@ -182,7 +185,8 @@ impl Found {
             let place = &self.places[own];
             Path {
                 azimuth_rad: wrap_rad(place.azimuth),
-                abs_elevation_rad: place.elevation,
+                abs_elevation_rad: place.elevation.abs(),
+                signed_elevation_rad: signed.then_some(place.elevation),
                 inverse_range_per_m: place.curve,
                 // The round trip has the square of the path's power.
                 relative_power_db: 5.0 * (self.powers[own] / strongest).max(1e-12).log10(),

@@ -6,13 +6,15 @@
 //!
 //! The highest point over azimuth, elevation and range favours an azimuth that finds, among all heights and ranges, one
 //! that happens to fit; a trajectory that is bent or a reflection always offers some. Bayes' rule takes the mean over all
-//! of them, weighted by their prior. `|elevation|` is taken as uniform up to its limit, range
+//! of them, weighted by their prior. `|elevation|` is taken as uniform up to its limit and less likely by [`ABOVE`] beyond it, range
 //! as uniform in its logarithm up to [`FARTHEST`] times the shortest one; a little is left for all beyond that.
 
 use super::grid::Axes;
 use super::types::Free;
 use crate::tuning::TUNING;
 
+/// How likely an elevation beyond its limit is, in units of one within.
+const ABOVE: f64 = TUNING.prior.above;
 /// The range up to which all are as likely, in units of the shortest.
 const FARTHEST: f64 = TUNING.prior.farthest;
 /// What is left for ranges beyond it, in units of what a range has to a range that is e times as far.
@@ -31,8 +33,12 @@ const ELEVATIONS: usize = TUNING.prior.elevations;
 const RANGES: usize = TUNING.prior.ranges;
 
 /// The share of the prior that each cell of one azimuth has, in the order of [`Axes::places`]; their sum is 1.
-pub(super) fn shares(axes: &Axes) -> Vec<f64> {
-    let elevations = lengths(&axes.elevations, |elevation| elevation);
+/// `expected_rad` is the limit of |elevation|.
+pub(super) fn shares(axes: &Axes, expected_rad: f64) -> Vec<f64> {
+    let elevations = lengths(&axes.elevations, |elevation| match elevation.abs() - expected_rad {
+        above if above > 0.0 => (expected_rad + ABOVE * above).copysign(elevation),
+        _ => elevation,
+    });
     let nearest = axes.curves.last().copied().unwrap_or_default();
     let farthest = nearest / FARTHEST;
     let ranges = lengths(&axes.curves, |curve| match curve / farthest {
@@ -117,7 +123,7 @@ mod tests {
                 elevations: (0..elevations).map(|i| 0.1 * f64::from(i)).collect(),
                 curves: (0..curves).map(|i| 0.07 * f64::from(i)).collect(),
             };
-            let shares = shares(&axes);
+            let shares = shares(&axes, 0.25);
             assert_eq!(shares.len(), (elevations * curves) as usize);
             assert!((shares.iter().sum::<f64>() - 1.0).abs() < 1e-12, "{shares:?}");
             assert!(shares.iter().all(|share| *share > 0.0), "{shares:?}");

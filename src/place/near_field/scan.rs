@@ -13,7 +13,8 @@ impl Search {
         let places = self.axes.places();
         let depth = places.len() / self.axes.azimuths;
         let (scores, view_azimuths) = self.grid_scores(places.len());
-        let (shares, weight) = (prior::shares(&self.axes), self.weights.choosing.iter().sum());
+        let (shares, weight) =
+            (prior::shares(&self.axes, self.limits.elevation_max_rad), self.weights.choosing.iter().sum());
         self.averaging = scores.chunks(depth).map(|own| prior::averaging(own, &shares, weight)).collect();
         let best = |(i, (own, averaging)): (usize, (&[f64], &f64))| {
             let (k, score) = own.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).unwrap_or((0, &f64::MIN));

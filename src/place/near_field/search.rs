@@ -2,11 +2,11 @@
 
 use super::aperture::Aperture;
 use super::fix::{Fix, Source};
-use super::grid::{Axes, axes};
+use super::grid::{Axes, Extent, axes};
 use super::kernel::powers;
 use super::prepared::PreparedAperture;
 use super::prior;
-use super::types::{Band, Free, Limits, Place, Precision, View, Warp};
+use super::types::{Band, Elevations, Free, Limits, Place, Precision, View, Warp};
 use super::uncertainty::{deviations, polished};
 use crate::maths::wrap_rad;
 use fearless_simd::Level;
@@ -85,7 +85,8 @@ impl Search {
         let gain = layers.iter().map(|(aperture, _)| aperture.path_gain).max()?;
         let curve_max = 1.0 / limits.range_min_m.max(1.2 * radius_m).max(1e-3);
         let views: Vec<View> = layers.iter().flat_map(|(_, views)| views.iter().copied()).collect();
-        let axes_of = |gain: u8| axes(radius_m, TAU * f64::from(gain) * radius_m / wavelength_m, curve_max, limits);
+        let extent = Extent { radius_m, height_share: height_share(layers, &middle_m, radius_m) };
+        let axes_of = |gain: u8| axes(extent, TAU * f64::from(gain) * radius_m / wavelength_m, curve_max, limits);
         let prepared = |(aperture, views): &(&Aperture, &[View])| {
             PreparedAperture::new(aperture, &middle_m, wavelength_m, curve_max, views)
         };
@@ -109,13 +110,15 @@ impl Search {
     pub fn run(&mut self) -> Option<Fix> {
         let (peaks, view_azimuths_rad) = self.scan();
         let mut sources = self.climb_all(&peaks);
+        self.compare_with_mirror(&mut sources);
         let free = Free { elevation: self.axes.elevations.len() > 1, range: self.axes.curves.len() > 1 };
         let first = sources.first_mut()?;
         let is_likeliest = self.polish(first, free);
         let best = *first;
         let azimuth_rad = if is_likeliest { best.azimuth_rad } else { self.weighed_rad(&best, free) };
         let view_powers = self.powers(&[Place::from(&best)], Precision::Exact).into_iter().map(f64::from).collect();
-        let prior = [self.limits.elevation_max_rad / 12f64.sqrt(), self.curve_max / 12f64.sqrt()];
+        let [lowest_rad, highest_rad] = self.limits.elevation_span_rad();
+        let prior = [(highest_rad - lowest_rad) / 12f64.sqrt(), self.curve_max / 12f64.sqrt()];
         Some(Fix {
             deviations: deviations(&self.reference, &self.middle_m, self.wavelength_m, &best, free, prior),
             sources,
@@ -126,7 +129,7 @@ impl Search {
             range_searched: free.range,
             elevation_searched: free.elevation,
             range_min_m: 1.0 / self.curve_max,
-            elevation_max_rad: self.limits.elevation_max_rad,
+            elevation_max_rad: highest_rad,
             evaluations: self.evaluations,
         })
     }
@@ -141,10 +144,13 @@ impl Search {
         let Some(place) = polished(&self.reference, &self.middle_m, self.wavelength_m, answer, free) else {
             return false;
         };
-        let inside = (0.0..=self.limits.elevation_max_rad).contains(&place.elevation);
-        if inside && (0.0..=self.curve_max).contains(&place.curve) {
+        // A magnitude has no sign to lose: only a source that has one may cross the horizon.
+        let [lowest, highest] = self.limits.elevation_span_rad();
+        let lowest = if answer.signed_elevation_rad.is_some() { lowest } else { 0.0 };
+        if (lowest..=highest).contains(&place.elevation) && (0.0..=self.curve_max).contains(&place.curve) {
             answer.azimuth_rad = wrap_rad(place.azimuth);
-            (answer.abs_elevation_rad, answer.inverse_range_per_m) = (place.elevation, place.curve);
+            (answer.abs_elevation_rad, answer.inverse_range_per_m) = (place.elevation.abs(), place.curve);
+            answer.signed_elevation_rad = answer.signed_elevation_rad.map(|_| place.elevation);
         }
         true
     }
@@ -152,12 +158,14 @@ impl Search {
     /// The posterior mean of the azimuth over the elevations and ranges that an answer may have.
     fn weighed_rad(&mut self, answer: &Source, free: Free) -> f64 {
         let cell_rad = TAU / self.axes.azimuths as f64;
-        let offsets = prior::offsets(free);
+        // Elevations are averaged over where level motion hardly shows them.
+        let elevation = free.elevation && self.limits.elevations == Elevations::Expected;
+        let offsets = prior::offsets(Free { elevation, ..free });
         let place = |offset: &prior::Offset| Place {
             azimuth: answer.azimuth_rad + offset.azimuth_cells * cell_rad,
             elevation: offset
                 .elevation_share
-                .map_or(answer.abs_elevation_rad, |share| share * self.limits.elevation_max_rad),
+                .map_or(answer.elevation_rad(), |share| share * self.limits.elevation_max_rad),
             curve: offset.curve_share.map_or(answer.inverse_range_per_m, |share| share * self.curve_max),
         };
         let places: Vec<Place> = offsets.iter().map(place).collect();
@@ -170,8 +178,12 @@ impl Search {
     /// Moves the samples as `warp` says, about the middle.
     pub(super) fn warp(&mut self, warp: &Warp) {
         self.apertures.iter_mut().for_each(|aperture| aperture.warp(warp));
-        let offsets = self.apertures.first().map(PreparedAperture::offsets_m).unwrap_or_default();
-        self.reference.displacement_m = offsets.into_iter().map(|p| p + self.middle_m).collect();
+        self.reference.displacement_m = self.offsets_m().into_iter().map(|p| p + self.middle_m).collect();
+    }
+
+    /// Where the samples of the first aperture are, about the middle, metres.
+    pub(super) fn offsets_m(&self) -> Vec<Vector3<f64>> {
+        self.apertures.first().map(PreparedAperture::offsets_m).unwrap_or_default()
     }
 
     pub(super) fn level(&self) -> Level {
@@ -208,9 +220,16 @@ impl Search {
 
 impl From<&Source> for Place {
     fn from(source: &Source) -> Self {
-        let (azimuth, elevation) = (source.azimuth_rad, source.abs_elevation_rad);
+        let (azimuth, elevation) = (source.azimuth_rad, source.elevation_rad());
         Self { azimuth, elevation, curve: source.inverse_range_per_m }
     }
+}
+
+/// Largest height of a sample above or below the middle over `radius_m`.
+fn height_share(layers: &[(&Aperture, &[View])], middle_m: &Vector3<f64>, radius_m: f64) -> f64 {
+    let heights = layers.iter().flat_map(|(aperture, _)| &aperture.displacement_m).map(|p| (p.z - middle_m.z).abs());
+    let highest = heights.fold(0.0, f64::max);
+    if radius_m > 0.0 { highest / radius_m } else { 0.0 }
 }
 
 /// `sum weight ln power` over the views of each place.

@@ -4,6 +4,7 @@ use crate::bartlett::{Tier, direction};
 use crate::signal::channel::SUBCARRIERS;
 use crate::tuning::TUNING;
 use nalgebra::Vector3;
+use std::f64::consts::FRAC_PI_2;
 
 /// How a trajectory is cut into windows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -71,12 +72,26 @@ const fn one_way_view(windows: usize, taper: Taper, subcarriers: usize) -> View 
     View::new(windows, taper, Band::Subcarriers(subcarriers)).with_weight(TUNING.views.one_way_weight)
 }
 
+/// Which elevations a search covers.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Elevations {
+    /// |elevation| up to the largest that is expected: level motion, which does not distinguish up from down.
+    #[default]
+    Expected,
+    /// |elevation| up to the zenith: level motion whose samples lie beyond what is expected.
+    Beyond,
+    /// From the nadir to the zenith: motion that distinguishes up from down. What is expected is more likely beforehand.
+    Signed,
+}
+
 /// What is known of the scene beforehand.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Limits {
-    /// Largest |elevation|, radians. 0 fixes the horizon.
+    /// Largest |elevation| that is expected, radians. 0 fixes the horizon.
     pub elevation_max_rad: f64,
+    /// Which elevations are searched.
+    pub elevations: Elevations,
     /// Shortest distance between transmitter and the middle of the motion, metres.
     pub range_min_m: f64,
     /// Where given, the transmitter's height above the receiver's antenna, metres: elevation and range are then one.
@@ -89,7 +104,24 @@ impl Limits {
     /// Transmitters of unknown height, on the best SIMD tier of this processor.
     #[must_use]
     pub fn new(elevation_max_rad: f64, range_min_m: f64) -> Self {
-        Self { elevation_max_rad, range_min_m, height_m: None, tier: Tier::detect() }
+        Self { elevation_max_rad, elevations: Elevations::Expected, range_min_m, height_m: None, tier: Tier::detect() }
+    }
+
+    /// The same with other elevations searched.
+    #[must_use]
+    pub fn with_elevations(self, elevations: Elevations) -> Self {
+        Self { elevations, ..self }
+    }
+
+    /// Lowest and highest elevation that are searched, radians.
+    #[must_use]
+    pub(super) fn elevation_span_rad(&self) -> [f64; 2] {
+        match self.elevations {
+            _ if self.elevation_max_rad <= 0.0 => [0.0; 2],
+            Elevations::Expected => [0.0, self.elevation_max_rad],
+            Elevations::Beyond => [0.0, FRAC_PI_2],
+            Elevations::Signed => [-FRAC_PI_2, FRAC_PI_2],
+        }
     }
 
     /// The same with the transmitter's height above the receiver's antenna, metres, where it is known.
@@ -110,7 +142,7 @@ impl Limits {
 pub(super) struct Place {
     /// Azimuth, radians.
     pub azimuth: f64,
-    /// |elevation|, radians.
+    /// Elevation, radians; at least 0 where only its magnitude is searched.
     pub elevation: f64,
     /// 1 / range, 1/m; 0 is a plane wave.
     pub curve: f64,

@@ -86,7 +86,7 @@ impl<'a> Waves<'a> {
 const WHITE_ROWS: f64 = TUNING.deviations.white_rows;
 /// Steps to the least residual; the first leaves the square of how far off the climb ended.
 const POLISHES: usize = TUNING.deviations.polishes;
-/// A polished answer further off than this, radians of azimuth, is another one.
+/// A polished answer further off than this, radians of azimuth (on the horizon), is another one.
 const POLISH_RAD: f64 = TUNING.deviations.polish_rad;
 
 /// The coordinates of least residual phase next to `at`, over all rows as one: the most likely ones if noise is all that a
@@ -100,13 +100,14 @@ pub(super) fn polished(
     free: Free,
 ) -> Option<Place> {
     let waves = Waves::new(aperture, middle_m, wavelength_m, free);
-    let start = [at.azimuth_rad, at.abs_elevation_rad, at.inverse_range_per_m];
+    let start = [at.azimuth_rad, at.elevation_rad(), at.inverse_range_per_m];
     let mut c = start;
     for _ in 0..POLISHES {
         let step = waves.step(c)?;
         c = std::array::from_fn(|i| c[i] + step[i]);
     }
-    let near = (c[0] - start[0]).abs() < POLISH_RAD && c.iter().all(|v| v.is_finite());
+    let narrow = if at.signed_elevation_rad.is_some() { start[1].cos() } else { 1.0 };
+    let near = (c[0] - start[0]).abs() * narrow < POLISH_RAD && c.iter().all(|v| v.is_finite());
     let [azimuth, elevation, curve] = c;
     (near && correlation_rows(&waves.residual(c)) <= WHITE_ROWS).then_some(Place { azimuth, elevation, curve })
 }
@@ -124,7 +125,7 @@ pub(super) fn deviations(
     prior: [f64; 2],
 ) -> Deviations {
     let waves = Waves::new(aperture, middle_m, wavelength_m, free);
-    let c = [at.azimuth_rad, at.abs_elevation_rad, at.inverse_range_per_m];
+    let c = [at.azimuth_rad, at.elevation_rad(), at.inverse_range_per_m];
     let residual = waves.residual(c);
     let n = residual.len() as f64;
     let phase_variance = residual.iter().map(|e| e * e).sum::<f64>() / (n - 4.0).max(1.0);

@@ -9,6 +9,7 @@ use csi5300::pipeline::LinkError;
 use csi5300::pipeline::LinkPlan;
 use csi5300::pipeline::{Answer, lost_something};
 use csi5300::pipeline::{CaptureReport, JoinBy, LinkReport, LogReport, Options, Transmitter, WaveModel, bearings};
+use csi5300::place::near_field::Edge;
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, key_file, replay::Replay};
 use driver_iface::Mac;
@@ -361,13 +362,15 @@ fn describe(answer: &Answer) -> String {
         (Some(range), Some(sd), Some([x, y, z])) => {
             let _ = writeln!(
                 text,
-                "  range {range:.2} +- {sd:.2} m: x {x:.2}, y {y:.2}, z {z:.2} m in the trajectory's frame (the sign of the height is a guess)"
+                "  range {range:.2} +- {sd:.2} m: x {x:.2}, y {y:.2}, z {z:.2} m in the trajectory's frame at the last pair{}",
+                if answer.elevation_deg.is_none() { " (the sign of the height is a guess)" } else { "" }
             );
         }
         // A plane wave has no range to be found.
         _ if answer.model != Some(WaveModel::SphericalWave) => {}
         _ => text += "  no range: the wave front's curvature does not fix it\n",
     }
+    text += &edge(answer);
     if answer.paths.len() > 1 {
         text += "  paths (one-way power):\n";
         text += &super::explain::places(&answer.paths);
@@ -388,14 +391,35 @@ fn describe(answer: &Answer) -> String {
 /// A second candidate for which this share as much speaks as for the first is said beside it.
 const ALIKE: f64 = 0.9;
 
+/// The limits that the answer lies at, in a line.
+fn edge(answer: &Answer) -> String {
+    let limits = match answer.at_edge {
+        None => return String::new(),
+        Some(Edge::Elevation) => "the largest elevation (--elevation-max)",
+        Some(Edge::Range) => "the shortest range (--range-min)",
+        Some(Edge::ElevationAndRange) => "the largest elevation (--elevation-max) and the shortest range (--range-min)",
+    };
+    format!("  the answer lies at {limits} that is expected; the samples do not clearly ask for more\n")
+}
+
+/// The elevation: with its sign where the motion tells up from down.
+fn elevation(answer: &Answer) -> String {
+    let sd = answer.elevation_sd_deg.map_or(String::new(), |sd| format!(" +- {sd:.2}"));
+    match (answer.elevation_deg, answer.abs_elevation_deg) {
+        (Some(elevation), _) => format!("elevation {elevation:.2}{sd} deg"),
+        (None, Some(size)) => format!("|elevation| {size:.2} deg"),
+        (None, None) => "elevation -".into(),
+    }
+}
+
 /// How far the answer explains what was measured.
 fn quality(answer: &Answer) -> String {
     let or_dash = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
     format!(
-        "  |elevation| {} deg; one plane wave explains {} of the phases (coherence, 0 to 1); the next candidate has {} of \
+        "  {}; one plane wave explains {} of the phases (coherence, 0 to 1); the next candidate has {} of \
          the evidence of the first\n  as other programs measure it: profile variance of the WSR toolbox {} (lower is sharper), \
          likelihood share of Dijkstra et al. {} (of 360 azimuths)\n",
-        or_dash(answer.abs_elevation_deg),
+        elevation(answer),
         or_dash(answer.coherence),
         or_dash(answer.peak_ratio),
         or_dash(answer.wsr_profile_variance),

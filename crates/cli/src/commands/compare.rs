@@ -28,6 +28,9 @@ pub struct Args {
     /// The recorded trajectory
     #[arg(long, value_name = "T.csv")]
     trajectory: PathBuf,
+    /// The recorded trajectory of the other robot, if it moved, on the first one's clock
+    #[arg(long, value_name = "T.csv")]
+    tx_trajectory: Option<PathBuf>,
     /// WiFi channel
     #[arg(long, default_value = "108", value_parser = channel)]
     channel: Channel,
@@ -65,7 +68,8 @@ pub fn run(args: &Args) -> Result {
     if let Some((line, why)) = counts.first_bad {
         eprintln!("csi5300: {} rows left out, the first in line {line}: {why}", counts.bad_rows);
     }
-    let recorded = read(&args.rx, &args.tx, &trajectory, &options)?;
+    let displaced = args.tx_trajectory.as_deref().map(read_path).transpose()?;
+    let recorded = read(&args.rx, &args.tx, (&trajectory, displaced.as_ref()), &options)?;
     let folder = args.out.join(SIMULATED);
     // A fitted scene's robot strays from the recorded trajectory, which is all that a recording has.
     let along = args.with.is_none().then_some(&trajectory);
@@ -103,7 +107,7 @@ impl Args {
             Some(_) => Vec::new(),
             None => [TRAJECTORY, SCENE].iter().map(|name| self.out.join(name)).collect(),
         };
-        for input in [&self.rx, &self.tx, &self.trajectory].into_iter().chain(&self.with) {
+        for input in [&self.rx, &self.tx, &self.trajectory].into_iter().chain(&self.tx_trajectory).chain(&self.with) {
             if let Some(output) = written.iter().find(|output| super::is_same_file(input, output)) {
                 return Err(format!("{} is an input: another --out is needed", output.display()));
             }
@@ -149,9 +153,14 @@ fn clear(folder: &Path) -> Words<()> {
     }
 }
 
-fn read(rx: &Path, tx: &Path, trajectory: &Trajectory, options: &Options) -> Words<Figures> {
+fn read_path(path: &Path) -> Words<Trajectory> {
+    odometry::csv::read(path).map(|(trajectory, _)| trajectory).map_err(|error| error.to_string())
+}
+
+/// `paths`: the receiver's, and the transmitter's if it moved.
+fn read(rx: &Path, tx: &Path, paths: (&Trajectory, Option<&Trajectory>), options: &Options) -> Words<Figures> {
     let open = |path: &Path| Replay::open(path).map_err(|error| super::hint::log_refused(&error));
-    measure(&mut open(rx)?, &mut open(tx)?, trajectory, options).map_err(|error| error.to_string())
+    measure(&mut open(rx)?, &mut open(tx)?, paths.0, paths.1, options).map_err(|error| error.to_string())
 }
 
 /// Reads the first capture and link of a folder in the layout of the WSR data set, along its own trajectory if no other is
@@ -159,15 +168,13 @@ fn read(rx: &Path, tx: &Path, trajectory: &Trajectory, options: &Options) -> Wor
 fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> Words<Figures> {
     let (captures, _) = find(folder);
     let capture = captures.first().ok_or_else(|| format!("no capture in {}", folder.display()))?;
-    let (_, tx) =
+    let (name, tx) =
         capture.transmitters.first().ok_or_else(|| format!("no transmitter's log in {}", folder.display()))?;
     let beside = |name: String| capture.folder.join(name);
-    let own = |stamp: &str| {
-        let path = beside(format!("rx_trajectory_{stamp}_.csv"));
-        odometry::csv::read(&path).map(|(trajectory, _)| trajectory).map_err(|error| error.to_string())
-    };
-    let trajectory = along.map_or_else(|| own(&capture.stamp), |trajectory| Ok(trajectory.clone()))?;
-    read(&beside(format!("csi_rx_{}.dat", capture.stamp)), tx, &trajectory, options)
+    let path_of = |robot: &str| beside(format!("{robot}_trajectory_{}_.csv", capture.stamp));
+    let trajectory = along.map_or_else(|| read_path(&path_of("rx")), |trajectory| Ok(trajectory.clone()))?;
+    let displaced = Some(path_of(name)).filter(|path| path.is_file()).map(|path| read_path(&path)).transpose()?;
+    read(&beside(format!("csi_rx_{}.dat", capture.stamp)), tx, (&trajectory, displaced.as_ref()), options)
 }
 
 /// Fits a scene to the recorded capture and keeps it, with the trajectory that it names.

@@ -177,12 +177,15 @@ pub fn places(paths: &[PathAnswer]) -> String {
     let mut text = String::new();
     for (number, path) in paths.iter().enumerate() {
         let range = path.range_m.map_or("far".into(), |range| format!("{range:.1} m"));
+        let elevation = match path.elevation_deg {
+            Some(elevation) => format!("elevation {elevation:5.1}"),
+            None => format!("|elevation| {:4.1}", path.abs_elevation_deg),
+        };
         let _ = write!(
             text,
-            "  {}: {:7.2} deg, |elevation| {:4.1} deg, {range}, {:.1} dB",
+            "  {}: {:7.2} deg, {elevation} deg, {range}, {:.1} dB",
             number + 1,
             path.azimuth_deg,
-            path.abs_elevation_deg,
             path.relative_power_db
         );
         if let Some([a, b]) = path.cross_term_of {

@@ -7,6 +7,7 @@ use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::{Bearing, Phase};
 use csi5300::pipeline::{CaptureReport, Options, Transmitter, bearings};
 use csi5300::source::CsiSource;
+use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::{Port, Room, Scene};
 use std::f64::consts::TAU;
 
@@ -51,6 +52,10 @@ pub struct LinkFigures {
     pub short_coherence: Option<f64>,
     /// Azimuth of the transmitter, degrees.
     pub azimuth_deg: Option<f64>,
+    /// |elevation| of the bearing, degrees.
+    pub abs_elevation_deg: Option<f64>,
+    /// Its elevation with its sign, degrees, where the motion distinguishes up from down.
+    pub elevation_deg: Option<f64>,
     /// Horizontal distance of the transmitter where the curvature tells it, metres.
     pub range_m: Option<f64>,
     /// Where the transmitter seems to be, metres, trajectory's frame.
@@ -103,7 +108,7 @@ const WINDOW_S: f64 = 1.0;
 /// Rows per second of a simulated trajectory.
 const TRUTH_HZ: f64 = 180.0;
 
-/// Measures a capture.
+/// Measures a capture; `trajectory` is the receiver's, `displaced` the transmitter's if it moved.
 ///
 /// # Errors
 /// If a log cannot be read or the two have no frame in common.
@@ -111,12 +116,13 @@ pub fn measure(
     receiver: &mut dyn CsiSource,
     transmitter: &mut dyn CsiSource,
     trajectory: &Trajectory,
+    displaced: Option<&Trajectory>,
     options: &Options,
 ) -> Result<Figures, CompareError> {
     let indices = options.channel.subcarriers();
     let (mut rx, mut tx) = (Observed::new(receiver, indices), Observed::new(transmitter, indices));
     let options = options.clone().with_keep_course(true);
-    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
+    let transmitters = vec![Transmitter { log: &mut tx, trajectory: displaced }];
     let report = bearings(&mut rx, transmitters, trajectory, &options)?;
     // The transmitter's log may hold others' frames too; the receiver's are most, as the pipeline has it.
     let sender = report.links.first().and_then(|found| found.link.as_ref()).map(|link| link.mac);
@@ -154,7 +160,9 @@ fn simulated(scene: &Scene, trajectory: Option<&Trajectory>, options: &Options) 
         return Err(CompareError::OneRobot);
     };
     [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
-    measure(&mut rx, &mut tx, &trajectory, options)
+    let moves = scene.robot.get(other).is_some_and(|robot| robot.motion != RobotMotion::Static);
+    let displaced = moves.then(|| true_path(&room, other)).transpose()?;
+    measure(&mut rx, &mut tx, &trajectory, displaced.as_ref(), options)
 }
 
 /// The true path of a robot's antenna A on its host's clock.
@@ -229,22 +237,28 @@ fn place(figures: &mut LinkFigures, bearing: &Bearing) {
     let answer = &bearing.answer;
     figures.coherence = Some(bearing.plane_wave.coherence);
     figures.azimuth_deg = Some(answer.azimuth_rad.to_degrees());
+    figures.abs_elevation_deg = Some(answer.abs_elevation_rad.to_degrees());
+    figures.elevation_deg = answer.signed_elevation_rad.map(f64::to_degrees);
     let range = answer.range.map(|range| range.range_m);
     figures.range_m = range;
     let (sin, cos) = answer.azimuth_rad.sin_cos();
     let away_m = range.unwrap_or(USUAL_RANGE_M);
     let middle = bearing.mean_position_m;
-    figures.place_m = Some([middle.x + away_m * cos, middle.y + away_m * sin, middle.z]);
+    let (up, level) = answer.signed_elevation_rad.unwrap_or(0.0).sin_cos();
+    let (away_m, height_m) = (away_m * level, away_m * up);
+    figures.place_m = Some([middle.x + away_m * cos, middle.y + away_m * sin, middle.z + height_m]);
     figures.short_coherence = short_coherence(bearing);
 }
 
 /// The mean over windows of the coherence with a plane wave from the answer's direction.
 fn short_coherence(bearing: &Bearing) -> Option<f64> {
     let level = bearing.answer.abs_elevation_rad.cos();
+    let up = bearing.answer.signed_elevation_rad.map_or(0.0, f64::sin);
     let (sin, cos) = bearing.answer.azimuth_rad.sin_cos();
     let samples = &bearing.samples;
-    let turned = samples.z().iter().zip(samples.receiver_m()).map(|(z, p)| {
-        let turns = 2.0 * level * (p.x * cos + p.y * sin) / samples.wavelength_m();
+    let displaced = samples.receiver_m().iter().zip(samples.transmitter_m()).map(|(rx, tx)| rx - tx);
+    let turned = samples.z().iter().zip(displaced).map(|(z, p)| {
+        let turns = 2.0 * (level * (p.x * cos + p.y * sin) + up * p.z) / samples.wavelength_m();
         z * num_complex::Complex64::cis(-TAU * turns)
     });
     let turned: Vec<_> = turned.collect();

@@ -74,6 +74,10 @@ pub fn rows(recorded: &Figures, simulated: &Figures) -> Vec<FigureRow> {
     table.maybe("coherence", "", [a.coherence, b.coherence], COHERENCE);
     table.maybe("coherence within a second", "", [a.short_coherence, b.short_coherence], COHERENCE);
     table.maybe("azimuth", "deg", [a.azimuth_deg, b.azimuth_deg], Allowed::Anything);
+    table.maybe("|elevation|", "deg", [a.abs_elevation_deg, b.abs_elevation_deg], Allowed::Anything);
+    if a.elevation_deg.or(b.elevation_deg).is_some() {
+        table.maybe("elevation", "deg", [a.elevation_deg, b.elevation_deg], Allowed::Anything);
+    }
     table.side("receiver", &recorded.receiver, &simulated.receiver);
     table.side("transmitter", &recorded.transmitter, &simulated.transmitter);
     table.rows

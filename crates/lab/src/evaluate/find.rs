@@ -20,11 +20,12 @@ pub enum TrajectorySource {
 }
 
 impl TrajectorySource {
+    /// How the names of its files begin, before the robot's.
     pub(super) fn prefix(self) -> &'static str {
         match self {
-            Self::GroundTruth => "rx_trajectory_",
-            Self::T265 => "t265_rx_trajectory_",
-            Self::Odometry => "odom_rx_trajectory_",
+            Self::GroundTruth => "",
+            Self::T265 => "t265_",
+            Self::Odometry => "odom_",
         }
     }
 }

@@ -32,8 +32,10 @@ pub struct Judged {
     pub true_range_m: Option<f64>,
     /// Horizontal range reported less the true one, metres.
     pub range_error_m: Option<f64>,
-    /// Where the transmitter is, metres.
+    /// Where the transmitter is, metres; of one that moved, the mean of its places over the pairs used.
     pub true_transmitter_m: Option<[f64; 2]>,
+    /// Horizontal distance between the position reported and where the transmitter was at that time, metres.
+    pub position_error_m: Option<f64>,
     /// Mean pose of the pairs used, metres, from motion capture.
     pub true_receiver_m: Option<[f64; 2]>,
 }
@@ -125,19 +127,25 @@ impl Capture {
             _ => self.trajectory(TrajectorySource::GroundTruth, &mut notes).ok(),
         };
         let options = options.clone().with_channel(channel);
-        let (report, failed) = self.estimate(&part.cut(&trajectory)?, &options)?;
+        let moved = self.moved(source, &mut notes)?;
+        let (report, failed) = self.estimate(&part.cut(&trajectory)?, &moved, &options)?;
+        let paths = match source {
+            TrajectorySource::GroundTruth => moved,
+            _ => self.moved(TrajectorySource::GroundTruth, &mut Vec::new())?,
+        };
         for ((name, _), link) in self.transmitters.iter().zip(&report.links) {
             if let Ok(bearing) = &link.bearing {
                 look(&self.link_name(name), bearing, &options);
             }
         }
-        let judged = |(name, link): (&str, &LinkReport)| {
+        let judged = |((name, path), link): ((&str, &Option<Trajectory>), &LinkReport)| {
             let answer = Answer::new(self.link_name(name), link);
             let times_s = link.bearing.as_ref().map(|bearing| bearing.samples.t_s()).unwrap_or_default();
-            judge(answer, truth.place(name), reference.as_ref(), times_s)
+            let transmitter = TruePlace { still_m: truth.place(name), path: path.as_ref() };
+            judge(answer, &transmitter, reference.as_ref(), times_s)
         };
         let names = self.transmitters.iter().map(|(name, _)| name.as_str());
-        let mut rows: Vec<Judged> = names.zip(&report.links).map(judged).collect();
+        let mut rows: Vec<Judged> = names.zip(&paths).zip(&report.links).map(judged).collect();
         for (row, error) in rows.iter_mut().zip(failed) {
             if let Some(error) = error {
                 row.answer = Answer::failed(row.answer.link.clone(), error.to_string());
@@ -156,15 +164,33 @@ impl Capture {
 
     /// True if the capture has this trajectory.
     pub(crate) fn has(&self, source: TrajectorySource) -> bool {
-        self.trajectory_path(source).is_file()
+        self.trajectory_of(source, "rx").is_file()
     }
 
-    fn trajectory_path(&self, source: TrajectorySource) -> PathBuf {
-        self.folder.join(format!("{}{}_.csv", source.prefix(), self.stamp))
+    /// The trajectories of the transmitters that moved: from `source`, or from motion capture where the capture has no other.
+    fn moved(
+        &self,
+        source: TrajectorySource,
+        notes: &mut Vec<String>,
+    ) -> Result<Vec<Option<Trajectory>>, EvaluateError> {
+        let file = |name: &str| {
+            let names = [source, TrajectorySource::GroundTruth].map(|source| self.trajectory_of(source, name));
+            names.into_iter().find(|path| path.is_file())
+        };
+        let read = |(name, _): &(String, PathBuf)| file(name).map(|path| Self::read(path, notes)).transpose();
+        self.transmitters.iter().map(read).collect()
+    }
+
+    /// The file with the trajectory of `robot`: `rx`, or a transmitter's name.
+    fn trajectory_of(&self, source: TrajectorySource, robot: &str) -> PathBuf {
+        self.folder.join(format!("{}{robot}_trajectory_{}_.csv", source.prefix(), self.stamp))
     }
 
     fn trajectory(&self, source: TrajectorySource, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {
-        let path = self.trajectory_path(source);
+        Self::read(self.trajectory_of(source, "rx"), notes)
+    }
+
+    fn read(path: PathBuf, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {
         let (trajectory, counts) = match odometry::csv::read(&path) {
             Ok(read) => read,
             Err(source) => return Err(EvaluateError::Trajectory { path, source }),
@@ -181,6 +207,7 @@ impl Capture {
     fn estimate(
         &self,
         trajectory: &Trajectory,
+        moved: &[Option<Trajectory>],
         options: &Options,
     ) -> Result<(CaptureReport, Vec<Option<csi5300::source::Error>>), EvaluateError> {
         let mut receiver = Replay::open(&self.receiver_log())?;
@@ -190,8 +217,11 @@ impl Capture {
             Err(error) => (nothing(), Some(error)),
         });
         let (mut logs, failed): (Vec<_>, Vec<_>) = opened.unzip();
-        let transmitters =
-            logs.iter_mut().map(|log| Transmitter { log: log as &mut dyn CsiSource, trajectory: None }).collect();
+        let transmitters = logs
+            .iter_mut()
+            .zip(moved)
+            .map(|(log, path)| Transmitter { log: log as &mut dyn CsiSource, trajectory: path.as_ref() })
+            .collect();
         Ok((bearings(&mut receiver, transmitters, trajectory, options)?, failed))
     }
 }
@@ -206,8 +236,32 @@ fn loss_note(path: &Path, survey: &Survey) -> Option<String> {
     })
 }
 
-fn judge(answer: Answer, position: Option<Vector2<f64>>, reference: Option<&Trajectory>, times_s: &[f64]) -> Judged {
-    let bearing_from = |from: Vector3<f64>| position.map(|p| (p.y - from.y).atan2(p.x - from.x).to_degrees());
+/// Where a transmitter truly was.
+struct TruePlace<'a> {
+    /// At the start, metres.
+    still_m: Option<Vector2<f64>>,
+    /// From there on, if it moved.
+    path: Option<&'a Trajectory>,
+}
+
+impl TruePlace<'_> {
+    fn at(&self, t_s: f64) -> Option<Vector2<f64>> {
+        self.path.map_or(self.still_m, |path| path.at(t_s).map(|pose| pose.position_m.xy()))
+    }
+
+    fn mean(&self, times_s: &[f64]) -> Option<Vector2<f64>> {
+        if self.path.is_none() {
+            return self.still_m;
+        }
+        let places: Vec<Vector2<f64>> = times_s.iter().filter_map(|&t_s| self.at(t_s)).collect();
+        (!places.is_empty()).then(|| places.iter().sum::<Vector2<f64>>() / places.len() as f64)
+    }
+}
+
+fn judge(answer: Answer, transmitter: &TruePlace<'_>, reference: Option<&Trajectory>, times_s: &[f64]) -> Judged {
+    let position = transmitter.mean(times_s);
+    let bearing_from =
+        |from: Vector3<f64>, to: Option<Vector2<f64>>| to.map(|p| (p.y - from.y).atan2(p.x - from.x).to_degrees());
     let start = reference.and_then(|reference| {
         let at_s = reference.motion().window_s.map_or(reference.span_s().0, |(from, _)| from);
         reference.at(at_s)
@@ -215,8 +269,9 @@ fn judge(answer: Answer, position: Option<Vector2<f64>>, reference: Option<&Traj
     let seen: Vec<_> = reference.map(|r| times_s.iter().filter_map(|&t| r.at(t)).collect()).unwrap_or_default();
     let sum = seen.iter().fold(Vector3::zeros(), |sum, pose| sum + pose.position_m);
     let mean = (!seen.is_empty()).then(|| sum / seen.len() as f64);
-    let true_from_start_deg = start.and_then(|pose| bearing_from(pose.position_m));
-    let true_from_mean_pose_deg = mean.and_then(bearing_from);
+    let true_from_start_deg = start.and_then(|pose| bearing_from(pose.position_m, transmitter.at(pose.t_s)));
+    let true_from_mean_pose_deg = mean.and_then(|mean| bearing_from(mean, position));
+    let reported = answer.position_m.zip(answer.position_t_s.and_then(|t_s| transmitter.at(t_s)));
     let error = |truth: Option<f64>| {
         let (azimuth, truth) = answer.azimuth_deg.zip(truth)?;
         Some(wrap_rad((azimuth - truth).to_radians()).to_degrees())
@@ -227,6 +282,7 @@ fn judge(answer: Answer, position: Option<Vector2<f64>>, reference: Option<&Traj
         true_range_m,
         range_error_m: answer.range_m.zip(true_range_m).map(|(range, truth)| range * level - truth),
         true_transmitter_m: position.map(|p| [p.x, p.y]),
+        position_error_m: reported.map(|([x, y, _], truth)| (Vector2::new(x, y) - truth).norm()),
         true_receiver_m: mean.map(|mean| [mean.x, mean.y]),
         error_from_start_deg: error(true_from_start_deg),
         error_from_mean_pose_deg: error(true_from_mean_pose_deg),

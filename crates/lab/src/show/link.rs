@@ -189,11 +189,14 @@ fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'stati
     let last = |values: &[f64]| values.last().copied().unwrap_or(0.0);
     let mut found = Vec::new();
     if maps.elevations_rad.len() > 1 {
-        let own = candidates().map(|s| (s.azimuth_rad.to_degrees(), s.abs_elevation_rad.to_degrees()));
+        let signed = maps.elevations_rad.first().is_some_and(|lowest| *lowest < 0.0);
+        let elevation = |s: &Candidate| s.signed_elevation_rad.unwrap_or(s.abs_elevation_rad).to_degrees();
+        let own = candidates().map(|s| (s.azimuth_rad.to_degrees(), elevation(s)));
+        let first = maps.elevations_rad.first().copied().unwrap_or(0.0);
         let map = PlaceMap {
             title: format!("{name}: joint power, best range of each"),
-            y_label: "|elevation| (degrees)".into(),
-            y: (0.0, last(&maps.elevations_rad).to_degrees()),
+            y_label: if signed { "elevation (degrees)" } else { "|elevation| (degrees)" }.into(),
+            y: (first.to_degrees(), last(&maps.elevations_rad).to_degrees()),
             n_az: maps.azimuths,
             value: maps.over_elevation.clone(),
             marks: own.collect(),

@@ -8,4 +8,5 @@ mod accuracy;
 mod faults;
 mod fixtures;
 mod folds;
+mod geometries;
 mod real_bearings;

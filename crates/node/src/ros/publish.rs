@@ -67,7 +67,8 @@ impl Ros {
         if let (PeerState::Bearing | PeerState::Held, Some(azimuth_deg), Some(own)) =
             (report.state, report.answer.azimuth_deg, own)
         {
-            peer.poses.put(pointing(header.clone(), own, azimuth_deg.to_radians()));
+            let elevation_deg = report.answer.elevation_deg.unwrap_or(0.0);
+            peer.poses.put(pointing(header.clone(), own, azimuth_deg.to_radians(), elevation_deg.to_radians()));
         }
         peer.bearings.put(bearing(header, &peer.name, &peer.mac, report));
     }
@@ -100,6 +101,7 @@ fn bearing(header: Header, peer: &str, mac: &str, report: &PeerReport) -> Bearin
         azimuth_body: angle(answer.azimuth_body_deg),
         mirror: angle(answer.mirror_deg),
         elevation: angle(answer.abs_elevation_deg),
+        signed_elevation: angle(answer.elevation_deg),
         range: number(answer.range_m),
         range_sd: number(answer.range_sd_m),
         coherence: number(answer.coherence),
@@ -111,11 +113,13 @@ fn bearing(header: Header, peer: &str, mac: &str, report: &PeerReport) -> Bearin
     }
 }
 
-/// A pose that stands where the antenna is and looks along the bearing.
-fn pointing(header: Header, own: &Pose, azimuth_rad: f64) -> PoseStamped {
+/// A pose that stands where the antenna is and looks along the bearing: up or down too where the sign of the elevation is
+/// known.
+fn pointing(header: Header, own: &Pose, azimuth_rad: f64, elevation_rad: f64) -> PoseStamped {
     let [x, y, z] = own.position_m.into();
-    let (sin, cos) = (0.5 * azimuth_rad).sin_cos();
-    let orientation = Quaternion { x: 0.0, y: 0.0, z: sin, w: cos };
+    let ((sin, cos), (up, level)) = ((0.5 * azimuth_rad).sin_cos(), (-0.5 * elevation_rad).sin_cos());
+    // About z by the azimuth, then about the turned y: upwards is the negative turn.
+    let orientation = Quaternion { x: -sin * up, y: cos * up, z: sin * level, w: cos * level };
     PoseStamped { header, pose: messages::Pose { position: Vector { x, y, z }, orientation } }
 }
 

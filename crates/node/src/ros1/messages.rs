@@ -154,6 +154,7 @@ pub struct Bearing {
     pub azimuth_body: f64,
     pub mirror: f64,
     pub elevation: f64,
+    pub signed_elevation: f64,
     pub range: f64,
     pub range_sd: f64,
     pub coherence: f64,
@@ -223,7 +224,7 @@ impl RosMessageType for Odometry {
 impl RosMessageType for Bearing {
     const DESCRIPTION: MessageDescriptor = described::<Self>(
         "csi5300_msgs/Bearing",
-        "421597c5d5176e77846ecf883227aa70",
+        "45d77aede8091d290858ee3bc10929d8",
         definition!(
             include_str!("../../../../packaging/ros/csi5300_msgs/msg/Bearing.msg");
             "std_msgs/Header": header!()

@@ -1,0 +1,189 @@
+//! One link in free space, either end moving as it likes, beside its truth and the Cramer-Rao bound.
+
+use crate::compare::CompareError;
+use crate::compare::figures::true_path;
+use csi5300::maths::wrap_rad;
+use csi5300::motion::pose::{Pose, Trajectory};
+use csi5300::pipeline::{Bearing, Options, Transmitter, bearings};
+use csi5300::place::near_field::Edge;
+use csi5300_sim::motion::RobotMotion;
+use csi5300_sim::radio::{Noise, Radio};
+use csi5300_sim::scene::{Robot, Scene, Sounding};
+use csi5300_sim::{Port, Room};
+use nalgebra::{Matrix3, Vector3};
+use std::f64::consts::TAU;
+
+/// The host stamps the end of an answer; the phase is that of the middle between the two frames, so much earlier: half of the
+/// turn-around and the length of the answer, seconds.
+const LATE_S: f64 = 0.000_22;
+/// Rounds of the exchange per second.
+const RATE_HZ: f64 = 50.0;
+
+/// A link in free space: 20 MHz on channel 108, carriers that agree, noise of a constant ratio to the signal.
+#[derive(Clone, Debug, Default)]
+pub struct Ends {
+    /// Motion of the receiver, which starts at the origin and faces +x.
+    pub receiver: RobotMotion,
+    /// Where the transmitter starts, metres.
+    pub transmitter_m: [f64; 3],
+    /// Its motion; it faces +y.
+    pub transmitter: RobotMotion,
+    /// Length of the scene, seconds.
+    pub duration_s: f64,
+    /// Signal over noise in one direction on one subcarrier, dB.
+    pub snr_db: f64,
+    /// Noise of the receiver's odometry, metres; the true path where it is 0.
+    pub odometry_noise_m: f64,
+    /// Metres reported by the receiver's odometry for each metre driven, less 1.
+    pub odometry_scale: f64,
+    /// Seed of everything random.
+    pub seed: u64,
+}
+
+/// An answer beside its truth.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Seen {
+    /// Azimuth less that from the mean of the receiver's places to the mean of the transmitter's, degrees.
+    pub azimuth_error_deg: f64,
+    /// Elevation less the true one, degrees; of their magnitudes where the answer has no sign. None where it has none.
+    pub elevation_error_deg: Option<f64>,
+    /// True if the answer's elevation has a sign.
+    pub signed: bool,
+    /// Cramer-Rao bounds of azimuth and elevation, degrees: common phase, the other one and range are unknown too.
+    pub bound_deg: [f64; 2],
+    /// Predicted deviation of the azimuth, degrees.
+    pub azimuth_sd_deg: f64,
+    /// Position reported less the transmitter's at the time that the answer names, metres.
+    pub position_error_m: Option<Vector3<f64>>,
+    /// Its horizontal part in units of the covariance: squared length, about 2 on average.
+    pub position_level: Option<f64>,
+    /// Probability that the azimuth is within five degrees.
+    pub confidence: Option<f64>,
+    /// The limits of the search that the answer lies at.
+    pub edge: Option<Edge>,
+    /// Another candidate is this near to the true direction, degrees.
+    pub nearest_candidate_deg: f64,
+}
+
+impl Ends {
+    /// The link as a scene.
+    #[must_use]
+    pub fn scene(&self) -> Scene {
+        let radio = Radio { noise: Noise::SnrDb(self.snr_db), host_latency_us: 0.0, ..Radio::default() };
+        let robot = |name: &str, position_m, yaw_deg, motion: &RobotMotion| Robot {
+            name: name.into(),
+            position_m,
+            yaw_deg,
+            motion: motion.clone(),
+            ..Robot::default()
+        };
+        Scene {
+            name: "ends".into(),
+            seed: self.seed,
+            duration_s: self.duration_s,
+            sounding: Some(Sounding { rate_hz: RATE_HZ, ..Sounding::default() }),
+            radio,
+            robot: vec![
+                robot("rx", [0.0; 3], 0.0, &self.receiver),
+                robot("tx", self.transmitter_m, 90.0, &self.transmitter),
+            ],
+            ..Scene::default()
+        }
+    }
+
+    /// Simulates the link and makes its bearing; the transmitter's trajectory, where it moves, begins at zero.
+    ///
+    /// # Errors
+    /// If the scene cannot be simulated or gives no bearing.
+    pub fn see(&self, options: &Options) -> Result<Seen, CompareError> {
+        let mut room = Room::new(&self.scene())?;
+        let truth = [true_path(&room, 0)?, true_path(&room, 1)?];
+        let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or(CompareError::OneRobot)?;
+        [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
+        let reported = self.reported(&truth[0]);
+        let displaced = displaced(&truth[1]);
+        let moves = self.transmitter != RobotMotion::Static;
+        let transmitters = vec![Transmitter { log: &mut tx, trajectory: moves.then_some(&displaced) }];
+        let options = options.clone().with_clock_offset_s(-LATE_S);
+        let report = bearings(&mut rx, transmitters, &reported, &options)?;
+        let found = report.links.first().ok_or(CompareError::NoTransmitter)?;
+        let bearing = found.bearing.as_ref().map_err(|error| CompareError::NoLink { reason: error.to_string() })?;
+        Ok(self.judge(bearing, &truth))
+    }
+
+    /// The receiver's path as its odometry gives it.
+    fn reported(&self, truth: &Trajectory) -> Trajectory {
+        let mut random = csi5300_sim::random::Stream::of_seed(self.seed ^ 0x5eed);
+        let mut noise = || self.odometry_noise_m * random.normal();
+        let pose = |pose: &Pose| Pose {
+            position_m: pose.position_m * (1.0 + self.odometry_scale) + Vector3::from_fn(|_, _| noise()),
+            ..*pose
+        };
+        Trajectory::new(truth.poses().iter().map(pose).collect()).unwrap_or_else(|_| truth.clone())
+    }
+
+    fn judge(&self, bearing: &Bearing, [receiver, transmitter]: &[Trajectory; 2]) -> Seen {
+        let samples = &bearing.samples;
+        let at = |path: &Trajectory, t_s: f64| path.at(t_s).map(|pose| pose.position_m).unwrap_or_default();
+        let ways: Vec<Vector3<f64>> = samples.t_s().iter().map(|&t| at(transmitter, t) - at(receiver, t)).collect();
+        let away = ways.iter().sum::<Vector3<f64>>() / ways.len().max(1) as f64;
+        let points: Vec<Vector3<f64>> = ways.iter().map(|way| away - way).collect();
+        let phase_rad = (2.0 / (2.0 * 30.0 * 10f64.powf(0.1 * self.snr_db))).sqrt();
+        let answer = &bearing.answer;
+        let truth = (away.y.atan2(away.x), away.z.atan2(away.xy().norm()));
+        let elevation_error = match (answer.signed_elevation_rad, answer.elevation_sd_rad) {
+            (Some(elevation), _) => Some(elevation - truth.1),
+            (None, Some(_)) => Some(answer.abs_elevation_rad - truth.1.abs()),
+            (None, None) => None,
+        };
+        let position = answer.range.map(|range| (range, range.position_m - at(transmitter, range.position_t_s)));
+        let level = |(range, error): (csi5300::pipeline::Range, Vector3<f64>)| {
+            let covariance = range.covariance_m2.fixed_view::<2, 2>(0, 0).into_owned();
+            covariance.try_inverse().map(|inverse| error.xy().dot(&(inverse * error.xy())))
+        };
+        let off = |candidate: &csi5300::pipeline::Candidate| {
+            let elevation = candidate.signed_elevation_rad.unwrap_or(candidate.abs_elevation_rad.copysign(truth.1));
+            csi5300::bartlett::direction(candidate.azimuth_rad, elevation).angle(&away).to_degrees()
+        };
+        Seen {
+            azimuth_error_deg: wrap_rad(answer.azimuth_rad - truth.0).to_degrees(),
+            elevation_error_deg: elevation_error.map(f64::to_degrees),
+            signed: answer.signed_elevation_rad.is_some(),
+            bound_deg: bound_deg(&points, &away, samples.wavelength_m(), phase_rad),
+            azimuth_sd_deg: answer.azimuth_sd_rad.to_degrees(),
+            position_error_m: position.map(|(_, error)| error),
+            position_level: position.and_then(level),
+            confidence: answer.probability,
+            edge: answer.edge,
+            nearest_candidate_deg: answer.candidates.iter().map(off).fold(f64::MAX, f64::min),
+        }
+    }
+}
+
+/// A path less its first place.
+fn displaced(path: &Trajectory) -> Trajectory {
+    let first = path.poses().first().map(|pose| pose.position_m).unwrap_or_default();
+    let pose = |pose: &Pose| Pose { position_m: pose.position_m - first, ..*pose };
+    Trajectory::new(path.poses().iter().map(pose).collect()).unwrap_or_else(|_| path.clone())
+}
+
+/// The Cramer-Rao bounds of azimuth and elevation, degrees, of a place `away` from the mean of `points` (metres): round
+/// trips of the phase deviation `phase_rad`; common phase and range are unknown too.
+#[must_use]
+pub fn bound_deg(points: &[Vector3<f64>], away: &Vector3<f64>, wavelength_m: f64, phase_rad: f64) -> [f64; 2] {
+    let (range, ground) = (away.norm(), away.xy().norm());
+    // How the place moves with azimuth, elevation and the logarithm of range.
+    let across = Vector3::new(-away.y, away.x, 0.0);
+    let up = Vector3::new(-away.x * away.z / ground, -away.y * away.z / ground, ground);
+    let moves = [across, up, *away];
+    let gradient = |p: &Vector3<f64>| {
+        // In the differences between samples nothing is left of large distances: towards each less towards the mean.
+        let towards = (away - p).normalize() - away / range;
+        Vector3::from_fn(|i, _| 2.0 * TAU / wavelength_m * towards.dot(&moves[i]) / phase_rad)
+    };
+    let gradients: Vec<Vector3<f64>> = points.iter().map(gradient).collect();
+    let mean = gradients.iter().sum::<Vector3<f64>>() / gradients.len().max(1) as f64;
+    let information: Matrix3<f64> = gradients.iter().map(|g| (g - mean) * (g - mean).transpose()).sum();
+    let sd = |covariance: Matrix3<f64>, i: usize| covariance[(i, i)].sqrt().to_degrees();
+    information.try_inverse().map_or([f64::INFINITY; 2], |covariance| [sd(covariance, 0), sd(covariance, 1)])
+}

@@ -1,0 +1,116 @@
+//! Motion in space and motion of both ends, in free space: a part of what `examples/geometries.rs` runs.
+
+use csi5300::pipeline::Options;
+use csi5300::place::near_field::Edge;
+use csi5300_lab::ends::{Ends, Seen};
+use csi5300_lab::evaluate::{TrajectorySource, find};
+use csi5300_sim::motion::{Arc, Circle, Helix, Line, RobotMotion};
+use csi5300_sim::{Room, write_dataset};
+use std::path::Path;
+
+fn options() -> Options {
+    Options::new("108".parse().unwrap())
+}
+
+fn see(ends: &Ends) -> Seen {
+    ends.see(&options()).unwrap_or_else(|error| panic!("{error}: {ends:?}"))
+}
+
+fn helix(radius_m: f64, rise_m: f64, turns: f64) -> RobotMotion {
+    RobotMotion::Helix(Helix { radius_m, rise_m, duration_s: 6.0, turns, start_s: 0.0 })
+}
+
+fn circle(radius_m: f64, turns: f64) -> RobotMotion {
+    RobotMotion::Circle(Circle { radius_m, duration_s: 6.0, turns, start_s: 0.0 })
+}
+
+/// Metres from the origin.
+fn away(azimuth_deg: f64, elevation_deg: f64, range_m: f64) -> [f64; 3] {
+    let ((sin, cos), (up, flat)) = (azimuth_deg.to_radians().sin_cos(), elevation_deg.to_radians().sin_cos());
+    [range_m * flat * cos, range_m * flat * sin, range_m * up]
+}
+
+fn in_space(receiver: RobotMotion, transmitter_m: [f64; 3], seed: u64) -> Ends {
+    Ends { receiver, transmitter_m, duration_s: 6.0, snr_db: 15.0, seed, ..Ends::default() }
+}
+
+#[test]
+fn a_helix_shows_azimuth_and_signed_elevation_at_the_bound() {
+    let (mut squares, mut count) = ([0.0; 2], 0.0);
+    for (k, elevation_deg) in [-75.0, -60.0, -30.0, -15.0, 0.0, 15.0, 45.0, 75.0].into_iter().enumerate() {
+        for azimuth_deg in [-130.0, 20.0] {
+            let place_m = away(azimuth_deg + 11.0 * k as f64, elevation_deg, 20.0);
+            let seen = see(&in_space(helix(0.3, 0.3, 1.0), place_m, k as u64));
+            let elevation_error_deg = seen.elevation_error_deg.unwrap();
+            println!(
+                "{elevation_deg}: {:.4} {elevation_error_deg:.4}, bound {:.4?}",
+                seen.azimuth_error_deg, seen.bound_deg
+            );
+            assert!(seen.signed && seen.edge.is_none(), "{elevation_deg}: {seen:?}");
+            assert!(seen.azimuth_error_deg.abs() < 0.3 && elevation_error_deg.abs() < 0.5, "{elevation_deg}: {seen:?}");
+            squares[0] += (seen.azimuth_error_deg / seen.bound_deg[0]).powi(2);
+            squares[1] += (elevation_error_deg / seen.bound_deg[1]).powi(2);
+            count += 1.0;
+        }
+    }
+    let over = squares.map(|sum| (sum / count).sqrt());
+    // 16 errors know a deviation to 18 %.
+    assert!(over.iter().all(|over| *over < 1.55), "{over:?} times the bound");
+}
+
+#[test]
+fn near_a_helix_the_place_is_found_above_and_below() {
+    for (k, (elevation_deg, range_m)) in [(-60.0, 0.7), (30.0, 1.2), (-10.0, 2.5), (60.0, 3.0)].into_iter().enumerate()
+    {
+        let seen = see(&in_space(helix(0.3, 0.3, 1.0), away(50.0 * k as f64, elevation_deg, range_m), k as u64));
+        let position_error_m = seen.position_error_m.unwrap().norm();
+        assert!(seen.signed && position_error_m < 0.1, "{elevation_deg} {range_m}: {seen:?}");
+        assert!(seen.azimuth_error_deg.abs() < 0.3 && seen.elevation_error_deg.unwrap().abs() < 0.5, "{seen:?}");
+    }
+}
+
+#[test]
+fn the_limit_of_elevation_is_what_is_expected_and_no_wall() {
+    // Level motion, far above what robots on a floor expect: the samples leave no doubt.
+    let seen = see(&in_space(circle(0.3, 1.0), away(70.0, 45.0, 15.0), 3));
+    assert!(!seen.signed && seen.edge.is_none(), "{seen:?}");
+    assert!(seen.azimuth_error_deg.abs() < 0.3 && seen.elevation_error_deg.unwrap().abs() < 0.5, "{seen:?}");
+    // Just above it, in noise: not worth leaving it, and it is said.
+    let mut above = in_space(circle(0.1, 1.0), away(70.0, 24.0, 15.0), 3);
+    above.snr_db = 0.0;
+    let seen = see(&above);
+    assert_eq!(seen.edge, Some(Edge::Elevation), "{seen:?}");
+}
+
+#[test]
+fn with_both_robots_moving_bearing_and_position_are_right() {
+    let line = |length_m| RobotMotion::Line(Line { length_m, duration_s: 6.0, start_s: 0.0 });
+    let arc = RobotMotion::Arc(Arc { radius_m: 0.4, angle_deg: 240.0, duration_s: 6.0, start_s: 0.0 });
+    let pairs = [(circle(0.3, 1.0), line(0.8)), (circle(0.3, 1.0), circle(0.25, -2.0)), (arc, line(-0.5))];
+    for (k, (receiver, transmitter)) in pairs.into_iter().enumerate() {
+        for turn in 0..3 {
+            let place_m = away(100.0 * f64::from(turn) + 13.0, 4.0, 2.6 + 0.3 * k as f64);
+            let seen = see(&Ends { transmitter: transmitter.clone(), ..in_space(receiver.clone(), place_m, k as u64) });
+            let error_m = seen.position_error_m.unwrap().xy().norm();
+            assert!(seen.azimuth_error_deg.abs() < 0.2 && error_m < 0.15, "{k}: {seen:?}");
+        }
+    }
+}
+
+#[test]
+fn evaluate_reads_the_trajectory_of_a_transmitter_that_moved() {
+    let mut scene = in_space(circle(0.3, 1.0), [3.0, 2.0, 0.2], 9).scene();
+    scene.robot[1].motion = RobotMotion::Line(Line { length_m: 1.0, duration_s: 6.0, start_s: 0.0 });
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("moving-transmitter");
+    let _ = std::fs::remove_dir_all(&folder);
+    write_dataset(&mut Room::new(&scene).unwrap(), &folder, &mut |_| {}).unwrap();
+    let captures = find(&folder).0;
+    let row = &captures[0].evaluate(TrajectorySource::GroundTruth, None, &options()).rows[0];
+    // The line goes from y = 2 to y = 3: so does the bearing's mean.
+    let [x, y] = row.true_transmitter_m.unwrap();
+    assert!((x - 3.0).abs() < 1e-3 && (y - 2.5).abs() < 0.01, "{x} {y}");
+    assert!(row.error_from_mean_pose_deg.unwrap().abs() < 0.3, "{row:?}");
+    assert!(row.position_error_m.unwrap() < 0.15, "{row:?}");
+    let last_m = row.answer.position_m.unwrap();
+    assert!((last_m[0] - 3.0).abs() < 0.15 && (last_m[1] - 3.0).abs() < 0.15, "{last_m:?}");
+}

@@ -1,0 +1,87 @@
+//! The plane wave of a link, and which elevations are worth a search over places.
+//!
+//! The largest elevation of the options is what is expected of robots on a floor. Level motion is searched beyond it where
+//! the samples leave no doubt; motion that distinguishes up from down is searched from the nadir to the zenith.
+
+use super::options::Options;
+use crate::bartlett::{self, Estimate, Geometry, Grid};
+use crate::place::near_field::Elevations;
+use crate::place::near_field::mirror::{decisive, log_odds};
+use crate::signal::samples::Samples;
+use crate::tuning::TUNING;
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+/// Motion that reaches no further up and down than this, in turns of phase, does not distinguish up from down.
+const LEVEL_TURNS: f64 = TUNING.elevation.level_turns;
+/// Motion that reaches further up and down than this share of its largest extent does.
+const TALL: f64 = TUNING.elevation.tall;
+/// Azimuths on either side of the answer's that its opposite is looked for at, and their distance in half widths of a beam.
+const BESIDE: (i32, f64) = (12, 0.5);
+/// A plane wave within the expected elevations that explains less than this of the power may have a better one beyond.
+const CLEAR: f64 = TUNING.elevation.clear;
+/// An elevation above this share of its limit is at the limit.
+const EDGE: f64 = 0.995;
+
+/// The best plane wave, and the elevations in which the best spherical wave is to be searched.
+#[derive(Clone, Debug)]
+pub(super) struct Direction {
+    pub plane_wave: Estimate,
+    pub elevations: Elevations,
+    /// True if level motion's plane wave lies beyond the elevations that are expected: a curved wave front may do so too.
+    pub beyond: bool,
+    /// True if the plane wave is at the largest elevation that was searched.
+    pub at_edge: bool,
+}
+
+impl Direction {
+    /// # Errors
+    /// As [`bartlett::search`].
+    pub fn of(samples: &Samples, options: &Options) -> Result<Self, bartlett::Error> {
+        let within = bartlett::search(samples, &options.search)?;
+        let limit_rad = options.search.elevation_max_rad;
+        let signed = within.elevation_searched && distinguishes_up(samples, &within)?;
+        let elevations = if signed { Elevations::Signed } else { Elevations::Expected };
+        let at_edge = within.elevation_searched && within.abs_elevation_rad > EDGE * limit_rad;
+        let at_limit = at_edge && limit_rad < FRAC_PI_2;
+        let expected = Self { plane_wave: within, elevations, beyond: false, at_edge: at_limit };
+        let clear = !signed && !at_edge && expected.plane_wave.value >= CLEAR;
+        if !expected.plane_wave.elevation_searched || limit_rad >= FRAC_PI_2 || clear {
+            return Ok(expected);
+        }
+        let free = bartlett::search(samples, &options.search.with_elevation_max_rad(FRAC_PI_2))?;
+        Ok(expected.or(free))
+    }
+
+    /// `free`, searched up to the zenith, if it lies beyond what is expected and the samples leave no doubt.
+    fn or(self, free: Estimate) -> Self {
+        if !decisive(log_odds(free.value, self.plane_wave.value)) {
+            return self;
+        }
+        Self { plane_wave: free, beyond: self.elevations != Elevations::Signed, at_edge: false, ..self }
+    }
+}
+
+/// True if the motion tells directions above the horizon from those below: if it is tall, or if the samples leave no doubt.
+/// Low heights may be a drift of the odometry's: no evidence then is none of the robot's motion.
+fn distinguishes_up(samples: &Samples, plane_wave: &Estimate) -> Result<bool, bartlett::Error> {
+    let heights = || samples.displacements_m().map(|p| p.z);
+    let (low_m, high_m) = heights().fold((f64::MAX, f64::MIN), |(low, high), z| (low.min(z), high.max(z)));
+    let (half_m, turn_m) = (0.5 * (high_m - low_m), samples.wavelength_m() / f64::from(samples.path_gain()));
+    let longest_m = plane_wave.shape.half_extent_m[0];
+    if plane_wave.geometry == Geometry::Line || half_m < LEVEL_TURNS * turn_m {
+        return Ok(false);
+    }
+    if half_m >= TALL * longest_m {
+        return Ok(true);
+    }
+    // On a circle of `r` turns a beam is 1.126 / (2 pi r) wide from its top to half of its height.
+    let half_width_rad = 1.126 * turn_m / (TAU * longest_m);
+    let azimuth = |k: i32| plane_wave.azimuth_rad + f64::from(k) * BESIDE.1 * half_width_rad;
+    let ring = |elevation_rad: f64| (-BESIDE.0..=BESIDE.0).map(move |k| (azimuth(k), elevation_rad));
+    let highest = |elevation_rad: f64| -> Result<f64, bartlett::Error> {
+        let profile = bartlett::profile(samples, &Grid::directions(ring(elevation_rad).collect()))?;
+        Ok(profile.values.into_iter().fold(0.0, f64::max))
+    };
+    let (above, below) = (highest(plane_wave.abs_elevation_rad)?, highest(-plane_wave.abs_elevation_rad)?);
+    Ok(decisive(log_odds(above.max(below), above.min(below))))
+}
