@@ -78,7 +78,7 @@ pub(super) fn place(
     let mut layers: Vec<(&Aperture, &[View])> = vec![(&round_trip, &ROUND_TRIP_VIEWS)];
     layers.extend(one_way.as_ref().map(|aperture| (aperture, ONE_WAY_VIEWS.as_slice())));
     let limits = Limits {
-        elevation_max_rad: if direction.plane_wave.elevation_searched { options.search.elevation_max_rad } else { 0.0 },
+        elevation_max_rad: if direction.elevation_searched() { options.search.elevation_max_rad } else { 0.0 },
         elevations: direction.elevations,
         // Motion in space tells near places from far ones: there is no need to expect any.
         range_min_m: if direction.elevations == Elevations::Signed { 0.0 } else { steps.range_min_m },

@@ -39,43 +39,68 @@ impl Direction {
     pub fn of(samples: &Samples, options: &Options) -> Result<Self, bartlett::Error> {
         let within = bartlett::search(samples, &options.search)?;
         let limit_rad = options.search.elevation_max_rad;
-        let signed = within.elevation_searched && distinguishes_up(samples, &within)?;
-        let elevations = if signed { Elevations::Signed } else { Elevations::Expected };
-        let at_edge = within.elevation_searched && within.abs_elevation_rad > EDGE * limit_rad;
-        let at_limit = at_edge && limit_rad < FRAC_PI_2;
-        let expected = Self { plane_wave: within, elevations, beyond: false, at_edge: at_limit };
-        let clear = !signed && !at_edge && expected.plane_wave.value >= CLEAR;
-        if !expected.plane_wave.elevation_searched || limit_rad >= FRAC_PI_2 || clear {
+        let at_limit = within.elevation_searched && within.abs_elevation_rad > EDGE * limit_rad;
+        let reach = Reach::of(samples, &within);
+        let clear = reach == Reach::Level && !at_limit && within.value >= CLEAR;
+        let asked = limit_rad > 0.0 && (within.elevation_searched || reach != Reach::Level);
+        let elevations = Elevations::Expected;
+        let expected =
+            Self { plane_wave: within, elevations, beyond: false, at_edge: at_limit && limit_rad < FRAC_PI_2 };
+        if !asked || clear {
             return Ok(expected);
         }
         let free = bartlett::search(samples, &options.search.with_elevation_max_rad(FRAC_PI_2))?;
-        Ok(expected.or(free))
+        let signed = reach == Reach::Tall || free.elevation_searched && tells_up(samples, &free)?;
+        let elevations = if signed { Elevations::Signed } else { elevations };
+        Ok(Self { elevations, ..expected }.or(free))
     }
 
-    /// `free`, searched up to the zenith, if it lies beyond what is expected and the samples leave no doubt.
+    /// True if elevations are worth a search: the plane wave shows them, or the motion is tall enough for any wave to.
+    pub fn elevation_searched(&self) -> bool {
+        self.plane_wave.elevation_searched || self.elevations == Elevations::Signed
+    }
+
+    /// `free`, searched up to the zenith, if it lies beyond what is expected and the samples leave no doubt, or if only in it
+    /// the elevation can be observed.
     fn or(self, free: Estimate) -> Self {
-        if !decisive(log_odds(free.value, self.plane_wave.value)) {
+        let searched_alike = free.elevation_searched == self.plane_wave.elevation_searched;
+        if searched_alike && !decisive(log_odds(free.value, self.plane_wave.value)) {
             return self;
         }
         Self { plane_wave: free, beyond: self.elevations != Elevations::Signed, at_edge: false, ..self }
     }
 }
 
-/// True if the motion tells directions above the horizon from those below: if it is tall, or if the samples leave no doubt.
-/// Low heights may be a drift of the odometry's: no evidence then is none of the robot's motion.
-fn distinguishes_up(samples: &Samples, plane_wave: &Estimate) -> Result<bool, bartlett::Error> {
-    let heights = || samples.displacements_m().map(|p| p.z);
-    let (low_m, high_m) = heights().fold((f64::MAX, f64::MIN), |(low, high), z| (low.min(z), high.max(z)));
-    let (half_m, turn_m) = (0.5 * (high_m - low_m), samples.wavelength_m() / f64::from(samples.path_gain()));
-    let longest_m = plane_wave.shape.half_extent_m[0];
-    if plane_wave.geometry == Geometry::Line || half_m < LEVEL_TURNS * turn_m {
-        return Ok(false);
+/// How far a motion reaches up and down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Reach {
+    /// Not enough to distinguish up from down, or along a line, where elevation and azimuth have the same effect.
+    Level,
+    /// Perhaps: heights may be a drift of the odometry's, and only the samples say whether they are.
+    Low,
+    /// Enough.
+    Tall,
+}
+
+impl Reach {
+    fn of(samples: &Samples, plane_wave: &Estimate) -> Self {
+        let heights = || samples.displacements_m().map(|p| p.z);
+        let (low_m, high_m) = heights().fold((f64::MAX, f64::MIN), |(low, high), z| (low.min(z), high.max(z)));
+        let (half_m, turn_m) = (0.5 * (high_m - low_m), samples.wavelength_m() / f64::from(samples.path_gain()));
+        match plane_wave.geometry {
+            Geometry::Spatial | Geometry::TiltedPlane if half_m >= LEVEL_TURNS * turn_m => {
+                if half_m < TALL * plane_wave.shape.half_extent_m[0] { Self::Low } else { Self::Tall }
+            }
+            _ => Self::Level,
+        }
     }
-    if half_m >= TALL * longest_m {
-        return Ok(true);
-    }
+}
+
+/// True if the samples leave no doubt whether the plane wave comes from above or from below.
+fn tells_up(samples: &Samples, plane_wave: &Estimate) -> Result<bool, bartlett::Error> {
     // On a circle of `r` turns a beam is 1.126 / (2 pi r) wide from its top to half of its height.
-    let half_width_rad = 1.126 * turn_m / (TAU * longest_m);
+    let turn_m = samples.wavelength_m() / f64::from(samples.path_gain());
+    let half_width_rad = 1.126 * turn_m / (TAU * plane_wave.shape.half_extent_m[0]);
     let azimuth = |k: i32| plane_wave.azimuth_rad + f64::from(k) * BESIDE.1 * half_width_rad;
     let ring = |elevation_rad: f64| (-BESIDE.0..=BESIDE.0).map(move |k| (azimuth(k), elevation_rad));
     let highest = |elevation_rad: f64| -> Result<f64, bartlett::Error> {

@@ -115,7 +115,7 @@ tuning! {
         above: f64 = 0.1, "chosen: twins of a tilted plane are told by it, clean data by themselves", "not measured";
         /// An answer this many times likelier than another is the only one of the two; one beyond the limits of elevation
         /// and range has to be so.
-        odds: f64 = 100.0, "chosen: clean data exceed it by far, real captures of level motion stay below", "not measured";
+        odds: f64 = 1000.0, "chosen: clean data exceed it by far, real captures of level motion stay below", "not measured";
         /// Independent looks where peaks are compared: probability goes with the joint power to this.
         looks_between_peaks: f64 = 16.0, "parts of real captures (docs/accuracy.md)", "12 to 27: within the noise of the parts";
         /// Independent looks where places within a peak are weighed, for a peak that explains half of the power.
@@ -175,6 +175,8 @@ tuning! {
         scale_sd: f64 = 0.01, "measured: motion capture is up to 2 % off what the phases say", "not measured";
         /// Residuals that share an error over more rows than this are no white noise.
         white_rows: f64 = 2.0, "theory: white noise has 1, give or take 0.35", "not measured";
+        /// The same for motion that distinguishes up from down.
+        white_rows_in_space: f64 = 3.0, "theory: white noise exceeds 2 once in a hundred motions, 3 never", "not measured";
         /// Steps to the least residual.
         polishes: usize = 3, "theory: the first leaves the square of the climb's error", "not measured";
         /// A polished answer further off than this, radians of azimuth, is another one.

@@ -15,7 +15,7 @@ use std::f64::consts::TAU;
 
 /// The host stamps the end of an answer; the phase is that of the middle between the two frames, so much earlier: half of the
 /// turn-around and the length of the answer, seconds.
-const LATE_S: f64 = 0.000_22;
+const LATE_S: f64 = 0.000_236;
 /// Rounds of the exchange per second.
 const RATE_HZ: f64 = 50.0;
 

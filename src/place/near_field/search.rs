@@ -7,11 +7,15 @@ use super::kernel::powers;
 use super::prepared::PreparedAperture;
 use super::prior;
 use super::types::{Band, Elevations, Free, Limits, Place, Precision, View, Warp};
-use super::uncertainty::{deviations, polished};
+use super::uncertainty::{deviations, downhill, polished};
 use crate::maths::wrap_rad;
 use fearless_simd::Level;
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
+
+/// Steps along a ridge at most, and the shares of each that are tried.
+const RIDGE_STEPS: usize = 20;
+const RIDGE_SHARES: [f64; 6] = [2.0, 1.0, 0.5, 0.2, 0.05, 0.01];
 
 /// A motion ready to be searched: its apertures and the grid that they ask for.
 #[derive(Clone, Debug)]
@@ -113,9 +117,12 @@ impl Search {
         self.compare_with_mirror(&mut sources);
         let free = Free { elevation: self.axes.elevations.len() > 1, range: self.axes.curves.len() > 1 };
         let first = sources.first_mut()?;
+        self.follow_ridge(first, free);
         let is_likeliest = self.polish(first, free);
         let best = *first;
-        let azimuth_rad = if is_likeliest { best.azimuth_rad } else { self.weighed_rad(&best, free) };
+        // In space range and elevation are known too well for others to be averaged over.
+        let is_known = is_likeliest || self.limits.elevations == Elevations::Signed;
+        let azimuth_rad = if is_known { best.azimuth_rad } else { self.weighed_rad(&best, free) };
         let view_powers = self.powers(&[Place::from(&best)], Precision::Exact).into_iter().map(f64::from).collect();
         let [lowest_rad, highest_rad] = self.limits.elevation_span_rad();
         let prior = [(highest_rad - lowest_rad) / 12f64.sqrt(), self.curve_max / 12f64.sqrt()];
@@ -132,6 +139,36 @@ impl Search {
             elevation_max_rad: highest_rad,
             evaluations: self.evaluations,
         })
+    }
+
+    /// Where elevations are not limited, azimuth, elevation and range may follow each other along a ridge too narrow to be
+    /// climbed by steps along the axes: goes on by the residual phases' own direction as long as the joint power rises.
+    fn follow_ridge(&mut self, answer: &mut Source, free: Free) {
+        if self.limits.elevations == Elevations::Expected || self.limits.height_m.is_some() {
+            return;
+        }
+        let weights = self.weights.choosing.clone();
+        let [lowest, highest] = self.limits.elevation_span_rad();
+        let mut at = Place::from(&*answer);
+        let mut best = answer.power;
+        for _ in 0..RIDGE_STEPS {
+            let Some(step) = downhill(&self.reference, &self.middle_m, self.wavelength_m, &at, free) else { break };
+            let place = |share: &f64| Place {
+                azimuth: at.azimuth + share * step[0],
+                elevation: (at.elevation + share * step[1]).clamp(lowest, highest),
+                curve: (at.curve + share * step[2]).clamp(0.0, self.curve_max),
+            };
+            let places: Vec<Place> = RIDGE_SHARES.iter().map(place).collect();
+            let powers = scores(&self.powers(&places, Precision::Exact), &weights);
+            let top = powers.into_iter().map(|score| self.power(score)).enumerate().max_by(|a, b| a.1.total_cmp(&b.1));
+            let Some((index, power)) = top.filter(|(_, power)| *power > best) else { break };
+            (at, best) = (places[index], power);
+        }
+        if best > answer.power {
+            (answer.azimuth_rad, answer.inverse_range_per_m) = (wrap_rad(at.azimuth), at.curve);
+            (answer.abs_elevation_rad, answer.power) = (at.elevation.abs(), best.min(1.0));
+            answer.signed_elevation_rad = answer.signed_elevation_rad.map(|_| at.elevation);
+        }
     }
 
     /// Moves the answer to the most likely place, where noise is all that it leaves; false where more is left, or where a

@@ -84,6 +84,8 @@ impl<'a> Waves<'a> {
 
 /// Residuals that share an error over more rows than this are no white noise (which has 1, give or take 0.35).
 const WHITE_ROWS: f64 = TUNING.deviations.white_rows;
+/// The same for motion that distinguishes up from down.
+const WHITE_ROWS_IN_SPACE: f64 = TUNING.deviations.white_rows_in_space;
 /// Steps to the least residual; the first leaves the square of how far off the climb ended.
 const POLISHES: usize = TUNING.deviations.polishes;
 /// A polished answer further off than this, radians of azimuth (on the horizon), is another one.
@@ -109,7 +111,20 @@ pub(super) fn polished(
     let narrow = if at.signed_elevation_rad.is_some() { start[1].cos() } else { 1.0 };
     let near = (c[0] - start[0]).abs() * narrow < POLISH_RAD && c.iter().all(|v| v.is_finite());
     let [azimuth, elevation, curve] = c;
-    (near && correlation_rows(&waves.residual(c)) <= WHITE_ROWS).then_some(Place { azimuth, elevation, curve })
+    let white = if at.signed_elevation_rad.is_some() { WHITE_ROWS_IN_SPACE } else { WHITE_ROWS };
+    (near && correlation_rows(&waves.residual(c)) <= white).then_some(Place { azimuth, elevation, curve })
+}
+
+/// The step from `at` towards the least residual phase, to first order: azimuth, elevation, 1 / range.
+pub(super) fn downhill(
+    aperture: &Aperture,
+    middle_m: &Vector3<f64>,
+    wavelength_m: f64,
+    at: &Place,
+    free: Free,
+) -> Option<Vector3<f64>> {
+    let step = Waves::new(aperture, middle_m, wavelength_m, free).step([at.azimuth, at.elevation, at.curve])?;
+    step.iter().all(|v| v.is_finite()).then_some(step)
 }
 
 /// Deviations about `at`. The residual phase of each row (all subcarriers, matched) has a variance and, multipath being
