@@ -155,7 +155,9 @@ impl BearingAnswer {
 /// Azimuth and signed elevation of the reflection of a search's answer, if its motion hides one.
 fn mirror_of(fix: &Fix, plane_wave: &Estimate) -> Option<(f64, f64)> {
     let (mirror, normal) = (plane_wave.mirror_rad?, plane_wave.mirror_normal?);
-    let elevation = fix.best().abs_elevation_rad.copysign(plane_wave.signed_elevation_rad.unwrap_or(1.0));
+    let best = fix.best();
+    let like_plane_wave = || best.abs_elevation_rad.copysign(plane_wave.signed_elevation_rad.unwrap_or(1.0));
+    let elevation = best.signed_elevation_rad.unwrap_or_else(like_plane_wave);
     if normal.z == 0.0 {
         // About a line: the course of the motion bends its axis for both alike.
         return Some((wrap_rad(plane_wave.azimuth_rad + mirror - fix.azimuth_rad), elevation));

@@ -4,7 +4,7 @@
 //! the samples leave no doubt; motion that distinguishes up from down is searched from the nadir to the zenith.
 
 use super::options::Options;
-use crate::bartlett::{self, Estimate, Geometry, Grid};
+use crate::bartlett::{self, Estimate, Grid};
 use crate::place::near_field::Elevations;
 use crate::place::near_field::mirror::{decisive, log_odds};
 use crate::signal::samples::Samples;
@@ -87,11 +87,13 @@ impl Reach {
         let heights = || samples.displacements_m().map(|p| p.z);
         let (low_m, high_m) = heights().fold((f64::MAX, f64::MIN), |(low, high), z| (low.min(z), high.max(z)));
         let (half_m, turn_m) = (0.5 * (high_m - low_m), samples.wavelength_m() / f64::from(samples.path_gain()));
-        match plane_wave.geometry {
-            Geometry::Spatial | Geometry::TiltedPlane if half_m >= LEVEL_TURNS * turn_m => {
-                if half_m < TALL * plane_wave.shape.half_extent_m[0] { Self::Low } else { Self::Tall }
-            }
-            _ => Self::Level,
+        // Where a plane wave explains little its geometry class says little: a line is one by its places here.
+        let [longest_m, wide_m, _] = plane_wave.shape.half_extent_m;
+        let least_m = LEVEL_TURNS * turn_m;
+        match half_m {
+            _ if half_m < least_m || wide_m < least_m => Self::Level,
+            _ if half_m < TALL * longest_m => Self::Low,
+            _ => Self::Tall,
         }
     }
 }
