@@ -4,7 +4,8 @@ use super::direction::Direction;
 use super::options::Options;
 use crate::place::near_field::mirror::{decisive, log_odds};
 use crate::place::near_field::{
-    self, Aperture, Edge, Elevations, Evidence, Fix, Focus, Limits, Maps, ONE_WAY_VIEWS, Path, ROUND_TRIP_VIEWS, Search, View,
+    self, Aperture, Edge, Elevations, Evidence, Fix, Focus, Limits, Maps, ONE_WAY_VIEWS, Path, ROUND_TRIP_VIEWS,
+    Search, View,
 };
 use crate::signal::alignment::{Alignment, CsiRow, align, remove_common_slope};
 use crate::signal::one_way::one_way;

@@ -48,7 +48,8 @@ impl Search {
         let depth = self.axes.elevations.len() * self.axes.curves.len();
         let column: Vec<Place> =
             self.axes.places().into_iter().take(depth).chain(sources.iter().map(Place::from)).collect();
-        let (shares, weight) = (prior::shares(&self.axes), self.weights.choosing.iter().sum());
+        let (shares, weight) =
+            (prior::shares(&self.axes, self.limits.elevation_max_rad), self.weights.choosing.iter().sum());
         let mut value = |azimuth: &f64| {
             let places: Vec<Place> = column.iter().map(|place| Place { azimuth: *azimuth, ..*place }).collect();
             let powers = self.powers(&places, Precision::Exact);

@@ -1,5 +1,8 @@
 //! `csi5300 bearing`.
 
+mod quality;
+
+use self::quality::{edge, quality};
 use super::args::{Estimation, channel, mac};
 use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, some, usage};
 use csi5300::bartlett::Grid;
@@ -9,7 +12,6 @@ use csi5300::pipeline::LinkError;
 use csi5300::pipeline::LinkPlan;
 use csi5300::pipeline::{Answer, lost_something};
 use csi5300::pipeline::{CaptureReport, JoinBy, LinkReport, LogReport, Options, Transmitter, WaveModel, bearings};
-use csi5300::place::near_field::Edge;
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, key_file, replay::Replay};
 use driver_iface::Mac;
@@ -390,42 +392,6 @@ fn describe(answer: &Answer) -> String {
 
 /// A second candidate for which this share as much speaks as for the first is said beside it.
 const ALIKE: f64 = 0.9;
-
-/// The limits that the answer lies at, in a line.
-fn edge(answer: &Answer) -> String {
-    let limits = match answer.at_edge {
-        None => return String::new(),
-        Some(Edge::Elevation) => "the largest elevation (--elevation-max)",
-        Some(Edge::Range) => "the shortest range (--range-min)",
-        Some(Edge::ElevationAndRange) => "the largest elevation (--elevation-max) and the shortest range (--range-min)",
-    };
-    format!("  the answer lies at {limits} that is expected; the samples do not clearly ask for more\n")
-}
-
-/// The elevation: with its sign where the motion tells up from down.
-fn elevation(answer: &Answer) -> String {
-    let sd = answer.elevation_sd_deg.map_or(String::new(), |sd| format!(" +- {sd:.2}"));
-    match (answer.elevation_deg, answer.abs_elevation_deg) {
-        (Some(elevation), _) => format!("elevation {elevation:.2}{sd} deg"),
-        (None, Some(size)) => format!("|elevation| {size:.2} deg"),
-        (None, None) => "elevation -".into(),
-    }
-}
-
-/// How far the answer explains what was measured.
-fn quality(answer: &Answer) -> String {
-    let or_dash = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
-    format!(
-        "  {}; one plane wave explains {} of the phases (coherence, 0 to 1); the next candidate has {} of \
-         the evidence of the first\n  as other programs measure it: profile variance of the WSR toolbox {} (lower is sharper), \
-         likelihood share of Dijkstra et al. {} (of 360 azimuths)\n",
-        elevation(answer),
-        or_dash(answer.coherence),
-        or_dash(answer.peak_ratio),
-        or_dash(answer.wsr_profile_variance),
-        answer.likelihood_share.map_or("-".into(), |share| format!("{share:.4}")),
-    )
-}
 
 /// What became of the pairs and of each log's frames.
 fn pairs(answer: &Answer) -> String {

@@ -120,7 +120,7 @@ fn scenes_fitted_to_the_papers_captures_agree_with_them() {
         let log = |side: &str| Replay::open(&folder.join(format!("csi_{side}_{name}.dat"))).unwrap();
         let path = folder.join(format!("rx_movement_{name}.csv"));
         let (trajectory, _) = csv::read(&path).unwrap();
-        let recorded = measure(&mut log("rx"), &mut log("tx"), &trajectory, &options()).unwrap();
+        let recorded = measure(&mut log("rx"), &mut log("tx"), &trajectory, None, &options()).unwrap();
         let known = Known {
             trajectory: &trajectory,
             file: &std::fs::canonicalize(&path).unwrap(),

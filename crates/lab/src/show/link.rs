@@ -123,7 +123,8 @@ pub(super) fn evidence(bearing: &Bearing) -> Option<Curve> {
 pub(super) fn plane_wave(bearing: &Bearing) -> Result<Curve, bartlett::Error> {
     let azimuths: Vec<f64> = (0..AZIMUTHS).map(|k| Grid::azimuth(AZIMUTHS).at(k).0).collect();
     let own = bearing.plane_wave.peaks.iter().map(|peak| peak.abs_elevation_rad);
-    let mut elevations: Vec<f64> = own.chain([bearing.plane_wave.abs_elevation_rad]).collect();
+    let mut elevations: Vec<f64> =
+        own.chain([bearing.plane_wave.abs_elevation_rad]).chain(bearing.plane_wave.signed_elevation_rad).collect();
     elevations.sort_by(f64::total_cmp);
     elevations.dedup_by(|a, b| (*a - *b).abs() < 1e-3);
     let mut values = vec![0.0_f64; AZIMUTHS];
@@ -162,7 +163,8 @@ fn whole_track(label: &str, bearing: &Bearing) -> PhaseTrack {
 fn without_motion(bearing: &Bearing) -> Vec<(f64, f64)> {
     let Some(best) = bearing.answer.candidates.first() else { return Vec::new() };
     let (samples, curve) = (&bearing.samples, best.inverse_range_per_m);
-    let u = bartlett::direction(bearing.answer.azimuth_rad, best.abs_elevation_rad);
+    let elevation_rad = best.signed_elevation_rad.unwrap_or(best.abs_elevation_rad);
+    let u = bartlett::direction(bearing.answer.azimuth_rad, elevation_rad);
     let at: Vec<Vector3<f64>> = samples.receiver_m().iter().zip(samples.transmitter_m()).map(|(r, t)| r - t).collect();
     let middle = at.iter().sum::<Vector3<f64>>() / samples.len().max(1) as f64;
     let turned = |(z, p): (&Complex64, &Vector3<f64>)| {
@@ -190,7 +192,8 @@ fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'stati
     let mut found = Vec::new();
     if maps.elevations_rad.len() > 1 {
         let signed = maps.elevations_rad.first().is_some_and(|lowest| *lowest < 0.0);
-        let elevation = |s: &Candidate| s.signed_elevation_rad.unwrap_or(s.abs_elevation_rad).to_degrees();
+        let elevation =
+            |s: &csi5300::pipeline::Candidate| s.signed_elevation_rad.unwrap_or(s.abs_elevation_rad).to_degrees();
         let own = candidates().map(|s| (s.azimuth_rad.to_degrees(), elevation(s)));
         let first = maps.elevations_rad.first().copied().unwrap_or(0.0);
         let map = PlaceMap {

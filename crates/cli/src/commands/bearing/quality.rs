@@ -1,0 +1,40 @@
+//! How far a bearing explains what was measured, in words: limits, elevation, figures.
+
+use csi5300::pipeline::Answer;
+use csi5300::place::near_field::Edge;
+
+/// The limits that the answer lies at, in a line.
+pub(super) fn edge(answer: &Answer) -> String {
+    let limits = match answer.at_edge {
+        None => return String::new(),
+        Some(Edge::Elevation) => "the largest elevation (--elevation-max)",
+        Some(Edge::Range) => "the shortest range (--range-min)",
+        Some(Edge::ElevationAndRange) => "the largest elevation (--elevation-max) and the shortest range (--range-min)",
+    };
+    format!("  the answer lies at {limits} that is expected; the samples do not clearly ask for more\n")
+}
+
+/// The elevation: with its sign where the motion tells up from down.
+fn elevation(answer: &Answer) -> String {
+    let sd = answer.elevation_sd_deg.map_or(String::new(), |sd| format!(" +- {sd:.2}"));
+    match (answer.elevation_deg, answer.abs_elevation_deg) {
+        (Some(elevation), _) => format!("elevation {elevation:.2}{sd} deg"),
+        (None, Some(size)) => format!("|elevation| {size:.2} deg"),
+        (None, None) => "elevation -".into(),
+    }
+}
+
+/// How far the answer explains what was measured.
+pub(super) fn quality(answer: &Answer) -> String {
+    let or_dash = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+    format!(
+        "  {}; one plane wave explains {} of the phases (coherence, 0 to 1); the next candidate has {} of \
+         the evidence of the first\n  as other programs measure it: profile variance of the WSR toolbox {} (lower is sharper), \
+         likelihood share of Dijkstra et al. {} (of 360 azimuths)\n",
+        elevation(answer),
+        or_dash(answer.coherence),
+        or_dash(answer.peak_ratio),
+        or_dash(answer.wsr_profile_variance),
+        answer.likelihood_share.map_or("-".into(), |share| format!("{share:.4}")),
+    )
+}
