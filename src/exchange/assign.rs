@@ -8,10 +8,11 @@
 //! than their mean or root mean square, since outliers of the turn-around are common). The number of common frame
 //! numbers does not decide: it is wrong or tied on half of these links.
 
-use crate::exchange::pairing::{LinkSide, Pairing};
+use crate::exchange::pairing::{LinkSide, Pair, Pairing};
 use crate::maths::upper_median;
 use crate::signal::cfo::drift_line;
 use crate::tuning::TUNING;
+use driver_iface::Mac;
 
 /// One record as far as matching needs it: frame number and card clock (`timestamp_low`).
 pub type Mark = (u32, u32);
@@ -32,18 +33,15 @@ pub const MIN_MARGIN: f64 = TUNING.pairing.min_margin;
 /// Pairs looked at: a median of a few hundred is steady.
 const MAX_COMMON: usize = 768;
 
-/// The spread of one transmitter log against the receiver's frames of one MAC, both in log order.
+/// The first pairs of one transmitter log and the receiver's frames of one MAC, both in log order, with their places in them.
 #[must_use]
-pub fn spread(receiver: &[Mark], transmitter: &[Mark]) -> Option<Spread> {
+pub fn common(receiver: &[Mark], transmitter: &[Mark]) -> Vec<Pair<usize>> {
     let mut pairing = Pairing::new(4_096);
-    let (mut r, mut t) = (receiver.iter(), transmitter.iter());
-    let (mut clock, mut difference) = (Vec::new(), Vec::new());
-    let mut take = |pairing: &mut Pairing<()>| {
-        while let Some(pair) = pairing.poll_pair() {
-            clock.push(pair.clock_rx_us);
-            difference.push(pair.clock_difference_us);
-        }
-        clock.len()
+    let (mut r, mut t) = (receiver.iter().enumerate(), transmitter.iter().enumerate());
+    let mut pairs = Vec::new();
+    let mut take = |pairing: &mut Pairing<usize>| {
+        pairs.extend(std::iter::from_fn(|| pairing.poll_pair()));
+        pairs.len()
     };
     loop {
         let side = pairing.behind();
@@ -52,21 +50,30 @@ pub fn spread(receiver: &[Mark], transmitter: &[Mark]) -> Option<Spread> {
             LinkSide::Transmitter => t.next().map(|mark| (side, mark)),
         };
         let next = next.or_else(|| r.next().map(|mark| (LinkSide::Receiver, mark)));
-        let Some((side, &(number, timestamp_low))) =
+        let Some((side, (place, &(number, timestamp_low)))) =
             next.or_else(|| t.next().map(|mark| (LinkSide::Transmitter, mark)))
         else {
             break;
         };
-        pairing.handle(side, number, timestamp_low, ());
+        pairing.handle(side, number, timestamp_low, place);
         if take(&mut pairing) >= MAX_COMMON {
             break;
         }
     }
     pairing.finish();
     take(&mut pairing);
-    if clock.len() < MIN_COMMON {
+    pairs
+}
+
+/// The spread of one transmitter log against the receiver's frames of one MAC, both in log order.
+#[must_use]
+pub fn spread(receiver: &[Mark], transmitter: &[Mark]) -> Option<Spread> {
+    let pairs = common(receiver, transmitter);
+    if pairs.len() < MIN_COMMON {
         return None;
     }
+    let clock: Vec<i64> = pairs.iter().map(|pair| pair.clock_rx_us).collect();
+    let difference: Vec<i64> = pairs.iter().map(|pair| pair.clock_difference_us).collect();
     let line = drift_line(&clock, &difference);
     let mut deviations: Vec<f64> =
         clock.iter().zip(&difference).map(|(&x, &y)| (y as f64 - line.at(x as f64)).abs()).collect();
@@ -106,6 +113,12 @@ pub enum Unmatched {
     Named {
         /// Spread of this log, microseconds.
         spread_us: f64,
+    },
+    /// Both logs hold frames of the same sender, so neither is of the robot that the other heard.
+    #[error("both logs hold frames of {mac}: two logs of one link are of two robots, each with frames of the other")]
+    SameSender {
+        /// The sender.
+        mac: Mac,
     },
     /// Another log goes better with the same MAC.
     #[error(
@@ -155,6 +168,80 @@ pub fn assign(spreads: &[Vec<Option<Spread>>], taken: &[bool]) -> Vec<Result<Mat
     found.iter().enumerate().map(settle).collect()
 }
 
+/// MACs that a log left unclear is tried with, the best first.
+const TRIED: usize = 4;
+/// Logs that are settled together at most.
+const TOGETHER: usize = 6;
+
+/// Settles the logs that [`assign`] left unclear, all together: each MAC wrote one log, so that what speaks for one log's
+/// MAC speaks against it for the others. `reciprocity[log][mac]`, where known, is the correlation of the channel's changes
+/// in the two directions, 0 for strangers and nearly 1 for the two ends of a link: with the spread `s` and the correlation
+/// `r` a match costs `ln s - 2 artanh r`. A log is settled where every other way costs at least [`MIN_MARGIN`] times as much,
+/// and its spread is within that factor of its least.
+pub fn settle(
+    found: &mut [Result<Match, Unmatched>],
+    spreads: &[Vec<Option<Spread>>],
+    reciprocity: &[Vec<Option<f64>>],
+    taken: &[bool],
+) {
+    let clear: Vec<usize> = found.iter().flatten().map(|own| own.mac).collect();
+    let open = |result: &Result<Match, Unmatched>| is_open(result);
+    let logs: Vec<usize> = (0..found.len()).filter(|&log| open(&found[log])).take(TOGETHER).collect();
+    let choices: Vec<Vec<(usize, f64)>> = logs
+        .iter()
+        .map(|&log| {
+            let free = |mac: &usize| !clear.contains(mac) && !taken.get(*mac).copied().unwrap_or(false);
+            let cost = |mac: usize| {
+                let correlation = reciprocity.get(log).and_then(|row| *row.get(mac)?).unwrap_or(0.0);
+                Some((mac, (spreads[log][mac]?.spread_us + 0.1).ln() - 2.0 * correlation.clamp(0.0, 0.99).atanh()))
+            };
+            let mut costs: Vec<_> = (0..spreads[log].len()).filter(free).filter_map(cost).collect();
+            costs.sort_by(|a, b| a.1.total_cmp(&b.1));
+            costs.truncate(TRIED);
+            costs
+        })
+        .collect();
+    let Some((cost, chosen)) = cheapest(&choices, &mut Vec::new(), None) else { return };
+    for (k, &log) in logs.iter().enumerate() {
+        let mac = chosen[k];
+        let margin = cheapest(&choices, &mut Vec::new(), Some((k, mac))).map(|(other, _)| (other - cost).exp());
+        let least = spreads[log].iter().flatten().map(|s| s.spread_us).fold(f64::INFINITY, f64::min);
+        let Some(spread) = spreads[log][mac] else { continue };
+        if margin.is_none_or(|margin| margin >= MIN_MARGIN) && spread.spread_us <= MIN_MARGIN * (least + 0.1) {
+            found[log] = Ok(Match { mac, spread, margin });
+        }
+    }
+}
+
+/// True for a log that went about equally well with two MACs, or less well than another log with its best.
+pub fn is_open(result: &Result<Match, Unmatched>) -> bool {
+    matches!(result, Err(Unmatched::Unclear { .. } | Unmatched::Taken { .. }))
+}
+
+/// The cheapest way to give each log a MAC of its own, without one match; `given` are those of the first logs.
+fn cheapest(
+    choices: &[Vec<(usize, f64)>],
+    given: &mut Vec<usize>,
+    without: Option<(usize, usize)>,
+) -> Option<(f64, Vec<usize>)> {
+    let log = given.len();
+    let Some(own) = choices.get(log) else { return Some((0.0, given.clone())) };
+    let mut best: Option<(f64, Vec<usize>)> = None;
+    for &(mac, cost) in own {
+        if given.contains(&mac) || without == Some((log, mac)) {
+            continue;
+        }
+        given.push(mac);
+        if let Some((rest, macs)) = cheapest(choices, given, without)
+            && best.as_ref().is_none_or(|(least, _)| cost + rest < *least)
+        {
+            best = Some((cost + rest, macs));
+        }
+        given.pop();
+    }
+    best
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -185,6 +272,32 @@ mod tests {
         }
         let named = assign(&spreads[1..2], &[true, false, false])[0];
         assert!(matches!(named, Err(Unmatched::Named { .. })), "{named:?}");
+    }
+
+    #[test]
+    fn unclear_logs_are_settled_together_and_by_the_channel() {
+        let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
+        // Each alone is unclear (1.3 times), both together are not (1.7 times).
+        let spreads = [vec![of(10.0), of(13.0)], vec![of(13.0), of(10.0)]];
+        let mut found = assign(&spreads, &[]);
+        assert!(found.iter().all(is_open));
+        settle(&mut found, &spreads, &[], &[]);
+        assert_eq!(found.iter().map(|f| f.unwrap().mac).collect::<Vec<_>>(), [0, 1]);
+        // One log with two senders: the channel decides, against the spread too.
+        let spreads = [vec![of(26.8), of(32.1)]];
+        for (correlations, mac) in [([0.98, 0.1], 0), ([0.1, 0.98], 1)] {
+            let mut found = assign(&spreads, &[]);
+            settle(&mut found, &spreads, &[correlations.map(Some).to_vec()], &[]);
+            assert_eq!(found[0].unwrap().mac, mac);
+        }
+        // Nothing decides: it stays unclear. A log given twice does not get a MAC that it does not go with.
+        let mut found = assign(&spreads, &[]);
+        settle(&mut found, &spreads, &[], &[]);
+        assert!(matches!(found[0], Err(Unmatched::Unclear { .. })));
+        let twice = [vec![of(5.0), of(300.0)], vec![of(5.0), of(300.0)]];
+        let mut found = assign(&twice, &[]);
+        settle(&mut found, &twice, &[], &[]);
+        assert!(found.iter().all(|f| matches!(f, Err(Unmatched::Taken { .. }))), "{found:?}");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The exchange of frames: who sends when, and which frames belong together. State machines without I/O.
 
 pub(crate) mod admission;
+pub(crate) mod kinship;
 pub mod pairing;
 pub mod tdma;
 

@@ -79,9 +79,11 @@ impl Draft {
         let phases = Compensated::new(link, options);
         let times_s = times_s(link.rows(), receiver, options)?;
         phases.check()?;
+        of_one_run(link)?;
         let gate = Gate::new(link, receiver, transmitter, &times_s, options);
         let gated = gate.pass(&times_s, &phases.z)?;
         gated.check(&times_s, receiver)?;
+        rows_or_times(link, receiver, &gated.pairs, options)?;
         let samples = gated.samples;
         let direction = Direction::of(&samples, options)?;
         let rows = || phases.round_trips(link);
@@ -129,6 +131,34 @@ fn something(link: &Link, receiver: &Trajectory, options: &Options) -> Result<()
     }
     let handed = |side| link.counts(side).handed;
     Err(LinkError::NoPairs { receiver: handed(LinkSide::Receiver), transmitter: handed(LinkSide::Transmitter) })
+}
+
+/// Refuses logs that do not belong together: one log for both sides, and logs of which neither the clocks nor the channel
+/// know of each other.
+fn of_one_run(link: &Link) -> Result<(), LinkError> {
+    let pairing = TUNING.pairing;
+    if link.reciprocity().is_one_log() {
+        return Err(LinkError::OneLogTwice);
+    }
+    let Some((clocks, channel)) = link.kinship().zip(link.reciprocity().get()) else { return Ok(()) };
+    let changes = channel.steadiness > pairing.steady;
+    let strange = clocks.correlation < pairing.clocks_alike && channel.correlation < pairing.channel_alike;
+    match changes && strange {
+        true => Err(LinkError::OfTwoRuns { clocks: clocks.correlation, channel: channel.correlation }),
+        false => Ok(()),
+    }
+}
+
+/// Refuses a join by time where the trajectory has a row for each frame and yet many pairs lie outside its times: its clock
+/// is another one, and a wrong time gives a wrong bearing without any other sign of it.
+fn rows_or_times(link: &Link, receiver: &Trajectory, pairs: &PairCounts, options: &Options) -> Result<(), LinkError> {
+    let (rows, frames) = (receiver.poses().len(), link.counts(LinkSide::Receiver).handed as usize);
+    let as_many = rows.abs_diff(frames) as f64 <= TUNING.motion.row_for_row * rows as f64;
+    let outside = pairs.no_pose as f64 > TUNING.motion.outside_share * pairs.formed as f64;
+    match options.join == JoinBy::Time && options.clock_offset_s == 0.0 && as_many && outside {
+        true => Err(LinkError::RowsNotTimes { rows, outside: pairs.no_pose, pairs: pairs.formed }),
+        false => Ok(()),
+    }
 }
 
 /// The time of each pair on the trajectory's clock.

@@ -36,6 +36,31 @@ pub enum LinkError {
         /// Median of the deviation from a straight line, microseconds.
         spread_us: f64,
     },
+    /// Neither the clocks nor the channel of the two logs go together.
+    #[error(
+        "the two logs are not of one run: the pauses between frames correlate by {clocks:.2} and the channel's changes by {channel:.2}, where the logs of one exchange have 0.8 and 0.9 or more: name the other robot's log of this run"
+    )]
+    OfTwoRuns {
+        /// Correlation of the pauses between frames on both clocks.
+        clocks: f64,
+        /// Correlation of the changes of the channel's shape in the two directions.
+        channel: f64,
+    },
+    /// The trajectory has a row for each frame, and its times do not fit.
+    #[error(
+        "{outside} of {pairs} pairs lie outside the trajectory's times although it has a row for each frame ({rows}): its clock is another one; join row by row, or give the clocks' difference"
+    )]
+    RowsNotTimes {
+        /// Rows of the trajectory.
+        rows: usize,
+        /// Pairs outside its times.
+        outside: usize,
+        /// Pairs.
+        pairs: usize,
+    },
+    /// The two logs hold the same frames.
+    #[error("one log was given for both sides: all its frames are the same: name the other robot's log")]
+    OneLogTwice,
     /// The trajectory reaches further than any array of use.
     #[error(
         "the robots moved {extent_m:.0} m relative to each other: are the trajectories in metres? At most {limit_m:.0} m are used at once"

@@ -3,9 +3,11 @@
 use super::bearing::{PairCounts, Phase};
 use super::intake::FrameHeard;
 use super::options::Options;
+use crate::exchange::kinship::{Kinship, kinship};
 use crate::exchange::pairing::{LinkSide, Pair, Pairing, SideCounts};
 use crate::maths::upper_median_ord;
 use crate::signal::cfo::{TurnAround, at_centre, round_trip, round_trip_at_centre};
+use crate::signal::reciprocity::Reciprocity;
 use driver_iface::Mac;
 use num_complex::Complex64;
 
@@ -38,6 +40,8 @@ pub struct Link {
     /// One pair in so many is kept.
     stride: usize,
     thinned: usize,
+    /// Whether both sides heard one channel.
+    reciprocity: Reciprocity,
 }
 
 /// One pair.
@@ -64,7 +68,20 @@ impl Link {
     pub(crate) fn new(mac: Mac, span_us: Option<(i64, i64)>) -> Self {
         let pairing = Pairing::new(4_096);
         let (rows, products) = (Vec::new(), Vec::new());
-        Self { mac, pairing, rows, products, silent: 0, span_us, outside: 0, first_us: None, stride: 1, thinned: 0 }
+        let reciprocity = Reciprocity::default();
+        Self {
+            mac,
+            pairing,
+            rows,
+            products,
+            silent: 0,
+            span_us,
+            outside: 0,
+            first_us: None,
+            stride: 1,
+            thinned: 0,
+            reciprocity,
+        }
     }
 
     /// Which side should be read next.
@@ -157,6 +174,7 @@ impl Link {
             self.silent += 1;
             return;
         };
+        self.reciprocity.add(&forward, &backward);
         let one_way = || at_centre(&pair.receiver.csi(), &options.channel.subcarriers());
         let one_way = options.keep_course.then(one_way).flatten();
         self.rows.push(PairRow {
@@ -203,6 +221,18 @@ impl Link {
         let ahead = |row: &PairRow| Some(row.partner_host_us?.saturating_sub(row.host_us?));
         let mut ahead_us: Vec<i64> = self.rows.iter().filter_map(ahead).collect();
         upper_median_ord(&mut ahead_us).map(|us| us as f64 * 1e-6)
+    }
+
+    /// How alike the channel was in both directions.
+    pub(super) fn reciprocity(&self) -> &Reciprocity {
+        &self.reciprocity
+    }
+
+    /// How the pauses between exchanges go together on both clocks.
+    pub(super) fn kinship(&self) -> Option<Kinship> {
+        let clock: Vec<i64> = self.rows.iter().map(|row| row.clock_rx_us).collect();
+        let difference: Vec<i64> = self.rows.iter().map(|row| row.difference_us).collect();
+        kinship(&clock, &difference)
     }
 
     /// Ends both logs.

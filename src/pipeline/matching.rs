@@ -1,8 +1,9 @@
 //! Which transmitter wrote which log.
 
-use super::intake::LogReader;
+use super::intake::{FrameHeard, LogReader};
 use super::options::Options;
 use crate::exchange::assign::{self, Mark, Match, Spread, Unmatched};
+use crate::signal::reciprocity::Reciprocity;
 use crate::source::Error;
 use driver_iface::Mac;
 use std::collections::BTreeMap;
@@ -52,10 +53,52 @@ pub(super) fn find_macs(
         let row = busiest.iter().map(|(_, receiver)| if named { None } else { assign::spread(receiver, &marks) });
         spreads.push(row.collect());
     }
-    let found = assign::assign(&spreads, &taken);
+    let mut found = assign::assign(&spreads, &taken);
+    if found.iter().any(assign::is_open) {
+        let correlations = correlations(rx, txs, (&busiest, &spreads, &found), options)?;
+        assign::settle(&mut found, &spreads, &correlations, &taken);
+    }
     let settle = |(k, found): (usize, Result<Match, Unmatched>)| match options.tx_macs.get(k) {
         Some(mac) => Ok((*mac, None)),
         None => found.map(|found| (macs[found.mac], Some(found))),
     };
-    Ok(found.into_iter().enumerate().map(settle).collect())
+    let mut settled: Vec<MacFound> = found.into_iter().enumerate().map(settle).collect();
+    for (tx, found) in txs.iter_mut().zip(&mut settled) {
+        let receiver = options.rx_mac.or(most_frequent(tx)?);
+        // Stock records carry no address: all zeros say nothing.
+        if let Ok((mac, _)) = found
+            && *mac != Mac([0; 6])
+            && receiver == Some(*mac)
+        {
+            *found = Err(Unmatched::SameSender { mac: *mac });
+        }
+    }
+    Ok(settled)
+}
+
+/// How alike the channel's changes were in the two directions, for each log that is left unclear and each sender.
+fn correlations(
+    rx: &mut LogReader<'_>,
+    txs: &mut [LogReader<'_>],
+    (senders, spreads, found): (&[(Mac, Vec<Mark>)], &[Vec<Option<Spread>>], &[Result<Match, Unmatched>]),
+    options: &Options,
+) -> Result<Vec<Vec<Option<f64>>>, Error> {
+    let mut rows = vec![Vec::new(); txs.len()];
+    for (k, tx) in txs.iter_mut().enumerate().filter(|(k, _)| assign::is_open(&found[*k])) {
+        let receiver = options.rx_mac.or(most_frequent(tx)?);
+        let heard = tx.read_ahead(READ_AHEAD)?.iter().filter(|(mac, _)| receiver == Some(*mac));
+        let own: Vec<FrameHeard> = heard.map(|(_, heard)| *heard).collect();
+        let marks: Vec<Mark> = own.iter().map(|heard| (heard.number, heard.timestamp_low)).collect();
+        for ((sender, sent), spread) in senders.iter().zip(&spreads[k]) {
+            let frames = rx.read_ahead(READ_AHEAD)?.iter().filter(|(mac, _)| mac == sender);
+            let frames: Vec<FrameHeard> = frames.map(|(_, heard)| *heard).collect();
+            let mut sums = Reciprocity::default();
+            let pairs = if spread.is_some() { assign::common(sent, &marks) } else { Vec::new() };
+            for pair in pairs {
+                sums.add(&own[pair.transmitter].csi(), &frames[pair.receiver].csi());
+            }
+            rows[k].push(sums.get().map(|both| both.correlation));
+        }
+    }
+    Ok(rows)
 }

@@ -5,4 +5,5 @@ pub mod cfo;
 pub mod channel;
 pub mod csi;
 pub(crate) mod one_way;
+pub(crate) mod reciprocity;
 pub mod samples;

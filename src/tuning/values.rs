@@ -307,6 +307,12 @@ tuning! {
         min_common: usize = 16, "not recorded", "not measured";
         /// By this factor the best match must spread less than the next.
         min_margin: f64 = 1.5, "not recorded", "not measured";
+        /// Two logs are of one run from this correlation of the pauses between frames on.
+        clocks_alike: f64 = 0.6, "measured: 0.83 to 0.98 on 77 links, up to 0.31 on 30 pairs of unrelated logs", "not measured";
+        /// Or from this correlation of the two directions' changes of shape on.
+        channel_alike: f64 = 0.5, "measured: 0.91 to 0.99 on 77 links, up to 0.21 on 30 pairs of unrelated logs", "not measured";
+        /// The shape's changes are no noise from this correlation from pair to pair on.
+        steady: f64 = 0.5, "chosen: half of the changes last", "not measured";
     }
 
     /// Which poses are motion.
@@ -321,6 +327,10 @@ tuning! {
         still_share: f64 = 0.15, "not recorded", "not measured";
         /// No robot drives slower, m/s.
         still_m_per_s: f64 = 0.004, "measured: motion capture at rest seems to move by less", "not measured";
+        /// A trajectory has a row for each frame if their numbers differ by at most this share.
+        row_for_row: f64 = 0.005, "chosen: some frames are lost", "not measured";
+        /// A trajectory's times do not fit if more than this share of the pairs lies outside them.
+        outside_share: f64 = 0.02, "chosen: logs begin and end some frames apart", "not measured";
         /// Largest motion that is searched as one array, metres.
         max_extent_m: f64 = 50.0, "chosen: far beyond what odometry follows to a wavelength", "not measured";
     }

@@ -8,7 +8,7 @@ use std::f64::consts::TAU;
 /// Wavelength at channel 108, metres.
 const WAVELENGTH_M: f64 = 299_792_458.0 / 5.54e9;
 /// Seconds since the Unix epoch at which it begins.
-const START_S: f64 = 1_700_000_000.0;
+pub const START_S: f64 = 1_700_000_000.0;
 /// How far the transmitter's host clock is ahead of the receiver's, seconds.
 pub const PARTNER_AHEAD_S: f64 = 60.0;
 /// The robots' MACs.

@@ -5,5 +5,6 @@
 mod common;
 mod fuzz_csv;
 mod fuzz_sounding;
+mod inputs;
 mod pipeline;
 mod tdma;

@@ -18,6 +18,7 @@ pub fn words(error: &LinkError) -> String {
         LinkError::AllCut { pairs, length_s } => {
             format!("all {pairs} pairs are outside --from and --to (the link lasts {length_s:.3} s)")
         }
+        LinkError::RowsNotTimes { .. } => format!("{error} (--join-rows, --clock-offset)"),
         LinkError::TooLarge { .. } => format!("{error} (--from and --to cut a piece)"),
         LinkError::OutsideTrajectory { .. } => format!("{error} --clock-offset shifts one against the other"),
         _ => error.to_string(),

@@ -10,3 +10,4 @@ mod fixtures;
 mod folds;
 mod geometries;
 mod real_bearings;
+mod strange_logs;
