@@ -175,12 +175,17 @@ impl<'a> Reflections<'a> {
     /// True unless it is the same direction, or differs by the sign of the elevation alone.
     fn is_another(&self, mirror: &Mirror) -> bool {
         let off = wrap_rad(mirror.azimuth - self.best.at.azimuth).abs();
-        if mirror.normal.z.abs() > LEVEL.cos() {
-            return off >= self.resolution.max(SAME_AZIMUTH);
+        if is_level(&mirror.normal, off) {
+            return false;
         }
         let image = direction(mirror.azimuth, mirror.elevation);
         unit(self.hill.kind, self.best.at).dot(&image) < self.resolution.min(FRAC_PI_2).cos()
     }
+}
+
+/// True if a reflection in the plane with a normal, `off` radians away in azimuth, is no more than the sign of the elevation.
+pub(crate) fn is_level(normal: &Vector3<f64>, off: f64) -> bool {
+    normal.z.abs() > LEVEL.cos() && off < SAME_AZIMUTH
 }
 
 /// What is left of the logarithm of a likelihood ratio by an odometry whose error is `odometry` against a depth (squared).

@@ -58,6 +58,7 @@ pub(crate) use grid::wsr_planar_profile_variance;
 #[cfg(test)]
 use grid::wsr_profile_variance;
 pub use grid::{Grid, Profile, direction};
+pub(crate) use mirror::is_level;
 pub use plan::Plan;
 pub use planner::Planner;
 pub use scene::{Geometry, Shape};

@@ -143,7 +143,7 @@ impl BearingAnswer {
             elevation_sd_rad: fix.elevation_searched.then_some(fix.deviations.elevation_rad),
             mirror_rad,
             mirror_elevation_rad: mirror_elevation_rad.filter(|_| fix.elevation_searched),
-            mirror_share: plane_wave.mirror_share,
+            mirror_share: plane_wave.mirror_share.filter(|_| mirror_rad.is_some()),
             candidates: candidates(fix),
             peak_ratio: fix.sources.get(1).map(|other| (other.evidence / best.evidence).min(1.0)),
             range: range(placed, samples),
@@ -164,7 +164,9 @@ fn mirror_of(fix: &Fix, plane_wave: &Estimate) -> Option<(f64, f64)> {
     }
     let towards = bartlett::direction(fix.azimuth_rad, elevation);
     let image = towards - normal * (2.0 * towards.dot(&normal));
-    Some((image.y.atan2(image.x), image.z.clamp(-1.0, 1.0).asin()))
+    let azimuth = image.y.atan2(image.x);
+    let level = bartlett::is_level(&normal, wrap_rad(azimuth - fix.azimuth_rad).abs());
+    (!level).then(|| (azimuth, image.z.clamp(-1.0, 1.0).asin()))
 }
 
 fn candidates(fix: &Fix) -> Vec<Candidate> {
