@@ -150,7 +150,10 @@ pub mod internal {
     pub mod dynamixel {
         pub use crate::motion::odometry::dynamixel::{emit, instruction};
     }
-    pub use crate::place::confidence::{full_features, quick_features, quick_probability};
+    pub use crate::place::confidence::{
+        CAMERA_HEADING_DEG, PROBABILITY_LIMITS, WHEELS_HEADING_DEG, full_deviation_rad, full_features,
+        full_probability, heading_feature, quick_deviation_rad, quick_features, quick_probability,
+    };
     pub use crate::place::near_field::types::{Band, Limits, Taper, View};
     pub use crate::place::near_field::{aperture::Aperture, search::Search};
     pub use crate::signal::alignment::{CsiRow, align, remove_common_slope};

@@ -41,8 +41,10 @@ pub struct Answer {
     pub elevation_deg: Option<f64>,
     /// Which limits of the search the answer lies at (`elevation`, `range`, `elevation_and_range`).
     pub at_edge: Option<Edge>,
-    /// Predicted standard deviation of the azimuth (Cramer-Rao).
+    /// Error bar of the azimuth: 68 % of errors within it, 95 % within twice (docs/accuracy.md).
     pub azimuth_sd_deg: Option<f64>,
+    /// Cramer-Rao bound of its standard deviation: what noise alone leaves of one wave on an exact trajectory.
+    pub azimuth_bound_deg: Option<f64>,
     /// The other bearing that fits a motion along a line or in a tilted plane as well as noise and odometry let one tell:
     /// the first, mirrored in it.
     pub mirror_deg: Option<f64>,
@@ -142,6 +144,9 @@ pub struct PathAnswer {
     pub range_m: Option<f64>,
     /// Power: of a path, one way, relative to the strongest's; of a candidate, relative to the answer's; dB.
     pub relative_power_db: f64,
+    /// Of a candidate, its share of the probability as the model of the wave has it, 0..1 (not calibrated).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub share: Option<f64>,
     /// A false source: the product of two other paths of this list (by their places in it), as squaring makes it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub cross_term_of: Option<[usize; 2]>,
@@ -157,6 +162,7 @@ impl PathAnswer {
             elevation_deg: signed_elevation_rad.map(f64::to_degrees),
             range_m: (curve > 0.0).then(|| 1.0 / curve),
             relative_power_db,
+            share: None,
             cross_term_of,
         }
     }
@@ -220,6 +226,7 @@ impl Answer {
         self.model = Some(answer.model);
         self.azimuth_deg = Some(answer.azimuth_rad.to_degrees());
         self.azimuth_sd_deg = Some(answer.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
+        self.azimuth_bound_deg = Some(answer.azimuth_bound_rad.to_degrees()).filter(|bound| bound.is_finite());
         self.abs_elevation_deg = Some(answer.abs_elevation_rad.to_degrees());
         self.elevation_deg = answer.signed_elevation_rad.map(f64::to_degrees);
         self.at_edge = answer.edge;
@@ -239,7 +246,8 @@ impl Answer {
         let candidate = |other: &Candidate| {
             let place =
                 (other.azimuth_rad, other.abs_elevation_rad, other.signed_elevation_rad, other.inverse_range_per_m);
-            PathAnswer::new(place, 10.0 * (other.power / best).log10(), None)
+            let own = PathAnswer::new(place, 10.0 * (other.power / best).log10(), None);
+            PathAnswer { share: Some(other.share), ..own }
         };
         self.candidates = answer.candidates.iter().map(candidate).collect();
     }
@@ -270,7 +278,7 @@ impl Answer {
         self.error = Some(error);
         self.azimuth_deg = None;
         self.azimuth_body_deg = None;
-        self.azimuth_sd_deg = None;
+        (self.azimuth_sd_deg, self.azimuth_bound_deg) = (None, None);
         (self.mirror_deg, self.mirror_elevation_deg, self.mirror_share) = (None, None, None);
         (self.abs_elevation_deg, self.elevation_deg, self.at_edge) = (None, None, None);
         self.elevation_sd_deg = None;

@@ -2,10 +2,13 @@
 
 use super::accurate::Placed;
 use super::direction::Direction;
+use super::options::Options;
 use crate::bartlett::{self, Estimate, Grid};
 use crate::maths::wrap_rad;
-use crate::place::confidence::{full_probability, quick_probability};
-use crate::place::near_field::{Edge, Fix};
+use crate::place::confidence::{
+    full_deviation_rad, full_probability, quick_deviation_rad, quick_features, quick_probability, shares,
+};
+use crate::place::near_field::{Edge, Fix, Source};
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
 use nalgebra::{Matrix3, Vector3};
@@ -34,6 +37,9 @@ pub struct Candidate {
     /// How much of the samples it explains, 0..1: of a plane wave `F / (sum w |z|)^2`, of a spherical wave the geometric
     /// mean of the views' normalised powers. Comparable within one answer only.
     pub power: f64,
+    /// What it has of the probability, 0..1, as the model of the wave has it; the shares of all candidates sum to 1. Errors
+    /// of the model are not in it: the answer's error bar and probability are calibrated, this is not.
+    pub share: f64,
 }
 
 /// Range of the transmitter from the middle of the motion.
@@ -61,8 +67,13 @@ pub struct BearingAnswer {
     pub model: WaveModel,
     /// Azimuth of the transmitter, radians in (-pi, pi], from +x towards +y in the trajectory's frame.
     pub azimuth_rad: f64,
-    /// Predicted standard deviation of the azimuth, radians; at most that of a uniform guess, pi / sqrt 3.
+    /// Error bar of the azimuth, radians: 68 % of errors are within it and 95 % within twice, as calibrated on real
+    /// captures (docs/accuracy.md); at most that of a uniform guess, pi / sqrt 3. Where it is wide, `candidates` say which
+    /// other directions it stands for.
     pub azimuth_sd_rad: f64,
+    /// Cramer-Rao bound of the azimuth's standard deviation, radians: what noise alone leaves if one wave, the trajectory
+    /// as it was reported and the right peak are taken for granted.
+    pub azimuth_bound_rad: f64,
     /// |elevation|, radians; 0 where it was not searched or cannot be observed.
     pub abs_elevation_rad: f64,
     /// The elevation with its sign, radians, where the motion distinguishes up from down.
@@ -97,22 +108,27 @@ impl BearingAnswer {
         self.signed_elevation_rad.unwrap_or(self.abs_elevation_rad)
     }
 
-    /// The answer of the plane wave alone, of length `wavelength_m`, in metres; `compensated` says whether the turn-around
-    /// was taken out of its samples.
-    pub(super) fn of_plane_wave(direction: &Direction, compensated: bool, wavelength_m: f64) -> Self {
+    /// The answer of the plane wave alone; `compensated` says whether the turn-around was taken out of its samples.
+    pub(super) fn of_plane_wave(direction: &Direction, compensated: bool, options: &Options) -> Self {
         let plane_wave = &direction.plane_wave;
         let signed = |peak: &bartlett::Peak| plane_wave.peaks.first().filter(|best| *best == peak);
-        let candidate = |peak: &bartlett::Peak| Candidate {
+        let heading_sd_rad = options.heading_sd_rad.unwrap_or_default();
+        let features = quick_features(plane_wave, compensated, options.channel.wavelength_m());
+        let bound_rad = plane_wave.azimuth_sd_rad;
+        let shares = shares(plane_wave.peaks.iter().map(|peak| peak.value));
+        let candidate = |(peak, share): (&bartlett::Peak, f64)| Candidate {
             signed_elevation_rad: signed(peak).and(plane_wave.signed_elevation_rad),
             azimuth_rad: peak.azimuth_rad,
             abs_elevation_rad: peak.abs_elevation_rad,
             inverse_range_per_m: 0.0,
             power: peak.value,
+            share,
         };
         Self {
             model: WaveModel::PlaneWave,
             azimuth_rad: plane_wave.azimuth_rad,
-            azimuth_sd_rad: plane_wave.azimuth_sd_rad,
+            azimuth_sd_rad: quick_deviation_rad(features, heading_sd_rad, bound_rad),
+            azimuth_bound_rad: bound_rad,
             abs_elevation_rad: plane_wave.abs_elevation_rad,
             signed_elevation_rad: plane_wave.signed_elevation_rad,
             edge: Edge::of(false, direction.at_edge),
@@ -120,23 +136,30 @@ impl BearingAnswer {
             mirror_rad: plane_wave.mirror_rad,
             mirror_elevation_rad: plane_wave.mirror_elevation_rad,
             mirror_share: plane_wave.mirror_share,
-            candidates: plane_wave.peaks.iter().map(candidate).collect(),
+            candidates: plane_wave.peaks.iter().zip(shares).map(candidate).collect(),
             peak_ratio: plane_wave.peak_ratio,
             range: None,
-            probability: quick_probability(plane_wave, compensated, wavelength_m),
+            probability: plane_wave.mirror_rad.is_none().then(|| quick_probability(features, heading_sd_rad)),
         }
     }
 
     /// The answer of a search over places. Its mirror is its reflection in the line or plane that the plane wave and its own
     /// mirror give.
-    pub(super) fn of_spherical_wave(placed: &Placed, plane_wave: &Estimate, samples: &Samples) -> Self {
+    pub(super) fn of_spherical_wave(
+        placed: &Placed,
+        plane_wave: &Estimate,
+        samples: &Samples,
+        options: &Options,
+    ) -> Self {
+        let heading_sd_rad = options.heading_sd_rad.unwrap_or_default();
         let fix = &placed.fix;
         let best = fix.best();
         let (mirror_rad, mirror_elevation_rad) = mirror_of(fix, plane_wave).unzip();
         Self {
             model: WaveModel::SphericalWave,
             azimuth_rad: fix.azimuth_rad,
-            azimuth_sd_rad: fix.deviations.azimuth_rad,
+            azimuth_sd_rad: full_deviation_rad(fix, heading_sd_rad),
+            azimuth_bound_rad: fix.deviations.azimuth_rad,
             abs_elevation_rad: best.abs_elevation_rad,
             signed_elevation_rad: best.signed_elevation_rad,
             edge: fix.edge(),
@@ -147,7 +170,7 @@ impl BearingAnswer {
             candidates: candidates(fix),
             peak_ratio: fix.sources.get(1).map(|other| (other.evidence / best.evidence).min(1.0)),
             range: range(placed, samples),
-            probability: Some(full_probability(fix)),
+            probability: Some(full_probability(fix, heading_sd_rad)),
         }
     }
 }
@@ -170,14 +193,16 @@ fn mirror_of(fix: &Fix, plane_wave: &Estimate) -> Option<(f64, f64)> {
 }
 
 fn candidates(fix: &Fix) -> Vec<Candidate> {
-    let candidate = |source: &crate::place::near_field::Source| Candidate {
+    let shares = shares(fix.sources.iter().map(|source| source.evidence));
+    let candidate = |(source, share): (&Source, f64)| Candidate {
         azimuth_rad: source.azimuth_rad,
         abs_elevation_rad: source.abs_elevation_rad,
         signed_elevation_rad: source.signed_elevation_rad,
         inverse_range_per_m: source.inverse_range_per_m,
         power: source.power,
+        share,
     };
-    fix.sources.iter().map(candidate).collect()
+    fix.sources.iter().zip(shares).map(candidate).collect()
 }
 
 /// Range and position. The search sees the transmitter where it would stand if its own displacements were zero; at the last

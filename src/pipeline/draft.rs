@@ -91,7 +91,7 @@ impl Draft {
         let placed = options.accuracy.near_field.then(place).flatten();
         let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
         let bearing = Bearing {
-            answer: BearingAnswer::of_plane_wave(&direction, phases.compensated, options.channel.wavelength_m()),
+            answer: BearingAnswer::of_plane_wave(&direction, phases.compensated, options),
             plane_wave: direction.plane_wave,
             placed: None,
             heading_rad: gated.heading_rad,
@@ -112,7 +112,7 @@ impl Draft {
         let Self { placed, mut bearing } = self;
         if let Some(placed) = placed {
             let placed = accurate::extract(placed, options);
-            bearing.answer = BearingAnswer::of_spherical_wave(&placed, &bearing.plane_wave, &bearing.samples);
+            bearing.answer = BearingAnswer::of_spherical_wave(&placed, &bearing.plane_wave, &bearing.samples, options);
             bearing.placed = Some(placed);
         }
         bearing

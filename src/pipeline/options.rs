@@ -100,6 +100,10 @@ pub struct Options {
     pub key: Option<Key>,
     /// Added to the receiver's host time to get the trajectory's, seconds.
     pub clock_offset_s: f64,
+    /// Standard deviation of the heading of the whole trajectory, radians: a figure of the sensor, which error bars and
+    /// probabilities take into account. `None`: as exact as motion capture, unless the caller of the pipeline knows the
+    /// sensor.
+    pub heading_sd_rad: Option<f64>,
     /// How pairs are joined with the trajectory.
     pub join: JoinBy,
     /// Only pairs from here on, seconds after the link's first pair.
@@ -136,6 +140,7 @@ impl Options {
             rx_mac: None,
             key: None,
             clock_offset_s: 0.0,
+            heading_sd_rad: None,
             join: JoinBy::Time,
             from_s: None,
             to_s: None,
@@ -179,6 +184,13 @@ impl Options {
     #[must_use]
     pub fn with_clock_offset_s(mut self, clock_offset_s: f64) -> Self {
         self.clock_offset_s = clock_offset_s;
+        self
+    }
+
+    /// With the standard deviation of the trajectory's heading, radians, where the sensor is known.
+    #[must_use]
+    pub fn with_heading_sd_rad(mut self, heading_sd_rad: Option<f64>) -> Self {
+        self.heading_sd_rad = heading_sd_rad;
         self
     }
 

@@ -191,44 +191,76 @@ tuning! {
         range_min_m: f64 = 1.8, "not recorded", "not measured";
     }
 
+    /// What both models of certainty (probability and error bar) are given, of full answers and of plane waves.
+    certainty: CertaintyTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
+        /// Independent looks where candidates share the probability: shares go with the evidence to this.
+        looks: f64 = 8.0, "equal to focus.looks; the likelihood of the nearest candidate asks for 6", "4: Brier 0.182 instead of 0.178; 16: 0.174, but two columns miscalibrated by more";
+        /// Spreads of candidates are clamped to these, degrees.
+        spread_deg: [f64; 2] = [0.3, 100.0], "chosen: what the captures span", "not measured";
+        /// Distances of the views are clamped to these, degrees.
+        views_deg: [f64; 2] = [0.3, 90.0], "chosen: what the captures span", "not measured";
+        /// Least and largest probability.
+        limits: [f64; 2] = [0.02, 0.98], "chosen: what some tens of independent places can support", "not measured";
+        /// Standard deviation of the heading of a tracking camera's trajectory over seven seconds, degrees.
+        camera_heading_deg: f64 = 3.0, "fit: 420 bearings of 30 places", "not measured";
+        /// The same of wheel odometry.
+        wheels_heading_deg: f64 = 20.0, "measured: median error of its bearings in line of sight 11 to 14 degrees", "not measured";
+    }
+
+    /// Error bar of full answers: ln degrees.
+    full_error_bar: FullErrorBarTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
+        /// Intercept.
+        base: f64 = 0.54, "fit: 420 bearings of 30 places", "not measured";
+        /// Per unit of ln(spread of the candidates).
+        per_spread: f64 = 0.60, "fit: 420 bearings of 30 places", "not measured";
+        /// Per unit of ln(median distance of the views).
+        per_views: f64 = 0.37, "fit: 420 bearings of 30 places", "not measured";
+    }
+
+    /// Error bar of bearings by a plane wave: ln degrees.
+    quick_error_bar: QuickErrorBarTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
+        /// Intercept.
+        base: f64 = 7.47, "fit: 410 bearings of 30 places", "not measured";
+        /// Per unit of ln(coherence).
+        per_coherence: f64 = -2.75, "fit: 410 bearings of 30 places", "not measured";
+        /// Per unit of ln(second peak / highest).
+        per_ratio: f64 = 0.68, "fit: 410 bearings of 30 places", "not measured";
+        /// Per unit of ln(longest side of the aperture in wavelengths).
+        per_aperture: f64 = -3.10, "fit: 410 bearings of 30 places", "not measured";
+        /// Where the turn-around was compensated.
+        compensated: f64 = 0.11, "fit: 410 bearings of 30 places", "not measured";
+    }
+
     /// Probability that a full answer's azimuth is within five degrees.
     full_probability: FullProbabilityTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
         /// Intercept.
-        base: f64 = 2.3, "fit (docs/tuning.md)", "not measured";
-        /// Per unit of ln(joint power).
-        per_power: f64 = 0.15, "fit (docs/tuning.md)", "not measured";
-        /// Per unit of ln(next / highest).
-        per_ratio: f64 = -0.45, "fit (docs/tuning.md)", "not measured";
-        /// For an answer at the edge of what was searched.
-        at_edge: f64 = -0.55, "fit (docs/tuning.md)", "not measured";
-        /// Per unit of ln(degrees between the views).
-        per_spread: f64 = -0.8, "fit (docs/tuning.md)", "not measured";
-        /// Differences of the views are clamped to these, degrees.
-        spread_deg: [f64; 2] = [1.0, 90.0], "chosen: views that differ by less agree, by more are unrelated", "not measured";
-        /// The ratio that stands for no other answer.
-        no_other: f64 = 0.3, "equal to climb.floor", "not measured";
-        /// Least and largest probability.
-        limits: [f64; 2] = [0.02, 0.98], "chosen: what some tens of independent places can support", "not measured";
+        base: f64 = 2.37, "fit: 420 bearings of 30 places", "not measured";
+        /// Per unit of ln(spread of the candidates).
+        per_spread: f64 = -0.51, "fit: 420 bearings of 30 places", "not measured";
+        /// Per unit of ln(median distance of the views).
+        per_views: f64 = -0.51, "fit: 420 bearings of 30 places", "not measured";
+        /// Per unit of ln(1 + heading / 5 degrees).
+        per_heading: f64 = -1.91, "fit: 420 bearings of 30 places", "not measured";
     }
 
     /// Probability that the azimuth of a bearing by a plane wave is within five degrees.
     quick_probability: QuickProbabilityTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
         /// Intercept.
-        base: f64 = -4.66, "fit: 838 bearings of 30 places", "not measured";
+        base: f64 = -3.09, "fit: 410 bearings of 30 places", "not measured";
         /// Per unit of ln(coherence).
-        per_coherence: f64 = 1.92, "fit: 838 bearings of 30 places", "not measured";
+        per_coherence: f64 = 2.15, "fit: 410 bearings of 30 places", "not measured";
         /// Per unit of ln(second peak / highest).
-        per_ratio: f64 = -1.10, "fit: 838 bearings of 30 places", "not measured";
+        per_ratio: f64 = -0.94, "fit: 410 bearings of 30 places", "not measured";
         /// Per unit of ln(longest side of the aperture in wavelengths).
-        per_aperture: f64 = 2.63, "fit: 838 bearings of 30 places", "not measured";
+        per_aperture: f64 = 2.40, "fit: 410 bearings of 30 places", "not measured";
         /// Where the turn-around was compensated.
-        compensated: f64 = -0.13, "fit: 838 bearings of 30 places", "not measured";
+        compensated: f64 = -0.54, "fit: 410 bearings of 30 places", "not measured";
+        /// Per unit of ln(1 + heading / 5 degrees).
+        per_heading: f64 = -1.70, "fit: 410 bearings of 30 places", "not measured";
         /// The ratio that stands for no second peak.
         no_other: f64 = 0.1, "not recorded", "not measured";
         /// The aperture is clamped to these, wavelengths.
         aperture_wavelengths: [f64; 2] = [4.7, 13.8], "measured: what the captures and their parts span", "not measured";
-        /// Least and largest probability.
-        limits: [f64; 2] = [0.02, 0.98], "as full_probability.limits", "not measured";
     }
 
     /// Robust location.

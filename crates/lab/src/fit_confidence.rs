@@ -6,10 +6,7 @@
 //! less a ridge on the coefficients of standardised features (not on the intercept), by Newton's method from zero: the
 //! same rows give the same digits.
 
-use crate::evaluate::{Capture, TrajectorySource};
-use csi5300::pipeline::{Bearing, Options};
 use nalgebra::{DMatrix, DVector};
-use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Bearings further off than this are wrong, degrees.
@@ -31,7 +28,7 @@ pub struct LabelledBearing {
     pub features: Vec<f64>,
     /// Whether the azimuth was within [`WRONG_DEG`] of the bearing from the mean pose.
     pub right: bool,
-    /// What the library's own model says, 0..1.
+    /// A probability to be judged, 0..1; not a number where none was made.
     pub probability: f64,
 }
 
@@ -53,31 +50,6 @@ pub struct Calibration {
     pub brier: f64,
     /// Mean over five bins of the difference between mean probability and share right, weighed by their bearings.
     pub expected_error: f64,
-}
-
-/// What a model sees of a bearing: its features and the probability in use; `None` where the model does not apply.
-pub type See = dyn Fn(&Bearing, &Options) -> Option<(Vec<f64>, f64)> + Sync;
-
-/// Bearings of all `captures` by the trajectory of `source` and each of `options`, as `see` sees them.
-#[must_use]
-pub fn gather(captures: &[Capture], source: TrajectorySource, options: &[Options], see: &See) -> Vec<LabelledBearing> {
-    let of_capture = |capture: &Capture| -> Vec<LabelledBearing> {
-        let of_options = |options: &Options| {
-            let mut seen = BTreeMap::new();
-            let mut look = |name: &str, bearing: &Bearing, options: &Options| {
-                seen.extend(see(bearing, options).map(|own| (name.to_owned(), own)));
-            };
-            let rows = capture.evaluate_and(source, None, options, &mut look).rows;
-            let label = |row: &crate::evaluate::Judged| {
-                let (features, probability) = seen.remove(&row.answer.link)?;
-                let right = row.error_from_mean_pose_deg?.abs() <= WRONG_DEG;
-                Some(LabelledBearing { place: capture.place.clone(), features, right, probability })
-            };
-            rows.iter().filter_map(label).collect::<Vec<_>>()
-        };
-        options.iter().flat_map(of_options).collect()
-    };
-    captures.par_iter().map(of_capture).collect::<Vec<_>>().into_iter().flatten().collect()
 }
 
 /// The weight of each bearing: those of a place sum to one.

@@ -19,6 +19,7 @@ pub mod course;
 pub mod ends;
 pub mod evaluate;
 pub mod fit_confidence;
+pub mod fit_error_bar;
 pub mod folds;
 pub mod rooms;
 #[cfg(feature = "plot")]

@@ -52,7 +52,7 @@ pub struct Run {
     pub abs_elevation_deg: Option<f64>,
     /// Its elevation with its sign, where the motion distinguishes up from down, degrees.
     pub elevation_deg: Option<f64>,
-    /// Predicted standard deviation of the azimuth, degrees.
+    /// Cramer-Rao bound of the azimuth's standard deviation, degrees.
     pub sd_deg: Option<f64>,
     /// Calibrated probability that the azimuth is within five degrees, where there is one.
     pub confidence: Option<f64>,
@@ -183,7 +183,7 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
     run.error_deg = errors.min_by(|a, b| a.abs().total_cmp(&b.abs()));
     run.abs_elevation_deg = Some(answer.abs_elevation_rad.to_degrees());
     run.elevation_deg = answer.signed_elevation_rad.map(f64::to_degrees);
-    run.sd_deg = Some(answer.azimuth_sd_rad.to_degrees());
+    run.sd_deg = Some(answer.azimuth_bound_rad.to_degrees());
     run.confidence = answer.probability;
     run.likelihood_share = bearing.figures.likelihood_share;
     run.coherence = Some(bearing.plane_wave.coherence);

@@ -31,6 +31,10 @@ pub struct Estimation {
     /// Height of the transmitter above the receiver's antenna, where known, metres
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     pub height: Option<f64>,
+    /// Standard deviation of the heading of the whole trajectory, degrees: 0 for motion capture, about 3 for a tracking
+    /// camera, 20 for wheels. Error bars and confidence take it into account
+    #[arg(long, value_name = "DEGREES")]
+    pub heading_sd: Option<f64>,
     /// Use pairs from this many seconds after the link's first one on
     #[arg(long, value_name = "SECONDS")]
     pub from: Option<f64>,
@@ -74,6 +78,7 @@ impl Default for Estimation {
             without: Vec::new(),
             range_min: 1.8,
             height: None,
+            heading_sd: None,
             from: None,
             to: None,
         }
@@ -98,6 +103,9 @@ impl Estimation {
         if !(self.range_min.is_finite() && self.range_min > 0.0 && self.height.is_none_or(f64::is_finite)) {
             return Err("--range-min takes a positive number of metres, --height a number of metres".into());
         }
+        if self.heading_sd.is_some_and(|sd| !(0.0..=180.0).contains(&sd)) {
+            return Err("--heading-sd takes 0 to 180 degrees".into());
+        }
         let left_out = |step| self.without.contains(&step);
         let elevation_max = if left_out(Step::Elevation) { 0.0 } else { self.elevation_max };
         let mut accuracy = Accuracy::default()
@@ -115,6 +123,7 @@ impl Estimation {
             .with_cut(self.from, self.to)
             .with_compensate(!self.no_compensation && !left_out(Step::Compensation))
             .with_accuracy(accuracy)
+            .with_heading_sd_rad(self.heading_sd.map(f64::to_radians))
             .with_search(search))
     }
 }

@@ -226,7 +226,7 @@ fn worth(rows: &[Judged]) -> String {
         let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
         let _ = writeln!(
             text,
-            "{set}: error over predicted deviation {}; range from {} of {} links, median error {} m, over predicted deviation {}; {} receivers located, median error {median}",
+            "{set}: error over error bar {}; range from {} of {} links, median error {} m, over predicted deviation {}; {} receivers located, median error {median}",
             number(over_bound(&own)),
             ranges.reported,
             ranges.links,

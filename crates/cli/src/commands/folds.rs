@@ -3,7 +3,7 @@
 use super::{Outcome, Result, print, print_json};
 use csi5300::pipeline::Options;
 use csi5300_lab::evaluate::{Capture, Errors, TrajectorySource};
-use csi5300_lab::folds::{ConfidenceColumn, ErrorColumn, Kind, Report, gather, report};
+use csi5300_lab::folds::{ConfidenceColumn, ErrorBarColumn, ErrorColumn, Kind, Report, gather, report};
 use std::fmt::Write;
 
 /// Leaves every place of `captures` out in turn, and prints what came of it.
@@ -36,6 +36,9 @@ fn text(report: &Report) -> String {
     text += "\nconfidence from models fitted to the other places (whole motions and halves): bearings, said, right,\n\
              expected calibration error, and what a perfect calibration would show with as many\n";
     report.confidence.iter().for_each(|column| confidence(&mut text, column));
+    text += "\nerror bars from models fitted to the other places: bearings, share of errors within one (68 % meant) and two (95 %),\n\
+             median of error over error bar (0.67 of normal errors), median error bar, median of error over Cramer-Rao bound\n";
+    report.error_bars.iter().for_each(|column| error_bar(&mut text, column));
     text
 }
 
@@ -81,5 +84,21 @@ fn confidence(text: &mut String, column: &ConfidenceColumn) {
         column.right,
         column.expected_error,
         column.perfect
+    );
+}
+
+fn error_bar(text: &mut String, column: &ErrorBarColumn) {
+    let which = &column.which;
+    let _ = writeln!(
+        text,
+        "{:46} {:4} {:4}  within {:3.0} %  twice {:3.0} %  ratio {:.2}  bar {:5.2} deg  over bound {:.1}",
+        heading(which.source, which.parts, which.kind),
+        which.group,
+        column.bearings,
+        100.0 * column.within,
+        100.0 * column.within_twice,
+        column.ratio,
+        column.median_deg,
+        column.over_bound
     );
 }

@@ -1,5 +1,6 @@
 //! Captures below a folder: their logs, and which of their trajectories is read.
 
+use csi5300::internal::{CAMERA_HEADING_DEG, WHEELS_HEADING_DEG};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -20,6 +21,17 @@ pub enum TrajectorySource {
 }
 
 impl TrajectorySource {
+    /// Standard deviation of the heading of its trajectories, radians: what error bars and probabilities have to know of
+    /// the sensor.
+    #[must_use]
+    pub fn heading_sd_rad(self) -> f64 {
+        match self {
+            Self::GroundTruth => 0.0,
+            Self::T265 => CAMERA_HEADING_DEG.to_radians(),
+            Self::Odometry => WHEELS_HEADING_DEG.to_radians(),
+        }
+    }
+
     /// How the names of its files begin, before the robot's.
     pub(super) fn prefix(self) -> &'static str {
         match self {

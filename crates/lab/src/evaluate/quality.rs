@@ -55,7 +55,8 @@ fn scale(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
     median(&mut ratios).map(|ratio| ratio / 0.674_5)
 }
 
-/// How the azimuths' errors compare with their predicted deviations: 1 at the Cramer-Rao bound.
+/// How the azimuths' errors compare with their error bars: 1 where those tell the truth, less where they are longer than
+/// needed.
 #[must_use]
 pub fn over_bound(rows: &[&Judged]) -> Option<f64> {
     scale(rows.iter().filter_map(|row| row.error_from_mean_pose_deg.zip(row.answer.azimuth_sd_deg)))

@@ -3,6 +3,7 @@
 use super::gather::{FoldRow, Kind, PARTS, SOURCES};
 use crate::evaluate::TrajectorySource;
 use crate::fit_confidence::{LabelledBearing, LogisticModel, WRONG_DEG, calibration};
+use csi5300::internal::{PROBABILITY_LIMITS, heading_feature};
 use csi5300_sim::random::Stream;
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -85,20 +86,24 @@ fn perfect(own: &[&LabelledBearing], probabilities: &[f64]) -> f64 {
 }
 
 /// What probabilities are fitted to: bearings of whole motions and halves, by motion capture and by the tracking camera.
+/// Their last feature is that of the trajectory's heading.
 #[must_use]
 pub fn labelled(rows: &[FoldRow], kind: Kind) -> Vec<LabelledBearing> {
     rows.iter().filter(|row| is_fitted_to(row)).filter_map(|row| label(row, kind)).collect()
 }
 
+/// Whether models are fitted to a row: a whole motion or a half, by motion capture or by the tracking camera.
 pub(super) fn is_fitted_to(row: &FoldRow) -> bool {
     row.part.of <= FITTED && row.source != TrajectorySource::Odometry
 }
 
 fn label(row: &FoldRow, kind: Kind) -> Option<LabelledBearing> {
-    let answered = row.answered(kind)?;
+    let answered = row.answered(kind).filter(|answered| !answered.mirrored)?;
+    let mut features = answered.features.clone()?;
+    features.push(heading_feature(row.source.heading_sd_rad()));
     Some(LabelledBearing {
         place: row.place.clone(),
-        features: answered.features.clone()?,
+        features,
         right: answered.error_deg.abs() <= WRONG_DEG,
         probability: f64::NAN,
     })
@@ -115,7 +120,8 @@ fn told(rows: &[FoldRow], kind: Kind) -> Vec<Told<'_>> {
         let own = rows.iter().filter(|row| row.place == place);
         told.extend(own.filter_map(|row| {
             let mut labelled = label(row, kind)?;
-            labelled.probability = model.probability(&labelled.features);
+            let [least, most] = PROBABILITY_LIMITS;
+            labelled.probability = model.probability(&labelled.features).clamp(least, most);
             Some(Told { row, labelled })
         }));
     }

@@ -35,8 +35,12 @@ pub struct Answered {
     pub error_deg: f64,
     /// The least absolute error of the answer and the first five directions that it was chosen from, degrees.
     pub oracle_deg: f64,
-    /// Features of the probability; none where the kind of answer has no probability.
+    /// Features of the models of certainty; none where the answer is of another kind.
     pub features: Option<Vec<f64>>,
+    /// True if a mirror is as likely: there is no probability then.
+    pub mirrored: bool,
+    /// Cramer-Rao bound, degrees: no error bar is below it.
+    pub bound_deg: f64,
 }
 
 /// A link, by one trajectory, over one part of the motion.
@@ -109,38 +113,61 @@ fn set_and_place(path: &str) -> (String, String) {
     }
 }
 
-/// What is kept of a bearing: azimuth, candidates, features.
+/// What is kept of a bearing.
 struct Seen {
-    full: Option<(f64, Vec<f64>, Vec<f64>)>,
-    quick: (f64, Vec<f64>, Option<Vec<f64>>),
+    full: Option<SeenKind>,
+    quick: SeenKind,
+}
+
+/// What is kept of one kind of answer.
+struct SeenKind {
+    azimuth_rad: f64,
+    candidates_rad: Vec<f64>,
+    features: Vec<f64>,
+    mirrored: bool,
+    bound_rad: f64,
 }
 
 impl Seen {
     fn of(bearing: &Bearing, options: &Options) -> Self {
         let plane = &bearing.plane_wave;
-        let features = quick_features(plane, bearing.compensated, options.channel.wavelength_m()).to_vec();
-        let peaks = plane.peaks.iter().map(|peak| peak.azimuth_rad).collect();
-        let full = bearing.placed.as_ref().map(|placed| {
-            let sources = placed.fix.sources.iter().map(|source| source.azimuth_rad).collect();
-            (bearing.answer.azimuth_rad, sources, full_features(&placed.fix).to_vec())
+        let quick = SeenKind {
+            azimuth_rad: plane.azimuth_rad,
+            candidates_rad: plane.peaks.iter().map(|peak| peak.azimuth_rad).collect(),
+            features: quick_features(plane, bearing.compensated, options.channel.wavelength_m()).to_vec(),
+            mirrored: plane.mirror_rad.is_some(),
+            bound_rad: plane.azimuth_sd_rad,
+        };
+        let full = bearing.placed.as_ref().map(|placed| SeenKind {
+            azimuth_rad: bearing.answer.azimuth_rad,
+            candidates_rad: placed.fix.sources.iter().map(|source| source.azimuth_rad).collect(),
+            features: full_features(&placed.fix).to_vec(),
+            mirrored: false,
+            bound_rad: bearing.answer.azimuth_bound_rad,
         });
-        Self { full, quick: (plane.azimuth_rad, peaks, plane.mirror_rad.is_none().then_some(features)) }
+        Self { full, quick }
     }
 
     fn answered(self, truth_deg: f64) -> (Option<Answered>, Option<Answered>) {
-        let off_deg = |azimuth_rad: f64| wrap_rad(azimuth_rad - truth_deg.to_radians()).to_degrees();
-        let answered = |azimuth_rad: f64, candidates: &[f64], features: Option<Vec<f64>>| {
-            let error_deg = off_deg(azimuth_rad);
-            let others = candidates.iter().take(CANDIDATES).map(|other| off_deg(*other).abs());
-            Answered { error_deg, oracle_deg: others.fold(error_deg.abs(), f64::min), features }
-        };
-        let (azimuth_rad, peaks, features) = self.quick;
-        let quick = answered(azimuth_rad, &peaks, features);
-        // Without a search over places the plane wave is the whole answer.
-        let full = match self.full {
-            Some((azimuth_rad, sources, features)) => answered(azimuth_rad, &sources, Some(features)),
-            None => Answered { features: None, ..quick.clone() },
-        };
+        let quick = self.quick.answered(truth_deg);
+        // Without a search over places the plane wave is the whole answer, and the models of that are not for it.
+        let plane = || Answered { features: None, ..quick.clone() };
+        let full = self.full.map_or_else(plane, |full| full.answered(truth_deg));
         (Some(full), Some(quick))
+    }
+}
+
+impl SeenKind {
+    fn answered(self, truth_deg: f64) -> Answered {
+        let off_deg = |azimuth_rad: &f64| wrap_rad(azimuth_rad - truth_deg.to_radians()).to_degrees();
+        let error_deg = off_deg(&self.azimuth_rad);
+        let others = self.candidates_rad.iter().take(CANDIDATES).map(|other| off_deg(other).abs());
+        Answered {
+            error_deg,
+            oracle_deg: others.fold(error_deg.abs(), f64::min),
+            features: Some(self.features),
+            mirrored: self.mirrored,
+            bound_deg: self.bound_rad.to_degrees(),
+        }
     }
 }

@@ -7,15 +7,18 @@
 //! docs/references.md). The same captures give the same digits.
 //!
 //! [`report`] has one [`ErrorColumn`] for each trajectory, length of motion, kind of answer and group of links (in line
-//! of sight, without, each set), and one [`ConfidenceColumn`] for each trajectory, length and kind.
+//! of sight, without, each set), one [`ConfidenceColumn`] for each trajectory, length and kind, and one
+//! [`ErrorBarColumn`] for each of them in line of sight, without, and together.
 
 mod bootstrap;
 mod confidence;
+mod error_bar;
 mod gather;
 mod report;
 
 pub use bootstrap::Interval;
 pub use confidence::{ConfidenceColumn, labelled};
+pub use error_bar::{ErrorBarColumn, error_rows};
 pub use gather::{Answered, FoldRow, Kind, gather};
 pub use report::{ErrorColumn, Report, Which, report};
 

@@ -2,6 +2,7 @@
 
 use super::bootstrap::{Interval, intervals};
 use super::confidence::{self, ConfidenceColumn};
+use super::error_bar::{self, ErrorBarColumn};
 use super::gather::{FoldRow, Kind, PARTS, SOURCES};
 use crate::evaluate::{Errors, TrajectorySource};
 use serde::Serialize;
@@ -52,6 +53,8 @@ pub struct Report {
     pub errors: Vec<ErrorColumn>,
     /// Probabilities from models fitted to all other places.
     pub confidence: Vec<ConfidenceColumn>,
+    /// Error bars from models fitted to all other places.
+    pub error_bars: Vec<ErrorBarColumn>,
 }
 
 /// Leaves out every place of `rows` in turn.
@@ -64,6 +67,7 @@ pub fn report(rows: &[FoldRow]) -> Report {
         links: names(|row| &row.link).len(),
         errors: kinds.into_iter().flat_map(|kind| errors(rows, kind)).collect(),
         confidence: kinds.into_iter().flat_map(|kind| confidence::columns(rows, kind)).collect(),
+        error_bars: error_bar::columns(rows),
     }
 }
 

@@ -12,7 +12,8 @@ fn rows() -> Vec<FoldRow> {
                     let wrong = (place / 2 + link) % 4 == 0;
                     let error_deg = if wrong { 40.0 } else { 1.0 };
                     let features = Some(vec![f64::from(u8::from(wrong)), 0.5]);
-                    let full = Some(Answered { error_deg, oracle_deg: 1.0, features });
+                    let full =
+                        Some(Answered { error_deg, oracle_deg: 1.0, features, bound_deg: 0.5, ..Answered::default() });
                     rows.push(FoldRow {
                         place: format!("{set}/L{place}"),
                         set: set.into(),
