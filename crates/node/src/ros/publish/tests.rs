@@ -31,11 +31,15 @@ fn a_bearing_is_in_radians_and_what_is_not_known_is_no_number() {
 #[test]
 fn a_pose_looks_along_the_bearing() {
     let own = Pose { t_s: 0.0, position_m: nalgebra::Vector3::new(1.0, 2.0, 0.2), heading_rad: Some(0.3) };
-    let told = pointing(Header::default(), &own, 2.0);
-    let turned = nalgebra::Quaternion::new(told.pose.orientation.w, 0.0, 0.0, told.pose.orientation.z);
-    let turned = nalgebra::UnitQuaternion::from_quaternion(turned);
-    assert!((csi5300::motion::pose::heading_of(&turned) - 2.0).abs() < 1e-12);
-    assert_eq!((told.pose.position.x, told.pose.position.z), (1.0, 0.2));
+    for (azimuth, elevation) in [(2.0, 0.0), (2.0, 0.7), (-0.4, -1.2)] {
+        let told = pointing(Header::default(), &own, azimuth, elevation);
+        let q = told.pose.orientation;
+        let turned = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q.w, q.x, q.y, q.z));
+        let looks = turned * nalgebra::Vector3::x();
+        assert!((looks - csi5300::bartlett::direction(azimuth, elevation)).norm() < 1e-12);
+        assert!((csi5300::motion::pose::heading_of(&turned) - azimuth).abs() < 1e-12);
+        assert_eq!((told.pose.position.x, told.pose.position.z), (1.0, 0.2));
+    }
 }
 
 #[test]
