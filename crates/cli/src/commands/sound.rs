@@ -49,7 +49,7 @@ pub struct Args {
     /// How often bearings are made
     #[arg(long, value_parser = duration, default_value = "2s", value_name = "TIME")]
     bearing_every: Span,
-    /// Sound a link in every eighth round only, once its bearing's deviation is at most this, degrees
+    /// Sound a link in every eighth round only, once its bearing's error bar (`+-`) is at most this, degrees
     #[arg(long, value_name = "DEGREES", requires = "trajectory")]
     good_enough: Option<f64>,
     /// Bearings as lines of JSON
