@@ -207,7 +207,8 @@ mod tests {
     fn ask(door: &Door, origin: &str) -> TcpStream {
         let mut stream = TcpStream::connect(door.address()).unwrap();
         let line = if origin.is_empty() { String::new() } else { format!("oRigin: {origin}\r\n") };
-        write!(stream, "GET / HTTP/1.1\r\nHost: robot\r\n{line}\r\n").unwrap();
+        // Who finds no place may be gone before all is written.
+        let _ = write!(stream, "GET / HTTP/1.1\r\nHost: robot\r\n{line}\r\n");
         stream
     }
 

@@ -91,7 +91,10 @@ impl Scene {
         let Some(sounding) = &self.sounding else { return Ok(()) };
         let check = || {
             ensure(sounding.rate_hz > 0.0, "rate_hz", || format!("is {}; it must be more than 0", sounding.rate_hz))?;
-            at_most("rate_hz", sounding.rate_hz, FASTEST_HZ)?;
+            // Without end is the highest rate that fits.
+            if sounding.rate_hz.is_finite() {
+                at_most("rate_hz", sounding.rate_hz, FASTEST_HZ)?;
+            }
             not_negative("start_s", sounding.start_s)?;
             ensure(self.robot.len() >= 2, "rate_hz", || "needs two robots at least".to_owned())?;
             for (number, name) in sounding.initiators.iter().enumerate() {

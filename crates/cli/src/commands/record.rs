@@ -136,15 +136,20 @@ pub fn run(args: &Args) -> Result {
         eprintln!("csi5300: {message}");
     }
     let lost = losses(&totals, &listener.counters());
-    if totals.written == 0 {
-        // Nobody takes them for a recording, and the next try needs no --force.
-        files.paths().iter().flat_map(|log| [log.clone(), side_path(log)]).for_each(|path| super::remove_empty(&path));
-    }
-    Ok(match totals.written {
-        0 => Outcome::Nothing,
-        _ if lost != Losses::default() || session.status.survey.lost_something() => Outcome::DataLost,
+    Ok(outcome(&totals, lost, session.status.survey.lost_something(), &files))
+}
+
+fn outcome(totals: &Totals, lost: Losses, damaged: bool, files: &LogFiles) -> Outcome {
+    match totals.written {
+        0 => {
+            // Nobody takes them for a recording, and the next try needs no --force.
+            let paths = files.paths();
+            paths.iter().flat_map(|log| [log.clone(), side_path(log)]).for_each(|path| super::remove_empty(&path));
+            Outcome::Nothing
+        }
+        _ if lost != Losses::default() || damaged => Outcome::DataLost,
         _ => Outcome::Done,
-    })
+    }
 }
 
 fn losses(totals: &Totals, counters: &Counters) -> Losses {

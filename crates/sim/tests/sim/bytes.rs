@@ -103,6 +103,6 @@ fn the_stock_layout_says_in_its_side_file_what_wsr_records_say_themselves() {
     }
     let cut = &logs(Driver::Stock, true)[0];
     let stamps = std::fs::metadata(side_path(&cut.path)).unwrap().len();
-    assert!(cut.tail_records > 0 && stamps == 16 * cut.records, "{cut:?}: {stamps} bytes of stamps");
+    assert!(cut.tail_records > 0 && stamps == 8 * cut.records, "{cut:?}: {stamps} bytes of stamps");
     std::fs::remove_dir_all(&folder).unwrap();
 }
