@@ -148,7 +148,7 @@ impl<T> Admission<T> {
                 at += 1;
                 continue;
             }
-            let Some(held) = state.held.remove(at) else { return None };
+            let held = state.held.remove(at)?;
             if !is_confirmed {
                 self.counts.unconfirmed += 1;
             } else if !held.contested {

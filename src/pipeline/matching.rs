@@ -76,11 +76,14 @@ pub(super) fn find_macs(
     Ok(settled)
 }
 
+/// Senders with their marks, how well each log goes with each sender, and what was found of each log.
+type Unsettled<'a> = (&'a [(Mac, Vec<Mark>)], &'a [Vec<Option<Spread>>], &'a [Result<Match, Unmatched>]);
+
 /// How alike the channel's changes were in the two directions, for each log that is left unclear and each sender.
 fn correlations(
     rx: &mut LogReader<'_>,
     txs: &mut [LogReader<'_>],
-    (senders, spreads, found): (&[(Mac, Vec<Mark>)], &[Vec<Option<Spread>>], &[Result<Match, Unmatched>]),
+    (senders, spreads, found): Unsettled<'_>,
     options: &Options,
 ) -> Result<Vec<Vec<Option<f64>>>, Error> {
     let mut rows = vec![Vec::new(); txs.len()];

@@ -94,6 +94,7 @@ impl Key {
 
     /// This robot's keys by name: the group's, and those with each peer. `None` for a key that holds the group's secret.
     #[must_use]
+    #[allow(clippy::type_complexity)]
     pub fn robot_keys(&self) -> Option<(Mac, [u8; 16], &[(Mac, [u8; 16])])> {
         match &self.0.pairs {
             Pairs::Secret(_) => None,

@@ -242,7 +242,8 @@ impl Tdma {
         if self.key.is_some() && (other.is_some_and(|(before, _)| before == number) || peer.contested == Some(number)) {
             peer.contested = Some(number);
             let of_number = |kept: &mut Measurement| kept.number == number;
-            (peer.measurement.take_if(of_number), peer.early.take_if(of_number));
+            peer.measurement.take_if(of_number);
+            peer.early.take_if(of_number);
             self.counts.contested += 1;
             return false;
         }

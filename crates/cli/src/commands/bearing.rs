@@ -425,7 +425,7 @@ fn pairs(answer: &Answer) -> String {
             "  {name} log: {} of {} frames paired, {} missing",
             side.paired,
             side.handed,
-            some(side.missing as u64, "number", "numbers")
+            some(side.missing, "number", "numbers")
         );
         if odd > 0 {
             let _ = write!(

@@ -22,6 +22,9 @@ pub struct Format {
     pub svg: bool,
 }
 
+/// Lowest and highest value of a colour bar, its ticks, and the colour of a value.
+type Shades<'a> = ((f64, f64), &'a [(f64, String)], &'a dyn Fn(f64) -> Rgb);
+
 impl Default for Format {
     fn default() -> Self {
         Self { size: (1200.0, 1100.0), dpi: 96.0, png: true, svg: true }
@@ -110,7 +113,7 @@ impl LogPictures<'_> {
         canvas: &mut Canvas,
         frame: [f64; 4],
         values: &[f64],
-        (range, ticks, shade): ((f64, f64), &[(f64, String)], &dyn Fn(f64) -> Rgb),
+        (range, ticks, shade): Shades<'_>,
         (name, x_label): (&str, &str),
     ) {
         let mut axes = Axes::new(frame, self.course.span_s, (0.0, SUBCARRIERS as f64));

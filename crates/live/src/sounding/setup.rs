@@ -73,7 +73,7 @@ impl Setup {
         if let Some(peer) = stranger {
             return Err(SoundingError::NoKeyWith { own, peer: *peer }.into());
         }
-        let heard = self.key.is_some().then(|| Heard::open(own)).unwrap_or_default();
+        let heard = if self.key.is_some() { Heard::open(own) } else { Heard::default() };
         config.heard = heard.peers();
         settle(&mut config);
         let tdma = Tdma::new(&config).map_err(|error| Error::Backend(Box::new(error)))?;
