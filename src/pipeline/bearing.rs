@@ -155,10 +155,11 @@ impl BearingAnswer {
         let fix = &placed.fix;
         let best = fix.best();
         let (mirror_rad, mirror_elevation_rad) = mirror_of(fix, plane_wave).unzip();
+        let mirror_share = plane_wave.mirror_share.filter(|_| mirror_rad.is_some());
         Self {
             model: WaveModel::SphericalWave,
             azimuth_rad: fix.azimuth_rad,
-            azimuth_sd_rad: full_deviation_rad(fix, heading_sd_rad),
+            azimuth_sd_rad: full_deviation_rad(fix, mirror_rad, heading_sd_rad),
             azimuth_bound_rad: fix.deviations.azimuth_rad,
             abs_elevation_rad: best.abs_elevation_rad,
             signed_elevation_rad: best.signed_elevation_rad,
@@ -166,11 +167,11 @@ impl BearingAnswer {
             elevation_sd_rad: fix.elevation_searched.then_some(fix.deviations.elevation_rad),
             mirror_rad,
             mirror_elevation_rad: mirror_elevation_rad.filter(|_| fix.elevation_searched),
-            mirror_share: plane_wave.mirror_share.filter(|_| mirror_rad.is_some()),
+            mirror_share,
             candidates: candidates(fix),
             peak_ratio: fix.sources.get(1).map(|other| (other.evidence / best.evidence).min(1.0)),
             range: range(placed, samples),
-            probability: Some(full_probability(fix, heading_sd_rad)),
+            probability: Some(full_probability(fix, mirror_rad.zip(mirror_share), heading_sd_rad)),
         }
     }
 }

@@ -38,15 +38,19 @@ pub(crate) fn shares(evidence: impl Iterator<Item = f64>) -> Vec<f64> {
 }
 
 /// Features of an answer of the near field: ln of the spread of all candidates about the answer (root mean square, each
-/// with its share), and ln of how far the views by themselves are from it (median), both of degrees.
+/// with its share), and ln of how far the views by themselves are from it (median), both of degrees. Where the motion hides
+/// a mirror what is on the mirror's side counts from the mirror.
 #[must_use]
-pub fn full_features(fix: &Fix) -> [f64; 2] {
+pub fn full_features(fix: &Fix, mirror_rad: Option<f64>) -> [f64; 2] {
     let tuning = TUNING.certainty;
-    let off_deg = |azimuth_rad: f64| wrap_rad(azimuth_rad - fix.azimuth_rad).to_degrees();
+    let off_deg = |azimuth_rad: f64| {
+        let off = |from_rad: f64| wrap_rad(azimuth_rad - from_rad).abs();
+        mirror_rad.map_or(off(fix.azimuth_rad), |mirror| off(mirror).min(off(fix.azimuth_rad))).to_degrees()
+    };
     let shares = shares(fix.sources.iter().map(|source| source.evidence));
     let square: f64 =
         fix.sources.iter().zip(shares).map(|(source, share)| share * off_deg(source.azimuth_rad).powi(2)).sum();
-    let mut views: Vec<f64> = fix.view_azimuths_rad.iter().map(|azimuth| off_deg(*azimuth).abs()).collect();
+    let mut views: Vec<f64> = fix.view_azimuths_rad.iter().map(|azimuth| off_deg(*azimuth)).collect();
     let views_deg = median(&mut views).unwrap_or(tuning.views_deg[1]);
     [
         square.sqrt().clamp(tuning.spread_deg[0], tuning.spread_deg[1]).ln(),
@@ -54,19 +58,22 @@ pub fn full_features(fix: &Fix) -> [f64; 2] {
     ]
 }
 
-/// Probability that the azimuth of `fix` is within five degrees of the truth.
+/// Probability that the azimuth of `fix` is within five degrees of the truth. Where the motion hides a mirror it is that of
+/// the azimuth or the mirror, less the mirror's share of the evidence (`mirror`: its azimuth, radians, and that share).
 #[must_use]
-pub fn full_probability(fix: &Fix, heading_sd_rad: f64) -> f64 {
+pub fn full_probability(fix: &Fix, mirror: Option<(f64, f64)>, heading_sd_rad: f64) -> f64 {
     let tuning = TUNING.full_probability;
-    let logit = linear(tuning.base, [tuning.per_spread, tuning.per_views], full_features(fix));
-    probability(logit + tuning.per_heading * heading_feature(heading_sd_rad))
+    let features = full_features(fix, mirror.map(|(azimuth_rad, _)| azimuth_rad));
+    let logit = linear(tuning.base, [tuning.per_spread, tuning.per_views], features);
+    let either = probability(logit + tuning.per_heading * heading_feature(heading_sd_rad));
+    either * (1.0 - mirror.map_or(0.0, |(_, share)| share))
 }
 
-/// Error bar of the azimuth of `fix`, radians.
+/// Error bar of the azimuth of `fix`, radians; of a motion that hides a mirror it is that of the bearing on its own side.
 #[must_use]
-pub fn full_deviation_rad(fix: &Fix, heading_sd_rad: f64) -> f64 {
+pub fn full_deviation_rad(fix: &Fix, mirror_rad: Option<f64>, heading_sd_rad: f64) -> f64 {
     let tuning = TUNING.full_error_bar;
-    let ln_deg = linear(tuning.base, [tuning.per_spread, tuning.per_views], full_features(fix));
+    let ln_deg = linear(tuning.base, [tuning.per_spread, tuning.per_views], full_features(fix, mirror_rad));
     deviation_rad(ln_deg, heading_sd_rad, fix.deviations.azimuth_rad)
 }
 

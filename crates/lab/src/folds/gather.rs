@@ -141,7 +141,7 @@ impl Seen {
         let full = bearing.placed.as_ref().map(|placed| SeenKind {
             azimuth_rad: bearing.answer.azimuth_rad,
             candidates_rad: placed.fix.sources.iter().map(|source| source.azimuth_rad).collect(),
-            features: full_features(&placed.fix).to_vec(),
+            features: full_features(&placed.fix, bearing.answer.mirror_rad).to_vec(),
             mirrored: false,
             bound_rad: bearing.answer.azimuth_bound_rad,
         });
