@@ -17,6 +17,6 @@ for chains in "3 1" "3 3"; do
     # A listener that comes later finds the index by name.
     csi5300 record /tmp/none.dat --stop-after 100ms 2>/tmp/said || true
     grep -q "index 26 (where the driver is registered)" /tmp/said
-    rm /tmp/none.dat*
+    rm -f /tmp/none.dat*
     rmmod csi5300_sender
 done
