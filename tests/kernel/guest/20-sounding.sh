@@ -81,7 +81,7 @@ done
 
 echo "three radios, native, with a key: two initiators in turn"
 mkdir -p /tmp/out/three && cd /tmp/out/three
-head -c 16 /dev/urandom >/tmp/key
+(umask 077 && head -c 16 /dev/urandom >/tmp/key)
 insmod /modules/csi5300_heard.ko interfaces=wlan0,wlan1,wlan2 idx=26,25,23
 listen a 26
 listen b 25
