@@ -6,6 +6,7 @@ use csi5300::time::Instant;
 use csi5300_live::netlink::{Netlink, Options, Sender};
 use driver_iface::bfee::{self, csi_len};
 use driver_iface::record::{Record, code};
+use std::io::Write;
 use std::process::Command;
 
 /// Set for a test that already is in its namespaces.
@@ -19,7 +20,7 @@ pub fn inside(test: &str, options: &str) -> bool {
     }
     let possible = Command::new("unshare").args([options, "true"]).output().is_ok_and(|out| out.status.success());
     if !possible {
-        eprintln!("skipped: `unshare {options}` is not permitted or not installed here");
+        crate::common::skipped(&format!("`unshare {options}` is not permitted or not installed here"));
         return false;
     }
     let own = std::env::current_exe().unwrap();
@@ -32,7 +33,8 @@ pub fn inside(test: &str, options: &str) -> bool {
     let complained = String::from_utf8_lossy(&out.stderr);
     assert!(out.status.success(), "in its namespaces:\n{said}{complained}");
     assert!(said.contains("1 passed"), "`{test}` did not run in its namespaces:\n{said}");
-    eprint!("{complained}");
+    // Past the harness: what was skipped inside shows.
+    let _ = std::io::stderr().write_all(complained.as_bytes());
     false
 }
 

@@ -28,7 +28,7 @@ fn tun(name: &str, mtu: usize) -> Option<File> {
     match radiotap_tun(name, mtu) {
         Ok(tun) => Some(tun),
         Err(error) => {
-            eprintln!("skipped: no TUN device: {error}");
+            crate::common::skipped(&format!("no TUN device: {error}"));
             None
         }
     }
@@ -222,7 +222,7 @@ fn a_missing_capability_is_said_with_its_remedy() {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:")).unwrap().trim();
     if u64::from_str_radix(effective, 16).unwrap() & 1 << 13 != 0 {
-        eprintln!("skipped: CAP_NET_RAW is still held");
+        crate::common::skipped("CAP_NET_RAW is still held");
         return;
     }
     let refused = Monitor::open(&options("lo")).unwrap_err().to_string();

@@ -171,7 +171,7 @@ fn certificates(folder: &Path, name: &str) -> bool {
     let made = Command::new(script).arg(folder).args([name, "127.0.0.1"]).stdout(Stdio::null()).status();
     let made = made.is_ok_and(|status| status.success());
     if !made {
-        eprintln!("skipped: openssl makes no certificates here");
+        crate::common::skipped("openssl makes no certificates here");
     }
     made
 }

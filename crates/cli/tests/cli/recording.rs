@@ -131,7 +131,7 @@ fn a_full_disk_is_counted_loss() {
     let folder = folder("full");
     let mounted = Command::new("mount").args(["-t", "tmpfs", "-o", "size=256k", "none"]).arg(&folder).status();
     if !mounted.is_ok_and(|status| status.success()) {
-        eprintln!("skipped: a tmpfs cannot be mounted here");
+        crate::common::skipped("a tmpfs cannot be mounted here");
         return;
     }
     let out = folder.join("out.dat");

@@ -195,7 +195,7 @@ fn a_missing_capability_is_said_with_its_remedy() {
     let status = std::fs::read_to_string("/proc/self/status").unwrap();
     let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:")).unwrap().trim();
     if u64::from_str_radix(effective, 16).unwrap() & 1 << 12 != 0 {
-        eprintln!("skipped: CAP_NET_ADMIN is still held");
+        crate::common::skipped("CAP_NET_ADMIN is still held");
         return;
     }
     let refused = Netlink::open(&Options::default().with_allow_user_sender(true)).unwrap_err().to_string();

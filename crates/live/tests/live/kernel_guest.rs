@@ -8,7 +8,7 @@ use driver_iface::record::Tail;
 #[test]
 fn the_module_s_records_are_in_the_log() {
     let Some(log) = std::env::var_os("CSI5300_TEST_GUEST_LOG") else {
-        eprintln!("skipped: runs in the guest of tests/checks/kernel.sh");
+        crate::common::skipped("runs in the guest of tests/checks/kernel.sh");
         return;
     };
     let chains = std::env::var("CSI5300_TEST_GUEST_CHAINS").unwrap();

@@ -65,7 +65,7 @@ fn said(path: &str, peer: Mac) -> [usize; 2] {
 #[test]
 fn every_answered_frame_is_a_pair_of_the_logs() {
     let Ok(links) = std::env::var("CSI5300_TEST_GUEST_LINKS") else {
-        eprintln!("skipped: runs in the guest of tests/checks/kernel.sh");
+        crate::common::skipped("runs in the guest of tests/checks/kernel.sh");
         return;
     };
     for link in links.lines() {
