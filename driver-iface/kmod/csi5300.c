@@ -1,0 +1,431 @@
+// SPDX-License-Identifier: GPL-2.0
+/*
+ * CSI of the Intel 5300 beside the distribution's own iwlwifi and iwldvm.
+ *
+ * The CSI firmware sends its notification 0xBB by itself; the stock driver ignores it. A kprobe on
+ * iwl_notification_wait (exported by iwlwifi, called for every packet of a card) sees it, and this module makes the
+ * record that csitool's or the WSR driver would make, and sends it over the kernel connector under their name and
+ * index: their listeners work unchanged. A second kprobe, on the transmit function, gives frames to the magic address
+ * an HT rate and no retries.
+ *
+ * Nothing of the driver is changed, and no structure of it is used: bytes of the firmware's interface only
+ * (dvm/commands.h), two arguments of one function and three of another. The rules of the records are in README.md.
+ *
+ * GPL (version 2), unlike the rest of the project: kprobes and the connector are for such modules only.
+ */
+#define pr_fmt(fmt) KBUILD_MODNAME ": " fmt
+#include <linux/connector.h>
+#include <linux/if_arp.h>
+#include <linux/irq_work.h>
+#include <linux/kallsyms.h>
+#include <linux/kfifo.h>
+#include <linux/kprobes.h>
+#include <linux/mm.h>
+#include <linux/module.h>
+#include <linux/netdevice.h>
+#include <linux/skbuff.h>
+#include <linux/timekeeping.h>
+#include <linux/vmalloc.h>
+#include <linux/workqueue.h>
+
+#include "csi5300_records.h"
+
+#define CN_IDX_IWLAGN (CN_NETLINK_USERS + 0xf)
+#define CN_VAL_IWLAGN 0x1
+#define VAL_ANSWER 0x0   /* in the ring: a frame to be answered, not a message */
+#define CARDS 8
+#define RING (1 << 20)   /* bytes: 4,000 records of 3x1 */
+/* Bytes of struct iwl_tx_cmd (dvm/commands.h), the payload of REPLY_TX. */
+#define TX_LEN 0
+#define TX_FLAGS 4
+#define TX_RATE 12
+#define TX_RTS_RETRIES 49
+#define TX_DATA_RETRIES 50
+#define TX_FLG_STA_RATE 0x10
+
+static const u8 magic[6] = { 0x00, 0x16, 0xea, 0x12, 0x34, 0x56 };
+
+struct known {
+	const void *key; /* argument 1 of iwl_notification_wait: one for each card */
+	bool ours;
+	u64 last;
+	struct card card;
+};
+
+static char *symbol = "iwl_notification_wait";
+module_param(symbol, charp, 0444);
+MODULE_PARM_DESC(symbol, "function that sees every packet");
+static char *transmit = "iwl_trans_pcie_tx";
+module_param(transmit, charp, 0444);
+MODULE_PARM_DESC(transmit, "function that transmits a frame");
+static char *caller = "iwldvm";
+module_param(caller, charp, 0444);
+MODULE_PARM_DESC(caller, "module whose packets are the card's; other Intel cards have another");
+static unsigned int connector_log = LOG_BFEE;
+module_param(connector_log, uint, 0644);
+MODULE_PARM_DESC(connector_log, "what is sent: 0x1 CSI, 0x4 frames");
+static unsigned int indices[CARDS] = { [0 ... CARDS - 1] = CN_IDX_IWLAGN };
+module_param_array_named(index, indices, uint, NULL, 0444);
+MODULE_PARM_DESC(index, "connector index of each card, in the order of their first packets");
+static unsigned int ack_len;
+module_param(ack_len, uint, 0644);
+MODULE_PARM_DESC(ack_len, "length of the sounding frames to answer, FCS included; 0: none");
+static char *answer_on[CARDS];
+module_param_array(answer_on, charp, NULL, 0444);
+MODULE_PARM_DESC(answer_on, "monitor interface of each card on which to answer");
+static unsigned int monitor_tx_rate = 0x4101;
+static u8 layout = LAYOUT_STOCK;
+
+static u32 delivered, unheard, ring_full, rates_set, answered, unanswered;
+static struct known known[CARDS];
+static u64 clock;
+static DEFINE_RAW_SPINLOCK(lock);
+static struct counts gone; /* of cards whose place another has taken */
+static STRUCT_KFIFO_REC_2(RING) *ring;
+static union {
+	struct cn_msg msg;
+	u8 bytes[sizeof(struct cn_msg) + 1 + LONGEST_FRAME];
+} *staged, *popped;
+static struct workqueue_struct *queue;
+static struct cb_id id = { .idx = CN_IDX_IWLAGN, .val = CN_VAL_IWLAGN };
+
+static void work(struct work_struct *unused);
+static DECLARE_WORK(deliver, work);
+
+static void wake(struct irq_work *unused)
+{
+	queue_work(queue, &deliver);
+}
+static struct irq_work waker;
+
+/* Into the ring; the caller has the lock. A netlink message may not be sent from a probe. */
+static void stage(u32 idx, u32 val, const struct message *out)
+{
+	u32 len = 1 + out->head_len + out->tail_len;
+
+	memset(&staged->msg, 0, sizeof(staged->msg));
+	staged->msg.id.idx = idx;
+	staged->msg.id.val = val;
+	staged->msg.len = len;
+	staged->msg.data[0] = out->code;
+	memcpy(staged->msg.data + 1, out->head, out->head_len);
+	memcpy(staged->msg.data + 1 + out->head_len, out->tail, out->tail_len);
+	if (!kfifo_in(ring, staged->bytes, sizeof(staged->msg) + len))
+		ring_full++;
+}
+
+/* A frame back as the WSR driver answers: all of it and one byte more, address 3 the interface's own. */
+static bool answer(unsigned int k, const u8 *frame, u32 len)
+{
+	static const u8 radiotap[8] = { 0, 0, sizeof(radiotap) };
+	struct net_device *dev = k < CARDS && answer_on[k] ? dev_get_by_name(&init_net, answer_on[k]) : NULL;
+	struct sk_buff *skb = NULL;
+
+	if (dev && dev->type == ARPHRD_IEEE80211_RADIOTAP && netif_running(dev))
+		skb = alloc_skb(LL_RESERVED_SPACE(dev) + sizeof(radiotap) + len + 1, GFP_KERNEL);
+	if (skb) {
+		skb_reserve(skb, LL_RESERVED_SPACE(dev));
+		skb_reset_mac_header(skb);
+		skb_put_data(skb, radiotap, sizeof(radiotap));
+		skb_put_data(skb, frame, len);
+		skb_put_data(skb, "", 1);
+		memcpy(skb->data + sizeof(radiotap) + 16, dev->dev_addr, 6);
+		skb->dev = dev;
+		skb->protocol = htons(ETH_P_802_2);
+		/* Sent or not, the skb is not ours any more. */
+		if (dev_queue_xmit(skb))
+			skb = NULL;
+	}
+	if (dev)
+		dev_put(dev);
+	return skb;
+}
+
+static void work(struct work_struct *unused)
+{
+	struct cn_msg *msg = &popped->msg;
+
+	while (kfifo_out(ring, popped->bytes, sizeof(popped->bytes))) {
+		if (msg->id.val == VAL_ANSWER) {
+			if (answer(msg->id.idx, msg->data + 1, msg->len - 1))
+				answered++;
+			else
+				unanswered++;
+		} else if (cn_netlink_send(msg, 0, msg->id.idx, GFP_KERNEL)) {
+			unheard++;
+		} else {
+			delivered++;
+		}
+		cond_resched();
+	}
+}
+
+/* The card of this key, if its packets come from the right module. The caller has the lock. */
+static struct known *card_of(const void *key, unsigned long from)
+{
+	static char name[KSYM_SYMBOL_LEN];
+	struct known *oldest = known;
+	unsigned int k;
+
+	for (k = 0; k < CARDS; k++) {
+		if (known[k].key == key)
+			goto found;
+		if (known[k].last < oldest->last)
+			oldest = &known[k];
+	}
+	k = oldest - known;
+	if (oldest->ours) {
+		const u32 *of = (const u32 *)&oldest->card.counts;
+		unsigned int i;
+
+		for (i = 0; i < sizeof(gone) / sizeof(u32); i++)
+			((u32 *)&gone)[i] += of[i];
+	}
+	memset(oldest, 0, sizeof(*oldest));
+	oldest->key = key;
+	oldest->ours = true;
+	if (*caller) {
+		char *module;
+
+		sprint_symbol(name, from);
+		module = strrchr(name, '[');
+		oldest->ours = module && strlen(module) == strlen(caller) + 2 && !strncmp(module + 1, caller, strlen(caller));
+	}
+found:
+	known[k].last = ++clock;
+	return known[k].ours ? &known[k] : NULL;
+}
+
+/* Bytes from here to the end of the page: no count of a card is believed beyond it. */
+static u32 room_at(const void *here)
+{
+	struct page *page = virt_to_head_page(here);
+
+	return (u8 *)page_address(page) + (PAGE_SIZE << compound_order(page)) - (const u8 *)here;
+}
+
+/* iwl_notification_wait(notif_data, pkt): u32 length and flags, u8 command, u8 group, u16 sequence, data. */
+static int on_packet(struct kprobe *probe, struct pt_regs *regs)
+{
+	const u8 *packet = (const u8 *)regs->si;
+	struct options options = { .layout = READ_ONCE(layout), .log = READ_ONCE(connector_log) };
+	struct message out;
+	struct timespec64 now;
+	struct known *card;
+	unsigned long flags;
+	u32 size;
+	u8 cmd;
+
+	if (!packet || !virt_addr_valid(packet) || room_at(packet) < 8)
+		return 0;
+	cmd = packet[4];
+	if (cmd != BFEE_NOTIF && cmd != RX_PHY && cmd != RX_MPDU && cmd != REPLY_ALIVE)
+		return 0;
+	size = get32(packet) & 0x3fff;
+	if (size < 4)
+		return 0;
+	size = min_t(u32, size - 4, room_at(packet) - 8);
+	ktime_get_real_ts64(&now);
+	raw_spin_lock_irqsave(&lock, flags);
+	card = card_of((const void *)regs->di, *(unsigned long *)regs->sp);
+	if (card) {
+		u32 idx = card - known, len = READ_ONCE(ack_len);
+		bool sent = assemble(&card->card, &options, cmd, packet + 8, size, now.tv_sec, now.tv_nsec / 1000, &out);
+
+		if (sent)
+			stage(indices[idx], CN_VAL_IWLAGN, &out);
+		if (cmd == RX_MPDU && len >= 28 && answer_on[idx] && frame_of(packet + 8, size, &out.tail) == len &&
+		    frame_good(out.tail, len) && !memcmp(out.tail + 4, magic, 6)) {
+			out.head_len = 0;
+			out.tail_len = len;
+			stage(idx, VAL_ANSWER, &out);
+			sent = true;
+		}
+		if (sent)
+			irq_work_queue(&waker);
+	}
+	raw_spin_unlock_irqrestore(&lock, flags);
+	return 0;
+}
+
+/* iwl_trans_pcie_tx(trans, skb, dev_cmd, queue): dev_cmd is u8 command, u8 group, u16 sequence, struct iwl_tx_cmd. */
+static int on_transmit(struct kprobe *probe, struct pt_regs *regs)
+{
+	const struct sk_buff *skb = (const struct sk_buff *)regs->si;
+	u8 *command = (u8 *)regs->dx, *tx = command + 4;
+	u32 rate = READ_ONCE(monitor_tx_rate);
+
+	if (!rate || !skb || !command || command[0] != REPLY_TX || skb_headlen(skb) < 24)
+		return 0;
+	if ((skb->data[0] & 0x0c) != 0x08 || memcmp(skb->data + 4, magic, 6) || get16(tx + TX_LEN) != (u16)skb->len)
+		return 0;
+	put32(tx + TX_FLAGS, get32(tx + TX_FLAGS) & ~TX_FLG_STA_RATE);
+	put32(tx + TX_RATE, rate);
+	tx[TX_RTS_RETRIES] = 0;
+	tx[TX_DATA_RETRIES] = 0;
+	rates_set++;
+	return 0;
+}
+
+/* Probes come and go with the modules that have their functions. */
+static struct kprobe probes[2];
+static bool probing[2];
+static DEFINE_MUTEX(probes_lock);
+
+static void unprobe(const struct module *of)
+{
+	unsigned int k;
+
+	for (k = 0; k < 2; k++) {
+		if (!probing[k] || (of && !within_module((unsigned long)probes[k].addr, of)))
+			continue;
+		unregister_kprobe(&probes[k]);
+		probing[k] = false;
+	}
+}
+
+static void probe(void)
+{
+	unsigned int k;
+	int error;
+
+	for (k = 0; k < 2; k++) {
+		if (probing[k])
+			continue;
+		memset(&probes[k], 0, sizeof(probes[k]));
+		probes[k].symbol_name = k ? transmit : symbol;
+		probes[k].pre_handler = k ? on_transmit : on_packet;
+		error = register_kprobe(&probes[k]);
+		probing[k] = !error;
+		if (!error)
+			pr_info("probe at %s\n", probes[k].symbol_name);
+		else if (error != -ENOENT)
+			pr_warn("no probe at %s (%d)\n", probes[k].symbol_name, error);
+	}
+}
+
+static int modules_change(struct notifier_block *block, unsigned long event, void *module)
+{
+	if (module == THIS_MODULE || (event != MODULE_STATE_LIVE && event != MODULE_STATE_GOING))
+		return NOTIFY_DONE;
+	mutex_lock(&probes_lock);
+	if (event == MODULE_STATE_LIVE)
+		probe();
+	else
+		unprobe(module);
+	mutex_unlock(&probes_lock);
+	return NOTIFY_DONE;
+}
+static struct notifier_block modules = { .notifier_call = modules_change };
+
+static int layout_set(const char *value, const struct kernel_param *param)
+{
+	if (!sysfs_streq(value, "stock") && !sysfs_streq(value, "wsr"))
+		return -EINVAL;
+	layout = sysfs_streq(value, "wsr") ? LAYOUT_WSR : LAYOUT_STOCK;
+	return 0;
+}
+
+static int layout_get(char *buffer, const struct kernel_param *param)
+{
+	return scnprintf(buffer, PAGE_SIZE, "%s\n", layout == LAYOUT_WSR ? "wsr" : "stock");
+}
+static const struct kernel_param_ops layout_ops = { .set = layout_set, .get = layout_get };
+module_param_cb(layout, &layout_ops, NULL, 0644);
+MODULE_PARM_DESC(layout, "records as csitool's driver (stock) or the WSR driver (wsr) makes them");
+
+static int rate_get(char *buffer, const struct kernel_param *param)
+{
+	return scnprintf(buffer, PAGE_SIZE, "0x%x\n", monitor_tx_rate);
+}
+static const struct kernel_param_ops rate_ops = { .set = param_set_uint, .get = rate_get };
+module_param_cb(monitor_tx_rate, &rate_ops, &monitor_tx_rate, 0644);
+MODULE_PARM_DESC(monitor_tx_rate, "rate_n_flags of frames to 00:16:ea:12:34:56 (0x4101: MCS 1, antenna A); 0: left alone");
+
+/* /sys/module/csi5300/counters: one file for each, sums over the cards. */
+static ssize_t show(struct module_attribute *attr, struct module_kobject *module, char *buffer);
+#define ATTRIBUTE(name) static struct module_attribute name##_file = __ATTR(name, 0444, show, NULL);
+#define LISTED(name) &name##_file.attr,
+#define OWN(X) X(delivered) X(unheard) X(ring_full) X(rates_set) X(answered) X(unanswered)
+COUNTS(ATTRIBUTE)
+OWN(ATTRIBUTE)
+static struct module_attribute missed_file = __ATTR(missed, 0444, show, NULL);
+static struct attribute *files[] = { COUNTS(LISTED) OWN(LISTED) &missed_file.attr, NULL };
+static const struct attribute_group counters = { .name = "counters", .attrs = files };
+
+static ssize_t show(struct module_attribute *attr, struct module_kobject *module, char *buffer)
+{
+	u32 sum = probes[0].nmissed + probes[1].nmissed;
+	unsigned int k;
+
+#define SUM(name) if (attr == &name##_file) for (sum = gone.name, k = 0; k < CARDS; k++) sum += known[k].card.counts.name;
+#define ONE(name) if (attr == &name##_file) sum = name;
+	COUNTS(SUM)
+	OWN(ONE)
+	return scnprintf(buffer, PAGE_SIZE, "%u\n", sum);
+}
+
+static void unused_callback(struct cn_msg *msg, struct netlink_skb_parms *parms)
+{
+}
+
+static void release(void)
+{
+	if (queue)
+		destroy_workqueue(queue);
+	vfree(ring);
+	kfree(staged);
+	kfree(popped);
+}
+
+static int __init csi5300_init(void)
+{
+	int error = -ENOMEM;
+
+	init_irq_work(&waker, wake);
+	ring = vmalloc(sizeof(*ring));
+	staged = kmalloc(sizeof(*staged), GFP_KERNEL);
+	popped = kmalloc(sizeof(*popped), GFP_KERNEL);
+	queue = alloc_ordered_workqueue("csi5300", WQ_HIGHPRI);
+	if (!ring || !staged || !popped || !queue)
+		goto failed;
+	INIT_KFIFO(*ring);
+	error = cn_add_callback(&id, "iwlagn", unused_callback);
+	if (error) {
+		pr_err("the connector index of the CSI driver is taken: is the patched iwlwifi loaded?\n");
+		goto failed;
+	}
+	error = sysfs_create_group(&THIS_MODULE->mkobj.kobj, &counters);
+	if (!error)
+		error = register_module_notifier(&modules);
+	if (error) {
+		cn_del_callback(&id);
+		goto failed;
+	}
+	mutex_lock(&probes_lock);
+	probe();
+	mutex_unlock(&probes_lock);
+	return 0;
+failed:
+	release();
+	return error;
+}
+
+static void __exit csi5300_exit(void)
+{
+	unregister_module_notifier(&modules);
+	mutex_lock(&probes_lock);
+	unprobe(NULL);
+	mutex_unlock(&probes_lock);
+	irq_work_sync(&waker);
+	cancel_work_sync(&deliver);
+	sysfs_remove_group(&THIS_MODULE->mkobj.kobj, &counters);
+	cn_del_callback(&id);
+	release();
+}
+
+module_init(csi5300_init);
+module_exit(csi5300_exit);
+MODULE_LICENSE("GPL");
+MODULE_SOFTDEP("pre: iwlwifi");
+MODULE_DESCRIPTION("CSI of the Intel 5300 beside the stock iwlwifi");

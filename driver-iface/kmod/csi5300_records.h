@@ -1,0 +1,216 @@
+/* SPDX-License-Identifier: GPL-2.0 */
+/*
+ * Records of csitool's and the WSR driver out of the packets of the stock driver: the rules are in README.md.
+ *
+ * Plain C without the kernel, so that a test can compile it: whoever includes it has u8, u16, u32, bool, memcpy and
+ * memset. The Rust crate driver-iface does the same (stock), and a test holds the two equal byte by byte.
+ */
+#ifndef CSI5300_RECORDS_H
+#define CSI5300_RECORDS_H
+
+#define REPLY_ALIVE 0x01
+#define REPLY_TX 0x1c
+#define BFEE_NOTIF 0xbb
+#define RX_PHY 0xc0
+#define RX_MPDU 0xc1
+#define PHY_LEN 60       /* struct iwl_rx_phy_res */
+#define BFEE_HEADER 20   /* struct iwl_bfee_notif */
+#define WSR_HEADER 38
+#define LONGEST_FRAME 8191
+#define LOG_BFEE 0x1     /* bits of connector_log */
+#define LOG_MPDU 0x4
+#define NO_ORDER 0xff    /* names no antenna */
+#define NO_NOISE 0x81    /* -127: not measured */
+#define CRC_GOOD 0x3     /* RX_RES_STATUS_NO_CRC32_ERROR, _NO_RXE_OVERFLOW */
+
+enum { LAYOUT_STOCK, LAYOUT_WSR };
+
+#define COUNTS(X) X(phy) X(mpdu) X(bfee) X(records) X(bad_phy) X(bad_mpdu) X(mpdu_no_phy) X(bad_bfee) X(no_phy) \
+	X(no_order) X(no_sender)
+#define MEMBER(name) u32 name;
+struct counts { COUNTS(MEMBER) };
+
+struct card {
+	struct counts counts;
+	u16 bfee_count;
+	bool has_phy, has_sender, phy_seen;
+	u8 phy[PHY_LEN], order;
+	u8 sender[6];
+	u32 number;
+};
+
+struct options {
+	u8 layout, log;
+};
+
+/* What goes over the connector: a code and a body, which is `head` and then `tail`, bytes of the packet. */
+struct message {
+	u8 code;
+	u16 head_len;
+	u8 head[WSR_HEADER];
+	const u8 *tail;
+	u32 tail_len;
+};
+
+static u16 get16(const u8 *from)
+{
+	return from[0] | from[1] << 8;
+}
+
+static u32 get32(const u8 *from)
+{
+	return get16(from) | (u32)get16(from + 2) << 16;
+}
+
+static void put16(u8 *to, u16 value)
+{
+	to[0] = value & 0xff;
+	to[1] = value >> 8;
+}
+
+static void put32(u8 *to, u32 value)
+{
+	put16(to, value & 0xffff);
+	put16(to + 2, value >> 16);
+}
+
+static void take_phy(struct card *card, const u8 *data, u32 len)
+{
+	card->counts.phy++;
+	card->has_sender = false;
+	card->has_phy = len >= PHY_LEN;
+	if (!card->has_phy) {
+		card->counts.bad_phy++;
+		return;
+	}
+	card->phy_seen = true;
+	memcpy(card->phy, data, PHY_LEN);
+	card->order = data[1] > 0 && len >= PHY_LEN + 4 ? data[PHY_LEN] : NO_ORDER;
+}
+
+/* The frame of a 0xC1 (header to FCS) and its length; 0 if its count contradicts the packet's. */
+static u32 frame_of(const u8 *data, u32 len, const u8 **frame)
+{
+	u32 count = len < 8 ? 0 : get16(data);
+
+	*frame = data + 4;
+	return count < 14 || count > LONGEST_FRAME || count + 8 > len ? 0 : count;
+}
+
+static bool frame_good(const u8 *frame, u32 count)
+{
+	return (get32(frame + count) & CRC_GOOD) == CRC_GOOD;
+}
+
+static bool take_mpdu(struct card *card, const struct options *options, const u8 *data, u32 len, struct message *out)
+{
+	u32 count = frame_of(data, len, &out->tail);
+
+	card->counts.mpdu++;
+	if (!count) {
+		card->counts.bad_mpdu++;
+		card->has_sender = false;
+		return false;
+	}
+	if (!card->phy_seen) {
+		card->counts.mpdu_no_phy++;
+		return false;
+	}
+	if (count >= 32 && frame_good(out->tail, count)) {
+		const u8 *number = out->tail + 24;
+
+		card->number = (u32)number[0] << 24 | number[1] << 16 | number[2] << 8 | number[3];
+		/* The WSR driver's flag for a known sender is the number itself. */
+		if (card->number)
+			memcpy(card->sender, out->tail + 16, sizeof(card->sender));
+		else
+			memset(card->sender, 0, sizeof(card->sender));
+		card->has_sender = true;
+	}
+	out->code = RX_MPDU;
+	out->head_len = 0;
+	out->tail_len = count;
+	return options->log & LOG_MPDU;
+}
+
+static void fill_record(const struct card *card, const u8 *data, u8 *record)
+{
+	u32 agc = get32(card->phy + 24), ab = get32(card->phy + 28), c = get32(card->phy + 32);
+
+	memcpy(record, data, BFEE_HEADER);
+	put32(record, get32(card->phy + 4));
+	put16(record + 4, card->bfee_count);
+	record[10] = ab & 0xff;
+	record[11] = ab >> 16 & 0xff;
+	record[12] = c & 0xff;
+	record[13] = NO_NOISE;
+	record[14] = agc >> 9 & 0x7f;
+	record[15] = card->order;
+	put16(record + 18, get32(card->phy + 52) & 0x3fff);
+}
+
+static bool take_bfee(struct card *card, const struct options *options, const u8 *data, u32 len, u32 tv_sec, u32 tv_usec,
+		      struct message *out)
+{
+	bool had_phy = card->has_phy, had_sender = card->has_sender;
+	u32 csi;
+
+	card->counts.bfee++;
+	/* Whatever it is, it is the only one of its frame. */
+	card->has_phy = false;
+	card->has_sender = false;
+	if (len < BFEE_HEADER || data[8] < 1 || data[8] > 3 || data[9] < 1 || data[9] > 3) {
+		card->counts.bad_bfee++;
+		return false;
+	}
+	csi = 60u * data[8] * data[9] + 12;
+	if (get16(data + 16) != csi || len < BFEE_HEADER + csi) {
+		card->counts.bad_bfee++;
+		return false;
+	}
+	if (!had_phy) {
+		card->counts.no_phy++;
+		return false;
+	}
+	card->counts.records++;
+	card->counts.no_order += card->order == NO_ORDER;
+	card->bfee_count++;
+	fill_record(card, data, out->head);
+	out->code = BFEE_NOTIF;
+	out->head_len = BFEE_HEADER;
+	if (options->layout == LAYOUT_WSR) {
+		out->head_len = WSR_HEADER;
+		put32(out->head + 20, tv_sec);
+		put32(out->head + 24, tv_usec);
+		memset(out->head + 28, 0, 10);
+		card->counts.no_sender += !had_sender;
+		if (had_sender) {
+			memcpy(out->head + 28, card->sender, sizeof(card->sender));
+			put32(out->head + 34, card->number);
+		}
+	}
+	out->tail = data + BFEE_HEADER;
+	out->tail_len = csi;
+	return options->log & LOG_BFEE;
+}
+
+/* Takes a packet; true if `out` is to be sent. */
+static bool assemble(struct card *card, const struct options *options, u8 cmd, const u8 *data, u32 len, u32 tv_sec,
+		     u32 tv_usec, struct message *out)
+{
+	switch (cmd) {
+	case REPLY_ALIVE: /* the firmware was started anew */
+		card->has_phy = card->has_sender = card->phy_seen = false;
+		return false;
+	case RX_PHY:
+		take_phy(card, data, len);
+		return false;
+	case RX_MPDU:
+		return take_mpdu(card, options, data, len, out);
+	case BFEE_NOTIF:
+		return take_bfee(card, options, data, len, tv_sec, tv_usec, out);
+	}
+	return false;
+}
+
+#endif
