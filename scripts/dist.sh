@@ -15,3 +15,5 @@ if readelf -ld target/dist/csi5300 | grep -E 'INTERP|\(NEEDED\)'; then
 fi
 target/dist/csi5300 --version
 printf 'target/dist/csi5300: %s bytes\n' "$(stat -c %s target/dist/csi5300)"
+# As a Debian package too, where that can be made.
+! command -v dpkg-deb >/dev/null || scripts/deb.sh

@@ -4,6 +4,7 @@ mod args;
 mod bearing;
 mod captures;
 mod compare;
+mod completions;
 mod demo;
 #[cfg(feature = "live")]
 mod doctor;
@@ -129,6 +130,11 @@ enum Command {
     Suite(suite::Args),
     /// Keys of the sounding exchange: a new secret of a group, and from it one robot's own
     Key(key::Args),
+    /// The script with which a shell completes commands and options
+    Completions(completions::Args),
+    /// Manual pages, for packages
+    #[command(hide = true)]
+    Manual(completions::ManualArgs),
     /// Sounds other robots: sends them frames in turn, which they answer, so that both cards measure; live bearings
     #[cfg(feature = "live")]
     Sound(Box<sound::Args>),
@@ -187,6 +193,8 @@ pub fn run() -> ExitCode {
         Command::Compare(args) => compare::run(&args),
         Command::Suite(args) => suite::run(&args),
         Command::Key(args) => key::run(&args),
+        Command::Completions(args) => completions::run(&args),
+        Command::Manual(args) => completions::manual(&args),
         #[cfg(feature = "live")]
         Command::Sound(args) => sound::run(&args),
         #[cfg(feature = "live")]

@@ -1,0 +1,45 @@
+#!/usr/bin/env bash
+# A .deb of the program: scripts/deb.sh [PROGRAM] [FOLDER]. PROGRAM defaults to the static one of scripts/dist.sh, FOLDER to target/dist.
+# Inside: the program, its completions and manual pages, the service's unit (neither enabled nor started) and the example of its configuration.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+program=${1:-target/dist/csi5300}
+out=${2:-target/dist}
+[ -x "$program" ] || { echo "no program at $program: scripts/dist.sh makes a static one" >&2; exit 1; }
+command -v dpkg-deb >/dev/null || { echo "no dpkg-deb (apt-get install dpkg)" >&2; exit 1; }
+version=$("$program" --version | cut -d' ' -f2)
+arch=$(dpkg --print-architecture)
+root=$(mktemp -d)
+trap 'rm -rf "$root"' EXIT
+chmod 755 "$root"
+
+install -D -m 755 "$program" "$root/usr/bin/csi5300"
+strip "$root/usr/bin/csi5300"
+completions() { mkdir -p "$root$(dirname "$2")" && "$program" completions "$1" >"$root$2"; }
+completions bash /usr/share/bash-completion/completions/csi5300
+completions zsh /usr/share/zsh/vendor-completions/_csi5300
+completions fish /usr/share/fish/vendor_completions.d/csi5300.fish
+"$program" manual --out "$root/usr/share/man/man1"
+gzip -9n "$root"/usr/share/man/man1/*.1
+install -D -m 644 packaging/csi5300-node.service "$root/usr/lib/systemd/system/csi5300-node.service"
+# The unit in the repository is for a program that was installed by hand.
+sed -i 's|/usr/local/bin/csi5300|/usr/bin/csi5300|' "$root/usr/lib/systemd/system/csi5300-node.service"
+install -D -m 644 packaging/robot.toml "$root/usr/share/doc/csi5300/examples/robot.toml"
+install -m 644 README.md SECURITY.md CHANGELOG.md "$root/usr/share/doc/csi5300/"
+gzip -9n "$root/usr/share/doc/csi5300/CHANGELOG.md"
+cat LICENSE-MIT LICENSE-APACHE >"$root/usr/share/doc/csi5300/copyright"
+
+# A program that needs no interpreter needs no package either.
+depends=
+readelf -l "$root/usr/bin/csi5300" | grep -q INTERP && depends="Depends: libc6 (>= $(objdump -T "$root/usr/bin/csi5300" | grep -oE 'GLIBC_[0-9.]+' | sort -Vu | tail -1 | cut -d_ -f2)), libgcc-s1"
+mkdir -p "$root/DEBIAN" "$out"
+{
+    printf 'Package: csi5300\nVersion: %s\nArchitecture: %s\nMaintainer: csi5300 developers <csi5300@invalid>\n' "$version" "$arch"
+    printf 'Installed-Size: %s\nSection: science\nPriority: optional\n' "$(du -sk --exclude=DEBIAN "$root" | cut -f1)"
+    [ -z "$depends" ] || printf '%s\n' "$depends"
+    printf 'Description: Bearings between robots from WiFi alone\n'
+    printf ' CSI of the Intel 5300, live, replayed or simulated: bearings from a moving receiver to transmitters.\n'
+} >"$root/DEBIAN/control"
+deb="$out/csi5300_${version}_$arch.deb"
+dpkg-deb --root-owner-group --build "$root" "$deb" >/dev/null
+printf '%s: %s bytes\n' "$deb" "$(stat -c %s "$deb")"

@@ -1,0 +1,37 @@
+#!/usr/bin/env bash
+# The .deb of the program that the README's main command built: made, unpacked, and tried as it lies there.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+command -v dpkg-deb >/dev/null || { echo "no dpkg-deb: no Debian"; exit 77; }
+cargo build --quiet --release -p csi5300-cli
+folder=$(mktemp -d)
+trap 'rm -rf "$folder"' EXIT
+scripts/deb.sh target/release/csi5300 "$folder"
+deb=$(echo "$folder"/*.deb)
+dpkg-deb --info "$deb" | sed -n '/Package:/,$p'
+dpkg-deb --extract "$deb" "$folder/root"
+root=$folder/root
+
+"$root/usr/bin/csi5300" --version
+# Every documented command has its page and its completion.
+commands=$("$root/usr/bin/csi5300" --help | sed -n '/^Commands:/,/^$/p' | awk '/^  [a-z]/ { print $1 }' | grep -v '^help$')
+for command in $commands; do
+    [ -s "$root/usr/share/man/man1/csi5300-$command.1.gz" ] || { echo "no manual page of $command"; exit 1; }
+done
+echo "pages: $(ls "$root/usr/share/man/man1" | wc -l)"
+bash -euc '
+    source "$1/usr/share/bash-completion/completions/csi5300"
+    COMP_WORDS=(csi5300 bea) COMP_CWORD=1 COMPREPLY=()
+    _csi5300 csi5300 bea csi5300
+    [ "${COMPREPLY[*]}" = bearing ] || { echo "bash completes bea to: ${COMPREPLY[*]}"; exit 1; }
+    COMP_WORDS=(csi5300 bearing --ante) COMP_CWORD=2 COMPREPLY=()
+    _csi5300 csi5300 --ante bearing
+    [[ " ${COMPREPLY[*]} " == *" --antenna "* ]] || { echo "bash completes --ante to: ${COMPREPLY[*]}"; exit 1; }
+' bash "$root"
+# What the unit runs is where the package puts it.
+grep -q '^ExecStart=/usr/bin/csi5300 ' "$root/usr/lib/systemd/system/csi5300-node.service"
+# Its example of a configuration is good, but for what this build of the program lacks.
+"$root/usr/bin/csi5300" node --config "$root/usr/share/doc/csi5300/examples/robot.toml" --check >/dev/null 2>"$folder/said" ||
+    ! grep -v 'needs a program built with' "$folder/said" || { echo "the example is refused"; exit 1; }
+if command -v lintian >/dev/null; then lintian --fail-on error "$deb"; fi
+echo "ok"
