@@ -2,7 +2,7 @@
 //!
 //! `cargo bench -p driver-iface --bench decode -- [LOG [RUNS]]` prints, for each of three tasks, the median time of
 //! the runs and records per second. Without a log 200 MB of records made by `emit` are written to a temporary file;
-//! `--write LOG` only writes them.
+//! `--write LOG` only writes them, `--write-frames LOG` a log in which each follows a copy of its frame (0xC1).
 //! `scripts/decode_bench.sh` runs it against csiread.
 #![allow(clippy::unwrap_used, clippy::expect_used, missing_docs)]
 
@@ -34,16 +34,16 @@ const TASKS: [(&str, Task); 3] =
 fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
     if let [write, log] = &arguments[..]
-        && write == "--write"
+        && let Some(frames) = ["--write", "--write-frames"].iter().position(|option| option == write)
     {
-        return write_log(Path::new(log));
+        return write_log(Path::new(log), frames == 1);
     }
     let runs = arguments.get(1).map_or(5, |runs| runs.parse().expect("RUNS is a number"));
     let (log, made) = match arguments.first() {
         Some(log) => (PathBuf::from(log), false),
         None => {
             let log = std::env::temp_dir().join(format!("csi5300-decode-{}.dat", std::process::id()));
-            write_log(&log);
+            write_log(&log, false);
             (log, true)
         }
     };
@@ -103,11 +103,20 @@ fn decode_record(record: &Record<'_>, task: Task, out: &mut [f32; 2 * MAX_SAMPLE
     true
 }
 
-/// A log of 200 MB, 3x1, WSR layout.
-fn write_log(log: &Path) {
+/// A log of 200 MB, 3x1, WSR layout; with `frames` 100 MB more, a data frame of 128 bytes before each.
+fn write_log(log: &Path, frames: bool) {
     let mut file = std::io::BufWriter::new(File::create(log).unwrap());
     let csi: Vec<Iq> = (0..90_u8).map(|k| Iq { i: k.cast_signed(), q: 7 }).collect();
+    // Address 1, 2 and 3, a sequence number, and a payload that is no pattern.
+    let mut frame: Vec<u8> = (0..128_u32).map(|k| (k * k * 7 + 3) as u8).collect();
+    frame[..2].copy_from_slice(&[8, 0]);
     for count in 0..858_369_u32 {
+        if frames {
+            frame[22..24].copy_from_slice(&((count << 4) as u16).to_le_bytes());
+            let mut bytes = [0; 200];
+            let length = Record { code: code::MPDU, body: &frame }.emit(&mut bytes).unwrap();
+            file.write_all(&bytes[..length]).unwrap();
+        }
         let wsr = Some(Wsr { frame_count: count, ..Wsr::default() });
         let repr = Repr { bfee_count: count as u16, timestamp_low: count * 8_000, wsr, ..Repr::default() };
         let (mut body, mut bytes) = ([0; 600], [0; 600]);

@@ -82,6 +82,12 @@ pub(super) enum Head {
 /// Bits of evidence that end all doubt: one chance in 10^12 for each position.
 pub(super) const SURE: u32 = 40;
 
+/// Bytes with which [`head`] never asks for more: length field, code, and the header of a bfee.
+pub(super) const LONGEST_HEAD: usize = LENGTH_FIELD + 1 + bfee::STOCK_HEADER;
+
+/// The codes of records that can be sure by themselves.
+pub(super) const VOUCHING_CODES: [u8; 2] = [code::BFEE, code::NOISE];
+
 /// Codes that were met in good company, a set of bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Codes([u64; 4]);

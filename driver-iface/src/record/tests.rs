@@ -316,3 +316,16 @@ proptest! {
         }
     }
 }
+
+proptest! {
+    /// The search for a record inside another looks at these codes only.
+    #[test]
+    fn only_vouching_codes_vouch_for_themselves(mut bytes in vec(any::<u8>(), 23..80), code in any::<u8>(), length in 1_u16..700) {
+        bytes[..2].copy_from_slice(&length.to_be_bytes());
+        bytes[2] = code;
+        let head = head::head(&bytes, &head::Codes::default());
+        let sure = matches!(head, head::Head::Good { bits, .. } if bits >= head::SURE);
+        prop_assert!(!sure || head::VOUCHING_CODES.contains(&code));
+        prop_assert!(!matches!(head, head::Head::Short));
+    }
+}
