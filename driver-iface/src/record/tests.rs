@@ -329,3 +329,19 @@ proptest! {
         prop_assert!(!matches!(head, head::Head::Short));
     }
 }
+
+/// Every number of foreign bytes before a record costs these bytes and no record.
+#[test]
+fn foreign_bytes_before_a_record_cost_no_record() {
+    for foreign in 0..40 {
+        for byte in [0x00, 0xff] {
+            let mut stream = vec![byte; foreign];
+            let records = [bfee_record(1, 3, 1, true), bfee_record(2, 3, 1, true)];
+            stream.extend(records.concat());
+            let found = events(&stream).filter(|step| matches!(step, Step::Record { .. })).count();
+            let skipped: usize =
+                events(&stream).map(|step| if let Step::Bad { skipped, .. } = step { skipped } else { 0 }).sum();
+            assert_eq!((found, skipped), (2, foreign), "{foreign} bytes {byte:#x}");
+        }
+    }
+}

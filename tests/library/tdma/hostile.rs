@@ -2,7 +2,7 @@
 //! (the air checks every pair that is reported).
 
 use super::air::{Air, Dice, everybody, mac};
-use csi5300::exchange::tdma::{Dialect, Event, Key, PlanError, Request, Tdma};
+use csi5300::exchange::tdma::{Config, Dialect, Event, Key, PlanError, Request, Tdma};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::sounding::native::Role;
@@ -174,6 +174,44 @@ fn what_was_taped_before_a_restart_is_not_answered_after_it() {
     assert!(!answers(&heard, &current[0]) && !answers(&heard, &current[1]), "of this session, up to there");
     assert!(answers(&heard, &current[2]), "the exchange goes on");
     assert!(answers(&heard, &frames(6)[0]), "a newer session");
+}
+
+/// An initiator's exchanges with its first peer under a session: each forward frame with its answer.
+fn exchanges(configs: &[Config], session: u32, count: usize) -> Vec<(Instant, Vec<u8>, Vec<u8>)> {
+    let mut initiator = Tdma::new(&configs[0].clone().with_session(session)).unwrap();
+    let mut responder = Tdma::new(&configs[1].clone().with_initiate(false)).unwrap();
+    let mut found = Vec::new();
+    while found.len() < count {
+        let now = initiator.poll_timeout().unwrap();
+        let Some(sent) = initiator.poll_transmit(now) else { continue };
+        let (to, forward) = (sent.peer, sent.frame.to_vec());
+        if to == configs[1].own.mac {
+            responder.handle_heard(now, now, &forward);
+            let answer = responder.poll_transmit(now).unwrap().frame.to_vec();
+            found.push((now, forward, answer));
+        }
+    }
+    found
+}
+
+#[test]
+fn taped_answers_to_others_are_not_heard_again() {
+    let key = Some(Key::new([1; 16]));
+    let configs: Vec<Config> =
+        everybody(3, request(true)).into_iter().map(|config| config.with_key(key.clone()).with_session(9)).collect();
+    let (older, now) = (exchanges(&configs, 4, 1), exchanges(&configs, 5, 3));
+    let mut listener = Tdma::new(&configs[2].clone().with_initiate(false)).unwrap();
+    let mut replayed = |(at, frames): (Instant, &[&Vec<u8>])| {
+        let before = listener.counts().replayed;
+        frames.iter().for_each(|frame| listener.handle_heard(at, at, frame));
+        listener.counts().replayed - before
+    };
+    for (at, forward, answer) in &now {
+        assert_eq!(replayed((*at, &[forward, answer])), 0, "the exchange as it is");
+    }
+    let last = now[2].0;
+    assert_eq!(replayed((last, &[&now[0].2, &now[1].2])), 2, "answers to frames before the last");
+    assert_eq!(replayed((last, &[&older[0].2])), 1, "an answer to a frame of an older session");
 }
 
 /// One step of a hostile driver.
