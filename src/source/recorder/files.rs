@@ -252,6 +252,21 @@ mod tests {
         std::fs::remove_dir_all(folder).unwrap();
     }
 
+    /// A pipe takes bytes and cannot be synced: both files are asked to.
+    #[test]
+    fn what_cannot_be_synced_is_said() {
+        let folder = std::env::temp_dir().join(format!("csi5300-sync-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let (_reader, writer) = io::pipe().unwrap();
+        let pipe = || File::from(std::os::fd::OwnedFd::from(writer.try_clone().unwrap()));
+        for side in [false, true] {
+            let mut files = LogFiles::create(&folder.join("out.dat"), Rotation::default(), true).unwrap();
+            *(if side { &mut files.side.file } else { &mut files.data.file }) = pipe();
+            assert!(files.sync().unwrap().contains("syncing"), "side file: {side}");
+        }
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
     #[test]
     fn names_in_a_row() {
         assert_eq!(numbered(Path::new("a/out.dat"), 0), Path::new("a/out.dat"));
