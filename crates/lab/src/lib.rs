@@ -8,6 +8,7 @@
 //! | [`compare`] | a recorded capture, and a simulated one or none | their figures beside each other; a scene fitted to the recording |
 //! | [`suite`] | the experiments of \[paper\] as scenes | each repeated and summed up |
 //! | [`course`] | a log | CSI, levels and rate over time, binned |
+//! | [`curves`] | a bearing | curves over azimuth and time for pictures and pages |
 //! | [`rooms`] | a seed | random rooms with known truth, written as captures |
 //! | `show` (feature `plot`) | bearings, rows, figures | pictures (PNG, SVG) and one HTML page |
 //!
@@ -16,6 +17,7 @@
 
 pub mod compare;
 pub mod course;
+pub mod curves;
 pub mod ends;
 pub mod evaluate;
 pub mod fit_confidence;

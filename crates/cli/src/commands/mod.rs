@@ -45,6 +45,8 @@ mod sound;
 #[cfg(feature = "live")]
 mod sounding;
 mod suite;
+#[cfg(feature = "view")]
+mod view;
 #[cfg(feature = "node")]
 mod watch;
 
@@ -107,6 +109,9 @@ enum Command {
     /// One self-contained HTML page about a tree of captures: pictures, tables, losses
     #[cfg(feature = "plot")]
     Report(report::Args),
+    /// A page in the browser: logs, the links of captures with their errors, or a running node
+    #[cfg(feature = "view")]
+    View(view::Args),
     /// Where the receiver of a capture is, from its links to transmitters whose places are known
     Locate(locate::Args),
     /// One link from end to end: phase, compensation, autofocus, candidates and paths, with pictures
@@ -181,6 +186,8 @@ pub fn run() -> ExitCode {
         Command::Evaluate(args) => evaluate::run(&args),
         #[cfg(feature = "plot")]
         Command::Report(args) => report::run(&args),
+        #[cfg(feature = "view")]
+        Command::View(args) => view::run(&args),
         Command::Locate(args) => locate::run(&args),
         Command::Explain(args) => explain::run(&args),
         Command::Recover(args) => recover::run(&args),

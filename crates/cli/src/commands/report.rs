@@ -22,6 +22,10 @@ pub struct Args {
     /// Leave the pictures out
     #[arg(long)]
     no_pictures: bool,
+    /// The page of `csi5300 view` as one file: every link with its map, profile and logs, to be zoomed and sorted
+    #[cfg(feature = "view")]
+    #[arg(long, conflicts_with = "no_pictures")]
+    interactive: bool,
 }
 
 /// Writes the page.
@@ -29,6 +33,10 @@ pub fn run(args: &Args) -> Result {
     let options = args.reading.options().unwrap_or_else(|message| usage(&message));
     let options = options.with_keep_course(!args.no_pictures);
     super::must_not_exist(&args.out, args.force)?;
+    #[cfg(feature = "view")]
+    if args.interactive {
+        return interactive(args);
+    }
     let (captures, unreadable) = find(&args.folder);
     if captures.is_empty() {
         let needed = "a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat";
@@ -50,5 +58,22 @@ pub fn run(args: &Args) -> Result {
         false => Outcome::Nothing,
         true if report.lost() => Outcome::DataLost,
         true => Outcome::Done,
+    })
+}
+
+/// Writes the page of `view` as one file.
+#[cfg(feature = "view")]
+fn interactive(args: &Args) -> Result {
+    let reading = super::view::reading(&args.reading);
+    let view = csi5300_view::View::open(&args.folder, reading).map_err(|error| error.to_string())?;
+    view.finish(|done| super::progress(&format!("{done} of {} links", view.links())));
+    super::progress("");
+    let page = view.file().map_err(|error| error.to_string())?;
+    std::fs::write(&args.out, &page).map_err(|error| format!("{}: {error}", args.out.display()))?;
+    eprintln!("{}: {} links, {} KiB", args.out.display(), view.links(), page.len() / 1024);
+    Ok(match view.outcome() {
+        (false, _) if view.links() > 0 => Outcome::Nothing,
+        (_, true) => Outcome::DataLost,
+        _ => Outcome::Done,
     })
 }

@@ -58,7 +58,7 @@ pub struct Capture {
 impl Capture {
     /// Name of a link of this capture, or of the capture where `transmitter` is empty.
     #[must_use]
-    pub(crate) fn link_name(&self, transmitter: &str) -> String {
+    pub fn link_name(&self, transmitter: &str) -> String {
         let parts = [self.place.as_str(), self.stamp.as_str(), transmitter];
         parts.iter().filter(|part| !part.is_empty()).copied().collect::<Vec<_>>().join("/")
     }

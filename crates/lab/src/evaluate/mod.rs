@@ -7,6 +7,7 @@
 //! [`find`] lists captures, [`Capture::evaluate`] makes a row of each link ([`Judged`]), [`summarise`] their errors by
 //! set; [`quality`] says what a set of rows is worth beside its errors.
 
+pub mod beside;
 mod errors;
 mod find;
 mod judge;

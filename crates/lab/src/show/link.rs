@@ -1,12 +1,10 @@
 //! The pictures of a link: phase, trajectory with the bearing on it, polar profile, maps of places.
 
 use super::{Error, PhasePlot, PhaseTrack, PlaceMap, ProfilePlot, TrajectoryPlot, file_safe};
+use crate::curves::{Curve, evidence, plane_wave, without_motion};
 use crate::evaluate::{Judged, TrajectorySource};
-use csi5300::bartlett::{self, Grid};
-use csi5300::maths::wrap_rad;
+use csi5300::bartlett;
 use csi5300::pipeline::{Bearing, Phase};
-use nalgebra::Vector3;
-use num_complex::Complex64;
 use std::path::{Path, PathBuf};
 
 /// What is drawn of a link.
@@ -20,9 +18,6 @@ pub struct LinkPictures<'a> {
     /// A recorded link whose phase is drawn beside.
     pub recorded: Option<&'a Bearing>,
 }
-
-/// Azimuths of the profile.
-const AZIMUTHS: usize = 1_440;
 
 impl<'a> LinkPictures<'a> {
     /// A link with the truth that its row knows. Places are those of motion capture: they are on the picture of a
@@ -91,9 +86,10 @@ impl<'a> LinkPictures<'a> {
         let answer = &self.bearing.answer;
         let plane_wave = plane_wave(self.bearing)?;
         let evidence = evidence(self.bearing);
+        let drawn = |curve: Curve| (curve.name, curve.azimuths_deg, curve.values);
         let (chosen_from, others) = match evidence {
-            Some(evidence) => (evidence, vec![plane_wave]),
-            None => (plane_wave, Vec::new()),
+            Some(evidence) => (drawn(evidence), vec![drawn(plane_wave)]),
+            None => (drawn(plane_wave), Vec::new()),
         };
         let degrees = answer.azimuth_rad.to_degrees();
         Ok(ProfilePlot {
@@ -107,37 +103,6 @@ impl<'a> LinkPictures<'a> {
             mirror_deg: answer.mirror_rad.map(f64::to_degrees),
         })
     }
-}
-
-/// Name, azimuths in degrees and values of a curve over azimuth.
-pub(super) type Curve = (String, Vec<f64>, Vec<f64>);
-
-/// The evidence over azimuth, where spherical waves were searched and what pictures need was kept.
-pub(super) fn evidence(bearing: &Bearing) -> Option<Curve> {
-    let evidence = bearing.placed.as_ref()?.evidence.as_ref()?;
-    let degrees = evidence.azimuths_rad.iter().map(|azimuth| azimuth.to_degrees()).collect();
-    Some(("evidence of spherical waves, all subcarriers".into(), degrees, evidence.values.clone()))
-}
-
-/// The plane wave's profile over azimuth: the highest of the |elevations| that its peaks have.
-pub(super) fn plane_wave(bearing: &Bearing) -> Result<Curve, bartlett::Error> {
-    let azimuths: Vec<f64> = (0..AZIMUTHS).map(|k| Grid::azimuth(AZIMUTHS).at(k).0).collect();
-    let own = bearing.plane_wave.peaks.iter().map(|peak| peak.abs_elevation_rad);
-    let mut elevations: Vec<f64> =
-        own.chain([bearing.plane_wave.abs_elevation_rad]).chain(bearing.plane_wave.signed_elevation_rad).collect();
-    elevations.sort_by(f64::total_cmp);
-    elevations.dedup_by(|a, b| (*a - *b).abs() < 1e-3);
-    let mut values = vec![0.0_f64; AZIMUTHS];
-    for elevation in elevations {
-        let ring = Grid::directions(azimuths.iter().map(|&azimuth| (azimuth, elevation)).collect());
-        let profile = bartlett::profile(&bearing.samples, &ring)?;
-        values.iter_mut().zip(profile.values).for_each(|(value, own)| *value = value.max(own));
-    }
-    let mut points: Vec<(f64, f64)> =
-        azimuths.iter().map(|azimuth| wrap_rad(*azimuth).to_degrees()).zip(values).collect();
-    points.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let (degrees, values) = points.into_iter().unzip();
-    Ok(("plane wave at the channel centre".into(), degrees, values))
 }
 
 pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {
@@ -157,30 +122,6 @@ fn whole_track(label: &str, bearing: &Bearing) -> PhaseTrack {
         left: without_motion(bearing),
         ..track(label, &bearing.course)
     }
-}
-
-/// What is left of the phases of the samples once the paths to the answer are taken out, about their mean.
-fn without_motion(bearing: &Bearing) -> Vec<(f64, f64)> {
-    let Some(best) = bearing.answer.candidates.first() else { return Vec::new() };
-    let (samples, curve) = (&bearing.samples, best.inverse_range_per_m);
-    let elevation_rad = best.signed_elevation_rad.unwrap_or(best.abs_elevation_rad);
-    let u = bartlett::direction(bearing.answer.azimuth_rad, elevation_rad);
-    let at: Vec<Vector3<f64>> = samples.receiver_m().iter().zip(samples.transmitter_m()).map(|(r, t)| r - t).collect();
-    let middle = at.iter().sum::<Vector3<f64>>() / samples.len().max(1) as f64;
-    let turned = |(z, p): (&Complex64, &Vector3<f64>)| {
-        let offset = p - middle;
-        // How much nearer the answer is than from the middle of the motion: u.p of a plane wave, bent by the range.
-        let nearer_m = match curve > 0.0 {
-            true => (u / curve).norm() - (u / curve - offset).norm(),
-            false => u.dot(&offset),
-        };
-        let turns = f64::from(samples.path_gain()) * nearer_m / samples.wavelength_m();
-        z * Complex64::cis(-std::f64::consts::TAU * turns)
-    };
-    let left: Vec<Complex64> = samples.z().iter().zip(&at).map(turned).collect();
-    let mean: Complex64 = left.iter().sum();
-    let first_s = samples.t_s().first().copied().unwrap_or_default();
-    samples.t_s().iter().zip(&left).map(|(t_s, z)| (t_s - first_s, (z * mean.conj()).arg())).collect()
 }
 
 fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'static str, PlaceMap)> {

@@ -1,14 +1,20 @@
 //! A log over time, binned for pictures: CSI of each antenna over time and subcarrier, RSSI and gain, rate, and where
 //! something is missing. A log of any length takes the memory of its bins and of one short row a record.
+//!
+//! [`Course`] is what one picture shows. [`LogIndex`] is a log read once, from which any stretch is binned again at once.
 
-use csi5300::signal::channel::SUBCARRIERS;
+mod cells;
+mod index;
+
+pub use index::{Band, LogIndex, Stretch, StretchCsi};
+
+use cells::{Cells, row_of};
 use csi5300::signal::csi::Csi;
-use csi5300::source::survey::{PAUSE_US, Survey};
-use csi5300::source::{CsiSource, Error, Next, replay::Replay};
+use csi5300::source::survey::{Identity, PAUSE_US, Survey};
+use csi5300::source::{CsiSource, Error, Next, Origin, replay::Replay};
 use csi5300::time::{Instant, Step16, Unwrap32};
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, Bfee};
-use num_complex::Complex32;
 use std::path::Path;
 
 /// Columns of a heat map.
@@ -106,10 +112,19 @@ pub struct Course {
 const POINTS: usize = 2_000;
 
 /// One record of the log, short.
+#[derive(Clone, Copy)]
 struct Row {
-    t_s: f64,
+    t_us: i64,
+    /// Where it begins in the file, bytes.
+    offset: u64,
     rssi: [u8; 3],
     agc: u8,
+}
+
+impl Row {
+    fn t_s(&self) -> f64 {
+        self.t_us as f64 * 1e-6
+    }
 }
 
 /// What was seen on the way through a log: what does not depend on the time that it takes.
@@ -118,11 +133,12 @@ struct Seen {
     rows: Vec<Row>,
     losses: Vec<(f64, u64)>,
     steps_back: Vec<(f64, f64)>,
-    antennas: [bool; 3],
+    survey: Survey,
+    bytes: u64,
 }
 
-/// Reads a log once; `each` takes the records that are wanted with their time in seconds.
-fn scan(path: &Path, wanted: &Wanted, mut each: impl FnMut(f64, &Bfee<'_>)) -> Result<Seen, Error> {
+/// Reads a log once; `each` takes the records that are wanted with their short row and sender.
+fn scan(path: &Path, wanted: &Wanted, mut each: impl FnMut(Row, &Identity, &Bfee<'_>)) -> Result<Seen, Error> {
     let (mut source, mut survey, mut seen) = (Replay::open(path)?, Survey::default(), Seen::default());
     let (mut clock, mut count) = (Unwrap32::default(), Step16::default());
     let (mut t_us, mut last_us) = (0_i64, None);
@@ -130,11 +146,18 @@ fn scan(path: &Path, wanted: &Wanted, mut each: impl FnMut(f64, &Bfee<'_>)) -> R
         let next = source.receive(Instant::ZERO)?;
         let noted = survey.note(&next);
         let now_s = t_us as f64 * 1e-6;
-        match next {
-            Next::End(_) => return Ok(seen),
-            Next::Lost(_) => seen.losses.push((now_s, 0)),
-            _ => {}
-        }
+        let offset = match next {
+            Next::End(_) => break,
+            Next::Record(stamps, _) => match stamps.origin {
+                Origin::File { offset } => offset,
+                Origin::Live { .. } => 0,
+            },
+            Next::Lost(_) => {
+                seen.losses.push((now_s, 0));
+                continue;
+            }
+            Next::Pending => continue,
+        };
         let Some((bfee, identity)) = noted else { continue };
         let now_us = clock.next(bfee.timestamp_low());
         let step_us = last_us.map_or(0, |last| now_us - last);
@@ -148,10 +171,13 @@ fn scan(path: &Path, wanted: &Wanted, mut each: impl FnMut(f64, &Bfee<'_>)) -> R
             seen.losses.push((t_s, u64::from(step - 1)));
         }
         if wanted.takes(identity.mac, t_s) {
-            seen.rows.push(Row { t_s, rssi: bfee.rssi(), agc: bfee.agc() });
-            each(t_s, &bfee);
+            let row = Row { t_us, offset, rssi: bfee.rssi(), agc: bfee.agc() };
+            seen.rows.push(row);
+            each(row, &identity, &bfee);
         }
     }
+    (seen.survey, seen.bytes) = (survey, source.bytes());
+    Ok(seen)
 }
 
 impl Course {
@@ -161,24 +187,22 @@ impl Course {
     /// If the log cannot be read. A log without a record that is wanted gives an empty course.
     pub fn read(path: &Path, wanted: &Wanted) -> Result<Self, Error> {
         let mut antennas = [false; 3];
-        let mut seen = scan(path, wanted, |_, bfee| {
+        let seen = scan(path, wanted, |_, _, bfee| {
             if let Ok(csi) = Csi::from_bfee(bfee) {
                 for (known, antenna) in antennas.iter_mut().zip(Antenna::ALL) {
                     *known |= csi.row(antenna).is_some();
                 }
             }
         })?;
-        seen.antennas = antennas;
-        let Some((first, last)) = seen.rows.first().zip(seen.rows.last()) else { return Ok(Self::default()) };
-        let span_s = (first.t_s, last.t_s.max(first.t_s + 1e-6));
+        let Some(span_s) = span_s(&seen.rows) else { return Ok(Self::default()) };
         let asked = |antenna: &Antenna| wanted.antennas.is_empty() || wanted.antennas.contains(antenna);
-        let known = Antenna::ALL.into_iter().zip(seen.antennas).filter(|(antenna, known)| *known && asked(antenna));
-        let mut cells: Vec<(Antenna, Cells)> = known.map(|(antenna, _)| (antenna, Cells::new(span_s))).collect();
-        scan(path, wanted, |t_s, bfee| {
+        let known = Antenna::ALL.into_iter().zip(antennas).filter(|(antenna, known)| *known && asked(antenna));
+        let mut cells: Vec<(Antenna, Cells)> = known.map(|(antenna, _)| (antenna, Cells::new(COLUMNS))).collect();
+        scan(path, wanted, |row, _, bfee| {
             let Ok(csi) = Csi::from_bfee(bfee) else { return };
             for (antenna, cells) in &mut cells {
-                if let Some(row) = csi.row(*antenna) {
-                    cells.add(t_s, std::array::from_fn(|k| csi.get(k, row, 0).unwrap_or_default()));
+                if let Some(h) = row_of(&csi, *antenna) {
+                    cells.add(bin(row.t_s(), span_s, COLUMNS), &h);
                 }
             }
         })?;
@@ -186,7 +210,7 @@ impl Course {
         Ok(Self {
             records: seen.rows.len() as u64,
             span_s,
-            antennas: cells.into_iter().filter_map(|(antenna, cells)| cells.course(antenna)).collect(),
+            antennas: cells.into_iter().filter_map(|(antenna, cells)| cells.course(antenna, span_s)).collect(),
             rssi: std::array::from_fn(|k| {
                 thin(&seen.rows, |row| row.rssi[k]).into_iter().filter(|p| p.1 > 0.0).collect()
             }),
@@ -199,9 +223,15 @@ impl Course {
     }
 }
 
+/// First and last time, seconds; never of no length.
+fn span_s(rows: &[Row]) -> Option<(f64, f64)> {
+    let (first, last) = rows.first().zip(rows.last())?;
+    Some((first.t_s(), last.t_s().max(first.t_s() + 1e-6)))
+}
+
 /// Every n-th value.
 fn thin(rows: &[Row], value: impl Fn(&Row) -> u8) -> Vec<(f64, f64)> {
-    rows.iter().step_by(rows.len().div_ceil(POINTS).max(1)).map(|row| (row.t_s, f64::from(value(row)))).collect()
+    rows.iter().step_by(rows.len().div_ceil(POINTS).max(1)).map(|row| (row.t_s(), f64::from(value(row)))).collect()
 }
 
 fn bin(t_s: f64, span_s: (f64, f64), bins: usize) -> usize {
@@ -213,68 +243,15 @@ fn rate(rows: &[Row], span_s: (f64, f64)) -> Vec<(f64, f64)> {
     let bins = (rows.len() / 5).clamp(1, RATE_BINS);
     let width_s = (span_s.1 - span_s.0) / bins as f64;
     let mut counts = vec![0_u32; bins];
-    rows.iter().for_each(|row| counts[bin(row.t_s, span_s, bins)] += 1);
+    rows.iter().for_each(|row| counts[bin(row.t_s(), span_s, bins)] += 1);
     let middle = |k: usize| span_s.0 + (k as f64 + 0.5) * width_s;
     counts.iter().enumerate().map(|(k, count)| (middle(k), f64::from(*count) / width_s)).collect()
 }
 
 fn gaps(rows: &[Row]) -> Vec<(f64, f64)> {
-    let mut steps: Vec<f64> = rows.windows(2).map(|pair| pair[1].t_s - pair[0].t_s).collect();
+    let mut steps: Vec<f64> = rows.windows(2).map(|pair| pair[1].t_s() - pair[0].t_s()).collect();
     let usual_s = csi5300::maths::median(&mut steps).unwrap_or_default();
     let limit_s = (GAP_INTERVALS * usual_s).max(GAP_LEAST_S).min(PAUSE_US as f64 * 1e-6);
-    let pairs = rows.windows(2).map(|pair| (pair[0].t_s, pair[1].t_s));
+    let pairs = rows.windows(2).map(|pair| (pair[0].t_s(), pair[1].t_s()));
     pairs.filter(|(from, to)| to - from >= limit_s && to - from > 2.0 * usual_s).collect()
-}
-
-/// Sums of the cells of one antenna.
-struct Cells {
-    span_s: (f64, f64),
-    amplitude: Vec<f64>,
-    phase: Vec<Complex32>,
-    counts: Vec<u32>,
-}
-
-impl Cells {
-    fn new(span_s: (f64, f64)) -> Self {
-        let cells = SUBCARRIERS * COLUMNS;
-        Self { span_s, amplitude: vec![0.0; cells], phase: vec![Complex32::default(); cells], counts: vec![0; COLUMNS] }
-    }
-
-    fn add(&mut self, t_s: f64, h: [Complex32; SUBCARRIERS]) {
-        let column = bin(t_s, self.span_s, COLUMNS);
-        self.counts[column] += 1;
-        let middle = h[SUBCARRIERS / 2];
-        for (k, value) in h.iter().enumerate() {
-            let cell = k * COLUMNS + column;
-            self.amplitude[cell] += f64::from(value.norm());
-            let turned = value * middle.conj();
-            if turned.norm() > 0.0 {
-                self.phase[cell] += turned / turned.norm();
-            }
-        }
-    }
-
-    /// The means; columns into which nothing fell hold no number. `None` where all is silent.
-    fn course(self, antenna: Antenna) -> Option<AntennaCourse> {
-        let count = |cell: usize| f64::from(self.counts[cell % COLUMNS]);
-        let mean = |cell: usize| if count(cell) > 0.0 { self.amplitude[cell] / count(cell) } else { f64::NAN };
-        let db = |value: f64| if value > 0.0 { 20.0 * value.log10() } else { f64::NAN };
-        let cells = SUBCARRIERS * COLUMNS;
-        let middle =
-            |column: usize| self.span_s.0 + (column as f64 + 0.5) * (self.span_s.1 - self.span_s.0) / COLUMNS as f64;
-        let over =
-            |column: usize| (0..SUBCARRIERS).map(|k| mean(k * COLUMNS + column)).sum::<f64>() / SUBCARRIERS as f64;
-        let line = (0..COLUMNS).map(|column| (middle(column), db(over(column)))).filter(|point| point.1.is_finite());
-        let phase = |cell: usize| match self.phase[cell] {
-            sum if sum.norm() > 0.0 => f64::from(sum.arg()),
-            _ => f64::NAN,
-        };
-        let course = AntennaCourse {
-            antenna,
-            amplitude_db: (0..cells).map(|cell| db(mean(cell))).collect(),
-            phase_rad: (0..cells).map(phase).collect(),
-            line_db: line.collect(),
-        };
-        (!course.line_db.is_empty()).then_some(course)
-    }
 }

@@ -1,0 +1,67 @@
+//! `csi5300 view`: a page in the browser about a log, captures or a running node.
+
+use super::captures::Reading;
+use super::{Outcome, Result, print, usage};
+use csi5300_view::{Server, View};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// Arguments of `view`.
+#[derive(clap::Args)]
+#[command(after_help = "The page is served on this machine only, to browsers that show it from there; nothing is loaded from \
+                        anywhere else. Ctrl-C ends it. `report --interactive` writes the same page as one file.\n\
+                        Example: csi5300 view captures --open")]
+pub struct Args {
+    /// A log, a folder with captures or logs below it, or the status socket of a running node
+    #[arg(value_name = "LOG|DIR|SOCKET")]
+    what: PathBuf,
+    /// Address to listen on; port 0 is any that is free. Everyone who can reach an address other than this machine's own
+    /// may look
+    #[arg(long, default_value = "127.0.0.1:0", value_name = "ADDRESS:PORT")]
+    listen: SocketAddr,
+    /// Open the page in the browser
+    #[arg(long)]
+    open: bool,
+    #[command(flatten)]
+    reading: Reading,
+    /// Captures worked on at a time; 0 is one for each core
+    #[arg(long, default_value_t = 0, value_name = "N")]
+    threads: usize,
+}
+
+/// How captures are read, for the page.
+pub fn reading(reading: &Reading) -> csi5300_view::Reading {
+    let options = reading.options().unwrap_or_else(|message| usage(&message));
+    csi5300_view::Reading::new(reading.source(), reading.channel, options)
+}
+
+/// Serves the page until a signal ends it.
+pub fn run(args: &Args) -> Result {
+    let view = View::open(&args.what, reading(&args.reading)).map_err(|error| error.to_string())?;
+    let view = Arc::new(view);
+    let server = Server::listen(args.listen).map_err(|error| error.to_string())?;
+    let address = server.address();
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    view.start(if args.threads == 0 { cores } else { args.threads }).map_err(|error| error.to_string())?;
+    let shown = if address.ip().is_unspecified() { SocketAddr::new([127, 0, 0, 1].into(), address.port()) } else { address };
+    let url = format!("http://{shown}/");
+    print(&format!("{url}\n"));
+    if !address.ip().is_loopback() {
+        eprintln!("everyone who can reach {address} may look; nothing can be changed there");
+    }
+    if args.open {
+        open(&url);
+    }
+    server.run(&view).map_err(|error| error.to_string())?;
+    Ok(Outcome::Done)
+}
+
+/// Opens the page as the desktop opens pages.
+fn open(url: &str) {
+    use std::process::{Command, Stdio};
+    let quiet = Command::new("xdg-open").arg(url).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+    if let Err(error) = quiet {
+        eprintln!("csi5300: cannot open a browser (xdg-open: {error}): open {url} in one");
+    }
+}

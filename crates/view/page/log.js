@@ -1,0 +1,291 @@
+"use strict";
+// A log over time: rate and losses, RSSI and gain, CSI as a heat map, and one column of it under the cursor.
+{
+  const ANTENNAS = ["A", "B", "C"];
+  const MAPS = {
+    amplitude_db: { words: "amplitude", unit: "dB of the card's step" },
+    phase_rad: { words: "phase", unit: "rad, relative to the middle subcarrier" },
+  };
+  // What the user chose stays when another log is shown.
+  const chosen = { map: "amplitude_db", antenna: "A", sender: "" };
+
+  class LogPanel {
+    constructor(host, number) {
+      [this.host, this.number, this.asked] = [host, number, 0];
+      this.open().catch((error) => host.append(csi.el("p", { class: "bad" }, String(error.message ?? error))));
+    }
+
+    async open() {
+      this.facts = await csi.get(`/data/log/${this.number}`);
+      if (!this.host.isConnected) return;
+      if (!this.facts.senders.some((sender) => sender.mac === chosen.sender)) chosen.sender = "";
+      this.stretch = new csi.Stretch(this.facts.span_s, () => this.load());
+      this.tools = csi.el("div", { class: "tools" });
+      this.host.append(this.words(), this.tools);
+      this.key = this.host.appendChild(csi.el("div"));
+      this.rate = this.rateChart();
+      this.levels = this.levelChart();
+      this.heat = this.heatChart();
+      this.readout = this.host.appendChild(csi.el("p", { class: "readout", "aria-live": "off" }));
+      this.column = this.columnChart();
+      this.fillTools();
+      await this.load();
+    }
+
+    // The log in a line or two.
+    words() {
+      const f = this.facts;
+      const [from, to] = f.span_s;
+      const steps = f.clock_steps.steps_back;
+      const parts = [
+        `${csi.size(f.bytes)}, ${csi.count(f.records, "record", "records")} over ${csi.figure(to - from, 1)} s`,
+        f.bfee_missing ? `${csi.count(f.bfee_missing, "number", "numbers")} missing` : "no number missing",
+        f.damages ? `${csi.count(f.damages, "damaged stretch", "damaged stretches")} (${csi.size(f.damaged_bytes)})` : null,
+        f.bad_bfee ? `${csi.count(f.bad_bfee, "impossible record", "impossible records")}` : null,
+        steps ? `the card's clock steps back ${csi.count(steps, "time", "times")}` : null,
+        f.cut ? "the last record is cut" : null,
+      ];
+      return csi.el("p", { class: "soft" }, `${f.name}: ${parts.filter(Boolean).join("; ")}`);
+    }
+
+    fillTools() {
+      const toggle = csi.button("", "amplitude or phase (a)", () => this.turn(), { class: "turn" });
+      this.turnButton = toggle;
+      const antenna = csi.el("select", { "aria-label": "antenna", onchange: () => { chosen.antenna = antenna.value; this.show(); } });
+      this.antennaChoice = antenna;
+      const sender = csi.el("select", { "aria-label": "sender", onchange: () => { chosen.sender = sender.value; this.load(); } });
+      sender.append(csi.el("option", { value: "" }, "all senders"));
+      for (const { mac, records, rate_hz } of this.facts.senders) {
+        const name = mac === "00:00:00:00:00:00" ? "unknown sender" : mac;
+        const words = `${name} (${records.toLocaleString("en")}${rate_hz ? `, ${rate_hz.toFixed(0)}/s` : ""})`;
+        sender.append(csi.el("option", { value: mac, selected: mac === chosen.sender }, words));
+      }
+      const inFile = csi.answers !== null;
+      this.tools.append(...this.stretch.buttons(), csi.el("span", { class: "gap" }), toggle, antenna);
+      if (this.facts.senders.length > 1 && !inFile) this.tools.append(sender);
+    }
+
+    turn() {
+      chosen.map = chosen.map === "amplitude_db" ? "phase_rad" : "amplitude_db";
+      this.show();
+    }
+
+    options(height, y, more = {}) {
+      const hooks = { setScale: [(plot, key) => { if (key === "x") this.stretch.chosen(plot); }], ...more.hooks };
+      const span = this.facts.span_s;
+      return {
+        height, y,
+        x: { show: more.showX ?? false },
+        options: {
+          cursor: { sync: { key: `log${this.number}`, scales: ["x", null] }, drag: { x: true, y: false }, y: more.cursorY ?? false, points: { show: false } },
+          scales: { x: { time: false, auto: false, min: span[0], max: span[1] }, y: more.scale ?? {} },
+          series: more.series,
+          bands: more.bands ?? [],
+          hooks,
+          axes: undefined,
+        },
+        data: more.data,
+      };
+    }
+
+    chart(height, y, more) {
+      const made = this.options(height, y, more);
+      delete made.options.axes;
+      const { plot } = csi.chart(this.host, made);
+      this.stretch.add(plot);
+      return plot;
+    }
+
+    rateChart() {
+      const stepped = uPlot.paths.stepped({ align: 1 });
+      return this.chart(110, { name: "records per second; losses, gaps and steps back of the clock" }, {
+        scale: { range: (_, low, high) => [0, Math.max(1, high * 1.1)] },
+        series: [{}, { stroke: () => csi.series(0), width: 1.5, paths: stepped, points: { show: false } }],
+        hooks: { draw: [(plot) => this.marks(plot)] },
+        data: [this.facts.span_s, [null, null]],
+      });
+    }
+
+    // Gaps as areas, missing numbers and damage as ticks, steps back of the clock as dashed lines.
+    marks(plot) {
+      const levels = this.now;
+      if (!levels) return;
+      csi.clipped(plot, (ctx, bbox, x) => {
+        ctx.fillStyle = csi.faint(csi.colour("orange"), 0.3);
+        for (const [from, to] of levels.gaps_s) ctx.fillRect(x(from), bbox.top, Math.max(1, x(to) - x(from)), bbox.height);
+        const width = (levels.to_s - levels.from_s) / levels.columns;
+        const tick = (colour, share) => ([column]) => {
+          ctx.fillStyle = colour;
+          const at = x(levels.from_s + column * width);
+          const wide = Math.max(1.5 * devicePixelRatio, x(levels.from_s + (column + 1) * width) - at);
+          ctx.fillRect(at, bbox.top + bbox.height * (1 - share), wide, bbox.height * share);
+        };
+        levels.missing.forEach(tick(csi.colour("bad"), 0.22));
+        levels.damaged.forEach(tick(csi.colour("purple"), 0.45));
+        for (const [at] of levels.steps_back) csi.vertical(ctx, bbox, x(at), csi.colour("purple"), 1.5, [5, 4]);
+      });
+    }
+
+    // A band from lowest to highest and the mean of each antenna, and the gain.
+    levelChart() {
+      const series = [{}];
+      const bands = [];
+      for (const letter of [...ANTENNAS, "gain"]) {
+        const colour = () => (letter === "gain" ? csi.colour("grey") : csi.antennaColour(letter));
+        const edge = { stroke: () => csi.faint(colour(), 0.35), width: 0.5, points: { show: false } };
+        bands.push({ series: [series.length, series.length + 2], fill: () => csi.faint(colour(), 0.18) });
+        series.push({ ...edge }, { stroke: colour, width: 1.6, points: { show: false } }, { ...edge });
+      }
+      const nothing = series.slice(1).map(() => [null, null]);
+      return this.chart(130, { name: "RSSI of antennas A, B, C and gain (AGC): lowest, mean, highest; dB" }, {
+        scale: { range: (_, low, high) => (csi.isNumber(low) ? [low - 2, high + 2] : [0, 60]) },
+        series, bands, data: [this.facts.span_s, ...nothing],
+      });
+    }
+
+    heatChart() {
+      return this.chart(230, { name: "CSI over time and subcarrier, first stream" }, {
+        scale: { range: [0, 30] }, showX: true, cursorY: true,
+        series: [{}, { stroke: "transparent", points: { show: false } }],
+        hooks: { draw: [(plot) => this.paint(plot)], setCursor: [(plot) => this.point(plot)] },
+        data: [this.facts.span_s, [null, null]],
+      });
+    }
+
+    columnChart() {
+      const series = ANTENNAS.map((letter) => ({ stroke: () => csi.antennaColour(letter), width: 1.6, points: { show: false } }));
+      const { plot } = csi.chart(this.host, {
+        height: 130, x: {}, y: { name: "under the cursor, over the subcarriers (0 to 29)" },
+        options: { scales: { x: { time: false, range: [0, 29] }, y: { range: () => this.range() } }, cursor: { show: false }, series: [{}, ...series] },
+        data: [Array.from({ length: 30 }, (_, k) => k), ...ANTENNAS.map(() => Array(30).fill(null))],
+      });
+      return plot;
+    }
+
+    async load() {
+      const asked = ++this.asked;
+      const { from, to } = this.stretch;
+      const columns = Math.min(1500, Math.max(200, Math.round(this.heat.bbox.width / devicePixelRatio)));
+      const query = `from=${from}&to=${to}&columns=${columns}&sender=${chosen.sender}`;
+      try {
+        const [levels, maps] = await Promise.all(["levels", "csi"].map((what) => csi.get(`/data/log/${this.number}/${what}`, query)));
+        if (asked !== this.asked || !this.host.isConnected) return;
+        [this.now, this.maps] = [levels, maps];
+        this.images = {};
+        this.showLevels();
+        this.show();
+      } catch (error) {
+        this.readout.textContent = String(error.message ?? error);
+      }
+    }
+
+    showLevels() {
+      const { now } = this;
+      const bins = now.rate_hz.length;
+      const left = csi.middles(now.from_s, now.to_s, bins).map((t) => t - (now.to_s - now.from_s) / bins / 2);
+      this.rate.setData([[...left, now.to_s], [...now.rate_hz, now.rate_hz.at(-1) ?? null]]);
+      const times = csi.middles(now.from_s, now.to_s, now.columns);
+      const none = times.map(() => null);
+      const bands = [...now.rssi, now.agc].flatMap((band) => [band.min, band.mean, band.max].map((line) => (line.length ? line : none)));
+      this.levels.setData([times, ...bands]);
+      this.stretch.draw();
+      this.showKey();
+    }
+
+    showKey() {
+      const { now } = this;
+      const sum = (pairs) => pairs.reduce((all, [, count]) => all + count, 0);
+      const connected = ANTENNAS.filter((_, k) => now.rssi[k].mean.length);
+      const entries = [
+        ...connected.map((letter) => [csi.antennaName(letter), `antenna ${letter}`]),
+        ["grey", "gain"],
+      ];
+      if (now.missing.length) entries.push(["bad", csi.count(sum(now.missing), "number missing", "numbers missing")]);
+      if (now.damaged.length) entries.push(["purple", csi.count(sum(now.damaged), "damaged stretch", "damaged stretches")]);
+      if (now.gaps_s.length) entries.push(["orange", csi.count(now.gaps_s.length, "gap", "gaps")]);
+      if (now.steps_back.length) entries.push(["purple", csi.count(now.steps_back.length, "step back of the clock", "steps back of the clock")]);
+      this.key.replaceChildren(csi.keyOf(...entries));
+    }
+
+    // The antenna that is looked at: the chosen one, or the first that there is.
+    antenna() {
+      const all = this.maps?.antennas ?? [];
+      return all.find((own) => own.antenna === chosen.antenna) ?? all[0];
+    }
+
+    show() {
+      const all = this.maps?.antennas ?? [];
+      const own = this.antenna();
+      this.antennaChoice.replaceChildren(...all.map(({ antenna }) => csi.el("option", { value: antenna, selected: antenna === own?.antenna }, `antenna ${antenna}`)));
+      this.turnButton.textContent = MAPS[chosen.map].words;
+      this.heat.redraw(false);
+      this.point(this.heat);
+    }
+
+    image() {
+      const own = this.antenna();
+      if (!own) return null;
+      const name = `${own.antenna} ${chosen.map}`;
+      if (this.images[name]) return this.images[name];
+      const { columns, subcarriers } = this.maps;
+      const canvas = csi.el("canvas", { width: columns, height: subcarriers });
+      const pixels = new ImageData(columns, subcarriers);
+      const cells = csi.bytes(own[chosen.map].cells);
+      cells.forEach((value, cell) => {
+        if (value === 255) return;
+        // Subcarrier 0 is below.
+        const at = 4 * ((subcarriers - 1 - Math.floor(cell / columns)) * columns + (cell % columns));
+        pixels.data.set(csi.shades[chosen.map][value], at);
+        pixels.data[at + 3] = 255;
+      });
+      canvas.getContext("2d").putImageData(pixels, 0, 0);
+      this.images[name] = canvas;
+      return canvas;
+    }
+
+    paint(plot) {
+      const image = this.maps && this.image();
+      if (!image) return;
+      csi.clipped(plot, (ctx, bbox, x) => {
+        ctx.imageSmoothingEnabled = false;
+        const [left, right] = [x(this.maps.from_s), x(this.maps.to_s)];
+        ctx.drawImage(image, left, bbox.top, right - left, bbox.height);
+      });
+    }
+
+    // What is under the cursor, in words and over the subcarriers.
+    point(plot) {
+      const own = this.antenna();
+      if (!own || !this.readout) return;
+      const { columns, subcarriers, from_s, to_s } = this.maps;
+      const { low, high } = own[chosen.map];
+      const t = plot.cursor.left >= 0 ? plot.posToVal(plot.cursor.left, "x") : (from_s + to_s) / 2;
+      const column = Math.min(columns - 1, Math.max(0, Math.floor(((t - from_s) / (to_s - from_s)) * columns)));
+      const value = (map, k) => {
+        map.bytes ??= csi.bytes(map.cells);
+        const byte = map.bytes[k * columns + column];
+        return byte === 255 || byte === undefined ? null : map.low + (byte / 254) * (map.high - map.low);
+      };
+      const lines = ANTENNAS.map((letter) => {
+        const found = this.maps.antennas.find((other) => other.antenna === letter);
+        return Array.from({ length: subcarriers }, (_, k) => (found ? value(found[chosen.map], k) : null));
+      });
+      this.column.setData([this.column.data[0], ...lines]);
+      const { words, unit } = MAPS[chosen.map];
+      const k = plot.cursor.top >= 0 && plot.cursor.left >= 0 ? Math.min(29, Math.max(0, Math.floor(plot.posToVal(plot.cursor.top, "y")))) : null;
+      const here = k === null ? "" : `; subcarrier ${k}: ${csi.figure(value(own[chosen.map], k), 2)}`;
+      const every = this.maps.every > 1 ? `; every ${this.maps.every}th record is in the picture` : "";
+      this.readout.textContent = `antenna ${own.antenna}, ${words} from ${csi.figure(low, 1)} (dark) to ${csi.figure(high, 1)} ${unit}; ${csi.figure(t, 3)} s${here}${every}`;
+    }
+
+    // The same range under every place of the cursor.
+    range() {
+      if (!this.maps?.antennas.length) return [0, 1];
+      if (chosen.map === "phase_rad") return [-Math.PI, Math.PI];
+      const all = this.maps.antennas.map((own) => own.amplitude_db);
+      return [Math.min(...all.map((map) => map.low)) - 1, Math.max(...all.map((map) => map.high)) + 1];
+    }
+  }
+
+  csi.showLog = (host, number) => new LogPanel(host, number);
+}

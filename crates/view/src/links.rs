@@ -1,0 +1,288 @@
+//! Links of captures, evaluated in the background: first those that somebody wants to see.
+
+use crate::Error;
+use crate::events::Events;
+use crate::link::Detail;
+use csi5300::pipeline::Options;
+use csi5300::signal::channel::Channel;
+use csi5300_lab::evaluate::beside::{Beside, Table};
+use csi5300_lab::evaluate::quality::receivers;
+use csi5300_lab::evaluate::{Capture, Errors, Judged, SetSummary, TrajectorySource, find, summarise};
+use serde::Serialize;
+use std::collections::{BTreeMap, VecDeque};
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// How captures are read and their links estimated.
+#[derive(Clone)]
+pub struct Reading {
+    source: TrajectorySource,
+    channel: Option<Channel>,
+    options: Options,
+}
+
+impl Reading {
+    /// With the trajectories of `source`; each capture's own channel where none is given.
+    #[must_use]
+    pub fn new(source: TrajectorySource, channel: Option<Channel>, options: Options) -> Self {
+        // Curves, paths and phases are what the page shows.
+        Self { source, channel, options: options.with_keep_course(true) }
+    }
+
+    pub(crate) fn source(&self) -> TrajectorySource {
+        self.source
+    }
+
+    pub(crate) fn antenna(&self) -> driver_iface::bfee::Antenna {
+        self.options.antenna
+    }
+}
+
+/// A row of the table: a line of `evaluate --json`, shorter, and what another program answers.
+#[derive(Serialize)]
+struct ShortRow<'a> {
+    number: usize,
+    set: &'a str,
+    link: &'a str,
+    azimuth_deg: Option<f64>,
+    azimuth_sd_deg: Option<f64>,
+    mirror_deg: Option<f64>,
+    true_from_mean_pose_deg: Option<f64>,
+    error_from_mean_pose_deg: Option<f64>,
+    confidence: Option<f64>,
+    coherence: Option<f64>,
+    range_m: Option<f64>,
+    pairs_in_motion: usize,
+    error: Option<&'a str>,
+    true_transmitter_m: Option<[f64; 2]>,
+    true_receiver_m: Option<[f64; 2]>,
+    position_m: Option<[f64; 3]>,
+    position_covariance_m2: Option<[[f64; 3]; 3]>,
+    beside: Option<Beside>,
+}
+
+/// Errors of a set, and those of another program on the same links.
+#[derive(Serialize)]
+struct SetRow {
+    #[serde(flatten)]
+    own: SetSummary,
+    beside: Option<Errors>,
+}
+
+/// One link that was evaluated.
+struct Done {
+    row: Judged,
+    /// What the page shows of it, JSON; none without a bearing.
+    detail: Option<Arc<str>>,
+    beside: Option<Beside>,
+}
+
+#[derive(Default)]
+struct State {
+    /// Captures that nobody works on yet.
+    waiting: VecDeque<usize>,
+    links: Vec<Option<Done>>,
+    /// Links in the order in which they came.
+    arrived: Vec<usize>,
+    notes: Vec<String>,
+    lost: bool,
+}
+
+/// The links of captures.
+pub(crate) struct Links {
+    captures: Vec<Capture>,
+    /// The number of each capture's first link, and one more: that of all links.
+    first: Vec<usize>,
+    reading: Reading,
+    table: Option<Table>,
+    state: Mutex<State>,
+}
+
+impl Links {
+    /// The captures below a folder; none where there is none.
+    pub fn below(folder: &Path, reading: Reading) -> Option<Self> {
+        let (captures, unreadable) = find(folder);
+        if captures.is_empty() {
+            return None;
+        }
+        let mut notes: Vec<String> = unreadable.iter().map(|folder| format!("cannot read {folder}")).collect();
+        let table = Table::read(folder, reading.source()).unwrap_or_else(|error| {
+            notes.push(error.to_string());
+            None
+        });
+        if let Some(bad) = table.as_ref().map(Table::bad_rows).filter(|bad| *bad > 0) {
+            notes.push(format!("links.csv: {bad} rows without numbers were left out"));
+        }
+        let mut first = vec![0];
+        for capture in &captures {
+            let links = capture.transmitters.len().max(1);
+            first.push(first.last().map_or(0, |last| last + links));
+        }
+        let links = first.last().map_or_else(Vec::new, |all| (0..*all).map(|_| None).collect());
+        let lost = !unreadable.is_empty();
+        let state = State { waiting: (0..captures.len()).collect(), links, notes, lost, ..State::default() };
+        Some(Self { captures, first, reading, table, state: Mutex::new(state) })
+    }
+
+    pub fn captures(&self) -> &[Capture] {
+        &self.captures
+    }
+
+    /// True if there is a table of another program's answers.
+    pub fn has_beside(&self) -> bool {
+        self.table.is_some()
+    }
+
+    /// How many there are, done or not.
+    pub fn len(&self) -> usize {
+        self.first.last().copied().unwrap_or_default()
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The capture of a link, and its place in it.
+    pub fn place(&self, link: usize) -> Option<(usize, usize)> {
+        let capture = self.first.partition_point(|first| *first <= link).checked_sub(1)?;
+        (link < self.len()).then(|| (capture, link - self.first[capture]))
+    }
+
+    /// Names of all links, done or not.
+    pub fn names(&self) -> Vec<String> {
+        let named = |capture: &Capture| match capture.transmitters.as_slice() {
+            [] => vec![capture.link_name("")],
+            some => some.iter().map(|(name, _)| capture.link_name(name)).collect(),
+        };
+        self.captures.iter().flat_map(named).collect()
+    }
+
+    /// Evaluates the capture that is next; false if none is left.
+    pub fn work(&self, events: &Events) -> bool {
+        let Some(number) = self.state().waiting.pop_front() else { return false };
+        let Some(capture) = self.captures.get(number) else { return true };
+        let mut details: BTreeMap<String, Arc<str>> = BTreeMap::new();
+        let mut look = |name: &str, bearing: &csi5300::pipeline::Bearing, _: &Options| {
+            if let Ok(text) = serde_json::to_string(&Detail::new(bearing)) {
+                details.insert(name.to_owned(), text.into());
+            }
+        };
+        let Reading { source, channel, options } = &self.reading;
+        let evaluated = capture.evaluate_and(*source, *channel, options, &mut look);
+        let done = {
+            let mut state = self.state();
+            state.lost |= evaluated.lost;
+            state.notes.extend(evaluated.notes);
+            for (k, row) in evaluated.rows.into_iter().enumerate() {
+                let link = self.first[number] + k;
+                let beside = self.table.as_ref().and_then(|table| table.of(&row.answer.link));
+                let detail = details.remove(&row.answer.link);
+                if let Some(place) = state.links.get_mut(link) {
+                    *place = Some(Done { row, detail, beside });
+                    state.arrived.push(link);
+                }
+            }
+            state.arrived.len()
+        };
+        events.tell("rows", &format!("{{\"done\":{done},\"of\":{}}}", self.len()));
+        true
+    }
+
+    /// Evaluates all that is left; `progress` is handed how many links are done.
+    pub fn finish(&self, events: &Events, mut progress: impl FnMut(usize)) {
+        while self.work(events) {
+            progress(self.state().arrived.len());
+        }
+    }
+
+    /// True if a link has a bearing, and whether something was lost or failed.
+    pub fn outcome(&self) -> (bool, bool) {
+        let state = self.state();
+        let mut rows = state.links.iter().flatten();
+        (rows.any(|done| done.row.answer.azimuth_deg.is_some()), state.lost)
+    }
+
+    /// The rows that arrived after the first `known`, how many arrived, and what was noted.
+    pub fn rows(&self, known: usize) -> Result<Vec<u8>, Error> {
+        #[derive(Serialize)]
+        struct Rows<'a> {
+            known: usize,
+            of: usize,
+            rows: Vec<ShortRow<'a>>,
+            notes: &'a [String],
+        }
+        let state = self.state();
+        let new = state.arrived.iter().skip(known);
+        let rows = new.filter_map(|link| state.links.get(*link)?.as_ref().map(|done| short(*link, done)));
+        let rows = Rows { known: state.arrived.len(), of: self.len(), rows: rows.collect(), notes: &state.notes };
+        Ok(serde_json::to_vec(&rows)?)
+    }
+
+    /// Errors by set of what is done, and of another program on the same links.
+    pub fn sets(&self) -> Result<Vec<u8>, Error> {
+        let state = self.state();
+        let rows: Vec<Judged> = state.links.iter().flatten().map(|done| done.row.clone()).collect();
+        let beside = |set: &str| {
+            let own = state.links.iter().flatten().filter(|done| set == "all" || done.row.set() == set);
+            let errors = Errors::of(own.filter_map(|done| done.beside).map(|beside| beside.error_deg));
+            (errors.links > 0).then_some(errors)
+        };
+        let sets = summarise(&rows).into_iter().map(|(set, own)| {
+            let beside = beside(&set);
+            (set, SetRow { own, beside })
+        });
+        Ok(serde_json::to_vec(&sets.collect::<BTreeMap<_, _>>())?)
+    }
+
+    /// A link: its whole row, where its capture's receiver is located, and what the page draws. A capture that nobody works
+    /// on is next then, and `waiting` is true until it is done. `logs` are the numbers of the receiver's and the
+    /// transmitter's log.
+    pub fn link(&self, link: usize, logs: [Option<usize>; 2]) -> Result<Option<Vec<u8>>, Error> {
+        let Some((capture, _)) = self.place(link) else { return Ok(None) };
+        let mut state = self.state();
+        let Some(done) = state.links.get(link).and_then(Option::as_ref) else {
+            if let Some(at) = state.waiting.iter().position(|waiting| *waiting == capture) {
+                state.waiting.remove(at);
+                state.waiting.push_front(capture);
+            }
+            return Ok(Some(br#"{"waiting":true}"#.to_vec()));
+        };
+        let siblings = self.first[capture]..self.first[capture + 1];
+        let rows = siblings.filter_map(|k| state.links.get(k)?.as_ref().map(|done| done.row.clone()));
+        let receiver = receivers(&rows.collect::<Vec<_>>()).into_iter().next();
+        let head = serde_json::json!({
+            "number": link, "row": done.row, "beside": done.beside, "receiver": receiver,
+            "logs": { "receiver": logs[0], "transmitter": logs[1] },
+        });
+        let mut text = serde_json::to_string(&head)?;
+        // The drawn part is JSON already.
+        text.pop();
+        let detail = done.detail.as_deref().unwrap_or("null");
+        text += &format!(",\"drawn\":{detail}}}");
+        Ok(Some(text.into_bytes()))
+    }
+}
+
+fn short(number: usize, done: &Done) -> ShortRow<'_> {
+    let (row, answer) = (&done.row, &done.row.answer);
+    ShortRow {
+        number,
+        set: row.set(),
+        link: &answer.link,
+        azimuth_deg: answer.azimuth_deg,
+        azimuth_sd_deg: answer.azimuth_sd_deg,
+        mirror_deg: answer.mirror_deg,
+        true_from_mean_pose_deg: row.true_from_mean_pose_deg,
+        error_from_mean_pose_deg: row.error_from_mean_pose_deg,
+        confidence: answer.confidence,
+        coherence: answer.coherence,
+        range_m: answer.range_m,
+        pairs_in_motion: answer.pairs_in_motion,
+        error: answer.error.as_deref(),
+        true_transmitter_m: row.true_transmitter_m,
+        true_receiver_m: row.true_receiver_m,
+        position_m: answer.position_m,
+        position_covariance_m2: answer.position_covariance_m2,
+        beside: done.beside,
+    }
+}

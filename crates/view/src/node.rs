@@ -1,0 +1,114 @@
+//! The states of a running node, as its status socket gives them: a line of JSON a look.
+
+use crate::Error;
+use crate::events::Events;
+use std::collections::VecDeque;
+use std::io::{BufRead, BufReader, Read};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::time::Duration;
+
+/// States kept for a page that comes later.
+const KEPT: usize = 1_200;
+/// Bytes of a state at most: what is longer is no state.
+const LONGEST: u64 = 1 << 20;
+/// From the end of a connection to the next try.
+const AGAIN: Duration = Duration::from_secs(1);
+
+/// What a node said.
+pub(crate) struct Node {
+    path: PathBuf,
+    said: Mutex<VecDeque<Arc<str>>>,
+}
+
+impl Node {
+    /// A node whose socket is there, and its states from then on. Whenever it ends it is waited for.
+    ///
+    /// # Errors
+    /// If nobody listens on the socket, or no thread can be started.
+    pub fn open(path: &Path, events: Weak<Events>) -> Result<Arc<Self>, Error> {
+        let failed = |source| Error::Node { path: path.to_owned(), source };
+        let stream = UnixStream::connect(path).map_err(failed)?;
+        let node = Arc::new(Self { path: path.to_owned(), said: Mutex::default() });
+        let of = Arc::downgrade(&node);
+        let listen = move || listen(&of, &events, Some(stream));
+        let thread = std::thread::Builder::new().name("csi5300 node".into()).spawn(listen);
+        thread.map_err(|source| Error::Start { what: "the thread that listens to the node", source })?;
+        Ok(node)
+    }
+
+    fn keep(&self, state: &str) {
+        let mut said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
+        if said.len() >= KEPT {
+            said.pop_front();
+        }
+        said.push_back(state.into());
+    }
+
+    /// All states that are kept, a JSON array.
+    pub fn states(&self) -> Vec<u8> {
+        let said = self.said.lock().unwrap_or_else(PoisonError::into_inner);
+        let all: Vec<&str> = said.iter().map(AsRef::as_ref).collect();
+        format!("[{}]", all.join(",")).into_bytes()
+    }
+}
+
+/// Hears the node for as long as somebody has it.
+fn listen(node: &Weak<Node>, events: &Weak<Events>, mut stream: Option<UnixStream>) {
+    loop {
+        if let Some(stream) = stream.take() {
+            hear(node, events, stream);
+        }
+        let (Some(node), Some(events)) = (node.upgrade(), events.upgrade()) else { return };
+        events.tell("silent", "{}");
+        drop(events);
+        std::thread::sleep(AGAIN);
+        stream = UnixStream::connect(&node.path).ok();
+    }
+}
+
+/// Hears one connection until it ends.
+fn hear(node: &Weak<Node>, events: &Weak<Events>, stream: impl Read) {
+    let mut reader = BufReader::new(stream);
+    let mut line = String::new();
+    loop {
+        line.clear();
+        match (&mut reader).take(LONGEST).read_line(&mut line) {
+            Ok(0) | Err(_) => return,
+            Ok(_) => {}
+        }
+        let (Some(node), Some(events)) = (node.upgrade(), events.upgrade()) else { return };
+        // What is no JSON object would end the page's reading.
+        let text = line.trim();
+        if serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(text).is_ok() {
+            node.keep(text);
+            events.tell("state", text);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn states_are_told_and_kept_and_what_is_none_is_left_out() {
+        let events = Arc::new(Events::default());
+        let mut page = events.listen().unwrap();
+        let node = Arc::new(Node { path: PathBuf::new(), said: Mutex::default() });
+        let said = "{\"name\":\"a\"}\n\nno state\n[1]\n{\"name\":\"b\"}\n";
+        hear(&Arc::downgrade(&node), &Arc::downgrade(&events), said.as_bytes());
+        assert_eq!(node.states(), br#"[{"name":"a"},{"name":"b"}]"#);
+        let told = std::iter::from_fn(|| page.try_recv().ok());
+        let told: Vec<String> = told.map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).collect();
+        assert_eq!(told, ["event: state\ndata: {\"name\":\"a\"}\n\n", "event: state\ndata: {\"name\":\"b\"}\n\n"]);
+    }
+
+    #[test]
+    fn the_oldest_states_are_forgotten() {
+        let node = Node { path: PathBuf::new(), said: Mutex::default() };
+        (0..KEPT + 3).for_each(|k| node.keep(&k.to_string()));
+        assert!(node.states().starts_with(b"[3,4,"));
+    }
+}

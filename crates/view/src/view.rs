@@ -1,0 +1,301 @@
+//! What is looked at, and every answer that the page asks for.
+
+use crate::csi::Maps;
+use crate::events::Events;
+use crate::links::{Links, Reading};
+use crate::logs::Logs;
+use crate::node::Node;
+use crate::{Error, page};
+use csi5300::source::survey::{Sender, Survey};
+use csi5300_lab::course::LogIndex;
+use csi5300_lab::evaluate::TrajectorySource;
+use driver_iface::Mac;
+use driver_iface::bfee::Antenna;
+use driver_iface::record::Tail;
+use serde::Serialize;
+use std::os::unix::fs::FileTypeExt;
+use std::path::Path;
+use std::str::FromStr;
+use std::sync::{Arc, Weak};
+
+/// Columns of a stretch where the page asks for no number of them.
+const COLUMNS: usize = 600;
+/// Columns of a log in a page that is one file.
+const COLUMNS_IN_FILE: usize = 300;
+
+/// A log, a folder of captures and logs, or a running node, to be looked at.
+pub struct View {
+    name: String,
+    logs: Logs,
+    links: Option<Links>,
+    node: Option<Arc<Node>>,
+    pub(crate) events: Arc<Events>,
+    antenna: Antenna,
+    source: TrajectorySource,
+}
+
+/// An answer: its kind (a MIME type) and its bytes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Answer {
+    /// MIME type.
+    pub kind: &'static str,
+    /// What it is.
+    pub bytes: Vec<u8>,
+}
+
+#[derive(Serialize)]
+struct Overview<'a> {
+    program: String,
+    name: &'a str,
+    kind: &'static str,
+    logs: Vec<LogName<'a>>,
+    links: Vec<String>,
+    has_beside: bool,
+    trajectory: TrajectorySource,
+}
+
+#[derive(Serialize)]
+struct LogName<'a> {
+    name: &'a str,
+    bytes: Option<u64>,
+}
+
+/// What is in a log: `info --json`, with its senders as a list.
+#[derive(Serialize)]
+struct LogFacts<'a> {
+    name: &'a str,
+    bytes: u64,
+    cut: bool,
+    span_s: (f64, f64),
+    senders: Vec<SenderFacts>,
+    #[serde(flatten)]
+    survey: &'a Survey,
+}
+
+#[derive(Serialize)]
+struct SenderFacts {
+    mac: String,
+    records: u64,
+    rate_hz: Option<f64>,
+    median_rate_hz: Option<f64>,
+}
+
+/// What follows the `?` of a question.
+struct Query<'a>(&'a str);
+
+impl Query<'_> {
+    fn value<T: FromStr>(&self, name: &'static str) -> Result<Option<T>, Error> {
+        let found = self.0.split('&').filter_map(|pair| pair.split_once('=')).find(|(key, _)| *key == name);
+        found
+            .filter(|(_, value)| !value.is_empty())
+            .map(|(_, value)| value.parse().map_err(|_| Error::Query { name, value: value.to_owned() }))
+            .transpose()
+    }
+
+    fn seconds(&self, name: &'static str, default: f64) -> Result<f64, Error> {
+        Ok(self.value::<f64>(name)?.filter(|value| value.is_finite()).unwrap_or(default))
+    }
+}
+
+impl View {
+    /// What `path` is: a log, a folder, or the status socket of a node.
+    ///
+    /// # Errors
+    /// If there is nothing to look at.
+    pub fn open(path: &Path, reading: Reading) -> Result<Self, Error> {
+        let missing = |source| Error::Missing { path: path.to_owned(), source };
+        let kind = std::fs::metadata(path).map_err(missing)?;
+        let events = Arc::new(Events::default());
+        let (antenna, source) = (reading.antenna(), reading.source());
+        let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
+        let view = |logs, links, node| Self { name: name.clone(), logs, links, node, events: Arc::clone(&events), antenna, source };
+        if kind.is_dir() {
+            let (logs, links) = (Logs::below(path), Links::below(path, reading));
+            if logs.len() == 0 && links.is_none() {
+                return Err(Error::Empty { path: path.to_owned() });
+            }
+            return Ok(view(logs, links, None));
+        }
+        if kind.file_type().is_socket() {
+            let node = Node::open(path, Arc::downgrade(&events))?;
+            return Ok(view(Logs::new(Vec::new()), None, Some(node)));
+        }
+        let logs = Logs::new(vec![(name.clone(), path.to_owned())]);
+        // Read at once: a log that cannot be read is said before there is a page.
+        let known = logs.read(0)?.is_some_and(|(_, index)| index.survey().bfees() > 0);
+        if known { Ok(view(logs, None, None)) } else { Err(Error::NoRecord { path: path.to_owned() }) }
+    }
+
+    /// Begins to evaluate the links on `threads` threads, for as long as somebody has the view.
+    ///
+    /// # Errors
+    /// If no thread can be started.
+    pub fn start(self: &Arc<Self>, threads: usize) -> Result<(), Error> {
+        if self.links.is_none() {
+            return Ok(());
+        }
+        for _ in 0..threads.max(1) {
+            let of: Weak<Self> = Arc::downgrade(self);
+            let work = move || {
+                while of.upgrade().is_some_and(|view| view.links.as_ref().is_some_and(|links| links.work(&view.events))) {}
+            };
+            let thread = std::thread::Builder::new().name("csi5300 links".into()).spawn(work);
+            thread.map_err(|source| Error::Start { what: "the thread that evaluates links", source })?;
+        }
+        Ok(())
+    }
+
+    /// How many links there are.
+    #[must_use]
+    pub fn links(&self) -> usize {
+        self.links.as_ref().map_or(0, Links::len)
+    }
+
+    /// Evaluates all links here; `progress` is handed how many are done.
+    pub fn finish(&self, progress: impl FnMut(usize)) {
+        if let Some(links) = &self.links {
+            links.finish(&self.events, progress);
+        }
+    }
+
+    /// Whether a link has a bearing, and whether something was lost or failed.
+    #[must_use]
+    pub fn outcome(&self) -> (bool, bool) {
+        self.links.as_ref().map_or((false, false), Links::outcome)
+    }
+
+    /// The answer to a question of the page: a path, and what follows its `?`.
+    ///
+    /// # Errors
+    /// If there is no such thing, a value cannot be meant, or a log cannot be read.
+    pub fn answer(&self, path: &str, query: &str) -> Result<Answer, Error> {
+        let none = || Error::NoSuch { path: path.to_owned() };
+        if let Some((kind, text)) = page::file(path) {
+            return Ok(Answer { kind, bytes: text.into_bytes() });
+        }
+        let query = Query(query);
+        let parts: Vec<&str> = path.trim_start_matches('/').split('/').collect();
+        let number = |text: &str| text.parse::<usize>().map_err(|_| none());
+        let links = || self.links.as_ref().ok_or_else(none);
+        let bytes = match parts.as_slice() {
+            ["data", "overview"] => serde_json::to_vec(&self.overview())?,
+            ["data", "rows"] => links()?.rows(query.value("known")?.unwrap_or(0))?,
+            ["data", "sets"] => links()?.sets()?,
+            ["data", "states"] => self.node.as_ref().ok_or_else(none)?.states(),
+            ["data", "link", link] => {
+                let link = number(link)?;
+                links()?.link(link, self.logs_of(link))?.ok_or_else(none)?
+            }
+            ["data", "log", log] => self.facts(number(log)?)?.ok_or_else(none)?,
+            ["data", "log", log, what @ ("levels" | "csi")] => {
+                let (_, index) = self.logs.read(number(log)?)?.ok_or_else(none)?;
+                self.stretch(&index, what, &query)?
+            }
+            _ => return Err(none()),
+        };
+        Ok(Answer { kind: "application/json", bytes })
+    }
+
+    /// The page as one file, with every answer inside that a page from the server asks for.
+    ///
+    /// # Errors
+    /// If an answer cannot be given.
+    pub fn file(&self) -> Result<String, Error> {
+        let mut answers = Vec::new();
+        let mut give = |path: String, query: &str| {
+            let answer = self.answer(&path, query)?;
+            answers.push((path, String::from_utf8_lossy(&answer.bytes).into_owned()));
+            Ok::<(), Error>(())
+        };
+        give("/data/overview".into(), "")?;
+        if self.links.is_some() {
+            give("/data/rows".into(), "")?;
+            give("/data/sets".into(), "")?;
+        }
+        for link in 0..self.links() {
+            give(format!("/data/link/{link}"), "")?;
+        }
+        let query = format!("columns={COLUMNS_IN_FILE}&antenna={}", self.antenna);
+        for log in 0..self.logs.len() {
+            // A log that cannot be read is said by its links; the page of the others stays.
+            if give(format!("/data/log/{log}"), "").is_ok() {
+                give(format!("/data/log/{log}/levels"), &query)?;
+                give(format!("/data/log/{log}/csi"), &query)?;
+            }
+        }
+        Ok(page::whole(&self.name, &answers))
+    }
+
+    fn overview(&self) -> Overview<'_> {
+        let logs = self.logs.iter().map(|log| LogName {
+            name: &log.name,
+            bytes: log.path.metadata().ok().map(|found| found.len()),
+        });
+        Overview {
+            program: format!("csi5300 {}", env!("CARGO_PKG_VERSION")),
+            name: &self.name,
+            kind: match (&self.node, &self.links) {
+                (Some(_), _) => "node",
+                (None, Some(_)) => "captures",
+                (None, None) => "logs",
+            },
+            logs: logs.collect(),
+            links: self.links.as_ref().map(Links::names).unwrap_or_default(),
+            has_beside: self.links.as_ref().is_some_and(Links::has_beside),
+            trajectory: self.source,
+        }
+    }
+
+    /// The numbers of the receiver's and the transmitter's log of a link.
+    fn logs_of(&self, link: usize) -> [Option<usize>; 2] {
+        let of = |links: &Links| {
+            let (capture, transmitter) = links.place(link)?;
+            let capture = links.captures().get(capture)?;
+            let receiver = capture.folder.join(format!("csi_rx_{}.dat", capture.stamp));
+            let transmitter = capture.transmitters.get(transmitter).and_then(|(_, path)| self.logs.number(path));
+            Some([self.logs.number(&receiver), transmitter])
+        };
+        self.links.as_ref().and_then(of).unwrap_or_default()
+    }
+
+    fn facts(&self, number: usize) -> Result<Option<Vec<u8>>, Error> {
+        let Some((log, index)) = self.logs.read(number)? else { return Ok(None) };
+        let survey = index.survey();
+        let sender = |mac: &Mac| {
+            let counted: Option<&Sender> = survey.senders.get(mac);
+            SenderFacts {
+                mac: mac.to_string(),
+                records: counted.map_or(0, |sender| sender.records),
+                rate_hz: counted.and_then(Sender::mean_rate_hz),
+                median_rate_hz: counted.and_then(Sender::rate_hz),
+            }
+        };
+        let facts = LogFacts {
+            name: &log.name,
+            bytes: index.bytes(),
+            cut: survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean)),
+            span_s: index.span_s(),
+            senders: index.senders().iter().take(SENDERS).map(sender).collect(),
+            survey,
+        };
+        Ok(Some(serde_json::to_vec(&facts)?))
+    }
+
+    fn stretch(&self, index: &LogIndex, what: &str, query: &Query<'_>) -> Result<Vec<u8>, Error> {
+        let span_s = index.span_s();
+        let (from_s, to_s) = (query.seconds("from", span_s.0)?, query.seconds("to", span_s.1)?);
+        let (columns, sender) = (query.value("columns")?.unwrap_or(COLUMNS), query.value::<Mac>("sender")?);
+        if what == "levels" {
+            return Ok(serde_json::to_vec(&index.stretch(from_s, to_s, columns, sender))?);
+        }
+        let letter = query.value::<char>("antenna")?;
+        let antenna = letter.and_then(|letter| Antenna::ALL.into_iter().find(|own| own.to_string() == letter.to_string()));
+        Ok(serde_json::to_vec(&Maps::new(&index.csi(from_s, to_s, columns, sender)?, antenna))?)
+    }
+}
+
+/// Senders listed of a log.
+const SENDERS: usize = 64;
+
+#[cfg(test)]
+mod tests;
