@@ -92,7 +92,8 @@ mod tests {
 
     #[test]
     fn base64_is_that_of_rfc_4648() {
-        let known = [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("fooba", "Zm9vYmE=")];
+        let known =
+            [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foob", "Zm9vYg=="), ("fooba", "Zm9vYmE=")];
         for (bytes, text) in known {
             assert_eq!(base64(bytes.as_bytes()), text);
         }

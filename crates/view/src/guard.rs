@@ -78,7 +78,9 @@ mod tests {
         for name in ["127.0.0.1:8080", "localhost:8080", "LocalHost", "[::1]:8080", "127.0.0.1:9000"] {
             assert_eq!(ask("127.0.0.1:8080", host(name)), Ok(()), "{name}");
         }
-        for name in ["evil.example:8080", "localhost.evil.example", "127.0.0.1.evil.example", "", "[::1", "10.0.0.7:8080"] {
+        for name in
+            ["evil.example:8080", "localhost.evil.example", "127.0.0.1.evil.example", "", "[::1", "10.0.0.7:8080"]
+        {
             let expected = if name == "[::1" { Ok(()) } else { Err(Refused::Host) };
             assert_eq!(ask("127.0.0.1:8080", host(name)), expected, "{name}");
         }

@@ -47,7 +47,8 @@ impl Detail {
     pub fn new(bearing: &Bearing) -> Self {
         let curves = [evidence(bearing), plane_wave(bearing).ok()].into_iter().flatten().map(relative);
         let xy = |points: &[nalgebra::Vector3<f64>]| thin(points, PLACES, |p| [round(p.x, 1e4), round(p.y, 1e4)]);
-        let course = |value: fn(&csi5300::pipeline::Phase) -> f64| thin(&bearing.course, PHASES, |p| round(value(p), 1e4));
+        let course =
+            |value: fn(&csi5300::pipeline::Phase) -> f64| thin(&bearing.course, PHASES, |p| round(value(p), 1e4));
         let left = without_motion(bearing);
         Self {
             curves: curves.collect(),

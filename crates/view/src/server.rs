@@ -166,3 +166,6 @@ fn whole(status: StatusCode, kind: &'static str, content: Content) -> Response<C
     }
     response
 }
+
+#[cfg(test)]
+mod tests;

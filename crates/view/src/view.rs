@@ -108,7 +108,15 @@ impl View {
         let events = Arc::new(Events::default());
         let (antenna, source) = (reading.antenna(), reading.source());
         let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
-        let view = |logs, links, node| Self { name: name.clone(), logs, links, node, events: Arc::clone(&events), antenna, source };
+        let view = |logs, links, node| Self {
+            name: name.clone(),
+            logs,
+            links,
+            node,
+            events: Arc::clone(&events),
+            antenna,
+            source,
+        };
         if kind.is_dir() {
             let (logs, links) = (Logs::below(path), Links::below(path, reading));
             if logs.len() == 0 && links.is_none() {
@@ -137,7 +145,9 @@ impl View {
         for _ in 0..threads.max(1) {
             let of: Weak<Self> = Arc::downgrade(self);
             let work = move || {
-                while of.upgrade().is_some_and(|view| view.links.as_ref().is_some_and(|links| links.work(&view.events))) {}
+                while of.upgrade().is_some_and(|view| view.links.as_ref().is_some_and(|links| links.work(&view.events)))
+                {
+                }
             };
             let thread = std::thread::Builder::new().name("csi5300 links".into()).spawn(work);
             thread.map_err(|source| Error::Start { what: "the thread that evaluates links", source })?;
@@ -227,10 +237,10 @@ impl View {
     }
 
     fn overview(&self) -> Overview<'_> {
-        let logs = self.logs.iter().map(|log| LogName {
-            name: &log.name,
-            bytes: log.path.metadata().ok().map(|found| found.len()),
-        });
+        let logs = self
+            .logs
+            .iter()
+            .map(|log| LogName { name: &log.name, bytes: log.path.metadata().ok().map(|found| found.len()) });
         Overview {
             program: format!("csi5300 {}", env!("CARGO_PKG_VERSION")),
             name: &self.name,
@@ -289,7 +299,8 @@ impl View {
             return Ok(serde_json::to_vec(&index.stretch(from_s, to_s, columns, sender))?);
         }
         let letter = query.value::<char>("antenna")?;
-        let antenna = letter.and_then(|letter| Antenna::ALL.into_iter().find(|own| own.to_string() == letter.to_string()));
+        let antenna =
+            letter.and_then(|letter| Antenna::ALL.into_iter().find(|own| own.to_string() == letter.to_string()));
         Ok(serde_json::to_vec(&Maps::new(&index.csi(from_s, to_s, columns, sender)?, antenna))?)
     }
 }

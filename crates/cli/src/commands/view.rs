@@ -9,9 +9,11 @@ use std::sync::Arc;
 
 /// Arguments of `view`.
 #[derive(clap::Args)]
-#[command(after_help = "The page is served on this machine only, to browsers that show it from there; nothing is loaded from \
+#[command(
+    after_help = "The page is served on this machine only, to browsers that show it from there; nothing is loaded from \
                         anywhere else. Ctrl-C ends it. `report --interactive` writes the same page as one file.\n\
-                        Example: csi5300 view captures --open")]
+                        Example: csi5300 view captures --open"
+)]
 pub struct Args {
     /// A log, a folder with captures or logs below it, or the status socket of a running node
     #[arg(value_name = "LOG|DIR|SOCKET")]
@@ -44,7 +46,8 @@ pub fn run(args: &Args) -> Result {
     let address = server.address();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     view.start(if args.threads == 0 { cores } else { args.threads }).map_err(|error| error.to_string())?;
-    let shown = if address.ip().is_unspecified() { SocketAddr::new([127, 0, 0, 1].into(), address.port()) } else { address };
+    let shown =
+        if address.ip().is_unspecified() { SocketAddr::new([127, 0, 0, 1].into(), address.port()) } else { address };
     let url = format!("http://{shown}/");
     print(&format!("{url}\n"));
     if !address.ip().is_loopback() {
@@ -60,7 +63,8 @@ pub fn run(args: &Args) -> Result {
 /// Opens the page as the desktop opens pages.
 fn open(url: &str) {
     use std::process::{Command, Stdio};
-    let quiet = Command::new("xdg-open").arg(url).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
+    let quiet =
+        Command::new("xdg-open").arg(url).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
     if let Err(error) = quiet {
         eprintln!("csi5300: cannot open a browser (xdg-open: {error}): open {url} in one");
     }

@@ -29,6 +29,8 @@ pub struct Args {
 
 /// How long a silent node is waited for before the screen says so.
 const SILENT: Duration = Duration::from_secs(3);
+/// Columns that the table of peers needs, its frame with it.
+const TABLE: u16 = 80;
 /// Colours of the peers, in their order; they are also numbered.
 const COLOURS: [Color; 6] =
     [Color::Cyan, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::LightBlue];
@@ -93,6 +95,16 @@ fn show(terminal: &mut ratatui::DefaultTerminal, states: &Receiver<Value>, socke
     }
 }
 
+/// The table of so many peers and the compass: beside each other where there is room, else below each other.
+fn parts(area: Rect, peers: usize) -> [Rect; 2] {
+    let side = (area.height * 2).min(area.width / 2);
+    if area.width.saturating_sub(side) >= TABLE {
+        return Layout::horizontal([Constraint::Min(TABLE), Constraint::Length(side)]).areas(area);
+    }
+    let rows = u16::try_from(peers).unwrap_or(u16::MAX).saturating_add(3).min(area.height / 2).max(4);
+    Layout::vertical([Constraint::Length(rows), Constraint::Min(0)]).areas(area)
+}
+
 fn number(value: &Value, path: &str) -> Option<f64> {
     value.pointer(path)?.as_f64()
 }
@@ -113,8 +125,7 @@ fn draw(frame: &mut Frame<'_>, state: &Value, title: &str) {
     let rows = [Constraint::Length(6), Constraint::Min(8), Constraint::Length(troubles), Constraint::Length(1)];
     let [head, middle, wrong, foot] = Layout::vertical(rows).areas(frame.area());
     frame.render_widget(Paragraph::new(summary(state)).block(Block::bordered().title(title.to_owned())), head);
-    let side = (middle.height * 2).min(middle.width / 2);
-    let [list, rose] = Layout::horizontal([Constraint::Min(20), Constraint::Length(side)]).areas(middle);
+    let [list, rose] = parts(middle, peers.len());
     frame.render_widget(table(&peers), list);
     compass(frame, rose, state, &peers);
     let lines: Vec<Line> = trouble.iter().filter_map(Value::as_str).map(|text| Line::from(text.to_owned())).collect();
@@ -171,27 +182,29 @@ fn table(peers: &[Value]) -> Table<'static> {
             _ => text(peer, "/report/words"),
         };
         let held = text(peer, "/report/state") == "held";
-        let age = if held { format!("{} s ago", figure(of("/report/age_s"), 0)) } else { String::new() };
+        let age = if held { format!("{} s", figure(of("/report/age_s"), 0)) } else { String::new() };
         let cells = [
             format!("{} {}", k + 1, text(peer, "/name")),
-            format!("{}/s", figure(of("/pairs_hz"), 0)),
             bearing,
-            figure(of("/report/coherence"), 2),
-            figure(of("/report/moved_m"), 2),
+            figure(of("/report/confidence"), 2),
+            figure(of("/report/range_m"), 1),
+            figure(of("/pairs_hz"), 0),
+            figure(of("/counts/losses"), 0),
             age,
         ];
         let style = Style::new().fg(COLOURS.get(k % COLOURS.len()).copied().unwrap_or(Color::White));
         Row::new(cells).style(if held { style.add_modifier(Modifier::DIM) } else { style })
     };
     let widths = [
-        Constraint::Length(14),
-        Constraint::Length(7),
-        Constraint::Min(26),
+        Constraint::Length(12),
+        Constraint::Min(32),
         Constraint::Length(5),
         Constraint::Length(7),
-        Constraint::Length(10),
+        Constraint::Length(7),
+        Constraint::Length(4),
+        Constraint::Length(5),
     ];
-    let head = Row::new(["peer", "pairs", "bearing, deg", "coh.", "moved m", ""])
+    let head = Row::new(["peer", "bearing, deg", "prob.", "range m", "pairs/s", "lost", "age"])
         .style(Style::new().add_modifier(Modifier::BOLD));
     Table::new(peers.iter().enumerate().map(row), widths).header(head).block(Block::bordered().title(" peers "))
 }
@@ -202,10 +215,16 @@ fn compass(frame: &mut Frame<'_>, area: Rect, state: &Value, peers: &[Value]) {
     let canvas = Canvas::default()
         .block(Block::bordered().title(" bearings "))
         .marker(Marker::Braille)
-        .x_bounds([-1.25, 1.25])
-        .y_bounds([-1.25, 1.25])
+        .x_bounds([-1.35, 1.35])
+        .y_bounds([-1.35, 1.35])
         .paint(|context| {
             context.draw(&Circle { x: 0.0, y: 0.0, radius: 1.0, color: Color::DarkGray });
+            for deg in [0.0, 90.0, 180.0, -90.0] {
+                let ((x1, y1), (x2, y2)) = (towards(deg, 1.0), towards(deg, 1.06));
+                context.draw(&Stroke { x1, y1, x2, y2, color: Color::DarkGray });
+                let (x, y) = towards(deg, 1.16);
+                context.print(x, y, Span::styled(format!("{deg:.0}"), Style::new().fg(Color::DarkGray)));
+            }
             if let Some(heading) = number(state, "/pose/2") {
                 let ((x1, y1), (x2, y2)) = (towards(heading, 0.9), towards(heading, 1.0));
                 context.draw(&Stroke { x1, y1, x2, y2, color: Color::White });
@@ -246,15 +265,18 @@ mod tests {
             "log": {"written": 1199, "dropped": 1, "lost_on_disk": 0},
             "peers": [
                 {"name": "alpha", "pairs_hz": 99.0, "report": {"azimuth_deg": 41.25, "azimuth_sd_deg": 0.5,
-                 "mirror_deg": -41.0, "coherence": 0.93, "moved_m": 0.6, "state": "bearing"}},
+                 "mirror_deg": -141.0, "confidence": 0.93, "range_m": 4.25, "state": "bearing"}, "counts": {"losses": 17}},
                 {"name": "beta", "pairs_hz": 98.0, "report": {"words": "not yet: moved 0.04 m of 0.11 m", "state": "not_yet"}},
             ],
         });
-        let shown = screen(&state, 110, 30);
-        for words in
-            ["burger-1", "100/s", "41.2 +- 0.5 or -41.0", "0.93", "not yet: moved 0.04 m", "the port is gone", "lost 3"]
-        {
-            assert!(shown.contains(words), "no `{words}` in\n{shown}");
+        let on_any =
+            ["burger-1", "100/s", "41.2 +- 0.5 or -141.0", "0.93", "4.2", "17", "not yet: moved 0.04 m", "lost 3"];
+        let heads = ["bearing, deg", "prob.", "range m", "pairs/s", "lost", "age", "-90", "180", "the port is gone"];
+        for (width, height) in [(80, 24), (120, 30), (200, 50)] {
+            let shown = screen(&state, width, height);
+            for words in on_any.iter().chain(&heads) {
+                assert!(shown.contains(words), "no `{words}` in\n{shown}");
+            }
         }
         screen(&state, 20, 5);
         screen(&Value::Null, 80, 24);

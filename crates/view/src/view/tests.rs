@@ -70,7 +70,9 @@ fn a_stretch_of_a_log_is_what_was_asked_for() {
 #[test]
 fn what_cannot_be_meant_is_said() {
     let view = View::open(&fixtures(), reading()).unwrap();
-    for path in ["/data/log/9", "/data/link/7", "/data/states", "/../Cargo.toml", "/data/log/0/../1", "/data/log/-1", "//", ""] {
+    for path in
+        ["/data/log/9", "/data/link/7", "/data/states", "/../Cargo.toml", "/data/log/0/../1", "/data/log/-1", "//", ""]
+    {
         let error = view.answer(path, "").map(|answer| answer.kind);
         assert!(path.is_empty() && error.is_ok() || error.is_err_and(|error| error.status() == 404), "{path}");
     }
@@ -98,7 +100,8 @@ fn the_page_as_one_file_has_all_its_answers_and_fetches_nothing() {
     }
     let (_, rest) = page.split_once("<script type=\"application/json\" id=\"answers\">").unwrap();
     let answers: Value = serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap();
-    for path in ["/data/overview", "/data/rows", "/data/sets", "/data/link/0", "/data/log/1/levels", "/data/log/0/csi"] {
+    for path in ["/data/overview", "/data/rows", "/data/sets", "/data/link/0", "/data/log/1/levels", "/data/log/0/csi"]
+    {
         assert!(answers.get(path).is_some(), "{path}");
     }
     assert_eq!(answers["/data/rows"], ask(&view, "/data/rows", ""));

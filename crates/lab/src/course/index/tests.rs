@@ -4,7 +4,9 @@ use std::path::PathBuf;
 fn fixture() -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
     let logs = std::fs::read_dir(root).unwrap().flatten().map(|entry| entry.path());
-    logs.filter(|path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("csi_rx_"))).min().unwrap()
+    logs.filter(|path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("csi_rx_")))
+        .min()
+        .unwrap()
 }
 
 /// The fixture with some of its bytes taken out, in a file of its own.
@@ -90,7 +92,10 @@ fn kept_columns_double_as_the_log_grows() {
     let (from_s, to_s) = index.span_s();
     let length_us = ((to_s - from_s) * 1e6) as i64;
     let kept = &index.kept;
-    assert!(kept.width_us * KEPT as i64 > length_us && (kept.width_us == FIRST_WIDTH_US || kept.width_us * KEPT as i64 / 2 <= length_us));
+    assert!(
+        kept.width_us * KEPT as i64 > length_us
+            && (kept.width_us == FIRST_WIDTH_US || kept.width_us * KEPT as i64 / 2 <= length_us)
+    );
     let mut long = Kept::new();
     let csi_of = |path: &Path| -> Csi {
         let mut source = Replay::open(path).unwrap();
