@@ -3,6 +3,8 @@
 //! `cargo bench --bench live [-- SECONDS]`. Runs in a network namespace of its own (unshare(1)).
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+#[path = "../tests/common/mod.rs"]
+mod common;
 #[path = "../tests/common/private.rs"]
 mod private;
 

@@ -29,7 +29,11 @@ const csi = {};
   };
 
   csi.isNumber = (value) => typeof value === "number" && Number.isFinite(value);
-  csi.figure = (value, digits = 1, unit = "") => (csi.isNumber(value) ? value.toFixed(digits) + unit : "–");
+  csi.figure = (value, digits = 1, unit = "") => {
+    if (!csi.isNumber(value)) return "–";
+    const text = value.toFixed(digits);
+    return (Number(text) === 0 ? (0).toFixed(digits) : text) + unit;
+  };
   csi.wrapDeg = (deg) => ((((deg + 180) % 360) + 360) % 360) - 180;
   csi.count = (value, one, many) => `${value.toLocaleString("en")} ${value === 1 ? one : many}`;
   csi.size = (bytes) => (bytes >= 1e6 ? `${(bytes / 1e6).toFixed(1)} MB` : `${Math.ceil(bytes / 1e3)} kB`);

@@ -133,7 +133,7 @@
       for (const letter of [...ANTENNAS, "gain"]) {
         const colour = () => (letter === "gain" ? csi.colour("grey") : csi.antennaColour(letter));
         const edge = { stroke: () => csi.faint(colour(), 0.35), width: 0.5, points: { show: false } };
-        bands.push({ series: [series.length, series.length + 2], fill: () => csi.faint(colour(), 0.18) });
+        bands.push({ series: [series.length + 2, series.length], fill: () => csi.faint(colour(), 0.18) });
         series.push({ ...edge }, { stroke: colour, width: 1.6, points: { show: false } }, { ...edge });
       }
       const nothing = series.slice(1).map(() => [null, null]);

@@ -45,8 +45,8 @@ pub(crate) fn whole(title: &str, answers: &[(String, String)]) -> String {
     page.push_str(above);
     page.push_str("<script type=\"application/json\" id=\"answers\">{");
     for (k, (path, json)) in answers.iter().enumerate() {
-        // In a string of JSON a slash may be escaped: no name from outside can end the element.
-        let json = json.replace("</", "<\\/").replace("<!--", "<\\u0021--");
+        // This sign is in strings only: no name from outside can end the element.
+        let json = json.replace('<', "\\u003c");
         page.push_str(&format!("{}\"{path}\":{json}", if k == 0 { "" } else { "," }));
     }
     page.push_str("}</script>");
