@@ -208,14 +208,14 @@ impl LogIndex {
         sender.is_none_or(|mac| self.sent_by.get(row).and_then(|k| self.senders.get(usize::from(*k))) == Some(&mac))
     }
 
-    /// Levels and losses between two times in about `columns` columns, of one sender or of all. A stretch outside of the log
-    /// is all of it.
+    /// Levels and losses between two times in about `columns` columns, of one sender or of all; a column for two
+    /// records at most. A stretch outside of the log is all of it.
     #[must_use]
     pub fn stretch(&self, from_s: f64, to_s: f64, columns: usize, sender: Option<Mac>) -> Stretch {
         let (cut, rows) = self.cut(from_s, to_s);
-        let columns = columns.clamp(1, MOST_COLUMNS);
         let own = || rows.clone().filter(|row| self.is_of(*row, sender)).filter_map(|k| self.seen.rows.get(k));
         let records = own().count();
+        let columns = fitting(columns, records);
         let (mut rssi, mut agc) = ([Sums::new(columns), Sums::new(columns), Sums::new(columns)], Sums::new(columns));
         let mut rates = vec![0_u32; (records / RECORDS_A_BIN).clamp(1, columns)];
         let bins = rates.len();
@@ -260,7 +260,7 @@ impl LogIndex {
     pub fn csi(&self, from_s: f64, to_s: f64, columns: usize, sender: Option<Mac>) -> Result<StretchCsi, Error> {
         let (cut, rows) = self.cut(from_s, to_s);
         let records = rows.clone().filter(|row| self.is_of(*row, sender)).count();
-        let columns = columns.clamp(1, MOST_COLUMNS).min(records.div_ceil(2).max(1));
+        let columns = fitting(columns, records);
         let wide_s = (cut.1 - cut.0) / columns as f64;
         let (cells, every) = if sender.is_none() && wide_s * 1e6 >= self.kept.width_us as f64 {
             (self.kept.stretch(cut, columns), 1)
@@ -361,6 +361,11 @@ impl Sums {
             mean: self.sum.iter().zip(&self.count).map(mean).collect(),
         }
     }
+}
+
+/// So many columns as are asked for, and two records for each: fewer would leave columns empty by chance.
+fn fitting(columns: usize, records: usize) -> usize {
+    columns.clamp(1, MOST_COLUMNS).min(records.div_ceil(2).max(1))
 }
 
 fn hundredths(value: f64) -> f64 {

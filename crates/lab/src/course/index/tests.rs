@@ -68,8 +68,9 @@ fn what_is_missing_stands_where_it_is_missing() {
     let gone = without(at(100)..at(103), "gone");
     let index = LogIndex::read(&gone).unwrap();
     let (from_s, to_s) = index.span_s();
-    let stretch = index.stretch(from_s, to_s, 281, None);
-    let column = |row: usize| bin(whole.seen.rows[row].t_s(), (from_s, to_s), 281);
+    let stretch = index.stretch(from_s, to_s, 1_000, None);
+    assert_eq!(stretch.columns, stretch.records.div_ceil(2));
+    let column = |row: usize| bin(whole.seen.rows[row].t_s(), (from_s, to_s), stretch.columns);
     assert_eq!(stretch.missing, [(column(103), 3)]);
     assert!(stretch.damaged.is_empty());
 
