@@ -25,6 +25,8 @@
     return names.map((name, k) => (seen.get(short[k]) > 1 ? name : short[k]));
   };
 
+  const collator = new Intl.Collator("en", { numeric: true });
+
   // `words` are parts of the name or of the error; `error>5`, `prob<0.5` compare a column.
   const filter = (text) => {
     const tests = text.toLowerCase().split(/\s+/).filter(Boolean).map((word) => {
@@ -42,7 +44,9 @@
 
   class LinkTable {
     constructor(host, { names, beside, open }) {
-      Object.assign(this, { host, open, rows: new Map(), names, short: shortNames(names), sort: "link", down: false, chosen: null });
+      Object.assign(this, { host, open, names, short: shortNames(names), lines: new Map(), sort: "link", down: false, chosen: null });
+      // What is not evaluated yet has its name only.
+      this.rows = names.map((link, number) => ({ number, link, short: this.short[number], waiting: true }));
       this.columns = COLUMNS.filter((column) => beside || !column.beside);
       this.search = csi.el("input", { type: "search", placeholder: "filter: words, error>5, prob<0.5", "aria-label": "filter the links", oninput: () => this.draw() });
       this.counted = csi.el("p", { class: "soft", role: "status" });
@@ -62,7 +66,7 @@
     }
 
     add(rows) {
-      rows.forEach((row) => this.rows.set(row.number, row));
+      for (const row of rows) this.rows[row.number] = { ...row, short: this.short[row.number] ?? row.link };
       this.later();
     }
 
@@ -71,17 +75,16 @@
       this.draw();
     }
 
-    // Rows that are shown, in their order; what is not evaluated yet has its name only.
+    // Rows that are shown, in their order.
     shown() {
       const { value } = this.columns.find(({ key }) => key === this.sort) ?? this.columns[0];
       const takes = filter(this.search.value);
-      const all = this.names.map((link, number) => ({ short: this.short[number], ...(this.rows.get(number) ?? { number, link, waiting: true }) }));
       const sign = this.down ? -1 : 1;
-      return all.filter(takes).sort((a, b) => {
+      return this.rows.filter(takes).sort((a, b) => {
         const [x, y] = [value(a), value(b)];
         if (x === null || x === undefined) return y === null || y === undefined ? a.number - b.number : 1;
         if (y === null || y === undefined) return -1;
-        return typeof x === "string" ? sign * x.localeCompare(y, "en", { numeric: true }) : sign * (x - y);
+        return typeof x === "string" ? sign * collator.compare(x, y) : sign * (x - y);
       });
     }
 
@@ -94,7 +97,16 @@
       this.mark();
     }
 
+    // The line of a row, made once.
     line(row) {
+      const kept = this.lines.get(row.number);
+      if (kept?.row === row) return kept.line;
+      const line = this.newLine(row);
+      this.lines.set(row.number, { row, line });
+      return line;
+    }
+
+    newLine(row) {
       const line = csi.el("tr", { "data-link": row.number, title: row.error ?? row.link });
       if (row.waiting || row.error) {
         const words = row.waiting ? "waits to be evaluated" : row.error;
