@@ -64,6 +64,9 @@ pub fn run(args: &Args) -> Result {
 /// Writes the page of `view` as one file.
 #[cfg(feature = "view")]
 fn interactive(args: &Args) -> Result {
+    if !args.folder.is_dir() {
+        return Err(format!("{} is not a folder", args.folder.display()));
+    }
     let reading = super::view::reading(&args.reading);
     let view = csi5300_view::View::open(&args.folder, reading).map_err(|error| error.to_string())?;
     view.finish(|done| super::progress(&format!("{done} of {} links", view.links())));
