@@ -25,7 +25,7 @@ pub enum NodeError {
         source: csi5300_sim::SceneError,
     },
     /// A robot of the room is to follow something that gives no poses of this host.
-    #[error("robot `{robot}` follows `ros` or `csv`")]
+    #[error("robot `{robot}` follows `ros2`, `ros` or `csv`")]
     Follows {
         /// Its name.
         robot: String,
@@ -68,6 +68,19 @@ pub enum NodeError {
     /// Poses from a topic are asked for, and ROS is not compiled in.
     #[error("this program was built without ROS (feature `ros1`)")]
     WithoutRos,
+    /// Poses from a topic of ROS 2 are asked for, and it is not compiled in.
+    #[error("this program was built without ROS 2 (feature `ros2`)")]
+    WithoutRos2,
+    /// No participant of DDS can be made.
+    #[error("cannot take part in domain {domain} of ROS 2 at {interface}: {source}")]
+    Ros2 {
+        /// The domain.
+        domain: u16,
+        /// The address of this machine.
+        interface: std::net::Ipv4Addr,
+        /// Why.
+        source: std::io::Error,
+    },
     /// The thread that listens to the card has ended.
     #[error("the thread that listens to the card has ended")]
     CardThreadEnded,

@@ -46,6 +46,8 @@ pub struct Health {
     pub sounding: Option<serde_json::Value>,
     /// What was published over ROS.
     pub ros: Option<serde_json::Value>,
+    /// What was read and published over ROS 2.
+    pub ros2: Option<serde_json::Value>,
     /// What it costs.
     pub load: Load,
     /// What is wrong at the moment, in words.
@@ -206,6 +208,7 @@ impl Looks {
             network: None,
             sounding: None,
             ros: None,
+            ros2: None,
             load,
             trouble: machine.trouble().into_iter().chain(self.alarms.look(machine, now)).collect(),
         };

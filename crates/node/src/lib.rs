@@ -12,6 +12,7 @@
 //! | `joined`, `network` | peers through zenoh (feature `zenoh`) |
 //! | `viewers`, `foxglove` | Foxglove's viewers over a websocket, and recordings for them (feature `foxglove`) |
 //! | `ros`, `ros1` | bearings, poses and CSI on topics of ROS 1, and poses from topics (feature `ros1`) |
+//! | `ros2` | the same of ROS 2, markers, diagnostics and recordings (feature `ros2`) |
 //! | [`health`] | what is published beside the bearings |
 //! | `outputs` | bearings as lines, the status socket, the status line |
 //! | [`service`] | tokio: waits, hands over, publishes |
@@ -47,3 +48,5 @@ mod viewers;
 pub mod foxglove;
 #[cfg(feature = "ros1")]
 pub mod ros1;
+#[cfg(feature = "ros2")]
+pub mod ros2;

@@ -272,8 +272,7 @@ impl<'a> Service<'a> {
         health.sounding = self.sounder.look().and_then(|counts| serde_json::to_value(counts).ok());
         health.trouble.extend(self.sounder.trouble());
         health.trouble.extend(self.network.trouble());
-        health.ros = self.ros.counts();
-        health.trouble.extend(self.ros.trouble());
+        self.ros.look(&mut health, wall_us());
         self.load.late_ms = 0.0;
         if let Some(socket) = &self.socket {
             socket.tell(&health);

@@ -1,5 +1,5 @@
-//! Poses from a topic of ROS 1, `nav_msgs/Odometry` or `geometry_msgs/PoseStamped`: what a message means, and the bounded
-//! queue that its source reads. The connection itself is in `csi5300_node::ros1` (feature `ros1`).
+//! Poses from a topic of ROS, `nav_msgs/Odometry` or `geometry_msgs/PoseStamped`: what a message means, and the bounded
+//! queue that its source reads. The connections themselves are in `csi5300-node` (features `ros1` and `ros2`).
 
 use super::{NextPose, OdometryError, OdometrySource};
 use crate::motion::pose::{Pose, heading_of};
@@ -272,7 +272,7 @@ impl OdometrySource for Topic {
         let state = self.inbox.lock();
         let why = state.wrong.clone().or_else(|| state.reader.trouble()).or_else(|| {
             let why = if self.messages == 0 { "nothing comes" } else { "nothing comes any more" };
-            self.quiet.then(|| format!("{why}: does its publisher run, on this master? (rostopic info)"))
+            self.quiet.then(|| format!("{why}: does its publisher run? (rostopic info, ros2 topic info)"))
         })?;
         Some(format!("{}: {why}", self.inbox.topic))
     }

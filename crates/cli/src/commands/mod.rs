@@ -45,6 +45,8 @@ mod sound;
 #[cfg(feature = "live")]
 mod sounding;
 mod suite;
+#[cfg(feature = "ros2")]
+mod unbag;
 #[cfg(feature = "view")]
 mod view;
 #[cfg(feature = "node")]
@@ -127,6 +129,9 @@ enum Command {
     #[cfg(not(feature = "foxglove"))]
     #[command(hide = true)]
     Mcap(Missing),
+    /// Logs and trajectories from a recording of ROS 2
+    #[cfg(feature = "ros2")]
+    Unbag(unbag::Args),
     /// A room full of robots: writes the logs that their cards would have recorded
     Simulate(simulate::Args),
     /// A recorded capture beside a simulated one: every figure of both, and pictures
@@ -196,6 +201,8 @@ pub fn run() -> ExitCode {
         Command::Mcap(args) => mcap::run(&args),
         #[cfg(not(feature = "foxglove"))]
         Command::Mcap(_) => usage("`mcap` needs a program built with the feature: --features foxglove"),
+        #[cfg(feature = "ros2")]
+        Command::Unbag(args) => unbag::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Suite(args) => suite::run(&args),

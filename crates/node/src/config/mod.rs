@@ -7,6 +7,7 @@
 //! | `estimation` | how bearings are made |
 //! | [`sounding`] | this robot's part in the sounding exchange |
 //! | [`ros`] | ROS 1: topics of poses, and this program as a node |
+//! | [`ros2`] | the same of ROS 2 |
 //! | `outputs` | what is recorded and published, and the network |
 //! | `check` | what contradicts itself or this machine, one function a group of rules |
 //! | `problem` | a refusal: the line, and why |
@@ -18,6 +19,7 @@ mod outputs;
 mod problem;
 mod robots;
 pub mod ros;
+pub mod ros2;
 pub mod sounding;
 mod values;
 
@@ -85,6 +87,9 @@ pub struct Config {
     /// This program as a node of ROS 1.
     #[serde(default)]
     pub ros: Option<ros::Ros>,
+    /// This program as a node of ROS 2.
+    #[serde(default)]
+    pub ros2: Option<ros2::Ros2>,
 }
 
 impl Config {
@@ -130,8 +135,12 @@ impl Config {
     fn resolve(&mut self, folder: &Path) {
         let own = |odometry: &mut Odometry| match odometry {
             Odometry::Csv(csv) => csv.file = folder.join(&csv.file),
-            Odometry::Opencr(_) | Odometry::Room(_) | Odometry::Ros(_) | Odometry::Static(_) | Odometry::Network(_) => {
-            }
+            Odometry::Opencr(_)
+            | Odometry::Room(_)
+            | Odometry::Ros(_)
+            | Odometry::Ros2(_)
+            | Odometry::Static(_)
+            | Odometry::Network(_) => {}
         };
         match self.capture.get_mut() {
             Capture::Replay(replay) => replay.file = folder.join(&replay.file),
@@ -154,6 +163,8 @@ impl Config {
         if let Some(log) = &mut self.log {
             log.file = folder.join(&log.file);
         }
+        let bag = self.ros2.iter_mut().filter_map(|ros| ros.bag.as_mut());
+        bag.for_each(|bag| *bag = folder.join(&*bag));
         let key = self.sounding.iter_mut().filter_map(|sounding| sounding.key.as_mut());
         key.for_each(|key| *key = folder.join(&*key));
         // Neither nowhere nor standard output.

@@ -1,7 +1,7 @@
 //! This robot's odometry and its peers.
 
-use super::ros;
 use super::values::{hundred, maybe_parsed, positive};
+use super::{ros, ros2};
 use csi5300::motion::odometry::drive::Geometry;
 use driver_iface::Mac;
 use std::path::PathBuf;
@@ -18,6 +18,8 @@ pub enum Odometry {
     Room(NoKeys),
     /// A topic of ROS 1.
     Ros(ros::Topic),
+    /// A topic of ROS 2.
+    Ros2(ros2::Topic),
     /// The robot stands for ever.
     Static(Place),
     /// Other robots' poses come over the network.

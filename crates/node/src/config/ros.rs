@@ -105,7 +105,12 @@ fn wrong_source(room: &Room, odometry: &Odometry) -> Option<String> {
             Some("the room goes by the times at which poses come: `stamp = \"receipt\"`, or none".into())
         }
         Odometry::Ros(topic) => wrong_topic(topic, false).map(|(_, why)| why),
-        _ => Some("a robot follows `ros` or `csv`".into()),
+        Odometry::Ros2(_) if room.speed != 1.0 => Some("topics are of now: `speed = 1`".into()),
+        Odometry::Ros2(topic) if topic.stamp == Some(Stamp::Header) => {
+            Some("the room goes by the times at which poses come: `stamp = \"receipt\"`, or none".into())
+        }
+        Odometry::Ros2(topic) => super::ros2::wrong_topic(topic, false).map(|(_, why)| why),
+        _ => Some("a robot follows `ros2`, `ros` or `csv`".into()),
     }
 }
 

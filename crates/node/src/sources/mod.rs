@@ -9,10 +9,16 @@ mod ros;
 #[cfg(not(feature = "ros1"))]
 #[path = "ros_absent.rs"]
 mod ros;
+#[cfg(feature = "ros2")]
+mod ros2;
+#[cfg(not(feature = "ros2"))]
+#[path = "ros2_absent.rs"]
+mod ros2;
 mod serial;
 mod served;
 
 pub(crate) use ros::RosNode;
+pub(crate) use ros2::Ros2Node;
 
 use crate::NodeError;
 use crate::config::{Capture, Config, Odometry, Peer as PeerConfig, Records};
@@ -62,6 +68,8 @@ pub struct Sources {
     pub speed: f64,
     /// This program as a node of ROS.
     pub(crate) ros: RosNode,
+    /// This program as a node of ROS 2.
+    pub(crate) ros2: Ros2Node,
 }
 
 /// This robot's records, opened.
@@ -80,6 +88,7 @@ struct Shared<'a> {
     /// Reads the host's wall clock.
     wall_us: fn() -> Option<i64>,
     ros: RosNode,
+    ros2: Ros2Node,
     /// The simulated room of this process.
     room: Option<SharedRoom>,
     /// The socket of a room that another program runs.
@@ -95,7 +104,8 @@ impl Sources {
     /// What cannot be opened, with what to do about it.
     pub fn open(config: &Config, start: Instant, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
         let ros = RosNode::start(config, wall_us)?;
-        let mut shared = Shared { start, wall_us, ros, room: None, served: None, replayed: None };
+        let ros2 = Ros2Node::start(config, wall_us)?;
+        let mut shared = Shared { start, wall_us, ros, ros2, room: None, served: None, replayed: None };
         let capture = config.capture.get_ref();
         let Opened { card, wake, mac, speed } = shared.capture(capture, config.mac)?;
         let own = config.mac.or(mac);
@@ -103,7 +113,7 @@ impl Sources {
         let (poses, track) = shared.poses(&config.odometry, robot, config.antenna_offset_m)?;
         let peers = config.peer.iter().map(|peer| shared.peer(peer.get_ref())).collect::<Result<_, _>>()?;
         let own = own.ok_or(NodeError::OwnMac)?;
-        Ok(Self { own, capture: card, wake, poses, track, peers, speed, ros: shared.ros })
+        Ok(Self { own, capture: card, wake, poses, track, peers, speed, ros: shared.ros, ros2: shared.ros2 })
     }
 }
 
@@ -127,6 +137,7 @@ impl<'a> Shared<'a> {
                     Odometry::Csv(file) => poses::trajectory(file, None, self.start),
                     // The room's time is that of this host.
                     Odometry::Ros(topic) => self.ros.poses(topic, Stamp::Receipt),
+                    Odometry::Ros2(topic) => self.ros2.poses(topic, Stamp::Receipt),
                     _ => Err(NodeError::Follows { robot: robot.to_owned() }.into()),
                 })?;
                 let (card, mac) = room.own_card(&asked.robot)?;
@@ -146,6 +157,7 @@ impl<'a> Shared<'a> {
                 poses::trajectory(file, Some(origin_s), self.start)?
             }
             Odometry::Ros(topic) => self.ros.poses(topic, Stamp::Header)?,
+            Odometry::Ros2(topic) => self.ros2.poses(topic, Stamp::Header)?,
             Odometry::Room(_) => match (self.served, &self.room) {
                 (Some(socket), _) => served::poses(socket, robot)?,
                 (None, Some(room)) => room.poses(robot)?,

@@ -8,7 +8,7 @@ mod own;
 mod peers;
 mod surroundings;
 
-use super::{Capture, Config, Odometry, Place, Problem, ros};
+use super::{Capture, Config, Odometry, Place, Problem, ros, ros2};
 use csi5300_sim::Scene;
 use csi5300_sim::toml_lines::Step::{Index, Key};
 use csi5300_sim::toml_lines::{Step, TomlLines};
@@ -84,6 +84,11 @@ impl Check<'_> {
             Odometry::Ros(topic) => {
                 let (key, why) = ros::wrong_topic(topic, !own)?;
                 return Some(([Key("ros")].into_iter().chain(key.map(Key)).collect(), why));
+            }
+            Odometry::Ros2(_) if of_now => (&[Key("ros2")], ROS_NOW.into()),
+            Odometry::Ros2(topic) => {
+                let (key, why) = ros2::wrong_topic(topic, !own)?;
+                return Some(([Key("ros2")].into_iter().chain(key.map(Key)).collect(), why));
             }
             Odometry::Room(_) if !self.is_room() => {
                 (&[Key("room")], "`room` poses need `capture.room` or `capture.served`".into())

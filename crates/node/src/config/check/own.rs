@@ -88,8 +88,14 @@ impl Check<'_> {
     /// A program without a purpose.
     pub(super) fn something_to_do(&mut self) {
         let config = self.config;
-        if config.peer.is_empty() && config.log.is_none() && config.network.is_none() && config.ros.is_none() {
-            self.refuse(&[Key("capture")], "no [[peer]], no [log], no [network] and no [ros]: there is nothing to do");
+        if config.peer.is_empty()
+            && config.log.is_none()
+            && config.network.is_none()
+            && config.ros.is_none()
+            && config.ros2.is_none()
+        {
+            let why = "no [[peer]], no [log], no [network] and no [ros] or [ros2]: there is nothing to do";
+            self.refuse(&[Key("capture")], why);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! ROS, sounding, output and the network.
 
-use super::super::ros;
+use super::super::{ros, ros2};
 use super::Check;
 use csi5300_sim::toml_lines::Step::Key;
 
@@ -13,6 +13,9 @@ impl Check<'_> {
     pub(super) fn ros(&mut self) {
         if let Some((key, why)) = self.config.ros.as_ref().and_then(ros::wrong_ros) {
             self.refuse_in("ros", key, why);
+        }
+        if let Some((key, why)) = self.config.ros2.as_ref().and_then(ros2::wrong_ros2) {
+            self.refuse_in("ros2", key, why);
         }
     }
 

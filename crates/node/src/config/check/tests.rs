@@ -143,6 +143,37 @@ fn ros_and_sounding() {
 }
 
 #[test]
+fn ros_2() {
+    let ros = |more: &str| format!("{CARD}[ros2]\nframe = \"odom\"\n{more}\n");
+    let topic = |more: &str| CARD.replace("odometry.opencr.port = \"/dev/null\"", &format!("[odometry.ros2]\n{more}"));
+    if !cfg!(feature = "ros2") {
+        refused(&ros("publish_csi = true"), "[ros2]", "--features ros2");
+        return;
+    }
+    assert_eq!(refusals(&ros("interface = \"127.0.0.2\"\nnamespace = \"/lab\"\nnode = \"n\"")), Vec::<String>::new());
+    assert_eq!(
+        refusals(&ros("interface = \"192.168.1.5\"\ninsecure = true\npeers = [\"10.0.0.1\"]")),
+        Vec::<String>::new()
+    );
+    refused(&ros("interface = \"192.168.1.5\""), "interface", "`insecure = true`");
+    refused(&ros("interface = \"0.0.0.0\"\ninsecure = true"), "interface", "one address");
+    refused(&ros("peers = [\"10.0.0.1\"]"), "peers", "cannot be reached from 127.0.0.1");
+    refused(&ros("domain = 233"), "domain", "0 to 232");
+    refused(&ros("namespace = \"lab\""), "namespace", "no namespace");
+    refused(&ros("node = \"/a/b\""), "node", "no name of a node");
+    refused(&ros("remap = { \"a b\" = \"/c\" }"), "remap", "no name in ROS 2");
+    refused(&topic("type = \"tf\"\nframe = \"odom\""), "type", "from `frame` to `child`");
+    refused(&topic("child = \"base_link\""), "child", "is for transforms");
+    refused(&topic("type = \"pose\"\nantenna_frame = \"wifi\""), "antenna_frame", "is for odometry");
+    refused(&topic("imu = \"1mu\""), "imu", "no name in ROS 2");
+    refused(
+        &format!("{ROOM}{PEER}").replace("odometry.room = {}", "odometry.ros2 = {}"),
+        "odometry.ros2",
+        "are of now",
+    );
+}
+
+#[test]
 fn output_and_network() {
     if !cfg!(feature = "foxglove") {
         let output = "[output]\nbearings = \"-\"\nfoxglove = \"127.0.0.1:1\"\n";

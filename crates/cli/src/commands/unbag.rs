@@ -1,0 +1,42 @@
+//! `csi5300 unbag`.
+
+use super::{Outcome, Result};
+use csi5300_node::ros2::unbag::{BagError, unbag};
+use std::path::PathBuf;
+
+/// Arguments of `unbag`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The recording: a folder as `ros2 bag` makes it, or one of its MCAP files
+    #[arg(value_name = "BAG")]
+    bag: PathBuf,
+    /// Folder for a log of each topic of CSI and a trajectory of each topic of poses
+    #[arg(long, short, value_name = "DIR")]
+    out: PathBuf,
+}
+
+/// Makes logs and trajectories of a recording.
+pub fn run(args: &Args) -> Result {
+    let done = unbag(&args.bag, &args.out).map_err(|error| match error {
+        BagError::There { .. } => format!("{error}: --out names another folder"),
+        _ => error.to_string(),
+    })?;
+    let (mut written, mut lost) = (0, false);
+    for topic in &done.topics {
+        written += topic.messages;
+        lost |= topic.unreadable > 0;
+        println!("{}: {} messages of {} ({})", topic.file.display(), topic.messages, topic.topic, topic.kind);
+        if topic.unreadable > 0 {
+            eprintln!("{}: {} messages are unreadable", topic.topic, topic.unreadable);
+        }
+    }
+    for file in &done.cut {
+        eprintln!("{}: its end is missing; it was read up to there", file.display());
+    }
+    eprintln!("{} messages of other topics", done.others);
+    Ok(match written {
+        0 => Outcome::Nothing,
+        _ if lost => Outcome::DataLost,
+        _ => Outcome::Done,
+    })
+}

@@ -1,0 +1,26 @@
+//! Services: starting and stopping the recording, and reading parameters.
+
+use super::messages;
+
+messages! {
+    /// Do it; the field is there because a message has one.
+    "std_srvs/srv/Trigger_Request" TriggerRequest { structure_needs_at_least_one_member: u8 }
+    /// Whether it was done, and what there is to say.
+    "std_srvs/srv/Trigger_Response" TriggerResponse { success: bool, message: String }
+    /// A parameter's value: the one of the type that `type` names (1 bool, 2 integer, 3 double, 4 string).
+    "rcl_interfaces/msg/ParameterValue" ParameterValue {
+        r#type: u8, bool_value: bool, integer_value: i64, double_value: f64, string_value: String,
+        byte_array_value: Vec<u8>, bool_array_value: Vec<bool>, integer_array_value: Vec<i64>,
+        double_array_value: Vec<f64>, string_array_value: Vec<String>,
+    }
+    /// Which parameters.
+    "rcl_interfaces/srv/GetParameters_Request" GetParametersRequest { names: Vec<String> }
+    /// Their values.
+    "rcl_interfaces/srv/GetParameters_Response" GetParametersResponse { values: Vec<ParameterValue> }
+    /// Parameters that begin so, so deep.
+    "rcl_interfaces/srv/ListParameters_Request" ListParametersRequest { prefixes: Vec<String>, depth: u64 }
+    /// Their names.
+    "rcl_interfaces/msg/ListParametersResult" ListParametersResult { names: Vec<String>, prefixes: Vec<String> }
+    /// The answer.
+    "rcl_interfaces/srv/ListParameters_Response" ListParametersResponse { result: ListParametersResult }
+}

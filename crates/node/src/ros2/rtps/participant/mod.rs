@@ -1,0 +1,296 @@
+//! A participant: what it has, what it says, and when.
+
+mod incoming;
+
+use super::discovery::{EndpointData, PARTICIPANT, ParticipantData};
+use super::qos::Qos;
+use super::reader::Reader;
+use super::wire::{Entity, Guid, Maker, Prefix, VENDOR};
+use super::writer::{Outgoing, Writer};
+use csi5300::time::{Instant, Span};
+use std::collections::BTreeMap;
+use std::net::SocketAddrV4;
+use std::sync::Arc;
+
+/// Others count this one as gone after so long a silence.
+const LEASE: Span = Span::from_ms(20_000);
+/// Announcements at the beginning, and between later ones: `(how many, how far apart)`.
+const EAGER: (u32, Span) = (12, Span::from_ms(250));
+/// See [`EAGER`].
+const ANNOUNCE: Span = Span::from_ms(3_000);
+/// While a reliable reader has not everything, it is told so often what there is.
+const BEAT: Span = Span::from_ms(100);
+/// How often leases are looked at.
+const LOOK: Span = Span::from_ms(500);
+
+/// Built-in endpoints (\[rtps\] 9.3.1.5): participants, publications, subscriptions.
+const ANNOUNCER: Entity = [0, 1, 0, 0xc2];
+const DETECTOR: Entity = [0, 1, 0, 0xc7];
+const PUBLICATIONS: (Entity, Entity) = ([0, 0, 3, 0xc2], [0, 0, 3, 0xc7]);
+const SUBSCRIPTIONS: (Entity, Entity) = ([0, 0, 4, 0xc2], [0, 0, 4, 0xc7]);
+
+/// Where a participant is, and to whom it says so.
+#[derive(Clone, Debug)]
+pub(crate) struct Settings {
+    /// Who it is.
+    pub prefix: Prefix,
+    /// Its name, for people.
+    pub name: String,
+    /// Where it takes discovery.
+    pub meta: SocketAddrV4,
+    /// Where it takes samples.
+    pub user: SocketAddrV4,
+    /// Where it announces itself: the group, and static peers.
+    pub announce: Vec<SocketAddrV4>,
+    /// Only programs of this machine are spoken to.
+    pub is_local: bool,
+}
+
+/// What came.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Event {
+    /// The reader's number.
+    pub reader: usize,
+    /// Who wrote it, and its number there.
+    pub from: (Guid, i64),
+    /// Who made the writer's program.
+    pub vendor: [u8; 2],
+    /// The sample.
+    pub payload: Vec<u8>,
+}
+
+/// What was counted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+pub(crate) struct Counts {
+    /// Datagrams that came.
+    pub datagrams: u64,
+    /// Those that are none of RTPS, or are cut.
+    pub malformed: u64,
+    /// Announcements that make no sense.
+    pub unreadable: u64,
+    /// Participants that are there.
+    pub participants: u64,
+    /// Participants that went silent.
+    pub expired: u64,
+    /// Announcements that were refused because there are too many.
+    pub refused: u64,
+}
+
+/// The state of a topic, of one end of this participant.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct TopicState {
+    /// Ends of others that go with it.
+    pub matched: usize,
+    /// Samples that came and that were lost, of a reader.
+    pub samples: u64,
+    /// See `samples`.
+    pub lost: u64,
+    /// Why ends of the same topic do not go with it, in words.
+    pub wrong: Vec<String>,
+}
+
+/// Another participant.
+#[derive(Clone, Debug)]
+struct Peer {
+    data: ParticipantData,
+    meta: SocketAddrV4,
+    user: Option<SocketAddrV4>,
+    heard_at: Instant,
+}
+
+/// A writer or reader of this participant, with what is announced of it.
+#[derive(Debug)]
+struct Own<T> {
+    end: T,
+    data: EndpointData,
+    wrong: BTreeMap<Guid, &'static str>,
+}
+
+/// A participant.
+#[derive(Debug)]
+pub(crate) struct Participant {
+    settings: Settings,
+    writers: Vec<Own<Writer>>,
+    readers: Vec<Own<Reader>>,
+    publications: (Writer, Reader),
+    subscriptions: (Writer, Reader),
+    peers: BTreeMap<Prefix, Peer>,
+    /// Endpoints of others: true for writers.
+    others: BTreeMap<Guid, (bool, EndpointData)>,
+    counts: Counts,
+    /// Who cannot be spoken to, and why.
+    unreachable: BTreeMap<Prefix, String>,
+    announced: (u32, Instant),
+    beat_at: Instant,
+    look_at: Instant,
+    out: Vec<Outgoing>,
+}
+
+impl Participant {
+    /// One that begins to announce itself at `now`.
+    pub fn new(settings: Settings, now: Instant) -> Self {
+        let own = settings.prefix;
+        // As many as there are endpoints are kept.
+        let built_in = |(writer, reader): (Entity, Entity)| {
+            (Writer::new(own, writer, Qos::latched(4_096)), Reader::new(own, reader, Qos::latched(4_096)))
+        };
+        Self {
+            settings,
+            writers: Vec::new(),
+            readers: Vec::new(),
+            publications: built_in(PUBLICATIONS),
+            subscriptions: built_in(SUBSCRIPTIONS),
+            peers: BTreeMap::new(),
+            others: BTreeMap::new(),
+            counts: Counts::default(),
+            unreachable: BTreeMap::new(),
+            announced: (0, now),
+            beat_at: now,
+            look_at: now,
+            out: Vec::new(),
+        }
+    }
+
+    /// Its own name.
+    pub fn guid(&self) -> Guid {
+        Guid { prefix: self.settings.prefix, entity: PARTICIPANT }
+    }
+
+    /// Adds a writer of `topic`, both as DDS has them; gives its number and name.
+    pub fn add_writer(&mut self, topic: &str, kind: &str, qos: Qos, wall_us: i64) -> (usize, Guid) {
+        let number = self.writers.len();
+        // Writers and readers without keys.
+        let entity = entity(number, 0x03);
+        let data = self.announced_as(entity, topic, kind, &qos);
+        let guid = data.guid;
+        self.publications.0.write(data.payload().into(), None, wall_us, &mut self.out);
+        let end = Writer::new(self.settings.prefix, entity, qos);
+        self.writers.push(Own { end, data, wrong: BTreeMap::new() });
+        self.meet_all(false);
+        (number, guid)
+    }
+
+    /// Adds a reader of `topic`, which has the next number; gives its name.
+    pub fn add_reader(&mut self, topic: &str, kind: &str, qos: Qos, wall_us: i64) -> Guid {
+        let number = self.readers.len();
+        let entity = entity(number, 0x04);
+        let data = self.announced_as(entity, topic, kind, &qos);
+        let guid = data.guid;
+        self.subscriptions.0.write(data.payload().into(), None, wall_us, &mut self.out);
+        let end = Reader::new(self.settings.prefix, entity, qos);
+        self.readers.push(Own { end, data, wrong: BTreeMap::new() });
+        self.meet_all(true);
+        guid
+    }
+
+    fn announced_as(&self, entity: Entity, topic: &str, kind: &str, qos: &Qos) -> EndpointData {
+        let guid = Guid { prefix: self.settings.prefix, entity };
+        let unicast = vec![self.settings.user];
+        EndpointData { guid, topic: topic.to_owned(), kind: kind.to_owned(), qos: qos.clone(), unicast }
+    }
+
+    /// Writes a sample.
+    pub fn write(&mut self, writer: usize, payload: Arc<[u8]>, wall_us: i64) {
+        if let Some(own) = self.writers.get_mut(writer) {
+            own.end.write(payload, None, wall_us, &mut self.out);
+        }
+    }
+
+    /// Answers a request: to who asked alone.
+    pub fn answer(&mut self, writer: usize, payload: &[u8], request: (Guid, i64), wall_us: i64) {
+        if let Some(own) = self.writers.get_mut(writer) {
+            own.end.answer(payload, request, wall_us, &mut self.out);
+        }
+    }
+
+    /// Datagrams that are to be sent, with where to.
+    pub fn poll_transmit(&mut self) -> Vec<Outgoing> {
+        std::mem::take(&mut self.out)
+    }
+
+    /// When [`Self::handle_timeout`] is to be called next.
+    pub fn next_at(&self) -> Instant {
+        self.announced.1.min(self.beat_at).min(self.look_at)
+    }
+
+    /// Does what is due at `now`.
+    pub fn handle_timeout(&mut self, now: Instant) {
+        if now >= self.announced.1 {
+            let data = self.announcement();
+            self.out.extend(self.settings.announce.iter().map(|to| (*to, data.clone())));
+            self.announced.0 = self.announced.0.saturating_add(1);
+            self.announced.1 = now + if self.announced.0 < EAGER.0 { EAGER.1 } else { ANNOUNCE };
+        }
+        if now >= self.beat_at {
+            let built_in = [&mut self.publications.0, &mut self.subscriptions.0];
+            let all = built_in.into_iter().chain(self.writers.iter_mut().map(|own| &mut own.end));
+            let mut out = Vec::new();
+            all.for_each(|writer| writer.beat(&mut out));
+            self.out.append(&mut out);
+            self.beat_at = now + BEAT;
+        }
+        if now >= self.look_at {
+            let silent = |peer: &&Peer| now - peer.heard_at > peer.data.lease;
+            let gone: Vec<Prefix> = self.peers.values().filter(silent).map(|peer| peer.data.prefix).collect();
+            self.counts.expired += gone.len() as u64;
+            gone.into_iter().for_each(|prefix| self.forget(prefix));
+            self.look_at = now + LOOK;
+        }
+    }
+
+    fn announcement(&self) -> Vec<u8> {
+        let Settings { prefix, name, meta, user, .. } = &self.settings;
+        let (meta, user) = (vec![*meta], vec![*user]);
+        let data = ParticipantData { prefix: *prefix, vendor: VENDOR, meta, user, lease: LEASE, name: name.clone() };
+        Maker::new(*prefix, None).data((DETECTOR, ANNOUNCER), 1, &data.payload(), (None, None)).finish()
+    }
+
+    /// Says that this participant is over.
+    pub fn leave(&mut self) {
+        let own = self.settings.prefix;
+        let over = Some(Guid { prefix: own, entity: PARTICIPANT }.bytes());
+        let words = Maker::new(own, None).data((DETECTOR, ANNOUNCER), 2, &[], (over, None)).finish();
+        let peers = self.peers.values().map(|peer| peer.meta);
+        let all = self.settings.announce.iter().copied().chain(peers);
+        self.out.extend(all.map(|to| (to, words.clone())));
+    }
+
+    /// The state of a writer.
+    pub fn writer_state(&self, writer: usize) -> TopicState {
+        let Some(own) = self.writers.get(writer) else { return TopicState::default() };
+        TopicState { matched: own.end.readers(), wrong: words(&own.wrong), ..TopicState::default() }
+    }
+
+    /// The state of a reader.
+    pub fn reader_state(&self, reader: usize) -> TopicState {
+        let Some(own) = self.readers.get(reader) else { return TopicState::default() };
+        let counts = own.end.counts();
+        let wrong = words(&own.wrong);
+        TopicState { matched: own.end.writers(), samples: counts.samples, lost: counts.lost, wrong }
+    }
+
+    /// What was counted.
+    pub fn counts(&self) -> Counts {
+        self.counts
+    }
+
+    /// Participants that announced themselves and cannot be spoken to.
+    pub fn unreachable(&self) -> impl Iterator<Item = &str> {
+        self.unreachable.values().map(String::as_str)
+    }
+}
+
+/// Writer or reader number `number` of this participant; 0 is taken.
+fn entity(number: usize, kind: u8) -> Entity {
+    let [_, high, middle, low] = u32::try_from(number + 1).unwrap_or(u32::MAX).to_be_bytes();
+    [high, middle, low, kind]
+}
+
+fn words(wrong: &BTreeMap<Guid, &'static str>) -> Vec<String> {
+    let mut words: Vec<String> = wrong.values().map(|why| (*why).to_owned()).collect();
+    words.dedup();
+    words
+}
+
+#[cfg(test)]
+mod tests;

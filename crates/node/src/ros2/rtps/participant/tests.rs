@@ -1,0 +1,226 @@
+use super::*;
+use std::net::Ipv4Addr;
+
+const WALL_US: i64 = 1_700_000_000_000_000;
+
+fn at(last: u8, port: u16) -> SocketAddrV4 {
+    SocketAddrV4::new(Ipv4Addr::new(127, 0, 0, last), port)
+}
+
+/// Participants that send each other datagrams; those that `lose` says are lost.
+struct Net {
+    all: Vec<Participant>,
+    now: Instant,
+    events: Vec<Vec<Event>>,
+    lose: fn(usize) -> bool,
+    sent: usize,
+}
+
+impl Net {
+    fn new(count: u8) -> Self {
+        let address = |k: u8| at(k + 1, 7410);
+        let one = |k: u8| {
+            let announce = (0..count).filter(|other| *other != k).map(address).collect();
+            let settings = Settings {
+                prefix: [k + 1; 12],
+                name: format!("p{k}"),
+                meta: address(k),
+                user: at(k + 1, 7411),
+                announce,
+                is_local: true,
+            };
+            Participant::new(settings, Instant::ZERO)
+        };
+        let all = (0..count).map(one).collect();
+        let events = (0..count).map(|_| Vec::new()).collect();
+        Self { all, now: Instant::ZERO, events, lose: |_| false, sent: 0 }
+    }
+
+    /// So many milliseconds, in steps of ten.
+    fn run(&mut self, ms: i64) {
+        for _ in 0..ms / 10 {
+            self.now = self.now + Span::from_ms(10);
+            for k in 0..self.all.len() {
+                self.all[k].handle_timeout(self.now);
+                for (to, bytes) in self.all[k].poll_transmit() {
+                    self.sent += 1;
+                    let other = usize::from(to.ip().octets()[3] - 1);
+                    if !(self.lose)(self.sent) && other < self.all.len() {
+                        let from = Ipv4Addr::new(127, 0, 0, k as u8 + 1);
+                        self.all[other].handle_datagram(&bytes, from, (self.now, WALL_US), &mut self.events[other]);
+                    }
+                }
+            }
+        }
+    }
+
+    fn write(&mut self, participant: usize, writer: usize, sample: u8) {
+        self.all[participant].write(writer, Arc::from([0, 1, 0, 0, sample]), WALL_US);
+    }
+
+    /// Last bytes of the samples that came.
+    fn came(&self, participant: usize) -> Vec<u8> {
+        self.events[participant].iter().map(|event| event.payload[4]).collect()
+    }
+}
+
+#[test]
+fn two_find_each_other_and_samples_arrive_in_order_though_a_quarter_is_lost() {
+    let mut net = Net::new(2);
+    // A quarter, in no order that an exchange could follow.
+    net.lose = |k| (k as u32).wrapping_mul(2_654_435_761) >> 16 & 3 == 0;
+    net.all[0].add_writer("rt/a", "T", Qos::reliable(300), WALL_US);
+    net.all[1].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
+    net.run(3_000);
+    assert_eq!((net.all[0].writer_state(0).matched, net.all[1].reader_state(0).matched), (1, 1));
+    (0..200).for_each(|k| {
+        net.write(0, 0, k);
+        net.run(10);
+    });
+    net.run(3_000);
+    assert_eq!(net.came(1), (0..200).collect::<Vec<u8>>());
+    assert_eq!(net.all[1].reader_state(0).lost, 0);
+}
+
+#[test]
+fn what_is_latched_comes_to_who_is_late_and_the_rest_does_not() {
+    let mut net = Net::new(2);
+    net.all[0].add_writer("rt/latched", "T", Qos::latched(2), WALL_US);
+    net.all[0].add_writer("rt/plain", "T", Qos::reliable(10), WALL_US);
+    (0..5).for_each(|k| {
+        net.write(0, 0, k);
+        net.write(0, 1, 100 + k);
+    });
+    net.run(500);
+    net.all[1].add_reader("rt/latched", "T", Qos::latched(10), WALL_US);
+    net.all[1].add_reader("rt/plain", "T", Qos::reliable(10), WALL_US);
+    net.run(2_000);
+    assert_eq!(net.came(1), [3, 4], "the two that are kept");
+    net.write(0, 1, 42);
+    net.run(500);
+    assert_eq!(net.came(1), [3, 4, 42]);
+}
+
+#[test]
+fn what_a_slow_reader_missed_is_said_to_be_gone_and_it_goes_on() {
+    let mut net = Net::new(2);
+    net.all[0].add_writer("rt/a", "T", Qos::reliable(4), WALL_US);
+    net.all[1].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
+    net.run(2_000);
+    net.write(0, 0, 0);
+    net.run(500);
+    net.lose = |_| true;
+    (1..=20).for_each(|k| {
+        net.write(0, 0, k);
+        net.run(10);
+    });
+    net.lose = |_| false;
+    net.run(1_000);
+    assert_eq!(net.came(1), [0, 17, 18, 19, 20]);
+    assert_eq!(net.all[1].reader_state(0).lost, 16);
+}
+
+#[test]
+fn ends_that_do_not_go_together_say_why() {
+    let mut net = Net::new(2);
+    net.all[0].add_writer("rt/csi", "T", Qos::best_effort(5), WALL_US);
+    net.all[0].add_writer("rt/other", "T", Qos::reliable(5), WALL_US);
+    net.all[1].add_reader("rt/csi", "T", Qos::reliable(5), WALL_US);
+    net.all[1].add_reader("rt/other", "U", Qos::reliable(5), WALL_US);
+    net.run(2_000);
+    for (topic, why) in [(0, "best effort"), (1, "another type")] {
+        for state in [net.all[0].writer_state(topic), net.all[1].reader_state(topic)] {
+            assert_eq!(state.matched, 0);
+            assert!(state.wrong[0].contains(why), "{:?}", state.wrong);
+        }
+    }
+}
+
+#[test]
+fn who_leaves_is_gone_at_once_and_who_dies_after_its_lease() {
+    let mut net = Net::new(3);
+    for k in 1..3 {
+        net.all[k].add_writer("rt/a", "T", Qos::reliable(5), WALL_US);
+    }
+    net.all[0].add_reader("rt/a", "T", Qos::best_effort(5), WALL_US);
+    net.run(4_000);
+    assert_eq!((net.all[0].counts().participants, net.all[0].reader_state(0).matched), (2, 2));
+    net.all[1].leave();
+    net.run(20);
+    assert_eq!((net.all[0].counts().participants, net.all[0].reader_state(0).matched), (1, 1));
+    net.lose = |_| true;
+    net.run(25_000);
+    let counts = net.all[0].counts();
+    assert_eq!((counts.participants, counts.expired, net.all[0].reader_state(0).matched), (0, 1, 0));
+    net.lose = |_| false;
+    net.run(5_000);
+    assert_eq!(net.all[0].reader_state(0).matched, 2, "who is heard again is there again");
+}
+
+#[test]
+fn damaged_datagrams_and_made_up_participants_are_counted_and_bounded() {
+    let mut net = Net::new(2);
+    net.all[0].add_writer("rt/a", "T", Qos::reliable(5), WALL_US);
+    net.all[1].add_reader("rt/a", "T", Qos::reliable(5), WALL_US);
+    net.run(1_000);
+    net.write(0, 0, 1);
+    let mut seed = 7_u32;
+    for (_, bytes) in net.all[0].poll_transmit() {
+        for _ in 0..5_000 {
+            seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            let (mut damaged, place) = (bytes.clone(), seed as usize >> 8);
+            let length = damaged.len();
+            // Behind the name of the sender.
+            damaged[20 + place % (length - 20)] = (seed >> 3) as u8;
+            damaged.truncate(20 + (seed as usize >> 5) % (length - 19));
+            net.all[1].handle_datagram(&damaged, Ipv4Addr::LOCALHOST, (net.now, WALL_US), &mut net.events[1]);
+        }
+    }
+    assert!(net.all[1].counts().malformed > 0);
+    for k in 0..2_000_u32 {
+        let mut prefix = [9; 12];
+        prefix[..4].copy_from_slice(&k.to_le_bytes());
+        let (meta, user, lease) = (vec![at(9, 7410)], vec![], Span::from_ms(1 << 40));
+        let data =
+            super::super::discovery::ParticipantData { prefix, vendor: VENDOR, meta, user, lease, name: String::new() };
+        let made = Maker::new(prefix, None).data((DETECTOR, ANNOUNCER), 1, &data.payload(), (None, None)).finish();
+        net.all[1].handle_datagram(&made, Ipv4Addr::LOCALHOST, (net.now, WALL_US), &mut net.events[1]);
+        net.all[1].poll_transmit();
+    }
+    assert!(net.all[1].counts().participants <= 128);
+    assert_eq!(net.all[1].reader_state(0).matched, 1, "the one that goes with a topic here is kept");
+}
+
+#[test]
+fn a_sample_in_fragments_is_put_together() {
+    let mut net = Net::new(2);
+    net.all[0].add_writer("rt/a", "T", Qos::reliable(5), WALL_US);
+    net.all[1].add_reader("rt/a", "T", Qos::best_effort(5), WALL_US);
+    net.run(1_000);
+    let sample: Vec<u8> = (0..50).collect();
+    let fragment = |first: u32, bytes: &[u8]| {
+        let mut made = Maker::new([1; 12], None).finish();
+        let ends = [0, 0, 1, 4, 0, 0, 1, 3];
+        let body = [
+            &[0, 0, 28, 0][..],
+            &ends,
+            &0_i32.to_le_bytes(),
+            &1_u32.to_le_bytes(),
+            &first.to_le_bytes(),
+            &1_u16.to_le_bytes(),
+            &20_u16.to_le_bytes(),
+            &50_u32.to_le_bytes(),
+            bytes,
+        ];
+        let body = body.concat();
+        made.extend([&[0x16, 1][..], &(body.len() as u16).to_le_bytes(), &body].concat());
+        made
+    };
+    for (first, part) in [(3, &sample[40..]), (1, &sample[..20]), (1, &sample[..20]), (2, &sample[20..40])] {
+        assert!(net.events[1].is_empty());
+        let datagram = fragment(first, part);
+        net.all[1].handle_datagram(&datagram, Ipv4Addr::LOCALHOST, (net.now, WALL_US), &mut net.events[1]);
+    }
+    assert_eq!(net.events[1].len(), 1);
+    assert_eq!(net.events[1][0].payload, sample);
+}

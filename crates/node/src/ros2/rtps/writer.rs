@@ -1,0 +1,169 @@
+//! A writer: what it keeps, to whom it sends, and what it sends again (\[rtps\] 8.4.9).
+
+use super::qos::Qos;
+use super::wire::{Entity, Guid, Maker, Numbers, Prefix};
+use std::collections::{BTreeMap, VecDeque};
+use std::net::SocketAddrV4;
+use std::sync::Arc;
+
+/// Bytes of a sample at most: what a datagram over UDP takes, less heads.
+pub(crate) const LARGEST: usize = 64_000;
+/// Samples that are sent again for one question.
+const AGAIN: usize = 64;
+
+/// A datagram and where it is to go.
+pub(crate) type Outgoing = (SocketAddrV4, Vec<u8>);
+
+/// A sample as it is kept.
+#[derive(Clone, Debug)]
+struct Sample {
+    number: i64,
+    payload: Arc<[u8]>,
+    /// The key of an instance that is over.
+    over: Option<[u8; 16]>,
+}
+
+/// A reader of another participant.
+#[derive(Clone, Debug)]
+struct Reading {
+    to: SocketAddrV4,
+    reliable: bool,
+    /// The first sample that it is to have.
+    start: i64,
+    /// It has all below.
+    acked: i64,
+    /// Number of its last question.
+    count: Option<u32>,
+}
+
+/// A writer of this participant.
+#[derive(Debug)]
+pub(crate) struct Writer {
+    own: Prefix,
+    entity: Entity,
+    qos: Qos,
+    kept: VecDeque<Sample>,
+    last: i64,
+    readers: BTreeMap<Guid, Reading>,
+    beats: u32,
+}
+
+impl Writer {
+    /// One that keeps as many samples as `qos` says.
+    pub fn new(own: Prefix, entity: Entity, qos: Qos) -> Self {
+        Self { own, entity, qos, kept: VecDeque::new(), last: 0, readers: BTreeMap::new(), beats: 0 }
+    }
+
+    /// Readers that are sent to.
+    pub fn readers(&self) -> usize {
+        self.readers.len()
+    }
+
+    /// Which one it is.
+    pub fn entity(&self) -> Entity {
+        self.entity
+    }
+
+    fn first(&self) -> i64 {
+        self.kept.front().map_or(self.last + 1, |sample| sample.number)
+    }
+
+    /// Writes a sample to all readers.
+    pub fn write(&mut self, payload: Arc<[u8]>, over: Option<[u8; 16]>, wall_us: i64, out: &mut Vec<Outgoing>) {
+        self.last += 1;
+        let sample = Sample { number: self.last, payload, over };
+        let mut sent: Vec<(SocketAddrV4, Prefix)> = Vec::new();
+        for (guid, reader) in &self.readers {
+            // All readers of a participant get it with one datagram.
+            if !sent.contains(&(reader.to, guid.prefix)) {
+                sent.push((reader.to, guid.prefix));
+                out.push((reader.to, self.datagram(guid.prefix, [0; 4], &sample, wall_us)));
+            }
+        }
+        self.kept.push_back(sample);
+        while self.kept.len() > self.qos.depth.max(1) as usize {
+            self.kept.pop_front();
+        }
+    }
+
+    /// Answers a request: to its participant alone, and nothing is kept.
+    pub fn answer(&mut self, payload: &[u8], request: (Guid, i64), wall_us: i64, out: &mut Vec<Outgoing>) {
+        self.last += 1;
+        let reader = self.readers.iter().find(|(guid, _)| guid.prefix == request.0.prefix);
+        let Some((guid, reader)) = reader else { return };
+        let ends = ([0; 4], self.entity);
+        let made = Maker::new(self.own, Some(guid.prefix)).time(wall_us);
+        out.push((reader.to, made.data(ends, self.last, payload, (None, Some(request))).finish()));
+    }
+
+    fn datagram(&self, to: Prefix, reader: Entity, sample: &Sample, wall_us: i64) -> Vec<u8> {
+        let ends = (reader, self.entity);
+        let made = Maker::new(self.own, Some(to)).time(wall_us);
+        let made = made.data(ends, sample.number, &sample.payload, (sample.over, None));
+        made.finish()
+    }
+
+    /// A reader that goes with this writer; it is told what there is for it. `from_now`: what was written before is not
+    /// for it.
+    pub fn add(&mut self, guid: Guid, to: SocketAddrV4, reliable: bool, from_now: bool, out: &mut Vec<Outgoing>) {
+        if let Some(known) = self.readers.get_mut(&guid) {
+            known.to = to;
+            return;
+        }
+        let start = if from_now { self.last + 1 } else { self.first() };
+        self.readers
+            .insert(guid, Reading { to, reliable: reliable && self.qos.reliable, start, acked: start, count: None });
+        self.beat_one(guid, out);
+    }
+
+    /// A reader that is gone.
+    pub fn remove(&mut self, is: impl Fn(&Guid) -> bool) {
+        self.readers.retain(|guid, _| !is(guid));
+    }
+
+    /// Tells all reliable readers that have not everything what there is.
+    pub fn beat(&mut self, out: &mut Vec<Outgoing>) {
+        let behind: Vec<Guid> = self
+            .readers
+            .iter()
+            .filter(|(_, one)| one.reliable && one.acked <= self.last)
+            .map(|(guid, _)| *guid)
+            .collect();
+        behind.iter().for_each(|guid| self.beat_one(*guid, out));
+    }
+
+    fn beat_one(&mut self, guid: Guid, out: &mut Vec<Outgoing>) {
+        let (first, Some(reader)) = (self.first(), self.readers.get(&guid)) else { return };
+        if reader.reliable {
+            self.beats = self.beats.wrapping_add(1);
+            let range = (first.max(reader.start), self.last);
+            let made = Maker::new(self.own, Some(guid.prefix));
+            let made = made.heartbeat((guid.entity, self.entity), range, self.beats, false);
+            out.push((reader.to, made.finish()));
+        }
+    }
+
+    /// What a reader has not: it is sent again, or told that it will never be.
+    pub fn handle_acknack(&mut self, guid: Guid, missing: &Numbers, count: u32, wall_us: i64, out: &mut Vec<Outgoing>) {
+        let (first, last) = (self.first(), self.last);
+        let Some(reader) = self.readers.get_mut(&guid).filter(|reader| reader.reliable) else { return };
+        // The same question twice, or one that was overtaken; a reader that began anew counts anew.
+        if reader.count.is_some_and(|before| count <= before && before - count < 1_000) {
+            return;
+        }
+        reader.count = Some(count);
+        reader.acked = missing.base.clamp(reader.start, last + 1);
+        let (to, from) = (reader.to, first.max(reader.start));
+        let mut gone: Option<(i64, i64)> = None;
+        for number in missing.iter().take_while(|number| *number <= last).take(AGAIN) {
+            match self.kept.iter().find(|sample| sample.number == number && number >= from) {
+                Some(sample) => out.push((to, self.datagram(guid.prefix, guid.entity, sample, wall_us))),
+                None => gone = Some((gone.map_or(number, |(start, _)| start), from.max(number + 1))),
+            }
+        }
+        if let Some(range) = gone {
+            let made = Maker::new(self.own, Some(guid.prefix));
+            out.push((to, made.gap((guid.entity, self.entity), range).finish()));
+        }
+    }
+}

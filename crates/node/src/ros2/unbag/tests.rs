@@ -1,0 +1,110 @@
+use super::super::mcap::McapWriter;
+use super::super::messages::Message;
+use super::super::messages::standard::{Clock, Time};
+use super::*;
+use csi5300::signal::csi::Csi as Matrix;
+use driver_iface::bfee::Bfee;
+use driver_iface::record::{Step, events};
+
+fn csi(number: u32) -> Csi {
+    Csi {
+        header: Header { stamp: Time::from_us(12_000_000 + i64::from(number)), frame_id: String::new() },
+        mac: "00:21:6a:00:00:07".into(),
+        frame_count: number,
+        timestamp_low: 9,
+        bfee_count: 8,
+        n_rx: 2,
+        n_tx: 1,
+        rssi: [30, 0, 31],
+        noise: -92,
+        agc: 40,
+        rate_n_flags: 0x101,
+        antennas: vec![0, 2],
+        re: (0..60).collect(),
+        im: (-60..0).collect(),
+    }
+}
+
+/// A folder with a recording of these messages.
+fn recorded(name: &str, write: impl FnOnce(&mut McapWriter<File>)) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("csi5300-unbag-{name}-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    write(&mut McapWriter::new(File::create(folder.join("run_0.mcap")).unwrap()).unwrap());
+    folder
+}
+
+fn put<T: Message>(writer: &mut McapWriter<File>, topic: &str, message: &T) {
+    writer.put((topic, T::TYPE, T::definition), 5, &message.payload()).unwrap();
+}
+
+#[test]
+fn a_recording_becomes_a_log_and_a_trajectory() {
+    let folder = recorded("whole", |writer| {
+        (1..=3).for_each(|k| put(writer, "/n/csi", &csi(k)));
+        let bad = Csi { re: vec![1; 7], ..csi(4) };
+        put(writer, "/n/csi", &bad);
+        let mut odometry = Odometry::default();
+        odometry.header.stamp = Time::from_us(12_500_000);
+        (odometry.pose.pose.position.x, odometry.pose.pose.orientation.w) = (1.5, 1.0);
+        put(writer, "/odom", &odometry);
+        put(writer, "/clock", &Clock::default());
+        writer.finish().unwrap();
+    });
+    let out = folder.join("out");
+    let done = unbag(&folder, &out).unwrap();
+    let counts: Vec<_> =
+        done.topics.iter().map(|topic| (topic.topic.as_str(), topic.messages, topic.unreadable)).collect();
+    assert_eq!(counts, [("/n/csi", 3, 1), ("/odom", 1, 0)]);
+    assert_eq!((done.others, done.cut.len()), (1, 0));
+    let log = std::fs::read(out.join("n_csi.dat")).unwrap();
+    let bodies: Vec<&[u8]> = events(&log)
+        .filter_map(|step| match step {
+            Step::Record { record, .. } => Some(record.body),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(bodies.len(), 3);
+    let bfee = Bfee::new_checked(bodies[1]).unwrap();
+    let wsr = bfee.wsr().unwrap();
+    assert_eq!((wsr.tv_sec, wsr.tv_usec, wsr.frame_count, wsr.mac.to_string()), (12, 2, 2, csi(2).mac));
+    let matrix = Matrix::from_bfee(&bfee).unwrap();
+    assert_eq!(matrix.as_slice().iter().map(|h| h.re as i8).collect::<Vec<_>>(), csi(2).re);
+    assert_eq!(matrix.antenna(1), Some(driver_iface::bfee::Antenna::ALL[2]));
+    let path = std::fs::read_to_string(out.join("odom.csv")).unwrap();
+    assert!(path.starts_with("12.500000,0,1.500000,"), "{path}");
+    assert!(matches!(unbag(&folder, &out), Err(BagError::There { .. })), "nothing is overwritten");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn one_that_is_cut_is_read_up_to_there_and_what_is_none_is_said() {
+    let folder = recorded("cut", |writer| {
+        put(writer, "/csi", &csi(1));
+        writer.flush().unwrap();
+        put(writer, "/csi", &csi(2));
+        writer.flush().unwrap();
+    });
+    let file = folder.join("run_0.mcap");
+    let bytes = std::fs::read(&file).unwrap();
+    let messages = |length: usize| {
+        std::fs::write(&file, &bytes[..length]).unwrap();
+        let out = folder.join(length.to_string());
+        let done = unbag(&file, &out).unwrap();
+        assert_eq!(done.cut, [file.clone()]);
+        done.topics.iter().map(|topic| topic.messages).sum::<u64>()
+    };
+    assert_eq!(messages(bytes.len()), 2);
+    assert_eq!(messages(bytes.len() - 100), 1);
+    assert_eq!(messages(60), 0);
+    std::fs::write(&file, b"SQLite format 3").unwrap();
+    assert!(matches!(unbag(&file, &folder.join("x")), Err(BagError::NoMcap { .. })));
+    assert!(matches!(unbag(&folder.join("60"), &folder.join("x")), Err(BagError::Empty { .. })));
+    // A chunk that lz4 made.
+    let mut made = b"\x89MCAP0\r\n\x06".to_vec();
+    let content = [&[0; 28][..], &3_u32.to_le_bytes(), b"lz4", &0_u64.to_le_bytes()].concat();
+    made.extend((content.len() as u64).to_le_bytes());
+    made.extend(content);
+    std::fs::write(&file, made).unwrap();
+    assert!(matches!(unbag(&file, &folder.join("y")), Err(BagError::Compressed { by, .. }) if by == "lz4"));
+    std::fs::remove_dir_all(&folder).unwrap();
+}

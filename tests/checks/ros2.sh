@@ -1,0 +1,27 @@
+#!/usr/bin/env bash
+# The simulated room follows scripted robots over ROS 2, published by CycloneDDS with types written here; bearings, markers,
+# diagnostics, CSI and services come back. Also: discovery with and without multicast, ends that do not go together,
+# messages and datagrams that are none, a flood, peers that die and come again, recordings read by other programs. All over
+# loopback, in a network namespace where one can be made. 77: CycloneDDS's Python package cannot be installed here.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+python=$(scripts/venv.sh cyclonedds rosbags mcap mcap-ros2-support 2>/dev/null) ||
+    { echo "no Python, or cyclonedds, rosbags or mcap cannot be installed"; exit 77; }
+csi5300=$(scripts/program.sh)
+folder=$(mktemp -d)
+space=c5-ros2-$$
+clean() {
+    ip netns del "$space" 2>/dev/null || true
+    rm -rf "$folder"
+}
+trap clean EXIT
+cp examples/ros2/*.toml "$folder"
+inside=()
+if ip netns add "$space" 2>/dev/null && ip -n "$space" link set lo up multicast on 2>/dev/null; then
+    inside=(ip netns exec "$space")
+    export C5_MULTICAST=1
+else
+    echo "no network namespace can be made here: without multicast"
+fi
+"${inside[@]}" "$python" tests/checks/ros2/check.py "$csi5300" "$folder"
+"$python" tests/checks/ros2/bags.py "$folder"/run "$folder"/again

@@ -1,0 +1,259 @@
+"""check.py PROGRAM FOLDER: everything that tests/checks/ros2.sh says, but for the recordings."""
+import json, math, os, random, signal, socket, subprocess, sys, time
+
+csi5300, folder = os.path.abspath(sys.argv[1]), os.path.abspath(sys.argv[2])
+here = os.path.dirname(os.path.abspath(__file__))
+DOMAIN = random.randrange(10, 200)
+UNICAST = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>
+<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>
+<MaxAutoParticipantIndex>30</MaxAutoParticipantIndex><Peers><Peer address="127.0.0.1"/></Peers></Discovery></Domain></CycloneDDS>"""
+# Ports that only who hears the group knows.
+GROUP = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="true"/></Interfaces>
+<AllowMulticast>true</AllowMulticast></General><Discovery><ParticipantIndex>none</ParticipantIndex></Discovery></Domain></CycloneDDS>"""
+os.environ["CYCLONEDDS_URI"] = UNICAST
+
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.qos import Policy, Qos
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+import types_ros2 as ros
+
+reliable = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.History.KeepLast(50))
+best_effort = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(50))
+latched = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.Durability.TransientLocal, Policy.History.KeepLast(50))
+started = []
+
+def start(*words, **more):
+    process = subprocess.Popen(words, stdin=subprocess.DEVNULL, **more)
+    started.append(process)
+    return process
+
+def state(name="status.sock"):
+    with socket.socket(socket.AF_UNIX) as s:
+        s.connect(f"{folder}/{name}")
+        return json.loads(s.makefile().readline())
+
+def until(what, seconds, condition, name="status.sock"):
+    end = time.monotonic() + seconds
+    while True:
+        try:
+            told = state(name)
+            if condition(told):
+                return told
+        except (FileNotFoundError, ConnectionRefusedError, json.JSONDecodeError):
+            told = None
+        assert time.monotonic() < end, f"never: {what}: {json.dumps(told and {k: told[k] for k in ('trouble', 'odometry', 'ros2', 'poses')})}"
+        time.sleep(0.1)
+
+def start_node(config, log):
+    return start(csi5300, "node", "--config", f"{folder}/{config}", stdout=subprocess.DEVNULL, stderr=open(f"{folder}/{log}", "w"),
+                 env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)})
+
+def start_robots(uri=UNICAST):
+    return start(sys.executable, f"{here}/robots.py", str(DOMAIN), env={**os.environ, "CYCLONEDDS_URI": uri})
+
+def followed(told):
+    return told["odometry"]["followed"]["poses"]
+
+def goes_on(what):
+    before = followed(state())
+    until(what, 20, lambda told: followed(told) > before + 20)
+
+class Reader:
+    def __init__(self, participant, name, kind, qos):
+        self.name, self.reader = name, DataReader(participant, Topic(participant, name, kind), qos=qos)
+
+    def next(self, seconds=20):
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            for sample in self.reader.take(N=20):
+                if sample.sample_info.valid_data:
+                    return sample
+            time.sleep(0.005)
+        raise AssertionError(f"nothing came on {self.name}: {state()['ros2']}, {state()['trouble']}")
+
+def off(radians, truth):
+    return abs(math.degrees((radians - truth + math.pi) % (2 * math.pi) - math.pi))
+
+NODE = "rt/csi5300_tb3_0"
+TRUTH = {"tb3_1": math.atan2(10.0, 24.0), "tb3_2": math.atan2(16.0, -14.0)}
+
+def bearings(readers):
+    worst = 0.0
+    for peer, reader in readers.items():
+        end, good = time.monotonic() + 60, 0
+        while good < 3:
+            told = reader.next()
+            assert (told.peer, told.header.frame_id) == (peer, "odom"), told
+            here_off = off(told.azimuth, TRUTH[peer]) if told.state == "bearing" else math.inf
+            good = good + 1 if here_off < 1.0 else 0
+            worst = max(worst, here_off if good else 0.0)
+            assert time.monotonic() < end, f"{here_off} degrees off: {told}"
+    print(f"bearings of two robots over DDS, at most {worst:.2f} degrees off", flush=True)
+
+def outputs(participant):
+    """Everything else that is published."""
+    marked, peers, end = Reader(participant, f"{NODE}/markers", ros.MarkerArray, reliable), set(), time.monotonic() + 30
+    while peers != set(TRUTH):
+        told = marked.next()
+        assert len(told.markers) == 5 and {m.header.frame_id for m in told.markers} == {"odom"}, told
+        arrow, words = told.markers[0], told.markers[4]
+        if arrow.action == 0:
+            (a, b), name = arrow.points, arrow.ns
+            if off(math.atan2(b.y - a.y, b.x - a.x), TRUTH[name]) < 1.0 and words.text.startswith(name):
+                peers.add(name)
+        assert time.monotonic() < end, told
+    said = Reader(participant, "rt/diagnostics", ros.DiagnosticArray, reliable).next()
+    assert [s.name for s in said.status] == ["csi5300: card", "csi5300: odometry", "csi5300: peer tb3_1", "csi5300: peer tb3_2", "csi5300: node"], said
+    assert said.status[0].level == 0 and float(said.status[0].values[1].value) > 50, said
+    direction = Reader(participant, f"{NODE}/tb3_1/direction", ros.PoseStamped, reliable).next()
+    q = direction.pose.orientation
+    assert off(2 * math.atan2(q.z, q.w), TRUTH["tb3_1"]) < 2.0, direction
+    csi = Reader(participant, f"{NODE}/csi", ros.Csi, best_effort).next()
+    assert len(csi.re) == len(csi.im) == 30 * csi.n_rx * csi.n_tx and csi.mac and csi.frame_count > 0, csi
+    graph = Reader(participant, "ros_discovery_info", ros.ParticipantEntitiesInfo, latched).next()
+    node = graph.node_entities_info_seq[0]
+    assert (node.node_namespace, node.node_name) == ("/", "csi5300_tb3_0") and len(node.writer_gid_seq) > 8, graph
+    print("markers, diagnostics, directions, CSI and the graph of nodes are as they should be", flush=True)
+
+def service(participant, name, number):
+    topic = lambda part, kind: Topic(participant, f"{part}", kind)
+    writer = DataWriter(participant, topic(f"rq/csi5300_tb3_0/{name}Request", ros.TriggerRequest), qos=reliable)
+    reader = Reader(participant, f"rr/csi5300_tb3_0/{name}Reply", ros.TriggerResponse, reliable)
+    end = time.monotonic() + 10
+    while not writer.get_matched_subscriptions() or not reader.reader.get_matched_publications():
+        assert time.monotonic() < end, f"no service {name}"
+        time.sleep(0.05)
+    writer.write(ros.TriggerRequest(77, number, 0))
+    said = reader.next(10)
+    assert (said.client, said.number) == (77, number), said
+    return said
+
+def recording(participant):
+    said = service(participant, "stop_recording", 1)
+    assert said.success and said.message == f"{folder}/run", said
+    said = service(participant, "start_recording", 2)
+    assert said.success and said.message == f"{folder}/run-r1", said
+    time.sleep(2)
+    assert service(participant, "stop_recording", 3).success
+    assert not service(participant, "stop_recording", 4).success
+    os.rename(f"{folder}/run-r1", f"{folder}/again")
+    os.rename(f"{folder}/again/run-r1_0.mcap", f"{folder}/again/again_0.mcap")
+    text = open(f"{folder}/again/metadata.yaml").read().replace("run-r1_0", "again_0")
+    open(f"{folder}/again/metadata.yaml", "w").write(text)
+    print("recordings are started and stopped by services", flush=True)
+
+def wrong_ends(participant):
+    """Who asks for more than is offered, or sends something else, is told so."""
+    eager = DataReader(participant, Topic(participant, f"{NODE}/csi", ros.Csi), qos=reliable)
+    until("the mismatch is said", 10, lambda t: any("/csi5300_tb3_0/csi: the publisher is best effort, and the subscriber asks for reliable" in w for w in t["trouble"]))
+    del eager
+    until("it is over", 15, lambda t: not any("best effort" in w for w in t["trouble"]))
+    other = DataWriter(participant, Topic(participant, "rt/tb3_2/pose", ros.Odometry), qos=reliable)
+    until("the other type is said", 10, lambda t: any("another type" in w for w in t["trouble"] + [json.dumps(t["odometry"])]))
+    del other
+    print("ends that do not go together are said, in words", flush=True)
+
+def hostile(participant):
+    node = state()
+    words = [node["ros2"]["subscribed"]["/tb3_0/odom"]["unreadable"], node["ros2"]["dds"]["malformed"], node["load"]["memory_mib"]]
+    # Of the right name, with something else in it.
+    topic = Topic(participant, "rt/tb3_0/odom", ros.NoOdometry)
+    writer = DataWriter(participant, topic, qos=reliable)
+    end = time.monotonic() + 10
+    while not writer.get_matched_subscriptions():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    for k in range(500):
+        writer.write(ros.NoOdometry("x" * (k % 40)))
+    until("unreadable messages are counted", 10, lambda t: t["ros2"]["subscribed"]["/tb3_0/odom"]["unreadable"] >= words[0] + 100)
+    del writer
+    # Datagrams that are none, and some that nearly are.
+    host, port = node["ros2"]["address"].split(":")
+    noise, chance = socket.socket(socket.AF_INET, socket.SOCK_DGRAM), random.Random(1)
+    for k in range(20_000):
+        head = b"RTPS\x02\x04\x00\x00" + bytes(12) if k % 2 else b""
+        noise.sendto(head + chance.randbytes(chance.randrange(1, 200)), (host, int(port) + k % 2))
+        if k % 100 == 0:
+            time.sleep(0.002)
+    until("datagrams that are none are counted", 10, lambda t: t["ros2"]["dds"]["malformed"] > words[1] + 1_000)
+    # A flood of poses of a robot that is not followed by others: as fast as they can be written.
+    flood = DataWriter(participant, Topic(participant, "rt/tb3_2/pose", ros.PoseStamped), qos=best_effort)
+    end = time.monotonic() + 10
+    while not flood.get_matched_subscriptions():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+    before, begun, sent = state(), time.monotonic(), 0
+    pose = ros.PoseStamped(ros.Header(ros.Time(), "world"), ros.Pose(ros.Point(-14.0, 16.0, 0.0)))
+    while time.monotonic() < begun + 5:
+        flood.write(pose)
+        sent += 1
+    del flood
+    came = until("the node answers", 5, lambda t: True)["ros2"]["subscribed"]["/tb3_2/pose"]["read"] - before["ros2"]["subscribed"]["/tb3_2/pose"]["read"]
+    goes_on("poses go on after a flood")
+    grown = state()["load"]["memory_mib"] - words[2]
+    assert grown < 24, f"{grown} MiB more"
+    print(f"malformed messages and datagrams are counted; a flood of {sent} poses in 5 s ({came} read) stops nothing; {grown:.1f} MiB more", flush=True)
+
+def discovery(uri, what):
+    begun = time.monotonic()
+    robots = start_robots(uri)
+    before = state()["ros2"]["subscribed"]["/tb3_0/odom"]["read"]
+    found = until(f"robots are found {what}", 20, lambda t: t["ros2"]["subscribed"]["/tb3_0/odom"]["publishers"] > 0)
+    taken = time.monotonic() - begun
+    until("poses come", 20, lambda t: t["ros2"]["subscribed"]["/tb3_0/odom"]["read"] > before + 20)
+    print(f"found {what} {taken:.1f} s after the start of its process", flush=True)
+    return robots, taken
+
+def end(process):
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+
+def main():
+    with open(f"{folder}/room.toml", "a") as room:
+        room.write('[[robot]]\nname = "tb3_2"\nposition_m = [-14.0, 16.0, 0.0]\nantenna_m = [-0.03, 0.0, 0.20]\nmotion.followed = {}\n')
+    text = open(f"{folder}/robot.toml").read()
+    text = text.replace('[[peer]]', 'tb3_2.ros2 = { topic = "/tb3_2/pose", type = "pose" }\n\n[[peer]]', 1)
+    text = text.replace("[ros2]\n", f'[[peer]]\nname = "tb3_2"\nrecords.room = {{}}\nposes.room = {{}}\nantenna_offset_m = [-0.03, 0.0, 0.20]\n\n[ros2]\nbag = "run"\n')
+    open(f"{folder}/robot.toml", "w").write(text)
+    node = start_node("robot.toml", "node.log")
+    until("the node runs", 20, lambda t: True)
+    robots, taken = discovery(UNICAST, "without multicast")
+    assert taken < 3.5, taken
+    participant = DomainParticipant(DOMAIN)
+    readers = {peer: Reader(participant, f"{NODE}/{peer}/bearing", ros.Bearing, reliable) for peer in TRUTH}
+    bearings(readers)
+    outputs(participant)
+    recording(participant)
+    wrong_ends(participant)
+    hostile(participant)
+    # A robot that dies is missed; one that begins anew is heard.
+    end(robots)
+    until("silence is said", 20, lambda t: any("nothing comes any more" in w for w in t["trouble"]))
+    robots, taken = discovery(UNICAST, "again")
+    assert taken < 3.5, taken
+    until("no trouble is left", 20, lambda t: not t["trouble"])
+    bearings(readers)
+    if os.environ.get("C5_MULTICAST"):
+        end(robots)
+        time.sleep(1)
+        robots, taken = discovery(GROUP, "by multicast")
+        assert taken < 3.5, taken
+    node.send_signal(signal.SIGTERM)
+    assert node.wait(20) in (0, 3), open(f"{folder}/node.log").read()
+    print(open(f"{folder}/node.log").read()[-300:])
+
+try:
+    main()
+except BaseException:
+    for name in os.listdir(folder):
+        if name.endswith(".log"):
+            print(f"{name}:\n{open(f'{folder}/{name}').read()[-2000:]}")
+    raise
+finally:
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+            process.wait()
