@@ -198,10 +198,11 @@ def hostile(participant):
     print(f"malformed messages and datagrams are counted; a flood of {sent} poses in 5 s ({came} read) stops nothing; {grown:.1f} MiB more", flush=True)
 
 def discovery(uri, what):
+    before = state()["ros2"]["subscribed"]["/tb3_0/odom"]["read"]
     begun = time.monotonic()
     robots = start_robots(uri)
-    before = state()["ros2"]["subscribed"]["/tb3_0/odom"]["read"]
-    found = until(f"robots are found {what}", 20, lambda t: t["ros2"]["subscribed"]["/tb3_0/odom"]["publishers"] > 0)
+    # Nothing comes of those that were there before.
+    until(f"robots are found {what}", 20, lambda t: t["ros2"]["subscribed"]["/tb3_0/odom"]["read"] > before)
     taken = time.monotonic() - begun
     until("poses come", 20, lambda t: t["ros2"]["subscribed"]["/tb3_0/odom"]["read"] > before + 20)
     print(f"found {what} {taken:.1f} s after the start of its process", flush=True)

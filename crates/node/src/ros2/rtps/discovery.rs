@@ -216,10 +216,10 @@ impl EndpointData {
         list.finish()
     }
 
-    /// From a payload.
-    pub fn read(payload: &[u8]) -> Result<Option<Self>, CdrError> {
+    /// From a payload. What it leaves out is as usual: writers are reliable, readers best effort.
+    pub fn read(payload: &[u8], is_writer: bool) -> Result<Option<Self>, CdrError> {
         let (mut guid, mut topic, mut kind) = (None, None, None);
-        let (mut qos, mut unicast) = (Qos::default(), Vec::new());
+        let (mut qos, mut unicast) = (Qos { reliable: is_writer, ..Qos::default() }, Vec::new());
         each(payload, |id, mut value| {
             match id {
                 id::ENDPOINT => guid = Guid::from_bytes(value.rest()),
@@ -282,13 +282,20 @@ mod tests {
         let (topic, kind) = ("rt/odom".into(), "nav_msgs::msg::dds_::Odometry_".into());
         let endpoint = EndpointData { guid, topic, kind, qos, unicast: vec![at(1, 9)] };
         let other = endpoint.payload();
-        assert_eq!(EndpointData::read(&other), Ok(Some(endpoint)));
+        assert_eq!(EndpointData::read(&other, true), Ok(Some(endpoint)));
         assert_eq!(key(&other), Some(guid));
+        let mut least = List::new();
+        least.put(id::ENDPOINT, |value| value.put(&guid.bytes()));
+        least.put(id::TOPIC, |value| "t".to_owned().write(value));
+        least.put(id::TYPE, |value| "T".to_owned().write(value));
+        let least = least.finish();
+        let reliable = |is_writer| EndpointData::read(&least, is_writer).unwrap().unwrap().qos.reliable;
+        assert!(reliable(true) && !reliable(false), "what is left out is as usual");
         for cut in 0..payload.len() {
             assert!(ParticipantData::read(&payload[..cut]).is_err(), "{cut}");
         }
         for cut in 0..other.len() {
-            assert!(EndpointData::read(&other[..cut]).is_err(), "{cut}");
+            assert!(EndpointData::read(&other[..cut], true).is_err(), "{cut}");
         }
     }
 

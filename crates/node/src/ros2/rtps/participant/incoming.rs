@@ -164,7 +164,7 @@ impl Participant {
     }
 
     fn handle_endpoint(&mut self, is_writer: bool, from: Prefix, payload: &[u8]) {
-        match EndpointData::read(payload) {
+        match EndpointData::read(payload, is_writer) {
             Ok(Some(data)) if data.guid.prefix == from => {
                 let is_new = !self.others.contains_key(&data.guid);
                 if is_new && self.others.len() >= ENDPOINTS {
