@@ -67,20 +67,10 @@ impl Shared {
         self.unsent.fetch_add(unsent as u64, Ordering::Relaxed);
     }
 
-    fn write(&self, writer: usize, payload: Vec<u8>) {
+    fn write(&self, writer: usize, payload: Vec<u8>, request: Option<(Guid, i64)>) {
         let out = {
             let mut participant = lock(&self.participant);
-            participant.write(writer, payload.into(), self.wall_us());
-            participant.poll_transmit()
-        };
-        self.send(out);
-    }
-
-    fn answer(&self, writer: usize, payload: &[u8], request: Option<(Guid, i64)>) {
-        let Some(request) = request else { return self.write(writer, payload.to_vec()) };
-        let out = {
-            let mut participant = lock(&self.participant);
-            participant.answer(writer, payload, request, self.wall_us());
+            participant.write(writer, payload.into(), request, self.wall_us());
             participant.poll_transmit()
         };
         self.send(out);
@@ -140,7 +130,7 @@ impl Shared {
                 humble::ParticipantEntitiesInfo { gid: gid(&own), node_entities_info_seq: vec![node] }.payload()
             }
         };
-        self.write(writer, payload);
+        self.write(writer, payload, None);
     }
 
     /// Takes what came, and does what is due; then waits for more.
@@ -189,7 +179,7 @@ impl<T: Message> Publisher<T> {
             self.too_large.fetch_add(1, Ordering::Relaxed);
         } else {
             self.sent.fetch_add(1, Ordering::Relaxed);
-            self.shared.write(self.writer, payload);
+            self.shared.write(self.writer, payload, None);
         }
     }
 }
@@ -299,7 +289,7 @@ impl Link {
                     good.fetch_add(1, Ordering::Relaxed);
                     sent.fetch_add(1, Ordering::Relaxed);
                     let (payload, request) = super::services::answer(head, &answer(shared, question));
-                    shared.answer(writer, &payload, request);
+                    shared.write(writer, payload, request);
                 }
                 None => drop(bad.fetch_add(1, Ordering::Relaxed)),
             })

@@ -19,8 +19,8 @@ pub(crate) type Outgoing = (SocketAddrV4, Vec<u8>);
 struct Sample {
     number: i64,
     payload: Arc<[u8]>,
-    /// The key of an instance that is over.
-    over: Option<[u8; 16]>,
+    /// The request that it answers.
+    request: Option<(Guid, i64)>,
 }
 
 /// A reader of another participant.
@@ -68,10 +68,10 @@ impl Writer {
         self.kept.front().map_or(self.last + 1, |sample| sample.number)
     }
 
-    /// Writes a sample to all readers.
-    pub fn write(&mut self, payload: Arc<[u8]>, over: Option<[u8; 16]>, wall_us: i64, out: &mut Vec<Outgoing>) {
+    /// Writes a sample to all readers; `request` is what it answers, if it is an answer.
+    pub fn write(&mut self, payload: Arc<[u8]>, request: Option<(Guid, i64)>, wall_us: i64, out: &mut Vec<Outgoing>) {
         self.last += 1;
-        let sample = Sample { number: self.last, payload, over };
+        let sample = Sample { number: self.last, payload, request };
         let mut sent: Vec<(SocketAddrV4, Prefix)> = Vec::new();
         for (guid, reader) in &self.readers {
             // All readers of a participant get it with one datagram.
@@ -86,20 +86,10 @@ impl Writer {
         }
     }
 
-    /// Answers a request: to its participant alone, and nothing is kept.
-    pub fn answer(&mut self, payload: &[u8], request: (Guid, i64), wall_us: i64, out: &mut Vec<Outgoing>) {
-        self.last += 1;
-        let reader = self.readers.iter().find(|(guid, _)| guid.prefix == request.0.prefix);
-        let Some((guid, reader)) = reader else { return };
-        let ends = ([0; 4], self.entity);
-        let made = Maker::new(self.own, Some(guid.prefix)).time(wall_us);
-        out.push((reader.to, made.data(ends, self.last, payload, (None, Some(request))).finish()));
-    }
-
     fn datagram(&self, to: Prefix, reader: Entity, sample: &Sample, wall_us: i64) -> Vec<u8> {
         let ends = (reader, self.entity);
         let made = Maker::new(self.own, Some(to)).time(wall_us);
-        let made = made.data(ends, sample.number, &sample.payload, (sample.over, None));
+        let made = made.data(ends, sample.number, &sample.payload, (None, sample.request));
         made.finish()
     }
 

@@ -208,9 +208,11 @@ impl Participant {
                 }
             }
         } else {
+            // An answer may be written before it is known that who asked reads it.
+            let from_now = data.qos.durability == 0 && !data.topic.starts_with("rr/");
             for own in self.writers.iter_mut().filter(|own| own.data.topic == data.topic) {
                 match wrong(&own.data.kind, &data.kind).or_else(|| own.data.qos.mismatch(&data.qos)) {
-                    None => own.end.add(guid, to, data.qos.reliable, data.qos.durability == 0, &mut self.out),
+                    None => own.end.add(guid, to, data.qos.reliable, from_now, &mut self.out),
                     Some(why) => drop(own.wrong.insert(guid, why)),
                 }
             }

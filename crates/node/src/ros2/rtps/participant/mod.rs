@@ -189,17 +189,10 @@ impl Participant {
         EndpointData { guid, topic: topic.to_owned(), kind: kind.to_owned(), qos: qos.clone(), unicast }
     }
 
-    /// Writes a sample.
-    pub fn write(&mut self, writer: usize, payload: Arc<[u8]>, wall_us: i64) {
+    /// Writes a sample; `request` is what it answers, if it is an answer.
+    pub fn write(&mut self, writer: usize, payload: Arc<[u8]>, request: Option<(Guid, i64)>, wall_us: i64) {
         if let Some(own) = self.writers.get_mut(writer) {
-            own.end.write(payload, None, wall_us, &mut self.out);
-        }
-    }
-
-    /// Answers a request: to who asked alone.
-    pub fn answer(&mut self, writer: usize, payload: &[u8], request: (Guid, i64), wall_us: i64) {
-        if let Some(own) = self.writers.get_mut(writer) {
-            own.end.answer(payload, request, wall_us, &mut self.out);
+            own.end.write(payload, request, wall_us, &mut self.out);
         }
     }
 

@@ -55,7 +55,7 @@ impl Net {
     }
 
     fn write(&mut self, participant: usize, writer: usize, sample: u8) {
-        self.all[participant].write(writer, Arc::from([0, 1, 0, 0, sample]), WALL_US);
+        self.all[participant].write(writer, Arc::from([0, 1, 0, 0, sample]), None, WALL_US);
     }
 
     /// Last bytes of the samples that came.
@@ -99,6 +99,18 @@ fn what_is_latched_comes_to_who_is_late_and_the_rest_does_not() {
     net.write(0, 1, 42);
     net.run(500);
     assert_eq!(net.came(1), [3, 4, 42]);
+}
+
+#[test]
+fn an_answer_that_is_written_before_its_reader_is_known_comes_all_the_same() {
+    let mut net = Net::new(2);
+    net.all[0].add_writer("rr/aReply", "T", Qos::reliable(10), WALL_US);
+    net.run(1_000);
+    let request = (Guid { prefix: [2; 12], entity: [0, 0, 1, 3] }, 6);
+    net.all[0].write(0, Arc::from([0, 1, 0, 0, 9]), Some(request), WALL_US);
+    net.all[1].add_reader("rr/aReply", "T", Qos::reliable(10), WALL_US);
+    net.run(1_000);
+    assert_eq!(net.came(1), [9]);
 }
 
 #[test]
