@@ -73,6 +73,7 @@ impl Bag {
         if let Some(running) = &*running {
             return Ok(running.folder.clone());
         }
+        *self.counts.failed.lock().unwrap_or_else(PoisonError::into_inner) = None;
         let folder = free_name(&self.folder);
         std::fs::create_dir_all(&folder)?;
         let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned() + "_0.mcap";

@@ -13,7 +13,7 @@ use driver_iface::bfee::{Antenna, Bfee};
 use driver_iface::record::Record;
 
 /// Publishes records.
-pub(super) struct Records {
+pub(in crate::ros2) struct Records {
     pub csi: Publisher<Csi>,
     pub clock: SimClock,
     pub survey: Survey,
@@ -31,7 +31,8 @@ impl Tap for Records {
     fn pose(&mut self, _: Option<Pose>) {}
 }
 
-fn csi(stamp: Time, bfee: &Bfee<'_>, identity: Identity) -> Csi {
+/// A record as a message.
+pub(in crate::ros2) fn csi(stamp: Time, bfee: &Bfee<'_>, identity: Identity) -> Csi {
     let known = Matrix::from_bfee(bfee).ok();
     let matrix = known.unwrap_or_else(|| Matrix::raw(bfee));
     let antenna = |row: usize| known.and_then(|known| known.antenna(row));

@@ -7,7 +7,7 @@
 //! | `diagnostics` | the state of the robot |
 //! | `csi` | the card's records |
 
-mod csi;
+pub(super) mod csi;
 mod diagnostics;
 mod markers;
 mod said;

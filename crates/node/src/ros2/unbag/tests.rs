@@ -1,8 +1,11 @@
 use super::super::mcap::McapWriter;
 use super::super::messages::Message;
 use super::super::messages::standard::{Clock, Time};
+use super::super::publish::csi::csi as csi_of;
 use super::*;
 use csi5300::signal::csi::Csi as Matrix;
+use csi5300::source::survey::Survey;
+use csi5300::source::{Next, Stamps};
 use driver_iface::bfee::Bfee;
 use driver_iface::record::{Step, events};
 
@@ -57,14 +60,8 @@ fn a_recording_becomes_a_log_and_a_trajectory() {
     assert_eq!(counts, [("/n/csi", 3, 1), ("/odom", 1, 0)]);
     assert_eq!((done.others, done.cut.len()), (1, 0));
     let log = std::fs::read(out.join("n_csi.dat")).unwrap();
-    let bodies: Vec<&[u8]> = events(&log)
-        .filter_map(|step| match step {
-            Step::Record { record, .. } => Some(record.body),
-            _ => None,
-        })
-        .collect();
-    assert_eq!(bodies.len(), 3);
-    let bfee = Bfee::new_checked(bodies[1]).unwrap();
+    assert_eq!(bodies(&log).len(), 3);
+    let bfee = Bfee::new_checked(bodies(&log)[1]).unwrap();
     let wsr = bfee.wsr().unwrap();
     assert_eq!((wsr.tv_sec, wsr.tv_usec, wsr.frame_count, wsr.mac.to_string()), (12, 2, 2, csi(2).mac));
     let matrix = Matrix::from_bfee(&bfee).unwrap();
@@ -73,6 +70,42 @@ fn a_recording_becomes_a_log_and_a_trajectory() {
     let path = std::fs::read_to_string(out.join("odom.csv")).unwrap();
     assert!(path.starts_with("12.500000,0,1.500000,"), "{path}");
     assert!(matches!(unbag(&folder, &out), Err(BagError::There { .. })), "nothing is overwritten");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+/// The records of a log.
+fn bodies(log: &[u8]) -> Vec<&[u8]> {
+    let body = |step| match step {
+        Step::Record { record, .. } => Some(record.body),
+        _ => None,
+    };
+    events(log).filter_map(body).collect()
+}
+
+#[test]
+fn a_log_that_was_published_and_recorded_is_the_log_again() {
+    let log = include_bytes!("../../../../../tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat");
+    let mut survey = Survey::default();
+    let folder = recorded("again", |writer| {
+        for body in bodies(log) {
+            let next = Next::Record(Stamps::default(), Record { code: BFEE, body });
+            let (bfee, identity) = survey.note(&next).unwrap();
+            put(writer, "/csi", &csi_of(Time::from_us(identity.host_us.unwrap()), &bfee, identity));
+        }
+        writer.finish().unwrap();
+    });
+    unbag(&folder, &folder).unwrap();
+    let again = std::fs::read(folder.join("csi.dat")).unwrap();
+    assert!(bodies(log).len() > 100 && bodies(log).len() == bodies(&again).len());
+    for (before, after) in bodies(log).into_iter().zip(bodies(&again)) {
+        let (before, after) = (Bfee::new_checked(before).unwrap(), Bfee::new_checked(after).unwrap());
+        // Chains are in the order of their antennas afterwards.
+        let plain = |bfee| Repr { antenna_sel: 0, reserved: 0, ..Repr::parse(bfee) };
+        assert_eq!(plain(&before), plain(&after));
+        let matrix = |bfee| Matrix::from_bfee(bfee).unwrap();
+        assert_eq!(matrix(&before).as_slice(), matrix(&after).as_slice());
+        assert_eq!(matrix(&before).antenna(0), matrix(&after).antenna(0));
+    }
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
