@@ -9,8 +9,16 @@
     font, size: 34, gap: 3, ...more,
   });
 
+  // uPlot keeps charts that share a cursor: those that left the page are taken away.
+  let living = [];
+  const sweep = () => {
+    living.filter(({ box }) => !box.isConnected).forEach(({ plot }) => plot.destroy());
+    living = living.filter(({ box }) => box.isConnected);
+  };
+
   // A chart as wide as its host. `y` has a label, a range and a size; `options` are uPlot's, which they complete.
   csi.chart = (host, { height, x, y, options, data }) => {
+    sweep();
     const box = csi.el("div", { class: "plot" });
     if (y.name) box.append(csi.el("div", { class: "name" }, y.name));
     const inner = csi.el("div");
@@ -25,12 +33,16 @@
     };
     const plot = new uPlot(whole, data, inner);
     const resize = new ResizeObserver(() => {
+      if (!box.isConnected) {
+        resize.disconnect();
+        return;
+      }
       const width = Math.max(200, Math.floor(box.clientWidth));
       if (Math.abs(width - plot.width) > 1) plot.setSize({ width, height });
     });
     resize.observe(box);
-    const redraw = () => plot.redraw(false);
-    csi.onTheme(redraw);
+    csi.onTheme(box, () => plot.redraw(false));
+    living.push({ plot, box });
     return { plot, box };
   };
 

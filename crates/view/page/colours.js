@@ -3,18 +3,27 @@
 {
   const root = document.documentElement;
   const system = matchMedia("(prefers-color-scheme: dark)");
-  const listeners = [];
+  let listeners = [];
+  // What is no longer on the page is forgotten.
+  const tell = () => {
+    listeners = listeners.filter(({ owner }) => owner.isConnected);
+    listeners.forEach(({ call }) => call());
+  };
   const stored = () => { try { return localStorage.getItem("csi5300-theme"); } catch { return null; } };
   const apply = () => {
     root.dataset.theme = stored() ?? (system.matches ? "dark" : "light");
-    listeners.forEach((call) => call());
+    tell();
   };
-  csi.onTheme = (call) => listeners.push(call);
+  // Calls whenever light turns to dark, for as long as the owner is on the page.
+  csi.onTheme = (owner, call) => {
+    listeners = listeners.filter((other) => other.owner.isConnected);
+    listeners.push({ owner, call });
+  };
   csi.turnTheme = () => {
     const other = root.dataset.theme === "dark" ? "light" : "dark";
     try { localStorage.setItem("csi5300-theme", other); } catch { /* A file may keep nothing. */ }
     root.dataset.theme = other;
-    listeners.forEach((call) => call());
+    tell();
   };
   system.addEventListener("change", apply);
   apply();

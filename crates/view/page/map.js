@@ -26,11 +26,13 @@
       this.canvas = host.appendChild(csi.el("canvas", { class: "map", role: "img", "aria-label": "map of robots and bearings" }));
       this.scene = null;
       this.view = null;
-      new ResizeObserver(() => {
+      const resize = new ResizeObserver(() => {
+        if (!this.canvas.isConnected) return resize.disconnect();
         if (!this.moved) this.view = null;
-        this.draw();
-      }).observe(this.canvas);
-      csi.onTheme(() => this.draw());
+        return this.draw();
+      });
+      resize.observe(this.canvas);
+      csi.onTheme(this.canvas, () => this.draw());
       this.listen();
     }
 

@@ -107,20 +107,18 @@
     const known = tracks.filter(([, , times]) => times.length);
     if (!known.length) return;
     host.append(choice, place);
-    let plot = null;
     const draw = () => {
       const [, colour, times, values] = tracks[chosen];
       [...choice.children].forEach((button, k) => button.setAttribute("aria-pressed", String(k === chosen)));
       place.replaceChildren();
-      plot?.destroy();
-      ({ plot } = csi.chart(place, {
+      csi.chart(place, {
         height: 170, x: {}, y: { name: "phase (radians) over time (s)" },
         options: {
           scales: { x: { time: false }, y: { range: [-Math.PI, Math.PI] } }, cursor: { show: true, y: false },
           series: [{}, { stroke: () => csi.colour(colour), paths: () => null, points: { show: true, size: 3, width: 0, fill: () => csi.colour(colour) } }],
         },
         data: [times, values.map(wrapped)],
-      }));
+      });
     };
     tracks.forEach(([words], k) => choice.append(csi.button(words, words, () => { chosen = k; draw(); })));
     draw();

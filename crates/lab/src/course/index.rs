@@ -26,7 +26,7 @@ const RECORDS_A_BIN: usize = 20;
 /// Senders told apart; further ones are one.
 const SENDERS: usize = u16::MAX as usize;
 
-/// A log read once. It keeps 26 bytes a record and the CSI of [`KEPT`] columns, whatever the log's length; CSI of shorter
+/// A log read once. It keeps 26 bytes a record and the CSI of 4,096 columns, whatever the log's length; CSI of shorter
 /// stretches is read again from the file.
 pub struct LogIndex {
     path: PathBuf,
