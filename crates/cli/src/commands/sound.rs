@@ -2,7 +2,7 @@
 
 use super::args::{Estimation, channel};
 use super::live::{Signals, duration};
-use super::sounding::{NO_NUMBERS, Sounding, Wanted, Words, tell};
+use super::sounding::{NO_NUMBERS, Sounding, Wanted, Words, tell, waiting};
 use super::{Result, hint, print, print_json, usage};
 use csi5300::exchange::tdma::{Epoch, Event, Plan, Priority};
 use csi5300::motion::odometry;
@@ -203,6 +203,7 @@ pub fn run(args: &Args) -> Result {
             config.silence_slots = ALONE_SILENCE_SLOTS.max((ALONE_SILENCE_US / slot_us).ceil() as u32);
         }
     })?;
+    eprintln!("{}", waiting(&common.peers, opened.tdma.transmit_at().map(|at| at - now)));
     let bearings = match (&args.trajectory, args.channel) {
         (Some(path), Some(channel)) => {
             let options = args.estimation.options(channel)?;

@@ -23,7 +23,7 @@ use std::path::PathBuf;
 
 mod words;
 
-pub use words::{NO_NUMBERS, tell};
+pub use words::{NO_NUMBERS, tell, waiting};
 
 /// Arguments of both commands.
 #[derive(clap::Args, Clone, Debug)]

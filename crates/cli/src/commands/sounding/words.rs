@@ -1,6 +1,7 @@
 //! What `sound` and `respond` say: while they run, and at the end.
 
 use csi5300::exchange::tdma::{Event, TdmaCounts};
+use csi5300::time::Span;
 use csi5300_live::monitor::Counters;
 use csi5300_live::sounding::{Figures, Finished, KERNEL_TURN_AROUND_US, News, spread_of};
 use driver_iface::Mac;
@@ -10,17 +11,34 @@ use std::fmt::Write as _;
 /// Said once where the driver's records cannot be told apart.
 pub const NO_NUMBERS: &str = "the driver's records carry neither sender nor number: load it with connector_log=0x5 (csitool), or use the WSR driver";
 
+/// A first frame within this is said to come at once, seconds.
+const AT_ONCE_S: f64 = 0.5;
+/// The summary of a session without a frame.
+const NOTHING_SENT: &str =
+    "no frame was sent: it ended while this robot still listened for others, or nobody sounded it\n";
+
 /// Says news as they come.
 pub fn tell(news: &News) {
     match news {
         News::Started(granted) => eprintln!("{granted}"),
         News::Notice(notice) => eprintln!("{notice}"),
         News::Event(Event::Joined(peer)) => eprintln!("{} is there", peer),
-        News::Event(Event::Absent(peer)) => eprintln!("{} does not answer any more", peer),
+        News::Event(Event::Absent(peer)) => eprintln!("{} does not answer: it is waited for", peer),
         News::Event(Event::Restarted { peer, .. }) => eprintln!("{} was started anew", peer),
         News::Event(Event::Yielded { to, .. }) => eprintln!("{} initiates too, and takes precedence", to),
         News::Event(_) => {}
     }
+}
+
+/// What is waited for before the first frame, and from then on.
+pub fn waiting(peers: &[Mac], first_in: Option<Span>) -> String {
+    let peers = peers.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    let first = first_in.map_or(0, Span::as_us) as f64 * 1e-6;
+    let first = match first > AT_ONCE_S {
+        true => format!("in {first:.1} s, if no other robot is heard to initiate until then (--alone: at once)"),
+        false => "at once".to_string(),
+    };
+    format!("first frame {first}; then answers of {peers} are waited for")
 }
 
 /// How a session went.
@@ -43,6 +61,9 @@ pub fn summary(peers: &[Mac], finished: &Finished) -> String {
         let _ = writeln!(text, "  lateness: {}: every slot that was due, skipped ones too", spread_of(&figures.due_us));
         let _ = writeln!(text, "  lateness of the frames sent: {}", spread_of(&figures.lateness_us));
         let _ = writeln!(text, "  answers began after: {}", spread_of(&figures.answer_us));
+    }
+    if counts.forward + counts.replies == 0 {
+        text.push_str(NOTHING_SENT);
     }
     if counts.replies > 0 {
         let _ = writeln!(text, "{} answers", counts.replies);
@@ -134,6 +155,14 @@ fn confirmed(finished: &Finished) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_waited_for_is_said() {
+        let peers = ["00:21:6a:00:00:02".parse().unwrap(), "00:21:6a:00:00:03".parse().unwrap()];
+        let soon = waiting(&peers, Some(Span::from_ms(150)));
+        assert_eq!(soon, "first frame at once; then answers of 00:21:6a:00:00:02, 00:21:6a:00:00:03 are waited for");
+        assert!(waiting(&peers, Some(Span::from_ms(6_400))).contains("in 6.4 s, if no other robot"));
+    }
 
     #[test]
     fn rounds_without_an_answer_are_said_where_they_are_many() {
