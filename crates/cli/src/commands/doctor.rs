@@ -1,11 +1,15 @@
 //! `csi5300 doctor`.
 
+mod bring_up;
+
+use super::args::mac;
 use super::live::{Listening, Signals, duration};
 use super::{Outcome, Result, print, print_json};
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Span;
-use csi5300_live::doctor::{Check, Heard, Machine, System, Tree, Verdict, examine};
+use csi5300_live::doctor::{Check, Heard, Machine, System, Tree, Verdict, default_interface, examine};
 use csi5300_live::wait::Monotonic;
+use driver_iface::Mac;
 use std::fmt::Write;
 use std::os::fd::AsFd;
 use std::path::PathBuf;
@@ -22,6 +26,15 @@ pub struct Args {
     /// Look at a copy of another machine's files (sys, proc, lib) instead of this machine
     #[arg(long, value_name = "FOLDER")]
     root: Option<PathBuf>,
+    /// The first robot: ask in order what only a card can tell, and write a report to send in (takes a minute)
+    #[arg(long, value_name = "REPORT.txt", conflicts_with_all = ["json", "listen", "root"])]
+    bring_up: Option<PathBuf>,
+    /// The card's interface, for --bring-up; found on the PCI bus where not given
+    #[arg(long, value_name = "NAME", requires = "bring_up")]
+    interface: Option<String>,
+    /// Another robot, for --bring-up: frames are sent to it
+    #[arg(long, value_parser = mac, value_name = "MAC", requires = "bring_up")]
+    peer: Option<Mac>,
     #[command(flatten)]
     listening: Listening,
 }
@@ -39,6 +52,11 @@ pub fn run(args: &Args) -> Result {
         Some(root) => Box::new(Tree::new(root.clone())),
         None => Box::new(Machine),
     };
+    if let Some(report) = &args.bring_up {
+        let found = args.interface.clone().map_or_else(|| default_interface(system.as_ref()), Ok);
+        let interface = found.map_err(|error| format!("{error}: name the card's interface with --interface"))?;
+        return bring_up::run(&interface, args.peer, report).map(|()| Outcome::Done);
+    }
     let mut checks = examine(system.as_ref());
     if let Some(span) = args.listen {
         checks.extend(listen(args, span)?);

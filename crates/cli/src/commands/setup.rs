@@ -4,7 +4,7 @@ use super::args::channel;
 use super::{Outcome, Result, print};
 use clap::ValueEnum;
 use csi5300::signal::channel::Channel;
-use csi5300_live::doctor::{self, Machine, Request, SetupError, Step, default_interface, plan, undo};
+use csi5300_live::doctor::{self, Machine, Request, SetupError, Step, default_interface, plan, undo, warnings};
 
 /// Arguments of `setup`.
 #[derive(clap::Args)]
@@ -18,10 +18,10 @@ pub struct Args {
     /// What this robot does in a round
     #[arg(long, value_enum, required_unless_present = "undo")]
     role: Option<Role>,
-    /// The CSI driver; found by its parameters where not given
+    /// What makes the CSI records; found by its parameters where not given
     #[arg(long, value_enum)]
     driver: Option<Driver>,
-    /// Length of the frames that this robot answers, checksum included (WSR driver, responder): 57, 59, 61 ...
+    /// Length of the frames that this robot's kernel answers, checksum included (WSR driver or module, responder): 57, 59 ...
     #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u32).range(28..=2304))]
     ack_len: Option<u32>,
     /// Take the steps instead of printing them
@@ -48,6 +48,8 @@ enum Driver {
     Stock,
     /// WSR
     Wsr,
+    /// The distribution's driver, with the module csi5300 beside it
+    Module,
 }
 
 /// Prints or takes the steps.
@@ -70,8 +72,10 @@ pub fn run(args: &Args) -> Result {
             let driver = args.driver.map(|driver| match driver {
                 Driver::Stock => doctor::Driver::Stock,
                 Driver::Wsr => doctor::Driver::Wsr,
+                Driver::Module => doctor::Driver::Module,
             });
             let request = Request { interface, channel, role, driver, ack_len: args.ack_len };
+            warnings(&system, &request).iter().for_each(|warning| eprintln!("{warning}"));
             plan(&system, &request).map_err(|error| words(&error))?
         }
         (false, _, _) => return Err("--channel and --role are needed".into()),
@@ -92,7 +96,10 @@ pub fn run(args: &Args) -> Result {
 /// A refusal with the argument that mends it.
 fn words(error: &SetupError) -> String {
     match error {
-        SetupError::NoCsiDriver => format!("{error} (`csi5300 doctor` says more; --driver overrides)"),
+        SetupError::NoCsiDriver => format!(
+            "{error}. With the distribution's driver: install the module csi5300 (packaging/dkms) and say --driver module \
+             (`csi5300 doctor` says more)"
+        ),
         SetupError::NoAckLen => {
             "a responder with the WSR driver needs --ack-len, the length of the frames meant for it \
                                  (57 for the first robot, 59 for the second ...)"

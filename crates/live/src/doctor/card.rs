@@ -7,9 +7,9 @@ const IWL5300: [&str; 2] = ["0x4235", "0x4236"];
 /// Others of the 5000 series that load the same firmware: 5100, 5350, 5150.
 const SERIES_5000: [&str; 6] = ["0x4232", "0x4237", "0x423a", "0x423b", "0x423c", "0x423d"];
 /// Bytes of csitool's firmware; its driver refuses any other (`iwl-drv.c`).
-const FIRMWARE_BYTES: u64 = 336_252;
+pub(super) const FIRMWARE_BYTES: u64 = 336_252;
 const FIRMWARE_VERSION: &str = "8.24.2.12";
-const FIRMWARE: &str = "/lib/firmware/iwlwifi-5000-2.ucode";
+pub(super) const FIRMWARE: &str = "/lib/firmware/iwlwifi-5000-2.ucode";
 /// Kernels for which a patched driver is published: csitool's branches, and 4.15 (spanev, WSR).
 const KERNELS: [&str; 11] = ["3.2", "3.5", "3.11", "3.13", "3.16", "3.17", "3.18", "3.19", "4.1", "4.2", "4.15"];
 const PARAMETERS: &str = "/sys/module/iwlwifi/parameters";
@@ -145,15 +145,18 @@ fn firmware_file(system: &dyn System) -> Check {
     }
 }
 
+/// True for a firmware file that the driver prefers to csitool's, compressed ones too; not for one moved aside.
+pub(super) fn wins(name: &str) -> bool {
+    let parts = name.strip_prefix("iwlwifi-5000-").and_then(|rest| rest.split_once('.'));
+    parts.is_some_and(|(api, kind)| {
+        ["ucode", "ucode.xz", "ucode.zst"].contains(&kind) && api.parse().is_ok_and(|api: u32| api > 2)
+    })
+}
+
 fn newer_firmware(system: &dyn System) -> Check {
     let expected = "no other iwlwifi-5000-*.ucode: the driver loads the highest number";
     let ours = "iwlwifi-5000-2.ucode";
-    let wins = |name: &String| {
-        name.strip_prefix("iwlwifi-5000-")
-            .and_then(|rest| rest.split_once('.'))
-            .is_some_and(|(api, kind)| kind.starts_with("ucode") && api.parse().is_ok_and(|api: u32| api > 2))
-    };
-    let newer: Vec<_> = system.names("/lib/firmware").into_iter().filter(wins).collect();
+    let newer: Vec<_> = system.names("/lib/firmware").into_iter().filter(|name| wins(name)).collect();
     if newer.is_empty() {
         return Check::good("other firmware", format!("none above {ours}"), expected);
     }

@@ -14,7 +14,8 @@ mod system;
 pub use error::SetupError;
 pub use heard::Heard;
 pub(crate) use radio::rate_file;
-pub use setup::{Action, Driver, Request, Role, Step, default_interface, plan, undo};
+pub(crate) use setup::module::RATE as MODULE_RATE;
+pub use setup::{Action, Driver, Request, Role, Step, default_interface, plan, undo, warnings};
 pub use system::{Machine, Ran, System, Tree};
 
 /// How a check came out.

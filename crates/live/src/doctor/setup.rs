@@ -1,5 +1,7 @@
 //! Putting the card into monitor mode for sounding, and taking it out again.
 
+pub(crate) mod module;
+
 use super::SetupError;
 use super::card::Card;
 use super::radio::rate_file;
@@ -7,19 +9,22 @@ use super::system::System;
 use csi5300::signal::channel::{Channel, Width};
 
 /// Rate of injected frames: HT, MCS 1, antenna A (csitool's injection notes: 0x4101; WSR's set-up: 0x4100, MCS 0).
-const RATE: [(Driver, &str); 2] = [(Driver::Stock, "0x4101"), (Driver::Wsr, "0x4100")];
+const RATE: [(Driver, &str); 3] = [(Driver::Stock, "0x4101"), (Driver::Wsr, "0x4100"), (Driver::Module, "0x4101")];
 /// Bit of a rate that makes it 40 MHz wide.
 const RATE_HT40: u32 = 0x800;
 /// `ack_len` with which the WSR driver answers nothing (its default).
 const NEVER_ANSWER: u32 = 1_000_000;
 
-/// Which patched driver is installed.
+/// What makes the CSI records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Driver {
     /// csitool.
     Stock,
     /// WSR: it answers sounding frames of its own length (`ack_len`).
     Wsr,
+    /// The distribution's driver and the module `csi5300` beside it (driver-iface/kmod).
+    Module,
 }
 
 /// What the robot does in a sounding round.
@@ -42,7 +47,8 @@ pub struct Request {
     pub role: Role,
     /// The driver; found out by its parameters where not given.
     pub driver: Option<Driver>,
-    /// Length of the frames that this robot answers, frame check sequence included (WSR driver, responder): 57, 59 ...
+    /// Length of the frames that this robot answers in the kernel, frame check sequence included (WSR driver or module,
+    /// responder): 57, 59 ...
     pub ack_len: Option<u32>,
 }
 
@@ -120,7 +126,7 @@ fn find_rate_file(system: &dyn System, path: &str) -> Option<String> {
     system.names("/sys/kernel/debug/ieee80211").iter().find_map(|phy| rate_file(system, phy))
 }
 
-/// The driver that is installed, by the parameters of its module.
+/// What is installed, by the parameters of the modules.
 fn installed(system: &dyn System) -> Result<Driver, SetupError> {
     let loaded = |name: &str| system.text(&format!("/sys/module/iwlwifi/parameters/{name}")).is_some();
     let known = system.run(&["modinfo", "-p", "iwlwifi"]).map(|ran| ran.text).unwrap_or_default();
@@ -128,6 +134,7 @@ fn installed(system: &dyn System) -> Result<Driver, SetupError> {
     match (has("ack_len"), has("connector_log")) {
         (true, _) => Ok(Driver::Wsr),
         (false, true) => Ok(Driver::Stock),
+        (false, false) if module::installed(system) => Ok(Driver::Module),
         (false, false) => Err(SetupError::NoCsiDriver),
     }
 }
@@ -135,32 +142,41 @@ fn installed(system: &dyn System) -> Result<Driver, SetupError> {
 /// The steps from whatever state the card is in to sounding on the channel. Taking them twice changes nothing.
 ///
 /// # Errors
-/// When no patched driver is installed, or a responder's `ack_len` is missing.
+/// When nothing that makes CSI records is installed, or a responder's `ack_len` is missing.
 pub fn plan(system: &dyn System, request: &Request) -> Result<Vec<Step>, SetupError> {
     let driver = match request.driver {
         Some(driver) => driver,
         None => installed(system)?,
     };
     let interface = request.interface.as_str();
-    let ack_len = match (driver, request.role, request.ack_len) {
-        (Driver::Wsr, Role::Responder, None) => return Err(SetupError::NoAckLen),
-        (Driver::Wsr, Role::Responder, Some(length)) => Some(length),
-        (Driver::Wsr, Role::Initiator, _) => Some(NEVER_ANSWER),
-        (Driver::Stock, _, _) => None,
-    };
     let mut steps = hands_off(interface);
-    steps.extend(reload(system, ack_len));
+    match (driver, request.role, request.ack_len) {
+        (Driver::Wsr, Role::Responder, None) => return Err(SetupError::NoAckLen),
+        (Driver::Wsr, Role::Responder, Some(length)) => steps.extend(reload(system, Some(length))),
+        (Driver::Wsr, Role::Initiator, _) => steps.extend(reload(system, Some(NEVER_ANSWER))),
+        (Driver::Stock, _, _) => steps.extend(reload(system, None)),
+        (Driver::Module, _, _) => {
+            let firmware = module::firmware(system);
+            if !firmware.is_empty() {
+                steps.extend(firmware);
+                steps.extend(without_parameters("the firmware is loaded with the driver"));
+            }
+            steps.extend(module::load(system, request));
+        }
+    }
     steps.extend(tune(interface, request.channel));
     // What robots inject is also what they answer with, so both roles need an HT rate.
     let rate = RATE.iter().find(|(known, _)| *known == driver).map_or("0x4101", |(_, rate)| rate);
     let wide = u32::from_str_radix(rate.trim_start_matches("0x"), 16).unwrap_or(0x4101);
     let rate = if request.channel.width() != Width::Ht20 { format!("{:#x}", wide | RATE_HT40) } else { rate.into() };
-    steps.push(
-        Step::run("the rate file is in debugfs", &["mount", "-t", "debugfs", "none", "/sys/kernel/debug"]).may_fail(),
-    );
+    if driver != Driver::Module {
+        let mount = ["mount", "-t", "debugfs", "none", "/sys/kernel/debug"];
+        steps.push(Step::run("the rate file is in debugfs", &mount).may_fail());
+    }
+    let path = if driver == Driver::Module { module::RATE } else { RATE_FILE };
     steps.push(Step {
         why: "frames must be HT to carry CSI",
-        action: Action::Write { path: RATE_FILE.into(), text: rate },
+        action: Action::Write { path: path.into(), text: rate },
         may_fail: false,
     });
     Ok(steps)
@@ -196,6 +212,22 @@ fn reload(system: &dyn System, ack_len: Option<u32>) -> Vec<Step> {
     ]
 }
 
+/// The driver anew.
+fn without_parameters(why: &'static str) -> [Step; 3] {
+    [
+        Step::run(why, &["modprobe", "-r", "iwldvm", "iwlwifi"]).may_fail(),
+        Step::run(why, &["modprobe", "iwlwifi"]),
+        Step::run("the interface comes up a moment after the module", &["udevadm", "settle", "--timeout=10"])
+            .may_fail(),
+    ]
+}
+
+/// What stands in the way on this machine and no step can mend, in words.
+#[must_use]
+pub fn warnings(system: &dyn System, request: &Request) -> Vec<String> {
+    module::warnings(system, request.driver.or_else(|| installed(system).ok()))
+}
+
 /// Monitor mode and channel. The interface is down for the one and up for the other (newer kernels say -16 otherwise).
 fn tune(interface: &str, channel: Channel) -> Vec<Step> {
     let number = channel.number().to_string();
@@ -219,14 +251,13 @@ pub fn undo(system: &dyn System, interface: &str) -> Vec<Step> {
         Step::run("the mode changes while it is down", &["ip", "link", "set", interface, "down"]).may_fail(),
         Step::run("managed mode", &["iw", "dev", interface, "set", "type", "managed"]).may_fail(),
     ];
+    let (module, firmware) = module::undo(system);
+    steps.extend(module);
     let rate_written = system.names("/sys/kernel/debug/ieee80211").iter().any(|phy| rate_file(system, phy).is_some());
-    if rate_written || system.text("/sys/module/iwlwifi/parameters/connector_log").is_some_and(|log| log != "0") {
-        steps.extend([
-            Step::run("without parameters", &["modprobe", "-r", "iwldvm", "iwlwifi"]).may_fail(),
-            Step::run("without parameters", &["modprobe", "iwlwifi"]),
-            Step::run("the interface comes up a moment after the module", &["udevadm", "settle", "--timeout=10"])
-                .may_fail(),
-        ]);
+    let logging = system.text("/sys/module/iwlwifi/parameters/connector_log").is_some_and(|log| log != "0");
+    if rate_written || logging || !firmware.is_empty() {
+        steps.extend(firmware);
+        steps.extend(without_parameters("without parameters"));
     }
     steps
         .push(Step::run("back to NetworkManager", &["nmcli", "device", "set", interface, "managed", "yes"]).may_fail());

@@ -1,6 +1,7 @@
-//! The rate of injected frames where the driver takes it from debugfs instead of radiotap.
+//! The rate of injected frames where it is not radiotap's: the patched drivers take it from debugfs, `csi5300.ko` from a
+//! parameter.
 
-use crate::doctor::{System, rate_file};
+use crate::doctor::{MODULE_RATE, System, rate_file};
 use csi5300::exchange::tdma::Phy;
 use driver_iface::bfee::Antenna;
 use driver_iface::radiotap::Bandwidth;
@@ -61,7 +62,12 @@ pub fn rate_n_flags(phy: Phy, antenna: Antenna) -> Option<u32> {
 #[must_use]
 pub fn set_rate(system: &dyn System, interface: &str, rate: u32) -> Rate {
     let phy = system.text(&format!("/sys/class/net/{interface}/phy80211/name"));
-    let Some(path) = phy.and_then(|phy| rate_file(system, &phy)) else { return Rate::FromRadiotap };
+    let patched = phy.and_then(|phy| rate_file(system, &phy));
+    // The module's rate is for all cards under iwldvm; other drivers' cards take theirs from radiotap.
+    let driver = system.link(&format!("/sys/class/net/{interface}/device/driver"));
+    let module = || (driver.as_deref() == Some("iwlwifi")).then(|| MODULE_RATE.to_string());
+    let module = || module().filter(|path| system.text(path).is_some());
+    let Some(path) = patched.or_else(module) else { return Rate::FromRadiotap };
     let found = system.text(&path).unwrap_or_default();
     if u32::from_str_radix(found.trim_start_matches("0x"), 16) == Ok(rate) {
         return Rate::Right(rate);
@@ -97,12 +103,16 @@ mod tests {
             ("sys/class/net/mon0/phy80211/name", "phy3\n"),
             ("sys/kernel/debug/ieee80211/phy3/iwlwifi/iwldvm/debug/monitor_tx_rate", "0x0\n"),
             ("sys/class/net/mon1/phy80211/name", "phy4\n"),
+            ("sys/class/net/mon2/phy80211/name", "phy5\n"),
+            ("sys/module/csi5300/parameters/monitor_tx_rate", "0x4100\n"),
         ];
         for (path, text) in files {
             let path = root.join(path);
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();
             std::fs::write(path, text).unwrap();
         }
+        std::fs::create_dir_all(root.join("sys/class/net/mon2/device")).unwrap();
+        std::os::unix::fs::symlink("../iwlwifi", root.join("sys/class/net/mon2/device/driver")).unwrap();
         let tree = Tree::new(root.clone());
         let phy = Phy { mcs: 1, bandwidth: Bandwidth::Ht20 };
         let rate = rate_n_flags(phy, Antenna::A).unwrap();
@@ -110,6 +120,9 @@ mod tests {
         assert_eq!(set_rate(&tree, "mon1", rate), Rate::FromRadiotap);
         assert_eq!(set_rate(&tree, "mon0", rate), Rate::Set(rate, "0x0".into()));
         assert_eq!(set_rate(&tree, "mon0", rate), Rate::Right(rate));
+        // The stock driver with the module.
+        assert_eq!(set_rate(&tree, "mon2", rate), Rate::Set(rate, "0x4100".into()));
+        assert_eq!(set_rate(&tree, "mon2", rate), Rate::Right(rate));
         std::fs::remove_dir_all(root).unwrap();
     }
 }
