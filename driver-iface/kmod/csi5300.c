@@ -234,7 +234,7 @@ static int on_packet(struct kprobe *probe, struct pt_regs *regs)
 
 		if (sent)
 			stage(indices[idx], CN_VAL_IWLAGN, &out);
-		if (cmd == RX_MPDU && len >= 28 && answer_on[idx] && frame_of(packet + 8, size, &out.tail) == len &&
+		if (cmd == RX_MPDU && len >= 28 && answer_on[idx] && *answer_on[idx] && frame_of(packet + 8, size, &out.tail) == len &&
 		    frame_good(out.tail, len) && !memcmp(out.tail + 4, magic, 6)) {
 			out.head_len = 0;
 			out.tail_len = len;

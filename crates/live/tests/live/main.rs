@@ -12,3 +12,4 @@ mod kernel_sounding;
 mod live_bearings;
 #[cfg(feature = "serial")]
 mod opencr;
+mod stock;

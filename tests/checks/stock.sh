@@ -1,0 +1,101 @@
+#!/usr/bin/env bash
+# The distribution's own driver with csi5300.ko beside it, in QEMU: tests/kernel/stock/*.sh on Debian's 6.1 with cards that
+# are not there (tests/kernel/fakecard), then the module on 6.12. See tests/kernel/README.md.
+# Exit status 77: cannot run here, the last line says why.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+check="stock driver"
+source tests/kernel/guest.bash
+
+packages
+version=$(dpkg-query -W -f '${Version}' "linux-headers-$V")
+
+# The private headers of iwlwifi, for the fake card: the source package in the version of the headers.
+iwl=$place/source-$version/drivers/net/wireless/intel/iwlwifi
+if [ ! -e "$place/source-$version/complete" ]; then
+    rm -rf "$place"/source-*
+    mkdir -p "$place/source-$version"
+    series=$(echo "$V" | cut -d. -f1-2)
+    (cd "$place/debs" && quietly apt-get download "linux-source-$series=$version") || cannot "linux-source-$series=$version cannot be downloaded"
+    dpkg-deb --fsys-tarfile "$place"/debs/linux-source-*.deb | tar -xO --wildcards './usr/src/linux-source-*.tar.xz' |
+        tar -xJ -C "$place/source-$version" --strip-components=1 --wildcards '*/drivers/net/wireless/intel/iwlwifi'
+    rm -f "$place"/debs/linux-source-*
+    touch "$place/source-$version/complete"
+fi
+grep -q "struct iwl_trans_ops {" "$iwl/iwl-trans.h" || cannot "the transport of $V is no table of functions: no fake card"
+build_modules driver-iface/kmod
+build_modules tests/kernel/fakecard IWL="$iwl"
+# The package for DKMS: what it installs builds by itself.
+rm -rf "$place/dkms"
+mkdir -p "$place/dkms"
+quietly packaging/dkms/build.sh "$place/dkms"
+dpkg-deb --extract "$place"/dkms/csi5300-dkms_*_all.deb "$place/dkms/root"
+quietly make -C "$place"/dkms/root/usr/src/csi5300-* KDIR="/usr/src/linux-headers-$V" || { echo "the package's module does not build"; exit 1; }
+printf 'modules built after %s s\n' "$SECONDS"
+
+tree=$place/tree-stock
+guest_tree "$tree" tests/kernel/stock "$place/boot" "$place/kmod" "$place/fakecard"
+static_binaries "$tree"
+# A firmware of 24 bytes of header and zeros: version 8.24.2.12, and sections that tell the init image from the other.
+le32() { printf "\\x$(printf %02x $(($1 & 255)))\\x$(printf %02x $(($1 >> 8 & 255)))\\x$(printf %02x $(($1 >> 16 & 255)))\\x$(printf %02x $(($1 >> 24 & 255)))"; }
+{
+    for word in $((8 << 24 | 24 << 16 | 2 << 8 | 12)) 128 128 64 64 0; do le32 "$word"; done
+    head -c 384 /dev/zero
+} >"$tree/lib/firmware/iwlwifi-5000-2.ucode"
+cp tests/kernel/stock/room.toml "$tree/guest"
+boot "$tree" "$(echo "$place"/boot/boot/vmlinuz-*)" 900
+[ "$status" = 33 ] || exit 1
+
+# 6.12, from the backports: its transport is no table of functions any more, so a module calls what iwldvm would call.
+later=$place/6.12
+series_612() {
+    local key=/usr/share/keyrings/debian-archive-keyring.gpg names headers
+    [ ! -e "$later/complete" ] || return 0
+    [ -e "$key" ] || { echo "no $key"; return 1; }
+    rm -rf "$later"
+    mkdir -p "$later"/{debs,root,boot,lists/partial}
+    echo "deb [signed-by=$key] http://deb.debian.org/debian bookworm-backports main" >"$later/sources.list"
+    apt_612() {
+        local verb=$1
+        shift
+        "apt-$verb" -o Dir::Etc::sourcelist="$later/sources.list" -o Dir::Etc::sourceparts=- -o Dir::State::lists="$later/lists" \
+            -o Dir::Cache::pkgcache= -o Dir::Cache::srcpkgcache= "$@"
+    }
+    quietly apt_612 get update || return 1
+    names=$(apt_612 cache depends linux-image-amd64 2>/dev/null | sed -n 's/.*Depends: linux-image-\(6\.12\.[^ ]*\)$/\1/p' | head -n 1)
+    [ -n "$names" ] || { echo "the backports have no 6.12"; return 1; }
+    (cd "$later/debs" && quietly apt_612 get download "linux-image-$names" "linux-headers-$names" \
+        "linux-headers-${names%-amd64}-common" "linux-kbuild-${names%-amd64}") || return 1
+    for deb in "$later"/debs/linux-headers-*.deb "$later"/debs/linux-kbuild-*.deb; do dpkg-deb --extract "$deb" "$later/root"; done
+    headers=$later/root/usr/src/linux-headers-$names
+    sed -i "s#include /usr/src#include $later/root/usr/src#" "$headers/Makefile"
+    dpkg-deb --fsys-tarfile "$later"/debs/linux-image-*.deb | tar -x -C "$later/boot" --wildcards './boot/vmlinuz*' \
+        '*/libarc4.ko.xz' '*/rfkill.ko.xz' '*/cfg80211.ko.xz' '*/mac80211.ko.xz' '*/iwlwifi.ko.xz' '*/iwldvm.ko.xz' || return 1
+    find "$later/boot" -name '*.xz' -exec unxz {} +
+    rm -rf "$later/debs"
+    echo "$names" >"$later/complete"
+}
+if ! series_612; then
+    echo "6.12: skipped, its packages cannot be had (above)"
+    exit 0
+fi
+for folder in driver-iface/kmod tests/kernel/fakecard; do
+    rm -rf "$later/${folder##*/}"
+    cp -r "$folder" "$later/${folder##*/}"
+done
+# What 6.12 can have: no fake card, and no test senders.
+echo "obj-m := csi5300.o" >"$later/kmod/Makefile"
+echo "obj-m := caller.o" >"$later/fakecard/Makefile"
+for folder in kmod fakecard; do
+    quietly make -C "$later/root/usr/src/linux-headers-$(cat "$later/complete")" M="$later/$folder" W=1 CONFIG_DEBUG_INFO_BTF_MODULES= modules ||
+        { echo "the modules do not build for 6.12"; exit 1; }
+    if grep -A 5 "warning:" "$place/last.log"; then exit 1; fi
+    strip --strip-debug "$later/$folder"/*.ko
+done
+program=$tree/bin/csi5300
+tree=$place/tree-6.12
+guest_tree "$tree" tests/kernel/stock-6.12 "$later/boot" "$later/kmod" "$later/fakecard"
+cp "$program" "$tree/bin/csi5300"
+[ -z "${CSI5300_GUEST_BINARIES:-}" ] || with_libraries "$tree" "$tree/bin/csi5300"
+boot "$tree" "$(echo "$later"/boot/boot/vmlinuz-*)" 300
+[ "$status" = 33 ] || exit 1

@@ -1,0 +1,58 @@
+# Unloaded under traffic, a card that sends nonsense, and a driver that goes away under the module.
+dmesg -c >/dev/null
+rm -f /tmp/stop
+CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::hostile::traffic >/tmp/traffic 2>&1 &
+traffic=$!
+csi5300 record /tmp/trouble.dat --force 2>/tmp/recorder &
+recorder=$!
+for k in $(seq 50); do
+    insmod /modules/csi5300.ko transmit=fakecard_tx layout="$([ $((k % 2)) = 0 ] && echo stock || echo wsr)"
+    until [ "$(cat /sys/module/csi5300/counters/delivered)" -gt 3 ]; do :; done
+    rmmod csi5300
+done
+touch /tmp/stop
+wait "$traffic"
+kill -TERM "$recorder"
+wait "$recorder" || true
+echo "50 times loaded and unloaded under traffic"
+
+insmod /modules/csi5300.ko transmit=fakecard_tx connector_log=5
+CSI5300_STOCK_HOSTILE=100000 /tests/live --exact stock::hostile::malformed_packets >/tmp/said 2>&1 || { cat /tmp/said; exit 1; }
+grep -q "1 passed" /tmp/said
+echo "100,000 malformed packets: $(cd /sys/module/csi5300/counters && grep . phy mpdu bfee records bad_phy bad_mpdu bad_bfee no_phy | tr '\n' ' ')"
+[ "$(cat /sys/module/csi5300/counters/bad_bfee)" -gt 1000 ]
+[ "$(cat /sys/module/csi5300/counters/bad_phy)" -gt 1000 ]
+
+# What the probe costs a packet, in the emulator's time of 2 ns for each instruction.
+for loaded in no yes; do
+    [ "$loaded" = yes ] || rmmod csi5300
+    [ "$loaded" = no ] || insmod /modules/csi5300.ko transmit=fakecard_tx
+    CSI5300_STOCK_COST=20000 /tests/live --exact stock::hostile::cost --nocapture | grep -e "^other" -e "^phy" -e "^bfee" -e " other " >"/tmp/cost-$loaded"
+done
+sed 's/.* other /other /' /tmp/cost-no >/tmp/cost-without
+sed 's/.* other /other /' /tmp/cost-yes | paste -d ' ' /tmp/cost-without - |
+    awk '{ printf "cost of a hit, %s: %d ns\n", $1, $4 - $2; if ($1 == "other" && $4 - $2 > 1000) bad = 1 } END { exit bad || NR != 3 }'
+CSI5300_STOCK_LATENCY=2000 /tests/live --exact stock::hostile::latency --nocapture >/tmp/said 2>&1 || { cat /tmp/said; exit 1; }
+sed -n 's/.*\(from packet to user space.*\)/\1/p' /tmp/said
+rmmod csi5300
+insmod /modules/csi5300.ko transmit=fakecard_tx connector_log=5
+
+# The cards and the driver go and come; the probes follow.
+rmmod fakecard iwldvm iwlwifi
+for module in iwlwifi iwldvm fakecard; do load "$module"; done
+until [ -e /sys/class/net/wlan1 ]; do sleep 0.1; done
+for k in 0 1; do
+    iw dev "wlan$k" set type monitor
+    ip link set "wlan$k" up
+    iw dev "wlan$k" set channel 64 HT20
+done
+before=$(cat /sys/module/csi5300/counters/phy)
+rm -f /tmp/stop
+CSI5300_STOCK_TRAFFIC=/tmp/stop /tests/live --exact stock::hostile::traffic >/tmp/traffic 2>&1 &
+until [ "$(cat /sys/module/csi5300/counters/phy)" -gt "$((before + 100))" ]; do :; done
+touch /tmp/stop
+wait
+rmmod csi5300
+# Nothing worse than "info" but what loading a module of one's own always says.
+dmesg -r | sed -n 's/^<\([0-9]*\)>/\1 /p' | awk '$1 % 8 < 6' | grep -v -e "firmware" -e "taints kernel" -e "verification failed" >/tmp/worse || true
+[ ! -s /tmp/worse ] || { cat /tmp/worse; exit 1; }
