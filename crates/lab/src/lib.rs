@@ -9,6 +9,8 @@
 //! | [`suite`] | the experiments of \[paper\] as scenes | each repeated and summed up |
 //! | [`course`] | a log | CSI, levels and rate over time, binned |
 //! | [`curves`] | a bearing | curves over azimuth and time for pictures and pages |
+//! | [`table`] | a log | its records in memory: columns, and CSI decoded on demand |
+//! | [`export`] | such a table | NPZ, MAT and Parquet files |
 //! | [`rooms`] | a seed | random rooms with known truth, written as captures |
 //! | `show` (feature `plot`) | bearings, rows, figures | pictures (PNG, SVG) and one HTML page |
 //!
@@ -20,6 +22,7 @@ pub mod course;
 pub mod curves;
 pub mod ends;
 pub mod evaluate;
+pub mod export;
 pub mod fit_confidence;
 pub mod fit_error_bar;
 pub mod folds;
@@ -27,3 +30,4 @@ pub mod rooms;
 #[cfg(feature = "plot")]
 pub mod show;
 pub mod suite;
+pub mod table;

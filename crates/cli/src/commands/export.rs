@@ -1,12 +1,13 @@
 //! `csi5300 export`.
 
-use super::npz::Npz;
 use super::{Outcome, Result, info, usage};
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::signal::csi::{Csi, scale_factor, total_rss_dbm};
 use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{CsiSource, Next, replay::Replay};
 use csi5300::time::Instant;
+use csi5300_lab::export::{Export, KNOWN, is_known};
+use csi5300_lab::table::{Filter, Form, Reading};
 use driver_iface::bfee::{Antenna, Bfee};
 use num_complex::Complex32;
 use std::io::{BufWriter, Write};
@@ -15,9 +16,9 @@ use std::path::{Path, PathBuf};
 /// Arguments of `export`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The log; - is standard input (CSV only)
+    /// The log; - is standard input
     file: PathBuf,
-    /// Where to write: .csv, one row a record, or .npz
+    /// Where to write: .csv, one row a record; .npz; .mat; .parquet (feature `parquet`)
     output: PathBuf,
     /// CSI in units of sqrt(SNR) instead of the card's integers
     #[arg(long)]
@@ -25,6 +26,18 @@ pub struct Args {
     /// Undo the spatial mapping of frames with 2 or 3 streams
     #[arg(long)]
     remove_spatial_mapping: bool,
+    /// Only frames of this sender; several may be named
+    #[arg(long, value_name = "MAC")]
+    mac: Vec<String>,
+    /// Only records from this many seconds after the first one on
+    #[arg(long, value_name = "SECONDS")]
+    from: Option<f64>,
+    /// Only records before this many seconds after the first one
+    #[arg(long, value_name = "SECONDS")]
+    to: Option<f64>,
+    /// Only records of which one of these antennas was used, and only their CSI: letters such as AC
+    #[arg(long, value_name = "LETTERS")]
+    antennas: Option<String>,
     /// Overwrite the output if it is there
     #[arg(long)]
     force: bool,
@@ -32,20 +45,48 @@ pub struct Args {
 
 type Words<T> = std::result::Result<T, String>;
 
+impl Args {
+    fn filter(&self) -> std::result::Result<Filter, csi5300_lab::table::FilterError> {
+        let mut filter = Filter::default().with_time(self.from, self.to)?;
+        if !self.mac.is_empty() {
+            filter = filter.with_macs(&self.mac)?;
+        }
+        match &self.antennas {
+            Some(letters) => filter.with_antennas(letters),
+            None => Ok(filter),
+        }
+    }
+
+    fn form(&self) -> Form {
+        Form { scaled: self.scaled, without_spatial_mapping: self.remove_spatial_mapping }
+    }
+}
+
+/// What was read and written.
+struct Written {
+    survey: Survey,
+    /// Bytes of the log.
+    bytes: u64,
+    /// Records written.
+    records: u64,
+    /// Records without the scale that was asked for.
+    unscaled: u64,
+}
+
 /// Writes the CSI of a log.
 pub fn run(args: &Args) -> Result {
     let extension = args.output.extension().and_then(|extension| extension.to_str());
-    if !matches!(extension, Some("csv" | "npz")) {
-        usage(&format!("{}: CSI is exported as .csv or .npz", args.output.display()));
+    if extension != Some("csv") && !is_known(&args.output) {
+        usage(&format!("{}: CSI is exported as .csv or {KNOWN}", args.output.display()));
     }
+    let filter = args.filter().unwrap_or_else(|error| usage(&error.to_string()));
     super::must_not_exist(&args.output, args.force)?;
     if super::is_same_file(&args.file, &args.output) {
         return Err(format!("{} is the input itself: name another file", args.output.display()));
     }
-    let mut unscaled = 0;
-    let (survey, bytes) = match extension {
-        Some("csv") => csv(args, &mut unscaled)?,
-        _ => npz(args, &mut unscaled)?,
+    let Written { survey, bytes, records, unscaled } = match extension {
+        Some("csv") => csv(args, &filter)?,
+        _ => table(args, filter)?,
     };
     eprint!("{}", info::losses(&survey, bytes));
     if survey.bad_permutations > 0 {
@@ -55,29 +96,56 @@ pub fn run(args: &Args) -> Result {
         );
     }
     if unscaled > 0 {
-        let of = survey.bfees();
-        eprintln!("  {unscaled} of {of} records have no scale (RSSI or CSI all 0): not a number there");
+        eprintln!("  {unscaled} of {records} records have no scale (RSSI or CSI all 0): not a number there");
     }
-    if survey.bfees() == 0 {
+    if records < survey.bfees() {
+        eprintln!("  {} records were left out, as was asked for", survey.bfees() - records);
+    }
+    if records == 0 {
         super::remove_empty(&args.output);
     } else {
-        eprintln!("{} records written to {}", survey.bfees(), args.output.display());
+        eprintln!("{records} records written to {}", args.output.display());
     }
-    Ok(match (survey.bfees(), survey.lost_something()) {
+    Ok(match (records, survey.lost_something()) {
         (0, _) => Outcome::Nothing,
         (_, true) => Outcome::DataLost,
         (_, false) => Outcome::Done,
     })
 }
 
-/// Reads a log once and hands over each intact bfee record.
-fn scan(path: &Path, mut each: impl FnMut(&Bfee<'_>, Identity) -> Words<()>) -> Words<(Survey, u64)> {
+/// Reads the log once into memory, packed, and writes it.
+fn table(args: &Args, filter: Filter) -> Words<Written> {
+    let source = Replay::open(&args.file).map_err(|error| super::hint::log_refused(&error))?;
+    let antennas = filter.antennas().map(<[Antenna]>::to_vec);
+    let mut reading = Reading::new(source, filter);
+    while reading.burst(Instant::ZERO, usize::MAX).map_err(|error| error.to_string())? {}
+    let (arena, columns) = reading.take();
+    let (records, bytes) = (arena.len() as u64, reading.source().bytes());
+    let mut export = Export::new(&arena, (0..arena.len()).collect(), &columns, args.form());
+    if let Some(antennas) = antennas {
+        export = export.with_antennas(&antennas);
+    }
+    if records > 0 {
+        export.write(&args.output).map_err(|error| error.to_string())?;
+    }
+    Ok(Written { unscaled: export.unscaled(), survey: reading.survey, bytes, records })
+}
+
+/// Reads a log once and hands over each intact bfee record that the filter keeps.
+fn scan(
+    path: &Path,
+    filter: &Filter,
+    mut each: impl FnMut(&Bfee<'_>, Identity, i64) -> Words<()>,
+) -> Words<(Survey, u64)> {
     let mut source = Replay::open(path).map_err(|error| super::hint::log_refused(&error))?;
-    let mut survey = Survey::default();
+    let (mut survey, mut first_us) = (Survey::default(), None);
     loop {
         let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
         if let Some((bfee, identity)) = survey.note(&next) {
-            each(&bfee, identity)?;
+            let time_us = survey.clock_us.map_or(0, |(_, last)| last);
+            if filter.keeps(&bfee, identity, time_us - *first_us.get_or_insert(time_us)) {
+                each(&bfee, identity, time_us)?;
+            }
         }
         if matches!(next, Next::End(_)) {
             return Ok((survey, source.bytes()));
@@ -113,7 +181,8 @@ fn sample(csi: &Csi, known: bool, subcarrier: usize, port: usize, stream: usize)
 }
 
 /// The fields of a record beside its CSI, by column name.
-const FIELDS: [&str; 17] = [
+const FIELDS: [&str; 18] = [
+    "time_us",
     "timestamp_low",
     "bfee_count",
     "host_us",
@@ -133,7 +202,7 @@ const FIELDS: [&str; 17] = [
     "record",
 ];
 
-/// A value as an array of its field holds it. Integers that a record does not have are -1.
+/// A value in the type of its field.
 #[derive(Clone, Copy, Debug)]
 enum Value {
     U8(u8),
@@ -160,10 +229,11 @@ impl std::fmt::Display for Value {
 }
 
 /// The value of a field.
-fn field(name: &str, index: u64, bfee: &Bfee<'_>, identity: Identity) -> Value {
+fn field(name: &str, index: u64, bfee: &Bfee<'_>, identity: Identity, time_us: i64) -> Value {
     let [a, b, c] = bfee.rssi();
     match name {
         "record" => Value::I64(i64::try_from(index).ok()),
+        "time_us" => Value::I64(Some(time_us)),
         "timestamp_low" => Value::U32(bfee.timestamp_low()),
         "bfee_count" => Value::U16(bfee.bfee_count()),
         "host_us" => Value::I64(identity.host_us),
@@ -183,107 +253,46 @@ fn field(name: &str, index: u64, bfee: &Bfee<'_>, identity: Identity) -> Value {
     }
 }
 
-/// One field of all records as an array of its own kind.
-fn field_array(npz: &mut Npz, name: &str, n: u64, path: &Path) -> Words<()> {
-    // One kind a field: what the first match says of a field holds for all its records.
-    macro_rules! array {
-        ($kind:pat => $value:expr) => {
-            npz.array_in(name, &[n], |push| {
-                let mut index = 0;
-                let each = |bfee: &Bfee<'_>, identity: Identity| {
-                    index += 1;
-                    match field(name, index - 1, bfee, identity) {
-                        $kind => push($value),
-                        other => Err(format!("{name}: {other:?} is of another kind than the field")),
-                    }
-                };
-                scan(path, each).map(|_| ())
-            })
-        };
-    }
-    match name {
-        "record" | "host_us" | "frame_count" => array!(Value::I64(value) => value.unwrap_or(-1)),
-        "timestamp_low" => array!(Value::U32(value) => value),
-        "bfee_count" | "rate_n_flags" => array!(Value::U16(value) => value),
-        "noise_dbm" => array!(Value::I8(value) => value),
-        "total_rss_dbm" | "scale" => array!(Value::F64(value) => value),
-        _ => array!(Value::U8(value) => value),
-    }
-}
-
 /// The largest number of streams in a log; 3 for standard input, which can be read only once.
 fn streams(path: &Path) -> Words<usize> {
     if path.as_os_str() == "-" {
         return Ok(3);
     }
-    let (survey, _) = scan(path, |_, _| Ok(()))?;
+    let (survey, _) = scan(path, &Filter::default(), |_, _, _| Ok(()))?;
     let used = |stream: &usize| survey.streams.iter().any(|row| row.get(stream - 1).is_some_and(|count| *count > 0));
     Ok((1..=3).rev().find(used).unwrap_or(1))
 }
 
-fn csv(args: &Args, unscaled: &mut u64) -> Words<(Survey, u64)> {
+fn csv(args: &Args, filter: &Filter) -> Words<Written> {
     let streams = streams(&args.file)?;
+    let ports: Vec<usize> = filter.antennas().unwrap_or(&Antenna::ALL).iter().map(|antenna| antenna.index()).collect();
     let failed = |error: std::io::Error| format!("writing {}: {error}", args.output.display());
     let mut out = BufWriter::with_capacity(1 << 18, std::fs::File::create(&args.output).map_err(failed)?);
     let mut header = FIELDS.join(",") + ",mac";
     let cells = || {
-        let port = move |s| (0..3).flat_map(move |port| (0..streams).map(move |stream| (s, port, stream)));
+        let port = |s| ports.iter().flat_map(move |&port| (0..streams).map(move |stream| (s, port, stream)));
         (0..SUBCARRIERS).flat_map(port)
     };
     for (s, port, stream) in cells() {
-        let name = format!("{s}_{}_{}", ["a", "b", "c"][port], stream + 1);
+        let name = format!("{s}_{}_{}", ["a", "b", "c"].get(port).unwrap_or(&"?"), stream + 1);
         header += &format!(",re_{name},im_{name}");
     }
     writeln!(out, "{header}").map_err(failed)?;
-    let mut index = 0;
-    let done = scan(&args.file, |bfee, identity| {
+    let (mut records, mut unscaled) = (0, 0);
+    let (survey, bytes) = scan(&args.file, filter, |bfee, identity, time_us| {
         let mut line = String::with_capacity(2_048);
         for name in FIELDS {
-            line += &format!("{},", field(name, index, bfee, identity));
+            line += &format!("{},", field(name, records, bfee, identity, time_us));
         }
         line += &identity.mac.to_string();
-        let csi = csi(bfee, args, unscaled);
+        let csi = csi(bfee, args, &mut unscaled);
         for (s, port, stream) in cells() {
             let sample = csi.as_ref().and_then(|(csi, known)| sample(csi, *known, s, port, stream));
             line += &sample.map_or(",,".into(), |h| format!(",{},{}", h.re, h.im));
         }
-        index += 1;
+        records += 1;
         writeln!(out, "{line}").map_err(failed)
     })?;
     out.flush().map_err(failed)?;
-    Ok(done)
-}
-
-/// Arrays go into an NPZ one after the other and whole, so the log is read once for each: time is cheap here, memory
-/// stays small for a log of any size.
-fn npz(args: &Args, unscaled: &mut u64) -> Words<(Survey, u64)> {
-    if args.file.as_os_str() == "-" {
-        usage("an .npz needs several passes, and standard input has one: export to .csv, or name a file");
-    }
-    let streams = streams(&args.file)?;
-    let (survey, bytes) = scan(&args.file, |_, _| Ok(()))?;
-    let n = survey.bfees();
-    let mut npz = Npz::create(&args.output)?;
-    npz.array_in("csi", &[n, SUBCARRIERS as u64, 3, streams as u64], |push| {
-        let nothing = Complex32::new(f32::NAN, f32::NAN);
-        scan(&args.file, |bfee, _| {
-            let csi = csi(bfee, args, unscaled);
-            for s in 0..SUBCARRIERS {
-                for (port, stream) in (0..3).flat_map(|port| (0..streams).map(move |stream| (port, stream))) {
-                    let sample = csi.as_ref().and_then(|(csi, known)| sample(csi, *known, s, port, stream));
-                    push(sample.unwrap_or(nothing))?;
-                }
-            }
-            Ok(())
-        })
-        .map(|_| ())
-    })?;
-    for name in FIELDS {
-        field_array(&mut npz, name, n, &args.file)?;
-    }
-    npz.array_in("mac", &[n, 6], |push| {
-        scan(&args.file, |_, identity| identity.mac.0.iter().try_for_each(|byte| push(*byte))).map(|_| ())
-    })?;
-    npz.finish()?;
-    Ok((survey, bytes))
+    Ok(Written { survey, bytes, records, unscaled })
 }

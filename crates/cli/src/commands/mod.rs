@@ -22,7 +22,6 @@ mod locate;
 mod mcap;
 #[cfg(feature = "node")]
 mod node;
-mod npz;
 #[cfg(feature = "plot")]
 mod plot;
 mod profile;

@@ -1,8 +1,8 @@
 //! Profiles as files.
 
-use super::npz::Npz;
 use csi5300::bartlett::{self, Grid};
 use csi5300::signal::samples::Samples;
+use csi5300_lab::export::{ExportError, npz::Npz};
 use std::io::{BufWriter, Write};
 use std::path::Path;
 
@@ -39,11 +39,14 @@ pub fn write(path: &Path, grid: &Grid, samples: &Samples) -> Result<(), String> 
     let angles = || (0..profile.values.len()).map(|index| profile.grid.at(index));
     match path.extension().and_then(|extension| extension.to_str()) {
         Some("npz") => {
-            let mut npz = Npz::create(path)?;
-            npz.array("azimuth_deg", &shape, angles().map(|(azimuth, _)| azimuth.to_degrees()))?;
-            npz.array("elevation_deg", &shape, angles().map(|(_, elevation)| elevation.to_degrees()))?;
-            npz.array("value", &shape, profile.values.iter().copied())?;
-            npz.finish()
+            let written = || -> Result<(), ExportError> {
+                let mut npz = Npz::create(path)?;
+                npz.array("azimuth_deg", &shape, angles().map(|(azimuth, _)| azimuth.to_degrees()))?;
+                npz.array("elevation_deg", &shape, angles().map(|(_, elevation)| elevation.to_degrees()))?;
+                npz.array("value", &shape, profile.values.iter().copied())?;
+                npz.finish()
+            };
+            written().map_err(|error| error.to_string())
         }
         Some("csv") => {
             let failed = |error: std::io::Error| format!("writing {}: {error}", path.display());

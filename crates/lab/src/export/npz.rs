@@ -2,6 +2,7 @@
 //!
 //! Source: NumPy Enhancement Proposal 1 (format 1.0), `numpy.savez`.
 
+use super::error::ExportError;
 use num_complex::Complex32;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
@@ -13,7 +14,10 @@ use zip::write::SimpleFileOptions;
 pub trait Element {
     /// Its dtype as NumPy describes it: byte order, kind, bytes.
     const DESCR: &str;
-    /// Its bytes, in that order.
+    /// Writes its bytes, in that order.
+    ///
+    /// # Errors
+    /// As the writer.
     fn emit(self, out: &mut impl Write) -> io::Result<()>;
 }
 
@@ -46,53 +50,55 @@ pub struct Npz {
 
 impl Npz {
     /// Creates (or replaces) the file.
-    pub fn create(path: &Path) -> Result<Self, String> {
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn create(path: &Path) -> Result<Self, ExportError> {
         let name = path.display().to_string();
-        let file = File::create(path).map_err(|error| format!("cannot write {name}: {error}"))?;
+        let file = File::create(path).map_err(|source| ExportError::Io { file: name.clone(), source })?;
         Ok(Self { writer: ZipWriter::new(BufWriter::with_capacity(1 << 18, file)), name })
     }
 
     /// Adds an array of the given shape, last index fastest.
+    ///
+    /// # Errors
+    /// If it cannot be written, or has another number of values than its shape.
     pub fn array<T: Element>(
         &mut self,
         name: &str,
         shape: &[u64],
-        mut values: impl Iterator<Item = T>,
-    ) -> Result<(), String> {
-        self.array_in(name, shape, |push| values.try_for_each(push))
-    }
-
-    /// Adds an array whose values `fill` pushes one by one.
-    pub fn array_in<T: Element>(
-        &mut self,
-        name: &str,
-        shape: &[u64],
-        fill: impl FnOnce(&mut dyn FnMut(T) -> Result<(), String>) -> Result<(), String>,
-    ) -> Result<(), String> {
-        let file = &self.name;
-        let failed = |error: &dyn std::fmt::Display| format!("writing {name} to {file}: {error}");
+        values: impl Iterator<Item = T>,
+    ) -> Result<(), ExportError> {
+        let (file, io) = (self.name.clone(), |file: &str, source| ExportError::Io { file: file.to_owned(), source });
         // Room for sizes over 4 GiB: an array's size is known only at its end.
         let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored).large_file(true);
-        self.writer.start_file(format!("{name}.npy"), options).map_err(|error| failed(&error))?;
+        let started = self.writer.start_file(format!("{name}.npy"), options);
+        started.map_err(|source| ExportError::Format { file: file.clone(), source: source.into() })?;
         let mut out = BufWriter::with_capacity(1 << 16, &mut self.writer);
-        out.write_all(&header(T::DESCR, shape)).map_err(|error| failed(&error))?;
-        let mut pushed = 0_u64;
-        fill(&mut |value| {
-            pushed += 1;
-            value.emit(&mut out).map_err(|error| failed(&error))
-        })?;
-        let expected = shape.iter().product::<u64>();
-        if pushed != expected {
-            return Err(failed(&format!("{pushed} values for {expected} places: did the input change meanwhile?")));
+        out.write_all(&header(T::DESCR, shape)).map_err(|error| io(&file, error))?;
+        let (mut got, expect) = (0_u64, shape.iter().product::<u64>());
+        for value in values {
+            got += 1;
+            value.emit(&mut out).map_err(|error| io(&file, error))?;
         }
-        out.flush().map_err(|error| failed(&error))
+        out.flush().map_err(|error| io(&file, error))?;
+        if got != expect {
+            return Err(ExportError::Values { file: file.clone(), array: name.to_owned(), got, expect });
+        }
+        Ok(())
     }
 
     /// Writes the directory of the archive.
-    pub fn finish(self) -> Result<(), String> {
-        let failed = |error: &dyn std::fmt::Display| format!("writing {}: {error}", self.name);
-        let mut file = self.writer.finish().map_err(|error| failed(&error))?;
-        file.flush().map_err(|error| failed(&error))
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn finish(self) -> Result<(), ExportError> {
+        let file = self.name;
+        let mut written = match self.writer.finish() {
+            Ok(written) => written,
+            Err(source) => return Err(ExportError::Format { file, source: source.into() }),
+        };
+        written.flush().map_err(|source| ExportError::Io { file, source })
     }
 }
 

@@ -1,0 +1,55 @@
+//! Why an export failed.
+
+/// Why a file was not written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExportError {
+    /// The operating system said no.
+    #[error("cannot write {file}: {source}")]
+    Io {
+        /// The file.
+        file: String,
+        /// Its answer.
+        source: std::io::Error,
+    },
+    /// The library that writes the format refused.
+    #[error("writing {file}: {source}")]
+    Format {
+        /// The file.
+        file: String,
+        /// Its answer.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// An array has another number of values than its shape.
+    #[error("{array} in {file}: {got} values for {expect} places")]
+    Values {
+        /// The file.
+        file: String,
+        /// The array.
+        array: String,
+        /// Values.
+        got: u64,
+        /// Places.
+        expect: u64,
+    },
+    /// An array is longer than the format holds.
+    #[error(
+        "{array} in {file} takes {bytes} bytes, and arrays of this format 2^31 at most: export a part, or as .npz or .parquet"
+    )]
+    TooLong {
+        /// The file.
+        file: String,
+        /// The array.
+        array: String,
+        /// Bytes that it takes.
+        bytes: u64,
+    },
+    /// No format has this extension.
+    #[error("{file}: CSI is exported as {known}")]
+    Extension {
+        /// The file.
+        file: String,
+        /// What is written.
+        known: &'static str,
+    },
+}

@@ -1,0 +1,139 @@
+//! Logs as files for other programs: NPZ (NumPy), MAT (MATLAB, Octave, SciPy) and, with the feature `parquet`, Parquet (DuckDB,
+//! Polars, pandas, Spark). The log was read once, into a [`table`](crate::table), whatever is written.
+
+mod error;
+mod fields;
+mod mat;
+pub mod npz;
+#[cfg(feature = "parquet")]
+mod parquet;
+
+pub use error::ExportError;
+
+use crate::table::{Arena, Columns, Form, NO_ANTENNA, Rows, decode};
+use csi5300::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIERS};
+use driver_iface::bfee::{Antenna, rate};
+use num_complex::Complex32;
+use std::path::Path;
+
+/// Records decoded at a time.
+const PIECE: usize = 4_096;
+
+/// What is written, for errors and help.
+#[cfg(feature = "parquet")]
+pub const KNOWN: &str = ".npz, .mat or .parquet";
+/// What is written, for errors and help.
+#[cfg(not(feature = "parquet"))]
+pub const KNOWN: &str = ".npz or .mat";
+
+/// True for a file whose extension names a format of [`KNOWN`].
+#[must_use]
+pub fn is_known(path: &Path) -> bool {
+    let known: &[&str] = if cfg!(feature = "parquet") { &["npz", "mat", "parquet"] } else { &["npz", "mat"] };
+    path.extension().and_then(|extension| extension.to_str()).is_some_and(|extension| known.contains(&extension))
+}
+
+/// Records of a table on their way to a file.
+#[derive(Clone, Debug)]
+pub struct Export<'a> {
+    arena: &'a Arena,
+    records: Vec<usize>,
+    columns: &'a Columns,
+    antennas: Vec<Antenna>,
+    streams: usize,
+    form: Form,
+}
+
+impl<'a> Export<'a> {
+    /// The `records` of a table, by their places in the arena; `columns` has a value for each of them, in the same order. Rows
+    /// of CSI are antennas A, B and C, columns as many streams as a record has at most.
+    #[must_use]
+    pub fn new(arena: &'a Arena, records: Vec<usize>, columns: &'a Columns, form: Form) -> Self {
+        let streams = columns.n_tx.iter().copied().max().unwrap_or(1);
+        Self { arena, records, columns, antennas: Antenna::ALL.to_vec(), streams: usize::from(streams), form }
+    }
+
+    /// With only these antennas' rows.
+    #[must_use]
+    pub fn with_antennas(mut self, antennas: &[Antenna]) -> Self {
+        self.antennas = antennas.to_vec();
+        self
+    }
+
+    /// Writes a file whose extension says its format ([`KNOWN`]); one that is there is replaced.
+    ///
+    /// # Errors
+    /// If there is no such format, or the file cannot be written.
+    pub fn write(&self, path: &Path) -> Result<(), ExportError> {
+        match path.extension().and_then(|extension| extension.to_str()) {
+            Some("npz") => self.npz(path),
+            Some("mat") => self.mat(path),
+            #[cfg(feature = "parquet")]
+            Some("parquet") => parquet::write(self, path),
+            _ => Err(ExportError::Extension { file: path.display().to_string(), known: KNOWN }),
+        }
+    }
+
+    /// Records without a scale, where one was asked for: their CSI is not a number.
+    #[must_use]
+    pub fn unscaled(&self) -> u64 {
+        let missing = |record: &&usize| {
+            self.arena.bfee(**record).is_none_or(|bfee| csi5300::signal::csi::scale_factor(&bfee).is_err())
+        };
+        if self.form.scaled { self.records.iter().filter(missing).count() as u64 } else { 0 }
+    }
+
+    /// The subcarriers of the records' CSI; none where 20 and 40 MHz are mixed.
+    fn subcarriers(&self) -> Option<[i8; SUBCARRIERS]> {
+        let wide = self.columns.rate.iter().filter(|word| **word & rate::HT40 != 0).count();
+        match wide {
+            0 => Some(INDICES_20_MHZ),
+            all if all == self.columns.len() => Some(INDICES_40_MHZ),
+            _ => None,
+        }
+    }
+
+    /// The CSI of all records, `[record][antenna][stream][subcarrier]`, decoded piece by piece.
+    fn csi(&self) -> impl Iterator<Item = Vec<Complex32>> {
+        let rows = Rows::new(&self.antennas, self.streams);
+        self.records.chunks(PIECE).map(move |records| {
+            let mut piece = vec![Complex32::default(); records.len() * rows.len()];
+            decode(self.arena, records, &rows, self.form, &mut piece);
+            piece
+        })
+    }
+
+    fn npz(&self, path: &Path) -> Result<(), ExportError> {
+        let mut npz = npz::Npz::create(path)?;
+        let (n, ports, streams) = (self.records.len() as u64, self.antennas.len(), self.streams);
+        let shape = [n, SUBCARRIERS as u64, ports as u64, streams as u64];
+        let size = ports * streams * SUBCARRIERS;
+        // From subcarrier fastest to stream fastest.
+        let place = move |k: usize| {
+            let (subcarrier, column) = (k / (ports * streams), k % (ports * streams));
+            column * SUBCARRIERS + subcarrier
+        };
+        let turned = self.csi().flat_map(move |piece| {
+            let records = piece.len() / size.max(1);
+            (0..records * size).map(move |k| piece.get(k / size * size + place(k % size)).copied().unwrap_or_default())
+        });
+        npz.array("csi", &shape, turned)?;
+        fields::write(self, &mut npz)?;
+        npz.finish()
+    }
+
+    /// `csi` is (subcarrier, stream, antenna, record), in MATLAB's order of indices.
+    fn mat(&self, path: &Path) -> Result<(), ExportError> {
+        let mut mat = mat::Mat::create(path)?;
+        let (n, ports) = (self.records.len() as u64, self.antennas.len() as u64);
+        let dims = [SUBCARRIERS as u64, self.streams as u64, ports, n];
+        mat.complex("csi", &dims, self.csi().flatten().map(|h| h.re), self.csi().flatten().map(|h| h.im))?;
+        fields::write(self, &mut mat)?;
+        mat.finish()
+    }
+
+    /// The antenna of each chain of a record is known.
+    fn antennas_known(&self) -> impl Iterator<Item = bool> {
+        self.columns.antenna_order.chunks(3).map(|order| order.first().is_some_and(|first| *first != NO_ANTENNA))
+    }
+}

@@ -1,0 +1,105 @@
+//! What a log says of each record beside its CSI, a column a field.
+
+use csi5300::source::survey::Identity;
+use driver_iface::bfee::{Antenna, Bfee};
+
+/// No host time: what NumPy has for it (NaT).
+pub const NO_TIME: i64 = i64::MIN;
+/// No antenna.
+pub const NO_ANTENNA: u8 = 255;
+
+/// Columns of equal length.
+#[derive(Clone, Debug, Default)]
+pub struct Columns {
+    /// The card's clock, unwrapped along the log, microseconds from an arbitrary origin.
+    pub time_us: Vec<i64>,
+    /// Host time, microseconds since the Unix epoch; [`NO_TIME`] where not known.
+    pub host_us: Vec<i64>,
+    /// The card's clock as the record has it, microseconds; wraps.
+    pub timestamp_low: Vec<u32>,
+    /// The driver's count of records; wraps.
+    pub bfee_count: Vec<u16>,
+    /// Receive chains.
+    pub n_rx: Vec<u8>,
+    /// Streams.
+    pub n_tx: Vec<u8>,
+    /// RSSI at antennas A, B, C, three a record, dB relative to the card's reference.
+    pub rssi: Vec<u8>,
+    /// Noise floor, dBm; -127 where not measured.
+    pub noise_dbm: Vec<i8>,
+    /// Gain, dB.
+    pub agc: Vec<u8>,
+    /// `rate_n_flags`.
+    pub rate: Vec<u16>,
+    /// Antenna of each chain, packed.
+    pub antenna_sel: Vec<u8>,
+    /// Antenna of each chain, three a record; see [`antenna_order`].
+    pub antenna_order: Vec<u8>,
+    /// The sender's number of the frame; -1 where not known.
+    pub frame: Vec<i64>,
+    /// The sender's address, six a record; zeros where not known.
+    pub mac: Vec<u8>,
+    /// Bytes of the log before the record, or its running number.
+    pub offset: Vec<i64>,
+}
+
+impl Columns {
+    /// Number of records.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.time_us.len()
+    }
+
+    /// True without any.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.time_us.is_empty()
+    }
+
+    /// Adds a record.
+    pub fn push(&mut self, bfee: &Bfee<'_>, identity: Identity, time_us: i64, offset: u64) {
+        self.time_us.push(time_us);
+        self.host_us.push(identity.host_us.unwrap_or(NO_TIME));
+        self.timestamp_low.push(bfee.timestamp_low());
+        self.bfee_count.push(bfee.bfee_count());
+        self.n_rx.push(bfee.n_rx() as u8);
+        self.n_tx.push(bfee.n_tx() as u8);
+        self.rssi.extend(bfee.rssi());
+        self.noise_dbm.push(bfee.noise_dbm());
+        self.agc.push(bfee.agc());
+        self.rate.push(bfee.rate_n_flags());
+        self.antenna_sel.push(bfee.antenna_sel());
+        self.antenna_order.extend(antenna_order(bfee));
+        self.frame.push(identity.frame_count.map_or(-1, i64::from));
+        self.mac.extend(identity.mac.0);
+        self.offset.push(i64::try_from(offset).unwrap_or(i64::MAX));
+    }
+}
+
+/// The antenna of each chain, 0 to 2 for A to C; [`NO_ANTENNA`] for chains not used and where the record does not say.
+#[must_use]
+pub fn antenna_order(bfee: &Bfee<'_>) -> [u8; 3] {
+    let mut order = [NO_ANTENNA; 3];
+    if let Ok(antennas) = bfee.antennas() {
+        for (place, antenna) in order.iter_mut().zip(antennas.as_slice()) {
+            *place = antenna.index() as u8;
+        }
+    }
+    order
+}
+
+/// Antennas by their letters: `A`, `BC`, `A,C`.
+#[must_use]
+pub fn antennas(text: &str) -> Option<Vec<Antenna>> {
+    let letter = |letter: char| match letter.to_ascii_uppercase() {
+        'A' => Some(Antenna::A),
+        'B' => Some(Antenna::B),
+        'C' => Some(Antenna::C),
+        _ => None,
+    };
+    let letters = text.chars().filter(|c| !matches!(c, ',' | ' '));
+    let mut antennas: Vec<Antenna> = letters.map(letter).collect::<Option<_>>()?;
+    antennas.sort();
+    antennas.dedup();
+    (!antennas.is_empty()).then_some(antennas)
+}

@@ -1,0 +1,29 @@
+"""Reads a log: what is in it, what was lost, its CSI as an array, and the same piece by piece.
+
+usage: python examples/python/reading.py [LOG.dat]     (without one: a simulated log)
+"""
+
+import sys
+
+import csi5300
+import numpy as np
+
+if len(sys.argv) > 1:
+    source = sys.argv[1]
+else:
+    source = csi5300.simulate("lab-circle")["rx"].data
+
+log = csi5300.read(source)
+print(log)
+print(f"{log.t[-1]:.1f} s, senders {sorted(set(log.mac))}, RSSI at A {log.rssi[:, 0].mean():.1f} dB")
+for loss in log.losses:
+    print(f"lost: {loss.bytes} bytes at {loss.offset}: {loss.reason}")
+
+h = log.scaled()  # (n, n_rx, n_tx, 30), sqrt(SNR)
+print(f"median SNR of the first antenna: {20 * np.log10(np.nanmedian(np.abs(h[:, 0]))):.1f} dB")
+
+second = csi5300.read(source, t=(1.0, 2.0))
+print(f"frames in the second second: {len(second)}, the first: {second[0].host_time} from {second[0].mac}")
+
+power = [np.nanmean(np.abs(piece.csi) ** 2) for piece in csi5300.scan(source, chunk=512)]
+print(f"mean power in pieces of 512 frames: {np.round(power, 1)}")

@@ -1,0 +1,425 @@
+"""Logs in memory: :func:`read`, :func:`scan`, :class:`Log`."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _native
+from ._errors import OptionError
+from ._frame import Frame, Loss
+
+if TYPE_CHECKING:
+    import pandas
+    import polars
+    import xarray
+    from matplotlib.figure import Figure
+
+File: TypeAlias = "str | os.PathLike[str] | bytes | bytearray | memoryview | BinaryIO"
+Index: TypeAlias = "slice | Sequence[int] | Sequence[bool] | NDArray[np.integer[Any]] | NDArray[np.bool_]"
+Masked: TypeAlias = "np.ma.MaskedArray[Any, np.dtype[Any]]"
+
+HT40 = 0x0800
+NO_ANTENNA = 255
+
+
+def _file(file: File) -> Any:
+    return bytes(file) if isinstance(file, (bytearray, memoryview)) else file
+
+
+def _macs(macs: str | Iterable[str] | None) -> list[str] | None:
+    return [macs] if isinstance(macs, str) else None if macs is None else list(macs)
+
+
+def _letters(antennas: str | Iterable[str] | None) -> str | None:
+    return None if antennas is None else "".join(antennas)
+
+
+def read(
+    file: File,
+    *,
+    macs: str | Iterable[str] | None = None,
+    t: tuple[float | None, float | None] | None = None,
+    antennas: str | Iterable[str] | None = None,
+) -> Log:
+    """Reads a log (``.dat``, stock csitool or WSR layout, told apart record by record) into memory.
+
+    ``file`` is a path, bytes, or an object with ``read`` (binary). Kept are frames of the senders ``macs``, from ``t[0]`` up to
+    ``t[1]`` seconds after the first record, of which an antenna of ``antennas`` (``"A"``, ``"BC"``) was used. What is damaged is
+    skipped and counted: :attr:`Log.losses`. Host times come from ``<file>stp`` or from the records.
+
+    Raises :class:`LogError` if the file cannot be read, :class:`OptionError` for a filter that makes no sense.
+    """
+    letters = _letters(antennas)
+    records, columns, info = _native.read(_file(file), _macs(macs), t, letters)
+    return Log(records, columns, json.loads(info), letters)
+
+
+def scan(
+    file: File,
+    *,
+    chunk: int = 8192,
+    macs: str | Iterable[str] | None = None,
+    t: tuple[float | None, float | None] | None = None,
+    antennas: str | Iterable[str] | None = None,
+) -> Iterator[Log]:
+    """Reads a log of any size in constant memory: yields :class:`Log` after :class:`Log` of up to ``chunk`` records.
+
+    Filters and errors are those of :func:`read`. :attr:`Log.losses` of a piece are those of the log up to there.
+    """
+    letters = _letters(antennas)
+    scanner = _native.Scanner(_file(file), chunk, _macs(macs), t, letters)
+    while (piece := scanner.next()) is not None:
+        records, columns = piece
+        yield Log(records, columns, json.loads(scanner.info()), letters)
+
+
+class Log:
+    """Frames of a log: a NumPy array for each field, all of length ``n``.
+
+    ``log[3]`` is a :class:`Frame`; ``log[10:20]``, ``log[mask]`` and ``log[indices]`` are logs that share its memory. CSI is held
+    packed as the card sent it and decoded when :attr:`csi` or :meth:`scaled` is asked for.
+    """
+
+    def __init__(
+        self,
+        records: _native.Records,
+        columns: dict[str, NDArray[Any]],
+        info: dict[str, Any],
+        letters: str | None = None,
+        rows: NDArray[np.int64] | None = None,
+    ) -> None:
+        self._records = records
+        self._columns = columns
+        self._rows = rows
+        self._letters = letters
+        self.info: dict[str, Any] = info
+        """What is known of the log as a whole (``survey``: what ``csi5300 info --json`` counts)."""
+
+    def __len__(self) -> int:
+        return len(self._columns["time_us"])
+
+    # What the log says of each frame.
+
+    @property
+    def name(self) -> str:
+        """The log's path, or what it was read from."""
+        return str(self.info["name"])
+
+    @property
+    def time_us(self) -> NDArray[np.int64]:
+        """(n,) The card's clock at reception, unwrapped along the log, microseconds from an arbitrary origin."""
+        return self._columns["time_us"]
+
+    @property
+    def t(self) -> NDArray[np.float64]:
+        """(n,) Seconds after the first frame of this log, by the card's clock."""
+        time = self.time_us
+        seconds: NDArray[np.float64] = (time - (time[0] if len(time) else 0)) * 1e-6
+        return seconds
+
+    @property
+    def host_time(self) -> NDArray[np.datetime64]:
+        """(n,) datetime64[us]: the host's wall clock at reception (UTC); NaT where not known."""
+        return self._columns["host_us"].view("datetime64[us]")
+
+    @property
+    def rssi(self) -> NDArray[np.uint8]:
+        """(n, 3) dB above an internal reference at antennas A, B, C; 0 where nothing was heard."""
+        return self._columns["rssi"]
+
+    @property
+    def agc(self) -> NDArray[np.uint8]:
+        """(n,) The receiver's gain, dB."""
+        return self._columns["agc"]
+
+    @property
+    def noise(self) -> Masked:
+        """(n,) Noise floor, dBm; masked where the driver measured none."""
+        noise = self._columns["noise_dbm"]
+        return np.ma.masked_array(noise, mask=noise == -127)
+
+    @property
+    def rate(self) -> NDArray[np.uint16]:
+        """(n,) ``rate_n_flags`` of the driver."""
+        return self._columns["rate"]
+
+    @property
+    def is_40_mhz(self) -> NDArray[np.bool_]:
+        """(n,) True for frames 40 MHz wide."""
+        wide: NDArray[np.bool_] = (self.rate & HT40) != 0
+        return wide
+
+    @property
+    def bfee_count(self) -> NDArray[np.uint16]:
+        """(n,) The driver's record counter, wrapping: a gap is a record lost before the log."""
+        return self._columns["bfee_count"]
+
+    @property
+    def timestamp_low(self) -> NDArray[np.uint32]:
+        """(n,) The card's clock as the record has it, microseconds, wrapping after 4,295 s."""
+        return self._columns["timestamp_low"]
+
+    @property
+    def n_rx(self) -> NDArray[np.uint8]:
+        """(n,) Receive chains of each frame, 1 to 3."""
+        return self._columns["n_rx"]
+
+    @property
+    def n_tx(self) -> NDArray[np.uint8]:
+        """(n,) Space-time streams of each frame, 1 to 3."""
+        return self._columns["n_tx"]
+
+    @property
+    def offset(self) -> NDArray[np.int64]:
+        """(n,) Bytes of the log before the record."""
+        return self._columns["offset"]
+
+    @property
+    def frame(self) -> Masked:
+        """(n,) The sender's number of the frame; masked where not known."""
+        frame = self._columns["frame"]
+        return np.ma.masked_array(frame, mask=frame < 0)
+
+    @cached_property
+    def mac(self) -> NDArray[np.str_]:
+        """(n,) The sender, as ``00:16:ea:12:34:56``; empty where not known."""
+        octets = self._columns["mac"]
+        distinct, which = np.unique(octets, axis=0, return_inverse=True)
+        words = np.array([":".join(f"{o:02x}" for o in row) if row.any() else "" for row in distinct], dtype="U17")
+        named: NDArray[np.str_] = words[which.reshape(-1)] if len(octets) else words
+        return named
+
+    @property
+    def antenna_order(self) -> Masked:
+        """(n, 3) Antenna of each receive chain, 0 to 2 for A to C; masked for chains not used and where the record does not say."""
+        order = self._columns["antenna_order"]
+        return np.ma.masked_array(order, mask=order == NO_ANTENNA)
+
+    @property
+    def antennas_known(self) -> NDArray[np.bool_]:
+        """(n,) False where a record does not say which antenna is which: its rows of CSI are then receive chains."""
+        known: NDArray[np.bool_] = self._columns["antenna_order"][:, 0] != NO_ANTENNA
+        return known
+
+    @property
+    def subcarriers(self) -> NDArray[np.int8]:
+        """(30,) Indices of the subcarriers about the channel centre, 312.5 kHz apart.
+
+        Raises :class:`OptionError` if 20 and 40 MHz are mixed: ``log[log.is_40_mhz].subcarriers``.
+        """
+        wide = self.is_40_mhz
+        if len(self) and wide.any() and not wide.all():
+            raise OptionError("frames of 20 and 40 MHz are mixed: choose by log[log.is_40_mhz] or log[~log.is_40_mhz]", self.name)
+        indices = _native.SUBCARRIERS_40_MHZ if len(self) and wide[0] else _native.SUBCARRIERS_20_MHZ
+        return np.array(indices, dtype=np.int8)
+
+    # The channel.
+
+    @cached_property
+    def antennas(self) -> str:
+        """Letters of the rows of :attr:`csi`: the antennas asked for, or those that were used in any frame."""
+        if self._letters is not None:
+            return "".join(sorted(set(self._letters.upper()) & set("ABC")))
+        order = self._columns["antenna_order"]
+        used = [k for k in range(3) if (order == k).any()]
+        unknown = ~self.antennas_known
+        most = int(self.n_rx[unknown].max()) if unknown.any() else 0
+        used += [k for k in range(3) if k not in used][: max(0, most - len(used))]
+        return "".join("ABC"[k] for k in sorted(used))
+
+    @property
+    def streams(self) -> int:
+        """Columns of :attr:`csi`: the most streams of a frame."""
+        return int(self.n_tx.max()) if len(self) else 1
+
+    @cached_property
+    def csi(self) -> NDArray[np.complex64]:
+        """(n, n_rx, n_tx, 30) The card's integers, rows by :attr:`antennas`, not a number where a frame has none.
+
+        Decoded at the first call and kept. :attr:`present` says what is there; :meth:`masked` masks the rest.
+        """
+        return self._decode(scaled=False, remove_spatial_mapping=False)
+
+    def scaled(self, *, remove_spatial_mapping: bool = False) -> NDArray[np.complex64]:
+        """(n, n_rx, n_tx, 30) CSI in units of sqrt(SNR), decoded anew; not a number where a frame has no scale.
+
+        With ``remove_spatial_mapping`` columns are transmit antennas instead of streams (Intel transmitters).
+        """
+        return self._decode(scaled=True, remove_spatial_mapping=remove_spatial_mapping)
+
+    def raw(self, *, remove_spatial_mapping: bool = False) -> NDArray[np.complex64]:
+        """(n, n_rx, n_tx, 30) As :attr:`csi`, decoded anew and not kept."""
+        return self._decode(scaled=False, remove_spatial_mapping=remove_spatial_mapping)
+
+    def masked(self, *, scaled: bool = False) -> Masked:
+        """(n, n_rx, n_tx, 30) CSI, masked where a frame has none."""
+        csi = self.scaled() if scaled else self.csi
+        return np.ma.masked_invalid(csi, copy=False)
+
+    def _decode(self, *, scaled: bool, remove_spatial_mapping: bool) -> NDArray[np.complex64]:
+        return self._records.csi(self._rows, self.antennas, self.streams, scaled, remove_spatial_mapping)
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """(n, n_rx, n_tx) True where a frame has CSI."""
+        order, known = self._columns["antenna_order"], self.antennas_known
+        rows = [
+            np.where(known, (order == "ABC".index(letter)).any(axis=1), self.n_rx > row)
+            for row, letter in enumerate(self.antennas)
+        ]
+        there = np.stack(rows, axis=1) if rows else np.zeros((len(self), 0), dtype=bool)
+        streams = np.arange(self.streams)[None, :] < self.n_tx[:, None]
+        both: NDArray[np.bool_] = there[:, :, None] & streams[:, None, :]
+        return both
+
+    @property
+    def scale(self) -> NDArray[np.float64]:
+        """(n,) Factor from the card's integers to sqrt(SNR); not a number where RSSI or CSI are all 0."""
+        return self._records.scale(self._rows)
+
+    @property
+    def total_rss(self) -> NDArray[np.float64]:
+        """(n,) Received power over all antennas, dBm; not a number where all RSSI are 0."""
+        return self._records.total_rss_dbm(self._rows)
+
+    # What was lost.
+
+    @property
+    def losses(self) -> list[Loss]:
+        """The first 16 stretches of the log without an intact record; all are counted in :attr:`info`."""
+        return [Loss(**loss) for loss in self.info["survey"]["losses"]]
+
+    @property
+    def lost_something(self) -> bool:
+        """True if anything before the log's end was damaged or dropped."""
+        return bool(self.info["lost_something"])
+
+    @property
+    def tail(self) -> dict[str, int | None] | None:
+        """Where the log was cut in the middle of a record: ``offset``, ``bytes``, ``expected``; None if it was not."""
+        tail: dict[str, int | None] | None = self.info["tail"]
+        return tail
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of memory of the packed records and the columns; decoded CSI is not counted."""
+        return self._records.nbytes + sum(column.nbytes for column in self._columns.values())
+
+    # As a sequence.
+
+    @overload
+    def __getitem__(self, index: int | np.integer[Any]) -> Frame: ...
+    @overload
+    def __getitem__(self, index: Index) -> Log: ...
+    def __getitem__(self, index: int | np.integer[Any] | Index) -> Frame | Log:
+        if isinstance(index, (int, np.integer)):
+            return self._frame(int(index))
+        rows = np.arange(len(self), dtype=np.int64) if self._rows is None else self._rows
+        chosen = index if isinstance(index, slice) else np.asarray(index)
+        columns = {name: column[chosen] for name, column in self._columns.items()}
+        part = Log(self._records, columns, self.info, self.antennas, np.ascontiguousarray(rows[chosen]))
+        if "csi" in self.__dict__ and isinstance(index, slice) and part.streams == self.streams:
+            part.__dict__["csi"] = self.csi[index]
+        return part
+
+    def _frame(self, index: int) -> Frame:
+        n = len(self)
+        if not -n <= index < n:
+            raise IndexError(f"frame {index} of a log of {n}")
+        index %= n
+        one = self[index : index + 1]
+        columns = one._columns
+        number, noise = int(columns["frame"][0]), int(columns["noise_dbm"][0])
+        return Frame(
+            csi=one.csi[0],
+            time_us=int(columns["time_us"][0]),
+            host_time=one.host_time[0],
+            mac=str(one.mac[0]) or None,
+            frame=None if number < 0 else number,
+            rssi=one.rssi[0],
+            agc=int(one.agc[0]),
+            noise=None if noise == -127 else noise,
+            rate=int(one.rate[0]),
+            offset=int(one.offset[0]),
+        )
+
+    def __iter__(self) -> Iterator[Frame]:
+        # In pieces: one decoding for many frames.
+        for start in range(0, len(self), 1024):
+            part = self[start : start + 1024]
+            _ = part.csi
+            for index in range(len(part)):
+                yield part._frame(index)
+
+    def __getstate__(self) -> dict[str, Any]:
+        lengths, packed = self._records.dump(self._rows)
+        letters = self._letters
+        return {"columns": self._columns, "info": self.info, "letters": letters, "lengths": lengths, "packed": packed}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        records = _native.Records.restore(state["lengths"], state["packed"])
+        self.__init__(records, state["columns"], state["info"], state["letters"])  # type: ignore[misc]
+
+    def __copy__(self) -> Log:
+        return Log(self._records, dict(self._columns), self.info, self._letters, self._rows)
+
+    def _held(self) -> _native.Held:
+        """What native functions take for a log in memory."""
+        return (self._records, self._rows, self._columns["host_us"])
+
+    # To other libraries.
+
+    def to_xarray(self, *, scaled: bool = False) -> xarray.Dataset:
+        """A dataset with dimensions time, rx, tx, subcarrier; needs xarray."""
+        from . import _tables
+
+        return _tables.to_xarray(self, scaled=scaled)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """A row a frame, without the CSI; needs pandas."""
+        from . import _tables
+
+        return _tables.to_pandas(self)
+
+    def to_polars(self, *, scaled: bool = False) -> polars.DataFrame:
+        """A row a frame, CSI in the array columns ``csi_re`` and ``csi_im``; needs polars."""
+        from . import _tables
+
+        return _tables.to_polars(self, scaled=scaled)
+
+    def write(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        scaled: bool = False,
+        remove_spatial_mapping: bool = False,
+    ) -> int:
+        """Writes the frames to ``.npz``, ``.mat`` (v5) or ``.parquet``, with the arrays and columns of ``csi5300 export``
+        (docs/formats.md); a file that is there is replaced. Returns how many frames have no scale (0 unless ``scaled``).
+
+        Raises :class:`ExportError`.
+        """
+        return self._records.write(path, self._rows, self._columns, self.antennas, scaled, remove_spatial_mapping)
+
+    def plot(self, *, antenna: str | None = None, stream: int = 0) -> Figure:
+        """Amplitude and phase over time and subcarrier; needs matplotlib."""
+        from . import plot
+
+        return plot.heat_map(self, antenna=antenna, stream=stream)
+
+    def __repr__(self) -> str:
+        shape = (len(self), len(self.antennas), self.streams, 30)
+        lost = ", with losses" if self.lost_something else ""
+        return f"<csi5300.Log {self.name}: {len(self)} frames, antennas {self.antennas}, csi {shape}{lost}>"
+
+    def _repr_html_(self) -> str:
+        from . import _html
+
+        return _html.of_log(self)

@@ -1,0 +1,102 @@
+"""Simulated rooms: :func:`simulate`."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _native
+from ._bearing import Bearing, bearings
+from ._errors import OptionError
+from ._log import Log, read
+
+
+@dataclass(frozen=True)
+class Robot:
+    """What a robot of a room logged, and the truth about it."""
+
+    name: str
+    mac: str
+    data: bytes = field(repr=False)
+    """Its log, the bytes of a ``.dat`` file."""
+    path: NDArray[np.float64] | None = field(repr=False)
+    """(m, 5) Where its antenna A was: seconds on its host's clock, x, y, z (metres), heading (radians)."""
+    injected: str
+    """What was done to it on purpose, in words."""
+
+    @cached_property
+    def log(self) -> Log:
+        """Its log."""
+        log = read(self.data)
+        log.info["name"] = self.name
+        return log
+
+    @property
+    def start_m(self) -> NDArray[np.float64] | None:
+        """(3,) Where its antenna A was at the start, metres."""
+        return None if self.path is None else self.path[0, 1:4]
+
+
+@dataclass(frozen=True)
+class Room:
+    """A scene that was run: its robots, in the scene's order."""
+
+    channel: int
+    robots: list[Robot]
+    initiators: list[str]
+    """Names of the robots that asked; the others answered."""
+
+    def __getitem__(self, name: str) -> Robot:
+        for robot in self.robots:
+            if robot.name == name:
+                return robot
+        raise KeyError(name)
+
+    def __iter__(self) -> Iterator[Robot]:
+        return iter(self.robots)
+
+    def __len__(self) -> int:
+        return len(self.robots)
+
+    def true_azimuth_deg(self, tx: str, rx: str | None = None) -> float:
+        """Azimuth from the mean place of ``rx`` (the first initiator) to where ``tx`` was at the start, degrees."""
+        own, other = self[rx or self.initiators[0]].path, self[tx].start_m
+        if own is None or other is None:
+            raise OptionError("a scene too short for a path has no bearing")
+        towards = other - own[:, 1:4].mean(axis=0)
+        return float(np.degrees(np.arctan2(towards[1], towards[0])))
+
+    def bearings(self, rx: str | None = None, **options: Any) -> list[Bearing]:
+        """Bearings from ``rx`` (the first initiator) to all others, by its true path; options as of :func:`csi5300.bearings`."""
+        own = self[rx or self.initiators[0]]
+        if own.path is None:
+            raise OptionError("a scene too short for a path has no bearing")
+        others = [robot for robot in self.robots if robot is not own]
+        options.setdefault("channel", self.channel)
+        options.setdefault("tx_mac", [robot.mac for robot in others])
+        return bearings(own.log, [robot.log for robot in others], trajectory=own.path, **options)
+
+
+def simulate(
+    scene: str | os.PathLike[str] | Mapping[str, Any],
+    *,
+    seed: int | None = None,
+    layout: str | None = None,
+) -> Room:
+    """Runs a scene in memory: a ``.toml`` file, the name of a built-in one (``"lab-circle"``), or a dictionary of its values.
+
+    ``seed`` and ``layout`` (``"wsr"``, ``"stock"``) replace the scene's. A seed gives the same bytes on any machine.
+    Raises :class:`SceneError`.
+    """
+    is_json = isinstance(scene, Mapping)
+    text = json.dumps(scene) if isinstance(scene, Mapping) else os.fspath(scene)
+    channel, initiators, made = _native.simulate(text, is_json, seed, layout)
+    robots = [Robot(r["name"], r["mac"], r["log"], r["path"], r["injected"]) for r in made]
+    return Room(channel, robots, [robots[number].name for number in initiators])

@@ -1,0 +1,215 @@
+"""csiread's reader of Intel 5300 logs, over this package's decoder: ``import csi5300.csiread as csiread``.
+
+:class:`Intel` has the attributes, methods, shapes and types of ``csiread.Intel`` (csiread 1.4.1); docs/python.md lists where the two
+differ, and why.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _native
+from ._errors import LogError, LogNotFoundError
+
+__all__ = ["Intel"]
+
+_FIELDS = ("timestamp_low", "bfee_count", "Nrx", "Ntx", "rssi_a", "rssi_b", "rssi_c", "noise", "agc", "rate")
+_FRAMES = ("fc", "dur", "seq")
+_ADDRESSES = ("addr_des", "addr_src", "addr_bssid")
+_PACKETS = (*_FIELDS, "perm", "csi")
+_OTHERS = (*_FRAMES, *_ADDRESSES, "payload")
+_ALL = _PACKETS + _OTHERS
+
+
+def _mapping(turns: list[list[float]]) -> NDArray[np.complex128]:
+    mapping: NDArray[np.complex128] = np.exp(2j * np.pi * np.array(turns)) / np.sqrt(len(turns))
+    return mapping
+
+
+# csitool's sm_matrices.m: streams by transmit antennas, at 20 and 40 MHz.
+_SM = {
+    (2, False): _mapping([[0, 0], [0, 0.5]]),
+    (2, True): _mapping([[0, 0.25], [0.25, 0]]),
+    (3, False): _mapping([[-1 / 16, -33 / 80, 3 / 80], [23 / 80, 13 / 48, 13 / 240], [-13 / 80, 37 / 240, 13 / 48]]),
+    (3, True): _mapping([[-1 / 16, -13 / 80, 23 / 80], [-37 / 80, -11 / 48, -107 / 240], [7 / 80, -83 / 240, -11 / 48]]),
+}
+
+
+class Intel:
+    """A log of the Intel 5300, as ``csiread.Intel`` reads it.
+
+    ``file`` is a path, or None for :meth:`seek` and :meth:`pmsg`. ``nrxnum`` and ``ntxnum`` are the antennas and streams that arrays
+    have room for, ``pl_size`` the bytes of frames kept in ``payload``, ``bufsize`` the most packets of :meth:`seek`.
+    """
+
+    count: int
+    timestamp_low: NDArray[np.uint32]
+    bfee_count: NDArray[np.intp]
+    Nrx: NDArray[np.intp]
+    Ntx: NDArray[np.intp]
+    rssi_a: NDArray[np.intp]
+    rssi_b: NDArray[np.intp]
+    rssi_c: NDArray[np.intp]
+    noise: NDArray[np.intp]
+    agc: NDArray[np.intp]
+    perm: NDArray[np.intp]
+    rate: NDArray[np.intp]
+    csi: NDArray[np.complex128]
+    stp: NDArray[np.float64]
+    fc: NDArray[np.intp]
+    dur: NDArray[np.intp]
+    addr_des: NDArray[np.intp]
+    addr_src: NDArray[np.intp]
+    addr_bssid: NDArray[np.intp]
+    seq: NDArray[np.intp]
+    payload: NDArray[np.uint8]
+
+    def __init__(
+        self,
+        file: str | os.PathLike[str] | None,
+        nrxnum: int = 3,
+        ntxnum: int = 2,
+        pl_size: int = 0,
+        if_report: bool = True,
+        bufsize: int = 0,
+    ) -> None:
+        self.file = None if file is None else os.fspath(file)
+        if self.file is not None and not os.path.isfile(self.file):
+            raise LogNotFoundError(f"no such log: {self.file}", self.file)
+        self.nrxnum, self.ntxnum, self.pl_size = nrxnum, ntxnum, pl_size
+        self.if_report, self.bufsize = if_report, bufsize
+        self.skipped = 0
+        """Damaged stretches and impossible records of the last reading (csiread has no such count)."""
+        self.count = 0
+        nothing = {name: np.zeros(0, np.intp) for name in (*_FIELDS, *_FRAMES)}
+        nothing |= {name: np.zeros((0, 6), np.intp) for name in _ADDRESSES}
+        nothing |= {"perm": np.zeros((0, 3), np.intp), "payload": np.zeros((0, pl_size), np.uint8)}
+        self._take({**nothing, "csi": np.zeros((0, 30, nrxnum, ntxnum), np.complex128)}, _ALL)
+
+    def _take(self, arrays: dict[str, Any], names: Iterable[str]) -> None:
+        """Keeps arrays under their names, in csiread's types."""
+        kept = {"timestamp_low": np.uint32, "payload": np.uint8, "csi": np.complex128}
+        for name in names:
+            setattr(self, name, arrays[name].astype(kept.get(name, np.intp), copy=False))
+
+    def __getitem__(self, index: Any) -> dict[str, Any]:
+        return {name: getattr(self, name)[index] for name in _PACKETS}
+
+    def read(self) -> None:
+        """Reads the file: its packets with CSI (0xbb) and frames (0xc1)."""
+        if self.file is None:
+            raise LogError("no file was named: Intel(file), or seek(file, pos, num)")
+        self._read(self.file, 0, 0)
+
+    def seek(self, file: str | os.PathLike[str], pos: int, num: int) -> None:
+        """Reads ``num`` packets with CSI (0: all) of a file from byte ``pos`` on."""
+        if self.bufsize and num > self.bufsize:
+            raise ValueError(f"num={num} is more than bufsize={self.bufsize}")
+        self._read(os.fspath(file), pos, num or self.bufsize)
+
+    def _read(self, file: str, pos: int, num: int) -> None:
+        arrays = _native.classic(file, pos, num, (self.nrxnum, self.ntxnum), self.pl_size)
+        n_rx, n_tx = arrays["largest"]
+        if n_rx > self.nrxnum:
+            raise ValueError(f"nrxnum={self.nrxnum} is too small!\n")
+        if n_tx > self.ntxnum:
+            raise ValueError(f"ntxnum={self.ntxnum} is too small!\n")
+        self.skipped = arrays["skipped"]
+        self._take(arrays, _ALL)
+        self.count = len(self.timestamp_low)
+        if self.if_report:
+            print(f"{len(self.fc)} 0xc1 packets parsed\n{self.count} 0xbb packets parsed")
+            if self.skipped:
+                print(f"{self.skipped} damaged stretches skipped")
+
+    def pmsg(self, data: bytes) -> int:
+        """Reads one packet, code first, as a socket gave it; its code is returned, and the arrays hold it (0xbb, 0xc1)."""
+        import tempfile
+
+        if not data:
+            return 0
+        # A record as logs have it: its length, then code and body.
+        with tempfile.NamedTemporaryFile(suffix=".dat") as log:
+            log.write(len(data).to_bytes(2, "big") + bytes(data))
+            log.flush()
+            arrays = _native.classic(log.name, 0, 0, (self.nrxnum, self.ntxnum), self.pl_size)
+        n_rx, n_tx = arrays["largest"]
+        if n_rx > self.nrxnum or n_tx > self.ntxnum:
+            raise ValueError(f"nrxnum={self.nrxnum} or ntxnum={self.ntxnum} is too small!\n")
+        kept, first = (_PACKETS, "timestamp_low") if data[0] == 0xBB else (_OTHERS, "fc")
+        if data[0] in (0xBB, 0xC1) and len(arrays[first]):
+            self._take(arrays, kept)
+            self.count = 1
+        return int(data[0])
+
+    def readstp(self, endian: str = "little") -> float:
+        """Reads the host times beside the log (``<file>stp``: seconds and microseconds, u32 each) into ``stp``; gives the first."""
+        if self.file is None:
+            raise LogError("no file was named: Intel(file)")
+        words = np.fromfile(self.file + "stp", dtype="<u4" if endian == "little" else ">u4")
+        pairs = words[: len(words) // 2 * 2].reshape(-1, 2)
+        self.stp = pairs[:, 0] + pairs[:, 1] / 1e6
+        return float(self.stp[0])
+
+    def get_total_rss(self) -> NDArray[np.float64]:
+        """Received power of each packet over all antennas, dBm; 0 where all RSSI are 0."""
+        power = np.zeros(self.count)
+        for rssi in (self.rssi_a, self.rssi_b, self.rssi_c):
+            power += np.where(rssi > 0, 10 ** (rssi / 10.0), 0.0)
+        heard = power > 0
+        level: NDArray[np.float64] = np.where(heard, 10 * np.log10(np.where(heard, power, 1.0)) - 44 - self.agc, 0.0)
+        return level
+
+    def _factor(self) -> NDArray[np.float64]:
+        parts = self.csi.view(np.float64).reshape(self.count, -1)
+        power = np.einsum("ij,ij->i", parts, parts) / 30
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = 10 ** (self.get_total_rss() / 10) / power
+            thermal = 10 ** (np.where(self.noise == -127, -92.0, self.noise) / 10)
+            noise = thermal + scale * (self.Nrx.astype(float) * self.Ntx)
+            noise = noise / np.select([self.Ntx == 2, self.Ntx == 3], [2.0, 10**0.45], 1.0)
+            factor: NDArray[np.float64] = np.sqrt(scale / noise)
+        return factor
+
+    def get_scaled_csi(self, inplace: bool = False) -> NDArray[np.complex128]:
+        """(count, 30, nrxnum, ntxnum) CSI in sqrt(SNR); ``inplace`` replaces ``csi``."""
+        out = self.csi if inplace else np.empty_like(self.csi)
+        np.multiply(self.csi, self._factor()[:, None, None, None], out=out)
+        return out
+
+    def get_scaled_csi_sm(self, inplace: bool = False) -> NDArray[np.complex128]:
+        """The same with the transmitter's spatial mapping undone."""
+        scaled = self.get_scaled_csi(inplace)
+        unmapped = self.apply_sm(scaled)
+        if inplace:
+            self.csi[...] = unmapped
+            return self.csi
+        return unmapped
+
+    def apply_sm(self, scaled_csi: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """Undoes the spatial mapping of Intel transmitters: columns become transmit antennas."""
+        out = scaled_csi.copy()
+        wide = (self.rate & 0x800) != 0
+        for (streams, is_wide), mapping in _SM.items():
+            chosen = (self.Ntx == streams) & (wide == is_wide)
+            if streams <= self.ntxnum and chosen.any():
+                out[chosen, :, :, :streams] = scaled_csi[chosen, :, :, :streams] @ mapping.conj().T
+        return out
+
+    def display(self, index: int) -> None:
+        """Prints a packet."""
+        lines = [f"{index}th packet:", f"  {'file':<20}: {self.file}", f"  {'count':<20}: {self.count}"]
+        for name in (*_FIELDS, "perm"):
+            lines.append(f"  {name:<20}: {getattr(self, name)[index]}")
+        lines.append(f"  {'csi':<20}: {self.csi[index].shape}")
+        if len(self.fc) > index:
+            lines += [f"  {name:<20}: {getattr(self, name)[index]}" for name in _FRAMES]
+            for name in _ADDRESSES:
+                lines.append(f"  {name:<20}: {bytes(getattr(self, name)[index].tolist()).hex(':')}")
+            lines.append(f"  {'payload':<20}: {self.payload[index].tobytes().hex(' ')}")
+        print("\n".join(lines))

@@ -1,0 +1,218 @@
+//! Bearings from logs and trajectories.
+
+use crate::error::{Failure, Kind, interruptible};
+use crate::intake::open;
+use crate::options::Keywords;
+use crate::pool::{build, pool};
+use crate::records::{Records, selected};
+use csi5300::bartlett::{self, Grid};
+use csi5300::motion::odometry::csv;
+use csi5300::motion::pose::{Pose, Trajectory};
+use csi5300::nalgebra::Vector3;
+use csi5300::pipeline::{Answer, Bearing, CaptureReport, Transmitter, bearings as estimate};
+use csi5300::source::{CsiSource, Next, Origin, Stamps};
+use csi5300::time::Instant;
+use csi5300_lab::table::{Arena, NO_TIME};
+use driver_iface::record::{Record, Tail};
+use num_complex::Complex64;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::prelude::*;
+use pyo3::types::{PyDict, PyTuple};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// Records in memory as a source.
+struct Replayed {
+    arena: Arc<Arena>,
+    records: Vec<usize>,
+    host_us: Vec<i64>,
+    /// The next record, and whether its MPDU was given.
+    at: (usize, bool),
+}
+
+impl CsiSource for Replayed {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, csi5300::source::Error> {
+        let (place, mpdu_given) = self.at;
+        let Some(&record) = self.records.get(place) else { return Ok(Next::End(Tail::Clean)) };
+        let host_us = self.host_us.get(place).copied().filter(|us| *us != NO_TIME);
+        let stamps = Stamps { at: now, host_us, origin: Origin::Live { number: place as u64 } };
+        let mut parts = self.arena.records(record);
+        let (first, second) = (parts.next(), parts.next());
+        let (code, body) = match (first, second) {
+            (Some(mpdu), Some(bfee)) => {
+                self.at = if mpdu_given { (place + 1, false) } else { (place, true) };
+                if mpdu_given { bfee } else { mpdu }
+            }
+            (only, _) => {
+                self.at = (place + 1, false);
+                only.unwrap_or_default()
+            }
+        };
+        Ok(Next::Record(stamps, Record { code, body }))
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        (self.at.0 < self.records.len()).then_some(Instant::ZERO)
+    }
+}
+
+/// A log as Python names it: a path, bytes, a file object, or (records, rows, host times) of a log in memory.
+fn source(log: &Bound<'_, PyAny>) -> PyResult<Box<dyn CsiSource + Send>> {
+    let Ok(parts) = log.cast::<PyTuple>() else { return Ok(Box::new(open(log)?)) };
+    let (records, rows, host_us): (PyRef<'_, Records>, Option<PyReadonlyArray1<'_, i64>>, PyReadonlyArray1<'_, i64>) =
+        parts.extract()?;
+    let chosen = selected(&records.arena, rows.as_ref())?;
+    let host_us = host_us.as_array().iter().copied().collect();
+    Ok(Box::new(Replayed { arena: Arc::clone(&records.arena), records: chosen, host_us, at: (0, false) }))
+}
+
+/// A trajectory as Python names it: a CSV file, or an array (n, 4 or 5) of seconds, x, y, z and heading.
+fn trajectory(of: &Bound<'_, PyAny>) -> PyResult<Trajectory> {
+    if let Ok(rows) = of.extract::<PyReadonlyArray2<'_, f64>>() {
+        return poses(&rows).map_err(Into::into);
+    }
+    let path: PathBuf = of.extract()?;
+    let name = path.display().to_string();
+    let (trajectory, _) = csv::read(&path).map_err(|error| Failure::new(Kind::Trajectory, error).of(name))?;
+    Ok(trajectory)
+}
+
+fn poses(rows: &PyReadonlyArray2<'_, f64>) -> Result<Trajectory, Failure> {
+    let rows = rows.as_array();
+    let columns = rows.ncols();
+    if !(4..=5).contains(&columns) {
+        let message =
+            format!("a trajectory has 4 columns (seconds, x, y, z in metres) or 5 (heading, radians), not {columns}");
+        return Err(Failure::new(Kind::Trajectory, message));
+    }
+    let pose = |row: usize| {
+        let value = |column: usize| rows.get((row, column)).copied();
+        let position_m = Vector3::new(value(1)?, value(2)?, value(3)?);
+        Some(Pose { t_s: value(0)?, position_m, heading_rad: value(4).filter(|heading| heading.is_finite()) })
+    };
+    Trajectory::new((0..rows.nrows()).filter_map(pose).collect()).map_err(|error| Failure::new(Kind::Trajectory, error))
+}
+
+/// A trajectory's poses as an array (n, 5): seconds, x, y, z (metres), heading (radians, not a number where unknown).
+pub fn pose_array<'py>(py: Python<'py>, trajectory: &Trajectory) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let row = |pose: &Pose| {
+        let p = pose.position_m;
+        [pose.t_s, p.x, p.y, p.z, pose.heading_rad.unwrap_or(f64::NAN)]
+    };
+    let values: Vec<f64> = trajectory.poses().iter().flat_map(row).collect();
+    values.into_pyarray(py).reshape([trajectory.poses().len(), 5])
+}
+
+/// Reads a trajectory file.
+#[pyfunction]
+pub fn read_trajectory<'py>(py: Python<'py>, path: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    pose_array(py, &trajectory(path)?)
+}
+
+/// A link's bearing with what it was made of.
+#[pyclass(frozen, module = "csi5300._native")]
+pub struct Link {
+    bearing: Arc<Bearing>,
+}
+
+#[pymethods]
+impl Link {
+    /// The profile over a grid: `(azimuths, elevations)` even ones, or directions (n, 2), degrees. Returns azimuths and
+    /// elevations (degrees) and values, each (rows, columns).
+    #[pyo3(signature = (azimuths, elevations, directions))]
+    fn profile<'py>(
+        &self,
+        py: Python<'py>,
+        azimuths: usize,
+        elevations: usize,
+        directions: Option<PyReadonlyArray2<'py, f64>>,
+    ) -> PyResult<[Bound<'py, PyArray2<f64>>; 3]> {
+        const LIMIT: usize = 10_000_000;
+        let grid = match &directions {
+            Some(list) => {
+                let list = list.as_array();
+                let pair = |row: usize| Some((list.get((row, 0))?.to_radians(), list.get((row, 1))?.to_radians()));
+                Grid::directions((0..list.nrows()).filter_map(pair).collect())
+            }
+            None if azimuths.checked_mul(elevations.max(1)).is_none_or(|all| all > LIMIT || all == 0) => {
+                return Err(Failure::new(Kind::Option, format!("a grid of 1 to {LIMIT} directions")).into());
+            }
+            None if elevations < 2 => Grid::azimuth(azimuths),
+            None => Grid::azimuth_elevation(azimuths, elevations),
+        };
+        let bearing = Arc::clone(&self.bearing);
+        let profile = interruptible(py, move || {
+            bartlett::profile(&bearing.samples, &grid).map_err(|error| Failure::new(Kind::Option, error))
+        })?;
+        let (rows, columns) = profile.grid.shape();
+        let angles: Vec<(f64, f64)> = (0..profile.values.len()).map(|index| profile.grid.at(index)).collect();
+        let of = |values: Vec<f64>| values.into_pyarray(py).reshape([rows, columns]);
+        Ok([
+            of(angles.iter().map(|(azimuth, _)| azimuth.to_degrees()).collect())?,
+            of(angles.iter().map(|(_, elevation)| elevation.to_degrees()).collect())?,
+            of(profile.values)?,
+        ])
+    }
+
+    /// The samples: `t_s` (n), `z` (n), `receiver_m` (n, 3), and the receiver's whole path `path_m`, and the phase of
+    /// each pair (`phase`: seconds, one way, round trip, compensated, radians).
+    fn samples<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let samples = &self.bearing.samples;
+        let arrays = PyDict::new(py);
+        let flat = |points: &[Vector3<f64>]| {
+            let values: Vec<f64> = points.iter().flat_map(|p| [p.x, p.y, p.z]).collect();
+            values.into_pyarray(py).reshape([points.len(), 3])
+        };
+        arrays.set_item("t_s", PyArray1::<f64>::from_slice(py, samples.t_s()))?;
+        arrays.set_item("z", PyArray1::<Complex64>::from_slice(py, samples.z()))?;
+        arrays.set_item("receiver_m", flat(samples.receiver_m())?)?;
+        arrays.set_item("path_m", flat(&self.bearing.path_m)?)?;
+        let row = |p: &csi5300::pipeline::Phase| [p.t_s, p.one_way_rad, p.round_trip_rad, p.compensated_rad];
+        let course: Vec<f64> = self.bearing.course.iter().flat_map(row).collect();
+        arrays.set_item("phase", course.into_pyarray(py).reshape([self.bearing.course.len(), 4])?)?;
+        Ok(arrays)
+    }
+}
+
+/// A link's answer as JSON, and the link itself where it has a bearing.
+type Linked = (String, Option<Link>);
+
+/// The bearings of a capture: one link for each transmitter.
+#[pyfunction]
+#[pyo3(signature = (rx, tx, names, path, tx_paths, keywords))]
+pub fn bearings(
+    py: Python<'_>,
+    rx: &Bound<'_, PyAny>,
+    tx: Vec<Bound<'_, PyAny>>,
+    names: Vec<String>,
+    path: &Bound<'_, PyAny>,
+    tx_paths: Vec<Option<Bound<'_, PyAny>>>,
+    keywords: &str,
+) -> PyResult<Vec<Linked>> {
+    let keywords = Keywords::parse(keywords)?;
+    let options = keywords.options()?.with_keep_course(true).with_parallel(tx.len() > 1);
+    let mut receiver = source(rx)?;
+    let mut logs = tx.iter().map(source).collect::<PyResult<Vec<_>>>()?;
+    let mut own = trajectory(path)?;
+    if let Some([x, y, z]) = keywords.antenna_offset {
+        let moved = own.with_antenna_offset(Vector3::new(x, y, z));
+        own = moved.map_err(|error| Failure::new(Kind::Trajectory, error))?;
+    }
+    let moved = tx_paths.iter().map(|path| path.as_ref().map(trajectory).transpose()).collect::<PyResult<Vec<_>>>()?;
+    let pool = if keywords.threads == 0 { pool()? } else { Arc::new(build(keywords.threads)?) };
+    let report: CaptureReport = interruptible(py, move || {
+        pool.install(move || {
+            let trajectory = |k: usize| moved.get(k).and_then(Option::as_ref);
+            let transmitters = logs.iter_mut().enumerate();
+            let transmitters = transmitters.map(|(k, log)| Transmitter { log: &mut **log, trajectory: trajectory(k) });
+            let report = estimate(&mut *receiver, transmitters.collect(), &own, &options);
+            report.map_err(|error| Failure::new(Kind::Capture, error))
+        })
+    })?;
+    let linked = names.into_iter().zip(report.links).map(|(name, link)| {
+        let answer = Answer::new(name, &link);
+        let json = serde_json::to_string(&answer).map_err(|error| Failure::new(Kind::Internal, error))?;
+        Ok((json, link.bearing.ok().map(|bearing| Link { bearing: Arc::new(bearing) })))
+    });
+    linked.collect()
+}

@@ -1,0 +1,209 @@
+//! A log as csiread's `Intel` has it: zeros where a record has no CSI, rows by `antenna_sel`, frames beside.
+
+use crate::error::{Failure, Kind};
+use crate::pool::pool;
+use csi5300::source::replay::Replay;
+use csi5300::source::{CsiSource, Next};
+use csi5300::time::Instant;
+use csi5300_lab::table::{Arena, antenna_order};
+use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, SUBCARRIERS};
+use driver_iface::mpdu::Mpdu;
+use driver_iface::record::code;
+use num_complex::{Complex32, Complex64};
+use numpy::{IntoPyArray, PyArray4, PyArrayMethods};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use rayon::prelude::*;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::PathBuf;
+
+use crate::error::detached;
+
+/// Records between two looks at signals.
+const BURST: usize = 65_536;
+
+/// 0xC1 records, a column a field.
+#[derive(Default)]
+struct Frames {
+    fc: Vec<u16>,
+    dur: Vec<u16>,
+    des: Vec<u8>,
+    src: Vec<u8>,
+    bssid: Vec<u8>,
+    seq: Vec<u16>,
+    payload: Vec<u8>,
+}
+
+impl Frames {
+    fn push(&mut self, body: &[u8], payload_size: usize) {
+        let Ok(mpdu) = Mpdu::new_checked(body) else { return };
+        self.fc.push(mpdu.frame_control());
+        self.dur.push(mpdu.duration_us());
+        self.des.extend(mpdu.addr1().0);
+        self.src.extend(mpdu.addr2().0);
+        self.bssid.extend(mpdu.addr3().0);
+        self.seq.push(mpdu.seq_ctrl());
+        let kept = body.get(..payload_size.min(body.len())).unwrap_or_default();
+        self.payload.extend_from_slice(kept);
+        self.payload.resize(self.payload.len() + payload_size - kept.len(), 0);
+    }
+
+    fn into_arrays(self, arrays: &Bound<'_, PyDict>, payload_size: usize) -> PyResult<()> {
+        let (py, n) = (arrays.py(), self.fc.len());
+        arrays.set_item("fc", self.fc.into_pyarray(py))?;
+        arrays.set_item("dur", self.dur.into_pyarray(py))?;
+        arrays.set_item("addr_des", self.des.into_pyarray(py).reshape([n, 6])?)?;
+        arrays.set_item("addr_src", self.src.into_pyarray(py).reshape([n, 6])?)?;
+        arrays.set_item("addr_bssid", self.bssid.into_pyarray(py).reshape([n, 6])?)?;
+        arrays.set_item("seq", self.seq.into_pyarray(py))?;
+        arrays.set_item("payload", self.payload.into_pyarray(py).reshape([n, payload_size])?)
+    }
+}
+
+/// What was read of a log.
+#[derive(Default)]
+struct Read1 {
+    arena: Arena,
+    frames: Frames,
+    largest: (usize, usize),
+    skipped: u64,
+    ended: bool,
+}
+
+impl Read1 {
+    /// Reads on for [`BURST`] records, or until `limit` with CSI were read.
+    fn burst(
+        &mut self,
+        source: &mut Replay<Box<dyn Read + Send>>,
+        limit: usize,
+        payload_size: usize,
+    ) -> Result<(), csi5300::source::Error> {
+        for _ in 0..BURST {
+            self.ended = self.ended || self.arena.len() >= limit;
+            if self.ended {
+                return Ok(());
+            }
+            match source.receive(Instant::ZERO)? {
+                Next::Record(_, record) if record.code == code::MPDU => self.frames.push(record.body, payload_size),
+                Next::Record(_, record) if record.code == code::BFEE => match Bfee::new_checked(record.body) {
+                    Ok(bfee) => {
+                        let (n_rx, n_tx) = self.largest;
+                        self.largest = (n_rx.max(bfee.n_rx()), n_tx.max(bfee.n_tx()));
+                        self.arena.push(record.body);
+                    }
+                    Err(_) => self.skipped += 1,
+                },
+                Next::Lost(_) => self.skipped += 1,
+                Next::Record(..) => {}
+                Next::Pending | Next::End(_) => self.ended = true,
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The fields of a record as csiread names them.
+fn fields(arrays: &Bound<'_, PyDict>, arena: &Arena) -> PyResult<()> {
+    let py = arrays.py();
+    macro_rules! column {
+        ($name:literal, $of:expr) => {
+            let values: Vec<_> = (0..arena.len()).filter_map(|k| arena.bfee(k)).map($of).collect();
+            arrays.set_item($name, values.into_pyarray(py))?;
+        };
+    }
+    column!("timestamp_low", |bfee| bfee.timestamp_low());
+    column!("bfee_count", |bfee| bfee.bfee_count());
+    column!("Nrx", |bfee| bfee.n_rx() as u8);
+    column!("Ntx", |bfee| bfee.n_tx() as u8);
+    column!("rssi_a", |bfee| bfee.rssi()[0]);
+    column!("rssi_b", |bfee| bfee.rssi()[1]);
+    column!("rssi_c", |bfee| bfee.rssi()[2]);
+    column!("noise", |bfee| bfee.noise_dbm());
+    column!("agc", |bfee| bfee.agc());
+    column!("rate", |bfee| bfee.rate_n_flags());
+    let perm = |bfee: Bfee<'_>| [0, 2, 4].map(|shift| bfee.antenna_sel() >> shift & 3);
+    let perm: Vec<u8> = (0..arena.len()).filter_map(|k| arena.bfee(k)).flat_map(perm).collect();
+    arrays.set_item("perm", perm.into_pyarray(py).reshape([arena.len(), 3])?)
+}
+
+/// Writes one record `[subcarrier][row][stream]` of `shape` rows and streams, no fewer than it has; the row is the antenna's,
+/// or the chain's where the record does not say which antenna is which or there is no row for one of its antennas.
+fn unpack(bfee: &Bfee<'_>, (rows, streams): (usize, usize), out: &mut [Complex64]) {
+    let order = antenna_order(bfee);
+    // NO_ANTENNA is beyond any row.
+    let by_antenna = order.iter().take(bfee.n_rx()).all(|antenna| usize::from(*antenna) < rows);
+    for (chain, antenna) in order.into_iter().enumerate().take(bfee.n_rx()) {
+        let row = if by_antenna { usize::from(antenna) } else { chain };
+        for stream in 0..bfee.n_tx().min(streams) {
+            let mut column = [Complex32::default(); SUBCARRIERS];
+            bfee.column_f32(chain, stream, &ALL_SUBCARRIERS, bytemuck::cast_slice_mut(&mut column));
+            let places = out.iter_mut().skip(row * streams + stream).step_by(rows * streams);
+            for (place, h) in places.zip(column) {
+                *place = Complex64::new(f64::from(h.re), f64::from(h.im));
+            }
+        }
+    }
+}
+
+/// Opens a log from byte `position` on.
+fn open_at(path: &PathBuf, position: u64) -> Result<Replay<Box<dyn Read + Send>>, Failure> {
+    let name = path.display().to_string();
+    let refused = |source: std::io::Error| {
+        let what = format!("cannot read the log {name}");
+        Failure::log(csi5300::source::Error::Io { what, source }, &name, position)
+    };
+    if path.is_dir() {
+        return Err(Failure::log(csi5300::source::Error::Directory { path: path.clone() }, &name, 0));
+    }
+    let mut file = std::fs::File::open(path).map_err(refused)?;
+    file.seek(SeekFrom::Start(position)).map_err(refused)?;
+    Ok(Replay::new(Box::new(file), name.clone()))
+}
+
+/// Reads a log from byte `position` on, `limit` records with CSI at most (0: all), into csiread's arrays. `skipped` is the
+/// number of damaged stretches and records, `largest` the most rows and streams of a record.
+#[pyfunction]
+pub fn classic<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+    position: u64,
+    limit: usize,
+    shape: (usize, usize),
+    payload_size: usize,
+) -> PyResult<Bound<'py, PyDict>> {
+    let mut source = open_at(&path, position)?;
+    let limit = if limit == 0 { usize::MAX } else { limit };
+    let mut read = Read1::default();
+    while !read.ended {
+        detached(py, || read.burst(&mut source, limit, payload_size))?
+            .map_err(|error| Failure::log(error, source.name(), source.bytes()))?;
+        py.check_signals()?;
+    }
+    let (rows, streams) = shape;
+    let Read1 { arena, frames, largest, skipped, .. } = read;
+    let arrays = PyDict::new(py);
+    arrays.set_item("largest", largest)?;
+    arrays.set_item("skipped", skipped)?;
+    if largest.0 > rows || largest.1 > streams {
+        return Ok(arrays);
+    }
+    fields(&arrays, &arena)?;
+    frames.into_arrays(&arrays, payload_size)?;
+    let csi = PyArray4::<Complex64>::zeros(py, [arena.len(), SUBCARRIERS, rows, streams], false);
+    let mut writer = csi.readwrite();
+    let out = writer.as_slice_mut().map_err(|error| Failure::new(Kind::Internal, error.to_string()))?;
+    let pool = pool()?;
+    let size = (SUBCARRIERS * rows * streams).max(1);
+    for (piece, out) in out.chunks_mut(size * BURST).enumerate() {
+        let one = |(k, out): (usize, &mut [Complex64])| {
+            if let Some(bfee) = arena.bfee(piece * BURST + k) {
+                unpack(&bfee, shape, out);
+            }
+        };
+        detached(py, || pool.install(|| out.par_chunks_exact_mut(size).enumerate().with_min_len(256).for_each(one)))?;
+        py.check_signals()?;
+    }
+    drop(writer);
+    arrays.set_item("csi", csi)?;
+    Ok(arrays)
+}

@@ -1,0 +1,155 @@
+//! Errors as Python's exceptions of one family (`csi5300.Error`), and calls that can be interrupted.
+
+use csi5300::source;
+use pyo3::exceptions::{PyException, PyKeyboardInterrupt};
+use pyo3::prelude::*;
+use std::io::ErrorKind;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::{RecvTimeoutError, channel};
+use std::time::Duration;
+
+/// How long a signal waits at most.
+const PATIENCE: Duration = Duration::from_millis(40);
+
+/// Classes of `csi5300._errors`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A log cannot be read.
+    Log,
+    /// There is no such log.
+    NotFound,
+    /// An argument makes no sense.
+    Option,
+    /// Poses make no trajectory.
+    Trajectory,
+    /// A scene cannot be.
+    Scene,
+    /// No bearing comes from these logs at all.
+    Capture,
+    /// The card or the room is not there.
+    Live,
+    /// A file cannot be written.
+    Export,
+    /// A panic: a bug of ours.
+    Internal,
+}
+
+impl Kind {
+    fn class(self) -> &'static str {
+        match self {
+            Self::Log => "LogError",
+            Self::NotFound => "LogNotFoundError",
+            Self::Option => "OptionError",
+            Self::Trajectory => "TrajectoryError",
+            Self::Scene => "SceneError",
+            Self::Capture => "CaptureError",
+            Self::Live => "LiveError",
+            Self::Export => "ExportError",
+            Self::Internal => "InternalError",
+        }
+    }
+}
+
+/// An error on its way to Python.
+#[derive(Debug)]
+pub struct Failure {
+    kind: Kind,
+    message: String,
+    file: Option<String>,
+    offset: Option<u64>,
+    /// What Python raised itself, in a file object's `read`.
+    raised: Option<PyErr>,
+}
+
+impl Failure {
+    /// An error without a file.
+    pub fn new(kind: Kind, message: impl ToString) -> Self {
+        Self { kind, message: message.to_string(), file: None, offset: None, raised: None }
+    }
+
+    /// With the file that it is about.
+    pub fn of(mut self, file: impl Into<String>) -> Self {
+        self.file = Some(file.into());
+        self
+    }
+
+    /// With the place in the file.
+    pub fn at(mut self, offset: u64) -> Self {
+        self.offset = Some(offset);
+        self
+    }
+
+    /// Why a log cannot be read, `bytes` of which were.
+    pub fn log(error: source::Error, name: &str, bytes: u64) -> Self {
+        let message = error.to_string();
+        let (kind, raised) = match error {
+            source::Error::Io { source, .. } => {
+                let kind = if source.kind() == ErrorKind::NotFound { Kind::NotFound } else { Kind::Log };
+                (kind, source.into_inner().and_then(|inner| inner.downcast::<PyErr>().ok()).map(|raised| *raised))
+            }
+            _ => (Kind::Log, None),
+        };
+        Self { kind, message, file: Some(name.to_owned()), offset: Some(bytes), raised }
+    }
+}
+
+impl From<Failure> for PyErr {
+    fn from(failure: Failure) -> Self {
+        if let Some(raised) = failure.raised {
+            return raised;
+        }
+        let Failure { kind, message, file, offset, .. } = failure;
+        Python::attach(|py| {
+            let made = py
+                .import("csi5300._errors")
+                .and_then(|module| module.getattr(kind.class()))
+                .and_then(|class| class.call1((&message, file, offset)));
+            match made {
+                Ok(error) => PyErr::from_value(error),
+                Err(_) => PyException::new_err(message),
+            }
+        })
+    }
+}
+
+fn panicked(payload: &(dyn std::any::Any + Send)) -> Failure {
+    let text = payload.downcast_ref::<&str>().map(ToString::to_string);
+    let text = text.or_else(|| payload.downcast_ref::<String>().cloned()).unwrap_or_default();
+    Failure::new(Kind::Internal, format!("a bug of csi5300, please report it: {text}"))
+}
+
+/// Runs a short piece of work without the interpreter's lock; a panic becomes an exception.
+pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
+    py.detach(|| catch_unwind(AssertUnwindSafe(work))).map_err(|payload| panicked(&*payload).into())
+}
+
+/// Runs a long piece of work in a thread of its own, without the interpreter's lock. Ctrl-C returns at once; the work that
+/// nobody waits for any more ends by itself.
+pub fn interruptible<T, F>(py: Python<'_>, work: F) -> PyResult<T>
+where
+    T: Send + 'static,
+    F: FnOnce() -> Result<T, Failure> + Send + 'static,
+{
+    let (sender, receiver) = channel();
+    let run = move || {
+        let result = catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|payload| Err(panicked(&*payload)));
+        // Nobody receives it after an interrupt.
+        let _ = sender.send(result);
+    };
+    let thread = std::thread::Builder::new().name("csi5300".into()).spawn(run);
+    thread.map_err(|error| Failure::new(Kind::Internal, format!("cannot start a thread: {error}")))?;
+    // A receiver is not to be shared between threads; this one is handed over and back.
+    let mut receiver = receiver;
+    loop {
+        let (back, result) = py.detach(move || {
+            let result = receiver.recv_timeout(PATIENCE);
+            (receiver, result)
+        });
+        receiver = back;
+        match result {
+            Ok(result) => return result.map_err(Into::into),
+            Err(RecvTimeoutError::Timeout) => py.check_signals()?,
+            Err(RecvTimeoutError::Disconnected) => return Err(PyKeyboardInterrupt::new_err("the work was ended")),
+        }
+    }
+}

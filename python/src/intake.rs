@@ -1,0 +1,133 @@
+//! Logs as Python names them, and reading them.
+
+use crate::error::{Failure, Kind};
+use csi5300::source::CsiSource;
+use csi5300::source::replay::Replay;
+use csi5300::time::Instant;
+use csi5300_lab::table::{Filter, Reading};
+use driver_iface::record::Tail;
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+use std::io::{self, Cursor, Read};
+use std::path::PathBuf;
+
+/// A Python object with `read(n)`, as files opened with "rb" have.
+struct FileObject(Py<PyAny>);
+
+impl Read for FileObject {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        Python::attach(|py| {
+            let given = self.0.bind(py).call_method1("read", (buffer.len(),)).map_err(io::Error::other)?;
+            let wrong = "read() of the file object gave no bytes: open it in binary mode (\"rb\")";
+            let bytes =
+                given.cast::<PyBytes>().map_err(|_| io::Error::new(io::ErrorKind::InvalidInput, wrong))?.as_bytes();
+            let place = buffer.get_mut(..bytes.len());
+            let place = place.ok_or_else(|| io::Error::other("read(n) of the file object gave more than n bytes"))?;
+            place.copy_from_slice(bytes);
+            Ok(bytes.len())
+        })
+    }
+}
+
+/// A `.dat` file as Python names it: a path, bytes, or an object with `read`.
+pub fn open(file: &Bound<'_, PyAny>) -> PyResult<Replay<Box<dyn Read + Send>>> {
+    if let Ok(bytes) = file.cast::<PyBytes>() {
+        // Backed by Python's memory: bytes never change.
+        let memory = Cursor::new(Backed(bytes.clone().unbind(), bytes.as_bytes().len()));
+        return Ok(Replay::new(Box::new(BytesReader(memory)), format!("{} bytes in memory", bytes.as_bytes().len())));
+    }
+    if file.hasattr("read")? {
+        let name =
+            file.getattr("name").and_then(|name| name.extract::<String>()).unwrap_or_else(|_| "a file object".into());
+        return Ok(Replay::new(Box::new(FileObject(file.clone().unbind())), name));
+    }
+    let path: PathBuf = file.extract()?;
+    let name = path.display().to_string();
+    Replay::open(&path).map_err(|error| Failure::log(error, &name, 0).into())
+}
+
+/// Bytes that Python owns, and how many.
+struct Backed(Py<PyBytes>, usize);
+
+/// Reads bytes that Python owns; copies chunk by chunk.
+struct BytesReader(Cursor<Backed>);
+
+impl Read for BytesReader {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let from = usize::try_from(self.0.position()).unwrap_or(usize::MAX);
+        let len = buffer.len().min(self.0.get_ref().1.saturating_sub(from));
+        if len == 0 {
+            return Ok(0);
+        }
+        Python::attach(|py| {
+            let all = self.0.get_ref().0.bind(py).as_bytes();
+            if let (Some(to), Some(from)) = (buffer.get_mut(..len), all.get(from..from + len)) {
+                to.copy_from_slice(from);
+            }
+        });
+        self.0.set_position((from + len) as u64);
+        Ok(len)
+    }
+}
+
+/// A filter from keyword arguments.
+///
+/// # Errors
+/// For a MAC or antenna that is none, and for times that are not numbers or in the wrong order.
+pub fn filter(
+    macs: Option<Vec<String>>,
+    t: Option<(Option<f64>, Option<f64>)>,
+    letters: Option<&str>,
+) -> Result<Filter, Failure> {
+    let refused = |error| Failure::new(Kind::Option, error);
+    let mut filter = Filter::default();
+    if let Some(macs) = macs {
+        filter = filter.with_macs(macs).map_err(refused)?;
+    }
+    if let Some((from_s, to_s)) = t {
+        filter = filter.with_time(from_s, to_s).map_err(refused)?;
+    }
+    if let Some(letters) = letters {
+        filter = filter.with_antennas(letters).map_err(refused)?;
+    }
+    Ok(filter)
+}
+
+/// What is known of the log as a whole, as JSON.
+///
+/// # Errors
+/// Never, as far as is known: the survey is plain.
+pub fn info<S: CsiSource>(reading: &Reading<S>, name: &str, bytes: Option<u64>) -> Result<String, Failure> {
+    let survey = &reading.survey;
+    let tail = match survey.tail {
+        Some(Tail::Cut { offset, bytes, expected }) => {
+            serde_json::json!({ "offset": offset, "bytes": bytes, "expected": expected })
+        }
+        Some(Tail::Clean) | None => serde_json::Value::Null,
+    };
+    let senders: Vec<_> = survey
+        .senders
+        .iter()
+        .map(|(mac, sender)| {
+            let mac = (!mac.is_zero()).then(|| mac.to_string());
+            serde_json::json!({ "mac": mac, "records": sender.records, "rate_hz": sender.rate_hz() })
+        })
+        .collect();
+    let json = serde_json::json!({
+        "name": name, "bytes": bytes, "left_out": reading.left_out, "tail": tail, "senders": senders,
+        "lost_something": survey.lost_something(), "survey": survey,
+    });
+    serde_json::to_string(&json).map_err(|error| Failure::new(Kind::Internal, error))
+}
+
+/// Reads all of a log, interruptibly.
+pub fn read_all(py: Python<'_>, reading: &mut Reading<Replay<Box<dyn Read + Send>>>, limit: usize) -> PyResult<()> {
+    loop {
+        let more = crate::error::detached(py, || reading.burst(Instant::ZERO, limit))?;
+        let more = more.map_err(|error| Failure::log(error, reading.source().name(), reading.source().bytes()))?;
+        py.check_signals()?;
+        if !more {
+            return Ok(());
+        }
+    }
+}

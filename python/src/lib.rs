@@ -1,0 +1,45 @@
+//! The native half of the Python package `csi5300`: what the crates of this project do, as functions and classes that the
+//! package's Python (`package/csi5300`) gives its form. Every array is memory that was filled here once.
+//!
+//! | module | what |
+//! |---|---|
+//! | `intake` | logs from paths, bytes and file objects |
+//! | `columns` | a column for each field as arrays |
+//! | `records` | `read`, `scan`, pickling |
+//! | `classic` | the records as csiread's `Intel` has them |
+//! | `capture`, `options` | bearings |
+//! | `evaluate`, `simulate`, `stream` | captures with truth, rooms, cards |
+//! | `error`, `pool` | exceptions, interrupts, threads |
+
+mod capture;
+mod classic;
+mod columns;
+mod error;
+mod evaluate;
+mod intake;
+mod options;
+mod pool;
+mod records;
+mod simulate;
+mod stream;
+
+use pyo3::prelude::*;
+
+/// The module `csi5300._native`.
+#[pymodule]
+fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("__version__", env!("CARGO_PKG_VERSION"))?;
+    module.add("SUBCARRIERS_20_MHZ", csi5300::signal::channel::INDICES_20_MHZ.to_vec())?;
+    module.add("SUBCARRIERS_40_MHZ", csi5300::signal::channel::INDICES_40_MHZ.to_vec())?;
+    module.add_class::<records::Records>()?;
+    module.add_class::<records::Scanner>()?;
+    module.add_class::<capture::Link>()?;
+    module.add_class::<stream::Listener>()?;
+    module.add_function(wrap_pyfunction!(records::read, module)?)?;
+    module.add_function(wrap_pyfunction!(classic::classic, module)?)?;
+    module.add_function(wrap_pyfunction!(capture::bearings, module)?)?;
+    module.add_function(wrap_pyfunction!(capture::read_trajectory, module)?)?;
+    module.add_function(wrap_pyfunction!(evaluate::find_captures, module)?)?;
+    module.add_function(wrap_pyfunction!(evaluate::evaluate_capture, module)?)?;
+    module.add_function(wrap_pyfunction!(simulate::simulate, module)?)
+}

@@ -1,0 +1,61 @@
+//! Simulated rooms, in memory.
+
+use crate::capture::pose_array;
+use crate::error::{Failure, Kind, interruptible};
+use csi5300_sim::scene::Driver;
+use csi5300_sim::{BUILT_IN, Room, Scene};
+use pyo3::prelude::*;
+use pyo3::types::{PyBytes, PyDict};
+use std::path::Path;
+
+/// A scene: JSON of its values, a file, or the name of a built-in one.
+fn scene(text: &str, is_json: bool) -> Result<Scene, Failure> {
+    if is_json {
+        return serde_json::from_str(text).map_err(|error| Failure::new(Kind::Scene, format!("the scene: {error}")));
+    }
+    let path = Path::new(text);
+    let built_in = (!path.exists()).then(|| Scene::built_in(text)).flatten();
+    built_in.map_or_else(|| Scene::load(path).map_err(|error| refused(&error, text)), Ok)
+}
+
+fn refused(error: &dyn std::fmt::Display, name: &str) -> Failure {
+    let names: Vec<_> = BUILT_IN.iter().map(|(name, _)| *name).collect();
+    Failure::new(Kind::Scene, format!("{error} (built-in scenes: {})", names.join(", "))).of(name)
+}
+
+/// Runs a scene: channel, initiators, and for each robot its name, MAC, log, true path and what was done to it.
+#[pyfunction]
+#[pyo3(signature = (text, is_json, seed=None, layout=None))]
+pub fn simulate<'py>(
+    py: Python<'py>,
+    text: &str,
+    is_json: bool,
+    seed: Option<u64>,
+    layout: Option<&str>,
+) -> PyResult<(u16, Vec<usize>, Vec<Bound<'py, PyDict>>)> {
+    let mut scene = scene(text, is_json)?;
+    scene.seed = seed.unwrap_or(scene.seed);
+    scene.driver = match layout {
+        None => scene.driver,
+        Some("wsr") => Driver::Wsr,
+        Some("stock") => Driver::Stock,
+        Some(other) => return Err(Failure::new(Kind::Option, format!("layout: {other:?} is not wsr or stock")).into()),
+    };
+    let (channel, initiators) = (scene.channel, scene.initiators());
+    let run = interruptible(py, move || {
+        let room = Room::new(&scene).map_err(|error| Failure::new(Kind::Scene, error))?;
+        room.run().map_err(|error| Failure::new(Kind::Scene, error))
+    })?;
+    let robot = |robot: &csi5300_sim::SimulatedRobot| {
+        let values = PyDict::new(py);
+        values.set_item("name", &robot.name)?;
+        values.set_item("mac", robot.mac.to_string())?;
+        values.set_item("log", PyBytes::new(py, &robot.log))?;
+        values.set_item("records", robot.records)?;
+        values.set_item("injected", robot.injected.to_string())?;
+        let path = robot.true_path.as_ref().map(|path| pose_array(py, path)).transpose()?;
+        values.set_item("path", path)?;
+        Ok(values)
+    };
+    Ok((channel, initiators, run.robots.iter().map(robot).collect::<PyResult<_>>()?))
+}

@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+import json
+import pickle
+from pathlib import Path
+
+import csi5300
+import numpy as np
+import pytest
+from conftest import CIRCLE
+
+ANSWER = json.loads((CIRCLE.parent / "small-circle.answer.json").read_text())
+
+
+def test_paths_logs_and_arrays_give_one_bearing(rx: Path, tx: Path, path_csv: Path) -> None:
+    (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
+    assert bearing and bearing.error is None and bearing.link == tx.stem
+    assert bearing.azimuth_deg == pytest.approx(120.5, abs=0.5)
+    track = csi5300.read_trajectory(path_csv)
+    assert track.shape[1] == 5
+    ways = [
+        csi5300.bearings(csi5300.read(rx), [csi5300.read(tx)], trajectory=track, channel="108"),
+        csi5300.bearings(rx.read_bytes(), tx.read_bytes(), trajectory=track[:, :4], channel=108),
+        csi5300.bearings(pickle.loads(pickle.dumps(csi5300.read(rx))), tx, trajectory=track.tolist(), channel=108),
+    ]
+    for (other,) in ways:
+        assert other.azimuth_deg == bearing.azimuth_deg and other.azimuth_sd_deg == bearing.azimuth_sd_deg
+
+
+def test_options_are_the_command_lines(rx: Path, tx: Path, path_csv: Path) -> None:
+    (full,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
+    (lean,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, without="near-field", threads=1)
+    assert (full.answer["model"], lean.answer["model"]) == ("spherical_wave", "plane_wave")
+    (bare,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, no_compensation=True)
+    assert full.answer["compensated"] and not bare.answer["compensated"]
+    (part,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, from_=0.5, to=1.5)
+    assert 0 < part.answer["pairs_in_motion"] < full.answer["pairs_in_motion"]
+
+
+def test_a_link_without_a_bearing_says_why(rx: Path, tx: Path, path_csv: Path) -> None:
+    good, bad = csi5300.bearings(rx, [tx, b""], trajectory=path_csv, channel=108)
+    assert good and not bad and bad.error and np.isnan(bad.azimuth_deg)
+    with pytest.raises(csi5300.LinkError, match="no bearing"):
+        bad.profile()
+
+
+def test_profiles(rx: Path, tx: Path, path_csv: Path) -> None:
+    (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, without=["near-field", "elevation"])
+    around = bearing.profile()
+    assert around.value.shape == around.azimuth_deg.shape == (1, 360)
+    best = around.azimuth_deg.flat[around.value.argmax()]
+    assert abs(best - bearing.azimuth_deg) <= 1
+    both = bearing.profile(36, 5)
+    assert both.value.shape == (5, 36) and both.elevation_deg[0, 0] == -90
+    chosen = bearing.profile([-180.0, -170.0], [0.0, 45.0])
+    assert chosen.value.shape == (2, 2) and np.allclose(chosen.elevation_deg[:, 0], [0, 45])
+    assert chosen.value[1, 0] == pytest.approx(both.value[both.elevation_deg[:, 0] == 45, 0][0], rel=1e-3)
+    assert chosen.value[0, 0] == pytest.approx(around.value[0, 0], rel=1e-3)
+    with pytest.raises(csi5300.OptionError):
+        bearing.profile(0)
+
+
+def test_samples_make_the_profile(rx: Path, tx: Path, path_csv: Path) -> None:
+    (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, without="near-field")
+    samples, around = bearing.samples, bearing.profile()
+    assert samples["z"].shape == samples["t_s"].shape == (len(samples["receiver_m"]),)
+    wavelength = 299_792_458.0 / 5.54e9
+    for k in (0, 100, 300):
+        azimuth = np.radians(around.azimuth_deg[0, k])
+        along = samples["receiver_m"][:, :2] @ np.array([np.cos(azimuth), np.sin(azimuth)])
+        total = np.abs(np.sum(samples["z"] * np.exp(-4j * np.pi * along / wavelength))) ** 2
+        assert around.value[0, k] == pytest.approx(total / np.sum(np.abs(samples["z"])) ** 2, abs=1e-4)
+    assert samples["phase"].shape[1] == 4 and samples["path_m"].shape[1] == 3
+
+
+def test_a_room_has_its_bearing() -> None:
+    scene = {
+        "duration_s": 6.0,
+        "seed": 5,
+        "channel": 64,
+        "sounding": {"rate_hz": 100.0},
+        "radio": {"phase_noise_rad": 0.1},
+        "robot": [
+            {"name": "rx", "motion": {"circle": {"radius_m": 0.4, "duration_s": 6.0}}},
+            {"name": "tx", "position_m": [3.0, 2.5, 0.0]},
+        ],
+    }
+    room = csi5300.simulate(scene)
+    assert [robot.name for robot in room] == ["rx", "tx"] and room.initiators == ["rx"] and room.channel == 64
+    assert len(room["rx"].log) == 600 and room["rx"].path is not None
+    (bearing,) = room.bearings()
+    assert bearing.azimuth_deg == pytest.approx(room.true_azimuth_deg("tx"), abs=3)
+    assert csi5300.simulate(scene)["tx"].data == room["tx"].data, "a seed is a room"
+    assert csi5300.simulate(scene, seed=6)["tx"].data != room["tx"].data
+    stock = csi5300.simulate(scene, layout="stock")
+    assert stock["rx"].log.info["survey"]["stock"] == 600
+    assert set(stock["rx"].log.mac) == {room["tx"].mac}
+    with pytest.raises(KeyError):
+        room["nobody"]
+
+
+def test_stock_logs_in_memory_keep_senders_and_numbers(rx: Path) -> None:
+    room = csi5300.simulate("lab-circle", layout="stock")
+    rx_log, tx_log = room["rx"].log, room[[r.name for r in room if r.name != "rx"][0]].log
+    assert room["rx"].path is not None
+    (whole,) = csi5300.bearings(
+        room["rx"].data, tx_log, trajectory=room["rx"].path, channel=room.channel, join_rows=True, rx_mac=room["rx"].mac
+    )
+    (held,) = csi5300.bearings(
+        rx_log, tx_log, trajectory=room["rx"].path, channel=room.channel, join_rows=True, rx_mac=room["rx"].mac
+    )
+    assert held.azimuth_deg == whole.azimuth_deg or (not held and held.error == whole.error)
+    assert held.answer["pairs"] == whole.answer["pairs"] > 100
+
+
+def test_a_tree_is_evaluated() -> None:
+    done: list[tuple[int, int]] = []
+    result = csi5300.evaluate(CIRCLE, progress=lambda part, whole: done.append((part, whole)))
+    assert done == [(1, 1)] and len(result) == 1 and not result.lost
+    (row,) = result
+    assert row["azimuth_deg"] == pytest.approx(120.5, abs=0.5) and abs(row["error_from_mean_pose_deg"]) < 2
+    assert result.summary()["all"]["links"] == 1
+    swept = csi5300.evaluate(CIRCLE, sweep={"without": [[], ["near-field"]], "elevation_max": [0.0, 20.0]})
+    assert [(r["option_without"], r["option_elevation_max"]) for r in swept] == [
+        ([], 0.0),
+        ([], 20.0),
+        (["near-field"], 0.0),
+        (["near-field"], 20.0),
+    ]
+    assert swept.rows[1]["azimuth_deg"] == row["azimuth_deg"]
+    with pytest.raises(csi5300.OptionError, match="no capture"):
+        csi5300.evaluate(CIRCLE.parent / "none")
+    with pytest.raises(csi5300.OptionError, match="nonsense"):
+        csi5300.evaluate(CIRCLE, nonsense=1)

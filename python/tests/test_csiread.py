@@ -1,0 +1,105 @@
+"""Against csiread itself, where it is installed: everything equal but what docs/python.md lists."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import ModuleType
+
+import csi5300.csiread
+import numpy as np
+import pytest
+from conftest import CSITOOL
+from oracle import packets
+
+FIELDS = ("timestamp_low", "bfee_count", "Nrx", "Ntx", "rssi_a", "rssi_b", "rssi_c", "noise", "agc", "perm", "rate")
+FRAMES = ("fc", "dur", "addr_des", "addr_src", "addr_bssid", "seq", "payload")
+
+
+@pytest.fixture
+def theirs() -> ModuleType:
+    return pytest.importorskip("csiread")
+
+
+def stock(path: Path) -> bool:
+    """csiread takes the header of the WSR layout for CSI."""
+    data = path.read_bytes()
+    first = next(packets(data), None)
+    return first is not None and first.csi.shape[1:] == (first.n_rx, first.n_tx) and _length(data, first.offset) == 20
+
+
+def _length(data: bytes, at: int) -> int:
+    length = int.from_bytes(data[at : at + 2], "big") - 1
+    return length - int.from_bytes(data[at + 19 : at + 21], "little")
+
+
+STOCK = [path for path in CSITOOL if stock(path)]
+
+
+@pytest.mark.parametrize("path", STOCK, ids=lambda path: path.name)
+def test_fields_and_csi_are_csireads(path: Path, theirs: ModuleType) -> None:
+    args = {"nrxnum": 3, "ntxnum": 3, "pl_size": 64, "if_report": False}
+    own, other = csi5300.csiread.Intel(str(path), **args), theirs.Intel(str(path), **args)
+    own.read()
+    other.read()
+    assert own.count == other.count > 0
+    for name in FIELDS + FRAMES:
+        a, b = getattr(own, name), getattr(other, name)
+        assert a.dtype == b.dtype and np.array_equal(a, b), name
+    # csiread puts chains of records whose antenna_sel is no permutation on top of each other, or outside of the array.
+    order = np.array([len(set(p[:n])) == n and p[:n].max() < 3 for p, n in zip(own.perm, own.Nrx, strict=True)])
+    assert own.csi.dtype == other.csi.dtype and own.csi.shape == other.csi.shape
+    assert np.array_equal(own.csi[order], other.csi[order]) and order.mean() > 0.5
+    heard = order & ((own.rssi_a + own.rssi_b + own.rssi_c) > 0)
+    scaled, reference = own.get_scaled_csi(), other.get_scaled_csi()
+    assert np.allclose(scaled[heard], reference[heard], rtol=1e-12, atol=0)
+    assert np.allclose(own.apply_sm(scaled)[heard], other.apply_sm(reference)[heard], rtol=1e-12, atol=1e-12)
+    assert own[3:5]["csi"].shape == other[3:5]["csi"].shape
+    # A second scaling of one object: csiread adds the received power of the first to that of the second.
+    assert np.array_equal(own.get_scaled_csi(), scaled, equal_nan=True)
+    assert not np.allclose(other.get_scaled_csi()[heard], reference[heard])
+
+
+@pytest.mark.parametrize("path", STOCK[:1], ids=lambda path: path.name)
+def test_seek_pmsg_and_refusals(path: Path, theirs: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    own, other = csi5300.csiread.Intel(None, ntxnum=3, bufsize=8), theirs.Intel(None, ntxnum=3, bufsize=8)
+    for reader in (own, other):
+        reader.seek(str(path), 0, 5)
+    assert own.count == other.count == 5 and np.array_equal(own.csi, other.csi)
+    data = path.read_bytes()
+    length = int.from_bytes(data[:2], "big")
+    own, other = (module.Intel(None, ntxnum=3) for module in (csi5300.csiread, theirs))
+    assert own.pmsg(data[2 : 2 + length]) == other.pmsg(data[2 : 2 + length])
+    for name in ("csi", "agc", "perm") if data[2] == 0xBB else ("fc", "seq"):
+        assert np.array_equal(getattr(own, name), getattr(other, name)), name
+    for module in (csi5300.csiread, theirs):
+        if max(p.n_rx for p in packets(data)) > 1:
+            with pytest.raises(ValueError, match="nrxnum=1 is too small"):
+                module.Intel(str(path), nrxnum=1, ntxnum=3, if_report=False).read()
+    own.display(0)
+    assert "timestamp_low" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("path", [p for p in STOCK if Path(f"{p}stp").exists()], ids=lambda path: path.name)
+def test_host_times_are_csireads(path: Path, theirs: ModuleType) -> None:
+    own, other = csi5300.csiread.Intel(str(path)), theirs.Intel(str(path))
+    assert own.readstp() == other.readstp() and np.array_equal(own.stp, other.stp)
+
+
+def test_what_csiread_cannot(rx: Path, tmp_path: Path) -> None:
+    # The WSR layout, and a damaged log: csiread takes 18 bytes of header for CSI, and ends the process or the reading.
+    reader = csi5300.csiread.Intel(rx, if_report=False)
+    reader.read()
+    log = csi5300.read(rx)
+    chosen = reader.csi[:, :, ["ABC".index(letter) for letter in log.antennas], :1]
+    assert np.array_equal(chosen.transpose(0, 2, 3, 1), log.csi)
+    assert np.allclose(reader.get_scaled_csi()[:, :, 0, 0], log.scaled()[:, 0, 0], rtol=1e-6)
+    data = bytearray(rx.read_bytes())
+    at = int(log.offset[20])
+    data[at : at + 10] = b"\xff" * 10
+    (tmp_path / "broken.dat").write_bytes(data)
+    broken = csi5300.csiread.Intel(str(tmp_path / "broken.dat"), if_report=False)
+    broken.read()
+    assert broken.skipped >= 1 and reader.count - 3 <= broken.count < reader.count
+    with pytest.raises(FileNotFoundError):
+        csi5300.csiread.Intel(str(tmp_path / "none.dat"))
+    assert csi5300.csiread.Intel(None).pmsg(b"") == 0 and csi5300.csiread.Intel(None).pmsg(b"\xbbshort") == 0xBB

@@ -1,0 +1,101 @@
+from __future__ import annotations
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import csi5300
+import pytest
+
+
+def test_one_family_with_the_file(tmp_path: Path) -> None:
+    with pytest.raises(csi5300.LogNotFoundError) as caught:
+        csi5300.read(tmp_path / "none.dat")
+    assert isinstance(caught.value, (csi5300.Error, FileNotFoundError))
+    assert caught.value.file == str(tmp_path / "none.dat") and "none.dat" in str(caught.value)
+    with pytest.raises(csi5300.LogError, match="directory"):
+        csi5300.read(tmp_path)
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert (str(again), again.file, again.offset) == (str(caught.value), caught.value.file, 0)
+
+
+def test_what_a_file_object_raises_comes_through() -> None:
+    class Broken:
+        def __init__(self) -> None:
+            self.left = 3
+
+        def read(self, n: int) -> Any:
+            self.left -= 1
+            if self.left == 0:
+                raise RuntimeError("the disk is gone")
+            return b"\0" * min(n, 100)
+
+    class Text:
+        def read(self, n: int) -> Any:
+            return "text"
+
+    with pytest.raises(RuntimeError, match="the disk is gone"):
+        csi5300.read(Broken())  # type: ignore[arg-type]
+    with pytest.raises(csi5300.LogError, match="binary"):
+        csi5300.read(Text())  # type: ignore[arg-type]
+    with pytest.raises(TypeError):
+        csi5300.read(17)  # type: ignore[arg-type]
+
+
+def test_wrong_options_are_named(rx: Path, tx: Path, path_csv: Path) -> None:
+    def run(**options: Any) -> None:
+        csi5300.bearings(rx, tx, trajectory=path_csv, **{"channel": 108, **options})
+
+    for options, word in (
+        ({"channel": 0}, "channel"),
+        ({"elevation_max": 91}, "elevation_max"),
+        ({"without": "everything"}, "everything"),
+        ({"antenna": "D"}, "antenna"),
+        ({"from_": 2, "to": 1}, "from_"),
+        ({"tx_mac": "me"}, "tx_mac"),
+        ({"range_min": 0}, "range_min"),
+    ):
+        with pytest.raises(csi5300.OptionError, match=word):
+            run(**options)
+    with pytest.raises(csi5300.TrajectoryError):
+        csi5300.bearings(rx, tx, trajectory=[[0, 0, 0, 0]], channel=108)
+    with pytest.raises(csi5300.TrajectoryError):
+        csi5300.bearings(rx, tx, trajectory=rx, channel=108)
+    with pytest.raises(csi5300.OptionError):
+        csi5300.bearings(rx, [], trajectory=path_csv, channel=108)
+
+
+def test_scenes_are_refused() -> None:
+    for scene in ("no-such-scene", {"duration_s": "long"}, {"nonsense": 1}, {"duration_s": -1.0, "robot": []}):
+        with pytest.raises(csi5300.SceneError):
+            csi5300.simulate(scene)  # type: ignore[arg-type]
+
+
+LONG = """
+import csi5300, signal
+robots = [
+    {"name": "rx", "motion": {"circle": {"radius_m": 0.3, "duration_s": 36_000.0}}},
+    {"name": "tx", "position_m": [3.0, 1.0, 0.5]},
+]
+signal.signal(signal.SIGALRM, signal.default_int_handler)
+signal.setitimer(signal.ITIMER_REAL, 0.3)
+try:
+    csi5300.simulate({"duration_s": 36_000.0, "sounding": {"rate_hz": 200.0}, "robot": robots})
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+def test_an_interrupt_ends_a_long_call() -> None:
+    # Ten hours of simulation: a process of its own, so that the work that nobody waits for ends with it.
+    done = subprocess.run([sys.executable, "-c", LONG], capture_output=True, text=True, timeout=120)
+    assert done.stdout == "interrupted\n", done.stderr
+
+
+def test_a_pickled_log_that_was_damaged_is_refused(rx: Path) -> None:
+    state = csi5300.read(rx)[:3].__getstate__()
+    state["packed"] = state["packed"][:-1]
+    with pytest.raises(csi5300.LogError):
+        csi5300.Log.__new__(csi5300.Log).__setstate__(state)

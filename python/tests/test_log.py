@@ -1,0 +1,157 @@
+from __future__ import annotations
+
+import copy
+import io
+import multiprocessing
+import pickle
+from pathlib import Path
+
+import csi5300
+import numpy as np
+import pytest
+from conftest import CSITOOL
+from oracle import by_antenna, packets
+
+
+def test_every_field_is_the_records(rx: Path) -> None:
+    log = csi5300.read(rx)
+    truth = list(packets(rx.read_bytes()))
+    assert len(log) == len(truth) > 100
+    assert log.csi.dtype == np.complex64 and log.csi.shape == (len(log), len(log.antennas), 1, 30)
+    for k, packet in enumerate(truth):
+        assert log.timestamp_low[k] == packet.timestamp_low
+        assert log.bfee_count[k] == packet.bfee_count
+        assert tuple(log.rssi[k]) == packet.rssi
+        assert (log.agc[k], log.rate[k], log.offset[k]) == (packet.agc, packet.rate, packet.offset)
+        assert log.noise.data[k] == packet.noise and bool(log.noise.mask[k]) == (packet.noise == -127)
+        assert np.array_equal(log.csi[k], by_antenna(packet, log.antennas), equal_nan=True)
+    assert set(log.mac) == {"02:53:00:00:00:02"}
+    assert not log.frame.mask.any() and log.antennas_known.all()
+    assert list(log.subcarriers[[0, 14, 15, 29]]) == [-28, -1, 1, 28]
+    # The logger was killed: the fixture ends in the middle of a record.
+    assert not log.lost_something and log.losses == [] and log.tail == {"offset": 65473, "bytes": 63, "expected": 233}
+
+
+def test_the_clock_is_unwrapped(rx: Path) -> None:
+    log = csi5300.read(rx)
+    assert log.timestamp_low[0] > log.timestamp_low[-1], "the fixture's clock wraps"
+    assert (np.diff(log.time_us) > 0).all() and log.t[0] == 0
+    assert ((log.time_us - log.timestamp_low) % 2**32 == 0).all()
+    host = log.host_time
+    assert host.dtype == np.dtype("datetime64[us]") and str(host[0]).startswith("2023-11-14T22:13:2")
+
+
+@pytest.mark.parametrize("path", CSITOOL, ids=lambda path: path.name)
+def test_real_logs_are_as_the_oracle_reads_them(path: Path) -> None:
+    data = path.read_bytes()
+    log = csi5300.read(path)
+    scaled = log.scaled()
+    # Long logs in some 300 places: the oracle is slow.
+    for k in range(0, len(log), max(1, len(log) // 300)):
+        packet = next(packets(data, int(log.offset[k])))
+        assert packet.offset == log.offset[k] and packet.timestamp_low == log.timestamp_low[k]
+        rows = by_antenna(packet, log.antennas)
+        if rows is None:
+            assert not log.antennas_known[k]
+            continue
+        own = log.csi[k, :, : packet.n_tx]
+        assert np.array_equal(own, rows, equal_nan=True), k
+        assert np.isnan(log.csi[k, :, packet.n_tx :]).all()
+        assert np.array_equal(log.present[k, :, : packet.n_tx], ~np.isnan(rows[:, :, 0]))
+        assert not log.present[k, :, packet.n_tx :].any()
+        if any(packet.rssi):
+            theirs = np.nan_to_num(packet.scaled().transpose(1, 2, 0))
+            ours = np.nan_to_num(scaled[k][np.isfinite(scaled[k])])
+            assert np.sort_complex(ours) == pytest.approx(np.sort_complex(theirs.ravel()), rel=1e-5, abs=1e-6)
+
+
+def test_sources_are_one_log(rx: Path) -> None:
+    data = rx.read_bytes()
+    log = csi5300.read(rx)
+    with open(rx, "rb") as file:
+        others = [csi5300.read(str(rx)), csi5300.read(data), csi5300.read(bytearray(data)), csi5300.read(file)]
+    others.append(csi5300.read(io.BytesIO(data)))
+    for other in others:
+        assert np.array_equal(other.csi, log.csi) and np.array_equal(other.time_us, log.time_us)
+        assert np.array_equal(other.host_time, log.host_time)
+
+
+def test_filters(rx: Path) -> None:
+    log = csi5300.read(rx)
+    part = csi5300.read(rx, t=(0.5, 1.0))
+    assert 0 < len(part) < len(log)
+    assert np.array_equal(part.time_us, log.time_us[(log.t >= 0.5) & (log.t < 1.0)])
+    assert len(csi5300.read(rx, macs="02:53:00:00:00:02")) == len(log)
+    nobody = csi5300.read(rx, macs=["02:53:00:00:00:77"])
+    assert len(nobody) == 0 and nobody.info["left_out"] == len(log) and nobody.csi.shape[0] == 0
+    assert csi5300.read(rx, antennas="a").antennas == "A"
+    for wrong in ({"macs": "nobody"}, {"t": (2.0, 1.0)}, {"t": (float("nan"), 1.0)}, {"antennas": "D"}):
+        with pytest.raises(csi5300.OptionError):
+            csi5300.read(rx, **wrong)  # type: ignore[arg-type]
+
+
+def test_pieces_are_the_whole(rx: Path) -> None:
+    log = csi5300.read(rx)
+    pieces = list(csi5300.scan(rx, chunk=64))
+    assert [len(piece) for piece in pieces[:-1]] == [64] * (len(pieces) - 1)
+    assert np.array_equal(np.concatenate([piece.csi for piece in pieces]), log.csi)
+    assert np.array_equal(np.concatenate([piece.time_us for piece in pieces]), log.time_us)
+
+
+def test_slices_masks_and_frames(rx: Path) -> None:
+    log = csi5300.read(rx)
+    for index in (slice(10, 20), slice(None, None, -3), np.array([5, 1, 5]), log.rssi[:, 0] > np.median(log.rssi[:, 0])):
+        part = log[index]
+        assert np.array_equal(part.csi, log.csi[index]) and np.array_equal(part.time_us, log.time_us[index])
+        assert np.array_equal(part.scaled(), log.scaled()[index], equal_nan=True)
+    assert np.array_equal(log[20:40][5:10].csi, log.csi[25:30])
+    frame = log[-1]
+    assert frame.time_us == log.time_us[-1] and frame.mac == "02:53:00:00:00:02" and frame.frame == log.frame[-1]
+    assert np.array_equal(frame.csi, log.csi[-1])
+    frames = list(log)
+    assert len(frames) == len(log) and all(np.array_equal(f.csi, h) for f, h in zip(frames, log.csi, strict=True))
+    with pytest.raises(IndexError):
+        log[len(log)]
+
+
+def test_pickle_and_copy(rx: Path) -> None:
+    log = csi5300.read(rx)[7:300]
+    for other in (pickle.loads(pickle.dumps(log)), copy.copy(log), copy.deepcopy(log)):
+        assert np.array_equal(other.csi, log.csi) and np.array_equal(other.mac, log.mac)
+        assert other.name == log.name and repr(other) == repr(log)
+
+
+def _decode(path: str) -> float:
+    return float(np.abs(csi5300.read(path).csi).sum())
+
+
+def test_a_fork_after_reading_reads_on(rx: Path) -> None:
+    here = _decode(str(rx))
+    with multiprocessing.get_context("fork").Pool(2) as pool:
+        assert pool.map(_decode, [str(rx)] * 4) == [here] * 4
+
+
+def test_damage_is_counted_not_raised(rx: Path) -> None:
+    data = bytearray(rx.read_bytes())
+    whole = csi5300.read(bytes(data))
+    at = int(whole.offset[20])
+    data[at : at + 10] = b"\xff" * 10
+    log = csi5300.read(bytes(data))
+    assert len(whole) - 3 <= len(log) < len(whole)
+    assert log.lost_something and log.losses[0].offset <= at < log.losses[0].offset + log.losses[0].bytes
+    assert log.losses[0].reason and log.info["survey"]["damages"] >= 1
+    assert csi5300.read(b"").csi.shape[0] == 0
+    assert csi5300.read(rx.read_bytes()[: int(whole.offset[50])]).tail is None
+
+
+def test_html_has_the_log_and_a_picture(rx: Path) -> None:
+    text = csi5300.read(rx)._repr_html_()
+    assert "csi_rx_" in text and "data:image/png;base64," in text and "02:53:00:00:00:02" in text
+    assert "nothing" in csi5300.read(b"")._repr_html_()
+
+
+def test_memory_is_filled_once(rx: Path) -> None:
+    log = csi5300.read(rx)
+    assert log.csi is log.csi and log.csi.flags.c_contiguous and log.csi.flags.writeable
+    assert np.array_equal(log.scaled(), log.csi * log.scale.astype(np.float32)[:, None, None, None], equal_nan=True)
+    assert log.nbytes < log.csi.nbytes * 2

@@ -1,0 +1,119 @@
+"""Many captures: on threads, on Ray's own cluster utility with several nodes, and with a node killed in the middle."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import csi5300
+import csi5300.ray
+import pytest
+from conftest import CIRCLE, STAMP
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """Six captures, one of which cannot be read."""
+    for number in range(6):
+        shutil.copytree(CIRCLE, tmp_path / "data" / f"set{number % 2}" / f"run{number}")
+    (tmp_path / "data" / "set1" / "run5" / f"csi_rx_{STAMP}.dat").unlink()
+    return tmp_path / "data"
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    pytest.importorskip("ray")
+    import ray
+    from ray.cluster_utils import Cluster
+
+    made = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    made.add_node(num_cpus=1)
+    ray.init(address=made.address, log_to_driver=False)
+    yield made
+    ray.shutdown()
+    made.shutdown()
+
+
+def _rows(result: csi5300.Evaluation) -> list[dict[str, Any]]:
+    return json.loads(json.dumps(result.rows))  # type: ignore[no-any-return]
+
+
+def test_threads_give_what_evaluate_gives(tree: Path) -> None:
+    whole = csi5300.evaluate(tree)
+    result = csi5300.ray.evaluate(tree, use_ray=False, workers=2)
+    assert _rows(result) == _rows(whole) and len(result) == 6
+    bad = [row for row in result if row.get("error")]
+    assert len(bad) == 1 and bad[0]["capture"].startswith("set1/run5") and result.lost
+
+
+def test_a_sweep_is_the_product(tree: Path) -> None:
+    result = csi5300.ray.sweep(tree / "set0", {"without": [[], ["near-field"]], "to": [1.0, 2.0]}, use_ray=False)
+    assert len(result) == 3 * 4
+    assert {(str(row["option_without"]), row["option_to"]) for row in result} == {
+        (without, to) for without in ("[]", "['near-field']") for to in (1.0, 2.0)
+    }
+    with pytest.raises(csi5300.OptionError, match="nonsense"):
+        csi5300.ray.evaluate(tree, use_ray=False, nonsense=1)
+
+
+def test_files_from_elsewhere(tree: Path) -> None:
+    fsspec = pytest.importorskip("fsspec")
+    memory = fsspec.filesystem("memory")
+    memory.put(str(tree), "/bucket/data", recursive=True)
+    result = csi5300.ray.evaluate("memory://bucket/data", use_ray=False, workers=2)
+    whole = csi5300.evaluate(tree)
+    errors = [row.pop("error", None) for row in _rows(result)], [row.pop("error", None) for row in _rows(whole)]
+    assert [bool(e) for e in errors[0]] == [bool(e) for e in errors[1]]
+    strip = [{k: v for k, v in row.items() if k != "error"} for row in _rows(result)]
+    assert strip == [{k: v for k, v in row.items() if k != "error"} for row in _rows(whole)]
+
+
+def test_conversion(tree: Path, tmp_path: Path) -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    (tree / "bad.dat").write_bytes(b"It was a dark and stormy night. " * 20)
+    done = csi5300.ray.convert(tree, tmp_path / "out", chunk=100, use_ray=False, workers=2)
+    frames = {c.log: c.frames for c in done}
+    assert frames["bad.dat"] == 0 and next(c for c in done if c.log == "bad.dat").parts == []
+    log = csi5300.read(CIRCLE / f"csi_rx_{STAMP}.dat")
+    one = next(c for c in done if c.log == f"set0/run0/csi_rx_{STAMP}.dat")
+    assert one.frames == len(log) and len(one.parts) == -(-len(log) // 100)
+    tables = [pq.read_table(part) for part in one.parts]
+    assert sum((table["time_us"].to_pylist() for table in tables), []) == log.time_us.tolist()
+
+
+def test_ray_gives_the_same_rows(tree: Path, cluster: Any) -> None:
+    result = csi5300.ray.evaluate(tree, use_ray=True)
+    assert _rows(result) == _rows(csi5300.evaluate(tree, threads=1))
+
+
+def test_a_killed_node_changes_nothing(tree: Path, cluster: Any) -> None:
+    node = cluster.add_node(num_cpus=2)
+    killed: list[int] = []
+
+    def progress(done: int, of: int) -> None:
+        if not killed:
+            killed.append(done)
+            cluster.remove_node(node, allow_graceful=False)
+
+    result = csi5300.ray.evaluate(tree, use_ray=True, sweep={"to": [1.0, 1.5, 2.0]}, progress=progress)
+    assert killed and _rows(result) == _rows(csi5300.evaluate(tree, threads=1, sweep={"to": [1.0, 1.5, 2.0]}))
+
+
+def test_the_shared_captures_give_the_programs_numbers(captures: Path) -> None:
+    program = os.environ.get("CSI5300_PROGRAM")
+    if not program or not (captures / "wsr").is_dir():
+        pytest.skip("CSI5300_PROGRAM names no csi5300, or no captures of the WSR data set")
+    said = subprocess.run([program, "evaluate", captures / "wsr", "--json"], capture_output=True, text=True, check=False)
+    theirs = [json.loads(line) for line in said.stdout.splitlines()[:-1]]
+    ours = _rows(csi5300.ray.evaluate(captures / "wsr", use_ray=False))
+    assert len(ours) == len(theirs) > 30
+    for own, other in zip(ours, theirs, strict=True):
+        own.pop("capture")
+        own.pop("error", None)
+        other.pop("error", None)
+        assert own == other

@@ -1,0 +1,75 @@
+#!/usr/bin/env bash
+# The Python package: the wheel built once (release), its types (mypy --strict), its tests beside the libraries that it speaks to,
+# its examples and notebook; and the wheel alone in a clean environment. Exit status 77: no Python, or nothing from PyPI.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+export PIP_DISABLE_PIP_VERSION_CHECK=1
+command -v python3 >/dev/null || { echo "no python3"; exit 77; }
+python3 -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { echo "Python 3.10 or newer is needed"; exit 77; }
+target=$(realpath -m "${CARGO_TARGET_DIR:-target}")
+export CARGO_TARGET_DIR="$target"
+captures=$(realpath -m "${CSI5300_CAPTURES:-../shared/captures}")
+export CSI5300_CAPTURES="$captures"
+own="$target/python-check"
+mkdir -p "$own"
+[ -x "$own/venv/bin/python" ] || python3 -m venv "$own/venv"
+"$own/venv/bin/pip" install --quiet 'maturin>=1.7,<2' mypy pytest numpy || { echo "PyPI cannot be reached"; exit 77; }
+step() { printf -- '-- %s (%s s)\n' "$1" "$SECONDS"; }
+
+step "the wheel"
+rm -f "$own"/wheels/*.whl
+(cd python && PATH="$own/venv/bin:$PATH" maturin build --quiet --release --compatibility linux --out "$own/wheels")
+wheel=$(echo "$own"/wheels/*.whl)
+ls -l "$wheel"
+
+step "alone, in a clean environment"
+rm -rf "$own/clean"
+python3 -m venv "$own/clean"
+"$own/clean/bin/pip" install --quiet "$wheel" pytest
+"$own/clean/bin/python" -m pytest -q -p no:cacheprovider python/tests
+
+step "types"
+"$own/venv/bin/pip" install --quiet --force-reinstall --no-deps "$wheel"
+(cd python && "$own/venv/bin/python" -m mypy --cache-dir "$own/mypy")
+
+step "tests, beside the libraries that it speaks to"
+for package in matplotlib pandas polars xarray pyarrow duckdb scipy fsspec csiread==1.4.1 ray nbclient ipykernel; do
+    "$own/venv/bin/pip" install --quiet "$package" || echo "not installed, its tests are skipped: $package"
+done
+CSI5300_PROGRAM=$(scripts/program.sh)
+export CSI5300_PROGRAM
+"$own/venv/bin/python" -m pytest -q -p no:cacheprovider -rs python/tests
+
+step "examples"
+examples=$(realpath examples/python)
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+cd "$work"
+python="$own/venv/bin/python"
+"$python" "$examples/reading.py"
+"$python" "$examples/simulation.py"
+"$python" "$examples/bearings.py"
+"$python" "$examples/cluster.py" "$OLDPWD/tests/fixtures"
+"$CSI5300_PROGRAM" simulate lab-circle --serve --socket "$work/room" 2>served.txt &
+served=$!
+until [ -e "$work/room" ] || ! kill -0 "$served"; do sleep 0.1; done
+"$python" "$examples/live.py" "$work/room#rx"
+kill "$served" 2>/dev/null || true
+wait "$served" || true
+
+step "the notebook"
+cp "$examples/first_look.ipynb" .
+if "$python" -c 'import nbclient, ipykernel'; then
+    "$python" - <<'PY'
+import nbclient, nbformat
+
+notebook = nbformat.read("first_look.ipynb", as_version=4)
+nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
+pictures = sum("image/png" in o.get("data", {}) for c in notebook.cells for o in c.get("outputs", []))
+assert pictures >= 2, f"{pictures} pictures"
+print(f"first_look.ipynb: {pictures} pictures")
+PY
+else
+    echo "no Jupyter: the notebook was not executed"
+fi
+step "done"
