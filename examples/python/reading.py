@@ -15,7 +15,7 @@ else:
 
 log = csi5300.read(source)
 print(log)
-print(f"{log.t[-1]:.1f} s, senders {sorted(set(log.mac))}, RSSI at A {log.rssi[:, 0].mean():.1f} dB")
+print(f"{log.t[-1]:.1f} s, senders {sorted(set(log.mac.tolist()))}, RSSI at A {log.rssi[:, 0].mean():.1f} dB")
 for loss in log.losses:
     print(f"lost: {loss.bytes} bytes at {loss.offset}: {loss.reason}")
 

@@ -16,5 +16,5 @@ behind = {"wall": [{"from_m": [2.0, 2.5], "to_m": [3.0, 1.0], "through_db": 12.0
 for name, room in (("in sight", csi5300.simulate(scene)), ("behind a wall", csi5300.simulate({**scene, **behind}))):
     (bearing,) = room.bearings()
     truth = room.true_azimuth_deg("tx")
-    rssi = room["rx"].log.rssi[:, 0].mean()
-    print(f"{name}: {bearing.azimuth_deg:.1f} +- {bearing.azimuth_sd_deg:.1f} deg, truth {truth:.1f}, RSSI {rssi:.0f} dB")
+    dbm = room["rx"].log.total_rss.mean()
+    print(f"{name}: {bearing.azimuth_deg:.1f} +- {bearing.azimuth_sd_deg:.1f} deg, truth {truth:.1f}, received {dbm:.0f} dBm")

@@ -7,7 +7,7 @@ from pathlib import Path
 import csi5300
 import numpy as np
 import pytest
-from conftest import CSITOOL, CIRCLE, STAMP
+from conftest import CIRCLE, CSITOOL, STAMP
 
 LOGS = [CIRCLE / f"csi_rx_{STAMP}.dat", *CSITOOL]
 RENAMED = {"rate_n_flags": "rate", "frame_count": "frame"}

@@ -42,6 +42,7 @@ def test_pictures(rx: Path, tx: Path, path_csv: Path, tmp_path: Path) -> None:
     for number, figure in enumerate((log.plot(), log.plot(antenna="a"), bearing.plot(), csi5300.plot.trajectory([bearing]))):
         figure.savefig(tmp_path / f"{number}.png")
         assert (tmp_path / f"{number}.png").stat().st_size > 5_000
+        assert figure._repr_png_().startswith(b"\x89PNG"), "what notebooks show"
     with pytest.raises(csi5300.OptionError):
         log.plot(antenna="C" if "C" not in log.antennas else "D")
     with pytest.raises(csi5300.OptionError):

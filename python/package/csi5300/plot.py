@@ -5,6 +5,7 @@ Each returns a ``Figure`` that no window shows: notebooks draw it, ``figure.save
 
 from __future__ import annotations
 
+import io
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,7 +30,16 @@ def _figure(width: float, height: float) -> Figure:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise ImportError("pictures need matplotlib: pip install matplotlib") from error
-    return Figure(figsize=(width, height), layout="constrained")
+
+    class Picture(Figure):  # type: ignore[misc, unused-ignore]
+        """A figure that notebooks show, whether pyplot was imported or not."""
+
+        def _repr_png_(self) -> bytes:
+            out = io.BytesIO()
+            self.savefig(out, format="png", dpi=100)
+            return out.getvalue()
+
+    return Picture(figsize=(width, height), layout="constrained")
 
 
 def _edges(places: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -37,11 +47,22 @@ def _edges(places: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([[2 * places[0] - between[0]], between, [2 * places[-1] - between[-1]]])
 
 
+def _without_line(h: NDArray[np.complex64], places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Phases (n, 30) without offset and slope; the slope is that of neighbours at the usual distance."""
+    step = np.diff(places)
+    usual = np.median(step)
+    pairs = np.flatnonzero(step == usual)
+    turn = np.nansum(h[:, pairs + 1] * np.conj(h[:, pairs]), axis=1, keepdims=True)
+    level = h * np.exp(-1j * np.angle(turn) / usual * places)
+    phase: NDArray[np.float64] = np.angle(level * np.exp(-1j * np.angle(np.nansum(level, axis=1, keepdims=True))))
+    return phase
+
+
 def heat_map(log: Log, *, antenna: str | None = None, stream: int = 0) -> Figure:
     """Amplitude (dB, the card's integers) and phase over time and subcarrier of one antenna and stream.
 
-    The phase is that of each frame turned so that the mean over subcarriers is 0: offsets of carrier and clock differ from frame
-    to frame and hide the channel. Raises :class:`OptionError` for an antenna or stream that the log does not have.
+    The phase is what is left of each frame's without its offset and its slope over subcarriers: those of carrier and sampling
+    clock differ from frame to frame and hide the channel. Raises :class:`OptionError` for an antenna or stream that the log does not have.
     """
     letter = (antenna or log.antennas[:1]).upper()
     if len(log) < 2 or letter not in log.antennas or not letter or not 0 <= stream < log.streams:
@@ -50,7 +71,7 @@ def heat_map(log: Log, *, antenna: str | None = None, stream: int = 0) -> Figure
     part = log[chosen]
     h = part.csi[:, part.antennas.index(letter), stream, :]
     level = 20 * np.log10(np.maximum(np.abs(h), 0.5))
-    turned = np.angle(h * np.exp(-1j * np.angle(np.nansum(h, axis=1, keepdims=True))))
+    turned = _without_line(h, part.subcarriers.astype(np.float64))
     t = log.t[chosen]
     alone = np.diff(t, prepend=t[0]) > GAP_S
     level[alone], turned[alone] = np.nan, np.nan

@@ -2,15 +2,15 @@
 
 use super::{Export, ExportError, PIECE};
 use crate::table::NO_TIME;
-use arrow_array::types::{Float32Type, Int8Type};
+use arrow_array::types::{ArrowPrimitiveType, Float32Type, Int8Type, Int64Type, UInt8Type, UInt16Type, UInt32Type};
 use arrow_array::{
-    ArrayRef, BooleanArray, FixedSizeListArray, Float64Array, Int8Array, Int64Array, PrimitiveArray, RecordBatch,
-    StringArray, TimestampMicrosecondArray, UInt8Array, UInt16Array, UInt32Array,
+    ArrayRef, BooleanArray, FixedSizeListArray, Float64Array, Int8Array, PrimitiveArray, RecordBatch, StringArray,
+    TimestampMicrosecondArray, UInt32Array,
 };
 use arrow_schema::{DataType, Field, Schema};
 use csi5300::signal::csi::{scale_factor, total_rss_dbm};
 use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, NOISE_UNKNOWN_DBM, SUBCARRIERS};
+use driver_iface::bfee::{Antenna, Bfee, NOISE_UNKNOWN_DBM, SUBCARRIERS};
 use num_complex::Complex32;
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_writer::ArrowWriterOptions;
@@ -19,6 +19,7 @@ use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
 use std::collections::HashMap;
 use std::fs::File;
+use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -80,73 +81,65 @@ fn column(name: &str, unit: &str, nullable: bool, array: ArrayRef) -> Column {
     (Field::new(name, array.data_type().clone(), nullable).with_metadata(metadata), array)
 }
 
+/// A column of numbers that every record has.
+fn numbers<T: ArrowPrimitiveType>(name: &str, unit: &str, values: impl Iterator<Item = T::Native>) -> Column {
+    column(name, unit, false, Arc::new(PrimitiveArray::<T>::from_iter_values(values)))
+}
+
+/// The part of a column with `width` values a record.
+fn of<T: Copy>(values: &[T], part: &Range<usize>, width: usize) -> impl Iterator<Item = T> {
+    values.get(width * part.start..width * part.end).unwrap_or_default().iter().copied()
+}
+
 /// The records from `first` on whose CSI is given.
 fn batch(export: &Export<'_>, first: usize, csi: &[Complex32]) -> Result<Vec<Column>, ExportError> {
+    const RSSI: &str = "dB above the card's reference, 0: nothing heard";
     let size = export.antennas.len() * export.streams * SUBCARRIERS;
-    let (all, n) = (export.columns, csi.len() / size.max(1));
-    let part = first..first + n;
-    macro_rules! of {
-        ($name:ident, $width:literal) => {
-            all.$name.get($width * part.start..$width * part.end).unwrap_or_default()
-        };
+    let (all, part) = (export.columns, &(first..first + csi.len() / size.max(1)));
+    let mut columns =
+        vec![numbers::<Int64Type>("time_us", "microseconds, card's clock, unwrapped", of(&all.time_us, part, 1))];
+    columns.extend(maybe(export, part));
+    for (port, name) in ["rssi_a", "rssi_b", "rssi_c"].into_iter().enumerate() {
+        columns.push(numbers::<UInt8Type>(name, RSSI, of(&all.rssi, part, 3).skip(port).step_by(3)));
     }
-    let rssi = |port: usize| -> ArrayRef {
-        Arc::new(UInt8Array::from_iter_values(of!(rssi, 3).iter().skip(port).step_by(3).copied()))
-    };
-    let noise = of!(noise_dbm, 1).iter().map(|dbm| Some(*dbm).filter(|dbm| *dbm != NOISE_UNKNOWN_DBM));
-    let host = of!(host_us, 1).iter().map(|us| Some(*us).filter(|us| *us != NO_TIME));
-    let frame = of!(frame, 1).iter().map(|number| u32::try_from(*number).ok());
-    let mac = |octets: &[u8]| {
-        <[u8; 6]>::try_from(octets).ok().map(Mac).filter(|mac| !mac.is_zero()).map(|mac| mac.to_string())
-    };
-    let known: Vec<bool> = export.antennas_known().skip(part.start).take(n).collect();
-    let figure = |values: Vec<f64>| -> ArrayRef {
-        Arc::new(Float64Array::from_iter(values.into_iter().map(|value| Some(value).filter(|value| value.is_finite()))))
-    };
-    let mut columns = vec![
-        column(
-            "time_us",
-            "microseconds, card's clock, unwrapped",
-            false,
-            Arc::new(Int64Array::from_iter_values(of!(time_us, 1).iter().copied())),
-        ),
-        column("host_time", "UTC", true, Arc::new(TimestampMicrosecondArray::from_iter(host).with_timezone("UTC"))),
-        column("mac", "", true, Arc::new(StringArray::from_iter(of!(mac, 6).chunks(6).map(mac)))),
-        column("frame_count", "", true, Arc::new(UInt32Array::from_iter(frame))),
-        column("rssi_a", "dB above the card's reference, 0: nothing heard", false, rssi(0)),
-        column("rssi_b", "dB above the card's reference, 0: nothing heard", false, rssi(1)),
-        column("rssi_c", "dB above the card's reference, 0: nothing heard", false, rssi(2)),
-        column("noise_dbm", "dBm", true, Arc::new(Int8Array::from_iter(noise))),
-        column("agc", "dB", false, Arc::new(UInt8Array::from_iter_values(of!(agc, 1).iter().copied()))),
-        column("antenna_sel", "", false, Arc::new(UInt8Array::from_iter_values(of!(antenna_sel, 1).iter().copied()))),
+    let known: Vec<bool> = export.antennas_known().skip(part.start).take(part.len()).collect();
+    columns.extend([
+        numbers::<UInt8Type>("agc", "dB", of(&all.agc, part, 1)),
+        numbers::<UInt8Type>("antenna_sel", "", of(&all.antenna_sel, part, 1)),
         column("antennas_known", "", false, Arc::new(BooleanArray::from(known))),
-        column("rate_n_flags", "", false, Arc::new(UInt16Array::from_iter_values(of!(rate, 1).iter().copied()))),
-        column("n_rx", "", false, Arc::new(UInt8Array::from_iter_values(of!(n_rx, 1).iter().copied()))),
-        column("n_tx", "", false, Arc::new(UInt8Array::from_iter_values(of!(n_tx, 1).iter().copied()))),
-        column("bfee_count", "", false, Arc::new(UInt16Array::from_iter_values(of!(bfee_count, 1).iter().copied()))),
-        column(
-            "timestamp_low",
-            "microseconds, wraps",
-            false,
-            Arc::new(UInt32Array::from_iter_values(of!(timestamp_low, 1).iter().copied())),
-        ),
-        column("offset", "bytes", false, Arc::new(Int64Array::from_iter_values(of!(offset, 1).iter().copied()))),
-        column(
-            "total_rss_dbm",
-            "dBm",
-            true,
-            figure(export.figure(first, |bfee| total_rss_dbm(bfee).ok()).take(n).collect()),
-        ),
-        column(
-            "scale",
-            "sqrt(SNR) per unit",
-            true,
-            figure(export.figure(first, |bfee| scale_factor(bfee).ok()).take(n).collect()),
-        ),
-    ];
-    columns.push(lists(export, "csi_re", csi, size, |h| h.re)?);
-    columns.push(lists(export, "csi_im", csi, size, |h| h.im)?);
+        numbers::<UInt16Type>("rate_n_flags", "", of(&all.rate, part, 1)),
+        numbers::<UInt8Type>("n_rx", "", of(&all.n_rx, part, 1)),
+        numbers::<UInt8Type>("n_tx", "", of(&all.n_tx, part, 1)),
+        numbers::<UInt16Type>("bfee_count", "", of(&all.bfee_count, part, 1)),
+        numbers::<UInt32Type>("timestamp_low", "microseconds, wraps", of(&all.timestamp_low, part, 1)),
+        numbers::<Int64Type>("offset", "bytes", of(&all.offset, part, 1)),
+        lists(export, "csi_re", csi, size, |h| h.re)?,
+        lists(export, "csi_im", csi, size, |h| h.im)?,
+    ]);
     Ok(columns)
+}
+
+/// The columns that are null where a record does not say.
+fn maybe(export: &Export<'_>, part: &Range<usize>) -> [Column; 6] {
+    let all = export.columns;
+    let noise = of(&all.noise_dbm, part, 1).map(|dbm| Some(dbm).filter(|dbm| *dbm != NOISE_UNKNOWN_DBM));
+    let host = of(&all.host_us, part, 1).map(|us| Some(us).filter(|us| *us != NO_TIME));
+    let frame = of(&all.frame, part, 1).map(|number| u32::try_from(number).ok());
+    let octets: Vec<u8> = of(&all.mac, part, 6).collect();
+    let (octets, _) = octets.as_chunks::<6>();
+    let mac = octets.iter().map(|octets| Some(Mac(*octets)).filter(|mac| !mac.is_zero()).map(|mac| mac.to_string()));
+    let figure = |of: fn(&Bfee<'_>) -> Option<f64>| -> ArrayRef {
+        let values = export.figure(part.start, of).take(part.len());
+        Arc::new(values.map(|value| Some(value).filter(|value| value.is_finite())).collect::<Float64Array>())
+    };
+    [
+        column("host_time", "UTC", true, Arc::new(TimestampMicrosecondArray::from_iter(host).with_timezone("UTC"))),
+        column("mac", "", true, Arc::new(StringArray::from_iter(mac))),
+        column("frame_count", "", true, Arc::new(UInt32Array::from_iter(frame))),
+        column("noise_dbm", "dBm", true, Arc::new(Int8Array::from_iter(noise))),
+        column("total_rss_dbm", "dBm", true, figure(|bfee| total_rss_dbm(bfee).ok())),
+        column("scale", "sqrt(SNR) per unit", true, figure(|bfee| scale_factor(bfee).ok())),
+    ]
 }
 
 /// One part of the CSI: the card's integers as such, scaled CSI as floats; null where a record has none.
