@@ -75,12 +75,13 @@ def heat_map(log: Log, *, antenna: str | None = None, stream: int = 0) -> Figure
     t = log.t[chosen]
     alone = np.diff(t, prepend=t[0]) > GAP_S
     level[alone], turned[alone] = np.nan, np.nan
+    most = max(0.1, float(np.nanpercentile(np.abs(turned), 99))) if np.isfinite(turned).any() else np.pi
     figure = _figure(9, 5)
     upper, lower = figure.subplots(2, 1, sharex=True)
     along, up = _edges(t), _edges(part.subcarriers.astype(np.float64))
     for axes, values, words, more in (
         (upper, level, "amplitude, dB", {"cmap": "viridis"}),
-        (lower, turned, "phase, rad", {"cmap": "twilight", "vmin": -np.pi, "vmax": np.pi}),
+        (lower, turned, "phase, rad", {"cmap": "coolwarm", "vmin": -most, "vmax": most}),
     ):
         drawn = axes.pcolormesh(along, up, values.T, rasterized=True, **more)
         figure.colorbar(drawn, ax=axes, label=words)
