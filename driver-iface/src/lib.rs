@@ -11,6 +11,7 @@
 //! | [`bfee`] | 0xBB, the CSI of one frame, stock and WSR layout |
 //! | [`mpdu`] | 0xC1, the frame itself |
 //! | [`sounding`], [`radiotap`] | what is injected |
+//! | [`stock`] | the card's own packets under an unmodified driver, and the records made of them |
 //!
 //! All multi-byte fields are little-endian unless said otherwise; the driver runs on such hosts only.
 #![no_std]
@@ -29,6 +30,7 @@ pub mod radiotap;
 pub mod record;
 pub mod side_file;
 pub mod sounding;
+pub mod stock;
 
 pub use mac::{Mac, ParseMacError};
 

@@ -7,6 +7,7 @@
 //! | [`sounding`] | the scheduler on that interface, in a thread of its own |
 //! | [`doctor`] | checks of everything that a first record needs, and the card's set-up |
 //! | `serial` | the TurtleBot3's controller on its serial port (feature `serial`) |
+//! | `stock` | the same records under the kernel's own driver, by an eBPF program (feature `stock`) |
 //! | [`status`] | a running capture in words |
 //! | [`wait`] | the clocks of this machine, and waiting on them |
 //! | [`sys`] | calls that no crate offers: all `unsafe` of the project |
@@ -40,5 +41,7 @@ pub mod netlink;
 pub mod serial;
 pub mod sounding;
 pub mod status;
+#[cfg(feature = "stock")]
+pub mod stock;
 pub mod sys;
 pub mod wait;

@@ -21,7 +21,7 @@ pub struct Monotonic {
 }
 
 /// CLOCK_MONOTONIC, which every Linux has, nanoseconds.
-fn monotonic_ns() -> i64 {
+pub(crate) fn monotonic_ns() -> i64 {
     clock_gettime(ClockId::CLOCK_MONOTONIC).map_or(0, |now| now.tv_sec() * 1_000_000_000 + now.tv_nsec())
 }
 

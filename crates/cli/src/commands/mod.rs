@@ -16,6 +16,8 @@ mod hint;
 mod info;
 mod key;
 #[cfg(feature = "live")]
+mod listener;
+#[cfg(feature = "live")]
 mod live;
 mod locate;
 #[cfg(feature = "foxglove")]

@@ -1,11 +1,11 @@
 //! `csi5300 record`.
 
+use super::listener::{Listener, Lost, StockArgs};
 use super::live::{Listening, Signals, create_refused, duration, size};
 use super::{Outcome, Result};
 use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
 use csi5300::source::{CsiSource, Error, Loss, Next, side_path};
 use csi5300::time::{Instant, Span};
-use csi5300_live::netlink::{Counters, Netlink};
 use csi5300_live::status::{Losses, Status};
 use csi5300_live::wait::Monotonic;
 use driver_iface::side_file::Width;
@@ -61,6 +61,8 @@ pub struct Args {
     watch: bool,
     #[command(flatten)]
     listening: Listening,
+    #[command(flatten)]
+    stock: StockArgs,
 }
 
 /// When and how to stop and show.
@@ -88,7 +90,7 @@ pub fn run(args: &Args) -> Result {
     let text = |error: csi5300::source::Error| error.to_string();
     // Signals first: one that comes during the opening must not leave half a start behind.
     let signals = Signals::catch()?;
-    let listener = args.listening.open()?;
+    let listener = Listener::open(&args.listening, &args.stock)?;
     let rotation = Rotation { bytes: args.rotate_size, every: args.rotate_every };
     let files = LogFiles::create(&args.out, rotation, args.force).map_err(|error| create_refused(&error))?;
     let files = files.with_side_width(if args.wide_times { Width::Wide } else { Width::Narrow });
@@ -97,8 +99,8 @@ pub fn run(args: &Args) -> Result {
     let mut session = Session {
         args,
         clock,
-        rests: !args.live && listener.receive_buffer() >= ROOMY,
-        socket: listener.as_fd().try_clone_to_owned().map_err(|error| format!("the connector socket: {error}"))?,
+        rests: !args.live && listener.buffer() >= ROOMY,
+        socket: listener.as_fd().try_clone_to_owned().map_err(|error| format!("what is listened to: {error}"))?,
         signals,
         status: Status::new(clock.now()),
         view: if args.watch {
@@ -109,14 +111,14 @@ pub fn run(args: &Args) -> Result {
             View::None
         },
     };
-    eprintln!("{}; recording to {}", Listening::describe(&listener), args.out.display());
+    eprintln!("{}; recording to {}", listener.describe(), args.out.display());
     let sync_every = (args.sync_every > Span::ZERO).then_some(args.sync_every);
     let recorder = Recorder::new(listener, files, Options::default().with_sync_every(sync_every)).map_err(text)?;
     let (failed, listener, files, totals) = if args.live {
         let pipe = Pipe::new(std::io::stdout());
         let options = Options::default().with_sync_every(None).with_hand_over(Span::from_ms(10));
         let mut tee = Recorder::new(recorder, pipe, options).map_err(text)?;
-        let failed = session.capture(&mut tee, |tee| (tee.source().totals(), tee.source().source().counters())).err();
+        let failed = session.capture(&mut tee, |tee| (tee.source().totals(), tee.source().source().lost())).err();
         let (recorder, _, piped) = tee.finish(clock.now()).map_err(text)?;
         let missed = piped.received - piped.written;
         if missed > 0 {
@@ -126,7 +128,7 @@ pub fn run(args: &Args) -> Result {
         (failed, listener, files, totals)
     } else {
         let mut recorder = recorder;
-        let failed = session.capture(&mut recorder, |own| (own.totals(), own.source().counters())).err();
+        let failed = session.capture(&mut recorder, |own| (own.totals(), own.source().lost())).err();
         let (listener, files, totals) = recorder.finish(clock.now()).map_err(text)?;
         (failed, listener, files, totals)
     };
@@ -135,7 +137,7 @@ pub fn run(args: &Args) -> Result {
     if let Some(message) = failed {
         eprintln!("csi5300: {message}");
     }
-    let lost = losses(&totals, &listener.counters());
+    let lost = losses(&totals, &listener.lost());
     Ok(outcome(&totals, lost, session.status.survey.lost_something(), &files))
 }
 
@@ -152,10 +154,8 @@ fn outcome(totals: &Totals, lost: Losses, damaged: bool, files: &LogFiles) -> Ou
     }
 }
 
-fn losses(totals: &Totals, counters: &Counters) -> Losses {
-    // Where the kernel does not say how much it dropped, the jump in bfee_count does.
-    let kernel = counters.kernel_drops.max(counters.overrun_bfee_gap);
-    Losses { kernel, driver: counters.other_bfee_gap, disk: totals.dropped + totals.lost_on_disk }
+fn losses(totals: &Totals, lost: &Lost) -> Losses {
+    Losses { kernel: lost.kernel, driver: lost.driver, disk: totals.dropped + totals.lost_on_disk }
 }
 
 impl Session<'_> {
@@ -163,7 +163,7 @@ impl Session<'_> {
     fn capture<S: CsiSource>(
         &mut self,
         source: &mut S,
-        tell: impl Fn(&S) -> (Totals, Counters),
+        tell: impl Fn(&S) -> (Totals, Lost),
     ) -> std::result::Result<(), String> {
         let end_at = self.args.stop_after.map(|span| self.clock.now() + span);
         let mut look_at = self.clock.now() + LOOK;
@@ -202,13 +202,13 @@ impl Session<'_> {
                 return Ok(());
             }
             if look_at <= now {
-                let (totals, counters) = tell(source);
+                let (totals, lost) = tell(source);
                 if totals.error != told {
                     self.clear();
                     eprintln!("csi5300: {}", totals.error.as_deref().unwrap_or_default());
                     told = totals.error.clone();
                 }
-                self.look(now, losses(&totals, &counters));
+                self.look(now, losses(&totals, &lost));
                 look_at = now + LOOK;
             }
             let until =
@@ -261,7 +261,7 @@ fn loss_words(loss: &Loss) -> String {
     }
 }
 
-fn summary(status: &Status, listener: &Netlink, totals: &Totals, files: &[PathBuf]) -> String {
+fn summary(status: &Status, listener: &Listener, totals: &Totals, files: &[PathBuf]) -> String {
     let mut text = String::new();
     let names: Vec<_> = files.iter().map(|path: &PathBuf| Path::display(path).to_string()).collect();
     let seconds = status.first_at.zip(status.last_at).map_or(0.0, |(first, last)| (last - first).as_s());
@@ -269,17 +269,7 @@ fn summary(status: &Status, listener: &Netlink, totals: &Totals, files: &[PathBu
     if seconds > 0.0 {
         let _ = writeln!(text, "  {:.1} records/s", totals.written as f64 / seconds);
     }
-    let counters = listener.counters();
-    if counters.overruns > 0 {
-        let _ = writeln!(
-            text,
-            "  {} overruns: the kernel dropped {} messages, bfee_count has gaps of {}",
-            counters.overruns, counters.kernel_drops, counters.overrun_bfee_gap
-        );
-    }
-    if counters.other_bfee_gap > 0 {
-        let _ = writeln!(text, "  {} numbers missing from bfee_count before this socket", counters.other_bfee_gap);
-    }
+    text.push_str(&listener.summary());
     if totals.dropped + totals.lost_on_disk > 0 {
         let _ = writeln!(
             text,
@@ -289,16 +279,6 @@ fn summary(status: &Status, listener: &Netlink, totals: &Totals, files: &[PathBu
     }
     if let Some(error) = &totals.error {
         let _ = writeln!(text, "  {error}");
-    }
-    for (count, what) in [
-        (counters.truncated, "datagrams longer than the buffer"),
-        (counters.malformed, "datagrams that contradict themselves"),
-        (counters.foreign, "foreign messages left out"),
-        (counters.user_senders, "messages from other programs refused (--allow-user-sender takes them)"),
-    ] {
-        if count > 0 {
-            let _ = writeln!(text, "  {count} {what}");
-        }
     }
     for (mac, sender) in &status.survey.senders {
         let name = if mac.is_zero() { "an unknown sender".to_string() } else { mac.to_string() };

@@ -1,5 +1,6 @@
 //! The card, its driver and its firmware.
 
+use super::ways::Ways;
 use super::{Check, System};
 
 /// PCI identities of the Intel 5300 (`iwlwifi/pcie/drv.c`).
@@ -41,12 +42,15 @@ impl Card {
     }
 }
 
-pub(super) fn checks(system: &dyn System, card: Option<&Card>) -> Vec<Check> {
-    let mut checks = vec![on_the_bus(card), kernel(system), secure_boot(system)];
+/// The firmware's variable of Secure Boot: four bytes of attributes, then 1 where it is on.
+pub(super) const SECURE_BOOT: &str = "/sys/firmware/efi/efivars/SecureBoot-8be4df61-93ca-11d2-aa0d-00e098032b8c";
+
+pub(super) fn checks(system: &dyn System, card: Option<&Card>, ways: &Ways) -> Vec<Check> {
+    let mut checks = vec![on_the_bus(card), ways.check(), kernel(system, ways), secure_boot(system, ways)];
     if let Some(card) = card {
         checks.push(driver(system, card));
     }
-    checks.extend([patched(system), parameters(system), firmware_file(system), newer_firmware(system)]);
+    checks.extend([patched(system, ways), parameters(system), firmware_file(system), newer_firmware(system)]);
     checks.push(firmware_loaded(system, card));
     checks
 }
@@ -68,7 +72,7 @@ fn on_the_bus(card: Option<&Card>) -> Check {
     }
 }
 
-fn kernel(system: &dyn System) -> Check {
+fn kernel(system: &dyn System, ways: &Ways) -> Check {
     let expected = format!("one with a published CSI driver: {}", KERNELS.join(", "));
     let Some(release) = system.text("/proc/sys/kernel/osrelease") else {
         return Check::unknown("kernel", "no /proc/sys/kernel/osrelease", expected);
@@ -77,16 +81,20 @@ fn kernel(system: &dyn System) -> Check {
         |tree: &str| release.strip_prefix(tree).is_some_and(|rest| !rest.starts_with(|c: char| c.is_ascii_digit()));
     if KERNELS.iter().any(|tree| of(tree)) {
         Check::good("kernel", release, expected)
+    } else if ways.without_patch() {
+        Check::good("kernel", format!("{release}: no patched driver is known for it, and none is needed"), expected)
     } else {
         Check::doubt("kernel", format!("{release}: no CSI driver is known for it"), expected)
             .mend("install Ubuntu 18.04 with kernel 4.15 and hold it: `sudo apt-mark hold linux-image-$(uname -r)`")
     }
 }
 
-fn secure_boot(system: &dyn System) -> Check {
+fn secure_boot(system: &dyn System, ways: &Ways) -> Check {
     let expected = "off: it refuses the patched module, which is unsigned";
-    let variable = "/sys/firmware/efi/efivars/SecureBoot-8be4df61-93ca-11d2-aa0d-00e098032b8c";
-    match system.bytes(variable).and_then(|bytes| bytes.get(4).copied()) {
+    match system.bytes(SECURE_BOOT).and_then(|bytes| bytes.get(4).copied()) {
+        Some(1) if ways.without_patch() => {
+            Check::good("Secure Boot", "on: the way to CSI above is open to this machine all the same", expected)
+        }
         Some(1) => Check::bad("Secure Boot", "on", expected).mend("switch Secure Boot off in the BIOS set-up"),
         Some(_) => Check::good("Secure Boot", "off", expected),
         None => Check::good("Secure Boot", "no such variable: not booted by EFI, or without it", expected),
@@ -102,7 +110,7 @@ fn driver(system: &dyn System, card: &Card) -> Check {
     }
 }
 
-fn patched(system: &dyn System) -> Check {
+fn patched(system: &dyn System, ways: &Ways) -> Check {
     let expected = "an iwlwifi module with the parameter connector_log";
     if system.text(&format!("{PARAMETERS}/connector_log")).is_some() {
         let layout = match system.text(&format!("{PARAMETERS}/ack_len")) {
@@ -110,6 +118,9 @@ fn patched(system: &dyn System) -> Check {
             None => "the csitool driver",
         };
         return Check::good("patched module", layout, expected);
+    }
+    if ways.without_patch() {
+        return Check::good("patched module", "not there, and not needed: see `way to CSI`", expected);
     }
     let mend = "build and install the CSI driver (firmware-notes/install-up-squared.md), then `sudo modprobe -r iwldvm \
                 iwlwifi && sudo modprobe iwlwifi connector_log=0x1`";

@@ -1,5 +1,6 @@
 //! The host: connector, privileges, namespace, buffers, clock.
 
+use super::ways::Ways;
 use super::{Check, System};
 use driver_iface::connector::{CN_IDX, registered_idx};
 
@@ -8,8 +9,8 @@ const CAP_NET_ADMIN: u32 = 12;
 /// Receive buffer that holds a second of WSR records at 1 kHz (1,280 bytes are booked for each).
 const ENOUGH_BUFFER: u64 = 1_280 * 1_000;
 
-pub(super) fn checks(system: &dyn System) -> Vec<Check> {
-    vec![namespace(system), connector(system), capability(system), buffers(system), clock(system)]
+pub(super) fn checks(system: &dyn System, ways: &Ways) -> Vec<Check> {
+    vec![namespace(system), connector(system, ways), capability(system), buffers(system), clock(system)]
 }
 
 fn namespace(system: &dyn System) -> Check {
@@ -29,7 +30,7 @@ fn namespace(system: &dyn System) -> Check {
     Check::bad(name, found, expected).mend("run on the host itself, or with `docker run --network host`")
 }
 
-fn connector(system: &dyn System) -> Check {
+fn connector(system: &dyn System, ways: &Ways) -> Check {
     let expected = format!("the driver registered as `iwlagn`, usually with index {CN_IDX}");
     let name = "connector index";
     let Some(text) = system.text("/proc/net/connector") else {
@@ -39,6 +40,9 @@ fn connector(system: &dyn System) -> Check {
         Some(index @ 1..=32) => Check::good(name, format!("{index}"), expected),
         Some(index) => Check::bad(name, format!("{index}: no socket can join a group above 32"), expected)
             .mend("use a newer CSI driver (4.15)"),
+        None if ways.without_patch() => {
+            Check::unknown(name, "`iwlagn` is not registered; `record --stock` needs no connector", expected)
+        }
         None => Check::bad(name, "`iwlagn` is not registered: no CSI driver is running", expected)
             .mend("sudo modprobe iwlwifi connector_log=0x1"),
     }
@@ -47,14 +51,18 @@ fn connector(system: &dyn System) -> Check {
 fn capability(system: &dyn System) -> Check {
     let expected = "CAP_NET_ADMIN";
     let name = "capability";
-    let status = system.text("/proc/self/status").unwrap_or_default();
-    let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"));
-    let held = effective.and_then(|hex| u64::from_str_radix(hex.trim(), 16).ok()).map(|held| held >> CAP_NET_ADMIN & 1);
-    match held {
-        Some(1) => Check::good(name, "held", expected),
+    match holds(system, CAP_NET_ADMIN) {
+        Some(true) => Check::good(name, "held", expected),
         Some(_) => Check::bad(name, "not held", expected).mend("sudo setcap cap_net_admin+ep $(command -v csi5300)"),
         None => Check::unknown(name, "/proc/self/status does not say", expected),
     }
+}
+
+/// Whether this process holds a capability; `None` where the kernel does not say.
+pub(super) fn holds(system: &dyn System, capability: u32) -> Option<bool> {
+    let status = system.text("/proc/self/status")?;
+    let effective = status.lines().find_map(|line| line.strip_prefix("CapEff:"))?;
+    u64::from_str_radix(effective.trim(), 16).ok().map(|held| held >> capability & 1 == 1)
 }
 
 fn buffers(system: &dyn System) -> Check {

@@ -10,6 +10,7 @@ mod host;
 mod radio;
 mod setup;
 mod system;
+mod ways;
 
 pub use error::SetupError;
 pub use heard::Heard;
@@ -17,6 +18,8 @@ pub(crate) use radio::rate_file;
 pub(crate) use setup::module::RATE as MODULE_RATE;
 pub use setup::{Action, Driver, Request, Role, Step, default_interface, plan, undo, warnings};
 pub use system::{Machine, Ran, System, Tree};
+#[cfg(feature = "stock")]
+pub(crate) use ways::{EBPF_FROM, kernel_version};
 
 /// How a check came out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
@@ -77,9 +80,10 @@ impl Check {
 /// The checks that need no reception, in order.
 pub fn examine(system: &dyn System) -> Vec<Check> {
     let card = card::Card::find(system);
-    let mut checks = card::checks(system, card.as_ref());
+    let ways = ways::Ways::find(system);
+    let mut checks = card::checks(system, card.as_ref(), &ways);
     checks.extend(radio::checks(system, card.as_ref()));
-    checks.extend(host::checks(system));
+    checks.extend(host::checks(system, &ways));
     checks
 }
 

@@ -94,7 +94,7 @@ fn a_healthy_machine_has_nothing_in_the_way() {
         assert_eq!(check.verdict, Verdict::Good, "{check:?}");
         assert_eq!(check.mend, None, "{check:?}");
     }
-    assert_eq!(stage.examine().len(), 20);
+    assert_eq!(stage.examine().len(), 21);
 }
 
 /// A failure: its name, how it is staged, which check tells, how gravely, a word of what is found, one of the remedy.
@@ -410,3 +410,5 @@ fn the_stock_driver_gets_its_own_rate_and_no_ack_len() {
     assert!(plan(&system, &request(Role::Initiator, "64", None)).unwrap_err().to_string().contains("no connector_log"));
     assert_eq!(default_interface(&system).unwrap(), "wlp1s0");
 }
+
+mod ways;

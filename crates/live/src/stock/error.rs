@@ -1,0 +1,108 @@
+//! Why the packets of a card under the kernel's own driver cannot be had.
+
+use std::error::Error as StdError;
+use std::io;
+
+/// Why the eBPF program cannot be loaded or attached; inside [`csi5300::source::Error::Backend`].
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum StockError {
+    /// The program reads the arguments of a function as x86-64 passes them.
+    #[error("the eBPF program is for x86-64, and this is {architecture}")]
+    Architecture {
+        /// This program's architecture.
+        architecture: &'static str,
+    },
+    /// The kernel has no ring buffer for eBPF.
+    #[error("Linux {}.{} is too old for the eBPF program, which needs 5.8; the patched driver is for such kernels", .found.0, .found.1)]
+    Kernel {
+        /// Version and patch level.
+        found: (u32, u32),
+    },
+    /// The kernel was built without what the program is attached by.
+    #[error("the kernel has no kprobes for perf (CONFIG_KPROBES and CONFIG_KPROBE_EVENTS): {KPROBE_TYPE} is absent")]
+    NoKprobes,
+    /// The driver is not there.
+    #[error("iwlwifi is not loaded: `sudo modprobe iwlwifi`; `sudo dmesg | grep iwlwifi` says why if it does not stay")]
+    NoDriver,
+    /// The driver has no function of this name.
+    #[error("iwlwifi is loaded, but `{function}` is not in /proc/kallsyms as a function that can be probed")]
+    NoFunction {
+        /// The function.
+        function: &'static str,
+        /// The kernel's answer.
+        source: io::Error,
+    },
+    /// The process lacks a capability.
+    #[error(
+        "the kernel refuses eBPF to this process: CAP_BPF and CAP_PERFMON are needed; \
+         `sudo setcap cap_bpf,cap_perfmon,cap_net_admin+ep $(command -v csi5300)`, or run it as root"
+    )]
+    Refused {
+        /// The kernel's answer.
+        source: io::Error,
+    },
+    /// Secure Boot in its strictest form.
+    #[error("the kernel is locked down (confidentiality, see {LOCKDOWN}): no program may read its memory")]
+    LockedDown,
+    /// The kernel does not take the program, or a step before it failed.
+    #[error("the kernel does not take the eBPF program")]
+    Load {
+        /// Why, with the verifier's words where it has any.
+        source: Box<dyn StdError + Send + Sync>,
+    },
+}
+
+/// The type of perf events that are kprobes.
+pub(super) const KPROBE_TYPE: &str = "/sys/bus/event_source/devices/kprobe/type";
+/// The kernel's lockdown, the level in force in brackets.
+pub(super) const LOCKDOWN: &str = "/sys/kernel/security/lockdown";
+
+impl From<StockError> for csi5300::source::Error {
+    fn from(error: StockError) -> Self {
+        Self::Backend(Box::new(error))
+    }
+}
+
+/// The operating system's answer at the root of an error, if it has one.
+fn io_root<'e>(error: &'e (dyn StdError + 'static)) -> Option<&'e io::Error> {
+    let mut at = Some(error);
+    while let Some(error) = at {
+        if let Some(io) = error.downcast_ref::<io::Error>() {
+            return Some(io);
+        }
+        at = error.source();
+    }
+    None
+}
+
+/// Sorts a failure of loading or attaching by the kernel's answer.
+pub(super) fn sorted(error: impl StdError + Send + Sync + 'static, function: &'static str) -> StockError {
+    let code = io_root(&error).and_then(io::Error::raw_os_error);
+    let source = || io::Error::from_raw_os_error(code.unwrap_or_default());
+    match code {
+        Some(libc::EPERM | libc::EACCES) => StockError::Refused { source: source() },
+        // For a function that cannot be probed and one that is not there, by kernel.
+        Some(libc::ENOENT | libc::EADDRNOTAVAIL) => StockError::NoFunction { function, source: source() },
+        _ => StockError::Load { source: Box::new(error) },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("outer")]
+    struct Outer(#[source] io::Error);
+
+    #[test]
+    fn failures_are_sorted_by_the_kernel_s_answer() {
+        let of = |code| sorted(Outer(io::Error::from_raw_os_error(code)), "f");
+        assert!(matches!(of(libc::EPERM), StockError::Refused { .. }));
+        assert!(matches!(of(libc::EACCES), StockError::Refused { .. }));
+        assert!(matches!(of(libc::ENOENT), StockError::NoFunction { function: "f", .. }));
+        assert!(matches!(of(libc::EINVAL), StockError::Load { .. }));
+        assert!(of(libc::EPERM).to_string().contains("setcap cap_bpf,cap_perfmon"));
+    }
+}

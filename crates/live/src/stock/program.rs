@@ -1,0 +1,130 @@
+//! The eBPF program: loaded, attached, and attached again when the driver comes back.
+
+use super::error::{KPROBE_TYPE, LOCKDOWN, StockError, sorted};
+use crate::doctor::{EBPF_FROM, kernel_version};
+use aya::maps::{Array, MapData, RingBuf};
+use aya::programs::KProbe;
+use aya::programs::kprobe::KProbeLinkId;
+use aya::{Ebpf, EbpfLoader};
+use nix::sys::resource::{RLIM_INFINITY, Resource, setrlimit};
+use std::os::unix::fs::MetadataExt;
+use std::path::Path;
+
+/// Built from `driver-iface/bpf/csi5300.bpf.c`; `tests/checks/ebpf.sh` holds it equal to that.
+static OBJECT: &[u8] = aya::include_bytes_aligned!("../../../../driver-iface/bpf/csi5300.bpf.o");
+/// The function that iwldvm hands every packet to, in iwlwifi.
+const FUNCTION: &str = "iwl_notification_wait";
+/// Where the module is, once loaded.
+const DRIVER: &str = "/sys/module/iwlwifi";
+
+/// Hits, events without room in the ring, packets that could not be read (`struct counts` of the program).
+pub(super) type Counts = [u64; 3];
+
+/// The loaded program.
+pub(super) struct Program {
+    ebpf: Ebpf,
+    link: Option<KProbeLinkId>,
+    counts: Array<MapData, Counts>,
+    /// The inode of [`DRIVER`] to which the probe belongs: another one each time that the module is loaded.
+    driver: Option<u64>,
+}
+
+impl Program {
+    /// Loads and attaches. The ring has `ring` bytes, a power of two and of whole pages.
+    pub(super) fn load(ring: u32, whole_frames: bool) -> Result<(Self, RingBuf<MapData>), StockError> {
+        prerequisites()?;
+        // Before 5.11 maps count as locked memory. Where it is refused the kernel says so below.
+        let _ = setrlimit(Resource::RLIMIT_MEMLOCK, RLIM_INFINITY, RLIM_INFINITY);
+        let whole = u8::from(whole_frames);
+        let mut loader = EbpfLoader::new();
+        loader.map_max_entries("EVENTS", ring).override_global("WHOLE_FRAMES", &whole, true);
+        let mut ebpf = loader.load(OBJECT).map_err(|error| sorted(error, FUNCTION))?;
+        kprobe(&mut ebpf)?.load().map_err(|error| locked_down().unwrap_or_else(|| sorted(error, FUNCTION)))?;
+        let taken = |map: Option<aya::maps::Map>| map.ok_or_else(missing);
+        let events = RingBuf::try_from(taken(ebpf.take_map("EVENTS"))?).map_err(|error| sorted(error, FUNCTION))?;
+        let counts = Array::try_from(taken(ebpf.take_map("COUNTS"))?).map_err(|error| sorted(error, FUNCTION))?;
+        let mut program = Self { ebpf, link: None, counts, driver: driver() };
+        program.attach()?;
+        Ok((program, events))
+    }
+
+    fn attach(&mut self) -> Result<(), StockError> {
+        self.link = Some(kprobe(&mut self.ebpf)?.attach(FUNCTION, 0).map_err(|error| sorted(error, FUNCTION))?);
+        Ok(())
+    }
+
+    /// Attaches again if the driver was loaded anew since: the kernel takes the probe away with the module. True if so.
+    pub(super) fn follow_driver(&mut self) -> Result<bool, StockError> {
+        let driver = driver();
+        if driver.is_none() || driver == self.driver {
+            return Ok(false);
+        }
+        if let Some(link) = self.link.take() {
+            kprobe(&mut self.ebpf)?.detach(link).map_err(|error| sorted(error, FUNCTION))?;
+        }
+        match self.attach() {
+            Ok(()) => self.driver = driver,
+            // The module is on its way: another look will find it.
+            Err(StockError::NoFunction { .. }) => return Ok(false),
+            Err(error) => return Err(error),
+        }
+        Ok(true)
+    }
+
+    /// True while the driver to which the probe belongs is loaded.
+    pub(super) fn is_attached(&self) -> bool {
+        self.link.is_some() && driver() == self.driver
+    }
+
+    /// The program's counters; `None` where the kernel does not give them.
+    pub(super) fn counts(&self) -> Option<Counts> {
+        self.counts.get(&0, 0).ok()
+    }
+}
+
+/// The kprobe in the object.
+fn kprobe(ebpf: &mut Ebpf) -> Result<&mut KProbe, StockError> {
+    let program = ebpf.program_mut("csi5300").ok_or_else(missing)?;
+    program.try_into().map_err(|error: aya::programs::ProgramError| StockError::Load { source: Box::new(error) })
+}
+
+/// The object lacks what its source has.
+fn missing() -> StockError {
+    StockError::Load { source: "the object lacks a map or the program".into() }
+}
+
+fn driver() -> Option<u64> {
+    Path::new(DRIVER).metadata().ok().map(|about| about.ino())
+}
+
+fn locked_down() -> Option<StockError> {
+    let levels = std::fs::read_to_string(LOCKDOWN).ok()?;
+    levels.contains("[confidentiality]").then_some(StockError::LockedDown)
+}
+
+/// What the kernel's own answers would not say clearly.
+fn prerequisites() -> Result<(), StockError> {
+    if !cfg!(target_arch = "x86_64") {
+        return Err(StockError::Architecture { architecture: std::env::consts::ARCH });
+    }
+    let release = std::fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
+    if let Some(found) = kernel_version(&release).filter(|found| *found < EBPF_FROM) {
+        return Err(StockError::Kernel { found });
+    }
+    if !Path::new(KPROBE_TYPE).exists() {
+        return Err(StockError::NoKprobes);
+    }
+    driver().map(|_| ()).ok_or(StockError::NoDriver)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_object_has_what_is_loaded_from_it() {
+        for name in ["EVENTS", "COUNTS", "SCRATCH", "WHOLE_FRAMES", "kprobe/iwl_notification_wait", "Dual MIT/GPL"] {
+            assert!(OBJECT.windows(name.len()).any(|window| window == name.as_bytes()), "{name}");
+        }
+    }
+}

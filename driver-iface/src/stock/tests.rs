@@ -1,0 +1,122 @@
+use super::*;
+use crate::bfee::{Antennas, Bfee, Layout, MAX_BODY};
+use std::vec;
+use std::vec::Vec;
+
+/// 0xC0 with RSSI 33, 32, 31, gain 40, time 0x0102030405, MCS 1, one configured word with the order C, B, A.
+fn phy() -> Vec<u8> {
+    let mut data = vec![0; 64];
+    data[1] = 1;
+    data[4..12].copy_from_slice(&0x01_0203_0405_u64.to_le_bytes());
+    data[24..28].copy_from_slice(&(40_u32 << 9 | 0x1ff).to_le_bytes());
+    data[28..32].copy_from_slice(&(32_u32 << 16 | 33).to_le_bytes());
+    data[32] = 31;
+    data[52..56].copy_from_slice(&0x4101_u32.to_le_bytes());
+    data[60] = 0x06;
+    data
+}
+
+/// 0xC1 with a frame of 57 bytes, number 0x01020304, from 00:21:6a:00:00:07.
+fn mpdu() -> Vec<u8> {
+    let mut data = vec![0; 4 + 57 + 4];
+    data[0] = 57;
+    data[4 + 16..4 + 22].copy_from_slice(&[0, 0x21, 0x6a, 0, 0, 7]);
+    data[4 + 24..4 + 28].copy_from_slice(&[1, 2, 3, 4]);
+    data[4 + 57] = 3;
+    data
+}
+
+/// 0xBB of 3x1 chains, CSI bytes 1, 2, 3 ...
+fn csi() -> Vec<u8> {
+    let mut data = vec![0x77; 20];
+    (data[8], data[9]) = (3, 1);
+    data[16..18].copy_from_slice(&192_u16.to_le_bytes());
+    data.extend((0..192).map(|k| k as u8));
+    data
+}
+
+/// All packets of a stream; the records as code and body.
+fn records(card: &mut Card, options: &Options, stream: &[(u8, Vec<u8>)]) -> Vec<(u8, Vec<u8>)> {
+    let mut body = [0; MAX_BODY];
+    let one = |(command, data): &(u8, Vec<u8>)| {
+        let record = card.handle(options, &Packet::new(*command, data), 1_700_000_000_000_123, &mut body)?;
+        Some((record.code, record.body.to_vec()))
+    };
+    stream.iter().filter_map(one).collect()
+}
+
+#[test]
+fn the_three_packets_of_a_frame_are_a_record() {
+    let (mut card, options) = (Card::default(), Options::default().with_frames(true));
+    let got = records(&mut card, &options, &[(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())]);
+    assert_eq!(got[0], (0xC1, mpdu()[4..61].to_vec()));
+    let bfee = Bfee::new_checked(&got[1].1).unwrap();
+    assert_eq!((bfee.layout(), bfee.timestamp_low(), bfee.bfee_count()), (Layout::Wsr, 0x0203_0405, 1));
+    assert_eq!((bfee.rssi(), bfee.agc(), bfee.noise_dbm(), bfee.rate_n_flags()), ([33, 32, 31], 40, -127, 0x0101));
+    assert_eq!((bfee.antenna_sel(), bfee.reserved(), bfee.payload()), (0x06, 0x7777, &csi()[20..]));
+    let wsr = bfee.wsr().unwrap();
+    assert_eq!((wsr.tv_sec, wsr.tv_usec, wsr.frame_count), (1_700_000_000, 123, 0x0102_0304));
+    assert_eq!(wsr.mac, "00:21:6a:00:00:07".parse().unwrap());
+    let expect = Counts { phy: 1, mpdu: 1, bfee: 1, records: 1, ..Counts::default() };
+    assert_eq!((got.len(), card.counts(), expect.dropped()), (2, expect, 0));
+}
+
+#[test]
+fn nothing_of_another_frame_is_ever_used() {
+    let options = Options::default();
+    let count = |stream: &[(u8, Vec<u8>)]| {
+        let mut card = Card::default();
+        (records(&mut card, &options, stream).len(), card.counts())
+    };
+    let [c0, c1, bb] = [(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())];
+    let short = |(command, data): &(u8, Vec<u8>)| (*command, data[..data.len() - 9].to_vec());
+    // A second 0xBB, one before any 0xC0, one after a 0xC0 that cannot be read, one after a new start of the firmware.
+    assert_eq!(count(&[c0.clone(), c1.clone(), bb.clone(), bb.clone()]).1.no_phy, 1);
+    assert_eq!(
+        count(&[c1.clone(), bb.clone()]).1,
+        Counts { mpdu: 1, mpdu_no_phy: 1, bfee: 1, no_phy: 1, ..Counts::default() }
+    );
+    assert_eq!(count(&[c0.clone(), short(&c0), bb.clone()]).0, 0);
+    assert_eq!(count(&[c0.clone(), c1.clone(), (0x01, vec![]), bb.clone()]).1.no_phy, 1);
+    // The sender of the frame before is not this frame's.
+    assert_eq!(count(&[c0.clone(), c1.clone(), c0.clone(), bb.clone()]).1.no_sender, 1);
+    assert_eq!(count(&[c0.clone(), c1.clone(), short(&c1), bb.clone()]).1.no_sender, 1);
+    // Packets are missing.
+    let (mut card, mut body) = (Card::default(), [0; MAX_BODY]);
+    assert!(card.handle(&options, &Packet::new(0xC0, &c0.1), 0, &mut body).is_none());
+    card.gap();
+    assert!(card.handle(&options, &Packet::new(0xBB, &bb.1), 0, &mut body).is_none());
+    assert_eq!((card.counts().records, card.counts().no_phy), (0, 1));
+}
+
+#[test]
+fn an_order_that_the_card_did_not_say_names_no_antenna() {
+    for (said, len) in [(0, 64), (1, 60), (1, 63)] {
+        let mut c0 = phy();
+        c0[1] = said;
+        c0.truncate(len);
+        let mut card = Card::default();
+        let got = records(&mut card, &Options::default().with_layout(Layout::Stock), &[(0xC0, c0), (0xBB, csi())]);
+        let bfee = Bfee::new_checked(&got[0].1).unwrap();
+        assert_eq!((bfee.layout(), bfee.antenna_sel(), card.counts().no_order), (Layout::Stock, ORDER_UNKNOWN, 1));
+        assert!(bfee.antennas().is_err());
+        // With one chain the only antenna that was heard tells it.
+        assert!(Antennas::new(ORDER_UNKNOWN, 1, [0, 30, 0]).is_ok());
+    }
+}
+
+#[test]
+fn refusals_say_what_is_wrong() {
+    assert_eq!(RxPhy::new_checked(&[0; 59]), Err(BadPacket::Phy { got: 59 }));
+    let mut long = mpdu();
+    long[0] = 58;
+    assert_eq!(RxMpdu::new_checked(&long).unwrap_err(), BadPacket::Mpdu { byte_count: 58, got: 65 });
+    assert!(RxMpdu::from_start(65, &mpdu()[..31], 3).is_err() && RxMpdu::from_start(65, &mpdu()[..32], 3).is_ok());
+    let mut bb = csi();
+    bb.truncate(211);
+    assert_eq!(CsiNotification::new_checked(&bb).unwrap_err(), BadPacket::CsiShort { need: 212, got: 211 });
+    bb[16] = 191;
+    let refused = CsiNotification::new_checked(&bb).unwrap_err();
+    assert_eq!(refused, BadPacket::Csi(crate::bfee::Error::CsiLength { expect: 192, got: 191 }));
+    assert!(std::format!("{refused}").contains("191"));
+}
