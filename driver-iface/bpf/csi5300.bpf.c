@@ -86,10 +86,13 @@ struct map SEC("maps") SCRATCH = { .type = MAP_PERCPU_ARRAY, .key_size = 4, .val
 /* Set before loading: keep whole frames instead of their beginning. */
 const volatile u8 WHOLE_FRAMES SEC(".rodata") = 0;
 
+/* A value that the compiler knows nothing of, so that a test of it stays and the kernel's verifier sees its bounds. */
+#define OPAQUE(value) asm volatile("" : "+r"(value))
+
 /* Where the frame's status is in the data; 0 where the frame is impossible, or longer than its packet. */
-static inline u32 status_at(const struct event *event)
+static inline u64 status_at(const struct event *event)
 {
-	u32 byte_count = event->data[0] | (u32)event->data[1] << 8;
+	u64 byte_count = event->data[0] | (u64)event->data[1] << 8;
 
 	if (event->data_len < MPDU_FRAME || byte_count < MIN_FRAME || byte_count > MAX_FRAME ||
 	    MPDU_FRAME + byte_count + STATUS > event->data_len)
@@ -97,31 +100,41 @@ static inline u32 status_at(const struct event *event)
 	return MPDU_FRAME + byte_count;
 }
 
-/* Fills in the data. Returns its length, or -1 where the packet cannot be read. */
-static inline long copy(struct event *event, const struct packet *packet)
+/* The packet's first bytes. Returns how many, or -1 where the packet cannot be read. */
+static inline long copy(struct event *event, const struct packet *packet, u64 data_len, u64 most)
 {
-	u32 most, kept, status;
+	u64 kept = data_len < most ? data_len : most;
 
-	switch (event->command) {
-	case ALIVE: most = 0; break;
-	case RX_PHY: most = PHY_KEPT; break;
-	case CSI: most = CSI_KEPT; break;
-	default: most = WHOLE_FRAMES ? WHOLE_KEPT : MPDU_KEPT;
-	}
-	kept = event->data_len < most ? event->data_len : most;
-	if (kept > WHOLE_KEPT)
-		return -1; /* cannot be; the kernel's verifier wants to see it */
-	if (kept && probe_read_kernel(event->data, kept, packet->data))
+	OPAQUE(kept);
+	if (kept > WHOLE_KEPT || (kept && probe_read_kernel(event->data, kept, packet->data)))
 		return -1;
-	if (event->command != RX_MPDU || WHOLE_FRAMES || kept > MPDU_KEPT)
-		return kept;
+	return kept;
+}
+
+/* Fills in the data. Returns its length, or -1 where the packet cannot be read. */
+static inline long fill(struct event *event, const struct packet *packet, u64 data_len)
+{
+	u64 status;
+
+	if (event->command == ALIVE)
+		return 0;
+	if (event->command == RX_PHY)
+		return copy(event, packet, data_len, PHY_KEPT);
+	if (event->command == CSI)
+		return copy(event, packet, data_len, CSI_KEPT);
+	if (WHOLE_FRAMES)
+		return copy(event, packet, data_len, WHOLE_KEPT);
+	if (data_len < MPDU_KEPT)
+		return copy(event, packet, data_len, MPDU_KEPT);
+	if (probe_read_kernel(event->data, MPDU_KEPT, packet->data))
+		return -1;
 	status = status_at(event);
 	if (!status)
-		return kept;
-	if (probe_read_kernel(event->data + kept, STATUS, packet->data + status))
+		return MPDU_KEPT;
+	if (probe_read_kernel(event->data + MPDU_KEPT, STATUS, packet->data + status))
 		return -1;
 	event->flags = FLAG_FRAME_START;
-	return kept + STATUS;
+	return MPDU_KEPT + STATUS;
 }
 
 SEC("kprobe/iwl_notification_wait") int csi5300(struct registers *registers)
@@ -130,7 +143,8 @@ SEC("kprobe/iwl_notification_wait") int csi5300(struct registers *registers)
 	struct packet head;
 	struct counts *counts;
 	struct event *event;
-	u32 zero = 0, size;
+	u32 zero = 0;
+	u64 data_len;
 	long kept;
 
 	counts = map_lookup_elem(&COUNTS, &zero);
@@ -141,9 +155,10 @@ SEC("kprobe/iwl_notification_wait") int csi5300(struct registers *registers)
 		__sync_fetch_and_add(&counts->unreadable, 1);
 		return 0;
 	}
-	size = head.len_n_flags & SIZE_MASK;
-	if (size < sizeof(head) - 4)
+	data_len = head.len_n_flags & SIZE_MASK;
+	if (data_len < sizeof(head) - 4)
 		return 0;
+	data_len -= sizeof(head) - 4;
 	if (head.command != CSI && head.command != RX_MPDU && head.command != RX_PHY && head.command != ALIVE)
 		return 0;
 	event = map_lookup_elem(&SCRATCH, &zero);
@@ -153,16 +168,17 @@ SEC("kprobe/iwl_notification_wait") int csi5300(struct registers *registers)
 	event->time_ns = ktime_get_ns();
 	event->ring_full = counts->ring_full;
 	event->unreadable = counts->unreadable;
-	event->data_len = size - (sizeof(head) - 4);
+	event->data_len = data_len;
 	event->command = head.command;
 	event->flags = 0;
-	kept = copy(event, packet);
+	kept = fill(event, packet, data_len);
 	if (kept < 0) {
 		__sync_fetch_and_add(&counts->unreadable, 1);
 		return 0;
 	}
-	if (kept > WHOLE_KEPT)
-		return 0;
+	OPAQUE(kept);
+	if (kept < 0 || kept > WHOLE_KEPT)
+		return 0; /* cannot be */
 	event->kept = kept;
 	if (ringbuf_output(&EVENTS, event, EVENT_HEADER + kept, 0))
 		__sync_fetch_and_add(&counts->ring_full, 1);

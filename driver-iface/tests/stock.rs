@@ -50,7 +50,7 @@ fn by_the_oracle(how: How, stream: &[Packet]) -> Answer {
     (messages, oracle.counts)
 }
 
-/// The program's event of a packet, frames cut unless they are wanted whole (`copy` of `bpf/csi5300.bpf.c`).
+/// The program's event of a packet, frames cut unless they are wanted whole (`fill` of `bpf/csi5300.bpf.c`).
 fn event_of(how: How, (command, data): &Packet) -> Vec<u8> {
     let whole = how.log & 4 != 0;
     let kept = match command {
@@ -63,7 +63,7 @@ fn event_of(how: How, (command, data): &Packet) -> Vec<u8> {
     let mut event = EventRepr { command: *command, data_len: data.len() as u32, ..EventRepr::default() };
     let mut data_kept = data[..kept.min(data.len())].to_vec();
     let count = data.first_chunk().map_or(0, |bytes| usize::from(u16::from_le_bytes(*bytes)));
-    if *command == 0xC1 && !whole && (14..=8_191).contains(&count) && 8 + count <= data.len() {
+    if *command == 0xC1 && !whole && data.len() >= 32 && (14..=8_191).contains(&count) && 8 + count <= data.len() {
         event.flags = flag::FRAME_START;
         data_kept.extend(&data[4 + count..8 + count]);
     }

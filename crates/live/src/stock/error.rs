@@ -76,14 +76,24 @@ fn io_root<'e>(error: &'e (dyn StdError + 'static)) -> Option<&'e io::Error> {
     None
 }
 
-/// Sorts a failure of loading or attaching by the kernel's answer.
-pub(super) fn sorted(error: impl StdError + Send + Sync + 'static, function: &'static str) -> StockError {
+/// Sorts a failure of loading by the kernel's answer. EACCES is the verifier's "no", with its words.
+pub(super) fn of_loading(error: impl StdError + Send + Sync + 'static) -> StockError {
+    match io_root(&error).and_then(io::Error::raw_os_error) {
+        Some(code @ libc::EPERM) => StockError::Refused { source: io::Error::from_raw_os_error(code) },
+        _ => StockError::Load { source: Box::new(error) },
+    }
+}
+
+/// Sorts a failure of attaching to a function by the kernel's answer.
+pub(super) fn of_attaching(error: impl StdError + Send + Sync + 'static, function: &'static str) -> StockError {
     let code = io_root(&error).and_then(io::Error::raw_os_error);
     let source = || io::Error::from_raw_os_error(code.unwrap_or_default());
     match code {
         Some(libc::EPERM | libc::EACCES) => StockError::Refused { source: source() },
-        // For a function that cannot be probed and one that is not there, by kernel.
-        Some(libc::ENOENT | libc::EADDRNOTAVAIL) => StockError::NoFunction { function, source: source() },
+        // A function that is not there, and one that cannot be probed.
+        Some(libc::ENOENT | libc::EADDRNOTAVAIL | libc::EINVAL) => {
+            StockError::NoFunction { function, source: source() }
+        }
         _ => StockError::Load { source: Box::new(error) },
     }
 }
@@ -98,11 +108,12 @@ mod tests {
 
     #[test]
     fn failures_are_sorted_by_the_kernel_s_answer() {
-        let of = |code| sorted(Outer(io::Error::from_raw_os_error(code)), "f");
-        assert!(matches!(of(libc::EPERM), StockError::Refused { .. }));
-        assert!(matches!(of(libc::EACCES), StockError::Refused { .. }));
-        assert!(matches!(of(libc::ENOENT), StockError::NoFunction { function: "f", .. }));
-        assert!(matches!(of(libc::EINVAL), StockError::Load { .. }));
-        assert!(of(libc::EPERM).to_string().contains("setcap cap_bpf,cap_perfmon"));
+        let answer = |code| Outer(io::Error::from_raw_os_error(code));
+        assert!(matches!(of_loading(answer(libc::EPERM)), StockError::Refused { .. }));
+        assert!(matches!(of_loading(answer(libc::EACCES)), StockError::Load { .. }));
+        assert!(matches!(of_attaching(answer(libc::EACCES), "f"), StockError::Refused { .. }));
+        assert!(matches!(of_attaching(answer(libc::ENOENT), "f"), StockError::NoFunction { function: "f", .. }));
+        assert!(matches!(of_attaching(answer(libc::ENOMEM), "f"), StockError::Load { .. }));
+        assert!(of_loading(answer(libc::EPERM)).to_string().contains("setcap cap_bpf,cap_perfmon"));
     }
 }

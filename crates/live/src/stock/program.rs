@@ -1,6 +1,6 @@
 //! The eBPF program: loaded, attached, and attached again when the driver comes back.
 
-use super::error::{KPROBE_TYPE, LOCKDOWN, StockError, sorted};
+use super::error::{KPROBE_TYPE, LOCKDOWN, StockError, of_attaching, of_loading};
 use crate::doctor::{EBPF_FROM, kernel_version};
 use aya::maps::{Array, MapData, RingBuf};
 use aya::programs::KProbe;
@@ -38,18 +38,18 @@ impl Program {
         let whole = u8::from(whole_frames);
         let mut loader = EbpfLoader::new();
         loader.map_max_entries("EVENTS", ring).override_global("WHOLE_FRAMES", &whole, true);
-        let mut ebpf = loader.load(OBJECT).map_err(|error| sorted(error, FUNCTION))?;
-        kprobe(&mut ebpf)?.load().map_err(|error| locked_down().unwrap_or_else(|| sorted(error, FUNCTION)))?;
+        let mut ebpf = loader.load(OBJECT).map_err(of_loading)?;
+        kprobe(&mut ebpf)?.load().map_err(|error| locked_down().unwrap_or_else(|| of_loading(error)))?;
         let taken = |map: Option<aya::maps::Map>| map.ok_or_else(missing);
-        let events = RingBuf::try_from(taken(ebpf.take_map("EVENTS"))?).map_err(|error| sorted(error, FUNCTION))?;
-        let counts = Array::try_from(taken(ebpf.take_map("COUNTS"))?).map_err(|error| sorted(error, FUNCTION))?;
+        let events = RingBuf::try_from(taken(ebpf.take_map("EVENTS"))?).map_err(of_loading)?;
+        let counts = Array::try_from(taken(ebpf.take_map("COUNTS"))?).map_err(of_loading)?;
         let mut program = Self { ebpf, link: None, counts, driver: driver() };
         program.attach()?;
         Ok((program, events))
     }
 
     fn attach(&mut self) -> Result<(), StockError> {
-        self.link = Some(kprobe(&mut self.ebpf)?.attach(FUNCTION, 0).map_err(|error| sorted(error, FUNCTION))?);
+        self.link = Some(kprobe(&mut self.ebpf)?.attach(FUNCTION, 0).map_err(|error| of_attaching(error, FUNCTION))?);
         Ok(())
     }
 
@@ -60,7 +60,7 @@ impl Program {
             return Ok(false);
         }
         if let Some(link) = self.link.take() {
-            kprobe(&mut self.ebpf)?.detach(link).map_err(|error| sorted(error, FUNCTION))?;
+            kprobe(&mut self.ebpf)?.detach(link).map_err(|error| of_attaching(error, FUNCTION))?;
         }
         match self.attach() {
             Ok(()) => self.driver = driver,

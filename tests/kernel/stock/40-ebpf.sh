@@ -1,0 +1,131 @@
+# CSI from the stock driver by the eBPF program of `csi5300 record --stock`, no module beside it.
+# Takes /dev/fakecard and the interfaces as 10-records.sh left them; makes them where it runs alone.
+dmesg -c >/dev/null
+cards() {
+    for module in virtio_ring virtio libarc4 rfkill cfg80211 mac80211 iwlwifi iwldvm fakecard; do load "$module"; done
+    until [ -e /sys/class/net/wlan1 ]; do sleep 0.1; done
+    for k in 0 1; do
+        iw dev "wlan$k" set type monitor
+        ip link set "wlan$k" up
+        iw dev "wlan$k" set channel 6 HT20
+    done
+}
+step() {
+    env "CSI5300_EBPF_$1=$3" /tests/stock_guest --exact "$2" --nocapture >/tmp/said 2>&1 || { cat /tmp/said; exit 1; }
+    grep -q "1 passed" /tmp/said
+    grep -E "packets in|records, byte" /tmp/said
+}
+feed() { step FEED feed "$1"; }
+check() { step CHECK every_record_is_what_the_patched_driver_makes "$1"; }
+# start ARGUMENTS: a recorder that is listening.
+start() {
+    : >/tmp/recorder
+    csi5300 record --stock /tmp/ebpf.dat --force "$@" 2>/tmp/recorder &
+    recorder=$!
+    until grep -q "recording to" /tmp/recorder; do
+        [ -e "/proc/$recorder" ] || { cat /tmp/recorder; exit 1; }
+        sleep 0.1
+    done
+}
+# stop STATUS: the recorder's end.
+stop() {
+    status=0
+    kill -TERM "$recorder"
+    wait "$recorder" || status=$?
+    [ "$status" = "$1" ] || { cat /tmp/recorder; echo "status $status, not $1"; exit 1; }
+}
+# The program's own account: times it ran, and nanoseconds.
+cost() {
+    file=$(grep -l run_cnt "/proc/$recorder"/fdinfo/* | head -n 1)
+    ran=$(sed -n 's/^run_cnt:[^0-9]*//p' "$file")
+    ns=$(sed -n 's/^run_time_ns:[^0-9]*//p' "$file")
+}
+
+cards
+echo "without the driver, without capabilities"
+if [ -x /bin/capsh ]; then
+    all=$(capsh --supports=cap_bpf && seq 0 40 | grep -v -e '^38$' -e '^39$' | sed 's/^/cap_/' | tr '\n' ',' || true)
+fi
+
+echo "10,000 frames at 1,000/s, csitool's layout"
+start --stock-layout csitool
+feed "steady 10000 1 1000"
+sleep 1
+stop 0
+check "/tmp/ebpf.dat csitool 1 all steady 10000 1 -"
+grep "packets of the driver" /tmp/recorder
+
+echo "1,000 frames in WSR's layout, with the frames"
+start --stock-frames
+feed "steady 1000 2 1000"
+sleep 1
+stop 0
+check "/tmp/ebpf.dat wsr 5 all steady 1000 2 -"
+
+echo "60,000 packets, most of them hostile"
+start --receive-buffer 64M
+feed "hostile 60000 3 0"
+sleep 1
+stop 3
+check "/tmp/ebpf.dat wsr 1 all hostile 60000 3 -"
+grep "contradict" /tmp/recorder
+
+echo "a ring that is too small and a recorder that is stopped"
+start --receive-buffer 64k --stock-layout csitool
+kill -STOP "$recorder"
+feed "steady 300 4 0"
+kill -CONT "$recorder"
+sleep 1
+feed "steady 100 5 1000"
+sleep 1
+stop 3
+grep -q "overrun: the kernel dropped" /tmp/recorder
+grep "ring was full" /tmp/recorder
+
+echo "what a hit costs"
+sysctl -w kernel.bpf_stats_enabled=1 >/dev/null
+start
+cost
+foreign_ran=$ran
+foreign_ns=$ns
+feed "foreign 20000 6 0"
+cost
+echo "a packet that is nobody's: $(((ns - foreign_ns) / (ran - foreign_ran))) ns of the guest, $((ran - foreign_ran)) hits"
+before_ran=$ran
+before_ns=$ns
+feed "steady 2000 7 0"
+cost
+echo "0xC0, 0xC1 and 0xBB: $(((ns - before_ns) / (ran - before_ran))) ns of the guest each"
+sleep 1
+stop 0
+
+echo "the driver goes and comes under a recorder"
+start --stock-layout csitool
+for k in 1 2 3; do
+    feed "steady 100 8 0"
+    rmmod fakecard iwldvm iwlwifi
+    sleep 1
+    cards
+    sleep 3
+done
+feed "steady 100 8 0"
+sleep 1
+stop 0
+grep "loaded anew" /tmp/recorder
+[ "$(grep -c . /tmp/recorder)" -gt 0 ]
+grep "^400 records written" /tmp/recorder
+
+echo "10 recorders one after the other under traffic"
+for k in $(seq 10); do
+    (feed "steady 300 9 1000") >/dev/null &
+    start --records 20
+    wait "$recorder"
+    wait
+done
+rmmod fakecard iwldvm iwlwifi
+status=0
+csi5300 record --stock /tmp/none.dat 2>/tmp/recorder || status=$?
+[ "$status" = 1 ]
+grep "iwlwifi is not loaded" /tmp/recorder
+dmesg -r | sed -n 's/^<\([0-9]*\)>/\1 /p' | awk '$1 % 8 < 5' | grep -v -e "firmware" -e "taints kernel" -e "verification failed" >/tmp/worse || true
+[ ! -s /tmp/worse ] || { cat /tmp/worse; exit 1; }
