@@ -56,6 +56,8 @@ pub fn sounding(random: &mut Random, mac: [u8; 6], number: u32, time_us: u32) ->
     phy.1[4..12].copy_from_slice(&u64::from(time_us).to_le_bytes());
     phy.1[60] = 0x24;
     let mut mpdu = mpdu(random, 57, 3);
+    mpdu.1[4..4 + 16]
+        .copy_from_slice(&[8, 0, 0x30, 0, 0, 0x16, 0xea, 0x12, 0x34, 0x56, 0, 0x16, 0xea, 0x12, 0x34, 0x56]);
     mpdu.1[4 + 16..4 + 22].copy_from_slice(&mac);
     mpdu.1[4 + 24..4 + 28].copy_from_slice(&number.to_be_bytes());
     [phy, mpdu, csi(random, 3, 1, 0)]
