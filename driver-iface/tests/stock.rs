@@ -4,6 +4,8 @@
 
 #[path = "../../tests/common/stock.rs"]
 mod common;
+#[path = "../../tests/common/mod.rs"]
+mod shared;
 
 use common::{Counts, Oracle, Packet, Random, any};
 use driver_iface::bfee::{Layout, MAX_BODY};
@@ -109,10 +111,6 @@ impl InC {
     /// `None`, with a word on why, where no C compiler is installed.
     fn start(name: &str) -> Option<Self> {
         let here = Path::new(env!("CARGO_MANIFEST_DIR"));
-        if !here.join("kmod/csi5300_records.h").is_file() {
-            println!("skipped: kmod/csi5300_records.h is not there");
-            return None;
-        }
         let folder = std::env::temp_dir().join(format!("csi5300-assembly-{}-{name}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let program = folder.join("shim");
@@ -124,7 +122,7 @@ impl InC {
         };
         let sanitized = compile(&["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]);
         let Ok(first) = sanitized else {
-            println!("skipped: no C compiler");
+            shared::skipped("the comparison with the assembly in C: no C compiler (cc, or $CC)");
             return None;
         };
         if !first.status.success() {

@@ -4,6 +4,8 @@
 
 #[path = "../../tests/common/stock.rs"]
 mod common;
+#[path = "../../tests/common/mod.rs"]
+mod shared;
 
 use common::{Oracle, Packet, Random, any, sounding};
 use std::io::Write;
@@ -13,7 +15,7 @@ use std::time::{Duration, Instant};
 fn step(name: &str) -> Option<String> {
     let argument = std::env::var(name).ok();
     if argument.is_none() {
-        println!("skipped: runs in the guest of tests/checks/stock.sh");
+        shared::skipped("runs in the guest of tests/checks/stock.sh");
     }
     argument
 }
