@@ -58,7 +58,7 @@ impl UnitCosts {
 }
 
 /// An antipodal pair of terms of a direct sum, nanoseconds.
-pub(super) fn pair_ns(tier: Tier, precision: Precision) -> f64 {
+pub(crate) fn pair_ns(tier: Tier, precision: Precision) -> f64 {
     UnitCosts::of(tier, precision).pair
 }
 

@@ -17,13 +17,16 @@ pub(super) fn local_maxima(sampled: &Sampled, ring: usize) -> Vec<(usize, f64)> 
         return maxima;
     }
     for row in 0..rows {
-        for column in 0..ring {
-            let value = sampled.values[row * ring + column];
+        let own = &sampled.values[row * ring..(row + 1) * ring];
+        let beside = [row.checked_sub(1), Some(row + 1).filter(|next| *next < rows)];
+        for (column, &value) in own.iter().enumerate() {
             let (before, after) = around(column);
-            let columns = [column, before, after];
-            if (row.saturating_sub(1)..(row + 2).min(rows))
-                .all(|r| columns.iter().all(|c| sampled.values[r * ring + c] <= value))
-            {
+            // Most are below a neighbour on their own ring.
+            if own[before] > value || own[after] > value {
+                continue;
+            }
+            let below = |r: usize| [before, column, after].iter().all(|c| sampled.values[r * ring + c] <= value);
+            if beside.into_iter().flatten().all(below) {
                 maxima.push((row * ring + column, value));
             }
         }

@@ -51,6 +51,7 @@ mod search;
 mod tests;
 
 pub use crate::maths::Tier;
+pub(crate) use cost::pair_ns;
 pub use error::Error;
 pub use estimate::{Estimate, Peak, SearchOptions};
 pub use explain::{ElevationSearch, Explanation, Method, Precision, ProfileOptions, SearchPlan};

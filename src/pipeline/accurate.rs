@@ -43,6 +43,11 @@ const EVIDENCE_AZIMUTHS: usize = 1_440;
 const RANGE_SHARE: f64 = TUNING.deviations.range_share;
 
 impl Placed {
+    /// The answer of one wave that leaves nothing but noise.
+    pub(super) fn of_one_wave(fix: Fix) -> Self {
+        Self { fix, alignment: None, slips: None, focus: None, paths: Vec::new(), maps: None, evidence: None }
+    }
+
     /// Range and its standard deviation, metres, where the curvature fixes it.
     #[must_use]
     pub fn range_m(&self) -> Option<(f64, f64)> {
@@ -78,14 +83,7 @@ pub(super) fn place(
         roots.as_ref().map(|roots| Aperture::gather(&displacement_m, &pick(&roots.rows, used), 1, wavelength_m));
     let mut layers: Vec<(&Aperture, &[View])> = vec![(&round_trip, &ROUND_TRIP_VIEWS)];
     layers.extend(one_way.as_ref().map(|aperture| (aperture, ONE_WAY_VIEWS.as_slice())));
-    let limits = Limits {
-        elevation_max_rad: if direction.elevation_searched() { options.search.elevation_max_rad } else { 0.0 },
-        elevations: direction.elevations,
-        // Motion in space tells near places from far ones: there is no need to expect any.
-        range_min_m: if direction.elevations == Elevations::Signed { 0.0 } else { steps.range_min_m },
-        height_m: steps.height_m,
-        tier: options.search.tier,
-    };
+    let limits = limits(direction, options);
     let middle_m = displacement_m.iter().sum::<Vector3<f64>>() / displacement_m.len().max(1) as f64;
     let run = |limits: &Limits| {
         let mut search = Search::new(&layers, middle_m, wavelength_m, limits)?;
@@ -93,7 +91,20 @@ pub(super) fn place(
     };
     let (fix, search) = beyond_expected(run(&limits)?, &limits, direction.beyond, run);
     let slips = roots.map(|roots| roots.slips);
-    Some((Placed { fix, alignment, slips, focus: None, paths: Vec::new(), maps: None, evidence: None }, search))
+    Some((Placed { alignment, slips, ..Placed::of_one_wave(fix) }, search))
+}
+
+/// What a search over places may expect.
+pub(super) fn limits(direction: &Direction, options: &Options) -> Limits {
+    let steps = &options.accuracy;
+    Limits {
+        elevation_max_rad: if direction.elevation_searched() { options.search.elevation_max_rad } else { 0.0 },
+        elevations: direction.elevations,
+        // Motion in space tells near places from far ones: there is no need to expect any.
+        range_min_m: if direction.elevations == Elevations::Signed { 0.0 } else { steps.range_min_m },
+        height_m: steps.height_m,
+        tier: options.search.tier,
+    }
 }
 
 /// The answer within what is expected, or one beyond it that leaves no doubt: higher, where the plane wave is (`higher`);
@@ -133,10 +144,12 @@ pub(super) fn refocus(links: &mut [&mut (Placed, Search)]) {
     }
 }
 
-/// What is taken from a search when it is over: the paths, and maps for pictures.
-pub(super) fn extract((mut placed, mut search): (Placed, Search), options: &Options) -> Placed {
+/// What is taken from a search when it is over: the paths, and maps for pictures. Of one wave that leaves nothing but noise
+/// the only path is the answer.
+pub(super) fn extract((mut placed, mut search): (Placed, Search), one_wave: bool, options: &Options) -> Placed {
     if options.accuracy.paths {
-        placed.paths = search.paths(&placed.fix.best());
+        let best = placed.fix.best();
+        placed.paths = if one_wave { vec![Path::only(&best)] } else { search.paths(&best) };
     }
     if options.keep_course {
         placed.maps = Some(search.maps(MAP_AZIMUTHS));

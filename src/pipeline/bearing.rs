@@ -2,13 +2,14 @@
 
 use super::accurate::Placed;
 use super::direction::Direction;
+use super::effort::Sufficient;
 use super::options::Options;
 use crate::bartlett::{self, Estimate, Grid};
 use crate::maths::wrap_rad;
 use crate::place::confidence::{
     full_deviation_rad, full_probability, quick_deviation_rad, quick_features, quick_probability, shares,
 };
-use crate::place::near_field::{Edge, Fix, Source};
+use crate::place::near_field::{Edge, Fix, Limits, Source};
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
 use nalgebra::{Matrix3, Vector3};
@@ -221,6 +222,10 @@ fn range(placed: &Placed, samples: &Samples) -> Option<Range> {
 pub struct Bearing {
     /// Where the transmitter is.
     pub answer: BearingAnswer,
+    /// How much of the estimate sufficed.
+    pub sufficient: Sufficient,
+    /// What a search over places may expect, for the plan.
+    pub(super) limits: Limits,
     /// The best plane wave at the channel centre: the answer itself where no spherical waves were searched, and its own
     /// value where they were. Its coherence says how much of the samples one plane wave explains.
     pub plane_wave: Estimate,

@@ -6,9 +6,12 @@
 use super::options::Options;
 use crate::bartlett::{self, Estimate, Grid};
 use crate::place::near_field::Elevations;
+use crate::place::near_field::aperture::runs;
 use crate::place::near_field::mirror::{decisive, log_odds};
 use crate::signal::samples::Samples;
 use crate::tuning::TUNING;
+use nalgebra::Vector3;
+use num_complex::Complex64;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
 /// Motion that reaches no further up and down than this, in turns of phase, does not distinguish up from down.
@@ -19,6 +22,10 @@ const TALL: f64 = TUNING.elevation.tall;
 const BESIDE: (i32, f64) = (12, 0.5);
 /// A plane wave within the expected elevations that explains less than this of the power may have a better one beyond.
 const CLEAR: f64 = TUNING.elevation.clear;
+/// Samples within so many turns of each other are summed for a rough look, and what such a sum keeps of a wave's power in
+/// the worst case: `sinc(0.25)^2`.
+const ROUGH_TURNS: f64 = 0.25;
+const KEPT: f64 = 0.81;
 /// An elevation above this share of its limit is at the limit.
 const EDGE: f64 = 0.995;
 
@@ -47,6 +54,10 @@ impl Direction {
         let expected =
             Self { plane_wave: within, elevations, beyond: false, at_edge: at_limit && limit_rad < FRAC_PI_2 };
         if !asked || clear {
+            return Ok(expected);
+        }
+        let within = &expected.plane_wave;
+        if reach == Reach::Level && within.elevation_searched && hopeless(samples, within, options)? {
             return Ok(expected);
         }
         let free = bartlett::search(samples, &options.search.with_elevation_max_rad(FRAC_PI_2))?;
@@ -96,6 +107,25 @@ impl Reach {
             _ => Self::Tall,
         }
     }
+}
+
+/// True if no plane wave up to the zenith can be so much better than the best one that is expected as to leave no doubt: by
+/// sums over runs of samples, which keep [`KEPT`] of a wave's power at least, and cost a fraction of what the samples do.
+fn hopeless(samples: &Samples, within: &Estimate, options: &Options) -> Result<bool, bartlett::Error> {
+    let reach_m = ROUGH_TURNS * samples.wavelength_m() / f64::from(samples.path_gain());
+    let mut rough = Samples::new(samples.wavelength_m(), samples.path_gain())?;
+    let displacement_m: Vec<Vector3<f64>> = samples.displacements_m().collect();
+    let mut sizes = 0.0;
+    for (from, to) in runs(&displacement_m, reach_m) {
+        let sum: Complex64 = samples.z()[from..to].iter().sum();
+        let middle_m = displacement_m[from..to].iter().sum::<Vector3<f64>>() / (to - from) as f64;
+        sizes += sum.norm();
+        rough.push(samples.t_s()[from], sum, middle_m, Vector3::zeros())?;
+    }
+    let whole: f64 = samples.z().iter().map(|z| z.norm()).sum();
+    let found = bartlett::search(&rough, &options.search.with_elevation_max_rad(FRAC_PI_2))?;
+    let most = (found.value * (sizes / whole).powi(2) / KEPT).min(1.0);
+    Ok(!decisive(log_odds(most, within.value)))
 }
 
 /// True if the samples leave no doubt whether the plane wave comes from above or from below.

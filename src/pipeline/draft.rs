@@ -4,6 +4,7 @@
 use super::accurate::{self, Placed};
 use super::bearing::{Bearing, BearingAnswer, PairCounts, ProfileFigures};
 use super::direction::Direction;
+use super::effort::{Least, Sufficient};
 use super::error::LinkError;
 use super::link::{Link, PairRow};
 use super::options::{JoinBy, Options};
@@ -49,10 +50,12 @@ pub fn estimate(links: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bearing
         false => links.iter().map(begin).collect(),
     };
     if options.accuracy.focus {
-        // What links share is the receiver's trajectory: the displacements of a moving transmitter are no path of it.
+        // What links share is the receiver's trajectory: the displacements of a moving transmitter are no path of it. One
+        // link that it leaves nothing but noise of shows that it is right.
         let still = |draft: &&mut Draft| !draft.bearing.samples.transmitter_moves();
+        let is_right = drafts.iter().flatten().any(|draft| draft.bearing.sufficient.explains_all());
         let placed = drafts.iter_mut().flatten().filter(still).filter_map(|draft| draft.placed.as_mut());
-        accurate::refocus(&mut placed.collect::<Vec<_>>());
+        accurate::refocus(&mut placed.filter(|_| !is_right).collect::<Vec<_>>());
     }
     let finish = |draft: Result<Draft, LinkError>| draft.map(|draft| draft.finish(options));
     match options.parallel {
@@ -79,19 +82,24 @@ impl Draft {
         let phases = Compensated::new(link, options);
         let times_s = times_s(link.rows(), receiver, options)?;
         phases.check()?;
-        of_one_run(link)?;
+        of_one_run(link, phases.turn_around.as_ref())?;
         let gate = Gate::new(link, receiver, transmitter, &times_s, options);
         let gated = gate.pass(&times_s, &phases.z)?;
         gated.check(&times_s, receiver)?;
         rows_or_times(link, receiver, &gated.pairs, options)?;
         let samples = gated.samples;
         let direction = Direction::of(&samples, options)?;
-        let rows = || phases.round_trips(link);
-        let place = || accurate::place(&samples, rows(), &gated.used, &direction, options);
-        let placed = options.accuracy.near_field.then(place).flatten();
+        let quick = BearingAnswer::of_plane_wave(&direction, phases.compensated, options);
+        let limits = accurate::limits(&direction, options);
+        let Least { sufficient, one_wave } = Least::of(&samples, &direction, &limits, &quick, options);
+        let place = || accurate::place(&samples, phases.round_trips(link), &gated.used, &direction, options);
+        let every_step = matches!(sufficient, Sufficient::Everything(_));
+        let placed = one_wave.or_else(|| every_step.then(place).flatten());
         let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
         let bearing = Bearing {
-            answer: BearingAnswer::of_plane_wave(&direction, phases.compensated, options),
+            answer: quick,
+            sufficient,
+            limits,
             plane_wave: direction.plane_wave,
             placed: None,
             heading_rad: gated.heading_rad,
@@ -111,7 +119,7 @@ impl Draft {
     fn finish(self, options: &Options) -> Bearing {
         let Self { placed, mut bearing } = self;
         if let Some(placed) = placed {
-            let placed = accurate::extract(placed, options);
+            let placed = accurate::extract(placed, bearing.sufficient.explains_all(), options);
             bearing.answer = BearingAnswer::of_spherical_wave(&placed, &bearing.plane_wave, &bearing.samples, options);
             bearing.placed = Some(placed);
         }
@@ -135,15 +143,21 @@ fn something(link: &Link, receiver: &Trajectory, options: &Options) -> Result<()
 
 /// Refuses logs that do not belong together: one log for both sides, and logs of which neither the clocks nor the channel
 /// know of each other.
-fn of_one_run(link: &Link) -> Result<(), LinkError> {
+fn of_one_run(link: &Link, turn_around: Option<&TurnAround>) -> Result<(), LinkError> {
     let pairing = TUNING.pairing;
     if link.reciprocity().is_one_log() {
         return Err(LinkError::OneLogTwice);
     }
     let Some((clocks, channel)) = link.kinship().zip(link.reciprocity().get()) else { return Ok(()) };
     let changes = channel.steadiness > pairing.steady;
-    let strange = clocks.correlation < pairing.clocks_alike && channel.correlation < pairing.channel_alike;
-    match changes && strange {
+    let apart = clocks.correlation < pairing.clocks_alike;
+    // A channel that shows nothing but noise cannot be compared: then phases that are random speak beside the clocks, if
+    // pauses differ by more than turn-arounds do.
+    let random = turn_around.is_some_and(|found| found.coherence_after < pairing.random_phases);
+    // Noise makes the two directions' changes as unlike as it makes each from one pair to the next.
+    let alike = pairing.channel_alike * channel.steadiness.min(1.0);
+    let speaks = if changes { channel.correlation < alike } else { random && clocks.pause_us > pairing.pauses_us };
+    match apart && speaks {
         true => Err(LinkError::OfTwoRuns { clocks: clocks.correlation, channel: channel.correlation }),
         false => Ok(()),
     }

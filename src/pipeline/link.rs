@@ -30,6 +30,8 @@ pub struct Link {
     /// The transmitter's MAC.
     pub mac: Mac,
     pairing: Pairing<FrameHeard>,
+    /// Pairs that are not rows yet: where links are worked on side by side, so is what makes rows of them.
+    pending: Vec<Pair<FrameHeard>>,
     rows: Vec<PairRow>,
     /// The round trip of each row on all subcarriers, where a step of the accuracy layer wants it.
     products: Vec<crate::signal::alignment::CsiRow>,
@@ -72,6 +74,7 @@ impl Link {
         Self {
             mac,
             pairing,
+            pending: Vec::new(),
             rows,
             products,
             silent: 0,
@@ -147,6 +150,16 @@ impl Link {
 
     fn take_pairs(&mut self, options: &Options) {
         while let Some(pair) = self.pairing.poll_pair() {
+            self.pending.push(pair);
+        }
+        if !options.parallel || self.pending.len() >= MAX_ROWS {
+            self.settle(options);
+        }
+    }
+
+    /// Makes rows of the pairs that wait for it.
+    fn settle(&mut self, options: &Options) {
+        for pair in std::mem::take(&mut self.pending) {
             self.keep(&pair, options);
         }
     }
@@ -239,6 +252,7 @@ impl Link {
     pub(crate) fn finish(&mut self, options: &Options) {
         self.pairing.finish();
         self.take_pairs(options);
+        self.settle(options);
     }
 
     /// The turn-around compensation and the phase of every pair kept, in motion or not, by the receiver's card clock.

@@ -8,6 +8,7 @@
 //! | which transmitter wrote which log | `matching` |
 //! | all logs read in step, frames paired, each pair a round trip | `reading`, `link` |
 //! | clocks, compensation, gate, plane wave | `draft` |
+//! | how much of the rest is needed | `effort` |
 //! | spherical waves over all subcarriers, autofocus over all links, paths | `accurate` |
 //! | the same while robots drive, over the last metres | [`live`] |
 //! | the answer, as values and as a line of JSON | `bearing`, `answer`, `explain` |
@@ -18,6 +19,7 @@ mod bearing;
 mod capture;
 mod direction;
 mod draft;
+mod effort;
 mod error;
 mod explain;
 mod intake;
@@ -32,11 +34,12 @@ pub use answer::{Answer, PathAnswer, lost_something};
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
 pub use capture::{Capture, CaptureError};
 pub use draft::{LinkJoin, estimate};
+pub use effort::{Reason, Risk, Sufficient};
 pub use error::LinkError;
 pub use explain::{LinkPlan, StepPlan};
 pub use intake::{FrameHeard, Front, UnusedRecords};
 pub use link::Link;
-pub use options::{Accuracy, JoinBy, Options};
+pub use options::{Accuracy, Effort, JoinBy, Options};
 
 use crate::exchange::assign::{Match, Unmatched};
 use crate::motion::pose::Trajectory;

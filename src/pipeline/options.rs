@@ -21,7 +21,21 @@ pub enum JoinBy {
     Row,
 }
 
-/// Which steps beyond a plane wave at the channel centre are taken. Every one can be left out, to see what it brings.
+/// How much is computed beyond a plane wave, of the steps that [`Accuracy`] allows.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub enum Effort {
+    /// Every step that may move the azimuth by more than a tenth of its error bar: where one wave leaves nothing but noise,
+    /// none does.
+    #[default]
+    Needed,
+    /// Every step that may move the azimuth by more than this, radians; none where the plane wave's error bar is below it.
+    Within(f64),
+    /// Every step.
+    Everything,
+}
+
+/// Which steps beyond a plane wave at the channel centre may be taken. Every one can be left out, to see what it brings.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Accuracy {
@@ -35,6 +49,8 @@ pub struct Accuracy {
     pub focus: bool,
     /// The paths beside the answer.
     pub paths: bool,
+    /// How much of them is computed.
+    pub effort: Effort,
     /// Shortest distance of a transmitter, metres.
     pub range_min_m: f64,
     /// The transmitter's height above the receiver's antenna, metres, where known.
@@ -49,6 +65,7 @@ impl Default for Accuracy {
             one_way: true,
             focus: true,
             paths: true,
+            effort: Effort::default(),
             range_min_m: TUNING.deviations.range_min_m,
             height_m: None,
         }
@@ -66,6 +83,20 @@ impl Accuracy {
     #[must_use]
     pub fn with_near_field(mut self, near_field: bool) -> Self {
         self.near_field = near_field;
+        self
+    }
+
+    /// With or without the paths beside the answer.
+    #[must_use]
+    pub fn with_paths(mut self, paths: bool) -> Self {
+        self.paths = paths;
+        self
+    }
+
+    /// With so much of the steps computed.
+    #[must_use]
+    pub fn with_effort(mut self, effort: Effort) -> Self {
+        self.effort = effort;
         self
     }
 

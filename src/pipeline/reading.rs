@@ -7,6 +7,7 @@ use super::options::Options;
 use crate::exchange::pairing::LinkSide;
 use crate::source::Error;
 use driver_iface::Mac;
+use rayon::prelude::*;
 
 /// Reads all logs to their ends, always the one that is behind in frame number, so that no clock offset between the
 /// robots, however large, makes frames wait longer than their own order asks for.
@@ -35,7 +36,10 @@ pub(super) fn read(
             break;
         }
     }
-    links.iter_mut().flatten().for_each(|link| link.finish(options));
+    match options.parallel {
+        true => links.par_iter_mut().flatten().for_each(|link| link.finish(options)),
+        false => links.iter_mut().flatten().for_each(|link| link.finish(options)),
+    }
     Ok(())
 }
 

@@ -81,7 +81,7 @@ impl Reciprocity {
 
 /// Logarithms of the magnitudes less their mean.
 fn shape(csi: &[Complex32; SUBCARRIERS]) -> Shape {
-    let level = csi.map(|h| f64::from(h.norm().max(SMALLEST).ln()));
+    let level = csi.map(|h| f64::from(0.5 * h.norm_sqr().max(SMALLEST * SMALLEST).ln()));
     let mean = level.iter().sum::<f64>() / SUBCARRIERS as f64;
     level.map(|v| v - mean)
 }

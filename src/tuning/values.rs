@@ -191,6 +191,16 @@ tuning! {
         range_min_m: f64 = 1.8, "not recorded", "not measured";
     }
 
+    /// How much of the estimate is computed.
+    effort: EffortTuning, "cargo run --release -p csi5300-lab --example skipping" {
+        /// A step that cannot move the azimuth by more than this share of its error bar is not taken.
+        share: f64 = 0.1, "chosen: a tenth of an error bar is of no consequence", "not measured";
+        /// How often noise alone is taken for another wave, which costs time and nothing else.
+        false_alarms: f64 = 0.01, "chosen: one motion in a hundred", "not measured";
+        /// Correlation of neighbouring rows that is more than noise, in units of what noise leaves of it.
+        neighbours: f64 = 3.5, "theory: noise has 1 on average, and exceeds 3.5 once in 2,000 motions", "not measured";
+    }
+
     /// What both models of certainty (probability and error bar) are given, of full answers and of plane waves.
     certainty: CertaintyTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
         /// Independent looks where candidates share the probability: shares go with the evidence to this.
@@ -345,6 +355,10 @@ tuning! {
         channel_alike: f64 = 0.5, "measured: 0.91 to 0.99 on 76 links, up to 0.21 on 30 pairs of unrelated logs", "not measured";
         /// The shape's changes are no noise from this correlation from pair to pair on.
         steady: f64 = 0.2, "chosen: noise alone has 0, give or take 0.01", "not measured";
+        /// Phases whose second differences are no steadier than this are random.
+        random_phases: f64 = 0.25, "chosen: 1,500 random phases reach 0.17, the real links at hand have 0.6 at least", "not measured";
+        /// Pauses that differ by less than this between frames, median, are all alike, microseconds.
+        pauses_us: f64 = 20.0, "measured: a turn-around jitters by 4 to 22", "not measured";
     }
 
     /// Which poses are motion.

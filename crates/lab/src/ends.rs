@@ -8,8 +8,8 @@ use csi5300::pipeline::{Bearing, Options, Transmitter, bearings};
 use csi5300::place::near_field::Edge;
 use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::radio::{Noise, Radio};
-use csi5300_sim::scene::{Robot, Scene, Sounding};
-use csi5300_sim::{Port, Room};
+use csi5300_sim::scene::{Robot, Scene, Sounding, Wall};
+use csi5300_sim::{Room, Simulation};
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::TAU;
 
@@ -36,8 +36,23 @@ pub struct Ends {
     pub odometry_noise_m: f64,
     /// Metres reported by the receiver's odometry for each metre driven, less 1.
     pub odometry_scale: f64,
+    /// Walls of the room; free space without any.
+    pub walls: Vec<Wall>,
+    /// Highest number of reflections of a path.
+    pub reflections: u8,
     /// Seed of everything random.
     pub seed: u64,
+}
+
+/// The logs of a link, simulated once, and its truth: for several estimates of the same bytes.
+#[derive(Clone, Debug)]
+pub struct Recording {
+    ends: Ends,
+    simulation: Simulation,
+    truth: [Trajectory; 2],
+    /// The receiver's path as its odometry gives it, and the transmitter's from where it began, if it moved.
+    reported: Trajectory,
+    displaced: Option<Trajectory>,
 }
 
 /// An answer beside its truth.
@@ -83,6 +98,8 @@ impl Ends {
             duration_s: self.duration_s,
             sounding: Some(Sounding { rate_hz: RATE_HZ, ..Sounding::default() }),
             radio,
+            wall: self.walls.clone(),
+            reflections: self.reflections,
             robot: vec![
                 robot("rx", [0.0; 3], 0.0, &self.receiver),
                 robot("tx", self.transmitter_m, 90.0, &self.transmitter),
@@ -91,24 +108,26 @@ impl Ends {
         }
     }
 
+    /// Simulates the link.
+    ///
+    /// # Errors
+    /// If the scene cannot be simulated.
+    pub fn record(&self) -> Result<Recording, CompareError> {
+        let room = Room::new(&self.scene())?;
+        let truth = [true_path(&room, 0)?, true_path(&room, 1)?];
+        let (reported, displaced) = (self.reported(&truth[0]), displaced(&truth[1]));
+        let moves = self.transmitter != RobotMotion::Static;
+        let displaced = moves.then_some(displaced);
+        Ok(Recording { ends: self.clone(), simulation: room.run()?, truth, reported, displaced })
+    }
+
     /// Simulates the link and makes its bearing; the transmitter's trajectory, where it moves, begins at zero.
     ///
     /// # Errors
     /// If the scene cannot be simulated or gives no bearing.
     pub fn see(&self, options: &Options) -> Result<Seen, CompareError> {
-        let mut room = Room::new(&self.scene())?;
-        let truth = [true_path(&room, 0)?, true_path(&room, 1)?];
-        let (mut rx, mut tx) = room.card(0).zip(room.card(1)).ok_or(CompareError::OneRobot)?;
-        [&mut rx, &mut tx].into_iter().for_each(Port::own_only);
-        let reported = self.reported(&truth[0]);
-        let displaced = displaced(&truth[1]);
-        let moves = self.transmitter != RobotMotion::Static;
-        let transmitters = vec![Transmitter { log: &mut tx, trajectory: moves.then_some(&displaced) }];
-        let options = options.clone().with_clock_offset_s(-LATE_S);
-        let report = bearings(&mut rx, transmitters, &reported, &options)?;
-        let found = report.links.first().ok_or(CompareError::NoTransmitter)?;
-        let bearing = found.bearing.as_ref().map_err(|error| CompareError::NoLink { reason: error.to_string() })?;
-        Ok(self.judge(bearing, &truth))
+        let recording = self.record()?;
+        Ok(recording.judge(&recording.bearing(options)?))
     }
 
     /// The receiver's path as its odometry gives it.
@@ -121,14 +140,33 @@ impl Ends {
         };
         Trajectory::new(truth.poses().iter().map(pose).collect()).unwrap_or_else(|_| truth.clone())
     }
+}
 
-    fn judge(&self, bearing: &Bearing, [receiver, transmitter]: &[Trajectory; 2]) -> Seen {
+impl Recording {
+    /// The link's bearing.
+    ///
+    /// # Errors
+    /// If there is none.
+    pub fn bearing(&self, options: &Options) -> Result<Bearing, CompareError> {
+        let [receiver, transmitter] = self.simulation.robots.as_slice() else { return Err(CompareError::OneRobot) };
+        let (mut rx, mut tx) = (receiver.replay(), transmitter.replay());
+        let transmitters = vec![Transmitter { log: &mut tx, trajectory: self.displaced.as_ref() }];
+        let options = options.clone().with_clock_offset_s(-LATE_S);
+        let mut report = bearings(&mut rx, transmitters, &self.reported, &options)?;
+        let link = report.links.pop().ok_or(CompareError::NoTransmitter)?;
+        link.bearing.map_err(|error| CompareError::NoLink { reason: error.to_string() })
+    }
+
+    /// A bearing of it beside the truth.
+    #[must_use]
+    pub fn judge(&self, bearing: &Bearing) -> Seen {
+        let [receiver, transmitter] = &self.truth;
         let samples = &bearing.samples;
         let at = |path: &Trajectory, t_s: f64| path.at(t_s).map(|pose| pose.position_m).unwrap_or_default();
         let ways: Vec<Vector3<f64>> = samples.t_s().iter().map(|&t| at(transmitter, t) - at(receiver, t)).collect();
         let away = ways.iter().sum::<Vector3<f64>>() / ways.len().max(1) as f64;
         let points: Vec<Vector3<f64>> = ways.iter().map(|way| away - way).collect();
-        let phase_rad = (2.0 / (2.0 * 30.0 * 10f64.powf(0.1 * self.snr_db))).sqrt();
+        let phase_rad = (2.0 / (2.0 * 30.0 * 10f64.powf(0.1 * self.ends.snr_db))).sqrt();
         let answer = &bearing.answer;
         let truth = (away.y.atan2(away.x), away.z.atan2(away.xy().norm()));
         let elevation_error = match (answer.signed_elevation_rad, answer.elevation_sd_rad) {

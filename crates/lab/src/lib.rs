@@ -29,5 +29,6 @@ pub mod folds;
 pub mod rooms;
 #[cfg(feature = "plot")]
 pub mod show;
+pub mod skipping;
 pub mod suite;
 pub mod table;

@@ -44,15 +44,27 @@ impl Aperture {
     ) -> Self {
         let reach_m = SPAN_TURNS * wavelength_m / f64::from(path_gain.max(1));
         let mut aperture = Self { path_gain: path_gain.max(1), ..Self::default() };
-        let mut from = 0;
         let n = displacement_m.len().min(rows.len());
-        for k in 1..=n {
-            let ended = k == n || (displacement_m[k] - displacement_m[from]).norm() > reach_m;
-            if ended {
-                aperture.push_mean(&displacement_m[from..k], &rows[from..k]);
-                aperture.centre.extend(centre.get(..n).map(|centre| mean_phasor(&centre[from..k])));
-                from = k;
-            }
+        for (from, to) in runs(&displacement_m[..n], reach_m) {
+            aperture.push_mean(&displacement_m[from..to], &rows[from..to]);
+            aperture.centre.extend(centre.get(..n).map(|centre| mean_phasor(&centre[from..to])));
+        }
+        aperture
+    }
+
+    /// The same of samples at the channel centre alone, without any row.
+    #[must_use]
+    pub fn gather_centre(
+        displacement_m: &[Vector3<f64>],
+        centre: &[Complex64],
+        path_gain: u8,
+        wavelength_m: f64,
+    ) -> Self {
+        let reach_m = SPAN_TURNS * wavelength_m / f64::from(path_gain.max(1));
+        let mut aperture = Self { path_gain: path_gain.max(1), ..Self::default() };
+        for (from, to) in runs(displacement_m, reach_m) {
+            aperture.displacement_m.push(mean_place(&displacement_m[from..to]));
+            aperture.centre.extend(centre.get(from..to).map(mean_phasor));
         }
         aperture
     }
@@ -63,9 +75,28 @@ impl Aperture {
         for row in rows {
             mean.iter_mut().zip(row).for_each(|(sum, value)| *sum += value * share as f32);
         }
-        self.displacement_m.push(positions.iter().sum::<Vector3<f64>>() * share);
+        self.displacement_m.push(mean_place(positions));
         self.rows.push(mean);
     }
+}
+
+/// Runs of samples within `reach_m` of their first: where each begins and ends.
+pub(crate) fn runs(displacement_m: &[Vector3<f64>], reach_m: f64) -> Vec<(usize, usize)> {
+    let (mut runs, mut from) = (Vec::new(), 0);
+    for (k, p) in displacement_m.iter().enumerate() {
+        if (p - displacement_m[from]).norm() > reach_m {
+            runs.push((from, k));
+            from = k;
+        }
+    }
+    if !displacement_m.is_empty() {
+        runs.push((from, displacement_m.len()));
+    }
+    runs
+}
+
+fn mean_place(positions: &[Vector3<f64>]) -> Vector3<f64> {
+    positions.iter().sum::<Vector3<f64>>() / positions.len() as f64
 }
 
 /// The mean of the samples' directions.

@@ -115,9 +115,14 @@ impl Search {
             },
             curve: 0.5 * self.axes.curves.get(1).copied().unwrap_or(0.0),
         };
+        // Where rough powers will do, so will sums over samples that are alike there.
+        let thin = (climb.precision == Precision::Rough).then(|| self.apertures_about(&start));
         for _ in 0..ROUNDS {
             let places = self.neighbours(&best.place, &reach);
-            let powers = self.powers(&places, climb.precision);
+            let powers = match &thin {
+                Some(apertures) => self.powers_of(apertures, &places, climb.precision),
+                None => self.powers(&places, climb.precision),
+            };
             // The first place is where the climb stands: only a better one moves it.
             let (next, score) = scores(&powers, climb.weights)
                 .into_iter()

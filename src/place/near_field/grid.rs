@@ -21,10 +21,15 @@ pub(super) struct Axes {
 }
 
 impl Axes {
+    /// How many places there are.
+    pub fn cells(&self) -> usize {
+        self.azimuths * self.elevations.len() * self.curves.len()
+    }
+
     /// Every place: azimuth by azimuth, in each elevation by elevation, in each range by range.
     pub fn places(&self) -> Vec<Place> {
         let azimuth = |i: usize| TAU * i as f64 / self.azimuths as f64;
-        let mut places = Vec::with_capacity(self.azimuths * self.elevations.len() * self.curves.len());
+        let mut places = Vec::with_capacity(self.cells());
         for i in 0..self.azimuths {
             for &elevation in &self.elevations {
                 places.extend(self.curves.iter().map(|&curve| Place { azimuth: azimuth(i), elevation, curve }));

@@ -50,6 +50,27 @@ fn powers_simd<S: Simd>(
     }
 }
 
+/// Cosine and sine of the steering of every sample towards each place: `steerings[place][sample]`.
+pub(super) fn steerings(level: Level, aperture: &PreparedAperture, places: &[Place]) -> Vec<Vec<(f32, f32)>> {
+    let mut all = vec![vec![(0.0, 0.0); aperture.len()]; places.len()];
+    on_tier!(level, simd => steerings_simd(simd, aperture, places, &mut all));
+    all
+}
+
+#[inline(always)]
+fn steerings_simd<S: Simd>(simd: S, aperture: &PreparedAperture, places: &[Place], all: &mut [Vec<(f32, f32)>]) {
+    let lanes = V::<S, f32>::LEN;
+    let zero = V::<S, f32>::splat(simd, 0.0);
+    let mut steering = vec![(zero, zero); aperture.len()];
+    let points: Vec<Point> = places.iter().map(|place| (place.unit(), place.curve as f32)).collect();
+    for (points, all) in points.chunks(lanes).zip(all.chunks_mut(lanes)) {
+        steer(simd, aperture, &PlaceLanes::<S>::new(simd, aperture, points), &mut steering);
+        for (i, own) in all.iter_mut().enumerate() {
+            own.iter_mut().zip(&steering).for_each(|(slot, (cos, sin))| *slot = (cos[i], sin[i]));
+        }
+    }
+}
+
 /// A place as the kernel takes it: unit vector, and 1 / range in 1/m.
 type Point = ([f32; 3], f32);
 

@@ -34,17 +34,19 @@
 //! ```
 //!
 //! Files depend on those above them only: `types`, `aperture`, `bend`; `prepared`; `kernel`; `grid`, `prior`, `fix`,
-//! `uncertainty`; `search` with `scan`, `climb` and `mirror`; `paths`, `maps`, `focus`.
+//! `waves` and `uncertainty`; `search` with `scan`, `thin`, `climb` and `mirror`; `one_wave`, `paths`, `maps`, `focus`.
 
 pub(crate) mod aperture;
 mod bend;
 mod climb;
+pub(crate) mod cost;
 mod fix;
 mod focus;
 mod grid;
 mod kernel;
 mod maps;
 pub(crate) mod mirror;
+pub(crate) mod one_wave;
 mod paths;
 mod prepared;
 mod prior;
@@ -52,14 +54,17 @@ mod scan;
 pub(crate) mod search;
 #[cfg(test)]
 mod tests;
+mod thin;
 pub(crate) mod types;
 mod uncertainty;
+mod waves;
 
 pub(crate) use aperture::Aperture;
 pub use fix::{Deviations, Edge, Fix, Source};
 pub use focus::Focus;
 pub(crate) use focus::focus;
 pub use maps::{Evidence, Maps};
+pub use one_wave::Unexplained;
 pub use paths::Path;
 pub(crate) use search::Search;
 pub use types::Warp;

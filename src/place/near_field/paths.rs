@@ -35,6 +35,20 @@ pub struct Path {
     pub cross_term_of: Option<[usize; 2]>,
 }
 
+impl Path {
+    /// The path of an answer beside which there is no other.
+    pub(crate) fn only(source: &Source) -> Self {
+        Self {
+            azimuth_rad: source.azimuth_rad,
+            abs_elevation_rad: source.abs_elevation_rad,
+            signed_elevation_rad: source.signed_elevation_rad,
+            inverse_range_per_m: source.inverse_range_per_m,
+            relative_power_db: 0.0,
+            cross_term_of: None,
+        }
+    }
+}
+
 /// Waves that are looked for at most.
 const MOST: usize = TUNING.paths.most;
 /// A wave that takes less than this share of what is left is not distinguished from noise and side lobes.
@@ -103,7 +117,9 @@ impl Search {
 
     /// The place that explains most of `aperture`.
     fn strongest(&self, aperture: &PreparedAperture) -> Place {
-        self.climb_in(aperture, self.highest(aperture, &self.axes.places(), Precision::Rough))
+        let powers = self.powers_on(aperture, &self.axes);
+        let best = powers.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
+        self.climb_in(aperture, self.axes.places()[best])
     }
 
     /// The best place about `start`.

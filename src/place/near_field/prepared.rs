@@ -34,8 +34,8 @@ pub(super) struct PreparedView {
 /// An aperture and its views, ready for the kernel.
 #[derive(Clone, Debug)]
 pub(super) struct PreparedAperture {
-    /// Where the samples were taken as recorded, about the middle, metres.
-    recorded_m: Vec<Vector3<f64>>,
+    /// Where the samples were taken as recorded, about the middle, metres; none of samples that are sums.
+    pub(super) recorded_m: Vec<Vector3<f64>>,
     /// Positions about the middle and their squared norms, in turns.
     pub x: Vec<f32>,
     pub y: Vec<f32>,
@@ -44,7 +44,7 @@ pub(super) struct PreparedAperture {
     /// Metres per turn.
     pub turn_m: f32,
     /// Largest 1 / range that is asked for, 1/m.
-    curve_max: f64,
+    pub(super) curve_max: f64,
     /// For rough powers, where it is good enough.
     pub polynomial: Option<BendPolynomial>,
     pub views: Vec<PreparedView>,
@@ -131,7 +131,7 @@ impl PreparedAperture {
 
     /// Samples.
     pub fn len(&self) -> usize {
-        self.recorded_m.len()
+        self.x.len()
     }
 }
 

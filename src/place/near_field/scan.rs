@@ -1,9 +1,8 @@
 //! The grid: scores of every place on it, and the peaks of their evidence over azimuth.
 
-use super::kernel::powers;
 use super::prior;
 use super::search::Search;
-use super::types::{Place, Precision, Scored};
+use super::types::Scored;
 use crate::maths::wrap_rad;
 
 impl Search {
@@ -31,8 +30,7 @@ impl Search {
         let mut weights = self.weights.choosing.iter();
         for (aperture, own) in self.apertures.iter().zip(&self.own_axes) {
             let own_places = own.places();
-            let at_height: Vec<Place> = own_places.iter().map(|place| self.at_height(place)).collect();
-            let powers = powers(self.level(), std::slice::from_ref(aperture), &at_height, Precision::Rough);
+            let powers = self.powers_on(aperture, own);
             self.evaluations += own_places.len();
             let views = aperture.views.len();
             for (view, weight) in (0..views).zip(&mut weights) {

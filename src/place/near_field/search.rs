@@ -8,7 +8,9 @@ use super::prepared::PreparedAperture;
 use super::prior;
 use super::types::{Band, Elevations, Free, Limits, Place, Precision, View, Warp};
 use super::uncertainty::{deviations, downhill, polished};
+use super::waves::Waves;
 use crate::maths::wrap_rad;
+use crate::signal::channel::SUBCARRIERS;
 use fearless_simd::Level;
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
@@ -80,7 +82,7 @@ impl Search {
         limits: &Limits,
     ) -> Option<Self> {
         let reference = layers.first()?.0.clone();
-        if layers.iter().any(|(aperture, _)| aperture.rows.is_empty()) {
+        if layers.iter().any(|(aperture, _)| aperture.displacement_m.is_empty()) {
             return None;
         }
         let rim =
@@ -127,7 +129,7 @@ impl Search {
         let [lowest_rad, highest_rad] = self.limits.elevation_span_rad();
         let prior = [(highest_rad - lowest_rad) / 12f64.sqrt(), self.curve_max / 12f64.sqrt()];
         Some(Fix {
-            deviations: deviations(&self.reference, &self.middle_m, self.wavelength_m, &best, free, prior),
+            deviations: deviations(&self.waves(free), &best, prior),
             sources,
             azimuth_rad,
             middle_m: self.middle_m,
@@ -152,7 +154,7 @@ impl Search {
         let mut at = Place::from(&*answer);
         let mut best = answer.power;
         for _ in 0..RIDGE_STEPS {
-            let Some(step) = downhill(&self.reference, &self.middle_m, self.wavelength_m, &at, free) else { break };
+            let Some(step) = downhill(&self.waves(free), &at) else { break };
             let place = |share: &f64| Place {
                 azimuth: at.azimuth + share * step[0],
                 elevation: (at.elevation + share * step[1]).clamp(lowest, highest),
@@ -178,9 +180,7 @@ impl Search {
         if self.limits.height_m.is_some() && free.range {
             return false;
         }
-        let Some(place) = polished(&self.reference, &self.middle_m, self.wavelength_m, answer, free) else {
-            return false;
-        };
+        let Some(place) = polished(&self.waves(free), answer) else { return false };
         // A magnitude has no sign to lose: only a source that has one may cross the horizon.
         let [lowest, highest] = self.limits.elevation_span_rad();
         let lowest = if answer.signed_elevation_rad.is_some() { lowest } else { 0.0 };
@@ -190,6 +190,11 @@ impl Search {
             answer.signed_elevation_rad = answer.signed_elevation_rad.map(|_| place.elevation);
         }
         true
+    }
+
+    /// Waves over the rows that deviations are predicted from.
+    fn waves(&self, free: Free) -> Waves<'_, SUBCARRIERS> {
+        Waves::of_subcarriers(&self.reference, &self.middle_m, self.wavelength_m, free)
     }
 
     /// The posterior mean of the azimuth over the elevations and ranges that an answer may have.
@@ -241,6 +246,18 @@ impl Search {
         let places: Vec<Place> = places.iter().map(|place| self.at_height(place)).collect();
         self.evaluations += places.len();
         powers(self.level(), &self.apertures, &places, precision)
+    }
+
+    /// The same of other apertures.
+    pub(super) fn powers_of(
+        &mut self,
+        apertures: &[PreparedAperture],
+        places: &[Place],
+        precision: Precision,
+    ) -> Vec<f32> {
+        let places: Vec<Place> = places.iter().map(|place| self.at_height(place)).collect();
+        self.evaluations += places.len();
+        powers(self.level(), apertures, &places, precision)
     }
 
     /// The joint power of each place, 0..1.

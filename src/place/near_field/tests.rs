@@ -1,4 +1,5 @@
 use super::kernel::powers;
+use super::one_wave::{CentreWave, OneWave, Unexplained};
 use super::prepared::PreparedAperture;
 use super::search::search;
 use super::types::{Band, Place, Precision, Taper};
@@ -6,6 +7,7 @@ use super::*;
 use crate::bartlett::{Tier, direction};
 use crate::signal::alignment::CsiRow;
 use crate::signal::channel::SUBCARRIERS;
+use crate::signal::samples::Samples;
 use nalgebra::Vector3;
 use num_complex::{Complex32, Complex64};
 use std::f64::consts::TAU;
@@ -251,4 +253,62 @@ fn a_bent_trajectory_is_straightened_where_it_pays_and_left_alone_where_not() {
             assert!(after < before, "{before} {after}");
         }
     }
+}
+
+#[test]
+fn sums_over_runs_have_the_powers_of_their_samples() {
+    let path = curve(900);
+    let own = [(Vector3::new(4.0, 1.0, 0.3), 1.0), (Vector3::new(-1.6, 2.6, 0.3), 0.7)];
+    let round = Aperture::gather(&path, &squared(&path, &own, 0.2), 2, WAVELENGTH_M);
+    let once = Aperture::gather(&path, &rows(&path, 1, &own, 0.2, 8), 1, WAVELENGTH_M);
+    let windows = [View::new(3, Taper::Hann, ALL), View::new(8, Taper::Block, ALL)];
+    let layers: [(&Aperture, &[View]); 2] = [(&round, &WHOLE), (&once, &windows)];
+    let search = Search::new(&layers, middle(&path), WAVELENGTH_M, &limits()).unwrap();
+    for (aperture, axes) in search.apertures.iter().zip(&search.own_axes) {
+        let summed = search.powers_on(aperture, axes);
+        let all = powers(search.level(), std::slice::from_ref(aperture), &axes.places(), Precision::Rough);
+        let apart = summed.iter().zip(&all).map(|(a, b)| (a.sqrt() - b.sqrt()).abs()).fold(0.0, f32::max);
+        assert!(summed.len() == all.len() && apart < 0.04, "{apart}");
+    }
+    let start = Place { azimuth: 0.3, elevation: 0.1, curve: 0.2 };
+    let few: Vec<usize> = search.apertures_about(&start).iter().map(PreparedAperture::len).collect();
+    let many: Vec<usize> = search.apertures.iter().map(PreparedAperture::len).collect();
+    assert!(few.iter().zip(&many).all(|(few, many)| 3 * few < 2 * many), "{few:?} of {many:?}");
+}
+
+/// What one wave is found to leave of the phases of `sources` along `path`.
+fn one_wave(path: &[Vector3<f64>], sources: &[(Vector3<f64>, f64)], noise_sd: f64) -> Result<OneWave, Unexplained> {
+    let mut samples = Samples::new(WAVELENGTH_M, 2).unwrap();
+    for (k, (p, row)) in path.iter().zip(rows(path, 2, sources, noise_sd, 21)).enumerate() {
+        let z = Complex64::new(f64::from(row[0].re), f64::from(row[0].im));
+        samples.push(k as f64, z / z.norm(), *p, Vector3::zeros()).unwrap();
+    }
+    let plane_wave = crate::bartlett::search(&samples, &crate::bartlett::SearchOptions::default()).unwrap();
+    CentreWave::new(&samples, &limits()).unwrap().explain(&plane_wave)
+}
+
+#[test]
+fn one_wave_is_enough_where_it_leaves_noise_and_only_there() {
+    let path = curve(500);
+    let (direct, other) = (Vector3::new(4.2, 1.5, 0.6), Vector3::new(-1.0, 4.0, 0.4));
+    let true_azimuth = (direct.y - middle(&path).y).atan2(direct.x - middle(&path).x);
+    let one = one_wave(&path, &[(direct, 1.0)], 0.1).unwrap();
+    let off = crate::maths::wrap_rad(one.fix.azimuth_rad - true_azimuth);
+    assert!(off.abs() < 4.0 * one.fix.deviations.azimuth_rad, "{off} {:?}", one.fix.deviations);
+    assert!(one.risk_rad > one.fix.deviations.azimuth_rad * 0.5 && one.risk_rad < 0.02, "{}", one.risk_rad);
+    assert!((one.fix.position().unwrap().0 - direct).norm() < 0.5, "{:?}", one.fix.position());
+    // Noise hides more as it grows.
+    assert!(one_wave(&path, &[(direct, 1.0)], 0.3).unwrap().risk_rad > 2.0 * one.risk_rad);
+    let with_another = one_wave(&path, &[(direct, 1.0), (other, 0.15)], 0.1);
+    assert!(matches!(with_another, Err(Unexplained::AnotherWave(_) | Unexplained::Neighbours(_))), "{with_another:?}");
+    let bent: Vec<_> = path.iter().map(|p| p + Vector3::new(0.0, 0.01 * (9.0 * p.x).sin(), 0.0)).collect();
+    let mut samples = Samples::new(WAVELENGTH_M, 2).unwrap();
+    for (k, (p, row)) in bent.iter().zip(rows(&path, 2, &[(direct, 1.0)], 0.1, 5)).enumerate() {
+        let z = Complex64::new(f64::from(row[0].re), f64::from(row[0].im));
+        samples.push(k as f64, z / z.norm(), *p, Vector3::zeros()).unwrap();
+    }
+    let plane_wave = crate::bartlett::search(&samples, &crate::bartlett::SearchOptions::default()).unwrap();
+    let bent = CentreWave::new(&samples, &limits()).unwrap().explain(&plane_wave);
+    assert!(bent.is_err(), "{bent:?}");
+    assert!(matches!(one_wave(&curve(20), &[(direct, 1.0)], 0.1), Err(Unexplained::FewRows(20))));
 }

@@ -76,7 +76,7 @@ pub(super) fn course(
         let (from, to) = (block * z.len() / blocks, (block + 1) * z.len() / blocks);
         let terms = second_differences(&z[from..to], &clock_us[from..to], &difference_us[from..to]);
         let coherent = |hz: f64| sum_at(&terms, hz).norm();
-        let own_hz = maximise(coherent, df_hz, DRIFT_HZ);
+        let own_hz = maximise(&terms, df_hz, DRIFT_HZ);
         (with, without) = (with + coherent(own_hz), without + coherent(df_hz));
         course.push((0.5 * (clock_us[from] + clock_us[to - 1]) as f64, own_hz));
     }
@@ -93,22 +93,37 @@ pub(super) fn along(course: &[(f64, f64)], x: f64) -> Option<f64> {
     Some(if run > 0.0 { left.1 + (right.1 - left.1) * ((x - left.0) / run).clamp(0.0, 1.0) } else { left.1 })
 }
 
-/// The maximum of `f` within `reach_hz` of `near_hz`: a grid, then golden sections.
-pub(super) fn maximise(f: impl Fn(f64) -> f64, near_hz: f64, reach_hz: f64) -> f64 {
+/// The offset within `reach_hz` of `near_hz` at which the terms' sum is largest: a grid, then golden sections.
+pub(super) fn maximise(terms: &[Term], near_hz: f64, reach_hz: f64) -> f64 {
     let steps = (reach_hz / STEP_HZ) as i32;
+    let from_hz = near_hz - f64::from(steps) * STEP_HZ;
+    let turn = |term: &Term, hz: f64| Complex64::cis(TAU * hz * 1e-6 * term.second_us);
+    // From one offset of the grid to the next each term turns by the same.
+    let mut turned: Vec<Complex64> = terms.iter().map(|term| term.sum * turn(term, from_hz)).collect();
+    let by: Vec<Complex64> = terms.iter().map(|term| turn(term, STEP_HZ)).collect();
     let mut best = (f64::NEG_INFINITY, near_hz);
-    for k in -steps..=steps {
-        let at = near_hz + f64::from(k) * STEP_HZ;
-        let value = f(at);
+    for k in 0..=2 * steps {
+        let value = turned.iter().sum::<Complex64>().norm_sqr();
         if value > best.0 {
-            best = (value, at);
+            best = (value, from_hz + f64::from(k) * STEP_HZ);
         }
+        turned.iter_mut().zip(&by).for_each(|(turned, by)| *turned *= by);
     }
+    let f = |hz: f64| sum_at(terms, hz).norm_sqr();
     let ratio = (5f64.sqrt() - 1.0) / 2.0;
     let (mut low, mut high) = (best.1 - STEP_HZ, best.1 + STEP_HZ);
+    let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));
+    let (mut at_a, mut at_b) = (f(a), f(b));
     while high - low > 0.5 {
-        let (a, b) = (high - ratio * (high - low), low + ratio * (high - low));
-        if f(a) >= f(b) { high = b } else { low = a }
+        if at_a >= at_b {
+            (high, b, at_b) = (b, a, at_a);
+            a = high - ratio * (high - low);
+            at_a = f(a);
+        } else {
+            (low, a, at_a) = (a, b, at_b);
+            b = low + ratio * (high - low);
+            at_b = f(b);
+        }
     }
     0.5 * (low + high)
 }

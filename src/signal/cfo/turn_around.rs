@@ -58,7 +58,7 @@ impl TurnAround {
             return None;
         }
         let coherence = |df_hz: f64| sum_at(&terms, df_hz).norm() / total;
-        let df_hz = maximise(coherence, line.slope * carrier_hz, SEARCH_HZ);
+        let df_hz = maximise(&terms, line.slope * carrier_hz, SEARCH_HZ);
         let (before, mut after) = (coherence(0.0), coherence(df_hz));
         let course = match course(z, clock_rx_us, difference_us, df_hz) {
             Some((course, coherent)) => {

@@ -2,8 +2,7 @@
 
 use clap::Args;
 use csi5300::bartlett::SearchOptions;
-use csi5300::pipeline::Accuracy;
-use csi5300::pipeline::Options;
+use csi5300::pipeline::{Accuracy, Effort, Options};
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
 
@@ -25,6 +24,10 @@ pub struct Estimation {
     /// Steps to leave out, to see what each brings
     #[arg(long, value_enum, value_delimiter = ',', value_name = "STEP,..")]
     pub without: Vec<Step>,
+    /// Leave out every step that cannot move the azimuth by more than this, degrees, and all of them where the plane wave's
+    /// error bar is below it; 0 takes every step. Default: a tenth of the error bar
+    #[arg(long, value_name = "DEGREES")]
+    pub accuracy: Option<f64>,
     /// Shortest distance of a transmitter, metres
     #[arg(long, default_value_t = 1.8, value_name = "METRES")]
     pub range_min: f64,
@@ -76,6 +79,7 @@ impl Default for Estimation {
             elevation_max: 20.0,
             no_compensation: false,
             without: Vec::new(),
+            accuracy: None,
             range_min: 1.8,
             height: None,
             heading_sd: None,
@@ -106,10 +110,19 @@ impl Estimation {
         if self.heading_sd.is_some_and(|sd| !(0.0..=180.0).contains(&sd)) {
             return Err("--heading-sd takes 0 to 180 degrees".into());
         }
+        if self.accuracy.is_some_and(|asked| !(0.0..=180.0).contains(&asked)) {
+            return Err("--accuracy takes 0 to 180 degrees".into());
+        }
+        let effort = match self.accuracy {
+            None => Effort::Needed,
+            Some(0.0) => Effort::Everything,
+            Some(asked) => Effort::Within(asked.to_radians()),
+        };
         let left_out = |step| self.without.contains(&step);
         let elevation_max = if left_out(Step::Elevation) { 0.0 } else { self.elevation_max };
         let mut accuracy = Accuracy::default()
             .with_near_field(!left_out(Step::NearField))
+            .with_effort(effort)
             .with_range_min_m(self.range_min)
             .with_height_m(self.height);
         accuracy.align = !left_out(Step::Alignment);

@@ -76,7 +76,9 @@ impl Drop for Rooms {
 pub fn run(args: &Args) -> Result {
     let rooms = args.rooms.map(|count| Rooms::write(count, args.seed)).transpose()?;
     let source = args.reading.source();
-    let options = args.reading.options().unwrap_or_else(|message| usage(&message));
+    let mut options = args.reading.options().unwrap_or_else(|message| usage(&message));
+    // Paths are in the lines of JSON only, and change no bearing.
+    options.accuracy = options.accuracy.with_paths(options.accuracy.paths && args.json);
     let (captures, unreadable) = find_all(args.folders.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)))?;
     for folder in &unreadable {
         eprintln!("csi5300: cannot read {folder}");
@@ -253,7 +255,8 @@ fn ablation(args: &Args, source: TrajectorySource, captures: &[Capture]) -> std:
     let runs = std::iter::once(None).chain(Step::ALL.into_iter().map(Some));
     for left_out in runs {
         let estimation = Estimation { without: left_out.into_iter().collect(), ..args.reading.estimation.clone() };
-        let options = args.reading.options_of(&estimation)?;
+        let mut options = args.reading.options_of(&estimation)?;
+        options.accuracy = options.accuracy.with_paths(false);
         let rows: Vec<Judged> =
             captures.par_iter().flat_map_iter(|c| c.evaluate(source, args.reading.channel, &options).rows).collect();
         let name = left_out.map_or("everything".into(), |step| {

@@ -10,4 +10,5 @@ mod fixtures;
 mod folds;
 mod geometries;
 mod real_bearings;
+mod skipping;
 mod strange_logs;

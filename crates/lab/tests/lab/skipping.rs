@@ -1,0 +1,77 @@
+//! Leaving steps out never moves an answer by more than a tenth of its error bar: on simulated scenes of every kind, and
+//! on real captures.
+
+use csi5300::pipeline::{Accuracy, Effort, Options, Sufficient};
+use csi5300_lab::ends::Ends;
+use csi5300_lab::evaluate::{Capture, TrajectorySource, find};
+use csi5300_lab::skipping::scenes;
+use csi5300_sim::motion::{Circle, RobotMotion};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+fn options() -> Options {
+    Options::new("108".parse().unwrap())
+}
+
+#[test]
+fn what_is_left_out_moves_no_answer_by_a_tenth_of_its_error_bar() {
+    let all = scenes();
+    assert!((180..=260).contains(&all.len()), "{}", all.len());
+    // Every fourth: all kinds, at several ranges and signal-to-noise ratios.
+    let chosen: Vec<_> = all.iter().skip(1).step_by(4).collect();
+    assert!(chosen.len() >= 50);
+    let compared: Vec<_> = chosen.par_iter().map(|scene| (*scene, scene.compare(&options()).unwrap())).collect();
+    let mut left_out: BTreeMap<&str, [usize; 2]> = BTreeMap::new();
+    for (scene, compared) in &compared {
+        let count = left_out.entry(scene.kind).or_default();
+        count[0] += 1;
+        count[1] += usize::from(compared.skipped());
+        let (everything, needed) = (&compared.everything.bearing.answer, &compared.needed.bearing);
+        assert!(
+            compared.moved() <= 0.1,
+            "{:?}: {:.3} error bars: {:.3} +- {:.3} degrees with every step, {:.3} +- {:.3} after {:?}",
+            scene,
+            compared.moved(),
+            everything.azimuth_rad.to_degrees(),
+            everything.azimuth_sd_rad.to_degrees(),
+            needed.answer.azimuth_rad.to_degrees(),
+            needed.answer.azimuth_sd_rad.to_degrees(),
+            needed.sufficient,
+        );
+    }
+    println!("{left_out:?}");
+    let [circles, rooms] = ["circle", "many paths"].map(|kind| left_out[kind]);
+    assert!(circles[1] * 3 >= circles[0], "steps are left out of {circles:?} clean circles");
+    assert!(rooms[1] == 0, "steps are left out of {rooms:?} rooms with reflections");
+}
+
+#[test]
+fn far_away_a_small_circle_needs_nothing_beyond_a_plane_wave() {
+    let receiver = RobotMotion::Circle(Circle { radius_m: 0.03, duration_s: 6.0, turns: 1.0, start_s: 0.0 });
+    let ends =
+        Ends { receiver, transmitter_m: [390.0, 0.0, 0.0], duration_s: 6.0, snr_db: 25.0, seed: 5, ..Ends::default() };
+    let bearing = ends.record().unwrap().bearing(&options()).unwrap();
+    assert!(matches!(bearing.sufficient, Sufficient::PlaneWave(_)), "{:?}", bearing.sufficient);
+    assert!(bearing.placed.is_none());
+}
+
+#[test]
+fn real_captures_keep_their_answers() {
+    let Some(captures) = crate::common::captures() else { return };
+    let captures = find(&captures.join("wsr")).0;
+    let run = |capture: &Capture, effort: Effort| {
+        let options = options().with_accuracy(Accuracy::default().with_effort(effort).with_paths(false));
+        capture.evaluate(TrajectorySource::GroundTruth, None, &options).rows
+    };
+    let pairs: Vec<_> = captures
+        .par_iter()
+        .flat_map_iter(|capture| run(capture, Effort::Everything).into_iter().zip(run(capture, Effort::Needed)))
+        .collect();
+    assert!(pairs.len() >= 38);
+    for (everything, needed) in pairs {
+        let (a, b) = (everything.answer, needed.answer);
+        let apart = (a.azimuth_deg.unwrap() - b.azimuth_deg.unwrap()).abs();
+        let bar = a.azimuth_sd_deg.unwrap().min(b.azimuth_sd_deg.unwrap());
+        assert!(apart <= 0.1 * bar, "{}: {apart} degrees, error bar {bar}", a.link);
+    }
+}

@@ -1,0 +1,164 @@
+//! Fewer samples for a neighbourhood of places: steered to its centre, samples differ little from the next, and runs of
+//! them are summed before the places are looked at one by one (\[ulander2003\] in docs/references.md, one level of it).
+
+use super::grid::Axes;
+use super::kernel::{powers, steerings};
+use super::prepared::{ABREAST, Abreast, PreparedAperture, PreparedView, Window};
+use super::search::Search;
+use super::types::{Elevations, Place, Precision};
+use crate::tuning::TUNING;
+use fearless_simd::Level;
+use std::f64::consts::TAU;
+
+/// Samples are summed over this many turns of what the steering to the centre leaves, as those of an aperture are.
+const SPAN_TURNS: f64 = TUNING.aperture.span_turns;
+/// Azimuths of a grid that are looked at together.
+const TOGETHER: usize = 8;
+/// Runs that are no longer than this times what an aperture's rows are summed over save nothing.
+const WORTHWHILE: f64 = 1.5;
+/// Cells of azimuth on either side of its start that a climb may go to on the samples of its neighbourhood.
+const ABOUT_CELLS: f64 = 2.0;
+
+/// The places that samples are summed for.
+struct Neighbourhood {
+    centre: Place,
+    /// Largest change of a sample's phase, in turns per turn of its distance, from the centre to any place.
+    change: f64,
+}
+
+impl Search {
+    /// The power of every view of `aperture` on the grid `axes`, roughly: `powers[place * views + view]`.
+    pub(super) fn powers_on(&self, aperture: &PreparedAperture, axes: &Axes) -> Vec<f32> {
+        let places: Vec<Place> = axes.places().iter().map(|place| self.at_height(place)).collect();
+        let whole = || powers(self.level(), std::slice::from_ref(aperture), &places, Precision::Rough);
+        if self.limits.elevations != Elevations::Expected || axes.azimuths < 2 * TOGETHER {
+            return whole();
+        }
+        let depth = places.len() / axes.azimuths;
+        let sectors = axes.azimuths.div_ceil(TOGETHER);
+        let half_rad = 0.5 * TAU * TOGETHER as f64 / axes.azimuths as f64;
+        let about = |sector: usize| {
+            let azimuth = TAU * ((sector * TOGETHER) as f64 + 0.5 * (TOGETHER - 1) as f64) / axes.azimuths as f64;
+            self.neighbourhood(aperture, azimuth, half_rad)
+        };
+        let around: Vec<Neighbourhood> = (0..sectors).map(about).collect();
+        let Some(runs) = around.first().and_then(|own| aperture.runs(own.change)) else { return whole() };
+        let centres: Vec<Place> = around.iter().map(|own| own.centre).collect();
+        let steering = steerings(self.level(), aperture, &centres);
+        let sector = |((own, steering), places): ((&Place, &Vec<(f32, f32)>), &[Place])| {
+            let thin = [aperture.about(self.level(), own, steering, &runs)];
+            powers(self.level(), &thin, places, Precision::Rough)
+        };
+        centres.iter().zip(&steering).zip(places.chunks(TOGETHER * depth)).flat_map(sector).collect()
+    }
+
+    /// All apertures with the samples of a neighbourhood of `start`: some cells of azimuth, every elevation and range.
+    pub(super) fn apertures_about(&self, start: &Place) -> Vec<PreparedAperture> {
+        let half_rad = ABOUT_CELLS * TAU / self.axes.azimuths as f64;
+        let about = |aperture: &PreparedAperture| {
+            let own = self.neighbourhood(aperture, start.azimuth, half_rad);
+            let runs = (self.limits.elevations == Elevations::Expected).then(|| aperture.runs(own.change)).flatten();
+            runs.map_or_else(
+                || aperture.clone(),
+                |runs| {
+                    let steering = steerings(self.level(), aperture, &[own.centre]).pop().unwrap_or_default();
+                    aperture.about(self.level(), &own.centre, &steering, &runs)
+                },
+            )
+        };
+        self.apertures.iter().map(about).collect()
+    }
+
+    /// The places within `half_rad` of an azimuth, at every elevation and range of the search.
+    fn neighbourhood(&self, aperture: &PreparedAperture, azimuth: f64, half_rad: f64) -> Neighbourhood {
+        let [_, highest] = self.limits.elevation_span_rad();
+        // Between the elevations in the middle of their cosines, and between the ranges in the middle of the curves.
+        let centre = Place { azimuth, elevation: (0.5 + 0.5 * highest.cos()).acos(), curve: 0.5 * self.curve_max };
+        let [rim, height] = aperture.reach_turns();
+        let across = 2.0 * (0.5 * half_rad).sin() + 0.5 * (1.0 - highest.cos());
+        let up = if rim > 0.0 { height / rim * highest.sin() } else { 0.0 };
+        let bend = 0.5 * self.curve_max * rim * f64::from(aperture.turn_m);
+        Neighbourhood { centre: self.at_height(&centre), change: across + up + bend }
+    }
+}
+
+impl PreparedAperture {
+    /// Largest distance from the middle and largest height above or below it, turns.
+    fn reach_turns(&self) -> [f64; 2] {
+        let largest = |values: &[f32]| values.iter().fold(0f32, |most, v| most.max(v.abs()));
+        [f64::from(largest(&self.square)).sqrt(), f64::from(largest(&self.z))]
+    }
+
+    /// Where runs of samples begin whose phases change by so much of their distance, and the end of the last; none where
+    /// that saves too little. Runs end where windows do.
+    fn runs(&self, change: f64) -> Option<Vec<usize>> {
+        let reach = (SPAN_TURNS / change.max(1e-3)).min(2.0);
+        if reach < WORTHWHILE * SPAN_TURNS {
+            return None;
+        }
+        let mut cut = vec![false; self.len() + 1];
+        for window in self.views.iter().flat_map(|view| &view.windows) {
+            let length = window.columns.first().map_or(0, Vec::len);
+            for at in [window.from, window.from + length] {
+                if let Some(cut) = cut.get_mut(at) {
+                    *cut = true;
+                }
+            }
+        }
+        let square = (reach * reach) as f32;
+        let (mut runs, mut first) = (vec![0], 0);
+        for t in 1..self.len() {
+            let apart = [self.x[t] - self.x[first], self.y[t] - self.y[first], self.z[t] - self.z[first]];
+            if cut[t] || apart.iter().map(|v| v * v).sum::<f32>() > square {
+                runs.push(t);
+                first = t;
+            }
+        }
+        runs.push(self.len());
+        Some(runs)
+    }
+
+    /// The sums over `runs` of the samples, each steered to `centre` (by `steering`) and back from where the mean of its run
+    /// is.
+    fn about(&self, level: Level, centre: &Place, steering: &[(f32, f32)], runs: &[usize]) -> Self {
+        let mean = |values: &[f32]| -> Vec<f32> {
+            let of = |run: &[usize]| values[run[0]..run[1]].iter().sum::<f32>() / (run[1] - run[0]) as f32;
+            runs.windows(2).map(of).collect()
+        };
+        let (x, y, z) = (mean(&self.x), mean(&self.y), mean(&self.z));
+        let square = x.iter().zip(&y).zip(&z).map(|((x, y), z)| x * x + y * y + z * z).collect();
+        let mut thin = Self { x, y, z, square, recorded_m: Vec::new(), views: Vec::new(), ..*self };
+        let back: Vec<(f32, f32)> =
+            steerings(level, &thin, &[*centre]).into_iter().flatten().map(|(cos, sin)| (cos, -sin)).collect();
+        let window = |window: &Window| {
+            let from = runs.partition_point(|at| *at < window.from);
+            let column = |samples: &Vec<Abreast>| {
+                let to = window.from + samples.len();
+                let own = runs[from..].windows(2).take_while(|run| run[0] < to).zip(&back[from..]);
+                own.map(|(run, back)| {
+                    let within = run[0] - window.from..run[1].min(to) - window.from;
+                    summed(&samples[within], &steering[run[0]..], *back)
+                })
+                .collect()
+            };
+            Window { from, columns: window.columns.iter().map(column).collect() }
+        };
+        let view =
+            |view: &PreparedView| PreparedView { windows: view.windows.iter().map(window).collect(), full: view.full };
+        thin.views = self.views.iter().map(view).collect();
+        thin
+    }
+}
+
+/// `back * sum sample * steering`, column by column.
+#[inline]
+fn summed(samples: &[Abreast], steering: &[(f32, f32)], back: (f32, f32)) -> Abreast {
+    let (mut re, mut im) = ([0f32; ABREAST], [0f32; ABREAST]);
+    for (sample, (cos, sin)) in samples.iter().zip(steering) {
+        for i in 0..ABREAST {
+            re[i] += cos * sample[i].0 - sin * sample[i].1;
+            im[i] += cos * sample[i].1 + sin * sample[i].0;
+        }
+    }
+    std::array::from_fn(|i| (re[i] * back.0 - im[i] * back.1, re[i] * back.1 + im[i] * back.0))
+}
