@@ -77,23 +77,27 @@ build_modules() {
 }
 
 # static_binaries TREE: the program, and the tests that run in the guest. CSI5300_GUEST_BINARIES names a folder that has
-# both already, `live` and `csi5300`; they need not be static.
+# all of them already, `live`, `stock_guest` and `csi5300`; they need not be static.
 static_binaries() {
     local from=${CSI5300_GUEST_BINARIES:-}
     binary() { sed -n "s/.*\"name\":\"$1\".*\"executable\":\"\([^\"]*\)\".*/\1/p" "$place/built.json" | tail -n 1; }
     if [ -n "$from" ]; then
         strip -o "$1/tests/live" "$from/live"
+        strip -o "$1/tests/stock_guest" "$from/stock_guest"
         strip -o "$1/bin/csi5300" "$from/csi5300"
-        with_libraries "$1" "$1/tests/live" "$1/bin/csi5300"
+        with_libraries "$1" "$1/tests/live" "$1/tests/stock_guest" "$1/bin/csi5300"
         return 0
     fi
     {
         RUSTFLAGS="-C target-feature=+crt-static" \
             cargo test --quiet --no-run -p csi5300-live --test live --target "$TARGET" --message-format=json &&
             RUSTFLAGS="-C target-feature=+crt-static" \
-                cargo build --quiet -p csi5300-cli --no-default-features --features live --target "$TARGET" --message-format=json
+                cargo test --quiet --no-run -p driver-iface --test stock_guest --target "$TARGET" --message-format=json &&
+            RUSTFLAGS="-C target-feature=+crt-static" \
+                cargo build --quiet -p csi5300-cli --no-default-features --features stock --target "$TARGET" --message-format=json
     } >"$place/built.json" </dev/null || { echo "the static binaries do not build"; exit 1; }
     strip -o "$1/tests/live" "$(binary live)"
+    strip -o "$1/tests/stock_guest" "$(binary stock_guest)"
     strip -o "$1/bin/csi5300" "target/$TARGET/debug/csi5300"
     printf 'binaries built after %s s\n' "$SECONDS"
 }

@@ -1,5 +1,5 @@
 # CSI from the stock driver by the eBPF program of `csi5300 record --stock`, no module beside it.
-# Takes /dev/fakecard and the interfaces as 10-records.sh left them; makes them where it runs alone.
+for module in csi5300 fakecard iwldvm iwlwifi; do rmmod "$module" 2>/dev/null || true; done
 dmesg -c >/dev/null
 cards() {
     for module in virtio_ring virtio libarc4 rfkill cfg80211 mac80211 iwlwifi iwldvm fakecard; do load "$module"; done
@@ -93,6 +93,19 @@ cost
 echo "0xC0, 0xC1 and 0xBB: $(((ns - before_ns) / (ran - before_ran))) ns of the guest each"
 sleep 1
 stop 0
+
+if [ -x /bin/capsh ]; then
+    echo "CAP_BPF and CAP_PERFMON are enough; without them the message names them"
+    others=$(seq 0 37 | tr '\n' ',')
+    without() {
+        status=0
+        capsh --drop="$1" --shell=/bin/sh -- -c "csi5300 record --stock /tmp/few.dat --force --stop-after 100ms" 2>/tmp/recorder || status=$?
+    }
+    without "${others}40"
+    grep "packets of the driver" /tmp/recorder || { cat /tmp/recorder; exit 1; }
+    without "21,39"
+    [ "$status" = 1 ] && grep -q "CAP_BPF and CAP_PERFMON are needed" /tmp/recorder || { cat /tmp/recorder; exit 1; }
+fi
 
 echo "the driver goes and comes under a recorder"
 start --stock-layout csitool
