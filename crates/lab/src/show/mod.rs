@@ -8,6 +8,7 @@
 //! | [`compared`] | a recording and a simulation beside each other |
 //! | [`repeated`] | the experiments of \[paper\] (docs/references.md): phases, averaged profiles |
 //! | [`report`] | one HTML page of a tree of captures, pictures inside |
+//! | `slim` | pictures in fewer bytes, for the page |
 //! | `phase`, `profile`, `place`, `plane`, `curves` | the kinds of picture |
 //! | `canvas`, `axes` | lines, text, legends, ticks; the only files that name the drawing library's scene |
 //!
@@ -28,6 +29,7 @@ mod profile;
 pub mod repeated;
 pub mod report;
 pub mod set;
+mod slim;
 
 pub use curves::{CdfPlot, ScatterLines};
 pub use phase::{PhasePlot, PhaseTrack};

@@ -95,7 +95,8 @@ fn draw(folder: &Path, row: &Judged, bearing: &Bearing, source: TrajectorySource
     let pictures = LinkPictures::of(row, bearing, source);
     let written = pictures.write(folder, name).map_err(|error| format!("{name}: {error}"))?;
     let svgs = written.iter().filter(|path| path.extension().is_some_and(|extension| extension == "svg"));
-    svgs.map(|path| std::fs::read_to_string(path).map_err(|error| error.to_string())).collect()
+    let slim = |text: String| super::slim::slim(&text);
+    svgs.map(|path| std::fs::read_to_string(path).map(slim).map_err(|error| error.to_string())).collect()
 }
 
 /// Links of a page whose pictures are seen at once; those of larger ones are looked at one by one.
