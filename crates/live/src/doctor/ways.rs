@@ -131,6 +131,12 @@ fn ebpf(system: &dyn System) -> Way {
         let mend = "sudo setcap cap_bpf,cap_perfmon,cap_net_admin+ep $(command -v csi5300)";
         return Way::Needs("CAP_BPF and CAP_PERFMON are not held", mend);
     }
+    // A level that Debian's and Ubuntu's kernels have beyond the others': there CAP_PERFMON is not enough for a probe.
+    let paranoid = system.text("/proc/sys/kernel/perf_event_paranoid").and_then(|level| level.parse::<i32>().ok());
+    if paranoid.is_some_and(|level| level > 2) && holds(system, CAP_SYS_ADMIN) != Some(true) {
+        let mend = "sudo sysctl -w kernel.perf_event_paranoid=2 (in /etc/sysctl.d to stay), or run it as root";
+        return Way::Needs("kernel.perf_event_paranoid above 2 wants root", mend);
+    }
     Way::Open("csi5300 record --stock; it receives, frames at an HT rate need the module")
 }
 

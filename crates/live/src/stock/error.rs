@@ -42,6 +42,15 @@ pub enum StockError {
         /// The kernel's answer.
         source: io::Error,
     },
+    /// Debian's and Ubuntu's kernels want more than CAP_PERFMON for a probe above a level of their own.
+    #[error(
+        "{PARANOID} is {level}: with more than 2 kernels of Debian and Ubuntu leave probes to CAP_SYS_ADMIN; \
+         `sudo sysctl -w kernel.perf_event_paranoid=2`, or run it as root"
+    )]
+    Paranoid {
+        /// The level in force.
+        level: i32,
+    },
     /// Secure Boot in its strictest form.
     #[error("the kernel is locked down (confidentiality, see {LOCKDOWN}): no program may read its memory")]
     LockedDown,
@@ -55,6 +64,8 @@ pub enum StockError {
 
 /// The type of perf events that are kprobes.
 pub(super) const KPROBE_TYPE: &str = "/sys/bus/event_source/devices/kprobe/type";
+/// From which capability on perf events are allowed.
+pub(super) const PARANOID: &str = "/proc/sys/kernel/perf_event_paranoid";
 /// The kernel's lockdown, the level in force in brackets.
 pub(super) const LOCKDOWN: &str = "/sys/kernel/security/lockdown";
 
@@ -84,14 +95,20 @@ pub(super) fn of_loading(error: impl StdError + Send + Sync + 'static) -> StockE
     }
 }
 
-/// Sorts a failure of attaching to a function by the kernel's answer.
-pub(super) fn of_attaching(error: impl StdError + Send + Sync + 'static, function: &'static str) -> StockError {
+/// Sorts a failure of attaching to a function by the kernel's answer and its level of [`PARANOID`].
+pub(super) fn of_attaching(
+    error: impl StdError + Send + Sync + 'static,
+    function: &'static str,
+    paranoid: Option<i32>,
+) -> StockError {
     let code = io_root(&error).and_then(io::Error::raw_os_error);
     let source = || io::Error::from_raw_os_error(code.unwrap_or_default());
-    match code {
-        Some(libc::EPERM | libc::EACCES) => StockError::Refused { source: source() },
+    match (code, paranoid) {
+        // The program was loaded, so CAP_BPF and CAP_PERFMON are held.
+        (Some(libc::EACCES), Some(level)) if level > 2 => StockError::Paranoid { level },
+        (Some(libc::EPERM | libc::EACCES), _) => StockError::Refused { source: source() },
         // A function that is not there, and one that cannot be probed.
-        Some(libc::ENOENT | libc::EADDRNOTAVAIL | libc::EINVAL) => {
+        (Some(libc::ENOENT | libc::EADDRNOTAVAIL | libc::EINVAL), _) => {
             StockError::NoFunction { function, source: source() }
         }
         _ => StockError::Load { source: Box::new(error) },
@@ -111,9 +128,14 @@ mod tests {
         let answer = |code| Outer(io::Error::from_raw_os_error(code));
         assert!(matches!(of_loading(answer(libc::EPERM)), StockError::Refused { .. }));
         assert!(matches!(of_loading(answer(libc::EACCES)), StockError::Load { .. }));
-        assert!(matches!(of_attaching(answer(libc::EACCES), "f"), StockError::Refused { .. }));
-        assert!(matches!(of_attaching(answer(libc::ENOENT), "f"), StockError::NoFunction { function: "f", .. }));
-        assert!(matches!(of_attaching(answer(libc::ENOMEM), "f"), StockError::Load { .. }));
+        assert!(matches!(of_attaching(answer(libc::EACCES), "f", Some(2)), StockError::Refused { .. }));
+        let debian = of_attaching(answer(libc::EACCES), "f", Some(3));
+        assert!(debian.to_string().contains("sysctl -w kernel.perf_event_paranoid=2"), "{debian}");
+        assert!(matches!(
+            of_attaching(answer(libc::ENOENT), "f", Some(3)),
+            StockError::NoFunction { function: "f", .. }
+        ));
+        assert!(matches!(of_attaching(answer(libc::ENOMEM), "f", None), StockError::Load { .. }));
         assert!(of_loading(answer(libc::EPERM)).to_string().contains("setcap cap_bpf,cap_perfmon"));
     }
 }

@@ -1,6 +1,6 @@
 //! The eBPF program: loaded, attached, and attached again when the driver comes back.
 
-use super::error::{KPROBE_TYPE, LOCKDOWN, StockError, of_attaching, of_loading};
+use super::error::{KPROBE_TYPE, LOCKDOWN, PARANOID, StockError, of_attaching, of_loading};
 use crate::doctor::{EBPF_FROM, kernel_version};
 use aya::maps::{Array, MapData, RingBuf};
 use aya::programs::KProbe;
@@ -49,7 +49,9 @@ impl Program {
     }
 
     fn attach(&mut self) -> Result<(), StockError> {
-        self.link = Some(kprobe(&mut self.ebpf)?.attach(FUNCTION, 0).map_err(|error| of_attaching(error, FUNCTION))?);
+        self.link = Some(
+            kprobe(&mut self.ebpf)?.attach(FUNCTION, 0).map_err(|error| of_attaching(error, FUNCTION, paranoid()))?,
+        );
         Ok(())
     }
 
@@ -60,7 +62,7 @@ impl Program {
             return Ok(false);
         }
         if let Some(link) = self.link.take() {
-            kprobe(&mut self.ebpf)?.detach(link).map_err(|error| of_attaching(error, FUNCTION))?;
+            kprobe(&mut self.ebpf)?.detach(link).map_err(|error| of_attaching(error, FUNCTION, paranoid()))?;
         }
         match self.attach() {
             Ok(()) => self.driver = driver,
@@ -95,6 +97,10 @@ fn missing() -> StockError {
 
 fn driver() -> Option<u64> {
     Path::new(DRIVER).metadata().ok().map(|about| about.ino())
+}
+
+fn paranoid() -> Option<i32> {
+    std::fs::read_to_string(PARANOID).ok()?.trim().parse().ok()
 }
 
 fn locked_down() -> Option<StockError> {

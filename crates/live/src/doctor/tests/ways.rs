@@ -46,7 +46,7 @@ fn what_is_missing_for_the_program_is_said() {
         let way = stage.check("way to CSI");
         assert!(way.verdict == verdict && way.found.contains(words), "{words}: {way:?}");
     };
-    let cases: [(&str, &str, Verdict, &str); 6] = [
+    let cases: [(&str, &str, Verdict, &str); 7] = [
         ("proc/sys/kernel/osrelease", "5.7.19\n", Verdict::Doubt, "eBPF: no (5.7.19 is older than 5.8)"),
         ("run/uname -m", "aarch64\n", Verdict::Doubt, "eBPF: no (not x86-64)"),
         (
@@ -56,6 +56,7 @@ fn what_is_missing_for_the_program_is_said() {
             "eBPF: no (kernel lockdown",
         ),
         ("proc/self/status", "CapEff:\t0000000000001000\n", Verdict::Doubt, "CAP_BPF and CAP_PERFMON are not held"),
+        ("proc/sys/kernel/perf_event_paranoid", "3\n", Verdict::Doubt, "perf_event_paranoid above 2 wants root"),
         ("sys/module/csi5300/refcnt", "0\n", Verdict::Good, "Best here: module"),
         ("sys/module/iwlwifi/parameters/connector_log", "1\n", Verdict::Good, "Best here: patched driver"),
     ];
