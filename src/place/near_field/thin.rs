@@ -45,11 +45,13 @@ impl Search {
         let Some(runs) = around.first().and_then(|own| aperture.runs(own.change)) else { return whole() };
         let centres: Vec<Place> = around.iter().map(|own| own.centre).collect();
         let steering = steerings(self.level(), aperture, &centres);
-        let sector = |((own, steering), places): ((&Place, &Vec<(f32, f32)>), &[Place])| {
-            let thin = [aperture.about(self.level(), own, steering, &runs)];
-            powers(self.level(), &thin, places, Precision::Rough)
-        };
-        centres.iter().zip(&steering).zip(places.chunks(TOGETHER * depth)).flat_map(sector).collect()
+        let sectors = places.chunks(TOGETHER * depth).zip(centres.iter().zip(&steering));
+        sectors
+            .flat_map(|(places, (own, steering))| {
+                let thin = [aperture.about(self.level(), own, steering, &runs)];
+                powers(self.level(), &thin, places, Precision::Rough)
+            })
+            .collect()
     }
 
     /// All apertures with the samples of a neighbourhood of `start`: some cells of azimuth, every elevation and range.
@@ -107,9 +109,9 @@ impl PreparedAperture {
         }
         let square = (reach * reach) as f32;
         let (mut runs, mut first) = (vec![0], 0);
-        for t in 1..self.len() {
+        for (t, is_cut) in cut.iter().enumerate().take(self.len()).skip(1) {
             let apart = [self.x[t] - self.x[first], self.y[t] - self.y[first], self.z[t] - self.z[first]];
-            if cut[t] || apart.iter().map(|v| v * v).sum::<f32>() > square {
+            if *is_cut || apart.iter().map(|v| v * v).sum::<f32>() > square {
                 runs.push(t);
                 first = t;
             }
