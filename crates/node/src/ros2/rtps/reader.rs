@@ -4,6 +4,7 @@ use super::qos::Qos;
 use super::wire::{Entity, Fragment, Guid, Maker, Numbers, Prefix};
 use super::writer::Outgoing;
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::net::SocketAddrV4;
 
 /// Samples that wait for one that is missing, of one writer.
@@ -162,15 +163,18 @@ impl Reader {
         if writing.next.is_some_and(|next| number < next) || writing.held.contains_key(&number) {
             return Vec::new();
         }
-        if !writing.parts.contains_key(&number) {
-            let Some(parts) = Parts::new(fragment) else { return Vec::new() };
-            writing.parts.insert(number, parts);
-            // What is oldest will hardly become whole; a reliable writer sends it again.
-            while writing.parts.len() > PARTS {
-                writing.parts.pop_first();
+        let parts = match writing.parts.entry(number) {
+            Entry::Occupied(known) => known.into_mut(),
+            Entry::Vacant(place) => {
+                let Some(parts) = Parts::new(fragment) else { return Vec::new() };
+                place.insert(parts)
             }
+        };
+        let whole = parts.take(fragment) && parts.left == 0;
+        // What is oldest will hardly become whole; a reliable writer sends it again.
+        while !whole && writing.parts.len() > PARTS {
+            writing.parts.pop_first();
         }
-        let whole = writing.parts.get_mut(&number).is_some_and(|parts| parts.take(fragment) && parts.left == 0);
         let whole = if whole { writing.parts.remove(&number) } else { None };
         whole.map(|parts| self.handle_data(guid, number, &parts.bytes)).unwrap_or_default()
     }

@@ -206,7 +206,7 @@ impl<'a> Datagram<'a> {
                 self.from = <[u8; 12]>::read(&mut from)?;
                 return Ok(None);
             }
-            0x06 | 0x07 | 0x08 => {}
+            0x06..=0x08 => {}
             0x15 | 0x16 => {
                 from.take(2)?;
                 let behind = usize::from(u16::read(&mut from)?);

@@ -39,7 +39,7 @@ impl Net {
     /// So many milliseconds, in steps of ten.
     fn run(&mut self, ms: i64) {
         for _ in 0..ms / 10 {
-            self.now = self.now + Span::from_ms(10);
+            self.now += Span::from_ms(10);
             for k in 0..self.all.len() {
                 self.all[k].handle_timeout(self.now);
                 for (to, bytes) in self.all[k].poll_transmit() {
