@@ -27,7 +27,8 @@ sed -i 's|/usr/local/bin/csi5300|/usr/bin/csi5300|' "$root/usr/lib/systemd/syste
 install -D -m 644 packaging/robot.toml "$root/usr/share/doc/csi5300/examples/robot.toml"
 install -m 644 README.md SECURITY.md CHANGELOG.md "$root/usr/share/doc/csi5300/"
 gzip -9n "$root/usr/share/doc/csi5300/CHANGELOG.md"
-cat LICENSE-MIT LICENSE-APACHE >"$root/usr/share/doc/csi5300/copyright"
+# With that of the plotting library in the page.
+cat LICENSE-MIT LICENSE-APACHE crates/view/page/vendor/uPlot.LICENSE >"$root/usr/share/doc/csi5300/copyright"
 
 # A program that needs no interpreter needs no package either.
 depends=
