@@ -54,6 +54,9 @@ pub fn csi(random: &mut Random, n_rx: u8, n_tx: u8, extra: usize) -> Packet {
 pub fn sounding(random: &mut Random, mac: [u8; 6], number: u32, time_us: u32) -> [Packet; 3] {
     let mut phy = phy(random, 1, 1);
     phy.1[4..12].copy_from_slice(&u64::from(time_us).to_le_bytes());
+    // 2.4 GHz, channel 6, MCS 1 from antenna A: what the driver hands to mac80211 has to be possible.
+    phy.1[16..20].copy_from_slice(&[1, 0, 6, 0]);
+    phy.1[52..56].copy_from_slice(&0x4101_u32.to_le_bytes());
     phy.1[60] = 0x24;
     let mut mpdu = mpdu(random, 57, 3);
     mpdu.1[4..4 + 16]
