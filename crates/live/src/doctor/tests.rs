@@ -411,4 +411,5 @@ fn the_stock_driver_gets_its_own_rate_and_no_ack_len() {
     assert_eq!(default_interface(&system).unwrap(), "wlp1s0");
 }
 
+#[cfg(feature = "stock")]
 mod ways;

@@ -175,10 +175,10 @@ impl Stock {
 impl CsiSource for Stock {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
         loop {
-            if !self.intake.is_held() {
-                if let Some(event) = self.ring.next() {
-                    self.intake.take(&event);
-                }
+            if !self.intake.is_held()
+                && let Some(event) = self.ring.next()
+            {
+                self.intake.take(&event);
             }
             if !self.intake.is_held() {
                 self.look(now)?;

@@ -1,4 +1,4 @@
-//! The three ways to CSI.
+//! The three ways to CSI, in a build that has all of them.
 
 use super::*;
 
@@ -24,7 +24,6 @@ fn todays(name: &str) -> Stage {
 const EFIVAR: &str = "sys/firmware/efi/efivars/SecureBoot-8be4df61-93ca-11d2-aa0d-00e098032b8c";
 
 #[test]
-#[cfg(feature = "stock")]
 fn a_kernel_of_today_needs_no_patch() {
     let stage = todays("today");
     stage.put(EFIVAR, "\u{6}\0\0\0\u{1}");
@@ -40,7 +39,6 @@ fn a_kernel_of_today_needs_no_patch() {
 }
 
 #[test]
-#[cfg(feature = "stock")]
 fn what_is_missing_for_the_program_is_said() {
     let expect = |stage: &Stage, verdict: Verdict, words: &str| {
         let way = stage.check("way to CSI");
