@@ -49,12 +49,15 @@ boot "$tree" "$(echo "$place"/boot/boot/vmlinuz-*)" 900
 # 6.12, from the backports: its transport is no table of functions any more, so a module calls what iwldvm would call.
 later=$place/6.12
 series_612() {
-    local key=/usr/share/keyrings/debian-archive-keyring.gpg names headers
+    local key=/usr/share/keyrings/debian-archive-keyring.gpg site names headers
     [ ! -e "$later/complete" ] || return 0
     [ -e "$key" ] || { echo "no $key"; return 1; }
     rm -rf "$later"
     mkdir -p "$later"/{debs,root,boot,lists/partial}
-    echo "deb [signed-by=$key] http://deb.debian.org/debian bookworm-backports main" >"$later/sources.list"
+    # From where this machine has its own packages.
+    site=$(apt-get indextargets --format '$(RELEASE) $(SITE)' 2>/dev/null | sed -n 's/^bookworm //p' | head -n 1)
+    [ -n "$site" ] || { echo "apt has no bookworm here"; return 1; }
+    echo "deb [signed-by=$key] $site bookworm-backports main" >"$later/sources.list"
     apt_612() {
         local verb=$1
         shift
