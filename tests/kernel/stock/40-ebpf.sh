@@ -130,7 +130,7 @@ grep "^400 records written" /tmp/recorder
 
 echo "recorders come and go under traffic"
 rm -f /tmp/fed
-(feed "steady 2000 9 1000" >/dev/null; touch /tmp/fed) &
+(feed "steady 8000 9 1000" >/dev/null; touch /tmp/fed) &
 feeder=$!
 recorders=0
 until [ -e /tmp/fed ]; do
@@ -140,7 +140,7 @@ until [ -e /tmp/fed ]; do
 done
 wait "$feeder"
 echo "$recorders recorders"
-[ "$recorders" -gt 3 ]
+[ "$recorders" -ge 3 ]
 rmmod fakecard iwldvm iwlwifi
 status=0
 csi5300 record --stock /tmp/none.dat 2>/tmp/recorder || status=$?
