@@ -71,8 +71,8 @@ pub fn any(kind: u8, a: u32, b: u32) -> Packet {
     let mut random = Random(u64::from(a) << 32 | u64::from(b) | 1);
     let mut one = |kind: u32| match kind % 3 {
         0 => phy(&mut random, (b % 3) as usize, (a % 2) as u8),
-        1 if b % 61 == 0 => mpdu(&mut random, 8_170 + (a % 30) as usize, 3),
-        1 => mpdu(&mut random, 10 + (a % 90) as usize, if b % 4 == 0 { a } else { 3 }),
+        1 if b.is_multiple_of(61) => mpdu(&mut random, 8_170 + (a % 30) as usize, 3),
+        1 => mpdu(&mut random, 10 + (a % 90) as usize, if b.is_multiple_of(4) { a } else { 3 }),
         _ => csi(&mut random, 1 + (a % 3) as u8, 1 + (b % 3) as u8, (b % 7) as usize),
     };
     match kind % 10 {
@@ -91,7 +91,7 @@ pub fn any(kind: u8, a: u32, b: u32) -> Packet {
             (command, data)
         }
         8 => ([0xC0, 0xC1, 0xBB, 0x9C][a as usize % 4], random.bytes(b as usize % 700)),
-        _ => (if a % 8 == 0 { 0x01 } else { a as u8 }, random.bytes(b as usize % 90)),
+        _ => (if a.is_multiple_of(8) { 0x01 } else { a as u8 }, random.bytes(b as usize % 90)),
     }
 }
 
@@ -159,7 +159,7 @@ impl Oracle {
     fn bfee(&mut self, wsr: bool, log: u8, data: &[u8], time: (u32, u32)) -> Option<Vec<u8>> {
         self.counts[2] += 1;
         let (phy, sender) = (self.last_phy.take(), self.mac_and_number.take());
-        let chains = |at: usize| matches!(data[at], 1 | 2 | 3);
+        let chains = |at: usize| matches!(data[at], 1..=3);
         let need = |data: &[u8]| (30 * (usize::from(data[8]) * usize::from(data[9]) * 16 + 3)).div_ceil(8);
         if data.len() < 20
             || !(chains(8) && chains(9))
