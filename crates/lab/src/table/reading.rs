@@ -149,7 +149,7 @@ impl<S: CsiSource> Reading<S> {
         (std::mem::take(&mut self.arena), std::mem::take(&mut self.columns))
     }
 
-    /// Reads on for [`BURST`] records, until `limit` are kept, until nothing is there, or to the end; whether more may be
+    /// Reads on for `BURST` records, until `limit` are kept, until nothing is there, or to the end; whether more may be
     /// there at once.
     ///
     /// # Errors
