@@ -36,7 +36,7 @@ enum Layout {
 
 /// A source of live records.
 pub enum Listener {
-    Connector(Netlink),
+    Connector(Box<Netlink>),
     #[cfg(feature = "stock")]
     Stock(Box<Stock>),
 }
@@ -65,7 +65,7 @@ impl Listener {
             return stock.map(|stock| Self::Stock(Box::new(stock))).map_err(|error| with_causes(&error));
         }
         let _ = args;
-        listening.open().map(Self::Connector)
+        listening.open().map(|listener| Self::Connector(Box::new(listener)))
     }
 
     /// What is listened to, in words.
