@@ -3,7 +3,8 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 command -v dpkg-deb >/dev/null || { echo "no dpkg-deb: no Debian"; exit 77; }
-cargo build --quiet --release -p csi5300-cli
+# As `cargo run` builds it, so that nothing is built twice.
+cargo build --quiet --release --bin csi5300
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 scripts/deb.sh target/release/csi5300 "$folder"
