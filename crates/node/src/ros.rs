@@ -7,6 +7,9 @@ mod publish;
 #[cfg(feature = "ros1")]
 mod publish;
 
+#[cfg(any(feature = "ros1", feature = "ros2"))]
+pub(crate) mod said;
+
 #[cfg(not(feature = "ros2"))]
 #[path = "ros/absent2.rs"]
 mod second;

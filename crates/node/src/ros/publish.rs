@@ -3,15 +3,15 @@
 use crate::config::Config;
 use crate::config::ros::name_part;
 use crate::machine::{Machine, Tap};
+use crate::ros::said::{bearing_message, csi_message, has_bearing, looking_along};
 use crate::ros1::messages::{self, Bearing, Csi, Header, PoseStamped, Quaternion, Time, Vector};
 use crate::ros1::{Outbox, RosLink};
 use crate::sources::Sources;
 use csi5300::motion::pose::Pose;
-use csi5300::pipeline::live::{PeerReport, PeerState};
-use csi5300::signal::csi::Csi as Matrix;
+use csi5300::pipeline::live::PeerReport;
 use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{Next, Stamps};
-use driver_iface::bfee::{Antenna, Bfee};
+use driver_iface::bfee::Bfee;
 use driver_iface::record::Record;
 
 /// What is published of one peer.
@@ -64,9 +64,7 @@ impl Ros {
         peer.seq = peer.seq.wrapping_add(1);
         let stamp = Time::from_s(report.t_s.unwrap_or(0.0));
         let header = Header { seq: peer.seq, stamp, frame_id: self.frame.clone() };
-        if let (PeerState::Bearing | PeerState::Held, Some(azimuth_deg), Some(own)) =
-            (report.state, report.answer.azimuth_deg, own)
-        {
+        if let (true, Some(azimuth_deg), Some(own)) = (has_bearing(report), report.answer.azimuth_deg, own) {
             let elevation_deg = report.answer.elevation_deg.unwrap_or(0.0);
             peer.poses.put(pointing(header.clone(), own, azimuth_deg.to_radians(), elevation_deg.to_radians()));
         }
@@ -85,41 +83,15 @@ impl Ros {
 }
 
 fn bearing(header: Header, peer: &str, mac: &str, report: &PeerReport) -> Bearing {
-    let answer = &report.answer;
-    let number = |value: Option<f64>| value.unwrap_or(f64::NAN);
-    let angle = |degrees: Option<f64>| number(degrees).to_radians();
-    // As in the lines of JSON.
-    let state = serde_json::to_value(report.state).ok().and_then(|state| state.as_str().map(str::to_owned));
-    Bearing {
-        header,
-        peer: peer.to_owned(),
-        mac: mac.to_owned(),
-        state: state.unwrap_or_default(),
-        words: report.words.clone(),
-        azimuth: angle(answer.azimuth_deg),
-        azimuth_sd: angle(answer.azimuth_sd_deg),
-        azimuth_body: angle(answer.azimuth_body_deg),
-        mirror: angle(answer.mirror_deg),
-        elevation: angle(answer.abs_elevation_deg),
-        signed_elevation: angle(answer.elevation_deg),
-        range: number(answer.range_m),
-        range_sd: number(answer.range_sd_m),
-        coherence: number(answer.coherence),
-        confidence: number(answer.confidence),
-        moved: report.moved_m,
-        needed: report.needed_m,
-        age: report.age_s,
-        pairs: u32::try_from(answer.pairs_in_motion).unwrap_or(u32::MAX),
-    }
+    bearing_message!(Bearing, header, peer, mac, report)
 }
 
 /// A pose that stands where the antenna is and looks along the bearing: up or down too where the sign of the elevation is
 /// known.
 fn pointing(header: Header, own: &Pose, azimuth_rad: f64, elevation_rad: f64) -> PoseStamped {
     let [x, y, z] = own.position_m.into();
-    let ((sin, cos), (up, level)) = ((0.5 * azimuth_rad).sin_cos(), (-0.5 * elevation_rad).sin_cos());
-    // About z by the azimuth, then about the turned y: upwards is the negative turn.
-    let orientation = Quaternion { x: -sin * up, y: cos * up, z: sin * level, w: cos * level };
+    let [turn_x, turn_y, turn_z, turn_w] = looking_along(azimuth_rad, elevation_rad);
+    let orientation = Quaternion { x: turn_x, y: turn_y, z: turn_z, w: turn_w };
     PoseStamped { header, pose: messages::Pose { position: Vector { x, y, z }, orientation } }
 }
 
@@ -143,28 +115,8 @@ impl Tap for Records {
 }
 
 fn csi(seq: u32, bfee: &Bfee<'_>, identity: Identity) -> Csi {
-    let known = Matrix::from_bfee(bfee).ok();
-    let matrix = known.unwrap_or_else(|| Matrix::raw(bfee));
-    let antenna = |row: usize| known.and_then(|known| known.antenna(row));
-    let number = |antenna: Antenna| Antenna::ALL.iter().position(|other| *other == antenna).unwrap_or(0) as u8;
     let stamp = Time::from_us(identity.host_us.unwrap_or(0));
-    Csi {
-        header: Header { seq, stamp, frame_id: String::new() },
-        mac: if identity.mac == driver_iface::Mac::ZERO { String::new() } else { identity.mac.to_string() },
-        frame_count: identity.frame_count.unwrap_or(0),
-        timestamp_low: bfee.timestamp_low(),
-        bfee_count: bfee.bfee_count(),
-        n_rx: matrix.n_rx() as u8,
-        n_tx: matrix.n_tx() as u8,
-        rssi: bfee.rssi(),
-        noise: bfee.noise_dbm(),
-        agc: bfee.agc(),
-        rate_n_flags: bfee.rate_n_flags(),
-        antennas: (0..matrix.n_rx()).filter_map(antenna).map(number).collect(),
-        // They are the card's 8 bits.
-        re: matrix.as_slice().iter().map(|h| h.re as i8).collect(),
-        im: matrix.as_slice().iter().map(|h| h.im as i8).collect(),
-    }
+    csi_message!(Csi, Header { seq, stamp, frame_id: String::new() }, bfee, identity)
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 use super::*;
 use csi5300::pipeline::Answer;
+use csi5300::pipeline::live::PeerState;
 use driver_iface::bfee::{Iq, Repr, Wsr};
 use driver_iface::record::code;
 

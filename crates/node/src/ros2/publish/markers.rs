@@ -3,7 +3,7 @@
 
 use super::super::messages::shown::{Marker, MarkerArray};
 use super::super::messages::standard::{Colour, Duration, Header, Point, Pose as PoseMessage, Quaternion, Vector3};
-use super::said::has_bearing;
+use crate::ros::said::has_bearing;
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::live::PeerReport;
 use nalgebra::{Matrix3, Rotation3, SymmetricEigen, UnitQuaternion, Vector3 as Place};

@@ -5,8 +5,9 @@ use super::super::messages::standard::{
     Covariance, Header, Pose as PoseMessage, PoseStamped, PoseWithCovariance, PoseWithCovarianceStamped, Quaternion,
     TfMessage, Transform, TransformStamped, Vector3,
 };
+use crate::ros::said::{bearing_message, has_bearing, looking_along};
 use csi5300::motion::pose::Pose;
-use csi5300::pipeline::live::{PeerReport, PeerState};
+use csi5300::pipeline::live::PeerReport;
 use std::f64::consts::PI;
 
 /// Variance of a turn about which nothing is known, squared radians.
@@ -14,47 +15,16 @@ const ANY_TURN: f64 = PI * PI;
 
 /// All that is said; angles in radians, NaN for what is not known.
 pub(super) fn bearing(header: Header, (peer, mac): (&str, &str), report: &PeerReport) -> Bearing {
-    let answer = &report.answer;
-    let number = |value: Option<f64>| value.unwrap_or(f64::NAN);
-    let angle = |degrees: Option<f64>| number(degrees).to_radians();
-    // As in the lines of JSON.
-    let state = serde_json::to_value(report.state).ok().and_then(|state| state.as_str().map(str::to_owned));
-    Bearing {
-        header,
-        peer: peer.to_owned(),
-        mac: mac.to_owned(),
-        state: state.unwrap_or_default(),
-        words: report.words.clone(),
-        azimuth: angle(answer.azimuth_deg),
-        azimuth_sd: angle(answer.azimuth_sd_deg),
-        azimuth_body: angle(answer.azimuth_body_deg),
-        mirror: angle(answer.mirror_deg),
-        elevation: angle(answer.abs_elevation_deg),
-        signed_elevation: angle(answer.elevation_deg),
-        range: number(answer.range_m),
-        range_sd: number(answer.range_sd_m),
-        coherence: number(answer.coherence),
-        confidence: number(answer.confidence),
-        moved: report.moved_m,
-        needed: report.needed_m,
-        age: report.age_s,
-        pairs: u32::try_from(answer.pairs_in_motion).unwrap_or(u32::MAX),
-    }
-}
-
-/// True for a report with a bearing, new or said again.
-pub(super) fn has_bearing(report: &PeerReport) -> bool {
-    matches!(report.state, PeerState::Bearing | PeerState::Held)
+    bearing_message!(Bearing, header, peer, mac, report)
 }
 
 /// A pose that stands where the antenna is and looks along the bearing: up or down too where the sign of the elevation is
 /// known.
 pub(super) fn direction(header: &Header, report: &PeerReport, own: Option<&Pose>) -> Option<PoseStamped> {
     let (own, azimuth_deg) = own.zip(report.answer.azimuth_deg).filter(|_| has_bearing(report))?;
-    let (azimuth, elevation) = (azimuth_deg.to_radians(), report.answer.elevation_deg.unwrap_or(0.0).to_radians());
-    let ((sin, cos), (up, level)) = ((0.5 * azimuth).sin_cos(), (-0.5 * elevation).sin_cos());
-    // About z by the azimuth, then about the turned y: upwards is the negative turn.
-    let orientation = Quaternion { x: -sin * up, y: cos * up, z: sin * level, w: cos * level };
+    let elevation_deg = report.answer.elevation_deg.unwrap_or(0.0);
+    let [x, y, z, w] = looking_along(azimuth_deg.to_radians(), elevation_deg.to_radians());
+    let orientation = Quaternion { x, y, z, w };
     let position = <[f64; 3]>::from(own.position_m).into();
     Some(PoseStamped { header: header.clone(), pose: PoseMessage { position, orientation } })
 }

@@ -1,5 +1,6 @@
 use super::*;
 use csi5300::pipeline::Answer;
+use csi5300::pipeline::live::PeerState;
 use nalgebra::{Quaternion as Numbers, UnitQuaternion, Vector3 as Place};
 
 /// A report with these fields.
