@@ -118,10 +118,17 @@ def outputs(participant):
     assert (node.node_namespace, node.node_name) == ("/", "csi5300_tb3_0") and len(node.writer_gid_seq) > 8, graph
     print("markers, diagnostics, directions, CSI and the graph of nodes are as they should be", flush=True)
 
+clients = {}
+
+def client(participant, name):
+    """As a program has it: one for all its requests."""
+    if name not in clients:
+        topic = Topic(participant, f"rq/csi5300_tb3_0/{name}Request", ros.TriggerRequest)
+        clients[name] = DataWriter(participant, topic, qos=reliable), Reader(participant, f"rr/csi5300_tb3_0/{name}Reply", ros.TriggerResponse, reliable)
+    return clients[name]
+
 def service(participant, name, number):
-    topic = lambda part, kind: Topic(participant, f"{part}", kind)
-    writer = DataWriter(participant, topic(f"rq/csi5300_tb3_0/{name}Request", ros.TriggerRequest), qos=reliable)
-    reader = Reader(participant, f"rr/csi5300_tb3_0/{name}Reply", ros.TriggerResponse, reliable)
+    writer, reader = client(participant, name)
     end = time.monotonic() + 10
     while not writer.get_matched_subscriptions() or not reader.reader.get_matched_publications():
         assert time.monotonic() < end, f"no service {name}"

@@ -77,7 +77,9 @@ struct Written {
 pub fn run(args: &Args) -> Result {
     let extension = args.output.extension().and_then(|extension| extension.to_str());
     if extension != Some("csv") && !is_known(&args.output) {
-        usage(&format!("{}: CSI is exported as .csv or {KNOWN}", args.output.display()));
+        let missing = extension == Some("parquet") && !cfg!(feature = "parquet");
+        let hint = if missing { "; .parquet needs a program built with the feature: --features parquet" } else { "" };
+        usage(&format!("{}: CSI is exported as .csv or {KNOWN}{hint}", args.output.display()));
     }
     let filter = args.filter().unwrap_or_else(|error| usage(&error.to_string()));
     super::must_not_exist(&args.output, args.force)?;

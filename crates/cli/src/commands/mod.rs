@@ -121,7 +121,7 @@ enum Command {
     Explain(explain::Args),
     /// Copies every intact record of a damaged log, and nothing else
     Recover(recover::Args),
-    /// CSI of a log as CSV or NPZ, raw or scaled
+    /// CSI of a log as CSV, NPZ, MAT or Parquet, raw or scaled
     Export(export::Args),
     /// Captures as MCAP, for Foxglove, Lichtblick and MCAP readers
     #[cfg(feature = "foxglove")]

@@ -4,7 +4,7 @@
 use super::bag::Bag;
 use super::messages::{Message, graph};
 use super::names::{Names, kind, service, topic};
-use super::rtps::{Counts, Event, Guid, LARGEST, Outgoing, Participant, Qos};
+use super::rtps::{Counts, Event, Guid, LARGEST, Outgoing, Participant, Prefix, Qos};
 use super::sockets::Sockets;
 use crate::config::ros2::Distribution;
 use csi5300::time::Instant;
@@ -67,10 +67,20 @@ impl Shared {
         self.unsent.fetch_add(unsent as u64, Ordering::Relaxed);
     }
 
-    fn write(&self, writer: usize, payload: Vec<u8>, request: Option<(Guid, i64)>) {
+    fn write(&self, writer: usize, payload: Vec<u8>) {
         let out = {
             let mut participant = lock(&self.participant);
-            participant.write(writer, payload.into(), request, self.wall_us());
+            participant.write(writer, payload.into(), self.wall_us());
+            participant.poll_transmit()
+        };
+        self.send(out);
+    }
+
+    /// Sends an answer to who asked.
+    fn answer(&self, writer: usize, to: Prefix, (payload, request): (Vec<u8>, Option<(Guid, i64)>)) {
+        let out = {
+            let mut participant = lock(&self.participant);
+            participant.answer(writer, to, (payload.into(), request), (self.now(), self.wall_us()));
             participant.poll_transmit()
         };
         self.send(out);
@@ -130,7 +140,7 @@ impl Shared {
                 humble::ParticipantEntitiesInfo { gid: gid(&own), node_entities_info_seq: vec![node] }.payload()
             }
         };
-        self.write(writer, payload, None);
+        self.write(writer, payload);
     }
 
     /// Takes what came, and does what is due; then waits for more.
@@ -179,7 +189,7 @@ impl<T: Message> Publisher<T> {
             self.too_large.fetch_add(1, Ordering::Relaxed);
         } else {
             self.sent.fetch_add(1, Ordering::Relaxed);
-            self.shared.write(self.writer, payload, None);
+            self.shared.write(self.writer, payload);
         }
     }
 }
@@ -288,8 +298,8 @@ impl Link {
                 Some((head, question)) => {
                     good.fetch_add(1, Ordering::Relaxed);
                     sent.fetch_add(1, Ordering::Relaxed);
-                    let (payload, request) = super::services::answer(head, &answer(shared, question));
-                    shared.write(writer, payload, request);
+                    let said = super::services::answer(head, &answer(shared, question));
+                    shared.answer(writer, event.from.0.prefix, said);
                 }
                 None => drop(bad.fetch_add(1, Ordering::Relaxed)),
             })

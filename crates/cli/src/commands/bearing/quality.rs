@@ -27,13 +27,15 @@ fn elevation(answer: &Answer) -> String {
 /// How far the answer explains what was measured.
 pub(super) fn quality(answer: &Answer) -> String {
     let or_dash = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+    let next = match answer.peak_ratio {
+        Some(ratio) => format!("the next candidate has {ratio:.2} of the evidence of the first"),
+        None => "no other candidate".into(),
+    };
     format!(
-        "  {}; one plane wave explains {} of the phases (coherence, 0 to 1); the next candidate has {} of \
-         the evidence of the first\n  as other programs measure it: profile variance of the WSR toolbox {} (lower is sharper), \
+        "  {}; one plane wave explains {} of the phases (coherence, 0 to 1); {next}\n  as other programs measure it: profile variance of the WSR toolbox {} (lower is sharper), \
          likelihood share of Dijkstra et al. {} (of 360 azimuths)\n",
         elevation(answer),
         or_dash(answer.coherence),
-        or_dash(answer.peak_ratio),
         or_dash(answer.wsr_profile_variance),
         answer.likelihood_share.map_or("-".into(), |share| format!("{share:.4}")),
     )

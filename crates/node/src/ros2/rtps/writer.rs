@@ -59,6 +59,11 @@ impl Writer {
         self.readers.len()
     }
 
+    /// A reader of this participant is sent to.
+    pub fn has_reader_of(&self, prefix: Prefix) -> bool {
+        self.readers.keys().any(|guid| guid.prefix == prefix)
+    }
+
     /// Which one it is.
     pub fn entity(&self) -> Entity {
         self.entity

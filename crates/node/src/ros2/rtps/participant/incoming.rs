@@ -154,7 +154,11 @@ impl Participant {
                 announced.extend(came.into_iter().map(|(_, payload)| (is_writer, payload)));
             }
         }
+        let has_announced = !announced.is_empty();
         announced.into_iter().for_each(|(is_writer, payload)| self.handle_endpoint(is_writer, from, &payload));
+        if has_announced && !self.waiting.is_empty() {
+            self.write_waiting(wall_us);
+        }
         let vendor = self.peers.get(&from).map_or([0; 2], |peer| peer.data.vendor);
         for (reader, own) in self.readers.iter_mut().enumerate().filter(|(_, own)| is_for(own.end.entity())) {
             let came = take(&mut own.end, writer, &what.body, &mut self.out);
@@ -208,8 +212,7 @@ impl Participant {
                 }
             }
         } else {
-            // An answer may be written before it is known that who asked reads it.
-            let from_now = data.qos.durability == 0 && !data.topic.starts_with("rr/");
+            let from_now = data.qos.durability == 0;
             for own in self.writers.iter_mut().filter(|own| own.data.topic == data.topic) {
                 match wrong(&own.data.kind, &data.kind).or_else(|| own.data.qos.mismatch(&data.qos)) {
                     None => own.end.add(guid, to, data.qos.reliable, from_now, &mut self.out),

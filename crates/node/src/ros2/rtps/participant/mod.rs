@@ -20,6 +20,10 @@ const EAGER: (u32, Span) = (12, Span::from_ms(250));
 const ANNOUNCE: Span = Span::from_ms(3_000);
 /// While a reliable reader has not everything, it is told so often what there is.
 const BEAT: Span = Span::from_ms(100);
+/// An answer waits so long for the reader of who asked.
+const PATIENCE: Span = Span::from_ms(1_000);
+/// Answers that wait at most.
+const WAITING: usize = 64;
 /// How often leases are looked at.
 const LOOK: Span = Span::from_ms(500);
 
@@ -74,6 +78,8 @@ pub(crate) struct Counts {
     pub expired: u64,
     /// Announcements that were refused because there are too many.
     pub refused: u64,
+    /// Answers to services that nobody came to read.
+    pub unanswered: u64,
 }
 
 /// The state of a topic, of one end of this participant.
@@ -106,6 +112,16 @@ struct Own<T> {
     wrong: BTreeMap<Guid, &'static str>,
 }
 
+/// An answer whose reader is not known.
+#[derive(Debug)]
+struct Waiting {
+    writer: usize,
+    to: Prefix,
+    payload: Arc<[u8]>,
+    request: Option<(Guid, i64)>,
+    until: Instant,
+}
+
 /// A participant.
 #[derive(Debug)]
 pub(crate) struct Participant {
@@ -123,6 +139,7 @@ pub(crate) struct Participant {
     announced: (u32, Instant),
     beat_at: Instant,
     look_at: Instant,
+    waiting: Vec<Waiting>,
     out: Vec<Outgoing>,
 }
 
@@ -147,6 +164,7 @@ impl Participant {
             announced: (0, now),
             beat_at: now,
             look_at: now,
+            waiting: Vec::new(),
             out: Vec::new(),
         }
     }
@@ -189,10 +207,40 @@ impl Participant {
         EndpointData { guid, topic: topic.to_owned(), kind: kind.to_owned(), qos: qos.clone(), unicast }
     }
 
-    /// Writes a sample; `request` is what it answers, if it is an answer.
-    pub fn write(&mut self, writer: usize, payload: Arc<[u8]>, request: Option<(Guid, i64)>, wall_us: i64) {
+    /// Writes a sample.
+    pub fn write(&mut self, writer: usize, payload: Arc<[u8]>, wall_us: i64) {
         if let Some(own) = self.writers.get_mut(writer) {
+            own.end.write(payload, None, wall_us, &mut self.out);
+        }
+    }
+
+    /// Writes an answer to participant `to`; `request` is what it answers, where that stands beside the sample. A request
+    /// may come before the announcement of the reader that waits for its answer, and a volatile reader gets nothing that was
+    /// written before it was matched: then the answer waits for it.
+    pub fn answer(
+        &mut self,
+        writer: usize,
+        to: Prefix,
+        (payload, request): (Arc<[u8]>, Option<(Guid, i64)>),
+        (now, wall_us): (Instant, i64),
+    ) {
+        let Some(own) = self.writers.get_mut(writer) else { return };
+        if own.end.has_reader_of(to) {
             own.end.write(payload, request, wall_us, &mut self.out);
+        } else if self.waiting.len() < WAITING {
+            self.waiting.push(Waiting { writer, to, payload, request, until: now + PATIENCE });
+        } else {
+            self.counts.unanswered += 1;
+        }
+    }
+
+    /// Writes the answers whose readers are known by now.
+    fn write_waiting(&mut self, wall_us: i64) {
+        for waiting in std::mem::take(&mut self.waiting) {
+            match self.writers.get_mut(waiting.writer).filter(|own| own.end.has_reader_of(waiting.to)) {
+                Some(own) => own.end.write(waiting.payload, waiting.request, wall_us, &mut self.out),
+                None => self.waiting.push(waiting),
+            }
         }
     }
 
@@ -227,6 +275,9 @@ impl Participant {
             let gone: Vec<Prefix> = self.peers.values().filter(silent).map(|peer| peer.data.prefix).collect();
             self.counts.expired += gone.len() as u64;
             gone.into_iter().for_each(|prefix| self.forget(prefix));
+            let waited = self.waiting.len();
+            self.waiting.retain(|waiting| now < waiting.until);
+            self.counts.unanswered += (waited - self.waiting.len()) as u64;
             self.look_at = now + LOOK;
         }
     }

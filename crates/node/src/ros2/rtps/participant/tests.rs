@@ -55,7 +55,7 @@ impl Net {
     }
 
     fn write(&mut self, participant: usize, writer: usize, sample: u8) {
-        self.all[participant].write(writer, Arc::from([0, 1, 0, 0, sample]), None, WALL_US);
+        self.all[participant].write(writer, Arc::from([0, 1, 0, 0, sample]), WALL_US);
     }
 
     /// Last bytes of the samples that came.
@@ -102,15 +102,37 @@ fn what_is_latched_comes_to_who_is_late_and_the_rest_does_not() {
 }
 
 #[test]
-fn an_answer_that_is_written_before_its_reader_is_known_comes_all_the_same() {
-    let mut net = Net::new(2);
+fn an_answer_waits_for_the_reader_of_who_asked_and_comes_once() {
+    let mut net = Net::new(3);
     net.all[0].add_writer("rr/aReply", "T", Qos::reliable(10), WALL_US);
+    // Somebody else who reads answers of this service.
+    net.all[2].add_reader("rr/aReply", "T", Qos::reliable(10), WALL_US);
     net.run(1_000);
-    let request = (Guid { prefix: [2; 12], entity: [0, 0, 1, 3] }, 6);
-    net.all[0].write(0, Arc::from([0, 1, 0, 0, 9]), Some(request), WALL_US);
+    let answer = |net: &mut Net, sample| {
+        let request = (Guid { prefix: [2; 12], entity: [0, 0, 1, 3] }, i64::from(sample));
+        let answer = (Arc::from([0, 1, 0, 0, sample]), Some(request));
+        net.all[0].answer(0, [2; 12], answer, (net.now, WALL_US));
+    };
+    answer(&mut net, 9);
+    net.run(100);
+    assert!(net.came(2).is_empty(), "it is not written before it can be read");
     net.all[1].add_reader("rr/aReply", "T", Qos::reliable(10), WALL_US);
     net.run(1_000);
-    assert_eq!(net.came(1), [9]);
+    assert_eq!((net.came(1), net.came(2)), (vec![9], vec![9]));
+    answer(&mut net, 10);
+    net.run(100);
+    assert_eq!(net.came(1), [9, 10], "once its reader is known it does not wait");
+    assert_eq!(net.all[0].counts().unanswered, 0);
+    // One that nobody reads is given up and counted, and there is an end to how many wait.
+    let nobody = |net: &mut Net| {
+        let answer = (Arc::from([0, 1, 0, 0, 7]), None);
+        net.all[0].answer(0, [9; 12], answer, (net.now, WALL_US));
+    };
+    (0..WAITING + 5).for_each(|_| nobody(&mut net));
+    assert_eq!(net.all[0].counts().unanswered, 5);
+    net.run(2_000);
+    assert_eq!(net.all[0].counts().unanswered, WAITING as u64 + 5);
+    assert_eq!(net.came(1), [9, 10]);
 }
 
 #[test]
