@@ -133,12 +133,18 @@ fn something(link: &Link, receiver: &Trajectory, options: &Options) -> Result<()
         return Ok(());
     }
     if link.outside() > 0 {
-        let from_s = link.first_us().map_or(0.0, |us| us as f64 * 1e-6 + options.clock_offset_s);
-        let (start_s, end_s) = receiver.span_s();
-        return Err(LinkError::OutsideTrajectory { pairs: link.outside(), from_s, start_s, end_s });
+        return Err(outside(link, receiver, options));
     }
     let handed = |side| link.counts(side).handed;
     Err(LinkError::NoPairs { receiver: handed(LinkSide::Receiver), transmitter: handed(LinkSide::Transmitter) })
+}
+
+/// The pairs lie outside the trajectory.
+fn outside(link: &Link, receiver: &Trajectory, options: &Options) -> LinkError {
+    let from_s = link.first_us().map_or(0.0, |us| us as f64 * 1e-6 + options.clock_offset_s);
+    let (start_s, end_s) = receiver.span_s();
+    let other_fits = link.other_fits(TUNING.motion.outside_share);
+    LinkError::OutsideTrajectory { pairs: link.outside(), from_s, start_s, end_s, other_fits }
 }
 
 /// Refuses logs that do not belong together: one log for both sides, and logs of which neither the clocks nor the channel
@@ -169,7 +175,11 @@ fn rows_or_times(link: &Link, receiver: &Trajectory, pairs: &PairCounts, options
     let (rows, frames) = (receiver.poses().len(), link.counts(LinkSide::Receiver).handed as usize);
     let as_many = rows.abs_diff(frames) as f64 <= TUNING.motion.row_for_row * rows as f64;
     let outside = pairs.no_pose as f64 > TUNING.motion.outside_share * pairs.formed as f64;
-    match options.join == JoinBy::Time && options.clock_offset_s == 0.0 && as_many && outside {
+    let may_be_wrong = options.join == JoinBy::Time && options.clock_offset_s == 0.0;
+    if may_be_wrong && link.other_fits(TUNING.motion.outside_share) {
+        return Err(self::outside(link, receiver, options));
+    }
+    match may_be_wrong && as_many && outside {
         true => Err(LinkError::RowsNotTimes { rows, outside: pairs.no_pose, pairs: pairs.formed }),
         false => Ok(()),
     }
@@ -340,7 +350,7 @@ impl Gated {
         if pairs.cut > 0 && pairs.no_pose == 0 {
             return LinkError::AllCut { pairs: pairs.formed, length_s: to_s - from_s };
         }
-        LinkError::OutsideTrajectory { pairs: pairs.formed, from_s, start_s, end_s }
+        LinkError::OutsideTrajectory { pairs: pairs.formed, from_s, start_s, end_s, other_fits: false }
     }
 }
 

@@ -71,9 +71,10 @@ pub enum LinkError {
         /// The largest that is searched, metres.
         limit_m: f64,
     },
-    /// All pairs lie outside the trajectory.
+    /// All pairs lie outside the trajectory, or many and the other log's times fit it.
     #[error(
-        "the {pairs} pairs (from about {from_s:.3} s) lie outside the trajectory ({start_s:.3} s to {end_s:.3} s): is it of this run?"
+        "the {pairs} pairs (from about {from_s:.3} s) lie outside the trajectory ({start_s:.3} s to {end_s:.3} s): {}",
+        if *.other_fits { "the other log's times fit it: were the two logs exchanged?" } else { "is it of this run?" }
     )]
     OutsideTrajectory {
         /// Pairs.
@@ -84,6 +85,8 @@ pub enum LinkError {
         start_s: f64,
         /// Last pose, s.
         end_s: f64,
+        /// By the host time of the transmitter's log nearly all pairs are inside.
+        other_fits: bool,
     },
     /// The robots did not move relative to each other.
     #[error(

@@ -38,6 +38,8 @@ pub struct Link {
     silent: usize,
     span_us: Option<(i64, i64)>,
     outside: usize,
+    /// Those of them that are inside by the transmitter's host time.
+    partner_inside: usize,
     first_us: Option<i64>,
     /// One pair in so many is kept.
     stride: usize,
@@ -80,6 +82,7 @@ impl Link {
             silent: 0,
             span_us,
             outside: 0,
+            partner_inside: 0,
             first_us: None,
             stride: 1,
             thinned: 0,
@@ -126,6 +129,18 @@ impl Link {
         self.outside
     }
 
+    /// Whether many pairs are outside by the receiver's host time, and nearly all inside by the transmitter's; `share` is how
+    /// many are many.
+    pub(super) fn other_fits(&self, share: f64) -> bool {
+        let inside = |row: &&PairRow| {
+            let within = |at| self.span_us.is_none_or(|(from, to)| (from..=to).contains(&at));
+            row.partner_host_us.is_some_and(within)
+        };
+        let partner = self.rows.iter().filter(inside).count() + self.partner_inside;
+        let all = (self.rows.len() + self.outside) as f64;
+        self.outside as f64 > share * all && partner as f64 >= (1.0 - share) * all
+    }
+
     /// The receiver's host time of the first pair, microseconds since the Unix epoch.
     pub(super) fn first_us(&self) -> Option<i64> {
         self.first_us
@@ -167,8 +182,10 @@ impl Link {
     fn keep(&mut self, pair: &Pair<FrameHeard>, options: &Options) {
         if let Some(host_us) = pair.receiver.host_us {
             self.first_us.get_or_insert(host_us);
-            if self.span_us.is_some_and(|(from, to)| !(from..=to).contains(&host_us)) {
+            if let Some((from, to)) = self.span_us.filter(|(from, to)| !(from..=to).contains(&&host_us)) {
+                let partner_inside = pair.transmitter.host_us.is_some_and(|at| (from..=to).contains(&at));
                 self.outside += 1;
+                self.partner_inside += usize::from(partner_inside);
                 return;
             }
         }

@@ -8,6 +8,7 @@ use driver_iface::record::{Record, Tail, code};
 use driver_iface::{Mac, bfee::Bfee};
 use std::collections::{BTreeMap, BTreeSet};
 
+mod antennas;
 mod senders;
 
 /// Losses kept with their place; further ones are only counted.

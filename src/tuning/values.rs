@@ -359,6 +359,8 @@ tuning! {
         random_phases: f64 = 0.25, "chosen: 1,500 random phases reach 0.17, the real links at hand have 0.6 at least", "not measured";
         /// Pauses that differ by less than this between frames, median, are all alike, microseconds.
         pauses_us: f64 = 20.0, "measured: a turn-around jitters by 4 to 22", "not measured";
+        /// An antenna whose mean RSSI is this much below the strongest one's is as good as unconnected, dB.
+        unconnected_db: f64 = 14.0, "measured: ports without an antenna are 18 to 35 below in 64 logs", "nothing but a warning depends on it";
     }
 
     /// Which poses are motion.

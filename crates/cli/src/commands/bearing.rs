@@ -298,6 +298,13 @@ fn say_losses<R: std::io::Read, S: std::io::Read>(
                 unused.no_number, unused.no_antenna, unused.other_sender
             );
         }
+        if let Some((better, above_db)) = report.survey.better_antenna(args.estimation.antenna) {
+            let _ = writeln!(
+                text,
+                "  antenna {:?} hears {above_db:.0} dB less than {better:?}, as a port without an antenna does (--antenna {better:?})",
+                args.estimation.antenna
+            );
+        }
         if !lines.is_empty() || !text.is_empty() {
             eprint!("{}: {} bfee records\n{lines}{text}", path.display(), report.survey.bfees());
         }

@@ -20,6 +20,9 @@ pub fn words(error: &LinkError) -> String {
         }
         LinkError::RowsNotTimes { .. } => format!("{error} (--join-rows, --clock-offset)"),
         LinkError::TooLarge { .. } => format!("{error} (--from and --to cut a piece)"),
+        LinkError::OutsideTrajectory { other_fits: true, .. } => {
+            format!("{error} Try --rx and --tx the other way round")
+        }
         LinkError::OutsideTrajectory { .. } => format!("{error} --clock-offset shifts one against the other"),
         _ => error.to_string(),
     }

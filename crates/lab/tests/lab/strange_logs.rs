@@ -72,3 +72,18 @@ fn logs_of_two_runs_of_four_robots_are_refused() {
     }
     assert_eq!(refused, 76);
 }
+
+#[test]
+fn exchanged_logs_are_told_where_the_other_robots_clock_fits() {
+    let Some(captures) = crate::common::captures() else { return };
+    // Of these the robots' host clocks are further apart than the run is long.
+    for (place, date) in [("LOS_Set_A/L1", "2021-06-27_202550"), ("NLOS_Set_A/L2", "2021-06-28_194645")] {
+        let file = |name: &str| captures.join("wsr").join(place).join(name.replace("DATE", date));
+        let (rx, path) = (file("csi_rx_DATE.dat"), file("rx_trajectory_DATE_.csv"));
+        let tx = file("csi_tx3_DATE.dat");
+        run(&rx, &tx, &path).unwrap();
+        let exchanged = run(&tx, &rx, &path).unwrap_err();
+        assert!(matches!(exchanged, LinkError::OutsideTrajectory { other_fits: true, .. }), "{place}: {exchanged}");
+        assert!(exchanged.to_string().contains("exchanged"), "{exchanged}");
+    }
+}
