@@ -77,6 +77,39 @@ pub enum Precision {
     Double,
 }
 
+/// What a plan says of its method, its numbers and its instructions.
+fn words(method: Method) -> &'static str {
+    match method {
+        Method::Constant => "one value for all directions",
+        Method::Oracle => "the sum as written",
+        Method::Direct => "direct sums at every direction",
+        Method::RingsDirect => "direct sums on rings, interpolated",
+        Method::RingsNufft => "a planar NUFFT onto rings, interpolated",
+        Method::TargetsNufft => "a planar NUFFT to every direction",
+        Method::Cone => "a one-dimensional NUFFT along the line of motion",
+        Method::Slab => "slabs of planar NUFFTs",
+    }
+}
+
+impl fmt::Display for Precision {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Single => "single",
+            Self::Double => "double",
+        })
+    }
+}
+
+fn instructions(tier: Tier) -> &'static str {
+    match tier {
+        Tier::Portable => "portable code",
+        Tier::Sse42 => "SSE4.2",
+        Tier::Avx2 => "AVX2",
+        Tier::Avx512 => "AVX-512",
+        Tier::Native => "this machine's own vectors",
+    }
+}
+
 /// What a plan does, what it costs and what it left out, as a value that prints.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Explanation {
@@ -106,10 +139,10 @@ impl fmt::Display for Explanation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "{:?} in {:?} precision on {:?}, eps {:.1e}, about {:.0} us, {} kB of tables",
-            self.method,
+            "{} in {} precision with {}, eps {:.1e}, about {:.0} us, {} kB of tables",
+            words(self.method),
             self.precision,
-            self.tier,
+            instructions(self.tier),
             self.eps,
             self.estimate_us,
             self.table_bytes / 1024
@@ -184,8 +217,14 @@ impl fmt::Display for SearchPlan {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "search in {:?} precision on {:?}, about {:.0} us: {} rings of {} sums over {} samples, {} exact looks in double",
-            self.precision, self.tier, self.estimate_us, self.rings, self.summed, self.samples, self.exact
+            "search in {} precision with {}, about {:.0} us: {} rings of {} sums over {} samples, {} exact looks in double",
+            self.precision,
+            instructions(self.tier),
+            self.estimate_us,
+            self.rings,
+            self.summed,
+            self.samples,
+            self.exact
         )?;
         self.skipped().iter().try_for_each(|skipped| writeln!(f, "  skipped: {skipped}"))
     }

@@ -46,7 +46,7 @@ impl LinkPlan {
     pub fn of(bearing: &Bearing, options: &Options, grid: &Grid) -> Result<Self, bartlett::Error> {
         let plan = Planner::default().plan(&bearing.samples, grid, &ProfileOptions::default())?;
         let decoded = format!(
-            "antenna {:?}, first stream, {SUBCARRIERS} subcarriers (the channel centre is a line fitted through all of them); \
+            "antenna {}, first stream, {SUBCARRIERS} subcarriers (the channel centre is a line fitted through all of them); \
              other antennas and streams stay packed",
             options.antenna
         );

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The commands of README.md and docs/tutorial.md (their ```sh blocks), run as written, each page in an empty folder of its own;
+# The commands of README.md and of the pages in docs (their ```sh blocks), run as written, each page in an empty folder of its own;
 # and every link between pages leads somewhere. A program may be named: tests/checks/docs.sh PROGRAM
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -16,11 +16,14 @@ for page in README.md docs/*.md; do
     done < <(grep -oE '\]\([^)]+\)' "$page" | sed -E 's/^\]\(//; s/\)$//' | grep -vE '^(https?|mailto):')
 done
 
-for page in README.md docs/tutorial.md; do
+for page in README.md docs/tutorial.md docs/view.md; do
+    grep -q '^```sh$' "$page" || { echo "$page has no commands"; exit 1; }
+done
+for page in README.md docs/*.md; do
+    grep -q '^```sh$' "$page" || continue
     own="$folder/$(basename "$page" .md)"
     mkdir "$own"
     awk '/^```sh$/ { on = 1; next } /^```$/ { on = 0 } on' "$page" >"$own/commands.sh"
-    [ -s "$own/commands.sh" ] || { echo "$page has no commands"; exit 1; }
     (cd "$own" && PATH="$folder/bin:$PATH" bash -euo pipefail commands.sh >said.txt 2>&1) || {
         echo "$page: status $?"
         tail -n 30 "$own/said.txt"

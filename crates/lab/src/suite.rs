@@ -245,14 +245,16 @@ pub fn standing(report: &CaptureReport, options: &Options) -> Option<Standing> {
 }
 
 /// Repetitions of one experiment together.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Summary {
     /// The experiment.
     pub experiment: String,
     /// Its repetitions.
     pub repetitions: usize,
-    /// Mean and largest absolute error, degrees.
-    pub error_deg: Option<(f64, f64)>,
+    /// Mean absolute error, degrees. None at rest.
+    pub mean_error_deg: Option<f64>,
+    /// Largest absolute error, degrees.
+    pub largest_error_deg: Option<f64>,
     /// Means over the repetitions, where there are any.
     pub confidence: Option<f64>,
     /// See [`Run::likelihood_share`].
@@ -277,11 +279,12 @@ impl Summary {
             let values: Vec<f64> = runs.iter().filter_map(of).collect();
             (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
         };
-        let largest = runs.iter().filter_map(|run| run.error_deg).map(f64::abs).fold(0.0, f64::max);
+        let errors = runs.iter().filter_map(|run| run.error_deg).map(f64::abs);
         Some(Self {
             experiment: runs.first()?.experiment.clone(),
             repetitions: runs.len(),
-            error_deg: mean(|run| run.error_deg.map(f64::abs)).map(|mean| (mean, largest)),
+            mean_error_deg: mean(|run| run.error_deg.map(f64::abs)),
+            largest_error_deg: errors.max_by(f64::total_cmp),
             confidence: mean(|run| run.confidence),
             likelihood_share: mean(|run| run.likelihood_share),
             coherence: mean(|run| run.coherence),

@@ -1,6 +1,6 @@
 //! The robot's part in the sounding exchange: the sender's thread beside the service, by the same file.
 
-use super::config::{Capture, Config};
+use super::config::{Capture, Config, Peer, Records};
 use super::machine::{Machine, Tap};
 use csi5300::exchange::tdma::{Epoch, Event, Key, Proof, Prover};
 use csi5300::source::survey::Survey;
@@ -51,6 +51,8 @@ struct Sounds {
     counts: SoundingCounts,
     antenna: Antenna,
     peers: Vec<Mac>,
+    /// Peers whose records come with their answers.
+    answering: Vec<Mac>,
     measures: bool,
     key: Option<Key>,
 }
@@ -97,7 +99,10 @@ impl Sounder {
         let settings = Settings { fifo_priority: Settings::default().fifo_priority.filter(|_| asked.fifo) };
         let (key, measures) = (opened.key.clone(), asked.measurement);
         let running = Arc::new(Running::start_opened(opened, clock, settings)?);
-        Ok(Self(Some(Sounds { running, counts, antenna: config.antenna, peers, measures, key })))
+        let by_answers = |peer: &Peer| matches!(peer.records, Records::Sounding(_));
+        let asked = config.peer.iter().map(|peer| peer.get_ref());
+        let answering = asked.zip(&peers).filter(|(peer, _)| by_answers(peer)).map(|(_, mac)| *mac).collect();
+        Ok(Self(Some(Sounds { running, counts, antenna: config.antenna, peers, answering, measures, key })))
     }
 
     /// From now on answers carry what the card measures, and with a key only exchanges that are confirmed are used.
@@ -121,8 +126,14 @@ impl Sounder {
         let Some(sounds) = &mut self.0 else { return };
         while let Some(news) = sounds.running.news() {
             sounds.counts.note(&news);
-            if let News::Event(Event::Answered { peer, number, .. } | Event::Asked { peer, number, .. }) = news {
-                machine.estimator.handle_confirmed(peer, number, now);
+            let News::Event(event) = news else { continue };
+            if let Event::Answered { peer, number, .. } | Event::Asked { peer, number, .. } = &event {
+                machine.estimator.handle_confirmed(*peer, *number, now);
+            }
+            if let Event::Answered { peer, measurement: Some(measured), .. } = &event
+                && sounds.answering.contains(peer)
+            {
+                machine.estimator.handle_measurement(*peer, measured);
             }
         }
     }

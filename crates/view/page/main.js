@@ -52,10 +52,12 @@
     const sets = await csi.get("/data/sets");
     if (page.link !== null || address()) return;
     const rows = [...page.rows.values()];
-    const chart = csi.el("section", { class: "card wide" }, csi.el("h3", {}, "Errors by set"));
-    const table = csi.el("section", { class: "card wide" }, csi.el("h3", {}, "Absolute errors against the bearing from the mean pose, degrees"), csi.setTable(sets));
-    shown.replaceChildren(csi.el("h2", {}, "All links"), csi.el("div", { class: "cards" }, chart, table));
-    csi.showErrors(chart, rows);
+    const judged = !rows.length || rows.some((row) => csi.isNumber(row.error_from_mean_pose_deg) || row.beside);
+    const chart = judged ? csi.el("section", { class: "card wide" }, csi.el("h3", {}, "Errors by set")) : null;
+    const title = judged ? "Absolute errors against the bearing from the mean pose, degrees" : "Links by set; where transmitters are is not known, so there are no errors";
+    const table = csi.el("section", { class: "card wide" }, csi.el("h3", {}, title), csi.setTable(sets, judged));
+    shown.replaceChildren(csi.el("h2", {}, "All links"), csi.el("div", { class: "cards" }, ...(chart ? [chart] : []), table));
+    if (chart) csi.showErrors(chart, rows);
     if (page.notes?.length) {
       shown.append(csi.el("section", { class: "card" }, csi.el("h3", {}, "Lost or left out"), csi.el("ul", { class: "notes bad" }, ...page.notes.map((note) => csi.el("li", {}, note)))));
     }

@@ -92,6 +92,7 @@
       const points = [
         ...(this.scene.paths ?? []).flatMap((path) => path.points), ...(this.scene.places ?? []).map((place) => place.at),
         ...(this.scene.rays ?? []).map((ray) => ray.from), ...(this.scene.robot ? [this.scene.robot.at] : []),
+        ...(this.scene.ellipses ?? []).map(({ centre }) => [centre[0], centre[1]]),
       ].filter((point) => point.every(csi.isNumber));
       const range = (k) => (points.length ? [Math.min(...points.map((p) => p[k])), Math.max(...points.map((p) => p[k]))] : [-1, 1]);
       const [[x0, x1], [y0, y1]] = [range(0), range(1)];

@@ -185,15 +185,16 @@
   };
 
   // Errors by set in figures.
-  csi.setTable = (sets) => {
+  csi.setTable = (sets, judged) => {
     const names = Object.keys(sets);
     const beside = names.some((name) => sets[name].beside);
     const figures = (errors) => [csi.figure(errors?.mean_deg, 2), csi.figure(errors?.median_deg, 2), csi.figure(errors?.p90_deg, 2), csi.isNumber(errors?.over_20) ? `${(100 * errors.over_20).toFixed(0)} %` : "–"];
     const four = (name) => ["mean", "median", "90 %", "over 20°"].map((figure) => `${name}${figure}`);
-    const head = ["set", "links", "failed", ...four(""), ...(beside ? ["toolbox: mean", ...four("").slice(1)] : [])];
+    const own = judged ? four("") : [];
+    const head = ["set", "links", "failed", ...own, ...(beside ? ["toolbox: mean", ...four("").slice(1)] : [])];
     const cells = (name) => {
-      const { links, failed, from_mean_pose: own, beside: theirs } = sets[name];
-      return [name, String(links), String(failed), ...figures(own), ...(beside ? figures(theirs) : [])];
+      const { links, failed, from_mean_pose: mine, beside: theirs } = sets[name];
+      return [name, String(links), String(failed), ...(judged ? figures(mine) : []), ...(beside ? figures(theirs) : [])];
     };
     const row = (texts, tag) => csi.el("tr", {}, ...texts.map((text) => csi.el(tag, {}, text)));
     return csi.el("div", { class: "scroll" }, csi.el("table", {},

@@ -7,7 +7,7 @@ use csi5300::pipeline::Options;
 use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::beside::{Beside, Table};
 use csi5300_lab::evaluate::quality::receivers;
-use csi5300_lab::evaluate::{Capture, Errors, Judged, SetSummary, TrajectorySource, find, summarise};
+use csi5300_lab::evaluate::{Capture, Errors, Judged, SetSummary, TrajectorySource, find_all, summarise};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
@@ -101,7 +101,7 @@ pub(crate) struct Links {
 impl Links {
     /// The captures below a folder; none where there is none.
     pub fn below(folder: &Path, reading: Reading) -> Option<Self> {
-        let (captures, unreadable) = find(folder);
+        let (captures, unreadable) = find_all(folder);
         if captures.is_empty() {
             return None;
         }

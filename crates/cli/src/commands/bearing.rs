@@ -4,10 +4,9 @@ mod quality;
 
 use self::quality::{edge, quality};
 use super::args::{Estimation, channel, mac};
-use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, some, usage};
+use super::files::Log;
+use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, read_trajectory, some, usage};
 use csi5300::bartlett::Grid;
-use csi5300::motion::odometry;
-use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::LinkError;
 use csi5300::pipeline::LinkPlan;
 use csi5300::pipeline::{Answer, lost_something};
@@ -17,7 +16,6 @@ use csi5300::source::{CsiSource, key_file, replay::Replay};
 use driver_iface::Mac;
 use nalgebra::Vector3;
 use std::fmt::Write;
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `bearing`.
@@ -96,8 +94,6 @@ fn triple(text: &str) -> std::result::Result<Vector3<f64>, String> {
     }
 }
 
-type Log = Replay<Box<dyn Read + Send>>;
-
 /// Ends the program where arguments contradict each other.
 fn check(args: &Args) {
     if args.tx_trajectory.len() > args.tx.len() || args.tx_mac.len() > args.tx.len() {
@@ -126,15 +122,15 @@ fn check(args: &Args) {
 fn open_transmitters(args: &mut Args) -> std::result::Result<(Vec<Log>, Vec<Answer>), String> {
     let (mut logs, mut unread, mut k) = (Vec::new(), Vec::new(), 0);
     while let Some(path) = args.tx.get(k) {
-        match Replay::open(path) {
+        match super::open_log(path) {
             Ok(log) => {
                 logs.push(log);
                 k += 1;
             }
-            Err(error) if logs.is_empty() && args.tx.len() == 1 => return Err(super::hint::log_refused(&error)),
+            Err(error) if logs.is_empty() && args.tx.len() == 1 => return Err(error),
             Err(error) => {
-                let link = stem(&args.tx.remove(k));
-                unread.push(Answer::failed(link, super::hint::log_refused(&error)));
+                let link = link_name(&args.tx.remove(k));
+                unread.push(Answer::failed(link, error));
                 if k < args.tx_mac.len() {
                     args.tx_mac.remove(k);
                 }
@@ -155,7 +151,7 @@ pub fn run(mut args: Args) -> Result {
     if let Some(offset) = args.antenna_offset {
         trajectory = trajectory.with_antenna_offset(offset).map_err(|error| error.to_string())?;
     }
-    let mut receiver = Replay::open(&args.rx).map_err(|error| super::hint::log_refused(&error))?;
+    let mut receiver = super::open_log(&args.rx)?;
     let (mut logs, unread) = open_transmitters(&mut args)?;
     options.tx_macs.clone_from(&args.tx_mac);
     let partners =
@@ -169,7 +165,7 @@ pub fn run(mut args: Args) -> Result {
     pool.build_global().map_err(|error| error.to_string())?;
     let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
     say_losses(&args, &report, &receiver, &logs);
-    let mut names: Vec<String> = args.tx.iter().map(|path| stem(path)).collect();
+    let mut names: Vec<String> = args.tx.iter().map(|path| link_name(path)).collect();
     let stems = names.clone();
     for (k, name) in stems.iter().enumerate() {
         if stems.iter().filter(|other| *other == name).count() > 1 {
@@ -218,7 +214,7 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
         let path = if links > 1 { numbered(path, name) } else { path.clone() };
         super::must_not_exist(&path, args.force)?;
         profile::write(&path, &args.grid, &bearing.samples)?;
-        eprintln!("profile of {name}: {}", path.display());
+        note!("profile of {name}: {}", path.display());
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
@@ -227,7 +223,7 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
         let pictures =
             csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, transmitter_m: None, recorded: None };
         for path in pictures.write(folder, name).map_err(|error| error.to_string())? {
-            eprintln!("picture of {name}: {}", path.display());
+            note!("picture of {name}: {}", path.display());
         }
     }
     Ok(())
@@ -236,38 +232,20 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
 /// `out.npz` becomes `out.NAME.npz`.
 fn numbered(path: &Path, name: &str) -> PathBuf {
     let extension = path.extension().map(|e| e.to_string_lossy().into_owned()).unwrap_or_default();
-    path.with_extension(format!("{name}.{extension}"))
+    path.with_extension(format!("{}.{extension}", name.replace('/', "_")))
 }
 
-fn stem(path: &Path) -> String {
-    path.file_stem().map_or_else(|| path.display().to_string(), |stem| stem.to_string_lossy().into_owned())
-}
-
-fn read_trajectory(path: &Path) -> std::result::Result<Trajectory, String> {
-    let named = |error: odometry::csv::CsvError| match error {
-        odometry::csv::CsvError::Io { .. } => error.to_string(),
-        _ => format!("{}: {error}", path.display()),
-    };
-    let (trajectory, counts) = odometry::csv::read(path).map_err(named)?;
-    let name = path.display();
-    if let Some((line, why)) = &counts.first_bad {
-        eprintln!("{name}: {} rows left out, the first in line {line}: {why}", counts.bad_rows);
+/// The name of a link by its transmitter's log: `TS/txK` for csi_txK_TS.dat, as of captures, else the log's name.
+fn link_name(path: &Path) -> String {
+    let stem = path.file_stem().map_or_else(|| path.display().to_string(), |stem| stem.to_string_lossy().into_owned());
+    let parts = stem.strip_prefix("csi_tx").map(|rest| {
+        let (number, stamp) = rest.split_at(rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len()));
+        (number, stamp.strip_prefix('_').filter(|stamp| !stamp.is_empty()))
+    });
+    match parts {
+        Some((number, Some(stamp))) => format!("{stamp}/tx{number}"),
+        _ => stem,
     }
-    if counts.out_of_order > 0 {
-        eprintln!("{name}: {} rows out of order in time, sorted", counts.out_of_order);
-    }
-    if trajectory.stale_head() > 0 {
-        eprintln!("{name}: the first {} poses are from before the run and left out", trajectory.stale_head());
-    }
-    for gap in trajectory.gaps() {
-        let moved = gap.moved_m * 1e3;
-        eprintln!(
-            "{name}: no pose for {:.2} s from {:.3} s on (moved {moved:.0} mm meanwhile)",
-            gap.to_s - gap.from_s,
-            gap.from_s
-        );
-    }
-    Ok(trajectory)
 }
 
 fn say_losses<R: std::io::Read, S: std::io::Read>(
@@ -306,7 +284,7 @@ fn say_losses<R: std::io::Read, S: std::io::Read>(
             );
         }
         if !lines.is_empty() || !text.is_empty() {
-            eprint!("{}: {} bfee records\n{lines}{text}", path.display(), report.survey.bfees());
+            notes!("{}: {} bfee records\n{lines}{text}", path.display(), report.survey.bfees());
         }
     };
     log(&args.rx, &report.receiver, rx.bytes());
@@ -324,7 +302,7 @@ fn tell(answer: &Answer, json: bool) {
         print(&answer.plan.as_ref().map(ToString::to_string).unwrap_or_default());
     }
     if let Some(error) = &answer.error {
-        eprintln!("csi5300: {}: {error}", answer.link);
+        wrong!("{}: {error}", answer.link);
     }
 }
 
@@ -333,7 +311,7 @@ fn say_heard(rx: &Path, report: &CaptureReport, link: &LinkReport) {
     if let Err(LinkError::NoPairs { receiver: 0, .. }) = &link.bearing {
         let senders = report.receiver.survey.senders.iter();
         let heard: Vec<String> = senders.map(|(mac, sender)| format!("{mac} ({} records)", sender.records)).collect();
-        eprintln!(
+        note!(
             "  {} has frames of: {}",
             rx.display(),
             if heard.is_empty() { "nobody".into() } else { heard.join(", ") }

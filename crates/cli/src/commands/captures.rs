@@ -1,9 +1,15 @@
 //! What the commands on folders of captures share.
 
 use super::args::{Estimation, channel};
-use csi5300::pipeline::Options;
+use super::usage;
+use csi5300::pipeline::{JoinBy, Options};
 use csi5300::signal::channel::{Channel, Width};
-use csi5300_lab::evaluate::TrajectorySource;
+use csi5300_lab::evaluate::{Capture, TrajectorySource, find_all};
+use std::path::Path;
+
+/// What a capture is, for who named a folder without one.
+pub const A_CAPTURE: &str = "a capture is a folder with csi_rx_TS.dat, csi_txK_TS.dat, a trajectory (rx_trajectory_TS_.csv) and, \
+                             for the truth and the channel, groundtruth_positions.json";
 
 /// How captures are read.
 #[derive(clap::Args)]
@@ -14,6 +20,9 @@ pub struct Reading {
     /// WiFi channel instead of the one in groundtruth_positions.json
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     pub channel: Option<Channel>,
+    /// Join the n-th frame of a link with the n-th row of its trajectory instead of by time
+    #[arg(long)]
+    join_rows: bool,
     #[command(flatten)]
     pub estimation: Estimation,
 }
@@ -28,6 +37,23 @@ impl Reading {
         }
     }
 
+    /// The captures in and below `folder`, with a truth or without, and folders that could not be read.
+    ///
+    /// # Errors
+    /// If there is none, or none with a channel, in words.
+    pub fn find(&self, folder: &Path) -> Result<(Vec<Capture>, Vec<String>), String> {
+        let (captures, unreadable) = find_all(folder);
+        if captures.is_empty() {
+            let kind = if folder.is_dir() { "no capture in or below" } else { "no folder" };
+            return Err(format!("{kind} {}: {A_CAPTURE}", folder.display()));
+        }
+        detail!("{} captures in or below {}", captures.len(), folder.display());
+        if self.channel.is_none() && captures.iter().all(|capture| !capture.has_truth()) {
+            usage("--channel is needed: no groundtruth_positions.json names the WiFi channel of these captures");
+        }
+        Ok((captures, unreadable))
+    }
+
     /// The pipeline's options. Their channel is a stand-in where none was given: each capture brings its own.
     pub fn options(&self) -> Result<Options, String> {
         self.options_of(&self.estimation)
@@ -36,7 +62,8 @@ impl Reading {
     /// The same for another estimation.
     pub fn options_of(&self, estimation: &Estimation) -> Result<Options, String> {
         let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
-        estimation.options(self.channel.unwrap_or(fallback))
+        let join = if self.join_rows { JoinBy::Row } else { JoinBy::Time };
+        Ok(estimation.options(self.channel.unwrap_or(fallback))?.with_join(join))
     }
 }
 

@@ -1,12 +1,12 @@
 //! `csi5300 compare`.
 
 use super::args::channel;
-use super::{Outcome, Result, print, print_json, simulate};
+use super::say::{Tone, toned};
+use super::{Outcome, Result, print, print_json, read_trajectory, simulate};
 use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::replay::Replay;
 use csi5300_lab::compare::fit::Known;
 use csi5300_lab::compare::{FigureRow, Figures, Verdict, fit, measure, rows, scene_channel};
 use csi5300_lab::evaluate::find;
@@ -64,11 +64,8 @@ pub fn run(args: &Args) -> Result {
     // Before anything is read or fitted: minutes of work end in these files.
     args.check_outputs()?;
     let given = args.with.as_deref().filter(|with| !with.is_dir()).map(|file| load(file, args.channel)).transpose()?;
-    let (trajectory, counts) = odometry::csv::read(&args.trajectory).map_err(|error| error.to_string())?;
-    if let Some((line, why)) = counts.first_bad {
-        eprintln!("csi5300: {} rows left out, the first in line {line}: {why}", counts.bad_rows);
-    }
-    let displaced = args.tx_trajectory.as_deref().map(read_path).transpose()?;
+    let trajectory = read_trajectory(&args.trajectory)?;
+    let displaced = args.tx_trajectory.as_deref().map(read_trajectory).transpose()?;
     let recorded = read(&args.rx, &args.tx, (&trajectory, displaced.as_ref()), &options)?;
     let folder = args.out.join(SIMULATED);
     // A fitted scene's robot strays from the recorded trajectory, which is all that a recording has.
@@ -153,14 +150,10 @@ fn clear(folder: &Path) -> Words<()> {
     }
 }
 
-fn read_path(path: &Path) -> Words<Trajectory> {
-    odometry::csv::read(path).map(|(trajectory, _)| trajectory).map_err(|error| error.to_string())
-}
-
 /// `paths`: the receiver's, and the transmitter's if it moved.
 fn read(rx: &Path, tx: &Path, paths: (&Trajectory, Option<&Trajectory>), options: &Options) -> Words<Figures> {
-    let open = |path: &Path| Replay::open(path).map_err(|error| super::hint::log_refused(&error));
-    measure(&mut open(rx)?, &mut open(tx)?, paths.0, paths.1, options).map_err(|error| error.to_string())
+    measure(&mut super::open_log(rx)?, &mut super::open_log(tx)?, paths.0, paths.1, options)
+        .map_err(|error| error.to_string())
 }
 
 /// Reads the first capture and link of a folder in the layout of the WSR data set, along its own trajectory if no other is
@@ -172,8 +165,8 @@ fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> 
         capture.transmitters.first().ok_or_else(|| format!("no transmitter's log in {}", folder.display()))?;
     let beside = |name: String| capture.folder.join(name);
     let path_of = |robot: &str| beside(format!("{robot}_trajectory_{}_.csv", capture.stamp));
-    let trajectory = along.map_or_else(|| read_path(&path_of("rx")), |trajectory| Ok(trajectory.clone()))?;
-    let displaced = Some(path_of(name)).filter(|path| path.is_file()).map(|path| read_path(&path)).transpose()?;
+    let trajectory = along.map_or_else(|| read_trajectory(&path_of("rx")), |trajectory| Ok(trajectory.clone()))?;
+    let displaced = Some(path_of(name)).filter(|path| path.is_file()).map(|path| read_trajectory(&path)).transpose()?;
     read(&beside(format!("csi_rx_{}.dat", capture.stamp)), tx, (&trajectory, displaced.as_ref()), options)
 }
 
@@ -197,13 +190,13 @@ fn describe(table: &[FigureRow]) -> String {
     let value = |value: Option<f64>| value.map_or_else(|| "-".into(), short);
     for row in table {
         let verdict = match row.verdict {
-            Verdict::Agrees => "agrees",
-            Verdict::Differs => "DIFFERS",
-            Verdict::Shown => "",
+            Verdict::Agrees => toned("agrees", Tone::Good),
+            Verdict::Differs => toned("DIFFERS", Tone::Bad),
+            Verdict::Shown => String::new(),
         };
         let (recorded, simulated) = (value(row.recorded), value(row.simulated));
-        let line = format!("{:<12} {:<40} {recorded:>12} {simulated:>12} {:<9} {verdict}", row.of, row.name, row.unit);
-        let _ = writeln!(text, "{}", line.trim_end());
+        let line = format!("{:<12} {:<40} {recorded:>12} {simulated:>12} {:<9}", row.of, row.name, row.unit);
+        let _ = writeln!(text, "{}", format!("{line} {verdict}").trim_end());
     }
     let count = |verdict| table.iter().filter(|row| row.verdict == verdict).count();
     let (agree, differ) = (count(Verdict::Agrees), count(Verdict::Differs));

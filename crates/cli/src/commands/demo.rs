@@ -2,12 +2,11 @@
 //! line of Dijkstra et al. (\[paper\] in docs/references.md), simulated, decoded and estimated.
 
 use super::args::Estimation;
-use super::{Outcome, Result, print, simulate};
+use super::{Outcome, Result, print, print_json, simulate};
 use csi5300::maths::wrap_rad;
-use csi5300::motion::odometry;
 use csi5300::pipeline::{Bearing, CaptureReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::{CsiSource, replay::Replay};
+use csi5300::source::CsiSource;
 use csi5300_lab::suite::{Standing, standing};
 use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::{Scene, WrittenCapture};
@@ -26,6 +25,9 @@ pub struct Args {
     /// Write into a folder that is not empty
     #[arg(long)]
     force: bool,
+    /// JSON Lines instead of words: one object for the robots that stand, one each for circle and line
+    #[arg(long)]
+    json: bool,
 }
 
 /// Its two experiments with motion, and what they are drawn as.
@@ -41,10 +43,40 @@ const STANDING_S: f64 = 10.0;
 type Words<T> = std::result::Result<T, String>;
 
 /// One row of the table at the end.
+#[derive(serde::Serialize)]
 struct Shown {
-    name: &'static str,
-    bearing: Bearing,
-    truth_rad: Option<f64>,
+    experiment: &'static str,
+    exchanges: usize,
+    azimuth_deg: f64,
+    azimuth_sd_deg: f64,
+    mirror_deg: Option<f64>,
+    truth_deg: Option<f64>,
+    /// Of the azimuth or its mirror, whichever is nearer.
+    error_deg: Option<f64>,
+    /// Spread from packet to packet of the product of both directions.
+    phase_before_rad: Option<f64>,
+    /// The same with the turn-around taken out.
+    phase_after_rad: Option<f64>,
+}
+
+impl Shown {
+    fn new(experiment: &'static str, bearing: &Bearing, truth_rad: Option<f64>) -> Self {
+        let answer = &bearing.answer;
+        let off = |azimuth: f64| truth_rad.map(|truth| wrap_rad(azimuth - truth));
+        let errors = [Some(answer.azimuth_rad), answer.mirror_rad].into_iter().flatten().filter_map(off);
+        let spread = |coherence: f64| csi5300_lab::suite::spread_rad(coherence);
+        Self {
+            experiment,
+            exchanges: bearing.pairs.formed,
+            azimuth_deg: answer.azimuth_rad.to_degrees(),
+            azimuth_sd_deg: answer.azimuth_sd_rad.to_degrees(),
+            mirror_deg: answer.mirror_rad.map(f64::to_degrees),
+            truth_deg: truth_rad.map(f64::to_degrees),
+            error_deg: errors.min_by(|a, b| a.abs().total_cmp(&b.abs())).map(f64::to_degrees),
+            phase_before_rad: bearing.turn_around.as_ref().map(|t| spread(t.coherence_before)),
+            phase_after_rad: bearing.turn_around.as_ref().map(|t| spread(t.coherence_after)),
+        }
+    }
 }
 
 /// Runs the demonstration.
@@ -53,7 +85,12 @@ pub fn run(args: &Args) -> Result {
     if used && !args.force {
         return Err(format!("{} is not empty: --force writes into it all the same", args.out.display()));
     }
-    print(
+    let tell = |text: &str| {
+        if !args.json {
+            print(text)
+        }
+    };
+    tell(
         "Two robots, simulated down to the bytes that their cards, drivers and loggers would have written. What follows\n\
          reads those logs as if they were recorded.\n\n",
     );
@@ -63,7 +100,7 @@ pub fn run(args: &Args) -> Result {
         [rx, tx, trajectory] => Some(bearing_of(estimate(rx, tx, trajectory, &options)?)?),
         _ => None,
     };
-    stand(&args.out, &options)?;
+    stand(args, &options)?;
     let (mut next, mut shown) = (String::new(), Vec::new());
     for (name, text) in SCENES {
         let scene = Scene::from_toml(text).map_err(|error| format!("scene {name}: {error}"))?;
@@ -73,8 +110,15 @@ pub fn run(args: &Args) -> Result {
         }
         let bearing = bearing_of(estimate(&rx, &tx, &trajectory, &options)?)?;
         let truth_rad = truth(&scene, &bearing);
-        draw(&args.out, name, &bearing, &scene, truth_rad, recorded.as_ref().filter(|_| name == "circle"))?;
-        shown.push(Shown { name, bearing, truth_rad });
+        say_pictures(
+            args,
+            &draw(&args.out, name, &bearing, &scene, truth_rad, recorded.as_ref().filter(|_| name == "circle"))?,
+        );
+        shown.push(Shown::new(name, &bearing, truth_rad));
+    }
+    if args.json {
+        shown.iter().for_each(print_json);
+        return Ok(Outcome::Done);
     }
     print("\nThe circle and the line of Dijkstra et al., 3 dB of signal to noise, a transmitter about 4 m away:\n\n");
     print(&table(&shown));
@@ -83,17 +127,48 @@ pub fn run(args: &Args) -> Result {
 }
 
 /// Two robots that stand: their phase should be constant, and is not before the offset is cancelled.
-fn stand(out: &Path, options: &Options) -> Words<()> {
+fn stand(args: &Args, options: &Options) -> Words<()> {
     let mut scene = Scene::from_toml(CARDS).map_err(|error| format!("scene: {error}"))?;
     scene.duration_s = STANDING_S;
     if let Some(robot) = scene.robot.first_mut() {
         robot.motion = RobotMotion::Static;
     }
-    let (rx, tx, trajectory) = simulated(&scene, &out.join("standing"))?;
+    let (rx, tx, trajectory) = simulated(&scene, &args.out.join("standing"))?;
     let report = estimate(&rx, &tx, &trajectory, options)?;
     let standing = standing(&report, options).ok_or("the robots that stand gave too few pairs")?;
-    print(&describe_standing(&standing));
-    draw_standing(out, &standing)
+    if args.json {
+        print_json(&StandingRow::new(&standing));
+    } else {
+        print(&describe_standing(&standing));
+    }
+    say_pictures(args, &draw_standing(&args.out, &standing)?);
+    Ok(())
+}
+
+/// The line of JSON of the robots that stand: spreads from packet to packet.
+#[derive(serde::Serialize)]
+struct StandingRow {
+    experiment: &'static str,
+    exchanges: usize,
+    cfo_hz: f64,
+    turn_around_jitter_us: f64,
+    phase_one_way_rad: f64,
+    phase_before_rad: f64,
+    phase_after_rad: f64,
+}
+
+impl StandingRow {
+    fn new(standing: &Standing) -> Self {
+        Self {
+            experiment: "standing",
+            exchanges: standing.course.len(),
+            cfo_hz: standing.turn_around.df_hz,
+            turn_around_jitter_us: standing.turn_around.jitter_median_us,
+            phase_one_way_rad: standing.spread_one_way_rad,
+            phase_before_rad: standing.spread_rad,
+            phase_after_rad: standing.spread_compensated_rad,
+        }
+    }
 }
 
 fn describe_standing(standing: &Standing) -> String {
@@ -132,9 +207,8 @@ fn files(capture: &WrittenCapture) -> (PathBuf, PathBuf, PathBuf) {
 }
 
 fn estimate(rx: &Path, tx: &Path, trajectory: &Path, options: &Options) -> Words<CaptureReport> {
-    let open = |path: &Path| Replay::open(path).map_err(|error| super::hint::log_refused(&error));
-    let (mut receiver, mut transmitter) = (open(rx)?, open(tx)?);
-    let (path, _) = odometry::csv::read(trajectory).map_err(|error| format!("{}: {error}", trajectory.display()))?;
+    let (mut receiver, mut transmitter) = (super::open_log(rx)?, super::open_log(tx)?);
+    let path = super::read_trajectory(trajectory)?;
     let transmitters = vec![Transmitter { log: &mut transmitter as &mut dyn CsiSource, trajectory: None }];
     bearings(&mut receiver, transmitters, &path, options).map_err(|error| error.to_string())
 }
@@ -155,26 +229,20 @@ fn table(shown: &[Shown]) -> String {
         "          exchanges   azimuth       +-    mirror     truth     error   phase, before   after\n\
          \x20                       deg      deg       deg       deg       deg   cancelling      rad\n",
     );
-    let degrees = |rad: Option<f64>| rad.map_or("-".into(), |rad| format!("{:.2}", rad.to_degrees()));
-    for Shown { name, bearing, truth_rad } in shown {
-        let answer = &bearing.answer;
-        let off = |azimuth: f64| truth_rad.map(|truth| wrap_rad(azimuth - truth));
-        let errors = [Some(answer.azimuth_rad), answer.mirror_rad].into_iter().flatten().filter_map(off);
-        let error = errors.min_by(|a, b| a.abs().total_cmp(&b.abs()));
-        let (before, after) = bearing.turn_around.as_ref().map_or((f64::NAN, f64::NAN), |t| {
-            (csi5300_lab::suite::spread_rad(t.coherence_before), csi5300_lab::suite::spread_rad(t.coherence_after))
-        });
+    let figure = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+    for row in shown {
+        let error = row.error_deg.map_or("-".into(), |error| format!("{error:+.2}"));
+        let before = row.phase_before_rad.map_or("-".into(), |before| format!("{before:.2} rad"));
         let _ = writeln!(
             text,
-            "  {name:<8} {:>8} {:>9} {:>8.2} {:>9} {:>9} {:>+9.2} {:>15} {:>7}",
-            bearing.pairs.formed,
-            degrees(Some(answer.azimuth_rad)),
-            answer.azimuth_sd_rad.to_degrees(),
-            degrees(answer.mirror_rad),
-            degrees(*truth_rad),
-            error.unwrap_or(f64::NAN).to_degrees(),
-            format!("{before:.2} rad"),
-            format!("{after:.2}"),
+            "  {:<8} {:>8} {:>9.2} {:>8.2} {:>9} {:>9} {error:>9} {before:>15} {:>7}",
+            row.experiment,
+            row.exchanges,
+            row.azimuth_deg,
+            row.azimuth_sd_deg,
+            figure(row.mirror_deg),
+            figure(row.truth_deg),
+            figure(row.phase_after_rad),
         );
     }
     text += "\nA line cannot tell a bearing from its mirror image: the error is that of the nearer of the two.\n";
@@ -182,20 +250,19 @@ fn table(shown: &[Shown]) -> String {
 }
 
 #[cfg(not(feature = "plot"))]
-fn draw(_: &Path, _: &str, _: &Bearing, _: &Scene, _: Option<f64>, _: Option<&Bearing>) -> Words<()> {
-    Ok(())
+fn draw(_: &Path, _: &str, _: &Bearing, _: &Scene, _: Option<f64>, _: Option<&Bearing>) -> Words<Vec<PathBuf>> {
+    Ok(Vec::new())
 }
 
 #[cfg(not(feature = "plot"))]
-fn draw_standing(_: &Path, _: &Standing) -> Words<()> {
-    Ok(())
+fn draw_standing(_: &Path, _: &Standing) -> Words<Vec<PathBuf>> {
+    Ok(Vec::new())
 }
 
 #[cfg(feature = "plot")]
-fn draw_standing(out: &Path, standing: &Standing) -> Words<()> {
+fn draw_standing(out: &Path, standing: &Standing) -> Words<Vec<PathBuf>> {
     let written = csi5300_lab::show::repeated::standing(standing).write(&out.join("standing-phase"));
-    say_pictures(&written.map_err(|error| error.to_string())?);
-    Ok(())
+    written.map_err(|error| error.to_string())
 }
 
 #[cfg(feature = "plot")]
@@ -206,16 +273,15 @@ fn draw(
     scene: &Scene,
     truth_rad: Option<f64>,
     recorded: Option<&Bearing>,
-) -> Words<()> {
+) -> Words<Vec<PathBuf>> {
     let transmitter_m = scene.robot.get(1).map(|robot| [robot.position_m[0], robot.position_m[1]]);
     let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m, recorded };
-    say_pictures(&pictures.write(out, name).map_err(|error| error.to_string())?);
-    Ok(())
+    pictures.write(out, name).map_err(|error| error.to_string())
 }
 
-#[cfg(feature = "plot")]
-fn say_pictures(written: &[PathBuf]) {
-    for path in written.iter().filter(|path| path.extension().is_some_and(|extension| extension == "png")) {
+fn say_pictures(args: &Args, written: &[PathBuf]) {
+    let pictures = written.iter().filter(|path| path.extension().is_some_and(|extension| extension == "png"));
+    for path in pictures.filter(|_| !args.json) {
         print(&format!("  picture {}\n", path.display()));
     }
 }

@@ -4,6 +4,7 @@ mod bring_up;
 
 use super::args::mac;
 use super::live::{Listening, Signals, duration};
+use super::say::{Tone, toned};
 use super::{Outcome, Result, print, print_json};
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Span;
@@ -74,10 +75,10 @@ fn text(checks: &[Check], ready: bool) -> String {
     let mut text = String::new();
     for check in checks {
         let mark = match check.verdict {
-            Verdict::Good => "ok  ",
-            Verdict::Doubt => "?   ",
-            Verdict::Bad => "BAD ",
-            Verdict::Unknown => "-   ",
+            Verdict::Good => toned("ok  ", Tone::Good),
+            Verdict::Doubt => toned("?   ", Tone::Doubt),
+            Verdict::Bad => toned("BAD ", Tone::Bad),
+            Verdict::Unknown => "-   ".into(),
         };
         let _ = writeln!(text, "{mark}{}: {}", check.name, check.found);
         if check.verdict != Verdict::Good {
@@ -110,7 +111,7 @@ fn listen(args: &Args, span: Span) -> std::result::Result<Vec<Check>, String> {
             }]);
         }
     };
-    eprintln!("{}", Listening::describe(&listener));
+    note!("{}", Listening::describe(&listener));
     let clock = Monotonic::new();
     let end = clock.now() + span;
     while clock.now() < end {

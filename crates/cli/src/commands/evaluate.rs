@@ -1,13 +1,12 @@
 //! `csi5300 evaluate`.
 
 use super::args::{Estimation, Step};
-use super::captures::Reading;
+use super::captures::{A_CAPTURE, Reading};
 use super::{Outcome, Result, print, print_json, usage};
 use clap::ValueEnum;
 use csi5300::maths::median;
 use csi5300_lab::evaluate::quality::{over_bound, ranges, receivers, reliability, risk_coverage};
 use csi5300_lab::evaluate::{Capture, Errors, Evaluated, Judged, SetSummary, TrajectorySource, find, summarise};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -81,12 +80,9 @@ pub fn run(args: &Args) -> Result {
     options.accuracy = options.accuracy.with_paths(options.accuracy.paths && args.json);
     let (captures, unreadable) = find_all(args.folders.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)))?;
     for folder in &unreadable {
-        eprintln!("csi5300: cannot read {folder}");
+        wrong!("cannot read {folder}");
     }
-    let bar = ProgressBar::with_draw_target(Some(captures.len() as u64), ProgressDrawTarget::stderr());
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos}/{len} captures, {eta} left") {
-        bar.set_style(style);
-    }
+    let bar = super::bar(captures.len() as u64, "{bar:40} {pos}/{len} captures, {eta} left");
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build().map_err(|error| error.to_string())?;
     if let Some(Folds::Places) = args.folds {
         bar.finish_and_clear();
@@ -107,13 +103,13 @@ pub fn run(args: &Args) -> Result {
     let results: Vec<Evaluated> = pool.install(|| captures.par_iter().map(one).collect());
     bar.finish_and_clear();
     for note in results.iter().flat_map(|result| &result.notes) {
-        eprintln!("{note}");
+        note!("{note}");
     }
     let lost = !unreadable.is_empty() || results.iter().any(|result| result.lost);
     let rows: Vec<Judged> = results.into_iter().flat_map(|result| result.rows).collect();
     show(args, &rows)?;
     for row in rows.iter().filter(|row| row.answer.error.is_some()) {
-        eprintln!("csi5300: {}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
+        wrong!("{}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
     }
     Ok(match rows.iter().any(|row| row.answer.azimuth_deg.is_some()) {
         false => Outcome::Nothing,
@@ -133,10 +129,17 @@ fn find_all<'a>(
         }
         let (found, failed) = find(folder);
         if found.is_empty() {
-            return Err(format!(
-                "no capture below {}: a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat",
-                folder.display()
-            ));
+            let without = csi5300_lab::evaluate::find_all(folder).0.len();
+            return Err(match without {
+                0 => format!("no capture below {}: {A_CAPTURE}", folder.display()),
+                _ => format!(
+                    "no capture with a truth below {} (groundtruth_positions.json); {} without one: `report`, `view`, \
+                     `explain` and `locate` take {}",
+                    folder.display(),
+                    super::some(without as u64, "capture", "captures"),
+                    if without == 1 { "it" } else { "them" }
+                ),
+            });
         }
         captures.extend(found);
         unreadable.extend(failed);
@@ -157,7 +160,7 @@ fn show(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.out {
         let written = csi5300_lab::show::set::write(rows, folder).map_err(|error| error.to_string())?;
-        eprintln!("{}: {} pictures", folder.display(), written.len());
+        note!("{}: {} pictures", folder.display(), written.len());
     }
     Ok(())
 }
@@ -165,8 +168,25 @@ fn show(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
 fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
     let width = rows.iter().map(|row| row.answer.link.len()).max().unwrap_or(4).max(4);
     let mut text = format!(
-        "{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6} {:>8}\n",
-        "link", "azimuth", "sd", "mirror", "truth", "error", "coh.", "pairs", "CFO"
+        "{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6} {:>8}\n{:width$}  {:>9} {:>6} {:>9} {:>9} {:>9} {:>5} {:>6} {:>8}\n",
+        "link",
+        "azimuth",
+        "+-",
+        "mirror",
+        "truth",
+        "error",
+        "coh.",
+        "pairs",
+        "CFO",
+        "",
+        "deg",
+        "deg",
+        "deg",
+        "deg",
+        "deg",
+        "",
+        "",
+        "Hz"
     );
     let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| format!("{value:.digits$}"));
     for row in rows {
@@ -222,8 +242,11 @@ fn worth(rows: &[Judged]) -> String {
     let located = receivers(rows);
     for (set, own) in sets(rows) {
         let ranges = ranges(&own);
-        let mut off: Vec<f64> =
-            located.iter().filter(|r| r.capture.starts_with(&format!("{set}/"))).filter_map(|r| r.off_m).collect();
+        let mut off: Vec<f64> = located
+            .iter()
+            .filter(|r| r.capture == set || r.capture.starts_with(&format!("{set}/")))
+            .filter_map(|r| r.off_m)
+            .collect();
         let median = median(&mut off).map_or("-".into(), |off| format!("{off:.2} m"));
         let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
         let _ = writeln!(

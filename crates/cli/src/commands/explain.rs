@@ -1,18 +1,21 @@
 //! `csi5300 explain`.
 
 use super::captures::Reading;
-use super::{Outcome, Result, hint, print, usage};
+use super::{Outcome, Result, hint, print, print_json, usage};
 use csi5300::pipeline::Bearing;
 use csi5300::pipeline::Options;
 use csi5300::pipeline::PathAnswer;
-use csi5300_lab::evaluate::{Judged, find};
+use csi5300_lab::evaluate::Judged;
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `explain`.
 #[derive(clap::Args)]
+#[command(
+    after_help = "Example, with a link as `evaluate DIR` names it:\n  csi5300 explain DIR/LOS_Set_A/L1/2024-01-01_120000/tx2 --out pictures"
+)]
 pub struct Args {
-    /// A capture, or a link of it: CAPTURE/tx2
+    /// A capture, a folder with captures below it, or a link: either of them, / and the link's name or the end of it (tx2)
     link: PathBuf,
     #[command(flatten)]
     reading: Reading,
@@ -20,53 +23,115 @@ pub struct Args {
     #[cfg(feature = "plot")]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Overwrite pictures of the same names
+    #[cfg(feature = "plot")]
+    #[arg(long)]
+    force: bool,
+    /// JSON Lines: one object a link
+    #[arg(long)]
+    json: bool,
+}
+
+/// A line of JSON: what `evaluate` says of the link, and what the search found out on its way.
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    #[serde(flatten)]
+    judged: &'a Judged,
+    /// Places at which the search evaluated the joint power.
+    places_searched: Option<usize>,
+    /// Standard deviation of the phase that the answer leaves unexplained, radians.
+    residual_phase_rad: Option<f64>,
+    /// Rows of the samples that share an error.
+    correlated_rows: Option<f64>,
+}
+
+impl<'a> Row<'a> {
+    fn new(judged: &'a Judged, bearing: &Bearing) -> Self {
+        let fix = bearing.placed.as_ref().map(|placed| &placed.fix);
+        Self {
+            judged,
+            places_searched: fix.map(|fix| fix.evaluations),
+            residual_phase_rad: fix.map(|fix| fix.deviations.phase_variance.sqrt()),
+            correlated_rows: fix.map(|fix| fix.deviations.correlated_rows),
+        }
+    }
+}
+
+/// The folder of a link, and what is left of its name. What does not end as names of links do is a folder.
+fn parts(link: &Path) -> (PathBuf, Option<String>) {
+    let last = link.file_name().unwrap_or_default().to_string_lossy();
+    let is_link = last.strip_prefix("tx").is_some_and(|number| number.bytes().all(|digit| digit.is_ascii_digit()));
+    let folder = link.ancestors().find(|folder| folder.is_dir()).filter(|_| is_link).unwrap_or(link);
+    let rest = link.strip_prefix(folder).unwrap_or(Path::new("")).to_string_lossy().into_owned();
+    (folder.to_path_buf(), Some(rest).filter(|rest| !rest.is_empty()))
+}
+
+/// True for the link of this name, or of a name that ends with it.
+fn is_wanted(name: &str, wanted: Option<&str>) -> bool {
+    wanted.is_none_or(|wanted| name == wanted || name.ends_with(&format!("/{wanted}")))
 }
 
 /// Shows links from end to end.
 pub fn run(args: &Args) -> Result {
     let options = args.reading.options().unwrap_or_else(|message| usage(&message));
     let options = options.with_keep_course(true);
-    let (folder, wanted) = match (args.link.is_dir(), args.link.parent(), args.link.file_name()) {
-        (false, Some(folder), Some(name)) => (folder.to_path_buf(), Some(format!("/{}", name.to_string_lossy()))),
-        _ => (args.link.clone(), None),
-    };
-    let (captures, _) = find(&folder);
-    let mut shown = 0;
-    let mut lost = false;
+    let (folder, wanted) = parts(&args.link);
+    let (captures, unreadable) = args.reading.find(&folder)?;
+    for folder in &unreadable {
+        wrong!("cannot read {folder}");
+    }
+    let mut names = captures.iter().flat_map(|own| own.transmitters.iter().map(|(name, _)| own.link_name(name)));
+    if !names.any(|name| is_wanted(&name, wanted.as_deref())) {
+        let name = wanted.unwrap_or_default();
+        return Err(format!("{} is no link of {}: `evaluate` and `report` name them", name, folder.display()));
+    }
+    let (mut shown, mut lost) = (0, !unreadable.is_empty());
     for capture in &captures {
+        let wants = |name: &str| is_wanted(name, wanted.as_deref());
+        if !capture.transmitters.iter().any(|(name, _)| wants(&capture.link_name(name))) {
+            continue;
+        }
         let mut links: Vec<(String, Bearing)> = Vec::new();
         let mut look = |name: &str, bearing: &Bearing, _: &Options| {
-            if wanted.as_ref().is_none_or(|wanted| name.ends_with(wanted.as_str())) {
+            if wants(name) {
                 links.push((name.to_owned(), bearing.clone()));
             }
         };
         let mut evaluated = capture.evaluate_and(args.reading.source(), args.reading.channel, &options, &mut look);
         hint::add_all(&mut evaluated.rows);
         lost |= evaluated.lost;
+        evaluated.notes.iter().for_each(|line| note!("{line}"));
         for (name, bearing) in &links {
             let Some(row) = evaluated.rows.iter().find(|row| row.answer.link == *name) else { continue };
-            print(&describe(row, bearing));
+            if args.json {
+                print_json(&Row::new(row, bearing));
+            } else {
+                print(&describe(row, bearing));
+            }
             shown += 1;
             #[cfg(feature = "plot")]
             draw(args, row, bearing)?;
         }
-        for row in evaluated.rows.iter().filter(|row| row.answer.error.is_some()) {
-            eprintln!("csi5300: {}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
+        let failed = evaluated.rows.iter().filter(|row| wants(&row.answer.link));
+        for row in failed.filter(|row| row.answer.error.is_some()) {
+            wrong!("{}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
         }
     }
-    match shown {
-        0 if captures.is_empty() => Err(format!("no capture in or below {}", folder.display())),
-        0 => Err(format!("no link{} in {} gave a bearing", wanted.unwrap_or_default(), folder.display())),
-        _ => Ok(if lost { Outcome::DataLost } else { Outcome::Done }),
-    }
+    Ok(match (shown, lost) {
+        (0, _) => Outcome::Nothing,
+        (_, true) => Outcome::DataLost,
+        (_, false) => Outcome::Done,
+    })
 }
 
 #[cfg(feature = "plot")]
 fn draw(args: &Args, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
     let Some(folder) = &args.out else { return Ok(()) };
+    let first = format!("{}-trajectory.png", csi5300_lab::show::file_safe(&row.answer.link));
+    super::must_not_exist(&folder.join(first), args.force)?;
     let pictures = csi5300_lab::show::link::LinkPictures::of(row, bearing, args.reading.source());
     let written = pictures.write_all(folder, &row.answer.link).map_err(|error| error.to_string())?;
-    eprintln!("{}: {} pictures", folder.display(), written.len());
+    note!("{}: {} pictures", folder.display(), written.len());
     Ok(())
 }
 

@@ -1,10 +1,10 @@
 //! `csi5300 export`.
 
-use super::{Outcome, Result, info, usage};
+use super::{Outcome, Result, info, print_json, usage};
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::signal::csi::{Csi, scale_factor, total_rss_dbm};
 use csi5300::source::survey::{Identity, Survey};
-use csi5300::source::{CsiSource, Next, replay::Replay};
+use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
 use csi5300_lab::export::{Export, KNOWN, is_known};
 use csi5300_lab::table::{Filter, Form, Reading};
@@ -38,9 +38,28 @@ pub struct Args {
     /// Only records of which one of these antennas was used, and only their CSI: letters such as AC
     #[arg(long, value_name = "LETTERS")]
     antennas: Option<String>,
+    /// One JSON object about what was written
+    #[arg(long)]
+    json: bool,
     /// Overwrite the output if it is there
     #[arg(long)]
     force: bool,
+}
+
+/// The line of JSON.
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    output: &'a Path,
+    /// Records written.
+    records: u64,
+    /// Records left out, as was asked for.
+    left_out: u64,
+    /// Records written without a scale.
+    without_scale: u64,
+    /// Records written in the order of chains, as their antennas are not known.
+    without_antennas: u64,
+    /// Records and stretches of the log that were damaged.
+    damaged: u64,
 }
 
 type Words<T> = std::result::Result<T, String>;
@@ -90,23 +109,33 @@ pub fn run(args: &Args) -> Result {
         Some("csv") => csv(args, &filter)?,
         _ => table(args, filter)?,
     };
-    eprint!("{}", info::losses(&survey, bytes));
+    if args.json {
+        print_json(&Row {
+            output: &args.output,
+            records,
+            left_out: survey.bfees().saturating_sub(records),
+            without_scale: unscaled,
+            without_antennas: survey.bad_permutations,
+            damaged: survey.damages + survey.bad_bfee,
+        });
+    }
+    notes!("{}", info::losses(&survey, bytes));
     if survey.bad_permutations > 0 {
-        eprintln!(
+        note!(
             "  {} records without a valid antenna_sel are in chain order (antennas_known 0)",
             survey.bad_permutations
         );
     }
     if unscaled > 0 {
-        eprintln!("  {unscaled} of {records} records have no scale (RSSI or CSI all 0): not a number there");
+        note!("  {unscaled} of {records} records have no scale (RSSI or CSI all 0): not a number there");
     }
     if records < survey.bfees() {
-        eprintln!("  {} records were left out, as was asked for", survey.bfees() - records);
+        note!("  {} records were left out, as was asked for", survey.bfees() - records);
     }
     if records == 0 {
         super::remove_empty(&args.output);
     } else {
-        eprintln!("{records} records written to {}", args.output.display());
+        note!("{records} records written to {}", args.output.display());
     }
     Ok(match (records, survey.lost_something()) {
         (0, _) => Outcome::Nothing,
@@ -117,7 +146,7 @@ pub fn run(args: &Args) -> Result {
 
 /// Reads the log once into memory, packed, and writes it.
 fn table(args: &Args, filter: Filter) -> Words<Written> {
-    let source = Replay::open(&args.file).map_err(|error| super::hint::log_refused(&error))?;
+    let source = super::open_log(&args.file)?;
     let antennas = filter.antennas().map(<[Antenna]>::to_vec);
     let mut reading = Reading::new(source, filter);
     while reading.burst(Instant::ZERO, usize::MAX).map_err(|error| error.to_string())? {}
@@ -139,7 +168,7 @@ fn scan(
     filter: &Filter,
     mut each: impl FnMut(&Bfee<'_>, Identity, i64) -> Words<()>,
 ) -> Words<(Survey, u64)> {
-    let mut source = Replay::open(path).map_err(|error| super::hint::log_refused(&error))?;
+    let mut source = super::open_log(path)?;
     let (mut survey, mut first_us) = (Survey::default(), None);
     loop {
         let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;

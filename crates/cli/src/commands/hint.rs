@@ -18,7 +18,7 @@ pub fn words(error: &LinkError) -> String {
         LinkError::AllCut { pairs, length_s } => {
             format!("all {pairs} pairs are outside --from and --to (the link lasts {length_s:.3} s)")
         }
-        LinkError::RowsNotTimes { .. } => format!("{error} (--join-rows, --clock-offset)"),
+        LinkError::RowsNotTimes { .. } => format!("{error} (--clock-offset)"),
         LinkError::TooLarge { .. } => format!("{error} (--from and --to cut a piece)"),
         LinkError::OutsideTrajectory { other_fits: true, .. } => {
             format!("{error} Try --rx and --tx the other way round")
@@ -28,13 +28,21 @@ pub fn words(error: &LinkError) -> String {
     }
 }
 
-/// An error of `bearing` in words: it alone has `--tx-mac` and `--join-rows`.
+/// An error of a command that has `--join-rows` in words.
+fn joined_words(error: &LinkError) -> String {
+    match error {
+        LinkError::RowsNotTimes { .. } => format!("{error} (--join-rows, --clock-offset)"),
+        LinkError::NoHostTime => format!("{error} (--join-rows)"),
+        _ => words(error),
+    }
+}
+
+/// An error of `bearing` in words: it alone has `--tx-mac`.
 fn bearing_words(error: &LinkError) -> String {
     match error {
-        LinkError::NoHostTime => format!("{error} (--join-rows)"),
         LinkError::Unmatched(Unmatched::Unclear { .. } | Unmatched::Taken { .. }) => format!("{error} with --tx-mac"),
         LinkError::Unmatched(Unmatched::Named { .. }) => format!("{error} (--tx-mac)"),
-        _ => words(error),
+        _ => joined_words(error),
     }
 }
 
@@ -49,7 +57,7 @@ pub fn add(answer: &mut Answer) {
 pub fn add_all(rows: &mut [csi5300_lab::evaluate::Judged]) {
     for answer in rows.iter_mut().map(|row| &mut row.answer) {
         if let Some(cause) = &answer.cause {
-            answer.error = Some(words(cause));
+            answer.error = Some(joined_words(cause));
         }
     }
 }
@@ -63,8 +71,9 @@ mod tests {
         let unclear = LinkError::Unmatched(Unmatched::Unclear { spread_us: 1.0, next_us: 1.5 });
         assert!(bearing_words(&unclear).ends_with("name its MAC with --tx-mac"));
         assert!(!words(&unclear).contains("--tx-mac"));
-        // Only `bearing` joins rows.
+        // `sound` joins no rows.
         assert!(bearing_words(&LinkError::NoHostTime).contains("--join-rows"));
+        assert!(joined_words(&LinkError::NoHostTime).contains("--join-rows"));
         assert!(!words(&LinkError::NoHostTime).contains("--join-rows"));
         let directory = log_refused(&Error::Directory { path: "logs".into() });
         assert_eq!(directory, "logs is a directory: name a .dat file inside it, or use `evaluate`");

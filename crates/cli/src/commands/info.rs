@@ -2,7 +2,7 @@
 
 use super::{Outcome, Result, print, print_json};
 use csi5300::source::survey::{ClockSteps, LOSSES_KEPT, SENDERS_KEPT, Sender, Survey};
-use csi5300::source::{CsiSource, Next, replay::Replay};
+use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
 use driver_iface::Mac;
 use driver_iface::record::{Tail, code};
@@ -80,7 +80,7 @@ pub fn run(args: &Args) -> Result {
             }
             Err(message) => {
                 failed = true;
-                eprintln!("csi5300: {message}");
+                wrong!("{message}");
             }
         }
     }
@@ -92,7 +92,7 @@ pub fn run(args: &Args) -> Result {
 }
 
 fn survey(path: &Path) -> std::result::Result<(Survey, u64), String> {
-    let mut source = Replay::open(path).map_err(|error| super::hint::log_refused(&error))?;
+    let mut source = super::open_log(path)?;
     let mut survey = Survey::default();
     loop {
         let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;

@@ -60,7 +60,7 @@ pub fn run(args: &Args) -> Result {
         }
     };
     key_file::create(file, &content).map_err(text)?;
-    eprintln!("{}: a new key, mode 0600", file.display());
+    note!("{}: a new key, mode 0600", file.display());
     Ok(Outcome::Done)
 }
 

@@ -1,10 +1,10 @@
 //! `csi5300 locate`.
 
 use super::captures::Reading;
-use super::{Outcome, Result, hint, print, print_json};
+use super::{Outcome, Result, hint, print, print_json, some};
 use csi5300::maths::median;
+use csi5300_lab::evaluate::Judged;
 use csi5300_lab::evaluate::quality::{Receiver, UNKNOWN_PROBABILITY, receivers};
-use csi5300_lab::evaluate::{Judged, find};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -12,8 +12,12 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 pub struct Args {
     /// A capture, or a folder with captures below it; the places of the transmitters are read from
-    /// groundtruth_positions.json
+    /// groundtruth_positions.json, where it is there
     folder: PathBuf,
+    /// Where a transmitter is, metres in the trajectory's frame, as links name it: tx2=-3.18,1.11. For captures without a
+    /// truth, or instead of it
+    #[arg(long, value_name = "NAME=X,Y", value_parser = place, allow_hyphen_values = true)]
+    place: Vec<(String, [f64; 2])>,
     #[command(flatten)]
     reading: Reading,
     /// JSON Lines: one object a receiver
@@ -21,15 +25,21 @@ pub struct Args {
     json: bool,
 }
 
+fn place(text: &str) -> std::result::Result<(String, [f64; 2]), String> {
+    let parts = text.split_once('=').and_then(|(name, place)| {
+        let (x, y) = place.split_once(',')?;
+        Some((name.to_owned(), [x.trim().parse::<f64>().ok()?, y.trim().parse::<f64>().ok()?]))
+    });
+    let good = parts.filter(|(name, place)| !name.is_empty() && place.iter().all(|value| value.is_finite()));
+    good.ok_or_else(|| "a name and two numbers of metres, such as tx2=-3.18,1.11".into())
+}
+
 /// Locates the receiver of every capture.
 pub fn run(args: &Args) -> Result {
     let options = args.reading.options()?;
-    let (captures, unreadable) = find(&args.folder);
+    let (captures, unreadable) = args.reading.find(&args.folder)?;
     for folder in &unreadable {
-        eprintln!("csi5300: cannot read {folder}");
-    }
-    if captures.is_empty() {
-        return Err(format!("no capture in or below {}", args.folder.display()));
+        wrong!("cannot read {folder}");
     }
     let mut lost = !unreadable.is_empty();
     let mut rows: Vec<Judged> = Vec::new();
@@ -37,7 +47,12 @@ pub fn run(args: &Args) -> Result {
         let mut evaluated = capture.evaluate(args.reading.source(), args.reading.channel, &options);
         hint::add_all(&mut evaluated.rows);
         lost |= evaluated.lost;
+        evaluated.notes.iter().for_each(|line| note!("{line}"));
         rows.extend(evaluated.rows);
+    }
+    for row in &mut rows {
+        let own = args.place.iter().find(|(name, _)| row.answer.link.rsplit('/').next() == Some(name));
+        row.true_transmitter_m = own.map(|(_, place)| *place).or(row.true_transmitter_m);
     }
     let found = receivers(&rows);
     if args.json {
@@ -45,7 +60,15 @@ pub fn run(args: &Args) -> Result {
     } else {
         print(&table(&found, &rows));
     }
-    Ok(match found.iter().any(|receiver| receiver.position_m.is_some()) {
+    for row in rows.iter().filter(|row| row.answer.error.is_some()) {
+        wrong!("{}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
+    }
+    let is_placed = rows.iter().any(|row| row.true_transmitter_m.is_some());
+    if !is_placed {
+        note!("a receiver is located from transmitters whose places are known: --place NAME=X,Y");
+    }
+    let is_seen = || !is_placed && rows.iter().any(|row| row.answer.position_m.is_some());
+    Ok(match found.iter().any(|receiver| receiver.position_m.is_some()) || is_seen() {
         false => Outcome::Nothing,
         true if lost => Outcome::DataLost,
         true => Outcome::Done,
@@ -60,10 +83,10 @@ fn table(found: &[Receiver], rows: &[Judged]) -> String {
             (Some([x, y]), Some(c)) => {
                 let _ = write!(
                     text,
-                    "x {x:.2} +- {:.2} m, y {y:.2} +- {:.2} m from {} links",
+                    "x {x:.2} +- {:.2} m, y {y:.2} +- {:.2} m from {}",
                     c[0][0].sqrt(),
                     c[1][1].sqrt(),
-                    receiver.links
+                    some(receiver.links as u64, "link", "links")
                 );
             }
             _ => text += receiver.error.as_deref().unwrap_or("not located"),
@@ -87,7 +110,8 @@ fn table(found: &[Receiver], rows: &[Judged]) -> String {
     }
     let mut off: Vec<f64> = found.iter().filter_map(|receiver| receiver.off_m).collect();
     if let Some(median) = median(&mut off) {
-        let _ = writeln!(text, "{} receivers located, median error {median:.2} m", off.len());
+        let _ =
+            writeln!(text, "{} located, median error {median:.2} m", some(off.len() as u64, "receiver", "receivers"));
     }
     text
 }

@@ -1,14 +1,13 @@
 //! `csi5300 mcap`.
 
 use super::args::{Estimation, channel};
-use super::{Outcome, Result, info, usage};
-use csi5300::motion::odometry;
+use super::{Outcome, Result, info, read_trajectory, usage};
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Front;
 use csi5300::pipeline::{Options, Transmitter, bearings};
 use csi5300::signal::channel::Channel;
 use csi5300::source::survey::Survey;
-use csi5300::source::{CsiSource, Next, replay::Replay};
+use csi5300::source::{CsiSource, Next};
 use csi5300::time::{Instant, Unwrap32};
 use csi5300_node::foxglove::{Channels, Recording};
 use std::path::{Path, PathBuf};
@@ -45,14 +44,14 @@ pub fn run(args: &Args) -> Result {
         let (survey, bytes) = convert(&mut recording.channels, name, path, args)?;
         usable += survey.bfees();
         lost |= survey.lost_something();
-        eprint!("{}: {} bfee records\n{}", path.display(), survey.bfees(), info::losses(&survey, bytes));
+        notes!("{}: {} bfee records\n{}", path.display(), survey.bfees(), info::losses(&survey, bytes));
     }
     if let Some(trajectory) = &trajectory {
         trajectory.poses().iter().for_each(|pose| recording.channels.pose(pose));
         recording.channels.path(trajectory.span_s().0, trajectory.poses().iter());
         match &options {
             Some(options) => lost |= estimate(&mut recording.channels, &names, trajectory, options, args)?,
-            None => eprintln!("no bearings: they need --channel"),
+            None => note!("no bearings: they need --channel"),
         }
     }
     recording.finish().map_err(|error| error.to_string())?;
@@ -70,7 +69,7 @@ fn convert(
     path: &Path,
     args: &Args,
 ) -> std::result::Result<(Survey, u64), String> {
-    let mut log = Replay::open(path).map_err(|error| super::hint::log_refused(&error))?;
+    let mut log = super::open_log(path)?;
     let mut front = Front::new(args.estimation.antenna);
     let (mut clock, mut first_card_us) = (Unwrap32::default(), None);
     loop {
@@ -103,9 +102,8 @@ fn estimate(
     let Some((receiver, others)) = args.logs.split_first().filter(|(_, others)| !others.is_empty()) else {
         return Ok(false);
     };
-    let mut receiver = Replay::open(receiver).map_err(text)?;
-    let mut logs =
-        others.iter().map(|path| Replay::open(path)).collect::<std::result::Result<Vec<_>, _>>().map_err(text)?;
+    let mut receiver = super::open_log(receiver)?;
+    let mut logs = others.iter().map(|path| super::open_log(path)).collect::<std::result::Result<Vec<_>, _>>()?;
     let transmitters =
         logs.iter_mut().map(|log| Transmitter { log: log as &mut dyn CsiSource, trajectory: None }).collect();
     let report = bearings(&mut receiver, transmitters, trajectory, options).map_err(text)?;
@@ -114,10 +112,10 @@ fn estimate(
         match &link.bearing {
             Ok(bearing) => {
                 channels.bearing(name, bearing).map_err(|error| error.to_string())?;
-                eprintln!("{name}: {:.2} deg", bearing.answer.azimuth_rad.to_degrees());
+                note!("{name}: {:.2} deg", bearing.answer.azimuth_rad.to_degrees());
             }
             Err(error) => {
-                eprintln!("csi5300: {name}: {error}");
+                wrong!("{name}: {error}");
                 failed = true;
             }
         }
@@ -131,8 +129,4 @@ fn names(logs: &[PathBuf]) -> Vec<String> {
         logs.iter().map(|path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned()).collect();
     let again = |k: usize| stems.iter().filter(|other| **other == stems[k]).count() > 1;
     (0..stems.len()).map(|k| if again(k) { format!("{}.{}", stems[k], k + 1) } else { stems[k].clone() }).collect()
-}
-
-fn read_trajectory(path: &Path) -> std::result::Result<Trajectory, String> {
-    odometry::csv::read(path).map(|(trajectory, _)| trajectory).map_err(|error| format!("{}: {error}", path.display()))
 }

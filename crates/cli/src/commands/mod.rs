@@ -1,5 +1,8 @@
 //! Words to calls, results to exit codes. Results go to standard output, diagnostics to standard error.
 
+#[macro_use]
+mod say;
+
 mod args;
 mod bearing;
 mod captures;
@@ -11,6 +14,7 @@ mod doctor;
 mod evaluate;
 mod explain;
 mod export;
+mod files;
 mod folds;
 mod hint;
 mod info;
@@ -24,6 +28,8 @@ mod locate;
 mod mcap;
 #[cfg(feature = "node")]
 mod node;
+#[cfg(feature = "node")]
+mod places;
 #[cfg(feature = "plot")]
 mod plot;
 mod profile;
@@ -54,6 +60,9 @@ mod view;
 mod watch;
 
 use clap::{Parser, Subcommand};
+pub use files::{is_same_file, must_not_exist, open_log, read_trajectory, remove_empty};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use say::Level;
 use std::process::ExitCode;
 
 /// How a command ended.
@@ -92,6 +101,23 @@ pub type Result = std::result::Result<Outcome, String>;
                   3  done, but records were lost before the end of a log, or a link or capture failed"
 )]
 struct Cli {
+    /// Say nothing but results and errors: no notes, no progress
+    #[arg(short, long, global = true, display_order = 900)]
+    quiet: bool,
+    /// Also say what is read, how long the command took and how much memory
+    #[arg(short, long, global = true, conflicts_with = "quiet", display_order = 901)]
+    verbose: bool,
+    /// Colours in words
+    #[arg(
+        long,
+        alias = "colour",
+        value_enum,
+        default_value_t,
+        value_name = "WHEN",
+        global = true,
+        display_order = 902
+    )]
+    color: say::When,
     #[command(subcommand)]
     command: Command,
 }
@@ -182,8 +208,27 @@ struct Missing {
 
 /// Runs the command named by the arguments.
 pub fn run() -> ExitCode {
+    let begun = std::time::Instant::now();
     let cli = Cli::parse();
-    let result = match cli.command {
+    let level = match (cli.quiet, cli.verbose) {
+        (true, _) => Level::Quiet,
+        (false, false) => Level::Usual,
+        (false, true) => Level::Verbose,
+    };
+    say::set(level, cli.color);
+    let result = execute(cli.command);
+    detail!("{}", say::used(begun));
+    match result {
+        Ok(outcome) => outcome.into(),
+        Err(message) => {
+            wrong!("{message}");
+            Outcome::Nothing.into()
+        }
+    }
+}
+
+fn execute(command: Command) -> Result {
+    match command {
         Command::Demo(args) => demo::run(&args),
         Command::Bearing(args) => bearing::run(*args),
         Command::Info(args) => info::run(&args),
@@ -226,19 +271,12 @@ pub fn run() -> ExitCode {
         Command::Watch(args) => watch::run(&args),
         #[cfg(feature = "live")]
         Command::Setup(args) => setup::run(&args),
-    };
-    match result {
-        Ok(outcome) => outcome.into(),
-        Err(message) => {
-            eprintln!("csi5300: {message}");
-            Outcome::Nothing.into()
-        }
     }
 }
 
 /// Ends the command as wrong usage, as the argument parser does.
 pub fn usage(message: &str) -> ! {
-    eprintln!("csi5300: {message}");
+    wrong!("{message}");
     std::process::exit(2);
 }
 
@@ -249,30 +287,9 @@ pub fn print(text: &str) {
         Ok(()) => {}
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => std::process::exit(0),
         Err(error) => {
-            eprintln!("csi5300: standard output: {error}");
+            wrong!("standard output: {error}");
             std::process::exit(1);
         }
-    }
-}
-
-/// True if both names lead to one file, by whatever links; `-` is what standard input was opened from.
-pub fn is_same_file(input: &std::path::Path, output: &std::path::Path) -> bool {
-    use std::os::unix::fs::MetadataExt;
-    let input = if input.as_os_str() == "-" { std::path::Path::new("/dev/stdin") } else { input };
-    match (input.metadata(), output.metadata()) {
-        (Ok(a), Ok(b)) => (a.dev(), a.ino()) == (b.dev(), b.ino()),
-        _ => false,
-    }
-}
-
-/// Refuses an output that is there already, unless `--force` was given.
-pub fn must_not_exist(output: &std::path::Path, force: bool) -> std::result::Result<(), String> {
-    // Devices and pipes hold nothing that could be lost.
-    match output.metadata() {
-        Ok(found) if !force && found.is_file() => {
-            Err(format!("{} is there already: --force overwrites it", output.display()))
-        }
-        _ => Ok(()),
     }
 }
 
@@ -280,15 +297,18 @@ pub fn must_not_exist(output: &std::path::Path, force: bool) -> std::result::Res
 pub fn progress(text: &str) {
     use std::io::{IsTerminal, Write};
     let mut stderr = std::io::stderr().lock();
-    if stderr.is_terminal() {
+    if stderr.is_terminal() && say::says(Level::Usual) {
         let _ = write!(stderr, "\r\x1b[K{text}").and_then(|()| stderr.flush());
     }
 }
 
-/// Takes away an output in which nothing is, so that nobody takes it for a result; devices and pipes stay.
-pub fn remove_empty(output: &std::path::Path) {
-    if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
-        eprintln!("nothing to write: no {}", output.display());
+/// A bar on a terminal that says how far a long command is.
+pub fn bar(steps: u64, template: &str) -> ProgressBar {
+    let target = if say::says(Level::Usual) { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
+    let bar = ProgressBar::with_draw_target(Some(steps), target);
+    match ProgressStyle::with_template(template) {
+        Ok(style) => bar.with_style(style),
+        Err(_) => bar,
     }
 }
 
@@ -316,6 +336,6 @@ pub fn is_end_of_room(error: &(dyn std::error::Error + 'static)) -> bool {
 pub fn print_json(value: &impl serde::Serialize) {
     match serde_json::to_string(value) {
         Ok(line) => print(&format!("{line}\n")),
-        Err(error) => eprintln!("csi5300: {error}"),
+        Err(error) => wrong!("{error}"),
     }
 }

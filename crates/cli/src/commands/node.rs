@@ -1,6 +1,6 @@
 //! `csi5300 node`.
 
-use super::{Outcome, Result, is_end_of_room, print, usage};
+use super::{Outcome, Result, is_end_of_room, print, say, usage};
 use csi5300_node::config::{Capture, Config};
 use csi5300_node::service::{self, Ended};
 use std::path::PathBuf;
@@ -8,9 +8,10 @@ use std::path::PathBuf;
 /// Arguments of `node`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The robot's configuration; packaging/robot.toml explains every key
+    /// The robot's configuration; packaging/robot.toml explains every key. If not given: robot.toml in this folder, in
+    /// ~/.config/csi5300 ($XDG_CONFIG_HOME), or in /etc/csi5300
     #[arg(long, value_name = "ROBOT.toml")]
-    config: PathBuf,
+    config: Option<PathBuf>,
     /// Check the configuration, start nothing
     #[arg(long)]
     check: bool,
@@ -18,21 +19,22 @@ pub struct Args {
 
 /// Runs the robot's own service.
 pub fn run(args: &Args) -> Result {
-    let config = Config::load(&args.config).unwrap_or_else(|error| {
-        let lines: Vec<String> =
-            error.0.iter().map(|problem| format!("{}: {problem}", args.config.display())).collect();
+    let found = args.config.clone().map_or_else(super::places::configuration, Ok);
+    let file = found.unwrap_or_else(|message| usage(&message));
+    let config = Config::load(&file).unwrap_or_else(|error| {
+        let lines: Vec<String> = error.0.iter().map(|problem| format!("{}: {problem}", file.display())).collect();
         usage(&lines.join("\ncsi5300: "))
     });
     if args.check {
-        print(&format!("{}: good\n", args.config.display()));
+        print(&format!("{}: {}\n", file.display(), say::toned("good", say::Tone::Good)));
         return Ok(Outcome::Done);
     }
     let name = config.name.clone().unwrap_or_else(host_name);
     let ended = service::run(&config, name).map_err(|error| error.to_string())?;
-    eprint!("{}", summary(&ended));
+    notes!("{}", summary(&ended));
     match &ended.error {
         Some(error) if matches!(config.capture.get_ref(), Capture::Served(_)) && is_end_of_room(error) => {
-            eprintln!("the room has ended");
+            note!("the room has ended");
         }
         Some(error) => return Err(error.to_string()),
         None => {}

@@ -15,7 +15,8 @@ use std::path::{Path, PathBuf};
     after_help = "NAME-csi: amplitude and phase of each antenna over time and subcarrier, as heat maps. NAME-levels: \
                         amplitude, RSSI and gain over time, and the rate, with gaps, losses and steps back of the card's \
                         clock marked. Times are of the card's clock, from the first record on.\n\
-                        Example: csi5300 plot rx.dat --antenna A --from 2 --to 8 --out pictures"
+                        Examples:\n  csi5300 plot rx.dat --antenna A --from 2 --to 8 --out pictures\n  \
+                        csi5300 plot rx.dat --format pdf --size 900x700"
 )]
 pub struct Args {
     /// Logs
@@ -45,6 +46,9 @@ pub struct Args {
     /// Formats
     #[arg(long, value_enum, value_delimiter = ',', default_values_t = [Kind::Png, Kind::Svg], value_name = "FORMAT,..")]
     format: Vec<Kind>,
+    /// JSON Lines: one object a log, with the names of its pictures
+    #[arg(long)]
+    json: bool,
     /// Overwrite pictures of the same names
     #[arg(long)]
     force: bool,
@@ -53,8 +57,29 @@ pub struct Args {
 /// A format of pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 enum Kind {
+    /// Pixels
     Png,
+    /// Vectors, for the web
     Svg,
+    /// Vectors with the font inside, for papers
+    Pdf,
+}
+
+impl Kind {
+    fn extension(self) -> &'static str {
+        match self {
+            Self::Png => "png",
+            Self::Svg => "svg",
+            Self::Pdf => "pdf",
+        }
+    }
+}
+
+/// A line of JSON.
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    log: &'a Path,
+    pictures: &'a [PathBuf],
 }
 
 fn size(text: &str) -> std::result::Result<(f64, f64), String> {
@@ -70,8 +95,8 @@ pub fn run(args: &Args) -> Result {
     if !(24.0..=1_200.0).contains(&args.dpi) {
         usage("--dpi takes 24 to 1200");
     }
-    let (png, svg) = (args.format.contains(&Kind::Png), args.format.contains(&Kind::Svg));
-    let format = Format { size: args.size, dpi: args.dpi, png, svg };
+    let [png, svg, pdf] = [Kind::Png, Kind::Svg, Kind::Pdf].map(|kind| args.format.contains(&kind));
+    let format = Format { size: args.size, dpi: args.dpi, png, svg, pdf };
     let wanted =
         Wanted::default().with_macs(args.mac.clone()).with_antennas(args.antenna.clone()).with_cut(args.from, args.to);
     let (mut drawn, mut failed) = (0, 0);
@@ -81,12 +106,16 @@ pub fn run(args: &Args) -> Result {
             Ok(written) => {
                 super::progress("");
                 drawn += 1;
-                written.iter().for_each(|path| eprintln!("{}", path.display()));
+                if args.json {
+                    super::print_json(&Row { log, pictures: &written });
+                } else {
+                    written.iter().for_each(|path| note!("{}", path.display()));
+                }
             }
             Err(message) => {
                 super::progress("");
                 failed += 1;
-                eprintln!("csi5300: {message}");
+                wrong!("{message}");
             }
         }
     }
@@ -113,13 +142,15 @@ fn draw(
     format: Format,
 ) -> std::result::Result<Vec<PathBuf>, String> {
     for what in ["csi", "levels"] {
-        for extension in ["png", "svg"] {
-            super::must_not_exist(&PathBuf::from(format!("{}-{what}.{extension}", stem.display())), args.force)?;
+        for kind in &args.format {
+            let picture = format!("{}-{what}.{}", stem.display(), kind.extension());
+            super::must_not_exist(&PathBuf::from(picture), args.force)?;
         }
     }
     if log.as_os_str() == "-" {
         usage("a log is read twice for its pictures, and standard input only once: name a file");
     }
+    super::files::must_be_log(log)?;
     let course = Course::read(log, wanted).map_err(|error| hint::log_refused(&error))?;
     if course.records == 0 {
         return Err(format!("{}: no record that is wanted: `csi5300 info` says what is in it", log.display()));

@@ -59,6 +59,9 @@ pub struct Args {
     /// A full page of live figures instead of one line
     #[arg(long)]
     watch: bool,
+    /// One JSON object about the recording at its end
+    #[arg(long, conflicts_with = "live")]
+    json: bool,
     #[command(flatten)]
     listening: Listening,
     #[command(flatten)]
@@ -105,13 +108,13 @@ pub fn run(args: &Args) -> Result {
         status: Status::new(clock.now()),
         view: if args.watch {
             View::Page
-        } else if terminal {
+        } else if terminal && super::say::says(super::say::Level::Usual) {
             View::Line
         } else {
             View::None
         },
     };
-    eprintln!("{}; recording to {}", listener.describe(), args.out.display());
+    note!("{}; recording to {}", listener.describe(), args.out.display());
     let sync_every = (args.sync_every > Span::ZERO).then_some(args.sync_every);
     let recorder = Recorder::new(listener, files, Options::default().with_sync_every(sync_every)).map_err(text)?;
     let (failed, listener, files, totals) = if args.live {
@@ -122,7 +125,7 @@ pub fn run(args: &Args) -> Result {
         let (recorder, _, piped) = tee.finish(clock.now()).map_err(text)?;
         let missed = piped.received - piped.written;
         if missed > 0 {
-            eprintln!("standard output missed {missed} records; the log has them");
+            note!("standard output missed {missed} records; the log has them");
         }
         let (listener, files, totals) = recorder.finish(clock.now()).map_err(text)?;
         (failed, listener, files, totals)
@@ -133,12 +136,46 @@ pub fn run(args: &Args) -> Result {
         (failed, listener, files, totals)
     };
     session.clear();
-    eprint!("{}", summary(&session.status, &listener, &totals, &files.paths()));
+    notes!("{}", summary(&session.status, &listener, &totals, &files.paths()));
     if let Some(message) = failed {
-        eprintln!("csi5300: {message}");
+        wrong!("{message}");
     }
     let lost = losses(&totals, &listener.lost());
+    if args.json {
+        super::print_json(&Row::new(&session.status, &totals, lost, &files));
+    }
     Ok(outcome(&totals, lost, session.status.survey.lost_something(), &files))
+}
+
+/// The line of JSON.
+#[derive(serde::Serialize)]
+struct Row {
+    files: Vec<PathBuf>,
+    /// Records in them.
+    records: u64,
+    /// From the first record to the last, seconds.
+    seconds: f64,
+    /// Messages that the kernel dropped, records that the driver did, and those that the disk did not take.
+    lost_kernel: u64,
+    lost_driver: u64,
+    lost_disk: u64,
+    /// Records by sender.
+    senders: std::collections::BTreeMap<String, u64>,
+}
+
+impl Row {
+    fn new(status: &Status, totals: &Totals, lost: Losses, files: &LogFiles) -> Self {
+        let senders = status.survey.senders.iter().map(|(mac, sender)| (mac.to_string(), sender.records));
+        Self {
+            files: files.paths(),
+            records: totals.written,
+            seconds: status.first_at.zip(status.last_at).map_or(0.0, |(first, last)| (last - first).as_s()),
+            lost_kernel: lost.kernel,
+            lost_driver: lost.driver,
+            lost_disk: lost.disk,
+            senders: senders.collect(),
+        }
+    }
 }
 
 fn outcome(totals: &Totals, lost: Losses, damaged: bool, files: &LogFiles) -> Outcome {
@@ -179,7 +216,7 @@ impl Session<'_> {
             let pending = match &next {
                 Next::Lost(loss) => {
                     self.clear();
-                    eprintln!("{}", loss_words(loss));
+                    note!("{}", loss_words(loss));
                     false
                 }
                 // What was queued when the signal came has been read.
@@ -205,7 +242,7 @@ impl Session<'_> {
                 let (totals, lost) = tell(source);
                 if totals.error != told {
                     self.clear();
-                    eprintln!("csi5300: {}", totals.error.as_deref().unwrap_or_default());
+                    wrong!("{}", totals.error.as_deref().unwrap_or_default());
                     told = totals.error.clone();
                 }
                 self.look(now, losses(&totals, &lost));

@@ -2,7 +2,7 @@
 
 use super::{Outcome, Result};
 use csi5300::source::survey::{Identity, Survey};
-use csi5300::source::{CsiSource, Next, replay::Replay, side_path};
+use csi5300::source::{CsiSource, Next, side_path};
 use csi5300::time::Instant;
 use driver_iface::bfee::{Bfee, Iq, Repr};
 use driver_iface::record::{Record, code};
@@ -22,9 +22,25 @@ pub struct Args {
     /// Also bring records into this layout, which other tools (csiread, csitool) read
     #[arg(long, value_enum, value_name = "LAYOUT")]
     layout: Option<Layout>,
+    /// One JSON object about what was written and what was lost
+    #[arg(long)]
+    json: bool,
     /// Overwrite the output if it is there
     #[arg(long)]
     force: bool,
+}
+
+/// The line of JSON.
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    output: &'a Path,
+    /// Records written.
+    records: u64,
+    /// Records that were framed but hold something impossible.
+    bad_bfee: u64,
+    /// Stretches of bytes that are no record, and the bytes in them.
+    damages: u64,
+    damaged_bytes: u64,
 }
 
 /// A layout to bring records into.
@@ -128,7 +144,7 @@ pub fn run(args: &Args) -> Result {
     if super::is_same_file(&args.input, &args.output) {
         return Err(format!("{output} is the input itself: name another file"));
     }
-    let mut source = Replay::open(&args.input).map_err(|error| super::hint::log_refused(&error))?;
+    let mut source = super::open_log(&args.input)?;
     let stock = args.layout == Some(Layout::Stock);
     let data = create(&args.output, args.force)?;
     let side = stock.then(|| create(&side_path(&args.output), args.force)).transpose()?;
@@ -152,14 +168,18 @@ pub fn run(args: &Args) -> Result {
         out.kept += 1;
     }
     out.flush()?;
-    eprint!("{}", super::info::losses(&survey, source.bytes()));
+    if args.json {
+        let Survey { bad_bfee, damages, damaged_bytes, .. } = survey;
+        super::print_json(&Row { output: &args.output, records: out.kept, bad_bfee, damages, damaged_bytes });
+    }
+    notes!("{}", super::info::losses(&survey, source.bytes()));
     if out.kept == 0 {
         super::remove_empty(&args.output);
         if stock {
             super::remove_empty(&side_path(&args.output));
         }
     } else {
-        eprintln!("{} written to {output}", super::some(out.kept, "intact record", "intact records"));
+        note!("{} written to {output}", super::some(out.kept, "intact record", "intact records"));
     }
     Ok(match (out.kept, survey.lost_something()) {
         (0, _) => Outcome::Nothing,

@@ -4,7 +4,7 @@ use super::live::{Signals, duration, speed};
 use super::{Outcome, Result};
 use csi5300::source::paced::Paced;
 use csi5300::source::survey::Survey;
-use csi5300::source::{CsiSource, Next, replay::Replay};
+use csi5300::source::{CsiSource, Next};
 use csi5300::time::Span;
 use csi5300_live::netlink::Sender;
 use csi5300_live::wait::Monotonic;
@@ -54,7 +54,7 @@ impl Target {
 /// Plays a log.
 pub fn run(args: &Args) -> Result {
     let signals = Signals::catch()?;
-    let log = Replay::open(&args.file).map_err(|error| super::hint::log_refused(&error))?;
+    let log = super::open_log(&args.file)?;
     let mut target = match args.connector {
         true => Target::Connector(Sender::open(args.connector_index, true).map_err(|error| error.to_string())?),
         false => Target::Stdout(std::io::stdout().lock(), Vec::new()),
@@ -67,7 +67,7 @@ pub fn run(args: &Args) -> Result {
         match next {
             Next::Record(_, record) => {
                 if let Err(message) = target.send(record) {
-                    eprintln!("csi5300: after {sent} records: {message}");
+                    wrong!("after {sent} records: {message}");
                     return Ok(Outcome::DataLost);
                 }
                 sent += 1;
@@ -87,8 +87,8 @@ pub fn run(args: &Args) -> Result {
             }
         }
     }
-    eprint!("{}", super::info::losses(&survey, source.source().bytes()));
-    eprintln!("{sent} records played");
+    notes!("{}", super::info::losses(&survey, source.source().bytes()));
+    note!("{sent} records played");
     Ok(match (sent, survey.lost_something()) {
         (0, _) => Outcome::Nothing,
         (_, true) => Outcome::DataLost,

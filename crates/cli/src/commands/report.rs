@@ -2,7 +2,6 @@
 
 use super::captures::Reading;
 use super::{Outcome, Result, usage};
-use csi5300_lab::evaluate::find;
 use csi5300_lab::show::report::HtmlReport;
 use std::path::PathBuf;
 
@@ -37,11 +36,7 @@ pub fn run(args: &Args) -> Result {
     if args.interactive {
         return interactive(args);
     }
-    let (captures, unreadable) = find(&args.folder);
-    if captures.is_empty() {
-        let needed = "a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat";
-        return Err(format!("no capture below {}: {needed}", args.folder.display()));
-    }
+    let (captures, unreadable) = args.reading.find(&args.folder)?;
     let pictures_in = std::env::temp_dir().join(format!("csi5300-report-{}", std::process::id()));
     let mut report = if args.no_pictures { HtmlReport::new() } else { HtmlReport::with_pictures(pictures_in.clone()) };
     unreadable.iter().for_each(|folder| report.note(format!("cannot read {folder}")));
@@ -50,10 +45,10 @@ pub fn run(args: &Args) -> Result {
         report.add(capture, args.reading.source(), args.reading.channel, &options);
     }
     super::progress("");
-    let _ = std::fs::remove_dir_all(&pictures_in);
     let page = report.html(&args.folder.display().to_string());
+    let _ = std::fs::remove_dir_all(&pictures_in);
     std::fs::write(&args.out, &page).map_err(|error| format!("{}: {error}", args.out.display()))?;
-    eprintln!("{}: {} links, {} KiB", args.out.display(), report.rows().len(), page.len() / 1024);
+    note!("{}: {} links, {} KiB", args.out.display(), report.rows().len(), page.len() / 1024);
     Ok(match report.rows().any(|row| row.answer.azimuth_deg.is_some()) {
         false => Outcome::Nothing,
         true if report.lost() => Outcome::DataLost,
@@ -64,16 +59,14 @@ pub fn run(args: &Args) -> Result {
 /// Writes the page of `view` as one file.
 #[cfg(feature = "view")]
 fn interactive(args: &Args) -> Result {
-    if !args.folder.is_dir() {
-        return Err(format!("{} is not a folder", args.folder.display()));
-    }
+    args.reading.find(&args.folder)?;
     let reading = super::view::reading(&args.reading);
     let view = csi5300_view::View::open(&args.folder, reading).map_err(|error| error.to_string())?;
     view.finish(|done| super::progress(&format!("{done} of {} links", view.links())));
     super::progress("");
     let page = view.file().map_err(|error| error.to_string())?;
     std::fs::write(&args.out, &page).map_err(|error| format!("{}: {error}", args.out.display()))?;
-    eprintln!("{}: {} links, {} KiB", args.out.display(), view.links(), page.len() / 1024);
+    note!("{}: {} links, {} KiB", args.out.display(), view.links(), page.len() / 1024);
     Ok(match view.outcome() {
         (false, _) if view.links() > 0 => Outcome::Nothing,
         (_, true) => Outcome::DataLost,

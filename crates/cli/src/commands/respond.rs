@@ -43,7 +43,7 @@ impl Observer for Measuring {
         let Some((bfee, identity)) = self.survey.note(next) else { return };
         if self.carries && identity.frame_count.is_none() && bfee.wsr().is_none() && !self.told {
             self.told = true;
-            eprintln!("{NO_NUMBERS}");
+            note!("{NO_NUMBERS}");
         }
         if self.carries
             && proof != Proof::Wrong

@@ -79,12 +79,12 @@ pub fn run(mut scene: Scene, args: &Args) -> Result {
     let outputs = open(&scene, args)?;
     let server = args.socket.as_deref().map(Server::bind).transpose().map_err(|error| error.to_string())?;
     for (output, sender) in outputs.iter().filter_map(|output| Some((output, output.sender.as_ref()?))) {
-        eprintln!("serving {} on connector index {}", output.name, sender.index());
+        note!("serving {} on connector index {}", output.name, sender.index());
     }
     if let Some(path) = &args.socket {
         // A program that is to answer within microseconds has no time for the kernel's comfort; refused, it is late.
         let _ = set_timerslack(1);
-        eprintln!("serving the room at {}", path.display());
+        note!("serving the room at {}", path.display());
     }
     // Times are of now: the scene begins when this clock does.
     let clock = Monotonic::new();
@@ -152,7 +152,7 @@ impl Serving {
             // Both clocks at one moment: the kernel's stamps are of the one, the room's time is the other.
             *now = self.clock.now();
             next = server.turn(&mut self.room, *now, wall_us()).map_err(|error| error.to_string())?;
-            server.notice().into_iter().for_each(|why| eprintln!("a frame was not sent: {why}"));
+            server.notice().into_iter().for_each(|why| note!("a frame was not sent: {why}"));
         }
         for robot in &mut self.robots {
             next = [next, robot.pump(*now)?].into_iter().flatten().min();
@@ -166,14 +166,14 @@ impl Serving {
             sent += robot.sent;
             let number = self.room.number(&robot.name).unwrap_or_default();
             let done = injected.get(number).map_or_else(|| "nothing".into(), ToString::to_string);
-            eprintln!("{}: {} records sent; in the room: {done}", robot.name, robot.sent);
+            note!("{}: {} records sent; in the room: {done}", robot.name, robot.sent);
         }
         if let Some(server) = &self.server {
             sent += server.counts().records;
-            eprint!("{}", describe(self.room.scene(), &server.counts(), &injected));
+            notes!("{}", describe(self.room.scene(), &server.counts(), &injected));
         }
         if self.speed.is_finite() {
-            eprintln!("at most {:.1} ms behind real time", self.behind.as_s() * 1e3);
+            note!("at most {:.1} ms behind real time", self.behind.as_s() * 1e3);
         }
         if sent == 0 { Outcome::Nothing } else { Outcome::Done }
     }

@@ -1,7 +1,7 @@
 //! `csi5300 setup`.
 
 use super::args::channel;
-use super::{Outcome, Result, print};
+use super::{Outcome, Result, print, print_json};
 use clap::ValueEnum;
 use csi5300::signal::channel::Channel;
 use csi5300_live::doctor::{self, Machine, Request, SetupError, Step, default_interface, plan, undo, warnings};
@@ -30,6 +30,18 @@ pub struct Args {
     /// The steps back to an ordinary WiFi card; with --apply they are taken
     #[arg(long)]
     undo: bool,
+    /// JSON Lines: one object a step
+    #[arg(long)]
+    json: bool,
+}
+
+/// A line of JSON.
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    command: String,
+    why: &'a str,
+    may_fail: bool,
+    taken: bool,
 }
 
 /// What the robot does in a round.
@@ -75,20 +87,25 @@ pub fn run(args: &Args) -> Result {
                 Driver::Module => doctor::Driver::Module,
             });
             let request = Request { interface, channel, role, driver, ack_len: args.ack_len };
-            warnings(&system, &request).iter().for_each(|warning| eprintln!("{warning}"));
+            warnings(&system, &request).iter().for_each(|warning| note!("{warning}"));
             plan(&system, &request).map_err(|error| words(&error))?
         }
         (false, _, _) => return Err("--channel and --role are needed".into()),
     };
     for step in &steps {
-        print(&line(step));
+        if !args.json {
+            print(&line(step));
+        }
         if args.apply {
             step.take(&system)
                 .map_err(|error| format!("{error}\n  (`csi5300 setup --undo --apply` takes it all back)"))?;
         }
+        if args.json {
+            print_json(&Row { command: step.line(), why: step.why, may_fail: step.may_fail, taken: args.apply });
+        }
     }
     if !args.apply {
-        eprintln!("printed only: --apply takes these steps");
+        note!("printed only: --apply takes these steps");
     }
     Ok(Outcome::Done)
 }

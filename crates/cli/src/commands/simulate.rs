@@ -1,9 +1,8 @@
 //! `csi5300 simulate`.
 
-use super::{Outcome, Result, print};
+use super::{Outcome, Result, print, print_json};
 use csi5300_sim::scene::Driver;
 use csi5300_sim::{Injected, Room, Scene, WrittenCapture, write_dataset};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -25,10 +24,16 @@ pub struct Args {
     /// Write into a folder that is not empty
     #[arg(long)]
     force: bool,
+    /// JSON Lines: one object a capture written
+    #[arg(long)]
+    json: bool,
     #[cfg(feature = "live")]
     #[command(flatten)]
     live: super::serve::Args,
 }
+
+/// Names of the built-in scenes.
+const BUILT_IN: [&str; 4] = ["lab-circle", "lab-line", "paper-circle", "paper-line"];
 
 /// A layout of records: that of a driver.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -62,27 +67,59 @@ pub fn run(args: &Args) -> Result {
         return Err(format!("{} is not empty: --force writes into it all the same", out.display()));
     }
     let (captures, injected) = write(&scene, out)?;
-    print(&describe(&scene, &captures, &injected));
+    if args.json {
+        captures.iter().for_each(|capture| print_json(&row(&scene, capture)));
+    } else {
+        print(&describe(&scene, &captures, &injected));
+    }
     Ok(if captures.is_empty() { Outcome::Nothing } else { Outcome::Done })
 }
 
 /// A scene from its file, or the built-in one of that name where there is no such file.
 fn load(scene: &Path) -> std::result::Result<Scene, String> {
     let built_in = || scene.to_str().filter(|_| !scene.exists()).and_then(Scene::built_in);
-    built_in().map_or_else(|| Scene::load(scene).map_err(|error| format!("{}: {error}", scene.display())), Ok)
+    if let Some(scene) = built_in() {
+        return Ok(scene);
+    }
+    if !scene.exists() {
+        let names = BUILT_IN.join(", ");
+        return Err(format!("there is no file {}, and no built-in scene of that name: {names}", scene.display()));
+    }
+    Scene::load(scene).map_err(|error| format!("{}: {error}", scene.display()))
 }
 
 /// Runs a scene into a folder, with a progress bar on a terminal.
 pub fn write(scene: &Scene, folder: &Path) -> std::result::Result<(Vec<WrittenCapture>, Vec<Injected>), String> {
     let mut room = Room::new(scene).map_err(|error| error.to_string())?;
-    let bar = ProgressBar::with_draw_target(Some(100), ProgressDrawTarget::stderr());
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {percent} % of {msg}, {eta} left") {
-        bar.set_style(style);
-    }
+    let bar = super::bar(100, "{bar:40} {percent} % of {msg}, {eta} left");
     bar.set_message(format!("{:.0} s", scene.duration_s));
     let captures = write_dataset(&mut room, folder, &mut |share| bar.set_position((share * 100.0) as u64));
     bar.finish_and_clear();
     Ok((captures.map_err(|error| error.to_string())?, room.injected()))
+}
+
+/// A line of JSON.
+#[derive(serde::Serialize)]
+struct CaptureRow<'a> {
+    folder: &'a Path,
+    receiver: &'a str,
+    time_stamp: &'a str,
+    logs: Vec<LogRow<'a>>,
+}
+
+#[derive(serde::Serialize)]
+struct LogRow<'a> {
+    file: &'a Path,
+    robot: &'a str,
+    records: u64,
+}
+
+fn row<'a>(scene: &'a Scene, capture: &'a WrittenCapture) -> CaptureRow<'a> {
+    let name = |robot: usize| scene.robot.get(robot).map_or("?", |robot| robot.name.as_str());
+    let log =
+        |log: &'a csi5300_sim::WrittenLog| LogRow { file: &log.path, robot: name(log.robot), records: log.records };
+    let logs = capture.logs.iter().map(log).collect();
+    CaptureRow { folder: &capture.dir, receiver: name(capture.receiver), time_stamp: &capture.stamp, logs }
 }
 
 fn describe(scene: &Scene, captures: &[WrittenCapture], injected: &[Injected]) -> String {

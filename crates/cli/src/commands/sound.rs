@@ -137,16 +137,16 @@ impl Bearings<'_> {
     fn make(&mut self, running: &Running) {
         if self.products.unused().no_number > 0 && !self.told {
             self.told = true;
-            eprintln!("{NO_NUMBERS}");
+            note!("{NO_NUMBERS}");
         }
         let contested = self.products.contested();
         if contested > self.contested {
             self.contested = contested;
-            eprintln!("{contested} numbers have two records: somebody answers in a peer's name; none of them is used");
+            note!("{contested} numbers have two records: somebody answers in a peer's name; none of them is used");
         }
         let trajectory = match odometry::csv::read(self.path) {
             Ok((trajectory, _)) => trajectory,
-            Err(error) => return eprintln!("{}: {error}", self.path.display()),
+            Err(error) => return wrong!("{}: {error}", self.path.display()),
         };
         for (mac, pairs, made) in self.products.bearings(&trajectory) {
             let line = Line::new(mac, pairs, &made);
@@ -203,7 +203,7 @@ pub fn run(args: &Args) -> Result {
             config.silence_slots = ALONE_SILENCE_SLOTS.max((ALONE_SILENCE_US / slot_us).ceil() as u32);
         }
     })?;
-    eprintln!("{}", waiting(&common.peers, opened.tdma.transmit_at().map(|at| at - now)));
+    note!("{}", waiting(&common.peers, opened.tdma.transmit_at().map(|at| at - now)));
     let bearings = match (&args.trajectory, args.channel) {
         (Some(path), Some(channel)) => {
             let options = args.estimation.options(channel)?;

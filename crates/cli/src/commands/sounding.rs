@@ -178,8 +178,8 @@ impl Sounding {
             })
         });
         let opened = opened.map_err(text)?;
-        opened.warning.iter().for_each(|warning| eprintln!("{warning}"));
-        eprintln!(
+        opened.warning.iter().for_each(|warning| note!("{warning}"));
+        note!(
             "{} is {}; {} links in a round, {:.3} rounds/s, slots of {:.0} us (at least {})",
             self.name(),
             opened.own,
@@ -199,9 +199,9 @@ impl Sounding {
         })?;
         match set_rate(&Machine, interface, rate) {
             Rate::FromRadiotap | Rate::Right(_) => {}
-            Rate::Set(rate, before) => eprintln!("monitor_tx_rate set to {rate:#x} (was {before})"),
+            Rate::Set(rate, before) => note!("monitor_tx_rate set to {rate:#x} (was {before})"),
             Rate::Other { found, error, mend } => {
-                eprintln!("monitor_tx_rate is {found}, so frames go out at another rate ({error}): {mend}");
+                note!("monitor_tx_rate is {found}, so frames go out at another rate ({error}): {mend}");
             }
         }
         Ok(())
@@ -215,12 +215,12 @@ impl Sounding {
         let listener = match self.listening.open() {
             Ok(listener) => listener,
             Err(error) if self.log.is_none() && wanted == Wanted::IfPossible => {
-                eprintln!("answers carry no measurement: {error}");
+                note!("answers carry no measurement: {error}");
                 return Ok(DriverMessages::none());
             }
             Err(error) => return Err(error),
         };
-        eprintln!("{}", Listening::describe(&listener));
+        note!("{}", Listening::describe(&listener));
         let Some(log) = &self.log else { return Ok(DriverMessages::read(listener)) };
         let files = LogFiles::create(log, Rotation::default(), self.force);
         files.and_then(|files| DriverMessages::recorded(listener, files)).map_err(|error| create_refused(&error))
@@ -245,20 +245,20 @@ impl Sounding {
 
     /// Says how it went, and gives the outcome.
     fn conclude(&self, finished: &Finished) -> Outcome {
-        eprint!("{}", words::summary(&self.peers, finished));
+        notes!("{}", words::summary(&self.peers, finished));
         if finished.news_lost > 0 {
-            eprintln!("  {} news of the air were not fetched in time", finished.news_lost);
+            note!("  {} news of the air were not fetched in time", finished.news_lost);
         }
         if let (Some(totals), Some(log)) = (&finished.log, &self.log) {
-            eprintln!("{} records written to {}", totals.recorded.written, log.display());
+            note!("{} records written to {}", totals.recorded.written, log.display());
             if totals.missing() > 0 {
-                eprintln!("  {} records are not in it", totals.missing());
+                note!("  {} records are not in it", totals.missing());
             }
         }
         let over = finished.error.as_ref().is_some_and(|error| self.listening.room.is_some() && is_end_of_room(error));
         match &finished.error {
-            Some(_) if over => eprintln!("the room has ended"),
-            Some(error) => eprintln!("csi5300: {error}"),
+            Some(_) if over => note!("the room has ended"),
+            Some(error) => wrong!("{error}"),
             None => {}
         }
         let unlogged = finished.log.as_ref().is_some_and(|log| log.missing() > 0);

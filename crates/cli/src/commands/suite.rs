@@ -1,6 +1,6 @@
 //! `csi5300 suite`.
 
-use super::{Outcome, Result, print};
+use super::{Outcome, Result, print, print_json};
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::suite::{REPETITIONS, Summary, experiments, run_all, summarise};
@@ -23,6 +23,9 @@ pub struct Args {
     #[cfg(feature = "plot")]
     #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
+    /// JSON Lines: one object an experiment instead of the table
+    #[arg(long)]
+    json: bool,
     /// Overwrite the table, and pictures of the same names, if they are there
     #[arg(long)]
     force: bool,
@@ -52,13 +55,18 @@ pub fn run(args: &Args) -> Result {
     super::progress("");
     runs.iter().try_for_each(|run| csv.serialize(run)).map_err(|error| failed(error.to_string()))?;
     csv.flush().map_err(|error| failed(error.to_string()))?;
-    print(&describe(&summarise(&runs)));
+    let table = summarise(&runs);
+    if args.json {
+        table.iter().for_each(print_json);
+    } else {
+        print(&describe(&table));
+    }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
         let written = csi5300_lab::show::repeated::write(&runs, folder).map_err(|error| error.to_string())?;
-        print(&format!("{} pictures in {}\n", written.len(), folder.display()));
+        note!("{} pictures in {}", written.len(), folder.display());
     }
-    print(&format!("{} repetitions in {}\n", runs.len(), args.csv.display()));
+    note!("{} repetitions in {}", runs.len(), args.csv.display());
     Ok(Outcome::Done)
 }
 
@@ -82,7 +90,8 @@ fn describe(table: &[Summary]) -> String {
     );
     let value = |value: Option<f64>, digits: usize| value.map_or_else(|| "-".into(), |v| format!("{v:.digits$}"));
     for row in table {
-        let error = row.error_deg.map_or_else(|| "-".into(), |(mean, max)| format!("{mean:.3}, {max:.3}"));
+        let errors = row.mean_error_deg.zip(row.largest_error_deg);
+        let error = errors.map_or_else(|| "-".into(), |(mean, largest)| format!("{mean:.3}, {largest:.3}"));
         let residual = format!("{:.3}, {:.3}", row.residual_rad, row.residual_compensated_rad);
         let _ = writeln!(
             text,

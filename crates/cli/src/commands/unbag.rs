@@ -27,13 +27,13 @@ pub fn run(args: &Args) -> Result {
         lost |= topic.unreadable > 0;
         println!("{}: {} messages of {} ({})", topic.file.display(), topic.messages, topic.topic, topic.kind);
         if topic.unreadable > 0 {
-            eprintln!("{}: {} messages are unreadable", topic.topic, topic.unreadable);
+            note!("{}: {} messages are unreadable", topic.topic, topic.unreadable);
         }
     }
     for file in &done.cut {
-        eprintln!("{}: its end is missing; it was read up to there", file.display());
+        note!("{}: its end is missing; it was read up to there", file.display());
     }
-    eprintln!("{} messages of other topics", done.others);
+    note!("{} messages of other topics", done.others);
     Ok(match written {
         0 => Outcome::Nothing,
         _ if lost => Outcome::DataLost,

@@ -40,6 +40,7 @@ pub fn reading(reading: &Reading) -> csi5300_view::Reading {
 
 /// Serves the page until a signal ends it.
 pub fn run(args: &Args) -> Result {
+    super::files::must_be_log(&args.what)?;
     let view = View::open(&args.what, reading(&args.reading)).map_err(|error| error.to_string())?;
     let view = Arc::new(view);
     let server = Server::listen(args.listen).map_err(|error| error.to_string())?;
@@ -51,7 +52,7 @@ pub fn run(args: &Args) -> Result {
     let url = format!("http://{shown}/");
     print(&format!("{url}\n"));
     if !address.ip().is_loopback() {
-        eprintln!("everyone who can reach {address} may look; nothing can be changed there");
+        note!("everyone who can reach {address} may look; nothing can be changed there");
     }
     if args.open {
         open(&url);
@@ -66,6 +67,6 @@ fn open(url: &str) {
     let quiet =
         Command::new("xdg-open").arg(url).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
     if let Err(error) = quiet {
-        eprintln!("csi5300: cannot open a browser (xdg-open: {error}): open {url} in one");
+        wrong!("cannot open a browser (xdg-open: {error}): open {url} in one");
     }
 }

@@ -19,11 +19,12 @@ use std::time::Duration;
 /// Arguments of `watch`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The node's status socket, as its configuration names it
-    #[arg(value_name = "SOCKET", default_value = "/run/csi5300/status.sock")]
-    socket: PathBuf,
+    /// The node's status socket, as its configuration names it. If not given: that of the configuration which `node` finds,
+    /// else /run/csi5300/status.sock
+    #[arg(value_name = "SOCKET")]
+    socket: Option<PathBuf>,
     /// Print one state as JSON and end
-    #[arg(long)]
+    #[arg(long, visible_alias = "json")]
     once: bool,
 }
 
@@ -37,7 +38,8 @@ const COLOURS: [Color; 6] =
 
 /// Shows a running node until `q` is pressed.
 pub fn run(args: &Args) -> Result {
-    let stream = connect(&args.socket)?;
+    let socket = args.socket.clone().unwrap_or_else(super::places::status_socket);
+    let stream = connect(&socket)?;
     let mut states = BufReader::new(stream).lines();
     if args.once || !std::io::stdout().is_terminal() {
         return match states.find(|line| line.as_ref().is_ok_and(|line| !line.is_empty())) {
@@ -59,7 +61,7 @@ pub fn run(args: &Args) -> Result {
         }
     });
     let mut terminal = ratatui::init();
-    let shown = show(&mut terminal, &from_node, &args.socket);
+    let shown = show(&mut terminal, &from_node, &socket);
     ratatui::restore();
     shown.map_err(|error| error.to_string())
 }

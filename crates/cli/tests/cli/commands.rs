@@ -58,7 +58,7 @@ fn explain_says_what_was_computed_and_what_was_not() {
     for words in [
         "decoded: antenna A",
         "spherical waves: taken",
-        "search in Single precision",
+        "search in single precision",
         "skipped: ",
         "directions evaluated",
     ] {

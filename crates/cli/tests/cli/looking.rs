@@ -157,7 +157,31 @@ fn every_field_of_json_is_in_the_documentation() {
     let mut found = std::collections::BTreeSet::new();
     names(&json(&folder.bearing(&["--json"]).1), &mut found);
     names(&json(&folder.run(&["info", "rx.dat", "--json"]).1), &mut found);
-    assert!(found.len() > 60, "{found:?}");
+    std::fs::create_dir_all(folder.0.join("c")).unwrap();
+    for (name, file) in [("rx.dat", "csi_rx_1.dat"), ("tx.dat", "csi_tx_1.dat"), ("t.csv", "rx_movement_1.csv")] {
+        std::fs::copy(folder.0.join(name), folder.0.join("c").join(file)).unwrap();
+    }
+    let commands = [
+        &["explain", "c", "--channel", "108", "--json"][..],
+        &["locate", "c", "--channel", "108", "--json"],
+        &["suite", "--only", "circle 10", "--repetitions", "1", "--json"],
+        &["demo", "--out", "demo", "--json"],
+        &["simulate", "paper-circle", "--out", "room", "--json"],
+        &["recover", "rx.dat", "again.dat", "--json"],
+        &["export", "rx.dat", "rx.npz", "--json"],
+        #[cfg(feature = "plot")]
+        &["plot", "rx.dat", "--json"],
+        #[cfg(feature = "live")]
+        &["doctor", "--root", "c", "--json"],
+        #[cfg(feature = "live")]
+        &["setup", "--undo", "--interface", "none", "--json"],
+    ];
+    for command in commands {
+        let (_, out, err) = folder.run(command);
+        assert!(!out.is_empty(), "{command:?}: {err}");
+        out.lines().for_each(|line| names(&json(line), &mut found));
+    }
+    assert!(found.len() > 100, "{found:?}");
     let missing: Vec<&String> = found.iter().filter(|name| !page.contains(&format!("`{name}`"))).collect();
     assert!(missing.is_empty(), "docs/formats.md does not name {missing:?}");
 }
@@ -205,4 +229,14 @@ fn a_log_is_drawn_with_what_is_asked_for() {
     let (status, _, err) = folder.run(&["plot", "rx.dat", "--mac", "02:00:00:00:00:77", "--out", "q"]);
     assert!(status == 1 && err.contains("no record that is wanted"), "{err}");
     assert_eq!(folder.run(&["plot", "rx.dat", "--size", "3"]).0, 2);
+    // Of the formats that are asked for, and of no others.
+    let args = ["plot", "rx.dat", "--out", "paper", "--format", "pdf", "--size", "800x600", "--json"];
+    let (status, out, err) = folder.run(&args);
+    assert_eq!(status, 0, "{err}");
+    assert_eq!(json(&out)["pictures"].as_array().map(Vec::len), Some(2));
+    let pdf = std::fs::read(folder.0.join("paper/rx-levels.pdf")).unwrap();
+    let has = |words: &str| pdf.windows(words.len()).any(|window| window == words.as_bytes());
+    assert!(pdf.starts_with(b"%PDF-") && has("/MediaBox [0 0 600 450]") && has("/FontFile2") && has("/ToUnicode"));
+    assert!(!folder.0.join("paper/rx-levels.png").exists());
+    assert_eq!(folder.run(&args).0, 1, "they are there already");
 }

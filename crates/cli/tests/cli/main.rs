@@ -8,6 +8,8 @@ mod common;
 mod private;
 
 #[cfg(feature = "node")]
+mod answers;
+#[cfg(feature = "node")]
 mod attacks;
 mod commands;
 mod compare;
@@ -24,3 +26,4 @@ mod recording;
 mod serve;
 #[cfg(feature = "live")]
 mod served;
+mod words;

@@ -43,21 +43,51 @@ fn a_configuration_is_checked_whole_before_anything_starts() {
 #[test]
 fn the_example_configuration_is_good() {
     let example = crate::common::root().join("packaging/robot.toml");
-    let mut text = std::fs::read_to_string(example).unwrap();
-    if !cfg!(feature = "zenoh") {
-        // Without the network its peer has no records: the rest must still be good.
-        text = text.replace("records.network = {}", "records.replay.file = \"x.dat\"");
-    }
-    let refused = csi5300_node::config::Config::read(&text, Path::new(""));
+    let text = std::fs::read_to_string(example).unwrap();
+    // As it is, in every build.
+    csi5300_node::config::Config::read(&text, Path::new("")).unwrap();
+    // With the network, whose lines it has as comments.
+    let network = text
+        .replace("records.sounding = {}", "records.network = {}")
+        .replace("# poses.network = {}", "poses.network = {}")
+        .replace("# [network]", "[network]")
+        .replace("# group = ", "group = ")
+        .replace("# publish_records", "publish_records")
+        .replace("# publish_poses", "publish_poses");
+    let refused = csi5300_node::config::Config::read(&network, Path::new(""));
     if cfg!(feature = "zenoh") {
         refused.unwrap();
     } else {
         let problems = refused.unwrap_err().0;
-        assert!(
-            problems.iter().all(|problem| problem.reason.contains("zenoh") || problem.reason.contains("x.dat")),
-            "{problems:?}"
-        );
+        assert!(problems.len() == 1 && problems[0].reason.contains("--features zenoh"), "{problems:?}");
     }
+}
+
+#[test]
+fn a_configuration_is_found_in_the_usual_places() {
+    let folder = folder("node-places");
+    let home = folder.join("home");
+    let run = |args: &[&str]| {
+        let mut command = csi5300(&folder);
+        said(command.env("HOME", &home).env_remove("XDG_CONFIG_HOME").args(args).output().unwrap())
+    };
+    if !Path::new("/etc/csi5300/robot.toml").exists() {
+        let (status, _, err) = run(&["node", "--check"]);
+        assert!(status == 2 && err.contains("--config") && err.contains(".config/csi5300/robot.toml"), "{err}");
+    }
+    let own = home.join(".config/csi5300");
+    std::fs::create_dir_all(&own).unwrap();
+    std::fs::write(own.join("robot.toml"), format!("{ROOM}[output]\nstatus_socket = \"there\"\n")).unwrap();
+    let (status, out, err) = run(&["node", "--check"]);
+    assert!(status == 0 && out.contains("home/.config/csi5300/robot.toml: good"), "{out}{err}");
+    // `watch` asks at the socket that it names.
+    let (status, _, err) = run(&["watch", "--once"]);
+    assert!(status == 1 && err.contains("home/.config/csi5300/there"), "{err}");
+    std::fs::write(folder.join("robot.toml"), ROOM).unwrap();
+    let (status, out, _) = run(&["node", "--check"]);
+    assert!(status == 0 && out.starts_with("robot.toml: good"), "{out}");
+    let (_, out, err) = run(&["node", "--check", "-q"]);
+    assert!(out.contains("good") && err.is_empty(), "{err}");
 }
 
 #[test]

@@ -62,11 +62,44 @@ impl Capture {
         let parts = [self.place.as_str(), self.stamp.as_str(), transmitter];
         parts.iter().filter(|part| !part.is_empty()).copied().collect::<Vec<_>>().join("/")
     }
+
+    /// True if a file beside its logs says where the transmitters are.
+    #[must_use]
+    pub fn has_truth(&self) -> bool {
+        self.folder.join(TRUTH_FILE).is_file()
+    }
+
+    /// The file with the trajectory of `robot`: `rx`, or a transmitter's name. Motion capture may have the name that
+    /// \[paper\] (docs/references.md) gives it.
+    pub(super) fn trajectory_of(&self, source: TrajectorySource, robot: &str) -> PathBuf {
+        let usual = self.folder.join(format!("{}{robot}_trajectory_{}_.csv", source.prefix(), self.stamp));
+        let paper = self.folder.join(format!("{robot}_movement_{}.csv", self.stamp));
+        let is_paper = source == TrajectorySource::GroundTruth && !usual.is_file() && paper.is_file();
+        if is_paper { paper } else { usual }
+    }
+
+    /// True for logs of a receiver and a transmitter with a trajectory: enough for a bearing.
+    fn is_whole(&self) -> bool {
+        let sources = [TrajectorySource::GroundTruth, TrajectorySource::T265, TrajectorySource::Odometry];
+        let has_trajectory = || sources.iter().any(|source| self.trajectory_of(*source, "rx").is_file());
+        !self.transmitters.is_empty() && self.receiver_log().is_file() && has_trajectory()
+    }
+
+    pub(super) fn receiver_log(&self) -> PathBuf {
+        self.folder.join(format!("csi_rx_{}.dat", self.stamp))
+    }
 }
 
-/// Finds the captures below `root`, in the order of their names, and folders that could not be read.
+/// Finds the captures with a truth below `root`, in the order of their names, and folders that could not be read.
 #[must_use]
 pub fn find(root: &Path) -> (Vec<Capture>, Vec<String>) {
+    let (captures, unreadable) = find_all(root);
+    (captures.into_iter().filter(Capture::has_truth).collect(), unreadable)
+}
+
+/// The same with captures without a truth: logs of a receiver and its transmitters with a trajectory.
+#[must_use]
+pub fn find_all(root: &Path) -> (Vec<Capture>, Vec<String>) {
     let (mut captures, mut unreadable) = (Vec::new(), Vec::new());
     let mut folders = vec![root.to_path_buf()];
     while let Some(folder) = folders.pop() {
@@ -85,9 +118,8 @@ pub fn find(root: &Path) -> (Vec<Capture>, Vec<String>) {
                 _ => names.extend(entry.file_name().into_string().ok()),
             }
         }
-        if names.iter().any(|name| name == TRUTH_FILE) {
-            captures.extend(captures_in(root, &folder, &names));
-        }
+        let has_truth = names.iter().any(|name| name == TRUTH_FILE);
+        captures.extend(captures_in(root, &folder, &names).into_iter().filter(|own| has_truth || own.is_whole()));
     }
     captures.sort_by(|a, b| (&a.place, &a.stamp).cmp(&(&b.place, &b.stamp)));
     unreadable.sort();
@@ -107,7 +139,7 @@ fn captures_in(root: &Path, folder: &Path, names: &[String]) -> Vec<Capture> {
     let capture = |stamp: &str| {
         let transmitter = |name: &String| {
             let k = name.strip_prefix("csi_tx")?.strip_suffix(".dat")?.strip_suffix(stamp)?.strip_suffix('_')?;
-            (!k.is_empty() && k.bytes().all(|b| b.is_ascii_digit())).then(|| (format!("tx{k}"), folder.join(name)))
+            k.bytes().all(|b| b.is_ascii_digit()).then(|| (format!("tx{k}"), folder.join(name)))
         };
         let mut transmitters: Vec<_> = names.iter().filter_map(transmitter).collect();
         transmitters.sort();

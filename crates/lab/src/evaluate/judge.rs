@@ -111,7 +111,7 @@ impl Capture {
         part: Part,
         look: &mut Look<'_>,
     ) -> Result<Evaluated, EvaluateError> {
-        let truth = Truth::read(&self.folder)?;
+        let truth = if self.has_truth() { Truth::read(&self.folder)? } else { Truth::default() };
         let channel = match (channel, truth.channel()) {
             (Some(channel), _) => channel,
             (None, Some(number)) => Channel::new(number, Width::Ht20)?,
@@ -159,10 +159,6 @@ impl Capture {
         Ok(Evaluated { rows, lost: lost_something(&report), notes })
     }
 
-    fn receiver_log(&self) -> PathBuf {
-        self.folder.join(format!("csi_rx_{}.dat", self.stamp))
-    }
-
     /// True if the capture has this trajectory.
     pub(crate) fn has(&self, source: TrajectorySource) -> bool {
         self.trajectory_of(source, "rx").is_file()
@@ -180,11 +176,6 @@ impl Capture {
         };
         let read = |(name, _): &(String, PathBuf)| file(name).map(|path| Self::read(path, notes)).transpose();
         self.transmitters.iter().map(read).collect()
-    }
-
-    /// The file with the trajectory of `robot`: `rx`, or a transmitter's name.
-    fn trajectory_of(&self, source: TrajectorySource, robot: &str) -> PathBuf {
-        self.folder.join(format!("{}{robot}_trajectory_{}_.csv", source.prefix(), self.stamp))
     }
 
     fn trajectory(&self, source: TrajectorySource, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {

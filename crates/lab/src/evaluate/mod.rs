@@ -2,9 +2,11 @@
 //!
 //! A capture is a folder with `groundtruth_positions.json` and, for each time stamp TS in it, `csi_rx_TS.dat`, one
 //! `csi_txK_TS.dat` for each transmitter, and the receiver's trajectory as `rx_trajectory_TS_.csv` (motion capture),
-//! `t265_rx_trajectory_TS_.csv` or `odom_rx_trajectory_TS_.csv`. Folders may be nested anyhow.
+//! `t265_rx_trajectory_TS_.csv` or `odom_rx_trajectory_TS_.csv`. Folders may be nested anyhow. Without the first file the
+//! rest is a capture without a truth, also with the names of \[paper\] (docs/references.md): `csi_tx_TS.dat`,
+//! `rx_movement_TS.csv`.
 //!
-//! [`find`] lists captures, [`Capture::evaluate`] makes a row of each link ([`Judged`]), [`summarise`] their errors by
+//! [`find`] lists captures, [`find_all`] those without a truth too, [`Capture::evaluate`] makes a row of each link ([`Judged`]), [`summarise`] their errors by
 //! set; [`quality`] says what a set of rows is worth beside its errors.
 
 pub mod beside;
@@ -16,7 +18,7 @@ pub mod quality;
 mod truth;
 
 pub use errors::{Errors, SetSummary, summarise};
-pub use find::{Capture, TRUTH_FILE, TrajectorySource, find};
+pub use find::{Capture, TRUTH_FILE, TrajectorySource, find, find_all};
 pub use judge::{Evaluated, Judged, Look};
 pub use part::Part;
 pub use truth::EvaluateError;

@@ -32,7 +32,7 @@ pub enum EvaluateError {
     #[error("{TRUTH_FILE}: {0}")]
     Channel(#[from] ChannelError),
     /// Neither the file with the truth nor the caller names a channel.
-    #[error("{TRUTH_FILE} names no channel, and none was given")]
+    #[error("the WiFi channel is not known: no {TRUTH_FILE} names it, and none was given")]
     NoChannel,
     /// A receiver's log stands alone.
     #[error("no csi_txK_{stamp}.dat beside csi_rx_{stamp}.dat")]
@@ -64,7 +64,7 @@ fn trajectory_text(path: &Path, source: &CsvError) -> String {
     }
 }
 
-#[derive(Deserialize)]
+#[derive(Default, Deserialize)]
 pub(super) struct Truth {
     channel: Option<Value<u32>>,
     true_tx_positions: Option<Value<BTreeMap<String, TruePose>>>,

@@ -77,7 +77,11 @@ fn ticks(range: (f64, f64), log: bool, n: usize) -> Vec<(f64, String)> {
         let steps: &[f64] = if high - low <= 3 { &[1.0, 2.0, 5.0] } else { &[1.0] };
         let every = (high - low) as usize / n.max(2) + 1;
         let all = (low..=high).step_by(every).flat_map(|k| steps.iter().map(move |s| s * 10f64.powi(k)));
-        return all.filter(|v| inside(*v)).map(|v| (v, log_name(v))).collect();
+        let round: Vec<_> = all.filter(|v| inside(*v)).map(|v| (v, log_name(v))).collect();
+        if round.len() > 1 {
+            return round;
+        }
+        // A part of a decade: even steps, as on a linear axis.
     }
     let rough = (range.1 - range.0) / n.max(2) as f64;
     let decade = 10f64.powf(rough.log10().floor());

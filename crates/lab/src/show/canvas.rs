@@ -1,4 +1,4 @@
-//! Lines, text, legends and marks on kuva's scene, which writes both formats. Pixels, y down.
+//! Lines, text, legends and marks on kuva's scene, which is written as PNG, SVG or PDF. Pixels, y down.
 use super::Error;
 use super::axes::Axes;
 use super::log::Format;
@@ -224,7 +224,7 @@ impl Canvas {
         self.save_as(stem, &Format::default())
     }
 
-    /// Writes those of `stem.png` and `stem.svg` that are asked for, at the resolution asked for.
+    /// Writes those of `stem.png`, `stem.svg` and `stem.pdf` that are asked for, at the resolution asked for.
     pub(super) fn save_as(self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let path = |ext: &str| {
             let mut name = stem.as_os_str().to_owned();
@@ -238,7 +238,7 @@ impl Canvas {
         if let Some(folder) = stem.parent() {
             std::fs::create_dir_all(folder).map_err(fail(folder))?;
         }
-        let (png, svg) = (path(".png"), path(".svg"));
+        let (png, svg, pdf) = (path(".png"), path(".svg"), path(".pdf"));
         let mut written = Vec::new();
         if format.png {
             let scale = (format.dpi / 96.0) as f32;
@@ -249,6 +249,11 @@ impl Canvas {
         if format.svg {
             std::fs::write(&svg, SvgBackend::new().render_scene(&self.0)).map_err(fail(&svg))?;
             written.push(svg);
+        }
+        if format.pdf {
+            let title = stem.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+            std::fs::write(&pdf, super::pdf::render(&self.0, &title)?).map_err(fail(&pdf))?;
+            written.push(pdf);
         }
         Ok(written)
     }

@@ -20,6 +20,8 @@ pub struct Format {
     pub png: bool,
     /// Whether an SVG is written.
     pub svg: bool,
+    /// Whether a PDF is written: vectors, with the letters' font inside, for papers.
+    pub pdf: bool,
 }
 
 /// Lowest and highest value of a colour bar, its ticks, and the colour of a value.
@@ -27,7 +29,7 @@ type Shades<'a> = ((f64, f64), &'a [(f64, String)], &'a dyn Fn(f64) -> Rgb);
 
 impl Default for Format {
     fn default() -> Self {
-        Self { size: (1200.0, 1100.0), dpi: 96.0, png: true, svg: true }
+        Self { size: (1200.0, 1100.0), dpi: 96.0, png: true, svg: true, pdf: false }
     }
 }
 
@@ -47,7 +49,7 @@ const RIGHT: f64 = 120.0;
 const TOP: f64 = 150.0;
 const BOTTOM: f64 = 90.0;
 /// Between panels: the upper one's ticks and the lower one's name.
-const GAP: f64 = 62.0;
+const GAP: f64 = 70.0;
 /// Losses drawn at most; more of them lie on each other.
 const MARKS: usize = 2_000;
 

@@ -10,7 +10,7 @@
 //! | [`report`] | one HTML page of a tree of captures, pictures inside |
 //! | `slim` | pictures in fewer bytes, for the page |
 //! | `phase`, `profile`, `place`, `plane`, `curves` | the kinds of picture |
-//! | `canvas`, `axes` | lines, text, legends, ticks; the only files that name the drawing library's scene |
+//! | `canvas`, `axes`, `pdf` | lines, text, legends, ticks, and the drawing as PDF; the only files that name the drawing library's scene |
 //!
 //! Every kind of picture is a plain struct with public fields and one `write(stem)`: it adds `.png` and `.svg` to `stem`,
 //! makes missing folders, and returns the two paths. Values that are not finite are dropped; a picture with nothing left is
@@ -22,6 +22,7 @@ pub mod compared;
 mod curves;
 pub mod link;
 pub mod log;
+mod pdf;
 mod phase;
 mod place;
 mod plane;

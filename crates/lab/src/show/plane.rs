@@ -225,9 +225,7 @@ impl MapPlot {
         for ray in rays.iter().filter(|r| !r.label.is_empty()) {
             let (sin, cos) = ray.azimuth_rad.sin_cos();
             let tip = axes.at(ray.origin_m[0] + reach * cos, ray.origin_m[1] + reach * sin);
-            // Beside the ray, to its right.
-            let at = (tip.0 + 18.0 * sin, tip.1 + 18.0 * cos + 7.0);
-            canvas.text(at, &ray.label, 20, TextAnchor::Middle, ray.class.look().0);
+            canvas.backed_text((tip.0, tip.1 + 7.0), &ray.label, 20, TextAnchor::Middle);
         }
         for (name, p) in &truth {
             let at = axes.at(p[0], p[1]);

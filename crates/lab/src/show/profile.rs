@@ -78,7 +78,7 @@ impl ProfilePlot {
         let chosen = relative(&self.chosen_from)?.ok_or(Error::Empty { what: "profile" })?;
         let mut others = Vec::new();
         for (i, series) in self.others.iter().enumerate() {
-            others.extend(relative(series)?.map(|curve| (series_colour(i + 3), curve)));
+            others.extend(relative(series)?.map(|curve| (self.colour_of_other(i), curve)));
         }
         let mut canvas = Canvas::new(950.0, &self.title);
         canvas.legend(58.0, &self.keys());
@@ -108,10 +108,16 @@ impl ProfilePlot {
         self.answer_deg.filter(|azimuth| azimuth.is_finite())
     }
 
+    /// One without a name belongs to the one before, and has its colour.
+    fn colour_of_other(&self, i: usize) -> Rgb {
+        let is_named = |k: &usize| self.others.get(*k).is_some_and(|other| !other.0.is_empty());
+        series_colour((0..=i).rev().find(is_named).unwrap_or(i) + 3)
+    }
+
     fn keys(&self) -> Vec<(Key, Rgb, String)> {
         let mut keys = vec![(Key::Line, BLUE, self.chosen_from.0.clone())];
         let others = self.others.iter().enumerate().filter(|(_, other)| !other.0.is_empty());
-        keys.extend(others.map(|(i, other)| (Key::Line, series_colour(i + 3), other.0.clone())));
+        keys.extend(others.map(|(i, other)| (Key::Line, self.colour_of_other(i), other.0.clone())));
         if let Some(answer) = self.answer() {
             let sd = self.answer_sd_deg.filter(|sd| sd.is_finite()).map_or(String::new(), |sd| format!(" ± {sd:.2}°"));
             keys.push((Key::Dot, RED, format!("answer {answer:.2}°{sd}")));

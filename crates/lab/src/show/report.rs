@@ -82,11 +82,33 @@ impl HtmlReport {
         self.lost
     }
 
-    /// The page.
+    /// The page. Pictures of sets and places are drawn here.
     #[must_use]
     pub fn html(&self, title: &str) -> String {
-        page(title, &self.links, &self.notes)
+        let rows: Vec<Judged> = self.links.iter().map(|link| link.row.clone()).collect();
+        let mut notes = self.notes.clone();
+        let sets = match self.pictures_in.as_deref().map(|folder| sets(&rows, folder)) {
+            Some(Ok(pictures)) => pictures,
+            Some(Err(error)) => {
+                notes.push(error.to_string());
+                Vec::new()
+            }
+            None => Vec::new(),
+        };
+        page(title, &self.links, &rows, &sets, &notes)
     }
+}
+
+/// The pictures of all links together, as SVG with their names: distributions, then maps of places.
+fn sets(rows: &[Judged], folder: &Path) -> Result<Vec<(String, String)>, super::Error> {
+    let written = super::set::write(rows, folder)?;
+    let svgs = written.into_iter().filter(|path| path.extension().is_some_and(|extension| extension == "svg"));
+    let read = |path: PathBuf| {
+        let name = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
+        let text = std::fs::read_to_string(&path).map_err(|source| super::Error::Io { path, source })?;
+        Ok((name, super::slim::slim(&text)))
+    };
+    svgs.map(read).collect()
 }
 
 /// The pictures of a link as SVG.
@@ -104,11 +126,11 @@ const OPEN: usize = 6;
 const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;margin:2em auto;max-width:76em;padding:0 1em;color:#222}\
 table{border-collapse:collapse;margin:1em 0}th,td{padding:.25em .7em;text-align:right;border-bottom:1px solid #ddd}\
 th:first-child,td:first-child{text-align:left;white-space:nowrap}th{border-bottom:2px solid #888}td.bad{color:#b00020}\
-figure{margin:.5em 0;display:inline-block;vertical-align:top;width:32%;min-width:20em}figure svg{width:100%;height:auto}\
+figure{margin:.5em 0;display:inline-block;vertical-align:top;width:32%;min-width:20em}figure.wide{width:48%}figure svg{width:100%;height:auto}\
 details{margin:.4em 0}summary{cursor:pointer}.note{color:#b00020}";
 
-/// The whole page.
-fn page(title: &str, shown: &[LinkShown], notes: &[String]) -> String {
+/// The whole page: what is to be seen of all links first, then each of them.
+fn page(title: &str, shown: &[LinkShown], rows: &[Judged], sets: &[(String, String)], notes: &[String]) -> String {
     let mut html = format!(
         "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
          <meta name=\"viewport\" content=\"width=device-width\"><title>{0}</title><style>{STYLE}</style></head>\
@@ -117,9 +139,14 @@ fn page(title: &str, shown: &[LinkShown], notes: &[String]) -> String {
         escape(title),
         env!("CARGO_PKG_VERSION")
     );
-    let rows: Vec<Judged> = shown.iter().map(|link| link.row.clone()).collect();
-    summary(&mut html, &summarise(&rows));
-    links(&mut html, shown);
+    overview(&mut html, sets);
+    let is_judged = rows.iter().any(|row| row.true_from_mean_pose_deg.is_some());
+    if is_judged {
+        summary(&mut html, &summarise(rows));
+    } else {
+        html.push_str("<p>The truth is not known: no errors.</p>\n");
+    }
+    links(&mut html, shown, is_judged);
     losses(&mut html, shown, notes);
     html.push_str("<h2>Links</h2>\n");
     for link in shown {
@@ -127,6 +154,21 @@ fn page(title: &str, shown: &[LinkShown], notes: &[String]) -> String {
     }
     html.push_str("</body></html>\n");
     html
+}
+
+/// Pictures of all links: distributions at once, maps of many places one by one.
+fn overview(html: &mut String, pictures: &[(String, String)]) {
+    let figure = |(name, svg): &(String, String)| {
+        format!("<figure class=\"wide\">{}</figure>\n", apart(svg, &format!("{name}-")))
+    };
+    let (maps, curves): (Vec<_>, Vec<_>) = pictures.iter().partition(|(name, _)| name.starts_with("map-"));
+    curves.iter().for_each(|picture| html.push_str(&figure(picture)));
+    if !maps.is_empty() {
+        let open = if maps.len() <= OPEN { " open" } else { "" };
+        let _ = writeln!(html, "<details{open}><summary>Maps of {} captures</summary>", maps.len());
+        maps.iter().for_each(|picture| html.push_str(&figure(picture)));
+        html.push_str("</details>\n");
+    }
 }
 
 fn summary(html: &mut String, sets: &BTreeMap<String, SetSummary>) {
@@ -151,24 +193,30 @@ fn summary(html: &mut String, sets: &BTreeMap<String, SetSummary>) {
     html.push_str("</table>\n<p>Absolute azimuth errors against the bearing from the mean pose, degrees.</p>\n");
 }
 
-fn links(html: &mut String, shown: &[LinkShown]) {
-    html.push_str(
-        "<table><tr><th>link</th><th>azimuth</th><th>&plusmn;</th><th>mirror</th><th>truth</th><th>error</th>\
-         <th>probability within 5</th><th>coherence</th><th>range, m</th><th>pairs</th></tr>\n",
+fn links(html: &mut String, shown: &[LinkShown], is_judged: bool) {
+    let _ = writeln!(
+        html,
+        "<table><tr><th>link</th><th>azimuth</th><th>&plusmn;</th><th>mirror</th>{}<th>probability within 5</th>\
+         <th>coherence</th><th>range, m</th><th>pairs</th></tr>",
+        if is_judged { "<th>truth</th><th>error</th>" } else { "" }
     );
     for LinkShown { row, .. } in shown {
         let answer = &row.answer;
+        let is_off = row.error_from_mean_pose_deg.is_some_and(|error| error.abs() > 20.0);
+        let judged = format!(
+            "<td>{}</td><td{}>{}</td>",
+            figure(row.true_from_mean_pose_deg, 2),
+            if is_off { " class=\"bad\"" } else { "" },
+            figure(row.error_from_mean_pose_deg, 2)
+        );
         let _ = writeln!(
             html,
-            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td{}>{}</td><td>{}</td><td>{}</td><td>{}</td>\
-             <td>{}</td></tr>",
+            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td>{}<td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>",
             escape(&answer.link),
             figure(answer.azimuth_deg, 2),
             figure(answer.azimuth_sd_deg, 2),
             figure(answer.mirror_deg, 2),
-            figure(row.true_from_mean_pose_deg, 2),
-            if row.error_from_mean_pose_deg.is_some_and(|error| error.abs() > 20.0) { " class=\"bad\"" } else { "" },
-            figure(row.error_from_mean_pose_deg, 2),
+            if is_judged { judged } else { String::new() },
             figure(answer.confidence, 2),
             figure(answer.coherence, 2),
             figure(answer.range_m, 2),
@@ -178,30 +226,39 @@ fn links(html: &mut String, shown: &[LinkShown]) {
     html.push_str("</table>\n");
 }
 
-/// What was lost, log by log, and what was said of it.
+/// What was lost, of the logs that lost something, and what was said of it.
 fn losses(html: &mut String, shown: &[LinkShown], notes: &[String]) {
+    let sides =
+        |row: &Judged| [("receiver", row.answer.receiver_records), ("transmitter", row.answer.transmitter_records)];
+    let lost: Vec<_> = shown
+        .iter()
+        .flat_map(|link| sides(&link.row).map(|(log, side)| (&link.row.answer.link, log, side)))
+        .filter(|(_, _, side)| {
+            side.unpaired + side.missing + side.duplicates + side.implausible + side.mispaired + side.restarts > 0
+        })
+        .collect();
+    if lost.is_empty() && notes.is_empty() {
+        return;
+    }
     html.push_str(
         "<h2>Losses</h2>\n<table><tr><th>link</th><th>log</th><th>frames</th><th>paired</th><th>unpaired</th>\
          <th>numbers missing</th><th>duplicates</th><th>implausible</th><th>other sessions</th><th>restarts</th></tr>\n",
     );
-    for LinkShown { row, .. } in shown {
-        let answer = &row.answer;
-        for (log, side) in [("receiver", answer.receiver_records), ("transmitter", answer.transmitter_records)] {
-            let _ = writeln!(
-                html,
-                "<tr><td>{}</td><td>{log}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>\
-                 <td>{}</td><td>{}</td></tr>",
-                escape(&answer.link),
-                side.handed,
-                side.paired,
-                side.unpaired,
-                side.missing,
-                side.duplicates,
-                side.implausible,
-                side.mispaired,
-                side.restarts
-            );
-        }
+    for (link, log, side) in lost {
+        let _ = writeln!(
+            html,
+            "<tr><td>{}</td><td>{log}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>\
+             <td>{}</td><td>{}</td></tr>",
+            escape(link),
+            side.handed,
+            side.paired,
+            side.unpaired,
+            side.missing,
+            side.duplicates,
+            side.implausible,
+            side.mispaired,
+            side.restarts
+        );
     }
     html.push_str("</table>\n");
     for note in notes {
@@ -272,18 +329,34 @@ mod tests {
     fn names_from_outside_cannot_become_markup_and_ids_do_not_clash() {
         let mut row = Judged::default();
         row.answer.link = "<script>x</script>/tx2".into();
-        let html = page(
-            "a&b",
-            &[LinkShown {
-                row,
-                pictures: vec![
-                    "<?xml?><svg width=\"800\" height=\"600.5\"><g id=\"a\"/><use href=\"#a\"/></svg>".into(),
-                ],
-            }],
-            &[],
-        );
+        let svg = "<?xml?><svg width=\"800\" height=\"600.5\"><g id=\"a\"/><use href=\"#a\"/></svg>".to_owned();
+        let rows = [row.clone()];
+        let html = page("a&b", &[LinkShown { row, pictures: vec![svg] }], &rows, &[], &[]);
         assert!(!html.contains("<script>") && html.contains("a&amp;b"));
         assert!(!html.contains("<?xml") && !html.contains("id=\"a\""), "{html}");
         assert!(html.contains("<svg viewBox=\"0 0 800 600.5\" width=\"800\""), "{html}");
+    }
+
+    #[test]
+    fn errors_and_losses_are_shown_where_there_are_any() {
+        let link = |change: fn(&mut Judged)| {
+            let mut row = Judged::default();
+            row.answer.link = "a/tx1".into();
+            change(&mut row);
+            row
+        };
+        let of = |row: Judged| page("t", &[LinkShown { row: row.clone(), pictures: vec![] }], &[row], &[], &[]);
+        let plain = of(link(|_| {}));
+        assert!(
+            !plain.contains("<h2>Errors") && !plain.contains("<th>truth") && !plain.contains("<h2>Losses"),
+            "{plain}"
+        );
+        let judged = of(link(|row| {
+            (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) = (Some(10.0), Some(30.0));
+        }));
+        assert!(judged.contains("<h2>Errors") && judged.contains("class=\"bad\">30.00"), "{judged}");
+        let lossy = of(link(|row| row.answer.receiver_records.missing = 3));
+        assert!(lossy.contains("<h2>Losses") && lossy.contains("<td>receiver</td>"), "{lossy}");
+        assert!(!lossy.contains("<td>transmitter</td>"), "{lossy}");
     }
 }

@@ -16,13 +16,20 @@ const TOOLBOX: [(&str, f64, f64); 5] = [
     ("NLOS_Set_C", 2.15, 7.03),
 ];
 
-/// Writes `errors`, `refusals` and a `map-PLACE` for each capture into a folder, each as .png and .svg.
+/// Writes `errors` and `refusals`, where the truth of a link is known, and a `map-PLACE` for each capture into a folder,
+/// each as .png and .svg.
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
 pub fn write(rows: &[Judged], folder: &Path) -> Result<Vec<PathBuf>, Error> {
-    let mut written = errors(rows).write(&folder.join("errors"))?;
-    written.extend(refused(rows).write(&folder.join("refusals"))?);
+    let judged = |row: &&Judged| row.error_from_mean_pose_deg.is_some();
+    let mut written = Vec::new();
+    if rows.iter().any(|row| judged(&row)) {
+        written.extend(errors(rows).write(&folder.join("errors"))?);
+    }
+    if rows.iter().filter(judged).any(|row| row.answer.confidence.is_some()) {
+        written.extend(refused(rows).write(&folder.join("refusals"))?);
+    }
     let mut captures: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
     for row in rows {
         if let Some((capture, _)) = row.answer.link.rsplit_once('/') {
@@ -77,7 +84,8 @@ fn refused(rows: &[Judged]) -> ScatterLines {
 }
 
 fn map(capture: &str, rows: &[&Judged], receiver: Option<&Receiver>) -> MapPlot {
-    let mut plot = MapPlot { title: capture.into(), ..MapPlot::default() };
+    let title = format!("{capture}: bearings, probability within 5°");
+    let mut plot = MapPlot { title, ..MapPlot::default() };
     for row in rows {
         let name = row.answer.link.rsplit('/').next().unwrap_or_default();
         plot.truth.extend(row.true_transmitter_m.map(|at| (name.to_owned(), at)));
@@ -86,7 +94,7 @@ fn map(capture: &str, rows: &[&Judged], receiver: Option<&Receiver>) -> MapPlot 
             plot.rays.extend(azimuth_deg.map(|deg| Ray { origin_m, azimuth_rad: deg.to_radians(), label, class }));
         };
         ray(row.true_from_mean_pose_deg, String::new(), RayClass::Truth);
-        let sure = row.answer.confidence.map_or(String::new(), |c| format!("{name} {c:.2}"));
+        let sure = row.answer.confidence.map_or(String::new(), |c| format!("{name} {:.0} %", 100.0 * c));
         ray(row.answer.azimuth_deg, sure, RayClass::Measured);
         ray(row.answer.mirror_deg, String::new(), RayClass::Mirror);
         if let (Some([x, y, _]), Some(c)) = (row.answer.position_m, row.answer.position_covariance_m2) {

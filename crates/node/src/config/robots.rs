@@ -122,4 +122,7 @@ pub enum Records {
     Room(NoKeys),
     /// The network of the robots.
     Network(NoKeys),
+    /// Its answers to this robot's frames, which carry what its card measured of them. No network is needed, but the peer
+    /// must stand: the time of a measurement on its host is not in an answer.
+    Sounding(NoKeys),
 }

@@ -40,7 +40,7 @@ pub type Card = Box<dyn CsiSource + Send>;
 /// A source of poses that may move to another thread.
 pub type Poses = Box<dyn OdometrySource + Send>;
 
-/// One peer's sources. What comes over the network has none here.
+/// One peer's sources. What comes over the network or with answers has none here.
 pub struct PeerSources {
     /// What the estimator knows of it.
     pub peer: LivePeer,
@@ -174,7 +174,7 @@ impl<'a> Shared<'a> {
     /// A peer's records; its MAC, where the source says it.
     fn records(&mut self, peer: &PeerConfig) -> Result<(Option<Card>, Option<Mac>), Error> {
         match &peer.records {
-            Records::Network(_) => Ok((None, None)),
+            Records::Network(_) | Records::Sounding(_) => Ok((None, None)),
             Records::Replay(log) => {
                 Ok((Some(replay::peer(&log.file, peer.mac, self.replayed.as_ref(), self.start)?), None))
             }

@@ -113,7 +113,7 @@ pub fn run(interface: &str, peer: Option<Mac>, report: &Path) -> Result<(), Stri
         );
     }
     std::fs::write(report, text).map_err(|error| format!("{}: {error}", report.display()))?;
-    eprintln!("the report is in {}: send it in as firmware-notes/README.md says", report.display());
+    note!("the report is in {}: send it in as firmware-notes/README.md says", report.display());
     Ok(())
 }
 

@@ -20,12 +20,12 @@ const NOTHING_SENT: &str =
 /// Says news as they come.
 pub fn tell(news: &News) {
     match news {
-        News::Started(granted) => eprintln!("{granted}"),
-        News::Notice(notice) => eprintln!("{notice}"),
-        News::Event(Event::Joined(peer)) => eprintln!("{} is there", peer),
-        News::Event(Event::Absent(peer)) => eprintln!("{} does not answer: it is waited for", peer),
-        News::Event(Event::Restarted { peer, .. }) => eprintln!("{} was started anew", peer),
-        News::Event(Event::Yielded { to, .. }) => eprintln!("{} initiates too, and takes precedence", to),
+        News::Started(granted) => note!("{granted}"),
+        News::Notice(notice) => note!("{notice}"),
+        News::Event(Event::Joined(peer)) => note!("{} is there", peer),
+        News::Event(Event::Absent(peer)) => note!("{} does not answer: it is waited for", peer),
+        News::Event(Event::Restarted { peer, .. }) => note!("{} was started anew", peer),
+        News::Event(Event::Yielded { to, .. }) => note!("{} initiates too, and takes precedence", to),
         News::Event(_) => {}
     }
 }

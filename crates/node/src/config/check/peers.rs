@@ -1,6 +1,6 @@
 //! The peers: who they are, and where their records and poses come from.
 
-use super::super::{Peer, Records};
+use super::super::{Odometry, Peer, Records};
 use super::Check;
 use csi5300_sim::toml_lines::Step;
 use csi5300_sim::toml_lines::Step::{Index, Key};
@@ -51,8 +51,19 @@ impl Check<'_> {
             Records::Network(_) if self.config.network.is_none() => {
                 ("network", format!("peer `{name}`: `network` records need a [network] table"))
             }
+            Records::Sounding(_)
+                if !self.config.sounding.as_ref().is_some_and(|own| own.initiate && own.measurement) =>
+            {
+                let why = "`sounding` records come with the answers to this robot's frames: they need a [sounding] table with \
+                           `initiate` and `measurement`";
+                ("sounding", format!("peer `{name}`: {why}"))
+            }
+            Records::Sounding(_) if !matches!(peer.poses, Odometry::Static(_)) => {
+                let why = "`sounding` records have no time of the peer's host, so it must stand (`poses.static`)";
+                ("sounding", format!("peer `{name}`: {why}"))
+            }
             Records::Room(_) => return self.absent(name).map(|why| (vec![Key("name")], why)).into_iter().collect(),
-            Records::Replay(_) | Records::Network(_) => return Vec::new(),
+            Records::Replay(_) | Records::Network(_) | Records::Sounding(_) => return Vec::new(),
         };
         vec![(vec![Key("records"), Key(key)], why)]
     }

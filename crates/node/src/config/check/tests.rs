@@ -130,6 +130,12 @@ fn ros_and_sounding() {
     refused(&sounding(""), "[sounding]", "a monitor interface, is missing");
     refused(&format!("{CARD}[sounding]\n{mon}"), "[sounding]", "needs a [[peer]]");
     refused(&format!("{ROOM}{PEER}[sounding]\n{mon}"), "[sounding]", "is done with a card");
+    let answers = |text: String| text.replace("records.network = {}", "records.sounding = {}");
+    let of_answers = answers(sounding(mon));
+    assert_eq!(refusals(&of_answers), Vec::<String>::new());
+    refused(&answers(sounding(&format!("{mon}initiate = false"))), "records.sounding", "`initiate`");
+    let moves = of_answers.replace("records.sounding = {}", "records.sounding = {}\nposes.room = {}");
+    refused(&moves, "records.sounding", "it must stand");
     let served = sounding(mon).replace("capture.card = {}", "capture.served = { socket = \"s\", robot = \"a\" }");
     refused(&served, "interface", "leave `interface` out");
     for (key, why) in [

@@ -1,0 +1,126 @@
+//! What is said beside results, on standard error: how much of it, and in which colours.
+
+use std::fmt::Arguments;
+use std::io::{IsTerminal, Write};
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+
+/// How much is said: errors only, notes too, or also what was read, how long it took and how much memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum Level {
+    /// Errors.
+    Quiet,
+    /// Errors and notes.
+    Usual,
+    /// Everything.
+    Verbose,
+}
+
+/// When words are coloured.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum When {
+    /// On a terminal, unless NO_COLOR is set or TERM is `dumb`
+    #[default]
+    Auto,
+    /// Always
+    Always,
+    /// Never
+    Never,
+}
+
+/// How a word is meant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tone {
+    /// As it should be.
+    Good,
+    /// Perhaps not.
+    Doubt,
+    /// Not as it should be.
+    Bad,
+}
+
+static LEVEL: AtomicU8 = AtomicU8::new(Level::Usual as u8);
+/// Whether words on standard output and on standard error are coloured.
+static COLOURED: [AtomicBool; 2] = [AtomicBool::new(false), AtomicBool::new(false)];
+
+/// What was asked for, for the rest of the program.
+pub fn set(level: Level, colours: When) {
+    LEVEL.store(level as u8, Ordering::Relaxed);
+    let terminals = [std::io::stdout().is_terminal(), std::io::stderr().is_terminal()];
+    for (coloured, is_terminal) in COLOURED.iter().zip(terminals) {
+        let variable = |name: &str| std::env::var_os(name).unwrap_or_default();
+        let wanted = match colours {
+            When::Auto => is_terminal && variable("NO_COLOR").is_empty() && variable("TERM") != "dumb",
+            When::Always => true,
+            When::Never => false,
+        };
+        coloured.store(wanted, Ordering::Relaxed);
+    }
+}
+
+/// True if so much is said.
+pub fn says(level: Level) -> bool {
+    LEVEL.load(Ordering::Relaxed) >= level as u8
+}
+
+/// A word of a result in its colour, if results are coloured.
+pub fn toned(word: &str, tone: Tone) -> String {
+    coloured(word, tone, &COLOURED[0])
+}
+
+fn coloured(word: &str, tone: Tone, wanted: &AtomicBool) -> String {
+    let code = match tone {
+        Tone::Good => 32,
+        Tone::Doubt => 33,
+        Tone::Bad => 31,
+    };
+    if wanted.load(Ordering::Relaxed) { format!("\x1b[1;{code}m{word}\x1b[0m") } else { word.to_owned() }
+}
+
+/// Says something. Where standard error is closed there is nobody to be told.
+pub fn words(level: Level, words: Arguments<'_>) {
+    if says(level) {
+        let _ = std::io::stderr().lock().write_fmt(words);
+    }
+}
+
+/// Says what went wrong, a line.
+pub fn error(words: Arguments<'_>) {
+    let name = coloured("csi5300:", Tone::Bad, &COLOURED[1]);
+    let _ = writeln!(std::io::stderr().lock(), "{name} {words}");
+}
+
+/// A line of what may help: not said with `--quiet`.
+macro_rules! note {
+    ($($words:tt)*) => {{
+        $crate::commands::say::words($crate::commands::say::Level::Usual, format_args!("{}\n", format_args!($($words)*)))
+    }};
+}
+
+/// Lines of what may help, each with its end.
+macro_rules! notes {
+    ($($words:tt)*) => {{
+        $crate::commands::say::words($crate::commands::say::Level::Usual, format_args!($($words)*))
+    }};
+}
+
+/// A line that is said with `--verbose`.
+macro_rules! detail {
+    ($($words:tt)*) => {{
+        $crate::commands::say::words($crate::commands::say::Level::Verbose, format_args!("{}\n", format_args!($($words)*)))
+    }};
+}
+
+/// A line of what went wrong.
+macro_rules! wrong {
+    ($($words:tt)*) => {{ $crate::commands::say::error(format_args!($($words)*)) }};
+}
+
+/// What this process has used so far: seconds since `begun`, and the most memory, megabytes.
+pub fn used(begun: std::time::Instant) -> String {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let peak =
+        status.lines().find_map(|line| line.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse::<f64>().ok());
+    let memory = peak.map_or(String::new(), |kib| format!(", {:.0} MB of memory", kib * 1.024e-3));
+    format!("{:.2} s{memory}", begun.elapsed().as_secs_f64())
+}

@@ -1,0 +1,148 @@
+//! What every command has: how much it says, in which colours, how it ends, and what it says of the wrong file.
+
+use super::commands::{Folder, json};
+use crate::common::link::link;
+
+#[test]
+fn quiet_says_results_and_errors_and_verbose_what_was_read() {
+    let folder = Folder::new("quiet");
+    let mut damaged = link(300, 2.0);
+    damaged.rx[100].remove(7);
+    folder.link(&damaged);
+    let (status, usual_out, usual) = folder.bearing(&[]);
+    assert!(status == 3 && usual.contains("lost:"), "{usual}");
+    let (status, out, err) = folder.bearing(&["--quiet"]);
+    assert_eq!((status, out, err.as_str()), (3, usual_out.clone(), ""));
+    let (_, out, err) = folder.bearing(&["-v"]);
+    assert_eq!(out, usual_out);
+    for words in ["lost:", "reading rx.dat", "reading tx.dat", "reading t.csv: ", " s, ", " MB of memory"] {
+        assert!(err.contains(words), "no `{words}` in {err}");
+    }
+    // An error is said all the same.
+    let (status, _, err) = folder.run(&["-q", "info", "none.dat"]);
+    assert!(status == 1 && err.contains("none.dat"), "{err}");
+    assert_eq!(folder.run(&["info", "rx.dat", "-q", "-v"]).0, 2);
+}
+
+#[test]
+fn colours_are_for_terminals_and_for_who_asks() {
+    let folder = Folder::new("colours");
+    std::fs::create_dir_all(folder.0.join("machine")).unwrap();
+    let doctor = |more: &[&str]| folder.run(&[&["doctor", "--root", "machine"][..], more].concat()).1;
+    assert!(!doctor(&[]).contains('\x1b'));
+    assert!(!doctor(&["--color", "never"]).contains('\x1b'));
+    let coloured = doctor(&["--color", "always"]);
+    assert!(coloured.contains("\x1b[1;31mBAD \x1b[0m"), "{coloured}");
+    let (_, _, err) = folder.run(&["--color", "always", "info", "none.dat"]);
+    assert!(err.starts_with("\x1b[1;31mcsi5300:\x1b[0m "), "{err}");
+}
+
+#[test]
+fn a_file_of_another_kind_is_named_for_what_it_is() {
+    let folder = Folder::new("kinds");
+    folder.link(&link(300, 2.0));
+    let args = |rx: &str, tx: &str, t: &str| {
+        folder.run(&["bearing", "--rx", rx, "--tx", tx, "--trajectory", t, "--channel", "108"])
+    };
+    for (rx, tx) in [("t.csv", "tx.dat"), ("rx.dat", "t.csv")] {
+        let (status, _, err) = args(rx, tx, "t.csv");
+        assert!(status == 1 && err.contains("t.csv is another kind of file, a table of numbers"), "{err}");
+        assert!(!err.contains("one run"), "{err}");
+    }
+    let (status, _, err) = args("rx.dat", "tx.dat", "tx.dat");
+    assert!(status == 1 && err.contains("tx.dat is a log of CSI: a trajectory is a CSV"), "{err}");
+    assert_eq!(folder.run(&["export", "rx.dat", "rx.npz"]).0, 0);
+    for command in [&["info", "rx.npz"][..], &["export", "rx.npz", "x.csv"], &["recover", "rx.npz", "x.dat"]] {
+        let (status, _, err) = folder.run(command);
+        assert!(status == 1 && err.contains("rx.npz is another kind of file, a ZIP archive"), "{command:?}: {err}");
+    }
+    #[cfg(feature = "plot")]
+    assert!(folder.run(&["plot", "t.csv"]).2.contains("another kind of file"));
+    #[cfg(feature = "view")]
+    assert!(folder.run(&["view", "t.csv"]).2.contains("another kind of file"));
+}
+
+#[test]
+fn every_command_ends_with_2_where_it_is_used_wrongly_and_has_the_same_help() {
+    let folder = Folder::new("usages");
+    let (_, help, _) = folder.run(&["--help"]);
+    let commands = help.lines().skip_while(|line| *line != "Commands:").skip(1).take_while(|line| !line.is_empty());
+    // What goes on in a further line stands further to the right.
+    let first = |line: &'_ str| line.strip_prefix("  ").filter(|rest| !rest.starts_with(' ')).is_some();
+    let commands: Vec<&str> =
+        commands.filter(|line| first(line)).filter_map(|line| line.split_whitespace().next()).collect();
+    assert!(commands.len() > 12 && commands.contains(&"bearing") && commands.contains(&"suite"), "{commands:?}");
+    for command in commands.into_iter().filter(|command| *command != "help") {
+        let (status, _, err) = folder.run(&[command, "--no-such-option"]);
+        assert!(status == 2 && err.contains("--no-such-option"), "{command}: {status} {err}");
+        let (status, help, _) = folder.run(&[command, "--help"]);
+        assert!(status == 0 && help.contains("--quiet") && help.contains("--color"), "{command}: {help}");
+    }
+    // The table of the page is the one of the program.
+    let page = std::fs::read_to_string(crate::common::root().join("docs/troubleshooting.md")).unwrap();
+    let table: Vec<&str> = page.split("## Exit status").nth(1).unwrap().lines().collect();
+    for status in ["0", "1", "2", "3"] {
+        assert!(help.contains(&format!("\n  {status}  ")), "{help}");
+        assert!(table.iter().any(|line| line.starts_with(&format!("| {status} |"))), "{table:?}");
+    }
+}
+
+/// A capture without a truth, with the names of Dijkstra et al.
+fn capture(folder: &Folder) {
+    let made = link(600, 2.0);
+    std::fs::create_dir_all(folder.0.join("runs/circle")).unwrap();
+    folder.write("runs/circle/csi_rx_real_1.dat", &made.rx.concat());
+    folder.write("runs/circle/csi_tx_real_1.dat", &made.tx.concat());
+    folder.write("runs/circle/rx_movement_real_1.csv", made.trajectory.as_bytes());
+}
+
+#[test]
+fn captures_without_a_truth_are_explained_located_and_reported() {
+    let folder = Folder::new("truthless");
+    capture(&folder);
+    let (status, out, err) = folder.run(&["explain", "runs", "--channel", "108"]);
+    assert!(status == 0 && out.starts_with("circle/real_1/tx\n") && !out.contains("\ntruth"), "{out}{err}");
+    // Links as they are named there, wholly or by their end.
+    for name in ["runs/circle/real_1/tx", "runs/circle/tx"] {
+        let (status, out, err) = folder.run(&["explain", name, "--channel", "108", "--json"]);
+        let row = json(&out);
+        assert_eq!(status, 0, "{err}");
+        assert!((row["azimuth_deg"].as_f64().unwrap() - 2f64.to_degrees()).abs() < 0.2, "{row}");
+        assert!(row["error_from_mean_pose_deg"].is_null() && row["residual_phase_rad"].is_f64(), "{row}");
+    }
+    let (status, _, err) = folder.run(&["explain", "runs/circle/real_2/tx", "--channel", "108"]);
+    assert!(status == 1 && err.contains("real_2/tx is no link of runs/circle"), "{err}");
+    let (status, _, err) = folder.run(&["explain", "runs"]);
+    assert!(status == 2 && err.contains("--channel"), "{err}");
+    let (status, _, err) = folder.run(&["evaluate", "runs", "--channel", "108"]);
+    assert!(status == 1 && err.contains("1 capture without one"), "{err}");
+    // The transmitter is 1 km away, so the bearing alone says little of where the receiver is; it is said that it is used.
+    let (_, out, err) = folder.run(&["locate", "runs", "--channel", "108"]);
+    assert!(err.contains("--place NAME=X,Y") && out.starts_with("circle/real_1: "), "{out}{err}");
+    let (_, out, _) = folder.run(&["locate", "runs", "--channel", "108", "--place", "tx=-416,909", "--json"]);
+    assert_eq!(json(&out)["links"], 1);
+    assert_eq!(folder.run(&["locate", "runs", "--place", "tx=1"]).0, 2);
+    #[cfg(feature = "plot")]
+    {
+        let (status, _, err) = folder.run(&["report", "runs", "--channel", "108", "--out", "r.html"]);
+        assert_eq!(status, 0, "{err}");
+        let page = std::fs::read_to_string(folder.0.join("r.html")).unwrap();
+        assert!(page.contains("The truth is not known") && !page.contains("<h2>Errors") && page.contains("<svg"));
+    }
+}
+
+#[test]
+fn logs_of_a_capture_give_their_link_the_name_of_captures() {
+    let folder = Folder::new("names");
+    capture(&folder);
+    let file = |name: &str| format!("runs/circle/{name}");
+    let (rx, tx, t) = (file("csi_rx_real_1.dat"), file("csi_tx_real_1.dat"), file("rx_movement_real_1.csv"));
+    let args = ["bearing", "--rx", &rx, "--tx", &tx, "--trajectory", &t, "--channel", "108", "--json"];
+    assert_eq!(json(&folder.run(&args).1)["link"], "real_1/tx");
+    let (status, _, err) = folder.run(&[&args[..], &["--tx", "gone.dat", "--profile", "p.csv"]].concat());
+    assert_eq!(status, 3, "{err}");
+    folder.write("csi_tx2.dat", &std::fs::read(folder.0.join(&tx)).unwrap());
+    let (_, out, _) =
+        folder.run(&["bearing", "--rx", &rx, "--tx", "csi_tx2.dat", "--trajectory", &t, "--channel", "108", "--json"]);
+    assert_eq!(json(&out)["link"], "csi_tx2");
+}
