@@ -22,14 +22,23 @@ done
 for page in README.md docs/*.md; do
     grep -q '^```sh$' "$page" || continue
     own="$folder/$(basename "$page" .md)"
-    mkdir "$own"
-    awk '/^```sh$/ { on = 1; next } /^```$/ { on = 0 } on' "$page" >"$own/commands.sh"
-    (cd "$own" && PATH="$folder/bin:$PATH" bash -euo pipefail commands.sh >said.txt 2>&1) || {
-        echo "$page: status $?"
+    awk '/^```sh$/ { on = 1; next } /^```$/ { on = 0 } on' "$page" >"$own.sh"
+    # The tutorial's room runs in real time: where the machine was busy with other things its robots are late, and it is tried again.
+    tries=1
+    ! grep -q -- --serve "$own.sh" || tries=4
+    for try in $(seq "$tries"); do
+        rm -rf "$own"
+        mkdir "$own"
+        status=0
+        (cd "$own" && PATH="$folder/bin:$PATH" bash -euo pipefail ../"$(basename "$own.sh")" >said.txt 2>&1) || status=$?
+        # Its transmitter is at 42.0 degrees.
+        if [ "$status" = 0 ] && [ "$page" = docs/tutorial.md ]; then
+            grep -E '^tx \(.*: 4[123]\.[0-9]+ deg' "$own/said.txt" || { echo "no bearing of 42 degrees" && status=1; }
+        fi
+        [ "$status" != 0 ] || break
+        echo "$page: status $status (try $try of $tries)"
         tail -n 30 "$own/said.txt"
-        exit 1
-    }
-    echo "$page: $(grep -c . "$own/commands.sh") lines of commands ran"
+    done
+    [ "$status" = 0 ] || exit 1
+    echo "$page: $(grep -c . "$own.sh") lines of commands ran"
 done
-# The tutorial's room has its transmitter at 42.0 degrees.
-grep -E '^tx \(.*: 4[123]\.[0-9]+ deg' "$folder/tutorial/said.txt" || { echo "no bearing of 42 degrees"; exit 1; }
