@@ -279,7 +279,7 @@ fn say_losses<R: std::io::Read, S: std::io::Read>(
         if let Some((better, above_db)) = report.survey.better_antenna(args.estimation.antenna) {
             let _ = writeln!(
                 text,
-                "  antenna {:?} hears {above_db:.0} dB less than {better:?}, as a port without an antenna does (--antenna {better:?})",
+                "  antenna {} hears {above_db:.0} dB less than {better}, as a port without an antenna does (--antenna {better})",
                 args.estimation.antenna
             );
         }
