@@ -6,17 +6,14 @@
 //! less a ridge on the coefficients of standardised features (not on the intercept), by Newton's method from zero: the
 //! same rows give the same digits.
 
+use crate::evaluate::BINS;
 use nalgebra::{DMatrix, DVector};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Bearings further off than this are wrong, degrees.
-pub const WRONG_DEG: f64 = 5.0;
 /// Ridge on each coefficient, in units of places.
 const RIDGE: f64 = 1.0;
 /// Newton steps; the last ones change nothing.
 const STEPS: usize = 50;
-/// Edges of the bins that calibration is judged in.
-const BINS: [f64; 6] = [0.0, 0.2, 0.4, 0.6, 0.8, 1.000_001];
 
 /// One bearing with its features and whether it was right.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,7 +23,7 @@ pub struct LabelledBearing {
     pub place: String,
     /// Features of the model.
     pub features: Vec<f64>,
-    /// Whether the azimuth was within [`WRONG_DEG`] of the bearing from the mean pose.
+    /// Whether the azimuth was within [`crate::evaluate::WRONG_DEG`] of the bearing from the mean pose.
     pub right: bool,
     /// A probability to be judged, 0..1; not a number where none was made.
     pub probability: f64,

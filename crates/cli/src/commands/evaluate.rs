@@ -5,8 +5,10 @@ use super::captures::{A_CAPTURE, Reading};
 use super::{Outcome, Result, print, print_json, usage};
 use clap::ValueEnum;
 use csi5300::maths::median;
-use csi5300_lab::evaluate::quality::{over_bound, ranges, receivers, reliability, risk_coverage};
-use csi5300_lab::evaluate::{Capture, Errors, Evaluated, Judged, SetSummary, TrajectorySource, find, summarise};
+use csi5300_lab::evaluate::quality::{over_bound, ranges, receivers, risk_coverage, sure};
+use csi5300_lab::evaluate::{
+    Capture, Errors, Evaluated, Judged, SetSummary, TrajectorySource, find, reliability, summarise,
+};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -25,7 +27,7 @@ pub struct Args {
     /// Seed of the first simulated room
     #[arg(long, default_value_t = 1, value_name = "NUMBER")]
     seed: u64,
-    /// Folder for pictures: error distributions, refusals, a map of each place
+    /// Folder for pictures: error distributions, refusals, reliability, a map of each place; with --folds reliability
     #[cfg(feature = "plot")]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -86,7 +88,13 @@ pub fn run(args: &Args) -> Result {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build().map_err(|error| error.to_string())?;
     if let Some(Folds::Places) = args.folds {
         bar.finish_and_clear();
-        return pool.install(|| super::folds::run(&captures, &options, args.json));
+        let report = pool.install(|| super::folds::run(&captures, &options, args.json));
+        #[cfg(feature = "plot")]
+        if let Some(folder) = &args.out {
+            let written = csi5300_lab::show::set::write_folds(&report, folder).map_err(|error| error.to_string())?;
+            eprintln!("{}: {} pictures", folder.display(), written.len());
+        }
+        return Ok(super::folds::outcome(&report));
     }
     let one = |capture: &Capture| {
         let mut evaluated = capture.evaluate(source, args.reading.channel, &options);
@@ -219,7 +227,7 @@ fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
     text
 }
 
-fn line(errors: &Errors) -> String {
+pub(super) fn line(errors: &Errors) -> String {
     let Errors { links, mean_deg, median_deg, p90_deg, over_20, .. } = errors;
     if *links == 0 {
         return "-".into();
@@ -235,7 +243,7 @@ fn worth(rows: &[Judged]) -> String {
             writeln!(text, "{:3.0} %  {:.2}              {}", kept.share * 100.0, kept.confidence, line(&kept.errors));
     }
     text += "\nconfidence  links  said  within 5 degrees\n";
-    for bin in reliability(rows) {
+    for bin in reliability(&sure(rows)) {
         let (from, to) = (bin.from, bin.to);
         let _ = writeln!(text, "{from:.1} .. {to:.1}  {:5}  {:.2}  {:.2}", bin.links, bin.said, bin.right);
     }

@@ -1,21 +1,26 @@
 //! `csi5300 evaluate --folds places`: the tables.
 
-use super::{Outcome, Result, print, print_json};
+use super::{Outcome, print, print_json};
 use csi5300::pipeline::Options;
-use csi5300_lab::evaluate::{Capture, Errors, TrajectorySource};
-use csi5300_lab::folds::{ConfidenceColumn, ErrorBarColumn, ErrorColumn, Kind, Report, gather, report};
+use csi5300_lab::evaluate::{Capture, Errors, Kept, TrajectorySource};
+use csi5300_lab::folds::{ConfidenceColumn, ErrorBarColumn, ErrorColumn, Kind, RefusalColumn, Report, gather, report};
 use std::fmt::Write;
 
 /// Leaves every place of `captures` out in turn, and prints what came of it.
-pub(super) fn run(captures: &[Capture], options: &Options, json: bool) -> Result {
+pub(super) fn run(captures: &[Capture], options: &Options, json: bool) -> Report {
     let report = report(&gather(captures, options));
     if json {
         print_json(&report);
     } else {
         print(&text(&report));
     }
+    report
+}
+
+/// Nothing if no link had a bearing.
+pub(super) fn outcome(report: &Report) -> Outcome {
     let found = report.errors.iter().any(|column| column.errors.links > 0);
-    Ok(if found { Outcome::Done } else { Outcome::Nothing })
+    if found { Outcome::Done } else { Outcome::Nothing }
 }
 
 fn text(report: &Report) -> String {
@@ -39,6 +44,14 @@ fn text(report: &Report) -> String {
     text += "\nerror bars from models fitted to the other places: bearings, share of errors within one (68 % meant) and two (95 %),\n\
              median of error over error bar (0.67 of normal errors), median error bar, median of error over Cramer-Rao bound\n";
     report.error_bars.iter().for_each(|column| error_bar(&mut text, column));
+    text += "\nrefusing below a probability (--min-confidence), from models fitted to the other places: share kept, errors of those kept,\n\
+             share of those refused that was within five degrees\n";
+    let shown = |column: &&RefusalColumn| column.which.kind == Kind::Full && column.which.parts <= 2;
+    let without_wheels = |column: &&RefusalColumn| column.which.source != TrajectorySource::Odometry;
+    let columns = || report.refusals.iter().filter(shown).filter(without_wheels);
+    columns().filter(|column| column.which.group == "all").for_each(|column| refusal(&mut text, column));
+    text += "\nthe surest 80 %, by group\n";
+    columns().for_each(|column| surest(&mut text, column));
     text
 }
 
@@ -101,4 +114,26 @@ fn error_bar(text: &mut String, column: &ErrorBarColumn) {
         column.median_deg,
         column.over_bound
     );
+}
+
+fn refusal(text: &mut String, column: &RefusalColumn) {
+    let which = &column.which;
+    let _ = writeln!(text, "{}", heading(which.source, which.parts, which.kind));
+    for kept in &column.above {
+        let _ = writeln!(text, "  {:.1}  {}", kept.confidence, kept_line(kept));
+    }
+}
+
+fn surest(text: &mut String, column: &RefusalColumn) {
+    let which = &column.which;
+    let kept = column.surest.iter().find(|kept| (kept.share - 0.8).abs() < 1e-9);
+    if let Some(kept) = kept {
+        let name = heading(which.source, which.parts, which.kind);
+        let _ = writeln!(text, "{name:46} {:4} from {:.2} on  {}", which.group, kept.confidence, kept_line(kept));
+    }
+}
+
+fn kept_line(kept: &Kept) -> String {
+    let refused = kept.refused_right.map_or("-".into(), |share| format!("{:.0} %", 100.0 * share));
+    format!("{:3.0} %  {}  refused right {refused}", 100.0 * kept.share, super::evaluate::line(&kept.errors))
 }

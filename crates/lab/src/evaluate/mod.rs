@@ -6,8 +6,9 @@
 //! rest is a capture without a truth, also with the names of \[paper\] (docs/references.md): `csi_tx_TS.dat`,
 //! `rx_movement_TS.csv`.
 //!
-//! [`find`] lists captures, [`find_all`] those without a truth too, [`Capture::evaluate`] makes a row of each link ([`Judged`]), [`summarise`] their errors by
-//! set; [`quality`] says what a set of rows is worth beside its errors.
+//! [`find`] lists captures, [`find_all`] those without a truth too, [`Capture::evaluate`] makes a row of each link
+//! ([`Judged`]), [`summarise`] their errors by set; [`quality`] says what a set of rows is worth beside its errors;
+//! [`reliability`], [`surest`] and [`above`] what their probabilities are.
 
 pub mod beside;
 mod errors;
@@ -15,10 +16,13 @@ mod find;
 mod judge;
 mod part;
 pub mod quality;
+mod sure;
 mod truth;
 
 pub use errors::{Errors, SetSummary, summarise};
 pub use find::{Capture, TRUTH_FILE, TrajectorySource, find, find_all};
 pub use judge::{Evaluated, Judged, Look};
 pub use part::Part;
+pub(crate) use sure::BINS;
+pub use sure::{Kept, Reliability, Sure, WRONG_DEG, above, reliability, surest};
 pub use truth::EvaluateError;

@@ -1,51 +1,29 @@
-//! Figures of a set of judged links beside their errors: ranges, refusals, reliability of the confidence, receivers located.
+//! Figures of a set of judged links beside their errors: ranges, refusals, receivers located.
 
-use super::{Errors, Judged};
+use super::Judged;
+use super::sure::{Kept, Sure, WRONG_DEG, surest};
 use csi5300::maths::median;
 use csi5300::place::locate::{LocateError, Located, Sighting, locate};
 use nalgebra::Vector2;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Bearings further off than this are wrong, degrees: what an answer's probability is of.
-const WRONG_DEG: f64 = 5.0;
-/// Edges of the table of reliability.
-const BINS: [f64; 6] = [0.0, 0.5, 0.7, 0.8, 0.9, 1.000_001];
-
-/// Errors of the links that are left when the least confident are refused.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Kept {
-    /// Share kept, 0..1.
-    pub share: f64,
-    /// Confidence of the least confident link kept.
-    pub confidence: f64,
-    /// Their errors.
-    pub errors: Errors,
-}
-
 /// The risk-coverage curve: errors when 100, 90, .. 50 % are kept.
 #[must_use]
 pub fn risk_coverage(rows: &[Judged]) -> Vec<Kept> {
-    kept(rows, (5..=10).rev().map(|tenths| f64::from(tenths) / 10.0))
+    surest(&sure(rows), (5..=10).rev().map(|tenths| f64::from(tenths) / 10.0))
 }
 
 /// The same in steps of 2 %, down to a tenth: for pictures.
 #[must_use]
 pub fn refusals(rows: &[Judged]) -> Vec<Kept> {
-    kept(rows, (5..=50).rev().map(|fiftieths| f64::from(fiftieths) / 50.0))
+    surest(&sure(rows), (5..=50).rev().map(|fiftieths| f64::from(fiftieths) / 50.0))
 }
 
-fn kept(rows: &[Judged], shares: impl Iterator<Item = f64>) -> Vec<Kept> {
-    let mut sure: Vec<(f64, f64)> = certain(rows).collect();
-    sure.sort_by(|a, b| b.0.total_cmp(&a.0));
-    let kept = |share: f64| {
-        // Half a link is no link more because of how a share is rounded.
-        let count = ((sure.len() as f64 * share - 1e-9).ceil() as usize).min(sure.len());
-        let own = &sure[..count];
-        let confidence = own.last().map_or(0.0, |row| row.0);
-        Kept { share, confidence, errors: Errors::of(own.iter().map(|row| row.1)) }
-    };
-    if sure.is_empty() { Vec::new() } else { shares.map(kept).collect() }
+/// Every link that has a probability and an error.
+#[must_use]
+pub fn sure(rows: &[Judged]) -> Vec<Sure> {
+    rows.iter().filter_map(|row| Some(Sure::new(row.answer.confidence?, row.error_from_mean_pose_deg?))).collect()
 }
 
 /// Median of `|error| / deviation` over that of a normal distribution: 1 where deviations tell the truth, whatever a few
@@ -60,43 +38,6 @@ fn scale(pairs: impl Iterator<Item = (f64, f64)>) -> Option<f64> {
 #[must_use]
 pub fn over_bound(rows: &[&Judged]) -> Option<f64> {
     scale(rows.iter().filter_map(|row| row.error_from_mean_pose_deg.zip(row.answer.azimuth_sd_deg)))
-}
-
-/// Links of like confidence.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Reliability {
-    /// From this confidence on.
-    pub from: f64,
-    /// Up to here.
-    pub to: f64,
-    /// Links.
-    pub links: usize,
-    /// Their mean confidence.
-    pub said: f64,
-    /// Share that was within five degrees.
-    pub right: f64,
-}
-
-/// How often links of each confidence were right.
-#[must_use]
-pub fn reliability(rows: &[Judged]) -> Vec<Reliability> {
-    let bin = |edges: &[f64]| {
-        let own: Vec<(f64, f64)> = certain(rows).filter(|(c, _)| (edges[0]..edges[1]).contains(c)).collect();
-        let n = own.len().max(1) as f64;
-        Reliability {
-            from: edges[0],
-            to: edges[1].min(1.0),
-            links: own.len(),
-            said: own.iter().map(|row| row.0).sum::<f64>() / n,
-            right: own.iter().filter(|row| row.1 <= WRONG_DEG).count() as f64 / n,
-        }
-    };
-    BINS.windows(2).map(bin).filter(|bin| bin.links > 0).collect()
-}
-
-/// (confidence, absolute error in degrees) of every link with both.
-fn certain(rows: &[Judged]) -> impl Iterator<Item = (f64, f64)> + '_ {
-    rows.iter().filter_map(|row| Some((row.answer.confidence?, row.error_from_mean_pose_deg?.abs())))
 }
 
 /// Errors of reported ranges.
@@ -253,9 +194,6 @@ mod tests {
         assert_eq!((curve[0].errors.links, curve[5].errors.links), (10, 5));
         assert!((curve[5].errors.mean_deg - 2.0).abs() < 1e-12 && (curve[0].errors.mean_deg - 4.5).abs() < 1e-12);
         assert!(risk_coverage(&[]).is_empty());
-        let bins = reliability(&rows);
-        assert_eq!(bins.iter().map(|bin| bin.links).sum::<usize>(), 10);
-        assert_eq!(bins[bins.len() - 1].right, 1.0);
     }
 
     #[test]

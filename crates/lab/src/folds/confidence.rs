@@ -1,8 +1,9 @@
 //! Probabilities of places that the models were not fitted to.
 
 use super::gather::{FoldRow, Kind, PARTS, SOURCES};
-use crate::evaluate::TrajectorySource;
-use crate::fit_confidence::{LabelledBearing, LogisticModel, WRONG_DEG, calibration};
+use super::report::{Which, sight};
+use crate::evaluate::{Kept, Reliability, Sure, TrajectorySource, WRONG_DEG, above, reliability, surest};
+use crate::fit_confidence::{LabelledBearing, LogisticModel, calibration};
 use csi5300::internal::{PROBABILITY_LIMITS, heading_feature};
 use csi5300_sim::random::Stream;
 use serde::Serialize;
@@ -34,30 +35,72 @@ pub struct ConfidenceColumn {
     /// The same for outcomes drawn from the probabilities themselves, on average: what so few bearings show of a
     /// perfect calibration.
     pub perfect: f64,
+    /// Its bins.
+    pub bins: Vec<Reliability>,
+}
+
+/// What refusing bearings of low probability keeps and costs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct RefusalColumn {
+    /// What it is of; its group is `LOS`, `NLOS` or `all`.
+    #[serde(flatten)]
+    pub which: Which,
+    /// Those of at least 0, 0.1, .. 0.9.
+    pub above: Vec<Kept>,
+    /// The surest 100, 90, .. 50 %.
+    pub surest: Vec<Kept>,
 }
 
 /// A bearing with its probability from all other places.
 struct Told<'a> {
     row: &'a FoldRow,
     labelled: LabelledBearing,
+    error_deg: f64,
+}
+
+impl Told<'_> {
+    fn sure(&self) -> Sure {
+        Sure::new(self.labelled.probability, self.error_deg)
+    }
 }
 
 /// The columns of one kind of answer.
-pub(super) fn columns(rows: &[FoldRow], kind: Kind) -> Vec<ConfidenceColumn> {
+pub(super) fn columns(rows: &[FoldRow], kind: Kind) -> (Vec<ConfidenceColumn>, Vec<RefusalColumn>) {
     let told = told(rows, kind);
+    (calibrations(&told, kind), refusals(&told, kind))
+}
+
+fn calibrations(told: &[Told<'_>], kind: Kind) -> Vec<ConfidenceColumn> {
     let each = SOURCES.into_iter().flat_map(|source| PARTS.map(move |parts| (source, parts)));
     let column = |(source, parts)| {
-        let own: Vec<&LabelledBearing> = told
-            .iter()
-            .filter(|told| told.row.source == source && told.row.part.of == parts)
-            .map(|told| &told.labelled)
-            .collect();
+        let own: Vec<&Told<'_>> =
+            told.iter().filter(|told| told.row.source == source && told.row.part.of == parts).collect();
         (!own.is_empty()).then(|| column(source, parts, kind, &own))
     };
     each.filter_map(column).collect()
 }
 
-fn column(source: TrajectorySource, parts: u32, kind: Kind, own: &[&LabelledBearing]) -> ConfidenceColumn {
+/// What refusals keep of whole motions, halves and quarters in sight, behind walls, and together.
+fn refusals(told: &[Told<'_>], kind: Kind) -> Vec<RefusalColumn> {
+    let mut columns = Vec::new();
+    for (source, parts) in SOURCES.into_iter().flat_map(|source| PARTS.map(|parts| (source, parts))) {
+        for group in ["LOS", "NLOS", "all"] {
+            let belongs = |row: &FoldRow| group == "all" || sight(&row.set) == Some(group);
+            let is_of = |told: &&Told<'_>| told.row.source == source && told.row.part.of == parts && belongs(told.row);
+            let own: Vec<Sure> = told.iter().filter(is_of).map(Told::sure).collect();
+            let tenths = |from: u32, to: u32| (from..=to).map(|tenths| f64::from(tenths) / 10.0);
+            let (above, surest) = (above(&own, &tenths(0, 9).collect::<Vec<_>>()), surest(&own, tenths(5, 10).rev()));
+            let which = Which { source, parts, kind, group: group.to_owned() };
+            columns.extend((!own.is_empty()).then_some(RefusalColumn { which, above, surest }));
+        }
+    }
+    columns
+}
+
+fn column(source: TrajectorySource, parts: u32, kind: Kind, told: &[&Told<'_>]) -> ConfidenceColumn {
+    let own: Vec<&LabelledBearing> = told.iter().map(|told| &told.labelled).collect();
+    let own = own.as_slice();
     let probabilities: Vec<f64> = own.iter().map(|row| row.probability).collect();
     let bearings = own.len();
     ConfidenceColumn {
@@ -69,6 +112,7 @@ fn column(source: TrajectorySource, parts: u32, kind: Kind, own: &[&LabelledBear
         said: probabilities.iter().sum::<f64>() / bearings as f64,
         expected_error: calibration(own, &probabilities).expected_error,
         perfect: perfect(own, &probabilities),
+        bins: reliability(&told.iter().map(|told| told.sure()).collect::<Vec<_>>()),
     }
 }
 
@@ -122,7 +166,8 @@ fn told(rows: &[FoldRow], kind: Kind) -> Vec<Told<'_>> {
             let mut labelled = label(row, kind)?;
             let [least, most] = PROBABILITY_LIMITS;
             labelled.probability = model.probability(&labelled.features).clamp(least, most);
-            Some(Told { row, labelled })
+            let error_deg = row.answered(kind)?.error_deg;
+            Some(Told { row, labelled, error_deg })
         }));
     }
     told

@@ -8,7 +8,7 @@
 //!
 //! [`report`] has one [`ErrorColumn`] for each trajectory, length of motion, kind of answer and group of links (in line
 //! of sight, without, each set), one [`ConfidenceColumn`] for each trajectory, length and kind, and one
-//! [`ErrorBarColumn`] for each of them in line of sight, without, and together.
+//! [`ErrorBarColumn`] and [`RefusalColumn`] for each of them in line of sight, without, and together.
 
 mod bootstrap;
 mod confidence;
@@ -17,7 +17,7 @@ mod gather;
 mod report;
 
 pub use bootstrap::Interval;
-pub use confidence::{ConfidenceColumn, labelled};
+pub use confidence::{ConfidenceColumn, RefusalColumn, labelled};
 pub use error_bar::{ErrorBarColumn, error_rows};
 pub use gather::{Answered, FoldRow, Kind, gather};
 pub use report::{ErrorColumn, Report, Which, report};

@@ -1,7 +1,7 @@
 //! Tables of errors and calibration by trajectory, length of motion and group of links.
 
 use super::bootstrap::{Interval, intervals};
-use super::confidence::{self, ConfidenceColumn};
+use super::confidence::{self, ConfidenceColumn, RefusalColumn};
 use super::error_bar::{self, ErrorBarColumn};
 use super::gather::{FoldRow, Kind, PARTS, SOURCES};
 use crate::evaluate::{Errors, TrajectorySource};
@@ -53,6 +53,8 @@ pub struct Report {
     pub errors: Vec<ErrorColumn>,
     /// Probabilities from models fitted to all other places.
     pub confidence: Vec<ConfidenceColumn>,
+    /// What refusing by them keeps and costs.
+    pub refusals: Vec<RefusalColumn>,
     /// Error bars from models fitted to all other places.
     pub error_bars: Vec<ErrorBarColumn>,
 }
@@ -62,11 +64,13 @@ pub struct Report {
 pub fn report(rows: &[FoldRow]) -> Report {
     let names = |of: fn(&FoldRow) -> &str| rows.iter().map(of).collect::<BTreeSet<&str>>();
     let kinds = [Kind::Full, Kind::Quick];
+    let [full, quick] = kinds.map(|kind| confidence::columns(rows, kind));
     Report {
         places: names(|row| &row.place).len(),
         links: names(|row| &row.link).len(),
         errors: kinds.into_iter().flat_map(|kind| errors(rows, kind)).collect(),
-        confidence: kinds.into_iter().flat_map(|kind| confidence::columns(rows, kind)).collect(),
+        confidence: [full.0, quick.0].concat(),
+        refusals: [full.1, quick.1].concat(),
         error_bars: error_bar::columns(rows),
     }
 }

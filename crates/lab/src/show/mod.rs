@@ -4,12 +4,12 @@
 //! |---|---|
 //! | [`link`] | a link from end to end: [`link::LinkPictures`] |
 //! | [`log`] | a log over time: heat maps of CSI, levels, rate, what is missing |
-//! | [`set`] | an evaluation: error distributions, refusals, a map of each place |
+//! | [`set`] | an evaluation: error distributions, refusals, reliability, a map of each place |
 //! | [`compared`] | a recording and a simulation beside each other |
 //! | [`repeated`] | the experiments of \[paper\] (docs/references.md): phases, averaged profiles |
 //! | [`report`] | one HTML page of a tree of captures, pictures inside |
 //! | `slim` | pictures in fewer bytes, for the page |
-//! | `phase`, `profile`, `place`, `plane`, `curves` | the kinds of picture |
+//! | `phase`, `profile`, `place`, `plane`, `curves`, `reliability` | the kinds of picture |
 //! | `canvas`, `axes`, `pdf` | lines, text, legends, ticks, and the drawing as PDF; the only files that name the drawing library's scene |
 //!
 //! Every kind of picture is a plain struct with public fields and one `write(stem)`: it adds `.png` and `.svg` to `stem`,
@@ -27,6 +27,7 @@ mod phase;
 mod place;
 mod plane;
 mod profile;
+mod reliability;
 pub mod repeated;
 pub mod report;
 pub mod set;
@@ -37,6 +38,7 @@ pub use phase::{PhasePlot, PhaseTrack};
 pub use place::PlaceMap;
 pub use plane::{Ellipse, MapPlot, Ray, RayClass, TrajectoryPlot};
 pub use profile::{ProfileMap, ProfilePlot};
+pub use reliability::{ReliabilityPlot, ReliabilityPoint};
 use std::path::PathBuf;
 
 /// Why a picture was not written.

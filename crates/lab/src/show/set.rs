@@ -1,8 +1,11 @@
-//! The pictures of an evaluation: error distributions, refusals, a map of each place.
+//! The pictures of an evaluation: error distributions, refusals, reliability of the confidence, a map of each place.
 
-use super::{CdfPlot, Ellipse, Error, MapPlot, Ray, RayClass, ScatterLines, file_safe};
-use crate::evaluate::Judged;
-use crate::evaluate::quality::{Kept, Receiver, receivers, refusals};
+use super::{
+    CdfPlot, Ellipse, Error, MapPlot, Ray, RayClass, ReliabilityPlot, ReliabilityPoint, ScatterLines, file_safe,
+};
+use crate::evaluate::quality::{Receiver, receivers, refusals, sure};
+use crate::evaluate::{Judged, Kept, Reliability, TrajectorySource, reliability};
+use crate::folds::{Kind, Report};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -16,8 +19,8 @@ const TOOLBOX: [(&str, f64, f64); 5] = [
     ("NLOS_Set_C", 2.15, 7.03),
 ];
 
-/// Writes `errors` and `refusals`, where the truth of a link is known, and a `map-PLACE` for each capture into a folder,
-/// each as .png and .svg.
+/// Writes `errors`, where the truth of a link is known, `refusals` and `reliability`, where such a link has a confidence, and
+/// a `map-PLACE` for each capture into a folder, each as .png and .svg.
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
@@ -27,8 +30,9 @@ pub fn write(rows: &[Judged], folder: &Path) -> Result<Vec<PathBuf>, Error> {
     if rows.iter().any(|row| judged(&row)) {
         written.extend(errors(rows).write(&folder.join("errors"))?);
     }
-    if rows.iter().filter(judged).any(|row| row.answer.confidence.is_some()) {
+    if !sure(rows).is_empty() {
         written.extend(refused(rows).write(&folder.join("refusals"))?);
+        written.extend(reliable(rows).write(&folder.join("reliability"))?);
     }
     let mut captures: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
     for row in rows {
@@ -43,6 +47,42 @@ pub fn write(rows: &[Judged], folder: &Path) -> Result<Vec<PathBuf>, Error> {
         written.extend(picture.write(&folder.join(format!("map-{}", file_safe(capture))))?);
     }
     Ok(written)
+}
+
+/// Writes `reliability` and `reliability-plane-wave` into a folder, each as .png and .svg: probabilities from models fitted
+/// to all other places beside how often they came true, of whole motions and halves.
+///
+/// # Errors
+/// If a picture cannot be drawn or written.
+pub fn write_folds(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+    let kinds = [
+        (Kind::Full, "reliability", "Reliability on places that nothing was fitted to"),
+        (Kind::Quick, "reliability-plane-wave", "The same of bearings by a plane wave"),
+    ];
+    let mut written = Vec::new();
+    for (kind, name, title) in kinds {
+        let columns = report
+            .confidence
+            .iter()
+            .filter(|column| column.kind == kind && column.parts <= 2 && column.source != TrajectorySource::Odometry);
+        let series = columns.map(|column| {
+            let source = if column.source == TrajectorySource::T265 { "tracking camera" } else { "motion capture" };
+            let part = if column.parts == 1 { "whole motions" } else { "halves" };
+            (format!("{source}, {part}"), points(&column.bins))
+        });
+        let plot = ReliabilityPlot { title: title.into(), series: series.collect() };
+        written.extend(plot.write(&folder.join(name))?);
+    }
+    Ok(written)
+}
+
+fn points(bins: &[Reliability]) -> Vec<ReliabilityPoint> {
+    bins.iter().map(|bin| ReliabilityPoint { said: bin.said, right: bin.right, count: bin.links }).collect()
+}
+
+fn reliable(rows: &[Judged]) -> ReliabilityPlot {
+    let series = vec![("links".to_owned(), points(&reliability(&sure(rows))))];
+    ReliabilityPlot { title: "How often bearings of each confidence were right".into(), series }
 }
 
 fn errors(rows: &[Judged]) -> CdfPlot {
