@@ -72,6 +72,21 @@ fn probabilities_come_from_other_places() {
 }
 
 #[test]
+fn refusing_what_models_of_other_places_doubt_leaves_what_is_right() {
+    let report = report(&rows());
+    let is_it = |column: &&RefusalColumn| {
+        let which = &column.which;
+        (which.source, which.parts, which.kind, which.group.as_str()) == (TrajectorySource::T265, 2, Kind::Quick, "all")
+    };
+    let column = report.refusals.iter().find(is_it).unwrap();
+    let (everything, half) = (column.above[0], column.above[5]);
+    assert_eq!((everything.errors.links, everything.share, everything.refused_right), (120, 1.0, None));
+    // 28 of 120 are wrong, and the feature says which.
+    assert_eq!((half.errors.over_20, half.errors.links, half.refused_right), (0.0, 92, Some(0.0)));
+    assert_eq!(column.surest.iter().map(|kept| kept.errors.links).collect::<Vec<_>>(), [120, 108, 96, 84, 72, 60]);
+}
+
+#[test]
 fn the_same_rows_give_the_same_digits() {
     assert_eq!(report(&rows()), report(&rows()));
     assert!(report(&[]).errors.is_empty() && report(&[]).confidence.is_empty());

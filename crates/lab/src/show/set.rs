@@ -50,7 +50,8 @@ pub fn write(rows: &[Judged], folder: &Path) -> Result<Vec<PathBuf>, Error> {
 }
 
 /// Writes `reliability` and `reliability-plane-wave` into a folder, each as .png and .svg: probabilities from models fitted
-/// to all other places beside how often they came true, of whole motions and halves.
+/// to all other places beside how often they came true, of whole motions and halves. Neither of them where no model could be
+/// fitted, as with a single place.
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
@@ -71,7 +72,9 @@ pub fn write_folds(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, Error
             (format!("{source}, {part}"), points(&column.bins))
         });
         let plot = ReliabilityPlot { title: title.into(), series: series.collect() };
-        written.extend(plot.write(&folder.join(name))?);
+        if plot.series.iter().any(|series| !series.1.is_empty()) {
+            written.extend(plot.write(&folder.join(name))?);
+        }
     }
     Ok(written)
 }
