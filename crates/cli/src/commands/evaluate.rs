@@ -92,7 +92,7 @@ pub fn run(args: &Args) -> Result {
         #[cfg(feature = "plot")]
         if let Some(folder) = &args.out {
             let written = csi5300_lab::show::set::write_folds(&report, folder).map_err(|error| error.to_string())?;
-            eprintln!("{}: {} pictures", folder.display(), written.len());
+            note!("{}: {} pictures", folder.display(), written.len());
         }
         return Ok(super::folds::outcome(&report));
     }
