@@ -1,6 +1,6 @@
 """Holds the crates of all features against deny.toml: licences, and versions of one crate side by side.
 
-What `cargo deny check licenses bans` does, for machines without it; the advisories need that program and its database.
+What `cargo deny check licenses bans` does, for machines without it; the advisories need that program and its database (tests/checks/deny.sh).
 """
 
 import collections

@@ -21,6 +21,9 @@
 #[cfg(test)]
 extern crate std;
 
+mod checksum;
+#[cfg(test)]
+mod errors_tests;
 mod mac;
 
 pub mod bfee;

@@ -71,4 +71,14 @@ mod tests {
             assert_eq!(bad.parse::<Mac>(), Err(ParseMacError), "{bad}");
         }
     }
+
+    #[test]
+    fn one_address_is_zero() {
+        assert!(Mac::default().is_zero());
+        (0..6).for_each(|at| {
+            let mut mac = Mac::default();
+            mac.0[at] = 1;
+            assert!(!mac.is_zero());
+        });
+    }
 }

@@ -7,7 +7,7 @@ use byteorder::{BigEndian, ByteOrder, LittleEndian};
 use core::fmt;
 
 use crate::record::code;
-use crate::{EmitError, Mac, room};
+use crate::{EmitError, Mac, checksum, room};
 
 /// Bytes of an 802.11 data header with three addresses (802.11-2016 9.2.4).
 pub const HEADER: usize = 24;
@@ -145,27 +145,10 @@ pub fn fcs_is_good(frame: &[u8]) -> bool {
 /// CRC-32 of the frame check sequence (802.11-2016 9.2.4.8): reflected 0x04C11DB7, all ones before and after.
 #[must_use]
 pub fn crc32(bytes: &[u8]) -> u32 {
-    !bytes.iter().fold(!0, |crc: u32, &byte| {
-        let index = (crc as u8 ^ byte) as usize;
-        crc >> 8 ^ CRC_TABLE[index & 0xff]
-    })
+    checksum::of(&CRC_TABLE, bytes)
 }
 
-const CRC_TABLE: [u32; 256] = {
-    let mut table = [0; 256];
-    let mut index = 0;
-    while index < 256 {
-        let mut crc = index as u32;
-        let mut bit = 0;
-        while bit < 8 {
-            crc = if crc & 1 == 1 { crc >> 1 ^ 0xEDB8_8320 } else { crc >> 1 };
-            bit += 1;
-        }
-        table[index] = crc;
-        index += 1;
-    }
-    table
-};
+static CRC_TABLE: [u32; 256] = checksum::table(0xEDB8_8320);
 
 /// The value form of an MPDU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

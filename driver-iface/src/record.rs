@@ -108,19 +108,23 @@ impl<'a> Record<'a> {
     }
 }
 
+/// The whole records in an intact stream, each with its length field; what is left at the end is cut.
+pub fn written(bytes: &[u8]) -> impl Iterator<Item = &[u8]> {
+    let mut rest = bytes;
+    core::iter::from_fn(move || {
+        let length = usize::from(u16::from_be_bytes(*rest.first_chunk::<LENGTH_FIELD>()?));
+        let (record, behind) = rest.split_at_checked(LENGTH_FIELD + length)?;
+        rest = behind;
+        Some(record)
+    })
+}
+
 /// Bytes and number of the whole records in the first `upto` bytes of an intact stream: where a write that stopped there
 /// is to be cut.
 #[must_use]
 pub fn whole_records(bytes: &[u8], upto: usize) -> (usize, usize) {
-    let (mut at, mut records) = (0, 0);
-    while let Some(&[high, low]) = bytes.get(at..at + LENGTH_FIELD) {
-        let end = at + LENGTH_FIELD + usize::from(u16::from_be_bytes([high, low]));
-        if end > upto {
-            break;
-        }
-        (at, records) = (end, records + 1);
-    }
-    (at, records)
+    let whole = written(bytes.get(..upto).unwrap_or(bytes));
+    whole.fold((0, 0), |(at, records), record| (at + record.len(), records + 1))
 }
 
 #[cfg(test)]

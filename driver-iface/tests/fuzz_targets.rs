@@ -1,12 +1,20 @@
-//! The bodies of the fuzz targets (`fuzz/`) on a million cases from a seeded generator: valid inputs, damaged.
+//! The bodies of the fuzz targets (`fuzz/`) on their corpus, and on a million cases from a seeded generator: valid inputs, damaged.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
 #[path = "../../fuzz/targets/bfee.rs"]
 mod bfee;
 #[path = "../../fuzz/targets/connector.rs"]
 mod connector;
+#[path = "../../tests/common/corpus.rs"]
+mod corpus;
+#[path = "../../fuzz/targets/frame.rs"]
+mod frame;
 #[path = "../../fuzz/targets/record_stream.rs"]
 mod record_stream;
+#[path = "../../fuzz/targets/side_file.rs"]
+mod side_file;
+#[path = "../../fuzz/targets/stock.rs"]
+mod stock;
 
 use driver_iface::bfee::{Iq, Repr, Wsr};
 use driver_iface::connector as cn;
@@ -131,4 +139,14 @@ fn datagrams() {
         random.damage(&mut datagram);
         connector::run(&datagram);
     }
+}
+
+#[test]
+fn corpora() {
+    corpus::replay("bfee", bfee::run);
+    corpus::replay("connector", connector::run);
+    corpus::replay("frame", frame::run);
+    corpus::replay("record_stream", record_stream::run);
+    corpus::replay("side_file", side_file::run);
+    corpus::replay("stock", stock::run);
 }

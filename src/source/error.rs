@@ -27,6 +27,12 @@ pub enum Error {
         /// The file.
         path: PathBuf,
     },
+    /// A log was to be written into a pipe: opening one waits for a reader, and what was written cannot be taken back.
+    #[error("{} is a pipe: a log is written into a file", .path.display())]
+    IntoPipe {
+        /// The pipe.
+        path: PathBuf,
+    },
     /// Another recorder writes this log.
     #[error("{} is being recorded by another program", .path.display())]
     InUse {

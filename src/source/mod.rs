@@ -16,7 +16,7 @@ pub mod paced;
 pub mod remote;
 
 pub use error::{Error, NotSent};
-pub use side_file::side_path;
+pub use side_file::{Checks, side_path};
 
 use crate::time::Instant;
 use driver_iface::connector;

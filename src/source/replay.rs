@@ -1,8 +1,10 @@
 //! A recorded `.dat` log as a [`CsiSource`]: read in chunks, never loaded.
 
-use super::{CsiSource, Error, Loss, Next, Origin, Stamps, side_file::SideFile};
+use super::side_file::{Checks, Said, SideFile};
+use super::{CsiSource, Error, Loss, Next, Origin, Stamps};
 use crate::time::Instant;
-use driver_iface::record::{Framer, LOOKAHEAD, Record, Step};
+use driver_iface::record::{Framer, LOOKAHEAD, Reason, Record, Step};
+use driver_iface::side_file::Layout;
 use std::io::Read;
 use std::path::Path;
 
@@ -26,7 +28,8 @@ pub struct Replay<R> {
 }
 
 impl Replay<Box<dyn Read + Send>> {
-    /// Opens a log; `-` is standard input. Host times come from its side file (`<log>stp`), where there is one.
+    /// Opens a log; `-` is standard input. Host times come from its side file (`<log>stp`), where there is one; a record
+    /// whose checksum is not the side file's is lost.
     ///
     /// # Errors
     /// If it cannot be opened, or is a directory.
@@ -68,6 +71,18 @@ impl<R: Read> Replay<R> {
         self.bytes
     }
 
+    /// How the log's side file is laid out, if it has one.
+    #[must_use]
+    pub fn side_layout(&self) -> Option<Layout> {
+        self.side.as_ref().map(SideFile::layout)
+    }
+
+    /// What the checksums of the side file said so far; `None` without a side file that has them.
+    #[must_use]
+    pub fn checks(&self) -> Option<Checks> {
+        self.side.as_ref().and_then(SideFile::checks)
+    }
+
     /// The name given at the start.
     #[must_use]
     pub fn name(&self) -> &str {
@@ -99,29 +114,33 @@ impl<R: Read> Replay<R> {
 impl<R: Read> CsiSource for Replay<R> {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
         self.due = Some(now);
-        let (offset, code, from, to) = loop {
-            match self.framer.step(&self.buffer[self.start..self.filled], self.end_of_file) {
+        let (offset, code, said, from, to) = loop {
+            let front = &self.buffer[self.start..self.filled];
+            match self.framer.step(front, self.end_of_file) {
                 Step::Record { offset, used, record } => {
+                    let said = self.side.as_mut().map_or(Said::NOTHING, |side| side.take(front.split_at(used).0));
                     let to = self.start + used;
                     let from = to - record.body.len();
                     self.start = to;
-                    break (offset, record.code, from, to);
+                    if !said.is_right {
+                        return Ok(Next::Lost(Loss::Bytes { offset, len: used as u64, reason: Reason::Checksum }));
+                    }
+                    break (offset, record.code, said, from, to);
                 }
                 Step::Incomplete => self.fill()?,
                 Step::Bad { offset, skipped, reason } => {
                     self.start += skipped;
-                    // How many records were in there nobody knows: the side file is out of step from here on.
-                    self.side = None;
+                    self.side.iter_mut().for_each(SideFile::skip);
                     return Ok(Next::Lost(Loss::Bytes { offset, len: skipped as u64, reason }));
                 }
                 Step::End(tail) => {
                     self.due = None;
+                    self.side.iter_mut().for_each(SideFile::end);
                     return Ok(Next::End(tail));
                 }
             }
         };
-        let host_us = self.side.as_mut().and_then(SideFile::next_us);
-        let stamps = Stamps { at: now, host_us, origin: Origin::File { offset } };
+        let stamps = Stamps { at: now, host_us: said.host_us, origin: Origin::File { offset } };
         Ok(Next::Record(stamps, Record { code, body: &self.buffer[from..to] }))
     }
 

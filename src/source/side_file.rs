@@ -1,9 +1,20 @@
-//! The side file of a log on disk: the host's receive times of its records. Its bytes: [`driver_iface::side_file`].
+//! The side file of a log on disk: the host's receive times of its records, and their checksums where it has them. Its
+//! bytes: [`driver_iface::side_file`].
 
-use driver_iface::side_file::{Width, parse};
+use super::{CsiSource, Next, replay::Replay};
+use crate::time::Instant;
+use driver_iface::side_file::{Check, Entry, Layout};
+use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
+
+/// Entries looked at for the checksum of a record: so many records may be missing from a log at one place.
+const WINDOW: usize = 1 << 16;
+/// So many records in a row that a side file does not know: more is missing than is looked at.
+const STRANGERS: u64 = 64;
+/// A side file that knows none of the first so many records is of another log.
+const FIRST: usize = 1_024;
 
 /// The path of a log's side file: the log's with `stp` behind it, so `a.datstp` of `a.dat`.
 #[must_use]
@@ -13,42 +24,178 @@ pub fn side_path(log: &Path) -> PathBuf {
     name.into()
 }
 
+/// What a side file with checksums ([`Layout::Checked`]) says of the records of its log.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
+pub struct Checks {
+    /// Records that are as they were written.
+    pub good: u64,
+    /// Records of which the side file does not know the checksum: its disk was full, or the recorder was killed before it
+    /// wrote the last ones.
+    pub unknown: u64,
+    /// Records that are not as they were written, or never were: left out.
+    pub wrong: u64,
+    /// Records that were written and are not in the log, or not as they were.
+    pub missing: u64,
+    /// The side file is of another log, or lost its place in this one: from there on it says nothing.
+    pub out_of_step: bool,
+}
+
+/// What a side file says of a record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Said {
+    /// When the host received it, microseconds since the Unix epoch; `None` where that is not known.
+    pub(super) host_us: Option<i64>,
+    /// False where its checksum is another one.
+    pub(super) is_right: bool,
+}
+
+impl Said {
+    /// Of a record of which nothing is known.
+    pub(super) const NOTHING: Self = Self { host_us: None, is_right: true };
+}
+
 /// Reads a side file along with its log.
 #[derive(Debug)]
-pub(super) struct SideFile {
-    /// The bytes by which the width was seen, then the rest.
-    reader: std::io::Chain<std::io::Cursor<Vec<u8>>, BufReader<File>>,
-    width: Width,
+pub(super) struct SideFile<R = BufReader<File>> {
+    /// The bytes by which the layout was seen, then the rest.
+    reader: std::io::Chain<std::io::Cursor<Vec<u8>>, R>,
+    layout: Layout,
+    /// Entries read and not used.
+    ahead: VecDeque<Entry>,
+    /// Records in a row that were wrong.
+    strangers: u64,
+    checks: Checks,
 }
 
 impl SideFile {
     /// The side file of a log, if it has one.
     pub(super) fn of(log: &Path) -> Option<Self> {
         let path = side_path(log);
-        // A pipe of that name would be waited for.
-        std::fs::metadata(&path).ok().filter(std::fs::Metadata::is_file)?;
-        let mut rest = BufReader::new(File::open(path).ok()?);
+        // A pipe of that name would be waited for, and one that is the log is read once.
+        let is_file = |path: &Path| std::fs::metadata(path).is_ok_and(|found| found.is_file());
+        if !is_file(&path) || !is_file(log) {
+            return None;
+        }
+        let mut side = Self::new(BufReader::new(File::open(path).ok()?))?;
+        if side.layout == Layout::Checked {
+            side.checks.out_of_step = !side.is_of(Replay::new(File::open(log).ok()?, String::new()));
+        }
+        Some(side)
+    }
+}
+
+impl<R: Read> SideFile<R> {
+    fn new(mut rest: R) -> Option<Self> {
         let mut head = Vec::new();
-        rest.by_ref().take(Width::Wide.bytes() as u64).read_to_end(&mut head).ok()?;
-        let width = Width::of(&head);
-        Some(Self { reader: std::io::Cursor::new(head).chain(rest), width })
+        rest.by_ref().take(Layout::Wide.bytes() as u64).read_to_end(&mut head).ok()?;
+        let layout = Layout::of(&head);
+        let mut start = std::io::Cursor::new(head);
+        start.set_position(layout.head().len() as u64);
+        let reader = start.chain(rest);
+        Some(Self { reader, layout, ahead: VecDeque::new(), strangers: 0, checks: Checks::default() })
     }
 
-    /// The next record's receive time, microseconds since the Unix epoch; `None` where it is not known.
-    pub(super) fn next_us(&mut self) -> Option<i64> {
-        let mut entry = [0; Width::Wide.bytes()];
-        let entry = entry.get_mut(..self.width.bytes())?;
+    /// True if it knows one of the first records of a log, or there is none.
+    fn is_of<S: Read>(&mut self, mut log: Replay<S>) -> bool {
+        let (mut bytes, mut records) = (Vec::new(), 0);
+        while records < FIRST {
+            match log.receive(Instant::ZERO) {
+                Ok(Next::Record(_, record)) => {
+                    records += 1;
+                    bytes.resize(record.emit_len(), 0);
+                    if record.emit(&mut bytes).is_ok() && self.find(Check::of(&bytes)).is_some() {
+                        return true;
+                    }
+                }
+                Ok(Next::Lost(_)) => {}
+                Ok(Next::Pending | Next::End(_)) | Err(_) => return records == 0,
+            }
+        }
+        false
+    }
+
+    pub(super) fn layout(&self) -> Layout {
+        self.layout
+    }
+
+    /// What it said of its log's records so far; `None` without checksums.
+    pub(super) fn checks(&self) -> Option<Checks> {
+        (self.layout == Layout::Checked).then_some(self.checks)
+    }
+
+    /// Bytes of the log were skipped: how many records were in them nobody knows. Entries with checksums are found again,
+    /// others are out of step from here on.
+    pub(super) fn skip(&mut self) {
+        self.checks.out_of_step |= self.layout != Layout::Checked;
+    }
+
+    /// The log is over: what is left was written and is not in it.
+    pub(super) fn end(&mut self) {
+        while self.checks().is_some_and(|checks| !checks.out_of_step) {
+            let Some(entry) = self.ahead.pop_front().or_else(|| self.read()) else { return };
+            self.checks.missing += u64::from(entry.check.is_some());
+        }
+    }
+
+    /// What it says of the next record, as the log has it.
+    pub(super) fn take(&mut self, record: &[u8]) -> Said {
+        if self.checks.out_of_step {
+            return Said::NOTHING;
+        }
+        match self.layout {
+            Layout::Narrow | Layout::Wide => Said { host_us: self.read().unwrap_or_default().host_us, is_right: true },
+            Layout::Checked => match self.find(Check::of(record)) {
+                Some(at) => self.take_good(at),
+                None => self.take_other(),
+            },
+        }
+    }
+
+    /// The record of the entry at `at`; those before it are not in the log.
+    fn take_good(&mut self, at: usize) -> Said {
+        self.checks.missing += self.ahead.drain(..at).filter(|entry| entry.check.is_some()).count() as u64;
+        (self.checks.good, self.strangers) = (self.checks.good + 1, 0);
+        Said { host_us: self.ahead.pop_front().unwrap_or_default().host_us, is_right: true }
+    }
+
+    /// A record whose checksum is in no entry.
+    fn take_other(&mut self) -> Said {
+        if self.ahead.front().is_none_or(|entry| entry.check.is_none()) {
+            self.checks.unknown += 1;
+            return Said { host_us: self.ahead.pop_front().unwrap_or_default().host_us, is_right: true };
+        }
+        self.checks.wrong += 1;
+        self.strangers += 1;
+        self.checks.out_of_step = self.strangers >= STRANGERS;
+        Said { host_us: None, is_right: false }
+    }
+
+    /// The place of the first entry with this checksum.
+    fn find(&mut self, check: Check) -> Option<usize> {
+        let is_same = |entry: &Entry| entry.check == Some(check);
+        if self.ahead.is_empty() {
+            let first = self.read()?;
+            self.ahead.push_back(first);
+        }
+        if self.ahead.front().is_some_and(is_same) {
+            return Some(0);
+        }
+        while self.ahead.len() < WINDOW {
+            let Some(entry) = self.read() else { break };
+            self.ahead.push_back(entry);
+        }
+        self.ahead.iter().position(is_same)
+    }
+
+    /// The next entry of the file; `None` at its end, and where it cannot be read.
+    fn read(&mut self) -> Option<Entry> {
+        let mut entry = [0; Layout::Wide.bytes()];
+        let entry = entry.get_mut(..self.layout.bytes())?;
         self.reader.read_exact(entry).ok()?;
-        parse(entry, self.width)
+        Some(Entry::parse(entry, self.layout))
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_are_those_of_the_log_with_stp() {
-        assert_eq!(side_path(Path::new("out.dat")), Path::new("out.datstp"));
-    }
-}
+mod tests;

@@ -9,7 +9,10 @@ use driver_iface::{Mac, bfee::Bfee};
 use std::collections::{BTreeMap, BTreeSet};
 
 mod antennas;
+mod clocks;
 mod senders;
+
+pub use clocks::{ClockSteps, HostSteps, PAUSE_US};
 
 /// Losses kept with their place; further ones are only counted.
 pub const LOSSES_KEPT: usize = 16;
@@ -23,41 +26,8 @@ const SAME_COUNT: u32 = 1 << 22;
 /// Inter-packet times kept for the median.
 const STEPS_KEPT: usize = 4_096;
 
-/// Records this far apart on the card's clock, microseconds, have a pause between them.
-pub const PAUSE_US: i64 = 1_000_000;
 /// Steps of a frame number that count as counting up: a sender that several robots share counts past the others' frames.
 const COUNTING_UP: std::ops::RangeInclusive<i32> = 1..=64;
-
-/// How the card's clock went on from record to record.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-#[non_exhaustive]
-pub struct ClockSteps {
-    /// Sum of the steps forward, microseconds.
-    pub forward_us: i64,
-    /// Steps back: the card was reset, or its clock jumped.
-    pub steps_back: u64,
-    /// The largest of them, microseconds, positive.
-    pub furthest_back_us: i64,
-    /// Steps forward of [`PAUSE_US`] and more.
-    pub pauses: u64,
-    /// The longest of them, microseconds.
-    pub longest_pause_us: i64,
-}
-
-impl ClockSteps {
-    fn note(&mut self, step_us: i64) {
-        if step_us < 0 {
-            self.steps_back += 1;
-            self.furthest_back_us = self.furthest_back_us.max(-step_us);
-            return;
-        }
-        self.forward_us += step_us;
-        if step_us >= PAUSE_US {
-            self.pauses += 1;
-            self.longest_pause_us = self.longest_pause_us.max(step_us);
-        }
-    }
-}
 
 /// Frames of one sender in a log.
 #[derive(Clone, Debug, Default, serde::Serialize)]
@@ -267,6 +237,8 @@ pub struct Survey {
     pub clock_steps: ClockSteps,
     /// First and last host time, microseconds since the Unix epoch.
     pub host_us: Option<(i64, i64)>,
+    /// How the host's clock went on beside the card's.
+    pub host_steps: HostSteps,
     /// MPDU records whose frame check sequence does not fit.
     pub mpdu_bad_fcs: u64,
     /// How the log ended.
@@ -398,6 +370,7 @@ impl Survey {
         }
         self.agc.note(i32::from(bfee.agc()));
         self.sender(identity.mac).note(identity.frame_count, bfee.timestamp_low());
+        self.host_steps.note(bfee.timestamp_low(), identity.host_us);
         let elapsed_us = self.host_us.zip(identity.host_us).map(|((_, last), now)| now.saturating_sub(last));
         let now_us = self.clock.next_after(bfee.timestamp_low(), elapsed_us);
         if let Some((_, last_us)) = self.clock_us {

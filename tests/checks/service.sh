@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# The systemd unit: read by systemd's own checker, and how exposed it calls the service. 77: no systemd-analyze.
+# The systemd unit, alone and with what a serial port and sounding need: read by systemd's own checker, and how exposed it calls the service (of 10;
+# alone 1.5 at most). 77: no systemd-analyze.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 command -v systemd-analyze >/dev/null || { echo "no systemd-analyze"; exit 77; }
@@ -7,6 +8,20 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 # The program is not installed where the unit expects it.
 sed 's|/usr/local/bin/csi5300|/bin/true|' packaging/csi5300-node.service >"$folder/csi5300-node.service"
-said=$(systemd-analyze verify "$folder/csi5300-node.service" 2>&1) || { echo "$said"; exit 1; }
-[ -z "$said" ] || { echo "$said"; exit 1; }
-systemd-analyze security --offline=true --threshold=22 "$folder/csi5300-node.service" | tail -n 1
+verify() {
+    said=$(systemd-analyze verify "$folder/csi5300-node.service" 2>&1) || { echo "$said"; exit 1; }
+    [ -z "$said" ] || { echo "$said"; exit 1; }
+}
+exposure() { SYSTEMD_UNIT_PATH="$folder:" systemd-analyze security --offline=true --threshold="$1" csi5300-node.service | tail -n 1; }
+verify
+exposure 15
+mkdir "$folder/csi5300-node.service.d"
+cp packaging/csi5300-node-{serial,sounding}.conf "$folder/csi5300-node.service.d/"
+verify
+exposure 21
+# The files give what they are for: they add to the unit's lists, as systemd reads them.
+given=$(SYSTEMD_UNIT_PATH="$folder:" systemd-analyze security --offline=true csi5300-node.service)
+for right in 'PrivateDevices=' 'ttyACM' 'RestrictAddressFamilies=~AF_PACKET' 'RestrictRealtime=' 'SystemCallFilter=~@resources' \
+    'NET_(BIND_SERVICE|BROADCAST|RAW)'; do
+    grep -F "$right" <<<"$given" | grep -q '✗' || { echo "the files beside the unit do not give: $right"; exit 1; }
+done

@@ -1,7 +1,7 @@
 //! The body of the fuzz target for trajectory files on damaged and random text from a seeded generator.
 
 #[path = "../../fuzz/targets/trajectory_csv.rs"]
-mod trajectory_csv;
+pub mod trajectory_csv;
 
 use csi5300_sim::random::Stream;
 

@@ -1,7 +1,7 @@
 //! The body of the fuzz target for frames from the air, on lists of steps from a seeded generator.
 
 #[path = "../../fuzz/targets/sounding.rs"]
-mod sounding;
+pub mod sounding;
 
 use csi5300_sim::random::Stream;
 use driver_iface::sounding::native::{self, Role};

@@ -3,8 +3,10 @@
 
 #[path = "../common/mod.rs"]
 mod common;
+mod fuzz_corpus;
 mod fuzz_csv;
 mod fuzz_sounding;
 mod inputs;
 mod pipeline;
+mod soak;
 mod tdma;

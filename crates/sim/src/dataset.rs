@@ -10,7 +10,7 @@ use csi5300::motion::odometry::{NextPose, OdometrySource};
 use csi5300::source::{CsiSource, Error, Next, side_path};
 use csi5300::time::Instant;
 use driver_iface::record::Record;
-use driver_iface::side_file::{self, Width};
+use driver_iface::side_file::{Entry, Layout};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Write};
@@ -211,9 +211,9 @@ impl Writing {
 
     fn write(&mut self, host_us: Option<i64>, record: &Record<'_>) -> Result<(), Error> {
         if let Some(side) = &mut self.side {
-            let mut entry = [0; Width::Narrow.bytes()];
+            let mut entry = [0; Layout::Narrow.bytes()];
             // A time that does not fit stays zeros: not known.
-            let _ = side_file::emit(host_us, Width::Narrow, &mut entry);
+            let _ = Entry::from(host_us).emit(Layout::Narrow, &mut entry);
             at(&self.log.path, "write the host times beside", side.write_all(&entry))?;
         }
         self.scratch.resize(record.emit_len(), 0);
@@ -243,7 +243,7 @@ impl Writing {
             self.log.tail_bytes = cut.first().map_or(0, |&start| kept.saturating_sub(start));
         }
         if let Some(side) = &mut self.side {
-            let whole = self.log.records * Width::Narrow.bytes() as u64;
+            let whole = self.log.records * Layout::Narrow.bytes() as u64;
             let done = side.flush().and_then(|()| side.get_ref().set_len(whole));
             at(&self.log.path, "write the host times beside", done)?;
         }

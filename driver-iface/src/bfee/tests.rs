@@ -188,3 +188,13 @@ fn antennas_of_known_selections() {
         assert_eq!(of(sel, n_rx, rssi), Err(InvalidPerm { antenna_sel: sel, n_rx }));
     }
 }
+
+#[test]
+fn a_sender_is_unknown_where_address_and_number_are_zero() {
+    let known = |mac, frame_count| Wsr { mac, frame_count, ..Wsr::default() }.sender_known();
+    let some = Mac([0, 0, 0, 0, 0, 1]);
+    assert_eq!(
+        [known(Mac::default(), 0), known(Mac::default(), 1), known(some, 0), known(some, 1)],
+        [false, true, true, true]
+    );
+}

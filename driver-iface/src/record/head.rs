@@ -40,6 +40,9 @@ pub enum Reason {
         /// Bytes that the head announces, length field included.
         expect: usize,
     },
+    /// A record whose bytes are not those that the log's side file has the checksum of
+    /// ([`Check`](crate::side_file::Check)): they were changed, or never written. Found by who reads both, not by the framer.
+    Checksum,
     /// The damage goes on from the step before: too long for one look.
     StillLost,
 }
@@ -58,6 +61,7 @@ impl fmt::Display for Reason {
             Self::NotFollowed { code, expect } => {
                 write!(f, "code {code:#04x}, {expect} bytes, and no record after it")
             }
+            Self::Checksum => write!(f, "a record with another checksum than the side file has"),
             Self::StillLost => write!(f, "still no record"),
         }
     }

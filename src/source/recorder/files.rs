@@ -4,8 +4,8 @@ use super::{Chunk, Sink, Written};
 use crate::source::Error;
 use crate::source::side_file::side_path;
 use crate::time::{Instant, Span};
-use driver_iface::record::whole_records;
-use driver_iface::side_file::{Width, emit};
+use driver_iface::record::{whole_records, written};
+use driver_iface::side_file::{Check, Entry, Layout};
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{self, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -90,8 +90,8 @@ pub struct LogFiles {
     since: Option<Instant>,
     data: Grown,
     side: Grown,
-    /// Of the side file's entries.
-    width: Width,
+    /// Of the side file.
+    layout: Layout,
     /// Records in the data file: the side file is brought up to it.
     records: u64,
     finished: Vec<PathBuf>,
@@ -101,7 +101,7 @@ impl LogFiles {
     /// Creates the log and its side file; with a rotation, the first of a row (`name-0001.dat`).
     ///
     /// # Errors
-    /// If a file is there already and `force` is not set, or cannot be written.
+    /// If a file is there already and `force` is not set, is a pipe, is another recorder's, or cannot be written.
     pub fn create(path: &Path, rotation: Rotation, force: bool) -> Result<Self, Error> {
         let number = u32::from(rotation.is_on());
         let (data, side) = open_pair(&Self::first(path, rotation), force)?;
@@ -113,17 +113,16 @@ impl LogFiles {
             since: None,
             data,
             side,
-            width: Width::Narrow,
+            layout: Layout::Narrow,
             records: 0,
             finished: Vec::new(),
         })
     }
 
-    /// With side files of another width: narrow, as csiread and its logger on a 32-bit host have them, is what is written
-    /// otherwise. Call it before the first record.
+    /// With side files of another layout than the narrow one, which csiread reads. Call it before the first record.
     #[must_use]
-    pub fn with_side_width(mut self, width: Width) -> Self {
-        self.width = width;
+    pub fn with_side_layout(mut self, layout: Layout) -> Self {
+        self.layout = layout;
         self
     }
 
@@ -160,17 +159,38 @@ impl LogFiles {
         }
     }
 
-    /// Brings the side file up to the data file: zeros for what an earlier failure left out, then `times`.
-    fn stamp(&mut self, before: u64, times: &[Option<i64>]) -> io::Result<()> {
-        let length = self.width.bytes();
-        let behind = before.saturating_sub(self.side.len / length as u64) as usize;
-        let entries: Vec<Option<i64>> = std::iter::repeat_n(None, behind).chain(times.iter().copied()).collect();
-        let mut bytes = vec![0; entries.len() * length];
-        for (time, entry) in entries.into_iter().zip(bytes.chunks_exact_mut(length)) {
+    /// Brings the side file up to the data file: zeros for what an earlier failure left out, then the first `records` of
+    /// a chunk, of which `before` were in the log already.
+    fn stamp(&mut self, before: u64, chunk: &Chunk, records: usize) -> io::Result<()> {
+        let (length, head) = (self.layout.bytes(), self.layout.head());
+        let there = self.side.len.saturating_sub(head.len() as u64) / length as u64;
+        let behind = before.saturating_sub(there) as usize;
+        let check = |record| (self.layout == Layout::Checked).then(|| Check::of(record));
+        let known = chunk.host_us.iter().zip(written(&chunk.bytes)).take(records);
+        let known = known.map(|(host_us, record)| Entry { host_us: *host_us, check: check(record) });
+        let mut bytes = if self.side.len == 0 { head.to_vec() } else { Vec::new() };
+        for entry in std::iter::repeat_n(Entry::default(), behind).chain(known) {
+            let mut out = [0; Layout::Wide.bytes()];
             // A time that a narrow entry cannot hold (before 1970, after 2106) stays zeros: not known.
-            let _ = emit(time, self.width, entry);
+            let _ = entry.emit(self.layout, &mut out);
+            bytes.extend_from_slice(out.split_at(length).0);
         }
+        // The head is as long as an entry, or empty.
         self.side.append(&bytes, |done| done - done % length).1
+    }
+}
+
+/// True for a pipe with a name.
+fn is_pipe(path: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        std::fs::metadata(path).is_ok_and(|found| found.file_type().is_fifo())
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = path;
+        false
     }
 }
 
@@ -189,6 +209,10 @@ fn is_deleted(file: &File) -> bool {
 }
 
 fn open_pair(path: &Path, force: bool) -> Result<(Grown, Grown), Error> {
+    // Before anything is overwritten: opening a pipe would wait for a reader.
+    if let Some(path) = [path.to_path_buf(), side_path(path)].into_iter().find(|path| is_pipe(path)) {
+        return Err(Error::IntoPipe { path });
+    }
     let data = Grown::create(path.into(), force)?;
     let side = Grown::create(side_path(path), force).inspect_err(|_| {
         // The data file is ours and empty: leave nothing behind.
@@ -216,7 +240,7 @@ impl Sink for LogFiles {
         let lost = chunk.host_us.len() - records;
         let before = self.records;
         self.records += records as u64;
-        let stamped = self.stamp(before, chunk.host_us.get(..records).unwrap_or_default());
+        let stamped = self.stamp(before, chunk, records);
         let words = |path: &Path, error: io::Error| format!("writing {}: {error}", path.display());
         let error = outcome.map_err(|error| words(&self.data.path, error)).err();
         let error = error.or_else(|| stamped.map_err(|error| words(&self.side.path, error)).err()).or(rotated);
@@ -233,44 +257,4 @@ impl Sink for LogFiles {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_log_that_another_recorder_writes_is_left_alone_and_a_deleted_one_is_noticed() {
-        let folder = std::env::temp_dir().join(format!("csi5300-locked-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let log = folder.join("out.dat");
-        let mut first = LogFiles::create(&log, Rotation::default(), false).unwrap();
-        assert!(matches!(LogFiles::create(&log, Rotation::default(), true), Err(Error::InUse { .. })));
-        assert_eq!(first.sync(), None);
-        std::fs::remove_file(&log).unwrap();
-        assert!(first.sync().unwrap().contains("was deleted"));
-        drop(first);
-        let again = LogFiles::create(&log, Rotation::default(), true).unwrap();
-        assert_eq!(again.data.file.metadata().unwrap().len(), 0);
-        std::fs::remove_dir_all(folder).unwrap();
-    }
-
-    /// A pipe takes bytes and cannot be synced: both files are asked to.
-    #[test]
-    fn what_cannot_be_synced_is_said() {
-        let folder = std::env::temp_dir().join(format!("csi5300-sync-{}", std::process::id()));
-        std::fs::create_dir_all(&folder).unwrap();
-        let (_reader, writer) = io::pipe().unwrap();
-        let pipe = || File::from(std::os::fd::OwnedFd::from(writer.try_clone().unwrap()));
-        for side in [false, true] {
-            let mut files = LogFiles::create(&folder.join("out.dat"), Rotation::default(), true).unwrap();
-            *(if side { &mut files.side.file } else { &mut files.data.file }) = pipe();
-            assert!(files.sync().unwrap().contains("syncing"), "side file: {side}");
-        }
-        std::fs::remove_dir_all(folder).unwrap();
-    }
-
-    #[test]
-    fn names_in_a_row() {
-        assert_eq!(numbered(Path::new("a/out.dat"), 0), Path::new("a/out.dat"));
-        assert_eq!(numbered(Path::new("a/out.dat"), 12), Path::new("a/out-0012.dat"));
-        assert_eq!(numbered(Path::new("out"), 1), Path::new("out-0001"));
-    }
-}
+mod tests;

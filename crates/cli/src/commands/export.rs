@@ -1,5 +1,6 @@
 //! `csi5300 export`.
 
+use super::draft::Draft;
 use super::{Outcome, Result, info, print_json, usage};
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::signal::csi::{Csi, scale_factor, total_rss_dbm};
@@ -105,10 +106,14 @@ pub fn run(args: &Args) -> Result {
     if super::is_same_file(&args.file, &args.output) {
         return Err(format!("{} is the input itself: name another file", args.output.display()));
     }
+    let draft = Draft::new(&args.output);
     let Written { survey, bytes, records, unscaled } = match extension {
-        Some("csv") => csv(args, &filter)?,
-        _ => table(args, filter)?,
+        Some("csv") => csv(args, draft.path(), &filter)?,
+        _ => table(args, draft.path(), filter)?,
     };
+    if records > 0 {
+        draft.keep().map_err(|error| format!("writing {}: {error}", args.output.display()))?;
+    }
     if args.json {
         print_json(&Row {
             output: &args.output,
@@ -133,7 +138,7 @@ pub fn run(args: &Args) -> Result {
         note!("  {} records were left out, as was asked for", survey.bfees() - records);
     }
     if records == 0 {
-        super::remove_empty(&args.output);
+        note!("nothing to write: no {}", args.output.display());
     } else {
         note!("{records} records written to {}", args.output.display());
     }
@@ -145,7 +150,7 @@ pub fn run(args: &Args) -> Result {
 }
 
 /// Reads the log once into memory, packed, and writes it.
-fn table(args: &Args, filter: Filter) -> Words<Written> {
+fn table(args: &Args, output: &Path, filter: Filter) -> Words<Written> {
     let source = super::open_log(&args.file)?;
     let antennas = filter.antennas().map(<[Antenna]>::to_vec);
     let mut reading = Reading::new(source, filter);
@@ -157,7 +162,7 @@ fn table(args: &Args, filter: Filter) -> Words<Written> {
         export = export.with_antennas(&antennas);
     }
     if records > 0 {
-        export.write(&args.output).map_err(|error| error.to_string())?;
+        export.write(output).map_err(|error| error.to_string())?;
     }
     Ok(Written { unscaled: export.unscaled(), survey: reading.survey, bytes, records })
 }
@@ -284,9 +289,9 @@ fn field(name: &str, index: u64, bfee: &Bfee<'_>, identity: Identity, time_us: i
     }
 }
 
-/// The largest number of streams in a log; 3 for standard input, which can be read only once.
+/// The largest number of streams in a log; 3 for standard input and pipes, which can be read only once.
 fn streams(path: &Path) -> Words<usize> {
-    if path.as_os_str() == "-" {
+    if path.as_os_str() == "-" || path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir()) {
         return Ok(3);
     }
     let (survey, _) = scan(path, &Filter::default(), |_, _, _| Ok(()))?;
@@ -294,11 +299,11 @@ fn streams(path: &Path) -> Words<usize> {
     Ok((1..=3).rev().find(used).unwrap_or(1))
 }
 
-fn csv(args: &Args, filter: &Filter) -> Words<Written> {
+fn csv(args: &Args, output: &Path, filter: &Filter) -> Words<Written> {
     let streams = streams(&args.file)?;
     let ports: Vec<usize> = filter.antennas().unwrap_or(&Antenna::ALL).iter().map(|antenna| antenna.index()).collect();
     let failed = |error: std::io::Error| format!("writing {}: {error}", args.output.display());
-    let mut out = BufWriter::with_capacity(1 << 18, std::fs::File::create(&args.output).map_err(failed)?);
+    let mut out = BufWriter::with_capacity(1 << 18, std::fs::File::create(output).map_err(failed)?);
     let mut header = FIELDS.join(",") + ",mac";
     let cells = || {
         let port = |s| ports.iter().flat_map(move |&port| (0..streams).map(move |stream| (s, port, stream)));

@@ -1,8 +1,8 @@
 //! `csi5300 info`.
 
 use super::{Outcome, Result, print, print_json};
-use csi5300::source::survey::{ClockSteps, LOSSES_KEPT, SENDERS_KEPT, Sender, Survey};
-use csi5300::source::{CsiSource, Next};
+use csi5300::source::survey::{ClockSteps, HostSteps, LOSSES_KEPT, SENDERS_KEPT, Sender, Survey};
+use csi5300::source::{Checks, CsiSource, Next};
 use csi5300::time::Instant;
 use driver_iface::Mac;
 use driver_iface::record::{Tail, code};
@@ -56,6 +56,8 @@ struct Row<'a> {
     tail: String,
     cut: bool,
     senders: std::collections::BTreeMap<String, SenderRow<'a>>,
+    /// Of the side file; null without one that has checksums.
+    checks: Option<Checks>,
     #[serde(flatten)]
     survey: &'a Survey,
 }
@@ -65,18 +67,19 @@ pub fn run(args: &Args) -> Result {
     let (mut usable, mut lost, mut failed) = (false, false, false);
     for (k, path) in args.files.iter().enumerate() {
         match survey(path) {
-            Ok((survey, bytes)) => {
+            Ok(read) => {
                 if args.json {
-                    print_json(&row(path, &survey, bytes));
+                    print_json(&row(path, &read));
                 } else {
                     print(&format!(
                         "{}{}",
                         if k == 0 { "" } else { "\n" },
-                        describe(&path.display().to_string(), &survey, bytes)
+                        describe(&path.display().to_string(), &read)
                     ));
                 }
+                let survey = &read.survey;
                 usable |= survey.bfees() > 0 || survey.by_code.contains_key(&code::MPDU);
-                lost |= survey.lost_something();
+                lost |= survey.lost_something() || read.checks.is_some_and(|checks| checks.missing > 0);
             }
             Err(message) => {
                 failed = true;
@@ -91,26 +94,35 @@ pub fn run(args: &Args) -> Result {
     })
 }
 
-fn survey(path: &Path) -> std::result::Result<(Survey, u64), String> {
+/// A log that was read.
+struct Read {
+    survey: Survey,
+    bytes: u64,
+    checks: Option<Checks>,
+}
+
+fn survey(path: &Path) -> std::result::Result<Read, String> {
     let mut source = super::open_log(path)?;
     let mut survey = Survey::default();
     loop {
         let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
         survey.note(&next);
         if matches!(next, Next::End(_)) {
-            return Ok((survey, source.bytes()));
+            return Ok(Read { survey, bytes: source.bytes(), checks: source.checks() });
         }
     }
 }
 
-fn row<'a>(path: &Path, survey: &'a Survey, bytes: u64) -> Row<'a> {
+fn row<'a>(path: &Path, read: &'a Read) -> Row<'a> {
+    let Read { survey, bytes, checks } = read;
     let sender = |(mac, sender): (&Mac, &'a Sender)| (mac.to_string(), SenderRow::new(sender));
     Row {
         file: path.display().to_string(),
-        bytes,
-        tail: tail_words(survey, bytes),
+        bytes: *bytes,
+        tail: tail_words(survey, *bytes),
         cut: survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean)),
         senders: survey.senders.iter().map(sender).collect(),
+        checks: *checks,
         survey,
     }
 }
@@ -147,7 +159,33 @@ pub fn losses(survey: &Survey, bytes: u64) -> String {
     text
 }
 
-fn describe(name: &str, survey: &Survey, bytes: u64) -> String {
+/// What the checksums of a side file say, in a line.
+pub fn check_words(checks: &Checks) -> String {
+    let Checks { good, unknown, wrong, missing, out_of_step, .. } = *checks;
+    let mut text = format!("checksums of the side file: {good} records right");
+    for (count, what) in
+        [(wrong, "wrong and left out"), (missing, "of the side file not in the log"), (unknown, "unknown")]
+    {
+        if count > 0 {
+            let _ = write!(text, ", {count} {what}");
+        }
+    }
+    if out_of_step {
+        text += if good == 0 { "; it is of another log" } else { "; then it lost its place in the log" };
+    }
+    text
+}
+
+/// Times that the host's clock was set; `None` where it was not.
+pub fn host_words(steps: &HostSteps) -> Option<String> {
+    let furthest_s = steps.furthest_us as f64 * 1e-6;
+    let times = super::some(steps.set, "time", "times");
+    (steps.set > 0).then(|| format!("the host's clock was set {times} meanwhile, the furthest by {furthest_s:+.3} s"))
+}
+
+fn describe(name: &str, read: &Read) -> String {
+    let Read { survey, bytes, checks } = read;
+    let bytes = *bytes;
     let mut text = format!("{name}: {bytes} bytes, {} records\n", survey.records);
     if survey.bfees() == 0 {
         let why = match (bytes, survey.records) {
@@ -178,6 +216,12 @@ fn describe(name: &str, survey: &Survey, bytes: u64) -> String {
         if count > 0 {
             let _ = writeln!(text, "  {count} {what}");
         }
+    }
+    if let Some(words) = host_words(&survey.host_steps) {
+        let _ = writeln!(text, "  {words}");
+    }
+    if let Some(checks) = checks {
+        let _ = writeln!(text, "  {}", check_words(checks));
     }
     text.push_str(&losses(survey, bytes));
     if survey.damages > 0 {

@@ -29,6 +29,9 @@ pub struct Listening {
 pub fn create_refused(error: &csi5300::source::Error) -> String {
     match error {
         csi5300::source::Error::Exists { .. } => format!("{error}: --force overwrites it"),
+        csi5300::source::Error::IntoPipe { .. } => {
+            format!("{error}; `record --live` also writes records to standard output")
+        }
         _ => error.to_string(),
     }
 }

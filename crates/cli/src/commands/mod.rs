@@ -11,6 +11,7 @@ mod completions;
 mod demo;
 #[cfg(feature = "live")]
 mod doctor;
+mod draft;
 mod evaluate;
 mod explain;
 mod export;

@@ -8,7 +8,7 @@ use csi5300::source::{CsiSource, Error, Loss, Next, side_path};
 use csi5300::time::{Instant, Span};
 use csi5300_live::status::{Losses, Status};
 use csi5300_live::wait::Monotonic;
-use driver_iface::side_file::Width;
+use driver_iface::side_file::Layout;
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
 use std::os::fd::{AsFd, OwnedFd};
@@ -38,6 +38,10 @@ pub struct Args {
     /// Entries of 16 bytes in the side file (times after 2106) instead of the 8 that csiread reads
     #[arg(long)]
     wide_times: bool,
+    /// A checksum of each record in the side file, which `info`, `recover` and whatever reads the log then check; csiread does
+    /// not read such side files
+    #[arg(long, conflicts_with = "wide_times")]
+    checksums: bool,
     /// Make the log survive a power cut this often; 0s leaves it to the system
     #[arg(long, value_parser = duration, default_value = "1s", value_name = "TIME")]
     sync_every: Span,
@@ -68,6 +72,16 @@ pub struct Args {
     stock: StockArgs,
 }
 
+impl Args {
+    fn side_layout(&self) -> Layout {
+        match (self.checksums, self.wide_times) {
+            (true, _) => Layout::Checked,
+            (false, true) => Layout::Wide,
+            (false, false) => Layout::Narrow,
+        }
+    }
+}
+
 /// When and how to stop and show.
 struct Session<'a> {
     args: &'a Args,
@@ -96,7 +110,7 @@ pub fn run(args: &Args) -> Result {
     let listener = Listener::open(&args.listening, &args.stock)?;
     let rotation = Rotation { bytes: args.rotate_size, every: args.rotate_every };
     let files = LogFiles::create(&args.out, rotation, args.force).map_err(|error| create_refused(&error))?;
-    let files = files.with_side_width(if args.wide_times { Width::Wide } else { Width::Narrow });
+    let files = files.with_side_layout(args.side_layout());
     let terminal = std::io::stderr().is_terminal();
     let clock = Monotonic::new();
     let mut session = Session {
@@ -316,6 +330,9 @@ fn summary(status: &Status, listener: &Listener, totals: &Totals, files: &[PathB
     }
     if let Some(error) = &totals.error {
         let _ = writeln!(text, "  {error}");
+    }
+    if let Some(words) = super::info::host_words(&status.survey.host_steps) {
+        let _ = writeln!(text, "  {words}");
     }
     for (mac, sender) in &status.survey.senders {
         let name = if mac.is_zero() { "an unknown sender".to_string() } else { mac.to_string() };

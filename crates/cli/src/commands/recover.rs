@@ -1,12 +1,15 @@
 //! `csi5300 recover`.
 
+mod settle;
+
+use super::draft::Draft;
 use super::{Outcome, Result};
 use csi5300::source::survey::{Identity, Survey};
-use csi5300::source::{CsiSource, Next, side_path};
+use csi5300::source::{Checks, CsiSource, Next, replay::Replay, side_path};
 use csi5300::time::Instant;
 use driver_iface::bfee::{Bfee, Iq, Repr};
 use driver_iface::record::{Record, code};
-use driver_iface::side_file::{self, Width};
+use driver_iface::side_file::{Check, Entry, Layout as SideLayout};
 use driver_iface::{Mac, mpdu};
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -41,6 +44,10 @@ struct Row<'a> {
     /// Stretches of bytes that are no record, and the bytes in them.
     damages: u64,
     damaged_bytes: u64,
+    /// Records of unknown codes beside damage, left out.
+    doubtful: u64,
+    /// Of the side file; null without one that has checksums.
+    checks: Option<Checks>,
 }
 
 /// A layout to bring records into.
@@ -53,47 +60,50 @@ enum Layout {
 
 type Words<T> = std::result::Result<T, String>;
 
-/// A file that is made anew.
-fn create(path: &Path, force: bool) -> Words<BufWriter<File>> {
-    let mut options = std::fs::OpenOptions::new();
-    options.write(true).create(true);
-    // Truncating the input while it is being read would lose it.
-    if force {
-        options.truncate(true)
-    } else {
-        options.create_new(true)
-    };
-    let output = path.display();
-    let file = options.open(path).map_err(|error| match error.kind() {
-        std::io::ErrorKind::AlreadyExists => format!("{output} is there already: --force overwrites it"),
-        _ => format!("cannot write {output}: {error}"),
-    })?;
-    Ok(BufWriter::with_capacity(256 * 1024, file))
-}
+/// Records of unknown codes that wait for one of a known code: so many of them vouch for each other.
+const WAITING: usize = 16;
 
 /// What is being written.
 struct Output {
+    draft: Draft,
     data: BufWriter<File>,
-    /// With host times, in the stock layout.
-    side: Option<BufWriter<File>>,
+    /// With host times: in the stock layout, and where the input has them.
+    side: Option<(BufWriter<File>, SideLayout)>,
     name: String,
     /// Records of the input that are in it.
     kept: u64,
     frame: Vec<u8>,
 }
 
+fn create(path: &Path) -> Words<BufWriter<File>> {
+    let file = File::create(path).map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+    Ok(BufWriter::with_capacity(256 * 1024, file))
+}
+
 impl Output {
+    fn create(path: &Path, side: Option<SideLayout>) -> Words<Self> {
+        let draft = Draft::new(path);
+        let data = create(draft.path())?;
+        let side = side.map(|layout| Ok::<_, String>((create(&side_path(draft.path()))?, layout))).transpose()?;
+        let mut out = Self { draft, data, side, name: path.display().to_string(), kept: 0, frame: Vec::new() };
+        if let Some((side, layout)) = &mut out.side {
+            side.write_all(layout.head()).map_err(|error| format!("writing {}: {error}", out.name))?;
+        }
+        Ok(out)
+    }
+
     fn write(&mut self, record: Record<'_>, host_us: Option<i64>) -> Words<()> {
         self.frame.resize(record.emit_len(), 0);
         record.emit(&mut self.frame).map_err(|error| error.to_string())?;
         let name = &self.name;
         let failed = |error: std::io::Error| format!("writing {name}: {error}");
         self.data.write_all(&self.frame).map_err(failed)?;
-        if let Some(side) = &mut self.side {
-            let mut entry = [0; Width::Narrow.bytes()];
+        if let Some((side, layout)) = &mut self.side {
+            let check = (*layout == SideLayout::Checked).then(|| Check::of(&self.frame));
+            let mut out = [0; SideLayout::Wide.bytes()];
             // A time that does not fit stays zeros: not known.
-            let _ = side_file::emit(host_us, Width::Narrow, &mut entry);
-            side.write_all(&entry).map_err(failed)?;
+            let _ = Entry { host_us, check }.emit(*layout, &mut out);
+            side.write_all(out.split_at(layout.bytes()).0).map_err(failed)?;
         }
         Ok(())
     }
@@ -114,9 +124,70 @@ impl Output {
         self.write(Record { code: code::BFEE, body: &body }, identity.host_us)
     }
 
-    fn flush(&mut self) -> Words<()> {
-        let side = self.side.as_mut().map_or(Ok(()), Write::flush);
-        self.data.flush().and(side).map_err(|error| format!("writing {}: {error}", self.name))
+    /// Makes the log what it will be read as, and gives it its name; an older side file of that name goes.
+    fn finish(mut self, path: &Path) -> Words<u64> {
+        let failed = |error: std::io::Error| format!("writing {}: {error}", path.display());
+        self.data.flush().map_err(failed)?;
+        let side = self.side.take();
+        let layout = side.as_ref().map(|(_, layout)| *layout);
+        if let Some((mut side, _)) = side {
+            side.flush().map_err(failed)?;
+        }
+        let is_file = self.draft.path().metadata().is_ok_and(|found| found.is_file());
+        let taken = if is_file { settle::settle(self.draft.path(), layout)? } else { 0 };
+        let written = side_path(self.draft.path());
+        match layout {
+            Some(_) => std::fs::rename(written, side_path(path)).map_err(failed)?,
+            None if is_file => drop(std::fs::remove_file(side_path(path))),
+            None => {}
+        }
+        self.draft.keep().map_err(failed)?;
+        Ok(taken)
+    }
+
+    /// Leaves nothing behind.
+    fn discard(self) {
+        if self.side.is_some() {
+            let _ = std::fs::remove_file(side_path(self.draft.path()));
+        }
+    }
+}
+
+/// Records of codes that nobody knows: between intact records they are kept, beside damage they are as likely made up of its
+/// bytes.
+#[derive(Default)]
+struct Doubts {
+    waiting: Vec<(u8, Vec<u8>, Option<i64>)>,
+    after_damage: bool,
+    /// Records that were not kept.
+    dropped: u64,
+}
+
+impl Doubts {
+    /// Takes a record of an unknown code.
+    fn hold(&mut self, record: Record<'_>, host_us: Option<i64>, out: &mut Output) -> Words<()> {
+        if self.after_damage {
+            self.dropped += 1;
+            return Ok(());
+        }
+        self.waiting.push((record.code, record.body.to_vec(), host_us));
+        if self.waiting.len() >= WAITING { self.believe(out) } else { Ok(()) }
+    }
+
+    /// What waits is followed by a record that is no doubt.
+    fn believe(&mut self, out: &mut Output) -> Words<()> {
+        self.after_damage = false;
+        for (code, body, host_us) in self.waiting.drain(..) {
+            out.write(Record { code, body: &body }, host_us)?;
+            out.kept += 1;
+        }
+        Ok(())
+    }
+
+    /// What waits is followed by damage.
+    fn damage(&mut self) {
+        self.dropped += self.waiting.drain(..).len() as u64;
+        self.after_damage = true;
     }
 }
 
@@ -144,46 +215,91 @@ pub fn run(args: &Args) -> Result {
     if super::is_same_file(&args.input, &args.output) {
         return Err(format!("{output} is the input itself: name another file"));
     }
+    super::must_not_exist(&args.output, args.force)?;
     let mut source = super::open_log(&args.input)?;
-    let stock = args.layout == Some(Layout::Stock);
-    let data = create(&args.output, args.force)?;
-    let side = stock.then(|| create(&side_path(&args.output), args.force)).transpose()?;
-    let mut out = Output { data, side, name: output.clone(), kept: 0, frame: Vec::new() };
-    let mut survey = Survey::default();
-    loop {
-        let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
-        let noted = survey.note(&next);
-        match (next, noted) {
-            (Next::Record(..), Some((bfee, identity))) if stock && bfee.wsr().is_some() => {
-                out.write_stock(&bfee, identity)?;
-            }
-            (Next::Record(_, record), None) if record.code == code::BFEE => continue,
-            (Next::Record(stamps, record), noted) => {
-                let host_us = noted.and_then(|(_, identity)| identity.host_us).or(stamps.host_us);
-                out.write(record, host_us)?;
-            }
-            (Next::End(_), _) => break,
-            (Next::Lost(_) | Next::Pending, _) => continue,
-        }
-        out.kept += 1;
+    let side = if args.layout == Some(Layout::Stock) { Some(SideLayout::Narrow) } else { source.side_layout() };
+    if side.is_some() {
+        super::must_not_exist(&side_path(&args.output), args.force)?;
     }
-    out.flush()?;
-    if args.json {
-        let Survey { bad_bfee, damages, damaged_bytes, .. } = survey;
-        super::print_json(&Row { output: &args.output, records: out.kept, bad_bfee, damages, damaged_bytes });
+    let mut out = Output::create(&args.output, side)?;
+    let (mut survey, mut doubts) = (Survey::default(), Doubts::default());
+    if let Err(error) = copy(&mut source, args.layout, &mut out, &mut survey, &mut doubts) {
+        out.discard();
+        return Err(error);
     }
     notes!("{}", super::info::losses(&survey, source.bytes()));
-    if out.kept == 0 {
-        super::remove_empty(&args.output);
-        if stock {
-            super::remove_empty(&side_path(&args.output));
-        }
-    } else {
-        note!("{} written to {output}", super::some(out.kept, "intact record", "intact records"));
+    let checks = source.checks();
+    if let Some(checks) = &checks {
+        note!("  {}", super::info::check_words(checks));
     }
-    Ok(match (out.kept, survey.lost_something()) {
+    let mut kept = out.kept;
+    if kept == 0 {
+        out.discard();
+        note!("nothing to write: no {output}");
+    } else {
+        let taken = out.finish(&args.output)?;
+        (kept, doubts.dropped) = (kept.saturating_sub(taken), doubts.dropped + taken);
+        note!("{} written to {output}", super::some(kept, "intact record", "intact records"));
+    }
+    if args.json {
+        let Survey { bad_bfee, damages, damaged_bytes, .. } = survey;
+        let row = Row {
+            output: &args.output,
+            records: kept,
+            bad_bfee,
+            damages,
+            damaged_bytes,
+            doubtful: doubts.dropped,
+            checks,
+        };
+        super::print_json(&row);
+    }
+    if doubts.dropped > 0 {
+        let doubtful = super::some(doubts.dropped, "doubtful record", "doubtful records");
+        note!("  {doubtful} beside the damage left out: nothing but their place spoke for them");
+    }
+    let missing = checks.is_some_and(|checks| checks.missing > 0);
+    Ok(match (kept, survey.lost_something() || missing || doubts.dropped > 0) {
         (0, _) => Outcome::Nothing,
         (_, true) => Outcome::DataLost,
         (_, false) => Outcome::Done,
     })
+}
+
+/// Writes what is intact in `source`.
+fn copy(
+    source: &mut Replay<Box<dyn std::io::Read + Send>>,
+    layout: Option<Layout>,
+    out: &mut Output,
+    survey: &mut Survey,
+    doubts: &mut Doubts,
+) -> Words<()> {
+    loop {
+        // What a side file's checksums let through is no doubt.
+        let is_checked = source.checks().is_some_and(|checks| !checks.out_of_step);
+        let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
+        let noted = survey.note(&next);
+        match (next, noted) {
+            (Next::Record(..), Some((bfee, identity))) if layout == Some(Layout::Stock) && bfee.wsr().is_some() => {
+                doubts.believe(out)?;
+                out.write_stock(&bfee, identity)?;
+                out.kept += 1;
+            }
+            (Next::Record(_, record), None) if record.code == code::BFEE => doubts.damage(),
+            (Next::Record(stamps, record), noted) => {
+                let identified = noted.filter(|_| layout.is_some()).and_then(|(_, identity)| identity.host_us);
+                let host_us = identified.or(stamps.host_us);
+                if is_checked || code::name(record.code).is_some() {
+                    doubts.believe(out)?;
+                    out.write(record, host_us)?;
+                    out.kept += 1;
+                } else {
+                    doubts.hold(record, host_us, out)?;
+                }
+            }
+            (Next::Lost(_), _) => doubts.damage(),
+            (Next::Pending, _) => {}
+            (Next::End(_), _) => return doubts.believe(out),
+        }
+    }
 }

@@ -22,6 +22,7 @@ mod node;
 mod peers;
 #[cfg(feature = "live")]
 mod recording;
+mod recovering;
 #[cfg(feature = "live")]
 mod serve;
 #[cfg(feature = "live")]

@@ -43,6 +43,12 @@ pub(super) fn open(interface: &str, longest: usize) -> Result<Opened, Error> {
                 .into(),
             source: errno.into(),
         },
+        Errno::EAFNOSUPPORT => Error::Io {
+            what: "packet sockets are not allowed to this service (RestrictAddressFamilies): install \
+                   csi5300-node-sounding.conf beside its unit"
+                .into(),
+            source: errno.into(),
+        },
         _ => Error::Io { what: "cannot open a packet socket".into(), source: errno.into() },
     })?;
     let index = nix::net::if_::if_nametoindex(interface).map_err(|errno| Error::Io {

@@ -1,0 +1,28 @@
+//! Any bytes as a side file: every entry is read, and what is written of it again is the same bytes or says the same.
+
+use driver_iface::side_file::{Entry, Layout};
+
+/// Runs the target.
+pub fn run(bytes: &[u8]) {
+    let layout = Layout::of(bytes);
+    let Some((head, entries)) = bytes.split_at_checked(layout.head().len()) else {
+        unreachable!("a head that is not there")
+    };
+    assert_eq!(head, layout.head());
+    for bytes in entries.chunks(layout.bytes()) {
+        let entry = Entry::parse(bytes, layout);
+        if bytes.len() < layout.bytes() {
+            assert_eq!(entry, Entry::default());
+            continue;
+        }
+        let mut again = [0; 16];
+        match entry.emit(layout, &mut again) {
+            Ok(len) => assert_eq!((len, Entry::parse(&again[..len], layout)), (layout.bytes(), entry)),
+            Err(error) => panic!("what was read cannot be written: {error}"),
+        }
+        // Every bit pattern of a length and a checksum is one; of a time that is none, zeros come back.
+        let has_length = bytes.get(8..12).is_some_and(|len| *len != [0; 4]);
+        assert!(layout != Layout::Checked || !has_length || again == *bytes);
+        assert!(layout != Layout::Narrow || entry.host_us.is_none() || again[..8] == *bytes);
+    }
+}

@@ -1,0 +1,34 @@
+//! Any bytes as events of the eBPF program's ring: no panic, and every record that is made of them can be read.
+//!
+//! The input is a list of `length (1 byte, eight of them each), event`; the first byte chooses the options.
+
+use driver_iface::bfee::{Bfee, Layout, MAX_BODY};
+use driver_iface::record::code;
+use driver_iface::stock::{Card, Event, Options};
+
+/// Runs the target.
+pub fn run(bytes: &[u8]) {
+    let Some((how, mut rest)) = bytes.split_first() else { return };
+    let layout = if how & 1 == 0 { Layout::Stock } else { Layout::Wsr };
+    let options = Options::default().with_layout(layout).with_csi(how & 2 == 0).with_frames(how & 4 == 0);
+    let (mut card, mut records) = (Card::default(), 0);
+    while let Some((len, behind)) = rest.split_first() {
+        let (event, behind) = behind.split_at(behind.len().min(8 * usize::from(*len)));
+        rest = behind;
+        let Ok(event) = Event::new_checked(event) else {
+            card.gap();
+            continue;
+        };
+        let mut body = [0; MAX_BODY];
+        let Some(record) = card.handle(&options, &event.packet(), 1_700_000_000_000_000, &mut body) else { continue };
+        match record.code {
+            code::BFEE => {
+                let bfee = Bfee::new_checked(record.body).unwrap();
+                assert_eq!(bfee.wsr().is_some(), layout == Layout::Wsr);
+                records += 1;
+            }
+            other => assert_eq!(other, code::MPDU),
+        }
+    }
+    assert_eq!(card.counts().records, records);
+}

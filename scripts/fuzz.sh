@@ -1,0 +1,46 @@
+#!/usr/bin/env bash
+# Coverage-guided fuzzing by libFuzzer, with the stable compiler: the code is instrumented, there is no address sanitizer (no `unsafe` is in it).
+# usage: scripts/fuzz.sh [SECONDS [TARGET...]]
+# SECONDS for each target (60), TARGETs all of fuzz/fuzz_targets. What is new goes into fuzz/corpus/TARGET, reduced to what covers something of its own.
+# An input that fails is in target/fuzz/found; exit status 1.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+seconds=${1:-60}
+shift || true
+targets=("$@")
+[ ${#targets[@]} -gt 0 ] || targets=($(basename -s .rs fuzz/fuzz_targets/*.rs))
+host=$(rustc -vV | sed -n 's/^host: //p')
+features=(--no-default-features)
+for target in "${targets[@]}"; do
+    case $target in bfee | connector | frame | record_stream | side_file | stock) ;; *) features=() ;; esac
+done
+# Given with a target, flags are for the code that is fuzzed only, not for build scripts.
+export RUSTFLAGS="--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 -Cllvm-args=-sanitizer-coverage-inline-8bit-counters \
+    -Cllvm-args=-sanitizer-coverage-pc-table -Cllvm-args=-sanitizer-coverage-trace-compares -Ccodegen-units=1"
+bins=()
+for target in "${targets[@]}"; do bins+=(--bin "$target"); done
+(cd fuzz && CARGO_TARGET_DIR=../target/fuzz cargo build --quiet --release --target "$host" "${features[@]}" "${bins[@]}")
+mkdir -p target/fuzz/found
+status=0
+for target in "${targets[@]}"; do
+    program=target/fuzz/$host/release/$target
+    corpus=fuzz/corpus/$target
+    grown=target/fuzz/grown/$target
+    mkdir -p "$corpus" "$grown"
+    "$program" -max_total_time="$seconds" -max_len=8192 -timeout=10 -rss_limit_mb=1024 -artifact_prefix=target/fuzz/found/"$target"- -print_final_stats=1 \
+        "$grown" "$corpus" 2>target/fuzz/"$target".log || { status=1; tail -n 30 target/fuzz/"$target".log; }
+    # Small inputs first; the committed corpus stays under 64 KiB a target.
+    reduced=target/fuzz/reduced/$target
+    rm -rf "$reduced" && mkdir -p "$reduced"
+    "$program" -merge=1 -max_len=1024 "$reduced" "$corpus" "$grown" 2>>target/fuzz/"$target".log || true
+    rm -rf "$corpus" && mkdir -p "$corpus"
+    size=0
+    while read -r bytes file; do
+        size=$((size + bytes))
+        [ $size -le 65536 ] || break
+        cp "$file" "$corpus/"
+    done < <(find "$reduced" -type f -printf '%s %p\n' | sort -n)
+    sed -n 's/^stat::\(number_of_executed_units\|average_exec_per_sec\): */\1 /p' target/fuzz/"$target".log | paste -sd ' ' | sed "s/^/$target: /"
+    echo "$target: $(find "$corpus" -type f | wc -l) inputs kept"
+done
+exit $status

@@ -1,0 +1,104 @@
+use super::*;
+
+fn folder(name: &str) -> PathBuf {
+    let folder = std::env::temp_dir().join(format!("csi5300-files-{}-{name}", std::process::id()));
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
+#[test]
+fn a_log_that_another_recorder_writes_is_left_alone_and_a_deleted_one_is_noticed() {
+    let folder = std::env::temp_dir().join(format!("csi5300-locked-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let log = folder.join("out.dat");
+    let mut first = LogFiles::create(&log, Rotation::default(), false).unwrap();
+    assert!(matches!(LogFiles::create(&log, Rotation::default(), true), Err(Error::InUse { .. })));
+    assert_eq!(first.sync(), None);
+    std::fs::remove_file(&log).unwrap();
+    assert!(first.sync().unwrap().contains("was deleted"));
+    drop(first);
+    let again = LogFiles::create(&log, Rotation::default(), true).unwrap();
+    assert_eq!(again.data.file.metadata().unwrap().len(), 0);
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+/// A pipe takes bytes and cannot be synced: both files are asked to.
+#[test]
+fn what_cannot_be_synced_is_said() {
+    let folder = std::env::temp_dir().join(format!("csi5300-sync-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let (_reader, writer) = io::pipe().unwrap();
+    let pipe = || File::from(std::os::fd::OwnedFd::from(writer.try_clone().unwrap()));
+    for side in [false, true] {
+        let mut files = LogFiles::create(&folder.join("out.dat"), Rotation::default(), true).unwrap();
+        *(if side { &mut files.side.file } else { &mut files.data.file }) = pipe();
+        assert!(files.sync().unwrap().contains("syncing"), "side file: {side}");
+    }
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn names_in_a_row() {
+    assert_eq!(numbered(Path::new("a/out.dat"), 0), Path::new("a/out.dat"));
+    assert_eq!(numbered(Path::new("a/out.dat"), 12), Path::new("a/out-0012.dat"));
+    assert_eq!(numbered(Path::new("out"), 1), Path::new("out-0001"));
+}
+
+/// Opening a pipe would wait for a reader, and no signal would end it.
+#[test]
+fn a_log_is_not_written_into_a_pipe() {
+    let folder = folder("pipe");
+    let log = folder.join("out.dat");
+    for name in [log.clone(), side_path(&log)] {
+        let made = std::process::Command::new("mkfifo").arg(&name).status();
+        assert!(made.is_ok_and(|status| status.success()), "mkfifo");
+        for force in [false, true] {
+            let refused = LogFiles::create(&log, Rotation::default(), force);
+            assert!(matches!(refused, Err(Error::IntoPipe { path }) if path == name), "{}", name.display());
+        }
+        std::fs::remove_file(&name).unwrap();
+        assert!(!log.exists() && !side_path(&log).exists());
+    }
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+/// A record as the log has it.
+fn record(number: u8) -> Vec<u8> {
+    vec![0, 4, 0xBB, number, 7, 7]
+}
+
+fn chunk(numbers: std::ops::Range<u8>) -> Chunk {
+    let host_us = numbers.clone().map(|number| Some(1_700_000_000_000_000 + i64::from(number))).collect();
+    Chunk { bytes: numbers.flat_map(record).collect(), host_us, at: Instant::ZERO }
+}
+
+#[test]
+fn side_files_of_every_layout_keep_step_with_the_log() {
+    let folder = folder("layouts");
+    for layout in [Layout::Narrow, Layout::Wide, Layout::Checked] {
+        let log = folder.join("out.dat");
+        let mut files = LogFiles::create(&log, Rotation::default(), true).unwrap().with_side_layout(layout);
+        assert_eq!(files.write(&chunk(0..3)), Written { records: 3, ..Written::default() });
+        // The side file's disk refuses a chunk: its records get entries of zeros with the next one.
+        let side = std::mem::replace(&mut files.side.file, File::open("/dev/null").unwrap());
+        let refused = files.write(&chunk(3..5));
+        assert!(refused.records == 2 && refused.error.is_some_and(|error| error.contains("datstp")));
+        files.side.file = side;
+        assert_eq!(files.write(&chunk(5..6)), Written { records: 1, ..Written::default() });
+        drop(files);
+        let bytes = std::fs::read(side_path(&log)).unwrap();
+        assert_eq!(Layout::of(&bytes), layout);
+        let entries = bytes[layout.head().len()..].chunks(layout.bytes()).map(|entry| Entry::parse(entry, layout));
+        let expected = (0..6).map(|number| {
+            let known = !(3..5).contains(&number);
+            Entry {
+                host_us: known.then_some(1_700_000_000_000_000 + i64::from(number)),
+                check: (known && layout == Layout::Checked).then(|| Check::of(&record(number))),
+            }
+        });
+        assert_eq!(entries.collect::<Vec<_>>(), expected.collect::<Vec<_>>(), "{layout:?}");
+        assert_eq!(std::fs::read(&log).unwrap(), (0..6).flat_map(record).collect::<Vec<_>>());
+    }
+    std::fs::remove_dir_all(folder).unwrap();
+}

@@ -1,0 +1,123 @@
+use super::*;
+use proptest::prelude::*;
+
+fn record(number: u16) -> Vec<u8> {
+    let [high, low] = number.to_be_bytes();
+    vec![0, 6, 0x70, high, low, 1, 2, 3]
+}
+
+fn entry(number: u16) -> Entry {
+    Entry { host_us: Some(i64::from(number) + 1), check: Some(Check::of(&record(number))) }
+}
+
+fn side_file(entries: &[Entry]) -> SideFile<std::io::Cursor<Vec<u8>>> {
+    let mut bytes = Layout::Checked.head().to_vec();
+    for entry in entries {
+        let mut out = [0; 16];
+        entry.emit(Layout::Checked, &mut out).unwrap();
+        bytes.extend(out);
+    }
+    SideFile::new(std::io::Cursor::new(bytes)).unwrap()
+}
+
+/// Takes a log's records one by one; gives the numbers of those that are right with their times, and what was counted.
+fn read(mut side: SideFile<std::io::Cursor<Vec<u8>>>, log: &[Vec<u8>]) -> (Vec<Said>, Checks) {
+    let said = log.iter().map(|record| side.take(record)).collect();
+    side.end();
+    (said, side.checks().unwrap())
+}
+
+const fn right(number: i64) -> Said {
+    Said { host_us: Some(number + 1), is_right: true }
+}
+
+const WRONG: Said = Said { host_us: None, is_right: false };
+
+#[test]
+fn names_are_those_of_the_log_with_stp() {
+    assert_eq!(side_path(Path::new("out.dat")), Path::new("out.datstp"));
+}
+
+#[test]
+fn what_was_changed_lost_and_made_up_is_found() {
+    let entries: Vec<Entry> = (0..6).map(entry).collect();
+    let mut changed = record(1);
+    changed[5] ^= 4;
+    // 1 was changed, 2 and 3 are lost, 99 was never written, 5 is cut off.
+    let log = [record(0), changed, record(99), record(4)];
+    let (said, checks) = read(side_file(&entries), &log);
+    assert_eq!(said, [right(0), WRONG, WRONG, right(4)]);
+    assert_eq!(checks, Checks { good: 2, wrong: 2, missing: 4, ..Checks::default() });
+    // The first record of all.
+    let (said, checks) = read(side_file(&entries), &[record(77), record(0)]);
+    assert_eq!(said, [WRONG, right(0)]);
+    assert_eq!(checks, Checks { good: 1, wrong: 1, missing: 5, ..Checks::default() });
+}
+
+#[test]
+fn what_is_not_known_is_not_refused() {
+    // The disk was full: an entry of zeros, one with a time only. The recorder was killed: nothing of the last two.
+    let entries = [entry(0), Entry::default(), Entry::from(Some(7)), entry(3)];
+    let log: Vec<Vec<u8>> = (0..6).map(record).collect();
+    let (said, checks) = read(side_file(&entries), &log);
+    let unknown = |host_us| Said { host_us, is_right: true };
+    assert_eq!(said, [right(0), unknown(None), unknown(Some(7)), right(3), unknown(None), unknown(None)]);
+    assert_eq!(checks, Checks { good: 2, unknown: 4, ..Checks::default() });
+}
+
+/// A log in memory.
+fn log(records: &[Vec<u8>]) -> Replay<std::io::Cursor<Vec<u8>>> {
+    Replay::new(std::io::Cursor::new(records.concat()), String::new())
+}
+
+#[test]
+fn a_side_file_of_another_log_is_not_gone_by() {
+    let entries: Vec<Entry> = (0..100).map(entry).collect();
+    let records = |numbers: std::ops::Range<u16>| numbers.map(record).collect::<Vec<_>>();
+    assert!(side_file(&entries).is_of(log(&[])), "of a log without records it may be");
+    assert!(side_file(&entries).is_of(log(&records(90..95))));
+    assert!(!side_file(&entries).is_of(log(&records(500..520))));
+    // It knows one record, behind many that it does not know: damage is not looked through for ever.
+    assert!(side_file(&entries).is_of(log(&[records(1_000..2_023), records(7..8)].concat())));
+    assert!(!side_file(&entries).is_of(log(&[records(1_000..2_024), records(7..8)].concat())));
+    // It lost its place: after so many it gives up.
+    let all = [records(0..10), records(500..600)].concat();
+    let (said, checks) = read(side_file(&entries), &all);
+    let wrong = said.iter().filter(|said| !said.is_right).count() as u64;
+    assert_eq!((wrong, checks.wrong, checks.good, checks.out_of_step), (STRANGERS, STRANGERS, 10, true));
+}
+
+#[test]
+fn layouts_without_checksums_give_times_until_bytes_are_skipped() {
+    for layout in [Layout::Narrow, Layout::Wide] {
+        let times = [1_700_000_000_000_001, 1_700_000_000_000_002].map(|us| Entry::from(Some(us)));
+        let mut bytes = Vec::new();
+        for time in times {
+            let mut out = [0; 16];
+            time.emit(layout, &mut out).unwrap();
+            bytes.extend(&out[..layout.bytes()]);
+        }
+        let side = || SideFile::new(std::io::Cursor::new(bytes.clone())).unwrap();
+        let mut whole = side();
+        let said = [(); 3].map(|()| whole.take(&record(0)).host_us);
+        assert_eq!(said, [times[0].host_us, times[1].host_us, None]);
+        let mut skipped = side();
+        skipped.skip();
+        assert_eq!(skipped.take(&record(0)), Said::NOTHING);
+        assert_eq!((whole.checks(), whole.layout()), (None, layout));
+    }
+}
+
+proptest! {
+    /// Whatever is taken out of a log: every record that is left has its own time, and every count is exact.
+    #[test]
+    fn times_survive_any_loss(kept in prop::collection::vec(any::<bool>(), 1..200)) {
+        let entries: Vec<Entry> = (0..kept.len() as u16).map(entry).collect();
+        let left: Vec<u16> = (0..).zip(&kept).filter(|(_, kept)| **kept).map(|(number, _)| number).collect();
+        let log: Vec<Vec<u8>> = left.iter().map(|number| record(*number)).collect();
+        let (said, checks) = read(side_file(&entries), &log);
+        prop_assert_eq!(said, left.iter().map(|number| right(i64::from(*number))).collect::<Vec<_>>());
+        let (good, missing) = (left.len() as u64, (kept.len() - left.len()) as u64);
+        prop_assert_eq!(checks, Checks { good, missing, ..Checks::default() });
+    }
+}

@@ -1,0 +1,113 @@
+//! How the clocks behind a log went on: the card's from record to record, and the host's beside it.
+
+/// Records this far apart on the card's clock, microseconds, have a pause between them.
+pub const PAUSE_US: i64 = 1_000_000;
+
+/// How the card's clock went on from record to record.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
+pub struct ClockSteps {
+    /// Sum of the steps forward, microseconds.
+    pub forward_us: i64,
+    /// Steps back: the card was reset, or its clock jumped.
+    pub steps_back: u64,
+    /// The largest of them, microseconds, positive.
+    pub furthest_back_us: i64,
+    /// Steps forward of [`PAUSE_US`] and more.
+    pub pauses: u64,
+    /// The longest of them, microseconds.
+    pub longest_pause_us: i64,
+}
+
+impl ClockSteps {
+    pub(super) fn note(&mut self, step_us: i64) {
+        if step_us < 0 {
+            self.steps_back += 1;
+            self.furthest_back_us = self.furthest_back_us.max(-step_us);
+            return;
+        }
+        self.forward_us += step_us;
+        if step_us >= PAUSE_US {
+            self.pauses += 1;
+            self.longest_pause_us = self.longest_pause_us.max(step_us);
+        }
+    }
+}
+
+/// A host's clock may be this far from the card's between two records, microseconds, and be no clock that was set: records
+/// are read late, and network time is slewed.
+const SET_US: i64 = 500_000;
+/// And this share of the time between them.
+const SLEW: i64 = 1_000;
+
+/// How the host's clock went on beside the card's, from record to record.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[non_exhaustive]
+pub struct HostSteps {
+    /// Times that it was set: half a second and more off what the card's clock says went by.
+    pub set: u64,
+    /// The furthest of them, microseconds, negative where it was set back.
+    pub furthest_us: i64,
+    /// Card's clock and host time of the last record that had both.
+    #[serde(skip)]
+    last: Option<(u32, i64)>,
+}
+
+impl HostSteps {
+    /// Takes the next record. The card's clock wraps every 71.6 minutes: how often between two records nobody knows, so a
+    /// clock that was set on by just that is a pause. Where the card's clock went back, it is that clock which began anew.
+    pub(super) fn note(&mut self, timestamp_low: u32, host_us: Option<i64>) {
+        let Some(host_us) = host_us else { return };
+        let Some((card, host)) = self.last.replace((timestamp_low, host_us)) else { return };
+        let card_us = i64::from(timestamp_low.wrapping_sub(card).cast_signed());
+        let off_us = host_us.saturating_sub(host).saturating_sub(card_us);
+        let wrap = 1_i64 << 32;
+        let is_pause =
+            off_us > wrap / 2 && off_us.saturating_add(wrap / 2).rem_euclid(wrap).abs_diff(wrap / 2) < SET_US as u64;
+        let usual_us = SET_US.saturating_add(card_us.abs() / SLEW);
+        if card_us < 0 || is_pause || off_us.saturating_abs() <= usual_us {
+            return;
+        }
+        self.set += 1;
+        if off_us.saturating_abs() > self.furthest_us.saturating_abs() {
+            self.furthest_us = off_us;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Seconds on the card's clock and on the host's, a record each.
+    fn steps(records: &[(f64, f64)]) -> (u64, i64) {
+        let mut steps = HostSteps::default();
+        for (card, host) in records {
+            steps.note((card * 1e6) as u64 as u32, Some(1_700_000_000_000_000 + (host * 1e6) as i64));
+        }
+        (steps.set, steps.furthest_us)
+    }
+
+    #[test]
+    fn a_hosts_clock_that_is_set_is_seen_and_what_is_usual_is_not() {
+        assert_eq!(steps(&[(0.0, 0.0), (1.0, 1.4), (2.0, 2.0), (3.0, 3.0)]), (0, 0), "records that were read late");
+        assert_eq!(steps(&[(0.0, 0.0), (1.0, 3_601.0), (2.0, 3_602.0)]), (1, 3_600_000_000), "an hour on");
+        assert_eq!(
+            steps(&[(0.0, 0.0), (1.0, 4.0), (2.0, -7.0), (3.0, -6.0)]),
+            (2, -12_000_000),
+            "on, and further back"
+        );
+        assert_eq!(steps(&[(0.0, 0.0), (1.0, 1.6)]), (1, 600_000));
+        // A pause in which the card's clock wraps twice, one in which it does not, and a clock that drifts by 500 ppm in it.
+        let wrap = 4_294.967_296;
+        assert_eq!(steps(&[(0.0, 0.0), (10.0, 10.0 + 2.0 * wrap), (1_800.0, 1_800.9 + 2.0 * wrap)]), (0, 0));
+        // The card was reset.
+        assert_eq!(steps(&[(500.0, 0.0), (0.0, 0.2), (1.0, 1.2)]), (0, 0));
+        // Records without a time are passed over.
+        let mut passed = HostSteps::default();
+        for (card, host_us) in [(0, Some(1)), (1, None), (2_000_000, Some(2_000_001))] {
+            passed.note(card, host_us);
+        }
+        assert_eq!(passed.set, 0);
+    }
+}
