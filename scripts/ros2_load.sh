@@ -1,13 +1,14 @@
 #!/usr/bin/env bash
 # What a node of ROS 2 costs: two robots are simulated into logs at 100 rounds a second; a node replays the first in real time
 # with the second as its peer and publishes everything, CSI too, over DDS on loopback. CycloneDDS reads. Prints how long after
-# the last record bearings are published, how long DDS takes to hand them over, processor and memory of the node. The first
-# robot drives a circle for SECONDS (60). Usage: scripts/ros2_load.sh [SECONDS]
+# the last record bearings are published, how long DDS takes to hand them over, processor and memory of the node, memory each
+# minute. The first robot drives circles, each in 20 s, for SECONDS (60). Usage: scripts/ros2_load.sh [SECONDS [PROGRAM]]
 set -euo pipefail
 cd "$(dirname "$0")/.."
 python=$(scripts/venv.sh cyclonedds)
-cargo build --release --quiet
-exec "$python" - "${CARGO_TARGET_DIR:-target}/release/csi5300" "${1:-60}" <<'PYTHON'
+program=${2:-${CARGO_TARGET_DIR:-target}/release/csi5300}
+[ $# -ge 2 ] || cargo build --release --quiet -p csi5300-cli
+exec "$python" - "$program" "${1:-60}" <<'PYTHON'
 import glob, json, os, shutil, subprocess, sys, tempfile, time
 sys.path.insert(0, "tests/checks/ros2")
 os.environ["CYCLONEDDS_URI"] = """<CycloneDDS><Domain><General><Interfaces><NetworkInterface address="127.0.0.1" multicast="false"/></Interfaces>
@@ -39,7 +40,7 @@ def at(values, part):
 try:
     with open(f"{folder}/scene.toml", "w") as file:
         file.write(f'name = "load"\nduration_s = {seconds + 4}\nchannel = 108\ncfo = "physical"\n[sounding]\nrate_hz = 100.0\n[radio]\nphase_noise_rad = 0.1\n'
-                   f'[[robot]]\nname = "r0"\nposition_m = [0.0, 0.0, 0.2]\nmotion.circle = {{ radius_m = 0.3, duration_s = {seconds}, start_s = 1.5 }}\nodometry = {{ rate_hz = 50.0 }}\n'
+                   f'[[robot]]\nname = "r0"\nposition_m = [0.0, 0.0, 0.2]\nmotion.circle = {{ radius_m = 0.3, duration_s = {seconds}, turns = {seconds / 20}, start_s = 1.5 }}\nodometry = {{ rate_hz = 50.0 }}\n'
                    '[[robot]]\nname = "r1"\nposition_m = [8.0, 4.0, 0.2]\n')
     subprocess.run([csi5300, "simulate", f"{folder}/scene.toml", "--out", f"{folder}/logs"], check=True, stdout=subprocess.DEVNULL)
     with open(f"{folder}/robot.toml", "w") as file:
@@ -70,14 +71,16 @@ try:
                 begun, before = time.monotonic(), cost(node.pid)
             if begun is not None:
                 last = (time.monotonic(), cost(node.pid))
-                memory.append(last[1][1])
+                if last[0] >= begun + 60 * len(memory):
+                    memory.append(last[1][1])
         except (FileNotFoundError, IndexError, KeyError):
             pass
+    memory.append(last[1][1])
     share = 100 * (last[1][0] - before[0]) / (last[0] - begun)
     lines = [json.loads(line) for line in open(f"{folder}/bearings.jsonl")]
     latency = [line["latency_ms"] for line in lines if line["state"] == "bearing" and line["latency_ms"] is not None and not line["accurate"]]
     print(f"{counts[0]} bearings, {counts[1]} markers, {counts[2]} CSI over DDS; bearings published {at(latency, .5):.2f} ms after the last record (99 %: {at(latency, .99):.2f}), "
-          f"handed over by DDS in {at(handed, .5):.2f} ms (99 %: {at(handed, .99):.2f}); node {share:.1f} % of a core, {memory[0]:.1f} MiB at first, {memory[-1]:.1f} MiB at last; load {os.getloadavg()[0]:.1f}")
+          f"handed over by DDS in {at(handed, .5):.2f} ms (99 %: {at(handed, .99):.2f}); node {share:.1f} % of a core; MiB at first, each minute, at last: {', '.join(f'{m:.1f}' for m in memory)}; load {os.getloadavg()[0]:.1f}")
 finally:
     shutil.rmtree(folder)
 PYTHON

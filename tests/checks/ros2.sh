@@ -25,6 +25,7 @@ else
 fi
 "${inside[@]}" "$python" tests/checks/ros2/check.py "$csi5300" "$folder"
 "$python" tests/checks/ros2/bags.py "$folder"/run "$folder"/again
+"$python" tests/checks/ros2/kinds.py "$csi5300" "$folder/run"
 # A recording as a log again.
 messages=$("$csi5300" unbag "$folder/run" --out "$folder/logs" | awk '$1 ~ /csi.dat:$/ { print $2 }')
 records=$("$csi5300" info --json "$folder/logs/csi5300_tb3_0_csi.dat" | "$python" -c 'import json, sys; print(sum(json.loads(l)["wsr"] for l in sys.stdin))')

@@ -1,6 +1,7 @@
 //! `csi5300 compare`.
 
 use super::args::channel;
+use super::inputs::{BagArgs, Inputs};
 use super::say::{Tone, toned};
 use super::{Outcome, Result, print, print_json, read_trajectory, simulate};
 use csi5300::motion::odometry;
@@ -20,14 +21,19 @@ pub struct Args {
     /// A scene, or a folder that `simulate --out` wrote; without it a scene is fitted to the recorded capture
     with: Option<PathBuf>,
     /// The recorded log of the robot that moved
-    #[arg(long, value_name = "RX.dat")]
-    rx: PathBuf,
+    #[cfg_attr(feature = "ros2", arg(long, value_name = "RX.dat", required_unless_present = "bag"))]
+    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "RX.dat", required = true))]
+    rx: Option<PathBuf>,
     /// The recorded log of the other robot
-    #[arg(long, value_name = "TX.dat")]
-    tx: PathBuf,
+    #[cfg_attr(feature = "ros2", arg(long, value_name = "TX.dat", required_unless_present = "bag"))]
+    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "TX.dat", required = true))]
+    tx: Option<PathBuf>,
     /// The recorded trajectory
-    #[arg(long, value_name = "T.csv")]
-    trajectory: PathBuf,
+    #[cfg_attr(feature = "ros2", arg(long, value_name = "T.csv", required_unless_present = "bag"))]
+    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "T.csv", required = true))]
+    trajectory: Option<PathBuf>,
+    #[command(flatten)]
+    bag: BagArgs,
     /// The recorded trajectory of the other robot, if it moved, on the first one's clock
     #[arg(long, value_name = "T.csv")]
     tx_trajectory: Option<PathBuf>,
@@ -62,11 +68,20 @@ type Words<T> = std::result::Result<T, String>;
 pub fn run(args: &Args) -> Result {
     let options = Options::new(args.channel);
     // Before anything is read or fitted: minutes of work end in these files.
-    args.check_outputs()?;
+    let tx: Vec<PathBuf> = args.tx.iter().cloned().collect();
+    let (inputs, named) = args.bag.resolve(args.rx.clone(), tx, args.trajectory.clone())?;
+    let tx = match &named.tx[..] {
+        [tx] => tx,
+        several => {
+            let several: Vec<String> = several.iter().map(|topic| topic.display().to_string()).collect();
+            return Err(format!("several logs could be the other robot's ({}): --tx names one", several.join(", ")));
+        }
+    };
+    args.check_outputs(inputs.bag().into_iter().chain([&*named.rx, tx, &named.trajectory]))?;
     let given = args.with.as_deref().filter(|with| !with.is_dir()).map(|file| load(file, args.channel)).transpose()?;
-    let trajectory = read_trajectory(&args.trajectory)?;
-    let displaced = args.tx_trajectory.as_deref().map(read_trajectory).transpose()?;
-    let recorded = read(&args.rx, &args.tx, (&trajectory, displaced.as_ref()), &options)?;
+    let trajectory = inputs.trajectory(&named.trajectory)?;
+    let displaced = args.tx_trajectory.as_deref().map(|path| inputs.trajectory(path)).transpose()?;
+    let recorded = read(&inputs, (&named.rx, tx), (&trajectory, displaced.as_ref()), &options)?;
     let folder = args.out.join(SIMULATED);
     // A fitted scene's robot strays from the recorded trajectory, which is all that a recording has.
     let along = args.with.is_none().then_some(&trajectory);
@@ -87,7 +102,7 @@ pub fn run(args: &Args) -> Result {
         print(&describe(&table));
     }
     draw(&args.out, &recorded, &simulated, args.json)?;
-    Ok(Outcome::Done)
+    Ok(if inputs.lost() { Outcome::DataLost } else { Outcome::Done })
 }
 
 /// Names of what is written into the folder; the trajectory is a copy that the scene names.
@@ -97,14 +112,14 @@ const SIMULATED: &str = "simulated";
 
 impl Args {
     /// Refuses outputs that are inputs, and without --force those that are there.
-    fn check_outputs(&self) -> Words<()> {
+    fn check_outputs<'a>(&'a self, read: impl Iterator<Item = &'a Path>) -> Words<()> {
         let simulated = self.out.join(SIMULATED);
         let written: Vec<PathBuf> = match &self.with {
             Some(folder) if folder.is_dir() => return Ok(()),
             Some(_) => Vec::new(),
             None => [TRAJECTORY, SCENE].iter().map(|name| self.out.join(name)).collect(),
         };
-        for input in [&self.rx, &self.tx, &self.trajectory].into_iter().chain(&self.tx_trajectory).chain(&self.with) {
+        for input in read.chain(self.tx_trajectory.as_deref()).chain(self.with.as_deref()) {
             if let Some(output) = written.iter().find(|output| super::is_same_file(input, output)) {
                 return Err(format!("{} is an input: another --out is needed", output.display()));
             }
@@ -151,9 +166,13 @@ fn clear(folder: &Path) -> Words<()> {
 }
 
 /// `paths`: the receiver's, and the transmitter's if it moved.
-fn read(rx: &Path, tx: &Path, paths: (&Trajectory, Option<&Trajectory>), options: &Options) -> Words<Figures> {
-    measure(&mut super::open_log(rx)?, &mut super::open_log(tx)?, paths.0, paths.1, options)
-        .map_err(|error| error.to_string())
+fn read(
+    inputs: &Inputs,
+    (rx, tx): (&Path, &Path),
+    paths: (&Trajectory, Option<&Trajectory>),
+    options: &Options,
+) -> Words<Figures> {
+    measure(&mut inputs.open(rx)?, &mut inputs.open(tx)?, paths.0, paths.1, options).map_err(|error| error.to_string())
 }
 
 /// Reads the first capture and link of a folder in the layout of the WSR data set, along its own trajectory if no other is
@@ -167,7 +186,8 @@ fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> 
     let path_of = |robot: &str| beside(format!("{robot}_trajectory_{}_.csv", capture.stamp));
     let trajectory = along.map_or_else(|| read_trajectory(&path_of("rx")), |trajectory| Ok(trajectory.clone()))?;
     let displaced = Some(path_of(name)).filter(|path| path.is_file()).map(|path| read_trajectory(&path)).transpose()?;
-    read(&beside(format!("csi_rx_{}.dat", capture.stamp)), tx, (&trajectory, displaced.as_ref()), options)
+    let logs = (&*beside(format!("csi_rx_{}.dat", capture.stamp)), &**tx);
+    read(&Inputs::default(), logs, (&trajectory, displaced.as_ref()), options)
 }
 
 /// Fits a scene to the recorded capture and keeps it, with the trajectory that it names.

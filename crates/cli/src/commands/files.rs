@@ -1,7 +1,7 @@
 //! Files that commands read and write: logs and trajectories, told from other kinds of files; outputs that are not overwritten.
 
 use super::hint;
-use csi5300::motion::odometry::csv::{self, CsvError};
+use csi5300::motion::odometry::csv::{self, CsvCounts, CsvError};
 use csi5300::motion::pose::Trajectory;
 use csi5300::source::{CsiSource, Next, replay::Replay};
 use csi5300::time::Instant;
@@ -54,6 +54,13 @@ pub fn read_trajectory(path: &Path) -> Words<Trajectory> {
             None => format!("{name}: {error}"),
         },
     })?;
+    say_trajectory(path, &trajectory, &counts);
+    Ok(trajectory)
+}
+
+/// Says what of a trajectory was read, and what was left out.
+pub fn say_trajectory(path: &Path, trajectory: &Trajectory, counts: &CsvCounts) {
+    let name = path.display();
     detail!("reading {name}: {} poses", trajectory.poses().len());
     if let Some((line, why)) = &counts.first_bad {
         note!("{name}: {} rows left out, the first in line {line}: {why}", counts.bad_rows);
@@ -68,7 +75,6 @@ pub fn read_trajectory(path: &Path) -> Words<Trajectory> {
         let (length_s, moved_mm) = (gap.to_s - gap.from_s, gap.moved_m * 1e3);
         note!("{name}: no pose for {length_s:.2} s from {:.3} s on (moved {moved_mm:.0} mm meanwhile)", gap.from_s);
     }
-    Ok(trajectory)
 }
 
 /// The first bytes of a file; none of what can be read only once.
@@ -104,9 +110,12 @@ fn other_kind(path: &Path) -> Option<&'static str> {
 /// Kinds of files that begin with a mark of their own.
 fn binary_kind(bytes: &[u8]) -> Option<&'static str> {
     const MARKS: [(&[u8], &str); 12] = [
-        (b"\x89MCAP0\r\n", "an MCAP recording (`csi5300 unbag` makes logs and trajectories of one of ROS 2)"),
-        (b"SQLite format 3\0", "a SQLite database, as older recordings of ROS 2 are"),
-        (b"#ROSBAG", "a recording of ROS 1"),
+        (
+            b"\x89MCAP0\r\n",
+            "an MCAP recording (`bearing --bag` reads one of ROS 2, `csi5300 unbag` makes logs and trajectories of it)",
+        ),
+        (b"SQLite format 3\0", "a SQLite database, as recordings of ROS 2 are (`bearing --bag`, `csi5300 unbag`)"),
+        (b"#ROSBAG", "a recording of ROS 1 (`bearing --bag`, `csi5300 unbag`)"),
         (b"PK\x03\x04", "a ZIP archive, as .npz is"),
         (b"PAR1", "a Parquet table"),
         (b"MATLAB 5.0", "a MATLAB file"),

@@ -19,6 +19,7 @@ mod files;
 mod folds;
 mod hint;
 mod info;
+mod inputs;
 mod key;
 #[cfg(feature = "live")]
 mod listener;

@@ -7,7 +7,7 @@ use std::path::PathBuf;
 /// Arguments of `unbag`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The recording: a folder as `ros2 bag` makes it, or one of its MCAP files
+    /// The recording: a folder as `ros2 bag` makes it, or a file (MCAP, SQLite, bag of ROS 1)
     #[arg(value_name = "BAG")]
     bag: PathBuf,
     /// Folder for a log of each topic of CSI and a trajectory of each topic of poses
@@ -32,6 +32,11 @@ pub fn run(args: &Args) -> Result {
     }
     for file in &done.cut {
         note!("{}: its end is missing; it was read up to there", file.display());
+    }
+    if done.damaged_chunks > 0 {
+        lost = true;
+        let chunks = super::some(done.damaged_chunks, "chunk is", "chunks are");
+        note!("{}: {chunks} damaged and left out", args.bag.display());
     }
     note!("{} messages of other topics", done.others);
     Ok(match written {

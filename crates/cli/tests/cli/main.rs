@@ -11,6 +11,8 @@ mod private;
 mod answers;
 #[cfg(feature = "node")]
 mod attacks;
+#[cfg(feature = "ros2")]
+mod bags;
 mod commands;
 mod compare;
 mod looking;

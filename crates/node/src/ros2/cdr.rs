@@ -21,6 +21,14 @@ pub(crate) enum CdrError {
     /// Not a representation that is known.
     #[error("representation {0:#06x} is not known")]
     Representation(u16),
+    /// A name or list is longer than one of its kind can be.
+    #[error("has a length of {length}, {most} at most were expected")]
+    Long {
+        /// Bytes, or values.
+        length: usize,
+        /// As many as there may be.
+        most: usize,
+    },
     /// A string that is not UTF-8, or does not end with a zero.
     #[error("at byte {0} is no text")]
     NoText(usize),
@@ -34,6 +42,8 @@ pub(crate) struct CdrReader<'a> {
     little: bool,
     /// Alignment is no larger than this.
     most: usize,
+    /// Strings end with a zero.
+    has_ends: bool,
 }
 
 impl<'a> CdrReader<'a> {
@@ -51,12 +61,17 @@ impl<'a> CdrReader<'a> {
             0x0007 => (true, 4),
             _ => return Err(CdrError::Representation(representation)),
         };
-        Ok(Self { bytes, at: 0, little, most })
+        Ok(Self { bytes, at: 0, little, most, has_ends: true })
     }
 
     /// Of bytes without encapsulation.
     pub fn plain(bytes: &'a [u8], little: bool) -> Self {
-        Self { bytes, at: 0, little, most: 8 }
+        Self { bytes, at: 0, little, most: 8, has_ends: true }
+    }
+
+    /// Of bytes as ROS 1 has them: little-endian, without alignment, strings without a zero.
+    pub fn ros1(bytes: &'a [u8]) -> Self {
+        Self { bytes, at: 0, little: true, most: 1, has_ends: false }
     }
 
     /// What is left.
@@ -174,12 +189,15 @@ impl Cdr for String {
     fn read(from: &mut CdrReader<'_>) -> Result<Self, CdrError> {
         let length = u32::read(from)? as usize;
         let at = from.at;
-        match from.take(length)?.split_last() {
+        let bytes = from.take(length)?;
+        let text = match bytes.split_last() {
+            _ if !from.has_ends => bytes,
             // No zero at all: as some write an empty one.
-            None => Ok(Self::new()),
-            Some((0, text)) => std::str::from_utf8(text).map(str::to_owned).map_err(|_| CdrError::NoText(at)),
-            Some(_) => Err(CdrError::NoText(at)),
-        }
+            None => bytes,
+            Some((0, text)) => text,
+            Some(_) => return Err(CdrError::NoText(at)),
+        };
+        std::str::from_utf8(text).map(str::to_owned).map_err(|_| CdrError::NoText(at))
     }
 }
 
@@ -252,6 +270,15 @@ mod tests {
         let mut from = CdrReader::of_payload(&second).unwrap();
         assert_eq!((u32::read(&mut from), f64::read(&mut from)), (Ok(9), Ok(2.5)), "aligned to four");
         assert_eq!(CdrReader::of_payload(&[0, 9, 0, 0]).unwrap_err(), CdrError::Representation(9));
+    }
+
+    #[test]
+    fn ros_1_aligns_nothing_and_ends_no_string() {
+        let bytes = [&[7, 2, 0, 0, 0, b'a', b'b'][..], &1.5_f64.to_le_bytes(), &[0; 4]].concat();
+        let mut from = CdrReader::ros1(&bytes);
+        assert_eq!((u8::read(&mut from), String::read(&mut from)), (Ok(7), Ok("ab".into())));
+        assert_eq!((f64::read(&mut from), String::read(&mut from)), (Ok(1.5), Ok(String::new())));
+        assert!(u8::read(&mut from).is_err());
     }
 
     #[test]

@@ -320,8 +320,7 @@ impl Link {
         let read = readers.iter().enumerate().flat_map(|(number, topic)| {
             participant.reader_state(number).wrong.into_iter().map(|why| format!("{}: {why}", topic.name))
         });
-        let loopback = |who: &str| format!("ROS 2: {who}: it is in another network, or not on loopback");
-        let others = participant.unreachable().map(loopback);
+        let others = participant.unreachable().map(|who| format!("ROS 2: {who}: it cannot be spoken to"));
         own.chain(read).chain(others).chain(self.shared.sockets.trouble()).chain(self.shared.bag.trouble()).collect()
     }
 

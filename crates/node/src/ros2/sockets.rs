@@ -79,7 +79,7 @@ impl Sockets {
         };
         let group = self.group.iter().map(|_| multicast_address(self.domain));
         let asked = self.peers.iter().flat_map(at).filter(|to| *to != meta);
-        Settings { prefix: prefix(), name, meta, user, announce: group.chain(asked).collect(), is_local: self.is_local }
+        Settings { prefix: prefix(), name, meta, user, announce: group.chain(asked).collect() }
     }
 
     /// Where it takes discovery.

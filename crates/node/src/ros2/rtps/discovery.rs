@@ -14,6 +14,10 @@ pub(crate) const PARTICIPANT: [u8; 4] = [0, 0, 1, 0xc1];
 const BUILT_IN: u32 = 0x3f;
 /// Addresses of one participant that are kept.
 const ADDRESSES: usize = 16;
+/// Bytes of a name at most, of a topic, a type, a participant or a partition: a topic of DDS has 255.
+const LONGEST_NAME: usize = 512;
+/// Partitions and representations of an endpoint at most.
+const LONGEST_LIST: usize = 8;
 /// Longest that a participant is kept without a word of it.
 const LONGEST_LEASE: Span = Span::from_ms(600_000);
 /// Lease of one that names none.
@@ -137,6 +141,24 @@ fn keep(address: Option<SocketAddrV4>, into: &mut Vec<SocketAddrV4>) {
     into.extend(address.filter(|address| into.len() < ADDRESSES && !into.contains(address)));
 }
 
+/// A name, which is kept: one that is longer than any is refused.
+fn name(from: &mut CdrReader<'_>) -> Result<String, CdrError> {
+    let name = String::read(from)?;
+    if name.len() <= LONGEST_NAME { Ok(name) } else { Err(CdrError::Long { length: name.len(), most: LONGEST_NAME }) }
+}
+
+/// A list, which is kept, in the same way.
+fn list<T>(
+    from: &mut CdrReader<'_>,
+    read: impl Fn(&mut CdrReader<'_>) -> Result<T, CdrError>,
+) -> Result<Vec<T>, CdrError> {
+    let length = u32::read(from)? as usize;
+    if length > LONGEST_LIST {
+        return Err(CdrError::Long { length, most: LONGEST_LIST });
+    }
+    (0..length).map(|_| read(from)).collect()
+}
+
 /// Whole seconds and a fraction of 2^-32; what has no end is the longest.
 fn span(from: &mut CdrReader<'_>) -> Result<Span, CdrError> {
     let (s, fraction) = (i32::read(from)?, u32::read(from)?);
@@ -166,7 +188,7 @@ impl ParticipantData {
 
     /// From a payload.
     pub fn read(payload: &[u8]) -> Result<Option<Self>, CdrError> {
-        let (mut prefix, mut vendor, mut name) = (None, [0; 2], String::new());
+        let (mut prefix, mut vendor, mut words) = (None, [0; 2], String::new());
         let (mut meta, mut user, mut lease) = (Vec::new(), Vec::new(), USUAL_LEASE);
         each(payload, |id, mut value| {
             match id {
@@ -175,12 +197,12 @@ impl ParticipantData {
                 id::META_UNICAST => keep(address(&mut value)?, &mut meta),
                 id::DEFAULT_UNICAST => keep(address(&mut value)?, &mut user),
                 id::LEASE => lease = span(&mut value)?,
-                id::NAME => name = String::read(&mut value).unwrap_or_default(),
+                id::NAME => words = name(&mut value).unwrap_or_default(),
                 _ => {}
             }
             Ok(())
         })?;
-        Ok(prefix.map(|prefix| Self { prefix, vendor, meta, user, lease, name }))
+        Ok(prefix.map(|prefix| Self { prefix, vendor, meta, user, lease, name: words }))
     }
 }
 
@@ -223,15 +245,15 @@ impl EndpointData {
         each(payload, |id, mut value| {
             match id {
                 id::ENDPOINT => guid = Guid::from_bytes(value.rest()),
-                id::TOPIC => topic = Some(String::read(&mut value)?),
-                id::TYPE => kind = Some(String::read(&mut value)?),
+                id::TOPIC => topic = Some(name(&mut value)?),
+                id::TYPE => kind = Some(name(&mut value)?),
                 id::RELIABILITY => qos.reliable = u32::read(&mut value)? == 2,
                 id::DURABILITY => qos.durability = u32::read(&mut value)?,
                 id::HISTORY => qos.depth = <[u32; 2]>::read(&mut value)?[1],
                 id::DEADLINE => qos.has_deadline = i32::read(&mut value)? != i32::MAX,
                 id::OWNERSHIP => qos.exclusive = u32::read(&mut value)? == 1,
-                id::PARTITION => qos.partitions = Vec::<String>::read(&mut value)?,
-                id::REPRESENTATION => qos.representations = Vec::<i16>::read(&mut value)?,
+                id::PARTITION => qos.partitions = list(&mut value, name)?,
+                id::REPRESENTATION => qos.representations = list(&mut value, i16::read)?,
                 id::UNICAST => keep(address(&mut value)?, &mut unicast),
                 _ => {}
             }

@@ -13,8 +13,10 @@ const HELD: usize = 256;
 const LARGEST: usize = 1 << 20;
 /// Samples in fragments at a time, of one writer.
 const PARTS: usize = 2;
-/// Writers of one topic at most.
-const WRITERS: usize = 64;
+/// Bytes of samples that wait, for one that is missing or for their own fragments, of all writers of a topic.
+const WAITING: usize = 8 << 20;
+/// Writers of one topic at most: one of each participant, for built-in topics.
+const WRITERS: usize = 128;
 
 /// A sample that comes in fragments.
 #[derive(Clone, Debug)]
@@ -33,6 +35,11 @@ impl Parts {
         }
         let count = total.div_ceil(size);
         Some(Self { bytes: vec![0; total], size, have: vec![false; count], left: count })
+    }
+
+    /// Bytes that it takes, with the marks of its fragments.
+    fn len(&self) -> usize {
+        self.bytes.len() + self.have.len()
     }
 
     /// Takes what is in `fragment`; false if it is of another sample.
@@ -72,6 +79,17 @@ struct Writing {
     held: BTreeMap<i64, Vec<u8>>,
     parts: BTreeMap<i64, Parts>,
     asked: u32,
+    /// Bytes of `held` and `parts`.
+    waiting: usize,
+}
+
+impl Writing {
+    /// Counts what waits again.
+    fn count(&mut self) {
+        let held: usize = self.held.values().map(Vec::len).sum();
+        let parts: usize = self.parts.values().map(Parts::len).sum();
+        self.waiting = held + parts;
+    }
 }
 
 /// What was counted of a reader.
@@ -127,7 +145,7 @@ impl Reader {
         // A reliable writer says where a reader begins, with its first heartbeat; the others with what comes.
         let next = reliable.then_some(1);
         let (held, parts) = (BTreeMap::new(), BTreeMap::new());
-        self.writers.insert(guid, Writing { to, reliable, next, has_begun: false, held, parts, asked: 0 });
+        self.writers.insert(guid, Writing { to, reliable, next, has_begun: false, held, parts, asked: 0, waiting: 0 });
         if reliable {
             self.ask(guid, 0, true, out);
         }
@@ -140,18 +158,22 @@ impl Reader {
 
     /// Takes a sample; gives what is to be handed over, in order.
     pub fn handle_data(&mut self, guid: Guid, number: i64, payload: &[u8]) -> Came {
+        let has_room = self.waiting() + payload.len() <= WAITING;
         let Some(writing) = self.writers.get_mut(&guid).filter(|_| number > 0) else { return Vec::new() };
         let next = *writing.next.get_or_insert(number);
         if number < next {
             return Vec::new();
         }
         if writing.reliable {
-            if writing.held.len() < HELD || number == next {
+            // What has no room is asked for again.
+            if number == next || (has_room && writing.held.len() < HELD) {
                 writing.held.insert(number, payload.to_vec());
+                writing.count();
             }
             return self.hand_over(guid);
         }
-        self.counts.lost += (number - next).unsigned_abs();
+        self.lose((number - next).unsigned_abs());
+        let Some(writing) = self.writers.get_mut(&guid) else { return Vec::new() };
         self.counts.samples += 1;
         writing.next = Some(number.saturating_add(1));
         vec![(number, payload.to_vec())]
@@ -159,14 +181,15 @@ impl Reader {
 
     /// Takes a part of a sample; gives what is to be handed over.
     pub fn handle_fragment(&mut self, guid: Guid, number: i64, fragment: &Fragment<'_>) -> Came {
-        let Some(writing) = self.writers.get_mut(&guid) else { return Vec::new() };
+        let has_room = self.waiting() + 2 * fragment.total as usize <= WAITING;
+        let Some(writing) = self.writers.get_mut(&guid).filter(|_| number > 0) else { return Vec::new() };
         if writing.next.is_some_and(|next| number < next) || writing.held.contains_key(&number) {
             return Vec::new();
         }
         let parts = match writing.parts.entry(number) {
             Entry::Occupied(known) => known.into_mut(),
             Entry::Vacant(place) => {
-                let Some(parts) = Parts::new(fragment) else { return Vec::new() };
+                let Some(parts) = Parts::new(fragment).filter(|_| has_room) else { return Vec::new() };
                 place.insert(parts)
             }
         };
@@ -176,6 +199,7 @@ impl Reader {
             writing.parts.pop_first();
         }
         let whole = if whole { writing.parts.remove(&number) } else { None };
+        writing.count();
         whole.map(|parts| self.handle_data(guid, number, &parts.bytes)).unwrap_or_default()
     }
 
@@ -194,10 +218,11 @@ impl Reader {
         let next = *writing.next.get_or_insert(first);
         let had_begun = std::mem::replace(&mut writing.has_begun, true);
         if next < first {
-            self.counts.lost += if had_begun { (first - next).unsigned_abs() } else { 0 };
             writing.next = Some(first);
             writing.held = writing.held.split_off(&first);
             writing.parts = writing.parts.split_off(&first);
+            writing.count();
+            self.lose(if had_begun { (first - next).unsigned_abs() } else { 0 });
         }
         let samples = self.hand_over(guid);
         let has_all = self.writers.get(&guid).and_then(|writing| writing.next).is_some_and(|next| next > last);
@@ -223,7 +248,17 @@ impl Reader {
             }
             writing.held = writing.held.split_off(next);
         }
+        writing.count();
         self.hand_over(guid)
+    }
+
+    /// Bytes that wait, of all writers.
+    fn waiting(&self) -> usize {
+        self.writers.values().map(|writing| writing.waiting).sum()
+    }
+
+    fn lose(&mut self, samples: u64) {
+        self.counts.lost = self.counts.lost.saturating_add(samples);
     }
 
     /// Asks for what is missing up to `last`, or says that nothing is; `begins`: the writer is to say what it has.
@@ -244,9 +279,14 @@ impl Reader {
         let mut samples = Vec::new();
         while let Some(sample) = writing.next.and_then(|next| writing.held.remove_entry(&next)) {
             writing.next = Some(sample.0.saturating_add(1));
+            writing.waiting = writing.waiting.saturating_sub(sample.1.len());
             samples.push(sample);
         }
         self.counts.samples += samples.len() as u64;
         samples
     }
 }
+
+#[cfg(test)]
+#[path = "reader_tests.rs"]
+mod tests;

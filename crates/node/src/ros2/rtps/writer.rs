@@ -8,8 +8,14 @@ use std::sync::Arc;
 
 /// Bytes of a sample at most: what a datagram over UDP takes, less heads.
 pub(crate) const LARGEST: usize = 64_000;
-/// Samples that are sent again for one question.
+/// Samples that a reader is sent again between two beats, however often it asks.
 const AGAIN: usize = 64;
+/// Beats without a question or an answer of a reader, after which it gets no more of them.
+const UNHEARD: u32 = 10;
+/// Beats that an announcement of such a reader is worth.
+const RENEWED: u32 = 2;
+/// Readers of one topic at most.
+const READERS: usize = 256;
 
 /// A datagram and where it is to go.
 pub(crate) type Outgoing = (SocketAddrV4, Vec<u8>);
@@ -34,6 +40,10 @@ struct Reading {
     acked: i64,
     /// Number of its last question.
     count: Option<u32>,
+    /// Samples that it may still be sent again before the next beat.
+    again: usize,
+    /// Beats since it was last heard.
+    unheard: u32,
 }
 
 /// A writer of this participant.
@@ -105,10 +115,20 @@ impl Writer {
             known.to = to;
             return;
         }
+        if self.readers.len() >= READERS {
+            return;
+        }
         let start = if from_now { self.last + 1 } else { self.first() };
-        self.readers
-            .insert(guid, Reading { to, reliable: reliable && self.qos.reliable, start, acked: start, count: None });
+        let reliable = reliable && self.qos.reliable;
+        let reading = Reading { to, reliable, start, acked: start, count: None, again: AGAIN, unheard: 0 };
+        self.readers.insert(guid, reading);
         self.beat_one(guid, out);
+    }
+
+    /// The participant of a reader announced itself: the reader gets a few beats more.
+    pub fn renew(&mut self, prefix: Prefix) {
+        let of = self.readers.iter_mut().filter(|(guid, _)| guid.prefix == prefix);
+        of.for_each(|(_, one)| one.unheard = one.unheard.min(UNHEARD - RENEWED));
     }
 
     /// A reader that is gone.
@@ -116,20 +136,19 @@ impl Writer {
         self.readers.retain(|guid, _| !is(guid));
     }
 
-    /// Tells all reliable readers that have not everything what there is.
+    /// Tells all reliable readers that have not everything what there is, as long as they are heard: an address that nobody
+    /// answers from, made up perhaps, is not sent to for ever.
     pub fn beat(&mut self, out: &mut Vec<Outgoing>) {
-        let behind: Vec<Guid> = self
-            .readers
-            .iter()
-            .filter(|(_, one)| one.reliable && one.acked <= self.last)
-            .map(|(guid, _)| *guid)
-            .collect();
+        self.readers.values_mut().for_each(|one| one.again = AGAIN);
+        let is_behind = |one: &Reading| one.reliable && one.acked <= self.last && one.unheard < UNHEARD;
+        let behind: Vec<Guid> = self.readers.iter().filter(|(_, one)| is_behind(one)).map(|(guid, _)| *guid).collect();
         behind.iter().for_each(|guid| self.beat_one(*guid, out));
     }
 
     fn beat_one(&mut self, guid: Guid, out: &mut Vec<Outgoing>) {
-        let (first, Some(reader)) = (self.first(), self.readers.get(&guid)) else { return };
+        let (first, Some(reader)) = (self.first(), self.readers.get_mut(&guid)) else { return };
         if reader.reliable {
+            reader.unheard = reader.unheard.saturating_add(1);
             self.beats = self.beats.wrapping_add(1);
             let range = (first.max(reader.start), self.last);
             let made = Maker::new(self.own, Some(guid.prefix));
@@ -146,11 +165,13 @@ impl Writer {
         if reader.count.is_some_and(|before| count <= before && before - count < 1_000) {
             return;
         }
-        reader.count = Some(count);
+        (reader.count, reader.unheard) = (Some(count), 0);
         reader.acked = missing.base.clamp(reader.start, last + 1);
         let (to, from) = (reader.to, first.max(reader.start));
         let mut gone: Option<(i64, i64)> = None;
-        for number in missing.iter().take_while(|number| *number <= last).take(AGAIN) {
+        let asked: Vec<i64> = missing.iter().take_while(|number| *number <= last).take(reader.again).collect();
+        reader.again -= asked.len();
+        for number in asked {
             match self.kept.iter().find(|sample| sample.number == number && number >= from) {
                 Some(sample) => out.push((to, self.datagram(guid.prefix, guid.entity, sample, wall_us))),
                 None => gone = Some((gone.map_or(number, |(start, _)| start), from.max(number + 1))),

@@ -1,25 +1,14 @@
 //! Messages of an MCAP file, one after the other, without an index: also of one whose end is missing.
 
-use super::BagError;
+use super::{BagError, Channel, Ended, Used, compressed};
 use std::collections::BTreeMap;
-use std::fs::File;
-use std::io::{BufReader, ErrorKind, Read};
+use std::io::{ErrorKind, Read};
 use std::path::Path;
 
-const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+/// How a file begins.
+pub(super) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
 /// Bytes of one record at most.
 const LARGEST: u64 = 1 << 30;
-
-/// A topic of a file.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Channel {
-    /// Its name.
-    pub topic: String,
-    /// `nav_msgs/msg/Odometry`.
-    pub kind: String,
-    /// `cdr`.
-    pub encoding: String,
-}
 
 /// Takes values of MCAP from bytes: little-endian, texts with their length.
 struct Fields<'a>(&'a [u8]);
@@ -54,7 +43,7 @@ struct State {
 
 impl State {
     /// Takes a record; gives what is in it where that is a message.
-    fn record<'a>(&mut self, kind: u8, content: &'a [u8]) -> Option<(u16, u64, &'a [u8])> {
+    fn record<'a>(&mut self, kind: u8, content: &'a [u8]) -> Option<(u16, &'a [u8])> {
         let mut fields = Fields(content);
         match kind {
             0x03 => {
@@ -71,83 +60,82 @@ impl State {
             }
             0x05 => {
                 let number = fields.u16()?;
-                fields.take(4)?;
-                let time_ns = fields.u64()?;
-                fields.take(8)?;
-                Some((number, time_ns, fields.0))
+                // Its number in order, and two times.
+                fields.take(20)?;
+                Some((number, fields.0))
             }
             _ => None,
         }
     }
 }
 
-/// Each message of a file goes to `used`, with its time in nanoseconds. Gives true if the file ends where it should not.
-pub(super) fn read(
-    path: &Path,
-    mut used: impl FnMut(&Channel, u64, &[u8]) -> Result<(), BagError>,
-) -> Result<bool, BagError> {
+/// Each message of a file goes to `used`.
+pub(super) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Result<Ended, BagError> {
     let io = |source| BagError::Io { path: path.to_owned(), source };
-    let mut from = BufReader::new(File::open(path).map_err(io)?);
-    let mut magic = [0; 8];
-    if from.read_exact(&mut magic).is_err() || magic != *MAGIC {
-        return Err(BagError::NoMcap { path: path.to_owned() });
-    }
-    let mut state = State::default();
+    let mut magic = [0; MAGIC.len()];
+    from.read_exact(&mut magic).map_err(io)?;
+    let (mut state, mut ended) = (State::default(), Ended::default());
     loop {
         let mut head = [0; 9];
         match from.read_exact(&mut head) {
             Ok(()) => {}
-            Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(true),
+            Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(Ended { cut: true, ..ended }),
             Err(error) => return Err(io(error)),
         }
         let [kind, length @ ..] = head;
         let length = u64::from_le_bytes(length);
         let mut content = Vec::new();
-        let taken = from.by_ref().take(length.min(LARGEST)).read_to_end(&mut content).map_err(io)?;
-        if taken as u64 != length {
-            return Ok(true);
+        match from.by_ref().take(length.min(LARGEST)).read_to_end(&mut content) {
+            Ok(taken) if taken as u64 == length => {}
+            Err(error) if error.kind() != ErrorKind::UnexpectedEof => return Err(io(error)),
+            _ => return Ok(Ended { cut: true, ..ended }),
         }
         match kind {
             // The end of the data: the rest says it again.
-            0x0f | 0x02 => return Ok(false),
-            0x06 => chunk(path, &content, &mut state, &mut used)?,
-            _ => hand_over(&mut state, kind, &content, &mut used)?,
+            0x0f | 0x02 => return Ok(ended),
+            0x06 => ended.damaged_chunks += u64::from(!chunk(path, &content, &mut state, used)?),
+            _ => hand_over(&mut state, kind, &content, used)?,
         }
     }
 }
 
-fn hand_over(
-    state: &mut State,
-    kind: u8,
-    content: &[u8],
-    used: &mut impl FnMut(&Channel, u64, &[u8]) -> Result<(), BagError>,
-) -> Result<(), BagError> {
-    let Some((number, time_ns, payload)) = state.record(kind, content) else { return Ok(()) };
-    state.channels.get(&number).map_or(Ok(()), |channel| used(channel, time_ns, payload))
+fn hand_over(state: &mut State, kind: u8, content: &[u8], used: &mut Used<'_>) -> Result<(), BagError> {
+    let Some((number, payload)) = state.record(kind, content) else { return Ok(()) };
+    state.channels.get(&number).map_or(Ok(()), |channel| used(channel, payload))
 }
 
-fn chunk(
-    path: &Path,
-    content: &[u8],
-    state: &mut State,
-    used: &mut impl FnMut(&Channel, u64, &[u8]) -> Result<(), BagError>,
-) -> Result<(), BagError> {
+/// What is in a chunk; false if nothing can be made of it.
+fn chunk(path: &Path, content: &[u8], state: &mut State, used: &mut Used<'_>) -> Result<bool, BagError> {
     let mut fields = Fields(content);
     let head = (|| {
-        fields.take(28)?;
+        fields.take(16)?;
+        let size = fields.u64()?;
+        fields.take(4)?;
         let compression = fields.text()?;
         fields.u64()?;
-        Some(compression)
+        Some((size, compression))
     })();
-    match head.as_deref() {
-        Some("") => {}
-        Some(other) => return Err(BagError::Compressed { path: path.to_owned(), by: other.to_owned() }),
-        None => return Ok(()),
-    }
+    let Some((size, compression)) = head else { return Ok(false) };
+    let unpacked = match compression.as_str() {
+        "" => None,
+        "zstd" | "lz4" if size > LARGEST => return Ok(false),
+        "zstd" => Some(compressed::zstd(fields.0)),
+        "lz4" => Some(compressed::lz4(fields.0)),
+        by => {
+            let command = "mcap compress --compression none";
+            return Err(BagError::Compressed { path: path.to_owned(), by: by.to_owned(), command });
+        }
+    };
+    let unpacked = match unpacked {
+        Some(Err(_)) => return Ok(false),
+        Some(Ok(bytes)) => Some(bytes),
+        None => None,
+    };
+    let mut fields = Fields(unpacked.as_deref().unwrap_or(fields.0));
     while let Some((kind, content)) = record(&mut fields) {
         hand_over(state, kind, content, used)?;
     }
-    Ok(())
+    Ok(true)
 }
 
 fn record<'a>(fields: &mut Fields<'a>) -> Option<(u8, &'a [u8])> {

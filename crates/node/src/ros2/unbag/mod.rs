@@ -1,25 +1,23 @@
 //! Logs and trajectories from a recording of ROS 2: what `csi5300 bearing` and `csi5300 compare` read.
 
+mod compressed;
+mod content;
+#[cfg(test)]
+mod kinds_tests;
 mod mcap;
+mod recording;
+mod ros1;
+mod sqlite;
 #[cfg(test)]
 mod tests;
 
-use super::cdr::Cdr;
-use super::messages::own::Csi;
-use super::messages::standard::{Header, Odometry, Pose as PoseMessage, PoseStamped};
-use csi5300::motion::odometry::csv;
-use csi5300::motion::pose::{Pose, heading_of};
-use driver_iface::bfee::{Iq, Repr, Wsr};
-use driver_iface::record::Record;
+pub use content::Content;
+pub use recording::{RecordedTopic, Recording};
+
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
-
-/// Code of a record with CSI.
-const BFEE: u8 = 0xbb;
-/// Two bits that name no antenna.
-const NO_ANTENNA: u8 = 3;
 
 /// Why a recording cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -33,25 +31,33 @@ pub enum BagError {
         /// Why.
         source: io::Error,
     },
-    /// A file is no MCAP.
-    #[error("{} is no MCAP file: `ros2 bag convert` makes one of a recording in another format", .path.display())]
-    NoMcap {
+    /// A file is of no known kind.
+    #[error("{} is no recording: MCAP, SQLite (ROS 2) and bags of ROS 1 are read", .path.display())]
+    Unknown {
         /// The file.
         path: PathBuf,
     },
-    /// A folder has no MCAP files.
-    #[error("{} has no .mcap file: `ros2 bag convert` makes one of a recording in another format", .folder.display())]
+    /// A database has not the tables of a recording.
+    #[error("{} is a database of SQLite without the tables of a recording (topics, messages)", .path.display())]
+    NoTables {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A folder has no recording.
+    #[error("{} has no file of a recording (.mcap, .db3, .bag)", .folder.display())]
     Empty {
         /// The folder.
         folder: PathBuf,
     },
-    /// Chunks are compressed.
-    #[error("{} is compressed ({by}): `mcap compress --compression none` makes one that is not", .path.display())]
+    /// Chunks are compressed in a way that is not read.
+    #[error("{} is compressed by {by}, which is not read: `{}` makes one that is", .path.display(), .command)]
     Compressed {
         /// The file.
         path: PathBuf,
         /// By what.
         by: String,
+        /// The command that helps.
+        command: &'static str,
     },
     /// There is a file of that name already.
     #[error("{} is there already", .path.display())]
@@ -87,6 +93,8 @@ pub struct Unbagged {
     pub others: u64,
     /// Files that end before they should: they are whole up to their last chunk.
     pub cut: Vec<PathBuf>,
+    /// Chunks of which nothing could be made, in all files.
+    pub damaged_chunks: u64,
 }
 
 /// A file that is written.
@@ -95,9 +103,9 @@ struct Writing {
     told: UnbaggedTopic,
 }
 
-/// Writes each topic of CSI (`csi5300_msgs/msg/Csi`) as a log in the WSR layout and each of poses (`nav_msgs/msg/Odometry`,
-/// `geometry_msgs/msg/PoseStamped`) as a trajectory into the folder `out`, which is made. `bag` is a folder as `ros2 bag`
-/// makes it, or one MCAP file. Times are those of the headers.
+/// Writes each topic of CSI ([`Content::Csi`]) as a log in the WSR layout and each of poses ([`Content::Poses`]) as a
+/// trajectory into the folder `out`, which is made. `bag` is a folder as `ros2 bag` makes it, or one file: MCAP, SQLite or a
+/// bag of ROS 1, also compressed. Times are those of the headers.
 ///
 /// # Errors
 /// If nothing can be read or written, or a file is there already.
@@ -108,29 +116,22 @@ pub fn unbag(bag: &Path, out: &Path) -> Result<Unbagged, BagError> {
     };
     std::fs::create_dir_all(out).map_err(io(out))?;
     let mut writing: BTreeMap<(String, String), Writing> = BTreeMap::new();
-    let mut done = Unbagged::default();
-    for file in files(bag)? {
-        let cut = mcap::read(&file, |channel, _, payload| {
-            let Some(end) = ending(&channel.kind).filter(|_| channel.encoding == "cdr") else {
-                done.others += 1;
-                return Ok(());
-            };
-            let key = (channel.topic.clone(), channel.kind.clone());
-            if !writing.contains_key(&key) {
-                writing.insert(key.clone(), create(out, channel, end)?);
+    let rest = each(bag, |channel, content, bytes| {
+        let key = (channel.topic.clone(), channel.kind.clone());
+        if !writing.contains_key(&key) {
+            writing.insert(key.clone(), create(out, channel, content.ending())?);
+        }
+        let Some(one) = writing.get_mut(&key) else { return Ok(()) };
+        match bytes {
+            Some(bytes) => {
+                one.to.write_all(&bytes).map_err(io(&one.told.file))?;
+                one.told.messages += 1;
             }
-            let Some(one) = writing.get_mut(&key) else { return Ok(()) };
-            match bytes(&channel.kind, payload) {
-                Some(bytes) => {
-                    one.to.write_all(&bytes).map_err(io(&one.told.file))?;
-                    one.told.messages += 1;
-                }
-                None => one.told.unreadable += 1,
-            }
-            Ok(())
-        })?;
-        done.cut.extend(cut.then_some(file));
-    }
+            None => one.told.unreadable += 1,
+        }
+        Ok(())
+    })?;
+    let mut done = Unbagged { others: rest.others, cut: rest.cut, damaged_chunks: rest.damaged_chunks, topics: vec![] };
     for (_, mut one) in writing {
         one.to.flush().map_err(io(&one.told.file))?;
         done.topics.push(one.told);
@@ -138,30 +139,7 @@ pub fn unbag(bag: &Path, out: &Path) -> Result<Unbagged, BagError> {
     Ok(done)
 }
 
-/// The MCAP files of a recording, in their order.
-fn files(bag: &Path) -> Result<Vec<PathBuf>, BagError> {
-    if !bag.is_dir() {
-        return Ok(vec![bag.to_owned()]);
-    }
-    let io = |source| BagError::Io { path: bag.to_owned(), source };
-    let all = std::fs::read_dir(bag).map_err(io)?.map(|entry| entry.map(|entry| entry.path()));
-    let mut all: Vec<PathBuf> = all.collect::<io::Result<_>>().map_err(io)?;
-    all.retain(|path| path.extension().is_some_and(|end| end == "mcap"));
-    // run_2 before run_10.
-    all.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
-    if all.is_empty() { Err(BagError::Empty { folder: bag.to_owned() }) } else { Ok(all) }
-}
-
-/// The ending of what is made of a type.
-fn ending(kind: &str) -> Option<&'static str> {
-    match kind {
-        "csi5300_msgs/msg/Csi" => Some("dat"),
-        "nav_msgs/msg/Odometry" | "geometry_msgs/msg/PoseStamped" => Some("csv"),
-        _ => None,
-    }
-}
-
-fn create(out: &Path, channel: &mcap::Channel, end: &str) -> Result<Writing, BagError> {
+fn create(out: &Path, channel: &Channel, end: &str) -> Result<Writing, BagError> {
     let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
     let name: String = channel.topic.trim_start_matches('/').chars().map(plain).collect();
     let file = out.join(format!("{name}.{end}"));
@@ -173,61 +151,117 @@ fn create(out: &Path, channel: &mcap::Channel, end: &str) -> Result<Writing, Bag
     Ok(Writing { to: BufWriter::new(opened), told: UnbaggedTopic { topic, kind, file, ..UnbaggedTopic::default() } })
 }
 
-/// What a message is in its file.
-fn bytes(kind: &str, payload: &[u8]) -> Option<Vec<u8>> {
-    match kind {
-        "csi5300_msgs/msg/Csi" => record(&Csi::of_payload(payload).ok()?),
-        "nav_msgs/msg/Odometry" => {
-            let told = Odometry::of_payload(payload).ok()?;
-            row(&told.header, &told.pose.pose)
+/// A topic of a file.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+struct Channel {
+    /// Its name.
+    topic: String,
+    /// `nav_msgs/msg/Odometry`.
+    kind: String,
+    /// `cdr`, or `ros1`.
+    encoding: String,
+}
+
+/// Bytes of a file by which its kind is known.
+const START: u64 = 16;
+
+/// Uses a message: its topic and its payload.
+type Used<'a> = dyn FnMut(&Channel, &[u8]) -> Result<(), BagError> + 'a;
+
+/// How a file was read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Ended {
+    /// It ends where it should not.
+    cut: bool,
+    /// Chunks of which nothing could be made.
+    damaged_chunks: u64,
+}
+
+/// What of a recording is neither CSI nor poses.
+#[derive(Clone, Debug, Default)]
+struct Rest {
+    others: u64,
+    cut: Vec<PathBuf>,
+    damaged_chunks: u64,
+}
+
+/// Each message of CSI or poses goes to `used`, as the bytes of its file; without any if it is unreadable.
+fn each(
+    bag: &Path,
+    mut used: impl FnMut(&Channel, Content, Option<Vec<u8>>) -> Result<(), BagError>,
+) -> Result<Rest, BagError> {
+    let mut rest = Rest::default();
+    for file in files(bag)? {
+        let mut others = 0;
+        let ended = read(&file, &mut |channel, payload| {
+            let known = ["cdr", "ros1"].contains(&channel.encoding.as_str());
+            let Some(content) = Content::of(channel).filter(|_| known) else {
+                others += 1;
+                return Ok(());
+            };
+            used(channel, content, content::bytes(channel, payload))
+        })?;
+        rest.others += others;
+        rest.damaged_chunks += ended.damaged_chunks;
+        rest.cut.extend(ended.cut.then_some(file));
+    }
+    Ok(rest)
+}
+
+/// Reads a file of whatever kind it is.
+fn read(path: &Path, used: &mut Used<'_>) -> Result<Ended, BagError> {
+    let io = |source| BagError::Io { path: path.to_owned(), source };
+    let file = || File::open(path).map(BufReader::new).map_err(io);
+    let mut start = Vec::new();
+    file()?.take(START).read_to_end(&mut start).map_err(io)?;
+    if compressed::is_zstd(&start) {
+        let mut whole = compressed::stream(file()?).map_err(io)?;
+        let mut start = Vec::new();
+        if whole.by_ref().take(START).read_to_end(&mut start).is_err() {
+            return Ok(Ended { cut: true, damaged_chunks: 0 });
         }
-        _ => {
-            let told = PoseStamped::of_payload(payload).ok()?;
-            row(&told.header, &told.pose)
+        let all = io::Cursor::new(start.clone()).chain(whole);
+        if start.starts_with(sqlite::MAGIC) {
+            let bytes = compressed::bounded(all, compressed::LARGEST_FILE).map_err(io)?;
+            return sqlite::read(path, io::Cursor::new(bytes), used);
         }
+        return stream(path, &start, BufReader::new(all), used);
+    }
+    if start.starts_with(sqlite::MAGIC) {
+        let ended = sqlite::read(path, file()?, used)?;
+        return Ok(Ended { cut: ended.cut || sqlite::has_journal(path), ..ended });
+    }
+    stream(path, &start, file()?, used)
+}
+
+/// Reads a file that is read from its beginning to its end, `start` being its first bytes.
+fn stream(path: &Path, start: &[u8], from: impl Read, used: &mut Used<'_>) -> Result<Ended, BagError> {
+    if start.starts_with(mcap::MAGIC) {
+        mcap::read(path, from, used)
+    } else if start.starts_with(ros1::MAGIC) {
+        ros1::read(path, from, used)
+    } else {
+        Err(BagError::Unknown { path: path.to_owned() })
     }
 }
 
-fn row(header: &Header, pose: &PoseMessage) -> Option<Vec<u8>> {
-    let pose = pose.isometry()?;
-    let heading_rad = Some(heading_of(&pose.rotation));
-    let t_s = header.stamp.us() as f64 * 1e-6;
-    Some(csv::line(&Pose { t_s, position_m: pose.translation.vector, heading_rad }).into_bytes())
-}
-
-/// A record as the WSR driver's logger writes it, length and code first.
-fn record(csi: &Csi) -> Option<Vec<u8>> {
-    let antenna = |row: usize| csi.antennas.get(row).copied().filter(|antenna| *antenna < 3).unwrap_or(NO_ANTENNA);
-    let us = u64::try_from(csi.header.stamp.us()).ok()?;
-    let mac = if csi.mac.is_empty() { driver_iface::Mac::ZERO } else { csi.mac.parse().ok()? };
-    let wsr = Wsr {
-        tv_sec: u32::try_from(us / 1_000_000).ok()?,
-        tv_usec: (us % 1_000_000) as u32,
-        mac,
-        frame_count: csi.frame_count,
-    };
-    let repr = Repr {
-        timestamp_low: csi.timestamp_low,
-        bfee_count: csi.bfee_count,
-        reserved: 0,
-        n_rx: csi.n_rx,
-        n_tx: csi.n_tx,
-        rssi: csi.rssi,
-        noise_dbm: csi.noise,
-        agc: csi.agc,
-        antenna_sel: (0..3).fold(0, |all, row| all | (antenna(row) & 3) << (2 * row)),
-        rate_n_flags: csi.rate_n_flags,
-        wsr: Some(wsr),
-    };
-    if csi.re.len() != csi.im.len() {
-        return None;
+/// The files of a recording, in their order; those of one kind, MCAP before others.
+fn files(bag: &Path) -> Result<Vec<PathBuf>, BagError> {
+    if !bag.is_dir() {
+        return Ok(vec![bag.to_owned()]);
     }
-    let iq: Vec<Iq> = csi.re.iter().zip(&csi.im).map(|(i, q)| Iq { i: *i, q: *q }).collect();
-    let mut body = vec![0; driver_iface::bfee::MAX_BODY];
-    let length = repr.emit(&iq, &mut body).ok()?;
-    let record = Record { code: BFEE, body: body.get(..length)? };
-    let mut bytes = vec![0; record.emit_len()];
-    let length = record.emit(&mut bytes).ok()?;
-    bytes.truncate(length);
-    Some(bytes)
+    let io = |source| BagError::Io { path: bag.to_owned(), source };
+    let all = std::fs::read_dir(bag).map_err(io)?.map(|entry| entry.map(|entry| entry.path()));
+    let mut all: Vec<PathBuf> = all.collect::<io::Result<_>>().map_err(io)?;
+    // run_2 before run_10.
+    all.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
+    let of = |kind: &str| {
+        let ends = |path: &&PathBuf| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            name.trim_end_matches(".zstd").ends_with(kind)
+        };
+        all.iter().filter(ends).cloned().collect::<Vec<PathBuf>>()
+    };
+    let found = [".mcap", ".db3", ".bag"].into_iter().map(of).find(|files| !files.is_empty());
+    found.ok_or_else(|| BagError::Empty { folder: bag.to_owned() })
 }

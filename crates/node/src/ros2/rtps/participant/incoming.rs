@@ -12,6 +12,8 @@ use std::net::{Ipv4Addr, SocketAddrV4};
 const PARTICIPANTS: usize = 128;
 /// Endpoints of other participants that are kept at most.
 const ENDPOINTS: usize = 8_192;
+/// Answers that wait to be sent at most: datagrams that come while there are so many are left out.
+const ANSWERS: usize = 4_096;
 
 impl Participant {
     /// Takes a datagram that came from `ip`; what it brings is put behind `events`.
@@ -28,6 +30,10 @@ impl Participant {
             return;
         };
         while let Some(next) = datagram.next() {
+            if self.out.len() >= ANSWERS {
+                self.counts.left_out += 1;
+                return;
+            }
             let from = datagram.from;
             let Ok(submessage) = next else {
                 self.counts.malformed += 1;
@@ -66,15 +72,14 @@ impl Participant {
             return;
         }
         let prefix = data.prefix;
-        let Some(meta) = self.reach(&data.meta, ip) else {
+        let Some(meta) = reach(&data.meta, ip) else {
             if self.unreachable.len() < PARTICIPANTS {
-                let words = format!("{} at {ip} takes nothing at {}", data.name, self.settings.meta.ip());
-                self.unreachable.insert(prefix, words);
+                self.unreachable.insert(prefix, format!("{} at {ip} takes nothing over UDP of IPv4", data.name));
             }
             return;
         };
         self.unreachable.remove(&prefix);
-        let user = self.reach(&data.user, ip);
+        let user = reach(&data.user, ip);
         let is_new = !self.peers.contains_key(&prefix);
         if is_new && self.peers.len() >= PARTICIPANTS && !self.make_room() {
             self.counts.refused += 1;
@@ -91,20 +96,18 @@ impl Participant {
         {
             own_writer.add(guid(reader), meta, true, false, &mut self.out);
             own_reader.add(guid(writer), meta, true, &mut self.out);
+            own_writer.renew(prefix);
         }
-    }
-
-    /// The address of `list` at which one that sent from `ip` can be reached.
-    fn reach(&self, list: &[SocketAddrV4], ip: Ipv4Addr) -> Option<SocketAddrV4> {
-        let usable = |address: &&SocketAddrV4| !self.settings.is_local || address.ip().is_loopback();
-        let same = list.iter().filter(usable).find(|address| *address.ip() == ip);
-        let other = |address: &&SocketAddrV4| address.ip().is_loopback() == self.settings.is_local;
-        same.or_else(|| list.iter().find(other)).copied()
+        self.writers.iter_mut().for_each(|own| own.end.renew(prefix));
     }
 
     /// Forgets the participant that was silent for longest and goes with nothing here. False if there is none.
     fn make_room(&mut self) -> bool {
-        let used = |prefix: &Prefix| self.others.keys().any(|guid| guid.prefix == *prefix);
+        let all = |prefix: &Prefix| {
+            let guid = |entity| Guid { prefix: *prefix, entity };
+            guid([0; 4])..=guid([255; 4])
+        };
+        let used = |prefix: &Prefix| self.others.range(all(prefix)).next().is_some();
         let idle = self.peers.iter().filter(|(prefix, _)| !used(prefix)).min_by_key(|(_, peer)| peer.heard_at);
         let idle = idle.map(|(prefix, _)| *prefix);
         idle.inspect(|prefix| self.forget(*prefix)).is_some()
@@ -202,12 +205,15 @@ impl Participant {
     fn meet(&mut self, is_writer: bool, data: &EndpointData) {
         let Some(peer) = self.peers.get(&data.guid.prefix) else { return };
         let ip = *peer.meta.ip();
-        let to = self.reach(&data.unicast, ip).or(peer.user).unwrap_or(peer.meta);
+        let to = reach(&data.unicast, ip).or(peer.user).unwrap_or(peer.meta);
         let guid = data.guid;
         if is_writer {
             for own in self.readers.iter_mut().filter(|own| own.data.topic == data.topic) {
                 match wrong(&own.data.kind, &data.kind).or_else(|| data.qos.mismatch(&own.data.qos)) {
-                    None => own.end.add(guid, to, data.qos.reliable, &mut self.out),
+                    None => {
+                        own.wrong.remove(&guid);
+                        own.end.add(guid, to, data.qos.reliable, &mut self.out);
+                    }
                     Some(why) => drop(own.wrong.insert(guid, why)),
                 }
             }
@@ -215,12 +221,23 @@ impl Participant {
             let from_now = data.qos.durability == 0;
             for own in self.writers.iter_mut().filter(|own| own.data.topic == data.topic) {
                 match wrong(&own.data.kind, &data.kind).or_else(|| own.data.qos.mismatch(&data.qos)) {
-                    None => own.end.add(guid, to, data.qos.reliable, from_now, &mut self.out),
+                    None => {
+                        own.wrong.remove(&guid);
+                        own.end.add(guid, to, data.qos.reliable, from_now, &mut self.out);
+                    }
                     Some(why) => drop(own.wrong.insert(guid, why)),
                 }
             }
         }
     }
+}
+
+/// Where one that sent from `ip` takes datagrams: at the address of `list` that is `ip`, else at `ip` and the first port of
+/// the list. A node that names only the address of a network card takes at all of its machine's, as Fast DDS does, and
+/// nothing is ever sent to a machine of which nothing came.
+fn reach(list: &[SocketAddrV4], ip: Ipv4Addr) -> Option<SocketAddrV4> {
+    let same = list.iter().find(|address| *address.ip() == ip).copied();
+    same.or_else(|| list.first().map(|first| SocketAddrV4::new(ip, first.port())))
 }
 
 fn wrong(own: &str, other: &str) -> Option<&'static str> {

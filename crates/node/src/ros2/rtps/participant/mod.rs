@@ -46,8 +46,6 @@ pub(crate) struct Settings {
     pub user: SocketAddrV4,
     /// Where it announces itself: the group, and static peers.
     pub announce: Vec<SocketAddrV4>,
-    /// Only programs of this machine are spoken to.
-    pub is_local: bool,
 }
 
 /// What came.
@@ -80,6 +78,8 @@ pub(crate) struct Counts {
     pub refused: u64,
     /// Answers to services that nobody came to read.
     pub unanswered: u64,
+    /// Datagrams that were left out, or what followed in them, because too many answers waited to be sent.
+    pub left_out: u64,
 }
 
 /// The state of a topic, of one end of this participant.
@@ -336,5 +336,7 @@ fn words(wrong: &BTreeMap<Guid, &'static str>) -> Vec<String> {
     words
 }
 
+#[cfg(test)]
+mod attacks;
 #[cfg(test)]
 mod tests;

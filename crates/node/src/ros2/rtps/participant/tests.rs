@@ -1,23 +1,23 @@
 use super::*;
 use std::net::Ipv4Addr;
 
-const WALL_US: i64 = 1_700_000_000_000_000;
+pub(super) const WALL_US: i64 = 1_700_000_000_000_000;
 
-fn at(last: u8, port: u16) -> SocketAddrV4 {
+pub(super) fn at(last: u8, port: u16) -> SocketAddrV4 {
     SocketAddrV4::new(Ipv4Addr::new(127, 0, 0, last), port)
 }
 
 /// Participants that send each other datagrams; those that `lose` says are lost.
-struct Net {
-    all: Vec<Participant>,
-    now: Instant,
+pub(super) struct Net {
+    pub all: Vec<Participant>,
+    pub now: Instant,
     events: Vec<Vec<Event>>,
-    lose: fn(usize) -> bool,
+    pub lose: fn(usize) -> bool,
     sent: usize,
 }
 
 impl Net {
-    fn new(count: u8) -> Self {
+    pub fn new(count: u8) -> Self {
         let address = |k: u8| at(k + 1, 7410);
         let one = |k: u8| {
             let announce = (0..count).filter(|other| *other != k).map(address).collect();
@@ -27,7 +27,6 @@ impl Net {
                 meta: address(k),
                 user: at(k + 1, 7411),
                 announce,
-                is_local: true,
             };
             Participant::new(settings, Instant::ZERO)
         };
@@ -37,7 +36,7 @@ impl Net {
     }
 
     /// So many milliseconds, in steps of ten.
-    fn run(&mut self, ms: i64) {
+    pub fn run(&mut self, ms: i64) {
         for _ in 0..ms / 10 {
             self.now += Span::from_ms(10);
             for k in 0..self.all.len() {
@@ -54,12 +53,12 @@ impl Net {
         }
     }
 
-    fn write(&mut self, participant: usize, writer: usize, sample: u8) {
+    pub fn write(&mut self, participant: usize, writer: usize, sample: u8) {
         self.all[participant].write(writer, Arc::from([0, 1, 0, 0, sample]), WALL_US);
     }
 
     /// Last bytes of the samples that came.
-    fn came(&self, participant: usize) -> Vec<u8> {
+    pub fn came(&self, participant: usize) -> Vec<u8> {
         self.events[participant].iter().map(|event| event.payload[4]).collect()
     }
 }

@@ -1,0 +1,245 @@
+//! Where logs and trajectories come from: files, or with `--bag` the topics of a recording, which is read into memory.
+
+use super::files::{Log, say_trajectory};
+use csi5300::motion::odometry::csv;
+use csi5300::motion::pose::Trajectory;
+use csi5300::source::replay::Replay;
+use std::io::Cursor;
+use std::path::{Path, PathBuf};
+
+#[cfg(feature = "ros2")]
+use csi5300_node::ros2::unbag::{Content, Recording};
+
+/// The option of commands that read recordings too.
+#[derive(clap::Args, Clone, Default)]
+pub struct BagArgs {
+    /// A recording that has odometry and CSI (a folder of `ros2 bag`, or a file: MCAP, SQLite, ROS 1): --rx, --tx and --trajectory
+    /// then name topics of it, or files, and what is not named is the only topic that it can be
+    #[cfg(feature = "ros2")]
+    #[arg(long, value_name = "BAG")]
+    pub bag: Option<PathBuf>,
+}
+
+type Words<T> = std::result::Result<T, String>;
+
+/// What was named: the receiver's log, those of the transmitters, the receiver's trajectory.
+pub struct Named {
+    /// The receiver's log.
+    pub rx: PathBuf,
+    /// Those of the transmitters, one at least.
+    pub tx: Vec<PathBuf>,
+    /// The receiver's trajectory.
+    pub trajectory: PathBuf,
+}
+
+/// Files, or files and topics.
+#[derive(Default)]
+pub struct Inputs {
+    #[cfg(feature = "ros2")]
+    recorded: Option<(PathBuf, Recording)>,
+}
+
+impl Inputs {
+    /// Opens a log, as a file or topic.
+    ///
+    /// # Errors
+    /// Those of [`super::open_log`].
+    pub fn open(&self, path: &Path) -> Words<Log> {
+        match self.topic(path) {
+            Some(bytes) => Ok(Replay::new(Box::new(Cursor::new(bytes.to_vec())), path.display().to_string())),
+            None => super::open_log(path),
+        }
+    }
+
+    /// Reads a trajectory, from a file or topic, and says what of it was left out.
+    ///
+    /// # Errors
+    /// If it cannot be read, in words.
+    pub fn trajectory(&self, path: &Path) -> Words<Trajectory> {
+        let Some(bytes) = self.topic(path) else { return super::read_trajectory(path) };
+        let (trajectory, counts) = csv::parse(bytes).map_err(|error| format!("{}: {error}", path.display()))?;
+        say_trajectory(path, &trajectory, &counts);
+        Ok(trajectory)
+    }
+
+    /// True for a topic of the recording.
+    pub fn is_topic(&self, path: &Path) -> bool {
+        self.topic(path).is_some()
+    }
+}
+
+#[cfg(not(feature = "ros2"))]
+impl BagArgs {
+    /// Files, all of which must be named.
+    pub fn resolve(
+        &self,
+        rx: Option<PathBuf>,
+        tx: Vec<PathBuf>,
+        trajectory: Option<PathBuf>,
+    ) -> Words<(Inputs, Named)> {
+        let (Some(rx), Some(trajectory)) = (rx, trajectory) else {
+            return Err("--rx and --trajectory are needed".into());
+        };
+        Ok((Inputs::default(), Named { rx, tx, trajectory }))
+    }
+}
+
+#[cfg(not(feature = "ros2"))]
+impl Inputs {
+    fn topic(&self, _: &Path) -> Option<&[u8]> {
+        None
+    }
+
+    /// True if the recording has lost something.
+    pub fn lost(&self) -> bool {
+        false
+    }
+
+    /// The recording.
+    pub fn bag(&self) -> Option<&Path> {
+        None
+    }
+}
+
+#[cfg(feature = "ros2")]
+impl BagArgs {
+    /// Reads the recording, if there is one, and finds what was not named.
+    ///
+    /// # Errors
+    /// In words: if it cannot be read, or could be meant in several ways.
+    pub fn resolve(
+        &self,
+        rx: Option<PathBuf>,
+        tx: Vec<PathBuf>,
+        trajectory: Option<PathBuf>,
+    ) -> Words<(Inputs, Named)> {
+        let Some(bag) = &self.bag else {
+            let (Some(rx), Some(trajectory)) = (rx, trajectory) else {
+                return Err("--rx and --trajectory are needed".into());
+            };
+            return Ok((Inputs::default(), Named { rx, tx, trajectory }));
+        };
+        let recording = Recording::read(bag).map_err(|error| error.to_string())?;
+        let inputs = Inputs { recorded: Some((bag.clone(), recording)) };
+        inputs.say();
+        let named = inputs.choose(rx, tx, trajectory)?;
+        Ok((inputs, named))
+    }
+}
+
+#[cfg(feature = "ros2")]
+impl Inputs {
+    fn topic(&self, path: &Path) -> Option<&[u8]> {
+        let (_, recording) = self.recorded.as_ref()?;
+        recording.topics.iter().find(|one| Path::new(&one.topic) == path).map(|one| one.bytes.as_slice())
+    }
+
+    /// True if the recording has lost something.
+    pub fn lost(&self) -> bool {
+        self.recorded.as_ref().is_some_and(|(_, recording)| {
+            recording.damaged_chunks > 0 || recording.topics.iter().any(|one| one.unreadable > 0)
+        })
+    }
+
+    /// The recording.
+    pub fn bag(&self) -> Option<&Path> {
+        self.recorded.as_ref().map(|(bag, _)| bag.as_path())
+    }
+
+    /// What is wrong with the recording, to standard error.
+    fn say(&self) {
+        let Some((bag, recording)) = &self.recorded else { return };
+        for file in &recording.cut {
+            note!("{}: its end is missing; it was read up to there", file.display());
+        }
+        if recording.damaged_chunks > 0 {
+            let chunks = super::some(recording.damaged_chunks, "chunk is", "chunks are");
+            note!("{}: {chunks} damaged and left out", bag.display());
+        }
+        for one in recording.topics.iter().filter(|one| one.unreadable > 0) {
+            let messages = super::some(one.unreadable, "message is", "messages are");
+            note!("{}: {messages} unreadable and left out", one.topic);
+        }
+    }
+
+    fn choose(&self, rx: Option<PathBuf>, tx: Vec<PathBuf>, trajectory: Option<PathBuf>) -> Words<Named> {
+        for named in rx.iter().chain(&tx) {
+            self.must_be(named, Content::Csi)?;
+        }
+        trajectory.as_deref().map_or(Ok(()), |named| self.must_be(named, Content::Poses))?;
+        let rx = match rx {
+            Some(rx) => rx,
+            None => self.only(Content::Csi, &tx, "--rx names that of the robot that moved")?,
+        };
+        let tx = if tx.is_empty() { self.topics(Content::Csi).filter(|topic| *topic != rx).collect() } else { tx };
+        if tx.is_empty() {
+            return Err(format!(
+                "{} has one topic of CSI only, {}: --tx names the log of the other robot",
+                self.name(),
+                rx.display()
+            ));
+        }
+        let trajectory = match trajectory {
+            Some(trajectory) => trajectory,
+            None => self.only(Content::Poses, &[], "--trajectory names that of the robot that moved")?,
+        };
+        Ok(Named { rx, tx, trajectory })
+    }
+
+    fn name(&self) -> String {
+        self.bag().map(|bag| bag.display().to_string()).unwrap_or_default()
+    }
+
+    fn topics(&self, content: Content) -> impl Iterator<Item = PathBuf> {
+        let all = self.recorded.iter().flat_map(move |(_, recording)| recording.having(content));
+        all.map(|one| PathBuf::from(&one.topic))
+    }
+
+    /// The topics as words: `/a, /b`.
+    fn list(&self, content: Content) -> String {
+        let all: Vec<String> = self.topics(content).map(|topic| topic.display().to_string()).collect();
+        if all.is_empty() { "none".into() } else { all.join(", ") }
+    }
+
+    /// The only topic of its kind that is not among `taken`.
+    fn only(&self, content: Content, taken: &[PathBuf], hint: &str) -> Words<PathBuf> {
+        let mut left = self.topics(content).filter(|topic| !taken.contains(topic));
+        match (left.next(), left.next()) {
+            (Some(topic), None) => Ok(topic),
+            (None, _) => Err(format!("{} has no {}: {hint}", self.name(), kind(content))),
+            (Some(_), Some(_)) => {
+                Err(format!("{} has several topics of {} ({}): {hint}", self.name(), what(content), self.list(content)))
+            }
+        }
+    }
+
+    /// What was named must be a topic of its kind, or a file.
+    fn must_be(&self, named: &Path, content: Content) -> Words<()> {
+        if named.as_os_str() == "-" || self.topics(content).any(|topic| topic == named) {
+            return Ok(());
+        }
+        if self.is_topic(named) || !named.exists() {
+            let (named, bag) = (named.display(), self.name());
+            return Err(format!(
+                "{named} is neither a file nor a topic of {} in {bag}, which has {}",
+                what(content),
+                self.list(content)
+            ));
+        }
+        Ok(())
+    }
+}
+
+#[cfg(feature = "ros2")]
+fn what(content: Content) -> &'static str {
+    if content == Content::Csi { "CSI" } else { "poses" }
+}
+
+#[cfg(feature = "ros2")]
+fn kind(content: Content) -> &'static str {
+    if content == Content::Csi {
+        "CSI (csi5300_msgs/msg/Csi)"
+    } else {
+        "poses (nav_msgs/msg/Odometry, geometry_msgs/msg/PoseStamped)"
+    }
+}

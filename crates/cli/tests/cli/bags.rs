@@ -1,0 +1,135 @@
+//! Recordings of ROS 2 as input: the same answers as from the files.
+
+use crate::commands::Folder;
+use crate::common::root;
+use csi5300::motion::odometry::csv;
+use csi5300::motion::pose::Pose;
+use csi5300::signal::csi::Csi;
+use driver_iface::bfee::{Antenna, Bfee};
+use driver_iface::record::{Step, events};
+use std::path::{Path, PathBuf};
+
+/// Values as CDR has them, each aligned to its size.
+struct Cdr(Vec<u8>);
+
+impl Cdr {
+    fn put(&mut self, bytes: &[u8]) -> &mut Self {
+        self.0.resize((self.0.len() - 4).next_multiple_of(bytes.len()) + 4, 0);
+        self.0.extend(bytes);
+        self
+    }
+
+    fn list(&mut self, bytes: impl ExactSizeIterator<Item = u8>) -> &mut Self {
+        self.put(&(bytes.len() as u32).to_le_bytes());
+        self.0.extend(bytes);
+        self
+    }
+
+    fn text(&mut self, text: &str) -> &mut Self {
+        let bytes: Vec<u8> = text.bytes().chain([0]).collect();
+        self.list(bytes.into_iter())
+    }
+
+    /// A message that begins with a header.
+    fn begin(us: i64, frame: &str) -> Self {
+        let mut to = Self(vec![0, 1, 0, 0]);
+        let (s, ns) = ((us / 1_000_000) as i32, (us % 1_000_000 * 1_000) as u32);
+        to.put(&s.to_le_bytes()).put(&ns.to_le_bytes()).text(frame);
+        to
+    }
+}
+
+/// Each record of a log as a `csi5300_msgs/msg/Csi`.
+fn csi(log: &Path) -> Vec<Vec<u8>> {
+    let bytes = std::fs::read(log).unwrap();
+    let record = |step| match step {
+        Step::Record { record, .. } if record.code == 0xbb => Some(record.body),
+        _ => None,
+    };
+    let message = |body: &[u8]| {
+        let bfee = Bfee::new_checked(body).unwrap();
+        let (wsr, matrix) = (bfee.wsr().unwrap(), Csi::from_bfee(&bfee).unwrap());
+        let mut to = Cdr::begin(i64::from(wsr.tv_sec) * 1_000_000 + i64::from(wsr.tv_usec), "");
+        to.text(&wsr.mac.to_string()).put(&wsr.frame_count.to_le_bytes());
+        to.put(&bfee.timestamp_low().to_le_bytes()).put(&bfee.bfee_count().to_le_bytes());
+        to.0.extend([matrix.n_rx() as u8, matrix.n_tx() as u8]);
+        to.0.extend(bfee.rssi());
+        to.0.extend([bfee.noise_dbm() as u8, bfee.agc()]);
+        to.put(&bfee.rate_n_flags().to_le_bytes());
+        let antenna = |row| Antenna::ALL.iter().position(|one| Some(*one) == matrix.antenna(row)).unwrap() as u8;
+        to.list((0..matrix.n_rx()).map(antenna));
+        to.list(matrix.as_slice().iter().map(|h| h.re as i8 as u8));
+        to.list(matrix.as_slice().iter().map(|h| h.im as i8 as u8));
+        to.0
+    };
+    events(&bytes).filter_map(record).map(message).collect()
+}
+
+/// Each pose of a trajectory as a `geometry_msgs/msg/PoseStamped`.
+fn poses(path: &Path) -> Vec<Vec<u8>> {
+    let (trajectory, _) = csv::read(path).unwrap();
+    let message = |pose: &Pose| {
+        let mut to = Cdr::begin((pose.t_s * 1e6).round() as i64, "odom");
+        let (sin, cos) = (0.5 * pose.heading_rad.unwrap_or(0.0)).sin_cos();
+        pose.position_m.iter().chain(&[0.0, 0.0, sin, cos]).for_each(|v| {
+            to.put(&v.to_le_bytes());
+        });
+        to.0
+    };
+    trajectory.poses().iter().map(message).collect()
+}
+
+/// The same trajectory with a heading, which messages always have.
+fn headed(folder: &Folder, path: &Path) -> PathBuf {
+    let (trajectory, _) = csv::read(path).unwrap();
+    let line = |pose: &Pose| csv::line(&Pose { heading_rad: Some(0.0), ..*pose });
+    folder.write("t.csv", trajectory.poses().iter().map(line).collect::<String>().as_bytes())
+}
+
+/// A file of MCAP without chunks and summary.
+fn mcap(topics: &[(&str, &str, Vec<Vec<u8>>)]) -> Vec<u8> {
+    fn record(kind: u8, parts: &[&[u8]]) -> Vec<u8> {
+        let content = parts.concat();
+        [&[kind][..], &(content.len() as u64).to_le_bytes(), &content].concat()
+    }
+    let text = |text: &str| [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
+    let mut bytes = b"\x89MCAP0\r\n".to_vec();
+    bytes.extend(record(0x01, &[&text("ros2"), &text("")]));
+    for (number, (topic, kind, messages)) in (1_u16..).zip(topics) {
+        let number = number.to_le_bytes();
+        bytes.extend(record(0x03, &[&number, &text(kind), &text("ros2msg"), &text("")]));
+        bytes.extend(record(0x04, &[&number, &number, &text(topic), &text("cdr"), &[0; 4]]));
+        messages.iter().for_each(|message| bytes.extend(record(0x05, &[&number, &[0; 20], message])));
+    }
+    [bytes, record(0x0f, &[&[0; 4]])].concat()
+}
+
+const CSI: &str = "csi5300_msgs/msg/Csi";
+const POSES: &str = "geometry_msgs/msg/PoseStamped";
+
+#[test]
+fn compare_reads_a_recording_too() {
+    let folder = Folder::new("bag-compare");
+    let capture = root().join("tests/fixtures/small-circle");
+    let file = |name: &str| capture.join(name.replace("STAMP", "2023-11-14_221320"));
+    let (rx, tx, path) =
+        (file("csi_rx_STAMP.dat"), file("csi_tx1_STAMP.dat"), headed(&folder, &file("rx_trajectory_STAMP_.csv")));
+    let topics = [("/a/csi", CSI, csi(&rx)), ("/b/csi", CSI, csi(&tx)), ("/a/odom", POSES, poses(&path))];
+    std::fs::write(folder.0.join("run.mcap"), mcap(&topics)).unwrap();
+    let with = capture.to_str().unwrap();
+    let run = |args: &[&str]| folder.run(&[&["compare", with, "--json", "--out", "pictures"][..], args].concat());
+    let text = |path: &Path| path.to_str().unwrap().to_owned();
+    let (status, expected, errors) = run(&["--rx", &text(&rx), "--tx", &text(&tx), "--trajectory", &text(&path)]);
+    assert_eq!(status, 0, "{errors}");
+    let (status, out, errors) = run(&["--bag", "run.mcap", "--rx", "/a/csi", "--force"]);
+    assert_eq!(status, 0, "{errors}");
+    // Messages have their rows in the order of antennas, not in that of the card's selection.
+    let figures = |text: &str| {
+        let is_kept = |line: &&str| !line.contains("antenna_sel");
+        text.lines().filter(is_kept).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(figures(&out), figures(&expected));
+    assert!(figures(&out).len() > 50);
+    let (status, _, errors) = run(&["--bag", "run.mcap", "--force"]);
+    assert!(status == 1 && errors.contains("several topics of CSI (/a/csi, /b/csi)"), "{errors}");
+}

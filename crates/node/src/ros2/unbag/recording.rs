@@ -1,0 +1,67 @@
+//! What a recording has for estimates, in memory.
+
+use super::{BagError, Content, each};
+use std::path::{Path, PathBuf};
+
+/// A topic of CSI or poses.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct RecordedTopic {
+    /// Its name.
+    pub topic: String,
+    /// Its type.
+    pub kind: String,
+    /// What it has.
+    pub content: Content,
+    /// The log in the WSR layout, or the rows of the trajectory, that its messages make.
+    pub bytes: Vec<u8>,
+    /// Messages that were taken.
+    pub messages: u64,
+    /// Messages that are not of their type, or hold what no record or pose can.
+    pub unreadable: u64,
+}
+
+/// The topics of CSI and poses of a recording, with what is in them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Recording {
+    /// By the order in which they began.
+    pub topics: Vec<RecordedTopic>,
+    /// Messages of other topics.
+    pub others: u64,
+    /// Files that end before they should: they are whole up to their last chunk.
+    pub cut: Vec<PathBuf>,
+    /// Chunks of which nothing could be made, in all files.
+    pub damaged_chunks: u64,
+}
+
+impl Recording {
+    /// Reads the recording `bag` as [`unbag`](super::unbag) does, into memory: a record of two antennas takes 163 bytes, a pose
+    /// about 60. Nothing is written.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub fn read(bag: &Path) -> Result<Self, BagError> {
+        let mut topics: Vec<RecordedTopic> = Vec::new();
+        let rest = each(bag, |channel, content, bytes| {
+            let known = topics.iter().position(|one| one.topic == channel.topic && one.kind == channel.kind);
+            let at = known.unwrap_or_else(|| {
+                let (topic, kind) = (channel.topic.clone(), channel.kind.clone());
+                topics.push(RecordedTopic { topic, kind, content, bytes: Vec::new(), messages: 0, unreadable: 0 });
+                topics.len() - 1
+            });
+            if let Some(one) = topics.get_mut(at) {
+                one.messages += u64::from(bytes.is_some());
+                one.unreadable += u64::from(bytes.is_none());
+                one.bytes.extend(bytes.unwrap_or_default());
+            }
+            Ok(())
+        })?;
+        Ok(Self { topics, others: rest.others, cut: rest.cut, damaged_chunks: rest.damaged_chunks })
+    }
+
+    /// The topics that have `content`.
+    pub fn having(&self, content: Content) -> impl Iterator<Item = &RecordedTopic> {
+        self.topics.iter().filter(move |topic| topic.content == content)
+    }
+}

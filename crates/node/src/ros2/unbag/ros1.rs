@@ -1,0 +1,115 @@
+//! Messages of a bag of ROS 1 (\[rosbag\]), one after the other, without its index.
+
+use super::{BagError, Channel, Ended, Used, compressed};
+use std::collections::BTreeMap;
+use std::io::{ErrorKind, Read};
+use std::path::Path;
+
+/// How a file begins.
+pub(super) const MAGIC: &[u8; 13] = b"#ROSBAG V2.0\n";
+/// Bytes of one header or of the data behind it at most.
+const LARGEST: u64 = 1 << 30;
+
+/// Kinds of records, field `op`.
+mod op {
+    pub const MESSAGE: u8 = 0x02;
+    pub const CHUNK: u8 = 0x05;
+    pub const CONNECTION: u8 = 0x07;
+}
+
+/// The value of a field of a header: `name=value` with their length before them.
+fn field<'a>(mut header: &'a [u8], name: &str) -> Option<&'a [u8]> {
+    while let Some((length, rest)) = header.split_first_chunk::<4>() {
+        let (one, rest) = rest.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+        let value = one.strip_prefix(name.as_bytes()).and_then(|one| one.strip_prefix(b"="));
+        if value.is_some() {
+            return value;
+        }
+        header = rest;
+    }
+    None
+}
+
+fn text(header: &[u8], name: &str) -> Option<String> {
+    field(header, name).and_then(|value| String::from_utf8(value.to_vec()).ok())
+}
+
+fn number(header: &[u8], name: &str) -> Option<u32> {
+    field(header, name)?.first_chunk().map(|bytes| u32::from_le_bytes(*bytes))
+}
+
+/// Topics of a bag by their numbers.
+type Connections = BTreeMap<u32, Channel>;
+
+/// A record: its header and its data; `None` at the end of the file, and an empty header where it is cut.
+fn next(from: &mut impl Read) -> std::io::Result<Option<(Vec<u8>, Vec<u8>)>> {
+    let mut part = |first: bool| -> std::io::Result<Option<Vec<u8>>> {
+        let mut length = [0; 4];
+        match from.read_exact(&mut length[..1]) {
+            Err(error) if error.kind() == ErrorKind::UnexpectedEof && first => return Ok(None),
+            other => other?,
+        }
+        from.read_exact(&mut length[1..])?;
+        let length = u64::from(u32::from_le_bytes(length));
+        let mut bytes = Vec::new();
+        let taken = from.by_ref().take(length.min(LARGEST)).read_to_end(&mut bytes)? as u64;
+        if taken == length { Ok(Some(bytes)) } else { Err(ErrorKind::UnexpectedEof.into()) }
+    };
+    let Some(header) = part(true)? else { return Ok(None) };
+    Ok(Some((header, part(false)?.unwrap_or_default())))
+}
+
+/// Each message of a bag goes to `used`.
+pub(super) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Result<Ended, BagError> {
+    let io = |source| BagError::Io { path: path.to_owned(), source };
+    let mut magic = [0; MAGIC.len()];
+    from.read_exact(&mut magic).map_err(io)?;
+    let (mut connections, mut ended) = (Connections::new(), Ended::default());
+    loop {
+        let (header, data) = match next(&mut from) {
+            Ok(Some(record)) => record,
+            Ok(None) => return Ok(ended),
+            Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(Ended { cut: true, ..ended }),
+            Err(error) => return Err(io(error)),
+        };
+        if field(&header, "op") != Some(&[op::CHUNK]) {
+            record(&header, &data, &mut connections, used)?;
+            continue;
+        }
+        let unpacked = match field(&header, "compression") {
+            Some(b"none") => Ok(data),
+            Some(b"lz4") => compressed::lz4(&data),
+            by => {
+                let by = String::from_utf8_lossy(by.unwrap_or(b"?")).into_owned();
+                return Err(BagError::Compressed { path: path.to_owned(), by, command: "rosbag decompress" });
+            }
+        };
+        let Ok(unpacked) = unpacked else {
+            ended.damaged_chunks += 1;
+            continue;
+        };
+        let mut rest = unpacked.as_slice();
+        while let Ok(Some((header, data))) = next(&mut rest) {
+            record(&header, &data, &mut connections, used)?;
+        }
+    }
+}
+
+/// Takes a connection, hands over a message.
+fn record(header: &[u8], data: &[u8], connections: &mut Connections, used: &mut Used<'_>) -> Result<(), BagError> {
+    let (kind, connection) = (field(header, "op"), number(header, "conn"));
+    match (kind, connection) {
+        (Some(&[op::CONNECTION]), Some(connection)) => {
+            // `nav_msgs/Odometry` is `nav_msgs/msg/Odometry` of ROS 2.
+            let kind = text(data, "type").unwrap_or_default().replacen('/', "/msg/", 1);
+            let topic = text(header, "topic").unwrap_or_default();
+            connections.insert(connection, Channel { topic, kind, encoding: "ros1".into() });
+            Ok(())
+        }
+        (Some(&[op::MESSAGE]), Some(connection)) => {
+            let Some(channel) = connections.get(&connection) else { return Ok(()) };
+            used(channel, data)
+        }
+        _ => Ok(()),
+    }
+}

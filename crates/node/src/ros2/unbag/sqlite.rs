@@ -1,0 +1,258 @@
+//! Messages of a database of SQLite, as `ros2 bag record -s sqlite3` writes it (Humble's default): tables `topics` and
+//! `messages`, read page by page from the file format itself (\[sqlite\] 1.3, 1.6, 2). Journals are not applied.
+
+use super::{BagError, Channel, Ended, Used};
+use std::collections::BTreeMap;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::Path;
+
+/// How a file begins.
+pub(super) const MAGIC: &[u8; 16] = b"SQLite format 3\0";
+/// Levels of a table's tree at most: 20 of them would be more pages than there can be.
+const DEEPEST: usize = 20;
+/// Bytes of one row at most.
+const LARGEST: u64 = 1 << 30;
+
+/// Why a row or page cannot be read.
+enum Wrong {
+    Io(io::Error),
+    /// It is not as the format has it.
+    Damaged,
+    /// The recording cannot go on.
+    Bag(BagError),
+}
+
+impl From<io::Error> for Wrong {
+    fn from(error: io::Error) -> Self {
+        if error.kind() == io::ErrorKind::UnexpectedEof { Self::Damaged } else { Self::Io(error) }
+    }
+}
+
+/// A value of a row, as far as recordings have them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Value<'a> {
+    Number(i64),
+    Bytes(&'a [u8]),
+    Other,
+}
+
+impl Value<'_> {
+    fn text(self) -> Option<String> {
+        match self {
+            Self::Bytes(bytes) => String::from_utf8(bytes.to_vec()).ok(),
+            _ => None,
+        }
+    }
+}
+
+/// A number of one to nine bytes, seven bits each, the highest first; and what follows it.
+fn varint(bytes: &[u8]) -> Option<(u64, &[u8])> {
+    let mut value = 0_u64;
+    for (k, byte) in bytes.iter().enumerate().take(9) {
+        if k == 8 {
+            return Some((value << 8 | u64::from(*byte), bytes.get(9..)?));
+        }
+        value = value << 7 | u64::from(byte & 0x7f);
+        if byte & 0x80 == 0 {
+            return Some((value, bytes.get(k + 1..)?));
+        }
+    }
+    None
+}
+
+fn signed(bytes: &[u8]) -> i64 {
+    let first = bytes.first().map_or(0, |byte| i64::from(*byte as i8));
+    bytes.iter().skip(1).fold(first, |value, byte| value << 8 | i64::from(*byte))
+}
+
+/// The values of a row.
+fn values(row: &[u8]) -> Option<Vec<Value<'_>>> {
+    let (length, _) = varint(row)?;
+    let (head, mut content) = row.split_at_checked(usize::try_from(length).ok()?)?;
+    let (_, mut kinds) = varint(head)?;
+    let mut all = Vec::new();
+    while !kinds.is_empty() {
+        let (kind, rest) = varint(kinds)?;
+        kinds = rest;
+        let length = match kind {
+            0 | 8 | 9 => 0,
+            1..=4 => kind,
+            5 => 6,
+            6 | 7 => 8,
+            10 | 11 => return None,
+            _ => (kind - 12) / 2,
+        };
+        let (bytes, rest) = content.split_at_checked(usize::try_from(length).ok()?)?;
+        content = rest;
+        all.push(match kind {
+            1..=6 => Value::Number(signed(bytes)),
+            8 | 9 => Value::Number(kind as i64 - 8),
+            0 | 7 => Value::Other,
+            _ => Value::Bytes(bytes),
+        });
+    }
+    Some(all)
+}
+
+fn be16(page: &[u8], at: usize) -> Option<usize> {
+    Some(u16::from_be_bytes(*page.get(at..)?.first_chunk()?).into())
+}
+
+fn be32(page: &[u8], at: usize) -> Option<u32> {
+    Some(u32::from_be_bytes(*page.get(at..)?.first_chunk()?))
+}
+
+/// Uses a row: its number, and its bytes.
+type Rows<'a> = dyn FnMut(u64, &[u8]) -> Result<(), BagError> + 'a;
+
+/// A database that was opened.
+struct Database<R> {
+    from: R,
+    page: usize,
+    /// Bytes of a page that are used.
+    usable: usize,
+    /// Pages that may still be read for one table: a tree that leads back to itself has an end.
+    left: u64,
+}
+
+impl<R: Read + Seek> Database<R> {
+    fn open(mut from: R) -> Result<Self, Wrong> {
+        let mut head = [0; 100];
+        from.read_exact(&mut head)?;
+        let page = match be16(&head, 16) {
+            Some(1) => 65_536,
+            Some(page) if page.is_power_of_two() && page >= 512 => page,
+            _ => return Err(Wrong::Damaged),
+        };
+        let usable = page - usize::from(head.get(20).copied().unwrap_or(0));
+        if usable < 480 {
+            return Err(Wrong::Damaged);
+        }
+        Ok(Self { from, page, usable, left: 0 })
+    }
+
+    /// Page `number`, from 1.
+    fn page(&mut self, number: u32) -> Result<Vec<u8>, Wrong> {
+        self.left = self.left.checked_sub(1).ok_or(Wrong::Damaged)?;
+        let before = u64::from(number.checked_sub(1).ok_or(Wrong::Damaged)?);
+        self.from.seek(SeekFrom::Start(before * self.page as u64))?;
+        let mut bytes = vec![0; self.page];
+        self.from.read_exact(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    /// Each row of the table whose tree begins at page `root`, in the order of their numbers.
+    fn rows(&mut self, root: u32, used: &mut Rows<'_>) -> Result<(), Wrong> {
+        let size = self.from.seek(SeekFrom::End(0))?;
+        // Each page once, and as many again for what continues elsewhere.
+        self.left = 2 * (size / self.page as u64 + 1);
+        self.tree(root, 0, used)
+    }
+
+    fn tree(&mut self, number: u32, depth: usize, used: &mut Rows<'_>) -> Result<(), Wrong> {
+        let page = self.page(number)?;
+        // The file's own head is on its first page.
+        let at = if number == 1 { 100 } else { 0 };
+        let kind = page.get(at).copied().unwrap_or(0);
+        let cells = be16(&page, at + 3).ok_or(Wrong::Damaged)?;
+        let list = at + if kind == 5 { 12 } else { 8 };
+        for cell in 0..cells {
+            let cell = be16(&page, list + 2 * cell).and_then(|at| page.get(at..)).ok_or(Wrong::Damaged)?;
+            match kind {
+                5 if depth < DEEPEST => self.tree(be32(cell, 0).ok_or(Wrong::Damaged)?, depth + 1, used)?,
+                13 => {
+                    let (id, row) = self.row(cell)?;
+                    used(id, &row).map_err(Wrong::Bag)?;
+                }
+                _ => return Err(Wrong::Damaged),
+            }
+        }
+        match kind {
+            5 => self.tree(be32(&page, at + 8).ok_or(Wrong::Damaged)?, depth + 1, used),
+            _ => Ok(()),
+        }
+    }
+
+    /// A row: its number, and all of it, wherever it goes on.
+    fn row(&mut self, cell: &[u8]) -> Result<(u64, Vec<u8>), Wrong> {
+        let (length, rest) = varint(cell).ok_or(Wrong::Damaged)?;
+        let (id, rest) = varint(rest).ok_or(Wrong::Damaged)?;
+        let whole = usize::try_from(length).ok().filter(|_| length <= LARGEST).ok_or(Wrong::Damaged)?;
+        // As much as stays on the page (\[sqlite\] 1.6).
+        let most = self.usable - 35;
+        let least = (self.usable - 12) * 32 / 255 - 23;
+        let here = match whole {
+            _ if whole <= most => whole,
+            _ => Some(least + (whole - least) % (self.usable - 4)).filter(|here| *here <= most).unwrap_or(least),
+        };
+        let mut row = rest.get(..here).ok_or(Wrong::Damaged)?.to_vec();
+        let mut next = if here < whole { be32(rest, here).ok_or(Wrong::Damaged)? } else { 0 };
+        while row.len() < whole {
+            let page = self.page(next)?;
+            next = be32(&page, 0).ok_or(Wrong::Damaged)?;
+            let more = (whole - row.len()).min(self.usable - 4);
+            row.extend(page.get(4..4 + more).ok_or(Wrong::Damaged)?);
+        }
+        Ok((id, row))
+    }
+
+    /// Where the tables begin.
+    fn tables(&mut self) -> Result<BTreeMap<String, u32>, Wrong> {
+        let mut tables = BTreeMap::new();
+        self.rows(1, &mut |_, row| {
+            // type, name, name of the table, first page, the words that made it.
+            if let Some([Value::Bytes(b"table"), name, _, Value::Number(root), ..]) = values(row).as_deref() {
+                tables.extend(name.text().zip(u32::try_from(*root).ok()));
+            }
+            Ok(())
+        })?;
+        Ok(tables)
+    }
+
+    fn messages(&mut self, path: &Path, used: &mut Used<'_>) -> Result<(), Wrong> {
+        let tables = self.tables()?;
+        let (Some(topics), Some(messages)) = (tables.get("topics"), tables.get("messages")) else {
+            return Err(Wrong::Bag(BagError::NoTables { path: path.to_owned() }));
+        };
+        let mut channels = BTreeMap::new();
+        self.rows(*topics, &mut |id, row| {
+            // id, name, type, serialization_format, and more.
+            if let Some([_, topic, kind, encoding, ..]) = values(row).as_deref() {
+                let text = |value: &Value<'_>| value.text().unwrap_or_default();
+                channels.insert(id, Channel { topic: text(topic), kind: text(kind), encoding: text(encoding) });
+            }
+            Ok(())
+        })?;
+        self.rows(*messages, &mut |_, row| {
+            // id, topic_id, timestamp, data, and more.
+            match values(row).as_deref() {
+                Some([_, Value::Number(topic), _, Value::Bytes(payload), ..]) => {
+                    let channel = u64::try_from(*topic).ok().and_then(|topic| channels.get(&topic));
+                    channel.map_or(Ok(()), |channel| used(channel, payload))
+                }
+                _ => Ok(()),
+            }
+        })
+    }
+}
+
+/// Each message of a recording goes to `used`, in the order of their numbers.
+pub(super) fn read(path: &Path, from: impl Read + Seek, used: &mut Used<'_>) -> Result<Ended, BagError> {
+    let done = Database::open(from).and_then(|mut database| database.messages(path, used));
+    match done {
+        Ok(()) => Ok(Ended::default()),
+        // What stands before it was used.
+        Err(Wrong::Damaged) => Ok(Ended { cut: true, damaged_chunks: 0 }),
+        Err(Wrong::Io(source)) => Err(BagError::Io { path: path.to_owned(), source }),
+        Err(Wrong::Bag(error)) => Err(error),
+    }
+}
+
+/// True if a journal is beside the file: what was written last is there, as the recording was not ended.
+pub(super) fn has_journal(path: &Path) -> bool {
+    ["-wal", "-journal"].iter().any(|end| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(end);
+        std::fs::metadata(name).is_ok_and(|found| found.len() > 0)
+    })
+}
