@@ -29,7 +29,7 @@ for target in "${targets[@]}"; do
     mkdir -p "$corpus" "$grown"
     "$program" -max_total_time="$seconds" -max_len=8192 -timeout=10 -rss_limit_mb=1024 -artifact_prefix=target/fuzz/found/"$target"- -print_final_stats=1 \
         "$grown" "$corpus" 2>target/fuzz/"$target".log || { status=1; tail -n 30 target/fuzz/"$target".log; }
-    # Small inputs first; the committed corpus stays under 64 KiB a target.
+    # Small inputs first; the committed corpus stays under 16 KiB a target.
     reduced=target/fuzz/reduced/$target
     rm -rf "$reduced" && mkdir -p "$reduced"
     "$program" -merge=1 -max_len=1024 "$reduced" "$corpus" "$grown" 2>>target/fuzz/"$target".log || true
@@ -37,7 +37,7 @@ for target in "${targets[@]}"; do
     size=0
     while read -r bytes file; do
         size=$((size + bytes))
-        [ $size -le 65536 ] || break
+        [ $size -le 16384 ] || break
         cp "$file" "$corpus/"
     done < <(find "$reduced" -type f -printf '%s %p\n' | sort -n)
     sed -n 's/^stat::\(number_of_executed_units\|average_exec_per_sec\): */\1 /p' target/fuzz/"$target".log | paste -sd ' ' | sed "s/^/$target: /"

@@ -33,7 +33,7 @@ fn of_records() {
     holds(bfee::Error::Chains { n_rx: 4, n_tx: 9 }, &["4", "9"]);
     holds(bfee::Error::CsiLength { expect: 72, got: 71 }, &["72", "71"]);
     holds(bfee::Error::BodyLength { csi: 72, got: 99 }, &["99", "72", "92", "110"]);
-    holds(InvalidPerm { antenna_sel: 0x15, n_rx: 3 }, &["0x15", "3", "1"]);
+    holds(InvalidPerm { antenna_sel: 0x39, n_rx: 0 }, &["0x39", "0", "1", "2", "3"]);
     holds(mpdu::Short { got: 27 }, &["27", "28"]);
     holds(Reason::ZeroLength, &["0"]);
     holds(Reason::ImpossibleLength { got: 9_000, max: 8_192 }, &["9000", "8192"]);

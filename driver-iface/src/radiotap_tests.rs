@@ -179,3 +179,13 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_width_is_said_where_its_bit_is_set() {
+    let width = |known, flags| Mcs { known, flags, index: 1 }.bandwidth();
+    use Bandwidth::{Ht20, Ht40};
+    assert_eq!([0, 1, 2, 3].map(|flags| width(1, flags)), [Some(Ht20), Some(Ht40), Some(Ht20), Some(Ht20)]);
+    // Other bits of both bytes say other things.
+    assert_eq!([0, 1, 2, 3].map(|flags| width(0xfe, flags)), [None; 4]);
+    assert_eq!([width(0xff, 0xfd), width(0xff, 0xfc)], [Some(Ht40), Some(Ht20)]);
+}

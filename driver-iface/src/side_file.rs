@@ -104,7 +104,8 @@ impl From<Option<i64>> for Entry {
 }
 
 impl Entry {
-    /// Reads an entry. Where `bytes` is too short nothing is known; a time with microseconds of a second or more is none.
+    /// Reads an entry. Where `bytes` is too short nothing is known; a time with microseconds of a second or more, or
+    /// further from 1970 than 292,000 years, is none.
     #[must_use]
     pub fn parse(bytes: &[u8], layout: Layout) -> Self {
         let parsed = match layout {
@@ -172,7 +173,7 @@ fn checked(bytes: &[u8]) -> Option<Entry> {
 
 fn time(seconds: i64, us: i64) -> Option<i64> {
     let is_known = (0..US_PER_S).contains(&us) && (seconds, us) != (0, 0);
-    is_known.then(|| seconds.saturating_mul(US_PER_S).saturating_add(us))
+    seconds.checked_mul(US_PER_S)?.checked_add(us).filter(|_| is_known)
 }
 
 #[cfg(test)]

@@ -21,7 +21,7 @@ pub fn replay(target: &str, run: fn(&[u8])) {
     };
     for input in &inputs {
         run(input);
-        for _ in 0..50 {
+        for _ in 0..10 {
             let mut damaged = input.clone();
             for _ in 0..=below(3) {
                 let at = below(damaged.len());

@@ -198,3 +198,17 @@ fn a_sender_is_unknown_where_address_and_number_are_zero() {
         [false, true, true, true]
     );
 }
+
+#[test]
+fn a_record_says_its_width_and_its_antennas() {
+    for (rate_n_flags, wide) in [(0x0101, false), (0x0901, true), (!rate::HT40, false), (rate::HT40, true)] {
+        // Chains 1 and 2 were at C and A.
+        let repr = Repr { n_rx: 2, antenna_sel: 0b00_0010, rate_n_flags, ..Repr::default() };
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
+        let bfee = Bfee::new_checked(&body).unwrap();
+        assert_eq!(bfee.is_40_mhz(), wide, "{rate_n_flags:#06x}");
+        assert_eq!(Antenna::ALL.map(|antenna| bfee.chain_of(antenna)), [Some(1), None, Some(0)]);
+    }
+    assert_eq!(Antenna::ALL.map(Antenna::index), [0, 1, 2]);
+}

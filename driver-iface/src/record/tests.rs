@@ -345,3 +345,20 @@ fn foreign_bytes_before_a_record_cost_no_record() {
         }
     }
 }
+
+#[test]
+fn frames_of_a_version_and_type_that_exist_are_evidence() {
+    use super::head::{Codes, Head, head};
+    let bits = |control: u8, length: u8| match head(&[0, length, code::MPDU, control], &Codes::default()) {
+        Head::Good { bits, .. } => bits,
+        other => panic!("{other:?}"),
+    };
+    // Management, control and data of version 0, of any subtype; type 3 and other versions are none.
+    for (control, plausible) in
+        [(0x00, true), (0xd4, true), (0x08, true), (0x88, true), (0x0c, false), (0x09, false), (0x02, false)]
+    {
+        assert_eq!(bits(control, 60), if plausible { 13 } else { 0 }, "{control:#04x}");
+    }
+    // An acknowledgement has 14 bytes, and the code is counted.
+    assert_eq!([bits(0xd4, 14), bits(0xd4, 15)], [0, 13]);
+}

@@ -83,6 +83,22 @@ fn a_checked_side_file_is_a_head_and_16_bytes_a_record() {
     assert_eq!(file[32..], [0; 16]);
 }
 
+/// Found by fuzzing: a time that no microseconds hold came back as another one.
+#[test]
+fn a_time_beyond_what_64_bits_hold_is_none() {
+    let last = i64::MAX / US_PER_S;
+    for (seconds, us, expect) in [
+        (last, i64::MAX % US_PER_S, Some(i64::MAX)),
+        (last, i64::MAX % US_PER_S + 1, None),
+        (last + 1, 0, None),
+        (-last, 0, Some(-last * US_PER_S)),
+        (i64::MIN, 0, None),
+    ] {
+        let entry = [seconds, us].map(i64::to_le_bytes).concat();
+        assert_eq!(Entry::parse(&entry, Layout::Wide).host_us, expect, "{seconds} s, {us} us");
+    }
+}
+
 fn any_check() -> impl Strategy<Value = Check> {
     (1..=u32::MAX, any::<u32>()).prop_map(|(len, crc32c)| Check { len, crc32c })
 }

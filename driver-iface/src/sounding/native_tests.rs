@@ -128,3 +128,18 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn only_plain_data_frames_are_sounding_frames() {
+    let repr = plain();
+    let mut bytes = [0; MAX_LEN];
+    let len = repr.emit(&mut bytes).unwrap();
+    // ToDS, FromDS, more fragments, protected; what is left over a frame may have: retry, power, more data, order.
+    for (bit, refused) in [(0, true), (1, true), (2, true), (3, false), (4, false), (5, false), (6, true), (7, false)] {
+        let mut frame = bytes;
+        frame[1] |= 1 << bit;
+        let got = Frame::new_checked(&frame[..len]).map(|_| ());
+        let expected = if refused { Err(Error::FrameControl([8, 1 << bit])) } else { Ok(()) };
+        assert_eq!(got, expected, "bit {bit}");
+    }
+}

@@ -120,3 +120,29 @@ fn refusals_say_what_is_wrong() {
     assert_eq!(refused, BadPacket::Csi(crate::bfee::Error::CsiLength { expect: 192, got: 191 }));
     assert!(std::format!("{refused}").contains("191"));
 }
+
+#[test]
+fn the_longest_frame_is_that_of_the_longest_record() {
+    let packet = |len: u16| {
+        let mut data = std::vec![0; 4 + usize::from(len) + STATUS_LEN];
+        data[..2].copy_from_slice(&len.to_le_bytes());
+        data
+    };
+    for (len, fits) in [(13, false), (14, true), (8_191, true), (8_192, false)] {
+        let data = packet(len);
+        assert_eq!(RxMpdu::new_checked(&data).is_ok(), fits, "{len}");
+        assert_eq!(RxMpdu::from_start(data.len(), &data, 3).is_ok(), fits, "{len}");
+    }
+}
+
+#[test]
+fn what_is_not_wanted_is_not_given() {
+    let packets = [(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())];
+    for (csi, frames, codes) in
+        [(true, false, &[0xBB][..]), (true, true, &[0xC1, 0xBB]), (false, true, &[0xC1]), (false, false, &[])]
+    {
+        let options = Options::default().with_csi(csi).with_frames(frames);
+        let got = records(&mut Card::default(), &options, &packets);
+        assert_eq!(got.iter().map(|(code, _)| *code).collect::<Vec<u8>>(), codes, "csi {csi}, frames {frames}");
+    }
+}
