@@ -277,6 +277,8 @@ pub struct PairCounts {
     pub silent: usize,
     /// Left out evenly, because the link has more pairs than are kept.
     pub thinned: usize,
+    /// Taken in motion outside the stretch that is searched, because all of it is too wide to be searched as one aperture.
+    pub too_wide: usize,
 }
 
 /// The phase of one pair, for pictures.

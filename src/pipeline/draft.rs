@@ -8,16 +8,18 @@ use super::effort::{Least, Sufficient};
 use super::error::LinkError;
 use super::link::{Link, PairRow};
 use super::options::{JoinBy, Options};
+use super::stretch;
 use crate::bartlett;
 use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Motion, Trajectory};
-use crate::place::near_field::Search;
+use crate::place::near_field::{Limits, Search};
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
 use crate::tuning::TUNING;
 use nalgebra::Vector3;
 use num_complex::Complex64;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// With a turn-around that jitters by more than this no phase survives the product of two frames, microseconds: at the
 /// offsets that cards have (4 to 21 kHz) it is several turns.
@@ -87,11 +89,9 @@ impl Draft {
         let gated = gate.pass(&times_s, &phases.z)?;
         gated.check(&times_s, receiver)?;
         rows_or_times(link, receiver, &gated.pairs, options)?;
+        let (gated, least) = Self::least(gated, &gate, phases.compensated, options)?;
+        let LeastOf { direction, quick, limits, least: Least { sufficient, one_wave } } = least;
         let samples = gated.samples;
-        let direction = Direction::of(&samples, options)?;
-        let quick = BearingAnswer::of_plane_wave(&direction, phases.compensated, options);
-        let limits = accurate::limits(&direction, options);
-        let Least { sufficient, one_wave } = Least::of(&samples, &direction, &limits, &quick, options);
         let place = || accurate::place(&samples, phases.round_trips(link), &gated.used, &direction, options);
         let every_step = matches!(sufficient, Sufficient::Everything(_));
         let placed = one_wave.or_else(|| every_step.then(place).flatten());
@@ -115,6 +115,27 @@ impl Draft {
         Ok(Self { placed, bearing })
     }
 
+    /// What the samples need; where that is more than can be searched at once, of the stretch that can.
+    fn least(
+        mut gated: Gated,
+        gate: &Gate<'_>,
+        compensated: bool,
+        options: &Options,
+    ) -> Result<(Gated, LeastOf), LinkError> {
+        let mut least = LeastOf::new(&gated.samples, compensated, options)?;
+        // A shorter stretch may tell less of elevations, and so need fewer of them searched, or more.
+        for _ in 0..2 {
+            let points: Vec<Vector3<f64>> = gated.samples.displacements_m().collect();
+            let stretch = stretch::searchable(&points, gated.samples.wavelength_m(), &least.limits);
+            match stretch.filter(|_| matches!(least.least.sufficient, Sufficient::Everything(_))) {
+                Some(stretch) => gated = gated.within(stretch, gate)?,
+                None => break,
+            }
+            least = LeastOf::new(&gated.samples, compensated, options)?;
+        }
+        Ok((gated, least))
+    }
+
     /// The bearing; its search is spent.
     fn finish(self, options: &Options) -> Bearing {
         let Self { placed, mut bearing } = self;
@@ -127,6 +148,24 @@ impl Draft {
     }
 }
 
+/// The plane wave of some samples, and how much more they need.
+struct LeastOf {
+    direction: Direction,
+    quick: BearingAnswer,
+    limits: Limits,
+    least: Least,
+}
+
+impl LeastOf {
+    fn new(samples: &Samples, compensated: bool, options: &Options) -> Result<Self, LinkError> {
+        let direction = Direction::of(samples, options)?;
+        let quick = BearingAnswer::of_plane_wave(&direction, compensated, options);
+        let limits = accurate::limits(&direction, options);
+        let least = Least::of(samples, &direction, &limits, &quick, options);
+        Ok(Self { direction, quick, limits, least })
+    }
+}
+
 /// Refuses a link without any pair to join.
 fn something(link: &Link, receiver: &Trajectory, options: &Options) -> Result<(), LinkError> {
     if !link.rows().is_empty() {
@@ -134,6 +173,9 @@ fn something(link: &Link, receiver: &Trajectory, options: &Options) -> Result<()
     }
     if link.outside() > 0 {
         return Err(outside(link, receiver, options));
+    }
+    if let silent @ 1.. = link.counts_before().silent {
+        return Err(LinkError::Silent { pairs: silent });
     }
     let handed = |side| link.counts(side).handed;
     Err(LinkError::NoPairs { receiver: handed(LinkSide::Receiver), transmitter: handed(LinkSide::Transmitter) })
@@ -327,6 +369,21 @@ struct Gated {
 }
 
 impl Gated {
+    /// The same of a stretch of the samples.
+    fn within(self, stretch: Range<usize>, gate: &Gate<'_>) -> Result<Self, LinkError> {
+        let all = &self.samples;
+        let mut samples = Samples::new(all.wavelength_m(), all.path_gain()).map_err(bartlett::Error::from)?;
+        for k in stretch.clone() {
+            let pushed = samples.push(all.t_s()[k], all.z()[k], all.receiver_m()[k], all.transmitter_m()[k]);
+            pushed.map_err(bartlett::Error::from)?;
+        }
+        let last = samples.t_s().last().and_then(|t_s| gate.place(*t_s).ok());
+        let too_wide = self.pairs.too_wide + all.len() - samples.len();
+        let pairs = PairCounts { in_motion: samples.len(), too_wide, ..self.pairs };
+        let (used, heading_rad) = (self.used[stretch].to_vec(), last.and_then(|place| place.heading_rad));
+        Ok(Self { samples, used, heading_rad, pairs })
+    }
+
     /// Refuses what no bearing can be made of, with why.
     fn check(&self, times_s: &[f64], receiver: &Trajectory) -> Result<(), LinkError> {
         if self.samples.is_empty() {

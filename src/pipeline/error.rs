@@ -17,6 +17,12 @@ pub enum LinkError {
         /// Frames in the transmitter's log.
         transmitter: u64,
     },
+    /// The antenna heard nothing: all CSI of the pairs is zero.
+    #[error("the antenna heard nothing: the CSI of all {pairs} pairs is zero in one of the directions")]
+    Silent {
+        /// Pairs.
+        pairs: usize,
+    },
     /// The receiver's records hold no host time, so they cannot be joined with a trajectory by time.
     #[error("the receiver's records hold no host time (stock layout): join with the trajectory row by row")]
     NoHostTime,

@@ -28,6 +28,7 @@ pub mod live;
 mod matching;
 mod options;
 mod reading;
+mod stretch;
 
 pub use accurate::Placed;
 pub use answer::{Answer, PathAnswer, lost_something};

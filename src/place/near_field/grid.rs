@@ -2,6 +2,7 @@
 
 use super::types::{Limits, Place};
 use crate::tuning::TUNING;
+use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
 /// Phases at the rim of the aperture change by at most twice this from one cell to the next, radians: an edge of 1.2
@@ -77,6 +78,20 @@ pub(super) struct Extent {
     pub radius_m: f64,
     /// Largest vertical distance over the largest distance.
     pub height_share: f64,
+}
+
+/// Largest 1 / range that is searched about a motion of this radius, 1/m: no nearer than its rim.
+pub(super) fn curve_max(radius_m: f64, limits: &Limits) -> f64 {
+    1.0 / limits.range_min_m.max(1.2 * radius_m).max(1e-3)
+}
+
+/// Whether round trips from these displacements, metres, can be searched as one aperture: the grid over places ends.
+pub(crate) fn is_searchable(displacement_m: &[Vector3<f64>], wavelength_m: f64, limits: &Limits) -> bool {
+    let middle_m = displacement_m.iter().sum::<Vector3<f64>>() / displacement_m.len().max(1) as f64;
+    let radius_m = displacement_m.iter().map(|p| (p - middle_m).norm()).fold(0.0, f64::max);
+    let highest_m = displacement_m.iter().map(|p| (p.z - middle_m.z).abs()).fold(0.0, f64::max);
+    let extent = Extent { radius_m, height_share: if radius_m > 0.0 { highest_m / radius_m } else { 0.0 } };
+    axes(extent, 2.0 * TAU * radius_m / wavelength_m, curve_max(radius_m, limits), limits).is_some()
 }
 
 /// How finely this aperture has to be searched: `order` is the phase at its rim, radians.

@@ -63,6 +63,7 @@ pub(crate) use aperture::Aperture;
 pub use fix::{Deviations, Edge, Fix, Source};
 pub use focus::Focus;
 pub(crate) use focus::focus;
+pub(crate) use grid::is_searchable;
 pub use maps::{Evidence, Maps};
 pub use one_wave::Unexplained;
 pub use paths::Path;

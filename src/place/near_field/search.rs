@@ -2,7 +2,7 @@
 
 use super::aperture::Aperture;
 use super::fix::{Fix, Source};
-use super::grid::{Axes, Extent, axes};
+use super::grid::{Axes, Extent, axes, curve_max};
 use super::kernel::powers;
 use super::prepared::PreparedAperture;
 use super::prior;
@@ -89,7 +89,7 @@ impl Search {
             |aperture: &Aperture| aperture.displacement_m.iter().map(|p| (p - middle_m).norm()).fold(0.0, f64::max);
         let radius_m = layers.iter().map(|(aperture, _)| rim(aperture)).fold(0.0, f64::max);
         let gain = layers.iter().map(|(aperture, _)| aperture.path_gain).max()?;
-        let curve_max = 1.0 / limits.range_min_m.max(1.2 * radius_m).max(1e-3);
+        let curve_max = curve_max(radius_m, limits);
         let views: Vec<View> = layers.iter().flat_map(|(_, views)| views.iter().copied()).collect();
         let extent = Extent { radius_m, height_share: height_share(layers, &middle_m, radius_m) };
         let axes_of = |gain: u8| axes(extent, TAU * f64::from(gain) * radius_m / wavelength_m, curve_max, limits);

@@ -396,6 +396,13 @@ fn pairs(answer: &Answer) -> String {
             String::new()
         }
     );
+    if counts.too_wide > 0 {
+        let _ = writeln!(
+            text,
+            "  the motion is too wide to be searched at once: {} pairs outside of its best stretch left out (--from and --to choose another)",
+            counts.too_wide
+        );
+    }
     if let (Some(cfo), Some(before), Some(after)) =
         (answer.cfo_hz, answer.phase_coherence_before, answer.phase_coherence_after)
     {

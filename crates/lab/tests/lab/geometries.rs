@@ -4,7 +4,7 @@ use csi5300::pipeline::Options;
 use csi5300::place::near_field::Edge;
 use csi5300_lab::ends::{Ends, Seen};
 use csi5300_lab::evaluate::{TrajectorySource, find};
-use csi5300_sim::motion::{Arc, Circle, Helix, Line, RobotMotion};
+use csi5300_sim::motion::{Arc, Circle, Helix, Line, RobotMotion, Waypoints};
 use csi5300_sim::{Room, write_dataset};
 use std::path::Path;
 
@@ -111,4 +111,32 @@ fn evaluate_reads_the_trajectory_of_a_transmitter_that_moved() {
     assert!(row.position_error_m.unwrap() < 0.15, "{row:?}");
     let last_m = row.answer.position_m.unwrap();
     assert!((last_m[0] - 3.0).abs() < 0.15 && (last_m[1] - 3.0).abs() < 0.15, "{last_m:?}");
+}
+
+/// Drives wider than one search takes: a large circle, and a long way with a turn in it, past a transmitter and far from one.
+#[test]
+fn a_drive_that_is_too_wide_for_one_search_is_searched_in_its_best_stretch() {
+    let around = RobotMotion::Circle(Circle { radius_m: 3.0, duration_s: 50.0, turns: 1.0, start_s: 0.0 });
+    let corner = RobotMotion::Waypoints(Waypoints {
+        points_m: vec![[4.0, 0.0, 0.0], [4.0, 4.0, 0.0]],
+        speed_m_s: 0.2,
+        start_s: 0.0,
+    });
+    for (motion, place_m) in
+        [(around.clone(), [8.0, 6.0, 0.3]), (around, [-200.0, 90.0, 2.0]), (corner, [9.0, -5.0, 0.5])]
+    {
+        let ends = Ends { duration_s: 50.0, ..in_space(motion, place_m, 5) };
+        let recording = ends.record().unwrap();
+        let bearing = recording.bearing(&options()).unwrap();
+        let seen = recording.judge(&bearing);
+        let pairs = &bearing.pairs;
+        assert!(pairs.too_wide > 500 && pairs.in_motion > 200, "{pairs:?}");
+        assert_eq!(
+            pairs.formed,
+            pairs.in_motion + pairs.too_wide + pairs.standing + pairs.no_pose + pairs.cut + pairs.thinned
+        );
+        assert!(seen.azimuth_error_deg.abs() < 0.3, "{place_m:?}: {seen:?}");
+        let position = seen.position_error_m.map(|error| error.xy().norm());
+        assert!(place_m[0] < 0.0 || position.is_some_and(|off_m| off_m < 0.2), "{place_m:?}: {seen:?}");
+    }
 }

@@ -1,0 +1,77 @@
+//! Of motion that is too wide to be searched as one aperture, the stretch that is searched.
+//!
+//! The number of places grows with the fourth power of the aperture's radius (azimuth, elevation, and twice for range): drives
+//! wider than some 2.7 m at 5 GHz have too many, odometry hardly stays coherent over them, and a plane wave is no answer either, as
+//! wave fronts are curved over so wide an aperture.
+
+use crate::place::near_field::{Limits, is_searchable};
+use nalgebra::{Matrix2, Vector3};
+use std::ops::Range;
+
+/// Stretches that are compared: as many beginnings, each as long as can be searched.
+const BEGINNINGS: usize = 16;
+/// How much spread along the motion counts beside spread across it: a line tells no side from the other.
+const ALONG: f64 = 1e-3;
+
+/// The stretch of these displacements, metres, in the order of time, that tells most of a direction within `limits`; `None`
+/// where all of them can be searched at once, or no two.
+pub(super) fn searchable(displacement_m: &[Vector3<f64>], wavelength_m: f64, limits: &Limits) -> Option<Range<usize>> {
+    let fits = |range: Range<usize>| is_searchable(&displacement_m[range], wavelength_m, limits);
+    let count = displacement_m.len();
+    if fits(0..count) {
+        return None;
+    }
+    let longest = |from: usize| {
+        // The end is beyond what fits, or the end of all.
+        let (mut inside, mut outside) = (from + 1, count + 1);
+        while outside - inside > 1 {
+            let middle = inside.midpoint(outside);
+            if fits(from..middle) { inside = middle } else { outside = middle }
+        }
+        from..inside
+    };
+    let stretches = (0..BEGINNINGS).map(|k| longest(k * count / BEGINNINGS));
+    let spread = |range: &Range<usize>| spread_m2(&displacement_m[range.clone()]);
+    stretches.filter(|range| range.len() > 1).max_by(|a, b| spread(a).total_cmp(&spread(b)))
+}
+
+/// Sum of squared distances from the mean across the motion, and a little of those along it: horizontal, square metres.
+fn spread_m2(displacement_m: &[Vector3<f64>]) -> f64 {
+    let mean = displacement_m.iter().sum::<Vector3<f64>>() / displacement_m.len().max(1) as f64;
+    let scatter: Matrix2<f64> = displacement_m.iter().map(|p| (p - mean).xy()).map(|p| p * p.transpose()).sum();
+    let across_and_along = scatter.symmetric_eigenvalues();
+    across_and_along.min() + ALONG * across_and_along.max()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::f64::consts::TAU;
+
+    const WAVELENGTH_M: f64 = 0.054;
+
+    fn circle(radius_m: f64, from: f64, to: f64, count: usize) -> impl Iterator<Item = Vector3<f64>> {
+        let angle = move |k: usize| TAU * (from + (to - from) * k as f64 / count as f64);
+        (0..count).map(move |k| Vector3::new(radius_m * angle(k).cos(), radius_m * angle(k).sin(), 0.0))
+    }
+
+    #[test]
+    fn what_fits_is_taken_whole_and_what_is_wide_as_the_stretch_that_tells_most() {
+        let limits = Limits::new(0.35, 1.8);
+        let small: Vec<_> = circle(0.5, 0.0, 1.0, 400).collect();
+        assert_eq!(searchable(&small, WAVELENGTH_M, &limits), None);
+        assert_eq!(searchable(&[], WAVELENGTH_M, &limits), None);
+        // Ten metres straight on, a turn on the spot, and ten metres on.
+        let line = |from_m: f64| (0..1_000).map(move |k| Vector3::new(from_m + 0.01 * f64::from(k), 0.5, 0.0));
+        let drive: Vec<_> = line(-10.0).chain(circle(0.5, 0.25, 1.25, 400)).chain(line(0.0)).collect();
+        let stretch = searchable(&drive, WAVELENGTH_M, &limits).unwrap();
+        assert!(is_searchable(&drive[stretch.clone()], WAVELENGTH_M, &limits));
+        assert!(
+            stretch.start <= 1_000 && stretch.end >= 1_400 && stretch.len() < 900,
+            "{stretch:?}: the turn is in it"
+        );
+        // One that cannot end sooner than it begins.
+        let jump = [Vector3::zeros(), Vector3::new(40.0, 0.0, 0.0)];
+        assert_eq!(searchable(&jump, WAVELENGTH_M, &limits), None);
+    }
+}
