@@ -62,7 +62,7 @@ fn main() {
             }
             table.row(&[vec![axis.to_string(), format!("{:e}", case.at)], judged.0].concat());
         }
-        if ["range, m", "radius, m", "origin, m"].contains(&axis) {
+        if ["range (m)", "radius (m)", "origin (m)"].contains(&axis) {
             lines.push(Series { label: axis.into(), points });
         }
     }
@@ -132,11 +132,11 @@ fn axes() -> Vec<(&'static str, Vec<Case>)> {
         made
     };
     vec![
-        ("range, m", ranges.map(|r| nearest(case(r, &ends(0.1, r)), 0.2)).into()),
-        ("range, m, both moving", ranges[2..].iter().map(|r| nearest(case(*r, &moving(*r)), 0.5)).collect()),
-        ("radius, m", radii.map(|r| case(r, &ends(r, 20.0 * r.max(0.1)))).into()),
-        ("origin, m", origins.map(|at| origin(at, &ends(0.3, 5.0))).into()),
-        ("origin, m, both moving", origins.map(|at| origin(at, &moving(5.0))).into()),
+        ("range (m)", ranges.map(|r| nearest(case(r, &ends(0.1, r)), 0.2)).into()),
+        ("range of two moving ends (m)", ranges[2..].iter().map(|r| nearest(case(*r, &moving(*r)), 0.5)).collect()),
+        ("radius (m)", radii.map(|r| case(r, &ends(r, 20.0 * r.max(0.1)))).into()),
+        ("origin (m)", origins.map(|at| origin(at, &ends(0.3, 5.0))).into()),
+        ("origin of two moving ends (m)", origins.map(|at| origin(at, &moving(5.0))).into()),
         ("channel", [1, 6, 13, 36, 64, 108, 140, 165].map(on_channel).into()),
         (
             "steps of the converter (rms)",
@@ -145,7 +145,7 @@ fn axes() -> Vec<(&'static str, Vec<Case>)> {
                 .into(),
         ),
         (
-            "fixed gain, steps at 1 m",
+            "fixed gain (steps at 1 m)",
             [2.0, 16.0, 256.0, 2_000.0, 20_000.0]
                 .map(|lsb_at_1m| with_gain(lsb_at_1m, Gain::Fixed(FixedGain { lsb_at_1m, agc_db: 40 })))
                 .into(),
