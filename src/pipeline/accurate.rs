@@ -4,8 +4,8 @@ use super::direction::Direction;
 use super::options::Options;
 use crate::place::near_field::mirror::{decisive, log_odds};
 use crate::place::near_field::{
-    self, Aperture, Edge, Elevations, Evidence, Fix, Focus, Limits, Maps, ONE_WAY_VIEWS, Path, ROUND_TRIP_VIEWS,
-    Search, View,
+    self, Aperture, Edge, Elevations, Evidence, Fix, Focus, Limits, Maps, ONE_WAY_VIEWS, Path, Search, View,
+    round_trip_views,
 };
 use crate::signal::alignment::{Alignment, CsiRow, align, remove_common_slope};
 use crate::signal::one_way::one_way;
@@ -81,7 +81,8 @@ pub(super) fn place(
     let roots = steps.one_way.then(|| one_way(&rows, options.search.tier));
     let one_way =
         roots.as_ref().map(|roots| Aperture::gather(&displacement_m, &pick(&roots.rows, used), 1, wavelength_m));
-    let mut layers: Vec<(&Aperture, &[View])> = vec![(&round_trip, &ROUND_TRIP_VIEWS)];
+    let views = round_trip_views(round_trip.path_m() / wavelength_m);
+    let mut layers: Vec<(&Aperture, &[View])> = vec![(&round_trip, &views)];
     layers.extend(one_way.as_ref().map(|aperture| (aperture, ONE_WAY_VIEWS.as_slice())));
     let limits = limits(direction, options);
     let middle_m = displacement_m.iter().sum::<Vector3<f64>>() / displacement_m.len().max(1) as f64;

@@ -69,6 +69,12 @@ impl Aperture {
         aperture
     }
 
+    /// Length of the path from row to row, metres.
+    #[must_use]
+    pub fn path_m(&self) -> f64 {
+        self.displacement_m.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()
+    }
+
     fn push_mean(&mut self, positions: &[Vector3<f64>], rows: &[CsiRow]) {
         let share = 1.0 / positions.len() as f64;
         let mut mean = [Complex32::default(); SUBCARRIERS];

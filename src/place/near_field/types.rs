@@ -53,12 +53,22 @@ impl View {
     }
 }
 
-/// Views of the round trip: the whole of it, and its phase at the channel centre (which the subcarriers that fade turn
-/// less than they turn a sum) in windows of half the motion.
-pub const ROUND_TRIP_VIEWS: [View; 2] = [
-    View::new(1, Taper::Hann, Band::Subcarriers(SUBCARRIERS)).with_weight(TUNING.views.round_trip_weight),
-    View::new(TUNING.views.centre_windows, Taper::Hann, Band::Centre).with_weight(TUNING.views.centre_weight),
-];
+/// Views of the round trip along a path of so many wavelengths: the whole of it, and its phase at the channel centre (which
+/// the subcarriers that fade turn less than they turn a sum) in windows of half the motion, or over all of it where half
+/// of it is too short to tell directions apart.
+pub fn round_trip_views(path_wavelengths: f64) -> [View; 2] {
+    [
+        View::new(1, Taper::Hann, Band::Subcarriers(SUBCARRIERS)).with_weight(TUNING.views.round_trip_weight),
+        View::new(centre_windows(path_wavelengths), Taper::Hann, Band::Centre).with_weight(TUNING.views.centre_weight),
+    ]
+}
+
+/// Half-overlapping windows of the phase at the channel centre: `n` of them are `2 / (n + 1)` of the path long each, and as
+/// many are taken, up to a most, as leave none too short.
+fn centre_windows(path_wavelengths: f64) -> usize {
+    let halves = 2.0 * path_wavelengths / TUNING.views.centre_window_wavelengths;
+    (halves as usize).saturating_sub(1).clamp(1, TUNING.views.centre_windows)
+}
 
 /// Views of the one-way channel: in windows of half the motion, in blocks of an eighth, and, on the subcarriers next to the
 /// channel centre (whose sign does not depend on the sampling time), in windows of two sevenths.
@@ -223,5 +233,22 @@ impl Warp {
         let mean = |points: &[Vector3<f64>]| points.iter().sum::<Vector3<f64>>() / points.len() as f64;
         let shift = mean(path_m) - mean(&warped);
         warped.iter().map(|p| p + shift).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_short_motion_is_one_window_and_no_window_is_shorter_than_the_least() {
+        let least = TUNING.views.centre_window_wavelengths;
+        assert_eq!([0.0, 1.0, 1.49, 1.51, 2.1, 9.0].map(|times| centre_windows(times * least)), [1, 1, 1, 2, 3, 3]);
+        for tenths in 15..60 {
+            let path = f64::from(tenths) / 10.0 * least;
+            assert!(2.0 * path / (centre_windows(path) as f64 + 1.0) >= least * (1.0 - 1e-9), "{path}");
+        }
+        assert_eq!(centre_windows(f64::NAN), 1);
+        assert!(round_trip_views(9.0 * least).iter().all(|view| view.weight > 0.0));
     }
 }
