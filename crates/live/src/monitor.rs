@@ -4,7 +4,7 @@
 //! was measured on mac80211 (firmware-notes/injection.md):
 //!
 //! * a frame that it must not send (no-IR, DFS) or cannot parse is taken, and vanishes. Only a frame that was sent comes
-//!   back, as a **tx-status copy** with TX flags in its radiotap header; these are counted ([`Counters::tx_status`]);
+//!   back, as a **tx-status copy** with TX flags in its radiotap header; these are counted ([`AirCounts::tx_status`]);
 //! * every frame sent is also looped back to the socket as PACKET_OUTGOING; the socket's filter keeps those out;
 //! * the interface's MTU counts radiotap header and frame.
 //!
@@ -71,7 +71,7 @@ impl Options {
 /// Everything counted on an interface.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Counters {
+pub struct AirCounts {
     /// Frames that the kernel took.
     pub taken: u64,
     /// Frames of which it took only a part.
@@ -100,7 +100,7 @@ pub struct Counters {
     pub dropped: u64,
 }
 
-impl Counters {
+impl AirCounts {
     /// Frames that were to be sent and were not taken.
     #[must_use]
     pub fn not_taken(&self) -> u64 {
@@ -138,7 +138,7 @@ pub struct Monitor {
     input: Box<[u8]>,
     control: Vec<u8>,
     wall_us: fn() -> Option<i64>,
-    counters: Counters,
+    counters: AirCounts,
 }
 
 impl Monitor {
@@ -177,7 +177,7 @@ impl Monitor {
             input: vec![0; RECEIVE_LEN].into_boxed_slice(),
             control: socket::control_buffer(),
             wall_us: options.wall_us,
-            counters: Counters::default(),
+            counters: AirCounts::default(),
         })
     }
 
@@ -189,7 +189,7 @@ impl Monitor {
 
     /// Everything counted so far.
     #[must_use]
-    pub fn counters(&mut self) -> Counters {
+    pub fn counters(&mut self) -> AirCounts {
         self.counters.dropped += socket::drops(&self.socket);
         self.counters
     }
@@ -299,7 +299,7 @@ mod tests {
     fn every_result_of_sending_is_counted_by_its_cause() {
         let refused = |errno| Err(io::Error::from_raw_os_error(errno));
         let (no_room, down) = (Some(NotSent::NoRoom), Some(NotSent::Down));
-        let mut counters = Counters::default();
+        let mut counters = AirCounts::default();
         for (sent, why) in [
             (Ok(57), None),
             (Ok(20), Some(NotSent::Cut { taken: 20, len: 57 })),
@@ -312,7 +312,7 @@ mod tests {
             assert_eq!(counters.note_sent(sent, 57, 50).unwrap(), why);
         }
         assert!(counters.note_sent(refused(libc::ENXIO), 57, 50).is_err());
-        let count = |counters: &Counters| {
+        let count = |counters: &AirCounts| {
             [counters.taken, counters.cut, counters.no_room, counters.down, counters.too_long, counters.not_taken()]
         };
         assert_eq!(count(&counters), [1, 1, 3, 1, 1, 6]);

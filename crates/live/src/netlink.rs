@@ -20,7 +20,7 @@ mod socket;
 mod stream;
 
 pub use error::NetlinkError;
-pub use intake::Counters;
+pub use intake::SocketCounts;
 pub use send::Sender;
 pub use socket::Found;
 pub use stream::Stream;
@@ -184,7 +184,7 @@ impl Netlink {
 
     /// Everything counted so far.
     #[must_use]
-    pub fn counters(&self) -> Counters {
+    pub fn counters(&self) -> SocketCounts {
         self.intake.counters
     }
 

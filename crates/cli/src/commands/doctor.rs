@@ -8,7 +8,7 @@ use super::say::{Tone, toned};
 use super::{Outcome, Result, print, print_json};
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Span;
-use csi5300_live::doctor::{Check, Heard, Machine, System, Tree, Verdict, default_interface, examine};
+use csi5300_live::doctor::{Check, Machine, Reception, System, Tree, Verdict, default_interface, examine};
 use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
 use std::fmt::Write;
@@ -98,7 +98,7 @@ fn text(checks: &[Check], ready: bool) -> String {
 
 fn listen(args: &Args, span: Span) -> std::result::Result<Vec<Check>, String> {
     let signals = Signals::catch()?;
-    let mut heard = Heard::default();
+    let mut heard = Reception::default();
     let mut listener = match args.listening.open() {
         Ok(listener) => listener,
         Err(message) => {

@@ -5,16 +5,16 @@
 
 mod card;
 mod error;
-mod heard;
 mod host;
 mod radio;
+mod reception;
 mod setup;
 mod system;
 mod ways;
 
 pub use error::SetupError;
-pub use heard::Heard;
 pub(crate) use radio::rate_file;
+pub use reception::Reception;
 pub(crate) use setup::module::RATE as MODULE_RATE;
 pub use setup::{Action, Driver, Request, Role, Step, default_interface, plan, undo, warnings};
 pub use system::{Machine, Ran, System, Tree};

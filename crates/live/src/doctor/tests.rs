@@ -277,7 +277,7 @@ fn bfee(n_rx: u8, rssi: [u8; 3], csi: u8, count: u16) -> Vec<u8> {
 }
 
 fn hear(records: &[(u8, Vec<u8>)]) -> Vec<Check> {
-    let mut heard = Heard::default();
+    let mut heard = Reception::default();
     for (code, body) in records {
         heard.note(&Next::Record(Stamps::default(), Record { code: *code, body }));
     }

@@ -9,7 +9,7 @@ use driver_iface::record::{MAX_LENGTH, Record, code};
 /// Everything that a listener counted since it was opened.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[non_exhaustive]
-pub struct Counters {
+pub struct SocketCounts {
     /// Datagrams taken from the socket.
     pub datagrams: u64,
     /// Records handed on.
@@ -58,7 +58,7 @@ pub(super) struct Intake {
     gap_unmeasured: bool,
     drops_seen: u64,
     delivered: Option<u32>,
-    pub(super) counters: Counters,
+    pub(super) counters: SocketCounts,
 }
 
 /// What the next message of a datagram is, without borrowing it.
@@ -82,7 +82,7 @@ impl Intake {
             gap_unmeasured: false,
             drops_seen: 0,
             delivered: None,
-            counters: Counters::default(),
+            counters: SocketCounts::default(),
         }
     }
 

@@ -34,7 +34,7 @@ pub struct Exchange<A> {
 }
 
 /// The frame being handled: when its reception ended, and its length with FCS.
-type FrameHeard = (Instant, usize);
+type FrameEnd = (Instant, usize);
 
 impl<A: Injector + FrameReceiver> Exchange<A> {
     /// A machine on an interface.
@@ -67,7 +67,7 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
     fn send_due(
         &mut self,
         now: &impl Fn() -> Instant,
-        heard: Option<FrameHeard>,
+        heard: Option<FrameEnd>,
         tell: &mut impl FnMut(News),
     ) -> Result<(), Error> {
         while let Some(transmit) = self.tdma.poll_transmit(now()) {
@@ -109,7 +109,7 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
     }
 
     /// How long after the forward frame's hand-over the answer to it began.
-    fn note_answer(&mut self, number: u32, heard: Option<FrameHeard>) {
+    fn note_answer(&mut self, number: u32, heard: Option<FrameEnd>) {
         let sent = self.last_forward.filter(|(sent, _)| *sent == number);
         if let (Some((_, sent)), Some((ended, len))) = (sent, heard) {
             let airtime_us = i64::from(self.tdma.plan().phy().airtime_us(len));

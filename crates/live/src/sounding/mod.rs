@@ -13,9 +13,9 @@
 mod error;
 mod exchange;
 mod figures;
-mod heard;
 mod mailbox;
 mod messages;
+mod peer_sessions;
 mod products;
 mod rate;
 mod run;

@@ -2,7 +2,7 @@
 
 use super::messages::{DriverMessages, LogTotals};
 use super::{Exchange, News, Opened, Running, Settings};
-use crate::monitor::{Counters, Monitor};
+use crate::monitor::{AirCounts, Monitor};
 use crate::wait::Monotonic;
 use csi5300::exchange::tdma::TdmaCounts;
 use csi5300::source::{CsiSource, Error, Next};
@@ -47,7 +47,7 @@ pub struct Finished {
     /// The machine with its counts, the interface with its counters, and how punctual the host was.
     pub exchange: Exchange<Monitor>,
     /// What was counted on the interface.
-    pub air: Counters,
+    pub air: AirCounts,
     /// News that were lost because they were not fetched in time.
     pub news_lost: u64,
     /// The log, where there was one.

@@ -1,6 +1,6 @@
 //! An exchange opened: interface, plan, key and session.
 
-use super::heard::Heard;
+use super::peer_sessions::PeerSessions;
 use super::{SoundingError, session};
 use crate::monitor::{Monitor, Options};
 use crate::wait::wall_us;
@@ -38,7 +38,7 @@ pub struct Opened {
     /// The key that all robots share.
     pub key: Option<Key>,
     /// What is known of the peers' sessions, with a key.
-    pub(super) heard: Heard,
+    pub(super) heard: PeerSessions,
     /// What the user should know of the session's number.
     pub warning: Option<String>,
 }
@@ -73,7 +73,7 @@ impl Setup {
         if let Some(peer) = stranger {
             return Err(SoundingError::NoKeyWith { own, peer: *peer }.into());
         }
-        let heard = if self.key.is_some() { Heard::open(own) } else { Heard::default() };
+        let heard = if self.key.is_some() { PeerSessions::open(own) } else { PeerSessions::default() };
         config.heard = heard.peers();
         settle(&mut config);
         let tdma = Tdma::new(&config).map_err(|error| Error::Backend(Box::new(error)))?;

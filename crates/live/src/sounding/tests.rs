@@ -301,7 +301,8 @@ fn session(stopped: bool, stop_at: Option<Instant>) -> (Kept, Finished) {
     };
     let monitor = crate::monitor::Monitor::over(ours, own, &setup.options()).unwrap();
     let tdma = Tdma::new(&config(A, B)).unwrap();
-    let opened = Opened { tdma, monitor, own, key: None, heard: super::heard::Heard::default(), warning: None };
+    let opened =
+        Opened { tdma, monitor, own, key: None, heard: super::peer_sessions::PeerSessions::default(), warning: None };
     let (stop, end) = std::io::pipe().unwrap();
     let end = Some(end).filter(|_| !stopped);
     let mut kept = Kept::default();

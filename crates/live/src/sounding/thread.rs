@@ -2,8 +2,8 @@
 
 use super::SoundingError;
 use super::exchange::{Exchange, News};
-use super::heard::Heard;
 use super::mailbox::{Mailbox, Outbox};
+use super::peer_sessions::PeerSessions;
 use super::setup::Opened;
 use crate::monitor::Monitor;
 use crate::sys;
@@ -82,7 +82,7 @@ pub struct Running {
     stop: PipeWriter,
     orders: Mailbox<Order>,
     news: Mailbox<News>,
-    heard: Mutex<Heard>,
+    heard: Mutex<PeerSessions>,
 }
 
 /// What a thread leaves behind.

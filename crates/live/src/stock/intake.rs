@@ -1,6 +1,6 @@
 //! What to make of the events that the program puts into its ring: no kernel in here, so that every case can be staged.
 
-use super::Counters;
+use super::StockCounts;
 use csi5300::source::Loss;
 use csi5300::time::HostTimes;
 use driver_iface::bfee::{Bfee, MAX_BODY};
@@ -56,7 +56,7 @@ pub(super) struct Intake {
     scratch: Box<[u8; MAX_BODY]>,
     /// The program's counters as the last event had them; they wrap.
     seen: (u32, u32),
-    pub(super) counters: Counters,
+    pub(super) counters: StockCounts,
 }
 
 impl Intake {
@@ -70,7 +70,7 @@ impl Intake {
             body: Vec::with_capacity(MAX_LENGTH),
             scratch: Box::new([0; MAX_BODY]),
             seen: (0, 0),
-            counters: Counters::default(),
+            counters: StockCounts::default(),
         }
     }
 
@@ -88,9 +88,9 @@ impl Intake {
     }
 
     /// Everything of all cards so far, and how many there are.
-    pub(super) fn counters(&self) -> Counters {
+    pub(super) fn counters(&self) -> StockCounts {
         let cards = self.cards.iter().fold(self.counters.cards, |sum, known| sum.plus(&known.card.counts()));
-        Counters { cards, ..self.counters }
+        StockCounts { cards, ..self.counters }
     }
 
     /// The driver was loaded anew: its cards are others.
@@ -144,7 +144,7 @@ impl Intake {
 }
 
 /// Where a card is kept, room made for it if it is new.
-fn place(cards: &mut Vec<Known>, counters: &mut Counters, key: u64) -> usize {
+fn place(cards: &mut Vec<Known>, counters: &mut StockCounts, key: u64) -> usize {
     if let Some(at) = cards.iter().position(|known| known.key == key) {
         return at;
     }

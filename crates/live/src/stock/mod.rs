@@ -81,7 +81,7 @@ impl Options {
 /// Everything that was counted since the program was loaded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
-pub struct Counters {
+pub struct StockCounts {
     /// Packets of any command that the driver handed over.
     pub hits: u64,
     /// Events taken from the ring.
@@ -149,8 +149,8 @@ impl Stock {
 
     /// Everything counted so far; losses after the last event included.
     #[must_use]
-    pub fn counters(&self) -> Counters {
-        let mut counters = Counters { reattached: self.reattached, ..self.intake.counters() };
+    pub fn counters(&self) -> StockCounts {
+        let mut counters = StockCounts { reattached: self.reattached, ..self.intake.counters() };
         if let Some([hits, ring_full, unreadable]) = self.program.counts() {
             counters.hits = hits;
             counters.ring_full = counters.ring_full.max(ring_full);

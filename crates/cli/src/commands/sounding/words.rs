@@ -2,7 +2,7 @@
 
 use csi5300::exchange::tdma::{Event, TdmaCounts};
 use csi5300::time::Span;
-use csi5300_live::monitor::Counters;
+use csi5300_live::monitor::AirCounts;
 use csi5300_live::sounding::{Figures, Finished, KERNEL_TURN_AROUND_US, News, spread_of};
 use driver_iface::Mac;
 use driver_iface::sounding::wsr;
@@ -99,7 +99,7 @@ fn unanswered(forward: u64, answered: u64) -> String {
 }
 
 /// Frames that were to be sent: how many were not, or perhaps late, by cause.
-fn not_sent(counts: &TdmaCounts, figures: &Figures, air: &Counters) -> [(u64, &'static str); 7] {
+fn not_sent(counts: &TdmaCounts, figures: &Figures, air: &AirCounts) -> [(u64, &'static str); 7] {
     [
         (counts.missed_slots + figures.too_late, "frames skipped because the host was late (never sent late)"),
         (counts.missed_replies, "answers skipped because they were late"),
@@ -112,7 +112,7 @@ fn not_sent(counts: &TdmaCounts, figures: &Figures, air: &Counters) -> [(u64, &'
 }
 
 /// Frames heard and turns had: how many came to nothing, by cause.
-fn not_used(counts: &TdmaCounts, air: &Counters) -> [(u64, &'static str); 17] {
+fn not_used(counts: &TdmaCounts, air: &AirCounts) -> [(u64, &'static str); 17] {
     [
         (air.dropped, "frames heard but dropped by the kernel before they were read"),
         (air.stale, "frames dropped because they had lain in the kernel's queue for a second or more"),

@@ -46,7 +46,7 @@ fn a_record_comes_out_as_it_went_in_and_names_its_index() {
     hand(&mut intake, 7);
     hand(&mut intake, 8);
     assert_eq!(intake.delivered(), Some(CN_IDX_10_USERS));
-    assert_eq!(intake.counters, Counters { datagrams: 2, records: 2, ..Counters::default() });
+    assert_eq!(intake.counters, SocketCounts { datagrams: 2, records: 2, ..SocketCounts::default() });
 }
 
 #[test]

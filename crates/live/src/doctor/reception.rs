@@ -8,7 +8,7 @@ use driver_iface::record::code;
 
 /// A reception being listened to.
 #[derive(Debug, Default)]
-pub struct Heard {
+pub struct Reception {
     /// Everything counted.
     pub survey: Survey,
     zero_csi: u64,
@@ -17,7 +17,7 @@ pub struct Heard {
     unnumbered: u64,
 }
 
-impl Heard {
+impl Reception {
     /// Counts what a source gave.
     pub fn note(&mut self, next: &Next<'_>) {
         let Some((bfee, identity)) = self.survey.note(next) else { return };

@@ -16,7 +16,7 @@ const KEEP_EVERY: Duration = Duration::from_secs(5);
 
 /// What is known of peers that share a key.
 #[derive(Debug, Default)]
-pub struct Heard {
+pub struct PeerSessions {
     name: String,
     folders: Vec<PathBuf>,
     /// Session and number.
@@ -27,7 +27,7 @@ pub struct Heard {
     writing: Option<JoinHandle<()>>,
 }
 
-impl Heard {
+impl PeerSessions {
     /// What this robot kept of its peers. It is kept where the robot's own session is.
     pub(super) fn open(own: Mac) -> Self {
         Self::open_in(session::usual_folders(), own)
@@ -117,7 +117,7 @@ mod tests {
         let root = std::env::temp_dir().join(format!("csi5300-heard-{}", std::process::id()));
         let folders = vec![root.join("state/csi5300")];
         let [own, a, b] = [1, 2, 3].map(|last| Mac([2, 0, 0, 0, 0, last]));
-        let mut heard = Heard::open_in(folders.clone(), own);
+        let mut heard = PeerSessions::open_in(folders.clone(), own);
         let asked = |peer, session, number| News::Event(Event::Asked { peer, number, session });
         for news in [asked(a, 100, 7), asked(a, 100, 9), asked(a, 99, 1_000), asked(b, 5, 1)] {
             heard.note(&news);
@@ -125,10 +125,10 @@ mod tests {
         let answered = Event::Answered { peer: b, number: 3, peer_session: 6, measurement: None };
         heard.note(&News::Event(answered));
         heard.keep();
-        assert_eq!(Heard::open_in(folders.clone(), own).peers(), [(a, 100, 9), (b, 6, 0)]);
-        assert!(Heard::open_in(folders.clone(), a).peers().is_empty(), "each robot has its own");
+        assert_eq!(PeerSessions::open_in(folders.clone(), own).peers(), [(a, 100, 9), (b, 6, 0)]);
+        assert!(PeerSessions::open_in(folders.clone(), a).peers().is_empty(), "each robot has its own");
         std::fs::write(root.join("state/csi5300/peers-020000000001"), "rubbish\n02:00:00:00:00:02 8 9 10\n").unwrap();
-        assert!(Heard::open_in(folders, own).peers().is_empty());
+        assert!(PeerSessions::open_in(folders, own).peers().is_empty());
         std::fs::remove_dir_all(root).unwrap();
     }
 }
