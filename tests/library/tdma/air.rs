@@ -6,6 +6,7 @@
 
 use csi5300::exchange::tdma::{Config, Event, Plan, Request, Tdma};
 use csi5300::time::Instant;
+use csi5300_sim::random::Stream;
 use driver_iface::Mac;
 use driver_iface::sounding::native::Role;
 use std::cell::Cell;
@@ -17,29 +18,6 @@ use std::rc::Rc;
 const PROPAGATION_US: i64 = 1;
 /// A receiver's way from antenna to user space at best; with the jitter it stays within the turn-around.
 const PROCESS_US: i64 = 120;
-
-/// Numbers that look random and are the same everywhere (SplitMix64); the committed golden table holds its draws.
-#[derive(Clone, Debug)]
-pub struct Dice(pub u64);
-
-impl Dice {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    /// 0 to `end` - 1; where there is no choice, nothing is thrown.
-    pub fn below(&mut self, end: u64) -> u64 {
-        if end <= 1 { 0 } else { ((u128::from(self.next()) * u128::from(end)) >> 64) as u64 }
-    }
-
-    pub fn chance(&mut self, probability: f64) -> bool {
-        (self.next() >> 11) as f64 / (1u64 << 53) as f64 <= probability && probability > 0.0
-    }
-}
 
 /// A robot's clock: `local = true + offset + true * ppm / 10^6`.
 #[derive(Clone, Copy, Debug, Default)]
@@ -105,7 +83,7 @@ pub struct Air {
     pub last_collision_us: i64,
     /// Robots of different cells do not hear each other.
     pub cell: Vec<u8>,
-    pub dice: Dice,
+    pub dice: Stream,
     /// Called with the time and every frame sent, to let an adversary listen. What it returns, with delays in
     /// microseconds, is heard by everybody; it costs no airtime, only what it makes others send does.
     pub adversary: Option<Adversary>,
@@ -118,7 +96,7 @@ pub struct Air {
     sequence: u64,
 }
 
-pub type Adversary = Box<dyn FnMut(i64, &[u8], &mut Dice) -> Vec<(i64, Vec<u8>)>>;
+pub type Adversary = Box<dyn FnMut(i64, &[u8], &mut Stream) -> Vec<(i64, Vec<u8>)>>;
 
 pub fn mac(k: usize) -> Mac {
     Mac([2, 0x53, 0, 0, (k >> 8) as u8, k as u8])
@@ -150,7 +128,7 @@ impl Air {
             frames: 0,
             last_collision_us: i64::MIN,
             cell: vec![0; configs.len()],
-            dice: Dice(seed),
+            dice: Stream::of_seed(seed),
             adversary: None,
             plan,
             on_air: Vec::new(),
@@ -296,7 +274,7 @@ impl Air {
         self.on_air.push(frame.clone());
         for receiver in 0..self.stations.len() {
             let hears = receiver != sender && self.cell[receiver] == self.cell[sender];
-            if hears && !self.dice.chance(self.loss) {
+            if hears && !self.dice.happens(self.loss) {
                 let stamp_us = end_us + PROPAGATION_US + self.dice.below(self.jitter_us / 2 + 1) as i64;
                 let at_us = stamp_us + PROCESS_US + self.dice.below(self.jitter_us + 1) as i64;
                 self.post(at_us, receiver, frame.clone(), stamp_us);

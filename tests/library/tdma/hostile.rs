@@ -1,21 +1,22 @@
 //! Hostile air: random, crafted and replayed frames neither stop the exchange nor make a pair that was not sounded
 //! (the air checks every pair that is reported).
 
-use super::air::{Air, Dice, everybody, mac};
+use super::air::{Air, everybody, mac};
 use csi5300::exchange::tdma::{Config, Dialect, Event, Key, PlanError, Request, Tdma};
 use csi5300::time::{Instant, Span};
+use csi5300_sim::random::Stream;
 use driver_iface::Mac;
 use driver_iface::sounding::native::Role;
 use proptest::prelude::*;
 
 /// What a stranger makes of a frame overheard.
-fn forge(original: &[u8], dice: &mut Dice) -> Vec<u8> {
+fn forge(original: &[u8], dice: &mut Stream) -> Vec<u8> {
     let mut bytes = original.to_vec();
-    let mut put = |at: usize, len: usize, dice: &mut Dice| {
-        bytes.iter_mut().skip(at).take(len).for_each(|byte| *byte = dice.next() as u8);
+    let mut put = |at: usize, len: usize, dice: &mut Stream| {
+        bytes.iter_mut().skip(at).take(len).for_each(|byte| *byte = dice.bits() as u8);
     };
     match dice.below(12) {
-        0 => return (0..dice.below(200)).map(|_| dice.next() as u8).collect(),
+        0 => return (0..dice.below(200)).map(|_| dice.bits() as u8).collect(),
         1 => bytes.truncate(dice.below(180) as usize),
         2 => bytes.extend((0..dice.below(90)).map(|_| 0)),
         3 => bytes[32] ^= 1,                                               // the other role
@@ -40,7 +41,7 @@ fn forge(original: &[u8], dice: &mut Dice) -> Vec<u8> {
 /// An adversary that forges from frames that are at least `age_us` old, as often as others send.
 fn adversary(age_us: i64, dice_seed: u64) -> super::air::Adversary {
     let mut heard: Vec<(i64, Vec<u8>)> = Vec::new();
-    let mut dice = Dice(dice_seed);
+    let mut dice = Stream::of_seed(dice_seed);
     Box::new(move |now_us, bytes, _| {
         heard.push((now_us, bytes.to_vec()));
         let old = heard.iter().take_while(|(at, _)| *at + age_us <= now_us).count() as u64;
@@ -50,7 +51,7 @@ fn adversary(age_us: i64, dice_seed: u64) -> super::air::Adversary {
         // Mostly recent ones: their turns and numbers are the most plausible.
         let at = old - 1 - dice.below(old.min(40));
         let original = heard[at as usize].1.clone();
-        let frame = if dice.chance(0.3) { original } else { forge(&original, &mut dice) };
+        let frame = if dice.happens(0.3) { original } else { forge(&original, &mut dice) };
         if heard.len() > 1_000 {
             heard.drain(..500);
         }
@@ -252,7 +253,7 @@ proptest! {
                 Step::Hear(bytes) => tdmas.iter_mut().for_each(|tdma| tdma.handle_heard(now, now, bytes)),
                 Step::Forged(at, seed) => {
                     let original = frames[frames.len().saturating_sub(1 + at)].clone();
-                    let bytes = if original.len() < 60 { original } else { forge(&original, &mut Dice(*seed)) };
+                    let bytes = if original.len() < 60 { original } else { forge(&original, &mut Stream::of_seed(*seed)) };
                     tdmas.iter_mut().for_each(|tdma| tdma.handle_heard(now, now, &bytes));
                 }
                 Step::Toggle(initiate) => tdmas[0].set_initiate(*initiate),
