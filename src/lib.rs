@@ -151,11 +151,13 @@ pub mod internal {
         pub use crate::motion::odometry::dynamixel::{emit, instruction};
     }
     pub use crate::place::confidence::{
-        CAMERA_HEADING_DEG, PROBABILITY_LIMITS, WHEELS_HEADING_DEG, full_deviation_rad, full_features,
-        full_probability, heading_feature, quick_deviation_rad, quick_features, quick_probability,
+        camera_heading_rad, full_deviation_rad, full_features, full_probability, heading_feature, probability_limits,
+        quick_deviation_rad, quick_features, quick_probability, wheels_heading_rad,
     };
     pub use crate::place::near_field::types::{Band, Limits, Taper, View};
     pub use crate::place::near_field::{aperture::Aperture, search::Search};
     pub use crate::signal::alignment::{CsiRow, align, remove_common_slope};
     pub use crate::signal::one_way::one_way;
+    #[cfg(feature = "tunable")]
+    pub use crate::tuning::{VARIABLE as TUNING_VARIABLE, chosen_json as chosen_tuning_json};
 }

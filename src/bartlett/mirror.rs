@@ -25,16 +25,6 @@ use super::scene::{Geometry, Scene, Shape};
 use crate::maths::wrap_rad;
 use crate::tuning::TUNING;
 
-/// A trajectory at most this wide for its length (or this deep for its width) may have a mirror that only the odometry excludes.
-const ELONGATED: f64 = TUNING.plane_wave.elongated;
-/// Such a mirror is at least this high, relative to the peak.
-const MIRROR_RATIO: f64 = TUNING.plane_wave.mirror_ratio;
-/// A reflection that speaks less for itself by this (natural logarithm of the likelihood ratio) is excluded.
-const EXCLUDED: f64 = TUNING.plane_wave.mirror_excluded;
-/// A plane tilted by less, radians, is level: of a direction's reflection the sign of the elevation is new,
-const LEVEL: f64 = TUNING.plane_wave.level_rad;
-/// and its azimuth where that is this far from the direction's, radians.
-const SAME_AZIMUTH: f64 = TUNING.plane_wave.same_azimuth_rad;
 /// Fewest blocks in which the independence of residuals is judged.
 const LEAST_BLOCKS: usize = 8;
 /// Share of the energy that is never explained: noise-free samples.
@@ -75,7 +65,7 @@ pub(super) fn axis(shape: &Shape) -> Option<f64> {
 
 /// True if a side of the motion is thin for the next longer one.
 pub(super) fn is_thin(shape: &Shape, side: usize) -> bool {
-    shape.half_extent_m[side] <= ELONGATED * shape.half_extent_m[side - 1]
+    shape.half_extent_m[side] <= TUNING.plane_wave.elongated * shape.half_extent_m[side - 1]
 }
 
 impl<'a> Reflections<'a> {
@@ -128,7 +118,7 @@ impl<'a> Reflections<'a> {
         let snr = self.explained(self.best.value) / self.unexplained(self.best.value);
         // The loss of a wave whose phases are off by so much, as a share of what it explains.
         let lost = 1.0 - (-(2.0 * TAU).powi(2) * depth).exp();
-        evidence(self.looks * (snr * lost).ln_1p(), depth, self.odometry) >= EXCLUDED
+        evidence(self.looks * (snr * lost).ln_1p(), depth, self.odometry) >= TUNING.plane_wave.mirror_excluded
     }
 
     fn explained(&self, value: f64) -> f64 {
@@ -153,10 +143,10 @@ impl<'a> Reflections<'a> {
         let depth = self.scene.depth_squared(normal);
         let against = evidence(logarithm.max(0.0), depth, self.odometry);
         let by_shape = odometry_tells(depth, self.odometry)
-            && !(is_thin(self.shape, side) && value >= MIRROR_RATIO * self.best.value);
+            && !(is_thin(self.shape, side) && value >= TUNING.plane_wave.mirror_ratio * self.best.value);
         // Of a line the peak itself, since its course bends both directions; of a plane the image, which is exact.
         let at = if near && side == 1 { top.at.azimuth } else { azimuth };
-        (against < EXCLUDED && !by_shape).then(|| Mirror {
+        (against < TUNING.plane_wave.mirror_excluded && !by_shape).then(|| Mirror {
             azimuth: wrap_rad(at),
             elevation,
             share: 1.0 / (1.0 + against.exp()),
@@ -185,7 +175,7 @@ impl<'a> Reflections<'a> {
 
 /// True if a reflection in the plane with a normal, `off` radians away in azimuth, is no more than the sign of the elevation.
 pub(crate) fn is_level(normal: &Vector3<f64>, off: f64) -> bool {
-    normal.z.abs() > LEVEL.cos() && off < SAME_AZIMUTH
+    normal.z.abs() > TUNING.plane_wave.level_rad.cos() && off < TUNING.plane_wave.same_azimuth_rad
 }
 
 /// What is left of the logarithm of a likelihood ratio by an odometry whose error is `odometry` against a depth (squared).
@@ -195,7 +185,7 @@ fn evidence(logarithm: f64, depth_squared: f64, odometry: f64) -> f64 {
 
 /// Whether a depth (squared) is told from nothing by an odometry whose error is `odometry`, however small the noise.
 pub(super) fn odometry_tells(depth_squared: f64, odometry: f64) -> bool {
-    evidence(f64::INFINITY, depth_squared, odometry) >= EXCLUDED
+    evidence(f64::INFINITY, depth_squared, odometry) >= TUNING.plane_wave.mirror_excluded
 }
 
 /// The unit vector of a point of a search.

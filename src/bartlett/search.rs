@@ -43,10 +43,6 @@ const TAIL: f64 = 1e-4;
 const SINGLE_RADIUS: f64 = 600.0;
 /// Above this radius (radians of phase) there is no search: about 2 km at 5.5 GHz, round trip.
 const LIMIT_RADIUS: f64 = 5e5;
-/// Azimuth and elevation must turn the phases differently by this share of their variance before the elevation is
-/// searched. On a line they turn them alike; millimetres of wobble would then decide between them, and millimetres are
-/// what odometry, a curved wave front and reflections get wrong, whatever the noise allows.
-const INDEPENDENT: f64 = TUNING.plane_wave.independent;
 
 /// Finds the bearing: the continuous maximum of the Bartlett profile over azimuth and |elevation|.
 ///
@@ -226,7 +222,8 @@ impl<'a> Search<'a> {
         let cosine = deviations(fit, spread, Second::Cosine, Point { azimuth, second: 1.0 }, false)[1];
         let angle = deviations(fit, spread, Second::Elevation, Point { azimuth, second: 0.0 }, false)[1];
         let high = odometry_tells(self.scene.depth_squared(Vector3::z()), odometry_sd_m / self.scene.turn_m);
-        let apart = |kind, second| independence(spread, kind, Point { azimuth, second }) > INDEPENDENT;
+        let apart =
+            |kind, second| independence(spread, kind, Point { azimuth, second }) > TUNING.plane_wave.independent;
         (cosine < (1.0 - limit.cos()) / uniform && apart(Second::Cosine, 1.0))
             || (high && angle < 2.0 * limit / uniform && apart(Second::Elevation, 0.0))
     }

@@ -26,10 +26,6 @@ pub struct Spread {
     pub common: usize,
 }
 
-/// Logs with fewer common numbers than this are not compared.
-pub const MIN_COMMON: usize = TUNING.pairing.min_common;
-/// The best match must spread less than the next best by this factor.
-pub const MIN_MARGIN: f64 = TUNING.pairing.min_margin;
 /// Pairs looked at: a median of a few hundred is steady.
 const MAX_COMMON: usize = 768;
 
@@ -69,7 +65,7 @@ pub fn common(receiver: &[Mark], transmitter: &[Mark]) -> Vec<Pair<usize>> {
 #[must_use]
 pub fn spread(receiver: &[Mark], transmitter: &[Mark]) -> Option<Spread> {
     let pairs = common(receiver, transmitter);
-    if pairs.len() < MIN_COMMON {
+    if pairs.len() < TUNING.pairing.min_common {
         return None;
     }
     let clock: Vec<i64> = pairs.iter().map(|pair| pair.clock_rx_us).collect();
@@ -97,7 +93,8 @@ pub struct Match {
 pub enum Unmatched {
     /// No MAC has enough frame numbers in common with the log.
     #[error(
-        "no transmitter in the receiver's log shares {MIN_COMMON} frame numbers with it: are the two logs of one run?"
+        "no transmitter in the receiver's log shares {} frame numbers with it: are the two logs of one run?",
+        TUNING.pairing.min_common
     )]
     NothingInCommon,
     /// Two MACs go with it about equally well.
@@ -147,7 +144,7 @@ pub fn assign(spreads: &[Vec<Option<Spread>>], taken: &[bool]) -> Vec<Result<Mat
         let margin = order.get(1).map(|next| (next.1.spread_us + 0.1) / (spread.spread_us + 0.1));
         match margin {
             _ if !free(mac) => Err(Unmatched::Named { spread_us: spread.spread_us }),
-            Some(margin) if margin < MIN_MARGIN => {
+            Some(margin) if margin < TUNING.pairing.min_margin => {
                 Err(Unmatched::Unclear { spread_us: spread.spread_us, next_us: order[1].1.spread_us })
             }
             _ => Ok(Match { mac, spread, margin }),
@@ -178,8 +175,8 @@ const TOGETHER: usize = 6;
 /// Settles the logs that [`assign`] left unclear, all together: each MAC wrote one log, so that what speaks for one log's
 /// MAC speaks against it for the others. `reciprocity[log][mac]`, where known, is the correlation of the channel's changes
 /// in the two directions, 0 for strangers and nearly 1 for the two ends of a link: with the spread `s` and the correlation
-/// `r` a match costs `ln s - 2 artanh r`. A log is settled where every other way costs at least [`MIN_MARGIN`] times as much,
-/// and its spread is within that factor of its least.
+/// `r` a match costs `ln s - 2 artanh r`. A log is settled where every other way costs at least
+/// `pairing.min_margin` times as much, and its spread is within that factor of its least.
 pub fn settle(
     found: &mut [Result<Match, Unmatched>],
     spreads: &[Vec<Option<Spread>>],
@@ -209,7 +206,8 @@ pub fn settle(
         let margin = cheapest(&choices, &mut Vec::new(), Some((k, mac))).map(|(other, _)| (other - cost).exp());
         let least = spreads[log].iter().flatten().map(|s| s.spread_us).fold(f64::INFINITY, f64::min);
         let Some(spread) = spreads[log][mac] else { continue };
-        if margin.is_none_or(|margin| margin >= MIN_MARGIN) && spread.spread_us <= MIN_MARGIN * (least + 0.1) {
+        let clearly = TUNING.pairing.min_margin;
+        if margin.is_none_or(|margin| margin >= clearly) && spread.spread_us <= clearly * (least + 0.1) {
             found[log] = Ok(Match { mac, spread, margin });
         }
     }

@@ -82,19 +82,8 @@ pub enum TrajectoryError {
     },
 }
 
-/// Poses further apart than this (or than ten usual steps) leave a gap.
-const MIN_GAP_S: f64 = TUNING.motion.min_gap_s;
-/// A robot that moved less than this across a gap stood still in it, metres (several times the noise of motion
-/// capture and of a tracking camera at rest).
-const STILL_M: f64 = TUNING.motion.still_m;
 /// Poses on either side of where even ones would put a time that are looked at first.
 const NEAR: usize = 8;
-/// Half the time over which speed is judged, seconds.
-const SPEED_HALF_S: f64 = TUNING.motion.speed_half_s;
-/// A robot slower than this share of its usual speed stands still.
-const STILL_SHARE: f64 = TUNING.motion.still_share;
-/// No robot drives slower than this, m/s; motion capture at rest seems to move by less.
-const STILL_M_PER_S: f64 = TUNING.motion.still_m_per_s;
 
 impl Trajectory {
     /// A trajectory from poses in any order; of several at one time the last stays.
@@ -121,7 +110,7 @@ impl Trajectory {
         }
         let mut steps: Vec<f64> = poses.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
         let usual = upper_median(&mut steps).unwrap_or(0.0);
-        let mut trajectory = Self { poses, max_gap_s: MIN_GAP_S.max(10.0 * usual), stale_head: 0 };
+        let mut trajectory = Self { poses, max_gap_s: TUNING.motion.min_gap_s.max(10.0 * usual), stale_head: 0 };
         trajectory.drop_stale_head();
         Ok(trajectory)
     }
@@ -132,7 +121,7 @@ impl Trajectory {
         let head = self.poses.len() / 20;
         let gap = (1..=head).rev().find(|&k| self.poses[k].t_s - self.poses[k - 1].t_s > 1.0);
         if let Some(k) = gap
-            && (self.poses[k].position_m - self.poses[k - 1].position_m).norm() > STILL_M
+            && (self.poses[k].position_m - self.poses[k - 1].position_m).norm() > TUNING.motion.still_m
             && self.poses.len() - k >= 2
         {
             self.poses.drain(..k);
@@ -192,7 +181,7 @@ impl Trajectory {
             return Some((last, last, 0.0));
         }
         let (a, b) = (&self.poses[after - 1], &self.poses[after]);
-        if b.t_s - a.t_s > self.max_gap_s && (b.position_m - a.position_m).norm() > STILL_M {
+        if b.t_s - a.t_s > self.max_gap_s && (b.position_m - a.position_m).norm() > TUNING.motion.still_m {
             return None;
         }
         Some((a, b, (t_s - a.t_s) / (b.t_s - a.t_s)))
@@ -230,7 +219,7 @@ impl Trajectory {
         let mut sorted = speeds.clone();
         sorted.sort_by(f64::total_cmp);
         let usual = lower_rank(&sorted, 0.9).unwrap_or(0.0);
-        let floor = (STILL_SHARE * usual).max(STILL_M_PER_S);
+        let floor = (TUNING.motion.still_share * usual).max(TUNING.motion.still_m_per_s);
         let moving = |k: &usize| speeds[*k] > floor;
         let first = (0..speeds.len()).find(moving);
         let last = (0..speeds.len()).rev().find(moving);
@@ -246,7 +235,7 @@ impl Trajectory {
     #[must_use]
     pub(crate) fn speed_m_per_s(&self, t_s: f64) -> f64 {
         let (start, end) = self.span_s();
-        let (from, to) = ((t_s - SPEED_HALF_S).max(start), (t_s + SPEED_HALF_S).min(end));
+        let (from, to) = ((t_s - TUNING.motion.speed_half_s).max(start), (t_s + TUNING.motion.speed_half_s).min(end));
         match (self.position_m(from), self.position_m(to)) {
             (Some(a), Some(b)) if to > from => (b - a).norm() / (to - from),
             _ => 0.0,

@@ -4,7 +4,7 @@ use super::direction::Direction;
 use super::options::Options;
 use crate::place::near_field::mirror::{decisive, log_odds};
 use crate::place::near_field::{
-    self, Aperture, Edge, Elevations, Evidence, Fix, Focus, Limits, Maps, ONE_WAY_VIEWS, Path, Search, View,
+    self, Aperture, Edge, Elevations, Evidence, Fix, Focus, Limits, Maps, Path, Search, View, one_way_views,
     round_trip_views,
 };
 use crate::signal::alignment::{Alignment, CsiRow, align, remove_common_slope};
@@ -39,9 +39,6 @@ const MAP_AZIMUTHS: usize = 360;
 /// Azimuths of the evidence.
 const EVIDENCE_AZIMUTHS: usize = 1_440;
 
-/// A range is reported where its predicted deviation is below this share of it.
-const RANGE_SHARE: f64 = TUNING.deviations.range_share;
-
 impl Placed {
     /// The answer of one wave that leaves nothing but noise.
     pub(super) fn of_one_wave(fix: Fix) -> Self {
@@ -51,7 +48,7 @@ impl Placed {
     /// Range and its standard deviation, metres, where the curvature fixes it.
     #[must_use]
     pub fn range_m(&self) -> Option<(f64, f64)> {
-        self.fix.range_m(RANGE_SHARE)
+        self.fix.range_m(TUNING.deviations.range_share)
     }
 }
 
@@ -81,9 +78,9 @@ pub(super) fn place(
     let roots = steps.one_way.then(|| one_way(&rows, options.search.tier));
     let one_way =
         roots.as_ref().map(|roots| Aperture::gather(&displacement_m, &pick(&roots.rows, used), 1, wavelength_m));
-    let views = round_trip_views(round_trip.path_m() / wavelength_m);
-    let mut layers: Vec<(&Aperture, &[View])> = vec![(&round_trip, &views)];
-    layers.extend(one_way.as_ref().map(|aperture| (aperture, ONE_WAY_VIEWS.as_slice())));
+    let views = (round_trip_views(round_trip.path_m() / wavelength_m), one_way_views());
+    let mut layers: Vec<(&Aperture, &[View])> = vec![(&round_trip, &views.0)];
+    layers.extend(one_way.as_ref().map(|aperture| (aperture, views.1.as_slice())));
     let limits = limits(direction, options);
     let middle_m = displacement_m.iter().sum::<Vector3<f64>>() / displacement_m.len().max(1) as f64;
     let run = |limits: &Limits| {

@@ -14,14 +14,8 @@ use nalgebra::Vector3;
 use num_complex::Complex64;
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-/// Motion that reaches no further up and down than this, in turns of phase, does not distinguish up from down.
-const LEVEL_TURNS: f64 = TUNING.elevation.level_turns;
-/// Motion that reaches further up and down than this share of its largest extent does.
-const TALL: f64 = TUNING.elevation.tall;
 /// Azimuths on either side of the answer's that its opposite is looked for at, and their distance in half widths of a beam.
 const BESIDE: (i32, f64) = (12, 0.5);
-/// A plane wave within the expected elevations that explains less than this of the power may have a better one beyond.
-const CLEAR: f64 = TUNING.elevation.clear;
 /// Samples within so many turns of each other are summed for a rough look, and what such a sum keeps of a wave's power in
 /// the worst case: `sinc(0.25)^2`.
 const ROUGH_TURNS: f64 = 0.25;
@@ -48,7 +42,7 @@ impl Direction {
         let limit_rad = options.search.elevation_max_rad;
         let at_limit = within.elevation_searched && within.abs_elevation_rad > EDGE * limit_rad;
         let reach = Reach::of(samples, &within);
-        let clear = reach == Reach::Level && !at_limit && within.value >= CLEAR;
+        let clear = reach == Reach::Level && !at_limit && within.value >= TUNING.elevation.clear;
         let asked = limit_rad > 0.0 && (within.elevation_searched || reach != Reach::Level);
         let elevations = Elevations::Expected;
         let expected =
@@ -100,10 +94,10 @@ impl Reach {
         let (half_m, turn_m) = (0.5 * (high_m - low_m), samples.wavelength_m() / f64::from(samples.path_gain()));
         // Where a plane wave explains little its geometry class says little: a line is one by its places here.
         let [longest_m, wide_m, _] = plane_wave.shape.half_extent_m;
-        let least_m = LEVEL_TURNS * turn_m;
+        let least_m = TUNING.elevation.level_turns * turn_m;
         match half_m {
             _ if half_m < least_m || wide_m < least_m => Self::Level,
-            _ if half_m < TALL * longest_m => Self::Low,
+            _ if half_m < TUNING.elevation.tall * longest_m => Self::Low,
             _ => Self::Tall,
         }
     }

@@ -21,11 +21,6 @@ use num_complex::Complex64;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// With a turn-around that jitters by more than this no phase survives the product of two frames, microseconds: at the
-/// offsets that cards have (4 to 21 kHz) it is several turns.
-const MAX_SPREAD_US: f64 = TUNING.turn_around.max_spread_us;
-/// Largest motion that is searched as one array, metres: far beyond what odometry follows to a fraction of a wavelength.
-const MAX_EXTENT_M: f64 = TUNING.motion.max_extent_m;
 /// The time of a pair whose time is not known: no pose is that late, so the single pair is counted and the link goes on.
 const NEVER_S: f64 = f64::MAX;
 
@@ -259,7 +254,8 @@ impl Compensated {
 
     /// Refuses clocks that no exchange ties together.
     fn check(&self) -> Result<(), LinkError> {
-        let spread_us = self.turn_around.as_ref().map(|t| t.jitter_median_us).filter(|us| *us > MAX_SPREAD_US);
+        let spread_us =
+            self.turn_around.as_ref().map(|t| t.jitter_median_us).filter(|us| *us > TUNING.turn_around.max_spread_us);
         spread_us.map_or(Ok(()), |spread_us| Err(LinkError::NotOfOneRun { spread_us }))
     }
 
@@ -390,8 +386,8 @@ impl Gated {
             return Err(self.nothing(times_s, receiver));
         }
         let extent_m = extent_m(&self.samples);
-        if extent_m > MAX_EXTENT_M {
-            return Err(LinkError::TooLarge { extent_m, limit_m: MAX_EXTENT_M });
+        if extent_m > TUNING.motion.max_extent_m {
+            return Err(LinkError::TooLarge { extent_m, limit_m: TUNING.motion.max_extent_m });
         }
         Ok(())
     }

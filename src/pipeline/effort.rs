@@ -11,9 +11,6 @@ use crate::tuning::TUNING;
 use serde::Serialize;
 use std::fmt;
 
-/// A step that cannot move the azimuth by more than this share of its error bar is not needed.
-const SHARE: f64 = TUNING.effort.share;
-
 /// What was found to suffice for a link.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -123,7 +120,7 @@ impl Least {
             true => quick.azimuth_sd_rad,
             false => BearingAnswer::of_spherical_wave(&placed, &direction.plane_wave, samples, options).azimuth_sd_rad,
         };
-        let tolerance_rad = asked_rad.unwrap_or(SHARE * bar_rad);
+        let tolerance_rad = asked_rad.unwrap_or(TUNING.effort.share * bar_rad);
         if risk_rad > tolerance_rad {
             return Err(Unexplained::Noise(risk_rad));
         }

@@ -21,11 +21,22 @@ use crate::tuning::TUNING;
 const UNIFORM_RAD: f64 = 1.813_799_364_234_217_8;
 
 /// Least and largest probability that is said.
-pub const PROBABILITY_LIMITS: [f64; 2] = TUNING.certainty.limits;
-/// Standard deviation of the heading of a tracking camera's trajectory, degrees.
-pub const CAMERA_HEADING_DEG: f64 = TUNING.certainty.camera_heading_deg;
+#[must_use]
+pub fn probability_limits() -> [f64; 2] {
+    TUNING.certainty.limits
+}
+
+/// Standard deviation of the heading of a tracking camera's trajectory, radians.
+#[must_use]
+pub fn camera_heading_rad() -> f64 {
+    TUNING.certainty.camera_heading_deg.to_radians()
+}
+
 /// The same of wheel odometry.
-pub const WHEELS_HEADING_DEG: f64 = TUNING.certainty.wheels_heading_deg;
+#[must_use]
+pub fn wheels_heading_rad() -> f64 {
+    TUNING.certainty.wheels_heading_deg.to_radians()
+}
 
 /// What each of the directions that were chosen from has of the probability, as the model of the search has it: powers
 /// (or evidence) to the number of independent looks, with a sum of 1.
@@ -118,7 +129,7 @@ fn linear<const N: usize>(base: f64, coefficients: [f64; N], features: [f64; N])
 }
 
 fn probability(logit: f64) -> f64 {
-    let [least, most] = PROBABILITY_LIMITS;
+    let [least, most] = TUNING.certainty.limits;
     (1.0 / (1.0 + (-logit).exp())).clamp(least, most)
 }
 

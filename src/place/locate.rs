@@ -76,16 +76,6 @@ pub enum LocateError {
     Parallel,
 }
 
-/// Model error that no bearing is better than (reflections, antenna patterns, positions), radians: measured the
-/// median error in line of sight is about one degree however small the predicted deviation.
-const AZIMUTH_FLOOR_RAD: f64 = TUNING.locate.azimuth_floor_rad;
-/// The same for range, relative: reflections bend wave fronts too (measured half within a tenth, one in six off by more
-/// than three tenths).
-const RANGE_FLOOR: f64 = TUNING.locate.range_floor;
-/// Residuals (in deviations) at which a sighting has lost half its weight.
-const CAUCHY: f64 = TUNING.locate.cauchy;
-const ITERATIONS: usize = TUNING.locate.steps;
-
 struct Equation {
     residual: f64,
     gradient: Vector2<f64>,
@@ -137,13 +127,13 @@ fn equations(at: &Vector2<f64>, sightings: &[Sighting]) -> Vec<Equation> {
     for (source, s) in sightings.iter().enumerate() {
         let to = s.transmitter_m - at;
         let distance = to.norm().max(1e-3);
-        let sd = s.azimuth_sd_rad.hypot(AZIMUTH_FLOOR_RAD);
+        let sd = s.azimuth_sd_rad.hypot(TUNING.locate.azimuth_floor_rad);
         let across = Vector2::new(to.y, -to.x) / (distance * distance);
         let off = s.azimuths_rad().map(|azimuth| wrap_rad(to.y.atan2(to.x) - azimuth));
         let residual = off.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default() / sd;
         equations.push(Equation { residual, gradient: across / sd, source });
         if let Some((range, own)) = s.range_m.filter(|(range, own)| range.is_finite() && *own >= 0.0) {
-            let sd = own.hypot(RANGE_FLOOR * range).max(1e-3);
+            let sd = own.hypot(TUNING.locate.range_floor * range).max(1e-3);
             equations.push(Equation { residual: (distance - range) / sd, gradient: -to / (distance * sd), source });
         }
     }
@@ -151,11 +141,11 @@ fn equations(at: &Vector2<f64>, sightings: &[Sighting]) -> Vec<Equation> {
 }
 
 fn weight(residual: f64) -> f64 {
-    1.0 / (1.0 + (residual / CAUCHY).powi(2))
+    1.0 / (1.0 + (residual / TUNING.locate.cauchy).powi(2))
 }
 
 fn cost(at: &Vector2<f64>, sightings: &[Sighting]) -> f64 {
-    equations(at, sightings).iter().map(|e| (1.0 + (e.residual / CAUCHY).powi(2)).ln()).sum()
+    equations(at, sightings).iter().map(|e| (1.0 + (e.residual / TUNING.locate.cauchy).powi(2)).ln()).sum()
 }
 
 /// Normal matrix and gradient of the reweighted problem.
@@ -175,7 +165,7 @@ fn normal(equations: &[Equation]) -> (Matrix2<f64>, Vector2<f64>) {
 fn descend(start: Vector2<f64>, sightings: &[Sighting]) -> Option<(Vector2<f64>, f64)> {
     let (mut at, mut own) = (start, cost(&start, sightings));
     let mut damping = 1e-3;
-    for _ in 0..ITERATIONS {
+    for _ in 0..TUNING.locate.steps {
         let (matrix, side) = normal(&equations(&at, sightings));
         let damped = matrix + Matrix2::from_diagonal(&matrix.diagonal()) * damping + Matrix2::identity() * 1e-9;
         let step = damped.try_inverse()? * side;

@@ -18,13 +18,6 @@ use crate::tuning::TUNING;
 use csi5300_kernels::simd::on_tier;
 use fearless_simd::Simd;
 
-/// Packets on either side that a sample is compared with.
-const REACH: usize = TUNING.one_way.reach;
-/// How much of the prediction a packet inherits while tracking.
-const MEMORY: f32 = TUNING.one_way.memory;
-/// Sweeps at most.
-const SWEEPS: usize = TUNING.one_way.sweeps;
-
 /// What [`one_way`] gives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct OneWay {
@@ -50,7 +43,7 @@ fn roots_of<S: Simd>(_simd: S, roots: &mut [Planes]) -> OneWay {
     roots.iter_mut().for_each(root);
     track(roots);
     let mut corrected = 0;
-    for _ in 0..SWEEPS {
+    for _ in 0..TUNING.one_way.sweeps {
         let changed = sweep(roots);
         corrected += changed;
         if changed == 0 {
@@ -101,12 +94,13 @@ fn track(roots: &mut [Planes]) {
             (first.re[k], first.im[k]) = (-first.re[k], -first.im[k]);
         }
     }
+    let memory = TUNING.one_way.memory;
     let mut predicted = *first;
     for row in others {
         flip(row, &predicted);
         for k in 0..LANES {
-            predicted.re[k] = predicted.re[k] * MEMORY + row.re[k];
-            predicted.im[k] = predicted.im[k] * MEMORY + row.im[k];
+            predicted.re[k] = predicted.re[k] * memory + row.re[k];
+            predicted.im[k] = predicted.im[k] * memory + row.im[k];
         }
     }
 }
@@ -131,7 +125,7 @@ fn sweep(roots: &mut [Planes]) -> usize {
     let mut changed = 0;
     with_neighbours(
         roots,
-        REACH,
+        TUNING.one_way.reach,
         #[inline(always)]
         |_, row, sum| {
             let around = Planes { re: beside(&sum.re, &row.re), im: beside(&sum.im, &row.im) };

@@ -5,11 +5,25 @@
 //! tolerances of numerics (which tests hold to the plain sum) are not here. `docs/tuning.md` has the same table; a test
 //! compares the two.
 //!
-//! A value is changed by editing it and running the group's command; nothing changes at run time.
+//! A value is changed by editing it and running the group's command. Only with the feature `tunable`, which is for measuring
+//! what they do, can values change without a build: `changed`.
 
+#[cfg(feature = "tunable")]
+mod changed;
 mod values;
 
-pub(crate) use values::*;
+pub(crate) use values::DeviationTuning;
+
+#[cfg(feature = "tunable")]
+pub use changed::{VARIABLE, chosen_json};
+
+/// The values in use.
+#[cfg(not(feature = "tunable"))]
+pub(crate) const TUNING: values::Tuning = values::CHOSEN;
+
+/// The values in use.
+#[cfg(feature = "tunable")]
+pub(crate) static TUNING: std::sync::LazyLock<values::Tuning> = std::sync::LazyLock::new(changed::read);
 
 /// One number of [`TUNING`], as text.
 #[cfg(test)]
@@ -31,7 +45,7 @@ struct TuningEntry {
 fn markdown() -> String {
     let mut text = String::new();
     let mut group = "";
-    let entries = entries();
+    let entries = values::entries();
     for entry in &entries {
         let (own, field) = entry.name.split_once('.').unwrap_or(("", &entry.name));
         if own != group {

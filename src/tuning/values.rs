@@ -10,6 +10,7 @@ macro_rules! tuning {
     } )*) => {
         /// All groups.
         #[derive(Clone, Copy, Debug, PartialEq)]
+        #[cfg_attr(feature = "tunable", derive(serde::Serialize, serde::Deserialize), serde(default, deny_unknown_fields))]
         #[non_exhaustive]
         pub struct Tuning {
             $( $(#[doc = $about])* pub $group: $Group, )*
@@ -21,6 +22,11 @@ macro_rules! tuning {
             #[doc = "Shown by"]
             #[doc = concat!("`", $command, "`.")]
             #[derive(Clone, Copy, Debug, PartialEq)]
+            #[cfg_attr(
+                feature = "tunable",
+                derive(serde::Serialize, serde::Deserialize),
+                serde(default, deny_unknown_fields)
+            )]
             #[non_exhaustive]
             pub struct $Group {
                 $(
@@ -32,15 +38,31 @@ macro_rules! tuning {
             }
         )*
 
-        /// The values in use.
-        pub const TUNING: Tuning = Tuning { $( $group: $Group { $( $name: $value, )* }, )* };
+        /// The values as chosen.
+        pub(super) const CHOSEN: Tuning = Tuning { $( $group: $Group { $( $name: $value, )* }, )* };
+
+        #[cfg(feature = "tunable")]
+        impl Default for Tuning {
+            fn default() -> Self {
+                CHOSEN
+            }
+        }
+
+        $(
+            #[cfg(feature = "tunable")]
+            impl Default for $Group {
+                fn default() -> Self {
+                    CHOSEN.$group
+                }
+            }
+        )*
 
         /// The same as a list, in the order of the fields.
         #[cfg(test)]
         pub(super) fn entries() -> Vec<TuningEntry> {
             vec![$( $( TuningEntry {
                 name: concat!(stringify!($group), ".", stringify!($name)).into(),
-                value: format!("{:?}", TUNING.$group.$name),
+                value: format!("{:?}", CHOSEN.$group.$name),
                 origin: $origin,
                 sensitivity: $sensitivity,
                 command: $command,
@@ -61,16 +83,16 @@ tuning! {
         /// Exponent of the whole round trip.
         round_trip_weight: f64 = 1.0 / 3.0, "chosen on real captures and rooms (docs/accuracy.md)", "not measured";
         /// Exponent of the phase at the channel centre, which only chooses between peaks.
-        centre_weight: f64 = 1.0 / 3.0, "chosen on real captures and rooms (docs/accuracy.md)", "not measured; as the round trip's only view worse in line of sight";
+        centre_weight: f64 = 1.0 / 3.0, "chosen on real captures and rooms (docs/accuracy.md)", "not measured; also: as the round trip's only view worse in line of sight";
         /// Windows of the phase at the channel centre at most.
-        centre_windows: usize = 3, "chosen on real captures (docs/accuracy.md)", "1: LOS 1.34 / 0.79 degrees, with the views of then (docs/accuracy.md)";
+        centre_windows: usize = 3, "chosen on real captures (docs/accuracy.md)", "not measured; also: 1: LOS 1.34 / 0.79 degrees, with the views of then (docs/accuracy.md)";
         /// A window of the phase at the channel centre is no shorter than this, wavelengths driven; a motion of less than one
         /// and a half of it is one window.
-        centre_window_wavelengths: f64 = 7.0, "chosen across places: whole motions (18.5) have three, halves one (docs/accuracy.md)", "6.2 to 9.2 change nothing there; 0, always three: docs/accuracy.md";
+        centre_window_wavelengths: f64 = 7.0, "chosen across places: whole motions (18.5) have three, halves one (docs/accuracy.md)", "not measured; also: 6.2 to 9.2 change nothing there; 0, always three: docs/accuracy.md";
         /// Exponent of each of the three views of the one-way channel.
         one_way_weight: f64 = 2.0 / 9.0, "two thirds in all, by three", "not measured";
         /// Windows of the one-way channel on all subcarriers.
-        one_way_windows: usize = 3, "not recorded", "all numbers of windows together at 2/3, 1.6 and 2 times: no gain (docs/accuracy.md)";
+        one_way_windows: usize = 3, "not recorded", "not measured; also: all numbers of windows together at 2/3, 1.6 and 2 times: no gain (docs/accuracy.md)";
         /// Blocks of the one-way channel on all subcarriers.
         one_way_blocks: usize = 8, "exploration of 637 links", "as one_way_windows";
         /// Windows of the one-way channel next to the channel centre.
@@ -111,7 +133,7 @@ tuning! {
     /// (here two, and `focus.looks`): they turn joint power into likelihood for three questions, and were set separately.
     prior: PriorTuning, "csi5300 evaluate ../shared/captures/wsr" {
         /// The range up to which all are as likely, in units of the shortest.
-        farthest: f64 = 20.0, "chosen on real captures", "150 and 1,000: T265 LOS 4.1 / 3.5, but LOS 1.3 / 0.7 and 1.8 / 1.5 degrees";
+        farthest: f64 = 20.0, "chosen on real captures", "not measured; also: 150 and 1,000: T265 LOS 4.1 / 3.5, but LOS 1.3 / 0.7 and 1.8 / 1.5 degrees";
         /// What is left for ranges beyond it, in units of what a range has to one e times as far.
         beyond: f64 = 0.02, "not recorded", "not measured";
         /// How likely an elevation beyond the largest that is expected is, in units of one within.
@@ -120,7 +142,7 @@ tuning! {
         /// and range has to be so.
         odds: f64 = 1000.0, "chosen: clean data exceed it by far, real captures of level motion stay below", "not measured";
         /// Independent looks where peaks are compared: probability goes with the joint power to this.
-        looks_between_peaks: f64 = 16.0, "parts of real captures (docs/accuracy.md)", "12 to 27: within the noise of the parts";
+        looks_between_peaks: f64 = 16.0, "parts of real captures (docs/accuracy.md)", "not measured; also: 12 to 27: within the noise of the parts";
         /// Independent looks where places within a peak are weighed, for a peak that explains half of the power.
         looks_within_peak: f64 = 12.0, "not recorded", "not measured";
         /// Steps of the weighing on either side, in azimuth.
@@ -155,7 +177,7 @@ tuning! {
         /// Independent looks that a motion gives: the blocks in which the one-way channel is summed.
         looks: f64 = 8.0, "equal to views.one_way_blocks", "not measured";
         /// What the gain has to exceed, in units of log-likelihood: the parameters fitted.
-        parameters: f64 = 2.0, "theory: Akaike's criterion with two parameters", "0: most motion-capture trajectories would be changed";
+        parameters: f64 = 2.0, "theory: Akaike's criterion with two parameters", "not measured; also: 0: most motion-capture trajectories would be changed";
     }
 
     /// Taking paths out of the round trip.
@@ -207,7 +229,7 @@ tuning! {
     /// What both models of certainty (probability and error bar) are given, of full answers and of plane waves.
     certainty: CertaintyTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
         /// Independent looks where candidates share the probability: shares go with the evidence to this.
-        looks: f64 = 8.0, "equal to focus.looks; the likelihood of the nearest candidate asks for 6", "4: Brier 0.182 instead of 0.178; 16: 0.174, but two columns miscalibrated by more";
+        looks: f64 = 8.0, "equal to focus.looks; the likelihood of the nearest candidate asks for 6", "not measured; also: 4: Brier 0.182 instead of 0.178; 16: 0.174, but two columns miscalibrated by more";
         /// Spreads of candidates are clamped to these, degrees.
         spread_deg: [f64; 2] = [0.3, 100.0], "chosen: what the captures span", "not measured";
         /// Distances of the views are clamped to these, degrees.
@@ -281,7 +303,7 @@ tuning! {
         /// Error that no bearing is better than, radians.
         azimuth_floor_rad: f64 = 0.02, "measured: median error in line of sight about one degree whatever was predicted", "not measured";
         /// The same for range, relative.
-        range_floor: f64 = 0.3, "measured: one range in six is off by more", "0.1: 0.22 instead of 0.15 m median in line of sight";
+        range_floor: f64 = 0.3, "measured: one range in six is off by more", "not measured; also: 0.1: 0.22 instead of 0.15 m median in line of sight";
         /// Residual, in deviations, at which a sighting has lost half of its weight.
         cauchy: f64 = 2.0, "not recorded", "not measured";
         /// Steps at most.
@@ -295,12 +317,12 @@ tuning! {
         /// Rounds.
         rounds: usize = 3, "chosen: neighbours' means converge", "not measured";
         /// Subcarrier indices this near to the centre give a packet's phase whatever its slope.
-        middle: f32 = 9.0, "theory: up to 0.3 rad per index", "the whole band: parts of LOS 2.9 / 1.8 instead of 2.6 / 1.7 degrees";
+        middle: f32 = 9.0, "theory: up to 0.3 rad per index", "not measured; also: the whole band: parts of LOS 2.9 / 1.8 instead of 2.6 / 1.7 degrees";
         /// Newton steps on each slope in each round.
         steps: usize = 2, "not recorded", "not measured";
         /// Distance of the slopes tried first, radians per index.
         tried_step: f32 = 0.04, "theory: a lobe over 56 indices is 0.22 wide", "not measured";
-        /// How many are tried.
+        /// How many are tried; 32 at most.
         tried: usize = 27, "measured: outliers reach 0.4 rad per index", "not measured";
     }
 

@@ -4,18 +4,8 @@ use crate::maths::{unwrap_near, upper_median_ord};
 use crate::tuning::TUNING;
 use std::collections::VecDeque;
 
-/// How far `clock_tx - clock_rx` of a pair may be from the last pair's: 5 ms of turn-around and 200 ppm of drift.
-const CLOCK_SLACK_US: i64 = TUNING.pairing.clock_slack_us;
-const CLOCK_DRIFT_PER_S: i64 = TUNING.pairing.clock_drift_per_s;
-/// Candidates of one count that must agree before their clock difference is accepted.
-const RUN: usize = TUNING.pairing.run;
 /// Candidates kept, of all counts.
-const RUNS_KEPT: usize = 8 * RUN;
-/// They agree if the median step of the difference from one to the next is at most this, microseconds: a turn-around
-/// jitters by 4 to 22 us (measured, paper-framework), the waits of two independent senders by hundreds.
-const RUN_STEP_US: i64 = TUNING.pairing.run_step_us;
-/// Without any run that agrees the first so many candidates are accepted all the same: a slow responder is no mismatch.
-const PATIENCE: u32 = TUNING.pairing.patience;
+const RUNS_KEPT: usize = 8;
 
 /// A pair that does not continue the link, as far as is known.
 #[derive(Clone, Copy, Debug)]
@@ -49,7 +39,7 @@ impl Clock {
         let (last_rx, last_difference) = self.last?;
         let step_us = i64::from(rx.wrapping_sub(last_rx as u32).cast_signed());
         let change_us = i64::from(raw.wrapping_sub(last_difference as u32).cast_signed());
-        let slack_us = CLOCK_SLACK_US + step_us.abs() / 1_000_000 * CLOCK_DRIFT_PER_S;
+        let slack_us = TUNING.pairing.clock_slack_us + step_us.abs() / 1_000_000 * TUNING.pairing.clock_drift_per_s;
         let clocks = (change_us.abs() <= slack_us).then_some((last_rx + step_us, last_difference + change_us))?;
         self.last = Some(clocks);
         self.run.clear();
@@ -59,21 +49,27 @@ impl Clock {
     /// Notes a candidate of `count` that does not fit; true if this makes a new difference the accepted one.
     pub(super) fn doubt(&mut self, count: u32, rx: u32, tx: u32) -> bool {
         self.run.push_back(Candidate { count, rx, difference: tx.wrapping_sub(rx) });
-        if self.run.len() > RUNS_KEPT {
+        if self.run.len() > RUNS_KEPT * TUNING.pairing.run {
             self.run.pop_front();
         }
         self.doubtful += 1;
         let run = self.newest_run();
-        let patience_ends = self.last.is_none() && self.doubtful >= PATIENCE;
-        let agrees = run.len() == RUN && median_step_us(&run) <= RUN_STEP_US;
+        let patience_ends = self.last.is_none() && self.doubtful >= TUNING.pairing.patience;
+        let agrees = run.len() == TUNING.pairing.run && median_step_us(&run) <= TUNING.pairing.run_step_us;
         (agrees || patience_ends) && self.believe()
     }
 
     /// The latest candidates of the newest one's count, in order.
     fn newest_run(&self) -> Vec<Candidate> {
         let Some(newest) = self.run.back() else { return Vec::new() };
-        let mut run: Vec<Candidate> =
-            self.run.iter().rev().filter(|other| other.count == newest.count).take(RUN).copied().collect();
+        let mut run: Vec<Candidate> = self
+            .run
+            .iter()
+            .rev()
+            .filter(|other| other.count == newest.count)
+            .take(TUNING.pairing.run)
+            .copied()
+            .collect();
         run.reverse();
         run
     }

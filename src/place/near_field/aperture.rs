@@ -6,10 +6,6 @@ use crate::tuning::TUNING;
 use nalgebra::Vector3;
 use num_complex::{Complex32, Complex64};
 
-/// Neighbouring samples are averaged over this much displacement, in turns of phase: the outermost then differ from
-/// their mean by 0.06 turns at most, and the average keeps 99 % of its amplitude for every direction.
-const SPAN_TURNS: f64 = TUNING.aperture.span_turns;
-
 /// The synthetic array: rows of channel samples and where they were taken.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Aperture {
@@ -42,7 +38,7 @@ impl Aperture {
         path_gain: u8,
         wavelength_m: f64,
     ) -> Self {
-        let reach_m = SPAN_TURNS * wavelength_m / f64::from(path_gain.max(1));
+        let reach_m = TUNING.aperture.span_turns * wavelength_m / f64::from(path_gain.max(1));
         let mut aperture = Self { path_gain: path_gain.max(1), ..Self::default() };
         let n = displacement_m.len().min(rows.len());
         for (from, to) in runs(&displacement_m[..n], reach_m) {
@@ -60,7 +56,7 @@ impl Aperture {
         path_gain: u8,
         wavelength_m: f64,
     ) -> Self {
-        let reach_m = SPAN_TURNS * wavelength_m / f64::from(path_gain.max(1));
+        let reach_m = TUNING.aperture.span_turns * wavelength_m / f64::from(path_gain.max(1));
         let mut aperture = Self { path_gain: path_gain.max(1), ..Self::default() };
         for (from, to) in runs(displacement_m, reach_m) {
             aperture.displacement_m.push(mean_place(&displacement_m[from..to]));

@@ -5,8 +5,6 @@ use csi5300_kernels::kernel::fit_polynomial;
 
 /// Degree of the polynomial.
 pub(super) const DEGREE: usize = 6;
-/// Largest error of a phase computed roughly, turns: it costs 1.5 % of a power's root.
-pub(super) const ROUGH_TURNS: f64 = TUNING.grid.rough_turns;
 
 /// `1 / (sqrt(1 + x) + 1)` by a polynomial in `scale (x - middle)`: what divides the bend of a wave front. Root and
 /// division would take most of the kernel's time, and a search computes thousands of powers before it needs one exactly.
@@ -30,7 +28,7 @@ impl BendPolynomial {
         let fit = fit_polynomial(DEGREE, exact);
         let value = |s: f64| fit.iter().fold(0.0, |sum, c| sum * s + c);
         let off = (0..=64).map(|k| f64::from(k) / 64.0 - 0.5).map(|s| (value(s) - exact(s)).abs()).fold(0.0, f64::max);
-        let good = q < 1.0 && off * rim * (q + 2.0) < ROUGH_TURNS;
+        let good = q < 1.0 && off * rim * (q + 2.0) < TUNING.grid.rough_turns;
         let coefficients = std::array::from_fn(|k| fit[k] as f32);
         good.then_some(Self { middle: middle as f32, scale: (1.0 / width) as f32, coefficients })
     }

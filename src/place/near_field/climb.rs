@@ -8,19 +8,6 @@ use crate::maths::wrap_rad;
 use crate::tuning::TUNING;
 use std::f64::consts::TAU;
 
-/// Peaks that are climbed at most.
-const CLIMBED: usize = TUNING.climb.most;
-/// Peaks below this share of the highest (in evidence, before climbing) are left alone.
-const FLOOR: f64 = TUNING.climb.floor;
-/// Rounds of a climb at most.
-const ROUNDS: usize = TUNING.climb.rounds;
-/// The climb of the answer ends when its steps in azimuth are smaller than this, radians: a thousandth of a degree.
-const FINE_RAD: f64 = TUNING.climb.fine_rad;
-/// The climbs of all others end with a tenth of a degree.
-const COARSE_RAD: f64 = TUNING.climb.coarse_rad;
-/// Climbs that only judge a change of the trajectory end with this share of a cell.
-const JUDGING_CELLS: f64 = TUNING.climb.judging_cells;
-
 /// What a climb goes up on, and how far.
 #[derive(Clone, Copy)]
 struct Climb<'a> {
@@ -57,9 +44,9 @@ impl Search {
     fn coarse_tops(&mut self, peaks: &[Scored]) -> Vec<Scored> {
         let weights = self.weights.choosing.clone();
         let total: f64 = weights.iter().sum();
-        let high = |peak: &&Scored| ((peak.score - peaks[0].score) / total).exp() >= FLOOR;
-        let high: Vec<Place> = peaks.iter().take(CLIMBED).take_while(high).map(|peak| peak.place).collect();
-        let climb = Climb { weights: &weights, precision: Precision::Rough, end_rad: COARSE_RAD };
+        let high = |peak: &&Scored| ((peak.score - peaks[0].score) / total).exp() >= TUNING.climb.floor;
+        let high: Vec<Place> = peaks.iter().take(TUNING.climb.most).take_while(high).map(|peak| peak.place).collect();
+        let climb = Climb { weights: &weights, precision: Precision::Rough, end_rad: TUNING.climb.coarse_rad };
         let places: Vec<Place> = high.into_iter().map(|place| self.climb(place, climb).place).collect();
         // Rough powers led there; exact ones decide which is the highest.
         let powers = self.powers(&places, Precision::Exact);
@@ -74,7 +61,7 @@ impl Search {
     /// The top above `start` by the views that place, with its score by the views that choose.
     fn fine_top(&mut self, start: Place) -> Scored {
         let placing = self.weights.placing.clone();
-        let climb = Climb { weights: &placing, precision: Precision::Exact, end_rad: FINE_RAD };
+        let climb = Climb { weights: &placing, precision: Precision::Exact, end_rad: TUNING.climb.fine_rad };
         let place = self.climb(start, climb).place;
         let powers = self.powers(&[place], Precision::Exact);
         Scored { place, score: scores(&powers, &self.weights.choosing)[0] }
@@ -84,7 +71,7 @@ impl Search {
     /// search.
     pub(super) fn score_near(&mut self, sources: &[Source]) -> f64 {
         let weights = self.weights.choosing.clone();
-        let end_rad = JUDGING_CELLS * TAU / self.axes.azimuths as f64;
+        let end_rad = TUNING.climb.judging_cells * TAU / self.axes.azimuths as f64;
         let climb = Climb { weights: &weights, precision: Precision::Rough, end_rad };
         sources.iter().map(|source| self.climb(Place::from(source), climb).score).fold(f64::MIN, f64::max)
     }
@@ -92,7 +79,8 @@ impl Search {
     /// The top that a climb on exact powers leads to from `start`, by the views that choose.
     pub(super) fn judged_top(&mut self, start: Place) -> Source {
         let weights = self.weights.choosing.clone();
-        let top = self.climb(start, Climb { weights: &weights, precision: Precision::Exact, end_rad: COARSE_RAD });
+        let top = self
+            .climb(start, Climb { weights: &weights, precision: Precision::Exact, end_rad: TUNING.climb.coarse_rad });
         self.source(&top)
     }
 
@@ -117,7 +105,7 @@ impl Search {
         };
         // Where rough powers will do, so will sums over samples that are alike there.
         let thin = (climb.precision == Precision::Rough).then(|| self.apertures_about(&start));
-        for _ in 0..ROUNDS {
+        for _ in 0..TUNING.climb.rounds {
             let places = self.neighbours(&best.place, &reach);
             let powers = match &thin {
                 Some(apertures) => self.powers_of(apertures, &places, climb.precision),

@@ -23,18 +23,6 @@ pub struct Focus {
     pub worthwhile: bool,
 }
 
-/// Scales that are tried.
-const SCALES: [f64; 4] = TUNING.focus.scales;
-/// Turns that are tried, radians per metre: 6 and 12 degrees.
-const TURNS: [f64; 4] = TUNING.focus.turns_rad_per_m;
-/// Answers of each link that are followed: which of them is right may change.
-const FOLLOWED: usize = TUNING.focus.followed;
-/// Independent looks that a motion gives: the blocks in which the one-way channel is summed.
-const LOOKS: f64 = TUNING.focus.looks;
-/// Parameters that are fitted; each explains half a unit of log-likelihood by chance, and Akaike's criterion
-/// (\[akaike1974\]) asks for one.
-const PARAMETERS: f64 = TUNING.focus.parameters;
-
 /// Looks for the change of the common trajectory that makes the answers of all `links` (each with what was found
 /// without any) sharpest. The searches are left bent by it if it is worthwhile, and as recorded if not.
 #[must_use]
@@ -42,7 +30,7 @@ pub fn focus(links: &mut [(&mut Search, &Fix)]) -> Focus {
     let mut score = |warp: &Warp| -> f64 {
         let own = |(search, fix): &mut (&mut Search, &Fix)| {
             search.warp(warp);
-            search.score_near(&fix.sources[..fix.sources.len().min(FOLLOWED)])
+            search.score_near(&fix.sources[..fix.sources.len().min(TUNING.focus.followed)])
         };
         links.iter_mut().map(own).sum()
     };
@@ -54,15 +42,15 @@ pub fn focus(links: &mut [(&mut Search, &Fix)]) -> Focus {
             *best = (warp, own);
         }
     };
-    for scale in SCALES {
+    for scale in TUNING.focus.scales {
         consider(Warp { scale, ..Warp::default() }, &mut best);
     }
     let scale = best.0.scale;
-    for turn_rad_per_m in TURNS {
+    for turn_rad_per_m in TUNING.focus.turns_rad_per_m {
         consider(Warp { scale, turn_rad_per_m }, &mut best);
     }
     let gain = best.1 - without;
-    let worthwhile = gain * LOOKS > PARAMETERS;
+    let worthwhile = gain * TUNING.focus.looks > TUNING.focus.parameters;
     let last = if worthwhile { best.0 } else { Warp::default() };
     links.iter_mut().for_each(|(search, _)| search.warp(&last));
     Focus { warp: best.0, gain, worthwhile }

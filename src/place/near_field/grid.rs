@@ -5,14 +5,6 @@ use crate::tuning::TUNING;
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
 
-/// Phases at the rim of the aperture change by at most twice this from one cell to the next, radians: an edge of 1.2
-/// costs a parabola-like beam a tenth of its height.
-const RIM_RAD: f64 = TUNING.grid.rim_rad;
-/// Less curvature than this over the whole aperture, radians, is a plane wave.
-const PLANE_RAD: f64 = TUNING.grid.plane_rad;
-/// Cells at most: beyond that (apertures of many metres) there is no search.
-const MAX_CELLS: usize = TUNING.grid.max_cells;
-
 /// The coordinates of the grid.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Axes {
@@ -97,17 +89,17 @@ pub(crate) fn is_searchable(displacement_m: &[Vector3<f64>], wavelength_m: f64, 
 /// How finely this aperture has to be searched: `order` is the phase at its rim, radians.
 pub(super) fn axes(extent: Extent, order: f64, curve_max: f64, limits: &Limits) -> Option<Axes> {
     let Extent { radius_m, height_share } = extent;
-    let azimuths = (TAU * order / (2.0 * RIM_RAD)).ceil().max(16.0);
-    let steps = |change: f64| (change / (2.0 * RIM_RAD)).ceil().max(1.0);
+    let azimuths = (TAU * order / (2.0 * TUNING.grid.rim_rad)).ceil().max(16.0);
+    let steps = |change: f64| (change / (2.0 * TUNING.grid.rim_rad)).ceil().max(1.0);
     let [lowest, highest] = limits.elevation_span_rad();
     let tilt = if lowest < 0.0 { height_share } else { 0.0 };
     let lift = change(highest, tilt);
     let rings = if highest > 0.0 { steps(order * lift) } else { 0.0 };
     // The quadratic term is order * radius / 2 * curve at the rim, half of that about its mean.
     let bend = order * radius_m / 2.0 * curve_max;
-    let ranges = if bend < PLANE_RAD { 0.0 } else { steps(bend) };
+    let ranges = if bend < TUNING.grid.plane_rad { 0.0 } else { steps(bend) };
     let cells = azimuths * (rings + 1.0) * (ranges + 1.0);
-    if cells.is_nan() || cells > MAX_CELLS as f64 {
+    if cells.is_nan() || cells > TUNING.grid.max_cells as f64 {
         return None;
     }
     let (rings, ranges) = (rings as usize, ranges as usize);

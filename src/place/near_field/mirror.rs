@@ -9,20 +9,15 @@ use crate::maths::wrap_rad;
 use crate::tuning::TUNING;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 
-/// Independent looks of a motion where two answers are compared.
-const LOOKS: f64 = TUNING.prior.looks_between_peaks;
-/// A place that explains the samples so many times less likely than the answer does is no answer.
-const ODDS: f64 = TUNING.prior.odds;
-
 /// `ln` of how many times likelier a place of joint power `power` is than one of `other`: the likelihood of Gaussian
 /// residuals of unknown variance, by as many looks as are independent.
 pub(crate) fn log_odds(power: f64, other: f64) -> f64 {
-    LOOKS * ((1.0 - other).max(1e-6) / (1.0 - power).max(1e-6)).ln()
+    TUNING.prior.looks_between_peaks * ((1.0 - other).max(1e-6) / (1.0 - power).max(1e-6)).ln()
 }
 
 /// Whether [`log_odds`] leave no doubt.
 pub(crate) fn decisive(log_odds: f64) -> bool {
-    log_odds > ODDS.ln()
+    log_odds > TUNING.prior.odds.ln()
 }
 
 impl Search {

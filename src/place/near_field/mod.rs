@@ -69,4 +69,4 @@ pub use one_wave::Unexplained;
 pub use paths::Path;
 pub(crate) use search::Search;
 pub use types::Warp;
-pub(crate) use types::{Elevations, Limits, ONE_WAY_VIEWS, View, round_trip_views};
+pub(crate) use types::{Elevations, Limits, View, one_way_views, round_trip_views};

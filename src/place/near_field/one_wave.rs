@@ -26,14 +26,6 @@ use std::fmt;
 
 /// The one view: the phase at the channel centre over the whole motion.
 const WHOLE: [View; 1] = [View::new(1, Taper::Hann, Band::Centre)];
-/// Fewest rows whose slow components can be told from the others.
-const LEAST_ROWS: usize = 4 * TUNING.deviations.slow_turns;
-/// Residuals that share an error over more rows than this are no noise.
-const WHITE_ROWS: f64 = TUNING.deviations.white_rows;
-/// How often noise alone may be taken for another wave.
-const FALSE_ALARMS: f64 = TUNING.effort.false_alarms;
-/// Correlation of neighbouring rows, in units of what noise leaves of it, that is more than noise.
-const NEIGHBOURS: f64 = TUNING.effort.neighbours;
 /// Steps to the least residual phase, the largest in elevation, and the elevation below which level motion cannot tell one
 /// from the horizon, radians.
 const STEPS: usize = 8;
@@ -117,7 +109,8 @@ impl CentreWave {
     /// What else there is.
     pub fn explain(&mut self, plane_wave: &Estimate) -> Result<OneWave, Unexplained> {
         let rows = self.aperture.centre.len();
-        if rows < LEAST_ROWS {
+        // Fewer have no slow components apart from the others.
+        if rows < 4 * TUNING.deviations.slow_turns {
             return Err(Unexplained::FewRows(rows));
         }
         let source = self.climb_from(plane_wave);
@@ -257,7 +250,7 @@ impl CentreWave {
         let sum: f64 = left.0.iter().map(|e| e.abs()).sum();
         let peak = found.value * sum * sum / sizes;
         let cells = (2 * found.plan.band_limit + 1) * found.plan.rings.max(1);
-        let most = (cells as f64 / FALSE_ALARMS).ln();
+        let most = (cells as f64 / TUNING.effort.false_alarms).ln();
         if peak > most { Err(Unexplained::AnotherWave(peak / most)) } else { Ok(peak) }
     }
 
@@ -297,12 +290,12 @@ impl Left {
     /// If it varies slowly along the motion, or goes on from row to row.
     fn is_noise(&self) -> Result<(), Unexplained> {
         let rows = correlation_rows(&self.0);
-        if rows > WHITE_ROWS {
+        if rows > TUNING.deviations.white_rows {
             return Err(Unexplained::SlowErrors(rows));
         }
         let energy: f64 = self.0.iter().map(|e| e * e).sum();
         let along: f64 = self.0.windows(2).map(|pair| pair[0] * pair[1]).sum();
         let shared = along.abs() / energy.max(f64::MIN_POSITIVE) * (self.0.len() as f64).sqrt();
-        if shared > NEIGHBOURS { Err(Unexplained::Neighbours(shared)) } else { Ok(()) }
+        if shared > TUNING.effort.neighbours { Err(Unexplained::Neighbours(shared)) } else { Ok(()) }
     }
 }

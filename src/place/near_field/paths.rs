@@ -49,17 +49,6 @@ impl Path {
     }
 }
 
-/// Waves that are looked for at most.
-const MOST: usize = TUNING.paths.most;
-/// A wave that takes less than this share of what is left is not distinguished from noise and side lobes.
-const LEAST_SHARE: f64 = TUNING.paths.least_share;
-/// Weaker round trips than this share of the strongest are left, in power: 15 dB.
-const WEAKEST: f64 = TUNING.paths.weakest;
-/// A wave is where two others' product is if its square resembles the square of that this much, 0..1: within half a beam.
-const ALIKE: f64 = TUNING.paths.alike;
-/// A product `2 a b` is stronger than `sqrt(a^2 b^2)` by 4 in power; more than this is a path of its own.
-const CROSS_GAIN: f64 = TUNING.paths.cross_gain;
-
 /// What has been found: places and how each is steered to.
 struct Found {
     places: Vec<Place>,
@@ -79,7 +68,7 @@ impl Search {
         let mut next = Place::from(first);
         let energy = |columns: &[Vec<Complex64>]| columns.iter().flatten().map(Complex64::norm_sqr).sum::<f64>();
         let mut left = energy(&whole);
-        while found.places.len() < MOST {
+        while found.places.len() < TUNING.paths.most {
             let steering = self.apertures[0].steering(&self.at_height(&next));
             found.places.push(next);
             found.steering.push(steering);
@@ -90,8 +79,8 @@ impl Search {
             };
             let now = energy(&rest);
             let strongest = found.powers.iter().copied().fold(0.0, f64::max);
-            let weak = found.powers.last().is_none_or(|own| *own < WEAKEST * strongest);
-            if found.places.len() > 1 && (left - now < LEAST_SHARE * left || weak) {
+            let weak = found.powers.last().is_none_or(|own| *own < TUNING.paths.weakest * strongest);
+            if found.places.len() > 1 && (left - now < TUNING.paths.least_share * left || weak) {
                 found.drop_last();
                 let _ = found.fit(&whole);
                 break;
@@ -218,8 +207,8 @@ impl Found {
         let pairs = others.iter().enumerate().flat_map(|(n, &i)| others[n + 1..].iter().map(move |&k| [i, k]));
         let makes = |pair: &[usize; 2]| {
             let [own, a, b] = [order[at], order[pair[0]], order[pair[1]]];
-            let possible = self.powers[own] < CROSS_GAIN * (self.powers[a] * self.powers[b]).sqrt();
-            possible && self.resemblance(own, a, b) > ALIKE
+            let possible = self.powers[own] < TUNING.paths.cross_gain * (self.powers[a] * self.powers[b]).sqrt();
+            possible && self.resemblance(own, a, b) > TUNING.paths.alike
         };
         pairs.into_iter().find(makes)
     }

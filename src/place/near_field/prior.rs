@@ -1,48 +1,31 @@
 //! Prior of elevation and range, and what follows from it and the joint power `P`:
 //!
-//! * the evidence of an azimuth, `(mean of P^n)^(1/n)` over elevations and ranges, `n` = [`LOOKS`];
-//! * the azimuth of an answer as the mean of a posterior, with the weights `P^(m p / (1 - p))`, `m` = [`LOOKS_WITHIN`], `p`
-//!   the joint power of the answer.
+//! * the evidence of an azimuth, `(mean of P^n)^(1/n)` over elevations and ranges, `n` = `prior.looks_between_peaks`;
+//! * the azimuth of an answer as the mean of a posterior, with the weights `P^(m p / (1 - p))`, `m` =
+//!   `prior.looks_within_peak`, `p` the joint power of the answer.
 //!
 //! The highest point over azimuth, elevation and range favours an azimuth that finds, among all heights and ranges, one
 //! that happens to fit; a trajectory that is bent or a reflection always offers some. Bayes' rule takes the mean over all
-//! of them, weighted by their prior. `|elevation|` is taken as uniform up to its limit and less likely by [`ABOVE`] beyond it, range
-//! as uniform in its logarithm up to [`FARTHEST`] times the shortest one; a little is left for all beyond that.
+//! of them, weighted by their prior. `|elevation|` is taken as uniform up to its limit and less likely by
+//! `prior.above` beyond it, range as uniform in its logarithm up to `prior.farthest` times the shortest one; a little is left
+//! for all beyond that. A motion has hundreds of pairs, but what reflections and odometry leave is shared by many of them:
+//! `n` and `m` are numbers of independent looks.
 
 use super::grid::Axes;
 use super::types::Free;
 use crate::tuning::TUNING;
 
-/// How likely an elevation beyond its limit is, in units of one within.
-const ABOVE: f64 = TUNING.prior.above;
-/// The range up to which all are as likely, in units of the shortest.
-const FARTHEST: f64 = TUNING.prior.farthest;
-/// What is left for ranges beyond it, in units of what a range has to a range that is e times as far.
-const BEYOND: f64 = TUNING.prior.beyond;
-/// How many independent looks a motion is worth when peaks are compared: probability goes with the joint power to this.
-/// A motion has hundreds of pairs, but what reflections and odometry leave is shared by many of them. Chosen by parts of
-/// real captures (docs/accuracy.md); from 12 to 27 their errors differ by no more than noise.
-const LOOKS: f64 = TUNING.prior.looks_between_peaks;
-/// The same when places within a peak are weighed, for a peak that explains half of the power.
-const LOOKS_WITHIN: f64 = TUNING.prior.looks_within_peak;
-/// Steps of the weighing on either side, in azimuth, and how long they are, in cells of the grid.
-const AZIMUTHS: i32 = TUNING.prior.azimuth_steps;
-const AZIMUTH_STEP: f64 = TUNING.prior.azimuth_step_cells;
-/// Elevations and ranges of the weighing.
-const ELEVATIONS: usize = TUNING.prior.elevations;
-const RANGES: usize = TUNING.prior.ranges;
-
 /// The share of the prior that each cell of one azimuth has, in the order of [`Axes::places`]; their sum is 1.
 /// `expected_rad` is the limit of |elevation|.
 pub(super) fn shares(axes: &Axes, expected_rad: f64) -> Vec<f64> {
     let elevations = lengths(&axes.elevations, |elevation| match elevation.abs() - expected_rad {
-        above if above > 0.0 => (expected_rad + ABOVE * above).copysign(elevation),
+        above if above > 0.0 => (expected_rad + TUNING.prior.above * above).copysign(elevation),
         _ => elevation,
     });
     let nearest = axes.curves.last().copied().unwrap_or_default();
-    let farthest = nearest / FARTHEST;
+    let farthest = nearest / TUNING.prior.farthest;
     let ranges = lengths(&axes.curves, |curve| match curve / farthest {
-        beyond if beyond < 1.0 => BEYOND * (beyond - 1.0),
+        beyond if beyond < 1.0 => TUNING.prior.beyond * (beyond - 1.0),
         times => times.ln(),
     });
     elevations.iter().flat_map(|elevation| ranges.iter().map(move |range| elevation * range)).collect()
@@ -64,7 +47,7 @@ fn lengths(values: &[f64], scale: impl Fn(f64) -> f64) -> Vec<f64> {
 /// the terms of `scores`, which are `weight x ln power`. Never above 0.
 pub(super) fn averaging(scores: &[f64], shares: &[f64], weight: f64) -> f64 {
     let highest = scores.iter().copied().fold(f64::MIN, f64::max);
-    let rate = LOOKS / weight;
+    let rate = TUNING.prior.looks_between_peaks / weight;
     let mean: f64 = scores.iter().zip(shares).map(|(score, share)| share * (rate * (score - highest)).exp()).sum();
     mean.max(f64::MIN_POSITIVE).ln() / rate
 }
@@ -85,11 +68,11 @@ pub(super) fn offsets(free: Free) -> Vec<Offset> {
     let even = |free: bool, n: usize, at: &dyn Fn(f64) -> f64| -> Vec<Option<f64>> {
         if free { (0..n).map(|i| Some(at((i as f64 + 0.5) / n as f64))).collect() } else { vec![None] }
     };
-    let elevations = even(free.elevation, ELEVATIONS, &|share| share);
-    let curves = even(free.range, RANGES, &|share| FARTHEST.powf(-share));
+    let elevations = even(free.elevation, TUNING.prior.elevations, &|share| share);
+    let curves = even(free.range, TUNING.prior.ranges, &|share| TUNING.prior.farthest.powf(-share));
     let mut offsets = Vec::new();
-    for step in -AZIMUTHS..=AZIMUTHS {
-        let azimuth_cells = f64::from(step) * AZIMUTH_STEP;
+    for step in -TUNING.prior.azimuth_steps..=TUNING.prior.azimuth_steps {
+        let azimuth_cells = f64::from(step) * TUNING.prior.azimuth_step_cells;
         for &elevation_share in &elevations {
             offsets.extend(curves.iter().map(|&curve_share| Offset { azimuth_cells, elevation_share, curve_share }));
         }
@@ -100,7 +83,7 @@ pub(super) fn offsets(free: Free) -> Vec<Offset> {
 /// The mean azimuth of places, each as likely as its score says, in cells of azimuth from the answer. `power` is the joint
 /// power of the answer: likelihood goes with what is left unexplained, so that a clean answer hardly moves.
 pub(super) fn mean_cells(offsets: &[Offset], scores: &[f64], weight: f64, power: f64) -> f64 {
-    let rate = LOOKS_WITHIN / weight * power / (1.0 - power).max(1e-3);
+    let rate = TUNING.prior.looks_within_peak / weight * power / (1.0 - power).max(1e-3);
     let highest = scores.iter().copied().fold(f64::MIN, f64::max);
     let (mut sum, mut total) = (0.0, 0.0);
     for (offset, score) in offsets.iter().zip(scores) {
@@ -134,7 +117,7 @@ mod tests {
     fn an_azimuth_that_fits_at_every_range_has_all_its_evidence() {
         assert_eq!(averaging(&[-0.7; 4], &[0.25; 4], 1.0), 0.0);
         let less = averaging(&[-0.7, -60.0, -60.0, -60.0], &[0.25; 4], 1.0);
-        assert!((less - 0.25f64.ln() / LOOKS).abs() < 1e-12, "{less}");
+        assert!((less - 0.25f64.ln() / TUNING.prior.looks_between_peaks).abs() < 1e-12, "{less}");
         let empty = averaging(&[], &[], 1.0);
         assert!(empty.is_finite(), "{empty}");
     }
@@ -142,7 +125,7 @@ mod tests {
     #[test]
     fn what_is_even_about_an_answer_leaves_it() {
         let offsets = offsets(Free { elevation: true, range: true });
-        assert_eq!(offsets.len(), 11 * ELEVATIONS * RANGES);
+        assert_eq!(offsets.len(), 11 * TUNING.prior.elevations * TUNING.prior.ranges);
         let scores: Vec<f64> = offsets.iter().map(|offset| -offset.azimuth_cells * offset.azimuth_cells).collect();
         assert!(mean_cells(&offsets, &scores, 1.0, 0.5).abs() < 1e-12);
         // One that leans to one side does so less the more of the power it explains.

@@ -10,8 +10,6 @@ use crate::tuning::TUNING;
 use fearless_simd::Level;
 use std::f64::consts::TAU;
 
-/// Samples are summed over this many turns of what the steering to the centre leaves, as those of an aperture are.
-const SPAN_TURNS: f64 = TUNING.aperture.span_turns;
 /// Azimuths of a grid that are looked at together.
 const TOGETHER: usize = 8;
 /// Runs that are no longer than this times what an aperture's rows are summed over save nothing.
@@ -94,8 +92,8 @@ impl PreparedAperture {
     /// Where runs of samples begin whose phases change by so much of their distance, and the end of the last; none where
     /// that saves too little. Runs end where windows do.
     fn runs(&self, change: f64) -> Option<Vec<usize>> {
-        let reach = (SPAN_TURNS / change.max(1e-3)).min(2.0);
-        if reach < WORTHWHILE * SPAN_TURNS {
+        let reach = (TUNING.aperture.span_turns / change.max(1e-3)).min(2.0);
+        if reach < WORTHWHILE * TUNING.aperture.span_turns {
             return None;
         }
         let mut cut = vec![false; self.len() + 1];

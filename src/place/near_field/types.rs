@@ -56,7 +56,7 @@ impl View {
 /// Views of the round trip along a path of so many wavelengths: the whole of it, and its phase at the channel centre (which
 /// the subcarriers that fade turn less than they turn a sum) in windows of half the motion, or over all of it where half
 /// of it is too short to tell directions apart.
-pub fn round_trip_views(path_wavelengths: f64) -> [View; 2] {
+pub(crate) fn round_trip_views(path_wavelengths: f64) -> [View; 2] {
     [
         View::new(1, Taper::Hann, Band::Subcarriers(SUBCARRIERS)).with_weight(TUNING.views.round_trip_weight),
         View::new(centre_windows(path_wavelengths), Taper::Hann, Band::Centre).with_weight(TUNING.views.centre_weight),
@@ -72,14 +72,16 @@ fn centre_windows(path_wavelengths: f64) -> usize {
 
 /// Views of the one-way channel: in windows of half the motion, in blocks of an eighth, and, on the subcarriers next to the
 /// channel centre (whose sign does not depend on the sampling time), in windows of two sevenths.
-pub const ONE_WAY_VIEWS: [View; 3] = [
-    one_way_view(TUNING.views.one_way_windows, Taper::Hann, SUBCARRIERS),
-    one_way_view(TUNING.views.one_way_blocks, Taper::Block, SUBCARRIERS),
-    one_way_view(TUNING.views.inner_windows, Taper::Hann, TUNING.views.inner_subcarriers),
-];
-
-const fn one_way_view(windows: usize, taper: Taper, subcarriers: usize) -> View {
-    View::new(windows, taper, Band::Subcarriers(subcarriers)).with_weight(TUNING.views.one_way_weight)
+pub(crate) fn one_way_views() -> [View; 3] {
+    let tuning = TUNING.views;
+    let view = |windows: usize, taper: Taper, subcarriers: usize| {
+        View::new(windows, taper, Band::Subcarriers(subcarriers)).with_weight(tuning.one_way_weight)
+    };
+    [
+        view(tuning.one_way_windows, Taper::Hann, SUBCARRIERS),
+        view(tuning.one_way_blocks, Taper::Block, SUBCARRIERS),
+        view(tuning.inner_windows, Taper::Hann, tuning.inner_subcarriers),
+    ]
 }
 
 /// Which elevations a search covers.
@@ -192,7 +194,7 @@ impl Free {
 pub(super) enum Precision {
     /// Single precision.
     Exact,
-    /// Phases within [`super::bend::ROUGH_TURNS`], for half the work: to find which places are worth an exact power.
+    /// Phases within `grid.rough_turns`, for half the work: to find which places are worth an exact power.
     Rough,
 }
 

@@ -4,23 +4,10 @@
 use super::fix::{Deviations, Source};
 use super::types::Place;
 use super::waves::Waves;
-use crate::tuning::TUNING;
+use crate::tuning::{DeviationTuning, TUNING};
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 use num_complex::Complex64;
 use std::f64::consts::{PI, TAU};
-
-/// Standard deviation of the scale of a trajectory: antennas are not where markers are, and the scale
-/// of motion capture was found up to two per cent off the one that fits the phases best.
-const SCALE_SD: f64 = TUNING.deviations.scale_sd;
-
-/// Residuals that share an error over more rows than this are no white noise (which has 1, give or take 0.35).
-const WHITE_ROWS: f64 = TUNING.deviations.white_rows;
-/// The same for motion that distinguishes up from down.
-const WHITE_ROWS_IN_SPACE: f64 = TUNING.deviations.white_rows_in_space;
-/// Steps to the least residual; the first leaves the square of how far off the climb ended.
-const POLISHES: usize = TUNING.deviations.polishes;
-/// A polished answer further off than this, radians of azimuth (on the horizon), is another one.
-const POLISH_RAD: f64 = TUNING.deviations.polish_rad;
 
 /// The coordinates of least residual phase next to `at`, over all rows as one: the most likely ones if noise is all that a
 /// single spherical wave leaves, which is when they are given. Where reflections leave more, no estimate of one place is
@@ -28,14 +15,15 @@ const POLISH_RAD: f64 = TUNING.deviations.polish_rad;
 pub(super) fn polished<const K: usize>(waves: &Waves<'_, K>, at: &Source) -> Option<Place> {
     let start = [at.azimuth_rad, at.elevation_rad(), at.inverse_range_per_m];
     let mut c = start;
-    for _ in 0..POLISHES {
+    for _ in 0..TUNING.deviations.polishes {
         let step = waves.step(c)?;
         c = std::array::from_fn(|i| c[i] + step[i]);
     }
     let narrow = if at.signed_elevation_rad.is_some() { start[1].cos() } else { 1.0 };
-    let near = (c[0] - start[0]).abs() * narrow < POLISH_RAD && c.iter().all(|v| v.is_finite());
+    let near = (c[0] - start[0]).abs() * narrow < TUNING.deviations.polish_rad && c.iter().all(|v| v.is_finite());
     let [azimuth, elevation, curve] = c;
-    let white = if at.signed_elevation_rad.is_some() { WHITE_ROWS_IN_SPACE } else { WHITE_ROWS };
+    let tuning = TUNING.deviations;
+    let white = if at.signed_elevation_rad.is_some() { tuning.white_rows_in_space } else { tuning.white_rows };
     (near && correlation_rows(&waves.residual(c)) <= white).then_some(Place { azimuth, elevation, curve })
 }
 
@@ -61,7 +49,7 @@ pub(super) fn deviations<const K: usize>(waves: &Waves<'_, K>, at: &Source, prio
     let whole = scatter / (phase_variance * correlated_rows).max(1e-12);
     // The scale of the trajectory is known to its prior only; what it may explain is no information about the place.
     let shared = whole.fixed_view::<3, 1>(0, 3).into_owned();
-    let scale = whole[(3, 3)] + SCALE_SD.powi(-2);
+    let scale = whole[(3, 3)] + TUNING.deviations.scale_sd.powi(-2);
     let mut information = whole.fixed_view::<3, 3>(0, 0).into_owned() - shared * shared.transpose() / scale;
     let priors = [PI / 3f64.sqrt(), prior[0], prior[1]];
     for i in 0..3 {
@@ -84,7 +72,7 @@ pub(super) fn deviations<const K: usize>(waves: &Waves<'_, K>, at: &Source, prio
 pub(super) fn noise_rad<const K: usize>(waves: &Waves<'_, K>, c: [f64; 3]) -> f64 {
     let residual = waves.residual(c);
     let n = residual.len() as f64;
-    let variance = residual.iter().map(|e| e * e).sum::<f64>() / (n - FITTED).max(1.0);
+    let variance = residual.iter().map(|e| e * e).sum::<f64>() / (n - TUNING.deviations.fitted).max(1.0);
     let gradients = waves.gradients(c);
     let mean = gradients.iter().sum::<Vector4<f64>>() / n;
     let scatter: Matrix4<f64> = gradients.iter().map(|g| (g - mean) * (g - mean).transpose()).sum();
@@ -96,18 +84,14 @@ pub(super) fn noise_rad<const K: usize>(waves: &Waves<'_, K>, c: [f64; 3]) -> f6
     (variance * covariance[(0, 0)].max(0.0)).sqrt()
 }
 
-/// Turns along the motion up to which an error is slow: a place shows in the first few of them.
-const SLOW: usize = TUNING.deviations.slow_turns;
-/// Parameters that were fitted to the residual, each taking one of the `2 SLOW` slow components away.
-const FITTED: f64 = TUNING.deviations.fitted;
-
 /// How many rows share an error: the residual's power density where a place shows (the first turns along the motion)
 /// over its mean density. Reflections and bent trajectories leave slow errors, which white noise of the same variance
 /// would not.
 pub(super) fn correlation_rows(residual: &[f64]) -> f64 {
     let n = residual.len();
     let energy: f64 = residual.iter().map(|e| e * e).sum();
-    if n < 4 * SLOW || energy <= 0.0 {
+    let DeviationTuning { slow_turns, fitted, .. } = TUNING.deviations;
+    if n < 4 * slow_turns || energy <= 0.0 {
         return 1.0;
     }
     let component = |turns: usize| {
@@ -119,7 +103,9 @@ pub(super) fn correlation_rows(residual: &[f64]) -> f64 {
         }
         sum.norm_sqr()
     };
-    let slow: f64 = (1..=SLOW).map(component).sum();
-    let (count, left) = (SLOW as f64, 1.0 - FITTED / (2.0 * SLOW as f64));
+    let slow: f64 = (1..=slow_turns).map(component).sum();
+    // Each parameter that was fitted to the residual takes one of the `2 slow_turns` slow components away.
+    let count = slow_turns as f64;
+    let left = 1.0 - fitted / (2.0 * count);
     (slow / (count * left * energy)).max(0.5)
 }

@@ -19,15 +19,6 @@ use planes::{LANES, Lanes, Planes, lanes, planes_of, settle, sum, with_neighbour
 /// One channel sample on every reported subcarrier, in the order of the subcarrier indices.
 pub type CsiRow = [Complex32; SUBCARRIERS];
 
-/// Neighbours on either side that a packet is compared with.
-const REACH: usize = TUNING.alignment.reach;
-/// Rounds: the neighbours' mean gets sharper as they are aligned.
-const ROUNDS: usize = TUNING.alignment.rounds;
-/// Subcarriers this near to the channel centre give a packet's phase whatever its slope: up to 0.3 rad per index.
-const MIDDLE: f32 = TUNING.alignment.middle;
-/// Newton steps on each packet's slope in each round.
-const STEPS: usize = TUNING.alignment.steps;
-
 /// What [`align`] found.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Alignment {
@@ -62,12 +53,6 @@ fn turn_by(row: &mut CsiRow, indices: &[i8; SUBCARRIERS], slope: f32) {
     row.iter_mut().zip(indices).for_each(|(value, index)| *value *= turn(index));
 }
 
-/// Slopes that are tried first, radians per index, from -0.52 by this much: measured outliers reach 0.4. A lobe over 56
-/// indices is 0.22 wide.
-const TRIED_STEP: f32 = TUNING.alignment.tried_step;
-/// How many.
-const TRIED: usize = TUNING.alignment.tried;
-
 /// The subcarrier indices, and what is made of them once.
 struct Comb {
     index: Lanes,
@@ -76,9 +61,14 @@ struct Comb {
     tried: Vec<Planes>,
 }
 
+/// How many slopes are tried: as many as there are places for.
+fn number_tried() -> usize {
+    TUNING.alignment.tried.min(LANES)
+}
+
 /// The slope at place `k` of those tried.
 fn tried(k: usize) -> f32 {
-    TRIED_STEP * (k as f32 - (TRIED / 2) as f32)
+    TUNING.alignment.tried_step * (k as f32 - (number_tried() / 2) as f32)
 }
 
 impl Comb {
@@ -117,8 +107,8 @@ impl Comb {
                 sums.im[place] += re * turns.im[place] + im * turns.re[place];
             }
         }
-        let (mut best, mut most) = (TRIED / 2, f32::MIN);
-        for k in 0..TRIED {
+        let (mut best, mut most) = (number_tried() / 2, f32::MIN);
+        for k in 0..number_tried() {
             let power = sums.re[k] * sums.re[k] + sums.im[k] * sums.im[k];
             (best, most) = if power > most { (k, power) } else { (best, most) };
         }
@@ -128,7 +118,7 @@ impl Comb {
     /// The slope at which `|sum row[k] exp(-j slope index[k])|` is largest: Newton's method from `slope`.
     #[inline(always)]
     fn climb<S: Simd>(&self, simd: S, row: &Planes, mut slope: f32) -> f32 {
-        for _ in 0..STEPS {
+        for _ in 0..TUNING.alignment.steps {
             let turned = row.times(&self.turns(simd, slope));
             let moment = |by: &Lanes| {
                 Complex32::new(sum(&lanes(|k| turned.re[k] * by[k])), sum(&lanes(|k| turned.im[k] * by[k])))
@@ -153,7 +143,7 @@ fn coherence(rows: &mut [Planes]) -> f64 {
     let count = rows.len().max(1);
     with_neighbours(
         rows,
-        REACH,
+        TUNING.alignment.reach,
         #[inline(always)]
         |_, row, around| {
             let mut others = *around;
@@ -175,7 +165,7 @@ fn coherence(rows: &mut [Planes]) -> f64 {
 fn round<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb, first: bool, slopes: &mut [f32]) {
     with_neighbours(
         rows,
-        REACH,
+        TUNING.alignment.reach,
         #[inline(always)]
         |k, row, around| {
             let mut others = *around;
@@ -208,10 +198,10 @@ pub fn align(rows: &mut [CsiRow], indices: &[i8; SUBCARRIERS], tier: Tier) -> Al
 fn align_planes<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb) -> Alignment {
     let mut turned = vec![0.0; rows.len()];
     // While slopes differ, only the middle of the band gives packets' phases.
-    settle(rows, &lanes(|k| f32::from(k < SUBCARRIERS && comb.index[k].abs() <= MIDDLE)), &mut turned);
+    settle(rows, &lanes(|k| f32::from(k < SUBCARRIERS && comb.index[k].abs() <= TUNING.alignment.middle)), &mut turned);
     let mut slopes = vec![0f32; rows.len()];
     let coherence_before = coherence(rows);
-    for number in 0..ROUNDS {
+    for number in 0..TUNING.alignment.rounds {
         round(simd, rows, comb, number == 0, &mut slopes);
     }
     let mean = slopes.iter().map(|s| f64::from(*s)).sum::<f64>() / slopes.len() as f64;

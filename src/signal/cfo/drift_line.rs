@@ -3,9 +3,6 @@
 use crate::maths::upper_median;
 use crate::tuning::TUNING;
 
-/// Outliers of the turn-around are further than this from the line, microseconds.
-const OUTLIER_US: f64 = TUNING.turn_around.outlier_us;
-
 /// `value = middle + slope * (x - middle_x)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriftLine {
@@ -40,7 +37,9 @@ pub fn drift_line(clock_us: &[i64], difference_us: &[i64]) -> DriftLine {
     let y = median((0..n).map(|k| difference_us[k] as f64 - slope * (clock_us[k] as f64 - origin)).collect());
     let mut line = DriftLine { slope, x: origin, y };
     for _ in 0..4 {
-        let near = (0..n).filter(|&k| (difference_us[k] as f64 - line.at(clock_us[k] as f64)).abs() <= OUTLIER_US);
+        let near = (0..n).filter(|&k| {
+            (difference_us[k] as f64 - line.at(clock_us[k] as f64)).abs() <= TUNING.turn_around.outlier_us
+        });
         let (mut count, mut sx, mut sy) = (0.0, 0.0, 0.0);
         for k in near.clone() {
             count += 1.0;

@@ -4,18 +4,6 @@ use crate::tuning::TUNING;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
-/// Step of the search, Hz: the coherence over `df` is about 1 / (2 pi 20 us) = 8 kHz wide.
-const STEP_HZ: f64 = TUNING.turn_around.step_hz;
-/// Pairs that an offset of their own is looked for in: 2 s at the usual rate. What so few leave open of it turns no phase,
-/// since it is the jitter that would have to show it.
-const BLOCK: usize = TUNING.turn_around.block;
-/// How far a block's offset is looked for from that of all, Hz: 2.4 kHz within six seconds has been seen.
-const DRIFT_HZ: f64 = TUNING.turn_around.drift_hz;
-/// By how much a block's own offset must raise the sum of its unit phasors, on average: chance gives half of one.
-const GAIN_PER_BLOCK: f64 = TUNING.turn_around.gain_per_block;
-/// Second differences of the jitter beyond this are left out of the search, microseconds.
-const MAX_SECOND_DIFFERENCE_US: i64 = TUNING.turn_around.max_second_difference_us;
-
 /// Unit second differences summed by the (integer) second difference of the turn-around that goes with them: the
 /// histogram makes the search over `df` as cheap as the jitter is small.
 pub(super) struct Term {
@@ -29,28 +17,26 @@ pub(super) struct Term {
 
 /// The terms of a record.
 pub(super) fn second_differences(z: &[Complex64], clock_us: &[i64], difference_us: &[i64]) -> Vec<Term> {
-    let width = 2 * MAX_SECOND_DIFFERENCE_US as usize + 1;
+    let most_us = TUNING.turn_around.max_second_difference_us;
+    let width = 2 * most_us as usize + 1;
     let mut sums = vec![(Complex64::default(), 0.0); width];
     for k in 1..z.len() - 1 {
         let (before, after) = (clock_us[k] - clock_us[k - 1], clock_us[k + 1] - clock_us[k]);
         let second = difference_us[k - 1] - 2 * difference_us[k] + difference_us[k + 1];
         let even = before > 0 && after > 0 && 2 * (before - after).abs() < before + after;
-        if !even || second.abs() > MAX_SECOND_DIFFERENCE_US {
+        if !even || second.abs() > most_us {
             continue;
         }
         let product = z[k - 1] * z[k].conj() * z[k].conj() * z[k + 1];
         let norm = product.norm();
         if norm > 0.0 && norm.is_finite() {
-            let bin = &mut sums[(second + MAX_SECOND_DIFFERENCE_US) as usize];
+            let bin = &mut sums[(second + most_us) as usize];
             bin.0 += product / norm;
             bin.1 += 1.0;
         }
     }
-    let term = |(k, &(sum, count)): (usize, &(Complex64, f64))| Term {
-        second_us: (k as i64 - MAX_SECOND_DIFFERENCE_US) as f64,
-        sum,
-        count,
-    };
+    let term =
+        |(k, &(sum, count)): (usize, &(Complex64, f64))| Term { second_us: (k as i64 - most_us) as f64, sum, count };
     sums.iter().enumerate().filter(|(_, bin)| bin.1 > 0.0).map(term).collect()
 }
 
@@ -67,7 +53,7 @@ pub(super) fn course(
     difference_us: &[i64],
     df_hz: f64,
 ) -> Option<(Vec<(f64, f64)>, f64)> {
-    let blocks = z.len() / BLOCK;
+    let blocks = z.len() / TUNING.turn_around.block;
     if blocks < 2 {
         return None;
     }
@@ -76,11 +62,11 @@ pub(super) fn course(
         let (from, to) = (block * z.len() / blocks, (block + 1) * z.len() / blocks);
         let terms = second_differences(&z[from..to], &clock_us[from..to], &difference_us[from..to]);
         let coherent = |hz: f64| sum_at(&terms, hz).norm();
-        let own_hz = maximise(&terms, df_hz, DRIFT_HZ);
+        let own_hz = maximise(&terms, df_hz, TUNING.turn_around.drift_hz);
         (with, without) = (with + coherent(own_hz), without + coherent(df_hz));
         course.push((0.5 * (clock_us[from] + clock_us[to - 1]) as f64, own_hz));
     }
-    (with - without > GAIN_PER_BLOCK * blocks as f64).then_some((course, with))
+    (with - without > TUNING.turn_around.gain_per_block * blocks as f64).then_some((course, with))
 }
 
 /// The value at `x` between the points of `course`, and that of the nearest beyond its ends; `None` if it is empty.
@@ -95,23 +81,24 @@ pub(super) fn along(course: &[(f64, f64)], x: f64) -> Option<f64> {
 
 /// The offset within `reach_hz` of `near_hz` at which the terms' sum is largest: a grid, then golden sections.
 pub(super) fn maximise(terms: &[Term], near_hz: f64, reach_hz: f64) -> f64 {
-    let steps = (reach_hz / STEP_HZ) as i32;
-    let from_hz = near_hz - f64::from(steps) * STEP_HZ;
+    let step_hz = TUNING.turn_around.step_hz;
+    let steps = (reach_hz / step_hz) as i32;
+    let from_hz = near_hz - f64::from(steps) * step_hz;
     let turn = |term: &Term, hz: f64| Complex64::cis(TAU * hz * 1e-6 * term.second_us);
     // From one offset of the grid to the next each term turns by the same.
     let mut turned: Vec<Complex64> = terms.iter().map(|term| term.sum * turn(term, from_hz)).collect();
-    let by: Vec<Complex64> = terms.iter().map(|term| turn(term, STEP_HZ)).collect();
+    let by: Vec<Complex64> = terms.iter().map(|term| turn(term, step_hz)).collect();
     let mut best = (f64::NEG_INFINITY, near_hz);
     for k in 0..=2 * steps {
         let value = turned.iter().sum::<Complex64>().norm_sqr();
         if value > best.0 {
-            best = (value, from_hz + f64::from(k) * STEP_HZ);
+            best = (value, from_hz + f64::from(k) * step_hz);
         }
         turned.iter_mut().zip(&by).for_each(|(turned, by)| *turned *= by);
     }
     let f = |hz: f64| sum_at(terms, hz).norm_sqr();
     let ratio = (5f64.sqrt() - 1.0) / 2.0;
-    let (mut low, mut high) = (best.1 - STEP_HZ, best.1 + STEP_HZ);
+    let (mut low, mut high) = (best.1 - step_hz, best.1 + step_hz);
     let (mut a, mut b) = (high - ratio * (high - low), low + ratio * (high - low));
     let (mut at_a, mut at_b) = (f(a), f(b));
     while high - low > 0.5 {

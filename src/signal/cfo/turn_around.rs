@@ -6,12 +6,6 @@ use crate::tuning::TUNING;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
 
-/// How far from `drift * carrier` the offset is looked for, Hz: the turn-around's own drift has been seen to fake up to
-/// 2 ppm (11 kHz).
-const SEARCH_HZ: f64 = TUNING.turn_around.search_hz;
-/// Cards agree to 40 parts per million (802.11 allows each 20); more is a clock that was set anew, or no clock.
-const MAX_DRIFT: f64 = TUNING.turn_around.max_drift;
-
 /// What [`TurnAround::estimate`] found.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TurnAround {
@@ -47,7 +41,7 @@ impl TurnAround {
             return None;
         }
         let line = drift_line(clock_rx_us, difference_us);
-        if line.slope.abs() > MAX_DRIFT {
+        if line.slope.abs() > TUNING.turn_around.max_drift {
             return None;
         }
         let residual = |k: usize| (difference_us[k] as f64 - line.at(clock_rx_us[k] as f64)).abs();
@@ -58,7 +52,7 @@ impl TurnAround {
             return None;
         }
         let coherence = |df_hz: f64| sum_at(&terms, df_hz).norm() / total;
-        let df_hz = maximise(&terms, line.slope * carrier_hz, SEARCH_HZ);
+        let df_hz = maximise(&terms, line.slope * carrier_hz, TUNING.turn_around.search_hz);
         let (before, mut after) = (coherence(0.0), coherence(df_hz));
         let course = match course(z, clock_rx_us, difference_us, df_hz) {
             Some((course, coherent)) => {

@@ -1,6 +1,6 @@
 //! Captures below a folder: their logs, and which of their trajectories is read.
 
-use csi5300::internal::{CAMERA_HEADING_DEG, WHEELS_HEADING_DEG};
+use csi5300::internal::{camera_heading_rad, wheels_heading_rad};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -27,8 +27,8 @@ impl TrajectorySource {
     pub fn heading_sd_rad(self) -> f64 {
         match self {
             Self::GroundTruth => 0.0,
-            Self::T265 => CAMERA_HEADING_DEG.to_radians(),
-            Self::Odometry => WHEELS_HEADING_DEG.to_radians(),
+            Self::T265 => camera_heading_rad(),
+            Self::Odometry => wheels_heading_rad(),
         }
     }
 

@@ -4,7 +4,7 @@ use super::gather::{FoldRow, Kind, PARTS, SOURCES};
 use super::report::{Which, sight};
 use crate::evaluate::{Kept, Reliability, Sure, TrajectorySource, WRONG_DEG, above, reliability, surest};
 use crate::fit_confidence::{LabelledBearing, LogisticModel, calibration};
-use csi5300::internal::{PROBABILITY_LIMITS, heading_feature};
+use csi5300::internal::{heading_feature, probability_limits};
 use csi5300_sim::random::Stream;
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -164,7 +164,7 @@ fn told(rows: &[FoldRow], kind: Kind) -> Vec<Told<'_>> {
         let own = rows.iter().filter(|row| row.place == place);
         told.extend(own.filter_map(|row| {
             let mut labelled = label(row, kind)?;
-            let [least, most] = PROBABILITY_LIMITS;
+            let [least, most] = probability_limits();
             labelled.probability = model.probability(&labelled.features).clamp(least, most);
             let error_deg = row.answered(kind)?.error_deg;
             Some(Told { row, labelled, error_deg })

@@ -1,0 +1,140 @@
+//! What each tuned number of the library does at half and at double: the last column of docs/tuning.md.
+//!
+//! `cargo run --release -p csi5300-lab --features tunable --example sensitivity -- run CAPTURES RESULTS` measures and
+//! appends to the file RESULTS what is not in it yet, two numbers at a time; `.. -- table RESULTS` prints a line for
+//! each number, and `.. -- write RESULTS src/tuning/values.rs` writes these lines into the source. What is measured, and in
+//! which words it is said, is in `figures.rs` and `words.rs`. The same captures give the same figures; processor time
+//! is as exact as the machine is quiet.
+
+mod changes;
+mod figures;
+mod pairs;
+mod source;
+mod words;
+
+use changes::{Change, changes};
+use csi5300::internal::TUNING_VARIABLE;
+use figures::{Figures, measure};
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitCode};
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// Measurements at a time.
+const ABREAST: usize = 2;
+/// Rooms of either kind.
+const ROOMS: u64 = 8;
+/// Measurements without any change: the median of their times is what others are compared with.
+const UNCHANGED: usize = 3;
+
+type Fallible<T> = Result<T, Box<dyn Error + Send + Sync>>;
+
+/// What was measured, by the name of the change. None where the program refused or died.
+type Results = BTreeMap<String, Option<Figures>>;
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
+    let done = match words.as_slice() {
+        ["measure", captures, rooms] => print_figures(Path::new(captures), Path::new(rooms)),
+        ["run", captures, results] => run(Path::new(captures), Path::new(results)),
+        ["table", results] => table(Path::new(results)),
+        ["write", results, source] => write(Path::new(results), Path::new(source)),
+        _ => Err("usage: sensitivity run CAPTURES RESULTS | table RESULTS | write RESULTS SOURCE".into()),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("{error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// What a child does: measures with the numbers of its environment.
+fn print_figures(captures: &Path, rooms: &Path) -> Fallible<()> {
+    println!("{}", serde_json::to_string(&measure(captures, rooms)?)?);
+    Ok(())
+}
+
+/// Measures whatever is not in `results` yet.
+fn run(captures: &Path, results: &Path) -> Fallible<()> {
+    let known = if results.exists() { read(results)? } else { Results::new() };
+    let mut jobs: Vec<Change> = (0..UNCHANGED).map(Change::none).collect();
+    jobs.extend(changes()?);
+    jobs.retain(|job| !known.contains_key(&job.name));
+    let rooms = rooms_folder()?;
+    let out = Mutex::new(std::fs::OpenOptions::new().create(true).append(true).open(results)?);
+    let next = AtomicUsize::new(0);
+    let work = || -> Fallible<()> {
+        while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
+            let figures = child(job, captures, &rooms)?;
+            let line = serde_json::to_string(&(&job.name, figures))?;
+            let mut out = out.lock().map_err(|_| "another measurement died")?;
+            writeln!(out, "{line}")?;
+            println!("{}", job.name);
+        }
+        Ok(())
+    };
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..ABREAST).map(|_| scope.spawn(work)).collect();
+        workers.into_iter().try_for_each(|worker| worker.join().map_err(|_| "a worker died")?)
+    })
+}
+
+/// The figures of a process with the change in its environment; none if it ends without any, and says why on standard error.
+fn child(job: &Change, captures: &Path, rooms: &Path) -> Fallible<Option<Figures>> {
+    let mut command = Command::new(std::env::current_exe()?);
+    command.arg("measure").arg(captures).arg(rooms).env("RAYON_NUM_THREADS", "1").env(TUNING_VARIABLE, &job.json);
+    command.stderr(std::process::Stdio::inherit());
+    let output = command.output()?;
+    if !output.status.success() {
+        eprintln!("{}: {}", job.name, output.status);
+        return Ok(None);
+    }
+    Ok(Some(serde_json::from_slice(&output.stdout)?))
+}
+
+/// Simulated rooms, always the same, written with the numbers as they are chosen.
+fn rooms_folder() -> Fallible<PathBuf> {
+    let folder = std::env::temp_dir().join(format!("csi5300-sensitivity-{}", std::process::id()));
+    csi5300_lab::rooms::write(&folder, ROOMS, 1)?;
+    Ok(folder)
+}
+
+fn read(results: &Path) -> Fallible<Results> {
+    let text = std::fs::read_to_string(results).map_err(|error| format!("{}: {error}", results.display()))?;
+    let line = |line: &str| -> Fallible<(String, Option<Figures>)> { Ok(serde_json::from_str(line)?) };
+    text.lines().map(line).collect()
+}
+
+/// What is said of each number that was measured at half and at double, by its name.
+fn sentences(results: &Path) -> Fallible<BTreeMap<String, String>> {
+    let results = read(results)?;
+    let unchanged: Vec<&Figures> =
+        (0..UNCHANGED).filter_map(|k| results.get(&Change::none(k).name)?.as_ref()).collect();
+    let base = Figures::usual(&unchanged).ok_or("nothing was measured without changes")?;
+    let mut sentences = BTreeMap::new();
+    for change in changes()? {
+        let [Some(half), Some(double)] = ["half", "double"].map(|by| results.get(&format!("{} {by}", change.field)))
+        else {
+            continue;
+        };
+        sentences.insert(change.field, words::sentence(&base, half.as_ref(), double.as_ref()));
+    }
+    Ok(sentences)
+}
+
+fn table(results: &Path) -> Fallible<()> {
+    sentences(results)?.iter().for_each(|(field, sentence)| println!("{field}: {sentence}"));
+    Ok(())
+}
+
+fn write(results: &Path, source: &Path) -> Fallible<()> {
+    let text = std::fs::read_to_string(source).map_err(|error| format!("{}: {error}", source.display()))?;
+    std::fs::write(source, source::with_sentences(&text, &sentences(results)?))?;
+    Ok(())
+}
