@@ -43,7 +43,7 @@ fn one_log_for_both_sides_is_refused() {
         assert!(matches!(refused, LinkError::Unmatched(Unmatched::SameSender { .. })), "{refused:?}");
     }
     // Named, so that nothing is matched: the frames themselves are the same.
-    let named = options().with_tx_macs(vec![TRANSMITTER]).with_rx_mac(Some(TRANSMITTER));
+    let named = options().with_macs(Some(TRANSMITTER), vec![TRANSMITTER]);
     assert!(run(&made.rx, &made.rx, &path, &named).is_err());
     assert!(run(&made.rx, &made.tx, &path, &options()).is_ok());
 }

@@ -253,7 +253,7 @@ impl Air {
     }
 
     fn send(&mut self, sender: usize, role: Role, number: u32, to: Mac, bytes: Vec<u8>) {
-        let airtime_us = i64::from(self.plan.phy().airtime_us(bytes.len() + 4));
+        let airtime_us = i64::from(self.plan.phy.airtime_us(bytes.len() + 4));
         let (start_us, end_us) = (self.now_us, self.now_us + airtime_us);
         self.frames += 1;
         self.on_air.retain(|other| other.end_us + PROPAGATION_US > start_us);

@@ -59,6 +59,12 @@ fn adversary(age_us: i64, dice_seed: u64) -> super::air::Adversary {
     })
 }
 
+fn one_link() -> Request {
+    let mut request = request(true);
+    request.links = 1;
+    request
+}
+
 fn request(authenticated: bool) -> Request {
     Request::new(3, 200.0).with_dialect(Dialect::Native { measurement: true, authenticated })
 }
@@ -123,7 +129,7 @@ fn a_key_is_needed_on_both_sides_and_in_the_plan() {
 
 #[test]
 fn a_wrong_key_and_an_old_session_are_not_answered() {
-    let configs = everybody(2, request(true).with_links(1));
+    let configs = everybody(2, one_link());
     let with = |k: usize, key: u8, session| {
         let config = configs[k].clone().with_key(Some(Key::new([key; 16]))).with_session(session).with_initiate(k == 0);
         Tdma::new(&config).unwrap()
@@ -149,7 +155,7 @@ fn a_wrong_key_and_an_old_session_are_not_answered() {
 
 #[test]
 fn what_was_taped_before_a_restart_is_not_answered_after_it() {
-    let configs = everybody(2, request(true).with_links(1));
+    let configs = everybody(2, one_link());
     let key = Some(Key::new([1; 16]));
     let initiator = |session| configs[0].clone().with_key(key.clone()).with_session(session).with_initiate(true);
     let frames = |session| {

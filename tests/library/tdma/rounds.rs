@@ -70,7 +70,8 @@ fn answers_are_fair_under_20_percent_loss() {
 
 #[test]
 fn short_turns_interleave_the_robots() {
-    let request = Request::new(2, 100.0).with_turn_slots(2);
+    let mut request = Request::new(2, 100.0);
+    request.turn_slots = 2;
     let mut air = Air::new(&everybody(3, request), 14);
     air.loss = 0.02;
     air.run_s(60);

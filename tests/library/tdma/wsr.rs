@@ -66,8 +66,8 @@ fn three_kernel_responders_are_sounded_beyond_100_000_packets() {
 fn an_open_loop_sender_goes_on_without_hearing_anything() {
     for (open_loop, sounded) in [(true, 6_000), (false, 1_000)] {
         let request = request(3, 100.0);
-        let config =
-            Config::new(mac(9), 0, &[mac(1), mac(2), mac(3)], request, 1).with_initiate(true).with_open_loop(open_loop);
+        let mut config = Config::new(mac(9), 0, &[mac(1), mac(2), mac(3)], request, 1).with_initiate(true);
+        config.open_loop = open_loop;
         let mut tdma = Tdma::new(&config).unwrap();
         let begun = tdma.poll_timeout().unwrap();
         while tdma.poll_timeout().unwrap() < begun + Span::from_s(20.0) {
