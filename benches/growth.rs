@@ -6,7 +6,8 @@
 mod common;
 
 use common::*;
-use csi5300::bartlett::{Grid, Planner, ProfileOptions, SearchOptions, Searcher, Tier};
+use csi5300::bartlett::{Grid, Planner, ProfileOptions, SearchOptions, Tier};
+use csi5300::internal::Searcher;
 
 fn main() {
     banner("Cost as the work grows");
@@ -18,8 +19,8 @@ fn main() {
         for (size, samples, grid) in points {
             let mut planner = Planner::default();
             let options = ProfileOptions::default();
-            let plan_ms = time(|| planner.plan(&samples, &grid, &options).expect("a plan"));
-            let plan = planner.plan(&samples, &grid, &options).expect("a plan");
+            let plan_ms = time(|| planner.explain(&samples, &grid, &options).expect("a plan"));
+            let plan = planner.explain(&samples, &grid, &options).expect("a plan");
             let mut out = Vec::new();
             let ms = quickest(100.0, || {
                 planner.profile_into(&samples, &grid, &options, &mut out).expect("a profile");
@@ -28,7 +29,7 @@ fn main() {
                 what.into(),
                 size.to_string(),
                 format!("{ms:.4}"),
-                format!("{:?}", plan.explain().method),
+                format!("{:?}", plan.method),
                 format!("{plan_ms:.2}"),
             ]);
             line.push((size, ms));

@@ -94,12 +94,11 @@ fn carry(mut from: File, mut to: File) {
 fn robot(own: usize, interface: &str, fifo_priority: Option<i32>, clock: Monotonic) -> Result<Running, Failure> {
     let options = Options::new(interface, native::MAX_LEN).with_rate(1, Bandwidth::Ht20);
     let now = clock.now();
-    let config = Config::new(MACS[own], 0, &[MACS[1 - own]], Request::new(1, 1_000.0), 1)
+    let mut config = Config::new(MACS[own], 0, &[MACS[1 - own]], Request::new(1, 1_000.0), 1)
         .with_initiate(own == 0)
-        .with_open_loop(true)
-        .with_silence_slots(2)
         .with_epoch(Epoch::Heard(now))
         .with_start(now);
+    (config.open_loop, config.silence_slots) = (true, 2);
     Ok(Running::start(Tdma::new(&config)?, Monitor::open(&options)?, clock, Settings { fifo_priority })?)
 }
 

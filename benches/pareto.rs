@@ -12,7 +12,8 @@ mod common;
 use std::process::Command;
 
 use common::*;
-use csi5300::bartlett::{Grid, Method, Planner, Precision, ProfileOptions, Searcher, Tier};
+use csi5300::bartlett::{Grid, Method, Planner, Precision, ProfileOptions, Tier};
+use csi5300::internal::Searcher;
 use csi5300::signal::samples::Samples;
 
 struct Job {
@@ -192,8 +193,7 @@ fn tiers() -> impl Iterator<Item = Tier> {
 /// A profile by a planner of its own.
 fn profiler<'a>(job: &'a Job, samples: &'a Samples, tier: Tier, options: ProfileOptions, note: &str) -> Contender<'a> {
     let mut planner = Planner::new(tier);
-    let plan = planner.plan(samples, &job.grid, &options).expect("a plan");
-    let e = plan.explain();
+    let e = planner.explain(samples, &job.grid, &options).expect("a plan");
     let precision = if e.precision == Precision::Single { "f32" } else { "f64" };
     let who = format!("{tier:?} {precision}:{:?}{note}", e.method);
     Contender::new(who, options.eps, move |out| {

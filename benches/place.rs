@@ -7,8 +7,10 @@
 mod common;
 
 use common::{Table, banner, quickest};
-use csi5300::bartlett::{Searcher, Tier};
-use csi5300::internal::{Aperture, Band, CsiRow, Limits, Search, Taper, View, align, one_way, remove_common_slope};
+use csi5300::bartlett::Tier;
+use csi5300::internal::{
+    Aperture, Band, CsiRow, Limits, Search, Searcher, Taper, View, align, one_way, remove_common_slope,
+};
 use csi5300::signal::channel::{INDICES_20_MHZ, SUBCARRIERS};
 use csi5300::signal::samples::Samples;
 use csi5300_sim::random::Stream;
@@ -88,7 +90,7 @@ fn main() {
         });
         row(&name, "search", searching, Some(place_ms * evaluations as f64 / searching));
         let mut search = Search::new(&layers, middle, WAVELENGTH_M, &limits).expect("a search");
-        let best = search.run().expect("a place").best();
+        let best = search.run().expect("a place").sources[0];
         let paths = quickest(300.0, || drop(search.paths(&best)));
         row(&name, "paths", paths, None);
         row(&name, "everything", alignment + root + searching + paths, None);

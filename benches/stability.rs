@@ -82,8 +82,8 @@ fn judge(made: Result<Samples, Error>) -> Vec<Vec<String>> {
     let row = |eps: f64| {
         let options = ProfileOptions::default().with_eps(eps);
         let planned = worst(&samples, &grid, &options, &reference);
-        let plan = Planner::default().plan(&samples, &grid, &options).expect("a plan");
-        let method = format!("{:?} {:?}", plan.explain().method, plan.explain().precision);
+        let plan = Planner::default().explain(&samples, &grid, &options).expect("a plan");
+        let method = format!("{:?} {:?}", plan.method, plan.precision);
         let verdict = if planned <= eps { "held" } else { "BROKEN" };
         let errors = [planned, single, double].map(|e| format!("{e:.1e}"));
         [vec![format!("{eps:.0e}"), method], errors.into(), vec![verdict.into()]].concat()

@@ -9,7 +9,8 @@ mod common;
 use std::f64::consts::{PI, TAU};
 
 use common::*;
-use csi5300::bartlett::{Grid, Method, Planner, Precision, ProfileOptions, Searcher, Tier};
+use csi5300::bartlett::{Grid, Method, Planner, Precision, ProfileOptions, Tier};
+use csi5300::internal::Searcher;
 use csi5300::maths::wrap_rad;
 use csi5300_sim::random::Stream;
 use nalgebra::Vector3;

@@ -90,7 +90,7 @@ fn record(configs: &[Config], watched: usize) -> (Vec<Call>, usize) {
         events += usize::from(sent.is_some() && k == watched);
         let mut sender = k;
         while let Some((role, frame)) = sent.take() {
-            let airtime_us = plan.phy().airtime_us(frame.len() + 4) + if role == Role::Forward { 100 } else { 0 };
+            let airtime_us = plan.phy.airtime_us(frame.len() + 4) + if role == Role::Forward { 100 } else { 0 };
             now += Span::from_us(i64::from(airtime_us));
             let mut answer = None;
             for (other, robot) in robots.iter_mut().enumerate().filter(|(other, _)| *other != sender) {

@@ -128,6 +128,8 @@
 
 pub mod bartlett;
 pub mod exchange;
+// What estimators count and wrap with: public for the crates of this workspace, no part of the library's interface.
+#[doc(hidden)]
 pub mod maths;
 pub mod motion;
 pub mod pipeline;
@@ -150,6 +152,9 @@ pub mod internal {
     pub mod dynamixel {
         pub use crate::motion::odometry::dynamixel::{emit, instruction};
     }
+    pub use crate::bartlett::search::Searcher;
+    pub use crate::exchange::tdma::proof::{Proof, Prover};
+    pub use crate::pipeline::intake::{FrameHeard, Front};
     pub use crate::place::confidence::{
         camera_heading_rad, full_deviation_rad, full_features, full_probability, heading_feature, probability_limits,
         quick_deviation_rad, quick_features, quick_probability, wheels_heading_rad,
@@ -158,6 +163,7 @@ pub mod internal {
     pub use crate::place::near_field::{aperture::Aperture, search::Search};
     pub use crate::signal::alignment::{CsiRow, align, remove_common_slope};
     pub use crate::signal::one_way::one_way;
+    pub use crate::source::key_file::{create_key_file, group_text, robot_text};
     #[cfg(feature = "tunable")]
     pub use crate::tuning::{VARIABLE as TUNING_VARIABLE, chosen_json as chosen_tuning_json};
 }

@@ -66,10 +66,10 @@ impl Air {
         let request = Request::new(2, 200.0).with_dialect(dialect);
         let robot = |own: usize| {
             let peers: Vec<Mac> = MACS.iter().copied().filter(|mac| *mac != MACS[own]).collect();
-            let config = Config::new(MACS[own], own as u16, &peers, request, 1)
+            let mut config = Config::new(MACS[own], own as u16, &peers, request, 1)
                 .with_initiate(own == 0)
-                .with_silence_slots(2)
                 .with_key((kind % 3 == 1).then(|| Key::new([7; 16])));
+            config.silence_slots = 2;
             Tdma::new(&config).unwrap()
         };
         Self { robots: [robot(0), robot(1)], now: Instant::ZERO, sent: Vec::new(), sounded: Vec::new() }

@@ -4,7 +4,7 @@ use crate::error::{Failure, Kind};
 use csi5300::bartlett::SearchOptions;
 use csi5300::pipeline::{Accuracy, JoinBy, Options};
 use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::key_file;
+use csi5300::source::read_key;
 use csi5300_lab::table::antennas;
 use driver_iface::Mac;
 use serde::Deserialize;
@@ -86,15 +86,17 @@ impl Keywords {
             .with_search(self.search())
             .with_clock_offset_s(self.clock_offset.unwrap_or(0.0))
             .with_join(if self.join_rows { JoinBy::Row } else { JoinBy::Time })
-            .with_tx_macs(self.tx_mac.iter().map(|text| mac("tx_mac", text)).collect::<Result<_, _>>()?)
-            .with_rx_mac(self.rx_mac.as_ref().map(|text| mac("rx_mac", text)).transpose()?);
+            .with_macs(
+                self.rx_mac.as_ref().map(|text| mac("rx_mac", text)).transpose()?,
+                self.tx_mac.iter().map(|text| mac("tx_mac", text)).collect::<Result<_, _>>()?,
+            );
         if let Some(text) = &self.antenna {
             let one =
                 antennas(text).filter(|antennas| antennas.len() == 1).and_then(|antennas| antennas.first().copied());
             options = options.with_antenna(one.ok_or_else(|| wrong(format!("antenna: {text:?} is not A, B or C")))?);
         }
         if let Some(path) = &self.key {
-            options = options.with_key(Some(key_file::read(path).map_err(wrong)?));
+            options = options.with_key(Some(read_key(path).map_err(wrong)?));
         }
         Ok(options)
     }

@@ -36,20 +36,6 @@ impl SearchOptions {
         self.elevation_max_rad = elevation_max_rad;
         self
     }
-
-    /// With another assumed error of the positions, metres; not negative.
-    #[must_use]
-    pub fn with_odometry_sd_m(mut self, odometry_sd_m: f64) -> Self {
-        self.odometry_sd_m = odometry_sd_m;
-        self
-    }
-
-    /// On another SIMD tier.
-    #[must_use]
-    pub fn with_tier(mut self, tier: Tier) -> Self {
-        self.tier = tier;
-        self
-    }
 }
 
 /// A local maximum of the profile.

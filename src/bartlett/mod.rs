@@ -46,12 +46,12 @@ mod planner;
 mod report;
 mod sampler;
 mod scene;
-mod search;
+pub(crate) mod search;
 #[cfg(test)]
 mod tests;
 
-pub use crate::maths::Tier;
 pub(crate) use cost::pair_ns;
+pub use csi5300_kernels::simd::Tier;
 pub use error::Error;
 pub use estimate::{Estimate, Peak, SearchOptions};
 pub use explain::{ElevationSearch, Explanation, Method, Precision, ProfileOptions, SearchPlan};
@@ -60,10 +60,10 @@ pub(crate) use grid::wsr_planar_profile_variance;
 use grid::wsr_profile_variance;
 pub use grid::{Grid, Profile, direction};
 pub(crate) use mirror::is_level;
-pub use plan::Plan;
 pub use planner::Planner;
 pub use scene::{Geometry, Shape};
-pub use search::{Searcher, search};
+pub(crate) use search::Searcher;
+pub use search::search;
 
 use crate::signal::samples::Samples;
 

@@ -64,13 +64,7 @@ impl Frame {
     }
 }
 
-impl Plan {
-    /// What this plan does and what it leaves out.
-    #[must_use]
-    pub fn explain(&self) -> &Explanation {
-        &self.explanation
-    }
-}
+impl Plan {}
 
 /// FFTs and buffers of one precision.
 pub(super) struct Bench<T: Real> {

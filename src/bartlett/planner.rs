@@ -62,13 +62,13 @@ impl Planner {
         self.built
     }
 
-    /// The plan for these samples: one at hand, or a new one.
+    /// What [`Planner::profile`] would compute of these samples, and what not. Its plan is kept for the next call.
     ///
     /// # Errors
     /// As [`Planner::profile`].
-    pub fn plan(&mut self, samples: &Samples, grid: &Grid, options: &ProfileOptions) -> Result<Arc<Plan>, Error> {
+    pub fn explain(&mut self, samples: &Samples, grid: &Grid, options: &ProfileOptions) -> Result<Explanation, Error> {
         let scene = Scene::on(self.tier, samples)?;
-        self.plan_scene(&scene, grid, options)
+        Ok(self.plan_scene(&scene, grid, options)?.explanation.clone())
     }
 
     /// The Bartlett profile of `samples` over `grid`.

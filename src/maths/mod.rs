@@ -6,6 +6,5 @@ mod order;
 
 pub use angle::{unwrap_rad, wrap_rad};
 pub(crate) use counter::unwrap_near;
-pub use csi5300_kernels::simd::Tier;
 pub(crate) use order::{lower_rank, upper_median, upper_median_ord};
 pub use order::{median, nearest_rank, percentile};

@@ -47,7 +47,7 @@ impl Placed {
 
     /// Range and its standard deviation, metres, where the curvature fixes it.
     #[must_use]
-    pub fn range_m(&self) -> Option<(f64, f64)> {
+    pub(crate) fn range_m(&self) -> Option<(f64, f64)> {
         self.fix.range_m(TUNING.deviations.range_share)
     }
 }

@@ -288,7 +288,7 @@ impl Answer {
 
     /// A link of which nothing is known yet.
     #[must_use]
-    pub fn nothing(name: String, mac: Mac) -> Self {
+    pub(crate) fn nothing(name: String, mac: Mac) -> Self {
         Self { link: name, mac: Some(mac.to_string()), ..Self::default() }
     }
 

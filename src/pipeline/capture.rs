@@ -4,7 +4,8 @@ use super::{Bearing, CaptureReport, LinkError, Options, Transmitter, bearings};
 use crate::motion::odometry::csv::{self, CsvError};
 use crate::motion::pose::Trajectory;
 use crate::signal::channel::Channel;
-use crate::source::{self, CsiSource, replay::Replay};
+use crate::source::{self, replay::Replay};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Why a capture gives no bearings at all. A link that fails is an error of its own, [`LinkError`].
@@ -33,17 +34,20 @@ pub enum CaptureError {
     NoTrajectory,
 }
 
-/// The logs and trajectories of one run, from files or from any [`CsiSource`] that ends.
+type Log = Replay<Box<dyn Read + Send>>;
+
+/// The logs and trajectories of one run, from files; [`bearings`] takes any [`CsiSource`](crate::source::CsiSource) that ends,
+/// and trajectories as values.
 ///
 /// The crate's first page has an example, "Bearing from logs".
-pub struct Capture<'a> {
+pub struct Capture {
     options: Options,
-    receiver: Option<Box<dyn CsiSource + 'a>>,
-    transmitters: Vec<(Box<dyn CsiSource + 'a>, Option<Trajectory>)>,
+    receiver: Option<Log>,
+    transmitters: Vec<(Log, Option<Trajectory>)>,
     trajectory: Option<Trajectory>,
 }
 
-impl<'a> Capture<'a> {
+impl Capture {
     /// A capture on `channel`, with the defaults of [`Options::new`].
     #[must_use]
     pub fn new(channel: Channel) -> Self {
@@ -61,24 +65,31 @@ impl<'a> Capture<'a> {
     /// # Errors
     /// If it cannot be opened.
     pub fn receiver(self, log: impl AsRef<Path>) -> Result<Self, CaptureError> {
-        Ok(self.receiver_source(Replay::open(log.as_ref())?))
+        let receiver = Some(Replay::open(log.as_ref())?);
+        Ok(Self { receiver, ..self })
     }
 
     /// The log of a transmitter that stood still; each makes one link.
     ///
     /// # Errors
     /// If it cannot be opened.
-    pub fn transmitter(self, log: impl AsRef<Path>) -> Result<Self, CaptureError> {
-        Ok(self.transmitter_source(Replay::open(log.as_ref())?, None))
+    pub fn transmitter(mut self, log: impl AsRef<Path>) -> Result<Self, CaptureError> {
+        self.transmitters.push((Replay::open(log.as_ref())?, None));
+        Ok(self)
     }
 
     /// The log of a transmitter that moved, and its trajectory as CSV on the receiver's clock.
     ///
     /// # Errors
     /// If either cannot be read.
-    pub fn moving_transmitter(self, log: impl AsRef<Path>, trajectory: impl AsRef<Path>) -> Result<Self, CaptureError> {
+    pub fn moving_transmitter(
+        mut self,
+        log: impl AsRef<Path>,
+        trajectory: impl AsRef<Path>,
+    ) -> Result<Self, CaptureError> {
         let trajectory = read(trajectory.as_ref())?;
-        Ok(self.transmitter_source(Replay::open(log.as_ref())?, Some(trajectory)))
+        self.transmitters.push((Replay::open(log.as_ref())?, Some(trajectory)));
+        Ok(self)
     }
 
     /// The receiver's trajectory: CSV as [`csv`] reads it. Rows that cannot be read are left out.
@@ -86,29 +97,8 @@ impl<'a> Capture<'a> {
     /// # Errors
     /// If it cannot be read or has too few rows.
     pub fn trajectory(self, file: impl AsRef<Path>) -> Result<Self, CaptureError> {
-        let trajectory = read(file.as_ref())?;
-        Ok(self.trajectory_value(trajectory))
-    }
-
-    /// The receiver's records from any source that ends.
-    #[must_use]
-    pub fn receiver_source(mut self, source: impl CsiSource + 'a) -> Self {
-        self.receiver = Some(Box::new(source));
-        self
-    }
-
-    /// A transmitter's records from any source that ends, and its trajectory on the receiver's clock if it moved.
-    #[must_use]
-    pub fn transmitter_source(mut self, source: impl CsiSource + 'a, trajectory: Option<Trajectory>) -> Self {
-        self.transmitters.push((Box::new(source), trajectory));
-        self
-    }
-
-    /// The receiver's trajectory as a value.
-    #[must_use]
-    pub fn trajectory_value(mut self, trajectory: Trajectory) -> Self {
-        self.trajectory = Some(trajectory);
-        self
+        let trajectory = Some(read(file.as_ref())?);
+        Ok(Self { trajectory, ..self })
     }
 
     /// The bearings, in the order of the transmitters.
@@ -130,9 +120,8 @@ impl<'a> Capture<'a> {
         if transmitters.is_empty() {
             return Err(CaptureError::NoTransmitter);
         }
-        let logs =
-            transmitters.iter_mut().map(|(log, path)| Transmitter { log: &mut **log, trajectory: path.as_ref() });
-        Ok(bearings(&mut *receiver, logs.collect(), &trajectory, &options)?)
+        let logs = transmitters.iter_mut().map(|(log, path)| Transmitter { log, trajectory: path.as_ref() });
+        Ok(bearings(&mut receiver, logs.collect(), &trajectory, &options)?)
     }
 }
 

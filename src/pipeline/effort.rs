@@ -65,7 +65,7 @@ impl fmt::Display for Reason {
 impl Sufficient {
     /// True if one wave explains the samples but for noise: then the trajectory is what it is said to be.
     #[must_use]
-    pub fn explains_all(&self) -> bool {
+    pub(crate) fn explains_all(&self) -> bool {
         matches!(self, Self::PlaneWave(_) | Self::OneWave(_))
     }
 }

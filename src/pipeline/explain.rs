@@ -42,9 +42,9 @@ impl LinkPlan {
     /// The plan behind `bearing`, and that of its profile over `grid`.
     ///
     /// # Errors
-    /// As [`Planner::plan`].
+    /// As [`Planner::explain`].
     pub fn of(bearing: &Bearing, options: &Options, grid: &Grid) -> Result<Self, bartlett::Error> {
-        let plan = Planner::default().plan(&bearing.samples, grid, &ProfileOptions::default())?;
+        let profile = Planner::default().explain(&bearing.samples, grid, &ProfileOptions::default())?;
         let decoded = format!(
             "antenna {}, first stream, {SUBCARRIERS} subcarriers (the channel centre is a line fitted through all of them); \
              other antennas and streams stay packed",
@@ -55,7 +55,7 @@ impl LinkPlan {
             steps: Steps { bearing, options, cost: Cost::of(&bearing.samples, &bearing.limits, bearing.pairs.formed) }
                 .all(),
             search: bearing.plane_wave.plan,
-            profile: plan.explain().clone(),
+            profile,
         })
     }
 }

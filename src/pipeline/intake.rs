@@ -1,5 +1,6 @@
 //! One log on its way into the pipeline: records in, frames of interest out, everything else counted.
 
+use super::LogReport;
 use super::options::Options;
 use crate::exchange::tdma::{Key, Proof, Prover};
 use crate::signal::channel::SUBCARRIERS;
@@ -78,11 +79,7 @@ pub struct UnusedRecords {
 pub struct Front {
     antenna: Antenna,
     /// What was counted.
-    pub survey: Survey,
-    /// What was not used.
-    pub unused: UnusedRecords,
-    /// With a key: records that were used, though there is no frame with them to be checked.
-    pub unchecked: u64,
+    pub log: LogReport,
     prover: Prover,
 }
 
@@ -90,19 +87,13 @@ impl Front {
     /// A front of which only `antenna` is decoded.
     #[must_use]
     pub fn new(antenna: Antenna) -> Self {
-        Self {
-            antenna,
-            survey: Survey::default(),
-            unused: UnusedRecords::default(),
-            unchecked: 0,
-            prover: Prover::default(),
-        }
+        Self { antenna, log: LogReport::default(), prover: Prover::default() }
     }
 
     /// The same, in which these senders always have a place: strangers compete for the others (see [`Survey::with_known`]).
     #[must_use]
     pub fn with_known(mut self, known: impl IntoIterator<Item = Mac>) -> Self {
-        self.survey = Survey::with_known(known);
+        self.log.survey = Survey::with_known(known);
         self
     }
 
@@ -116,19 +107,19 @@ impl Front {
     /// Notes what a source gave, and gives the frame in it with its sender.
     pub fn note(&mut self, next: &Next<'_>) -> Option<(Mac, FrameHeard)> {
         let proof = self.prover.note(next);
-        let (bfee, identity) = self.survey.note(next)?;
+        let (bfee, identity) = self.log.survey.note(next)?;
         let Some(number) = identity.frame_count else {
-            self.unused.no_number += 1;
+            self.log.unused.no_number += 1;
             return None;
         };
-        let row = self.survey.senders.get(&identity.mac).map_or(0, |sender| sender.numbered.saturating_sub(1));
+        let row = self.log.survey.senders.get(&identity.mac).map_or(0, |sender| sender.numbered.saturating_sub(1));
         let heard = FrameHeard::of(&bfee, self.antenna, number, identity.host_us, row);
-        self.unused.no_antenna += u64::from(heard.is_none());
+        self.log.unused.no_antenna += u64::from(heard.is_none());
         if proof == Proof::Wrong {
-            self.unused.unauthenticated += 1;
+            self.log.unused.unauthenticated += 1;
             return None;
         }
-        self.unchecked += u64::from(proof == Proof::Unknown && self.prover.has_key() && heard.is_some());
+        self.log.unchecked += u64::from(proof == Proof::Unknown && self.prover.has_key() && heard.is_some());
         heard.map(|heard| (identity.mac, FrameHeard { proof, ..heard }))
     }
 }

@@ -22,7 +22,7 @@ mod draft;
 mod effort;
 mod error;
 mod explain;
-mod intake;
+pub(crate) mod intake;
 mod link;
 pub mod live;
 mod matching;
@@ -34,11 +34,12 @@ pub use accurate::Placed;
 pub use answer::{Answer, PathAnswer, lost_something};
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
 pub use capture::{Capture, CaptureError};
-pub use draft::{LinkJoin, estimate};
+pub(crate) use draft::{LinkJoin, estimate};
 pub use effort::{Reason, Risk, Sufficient};
 pub use error::LinkError;
 pub use explain::{LinkPlan, StepPlan};
-pub use intake::{FrameHeard, Front, UnusedRecords};
+pub use intake::UnusedRecords;
+pub(crate) use intake::{FrameHeard, Front};
 pub use link::Link;
 pub use options::{Accuracy, Effort, JoinBy, Options};
 
@@ -59,7 +60,8 @@ pub struct Transmitter<'a> {
 }
 
 /// What was counted in one log.
-#[derive(Debug)]
+#[derive(Debug, Default)]
+#[non_exhaustive]
 pub struct LogReport {
     /// What is in it.
     pub survey: Survey,
@@ -125,10 +127,6 @@ pub fn bearings(
         LinkReport { mac, matched, link, bearing }
     };
     let links = links.into_iter().zip(found).map(report).collect();
-    let log = |log: LogReader<'_>| LogReport {
-        survey: log.front.survey,
-        unused: log.front.unused,
-        unchecked: log.front.unchecked,
-    };
+    let log = |log: LogReader<'_>| log.front.log;
     Ok(CaptureReport { receiver: log(rx), transmitters: txs.into_iter().map(log).collect(), links })
 }

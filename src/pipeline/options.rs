@@ -183,13 +183,6 @@ impl Options {
         }
     }
 
-    /// On another channel.
-    #[must_use]
-    pub fn with_channel(mut self, channel: Channel) -> Self {
-        self.channel = channel;
-        self
-    }
-
     /// With another antenna, the same on both robots.
     #[must_use]
     pub fn with_antenna(mut self, antenna: Antenna) -> Self {
@@ -197,17 +190,11 @@ impl Options {
         self
     }
 
-    /// With the transmitters' MACs, in the order of their logs.
+    /// With the receiver's MAC (`None`: the most frequent sender in the transmitters' logs), and the transmitters', in the
+    /// order of their logs.
     #[must_use]
-    pub fn with_tx_macs(mut self, tx_macs: Vec<Mac>) -> Self {
-        self.tx_macs = tx_macs;
-        self
-    }
-
-    /// With the receiver's MAC; `None` for the most frequent sender in the transmitters' logs.
-    #[must_use]
-    pub fn with_rx_mac(mut self, rx_mac: Option<Mac>) -> Self {
-        self.rx_mac = rx_mac;
+    pub fn with_macs(mut self, rx_mac: Option<Mac>, tx_macs: Vec<Mac>) -> Self {
+        (self.rx_mac, self.tx_macs) = (rx_mac, tx_macs);
         self
     }
 

@@ -30,7 +30,7 @@ pub(super) fn read(
         } else if let Some((mac, heard)) = rx.next_frame()? {
             match links.iter_mut().flatten().find(|link| link.mac == mac) {
                 Some(link) => link.handle(LinkSide::Receiver, heard, options),
-                None => rx.front.unused.other_sender += 1,
+                None => rx.front.log.unused.other_sender += 1,
             }
         } else if txs.iter().all(LogReader::is_done) {
             break;
@@ -49,7 +49,7 @@ fn next_from(tx: &mut LogReader<'_>, receiver: Option<Mac>) -> Result<Option<Fra
         if receiver.is_none_or(|wanted| wanted == mac) {
             return Ok(Some(heard));
         }
-        tx.front.unused.other_sender += 1;
+        tx.front.log.unused.other_sender += 1;
     }
     Ok(None)
 }

@@ -198,7 +198,7 @@ impl Samples {
 
     /// Weight of each sample, at least 0; 1 for an ordinary one.
     #[must_use]
-    pub fn weight(&self) -> &[f64] {
+    pub(crate) fn weight(&self) -> &[f64] {
         &self.weight
     }
 }

@@ -79,7 +79,7 @@ pub enum KeyFileError {
 ///
 /// # Errors
 /// [`KeyFileError`]: nothing is taken that is not certain to be a key.
-pub fn read(path: &Path) -> Result<Key, KeyFileError> {
+pub fn read_key(path: &Path) -> Result<Key, KeyFileError> {
     let path_buf = || path.to_owned();
     let failed = |source| KeyFileError::Io { path: path.to_owned(), source };
     let metadata = std::fs::metadata(path).map_err(failed)?;
@@ -118,7 +118,7 @@ fn refused_mode(_: &std::fs::Metadata) -> Option<u32> {
 ///
 /// # Errors
 /// If it is there, or cannot be written.
-pub fn create(path: &Path, text: &str) -> Result<(), KeyFileError> {
+pub fn create_key_file(path: &Path, text: &str) -> Result<(), KeyFileError> {
     let failed = |source| KeyFileError::Io { path: path.to_owned(), source };
     let mut options = OpenOptions::new();
     options.write(true).create_new(true);
@@ -228,13 +228,13 @@ mod tests {
         let bytes = unhex(DIGITS).unwrap();
         let key = Key::from_secret(&bytes);
         for (name, content) in [("hex", DIGITS.as_bytes()), ("raw", bytes.as_slice())] {
-            assert_eq!(read(&folder.file(name, content, 0o600)).unwrap(), key);
+            assert_eq!(read_key(&folder.file(name, content, 0o600)).unwrap(), key);
         }
-        assert_eq!(read(&folder.file("line", format!("{DIGITS}\n").as_bytes(), 0o400)).unwrap(), key);
+        assert_eq!(read_key(&folder.file("line", format!("{DIGITS}\n").as_bytes(), 0o400)).unwrap(), key);
         let long = format!("{DIGITS}{}", "a91d4c7702fe63b8508e9fd2c4113b7a");
-        assert_ne!(read(&folder.file("long", long.as_bytes(), 0o600)).unwrap(), key, "no byte is left out");
+        assert_ne!(read_key(&folder.file("long", long.as_bytes(), 0o600)).unwrap(), key, "no byte is left out");
         for wrong in ["", "12", &DIGITS[1..], &format!("{DIGITS}00"), &format!("{long}00")] {
-            let error = read(&folder.file("wrong", wrong.as_bytes(), 0o600)).unwrap_err();
+            let error = read_key(&folder.file("wrong", wrong.as_bytes(), 0o600)).unwrap_err();
             assert!(matches!(error, KeyFileError::Shape { .. }), "{wrong}: {error}");
         }
         for weak in [
@@ -244,22 +244,22 @@ mod tests {
             "+f7c1e9a5b2d8046c1e0f4a7936bd258",
             "0123456789abcdef",
         ] {
-            let error = read(&folder.file("weak", weak.as_bytes(), 0o600)).unwrap_err();
+            let error = read_key(&folder.file("weak", weak.as_bytes(), 0o600)).unwrap_err();
             assert!(matches!(error, KeyFileError::Weak { .. }), "{weak}: {error}");
         }
-        assert!(matches!(read(Path::new("/dev/zero")).unwrap_err(), KeyFileError::NoFile { .. }));
-        assert!(matches!(read(&folder.0.join("none")).unwrap_err(), KeyFileError::Io { .. }));
+        assert!(matches!(read_key(Path::new("/dev/zero")).unwrap_err(), KeyFileError::NoFile { .. }));
+        assert!(matches!(read_key(&folder.0.join("none")).unwrap_err(), KeyFileError::Io { .. }));
     }
 
     #[test]
     fn a_key_that_others_can_read_is_refused() {
         let folder = Folder::new("modes");
         for mode in [0o644, 0o604, 0o602, 0o620, 0o666, 0o601] {
-            let error = read(&folder.file("key", DIGITS.as_bytes(), mode)).unwrap_err();
+            let error = read_key(&folder.file("key", DIGITS.as_bytes(), mode)).unwrap_err();
             assert!(matches!(error, KeyFileError::Mode { mode: is, .. } if is == mode), "{mode:o}: {error}");
         }
         for mode in [0o600, 0o400, 0o440] {
-            read(&folder.file("key", DIGITS.as_bytes(), mode)).unwrap();
+            read_key(&folder.file("key", DIGITS.as_bytes(), mode)).unwrap();
         }
     }
 
@@ -269,11 +269,11 @@ mod tests {
         let folder = Folder::new("new");
         let (path, mut secret, mut random) = (folder.0.join("group"), [0; 32], ChaCha8Rng::seed_from_u64(1));
         random.fill_bytes(&mut secret);
-        create(&path, &group_text(&secret)).unwrap();
+        create_key_file(&path, &group_text(&secret)).unwrap();
         assert_eq!(std::fs::metadata(&path).unwrap().permissions().mode() & 0o777, 0o600);
-        assert_eq!(read(&path).unwrap(), Key::from_secret(&secret));
-        assert!(matches!(create(&path, "other").unwrap_err(), KeyFileError::Io { .. }));
-        assert_eq!(read(&path).unwrap(), Key::from_secret(&secret));
+        assert_eq!(read_key(&path).unwrap(), Key::from_secret(&secret));
+        assert!(matches!(create_key_file(&path, "other").unwrap_err(), KeyFileError::Io { .. }));
+        assert_eq!(read_key(&path).unwrap(), Key::from_secret(&secret));
     }
 
     #[test]
@@ -296,9 +296,12 @@ mod tests {
         let text = robot_text(&robot).unwrap();
         assert_eq!(text.lines().count(), 4);
         let path = folder.file("robot", text.as_bytes(), 0o600);
-        assert_eq!(read(&path).unwrap(), robot);
+        assert_eq!(read_key(&path).unwrap(), robot);
         let cut = text.trim_end().trim_end_matches(|c: char| c.is_ascii_hexdigit());
-        assert!(matches!(read(&folder.file("cut", cut.as_bytes(), 0o600)).unwrap_err(), KeyFileError::Shape { .. }));
+        assert!(matches!(
+            read_key(&folder.file("cut", cut.as_bytes(), 0o600)).unwrap_err(),
+            KeyFileError::Shape { .. }
+        ));
         assert!(robot_text(&Key::new([1; 16])).is_none());
     }
 }

@@ -1,9 +1,9 @@
 //! Where records come from and where frames go. A card, a recorded file, a simulated room and a remote
-//! robot are values of one type, [`CsiSource`]. Who only wants to read a log takes [`Log`](log::Log).
+//! robot are values of one type, [`CsiSource`]. Who only wants to read a log takes [`Log`](crate::Log).
 
 mod error;
-pub mod key_file;
-pub mod log;
+pub(crate) mod key_file;
+pub(crate) mod log;
 pub mod recorder;
 pub mod replay;
 mod side_file;
@@ -16,6 +16,7 @@ pub mod paced;
 pub mod remote;
 
 pub use error::{Error, NotSent};
+pub use key_file::{KeyFileError, read_key};
 pub use side_file::{Checks, side_path};
 
 use crate::time::Instant;

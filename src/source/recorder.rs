@@ -77,12 +77,6 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Sets [`chunk_bytes`](Self::chunk_bytes) and [`chunks`](Self::chunks).
-    #[must_use]
-    pub fn with_queue(self, chunk_bytes: usize, chunks: usize) -> Self {
-        Self { chunk_bytes, chunks, ..self }
-    }
-
     /// Sets [`hand_over`](Self::hand_over).
     #[must_use]
     pub fn with_hand_over(self, hand_over: Span) -> Self {

@@ -13,9 +13,9 @@
 
 use crate::door::{Door, Rules};
 use csi5300::bartlett::{self, Grid};
+use csi5300::internal::FrameHeard;
 use csi5300::motion::pose::Pose;
 use csi5300::pipeline::Bearing;
-use csi5300::pipeline::FrameHeard;
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::source::survey::Survey;
 use driver_iface::Mac;

@@ -117,7 +117,7 @@ struct Alarms {
 impl Alarms {
     /// What is wrong, in words.
     fn look(&mut self, machine: &Machine, now: Instant) -> Vec<String> {
-        let front = machine.estimator.front();
+        let front = machine.estimator.own_log();
         let (forgotten, unauthenticated) = (front.survey.senders_forgotten, front.unused.unauthenticated);
         let mut words = Vec::new();
         if self.crowd.is_on(forgotten, now) {
@@ -174,7 +174,7 @@ impl Looks {
 
     /// The state now.
     pub fn look(&mut self, machine: &Machine, now: Instant, load: Load) -> Health {
-        let survey = &machine.estimator.front().survey;
+        let survey = &machine.estimator.own_log().survey;
         let (losses, strangers) = machine.estimator.losses();
         let poses = machine.pose_counts();
         let pairs: Vec<u64> = machine.estimator.peers().map(|(_, counts)| counts.pairs).collect();

@@ -196,10 +196,7 @@ impl Machine {
         if let Some(poses) = &mut self.poses {
             let (estimator, taps, counts) = (&mut self.estimator, &mut self.taps, &mut self.pose_counts);
             let failed = poses.drain(now, |pose| {
-                match pose {
-                    Some(pose) => estimator.handle_pose(pose),
-                    None => estimator.handle_new_frame(),
-                }
+                estimator.handle_pose(pose);
                 *(if pose.is_some() { &mut counts.poses } else { &mut counts.new_frames }) += 1;
                 taps.iter_mut().for_each(|tap| tap.pose(pose));
             });
@@ -235,10 +232,7 @@ impl Machine {
         let Some(running) = self.peers.get_mut(peer) else { return false };
         if let Some(poses) = &mut running.poses {
             let estimator = &mut self.estimator;
-            let failed = poses.drain(now, |pose| match pose {
-                Some(pose) => estimator.handle_peer_pose(peer, pose),
-                None => estimator.handle_peer_new_frame(peer),
-            });
+            let failed = poses.drain(now, |pose| estimator.handle_peer_pose(peer, pose));
             self.trouble.extend(failed.map(|error| format!("poses of peer {peer}: {error}")));
         }
         let Some(records) = running.records.as_mut().filter(|records| !records.ended) else { return false };
@@ -310,7 +304,7 @@ impl Machine {
     /// This host's wall clock was set: what has a time of the old one is of no use, here and to the peers.
     pub fn handle_clock_set(&mut self) {
         self.pose_counts.clock_set += 1;
-        self.estimator.handle_new_frame();
+        self.estimator.handle_pose(None);
         self.taps.iter_mut().for_each(|tap| tap.pose(None));
     }
 

@@ -2,7 +2,8 @@
 
 use super::config::{Capture, Config, Peer, Records};
 use super::machine::{Machine, Tap};
-use csi5300::exchange::tdma::{Epoch, Event, Key, Proof, Prover};
+use csi5300::exchange::tdma::{Epoch, Event, Key};
+use csi5300::internal::{Proof, Prover};
 use csi5300::source::survey::Survey;
 use csi5300::source::{Error, Next, Stamps};
 use csi5300::time::Instant;

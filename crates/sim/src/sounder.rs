@@ -97,10 +97,10 @@ pub(super) fn sounder(world: &World, robot: usize, restarts: u64, now: Instant) 
     let begin = Instant::from_us((sounding.start_s * 1e6).round() as i64);
     let session = (scene.start_unix_s as u32).wrapping_add(restarts as u32);
     let mut config = Config::new(world.mac(robot), index(robot), &[], request, session)
-        .with_peers(peers.map(|peer| tdma::Robot { mac: world.mac(peer), index: index(peer) }).collect())
         .with_initiate(initiators.contains(&robot))
         .with_epoch(tdma::Epoch::Heard(begin))
         .with_start(now.max(begin));
+    config.peers = peers.map(|peer| tdma::Robot { mac: world.mac(peer), index: index(peer) }).collect();
     if initiators.len() == 1 {
         config.silence_slots = ALONE_SILENCE_SLOTS;
         if restarts == 0 {

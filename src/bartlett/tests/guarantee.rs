@@ -13,7 +13,7 @@ fn error(
     let scene = Scene::new(samples).unwrap();
     let plan = planner.plan_scene(&scene, grid, options).unwrap();
     let sums = planner.sums(&plan, &scene);
-    let tilted = plan.explain().skipped.iter().any(|s| s.contains("tilted plane"));
+    let tilted = plan.explanation.skipped.iter().any(|s| s.contains("tilted plane"));
     let mut worst = 0f64;
     for i in 0..60 {
         // Corners, and anywhere.
@@ -24,7 +24,7 @@ fn error(
         let difference = if tilted { sums[index].norm() - exact.norm() } else { (sums[index] - exact).norm() };
         worst = worst.max(difference.abs() / scene.sum_abs);
     }
-    (worst, plan.explain().clone())
+    (worst, plan.explanation.clone())
 }
 
 #[test]
@@ -80,13 +80,13 @@ impl Exact {
     fn error(&self, planner: &mut Planner, options: &ProfileOptions) -> (f64, Explanation) {
         let plan = planner.plan_scene(&self.scene, &self.grid, options).unwrap();
         let values = planner.sums(&plan, &self.scene);
-        let tilted = plan.explain().skipped.iter().any(|s| s.contains("tilted plane"));
+        let tilted = plan.explanation.skipped.iter().any(|s| s.contains("tilted plane"));
         let off = |(index, exact): &(usize, Complex64)| {
             // In the axes of a tilted plane the middle lies in that plane: another phase for each direction, no other change.
             let value = values[*index];
             if tilted { (value.norm() - exact.norm()).abs() } else { (value - exact).norm() }
         };
-        (self.sums.iter().map(off).fold(0.0, f64::max) / self.scene.sum_abs, plan.explain().clone())
+        (self.sums.iter().map(off).fold(0.0, f64::max) / self.scene.sum_abs, plan.explanation.clone())
     }
 }
 
@@ -237,7 +237,7 @@ fn explanations_say_what_was_left_out() {
     let mut explain = |shape: usize, radius: f64, grid: &Grid| {
         let points = track(shape, radius, 1_000, &mut rng);
         let samples = samples(&points, &[(1.0, 0.0, Complex64::ONE)], 0.1, &mut rng);
-        planner.plan(&samples, grid, &ProfileOptions::default()).unwrap().explain().clone()
+        planner.explain(&samples, grid, &ProfileOptions::default()).unwrap()
     };
     let full = Grid::azimuth_elevation(360, 181);
     let planar = explain(0, 0.3, &full);

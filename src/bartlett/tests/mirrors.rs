@@ -173,7 +173,7 @@ fn a_better_odometry_tells_what_a_worse_one_cannot() {
     let normal = direction(0.4, 0.7);
     let motion = ellipse(normal, [0.3, 0.2], 0.006, 0.0, &mut rng);
     let samples = heard(&motion, (2.0, 0.2), 20.0, &mut rng);
-    let with = |sd_m: f64| search(&samples, &everywhere().with_odometry_sd_m(sd_m)).unwrap();
+    let with = |sd_m: f64| search(&samples, &SearchOptions { odometry_sd_m: sd_m, ..everywhere() }).unwrap();
     let (poor, good) = (with(0.01), with(0.0005));
     assert!(poor.mirror_rad.is_some() && poor.geometry == Geometry::TiltedPlane, "{poor:?}");
     assert!(good.mirror_rad.is_none() && good.geometry == Geometry::Spatial, "{good:?}");

@@ -73,14 +73,14 @@ impl Key {
 
     /// A key from the group's secret: at least 16 bytes from a good random source.
     #[must_use]
-    pub fn from_secret(secret: &[u8]) -> Self {
+    pub(crate) fn from_secret(secret: &[u8]) -> Self {
         let group = derive(secret, &[GROUP]);
         Self(Arc::new(Keys { group, pairs: Pairs::Secret(secret.to_vec()) }))
     }
 
     /// A robot's own keys: the group's, and one for each peer.
     #[must_use]
-    pub fn of_robot(own: Mac, group: [u8; 16], peers: Vec<(Mac, [u8; 16])>) -> Self {
+    pub(crate) fn of_robot(own: Mac, group: [u8; 16], peers: Vec<(Mac, [u8; 16])>) -> Self {
         Self(Arc::new(Keys { group, pairs: Pairs::Of(own, peers) }))
     }
 
@@ -95,7 +95,7 @@ impl Key {
     /// This robot's keys by name: the group's, and those with each peer. `None` for a key that holds the group's secret.
     #[must_use]
     #[allow(clippy::type_complexity)]
-    pub fn robot_keys(&self) -> Option<(Mac, [u8; 16], &[(Mac, [u8; 16])])> {
+    pub(crate) fn robot_keys(&self) -> Option<(Mac, [u8; 16], &[(Mac, [u8; 16])])> {
         match &self.0.pairs {
             Pairs::Secret(_) => None,
             Pairs::Of(own, keys) => Some((*own, self.0.group, keys)),

@@ -83,38 +83,10 @@ impl Config {
         }
     }
 
-    /// With these peers, each with an index of its own, in any order.
-    #[must_use]
-    pub fn with_peers(mut self, peers: Vec<Robot>) -> Self {
-        self.peers = peers;
-        self
-    }
-
-    /// Sounds these peers only, in order of their slots.
-    #[must_use]
-    pub fn with_links(mut self, links: Vec<Mac>) -> Self {
-        self.links = Some(links);
-        self
-    }
-
     /// Wants the turn, or only answers.
     #[must_use]
     pub const fn with_initiate(mut self, initiate: bool) -> Self {
         self.initiate = initiate;
-        self
-    }
-
-    /// Answers forward frames itself, or leaves it to the kernel driver.
-    #[must_use]
-    pub const fn with_respond(mut self, respond: bool) -> Self {
-        self.respond = respond;
-        self
-    }
-
-    /// Sounds in every round whether answered or not.
-    #[must_use]
-    pub const fn with_open_loop(mut self, open_loop: bool) -> Self {
-        self.open_loop = open_loop;
         self
     }
 
@@ -146,20 +118,6 @@ impl Config {
         self
     }
 
-    /// Silence that means that the last initiator is gone, slots.
-    #[must_use]
-    pub const fn with_silence_slots(mut self, silence_slots: u32) -> Self {
-        self.silence_slots = silence_slots;
-        self
-    }
-
-    /// How long an answer is waited for, microseconds.
-    #[must_use]
-    pub const fn with_patience_us(mut self, patience_us: u32) -> Self {
-        self.patience_us = patience_us;
-        self
-    }
-
     /// The MACs this robot sounds.
     pub(super) fn link_macs(&self) -> Vec<Mac> {
         self.links.clone().unwrap_or_else(|| self.peers.iter().map(|peer| peer.mac).collect())
@@ -173,7 +131,7 @@ impl Config {
     /// Checks the robots and the key against the plan.
     pub(super) fn check(&self, plan: &Plan) -> Result<(), PlanError> {
         let links = self.link_macs();
-        if links.len() > usize::from(plan.slots()) {
+        if links.len() > usize::from(plan.slots) {
             return Err(PlanError::Links(links.len()));
         }
         if self.peers.len() >= MAX_ROBOTS {
@@ -203,8 +161,8 @@ impl Config {
             if by_length && later.any(|other| other.index == robot.index) {
                 return Err(PlanError::Twice(robot.mac));
             }
-            if by_length && robot.index > plan.slots() {
-                return Err(PlanError::Index { index: robot.index, links: plan.slots() });
+            if by_length && robot.index > plan.slots {
+                return Err(PlanError::Index { index: robot.index, links: plan.slots });
             }
         }
         Ok(())

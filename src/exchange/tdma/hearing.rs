@@ -79,7 +79,7 @@ impl Tdma {
     }
 
     fn airtime(&self, frame: &Frame<'_>) -> Span {
-        Span::from_us(i64::from(self.plan.phy().airtime_us(frame.len_with_fcs())))
+        Span::from_us(i64::from(self.plan.phy.airtime_us(frame.len_with_fcs())))
     }
 
     /// False for a frame that was heard before, as far as that can be known.
@@ -133,7 +133,7 @@ impl Tdma {
 
     /// Follows the initiator of a frame in turn and epoch. A frame outside of its slot is ignored.
     fn follow(&mut self, repr: &native::Repr, peer: usize, began: Instant) -> Fit {
-        let is_same_plan = (repr.round_us, repr.slots) == (self.plan.round_us(), self.plan.slots());
+        let is_same_plan = (repr.round_us, repr.slots) == (self.plan.round_us(), self.plan.slots);
         if !is_same_plan || repr.slot > MAX_SLOT || u32::from(repr.left) >= self.plan.turn_slots() {
             self.counts.other_plan += 1;
             return Fit::Unknown;
@@ -264,7 +264,7 @@ impl Tdma {
     /// The WSR dialect: the length says what a frame is and for whom.
     fn hear_wsr(&mut self, ended: Instant, frame: &Frame<'_>, peer: usize, first_len: usize) {
         let len = frame.len_with_fcs();
-        let last_len = wsr::forward_len(first_len, usize::from(self.plan.slots()));
+        let last_len = wsr::forward_len(first_len, usize::from(self.plan.slots));
         let Some(index) = self.roster.peer(peer).map(|peer| usize::from(peer.index)) else { return };
         if (first_len..=last_len).contains(&len) && len % 2 == 1 {
             self.hear_wsr_forward(ended, frame, peer, len == wsr::forward_len(first_len, usize::from(self.own_index)));

@@ -127,7 +127,7 @@ impl Tdma {
         config.check(&plan)?;
         let longest = match plan.dialect() {
             Dialect::Wsr { first_len } => {
-                wsr::forward_len(usize::from(first_len), usize::from(plan.slots())) + wsr::REPLY_GROWTH
+                wsr::forward_len(usize::from(first_len), usize::from(plan.slots)) + wsr::REPLY_GROWTH
             }
             Dialect::Native { .. } => native::MAX_LEN,
         };
@@ -296,12 +296,6 @@ impl Tdma {
     #[must_use]
     pub fn is_synchronised(&self) -> bool {
         self.clock.is_locked()
-    }
-
-    /// Slot 0 on this robot's clock, as known now.
-    #[must_use]
-    pub fn epoch(&self) -> Instant {
-        self.clock.epoch()
     }
 
     /// Everything counted since the start.

@@ -21,7 +21,7 @@ impl Default for Phy {
 
 impl Phy {
     /// Highest MCS with equal modulation on up to four streams (802.11-2016 clause 19.5).
-    pub const MAX_MCS: u8 = 31;
+    pub(crate) const MAX_MCS: u8 = 31;
 
     /// Data bits in one OFDM symbol of 4 us (802.11-2016 tables 19-27 to 19-34).
     #[must_use]

@@ -11,12 +11,12 @@ pub const TURN_AROUND_US: u32 = 322;
 /// Default guard, microseconds: how late a frame may start, and again how far clocks may be apart.
 pub const GUARD_US: u32 = 50;
 /// Most robots in one exchange, this one included.
-pub const MAX_ROBOTS: usize = 256;
+pub(crate) const MAX_ROBOTS: usize = 256;
 /// Default length of a turn, slots: every frame of it names the next initiator, which at 60 % loss misses all of them
 /// once in 10^7 turns.
-pub const TURN_SLOTS: u16 = 32;
+pub(crate) const TURN_SLOTS: u16 = 32;
 /// Longest turn, slots (before it is rounded up to whole rounds).
-pub const MAX_TURN_SLOTS: u16 = 60_000;
+pub(crate) const MAX_TURN_SLOTS: u16 = 60_000;
 
 /// What is asked of a plan.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -55,13 +55,6 @@ impl Request {
         }
     }
 
-    /// Links that an initiator sounds in one round.
-    #[must_use]
-    pub const fn with_links(mut self, links: u16) -> Self {
-        self.links = links;
-        self
-    }
-
     /// Rounds per second.
     #[must_use]
     pub const fn with_rate_hz(mut self, rate_hz: f64) -> Self {
@@ -94,13 +87,6 @@ impl Request {
     #[must_use]
     pub const fn with_guard_us(mut self, guard_us: u32) -> Self {
         self.guard_us = guard_us;
-        self
-    }
-
-    /// Slots of a turn, rounded up to whole rounds.
-    #[must_use]
-    pub const fn with_turn_slots(mut self, turn_slots: u16) -> Self {
-        self.turn_slots = turn_slots;
         self
     }
 }
@@ -162,15 +148,18 @@ pub enum PlanError {
 /// the forward frame starts at most one guard late, the answer at most one turn-around after its end, and one guard
 /// is left for clocks that are apart.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Plan {
+    /// Slots of a round, one per link.
+    pub slots: u16,
+    /// Modulation.
+    pub phy: Phy,
     round_us: u32,
-    slots: u16,
     forward_us: u32,
     backward_us: u32,
     turn_around_us: u32,
     guard_us: u32,
     turn_slots: u16,
-    phy: Phy,
     dialect: Dialect,
 }
 
@@ -235,12 +224,6 @@ impl Plan {
         self.round_us
     }
 
-    /// Slots of a round, one per link.
-    #[must_use]
-    pub fn slots(&self) -> u16 {
-        self.slots
-    }
-
     /// Rounds per second.
     #[must_use]
     pub fn rate_hz(&self) -> f64 {
@@ -285,14 +268,8 @@ impl Plan {
 
     /// How long after the end of a forward frame its answer may start.
     #[must_use]
-    pub fn turn_around(&self) -> Span {
+    pub(crate) fn turn_around(&self) -> Span {
         Span::from_us(i64::from(self.turn_around_us))
-    }
-
-    /// Modulation.
-    #[must_use]
-    pub fn phy(&self) -> Phy {
-        self.phy
     }
 
     /// Frame dialect.
@@ -339,7 +316,7 @@ mod tests {
         ] {
             let request = Request { dialect, ..Request::new(12, 100.0) };
             let plan = Plan::new(&request).unwrap();
-            assert_eq!((plan.round_us(), plan.slots()), (10_000, 12));
+            assert_eq!((plan.round_us(), plan.slots), (10_000, 12));
             let Err(PlanError::Rate { highest_hz, slot_us, .. }) = Plan::new(&Request { links: 32, ..request }) else {
                 panic!("32 links at 100 rounds/s must not fit");
             };

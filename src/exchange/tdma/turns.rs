@@ -67,7 +67,7 @@ impl Tdma {
 
     /// Uses or skips one slot of the turn.
     fn use_slot(&mut self, turn: Turn, start: Instant) -> Option<Ready> {
-        let place = turn.slot.rem_euclid(i64::from(self.plan.slots())) as usize;
+        let place = turn.slot.rem_euclid(i64::from(self.plan.slots)) as usize;
         let must_be_heard = turn.idle_slots + 1 >= KEEP_ALIVE_SLOTS;
         let due = self.roster.due(place, must_be_heard, self.open_loop).filter(|_| !self.listens_in(turn.slot));
         let latest = start + self.plan.guard();
@@ -119,7 +119,7 @@ impl Tdma {
             left: u16::try_from(turn.end - turn.slot - 1).unwrap_or(u16::MAX),
             slot: turn.slot.cast_unsigned(),
             round_us: self.plan.round_us(),
-            slots: self.plan.slots(),
+            slots: self.plan.slots,
             measurement: None,
             tag: self.key.as_ref().map(|_| [0; native::TAG_LEN]),
         };

@@ -7,7 +7,7 @@ use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
 use crate::exchange::tdma::Key;
 use crate::motion::pose::{Pose, Trajectory};
-use crate::pipeline::{Bearing, Front, Link, LinkError, LinkJoin, Options, estimate};
+use crate::pipeline::{Bearing, Front, Link, LinkError, LinkJoin, LogReport, Options, estimate};
 use crate::source::{Loss, Next};
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
@@ -111,30 +111,25 @@ impl LiveEstimator {
         }
     }
 
-    /// Takes a pose of this robot's antenna, on its own host's clock.
-    pub fn handle_pose(&mut self, pose: Pose) {
-        self.track.push(pose);
-    }
-
-    /// This robot's poses from here on are in another frame: what was measured in the last one is of no use.
-    pub fn handle_new_frame(&mut self) {
+    /// Takes a pose of this robot's antenna, on its own host's clock. `None`: the poses from here on are in another frame;
+    /// what was measured in the last one is of no use.
+    pub fn handle_pose(&mut self, pose: Option<Pose>) {
+        if let Some(pose) = pose {
+            return self.track.push(pose);
+        }
         self.track.clear();
         self.peers.iter_mut().for_each(PeerLink::begin_anew);
     }
 
-    /// Takes a pose of a peer's antenna, on the peer's clock and in its frame.
-    pub fn handle_peer_pose(&mut self, peer: usize, pose: Pose) {
-        if let Some(state) = self.peers.get_mut(peer) {
-            state.peer.track.push(pose);
+    /// Takes a pose of a peer's antenna, on the peer's clock and in its frame. `None`: the poses from here on are in another
+    /// frame.
+    pub fn handle_peer_pose(&mut self, peer: usize, pose: Option<Pose>) {
+        let Some(state) = self.peers.get_mut(peer) else { return };
+        if let Some(pose) = pose {
+            return state.peer.track.push(pose);
         }
-    }
-
-    /// A peer's poses from here on are in another frame.
-    pub fn handle_peer_new_frame(&mut self, peer: usize) {
-        if let Some(state) = self.peers.get_mut(peer) {
-            state.peer.track.clear();
-            state.begin_anew();
-        }
+        state.peer.track.clear();
+        state.begin_anew();
     }
 
     /// When the next report is due: from then on the next pair is waited for.
@@ -213,8 +208,8 @@ impl LiveEstimator {
 
     /// What was counted of this robot's own card.
     #[must_use]
-    pub fn front(&self) -> &Front {
-        &self.front
+    pub fn own_log(&self) -> &LogReport {
+        &self.front.log
     }
 
     /// Poses of this robot that are kept, and the newest.
@@ -279,8 +274,8 @@ mod tests {
                 position_m: Vector3::zeros(),
                 heading_rad: None,
             };
-            estimator.handle_pose(pose(0.0));
-            estimator.handle_peer_pose(0, pose(3_600.0));
+            estimator.handle_pose(Some(pose(0.0)));
+            estimator.handle_peer_pose(0, Some(pose(3_600.0)));
             estimator.poll_report(Instant::from_us(i64::from(k) * 100_000));
         }
         let kept = estimator.peers().next().unwrap().0.track.len();

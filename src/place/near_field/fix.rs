@@ -26,7 +26,7 @@ pub struct Source {
 impl Source {
     /// The elevation with its sign where that is known, else its magnitude, radians.
     #[must_use]
-    pub fn elevation_rad(&self) -> f64 {
+    pub(crate) fn elevation_rad(&self) -> f64 {
         self.signed_elevation_rad.unwrap_or(self.abs_elevation_rad)
     }
 }
@@ -105,27 +105,20 @@ pub struct Fix {
 impl Fix {
     /// The top of the answer.
     #[must_use]
-    pub fn best(&self) -> Source {
+    pub(crate) fn best(&self) -> Source {
         self.sources[0]
     }
 
     /// How far the view furthest off would have put the azimuth, radians.
     #[must_use]
-    pub fn view_spread_rad(&self) -> f64 {
+    pub(crate) fn view_spread_rad(&self) -> f64 {
         let azimuth = self.azimuth_rad;
         self.view_azimuths_rad.iter().map(|a| wrap_rad(a - azimuth).abs()).fold(0.0, f64::max)
     }
 
-    /// True if the answer lies at the shortest range or the largest elevation that were searched: what fits best is then
-    /// somewhere else, or no single place.
-    #[must_use]
-    pub fn at_edge(&self) -> bool {
-        self.edge().is_some()
-    }
-
     /// Which limits of the search the answer lies at.
     #[must_use]
-    pub fn edge(&self) -> Option<Edge> {
+    pub(crate) fn edge(&self) -> Option<Edge> {
         let best = self.best();
         let near = self.range_searched && best.inverse_range_per_m * self.range_min_m > 0.98;
         let limited = self.elevation_searched && self.elevation_max_rad < FRAC_PI_2;
@@ -135,7 +128,7 @@ impl Fix {
     /// Range to the answer and its standard deviation, metres, where the curvature fixes it to better than `share` of
     /// itself.
     #[must_use]
-    pub fn range_m(&self, share: f64) -> Option<(f64, f64)> {
+    pub(crate) fn range_m(&self, share: f64) -> Option<(f64, f64)> {
         let c = self.best().inverse_range_per_m;
         let relative = self.deviations.inverse_range_per_m / c;
         let inside = c > 0.0 && c * self.range_min_m < 0.98;
@@ -145,7 +138,7 @@ impl Fix {
     /// Position of the answer in the frame of the displacements, and its covariance, metres; where the sign of its height
     /// above the motion is not observed it is taken as upwards.
     #[must_use]
-    pub fn position(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
+    pub(crate) fn position(&self) -> Option<(Vector3<f64>, Matrix3<f64>)> {
         let best = self.best();
         let c = best.inverse_range_per_m;
         if !self.range_searched || c <= 0.0 {

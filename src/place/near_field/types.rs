@@ -216,7 +216,7 @@ impl Default for Warp {
 impl Warp {
     /// Points of a path after the change: in its middle the heading is right, and the mean stays where it was.
     #[must_use]
-    pub fn applied(&self, path_m: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    pub(crate) fn applied(&self, path_m: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
         if *self == Self::default() || path_m.is_empty() {
             return path_m.to_vec();
         }

@@ -23,5 +23,6 @@ mod turn_around;
 
 pub use centre::at_centre;
 pub use drift_line::{DriftLine, drift_line};
-pub use round_trip::{round_trip, round_trip_at_centre};
+pub(crate) use round_trip::round_trip;
+pub use round_trip::round_trip_at_centre;
 pub use turn_around::TurnAround;

@@ -1,7 +1,7 @@
 use super::*;
 use crate::source::Stamps;
 use crate::source::replay::Replay;
-use crate::source::side_path;
+use crate::source::side_file::side_path;
 use driver_iface::bfee;
 use driver_iface::record::{Record, Tail, code};
 use std::collections::VecDeque;
@@ -208,7 +208,7 @@ impl Sink for Kept {
 fn a_dropped_recorder_writes_what_it_was_handed() {
     let (log, syncs) = (Arc::<Mutex<Vec<u8>>>::default(), Arc::<Mutex<u32>>::default());
     let sink = Kept { log: Arc::clone(&log), syncs: Arc::clone(&syncs), dies_at: None };
-    let options = Options::default().with_queue(10_000, 1_000);
+    let options = Options { chunk_bytes: 10_000, chunks: 1_000, ..Options::default() };
     let mut recorder = Recorder::new(Numbered::new((0..1_000).map(Some)), sink, options).unwrap();
     let tally = recorder.tally();
     drain(&mut recorder, Instant::ZERO);
@@ -224,7 +224,7 @@ fn what_a_dead_writer_took_with_it_is_counted() {
     for finish in [false, true] {
         let log = Arc::<Mutex<Vec<u8>>>::default();
         let sink = Kept { log: Arc::clone(&log), syncs: Arc::default(), dies_at: Some(1) };
-        let options = Options::default().with_queue(10_000, 1_000);
+        let options = Options { chunk_bytes: 10_000, chunks: 1_000, ..Options::default() };
         let mut recorder = Recorder::new(Numbered::new((0..1_000).map(Some)), sink, options).unwrap();
         let tally = recorder.tally();
         drain(&mut recorder, Instant::ZERO);

@@ -12,7 +12,7 @@ use csi5300::pipeline::LinkPlan;
 use csi5300::pipeline::{Answer, lost_something};
 use csi5300::pipeline::{CaptureReport, JoinBy, LinkReport, LogReport, Options, Transmitter, WaveModel, bearings};
 use csi5300::signal::channel::Channel;
-use csi5300::source::{CsiSource, key_file, replay::Replay};
+use csi5300::source::{CsiSource, read_key, replay::Replay};
 use driver_iface::Mac;
 use nalgebra::Vector3;
 use std::fmt::Write;
@@ -202,8 +202,8 @@ fn options(args: &Args) -> std::result::Result<Options, String> {
     let join = if args.join_rows { JoinBy::Row } else { JoinBy::Time };
     #[cfg(feature = "plot")]
     let options = options.with_keep_course(args.plot.is_some());
-    let key = args.key.as_deref().map(key_file::read).transpose().map_err(|error| error.to_string())?;
-    let options = options.with_key(key).with_tx_macs(args.tx_mac.clone()).with_rx_mac(args.rx_mac).with_join(join);
+    let key = args.key.as_deref().map(read_key).transpose().map_err(|error| error.to_string())?;
+    let options = options.with_key(key).with_macs(args.rx_mac, args.tx_mac.clone()).with_join(join);
     Ok(options.with_parallel(args.tx.len() > 1))
 }
 

@@ -2,7 +2,8 @@
 
 use super::args::mac;
 use super::{Outcome, Result};
-use csi5300::source::key_file;
+use csi5300::internal::{create_key_file, group_text, robot_text};
+use csi5300::source::{KeyFileError, read_key};
 use driver_iface::Mac;
 use std::io::Read;
 use std::path::PathBuf;
@@ -44,22 +45,22 @@ enum What {
 
 /// Makes a key.
 pub fn run(args: &Args) -> Result {
-    let text = |error: key_file::KeyFileError| error.to_string();
+    let text = |error: KeyFileError| error.to_string();
     let (file, content) = match &args.what {
-        What::New { file } => (file, key_file::group_text(&random()?)),
+        What::New { file } => (file, group_text(&random()?)),
         What::Robot { group, mac, peers, file } => {
             if let Some(own) = peers.iter().find(|peer| *peer == mac) {
                 return Err(format!("{own} is the robot's own MAC: --peers are the others"));
             }
-            let group = key_file::read(group).map_err(text)?;
+            let group = read_key(group).map_err(text)?;
             let own = group.for_robot(*mac, peers);
             if let Some(peer) = peers.iter().find(|peer| !own.has_pair(*mac, **peer)) {
                 return Err(format!("no key of {mac} with {peer} can be made from a robot's file: give the group's"));
             }
-            (file, key_file::robot_text(&own).ok_or("no key was made")?)
+            (file, robot_text(&own).ok_or("no key was made")?)
         }
     };
-    key_file::create(file, &content).map_err(text)?;
+    create_key_file(file, &content).map_err(text)?;
     note!("{}: a new key, mode 0600", file.display());
     Ok(Outcome::Done)
 }

@@ -2,8 +2,8 @@
 
 use super::args::{Estimation, channel};
 use super::{Outcome, Result, info, read_trajectory, usage};
+use csi5300::internal::Front;
 use csi5300::motion::pose::Trajectory;
-use csi5300::pipeline::Front;
 use csi5300::pipeline::{Options, Transmitter, bearings};
 use csi5300::signal::channel::Channel;
 use csi5300::source::survey::Survey;
@@ -85,9 +85,9 @@ fn convert(
             break;
         }
     }
-    let end_s = front.survey.host_us.map_or(0.0, |(_, last)| last as f64 * 1e-6);
-    channels.counters(name, end_s, &front.survey);
-    Ok((front.survey, log.bytes()))
+    let end_s = front.log.survey.host_us.map_or(0.0, |(_, last)| last as f64 * 1e-6);
+    channels.counters(name, end_s, &front.log.survey);
+    Ok((front.log.survey, log.bytes()))
 }
 
 /// The bearings of the first log to the others; true if one failed.

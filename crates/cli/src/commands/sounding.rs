@@ -183,7 +183,7 @@ impl Sounding {
             "{} is {}; {} links in a round, {:.3} rounds/s, slots of {:.0} us (at least {})",
             self.name(),
             opened.own,
-            plan.slots(),
+            plan.slots,
             plan.rate_hz(),
             plan.slot_us(),
             plan.shortest_slot_us()

@@ -41,8 +41,10 @@ fn machine(room: &Room, own: usize, initiate: bool) -> Tdma {
     let phy = Phy { mcs: 1, bandwidth: Bandwidth::Ht20 };
     let request = Request::new(1, 100.0).with_phy(phy);
     let epoch = Epoch::Heard(Instant::ZERO);
-    let config = Config::new(room.mac(own).unwrap(), 0, &peers, request, 1);
-    Tdma::new(&config.with_initiate(initiate).with_epoch(epoch).with_silence_slots(2)).unwrap()
+    let mut config =
+        Config::new(room.mac(own).unwrap(), 0, &peers, request, 1).with_initiate(initiate).with_epoch(epoch);
+    config.silence_slots = 2;
+    Tdma::new(&config).unwrap()
 }
 
 /// Steps the exchanges as their threads would, in virtual time, until the room's end; gives what each said.

@@ -81,15 +81,21 @@ pub const FIGURES: &[Figure] = &[
 pub struct Figures {
     /// By key; none where nothing could be measured.
     pub values: BTreeMap<String, Option<f64>>,
-    /// Processor time of captures, rooms and simulated links, seconds.
-    pub seconds: f64,
+    /// Processor time, seconds.
+    pub seconds: Option<f64>,
 }
 
 impl Figures {
     /// The first of several measurements of the same numbers, with the median of their times.
     pub fn usual(all: &[&Self]) -> Option<Self> {
-        let mut seconds: Vec<f64> = all.iter().map(|own| own.seconds).collect();
-        Some(Self { values: all.first()?.values.clone(), seconds: median(&mut seconds)? })
+        let mut seconds: Vec<f64> = all.iter().filter_map(|own| own.seconds).collect();
+        Some(Self { values: all.first()?.values.clone(), seconds: median(&mut seconds) })
+    }
+
+    /// With the values of another part; times are of the first.
+    pub fn and(mut self, other: &Self) -> Self {
+        self.values.extend(other.values.clone());
+        self
     }
 
     fn set(&mut self, key: &str, value: Option<f64>) {
@@ -113,8 +119,19 @@ struct Said {
     bar_deg: f64,
 }
 
-/// All figures with the numbers in use.
-pub fn measure(captures: &Path, rooms: &Path) -> Fallible<Figures> {
+/// Simulated rooms and links with the numbers in use.
+pub fn of_scenes(rooms: &Path) -> Fallible<Figures> {
+    let mut figures = Figures::default();
+    figures.of_rooms(rooms)?;
+    figures.of_links()?;
+    let (right, wrong) = pairs::after_restarts();
+    figures.set("restart right", Some(right));
+    figures.set("restart wrong", Some(wrong));
+    Ok(figures)
+}
+
+/// The captures with the numbers in use.
+pub fn of_captures(captures: &Path) -> Fallible<Figures> {
     let (captures, unreadable) = find(captures);
     if let Some(first) = unreadable.first() {
         return Err(first.clone().into());
@@ -142,13 +159,8 @@ pub fn measure(captures: &Path, rooms: &Path) -> Fallible<Figures> {
     figures.set("failed", Some(f64::from(failed)));
     figures.certainty("full", &full);
     figures.certainty("plane", &plane);
-    figures.of_rooms(rooms)?;
-    figures.of_links()?;
-    figures.seconds = clock_s() - start_s;
+    figures.seconds = Some(clock_s() - start_s);
     figures.set("foreign", Some(foreign(&captures)?));
-    let (right, wrong) = pairs::after_restarts();
-    figures.set("restart right", Some(right));
-    figures.set("restart wrong", Some(wrong));
     Ok(figures)
 }
 

@@ -1,4 +1,5 @@
-//! What each tuned number of the library does at half and at double: the last column of docs/tuning.md.
+//! What each tuned number of the library does at half and at double: the last column of docs/tuning.md. First on captures;
+//! what does nothing there, on simulated rooms and links.
 //!
 //! `cargo run --release -p csi5300-lab --features tunable --example sensitivity -- run CAPTURES RESULTS` measures and
 //! appends to the file RESULTS what is not in it yet, two numbers at a time; `.. -- table RESULTS` prints a line for
@@ -14,7 +15,7 @@ mod words;
 
 use changes::{Change, changes};
 use csi5300::internal::TUNING_VARIABLE;
-use figures::{Figures, measure};
+use figures::{Figures, of_captures, of_scenes};
 use std::collections::BTreeMap;
 use std::error::Error;
 use std::io::Write;
@@ -25,8 +26,11 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Measurements at a time.
 const ABREAST: usize = 2;
+/// The parts of what is measured.
+const CAPTURES: &str = "captures";
+const SCENES: &str = "scenes";
 /// Rooms of either kind.
-const ROOMS: u64 = 8;
+const ROOMS: u64 = 4;
 /// Measurements without any change: the median of their times is what others are compared with.
 const UNCHANGED: usize = 3;
 
@@ -39,7 +43,8 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     let done = match words.as_slice() {
-        ["measure", captures, rooms] => print_figures(Path::new(captures), Path::new(rooms)),
+        ["captures", folder] => of_captures(Path::new(folder)).and_then(|figures| print(&figures)),
+        ["scenes", rooms] => of_scenes(Path::new(rooms)).and_then(|figures| print(&figures)),
         ["run", captures, results] => run(Path::new(captures), Path::new(results)),
         ["table", results] => table(Path::new(results)),
         ["write", results, source] => write(Path::new(results), Path::new(source)),
@@ -54,28 +59,55 @@ fn main() -> ExitCode {
     }
 }
 
-/// What a child does: measures with the numbers of its environment.
-fn print_figures(captures: &Path, rooms: &Path) -> Fallible<()> {
-    println!("{}", serde_json::to_string(&measure(captures, rooms)?)?);
+/// What a child ends with.
+fn print(figures: &Figures) -> Fallible<()> {
+    println!("{}", serde_json::to_string(figures)?);
     Ok(())
+}
+
+/// A part of what is measured, on a folder of its own.
+#[derive(Clone, Copy)]
+struct Part<'a> {
+    name: &'static str,
+    folder: &'a Path,
+}
+
+impl Part<'_> {
+    /// What a result is called.
+    fn of(self, change: &Change) -> String {
+        format!("{} {}", change.name, self.name)
+    }
 }
 
 /// Measures whatever is not in `results` yet.
 fn run(captures: &Path, results: &Path) -> Fallible<()> {
-    let known = if results.exists() { read(results)? } else { Results::new() };
     let mut jobs: Vec<Change> = (0..UNCHANGED).map(Change::none).collect();
     jobs.extend(changes()?);
-    jobs.retain(|job| !known.contains_key(&job.name));
+    let captures = Part { name: CAPTURES, folder: captures };
+    measure(&jobs, captures, results)?;
+    let known = read(results)?;
+    let base = unchanged(&known, CAPTURES)?;
+    let still = |job: &Change| {
+        let own = known.get(&captures.of(job)).and_then(Option::as_ref);
+        own.is_some_and(|own| words::is_still(&base, own))
+    };
+    jobs.retain(still);
     let rooms = rooms_folder()?;
+    measure(&jobs, Part { name: SCENES, folder: &rooms }, results)
+}
+
+/// Measures a part with every change for which `results` has none.
+fn measure(jobs: &[Change], part: Part<'_>, results: &Path) -> Fallible<()> {
+    let known = if results.exists() { read(results)? } else { Results::new() };
+    let jobs: Vec<&Change> = jobs.iter().filter(|job| !known.contains_key(&part.of(job))).collect();
     let out = Mutex::new(std::fs::OpenOptions::new().create(true).append(true).open(results)?);
     let next = AtomicUsize::new(0);
     let work = || -> Fallible<()> {
         while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
-            let figures = child(job, captures, &rooms)?;
-            let line = serde_json::to_string(&(&job.name, figures))?;
+            let line = serde_json::to_string(&(part.of(job), child(job, part)?))?;
             let mut out = out.lock().map_err(|_| "another measurement died")?;
             writeln!(out, "{line}")?;
-            println!("{}", job.name);
+            println!("{}", part.of(job));
         }
         Ok(())
     };
@@ -86,9 +118,9 @@ fn run(captures: &Path, results: &Path) -> Fallible<()> {
 }
 
 /// The figures of a process with the change in its environment; none if it ends without any, and says why on standard error.
-fn child(job: &Change, captures: &Path, rooms: &Path) -> Fallible<Option<Figures>> {
+fn child(job: &Change, part: Part<'_>) -> Fallible<Option<Figures>> {
     let mut command = Command::new(std::env::current_exe()?);
-    command.arg("measure").arg(captures).arg(rooms).env("RAYON_NUM_THREADS", "1").env(TUNING_VARIABLE, &job.json);
+    command.arg(part.name).arg(part.folder).env("RAYON_NUM_THREADS", "1").env(TUNING_VARIABLE, &job.json);
     command.stderr(std::process::Stdio::inherit());
     let output = command.output()?;
     if !output.status.success() {
@@ -111,18 +143,26 @@ fn read(results: &Path) -> Fallible<Results> {
     text.lines().map(line).collect()
 }
 
+/// What was measured of a part without any change.
+fn unchanged(results: &Results, part: &str) -> Fallible<Figures> {
+    let own = |k| results.get(&format!("{} {part}", Change::none(k).name))?.as_ref();
+    let all: Vec<&Figures> = (0..UNCHANGED).filter_map(own).collect();
+    Ok(Figures::usual(&all).ok_or("nothing was measured without changes")?)
+}
+
 /// What is said of each number that was measured at half and at double, by its name.
 fn sentences(results: &Path) -> Fallible<BTreeMap<String, String>> {
     let results = read(results)?;
-    let unchanged: Vec<&Figures> =
-        (0..UNCHANGED).filter_map(|k| results.get(&Change::none(k).name)?.as_ref()).collect();
-    let base = Figures::usual(&unchanged).ok_or("nothing was measured without changes")?;
+    let base = unchanged(&results, CAPTURES)?.and(&unchanged(&results, SCENES).unwrap_or_default());
     let mut sentences = BTreeMap::new();
     for change in changes()? {
-        let [Some(half), Some(double)] = ["half", "double"].map(|by| results.get(&format!("{} {by}", change.field)))
-        else {
-            continue;
+        let own = |by: &str, part: &str| results.get(&format!("{} {by} {part}", change.field)).map(Option::as_ref);
+        let [Some(half), Some(double)] = ["half", "double"].map(|by| own(by, CAPTURES)) else { continue };
+        let with_scenes = |captures: Option<&Figures>, by: &str| {
+            let scenes = own(by, SCENES).flatten();
+            captures.map(|captures| scenes.map_or_else(|| captures.clone(), |scenes| captures.clone().and(scenes)))
         };
+        let (half, double) = (with_scenes(half, "half"), with_scenes(double, "double"));
         sentences.insert(change.field, words::sentence(&base, half.as_ref(), double.as_ref()));
     }
     Ok(sentences)

@@ -19,6 +19,11 @@ pub fn sentence(base: &Figures, half: Option<&Figures>, double: Option<&Figures>
     }
 }
 
+/// True if nothing that was measured moved.
+pub fn is_still(base: &Figures, own: &Figures) -> bool {
+    FIGURES.iter().all(|figure| difference(figure, base, own).is_none())
+}
+
 /// What moved: errors of the captures, or, where none did, what else.
 fn moved(base: &Figures, own: &Figures) -> String {
     let of = |captures: bool| -> Vec<String> {
@@ -36,7 +41,7 @@ fn moved(base: &Figures, own: &Figures) -> String {
             said.push(format!("{more} other figures"));
         }
     }
-    let time = own.seconds / base.seconds;
+    let time = own.seconds.zip(base.seconds).map_or(1.0, |(own, base)| own / base);
     if !(1.0 / STILL_TIME..=STILL_TIME).contains(&time) {
         said.push(format!("time x{time:.1}"));
     }
@@ -58,7 +63,7 @@ fn difference(figure: &Figure, base: &Figures, own: &Figures) -> Option<String> 
                 (Some(was), Some(is)) if (is - was).abs() > STILL_SHARE * was.abs() => {
                     Some(format!("{name} {} instead of {}", plain(is), plain(was)))
                 }
-                (Some(_), None) => Some(format!("no {name}")),
+                (Some(_), None) if own.values.contains_key(key) => Some(format!("no {name}")),
                 _ => None,
             }
         }

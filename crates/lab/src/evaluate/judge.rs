@@ -127,7 +127,8 @@ impl Capture {
             _ => self.trajectory(TrajectorySource::GroundTruth, &mut notes).ok(),
         };
         let heading_sd_rad = options.heading_sd_rad.unwrap_or(source.heading_sd_rad());
-        let options = options.clone().with_channel(channel).with_heading_sd_rad(Some(heading_sd_rad));
+        let mut options = options.clone().with_heading_sd_rad(Some(heading_sd_rad));
+        options.channel = channel;
         let moved = self.moved(source, &mut notes)?;
         let (report, failed) = self.estimate(&part.cut(&trajectory)?, &moved, &options)?;
         let paths = match source {

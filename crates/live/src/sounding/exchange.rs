@@ -112,7 +112,7 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
     fn note_answer(&mut self, number: u32, heard: Option<FrameEnd>) {
         let sent = self.last_forward.filter(|(sent, _)| *sent == number);
         if let (Some((_, sent)), Some((ended, len))) = (sent, heard) {
-            let airtime_us = i64::from(self.tdma.plan().phy().airtime_us(len));
+            let airtime_us = i64::from(self.tdma.plan().phy.airtime_us(len));
             self.figures.note_answer_us((ended - sent).as_us() - airtime_us);
         }
     }

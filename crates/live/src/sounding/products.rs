@@ -5,10 +5,11 @@
 //! records do.
 
 use csi5300::exchange::tdma::Key;
+use csi5300::internal::FrameHeard;
 use csi5300::motion::pose::Trajectory;
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::live::{LiveEstimator, LivePeer, LiveSettings, Track};
-use csi5300::pipeline::{Bearing, FrameHeard, LinkError, Options, UnusedRecords};
+use csi5300::pipeline::{Bearing, LinkError, Options, UnusedRecords};
 use csi5300::source::Next;
 use csi5300::source::survey::Identity;
 use csi5300::time::Instant;
@@ -83,7 +84,7 @@ impl Products {
     /// Records of the card that could not be used, by reason.
     #[must_use]
     pub fn unused(&self) -> UnusedRecords {
-        self.estimator.front().unused
+        self.estimator.own_log().unused
     }
 
     /// Measurements of another antenna than the one in use: not used.

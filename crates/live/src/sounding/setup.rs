@@ -5,7 +5,7 @@ use super::{SoundingError, session};
 use crate::monitor::{Monitor, Options};
 use crate::wait::wall_us;
 use csi5300::exchange::tdma::{Config, Key, Request, Tdma};
-use csi5300::source::{Error, key_file};
+use csi5300::source::Error;
 use driver_iface::Mac;
 use std::path::Path;
 
@@ -87,10 +87,10 @@ impl Setup {
     }
 }
 
-/// Reads a key: see [`csi5300::source::key_file`].
+/// Reads a key: see [`csi5300::source::read_key`].
 ///
 /// # Errors
 /// If the file is refused.
 pub fn read_key(path: &Path) -> Result<Key, Error> {
-    key_file::read(path).map_err(|error| Error::Backend(Box::new(error)))
+    csi5300::source::read_key(path).map_err(|error| Error::Backend(Box::new(error)))
 }

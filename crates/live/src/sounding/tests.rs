@@ -60,7 +60,8 @@ impl FrameReceiver for &mut Script {
 
 fn initiator() -> Tdma {
     // In an open loop it sounds in every round, answered or not.
-    let config = config(A, B).with_initiate(true).with_open_loop(true).with_epoch(Epoch::Common(Instant::ZERO));
+    let mut config = config(A, B).with_initiate(true).with_epoch(Epoch::Common(Instant::ZERO));
+    config.open_loop = true;
     Tdma::new(&config).unwrap()
 }
 
@@ -251,7 +252,7 @@ fn the_initiator_sees_when_an_answer_began() {
     let mut responder = Tdma::new(&config(B, A)).unwrap();
     responder.handle_heard(begin, begin, &forward);
     let answer = responder.poll_transmit(begin).unwrap().frame.to_vec();
-    let airtime_us = i64::from(exchange.tdma.plan().phy().airtime_us(answer.len() + 4));
+    let airtime_us = i64::from(exchange.tdma.plan().phy.airtime_us(answer.len() + 4));
     exchange.air.incoming.push_back((answer, Span::from_us(100)));
     exchange.step(&|| begin + Span::from_us(330 + airtime_us), &mut |_| {}).unwrap();
     assert_eq!((exchange.figures.answer_us.len(), exchange.figures.answer_us.max()), (1, 230));

@@ -3,8 +3,8 @@
 use crate::config::Config;
 use crate::foxglove::Live;
 use crate::machine::{Machine, Tap};
+use csi5300::internal::Front;
 use csi5300::motion::pose::Pose;
-use csi5300::pipeline::Front;
 use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::source::{Error, Next, Stamps};
 use csi5300::time::Instant;
@@ -59,7 +59,7 @@ impl Viewers {
     /// Tells what was counted, and the path.
     pub fn look(&self, machine: &Machine) {
         let Some(shown) = &self.0 else { return };
-        let (survey, track) = (&machine.estimator.front().survey, machine.estimator.track());
+        let (survey, track) = (&machine.estimator.own_log().survey, machine.estimator.track());
         let records_s = survey.host_us.map(|(_, last)| last as f64 * 1e-6);
         let step = track.len().div_ceil(PATH).max(1);
         shown.with(|live| {

@@ -72,7 +72,7 @@ pub fn summary(peers: &[Mac], finished: &Finished) -> String {
     }
     if counts.answered + counts.replies > 0 {
         let [least, median, most] = KERNEL_TURN_AROUND_US;
-        let airtime_us = finished.exchange.tdma.plan().phy().airtime_us(wsr::DEFAULT_LEN);
+        let airtime_us = finished.exchange.tdma.plan().phy.airtime_us(wsr::DEFAULT_LEN);
         let _ = writeln!(
             text,
             "  the WSR kernel driver: {least} to {most} us, median {median}, from rise to rise, {airtime_us} us of it on air"
