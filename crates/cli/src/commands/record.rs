@@ -3,8 +3,8 @@
 use super::listener::{Listener, Lost, StockArgs};
 use super::live::{Listening, Signals, create_refused, duration, size};
 use super::{Outcome, Result};
-use csi5300::source::side_path;
 use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
+use csi5300::source::side_path;
 use csi5300::source::{CsiSource, Error, Loss, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_live::status::{Losses, Status};

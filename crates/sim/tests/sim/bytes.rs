@@ -1,7 +1,7 @@
 //! The captures of Dijkstra et al. (\[paper\] in docs/references.md), simulated and real, read and written again by our encoder, are byte-identical.
 
-use csi5300::source::side_path;
 use csi5300::source::replay::Replay;
+use csi5300::source::side_path;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
