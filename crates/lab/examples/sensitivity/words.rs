@@ -35,11 +35,7 @@ fn moved(base: &Figures, own: &Figures) -> String {
     };
     let (mut said, others) = (of(true), of(false));
     if said.is_empty() {
-        let more = others.len().saturating_sub(OTHERS);
         said.extend(others.into_iter().take(OTHERS));
-        if more > 0 {
-            said.push(format!("{more} other figures"));
-        }
     }
     let time = own.seconds.zip(base.seconds).map_or(1.0, |(own, base)| own / base);
     if !(1.0 / STILL_TIME..=STILL_TIME).contains(&time) {
