@@ -5,14 +5,15 @@ mod quality;
 use self::quality::{edge, quality};
 use super::args::{Estimation, channel, mac};
 use super::files::Log;
-use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, read_trajectory, some, usage};
+use super::inputs::{BagArgs, Inputs};
+use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, some, usage};
 use csi5300::bartlett::Grid;
 use csi5300::pipeline::LinkError;
 use csi5300::pipeline::LinkPlan;
 use csi5300::pipeline::{Answer, lost_something};
 use csi5300::pipeline::{CaptureReport, JoinBy, LinkReport, LogReport, Options, Transmitter, WaveModel, bearings};
 use csi5300::signal::channel::Channel;
-use csi5300::source::{CsiSource, read_key, replay::Replay};
+use csi5300::source::{CsiSource, read_key};
 use driver_iface::Mac;
 use nalgebra::Vector3;
 use std::fmt::Write;
@@ -22,14 +23,19 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args)]
 pub struct Args {
     /// Log of the receiver, the robot whose trajectory is given; - is standard input
-    #[arg(long, value_name = "RX.dat")]
-    rx: PathBuf,
+    #[cfg_attr(feature = "ros2", arg(long, value_name = "RX.dat", required_unless_present = "bag"))]
+    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "RX.dat", required = true))]
+    rx: Option<PathBuf>,
     /// Log of a transmitter; several make one link each
-    #[arg(long, required = true, value_name = "TX.dat")]
+    #[cfg_attr(feature = "ros2", arg(long, value_name = "TX.dat", required_unless_present = "bag"))]
+    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "TX.dat", required = true))]
     tx: Vec<PathBuf>,
     /// Trajectory of the receiver: CSV with 5, 6, 9 or 15 columns
-    #[arg(long, value_name = "T.csv")]
-    trajectory: PathBuf,
+    #[cfg_attr(feature = "ros2", arg(long, value_name = "T.csv", required_unless_present = "bag"))]
+    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "T.csv", required = true))]
+    trajectory: Option<PathBuf>,
+    #[command(flatten)]
+    bag: BagArgs,
     /// Trajectory of a transmitter that moved, in the order of --tx, on the receiver's clock
     #[arg(long, value_name = "T.csv")]
     tx_trajectory: Vec<PathBuf>,
@@ -102,11 +108,12 @@ fn check(args: &Args) {
     if (1..args.tx_mac.len()).any(|k| args.tx_mac[..k].contains(&args.tx_mac[k])) {
         usage("one --tx-mac is given twice: each log has a transmitter of its own");
     }
-    if std::iter::once(&args.rx).chain(&args.tx).filter(|path| path.as_os_str() == "-").count() > 1 {
+    if args.rx.iter().chain(&args.tx).filter(|path| path.as_os_str() == "-").count() > 1 {
         usage("standard input can be one log only");
     }
-    let logs = || std::iter::once(&args.rx).chain(&args.tx).enumerate();
-    if let Some((_, twice)) = logs().find(|(k, log)| logs().take(*k).any(|(_, other)| is_same_file(log, other))) {
+    let logs = || args.rx.iter().chain(&args.tx).enumerate();
+    let is_same = |a: &Path, b: &Path| a == b || is_same_file(a, b);
+    if let Some((_, twice)) = logs().find(|(k, log)| logs().take(*k).any(|(_, other)| is_same(log, other))) {
         usage(&format!("{} is given twice: each robot has a log of its own", twice.display()));
     }
     if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
@@ -119,17 +126,17 @@ fn check(args: &Args) {
 
 /// Opens the transmitters' logs. One that cannot be read is taken out of the arguments with what goes with it, and answered
 /// with why; an error if it is the only one.
-fn open_transmitters(args: &mut Args) -> std::result::Result<(Vec<Log>, Vec<Answer>), String> {
+fn open_transmitters(args: &mut Args, inputs: &Inputs) -> std::result::Result<(Vec<Log>, Vec<Answer>), String> {
     let (mut logs, mut unread, mut k) = (Vec::new(), Vec::new(), 0);
     while let Some(path) = args.tx.get(k) {
-        match super::open_log(path) {
+        match inputs.open(path) {
             Ok(log) => {
                 logs.push(log);
                 k += 1;
             }
             Err(error) if logs.is_empty() && args.tx.len() == 1 => return Err(error),
             Err(error) => {
-                let link = link_name(&args.tx.remove(k));
+                let link = link_name(inputs, &args.tx.remove(k));
                 unread.push(Answer::failed(link, error));
                 if k < args.tx_mac.len() {
                     args.tx_mac.remove(k);
@@ -146,16 +153,20 @@ fn open_transmitters(args: &mut Args) -> std::result::Result<(Vec<Log>, Vec<Answ
 /// Estimates and prints the bearings.
 pub fn run(mut args: Args) -> Result {
     let mut options = options(&args).unwrap_or_else(|message| usage(&message));
+    let (inputs, named) = args.bag.resolve(args.rx.take(), std::mem::take(&mut args.tx), args.trajectory.take())?;
+    (args.rx, args.tx) = (Some(named.rx.clone()), named.tx);
+    let rx = named.rx;
     check(&args);
-    let mut trajectory = read_trajectory(&args.trajectory)?;
+    options = options.with_parallel(args.tx.len() > 1);
+    let mut trajectory = inputs.trajectory(&named.trajectory)?;
     if let Some(offset) = args.antenna_offset {
         trajectory = trajectory.with_antenna_offset(offset).map_err(|error| error.to_string())?;
     }
-    let mut receiver = super::open_log(&args.rx)?;
-    let (mut logs, unread) = open_transmitters(&mut args)?;
+    let mut receiver = inputs.open(&rx)?;
+    let (mut logs, unread) = open_transmitters(&mut args, &inputs)?;
     options.tx_macs.clone_from(&args.tx_mac);
-    let partners =
-        args.tx_trajectory.iter().map(|path| read_trajectory(path)).collect::<std::result::Result<Vec<_>, _>>()?;
+    let partners = args.tx_trajectory.iter().map(|path| inputs.trajectory(path));
+    let partners = partners.collect::<std::result::Result<Vec<_>, _>>()?;
     let transmitters = logs
         .iter_mut()
         .enumerate()
@@ -164,8 +175,8 @@ pub fn run(mut args: Args) -> Result {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.min(64));
     pool.build_global().map_err(|error| error.to_string())?;
     let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
-    say_losses(&args, &report, &receiver, &logs);
-    let mut names: Vec<String> = args.tx.iter().map(|path| link_name(path)).collect();
+    say_losses(&args, &rx, &report, &receiver, &logs);
+    let mut names: Vec<String> = args.tx.iter().map(|path| link_name(&inputs, path)).collect();
     let stems = names.clone();
     for (k, name) in stems.iter().enumerate() {
         if stems.iter().filter(|other| *other == name).count() > 1 {
@@ -184,13 +195,13 @@ pub fn run(mut args: Args) -> Result {
         }
         answered += usize::from(answer.azimuth_deg.is_some());
         tell(&answer, args.json);
-        say_heard(&args.rx, &report, link);
+        say_heard(&rx, &report, link);
         artefacts(&args, name, link, report.links.len())?;
     }
     unread.iter().for_each(|answer| tell(answer, args.json));
     Ok(if answered == 0 {
         Outcome::Nothing
-    } else if answered < report.links.len() || !unread.is_empty() || lost_something(&report) {
+    } else if answered < report.links.len() || !unread.is_empty() || lost_something(&report) || inputs.lost() {
         Outcome::DataLost
     } else {
         Outcome::Done
@@ -202,9 +213,14 @@ fn options(args: &Args) -> std::result::Result<Options, String> {
     let join = if args.join_rows { JoinBy::Row } else { JoinBy::Time };
     #[cfg(feature = "plot")]
     let options = options.with_keep_course(args.plot.is_some());
+<<<<<<< HEAD
     let key = args.key.as_deref().map(read_key).transpose().map_err(|error| error.to_string())?;
     let options = options.with_key(key).with_macs(args.rx_mac, args.tx_mac.clone()).with_join(join);
     Ok(options.with_parallel(args.tx.len() > 1))
+=======
+    let key = args.key.as_deref().map(key_file::read).transpose().map_err(|error| error.to_string())?;
+    Ok(options.with_key(key).with_tx_macs(args.tx_mac.clone()).with_rx_mac(args.rx_mac).with_join(join))
+>>>>>>> aab1ffe (bearing reads a recording as it is: --bag)
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.
@@ -235,8 +251,12 @@ fn numbered(path: &Path, name: &str) -> PathBuf {
     path.with_extension(format!("{}.{extension}", name.replace('/', "_")))
 }
 
-/// The name of a link by its transmitter's log: `TS/txK` for csi_txK_TS.dat, as of captures, else the log's name.
-fn link_name(path: &Path) -> String {
+/// The name of a link by its transmitter's log: `TS/txK` for csi_txK_TS.dat, as of captures, else the log's name; of a topic of
+/// a recording the topic's, without the first `/`.
+fn link_name(inputs: &Inputs, path: &Path) -> String {
+    if inputs.is_topic(path) {
+        return path.to_string_lossy().trim_matches('/').to_owned();
+    }
     let stem = path.file_stem().map_or_else(|| path.display().to_string(), |stem| stem.to_string_lossy().into_owned());
     let parts = stem.strip_prefix("csi_tx").map(|rest| {
         let (number, stamp) = rest.split_at(rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len()));
@@ -248,12 +268,7 @@ fn link_name(path: &Path) -> String {
     }
 }
 
-fn say_losses<R: std::io::Read, S: std::io::Read>(
-    args: &Args,
-    report: &CaptureReport,
-    rx: &Replay<R>,
-    txs: &[Replay<S>],
-) {
+fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs: &[Log]) {
     let log = |path: &Path, report: &LogReport, bytes: u64| {
         let lines = info::losses(&report.survey, bytes);
         let unused = report.unused;
@@ -287,7 +302,7 @@ fn say_losses<R: std::io::Read, S: std::io::Read>(
             notes!("{}: {} bfee records\n{lines}{text}", path.display(), report.survey.bfees());
         }
     };
-    log(&args.rx, &report.receiver, rx.bytes());
+    log(rx_path, &report.receiver, rx.bytes());
     for ((path, report), source) in args.tx.iter().zip(&report.transmitters).zip(txs) {
         log(path, report, source.bytes());
     }

@@ -107,6 +107,69 @@ fn mcap(topics: &[(&str, &str, Vec<Vec<u8>>)]) -> Vec<u8> {
 const CSI: &str = "csi5300_msgs/msg/Csi";
 const POSES: &str = "geometry_msgs/msg/PoseStamped";
 
+/// The lines of JSON without what the link is called.
+fn answers(text: &str) -> Vec<serde_json::Value> {
+    let line = |line: &str| {
+        let mut value: serde_json::Value = serde_json::from_str(line).unwrap();
+        assert!(value.as_object_mut().unwrap().remove("link").is_some(), "{line}");
+        value
+    };
+    text.lines().map(line).collect()
+}
+
+#[test]
+fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
+    let folder = Folder::new("bags");
+    let capture = root().join("tests/fixtures/small-circle");
+    let stamp = "2023-11-14_221320";
+    let file = |name: &str| capture.join(name.replace("STAMP", stamp));
+    let (rx, tx, path) =
+        (file("csi_rx_STAMP.dat"), file("csi_tx1_STAMP.dat"), headed(&folder, &file("rx_trajectory_STAMP_.csv")));
+    let topics = [("/a/csi", CSI, csi(&rx)), ("/b/csi", CSI, csi(&tx)), ("/a/odom", POSES, poses(&path))];
+    std::fs::write(folder.0.join("run.mcap"), mcap(&topics)).unwrap();
+    let run = |args: &[&str]| folder.run(&[&["bearing", "--channel", "108", "--json"][..], args].concat());
+    let text = |path: &Path| path.to_str().unwrap().to_owned();
+    let (rx, tx, path) = (text(&rx), text(&tx), text(&path));
+    let (status, expected, errors) = run(&["--rx", &rx, "--tx", &tx, "--trajectory", &path]);
+    assert_eq!(status, 0, "{errors}");
+    for args in [&["--rx", "/a/csi"][..], &["--tx", "/b/csi"], &["--rx", "/a/csi", "--tx", &tx, "--trajectory", &path]]
+    {
+        let (status, out, errors) = run(&[&["--bag", "run.mcap"][..], args].concat());
+        assert_eq!((status, answers(&out)), (0, answers(&expected)), "{args:?}: {errors}");
+    }
+    let (_, out, _) = run(&["--bag", "run.mcap", "--rx", "/a/csi"]);
+    assert!(out.contains(r#""link":"b/csi""#), "{out}");
+    // Both logs could be the receiver's; a name that is none; one log for both.
+    for (args, words) in [
+        (&[][..], "run.mcap has several topics of CSI (/a/csi, /b/csi): --rx names that of the robot that moved"),
+        (&["--rx", "/c/csi"], "/c/csi is neither a file nor a topic of CSI in run.mcap, which has /a/csi, /b/csi"),
+        (&["--rx", "/a/odom"], "/a/odom is neither a file nor a topic of CSI in run.mcap, which has /a/csi, /b/csi"),
+    ] {
+        let (status, _, errors) = run(&[&["--bag", "run.mcap"][..], args].concat());
+        assert!(status == 1 && errors.contains(words), "{status}: {errors}");
+    }
+    let (status, _, errors) = run(&["--bag", "run.mcap", "--rx", "/a/csi", "--tx", "/a/csi"]);
+    assert!(status == 2 && errors.contains("/a/csi is given twice"), "{status}: {errors}");
+    let (status, _, errors) = run(&[]);
+    assert!(status == 2 && errors.contains("--rx"), "{status}: {errors}");
+    // Without the other robot's log, without odometry.
+    std::fs::write(folder.0.join("one.mcap"), mcap(&topics[..1])).unwrap();
+    let (status, _, errors) = run(&["--bag", "one.mcap"]);
+    assert!(status == 1 && errors.contains("--tx names the log of the other robot"), "{errors}");
+    let (status, _, errors) = run(&["--bag", "one.mcap", "--tx", &tx]);
+    assert!(status == 1 && errors.contains("one.mcap has no poses (nav_msgs/msg/Odometry"), "{errors}");
+    // A message that is none is left out and said.
+    let mut damaged = topics.clone();
+    damaged[1].2.push(vec![0, 1, 0, 0, 7]);
+    std::fs::write(folder.0.join("damaged.mcap"), mcap(&damaged)).unwrap();
+    let (status, out, errors) = run(&["--bag", "damaged.mcap", "--rx", "/a/csi"]);
+    assert_eq!((status, answers(&out)), (3, answers(&expected)), "{errors}");
+    assert!(errors.contains("/b/csi: 1 message is unreadable and left out"), "{errors}");
+    // Nothing was written.
+    let names: Vec<_> = std::fs::read_dir(&folder.0).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(names.len(), 4, "{names:?}");
+}
+
 #[test]
 fn compare_reads_a_recording_too() {
     let folder = Folder::new("bag-compare");
