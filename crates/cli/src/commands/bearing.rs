@@ -213,14 +213,8 @@ fn options(args: &Args) -> std::result::Result<Options, String> {
     let join = if args.join_rows { JoinBy::Row } else { JoinBy::Time };
     #[cfg(feature = "plot")]
     let options = options.with_keep_course(args.plot.is_some());
-<<<<<<< HEAD
     let key = args.key.as_deref().map(read_key).transpose().map_err(|error| error.to_string())?;
-    let options = options.with_key(key).with_macs(args.rx_mac, args.tx_mac.clone()).with_join(join);
-    Ok(options.with_parallel(args.tx.len() > 1))
-=======
-    let key = args.key.as_deref().map(key_file::read).transpose().map_err(|error| error.to_string())?;
-    Ok(options.with_key(key).with_tx_macs(args.tx_mac.clone()).with_rx_mac(args.rx_mac).with_join(join))
->>>>>>> aab1ffe (bearing reads a recording as it is: --bag)
+    Ok(options.with_key(key).with_macs(args.rx_mac, args.tx_mac.clone()).with_join(join))
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.
