@@ -9,7 +9,7 @@
 //!
 //! 1. **Forward and backward.** Two robots exchange two frames almost at once. The CFO has opposite signs in the two
 //!    directions, the path the same: in the *product* of the two CSI vectors the offset cancels and the path is there
-//!    twice ([`signal::cfo::round_trip`]; [`signal::samples::Coherent`] holds this factor). Frames are paired by number
+//!    twice ([`signal::samples::Coherent`] holds this factor). Frames are paired by number
 //!    ([`exchange::pairing`]), which transmitter wrote which log follows from the clocks ([`exchange::assign`]).
 //! 2. **The channel centre.** A line through the phase over the subcarriers, evaluated at subcarrier 0, makes 30 noisy
 //!    phases one good one ([`signal::cfo::at_centre`]).

@@ -169,13 +169,6 @@ pub fn must_not_exist(output: &Path, force: bool) -> Words<()> {
     }
 }
 
-/// Takes away an output in which nothing is, so that nobody takes it for a result; devices and pipes stay.
-pub fn remove_empty(output: &Path) {
-    if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
-        note!("nothing to write: no {}", output.display());
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -62,7 +62,7 @@ mod view;
 mod watch;
 
 use clap::{Parser, Subcommand};
-pub use files::{is_same_file, must_not_exist, open_log, read_trajectory, remove_empty};
+pub use files::{is_same_file, must_not_exist, open_log, read_trajectory};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use say::Level;
 use std::process::ExitCode;

@@ -198,7 +198,7 @@ fn outcome(totals: &Totals, lost: Losses, damaged: bool, files: &LogFiles) -> Ou
         0 => {
             // Nobody takes them for a recording, and the next try needs no --force.
             let paths = files.paths();
-            paths.iter().flat_map(|log| [log.clone(), side_path(log)]).for_each(|path| super::remove_empty(&path));
+            paths.iter().flat_map(|log| [log.clone(), side_path(log)]).for_each(|path| remove_empty(&path));
             Outcome::Nothing
         }
         _ if lost != Losses::default() || damaged => Outcome::DataLost,
@@ -343,4 +343,11 @@ fn summary(status: &Status, listener: &Listener, totals: &Totals, files: &[PathB
         text.push_str("  nothing came: `csi5300 doctor --listen 10s` says what may be wrong\n");
     }
     text
+}
+
+/// Takes away an output in which nothing is, so that nobody takes it for a result; devices and pipes stay.
+fn remove_empty(output: &Path) {
+    if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
+        note!("nothing to write: no {}", output.display());
+    }
 }

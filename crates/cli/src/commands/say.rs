@@ -34,6 +34,7 @@ pub enum Tone {
     /// As it should be.
     Good,
     /// Perhaps not.
+    #[cfg(feature = "live")]
     Doubt,
     /// Not as it should be.
     Bad,
@@ -71,6 +72,7 @@ pub fn toned(word: &str, tone: Tone) -> String {
 fn coloured(word: &str, tone: Tone, wanted: &AtomicBool) -> String {
     let code = match tone {
         Tone::Good => 32,
+        #[cfg(feature = "live")]
         Tone::Doubt => 33,
         Tone::Bad => 31,
     };
