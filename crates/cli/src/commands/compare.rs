@@ -200,7 +200,10 @@ fn fitted(args: &Args, recorded: &Figures, trajectory: &Trajectory, options: &Op
     trajectory.poses().iter().for_each(|pose| poses += &odometry::csv::line(pose));
     written(&args.out.join(TRAJECTORY), &poses)?;
     let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: &args.out, transmitter_m: args.transmitter };
-    let fitted = fit(recorded, &known, options).map_err(|error| error.to_string())?;
+    super::progress("fitting a scene to the recording");
+    let fitted = fit(recorded, &known, options).map_err(|error| error.to_string());
+    super::progress("");
+    let fitted = fitted?;
     written(&args.out.join(SCENE), &fitted.toml)?;
     Ok(fitted.scene)
 }

@@ -27,8 +27,32 @@ pub struct Args {
     /// WiFi channel, with + or - for 40 MHz; needed for bearings
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
+    /// One JSON object about the recording
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     estimation: Estimation,
+}
+
+/// The line of JSON.
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    output: &'a Path,
+    logs: Vec<LogRow<'a>>,
+    bearings: Vec<LinkRow>,
+}
+
+#[derive(serde::Serialize)]
+struct LogRow<'a> {
+    log: &'a Path,
+    records: u64,
+}
+
+#[derive(serde::Serialize)]
+struct LinkRow {
+    link: String,
+    azimuth_deg: Option<f64>,
+    error: Option<String>,
 }
 
 /// Converts captures.
@@ -40,9 +64,11 @@ pub fn run(args: &Args) -> Result {
     let options = options.map(|channel| args.estimation.options(channel).unwrap_or_else(|message| usage(&message)));
     let mut recording = Recording::create(&args.out).map_err(|error| error.to_string())?;
     let (mut usable, mut lost) = (0, false);
+    let mut row = Row { output: &args.out, logs: Vec::new(), bearings: Vec::new() };
     for (name, path) in names.iter().zip(&args.logs) {
         let (survey, bytes) = convert(&mut recording.channels, name, path, args)?;
         usable += survey.bfees();
+        row.logs.push(LogRow { log: path, records: survey.bfees() });
         lost |= survey.lost_something();
         notes!("{}: {} bfee records\n{}", path.display(), survey.bfees(), info::losses(&survey, bytes));
     }
@@ -50,11 +76,15 @@ pub fn run(args: &Args) -> Result {
         trajectory.poses().iter().for_each(|pose| recording.channels.pose(pose));
         recording.channels.path(trajectory.span_s().0, trajectory.poses().iter());
         match &options {
-            Some(options) => lost |= estimate(&mut recording.channels, &names, trajectory, options, args)?,
+            Some(options) => row.bearings = estimate(&mut recording.channels, &names, trajectory, options, args)?,
             None => note!("no bearings: they need --channel"),
         }
     }
     recording.finish().map_err(|error| error.to_string())?;
+    lost |= row.bearings.iter().any(|link| link.error.is_some());
+    if args.json {
+        super::print_json(&row);
+    }
     Ok(match usable {
         0 => Outcome::Nothing,
         _ if lost => Outcome::DataLost,
@@ -90,37 +120,39 @@ fn convert(
     Ok((front.log.survey, log.bytes()))
 }
 
-/// The bearings of the first log to the others; true if one failed.
+/// The bearings of the first log to the others.
 fn estimate(
     channels: &mut Channels,
     names: &[String],
     trajectory: &Trajectory,
     options: &Options,
     args: &Args,
-) -> std::result::Result<bool, String> {
+) -> std::result::Result<Vec<LinkRow>, String> {
     let text = |error: csi5300::source::Error| super::hint::log_refused(&error);
     let Some((receiver, others)) = args.logs.split_first().filter(|(_, others)| !others.is_empty()) else {
-        return Ok(false);
+        return Ok(Vec::new());
     };
     let mut receiver = super::open_log(receiver)?;
     let mut logs = others.iter().map(|path| super::open_log(path)).collect::<std::result::Result<Vec<_>, _>>()?;
     let transmitters =
         logs.iter_mut().map(|log| Transmitter { log: log as &mut dyn CsiSource, trajectory: None }).collect();
     let report = bearings(&mut receiver, transmitters, trajectory, options).map_err(text)?;
-    let mut failed = false;
+    let mut rows = Vec::new();
     for (name, link) in names.iter().skip(1).zip(&report.links) {
         match &link.bearing {
             Ok(bearing) => {
                 channels.bearing(name, bearing).map_err(|error| error.to_string())?;
-                note!("{name}: {:.2} deg", bearing.answer.azimuth_rad.to_degrees());
+                let azimuth_deg = bearing.answer.azimuth_rad.to_degrees();
+                note!("{name}: {azimuth_deg:.2} deg");
+                rows.push(LinkRow { link: name.clone(), azimuth_deg: Some(azimuth_deg), error: None });
             }
             Err(error) => {
                 wrong!("{name}: {error}");
-                failed = true;
+                rows.push(LinkRow { link: name.clone(), azimuth_deg: None, error: Some(error.to_string()) });
             }
         }
     }
-    Ok(failed)
+    Ok(rows)
 }
 
 /// Names of the logs as parts of topics: their stems, numbered where two are the same.

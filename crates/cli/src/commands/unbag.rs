@@ -1,8 +1,8 @@
 //! `csi5300 unbag`.
 
 use super::{Outcome, Result};
-use csi5300_node::ros2::unbag::{BagError, unbag};
-use std::path::PathBuf;
+use csi5300_node::ros2::unbag::{BagError, UnbaggedTopic, unbag};
+use std::path::{Path, PathBuf};
 
 /// Arguments of `unbag`.
 #[derive(clap::Args)]
@@ -13,6 +13,19 @@ pub struct Args {
     /// Folder for a log of each topic of CSI and a trajectory of each topic of poses
     #[arg(long, short, value_name = "DIR")]
     out: PathBuf,
+    /// One JSON object a topic
+    #[arg(long)]
+    json: bool,
+}
+
+/// The line of JSON of a topic.
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    file: &'a Path,
+    topic: &'a str,
+    kind: &'a str,
+    messages: u64,
+    unreadable: u64,
 }
 
 /// Makes logs and trajectories of a recording.
@@ -25,7 +38,12 @@ pub fn run(args: &Args) -> Result {
     for topic in &done.topics {
         written += topic.messages;
         lost |= topic.unreadable > 0;
-        println!("{}: {} messages of {} ({})", topic.file.display(), topic.messages, topic.topic, topic.kind);
+        let UnbaggedTopic { topic: name, kind, file, messages, unreadable } = topic;
+        if args.json {
+            super::print_json(&Row { file, topic: name, kind, messages: *messages, unreadable: *unreadable });
+        } else {
+            super::print(&format!("{}: {messages} messages of {name} ({kind})\n", file.display()));
+        }
         if topic.unreadable > 0 {
             note!("{}: {} messages are unreadable", topic.topic, topic.unreadable);
         }

@@ -113,3 +113,20 @@ pub(super) fn extent_log(values: impl Iterator<Item = f64>) -> Option<(f64, f64)
     let logs = values.filter(|v| *v > 0.0 && v.is_finite()).map(f64::log10);
     extent(logs, 0.05).map(|(low, high)| (10f64.powf(low), 10f64.powf(high)))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_axis_has_two_ticks_and_more_inside_of_its_range() {
+        let ranges = [(0.29, 0.43), (1.01, 1.99), (0.03, 40.0), (1e-9, 1e3), (2.1, 4.9)];
+        for (range, log) in ranges.iter().flat_map(|range| [(*range, false), (*range, true)]) {
+            let found = ticks(range, log, 8);
+            assert!(found.len() > 1, "{range:?} {log}: {found:?}");
+            assert!(found.iter().all(|(v, _)| (range.0 * 0.999..=range.1 * 1.001).contains(v)), "{range:?}: {found:?}");
+        }
+        let names: Vec<String> = ticks((0.29, 0.43), true, 4).into_iter().map(|tick| tick.1).collect();
+        assert_eq!(names, ["0.30", "0.35", "0.40"]);
+    }
+}
