@@ -10,8 +10,15 @@ capture=tests/fixtures/small-circle
 logs=$(find "$capture" -name 'csi_rx_*.dat'; find "$capture" -name 'csi_tx*_*.dat' | sort)
 path=$(find "$capture" -name 'rx_trajectory_*.csv')
 # shellcheck disable=SC2086
-"$csi5300" mcap $logs --trajectory "$path" --channel 108 --out "$folder/out.mcap"
+"$csi5300" mcap $logs --trajectory "$path" --channel 108 --out "$folder/out.mcap" --json >"$folder/row.json"
 records=$("$csi5300" info --json $logs | "$python" -c 'import json, sys; print(sum(json.loads(l)["wsr"] for l in sys.stdin))')
+"$python" - "$folder/row.json" "$records" <<'PYTHON'
+import json, sys
+
+row = json.load(open(sys.argv[1]))
+assert sum(log["records"] for log in row["logs"]) == int(sys.argv[2]) and row["output"].endswith("out.mcap"), row
+assert len(row["bearings"]) == len(row["logs"]) - 1 and all(link["error"] is None for link in row["bearings"]), row
+PYTHON
 "$python" - "$folder/out.mcap" "$records" <<'PYTHON'
 import collections, math, sys
 from mcap.reader import make_reader

@@ -38,7 +38,7 @@ pub fn run(args: &Args) -> Result {
     for topic in &done.topics {
         written += topic.messages;
         lost |= topic.unreadable > 0;
-        let UnbaggedTopic { topic: name, kind, file, messages, unreadable } = topic;
+        let UnbaggedTopic { topic: name, kind, file, messages, unreadable, .. } = topic;
         if args.json {
             super::print_json(&Row { file, topic: name, kind, messages: *messages, unreadable: *unreadable });
         } else {
