@@ -9,6 +9,7 @@
 //! | all logs read in step, frames paired, each pair a round trip | `reading`, `link` |
 //! | clocks, compensation, gate, plane wave | `draft` |
 //! | how much of the rest is needed | `effort` |
+//! | of motion that is too wide to be searched at once, the stretch that tells most | `stretch` |
 //! | spherical waves over all subcarriers, autofocus over all links, paths | `accurate` |
 //! | the same while robots drive, over the last metres | [`live`] |
 //! | the answer, as values and as a line of JSON | `bearing`, `answer`, `explain` |
