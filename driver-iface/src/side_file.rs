@@ -55,12 +55,12 @@ impl Layout {
 
     /// The layout of a side file that begins with `head`, of which 16 bytes are looked at.
     ///
-    /// `Checked` where they are [`MAGIC`]. `Wide` where the high half of the first entry's seconds and of its microseconds
+    /// `Checked` where 12 of them are those of [`MAGIC`]: damage there must not make times of checksums. `Wide` where the high half of the first entry's seconds and of its microseconds
     /// are zero and the low half of its microseconds is below a million: there narrow entries have the second one's seconds.
     #[must_use]
     pub fn of(head: &[u8]) -> Self {
         let Some(head) = head.first_chunk::<16>() else { return Self::Narrow };
-        if *head == MAGIC {
+        if head.iter().zip(MAGIC).filter(|(found, byte)| **found == *byte).count() >= 12 {
             return Self::Checked;
         }
         let &[_, _, _, _, h0, h1, h2, h3, u0, u1, u2, u3, v0, v1, v2, v3] = head;

@@ -136,9 +136,11 @@ impl Link {
             let within = |at| self.span_us.is_none_or(|(from, to)| (from..=to).contains(&at));
             row.partner_host_us.is_some_and(within)
         };
-        let partner = self.rows.iter().filter(inside).count() + self.partner_inside;
-        let all = (self.rows.len() + self.outside) as f64;
-        self.outside as f64 > share * all && partner as f64 >= (1.0 - share) * all
+        // Each row kept stands for those that were thinned out.
+        let stands_for = (self.rows.len() + self.thinned) as f64 / self.rows.len().max(1) as f64;
+        let partner = stands_for * self.rows.iter().filter(inside).count() as f64 + self.partner_inside as f64;
+        let all = self.pairs() as f64;
+        self.outside as f64 > share * all && partner >= (1.0 - share) * all
     }
 
     /// The receiver's host time of the first pair, microseconds since the Unix epoch.

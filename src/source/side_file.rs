@@ -161,8 +161,13 @@ impl<R: Read> SideFile<R> {
 
     /// A record whose checksum is in no entry.
     fn take_other(&mut self) -> Said {
-        if self.ahead.front().is_none_or(|entry| entry.check.is_none()) {
-            self.checks.unknown += 1;
+        let known = self.ahead.iter().take_while(|entry| entry.check.is_some()).count();
+        // As many records as there are entries with checksums were others already: these are damaged or gone, and what
+        // follows is what nothing is known of.
+        if self.strangers >= known as u64 {
+            self.ahead.drain(..known);
+            self.checks.missing += known as u64;
+            (self.checks.unknown, self.strangers) = (self.checks.unknown + 1, 0);
             return Said { host_us: self.ahead.pop_front().unwrap_or_default().host_us, is_right: true };
         }
         self.checks.wrong += 1;

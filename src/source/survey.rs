@@ -96,9 +96,9 @@ impl Sender {
         }
         let now_us = self.clock.next(timestamp_low);
         if let Some(last_us) = self.last_us {
-            self.clock_steps.note(now_us - last_us);
+            self.clock_steps.note(now_us.saturating_sub(last_us));
             if self.steps_us.len() < STEPS_KEPT {
-                self.steps_us.push(now_us - last_us);
+                self.steps_us.push(now_us.saturating_sub(last_us));
             }
         }
         self.last_us = Some(now_us);
@@ -374,7 +374,7 @@ impl Survey {
         let elapsed_us = self.host_us.zip(identity.host_us).map(|((_, last), now)| now.saturating_sub(last));
         let now_us = self.clock.next_after(bfee.timestamp_low(), elapsed_us);
         if let Some((_, last_us)) = self.clock_us {
-            self.clock_steps.note(now_us - last_us);
+            self.clock_steps.note(now_us.saturating_sub(last_us));
         }
         self.clock_us = Some((self.clock_us.map_or(now_us, |(first, _)| first), now_us));
         if let Some(host_us) = identity.host_us {
@@ -384,6 +384,8 @@ impl Survey {
     }
 
     fn note_loss(&mut self, loss: &Loss) {
+        // The frame before may be that of a record which is lost.
+        self.heard = None;
         match loss {
             Loss::Bytes { offset, len, reason } => {
                 self.damages += 1;

@@ -30,7 +30,7 @@ for page in README.md docs/*.md; do
         rm -rf "$own"
         mkdir "$own"
         status=0
-        (cd "$own" && PATH="$folder/bin:$PATH" bash -euo pipefail ../"$(basename "$own.sh")" >said.txt 2>&1) || status=$?
+        (cd "$own" && PATH="$folder/bin:$PATH" timeout 900 bash -euo pipefail ../"$(basename "$own.sh")" >said.txt 2>&1) || status=$?
         # Its transmitter is at 42.0 degrees.
         if [ "$status" = 0 ] && [ "$page" = docs/tutorial.md ]; then
             grep -E '^tx \(.*: 4[123]\.[0-9]+ deg' "$own/said.txt" || { echo "no bearing of 42 degrees" && status=1; }

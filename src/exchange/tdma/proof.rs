@@ -48,6 +48,8 @@ impl Prover {
                 self.frame
             }
             (Next::Record(_, record), _) if record.code == code::BFEE => std::mem::take(&mut self.frame),
+            // The frame before may be that of a record which is lost.
+            (Next::Lost(_), _) => std::mem::take(&mut self.frame),
             _ => Proof::Unknown,
         }
     }

@@ -65,6 +65,25 @@ fn what_is_not_known_is_not_refused() {
     assert_eq!(checks, Checks { good: 2, unknown: 4, ..Checks::default() });
 }
 
+#[test]
+fn damage_before_what_is_not_known_costs_only_itself() {
+    // The recorder was killed: five entries for nine records. The last of the five was changed.
+    let entries: Vec<Entry> = (0..5).map(entry).collect();
+    let mut log: Vec<Vec<u8>> = (0..9).map(record).collect();
+    log[4][6] ^= 1;
+    let (said, checks) = read(side_file(&entries), &log);
+    let unknown = Said { host_us: None, is_right: true };
+    assert_eq!(said, [right(0), right(1), right(2), right(3), WRONG, unknown, unknown, unknown, unknown]);
+    assert_eq!(checks, Checks { good: 4, unknown: 4, wrong: 1, missing: 1, ..Checks::default() });
+    // The disk of the side file was full after two, and the second record is lost.
+    let entries: Vec<Entry> = (0..2).map(entry).chain((0..200).map(|_| Entry::default())).collect();
+    let log: Vec<Vec<u8>> = (0..200).filter(|k| *k != 1).map(record).collect();
+    let (said, checks) = read(side_file(&entries), &log);
+    // One record is taken for the damaged one, as nothing says that it is not.
+    assert_eq!(said.iter().filter(|said| said.is_right).count(), 198);
+    assert_eq!((checks.good, checks.wrong, checks.out_of_step), (1, 1, false));
+}
+
 /// A log in memory.
 fn log(records: &[Vec<u8>]) -> Replay<std::io::Cursor<Vec<u8>>> {
     Replay::new(std::io::Cursor::new(records.concat()), String::new())

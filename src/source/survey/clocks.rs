@@ -23,10 +23,10 @@ impl ClockSteps {
     pub(super) fn note(&mut self, step_us: i64) {
         if step_us < 0 {
             self.steps_back += 1;
-            self.furthest_back_us = self.furthest_back_us.max(-step_us);
+            self.furthest_back_us = self.furthest_back_us.max(step_us.saturating_neg());
             return;
         }
-        self.forward_us += step_us;
+        self.forward_us = self.forward_us.saturating_add(step_us);
         if step_us >= PAUSE_US {
             self.pauses += 1;
             self.longest_pause_us = self.longest_pause_us.max(step_us);

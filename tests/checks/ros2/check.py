@@ -227,7 +227,7 @@ def main():
         end(robots)
         time.sleep(1)
         robots = discovery(GROUP, "by multicast")
-        node.send_signal(signal.SIGTERM)
+    node.send_signal(signal.SIGTERM)
     assert node.wait(60) in (0, 3), open(f"{folder}/node.log").read()
     print(open(f"{folder}/node.log").read()[-300:])
 

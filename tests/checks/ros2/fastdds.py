@@ -51,7 +51,9 @@ def found(peer, how):
 
 def outputs(peer):
     good = dict.fromkeys(TRUTH, 0)
+    end = time.monotonic() + 180
     while min(good.values()) < 3:
+        assert time.monotonic() < end, f"no bearings near the truth: {good}"
         said = peer.next("bearing", 90)
         assert said["frame"] == "odom", said
         near = said["state"] == "bearing" and off(said["azimuth"], TRUTH[said["bearing"]]) < 1.0

@@ -3,7 +3,8 @@ import contextlib, json, math, os, random, socket, subprocess, sys, time
 
 csi5300, folder = os.path.abspath(sys.argv[1]), os.path.abspath(sys.argv[2])
 here = os.path.dirname(os.path.abspath(__file__))
-DOMAIN = random.randrange(10, 200)
+# Its ports are below those that a system gives out by itself.
+DOMAIN = random.randrange(10, 100)
 # From tb3_0, as robots.py and fastdds.cpp have them.
 TRUTH = {"tb3_1": math.atan2(10.0, 24.0), "tb3_2": math.atan2(16.0, -14.0)}
 started = []
@@ -15,6 +16,7 @@ def start(*words, **more):
 
 def state():
     with socket.socket(socket.AF_UNIX) as s:
+        s.settimeout(10)
         s.connect(f"{folder}/status.sock")
         return json.loads(s.makefile().readline())
 
@@ -25,7 +27,7 @@ def until(what, seconds, condition):
             told = state()
             if condition(told):
                 return told
-        except (FileNotFoundError, ConnectionRefusedError, json.JSONDecodeError):
+        except (OSError, json.JSONDecodeError):
             told = None
         assert time.monotonic() < end, f"never: {what}: {json.dumps(told and {k: told[k] for k in ('trouble', 'odometry', 'ros2', 'poses')})}"
         time.sleep(0.1)

@@ -125,7 +125,16 @@ impl Output {
     }
 
     /// Makes the log what it will be read as, and gives it its name; an older side file of that name goes.
-    fn finish(mut self, path: &Path) -> Words<u64> {
+    fn finish(self, path: &Path) -> Words<u64> {
+        let beside = [side_path(self.draft.path()), settle::rest(self.draft.path())];
+        let taken = self.finished(path);
+        if taken.is_err() {
+            beside.iter().for_each(|left| drop(std::fs::remove_file(left)));
+        }
+        taken
+    }
+
+    fn finished(mut self, path: &Path) -> Words<u64> {
         let failed = |error: std::io::Error| format!("writing {}: {error}", path.display());
         self.data.flush().map_err(failed)?;
         let side = self.side.take();
@@ -218,9 +227,8 @@ pub fn run(args: &Args) -> Result {
     super::must_not_exist(&args.output, args.force)?;
     let mut source = super::open_log(&args.input)?;
     let side = if args.layout == Some(Layout::Stock) { Some(SideLayout::Narrow) } else { source.side_layout() };
-    if side.is_some() {
-        super::must_not_exist(&side_path(&args.output), args.force)?;
-    }
+    // Without a side file of its own the recovered log must not be read with that of another.
+    super::must_not_exist(&side_path(&args.output), args.force)?;
     let mut out = Output::create(&args.output, side)?;
     let (mut survey, mut doubts) = (Survey::default(), Doubts::default());
     if let Err(error) = copy(&mut source, args.layout, &mut out, &mut survey, &mut doubts) {

@@ -11,7 +11,7 @@ use driver_iface::side_file::Layout;
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, ErrorKind, Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Takes records out of a log that was just written, and their entries out of its side file, until it reads as it was
 /// written. Gives how many.
@@ -58,10 +58,17 @@ fn misread(log: &Path) -> Words<BTreeSet<u64>> {
     }
 }
 
+/// Where a log is written while it is written anew.
+pub(super) fn rest(log: &Path) -> PathBuf {
+    let mut name = log.as_os_str().to_owned();
+    name.push(".rest");
+    name.into()
+}
+
 /// Writes a log anew without some of its records.
 fn take_out(log: &Path, side: Option<Layout>, out: &BTreeSet<u64>) -> std::io::Result<()> {
     let mut written = Written::open(log)?;
-    let rest = log.with_extension("rest");
+    let rest = rest(log);
     let mut kept = BufWriter::new(File::create(&rest)?);
     while written.next()?.is_some() {
         if !out.contains(&(written.number - 1)) {

@@ -5,6 +5,10 @@ use std::io::{self, Read};
 
 /// Bytes of a chunk or message at most.
 const LARGEST: u64 = 1 << 30;
+/// Bytes of a message of ours, or of poses, at most.
+pub(super) const LARGEST_MESSAGE: u64 = 16 << 20;
+/// Bytes of a chunk that does not say how long it is.
+pub(super) const LARGEST_CHUNK: u64 = 256 << 20;
 /// Bytes of a file that cannot be read from its beginning to its end, and is kept.
 pub(super) const LARGEST_FILE: u64 = 4 << 30;
 
@@ -29,19 +33,19 @@ impl<R: Read> Read for Unpacked<R> {
     }
 }
 
-/// What is in frames of Zstandard.
-pub(super) fn zstd(mut bytes: &[u8]) -> io::Result<Vec<u8>> {
+/// What is in frames of Zstandard, at most `most` bytes.
+pub(super) fn zstd(mut bytes: &[u8], most: u64) -> io::Result<Vec<u8>> {
     let mut all = Vec::new();
     while !bytes.is_empty() {
-        let left = LARGEST - all.len() as u64;
+        let left = most.min(LARGEST) - all.len() as u64;
         all.extend(bounded(stream(&mut bytes)?, left)?);
     }
     Ok(all)
 }
 
-/// What is in a frame of LZ4.
-pub(super) fn lz4(bytes: &[u8]) -> io::Result<Vec<u8>> {
-    bounded(lz4_flex::frame::FrameDecoder::new(bytes), LARGEST)
+/// What is in a frame of LZ4, at most `most` bytes.
+pub(super) fn lz4(bytes: &[u8], most: u64) -> io::Result<Vec<u8>> {
+    bounded(lz4_flex::frame::FrameDecoder::new(bytes), most.min(LARGEST))
 }
 
 /// All of it, if it is not more than `most` bytes.

@@ -52,7 +52,11 @@ fn is_direction(topic: &str) -> bool {
 
 /// What a message is in its file; a payload that was compressed by itself is taken as what it was.
 pub(super) fn bytes(channel: &Channel, payload: &[u8]) -> Option<Vec<u8>> {
-    let whole = if compressed::is_zstd(payload) { Some(compressed::zstd(payload).ok()?) } else { None };
+    let whole = if compressed::is_zstd(payload) {
+        Some(compressed::zstd(payload, compressed::LARGEST_MESSAGE).ok()?)
+    } else {
+        None
+    };
     let payload = whole.as_deref().unwrap_or(payload);
     let mut from = match channel.encoding.as_str() {
         // Each begins with a header, and that of ROS 1 with a number of its own.

@@ -142,6 +142,19 @@ fn a_database_is_read_through_trees_and_rows_that_go_on_elsewhere() {
         }
     }
     assert!((30..52).contains(&most), "{most}");
+    // A tree that leads to itself by its right-most page.
+    let mut endless = bytes.to_vec();
+    endless[100..112].copy_from_slice(&[5, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1]);
+    endless.resize(20 << 20, 0);
+    let ended = sqlite::read(Path::new("endless.db3"), io::Cursor::new(endless), &mut |_, _| Ok(()));
+    assert!(ended.unwrap().cut);
+    // Who plays a compressed file leaves it beside what was in it: each message counts once.
+    let folder = std::env::temp_dir().join(format!("csi5300-kinds-{}-beside", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::write(folder.join("run_0.db3"), bytes).unwrap();
+    std::fs::write(folder.join("run_0.db3.zstd"), zstd(bytes)).unwrap();
+    assert_eq!(contents(&Recording::read(&folder).unwrap()), contents(&read));
+    std::fs::remove_dir_all(&folder).unwrap();
     let mut seed = 7_u32;
     for _ in 0..2_000 {
         let mut damaged = bytes.to_vec();

@@ -119,16 +119,17 @@ fn chunk(path: &Path, content: &[u8], state: &mut State, used: &mut Used<'_>) ->
     let unpacked = match compression.as_str() {
         "" => None,
         "zstd" | "lz4" if size > LARGEST => return Ok(false),
-        "zstd" => Some(compressed::zstd(fields.0)),
-        "lz4" => Some(compressed::lz4(fields.0)),
+        "zstd" => Some(compressed::zstd(fields.0, size)),
+        "lz4" => Some(compressed::lz4(fields.0, size)),
         by => {
             let command = "mcap compress --compression none";
             return Err(BagError::Compressed { path: path.to_owned(), by: by.to_owned(), command });
         }
     };
     let unpacked = match unpacked {
-        Some(Err(_)) => return Ok(false),
-        Some(Ok(bytes)) => Some(bytes),
+        // Cut or damaged: it says how long it is.
+        Some(Ok(bytes)) if bytes.len() as u64 == size => Some(bytes),
+        Some(_) => return Ok(false),
         None => None,
     };
     let mut fields = Fields(unpacked.as_deref().unwrap_or(fields.0));

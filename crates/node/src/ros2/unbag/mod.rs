@@ -253,6 +253,9 @@ fn files(bag: &Path) -> Result<Vec<PathBuf>, BagError> {
     let io = |source| BagError::Io { path: bag.to_owned(), source };
     let all = std::fs::read_dir(bag).map_err(io)?.map(|entry| entry.map(|entry| entry.path()));
     let mut all: Vec<PathBuf> = all.collect::<io::Result<_>>().map_err(io)?;
+    // Who plays a compressed file leaves it beside what was in it.
+    let names: std::collections::BTreeSet<PathBuf> = all.iter().cloned().collect();
+    all.retain(|path| path.extension().is_none_or(|end| end != "zstd") || !names.contains(&path.with_extension("")));
     // run_2 before run_10.
     all.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
     let of = |kind: &str| {

@@ -78,7 +78,7 @@ pub(super) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Res
         }
         let unpacked = match field(&header, "compression") {
             Some(b"none") => Ok(data),
-            Some(b"lz4") => compressed::lz4(&data),
+            Some(b"lz4") => compressed::lz4(&data, compressed::LARGEST_CHUNK),
             by => {
                 let by = String::from_utf8_lossy(by.unwrap_or(b"?")).into_owned();
                 return Err(BagError::Compressed { path: path.to_owned(), by, command: "rosbag decompress" });

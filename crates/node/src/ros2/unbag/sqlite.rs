@@ -65,13 +65,16 @@ fn signed(bytes: &[u8]) -> i64 {
     bytes.iter().skip(1).fold(first, |value, byte| value << 8 | i64::from(*byte))
 }
 
-/// The values of a row.
+/// Columns of a row that are looked at: no table here has more of use.
+const COLUMNS: usize = 8;
+
+/// The first values of a row.
 fn values(row: &[u8]) -> Option<Vec<Value<'_>>> {
     let (length, _) = varint(row)?;
     let (head, mut content) = row.split_at_checked(usize::try_from(length).ok()?)?;
     let (_, mut kinds) = varint(head)?;
     let mut all = Vec::new();
-    while !kinds.is_empty() {
+    while !kinds.is_empty() && all.len() < COLUMNS {
         let (kind, rest) = varint(kinds)?;
         kinds = rest;
         let length = match kind {
@@ -168,7 +171,8 @@ impl<R: Read + Seek> Database<R> {
             }
         }
         match kind {
-            5 => self.tree(be32(&page, at + 8).ok_or(Wrong::Damaged)?, depth + 1, used),
+            5 if depth < DEEPEST => self.tree(be32(&page, at + 8).ok_or(Wrong::Damaged)?, depth + 1, used),
+            5 => Err(Wrong::Damaged),
             _ => Ok(()),
         }
     }
