@@ -4,8 +4,11 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 said=$(mktemp)
-trap 'rm -f "$said"' EXIT
-if ! cargo publish --dry-run --allow-dirty -p driver-iface -p csi5300-kernels -p csi5300 2>"$said"; then
+# A folder of its own each time: Cargo keeps what it unpacked of a version, by the folder in which it was packed.
+mkdir -p target
+packed=$(mktemp -d target/publish-XXXXXX)
+trap 'rm -rf "$said" "$packed"' EXIT
+if ! cargo publish --dry-run --allow-dirty --target-dir "$packed" -p driver-iface -p csi5300-kernels -p csi5300 2>"$said"; then
     cat "$said"
     grep -qE 'failed to (get|fetch|download)|network|spurious' "$said" && { echo "crates.io cannot be reached"; exit 77; }
     exit 1
