@@ -8,7 +8,9 @@ pub fn run(bytes: &[u8]) {
     let Some((head, entries)) = bytes.split_at_checked(layout.head().len()) else {
         unreachable!("a head that is not there")
     };
-    assert_eq!(head, layout.head());
+    // Damage in it does not hide what it is.
+    let damaged = head.iter().zip(layout.head()).filter(|(found, byte)| found != byte).count();
+    assert!(damaged <= 4, "{damaged} bytes");
     for bytes in entries.chunks(layout.bytes()) {
         let entry = Entry::parse(bytes, layout);
         if bytes.len() < layout.bytes() {

@@ -154,7 +154,8 @@ def check(robots):
             during = cut(air, folder, seconds)
             stopped = during[0] - before[0]
             went_on = [d - b for b, d in zip(before[1:], during[1:])]
-            enough = 0.7 * seconds * SPEED * 50
+            # Who waited for the one that is cut off would have next to nothing; a busy machine plays the logs late.
+            enough = 0.3 * seconds * SPEED * 50
             assert all(more > enough for more in went_on), f"the others did not go on: {went_on}"
             # What was under way when it was cut may still have come.
             assert stopped < 0.5 * seconds * SPEED * 50 + 50, f"the cut cut nothing: {before} {during}"
