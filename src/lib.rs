@@ -153,7 +153,9 @@ pub mod internal {
         pub use crate::motion::odometry::dynamixel::{emit, instruction};
     }
     pub use crate::bartlett::search::Searcher;
+    pub use crate::exchange::pairing::numbering::before_first_number;
     pub use crate::exchange::tdma::proof::{Proof, Prover};
+    pub use crate::motion::heading::heading_of;
     pub use crate::pipeline::intake::{FrameHeard, Front};
     pub use crate::place::confidence::{
         camera_heading_rad, full_deviation_rad, full_features, full_probability, heading_feature, probability_limits,
@@ -162,8 +164,11 @@ pub mod internal {
     pub use crate::place::near_field::types::{Band, Limits, Taper, View};
     pub use crate::place::near_field::{aperture::Aperture, search::Search};
     pub use crate::signal::alignment::{CsiRow, align, remove_common_slope};
+    pub use crate::signal::cfo::drift_line::drift_line;
     pub use crate::signal::one_way::one_way;
+    pub use crate::source::hearing::{FrameReceiver, HeardFrame};
     pub use crate::source::key_file::{create_key_file, group_text, robot_text};
+    pub use crate::source::survey::bounds::{LOSSES_KEPT, PAUSE_US, SENDERS_KEPT};
     #[cfg(feature = "tunable")]
     pub use crate::tuning::{VARIABLE as TUNING_VARIABLE, chosen_json as chosen_tuning_json};
 }

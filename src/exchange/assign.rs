@@ -10,7 +10,7 @@
 
 use crate::exchange::pairing::{LinkSide, Pair, Pairing};
 use crate::maths::upper_median;
-use crate::signal::cfo::drift_line;
+use crate::signal::cfo::drift_line::drift_line;
 use crate::tuning::TUNING;
 use driver_iface::Mac;
 

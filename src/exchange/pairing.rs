@@ -8,7 +8,7 @@
 //! * **restart**: the counter starts anew (the sender was restarted). A jump back that another record confirms opens a
 //!   new session.
 //! * **two initiators**: where both robots initiate in turns, or answer a third, each log has several counts under one
-//!   MAC. Our schedulers keep them [apart](before_first_number); each count is followed by itself, so a change of turns is no
+//!   MAC. Our schedulers keep them apart (`numbering`); each count is followed by itself, so a change of turns is no
 //!   restart, and no number of one count meets one of another.
 //! * **wrap**: `u32::MAX` to 0 is a step of one.
 //! * **duplicate**: the same number again within a session (overheard echoes, measured 892 in one log): the first
@@ -23,6 +23,7 @@
 //!   of different sessions do not.
 
 mod clock;
+pub(crate) mod numbering;
 mod side;
 
 use clock::Clock;
@@ -74,16 +75,6 @@ pub struct SideCounts {
     pub restarts: u64,
     /// Numbers skipped within sessions (missing, not necessarily lost: logs may be filtered).
     pub missing: u64,
-}
-
-/// The number before an initiator's first: robots count from places as far from each other as 31 bits allow, by their
-/// `rank` among the `robots` of the exchange, so that the counts of two initiators in one log never meet.
-///
-/// The first robot begins with 1, as WSR's sender does. Between two robots lie 2^30 numbers, 12 days at 1,000 a second.
-#[must_use]
-pub fn before_first_number(rank: u16, robots: usize) -> u32 {
-    let apart = (1u32 << 31) / u32::try_from(robots.max(1)).unwrap_or(u32::MAX);
-    u32::from(rank).wrapping_mul(apart)
 }
 
 /// Pairs the two logs of one link. Call [`handle`](Self::handle) for each record of either side in its log's order,

@@ -4,7 +4,7 @@
 
 use crate::maths::{lower_rank, upper_median, wrap_rad};
 use crate::tuning::TUNING;
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::Vector3;
 
 /// Where a robot was, and which way it looked.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,13 +32,6 @@ impl Pose {
         let turned = Vector3::new(cos * offset_m.x - sin * offset_m.y, sin * offset_m.x + cos * offset_m.y, offset_m.z);
         Ok(Self { position_m: self.position_m + turned, ..self })
     }
-}
-
-/// The yaw of a quaternion: the heading of its x axis, radians.
-#[must_use]
-pub fn heading_of(rotation: &UnitQuaternion<f64>) -> f64 {
-    let x = rotation * Vector3::x();
-    x.y.atan2(x.x)
 }
 
 /// A hole in a trajectory wide enough that nothing should be interpolated across it.

@@ -268,6 +268,7 @@ impl Answer {
     }
 
     /// Replaces the bearing by an error if the probability that it is within five degrees is below `least`, or unknown.
+    #[doc(hidden)] // for the crates of this workspace
     pub fn refuse_below(&mut self, least: f64) {
         let error = match self.confidence {
             _ if self.azimuth_deg.is_none() => return,
@@ -294,6 +295,7 @@ impl Answer {
 
     /// A link that failed before its logs were read.
     #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
     pub fn failed(link: String, error: String) -> Self {
         Self { link, error: Some(error), ..Self::default() }
     }

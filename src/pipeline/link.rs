@@ -249,6 +249,7 @@ impl Link {
     /// How far the transmitter's host clock is ahead of the receiver's, seconds: the median over the pairs kept. Both
     /// stamp an exchange within the turn-around and the jitter of interrupts.
     #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
     pub fn partner_ahead_s(&self) -> Option<f64> {
         let ahead = |row: &PairRow| Some(row.partner_host_us?.saturating_sub(row.host_us?));
         let mut ahead_us: Vec<i64> = self.rows.iter().filter_map(ahead).collect();

@@ -9,18 +9,16 @@ use driver_iface::{Mac, bfee::Bfee};
 use std::collections::{BTreeMap, BTreeSet};
 
 mod antennas;
+pub(crate) mod bounds;
 mod clocks;
 mod senders;
 
-pub use clocks::{ClockSteps, HostSteps, PAUSE_US};
+pub use clocks::{ClockSteps, HostSteps};
 
-/// Losses kept with their place; further ones are only counted.
-pub const LOSSES_KEPT: usize = 16;
-/// Senders that are surveyed one by one, besides those [named](Survey::with_known). Noise and malice make up any number of
-/// them: beyond this the one with the least evidence is forgotten for each that is new.
-pub const SENDERS_KEPT: usize = 256;
+use bounds::{LOSSES_KEPT, SENDERS_KEPT};
+
 /// Counts of frame numbers distinguished for each sender, and how far numbers of one count are from each other at most:
-/// initiators begin further apart ([`crate::exchange::pairing::before_first_number`]).
+/// initiators begin further apart (`exchange::pairing::numbering`).
 const COUNTS_KEPT: usize = 16;
 const SAME_COUNT: u32 = 1 << 22;
 /// Inter-packet times kept for the median.
@@ -208,7 +206,7 @@ pub struct Survey {
     pub bfee_repeated: u64,
     /// Steps back of `bfee_count`: the driver was loaded anew (or more than 32,767 records are missing).
     pub bfee_restarted: u64,
-    /// Records of senders that were forgotten, as there were more than [`SENDERS_KEPT`].
+    /// Records of senders that were forgotten, as there were more than 256 kept.
     pub further_senders: u64,
     /// Times that a sender was forgotten for a new one.
     pub senders_forgotten: u64,

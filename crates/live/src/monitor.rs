@@ -18,7 +18,8 @@ mod socket;
 
 pub use error::MonitorError;
 
-use csi5300::source::{Error, FrameReceiver, HeardFrame, Injector, NotSent};
+use csi5300::internal::{FrameReceiver, HeardFrame};
+use csi5300::source::{Error, Injector, NotSent};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::radiotap::{self, Bandwidth, Packet, Repr};

@@ -1,7 +1,8 @@
 //! A running capture in words and pictures: rates, losses, senders, signal, a picture of the channel.
 
+use csi5300::internal::SENDERS_KEPT;
 use csi5300::source::Next;
-use csi5300::source::survey::{SENDERS_KEPT, Survey};
+use csi5300::source::survey::Survey;
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, Iq, SUBCARRIERS};

@@ -1,10 +1,10 @@
 //! The state of a running robot: what the status socket gives and `csi5300 watch` shows.
 
 use super::machine::{Machine, PoseCounts};
+use csi5300::internal::SENDERS_KEPT;
 use csi5300::motion::odometry::SourceCounts;
 use csi5300::pipeline::live::{PeerCounts, PeerReport};
 use csi5300::source::recorder::Totals;
-use csi5300::source::survey::SENDERS_KEPT;
 use csi5300::time::{Instant, Span};
 use serde::{Deserialize, Serialize};
 use std::fmt::Write;

@@ -18,7 +18,7 @@ use std::hash::{BuildHasherDefault, Hasher};
 /// Steps of the frame number, forward or back, that need no confirmation by another record.
 const NEAR: u32 = 32;
 /// Largest confirmed step forward within a session: at the reference's highest rate (1,000 per second) a pause of more
-/// than half an hour. Counts that begin [apart](super::before_first_number) are further from each other. A confirmed step back of no
+/// than half an hour. Counts that begin [apart](super::numbering::before_first_number) are further from each other. A confirmed step back of no
 /// more is a restart of the same count.
 const MAX_STEP: u32 = 1 << 21;
 /// Counts followed at once: one for each robot that initiates, and some that ended.

@@ -1,3 +1,4 @@
+use super::numbering::before_first_number;
 use super::*;
 use proptest::prelude::*;
 

@@ -104,6 +104,7 @@ impl Key {
 
     /// True if frames between the two robots can be made and checked.
     #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
     pub fn has_pair(&self, a: Mac, b: Mac) -> bool {
         self.pair(a, b).is_some()
     }

@@ -9,7 +9,7 @@ use super::plan::{Plan, PlanError};
 use super::roster::{ABSENT_AFTER, Outstanding, Priority, Roster};
 use super::turns::Turn;
 use super::view::View;
-use crate::exchange::pairing::before_first_number;
+use crate::exchange::pairing::numbering::before_first_number;
 use crate::time::Instant;
 use driver_iface::Mac;
 use driver_iface::sounding::native::{self, Measurement, Role};

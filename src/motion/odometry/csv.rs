@@ -10,7 +10,8 @@
 //! Time is column 0 plus column 1 x 1e-9 s; metres, radians; a trailing comma is usual. Rows that cannot be read are
 //! counted with their line and left out.
 
-use crate::motion::pose::{Pose, Trajectory, TrajectoryError, heading_of};
+use crate::motion::heading::heading_of;
+use crate::motion::pose::{Pose, Trajectory, TrajectoryError};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::io::Read;
 use std::path::Path;

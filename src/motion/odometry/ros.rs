@@ -2,7 +2,8 @@
 //! queue that its source reads. The connections themselves are in `csi5300-node` (features `ros1` and `ros2`).
 
 use super::{NextPose, OdometryError, OdometrySource};
-use crate::motion::pose::{Pose, heading_of};
+use crate::motion::heading::heading_of;
+use crate::motion::pose::Pose;
 use crate::time::{Instant, Span};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use std::collections::VecDeque;

@@ -14,7 +14,7 @@
 //! one card's clock against the other's, `turn_around` estimates `df` and takes it out, `offset` is the search for it.
 
 mod centre;
-mod drift_line;
+pub(crate) mod drift_line;
 mod offset;
 mod round_trip;
 #[cfg(test)]
@@ -22,7 +22,6 @@ mod tests;
 mod turn_around;
 
 pub use centre::at_centre;
-pub use drift_line::{DriftLine, drift_line};
 pub(crate) use round_trip::round_trip;
 pub use round_trip::round_trip_at_centre;
 pub use turn_around::TurnAround;

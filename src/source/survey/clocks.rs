@@ -1,7 +1,6 @@
 //! How the clocks behind a log went on: the card's from record to record, and the host's beside it.
 
-/// Records this far apart on the card's clock, microseconds, have a pause between them.
-pub const PAUSE_US: i64 = 1_000_000;
+use super::bounds::PAUSE_US;
 
 /// How the card's clock went on from record to record.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -13,7 +12,7 @@ pub struct ClockSteps {
     pub steps_back: u64,
     /// The largest of them, microseconds, positive.
     pub furthest_back_us: i64,
-    /// Steps forward of [`PAUSE_US`] and more.
+    /// Steps forward of a second and more.
     pub pauses: u64,
     /// The longest of them, microseconds.
     pub longest_pause_us: i64,

@@ -4,7 +4,8 @@
 //! least evidence and begins with one more than that one had, so a sender of more than 1 in [`SENDERS_KEPT`] records has a
 //! place whatever the others make up. Evidence halves with time, so senders of long ago make room.
 
-use super::{SENDERS_KEPT, Sender, Survey};
+use super::bounds::SENDERS_KEPT;
+use super::{Sender, Survey};
 use driver_iface::Mac;
 
 /// Evidence of all strangers is halved once in so many that were forgotten.

@@ -1,8 +1,8 @@
 //! Join, leave, crash, restart, a lost turn, two initiators: each has its outcome.
 
 use super::air::{Air, Skew, everybody, mac};
-use csi5300::exchange::pairing::before_first_number;
 use csi5300::exchange::tdma::{Cause, Config, Dialect, Epoch, Event, Key, Request, Tdma};
+use csi5300::internal::before_first_number;
 use csi5300::time::Instant;
 
 /// 3 robots at 100 rounds/s: slots of 5 ms, turns of 32 slots = 160 ms, silence of 64 slots = 320 ms.

@@ -1,7 +1,8 @@
 //! `csi5300 info`.
 
 use super::{Outcome, Result, print, print_json};
-use csi5300::source::survey::{ClockSteps, HostSteps, LOSSES_KEPT, SENDERS_KEPT, Sender, Survey};
+use csi5300::internal::{LOSSES_KEPT, SENDERS_KEPT};
+use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey};
 use csi5300::source::{Checks, CsiSource, Next};
 use csi5300::time::Instant;
 use driver_iface::Mac;

@@ -2,7 +2,8 @@
 //! out, bytes that come in, every refusal, and both commands talking to each other.
 
 use crate::private::inside;
-use csi5300::source::{Error, FrameReceiver, Injector, NotSent};
+use csi5300::internal::FrameReceiver;
+use csi5300::source::{Error, Injector, NotSent};
 use csi5300::time::{Instant, Span};
 use csi5300_live::monitor::{Monitor, Options};
 use csi5300_live::netlink::Sender;

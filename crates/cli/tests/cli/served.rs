@@ -2,10 +2,11 @@
 
 use csi5300::exchange::pairing::LinkSide;
 use csi5300::exchange::tdma::{Config, Epoch, Event, Phy, Request, Tdma};
+use csi5300::internal::FrameReceiver;
 use csi5300::motion::odometry::{NextPose, OdometrySource};
 use csi5300::pipeline::{Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::{CsiSource, FrameReceiver, Injector, Next};
+use csi5300::source::{CsiSource, Injector, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_lab::compare::figures::true_path;
 use csi5300_live::monitor::{self, Monitor};

@@ -2,10 +2,11 @@
 
 use super::distribution::{Distribution, QUARTILES};
 use super::figures::{LOST_US, LateGroup};
+use csi5300::internal::SENDERS_KEPT;
+use csi5300::internal::drift_line;
 use csi5300::maths::wrap_rad;
-use csi5300::signal::cfo::drift_line;
 use csi5300::signal::channel::SUBCARRIERS;
-use csi5300::source::survey::{Identity, SENDERS_KEPT, Survey};
+use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Unwrap32};
 use driver_iface::Mac;

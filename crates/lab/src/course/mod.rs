@@ -9,8 +9,9 @@ mod index;
 pub use index::{Band, LogIndex, Stretch, StretchCsi};
 
 use cells::{Cells, row_of};
+use csi5300::internal::PAUSE_US;
 use csi5300::signal::csi::Csi;
-use csi5300::source::survey::{Identity, PAUSE_US, Survey};
+use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{CsiSource, Error, Next, Origin, replay::Replay};
 use csi5300::time::{Instant, Step16, Unwrap32};
 use driver_iface::Mac;

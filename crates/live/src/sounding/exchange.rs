@@ -3,7 +3,8 @@
 use super::figures::Figures;
 use super::watch::{Notice, Watch};
 use csi5300::exchange::tdma::{Event, Tdma};
-use csi5300::source::{Error, FrameReceiver, Injector};
+use csi5300::internal::FrameReceiver;
+use csi5300::source::{Error, Injector};
 use csi5300::time::Instant;
 use driver_iface::sounding::FCS_LEN;
 use driver_iface::sounding::native::Role;

@@ -2,7 +2,8 @@
 
 use super::*;
 use csi5300::exchange::tdma::{Config, Epoch, Event, Request, Tdma};
-use csi5300::source::{Error, FrameReceiver, HeardFrame, Injector, NotSent};
+use csi5300::internal::{FrameReceiver, HeardFrame};
+use csi5300::source::{Error, Injector, NotSent};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use std::cell::Cell;

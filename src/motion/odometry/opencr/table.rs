@@ -1,6 +1,6 @@
 //! The control table of the controller: what is read of it, and where it stands.
 
-use crate::motion::pose::heading_of;
+use crate::motion::heading::heading_of;
 use crate::time::Span;
 use nalgebra::{Quaternion, UnitQuaternion};
 

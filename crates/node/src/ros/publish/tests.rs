@@ -38,7 +38,7 @@ fn a_pose_looks_along_the_bearing() {
         let turned = nalgebra::UnitQuaternion::from_quaternion(nalgebra::Quaternion::new(q.w, q.x, q.y, q.z));
         let looks = turned * nalgebra::Vector3::x();
         assert!((looks - csi5300::bartlett::direction(azimuth, elevation)).norm() < 1e-12);
-        assert!((csi5300::motion::pose::heading_of(&turned) - azimuth).abs() < 1e-12);
+        assert!((csi5300::internal::heading_of(&turned) - azimuth).abs() < 1e-12);
         assert_eq!((told.pose.position.x, told.pose.position.z), (1.0, 0.2));
     }
 }

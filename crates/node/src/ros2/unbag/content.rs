@@ -4,8 +4,9 @@ use super::super::cdr::{Cdr, CdrReader};
 use super::super::messages::own::Csi;
 use super::super::messages::standard::{Header, Odometry, Pose as PoseMessage, PoseStamped};
 use super::{Channel, compressed};
+use csi5300::internal::heading_of;
 use csi5300::motion::odometry::csv;
-use csi5300::motion::pose::{Pose, heading_of};
+use csi5300::motion::pose::Pose;
 use driver_iface::bfee::{Iq, Repr, Wsr};
 use driver_iface::record::Record;
 

@@ -1,0 +1,27 @@
+//! Frames as the air brings them, beside the records that a card makes of them.
+
+use super::Error;
+
+/// A frame heard: the 802.11 frame without radiotap header and FCS.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HeardFrame<'a> {
+    /// The frame.
+    pub frame: &'a [u8],
+    /// How long ago its reception ended, as far as is known.
+    pub age: crate::time::Span,
+}
+
+/// Something that hears frames from the air. It never blocks.
+pub trait FrameReceiver {
+    /// The next frame, or `None` if there is none yet.
+    ///
+    /// # Errors
+    /// Only for what cannot be gone on from; what is damaged is counted and left out.
+    fn hear(&mut self) -> Result<Option<HeardFrame<'_>>, Error>;
+
+    /// Frames of which is known that they went out, if that can be known at all.
+    fn sent_for_certain(&self) -> Option<u64>;
+
+    /// Frames of which is known that sending failed.
+    fn failed_for_certain(&self) -> u64;
+}
