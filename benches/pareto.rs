@@ -38,7 +38,7 @@ fn reference(samples: &Samples, grid: &Grid) -> Vec<f64> {
     let values = Planner::default().profile(samples, grid, &options).expect("a profile").values;
     let picked: Vec<usize> = (0..200).map(|i| i * (grid.len() - 1) / 199).collect();
     let list = Grid::directions(picked.iter().map(|i| grid.at(*i)).collect());
-    let exact = csi5300::bartlett::oracle(samples, &list).expect("a profile").values;
+    let exact = csi5300::internal::oracle(samples, &list).expect("a profile").values;
     let top = values.iter().copied().fold(0.0, f64::max);
     let worst = picked.iter().zip(&exact).map(|(i, e)| (values[*i] - e).abs() / top).fold(0.0, f64::max);
     assert!(worst < 1e-12, "reference off by {worst}");

@@ -8,7 +8,8 @@ mod common;
 use std::f64::consts::TAU;
 
 use common::*;
-use csi5300::bartlett::{Error, Grid, Method, Planner, Precision, ProfileOptions, direction, oracle, search};
+use csi5300::bartlett::{Error, Grid, Method, Planner, Precision, ProfileOptions, direction, search};
+use csi5300::internal::oracle;
 use csi5300::signal::samples::Samples;
 use nalgebra::Vector3;
 use num_complex::Complex64;

@@ -152,6 +152,7 @@ pub mod internal {
     pub mod dynamixel {
         pub use crate::motion::odometry::dynamixel::{emit, instruction};
     }
+    pub use crate::bartlett::direct::oracle;
     pub use crate::bartlett::search::Searcher;
     pub use crate::exchange::pairing::numbering::before_first_number;
     pub use crate::exchange::tdma::proof::{Proof, Prover};

@@ -7,7 +7,9 @@ use std::f64::consts::TAU;
 use nalgebra::Vector3;
 use num_complex::Complex64;
 
-use super::scene::Scene;
+use super::scene::{Scene, ldexp};
+use super::{Error, Grid, Profile, direction};
+use crate::signal::samples::Samples;
 
 /// `a * b` as a rounded product and its rounding error \[dekker1971\].
 fn two_product(a: f64, b: f64) -> (f64, f64) {
@@ -54,4 +56,17 @@ pub(crate) fn sum(scene: &Scene, u: &Vector3<f64>) -> Complex64 {
         im.add(scene.im[t] * cos - scene.re[t] * sin);
     }
     Complex64::new(re.value(), im.value())
+}
+
+/// The profile by the oracle: the sum as written, phases exact to the last bit. Slow; every other path is held to it.
+///
+/// # Errors
+/// As [`super::profile`].
+pub fn oracle(samples: &Samples, grid: &Grid) -> Result<Profile, Error> {
+    let scene = Scene::new(samples)?;
+    grid.check()?;
+    let full = scene.sum_abs * scene.sum_abs;
+    let value = |(azimuth, elevation)| (sum(&scene, &direction(azimuth, elevation)).norm_sqr() / full).min(1.0);
+    let values = (0..grid.len()).map(|i| value(grid.at(i))).collect();
+    Ok(Profile { grid: grid.clone(), values, sum_abs: ldexp(scene.sum_abs, -scene.exponent) })
 }

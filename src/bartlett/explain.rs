@@ -52,7 +52,7 @@ impl ProfileOptions {
 pub enum Method {
     /// No motion within the tolerance: one value for all directions.
     Constant,
-    /// The sum as written ([`super::oracle`]).
+    /// The sum as written, in double, phases exact to the last bit; a tolerance of 0 takes it.
     Oracle,
     /// Antipodal pairs at every direction.
     Direct,

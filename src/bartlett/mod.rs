@@ -31,7 +31,7 @@ mod bessel;
 mod choose;
 mod cost;
 mod crb;
-mod direct;
+pub(crate) mod direct;
 mod error;
 mod estimate;
 mod explain;
@@ -74,17 +74,4 @@ use crate::signal::samples::Samples;
 /// As [`Planner::profile`].
 pub fn profile(samples: &Samples, grid: &Grid) -> Result<Profile, Error> {
     Planner::default().profile(samples, grid, &ProfileOptions::default())
-}
-
-/// The profile by the oracle: the sum as written, phases exact to the last bit. Slow; every other path is held to it.
-///
-/// # Errors
-/// As [`profile`].
-pub fn oracle(samples: &Samples, grid: &Grid) -> Result<Profile, Error> {
-    let scene = scene::Scene::new(samples)?;
-    grid.check()?;
-    let full = scene.sum_abs * scene.sum_abs;
-    let value = |(azimuth, elevation)| (direct::sum(&scene, &direction(azimuth, elevation)).norm_sqr() / full).min(1.0);
-    let values = (0..grid.len()).map(|i| value(grid.at(i))).collect();
-    Ok(Profile { grid: grid.clone(), values, sum_abs: scene::ldexp(scene.sum_abs, -scene.exponent) })
 }

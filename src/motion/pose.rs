@@ -130,6 +130,7 @@ impl Trajectory {
 
     /// Poses dropped at the start because they were from before the run.
     #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
     pub fn stale_head(&self) -> usize {
         self.stale_head
     }

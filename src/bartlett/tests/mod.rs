@@ -7,6 +7,7 @@ use num_complex::Complex64;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
+use super::direct::oracle;
 use super::scene::Scene;
 use super::*;
 use crate::maths::wrap_rad;
