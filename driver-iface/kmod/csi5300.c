@@ -2,14 +2,14 @@
 /*
  * CSI of the Intel 5300 beside the distribution's own iwlwifi and iwldvm.
  *
- * The CSI firmware sends its notification 0xBB by itself; the stock driver ignores it. A kprobe on
+ * The CSI firmware sends its notification 0xBB; the stock driver ignores it. A kprobe on
  * iwl_notification_wait (exported by iwlwifi, called for every packet of a card) sees it, and this module makes the
  * record that csitool's or the WSR driver would make, and sends it over the kernel connector under their name and
  * index: their listeners work unchanged. A second kprobe, on the transmit function, gives frames to the magic address
- * an HT rate and no retries.
+ * an HT rate and no retries; others ask the card for what the patched drivers ask of it (csi5300_asks.h).
  *
- * Nothing of the driver is changed, and no structure of it is used: bytes of the firmware's interface only
- * (dvm/commands.h), two arguments of one function and three of another. The rules of the records are in README.md.
+ * Nothing of the driver's code is changed, and no structure of it is used: bytes of the firmware's interface only
+ * (dvm/commands.h), and arguments of four functions. The rules of the records are in README.md.
  *
  * GPL (version 2), unlike the rest of the project: kprobes and the connector are for such modules only.
  */
@@ -76,7 +76,7 @@ MODULE_PARM_DESC(answer_on, "monitor interface of each card on which to answer")
 static unsigned int monitor_tx_rate = 0x4101;
 static u8 layout = LAYOUT_STOCK;
 
-static u32 delivered, unheard, ring_full, rates_set, answered, unanswered;
+static u32 delivered, unheard, ring_full, rates_set, answered, unanswered, unmarked;
 static struct known known[CARDS];
 static u64 clock;
 static DEFINE_RAW_SPINLOCK(lock);
@@ -88,6 +88,8 @@ static union {
 } *staged, *popped;
 static struct workqueue_struct *queue;
 static struct cb_id id = { .idx = CN_IDX_IWLAGN, .val = CN_VAL_IWLAGN };
+
+#include "csi5300_asks.h"
 
 static void work(struct work_struct *unused);
 static DECLARE_WORK(deliver, work);
@@ -229,6 +231,8 @@ static int on_packet(struct kprobe *probe, struct pt_regs *regs)
 	raw_spin_lock_irqsave(&lock, flags);
 	card = card_of((const void *)regs->di, *(unsigned long *)regs->sp);
 	if (card) {
+		/* Where the card does not say that this is no answer to a command, the driver looks for the command. */
+		unmarked += cmd == BFEE_NOTIF && !(packet[7] & 0x80);
 		u32 idx = card - known, len = READ_ONCE(ack_len);
 		bool sent = assemble(&card->card, &options, cmd, packet + 8, size, now.tv_sec, now.tv_nsec / 1000, &out);
 
@@ -268,15 +272,17 @@ static int on_transmit(struct kprobe *probe, struct pt_regs *regs)
 }
 
 /* Probes come and go with the modules that have their functions. */
-static struct kprobe probes[2];
-static bool probing[2];
+enum { PACKETS, FRAMES, COMMANDS, PROBES };
+static struct kprobe probes[PROBES];
+static bool probing[PROBES];
 static DEFINE_MUTEX(probes_lock);
 
 static void unprobe(const struct module *of)
 {
 	unsigned int k;
 
-	for (k = 0; k < 2; k++) {
+	unprobe_return(of);
+	for (k = 0; k < PROBES; k++) {
 		if (!probing[k] || (of && !within_module((unsigned long)probes[k].addr, of)))
 			continue;
 		unregister_kprobe(&probes[k]);
@@ -286,15 +292,17 @@ static void unprobe(const struct module *of)
 
 static void probe(void)
 {
+	static const kprobe_pre_handler_t handlers[PROBES] = { on_packet, on_transmit, on_command };
+	const char *const names[PROBES] = { symbol, transmit, "iwl_dvm_send_cmd_pdu" };
 	unsigned int k;
 	int error;
 
-	for (k = 0; k < 2; k++) {
+	for (k = 0; k < PROBES; k++) {
 		if (probing[k])
 			continue;
 		memset(&probes[k], 0, sizeof(probes[k]));
-		probes[k].symbol_name = k ? transmit : symbol;
-		probes[k].pre_handler = k ? on_transmit : on_packet;
+		probes[k].symbol_name = names[k];
+		probes[k].pre_handler = handlers[k];
 		error = register_kprobe(&probes[k]);
 		probing[k] = !error;
 		if (!error)
@@ -302,6 +310,8 @@ static void probe(void)
 		else if (error != -ENOENT)
 			pr_warn("no probe at %s (%d)\n", probes[k].symbol_name, error);
 	}
+	if (probing[COMMANDS])
+		probe_return(probes[COMMANDS].addr);
 }
 
 static int modules_change(struct notifier_block *block, unsigned long event, void *module)
@@ -346,7 +356,8 @@ MODULE_PARM_DESC(monitor_tx_rate, "rate_n_flags of frames to 00:16:ea:12:34:56 (
 static ssize_t show(struct module_attribute *attr, struct module_kobject *module, char *buffer);
 #define ATTRIBUTE(name) static struct module_attribute name##_file = __ATTR(name, 0444, show, NULL);
 #define LISTED(name) &name##_file.attr,
-#define OWN(X) X(delivered) X(unheard) X(ring_full) X(rates_set) X(answered) X(unanswered)
+#define OWN(X) X(delivered) X(unheard) X(ring_full) X(rates_set) X(answered) X(unanswered) X(unmarked) X(rxons) X(stations) \
+	X(orders)
 COUNTS(ATTRIBUTE)
 OWN(ATTRIBUTE)
 static struct module_attribute missed_file = __ATTR(missed, 0444, show, NULL);
@@ -355,7 +366,7 @@ static const struct attribute_group counters = { .name = "counters", .attrs = fi
 
 static ssize_t show(struct module_attribute *attr, struct module_kobject *module, char *buffer)
 {
-	u32 sum = probes[0].nmissed + probes[1].nmissed;
+	u32 sum = probes[PACKETS].nmissed + probes[FRAMES].nmissed;
 	unsigned int k;
 
 #define SUM(name) if (attr == &name##_file) for (sum = gone.name, k = 0; k < CARDS; k++) sum += known[k].card.counts.name;

@@ -1,7 +1,7 @@
 //! CSI beside the kernel's own driver: the card's packets as they reach it, and the records made of them.
 //!
-//! The CSI firmware sends the notification 0xBB whatever the driver is; `iwlwifi` as distributions have it ignores it.
-//! csitool's driver makes a record of it, filling in time, RSSI, gain and rate from the reception 0xC0 before it. [`Card`]
+//! The CSI firmware sends the notification 0xBB for a frame; `iwlwifi` as distributions have it ignores it. (The patched
+//! drivers also ask the card for CSI; whether it comes unasked is unknown, see `firmware-notes/kernels.md`.) csitool's driver makes a record of it, filling in time, RSSI, gain and rate from the reception 0xC0 before it. [`Card`]
 //! does the same from a copy of the packets, taken where `iwldvm` hands each to `iwl_notification_wait`: by an eBPF program,
 //! whose events are read by [`Event`].
 //!

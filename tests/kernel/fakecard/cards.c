@@ -29,6 +29,14 @@
 static bool verbose;
 module_param(verbose, bool, 0644);
 MODULE_PARM_DESC(verbose, "host commands to the kernel's log");
+static unsigned long plain, beamforming, stations, orders;
+module_param(plain, ulong, 0444);
+module_param(beamforming, ulong, 0444);
+MODULE_PARM_DESC(beamforming, "RXON commands with bit 29, which the patched drivers set; plain: without");
+module_param(stations, ulong, 0444);
+MODULE_PARM_DESC(stations, "stations 13 with the magic address that the cards were given");
+module_param(orders, ulong, 0444);
+MODULE_PARM_DESC(orders, "requests for the order of the antennas");
 
 struct card {
 	struct platform_device *pdev;
@@ -74,6 +82,7 @@ static int into_driver(struct card *card, const void *packet, size_t len)
 	local_bh_disable();
 	if (card->op_mode && (card->trans->state == IWL_TRANS_FW_ALIVE || ((u8 *)packet)[4] == REPLY_ALIVE))
 		iwl_op_mode_rx(card->op_mode, NULL, &rxb);
+	as_patched(packet, len);
 	local_bh_enable();
 	mutex_unlock(&deliver_lock);
 	if (!rxb._page_stolen)
@@ -162,6 +171,24 @@ static void stop_device(struct iwl_trans *trans)
 	drop_sent(card_of(trans));
 }
 
+/* What the patched drivers ask of a card, by the driver's own structures. */
+static void note_asked(u8 id, const void *data, u16 len)
+{
+	static const u8 order[] = { 1, 0, 0, 0, 0x02, 0x43, 0, 0 }; /* struct iwl5000_dsp_debug of csitool's driver */
+	static const u8 magic[] = { 0x00, 0x16, 0xea, 0x12, 0x34, 0x56 };
+	const struct iwl_addsta_cmd *station = data;
+	const struct iwl_rxon_cmd *rxon = data;
+
+	if (id == REPLY_RXON && len == sizeof(*rxon) && le32_to_cpu(rxon->flags) & BIT(29))
+		beamforming++;
+	else if (id == REPLY_RXON)
+		plain++;
+	if (id == REPLY_ADD_STA && len == sizeof(*station) && station->sta.sta_id == 13 && !station->mode)
+		stations += !memcmp(station->sta.addr, magic, sizeof(magic));
+	if (id == 0xf1 && len == sizeof(order))
+		orders += !memcmp(data, order, sizeof(order));
+}
+
 static int send_cmd(struct iwl_trans *trans, struct iwl_host_cmd *cmd)
 {
 	struct card *card = card_of(trans);
@@ -169,6 +196,7 @@ static int send_cmd(struct iwl_trans *trans, struct iwl_host_cmd *cmd)
 
 	if (verbose)
 		pr_info("command 0x%02x, %u bytes %*ph\n", id, cmd->len[0], min_t(int, cmd->len[0], 12), cmd->data[0]);
+	note_asked(id, cmd->data[0], cmd->len[0]);
 	if (id == CALIBRATION_CFG_CMD)
 		later(card, CALIBRATION_COMPLETE_NOTIFICATION, 0x8000, NULL, 0);
 	if (id == REPLY_ADD_STA)

@@ -31,4 +31,7 @@ int deliver(unsigned int card, const void *packet, size_t len);
 /* air.c */
 void on_air(struct air_head *head, const struct sk_buff *skb);
 
+/* patched.c: a packet that the driver has been given. */
+void as_patched(const u8 *packet, size_t len);
+
 #endif

@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 /// Where the module counts.
 const COUNTERS: &str = "/sys/module/csi5300/counters";
 /// What the kernel's log is searched for.
-const WORDS: [&str; 4] = ["iwlwifi", "iwldvm", "csi5300", "cfg80211"];
+const WORDS: [&str; 5] = ["iwlwifi", "iwldvm", "csi5300", "cfg80211", "wrong command queue"];
 
 /// A question, and the arguments of `csi5300` that answer it.
 struct Question {
@@ -32,10 +32,12 @@ fn questions(interface: &str, peer: Option<Mac>, log: &Path) -> Vec<Question> {
             tells: "every line `ok`; what is BAD is mended first",
         },
         Question {
-            asks: "does the firmware send 0xBB without being asked for the antenna order? (another robot sounds meanwhile)",
+            asks: "does the firmware send 0xBB, asked as the patched drivers ask it? (another robot sounds meanwhile)",
             arguments: record,
             tells: "`bfee` and `records` grow: it does. `phy` grows and `bfee` does not: it hears frames, but not HT frames to \
-                    the magic address, or it wants to be asked. `no_order` grows with `records`: the order of the antennas \
+                    the magic address, or it was not asked (`rxons`, `stations`, `orders` above 0 in the counters at the \
+                    report's beginning: it was). `unmarked` grows with `bfee`: the driver takes CSI for answers to commands \
+                    (`wrong command queue` in the kernel's log). `no_order` grows with `records`: the order of the antennas \
                     is not told, so connect one antenna only. `bad_bfee` or `bad_phy` grow: the packets are laid out in \
                     another way than the driver's sources say",
         },
@@ -82,6 +84,9 @@ fn facts(system: &dyn System) -> String {
     let mut facts = format!("csi5300 {}, kernel {}\n", env!("CARGO_PKG_VERSION"), text("/proc/sys/kernel/osrelease"));
     for name in system.names("/sys/module/csi5300/parameters") {
         let _ = writeln!(facts, "csi5300.ko {name}={}", text(&format!("/sys/module/csi5300/parameters/{name}")));
+    }
+    for (name, count) in counters(system) {
+        let _ = writeln!(facts, "csi5300.ko counter {name}={count}");
     }
     let log = system.run(&["dmesg"]).map(|ran| ran.text).unwrap_or_default();
     let told = log.lines().filter(|line| WORDS.iter().any(|word| line.contains(word))).collect::<Vec<_>>();
