@@ -78,13 +78,18 @@ impl Draft {
         something(link, receiver, options)?;
         let phases = Compensated::new(link, options);
         let times_s = times_s(link.rows(), receiver, options)?;
-        phases.check()?;
-        of_one_run(link, phases.turn_around.as_ref())?;
+        let doubt = of_one_run(link, phases.turn_around.as_ref())?.or(phases.check().err());
         let gate = Gate::new(link, receiver, transmitter, &times_s, options);
-        let gated = gate.pass(&times_s, &phases.z)?;
-        gated.check(&times_s, receiver)?;
-        rows_or_times(link, receiver, &gated.pairs, options)?;
-        let (gated, least) = Self::least(gated, &gate, phases.compensated, options)?;
+        let found = gate.pass(&times_s, &phases.z).and_then(|gated| {
+            gated.check(&times_s, receiver)?;
+            rows_or_times(link, receiver, &gated.pairs, options)?;
+            Self::least(gated, &gate, phases.compensated, options)
+        });
+        let follow = found.as_ref().is_ok_and(|(gated, least)| least.follow_the_motion(gated.samples.len()));
+        let (gated, least) = match doubt.filter(|_| !follow) {
+            Some(doubt) => return Err(doubt),
+            None => found?,
+        };
         let LeastOf { direction, quick, limits, least: Least { sufficient, one_wave } } = least;
         let samples = gated.samples;
         let place = || accurate::place(&samples, phases.round_trips(link), &gated.used, &direction, options);
@@ -159,6 +164,11 @@ impl LeastOf {
         let least = Least::of(samples, &direction, &limits, &quick, options);
         Ok(Self { direction, quick, limits, least })
     }
+
+    /// Whether the plane wave explains more of the phases than the best of all directions does of random ones.
+    fn follow_the_motion(&self, samples: usize) -> bool {
+        self.direction.plane_wave.coherence > TUNING.pairing.by_chance / (samples as f64).sqrt()
+    }
 }
 
 /// Refuses a link without any pair to join.
@@ -185,24 +195,27 @@ fn outside(link: &Link, receiver: &Trajectory, options: &Options) -> LinkError {
 }
 
 /// Refuses logs that do not belong together: one log for both sides, and logs of which neither the clocks nor the channel
-/// know of each other.
-fn of_one_run(link: &Link, turn_around: Option<&TurnAround>) -> Result<(), LinkError> {
+/// know of each other. Where only random phases speak against them, that is the doubt which is returned: phases are as
+/// random where a robot goes far between frames that come irregularly, and then they follow its motion.
+fn of_one_run(link: &Link, turn_around: Option<&TurnAround>) -> Result<Option<LinkError>, LinkError> {
     let pairing = TUNING.pairing;
     if link.reciprocity().is_one_log() {
         return Err(LinkError::OneLogTwice);
     }
-    let Some((clocks, channel)) = link.kinship().zip(link.reciprocity().get()) else { return Ok(()) };
+    let Some((clocks, channel)) = link.kinship().zip(link.reciprocity().get()) else { return Ok(None) };
     let changes = channel.steadiness > pairing.steady;
     let apart = clocks.correlation < pairing.clocks_alike;
     // A channel that shows nothing but noise cannot be compared: then phases that are random speak beside the clocks, if
     // pauses differ by more than turn-arounds do.
-    let random = turn_around.is_some_and(|found| found.coherence_after < pairing.random_phases);
+    let random =
+        turn_around.is_some_and(|found| found.coherence_after.max(found.coherence_before) < pairing.random_phases);
     // Noise makes the two directions' changes as unlike as it makes each from one pair to the next.
     let alike = pairing.channel_alike * channel.steadiness.min(1.0);
     let speaks = if changes { channel.correlation < alike } else { random && clocks.pause_us > pairing.pauses_us };
-    match apart && speaks {
-        true => Err(LinkError::OfTwoRuns { clocks: clocks.correlation, channel: channel.correlation }),
-        false => Ok(()),
+    let two_runs = LinkError::OfTwoRuns { clocks: clocks.correlation, channel: channel.correlation };
+    match (apart && speaks, changes) {
+        (true, true) => Err(two_runs),
+        (speaks, _) => Ok(speaks.then_some(two_runs)),
     }
 }
 

@@ -382,6 +382,8 @@ tuning! {
         steady: f64 = 0.2, "chosen: noise alone has 0, give or take 0.01", "no effect";
         /// Phases whose second differences are no steadier than this are random.
         random_phases: f64 = 0.25, "chosen: 1,500 random phases reach 0.17, the real links at hand have 0.6 at least", "no effect";
+        /// But not logs of two runs where one plane wave has a coherence over this by the root of the number of samples.
+        by_chance: f64 = 4.0, "theory: in the best of 10,000 directions, random phases reach sqrt(ln 1e7) once in a thousand times", "not measured";
         /// Pauses that differ by less than this between frames, median, are all alike, microseconds.
         pauses_us: f64 = 20.0, "measured: a turn-around jitters by 4 to 22", "no effect";
         /// An antenna whose mean RSSI is this much below the strongest one's is as good as unconnected, dB.

@@ -4,6 +4,7 @@ use csi5300::motion::odometry::csv;
 use csi5300::pipeline::{Bearing, CaptureReport, LinkError, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::replay::Replay;
+use csi5300_sim::{Room, Scene, Simulation};
 use std::path::{Path, PathBuf};
 
 const RUNS: [(&str, &str); 6] = [
@@ -85,5 +86,50 @@ fn exchanged_logs_are_told_where_the_other_robots_clock_fits() {
         let exchanged = run(&tx, &rx, &path).unwrap_err();
         assert!(matches!(exchanged, LinkError::OutsideTrajectory { other_fits: true, .. }), "{place}: {exchanged}");
         assert!(exchanged.to_string().contains("exchanged"), "{exchanged}");
+    }
+}
+
+/// Nothing but the direct path, so that the shape of the channel says nothing of whose logs these are, and answers that
+/// jitter by more than the pauses between frames do.
+fn of_direct_path(place_m: [f64; 2], offset_ppm: f64, turn_around: &str, turns: u32) -> (Simulation, Options) {
+    let scene = format!(
+        "duration_s = 12.0\ncfo = \"physical\"\nsounding.rate_hz = 50\n\
+         [radio]\nmcs = 1\nnoise.snr_db = 20.0\nsend_jitter_us = 200.0\nturn_around = {{ {turn_around} }}\n\
+         [[robot]]\nname = \"rx\"\ncrystal.offset_ppm = 0.0015\n\
+         motion.circle = {{ radius_m = 0.3, duration_s = 12.0, turns = {turns} }}\n\
+         [[robot]]\nname = \"tx\"\nposition_m = [{}, {}, 0.0]\ncrystal.offset_ppm = {offset_ppm}\n",
+        place_m[0], place_m[1]
+    );
+    let run = Room::new(&Scene::parse(&scene).unwrap()).unwrap().run().unwrap();
+    let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
+    let steps = options.accuracy.without_layers();
+    (run, options.with_accuracy(steps))
+}
+
+#[test]
+fn phases_that_follow_the_motion_are_of_one_run_whatever_clocks_say() {
+    let bearing = |own: &Simulation, other: &Simulation, options: &Options| {
+        let (mut rx, mut tx) = (own.robots[0].replay(), other.robots[1].replay());
+        let logs = vec![Transmitter { log: &mut tx, trajectory: None }];
+        let path = own.robots[0].true_path.as_ref().unwrap();
+        bearings(&mut rx, logs, path, options).unwrap().links.remove(0).bearing
+    };
+    // A busy host answers late by milliseconds, or by as much as leaves the clocks nothing to say; the crystals agree, so the
+    // phases are steady before anything is taken out, and random after.
+    let milliseconds = "median_us = 3000.0, spread_us = 1500.0, min_us = 300.0, max_us = 8000.0";
+    let less = "median_us = 3000.0, spread_us = 650.0, min_us = 300.0, max_us = 8000.0";
+    for turn_around in [milliseconds, less] {
+        let (own, options) = of_direct_path([-386.0, 93.0], -0.001, turn_around, 3);
+        let (other, _) = of_direct_path([90.0, 280.0], 0.004, turn_around, 5);
+        let right = bearing(&own, &own, &options).unwrap();
+        let off_deg = right.answer.azimuth_rad.to_degrees() - 93f64.atan2(-386.0).to_degrees();
+        assert!(off_deg.abs() < 0.5, "{turn_around}: {off_deg}");
+        let wrong = bearing(&own, &other, &options);
+        // Crystals that agree leave steady phases in any two logs: where that is all there is, the answer has no direction.
+        match &wrong {
+            Err(LinkError::OfTwoRuns { .. } | LinkError::NotOfOneRun { .. }) => (),
+            Ok(bearing) => assert!(bearing.answer.azimuth_sd_rad > 1.0, "{turn_around}: {bearing:?}"),
+            Err(error) => panic!("{turn_around}: {error}"),
+        }
     }
 }
