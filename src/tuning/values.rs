@@ -73,13 +73,13 @@ macro_rules! tuning {
 
 tuning! {
     /// Thinning of the samples of a near-field search.
-    aperture: ApertureTuning, "csi5300 evaluate ../shared/captures/wsr" {
+    aperture: ApertureTuning, "csi5300 evaluate $CSI5300_CAPTURES/wsr" {
         /// Neighbouring samples are averaged over this much displacement, turns of phase.
         span_turns: f64 = 0.12, "theory: the outermost differ from their mean by 0.06 turns, the average keeps 99 % of its amplitude", "half: LOS 0/-0.02, NLOS +1.3/+1.1, T265 LOS -0.12/0, T265 NLOS -0.03/+0.03; double: LOS +0.07/-0.03, NLOS +0.29/+0.28, T265 LOS +0.45/+0.06, T265 NLOS -0.02/+0.02";
     }
 
     /// The views whose powers are multiplied, their windows and exponents.
-    views: ViewTuning, "csi5300 evaluate --ablation ../shared/captures/wsr" {
+    views: ViewTuning, "csi5300 evaluate --ablation $CSI5300_CAPTURES/wsr" {
         /// Exponent of the whole round trip.
         round_trip_weight: f64 = 1.0 / 3.0, "chosen on real captures and rooms (docs/accuracy.md)", "half: LOS -0.05/-0.01, NLOS +0.12/+0.19, T265 LOS -0.30/-0.57, T265 NLOS +1.5/+1.4; double: LOS +0.03/0, NLOS +8.9/+1.2, T265 LOS -0.06/-0.06, T265 NLOS +1.5/+2.1";
         /// Exponent of the phase at the channel centre, which only chooses between peaks.
@@ -114,7 +114,7 @@ tuning! {
     }
 
     /// From peaks of the grid to tops.
-    climb: ClimbTuning, "csi5300 evaluate ../shared/captures/wsr" {
+    climb: ClimbTuning, "csi5300 evaluate $CSI5300_CAPTURES/wsr" {
         /// Peaks climbed at most.
         most: usize = 6, "not recorded", "half: NLOS -0.30/-0.02; double: errors over bar 0.692 instead of 0.755";
         /// Peaks below this share of the highest, in evidence, are not climbed.
@@ -131,7 +131,7 @@ tuning! {
 
     /// What is likely before anything was received, and how much a motion says against it. A motion has three exponents
     /// (here two, and `focus.looks`): they turn joint power into likelihood for three questions, and were set separately.
-    prior: PriorTuning, "csi5300 evaluate ../shared/captures/wsr" {
+    prior: PriorTuning, "csi5300 evaluate $CSI5300_CAPTURES/wsr" {
         /// The range up to which all are as likely, in units of the shortest.
         farthest: f64 = 20.0, "chosen on real captures", "half: LOS -0.09/-0.04, NLOS +0.11/-0.07, T265 LOS +0.52/+0.09, T265 NLOS -1.7/0; double: LOS +0.08/0, NLOS +0.34/+0.55, T265 LOS +0.07/+0.02, T265 NLOS +0.17/0; also: 150 and 1,000: T265 LOS 4.1 / 3.5, but LOS 1.3 / 0.7 and 1.8 / 1.5 degrees";
         /// What is left for ranges beyond it, in units of what a range has to one e times as far.
@@ -156,7 +156,7 @@ tuning! {
     }
 
     /// Which elevations are searched.
-    elevation: ElevationTuning, "csi5300 evaluate ../shared/captures/wsr" {
+    elevation: ElevationTuning, "csi5300 evaluate $CSI5300_CAPTURES/wsr" {
         /// Motion that reaches no further up and down than this does not distinguish up from down, turns of phase.
         level_turns: f64 = 0.35, "theory: 20 degrees above and below then differ by a quarter of a turn either way", "no effect";
         /// Motion that reaches further up and down than this share of its largest extent distinguishes up from down.
@@ -167,7 +167,7 @@ tuning! {
     }
 
     /// Autofocus of the trajectory.
-    focus: FocusTuning, "csi5300 evaluate --ablation --trajectory t265 ../shared/captures/wsr" {
+    focus: FocusTuning, "csi5300 evaluate --ablation --trajectory t265 $CSI5300_CAPTURES/wsr" {
         /// Scales that are tried.
         scales: [f64; 4] = [0.95, 0.975, 1.025, 1.05], "not recorded", "half: T265 LOS -0.07/0, T265 NLOS -0.36/-0.39; double: rooms NLOS +0.34/+1.4";
         /// Turns of the heading that are tried, radians per metre.
@@ -195,7 +195,7 @@ tuning! {
     }
 
     /// Deviations of places.
-    deviations: DeviationTuning, "csi5300 evaluate ../shared/captures/wsr" {
+    deviations: DeviationTuning, "csi5300 evaluate $CSI5300_CAPTURES/wsr" {
         /// Standard deviation of the scale of a trajectory.
         scale_sd: f64 = 0.01, "measured: motion capture is up to 2 % off what the phases say", "half: no effect; double: ranges 20 instead of 21, median range error (m) 0.764 instead of 0.981, receivers' median error (m) 0.251 instead of 0.256";
         /// Residuals that share an error over more rows than this are no white noise.
@@ -227,7 +227,7 @@ tuning! {
     }
 
     /// What both models of certainty (probability and error bar) are given, of full answers and of plane waves.
-    certainty: CertaintyTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
+    certainty: CertaintyTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- $CSI5300_CAPTURES" {
         /// Independent looks where candidates share the probability: shares go with the evidence to this.
         looks: f64 = 8.0, "equal to focus.looks; the likelihood of the nearest candidate asks for 6", "half: Brier score 0.157 instead of 0.146, errors over bar 0.558 instead of 0.755; double: errors over bar 0.909 instead of 0.755, receivers' median error (m) 0.245 instead of 0.256; also: 4: Brier 0.182 instead of 0.178; 16: 0.174, but two columns miscalibrated by more";
         /// Spreads of candidates are clamped to these, degrees.
@@ -243,7 +243,7 @@ tuning! {
     }
 
     /// Error bar of full answers: ln degrees.
-    full_error_bar: FullErrorBarTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
+    full_error_bar: FullErrorBarTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- $CSI5300_CAPTURES" {
         /// Intercept.
         base: f64 = 0.58, "fit: 426 bearings of 30 places", "half: errors over bar 0.989 instead of 0.755, receivers' median error (m) 0.244 instead of 0.256; double: errors over bar 0.488 instead of 0.755";
         /// Per unit of ln(spread of the candidates).
@@ -253,7 +253,7 @@ tuning! {
     }
 
     /// Error bar of bearings by a plane wave: ln degrees.
-    quick_error_bar: QuickErrorBarTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
+    quick_error_bar: QuickErrorBarTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- $CSI5300_CAPTURES" {
         /// Intercept.
         base: f64 = 8.00, "fit: 416 bearings of 30 places", "half: plane waves' errors over bar 7.234 instead of 0.714; double: plane waves' errors over bar 0.040 instead of 0.714";
         /// Per unit of ln(coherence).
@@ -267,7 +267,7 @@ tuning! {
     }
 
     /// Probability that a full answer's azimuth is within five degrees.
-    full_probability: FullProbabilityTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
+    full_probability: FullProbabilityTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- $CSI5300_CAPTURES" {
         /// Intercept.
         base: f64 = 2.47, "fit: 426 bearings of 30 places", "half: Brier score 0.222 instead of 0.146, receivers' median error (m) 0.279 instead of 0.256; double: Brier score 0.226 instead of 0.146";
         /// Per unit of ln(spread of the candidates).
@@ -279,7 +279,7 @@ tuning! {
     }
 
     /// Probability that the azimuth of a bearing by a plane wave is within five degrees.
-    quick_probability: QuickProbabilityTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures" {
+    quick_probability: QuickProbabilityTuning, "cargo run --release -p csi5300-lab --example fit_confidence -- $CSI5300_CAPTURES" {
         /// Intercept.
         base: f64 = -3.60, "fit: 416 bearings of 30 places", "half: Brier score of plane waves 0.277 instead of 0.208; double: Brier score of plane waves 0.498 instead of 0.208";
         /// Per unit of ln(coherence).
@@ -299,7 +299,7 @@ tuning! {
     }
 
     /// Robust location.
-    locate: LocateTuning, "csi5300 evaluate ../shared/captures/wsr" {
+    locate: LocateTuning, "csi5300 evaluate $CSI5300_CAPTURES/wsr" {
         /// Error that no bearing is better than, radians.
         azimuth_floor_rad: f64 = 0.02, "measured: median error in line of sight about one degree whatever was predicted", "half: no effect; double: receivers' median error (m) 0.269 instead of 0.256";
         /// The same for range, relative.
@@ -311,7 +311,7 @@ tuning! {
     }
 
     /// Alignment of the sampling time.
-    alignment: AlignmentTuning, "csi5300 evaluate --ablation ../shared/captures/wsr" {
+    alignment: AlignmentTuning, "csi5300 evaluate --ablation $CSI5300_CAPTURES/wsr" {
         /// Neighbours on either side that a packet is compared with.
         reach: usize = 7, "not recorded", "half: LOS -0.01/+0.03, NLOS +7.2/+0.21, T265 LOS +0.22/+0.03, T265 NLOS -0.69/-1.3; double: LOS +0.12/+0.05, NLOS +0.56/+0.68, T265 LOS +0.36/+0.11, T265 NLOS -4.0/-2.1";
         /// Rounds.
@@ -327,7 +327,7 @@ tuning! {
     }
 
     /// The square root of the round trip.
-    one_way: OneWayTuning, "csi5300 evaluate --ablation ../shared/captures/wsr" {
+    one_way: OneWayTuning, "csi5300 evaluate --ablation $CSI5300_CAPTURES/wsr" {
         /// Packets on either side that a sample is compared with.
         reach: usize = 5, "not recorded", "half: errors over bar 0.816 instead of 0.755, receivers' median error (m) 0.248 instead of 0.256, products among paths a link 0.316 instead of 0.368; double: Brier score 0.150 instead of 0.146, products among paths a link 0.342 instead of 0.368";
         /// How much of the prediction a packet inherits.
@@ -337,7 +337,7 @@ tuning! {
     }
 
     /// Turn-around compensation.
-    turn_around: TurnAroundTuning, "csi5300 evaluate --ablation ../shared/captures/wsr" {
+    turn_around: TurnAroundTuning, "csi5300 evaluate --ablation $CSI5300_CAPTURES/wsr" {
         /// Outliers are further than this from the line, microseconds.
         outlier_us: f64 = 25.0, "measured: the jitter is 4 to 22", "no effect";
         /// How far from the clocks' drift the offset is searched, Hz.

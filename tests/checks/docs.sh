@@ -16,6 +16,10 @@ for page in README.md docs/*.md; do
     done < <(grep -oE '\]\([^)]+\)' "$page" | sed -E 's/^\]\(//; s/\)$//' | grep -vE '^(https?|mailto):')
 done
 
+if grep -n '\.\./shared' README.md docs/*.md; then
+    echo "these pages name a folder that readers do not have"
+    exit 1
+fi
 for page in README.md docs/tutorial.md docs/view.md; do
     grep -q '^```sh$' "$page" || { echo "$page has no commands"; exit 1; }
 done

@@ -1,7 +1,7 @@
 //! Fits the models of `src/place/confidence.rs` (probabilities and error bars) to captures with known truth, and tells how
 //! they do on places that they were not fitted to.
 //!
-//! `cargo run --release -p csi5300-lab --example fit_confidence -- ../shared/captures [ROOMS]`
+//! `cargo run --release -p csi5300-lab --example fit_confidence -- $CSI5300_CAPTURES [ROOMS]`
 //!
 //! Expect the coefficients as they stand in `src/tuning/values.rs`. ROOMS simulated rooms of either kind take part if
 //! given; a room weighs as much as a place of the captures. `csi5300 evaluate --folds places` prints the calibration of the
