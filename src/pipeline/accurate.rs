@@ -28,7 +28,7 @@ pub struct Placed {
     pub focus: Option<Focus>,
     /// The paths in the round trip, the answer first.
     pub paths: Vec<Path>,
-    /// The joint power over azimuth, elevation and range, where the course is kept for pictures.
+    /// The joint power over azimuth, elevation and range, where maps are kept for pictures.
     pub maps: Option<Maps>,
     /// What the azimuth was chosen from, where the course is kept for pictures.
     pub evidence: Option<Evidence>,
@@ -149,8 +149,10 @@ pub(super) fn extract((mut placed, mut search): (Placed, Search), one_wave: bool
         let best = placed.fix.best();
         placed.paths = if one_wave { vec![Path::only(&best)] } else { search.paths(&best) };
     }
-    if options.keep_course {
+    if options.keep_maps {
         placed.maps = Some(search.maps(MAP_AZIMUTHS));
+    }
+    if options.keep_course {
         placed.evidence = Some(search.evidence(EVIDENCE_AZIMUTHS, &placed.fix.sources));
     }
     placed

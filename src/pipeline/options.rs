@@ -145,8 +145,11 @@ pub struct Options {
     pub compensate: bool,
     /// Whether links are estimated on all cores of the current rayon pool, or one after the other.
     pub parallel: bool,
-    /// Whether the course of the phase and maps of the joint power are kept for pictures.
+    /// Whether the course of the phase, and the evidence over azimuth, are kept for pictures.
     pub keep_course: bool,
+    /// Whether maps of the joint power over all elevations and ranges are made for pictures; they cost more than the bearing.
+    #[doc(hidden)] // for the crates of this workspace
+    pub keep_maps: bool,
     /// What is done beyond a plane wave.
     pub accuracy: Accuracy,
     /// How the bearing is searched for.
@@ -179,6 +182,7 @@ impl Options {
             accuracy: Accuracy::default(),
             parallel: false,
             keep_course: false,
+            keep_maps: false,
             search: SearchOptions::default(),
         }
     }
@@ -240,10 +244,18 @@ impl Options {
         self
     }
 
-    /// With or without what pictures need.
+    /// With or without what pictures of phase, trajectory and profile need.
     #[must_use]
     pub fn with_keep_course(mut self, keep_course: bool) -> Self {
         self.keep_course = keep_course;
+        self
+    }
+
+    /// With or without maps of the joint power.
+    #[doc(hidden)] // for the crates of this workspace
+    #[must_use]
+    pub fn with_keep_maps(mut self, keep_maps: bool) -> Self {
+        self.keep_maps = keep_maps;
         self
     }
 

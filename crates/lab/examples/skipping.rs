@@ -184,7 +184,7 @@ fn each(rows: &[Row]) {
 /// Run time against error of every simulated scene, in the three ways.
 #[cfg(feature = "plot")]
 fn picture(rows: &[Row], out: &std::path::Path) -> Result<(), Box<dyn Error>> {
-    use csi5300_lab::show::ScatterLines;
+    use csi5300_lab::show::{Format, ScatterLines};
     let points = |k: usize| {
         let timed = rows.iter().filter_map(|row| Some((row.ms[k]?, row.error_deg[k].abs().max(1e-3))));
         timed.collect::<Vec<(f64, f64)>>()
@@ -199,7 +199,7 @@ fn picture(rows: &[Row], out: &std::path::Path) -> Result<(), Box<dyn Error>> {
         series: names.iter().enumerate().map(|(k, name)| ((*name).to_owned(), points(k))).collect(),
         lines: false,
     };
-    for path in picture.write(&out.join("skipping"))? {
+    for path in picture.write(&out.join("skipping"), &Format::default())? {
         eprintln!("{}", path.display());
     }
     Ok(())

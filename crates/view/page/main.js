@@ -39,7 +39,10 @@
     if (page.link !== number) return;
     page.waits = link.waiting === true;
     if (page.waits) {
-      shown.replaceChildren(csi.el("h2", {}, page.overview.links[number] ?? ""), csi.el("p", { class: "soft" }, "its capture is evaluated next…"));
+      // What is there at once: the log that the receiver wrote.
+      const log = csi.el("section", { class: "card wide" }, csi.el("h3", {}, "Log"));
+      shown.replaceChildren(csi.el("h2", {}, page.overview.links[number] ?? ""), csi.el("p", { class: "soft" }, "its capture is evaluated next…"), log);
+      if (csi.isNumber(link.logs?.receiver)) page.keep.panel = csi.showLog(log, link.logs.receiver);
       return;
     }
     const capture = link.row.link.slice(0, link.row.link.lastIndexOf("/"));

@@ -235,24 +235,24 @@ impl Links {
     }
 
     /// A link: its whole row, where its capture's receiver is located, and what the page draws. A capture that nobody works
-    /// on is next then, and `waiting` is true until it is done. `logs` are the numbers of the receiver's and the
+    /// on is next then, and until it is done there are `waiting`, true, and the logs only. `logs` are the numbers of the receiver's and the
     /// transmitter's log.
     pub fn link(&self, link: usize, logs: [Option<usize>; 2]) -> Result<Option<Vec<u8>>, Error> {
         let Some((capture, _)) = self.place(link) else { return Ok(None) };
+        let numbers = serde_json::json!({ "receiver": logs[0], "transmitter": logs[1] });
         let mut state = self.state();
         let Some(done) = state.links.get(link).and_then(Option::as_ref) else {
             if let Some(at) = state.waiting.iter().position(|waiting| *waiting == capture) {
                 state.waiting.remove(at);
                 state.waiting.push_front(capture);
             }
-            return Ok(Some(br#"{"waiting":true}"#.to_vec()));
+            return Ok(Some(serde_json::to_vec(&serde_json::json!({ "waiting": true, "logs": numbers }))?));
         };
         let siblings = self.first[capture]..self.first[capture + 1];
         let rows = siblings.filter_map(|k| state.links.get(k)?.as_ref().map(|done| done.row.clone()));
         let receiver = receivers(&rows.collect::<Vec<_>>()).into_iter().next();
         let head = serde_json::json!({
-            "number": link, "row": done.row, "beside": done.beside, "receiver": receiver,
-            "logs": { "receiver": logs[0], "transmitter": logs[1] },
+            "number": link, "row": done.row, "beside": done.beside, "receiver": receiver, "logs": numbers,
         });
         let mut text = serde_json::to_string(&head)?;
         // The drawn part is JSON already.

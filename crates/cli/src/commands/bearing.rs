@@ -79,10 +79,13 @@ pub struct Args {
     /// Directions of the profile: 360x181 (azimuth x elevation), 360 (azimuth only), or wsr (the toolbox's own grid)
     #[arg(long, default_value = "360", value_parser = profile::grid, value_name = "GRID")]
     grid: Grid,
-    /// Draw phase, trajectory and profile of each link into this folder, as PNG and SVG
+    /// Draw phase, trajectory and profile of each link into this folder
     #[cfg(feature = "plot")]
     #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
+    #[cfg(feature = "plot")]
+    #[command(flatten)]
+    drawing: super::pictures::Drawing,
     /// Overwrite the profile and pictures of the same names if they are there
     #[arg(long)]
     force: bool,
@@ -122,6 +125,8 @@ fn check(args: &Args) {
     if let Some(path) = args.profile.as_deref().filter(|path| !profile::is_known(path)) {
         usage(&format!("{}: a profile is written as .csv or .npz", path.display()));
     }
+    #[cfg(feature = "plot")]
+    args.drawing.must_have(args.plot.as_deref(), "--plot");
 }
 
 /// Opens the transmitters' logs. One that cannot be read is taken out of the arguments with what goes with it, and answered
@@ -228,11 +233,10 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
-        let file = format!("{}-profile.png", csi5300_lab::show::file_safe(name));
-        super::must_not_exist(&folder.join(file), args.force)?;
         let pictures =
             csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, transmitter_m: None, recorded: None };
-        for path in pictures.write(folder, name).map_err(|error| error.to_string())? {
+        let written = pictures.write(folder, name, &args.drawing.format(args.force));
+        for path in written.map_err(|error| super::pictures::refused(&error))? {
             note!("picture of {name}: {}", path.display());
         }
     }

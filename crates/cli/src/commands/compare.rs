@@ -49,6 +49,9 @@ pub struct Args {
     /// Replace what an earlier run left in that folder
     #[arg(long)]
     force: bool,
+    #[cfg(feature = "plot")]
+    #[command(flatten)]
+    drawing: super::pictures::Drawing,
     /// A line of JSON for each figure
     #[arg(long)]
     json: bool,
@@ -101,7 +104,7 @@ pub fn run(args: &Args) -> Result {
     } else {
         print(&describe(&table));
     }
-    draw(&args.out, &recorded, &simulated, args.json)?;
+    draw(args, &recorded, &simulated)?;
     Ok(if inputs.lost() { Outcome::DataLost } else { Outcome::Done })
 }
 
@@ -113,6 +116,11 @@ const SIMULATED: &str = "simulated";
 impl Args {
     /// Refuses outputs that are inputs, and without --force those that are there.
     fn check_outputs<'a>(&'a self, read: impl Iterator<Item = &'a Path>) -> Words<()> {
+        #[cfg(feature = "plot")]
+        self.drawing
+            .format(self.force)
+            .check(&csi5300_lab::show::compared::stems(&self.out))
+            .map_err(|error| super::pictures::refused(&error))?;
         let simulated = self.out.join(SIMULATED);
         let written: Vec<PathBuf> = match &self.with {
             Some(folder) if folder.is_dir() => return Ok(()),
@@ -142,7 +150,7 @@ impl Args {
 
 /// Reads a scene, which must be of the recording's channel.
 fn load(file: &Path, channel: Channel) -> Words<Scene> {
-    let scene = Scene::load(file).map_err(|error| format!("{}: {error}", file.display()))?;
+    let scene = Scene::load(file).map_err(|error| simulate::refused(file, &error))?;
     let wide = channel.width() != Width::Ht20;
     if (scene.channel, scene.bandwidth_mhz == 40) != (scene_channel(channel), wide) {
         return Err(format!(
@@ -237,14 +245,16 @@ fn short(value: f64) -> String {
 }
 
 #[cfg(not(feature = "plot"))]
-fn draw(_: &Path, _: &Figures, _: &Figures, _: bool) -> Words<()> {
+fn draw(_: &Args, _: &Figures, _: &Figures) -> Words<()> {
     Ok(())
 }
 
 #[cfg(feature = "plot")]
-fn draw(out: &Path, recorded: &Figures, simulated: &Figures, quiet: bool) -> Words<()> {
-    let written = csi5300_lab::show::compared::write(recorded, simulated, out).map_err(|error| error.to_string())?;
-    for path in written.iter().filter(|path| !quiet && path.extension().is_some_and(|e| e == "png")) {
+fn draw(args: &Args, recorded: &Figures, simulated: &Figures) -> Words<()> {
+    let format = args.drawing.format(args.force);
+    let written = csi5300_lab::show::compared::write(recorded, simulated, &args.out, &format);
+    let written = written.map_err(|error| super::pictures::refused(&error))?;
+    for path in super::pictures::first_of_each(&written).filter(|_| !args.json) {
         print(&format!("picture {}\n", path.display()));
     }
     Ok(())

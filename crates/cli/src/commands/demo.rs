@@ -25,6 +25,9 @@ pub struct Args {
     /// Write into a folder that is not empty
     #[arg(long)]
     force: bool,
+    #[cfg(feature = "plot")]
+    #[command(flatten)]
+    drawing: super::pictures::Drawing,
     /// JSON Lines instead of words: one object for the robots that stand, one each for circle and line
     #[arg(long)]
     json: bool,
@@ -112,7 +115,7 @@ pub fn run(args: &Args) -> Result {
         let truth_rad = truth(&scene, &bearing);
         say_pictures(
             args,
-            &draw(&args.out, name, &bearing, &scene, truth_rad, recorded.as_ref().filter(|_| name == "circle"))?,
+            &draw(args, name, &bearing, &scene, truth_rad, recorded.as_ref().filter(|_| name == "circle"))?,
         );
         shown.push(Shown::new(name, &bearing, truth_rad));
     }
@@ -141,7 +144,7 @@ fn stand(args: &Args, options: &Options) -> Words<()> {
     } else {
         print(&describe_standing(&standing));
     }
-    say_pictures(args, &draw_standing(&args.out, &standing)?);
+    say_pictures(args, &draw_standing(args, &standing)?);
     Ok(())
 }
 
@@ -250,24 +253,25 @@ fn table(shown: &[Shown]) -> String {
 }
 
 #[cfg(not(feature = "plot"))]
-fn draw(_: &Path, _: &str, _: &Bearing, _: &Scene, _: Option<f64>, _: Option<&Bearing>) -> Words<Vec<PathBuf>> {
+fn draw(_: &Args, _: &str, _: &Bearing, _: &Scene, _: Option<f64>, _: Option<&Bearing>) -> Words<Vec<PathBuf>> {
     Ok(Vec::new())
 }
 
 #[cfg(not(feature = "plot"))]
-fn draw_standing(_: &Path, _: &Standing) -> Words<Vec<PathBuf>> {
+fn draw_standing(_: &Args, _: &Standing) -> Words<Vec<PathBuf>> {
     Ok(Vec::new())
 }
 
 #[cfg(feature = "plot")]
-fn draw_standing(out: &Path, standing: &Standing) -> Words<Vec<PathBuf>> {
-    let written = csi5300_lab::show::repeated::standing(standing).write(&out.join("standing-phase"));
-    written.map_err(|error| error.to_string())
+fn draw_standing(args: &Args, standing: &Standing) -> Words<Vec<PathBuf>> {
+    let picture = csi5300_lab::show::repeated::standing(standing);
+    let written = picture.write(&args.out.join("standing-phase"), &args.drawing.format(args.force));
+    written.map_err(|error| super::pictures::refused(&error))
 }
 
 #[cfg(feature = "plot")]
 fn draw(
-    out: &Path,
+    args: &Args,
     name: &str,
     bearing: &Bearing,
     scene: &Scene,
@@ -276,12 +280,17 @@ fn draw(
 ) -> Words<Vec<PathBuf>> {
     let transmitter_m = scene.robot.get(1).map(|robot| [robot.position_m[0], robot.position_m[1]]);
     let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m, recorded };
-    pictures.write(out, name).map_err(|error| error.to_string())
+    let written = pictures.write(&args.out, name, &args.drawing.format(args.force));
+    written.map_err(|error| super::pictures::refused(&error))
 }
 
+#[cfg(not(feature = "plot"))]
+fn say_pictures(_: &Args, _: &[PathBuf]) {}
+
+/// A line for each picture, by the first of its formats.
+#[cfg(feature = "plot")]
 fn say_pictures(args: &Args, written: &[PathBuf]) {
-    let pictures = written.iter().filter(|path| path.extension().is_some_and(|extension| extension == "png"));
-    for path in pictures.filter(|_| !args.json) {
+    for path in super::pictures::first_of_each(written).filter(|_| !args.json) {
         print(&format!("  picture {}\n", path.display()));
     }
 }

@@ -9,6 +9,8 @@ use csi5300_lab::evaluate::quality::{over_bound, ranges, receivers, risk_coverag
 use csi5300_lab::evaluate::{
     Capture, Errors, Evaluated, Judged, SetSummary, TrajectorySource, find, reliability, summarise,
 };
+#[cfg(feature = "plot")]
+use csi5300_lab::show::set;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -31,6 +33,13 @@ pub struct Args {
     #[cfg(feature = "plot")]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    #[cfg(feature = "plot")]
+    #[command(flatten)]
+    drawing: super::pictures::Drawing,
+    /// Overwrite pictures of the same names
+    #[cfg(feature = "plot")]
+    #[arg(long)]
+    force: bool,
     #[command(flatten)]
     reading: Reading,
     /// JSON Lines: one object a link, then a summary
@@ -75,6 +84,8 @@ impl Drop for Rooms {
 
 /// Evaluates a tree of captures.
 pub fn run(args: &Args) -> Result {
+    #[cfg(feature = "plot")]
+    check_pictures(args)?;
     let rooms = args.rooms.map(|count| Rooms::write(count, args.seed)).transpose()?;
     let source = args.reading.source();
     let mut options = args.reading.options().unwrap_or_else(|message| usage(&message));
@@ -91,7 +102,8 @@ pub fn run(args: &Args) -> Result {
         let report = pool.install(|| super::folds::run(&captures, &options, args.json));
         #[cfg(feature = "plot")]
         if let Some(folder) = &args.out {
-            let written = csi5300_lab::show::set::write_folds(&report, folder).map_err(|error| error.to_string())?;
+            let written = set::write_folds(&report, folder, &args.drawing.format(args.force));
+            let written = written.map_err(|error| super::pictures::refused(&error))?;
             note!("{}: {} pictures", folder.display(), written.len());
         }
         return Ok(super::folds::outcome(&report));
@@ -103,9 +115,9 @@ pub fn run(args: &Args) -> Result {
         evaluated
     };
     if args.ablation {
-        let table = pool.install(|| ablation(args, source, &captures));
+        let rows = pool.install(|| ablation(args, source, &captures));
         bar.finish_and_clear();
-        print(&table?);
+        show_ablation(&rows?, args.json);
         return Ok(Outcome::Done);
     }
     let results: Vec<Evaluated> = pool.install(|| captures.par_iter().map(one).collect());
@@ -124,6 +136,18 @@ pub fn run(args: &Args) -> Result {
         true if lost => Outcome::DataLost,
         true => Outcome::Done,
     })
+}
+
+/// Refuses pictures that are there before minutes of work, not after.
+#[cfg(feature = "plot")]
+fn check_pictures(args: &Args) -> std::result::Result<(), String> {
+    args.drawing.must_have(args.out.as_deref(), "--out");
+    let Some(folder) = &args.out else { return Ok(()) };
+    let stems = match args.folds {
+        Some(Folds::Places) => set::fold_stems(folder).to_vec(),
+        None => set::stems(folder).to_vec(),
+    };
+    args.drawing.format(args.force).check(&stems).map_err(|error| super::pictures::refused(&error))
 }
 
 /// The captures below all folders, and folders that could not be read.
@@ -167,7 +191,8 @@ fn show(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.out {
-        let written = csi5300_lab::show::set::write(rows, folder).map_err(|error| error.to_string())?;
+        let written = set::write(rows, folder, &args.drawing.format(args.force));
+        let written = written.map_err(|error| super::pictures::refused(&error))?;
         note!("{}: {} pictures", folder.display(), written.len());
     }
     Ok(())
@@ -280,9 +305,34 @@ fn sets(rows: &[Judged]) -> BTreeMap<&str, Vec<&Judged>> {
     sets
 }
 
-/// Evaluates with everything, then without each step.
-fn ablation(args: &Args, source: TrajectorySource, captures: &[Capture]) -> std::result::Result<String, String> {
+/// Errors of a set without a step; with everything where none is named.
+#[derive(serde::Serialize)]
+struct AblationRow {
+    without: Option<String>,
+    set: String,
+    #[serde(flatten)]
+    errors: Errors,
+}
+
+fn show_ablation(rows: &[AblationRow], json: bool) {
+    if json {
+        return rows.iter().for_each(print_json);
+    }
     let mut text = String::from("error from the mean pose: mean / median / 90th percentile / share over 20 degrees\n");
+    for AblationRow { without, set, errors } in rows {
+        let name = without.as_ref().map_or("everything".into(), |step| format!("without {step}"));
+        let _ = writeln!(text, "{name:22} {set:12} {:4} links  {}", errors.links, line(errors));
+    }
+    print(&text);
+}
+
+/// Evaluates with everything, then without each step.
+fn ablation(
+    args: &Args,
+    source: TrajectorySource,
+    captures: &[Capture],
+) -> std::result::Result<Vec<AblationRow>, String> {
+    let mut found = Vec::new();
     let runs = std::iter::once(None).chain(Step::ALL.into_iter().map(Some));
     for left_out in runs {
         let estimation = Estimation { without: left_out.into_iter().collect(), ..args.reading.estimation.clone() };
@@ -290,14 +340,11 @@ fn ablation(args: &Args, source: TrajectorySource, captures: &[Capture]) -> std:
         options.accuracy = options.accuracy.with_paths(false);
         let rows: Vec<Judged> =
             captures.par_iter().flat_map_iter(|c| c.evaluate(source, args.reading.channel, &options).rows).collect();
-        let name = left_out.map_or("everything".into(), |step| {
-            let name = step.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned());
-            format!("without {name}")
-        });
+        let without = left_out.and_then(|step| step.to_possible_value()).map(|value| value.get_name().to_owned());
         for (set, own) in sets(&rows) {
             let errors = Errors::of(own.iter().filter_map(|row| row.error_from_mean_pose_deg));
-            let _ = writeln!(text, "{name:22} {set:12} {:4} links  {}", errors.links, line(&errors));
+            found.push(AblationRow { without: without.clone(), set: set.to_owned(), errors });
         }
     }
-    Ok(text)
+    Ok(found)
 }

@@ -23,6 +23,9 @@ pub struct Args {
     #[cfg(feature = "plot")]
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    #[cfg(feature = "plot")]
+    #[command(flatten)]
+    drawing: super::pictures::Drawing,
     /// Overwrite pictures of the same names
     #[cfg(feature = "plot")]
     #[arg(long)]
@@ -73,8 +76,12 @@ fn is_wanted(name: &str, wanted: Option<&str>) -> bool {
 
 /// Shows links from end to end.
 pub fn run(args: &Args) -> Result {
+    #[cfg(feature = "plot")]
+    args.drawing.must_have(args.out.as_deref(), "--out");
     let options = args.reading.options().unwrap_or_else(|message| usage(&message));
     let options = options.with_keep_course(true);
+    #[cfg(feature = "plot")]
+    let options = options.with_keep_maps(args.out.is_some());
     let (folder, wanted) = parts(&args.link);
     let (captures, unreadable) = args.reading.find(&folder)?;
     for folder in &unreadable {
@@ -127,10 +134,9 @@ pub fn run(args: &Args) -> Result {
 #[cfg(feature = "plot")]
 fn draw(args: &Args, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
     let Some(folder) = &args.out else { return Ok(()) };
-    let first = format!("{}-trajectory.png", csi5300_lab::show::file_safe(&row.answer.link));
-    super::must_not_exist(&folder.join(first), args.force)?;
     let pictures = csi5300_lab::show::link::LinkPictures::of(row, bearing, args.reading.source());
-    let written = pictures.write_all(folder, &row.answer.link).map_err(|error| error.to_string())?;
+    let written = pictures.write_all(folder, &row.answer.link, &args.drawing.format(args.force));
+    let written = written.map_err(|error| super::pictures::refused(&error))?;
     note!("{}: {} pictures", folder.display(), written.len());
     Ok(())
 }

@@ -20,10 +20,9 @@ pub fn words(error: &LinkError) -> String {
         }
         LinkError::RowsNotTimes { .. } => format!("{error} (--clock-offset)"),
         LinkError::TooLarge { .. } => format!("{error} (--from and --to cut a piece)"),
-        LinkError::OutsideTrajectory { other_fits: true, .. } => {
-            format!("{error} Try --rx and --tx the other way round")
+        LinkError::OutsideTrajectory { other_fits: false, .. } => {
+            format!("{error} --clock-offset shifts one against the other")
         }
-        LinkError::OutsideTrajectory { .. } => format!("{error} --clock-offset shifts one against the other"),
         _ => error.to_string(),
     }
 }
@@ -37,9 +36,12 @@ fn joined_words(error: &LinkError) -> String {
     }
 }
 
-/// An error of `bearing` in words: it alone has `--tx-mac`.
+/// An error of `bearing` in words: it alone has `--tx-mac`, and two logs that could be exchanged.
 fn bearing_words(error: &LinkError) -> String {
     match error {
+        LinkError::OutsideTrajectory { other_fits: true, .. } => {
+            format!("{error} Try --rx and --tx the other way round")
+        }
         LinkError::Unmatched(Unmatched::Unclear { .. } | Unmatched::Taken { .. }) => format!("{error} with --tx-mac"),
         LinkError::Unmatched(Unmatched::Named { .. }) => format!("{error} (--tx-mac)"),
         _ => joined_words(error),
@@ -75,6 +77,12 @@ mod tests {
         assert!(bearing_words(&LinkError::NoHostTime).contains("--join-rows"));
         assert!(joined_words(&LinkError::NoHostTime).contains("--join-rows"));
         assert!(!words(&LinkError::NoHostTime).contains("--join-rows"));
+        // `evaluate` and `sound` name no logs.
+        let exchanged =
+            |other_fits| LinkError::OutsideTrajectory { pairs: 9, from_s: 1.0, start_s: 2.0, end_s: 3.0, other_fits };
+        assert!(bearing_words(&exchanged(true)).ends_with("Try --rx and --tx the other way round"));
+        assert!(joined_words(&exchanged(true)).ends_with("were the two logs exchanged?"));
+        assert!(joined_words(&exchanged(false)).contains("--clock-offset"));
         let directory = log_refused(&Error::Directory { path: "logs".into() });
         assert_eq!(directory, "logs is a directory: name a .dat file inside it, or use `evaluate`");
     }

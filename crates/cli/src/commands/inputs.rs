@@ -68,15 +68,21 @@ impl Inputs {
     }
 }
 
-#[cfg(not(feature = "ros2"))]
 impl BagArgs {
-    /// Files, all of which must be named.
+    /// The files that were named; with a recording its topics, and what was not named found in it.
+    ///
+    /// # Errors
+    /// In words: if the recording cannot be read, or something is missing or could be meant in several ways.
     pub fn resolve(
         &self,
         rx: Option<PathBuf>,
         tx: Vec<PathBuf>,
         trajectory: Option<PathBuf>,
     ) -> Words<(Inputs, Named)> {
+        #[cfg(feature = "ros2")]
+        if let Some(bag) = &self.bag {
+            return Inputs::of(bag, rx, tx, trajectory);
+        }
         let (Some(rx), Some(trajectory)) = (rx, trajectory) else {
             return Err("--rx and --trajectory are needed".into());
         };
@@ -102,33 +108,16 @@ impl Inputs {
 }
 
 #[cfg(feature = "ros2")]
-impl BagArgs {
-    /// Reads the recording, if there is one, and finds what was not named.
-    ///
-    /// # Errors
-    /// In words: if it cannot be read, or could be meant in several ways.
-    pub fn resolve(
-        &self,
-        rx: Option<PathBuf>,
-        tx: Vec<PathBuf>,
-        trajectory: Option<PathBuf>,
-    ) -> Words<(Inputs, Named)> {
-        let Some(bag) = &self.bag else {
-            let (Some(rx), Some(trajectory)) = (rx, trajectory) else {
-                return Err("--rx and --trajectory are needed".into());
-            };
-            return Ok((Inputs::default(), Named { rx, tx, trajectory }));
-        };
+impl Inputs {
+    /// Reads a recording, and finds in it what was not named.
+    fn of(bag: &Path, rx: Option<PathBuf>, tx: Vec<PathBuf>, trajectory: Option<PathBuf>) -> Words<(Self, Named)> {
         let recording = Recording::read(bag).map_err(|error| error.to_string())?;
-        let inputs = Inputs { recorded: Some((bag.clone(), recording)) };
+        let inputs = Self { recorded: Some((bag.to_path_buf(), recording)) };
         inputs.say();
         let named = inputs.choose(rx, tx, trajectory)?;
         Ok((inputs, named))
     }
-}
 
-#[cfg(feature = "ros2")]
-impl Inputs {
     fn topic(&self, path: &Path) -> Option<&[u8]> {
         let (_, recording) = self.recorded.as_ref()?;
         recording.topics.iter().find(|one| Path::new(&one.topic) == path).map(|one| one.bytes.as_slice())

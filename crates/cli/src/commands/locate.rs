@@ -20,6 +20,17 @@ pub struct Args {
     place: Vec<(String, [f64; 2])>,
     #[command(flatten)]
     reading: Reading,
+    /// Draw a map of each capture into this folder: the bearings, the transmitters, the receiver as located
+    #[cfg(feature = "plot")]
+    #[arg(long, value_name = "DIR")]
+    plot: Option<PathBuf>,
+    #[cfg(feature = "plot")]
+    #[command(flatten)]
+    drawing: super::pictures::Drawing,
+    /// Overwrite pictures of the same names
+    #[cfg(feature = "plot")]
+    #[arg(long)]
+    force: bool,
     /// JSON Lines: one object a receiver
     #[arg(long)]
     json: bool,
@@ -36,6 +47,8 @@ fn place(text: &str) -> std::result::Result<(String, [f64; 2]), String> {
 
 /// Locates the receiver of every capture.
 pub fn run(args: &Args) -> Result {
+    #[cfg(feature = "plot")]
+    args.drawing.must_have(args.plot.as_deref(), "--plot");
     let options = args.reading.options()?;
     let (captures, unreadable) = args.reading.find(&args.folder)?;
     for folder in &unreadable {
@@ -60,6 +73,8 @@ pub fn run(args: &Args) -> Result {
     } else {
         print(&table(&found, &rows));
     }
+    #[cfg(feature = "plot")]
+    draw(args, &rows)?;
     for row in rows.iter().filter(|row| row.answer.error.is_some()) {
         wrong!("{}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
     }
@@ -73,6 +88,17 @@ pub fn run(args: &Args) -> Result {
         true if lost => Outcome::DataLost,
         true => Outcome::Done,
     })
+}
+
+#[cfg(feature = "plot")]
+fn draw(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
+    let Some(folder) = &args.plot else { return Ok(()) };
+    let written = csi5300_lab::show::set::write_maps(rows, folder, &args.drawing.format(args.force));
+    match written.map_err(|error| super::pictures::refused(&error))?.len() {
+        0 => note!("no map: nothing says where the receiver drove"),
+        count => note!("{}: {count} pictures", folder.display()),
+    }
+    Ok(())
 }
 
 fn table(found: &[Receiver], rows: &[Judged]) -> String {

@@ -27,6 +27,9 @@ pub struct Args {
     /// WiFi channel, with + or - for 40 MHz; needed for bearings
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
+    /// Overwrite the recording if it is there
+    #[arg(long)]
+    force: bool,
     /// One JSON object about the recording
     #[arg(long)]
     json: bool,
@@ -57,6 +60,7 @@ struct LinkRow {
 
 /// Converts captures.
 pub fn run(args: &Args) -> Result {
+    super::must_not_exist(&args.out, args.force)?;
     let names = names(&args.logs);
     let trajectory = args.trajectory.as_deref().map(read_trajectory).transpose()?;
     // What is wrong with the options is said before there is a file.

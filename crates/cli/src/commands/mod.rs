@@ -30,6 +30,8 @@ mod locate;
 mod mcap;
 #[cfg(feature = "node")]
 mod node;
+#[cfg(feature = "plot")]
+mod pictures;
 #[cfg(feature = "node")]
 mod places;
 #[cfg(feature = "plot")]

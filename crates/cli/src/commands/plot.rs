@@ -1,10 +1,11 @@
 //! `csi5300 plot`.
 
 use super::args::{antenna, mac};
+use super::pictures::{self, Drawing};
 use super::{Outcome, Result, hint, usage};
 use csi5300_lab::course::{Course, Wanted};
-use csi5300_lab::show::file_safe;
-use csi5300_lab::show::log::{Format, LogPictures};
+use csi5300_lab::show::log::LogPictures;
+use csi5300_lab::show::{Format, file_safe};
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use std::path::{Path, PathBuf};
@@ -40,39 +41,14 @@ pub struct Args {
     /// Size of the drawing, pixels at 96 to the inch
     #[arg(long, default_value = "1200x1100", value_parser = size, value_name = "WIDTHxHEIGHT")]
     size: (f64, f64),
-    /// Pixels to the inch of a PNG: 192 gives twice as many as --size says
-    #[arg(long, default_value_t = 96.0, value_name = "DPI")]
-    dpi: f64,
-    /// Formats
-    #[arg(long, value_enum, value_delimiter = ',', default_values_t = [Kind::Png, Kind::Svg], value_name = "FORMAT,..")]
-    format: Vec<Kind>,
+    #[command(flatten)]
+    drawing: Drawing,
     /// JSON Lines: one object a log, with the names of its pictures
     #[arg(long)]
     json: bool,
     /// Overwrite pictures of the same names
     #[arg(long)]
     force: bool,
-}
-
-/// A format of pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Kind {
-    /// Pixels
-    Png,
-    /// Vectors, for the web
-    Svg,
-    /// Vectors with the font inside, for papers
-    Pdf,
-}
-
-impl Kind {
-    fn extension(self) -> &'static str {
-        match self {
-            Self::Png => "png",
-            Self::Svg => "svg",
-            Self::Pdf => "pdf",
-        }
-    }
 }
 
 /// A line of JSON.
@@ -92,17 +68,13 @@ fn size(text: &str) -> std::result::Result<(f64, f64), String> {
 
 /// Draws logs.
 pub fn run(args: &Args) -> Result {
-    if !(24.0..=1_200.0).contains(&args.dpi) {
-        usage("--dpi takes 24 to 1200");
-    }
-    let [png, svg, pdf] = [Kind::Png, Kind::Svg, Kind::Pdf].map(|kind| args.format.contains(&kind));
-    let format = Format { size: args.size, dpi: args.dpi, png, svg, pdf };
+    let format = args.drawing.format(args.force);
     let wanted =
         Wanted::default().with_macs(args.mac.clone()).with_antennas(args.antenna.clone()).with_cut(args.from, args.to);
     let (mut drawn, mut failed) = (0, 0);
     for (k, log) in args.logs.iter().enumerate() {
         super::progress(&format!("{} of {} logs", k + 1, args.logs.len()));
-        match draw(args, log, &stem(args, k), &wanted, format) {
+        match draw(args, log, &stem(args, k), &wanted, &format) {
             Ok(written) => {
                 super::progress("");
                 drawn += 1;
@@ -139,14 +111,9 @@ fn draw(
     log: &Path,
     stem: &Path,
     wanted: &Wanted,
-    format: Format,
+    format: &Format,
 ) -> std::result::Result<Vec<PathBuf>, String> {
-    for what in ["csi", "levels"] {
-        for kind in &args.format {
-            let picture = format!("{}-{what}.{}", stem.display(), kind.extension());
-            super::must_not_exist(&PathBuf::from(picture), args.force)?;
-        }
-    }
+    format.check(&LogPictures::stems(stem)).map_err(|error| pictures::refused(&error))?;
     if log.as_os_str() == "-" {
         usage("a log is read twice for its pictures, and standard input only once: name a file");
     }
@@ -156,6 +123,6 @@ fn draw(
         return Err(format!("{}: no record that is wanted: `csi5300 info` says what is in it", log.display()));
     }
     let title = log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-    let pictures = LogPictures { title: &title, course: &course, format };
-    pictures.write(stem).map_err(|error| error.to_string())
+    let drawn = LogPictures { title: &title, course: &course, size: args.size };
+    drawn.write(stem, format).map_err(|error| pictures::refused(&error))
 }

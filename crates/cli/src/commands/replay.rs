@@ -9,10 +9,10 @@ use csi5300::time::Span;
 use csi5300_live::netlink::Sender;
 use csi5300_live::wait::Monotonic;
 use driver_iface::connector::CN_IDX;
-use driver_iface::record::Record;
+use driver_iface::record::{Record, Tail};
 use std::io::{StdoutLock, Write};
 use std::os::fd::AsFd;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Arguments of `replay`.
 #[derive(clap::Args)]
@@ -31,6 +31,24 @@ pub struct Args {
     /// Connector index to send to
     #[arg(long, default_value_t = CN_IDX, requires = "connector", value_parser = clap::value_parser!(u32).range(1..=32))]
     connector_index: u32,
+    /// One JSON object about what was played; standard output is free for it with --connector only
+    #[arg(long, requires = "connector")]
+    json: bool,
+}
+
+/// The line of JSON.
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    log: &'a Path,
+    /// Records sent, and how long that took, seconds.
+    records: u64,
+    seconds: f64,
+    /// What of the log could not be played.
+    bad_bfee: u64,
+    damages: u64,
+    damaged_bytes: u64,
+    /// Whether its last record is cut.
+    cut: bool,
 }
 
 enum Target {
@@ -61,6 +79,7 @@ pub fn run(args: &Args) -> Result {
     };
     let mut source = Paced::new(log, args.speed, args.longest_pause);
     let (clock, mut survey, mut sent) = (Monotonic::new(), Survey::default(), 0_u64);
+    let begun = clock.now();
     loop {
         let next = source.receive(clock.now()).map_err(|error| error.to_string())?;
         survey.note(&next);
@@ -86,6 +105,12 @@ pub fn run(args: &Args) -> Result {
                 }
             }
         }
+    }
+    if args.json {
+        let Survey { bad_bfee, damages, damaged_bytes, .. } = survey;
+        let cut = survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean));
+        let (log, seconds) = (args.file.as_path(), (clock.now() - begun).as_s());
+        super::print_json(&Row { log, records: sent, seconds, bad_bfee, damages, damaged_bytes, cut });
     }
     notes!("{}", super::info::losses(&survey, source.source().bytes()));
     note!("{sent} records played");

@@ -1,10 +1,9 @@
 //! `csi5300 respond`.
 
-use super::Result;
 use super::args::antenna;
 use super::live::Signals;
 use super::sounding::{NO_NUMBERS, Sounding, Wanted, Words, tell};
-use super::usage;
+use super::{Result, print_json, usage};
 use csi5300::exchange::tdma::Epoch;
 use csi5300::internal::{Proof, Prover};
 use csi5300::source::Next;
@@ -26,6 +25,9 @@ pub struct Args {
     /// Antenna (RF port) whose measurements answers carry: A, B or C
     #[arg(long, default_value = "A", value_parser = antenna)]
     antenna: Antenna,
+    /// One JSON object at the end: answers, how late they were, and what came to nothing
+    #[arg(long)]
+    json: bool,
 }
 
 /// Hands the card's measurements to the answers.
@@ -76,5 +78,9 @@ pub fn run(args: &Args) -> Result {
     let peers = common.peers.clone();
     let (survey, prover) = (Survey::with_known(peers.iter().copied()), Prover::new(opened.key.clone()));
     let mut task = Measuring { antenna: args.antenna, peers, survey, prover, carries, told: false };
-    common.run(&signals, messages, opened, clock, &mut task)
+    let (outcome, row) = common.run(&signals, messages, opened, clock, &mut task)?;
+    if args.json {
+        print_json(&row);
+    }
+    Ok(outcome)
 }

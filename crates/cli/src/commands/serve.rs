@@ -69,8 +69,43 @@ struct Served {
 
 type Words<T> = std::result::Result<T, String>;
 
+/// The line of JSON: what was served, and what was done to each robot.
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    robots: Vec<RobotRow<'a>>,
+    /// What went over the socket, where there is one.
+    #[serde(flatten)]
+    socket: Option<SocketRow>,
+    /// The latest that anything came, milliseconds; none where the room does not wait.
+    behind_ms: Option<f64>,
+}
+
+#[derive(serde::Serialize)]
+struct RobotRow<'a> {
+    robot: &'a str,
+    /// Frames that it sent, that its card received, and that were lost because they overlapped.
+    sent: u64,
+    received: u64,
+    collided: u64,
+    /// Records sent on the kernel's connector; none where it was not served there.
+    on_connector: Option<u64>,
+}
+
+#[derive(serde::Serialize)]
+struct SocketRow {
+    joined: u64,
+    refused: u64,
+    frames: u64,
+    bad_frames: u64,
+    records: u64,
+    untaken: u64,
+}
+
 /// Serves a scene until its end or a signal.
-pub fn run(mut scene: Scene, args: &Args) -> Result {
+pub fn run(mut scene: Scene, args: &Args, json: bool) -> Result {
+    if json && args.poses.iter().any(|path| path.as_os_str() == "-") {
+        super::usage("--json and --poses - both want standard output");
+    }
     let signals = Signals::catch()?;
     let speed = args.speed.unwrap_or(1.0);
     if args.socket.is_some() && speed != 1.0 {
@@ -94,6 +129,9 @@ pub fn run(mut scene: Scene, args: &Args) -> Result {
     let robots = outputs.into_iter().map(|output| output.of(&mut room)).collect::<Words<Vec<_>>>()?;
     let mut serving = Serving { room, server, robots, clock, speed, behind: Span::ZERO };
     serving.work(&signals)?;
+    if json {
+        super::print_json(&serving.row());
+    }
     Ok(serving.conclude())
 }
 
@@ -158,6 +196,26 @@ impl Serving {
             next = [next, robot.pump(*now)?].into_iter().flatten().min();
         }
         Ok(next)
+    }
+
+    fn row(&self) -> Row<'_> {
+        let injected = self.room.injected();
+        let on_connector = |name: &str| {
+            let own = self.robots.iter().find(|robot| robot.name == name && robot.on_connector);
+            own.map(|robot| robot.sent)
+        };
+        let robots = self.room.scene().robot.iter().zip(&injected).map(|(robot, done)| RobotRow {
+            robot: &robot.name,
+            sent: done.sent,
+            received: done.received,
+            collided: done.collided,
+            on_connector: on_connector(&robot.name),
+        });
+        let socket = self.server.as_ref().map(|server| {
+            let ServedCounts { joined, refused, frames, bad_frames, records, untaken, .. } = server.counts();
+            SocketRow { joined, refused, frames, bad_frames, records, untaken }
+        });
+        Row { robots: robots.collect(), socket, behind_ms: self.speed.is_finite().then(|| self.behind.as_s() * 1e3) }
     }
 
     fn conclude(&self) -> Outcome {

@@ -2,7 +2,7 @@
 
 use super::{Outcome, Result, print, print_json};
 use csi5300_sim::scene::Driver;
-use csi5300_sim::{Injected, Room, Scene, WrittenCapture, write_dataset};
+use csi5300_sim::{Injected, Room, Scene, SceneError, WrittenCapture, write_dataset};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -24,7 +24,7 @@ pub struct Args {
     /// Write into a folder that is not empty
     #[arg(long)]
     force: bool,
-    /// JSON Lines: one object a capture written
+    /// JSON Lines: one object a capture written; one object about the room that was served
     #[arg(long)]
     json: bool,
     #[cfg(feature = "live")]
@@ -55,7 +55,7 @@ pub fn run(args: &Args) -> Result {
     };
     #[cfg(feature = "live")]
     if args.live.serve {
-        return super::serve::run(scene, &args.live);
+        return super::serve::run(scene, &args.live, args.json);
     }
     #[cfg(feature = "live")]
     if args.live.asked() {
@@ -85,7 +85,16 @@ fn load(scene: &Path) -> std::result::Result<Scene, String> {
         let names = BUILT_IN.join(", ");
         return Err(format!("there is no file {}, and no built-in scene of that name: {names}", scene.display()));
     }
-    Scene::load(scene).map_err(|error| format!("{}: {error}", scene.display()))
+    Scene::load(scene).map_err(|error| refused(scene, &error))
+}
+
+/// Why a scene was refused, with its file.
+pub fn refused(file: &Path, error: &SceneError) -> String {
+    match error {
+        // It names the file.
+        SceneError::Io { .. } => error.to_string(),
+        _ => format!("{}: {error}", file.display()),
+    }
 }
 
 /// Runs a scene into a folder, with a progress bar on a terminal.

@@ -13,6 +13,7 @@ use csi5300::time::{Instant, Span};
 use csi5300_live::sounding::{News, Observer, Order, Products, Running};
 use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// A link whose bearing is good enough is sounded in every so manieth round.
@@ -52,7 +53,7 @@ pub struct Args {
     /// Sound a link in every eighth round only, once its bearing's error bar (`+-`) is at most this, degrees
     #[arg(long, value_name = "DEGREES", requires = "trajectory")]
     good_enough: Option<f64>,
-    /// Bearings as lines of JSON
+    /// JSON Lines: one object a bearing, then a summary
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -214,5 +215,9 @@ pub fn run(args: &Args) -> Result {
     };
     common.see_to_rate(args.estimation.antenna)?;
     let messages = common.messages(if bearings.is_some() { Wanted::Needed } else { Wanted::Not })?;
-    common.run(&signals, messages, opened, clock, &mut Live { bearings })
+    let (outcome, row) = common.run(&signals, messages, opened, clock, &mut Live { bearings })?;
+    if args.json {
+        print_json(&BTreeMap::from([("summary", row)]));
+    }
+    Ok(outcome)
 }

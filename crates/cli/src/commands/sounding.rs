@@ -2,7 +2,7 @@
 
 use super::args::mac;
 use super::live::{Listening, Signals, create_refused, duration, join_refused};
-use super::{Outcome, Result, is_end_of_room, usage};
+use super::{Outcome, is_end_of_room, usage};
 use csi5300::exchange::tdma::{Config, Dialect, GUARD_US, Phy, Plan, PlanError, Request, TURN_AROUND_US};
 use csi5300::source::Error;
 use csi5300::source::recorder::{LogFiles, Rotation};
@@ -21,8 +21,11 @@ use driver_iface::sounding::wsr;
 use std::os::fd::AsFd;
 use std::path::PathBuf;
 
+mod causes;
+mod row;
 mod words;
 
+pub use row::ExchangeRow;
 pub use words::{NO_NUMBERS, tell, waiting};
 
 /// Arguments of both commands.
@@ -226,7 +229,7 @@ impl Sounding {
         files.and_then(|files| DriverMessages::recorded(listener, files)).map_err(|error| create_refused(&error))
     }
 
-    /// Runs until a signal, the time is up, or the interface fails; then says how it went.
+    /// Runs until a signal, the time is up, or the interface fails; then says how it went, and gives it for a line of JSON.
     pub fn run(
         &self,
         signals: &Signals,
@@ -234,13 +237,19 @@ impl Sounding {
         opened: Opened,
         clock: Monotonic,
         observer: &mut dyn Observer,
-    ) -> Result {
+    ) -> std::result::Result<(Outcome, ExchangeRow), String> {
         let fifo_priority = Settings::default().fifo_priority.filter(|_| !self.no_fifo);
         let session = Session::new(clock, signals.as_fd())
             .with_settings(Settings { fifo_priority })
             .with_stop_at(self.stop_after.map(|span| clock.now() + span));
         let finished = session.run(opened, messages, observer).map_err(|error| error.to_string())?;
-        Ok(self.conclude(&finished))
+        let error = finished.error.as_ref().filter(|_| !self.room_ended(&finished)).map(ToString::to_string);
+        Ok((self.conclude(&finished), ExchangeRow::new(&self.peers, &finished, error)))
+    }
+
+    /// True where the simulated room ended, which ends a session as the time does.
+    fn room_ended(&self, finished: &Finished) -> bool {
+        finished.error.as_ref().is_some_and(|error| self.listening.room.is_some() && is_end_of_room(error))
     }
 
     /// Says how it went, and gives the outcome.
@@ -255,7 +264,7 @@ impl Sounding {
                 note!("  {} records are not in it", totals.missing());
             }
         }
-        let over = finished.error.as_ref().is_some_and(|error| self.listening.room.is_some() && is_end_of_room(error));
+        let over = self.room_ended(finished);
         match &finished.error {
             Some(_) if over => note!("the room has ended"),
             Some(error) => wrong!("{error}"),

@@ -3,6 +3,8 @@
 use super::{Outcome, Result, print, print_json};
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
+#[cfg(feature = "plot")]
+use csi5300_lab::suite::Experiment;
 use csi5300_lab::suite::{REPETITIONS, Summary, experiments, run_all, summarise};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -23,6 +25,9 @@ pub struct Args {
     #[cfg(feature = "plot")]
     #[arg(long, value_name = "DIR")]
     plot: Option<PathBuf>,
+    #[cfg(feature = "plot")]
+    #[command(flatten)]
+    drawing: super::pictures::Drawing,
     /// JSON Lines: one object an experiment instead of the table
     #[arg(long)]
     json: bool,
@@ -44,6 +49,8 @@ pub fn run(args: &Args) -> Result {
     let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let failed = |error: String| format!("cannot write {}: {error}", args.csv.display());
     super::must_not_exist(&args.csv, args.force)?;
+    #[cfg(feature = "plot")]
+    check_pictures(args, &all)?;
     // Opened first: a file that cannot be written is found before minutes of work, not after.
     let mut csv = csv::Writer::from_path(&args.csv).map_err(|error| failed(error.to_string()))?;
     let mut runs = Vec::new();
@@ -63,11 +70,22 @@ pub fn run(args: &Args) -> Result {
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
-        let written = csi5300_lab::show::repeated::write(&runs, folder).map_err(|error| error.to_string())?;
+        let written = csi5300_lab::show::repeated::write(&runs, folder, &args.drawing.format(args.force));
+        let written = written.map_err(|error| super::pictures::refused(&error))?;
         note!("{} pictures in {}", written.len(), folder.display());
     }
     note!("{} repetitions in {}", runs.len(), args.csv.display());
     Ok(Outcome::Done)
+}
+
+/// Refuses pictures that are there before minutes of work, not after.
+#[cfg(feature = "plot")]
+fn check_pictures(args: &Args, all: &[Experiment]) -> std::result::Result<(), String> {
+    args.drawing.must_have(args.plot.as_deref(), "--plot");
+    let Some(folder) = &args.plot else { return Ok(()) };
+    let stems = |experiment: &Experiment| csi5300_lab::show::repeated::stems(&experiment.name, folder);
+    let stems: Vec<PathBuf> = all.iter().flat_map(stems).collect();
+    args.drawing.format(args.force).check(&stems).map_err(|error| super::pictures::refused(&error))
 }
 
 fn describe(table: &[Summary]) -> String {

@@ -292,7 +292,7 @@ fn profiles_are_written_on_the_grids_asked_for() {
 }
 
 /// Writes a link as a capture folder that `evaluate` reads.
-fn capture(folder: &Folder, name: &str, link: &Link) {
+pub fn capture(folder: &Folder, name: &str, link: &Link) {
     std::fs::create_dir_all(folder.0.join(name)).unwrap();
     let truth = r#"{"channel": {"value": 108}, "true_tx_positions": {"value": {"tx2": {"position": {"x": -500.0, "y": 866.0, "z": 0}}}}}"#;
     folder.write(&format!("{name}/groundtruth_positions.json"), truth.as_bytes());

@@ -34,8 +34,16 @@ fn changed(record: &[u8], change: impl FnOnce(&mut Repr)) -> Vec<u8> {
 #[test]
 fn the_demonstration_shows_what_it_is_about_and_overwrites_nothing() {
     let folder = Folder::new("demo");
-    let (status, out, err) = folder.run(&["demo", "--out", "d"]);
+    let formats = if cfg!(feature = "plot") { &["--format", "pdf,png"][..] } else { &[] };
+    let (status, out, err) = folder.run(&[&["demo", "--out", "d"], formats].concat());
     assert_eq!(status, 0, "{err}");
+    if cfg!(feature = "plot") {
+        for stem in ["standing-phase", "circle-profile", "line-trajectory"] {
+            assert!(out.contains(&format!("  picture d/{stem}.pdf\n")), "{out}");
+            assert!(folder.0.join(format!("d/{stem}.png")).is_file(), "{stem}");
+        }
+        assert!(!out.contains(".png") && !folder.0.join("d/circle-profile.svg").exists(), "{out}");
+    }
     let spread = |name: &str| -> f64 {
         let line = out.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("no {name}: {out}"));
         line.split(name).nth(1).unwrap().split_whitespace().next().unwrap().parse().unwrap()
@@ -137,7 +145,10 @@ fn names(value: &serde_json::Value, found: &mut std::collections::BTreeSet<Strin
             for (name, value) in fields {
                 found.insert(name.clone());
                 match name.as_str() {
-                    "senders" => value.as_object().unwrap().values().for_each(|sender| names(sender, found)),
+                    // Keyed by what they are of.
+                    "senders" | "summary" => {
+                        value.as_object().unwrap().values().for_each(|sender| names(sender, found))
+                    }
                     // Keyed by what was found; and what is described in place.
                     "by_code" | "rates" | "antenna_sel" | "focus" | "plan" | "losses" | "rssi" | "agc"
                     | "noise_dbm" => {}
@@ -149,20 +160,33 @@ fn names(value: &serde_json::Value, found: &mut std::collections::BTreeSet<Strin
     }
 }
 
+/// Fails where lines of JSON have a field that docs/formats.md does not name; gives how many fields they have.
+pub fn are_documented(lines: &str) -> usize {
+    let page = std::fs::read_to_string(crate::common::root().join("docs/formats.md")).unwrap();
+    let mut found = std::collections::BTreeSet::new();
+    lines.lines().for_each(|line| names(&json(line), &mut found));
+    let missing: Vec<&String> = found.iter().filter(|name| !page.contains(&format!("`{name}`"))).collect();
+    assert!(missing.is_empty(), "docs/formats.md does not name {missing:?}");
+    found.len()
+}
+
 #[test]
 fn every_field_of_json_is_in_the_documentation() {
     let folder = Folder::new("formats");
     folder.link(&link(300, 2.0));
-    let page = std::fs::read_to_string(crate::common::root().join("docs/formats.md")).unwrap();
-    let mut found = std::collections::BTreeSet::new();
-    names(&json(&folder.bearing(&["--json"]).1), &mut found);
-    names(&json(&folder.run(&["info", "rx.dat", "--json"]).1), &mut found);
+    let mut found = String::new();
+    found += &folder.bearing(&["--json"]).1;
+    found += &folder.run(&["info", "rx.dat", "--json"]).1;
     std::fs::create_dir_all(folder.0.join("c")).unwrap();
     for (name, file) in [("rx.dat", "csi_rx_1.dat"), ("tx.dat", "csi_tx_1.dat"), ("t.csv", "rx_movement_1.csv")] {
         std::fs::copy(folder.0.join(name), folder.0.join("c").join(file)).unwrap();
     }
+    super::commands::capture(&folder, "tree/A", &link(300, 2.0));
     let commands = [
         &["explain", "c", "--channel", "108", "--json"][..],
+        &["evaluate", "tree", "--json"],
+        &["evaluate", "tree", "--json", "--ablation"],
+        &["evaluate", "tree", "--json", "--folds", "places"],
         &["locate", "c", "--channel", "108", "--json"],
         &["suite", "--only", "circle 10", "--repetitions", "1", "--json"],
         &["demo", "--out", "demo", "--json"],
@@ -179,11 +203,9 @@ fn every_field_of_json_is_in_the_documentation() {
     for command in commands {
         let (_, out, err) = folder.run(command);
         assert!(!out.is_empty(), "{command:?}: {err}");
-        out.lines().for_each(|line| names(&json(line), &mut found));
+        found += &out;
     }
-    assert!(found.len() > 100, "{found:?}");
-    let missing: Vec<&String> = found.iter().filter(|name| !page.contains(&format!("`{name}`"))).collect();
-    assert!(missing.is_empty(), "docs/formats.md does not name {missing:?}");
+    assert!(are_documented(&found) > 100, "{found}");
 }
 
 #[test]
@@ -201,6 +223,8 @@ fn commands_end_alike() {
         assert_eq!(status, 1, "{command:?}: {err}");
     }
     assert_eq!(folder.run(&["simulate", "lab-circle", "--out", "room"]).0, 0, "a built-in scene by its name");
+    let (status, _, err) = folder.run(&["simulate", "room", "--out", "again"]);
+    assert!(status == 1 && err.contains("cannot read room: ") && err.matches("room").count() == 1, "{err}");
     if cfg!(not(feature = "foxglove")) {
         let (status, _, err) = folder.run(&["mcap", "rx.dat", "-o", "x.mcap"]);
         assert!(status == 2 && err.contains("foxglove"), "{err}");

@@ -15,6 +15,8 @@ mod attacks;
 mod bags;
 mod commands;
 mod compare;
+#[cfg(feature = "plot")]
+mod drawing;
 mod looking;
 #[cfg(feature = "live")]
 mod monitor;

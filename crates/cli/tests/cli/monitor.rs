@@ -249,13 +249,14 @@ impl Robot {
         Self(command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap())
     }
 
-    /// Asks it to end as a user would, and gives its status and words.
-    fn stop(mut self) -> (i32, String) {
+    /// Asks it to end as a user would, and gives its status, words and results.
+    fn stop(mut self) -> (i32, String, String) {
         let pid = nix::unistd::Pid::from_raw(self.0.id().cast_signed());
         nix::sys::signal::kill(pid, nix::sys::signal::Signal::SIGINT).unwrap();
-        let mut said = String::new();
+        let (mut said, mut out) = (String::new(), String::new());
         self.0.stderr.take().unwrap().read_to_string(&mut said).unwrap();
-        (self.0.wait().unwrap().code().unwrap(), said)
+        self.0.stdout.take().unwrap().read_to_string(&mut out).unwrap();
+        (self.0.wait().unwrap().code().unwrap(), said, out)
     }
 }
 
@@ -288,6 +289,24 @@ fn parse(frame: &[u8]) -> native::Repr {
     native::Repr::parse(&Frame::new_checked(frame).unwrap()).unwrap()
 }
 
+/// The last line of `sound --json`, where so many answers at least were heard.
+fn summary_is_right(out: &str, heard: usize) {
+    let row = &crate::commands::json(out)["summary"];
+    assert!(crate::looking::are_documented(&row.to_string()) > 10, "{out}");
+    let (forward, answered) = (row["forward"].as_u64().unwrap(), row["answered"].as_u64().unwrap());
+    assert!(forward >= answered && answered as usize + 1 >= heard, "{row}");
+    assert_eq!((row["peers"][0]["forward"].as_u64(), row["confirmed"].is_null()), (Some(forward), true), "{row}");
+    assert!(row["lateness_us"]["p50"].is_u64() && row["records"].as_u64() >= Some(1), "{row}");
+}
+
+/// The line of `respond --json`, where so many answers at least were on the air.
+fn answers_are_right(out: &str, heard: usize) {
+    assert!(crate::looking::are_documented(out) > 10, "{out}");
+    let row = crate::commands::json(out);
+    assert!(row["answers"].as_u64() >= Some(heard as u64) && row["forward"] == 0, "{row}");
+    assert!(row["turn_around_us"]["max"].is_u64() && row["error"].is_null() && row["records"].is_null(), "{row}");
+}
+
 #[test]
 fn sound_and_respond_exchange_frames_and_measurements() {
     if !inside(concat!(module_path!(), "::sound_and_respond_exchange_frames_and_measurements"), "-Urn") {
@@ -301,7 +320,7 @@ fn sound_and_respond_exchange_frames_and_measurements() {
     std::fs::write(&key, "3f7c1e9a5b2d8046c1e0f4a7936bd258\n").unwrap();
     std::fs::set_permissions(&key, std::os::unix::fs::PermissionsExt::from_mode(0o600)).unwrap();
     let (key, log) = (key.to_str().unwrap(), log.to_str().unwrap());
-    let both = ["--key", key, "--allow-user-sender", "--connector-index"];
+    let both = ["--json", "--key", key, "--allow-user-sender", "--connector-index"];
     let one = ["respond", "--interface", "monb", "--mac", "02:00:00:00:00:0b", "--peers", "02:00:00:00:00:0a"];
     let responder = Robot::start(&[&one[..], &both, &["25"]].concat());
     let (b_in, b_out) = (b.try_clone().unwrap(), b);
@@ -334,15 +353,17 @@ fn sound_and_respond_exchange_frames_and_measurements() {
         measured.len() >= 5
     });
     assert!(numbers.is_sorted_by(|a, b| a < b) && measured.is_sorted_by(|a, b| a < b), "{numbers:?} {measured:?}");
-    let (status, said) = initiator.stop();
+    let (status, said, out) = initiator.stop();
     assert_eq!(status, 0, "{said}");
+    summary_is_right(&out, measured.len());
     for words in
         ["02:00:00:00:00:0b is there", "lateness: p50", "answers began after: p50", "145 to 322 us", "records written"]
     {
         assert!(said.contains(words), "no `{words}` in {said}");
     }
-    let (status, said) = responder.stop();
+    let (status, said, out) = responder.stop();
     assert_eq!(status, 0, "{said}");
+    answers_are_right(&out, numbers.len());
     assert!(said.contains("turn-around, from the kernel's receive stamp: p50"), "{said}");
     assert!(said.contains("the kernel confirms none of"), "a TUN device has no tx status: {said}");
     let recorded = std::fs::read(log).unwrap();

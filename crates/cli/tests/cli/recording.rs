@@ -192,6 +192,23 @@ fn a_stopped_recorder_reports_what_it_missed() {
 }
 
 #[test]
+fn a_recording_of_nothing_leaves_nothing() {
+    if !inside(concat!(module_path!(), "::a_recording_of_nothing_leaves_nothing"), "-Urn") {
+        return;
+    }
+    let folder = folder("nothing");
+    let out = folder.join("out.dat");
+    for _ in 0..2 {
+        // The second try finds nothing in its way.
+        let (status, said) = Running::start(&out, &[]).end(Signal::SIGINT);
+        assert_eq!(status, Some(1), "{said}");
+        assert!(said.contains("nothing came: `csi5300 doctor") && said.contains("nothing to write: no "), "{said}");
+        assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 0, "{said}");
+    }
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
 fn a_replayed_log_arrives_through_the_kernel() {
     if !inside(concat!(module_path!(), "::a_replayed_log_arrives_through_the_kernel"), "-Urn") {
         return;
@@ -204,8 +221,12 @@ fn a_replayed_log_arrives_through_the_kernel() {
     assert!(child.wait().unwrap().success());
     let mut running = Running::start(&second, &["--records", "300"]);
     let mut replay = Command::new(env!("CARGO_BIN_EXE_csi5300"));
-    let replay = replay.arg("replay").arg(&first).args(["--speed", "max", "--connector"]).output().unwrap();
+    let replay = replay.arg("replay").arg(&first).args(["--speed", "max", "--connector", "--json"]).output().unwrap();
     assert!(replay.status.success(), "{}", String::from_utf8_lossy(&replay.stderr));
+    let said = String::from_utf8(replay.stdout).unwrap();
+    let row = crate::commands::json(&said);
+    assert_eq!((row["records"].as_u64(), row["cut"].as_bool()), (Some(300), Some(false)), "{said}");
+    assert!(crate::looking::are_documented(&said) >= 7);
     assert!(running.child.wait().unwrap().success());
     assert_eq!(std::fs::read(&first).unwrap(), std::fs::read(&second).unwrap());
     std::fs::remove_dir_all(folder).unwrap();

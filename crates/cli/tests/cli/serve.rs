@@ -55,8 +55,8 @@ fn first_host_us(log: &Path) -> i64 {
     i64::from(wsr.tv_sec) * 1_000_000 + i64::from(wsr.tv_usec)
 }
 
-/// Runs `record` on the connector while `serve` runs; gives what the server said.
-fn serve(scene: &Path, logs: &[(&Path, &str)], more: &[&str]) -> String {
+/// Runs `record` on the connector while `serve` runs; gives what the server said, and its line of JSON.
+fn serve(scene: &Path, logs: &[(&Path, &str)], more: &[&str]) -> (String, String) {
     let own = env!("CARGO_BIN_EXE_csi5300");
     let recorders: Vec<_> = logs
         .iter()
@@ -71,7 +71,7 @@ fn serve(scene: &Path, logs: &[(&Path, &str)], more: &[&str]) -> String {
             (child, stderr)
         })
         .collect();
-    let out = Command::new(own).arg("simulate").arg(scene).arg("--serve").args(more).output().unwrap();
+    let out = Command::new(own).arg("simulate").arg(scene).args(["--serve", "--json"]).args(more).output().unwrap();
     let said = String::from_utf8(out.stderr).unwrap();
     assert!(out.status.success(), "{said}");
     for (mut child, mut stderr) in recorders {
@@ -80,7 +80,7 @@ fn serve(scene: &Path, logs: &[(&Path, &str)], more: &[&str]) -> String {
         stderr.read_to_string(&mut rest).unwrap();
         assert_eq!(child.wait().unwrap().code(), Some(0), "{rest}");
     }
-    said
+    (said, String::from_utf8(out.stdout).unwrap())
 }
 
 #[test]
@@ -94,7 +94,9 @@ fn a_served_room_is_heard_through_the_kernel() {
     std::fs::write(&scene, SCENE).unwrap();
     let options = ["--speed", "20", "--robot", "rx=26", "--robot", "tx=12", "--poses", poses.to_str().unwrap()];
     let (before_us, clock) = (wall_us().unwrap(), Monotonic::new());
-    let said = serve(&scene, &[(&rx, "26"), (&tx, "12")], &options);
+    let (said, row) = serve(&scene, &[(&rx, "26"), (&tx, "12")], &options);
+    assert!(crate::looking::are_documented(&row) > 5, "{row}");
+    let row = crate::commands::json(&row);
     let (after_us, took_s) = (wall_us().unwrap(), clock.now().as_s());
     // Three seconds at twenty times real time, and the first frames are of the first milliseconds.
     assert!(took_s >= 3.0 / 20.0, "{took_s} s: not paced");
@@ -113,6 +115,7 @@ fn a_served_room_is_heard_through_the_kernel() {
         assert!(heard.len() > 250, "{} records", heard.len());
         assert!(heard == simulated, "robot {robot}: {} heard, {} simulated", heard.len(), simulated.len());
         assert!(said.contains(&format!("{} records sent", heard.len())), "{said}");
+        assert_eq!(row["robots"][robot]["on_connector"], heard.len(), "{row}");
     }
     let (trajectory, counts) = csv::read(&poses).unwrap();
     assert_eq!((counts.rows, counts.bad_rows), (151, 0));
@@ -227,39 +230,9 @@ fn sounding_node(own: &str, peer: &str) -> String {
 #[cfg(feature = "node")]
 #[test]
 fn nodes_sound_each_other_in_turns() {
-    let folder = std::env::temp_dir().join(format!("csi5300-turns-{}", std::process::id()));
-    std::fs::create_dir_all(&folder).unwrap();
-    let place = |name: &str| folder.join(name).to_str().unwrap().to_owned();
-    std::fs::write(place("scene.toml"), LIVE).unwrap();
-    let (scene, socket) = (place("scene.toml"), place("room"));
-    let mut room = Program::start(&["simulate", &scene, "--serve", "--socket", &socket]);
-    room.until("serving the room at");
-    let start = |own: &str, peer: &str| {
-        let file = place(&format!("{own}.toml"));
-        std::fs::write(&file, sounding_node(own, peer)).unwrap();
-        Program::start(&["node", "--config", &file])
-    };
-    let (mut rx, tx) = (start("rx", "tx"), start("tx", "rx"));
     // Both have had turns once the robot that moves has a dozen bearings.
-    let bearings = || {
-        let lines = std::fs::read_to_string(place("rx.jsonl")).unwrap_or_default();
-        let lines = lines.lines().filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok());
-        lines.filter(|line| line["state"] == "bearing").collect::<Vec<_>>()
-    };
-    while bearings().len() < 12 {
-        rx.said.clear();
-        rx.until("records/s");
-    }
-    [&rx, &tx].into_iter().for_each(Program::stop);
-    for node in [rx, tx] {
-        let (status, said) = node.end();
-        assert!(matches!(status, Some(0 | 3)), "{status:?}: {said}");
-    }
-    room.stop();
-    let (_, served) = room.end();
-    let last = bearings().pop().unwrap();
-    let off_deg = last["azimuth_deg"].as_f64().unwrap() - 93f64.atan2(-386.0).to_degrees();
-    assert!(off_deg.abs() < 2.0, "{off_deg} degrees off: {last}");
+    let nodes = [sounding_node("rx", "tx"), sounding_node("tx", "rx")];
+    let (last, served) = crate::served::two_nodes("turns", &nodes, 12);
     let (own, other) = (&last["receiver_records"], &last["transmitter_records"]);
     // Two counts in each log: both robots initiated. And their numbers do not meet, or one robot's exchanges would pair
     // with the other's and be refused, half of all. A busy machine makes some answers late by more than the clocks allow.
@@ -269,7 +242,6 @@ fn nodes_sound_each_other_in_turns() {
         assert!(counts(side, "mispaired") * 2 < counts(side, "paired"), "{last}");
     }
     assert!(last["pairs"].as_u64() > Some(50), "{last}");
-    std::fs::remove_dir_all(&folder).unwrap();
 }
 
 /// `bearing` finds the robot of the served room in both logs.

@@ -1,7 +1,7 @@
 //! Lines, text, legends and marks on kuva's scene, which is written as PNG, SVG or PDF. Pixels, y down.
 use super::Error;
 use super::axes::Axes;
-use super::log::Format;
+use super::format::{Format, Kind};
 use kuva::RasterBackend;
 use kuva::backend::svg::SvgBackend;
 use kuva::render::color::Color;
@@ -219,18 +219,9 @@ impl Canvas {
         self.0.elements.push(Primitive::ClipEnd);
     }
 
-    /// Writes `stem.png` and `stem.svg`.
-    pub(super) fn save(self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
-        self.save_as(stem, &Format::default())
-    }
-
-    /// Writes those of `stem.png`, `stem.svg` and `stem.pdf` that are asked for, at the resolution asked for.
-    pub(super) fn save_as(self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
-        let path = |ext: &str| {
-            let mut name = stem.as_os_str().to_owned();
-            name.push(ext);
-            PathBuf::from(name)
-        };
+    /// Writes the files of a picture in the formats asked for; a name without a folder is of the current one.
+    pub(super) fn save(self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
+        format.check(&[stem.to_owned()])?;
         let fail = |path: &Path| {
             let path = path.to_owned();
             move |source| Error::Io { path, source }
@@ -238,23 +229,21 @@ impl Canvas {
         if let Some(folder) = stem.parent() {
             std::fs::create_dir_all(folder).map_err(fail(folder))?;
         }
-        let (png, svg, pdf) = (path(".png"), path(".svg"), path(".pdf"));
-        let mut written = Vec::new();
-        if format.png {
-            let scale = (format.dpi / 96.0) as f32;
-            let pixels = RasterBackend::new().with_scale(scale).render_scene(&self.0).map_err(Error::Drawing)?;
-            std::fs::write(&png, pixels).map_err(fail(&png))?;
-            written.push(png);
+        let files = format.files(stem);
+        for (kind, path) in format.kinds.iter().zip(&files) {
+            let bytes = match kind {
+                Kind::Png => {
+                    let scale = (format.dpi / 96.0) as f32;
+                    RasterBackend::new().with_scale(scale).render_scene(&self.0).map_err(Error::Drawing)?
+                }
+                Kind::Svg => SvgBackend::new().render_scene(&self.0).into_bytes(),
+                Kind::Pdf => {
+                    let title = stem.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
+                    super::pdf::render(&self.0, &title)?
+                }
+            };
+            std::fs::write(path, bytes).map_err(fail(path))?;
         }
-        if format.svg {
-            std::fs::write(&svg, SvgBackend::new().render_scene(&self.0)).map_err(fail(&svg))?;
-            written.push(svg);
-        }
-        if format.pdf {
-            let title = stem.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-            std::fs::write(&pdf, super::pdf::render(&self.0, &title)?).map_err(fail(&pdf))?;
-            written.push(pdf);
-        }
-        Ok(written)
+        Ok(files)
     }
 }

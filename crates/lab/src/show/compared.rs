@@ -1,7 +1,7 @@
 //! A recording and a simulation beside each other.
 
 use super::link::track;
-use super::{CdfPlot, Error, PhasePlot, PhaseTrack};
+use super::{CdfPlot, Error, Format, PhasePlot, PhaseTrack};
 use crate::compare::Figures;
 use std::path::{Path, PathBuf};
 
@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write(recorded: &Figures, simulated: &Figures, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+pub fn write(recorded: &Figures, simulated: &Figures, folder: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
     let round_trip = |label: &str, figures: &Figures| PhaseTrack {
         before_rad: figures.link.course.iter().map(|phase| phase.round_trip_rad).collect(),
         ..track(label, &figures.link.course)
@@ -28,7 +28,14 @@ pub fn write(recorded: &Figures, simulated: &Figures, folder: &Path) -> Result<V
         series: vec![late("recorded", recorded), late("simulated", simulated)],
         ..CdfPlot::default()
     };
-    let mut written = phase.write(&folder.join("compare-phase"))?;
-    written.extend(turn_around.write(&folder.join("compare-turn-around"))?);
+    let [phase_stem, turn_around_stem] = stems(folder);
+    let mut written = phase.write(&phase_stem, format)?;
+    written.extend(turn_around.write(&turn_around_stem, format)?);
     Ok(written)
+}
+
+/// What the two pictures are called, without their endings.
+#[must_use]
+pub fn stems(folder: &Path) -> [PathBuf; 2] {
+    ["compare-phase", "compare-turn-around"].map(|name| folder.join(name))
 }

@@ -1,7 +1,7 @@
 //! Error distributions and benchmark curves.
-use super::Error;
 use super::axes::{Axes, extent, extent_log};
 use super::canvas::{Canvas, Key, WIDTH, series_colour};
+use super::{Error, Format};
 use csi5300::maths::percentile;
 use std::path::{Path, PathBuf};
 
@@ -19,8 +19,8 @@ pub struct CdfPlot {
 }
 
 impl CdfPlot {
-    /// Writes `stem.png` and `stem.svg`.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem` with the ending of each format.
+    pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let sizes = |v: &[f64]| {
             let mut sizes: Vec<f64> = v.iter().map(|x| x.abs()).filter(|x| x.is_finite()).collect();
             sizes.sort_by(f64::total_cmp);
@@ -60,7 +60,7 @@ impl CdfPlot {
             points.windows(2).for_each(|pair| canvas.line(pair[0], pair[1], series_colour(i), 2.0, true));
             canvas.dots(&points, 6.0, series_colour(i), 1.0);
         }
-        canvas.save(stem)
+        canvas.save(stem, format)
     }
 }
 
@@ -84,8 +84,8 @@ pub struct ScatterLines {
 }
 
 impl ScatterLines {
-    /// Writes `stem.png` and `stem.svg`.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem` with the ending of each format.
+    pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let fits = |v: f64, log: bool| v.is_finite() && (!log || v > 0.0);
         let good = |p: &&(f64, f64)| fits(p.0, self.log_x) && fits(p.1, self.log_y);
         let kept: Vec<Vec<(f64, f64)>> =
@@ -109,6 +109,6 @@ impl ScatterLines {
                 canvas.polyline(px, series_colour(i), 2.5);
             }
         }
-        canvas.save(stem)
+        canvas.save(stem, format)
     }
 }

@@ -1,6 +1,6 @@
 //! The pictures of a link: phase, trajectory with the bearing on it, polar profile, maps of places.
 
-use super::{Error, PhasePlot, PhaseTrack, PlaceMap, ProfilePlot, TrajectoryPlot, file_safe};
+use super::{Error, Format, PhasePlot, PhaseTrack, PlaceMap, ProfilePlot, TrajectoryPlot, file_safe};
 use crate::curves::{Curve, evidence, plane_wave, without_motion};
 use crate::evaluate::{Judged, TrajectorySource};
 use csi5300::bartlett;
@@ -29,20 +29,21 @@ impl<'a> LinkPictures<'a> {
         Self { bearing, truth_rad, transmitter_m, recorded: None }
     }
 
-    /// Writes `NAME-phase`, `NAME-trajectory` and `NAME-profile` into a folder, each as .png and .svg.
+    /// Writes `NAME-phase`, `NAME-trajectory` and `NAME-profile` into a folder; none of them if one may not be replaced.
     ///
     /// # Errors
     /// If a picture cannot be drawn or written.
-    pub fn write(&self, folder: &Path, name: &str) -> Result<Vec<PathBuf>, Error> {
+    pub fn write(&self, folder: &Path, name: &str, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let named = |source| Error::Folder { folder: folder.display().to_string(), source };
         std::fs::create_dir_all(folder).map_err(named)?;
-        let stem = |what: &str| folder.join(format!("{}-{what}", file_safe(name)));
+        let [phase, trajectory, profile] = ["phase", "trajectory", "profile"].map(|what| stem(folder, name, what));
+        format.check(&[phase.clone(), trajectory.clone(), profile.clone()])?;
         let mut written = Vec::new();
         if !self.bearing.course.is_empty() {
-            written.extend(self.phase(name).write(&stem("phase"))?);
+            written.extend(self.phase(name).write(&phase, format)?);
         }
-        written.extend(self.trajectory(name).write(&stem("trajectory"))?);
-        written.extend(self.profile(name)?.write(&stem("profile"))?);
+        written.extend(self.trajectory(name).write(&trajectory, format)?);
+        written.extend(self.profile(name)?.write(&profile, format)?);
         Ok(written)
     }
 
@@ -50,11 +51,12 @@ impl<'a> LinkPictures<'a> {
     ///
     /// # Errors
     /// If a picture cannot be drawn or written.
-    pub fn write_all(&self, folder: &Path, name: &str) -> Result<Vec<PathBuf>, Error> {
-        let mut written = self.write(folder, name)?;
-        let stem = |what: &str| folder.join(format!("{}-{what}", file_safe(name)));
-        for (what, map) in places(self.bearing, name, self.truth_rad.map(f64::to_degrees)) {
-            written.extend(map.write(&stem(what))?);
+    pub fn write_all(&self, folder: &Path, name: &str, format: &Format) -> Result<Vec<PathBuf>, Error> {
+        let maps = places(self.bearing, name, self.truth_rad.map(f64::to_degrees));
+        format.check(&maps.iter().map(|(what, _)| stem(folder, name, what)).collect::<Vec<_>>())?;
+        let mut written = self.write(folder, name, format)?;
+        for (what, map) in maps {
+            written.extend(map.write(&stem(folder, name, what), format)?);
         }
         Ok(written)
     }
@@ -103,6 +105,11 @@ impl<'a> LinkPictures<'a> {
             mirror_deg: answer.mirror_rad.map(f64::to_degrees),
         })
     }
+}
+
+/// What a picture of a link is called, without its ending.
+fn stem(folder: &Path, name: &str, what: &str) -> PathBuf {
+    folder.join(format!("{}-{what}", file_safe(name)))
 }
 
 pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {

@@ -1,7 +1,7 @@
 //! A log over time: CSI as heat maps, amplitude by antenna, RSSI and gain, rate, and what is missing.
-use super::Error;
 use super::axes::{Axes, extent};
 use super::canvas::{BLACK, BLUE, Canvas, GREEN, GREY, Key, ORANGE, PURPLE, RED, Rgb, series_colour};
+use super::{Error, Format};
 use crate::course::{AntennaCourse, COLUMNS, Course};
 use csi5300::signal::channel::SUBCARRIERS;
 use kuva::plot::ColorMap;
@@ -9,29 +9,8 @@ use kuva::render::render::TextAnchor;
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
-/// How large pictures are, and in which formats.
-#[derive(Clone, Copy, Debug)]
-pub struct Format {
-    /// Width and height of the drawing, pixels at 96 to the inch.
-    pub size: (f64, f64),
-    /// Pixels to the inch of the PNG: 96 draws each pixel once.
-    pub dpi: f64,
-    /// Whether a PNG is written.
-    pub png: bool,
-    /// Whether an SVG is written.
-    pub svg: bool,
-    /// Whether a PDF is written: vectors, with the letters' font inside, for papers.
-    pub pdf: bool,
-}
-
 /// Lowest and highest value of a colour bar, its ticks, and the colour of a value.
 type Shades<'a> = ((f64, f64), &'a [(f64, String)], &'a dyn Fn(f64) -> Rgb);
-
-impl Default for Format {
-    fn default() -> Self {
-        Self { size: (1200.0, 1100.0), dpi: 96.0, png: true, svg: true, pdf: false }
-    }
-}
 
 /// Pictures of one log.
 #[derive(Clone, Copy, Debug)]
@@ -40,8 +19,8 @@ pub struct LogPictures<'a> {
     pub title: &'a str,
     /// What is drawn.
     pub course: &'a Course,
-    /// How.
-    pub format: Format,
+    /// Width and height of the drawing, pixels at 96 to the inch.
+    pub size: (f64, f64),
 }
 
 const LEFT: f64 = 110.0;
@@ -58,32 +37,39 @@ impl LogPictures<'_> {
     ///
     /// # Errors
     /// If there is nothing to draw, or a picture cannot be drawn or written.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         if self.course.records == 0 {
             return Err(Error::Empty { what: "log" });
         }
-        let with = |what: &str| {
+        let [csi, levels] = Self::stems(stem);
+        format.check(&[csi.clone(), levels.clone()])?;
+        let mut written = Vec::new();
+        if !self.course.antennas.is_empty() {
+            written.extend(self.csi().save(&csi, format)?);
+        }
+        written.extend(self.levels()?.save(&levels, format)?);
+        Ok(written)
+    }
+
+    /// What its two pictures are called, without their endings.
+    #[must_use]
+    pub fn stems(stem: &Path) -> [PathBuf; 2] {
+        ["csi", "levels"].map(|what| {
             let mut name = stem.as_os_str().to_owned();
             name.push(format!("-{what}"));
             PathBuf::from(name)
-        };
-        let mut written = Vec::new();
-        if !self.course.antennas.is_empty() {
-            written.extend(self.csi().save_as(&with("csi"), &self.format)?);
-        }
-        written.extend(self.levels()?.save_as(&with("levels"), &self.format)?);
-        Ok(written)
+        })
     }
 
     /// The frames of `n` panels below each other.
     fn panels(&self, n: usize) -> Vec<[f64; 4]> {
-        let (width, height) = self.format.size;
+        let (width, height) = self.size;
         let each = ((height - TOP - BOTTOM - GAP * (n as f64 - 1.0)) / n as f64).max(30.0);
         (0..n).map(|k| [LEFT, TOP + k as f64 * (each + GAP), width - LEFT - RIGHT, each]).collect()
     }
 
     fn csi(&self) -> Canvas {
-        let (width, height) = self.format.size;
+        let (width, height) = self.size;
         let mut canvas = Canvas::sized(width, height, &format!("{}: CSI, first stream", self.title));
         let antennas = &self.course.antennas;
         let panels = self.panels(2 * antennas.len());
@@ -148,7 +134,7 @@ impl LogPictures<'_> {
     }
 
     fn levels(&self) -> Result<Canvas, Error> {
-        let (width, height) = self.format.size;
+        let (width, height) = self.size;
         let course = self.course;
         let mut canvas = Canvas::sized(width, height, &format!("{}: levels and rate", self.title));
         let name = |antenna: &AntennaCourse| format!("antenna {}", antenna.antenna);

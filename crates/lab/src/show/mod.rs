@@ -1,4 +1,5 @@
-//! Pictures and pages: links, sets and comparisons drawn, each picture as PNG and SVG (1200 px wide) beside each other.
+//! Pictures and pages: links, sets and comparisons drawn, 1200 px wide, each picture as PNG, SVG and PDF beside each other as
+//! [`Format`] has it.
 //!
 //! | file | what it shows |
 //! |---|---|
@@ -10,16 +11,18 @@
 //! | [`report`] | one HTML page of a tree of captures, pictures inside |
 //! | `slim` | pictures in fewer bytes, for the page |
 //! | `phase`, `profile`, `place`, `plane`, `curves`, `reliability` | the kinds of picture |
+//! | `format` | in which formats pictures are written |
 //! | `canvas`, `axes`, `pdf` | lines, text, legends, ticks, and the drawing as PDF; the only files that name the drawing library's scene |
 //!
-//! Every kind of picture is a plain struct with public fields and one `write(stem)`: it adds `.png` and `.svg` to `stem`,
-//! makes missing folders, and returns the two paths. Values that are not finite are dropped; a picture with nothing left is
+//! Every kind of picture is a plain struct with public fields and one `write(stem, format)`: it adds `.png`, `.svg`, `.pdf` to
+//! `stem`, makes missing folders, and returns the paths. Values that are not finite are dropped; a picture with nothing left is
 //! [`Error::Empty`]. Colours are those of Okabe and Ito (2008), safe for colour-blind readers; legends stand above the
 //! axes, never on the data. Azimuths count from +x towards +y.
 mod axes;
 mod canvas;
 pub mod compared;
 mod curves;
+mod format;
 pub mod link;
 pub mod log;
 mod pdf;
@@ -34,6 +37,7 @@ pub mod set;
 mod slim;
 
 pub use curves::{CdfPlot, ScatterLines};
+pub use format::{Format, Kind};
 pub use phase::{PhasePlot, PhaseTrack};
 pub use place::PlaceMap;
 pub use plane::{Ellipse, MapPlot, Ray, RayClass, TrajectoryPlot};
@@ -68,6 +72,12 @@ pub enum Error {
         path: PathBuf,
         /// The system's reason.
         source: std::io::Error,
+    },
+    /// A file of this name is there, and is not to be replaced.
+    #[error("{} is there already", path.display())]
+    There {
+        /// The file.
+        path: PathBuf,
     },
     /// The folder of a link's pictures could not be made.
     #[error("cannot make the folder {folder}: {source}")]

@@ -1,7 +1,7 @@
 //! Phase of the round-trip product over time.
-use super::Error;
 use super::axes::{Axes, extent};
 use super::canvas::{BLACK, BLUE, Canvas, GREEN, Key, ORANGE, PURPLE, Rgb, WIDTH};
+use super::{Error, Format};
 use csi5300::maths::{unwrap_rad, wrap_rad};
 use kuva::render::render::TextAnchor;
 use std::f64::consts::PI;
@@ -45,8 +45,8 @@ const STEP: f64 = 256.0;
 const TOP: f64 = 182.0;
 
 impl PhasePlot {
-    /// Writes `stem.png` and `stem.svg`.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem` with the ending of each format.
+    pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let tracks: Vec<&PhaseTrack> = std::iter::once(&self.capture).chain(&self.other).collect();
         let panels = if tracks.iter().any(|track| !track.left.is_empty()) { 4 } else { 3 };
         let mut canvas = Canvas::new(TOP + STEP * f64::from(panels) + 20.0, &self.title);
@@ -62,7 +62,7 @@ impl PhasePlot {
         for (i, track) in tracks.iter().enumerate() {
             draw_track(&mut canvas, track, 120.0 + i as f64 * (width + gap), width)?;
         }
-        canvas.save(stem)
+        canvas.save(stem, format)
     }
 }
 

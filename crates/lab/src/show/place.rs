@@ -1,8 +1,8 @@
 //! Where waves seem to come from: a map over azimuth and one coordinate more.
-use super::Error;
 use super::axes::Axes;
 use super::canvas::{BLACK, Canvas, GREEN, Key, RED, WIDTH};
 use super::profile::{FLOOR_DB, shade};
+use super::{Error, Format};
 use kuva::render::render::TextAnchor;
 use std::path::{Path, PathBuf};
 
@@ -28,8 +28,8 @@ pub struct PlaceMap {
 }
 
 impl PlaceMap {
-    /// Writes `stem.png` and `stem.svg`.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem` with the ending of each format.
+    pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let rows = self.value.len() / self.n_az.max(1);
         if rows * self.n_az != self.value.len() {
             let expect = rows * self.n_az;
@@ -74,6 +74,6 @@ impl PlaceMap {
             let y = axes.top + axes.height * f64::from(k) / 4.0 + 7.0;
             canvas.text((left + 38.0, y), &format!("{} dB", -5 * k), 20, TextAnchor::Start, BLACK);
         }
-        canvas.save(stem)
+        canvas.save(stem, format)
     }
 }

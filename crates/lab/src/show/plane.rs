@@ -1,7 +1,7 @@
 //! Pictures in the plane of motion: one trajectory with its bearing, and the map of all robots.
-use super::Error;
 use super::axes::{Axes, extent};
 use super::canvas::{BLACK, BLUE, Canvas, GREEN, GREY, Key, PURPLE, RED, Rgb, SKY, WIDTH};
+use super::{Error, Format};
 use kuva::render::render::TextAnchor;
 use std::path::{Path, PathBuf};
 
@@ -113,8 +113,8 @@ fn pixels(axes: &Axes, points: &[[f64; 2]]) -> Vec<(f64, f64)> {
 }
 
 impl TrajectoryPlot {
-    /// Writes `stem.png` and `stem.svg`.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem` with the ending of each format.
+    pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let (path, used) = (finite(&self.path_m), finite(&self.used_m));
         let mut view: Vec<[f64; 2]> = path.iter().chain(&used).copied().collect();
         let own = axes(0.0, &view, 0.0, "trajectory")?;
@@ -159,7 +159,7 @@ impl TrajectoryPlot {
         if let Some(p) = transmitter {
             star(&mut canvas, axes.at(p[0], p[1]), "transmitter", &axes);
         }
-        canvas.save(stem)
+        canvas.save(stem, format)
     }
 }
 
@@ -183,8 +183,8 @@ impl RayClass {
 }
 
 impl MapPlot {
-    /// Writes `stem.png` and `stem.svg`.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem` with the ending of each format.
+    pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let path = finite(&self.path_m);
         let usable = |r: &&Ray| r.azimuth_rad.is_finite() && r.origin_m.iter().all(|v| v.is_finite());
         let rays: Vec<&Ray> = self.rays.iter().filter(usable).collect();
@@ -231,6 +231,6 @@ impl MapPlot {
             let at = axes.at(p[0], p[1]);
             star(&mut canvas, at, name, &axes);
         }
-        canvas.save(stem)
+        canvas.save(stem, format)
     }
 }

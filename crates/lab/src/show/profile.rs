@@ -1,7 +1,7 @@
 //! Bartlett profiles over azimuth, and over azimuth and elevation.
-use super::Error;
 use super::axes::Axes;
 use super::canvas::{BLACK, BLUE, Canvas, GREEN, GREY, Key, PALE, RED, Rgb, series_colour};
+use super::{Error, Format};
 use csi5300::maths::wrap_rad;
 use kuva::plot::ColorMap;
 use kuva::render::render::TextAnchor;
@@ -73,8 +73,8 @@ fn wrap_deg(degrees: f64) -> f64 {
 }
 
 impl ProfilePlot {
-    /// Writes `stem.png` and `stem.svg`.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem` with the ending of each format.
+    pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let chosen = relative(&self.chosen_from)?.ok_or(Error::Empty { what: "profile" })?;
         let mut others = Vec::new();
         for (i, series) in self.others.iter().enumerate() {
@@ -101,7 +101,7 @@ impl ProfilePlot {
             canvas.dots(&[polar(answer, height(&chosen, answer))], 7.0, RED, 1.0);
         }
         self.enlarged(&mut canvas, &chosen, &others, &candidates);
-        canvas.save(stem)
+        canvas.save(stem, format)
     }
 
     fn answer(&self) -> Option<f64> {
@@ -221,8 +221,8 @@ pub struct ProfileMap {
 pub(super) const FLOOR_DB: f64 = -20.0;
 
 impl ProfileMap {
-    /// Writes `stem.png` and `stem.svg`.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem` with the ending of each format.
+    pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let expect = self.n_az.saturating_mul(self.n_el);
         if self.value.len() != expect {
             return Err(Error::Length { what: "profile map", expect, got: self.value.len() });
@@ -257,7 +257,7 @@ impl ProfileMap {
             let y = axes.top + axes.height * f64::from(k) / 4.0 + 7.0;
             canvas.text((1088.0, y), &format!("{} dB", -5 * k), 20, TextAnchor::Start, BLACK);
         }
-        canvas.save(stem)
+        canvas.save(stem, format)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Probabilities beside how often they came true.
-use super::Error;
 use super::axes::Axes;
 use super::canvas::{BLACK, Canvas, Key, WIDTH, series_colour};
+use super::{Error, Format};
 use std::path::{Path, PathBuf};
 
 /// Bearings of like probability: one point of a [`ReliabilityPlot`].
@@ -35,8 +35,8 @@ fn wilson(right: f64, count: usize) -> [f64; 2] {
 }
 
 impl ReliabilityPlot {
-    /// Writes `stem.png` and `stem.svg`.
-    pub fn write(&self, stem: &Path) -> Result<Vec<PathBuf>, Error> {
+    /// Writes it as `stem` with the ending of each format.
+    pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let good = |p: &&ReliabilityPoint| p.said.is_finite() && p.right.is_finite() && p.count > 0;
         let kept: Vec<Vec<ReliabilityPoint>> =
             self.series.iter().map(|s| s.1.iter().filter(good).copied().collect()).collect();
@@ -62,7 +62,7 @@ impl ReliabilityPlot {
             canvas.dots(&at, 9.0, series_colour(i), 1.0);
             canvas.polyline(at, series_colour(i), 1.5);
         }
-        canvas.save(stem)
+        canvas.save(stem, format)
     }
 }
 

@@ -2,7 +2,7 @@
 //! the offset is cancelled, and profiles over azimuth averaged over the repetitions.
 
 use super::link::track;
-use super::{Error, PhasePlot, PhaseTrack, ProfilePlot, file_safe};
+use super::{Error, Format, PhasePlot, PhaseTrack, ProfilePlot, file_safe};
 use crate::suite::{Run, Standing, profile_azimuth_rad};
 use std::path::{Path, PathBuf};
 
@@ -13,19 +13,25 @@ const SINGLES: usize = 5;
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write(runs: &[Run], folder: &Path) -> Result<Vec<PathBuf>, Error> {
+pub fn write(runs: &[Run], folder: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
     let mut written = Vec::new();
     for own in runs.chunk_by(|a, b| a.experiment == b.experiment) {
         let Some(first) = own.first() else { continue };
-        let stem = |what: &str| folder.join(format!("{}-{what}", file_safe(&first.experiment)));
+        let [phase_stem, profile_stem] = stems(&first.experiment, folder);
         if !first.course.is_empty() {
-            written.extend(phase(first).write(&stem("phase"))?);
+            written.extend(phase(first).write(&phase_stem, format)?);
         }
         if !first.profile.is_empty() {
-            written.extend(averaged(own).write(&stem("profile"))?);
+            written.extend(averaged(own).write(&profile_stem, format)?);
         }
     }
     Ok(written)
+}
+
+/// What the pictures of an experiment are called, without their endings.
+#[must_use]
+pub fn stems(experiment: &str, folder: &Path) -> [PathBuf; 2] {
+    ["phase", "profile"].map(|what| folder.join(format!("{}-{what}", file_safe(experiment))))
 }
 
 /// The phase of two robots that stand.

@@ -1,5 +1,6 @@
 //! One HTML page with everything about a tree of captures: no script, and nothing that is fetched from anywhere.
 
+use super::format::{Format, Kind};
 use super::link::LinkPictures;
 use crate::evaluate::{Capture, Evaluated, Judged, SetSummary, TrajectorySource, summarise};
 use csi5300::pipeline::Bearing;
@@ -99,26 +100,29 @@ impl HtmlReport {
     }
 }
 
+/// What stands in the page.
+fn vectors() -> Format {
+    Format::default().with_kinds(&[Kind::Svg])
+}
+
 /// The pictures of all links together, as SVG with their names: distributions, then maps of places.
 fn sets(rows: &[Judged], folder: &Path) -> Result<Vec<(String, String)>, super::Error> {
-    let written = super::set::write(rows, folder)?;
-    let svgs = written.into_iter().filter(|path| path.extension().is_some_and(|extension| extension == "svg"));
+    let written = super::set::write(rows, folder, &vectors())?;
     let read = |path: PathBuf| {
         let name = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
         let text = std::fs::read_to_string(&path).map_err(|source| super::Error::Io { path, source })?;
         Ok((name, super::slim::slim(&text)))
     };
-    svgs.map(read).collect()
+    written.into_iter().map(read).collect()
 }
 
 /// The pictures of a link as SVG.
 fn draw(folder: &Path, row: &Judged, bearing: &Bearing, source: TrajectorySource) -> Result<Vec<String>, String> {
     let name = &row.answer.link;
     let pictures = LinkPictures::of(row, bearing, source);
-    let written = pictures.write(folder, name).map_err(|error| format!("{name}: {error}"))?;
-    let svgs = written.iter().filter(|path| path.extension().is_some_and(|extension| extension == "svg"));
+    let written = pictures.write(folder, name, &vectors()).map_err(|error| format!("{name}: {error}"))?;
     let slim = |text: String| super::slim::slim(&text);
-    svgs.map(|path| std::fs::read_to_string(path).map(slim).map_err(|error| error.to_string())).collect()
+    written.iter().map(|path| std::fs::read_to_string(path).map(slim).map_err(|error| error.to_string())).collect()
 }
 
 /// Links of a page whose pictures are seen at once; those of larger ones are looked at one by one.

@@ -1,7 +1,7 @@
 //! The pictures of an evaluation: error distributions, refusals, reliability of the confidence, a map of each place.
 
 use super::{
-    CdfPlot, Ellipse, Error, MapPlot, Ray, RayClass, ReliabilityPlot, ReliabilityPoint, ScatterLines, file_safe,
+    CdfPlot, Ellipse, Error, Format, MapPlot, Ray, RayClass, ReliabilityPlot, ReliabilityPoint, ScatterLines, file_safe,
 };
 use crate::evaluate::quality::{Receiver, receivers, refusals, sure};
 use crate::evaluate::{Judged, Kept, Reliability, TrajectorySource, reliability};
@@ -20,48 +20,73 @@ const TOOLBOX: [(&str, f64, f64); 5] = [
 ];
 
 /// Writes `errors`, where the truth of a link is known, `refusals` and `reliability`, where such a link has a confidence, and
-/// a `map-PLACE` for each capture into a folder, each as .png and .svg.
+/// a `map-PLACE` for each capture into a folder.
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write(rows: &[Judged], folder: &Path) -> Result<Vec<PathBuf>, Error> {
+pub fn write(rows: &[Judged], folder: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
+    let [errors_stem, refusals_stem, reliability_stem] = stems(folder);
     let judged = |row: &&Judged| row.error_from_mean_pose_deg.is_some();
     let mut written = Vec::new();
     if rows.iter().any(|row| judged(&row)) {
-        written.extend(errors(rows).write(&folder.join("errors"))?);
+        written.extend(errors(rows).write(&errors_stem, format)?);
     }
     if !sure(rows).is_empty() {
-        written.extend(refused(rows).write(&folder.join("refusals"))?);
-        written.extend(reliable(rows).write(&folder.join("reliability"))?);
+        written.extend(refused(rows).write(&refusals_stem, format)?);
+        written.extend(reliable(rows).write(&reliability_stem, format)?);
     }
+    written.extend(write_maps(rows, folder, format)?);
+    Ok(written)
+}
+
+/// Writes a `map-PLACE` for each capture in which it is known where the receiver drove into a folder; none of them if one may
+/// not be replaced.
+///
+/// # Errors
+/// If a picture cannot be drawn or written.
+pub fn write_maps(rows: &[Judged], folder: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
     let mut captures: BTreeMap<&str, Vec<&Judged>> = BTreeMap::new();
     for row in rows {
         if let Some((capture, _)) = row.answer.link.rsplit_once('/') {
             captures.entry(capture).or_default().push(row);
         }
     }
-    let located = receivers(rows);
-    for (capture, own) in captures.into_iter().filter(|(_, own)| own.iter().any(|r| r.true_receiver_m.is_some())) {
+    captures.retain(|_, own| own.iter().any(|row| row.true_receiver_m.is_some()));
+    let stem = |capture: &str| folder.join(format!("map-{}", file_safe(capture)));
+    format.check(&captures.keys().map(|capture| stem(capture)).collect::<Vec<_>>())?;
+    let (located, mut written) = (receivers(rows), Vec::new());
+    for (capture, own) in captures {
         let receiver = located.iter().find(|receiver| receiver.capture == capture);
-        let picture = map(capture, &own, receiver);
-        written.extend(picture.write(&folder.join(format!("map-{}", file_safe(capture))))?);
+        written.extend(map(capture, &own, receiver).write(&stem(capture), format)?);
     }
     Ok(written)
 }
 
-/// Writes `reliability` and `reliability-plane-wave` into a folder, each as .png and .svg: probabilities from models fitted
+/// What the pictures of all links together are called, without their endings.
+#[must_use]
+pub fn stems(folder: &Path) -> [PathBuf; 3] {
+    ["errors", "refusals", "reliability"].map(|name| folder.join(name))
+}
+
+/// What the pictures of [`write_folds`] are called, without their endings.
+#[must_use]
+pub fn fold_stems(folder: &Path) -> [PathBuf; 2] {
+    ["reliability", "reliability-plane-wave"].map(|name| folder.join(name))
+}
+
+/// Writes `reliability` and `reliability-plane-wave` into a folder: probabilities from models fitted
 /// to all other places beside how often they came true, of whole motions and halves. Neither of them where no model could be
 /// fitted, as with a single place.
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write_folds(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, Error> {
+pub fn write_folds(report: &Report, folder: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
     let kinds = [
-        (Kind::Full, "reliability", "Reliability on places that nothing was fitted to"),
-        (Kind::Quick, "reliability-plane-wave", "The same of bearings by a plane wave"),
+        (Kind::Full, "Reliability on places that nothing was fitted to"),
+        (Kind::Quick, "The same of bearings by a plane wave"),
     ];
     let mut written = Vec::new();
-    for (kind, name, title) in kinds {
+    for ((kind, title), stem) in kinds.into_iter().zip(fold_stems(folder)) {
         let columns = report
             .confidence
             .iter()
@@ -73,7 +98,7 @@ pub fn write_folds(report: &Report, folder: &Path) -> Result<Vec<PathBuf>, Error
         });
         let plot = ReliabilityPlot { title: title.into(), series: series.collect() };
         if plot.series.iter().any(|series| !series.1.is_empty()) {
-            written.extend(plot.write(&folder.join(name))?);
+            written.extend(plot.write(&stem, format)?);
         }
     }
     Ok(written)

@@ -34,27 +34,27 @@ fn draws_around_values_that_are_not_finite() {
     };
     check(
         &PhasePlot { title: "t".into(), before: String::new(), other: Some(capture.clone()), capture }
-            .write(&at.join("phase"))
+            .write(&at.join("phase"), &Format::default())
             .unwrap(),
     );
     let path_m = vec![[0.0, 0.0], [f64::NAN, 1.0], [1.0, 1.0]];
     let plot = TrajectoryPlot { path_m, azimuth_rad: f64::NAN, sd_rad: Some(0.1), ..Default::default() };
-    check(&plot.write(&at.join("path.v1")).unwrap());
+    check(&plot.write(&at.join("path.v1"), &Format::default()).unwrap());
     assert!(at.join("path.v1.png").exists(), "a dot in the stem is kept");
     let map = ProfileMap { n_az: 2, n_el: 2, value: vec![0.0, f64::NAN, 1.0, -1.0], ..Default::default() };
-    check(&map.write(&at.join("map")).unwrap());
+    check(&map.write(&at.join("map"), &Format::default()).unwrap());
     let chosen_from = ("s".into(), vec![0.0, 90.0], vec![f64::NAN, 1.0]);
     let (answer_deg, answer_sd_deg, truth_deg) = (Some(90.0), Some(f64::INFINITY), Some(f64::NAN));
     check(
         &ProfilePlot { chosen_from, answer_deg, answer_sd_deg, truth_deg, ..Default::default() }
-            .write(&at.join("polar"))
+            .write(&at.join("polar"), &Format::default())
             .unwrap(),
     );
     let cdf = CdfPlot { series: vec![("s".into(), vec![0.0, f64::NAN, 2.0])], ..Default::default() };
-    check(&cdf.write(&at.join("cdf")).unwrap());
+    check(&cdf.write(&at.join("cdf"), &Format::default()).unwrap());
     let lines =
         ScatterLines { log_x: true, series: vec![("s".into(), vec![(0.0, 1.0), (2.0, 3.0)])], ..Default::default() };
-    check(&lines.write(&at.join("lines")).unwrap());
+    check(&lines.write(&at.join("lines"), &Format::default()).unwrap());
     std::fs::remove_dir_all(at).unwrap();
 }
 
@@ -62,15 +62,15 @@ fn draws_around_values_that_are_not_finite() {
 fn nothing_to_draw_is_an_error() {
     let stem = folder("empty").join("x");
     let empty = |r: Result<Vec<PathBuf>, Error>| assert!(matches!(r, Err(Error::Empty { .. })), "{r:?}");
-    empty(PhasePlot::default().write(&stem));
-    empty(TrajectoryPlot::default().write(&stem));
-    empty(MapPlot::default().write(&stem));
-    empty(ProfilePlot::default().write(&stem));
-    empty(ProfileMap::default().write(&stem));
-    empty(CdfPlot::default().write(&stem));
-    empty(ScatterLines::default().write(&stem));
+    empty(PhasePlot::default().write(&stem, &Format::default()));
+    empty(TrajectoryPlot::default().write(&stem, &Format::default()));
+    empty(MapPlot::default().write(&stem, &Format::default()));
+    empty(ProfilePlot::default().write(&stem, &Format::default()));
+    empty(ProfileMap::default().write(&stem, &Format::default()));
+    empty(CdfPlot::default().write(&stem, &Format::default()));
+    empty(ScatterLines::default().write(&stem, &Format::default()));
     let short = ProfileMap { n_az: 2, n_el: 2, value: vec![1.0], ..Default::default() };
-    assert!(matches!(short.write(&stem), Err(Error::Length { expect: 4, got: 1, .. })));
+    assert!(matches!(short.write(&stem, &Format::default()), Err(Error::Length { expect: 4, got: 1, .. })));
     assert!(!stem.parent().is_some_and(Path::exists), "nothing was written");
 }
 
@@ -79,7 +79,7 @@ fn a_folder_that_is_a_file_is_named() {
     let file = folder("file");
     std::fs::write(&file, "x").unwrap();
     let plot = CdfPlot { series: vec![("s".into(), vec![1.0])], ..Default::default() };
-    let error = plot.write(&file.join("cdf")).unwrap_err();
+    let error = plot.write(&file.join("cdf"), &Format::default()).unwrap_err();
     assert!(matches!(&error, Error::Io { path, .. } if path == &file), "{error}");
     std::fs::remove_file(file).unwrap();
 }
@@ -89,4 +89,91 @@ fn link_names_become_file_names() {
     assert_eq!(file_safe("tx0/rx 1:a-b.c"), "tx0_rx_1_a-b.c");
     assert_eq!(file_safe("../x"), "_._x");
     assert_eq!(file_safe(""), "_");
+}
+
+/// A picture of every kind, from values that all are finite.
+fn pictures(at: &Path, format: &Format) -> Vec<PathBuf> {
+    let ramp = |from: f64| (0..40).map(|k| from + f64::from(k) * 0.1).collect::<Vec<f64>>();
+    let capture = PhaseTrack { t_s: ramp(0.0), before_rad: ramp(1.0), after_rad: ramp(2.0), ..PhaseTrack::default() };
+    let path_m: Vec<[f64; 2]> = ramp(0.0).iter().map(|a| [a.cos(), a.sin()]).collect();
+    let ray = |class| Ray { origin_m: [0.0; 2], azimuth_rad: 1.0, label: "tx ± 1°".into(), class };
+    let ellipse = Ellipse { centre_m: [1.0, 2.0], covariance_m2: [[0.1, 0.0], [0.0, 0.2]], label: "tx".into() };
+    let point = ReliabilityPoint { said: 0.8, right: 0.7, count: 9 };
+    let value: Vec<f64> = ramp(1.0);
+    let trajectory = TrajectoryPlot {
+        path_m: path_m.clone(),
+        azimuth_rad: 1.0,
+        mirror_rad: Some(-1.0),
+        sd_rad: Some(0.1),
+        transmitter_m: Some([2.0, 2.0]),
+        ..Default::default()
+    };
+    let profile = ProfilePlot {
+        chosen_from: ("evidence".into(), ramp(-180.0), ramp(0.5)),
+        answer_deg: Some(-179.0),
+        answer_sd_deg: Some(1.0),
+        truth_deg: Some(-178.0),
+        mirror_deg: Some(178.0),
+        ..Default::default()
+    };
+    let rays = vec![ray(RayClass::Measured), ray(RayClass::Mirror), ray(RayClass::Truth)];
+    let written = [
+        PhasePlot { capture, ..Default::default() }.write(&at.join("phase"), format),
+        trajectory.write(&at.join("path"), format),
+        MapPlot { rays, path_m, ellipses: vec![ellipse], ..Default::default() }.write(&at.join("map"), format),
+        profile.write(&at.join("profile"), format),
+        ProfileMap { n_az: 8, n_el: 5, value: value.clone(), ..Default::default() }.write(&at.join("grid"), format),
+        PlaceMap { y: (0.0, 1.0), n_az: 8, value, marks: vec![(0.0, 0.5)], truth_deg: Some(1.0), ..Default::default() }
+            .write(&at.join("place"), format),
+        CdfPlot { series: vec![("s".into(), ramp(0.1))], ..Default::default() }.write(&at.join("cdf"), format),
+        ScatterLines { series: vec![("s".into(), vec![(1.0, 2.0), (2.0, 3.0)])], lines: true, ..Default::default() }
+            .write(&at.join("lines"), format),
+        ReliabilityPlot { series: vec![("s".into(), vec![point])], ..Default::default() }
+            .write(&at.join("reliability"), format),
+    ];
+    written.into_iter().flat_map(Result::unwrap).collect()
+}
+
+#[test]
+fn every_picture_is_written_in_the_formats_asked_for_and_replaces_nothing_unasked() {
+    let at = folder("formats");
+    let format = Format::default().with_kinds(&[Kind::Pdf, Kind::Png, Kind::Pdf]).with_replace(false);
+    let written = pictures(&at, &format);
+    assert_eq!(written.len(), 2 * 9);
+    for pair in written.chunks(2) {
+        let [pdf, png] = pair else { panic!("{pair:?}") };
+        assert!(std::fs::read(png).unwrap().starts_with(b"\x89PNG"), "{}", png.display());
+        let bytes = std::fs::read(pdf).unwrap();
+        let has = |words: &str| bytes.windows(words.len()).any(|window| window == words.as_bytes());
+        assert!(bytes.starts_with(b"%PDF-") && has("%%EOF") && has("/FontFile2"), "{}", pdf.display());
+        // 1200 pixels wide, three quarters of a point each.
+        assert!(has("/MediaBox [0 0 900 "), "{}", pdf.display());
+    }
+    assert!(!at.join("phase.svg").exists(), "no other formats");
+    let again = CdfPlot { series: vec![("s".into(), vec![1.0])], ..CdfPlot::default() };
+    std::fs::write(at.join("cdf.pdf"), "mine").unwrap();
+    let refused = again.write(&at.join("cdf"), &format);
+    assert!(matches!(&refused, Err(Error::There { path }) if *path == at.join("cdf.pdf")), "{refused:?}");
+    assert_eq!(std::fs::read(at.join("cdf.pdf")).unwrap(), b"mine");
+    assert!(again.write(&at.join("cdf"), &format.with_replace(true)).is_ok());
+    std::fs::remove_dir_all(at).unwrap();
+}
+
+/// More points than pixels are cells: a picture of a long log is no larger than one of a short one by much.
+#[test]
+fn phases_that_are_too_dense_are_binned() {
+    let at = folder("dense");
+    let svg = |n: usize| {
+        let t_s: Vec<f64> = (0..n).map(|k| k as f64 * 0.01).collect();
+        let phase: Vec<f64> = (0..n).map(|k| (k as f64 * 0.618).rem_euclid(1.0)).collect();
+        let capture = PhaseTrack { t_s, before_rad: phase.clone(), after_rad: phase, ..PhaseTrack::default() };
+        let plot = PhasePlot { capture, ..PhasePlot::default() };
+        let written = plot.write(&at.join(n.to_string()), &Format::default().with_kinds(&[Kind::Svg])).unwrap();
+        std::fs::read_to_string(&written[0]).unwrap()
+    };
+    let dots = |svg: &str| svg.matches("<circle").count();
+    let (few, many) = (svg(1_000), svg(20_000));
+    assert!(dots(&few) >= 2 * 1_000, "{}", dots(&few));
+    assert!(dots(&many) < 10 && many.matches("<rect").count() > 1_000, "{}", dots(&many));
+    std::fs::remove_dir_all(at).unwrap();
 }

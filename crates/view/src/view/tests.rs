@@ -26,7 +26,8 @@ fn a_folder_answers_what_evaluate_and_the_log_say() {
     assert_eq!((overview["kind"].as_str(), overview["logs"].as_array().map(Vec::len)), (Some("captures"), Some(2)));
     assert_eq!(overview["links"].as_array().map(Vec::len), Some(1));
     // Until it is evaluated it is waited for.
-    assert_eq!(ask(&view, "/data/link/0", "")["waiting"], true);
+    let waiting = ask(&view, "/data/link/0", "");
+    assert_eq!((&waiting["waiting"], waiting["logs"]["receiver"].is_u64()), (&Value::from(true), true), "{waiting}");
     assert_eq!(ask(&view, "/data/rows", "")["known"], 0);
     let mut seen = Vec::new();
     view.finish(|done| seen.push(done));

@@ -1,9 +1,9 @@
 //! What `sound` and `respond` say: while they run, and at the end.
 
-use csi5300::exchange::tdma::{Event, TdmaCounts};
+use super::causes::{Cause, not_sent, not_used};
+use csi5300::exchange::tdma::Event;
 use csi5300::time::Span;
-use csi5300_live::monitor::AirCounts;
-use csi5300_live::sounding::{Figures, Finished, KERNEL_TURN_AROUND_US, News, spread_of};
+use csi5300_live::sounding::{Finished, KERNEL_TURN_AROUND_US, News, spread_of};
 use driver_iface::Mac;
 use driver_iface::sounding::wsr;
 use std::fmt::Write as _;
@@ -78,9 +78,9 @@ pub fn summary(peers: &[Mac], finished: &Finished) -> String {
             "  the WSR kernel driver: {least} to {most} us, median {median}, from rise to rise, {airtime_us} us of it on air"
         );
     }
-    for (count, what) in not_sent(counts, figures, &air).into_iter().chain(not_used(counts, &air)) {
+    for Cause { count, words, .. } in not_sent(counts, figures, &air).into_iter().chain(not_used(counts, &air)) {
         if count > 0 {
-            let _ = writeln!(text, "  {count} {what}");
+            let _ = writeln!(text, "  {count} {words}");
         }
     }
     text + &confirmed(finished)
@@ -96,42 +96,6 @@ fn unanswered(forward: u64, answered: u64) -> String {
         ),
         false => String::new(),
     }
-}
-
-/// Frames that were to be sent: how many were not, or perhaps late, by cause.
-fn not_sent(counts: &TdmaCounts, figures: &Figures, air: &AirCounts) -> [(u64, &'static str); 7] {
-    [
-        (counts.missed_slots + figures.too_late, "frames skipped because the host was late (never sent late)"),
-        (counts.missed_replies, "answers skipped because they were late"),
-        (figures.perhaps_late, "frames handed over in time, but taken only after it"),
-        (air.no_room, "frames not taken: no room in the kernel's queue"),
-        (air.down, "frames not taken: the interface was down"),
-        (air.too_long, "frames not taken: longer than the MTU"),
-        (air.cut, "frames of which the kernel took only a part"),
-    ]
-}
-
-/// Frames heard and turns had: how many came to nothing, by cause.
-fn not_used(counts: &TdmaCounts, air: &AirCounts) -> [(u64, &'static str); 17] {
-    [
-        (air.dropped, "frames heard but dropped by the kernel before they were read"),
-        (air.stale, "frames dropped because they had lain in the kernel's queue for a second or more"),
-        (air.bad_fcs, "frames with a wrong check sequence"),
-        (air.damaged, "frames behind an unreadable radiotap header"),
-        (counts.foreign, "frames of another dialect or damaged"),
-        (counts.strangers, "frames of robots that are no peers"),
-        (counts.unauthenticated, "frames without the key"),
-        (counts.contested, "measurements of numbers that two frames had"),
-        (counts.replayed, "frames repeated or of an old session"),
-        (counts.unmatched, "answers to nothing that waits"),
-        (counts.other_plan, "frames of another plan (--rate, --links)"),
-        (counts.yields, "turns given up to another initiator"),
-        (counts.overslept, "turns lost because the host was away"),
-        (counts.rivals, "frames of an initiator or a turn that contradicts what was heard before"),
-        (counts.off_epoch, "frames at another time than their slot's"),
-        (counts.own_echoes, "copies of this robot's own frames"),
-        (counts.events_lost, "events lost because too many came at once"),
-    ]
 }
 
 /// What the kernel reports of the frames sent.
