@@ -193,7 +193,7 @@ fn compare_reads_a_recording_too() {
     };
     assert_eq!(figures(&out), figures(&expected));
     assert!(figures(&out).len() > 50);
-    assert_eq!(crate::looking::are_documented(&out), 6);
+    assert!(crate::looking::are_documented(&out) > 7);
     let (status, out, errors) = folder.run(&["unbag", "run.mcap", "--out", "logs", "--json"]);
     assert_eq!((status, crate::looking::are_documented(&out)), (0, 5), "{out}{errors}");
     let (status, _, errors) = run(&["--bag", "run.mcap", "--force"]);
