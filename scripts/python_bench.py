@@ -1,11 +1,12 @@
 """Times csi5300's reader against csiread and CSIKit on one log: wall time and peak memory, each run in a process of its own.
 
-usage: python scripts/python_bench.py [--log LOG.dat] [--megabytes 200] [--runs 5] [--csikit]
+usage: python scripts/python_bench.py [--log LOG.dat] [--megabytes 200] [--runs 5] [--csikit] [--rust PROGRAM]
 Needs csi5300 (the wheel), csiread and, with --csikit, CSIKit in the interpreter that runs it; without --log it writes one of
-random 3x1 records, stock layout.
+random 3x1 records, stock layout. PROGRAM is `cargo build --release -p csi5300-lab --example read_scaled`'s: the same work without
+Python.
 
-Rows: `read` (arrays of the fields and raw CSI), `read + scaled`; and the same decoding without Python (`records/s` of the
-native half alone: arrays of a Log are filled by it, the difference is Python's share).
+Rows: `read` (arrays of the fields and raw CSI), `read + scaled`; csiread's quickest (`bufsize` known, scaled in place); ours on one
+core; and into memory that was used before. All in turns, each in a process of its own.
 """
 
 from __future__ import annotations
@@ -31,8 +32,17 @@ JOBS = {
     "csiread read + scaled": (
         "import csiread\nd = csiread.Intel(path, 3, 1, if_report=False)\nd.read()\nd.get_scaled_csi()\nn = d.count"
     ),
-    "csi5300 native half, read + scaled": (
-        "from csi5300 import _native\nr, c, i = _native.read(path)\nr.csi(None, 'ABC', 1, True, False)\nn = len(r)"
+    "csiread read + scaled in place": (
+        "import csiread\nd = csiread.Intel(path, 3, 1, if_report=False, bufsize=records)\nd.read()\n"
+        "d.get_scaled_csi(inplace=True)\nn = d.count"
+    ),
+    "csi5300 read + scaled, one core": (
+        "import csi5300\nimport os\nos.sched_setaffinity(0, {min(os.sched_getaffinity(0))})\n"
+        "log = csi5300.read(path)\nlog.scaled()\nn = len(log)"
+    ),
+    "csi5300 read + scaled, memory again": (
+        "import csi5300\nimport numpy as np\nout = np.ones((records, 3, 1, 30), np.complex64)\nbegan = time.perf_counter()\n"
+        "log = csi5300.read(path)\nlog.scaled(out=out)\nn = len(log)"
     ),
     "CSIKit read": (
         "from CSIKit.reader import IWLBeamformReader\nd = IWLBeamformReader().read_file(path)\nn = len(d.frames)"
@@ -44,9 +54,18 @@ JOBS = {
     ),
 }
 
+PAIRS = [
+    ("csiread read", "csi5300 read"),
+    ("csiread read + scaled", "csi5300 read + scaled"),
+    ("csiread read + scaled in place", "csi5300 read + scaled"),
+    ("csiread read + scaled in place", "csi5300 read + scaled, one core"),
+    ("csiread read + scaled", "csi5300.csiread read + scaled"),
+    ("csi5300 read + scaled", "Rust, read + scaled"),
+]
+
 RUN = """
 import json, resource, sys, time
-path = sys.argv[1]
+path, records = sys.argv[1], int(sys.argv[2])
 {imports}
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 began = time.perf_counter()
@@ -78,11 +97,17 @@ def write_log(path: Path, megabytes: int) -> None:
             out.write(block)
 
 
-def measure(job: str, log: Path) -> tuple[float, int, int]:
+def measure(job: str, log: Path, records: int) -> tuple[float, int, int]:
+    """Seconds, records and peak memory (KiB)."""
+    if job.startswith("/"):
+        done = subprocess.run([job, str(log)], capture_output=True, text=True, check=True)
+        took, n, peak = done.stdout.split()
+        return float(took), int(n), int(peak)
     imports = "\n".join(line for line in job.splitlines() if line.startswith(("import", "from")))
     body = "\n".join(line for line in job.splitlines() if not line.startswith(("import", "from")))
     code = RUN.format(imports=imports, job=body)
-    done = subprocess.run([sys.executable, "-c", code, str(log)], capture_output=True, text=True, check=False)
+    command = [sys.executable, "-c", code, str(log), str(records)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(done.stderr.strip().splitlines()[-1] if done.stderr else f"status {done.returncode}")
     took, n, peak, _ = json.loads(done.stdout.splitlines()[-1])
@@ -95,18 +120,22 @@ def main() -> None:
     parser.add_argument("--megabytes", type=int, default=200)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--csikit", action="store_true")
+    parser.add_argument("--rust", type=Path)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         log = args.log or Path(folder) / "bench.dat"
         if args.log is None:
             write_log(log, args.megabytes)
         jobs = {name: job for name, job in JOBS.items() if args.csikit or not name.startswith("CSIKit")}
+        if args.rust:
+            jobs["Rust, read + scaled"] = str(args.rust.resolve())
+        _, records, _ = measure(JOBS["csi5300 read"], log, 0)
         took: dict[str, list[float]] = {name: [] for name in jobs}
         counts, peaks = {}, {}
         for _ in range(args.runs):  # in turns, so that all see the same machine
             for name, job in list(jobs.items()):
                 try:
-                    seconds, counts[name], peaks[name] = measure(job, log)
+                    seconds, counts[name], peaks[name] = measure(job, log, records)
                 except RuntimeError as error:
                     print(f"{name}: {error}")
                     del jobs[name]
@@ -117,11 +146,10 @@ def main() -> None:
             seconds = statistics.median(took[name])
             rate = counts[name] / seconds / 1e6
             print(f"{name:36} {seconds:8.3f} s  {counts[name]:9} records  {rate:6.2f} M/s  peak {peaks[name] / 1024:7.0f} MiB")
-        for what in ("read", "read + scaled"):
-            pair = [f"csiread {what}", f"csi5300 {what}"]
+        for pair in PAIRS:
             if all(name in jobs for name in pair):
                 theirs, ours = (statistics.median(took[name]) for name in pair)
-                print(f"{what}: {theirs / ours:.1f} times as fast as csiread")
+                print(f"{pair[0]} / {pair[1]}: {theirs / ours:.2f}")
 
 
 main()

@@ -341,4 +341,6 @@ impl<'a> Bfee<'a> {
 }
 
 #[cfg(test)]
+mod planes_tests;
+#[cfg(test)]
 mod tests;

@@ -1,6 +1,6 @@
 //! Bearings from logs and trajectories.
 
-use crate::error::{Failure, Kind, interruptible};
+use crate::error::{Failure, Kind, Stop, interruptible};
 use crate::intake::open;
 use crate::options::Keywords;
 use crate::pool::{build, pool};
@@ -53,6 +53,26 @@ impl CsiSource for Replayed {
 
     fn next_at(&self) -> Option<Instant> {
         (self.at.0 < self.records.len()).then_some(Instant::ZERO)
+    }
+}
+
+/// A source that fails once its records are wanted no more.
+struct Stoppable {
+    source: Box<dyn CsiSource + Send>,
+    stop: Stop,
+}
+
+impl CsiSource for Stoppable {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, csi5300::source::Error> {
+        if self.stop.is_asked() {
+            let what = "reading a log".to_owned();
+            return Err(csi5300::source::Error::Io { what, source: std::io::ErrorKind::Interrupted.into() });
+        }
+        self.source.receive(now)
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        self.source.next_at()
     }
 }
 
@@ -141,7 +161,8 @@ impl Link {
             None => Grid::azimuth_elevation(azimuths, elevations),
         };
         let bearing = Arc::clone(&self.bearing);
-        let profile = interruptible(py, move || {
+        // Ten million directions are done within a second.
+        let profile = interruptible(py, &Stop::default(), move || {
             bartlett::profile(&bearing.samples, &grid).map_err(|error| Failure::new(Kind::Option, error))
         })?;
         let (rows, columns) = profile.grid.shape();
@@ -191,8 +212,10 @@ pub fn bearings(
 ) -> PyResult<Vec<Linked>> {
     let keywords = Keywords::parse(keywords)?;
     let options = keywords.options()?.with_keep_course(true).with_parallel(tx.len() > 1);
-    let mut receiver = source(rx)?;
-    let mut logs = tx.iter().map(source).collect::<PyResult<Vec<_>>>()?;
+    let stop = Stop::default();
+    let stoppable = |log| PyResult::Ok(Stoppable { source: source(log)?, stop: stop.clone() });
+    let mut receiver = stoppable(rx)?;
+    let mut logs = tx.iter().map(stoppable).collect::<PyResult<Vec<_>>>()?;
     let mut own = trajectory(path)?;
     if let Some([x, y, z]) = keywords.antenna_offset {
         let moved = own.with_antenna_offset(Vector3::new(x, y, z));
@@ -200,12 +223,12 @@ pub fn bearings(
     }
     let moved = tx_paths.iter().map(|path| path.as_ref().map(trajectory).transpose()).collect::<PyResult<Vec<_>>>()?;
     let pool = if keywords.threads == 0 { pool()? } else { Arc::new(build(keywords.threads)?) };
-    let report: CaptureReport = interruptible(py, move || {
+    let report: CaptureReport = interruptible(py, &stop, move || {
         pool.install(move || {
             let trajectory = |k: usize| moved.get(k).and_then(Option::as_ref);
             let transmitters = logs.iter_mut().enumerate();
-            let transmitters = transmitters.map(|(k, log)| Transmitter { log: &mut **log, trajectory: trajectory(k) });
-            let report = estimate(&mut *receiver, transmitters.collect(), &own, &options);
+            let transmitters = transmitters.map(|(k, log)| Transmitter { log, trajectory: trajectory(k) });
+            let report = estimate(&mut receiver, transmitters.collect(), &own, &options);
             report.map_err(|error| Failure::new(Kind::Capture, error))
         })
     })?;

@@ -5,11 +5,15 @@ use pyo3::exceptions::{PyException, PyKeyboardInterrupt};
 use pyo3::prelude::*;
 use std::io::ErrorKind;
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::Duration;
 
 /// How long a signal waits at most.
 const PATIENCE: Duration = Duration::from_millis(40);
+/// How long work that is to stop is waited for at most.
+const GRACE: Duration = Duration::from_secs(1);
 
 /// Classes of `csi5300._errors`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -123,9 +127,52 @@ pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> PyR
     py.detach(|| catch_unwind(AssertUnwindSafe(work))).map_err(|payload| panicked(&*payload).into())
 }
 
-/// Runs a long piece of work in a thread of its own, without the interpreter's lock. Ctrl-C returns at once; the work that
-/// nobody waits for any more ends by itself.
-pub fn interruptible<T, F>(py: Python<'_>, work: F) -> PyResult<T>
+/// Says to work in a thread that its result is wanted no more.
+#[derive(Clone, Debug, Default)]
+pub struct Stop(Arc<AtomicBool>);
+
+impl Stop {
+    /// True once it is.
+    pub fn is_asked(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    /// The flag itself.
+    pub fn flag(&self) -> &AtomicBool {
+        &self.0
+    }
+}
+
+/// A [`Stop`] in Python's hands: for work in other threads than the one that signals reach.
+#[pyclass(frozen, module = "csi5300._native")]
+pub struct Cancel(pub Stop);
+
+#[pymethods]
+impl Cancel {
+    #[new]
+    fn new() -> Self {
+        Self(Stop::default())
+    }
+
+    /// Asks the work that has it to stop.
+    fn set(&self) {
+        self.0.0.store(true, Ordering::Relaxed);
+    }
+
+    /// True once it was asked.
+    fn is_set(&self) -> bool {
+        self.0.is_asked()
+    }
+}
+
+/// What work that was stopped gives; nobody sees it.
+pub fn stopped() -> Failure {
+    Failure::new(Kind::Internal, "the work was stopped")
+}
+
+/// Runs a long piece of work in a thread of its own, without the interpreter's lock. Ctrl-C asks it to [`Stop`], which it looks at
+/// as often as it can, and returns once it has, or after a second.
+pub fn interruptible<T, F>(py: Python<'_>, stop: &Stop, work: F) -> PyResult<T>
 where
     T: Send + 'static,
     F: FnOnce() -> Result<T, Failure> + Send + 'static,
@@ -148,7 +195,14 @@ where
         receiver = back;
         match result {
             Ok(result) => return result.map_err(Into::into),
-            Err(RecvTimeoutError::Timeout) => py.check_signals()?,
+            Err(RecvTimeoutError::Timeout) => {
+                if let Err(signal) = py.check_signals() {
+                    stop.0.store(true, Ordering::Relaxed);
+                    // A receiver is handed over for good.
+                    let _ = py.detach(move || receiver.recv_timeout(GRACE).map(drop));
+                    return Err(signal);
+                }
+            }
             Err(RecvTimeoutError::Disconnected) => return Err(PyKeyboardInterrupt::new_err("the work was ended")),
         }
     }

@@ -1,9 +1,11 @@
 //! Captures against their truth.
 
-use crate::error::{Failure, Kind, interruptible};
+use crate::error::{Cancel, Failure, Kind, Stop, interruptible, stopped};
 use crate::options::Keywords;
 use crate::pool::{build, pool};
-use csi5300_lab::evaluate::{Capture, TrajectorySource, find};
+use csi5300::pipeline::Options;
+use csi5300::signal::channel::Channel;
+use csi5300_lab::evaluate::{Capture, Shelf, TrajectorySource, find};
 use pyo3::prelude::*;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -15,40 +17,65 @@ type Found = (Vec<(String, String, PathBuf, Vec<(String, PathBuf)>)>, Vec<String
 /// Finds captures, in the order of their names.
 #[pyfunction]
 pub fn find_captures(py: Python<'_>, root: PathBuf) -> PyResult<Found> {
-    interruptible(py, move || {
+    interruptible(py, &Stop::default(), move || {
         let (captures, unreadable) = find(&root);
         let parts = |c: Capture| (c.place, c.stamp, c.folder, c.transmitters);
         Ok((captures.into_iter().map(parts).collect(), unreadable))
     })
 }
 
-/// Evaluates one capture: JSON with `rows`, `notes` and `lost`.
+/// One way to evaluate a capture.
+struct Run {
+    source: TrajectorySource,
+    options: Options,
+    channel: Option<Channel>,
+    threads: usize,
+}
+
+impl Run {
+    fn new(trajectory: &str, keywords: &str) -> Result<Self, Failure> {
+        let source = match trajectory {
+            "gt" => TrajectorySource::GroundTruth,
+            "t265" => TrajectorySource::T265,
+            "odom" => TrajectorySource::Odometry,
+            other => return Err(Failure::new(Kind::Option, format!("trajectory: {other:?} is not gt, t265 or odom"))),
+        };
+        let keywords = Keywords::parse(keywords)?;
+        let threads = keywords.threads;
+        Ok(Self { source, options: keywords.options()?, channel: keywords.channel()?, threads })
+    }
+
+    /// JSON with `rows`, `notes` and `lost`.
+    fn evaluate(&self, capture: &Capture, shelf: &Shelf) -> Result<String, Failure> {
+        let evaluate = || capture.evaluate_from(shelf, self.source, self.channel, &self.options);
+        let pool = if self.threads == 0 { pool()? } else { Arc::new(build(self.threads)?) };
+        let evaluated = pool.install(evaluate);
+        let json = serde_json::json!({ "rows": evaluated.rows, "notes": evaluated.notes, "lost": evaluated.lost });
+        serde_json::to_string(&json).map_err(|error| Failure::new(Kind::Internal, error))
+    }
+}
+
+/// Evaluates one capture in each of some ways, trajectories and options, with its files read once: for each JSON with `rows`,
+/// `notes` and `lost`. `cancel` ends it early.
 #[pyfunction]
-#[pyo3(signature = (place, stamp, folder, transmitters, trajectory, keywords))]
+#[pyo3(signature = (place, stamp, folder, transmitters, runs, cancel=None))]
 pub fn evaluate_capture(
     py: Python<'_>,
     place: String,
     stamp: String,
     folder: PathBuf,
     transmitters: Vec<(String, PathBuf)>,
-    trajectory: &str,
-    keywords: &str,
-) -> PyResult<String> {
-    let source = match trajectory {
-        "gt" => TrajectorySource::GroundTruth,
-        "t265" => TrajectorySource::T265,
-        "odom" => TrajectorySource::Odometry,
-        other => {
-            return Err(Failure::new(Kind::Option, format!("trajectory: {other:?} is not gt, t265 or odom")).into());
-        }
-    };
-    let keywords = Keywords::parse(keywords)?;
-    let (options, channel) = (keywords.options()?, keywords.channel()?);
+    runs: Vec<(String, String)>,
+    cancel: Option<PyRef<'_, Cancel>>,
+) -> PyResult<Vec<String>> {
+    let runs = runs.iter().map(|(trajectory, keywords)| Run::new(trajectory, keywords));
+    let runs = runs.collect::<Result<Vec<_>, _>>()?;
     let capture = Capture { place, stamp, folder, transmitters };
-    let pool = if keywords.threads == 0 { pool()? } else { Arc::new(build(keywords.threads)?) };
-    interruptible(py, move || {
-        let evaluated = pool.install(|| capture.evaluate(source, channel, &options));
-        let json = serde_json::json!({ "rows": evaluated.rows, "notes": evaluated.notes, "lost": evaluated.lost });
-        serde_json::to_string(&json).map_err(|error| Failure::new(Kind::Internal, error))
+    let stop = cancel.map(|cancel| cancel.0.clone()).unwrap_or_default();
+    let asked = stop.clone();
+    interruptible(py, &stop, move || {
+        let shelf = capture.shelf(&|| !asked.is_asked()).ok_or_else(stopped)?;
+        let evaluate = |run: &Run| if asked.is_asked() { Err(stopped()) } else { run.evaluate(&capture, &shelf) };
+        runs.iter().map(evaluate).collect()
     })
 }

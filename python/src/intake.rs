@@ -120,8 +120,26 @@ pub fn info<S: CsiSource>(reading: &Reading<S>, name: &str, bytes: Option<u64>) 
     serde_json::to_string(&json).map_err(|error| Failure::new(Kind::Internal, error))
 }
 
-/// Reads all of a log, interruptibly.
-pub fn read_all(py: Python<'_>, reading: &mut Reading<Replay<Box<dyn Read + Send>>>, limit: usize) -> PyResult<()> {
+/// True for an object that is asked for its bytes by `read`: a method that belongs into the thread that called us.
+pub fn is_file_object(file: &Bound<'_, PyAny>) -> PyResult<bool> {
+    Ok(!file.is_instance_of::<PyBytes>() && file.hasattr("read")?)
+}
+
+/// Reads all of a log on two threads, interruptibly.
+pub fn read_all(py: Python<'_>, reading: &mut Reading<Replay<Box<dyn Read + Send>>>) -> PyResult<()> {
+    let mut signal = Ok(());
+    let read = crate::error::detached(py, || {
+        reading.read_all(Instant::ZERO, || {
+            signal = Python::attach(|py| py.check_signals());
+            signal.is_ok()
+        })
+    })?;
+    signal?;
+    read.map_err(|error| Failure::log(error, reading.source().name(), reading.source().bytes()).into())
+}
+
+/// Reads up to `limit` records of a log, interruptibly.
+pub fn read_on(py: Python<'_>, reading: &mut Reading<Replay<Box<dyn Read + Send>>>, limit: usize) -> PyResult<()> {
     loop {
         let more = crate::error::detached(py, || reading.burst(Instant::ZERO, limit))?;
         let more = more.map_err(|error| Failure::log(error, reading.source().name(), reading.source().bytes()))?;

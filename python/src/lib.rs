@@ -35,6 +35,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<records::Scanner>()?;
     module.add_class::<capture::Link>()?;
     module.add_class::<stream::Listener>()?;
+    module.add_class::<error::Cancel>()?;
     module.add_function(wrap_pyfunction!(records::read, module)?)?;
     module.add_function(wrap_pyfunction!(classic::classic, module)?)?;
     module.add_function(wrap_pyfunction!(capture::bearings, module)?)?;

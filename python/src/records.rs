@@ -1,21 +1,23 @@
 //! The native half of a log: packed records, decoded on demand.
 
 use crate::columns::{arrays, from_arrays};
-use crate::error::{Failure, Kind, detached, interruptible};
-use crate::intake::{filter, info, open, read_all};
+use crate::error::{Failure, Kind, Stop, detached, interruptible};
+use crate::intake::{filter, info, is_file_object, open, read_all, read_on};
 use crate::pool::pool;
 use csi5300::signal::csi::{scale_factor, total_rss_dbm};
 use csi5300::source::replay::Replay;
 use csi5300_lab::export::Export;
 use csi5300_lab::table::{Arena, Columns, Form, Reading, Rows, antennas, decode};
-use driver_iface::bfee::{Bfee, SUBCARRIERS};
+use driver_iface::bfee::{Antenna, Bfee, SUBCARRIERS};
 use num_complex::Complex32;
-use numpy::{IntoPyArray, PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray1};
+use numpy::{IntoPyArray, PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray1, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use rayon::prelude::*;
+use std::borrow::Cow;
+use std::ffi::OsString;
 use std::io::Read;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Records decoded between two looks at signals.
@@ -36,6 +38,46 @@ pub fn selected(arena: &Arena, rows: Option<&PyReadonlyArray1<'_, i64>>) -> PyRe
     rows.ok_or_else(|| Failure::new(Kind::Option, format!("a row outside of 0 to {}", arena.len())).into())
 }
 
+/// Records that were asked for.
+enum Chosen {
+    /// All of them, so many.
+    All(usize),
+    /// These.
+    Rows(Vec<usize>),
+}
+
+impl Chosen {
+    fn new(arena: &Arena, rows: Option<&PyReadonlyArray1<'_, i64>>) -> PyResult<Self> {
+        match rows {
+            None => Ok(Self::All(arena.len())),
+            some => selected(arena, some).map(Self::Rows),
+        }
+    }
+
+    fn len(&self) -> usize {
+        match self {
+            Self::All(len) => *len,
+            Self::Rows(rows) => rows.len(),
+        }
+    }
+
+    /// The numbers of a stretch of [`PIECE`] records.
+    fn piece(&self, number: usize) -> Cow<'_, [usize]> {
+        let (from, to) = (number * PIECE, ((number + 1) * PIECE).min(self.len()));
+        match self {
+            Self::All(_) => (from..to).collect(),
+            Self::Rows(rows) => rows.get(from..to).unwrap_or_default().into(),
+        }
+    }
+}
+
+/// The place of a file until it is whole: beside it, with the same ending.
+fn draft(path: &Path) -> PathBuf {
+    let mut name = OsString::from(format!(".{}-", std::process::id()));
+    name.push(path.file_name().unwrap_or_default());
+    path.with_file_name(name)
+}
+
 #[pymethods]
 impl Records {
     fn __len__(&self) -> usize {
@@ -48,8 +90,10 @@ impl Records {
         self.arena.size()
     }
 
-    /// The CSI of `rows`, complex64 (n, antennas, `n_tx`, 30); not a number where a record has none.
-    #[pyo3(signature = (rows, letters, n_tx, scaled, without_spatial_mapping))]
+    /// The CSI of `rows`, complex64 (n, antennas, `n_tx`, 30); not a number where a record has none. It is written to `out`, where
+    /// that is given.
+    #[pyo3(signature = (rows, letters, n_tx, scaled, without_spatial_mapping, out=None))]
+    #[allow(clippy::too_many_arguments)]
     fn csi<'py>(
         &self,
         py: Python<'py>,
@@ -58,22 +102,30 @@ impl Records {
         n_tx: usize,
         scaled: bool,
         without_spatial_mapping: bool,
+        out: Option<Bound<'py, PyArray4<Complex32>>>,
     ) -> PyResult<Bound<'py, PyArray4<Complex32>>> {
-        let records = selected(&self.arena, rows.as_ref())?;
+        let records = Chosen::new(&self.arena, rows.as_ref())?;
         let ports = antennas(letters).unwrap_or_default();
         if n_tx > 3 {
             return Err(Failure::new(Kind::Option, format!("{n_tx} streams: at most 3")).into());
         }
         let shape = Rows::new(&ports, n_tx);
         let form = Form { scaled, without_spatial_mapping };
-        let array = PyArray4::zeros(py, [records.len(), ports.len(), n_tx, SUBCARRIERS], false);
-        let mut writer = array.readwrite();
-        let out: &mut [Complex32] =
-            writer.as_slice_mut().map_err(|error| Failure::new(Kind::Internal, error.to_string()))?;
+        let dims = [records.len(), ports.len(), n_tx, SUBCARRIERS];
+        let wrong = |why: String| Failure::new(Kind::Option, format!("out: {why}"));
+        let array = out.unwrap_or_else(|| PyArray4::zeros(py, dims, false));
+        if array.shape() != dims {
+            return Err(wrong(format!("its shape is {:?}, and {dims:?} is needed", array.shape())).into());
+        }
+        if !array.is_c_contiguous() {
+            return Err(wrong("its memory is not in C's order".to_owned()).into());
+        }
+        let mut writer = array.try_readwrite().map_err(|error| wrong(error.to_string()))?;
+        let out: &mut [Complex32] = writer.as_slice_mut().map_err(|error| wrong(error.to_string()))?;
         let pool = pool()?;
-        let pieces = out.chunks_mut(PIECE * shape.len().max(1)).zip(records.chunks(PIECE));
-        for (out, records) in pieces {
-            detached(py, || pool.install(|| decode(&self.arena, records, &shape, form, out)))?;
+        for (number, out) in out.chunks_mut(PIECE * shape.len().max(1)).enumerate() {
+            let records = records.piece(number);
+            detached(py, || pool.install(|| decode(&self.arena, &records, &shape, form, out)))?;
             py.check_signals()?;
         }
         drop(writer);
@@ -118,11 +170,22 @@ impl Records {
         }
         let (arena, pool) = (Arc::clone(&self.arena), pool()?);
         let (ports, form) = (antennas(letters).unwrap_or_default(), Form { scaled, without_spatial_mapping });
-        interruptible(py, move || {
-            let export = Export::new(&arena, records, &columns, form).with_antennas(&ports);
-            let written = pool.install(|| export.write(&path));
-            let refused = |error| Failure::new(Kind::Export, error).of(path.display().to_string());
-            written.map(|()| export.unscaled()).map_err(refused)
+        let stop = Stop::default();
+        let asked = stop.clone();
+        interruptible(py, &stop, move || {
+            let export = Export::new(&arena, records, &columns, form).with_antennas(&ports).with_stop(asked.flag());
+            // What a link leads to is replaced, not the link.
+            let target = path.canonicalize().unwrap_or_else(|_| path.clone());
+            let half = draft(&target);
+            let written = pool.install(|| export.write(&half)).map_err(|error| error.to_string());
+            let kept = written.and_then(|()| std::fs::rename(&half, &target).map_err(|error| error.to_string()));
+            if let Err(error) = kept {
+                // It is not there where it could not be made.
+                let _ = std::fs::remove_file(&half);
+                let message = format!("cannot write {}: {error}", path.display());
+                return Err(Failure::new(Kind::Export, message).of(path.display().to_string()));
+            }
+            Ok(export.unscaled())
         })
     }
 
@@ -188,8 +251,8 @@ impl Records {
     }
 }
 
-/// What `read` gives: records, columns, and what is known of the log as JSON.
-type Read3<'py> = (Records, Bound<'py, PyDict>, String);
+/// What `read` gives: records, columns, what is known of the log as JSON, and the letters of its antennas with its streams.
+type Read4<'py> = (Records, Bound<'py, PyDict>, String, (String, usize));
 
 /// Reads a log into memory.
 #[pyfunction]
@@ -200,13 +263,19 @@ pub fn read<'py>(
     macs: Option<Vec<String>>,
     t: Option<(Option<f64>, Option<f64>)>,
     letters: Option<&str>,
-) -> PyResult<Read3<'py>> {
+) -> PyResult<Read4<'py>> {
     let mut intake = Reading::new(open(file)?, filter(macs, t, letters)?);
-    read_all(py, &mut intake, usize::MAX)?;
+    if is_file_object(file)? {
+        read_on(py, &mut intake, usize::MAX)?;
+    } else {
+        read_all(py, &mut intake)?;
+    }
     let (arena, columns) = intake.take();
     let info = info(&intake, intake.source().name(), Some(intake.source().bytes()))?;
+    let used: String = columns.antennas().iter().map(Antenna::to_string).collect();
+    let shape = (used, usize::from(columns.n_tx.iter().copied().max().unwrap_or(1)));
     let (records, columns) = Records::new(py, arena, columns)?;
-    Ok((records, columns, info))
+    Ok((records, columns, info, shape))
 }
 
 /// A log read piece by piece.
@@ -237,7 +306,7 @@ impl Scanner {
     /// The next piece, or None at the end.
     fn next<'py>(&mut self, py: Python<'py>) -> PyResult<Option<(Records, Bound<'py, PyDict>)>> {
         let intake = self.intake.get_mut().unwrap_or_else(PoisonError::into_inner);
-        read_all(py, intake, self.chunk)?;
+        read_on(py, intake, self.chunk)?;
         let (arena, columns) = intake.take();
         if arena.len() == 0 {
             return Ok(None);

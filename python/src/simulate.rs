@@ -1,7 +1,7 @@
 //! Simulated rooms, in memory.
 
 use crate::capture::pose_array;
-use crate::error::{Failure, Kind, interruptible};
+use crate::error::{Failure, Kind, Stop, interruptible};
 use csi5300_sim::scene::Driver;
 use csi5300_sim::{BUILT_IN, Room, Scene};
 use pyo3::prelude::*;
@@ -42,9 +42,11 @@ pub fn simulate<'py>(
         Some(other) => return Err(Failure::new(Kind::Option, format!("layout: {other:?} is not wsr or stock")).into()),
     };
     let (channel, initiators) = (scene.channel, scene.initiators());
-    let run = interruptible(py, move || {
+    let stop = Stop::default();
+    let asked = stop.clone();
+    let run = interruptible(py, &stop, move || {
         let room = Room::new(&scene).map_err(|error| Failure::new(Kind::Scene, error))?;
-        room.run().map_err(|error| Failure::new(Kind::Scene, error))
+        room.run_while(|_| !asked.is_asked()).map_err(|error| Failure::new(Kind::Scene, error))
     })?;
     let robot = |robot: &csi5300_sim::SimulatedRobot| {
         let values = PyDict::new(py);

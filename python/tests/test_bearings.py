@@ -120,6 +120,7 @@ def test_a_tree_is_evaluated() -> None:
     (row,) = result
     assert row["azimuth_deg"] == pytest.approx(120.5, abs=0.5) and abs(row["error_from_mean_pose_deg"]) < 2
     assert result.summary()["all"]["links"] == 1
+    assert result.summary()["all"]["median"] == abs(row["error_from_mean_pose_deg"])
     swept = csi5300.evaluate(CIRCLE, sweep={"without": [[], ["near-field"]], "elevation_max": [0.0, 20.0]})
     assert [(r["option_without"], r["option_elevation_max"]) for r in swept] == [
         ([], 0.0),
@@ -132,3 +133,14 @@ def test_a_tree_is_evaluated() -> None:
         csi5300.evaluate(CIRCLE.parent / "none")
     with pytest.raises(csi5300.OptionError, match="nonsense"):
         csi5300.evaluate(CIRCLE, nonsense=1)
+
+
+def test_an_evaluation_is_a_table() -> None:
+    pytest.importorskip("pyarrow")
+    result = csi5300.evaluate(CIRCLE, sweep={"to": [1.0, 2.0]})
+    table = result.to_arrow()
+    assert table.num_rows == 2 and table["option_to"].to_pylist() == [1.0, 2.0]
+    assert table["azimuth_deg"].to_pylist() == [row["azimuth_deg"] for row in result]
+    for library, frame in (("pandas", result.to_pandas), ("polars", result.to_polars)):
+        pytest.importorskip(library)
+        assert list(frame()["link"]) == [row["link"] for row in result], library

@@ -74,24 +74,58 @@ def test_scenes_are_refused() -> None:
 
 
 LONG = """
-import csi5300, signal
-robots = [
-    {"name": "rx", "motion": {"circle": {"radius_m": 0.3, "duration_s": 36_000.0}}},
-    {"name": "tx", "position_m": [3.0, 1.0, 0.5]},
-]
-signal.signal(signal.SIGALRM, signal.default_int_handler)
-signal.setitimer(signal.ITIMER_REAL, 0.3)
-try:
+import contextlib, csi5300, csi5300.ray, pathlib, signal, sys, time
+
+work, rx, tx, path, folder = sys.argv[1:]
+
+class Endless:
+    def __init__(self, name):
+        self.data, self.at = pathlib.Path(name).read_bytes(), 0
+
+    def read(self, n):
+        part = self.data[self.at : self.at + n]
+        self.at = (self.at + len(part)) % len(self.data)
+        return part
+
+def ten_hours():
+    robots = [
+        {"name": "rx", "motion": {"circle": {"radius_m": 0.3, "duration_s": 36_000.0}}},
+        {"name": "tx", "position_m": [3.0, 1.0, 0.5]},
+    ]
     csi5300.simulate({"duration_s": 36_000.0, "sounding": {"rate_hz": 200.0}, "robot": robots})
+
+def endless_logs():
+    csi5300.bearings(Endless(rx), Endless(tx), trajectory=path, channel=108)
+
+def endless_reading():
+    csi5300.read(Endless(rx))
+
+def long_sweep():
+    csi5300.ray.evaluate(folder, use_ray=False, sweep={"to": [2.0 + k * 1e-6 for k in range(20_000)]})
+
+def threads():
+    for thread in pathlib.Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):
+            yield (thread / "comm").read_text().strip()
+
+signal.signal(signal.SIGALRM, signal.default_int_handler)
+signal.setitimer(signal.ITIMER_REAL, 0.5)
+try:
+    globals()[work]()
 except KeyboardInterrupt:
-    print("interrupted")
+    # The work, in a thread of this name, ends too.
+    end = time.monotonic() + 60
+    while "csi5300" in threads() and time.monotonic() < end:
+        time.sleep(0.01)
+    print("interrupted", "csi5300" in threads())
 """
 
 
-def test_an_interrupt_ends_a_long_call() -> None:
-    # Ten hours of simulation: a process of its own, so that the work that nobody waits for ends with it.
-    done = subprocess.run([sys.executable, "-c", LONG], capture_output=True, text=True, timeout=120)
-    assert done.stdout == "interrupted\n", done.stderr
+@pytest.mark.parametrize("work", ["ten_hours", "endless_logs", "endless_reading", "long_sweep"])
+def test_an_interrupt_ends_a_long_call_and_its_work(work: str, rx: Path, tx: Path, path_csv: Path) -> None:
+    command = [sys.executable, "-c", LONG, work, str(rx), str(tx), str(path_csv), str(rx.parent)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.stdout == "interrupted False\n", done.stderr
 
 
 def test_a_pickled_log_that_was_damaged_is_refused(rx: Path) -> None:

@@ -155,3 +155,37 @@ def test_memory_is_filled_once(rx: Path) -> None:
     assert log.csi is log.csi and log.csi.flags.c_contiguous and log.csi.flags.writeable
     assert np.array_equal(log.scaled(), log.csi * log.scale.astype(np.float32)[:, None, None, None], equal_nan=True)
     assert log.nbytes < log.csi.nbytes * 2
+
+
+def test_memory_is_used_again(rx: Path) -> None:
+    log = csi5300.read(rx)
+    out = np.full(log.csi.shape, 7, np.complex64)
+    assert log.scaled(out=out) is out and np.array_equal(out, log.scaled(), equal_nan=True)
+    assert log[:10].raw(out=out[:10]).base is out and np.array_equal(out[:10], log.csi[:10], equal_nan=True)
+    shape = log.csi.shape
+    wrong = [np.zeros(shape, np.complex128), np.zeros(shape[1:], np.complex64), np.zeros((1, *shape[1:]), np.complex64)]
+    frozen = np.zeros(shape, np.complex64)
+    frozen.flags.writeable = False
+    for array in [*wrong, np.zeros(shape[::-1], np.complex64).T, frozen, "memory"]:
+        with pytest.raises(csi5300.OptionError, match="out"):
+            log.scaled(out=array)  # type: ignore[arg-type]
+
+
+def test_a_long_log_is_what_its_pieces_are(rx: Path, tmp_path: Path) -> None:
+    # Several blocks of memory, with damage: read by two threads at once, and by one, step by step.
+    whole = rx.read_bytes()[: int(csi5300.read(rx).offset[-1])]
+    data = bytearray(whole * (20_000_000 // len(whole)))
+    for at in range(40_000 * 233, 40_400 * 233, 2 * 233):
+        data[at] = 0x55
+    (tmp_path / "long.dat").write_bytes(data)
+    log = csi5300.read(tmp_path / "long.dat")
+    pieces = list(csi5300.scan(io.BytesIO(data), chunk=10_000))
+    assert len(log) > 80_000 and log.info["survey"]["damages"] > 100
+    assert log.info["survey"] == pieces[-1].info["survey"] and log.info["senders"] == pieces[-1].info["senders"]
+    for name in ("time_us", "offset", "rssi", "agc", "frame", "mac", "bfee_count"):
+        assert np.array_equal(getattr(log, name), np.concatenate([getattr(piece, name) for piece in pieces])), name
+    assert np.array_equal(log.scaled(), np.concatenate([piece.scaled() for piece in pieces]), equal_nan=True)
+    assert (log.antennas, log.streams) == (log[:].antennas, log[:].streams)
+    few = csi5300.read(bytes(data), t=(0.5, 0.75))
+    assert 0 < len(few) < len(log) // 4
+    assert np.array_equal(few.csi, log[(log.t >= 0.5) & (log.t < 0.75)].csi, equal_nan=True)

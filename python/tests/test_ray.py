@@ -39,6 +39,29 @@ def cluster() -> Iterator[Any]:
     made.shutdown()
 
 
+@pytest.fixture
+def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+    """A bucket of a server that speaks S3, in this process; who is started later finds it by the environment."""
+    s3fs, server = pytest.importorskip("s3fs"), pytest.importorskip("moto.server")
+    made = server.ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+    made.start()
+    host, port = made.get_host_and_port()
+    for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
+        monkeypatch.setenv(name, "test")
+    monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
+    monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
+    s3fs.S3FileSystem.clear_instance_cache()
+    s3fs.S3FileSystem().mkdir("wifi")
+    yield "s3://wifi"
+    s3fs.S3FileSystem.clear_instance_cache()
+    made.stop()
+
+
+def _without_texts(result: csi5300.Evaluation) -> list[dict[str, Any]]:
+    """Rows but for the words of their errors, which name folders."""
+    return [{**row, "error": bool(row.get("error"))} for row in _rows(result)]
+
+
 def _rows(result: csi5300.Evaluation) -> list[dict[str, Any]]:
     return json.loads(json.dumps(result.rows))  # type: ignore[no-any-return]
 
@@ -66,11 +89,33 @@ def test_files_from_elsewhere(tree: Path) -> None:
     memory = fsspec.filesystem("memory")
     memory.put(str(tree), "/bucket/data", recursive=True)
     result = csi5300.ray.evaluate("memory://bucket/data", use_ray=False, workers=2)
-    whole = csi5300.evaluate(tree)
-    errors = [row.pop("error", None) for row in _rows(result)], [row.pop("error", None) for row in _rows(whole)]
-    assert [bool(e) for e in errors[0]] == [bool(e) for e in errors[1]]
-    strip = [{k: v for k, v in row.items() if k != "error"} for row in _rows(result)]
-    assert strip == [{k: v for k, v in row.items() if k != "error"} for row in _rows(whole)]
+    assert _without_texts(result) == _without_texts(csi5300.evaluate(tree))
+
+
+def _through_s3(tree: Path, bucket: str, use_ray: bool) -> None:
+    import s3fs
+
+    system = s3fs.S3FileSystem()
+    system.put(str(tree), f"{bucket}/data", recursive=True)
+    result = csi5300.ray.evaluate(f"{bucket}/data", use_ray=use_ray, workers=2)
+    assert _without_texts(result) == _without_texts(csi5300.evaluate(tree))
+    pq = pytest.importorskip("pyarrow.parquet")
+    done = csi5300.ray.convert(f"{bucket}/data", f"{bucket}/out", chunk=100, use_ray=use_ray, workers=2)
+    assert len(done) == 11 and not any(one.error for one in done)
+    tables = []
+    for part in done[0].parts:
+        with system.open(part) as file:
+            tables.append(pq.read_table(file))
+    log = csi5300.read(tree / done[0].log)
+    assert sum((table["time_us"].to_pylist() for table in tables), []) == log.time_us.tolist()
+
+
+def test_s3(tree: Path, bucket: str) -> None:
+    _through_s3(tree, bucket, use_ray=False)
+
+
+def test_s3_from_the_nodes_of_a_cluster(tree: Path, bucket: str, cluster: Any) -> None:
+    _through_s3(tree, bucket, use_ray=True)
 
 
 def test_conversion(tree: Path, tmp_path: Path) -> None:
@@ -104,13 +149,17 @@ def test_a_killed_node_changes_nothing(tree: Path, cluster: Any) -> None:
     assert killed and _rows(result) == _rows(csi5300.evaluate(tree, threads=1, sweep={"to": [1.0, 1.5, 2.0]}))
 
 
-def test_the_shared_captures_give_the_programs_numbers(captures: Path) -> None:
+@pytest.mark.parametrize("engine", ["threads", "cluster"])
+def test_the_shared_captures_give_the_programs_numbers(captures: Path, engine: str, request: pytest.FixtureRequest) -> None:
+    use_ray = engine == "cluster"
+    if use_ray:
+        request.getfixturevalue("cluster")
     program = os.environ.get("CSI5300_PROGRAM")
     if not program or not (captures / "wsr").is_dir():
         pytest.skip("CSI5300_PROGRAM names no csi5300, or no captures of the WSR data set")
     said = subprocess.run([program, "evaluate", captures / "wsr", "--json"], capture_output=True, text=True, check=False)
     theirs = [json.loads(line) for line in said.stdout.splitlines()[:-1]]
-    ours = _rows(csi5300.ray.evaluate(captures / "wsr", use_ray=False))
+    ours = _rows(csi5300.ray.evaluate(captures / "wsr", use_ray=use_ray))
     assert len(ours) == len(theirs) > 30
     for own, other in zip(ours, theirs, strict=True):
         own.pop("capture")

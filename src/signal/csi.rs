@@ -5,14 +5,15 @@
 //! The steps are those of csitool \[csitool\] (`get_total_rss.m`, `get_scaled_csi.m`, `remove_sm.m`).
 
 use std::f64::consts::TAU;
+use std::sync::LazyLock;
 
 use driver_iface::bfee::{Antenna, Bfee, InvalidPerm, MAX_SAMPLES, NOISE_UNKNOWN_DBM, SUBCARRIERS};
 use num_complex::{Complex32, Complex64};
 
 /// RSSI values are dB above this level, below the gain: subtracted to reach dBm (csitool `get_total_rss.m`).
-const RSSI_OFFSET_DB: f64 = 44.0;
+const RSSI_OFFSET_DB: i32 = 44;
 /// Noise floor taken when the driver measured none, dBm (csitool `get_scaled_csi.m`).
-const DEFAULT_NOISE_DBM: f64 = -92.0;
+const DEFAULT_NOISE_DBM: i8 = -92;
 /// 4.5 dB as an amplitude: what csitool uses for three streams, instead of the exact sqrt(3) = 4.77 dB.
 const THREE_STREAMS: f64 = 1.678_804_018_122_559_7;
 
@@ -188,26 +189,42 @@ fn three_streams(turns: &[[f64; 3]; 3]) -> Mapping {
     turns.map(|row| row.map(|turns| unit(turns, 3.0)))
 }
 
+/// Whole decibels that records hold: a noise floor of -128 dBm, a gain of 255 dB above an RSSI of 0, and an RSSI of 255 dB.
+const DECIBELS: std::ops::RangeInclusive<i32> = -(RSSI_OFFSET_DB + 255)..=255;
+
+/// The power ratio of each of [`DECIBELS`].
+static RATIOS: LazyLock<Vec<f64>> = LazyLock::new(|| DECIBELS.map(|db| 10_f64.powf(f64::from(db) / 10.0)).collect());
+
+/// The power ratio of so many decibels.
+fn ratio(db: i32) -> f64 {
+    let place = usize::try_from(db - DECIBELS.start()).ok().and_then(|place| RATIOS.get(place));
+    place.copied().unwrap_or_else(|| 10_f64.powf(f64::from(db) / 10.0))
+}
+
+/// The RSSI values that are not 0, added as powers above the reference.
+fn heard(bfee: &Bfee<'_>) -> Result<f64, ScaleError> {
+    let power: f64 = bfee.rssi().into_iter().filter(|&rssi| rssi != 0).map(|rssi| ratio(i32::from(rssi))).sum();
+    if power == 0.0 { Err(ScaleError::NoRssi { agc: bfee.agc() }) } else { Ok(power) }
+}
+
 /// Received power over all antennas, dBm: the RSSI values that are not 0, added as powers, less 44 dB and the gain.
 ///
 /// # Errors
 /// [`ScaleError::NoRssi`] when all are 0.
 pub fn total_rss_dbm(bfee: &Bfee<'_>) -> Result<f64, ScaleError> {
-    let agc = bfee.agc();
-    let heard = bfee.rssi().into_iter().filter(|&rssi| rssi != 0);
-    let power: f64 = heard.map(|rssi| 10_f64.powf(f64::from(rssi) / 10.0)).sum();
-    if power == 0.0 {
-        return Err(ScaleError::NoRssi { agc });
-    }
-    Ok(10.0 * power.log10() - RSSI_OFFSET_DB - f64::from(agc))
+    Ok(10.0 * heard(bfee)?.log10() - f64::from(RSSI_OFFSET_DB) - f64::from(bfee.agc()))
 }
 
 /// Noise floor, dBm: the driver's, or -92 where it has none.
 #[must_use]
 pub fn noise_dbm(bfee: &Bfee<'_>) -> f64 {
+    f64::from(whole_noise_dbm(bfee))
+}
+
+fn whole_noise_dbm(bfee: &Bfee<'_>) -> i8 {
     match bfee.noise_dbm() {
         NOISE_UNKNOWN_DBM => DEFAULT_NOISE_DBM,
-        measured => f64::from(measured),
+        measured => measured,
     }
 }
 
@@ -219,16 +236,28 @@ pub fn noise_dbm(bfee: &Bfee<'_>) -> f64 {
 /// # Errors
 /// [`ScaleError`] when all RSSI or all CSI is 0.
 pub fn scale_factor(bfee: &Bfee<'_>) -> Result<f64, ScaleError> {
-    let csi = Csi::raw(bfee);
-    let rss_dbm = total_rss_dbm(bfee)?;
-    let power = csi.power() / SUBCARRIERS as f64;
-    if power == 0.0 {
+    let mut samples = [[0; 2]; MAX_SAMPLES];
+    let count = bfee.unpack_planes(&mut samples).unwrap_or(0);
+    scale_factor_of(bfee, samples.get(..count).unwrap_or_default())
+}
+
+/// [`scale_factor`] of a record whose `samples` were unpacked before: all of them, in any order.
+///
+/// # Errors
+/// [`ScaleError`] when all RSSI or all CSI is 0.
+#[doc(hidden)]
+pub fn scale_factor_of(bfee: &Bfee<'_>, samples: &[[i8; 2]]) -> Result<f64, ScaleError> {
+    let milliwatt = heard(bfee)? * ratio(-(RSSI_OFFSET_DB + i32::from(bfee.agc())));
+    // 540 squares of 2^14 at most.
+    let samples = samples.get(..MAX_SAMPLES).unwrap_or(samples);
+    let squares: i32 = samples.as_flattened().iter().map(|&value| i32::from(value) * i32::from(value)).sum();
+    if squares == 0 {
         return Err(ScaleError::ZeroCsi { values: bfee.samples() });
     }
-    let milliwatt_per_unit = 10_f64.powf(rss_dbm / 10.0) / power;
-    let rounding = milliwatt_per_unit * (csi.n_rx * csi.n_tx) as f64;
-    let noise = 10_f64.powf(noise_dbm(bfee) / 10.0) + rounding;
-    let streams = match csi.n_tx {
+    let milliwatt_per_unit = milliwatt / (f64::from(squares) / SUBCARRIERS as f64);
+    let rounding = milliwatt_per_unit * (bfee.n_rx() * bfee.n_tx()) as f64;
+    let noise = ratio(i32::from(whole_noise_dbm(bfee))) + rounding;
+    let streams = match bfee.n_tx() {
         2 => std::f64::consts::SQRT_2,
         3 => THREE_STREAMS,
         _ => 1.0,

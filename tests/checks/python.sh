@@ -33,7 +33,7 @@ step "types"
 (cd python && "$own/venv/bin/python" -m mypy --cache-dir "$own/mypy")
 
 step "tests, beside the libraries that it speaks to"
-for package in matplotlib pandas polars xarray pyarrow duckdb scipy fsspec csiread==1.4.1 ray nbclient ipykernel; do
+for package in matplotlib pandas polars xarray pyarrow duckdb scipy fsspec csiread==1.4.1 ray 'moto[server]' s3fs nbclient ipykernel; do
     "$own/venv/bin/pip" install --quiet "$package" || echo "not installed, its tests are skipped: $package"
 done
 # csiread's own examples run against ours.
@@ -41,6 +41,11 @@ if [ ! -d "$own/csiread-1.4.1" ] && "$own/venv/bin/pip" download --quiet --no-de
     tar xzf "$own/csiread-1.4.1.tar.gz" -C "$own"
 fi
 export CSIREAD_SDIST="$own/csiread-1.4.1"
+# CSIKit fails with NumPy 2, so it has an environment of its own.
+[ -x "$own/csikit/bin/python" ] || python3 -m venv "$own/csikit"
+if "$own/csikit/bin/pip" install --quiet CSIKit==2.5 'numpy<2'; then
+    export CSIKIT_PYTHON="$own/csikit/bin/python"
+fi
 CSI5300_PROGRAM=$(scripts/program.sh)
 export CSI5300_PROGRAM
 "$own/venv/bin/python" -m pytest -q -p no:cacheprovider -rs python/tests

@@ -37,6 +37,12 @@ pub enum RoomError {
     /// Somebody has a card of a room that is to be run whole.
     #[error("a card of this room was taken before; all are needed")]
     CardTaken,
+    /// A run ended before the room did, as was asked for.
+    #[error("the run was stopped {at_s:.3} s into the scene")]
+    Stopped {
+        /// Time of the scene, seconds.
+        at_s: f64,
+    },
     /// A card or an odometry of the room failed, or a file could not be written.
     #[error(transparent)]
     Source(#[from] csi5300::source::Error),

@@ -71,7 +71,15 @@ impl Room {
     /// # Errors
     /// [`RoomError::CardTaken`] if somebody reads one of the cards already; [`RoomError::Source`] as a card's
     /// [`CsiSource::receive`].
-    pub fn run(mut self) -> Result<Simulation, RoomError> {
+    pub fn run(self) -> Result<Simulation, RoomError> {
+        self.run_while(|_| true)
+    }
+
+    /// [`Room::run`] for as long as `go_on` says so, which is told the scene's time whenever something has happened.
+    ///
+    /// # Errors
+    /// As [`Room::run`], and [`RoomError::Stopped`].
+    pub fn run_while(mut self, mut go_on: impl FnMut(Instant) -> bool) -> Result<Simulation, RoomError> {
         let count = self.scene().robot.len();
         let mut cards: Vec<Port> = (0..count).filter_map(|robot| self.card(robot)).collect();
         if cards.len() != count {
@@ -89,6 +97,9 @@ impl Room {
             }
             let Some(at) = next else { break };
             now = now.max(at);
+            if !go_on(now) {
+                return Err(RoomError::Stopped { at_s: now.as_s() });
+            }
         }
         let injected = self.injected();
         let robots = logs.into_iter().zip(injected).enumerate().map(|(robot, ((log, records), injected))| {
@@ -135,4 +146,21 @@ fn append(log: &mut Vec<u8>, record: &Record<'_>) -> Result<(), Error> {
     let place = log.get_mut(from..).unwrap_or_default();
     let written = record.emit(place).map_err(|error| CardError::Frame(error).into());
     written.map(|_| ())
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{Room, RoomError, Scene};
+
+    #[test]
+    fn a_run_ends_when_it_is_told_to() {
+        let scene = Scene::parse(
+            "duration_s = 36000.0\nsounding.rate_hz = 100\n\
+             [[robot]]\nname = \"rx\"\nmotion.circle = { radius_m = 0.3, duration_s = 36000.0 }\n\
+             [[robot]]\nname = \"tx\"\nposition_m = [3.0, 1.0, 0.5]\n",
+        );
+        let room = Room::new(&scene.unwrap()).unwrap();
+        let ended = room.run_while(|now| now.as_s() < 0.5);
+        assert!(matches!(ended, Err(RoomError::Stopped { at_s }) if (0.5..0.6).contains(&at_s)), "{ended:?}");
+    }
 }

@@ -78,6 +78,39 @@ fn unpack_run<const N: usize, const COUNT: usize>(payload: &[u8], bytes: &mut [u
     }
 }
 
+/// Unpacks `N` chain pairs, the samples of each beside each other. `None` when a slice is too short.
+#[inline(always)]
+fn unpack_planes_n<const N: usize>(payload: &[u8], out: &mut [[i8; 2]]) -> Option<usize> {
+    let payload = payload.get(..60 * N + 12)?;
+    let planes = out.as_chunks_mut::<SUBCARRIERS>().0.first_chunk_mut::<N>()?;
+    for octave in 0..3 {
+        let from = octave * (GAP + 16 * N);
+        unpack_planes_run::<N, 8>(payload.get(from..from + GAP + 16 * N + 8)?, planes, 8 * octave);
+    }
+    unpack_planes_run::<N, 6>(payload.get(3 * (GAP + 16 * N)..)?, planes, 24);
+    Some(SUBCARRIERS * N)
+}
+
+/// Samples of `COUNT` subcarriers in a row from `first` on, which begins on a byte of `payload`; see [`unpack_run`].
+#[inline(always)]
+fn unpack_planes_run<const N: usize, const COUNT: usize>(
+    payload: &[u8],
+    planes: &mut [[[i8; 2]; SUBCARRIERS]; N],
+    first: usize,
+) {
+    for subcarrier in 0..COUNT {
+        for part in (0..N).step_by(PER_WORD) {
+            let mut word = word_at(payload, bit_of(subcarrier, part, N));
+            for plane in planes.iter_mut().skip(part).take(PER_WORD) {
+                if let Some(sample) = plane.get_mut(first + subcarrier) {
+                    *sample = [word as i8, (word >> 8) as i8];
+                }
+                word >>= 16;
+            }
+        }
+    }
+}
+
 /// The two bytes of a sample: its subcarrier's `bit`, its place `index` there. Zeros outside the payload.
 #[inline(always)]
 fn sample_at(payload: &[u8], bit: usize, index: usize) -> [u8; 2] {
@@ -204,6 +237,21 @@ impl Bfee<'_> {
             4 => unpack_f32_n::<4, 248>(payload, out),
             6 => unpack_f32_n::<6, 368>(payload, out),
             _ => unpack_f32_n::<9, 548>(payload, out),
+        }
+    }
+
+    /// Unpacks everything, one chain pair after the other, `[rx][tx][subcarrier][i, q]`: for work antenna by antenna.
+    ///
+    /// Returns the number of samples; `None` when `out` is too short.
+    pub fn unpack_planes(&self, out: &mut [[i8; 2]]) -> Option<usize> {
+        let payload = self.payload();
+        match self.n_rx() * self.n_tx() {
+            1 => unpack_planes_n::<1>(payload, out),
+            2 => unpack_planes_n::<2>(payload, out),
+            3 => unpack_planes_n::<3>(payload, out),
+            4 => unpack_planes_n::<4>(payload, out),
+            6 => unpack_planes_n::<6>(payload, out),
+            _ => unpack_planes_n::<9>(payload, out),
         }
     }
 

@@ -126,21 +126,33 @@ def combinations(options: Mapping[str, Any], sweep: Mapping[str, Sequence[Any]] 
     return [dict(options) | dict(zip(sweep, chosen, strict=True)) for chosen in values]
 
 
-def one(capture: Capture, runs: Sequence[Mapping[str, Any]], swept: Iterable[str] = ()) -> Evaluation:
-    """Evaluates a capture with each set of options. What fails becomes a row with its ``error``, never an exception."""
+def _run(options: Mapping[str, Any]) -> tuple[str, str]:
+    """The trajectory, and the other options as the native half takes them."""
+    keywords = dict(options)
+    trajectory = keywords.pop("trajectory", None) or "gt"
+    return trajectory, _keywords(keywords)
+
+
+def one(
+    capture: Capture,
+    runs: Sequence[Mapping[str, Any]],
+    swept: Iterable[str] = (),
+    cancel: _native.Cancel | None = None,
+) -> Evaluation:
+    """Evaluates a capture, whose files are read once, with each set of options. What fails becomes a row with its ``error``, never an
+    exception. ``cancel`` ends it early."""
     swept = list(swept)
     done = Evaluation()
-    for options in runs:
-        keywords = dict(options)
-        trajectory = keywords.pop("trajectory", None) or "gt"
-        try:
-            parts = (capture.place, capture.stamp, capture.folder, capture.transmitters)
-            result = json.loads(_native.evaluate_capture(*parts, trajectory, _keywords(keywords)))
-        except OptionError:
-            raise
-        except Error as error:
-            failed = {"link": capture.name, "azimuth_deg": None, "error": str(error)}
-            result = {"rows": [failed], "notes": [], "lost": True}
+    try:
+        parts = (capture.place, capture.stamp, capture.folder, capture.transmitters)
+        found = _native.evaluate_capture(*parts, [_run(options) for options in runs], cancel)
+        results = [json.loads(result) for result in found]
+    except OptionError:
+        raise
+    except Error as error:
+        failed = {"link": capture.name, "azimuth_deg": None, "error": str(error)}
+        results = [{"rows": [failed], "notes": [], "lost": True} for _ in runs]
+    for options, result in zip(runs, results, strict=True):
         chosen = {f"option_{name}": options[name] for name in swept}
         done.rows += [{**row, "capture": capture.name, **chosen} for row in result["rows"]]
         done.notes += [note for note in result["notes"] if note not in done.notes]
@@ -180,14 +192,16 @@ def evaluate(
         )
     runs = combinations(options, sweep)
     parts: list[Evaluation] = []
+    cancel = _native.Cancel()
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        futures = [pool.submit(one, capture, runs, sweep or ()) for capture in captures]
+        futures = [pool.submit(one, capture, runs, sweep or (), cancel) for capture in captures]
         try:
             for future in futures:
                 parts.append(future.result())
                 if progress is not None:
                     progress(len(parts), len(captures))
         except BaseException:
+            cancel.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
     return joined(parts, unreadable)

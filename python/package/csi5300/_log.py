@@ -57,8 +57,13 @@ def read(
     Raises :class:`LogError` if the file cannot be read, :class:`OptionError` for a filter that makes no sense.
     """
     letters = _letters(antennas)
-    records, columns, info = _native.read(_file(file), _macs(macs), t, letters)
-    return Log(records, columns, json.loads(info), letters)
+    records, columns, info, (used, streams) = _native.read(_file(file), _macs(macs), t, letters)
+    log = Log(records, columns, json.loads(info), letters)
+    # What the properties of these names would look for in all records.
+    log.__dict__["streams"] = streams
+    if letters is None:
+        log.__dict__["antennas"] = used
+    return log
 
 
 def scan(
@@ -234,7 +239,7 @@ class Log:
         used += [k for k in range(3) if k not in used][: max(0, most - len(used))]
         return "".join("ABC"[k] for k in sorted(used))
 
-    @property
+    @cached_property
     def streams(self) -> int:
         """Columns of :attr:`csi`: the most streams of a frame."""
         return int(self.n_tx.max()) if len(self) else 1
@@ -247,24 +252,34 @@ class Log:
         """
         return self._decode(scaled=False, remove_spatial_mapping=False)
 
-    def scaled(self, *, remove_spatial_mapping: bool = False) -> NDArray[np.complex64]:
+    def scaled(
+        self, *, remove_spatial_mapping: bool = False, out: NDArray[np.complex64] | None = None
+    ) -> NDArray[np.complex64]:
         """(n, n_rx, n_tx, 30) CSI in units of sqrt(SNR), decoded anew; not a number where a frame has no scale.
 
-        With ``remove_spatial_mapping`` columns are transmit antennas instead of streams (Intel transmitters).
+        With ``remove_spatial_mapping`` columns are transmit antennas instead of streams (Intel transmitters). ``out`` is an array of
+        this shape in C's order that is written and returned: memory that was used before is quicker than new memory. Raises
+        :class:`OptionError` for another shape or order.
         """
-        return self._decode(scaled=True, remove_spatial_mapping=remove_spatial_mapping)
+        return self._decode(scaled=True, remove_spatial_mapping=remove_spatial_mapping, out=out)
 
-    def raw(self, *, remove_spatial_mapping: bool = False) -> NDArray[np.complex64]:
-        """(n, n_rx, n_tx, 30) As :attr:`csi`, decoded anew and not kept."""
-        return self._decode(scaled=False, remove_spatial_mapping=remove_spatial_mapping)
+    def raw(
+        self, *, remove_spatial_mapping: bool = False, out: NDArray[np.complex64] | None = None
+    ) -> NDArray[np.complex64]:
+        """(n, n_rx, n_tx, 30) As :attr:`csi`, decoded anew and not kept; ``out`` as :meth:`scaled` has it."""
+        return self._decode(scaled=False, remove_spatial_mapping=remove_spatial_mapping, out=out)
 
     def masked(self, *, scaled: bool = False) -> Masked:
         """(n, n_rx, n_tx, 30) CSI, masked where a frame has none."""
         csi = self.scaled() if scaled else self.csi
         return np.ma.masked_invalid(csi, copy=False)
 
-    def _decode(self, *, scaled: bool, remove_spatial_mapping: bool) -> NDArray[np.complex64]:
-        return self._records.csi(self._rows, self.antennas, self.streams, scaled, remove_spatial_mapping)
+    def _decode(
+        self, *, scaled: bool, remove_spatial_mapping: bool, out: NDArray[np.complex64] | None = None
+    ) -> NDArray[np.complex64]:
+        if out is not None and (not isinstance(out, np.ndarray) or out.dtype != np.complex64 or out.ndim != 4):
+            raise OptionError("out: an array of complex64 with four dimensions")
+        return self._records.csi(self._rows, self.antennas, self.streams, scaled, remove_spatial_mapping, out)
 
     @property
     def present(self) -> NDArray[np.bool_]:

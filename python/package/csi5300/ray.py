@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from . import _native
 from ._errors import Error, OptionError
 from ._evaluate import Capture, Evaluation, combinations, find, joined, one
 from ._log import scan
@@ -51,13 +52,15 @@ class _Remote:
     capture: Capture
     files: list[str]
 
-    def evaluate(self, runs: Sequence[Mapping[str, Any]], swept: Sequence[str]) -> Evaluation:
+    def evaluate(
+        self, runs: Sequence[Mapping[str, Any]], swept: Sequence[str], cancel: _native.Cancel | None
+    ) -> Evaluation:
         with tempfile.TemporaryDirectory(prefix="csi5300-") as folder:
             system, _ = _remote(self.uri)
             for file in self.files:
                 system.get_file(file, os.path.join(folder, posixpath.basename(file)))
             local = [(name, os.path.join(folder, posixpath.basename(log))) for name, log in self.capture.transmitters]
-            return one(replace(self.capture, folder=folder, transmitters=local), runs, swept)
+            return one(replace(self.capture, folder=folder, transmitters=local), runs, swept, cancel)
 
 
 def _find_remote(uri: str) -> list[_Remote]:
@@ -81,9 +84,14 @@ def _find_remote(uri: str) -> list[_Remote]:
     return sorted(found, key=lambda remote: (remote.capture.place, remote.capture.stamp))
 
 
-def _evaluate_task(task: Capture | _Remote, runs: Sequence[Mapping[str, Any]], swept: Sequence[str]) -> Evaluation:
+def _evaluate_task(
+    task: Capture | _Remote,
+    runs: Sequence[Mapping[str, Any]],
+    swept: Sequence[str],
+    cancel: _native.Cancel | None = None,
+) -> Evaluation:
     try:
-        return task.evaluate(runs, swept) if isinstance(task, _Remote) else one(task, runs, swept)
+        return task.evaluate(runs, swept, cancel) if isinstance(task, _Remote) else one(task, runs, swept, cancel)
     except OSError as error:
         capture = task.capture if isinstance(task, _Remote) else task
         row = {"link": capture.name, "capture": capture.name, "azimuth_deg": None, "error": str(error)}
@@ -112,25 +120,32 @@ def _on_ray(ray: Any, work: Callable[..., Any], tasks: Sequence[Any], rest: tupl
     limit = max(int(ray.cluster_resources().get("CPU", 1) / max(cpus, 0.01)), 1) * 4
     waiting: dict[Any, int] = {}
     places = iter(enumerate(tasks))
-    while True:
-        # A few tasks for each core wait in the cluster, the others here: millions of them cost no memory.
-        while len(waiting) < limit and (following := next(places, None)) is not None:
-            place, task = following
-            waiting[remote.remote(task, *shared)] = place
-        if not waiting:
-            return
-        done, _ = ray.wait(list(waiting), num_returns=1)
-        for reference in done:
-            yield waiting.pop(reference), ray.get(reference)
+    try:
+        while True:
+            # A few tasks for each core wait in the cluster, the others here: millions of them cost no memory.
+            while len(waiting) < limit and (following := next(places, None)) is not None:
+                place, task = following
+                waiting[remote.remote(task, *shared)] = place
+            if not waiting:
+                return
+            done, _ = ray.wait(list(waiting), num_returns=1)
+            for reference in done:
+                yield waiting.pop(reference), ray.get(reference)
+    finally:
+        # After an interrupt or a task's own mistake: nobody waits for the others.
+        for reference in waiting:
+            ray.cancel(reference)
 
 
 def _on_threads(work: Callable[..., Any], tasks: Sequence[Any], rest: tuple[Any, ...], workers: int | None) -> Iterator[tuple[int, Any]]:
+    cancel = _native.Cancel()
     with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
-        futures = {pool.submit(work, task, *rest): place for place, task in enumerate(tasks)}
+        futures = {pool.submit(work, task, *rest, cancel=cancel): place for place, task in enumerate(tasks)}
         try:
             for future in as_completed(futures):
                 yield futures[future], future.result()
         except BaseException:
+            cancel.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
@@ -167,7 +182,7 @@ def evaluate(
     """:func:`csi5300.evaluate` of a folder or of a place that fsspec knows (``s3://bucket/prefix``), a task a capture.
 
     ``use_ray``: None for Ray where it is installed (a cluster that was joined by ``ray.init``, else this machine), False for threads.
-    ``sweep``: all its combinations are evaluated by the task that fetched the capture. A capture that fails is a row with its
+    ``sweep``: all its combinations are evaluated by the task that fetched the capture, from files read once. A capture that fails is a row with its
     ``error``. The rows are in the order of the captures, whoever was done first, and those of :func:`csi5300.evaluate`.
     """
     uri = os.fspath(uri)
@@ -201,7 +216,9 @@ class Converted:
     error: str | None = None
 
 
-def _convert_task(file: str, uri_in: str, uri_out: str, chunk: int, scaled: bool) -> Converted:
+def _convert_task(
+    file: str, uri_in: str, uri_out: str, chunk: int, scaled: bool, cancel: _native.Cancel | None = None
+) -> Converted:
     source, root = (None, uri_in) if _is_local(uri_in) else _remote(uri_in)
     place = posixpath.relpath(file, root.rstrip("/")) if source is not None else Path(file).relative_to(root).as_posix()
     done = Converted(place, [], 0, False)
@@ -214,6 +231,8 @@ def _convert_task(file: str, uri_in: str, uri_out: str, chunk: int, scaled: bool
                 if source.exists(f"{file}stp"):
                     source.get_file(f"{file}stp", f"{log}stp")
             for number, piece in enumerate(scan(log, chunk=chunk)):
+                if cancel is not None and cancel.is_set():
+                    return replace(done, error="the conversion was stopped")
                 part = os.path.join(folder, "part.parquet")
                 piece.write(part, scaled=scaled)
                 done.parts.append(_put(part, uri_out, f"log={place.replace('/', '__')}/part-{number:05}.parquet"))

@@ -2,14 +2,15 @@
 
 use super::find::{Capture, TrajectorySource};
 use super::part::Part;
+use super::shelf::Shelf;
 use super::truth::{EvaluateError, Truth};
 use csi5300::maths::wrap_rad;
-use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::{Answer, Bearing, CaptureReport, LinkReport, Options, Transmitter, bearings, lost_something};
 use csi5300::signal::channel::{Channel, Width};
+use csi5300::source::CsiSource;
+use csi5300::source::replay::Replay;
 use csi5300::source::survey::Survey;
-use csi5300::source::{CsiSource, replay::Replay};
 use nalgebra::{Vector2, Vector3};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -68,6 +69,19 @@ impl Capture {
         self.evaluate_and(source, channel, options, &mut |_, _, _| {})
     }
 
+    /// The same of files that were read before: the way to evaluate with several options.
+    #[must_use]
+    pub fn evaluate_from(
+        &self,
+        shelf: &Shelf,
+        source: TrajectorySource,
+        channel: Option<Channel>,
+        options: &Options,
+    ) -> Evaluated {
+        let run = Run { shelf, source, channel, options, part: Part::WHOLE };
+        self.evaluate_run(&run, &mut |_, _, _| {})
+    }
+
     /// The same, showing each link's bearing to `look`: for pictures.
     #[must_use]
     pub fn evaluate_and(
@@ -90,7 +104,11 @@ impl Capture {
         part: Part,
         look: &mut Look<'_>,
     ) -> Evaluated {
-        self.try_evaluate(source, channel, options, part, look).unwrap_or_else(|error| {
+        self.evaluate_run(&Run { shelf: &Shelf::default(), source, channel, options, part }, look)
+    }
+
+    fn evaluate_run(&self, run: &Run<'_>, look: &mut Look<'_>) -> Evaluated {
+        self.try_evaluate(run, look).unwrap_or_else(|error| {
             let row = |name: &str| Judged {
                 answer: Answer::failed(self.link_name(name), error.to_string()),
                 ..Judged::default()
@@ -103,14 +121,8 @@ impl Capture {
         })
     }
 
-    fn try_evaluate(
-        &self,
-        source: TrajectorySource,
-        channel: Option<Channel>,
-        options: &Options,
-        part: Part,
-        look: &mut Look<'_>,
-    ) -> Result<Evaluated, EvaluateError> {
+    fn try_evaluate(&self, run: &Run<'_>, look: &mut Look<'_>) -> Result<Evaluated, EvaluateError> {
+        let Run { shelf, source, channel, options, part } = *run;
         let truth = if self.has_truth() { Truth::read(&self.folder)? } else { Truth::default() };
         let channel = match (channel, truth.channel()) {
             (Some(channel), _) => channel,
@@ -121,19 +133,19 @@ impl Capture {
             return Err(EvaluateError::NoTransmitter { stamp: self.stamp.clone() });
         }
         let mut notes = Vec::new();
-        let trajectory = self.trajectory(source, &mut notes)?;
+        let trajectory = self.trajectory(shelf, source, &mut notes)?;
         let reference = match source {
             TrajectorySource::GroundTruth => Some(trajectory.clone()),
-            _ => self.trajectory(TrajectorySource::GroundTruth, &mut notes).ok(),
+            _ => self.trajectory(shelf, TrajectorySource::GroundTruth, &mut notes).ok(),
         };
         let heading_sd_rad = options.heading_sd_rad.unwrap_or(source.heading_sd_rad());
         let mut options = options.clone().with_heading_sd_rad(Some(heading_sd_rad));
         options.channel = channel;
-        let moved = self.moved(source, &mut notes)?;
-        let (report, failed) = self.estimate(&part.cut(&trajectory)?, &moved, &options)?;
+        let moved = self.moved(shelf, source, &mut notes)?;
+        let (report, failed) = self.estimate(shelf, &part.cut(&trajectory)?, &moved, &options)?;
         let paths = match source {
             TrajectorySource::GroundTruth => moved,
-            _ => self.moved(TrajectorySource::GroundTruth, &mut Vec::new())?,
+            _ => self.moved(shelf, TrajectorySource::GroundTruth, &mut Vec::new())?,
         };
         for ((name, _), link) in self.transmitters.iter().zip(&report.links) {
             if let Ok(bearing) = &link.bearing {
@@ -168,6 +180,7 @@ impl Capture {
     /// The trajectories of the transmitters that moved: from `source`, or from motion capture where the capture has no other.
     fn moved(
         &self,
+        shelf: &Shelf,
         source: TrajectorySource,
         notes: &mut Vec<String>,
     ) -> Result<Vec<Option<Trajectory>>, EvaluateError> {
@@ -175,48 +188,64 @@ impl Capture {
             let names = [source, TrajectorySource::GroundTruth].map(|source| self.trajectory_of(source, name));
             names.into_iter().find(|path| path.is_file())
         };
-        let read = |(name, _): &(String, PathBuf)| file(name).map(|path| Self::read(path, notes)).transpose();
+        let read = |(name, _): &(String, PathBuf)| file(name).map(|path| read_path(shelf, path, notes)).transpose();
         self.transmitters.iter().map(read).collect()
     }
 
-    fn trajectory(&self, source: TrajectorySource, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {
-        Self::read(self.trajectory_of(source, "rx"), notes)
-    }
-
-    fn read(path: PathBuf, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {
-        let (trajectory, counts) = match odometry::csv::read(&path) {
-            Ok(read) => read,
-            Err(source) => return Err(EvaluateError::Trajectory { path, source }),
-        };
-        if let Some((line, why)) = counts.first_bad {
-            let rows = counts.bad_rows;
-            notes.push(format!("{}: {rows} rows left out, the first in line {line}: {why}", path.display()));
-        }
-        Ok(trajectory)
+    fn trajectory(
+        &self,
+        shelf: &Shelf,
+        source: TrajectorySource,
+        notes: &mut Vec<String>,
+    ) -> Result<Trajectory, EvaluateError> {
+        read_path(shelf, self.trajectory_of(source, "rx"), notes)
     }
 
     /// The bearings of all links, and why a transmitter's log could not be opened: that costs its own link, the others go
     /// on.
     fn estimate(
         &self,
+        shelf: &Shelf,
         trajectory: &Trajectory,
         moved: &[Option<Trajectory>],
         options: &Options,
     ) -> Result<(CaptureReport, Vec<Option<csi5300::source::Error>>), EvaluateError> {
-        let mut receiver = Replay::open(&self.receiver_log())?;
-        let nothing = || Replay::new(Box::new(std::io::empty()) as Box<dyn std::io::Read + Send>, String::new());
-        let opened = self.transmitters.iter().map(|(_, path)| match Replay::open(path) {
+        let mut receiver = shelf.log(&self.receiver_log())?;
+        let nothing = || Box::new(Replay::new(std::io::empty(), String::new()));
+        let opened = self.transmitters.iter().map(|(_, path)| match shelf.log(path) {
             Ok(log) => (log, None),
-            Err(error) => (nothing(), Some(error)),
+            Err(error) => (nothing() as Box<dyn CsiSource + Send>, Some(error)),
         });
         let (mut logs, failed): (Vec<_>, Vec<_>) = opened.unzip();
         let transmitters = logs
             .iter_mut()
             .zip(moved)
-            .map(|(log, path)| Transmitter { log: log as &mut dyn CsiSource, trajectory: path.as_ref() })
+            .map(|(log, path)| Transmitter { log: &mut **log, trajectory: path.as_ref() })
             .collect();
-        Ok((bearings(&mut receiver, transmitters, trajectory, options)?, failed))
+        Ok((bearings(&mut *receiver, transmitters, trajectory, options)?, failed))
     }
+}
+
+/// What is evaluated of a capture, and how.
+#[derive(Clone, Copy)]
+struct Run<'a> {
+    shelf: &'a Shelf,
+    source: TrajectorySource,
+    channel: Option<Channel>,
+    options: &'a Options,
+    part: Part,
+}
+
+fn read_path(shelf: &Shelf, path: PathBuf, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {
+    let (trajectory, counts) = match shelf.trajectory(&path) {
+        Ok(read) => read,
+        Err(source) => return Err(EvaluateError::Trajectory { path, source }),
+    };
+    if let Some((line, why)) = counts.first_bad {
+        let rows = counts.bad_rows;
+        notes.push(format!("{}: {rows} rows left out, the first in line {line}: {why}", path.display()));
+    }
+    Ok(trajectory)
 }
 
 /// What a log lost before its tail, in a line; nothing if nothing was.

@@ -7,7 +7,7 @@
 //! `rx_movement_TS.csv`.
 //!
 //! [`find`] lists captures, [`find_all`] those without a truth too, [`Capture::evaluate`] makes a row of each link
-//! ([`Judged`]), [`summarise`] their errors by set; [`quality`] says what a set of rows is worth beside its errors;
+//! ([`Judged`]), with several options from files read once ([`Capture::shelf`]), [`summarise`] their errors by set; [`quality`] says what a set of rows is worth beside its errors;
 //! [`reliability`], [`surest`] and [`above`] what their probabilities are.
 
 pub mod beside;
@@ -16,6 +16,7 @@ mod find;
 mod judge;
 mod part;
 pub mod quality;
+mod shelf;
 mod sure;
 mod truth;
 
@@ -23,6 +24,7 @@ pub use errors::{Errors, SetSummary, summarise};
 pub use find::{Capture, TRUTH_FILE, TrajectorySource, find, find_all};
 pub use judge::{Evaluated, Judged, Look};
 pub use part::Part;
+pub use shelf::Shelf;
 pub(crate) use sure::BINS;
 pub use sure::{Kept, Reliability, Sure, WRONG_DEG, above, reliability, surest};
 pub use truth::EvaluateError;

@@ -44,6 +44,12 @@ pub enum ExportError {
         /// Bytes that it takes.
         bytes: u64,
     },
+    /// Who asked for the file wants it no more.
+    #[error("{file} was not written to its end: that was stopped")]
+    Stopped {
+        /// The file.
+        file: String,
+    },
     /// No format has this extension.
     #[error("{file}: CSI is exported as {known}")]
     Extension {

@@ -7,6 +7,8 @@ mod mat;
 pub mod npz;
 #[cfg(feature = "parquet")]
 mod parquet;
+#[cfg(test)]
+mod tests;
 
 pub use error::ExportError;
 
@@ -15,6 +17,7 @@ use csi5300::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIERS};
 use driver_iface::bfee::{Antenna, rate};
 use num_complex::Complex32;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Records decoded at a time.
 const PIECE: usize = 4_096;
@@ -42,6 +45,7 @@ pub struct Export<'a> {
     antennas: Vec<Antenna>,
     streams: usize,
     form: Form,
+    stop: Option<&'a AtomicBool>,
 }
 
 impl<'a> Export<'a> {
@@ -50,7 +54,26 @@ impl<'a> Export<'a> {
     #[must_use]
     pub fn new(arena: &'a Arena, records: Vec<usize>, columns: &'a Columns, form: Form) -> Self {
         let streams = columns.n_tx.iter().copied().max().unwrap_or(1);
-        Self { arena, records, columns, antennas: Antenna::ALL.to_vec(), streams: usize::from(streams), form }
+        Self {
+            arena,
+            records,
+            columns,
+            antennas: Antenna::ALL.to_vec(),
+            streams: usize::from(streams),
+            form,
+            stop: None,
+        }
+    }
+
+    /// With a flag that ends the writing early, once somebody sets it: [`ExportError::Stopped`].
+    #[must_use]
+    pub fn with_stop(mut self, stop: &'a AtomicBool) -> Self {
+        self.stop = Some(stop);
+        self
+    }
+
+    fn is_stopped(&self) -> bool {
+        self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
     }
 
     /// With only these antennas' rows.
@@ -63,15 +86,16 @@ impl<'a> Export<'a> {
     /// Writes a file whose extension says its format ([`KNOWN`]); one that is there is replaced.
     ///
     /// # Errors
-    /// If there is no such format, or the file cannot be written.
+    /// If there is no such format, the file cannot be written, or that was stopped: then it is not whole.
     pub fn write(&self, path: &Path) -> Result<(), ExportError> {
-        match path.extension().and_then(|extension| extension.to_str()) {
+        let written = match path.extension().and_then(|extension| extension.to_str()) {
             Some("npz") => self.npz(path),
             Some("mat") => self.mat(path),
             #[cfg(feature = "parquet")]
             Some("parquet") => parquet::write(self, path),
             _ => Err(ExportError::Extension { file: path.display().to_string(), known: KNOWN }),
-        }
+        };
+        if self.is_stopped() { Err(ExportError::Stopped { file: path.display().to_string() }) } else { written }
     }
 
     /// Records without a scale, where one was asked for: their CSI is not a number.
@@ -93,10 +117,10 @@ impl<'a> Export<'a> {
         }
     }
 
-    /// The CSI of all records, `[record][antenna][stream][subcarrier]`, decoded piece by piece.
+    /// The CSI of all records, `[record][antenna][stream][subcarrier]`, decoded piece by piece, until it is stopped.
     fn csi(&self) -> impl Iterator<Item = Vec<Complex32>> {
         let rows = Rows::new(&self.antennas, self.streams);
-        self.records.chunks(PIECE).map(move |records| {
+        self.records.chunks(PIECE).take_while(move |_| !self.is_stopped()).map(move |records| {
             let mut piece = vec![Complex32::default(); records.len() * rows.len()];
             decode(self.arena, records, &rows, self.form, &mut piece);
             piece

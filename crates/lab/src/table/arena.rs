@@ -1,31 +1,29 @@
 //! Records in memory, packed as the card sent them: a quarter of what their CSI takes as complex numbers.
 
+use super::block::Block;
+use super::piece::Span;
 use driver_iface::bfee::Bfee;
 use driver_iface::record::code;
 
-/// Bytes of a block; records lie in one block each.
-const BLOCK: usize = 4 << 20;
-
-/// Where a record's body lies.
+/// A bfee record and the frame that the driver logged with it, each in a block.
 #[derive(Clone, Copy, Debug, Default)]
-struct Place {
-    block: u32,
-    from: u32,
-    len: u32,
-}
-
-/// A bfee record and the frame that the driver logged with it.
-#[derive(Clone, Copy, Debug)]
 struct Entry {
     bfee: Place,
     /// The MPDU record before it; length 0 where there is none.
     mpdu: Place,
 }
 
+/// Where a record's body lies.
+#[derive(Clone, Copy, Debug, Default)]
+struct Place {
+    block: u32,
+    span: Span,
+}
+
 /// bfee records in the order of the log, each with the MPDU record that says who sent it, where there is one.
 #[derive(Debug, Default)]
 pub struct Arena {
-    blocks: Vec<Vec<u8>>,
+    blocks: Vec<Block>,
     entries: Vec<Entry>,
     /// The newest MPDU, until a bfee takes it.
     waiting: Vec<u8>,
@@ -65,23 +63,34 @@ impl Arena {
         self.entries.push(Entry { bfee, mpdu });
     }
 
+    /// Takes over a block; `records` are the bfee records in it that are kept, each with its MPDU where that is in the block
+    /// too. The first one's may be an MPDU [noted](Self::note_mpdu) before.
+    pub(super) fn adopt(&mut self, block: Block, records: impl IntoIterator<Item = (Span, Option<Span>)>) {
+        let noted = std::mem::take(&mut self.waiting);
+        let mut noted = (!noted.is_empty()).then(|| self.store(&noted));
+        // 2^32 blocks would be 16 PiB.
+        let own = |block: usize, span| Place { block: block as u32, span };
+        let number = self.blocks.len();
+        self.entries.extend(records.into_iter().map(|(bfee, mpdu)| {
+            let before = noted.take();
+            let mpdu = mpdu.map(|span| own(number, span)).or(before).unwrap_or_default();
+            Entry { bfee: own(number, bfee), mpdu }
+        }));
+        self.blocks.push(block);
+    }
+
     fn store(&mut self, body: &[u8]) -> Place {
-        let fits = self.blocks.last().is_some_and(|block| block.len() + body.len() <= BLOCK);
-        if !fits {
-            self.blocks.push(Vec::with_capacity(BLOCK.max(body.len())));
-        }
-        let block = self.blocks.len() - 1;
-        let Some(last) = self.blocks.last_mut() else { return Place::default() };
-        let from = last.len();
-        last.extend_from_slice(body);
-        // Blocks and bodies are far below 4 GiB; 2^32 blocks would be 16 PiB.
-        Place { block: block as u32, from: from as u32, len: body.len() as u32 }
+        let stored = self.blocks.last_mut().and_then(|block| block.push(body));
+        let from = stored.or_else(|| {
+            self.blocks.push(Block::small());
+            self.blocks.last_mut()?.push(body)
+        });
+        let span = Span { from: from.unwrap_or_default(), len: body.len() as u32 };
+        Place { block: self.blocks.len().saturating_sub(1) as u32, span }
     }
 
     fn bytes(&self, place: Place) -> &[u8] {
-        let from = place.from as usize;
-        let block = self.blocks.get(place.block as usize);
-        block.and_then(|block| block.get(from..from + place.len as usize)).unwrap_or_default()
+        self.blocks.get(place.block as usize).map(|block| place.span.of(block.bytes())).unwrap_or_default()
     }
 
     /// The body of a bfee record; empty beyond the last.
@@ -111,6 +120,6 @@ impl Arena {
     /// Bytes held.
     #[must_use]
     pub fn size(&self) -> usize {
-        self.blocks.iter().map(Vec::len).sum()
+        self.blocks.iter().map(|block| block.bytes().len()).sum()
     }
 }

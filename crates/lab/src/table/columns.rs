@@ -56,6 +56,20 @@ impl Columns {
         self.time_us.is_empty()
     }
 
+    /// The antennas of all records, in their order: those that any record used, and, where records do not say which they used, as
+    /// many more as these have chains.
+    #[must_use]
+    pub fn antennas(&self) -> Vec<Antenna> {
+        let is_used = |antenna: Antenna| self.antenna_order.iter().any(|order| usize::from(*order) == antenna.index());
+        let mut used: Vec<Antenna> = Antenna::ALL.into_iter().filter(|antenna| is_used(*antenna)).collect();
+        let first = self.antenna_order.iter().step_by(3).zip(&self.n_rx);
+        let most = first.filter(|(first, _)| **first == NO_ANTENNA).map(|(_, n_rx)| usize::from(*n_rx)).max();
+        let others = Antenna::ALL.into_iter().filter(|antenna| !is_used(*antenna));
+        used.extend(others.take(most.unwrap_or(0).saturating_sub(used.len())));
+        used.sort();
+        used
+    }
+
     /// Adds a record.
     pub fn push(&mut self, bfee: &Bfee<'_>, identity: Identity, time_us: i64, offset: u64) {
         self.time_us.push(time_us);

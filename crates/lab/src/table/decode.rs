@@ -2,8 +2,8 @@
 
 use super::arena::Arena;
 use super::columns::antenna_order;
-use csi5300::signal::csi::{Csi, scale_factor};
-use driver_iface::bfee::{ALL_SUBCARRIERS, Antenna, Bfee, SUBCARRIERS};
+use csi5300::signal::csi::{Csi, scale_factor_of};
+use driver_iface::bfee::{Antenna, Bfee, MAX_SAMPLES, SUBCARRIERS};
 use num_complex::Complex32;
 use rayon::prelude::*;
 
@@ -52,12 +52,20 @@ impl Rows {
         self.len() == 0
     }
 
-    /// The row of a chain; chains whose antenna is not known keep their order.
-    fn row(&self, chain: usize, order: [u8; 3]) -> Option<usize> {
-        match order.get(chain) {
-            Some(&antenna) if usize::from(antenna) < self.row_of.len() => *self.row_of.get(usize::from(antenna))?,
-            _ => Some(chain).filter(|row| *row < self.n_rx),
+    /// The chain of each row: that of its antenna, or, where a record does not say which antenna a chain is of, the chain of the
+    /// row's number.
+    fn chains(&self, n_rx: usize, order: [u8; 3]) -> [Option<usize>; 3] {
+        let mut chain_of = [None; 3];
+        for (chain, antenna) in order.into_iter().enumerate().take(n_rx) {
+            let row = match self.row_of.get(usize::from(antenna)) {
+                Some(row) => *row,
+                None => Some(chain),
+            };
+            if let Some(place) = row.and_then(|row| chain_of.get_mut(row)) {
+                *place = Some(chain);
+            }
         }
+        chain_of
     }
 }
 
@@ -67,56 +75,55 @@ pub fn decode(arena: &Arena, records: &[usize], rows: &Rows, form: Form, out: &m
     if rows.is_empty() {
         return;
     }
-    let jobs = out.par_chunks_exact_mut(rows.len()).zip(records.par_iter()).with_min_len(256);
-    jobs.for_each(|(out, &record)| match arena.bfee(record) {
-        Some(bfee) => one(&bfee, rows, form, out),
-        None => out.fill(NOTHING),
-    });
+    let jobs = out.par_chunks_exact_mut(rows.len()).zip(records.par_iter()).with_min_len(1024);
+    jobs.for_each_init(
+        || [[0; 2]; MAX_SAMPLES],
+        |samples, (out, &record)| match arena.bfee(record) {
+            Some(bfee) => one(&bfee, rows, form, samples, out),
+            None => out.fill(NOTHING),
+        },
+    );
 }
 
-/// One record.
-fn one(bfee: &Bfee<'_>, rows: &Rows, form: Form, out: &mut [Complex32]) {
-    let (n_rx, n_tx) = (bfee.n_rx(), bfee.n_tx());
-    let factor = if form.scaled { scale_factor(bfee).ok().map(|factor| factor as f32) } else { Some(1.0) };
+/// One record; `samples` is room to work in.
+fn one(bfee: &Bfee<'_>, rows: &Rows, form: Form, samples: &mut [[i8; 2]; MAX_SAMPLES], out: &mut [Complex32]) {
+    let count = bfee.unpack_planes(samples).unwrap_or(0);
+    let samples = samples.get(..count).unwrap_or_default();
+    let factor = match form.scaled {
+        true => scale_factor_of(bfee, samples).ok().map(|factor| factor as f32),
+        false => Some(1.0),
+    };
     let Some(factor) = factor else {
         out.fill(NOTHING);
         return;
     };
-    if n_rx != rows.n_rx || n_tx != rows.n_tx {
-        out.fill(NOTHING);
-    }
+    let n_tx = bfee.n_tx();
     let unmapped =
         (form.without_spatial_mapping && n_tx > 1).then(|| Csi::raw(bfee).without_spatial_mapping(bfee.is_40_mhz()));
-    let order = antenna_order(bfee);
-    let mut filled = 0;
-    for chain in 0..n_rx {
-        let Some(row) = rows.row(chain, order) else { continue };
-        filled += 1;
-        for stream in 0..n_tx.min(rows.n_tx) {
-            let from = (row * rows.n_tx + stream) * SUBCARRIERS;
-            let Some(column) = out.get_mut(from..from + SUBCARRIERS) else { continue };
-            match &unmapped {
-                Some(csi) => {
-                    for (s, h) in column.iter_mut().enumerate() {
-                        *h = csi.get(s, chain, stream).unwrap_or(NOTHING);
+    let (planes, _) = samples.as_chunks::<SUBCARRIERS>();
+    let chains = rows.chains(bfee.n_rx(), antenna_order(bfee));
+    // Each place is written once: memory that is new costs more than what is written to it.
+    for (columns, chain) in out.chunks_exact_mut(rows.n_tx * SUBCARRIERS).zip(chains) {
+        for (stream, column) in columns.chunks_exact_mut(SUBCARRIERS).enumerate() {
+            let chain = chain.filter(|_| stream < n_tx);
+            match (&unmapped, chain, chain.and_then(|chain| planes.get(chain * n_tx + stream))) {
+                (Some(csi), Some(chain), _) => {
+                    for (subcarrier, h) in column.iter_mut().enumerate() {
+                        *h = csi.get(subcarrier, chain, stream).map_or(NOTHING, |h| h * factor);
                     }
                 }
-                None => {
-                    bfee.column_f32(chain, stream, &ALL_SUBCARRIERS, bytemuck::cast_slice_mut(column));
-                }
-            }
-            if form.scaled {
-                column.iter_mut().for_each(|h| *h *= factor);
+                (None, _, Some(plane)) => widen(plane, factor, column),
+                _ => column.fill(NOTHING),
             }
         }
     }
-    if n_rx == rows.n_rx && filled < rows.n_rx {
-        // As many chains as rows, but of other antennas: rows that nobody wrote hold nothing.
-        for row in (0..rows.n_rx).filter(|row| !(0..n_rx).any(|chain| rows.row(chain, order) == Some(*row))) {
-            let from = row * rows.n_tx * SUBCARRIERS;
-            if let Some(column) = out.get_mut(from..from + rows.n_tx * SUBCARRIERS) {
-                column.fill(NOTHING);
-            }
-        }
+}
+
+/// The samples of a column times a factor: one loop over as many numbers as there always are, which compilers vectorise.
+fn widen(plane: &[[i8; 2]; SUBCARRIERS], factor: f32, column: &mut [Complex32]) {
+    let values = bytemuck::cast_slice_mut::<Complex32, f32>(column).first_chunk_mut::<{ 2 * SUBCARRIERS }>();
+    let Some(values) = values else { return };
+    for (value, sample) in values.iter_mut().zip(plane.as_flattened()) {
+        *value = f32::from(*sample) * factor;
     }
 }

@@ -1,7 +1,9 @@
 //! A log read into memory: filters, columns, packed records.
 
 use super::arena::Arena;
+use super::block::Block;
 use super::columns::{Columns, antennas};
+use super::piece::{Piece, Span};
 use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{CsiSource, Error, Next, Origin};
 use csi5300::time::Instant;
@@ -10,9 +12,12 @@ use driver_iface::ParseMacError;
 use driver_iface::bfee::{Antenna, Bfee};
 use driver_iface::record::code;
 use std::collections::BTreeSet;
+use std::sync::mpsc::sync_channel;
 
 /// Records that [`Reading::burst`] reads at most.
 const BURST: usize = 32_768;
+/// Pieces that may wait between the thread that reads and the one that sorts.
+const AHEAD: usize = 4;
 
 /// Why there is no such filter.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -159,33 +164,162 @@ impl<S: CsiSource> Reading<S> {
             if self.ended || self.arena.len() >= limit {
                 return Ok(false);
             }
-            let next = self.source.receive(now)?;
-            let (offset, body) = match &next {
-                Next::Record(stamps, record) => {
-                    if record.code == code::MPDU {
-                        self.arena.note_mpdu(record.body);
-                    }
-                    let (Origin::File { offset: place } | Origin::Live { number: place }) = stamps.origin;
-                    (place, record.body)
-                }
-                Next::Pending => return Ok(false),
-                Next::Lost(_) => (0, &[][..]),
-                Next::End(_) => {
-                    self.ended = true;
-                    (0, &[][..])
-                }
-            };
-            let Some((bfee, identity)) = self.survey.note(&next) else { continue };
-            let time_us = self.survey.clock_us.map_or(0, |(_, last)| last);
-            let since_us = time_us - *self.first_us.get_or_insert(time_us);
-            if self.filter.keeps(&bfee, identity, since_us) {
-                self.arena.push(body);
-                self.columns.push(&bfee, identity, time_us, offset);
-            } else {
-                self.arena.drop_mpdu();
-                self.left_out += 1;
+            let (source, mut table) = self.parts();
+            let next = source.receive(now)?;
+            let ended = matches!(next, Next::End(_));
+            if matches!(next, Next::Pending) {
+                return Ok(false);
             }
+            table.take(&next);
+            self.ended |= ended;
         }
         Ok(true)
+    }
+
+    /// Reads all that is there at `now`, to the end if the source has one, on two threads: one takes records from the source, this
+    /// one sorts them. Stops early once `go_on`, which is asked every few megabytes, says no.
+    ///
+    /// # Errors
+    /// If the source cannot be read further.
+    pub fn read_all(&mut self, now: Instant, mut go_on: impl FnMut() -> bool) -> Result<(), Error>
+    where
+        S: Send,
+    {
+        if self.ended {
+            return Ok(());
+        }
+        let (source, mut table) = self.parts();
+        // A short log is read before a thread would be there.
+        let mut first = Piece::new(Block::small());
+        let more = first.fill(source, now);
+        let mut ended = table.take_piece(first);
+        if more? && go_on() {
+            ended = in_pieces(source, now, |piece| {
+                let last = table.take_piece(piece);
+                (last, go_on())
+            })?;
+        }
+        self.ended = ended;
+        Ok(())
+    }
+
+    fn parts(&mut self) -> (&mut S, Table<'_>) {
+        let Self { source, filter, survey, arena, columns, left_out, first_us, .. } = self;
+        (source, Table { filter, survey, arena, columns, left_out, first_us })
+    }
+}
+
+/// Reads a source in a thread of its own and hands over piece after piece; `take` says whether the log has ended in it and
+/// whether to go on. Gives whether the log has ended.
+fn in_pieces<S: CsiSource + Send>(
+    source: &mut S,
+    now: Instant,
+    mut take: impl FnMut(Piece) -> (bool, bool),
+) -> Result<bool, Error> {
+    let (sender, pieces) = sync_channel(AHEAD);
+    std::thread::scope(|scope| {
+        let read = move || {
+            loop {
+                let mut piece = Piece::new(Block::large());
+                let more = piece.fill(source, now);
+                let is_last = !matches!(more, Ok(true));
+                // Nobody receives once it was enough.
+                if sender.send((piece, more)).is_err() || is_last {
+                    return;
+                }
+            }
+        };
+        let started = std::thread::Builder::new().name("csi5300-read".into()).spawn_scoped(scope, read);
+        started.map_err(|source| Error::Io { what: "cannot start a thread to read the log".into(), source })?;
+        for (piece, more) in pieces {
+            let (ended, go_on) = take(piece);
+            if !more? || !go_on {
+                return Ok(ended);
+            }
+        }
+        Ok(false)
+    })
+}
+
+/// What records become.
+struct Table<'a> {
+    filter: &'a Filter,
+    survey: &'a mut Survey,
+    arena: &'a mut Arena,
+    columns: &'a mut Columns,
+    left_out: &'a mut u64,
+    first_us: &'a mut Option<i64>,
+}
+
+impl Table<'_> {
+    /// Counts what a source gave; whether it is a bfee record, and whether that is kept, whose columns are added then.
+    fn note(&mut self, next: &Next<'_>) -> Option<bool> {
+        let (bfee, identity) = self.survey.note(next)?;
+        let offset = match next {
+            Next::Record(stamps, _) => {
+                let (Origin::File { offset: place } | Origin::Live { number: place }) = stamps.origin;
+                place
+            }
+            _ => 0,
+        };
+        let time_us = self.survey.clock_us.map_or(0, |(_, last)| last);
+        let since_us = time_us - *self.first_us.get_or_insert(time_us);
+        let is_kept = self.filter.keeps(&bfee, identity, since_us);
+        if is_kept {
+            self.columns.push(&bfee, identity, time_us, offset);
+        } else {
+            *self.left_out += 1;
+        }
+        Some(is_kept)
+    }
+
+    /// Takes what a source gave; the record is copied if it is kept.
+    fn take(&mut self, next: &Next<'_>) {
+        let is_kept = self.note(next);
+        match (next, is_kept) {
+            (Next::Record(_, record), Some(true)) => self.arena.push(record.body),
+            (Next::Record(_, record), None) if record.code == code::MPDU => self.arena.note_mpdu(record.body),
+            (Next::Lost(_), _) | (_, Some(false)) => self.arena.drop_mpdu(),
+            _ => {}
+        }
+    }
+
+    /// Takes a piece, whose memory the arena takes over if most of it is kept; whether the log ends in it.
+    fn take_piece(&mut self, piece: Piece) -> bool {
+        let (mut kept, mut bytes, mut ended) = (Vec::with_capacity(piece.len()), 0, false);
+        let mut mpdu: Option<Span> = None;
+        for (next, span) in (0..piece.len()).map_while(|index| piece.get(index)) {
+            let is_kept = self.note(&next);
+            match (&next, is_kept) {
+                (_, Some(true)) => {
+                    bytes += span.len + mpdu.map_or(0, |mpdu| mpdu.len);
+                    kept.push((span, mpdu.take()));
+                    continue;
+                }
+                (Next::Record(_, record), None) if record.code == code::MPDU => mpdu = Some(span),
+                (Next::Lost(_), _) | (_, Some(false)) => mpdu = None,
+                (Next::End(_), _) => ended = true,
+                _ => continue,
+            }
+            if kept.is_empty() {
+                // One noted before this piece is of no record any more.
+                self.arena.drop_mpdu();
+            }
+        }
+        if 2 * bytes as usize >= piece.block.bytes().len() {
+            let rest = mpdu.map(|span| span.of(piece.block.bytes()).to_vec());
+            if !kept.is_empty() {
+                self.arena.adopt(piece.block, kept);
+            }
+            rest.iter().for_each(|body| self.arena.note_mpdu(body));
+            return ended;
+        }
+        let body = |span: Span| span.of(piece.block.bytes());
+        for (span, before) in kept {
+            before.iter().for_each(|mpdu| self.arena.note_mpdu(body(*mpdu)));
+            self.arena.push(body(span));
+        }
+        mpdu.iter().for_each(|mpdu| self.arena.note_mpdu(body(*mpdu)));
+        ended
     }
 }

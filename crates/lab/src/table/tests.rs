@@ -1,7 +1,8 @@
 //! A log as a table against the same log frame by frame.
 
-use super::{Arena, Columns, Filter, FilterError, Form, NO_TIME, Reading, Rows, decode};
+use super::{Arena, Columns, Filter, FilterError, Form, Held, NO_TIME, Reading, Rows, decode};
 use csi5300::source::replay::Replay;
+use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
 use csi5300::{Frame, Log};
 use driver_iface::bfee::Antenna;
@@ -84,4 +85,90 @@ fn filters_keep_what_was_asked_for() {
     assert!(matches!(Filter::default().with_antennas("AD"), Err(FilterError::Antennas { .. })));
     assert!(matches!(Filter::default().with_time(Some(2.0), Some(2.0)), Err(FilterError::Time { .. })));
     assert!(matches!(Filter::default().with_time(Some(f64::NAN), None), Err(FilterError::Time { .. })));
+}
+
+/// Copies of the fixture's 281 records.
+const COPIES: usize = 150;
+
+/// Enough copies of the fixture for several blocks of memory, damaged in places, with MPDU records between the others.
+fn long() -> Vec<u8> {
+    let whole = std::fs::read(path()).unwrap();
+    let mut log = Vec::new();
+    for _ in 0..COPIES {
+        for record in whole.chunks(233) {
+            let number = log.len();
+            if number % 5 == 0 {
+                let mpdu = [number as u8; 40];
+                log.extend([0, 41, 0xc1]);
+                log.extend(mpdu);
+            }
+            log.extend(record);
+        }
+        log.extend([0xff; 700]);
+    }
+    log
+}
+
+fn replay(log: &[u8]) -> Replay<&[u8]> {
+    Replay::new(log, "a long log".into())
+}
+
+/// All that is in an arena: each record's MPDU and body.
+fn bodies(arena: &Arena) -> Vec<(&[u8], &[u8])> {
+    (0..arena.len()).map(|k| (arena.mpdu(k), arena.body(k))).collect()
+}
+
+#[test]
+fn two_threads_read_what_one_reads() {
+    let log = long();
+    let few = Filter::default().with_time(Some(0.5), Some(0.6)).unwrap();
+    for filter in [Filter::default(), few, Filter::default().with_macs(["02:00:00:00:00:77"]).unwrap()] {
+        let mut one = Reading::new(replay(&log), filter.clone());
+        while one.burst(Instant::ZERO, usize::MAX).unwrap() {}
+        let mut two = Reading::new(replay(&log), filter);
+        two.read_all(Instant::ZERO, || true).unwrap();
+        assert!(one.has_ended() && two.has_ended() && one.left_out == two.left_out);
+        assert_eq!(serde_json::to_string(&one.survey).unwrap(), serde_json::to_string(&two.survey).unwrap());
+        let ((a, a_columns), (b, b_columns)) = (one.take(), two.take());
+        assert!(bodies(&a) == bodies(&b), "{} records, {}", a.len(), b.len());
+        assert_eq!(format!("{a_columns:?}"), format!("{b_columns:?}"));
+        assert_eq!(a.len() + one.left_out as usize, COPIES * 281);
+    }
+}
+
+#[test]
+fn reading_ends_when_it_is_told_to() {
+    let log = long();
+    let mut asked = 0;
+    let mut reading = Reading::new(replay(&log), Filter::default());
+    let go_on = || {
+        asked += 1;
+        asked < 2
+    };
+    reading.read_all(Instant::ZERO, go_on).unwrap();
+    assert!(asked == 2 && !reading.has_ended() && !reading.arena.is_empty());
+    assert!(Held::read(&mut replay(&log), &|| false).unwrap().is_none());
+}
+
+#[test]
+fn a_held_log_gives_again_what_it_gave() {
+    let log = long();
+    let held = Held::read(&mut replay(&log), &|| true).unwrap().unwrap();
+    for _ in 0..2 {
+        let (mut own, mut again, mut given) = (replay(&log), held.source(), 0);
+        loop {
+            let (a, b) = (own.receive(Instant::ZERO).unwrap(), again.receive(Instant::ZERO).unwrap());
+            match (&a, &b) {
+                (Next::Record(a_stamps, a), Next::Record(b_stamps, b)) => {
+                    assert!(a_stamps == b_stamps && (a.code, a.body) == (b.code, b.body));
+                }
+                _ => assert_eq!(format!("{a:?}"), format!("{b:?}")),
+            }
+            given += 1;
+            if matches!(a, Next::End(_)) {
+                break;
+            }
+        }
+        assert!(given > 12_000 && again.next_at().is_none());
+    }
 }

@@ -10,5 +10,6 @@ mod fixtures;
 mod folds;
 mod geometries;
 mod real_bearings;
+mod shelf;
 mod skipping;
 mod strange_logs;

@@ -1,0 +1,32 @@
+//! Samples by chain pair against the reading bit by bit.
+
+use super::{Bfee, Iq, MAX_SAMPLES, Repr, SUBCARRIERS};
+use std::vec;
+use std::vec::Vec;
+
+/// Samples in which no two neighbours are alike, over the whole range of values.
+fn samples(count: usize) -> Vec<Iq> {
+    let value = |k: usize| (k * 73 + 11) as u8;
+    (0..count).map(|k| Iq { i: value(2 * k).cast_signed(), q: value(2 * k + 1).cast_signed() }).collect()
+}
+
+#[test]
+fn planes_are_the_samples_by_chain_pair() {
+    for (n_rx, n_tx) in (1..=3).flat_map(|n_rx| (1..=3).map(move |n_tx| (n_rx, n_tx))) {
+        let repr = Repr { n_rx, n_tx, ..Repr::default() };
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&samples(repr.samples()), &mut body).unwrap();
+        let bfee = Bfee::new_checked(&body).unwrap();
+        let mut bits = vec![Iq::default(); repr.samples()];
+        assert_eq!(bfee.unpack_bits(&mut bits), Some(repr.samples()));
+        let mut planes = [[99; 2]; MAX_SAMPLES];
+        assert_eq!(bfee.unpack_planes(&mut planes), Some(repr.samples()));
+        let pairs = usize::from(n_rx) * usize::from(n_tx);
+        for (k, iq) in bits.iter().enumerate() {
+            let (subcarrier, pair) = (k / pairs, k % pairs);
+            assert_eq!(planes[pair * SUBCARRIERS + subcarrier], [iq.i, iq.q], "{n_rx}x{n_tx}, sample {k}");
+        }
+        assert!(planes[repr.samples()..].iter().all(|rest| *rest == [99; 2]), "written beyond the record");
+        assert_eq!(bfee.unpack_planes(&mut planes[..repr.samples() - 1]), None);
+    }
+}
