@@ -51,8 +51,9 @@ def bucket(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     monkeypatch.setenv("AWS_DEFAULT_REGION", "us-east-1")
     monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://{host}:{port}")
     s3fs.S3FileSystem.clear_instance_cache()
-    s3fs.S3FileSystem().mkdir("wifi")
-    yield "s3://wifi"
+    # What one server kept the next one of this process has, too.
+    s3fs.S3FileSystem().mkdir(f"wifi-{port}")
+    yield f"s3://wifi-{port}"
     s3fs.S3FileSystem.clear_instance_cache()
     made.stop()
 
