@@ -12,7 +12,11 @@ targets=("$@")
 host=$(rustc -vV | sed -n 's/^host: //p')
 features=(--no-default-features)
 for target in "${targets[@]}"; do
-    case $target in bfee | connector | frame | record_stream | side_file | stock) ;; *) features=() ;; esac
+    case $target in
+        bfee | connector | frame | record_stream | side_file | stock) ;;
+        recording | rtps) features+=(--features node) ;;
+        *) features+=(--features library) ;;
+    esac
 done
 # Given with a target, flags are for the code that is fuzzed only, not for build scripts.
 export RUSTFLAGS="--cfg fuzzing -Cpasses=sancov-module -Cllvm-args=-sanitizer-coverage-level=4 -Cllvm-args=-sanitizer-coverage-inline-8bit-counters \

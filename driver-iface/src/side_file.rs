@@ -1,7 +1,7 @@
 //! Side files (`.datstp`): when the host received each record of a log, in the log's order.
 //!
 //! The records of a stock driver hold no host time, so a logger that knows it writes it beside the log. There are three
-//! layouts, told apart by the first 16 bytes; numbers are little-endian.
+//! layouts, told apart by the first 16 bytes that are not zeros; numbers are little-endian.
 //!
 //! | [`Layout`] | head | entry | written by |
 //! |---|---|---|---|
@@ -53,21 +53,29 @@ impl Layout {
         }
     }
 
-    /// The layout of a side file that begins with `head`, of which 16 bytes are looked at.
+    /// The layout of a side file that begins with `file`: as much of it as has a time, or all of it.
     ///
-    /// `Checked` where 12 of them are those of [`MAGIC`]: damage there must not make times of checksums. `Wide` where the high half of the first entry's seconds and of its microseconds
-    /// are zero and the low half of its microseconds is below a million: there narrow entries have the second one's seconds.
+    /// `Checked` where 12 of its first 16 bytes are those of [`MAGIC`]: damage there must not make times of checksums.
+    /// Else by the first 16 bytes that are not all zeros, which a time that is not known is in either layout. `Wide` where the
+    /// high half of the entry's seconds and of its microseconds are zero and the low half of its microseconds is below a
+    /// million: there narrow entries have the second one's seconds.
     #[must_use]
-    pub fn of(head: &[u8]) -> Self {
-        let Some(head) = head.first_chunk::<16>() else { return Self::Narrow };
-        if head.iter().zip(MAGIC).filter(|(found, byte)| **found == *byte).count() >= 12 {
+    pub fn of(file: &[u8]) -> Self {
+        if file.first_chunk().is_some_and(is_magic) {
             return Self::Checked;
         }
-        let &[_, _, _, _, h0, h1, h2, h3, u0, u1, u2, u3, v0, v1, v2, v3] = head;
+        let mut blocks = file.chunks_exact(Self::Wide.bytes());
+        let known = blocks.find(|block| block.iter().any(|byte| *byte != 0)).and_then(<[u8]>::first_chunk);
+        let Some(&[_, _, _, _, h0, h1, h2, h3, u0, u1, u2, u3, v0, v1, v2, v3]) = known else { return Self::Narrow };
         let us = i64::from(u32::from_le_bytes([u0, u1, u2, u3]));
         let is_wide = [h0, h1, h2, h3] == [0; 4] && [v0, v1, v2, v3] == [0; 4] && us < US_PER_S;
         if is_wide { Self::Wide } else { Self::Narrow }
     }
+}
+
+/// True for bytes of which 12 are those of [`MAGIC`].
+fn is_magic(head: &[u8; 16]) -> bool {
+    head.iter().zip(MAGIC).filter(|(found, byte)| **found == *byte).count() >= 12
 }
 
 /// What a side file knows of a record's bytes.

@@ -252,6 +252,72 @@ mod tests {
     }
 
     #[test]
+    fn a_record_and_the_word_on_it_are_within_two_seconds() {
+        for (record, word, side, expected) in [
+            (0, 2_000, Receiver, true),
+            (0, 2_001, Receiver, false),
+            (2_000, 0, Receiver, true),
+            (2_001, 0, Receiver, false),
+            (0, 2_000, Transmitter, true),
+            (0, 2_001, Transmitter, false),
+            (60_000, 0, Transmitter, true),
+        ] {
+            let mut admission = Admission::default();
+            for now in [record.min(word), record.max(word)] {
+                if now == record {
+                    admission.handle(side, (7, 100), ms(record), "it");
+                }
+                if now == word {
+                    admission.confirm(7, ms(word));
+                }
+            }
+            let now = ms(record.max(word).max(record + 20));
+            assert_eq!(drain(&mut admission, now).len(), usize::from(expected), "{record} {word} {side:?}");
+            // What is too old for any word is given up, a millisecond after the last moment and not before.
+            drain(&mut admission, ms(record + 2_000));
+            let before = admission.counts.unconfirmed;
+            drain(&mut admission, ms(record + 2_001));
+            assert_eq!(admission.counts.unconfirmed, u64::from(!expected), "{record} {word} {side:?}");
+            assert!(before == 0 || word > 2_000, "{record} {word} {side:?}");
+        }
+    }
+
+    #[test]
+    fn at_the_end_nothing_waits_for_another_record() {
+        let mut admission = Admission::default();
+        admission.confirm(7, ms(0));
+        admission.confirm(8, ms(0));
+        admission.handle(Receiver, (7, 100), ms(0), "backward");
+        admission.handle(Transmitter, (7, 200), ms(0), "forward");
+        admission.handle(Receiver, (8, 300), ms(1), "contested");
+        admission.handle(Receiver, (8, 301), ms(1), "contested too");
+        admission.handle(Receiver, (9, 400), ms(1), "not confirmed");
+        assert!(drain(&mut admission, ms(1)).is_empty());
+        let last: Vec<_> = std::iter::from_fn(|| admission.poll_last(ms(1))).collect();
+        assert_eq!(last, [(Transmitter, ms(0), "forward"), (Receiver, ms(0), "backward")]);
+        assert_eq!(counts(&admission), (0, 1));
+    }
+
+    #[test]
+    fn numbers_that_were_admitted_are_kept_for_two_seconds_and_not_without_end() {
+        let mut admission = Admission::default();
+        for number in 0..KEPT as u32 + 5 {
+            admission.confirm(number, ms(0));
+            admission.handle(Receiver, (number, number), ms(0), "it");
+            assert_eq!(drain(&mut admission, ms(20)), ["it"]);
+            assert_eq!(admission.receiver.admitted.len(), KEPT.min(number as usize + 1));
+        }
+        let second = |admission: &mut Admission<_>, now| {
+            let before = admission.counts.contested;
+            admission.handle(Receiver, (KEPT as u32, 9), now, "late");
+            admission.counts.contested - before
+        };
+        assert_eq!(second(&mut admission, ms(2_020)), 1, "still known");
+        assert_eq!(second(&mut admission, ms(2_021)), 0, "forgotten, and held as a record of its own");
+        assert_eq!((admission.receiver.admitted.len(), admission.receiver.held.len()), (0, 1));
+    }
+
+    #[test]
     fn a_flood_is_bounded_and_counted() {
         let mut admission = Admission::default();
         for number in 0..3 * KEPT as u32 {

@@ -6,7 +6,7 @@ use crate::time::Instant;
 use driver_iface::side_file::{Check, Entry, Layout};
 use std::collections::VecDeque;
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{BufReader, Chain, Cursor, Read, Repeat, Take};
 use std::path::{Path, PathBuf};
 
 /// Entries looked at for the checksum of a record: so many records may be missing from a log at one place.
@@ -15,6 +15,8 @@ const WINDOW: usize = 1 << 16;
 const STRANGERS: u64 = 64;
 /// A side file that knows none of the first so many records is of another log.
 const FIRST: usize = 1_024;
+/// Bytes at the beginning in which nothing is known, beyond which the layout is not looked for.
+const UNKNOWN: u64 = 64 << 20;
 
 /// The path of a log's side file: the log's with `stp` behind it, so `a.datstp` of `a.dat`.
 #[must_use]
@@ -55,11 +57,13 @@ impl Said {
     pub(super) const NOTHING: Self = Self { host_us: None, is_right: true };
 }
 
+/// Entries of zeros, the bytes by which the layout was seen, then the rest.
+type Begun<R> = Chain<Chain<Take<Repeat>, Cursor<Vec<u8>>>, R>;
+
 /// Reads a side file along with its log.
 #[derive(Debug)]
 pub(super) struct SideFile<R = BufReader<File>> {
-    /// The bytes by which the layout was seen, then the rest.
-    reader: std::io::Chain<std::io::Cursor<Vec<u8>>, R>,
+    reader: Begun<R>,
     layout: Layout,
     /// Entries read and not used.
     ahead: VecDeque<Entry>,
@@ -69,14 +73,12 @@ pub(super) struct SideFile<R = BufReader<File>> {
 }
 
 impl SideFile {
-    /// The side file of a log, if it has one.
+    /// The side file of a log, if it has one: beside its name, else beside the file that a link of that name leads to.
     pub(super) fn of(log: &Path) -> Option<Self> {
-        let path = side_path(log);
         // A pipe of that name would be waited for, and one that is the log is read once.
         let is_file = |path: &Path| std::fs::metadata(path).is_ok_and(|found| found.is_file());
-        if !is_file(&path) || !is_file(log) {
-            return None;
-        }
+        let there = std::fs::canonicalize(log).ok().filter(|log| is_file(log))?;
+        let path = [side_path(log), side_path(&there)].into_iter().find(|path| is_file(path))?;
         let mut side = Self::new(BufReader::new(File::open(path).ok()?))?;
         if side.layout == Layout::Checked {
             side.checks.out_of_step = !side.is_of(Replay::new(File::open(log).ok()?, String::new()));
@@ -87,12 +89,23 @@ impl SideFile {
 
 impl<R: Read> SideFile<R> {
     fn new(mut rest: R) -> Option<Self> {
-        let mut head = Vec::new();
-        rest.by_ref().take(Layout::Wide.bytes() as u64).read_to_end(&mut head).ok()?;
-        let layout = Layout::of(&head);
-        let mut start = std::io::Cursor::new(head);
+        let (mut unknown, mut head) = (0, Vec::new());
+        loop {
+            rest.by_ref().take(Layout::Wide.bytes() as u64).read_to_end(&mut head).ok()?;
+            if head.iter().any(|byte| *byte != 0) || head.len() < Layout::Wide.bytes() || unknown >= UNKNOWN {
+                break;
+            }
+            unknown += head.len() as u64;
+            head.clear();
+        }
+        // What is not at the very beginning is not the head of one with checksums.
+        let layout = match Layout::of(&head) {
+            Layout::Checked if unknown > 0 => Layout::Narrow,
+            layout => layout,
+        };
+        let mut start = Cursor::new(head);
         start.set_position(layout.head().len() as u64);
-        let reader = start.chain(rest);
+        let reader = std::io::repeat(0).take(unknown).chain(start).chain(rest);
         Some(Self { reader, layout, ahead: VecDeque::new(), strangers: 0, checks: Checks::default() })
     }
 

@@ -2,6 +2,8 @@
 
 #[path = "../common/corpus.rs"]
 mod corpus;
+#[path = "../../fuzz/targets/log.rs"]
+mod log;
 #[path = "../../fuzz/targets/remote.rs"]
 mod remote;
 #[path = "../../fuzz/targets/scene.rs"]
@@ -12,6 +14,7 @@ use crate::fuzz_sounding::sounding;
 
 #[test]
 fn corpora() {
+    corpus::replay("log", log::run);
     corpus::replay("remote", remote::run);
     corpus::replay("scene", scene::run);
     corpus::replay("sounding", sounding::run);

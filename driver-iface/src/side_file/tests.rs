@@ -36,8 +36,13 @@ fn layouts_are_told_apart_by_the_first_entries() {
         other[high] = 1;
         assert_eq!(Layout::of(&other), Layout::Narrow, "byte {high}");
     }
-    // A first time that is not known.
-    assert_eq!(Layout::of(&[0; 16]), Layout::Wide);
+    // First times that are not known: zeros in either layout.
+    for unknown in 1..6 {
+        assert_eq!(Layout::of(&[&[0; 16].repeat(unknown)[..], &wide].concat()), Layout::Wide, "{unknown}");
+        assert_eq!(Layout::of(&[&[0; 8].repeat(unknown)[..], &narrow].concat()), Layout::Narrow, "{unknown}");
+        assert_eq!(Layout::of(&[0; 16].repeat(unknown)), Layout::Narrow, "nothing is known in it");
+        assert_eq!(Layout::of(&[&[0; 16].repeat(unknown)[..], &MAGIC].concat()), Layout::Narrow, "it is the first");
+    }
     assert_eq!(Layout::of(&MAGIC), Layout::Checked);
     for at in 0..16 {
         let mut other = MAGIC;
@@ -125,8 +130,10 @@ proptest! {
     #[test]
     fn layout_and_times_of_a_file_come_back(
         times in prop::collection::vec(946_684_800_000_000..4_102_444_800_000_000_i64, 2..20),
+        unknown in 0..9_usize,
     ) {
-        let times: Vec<_> = times.into_iter().map(|us| Entry::from(Some(us))).collect();
+        let times = std::iter::repeat_n(None, unknown).chain(times.into_iter().map(Some));
+        let times: Vec<_> = times.map(Entry::from).collect();
         for layout in [Layout::Narrow, Layout::Wide, Layout::Checked] {
             prop_assert_eq!(parsed(&entries(&times, layout)), (layout, times.clone()));
         }

@@ -64,6 +64,8 @@ pub enum CsvError {
     Trajectory(#[from] TrajectoryError),
 }
 
+/// Coordinates at most, metres: beyond, their last bit is more than 0.1 micrometres, and motions are differences of them.
+const FURTHEST_M: f64 = 1e9;
 /// Bytes of a trajectory file at most: an hour of a thousand poses a second, twice over.
 const LONGEST: u64 = 512 << 20;
 
@@ -87,13 +89,20 @@ pub fn read(path: &Path) -> Result<(Trajectory, CsvCounts), CsvError> {
     parse(&bytes)
 }
 
+/// Reads rows. A row ends with its line whatever is in it: quotes have no meaning between numbers, and a stray one would take
+/// the lines behind it into its cell.
+fn rows() -> ::csv::ReaderBuilder {
+    let mut rows = ::csv::ReaderBuilder::new();
+    rows.has_headers(false).flexible(true).quoting(false).trim(::csv::Trim::All);
+    rows
+}
+
 /// Parses a trajectory from bytes.
 ///
 /// # Errors
 /// If it is of no known kind or holds fewer than two poses.
 pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
-    let mut reader =
-        ::csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(::csv::Trim::All).from_reader(bytes);
+    let mut reader = rows().from_reader(bytes);
     let mut counts = CsvCounts::default();
     let mut poses: Vec<Pose> = Vec::with_capacity(bytes.len() / 80);
     let mut record = ::csv::ByteRecord::new();
@@ -148,8 +157,7 @@ pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
 /// What is wrong with it.
 #[doc(hidden)]
 pub fn parse_line(line: &[u8]) -> Result<Pose, RowError> {
-    let mut reader =
-        ::csv::ReaderBuilder::new().has_headers(false).flexible(true).trim(::csv::Trim::All).from_reader(line);
+    let mut reader = rows().from_reader(line);
     let mut record = ::csv::ByteRecord::new();
     reader.read_byte_record(&mut record).map_err(|_| RowError::Unreadable)?;
     let columns = record.len() - usize::from(record.iter().next_back().is_some_and(<[u8]>::is_empty));
@@ -188,6 +196,9 @@ pub enum RowError {
     /// A column, from 0, is not a finite number.
     #[error("column {0} is not a finite number")]
     Number(usize),
+    /// A coordinate, in this column from 0, is so far from the origin that nothing is left of a robot's motion.
+    #[error("column {0} is further than 1e9 m from the origin")]
+    TooFar(usize),
     /// The quaternion has no length.
     #[error("the quaternion has no length")]
     Quaternion,
@@ -209,7 +220,7 @@ fn pose(record: &::csv::ByteRecord, columns: usize) -> Result<Pose, RowError> {
     }
     let number = |column: usize| {
         let text = record.get(column).and_then(|field| std::str::from_utf8(field).ok());
-        let value = text.and_then(|text| text.parse::<f64>().ok()).filter(|value| value.is_finite());
+        let value = text.and_then(|text| text.trim_matches('"').parse::<f64>().ok()).filter(|value| value.is_finite());
         value.ok_or(RowError::Number(column))
     };
     let heading_rad = match columns {
@@ -224,7 +235,11 @@ fn pose(record: &::csv::ByteRecord, columns: usize) -> Result<Pose, RowError> {
         }
     };
     let t_s = number(0)? + number(1)? * 1e-9;
-    Ok(Pose { t_s, position_m: Vector3::new(number(2)?, number(3)?, number(4)?), heading_rad })
+    let metres = |column: usize| {
+        let value = number(column)?;
+        if value.abs() <= FURTHEST_M { Ok(value) } else { Err(RowError::TooFar(column)) }
+    };
+    Ok(Pose { t_s, position_m: Vector3::new(metres(2)?, metres(3)?, metres(4)?), heading_rad })
 }
 
 #[cfg(test)]
@@ -258,6 +273,35 @@ mod tests {
         let (trajectory, counts) = parse(text).unwrap();
         assert_eq!((trajectory.poses().len(), counts.bad_rows, counts.out_of_order), (3, 2, 0));
         assert_eq!(counts.first_bad.unwrap().0, 2);
+    }
+
+    #[test]
+    fn a_stray_quote_costs_its_row_and_quoted_numbers_are_numbers() {
+        let mut text = String::new();
+        (0..100).for_each(|k| text += &format!("{k},0,\"{k}\",0,{}0,\n", if k == 10 { "\"1" } else { "" }));
+        let (trajectory, counts) = parse(text.as_bytes()).unwrap();
+        assert_eq!(
+            (trajectory.poses().len(), counts.rows, counts.bad_rows),
+            (100, 100, 0),
+            "a quote at an end is none"
+        );
+        let text = text.replace("\"10\"", "1\"0");
+        let (trajectory, counts) = parse(text.as_bytes()).unwrap();
+        assert_eq!((trajectory.poses().len(), counts.bad_rows), (99, 1));
+        assert_eq!(counts.first_bad, Some((11, RowError::Number(2))));
+    }
+
+    #[test]
+    fn coordinates_of_which_no_metre_is_left_are_none() {
+        for (far, expected) in [(1e9, Ok(())), (-1.000_001e9, Err(())), (1e308, Err(()))] {
+            for column in 2..5 {
+                let mut cells = ["1", "0", "0", "0", "0"].map(str::to_owned);
+                cells[column] = far.to_string();
+                let parsed = parse_line(cells.join(",").as_bytes());
+                let expected = expected.map_err(|()| RowError::TooFar(column));
+                assert_eq!(parsed.map(|_| ()), expected, "{far} in {column}");
+            }
+        }
     }
 
     #[test]

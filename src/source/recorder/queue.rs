@@ -111,9 +111,9 @@ impl<W: Sink> Queue<W> {
         &self.shared
     }
 
-    /// When [`Queue::keep_time`] has something to do.
+    /// When [`Queue::keep_time`] has something to do. A sync waits for the chunk that is being filled.
     pub(super) fn next_at(&self) -> Option<Instant> {
-        [self.hand_over_at, self.sync_at].into_iter().flatten().min()
+        self.hand_over_at.or(self.sync_at)
     }
 
     /// What is due by now: a chunk that is full or waited long enough, or a sync.

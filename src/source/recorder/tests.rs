@@ -95,6 +95,8 @@ fn a_stopped_disk_makes_counted_loss_and_never_holds_the_source() {
     let (_, sink, totals) = recorder.finish(Instant::ZERO).unwrap();
     assert_eq!((totals.received, totals.dropped), (10_000, dropped));
     assert_eq!(totals.written, 10_000 - dropped);
+    // Two chunks that were handed over with a record each, as the largest would not have fitted behind it, and all of a third.
+    assert_eq!(totals.written, 2 + (8_200 / RECORD) as u64);
     let kept = numbers(&sink.kept);
     assert_eq!(kept.len() as u64, totals.written);
     assert!(kept.is_sorted_by(|a, b| a < b));
@@ -106,7 +108,7 @@ fn chunks_and_syncs_keep_time() {
     drop(open);
     let sink = Gate { open: gate, kept: Vec::new(), syncs: 0 };
     let source = Numbered::new([Some(1), None, None, None, None]);
-    let options = Options { hand_over: Span::from_ms(10), sync_every: Some(Span::from_ms(25)), ..Options::default() };
+    let options = Options::default().with_sync_every(Some(Span::from_ms(25))).with_hand_over(Span::from_ms(10));
     let mut recorder = Recorder::new(source, sink, options).unwrap();
     assert_eq!(recorder.next_at(), None);
     let _ = recorder.receive(Instant::ZERO).unwrap();
@@ -118,6 +120,48 @@ fn chunks_and_syncs_keep_time() {
     let (_, sink, totals) = recorder.finish(Instant::from_us(26_000)).unwrap();
     assert_eq!((sink.syncs, numbers(&sink.kept)), (2, vec![1]));
     assert_eq!(totals.written, 1);
+}
+
+#[test]
+fn what_is_set_is_set_and_the_rest_stays() {
+    let options = Options { chunk_bytes: 1, chunks: 2, hand_over: Span::from_ms(3), sync_every: None };
+    let told = |options: Options| (options.chunk_bytes, options.chunks, options.hand_over, options.sync_every);
+    assert_eq!(told(options.with_hand_over(Span::from_ms(7))), (1, 2, Span::from_ms(7), None));
+    assert_eq!(told(options.with_sync_every(Some(Span::from_ms(9)))), (1, 2, Span::from_ms(3), Some(Span::from_ms(9))));
+}
+
+#[test]
+fn a_record_longer_than_a_chunk_has_one_of_its_own() {
+    let (open, gate) = channel();
+    drop(open);
+    let sink = Gate { open: gate, kept: Vec::new(), syncs: 0 };
+    let options = Options { chunk_bytes: RECORD / 2, chunks: 100, ..Options::default() };
+    let mut recorder = Recorder::new(Numbered::new((0..50).map(Some)), sink, options).unwrap();
+    assert_eq!(drain(&mut recorder, Instant::ZERO), 50);
+    let (_, sink, totals) = recorder.finish(Instant::ZERO).unwrap();
+    assert_eq!((totals.written, totals.dropped), (50, 0));
+    assert_eq!(numbers(&sink.kept), (0..50).collect::<Vec<_>>());
+}
+
+#[test]
+fn while_the_disk_stands_still_it_is_asked_again_after_a_while_and_not_at_once() {
+    let (open, gate) = channel();
+    let sink = Gate { open: gate, kept: Vec::new(), syncs: 0 };
+    let source = Numbered::new([Some(1), None, Some(2), None, None, None]);
+    let options = Options { chunks: 2, ..Options::default() };
+    let options = options.with_hand_over(Span::from_ms(10)).with_sync_every(Some(Span::from_ms(1_000)));
+    let mut recorder = Recorder::new(source, sink, options).unwrap();
+    let mut at = |ms: i64| {
+        let _ = recorder.receive(Instant::from_us(1_000 * ms)).unwrap();
+        recorder.next_at().map(|at| at.as_us() / 1_000)
+    };
+    // The first chunk is with the disk, which does not take it; there is one other.
+    assert_eq!([at(0), at(10), at(11), at(21)], [Some(10), Some(1_000), Some(21), Some(31)]);
+    // It is due and cannot be handed over: it is tried again, and a sync waits for it.
+    assert_eq!([at(31), at(1_010)], [Some(41), Some(1_020)]);
+    drop(open);
+    let (_, sink, totals) = recorder.finish(Instant::from_us(2_000_000)).unwrap();
+    assert_eq!((numbers(&sink.kept), totals.written, totals.dropped), (vec![1, 2], 2, 0));
 }
 
 fn folder(name: &str) -> std::path::PathBuf {

@@ -127,6 +127,50 @@ fn layouts_without_checksums_give_times_until_bytes_are_skipped() {
     }
 }
 
+/// A recorder whose disk was full at first leaves entries of zeros, and the times behind them are those of their records.
+#[test]
+fn times_behind_any_number_of_unknown_ones_are_found() {
+    let time = 1_700_000_000_000_001;
+    for (layout, unknown) in [(Layout::Narrow, 1), (Layout::Narrow, 2), (Layout::Narrow, 7), (Layout::Wide, 3)] {
+        let mut bytes = vec![0; unknown * layout.bytes()];
+        for us in [time, time + 1] {
+            let mut out = [0; 16];
+            Entry::from(Some(us)).emit(layout, &mut out).unwrap();
+            bytes.extend(&out[..layout.bytes()]);
+        }
+        let mut side = SideFile::new(Cursor::new(bytes)).unwrap();
+        let said: Vec<_> = (0..unknown + 2).map(|_| side.take(&record(0)).host_us).collect();
+        assert_eq!((side.layout(), said.iter().flatten().count()), (layout, 2), "{unknown}");
+        assert_eq!(said[unknown..], [Some(time), Some(time + 1)], "{layout:?} {unknown}");
+    }
+    // Nothing but zeros has an end, and a head that is not the first is none.
+    let mut nothing = SideFile::new(std::io::repeat(0)).unwrap();
+    assert_eq!(nothing.take(&record(0)), Said::NOTHING);
+    let late = [&[0; 32][..], Layout::Checked.head()].concat();
+    assert_eq!(SideFile::new(Cursor::new(late)).unwrap().layout(), Layout::Narrow);
+}
+
+#[test]
+fn the_side_file_of_a_log_is_beside_its_name_or_beside_what_that_leads_to() {
+    let folder = std::env::temp_dir().join(format!("csi5300-side-{}", std::process::id()));
+    std::fs::create_dir_all(folder.join("real")).unwrap();
+    let (real, link) = (folder.join("real/a.dat"), folder.join("b.dat"));
+    std::fs::write(&real, record(0)).unwrap();
+    std::os::unix::fs::symlink(&real, &link).unwrap();
+    let time = |log: &Path| SideFile::of(log).and_then(|mut side| side.take(&record(0)).host_us);
+    assert_eq!((time(&real), time(&link)), (None, None));
+    let narrow = |us: i64| {
+        let mut out = [0; 8];
+        Entry::from(Some(us)).emit(Layout::Narrow, &mut out).unwrap();
+        out
+    };
+    std::fs::write(side_path(&real), narrow(1_700_000_000_000_001)).unwrap();
+    assert_eq!((time(&real), time(&link)), (Some(1_700_000_000_000_001), Some(1_700_000_000_000_001)));
+    std::fs::write(side_path(&link), narrow(1_700_000_000_000_002)).unwrap();
+    assert_eq!((time(&real), time(&link)), (Some(1_700_000_000_000_001), Some(1_700_000_000_000_002)));
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
 proptest! {
     /// Whatever is taken out of a log: every record that is left has its own time, and every count is exact.
     #[test]

@@ -5,7 +5,7 @@ mod quality;
 use self::quality::{edge, quality};
 use super::args::{Estimation, channel, mac};
 use super::files::Log;
-use super::inputs::{BagArgs, Inputs};
+use super::inputs::{BagArgs, Inputs, order_unknown};
 use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, some, usage};
 use csi5300::bartlett::Grid;
 use csi5300::pipeline::LinkError;
@@ -158,10 +158,14 @@ fn open_transmitters(args: &mut Args, inputs: &Inputs) -> std::result::Result<(V
 /// Estimates and prints the bearings.
 pub fn run(mut args: Args) -> Result {
     let mut options = options(&args).unwrap_or_else(|message| usage(&message));
+    let is_named = !args.tx.is_empty();
     let (inputs, named) = args.bag.resolve(args.rx.take(), std::mem::take(&mut args.tx), args.trajectory.take())?;
     (args.rx, args.tx) = (Some(named.rx.clone()), named.tx);
     let rx = named.rx;
     check(&args);
+    if !is_named && args.tx.len() > 1 && args.tx_mac.len() + args.tx_trajectory.len() > 0 {
+        usage(&order_unknown(&args.tx));
+    }
     options = options.with_parallel(args.tx.len() > 1);
     let mut trajectory = inputs.trajectory(&named.trajectory)?;
     if let Some(offset) = args.antenna_offset {

@@ -1,9 +1,22 @@
 //! Outputs that are whole or as they were: written under a name of their own beside, and renamed at the end.
 
+use csi5300::source::side_path;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// A file on its way. What was there under its name stays until [`Draft::keep`], and for good where that is not reached.
+/// Links of links that are followed, as many as the kernel does.
+const LINKS: usize = 40;
+
+/// Drafts that are being written: a signal that ends the program takes them away.
+static DRAFTS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+
+fn drafts() -> MutexGuard<'static, Vec<PathBuf>> {
+    DRAFTS.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A file on its way. What was there under its name stays until [`Draft::keep`], and for good where that is not reached: on
+/// an error, and on SIGINT, SIGTERM and SIGHUP where they are not ignored.
 pub struct Draft {
     path: PathBuf,
     /// Where it is written; `None` for devices and pipes, which are written as they are.
@@ -11,15 +24,20 @@ pub struct Draft {
 }
 
 impl Draft {
-    /// For the output `path`.
+    /// For the output `path`. A link stays a link, also one that leads to a file that is not there.
     pub fn new(path: &Path) -> Self {
-        // A link stays a link.
-        let path = path.canonicalize().unwrap_or_else(|_| path.to_path_buf());
+        let path = led_to(path);
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let extension = path.extension().map_or(String::new(), |extension| format!(".{}", extension.to_string_lossy()));
         let is_special = path.metadata().is_ok_and(|found| !found.is_file());
         let part = path.with_file_name(format!("{stem}.part-{}{extension}", std::process::id()));
-        Self { path, part: (!is_special).then_some(part) }
+        let part = (!is_special).then_some(part);
+        if let Some(part) = &part {
+            drafts().push(part.clone());
+            #[cfg(feature = "live")]
+            signals::watch();
+        }
+        Self { path, part }
     }
 
     /// Where to write it, with the output's extension.
@@ -27,20 +45,130 @@ impl Draft {
         self.part.as_deref().unwrap_or(&self.path)
     }
 
-    /// It is whole: gives it its name.
-    pub fn keep(mut self) -> io::Result<()> {
-        match self.part.take() {
-            Some(part) => std::fs::rename(&part, &self.path).inspect_err(|_| drop(std::fs::remove_file(&part))),
-            None => Ok(()),
+    /// The file that it will be.
+    pub fn target(&self) -> &Path {
+        &self.path
+    }
+
+    /// True for a file; false for devices and pipes, beside which nothing is written.
+    pub fn is_file(&self) -> bool {
+        self.part.is_some()
+    }
+
+    /// It is whole: gives it its name, and its side file too where `side` says that there is one.
+    pub fn keep(self, side: bool) -> io::Result<()> {
+        let Some(part) = &self.part else { return Ok(()) };
+        // A signal that comes meanwhile waits.
+        let _drafts = drafts();
+        if side {
+            std::fs::rename(side_path(part), side_path(&self.path))?;
         }
+        std::fs::rename(part, &self.path)
     }
 }
 
 impl Drop for Draft {
     fn drop(&mut self) {
         if let Some(part) = &self.part {
-            // Not there where nothing was written.
-            let _ = std::fs::remove_file(part);
+            remove(part);
+            drafts().retain(|other| other != part);
         }
+    }
+}
+
+/// Where a log is written while it is written anew.
+pub fn rest(log: &Path) -> PathBuf {
+    let mut name = log.as_os_str().to_owned();
+    name.push(".rest");
+    name.into()
+}
+
+/// Takes away what there is of a draft.
+fn remove(part: &Path) {
+    for path in [part.to_owned(), side_path(part), rest(part)] {
+        let _ = std::fs::remove_file(path);
+    }
+}
+
+/// The file that a name leads to by whatever links.
+pub fn led_to(path: &Path) -> PathBuf {
+    if let Ok(there) = path.canonicalize() {
+        return there;
+    }
+    let mut at = path.to_path_buf();
+    for _ in 0..LINKS {
+        let Ok(next) = std::fs::read_link(&at) else { break };
+        at = at.parent().map_or_else(|| next.clone(), |folder| folder.join(&next));
+    }
+    at
+}
+
+#[cfg(feature = "live")]
+mod signals {
+    use super::{drafts, remove};
+    use nix::sys::signal::{SigSet, Signal, raise};
+    use std::sync::Once;
+
+    /// From here on a signal that would end the program takes drafts away before it does. Threads started later inherit that.
+    pub fn watch() {
+        static ONCE: Once = Once::new();
+        ONCE.call_once(|| {
+            let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+            let ends =
+                [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP].into_iter().filter(|one| !ignored(&status, *one));
+            let set = SigSet::from_iter(ends);
+            if set.thread_block().is_ok() {
+                let wait = move || {
+                    let Ok(signal) = set.wait() else { return };
+                    let drafts = drafts();
+                    drafts.iter().for_each(|part| remove(part));
+                    // It ends the program, as it would have at once; nothing is given a name meanwhile.
+                    let _ = set.thread_unblock().and_then(|()| raise(signal));
+                };
+                // Without it the signal waits until the output is whole.
+                let _ = std::thread::Builder::new().name("csi5300 signals".into()).spawn(wait);
+            }
+        });
+    }
+
+    /// True for a signal that the program was started to ignore, as under `nohup`: by the mask in `/proc/self/status`.
+    fn ignored(status: &str, signal: Signal) -> bool {
+        let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+        let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+        mask >> (signal as i32 - 1) & 1 == 1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_leads_where_its_links_do() {
+        let folder = std::env::temp_dir().join(format!("csi5300-links-{}", std::process::id()));
+        std::fs::create_dir_all(folder.join("real")).unwrap();
+        let folder = folder.canonicalize().unwrap();
+        let link = |to: &str, name: &str| std::os::unix::fs::symlink(to, folder.join(name)).unwrap();
+        std::fs::write(folder.join("real/a"), b"").unwrap();
+        link("real/a", "there");
+        link("real/b", "gone");
+        link("gone", "twice");
+        link("round", "round");
+        assert_eq!(led_to(&folder.join("there")), folder.join("real/a"));
+        assert_eq!(led_to(&folder.join("twice")), folder.join("real/b"));
+        assert_eq!(led_to(&folder.join("new")), folder.join("new"));
+        // One that leads to itself has an end.
+        assert_eq!(led_to(&folder.join("round")), folder.join("round"));
+        let draft = Draft::new(&folder.join("twice"));
+        std::fs::write(draft.path(), b"new").unwrap();
+        std::fs::write(side_path(draft.path()), b"times").unwrap();
+        draft.keep(true).unwrap();
+        assert_eq!(std::fs::read(folder.join("real/b")).unwrap(), b"new");
+        assert_eq!(std::fs::read(folder.join("real/bstp")).unwrap(), b"times");
+        assert!(folder.join("gone").is_symlink());
+        drop(Draft::new(&folder.join("never")));
+        assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 5);
+        assert!(drafts().is_empty());
+        std::fs::remove_dir_all(folder).unwrap();
     }
 }

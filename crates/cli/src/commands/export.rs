@@ -91,6 +91,8 @@ struct Written {
     records: u64,
     /// Records without the scale that was asked for.
     unscaled: u64,
+    /// Records whose antennas are not known.
+    without_antennas: u64,
 }
 
 /// Writes the CSI of a log.
@@ -107,12 +109,12 @@ pub fn run(args: &Args) -> Result {
         return Err(format!("{} is the input itself: name another file", args.output.display()));
     }
     let draft = Draft::new(&args.output);
-    let Written { survey, bytes, records, unscaled } = match extension {
+    let Written { survey, bytes, records, unscaled, without_antennas } = match extension {
         Some("csv") => csv(args, draft.path(), &filter)?,
         _ => table(args, draft.path(), filter)?,
     };
     if records > 0 {
-        draft.keep().map_err(|error| format!("writing {}: {error}", args.output.display()))?;
+        draft.keep(false).map_err(|error| format!("writing {}: {error}", args.output.display()))?;
     }
     if args.json {
         print_json(&Row {
@@ -120,16 +122,14 @@ pub fn run(args: &Args) -> Result {
             records,
             left_out: survey.bfees().saturating_sub(records),
             without_scale: unscaled,
-            without_antennas: survey.bad_permutations,
+            without_antennas,
             damaged: survey.damages + survey.bad_bfee,
         });
     }
     notes!("{}", info::losses(&survey, bytes));
-    if survey.bad_permutations > 0 {
-        note!(
-            "  {} records without a valid antenna_sel are in chain order (antennas_known 0)",
-            survey.bad_permutations
-        );
+    if without_antennas > 0 {
+        let some = super::some(without_antennas, "record", "records");
+        note!("  {some} without a valid antenna_sel in chain order (antennas_known 0)");
     }
     if unscaled > 0 {
         note!("  {unscaled} of {records} records have no scale (RSSI or CSI all 0): not a number there");
@@ -164,7 +164,8 @@ fn table(args: &Args, output: &Path, filter: Filter) -> Words<Written> {
     if records > 0 {
         export.write(output).map_err(|error| error.to_string())?;
     }
-    Ok(Written { unscaled: export.unscaled(), survey: reading.survey, bytes, records })
+    let (unscaled, without_antennas) = (export.unscaled(), export.without_antennas());
+    Ok(Written { survey: reading.survey, bytes, records, unscaled, without_antennas })
 }
 
 /// Reads a log once and hands over each intact bfee record that the filter keeps.
@@ -314,7 +315,7 @@ fn csv(args: &Args, output: &Path, filter: &Filter) -> Words<Written> {
         header += &format!(",re_{name},im_{name}");
     }
     writeln!(out, "{header}").map_err(failed)?;
-    let (mut records, mut unscaled) = (0, 0);
+    let (mut records, mut unscaled, mut without_antennas) = (0, 0, 0);
     let (survey, bytes) = scan(&args.file, filter, |bfee, identity, time_us| {
         let mut line = String::with_capacity(2_048);
         for name in FIELDS {
@@ -322,6 +323,7 @@ fn csv(args: &Args, output: &Path, filter: &Filter) -> Words<Written> {
         }
         line += &identity.mac.to_string();
         let csi = csi(bfee, args, &mut unscaled);
+        without_antennas += u64::from(bfee.antennas().is_err());
         for (s, port, stream) in cells() {
             let sample = csi.as_ref().and_then(|(csi, known)| sample(csi, *known, s, port, stream));
             line += &sample.map_or(",,".into(), |h| format!(",{},{}", h.re, h.im));
@@ -330,5 +332,5 @@ fn csv(args: &Args, output: &Path, filter: &Filter) -> Words<Written> {
         writeln!(out, "{line}").map_err(failed)
     })?;
     out.flush().map_err(failed)?;
-    Ok(Written { survey, bytes, records, unscaled })
+    Ok(Written { survey, bytes, records, unscaled, without_antennas })
 }

@@ -7,6 +7,7 @@ use csi5300::source::{CsiSource, Next, replay::Replay};
 use csi5300::time::Instant;
 use std::io::Read;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// A log that is read.
 pub type Log = Replay<Box<dyn Read + Send>>;
@@ -58,9 +59,22 @@ pub fn read_trajectory(path: &Path) -> Words<Trajectory> {
     Ok(trajectory)
 }
 
+/// Rows of some trajectory were left out.
+static ROWS_LOST: AtomicBool = AtomicBool::new(false);
+
+/// True once rows of a trajectory that was read were left out: what was made of it is done with less than was given.
+pub fn rows_were_lost() -> bool {
+    ROWS_LOST.load(Ordering::Relaxed)
+}
+
 /// Says what of a trajectory was read, and what was left out.
 pub fn say_trajectory(path: &Path, trajectory: &Trajectory, counts: &CsvCounts) {
     let name = path.display();
+    // A first line that is no row names the columns.
+    let headings = u64::from(counts.first_bad.as_ref().is_some_and(|(line, _)| *line == 1));
+    if counts.bad_rows > headings {
+        ROWS_LOST.store(true, Ordering::Relaxed);
+    }
     detail!("reading {name}: {} poses", trajectory.poses().len());
     if let Some((line, why)) = &counts.first_bad {
         note!("{name}: {} rows left out, the first in line {line}: {why}", counts.bad_rows);

@@ -90,6 +90,12 @@ impl BagArgs {
     }
 }
 
+/// Why addresses and trajectories of transmitters that were found, not named, cannot be meant.
+pub fn order_unknown(found: &[PathBuf]) -> String {
+    let found: Vec<String> = found.iter().map(|topic| topic.display().to_string()).collect();
+    format!("--tx-mac and --tx-trajectory are in the order of --tx: it names which of {}", found.join(", "))
+}
+
 #[cfg(not(feature = "ros2"))]
 impl Inputs {
     fn topic(&self, _: &Path) -> Option<&[u8]> {
@@ -126,7 +132,8 @@ impl Inputs {
     /// True if the recording has lost something.
     pub fn lost(&self) -> bool {
         self.recorded.as_ref().is_some_and(|(_, recording)| {
-            recording.damaged_chunks > 0 || recording.topics.iter().any(|one| one.unreadable > 0)
+            recording.damaged_parts + recording.without_topic > 0
+                || recording.topics.iter().any(|one| one.unreadable > 0)
         })
     }
 
@@ -141,9 +148,8 @@ impl Inputs {
         for file in &recording.cut {
             note!("{}: its end is missing; it was read up to there", file.display());
         }
-        if recording.damaged_chunks > 0 {
-            let chunks = super::some(recording.damaged_chunks, "chunk is", "chunks are");
-            note!("{}: {chunks} damaged and left out", bag.display());
+        for words in lost_words(recording.damaged_parts, recording.without_topic) {
+            note!("{}: {words}", bag.display());
         }
         for one in recording.topics.iter().filter(|one| one.unreadable > 0) {
             let messages = super::some(one.unreadable, "message is", "messages are");
@@ -217,6 +223,19 @@ impl Inputs {
         }
         Ok(())
     }
+}
+
+/// What of a recording could not be read, in words.
+#[cfg(feature = "ros2")]
+pub fn lost_words(damaged_parts: u64, without_topic: u64) -> impl Iterator<Item = String> {
+    let parts = super::some(damaged_parts, "part is", "parts are");
+    let parts = format!("{parts} damaged and left out (chunks, pages, rows)");
+    let messages = super::some(without_topic, "message is", "messages are");
+    let messages = format!("{messages} of topics that nothing is known of, as what describes them is damaged");
+    [(damaged_parts, parts), (without_topic, messages)]
+        .into_iter()
+        .filter(|(count, _)| *count > 0)
+        .map(|(_, words)| words)
 }
 
 #[cfg(feature = "ros2")]

@@ -74,7 +74,8 @@ use std::process::ExitCode;
 pub enum Outcome {
     /// Done; a cut last record is the normal end of a log that was killed.
     Done,
-    /// Done, but records were dropped or damaged before the tail, or some link or capture failed.
+    /// Done, but records were dropped or damaged before the tail, rows of a trajectory could not be read, or some link or
+    /// capture failed.
     DataLost,
     /// Nothing usable.
     Nothing,
@@ -102,7 +103,8 @@ pub type Result = std::result::Result<Outcome, String>;
                   0  done; a log cut at its end, a room that ends and a stop by a signal are normal\n  \
                   1  nothing usable: a file that is missing or cannot be written, no link with a bearing, no record\n  \
                   2  wrong usage: arguments, extensions and configurations that cannot be meant\n  \
-                  3  done, but records were lost before the end of a log, or a link or capture failed"
+                  3  done, but records were lost before the end of a log, rows of a trajectory were left out, or a link or\n     \
+                  capture failed"
 )]
 struct Cli {
     /// Say nothing but results and errors: no notes, no progress
@@ -223,6 +225,7 @@ pub fn run() -> ExitCode {
     let result = execute(cli.command);
     detail!("{}", say::used(begun));
     match result {
+        Ok(Outcome::Done) if files::rows_were_lost() => Outcome::DataLost.into(),
         Ok(outcome) => outcome.into(),
         Err(message) => {
             wrong!("{message}");

@@ -2,7 +2,7 @@
 
 mod settle;
 
-use super::draft::Draft;
+use super::draft::{Draft, led_to};
 use super::{Outcome, Result};
 use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{Checks, CsiSource, Next, replay::Replay, side_path};
@@ -84,6 +84,7 @@ impl Output {
     fn create(path: &Path, side: Option<SideLayout>) -> Words<Self> {
         let draft = Draft::new(path);
         let data = create(draft.path())?;
+        let side = side.filter(|_| draft.is_file());
         let side = side.map(|layout| Ok::<_, String>((create(&side_path(draft.path()))?, layout))).transpose()?;
         let mut out = Self { draft, data, side, name: path.display().to_string(), kept: 0, frame: Vec::new() };
         if let Some((side, layout)) = &mut out.side {
@@ -124,17 +125,8 @@ impl Output {
         self.write(Record { code: code::BFEE, body: &body }, identity.host_us)
     }
 
-    /// Makes the log what it will be read as, and gives it its name; an older side file of that name goes.
-    fn finish(self, path: &Path) -> Words<u64> {
-        let beside = [side_path(self.draft.path()), settle::rest(self.draft.path())];
-        let taken = self.finished(path);
-        if taken.is_err() {
-            beside.iter().for_each(|left| drop(std::fs::remove_file(left)));
-        }
-        taken
-    }
-
-    fn finished(mut self, path: &Path) -> Words<u64> {
+    /// Makes the log what it will be read as, and gives it and its side file their names; older side files go.
+    fn finish(mut self, path: &Path) -> Words<u64> {
         let failed = |error: std::io::Error| format!("writing {}: {error}", path.display());
         self.data.flush().map_err(failed)?;
         let side = self.side.take();
@@ -142,24 +134,21 @@ impl Output {
         if let Some((mut side, _)) = side {
             side.flush().map_err(failed)?;
         }
-        let is_file = self.draft.path().metadata().is_ok_and(|found| found.is_file());
-        let taken = if is_file { settle::settle(self.draft.path(), layout)? } else { 0 };
-        let written = side_path(self.draft.path());
-        match layout {
-            Some(_) => std::fs::rename(written, side_path(path)).map_err(failed)?,
-            None if is_file => drop(std::fs::remove_file(side_path(path))),
-            None => {}
+        if !self.draft.is_file() {
+            return Ok(0);
         }
-        self.draft.keep().map_err(failed)?;
+        let taken = settle::settle(self.draft.path(), layout)?;
+        let named = side_path(self.draft.target());
+        self.draft.keep(layout.is_some()).map_err(failed)?;
+        let older = side_files(path).into_iter().filter(|side| layout.is_none() || led_to(side) != led_to(&named));
+        older.for_each(|older| drop(std::fs::remove_file(older)));
         Ok(taken)
     }
+}
 
-    /// Leaves nothing behind.
-    fn discard(self) {
-        if self.side.is_some() {
-            let _ = std::fs::remove_file(side_path(self.draft.path()));
-        }
-    }
+/// Where a side file of an output may be: beside the name it was given, and beside the file that this leads to.
+fn side_files(output: &Path) -> [PathBuf; 2] {
+    [side_path(&led_to(output)), side_path(output)]
 }
 
 /// Records of codes that nobody knows: between intact records they are kept, beside damage they are as likely made up of its
@@ -228,13 +217,13 @@ pub fn run(args: &Args) -> Result {
     let mut source = super::open_log(&args.input)?;
     let side = if args.layout == Some(Layout::Stock) { Some(SideLayout::Narrow) } else { source.side_layout() };
     // Without a side file of its own the recovered log must not be read with that of another.
-    super::must_not_exist(&side_path(&args.output), args.force)?;
+    side_files(&args.output).iter().try_for_each(|side| super::must_not_exist(side, args.force))?;
     let mut out = Output::create(&args.output, side)?;
     let (mut survey, mut doubts) = (Survey::default(), Doubts::default());
-    if let Err(error) = copy(&mut source, args.layout, &mut out, &mut survey, &mut doubts) {
-        out.discard();
-        return Err(error);
+    if side.is_some() && !out.draft.is_file() {
+        note!("{output} is no file: host times, which stand in a file beside, are not written");
     }
+    copy(&mut source, args.layout, &mut out, &mut survey, &mut doubts)?;
     notes!("{}", super::info::losses(&survey, source.bytes()));
     let checks = source.checks();
     if let Some(checks) = &checks {
@@ -242,7 +231,7 @@ pub fn run(args: &Args) -> Result {
     }
     let mut kept = out.kept;
     if kept == 0 {
-        out.discard();
+        drop(out);
         note!("nothing to write: no {output}");
     } else {
         let taken = out.finish(&args.output)?;

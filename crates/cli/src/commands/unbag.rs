@@ -51,10 +51,9 @@ pub fn run(args: &Args) -> Result {
     for file in &done.cut {
         note!("{}: its end is missing; it was read up to there", file.display());
     }
-    if done.damaged_chunks > 0 {
+    for words in super::inputs::lost_words(done.damaged_parts, done.without_topic) {
         lost = true;
-        let chunks = super::some(done.damaged_chunks, "chunk is", "chunks are");
-        note!("{}: {chunks} damaged and left out", args.bag.display());
+        note!("{}: {words}", args.bag.display());
     }
     note!("{} messages of other topics", done.others);
     Ok(match written {

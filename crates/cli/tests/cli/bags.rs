@@ -152,6 +152,19 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
     assert!(status == 2 && errors.contains("/a/csi is given twice"), "{status}: {errors}");
     let (status, _, errors) = run(&[]);
     assert!(status == 2 && errors.contains("--rx"), "{status}: {errors}");
+    // Which of several transmitters a MAC is of is not guessed.
+    let three = [topics.to_vec(), vec![("/c/csi", CSI, csi(Path::new(&tx)))]].concat();
+    std::fs::write(folder.0.join("three.mcap"), mcap(&three)).unwrap();
+    let mac = answers(&expected)[0]["mac"].as_str().unwrap().to_owned();
+    let of_three = ["--bag", "three.mcap", "--rx", "/a/csi"];
+    for given in [["--tx-mac", &mac], ["--tx-trajectory", &path]] {
+        let (status, out, errors) = run(&[&of_three[..], &given].concat());
+        assert!(status == 2 && out.is_empty(), "{status}: {out}");
+        assert!(errors.contains("it names which of /b/csi, /c/csi"), "{errors}");
+    }
+    let (status, out, errors) = run(&[&of_three[..], &["--tx", "/b/csi", "--tx-mac", &mac]].concat());
+    assert_eq!((status, answers(&out)), (0, answers(&expected)), "{errors}");
+    std::fs::remove_file(folder.0.join("three.mcap")).unwrap();
     // Without the other robot's log, without odometry.
     std::fs::write(folder.0.join("one.mcap"), mcap(&topics[..1])).unwrap();
     let (status, _, errors) = run(&["--bag", "one.mcap"]);

@@ -204,3 +204,125 @@ fn an_export_reads_a_pipe_once_and_leaves_the_old_output_until_the_new_one_is_wh
         .filter(|entry| entry.file_name().to_string_lossy().contains(".part"));
     assert_eq!(left.count(), 0);
 }
+
+/// Files of a folder, by name.
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().file_name());
+    let mut names: Vec<String> = entries.map(|name| name.to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
+/// How many records of a log have the host times that [`write`] gave them.
+fn timed(log: &Path) -> usize {
+    read(log).iter().enumerate().filter(|(at, (_, host_us))| *host_us == Some(time(*at))).count()
+}
+
+#[test]
+fn a_link_as_output_stays_one_and_its_side_file_is_that_of_its_log() {
+    let folder = Folder::new("recover-link");
+    write(&folder.0.join("log.dat"), &link(20, 0.0).rx, Layout::Narrow);
+    std::fs::create_dir(folder.0.join("real")).unwrap();
+    let (real, linked) = (folder.0.join("real/out.dat"), folder.0.join("link.dat"));
+    std::os::unix::fs::symlink("real/out.dat", &linked).unwrap();
+    // First to where nothing is, then over an older log with side files beside both names, of which none may stay.
+    for force in [false, true] {
+        if force {
+            [&real, &side_path(&real)].into_iter().for_each(|old| std::fs::remove_file(old).unwrap());
+            for old in [side_path(&linked), side_path(&real)] {
+                std::fs::write(&old, [7; 160]).unwrap();
+                let (status, _, errors) = folder.run(&["recover", "log.dat", "link.dat"]);
+                assert!(status == 1 && errors.contains("stp is there already: --force"), "{errors}");
+                assert!(!real.exists());
+            }
+        }
+        let args = ["recover", "log.dat", "link.dat", "--force"];
+        let (status, _, errors) = folder.run(if force { &args } else { &args[..3] });
+        assert_eq!(status, 0, "{errors}");
+        assert!(linked.is_symlink());
+        assert_eq!((timed(&real), timed(&linked)), (20, 20));
+        assert_eq!(names(&folder.0), ["link.dat", "log.dat", "log.datstp", "real"]);
+        assert_eq!(names(&folder.0.join("real")), ["out.dat", "out.datstp"]);
+    }
+    // A log without times leaves none.
+    std::fs::remove_file(folder.0.join("log.datstp")).unwrap();
+    let (status, _, errors) = folder.run(&["recover", "log.dat", "link.dat", "--force"]);
+    assert_eq!((status, names(&folder.0.join("real"))), (0, vec!["out.dat".to_owned()]), "{errors}");
+    // What is no file has no side file.
+    write(&folder.0.join("timed.dat"), &link(20, 0.0).rx, Layout::Narrow);
+    let (status, _, errors) = folder.run(&["recover", "timed.dat", "/dev/null"]);
+    assert!(status == 0 && errors.contains("host times, which stand in a file beside, are not written"), "{errors}");
+    assert!(!Path::new("/dev/nullstp").exists());
+}
+
+/// Starts a command that reads the pipe `input` of the folder, hands it half a log and waits until it writes a draft.
+fn begun(folder: &Folder, prefix: &str, args: &[&str]) -> (std::process::Child, std::fs::File) {
+    use std::io::Write;
+    let line = format!("{prefix} exec \"$0\" \"$@\"");
+    let mut command = Command::new("sh");
+    command.current_dir(&folder.0).args(["-c", &line, env!("CARGO_BIN_EXE_csi5300")]).args(args);
+    let mut child = command.stdin(std::process::Stdio::null()).stderr(std::process::Stdio::null()).spawn().unwrap();
+    let mut pipe = std::fs::OpenOptions::new().write(true).open(folder.0.join("input")).unwrap();
+    pipe.write_all(&link(20, 0.0).rx.concat()).unwrap();
+    while !names(&folder.0).iter().any(|name| name.contains(".part-")) {
+        assert_eq!(child.try_wait().unwrap(), None, "it ended before it wrote anything");
+        std::thread::yield_now();
+    }
+    (child, pipe)
+}
+
+#[test]
+fn a_signal_leaves_the_old_output_and_nothing_else() {
+    use nix::sys::signal::{Signal, kill};
+    use std::os::unix::process::ExitStatusExt;
+    let folder = Folder::new("draft-signals");
+    pipe(&folder.0.join("input"));
+    folder.write("old.csv", b"old");
+    folder.write("old.dat", b"old");
+    let before = names(&folder.0);
+    let pid = |child: &std::process::Child| nix::unistd::Pid::from_raw(child.id() as i32);
+    for args in [
+        &["export", "input", "old.csv", "--force"][..],
+        &["recover", "input", "old.dat", "--force", "--layout", "stock"],
+    ] {
+        for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {
+            let (mut child, input) = begun(&folder, "", args);
+            kill(pid(&child), signal).unwrap();
+            assert_eq!(child.wait().unwrap().signal(), Some(signal as i32), "{args:?}");
+            drop(input);
+            assert_eq!(names(&folder.0), before, "{args:?} {signal}");
+        }
+        // What it was started to ignore, as under nohup, it ignores.
+        let (mut child, input) = begun(&folder, "trap '' HUP;", args);
+        kill(pid(&child), Signal::SIGHUP).unwrap();
+        drop(input);
+        assert!(child.wait().unwrap().success(), "{args:?}");
+        assert_ne!(std::fs::read(folder.0.join(args[2])).unwrap(), b"old");
+    }
+}
+
+#[test]
+fn an_export_counts_records_without_antennas_among_those_it_writes() {
+    let folder = Folder::new("export-antennas");
+    let mut records = link(20, 0.0).rx;
+    // No antenna at any chain, in the second and in the last record.
+    let sel = driver_iface::record::LENGTH_FIELD + 1 + driver_iface::bfee::offset::ANTENNA_SEL;
+    [1, 19].into_iter().for_each(|k| records[k][sel] = 0xff);
+    folder.write("log.dat", &records.concat());
+    for name in ["out.csv", "out.npz"] {
+        let written = |more: &[&str]| {
+            let (status, out, errors) = folder.run(&[&["export", "log.dat", name, "--json", "--force"], more].concat());
+            assert_eq!(status, 0, "{errors}");
+            let row = json(out.lines().next().unwrap());
+            let said = errors.contains("without a valid antenna_sel");
+            let without = row["without_antennas"].as_u64().unwrap();
+            assert_eq!(said, without > 0, "{errors}");
+            (row["records"].as_u64().unwrap(), row["left_out"].as_u64().unwrap(), without)
+        };
+        assert_eq!(written(&[]), (20, 0, 2), "{name}");
+        let first_us = |k: usize| driver_iface::bfee::Bfee::new_checked(&records[k][3..]).unwrap().timestamp_low();
+        let half_s = f64::from(first_us(10).wrapping_sub(first_us(0))) * 1e-6;
+        assert_eq!(written(&["--to", &half_s.to_string()]), (10, 10, 1), "{name}");
+        assert_eq!(written(&["--from", &half_s.to_string()]), (10, 10, 1), "{name}");
+    }
+}

@@ -150,3 +150,46 @@ fn logs_of_a_capture_give_their_link_the_name_of_captures() {
         folder.run(&["bearing", "--rx", &rx, "--tx", "csi_tx2.dat", "--trajectory", &t, "--channel", "108", "--json"]);
     assert_eq!(json(&out)["link"], "csi_tx2");
 }
+
+#[test]
+fn rows_of_a_trajectory_that_cannot_be_read_are_a_loss_and_a_line_of_headings_is_none() {
+    let folder = Folder::new("rows");
+    let made = link(600, 2.0);
+    folder.link(&made);
+    let (status, expected, errors) = folder.bearing(&["--json"]);
+    assert_eq!(status, 0, "{errors}");
+    folder.write("t.csv", format!("time,0,x,y,z,yaw\n{}", made.trajectory).as_bytes());
+    let (status, out, errors) = folder.bearing(&["--json"]);
+    assert_eq!((status, &out), (0, &expected), "{errors}");
+    // Every tenth row is damaged, by a stray quote among others.
+    let damaged = |(k, line): (usize, &str)| match k % 20 {
+        5 => line.replacen(',', ",\"x", 1) + "\n",
+        15 => "x\n".to_owned(),
+        _ => line.to_owned() + "\n",
+    };
+    let rows: String = made.trajectory.lines().enumerate().map(damaged).collect();
+    folder.write("t.csv", rows.as_bytes());
+    let (status, out, errors) = folder.bearing(&["--json"]);
+    let lost = made.trajectory.lines().count() / 10;
+    assert!(status == 3 && errors.contains(&format!("{lost} rows left out")), "{status}: {errors}");
+    let azimuth = |text: &str| json(text.lines().next().unwrap())["azimuth_deg"].as_f64().unwrap();
+    assert!((azimuth(&out) - azimuth(&expected)).abs() < 1.0, "{out}");
+    // Coordinates that no room has are left out with their rows.
+    for far in ["1e308", "-1e308", "1e155"] {
+        for every in [1, 2, 7] {
+            let moved = |(k, line): (usize, &str)| {
+                let mut cells: Vec<&str> = line.split(',').collect();
+                if k % every == 0 {
+                    cells[2] = far;
+                }
+                cells.join(",") + "\n"
+            };
+            let rows: String = made.trajectory.lines().enumerate().map(moved).collect();
+            folder.write("t.csv", rows.as_bytes());
+            let (status, out, errors) = folder.bearing(&["--json"]);
+            assert!(errors.contains("column 2 is further than 1e9 m from the origin"), "{errors}");
+            assert_eq!(status, if every == 1 { 1 } else { 3 }, "{far} {every}: {errors}");
+            assert!(every == 1 || (azimuth(&out) - azimuth(&expected)).abs() < 1.0, "{far} {every}: {out}");
+        }
+    }
+}

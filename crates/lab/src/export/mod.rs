@@ -107,6 +107,12 @@ impl<'a> Export<'a> {
         if self.form.scaled { self.records.iter().filter(missing).count() as u64 } else { 0 }
     }
 
+    /// Records whose antennas are not known: their rows are in the order of chains.
+    #[must_use]
+    pub fn without_antennas(&self) -> u64 {
+        self.antennas_known().filter(|known| !known).count() as u64
+    }
+
     /// The subcarriers of the records' CSI; none where 20 and 40 MHz are mixed.
     fn subcarriers(&self) -> Option<[i8; SUBCARRIERS]> {
         let wide = self.columns.rate.iter().filter(|word| **word & rate::HT40 != 0).count();

@@ -1,6 +1,7 @@
 //! MCAP as `ros2 bag` writes it (profile `ros2`, messages in CDR, schemas `ros2msg`): chunks without compression, an index
 //! of them and a summary at the end (\[mcap\]). A file that was not ended is whole up to its last chunk.
 
+use driver_iface::mpdu::crc32;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
@@ -178,8 +179,9 @@ impl<W: Write> McapWriter<W> {
         };
         let size = chunk.bytes.len() as u64;
         let mut content = [times.0, times.1, size].map(u64::to_le_bytes).concat();
-        // No sum, no compression.
-        content.extend([0; 8]);
+        // Their CRC-32, and no compression.
+        content.extend(crc32(&chunk.bytes).to_le_bytes());
+        content.extend([0; 4]);
         content.extend(size.to_le_bytes());
         content.extend(chunk.bytes);
         let bytes = record(kind::CHUNK, &content);
@@ -291,6 +293,7 @@ mod tests {
             let chunk = records(&bytes[start..start + length])[0];
             assert_eq!(chunk.0, kind::CHUNK);
             let inside = &chunk.1[40..];
+            assert_eq!(chunk.1[24..28], crc32(inside).to_le_bytes());
             assert_eq!(number(chunk.1, 32), inside.len());
             for entry in index[36..56].chunks(10) {
                 let messages = records(&bytes[number(entry, 2)..])[0].1;

@@ -30,5 +30,12 @@ mod sockets;
 mod tf;
 pub mod unbag;
 
+/// The fuzz target of `rtps`: any steps of others at a participant.
+#[cfg(feature = "fuzzed")]
+#[doc(hidden)]
+pub fn fuzz_rtps(bytes: &[u8]) {
+    rtps::fuzzed::run(bytes);
+}
+
 pub(crate) use node::Node;
 pub(crate) use publish::Ros2;

@@ -4,4 +4,6 @@
 #[path = "../../../../tests/common/mod.rs"]
 mod common;
 
+#[cfg(feature = "ros2")]
+mod fuzz_corpus;
 mod robots;

@@ -4,6 +4,7 @@
 //! otherwise: such a record is taken out, until a reader finds in the log what was written into it and nothing else.
 
 use super::Words;
+use crate::commands::draft::rest;
 use csi5300::source::{CsiSource, Next, Origin, replay::Replay, side_path};
 use csi5300::time::Instant;
 use driver_iface::record::LENGTH_FIELD;
@@ -11,7 +12,7 @@ use driver_iface::side_file::Layout;
 use std::collections::BTreeSet;
 use std::fs::File;
 use std::io::{BufReader, BufWriter, ErrorKind, Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Takes records out of a log that was just written, and their entries out of its side file, until it reads as it was
 /// written. Gives how many.
@@ -56,13 +57,6 @@ fn misread(log: &Path) -> Words<BTreeSet<u64>> {
             return Ok(misread);
         }
     }
-}
-
-/// Where a log is written while it is written anew.
-pub(super) fn rest(log: &Path) -> PathBuf {
-    let mut name = log.as_os_str().to_owned();
-    name.push(".rest");
-    name.into()
 }
 
 /// Writes a log anew without some of its records.

@@ -19,6 +19,8 @@ mod reader;
 mod wire;
 mod writer;
 
+#[cfg(feature = "fuzzed")]
+pub(crate) use participant::fuzzed;
 pub(crate) use participant::{Counts, Event, Participant, Settings};
 pub(crate) use qos::Qos;
 pub(crate) use wire::{Guid, Prefix, VENDOR};

@@ -4,7 +4,6 @@ use super::qos::Qos;
 use super::wire::{Entity, Fragment, Guid, Maker, Numbers, Prefix};
 use super::writer::Outgoing;
 use std::collections::BTreeMap;
-use std::collections::btree_map::Entry;
 use std::net::SocketAddrV4;
 
 /// Samples that wait for one that is missing, of one writer.
@@ -14,7 +13,7 @@ const LARGEST: usize = 1 << 20;
 /// Samples in fragments at a time, of one writer.
 const PARTS: usize = 2;
 /// Bytes of samples that wait, for one that is missing or for their own fragments, of all writers of a topic.
-const WAITING: usize = 8 << 20;
+pub(super) const WAITING: usize = 8 << 20;
 /// Writers of one topic at most: one of each participant, for built-in topics.
 const WRITERS: usize = 128;
 
@@ -28,13 +27,17 @@ struct Parts {
 }
 
 impl Parts {
-    fn new(fragment: &Fragment<'_>) -> Option<Self> {
+    /// Bytes that the sample of a fragment takes, with the marks of its fragments; `None` for one that can be none.
+    fn needed(fragment: &Fragment<'_>) -> Option<usize> {
         let (size, total) = (usize::from(fragment.size), fragment.total as usize);
-        if size == 0 || total == 0 || total > LARGEST {
-            return None;
-        }
+        (size > 0 && (1..=LARGEST).contains(&total)).then(|| total + total.div_ceil(size))
+    }
+
+    /// For the sample of a fragment, for which there is a number of bytes that it takes.
+    fn new(fragment: &Fragment<'_>) -> Self {
+        let (size, total) = (usize::from(fragment.size).max(1), fragment.total as usize);
         let count = total.div_ceil(size);
-        Some(Self { bytes: vec![0; total], size, have: vec![false; count], left: count })
+        Self { bytes: vec![0; total], size, have: vec![false; count], left: count }
     }
 
     /// Bytes that it takes, with the marks of its fragments.
@@ -90,6 +93,33 @@ impl Writing {
         let parts: usize = self.parts.values().map(Parts::len).sum();
         self.waiting = held + parts;
     }
+
+    /// Takes away what will be of use last: the sample with the highest number, of those above `number`. False if there is
+    /// none.
+    fn give_way(&mut self, number: i64) -> bool {
+        let last_held = self.held.last_key_value().map(|(last, _)| *last);
+        let last_part = self.parts.last_key_value().map(|(last, _)| *last);
+        let is_held = last_held > last_part;
+        if last_held.max(last_part).is_none_or(|last| last <= number) {
+            return false;
+        }
+        if is_held {
+            self.held.pop_last();
+        } else {
+            self.parts.pop_last();
+        }
+        self.count();
+        true
+    }
+
+    /// Takes away samples in fragments beyond [`PARTS`]. A reliable writer sends again what is missing, and the lowest
+    /// number is what everything waits for: the highest goes. Of best effort nothing comes again: the lowest goes.
+    fn bound_parts(&mut self) {
+        while self.parts.len() > PARTS {
+            let gone = if self.reliable { self.parts.pop_last() } else { self.parts.pop_first() };
+            drop(gone);
+        }
+    }
 }
 
 /// What was counted of a reader.
@@ -132,14 +162,15 @@ impl Reader {
         self.counts
     }
 
-    /// A writer that goes with this reader; questions for it go to `to`.
-    pub fn add(&mut self, guid: Guid, to: SocketAddrV4, reliable: bool, out: &mut Vec<Outgoing>) {
+    /// A writer that goes with this reader; questions for it go to `to`. False if there are too many.
+    #[must_use]
+    pub fn add(&mut self, guid: Guid, to: SocketAddrV4, reliable: bool, out: &mut Vec<Outgoing>) -> bool {
         if let Some(known) = self.writers.get_mut(&guid) {
             known.to = to;
-            return;
+            return true;
         }
         if self.writers.len() >= WRITERS {
-            return;
+            return false;
         }
         let reliable = reliable && self.qos.reliable;
         // A reliable writer says where a reader begins, with its first heartbeat; the others with what comes.
@@ -149,6 +180,7 @@ impl Reader {
         if reliable {
             self.ask(guid, 0, true, out);
         }
+        true
     }
 
     /// A writer that is gone.
@@ -175,32 +207,48 @@ impl Reader {
         self.lose((number - next).unsigned_abs());
         let Some(writing) = self.writers.get_mut(&guid) else { return Vec::new() };
         self.counts.samples += 1;
-        writing.next = Some(number.saturating_add(1));
+        let next = number.saturating_add(1);
+        writing.next = Some(next);
+        // What came in part and is older will not be handed over.
+        writing.parts = writing.parts.split_off(&next);
+        writing.count();
         vec![(number, payload.to_vec())]
     }
 
     /// Takes a part of a sample; gives what is to be handed over.
     pub fn handle_fragment(&mut self, guid: Guid, number: i64, fragment: &Fragment<'_>) -> Came {
-        let has_room = self.waiting() + 2 * fragment.total as usize <= WAITING;
-        let Some(writing) = self.writers.get_mut(&guid).filter(|_| number > 0) else { return Vec::new() };
+        let Some(writing) = self.writers.get(&guid).filter(|_| number > 0) else { return Vec::new() };
         if writing.next.is_some_and(|next| number < next) || writing.held.contains_key(&number) {
             return Vec::new();
         }
-        let parts = match writing.parts.entry(number) {
-            Entry::Occupied(known) => known.into_mut(),
-            Entry::Vacant(place) => {
-                let Some(parts) = Parts::new(fragment).filter(|_| has_room) else { return Vec::new() };
-                place.insert(parts)
-            }
-        };
-        let whole = parts.take(fragment) && parts.left == 0;
-        // What is oldest will hardly become whole; a reliable writer sends it again.
-        while !whole && writing.parts.len() > PARTS {
-            writing.parts.pop_first();
+        if !writing.parts.contains_key(&number) {
+            let has_room = Parts::needed(fragment).is_some_and(|bytes| self.make_room(guid, number, bytes));
+            let Some(writing) = self.writers.get_mut(&guid).filter(|_| has_room) else { return Vec::new() };
+            writing.parts.insert(number, Parts::new(fragment));
         }
-        let whole = if whole { writing.parts.remove(&number) } else { None };
+        let Some(writing) = self.writers.get_mut(&guid) else { return Vec::new() };
+        let is_whole = writing.parts.get_mut(&number).is_some_and(|parts| parts.take(fragment) && parts.left == 0);
+        let whole = if is_whole { writing.parts.remove(&number) } else { None };
+        writing.bound_parts();
         writing.count();
         whole.map(|parts| self.handle_data(guid, number, &parts.bytes)).unwrap_or_default()
+    }
+
+    /// Room for `bytes` of sample `number` of a writer: of the writer of whom most waits, samples give way until there is some,
+    /// so that nobody keeps the others' out; of this writer itself those behind the sample. False if there is none to be had.
+    fn make_room(&mut self, guid: Guid, number: i64, bytes: usize) -> bool {
+        while self.waiting() + bytes > WAITING {
+            let own = self.writers.get(&guid).map_or(0, |writing| writing.waiting) + bytes;
+            let most = self.writers.iter().filter(|(other, _)| **other != guid).max_by_key(|(_, one)| one.waiting);
+            let (whose, above) = match most {
+                Some((other, one)) if one.waiting > own => (*other, 0),
+                _ => (guid, number),
+            };
+            if !self.writers.get_mut(&whose).is_some_and(|writing| writing.give_way(above)) {
+                return false;
+            }
+        }
+        true
     }
 
     /// What a writer has: what is missing is asked for, what it has no more is lost.
@@ -253,7 +301,7 @@ impl Reader {
     }
 
     /// Bytes that wait, of all writers.
-    fn waiting(&self) -> usize {
+    pub(super) fn waiting(&self) -> usize {
         self.writers.values().map(|writing| writing.waiting).sum()
     }
 

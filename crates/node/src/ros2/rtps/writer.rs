@@ -109,20 +109,29 @@ impl Writer {
     }
 
     /// A reader that goes with this writer; it is told what there is for it. `from_now`: what was written before is not
-    /// for it.
-    pub fn add(&mut self, guid: Guid, to: SocketAddrV4, reliable: bool, from_now: bool, out: &mut Vec<Outgoing>) {
+    /// for it. False if there are too many.
+    #[must_use]
+    pub fn add(
+        &mut self,
+        guid: Guid,
+        to: SocketAddrV4,
+        reliable: bool,
+        from_now: bool,
+        out: &mut Vec<Outgoing>,
+    ) -> bool {
         if let Some(known) = self.readers.get_mut(&guid) {
             known.to = to;
-            return;
+            return true;
         }
         if self.readers.len() >= READERS {
-            return;
+            return false;
         }
         let start = if from_now { self.last + 1 } else { self.first() };
         let reliable = reliable && self.qos.reliable;
         let reading = Reading { to, reliable, start, acked: start, count: None, again: AGAIN, unheard: 0 };
         self.readers.insert(guid, reading);
         self.beat_one(guid, out);
+        true
     }
 
     /// The participant of a reader announced itself: the reader gets a few beats more.

@@ -3,6 +3,8 @@
 mod compressed;
 mod content;
 #[cfg(test)]
+mod damage_tests;
+#[cfg(test)]
 mod kinds_tests;
 mod mcap;
 mod recording;
@@ -93,8 +95,10 @@ pub struct Unbagged {
     pub others: u64,
     /// Files that end before they should: they are whole up to their last chunk.
     pub cut: Vec<PathBuf>,
-    /// Chunks of which nothing could be made, in all files.
-    pub damaged_chunks: u64,
+    /// Parts that are damaged and left out, in all files: chunks of MCAP and of bags of ROS 1, pages and rows of SQLite.
+    pub damaged_parts: u64,
+    /// Messages of topics that nothing is known of, as what describes them is damaged.
+    pub without_topic: u64,
 }
 
 /// A file that is written.
@@ -131,7 +135,9 @@ pub fn unbag(bag: &Path, out: &Path) -> Result<Unbagged, BagError> {
         }
         Ok(())
     })?;
-    let mut done = Unbagged { others: rest.others, cut: rest.cut, damaged_chunks: rest.damaged_chunks, topics: vec![] };
+    let Rest { others, cut, ended } = rest;
+    let (damaged_parts, without_topic) = (ended.damaged_parts, ended.without_topic);
+    let mut done = Unbagged { topics: vec![], others, cut, damaged_parts, without_topic };
     for (_, mut one) in writing {
         one.to.flush().map_err(io(&one.told.file))?;
         done.topics.push(one.told);
@@ -173,8 +179,10 @@ type Used<'a> = dyn FnMut(&Channel, &[u8]) -> Result<(), BagError> + 'a;
 struct Ended {
     /// It ends where it should not.
     cut: bool,
-    /// Chunks of which nothing could be made.
-    damaged_chunks: u64,
+    /// Chunks, pages and rows that are damaged.
+    damaged_parts: u64,
+    /// Messages of topics that are not known.
+    without_topic: u64,
 }
 
 /// What of a recording is neither CSI nor poses.
@@ -182,7 +190,8 @@ struct Ended {
 struct Rest {
     others: u64,
     cut: Vec<PathBuf>,
-    damaged_chunks: u64,
+    /// Of all files.
+    ended: Ended,
 }
 
 /// Each message of CSI or poses goes to `used`, as the bytes of its file; without any if it is unreadable.
@@ -202,7 +211,8 @@ fn each(
             used(channel, content, content::bytes(channel, payload))
         })?;
         rest.others += others;
-        rest.damaged_chunks += ended.damaged_chunks;
+        rest.ended.damaged_parts += ended.damaged_parts;
+        rest.ended.without_topic += ended.without_topic;
         rest.cut.extend(ended.cut.then_some(file));
     }
     Ok(rest)
@@ -218,7 +228,7 @@ fn read(path: &Path, used: &mut Used<'_>) -> Result<Ended, BagError> {
         let mut whole = compressed::stream(file()?).map_err(io)?;
         let mut start = Vec::new();
         if whole.by_ref().take(START).read_to_end(&mut start).is_err() {
-            return Ok(Ended { cut: true, damaged_chunks: 0 });
+            return Ok(Ended { cut: true, ..Ended::default() });
         }
         let all = io::Cursor::new(start.clone()).chain(whole);
         if start.starts_with(sqlite::MAGIC) {

@@ -1,6 +1,6 @@
 //! What a recording has for estimates, in memory.
 
-use super::{BagError, Content, each};
+use super::{BagError, Content, Rest, each};
 use std::path::{Path, PathBuf};
 
 /// A topic of CSI or poses.
@@ -31,8 +31,10 @@ pub struct Recording {
     pub others: u64,
     /// Files that end before they should: they are whole up to their last chunk.
     pub cut: Vec<PathBuf>,
-    /// Chunks of which nothing could be made, in all files.
-    pub damaged_chunks: u64,
+    /// Parts that are damaged and left out, in all files: chunks of MCAP and of bags of ROS 1, pages and rows of SQLite.
+    pub damaged_parts: u64,
+    /// Messages of topics that nothing is known of, as what describes them is damaged.
+    pub without_topic: u64,
 }
 
 impl Recording {
@@ -57,7 +59,8 @@ impl Recording {
             }
             Ok(())
         })?;
-        Ok(Self { topics, others: rest.others, cut: rest.cut, damaged_chunks: rest.damaged_chunks })
+        let Rest { others, cut, ended } = rest;
+        Ok(Self { topics, others, cut, damaged_parts: ended.damaged_parts, without_topic: ended.without_topic })
     }
 
     /// The topics that have `content`.

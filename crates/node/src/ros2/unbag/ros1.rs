@@ -2,13 +2,16 @@
 
 use super::{BagError, Channel, Ended, Used, compressed};
 use std::collections::BTreeMap;
-use std::io::{ErrorKind, Read};
+use std::fs::File;
+use std::io::{BufReader, ErrorKind, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// How a file begins.
 pub(super) const MAGIC: &[u8; 13] = b"#ROSBAG V2.0\n";
 /// Bytes of one header or of the data behind it at most.
 const LARGEST: u64 = 1 << 30;
+/// Bytes of the index at the end at most.
+const LARGEST_INDEX: u64 = 256 << 20;
 
 /// Kinds of records, field `op`.
 mod op {
@@ -64,7 +67,7 @@ pub(super) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Res
     let io = |source| BagError::Io { path: path.to_owned(), source };
     let mut magic = [0; MAGIC.len()];
     from.read_exact(&mut magic).map_err(io)?;
-    let (mut connections, mut ended) = (Connections::new(), Ended::default());
+    let (mut connections, mut ended) = (described(path).unwrap_or_default(), Ended::default());
     loop {
         let (header, data) = match next(&mut from) {
             Ok(Some(record)) => record,
@@ -73,7 +76,7 @@ pub(super) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Res
             Err(error) => return Err(io(error)),
         };
         if field(&header, "op") != Some(&[op::CHUNK]) {
-            record(&header, &data, &mut connections, used)?;
+            record(&header, &data, &mut connections, &mut ended, used)?;
             continue;
         }
         let unpacked = match field(&header, "compression") {
@@ -85,31 +88,72 @@ pub(super) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Res
             }
         };
         let Ok(unpacked) = unpacked else {
-            ended.damaged_chunks += 1;
+            ended.damaged_parts += 1;
             continue;
         };
         let mut rest = unpacked.as_slice();
-        while let Ok(Some((header, data))) = next(&mut rest) {
-            record(&header, &data, &mut connections, used)?;
+        loop {
+            match next(&mut rest) {
+                Ok(Some((header, data))) => record(&header, &data, &mut connections, &mut ended, used)?,
+                Ok(None) => break,
+                Err(_) => {
+                    ended.damaged_parts += 1;
+                    break;
+                }
+            }
         }
     }
 }
 
 /// Takes a connection, hands over a message.
-fn record(header: &[u8], data: &[u8], connections: &mut Connections, used: &mut Used<'_>) -> Result<(), BagError> {
+fn record(
+    header: &[u8],
+    data: &[u8],
+    connections: &mut Connections,
+    ended: &mut Ended,
+    used: &mut Used<'_>,
+) -> Result<(), BagError> {
     let (kind, connection) = (field(header, "op"), number(header, "conn"));
     match (kind, connection) {
-        (Some(&[op::CONNECTION]), Some(connection)) => {
-            // `nav_msgs/Odometry` is `nav_msgs/msg/Odometry` of ROS 2.
-            let kind = text(data, "type").unwrap_or_default().replacen('/', "/msg/", 1);
-            let topic = text(header, "topic").unwrap_or_default();
-            connections.insert(connection, Channel { topic, kind, encoding: "ros1".into() });
+        (Some(&[op::CONNECTION]), Some(number)) => {
+            connections.insert(number, channel(header, data));
             Ok(())
         }
         (Some(&[op::MESSAGE]), Some(connection)) => {
-            let Some(channel) = connections.get(&connection) else { return Ok(()) };
+            let Some(channel) = connections.get(&connection) else {
+                ended.without_topic += 1;
+                return Ok(());
+            };
             used(channel, data)
+        }
+        (None, _) => {
+            ended.damaged_parts += 1;
+            Ok(())
         }
         _ => Ok(()),
     }
+}
+
+/// What a connection says. `nav_msgs/Odometry` is `nav_msgs/msg/Odometry` of ROS 2.
+fn channel(header: &[u8], data: &[u8]) -> Channel {
+    let kind = text(data, "type").unwrap_or_default().replacen('/', "/msg/", 1);
+    Channel { topic: text(header, "topic").unwrap_or_default(), kind, encoding: "ros1".into() }
+}
+
+/// The connections that the index at the end of a bag has once more, in case that a chunk with the first is damaged. `None`
+/// for one that was not ended.
+fn described(path: &Path) -> Option<Connections> {
+    let mut file = File::open(path).ok().filter(|file| file.metadata().is_ok_and(|found| found.is_file()))?;
+    let mut magic = [0; MAGIC.len()];
+    file.read_exact(&mut magic).ok().filter(|()| magic == *MAGIC)?;
+    let (header, _) = next(&mut file).ok()??;
+    let start = u64::from_le_bytes(*field(&header, "index_pos")?.first_chunk()?);
+    file.seek(SeekFrom::Start(start)).ok().filter(|_| start > 0)?;
+    let (mut index, mut connections) = (BufReader::new(file).take(LARGEST_INDEX), Connections::new());
+    while let Ok(Some((header, data))) = next(&mut index) {
+        if let (Some(&[op::CONNECTION]), Some(number)) = (field(&header, "op"), number(&header, "conn")) {
+            connections.insert(number, channel(&header, &data));
+        }
+    }
+    Some(connections)
 }

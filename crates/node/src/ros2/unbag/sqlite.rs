@@ -2,7 +2,7 @@
 //! `messages`, read page by page from the file format itself (\[sqlite\] 1.3, 1.6, 2). Journals are not applied.
 
 use super::{BagError, Channel, Ended, Used};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
@@ -18,13 +18,15 @@ enum Wrong {
     Io(io::Error),
     /// It is not as the format has it.
     Damaged,
+    /// The file ends before it.
+    Missing,
     /// The recording cannot go on.
     Bag(BagError),
 }
 
 impl From<io::Error> for Wrong {
     fn from(error: io::Error) -> Self {
-        if error.kind() == io::ErrorKind::UnexpectedEof { Self::Damaged } else { Self::Io(error) }
+        if error.kind() == io::ErrorKind::UnexpectedEof { Self::Missing } else { Self::Io(error) }
     }
 }
 
@@ -114,8 +116,13 @@ struct Database<R> {
     page: usize,
     /// Bytes of a page that are used.
     usable: usize,
-    /// Pages that may still be read for one table: a tree that leads back to itself has an end.
-    left: u64,
+    /// Pages that it has.
+    pages: u32,
+    /// Pages of the table's tree that were read: one that leads back to itself has an end.
+    seen: BTreeSet<u32>,
+    /// Pages on which rows may still go on: as many as there are.
+    left: u32,
+    ended: Ended,
 }
 
 impl<R: Read + Seek> Database<R> {
@@ -131,50 +138,65 @@ impl<R: Read + Seek> Database<R> {
         if usable < 480 {
             return Err(Wrong::Damaged);
         }
-        Ok(Self { from, page, usable, left: 0 })
+        let there = u32::try_from(from.seek(SeekFrom::End(0))? / page as u64).unwrap_or(u32::MAX);
+        // The head says how many there are, where it was written by who wrote last (\[sqlite\] 1.3.7).
+        let is_said = be32(&head, 24) == be32(&head, 92);
+        let pages = be32(&head, 28).filter(|pages| is_said && *pages > 0).unwrap_or(there);
+        let ended = Ended { cut: pages > there, ..Ended::default() };
+        Ok(Self { from, page, usable, pages, seen: BTreeSet::new(), left: 0, ended })
     }
 
     /// Page `number`, from 1.
     fn page(&mut self, number: u32) -> Result<Vec<u8>, Wrong> {
-        self.left = self.left.checked_sub(1).ok_or(Wrong::Damaged)?;
-        let before = u64::from(number.checked_sub(1).ok_or(Wrong::Damaged)?);
+        let before = u64::from(number.checked_sub(1).filter(|_| number <= self.pages).ok_or(Wrong::Damaged)?);
         self.from.seek(SeekFrom::Start(before * self.page as u64))?;
         let mut bytes = vec![0; self.page];
         self.from.read_exact(&mut bytes)?;
         Ok(bytes)
     }
 
+    /// What cannot be read is counted, and the rest goes on.
+    fn leave_out(&mut self, wrong: Wrong) -> Result<(), Wrong> {
+        match wrong {
+            Wrong::Damaged => self.ended.damaged_parts += 1,
+            Wrong::Missing => self.ended.cut = true,
+            other => return Err(other),
+        }
+        Ok(())
+    }
+
     /// Each row of the table whose tree begins at page `root`, in the order of their numbers.
     fn rows(&mut self, root: u32, used: &mut Rows<'_>) -> Result<(), Wrong> {
-        let size = self.from.seek(SeekFrom::End(0))?;
-        // Each page once, and as many again for what continues elsewhere.
-        self.left = 2 * (size / self.page as u64 + 1);
+        (self.seen, self.left) = (BTreeSet::new(), self.pages);
         self.tree(root, 0, used)
     }
 
     fn tree(&mut self, number: u32, depth: usize, used: &mut Rows<'_>) -> Result<(), Wrong> {
-        let page = self.page(number)?;
+        if depth > DEEPEST || !self.seen.insert(number) {
+            return self.leave_out(Wrong::Damaged);
+        }
+        let page = match self.page(number) {
+            Ok(page) => page,
+            Err(wrong) => return self.leave_out(wrong),
+        };
         // The file's own head is on its first page.
         let at = if number == 1 { 100 } else { 0 };
         let kind = page.get(at).copied().unwrap_or(0);
-        let cells = be16(&page, at + 3).ok_or(Wrong::Damaged)?;
         let list = at + if kind == 5 { 12 } else { 8 };
+        let cells = be16(&page, at + 3).filter(|cells| [5, 13].contains(&kind) && list + 2 * cells <= page.len());
+        let Some(cells) = cells else { return self.leave_out(Wrong::Damaged) };
         for cell in 0..cells {
-            let cell = be16(&page, list + 2 * cell).and_then(|at| page.get(at..)).ok_or(Wrong::Damaged)?;
-            match kind {
-                5 if depth < DEEPEST => self.tree(be32(cell, 0).ok_or(Wrong::Damaged)?, depth + 1, used)?,
-                13 => {
-                    let (id, row) = self.row(cell)?;
-                    used(id, &row).map_err(Wrong::Bag)?;
-                }
-                _ => return Err(Wrong::Damaged),
+            let cell = be16(&page, list + 2 * cell).and_then(|at| page.get(at..)).unwrap_or_default();
+            if kind == 5 {
+                self.tree(be32(cell, 0).unwrap_or(0), depth + 1, used)?;
+                continue;
+            }
+            match self.row(cell) {
+                Ok((id, row)) => used(id, &row).map_err(Wrong::Bag)?,
+                Err(wrong) => self.leave_out(wrong)?,
             }
         }
-        match kind {
-            5 if depth < DEEPEST => self.tree(be32(&page, at + 8).ok_or(Wrong::Damaged)?, depth + 1, used),
-            5 => Err(Wrong::Damaged),
-            _ => Ok(()),
-        }
+        if kind == 5 { self.tree(be32(&page, at + 8).unwrap_or(0), depth + 1, used) } else { Ok(()) }
     }
 
     /// A row: its number, and all of it, wherever it goes on.
@@ -192,6 +214,7 @@ impl<R: Read + Seek> Database<R> {
         let mut row = rest.get(..here).ok_or(Wrong::Damaged)?.to_vec();
         let mut next = if here < whole { be32(rest, here).ok_or(Wrong::Damaged)? } else { 0 };
         while row.len() < whole {
+            self.left = self.left.checked_sub(1).ok_or(Wrong::Damaged)?;
             let page = self.page(next)?;
             next = be32(&page, 0).ok_or(Wrong::Damaged)?;
             let more = (whole - row.len()).min(self.usable - 4);
@@ -218,12 +241,15 @@ impl<R: Read + Seek> Database<R> {
         let (Some(topics), Some(messages)) = (tables.get("topics"), tables.get("messages")) else {
             return Err(Wrong::Bag(BagError::NoTables { path: path.to_owned() }));
         };
-        let mut channels = BTreeMap::new();
+        let (mut channels, mut odd, mut without_topic) = (BTreeMap::new(), 0, 0);
         self.rows(*topics, &mut |id, row| {
             // id, name, type, serialization_format, and more.
-            if let Some([_, topic, kind, encoding, ..]) = values(row).as_deref() {
-                let text = |value: &Value<'_>| value.text().unwrap_or_default();
-                channels.insert(id, Channel { topic: text(topic), kind: text(kind), encoding: text(encoding) });
+            match values(row).as_deref() {
+                Some([_, Value::Bytes(topic), Value::Bytes(kind), Value::Bytes(encoding), ..]) => {
+                    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+                    channels.insert(id, Channel { topic: text(topic), kind: text(kind), encoding: text(encoding) });
+                }
+                _ => odd += 1,
             }
             Ok(())
         })?;
@@ -231,22 +257,31 @@ impl<R: Read + Seek> Database<R> {
             // id, topic_id, timestamp, data, and more.
             match values(row).as_deref() {
                 Some([_, Value::Number(topic), _, Value::Bytes(payload), ..]) => {
-                    let channel = u64::try_from(*topic).ok().and_then(|topic| channels.get(&topic));
-                    channel.map_or(Ok(()), |channel| used(channel, payload))
+                    match u64::try_from(*topic).ok().and_then(|topic| channels.get(&topic)) {
+                        Some(channel) => return used(channel, payload),
+                        None => without_topic += 1,
+                    }
                 }
-                _ => Ok(()),
+                _ => odd += 1,
             }
-        })
+            Ok(())
+        })?;
+        self.ended.damaged_parts += odd;
+        self.ended.without_topic += without_topic;
+        Ok(())
     }
 }
 
 /// Each message of a recording goes to `used`, in the order of their numbers.
 pub(super) fn read(path: &Path, from: impl Read + Seek, used: &mut Used<'_>) -> Result<Ended, BagError> {
-    let done = Database::open(from).and_then(|mut database| database.messages(path, used));
-    match done {
-        Ok(()) => Ok(Ended::default()),
-        // What stands before it was used.
-        Err(Wrong::Damaged) => Ok(Ended { cut: true, damaged_chunks: 0 }),
+    let opened = Database::open(from).and_then(|mut database| {
+        database.messages(path, used)?;
+        Ok(database.ended)
+    });
+    match opened {
+        Ok(ended) => Ok(ended),
+        Err(Wrong::Missing) => Ok(Ended { cut: true, ..Ended::default() }),
+        Err(Wrong::Damaged) => Ok(Ended { damaged_parts: 1, ..Ended::default() }),
         Err(Wrong::Io(source)) => Err(BagError::Io { path: path.to_owned(), source }),
         Err(Wrong::Bag(error)) => Err(error),
     }

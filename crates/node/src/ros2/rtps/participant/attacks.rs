@@ -141,3 +141,35 @@ fn names_that_are_longer_than_any_are_not_kept_and_readers_not_without_number() 
     assert_eq!(net.all[0].writer_state(0).matched, 256);
     assert!(net.all[0].others.len() <= 8_192 && net.all[0].counts().refused > 1_000);
 }
+
+/// The announcement of writer `number` of participant `prefix`, from 1.
+fn writer_of(prefix: Prefix, number: i64) -> Vec<u8> {
+    let guid = Guid { prefix, entity: entity(number as usize, 3) };
+    let (topic, kind) = ("rt/a".to_owned(), "T".to_owned());
+    let data = EndpointData { guid, topic, kind, qos: Qos::reliable(10), unicast: Vec::new() };
+    let ends = (PUBLICATIONS.1, PUBLICATIONS.0);
+    Maker::new(prefix, None).data(ends, number, &data.payload(), (None, None)).finish()
+}
+
+#[test]
+fn one_too_many_of_a_topic_is_counted_and_has_its_place_when_somebody_leaves() {
+    let mut net = Net::new(1);
+    net.all[0].add_reader("rt/a", "T", Qos::reliable(10), WALL_US);
+    // Two writers of each of 65 participants.
+    let strangers: Vec<Prefix> = (0..65).map(|k| [100 + k; 12]).collect();
+    for prefix in &strangers {
+        hand(&mut net, &announcement(*prefix, at(9, 7410)));
+        (1..=2).for_each(|number| hand(&mut net, &writer_of(*prefix, number)));
+        net.all[0].poll_transmit();
+    }
+    let state = net.all[0].reader_state(0);
+    assert_eq!((state.matched, net.all[0].counts().refused), (128, 2));
+    assert!(state.wrong.iter().any(|why| why.contains("too many")), "{:?}", state.wrong);
+    // It is looked at again and again, and counted once.
+    sent(&mut net, 2_000);
+    assert_eq!(net.all[0].counts().refused, 2);
+    net.all[0].forget(strangers[0]);
+    sent(&mut net, 600);
+    let state = net.all[0].reader_state(0);
+    assert_eq!((state.matched, state.wrong), (128, vec![]));
+}

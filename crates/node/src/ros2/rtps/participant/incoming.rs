@@ -94,8 +94,9 @@ impl Participant {
         for ((writer, reader), (own_writer, own_reader)) in
             [(PUBLICATIONS, &mut self.publications), (SUBSCRIPTIONS, &mut self.subscriptions)]
         {
-            own_writer.add(guid(reader), meta, true, false, &mut self.out);
-            own_reader.add(guid(writer), meta, true, &mut self.out);
+            let known = own_writer.add(guid(reader), meta, true, false, &mut self.out)
+                && own_reader.add(guid(writer), meta, true, &mut self.out);
+            self.counts.refused += u64::from(!known);
             own_writer.renew(prefix);
         }
         self.writers.iter_mut().for_each(|own| own.end.renew(prefix));
@@ -194,6 +195,20 @@ impl Participant {
         }
     }
 
+    /// Ends of others for which there was no place are met again: somebody may have left.
+    pub(super) fn meet_left_out(&mut self) {
+        for writers in [true, false] {
+            let waits = if writers {
+                self.readers.iter().any(|own| own.left_somebody_out())
+            } else {
+                self.writers.iter().any(|own| own.left_somebody_out())
+            };
+            if waits {
+                self.meet_all(writers);
+            }
+        }
+    }
+
     /// Everything that is known of others' writers, or readers, again: there is a new end here.
     pub(super) fn meet_all(&mut self, writers: bool) {
         let all: Vec<EndpointData> =
@@ -210,10 +225,8 @@ impl Participant {
         if is_writer {
             for own in self.readers.iter_mut().filter(|own| own.data.topic == data.topic) {
                 match wrong(&own.data.kind, &data.kind).or_else(|| data.qos.mismatch(&own.data.qos)) {
-                    None => {
-                        own.wrong.remove(&guid);
-                        own.end.add(guid, to, data.qos.reliable, &mut self.out);
-                    }
+                    None if own.end.add(guid, to, data.qos.reliable, &mut self.out) => drop(own.wrong.remove(&guid)),
+                    None => self.counts.refused += u64::from(own.has_no_place_for(guid)),
                     Some(why) => drop(own.wrong.insert(guid, why)),
                 }
             }
@@ -221,10 +234,10 @@ impl Participant {
             let from_now = data.qos.durability == 0;
             for own in self.writers.iter_mut().filter(|own| own.data.topic == data.topic) {
                 match wrong(&own.data.kind, &data.kind).or_else(|| own.data.qos.mismatch(&data.qos)) {
-                    None => {
+                    None if own.end.add(guid, to, data.qos.reliable, from_now, &mut self.out) => {
                         own.wrong.remove(&guid);
-                        own.end.add(guid, to, data.qos.reliable, from_now, &mut self.out);
                     }
+                    None => self.counts.refused += u64::from(own.has_no_place_for(guid)),
                     Some(why) => drop(own.wrong.insert(guid, why)),
                 }
             }

@@ -74,7 +74,7 @@ pub(crate) struct Counts {
     pub participants: u64,
     /// Participants that went silent.
     pub expired: u64,
-    /// Announcements that were refused because there are too many.
+    /// Participants and endpoints that were refused because there are too many: of all, or of one topic.
     pub refused: u64,
     /// Answers to services that nobody came to read.
     pub unanswered: u64,
@@ -110,6 +110,20 @@ struct Own<T> {
     end: T,
     data: EndpointData,
     wrong: BTreeMap<Guid, &'static str>,
+}
+
+/// Why an end does not go with one here that is as it should be.
+const NO_PLACE: &str = "there are too many of this topic";
+
+impl<T> Own<T> {
+    /// Notes an end that there is no place for; true if that is new.
+    fn has_no_place_for(&mut self, guid: Guid) -> bool {
+        self.wrong.insert(guid, NO_PLACE) != Some(NO_PLACE)
+    }
+
+    fn left_somebody_out(&self) -> bool {
+        self.wrong.values().any(|why| *why == NO_PLACE)
+    }
 }
 
 /// An answer whose reader is not known.
@@ -278,6 +292,7 @@ impl Participant {
             let waited = self.waiting.len();
             self.waiting.retain(|waiting| now < waiting.until);
             self.counts.unanswered += (waited - self.waiting.len()) as u64;
+            self.meet_left_out();
             self.look_at = now + LOOK;
         }
     }
@@ -338,5 +353,7 @@ fn words(wrong: &BTreeMap<Guid, &'static str>) -> Vec<String> {
 
 #[cfg(test)]
 mod attacks;
+#[cfg(any(test, feature = "fuzzed"))]
+pub mod fuzzed;
 #[cfg(test)]
 mod tests;

@@ -1,0 +1,11 @@
+//! The fuzz target of recordings on its corpus.
+
+#[path = "../../../../tests/common/corpus.rs"]
+mod corpus;
+#[path = "../../../../fuzz/targets/recording.rs"]
+mod recording;
+
+#[test]
+fn corpora() {
+    corpus::replay("recording", recording::run);
+}
