@@ -105,6 +105,12 @@ pub(super) fn limits(direction: &Direction, options: &Options) -> Limits {
     }
 }
 
+/// The same of a search along the horizon: the fewest places that any search takes.
+pub(super) fn horizon(options: &Options) -> Limits {
+    let steps = &options.accuracy;
+    Limits { tier: options.search.tier, ..Limits::new(0.0, steps.range_min_m).with_height_m(steps.height_m) }
+}
+
 /// The answer within what is expected, or one beyond it that leaves no doubt: higher, where the plane wave is (`higher`);
 /// nearer, where the answer is at the shortest range.
 fn beyond_expected(

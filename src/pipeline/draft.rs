@@ -8,6 +8,7 @@ use super::effort::{Least, Sufficient};
 use super::error::LinkError;
 use super::link::{Link, PairRow};
 use super::options::{JoinBy, Options};
+use super::slope::Slope;
 use super::stretch;
 use crate::bartlett;
 use crate::exchange::pairing::LinkSide;
@@ -69,6 +70,7 @@ pub(super) fn estimate_one(join: &LinkJoin<'_>, options: &Options) -> Result<Bea
 /// A bearing before what takes all links of a capture: its search is still open.
 struct Draft {
     placed: Option<(Placed, Search)>,
+    slope: Option<Slope>,
     bearing: Bearing,
 }
 
@@ -90,7 +92,7 @@ impl Draft {
             Some(doubt) => return Err(doubt),
             None => found?,
         };
-        let LeastOf { direction, quick, limits, least: Least { sufficient, one_wave } } = least;
+        let LeastOf { direction, quick, slope, limits, least: Least { sufficient, one_wave } } = least;
         let samples = gated.samples;
         let place = || accurate::place(&samples, phases.round_trips(link), &gated.used, &direction, options);
         let every_step = matches!(sufficient, Sufficient::Everything(_));
@@ -112,7 +114,7 @@ impl Draft {
             path_m: receiver.poses().iter().filter(|_| options.keep_course).map(|pose| pose.position_m).collect(),
             course: if options.keep_course { link.course(&times_s, &phases.z) } else { Vec::new() },
         };
-        Ok(Self { placed, bearing })
+        Ok(Self { placed, slope, bearing })
     }
 
     /// What the samples need; where that is more than can be searched at once, of the stretch that can.
@@ -122,26 +124,29 @@ impl Draft {
         compensated: bool,
         options: &Options,
     ) -> Result<(Gated, LeastOf), LinkError> {
-        let mut least = LeastOf::new(&gated.samples, compensated, options)?;
-        // A shorter stretch may tell less of elevations, and so need fewer of them searched, or more.
-        for _ in 0..2 {
-            let points: Vec<Vector3<f64>> = gated.samples.displacements_m().collect();
-            let stretch = stretch::searchable(&points, gated.samples.wavelength_m(), &least.limits);
-            match stretch.filter(|_| matches!(least.least.sufficient, Sufficient::Everything(_))) {
-                Some(stretch) => gated = gated.within(stretch, gate)?,
-                None => break,
-            }
-            least = LeastOf::new(&gated.samples, compensated, options)?;
+        // What is too wide even for the horizon alone is cut before anything is computed of it.
+        let horizon = accurate::horizon(options);
+        if let Some(stretch) = gated.searchable(&horizon).filter(|_| options.accuracy.near_field) {
+            gated = gated.within(stretch, gate)?;
         }
-        Ok((gated, least))
+        // A shorter stretch may tell less of elevations, and so need fewer of them searched, or more; each is shorter than
+        // the one before it.
+        loop {
+            let least = LeastOf::new(&gated.samples, compensated, options)?;
+            match gated.searchable(&least.limits).filter(|_| options.accuracy.near_field) {
+                Some(stretch) => gated = gated.within(stretch, gate)?,
+                None => return Ok((gated, least)),
+            }
+        }
     }
 
     /// The bearing; its search is spent.
     fn finish(self, options: &Options) -> Bearing {
-        let Self { placed, mut bearing } = self;
+        let Self { placed, slope, mut bearing } = self;
         if let Some(placed) = placed {
             let placed = accurate::extract(placed, bearing.sufficient.explains_all(), options);
             bearing.answer = BearingAnswer::of_spherical_wave(&placed, &bearing.plane_wave, &bearing.samples, options);
+            slope.iter().for_each(|slope| slope.tell(&mut bearing.answer));
             bearing.placed = Some(placed);
         }
         bearing
@@ -152,6 +157,7 @@ impl Draft {
 struct LeastOf {
     direction: Direction,
     quick: BearingAnswer,
+    slope: Option<Slope>,
     limits: Limits,
     least: Least,
 }
@@ -159,10 +165,12 @@ struct LeastOf {
 impl LeastOf {
     fn new(samples: &Samples, compensated: bool, options: &Options) -> Result<Self, LinkError> {
         let direction = Direction::of(samples, options)?;
-        let quick = BearingAnswer::of_plane_wave(&direction, compensated, options);
+        let mut quick = BearingAnswer::of_plane_wave(&direction, compensated, options);
+        let slope = Slope::of(samples, &direction.plane_wave, options)?;
+        slope.iter().for_each(|slope| slope.tell(&mut quick));
         let limits = accurate::limits(&direction, options);
         let least = Least::of(samples, &direction, &limits, &quick, options);
-        Ok(Self { direction, quick, limits, least })
+        Ok(Self { direction, quick, slope, limits, least })
     }
 
     /// Whether the plane wave explains more of the phases than the best of all directions does of random ones.
@@ -378,6 +386,12 @@ struct Gated {
 }
 
 impl Gated {
+    /// The stretch that can be searched, where that is not all of it.
+    fn searchable(&self, limits: &Limits) -> Option<Range<usize>> {
+        let points: Vec<Vector3<f64>> = self.samples.displacements_m().collect();
+        stretch::searchable(&points, self.samples.wavelength_m(), limits)
+    }
+
     /// The same of a stretch of the samples.
     fn within(self, stretch: Range<usize>, gate: &Gate<'_>) -> Result<Self, LinkError> {
         let all = &self.samples;

@@ -93,7 +93,10 @@ impl Least {
             Effort::Within(asked_rad) => Some(asked_rad),
             Effort::Needed => None,
         };
-        let certain = quick.mirror_rad.is_none() && quick.edge.is_none();
+        // The error bar of a plane wave was fitted to apertures over which wave fronts are hardly curved.
+        let [_, widest] = TUNING.quick_probability.aperture_wavelengths;
+        let narrow = 2.0 * direction.plane_wave.shape.half_extent_m[0] <= widest * samples.wavelength_m();
+        let certain = narrow && quick.mirror_rad.is_none() && quick.edge.is_none();
         if let Some(asked_rad) = asked_rad.filter(|asked| certain && quick.azimuth_sd_rad <= *asked) {
             return without(Sufficient::ErrorBar { error_bar_rad: quick.azimuth_sd_rad, asked_rad });
         }

@@ -10,6 +10,7 @@
 //! | clocks, compensation, gate, plane wave | `draft` |
 //! | how much of the rest is needed | `effort` |
 //! | of motion that is too wide to be searched at once, the stretch that tells most | `stretch` |
+//! | what motion along a climbing line leaves open | `slope` |
 //! | spherical waves over all subcarriers, autofocus over all links, paths | `accurate` |
 //! | the same while robots drive, over the last metres | [`live`] |
 //! | the answer, as values and as a line of JSON | `bearing`, `answer`, `explain` |
@@ -29,6 +30,7 @@ pub mod live;
 mod matching;
 mod options;
 mod reading;
+mod slope;
 mod stretch;
 
 pub use accurate::Placed;

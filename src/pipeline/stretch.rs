@@ -8,8 +8,8 @@ use crate::place::near_field::{Limits, is_searchable};
 use nalgebra::{Matrix2, Vector3};
 use std::ops::Range;
 
-/// Stretches that are compared: as many beginnings, each as long as can be searched.
-const BEGINNINGS: usize = 16;
+/// Stretches that are compared are as long as can be searched, and each begins this share of its length before the next.
+const OVERLAP: usize = 4;
 /// How much spread along the motion counts beside spread across it: a line tells no side from the other.
 const ALONG: f64 = 1e-3;
 
@@ -22,17 +22,28 @@ pub(super) fn searchable(displacement_m: &[Vector3<f64>], wavelength_m: f64, lim
         return None;
     }
     let longest = |from: usize| {
-        // The end is beyond what fits, or the end of all.
-        let (mut inside, mut outside) = (from + 1, count + 1);
+        // Twice as long as long as that fits; then the end is between what fits and what does not, or is that of all.
+        let mut inside = from + 1;
+        while inside < count && fits(from..(2 * inside - from).min(count)) {
+            inside = (2 * inside - from).min(count);
+        }
+        let mut outside = (2 * inside - from).min(count + 1);
         while outside - inside > 1 {
             let middle = inside.midpoint(outside);
             if fits(from..middle) { inside = middle } else { outside = middle }
         }
         from..inside
     };
-    let stretches = (0..BEGINNINGS).map(|k| longest(k * count / BEGINNINGS));
-    let spread = |range: &Range<usize>| spread_m2(&displacement_m[range.clone()]);
-    stretches.filter(|range| range.len() > 1).max_by(|a, b| spread(a).total_cmp(&spread(b)))
+    let (mut from, mut best) = (0, None);
+    while from < count {
+        let range = longest(from);
+        let spread_m2 = spread_m2(&displacement_m[range.clone()]);
+        from = if range.end == count { count } else { from + (range.len() / OVERLAP).max(1) };
+        if range.len() > 1 && best.as_ref().is_none_or(|(most_m2, _)| spread_m2 > *most_m2) {
+            best = Some((spread_m2, range));
+        }
+    }
+    best.map(|(_, range)| range)
 }
 
 /// Sum of squared distances from the mean across the motion, and a little of those along it: horizontal, square metres.

@@ -18,7 +18,7 @@ use crate::place::near_field::Fix;
 use crate::tuning::TUNING;
 
 /// Standard deviation of an azimuth of which nothing is known, radians.
-const UNIFORM_RAD: f64 = 1.813_799_364_234_217_8;
+pub(crate) const UNIFORM_RAD: f64 = 1.813_799_364_234_217_8;
 
 /// Least and largest probability that is said.
 #[must_use]

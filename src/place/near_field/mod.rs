@@ -26,7 +26,7 @@
 //!                  v
 //!   Search   scan:  grid of Axes  -> peaks by evidence (prior)       Precision::Rough
 //!            climb: peaks         -> tops                            Rough, the answer's Exact
-//!            polish or weigh the answer (uncertainty, prior)
+//!            polish or weigh the answer (likeliest, prior)
 //!                  |
 //!                  v
 //!   Fix: Sources, Deviations      beside it: Search::paths (waves one by one), Search::maps (pictures),
@@ -34,7 +34,7 @@
 //! ```
 //!
 //! Files depend on those above them only: `types`, `aperture`, `bend`; `prepared`; `kernel`; `grid`, `prior`, `fix`,
-//! `waves` and `uncertainty`; `search` with `scan`, `thin`, `climb` and `mirror`; `one_wave`, `paths`, `maps`, `focus`.
+//! `waves`, `uncertainty` and `likeliest`; `search` with `scan`, `thin`, `climb` and `mirror`; `one_wave`, `paths`, `maps`, `focus`.
 
 pub(crate) mod aperture;
 mod bend;
@@ -44,6 +44,7 @@ mod fix;
 mod focus;
 mod grid;
 mod kernel;
+mod likeliest;
 mod maps;
 pub(crate) mod mirror;
 pub(crate) mod one_wave;

@@ -10,6 +10,7 @@
 
 use super::aperture::Aperture;
 use super::fix::{Fix, Source};
+use super::likeliest::{Settled, settled};
 use super::mirror::{decisive, log_odds};
 use super::search::Search;
 use super::types::{Band, Elevations, Free, Limits, Place, Precision, Taper, View};
@@ -26,11 +27,6 @@ use std::fmt;
 
 /// The one view: the phase at the channel centre over the whole motion.
 const WHOLE: [View; 1] = [View::new(1, Taper::Hann, Band::Centre)];
-/// Steps to the least residual phase, the largest in elevation, and the elevation below which level motion cannot tell one
-/// from the horizon, radians.
-const STEPS: usize = 8;
-const HIGHEST_STEP_RAD: f64 = 0.1;
-const HORIZON_RAD: f64 = 1e-3;
 /// Azimuths on either side of the plane wave's, and their distance in cells of the grid.
 const BESIDE: (i32, f64) = (8, 0.25);
 
@@ -156,53 +152,25 @@ impl CentreWave {
         self.search.judged_top(places[best])
     }
 
-    /// The place of least residual phase next to `source`, with what is free there: a coordinate that would leave its
-    /// limits at the horizon or at infinity stays there.
+    /// The place of least residual phase next to `source`, with what is free there.
     fn likeliest(&mut self, mut source: Source) -> Result<(Source, Free), Unexplained> {
         let signed = source.signed_elevation_rad.is_some();
         let [lowest, highest] = self.search.limits.elevation_span_rad();
-        let mut free = self.free();
-        for _ in 0..3 {
-            let at = [source.azimuth_rad, source.elevation_rad(), source.inverse_range_per_m];
-            let waves = Waves::at_centre(&self.aperture, &self.middle_m, self.wavelength_m, free);
-            let (mut place, still) = self.settled(&waves, at).ok_or(Unexplained::NoPlace)?;
-            if free.elevation && !signed {
-                // Level motion has the same phases above and below, and none that tells heights near the horizon apart.
-                place[1] = place[1].abs();
-                if !still || place[1] < HORIZON_RAD {
-                    (source.abs_elevation_rad, free.elevation) = (0.0, false);
-                    continue;
-                }
-            }
-            if free.range && place[2] < 0.0 {
-                (source.inverse_range_per_m, free.range) = (0.0, false);
-                continue;
-            }
-            Left::of(&waves, place).is_noise()?;
-            if !(lowest..=highest).contains(&place[1]) || place[2] > self.search.curve_max {
-                return Err(Unexplained::NoPlace);
-            }
-            (source.azimuth_rad, source.abs_elevation_rad) = (wrap_rad(place[0]), place[1].abs());
-            source.signed_elevation_rad = signed.then_some(place[1]);
-            source.inverse_range_per_m = place[2];
-            let power = self.search.powers(&[Place::from(&source)], Precision::Exact)[0];
-            (source.power, source.evidence) = (f64::from(power), f64::from(power));
-            return Ok((source, free));
+        let waves = |free| Waves::at_centre(&self.aperture, &self.middle_m, self.wavelength_m, free);
+        let at = [source.azimuth_rad, source.elevation_rad(), source.inverse_range_per_m];
+        let reach_rad = TUNING.deviations.polish_cells * TAU / self.search.axes.azimuths as f64;
+        let found = settled(waves, at, self.free(), signed, reach_rad).ok_or(Unexplained::NoPlace)?;
+        let Settled { place, free } = found;
+        Left::of(&waves(free), place).is_noise()?;
+        if !(lowest..=highest).contains(&place[1]) || place[2] > self.search.curve_max {
+            return Err(Unexplained::NoPlace);
         }
-        Err(Unexplained::NoPlace)
-    }
-
-    /// Gauss's and Newton's steps from `start`, and whether the elevation has come to rest; `None` if they lead away.
-    fn settled(&self, waves: &Waves<'_, 1>, start: [f64; 3]) -> Option<([f64; 3], bool)> {
-        let cell_rad = TAU / self.search.axes.azimuths as f64;
-        let (mut c, mut last) = (start, 0.0);
-        for _ in 0..STEPS {
-            let step = waves.step(c)?;
-            last = step[1].clamp(-HIGHEST_STEP_RAD, HIGHEST_STEP_RAD);
-            c = [c[0] + step[0], c[1] + last, c[2] + step[2]];
-        }
-        let near = wrap_rad(c[0] - start[0]).abs() < 2.0 * cell_rad && c.iter().all(|v| v.is_finite());
-        near.then_some((c, last.abs() < HORIZON_RAD))
+        (source.azimuth_rad, source.abs_elevation_rad) = (wrap_rad(place[0]), place[1].abs());
+        source.signed_elevation_rad = signed.then_some(place[1]);
+        source.inverse_range_per_m = place[2];
+        let power = self.search.powers(&[Place::from(&source)], Precision::Exact)[0];
+        (source.power, source.evidence) = (f64::from(power), f64::from(power));
+        Ok((source, free))
     }
 
     /// Refuses an answer beside which another direction of the plane wave's, or a mirror image of motion in space, leaves a

@@ -7,11 +7,14 @@ use crate::signal::alignment::CsiRow;
 use crate::signal::channel::SUBCARRIERS;
 use nalgebra::{DMatrix, Vector3};
 use num_complex::{Complex32, Complex64};
+use std::collections::BTreeMap;
 
 /// Columns that the kernel sums at once: each needs four sums, and sixteen registers are there.
 pub(super) const ABREAST: usize = 3;
 /// (re, im) of one packet in [`ABREAST`] columns.
 pub(super) type Abreast = [(f32, f32); ABREAST];
+/// The columns of a band, and the full energy of each sample.
+type Principal = (Vec<Vec<Abreast>>, Vec<f64>);
 
 /// One window of a view: its samples, weighted.
 #[derive(Clone, Debug)]
@@ -62,7 +65,7 @@ impl PreparedAperture {
             turn_m: (wavelength_m / f64::from(aperture.path_gain)) as f32,
             curve_max,
             polynomial: None,
-            views: views.iter().map(|view| PreparedView::new(aperture, view)).collect(),
+            views: PreparedView::all(aperture, views),
         };
         prepared.warp(&Warp::default());
         prepared
@@ -136,15 +139,20 @@ impl PreparedAperture {
 }
 
 impl PreparedView {
-    fn new(aperture: &Aperture, view: &View) -> Self {
-        match view.band {
+    /// All `views`: those of one band share its columns.
+    fn all(aperture: &Aperture, views: &[View]) -> Vec<Self> {
+        let mut bands: BTreeMap<usize, Principal> = BTreeMap::new();
+        let mut prepared = |view: &View| match view.band {
             Band::Centre => Self::of_centre(aperture, view),
-            Band::Subcarriers(count) => Self::of_subcarriers(aperture, view, count.clamp(1, SUBCARRIERS)),
-        }
+            Band::Subcarriers(count) => {
+                let count = count.clamp(1, SUBCARRIERS);
+                Self::of_subcarriers(bands.entry(count).or_insert_with(|| principal(aperture, count)), view)
+            }
+        };
+        views.iter().map(&mut prepared).collect()
     }
 
-    fn of_subcarriers(aperture: &Aperture, view: &View, count: usize) -> Self {
-        let (columns, energies) = principal(aperture, count);
+    fn of_subcarriers((columns, energies): &Principal, view: &View) -> Self {
         let mut full = 0f64;
         let window = |(from, weights): (usize, Vec<f64>)| {
             let energy: f64 = weights.iter().zip(&energies[from..]).map(|(w, energy)| w * energy).sum();
@@ -155,7 +163,7 @@ impl PreparedView {
             };
             Window { from, columns: columns.iter().map(weighted).collect() }
         };
-        let windows = cuts(aperture.rows.len(), view).into_iter().map(window).collect();
+        let windows = cuts(energies.len(), view).into_iter().map(window).collect();
         Self { windows, full: full as f32 }
     }
 
@@ -198,7 +206,7 @@ fn cuts(n: usize, view: &View) -> Vec<(usize, Vec<f64>)> {
 /// orthogonal basis, and in that of their correlation nearly all of it that is more than noise is in the first
 /// [`ABREAST`] (of up to six subcarriers) or twice as many columns. What is left out can only lower a power, by its
 /// share of the energy at most. Beside them the full energy of each sample.
-fn principal(aperture: &Aperture, count: usize) -> (Vec<Vec<Abreast>>, Vec<f64>) {
+fn principal(aperture: &Aperture, count: usize) -> Principal {
     let lowest = (SUBCARRIERS - count) / 2;
     let band = |row: &CsiRow| -> Vec<Complex32> { row[lowest..lowest + count].to_vec() };
     let rows: Vec<Vec<Complex32>> = aperture.rows.iter().map(band).collect();

@@ -4,10 +4,11 @@ use super::aperture::Aperture;
 use super::fix::{Fix, Source};
 use super::grid::{Axes, Extent, axes, curve_max};
 use super::kernel::powers;
+use super::likeliest::polished;
 use super::prepared::PreparedAperture;
 use super::prior;
 use super::types::{Band, Elevations, Free, Limits, Place, Precision, View, Warp};
-use super::uncertainty::{deviations, downhill, polished};
+use super::uncertainty::{deviations, downhill};
 use super::waves::Waves;
 use crate::maths::wrap_rad;
 use crate::signal::channel::SUBCARRIERS;
@@ -180,14 +181,16 @@ impl Search {
         if self.limits.height_m.is_some() && free.range {
             return false;
         }
-        let Some(place) = polished(&self.waves(free), answer) else { return false };
-        // A magnitude has no sign to lose: only a source that has one may cross the horizon.
+        let at = [answer.azimuth_rad, answer.elevation_rad(), answer.inverse_range_per_m];
+        let signed = answer.signed_elevation_rad.is_some();
+        let cell_rad = TAU / self.axes.azimuths as f64;
+        let place = polished(|free| self.waves(free), at, free, signed, cell_rad);
+        let Some([azimuth, elevation, curve]) = place else { return false };
         let [lowest, highest] = self.limits.elevation_span_rad();
-        let lowest = if answer.signed_elevation_rad.is_some() { lowest } else { 0.0 };
-        if (lowest..=highest).contains(&place.elevation) && (0.0..=self.curve_max).contains(&place.curve) {
-            answer.azimuth_rad = wrap_rad(place.azimuth);
-            (answer.abs_elevation_rad, answer.inverse_range_per_m) = (place.elevation.abs(), place.curve);
-            answer.signed_elevation_rad = answer.signed_elevation_rad.map(|_| place.elevation);
+        if (lowest..=highest).contains(&elevation) && (0.0..=self.curve_max).contains(&curve) {
+            answer.azimuth_rad = wrap_rad(azimuth);
+            (answer.abs_elevation_rad, answer.inverse_range_per_m) = (elevation.abs(), curve);
+            answer.signed_elevation_rad = answer.signed_elevation_rad.map(|_| elevation);
         }
         true
     }

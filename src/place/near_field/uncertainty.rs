@@ -9,24 +9,6 @@ use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
 use num_complex::Complex64;
 use std::f64::consts::{PI, TAU};
 
-/// The coordinates of least residual phase next to `at`, over all rows as one: the most likely ones if noise is all that a
-/// single spherical wave leaves, which is when they are given. Where reflections leave more, no estimate of one place is
-/// the most likely one, and what all views agreed on stays.
-pub(super) fn polished<const K: usize>(waves: &Waves<'_, K>, at: &Source) -> Option<Place> {
-    let start = [at.azimuth_rad, at.elevation_rad(), at.inverse_range_per_m];
-    let mut c = start;
-    for _ in 0..TUNING.deviations.polishes {
-        let step = waves.step(c)?;
-        c = std::array::from_fn(|i| c[i] + step[i]);
-    }
-    let narrow = if at.signed_elevation_rad.is_some() { start[1].cos() } else { 1.0 };
-    let near = (c[0] - start[0]).abs() * narrow < TUNING.deviations.polish_rad && c.iter().all(|v| v.is_finite());
-    let [azimuth, elevation, curve] = c;
-    let tuning = TUNING.deviations;
-    let white = if at.signed_elevation_rad.is_some() { tuning.white_rows_in_space } else { tuning.white_rows };
-    (near && correlation_rows(&waves.residual(c)) <= white).then_some(Place { azimuth, elevation, curve })
-}
-
 /// The step from `at` towards the least residual phase, to first order: azimuth, elevation, 1 / range.
 pub(super) fn downhill<const K: usize>(waves: &Waves<'_, K>, at: &Place) -> Option<Vector3<f64>> {
     let step = waves.step([at.azimuth, at.elevation, at.curve])?;

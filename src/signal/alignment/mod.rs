@@ -38,7 +38,8 @@ pub fn remove_common_slope(rows: &mut [CsiRow], indices: &[i8; SUBCARRIERS]) {
         turn += neighbour_products(row, indices, step);
     }
     let slope = turn.arg() / f32::from(step);
-    rows.iter_mut().for_each(|row| turn_by(row, indices, slope));
+    let turns = turns(indices, slope);
+    rows.iter_mut().for_each(|row| row.iter_mut().zip(&turns).for_each(|(value, turn)| *value *= turn));
 }
 
 /// `sum v[k] conj(v[k-1])` over neighbours `step` indices apart.
@@ -47,10 +48,9 @@ fn neighbour_products(row: &CsiRow, indices: &[i8; SUBCARRIERS], step: i8) -> Co
     (1..SUBCARRIERS).filter(apart).map(|k| row[k] * row[k - 1].conj()).sum()
 }
 
-/// `row[k] *= exp(-j slope index[k])`.
-fn turn_by(row: &mut CsiRow, indices: &[i8; SUBCARRIERS], slope: f32) {
-    let turn = |index: &i8| Complex32::cis(-slope * f32::from(*index));
-    row.iter_mut().zip(indices).for_each(|(value, index)| *value *= turn(index));
+/// `exp(-j slope index[k])`.
+fn turns(indices: &[i8; SUBCARRIERS], slope: f32) -> CsiRow {
+    indices.map(|index| Complex32::cis(-slope * f32::from(index)))
 }
 
 /// The subcarrier indices, and what is made of them once.
@@ -230,9 +230,8 @@ mod tests {
         };
         let clean: Vec<CsiRow> = (0..200).map(|t| std::array::from_fn(|k| channel(t, k))).collect();
         let jittered = clean.iter().map(|row| {
-            let mut row = *row;
-            turn_by(&mut row, &INDICES_20_MHZ, jitter_rad * random());
-            row
+            let turns = turns(&INDICES_20_MHZ, jitter_rad * random());
+            std::array::from_fn(|k| row[k] * turns[k])
         });
         let jittered = jittered.collect();
         (clean, jittered)

@@ -1,6 +1,7 @@
 //! Motion in space and motion of both ends, in free space: a part of what `examples/geometries.rs` runs.
 
-use csi5300::pipeline::Options;
+use csi5300::maths::wrap_rad;
+use csi5300::pipeline::{Effort, Options};
 use csi5300::place::near_field::Edge;
 use csi5300_lab::ends::{Ends, Seen};
 use csi5300_lab::evaluate::{TrajectorySource, find};
@@ -139,4 +140,64 @@ fn a_drive_that_is_too_wide_for_one_search_is_searched_in_its_best_stretch() {
         let position = seen.position_error_m.map(|error| error.xy().norm());
         assert!(place_m[0] < 0.0 || position.is_some_and(|off_m| off_m < 0.2), "{place_m:?}: {seen:?}");
     }
+}
+
+/// A plane wave of a wide drive is no answer however coarse the accuracy that is asked for: wave fronts are curved over it.
+#[test]
+fn a_coarse_accuracy_takes_no_plane_wave_of_a_wide_drive() {
+    let around = |radius_m: f64| RobotMotion::Circle(Circle { radius_m, duration_s: 40.0, turns: 1.0, start_s: 0.0 });
+    let coarse = options().accuracy.with_effort(Effort::Within(0.7));
+    for (radius_m, place_m) in [(2.0, [5.0, 4.0, 0.3]), (6.0, [9.0, 4.0, 0.3]), (12.0, [30.0, -9.0, 0.5])] {
+        let ends = Ends { duration_s: 40.0, ..in_space(around(radius_m), place_m, 6) };
+        let recording = ends.record().unwrap();
+        let bearing = recording.bearing(&options().with_accuracy(coarse)).unwrap();
+        let seen = recording.judge(&bearing);
+        assert!(bearing.placed.is_some(), "{radius_m}: {:?}", bearing.sufficient);
+        assert!(seen.azimuth_error_deg.abs() < 0.5, "{radius_m}: {seen:?}");
+    }
+}
+
+/// The one turn of a long way is in the stretch that is searched, wherever it is.
+#[test]
+fn the_only_turn_of_a_long_drive_is_found() {
+    for before_m in [3.0, 5.3, 7.9, 10.4] {
+        let corner = RobotMotion::Waypoints(Waypoints {
+            points_m: vec![[before_m, 0.0, 0.0], [before_m, 0.25, 0.0], [before_m + 14.0, 0.25, 0.0]],
+            speed_m_s: 0.3,
+            start_s: 0.0,
+        });
+        let ends = Ends { duration_s: 90.0, ..in_space(corner, [before_m + 3.0, -7.0, 0.4], 8) };
+        let recording = ends.record().unwrap();
+        let bearing = recording.bearing(&options()).unwrap();
+        let seen = recording.judge(&bearing);
+        assert!(bearing.answer.mirror_rad.is_none(), "{before_m}: {seen:?}");
+        assert!(seen.azimuth_error_deg.abs() < 0.5, "{before_m}: {seen:?}");
+    }
+}
+
+/// A line that climbs does not tell a transmitter's azimuth from its elevation: errors are within error bars.
+#[test]
+fn a_climbing_line_says_what_elevations_leave_open() {
+    let (mut within, mut count, mut widest) = (0, 0, 0f64);
+    for (k, rise_deg) in [20f64, 35.0, 50.0].into_iter().enumerate() {
+        let (up, flat) = rise_deg.to_radians().sin_cos();
+        let climb = RobotMotion::Waypoints(Waypoints { points_m: vec![[flat, 0.0, up]], speed_m_s: 0.2, start_s: 0.0 });
+        for elevation_deg in [-16.0, -8.0, 0.0, 8.0, 16.0] {
+            let azimuth_deg = 60.0 + 13.0 * k as f64 + elevation_deg;
+            let ends = in_space(climb.clone(), away(azimuth_deg, elevation_deg, 9.0), 20 + k as u64);
+            let recording = ends.record().unwrap();
+            let bearing = recording.bearing(&options()).unwrap();
+            let (seen, answer) = (recording.judge(&bearing), &bearing.answer);
+            let mirror_off = answer.mirror_rad.map(|mirror| wrap_rad(mirror - answer.azimuth_rad).to_degrees());
+            let direct = seen.azimuth_error_deg;
+            let folded = mirror_off.map_or(direct, |off| wrap_rad((direct + off).to_radians()).to_degrees());
+            let error_deg = direct.abs().min(folded.abs());
+            println!("{rise_deg} {elevation_deg}: {error_deg:.2} of {:.2}, {:?}", seen.azimuth_sd_deg, seen.confidence);
+            assert!(error_deg < 2.5 * seen.azimuth_sd_deg, "{rise_deg} {elevation_deg}: {error_deg} {seen:?}");
+            within += usize::from(error_deg < seen.azimuth_sd_deg);
+            count += 1;
+            widest = widest.max(seen.azimuth_sd_deg);
+        }
+    }
+    assert!(2 * within >= count && widest < 40.0, "{within} of {count}, {widest}");
 }
