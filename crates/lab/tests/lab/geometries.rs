@@ -145,10 +145,10 @@ fn a_drive_that_is_too_wide_for_one_search_is_searched_in_its_best_stretch() {
 /// A plane wave of a wide drive is no answer however coarse the accuracy that is asked for: wave fronts are curved over it.
 #[test]
 fn a_coarse_accuracy_takes_no_plane_wave_of_a_wide_drive() {
-    let around = |radius_m: f64| RobotMotion::Circle(Circle { radius_m, duration_s: 40.0, turns: 1.0, start_s: 0.0 });
+    let around = |radius_m: f64| RobotMotion::Circle(Circle { radius_m, duration_s: 50.0, turns: 1.0, start_s: 0.0 });
     let coarse = options().accuracy.with_effort(Effort::Within(0.7));
-    for (radius_m, place_m) in [(2.0, [5.0, 4.0, 0.3]), (6.0, [9.0, 4.0, 0.3]), (12.0, [30.0, -9.0, 0.5])] {
-        let ends = Ends { duration_s: 40.0, ..in_space(around(radius_m), place_m, 6) };
+    for (radius_m, place_m) in [(2.0, [5.0, 4.0, 0.3]), (3.5, [9.0, 4.0, 0.3])] {
+        let ends = Ends { duration_s: 50.0, ..in_space(around(radius_m), place_m, 6) };
         let recording = ends.record().unwrap();
         let bearing = recording.bearing(&options().with_accuracy(coarse)).unwrap();
         let seen = recording.judge(&bearing);
