@@ -231,11 +231,11 @@ static int on_packet(struct kprobe *probe, struct pt_regs *regs)
 	raw_spin_lock_irqsave(&lock, flags);
 	card = card_of((const void *)regs->di, *(unsigned long *)regs->sp);
 	if (card) {
-		/* Where the card does not say that this is no answer to a command, the driver looks for the command. */
-		unmarked += cmd == BFEE_NOTIF && !(packet[7] & 0x80);
 		u32 idx = card - known, len = READ_ONCE(ack_len);
 		bool sent = assemble(&card->card, &options, cmd, packet + 8, size, now.tv_sec, now.tv_nsec / 1000, &out);
 
+		/* Where the card does not say that this is no answer to a command, the driver looks for the command. */
+		unmarked += cmd == BFEE_NOTIF && !(packet[7] & 0x80);
 		if (sent)
 			stage(indices[idx], CN_VAL_IWLAGN, &out);
 		if (cmd == RX_MPDU && len >= 28 && answer_on[idx] && *answer_on[idx] && frame_of(packet + 8, size, &out.tail) == len &&

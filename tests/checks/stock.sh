@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The distribution's own driver with csi5300.ko beside it, in QEMU: tests/kernel/stock/*.sh on Debian's 6.1 with cards that
-# are not there (tests/kernel/fakecard), then the module on 6.12. See tests/kernel/README.md.
+# are not there (tests/kernel/fakecard), then module and eBPF program on other kernels. See tests/kernel/README.md.
 # Exit status 77: cannot run here, the last line says why.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -46,10 +46,14 @@ cp tests/kernel/stock/room.toml "$tree/guest"
 boot "$tree" "$(echo "$place"/boot/boot/vmlinuz-*)" 900
 [ "$status" = 33 ] || exit 1
 
-# 6.12, from the backports: its transport is no table of functions any more, so a module calls what iwldvm would call.
-later=$place/6.12
-series_612() {
-    local key=/usr/share/keyrings/debian-archive-keyring.gpg site names headers
+# Kernels for which there is no fake card: a module calls what iwldvm would call. 6.12, from the backports (its transport is
+# no table of functions any more), and 5.10, from Debian 11.
+program=$tree/bin/csi5300
+
+# series NUMBER SUITE: image and headers of that series, in a folder of its own; why not, where they cannot be had.
+series() {
+    local key=/usr/share/keyrings/debian-archive-keyring.gpg site name needs headers
+    later=$place/$1
     [ ! -e "$later/complete" ] || return 0
     [ -e "$key" ] || { echo "no $key"; return 1; }
     rm -rf "$later"
@@ -57,48 +61,57 @@ series_612() {
     # From where this machine has its own packages.
     site=$(apt-get indextargets --format '$(RELEASE) $(SITE)' 2>/dev/null | sed -n 's/^bookworm //p' | head -n 1)
     [ -n "$site" ] || { echo "apt has no bookworm here"; return 1; }
-    echo "deb [signed-by=$key] $site bookworm-backports main" >"$later/sources.list"
-    apt_612() {
+    echo "deb [signed-by=$key] $site $2 main" >"$later/sources.list"
+    apt_of() {
         local verb=$1
         shift
         "apt-$verb" -o Dir::Etc::sourcelist="$later/sources.list" -o Dir::Etc::sourceparts=- -o Dir::State::lists="$later/lists" \
             -o Dir::Cache::pkgcache= -o Dir::Cache::srcpkgcache= "$@"
     }
-    quietly apt_612 get update || return 1
-    names=$(apt_612 cache depends linux-image-amd64 2>/dev/null | sed -n 's/.*Depends: linux-image-\(6\.12\.[^ ]*\)$/\1/p' | head -n 1)
-    [ -n "$names" ] || { echo "the backports have no 6.12"; return 1; }
-    (cd "$later/debs" && quietly apt_612 get download "linux-image-$names" "linux-headers-$names" \
-        "linux-headers-${names%-amd64}-common" "linux-kbuild-${names%-amd64}") || return 1
+    quietly apt_of get update || return 1
+    name=$(apt_of cache depends linux-image-amd64 2>/dev/null | sed -n "s/.*Depends: linux-image-\(${1/./\\.}\.[^ ]*\)\$/\1/p" | head -n 1)
+    [ -n "$name" ] || { echo "$2 has no $1"; return 1; }
+    needs=$(apt_of cache depends "linux-headers-$name" 2>/dev/null | sed -n 's/.*Depends: \(linux-kbuild-[^ ]*\|linux-headers-[^ ]*-common\)$/\1/p')
+    (cd "$later/debs" && quietly apt_of get download "linux-image-$name" "linux-headers-$name" $needs) || return 1
     for deb in "$later"/debs/linux-headers-*.deb "$later"/debs/linux-kbuild-*.deb; do dpkg-deb --extract "$deb" "$later/root"; done
-    headers=$later/root/usr/src/linux-headers-$names
+    headers=$later/root/usr/src/linux-headers-$name
     sed -i "s#include /usr/src#include $later/root/usr/src#" "$headers/Makefile"
+    # The compiler of this machine, whichever built that kernel.
+    [ ! -e "$headers/.kernelvariables" ] || sed -i 's/gcc-[0-9]*/gcc/' "$headers/.kernelvariables"
+    # Modules are compressed in some, so all of the folder's form.
     dpkg-deb --fsys-tarfile "$later"/debs/linux-image-*.deb | tar -x -C "$later/boot" --wildcards './boot/vmlinuz*' \
-        '*/libarc4.ko.xz' '*/rfkill.ko.xz' '*/cfg80211.ko.xz' '*/mac80211.ko.xz' '*/iwlwifi.ko.xz' '*/iwldvm.ko.xz' || return 1
+        '*/libarc4.ko*' '*/rfkill.ko*' '*/cfg80211.ko*' '*/mac80211.ko*' '*/iwlwifi.ko*' '*/iwldvm.ko*' || return 1
     find "$later/boot" -name '*.xz' -exec unxz {} +
     rm -rf "$later/debs"
-    echo "$names" >"$later/complete"
+    echo "$name" >"$later/complete"
 }
-if ! series_612; then
-    echo "6.12: skipped, its packages cannot be had (above)"
-    exit 0
-fi
-for folder in driver-iface/kmod tests/kernel/fakecard; do
-    rm -rf "$later/${folder##*/}"
-    cp -r "$folder" "$later/${folder##*/}"
-done
-# What 6.12 can have: no fake card, and no test senders.
-echo "obj-m := csi5300.o" >"$later/kmod/Makefile"
-echo "obj-m := caller.o" >"$later/fakecard/Makefile"
-for folder in kmod fakecard; do
-    quietly make -C "$later/root/usr/src/linux-headers-$(cat "$later/complete")" M="$later/$folder" W=1 CONFIG_DEBUG_INFO_BTF_MODULES= modules ||
-        { echo "the modules do not build for 6.12"; exit 1; }
-    if grep -A 5 "warning:" "$place/last.log"; then exit 1; fi
-    strip --strip-debug "$later/$folder"/*.ko
-done
-program=$tree/bin/csi5300
-tree=$place/tree-6.12
-guest_tree "$tree" tests/kernel/stock-6.12 "$later/boot" "$later/kmod" "$later/fakecard"
-cp "$program" "$tree/bin/csi5300"
-[ -z "${CSI5300_GUEST_BINARIES:-}" ] || with_libraries "$tree" "$tree/bin/csi5300"
-boot "$tree" "$(echo "$later"/boot/boot/vmlinuz-*)" 300
-[ "$status" = 33 ] || exit 1
+
+# probe NUMBER SUITE: csi5300.ko and the eBPF program on that kernel.
+probe() {
+    if ! series "$1" "$2"; then
+        echo "$1: skipped, its packages cannot be had (above)"
+        return 0
+    fi
+    local folder tree
+    for folder in driver-iface/kmod tests/kernel/fakecard; do
+        rm -rf "$later/${folder##*/}"
+        cp -r "$folder" "$later/${folder##*/}"
+    done
+    # What such a kernel can have: no fake card, and no test senders.
+    echo "obj-m := csi5300.o" >"$later/kmod/Makefile"
+    echo "obj-m := caller.o" >"$later/fakecard/Makefile"
+    for folder in kmod fakecard; do
+        quietly make -C "$later/root/usr/src/linux-headers-$(cat "$later/complete")" M="$later/$folder" W=1 CONFIG_DEBUG_INFO_BTF_MODULES= modules ||
+            { echo "the modules do not build for $1"; exit 1; }
+        if grep -A 5 "warning: .*\(csi5300\|caller\)\|\(csi5300\|caller\).*warning:" "$place/last.log"; then exit 1; fi
+        strip --strip-debug "$later/$folder"/*.ko
+    done
+    tree=$place/tree-$1
+    guest_tree "$tree" tests/kernel/stock-probe "$later/boot" "$later/kmod" "$later/fakecard"
+    cp "$program" "$tree/bin/csi5300"
+    [ -z "${CSI5300_GUEST_BINARIES:-}" ] || with_libraries "$tree" "$tree/bin/csi5300"
+    boot "$tree" "$(echo "$later"/boot/boot/vmlinuz-*)" 300
+    [ "$status" = 33 ] || exit 1
+}
+probe 6.12 bookworm-backports
+probe 5.10 bullseye

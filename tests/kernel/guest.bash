@@ -34,7 +34,7 @@ packages() {
             { quietly apt-get update && quietly apt-get install -y --no-install-recommends --no-remove "linux-headers-$V"; } ||
             cannot "linux-headers-$V cannot be installed"
     fi
-    [ -e "$place/complete-2-$V" ] || unpack_packages
+    [ -e "$place/complete-3-$V" ] || unpack_packages
     unpacked=$place/unpacked
     libraries=$unpacked/usr/lib/x86_64-linux-gnu:$unpacked/lib/x86_64-linux-gnu
     printf 'kernel %s: packages ready after %s s\n' "$V" "$SECONDS"
@@ -42,7 +42,7 @@ packages() {
 
 # QEMU and the guest's tools, with what they need and this machine lacks, into a folder of their own.
 unpack_packages() {
-    local wanted="qemu-system-x86 busybox-static cpio iw wireless-regdb" names wildcards deb module
+    local wanted="qemu-system-x86 busybox-static cpio iw libcap2-bin wireless-regdb" names wildcards deb module
     rm -rf "$place"/complete-* "$place/unpacked" "$place/boot"
     mkdir -p "$place/unpacked" "$place/boot"
     names=$(apt-get install -y --no-install-recommends --reinstall --print-uris $wanted 2>/dev/null </dev/null |
@@ -60,7 +60,7 @@ unpack_packages() {
     dpkg-deb --fsys-tarfile "$place/debs/linux-image-$V"_*.deb |
         tar -x -C "$place/boot" --wildcards "${wildcards[@]}" || cannot "linux-image-$V has no uncompressed modules"
     rm -f "$place"/debs/*
-    touch "$place/complete-2-$V"
+    touch "$place/complete-3-$V"
 }
 
 # build_modules FOLDER [VARIABLE=VALUE ...]: the modules of a copy of that folder, with the compiler of the headers.
@@ -90,7 +90,7 @@ static_binaries() {
     fi
     {
         RUSTFLAGS="-C target-feature=+crt-static" \
-            cargo test --quiet --no-run -p csi5300-live --test live --target "$TARGET" --message-format=json &&
+            cargo test --quiet --no-run -p csi5300-live --features stock --test live --target "$TARGET" --message-format=json &&
             RUSTFLAGS="-C target-feature=+crt-static" \
                 cargo test --quiet --no-run -p driver-iface --test stock_guest --target "$TARGET" --message-format=json &&
             RUSTFLAGS="-C target-feature=+crt-static" \
@@ -117,7 +117,7 @@ with_libraries() {
 
 # guest_tree TREE SCRIPTS MODULES: a root with these scripts and the modules of these folders.
 guest_tree() {
-    local tree=$1 file found iw
+    local tree=$1 file found tool
     rm -rf "$tree"
     mkdir -p "$tree"/{bin,tests,modules,guest,lib/firmware}
     for file in "${@:3}"; do find "$file" -name '*.ko' -exec cp {} "$tree/modules" \;; done
@@ -130,13 +130,16 @@ guest_tree() {
         found=$(find "$unpacked/lib/firmware" "$unpacked/usr/lib/firmware" -name "$file-debian" 2>/dev/null | head -n 1 || true)
         [ -z "$found" ] || cp "$found" "$tree/lib/firmware/$file"
     done
-    iw=$(find "$unpacked" -path '*bin/iw' -type f | head -n 1)
-    [ -n "$iw" ] || return 0
-    cp "$iw" "$tree/bin/iw"
-    with_libraries "$tree" "$tree/bin/iw"
+    for tool in iw setcap; do
+        found=$(find "$unpacked" -path "*bin/$tool" -type f | head -n 1)
+        [ -n "$found" ] || continue
+        cp "$found" "$tree/bin/$tool"
+        with_libraries "$tree" "$tree/bin/$tool"
+    done
 }
 
-# boot TREE KERNEL SECONDS: the guest's status is left in `status`; 33 is what it asks for when all scripts passed.
+# boot TREE KERNEL SECONDS: the guest's status is left in `status`; 33 is what it asks for when all scripts passed. A
+# warning of the kernel ends it, too. CSI5300_GUEST_APPEND: more options of the kernel.
 # Plain emulation, in virtual time: KVM is not to be had everywhere, and the answer must not depend on it.
 boot() {
     local cpio
@@ -149,6 +152,6 @@ boot() {
         -accel tcg,thread=single -icount shift=1,sleep=off -m 512 -smp 1 -nodefaults -no-reboot -display none \
         -serial stdio -serial "file:$place/out.tar.gz" -device isa-debug-exit,iobase=0xf4,iosize=4 \
         -kernel "$2" -initrd "$place/initramfs" \
-        -append "console=ttyS0 panic=-1 quiet" </dev/null | tee "$place/guest.log" || status=${PIPESTATUS[0]}
+        -append "console=ttyS0 panic=-1 panic_on_warn=1 oops=panic quiet ${CSI5300_GUEST_APPEND:-}" </dev/null | tee "$place/guest.log" || status=${PIPESTATUS[0]}
     printf 'guest ended with status %s after %s s\n' "$status" "$SECONDS"
 }

@@ -2,6 +2,7 @@
 //!
 //! | module | what it is |
 //! |---|---|
+//! | [`listener`] | where records come from: `netlink` or `stock`, as one type |
 //! | [`netlink`] | the driver's records from the kernel's connector: a [`CsiSource`](csi5300::source::CsiSource) |
 //! | [`monitor`] | frames injected into and heard from a monitor interface |
 //! | [`sounding`] | the scheduler on that interface, in a thread of its own |
@@ -35,6 +36,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod doctor;
+pub mod listener;
 pub mod monitor;
 pub mod netlink;
 #[cfg(feature = "serial")]

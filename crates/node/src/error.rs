@@ -65,6 +65,9 @@ pub enum NodeError {
     /// Poses from a topic are asked for where no node of ROS runs.
     #[error("there is no node of ROS")]
     NoRosNode,
+    /// Records from under the kernel's own driver are asked for, and the eBPF program is not compiled in.
+    #[error("this program was built without the eBPF program (feature `stock`)")]
+    WithoutStock,
     /// Poses from a topic are asked for, and ROS is not compiled in.
     #[error("this program was built without ROS (feature `ros1`)")]
     WithoutRos,

@@ -93,9 +93,16 @@ impl Sounder {
         let mut counts = SoundingCounts { notice: opened.warning.clone(), ..SoundingCounts::default() };
         if let Some(rate) = rate_n_flags(request.phy, config.antenna)
             && let Some(interface) = &asked.interface
-            && let Rate::Other { found, mend, .. } = set_rate(&csi5300_live::doctor::Machine, interface, rate)
         {
-            counts.notice = Some(format!("monitor_tx_rate is {found}: {mend}"));
+            match set_rate(&csi5300_live::doctor::Machine, interface, rate) {
+                Rate::Other { found, mend, .. } => {
+                    counts.notice = Some(format!("monitor_tx_rate is {found}: {mend}"));
+                }
+                Rate::Legacy(mend) => {
+                    counts.notice = Some(format!("frames leave at a legacy rate, which makes no CSI: {mend}"));
+                }
+                Rate::FromRadiotap | Rate::Right(_) | Rate::Set(..) => {}
+            }
         }
         let settings = Settings { fifo_priority: Settings::default().fifo_priority.filter(|_| asked.fifo) };
         let (key, measures) = (opened.key.clone(), asked.measurement);

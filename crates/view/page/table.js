@@ -44,7 +44,7 @@
 
   class LinkTable {
     constructor(host, { names, beside, open }) {
-      Object.assign(this, { host, open, names, short: shortNames(names), lines: new Map(), sort: "link", down: false, chosen: null });
+      Object.assign(this, { host, open, names, short: shortNames(names), lines: new Map(), sort: "link", down: false, chosen: null, marked: null });
       // What is not evaluated yet has its name only.
       this.rows = names.map((link, number) => ({ number, link, short: this.short[number], waiting: true }));
       this.columns = COLUMNS.filter((column) => beside || !column.beside);
@@ -107,7 +107,7 @@
     }
 
     newLine(row) {
-      const line = csi.el("tr", { "data-link": row.number, title: row.error ?? row.link });
+      const line = csi.el("tr", { "data-link": row.number, title: row.error ?? row.link, "aria-selected": "false" });
       if (row.waiting || row.error) {
         const words = row.waiting ? "waits to be evaluated" : row.error;
         line.append(csi.el("td", {}, row.short), csi.el("td", { class: row.error ? "words bad" : "words soft", colspan: this.columns.length - 1 }, words));
@@ -122,12 +122,13 @@
       this.mark(true);
     }
 
+    // Of hundreds of lines two change at most.
     mark(scroll = false) {
-      for (const line of this.body.children) {
-        const own = Number(line.dataset.link) === this.chosen;
-        line.setAttribute("aria-selected", String(own));
-        if (own && scroll) this.reveal(line);
-      }
+      const line = this.lines.get(this.chosen)?.line ?? null;
+      if (this.marked !== line) this.marked?.setAttribute("aria-selected", "false");
+      this.marked = line;
+      line?.setAttribute("aria-selected", "true");
+      if (scroll && line?.isConnected) this.reveal(line);
     }
 
     // Moves the list until a line is below its head, and no further.

@@ -64,6 +64,7 @@ static void __exit caller_exit(void)
 module_init(caller_init);
 module_exit(caller_exit);
 MODULE_LICENSE("GPL");
+MODULE_DESCRIPTION("calls iwl_notification_wait, for tests");
 #if LINUX_VERSION_CODE >= KERNEL_VERSION(6, 13, 0)
 MODULE_IMPORT_NS("IWLWIFI");
 #elif LINUX_VERSION_CODE >= KERNEL_VERSION(5, 18, 0)

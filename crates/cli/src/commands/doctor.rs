@@ -3,12 +3,14 @@
 mod bring_up;
 
 use super::args::mac;
-use super::live::{Listening, Signals, duration};
+use super::listener::{Listening, Needs, describe};
+use super::live::{Signals, duration};
 use super::say::{Tone, toned};
 use super::{Outcome, Result, print, print_json};
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Span;
 use csi5300_live::doctor::{Check, Machine, Reception, System, Tree, Verdict, default_interface, examine};
+use csi5300_live::listener::Listener;
 use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
 use std::fmt::Write;
@@ -99,34 +101,34 @@ fn text(checks: &[Check], ready: bool) -> String {
 fn listen(args: &Args, span: Span) -> std::result::Result<Vec<Check>, String> {
     let signals = Signals::catch()?;
     let mut heard = Reception::default();
-    let mut listener = match args.listening.open() {
+    let mut listener = match args.listening.open(Needs::default()) {
         Ok(listener) => listener,
         Err(message) => {
             return Ok(vec![Check {
                 name: "listener",
                 verdict: Verdict::Bad,
                 found: message,
-                expected: "a socket on the driver's connector group".into(),
+                expected: "the card's records".into(),
                 mend: None,
             }]);
         }
     };
-    note!("{}", Listening::describe(&listener));
+    note!("{}", describe(&listener));
     let clock = Monotonic::new();
     let end = clock.now() + span;
     while clock.now() < end {
         let next = listener.receive(clock.now()).map_err(|error| error.to_string())?;
         heard.note(&next);
         if matches!(next, Next::Pending) {
-            let ready =
-                clock.wait([listener.as_fd(), signals.as_fd()], Some(end)).map_err(|error| error.to_string())?;
+            let until = [listener.next_at(), Some(end)].into_iter().flatten().min();
+            let ready = clock.wait([listener.as_fd(), signals.as_fd()], until).map_err(|error| error.to_string())?;
             if ready[1] {
                 break;
             }
         }
     }
     let mut checks = heard.checks();
-    let refused = listener.counters().user_senders;
+    let refused = if let Listener::Connector(listener) = &listener { listener.counters().user_senders } else { 0 };
     if refused > 0 {
         checks.push(Check {
             name: "other senders",

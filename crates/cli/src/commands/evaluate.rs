@@ -31,7 +31,7 @@ pub struct Args {
     seed: u64,
     /// Folder for pictures: error distributions, refusals, reliability, a map of each place; with --folds reliability
     #[cfg(feature = "plot")]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", conflicts_with = "ablation")]
     out: Option<PathBuf>,
     #[cfg(feature = "plot")]
     #[command(flatten)]

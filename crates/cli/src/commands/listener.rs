@@ -1,17 +1,40 @@
-//! What `record` listens to: the kernel's connector, or the card under the kernel's own driver.
+//! What the live commands listen to: the kernel's connector, or the card under the kernel's own driver; and the words for
+//! it.
 
-use super::live::Listening;
-use csi5300::source::{CsiSource, Error, Next};
-use csi5300::time::Instant;
-use csi5300_live::netlink::Netlink;
+use super::live::{join_refused, size};
 #[cfg(feature = "stock")]
-use csi5300_live::stock::{Options, Stock};
+use csi5300::source::Error;
+use csi5300_live::listener::Listener;
+use csi5300_live::netlink::{Found, Netlink, Options};
+#[cfg(feature = "stock")]
+use csi5300_live::stock::{self, Stock};
+use csi5300_live::wait::wall_us;
+use csi5300_sim::served::{self, Address};
+use driver_iface::Mac;
 use std::fmt::Write;
-use std::os::fd::{AsFd, BorrowedFd};
+
+/// How to listen to the card.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Listening {
+    /// Connector index of the driver, instead of looking for it
+    #[arg(long, value_name = "INDEX", value_parser = clap::value_parser!(u32).range(1..=32))]
+    pub connector_index: Option<u32>,
+    /// Believe messages of other programs too: emulators, `replay --connector`
+    #[arg(long)]
+    pub allow_user_sender: bool,
+    /// Receive buffer to ask the kernel for
+    #[arg(long, value_parser = size, default_value = "32M", value_name = "SIZE")]
+    pub receive_buffer: u64,
+    /// Work with a robot of a simulated room (`simulate SCENE --serve --socket PATH`) as if it were the card
+    #[arg(long, value_name = "PATH#ROBOT", conflicts_with_all = ["connector_index", "allow_user_sender"])]
+    pub room: Option<Address>,
+    #[command(flatten)]
+    stock: StockArgs,
+}
 
 /// How to take the card's packets from under an unmodified driver.
 #[derive(clap::Args, Clone, Debug)]
-pub struct StockArgs {
+struct StockArgs {
     /// Take the card's packets from the kernel's own, unpatched driver, by an eBPF program (Linux 5.8 and later)
     #[cfg(feature = "stock")]
     #[arg(long, conflicts_with_all = ["connector_index", "allow_user_sender", "room"])]
@@ -20,7 +43,7 @@ pub struct StockArgs {
     #[cfg(feature = "stock")]
     #[arg(long, value_enum, default_value_t = Layout::Wsr, requires = "stock", value_name = "LAYOUT")]
     stock_layout: Layout,
-    /// With --stock: record the frames themselves too (0xC1), as connector_log 0x5 does
+    /// With --stock: give the frames themselves too (0xC1), as connector_log 0x5 does
     #[cfg(feature = "stock")]
     #[arg(long, requires = "stock")]
     stock_frames: bool,
@@ -34,85 +57,75 @@ enum Layout {
     Csitool,
 }
 
-/// A source of live records.
-pub enum Listener {
-    Connector(Box<Netlink>),
-    #[cfg(feature = "stock")]
-    Stock(Box<Stock>),
+/// What a command needs of the card's records.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Needs {
+    /// This robot's MAC, where it is known: what other robots' cards on this machine hear is then left out.
+    pub own: Option<Mac>,
+    /// The frames (0xC1) too: their tags are checked.
+    pub frames: bool,
 }
 
-/// What a listener lost, and what it says about it.
-#[derive(Clone, Debug, Default)]
-pub struct Lost {
-    /// Messages or packets that the kernel dropped for want of room.
-    pub kernel: u64,
-    /// Records that were missing before.
-    pub driver: u64,
-}
-
-impl Listener {
+impl Listening {
     /// Opens what the arguments name.
-    pub fn open(listening: &Listening, args: &StockArgs) -> Result<Self, String> {
+    pub fn open(&self, needs: Needs) -> Result<Listener, String> {
         #[cfg(feature = "stock")]
-        if args.stock {
-            let layout = match args.stock_layout {
+        if self.stock.stock {
+            let layout = match self.stock.stock_layout {
                 Layout::Wsr => driver_iface::bfee::Layout::Wsr,
                 Layout::Csitool => driver_iface::bfee::Layout::Stock,
             };
-            let records = driver_iface::stock::Options::default().with_layout(layout).with_frames(args.stock_frames);
-            let ring = usize::try_from(listening.receive_buffer).unwrap_or(usize::MAX);
-            let stock = Stock::open(&Options::default().with_records(records).with_ring(ring));
-            return stock.map(|stock| Self::Stock(Box::new(stock))).map_err(|error| with_causes(&error));
+            let frames = self.stock.stock_frames || needs.frames;
+            let records = driver_iface::stock::Options::default().with_layout(layout).with_frames(frames);
+            let ring = usize::try_from(self.receive_buffer).unwrap_or(usize::MAX);
+            let options = stock::Options::default().with_records(records).with_ring(ring).with_own(needs.own);
+            return Stock::open(&options).map(Listener::from).map_err(|error| with_causes(&error));
         }
-        let _ = args;
-        listening.open().map(|listener| Self::Connector(Box::new(listener)))
-    }
-
-    /// What is listened to, in words.
-    pub fn describe(&self) -> String {
-        match self {
-            Self::Connector(listener) => Listening::describe(listener),
-            #[cfg(feature = "stock")]
-            Self::Stock(stock) => {
-                format!("listening to the packets of the unpatched iwlwifi, ring of {} KiB", stock.ring_bytes() / 1024)
-            }
+        let _ = (needs.own, needs.frames, &self.stock);
+        if let Some(address) = &self.room {
+            let (card, _) = served::join(address, served::Role::Card).map_err(|error| join_refused(&error))?;
+            return Ok(Netlink::over(card, wall_us).into());
         }
+        let receive_buffer = usize::try_from(self.receive_buffer).unwrap_or(usize::MAX).min(i32::MAX as usize / 2);
+        let options = Options::default()
+            .with_connector_index(self.connector_index)
+            .with_allow_user_sender(self.allow_user_sender)
+            .with_receive_buffer(receive_buffer);
+        Netlink::open(&options).map(Listener::from).map_err(|error| error.to_string())
     }
+}
 
-    /// Bytes of buffer in the kernel.
-    pub fn buffer(&self) -> usize {
-        match self {
-            Self::Connector(listener) => listener.receive_buffer(),
-            #[cfg(feature = "stock")]
-            Self::Stock(stock) => stock.ring_bytes(),
-        }
-    }
-
-    /// What was lost so far.
-    pub fn lost(&self) -> Lost {
-        match self {
-            Self::Connector(listener) => {
-                let counters = listener.counters();
-                // Where the kernel does not say how much it dropped, the jump in bfee_count does.
-                let kernel = counters.kernel_drops.max(counters.overrun_bfee_gap);
-                Lost { kernel, driver: counters.other_bfee_gap }
-            }
-            #[cfg(feature = "stock")]
-            Self::Stock(stock) => {
-                let counters = stock.counters();
-                let dropped = u64::from(counters.cards.dropped());
-                Lost { kernel: counters.ring_full + counters.unreadable, driver: dropped + counters.malformed }
-            }
+/// What is listened to, in words.
+pub fn describe(listener: &Listener) -> String {
+    match listener {
+        Listener::Connector(listener) => describe_connector(listener),
+        #[cfg(feature = "stock")]
+        Listener::Stock(stock) => {
+            format!("listening to the packets of the unpatched iwlwifi, ring of {} KiB", stock.ring_bytes() / 1024)
         }
     }
+}
 
-    /// Lines for the summary.
-    pub fn summary(&self) -> String {
-        match self {
-            Self::Connector(listener) => connector_summary(listener),
-            #[cfg(feature = "stock")]
-            Self::Stock(stock) => stock_summary(stock),
-        }
+fn describe_connector(listener: &Netlink) -> String {
+    let (indices, found) = listener.indices();
+    let kib = listener.receive_buffer() / 1024;
+    let indices: Vec<_> = indices.iter().map(u32::to_string).collect();
+    let how = match found {
+        Found::Given => "as given",
+        Found::Registered => "where the driver is registered",
+        Found::Served => return format!("listening to a card in a simulated room, receive buffer {kib} KiB"),
+        Found::Guessed => "no CSI driver is registered in /proc/net/connector",
+    };
+    let indices = indices.join(" and ");
+    format!("listening on connector index {indices} ({how}), receive buffer {kib} KiB")
+}
+
+/// Lines for the summary.
+pub fn summary(listener: &Listener) -> String {
+    match listener {
+        Listener::Connector(listener) => connector_summary(listener),
+        #[cfg(feature = "stock")]
+        Listener::Stock(stock) => stock_summary(stock),
     }
 }
 
@@ -127,6 +140,12 @@ fn with_causes(error: &Error) -> String {
     }
     text
 }
+
+/// Said where the card receives, and sends no CSI.
+#[cfg(feature = "stock")]
+const NO_CSI: &str = "  the card received frames and sent no CSI: does csitool's firmware run, and are they HT frames to and \
+                      from 00:16:ea:12:34:56? The patched drivers ask the card for CSI, which this program cannot: with the \
+                      module csi5300 loaded before the channel is set it is asked, too\n";
 
 /// A line for each counter that is not zero.
 fn counted(text: &mut String, counts: &[(u64, &str)]) {
@@ -177,6 +196,7 @@ fn stock_summary(stock: &Stock) -> String {
         (cards.no_order.into(), "records whose antenna order the card did not say"),
         (cards.no_sender.into(), "records of an unknown sender: no good frame (0xC1) came with them"),
         (counters.held_back, "frames before the first CSI, not recorded"),
+        (counters.others, "records of other robots' cards on this machine, left out"),
         (
             counters.reattached,
             "times the driver was loaded anew; what came before the next look, a second at most, is missing",
@@ -190,34 +210,8 @@ fn stock_summary(stock: &Stock) -> String {
         text.push_str(
             "  the card sent no packet at all: is its interface up, in monitor mode, on the right channel?\n",
         );
+    } else if cards.phy > 0 && cards.bfee == 0 {
+        text.push_str(NO_CSI);
     }
     text
-}
-
-impl CsiSource for Listener {
-    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
-        match self {
-            Self::Connector(listener) => listener.receive(now),
-            #[cfg(feature = "stock")]
-            Self::Stock(stock) => stock.receive(now),
-        }
-    }
-
-    fn next_at(&self) -> Option<Instant> {
-        match self {
-            Self::Connector(listener) => listener.next_at(),
-            #[cfg(feature = "stock")]
-            Self::Stock(stock) => stock.next_at(),
-        }
-    }
-}
-
-impl AsFd for Listener {
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        match self {
-            Self::Connector(listener) => listener.as_fd(),
-            #[cfg(feature = "stock")]
-            Self::Stock(stock) => stock.as_fd(),
-        }
-    }
 }

@@ -1,29 +1,10 @@
-//! What the live commands share: arguments, signals, words.
+//! What the live commands share: kinds of arguments, signals, refusals.
 
 use csi5300::time::Span;
-use csi5300_live::netlink::{Found, Netlink, Options};
-use csi5300_live::wait::wall_us;
-use csi5300_sim::served::{self, Address};
+use csi5300_sim::served;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use std::os::fd::{AsFd, BorrowedFd};
-
-/// How to listen to the driver.
-#[derive(clap::Args, Clone, Debug)]
-pub struct Listening {
-    /// Connector index of the driver, instead of looking for it
-    #[arg(long, value_name = "INDEX", value_parser = clap::value_parser!(u32).range(1..=32))]
-    pub connector_index: Option<u32>,
-    /// Believe messages of other programs too: emulators, `replay --connector`
-    #[arg(long)]
-    pub allow_user_sender: bool,
-    /// Receive buffer to ask the kernel for
-    #[arg(long, value_parser = size, default_value = "32M", value_name = "SIZE")]
-    pub receive_buffer: u64,
-    /// Work with a robot of a simulated room (`simulate SCENE --serve --socket PATH`) as if it were the card
-    #[arg(long, value_name = "PATH#ROBOT", conflicts_with_all = ["connector_index", "allow_user_sender"])]
-    pub room: Option<Address>,
-}
 
 /// Why a log cannot be made, with the flag that helps.
 pub fn create_refused(error: &csi5300::source::Error) -> String {
@@ -43,37 +24,6 @@ pub fn join_refused(error: &served::JoinError) -> String {
             format!("{error}; does `csi5300 simulate SCENE --serve --socket PATH` run there?")
         }
         _ => error.to_string(),
-    }
-}
-
-impl Listening {
-    /// Opens the listener.
-    pub fn open(&self) -> Result<Netlink, String> {
-        if let Some(address) = &self.room {
-            let (card, _) = served::join(address, served::Role::Card).map_err(|error| join_refused(&error))?;
-            return Ok(Netlink::over(card, wall_us));
-        }
-        let receive_buffer = usize::try_from(self.receive_buffer).unwrap_or(usize::MAX).min(i32::MAX as usize / 2);
-        let options = Options::default()
-            .with_connector_index(self.connector_index)
-            .with_allow_user_sender(self.allow_user_sender)
-            .with_receive_buffer(receive_buffer);
-        Netlink::open(&options).map_err(|error| error.to_string())
-    }
-
-    /// What a listener listens to, in words.
-    pub fn describe(listener: &Netlink) -> String {
-        let (indices, found) = listener.indices();
-        let kib = listener.receive_buffer() / 1024;
-        let indices: Vec<_> = indices.iter().map(u32::to_string).collect();
-        let how = match found {
-            Found::Given => "as given",
-            Found::Registered => "where the driver is registered",
-            Found::Served => return format!("listening to a card in a simulated room, receive buffer {kib} KiB"),
-            Found::Guessed => "no CSI driver is registered in /proc/net/connector",
-        };
-        let indices = indices.join(" and ");
-        format!("listening on connector index {indices} ({how}), receive buffer {kib} KiB")
     }
 }
 

@@ -1,12 +1,13 @@
 //! `csi5300 record`.
 
-use super::listener::{Listener, Lost, StockArgs};
-use super::live::{Listening, Signals, create_refused, duration, size};
+use super::listener::{self, Listening, Needs};
+use super::live::{Signals, create_refused, duration, size};
 use super::{Outcome, Result};
 use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
 use csi5300::source::side_path;
 use csi5300::source::{CsiSource, Error, Loss, Next};
 use csi5300::time::{Instant, Span};
+use csi5300_live::listener::{Listener, Lost};
 use csi5300_live::status::{Losses, Status};
 use csi5300_live::wait::Monotonic;
 use driver_iface::side_file::Layout;
@@ -69,8 +70,6 @@ pub struct Args {
     json: bool,
     #[command(flatten)]
     listening: Listening,
-    #[command(flatten)]
-    stock: StockArgs,
 }
 
 impl Args {
@@ -108,7 +107,7 @@ pub fn run(args: &Args) -> Result {
     let text = |error: csi5300::source::Error| error.to_string();
     // Signals first: one that comes during the opening must not leave half a start behind.
     let signals = Signals::catch()?;
-    let listener = Listener::open(&args.listening, &args.stock)?;
+    let listener = args.listening.open(Needs::default())?;
     let rotation = Rotation { bytes: args.rotate_size, every: args.rotate_every };
     let files = LogFiles::create(&args.out, rotation, args.force).map_err(|error| create_refused(&error))?;
     let files = files.with_side_layout(args.side_layout());
@@ -129,7 +128,7 @@ pub fn run(args: &Args) -> Result {
             View::None
         },
     };
-    note!("{}; recording to {}", listener.describe(), args.out.display());
+    note!("{}; recording to {}", listener::describe(&listener), args.out.display());
     let sync_every = (args.sync_every > Span::ZERO).then_some(args.sync_every);
     let recorder = Recorder::new(listener, files, Options::default().with_sync_every(sync_every)).map_err(text)?;
     let (failed, listener, files, totals) = if args.live {
@@ -321,7 +320,7 @@ fn summary(status: &Status, listener: &Listener, totals: &Totals, files: &[PathB
     if seconds > 0.0 {
         let _ = writeln!(text, "  {:.1} records/s", totals.written as f64 / seconds);
     }
-    text.push_str(&listener.summary());
+    text.push_str(&listener::summary(listener));
     if totals.dropped + totals.lost_on_disk > 0 {
         let _ = writeln!(
             text,

@@ -17,7 +17,7 @@ use driver_iface::bfee::Antenna;
 #[derive(clap::Args)]
 #[command(after_help = "Answers are given at once, from user space; with --dialect wsr --ack-len N as the WSR driver \
                         gives them in the kernel. In the native dialect an answer carries what the card measured of an \
-                        earlier frame (run the driver with connector_log=0x5), so that the initiator has bearings live.\n\
+                        earlier frame (driver with connector_log=0x5, or --stock), so that the initiator has bearings live.\n\
                         Example: csi5300 respond --interface mon0 --peers 00:21:6a:53:89:d2")]
 pub struct Args {
     #[command(flatten)]
@@ -74,7 +74,7 @@ pub fn run(args: &Args) -> Result {
     let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
     common.see_to_rate(args.antenna)?;
     let carries = common.dialect == Words::Native && !common.no_measurement;
-    let messages = common.messages(if carries { Wanted::IfPossible } else { Wanted::Not })?;
+    let messages = common.messages(if carries { Wanted::IfPossible } else { Wanted::Not }, opened.own)?;
     let peers = common.peers.clone();
     let (survey, prover) = (Survey::with_known(peers.iter().copied()), Prover::new(opened.key.clone()));
     let mut task = Measuring { antenna: args.antenna, peers, survey, prover, carries, told: false };

@@ -214,7 +214,8 @@ pub fn run(args: &Args) -> Result {
         _ => None,
     };
     common.see_to_rate(args.estimation.antenna)?;
-    let messages = common.messages(if bearings.is_some() { Wanted::Needed } else { Wanted::Not })?;
+    let wanted = if bearings.is_some() { Wanted::Needed } else { Wanted::Not };
+    let messages = common.messages(wanted, opened.own)?;
     let (outcome, row) = common.run(&signals, messages, opened, clock, &mut Live { bearings })?;
     if args.json {
         print_json(&BTreeMap::from([("summary", row)]));

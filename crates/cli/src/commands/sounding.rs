@@ -1,7 +1,8 @@
 //! What `sound` and `respond` share: arguments, what they open, and the words for it.
 
 use super::args::mac;
-use super::live::{Listening, Signals, create_refused, duration, join_refused};
+use super::listener::{Listening, Needs, describe};
+use super::live::{Signals, create_refused, duration, join_refused};
 use super::{Outcome, is_end_of_room, usage};
 use csi5300::exchange::tdma::{Config, Dialect, GUARD_US, Phy, Plan, PlanError, Request, TURN_AROUND_US};
 use csi5300::source::Error;
@@ -88,7 +89,7 @@ pub struct Sounding {
     /// Stop after this time
     #[arg(long, value_parser = duration, value_name = "TIME")]
     pub stop_after: Option<Span>,
-    /// Also record the driver's messages to this log
+    /// Also record what the card hears to this log
     #[arg(long, value_name = "OUT.dat")]
     pub log: Option<PathBuf>,
     /// Overwrite the log if it is there
@@ -203,6 +204,9 @@ impl Sounding {
         match set_rate(&Machine, interface, rate) {
             Rate::FromRadiotap | Rate::Right(_) => {}
             Rate::Set(rate, before) => note!("monitor_tx_rate set to {rate:#x} (was {before})"),
+            Rate::Legacy(mend) => {
+                note!("this driver sends injected frames at a legacy rate, which makes no CSI: {mend}")
+            }
             Rate::Other { found, error, mend } => {
                 note!("monitor_tx_rate is {found}, so frames go out at another rate ({error}): {mend}");
             }
@@ -210,12 +214,13 @@ impl Sounding {
         Ok(())
     }
 
-    /// The driver's messages, if they are wanted: recorded, or only read.
-    pub fn messages(&self, wanted: Wanted) -> std::result::Result<DriverMessages, String> {
+    /// The card's records, if they are wanted: recorded, or only read. `own` is this robot's MAC.
+    pub fn messages(&self, wanted: Wanted, own: Mac) -> std::result::Result<DriverMessages, String> {
         if self.log.is_none() && wanted == Wanted::Not {
             return Ok(DriverMessages::none());
         }
-        let listener = match self.listening.open() {
+        let needs = Needs { own: Some(own), frames: self.key.is_some() };
+        let listener = match self.listening.open(needs) {
             Ok(listener) => listener,
             Err(error) if self.log.is_none() && wanted == Wanted::IfPossible => {
                 note!("answers carry no measurement: {error}");
@@ -223,7 +228,7 @@ impl Sounding {
             }
             Err(error) => return Err(error),
         };
-        note!("{}", Listening::describe(&listener));
+        note!("{}", describe(&listener));
         let Some(log) = &self.log else { return Ok(DriverMessages::read(listener)) };
         let files = LogFiles::create(log, Rotation::default(), self.force);
         files.and_then(|files| DriverMessages::recorded(listener, files)).map_err(|error| create_refused(&error))

@@ -56,6 +56,7 @@ fn pictures_of_an_evaluation_are_refused_before_it_begins_and_a_page_is_small() 
     assert!(status == 1 && out.is_empty() && err.contains("p/errors.pdf is there already: --force"), "{out}{err}");
     assert_eq!(draw(&["--force"]).0, 0);
     assert_eq!(folder.run(&["evaluate", "tree", "--format", "pdf"]).0, 2, "no folder");
+    assert_eq!(draw(&["--ablation"]).0, 2, "what is not drawn is not asked for");
     let (status, _, err) = folder.run(&["explain", "tree", "--out", "link", "--format", "pdf"]);
     assert_eq!(status, 0, "{err}");
     assert!(names(&folder, "link").len() >= 4 && names(&folder, "link").iter().all(|name| name.ends_with(".pdf")));

@@ -4,7 +4,7 @@ use super::ways::Ways;
 use super::{Check, System};
 
 /// PCI identities of the Intel 5300 (`iwlwifi/pcie/drv.c`).
-const IWL5300: [&str; 2] = ["0x4235", "0x4236"];
+pub(crate) const IWL5300: [&str; 2] = ["0x4235", "0x4236"];
 /// Others of the 5000 series that load the same firmware: 5100, 5350, 5150.
 const SERIES_5000: [&str; 6] = ["0x4232", "0x4237", "0x423a", "0x423b", "0x423c", "0x423d"];
 /// Bytes of csitool's firmware; its driver refuses any other (`iwl-drv.c`).

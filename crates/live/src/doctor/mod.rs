@@ -12,6 +12,7 @@ mod setup;
 mod system;
 mod ways;
 
+pub(crate) use card::IWL5300;
 pub use error::SetupError;
 pub(crate) use radio::rate_file;
 pub use reception::Reception;

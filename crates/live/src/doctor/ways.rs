@@ -137,7 +137,9 @@ fn ebpf(system: &dyn System) -> Way {
         let mend = "sudo sysctl -w kernel.perf_event_paranoid=2 (in /etc/sysctl.d to stay), or run it as root";
         return Way::Needs("kernel.perf_event_paranoid above 2 wants root", mend);
     }
-    Way::Open("csi5300 record --stock; it receives, frames at an HT rate need the module")
+    Way::Open(
+        "csi5300 record --stock; it only receives: an HT rate for frames sent, and asking the card for CSI, need the module",
+    )
 }
 
 fn may_load(system: &dyn System) -> bool {

@@ -1,18 +1,18 @@
-//! The CSI driver's messages while robots sound: not listened to, only read, or recorded as well.
+//! The card's records while robots sound: not listened to, only read, or recorded as well.
 
-use crate::netlink::Netlink;
+use crate::listener::Listener;
 use csi5300::source::recorder::{LogFiles, Options, Recorder, Totals};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::Instant;
 use std::os::fd::{AsFd, OwnedFd};
 
-/// Where the driver's messages come from, and whether they are recorded.
+/// Where the card's records come from, and whether they are written to a log.
 pub struct DriverMessages(Kind);
 
 enum Kind {
     None,
-    Read(Box<Netlink>),
-    Recorded(Box<Recorder<Netlink, LogFiles>>),
+    Read(Listener),
+    Recorded(Box<Recorder<Listener, LogFiles>>),
 }
 
 /// What became of a recorded log.
@@ -20,12 +20,12 @@ enum Kind {
 pub struct LogTotals {
     /// What was recorded.
     pub recorded: Totals,
-    /// Records that the kernel dropped before they were read.
+    /// Records that were lost before they were read.
     pub dropped_before: u64,
 }
 
 impl LogTotals {
-    /// Records that the driver sent and the log does not have.
+    /// Records of the card that the log does not have.
     #[must_use]
     pub fn missing(&self) -> u64 {
         self.recorded.dropped + self.recorded.lost_on_disk + self.dropped_before
@@ -41,16 +41,16 @@ impl DriverMessages {
 
     /// They are read.
     #[must_use]
-    pub fn read(listener: Netlink) -> Self {
-        Self(Kind::Read(Box::new(listener)))
+    pub fn read(listener: impl Into<Listener>) -> Self {
+        Self(Kind::Read(listener.into()))
     }
 
     /// They are read, and recorded in `files`.
     ///
     /// # Errors
     /// If the recorder's thread cannot be started.
-    pub fn recorded(listener: Netlink, files: LogFiles) -> Result<Self, Error> {
-        Ok(Self(Kind::Recorded(Box::new(Recorder::new(listener, files, Options::default())?))))
+    pub fn recorded(listener: impl Into<Listener>, files: LogFiles) -> Result<Self, Error> {
+        Ok(Self(Kind::Recorded(Box::new(Recorder::new(listener.into(), files, Options::default())?))))
     }
 
     pub(super) fn is_recorded(&self) -> bool {
@@ -64,7 +64,7 @@ impl DriverMessages {
             Kind::Read(listener) => listener.as_fd(),
             Kind::Recorded(recorder) => recorder.source().as_fd(),
         };
-        let io = |source| Error::Io { what: "the connector socket".into(), source };
+        let io = |source| Error::Io { what: "what is listened to".into(), source };
         fd.try_clone_to_owned().map(Some).map_err(io)
     }
 
@@ -72,9 +72,7 @@ impl DriverMessages {
     pub(super) fn finish(self, now: Instant) -> Result<Option<LogTotals>, Error> {
         let Kind::Recorded(recorder) = self.0 else { return Ok(None) };
         let (listener, _, recorded) = recorder.finish(now)?;
-        let counters = listener.counters();
-        let dropped_before = counters.kernel_drops.max(counters.overrun_bfee_gap) + counters.other_bfee_gap;
-        Ok(Some(LogTotals { recorded, dropped_before }))
+        Ok(Some(LogTotals { recorded, dropped_before: listener.lost().total() }))
     }
 }
 
@@ -88,6 +86,10 @@ impl CsiSource for DriverMessages {
     }
 
     fn next_at(&self) -> Option<Instant> {
-        if let Kind::Recorded(recorder) = &self.0 { recorder.next_at() } else { None }
+        match &self.0 {
+            Kind::None => None,
+            Kind::Read(listener) => listener.next_at(),
+            Kind::Recorded(recorder) => recorder.next_at(),
+        }
     }
 }

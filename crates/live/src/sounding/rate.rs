@@ -1,7 +1,7 @@
 //! The rate of injected frames where it is not radiotap's: the patched drivers take it from debugfs, `csi5300.ko` from a
 //! parameter.
 
-use crate::doctor::{MODULE_RATE, System, rate_file};
+use crate::doctor::{IWL5300, MODULE_RATE, System, rate_file};
 use csi5300::exchange::tdma::Phy;
 use driver_iface::bfee::Antenna;
 use driver_iface::radiotap::Bandwidth;
@@ -14,11 +14,16 @@ const HT40: u32 = 0x800;
 /// Antennas of the card.
 const ANTENNAS: u32 = 3;
 
+/// What gives frames of a card under the kernel's own driver an HT rate.
+const LOAD: &str = "load the module csi5300 (`csi5300 setup --driver module` says how)";
+
 /// What became of the driver's rate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Rate {
     /// The driver has no such file: it takes the rate from radiotap.
     FromRadiotap,
+    /// A card under the kernel's own driver, which sends every injected frame at a legacy rate; what helps.
+    Legacy(&'static str),
     /// It was right already.
     Right(u32),
     /// It was set, from what it was before.
@@ -67,7 +72,11 @@ pub fn set_rate(system: &dyn System, interface: &str, rate: u32) -> Rate {
     let driver = system.link(&format!("/sys/class/net/{interface}/device/driver"));
     let module = || (driver.as_deref() == Some("iwlwifi")).then(|| MODULE_RATE.to_string());
     let module = || module().filter(|path| system.text(path).is_some());
-    let Some(path) = patched.or_else(module) else { return Rate::FromRadiotap };
+    let Some(path) = patched.or_else(module) else {
+        let device = system.text(&format!("/sys/class/net/{interface}/device/device")).unwrap_or_default();
+        let is_card = driver.as_deref() == Some("iwlwifi") && IWL5300.contains(&device.to_lowercase().as_str());
+        return if is_card { Rate::Legacy(LOAD) } else { Rate::FromRadiotap };
+    };
     let found = system.text(&path).unwrap_or_default();
     if u32::from_str_radix(found.trim_start_matches("0x"), 16) == Ok(rate) {
         return Rate::Right(rate);
@@ -104,6 +113,7 @@ mod tests {
             ("sys/kernel/debug/ieee80211/phy3/iwlwifi/iwldvm/debug/monitor_tx_rate", "0x0\n"),
             ("sys/class/net/mon1/phy80211/name", "phy4\n"),
             ("sys/class/net/mon2/phy80211/name", "phy5\n"),
+            ("sys/class/net/mon2/device/device", "0x4235\n"),
             ("sys/module/csi5300/parameters/monitor_tx_rate", "0x4100\n"),
         ];
         for (path, text) in files {
@@ -111,7 +121,6 @@ mod tests {
             std::fs::create_dir_all(path.parent().unwrap()).unwrap();
             std::fs::write(path, text).unwrap();
         }
-        std::fs::create_dir_all(root.join("sys/class/net/mon2/device")).unwrap();
         std::os::unix::fs::symlink("../iwlwifi", root.join("sys/class/net/mon2/device/driver")).unwrap();
         let tree = Tree::new(root.clone());
         let phy = Phy { mcs: 1, bandwidth: Bandwidth::Ht20 };
@@ -123,6 +132,11 @@ mod tests {
         // The stock driver with the module.
         assert_eq!(set_rate(&tree, "mon2", rate), Rate::Set(rate, "0x4100".into()));
         assert_eq!(set_rate(&tree, "mon2", rate), Rate::Right(rate));
+        // And without it, which another Intel card does not need.
+        std::fs::remove_file(root.join("sys/module/csi5300/parameters/monitor_tx_rate")).unwrap();
+        assert_eq!(set_rate(&tree, "mon2", rate), Rate::Legacy(LOAD));
+        std::fs::write(root.join("sys/class/net/mon2/device/device"), "0x2723\n").unwrap();
+        assert_eq!(set_rate(&tree, "mon2", rate), Rate::FromRadiotap);
         std::fs::remove_dir_all(root).unwrap();
     }
 }

@@ -3,9 +3,10 @@
 use super::StockCounts;
 use csi5300::source::Loss;
 use csi5300::time::HostTimes;
+use driver_iface::Mac;
 use driver_iface::bfee::{Bfee, MAX_BODY};
 use driver_iface::record::{MAX_LENGTH, Record, code};
-use driver_iface::stock::{Card, Event, Options};
+use driver_iface::stock::{Card, Event, Options, Packet};
 
 /// Cards kept apart; more than a machine can hold. The one that was seen first makes room for another.
 const CARDS_KEPT: usize = 8;
@@ -42,11 +43,14 @@ struct Known {
     key: u64,
     card: Card,
     host_times: HostTimes,
+    /// It has heard this robot's own frames: it is another robot's.
+    is_others: bool,
 }
 
 /// The decisions on the events of one ring.
 pub(super) struct Intake {
     options: Options,
+    own: Option<Mac>,
     cards: Vec<Known>,
     /// The event at hand, copied from the ring.
     event: Vec<u8>,
@@ -60,9 +64,10 @@ pub(super) struct Intake {
 }
 
 impl Intake {
-    pub(super) fn new(options: Options) -> Self {
+    pub(super) fn new(options: Options, own: Option<Mac>) -> Self {
         Self {
             options,
+            own,
             cards: Vec::with_capacity(CARDS_KEPT),
             event: Vec::with_capacity(MAX_LENGTH),
             is_held: false,
@@ -121,8 +126,17 @@ impl Intake {
         let host_us = clocks.wall_at(event.time_ns());
         let at = place(&mut self.cards, &mut self.counters, event.card());
         let Some(known) = self.cards.get_mut(at) else { return Turn::Next };
-        let handled = known.card.handle(&self.options, &event.packet(), host_us.unwrap_or(0), &mut self.scratch);
+        let packet = event.packet();
+        if let Packet::RxMpdu(Ok(mpdu)) = &packet {
+            let sender = mpdu.sender().map(|(mac, _)| mac);
+            known.is_others |= sender.is_some() && sender == self.own;
+        }
+        let handled = known.card.handle(&self.options, &packet, host_us.unwrap_or(0), &mut self.scratch);
         let Some(record) = handled else { return Turn::Next };
+        if known.is_others {
+            self.counters.others += 1;
+            return Turn::Next;
+        }
         if record.code == code::MPDU && known.card.counts().records == 0 {
             // Of another kind of card, as far as is known: its driver may share the function.
             self.counters.held_back += 1;
@@ -152,7 +166,7 @@ fn place(cards: &mut Vec<Known>, counters: &mut StockCounts, key: u64) -> usize 
         counters.cards = counters.cards.plus(&cards.remove(0).card.counts());
     }
     counters.cards_seen += 1;
-    cards.push(Known { key, card: Card::default(), host_times: HostTimes::default() });
+    cards.push(Known { key, card: Card::default(), host_times: HostTimes::default(), is_others: false });
     cards.len() - 1
 }
 

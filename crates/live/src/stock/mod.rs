@@ -5,8 +5,8 @@
 //! runs. Needed are Linux 5.8 on x86-64, the CSI firmware under the distribution's `iwlwifi`, and CAP_BPF with
 //! CAP_PERFMON; neither BTF nor kernel headers, and Secure Boot may be on.
 //!
-//! It receives only. For frames that leave at an HT rate the driver must be told one, which needs the patched driver or the
-//! kernel module.
+//! It receives only, and asks the card for nothing. For frames that leave at an HT rate, and for what the patched drivers
+//! ask of the card (`driver-iface/kmod/csi5300_asks.h`), the kernel module may be loaded beside it.
 //!
 //! With [`frames`](driver_iface::stock::Options::frames) a card's 0xC1 records begin after its first CSI: before it the
 //! packets may be those of another Intel card.
@@ -26,6 +26,7 @@ use crate::wait::monotonic_ns;
 use aya::maps::{MapData, RingBuf};
 use csi5300::source::{CsiSource, Error, Next, Origin, Stamps};
 use csi5300::time::{Instant, Span};
+use driver_iface::Mac;
 use driver_iface::stock::Counts;
 use intake::{Clocks, Intake, Turn};
 use program::Program;
@@ -49,12 +50,16 @@ pub struct Options {
     pub ring: usize,
     /// Reads the host's wall clock, microseconds since the Unix epoch.
     pub wall_us: fn() -> Option<i64>,
+    /// This robot's MAC. No card hears its own frames: one that does is another robot's on this machine, and its records
+    /// are left out from then on.
+    pub own: Option<Mac>,
 }
 
 impl Default for Options {
     /// CSI in WSR's layout, a ring of [`RING`] bytes, the host's time.
     fn default() -> Self {
-        Self { records: driver_iface::stock::Options::default(), ring: RING, wall_us: crate::wait::wall_us }
+        let records = driver_iface::stock::Options::default();
+        Self { records, ring: RING, wall_us: crate::wait::wall_us, own: None }
     }
 }
 
@@ -76,6 +81,12 @@ impl Options {
     pub fn with_wall_us(self, wall_us: fn() -> Option<i64>) -> Self {
         Self { wall_us, ..self }
     }
+
+    /// Sets [`own`](Self::own).
+    #[must_use]
+    pub fn with_own(self, own: Option<Mac>) -> Self {
+        Self { own, ..self }
+    }
 }
 
 /// Everything that was counted since the program was loaded.
@@ -96,6 +107,8 @@ pub struct StockCounts {
     pub malformed: u64,
     /// Frames (0xC1) of cards that had sent no CSI yet, not given: the driver of another Intel card shares the function.
     pub held_back: u64,
+    /// Records of other robots' cards on this machine, not given.
+    pub others: u64,
     /// Cards seen, each one counted again after its driver was reloaded.
     pub cards_seen: u64,
     /// What all cards sent, and what became of it.
@@ -131,7 +144,7 @@ impl Stock {
     pub fn open(options: &Options) -> Result<Self, Error> {
         let ring_bytes = options.ring.clamp(*RINGS.start(), *RINGS.end()).next_power_of_two();
         let (program, ring) = Program::load(ring_bytes as u32, options.records.frames)?;
-        let (intake, wall_us) = (Intake::new(options.records), options.wall_us);
+        let (intake, wall_us) = (Intake::new(options.records, options.own), options.wall_us);
         Ok(Self { ring, program, ring_bytes, intake, wall_us, look_at: None, reattached: 0 })
     }
 

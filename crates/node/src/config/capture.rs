@@ -14,6 +14,8 @@ use std::path::PathBuf;
 pub enum Capture {
     /// The card of this machine, through its driver.
     Card(Card),
+    /// The card of this machine under the kernel's own driver, by an eBPF program (feature `stock`).
+    Stock(Stock),
     /// A recorded log at its own pace.
     Replay(Replay),
     /// A simulated room.
@@ -30,6 +32,14 @@ pub struct Card {
     pub connector_index: Option<u32>,
     /// Believe messages of other programs too: emulators, `replay --connector`.
     pub allow_user_sender: bool,
+}
+
+/// See [`Capture::Stock`].
+#[derive(Clone, Debug, Default, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Stock {
+    /// The frames themselves too (0xC1): for the log. With a key they are read in any case.
+    pub frames: bool,
 }
 
 /// See [`Capture::Replay`].
@@ -76,7 +86,7 @@ impl Capture {
         match self {
             Self::Room(room) => Some(&room.robot),
             Self::Served(served) => Some(&served.robot),
-            Self::Card(_) | Self::Replay(_) => None,
+            Self::Card(_) | Self::Stock(_) | Self::Replay(_) => None,
         }
     }
 }

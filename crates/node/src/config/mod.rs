@@ -23,7 +23,7 @@ pub mod ros2;
 pub mod sounding;
 mod values;
 
-pub use capture::{Capture, Card, Replay, Room, Served};
+pub use capture::{Capture, Card, Replay, Room, Served, Stock};
 pub use estimation::Estimation;
 pub use outputs::{Log, Network, Output, StatusLine};
 pub use problem::{ConfigError, Problem};
@@ -151,7 +151,7 @@ impl Config {
                 room.follow.values_mut().for_each(own);
             }
             Capture::Served(served) => served.socket = folder.join(&served.socket),
-            Capture::Card(_) => {}
+            Capture::Card(_) | Capture::Stock(_) => {}
         }
         own(&mut self.odometry);
         for peer in &mut self.peer {

@@ -73,14 +73,18 @@ impl Config {
         let asked = self.sounding.as_ref()?;
         let table = |why: &str| Some((None, why.to_owned()));
         match (self.capture.get_ref(), &asked.interface) {
-            (Capture::Card(_), Some(_)) | (Capture::Served(_), None) => {}
-            (Capture::Card(_), None) => return table("[sounding]: `interface`, a monitor interface, is missing"),
+            (Capture::Card(_) | Capture::Stock(_), Some(_)) | (Capture::Served(_), None) => {}
+            (Capture::Card(_) | Capture::Stock(_), None) => {
+                return table("[sounding]: `interface`, a monitor interface, is missing");
+            }
             (Capture::Served(_), Some(_)) => {
                 let why = "[sounding]: a served room is the air itself: leave `interface` out";
                 return Some((Some("interface"), why.into()));
             }
             (Capture::Replay(_) | Capture::Room(_), _) => {
-                return table("[sounding] is done with a card: it needs `capture.card` or `capture.served`");
+                return table(
+                    "[sounding] is done with a card: it needs `capture.card`, `capture.stock` or `capture.served`",
+                );
             }
         }
         if self.peer.is_empty() {

@@ -1,10 +1,11 @@
 //! The card of this machine.
 
 use super::Opened;
-use crate::config::Card;
+use crate::config::{Card, Stock};
 use crate::threads::CardThread;
 use csi5300::source::Error;
 use csi5300_live::netlink::{Netlink, Options};
+use driver_iface::Mac;
 
 /// Listens to the driver, on a thread of its own.
 pub(super) fn open(card: &Card, wall_us: fn() -> Option<i64>) -> Result<Opened, Error> {
@@ -13,7 +14,32 @@ pub(super) fn open(card: &Card, wall_us: fn() -> Option<i64>) -> Result<Opened, 
         .with_connector_index(connector_index)
         .with_allow_user_sender(allow_user_sender)
         .with_wall_us(wall_us);
-    let card = CardThread::start(Netlink::open(&options)?)?;
-    // A card's records come when they come.
+    opened(CardThread::start(Netlink::open(&options)?)?)
+}
+
+/// The same by the eBPF program, under the kernel's own driver. `own` is this robot's MAC, and `frames` says whether their
+/// tags are checked.
+#[cfg(feature = "stock")]
+pub(super) fn open_stock(
+    asked: &Stock,
+    own: Option<Mac>,
+    frames: bool,
+    wall_us: fn() -> Option<i64>,
+) -> Result<Opened, Error> {
+    use csi5300_live::stock::{Options, Stock};
+
+    let records = driver_iface::stock::Options::default().with_frames(asked.frames || frames);
+    let options = Options::default().with_records(records).with_own(own).with_wall_us(wall_us);
+    opened(CardThread::start(Stock::open(&options)?)?)
+}
+
+/// A configuration that asks for it was refused.
+#[cfg(not(feature = "stock"))]
+pub(super) fn open_stock(_: &Stock, _: Option<Mac>, _: bool, _: fn() -> Option<i64>) -> Result<Opened, Error> {
+    Err(crate::NodeError::WithoutStock.into())
+}
+
+/// A card's records come when they come.
+fn opened(card: CardThread) -> Result<Opened, Error> {
     Ok(Opened { wake: Some(card.wake()?), card: Box::new(card), mac: None, speed: 1.0 })
 }

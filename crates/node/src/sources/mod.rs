@@ -107,7 +107,7 @@ impl Sources {
         let ros2 = Ros2Node::start(config, wall_us)?;
         let mut shared = Shared { start, wall_us, ros, ros2, room: None, served: None, replayed: None };
         let capture = config.capture.get_ref();
-        let Opened { card, wake, mac, speed } = shared.capture(capture, config.mac)?;
+        let Opened { card, wake, mac, speed } = shared.capture(capture, config)?;
         let own = config.mac.or(mac);
         let robot = capture.robot().unwrap_or_default();
         let (poses, track) = shared.poses(&config.odometry, robot, config.antenna_offset_m)?;
@@ -119,15 +119,19 @@ impl Sources {
 
 impl<'a> Shared<'a> {
     /// This robot's records.
-    fn capture(&mut self, capture: &'a Capture, own: Option<Mac>) -> Result<Opened, Error> {
+    fn capture(&mut self, capture: &'a Capture, config: &Config) -> Result<Opened, Error> {
         match capture {
             Capture::Card(asked) => card::open(asked, self.wall_us),
+            Capture::Stock(asked) => {
+                let has_key = config.sounding.as_ref().is_some_and(|sounding| sounding.key.is_some());
+                card::open_stock(asked, config.mac, has_key, self.wall_us)
+            }
             Capture::Served(served) => {
                 self.served = Some(&served.socket);
                 served::open(served, self.wall_us)
             }
             Capture::Replay(asked) => {
-                let (opened, replayed) = replay::open(asked, own)?;
+                let (opened, replayed) = replay::open(asked, config.mac)?;
                 self.replayed = Some(replayed);
                 Ok(opened)
             }

@@ -44,7 +44,7 @@ fn turns(intake: &mut Intake, events: &[Vec<u8>]) -> (Vec<(u8, Option<i64>)>, Ve
 
 #[test]
 fn host_times_are_those_of_the_kernel() {
-    let mut intake = Intake::new(Options::default());
+    let mut intake = Intake::new(Options::default(), None);
     let events: Vec<_> = (0..3)
         .flat_map(|k| {
             [event(1, 3_000 - k * 1_000, 0, 0xC0, &phy(k as u32 * 1_000)), event(1, 2_990 - k * 1_000, 0, 0xBB, &csi())]
@@ -61,7 +61,7 @@ fn host_times_are_those_of_the_kernel() {
 
 #[test]
 fn a_full_ring_is_told_where_it_was_and_nothing_is_joined_across_it() {
-    let mut intake = Intake::new(Options::default());
+    let mut intake = Intake::new(Options::default(), None);
     let events = [
         event(1, 0, 0, 0xC0, &phy(1)),
         // The 0xBB of this frame and the 0xC0 of the next were lost.
@@ -75,14 +75,14 @@ fn a_full_ring_is_told_where_it_was_and_nothing_is_joined_across_it() {
     let counters = intake.counters();
     assert_eq!((counters.ring_full, counters.events, counters.records, counters.cards.no_phy), (2, 4, 1, 1));
     // The program's counter is 32 bits wide here, and wraps.
-    let (mut intake, wrapped) = (Intake::new(Options::default()), event(1, 0, 1, 0xC0, &phy(1)));
+    let (mut intake, wrapped) = (Intake::new(Options::default(), None), event(1, 0, 1, 0xC0, &phy(1)));
     assert_eq!(turns(&mut intake, &[event(1, 0, u32::MAX, 0xC0, &phy(1)), wrapped]).1.len(), 2);
     assert_eq!(intake.counters().ring_full, u64::from(u32::MAX) + 2);
 }
 
 #[test]
 fn cards_are_kept_apart() {
-    let mut intake = Intake::new(Options::default());
+    let mut intake = Intake::new(Options::default(), None);
     let [a, b] = [0xffff_8880_0000_1000, 0xffff_8880_0000_2000];
     let events = [event(a, 0, 0, 0xC0, &phy(1)), event(b, 0, 0, 0xBB, &csi()), event(a, 0, 0, 0xBB, &csi())];
     let (records, _) = turns(&mut intake, &events);
@@ -100,7 +100,7 @@ fn cards_are_kept_apart() {
 
 #[test]
 fn frames_of_a_card_without_csi_are_held_back() {
-    let mut intake = Intake::new(Options::default().with_frames(true));
+    let mut intake = Intake::new(Options::default().with_frames(true), None);
     let mut mpdu = vec![0; 4 + 40 + 4];
     mpdu[0] = 40;
     let frame = |card| [event(card, 0, 0, 0xC0, &phy(1)), event(card, 0, 0, 0xC1, &mpdu)];
@@ -116,10 +116,37 @@ fn frames_of_a_card_without_csi_are_held_back() {
 
 #[test]
 fn what_is_no_event_is_counted() {
-    let mut intake = Intake::new(Options::default());
+    let mut intake = Intake::new(Options::default(), None);
     let mut flagged = event(1, 0, 0, 0xC0, &phy(1));
     flagged[29] = 0x80;
     let (records, losses) = turns(&mut intake, &[vec![], vec![0; 31], flagged, event(1, 0, 0, 0xBB, &csi())]);
     assert!(records.is_empty() && losses.is_empty());
     assert_eq!((intake.counters().malformed, intake.counters().events), (3, 4));
+}
+
+#[test]
+fn a_card_that_hears_this_robot_is_another_s() {
+    let own = Mac([0, 0x21, 0x6a, 0, 0, 1]);
+    let mut intake = Intake::new(Options::default(), Some(own));
+    let mut mpdu = vec![0; 4 + 40 + 4];
+    (mpdu[0], mpdu[44]) = (40, 3);
+    let heard = |card: u64, sender: Mac| {
+        let mut mpdu = mpdu.clone();
+        mpdu[4 + 16..4 + 22].copy_from_slice(&sender.0);
+        mpdu[4 + 27] = 9;
+        vec![event(card, 0, 0, 0xC0, &phy(1)), event(card, 0, 0, 0xC1, &mpdu), event(card, 0, 0, 0xBB, &csi())]
+    };
+    let (peer, third) = (Mac([2; 6]), Mac([3; 6]));
+    let mut given = |events: Vec<Vec<u8>>| turns(&mut intake, &events).0.len();
+    // Card 1 is this robot's: it hears the peer. Card 2 is the peer's: from its first frame of this robot on nothing of it is given.
+    assert_eq!(
+        [given(heard(1, peer)), given(heard(2, own)), given(heard(2, third)), given(heard(1, third))],
+        [1, 0, 0, 1]
+    );
+    assert_eq!((intake.counters().others, intake.counters().records), (2, 2));
+    // A frame with a bad checksum says nothing of its sender.
+    let mut bad = heard(1, own);
+    let status = bad[1].len() - 4;
+    bad[1][status] = 0;
+    assert_eq!(turns(&mut intake, &bad).0.len(), 1);
 }

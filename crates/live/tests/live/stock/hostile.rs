@@ -78,18 +78,41 @@ fn cost() {
 #[test]
 fn latency() {
     let Some(count) = step("CSI5300_STOCK_LATENCY") else { return };
-    let (mut cards, listener, mut numbers) = (Cards::open(), LogToFile::open(), Numbers(6));
+    let listener = LogToFile::open();
+    percentiles(&count, || listener.receive().map(|record| record[21..].to_vec()));
+}
+
+/// The same by the eBPF program. Argument: frames.
+#[cfg(feature = "stock")]
+#[test]
+fn latency_of_the_program() {
+    use csi5300::source::{CsiSource, Next};
+    let Some(count) = step("CSI5300_STOCK_LATENCY") else { return };
+    let records = driver_iface::stock::Options::default().with_layout(driver_iface::bfee::Layout::Stock);
+    let options = csi5300_live::stock::Options::default().with_records(records);
+    let mut stock = csi5300_live::stock::Stock::open(&options).unwrap();
+    let clock = csi5300_live::wait::Monotonic::new();
+    percentiles(&count, || match stock.receive(clock.now()).unwrap() {
+        Next::Record(_, record) => Some(record.body[20..].to_vec()),
+        Next::Pending => None,
+        other => panic!("{other:?}"),
+    });
+}
+
+/// Gives frames to a card one by one, and takes the CSI of each before the next; says how long each took.
+fn percentiles(count: &str, mut csi: impl FnMut() -> Option<Vec<u8>>) {
+    let (mut cards, mut numbers) = (Cards::open(), Numbers(6));
     let mut took_us: Vec<_> = (0..count.parse::<u32>().unwrap())
         .map(|k| {
             let heard = Heard::made(&mut numbers, k + 1);
             cards.packet(0, 0xc0, &heard.rx_phy());
             let start = std::time::Instant::now();
             cards.packet(0, 0xbb, &heard.bfee());
-            let record = std::iter::repeat_with(|| listener.receive()).find_map(|record| {
+            let got = std::iter::repeat_with(&mut csi).find_map(|got| {
                 std::thread::yield_now();
-                record
+                got
             });
-            assert_eq!(record.unwrap()[21..], heard.csi, "frame {k}");
+            assert_eq!(got.unwrap(), heard.csi, "frame {k}");
             start.elapsed().as_micros()
         })
         .collect();

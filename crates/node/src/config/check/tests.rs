@@ -37,6 +37,13 @@ fn what_the_others_are_made_from_is_good() {
 fn this_robot() {
     let card = |from: &str, to: &str| CARD.replace(from, to);
     refused(&card("mac = \"02:00:00:00:00:01\"\n", ""), "capture.card", "`mac`");
+    let stock = card("capture.card = {}", "capture.stock.frames = true");
+    if cfg!(feature = "stock") {
+        assert_eq!(refusals(&stock), Vec::<String>::new());
+        refused(&stock.replace("frames", "frame"), "frame", "unknown field");
+    } else {
+        refused(&stock, "capture.stock", "--features stock");
+    }
     let replay = format!("{}[capture.replay]\nspeed = 2\nfile = \"no.dat\"\n", card("capture.card = {}\n", ""));
     refused(&replay, "no.dat", "there is no log");
     let room = |from: &str, to: &str| format!("{ROOM}{PEER}").replace(from, to);
