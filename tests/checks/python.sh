@@ -18,8 +18,9 @@ step() { printf -- '-- %s (%s s)\n' "$1" "$SECONDS"; }
 
 step "the wheel"
 rm -f "$own"/wheels/*.whl
-(cd python && PATH="$own/venv/bin:$PATH" maturin build --quiet --release --compatibility linux --out "$own/wheels")
+(cd python && PATH="$own/venv/bin:$PATH" maturin build --quiet --release --out "$own/wheels")
 wheel=$(echo "$own"/wheels/*.whl)
+# Its tag says the oldest C library that it runs with; maturin looks at the symbols that it needs.
 ls -l "$wheel"
 
 step "alone, in a clean environment"
