@@ -16,7 +16,7 @@ fn drafts() -> MutexGuard<'static, Vec<PathBuf>> {
 }
 
 /// A file on its way. What was there under its name stays until [`Draft::keep`], and for good where that is not reached: on
-/// an error, and on SIGINT, SIGTERM and SIGHUP where they are not ignored.
+/// an error, and (feature `live`, which has signals) on SIGINT, SIGTERM and SIGHUP where they are not ignored.
 pub struct Draft {
     path: PathBuf,
     /// Where it is written; `None` for devices and pipes, which are written as they are.
