@@ -35,11 +35,7 @@ pub struct Args {
     out: Option<PathBuf>,
     #[cfg(feature = "plot")]
     #[command(flatten)]
-    drawing: super::pictures::Drawing,
-    /// Overwrite pictures of the same names
-    #[cfg(feature = "plot")]
-    #[arg(long)]
-    force: bool,
+    pictures: super::pictures::Pictures,
     #[command(flatten)]
     reading: Reading,
     /// JSON Lines: one object a link, then a summary
@@ -102,7 +98,7 @@ pub fn run(args: &Args) -> Result {
         let report = pool.install(|| super::folds::run(&captures, &options, args.json));
         #[cfg(feature = "plot")]
         if let Some(folder) = &args.out {
-            let written = set::write_folds(&report, folder, &args.drawing.format(args.force));
+            let written = set::write_folds(&report, folder, &args.pictures.format());
             let written = written.map_err(|error| super::pictures::refused(&error))?;
             note!("{}: {} pictures", folder.display(), written.len());
         }
@@ -141,13 +137,13 @@ pub fn run(args: &Args) -> Result {
 /// Refuses pictures that are there before minutes of work, not after.
 #[cfg(feature = "plot")]
 fn check_pictures(args: &Args) -> std::result::Result<(), String> {
-    args.drawing.must_have(args.out.as_deref(), "--out");
+    args.pictures.must_have(args.out.as_deref(), "--out");
     let Some(folder) = &args.out else { return Ok(()) };
     let stems = match args.folds {
         Some(Folds::Places) => set::fold_stems(folder).to_vec(),
         None => set::stems(folder).to_vec(),
     };
-    args.drawing.format(args.force).check(&stems).map_err(|error| super::pictures::refused(&error))
+    args.pictures.format().check(&stems).map_err(|error| super::pictures::refused(&error))
 }
 
 /// The captures below all folders, and folders that could not be read.
@@ -191,7 +187,7 @@ fn show(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.out {
-        let written = set::write(rows, folder, &args.drawing.format(args.force));
+        let written = set::write(rows, folder, &args.pictures.format());
         let written = written.map_err(|error| super::pictures::refused(&error))?;
         note!("{}: {} pictures", folder.display(), written.len());
     }

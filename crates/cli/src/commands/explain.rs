@@ -25,11 +25,7 @@ pub struct Args {
     out: Option<PathBuf>,
     #[cfg(feature = "plot")]
     #[command(flatten)]
-    drawing: super::pictures::Drawing,
-    /// Overwrite pictures of the same names
-    #[cfg(feature = "plot")]
-    #[arg(long)]
-    force: bool,
+    pictures: super::pictures::Pictures,
     /// JSON Lines: one object a link
     #[arg(long)]
     json: bool,
@@ -77,7 +73,7 @@ fn is_wanted(name: &str, wanted: Option<&str>) -> bool {
 /// Shows links from end to end.
 pub fn run(args: &Args) -> Result {
     #[cfg(feature = "plot")]
-    args.drawing.must_have(args.out.as_deref(), "--out");
+    args.pictures.must_have(args.out.as_deref(), "--out");
     let options = args.reading.options().unwrap_or_else(|message| usage(&message));
     let options = options.with_keep_course(true);
     #[cfg(feature = "plot")]
@@ -135,7 +131,7 @@ pub fn run(args: &Args) -> Result {
 fn draw(args: &Args, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
     let Some(folder) = &args.out else { return Ok(()) };
     let pictures = csi5300_lab::show::link::LinkPictures::of(row, bearing, args.reading.source());
-    let written = pictures.write_all(folder, &row.answer.link, &args.drawing.format(args.force));
+    let written = pictures.write_all(folder, &row.answer.link, &args.pictures.format());
     let written = written.map_err(|error| super::pictures::refused(&error))?;
     note!("{}: {} pictures", folder.display(), written.len());
     Ok(())

@@ -26,11 +26,7 @@ pub struct Args {
     plot: Option<PathBuf>,
     #[cfg(feature = "plot")]
     #[command(flatten)]
-    drawing: super::pictures::Drawing,
-    /// Overwrite pictures of the same names
-    #[cfg(feature = "plot")]
-    #[arg(long)]
-    force: bool,
+    pictures: super::pictures::Pictures,
     /// JSON Lines: one object a receiver
     #[arg(long)]
     json: bool,
@@ -48,7 +44,7 @@ fn place(text: &str) -> std::result::Result<(String, [f64; 2]), String> {
 /// Locates the receiver of every capture.
 pub fn run(args: &Args) -> Result {
     #[cfg(feature = "plot")]
-    args.drawing.must_have(args.plot.as_deref(), "--plot");
+    args.pictures.must_have(args.plot.as_deref(), "--plot");
     let options = args.reading.options()?;
     let (captures, unreadable) = args.reading.find(&args.folder)?;
     for folder in &unreadable {
@@ -93,7 +89,7 @@ pub fn run(args: &Args) -> Result {
 #[cfg(feature = "plot")]
 fn draw(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
     let Some(folder) = &args.plot else { return Ok(()) };
-    let written = csi5300_lab::show::set::write_maps(rows, folder, &args.drawing.format(args.force));
+    let written = csi5300_lab::show::set::write_maps(rows, folder, &args.pictures.format());
     match written.map_err(|error| super::pictures::refused(&error))?.len() {
         0 => note!("no map: nothing says where the receiver drove"),
         count => note!("{}: {count} pictures", folder.display()),

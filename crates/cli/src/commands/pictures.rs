@@ -16,6 +16,28 @@ pub struct Drawing {
     dpi: f64,
 }
 
+/// The same for commands that write nothing but pictures.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Pictures {
+    #[command(flatten)]
+    drawing: Drawing,
+    /// Overwrite pictures of the same names
+    #[arg(long)]
+    force: bool,
+}
+
+impl Pictures {
+    /// [`Drawing::format`] with the choice of `--force`.
+    pub fn format(&self) -> Format {
+        self.drawing.format(self.force)
+    }
+
+    /// [`Drawing::must_have`].
+    pub fn must_have(&self, folder: Option<&Path>, option: &str) {
+        self.drawing.must_have(folder, option);
+    }
+}
+
 /// A format of picture files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum FileKind {
