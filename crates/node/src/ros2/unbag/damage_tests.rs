@@ -1,6 +1,6 @@
 //! Recordings with damage in the middle: what can be read is, and the rest is counted.
 
-use super::kinds_tests::{odometry, read_of, record1};
+use super::kinds_tests::{connection, message, numbers, odometry, read_of, record1, text};
 use super::tests::{csi, put, recorded};
 use super::*;
 
@@ -113,16 +113,7 @@ fn damage_in_the_middle_of_a_database_costs_what_is_there() {
 
 #[test]
 fn connections_of_a_damaged_chunk_are_in_the_index_of_a_bag_of_ros_1() {
-    let connection = |number: u32, topic: &str, kind: &str| {
-        let data = record1(&[("topic", topic.as_bytes()), ("type", kind.as_bytes())], &[]);
-        let data = &data[4..data.len() - 4];
-        record1(&[("op", &[7]), ("conn", &number.to_le_bytes()), ("topic", topic.as_bytes())], data)
-    };
-    let message =
-        |number: u32, data: &[u8]| record1(&[("op", &[2]), ("conn", &number.to_le_bytes()), ("time", &[0; 8])], data);
-    let text = |text: &str| [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
     let header = [&9_u32.to_le_bytes()[..], &12_u32.to_le_bytes(), &500_u32.to_le_bytes(), &text("odom")].concat();
-    let numbers = |numbers: &[f64]| numbers.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
     let pose = [header, numbers(&[1.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0])].concat();
     let chunk =
         |by: &str, data: &[u8]| record1(&[("op", &[5]), ("compression", by.as_bytes()), ("size", &[0; 4])], data);

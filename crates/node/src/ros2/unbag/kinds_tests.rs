@@ -183,19 +183,32 @@ pub(super) fn record1(fields: &[(&str, &[u8])], data: &[u8]) -> Vec<u8> {
     [&(header.len() as u32).to_le_bytes()[..], &header, &(data.len() as u32).to_le_bytes(), data].concat()
 }
 
+/// What a bag of ROS 1 says of the topic that messages of `number` are of.
+pub(super) fn connection(number: u32, topic: &str, kind: &str) -> Vec<u8> {
+    let data = record1(&[("topic", topic.as_bytes()), ("type", kind.as_bytes())], &[]);
+    // Only the fields: the data of a connection is a header of its own.
+    let data = &data[4..data.len() - 4];
+    record1(&[("op", &[7]), ("conn", &number.to_le_bytes()), ("topic", topic.as_bytes())], data)
+}
+
+/// A message of ROS 1 in a bag.
+pub(super) fn message(number: u32, data: &[u8]) -> Vec<u8> {
+    record1(&[("op", &[2]), ("conn", &number.to_le_bytes()), ("time", &[0; 8])], data)
+}
+
+/// A string as ROS 1 writes it.
+pub(super) fn text(text: &str) -> Vec<u8> {
+    [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat()
+}
+
+/// Numbers as ROS 1 writes them.
+pub(super) fn numbers(numbers: &[f64]) -> Vec<u8> {
+    numbers.iter().flat_map(|v| v.to_le_bytes()).collect()
+}
+
 #[test]
 fn a_bag_of_ros_1_is_read_too() {
-    let connection = |number: u32, topic: &str, kind: &str| {
-        let data = record1(&[("topic", topic.as_bytes()), ("type", kind.as_bytes())], &[]);
-        // Only the fields: the data of a connection is a header of its own.
-        let data = &data[4..data.len() - 4];
-        record1(&[("op", &[7]), ("conn", &number.to_le_bytes()), ("topic", topic.as_bytes())], data)
-    };
-    let message =
-        |number: u32, data: &[u8]| record1(&[("op", &[2]), ("conn", &number.to_le_bytes()), ("time", &[0; 8])], data);
-    let text = |text: &str| [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
     let header = |s: u32| [&9_u32.to_le_bytes()[..], &s.to_le_bytes(), &500_u32.to_le_bytes(), &text("odom")].concat();
-    let numbers = |numbers: &[f64]| numbers.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
     let pose = numbers(&[1.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
     let odometry = [header(12), text("base"), pose.clone(), numbers(&[0.0; 36 + 6 + 36])].concat();
     let csi = [
