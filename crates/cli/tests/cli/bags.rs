@@ -117,19 +117,25 @@ fn answers(text: &str) -> Vec<serde_json::Value> {
     text.lines().map(line).collect()
 }
 
+/// A topic of a recording: its name, its type, its messages.
+type Messages = (&'static str, &'static str, Vec<Vec<u8>>);
+
+/// The receiver's log, the transmitter's and the trajectory of a capture, and the same as topics of a recording.
+fn recorded(folder: &Folder) -> ([String; 3], [Messages; 3]) {
+    let capture = root().join("tests/fixtures/small-circle");
+    let file = |name: &str| capture.join(name.replace("STAMP", "2023-11-14_221320"));
+    let (rx, tx, path) =
+        (file("csi_rx_STAMP.dat"), file("csi_tx1_STAMP.dat"), headed(folder, &file("rx_trajectory_STAMP_.csv")));
+    let topics = [("/a/csi", CSI, csi(&rx)), ("/b/csi", CSI, csi(&tx)), ("/a/odom", POSES, poses(&path))];
+    ([rx, tx, path].map(|path| path.to_str().unwrap().to_owned()), topics)
+}
+
 #[test]
 fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
     let folder = Folder::new("bags");
-    let capture = root().join("tests/fixtures/small-circle");
-    let stamp = "2023-11-14_221320";
-    let file = |name: &str| capture.join(name.replace("STAMP", stamp));
-    let (rx, tx, path) =
-        (file("csi_rx_STAMP.dat"), file("csi_tx1_STAMP.dat"), headed(&folder, &file("rx_trajectory_STAMP_.csv")));
-    let topics = [("/a/csi", CSI, csi(&rx)), ("/b/csi", CSI, csi(&tx)), ("/a/odom", POSES, poses(&path))];
+    let ([rx, tx, path], topics) = recorded(&folder);
     std::fs::write(folder.0.join("run.mcap"), mcap(&topics)).unwrap();
     let run = |args: &[&str]| folder.run(&[&["bearing", "--channel", "108", "--json"][..], args].concat());
-    let text = |path: &Path| path.to_str().unwrap().to_owned();
-    let (rx, tx, path) = (text(&rx), text(&tx), text(&path));
     let (status, expected, errors) = run(&["--rx", &rx, "--tx", &tx, "--trajectory", &path]);
     assert_eq!(status, 0, "{errors}");
     for args in [&["--rx", "/a/csi"][..], &["--tx", "/b/csi"], &["--rx", "/a/csi", "--tx", &tx, "--trajectory", &path]]
@@ -186,16 +192,12 @@ fn a_recording_gives_the_bearings_of_its_files_and_says_what_it_could_mean() {
 #[test]
 fn compare_reads_a_recording_too() {
     let folder = Folder::new("bag-compare");
-    let capture = root().join("tests/fixtures/small-circle");
-    let file = |name: &str| capture.join(name.replace("STAMP", "2023-11-14_221320"));
-    let (rx, tx, path) =
-        (file("csi_rx_STAMP.dat"), file("csi_tx1_STAMP.dat"), headed(&folder, &file("rx_trajectory_STAMP_.csv")));
-    let topics = [("/a/csi", CSI, csi(&rx)), ("/b/csi", CSI, csi(&tx)), ("/a/odom", POSES, poses(&path))];
+    let ([rx, tx, path], topics) = recorded(&folder);
     std::fs::write(folder.0.join("run.mcap"), mcap(&topics)).unwrap();
+    let capture = root().join("tests/fixtures/small-circle");
     let with = capture.to_str().unwrap();
     let run = |args: &[&str]| folder.run(&[&["compare", with, "--json", "--out", "pictures"][..], args].concat());
-    let text = |path: &Path| path.to_str().unwrap().to_owned();
-    let (status, expected, errors) = run(&["--rx", &text(&rx), "--tx", &text(&tx), "--trajectory", &text(&path)]);
+    let (status, expected, errors) = run(&["--rx", &rx, "--tx", &tx, "--trajectory", &path]);
     assert_eq!(status, 0, "{errors}");
     let (status, out, errors) = run(&["--bag", "run.mcap", "--rx", "/a/csi", "--force"]);
     assert_eq!(status, 0, "{errors}");

@@ -307,15 +307,21 @@ fn answers_are_right(out: &str, heard: usize) {
     assert!(row["turn_around_us"]["max"].is_u64() && row["error"].is_null() && row["records"].is_null(), "{row}");
 }
 
+/// A folder of the test's own, with nothing from an earlier run in it.
+fn empty_folder(name: &str) -> std::path::PathBuf {
+    let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).unwrap();
+    folder
+}
+
 #[test]
 fn sound_and_respond_exchange_frames_and_measurements() {
     if !inside(concat!(module_path!(), "::sound_and_respond_exchange_frames_and_measurements"), "-Urn") {
         return;
     }
     let (Some(a), Some(b)) = (tun("mona", 2_304), tun("monb", 2_304)) else { return };
-    let folder = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("exchange");
-    let _ = std::fs::remove_dir_all(&folder);
-    std::fs::create_dir_all(&folder).unwrap();
+    let folder = empty_folder("exchange");
     let (key, log) = (folder.join("key"), folder.join("own.dat"));
     std::fs::write(&key, "3f7c1e9a5b2d8046c1e0f4a7936bd258\n").unwrap();
     std::fs::set_permissions(&key, std::os::unix::fs::PermissionsExt::from_mode(0o600)).unwrap();
