@@ -12,10 +12,14 @@
 //! | | | `End(Cut)` |
 //! | `Damage` | | `Seek` |
 //! | `Sure` | is what follows sure too? | `Take`, state `Vouched` |
+//! | | is the next but one sure, and what is between has evidence? | `Take`, state `Followed` |
 //! | | do records follow that vouch for it? | `Take` |
 //! | | does a record begin inside? | `Skip` to it |
 //! | | are a bfee's unused bits zero? | `Take`, else `Seek` behind it |
-//! | `Doubtful` | do records follow, and does none that is sure begin inside? | `Take` |
+//! | `Followed` | does none that is sure begin inside? | `Take`, state `Vouched` |
+//! | | is it an MPDU with a good checksum? | `Take`, else `Seek` |
+//! | `Doubtful` | is what follows sure? | as `Followed` |
+//! | | do records follow, and does none that is sure begin inside? | `Take` |
 //! | | is it an MPDU with a good checksum? | `Take`, else `Seek` |
 //!
 //! Any question that needs bytes which are not there yet gives `Wait`. `Seek` looks for the next record in at most
@@ -27,7 +31,7 @@ mod evidence;
 use super::head::{Codes, Head, Reason, SURE, head};
 use super::{LENGTH_FIELD, MAX_LENGTH, Record};
 use crate::bfee::MAX_BODY;
-use evidence::{CREDIT, CREDIT_PER_BYTE, Chain, Found, Links, MAX_LINKS, gaps_are_clear};
+use evidence::{CREDIT, CREDIT_PER_BYTE, Chain, Found, Links, MAX_LINKS, gaps_are_clear, is_plain};
 
 /// Bytes of buffer with which [`Framer::step`] can always decide.
 pub const LOOKAHEAD: usize = 72 * 1024;
@@ -121,13 +125,20 @@ impl Default for Framer {
     }
 }
 
+/// Bytes of a record, length field included: [`LENGTH_FIELD`] + [`MAX_LENGTH`] at most. Narrow, so that a [`State`] is a word.
+type Len = u16;
+
+const _: () = assert!(LENGTH_FIELD + MAX_LENGTH <= Len::MAX as usize);
+
 /// What the step before knows of the bytes at the front.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum State {
     /// Nothing.
     Fresh,
     /// A record of `len` bytes that vouches for itself.
-    Vouched { len: usize },
+    Vouched { len: Len },
+    /// A record of `len` bytes that does not, and behind it one of `next` bytes that does.
+    Followed { len: Len, next: Len },
     /// They follow damage in which no record was found.
     Lost,
 }
@@ -144,6 +155,8 @@ enum Front {
     Sure { len: usize },
     /// A whole record by its length, with `bits` of evidence.
     Doubtful { len: usize, bits: u32 },
+    /// A whole record by its length, and one of `next` bytes that vouches for itself behind it.
+    Followed { len: usize, next: Len },
 }
 
 /// What to do with the front.
@@ -226,6 +239,7 @@ impl Framer {
     fn judge(&mut self, front: &[u8], end: bool) -> Verdict {
         match self.class(front) {
             Front::Sure { len } => self.judge_sure(front, end, len),
+            Front::Followed { len, next } => self.judge_followed(front, end, len, State::Vouched { len: next }),
             Front::Doubtful { len, bits } => self.judge_doubtful(front, end, len, bits),
             Front::Damage { from, reason } => Verdict::Seek { from, reason },
             Front::Nothing if end => Verdict::End(Tail::Clean),
@@ -237,10 +251,13 @@ impl Framer {
     #[inline(always)]
     fn class(&self, front: &[u8]) -> Front {
         match self.state {
-            State::Vouched { len } if len <= front.len() => return Front::Sure { len },
+            State::Vouched { len } if usize::from(len) <= front.len() => return Front::Sure { len: len.into() },
+            State::Followed { len, next } if usize::from(len) <= front.len() => {
+                return Front::Followed { len: len.into(), next };
+            }
             _ if front.is_empty() => return Front::Nothing,
             State::Lost => return Front::Damage { from: 0, reason: Reason::StillLost },
-            State::Fresh | State::Vouched { .. } => {}
+            State::Fresh | State::Vouched { .. } | State::Followed { .. } => {}
         }
         match head(front, &self.seen) {
             Head::Short => Front::Partial { expected: None },
@@ -254,11 +271,18 @@ impl Framer {
     /// A record that vouches for itself, unless another begins inside it.
     #[inline(always)]
     fn judge_sure(&mut self, front: &[u8], end: bool, len: usize) -> Verdict {
-        if let Some(rest) = front.get(len..)
-            && let Head::Good { len: next, bits } = head(rest, &self.seen)
-            && bits >= SURE
-        {
-            return Verdict::Take { len, next: State::Vouched { len: next } };
+        let Some(rest) = front.get(len..) else { return self.judge_sure_alone(front, end, len) };
+        match head(rest, &self.seen) {
+            Head::Good { len: next, bits } if bits >= SURE => {
+                return Verdict::Take { len, next: State::Vouched { len: next as Len } };
+            }
+            // A copy of a frame, say, before its bfee: what `chain` finds, for the two records behind it as well.
+            Head::Good { len: between, bits } if bits > 0 => {
+                if let Some(next) = self.sure_at(rest, between) {
+                    return Verdict::Take { len, next: State::Followed { len: between as Len, next: next as Len } };
+                }
+            }
+            _ => {}
         }
         self.judge_sure_alone(front, end, len)
     }
@@ -282,15 +306,32 @@ impl Framer {
     /// A record that needs a witness: what follows it, or an MPDU's checksum.
     #[inline(never)]
     fn judge_doubtful(&mut self, front: &[u8], end: bool, len: usize, bits: u32) -> Verdict {
-        let reason = match self.chain(front, end, len, bits, Links::Any) {
-            Chain::Short => return Verdict::Wait,
-            Chain::No => Reason::NotFollowed { code: code_of(front), expect: len },
-            Chain::Yes | Chain::End => match self.search_sure(front, end, len) {
-                Found::Nothing => return Verdict::take(len),
-                Found::Short => return Verdict::Wait,
-                Found::At(next) => Reason::Overlapped { expect: len, got: next },
-            },
-        };
+        if let Some(next) = self.sure_at(front, len) {
+            return self.judge_followed(front, end, len, State::Vouched { len: next as Len });
+        }
+        match self.chain(front, end, len, bits, Links::Any) {
+            Chain::Short => Verdict::Wait,
+            Chain::No => self.judge_alone(front, len, Reason::NotFollowed { code: code_of(front), expect: len }),
+            Chain::Yes | Chain::End => self.judge_followed(front, end, len, State::Fresh),
+        }
+    }
+
+    /// A record with a witness behind it, unless one that vouches for itself begins inside; `next` is known of what follows.
+    #[inline(always)]
+    fn judge_followed(&mut self, front: &[u8], end: bool, len: usize, next: State) -> Verdict {
+        if is_plain(front, len) {
+            return Verdict::Take { len, next };
+        }
+        match self.search_sure(front, end, len) {
+            Found::Nothing => Verdict::Take { len, next },
+            Found::Short => Verdict::Wait,
+            Found::At(next) => self.judge_alone(front, len, Reason::Overlapped { expect: len, got: next }),
+        }
+    }
+
+    /// A record that nothing speaks for but an MPDU's checksum; `reason` is what speaks against it.
+    #[inline(never)]
+    fn judge_alone(&mut self, front: &[u8], len: usize, reason: Reason) -> Verdict {
         if self.checksum(front, len) == Some(true) { Verdict::take(len) } else { Verdict::Seek { from: 1, reason } }
     }
 

@@ -92,6 +92,9 @@ pub(super) const LONGEST_HEAD: usize = LENGTH_FIELD + 1 + bfee::STOCK_HEADER;
 /// The codes of records that can be sure by themselves.
 pub(super) const VOUCHING_CODES: [u8; 2] = [code::BFEE, code::NOISE];
 
+/// The length's high byte of such records is below this.
+pub(super) const VOUCHING_LENGTHS: u8 = ((1 + bfee::MAX_BODY) / 256 + 1) as u8;
+
 /// Codes that were met in good company, a set of bytes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Codes([u64; 4]);

@@ -1,6 +1,6 @@
 //! The questions of the state machine: what stands behind a record, and where the next one is.
 
-use super::super::head::{Codes, Head, LONGEST_HEAD, SURE, VOUCHING_CODES, head};
+use super::super::head::{Codes, Head, LONGEST_HEAD, SURE, VOUCHING_CODES, VOUCHING_LENGTHS, head};
 use super::super::{LENGTH_FIELD, Record, code};
 use super::Framer;
 use crate::bfee::Bfee;
@@ -126,17 +126,19 @@ impl Framer {
     }
 
     /// The first position inside a record of `len` bytes at which another begins that vouches for itself.
+    #[inline(never)]
     pub(super) fn search_sure(&mut self, front: &[u8], end: bool, len: usize) -> Found {
         let mut at = self.searched.max(1);
-        // Where a head is whole, most positions are ruled out by one byte.
-        let whole = len.min((front.len() + 1).saturating_sub(LONGEST_HEAD));
-        while let Some(next) = next_vouching_code(front, at, whole) {
-            match head(front.get(next..).unwrap_or_default(), &self.seen) {
-                Head::Good { bits, .. } if bits >= SURE => return Found::At(next),
-                _ => at = next + 1,
+        while at < whole_heads(front, len) {
+            let to = whole_heads(front, len).min(at + STRETCH);
+            if may_vouch(front, at, to)
+                && let Some(found) = (at..to).find(|at| self.sure_at(front, *at).is_some())
+            {
+                return Found::At(found);
             }
+            at = to;
         }
-        for at in at.max(whole)..len {
+        for at in at..len {
             match head(front.get(at..).unwrap_or_default(), &self.seen) {
                 Head::Good { bits, .. } if bits >= SURE => return Found::At(at),
                 Head::Short if !end => {
@@ -148,20 +150,58 @@ impl Framer {
         }
         Found::Nothing
     }
+
+    /// Length of the record at a position, if it vouches for itself.
+    #[inline(never)]
+    pub(super) fn sure_at(&self, front: &[u8], at: usize) -> Option<usize> {
+        match head(front.get(at..)?, &self.seen) {
+            Head::Good { len, bits } if bits >= SURE => Some(len),
+            _ => None,
+        }
+    }
 }
 
-/// The first position of `from..to` with the code of a record that can vouch for itself.
-fn next_vouching_code(front: &[u8], from: usize, to: usize) -> Option<usize> {
-    let codes = front.get(from + LENGTH_FIELD..to + LENGTH_FIELD)?;
+/// Positions that [`Framer::search_sure`] looks at together.
+const STRETCH: usize = 256;
+
+/// The end of the positions inside a record of `len` bytes at which a head is whole.
+fn whole_heads(front: &[u8], len: usize) -> usize {
+    len.min((front.len() + 1).saturating_sub(LONGEST_HEAD))
+}
+
+/// True if two bytes of each position are enough to see that no record inside one of `len` bytes vouches for itself.
+#[inline(always)]
+pub(super) fn is_plain(front: &[u8], len: usize) -> bool {
+    len == whole_heads(front, len) && !may_vouch(front, 1, len)
+}
+
+/// False where no record that vouches for itself begins in `from..to`: by its code, and by its length, which is below
+/// [`VOUCHING_LENGTHS`].
+#[inline(always)]
+fn may_vouch(front: &[u8], from: usize, to: usize) -> bool {
+    match (front.get(from..to), front.get(from + LENGTH_FIELD..to + LENGTH_FIELD)) {
+        (Some(highs), Some(codes)) => any_vouches(highs, codes),
+        _ => true,
+    }
+}
+
+/// [`may_vouch`], of the first and third bytes of the positions; in blocks that a compiler compares at once.
+#[inline(never)]
+fn any_vouches(highs: &[u8], codes: &[u8]) -> bool {
+    const BLOCK: usize = 32;
     let [bfee, noise] = VOUCHING_CODES;
-    let vouches = |byte: &u8| *byte == bfee || *byte == noise;
-    // In blocks that a compiler compares at once.
-    let has_any = |block: &[u8; 32]| {
-        block.iter().fold(0, |any, byte| any | u8::from(*byte == bfee) | u8::from(*byte == noise)) != 0
+    let hit = |high: &u8, code: &u8| {
+        u8::from(*high < VOUCHING_LENGTHS) & (u8::from(*code == bfee) | u8::from(*code == noise))
     };
-    let blocks = codes.as_chunks().0.iter().take_while(|block| !has_any(block)).count();
-    let behind = codes.get(32 * blocks..)?;
-    behind.iter().position(vouches).map(|more| from + 32 * blocks + more)
+    let (Some(last_highs), Some(last_codes)) = (highs.last_chunk::<BLOCK>(), codes.last_chunk::<BLOCK>()) else {
+        return highs.iter().zip(codes).any(|(high, code)| hit(high, code) != 0);
+    };
+    let block = |highs: &[u8; BLOCK], codes: &[u8; BLOCK]| {
+        highs.iter().zip(codes).fold(0, |any, (high, code)| any | hit(high, code))
+    };
+    // The last block overlaps the one before.
+    let all = highs.as_chunks().0.iter().zip(codes.as_chunks().0);
+    all.fold(block(last_highs, last_codes), |any, (highs, codes)| any | block(highs, codes)) != 0
 }
 
 /// Remembers the code of the record at the front, unless it is only the same byte over and over.
@@ -178,5 +218,43 @@ pub(super) fn gaps_are_clear(front: &[u8], len: usize) -> bool {
     match front.get(LENGTH_FIELD..len).and_then(Record::from_message) {
         Some(Record { code: code::BFEE, body }) => Bfee::new_checked(body).is_ok_and(|bfee| bfee.gaps_are_clear()),
         _ => true,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use std::vec;
+    use std::vec::Vec;
+
+    /// Bytes of which heads of bfees and noise records, whole or nearly, are made often.
+    fn bytes() -> impl Strategy<Value = Vec<u8>> {
+        let noise = Just(vec![0, 5, 0xD0, 0xA6, 0xFF, 0xFF, 0xFF]);
+        let bfee: Vec<u8> = [[0, 93, 0xBB].as_slice(), &[0; 8], &[1, 1], &[0; 6], &[72, 0, 0, 0]].concat();
+        let one = prop::sample::select(vec![0_u8, 1, 2, 3, 5, 93, 0xBB, 0xD0, 0xFF]).prop_map(|byte| vec![byte]);
+        let part = prop_oneof![60 => one, 1 => noise, 1 => Just(bfee), 8 => any::<u8>().prop_map(|byte| vec![byte])];
+        prop::collection::vec(part, 1..700).prop_map(|parts| parts.concat())
+    }
+
+    proptest! {
+        #[test]
+        fn a_search_finds_what_a_look_at_every_position_finds(bytes in bytes(), share in 0.0..1.0_f64, end: bool) {
+            let mut framer = Framer::new();
+            let len = 1 + (share * (bytes.len() - 1) as f64) as usize;
+            let whole = whole_heads(&bytes, len);
+            let first = (1..len).find(|at| framer.sure_at(&bytes, *at).is_some());
+            prop_assert!(first.is_none() || !is_plain(&bytes, len));
+            for from in (1..whole).step_by(7) {
+                let seen = may_vouch(&bytes, from, whole);
+                prop_assert!(seen || (from..whole).all(|at| framer.sure_at(&bytes, at).is_none()));
+            }
+            let short = (1..len).find(|at| matches!(head(&bytes[*at..], &framer.seen), Head::Short));
+            match framer.search_sure(&bytes, end, len) {
+                Found::At(at) => prop_assert_eq!(Some(at), first),
+                Found::Nothing => prop_assert!(first.is_none() && (end || short.is_none())),
+                Found::Short => prop_assert!(!end && short.is_some_and(|short| first.is_none_or(|first| short < first))),
+            }
+        }
     }
 }
