@@ -12,6 +12,9 @@ use driver_iface::sounding::Frame;
 use driver_iface::sounding::native::{self, Repr};
 use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::Ordering::Relaxed;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Another radio in the room, nearer to the robot on circles than its peer is, and in another direction.
 const STRANGER: &str =
@@ -138,11 +141,18 @@ fn four_hundred_made_up_senders_do_not_blind_a_node() {
     assert!(said.contains("more than 256 senders"), "{said}");
 }
 
-/// Answers every forward frame for the peer at once, in its name, with its number and without a tag, until told to stop.
-fn answer(mut stranger: Monitor, stop: &std::sync::atomic::AtomicBool) -> u64 {
-    let (clock, mut answered) = (Monotonic::new(), 0);
+/// What a thread of a stranger and its test share.
+#[derive(Default)]
+struct Shared {
+    stop: AtomicBool,
+    answered: AtomicU64,
+}
+
+/// Answers every forward frame for the peer at once, in its name, with its number and without a tag, until it is to stop.
+fn answer(mut stranger: Monitor, shared: &Shared) {
+    let clock = Monotonic::new();
     let mut bytes = vec![0; native::MAX_LEN];
-    while !stop.load(std::sync::atomic::Ordering::Relaxed) {
+    while !shared.stop.load(Relaxed) {
         let heard = stranger.hear().unwrap().map(|heard| heard.frame.to_vec());
         let Some(frame) = heard else {
             clock.sleep_until(clock.now() + csi5300::time::Span::from_us(100));
@@ -154,28 +164,29 @@ fn answer(mut stranger: Monitor, stop: &std::sync::atomic::AtomicBool) -> u64 {
         let forged = Repr { sender: forward.destination, role, destination: forward.sender, tag, ..forward };
         let len = forged.emit(&mut bytes).unwrap();
         stranger.inject(clock.now(), &bytes[..len]).unwrap();
-        answered += 1;
+        shared.answered.fetch_add(1, Relaxed);
     }
-    answered
 }
 
 fn a_stranger_answers(driver: &str, alarm: &str) {
     let room = Room::serve(driver, driver);
     let tx = room.node("tx", "rx", false);
     let stranger = room.stranger();
-    let stop = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
-    let seen = std::sync::Arc::clone(&stop);
+    let shared = Arc::new(Shared::default());
+    let seen = Arc::clone(&shared);
     let thread = std::thread::spawn(move || answer(stranger, &seen));
     let mut rx = room.node("rx", "tx", true);
     rx.until(alarm);
-    // Nothing but the peer's own answers is used, if any are left.
-    for _ in 0..12 {
+    // Nothing but the peer's own answers is used, if any are left. On a machine with more to do, the stranger answers seldom.
+    let mut seconds = 0;
+    while seconds < 12 || shared.answered.load(Relaxed) <= 100 {
         rx.said.clear();
         rx.until("records/s");
+        seconds += 1;
     }
     let bearings = room.bearings();
-    stop.store(true, std::sync::atomic::Ordering::Relaxed);
-    assert!(thread.join().unwrap() > 100);
+    shared.stop.store(true, Relaxed);
+    thread.join().unwrap();
     for bearing in &bearings {
         assert!(off_deg(bearing).abs() < 3.0, "{bearing}");
     }
