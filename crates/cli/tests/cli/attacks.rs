@@ -1,6 +1,6 @@
 //! Attacks on nodes of a served room, with real processes: a stranger has a radio there, and no key.
 
-use crate::serve::{LIVE, Program};
+use crate::air::{LIVE, Program};
 use csi5300::internal::FrameReceiver;
 use csi5300::source::Injector;
 use csi5300_live::monitor::{Monitor, Options};

@@ -7,6 +7,9 @@ mod common;
 #[path = "../../../../tests/common/private.rs"]
 mod private;
 
+// Tests start in the order of their names; those that wait the longest are the first.
+#[cfg(feature = "live")]
+mod air;
 #[cfg(feature = "node")]
 mod answers;
 #[cfg(feature = "node")]
@@ -27,8 +30,6 @@ mod peers;
 #[cfg(feature = "live")]
 mod recording;
 mod recovering;
-#[cfg(feature = "live")]
-mod serve;
 #[cfg(feature = "live")]
 mod served;
 mod words;

@@ -118,7 +118,7 @@ fn an_interface_is_one_program_s_at_a_time_and_forgets_nothing_it_was_not_told()
 /// circles has made so many bearings. Gives its last one, which is right to two degrees, and what the room said.
 #[cfg(feature = "node")]
 pub fn two_nodes(name: &str, [rx, tx]: &[String; 2], least: usize) -> (serde_json::Value, String) {
-    use crate::serve::{LIVE, Program};
+    use crate::air::{LIVE, Program};
     let folder = std::env::temp_dir().join(format!("csi5300-{name}-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
     let write = |name: &str, text: &str| {
