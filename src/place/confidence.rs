@@ -32,10 +32,16 @@ pub fn camera_heading_rad() -> f64 {
     TUNING.certainty.camera_heading_deg.to_radians()
 }
 
-/// The same of wheel odometry.
+/// The same of wheel odometry where the place of the antenna on the robot is known.
 #[must_use]
 pub fn wheels_heading_rad() -> f64 {
     TUNING.certainty.wheels_heading_deg.to_radians()
+}
+
+/// The same of wheel odometry where it is not.
+#[must_use]
+pub fn unmounted_heading_rad() -> f64 {
+    TUNING.certainty.unmounted_heading_deg.to_radians()
 }
 
 /// What each of the directions that were chosen from has of the probability, as the model of the search has it: powers

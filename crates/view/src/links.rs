@@ -19,6 +19,7 @@ pub struct Reading {
     source: TrajectorySource,
     channel: Option<Channel>,
     options: Options,
+    antenna_offset_m: Option<[f64; 3]>,
 }
 
 impl Reading {
@@ -26,7 +27,13 @@ impl Reading {
     #[must_use]
     pub fn new(source: TrajectorySource, channel: Option<Channel>, options: Options) -> Self {
         // Curves, paths and phases are what the page shows.
-        Self { source, channel, options: options.with_keep_course(true) }
+        Self { source, channel, options: options.with_keep_course(true), antenna_offset_m: None }
+    }
+
+    /// With the antenna this far (metres forward, left, up) from what the trajectories of the camera or the wheels are of.
+    #[must_use]
+    pub fn with_antenna_offset_m(self, antenna_offset_m: Option<[f64; 3]>) -> Self {
+        Self { antenna_offset_m, ..self }
     }
 
     pub(crate) fn source(&self) -> TrajectorySource {
@@ -101,7 +108,8 @@ pub(crate) struct Links {
 impl Links {
     /// The captures below a folder; none where there is none.
     pub fn below(folder: &Path, reading: Reading) -> Option<Self> {
-        let (captures, unreadable) = find_all(folder);
+        let (mut captures, unreadable) = find_all(folder);
+        captures.iter_mut().for_each(|capture| capture.antenna_offset_m = reading.antenna_offset_m);
         if captures.is_empty() {
             return None;
         }

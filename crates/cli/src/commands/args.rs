@@ -5,6 +5,7 @@ use csi5300::bartlett::SearchOptions;
 use csi5300::pipeline::{Accuracy, Effort, Options};
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
+use nalgebra::Vector3;
 
 /// How bearings are made.
 #[derive(Args, Clone, Debug)]
@@ -159,4 +160,14 @@ pub fn channel(text: &str) -> Result<Channel, String> {
 /// A MAC address.
 pub fn mac(text: &str) -> Result<Mac, String> {
     text.parse::<Mac>().map_err(|error| error.to_string())
+}
+
+/// Three numbers: metres forward, left, up.
+pub fn triple(text: &str) -> Result<Vector3<f64>, String> {
+    let parts: Vec<f64> =
+        text.split(',').map(|part| part.trim().parse::<f64>()).collect::<Result<_, _>>().map_err(|e| e.to_string())?;
+    match parts[..] {
+        [x, y, z] if parts.iter().all(|p| p.is_finite()) => Ok(Vector3::new(x, y, z)),
+        _ => Err("three finite numbers with commas between, in metres".into()),
+    }
 }

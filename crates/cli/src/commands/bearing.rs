@@ -3,7 +3,7 @@
 mod quality;
 
 use self::quality::{edge, quality};
-use super::args::{Estimation, channel, mac};
+use super::args::{Estimation, channel, mac, triple};
 use super::files::Log;
 use super::inputs::{BagArgs, Inputs, order_unknown};
 use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, some, usage};
@@ -89,18 +89,6 @@ pub struct Args {
     /// Overwrite the profile and pictures of the same names if they are there
     #[arg(long)]
     force: bool,
-}
-
-fn triple(text: &str) -> std::result::Result<Vector3<f64>, String> {
-    let parts: Vec<f64> = text
-        .split(',')
-        .map(|part| part.trim().parse::<f64>())
-        .collect::<std::result::Result<_, _>>()
-        .map_err(|e| e.to_string())?;
-    match parts[..] {
-        [x, y, z] if parts.iter().all(|p| p.is_finite()) => Ok(Vector3::new(x, y, z)),
-        _ => Err("three finite numbers with commas between, in metres".into()),
-    }
 }
 
 /// Ends the program where arguments contradict each other.

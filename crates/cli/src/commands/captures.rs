@@ -1,10 +1,11 @@
 //! What the commands on folders of captures share.
 
-use super::args::{Estimation, channel};
+use super::args::{Estimation, channel, triple};
 use super::usage;
 use csi5300::pipeline::{JoinBy, Options};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::evaluate::{Capture, TrajectorySource, find_all};
+use nalgebra::Vector3;
 use std::path::Path;
 
 /// What a capture is, for who named a folder without one.
@@ -17,6 +18,10 @@ pub struct Reading {
     /// Which trajectory to use
     #[arg(long, value_enum, default_value = "gt")]
     trajectory: Which,
+    /// Where the antenna is on the robot, seen from what the tracking camera's or the wheels' trajectory is of: metres forward,
+    /// left, up; turned with the heading. With --folds that of wheels is measured at the other places
+    #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
+    antenna_offset: Option<Vector3<f64>>,
     /// WiFi channel instead of the one in groundtruth_positions.json
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     pub channel: Option<Channel>,
@@ -47,11 +52,24 @@ impl Reading {
             let kind = if folder.is_dir() { "no capture in or below" } else { "no folder" };
             return Err(format!("{kind} {}: {A_CAPTURE}", folder.display()));
         }
+        let captures = self.mounted(captures);
         detail!("{} captures in or below {}", captures.len(), folder.display());
         if self.channel.is_none() && captures.iter().all(|capture| !capture.has_truth()) {
             usage("--channel is needed: no groundtruth_positions.json names the WiFi channel of these captures");
         }
         Ok((captures, unreadable))
+    }
+
+    /// Where the antenna was said to be, metres forward, left, up.
+    pub fn antenna_offset_m(&self) -> Option<[f64; 3]> {
+        self.antenna_offset.map(Into::into)
+    }
+
+    /// Captures with the antenna where it was said to be.
+    pub fn mounted(&self, mut captures: Vec<Capture>) -> Vec<Capture> {
+        let antenna_offset_m = self.antenna_offset_m();
+        captures.iter_mut().for_each(|capture| capture.antenna_offset_m = antenna_offset_m);
+        captures
     }
 
     /// The pipeline's options. Their channel is a stand-in where none was given: each capture brings its own.

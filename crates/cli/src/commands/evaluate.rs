@@ -44,8 +44,8 @@ pub struct Args {
     /// Also evaluate with each step left out, and print what it brings
     #[arg(long)]
     ablation: bool,
-    /// Leave each place out in turn, with everything fitted to the others: errors with intervals, by motion capture and by
-    /// the tracking camera, whole motions, halves and quarters. A place is the last two folders of a capture
+    /// Leave each place out in turn, with everything fitted to the others: errors with intervals, by motion capture,
+    /// the tracking camera and wheels, whole motions, halves and quarters. A place is the last two folders of a capture
     #[arg(long, value_enum, value_name = "UNIT", conflicts_with_all = ["ablation", "trajectory"])]
     folds: Option<Folds>,
     /// Captures worked on at a time; 0 is one for each core
@@ -88,6 +88,7 @@ pub fn run(args: &Args) -> Result {
     // Paths are in the lines of JSON only, and change no bearing.
     options.accuracy = options.accuracy.with_paths(options.accuracy.paths && args.json);
     let (captures, unreadable) = find_all(args.folders.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)))?;
+    let captures = args.reading.mounted(captures);
     for folder in &unreadable {
         wrong!("cannot read {folder}");
     }

@@ -30,6 +30,13 @@ fn text(report: &Report) -> String {
          in brackets 95 % intervals by resampling places; oracle: the best of the first five candidates\n",
         report.places, report.links
     );
+    if let Some([forward, left]) = report.antenna_offset_m {
+        let _ = writeln!(
+            text,
+            "wheel odometry with the antenna where motion capture of the other places shows it on the robot: {forward:.3} m \
+             forward, {left:.3} m left"
+        );
+    }
     let mut last = None;
     for column in &report.errors {
         let which = (column.which.source, column.which.parts, column.which.kind);

@@ -36,6 +36,7 @@ pub struct Args {
 pub fn reading(reading: &Reading) -> csi5300_view::Reading {
     let options = reading.options().unwrap_or_else(|message| usage(&message));
     csi5300_view::Reading::new(reading.source(), reading.channel, options)
+        .with_antenna_offset_m(reading.antenna_offset_m())
 }
 
 /// Serves the page until a signal ends it.

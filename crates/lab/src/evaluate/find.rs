@@ -1,6 +1,6 @@
 //! Captures below a folder: their logs, and which of their trajectories is read.
 
-use csi5300::internal::{camera_heading_rad, wheels_heading_rad};
+use csi5300::internal::{camera_heading_rad, unmounted_heading_rad, wheels_heading_rad};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -22,7 +22,7 @@ pub enum TrajectorySource {
 
 impl TrajectorySource {
     /// Standard deviation of the heading of its trajectories, radians: what error bars and probabilities have to know of
-    /// the sensor.
+    /// the sensor. Of wheels it is that of trajectories of the antenna ([`Capture::antenna_offset_m`]).
     #[must_use]
     pub fn heading_sd_rad(self) -> f64 {
         match self {
@@ -43,7 +43,7 @@ impl TrajectorySource {
 }
 
 /// One run: the logs and trajectories of one time stamp.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Capture {
     /// Folder below the evaluated one, with forward slashes.
     pub place: String,
@@ -53,6 +53,10 @@ pub struct Capture {
     pub folder: PathBuf,
     /// Transmitters: name (`tx2`) and log.
     pub transmitters: Vec<(String, PathBuf)>,
+    /// Where the receiver's antenna is on its robot, seen from what the tracking camera's or the wheels' trajectory is of:
+    /// metres forward, left, up; none where it is not known, and those trajectories are taken as the antenna's. Motion
+    /// capture is of the antenna itself.
+    pub antenna_offset_m: Option<[f64; 3]>,
 }
 
 impl Capture {
@@ -61,6 +65,16 @@ impl Capture {
     pub fn link_name(&self, transmitter: &str) -> String {
         let parts = [self.place.as_str(), self.stamp.as_str(), transmitter];
         parts.iter().filter(|part| !part.is_empty()).copied().collect::<Vec<_>>().join("/")
+    }
+
+    /// Standard deviation of the heading of its trajectory by `source`, radians. Wheels whose antenna may be anywhere on the
+    /// robot turn the bearing by as much as the antenna's path differs from theirs.
+    #[must_use]
+    pub fn heading_sd_rad(&self, source: TrajectorySource) -> f64 {
+        match source {
+            TrajectorySource::Odometry if self.antenna_offset_m.is_none() => unmounted_heading_rad(),
+            _ => source.heading_sd_rad(),
+        }
     }
 
     /// True if a file beside its logs says where the transmitters are.
@@ -143,7 +157,13 @@ fn captures_in(root: &Path, folder: &Path, names: &[String]) -> Vec<Capture> {
         };
         let mut transmitters: Vec<_> = names.iter().filter_map(transmitter).collect();
         transmitters.sort();
-        Capture { place: place.join("/"), stamp: stamp.into(), folder: folder.into(), transmitters }
+        Capture {
+            place: place.join("/"),
+            stamp: stamp.into(),
+            folder: folder.into(),
+            transmitters,
+            antenna_offset_m: None,
+        }
     };
     stamps.iter().map(|stamp| capture(stamp)).collect()
 }

@@ -138,7 +138,7 @@ impl Capture {
             TrajectorySource::GroundTruth => Some(trajectory.clone()),
             _ => self.trajectory(shelf, TrajectorySource::GroundTruth, &mut notes).ok(),
         };
-        let heading_sd_rad = options.heading_sd_rad.unwrap_or(source.heading_sd_rad());
+        let heading_sd_rad = options.heading_sd_rad.unwrap_or(self.heading_sd_rad(source));
         let mut options = options.clone().with_heading_sd_rad(Some(heading_sd_rad));
         options.channel = channel;
         let moved = self.moved(shelf, source, &mut notes)?;
@@ -198,7 +198,8 @@ impl Capture {
         source: TrajectorySource,
         notes: &mut Vec<String>,
     ) -> Result<Trajectory, EvaluateError> {
-        read_path(shelf, self.trajectory_of(source, "rx"), notes)
+        let recorded = read_path(shelf, self.trajectory_of(source, "rx"), notes)?;
+        self.of_antenna(shelf, source, recorded).map_err(EvaluateError::Part)
     }
 
     /// The bearings of all links, and why a transmitter's log could not be opened: that costs its own link, the others go

@@ -48,7 +48,7 @@ pub enum EvaluateError {
         /// Why.
         source: CsvError,
     },
-    /// A part of the motion has too few poses.
+    /// A part of the motion has too few poses, or the place of the antenna is given and the trajectory has no heading.
     #[error(transparent)]
     Part(#[from] csi5300::motion::pose::TrajectoryError),
     /// A log cannot be read.

@@ -1,6 +1,6 @@
 //! Every link by each trajectory, over the whole motion and parts of it.
 
-use crate::evaluate::{Capture, Judged, Part, TrajectorySource};
+use crate::evaluate::{Capture, Judged, Part, TrajectorySource, usual_offset_m};
 use csi5300::internal::{full_features, quick_features};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Bearing, Options};
@@ -8,8 +8,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Trajectories that captures are judged by. Wheel odometry, whose bearings are off by tens of degrees, is judged on whole
-/// motions only, and nothing is fitted to it.
+/// Trajectories that captures are judged by. No model of certainty is fitted to wheel odometry.
 pub(super) const SOURCES: [TrajectorySource; 3] =
     [TrajectorySource::GroundTruth, TrajectorySource::T265, TrajectorySource::Odometry];
 /// Numbers of parts that motions are cut into.
@@ -55,6 +54,9 @@ pub struct FoldRow {
     pub link: String,
     /// Trajectory by which it was estimated.
     pub source: TrajectorySource,
+    /// Where the antenna was taken to be on the robot, metres forward and left: of wheel odometry, by motion capture of the
+    /// other places.
+    pub antenna_offset_m: Option<[f64; 2]>,
     /// Part of the motion.
     pub part: Part,
     /// The answer of everything that is on; none where the link failed.
@@ -74,18 +76,36 @@ impl FoldRow {
     }
 }
 
-/// All links of `captures` by each trajectory that they have, whole and in parts.
+/// All links of `captures` by each trajectory that they have, whole and in parts. The antenna's place on the robot, which wheel
+/// odometry has to know, is that which motion capture shows at the other places.
 #[must_use]
 pub fn gather(captures: &[Capture], options: &Options) -> Vec<FoldRow> {
     let parts: Vec<Part> = PARTS.into_iter().flat_map(Part::each).collect();
-    let jobs: Vec<(&Capture, TrajectorySource)> =
-        captures.iter().flat_map(|capture| SOURCES.map(|source| (capture, source))).collect();
-    let of_run = |&&(capture, source): &&(&Capture, TrajectorySource)| -> Vec<FoldRow> {
-        let judged = |part: &&Part| source != TrajectorySource::Odometry || **part == Part::WHOLE;
-        parts.iter().filter(judged).flat_map(|part| rows(capture, source, *part, options)).collect()
+    let mounted = mounted(captures);
+    let jobs = captures.iter().zip(&mounted).flat_map(|(capture, mounted)| {
+        SOURCES.map(|source| (if source == TrajectorySource::Odometry { mounted } else { capture }, source))
+    });
+    let jobs: Vec<(&Capture, TrajectorySource)> = jobs.filter(|(capture, source)| capture.has(*source)).collect();
+    let of_run = |&(capture, source): &(&Capture, TrajectorySource)| -> Vec<FoldRow> {
+        parts.iter().flat_map(|part| rows(capture, source, *part, options)).collect()
     };
-    let jobs: Vec<_> = jobs.iter().filter(|(capture, source)| capture.has(*source)).collect();
     jobs.par_iter().map(of_run).collect::<Vec<_>>().into_iter().flatten().collect()
+}
+
+/// The captures with their antenna where wheels and motion capture of the other places say that it is.
+fn mounted(captures: &[Capture]) -> Vec<Capture> {
+    let measured = |capture: &Capture| {
+        Some((set_and_place(&capture.place).1, capture.measured_offset_m(TrajectorySource::Odometry)?))
+    };
+    let measured: Vec<(String, [f64; 2])> = captures.par_iter().filter_map(measured).collect();
+    let one = |capture: &Capture| {
+        let own = set_and_place(&capture.place).1;
+        let others = measured.iter().filter(|(place, _)| *place != own).map(|(_, offset_m)| *offset_m);
+        let measured_m = usual_offset_m(others).map(|[forward, left]| [forward, left, 0.0]);
+        let antenna_offset_m = measured_m.or(capture.antenna_offset_m);
+        Capture { antenna_offset_m, ..capture.clone() }
+    };
+    captures.iter().map(one).collect()
 }
 
 fn rows(capture: &Capture, source: TrajectorySource, part: Part, options: &Options) -> Vec<FoldRow> {
@@ -95,10 +115,13 @@ fn rows(capture: &Capture, source: TrajectorySource, part: Part, options: &Optio
     };
     let judged = capture.evaluate_part(source, None, options, part, &mut look).rows;
     let (set, place) = set_and_place(&capture.place);
+    let is_wheels = source == TrajectorySource::Odometry;
+    let antenna_offset_m = capture.antenna_offset_m.filter(|_| is_wheels).map(|[forward, left, _]| [forward, left]);
     let row = |judged: Judged| {
         let own = seen.remove(&judged.answer.link).zip(judged.true_from_mean_pose_deg);
         let (full, quick) = own.map_or((None, None), |(own, truth_deg)| own.answered(truth_deg));
-        FoldRow { place: place.clone(), set: set.clone(), link: judged.answer.link, source, part, full, quick }
+        let (place, set, link) = (place.clone(), set.clone(), judged.answer.link);
+        FoldRow { place, set, link, source, antenna_offset_m, part, full, quick }
     };
     judged.into_iter().map(row).collect()
 }

@@ -1,8 +1,8 @@
 //! Accuracy on places that nothing was fitted to: leave one place out.
 //!
 //! A place is a set and a folder of it (`LOS_Set_A/L1`); captures of one place are near copies of each other, so it is
-//! the unit of everything here. Every link is estimated by motion capture and by the tracking camera over the whole
-//! motion, its halves and its quarters, and by wheel odometry over the whole motion ([`gather`]). For each place, whatever is fitted is fitted to all others and
+//! the unit of everything here. Every link is estimated by motion capture, by the tracking camera and by wheel
+//! odometry over the whole motion, its halves and its quarters ([`gather`]). For each place, whatever is fitted is fitted to all others and
 //! then judged on this one; errors come with intervals from a bootstrap over places (\[efron-tibshirani1993\] in
 //! docs/references.md). The same captures give the same digits.
 //!

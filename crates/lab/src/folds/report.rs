@@ -4,7 +4,7 @@ use super::bootstrap::{Interval, intervals};
 use super::confidence::{self, ConfidenceColumn, RefusalColumn};
 use super::error_bar::{self, ErrorBarColumn};
 use super::gather::{FoldRow, Kind, PARTS, SOURCES};
-use crate::evaluate::{Errors, TrajectorySource};
+use crate::evaluate::{Errors, TrajectorySource, usual_offset_m};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -49,6 +49,9 @@ pub struct Report {
     pub places: usize,
     /// Links: a transmitter of a capture each.
     pub links: usize,
+    /// Where the antenna was taken to be on the robot of wheel odometry, metres forward and left: the median over all
+    /// places, each of which has that of the others.
+    pub antenna_offset_m: Option<[f64; 2]>,
     /// Errors.
     pub errors: Vec<ErrorColumn>,
     /// Probabilities from models fitted to all other places.
@@ -68,6 +71,7 @@ pub fn report(rows: &[FoldRow]) -> Report {
     Report {
         places: names(|row| &row.place).len(),
         links: names(|row| &row.link).len(),
+        antenna_offset_m: usual_offset_m(rows.iter().filter_map(|row| row.antenna_offset_m)),
         errors: kinds.into_iter().flat_map(|kind| errors(rows, kind)).collect(),
         confidence: [full.0, quick.0].concat(),
         refusals: [full.1, quick.1].concat(),

@@ -19,6 +19,7 @@ fn rows() -> Vec<FoldRow> {
                         set: set.into(),
                         link: format!("{place}/{link}"),
                         source,
+                        antenna_offset_m: None,
                         part,
                         quick: full.clone(),
                         full: full.filter(|_| (place, link) != (3, 0)),

@@ -1,10 +1,23 @@
 //! Leaving places out, on simulated rooms in the layout of captures.
 
+use csi5300::motion::odometry::csv;
 use csi5300::pipeline::Options;
-use csi5300_lab::evaluate::{Part, TrajectorySource, find};
+use csi5300_lab::evaluate::{Capture, Part, TrajectorySource, find};
 use csi5300_lab::folds::{ErrorColumn, Kind, gather, report};
 use csi5300_lab::rooms;
+use nalgebra::Vector3;
 use std::path::Path;
+
+/// Where the rooms' antenna is, seen from the middle between the wheels.
+const OFFSET_M: Vector3<f64> = Vector3::new(0.04, 0.16, 0.0);
+
+/// Writes a room's odometry as that of wheels beside whose middle the antenna is.
+fn beside_the_antenna(capture: &Capture) {
+    let path = capture.folder.join(format!("odom_rx_trajectory_{}_.csv", capture.stamp));
+    let (antenna, _) = csv::read(&path).unwrap();
+    let wheels = antenna.with_antenna_offset(-OFFSET_M).unwrap();
+    std::fs::write(path, wheels.poses().iter().map(csv::line).collect::<String>()).unwrap();
+}
 
 #[test]
 fn rooms_are_places_and_every_part_of_their_motion_is_judged() {
@@ -12,10 +25,11 @@ fn rooms_are_places_and_every_part_of_their_motion_is_judged() {
     let _ = std::fs::remove_dir_all(&folder);
     rooms::write(&folder, 2, 5).unwrap();
     let (captures, unreadable) = find(&folder);
+    captures.iter().for_each(beside_the_antenna);
     assert!(captures.len() == 4 && unreadable.is_empty(), "{captures:?}");
     let rows = gather(&captures, &Options::new("108".parse().unwrap()));
-    // Four rooms with three links each: seven parts by the true trajectory, the whole motion by odometry.
-    assert_eq!(rows.len(), 4 * 3 * (7 + 1));
+    // Four rooms with three links each: seven parts by the true trajectory, seven by odometry.
+    assert_eq!(rows.len(), 4 * 3 * (7 + 7));
     assert!(rows.iter().all(|row| row.full.is_some() && row.quick.is_some()));
     let report = report(&rows);
     assert_eq!((report.places, report.links), (4, 12));
@@ -32,8 +46,16 @@ fn rooms_are_places_and_every_part_of_their_motion_is_judged() {
     assert!(whole.errors.mean_deg < 0.5 && whole.errors.mean_deg < quarters.errors.mean_deg, "{whole:?} {quarters:?}");
     assert!(whole.errors.mean_deg < column(Kind::Quick, 1).errors.mean_deg, "a plane wave is bent in the near field");
     assert!(report.errors.iter().all(|column| column.oracle.mean_deg <= column.errors.mean_deg));
-    let by_odometry = report.errors.iter().filter(|column| column.which.source == TrajectorySource::Odometry);
-    assert!(by_odometry.clone().count() > 0 && by_odometry.clone().all(|column| column.which.parts == 1));
+    // Wheels are told where the antenna is, each by the other rooms, as well as their drifting heading lets these see it.
+    let off_m = rows.iter().filter_map(|row| row.antenna_offset_m).map(|[x, y]| (x - OFFSET_M.x).hypot(y - OFFSET_M.y));
+    assert_eq!(off_m.clone().count(), 4 * 3 * 7);
+    assert!(off_m.clone().all(|off_m| off_m < 0.04), "{:?}", off_m.collect::<Vec<_>>());
+    let is_it = |column: &&ErrorColumn| {
+        let which = &column.which;
+        which.source == TrajectorySource::Odometry && which.parts == 1 && which.group == "LOS"
+    };
+    let by_wheels = report.errors.iter().find(is_it).unwrap();
+    assert!(by_wheels.errors.mean_deg < 10.0, "{by_wheels:?}");
     // A part is judged from its own mean pose: in sight its error is no larger than a beam.
     let first = rows.iter().find(|row| row.part != Part::WHOLE && row.set == "rooms_LOS").unwrap();
     assert!(first.full.as_ref().unwrap().error_deg.abs() < 20.0, "{first:?}");
