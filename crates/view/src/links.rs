@@ -175,7 +175,7 @@ impl Links {
                 details.insert(name.to_owned(), text.into());
             }
         };
-        let Reading { source, channel, options } = &self.reading;
+        let Reading { source, channel, options, .. } = &self.reading;
         let evaluated = capture.evaluate_and(*source, *channel, options, &mut look);
         let done = {
             let mut state = self.state();
