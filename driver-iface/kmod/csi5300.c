@@ -352,8 +352,11 @@ static const struct kernel_param_ops rate_ops = { .set = param_set_uint, .get = 
 module_param_cb(monitor_tx_rate, &rate_ops, &monitor_tx_rate, 0644);
 MODULE_PARM_DESC(monitor_tx_rate, "rate_n_flags of frames to 00:16:ea:12:34:56 (0x4101: MCS 1, antenna A); 0: left alone");
 
-/* /sys/module/csi5300/counters: one file for each, sums over the cards. */
-static ssize_t show(struct module_attribute *attr, struct module_kobject *module, char *buffer);
+/* /sys/module/csi5300/counters: one file for each, sums over the cards. Newer kernels hand the attribute over as const. */
+typedef typeof(_Generic(((struct module_attribute *)0)->show,
+			ssize_t (*)(const struct module_attribute *, struct module_kobject *, char *): (const struct module_attribute *)0,
+			default: (struct module_attribute *)0)) attribute_of;
+static ssize_t show(attribute_of attr, struct module_kobject *module, char *buffer);
 #define ATTRIBUTE(name) static struct module_attribute name##_file = __ATTR(name, 0444, show, NULL);
 #define LISTED(name) &name##_file.attr,
 #define OWN(X) X(delivered) X(unheard) X(ring_full) X(rates_set) X(answered) X(unanswered) X(unmarked) X(rxons) X(stations) \
@@ -364,7 +367,7 @@ static struct module_attribute missed_file = __ATTR(missed, 0444, show, NULL);
 static struct attribute *files[] = { COUNTS(LISTED) OWN(LISTED) &missed_file.attr, NULL };
 static const struct attribute_group counters = { .name = "counters", .attrs = files };
 
-static ssize_t show(struct module_attribute *attr, struct module_kobject *module, char *buffer)
+static ssize_t show(attribute_of attr, struct module_kobject *module, char *buffer)
 {
 	u32 sum = probes[PACKETS].nmissed + probes[FRAMES].nmissed;
 	unsigned int k;

@@ -27,7 +27,7 @@ Maintainer: the csi5300 project <csi5300@localhost>
 Depends: dkms (>= 2.2), make, gcc
 Recommends: linux-headers-amd64 | linux-headers-generic
 Description: CSI of the Intel 5300 beside the stock iwlwifi
- A kernel module, written for 4.15 to 6.12, that sends the channel state information
+ A kernel module, written for 4.15 to 7.2, that sends the channel state information
  of an Intel 5300 over the kernel connector as csitool's patched driver does, with the
  distribution's own iwlwifi and iwldvm.
 END

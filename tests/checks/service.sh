@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The systemd unit, alone and with what a serial port and sounding need: read by systemd's own checker, and how exposed it calls the service (of 10;
+# The systemd unit, alone and with what a serial port, sounding and the stock driver need: read by systemd's own checker, and how exposed it calls the service (of 10;
 # alone 1.5 at most). 77: no systemd-analyze.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -25,3 +25,21 @@ for right in 'PrivateDevices=' 'ttyACM' 'RestrictAddressFamilies=~AF_PACKET' 'Re
     'NET_(BIND_SERVICE|BROADCAST|RAW)'; do
     grep -F "$right" <<<"$given" | grep -q '✗' || { echo "the files beside the unit do not give: $right"; exit 1; }
 done
+
+# With the stock driver alone: two capabilities and no other (systemd's list has no line for CAP_PERFMON); with sounding, its one as well.
+held() {
+    SYSTEMD_UNIT_PATH="$folder:" systemd-analyze security --offline=true csi5300-node.service |
+        sed -n 's/^✗ CapabilityBoundingSet=~\([^ ]*\).*/\1/p' | sort | tr '\n' ' '
+}
+rm "$folder"/csi5300-node.service.d/*
+cp packaging/csi5300-node-stock.conf "$folder/csi5300-node.service.d/05-stock.conf"
+verify
+exposure 17
+[ "$(held)" = "CAP_BPF " ] || { echo "with the stock driver the service holds $(held)"; exit 1; }
+for set in AmbientCapabilities CapabilityBoundingSet; do
+    [ "$(grep "^$set=" packaging/csi5300-node-stock.conf | tr '\n' ' ')" = "$set= $set=CAP_BPF CAP_PERFMON " ] || { echo "$set is not what --stock needs"; exit 1; }
+done
+grep -q '/csi5300-node.service.d/05-stock.conf' packaging/csi5300-node-stock.conf
+cp packaging/csi5300-node-sounding.conf "$folder/csi5300-node.service.d/sounding.conf"
+verify
+[ "$(held)" = "CAP_BPF CAP_NET_(BIND_SERVICE|BROADCAST|RAW) " ] || { echo "with the stock driver and sounding the service holds $(held)"; exit 1; }

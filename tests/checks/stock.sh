@@ -25,12 +25,6 @@ fi
 grep -q "struct iwl_trans_ops {" "$iwl/iwl-trans.h" || cannot "the transport of $V is no table of functions: no fake card"
 build_modules driver-iface/kmod
 build_modules tests/kernel/fakecard IWL="$iwl"
-# The package for DKMS: what it installs builds by itself.
-rm -rf "$place/dkms"
-mkdir -p "$place/dkms"
-quietly packaging/dkms/build.sh "$place/dkms"
-dpkg-deb --extract "$place"/dkms/csi5300-dkms_*_all.deb "$place/dkms/root"
-quietly make -C "$place"/dkms/root/usr/src/csi5300-* KDIR="/usr/src/linux-headers-$V" || { echo "the package's module does not build"; exit 1; }
 printf 'modules built after %s s\n' "$SECONDS"
 
 tree=$place/tree-stock
@@ -47,13 +41,13 @@ boot "$tree" "$(echo "$place"/boot/boot/vmlinuz-*)" 900
 [ "$status" = 33 ] || exit 1
 
 # Kernels for which there is no fake card: a module calls what iwldvm would call. 6.12, from the backports (its transport is
-# no table of functions any more), and 5.10, from Debian 11.
+# no table of functions any more), 5.10, from Debian 11, and 6.1 with PREEMPT_RT.
 program=$tree/bin/csi5300
 
-# series NUMBER SUITE: image and headers of that series, in a folder of its own; why not, where they cannot be had.
+# series NUMBER SUITE [FLAVOUR]: image and headers of that series, in a folder of its own; why not, where they cannot be had.
 series() {
-    local key=/usr/share/keyrings/debian-archive-keyring.gpg site name needs headers
-    later=$place/$1
+    local key=/usr/share/keyrings/debian-archive-keyring.gpg flavour=${3:-amd64} site name needs headers
+    later=$place/$1-$flavour
     [ ! -e "$later/complete" ] || return 0
     [ -e "$key" ] || { echo "no $key"; return 1; }
     rm -rf "$later"
@@ -69,9 +63,9 @@ series() {
             -o Dir::Cache::pkgcache= -o Dir::Cache::srcpkgcache= "$@"
     }
     quietly apt_of get update || return 1
-    name=$(apt_of cache depends linux-image-amd64 2>/dev/null | sed -n "s/.*Depends: linux-image-\(${1/./\\.}\.[^ ]*\)\$/\1/p" | head -n 1)
-    [ -n "$name" ] || { echo "$2 has no $1"; return 1; }
-    needs=$(apt_of cache depends "linux-headers-$name" 2>/dev/null | sed -n 's/.*Depends: \(linux-kbuild-[^ ]*\|linux-headers-[^ ]*-common\)$/\1/p')
+    name=$(apt_of cache depends "linux-image-$flavour" 2>/dev/null | sed -n "s/.*Depends: linux-image-\(${1/./\\.}\.[^ ]*\)\$/\1/p" | head -n 1)
+    [ -n "$name" ] || { echo "$2 has no $1 $flavour"; return 1; }
+    needs=$(apt_of cache depends "linux-headers-$name" 2>/dev/null | sed -n 's/.*Depends: \(linux-kbuild-[^ ]*\|linux-headers-[^ ]*-common\(-rt\)\?\)$/\1/p')
     (cd "$later/debs" && quietly apt_of get download "linux-image-$name" "linux-headers-$name" $needs) || return 1
     for deb in "$later"/debs/linux-headers-*.deb "$later"/debs/linux-kbuild-*.deb; do dpkg-deb --extract "$deb" "$later/root"; done
     headers=$later/root/usr/src/linux-headers-$name
@@ -86,10 +80,10 @@ series() {
     echo "$name" >"$later/complete"
 }
 
-# probe NUMBER SUITE: csi5300.ko and the eBPF program on that kernel.
+# probe NUMBER SUITE [FLAVOUR]: csi5300.ko and the eBPF program on that kernel.
 probe() {
-    if ! series "$1" "$2"; then
-        echo "$1: skipped, its packages cannot be had (above)"
+    if ! series "$@"; then
+        echo "$*: skipped, its packages cannot be had (above)"
         return 0
     fi
     local folder tree
@@ -102,11 +96,11 @@ probe() {
     echo "obj-m := caller.o" >"$later/fakecard/Makefile"
     for folder in kmod fakecard; do
         quietly make -C "$later/root/usr/src/linux-headers-$(cat "$later/complete")" M="$later/$folder" W=1 CONFIG_DEBUG_INFO_BTF_MODULES= modules ||
-            { echo "the modules do not build for $1"; exit 1; }
+            { echo "the modules do not build for $*"; exit 1; }
         if grep -A 5 "warning: .*\(csi5300\|caller\)\|\(csi5300\|caller\).*warning:" "$place/last.log"; then exit 1; fi
         strip --strip-debug "$later/$folder"/*.ko
     done
-    tree=$place/tree-$1
+    tree=$place/tree-probe
     guest_tree "$tree" tests/kernel/stock-probe "$later/boot" "$later/kmod" "$later/fakecard"
     cp "$program" "$tree/bin/csi5300"
     [ -z "${CSI5300_GUEST_BINARIES:-}" ] || with_libraries "$tree" "$tree/bin/csi5300"
@@ -115,3 +109,4 @@ probe() {
 }
 probe 6.12 bookworm-backports
 probe 5.10 bullseye
+probe 6.1 bookworm rt-amd64

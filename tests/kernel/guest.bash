@@ -1,4 +1,4 @@
-# What the checks that boot a kernel share (tests/checks/kernel.sh, stock.sh): sourced from the project's root.
+# What the checks with a kernel share (tests/checks/kernel.sh, stock.sh, dkms.sh): sourced from the project's root.
 # Everything is downloaded into target/kernel and unpacked there; only the kernel's headers are installed.
 # Exit status 77: cannot run here, the last line says why.
 root=$PWD
@@ -15,8 +15,8 @@ quietly() {
     "$@" >"$place/last.log" 2>&1 </dev/null || { tail -n 5 "$place/last.log"; return 1; }
 }
 
-# packages: sets V, the kernel's version; its headers are installed, its image and the tools unpacked.
-packages() {
+# headers: sets V, the kernel's version, and installs its headers.
+headers() {
     [ "$(uname -sm)" = "Linux x86_64" ] || cannot "not x86-64 Linux"
     for tool in apt-get apt-cache dpkg dpkg-deb make; do
         command -v "$tool" >/dev/null || cannot "$tool is not installed"
@@ -27,13 +27,21 @@ packages() {
     V=$(version)
     [ -n "$V" ] || { quietly apt-get update || true; V=$(version); }
     [ -n "$V" ] || cannot "apt knows no linux-image-amd64"
-    # Headers have to be installed: unpacked ones do not build. Nothing may be removed for them.
-    if [ ! -e "/usr/src/linux-headers-$V/Makefile" ]; then
-        [ "$(id -u)" = 0 ] || cannot "linux-headers-$V is not installed, and installing it needs root"
-        quietly apt-get install -y --no-install-recommends --no-remove "linux-headers-$V" ||
-            { quietly apt-get update && quietly apt-get install -y --no-install-recommends --no-remove "linux-headers-$V"; } ||
-            cannot "linux-headers-$V cannot be installed"
-    fi
+    # Headers have to be installed: unpacked ones do not build.
+    [ -e "/usr/src/linux-headers-$V/Makefile" ] || installed "linux-headers-$V"
+}
+
+# installed PACKAGE: installs it; nothing may be removed for it.
+installed() {
+    [ "$(id -u)" = 0 ] || cannot "$1 is not installed, and installing it needs root"
+    quietly apt-get install -y --no-install-recommends --no-remove "$1" ||
+        { quietly apt-get update && quietly apt-get install -y --no-install-recommends --no-remove "$1"; } ||
+        cannot "$1 cannot be installed"
+}
+
+# packages: the headers, then the kernel's image and the tools, unpacked.
+packages() {
+    headers
     [ -e "$place/complete-3-$V" ] || unpack_packages
     unpacked=$place/unpacked
     libraries=$unpacked/usr/lib/x86_64-linux-gnu:$unpacked/lib/x86_64-linux-gnu
