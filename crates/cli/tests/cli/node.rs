@@ -110,6 +110,7 @@ fn a_simulated_robot_runs_to_its_end_with_its_log_and_its_bearings() {
         assert!(status == 0 && info.contains("WSR layout") && err.contains("records in the log, 0 not"), "{info}{err}");
     }
     let lines = std::fs::read_to_string(folder.join("bearings.jsonl")).unwrap();
+    assert!(crate::looking::are_documented(&lines) > 30);
     let reports: Vec<serde_json::Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
     let last = reports.last().unwrap();
     // The scene: from the middle of the circle to the transmitter.
@@ -150,6 +151,7 @@ fn the_state_is_told_on_a_socket_and_a_signal_ends_the_robot_in_order() {
         assert!(node.0.try_wait().unwrap().is_none(), "the robot ended by itself");
         std::thread::yield_now();
     };
+    assert!(crate::looking::are_documented(&state.to_string()) > 18);
     assert_eq!((state["name"].as_str(), state["peers"][0]["name"].as_str()), (Some("alpha"), Some("tx")));
     // A second one on the same socket is refused, and does not take it away.
     let (status, _, err) = said(csi5300(&folder).args(["node", "--config", "robot.toml"]).output().unwrap());

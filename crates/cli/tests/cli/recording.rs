@@ -30,7 +30,7 @@ impl Running {
     fn start(out: &Path, more: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
         command.arg("record").arg(out).args(["--allow-user-sender", "--connector-index", "26"]).args(more);
-        let mut child = command.stderr(Stdio::piped()).stdout(Stdio::null()).spawn().unwrap();
+        let mut child = command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let mut stderr = BufReader::new(child.stderr.take().unwrap());
         let mut line = String::new();
         stderr.read_line(&mut line).unwrap();
@@ -219,7 +219,7 @@ fn a_replayed_log_arrives_through_the_kernel() {
     send(&mut Sender::open(CN_IDX, true).unwrap(), 0..300);
     let Running { mut child, .. } = running;
     assert!(child.wait().unwrap().success());
-    let mut running = Running::start(&second, &["--records", "300"]);
+    let mut running = Running::start(&second, &["--records", "300", "--json"]);
     let mut replay = Command::new(env!("CARGO_BIN_EXE_csi5300"));
     let replay = replay.arg("replay").arg(&first).args(["--speed", "max", "--connector", "--json"]).output().unwrap();
     assert!(replay.status.success(), "{}", String::from_utf8_lossy(&replay.stderr));
@@ -228,6 +228,10 @@ fn a_replayed_log_arrives_through_the_kernel() {
     assert_eq!((row["records"].as_u64(), row["cut"].as_bool()), (Some(300), Some(false)), "{said}");
     assert!(crate::looking::are_documented(&said) >= 7);
     assert!(running.child.wait().unwrap().success());
+    let mut said = String::new();
+    running.child.stdout.take().unwrap().read_to_string(&mut said).unwrap();
+    assert_eq!(crate::commands::json(&said)["records"], 300, "{said}");
+    assert!(crate::looking::are_documented(&said) >= 7, "{said}");
     assert_eq!(std::fs::read(&first).unwrap(), std::fs::read(&second).unwrap());
     std::fs::remove_dir_all(folder).unwrap();
 }

@@ -11,6 +11,7 @@ use csi5300_live::wait::Monotonic;
 use csi5300_sim::{Interface, Port, Room, Scene};
 use driver_iface::bfee::Bfee;
 use driver_iface::record::code;
+use std::io::Write;
 
 const MAGIC: [u8; 6] = [0x00, 0x16, 0xea, 0x12, 0x34, 0x56];
 
@@ -55,6 +56,27 @@ fn carried(sent: &Transmission, interface: &mut Interface, now: Instant) {
     interface.inject_at(now, &sent.frame, (sent.rate_n_flags & 7) as u8).unwrap();
 }
 
+/// The first robot's true trajectory, on the host's clock, written as it goes: whoever makes bearings live reads it meanwhile.
+struct Course {
+    file: std::fs::File,
+    begin_us: i64,
+    /// The next pose to write, microseconds of the room.
+    next_us: i64,
+}
+
+impl Course {
+    fn write_to(&mut self, room: &Room, until_us: i64) {
+        let mut text = String::new();
+        while self.next_us < until_us {
+            let pose = room.pose(0, self.next_us as f64 * 1e-6).unwrap();
+            let (t_s, heading_rad) = ((self.next_us + self.begin_us) as f64 * 1e-6, Some(pose.yaw_rad));
+            text.push_str(&csv::line(&Pose { t_s, position_m: pose.position_m, heading_rad }));
+            self.next_us += 10_000;
+        }
+        self.file.write_all(text.as_bytes()).unwrap();
+    }
+}
+
 /// Argument: the scene's file, the file for the first robot's true trajectory, and the file that ends it.
 #[test]
 fn a_room_between_the_cards() {
@@ -64,9 +86,11 @@ fn a_room_between_the_cards() {
     let mut room = Room::quiet(&Scene::parse(&std::fs::read_to_string(scene).unwrap()).unwrap()).unwrap();
     let mut cards = Cards::open();
     let mut robots: Vec<_> = [0, 1].map(|k| (room.interface(k).unwrap(), room.card(k).unwrap(), Vec::new())).into();
-    let (clock, begin_us) = (Monotonic::new(), csi5300_live::wait::wall_us().unwrap());
+    let clock = Monotonic::new();
+    let begin_us = csi5300_live::wait::wall_us().unwrap();
     let (origin, mut frames) = (clock.now(), 0);
     let since = |now: Instant| Instant::from_us(now.as_us() - origin.as_us());
+    let mut course = Course { file: std::fs::File::create(trajectory).unwrap(), begin_us, next_us: 0 };
     while !std::path::Path::new(stop).exists() {
         let now = since(clock.now());
         while let Some(sent) = cards.transmitted() {
@@ -76,18 +100,11 @@ fn a_room_between_the_cards() {
         for (k, (_, port, frame)) in robots.iter_mut().enumerate() {
             received(&mut cards, k as u8, port, now, frame);
         }
+        course.write_to(&room, now.as_us());
         let wake = robots.iter().filter_map(|(_, port, _)| port.next_at()).min();
         let until = wake.map_or(now.as_us() + 50_000, |at| at.as_us().clamp(now.as_us() + 100, now.as_us() + 50_000));
         clock.wait([cards.fd()], Some(Instant::from_us(origin.as_us() + until))).unwrap();
     }
-    let last_us = since(clock.now()).as_us();
-    let mut text = String::new();
-    for us in (0..last_us).step_by(10_000) {
-        let pose = room.pose(0, us as f64 * 1e-6).unwrap();
-        let pose =
-            Pose { t_s: (us + begin_us) as f64 * 1e-6, position_m: pose.position_m, heading_rad: Some(pose.yaw_rad) };
-        text.push_str(&csv::line(&pose));
-    }
-    std::fs::write(trajectory, text).unwrap();
+    course.write_to(&room, since(clock.now()).as_us());
     println!("{frames} frames on air");
 }
