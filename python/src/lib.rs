@@ -13,6 +13,7 @@
 
 mod capture;
 mod classic;
+mod classic_scale;
 mod columns;
 mod error;
 mod evaluate;
@@ -38,6 +39,8 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<error::Cancel>()?;
     module.add_function(wrap_pyfunction!(records::read, module)?)?;
     module.add_function(wrap_pyfunction!(classic::classic, module)?)?;
+    module.add_function(wrap_pyfunction!(classic_scale::classic_scaled, module)?)?;
+    module.add_function(wrap_pyfunction!(classic_scale::classic_unmapped, module)?)?;
     module.add_function(wrap_pyfunction!(capture::bearings, module)?)?;
     module.add_function(wrap_pyfunction!(capture::read_trajectory, module)?)?;
     module.add_function(wrap_pyfunction!(evaluate::find_captures, module)?)?;

@@ -137,6 +137,18 @@ def test_ray_gives_the_same_rows(tree: Path, cluster: Any) -> None:
     assert _rows(result) == _rows(csi5300.evaluate(tree, threads=1))
 
 
+def test_rows_as_a_ray_dataset(tree: Path, cluster: Any) -> None:
+    for package in ("pandas", "pyarrow"):
+        pytest.importorskip(package)
+    result = csi5300.ray.evaluate(tree, use_ray=True)
+    taken = {row["capture"]: row for row in result.to_ray().take_all()}
+    assert len(taken) == len(result) == 6
+    for row in result:
+        assert {name: taken[row["capture"]][name] for name in row if not isinstance(row[name], (list, dict))} == {
+            name: value for name, value in row.items() if not isinstance(value, (list, dict))
+        }
+
+
 def test_a_killed_node_changes_nothing(tree: Path, cluster: Any) -> None:
     node = cluster.add_node(num_cpus=2)
     killed: list[int] = []

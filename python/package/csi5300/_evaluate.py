@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     import pandas
     import polars
     import pyarrow
+    import ray.data
 
 TRAJECTORIES = ("gt", "t265", "odom")
 
@@ -82,6 +83,12 @@ class Evaluation:
         import pyarrow as pa
 
         return pa.Table.from_pylist(_rectangular(self.rows))
+
+    def to_ray(self) -> ray.data.Dataset:
+        """A row a link, as a Ray Dataset on the cluster that was joined; needs ray and pyarrow."""
+        import ray.data
+
+        return ray.data.from_arrow(self.to_arrow())
 
 
 def _rectangular(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -92,6 +92,12 @@ def classic(
     shape: tuple[int, int],
     payload_size: int,
 ) -> dict[str, Any]: ...
+def classic_scaled(
+    csi: NDArray[np.complex128] | None, fields: list[NDArray[np.int64]], out: NDArray[np.complex128]
+) -> None: ...
+def classic_unmapped(
+    csi: NDArray[np.complex128], n_tx: NDArray[np.int64], rate: NDArray[np.int64], maps: NDArray[np.complex128]
+) -> None: ...
 def bearings(
     rx: File | Held,
     tx: list[File | Held],

@@ -26,18 +26,21 @@ _OTHERS = (*_FRAMES, *_ADDRESSES, "payload")
 _ALL = _PACKETS + _OTHERS
 
 
-def _mapping(turns: list[list[float]]) -> NDArray[np.complex128]:
-    mapping: NDArray[np.complex128] = np.exp(2j * np.pi * np.array(turns)) / np.sqrt(len(turns))
-    return mapping
+def _mapping(turns: list[list[float]]) -> list[complex]:
+    """A unitary matrix of these turns, row by row, in nine places."""
+    values = (np.exp(2j * np.pi * np.array(turns)) / np.sqrt(len(turns))).ravel()
+    return [*values, *[0j] * (9 - len(values))]
 
 
-# csitool's sm_matrices.m: streams by transmit antennas, at 20 and 40 MHz.
-_SM = {
-    (2, False): _mapping([[0, 0], [0, 0.5]]),
-    (2, True): _mapping([[0, 0.25], [0.25, 0]]),
-    (3, False): _mapping([[-1 / 16, -33 / 80, 3 / 80], [23 / 80, 13 / 48, 13 / 240], [-13 / 80, 37 / 240, 13 / 48]]),
-    (3, True): _mapping([[-1 / 16, -13 / 80, 23 / 80], [-37 / 80, -11 / 48, -107 / 240], [7 / 80, -83 / 240, -11 / 48]]),
-}
+# csitool's sm_matrices.m, streams by transmit antennas: of 2 and 3 streams at 20 MHz, of both at 40 MHz.
+_SM = np.array(
+    [
+        _mapping([[0, 0], [0, 0.5]]),
+        _mapping([[-1 / 16, -33 / 80, 3 / 80], [23 / 80, 13 / 48, 13 / 240], [-13 / 80, 37 / 240, 13 / 48]]),
+        _mapping([[0, 0.25], [0.25, 0]]),
+        _mapping([[-1 / 16, -13 / 80, 23 / 80], [-37 / 80, -11 / 48, -107 / 240], [7 / 80, -83 / 240, -11 / 48]]),
+    ]
+)
 
 
 class Intel:
@@ -165,41 +168,36 @@ class Intel:
         level: NDArray[np.float64] = np.where(heard, 10 * np.log10(np.where(heard, power, 1.0)) - 44 - self.agc, 0.0)
         return level
 
-    def _factor(self) -> NDArray[np.float64]:
-        parts = self.csi.view(np.float64).reshape(self.count, -1)
-        power = np.einsum("ij,ij->i", parts, parts) / 30
-        with np.errstate(divide="ignore", invalid="ignore"):
-            scale = 10 ** (self.get_total_rss() / 10) / power
-            thermal = 10 ** (np.where(self.noise == -127, -92.0, self.noise) / 10)
-            noise = thermal + scale * (self.Nrx.astype(float) * self.Ntx)
-            noise = noise / np.select([self.Ntx == 2, self.Ntx == 3], [2.0, 10**0.45], 1.0)
-            factor: NDArray[np.float64] = np.sqrt(scale / noise)
-        return factor
+    def _columns(self, *names: str) -> list[NDArray[np.int64]]:
+        return [np.ascontiguousarray(getattr(self, name), np.int64) for name in names]
 
     def get_scaled_csi(self, inplace: bool = False) -> NDArray[np.complex128]:
         """(count, 30, nrxnum, ntxnum) CSI in sqrt(SNR); ``inplace`` replaces ``csi``."""
-        out = self.csi if inplace else np.empty_like(self.csi)
-        np.multiply(self.csi, self._factor()[:, None, None, None], out=out)
-        return out
+        fields = self._columns("rssi_a", "rssi_b", "rssi_c", "agc", "noise", "Nrx", "Ntx")
+        csi = np.ascontiguousarray(self.csi, np.complex128)
+        out = csi if inplace else np.empty_like(csi)
+        _native.classic_scaled(None if inplace else csi, fields, out)
+        if inplace and out is not self.csi:
+            self.csi[...] = out
+        return self.csi if inplace else out
 
     def get_scaled_csi_sm(self, inplace: bool = False) -> NDArray[np.complex128]:
         """The same with the transmitter's spatial mapping undone."""
         scaled = self.get_scaled_csi(inplace)
-        unmapped = self.apply_sm(scaled)
-        if inplace:
-            self.csi[...] = unmapped
-            return self.csi
-        return unmapped
+        unmapped = self._unmap(scaled)
+        if inplace and unmapped is not scaled:
+            scaled[...] = unmapped
+        return scaled if inplace else unmapped
 
     def apply_sm(self, scaled_csi: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """Undoes the spatial mapping of Intel transmitters: columns become transmit antennas."""
-        out = scaled_csi.copy()
-        wide = (self.rate & 0x800) != 0
-        for (streams, is_wide), mapping in _SM.items():
-            chosen = (self.Ntx == streams) & (wide == is_wide)
-            if streams <= self.ntxnum and chosen.any():
-                out[chosen, :, :, :streams] = scaled_csi[chosen, :, :, :streams] @ mapping.conj().T
-        return out
+        return self._unmap(np.array(scaled_csi, np.complex128, order="C"))
+
+    def _unmap(self, csi: NDArray[np.complex128]) -> NDArray[np.complex128]:
+        """The same in place, where the memory is in C's order."""
+        csi = np.ascontiguousarray(csi)
+        _native.classic_unmapped(csi, *self._columns("Ntx", "rate"), _SM)
+        return csi
 
     def display(self, index: int) -> None:
         """Prints a packet."""

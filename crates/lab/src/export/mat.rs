@@ -4,6 +4,8 @@
 //! are stored with the first index fastest.
 
 use super::error::ExportError;
+use super::npz::emit;
+use bytemuck::Pod;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -19,16 +21,11 @@ const COMPLEX: u32 = 0x0800;
 const LONGEST: u64 = i32::MAX as u64;
 
 /// A number that an array can hold: its array class (table 1-3), its element type, its bytes.
-pub trait Number: Copy {
+pub trait Number: Pod {
     /// The class of an array of it.
     const CLASS: u32;
     /// The type of its element.
     const TYPE: u32;
-    /// Writes it, little-endian.
-    ///
-    /// # Errors
-    /// As the writer.
-    fn emit(self, out: &mut impl Write) -> io::Result<()>;
 }
 
 macro_rules! numbers {
@@ -36,9 +33,6 @@ macro_rules! numbers {
         impl Number for $of {
             const CLASS: u32 = $class;
             const TYPE: u32 = $kind;
-            fn emit(self, out: &mut impl Write) -> io::Result<()> {
-                out.write_all(&self.to_le_bytes())
-            }
         }
     )*};
 }
@@ -65,8 +59,9 @@ impl Mat {
         for (place, byte) in header.iter_mut().zip(text) {
             *place = *byte;
         }
-        // No subsystem data; version 1.0; "IM" read as "MI" says little-endian.
-        for (place, byte) in header.iter_mut().skip(116).zip([0, 0, 0, 0, 0, 0, 0, 0, 0, 1, b'I', b'M']) {
+        // No subsystem data; version 1.0; "MI" as a number, by which readers see the order of bytes.
+        let [version, order] = [0x0100_u16, 0x4D49].map(u16::to_ne_bytes);
+        for (place, byte) in header.iter_mut().skip(116).zip([0; 8].into_iter().chain(version).chain(order)) {
             *place = byte;
         }
         out.write_all(&header).map_err(failed)?;
@@ -123,7 +118,7 @@ impl Mat {
             return Err(ExportError::TooLong { file: self.name.clone(), array: name.to_owned(), bytes: head + parts });
         }
         let mut bytes = Vec::new();
-        let mut words = |words: &[u32]| bytes.extend(words.iter().flat_map(|word| word.to_le_bytes()));
+        let mut words = |words: &[u32]| bytes.extend(words.iter().flat_map(|word| word.to_ne_bytes()));
         words(&[MI_MATRIX, (head + parts) as u32]);
         words(&[MI_UINT32, 8, T::CLASS | if complex { COMPLEX } else { 0 }, 0]);
         words(&[MI_INT32, 4 * dims.len() as u32]);
@@ -145,17 +140,14 @@ impl Mat {
     ) -> Result<(), ExportError> {
         let expect = dims.iter().product::<u64>();
         let bytes = expect * size_of::<T>() as u64;
-        let mut got = 0;
-        let written = (|| {
-            self.out.write_all(&T::TYPE.to_le_bytes())?;
-            self.out.write_all(&(bytes as u32).to_le_bytes())?;
-            for value in values {
-                value.emit(&mut self.out)?;
-                got += 1;
-            }
-            (bytes..padded(bytes)).try_for_each(|_| self.out.write_all(&[0]))
+        let written = (|| -> io::Result<u64> {
+            self.out.write_all(&T::TYPE.to_ne_bytes())?;
+            self.out.write_all(&(bytes as u32).to_ne_bytes())?;
+            let got = emit(values, &mut self.out)?;
+            (bytes..padded(bytes)).try_for_each(|_| self.out.write_all(&[0]))?;
+            Ok(got)
         })();
-        written.map_err(|error| self.failed(error))?;
+        let got = written.map_err(|error| self.failed(error))?;
         if got != expect {
             return Err(ExportError::Values { file: self.name.clone(), array: name.to_owned(), got, expect });
         }

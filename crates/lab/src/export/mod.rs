@@ -16,6 +16,7 @@ use crate::table::{Arena, Columns, Form, NO_ANTENNA, Rows, decode};
 use csi5300::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIERS};
 use driver_iface::bfee::{Antenna, rate};
 use num_complex::Complex32;
+use rayon::prelude::*;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -137,17 +138,13 @@ impl<'a> Export<'a> {
         let mut npz = npz::Npz::create(path)?;
         let (n, ports, streams) = (self.records.len() as u64, self.antennas.len(), self.streams);
         let shape = [n, SUBCARRIERS as u64, ports as u64, streams as u64];
-        let size = ports * streams * SUBCARRIERS;
-        // From subcarrier fastest to stream fastest.
-        let place = move |k: usize| {
-            let (subcarrier, column) = (k / (ports * streams), k % (ports * streams));
-            column * SUBCARRIERS + subcarrier
-        };
-        let turned = self.csi().flat_map(move |piece| {
-            let records = piece.len() / size.max(1);
-            (0..records * size).map(move |k| piece.get(k / size * size + place(k % size)).copied().unwrap_or_default())
-        });
-        npz.array("csi", &shape, turned)?;
+        let mut pieces = self.csi();
+        npz.blocks("csi", &shape, |turned| {
+            if let Some(piece) = pieces.next() {
+                turned.resize(piece.len(), Complex32::default());
+                subcarriers_first(&piece, ports * streams, turned);
+            }
+        })?;
         fields::write(self, &mut npz)?;
         npz.finish()
     }
@@ -166,4 +163,20 @@ impl<'a> Export<'a> {
     fn antennas_known(&self) -> impl Iterator<Item = bool> {
         self.columns.antenna_order.chunks(3).map(|order| order.first().is_some_and(|first| *first != NO_ANTENNA))
     }
+}
+
+/// Turns records of `columns` columns from `[column][subcarrier]` to `[subcarrier][column]`, on all cores of the current pool.
+fn subcarriers_first(records: &[Complex32], columns: usize, out: &mut [Complex32]) {
+    let size = columns * SUBCARRIERS;
+    if columns <= 1 {
+        return out.copy_from_slice(records);
+    }
+    let pairs = records.par_chunks_exact(size).zip(out.par_chunks_exact_mut(size)).with_min_len(256);
+    pairs.for_each(|(record, out)| {
+        for (column, values) in record.as_chunks::<SUBCARRIERS>().0.iter().enumerate() {
+            for (place, h) in out.iter_mut().skip(column).step_by(columns).zip(values) {
+                *place = *h;
+            }
+        }
+    });
 }

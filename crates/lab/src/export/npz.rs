@@ -3,48 +3,53 @@
 //! Source: NumPy Enhancement Proposal 1 (format 1.0), `numpy.savez`.
 
 use super::error::ExportError;
+use bytemuck::{Pod, cast_slice};
 use num_complex::Complex32;
 use std::fs::File;
-use std::io::{self, BufWriter, Write};
+use std::io::{self, Write};
 use std::path::Path;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
-/// A value that an array can hold.
-pub trait Element {
-    /// Its dtype as NumPy describes it: byte order, kind, bytes.
+/// Values written at a time.
+const BLOCK: usize = 8_192;
+
+/// A value that an array can hold; its bytes are those of memory.
+pub trait Element: Pod {
+    /// Its dtype as NumPy describes it, without the byte order: kind, bytes.
     const DESCR: &str;
-    /// Writes its bytes, in that order.
-    ///
-    /// # Errors
-    /// As the writer.
-    fn emit(self, out: &mut impl Write) -> io::Result<()>;
 }
 
 macro_rules! elements {
     ($($of:ty: $descr:literal),*) => {$(
         impl Element for $of {
             const DESCR: &str = $descr;
-            fn emit(self, out: &mut impl Write) -> io::Result<()> {
-                out.write_all(&self.to_le_bytes())
-            }
         }
     )*};
 }
 
-elements!(u8: "|u1", i8: "|i1", u16: "<u2", u32: "<u4", i64: "<i8", f64: "<f8");
+elements!(u8: "u1", i8: "i1", u16: "u2", u32: "u4", i64: "i8", f64: "f8", Complex32: "c8");
 
-impl Element for Complex32 {
-    const DESCR: &str = "<c8";
-    fn emit(self, out: &mut impl Write) -> io::Result<()> {
-        out.write_all(&self.re.to_le_bytes())?;
-        out.write_all(&self.im.to_le_bytes())
+/// The values in blocks, as they lie in memory, for a writer; how many there were.
+///
+/// # Errors
+/// As the writer.
+pub(super) fn emit<T: Pod>(values: impl Iterator<Item = T>, out: &mut impl Write) -> io::Result<u64> {
+    let (mut values, mut block, mut written) = (values, Vec::with_capacity(BLOCK), 0);
+    loop {
+        block.clear();
+        block.extend(values.by_ref().take(BLOCK));
+        if block.is_empty() {
+            return Ok(written);
+        }
+        out.write_all(cast_slice(&block))?;
+        written += block.len() as u64;
     }
 }
 
 /// An NPZ file being written. Dropped early, it is left without its directory, and readers refuse it.
 pub struct Npz {
-    writer: ZipWriter<BufWriter<File>>,
+    writer: ZipWriter<File>,
     name: String,
 }
 
@@ -56,7 +61,7 @@ impl Npz {
     pub fn create(path: &Path) -> Result<Self, ExportError> {
         let name = path.display().to_string();
         let file = File::create(path).map_err(|source| ExportError::Io { file: name.clone(), source })?;
-        Ok(Self { writer: ZipWriter::new(BufWriter::with_capacity(1 << 18, file)), name })
+        Ok(Self { writer: ZipWriter::new(file), name })
     }
 
     /// Adds an array of the given shape, last index fastest.
@@ -69,21 +74,50 @@ impl Npz {
         shape: &[u64],
         values: impl Iterator<Item = T>,
     ) -> Result<(), ExportError> {
-        let (file, io) = (self.name.clone(), |file: &str, source| ExportError::Io { file: file.to_owned(), source });
+        self.add::<T>(name, shape, |out| emit(values, out))
+    }
+
+    /// Adds an array whose values are handed over block by block: `next` fills the block, which is empty, and leaves it empty at
+    /// the end.
+    ///
+    /// # Errors
+    /// As [`Npz::array`].
+    pub(super) fn blocks<T: Element>(
+        &mut self,
+        name: &str,
+        shape: &[u64],
+        mut next: impl FnMut(&mut Vec<T>),
+    ) -> Result<(), ExportError> {
+        self.add::<T>(name, shape, |out| {
+            let (mut block, mut written) = (Vec::new(), 0);
+            loop {
+                block.clear();
+                next(&mut block);
+                if block.is_empty() {
+                    return Ok(written);
+                }
+                out.write_all(cast_slice(&block))?;
+                written += block.len() as u64;
+            }
+        })
+    }
+
+    /// Adds an array that `write` writes, which says how many values it had.
+    fn add<T: Element>(
+        &mut self,
+        name: &str,
+        shape: &[u64],
+        write: impl FnOnce(&mut ZipWriter<File>) -> io::Result<u64>,
+    ) -> Result<(), ExportError> {
+        let io = |source| ExportError::Io { file: self.name.clone(), source };
         // Room for sizes over 4 GiB: an array's size is known only at its end.
         let options = SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored).large_file(true);
         let started = self.writer.start_file(format!("{name}.npy"), options);
-        started.map_err(|source| ExportError::Format { file: file.clone(), source: source.into() })?;
-        let mut out = BufWriter::with_capacity(1 << 16, &mut self.writer);
-        out.write_all(&header(T::DESCR, shape)).map_err(|error| io(&file, error))?;
-        let (mut got, expect) = (0_u64, shape.iter().product::<u64>());
-        for value in values {
-            got += 1;
-            value.emit(&mut out).map_err(|error| io(&file, error))?;
-        }
-        out.flush().map_err(|error| io(&file, error))?;
+        started.map_err(|source| ExportError::Format { file: self.name.clone(), source: source.into() })?;
+        self.writer.write_all(&header::<T>(shape)).map_err(io)?;
+        let (got, expect) = (write(&mut self.writer).map_err(io)?, shape.iter().product::<u64>());
         if got != expect {
-            return Err(ExportError::Values { file: file.clone(), array: name.to_owned(), got, expect });
+            return Err(ExportError::Values { file: self.name.clone(), array: name.to_owned(), got, expect });
         }
         Ok(())
     }
@@ -103,9 +137,15 @@ impl Npz {
 }
 
 /// An NPY header of format 1.0, padded so that the data starts at a multiple of 64 bytes.
-fn header(descr: &str, shape: &[u64]) -> Vec<u8> {
+fn header<T: Element>(shape: &[u64]) -> Vec<u8> {
+    let order = match (size_of::<T>(), cfg!(target_endian = "big")) {
+        (1, _) => '|',
+        (_, true) => '>',
+        (_, false) => '<',
+    };
+    let descr = T::DESCR;
     let shape: String = shape.iter().map(|length| format!("{length},")).collect();
-    let mut dict = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
+    let mut dict = format!("{{'descr': '{order}{descr}', 'fortran_order': False, 'shape': ({shape}), }}");
     let length = (10 + dict.len() + 1).next_multiple_of(64) - 10;
     dict.push_str(&" ".repeat(length - dict.len() - 1));
     dict.push('\n');
