@@ -57,7 +57,7 @@ fn main() {
     let (path, raw) = (path(), rows(&path()));
     let mut aligned = raw.clone();
     align(&mut aligned, &INDICES_20_MHZ, Tier::detect());
-    remove_common_slope(&mut aligned, &INDICES_20_MHZ);
+    remove_common_slope(&mut aligned, &INDICES_20_MHZ, Tier::detect());
     let roots = one_way(&aligned, Tier::detect()).rows;
     let round = Aperture::gather(&path[STANDING..], &aligned[STANDING..], 2, WAVELENGTH_M);
     let once = Aperture::gather(&path[STANDING..], &roots[STANDING..], 1, WAVELENGTH_M);
@@ -77,7 +77,7 @@ fn main() {
         let alignment = quickest(300.0, || {
             let mut own = raw.clone();
             align(&mut own, &INDICES_20_MHZ, tier);
-            remove_common_slope(&mut own, &INDICES_20_MHZ);
+            remove_common_slope(&mut own, &INDICES_20_MHZ, tier);
         });
         row(&name, "alignment, 1,550 packets", alignment, None);
         let root = quickest(300.0, || drop(one_way(&aligned, tier)));

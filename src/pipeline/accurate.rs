@@ -7,12 +7,14 @@ use crate::place::near_field::{
     self, Aperture, Edge, Elevations, Evidence, Fix, Focus, Limits, Maps, Path, Search, View, one_way_views,
     round_trip_views,
 };
-use crate::signal::alignment::{Alignment, CsiRow, align, remove_common_slope};
-use crate::signal::one_way::one_way;
+use crate::signal::alignment::planes::Planes;
+use crate::signal::alignment::{Alignment, CsiRow, align_planes, remove_slope};
+use crate::signal::one_way::take_roots;
 use crate::signal::samples::Samples;
 use crate::tuning::TUNING;
 use nalgebra::Vector3;
-use num_complex::{Complex32, Complex64};
+use num_complex::Complex64;
+use rayon::prelude::*;
 
 /// What the search over places found, and what it was made of.
 #[derive(Clone, Debug, PartialEq)]
@@ -52,18 +54,11 @@ impl Placed {
     }
 }
 
-/// A round trip of unit power with the turn-around taken out: `turn` is what the compensation multiplied by.
-pub(super) fn compensated(product: &CsiRow, turn: Complex64) -> CsiRow {
-    let power = product.iter().map(Complex32::norm_sqr).sum::<f32>() / product.len() as f32;
-    let factor = Complex32::new(turn.re as f32, turn.im as f32) / power.sqrt();
-    if factor.is_finite() { product.map(|v| v * factor) } else { CsiRow::default() }
-}
-
-/// Searches the place of the transmitter. `rows` are all pairs of the link: those taken at rest do not depend on
-/// the bearing, but help to find slopes and signs. `used` are those of `samples`.
+/// Searches the place of the transmitter. `rows` are the round trips of all pairs of the link, of unit power: those taken at
+/// rest do not depend on the bearing, but help to find slopes and signs. `used` are those of `samples`.
 pub(super) fn place(
     samples: &Samples,
-    mut rows: Vec<CsiRow>,
+    mut rows: Vec<Planes>,
     used: &[usize],
     direction: &Direction,
     options: &Options,
@@ -71,13 +66,18 @@ pub(super) fn place(
     let steps = &options.accuracy;
     let wavelength_m = options.channel.wavelength_m();
     let indices = options.channel.subcarriers();
-    let alignment = steps.align.then(|| align(&mut rows, &indices, options.search.tier));
-    remove_common_slope(&mut rows, &indices);
+    let tier = options.search.tier;
+    let alignment = steps.align.then(|| align_planes(&mut rows, &indices, tier));
+    remove_slope(&mut rows, &indices, tier);
     let displacement_m: Vec<Vector3<f64>> = samples.displacements_m().collect();
-    let round_trip = Aperture::gather_with_centre(&displacement_m, &pick(&rows, used), samples.z(), 2, wavelength_m);
-    let roots = steps.one_way.then(|| one_way(&rows, options.search.tier));
-    let one_way =
-        roots.as_ref().map(|roots| Aperture::gather(&displacement_m, &pick(&roots.rows, used), 1, wavelength_m));
+    let gather = |rows: &[Planes], centre: &[Complex64], path_gain: u8| {
+        let row = |k: usize| used.get(k).and_then(|&index| rows.get(index)).map_or_else(CsiRow::default, Planes::row);
+        Aperture::gather_by(&displacement_m, row, centre, path_gain, wavelength_m)
+    };
+    let round_trip = gather(&rows, samples.z(), 2);
+    let slips = steps.one_way.then(|| take_roots(&mut rows, tier).slips);
+    let one_way = slips.map(|_| gather(&rows, &[], 1));
+    drop(rows);
     let views = (round_trip_views(round_trip.path_m() / wavelength_m), one_way_views());
     let mut layers: Vec<(&Aperture, &[View])> = vec![(&round_trip, &views.0)];
     layers.extend(one_way.as_ref().map(|aperture| (aperture, views.1.as_slice())));
@@ -88,7 +88,6 @@ pub(super) fn place(
         Some((search.run()?, search))
     };
     let (fix, search) = beyond_expected(run(&limits)?, &limits, direction.beyond, run);
-    let slips = roots.map(|roots| roots.slips);
     Some((Placed { alignment, slips, ..Placed::of_one_wave(fix) }, search))
 }
 
@@ -102,6 +101,7 @@ pub(super) fn limits(direction: &Direction, options: &Options) -> Limits {
         range_min_m: if direction.elevations == Elevations::Signed { 0.0 } else { steps.range_min_m },
         height_m: steps.height_m,
         tier: options.search.tier,
+        parallel: options.parallel,
     }
 }
 
@@ -132,19 +132,22 @@ fn beyond_expected(
 
 /// Changes the trajectory that all links share where that raises the joint powers of two or more of them by more than its
 /// parameters do by chance.
-pub(super) fn refocus(links: &mut [&mut (Placed, Search)]) {
+pub(super) fn refocus(links: &mut [&mut (Placed, Search)], parallel: bool) {
     if links.len() < 2 {
         return;
     }
     let mut pairs: Vec<(&mut Search, &Fix)> = links.iter_mut().map(|(placed, search)| (search, &placed.fix)).collect();
-    let focus = near_field::focus(&mut pairs);
-    for (placed, search) in links {
-        placed.focus = Some(focus);
-        if focus.worthwhile
-            && let Some(fix) = search.run()
-        {
+    let focus = near_field::focus(&mut pairs, parallel);
+    links.iter_mut().for_each(|(placed, _)| placed.focus = Some(focus));
+    let again = |(placed, search): &mut &mut (Placed, Search)| {
+        if let Some(fix) = search.run() {
             placed.fix = fix;
         }
+    };
+    match (focus.worthwhile, parallel) {
+        (true, true) => links.par_iter_mut().for_each(again),
+        (true, false) => links.iter_mut().for_each(again),
+        (false, _) => {}
     }
 }
 
@@ -162,8 +165,4 @@ pub(super) fn extract((mut placed, mut search): (Placed, Search), one_wave: bool
         placed.evidence = Some(search.evidence(EVIDENCE_AZIMUTHS, &placed.fix.sources));
     }
     placed
-}
-
-fn pick(rows: &[CsiRow], used: &[usize]) -> Vec<CsiRow> {
-    used.iter().filter_map(|&index| rows.get(index)).copied().collect()
 }

@@ -14,6 +14,7 @@ use crate::bartlett;
 use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Motion, Trajectory};
 use crate::place::near_field::{Limits, Search};
+use crate::signal::alignment::planes::{Planes, round_trips};
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
 use crate::tuning::TUNING;
@@ -53,7 +54,7 @@ pub fn estimate(links: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bearing
         let still = |draft: &&mut Draft| !draft.bearing.samples.transmitter_moves();
         let is_right = drafts.iter().flatten().any(|draft| draft.bearing.sufficient.explains_all());
         let placed = drafts.iter_mut().flatten().filter(still).filter_map(|draft| draft.placed.as_mut());
-        accurate::refocus(&mut placed.filter(|_| !is_right).collect::<Vec<_>>());
+        accurate::refocus(&mut placed.filter(|_| !is_right).collect::<Vec<_>>(), options.parallel);
     }
     let finish = |draft: Result<Draft, LinkError>| draft.map(|draft| draft.finish(options));
     match options.parallel {
@@ -94,9 +95,11 @@ impl Draft {
         };
         let LeastOf { direction, quick, slope, limits, least: Least { sufficient, one_wave } } = least;
         let samples = gated.samples;
-        let place = || accurate::place(&samples, phases.round_trips(link), &gated.used, &direction, options);
+        let place = || accurate::place(&samples, phases.round_trips(link, options), &gated.used, &direction, options);
         let every_step = matches!(sufficient, Sufficient::Everything(_));
-        let placed = one_wave.or_else(|| every_step.then(place).flatten());
+        let placed = || one_wave.or_else(|| every_step.then(place).flatten());
+        let figures = || ProfileFigures::of(&samples);
+        let (placed, figures) = if options.parallel { rayon::join(placed, figures) } else { (placed(), figures()) };
         let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
         let bearing = Bearing {
             answer: quick,
@@ -105,7 +108,7 @@ impl Draft {
             plane_wave: direction.plane_wave,
             placed: None,
             heading_rad: gated.heading_rad,
-            figures: ProfileFigures::of(&samples)?,
+            figures: figures?,
             compensated: phases.compensated,
             turn_around: phases.turn_around,
             pairs: gated.pairs,
@@ -207,12 +210,13 @@ fn outside(link: &Link, receiver: &Trajectory, options: &Options) -> LinkError {
 /// random where a robot goes far between frames that come irregularly, and then they follow its motion.
 fn of_one_run(link: &Link, turn_around: Option<&TurnAround>) -> Result<Option<LinkError>, LinkError> {
     let pairing = TUNING.pairing;
-    if link.reciprocity().is_one_log() {
+    if link.is_one_log() {
         return Err(LinkError::OneLogTwice);
     }
-    let Some((clocks, channel)) = link.kinship().zip(link.reciprocity().get()) else { return Ok(None) };
+    let apart = link.kinship().filter(|clocks| clocks.correlation < pairing.clocks_alike);
+    let both = apart.and_then(|clocks| Some((clocks, link.reciprocity()?)));
+    let Some((clocks, channel)) = both else { return Ok(None) };
     let changes = channel.steadiness > pairing.steady;
-    let apart = clocks.correlation < pairing.clocks_alike;
     // A channel that shows nothing but noise cannot be compared: then phases that are random speak beside the clocks, if
     // pauses differ by more than turn-arounds do.
     let random =
@@ -221,7 +225,7 @@ fn of_one_run(link: &Link, turn_around: Option<&TurnAround>) -> Result<Option<Li
     let alike = pairing.channel_alike * channel.steadiness.min(1.0);
     let speaks = if changes { channel.correlation < alike } else { random && clocks.pause_us > pairing.pauses_us };
     let two_runs = LinkError::OfTwoRuns { clocks: clocks.correlation, channel: channel.correlation };
-    match (apart && speaks, changes) {
+    match (speaks, changes) {
         (true, true) => Err(two_runs),
         (speaks, _) => Ok(speaks.then_some(two_runs)),
     }
@@ -281,9 +285,9 @@ impl Compensated {
     }
 
     /// The round trips on all subcarriers, turned as those at the channel centre were.
-    fn round_trips(&self, link: &Link) -> Vec<crate::signal::alignment::CsiRow> {
-        let turned = link.products().iter().zip(link.rows().iter().zip(&self.z));
-        turned.map(|(product, (row, z))| accurate::compensated(product, z / row.z)).collect()
+    fn round_trips(&self, link: &Link, options: &Options) -> Vec<Planes> {
+        let turns = link.rows().iter().zip(&self.z).map(|(row, z)| z / row.z);
+        round_trips(link.frames(), turns, options.search.tier)
     }
 }
 

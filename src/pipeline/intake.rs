@@ -3,6 +3,7 @@
 use super::LogReport;
 use super::options::Options;
 use crate::exchange::tdma::{Key, Proof, Prover};
+use crate::signal::cfo::Heard;
 use crate::signal::channel::SUBCARRIERS;
 use crate::source::survey::Survey;
 use crate::source::{CsiSource, Error, Next};
@@ -52,6 +53,11 @@ impl FrameHeard {
     #[must_use]
     pub fn iq(&self) -> [[i8; 2]; SUBCARRIERS] {
         self.iq.map(|iq| [iq.i, iq.q])
+    }
+
+    /// As it is, by reported subcarrier.
+    pub(crate) fn heard(&self) -> &Heard {
+        &self.iq
     }
 
     /// The CSI, unscaled, by reported subcarrier.

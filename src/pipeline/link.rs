@@ -6,10 +6,10 @@ use super::options::Options;
 use crate::exchange::kinship::{Kinship, kinship};
 use crate::exchange::pairing::{LinkSide, Pair, Pairing, SideCounts};
 use crate::maths::upper_median_ord;
-use crate::signal::cfo::{TurnAround, at_centre, round_trip, round_trip_at_centre};
-use crate::signal::reciprocity::Reciprocity;
+use crate::signal::cfo::{Heard, TurnAround, at_centre, round_trips_at_centre};
+use crate::signal::reciprocity::{self, Reciprocal, Reciprocity};
 use driver_iface::Mac;
-use num_complex::Complex64;
+use num_complex::{Complex32, Complex64};
 
 /// Most pairs kept of a link. At this number every second pair is dropped, so memory is bounded for a log of any length.
 /// At 100 exchanges a second it is over a minute within one trajectory, longer than odometry stays coherent.
@@ -30,11 +30,13 @@ pub struct Link {
     /// The transmitter's MAC.
     pub mac: Mac,
     pairing: Pairing<FrameHeard>,
-    /// Pairs that are not rows yet: where links are worked on side by side, so is what makes rows of them.
+    /// Pairs that are not rows yet: many are made into rows at once, and of all links side by side.
     pending: Vec<Pair<FrameHeard>>,
+    /// How many wait at most.
+    most_pending: usize,
     rows: Vec<PairRow>,
-    /// The round trip of each row on all subcarriers, where a step of the accuracy layer wants it.
-    products: Vec<crate::signal::alignment::CsiRow>,
+    /// What both sides heard of each row: forward, backward.
+    frames: Vec<[Heard; 2]>,
     silent: usize,
     span_us: Option<(i64, i64)>,
     outside: usize,
@@ -44,8 +46,6 @@ pub struct Link {
     /// One pair in so many is kept.
     stride: usize,
     thinned: usize,
-    /// Whether both sides heard one channel.
-    reciprocity: Reciprocity,
 }
 
 /// One pair.
@@ -67,18 +67,17 @@ pub(super) struct PairRow {
 }
 
 impl Link {
-    /// A link to `mac` with nothing in it yet. Pairs outside `span_us` of the receiver's host time are only counted.
+    /// A link to `mac` with nothing in it yet, whose rows are there as soon as their pairs are. Pairs outside `span_us` of the
+    /// receiver's host time are only counted.
     #[must_use]
     pub(crate) fn new(mac: Mac, span_us: Option<(i64, i64)>) -> Self {
-        let pairing = Pairing::new(4_096);
-        let (rows, products) = (Vec::new(), Vec::new());
-        let reciprocity = Reciprocity::default();
         Self {
             mac,
-            pairing,
+            pairing: Pairing::new(4_096),
             pending: Vec::new(),
-            rows,
-            products,
+            most_pending: 1,
+            rows: Vec::new(),
+            frames: Vec::new(),
             silent: 0,
             span_us,
             outside: 0,
@@ -86,8 +85,13 @@ impl Link {
             first_us: None,
             stride: 1,
             thinned: 0,
-            reciprocity,
         }
+    }
+
+    /// The same for logs that are read to their ends: rows are made when many pairs wait for it, and by [`Self::finish`].
+    #[must_use]
+    pub(super) fn of_logs(self) -> Self {
+        Self { most_pending: MAX_ROWS, ..self }
     }
 
     /// Which side should be read next.
@@ -119,9 +123,9 @@ impl Link {
         &self.rows
     }
 
-    /// The round trip of each on all subcarriers; empty where no step wants them.
-    pub(super) fn products(&self) -> &[crate::signal::alignment::CsiRow] {
-        &self.products
+    /// What both sides heard of each: forward, backward.
+    pub(super) fn frames(&self) -> &[[Heard; 2]] {
+        &self.frames
     }
 
     /// Pairs outside the receiver's host time that is of use.
@@ -169,19 +173,25 @@ impl Link {
         while let Some(pair) = self.pairing.poll_pair() {
             self.pending.push(pair);
         }
-        if !options.parallel || self.pending.len() >= MAX_ROWS {
+        if self.pending.len() >= self.most_pending {
             self.settle(options);
         }
     }
 
     /// Makes rows of the pairs that wait for it.
     fn settle(&mut self, options: &Options) {
-        for pair in std::mem::take(&mut self.pending) {
-            self.keep(&pair, options);
-        }
+        let pending = std::mem::take(&mut self.pending);
+        let heard: Vec<[&Heard; 2]> =
+            pending.iter().map(|pair| [pair.transmitter.heard(), pair.receiver.heard()]).collect();
+        let centres = round_trips_at_centre(&heard, &options.channel.subcarriers(), options.search.tier);
+        let more = pending.len().min(MAX_ROWS - self.rows.len());
+        self.rows.reserve(more);
+        self.frames.reserve(more);
+        pending.iter().zip(centres).for_each(|(pair, centre)| self.keep(pair, centre, options));
     }
 
-    fn keep(&mut self, pair: &Pair<FrameHeard>, options: &Options) {
+    /// Makes a row of a pair with its round trip at the channel centre, if it is wanted.
+    fn keep(&mut self, pair: &Pair<FrameHeard>, centre: Option<Complex64>, options: &Options) {
         if let Some(host_us) = pair.receiver.host_us {
             self.first_us.get_or_insert(host_us);
             if let Some((from, to)) = self.span_us.filter(|(from, to)| !(from..=to).contains(&&host_us)) {
@@ -197,42 +207,34 @@ impl Link {
         }
         if self.rows.len() >= MAX_ROWS {
             every_second(&mut self.rows);
-            every_second(&mut self.products);
+            every_second(&mut self.frames);
             self.thinned += MAX_ROWS - self.rows.len();
             self.stride *= 2;
         }
-        let (forward, backward) = (pair.transmitter.csi(), pair.receiver.csi());
-        let Some(coherent) = round_trip_at_centre(&forward, &backward, &options.channel.subcarriers()) else {
+        let Some(z) = centre else {
             self.silent += 1;
             return;
         };
-        self.reciprocity.add(&forward, &backward);
         let one_way = || at_centre(&pair.receiver.csi(), &options.channel.subcarriers());
         let one_way = options.keep_course.then(one_way).flatten();
         self.rows.push(PairRow {
             one_way_rad: one_way.map_or(0.0, |one_way| one_way.h.arg()),
-            z: coherent.h,
+            z,
             clock_rx_us: pair.clock_rx_us,
             difference_us: pair.clock_difference_us,
             host_us: pair.receiver.host_us,
             partner_host_us: pair.transmitter.host_us,
             row: pair.receiver.row,
         });
-        if options.accuracy.near_field {
-            self.products.push(round_trip(&forward, &backward));
-        }
+        self.frames.push([*pair.transmitter.heard(), *pair.receiver.heard()]);
     }
 
     /// Forgets the pairs before `host_us` of the receiver: a live window moves on.
     pub(crate) fn forget_before(&mut self, host_us: i64) {
         let stays: Vec<bool> = self.rows.iter().map(|row| row.host_us.is_none_or(|at| at >= host_us)).collect();
-        if self.products.len() == self.rows.len() {
-            // Row by row with them.
-            let mut stays = stays.iter();
-            self.products.retain(|_| stays.next().is_some_and(|stays| *stays));
-        }
-        let mut stays = stays.iter();
-        self.rows.retain(|_| stays.next().is_some_and(|stays| *stays));
+        let (mut rows, mut frames) = (stays.iter(), stays.iter());
+        self.rows.retain(|_| rows.next().is_some_and(|stays| *stays));
+        self.frames.retain(|_| frames.next().is_some_and(|stays| *stays));
         // As dense from here on as what remains allows: after a long rest that is every pair again.
         let mut expected = self.rows.len();
         while self.stride > 1 && expected <= MAX_ROWS / 4 {
@@ -256,9 +258,17 @@ impl Link {
         upper_median_ord(&mut ahead_us).map(|us| us as f64 * 1e-6)
     }
 
-    /// How alike the channel was in both directions.
-    pub(super) fn reciprocity(&self) -> &Reciprocity {
-        &self.reciprocity
+    /// How alike the channel was in both directions; none with too few pairs, or where it never changed.
+    pub(super) fn reciprocity(&self) -> Option<Reciprocal> {
+        let mut sums = Reciprocity::default();
+        let csi = |heard: &Heard| heard.map(|iq| Complex32::new(f32::from(iq.i), f32::from(iq.q)));
+        self.frames.iter().for_each(|[forward, backward]| sums.add(&csi(forward), &csi(backward)));
+        sums.get()
+    }
+
+    /// True if both frames of every pair are the same: one log taken for both sides.
+    pub(super) fn is_one_log(&self) -> bool {
+        self.frames.len() >= reciprocity::LEAST && self.frames.iter().all(|[forward, backward]| forward == backward)
     }
 
     /// How the pauses between exchanges go together on both clocks.
@@ -340,6 +350,6 @@ mod tests {
         let kept = link.rows.iter().filter(|row| row.row >= 60_000).count();
         assert_eq!(kept, 500);
         // What goes with the rows is forgotten with them.
-        assert_eq!(link.products.len(), link.rows.len());
+        assert_eq!(link.frames.len(), link.rows.len());
     }
 }

@@ -114,7 +114,7 @@ pub fn bearings(
         logs.into_iter().map(|log| LogReader::new(log, options, options.rx_mac)).collect();
     let found = find_macs(&mut rx, &mut txs, options)?;
     let span_us = options.span_us(trajectory);
-    let link = |found: &MacFound| found.as_ref().ok().map(|(mac, _)| Link::new(*mac, span_us));
+    let link = |found: &MacFound| found.as_ref().ok().map(|(mac, _)| Link::new(*mac, span_us).of_logs());
     let mut links: Vec<Option<Link>> = found.iter().map(link).collect();
     reading::read(&mut rx, &mut txs, &mut links, options)?;
     let joins: Vec<LinkJoin<'_>> = links

@@ -23,6 +23,13 @@ use fearless_simd::Simd;
 pub struct OneWay {
     /// The one-way channel, up to one common sign: path gain 1.
     pub rows: Vec<CsiRow>,
+    /// How well its signs go together.
+    pub signs: Signs,
+}
+
+/// How well the signs of a one-way channel go together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Signs {
     /// Signs that the sweeps still changed after tracking, as a share of all samples, 0..1.
     pub corrected: f64,
     /// Share of the power whose sign disagrees with the packet before it on the same subcarrier: slips, 0..1.
@@ -35,11 +42,17 @@ pub struct OneWay {
 #[must_use]
 pub fn one_way(rows: &[CsiRow], tier: Tier) -> OneWay {
     let mut planes = planes_of(rows);
-    on_tier!(tier.level_or_portable(), simd => roots_of(simd, &mut planes))
+    let signs = take_roots(&mut planes, tier);
+    OneWay { rows: planes.iter().map(Planes::row).collect(), signs }
+}
+
+/// The same in place.
+pub(crate) fn take_roots(rows: &mut [Planes], tier: Tier) -> Signs {
+    on_tier!(tier.level_or_portable(), simd => roots_of(simd, rows))
 }
 
 #[inline(always)]
-fn roots_of<S: Simd>(_simd: S, roots: &mut [Planes]) -> OneWay {
+fn roots_of<S: Simd>(_simd: S, roots: &mut [Planes]) -> Signs {
     roots.iter_mut().for_each(root);
     track(roots);
     let mut corrected = 0;
@@ -63,12 +76,7 @@ fn roots_of<S: Simd>(_simd: S, roots: &mut [Planes]) -> OneWay {
     let full = sum(&full);
     let share = |part: f32| if full > 0.0 { f64::from(part / full) } else { 0.0 };
     let samples = (roots.len() * SUBCARRIERS).max(1) as f64;
-    OneWay {
-        corrected: corrected as f64 / samples,
-        slips: share(sum(&slipped)),
-        coherence: share(aligned.sum().norm()),
-        rows: roots.iter().map(Planes::row).collect(),
-    }
+    Signs { corrected: corrected as f64 / samples, slips: share(sum(&slipped)), coherence: share(aligned.sum().norm()) }
 }
 
 /// The square root with a positive real part, without the polar form.
@@ -161,7 +169,7 @@ mod tests {
             truth.iter().flatten().zip(found.rows.iter().flatten()).map(|(a, b)| a * b.conj()).sum();
         let power: f32 = truth.iter().flatten().map(Complex32::norm_sqr).sum();
         assert!(product.norm() / power > 0.999, "{}", product.norm() / power);
-        assert!(found.slips < 1e-3 && found.coherence > 0.98, "{} {}", found.slips, found.coherence);
+        assert!(found.signs.slips < 1e-3 && found.signs.coherence > 0.98, "{:?}", found.signs);
     }
 
     #[test]
@@ -186,8 +194,8 @@ mod tests {
         };
         let rows: Vec<CsiRow> =
             (0..300).map(|_| std::array::from_fn(|_| Complex32::cis(std::f32::consts::TAU * random()))).collect();
-        assert!(one_way(&rows, Tier::detect()).coherence < 0.8);
-        assert!(one_way(&rows, Tier::detect()).slips > 0.05);
+        assert!(one_way(&rows, Tier::detect()).signs.coherence < 0.8);
+        assert!(one_way(&rows, Tier::detect()).signs.slips > 0.05);
         assert!(one_way(&[], Tier::detect()).rows.is_empty());
     }
 }

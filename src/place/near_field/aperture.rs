@@ -25,24 +25,29 @@ impl Aperture {
     /// Surplus entries of the longer list are left out.
     #[must_use]
     pub fn gather(displacement_m: &[Vector3<f64>], rows: &[CsiRow], path_gain: u8, wavelength_m: f64) -> Self {
-        Self::gather_with_centre(displacement_m, rows, &[], path_gain, wavelength_m)
+        let n = displacement_m.len().min(rows.len());
+        Self::gather_by(&displacement_m[..n], |k| rows[k], &[], path_gain, wavelength_m)
     }
 
-    /// The same, with a sample at the channel centre for each row, of which the phase is kept; none if there are fewer of
-    /// them than rows.
+    /// The same of the rows that `row` gives by their number, with a sample at the channel centre for each, of which the phase
+    /// is kept; none if there are fewer of them than rows.
     #[must_use]
-    pub fn gather_with_centre(
+    pub fn gather_by(
         displacement_m: &[Vector3<f64>],
-        rows: &[CsiRow],
+        row: impl Fn(usize) -> CsiRow,
         centre: &[Complex64],
         path_gain: u8,
         wavelength_m: f64,
     ) -> Self {
         let reach_m = TUNING.aperture.span_turns * wavelength_m / f64::from(path_gain.max(1));
         let mut aperture = Self { path_gain: path_gain.max(1), ..Self::default() };
-        let n = displacement_m.len().min(rows.len());
-        for (from, to) in runs(&displacement_m[..n], reach_m) {
-            aperture.push_mean(&displacement_m[from..to], &rows[from..to]);
+        let n = displacement_m.len();
+        let runs = runs(displacement_m, reach_m);
+        aperture.displacement_m.reserve(runs.len());
+        aperture.rows.reserve(runs.len());
+        for (from, to) in runs {
+            aperture.displacement_m.push(mean_place(&displacement_m[from..to]));
+            aperture.rows.push(mean_row((from..to).map(&row)));
             aperture.centre.extend(centre.get(..n).map(|centre| mean_phasor(&centre[from..to])));
         }
         aperture
@@ -70,16 +75,15 @@ impl Aperture {
     pub fn path_m(&self) -> f64 {
         self.displacement_m.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()
     }
+}
 
-    fn push_mean(&mut self, positions: &[Vector3<f64>], rows: &[CsiRow]) {
-        let share = 1.0 / positions.len() as f64;
-        let mut mean = [Complex32::default(); SUBCARRIERS];
-        for row in rows {
-            mean.iter_mut().zip(row).for_each(|(sum, value)| *sum += value * share as f32);
-        }
-        self.displacement_m.push(mean_place(positions));
-        self.rows.push(mean);
+fn mean_row(rows: impl ExactSizeIterator<Item = CsiRow>) -> CsiRow {
+    let share = (1.0 / rows.len() as f64) as f32;
+    let mut mean = [Complex32::default(); SUBCARRIERS];
+    for row in rows {
+        mean.iter_mut().zip(&row).for_each(|(sum, value)| *sum += value * share);
     }
+    mean
 }
 
 /// Runs of samples within `reach_m` of their first: where each begins and ends.

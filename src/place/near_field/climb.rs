@@ -1,8 +1,9 @@
 //! From the peaks of the grid to the local maxima of the joint power (tops).
 
 use super::fix::Source;
+use super::prepared::PreparedAperture;
 use super::search::{Search, scores};
-use super::types::{Elevations, Place, Precision, Scored};
+use super::types::{Elevations, Place, Precision, Scored, Warp};
 use crate::bartlett::direction;
 use crate::maths::wrap_rad;
 use crate::tuning::TUNING;
@@ -47,7 +48,9 @@ impl Search {
         let high = |peak: &&Scored| ((peak.score - peaks[0].score) / total).exp() >= TUNING.climb.floor;
         let high: Vec<Place> = peaks.iter().take(TUNING.climb.most).take_while(high).map(|peak| peak.place).collect();
         let climb = Climb { weights: &weights, precision: Precision::Rough, end_rad: TUNING.climb.coarse_rad };
-        let places: Vec<Place> = high.into_iter().map(|place| self.climb(place, climb).place).collect();
+        let climbed = self.each(&high, |place| self.climb(&self.apertures, *place, climb));
+        self.evaluations += climbed.iter().map(|(_, evaluations)| evaluations).sum::<usize>();
+        let places: Vec<Place> = climbed.into_iter().map(|(top, _)| top.place).collect();
         // Rough powers led there; exact ones decide which is the highest.
         let powers = self.powers(&places, Precision::Exact);
         let scores = scores(&powers, &weights);
@@ -62,25 +65,26 @@ impl Search {
     fn fine_top(&mut self, start: Place) -> Scored {
         let placing = self.weights.placing.clone();
         let climb = Climb { weights: &placing, precision: Precision::Exact, end_rad: TUNING.climb.fine_rad };
-        let place = self.climb(start, climb).place;
+        let place = self.climb_here(start, climb).place;
         let powers = self.powers(&[place], Precision::Exact);
         Scored { place, score: scores(&powers, &self.weights.choosing)[0] }
     }
 
-    /// The highest score to be climbed to from `sources`: what a change of the trajectory is judged by, without another
-    /// search.
-    pub(super) fn score_near(&mut self, sources: &[Source]) -> f64 {
-        let weights = self.weights.choosing.clone();
+    /// The highest score to be climbed to from `sources` if the trajectory were changed by `warp`, and how many places that
+    /// took: what the change is judged by, without another search.
+    pub(super) fn score_near(&self, warp: &Warp, sources: &[Source]) -> (f64, usize) {
+        let apertures: Vec<PreparedAperture> = self.apertures.iter().map(|aperture| aperture.warped(warp)).collect();
         let end_rad = TUNING.climb.judging_cells * TAU / self.axes.azimuths as f64;
-        let climb = Climb { weights: &weights, precision: Precision::Rough, end_rad };
-        sources.iter().map(|source| self.climb(Place::from(source), climb).score).fold(f64::MIN, f64::max)
+        let climb = Climb { weights: &self.weights.choosing, precision: Precision::Rough, end_rad };
+        let climbs = sources.iter().map(|source| self.climb(&apertures, Place::from(source), climb));
+        climbs.fold((f64::MIN, 0), |(best, all), (top, evaluations)| (best.max(top.score), all + evaluations))
     }
 
     /// The top that a climb on exact powers leads to from `start`, by the views that choose.
     pub(super) fn judged_top(&mut self, start: Place) -> Source {
         let weights = self.weights.choosing.clone();
-        let top = self
-            .climb(start, Climb { weights: &weights, precision: Precision::Exact, end_rad: TUNING.climb.coarse_rad });
+        let climb = Climb { weights: &weights, precision: Precision::Exact, end_rad: TUNING.climb.coarse_rad };
+        let top = self.climb_here(start, climb);
         self.source(&top)
     }
 
@@ -91,8 +95,17 @@ impl Search {
         self.averaging.get(cell).copied().unwrap_or(0.0)
     }
 
-    /// Pattern search: the neighbours in all directions; the best of them is next, or the steps are halved.
-    fn climb(&mut self, start: Place, climb: Climb<'_>) -> Scored {
+    /// [`Self::climb`] on the motion's own apertures, counted.
+    fn climb_here(&mut self, start: Place, climb: Climb<'_>) -> Scored {
+        let (top, evaluations) = self.climb(&self.apertures, start, climb);
+        self.evaluations += evaluations;
+        top
+    }
+
+    /// Pattern search: the neighbours in all directions; the best of them is next, or the steps are halved. Gives the top and
+    /// how many places were looked at.
+    fn climb(&self, apertures: &[PreparedAperture], start: Place, climb: Climb<'_>) -> (Scored, usize) {
+        let mut evaluations = 0;
         let mut best = Scored { place: start, score: f64::MIN };
         let [_, highest] = self.limits.elevation_span_rad();
         let mut reach = Place {
@@ -104,13 +117,12 @@ impl Search {
             curve: 0.5 * self.axes.curves.get(1).copied().unwrap_or(0.0),
         };
         // Where rough powers will do, so will sums over samples that are alike there.
-        let thin = (climb.precision == Precision::Rough).then(|| self.apertures_about(&start));
+        let thin = (climb.precision == Precision::Rough).then(|| self.apertures_about(apertures, &start));
+        let apertures = thin.as_deref().unwrap_or(apertures);
         for _ in 0..TUNING.climb.rounds {
             let places = self.neighbours(&best.place, &reach);
-            let powers = match &thin {
-                Some(apertures) => self.powers_of(apertures, &places, climb.precision),
-                None => self.powers(&places, climb.precision),
-            };
+            evaluations += places.len();
+            let powers = self.powers_of(apertures, &places, climb.precision);
             // The first place is where the climb stands: only a better one moves it.
             let (next, score) = scores(&powers, climb.weights)
                 .into_iter()
@@ -125,7 +137,7 @@ impl Search {
                 }
             }
         }
-        best
+        (best, evaluations)
     }
 
     /// `at` itself, then the places a `reach` away along every free coordinate and all diagonals.

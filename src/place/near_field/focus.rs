@@ -10,6 +10,7 @@ use super::fix::Fix;
 use super::search::Search;
 use super::types::Warp;
 use crate::tuning::TUNING;
+use rayon::prelude::*;
 
 /// The change of the odometry that was found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
@@ -24,34 +25,40 @@ pub struct Focus {
 }
 
 /// Looks for the change of the common trajectory that makes the answers of all `links` (each with what was found
-/// without any) sharpest. The searches are left bent by it if it is worthwhile, and as recorded if not.
+/// without any) sharpest, on all threads of the current rayon pool if it may be `parallel`. The searches are left bent by it
+/// if it is worthwhile, and as recorded if not.
 #[must_use]
-pub fn focus(links: &mut [(&mut Search, &Fix)]) -> Focus {
-    let mut score = |warp: &Warp| -> f64 {
-        let own = |(search, fix): &mut (&mut Search, &Fix)| {
-            search.warp(warp);
-            search.score_near(&fix.sources[..fix.sources.len().min(TUNING.focus.followed)])
-        };
-        links.iter_mut().map(own).sum()
-    };
-    let without = score(&Warp::default());
-    let mut best = (Warp::default(), without);
-    let mut consider = |warp: Warp, best: &mut (Warp, f64)| {
-        let own = score(&warp);
-        if own > best.1 {
-            *best = (warp, own);
-        }
-    };
-    for scale in TUNING.focus.scales {
-        consider(Warp { scale, ..Warp::default() }, &mut best);
-    }
-    let scale = best.0.scale;
-    for turn_rad_per_m in TUNING.focus.turns_rad_per_m {
-        consider(Warp { scale, turn_rad_per_m }, &mut best);
-    }
+pub fn focus(links: &mut [(&mut Search, &Fix)], parallel: bool) -> Focus {
+    let scales = TUNING.focus.scales.map(|scale| Warp { scale, ..Warp::default() });
+    let first: Vec<Warp> = std::iter::once(Warp::default()).chain(scales).collect();
+    let scored = scores(links, &first, parallel);
+    let without = scored[0];
+    let higher = |best: (Warp, f64), own: (&Warp, f64)| if own.1 > best.1 { (*own.0, own.1) } else { best };
+    let best = first.iter().zip(scored).fold((Warp::default(), without), higher);
+    let turns = TUNING.focus.turns_rad_per_m.map(|turn_rad_per_m| Warp { turn_rad_per_m, ..best.0 });
+    let best = turns.iter().zip(scores(links, &turns, parallel)).fold(best, higher);
     let gain = best.1 - without;
     let worthwhile = gain * TUNING.focus.looks > TUNING.focus.parameters;
-    let last = if worthwhile { best.0 } else { Warp::default() };
-    links.iter_mut().for_each(|(search, _)| search.warp(&last));
+    if worthwhile {
+        links.iter_mut().for_each(|(search, _)| search.warp(&best.0));
+    }
     Focus { warp: best.0, gain, worthwhile }
+}
+
+/// How sharp each of `warps` makes the answers of all links: the sum of `ln power`.
+fn scores(links: &mut [(&mut Search, &Fix)], warps: &[Warp], parallel: bool) -> Vec<f64> {
+    let each: Vec<(&Warp, usize)> =
+        warps.iter().flat_map(|warp| (0..links.len()).map(move |link| (warp, link))).collect();
+    let own = |&(warp, link): &(&Warp, usize)| {
+        let (search, fix) = &links[link];
+        search.score_near(warp, &fix.sources[..fix.sources.len().min(TUNING.focus.followed)])
+    };
+    let scored: Vec<(f64, usize)> = match parallel {
+        true => each.par_iter().map(own).collect(),
+        false => each.iter().map(own).collect(),
+    };
+    for ((_, link), (_, evaluations)) in each.iter().zip(&scored) {
+        links[*link].0.evaluations += evaluations;
+    }
+    scored.chunks(links.len().max(1)).map(|own| own.iter().map(|(score, _)| score).sum()).collect()
 }

@@ -27,7 +27,7 @@ fn powers_simd<S: Simd>(
     let longest = apertures.iter().map(PreparedAperture::len).max().unwrap_or(0);
     let mut steering = vec![(V::<S, f32>::splat(simd, 0.0), V::<S, f32>::splat(simd, 0.0)); longest];
     // Cosines and sines of a double cost as much as some packets: once for all apertures.
-    let points: Vec<([f32; 3], f32)> = places.iter().map(|place| (place.unit(), place.curve as f32)).collect();
+    let points = points_of(places);
     for (points, powers) in points.chunks(lanes).zip(powers.chunks_mut(lanes * views)) {
         let mut view = 0;
         for aperture in apertures {
@@ -36,7 +36,7 @@ fn powers_simd<S: Simd>(
                 Some(polynomial) => steer_roughly(simd, aperture, &lanes, &polynomial, &mut steering),
                 None => steer(simd, aperture, &lanes, &mut steering),
             }
-            for own in &aperture.views {
+            for own in aperture.views.iter() {
                 let mut sum = V::<S, f32>::splat(simd, 0.0);
                 for window in &own.windows {
                     sum += window_power(simd, window, &steering);
@@ -62,7 +62,7 @@ fn steerings_simd<S: Simd>(simd: S, aperture: &PreparedAperture, places: &[Place
     let lanes = V::<S, f32>::LEN;
     let zero = V::<S, f32>::splat(simd, 0.0);
     let mut steering = vec![(zero, zero); aperture.len()];
-    let points: Vec<Point> = places.iter().map(|place| (place.unit(), place.curve as f32)).collect();
+    let points = points_of(places);
     for (points, all) in points.chunks(lanes).zip(all.chunks_mut(lanes)) {
         steer(simd, aperture, &PlaceLanes::<S>::new(simd, aperture, points), &mut steering);
         for (i, own) in all.iter_mut().enumerate() {
@@ -73,6 +73,32 @@ fn steerings_simd<S: Simd>(simd: S, aperture: &PreparedAperture, places: &[Place
 
 /// A place as the kernel takes it: unit vector, and 1 / range in 1/m.
 type Point = ([f32; 3], f32);
+
+/// Places as the kernel takes them. Neighbours share azimuth or elevation: each angle's sine and cosine are taken once.
+fn points_of(places: &[Place]) -> Vec<Point> {
+    /// Elevations that are kept.
+    const KEPT: usize = 8;
+    let mut azimuth = (f64::NAN, (0.0, 0.0));
+    let mut elevations: Vec<(f64, (f64, f64))> = Vec::with_capacity(KEPT);
+    let mut points = Vec::with_capacity(places.len());
+    for place in places {
+        if azimuth.0 != place.azimuth {
+            azimuth = (place.azimuth, place.azimuth.sin_cos());
+        }
+        let known = elevations.iter().find(|(elevation, _)| *elevation == place.elevation).map(|known| known.1);
+        let (sin_el, cos_el) = known.unwrap_or_else(|| {
+            let own = place.elevation.sin_cos();
+            if elevations.len() == KEPT {
+                elevations.clear();
+            }
+            elevations.push((place.elevation, own));
+            own
+        });
+        let (sin_az, cos_az) = azimuth.1;
+        points.push(([(cos_el * cos_az) as f32, (cos_el * sin_az) as f32, sin_el as f32], place.curve as f32));
+    }
+    points
+}
 
 /// Cosine and sine of the steering phase, a lane for each place.
 type Turn<S> = (V<S, f32>, V<S, f32>);
@@ -161,4 +187,21 @@ fn window_power<S: Simd>(simd: S, window: &Window, steering: &[Turn<S>]) -> V<S,
         }
     }
     power
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_are_the_places_one_by_one() {
+        let place = |k: usize| Place {
+            azimuth: (k / 30) as f64 * 0.7 - 2.0,
+            elevation: (k % 10) as f64 * 0.1 - 0.4,
+            curve: k as f64 * 1e-3,
+        };
+        let places: Vec<Place> = (0..120).map(place).collect();
+        let expected: Vec<Point> = places.iter().map(|place| (place.unit(), place.curve as f32)).collect();
+        assert_eq!(points_of(&places), expected);
+    }
 }

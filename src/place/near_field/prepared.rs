@@ -8,6 +8,7 @@ use crate::signal::channel::SUBCARRIERS;
 use nalgebra::{DMatrix, Vector3};
 use num_complex::{Complex32, Complex64};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 /// Columns that the kernel sums at once: each needs four sums, and sixteen registers are there.
 pub(super) const ABREAST: usize = 3;
@@ -37,7 +38,7 @@ pub(super) struct PreparedView {
 /// An aperture and its views, ready for the kernel.
 #[derive(Clone, Debug)]
 pub(super) struct PreparedAperture {
-    /// Where the samples were taken as recorded, about the middle, metres; none of samples that are sums.
+    /// Where the samples were taken as recorded, about the middle, metres; none of samples that are sums or moved.
     pub(super) recorded_m: Vec<Vector3<f64>>,
     /// Positions about the middle and their squared norms, in turns.
     pub x: Vec<f32>,
@@ -50,7 +51,8 @@ pub(super) struct PreparedAperture {
     pub(super) curve_max: f64,
     /// For rough powers, where it is good enough.
     pub polynomial: Option<BendPolynomial>,
-    pub views: Vec<PreparedView>,
+    /// Shared by apertures whose samples lie elsewhere.
+    pub views: Arc<[PreparedView]>,
 }
 
 impl PreparedAperture {
@@ -65,7 +67,7 @@ impl PreparedAperture {
             turn_m: (wavelength_m / f64::from(aperture.path_gain)) as f32,
             curve_max,
             polynomial: None,
-            views: PreparedView::all(aperture, views),
+            views: PreparedView::all(aperture, views).into(),
         };
         prepared.warp(&Warp::default());
         prepared
@@ -73,14 +75,25 @@ impl PreparedAperture {
 
     /// Moves the samples from where they were recorded as `warp` says.
     pub fn warp(&mut self, warp: &Warp) {
+        let moved = self.warped(warp);
+        *self = Self { recorded_m: std::mem::take(&mut self.recorded_m), ..moved };
+    }
+
+    /// The same samples moved from where they were recorded as `warp` says; without where they were recorded.
+    pub fn warped(&self, warp: &Warp) -> Self {
         let turn_m = f64::from(self.turn_m);
         let turns: Vec<Vector3<f64>> = warp.applied(&self.recorded_m).into_iter().map(|p| p / turn_m).collect();
-        self.x = turns.iter().map(|p| p.x as f32).collect();
-        self.y = turns.iter().map(|p| p.y as f32).collect();
-        self.z = turns.iter().map(|p| p.z as f32).collect();
-        self.square = turns.iter().map(|p| p.norm_squared() as f32).collect();
         let rim = turns.iter().map(Vector3::norm).fold(0.0, f64::max);
-        self.polynomial = BendPolynomial::new(self.curve_max * turn_m, rim);
+        Self {
+            recorded_m: Vec::new(),
+            x: turns.iter().map(|p| p.x as f32).collect(),
+            y: turns.iter().map(|p| p.y as f32).collect(),
+            z: turns.iter().map(|p| p.z as f32).collect(),
+            square: turns.iter().map(|p| p.norm_squared() as f32).collect(),
+            polynomial: BendPolynomial::new(self.curve_max * turn_m, rim),
+            views: Arc::clone(&self.views),
+            ..*self
+        }
     }
 
     /// Where the samples are, about the middle, metres.
@@ -122,12 +135,12 @@ impl PreparedAperture {
         let window = Window { from: 0, columns: columns.chunks(ABREAST).map(chunk).collect() };
         let energy: f64 = columns.iter().flatten().map(Complex64::norm_sqr).sum();
         Self {
-            recorded_m: self.recorded_m.clone(),
+            recorded_m: Vec::new(),
             x: self.x.clone(),
             y: self.y.clone(),
             z: self.z.clone(),
             square: self.square.clone(),
-            views: vec![PreparedView { windows: vec![window], full: (energy * self.len() as f64) as f32 }],
+            views: [PreparedView { windows: vec![window], full: (energy * self.len() as f64) as f32 }].into(),
             ..*self
         }
     }

@@ -14,6 +14,7 @@ use crate::maths::wrap_rad;
 use crate::signal::channel::SUBCARRIERS;
 use fearless_simd::Level;
 use nalgebra::Vector3;
+use rayon::prelude::*;
 use std::f64::consts::TAU;
 
 /// Steps along a ridge at most, and the shares of each that are tried.
@@ -231,6 +232,14 @@ impl Search {
         self.apertures.first().map(PreparedAperture::offsets_m).unwrap_or_default()
     }
 
+    /// `work` of each item: on all threads of the current pool, if the search may have them.
+    pub(super) fn each<T: Sync, U: Send>(&self, items: &[T], work: impl Fn(&T) -> U + Send + Sync) -> Vec<U> {
+        match self.limits.parallel {
+            true => items.par_iter().map(work).collect(),
+            false => items.iter().map(work).collect(),
+        }
+    }
+
     pub(super) fn level(&self) -> Level {
         self.limits.tier.level_or_portable()
     }
@@ -246,20 +255,13 @@ impl Search {
 
     /// The power of every view for each place: `powers[place * views + view]`.
     pub(super) fn powers(&mut self, places: &[Place], precision: Precision) -> Vec<f32> {
-        let places: Vec<Place> = places.iter().map(|place| self.at_height(place)).collect();
         self.evaluations += places.len();
-        powers(self.level(), &self.apertures, &places, precision)
+        self.powers_of(&self.apertures, places, precision)
     }
 
-    /// The same of other apertures.
-    pub(super) fn powers_of(
-        &mut self,
-        apertures: &[PreparedAperture],
-        places: &[Place],
-        precision: Precision,
-    ) -> Vec<f32> {
+    /// The same of any apertures, not counted.
+    pub(super) fn powers_of(&self, apertures: &[PreparedAperture], places: &[Place], precision: Precision) -> Vec<f32> {
         let places: Vec<Place> = places.iter().map(|place| self.at_height(place)).collect();
-        self.evaluations += places.len();
         powers(self.level(), apertures, &places, precision)
     }
 

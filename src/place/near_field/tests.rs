@@ -235,8 +235,10 @@ fn a_bent_trajectory_is_straightened_where_it_pays_and_left_alone_where_not() {
         };
         let mut searches: Vec<Search> = places.iter().enumerate().map(search).collect();
         let fixes: Vec<Fix> = searches.iter_mut().map(|search| search.run().unwrap()).collect();
+        let mut clones = searches.clone();
         let mut links: Vec<(&mut Search, &Fix)> = searches.iter_mut().zip(&fixes).collect();
-        let found = focus(&mut links);
+        let found = focus(&mut links, false);
+        assert_eq!(focus(&mut clones.iter_mut().zip(&fixes).collect::<Vec<_>>(), true), found);
         assert_eq!(found.worthwhile, drifts, "{found:?}");
         if drifts {
             assert!(found.warp.scale > 1.0, "{found:?}");

@@ -7,8 +7,10 @@ use super::prepared::{ABREAST, Abreast, PreparedAperture, PreparedView, Window};
 use super::search::Search;
 use super::types::{Elevations, Place, Precision};
 use crate::tuning::TUNING;
+use csi5300_kernels::simd::on_tier;
 use fearless_simd::Level;
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 /// Azimuths of a grid that are looked at together.
 const TOGETHER: usize = 8;
@@ -43,17 +45,16 @@ impl Search {
         let Some(runs) = around.first().and_then(|own| aperture.runs(own.change)) else { return whole() };
         let centres: Vec<Place> = around.iter().map(|own| own.centre).collect();
         let steering = steerings(self.level(), aperture, &centres);
-        let sectors = places.chunks(TOGETHER * depth).zip(centres.iter().zip(&steering));
-        sectors
-            .flat_map(|(places, (own, steering))| {
-                let thin = [aperture.about(self.level(), own, steering, &runs)];
-                powers(self.level(), &thin, places, Precision::Rough)
-            })
-            .collect()
+        let sectors: Vec<_> = places.chunks(TOGETHER * depth).zip(centres.iter().zip(&steering)).collect();
+        self.each(&sectors, |(places, (own, steering))| {
+            let thin = [aperture.about(self.level(), own, steering, &runs)];
+            powers(self.level(), &thin, places, Precision::Rough)
+        })
+        .concat()
     }
 
-    /// All apertures with the samples of a neighbourhood of `start`: some cells of azimuth, every elevation and range.
-    pub(super) fn apertures_about(&self, start: &Place) -> Vec<PreparedAperture> {
+    /// `apertures` with the samples of a neighbourhood of `start`: some cells of azimuth, every elevation and range.
+    pub(super) fn apertures_about(&self, apertures: &[PreparedAperture], start: &Place) -> Vec<PreparedAperture> {
         let half_rad = ABOUT_CELLS * TAU / self.axes.azimuths as f64;
         let about = |aperture: &PreparedAperture| {
             let own = self.neighbourhood(aperture, start.azimuth, half_rad);
@@ -66,7 +67,7 @@ impl Search {
                 },
             )
         };
-        self.apertures.iter().map(about).collect()
+        apertures.iter().map(about).collect()
     }
 
     /// The places within `half_rad` of an azimuth, at every elevation and range of the search.
@@ -127,20 +128,15 @@ impl PreparedAperture {
         };
         let (x, y, z) = (mean(&self.x), mean(&self.y), mean(&self.z));
         let square = x.iter().zip(&y).zip(&z).map(|((x, y), z)| x * x + y * y + z * z).collect();
-        let mut thin = Self { x, y, z, square, recorded_m: Vec::new(), views: Vec::new(), ..*self };
+        let mut thin = Self { x, y, z, square, recorded_m: Vec::new(), views: Arc::new([]), ..*self };
         let back: Vec<(f32, f32)> =
             steerings(level, &thin, &[*centre]).into_iter().flatten().map(|(cos, sin)| (cos, -sin)).collect();
         let window = |window: &Window| {
             let from = runs.partition_point(|at| *at < window.from);
-            let column = |samples: &Vec<Abreast>| {
-                let to = window.from + samples.len();
-                let own = runs[from..].windows(2).take_while(|run| run[0] < to).zip(&back[from..]);
-                own.map(|(run, back)| {
-                    let within = run[0] - window.from..run[1].min(to) - window.from;
-                    summed(&samples[within], &steering[run[0]..], *back)
-                })
-                .collect()
-            };
+            let length = window.columns.first().map_or(0, Vec::len);
+            let within = runs[from..].partition_point(|at| *at < window.from + length);
+            let own = Runs { runs: &runs[from..], back: &back[from..][..within], first: window.from };
+            let column = |samples: &Vec<Abreast>| on_tier!(level, _simd => own.sums(samples, steering));
             Window { from, columns: window.columns.iter().map(column).collect() }
         };
         let view =
@@ -150,15 +146,41 @@ impl PreparedAperture {
     }
 }
 
-/// `back * sum sample * steering`, column by column.
-#[inline]
-fn summed(samples: &[Abreast], steering: &[(f32, f32)], back: (f32, f32)) -> Abreast {
-    let (mut re, mut im) = ([0f32; ABREAST], [0f32; ABREAST]);
-    for (sample, (cos, sin)) in samples.iter().zip(steering) {
-        for i in 0..ABREAST {
-            re[i] += cos * sample[i].0 - sin * sample[i].1;
-            im[i] += cos * sample[i].1 + sin * sample[i].0;
+/// The runs of a window.
+struct Runs<'a> {
+    /// Where they begin, and what follows.
+    runs: &'a [usize],
+    /// The steering of each back from where its mean is.
+    back: &'a [(f32, f32)],
+    /// The window's first sample.
+    first: usize,
+}
+
+impl Runs<'_> {
+    /// `back * sum sample * steering` over each run of a column.
+    #[inline(always)]
+    fn sums(&self, samples: &[Abreast], steering: &[(f32, f32)]) -> Vec<Abreast> {
+        let mut sums = Vec::with_capacity(self.back.len());
+        for (run, back) in self.runs.windows(2).zip(self.back) {
+            let within = run[0] - self.first..(run[1] - self.first).min(samples.len());
+            // Plain products of (re, im) in a row: vector code.
+            let (mut by_cos, mut by_sin) = ([0f32; 2 * ABREAST], [0f32; 2 * ABREAST]);
+            for (sample, (cos, sin)) in samples[within].iter().zip(&steering[run[0]..]) {
+                for i in 0..ABREAST {
+                    let (re, im) = sample[i];
+                    by_cos[2 * i] += cos * re;
+                    by_cos[2 * i + 1] += cos * im;
+                    by_sin[2 * i] += sin * re;
+                    by_sin[2 * i + 1] += sin * im;
+                }
+            }
+            let mut sum = [(0.0, 0.0); ABREAST];
+            for (i, sum) in sum.iter_mut().enumerate() {
+                let (re, im) = (by_cos[2 * i] - by_sin[2 * i + 1], by_cos[2 * i + 1] + by_sin[2 * i]);
+                *sum = (re * back.0 - im * back.1, re * back.1 + im * back.0);
+            }
+            sums.push(sum);
         }
+        sums
     }
-    std::array::from_fn(|i| (re[i] * back.0 - im[i] * back.1, re[i] * back.1 + im[i] * back.0))
 }

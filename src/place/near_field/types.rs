@@ -110,13 +110,22 @@ pub struct Limits {
     pub height_m: Option<f64>,
     /// The SIMD tier to run on.
     pub tier: Tier,
+    /// Whether a search is split over the threads of the current rayon pool.
+    pub parallel: bool,
 }
 
 impl Limits {
     /// Transmitters of unknown height, on the best SIMD tier of this processor.
     #[must_use]
     pub fn new(elevation_max_rad: f64, range_min_m: f64) -> Self {
-        Self { elevation_max_rad, elevations: Elevations::Expected, range_min_m, height_m: None, tier: Tier::detect() }
+        Self {
+            elevation_max_rad,
+            elevations: Elevations::Expected,
+            range_min_m,
+            height_m: None,
+            tier: Tier::detect(),
+            parallel: false,
+        }
     }
 
     /// The same with other elevations searched.

@@ -31,21 +31,38 @@ pub struct Alignment {
 }
 
 /// Takes the slope that all rows have in common out of each: neighbouring subcarriers then differ by the channel only.
-pub fn remove_common_slope(rows: &mut [CsiRow], indices: &[i8; SUBCARRIERS]) {
-    let step = indices[1] - indices[0];
-    let mut turn = Complex32::default();
-    for row in rows.iter() {
-        turn += neighbour_products(row, indices, step);
-    }
-    let slope = turn.arg() / f32::from(step);
-    let turns = turns(indices, slope);
-    rows.iter_mut().for_each(|row| row.iter_mut().zip(&turns).for_each(|(value, turn)| *value *= turn));
+pub fn remove_common_slope(rows: &mut [CsiRow], indices: &[i8; SUBCARRIERS], tier: Tier) {
+    let mut planes = planes_of(rows);
+    remove_slope(&mut planes, indices, tier);
+    rows.iter_mut().zip(&planes).for_each(|(row, planes)| *row = planes.row());
 }
 
-/// `sum v[k] conj(v[k-1])` over neighbours `step` indices apart.
-fn neighbour_products(row: &CsiRow, indices: &[i8; SUBCARRIERS], step: i8) -> Complex32 {
-    let apart = |k: &usize| indices[*k] - indices[*k - 1] == step;
-    (1..SUBCARRIERS).filter(apart).map(|k| row[k] * row[k - 1].conj()).sum()
+/// [`remove_common_slope`] of planes.
+pub(crate) fn remove_slope(rows: &mut [Planes], indices: &[i8; SUBCARRIERS], tier: Tier) {
+    on_tier!(tier.level_or_portable(), _simd => remove_slope_simd(rows, indices));
+}
+
+#[inline(always)]
+fn remove_slope_simd(rows: &mut [Planes], indices: &[i8; SUBCARRIERS]) {
+    let step = indices[1] - indices[0];
+    let neighbours = lanes(|k| f32::from((1..SUBCARRIERS).contains(&k) && indices[k] - indices[k - 1] == step));
+    let turn = neighbour_products(rows, &neighbours);
+    let turns = Planes::of(&turns(indices, turn.arg() / f32::from(step)));
+    rows.iter_mut().for_each(|row| *row = row.times(&turns));
+}
+
+/// `sum v[k] conj(v[k-1])` over all rows and the subcarriers where `neighbours` is 1.
+#[inline(always)]
+fn neighbour_products(rows: &[Planes], neighbours: &Lanes) -> Complex32 {
+    let mut sums = Planes::ZERO;
+    for row in rows {
+        let mut before = Planes::ZERO;
+        before.re[1..].copy_from_slice(&row.re[..LANES - 1]);
+        before.im[1..].copy_from_slice(&row.im[..LANES - 1]);
+        sums.add(&row.against(&before));
+    }
+    let chosen = |part: &Lanes| sum(&lanes(|k| part[k] * neighbours[k]));
+    Complex32::new(chosen(&sums.re), chosen(&sums.im))
 }
 
 /// `exp(-j slope index[k])`.
@@ -185,17 +202,22 @@ fn round<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb, first: bool, slopes
 ///
 /// Rows should be of like magnitude. With fewer than three rows nothing is done.
 pub fn align(rows: &mut [CsiRow], indices: &[i8; SUBCARRIERS], tier: Tier) -> Alignment {
-    if rows.len() < 3 {
-        return Alignment::default();
-    }
     let mut planes = planes_of(rows);
-    let found = on_tier!(tier.level_or_portable(), simd => align_planes(simd, &mut planes, &Comb::new(indices)));
+    let found = align_planes(&mut planes, indices, tier);
     rows.iter_mut().zip(&planes).for_each(|(row, planes)| *row = planes.row());
     found
 }
 
+/// [`align`] of planes.
+pub(crate) fn align_planes(rows: &mut [Planes], indices: &[i8; SUBCARRIERS], tier: Tier) -> Alignment {
+    if rows.len() < 3 {
+        return Alignment::default();
+    }
+    on_tier!(tier.level_or_portable(), simd => align_simd(simd, rows, &Comb::new(indices)))
+}
+
 #[inline(always)]
-fn align_planes<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb) -> Alignment {
+fn align_simd<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb) -> Alignment {
     let mut turned = vec![0.0; rows.len()];
     // While slopes differ, only the middle of the band gives packets' phases.
     settle(rows, &lanes(|k| f32::from(k < SUBCARRIERS && comb.index[k].abs() <= TUNING.alignment.middle)), &mut turned);
@@ -277,9 +299,10 @@ mod tests {
     fn a_common_slope_goes_and_nothing_else() {
         let (clean, _) = packets(0.0);
         let mut rows = clean.clone();
-        remove_common_slope(&mut rows, &INDICES_20_MHZ);
-        let turn: Complex32 = rows.iter().map(|row| neighbour_products(row, &INDICES_20_MHZ, 2)).sum();
-        assert!(turn.arg().abs() < 1e-3);
+        remove_common_slope(&mut rows, &INDICES_20_MHZ, Tier::detect());
+        let apart = |k: &usize| INDICES_20_MHZ[*k] - INDICES_20_MHZ[*k - 1] == 2;
+        let turn = |row: &CsiRow| (1..SUBCARRIERS).filter(apart).map(|k| row[k] * row[k - 1].conj()).sum::<Complex32>();
+        assert!(rows.iter().map(turn).sum::<Complex32>().arg().abs() < 1e-3);
         assert!(clean.iter().flatten().zip(rows.iter().flatten()).all(|(a, b)| (a.norm() - b.norm()).abs() < 1e-4));
     }
 

@@ -2,8 +2,11 @@
 //! vector code on every tier (inside [`on_tier`](csi5300_kernels::simd::on_tier)).
 
 use super::CsiRow;
+use crate::bartlett::Tier;
+use crate::signal::cfo::Heard;
 use crate::signal::channel::SUBCARRIERS;
-use num_complex::Complex32;
+use csi5300_kernels::simd::on_tier;
+use num_complex::{Complex32, Complex64};
 
 /// Subcarriers, and two places that stay zero.
 pub(crate) const LANES: usize = 32;
@@ -115,6 +118,37 @@ impl Planes {
     }
 }
 
+/// The round trip of each pair (forward, backward) of frames, of unit power and turned by what goes with it; zeros where that
+/// is not finite.
+pub(crate) fn round_trips(pairs: &[[Heard; 2]], turns: impl Iterator<Item = Complex64>, tier: Tier) -> Vec<Planes> {
+    let mut rows = Vec::with_capacity(pairs.len());
+    on_tier!(tier.level_or_portable(), _simd => {
+        for (pair, turn) in pairs.iter().zip(turns) {
+            rows.push(round_trip(pair, turn));
+        }
+    });
+    rows
+}
+
+#[inline(always)]
+fn round_trip([forward, backward]: &[Heard; 2], turn: Complex64) -> Planes {
+    let product = raw(forward).times(&raw(backward));
+    let power = lanes(|k| product.re[k] * product.re[k] + product.im[k] * product.im[k]);
+    let factor = Complex32::new(turn.re as f32, turn.im as f32) / (sum(&power) / SUBCARRIERS as f32).sqrt();
+    let factor = if factor.is_finite() { factor } else { Complex32::default() };
+    product.times(&Planes { re: [factor.re; LANES], im: [factor.im; LANES] })
+}
+
+/// What was heard as it is, unscaled.
+#[inline(always)]
+fn raw(heard: &Heard) -> Planes {
+    let mut planes = Planes::ZERO;
+    for (k, iq) in heard.iter().enumerate() {
+        (planes.re[k], planes.im[k]) = (f32::from(iq.i), f32::from(iq.q));
+    }
+    planes
+}
+
 /// The planes of `rows`.
 pub(crate) fn planes_of(rows: &[CsiRow]) -> Vec<Planes> {
     rows.iter().map(Planes::of).collect()
@@ -163,6 +197,7 @@ pub(crate) fn with_neighbours(rows: &mut [Planes], reach: usize, mut step: impl 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use driver_iface::bfee::Iq;
 
     #[test]
     fn planes_and_rows_are_the_same_numbers() {
@@ -178,6 +213,31 @@ mod tests {
         let total: Complex32 = row.iter().sum();
         assert!((a.sum() - total).norm() < 1e-4);
         assert!((sum(&a.sizes()) - row.iter().map(|v| v.norm()).sum::<f32>()).abs() < 1e-3);
+    }
+
+    #[test]
+    fn round_trips_are_products_of_unit_power_turned() {
+        let heard = |of: &dyn Fn(usize) -> (i8, i8)| -> Heard {
+            std::array::from_fn(|k| {
+                let (i, q) = of(k);
+                Iq { i, q }
+            })
+        };
+        let forward = heard(&|k| (k as i8 - 40, 3));
+        let backward = heard(&|k| (5, 2 * k as i8 - 9));
+        let silent = heard(&|_| (0, 0));
+        let turn = Complex64::cis(0.4);
+        let pairs = [[forward, backward], [forward, silent]];
+        let wide = |iq: Iq| Complex32::new(f32::from(iq.i), f32::from(iq.q));
+        let product: Vec<Complex32> = forward.iter().zip(&backward).map(|(a, b)| wide(*a) * wide(*b)).collect();
+        let power = product.iter().map(Complex32::norm_sqr).sum::<f32>() / SUBCARRIERS as f32;
+        for tier in Tier::available() {
+            let rows = round_trips(&pairs, [turn; 2].into_iter(), tier);
+            let own = rows[0].row();
+            let expected = product.iter().map(|v| v * Complex32::cis(0.4) / power.sqrt());
+            assert!(own.iter().zip(expected).all(|(got, expected)| (got - expected).norm() < 1e-6), "{tier:?}");
+            assert_eq!((rows[1], rows[0].re[LANES - 1]), (Planes::ZERO, 0.0));
+        }
     }
 
     #[test]

@@ -10,9 +10,10 @@
 //! crystals behind it as `df`: `df ~ drift * carrier` to within about 1 kHz while the turn-around itself is steady
 //! (measured on the captures of \[paper\] and \[wsr\]).
 //!
-//! `round_trip` multiplies the two directions, `centre` brings one to the channel's centre, `drift_line` fits the drift of
+//! `round_trip` multiplies the two directions, `abreast` those of many pairs at once, `centre` brings one to the channel's centre, `drift_line` fits the drift of
 //! one card's clock against the other's, `turn_around` estimates `df` and takes it out, `offset` is the search for it.
 
+mod abreast;
 mod centre;
 pub(crate) mod drift_line;
 mod offset;
@@ -21,7 +22,7 @@ mod round_trip;
 mod tests;
 mod turn_around;
 
+pub(crate) use abreast::{Heard, round_trips_at_centre};
 pub use centre::at_centre;
-pub(crate) use round_trip::round_trip;
 pub use round_trip::round_trip_at_centre;
 pub use turn_around::TurnAround;

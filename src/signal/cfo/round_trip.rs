@@ -8,7 +8,7 @@ use num_complex::Complex32;
 /// The round trip of one antenna pair: `forward[k] * backward[k]`, no conjugate, so the path is in it twice and the
 /// CFO, which has opposite signs, cancels \[paper\] \[wsr\].
 #[must_use]
-pub fn round_trip(forward: &[Complex32; SUBCARRIERS], backward: &[Complex32; SUBCARRIERS]) -> [Complex32; SUBCARRIERS] {
+fn round_trip(forward: &[Complex32; SUBCARRIERS], backward: &[Complex32; SUBCARRIERS]) -> [Complex32; SUBCARRIERS] {
     std::array::from_fn(|k| forward[k] * backward[k])
 }
 
