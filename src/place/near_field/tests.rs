@@ -273,7 +273,7 @@ fn sums_over_runs_have_the_powers_of_their_samples() {
         assert!(summed.len() == all.len() && apart < 0.04, "{apart}");
     }
     let start = Place { azimuth: 0.3, elevation: 0.1, curve: 0.2 };
-    let few: Vec<usize> = search.apertures_about(&start).iter().map(PreparedAperture::len).collect();
+    let few: Vec<usize> = search.apertures_about(&search.apertures, &start).iter().map(PreparedAperture::len).collect();
     let many: Vec<usize> = search.apertures.iter().map(PreparedAperture::len).collect();
     assert!(few.iter().zip(&many).all(|(few, many)| 3 * few < 2 * many), "{few:?} of {many:?}");
 }
