@@ -108,7 +108,7 @@ mod tests {
             };
             points.iter().map(lane).collect()
         }
-        let around = (0..4_000).map(|k| Complex32::from_polar(1.0 + k as f32, k as f32 * 0.001_571 - 3.141_5));
+        let around = (0..4_000).map(|k| Complex32::from_polar(1.0 + k as f32, k as f32 * 0.001_571 - 3.1));
         let axes = [
             (0.0, 0.0),
             (1.0, 0.0),
