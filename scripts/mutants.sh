@@ -20,7 +20,7 @@ while [ $# -gt 0 ]; do
 done
 [ ${#rooms[@]} -gt 0 ] || rooms=(driver-iface exchange recorder intake)
 tool=target/tools/bin/cargo-mutants
-[ -x "$tool" ] || cargo install --quiet --locked --root target/tools cargo-mutants
+[ -x "$tool" ] || tool=$(command -v cargo-mutants) || { tool=target/tools/bin/cargo-mutants && cargo install --quiet --locked --root target/tools cargo-mutants; }
 common=(--baseline skip --jobs 1 --colors never --no-times --timeout 120 "${shard[@]}")
 if [ -n "$since" ]; then
     mkdir -p target
@@ -66,7 +66,7 @@ for room in "${rooms[@]}"; do
     if [ "$minutes" -gt 0 ]; then
         left=$((end - SECONDS))
         [ $left -gt 0 ] || { echo "$room: none of $all tried, the time is over"; continue; }
-        bound=(timeout --signal=INT "$left")
+        bound=(timeout --signal=INT --kill-after=30 "$left")
     fi
     rm -rf "$out/mutants.out"
     "${bound[@]}" "$tool" mutants "${common[@]}" "${files[@]}" "${arguments[@]}" --output "$out" -- ${filter[@]:+-- "${filter[@]}"} >"$out/log.txt" 2>&1 || true

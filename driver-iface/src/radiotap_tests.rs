@@ -189,3 +189,27 @@ fn a_width_is_said_where_its_bit_is_set() {
     assert_eq!([0, 1, 2, 3].map(|flags| width(0xfe, flags)), [None; 4]);
     assert_eq!([width(0xff, 0xfd), width(0xff, 0xfc)], [Some(Ht40), Some(Ht20)]);
 }
+
+#[test]
+fn a_word_of_an_unknown_namespace_ends_the_walk_where_it_has_fields() {
+    const EXT: u32 = 1 << 31;
+    const VENDOR: u32 = 1 << 30;
+    const RADIOTAP: u32 = 1 << 29;
+    const RATE: u32 = 1 << 2;
+    let header = |words: &[u32], fields: &[u8]| {
+        let len = (4 + 4 * words.len() + fields.len()) as u8;
+        let mut bytes = std::vec![0, 0, len, 0];
+        words.iter().for_each(|word| bytes.extend(word.to_le_bytes()));
+        bytes.extend(fields);
+        bytes
+    };
+    // The second word is of no namespace. Without fields it leads on to one of radiotap's.
+    assert_eq!(parsed(&header(&[EXT, EXT | RADIOTAP, RATE], &[12])).rate, Some(12));
+    // With one, of unknown size, nothing behind it can be found: neither a rate nor a vendor's fields, which are not there.
+    for field in [0, 5, 28] {
+        assert_eq!(parsed(&header(&[EXT, EXT | RADIOTAP | 1 << field, RATE], &[12])).rate, None, "{field}");
+        assert_eq!(parsed(&header(&[EXT, VENDOR | 1 << field], &[])), Repr::default(), "{field}");
+    }
+    let cut = Repr::parse(&Packet::new_checked(header(&[EXT, VENDOR], &[])).unwrap());
+    assert_eq!(cut, Err(Error::Length { expect: 18, got: 12 }));
+}

@@ -212,3 +212,14 @@ fn a_record_says_its_width_and_its_antennas() {
     }
     assert_eq!(Antenna::ALL.map(Antenna::index), [0, 1, 2]);
 }
+
+#[test]
+fn a_sample_outside_the_record_is_none() {
+    let repr = Repr { n_rx: 2, n_tx: 2, ..Repr::default() };
+    let iq: Vec<Iq> = (0..repr.samples()).map(|k| Iq { i: k as i8, q: 1 }).collect();
+    let mut body = vec![0; repr.body_len()];
+    repr.emit(&iq, &mut body).unwrap();
+    let bfee = Bfee::new_checked(&body).unwrap();
+    assert_eq!(bfee.iq(29, 1, 1), Some(Iq { i: 119, q: 1 }));
+    assert_eq!([bfee.iq(30, 0, 0), bfee.iq(0, 2, 0), bfee.iq(0, 0, 2)], [None; 3]);
+}

@@ -146,3 +146,43 @@ fn what_is_not_wanted_is_not_given() {
         assert_eq!(got.iter().map(|(code, _)| *code).collect::<Vec<u8>>(), codes, "csi {csi}, frames {frames}");
     }
 }
+
+#[test]
+fn an_event_gives_back_what_it_was_made_of() {
+    let fields = EventRepr {
+        card: 0x1122_3344_5566_7788,
+        time_ns: 0x0102_0304_0506_0708,
+        ring_full: 0x0a0b_0c0d,
+        unreadable: 0x1a1b_1c1d,
+        data_len: 0x0102_0304,
+        command: 0xBB,
+        flags: 0,
+    };
+    let mut bytes = [0xee; 64];
+    let len = fields.emit(&[5, 6, 7], &mut bytes).unwrap();
+    let event = Event::new_checked(&bytes).unwrap();
+    assert_eq!((len, event.card(), event.time_ns()), (35, fields.card, fields.time_ns));
+    assert_eq!((event.ring_full(), event.unreadable()), (fields.ring_full, fields.unreadable));
+    assert_eq!((event.data_len(), event.command(), event.flags()), (0x0102_0304, 0xBB, 0));
+}
+
+#[test]
+fn a_sender_is_told_by_a_good_frame_that_is_long_enough() {
+    let sender = |status: u32, byte_count: u8| {
+        let mut data = mpdu();
+        data[0] = byte_count;
+        RxMpdu::from_start(data.len(), &data, status).unwrap().sender()
+    };
+    let right = ("00:21:6a:00:00:07".parse().unwrap(), 0x0102_0304);
+    // Address 3 and the number end at byte 28, the checksum follows.
+    assert_eq!([sender(3, 57), sender(3, 32), sender(3, 31)], [Some(right), Some(right), None]);
+    // A wrong checksum, an overflow, both.
+    assert_eq!([sender(1, 57), sender(2, 57), sender(0, 57)], [None; 3]);
+}
+
+#[test]
+fn what_was_dropped_is_the_sum_of_what_gave_no_record() {
+    let counts = Counts { bfee: 9, records: 4, bad_bfee: 2, no_phy: 3, ..Counts::default() };
+    assert_eq!((counts.dropped(), counts.plus(&counts).dropped()), (5, 10));
+    assert_eq!(Counts { bad_bfee: u32::MAX, ..counts }.dropped(), 2);
+}
