@@ -108,3 +108,14 @@ pub fn processor_s() -> f64 {
     let seconds = |time: nix::sys::time::TimeVal| time.tv_sec() as f64 + time.tv_usec() as f64 * 1e-6;
     seconds(used.user_time()) + seconds(used.system_time())
 }
+
+/// True for a signal that this program was started to ignore, as SIGHUP under `nohup`: by the mask in `/proc/self/status`.
+///
+/// To be asked before the program changes what the signal does.
+#[must_use]
+pub fn is_ignored(signal: nix::sys::signal::Signal) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    mask >> (signal as i32 - 1) & 1 == 1
+}

@@ -16,7 +16,7 @@ use csi5300::source::recorder::{LogFiles, Options as RecorderOptions, Recorder, 
 use csi5300::source::side_path;
 use csi5300::time::{Instant, Span};
 use csi5300_live::sys::watch_fd;
-use csi5300_live::wait::{Monotonic, processor_s, wall_us};
+use csi5300_live::wait::{Monotonic, is_ignored, processor_s, wall_us};
 use sd_notify::NotifyState;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -120,9 +120,11 @@ impl<'a> Service<'a> {
         (network, ros, viewers): (&'a Joined, &'a mut Ros, &'a Viewers),
     ) -> Result<Ended, Error> {
         // Signals first: one that comes from here on ends the robot in order.
-        let mut signals = [SignalKind::terminate(), SignalKind::interrupt(), SignalKind::hangup()]
-            .map(signal)
+        let hangup = Some(SignalKind::hangup()).filter(|_| !is_ignored(nix::sys::signal::Signal::SIGHUP));
+        let mut signals = [SignalKind::terminate(), SignalKind::interrupt()]
             .into_iter()
+            .chain(hangup)
+            .map(signal)
             .collect::<std::io::Result<Vec<Signal>>>()
             .map_err(|source| Error::Io { what: "cannot catch signals".into(), source })?;
         let wake = sources.wake.take().map(watch_fd).transpose();

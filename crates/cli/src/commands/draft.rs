@@ -106,6 +106,7 @@ pub fn led_to(path: &Path) -> PathBuf {
 #[cfg(feature = "live")]
 mod signals {
     use super::{drafts, remove};
+    use csi5300_live::wait::is_ignored;
     use nix::sys::signal::{SigSet, Signal, raise};
     use std::sync::Once;
 
@@ -113,9 +114,7 @@ mod signals {
     pub fn watch() {
         static ONCE: Once = Once::new();
         ONCE.call_once(|| {
-            let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-            let ends =
-                [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP].into_iter().filter(|one| !ignored(&status, *one));
+            let ends = [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP].into_iter().filter(|one| !is_ignored(*one));
             let set = SigSet::from_iter(ends);
             if set.thread_block().is_ok() {
                 let wait = move || {
@@ -129,13 +128,6 @@ mod signals {
                 let _ = std::thread::Builder::new().name("csi5300 signals".into()).spawn(wait);
             }
         });
-    }
-
-    /// True for a signal that the program was started to ignore, as under `nohup`: by the mask in `/proc/self/status`.
-    fn ignored(status: &str, signal: Signal) -> bool {
-        let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
-        let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
-        mask >> (signal as i32 - 1) & 1 == 1
     }
 }
 

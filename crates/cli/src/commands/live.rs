@@ -1,6 +1,7 @@
 //! What the live commands share: kinds of arguments, signals, refusals.
 
 use csi5300::time::Span;
+use csi5300_live::wait::is_ignored;
 use csi5300_sim::served;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
@@ -27,7 +28,7 @@ pub fn join_refused(error: &served::JoinError) -> String {
     }
 }
 
-/// SIGINT, SIGTERM and SIGHUP as something to wait for.
+/// SIGINT, SIGTERM and SIGHUP as something to wait for; not SIGHUP where it is ignored, as under `nohup`.
 pub struct Signals {
     fd: SignalFd,
 }
@@ -35,7 +36,9 @@ pub struct Signals {
 impl Signals {
     /// From here on these signals end nothing by themselves. Threads started later inherit that.
     pub fn catch() -> Result<Self, String> {
-        let set = SigSet::from_iter([Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP]);
+        // The others end a recording in the background too, where shells let them be ignored.
+        let hangup = Some(Signal::SIGHUP).filter(|hangup| !is_ignored(*hangup));
+        let set = SigSet::from_iter([Signal::SIGINT, Signal::SIGTERM].into_iter().chain(hangup));
         let blocked = set
             .thread_block()
             .and_then(|()| SignalFd::with_flags(&set, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC));

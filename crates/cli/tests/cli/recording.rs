@@ -28,7 +28,13 @@ struct Running {
 
 impl Running {
     fn start(out: &Path, more: &[&str]) -> Self {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+        Self::start_by("exec", out, more)
+    }
+
+    /// By these words of the shell, which stand before the program.
+    fn start_by(shell: &str, out: &Path, more: &[&str]) -> Self {
+        let mut command = Command::new("sh");
+        command.args(["-c", &format!("{shell} \"$0\" \"$@\""), env!("CARGO_BIN_EXE_csi5300")]);
         command.arg("record").arg(out).args(["--allow-user-sender", "--connector-index", "26"]).args(more);
         let mut child = command.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
         let mut stderr = BufReader::new(child.stderr.take().unwrap());
@@ -82,9 +88,16 @@ fn a_signal_ends_the_log_whole() {
         return;
     }
     let folder = folder("signals");
-    for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {
+    // Tests may run with SIGHUP ignored (`nohup`), and programs that they start with them.
+    let env = Command::new("env").args(["--default-signal", "true"]).output();
+    let hangup = env.is_ok_and(|output| output.status.success()).then_some(Signal::SIGHUP);
+    if hangup.is_none() {
+        crate::common::skipped("`env --default-signal` is not there (coreutils 8.31)");
+    }
+    for signal in [Signal::SIGINT, Signal::SIGTERM].into_iter().chain(hangup) {
         let out = folder.join(format!("{signal}.dat"));
-        let running = Running::start(&out, &[]);
+        let shell = if hangup == Some(signal) { "exec env --default-signal=HUP" } else { "exec" };
+        let running = Running::start_by(shell, &out, &[]);
         let mut sender = Sender::open(CN_IDX, true).unwrap();
         send_gently(&mut sender, 0..1_400);
         // These are still in its socket when the signal comes, or not: it reads them before it ends.
@@ -96,6 +109,25 @@ fn a_signal_ends_the_log_whole() {
         assert_eq!(counts, (0..1_500).collect::<Vec<_>>());
         assert_eq!((tail, stamped), (Tail::Clean, 1_500));
     }
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn a_hangup_ends_no_recording_that_was_started_to_ignore_it() {
+    if !inside(concat!(module_path!(), "::a_hangup_ends_no_recording_that_was_started_to_ignore_it"), "-Urn") {
+        return;
+    }
+    let folder = folder("hangup");
+    let out = folder.join("log.dat");
+    let running = Running::start_by("trap '' HUP; exec", &out, &[]);
+    let mut sender = Sender::open(CN_IDX, true).unwrap();
+    send_gently(&mut sender, 0..100);
+    running.signal(Signal::SIGHUP);
+    // Had the hangup come first, it would have ended the recording before these.
+    send_gently(&mut sender, 100..1_500);
+    let (status, said) = running.end(Signal::SIGTERM);
+    assert_eq!(status, Some(0), "{said}");
+    assert!(said.contains("1500 records written"), "{said}");
     std::fs::remove_dir_all(folder).unwrap();
 }
 
