@@ -96,6 +96,18 @@ pub enum NodeError {
         /// Where it would listen.
         endpoint: String,
     },
+    /// A peer has a certificate, and nobody is asked for one.
+    #[error(
+        "a peer's `certificate` needs a network where both ends show one: TLS with `enable_mtls` in zenoh's file \
+         (`network.zenoh`), as in packaging/zenoh-tls.json5"
+    )]
+    NoCertificates,
+    /// A peer has a certificate, and zenoh's file says who may publish what.
+    #[error(
+        "zenoh's file (`network.zenoh`) has an `access_control` of its own: leave out that, or the peers' `certificate`, \
+         of which one is made"
+    )]
+    TwoAccessControls,
     /// What is at the status socket's path is no socket.
     #[error("{} is there and is no socket: give `status_socket` another name", .path.display())]
     NoSocket {

@@ -14,6 +14,8 @@ pub(crate) struct Doors {
     pub has_users: bool,
     /// Both ends of TLS show a certificate.
     pub has_certificates: bool,
+    /// Its file has an access control of its own.
+    pub has_rules: bool,
 }
 
 /// What is to be done about them.

@@ -9,7 +9,7 @@
 //! | `threads` | the card and the wheels read on threads of their own |
 //! | [`machine`] | the robot as one value: sources, log, estimator, taps |
 //! | `sounder` | the robot's part in the sounding exchange |
-//! | `joined`, `network` | peers through zenoh (feature `zenoh`) |
+//! | `joined`, `network`, `owners` | peers through zenoh (feature `zenoh`) |
 //! | `viewers`, `foxglove` | Foxglove's viewers over a websocket, and recordings for them (feature `foxglove`) |
 //! | `ros`, `ros1` | bearings, poses and CSI on topics of ROS 1, and poses from topics (feature `ros1`) |
 //! | `ros2` | the same of ROS 2, markers, diagnostics and recordings (feature `ros2`) |
@@ -39,6 +39,8 @@ mod joined;
 #[cfg(feature = "zenoh")]
 pub mod network;
 mod outputs;
+#[cfg(feature = "zenoh")]
+pub mod owners;
 mod ros;
 pub mod service;
 mod sounder;

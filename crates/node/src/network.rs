@@ -6,6 +6,7 @@
 use super::config::Network as Asked;
 use super::exposure::{Doors, LOCAL, Verdict};
 use super::machine::Tap;
+use super::owners::{Owner, access_control, key_of};
 use crate::NodeError;
 use csi5300::motion::pose::Pose;
 use csi5300::source::Error;
@@ -63,8 +64,13 @@ fn wrong(what: &str) -> impl Fn(zenoh::Error) -> Error + '_ {
     move |error| Error::Backend(format!("{what}: {error}").into())
 }
 
-/// Zenoh's configuration with the endpoints of ours, closed to whoever is not asked who they are.
-fn configured(asked: &Asked) -> Result<zenoh::Config, Error> {
+/// What all keys of a group begin with.
+fn prefix_of(asked: &Asked) -> String {
+    format!("csi5300/{}", if asked.group.is_empty() { "robots" } else { &asked.group })
+}
+
+/// Zenoh's configuration with the endpoints and owners of ours, closed to whoever is not asked who they are.
+fn configured(asked: &Asked, owners: &[Owner]) -> Result<zenoh::Config, Error> {
     let mut config = match &asked.zenoh {
         Some(file) => zenoh::Config::from_file(file).map_err(wrong("zenoh's configuration"))?,
         None => zenoh::Config::default(),
@@ -75,10 +81,19 @@ fn configured(asked: &Asked) -> Result<zenoh::Config, Error> {
             config.insert_json5(key, &list).map_err(wrong("an endpoint of [network]"))?;
         }
     }
+    let doors = doors(&config);
+    if let Some(rules) = access_control(&prefix_of(asked), owners) {
+        if !doors.has_certificates {
+            return Err(NodeError::NoCertificates.into());
+        }
+        if doors.has_rules {
+            return Err(NodeError::TwoAccessControls.into());
+        }
+        config.insert_json5("access_control", &rules.to_string()).map_err(wrong("`certificate` of a peer"))?;
+    }
     if asked.insecure {
         return Ok(config);
     }
-    let doors = doors(&config);
     match doors.judge() {
         Verdict::Good => {}
         Verdict::Open(endpoint) => return Err(NodeError::OpenNetwork { endpoint }.into()),
@@ -106,12 +121,13 @@ fn doors(config: &zenoh::Config) -> Doors {
     let (listen, usual) = (value(config, "listen/endpoints"), value(&zenoh::Config::default(), "listen/endpoints"));
     let connect = endpoints(&value(config, "connect/endpoints"));
     let users = value(config, "transport/auth/usrpwd/dictionary_file");
-    let certificates = value(config, "transport/link/tls/enable_mtls");
+    let is_on = |key: &str| value(config, key) == serde_json::Value::Bool(true);
     Doors {
         listen: (listen != usual).then(|| endpoints(&listen)),
         connect,
         has_users: users.as_str().is_some_and(|file| !file.is_empty()),
-        has_certificates: certificates == serde_json::Value::Bool(true),
+        has_certificates: is_on("transport/link/tls/enable_mtls"),
+        has_rules: is_on("access_control/enabled"),
     }
 }
 
@@ -126,26 +142,25 @@ fn endpoints(value: &serde_json::Value) -> Vec<String> {
 }
 
 /// Why this network would not be joined, for `--check`.
-pub(crate) fn refusal(asked: &Asked) -> Option<String> {
-    configured(asked).err().map(|error| error.to_string())
+pub(crate) fn refusal(asked: &Asked, owners: &[Owner]) -> Option<String> {
+    configured(asked, owners).err().map(|error| error.to_string())
 }
 
 impl Network {
     /// Joins. Call it outside of an async runtime: zenoh has its own.
     ///
     /// # Errors
-    /// If zenoh refuses its configuration or cannot listen.
-    pub fn join(asked: &Asked, own: Mac) -> Result<Self, Error> {
-        let mut config = configured(asked)?;
+    /// If zenoh refuses its configuration or cannot listen, or `owners` have certificates that nobody is asked for.
+    pub fn join(asked: &Asked, own: Mac, owners: &[Owner]) -> Result<Self, Error> {
+        let mut config = configured(asked, owners)?;
         let queue = "transport/link/tx/queue/size/real_time";
         if config.get_json(queue).is_ok_and(|size| size == ZENOH_QUEUE) {
             config.insert_json5(queue, QUEUE).map_err(wrong("zenoh's queue"))?;
         }
         let session = zenoh::open(config).wait().map_err(wrong("joining the network"))?;
-        let group = if asked.group.is_empty() { "robots" } else { &asked.group };
         let mut network = Self {
             session,
-            prefix: format!("csi5300/{group}"),
+            prefix: prefix_of(asked),
             backlog: asked.backlog.unwrap_or(BACKLOG),
             subscribers: Vec::new(),
             mailboxes: Vec::new(),
@@ -240,11 +255,6 @@ impl Drop for Network {
         }
         let _ = self.session.close().wait();
     }
-}
-
-/// A MAC as part of a key.
-fn key_of(mac: Mac) -> String {
-    mac.to_string().replace(':', "")
 }
 
 /// Waits for the first reader, but no longer than a second: what is put before one is known reaches nobody, while it may

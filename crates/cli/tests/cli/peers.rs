@@ -195,10 +195,11 @@ fn tls(folder: &Path, authority: &Path, name: &str, more: &str) -> String {
     format!("[network]\nzenoh = '{}'\n{more}\n", file.display())
 }
 
+/// Robot 1 shows its certificate, robot 2 one of another authority, and what says it is robot 3 that of robot 1.
 #[test]
-fn under_tls_only_robots_of_the_same_authority_are_heard() {
+fn under_tls_only_robots_of_the_same_authority_are_heard_and_each_as_itself() {
     let folder = folder("peers-tls");
-    let (logs, path, scene) = capture(&folder, 3);
+    let (logs, path, scene) = capture(&folder, 4);
     let (ours, theirs) = (folder.join("ours"), folder.join("theirs"));
     if !["r0", "r1"].iter().all(|name| certificates(&ours, name)) || !certificates(&theirs, "r2") {
         return;
@@ -207,20 +208,28 @@ fn under_tls_only_robots_of_the_same_authority_are_heard() {
     let cut = |text: String| text.split("[network]").next().unwrap().to_owned();
     let listen = format!("listen = [\"tls/127.0.0.1:{port}\"]");
     let connect = format!("connect = [\"tls/127.0.0.1:{port}\"]\npublish_records = true");
-    let driver = cut(driver(&folder, &logs, &path, port)) + &tls(&folder, &ours, "r0", &listen);
-    let publisher = |k: usize, authority: &Path| {
-        cut(publisher(&folder, &logs[k], port)) + &tls(&folder, authority, &format!("r{k}"), &connect)
+    let owned = |text: String| {
+        let own = |text: String, k| {
+            text.replace(&format!("name = \"r{k}\"\n"), &format!("name = \"r{k}\"\ncertificate = \"r{k}\"\n"))
+        };
+        own(own(text, 1), 3)
+    };
+    let driver = owned(cut(driver(&folder, &logs, &path, port))) + &tls(&folder, &ours, "r0", &listen);
+    let publisher = |k: usize, authority: &Path, certificate: &str| {
+        cut(publisher(&folder, &logs[k], port)) + &tls(&folder, authority, certificate, &connect)
     };
     let mut own = Node::start(&folder, "r0", &driver);
     let reports = own.reports_when_it_listens();
-    let other = Node::start(&folder, "r1", &publisher(1, &ours));
+    let other = Node::start(&folder, "r1", &publisher(1, &ours, "r1"));
+    let pretender = Node::start(&folder, "r3", &publisher(3, &ours, "r1"));
     // It has a certificate, of somebody else: it goes on asking, and is killed in the end.
-    let _stranger = Node::start(&folder, "r2", &publisher(2, &theirs));
-    let last = last(reports, 2);
+    let _stranger = Node::start(&folder, "r2", &publisher(2, &theirs, "r2"));
+    let last = last(reports, 3);
     assert_close(&last[0], truth_deg(&scene, 1));
-    assert_eq!(last[1]["pairs"], 0, "{}", last[1]);
+    assert_eq!([&last[1]["pairs"], &last[2]["pairs"]], [0, 0], "{last:?}");
     own.end();
     other.end();
+    pretender.end();
 }
 
 #[test]

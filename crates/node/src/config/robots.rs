@@ -99,6 +99,9 @@ pub struct Peer {
     /// Its MAC; in a simulated room the scene says it.
     #[serde(default, deserialize_with = "maybe_parsed")]
     pub mac: Option<Mac>,
+    /// The common name of its certificate: only who shows that one may publish as it in the robots' network.
+    #[serde(default)]
+    pub certificate: Option<String>,
     /// Where the records of its card come from.
     pub records: Records,
     /// Where its poses come from.

@@ -1,9 +1,10 @@
 //! What comes from the network to the machine, and the other way.
 
-use crate::config::{Config, Odometry, Records};
+use crate::config::{Config, Odometry, Peer, Records};
 use crate::machine::Machine;
 use crate::network::Network;
-use crate::sources::Sources;
+use crate::owners::Owner;
+use crate::sources::{PeerSources, Sources};
 use csi5300::source::Error;
 use csi5300::source::remote::Mailbox;
 use std::sync::Arc;
@@ -22,16 +23,22 @@ impl Joined {
     pub fn join(config: &Config, sources: &Sources) -> Result<Self, Error> {
         let mut joined = Self::default();
         let Some(asked) = &config.network else { return Ok(joined) };
-        let network = joined.network.insert(Network::join(asked, sources.own)?);
-        for (k, (peer, opened)) in config.peer.iter().zip(&sources.peers).enumerate() {
+        let peers = || config.peer.iter().map(|peer| peer.get_ref()).zip(&sources.peers);
+        let owner = |(peer, opened): (&Peer, &PeerSources)| Owner {
+            mac: opened.peer.mac,
+            certificate: peer.certificate.clone(),
+        };
+        let owners: Vec<Owner> = peers().map(owner).collect();
+        let network = joined.network.insert(Network::join(asked, sources.own, &owners)?);
+        for (k, (peer, opened)) in peers().enumerate() {
             let waker = || {
                 let wake = Arc::clone(&joined.wake);
                 move || wake.notify_one()
             };
-            if matches!(peer.get_ref().records, Records::Network(_)) {
+            if matches!(peer.records, Records::Network(_)) {
                 joined.records.push((k, network.subscribe(opened.peer.mac, "records", waker())?));
             }
-            if matches!(peer.get_ref().poses, Odometry::Network(_)) {
+            if matches!(peer.poses, Odometry::Network(_)) {
                 joined.poses.push((k, network.subscribe(opened.peer.mac, "poses", waker())?));
             }
         }

@@ -32,6 +32,9 @@ impl Check<'_> {
         if peer.mac.is_some() && peer.mac == self.config.mac {
             wrong.push((vec![Key("mac")], format!("peer `{name}` has this robot's own MAC")));
         }
+        if let Some(why) = wrong_certificate(peer) {
+            wrong.push((vec![Key("certificate")], format!("peer `{name}`: {why}")));
+        }
         wrong
     }
 
@@ -73,5 +76,14 @@ impl Check<'_> {
         let within =
             |(key, why): (Vec<_>, String)| ([vec![Key("poses")], key].concat(), format!("peer `{}`: {why}", peer.name));
         wrong.map(within).into_iter().collect()
+    }
+}
+
+fn wrong_certificate(peer: &Peer) -> Option<&'static str> {
+    let by_network = matches!(peer.records, Records::Network(_)) || matches!(peer.poses, Odometry::Network(_));
+    match &peer.certificate {
+        Some(name) if name.trim().is_empty() => Some("`certificate` is the common name in its certificate"),
+        Some(_) if !by_network => Some("`certificate` is for records and poses of the network, and none are"),
+        _ => None,
     }
 }

@@ -2,6 +2,8 @@
 
 use super::super::{ros, ros2};
 use super::Check;
+#[cfg(feature = "zenoh")]
+use crate::owners::Owner;
 use csi5300_sim::toml_lines::Step::Key;
 
 /// Records that can be let wait for or from the network: no fewer than come while a message is collected, no more than
@@ -54,7 +56,10 @@ impl Check<'_> {
     pub(super) fn open_network(&mut self) {
         let network =
             self.config.network.as_ref().filter(|network| network.zenoh.as_ref().is_none_or(|file| file.is_file()));
-        if let Some(why) = network.and_then(crate::network::refusal) {
+        let peers = self.config.peer.iter().map(|peer| peer.get_ref());
+        let owner = |peer: &super::super::Peer| Some(Owner { mac: peer.mac?, certificate: peer.certificate.clone() });
+        let owners: Vec<Owner> = peers.filter_map(owner).collect();
+        if let Some(why) = network.and_then(|network| crate::network::refusal(network, &owners)) {
             self.refuse_in("network", None, why);
         }
     }

@@ -119,6 +119,9 @@ fn the_peers() {
     refused(&second(&format!("{mac}records.replay.file = \"lib.rs\"")), "lib.rs", "a replayed log needs");
     refused(&second(&format!("{mac}records.room = {{}}")), "records.room", "`room` records need");
     refused(&second(&format!("{mac}records.network = {{}} # b")), "# b", "`network` records need a [network]");
+    let owned = |rest: &str| second(&format!("{mac}certificate = {rest}"));
+    refused(&owned("\" \"\nrecords.network = {}"), "certificate", "`certificate` is the common name");
+    refused(&owned("\"b\"\nrecords.replay.file = \"no.dat\""), "certificate", "records and poses of the network");
     refused(&format!("{ROOM}{PEER}[[peer]]\nrecords.room = {{}}\nname = \"ty\"\n"), "\"ty\"", "no robot `ty`");
 }
 
@@ -198,4 +201,25 @@ fn output_and_network() {
     }
     refused(&network("backlog = 1"), "backlog", "256 to 1000000");
     refused(&network("zenoh = \"no.json5\""), "no.json5", "no such file");
+}
+
+#[cfg(feature = "zenoh")]
+#[test]
+fn certificates_of_peers() {
+    let folder = std::env::temp_dir().join(format!("csi5300-owners-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let zenoh = |name: &str, more: &str| {
+        let file = folder.join(name);
+        std::fs::write(&file, format!("{{ transport: {{ link: {{ tls: {{ enable_mtls: true }} }} }}, {more} }}"))
+            .unwrap();
+        format!("zenoh = '{}'\nlisten = [\"tls/127.0.0.1:7447\"]\n", file.display())
+    };
+    let peer = "[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\ncertificate = \"b\"\n";
+    let network = |file: &str| format!("{CARD}[network]\n{file}{peer}");
+    refused(&network(""), "[network]", "needs a network where both ends show one");
+    assert_eq!(refusals(&network(&zenoh("asks.json5", ""))), Vec::<String>::new());
+    let ruled = zenoh("rules.json5", "access_control: { enabled: true, default_permission: 'allow' }");
+    refused(&network(&ruled), "[network]", "has an `access_control` of its own");
+    assert_eq!(refusals(&network(&ruled).replace("certificate = \"b\"\n", "")), Vec::<String>::new());
+    std::fs::remove_dir_all(folder).unwrap();
 }

@@ -1,0 +1,114 @@
+//! Whose certificate a peer's records and poses must come by: zenoh's access control, made from the peers' `certificate`.
+//!
+//! A message is judged by the link that it comes by, so a robot that has a certificate named for it must be linked to this one
+//! without a router between them.
+
+use driver_iface::Mac;
+use serde_json::{Value, json};
+
+/// Messages by which programs find out who has what; none of them is a record or a pose.
+const ASKING: [&str; 7] = [
+    "declare_subscriber",
+    "query",
+    "declare_queryable",
+    "reply",
+    "liveliness_token",
+    "declare_liveliness_subscriber",
+    "liveliness_query",
+];
+
+/// A peer and who may publish as it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Owner {
+    /// The peer.
+    pub mac: Mac,
+    /// The common name of its certificate; anybody in the network may publish as it where absent.
+    pub certificate: Option<String>,
+}
+
+/// A MAC as part of a key.
+pub(crate) fn key_of(mac: Mac) -> String {
+    mac.to_string().replace(':', "")
+}
+
+/// Zenoh's table `access_control` for keys that begin with `prefix`; `None` where no certificate is named.
+///
+/// What nobody is allowed to publish here is refused, so that a message to many keys at once (`*`) is too.
+pub(crate) fn access_control(prefix: &str, owners: &[Owner]) -> Option<Value> {
+    if owners.iter().all(|owner| owner.certificate.is_none()) {
+        return None;
+    }
+    let allowed = |id: &str, flows: &[&str], messages: &[&str], key: &str| json!({ "id": id, "permission": "allow", "flows": flows, "messages": messages, "key_exprs": [key] });
+    let mut rules = vec![
+        allowed("ask", &["ingress", "egress"], &ASKING, "**"),
+        allowed("send", &["egress"], &["put", "delete"], "**"),
+    ];
+    let (mut subjects, mut policies) = (vec![json!({ "id": "anybody" })], Vec::new());
+    let mut open = vec![json!("ask"), json!("send")];
+    for owner in owners {
+        let key = key_of(owner.mac);
+        rules.push(allowed(&key, &["ingress"], &["put"], &format!("{prefix}/{key}/**")));
+        match &owner.certificate {
+            None => open.push(json!(key)),
+            Some(name) => {
+                subjects.push(json!({ "id": key, "cert_common_names": [name] }));
+                policies.push(json!({ "rules": [key], "subjects": [key] }));
+            }
+        }
+    }
+    policies.push(json!({ "rules": open, "subjects": ["anybody"] }));
+    Some(json!({
+        "enabled": true,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn owner(last: u8, certificate: Option<&str>) -> Owner {
+        Owner { mac: Mac([0, 0x21, 0x6a, 0, 0, last]), certificate: certificate.map(Into::into) }
+    }
+
+    #[test]
+    fn without_a_certificate_there_is_no_access_control() {
+        assert_eq!(access_control("csi5300/lab", &[]), None);
+        assert_eq!(access_control("csi5300/lab", &[owner(1, None)]), None);
+    }
+
+    #[test]
+    fn an_owned_key_is_taken_by_its_certificate_and_what_nobody_owns_by_nobody_else() {
+        let made = access_control("csi5300/lab", &[owner(1, Some("burger-1")), owner(2, None)]).unwrap();
+        assert_eq!((&made["enabled"], &made["default_permission"]), (&json!(true), &json!("deny")));
+        let rule = |id: &str| made["rules"].as_array().unwrap().iter().find(|rule| rule["id"] == id).unwrap();
+        for (id, key) in
+            [("00216a000001", "csi5300/lab/00216a000001/**"), ("00216a000002", "csi5300/lab/00216a000002/**")]
+        {
+            let taken = json!({
+                "id": id, "permission": "allow", "flows": ["ingress"], "messages": ["put"], "key_exprs": [key],
+            });
+            assert_eq!(rule(id), &taken);
+        }
+        // Nobody else's message comes in.
+        let incoming = made["rules"].as_array().unwrap().iter().filter(|rule| {
+            let has = |list: &Value, what: &str| list.as_array().unwrap().contains(&json!(what));
+            has(&rule["flows"], "ingress") && (has(&rule["messages"], "put") || has(&rule["messages"], "delete"))
+        });
+        assert_eq!(incoming.count(), 2);
+        assert_eq!(
+            made["subjects"],
+            json!([{ "id": "anybody" }, { "id": "00216a000001", "cert_common_names": ["burger-1"] }])
+        );
+        assert_eq!(
+            made["policies"],
+            json!([
+                { "rules": ["00216a000001"], "subjects": ["00216a000001"] },
+                { "rules": ["ask", "send", "00216a000002"], "subjects": ["anybody"] },
+            ])
+        );
+    }
+}
