@@ -80,6 +80,26 @@ fn an_offset_that_drifts_is_followed_and_a_steady_one_is_left_alone() {
     assert!(with > 0.97 && with > without + 0.005, "{with} {without}");
 }
 
+/// A program that answers from user space goes over to another path for good, 140 us longer: the line through the clocks'
+/// differences is tilted by that, and the offset is far from where it points.
+#[test]
+fn a_turn_around_that_steps_hides_no_offset() {
+    for step_at in [300, 450, 600] {
+        let (mut z, clock, mut difference) = link(900, -16_000.0, -16_000.0 / 5_540.0);
+        for (z, d) in z.iter_mut().zip(&mut difference).skip(step_at) {
+            *d += 140;
+            *z *= Complex64::cis(TAU * 16_000.0 * 140e-6);
+        }
+        let found = TurnAround::estimate(&z, &clock, &difference, 5.54e9).unwrap();
+        assert!((found.df_hz + 16_000.0).abs() < 150.0, "{} with a step at {step_at}", found.df_hz);
+        assert!(found.worthwhile && found.coherence_after > 0.98, "{found:?}");
+        found.apply(&mut z);
+        let (still, _, _) = link(900, 0.0, 0.0);
+        let left: Complex64 = z.iter().zip(&still).map(|(a, b)| a * b.conj()).sum();
+        assert!(left.norm() / z.len() as f64 > 0.98, "{left}");
+    }
+}
+
 #[test]
 fn points_beyond_a_course_have_its_end() {
     let course = [(10.0, 1.0), (20.0, 3.0)];
