@@ -2,7 +2,8 @@
 //! what does nothing there, on simulated rooms and links.
 //!
 //! `cargo run --release -p csi5300-lab --features tunable --example sensitivity -- run CAPTURES RESULTS` measures and
-//! appends to the file RESULTS what is not in it yet, two numbers at a time; `.. -- table RESULTS` prints a line for
+//! appends to the file RESULTS what is not in it yet, two numbers at a time (of the groups and numbers named behind it, such
+//! as `certainty search.polishes`, if any are); `.. -- table RESULTS` prints a line for
 //! each number, and `.. -- write RESULTS src/tuning/values.rs` writes these lines into the source. What is measured, and in
 //! which words it is said, is in `figures.rs` and `words.rs`. The same captures give the same figures; processor time
 //! is as exact as the machine is quiet.
@@ -45,10 +46,13 @@ fn main() -> ExitCode {
     let done = match words.as_slice() {
         ["captures", folder] => of_captures(Path::new(folder)).and_then(|figures| print(&figures)),
         ["scenes", rooms] => of_scenes(Path::new(rooms)).and_then(|figures| print(&figures)),
-        ["run", captures, results] => run(Path::new(captures), Path::new(results)),
+        ["run", captures, results, numbers @ ..] => run(Path::new(captures), Path::new(results), numbers),
         ["table", results] => table(Path::new(results)),
         ["write", results, source] => write(Path::new(results), Path::new(source)),
-        _ => Err("usage: sensitivity run CAPTURES RESULTS | table RESULTS | write RESULTS SOURCE".into()),
+        _ => Err(
+            "usage: sensitivity run CAPTURES RESULTS [GROUP | GROUP.NUMBER ...] | table RESULTS | write RESULTS SOURCE"
+                .into(),
+        ),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -79,10 +83,12 @@ impl Part<'_> {
     }
 }
 
-/// Measures whatever is not in `results` yet.
-fn run(captures: &Path, results: &Path) -> Fallible<()> {
+/// Measures whatever is not in `results` yet, of these numbers and groups; of all where none is named.
+fn run(captures: &Path, results: &Path, numbers: &[&str]) -> Fallible<()> {
     let mut jobs: Vec<Change> = (0..UNCHANGED).map(Change::none).collect();
-    jobs.extend(changes()?);
+    let group = |change: &Change| change.field.split('.').next().unwrap_or_default().to_owned();
+    let is_of = |change: &Change| numbers.iter().any(|name| *name == change.field || *name == group(change));
+    jobs.extend(changes()?.into_iter().filter(|change| numbers.is_empty() || is_of(change)));
     let captures = Part { name: CAPTURES, folder: captures };
     measure(&jobs, captures, results)?;
     let known = read(results)?;
