@@ -196,7 +196,8 @@ class Intel:
     def _unmap(self, csi: NDArray[np.complex128]) -> NDArray[np.complex128]:
         """The same in place, where the memory is in C's order."""
         csi = np.ascontiguousarray(csi)
-        _native.classic_unmapped(csi, *self._columns("Ntx", "rate"), _SM)
+        n_tx, rate = self._columns("Ntx", "rate")
+        _native.classic_unmapped(csi, n_tx, rate, _SM)
         return csi
 
     def display(self, index: int) -> None:
