@@ -10,8 +10,9 @@
 //! crystals behind it as `df`: `df ~ drift * carrier` to within about 1 kHz while the turn-around itself is steady
 //! (measured on the captures of \[paper\] and \[wsr\]).
 //!
-//! `round_trip` multiplies the two directions, `abreast` those of many pairs at once, `centre` brings one to the channel's centre, `drift_line` fits the drift of
-//! one card's clock against the other's, `turn_around` estimates `df` and takes it out, `offset` is the search for it.
+//! `round_trip` multiplies the two directions, `centre` brings the product to the channel's centre, `abreast` does both for
+//! many pairs at once; `drift_line` fits the drift of one card's clock against the other's, `turn_around` estimates `df` and
+//! takes it out, `offset` is the search for it.
 
 mod abreast;
 mod centre;

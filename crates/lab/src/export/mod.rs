@@ -1,6 +1,7 @@
 //! Logs as files for other programs: NPZ (NumPy), MAT (MATLAB, Octave, SciPy) and, with the feature `parquet`, Parquet (DuckDB,
 //! Polars, pandas, Spark). The log was read once, into a [`table`](crate::table), whatever is written.
 
+mod blocks;
 mod error;
 mod fields;
 mod mat;

@@ -2,17 +2,15 @@
 //!
 //! Source: NumPy Enhancement Proposal 1 (format 1.0), `numpy.savez`.
 
+use super::blocks::{emit, emit_blocks};
 use super::error::ExportError;
-use bytemuck::{Pod, cast_slice};
+use bytemuck::Pod;
 use num_complex::Complex32;
 use std::fs::File;
 use std::io::{self, Write};
 use std::path::Path;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
-
-/// Values written at a time.
-const BLOCK: usize = 8_192;
 
 /// A value that an array can hold; its bytes are those of memory.
 pub trait Element: Pod {
@@ -29,23 +27,6 @@ macro_rules! elements {
 }
 
 elements!(u8: "u1", i8: "i1", u16: "u2", u32: "u4", i64: "i8", f64: "f8", Complex32: "c8");
-
-/// The values in blocks, as they lie in memory, for a writer; how many there were.
-///
-/// # Errors
-/// As the writer.
-pub(super) fn emit<T: Pod>(values: impl Iterator<Item = T>, out: &mut impl Write) -> io::Result<u64> {
-    let (mut values, mut block, mut written) = (values, Vec::with_capacity(BLOCK), 0);
-    loop {
-        block.clear();
-        block.extend(values.by_ref().take(BLOCK));
-        if block.is_empty() {
-            return Ok(written);
-        }
-        out.write_all(cast_slice(&block))?;
-        written += block.len() as u64;
-    }
-}
 
 /// An NPZ file being written. Dropped early, it is left without its directory, and readers refuse it.
 pub struct Npz {
@@ -86,20 +67,9 @@ impl Npz {
         &mut self,
         name: &str,
         shape: &[u64],
-        mut next: impl FnMut(&mut Vec<T>),
+        next: impl FnMut(&mut Vec<T>),
     ) -> Result<(), ExportError> {
-        self.add::<T>(name, shape, |out| {
-            let (mut block, mut written) = (Vec::new(), 0);
-            loop {
-                block.clear();
-                next(&mut block);
-                if block.is_empty() {
-                    return Ok(written);
-                }
-                out.write_all(cast_slice(&block))?;
-                written += block.len() as u64;
-            }
-        })
+        self.add::<T>(name, shape, |out| emit_blocks(next, out))
     }
 
     /// Adds an array that `write` writes, which says how many values it had.

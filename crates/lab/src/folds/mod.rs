@@ -1,9 +1,9 @@
 //! Accuracy on places that nothing was fitted to: leave one place out.
 //!
 //! A place is a set and a folder of it (`LOS_Set_A/L1`); captures of one place are near copies of each other, so it is
-//! the unit of everything here. Every link is estimated by motion capture, by the tracking camera and by wheel
-//! odometry over the whole motion, its halves and its quarters ([`gather`]). For each place, whatever is fitted is fitted to all others and
-//! then judged on this one; errors come with intervals from a bootstrap over places (\[efron-tibshirani1993\] in
+//! the unit of everything here. Every link is estimated by motion capture, by the tracking camera and by wheel odometry over
+//! the whole motion, its halves and its quarters ([`gather`]). For each place, whatever is fitted is fitted to all others
+//! and then judged on this one; errors come with intervals from a bootstrap over places (\[efron-tibshirani1993\] in
 //! docs/references.md). The same captures give the same digits.
 //!
 //! [`report`] has one [`ErrorColumn`] for each trajectory, length of motion, kind of answer and group of links (in line
