@@ -5,8 +5,12 @@ use csi5300::motion::odometry::{NextPose, OdometrySource};
 use csi5300::time::{Instant, Span};
 use csi5300_live::serial::Serial;
 use nix::fcntl::OFlag;
+use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use nix::pty::{PtyMaster, grantpt, posix_openpt, ptsname_r, unlockpt};
+use std::fs::File;
 use std::io::{Read, Write};
+use std::os::fd::AsFd;
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 
 const WALL_US: i64 = 1_700_000_000_000_000;
@@ -14,6 +18,8 @@ const WALL_US: i64 = 1_700_000_000_000_000;
 /// The controller's end of a port that can be unplugged: a link to a pseudo terminal.
 struct Device {
     master: Option<PtyMaster>,
+    /// The other end, to see what has arrived there.
+    slave: Option<File>,
     link: PathBuf,
     asked: Vec<u8>,
     /// Its control table, and its clock in microseconds.
@@ -26,7 +32,7 @@ impl Device {
         let mut table = [0; 400];
         table[..2].copy_from_slice(&0x5000u16.to_le_bytes());
         table[2] = 1;
-        Self { master: None, link, asked: Vec::new(), table }
+        Self { master: None, slave: None, link, asked: Vec::new(), table }
     }
 
     fn plug(&mut self) {
@@ -34,18 +40,21 @@ impl Device {
         grantpt(&master).unwrap();
         unlockpt(&master).unwrap();
         let _ = std::fs::remove_file(&self.link);
-        std::os::unix::fs::symlink(ptsname_r(&master).unwrap(), &self.link).unwrap();
+        let name = ptsname_r(&master).unwrap();
+        let flags = (OFlag::O_NOCTTY | OFlag::O_NONBLOCK).bits();
+        self.slave = Some(File::options().read(true).write(true).custom_flags(flags).open(&name).unwrap());
+        std::os::unix::fs::symlink(name, &self.link).unwrap();
         self.master = Some(master);
     }
 
     fn unplug(&mut self) {
-        self.master = None;
+        (self.master, self.slave) = (None, None);
         let _ = std::fs::remove_file(&self.link);
     }
 
     /// Answers everything that was asked, as the firmware does at `at`: straight on at 0.1 m/s.
     fn answer(&mut self, at: Instant) {
-        let Some(master) = &mut self.master else { return };
+        let (Some(master), Some(slave)) = (&mut self.master, &self.slave) else { return };
         let mut bytes = [0; 256];
         if let Ok(read) = master.read(&mut bytes) {
             self.asked.extend(&bytes[..read]);
@@ -64,6 +73,9 @@ impl Device {
             let mut out = Vec::new();
             emit(200, instruction::STATUS, &[&[0], &self.table[word(8)..word(8) + word(10)]].concat(), &mut out);
             master.write_all(&out).unwrap();
+            // A worker of the kernel carries it over: virtual time stands still until it has.
+            let mut arrived = [PollFd::new(slave.as_fd(), PollFlags::POLLIN)];
+            assert_eq!(poll(&mut arrived, PollTimeout::from(60_000u16)), Ok(1), "the answer arrives");
         }
     }
 }
@@ -82,7 +94,7 @@ fn wall_us() -> Option<i64> {
     Some(WALL_US + NOW.get().as_us())
 }
 
-/// Drives both ends up to `until`, in virtual time: the port is real, so an answer is there as soon as it was written.
+/// Drives both ends up to `until`, in virtual time.
 fn drive(source: &mut Serial, device: &mut Device, until: Instant) -> Vec<NextPose> {
     let mut got = Vec::new();
     while NOW.get() < until {
