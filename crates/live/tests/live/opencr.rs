@@ -36,7 +36,7 @@ impl Device {
     }
 
     fn plug(&mut self) {
-        let master = posix_openpt(OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK).unwrap();
+        let master = posix_openpt(OFlag::O_RDWR | OFlag::O_NOCTTY | OFlag::O_NONBLOCK | OFlag::O_CLOEXEC).unwrap();
         grantpt(&master).unwrap();
         unlockpt(&master).unwrap();
         let _ = std::fs::remove_file(&self.link);
@@ -48,7 +48,11 @@ impl Device {
     }
 
     fn unplug(&mut self) {
-        (self.master, self.slave) = (None, None);
+        self.master = None;
+        // Another test that starts a program holds a copy of the master until that program runs.
+        let mut hung_up = [PollFd::new(self.slave.as_ref().unwrap().as_fd(), PollFlags::empty())];
+        assert_eq!(poll(&mut hung_up, PollTimeout::from(60_000u16)), Ok(1), "the port is gone");
+        self.slave = None;
         let _ = std::fs::remove_file(&self.link);
     }
 
