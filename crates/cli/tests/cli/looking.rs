@@ -146,7 +146,7 @@ fn names(value: &serde_json::Value, found: &mut std::collections::BTreeSet<Strin
                 found.insert(name.clone());
                 match name.as_str() {
                     // Keyed by what they are of.
-                    "senders" | "summary" => {
+                    "senders" | "summary" if value.is_object() => {
                         value.as_object().unwrap().values().for_each(|sender| names(sender, found))
                     }
                     // Keyed by what was found; and what is described in place.
@@ -195,6 +195,8 @@ fn every_field_of_json_is_in_the_documentation() {
         &["export", "rx.dat", "rx.npz", "--json"],
         #[cfg(feature = "plot")]
         &["plot", "rx.dat", "--json"],
+        #[cfg(feature = "foxglove")]
+        &["mcap", "rx.dat", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--out", "m.mcap", "--json"],
         #[cfg(feature = "live")]
         &["doctor", "--root", "c", "--json"],
         #[cfg(feature = "live")]
@@ -206,6 +208,32 @@ fn every_field_of_json_is_in_the_documentation() {
         found += &out;
     }
     assert!(are_documented(&found) > 100, "{found}");
+}
+
+/// The page as one file holds an answer of every kind that `view` gives but a node's states, whose fields `node.rs` looks at.
+#[cfg(feature = "view")]
+#[test]
+fn every_field_of_the_page_is_in_the_documentation() {
+    let folder = Folder::new("page");
+    super::commands::capture(&folder, "tree/A", &link(300, 2.0));
+    let beside = "capture,tx,displacement,peer_est_deg,peer_err_from_mean_pose_deg\nA/1,tx2,gt,119.0,-1.0\n";
+    folder.write("tree/links.csv", beside.as_bytes());
+    let (status, _, err) = folder.run(&["report", "tree", "--interactive", "--out", "page.html"]);
+    assert_eq!(status, 0, "{err}");
+    let page = std::fs::read_to_string(folder.0.join("page.html")).unwrap();
+    let (_, rest) = page.split_once("id=\"answers\">").unwrap();
+    let answers = json(rest.split_once("</script>").unwrap().0);
+    let described = std::fs::read_to_string(crate::common::root().join("docs/formats.md")).unwrap();
+    let mut fields = 0;
+    for (path, answer) in answers.as_object().unwrap() {
+        let general: String = path.chars().map(|sign| if sign.is_ascii_digit() { 'N' } else { sign }).collect();
+        let known = [format!("`{general}`"), format!("`{general}?")];
+        assert!(known.iter().any(|path| described.contains(path)), "docs/formats.md does not name {general}");
+        // Sets stand by their names, as in the summary of `evaluate`.
+        let by_set = serde_json::json!({ "summary": answer });
+        fields += are_documented(&if path == "/data/sets" { by_set } else { answer.clone() }.to_string());
+    }
+    assert!(fields > 100, "{fields} fields: {answers}");
 }
 
 #[test]
