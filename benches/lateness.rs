@@ -99,7 +99,12 @@ fn robot(own: usize, interface: &str, fifo_priority: Option<i32>, clock: Monoton
         .with_epoch(Epoch::Heard(now))
         .with_start(now);
     (config.open_loop, config.silence_slots) = (true, 2);
-    Ok(Running::start(Tdma::new(&config)?, Monitor::open(&options)?, clock, Settings { fifo_priority })?)
+    Ok(Running::start(
+        Tdma::new(&config)?,
+        Monitor::open(&options)?,
+        clock,
+        Settings { fifo_priority, ..Settings::default() },
+    )?)
 }
 
 fn run(fifo_priority: Option<i32>, seconds: f64) -> Result<(), Failure> {

@@ -25,7 +25,7 @@ fn every_second<T>(list: &mut Vec<T>) {
 }
 
 /// What is known of a link once its logs were read.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Link {
     /// The transmitter's MAC.
     pub mac: Mac,

@@ -104,7 +104,8 @@ impl Sounder {
                 Rate::FromRadiotap | Rate::Right(_) | Rate::Set(..) => {}
             }
         }
-        let settings = Settings { fifo_priority: Settings::default().fifo_priority.filter(|_| asked.fifo) };
+        let usual = Settings::default();
+        let settings = Settings { fifo_priority: usual.fifo_priority.filter(|_| asked.fifo), ..usual };
         let (key, measures) = (opened.key.clone(), asked.measurement);
         let running = Arc::new(Running::start_opened(opened, clock, settings)?);
         let by_answers = |peer: &Peer| matches!(peer.records, Records::Sounding(_));

@@ -1,13 +1,14 @@
 //! The live estimator: records and poses of this robot and its peers in, bearings out.
 
+use super::links::Links;
 use super::peer::{Context, PeerLink, SETTLE_S, WAIT, Why};
 use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport};
 use super::track::Track;
 use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
 use crate::exchange::tdma::Key;
-use crate::motion::pose::{Pose, Trajectory};
-use crate::pipeline::{Bearing, Front, Link, LinkError, LinkJoin, LogReport, Options, estimate};
+use crate::motion::pose::Pose;
+use crate::pipeline::{Bearing, Front, LogReport, Options};
 use crate::source::{Loss, Next};
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
@@ -168,16 +169,11 @@ impl LiveEstimator {
         Some((index, report))
     }
 
-    /// Each peer's link and its bearing, from all pairs that are kept and `trajectory` in place of the poses that came:
-    /// what a bearing from logs is made of, autofocus over all links included. Peers stand still. It has no window and no
-    /// schedule, forgets nothing, and changes no report.
-    ///
-    /// Each is an error by itself: see [`LinkError`].
+    /// Each peer's link with all pairs that are kept, copied (at most 2 MB a peer), to make [bearings](Links::bearings) of.
+    /// That forgets nothing, and changes no report.
     #[must_use]
-    pub fn bearings(&self, trajectory: &Trajectory) -> Vec<(&Link, Result<Bearing, LinkError>)> {
-        let links = || self.peers.iter().map(|state| &state.link);
-        let joins: Vec<_> = links().map(|link| LinkJoin { link, receiver: trajectory, transmitter: None }).collect();
-        links().zip(estimate(&joins, &self.options)).collect()
+    pub fn links(&self) -> Links {
+        Links { links: self.peers.iter().map(|state| state.link.clone()).collect(), options: self.options.clone() }
     }
 
     /// Ends all sources: every peer's last report, from everything that came.

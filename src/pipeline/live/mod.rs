@@ -5,18 +5,22 @@
 //! records and the measurements in its peers' answers, and asks for bearings when it wants them.
 //!
 //! `report` has the values, `track` poses as they come and the stretch of relative motion, `peer` one peer, `estimator` the
-//! machine.
+//! machine, `links` what bearings are made of when they are asked for.
 
 mod estimator;
+mod links;
 mod peer;
 mod report;
 mod track;
 
 pub use crate::exchange::admission::AdmissionCounts;
 pub use estimator::LiveEstimator;
+pub use links::Links;
 pub use report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};
 #[doc(hidden)]
 pub use track::Track;
 
+#[cfg(test)]
+mod one_log;
 #[cfg(test)]
 mod strangers;

@@ -171,6 +171,9 @@ impl PeerLink {
     }
 
     /// What is to be said.
+    ///
+    /// Whether both sides are one log, and whether they are of one run, is asked of the pairs in the window, as the bearing is
+    /// made of them: a feed that goes wrong is refused once the window is full of it, and taken again when it has passed.
     pub(super) fn report(&mut self, context: Context<'_>) -> PeerReport {
         let Context { track, settings, now, why, .. } = context;
         self.unrefined = false;

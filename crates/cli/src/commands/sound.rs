@@ -10,10 +10,11 @@ use csi5300::pipeline::{Bearing, LinkError};
 use csi5300::signal::channel::Channel;
 use csi5300::source::Next;
 use csi5300::time::{Instant, Span};
-use csi5300_live::sounding::{News, Observer, Order, Products, Running};
+use csi5300_live::sounding::{Beside, News, Observer, Order, Products, Running};
 use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
 use std::collections::BTreeMap;
+use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
 /// A link whose bearing is good enough is sounded in every so manieth round.
@@ -47,7 +48,7 @@ pub struct Args {
     /// WiFi channel, with + or - for 40 MHz; needed for bearings
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
-    /// How often bearings are made
+    /// How often bearings are made, beside the sounding; the last one may come after its end
     #[arg(long, value_parser = duration, default_value = "2s", value_name = "TIME")]
     bearing_every: Span,
     /// Sound a link in every eighth round only, once its bearing's error bar (`+-`) is at most this, degrees
@@ -89,12 +90,15 @@ impl Line {
     }
 }
 
-/// Makes bearings from products.
+/// The bearings of all peers with products, or why the trajectory cannot be read.
+type Made = std::result::Result<Vec<(Mac, usize, std::result::Result<Bearing, LinkError>)>, String>;
+
+/// Makes bearings from products, beside the sounding.
 struct Bearings<'a> {
     args: &'a Args,
     products: Products,
     path: &'a Path,
-    next_at: Instant,
+    beside: Beside<Made>,
     clock: Monotonic,
     told: bool,
     /// Numbers with two records that were said.
@@ -127,15 +131,19 @@ impl Observer for Live<'_> {
     }
 
     fn look(&mut self, now: Instant, running: &Running) {
-        if let Some(bearings) = self.bearings.as_mut().filter(|bearings| bearings.next_at <= now) {
-            bearings.make(running);
-            bearings.next_at = now + bearings.args.bearing_every;
+        let Some(bearings) = &mut self.bearings else { return };
+        if let Some(made) = bearings.beside.take() {
+            bearings.tell(made, Some(running));
+        }
+        if bearings.beside.is_due(now) {
+            bearings.begin(now);
         }
     }
 }
 
 impl Bearings<'_> {
-    fn make(&mut self, running: &Running) {
+    /// Begins to make bearings of what there is.
+    fn begin(&mut self, now: Instant) {
         if self.products.unused().no_number > 0 && !self.told {
             self.told = true;
             note!("{NO_NUMBERS}");
@@ -145,17 +153,36 @@ impl Bearings<'_> {
             self.contested = contested;
             note!("{contested} numbers have two records: somebody answers in a peer's name; none of them is used");
         }
-        let trajectory = match odometry::csv::read(self.path) {
-            Ok((trajectory, _)) => trajectory,
-            Err(error) => return wrong!("{}: {error}", self.path.display()),
+        let (links, path) = (self.products.links(), self.path.to_owned());
+        let work = move || match odometry::csv::read(&path) {
+            Ok((trajectory, _)) => Ok(links.bearings(&trajectory)),
+            Err(error) => Err(format!("{}: {error}", path.display())),
         };
-        for (mac, pairs, made) in self.products.bearings(&trajectory) {
+        if let Err(error) = self.beside.begin(now, work) {
+            wrong!("{error}");
+        }
+    }
+
+    /// Says what was made; while it sounds, links that are good enough leave the channel to the others.
+    fn tell(&self, made: Made, running: Option<&Running>) {
+        let made = match made {
+            Ok(made) => made,
+            Err(error) => return wrong!("{error}"),
+        };
+        for (mac, pairs, made) in made {
             let line = Line::new(mac, pairs, &made);
-            if line.error.is_none() {
+            if let Some(running) = running.filter(|_| line.error.is_none()) {
                 self.spare(mac, line.azimuth_sd_deg, running);
             }
             self.show(&line);
         }
+    }
+
+    /// The end: what is under way is said when it is done, unless a signal ended the sounding or ends this.
+    fn finish(mut self, signals: &Signals) -> std::result::Result<(), String> {
+        let last = self.beside.last(self.clock, signals.as_fd()).map_err(|error| error.to_string())?;
+        last.into_iter().for_each(|made| self.tell(made, None));
+        Ok(())
     }
 
     /// Leaves the channel to links that need it more.
@@ -209,14 +236,19 @@ pub fn run(args: &Args) -> Result {
         (Some(path), Some(channel)) => {
             let options = args.estimation.options(channel)?;
             let products = Products::new(&common.peers, options).with_key(opened.key.as_ref());
-            Some(Bearings { args, products, path, next_at: now, clock, told: false, contested: 0 })
+            let beside = Beside::new(now, args.bearing_every);
+            Some(Bearings { args, products, path, beside, clock, told: false, contested: 0 })
         }
         _ => None,
     };
     common.see_to_rate(args.estimation.antenna)?;
     let wanted = if bearings.is_some() { Wanted::Needed } else { Wanted::Not };
     let messages = common.messages(wanted, opened.own)?;
-    let (outcome, row) = common.run(&signals, messages, opened, clock, &mut Live { bearings })?;
+    let mut live = Live { bearings };
+    let (outcome, row) = common.run(&signals, messages, opened, clock, &mut live)?;
+    if let Some(bearings) = live.bearings {
+        bearings.finish(&signals)?;
+    }
     if args.json {
         print_json(&BTreeMap::from([("summary", row)]));
     }

@@ -245,7 +245,7 @@ impl Sounding {
     ) -> std::result::Result<(Outcome, ExchangeRow), String> {
         let fifo_priority = Settings::default().fifo_priority.filter(|_| !self.no_fifo);
         let session = Session::new(clock, signals.as_fd())
-            .with_settings(Settings { fifo_priority })
+            .with_settings(Settings { fifo_priority, ..Settings::default() })
             .with_stop_at(self.stop_after.map(|span| clock.now() + span));
         let finished = session.run(opened, messages, observer).map_err(|error| error.to_string())?;
         let error = finished.error.as_ref().filter(|_| !self.room_ended(&finished)).map(ToString::to_string);

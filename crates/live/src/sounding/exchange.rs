@@ -32,6 +32,7 @@ pub struct Exchange<A> {
     watch: Watch,
     /// Number and hand-over of the last forward frame.
     last_forward: Option<(u32, Instant)>,
+    stop_at: Option<Instant>,
 }
 
 /// The frame being handled: when its reception ended, and its length with FCS.
@@ -41,10 +42,24 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
     /// A machine on an interface.
     #[must_use]
     pub fn new(tdma: Tdma, air: A) -> Self {
-        Self { tdma, air, figures: Figures::new(), watch: Watch::default(), last_forward: None }
+        Self { tdma, air, figures: Figures::new(), watch: Watch::default(), last_forward: None, stop_at: None }
     }
 
-    /// Takes in everything heard, sends everything due, and gives the time of the next step if nothing is heard before.
+    /// It ends at this time, if there is one: from then on nothing is heard or sent.
+    #[must_use]
+    pub fn with_stop_at(mut self, stop_at: Option<Instant>) -> Self {
+        self.stop_at = stop_at;
+        self
+    }
+
+    /// True from the time at which it ends.
+    #[must_use]
+    pub fn is_over(&self, now: Instant) -> bool {
+        self.stop_at.is_some_and(|end| end <= now)
+    }
+
+    /// Takes in everything heard, sends everything due, and gives the time of the next step if nothing is heard before. Does
+    /// nothing once it [is over](Self::is_over).
     ///
     /// # Errors
     /// When the interface failed for good. What was only not taken is counted, and said in a [`Notice`].
@@ -52,6 +67,9 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
         loop {
             // The time is read before the frame's age is: what comes between makes answers early, never late.
             let at = now();
+            if self.is_over(at) {
+                return Ok(None);
+            }
             let Some(heard) = self.air.hear()? else { break };
             let ended = at - heard.age;
             let heard_len = heard.frame.len() + FCS_LEN;
@@ -62,7 +80,7 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
         if let Some(notice) = self.watch.look(now(), self.air.sent_for_certain(), self.air.failed_for_certain()) {
             tell(News::Notice(notice));
         }
-        Ok(self.tdma.poll_timeout())
+        Ok([self.tdma.poll_timeout(), self.stop_at].into_iter().flatten().min())
     }
 
     fn send_due(
@@ -71,7 +89,10 @@ impl<A: Injector + FrameReceiver> Exchange<A> {
         heard: Option<FrameEnd>,
         tell: &mut impl FnMut(News),
     ) -> Result<(), Error> {
-        while let Some(transmit) = self.tdma.poll_transmit(now()) {
+        loop {
+            let at = now();
+            let due = if self.is_over(at) { None } else { self.tdma.poll_transmit(at) };
+            let Some(transmit) = due else { break };
             let before = now();
             let (role, number) = (transmit.role, transmit.number);
             self.figures.note_due(&transmit, before);

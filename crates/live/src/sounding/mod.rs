@@ -7,9 +7,11 @@
 //!   absolute deadlines. Nothing that a bearing needs can delay a slot.
 //! * [`Session`] is all of it from start to end, with the driver's messages; an [`Observer`] is handed what comes, and
 //!   [`Finished`] says how it went.
-//! * [`Products`] makes bearings while robots sound, from the card's records and the measurements in the answers.
+//! * [`Products`] takes the card's records and the measurements in the answers, from which bearings are made while robots
+//!   sound, [`Beside`] the session.
 //! * [`set_rate`] sees to the rate of the CSI driver, which does not take it from radiotap.
 
+mod beside;
 mod error;
 mod exchange;
 mod figures;
@@ -24,6 +26,7 @@ mod setup;
 mod thread;
 mod watch;
 
+pub use beside::Beside;
 pub use error::SoundingError;
 pub use exchange::{Exchange, News};
 pub use figures::{Figures, KERNEL_TURN_AROUND_US, spread_of};

@@ -6,10 +6,9 @@
 
 use csi5300::exchange::tdma::Key;
 use csi5300::internal::FrameHeard;
-use csi5300::motion::pose::Trajectory;
 use csi5300::nalgebra::Vector3;
-use csi5300::pipeline::live::{LiveEstimator, LivePeer, LiveSettings, Track};
-use csi5300::pipeline::{Bearing, LinkError, Options, UnusedRecords};
+use csi5300::pipeline::live::{Links, LiveEstimator, LivePeer, LiveSettings, Track};
+use csi5300::pipeline::{Options, UnusedRecords};
 use csi5300::source::Next;
 use csi5300::source::survey::Identity;
 use csi5300::time::Instant;
@@ -93,13 +92,9 @@ impl Products {
         self.estimator.other_antenna()
     }
 
-    /// Every peer with a product: how many there are, and the bearing from all of them and the trajectory so far. One after
-    /// the other they are what [`Products::new`] was given.
-    ///
-    /// Each is an error by itself: see [`LinkError`].
+    /// All products so far, to make bearings of: one after the other they are what [`Products::new`] was given.
     #[must_use]
-    pub fn bearings(&self, trajectory: &Trajectory) -> Vec<(Mac, usize, Result<Bearing, LinkError>)> {
-        let made = self.estimator.bearings(trajectory).into_iter().filter(|(link, _)| link.pairs() > 0);
-        made.map(|(link, bearing)| (link.mac, link.pairs(), bearing)).collect()
+    pub fn links(&self) -> Links {
+        self.estimator.links()
     }
 }

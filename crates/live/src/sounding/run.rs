@@ -63,14 +63,14 @@ impl<'a> Session<'a> {
         Self { clock, stop, stop_at: None, settings: Settings::default() }
     }
 
-    /// It also ends at this time, if there is one.
+    /// It also ends at this time, if there is one: the thread that sends by itself, however long an [`Observer`] takes.
     #[must_use]
     pub fn with_stop_at(mut self, stop_at: Option<Instant>) -> Self {
         self.stop_at = stop_at;
         self
     }
 
-    /// What the sender's thread asks the system for.
+    /// What the sender's thread asks the system for; its end is the session's.
     #[must_use]
     pub fn with_settings(mut self, settings: Settings) -> Self {
         self.settings = settings;
@@ -89,7 +89,8 @@ impl<'a> Session<'a> {
         observer: &mut dyn Observer,
     ) -> Result<Finished, Error> {
         let connector = messages.fd()?;
-        let running = Running::start_opened(opened, self.clock, self.settings)?;
+        let settings = Settings { stop_at: self.stop_at, ..self.settings };
+        let running = Running::start_opened(opened, self.clock, settings)?;
         let failed = loop {
             if let Err(error) = take(&mut messages, self.clock.now(), &running, observer) {
                 break Some(error);

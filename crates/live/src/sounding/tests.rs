@@ -152,6 +152,23 @@ fn refusals_are_said_once_for_each_cause_in_a_row() {
 }
 
 #[test]
+fn an_exchange_ends_at_its_time_whatever_is_due_or_heard() {
+    let end = Instant::from_us(3_000_000);
+    let mut script = Script::default();
+    let mut exchange = Exchange::new(initiator(), &mut script).with_stop_at(Some(end));
+    // It is stepped at its end, and goes to sleep for ever.
+    run(&mut exchange, 0, i64::MAX);
+    assert!(exchange.is_over(Instant::from_us(exchange.air.clock.get())) && !exchange.is_over(end - Span::from_us(1)));
+    let (_, last) = exchange.air.sent.last().cloned().unwrap();
+    let latest = exchange.air.sent.iter().map(|(at, _)| *at).max().unwrap();
+    assert!(latest < end && end - latest < Span::from_ms(20), "{latest:?}");
+    let sent = exchange.air.sent.len();
+    exchange.air.incoming.push_back((last, Span::ZERO));
+    assert_eq!(exchange.step(&|| end, &mut |_| {}).unwrap(), None);
+    assert_eq!((exchange.air.sent.len(), exchange.air.incoming.len()), (sent, 1), "not heard, not answered");
+}
+
+#[test]
 fn slots_slept_through_are_in_the_figures() {
     let mut script = Script::default();
     let mut exchange = Exchange::new(initiator(), &mut script);
@@ -309,7 +326,7 @@ fn session(stopped: bool, stop_at: Option<Instant>) -> (Kept, Finished) {
     let end = Some(end).filter(|_| !stopped);
     let mut kept = Kept::default();
     let session = Session::new(crate::wait::Monotonic::new(), std::os::fd::AsFd::as_fd(&stop))
-        .with_settings(Settings { fifo_priority: None })
+        .with_settings(Settings { fifo_priority: None, ..Settings::default() })
         .with_stop_at(stop_at);
     let finished = session.run(opened, DriverMessages::none(), &mut kept).unwrap();
     drop(end);

@@ -10,6 +10,7 @@ use crate::sys;
 use crate::wait::Monotonic;
 use csi5300::exchange::tdma::{Priority, Tdma};
 use csi5300::source::Error;
+use csi5300::time::Instant;
 use driver_iface::Mac;
 use driver_iface::sounding::native::Measurement;
 use nix::sys::mman::{MlockAllFlags, mlockall};
@@ -19,17 +20,19 @@ use std::os::fd::AsFd;
 use std::sync::{Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-/// What to ask the system for.
+/// What to ask the system for, and when to end.
 #[derive(Clone, Copy, Debug)]
 pub struct Settings {
     /// Priority under SCHED_FIFO, 1 to 99; `None` leaves the ordinary scheduler.
     pub fifo_priority: Option<i32>,
+    /// The thread ends by itself at this time, whatever else the program is at.
+    pub stop_at: Option<Instant>,
 }
 
 impl Default for Settings {
-    /// 50, as interrupt threads have.
+    /// Priority 50, as interrupt threads have, and no end.
     fn default() -> Self {
-        Self { fifo_priority: Some(50) }
+        Self { fifo_priority: Some(50), stop_at: None }
     }
 }
 
@@ -102,7 +105,7 @@ impl Running {
         let (stopped, stop) = std::io::pipe().map_err(io)?;
         let (orders, news) = (Mailbox::new(), Mailbox::new());
         let (ordered, told) = (orders.clone(), Outbox::new(&news));
-        let exchange = Exchange::new(tdma, monitor);
+        let exchange = Exchange::new(tdma, monitor).with_stop_at(settings.stop_at);
         let work = move || run(exchange, clock, settings, &stopped, &ordered, told);
         let thread = std::thread::Builder::new().name("csi5300 sender".into()).spawn(work).map_err(io)?;
         Ok(Self { thread, stop, orders, news, heard: Mutex::default() })
@@ -133,7 +136,7 @@ impl Running {
         news
     }
 
-    /// True if the thread has ended by itself: its interface failed.
+    /// True if the thread has ended by itself: its time is up, or its interface failed.
     #[must_use]
     pub fn has_ended(&self) -> bool {
         self.thread.is_finished()
@@ -188,6 +191,9 @@ fn run(
                 Order::Measurement(peer, measurement) => exchange.tdma.set_measurement(peer, measurement),
                 Order::Priority(peer, priority) => exchange.tdma.set_priority(peer, priority),
             };
+        }
+        if exchange.is_over(clock.now()) {
+            break None;
         }
         let stepped = exchange.step(&|| clock.now(), &mut |told| news.put(told));
         news.flush();

@@ -59,7 +59,7 @@ fn products_from_answers_give_the_bearing() {
             products.answered(TRANSMITTER, &carried(under_way.pop_front().unwrap()));
         }
     }
-    let made = products.bearings(&trajectory);
+    let made = products.links().bearings(&trajectory);
     // One that never answered has no product, and no bearing.
     assert_eq!(made.len(), 1);
     let (mac, pairs, bearing) = &made[0];
