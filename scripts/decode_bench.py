@@ -12,6 +12,8 @@ import time
 ROUNDS = 5
 SIZE = 200_000_000
 FLOORS = {"all": 15.0, "antenna30": 15.0, "antenna8": 25.0}
+# Of a log in which each record follows a copy of its frame, whatever is decoded.
+FRAMES_FLOORS = dict.fromkeys(FLOORS, 15.0)
 MEMORY_MB = 30.0
 CSIREAD = """
 import csiread, sys, time
@@ -62,8 +64,18 @@ def our_rates(bench, log):
     return rates
 
 
-def measure(bench, log):
-    csiread, ours = [], {name: [] for name in FLOORS}
+def as_from_disk(path):
+    """Has the file in the page cache as reading from the disk puts it there: in large pieces. What was just written in small ones
+    costs the kernel four times as much to hand over."""
+    with open(path, "r+b") as file:
+        os.fsync(file.fileno())
+        os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+        while file.read(1 << 20):
+            pass
+
+
+def measure(bench, log, floors):
+    csiread, ours = [], {name: [] for name in floors}
     csiread_rate(log), our_rates(bench, log)
     for _ in range(ROUNDS):
         csiread.append(csiread_rate(log))
@@ -74,9 +86,9 @@ def measure(bench, log):
     good = True
     for name, rates in ours.items():
         rate = statistics.median(rates)
-        met = rate >= FLOORS[name] * theirs
+        met = rate >= floors[name] * theirs
         good &= met
-        print(f"{name}: {rate / 1e6:.2f} M records/s, {rate / theirs:.1f} x csiread (floor {FLOORS[name]:.0f}){'' if met else ' MISSED'}")
+        print(f"{name}: {rate / 1e6:.2f} M records/s, {rate / theirs:.1f} x csiread (floor {floors[name]:.0f}){'' if met else ' MISSED'}")
     return good
 
 
@@ -101,11 +113,14 @@ def main():
             log = out.name
             concatenate(real, out) if real else emitted(bench, out)
         print(f"{log}: {os.path.getsize(log) / 1e6:.0f} MB, {'named' if named else 'real captures' if real else 'emitted'}")
-        good = measure(bench, log)
+        if not named:
+            as_from_disk(log)
+        good = measure(bench, log, FLOORS)
         good &= memory_mb(bench, log)
         emitted(bench, frames, "--write-frames")
         print(f"each record behind a copy of its frame (0xC1): {os.path.getsize(frames.name) / 1e6:.0f} MB, emitted")
-        good &= measure(bench, frames.name)
+        as_from_disk(frames.name)
+        good &= measure(bench, frames.name, FRAMES_FLOORS)
     sys.exit(0 if good else 1)
 
 

@@ -28,7 +28,7 @@
 
 mod evidence;
 
-use super::head::{Codes, Head, Reason, SURE, head};
+use super::head::{Codes, Head, Reason, SURE, head, likely, sure};
 use super::{LENGTH_FIELD, MAX_LENGTH, Record};
 use crate::bfee::MAX_BODY;
 use evidence::{CREDIT, CREDIT_PER_BYTE, Chain, Found, Links, MAX_LINKS, gaps_are_clear, is_plain};
@@ -199,10 +199,38 @@ impl Framer {
 
     /// Looks at the front of the unconsumed bytes; `end` says that no more will follow.
     pub fn step<'a>(&mut self, front: &'a [u8], end: bool) -> Step<'a> {
+        if let Some((len, next)) = self.go_on(front) {
+            return self.take(front, len, next);
+        }
         match self.judge(front, end) {
             Verdict::Take { len, next } => self.take(front, len, next),
             verdict => self.settle(front, end, verdict),
         }
+    }
+
+    /// The rows of the table that a good log keeps to: its records are `Vouched` and `Followed` in turns, or `Vouched` all.
+    /// Length of the record at the front and what is known of what follows, in registers; `None` leaves it to [`Self::judge`].
+    #[inline(always)]
+    fn go_on(&self, front: &[u8]) -> Option<(usize, State)> {
+        match self.state {
+            State::Vouched { len } => Some((len.into(), self.behind_sure(front.get(len.into()..)?)?)),
+            State::Followed { len, next } if is_plain(front, len.into()) => {
+                Some((len.into(), State::Vouched { len: next }))
+            }
+            _ => None,
+        }
+    }
+
+    /// What is known of the `rest` behind a record that vouches for itself, if that is enough to take it.
+    #[inline(always)]
+    fn behind_sure(&self, rest: &[u8]) -> Option<State> {
+        if let Some(next) = sure(rest) {
+            return Some(State::Vouched { len: next as Len });
+        }
+        // A copy of a frame, say, before its bfee: what `chain` finds, for the two records behind it as well.
+        let between = likely(rest, &self.seen)?;
+        let next = sure(rest.get(between..)?)?;
+        Some(State::Followed { len: between as Len, next: next as Len })
     }
 
     /// Carries a verdict out, after the search that a `Seek` asks for.
@@ -271,18 +299,8 @@ impl Framer {
     /// A record that vouches for itself, unless another begins inside it.
     #[inline(always)]
     fn judge_sure(&mut self, front: &[u8], end: bool, len: usize) -> Verdict {
-        let Some(rest) = front.get(len..) else { return self.judge_sure_alone(front, end, len) };
-        match head(rest, &self.seen) {
-            Head::Good { len: next, bits } if bits >= SURE => {
-                return Verdict::Take { len, next: State::Vouched { len: next as Len } };
-            }
-            // A copy of a frame, say, before its bfee: what `chain` finds, for the two records behind it as well.
-            Head::Good { len: between, bits } if bits > 0 => {
-                if let Some(next) = self.sure_at(rest, between) {
-                    return Verdict::Take { len, next: State::Followed { len: between as Len, next: next as Len } };
-                }
-            }
-            _ => {}
+        if let Some(next) = front.get(len..).and_then(|rest| self.behind_sure(rest)) {
+            return Verdict::Take { len, next };
         }
         self.judge_sure_alone(front, end, len)
     }
@@ -306,7 +324,7 @@ impl Framer {
     /// A record that needs a witness: what follows it, or an MPDU's checksum.
     #[inline(never)]
     fn judge_doubtful(&mut self, front: &[u8], end: bool, len: usize, bits: u32) -> Verdict {
-        if let Some(next) = self.sure_at(front, len) {
+        if let Some(next) = front.get(len..).and_then(sure) {
             return self.judge_followed(front, end, len, State::Vouched { len: next as Len });
         }
         match self.chain(front, end, len, bits, Links::Any) {
@@ -361,7 +379,9 @@ impl Framer {
     fn consume(&mut self, bytes: usize, next: State) -> u64 {
         let offset = self.offset;
         self.offset += bytes as u64;
-        self.credit = self.credit.saturating_add(bytes.saturating_mul(CREDIT_PER_BYTE)).min(CREDIT);
+        if self.credit < CREDIT {
+            self.credit = self.credit.saturating_add(bytes.saturating_mul(CREDIT_PER_BYTE)).min(CREDIT);
+        }
         self.searched = 0;
         self.state = next;
         offset

@@ -135,6 +135,32 @@ pub(super) fn head(bytes: &[u8], seen: &Codes) -> Head {
     bits.map_or(Head::Short, |bits| Head::Good { len, bits })
 }
 
+/// Length of the record at the front where [`head`] is sure of it, without the reasons of those that are none.
+#[inline(always)]
+pub(super) fn sure(bytes: &[u8]) -> Option<usize> {
+    let &[high, low, code, ref body @ ..] = bytes else { return None };
+    let length = usize::from(u16::from_be_bytes([high, low]));
+    let is_sure = match code {
+        code::BFEE => bfee::check(body.first_chunk()?, length.checked_sub(1)?).is_ok(),
+        code::NOISE => noise_bits(body, length)? >= SURE,
+        _ => false,
+    };
+    is_sure.then_some(LENGTH_FIELD + length)
+}
+
+/// Length of the record at the front where [`head`] has evidence for it, less than it needs to be sure.
+#[inline(always)]
+pub(super) fn likely(bytes: &[u8], seen: &Codes) -> Option<usize> {
+    if let &[high, low, code::MPDU, ref body @ ..] = bytes {
+        let length = usize::from(u16::from_be_bytes([high, low]));
+        return (length <= MAX_LENGTH && mpdu_bits(body, length)? > 0).then_some(LENGTH_FIELD + length);
+    }
+    match head(bytes, seen) {
+        Head::Good { len, bits } if (1..SURE).contains(&bits) => Some(len),
+        _ => None,
+    }
+}
+
 /// True for the length of some bfee: 1 + 20 or 38 + 12 + 60 n for n chain pairs.
 fn is_bfee_length(length: usize) -> bool {
     let pairs = |header: usize| match length.checked_sub(1 + header + 12) {

@@ -1,6 +1,6 @@
 //! The questions of the state machine: what stands behind a record, and where the next one is.
 
-use super::super::head::{Codes, Head, LONGEST_HEAD, SURE, VOUCHING_CODES, VOUCHING_LENGTHS, head};
+use super::super::head::{Codes, Head, LONGEST_HEAD, SURE, VOUCHING_CODES, VOUCHING_LENGTHS, head, sure};
 use super::super::{LENGTH_FIELD, Record, code};
 use super::Framer;
 use crate::bfee::Bfee;
@@ -132,7 +132,7 @@ impl Framer {
         while at < whole_heads(front, len) {
             let to = whole_heads(front, len).min(at + STRETCH);
             if may_vouch(front, at, to)
-                && let Some(found) = (at..to).find(|at| self.sure_at(front, *at).is_some())
+                && let Some(found) = (at..to).find(|at| sure_at(front, *at))
             {
                 return Found::At(found);
             }
@@ -150,15 +150,11 @@ impl Framer {
         }
         Found::Nothing
     }
+}
 
-    /// Length of the record at a position, if it vouches for itself.
-    #[inline(never)]
-    pub(super) fn sure_at(&self, front: &[u8], at: usize) -> Option<usize> {
-        match head(front.get(at..)?, &self.seen) {
-            Head::Good { len, bits } if bits >= SURE => Some(len),
-            _ => None,
-        }
-    }
+/// True if a record that vouches for itself begins at a position.
+fn sure_at(front: &[u8], at: usize) -> bool {
+    front.get(at..).and_then(sure).is_some()
 }
 
 /// Positions that [`Framer::search_sure`] looks at together.
@@ -223,6 +219,7 @@ pub(super) fn gaps_are_clear(front: &[u8], len: usize) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use super::super::super::head::likely;
     use super::*;
     use proptest::prelude::*;
     use std::vec;
@@ -232,22 +229,38 @@ mod tests {
     fn bytes() -> impl Strategy<Value = Vec<u8>> {
         let noise = Just(vec![0, 5, 0xD0, 0xA6, 0xFF, 0xFF, 0xFF]);
         let bfee: Vec<u8> = [[0, 93, 0xBB].as_slice(), &[0; 8], &[1, 1], &[0; 6], &[72, 0, 0, 0]].concat();
+        let mpdu = Just(vec![0, 40, code::MPDU, 8, 0]);
         let one = prop::sample::select(vec![0_u8, 1, 2, 3, 5, 93, 0xBB, 0xD0, 0xFF]).prop_map(|byte| vec![byte]);
-        let part = prop_oneof![60 => one, 1 => noise, 1 => Just(bfee), 8 => any::<u8>().prop_map(|byte| vec![byte])];
+        let part = prop_oneof![60 => one, 1 => noise, 1 => Just(bfee), 1 => mpdu, 8 => any::<u8>().prop_map(|byte| vec![byte])];
         prop::collection::vec(part, 1..700).prop_map(|parts| parts.concat())
     }
 
     proptest! {
         #[test]
+        fn quick_looks_see_what_a_head_says(bytes in bytes(), codes in prop::collection::vec(any::<u8>(), 0..5)) {
+            let mut seen = Codes::default();
+            codes.iter().for_each(|code| seen.insert(*code));
+            for at in 0..=bytes.len() {
+                let rest = &bytes[at..];
+                let (is_sure, is_likely) = match head(rest, &seen) {
+                    Head::Good { len, bits } if bits >= SURE => (Some(len), None),
+                    Head::Good { len, bits } if bits > 0 => (None, Some(len)),
+                    _ => (None, None),
+                };
+                prop_assert_eq!((sure(rest), likely(rest, &seen)), (is_sure, is_likely), "at {}", at);
+            }
+        }
+
+        #[test]
         fn a_search_finds_what_a_look_at_every_position_finds(bytes in bytes(), share in 0.0..1.0_f64, end: bool) {
             let mut framer = Framer::new();
             let len = 1 + (share * (bytes.len() - 1) as f64) as usize;
             let whole = whole_heads(&bytes, len);
-            let first = (1..len).find(|at| framer.sure_at(&bytes, *at).is_some());
+            let first = (1..len).find(|at| sure_at(&bytes, *at));
             prop_assert!(first.is_none() || !is_plain(&bytes, len));
             for from in (1..whole).step_by(7) {
                 let seen = may_vouch(&bytes, from, whole);
-                prop_assert!(seen || (from..whole).all(|at| framer.sure_at(&bytes, at).is_none()));
+                prop_assert!(seen || (from..whole).all(|at| !sure_at(&bytes, at)));
             }
             let short = (1..len).find(|at| matches!(head(&bytes[*at..], &framer.seen), Head::Short));
             match framer.search_sure(&bytes, end, len) {
