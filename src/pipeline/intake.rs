@@ -189,3 +189,67 @@ impl<'a> LogReader<'a> {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::Stamps;
+    use driver_iface::bfee::{Repr, Wsr};
+    use driver_iface::record::{Record, code};
+
+    const SENDER: Mac = Mac([2; 6]);
+
+    /// A record of the WSR driver, after these copies of frames.
+    fn note(front: &mut Front, copies: &[&[u8]], frame_count: u32) -> Option<(Mac, FrameHeard)> {
+        let wsr = Wsr { mac: SENDER, frame_count, ..Wsr::default() };
+        let repr = Repr { wsr: Some(wsr), n_rx: 2, timestamp_low: 10 * frame_count, ..Repr::default() };
+        let mut body = vec![0; repr.body_len()];
+        let iq: Vec<Iq> = (0..repr.samples()).map(|k| Iq { i: k as i8, q: -(k as i8) }).collect();
+        repr.emit(&iq, &mut body).unwrap();
+        for copy in copies {
+            assert!(front.note(&Next::Record(Stamps::default(), Record { code: code::MPDU, body: copy })).is_none());
+        }
+        front.note(&Next::Record(Stamps::default(), Record { code: code::BFEE, body: &body }))
+    }
+
+    #[test]
+    fn a_frame_keeps_its_number_clock_row_and_samples() {
+        let mut front = Front::new(Antenna::A);
+        for (row, number) in [7, 9, 12].into_iter().enumerate() {
+            let (sender, heard) = note(&mut front, &[], number).unwrap();
+            assert_eq!((sender, heard.number, heard.timestamp_low), (SENDER, number, 10 * number));
+            assert_eq!((heard.row as usize, heard.proof), (row, Proof::Unknown));
+            assert_eq!(heard.iq()[29], [58, -58]);
+            assert_eq!(heard.csi()[3], Complex32::new(6.0, -6.0));
+            assert_eq!(heard.heard()[4], Iq { i: 8, q: -8 });
+        }
+        assert_eq!((front.log.unused, front.log.unchecked), (UnusedRecords::default(), 0), "there is no key");
+    }
+
+    #[test]
+    fn with_a_key_wrong_frames_are_left_out_and_records_without_one_are_said() {
+        let mut front = Front::new(Antenna::A).with_key(Some(Key::new([7; 16])));
+        assert!(note(&mut front, &[], 1).is_some());
+        assert_eq!((front.log.unchecked, front.log.unused.unauthenticated), (1, 0));
+        for wrong in 1..4 {
+            assert!(note(&mut front, &[&[0; 60]], 1).is_none());
+            assert_eq!((front.log.unchecked, front.log.unused.unauthenticated), (1, wrong));
+        }
+        let mut open = Front::new(Antenna::A);
+        assert!(note(&mut open, &[&[0; 60]], 1).is_some(), "nothing is checked without a key");
+        assert_eq!((open.log.unchecked, open.log.unused.unauthenticated), (0, 0));
+    }
+
+    #[test]
+    fn what_has_no_number_or_not_the_antenna_is_counted() {
+        let mut front = Front::new(Antenna::C);
+        assert!(note(&mut front, &[], 1).is_none());
+        assert_eq!((front.log.unused.no_antenna, front.log.unused.no_number), (1, 0));
+        let repr = Repr::default();
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
+        let record = Record { code: code::BFEE, body: &body };
+        assert!(front.note(&Next::Record(Stamps::default(), record)).is_none());
+        assert_eq!((front.log.unused.no_antenna, front.log.unused.no_number), (1, 1));
+    }
+}

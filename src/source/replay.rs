@@ -148,3 +148,41 @@ impl<R: Read> CsiSource for Replay<R> {
         self.due
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use driver_iface::bfee::{Iq, Repr};
+    use driver_iface::record::{Tail, code};
+
+    /// Five records with noise before and between: each is found, every byte is accounted for, time is the caller's.
+    #[test]
+    fn noise_is_counted_to_the_byte_and_costs_no_record() {
+        let repr = Repr::default();
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&vec![Iq { i: 3, q: -4 }; repr.samples()], &mut body).unwrap();
+        let whole = Record { code: code::BFEE, body: &body };
+        let mut record = vec![0; whole.emit_len()];
+        whole.emit(&mut record).unwrap();
+        let noise = [0xff; 7];
+        let log = [&noise[..], &record.repeat(3), &noise, &record.repeat(2)].concat();
+        let mut replay = Replay::new(&log[..], "two.dat".into());
+        assert_eq!(replay.name(), "two.dat");
+        let (mut records, mut lost, mut now) = (0, 0, Instant::ZERO);
+        loop {
+            now += crate::time::Span::from_ms(1);
+            match replay.receive(now).unwrap() {
+                Next::Record(stamps, record) => {
+                    assert_eq!((stamps.at, record.body), (now, &body[..]));
+                    records += 1;
+                }
+                Next::Lost(Loss::Bytes { len, .. }) => lost += len,
+                Next::End(tail) => break assert_eq!(tail, Tail::Clean),
+                other => panic!("{other:?}"),
+            }
+            assert_eq!(replay.next_at(), Some(now), "the next record is there");
+        }
+        assert_eq!((records, lost, replay.bytes()), (5, 14, log.len() as u64));
+        assert_eq!(replay.next_at(), None, "nothing comes after the end");
+    }
+}

@@ -100,3 +100,40 @@ fn median_step_us(run: &[Candidate]) -> i64 {
     let mut steps: Vec<i64> = run.windows(2).map(step).collect();
     upper_median_ord(&mut steps).unwrap_or(0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Candidates 10 ms apart with these differences; the place of the first that is believed.
+    fn believed(differences: impl IntoIterator<Item = u32>) -> (Option<usize>, Clock) {
+        let mut clock = Clock::default();
+        let mut candidates = (0..).zip(differences);
+        let at = candidates.find(|(k, difference)| clock.doubt(0, 10_000 * k, 10_000 * k + difference));
+        (at.map(|(k, _)| k as usize), clock)
+    }
+
+    #[test]
+    fn a_run_that_agrees_is_believed_in_its_middle() {
+        let run = TUNING.pairing.run;
+        let (at, clock) = believed((0..).map(|k| 500 + 20 * (k % 3)));
+        assert_eq!((at, clock.is_known()), (Some(run - 1), true));
+        let mut middle: Vec<i64> = (0..run as i64).map(|k| 500 + 20 * (k % 3)).collect();
+        assert_eq!(clock.last.map(|(_, difference)| difference), upper_median_ord(&mut middle));
+    }
+
+    #[test]
+    fn candidates_that_never_agree_are_believed_when_patience_ends_and_only_where_nothing_was_known() {
+        let apart = || (0..3_000).map(|k| 100_000 * (k % 7));
+        let (at, mut clock) = believed(apart());
+        assert_eq!(at, Some(TUNING.pairing.patience as usize - 1));
+        assert!(clock.is_known());
+        assert!((0..).zip(apart()).all(|(k, difference)| !clock.doubt(0, 10_000 * k, 10_000 * k + difference)));
+    }
+
+    #[test]
+    fn nothing_is_followed_before_anything_is_believed() {
+        let mut clock = Clock::default();
+        assert!(!clock.is_known() && clock.follow(0, 0).is_none() && !clock.believe());
+    }
+}

@@ -275,3 +275,71 @@ impl<T> SideState<T> {
 fn near(a: u32, b: u32) -> bool {
     b.wrapping_sub(a) <= NEAR || a.wrapping_sub(b) <= NEAR
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashSet;
+    use std::hash::Hash;
+
+    fn entry() -> Entry<()> {
+        Entry { clock: 0, met_other: false, item: () }
+    }
+
+    #[test]
+    fn keys_of_a_window_are_spread_over_the_table() {
+        let hash = |key: Key| {
+            let mut hasher = KeyHasher::default();
+            key.hash(&mut hasher);
+            hasher.finish()
+        };
+        let keys = || (0..4).flat_map(|session| (0..1_024).map(move |number| (session, number)));
+        assert_eq!(keys().map(hash).collect::<HashSet<_>>().len(), 4_096);
+        // As many as of random numbers: 1 - 1/e of all values of the bits by which a table chooses the place.
+        let low: HashSet<_> = keys().map(|key| hash(key) & 0xfff).collect();
+        assert!(low.len() > 2_300, "{} of 4,096", low.len());
+        let of = |bytes: &[u8]| {
+            let mut hasher = KeyHasher::default();
+            hasher.write(bytes);
+            hasher.finish()
+        };
+        assert!(of(b"ab") != of(b"ba") && of(b"ab") != of(b"ac"));
+    }
+
+    #[test]
+    fn a_jump_is_confirmed_within_eight_records_or_not_at_all() {
+        for (between, confirmed) in [(0, true), (7, true), (8, false)] {
+            let mut side = SideState::default();
+            side.place(1, entry());
+            assert!(side.place(1_000, entry()).iter().all(Option::is_none));
+            for number in 2..2 + between {
+                assert!(side.place(number, entry())[1].is_some());
+            }
+            let placed = side.place(1_001, entry()).into_iter().flatten().map(|(key, _)| key.1).collect::<Vec<_>>();
+            assert_eq!(placed, if confirmed { vec![1_000, 1_001] } else { Vec::new() }, "{between} between");
+            assert_eq!(side.counts.implausible, u64::from(!confirmed), "{between} between");
+        }
+    }
+
+    #[test]
+    fn a_number_is_a_repetition_while_it_is_among_the_last_64() {
+        for (others, is_new) in [(63, false), (64, true)] {
+            let mut side = SideState::default();
+            assert!(side.wait((0, 0), entry()));
+            (1..=others).for_each(|number| assert!(side.wait((0, number), entry())));
+            side.waiting.clear();
+            assert_eq!(side.wait((0, 0), entry()), is_new, "{others} others");
+            assert_eq!(side.counts.duplicates, u64::from(!is_new));
+        }
+    }
+
+    #[test]
+    fn partners_are_looked_for_where_counts_go_on_and_in_the_last_ones_that_ended() {
+        let count = |session| Count { session, restarts: 0, last: 0 };
+        let mut side = SideState::<()> { sessions: 10, open: vec![count(2), count(9), count(7)], ..Default::default() };
+        assert_eq!(side.sessions().collect::<Vec<_>>(), [7, 9, 2, 8, 6]);
+        side.sessions = 3;
+        side.open = vec![count(2)];
+        assert_eq!(side.sessions().collect::<Vec<_>>(), [2, 1, 0]);
+    }
+}

@@ -272,3 +272,73 @@ fn counts_of_many_robots_begin_far_apart() {
         assert!(numbers.windows(2).all(|two| two[1] - two[0] >= 1 << 23), "{numbers:?}");
     }
 }
+
+#[test]
+fn logs_too_short_to_understand_their_clocks_give_their_pairs_at_the_end() {
+    for pairs in 1..5 {
+        let (numbers, _) = run(&log(1..=pairs, 7), &log(1..=pairs, 900));
+        assert_eq!(numbers, (1..=pairs).collect::<Vec<_>>());
+    }
+}
+
+#[test]
+fn a_lone_pair_whose_clocks_do_not_fit_is_none_where_the_clocks_are_understood() {
+    let (mut r, mut t) = (log(1..50, 0), log(1..50, 77));
+    r.push((50, 490_000));
+    t.push((50, 10_490_000));
+    let (numbers, pairing) = run(&r, &t);
+    assert_eq!(numbers, (1..50).collect::<Vec<_>>());
+    for side in [LinkSide::Receiver, LinkSide::Transmitter] {
+        assert_eq!((pairing.counts(side).mispaired, pairing.counts(side).unpaired), (1, 0), "{side:?}");
+    }
+}
+
+#[test]
+fn clocks_of_pairs_go_on_over_their_wrap_and_a_pause() {
+    let start = u32::MAX - 1_000_000;
+    // 10 ms apart, then a pause of 1,000 s in which the clocks part by 100 ppm.
+    let at = |n: u32| n * 10_000 + if n > 300 { 1_000_000_000 } else { 0 };
+    let parted = |n: u32| if n > 300 { 100_000 } else { 0 };
+    let mut pairing = Pairing::new(1_024);
+    for n in 1..=400_u32 {
+        pairing.handle(LinkSide::Receiver, n, start.wrapping_add(at(n)), n);
+        pairing.handle(LinkSide::Transmitter, n, start.wrapping_add(at(n) + 77 + parted(n)), n);
+    }
+    let mut first = None;
+    let mut pairs = 0;
+    while let Some(pair) = pairing.poll_pair() {
+        let (rx, difference) = *first.get_or_insert((pair.clock_rx_us - i64::from(at(pair.number)), 77));
+        assert_eq!(pair.clock_rx_us - i64::from(at(pair.number)), rx, "{}", pair.number);
+        assert_eq!(pair.clock_difference_us, difference + i64::from(parted(pair.number)), "{}", pair.number);
+        pairs += 1;
+    }
+    assert_eq!(pairs, 400);
+}
+
+#[test]
+fn the_log_that_is_behind_is_read_next() {
+    use LinkSide::{Receiver, Transmitter};
+    let behind = |records: &[(LinkSide, u32)]| {
+        let mut pairing = Pairing::new(64);
+        records.iter().for_each(|(side, number)| pairing.handle(*side, *number, 0, ()));
+        pairing.behind()
+    };
+    assert_eq!(behind(&[]), Receiver);
+    assert_eq!(behind(&[(Receiver, 1)]), Transmitter);
+    assert_eq!(behind(&[(Transmitter, 1)]), Receiver);
+    assert_eq!(behind(&[(Receiver, 9), (Transmitter, 8)]), Transmitter);
+    assert_eq!(behind(&[(Receiver, 8), (Transmitter, 9)]), Receiver);
+    // At the same number, however many records were handed in.
+    assert_eq!(behind(&[(Receiver, 8), (Receiver, 8), (Transmitter, 8)]), Receiver);
+    // Counts that have nothing to do with each other: by records.
+    assert_eq!(behind(&[(Receiver, 1), (Transmitter, 1 << 24)]), Receiver);
+    assert_eq!(behind(&[(Receiver, 1), (Receiver, 2), (Transmitter, 1 << 24)]), Transmitter);
+    // The receiver's newest record is of a count that the other log has not.
+    let third = 1 << 24;
+    let ahead = [(Receiver, 1), (Receiver, third), (Receiver, third + 1)];
+    assert_eq!(behind(&[&ahead[..], &[(Transmitter, 1); 9]].concat()), Transmitter);
+    // Both begin anew: neither is ahead by that.
+    let log = |side| (40..60).chain([1, 2]).map(move |number| (side, number));
+    let anew: Vec<_> = log(Receiver).chain(log(Transmitter)).chain([(Receiver, 2)]).collect();
+    assert_eq!(behind(&anew), Receiver);
+}

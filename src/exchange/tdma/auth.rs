@@ -283,4 +283,26 @@ mod tests {
         let hex = derive(&secret, &[GROUP]).map(|byte| format!("{byte:02x}")).concat();
         assert_eq!(hex, "61122350fb8ae3a88f56179a123baf17");
     }
+
+    #[test]
+    fn bytes_of_a_tag_that_are_wrong_alike_do_not_make_up_for_each_other() {
+        let key = Key::new([7; 16]);
+        let bytes = frame(A, B, &key);
+        for half in [bytes.len() - native::TAG_LEN, bytes.len() - HALF] {
+            let mut other = bytes.clone();
+            other[half] ^= 1;
+            other[half + 5] ^= 1;
+            assert_eq!(shown(&key, &other), Shown::Nothing);
+        }
+    }
+
+    #[test]
+    fn keys_are_the_same_where_all_of_them_are() {
+        let key = |secret: u8| Key::new([secret; 16]);
+        let robot = |secret, own, peers: &[Mac]| key(secret).for_robot(own, peers);
+        assert!(key(1) == key(1) && robot(1, A, &[B]) == robot(1, A, &[B]));
+        let others = [key(2), robot(1, A, &[B]), robot(1, A, &[B, C]), robot(1, B, &[A]), robot(2, A, &[B])];
+        assert!(others.iter().all(|other| *other != key(1)));
+        assert!(others.iter().filter(|other| **other == robot(1, A, &[B])).count() == 1);
+    }
 }

@@ -163,4 +163,30 @@ mod tests {
         common.follow(&plan, 0, Instant::from_us(105));
         assert_eq!(common.epoch(), Instant::from_us(5));
     }
+
+    #[test]
+    fn slots_are_found_from_both_sides_of_their_start() {
+        let plan = plan();
+        let mut clock = SlotClock::new(Epoch::Heard(Instant::from_us(1_000)), &plan);
+        for slot in [-3, 0, 7] {
+            let (start, us) = (clock.start(&plan, slot), Span::from_us(1));
+            assert_eq!(start, Instant::from_us(1_000) + plan.offset_of(slot));
+            assert_eq!([start - us, start, start + us].map(|at| clock.slot_at(&plan, at)), [slot - 1, slot, slot]);
+            assert_eq!([start - us, start, start + us].map(|at| clock.slot_from(&plan, at)), [slot, slot, slot + 1]);
+        }
+        // Given up, the epoch is the next frame's, however near that is; an early frame weighs eight times a late one.
+        clock.lock();
+        let near = Span::from_us(4);
+        clock.follow(&plan, 0, clock.start(&plan, 0) + near);
+        assert_eq!(clock.epoch_16, 16_000 + 4);
+        clock.follow(&plan, 0, clock.start(&plan, 0) - near);
+        assert_eq!(clock.epoch_16, 16_004 - 8 * 4);
+        clock.unlock();
+        assert!(!clock.is_locked());
+        clock.follow(&plan, 0, Instant::from_us(1_004));
+        assert_eq!((clock.epoch(), clock.is_locked()), (Instant::from_us(1_004), true));
+        let mut common = SlotClock::new(Epoch::Common(Instant::ZERO), &plan);
+        common.unlock();
+        assert!(common.is_locked(), "a common epoch is not given up");
+    }
 }

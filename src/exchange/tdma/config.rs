@@ -168,3 +168,78 @@ impl Config {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mac(last: u8) -> Mac {
+        Mac([2, 0, 0, 0, 0, last])
+    }
+
+    /// What is wrong with robot 1 among 2, 3 and 4, changed so.
+    fn fault(dialect: Dialect, change: impl FnOnce(&mut Config)) -> Option<PlanError> {
+        let request = Request::new(3, 10.0).with_dialect(dialect);
+        let mut config = Config::new(mac(1), 3, &[mac(2), mac(3), mac(4)], request, 1);
+        change(&mut config);
+        config.check(&Plan::new(&config.request).unwrap()).err()
+    }
+
+    const OPEN: Dialect = Dialect::Native { measurement: true, authenticated: false };
+    const KEYED: Dialect = Dialect::Native { measurement: true, authenticated: true };
+    const WSR: Dialect = Dialect::Wsr { first_len: 57 };
+
+    #[test]
+    fn robots_are_each_there_once_and_links_lead_to_them() {
+        assert_eq!(fault(OPEN, |_| ()), None);
+        let with =
+            |links: &[u8]| fault(OPEN, |config| config.links = Some(links.iter().map(|last| mac(*last)).collect()));
+        assert_eq!([with(&[]), with(&[4]), with(&[4, 2, 3])], [None, None, None]);
+        assert_eq!(with(&[2, 9]), Some(PlanError::UnknownPeer(mac(9))));
+        assert_eq!([with(&[3, 2, 3]), with(&[2, 3, 3])], [(); 2].map(|()| Some(PlanError::Twice(mac(3)))));
+        assert_eq!(with(&[2, 3, 4, 2]), Some(PlanError::Links(4)));
+        let robot = |last| Robot { mac: mac(last), index: 9 };
+        assert_eq!(fault(OPEN, |config| config.peers.push(robot(1))), Some(PlanError::Links(4)));
+        let of_peer = |last| {
+            fault(OPEN, |config| {
+                config.links = Some(vec![mac(2)]);
+                config.peers.push(robot(last));
+            })
+        };
+        assert_eq!(
+            [of_peer(5), of_peer(1), of_peer(4)],
+            [None, Some(PlanError::Twice(mac(1))), Some(PlanError::Twice(mac(4)))]
+        );
+    }
+
+    #[test]
+    fn there_are_at_most_255_peers() {
+        let peers = |count: u16| {
+            fault(OPEN, |config| {
+                let peer = |index| Robot { mac: Mac([4, 0, 0, 0, (index >> 8) as u8, index as u8]), index };
+                config.peers = (0..count).map(peer).collect();
+                config.links = Some(Vec::new());
+            })
+        };
+        assert_eq!([peers(255), peers(256)], [None, Some(PlanError::Links(256))]);
+    }
+
+    #[test]
+    fn lengths_tell_wsr_robots_apart() {
+        assert_eq!(fault(WSR, |_| ()), None);
+        assert_eq!(fault(WSR, |config| config.peers[2].index = 0), Some(PlanError::Twice(mac(2))));
+        assert_eq!(fault(OPEN, |config| config.peers[2].index = 0), None, "elsewhere they mean nothing");
+        assert_eq!(fault(WSR, |config| config.peers[2].index = 3), None);
+        assert_eq!(fault(WSR, |config| config.peers[2].index = 4), Some(PlanError::Index { index: 4, links: 3 }));
+        assert_eq!(fault(OPEN, |config| config.peers[2].index = 4), None);
+    }
+
+    #[test]
+    fn a_key_goes_with_tags() {
+        let key = || Some(Key::new([7; 16]));
+        assert_eq!(fault(KEYED, |config| config.key = key()), None);
+        assert_eq!(fault(KEYED, |_| ()), Some(PlanError::Key));
+        assert_eq!(fault(OPEN, |config| config.key = key()), Some(PlanError::Key));
+        assert_eq!(fault(WSR, |config| config.key = key()), Some(PlanError::Key));
+    }
+}

@@ -67,3 +67,87 @@ impl Key {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::source::{Loss, Stamps};
+    use driver_iface::Mac;
+    use driver_iface::record::{Reason, Record, Tail};
+    use driver_iface::sounding::native::{self, Role};
+
+    const A: Mac = Mac([2, 0, 0, 0, 0, 1]);
+    const B: Mac = Mac([2, 0, 0, 0, 0, 2]);
+    const C: Mac = Mac([2, 0, 0, 0, 0, 3]);
+
+    /// A frame from A to B with the key's tag, and a checksum that nobody looks at.
+    fn frame(key: &Key) -> Vec<u8> {
+        let repr = Repr {
+            sender: A,
+            number: 7,
+            role: Role::Forward,
+            destination: B,
+            next: A,
+            wants_turn: false,
+            session: 1,
+            sender_session: 1,
+            turn: 0,
+            left: 0,
+            slot: 0,
+            round_us: 10_000,
+            slots: 1,
+            measurement: None,
+            tag: Some([0; native::TAG_LEN]),
+        };
+        let mut bytes = vec![0; native::MAX_LEN];
+        let len = repr.emit(&mut bytes).unwrap();
+        bytes.truncate(len);
+        let tag = key.tag(&bytes, A, B).unwrap();
+        native::set_tag(&mut bytes, tag);
+        bytes.extend([0; FCS_LEN]);
+        bytes
+    }
+
+    fn record(code: u8, body: &[u8]) -> Next<'_> {
+        Next::Record(Stamps::default(), Record { code, body })
+    }
+
+    #[test]
+    fn a_record_has_the_proof_of_the_frame_right_before_it() {
+        let key = Key::new([7; 16]);
+        let good = frame(&key);
+        let mut wrong = good.clone();
+        wrong[27] ^= 1;
+        let mut prover = Prover::new(Some(key));
+        assert!(prover.has_key());
+        let of = |prover: &mut Prover, mpdu: &[u8]| {
+            let frame = prover.note(&record(code::MPDU, mpdu));
+            (frame, prover.note(&record(code::BFEE, &[])))
+        };
+        assert_eq!(of(&mut prover, &good), (Proof::Good, Proof::Good));
+        assert_eq!(prover.note(&record(code::BFEE, &[])), Proof::Unknown, "its frame is not there");
+        assert_eq!(of(&mut prover, &wrong), (Proof::Wrong, Proof::Wrong));
+        assert_eq!(of(&mut prover, &good[..3]), (Proof::Wrong, Proof::Wrong));
+        // Another kind of record changes nothing; a loss may be of the record.
+        let _ = prover.note(&record(code::MPDU, &good));
+        assert_eq!(prover.note(&record(0x7f, &[])), Proof::Unknown);
+        assert_eq!(prover.note(&Next::Pending), Proof::Unknown);
+        assert_eq!(prover.note(&record(code::BFEE, &[])), Proof::Good);
+        let _ = prover.note(&record(code::MPDU, &good));
+        let loss = Loss::Bytes { offset: 0, len: 1, reason: Reason::Checksum };
+        let _ = prover.note(&Next::Lost(loss));
+        assert_eq!(prover.note(&record(code::BFEE, &[])), Proof::Unknown);
+        assert_eq!(prover.note(&Next::End(Tail::Clean)), Proof::Unknown);
+    }
+
+    #[test]
+    fn of_frames_between_others_no_more_is_known_than_the_group() {
+        let key = Key::new([7; 16]);
+        let proof = |key: Option<Key>| Prover::new(key).note(&record(code::MPDU, &frame(&Key::new([7; 16]))));
+        assert_eq!(proof(Some(key.for_robot(B, &[A]))), Proof::Good);
+        assert_eq!(proof(Some(key.for_robot(C, &[A, B]))), Proof::Unknown);
+        assert_eq!(proof(Some(Key::new([8; 16]))), Proof::Wrong);
+        assert_eq!(proof(None), Proof::Unknown);
+        assert!(!Prover::new(None).has_key());
+    }
+}

@@ -352,4 +352,74 @@ mod tests {
         assert_eq!(outstanding.expired(Instant::from_us(200)).map(|waiting| waiting.number), Some(8));
         assert!(!outstanding.answer(8, 1), "too late");
     }
+
+    #[test]
+    fn the_last_sixteen_numbers_answered_are_known() {
+        let mut asked = Asked::default();
+        assert_eq!(asked.last(), None);
+        for number in 100..140 {
+            asked.push(number);
+            assert_eq!(asked.last(), Some(number));
+            let known: Vec<u32> = (0..200).filter(|number| asked.contains(*number)).collect();
+            assert_eq!(known, (100.max(number - 15)..=number).collect::<Vec<_>>());
+        }
+    }
+
+    #[test]
+    fn the_turn_goes_round_by_macs_to_who_is_alive_wants_it_and_took_the_last_one() {
+        let now = Instant::from_us(1_000);
+        let mut roster = roster(3, &[1, 2, 4, 5]);
+        let next = |roster: &Roster| roster.next_initiator(now).map(|at| roster.peers[at].mac.0[5]);
+        assert_eq!(next(&roster), None, "nobody was heard");
+        for at in 0..4 {
+            (roster.peers[at].heard_at, roster.peers[at].wants_turn) = (Some(now), true);
+        }
+        assert_eq!(next(&roster), Some(4));
+        roster.peers[2].wants_turn = false;
+        assert_eq!(next(&roster), Some(5));
+        roster.peers[3].let_turn_lapse = true;
+        assert_eq!(next(&roster), Some(1), "after the last the first");
+        roster.peers[0].heard_at = Some(Instant::from_us(999));
+        assert_eq!(next(&roster), Some(2));
+        assert_eq!(rounds_before(now, 100, 3), Instant::from_us(700));
+    }
+
+    #[test]
+    fn a_peer_joins_when_it_is_heard_first_and_after_it_was_absent() {
+        let mut roster = roster(1, &[2, 3]);
+        assert_eq!((roster.robots(), roster.has_links()), (3, true));
+        assert!(roster.hear(0, Instant::ZERO) && !roster.hear(0, Instant::ZERO), "once");
+        roster.peers[0].unanswered_in_a_row = ABSENT_AFTER - 1;
+        assert!(!roster.hear(0, Instant::ZERO));
+        roster.peers[0].unanswered_in_a_row = ABSENT_AFTER;
+        roster.peers[0].let_turn_lapse = true;
+        assert!(roster.hear(0, Instant::from_us(5)));
+        let peer = &roster.peers[0];
+        assert_eq!((peer.heard_at, peer.unanswered_in_a_row), (Some(Instant::from_us(5)), 0));
+        assert!(!peer.let_turn_lapse && !roster.hear(2, Instant::ZERO), "nobody is in place 2");
+        assert_eq!((roster.link_of_peer(1).map(|link| link.peer), roster.link_of_peer(2).is_none()), (Some(1), true));
+    }
+
+    #[test]
+    fn an_absent_robot_is_asked_in_every_eighth_round_unless_nobody_listens() {
+        for (open_loop, asked) in [(false, 100), (true, 800)] {
+            let mut roster = roster(1, &[2]);
+            roster.peers[0].unanswered_in_a_row = ABSENT_AFTER;
+            let due = (0..800).filter(|_| roster.due(0, false, open_loop).is_some()).count();
+            assert!((asked..=asked + 1).contains(&due), "{due} of {asked}");
+        }
+    }
+
+    #[test]
+    fn frames_that_wait_are_bounded_and_can_be_taken_back() {
+        let mut outstanding = Outstanding::new();
+        let at = |us: u32| Instant::from_us(i64::from(us));
+        let push = |outstanding: &mut Outstanding, n| outstanding.push(n, 0, at(n)).map(|oldest| oldest.number);
+        assert!((0..64).all(|n| push(&mut outstanding, n).is_none()));
+        assert!(outstanding.answer(1, 0));
+        assert_eq!([64, 65, 66].map(|n| push(&mut outstanding, n)), [Some(0), None, Some(2)], "1 was answered");
+        assert!(outstanding.take_back(1).is_none() && outstanding.take_back(2).is_none());
+        assert_eq!(outstanding.take_back(3).map(|waiting| (waiting.number, waiting.until)), Some((3, at(3))));
+        assert_eq!((outstanding.next_at(), outstanding.expired(at(3)).is_none()), (Some(at(4)), true));
+    }
 }

@@ -68,33 +68,33 @@ pub enum CsvError {
 const FURTHEST_M: f64 = 1e9;
 /// Bytes of a trajectory file at most: an hour of a thousand poses a second, twice over.
 const LONGEST: u64 = 512 << 20;
+/// Poses of a trajectory at most, by the same measure: short rows are a fifth of the poses they become.
+const MOST_POSES: usize = 10_000_000;
+/// Bytes of a row at most; what is beyond is left out, so that a file without lines takes no memory.
+const LONGEST_ROW: usize = 64 << 10;
 
-/// Reads a trajectory file.
+/// Reads a trajectory file, row by row: what is held is the poses.
 ///
 /// # Errors
-/// If it cannot be read, is of no known kind, or holds fewer than two poses.
+/// If it cannot be read, is of no known kind, longer than any trajectory, or holds fewer than two poses.
 pub fn read(path: &Path) -> Result<(Trajectory, CsvCounts), CsvError> {
     let io = |source| CsvError::Io { path: path.display().to_string(), source };
     if path.is_dir() {
         return Err(io(std::io::Error::other("it is a directory; name the CSV file inside it")));
     }
-    let mut bytes = Vec::new();
-    std::fs::File::open(path).map_err(io)?.take(LONGEST + 1).read_to_end(&mut bytes).map_err(io)?;
-    if bytes.len() as u64 > LONGEST {
-        return Err(io(std::io::Error::other(format!(
-            "it is longer than {} MiB, which no trajectory is",
-            LONGEST >> 20
-        ))));
+    let file = std::fs::File::open(path).map_err(io)?;
+    let mut rows = Rows::default();
+    let mut bytes = file.take(LONGEST + 1);
+    let longer = match rows.read(&mut bytes, MOST_POSES)? {
+        End::Whole => bytes.limit() == 0,
+        End::Failed(source) => return Err(io(source)),
+        End::TooMany => true,
+    };
+    if longer {
+        let most = format!("it is longer than {} MiB or {MOST_POSES} poses, which no trajectory is", LONGEST >> 20);
+        return Err(io(std::io::Error::other(most)));
     }
-    parse(&bytes)
-}
-
-/// Reads rows. A row ends with its line whatever is in it: quotes have no meaning between numbers, and a stray one would take
-/// the lines behind it into its cell.
-fn rows() -> ::csv::ReaderBuilder {
-    let mut rows = ::csv::ReaderBuilder::new();
-    rows.has_headers(false).flexible(true).quoting(false).trim(::csv::Trim::All);
-    rows
+    rows.trajectory()
 }
 
 /// Parses a trajectory from bytes.
@@ -102,53 +102,133 @@ fn rows() -> ::csv::ReaderBuilder {
 /// # Errors
 /// If it is of no known kind or holds fewer than two poses.
 pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
-    let mut reader = rows().from_reader(bytes);
-    let mut counts = CsvCounts::default();
-    let mut poses: Vec<Pose> = Vec::with_capacity(bytes.len() / 80);
-    let mut record = ::csv::ByteRecord::new();
-    let mut fallback_line = 0;
-    loop {
-        fallback_line += 1;
-        match reader.read_byte_record(&mut record) {
-            Ok(true) => {}
-            Ok(false) => break,
-            Err(error) => {
-                bad(&mut counts, fallback_line, RowError::Unreadable);
-                if error.is_io_error() {
-                    break;
+    let mut rows = Rows::default();
+    rows.read(bytes, usize::MAX)?;
+    rows.trajectory()
+}
+
+/// A reader of rows. A row ends with its line whatever is in it: quotes have no meaning between numbers, and a stray one would
+/// take the lines behind it into its cell.
+fn reader() -> ::csv::ReaderBuilder {
+    let mut reader = ::csv::ReaderBuilder::new();
+    reader.has_headers(false).flexible(true).quoting(false).trim(::csv::Trim::All);
+    reader
+}
+
+/// Bytes, of each row no more than [`LONGEST_ROW`].
+struct ShortRows<R> {
+    inner: R,
+    /// Bytes of the row so far.
+    row: usize,
+}
+
+impl<R: Read> Read for ShortRows<R> {
+    fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
+        loop {
+            let n = self.inner.read(out)?;
+            let mut kept = 0;
+            for i in 0..n {
+                let byte = out[i];
+                self.row = if matches!(byte, b'\n' | b'\r') { 0 } else { self.row + 1 };
+                if self.row <= LONGEST_ROW {
+                    out[kept] = byte;
+                    kept += 1;
                 }
-                continue;
+            }
+            if n == 0 || kept > 0 {
+                return Ok(kept);
             }
         }
-        let line = record.position().map_or(fallback_line, ::csv::Position::line);
-        let columns = record.len() - usize::from(record.iter().next_back().is_some_and(<[u8]>::is_empty));
+    }
+}
+
+/// How reading ended.
+enum End {
+    /// With the input.
+    Whole,
+    /// By an answer of the operating system.
+    Failed(std::io::Error),
+    /// With more poses than a trajectory has.
+    TooMany,
+}
+
+/// The poses of the rows read so far.
+#[derive(Default)]
+struct Rows {
+    poses: Vec<Pose>,
+    counts: CsvCounts,
+}
+
+impl Rows {
+    /// Reads to the end, or to `most` poses.
+    fn read(&mut self, bytes: impl Read, most: usize) -> Result<End, CsvError> {
+        let mut reader = reader().from_reader(ShortRows { inner: bytes, row: 0 });
+        let mut record = ::csv::ByteRecord::new();
+        let mut fallback_line = 0;
+        loop {
+            fallback_line += 1;
+            match reader.read_byte_record(&mut record) {
+                Ok(true) => {}
+                Ok(false) => return Ok(End::Whole),
+                Err(error) => match error.into_kind() {
+                    ::csv::ErrorKind::Io(source) => return Ok(End::Failed(source)),
+                    _ => {
+                        self.bad(fallback_line, RowError::Unreadable);
+                        continue;
+                    }
+                },
+            }
+            if self.poses.len() == most {
+                return Ok(End::TooMany);
+            }
+            self.row(&record, record.position().map_or(fallback_line, ::csv::Position::line))?;
+        }
+    }
+
+    /// Takes a row, or counts it as bad. Fails at a first one of no known kind.
+    fn row(&mut self, record: &::csv::ByteRecord, line: u64) -> Result<(), CsvError> {
+        let columns = columns_of(record);
         if columns == 0 {
-            continue;
+            return Ok(());
         }
-        match pose(&record, columns) {
-            Ok(pose) => {
-                if counts.columns == 0 {
-                    counts.columns = columns;
-                }
-                if columns != counts.columns {
-                    let why = RowError::OtherColumns { found: columns, others: counts.columns };
-                    bad(&mut counts, line, why);
-                    continue;
-                }
-                counts.rows += 1;
-                counts.out_of_order += u64::from(poses.last().is_some_and(|last| last.t_s >= pose.t_s));
-                poses.push(pose);
+        match pose(record, columns) {
+            Ok(_) if self.counts.rows > 0 && columns != self.counts.columns => {
+                self.bad(line, RowError::OtherColumns { found: columns, others: self.counts.columns });
             }
-            Err(RowError::Columns) if counts.rows == 0 && columns > 1 => {
+            Ok(pose) => {
+                self.counts.columns = columns;
+                self.counts.rows += 1;
+                self.counts.out_of_order += u64::from(self.poses.last().is_some_and(|last| last.t_s >= pose.t_s));
+                if self.poses.len() == self.poses.capacity() {
+                    self.poses.reserve_exact(1024.max(self.poses.len() / 4));
+                }
+                self.poses.push(pose);
+            }
+            Err(RowError::Columns) if self.counts.rows == 0 && columns > 1 => {
                 return Err(CsvError::Columns { line, found: columns });
             }
-            Err(error) => bad(&mut counts, line, error),
+            Err(error) => self.bad(line, error),
         }
+        Ok(())
     }
-    if poses.is_empty() {
-        return Err(CsvError::Empty { first: counts.first_bad });
+
+    fn bad(&mut self, line: u64, why: RowError) {
+        self.counts.bad_rows += 1;
+        self.counts.first_bad.get_or_insert((line, why));
     }
-    Ok((Trajectory::new(poses)?, counts))
+
+    /// The poses in the order of time.
+    fn trajectory(self) -> Result<(Trajectory, CsvCounts), CsvError> {
+        if self.poses.is_empty() {
+            return Err(CsvError::Empty { first: self.counts.first_bad });
+        }
+        Ok((Trajectory::new(self.poses)?, self.counts))
+    }
+}
+
+/// Columns of a row; a trailing comma makes none.
+fn columns_of(record: &::csv::ByteRecord) -> usize {
+    record.len() - usize::from(record.iter().next_back().is_some_and(<[u8]>::is_empty))
 }
 
 /// Parses a single row.
@@ -157,11 +237,9 @@ pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
 /// What is wrong with it.
 #[doc(hidden)]
 pub fn parse_line(line: &[u8]) -> Result<Pose, RowError> {
-    let mut reader = rows().from_reader(line);
     let mut record = ::csv::ByteRecord::new();
-    reader.read_byte_record(&mut record).map_err(|_| RowError::Unreadable)?;
-    let columns = record.len() - usize::from(record.iter().next_back().is_some_and(<[u8]>::is_empty));
-    pose(&record, columns)
+    reader().from_reader(line).read_byte_record(&mut record).map_err(|_| RowError::Unreadable)?;
+    pose(&record, columns_of(&record))
 }
 
 /// A pose as a row: 6 columns, 5 where it has no heading, and the trailing comma.
@@ -171,11 +249,6 @@ pub fn line(pose: &Pose) -> String {
     let p = pose.position_m;
     let heading = pose.heading_rad.map_or(String::new(), |heading| format!("{heading:.6},"));
     format!("{:.6},0,{:.6},{:.6},{:.6},{heading}\n", pose.t_s, p.x, p.y, p.z)
-}
-
-fn bad(counts: &mut CsvCounts, line: u64, why: RowError) {
-    counts.bad_rows += 1;
-    counts.first_bad.get_or_insert((line, why));
 }
 
 /// What is wrong with one row.
@@ -311,6 +384,44 @@ mod tests {
             assert_eq!(parse_line(line(&pose).as_bytes()), Ok(pose));
         }
         assert!(parse_line(b"").is_err() && parse_line(b"1,2,3").is_err() && parse_line(b"1,0,a,0,0").is_err());
+    }
+
+    #[test]
+    fn what_reading_holds_is_the_poses_and_not_the_file() {
+        const ROWS: usize = 20_000;
+        let path = std::env::temp_dir().join(format!("csi5300-rows-{}.csv", std::process::id()));
+        let row = |k: usize| format!("{k},0,{k}.125,2.25,3.5,0,0,0,1,{}0\n", "0.000000000000000000000,".repeat(5));
+        std::fs::write(&path, (0..ROWS).map(row).collect::<String>()).unwrap();
+        let length = std::fs::metadata(&path).unwrap().len();
+        let mut read = None;
+        let held = allocation_counter::measure(|| read = Some(super::read(&path))).bytes_max;
+        std::fs::remove_file(&path).unwrap();
+        let poses = (ROWS * size_of::<Pose>()) as u64;
+        assert_eq!(read.unwrap().unwrap().1.rows, ROWS as u64);
+        // Poses that move into a place a quarter larger are there twice for that moment.
+        assert!(held < 9 * poses / 4 && held < length, "{held} bytes for {poses} of poses, {length} of the file");
+    }
+
+    #[test]
+    fn there_is_a_most_of_poses() {
+        let rows = |most| {
+            let mut rows = Rows::default();
+            let end = rows.read(&b"1,0,0,0,0\n2,0,0,0,0\n3,0,0,0,0\n"[..], most).unwrap();
+            (matches!(end, End::TooMany), rows.poses.len())
+        };
+        assert_eq!([rows(2), rows(3)], [(true, 2), (false, 3)]);
+    }
+
+    #[test]
+    fn a_row_without_an_end_takes_no_memory_and_costs_itself() {
+        let (before, after) = (&b"1,0,0,0,0\n"[..], &b"\n2,0,0,0,0\n"[..]);
+        let zeros = std::io::repeat(0).take(64 << 20);
+        let mut rows = Rows::default();
+        let held = allocation_counter::measure(|| {
+            assert!(matches!(rows.read(before.chain(zeros).chain(after), 9), Ok(End::Whole)));
+        });
+        assert!(held.bytes_max < 1 << 20, "{} bytes", held.bytes_max);
+        assert_eq!((rows.poses.len(), rows.counts.bad_rows, rows.counts.first_bad.unwrap().0), (2, 1, 2));
     }
 
     #[test]

@@ -36,11 +36,17 @@ impl Shared {
         }
     }
 
+    /// Counts of records that were received, and dropped.
+    #[cfg(test)]
+    pub(super) fn of(received: u64, dropped: u64) -> Self {
+        Self { received: received.into(), dropped: dropped.into(), ..Self::default() }
+    }
+
     fn drop_records(&self, records: u64) {
         self.dropped.fetch_add(records, Ordering::Relaxed);
     }
 
-    fn note(&self, written: Written) {
+    pub(super) fn note(&self, written: Written) {
         let mut total = self.written.lock().unwrap_or_else(PoisonError::into_inner);
         total.records += written.records;
         total.lost += written.lost;
@@ -53,7 +59,7 @@ impl Shared {
     }
 
     /// The writer died: what it had taken and not written is lost.
-    fn note_death(&self) {
+    pub(super) fn note_death(&self) {
         let totals = self.totals();
         let lost = totals.received.saturating_sub(totals.written + totals.dropped + totals.lost_on_disk);
         self.note(Written { records: 0, lost, error: Some(Error::WriterDied.to_string()) });

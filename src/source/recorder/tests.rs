@@ -284,3 +284,42 @@ fn what_a_dead_writer_took_with_it_is_counted() {
         assert!(totals.error.is_some_and(|error| error.contains("died")));
     }
 }
+
+#[test]
+fn after_a_failure_only_a_record_that_is_written_ends_it() {
+    let shared = Shared::default();
+    let note = |records, error: Option<&str>| {
+        shared.note(Written { records, lost: 0, error: error.map(str::to_owned) });
+        (shared.totals().failing, shared.totals().error)
+    };
+    let full = Some("full".to_owned());
+    assert_eq!(note(0, None), (false, None));
+    assert_eq!(note(2, Some("full")), (true, full.clone()));
+    assert_eq!(note(0, None), (true, full.clone()), "a sync without an error writes nothing");
+    assert_eq!(note(1, None), (false, full), "what went wrong is remembered");
+}
+
+#[test]
+fn what_a_dead_writer_had_taken_is_what_is_in_no_other_count() {
+    let shared = Shared::of(10, 3);
+    shared.note(Written { records: 4, lost: 2, error: None });
+    shared.note_death();
+    let totals = shared.totals();
+    assert_eq!((totals.received, totals.written, totals.dropped, totals.lost_on_disk), (10, 4, 3, 3));
+}
+
+#[test]
+fn a_sync_that_went_with_a_chunk_is_not_asked_for_again() {
+    let (open, gate) = channel();
+    drop(open);
+    let sink = Gate { open: gate, kept: Vec::new(), syncs: 0 };
+    let source = Numbered::new([Some(1), None, Some(2), None]);
+    let options = Options::default().with_sync_every(Some(Span::from_ms(25))).with_hand_over(Span::from_ms(10));
+    let mut recorder = Recorder::new(source, sink, options).unwrap();
+    let mut at = |ms: i64| {
+        let _ = recorder.receive(Instant::from_us(1_000 * ms)).unwrap();
+        recorder.next_at().map(|at| at.as_us() / 1_000)
+    };
+    // The second chunk is handed over when a sync is due, and takes it along: the next one is 25 ms later.
+    assert_eq!([at(0), at(10), at(20), at(30)], [Some(10), Some(25), Some(30), Some(55)]);
+}

@@ -146,3 +146,25 @@ proptest! {
         prop_assert_eq!(mailbox.counts().received, before);
     }
 }
+
+#[test]
+fn a_message_is_as_long_as_its_head_and_its_records() {
+    let mut batch = Batch::records(7);
+    assert_eq!((batch.len(), batch.is_empty()), (0, true));
+    let record = Record { code: 0xBB, body: &[1, 2, 3] };
+    for records in 1..4 {
+        batch.push_record(None, record);
+        assert_eq!((batch.len(), batch.is_empty()), (HEAD + records * (8 + record.emit_len()), false));
+    }
+    let sent = batch.take();
+    assert_eq!((sent.len(), batch.len()), (HEAD + 3 * (8 + record.emit_len()), 0));
+}
+
+#[test]
+fn what_is_no_message_is_counted_with_its_time_too() {
+    let mailbox = Mailbox::new(4);
+    for foreign in 1..4 {
+        mailbox.put_at(NOW, b"no message of a robot");
+        assert_eq!((mailbox.counts().foreign, mailbox.counts().contested), (foreign, 0));
+    }
+}

@@ -112,8 +112,64 @@ fn a_broadcast_address_is_no_sender() {
 fn what_was_never_measured_has_no_range() {
     let mut range = Range::default();
     assert!(!range.is_measured());
-    range.note(0);
+    [-3, 5, 1].iter().for_each(|value| range.note(*value));
     assert!(range.is_measured());
+    assert_eq!((range.min, range.max, range.mean), (-3, 5, 1.0));
+    let mut above = Range::default();
+    [7, 9].iter().for_each(|value| above.note(*value));
+    assert_eq!((above.min, above.max, above.mean), (7, 9, 8.0), "0 was not measured");
+}
+
+#[test]
+fn losses_are_counted_whatever_they_are_of_and_the_first_are_kept() {
+    let mut survey = Survey::default();
+    assert!(!survey.lost_something());
+    let reason = driver_iface::record::Reason::Checksum;
+    let of = |loss| {
+        let mut survey = Survey::default();
+        survey.note(&Next::Lost(loss));
+        assert!(survey.lost_something());
+        (survey.damages, survey.damaged_bytes, survey.overruns)
+    };
+    assert_eq!(of(Loss::Bytes { offset: 5, len: 9, reason }), (1, 9, 0));
+    assert_eq!(of(Loss::Overrun { dropped: Some(3) }), (0, 0, 3));
+    assert_eq!(of(Loss::Overrun { dropped: None }), (0, 0, 1));
+    for offset in 0..LOSSES_KEPT as u64 + 2 {
+        survey.note(&Next::Lost(Loss::Bytes { offset, len: 2, reason }));
+        survey.note(&Next::Lost(Loss::Overrun { dropped: Some(2) }));
+    }
+    let lost = LOSSES_KEPT as u64 + 2;
+    assert_eq!((survey.damages, survey.damaged_bytes, survey.overruns), (lost, 2 * lost, 2 * lost));
+    assert_eq!(survey.losses.iter().map(|lost| lost.offset).collect::<Vec<_>>(), (0..lost - 2).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_wsr_record_has_its_drivers_time_and_a_stock_one_the_listeners() {
+    let stamps = Stamps { host_us: Some(77), ..Stamps::default() };
+    let mut survey = Survey::default();
+    let mut host_us = |wsr: Option<Wsr>| {
+        let repr = Repr { wsr, ..Repr::default() };
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
+        let (_, identity) = survey.note(&Next::Record(stamps, Record { code: code::BFEE, body: &body })).unwrap();
+        (identity.host_us, survey.wsr, survey.stock, survey.bfees())
+    };
+    let wsr = |tv_sec, tv_usec| Some(Wsr { tv_sec, tv_usec, ..Wsr::default() });
+    assert_eq!(host_us(wsr(5, 7)), (Some(5_000_007), 1, 0, 1));
+    assert_eq!(host_us(wsr(0, 0)), (Some(77), 2, 0, 2));
+    assert_eq!(host_us(None), (Some(77), 2, 1, 3));
+}
+
+#[test]
+fn there_is_no_rate_without_a_step_forward() {
+    let rate = |clocks: &[u32]| {
+        let mut sender = Sender::default();
+        clocks.iter().for_each(|clock| sender.note(None, *clock));
+        (sender.rate_hz(), sender.mean_rate_hz())
+    };
+    assert_eq!([rate(&[]), rate(&[5]), rate(&[5, 5])], [(None, None); 3]);
+    assert_eq!(rate(&[5, 1_005]), (Some(1_000.0), Some(1_000.0)));
+    assert_eq!(rate(&[9_000_000, 5]).1, None, "the clock stepped back");
 }
 
 fn made_up(n: u32) -> Mac {

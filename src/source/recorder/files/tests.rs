@@ -102,3 +102,26 @@ fn side_files_of_every_layout_keep_step_with_the_log() {
     }
     std::fs::remove_dir_all(folder).unwrap();
 }
+
+#[test]
+fn either_rotation_makes_a_row_of_files() {
+    let first = |bytes, every| LogFiles::first(Path::new("out.dat"), Rotation { bytes, every });
+    assert_eq!(first(None, None), Path::new("out.dat"));
+    for (bytes, every) in [(Some(1), None), (None, Some(Span::from_ms(1))), (Some(1), Some(Span::from_ms(1)))] {
+        assert_eq!(first(bytes, every), Path::new("out-0001.dat"), "{bytes:?} {every:?}");
+    }
+}
+
+#[test]
+fn a_write_that_failed_leaves_whole_units_and_the_next_goes_behind_them() {
+    let folder = folder("taken-back");
+    let path = folder.join("out.dat");
+    let mut grown = Grown::create(path.clone(), false).unwrap();
+    assert!(matches!(grown.append(b"0123456789", |done| done), (10, Ok(()))));
+    grown.file.write_all(b"abcdefg").unwrap();
+    let (whole, outcome) = grown.take_back(4, io::ErrorKind::WriteZero.into());
+    assert_eq!((whole, outcome.unwrap_err().kind(), grown.len), (4, io::ErrorKind::WriteZero, 14));
+    assert!(grown.append(b"XY", |done| done).1.is_ok());
+    assert_eq!(std::fs::read(&path).unwrap(), b"0123456789abcdXY");
+    std::fs::remove_dir_all(folder).unwrap();
+}
