@@ -92,7 +92,7 @@ impl Second {
 }
 
 /// Steps this small, in units of the reach, are taken without another look: the value there follows from the derivatives
-/// here to `(2 M step)^3 / 6`, below 1e-12 for the `8 M` samples that make the reach.
+/// here to `(2 M step)^3 / 6`, below 2e-12 for the `6 M` samples that make the reach.
 const NEAR: f64 = 1e-4;
 
 impl Hill<'_> {

@@ -1,20 +1,23 @@
 //! The profile sampled on rings of constant elevation, so densely that no maximum falls between the samples unnoticed.
 //!
-//! Around a ring `f` is band limited: it is summed at `2 M + 2` azimuths or a few more and interpolated. Antipodes share
-//! their sums: `f(-u)` has the same terms conjugated in their phases.
+//! Around a ring `f` is band limited: it is summed at `2 M + 2` azimuths or a few more and interpolated; `M` is that of the
+//! radius as seen from the ring, which falls with the cosine of its elevation. Antipodes share their sums: `f(-u)` has the
+//! same terms conjugated in their phases. Rings are taken some at a time, from the horizon outwards, and only their maxima
+//! are kept: all of a sphere would be megabytes.
 
 use std::f64::consts::TAU;
 
 use num_complex::Complex;
 
+use super::maxima::{Maximum, Side};
 use super::scene::Scene;
-use csi5300_kernels::fft::Ffts;
+use csi5300_kernels::fft::{Ffts, near_size};
 use csi5300_kernels::resample::{Resample, ResampleWork};
 use csi5300_kernels::simd::{Real, Tier};
 use csi5300_kernels::sums::{Columns, PairSum, Sines, pairs};
 
-/// Largest change of any phase between neighbouring rings of elevation, radians: no more than 0.4 to the nearest.
-pub(super) const RING_STEP: f64 = 0.8;
+/// Largest change of any phase between neighbouring rings of elevation, radians: no more than 0.5 to the nearest.
+pub(super) const RING_STEP: f64 = 1.0;
 
 /// Above this many samples noise alone would be sampled as badly as rough sines are.
 const ROUGH_SAMPLES: usize = 4_096;
@@ -23,32 +26,40 @@ const ROUGH_SAMPLES: usize = 4_096;
 pub(super) struct Sampler<T: Real> {
     ffts: Ffts<T>,
     columns: [Vec<T>; 5],
-    /// Cosines and sines of the azimuths of a ring.
-    circle: Vec<[f64; 2]>,
     directions: Vec<[T; 3]>,
     rows: Vec<Complex<T>>,
     work: ResampleWork<T>,
 }
 
-/// A sampled profile: rows of rising elevation, `ring` azimuths each from 0.
+/// A sampled profile.
+#[derive(Default)]
 pub(super) struct Sampled {
-    pub elevations: Vec<f64>,
-    pub values: Vec<f64>,
+    /// Its rows, those below the horizon among them.
+    pub rows: usize,
+    /// Directions that were summed, antipodes among them.
+    pub summed: usize,
+    /// Its local maxima.
+    pub maxima: Vec<Maximum>,
+}
+
+impl Sampled {
+    /// Place in its row and value of the highest sample; (0, 0) if there is none.
+    pub fn highest(&self) -> (usize, f64) {
+        let highest = self.maxima.iter().max_by(|a, b| a.value().total_cmp(&b.value()));
+        highest.map_or((0, 0.0), |maximum| (maximum.column, maximum.value()))
+    }
 }
 
 /// Elevations from 0 to `limit` whose phases differ by at most [`RING_STEP`] from one to the next.
 pub(super) fn elevation_rings(scene: &Scene, limit: f64) -> Vec<f64> {
-    let change = |e: f64| TAU * (scene.radius * (1.0 - e.cos()) + scene.half_height * e.sin());
-    let steps = (change(limit) / RING_STEP).ceil().max(1.0);
-    let elevation = |target: f64| {
-        let (mut low, mut high) = (0.0, limit);
-        for _ in 0..60 {
-            let middle = 0.5 * (low + high);
-            if change(middle) < target { low = middle } else { high = middle }
-        }
-        high
-    };
-    (0..=steps as usize).map(|i| if i == 0 { 0.0 } else { elevation(change(limit) * i as f64 / steps) }).collect()
+    let (radius, height) = (scene.radius, scene.half_height);
+    let change = TAU * (radius * (1.0 - limit.cos()) + height * limit.sin());
+    let steps = (change / RING_STEP).ceil().max(1.0);
+    // r (1 - cos e) + h sin e = c: with w = hypot(r, h) and p = atan2(h, r), e = acos((r - c) / w) - p.
+    let (width, phase) = (radius.hypot(height), height.atan2(radius));
+    let elevation = |part: f64| (((radius - part / TAU) / width).clamp(-1.0, 1.0).acos() - phase).clamp(0.0, limit);
+    let ring = |i: usize| if i == 0 { 0.0 } else { elevation(change * i as f64 / steps) };
+    (0..steps as usize).map(ring).chain([limit]).collect()
 }
 
 impl Scene {
@@ -58,83 +69,166 @@ impl Scene {
     }
 }
 
-/// How a ring is sampled.
+/// Into how many parts the cosine of the elevation is cut: each has a band limit.
+const PARTS: usize = 4;
+/// Directions that are summed before their rings are interpolated: what fits a core's own memory.
+const AT_ONCE: usize = 2_048;
+
+/// How rings are sampled.
 #[derive(Clone, Copy)]
-pub(super) struct Ring {
-    /// Azimuths that are summed.
-    pub evaluated: usize,
+pub(super) struct Rings {
+    /// Azimuths that are summed on rings whose elevation's cosine is at most 1/4, 1/2, 3/4 and 1.
+    evaluated: [usize; PARTS],
     /// Azimuths that are interpolated from them.
     pub dense: usize,
     /// Level motion: the antipode of a direction is on its ring.
-    pub flat: bool,
+    flat: bool,
+}
+
+impl Rings {
+    /// Of a motion whose ring on the horizon needs modes up to `order`, for elevations up to `highest`; the modes of a share of
+    /// the radius are asked for by `order_of`, where rings are as high.
+    pub fn new(order: usize, dense: usize, flat: bool, highest: f64, order_of: impl Fn(f64) -> usize) -> Self {
+        let size = |k: usize| match (k + 1) as f64 / PARTS as f64 {
+            share if share < 1.0 && highest.cos() <= share => Self::summed(order_of(share).min(order)),
+            _ => Self::summed(order),
+        };
+        Self { evaluated: std::array::from_fn(size), dense, flat }
+    }
+
+    /// The azimuths that hold the modes up to `order`.
+    pub fn summed(order: usize) -> usize {
+        near_size(2 * order + 2, 2)
+    }
+
+    fn evaluated(&self, elevation: f64) -> usize {
+        let part = (PARTS as f64 * elevation.cos()).ceil() as usize;
+        self.evaluated[part.clamp(1, PARTS) - 1]
+    }
+
+    /// Whether the antipodes of half a ring are its other half; those of any other ring are the ring below the horizon.
+    fn is_whole(&self, elevation: f64) -> bool {
+        self.flat || elevation == 0.0
+    }
+
+    /// Directions to be summed at an elevation.
+    fn columns(&self, elevation: f64) -> usize {
+        let evaluated = self.evaluated(elevation);
+        if self.is_whole(elevation) { evaluated / 2 } else { evaluated }
+    }
+
+    /// `elevations` from the front that are sampled as the first of them is, no more than are taken at once.
+    fn alike(&self, elevations: &[f64]) -> usize {
+        let Some(first) = elevations.first() else { return 0 };
+        let evaluated = self.evaluated(*first);
+        let most = (AT_ONCE / evaluated).max(1);
+        elevations.iter().take(most).take_while(|e| self.evaluated(**e) == evaluated).count()
+    }
 }
 
 impl<T: Real> Sampler<T> {
     pub fn new(tier: Tier) -> Self {
         let (columns, work) = (Default::default(), ResampleWork::default());
-        Self { ffts: Ffts::new(tier), columns, circle: Vec::new(), directions: Vec::new(), rows: Vec::new(), work }
+        Self { ffts: Ffts::new(tier), columns, directions: Vec::new(), rows: Vec::new(), work }
     }
 
     /// `F` on rings at the given elevations (from 0 upwards) and, unless the motion is level, at their negatives.
-    pub fn sample(&mut self, tier: Tier, scene: &Scene, elevations: &[f64], ring: Ring) -> Sampled {
-        if self.circle.len() != ring.evaluated {
-            let angle = |j: usize| TAU * j as f64 / ring.evaluated as f64;
-            self.circle = (0..ring.evaluated).map(|j| [angle(j).cos(), angle(j).sin()]).collect();
-        }
-        self.directions.clear();
-        for &elevation in elevations {
-            let (sin_el, cos_el) = elevation.sin_cos();
-            let turned = |[cos, sin]: &[f64; 2]| [cos_el * cos, cos_el * sin, sin_el].map(T::of);
-            self.directions.extend(self.circle[..ring.columns(elevation)].iter().map(turned));
-        }
+    pub fn sample(&mut self, tier: Tier, scene: &Scene, elevations: &[f64], rings: &Rings) -> Sampled {
         let c = scene.columns();
         for (column, from) in self.columns.iter_mut().zip([c.x, c.y, c.z, c.re, c.im]) {
             column.clear();
             column.extend(from.iter().map(|v| T::of(*v)));
         }
+        let mut sides = Sides::default();
+        let mut rest = elevations;
+        while !rest.is_empty() {
+            let (group, tail) = rest.split_at(rings.alike(rest));
+            rest = tail;
+            self.sum(tier, scene, group, rings);
+            let dense = self.work.dense.chunks_exact(rings.dense);
+            let mut dense = dense.map(|row| row.iter().map(|f| f.norm_sqr().into()));
+            for &elevation in group {
+                let evaluated = rings.evaluated(elevation);
+                if !rings.is_whole(elevation) {
+                    sides.below(dense.next().into_iter().flatten(), elevation, evaluated);
+                }
+                sides.above(dense.next().into_iter().flatten(), elevation, evaluated);
+            }
+        }
+        sides.end()
+    }
+
+    /// Fills `work.dense` with the rows of `elevations`, which are summed alike: before each comes the one below the horizon,
+    /// if it has one.
+    fn sum(&mut self, tier: Tier, scene: &Scene, elevations: &[f64], rings: &Rings) {
+        let evaluated = elevations.first().map_or(0, |first| rings.evaluated(*first));
+        let angle = |j: usize| (TAU * j as f64 / evaluated as f64).sin_cos();
+        let circle: Vec<(f64, f64)> = (0..evaluated).map(angle).collect();
+        self.directions.clear();
+        for &elevation in elevations {
+            let (sin_el, cos_el) = elevation.sin_cos();
+            let turned = |(sin, cos): &(f64, f64)| [cos_el * cos, cos_el * sin, sin_el].map(T::of);
+            self.directions.extend(circle[..rings.columns(elevation)].iter().map(turned));
+        }
         let [x, y, z, re, im] = &self.columns;
         let columns = Columns { x, y, z, re, im };
         let sums = pairs::<T>(tier.level_or_portable(), columns, &self.directions, scene.sines());
-        let elevations = self.arrange(elevations, &sums, ring);
-        Resample::new(ring.evaluated, ring.dense, &mut self.ffts).run(&self.rows, &mut self.work);
-        let values = self.work.dense.iter().map(|f| f.norm_sqr().into()).collect();
-        Sampled { elevations, values }
+        self.rows.clear();
+        let mut rest = sums.as_slice();
+        for &elevation in elevations {
+            let (row, tail) = rest.split_at(rings.columns(elevation));
+            rest = tail;
+            self.arrange(row, rings.is_whole(elevation));
+        }
+        Resample::new(evaluated, rings.dense, &mut self.ffts).run(&self.rows, &mut self.work);
     }
 
-    /// Rows of rising elevation from the sums of antipodal pairs: the antipode of (a, e) is (a + pi, -e).
-    fn arrange(&mut self, elevations: &[f64], sums: &[PairSum], ring: Ring) -> Vec<f64> {
-        let half = ring.evaluated / 2;
+    /// Rows from the sums of antipodal pairs: the antipode of (a, e) is (a + pi, -e).
+    fn arrange(&mut self, row: &[PairSum], is_whole: bool) {
         let narrow = |c: num_complex::Complex64| Complex::new(T::of(c.re), T::of(c.im));
-        self.rows.clear();
-        // Below the horizon first, from the lowest ring up.
-        let mut below = Vec::new();
-        let mut end = sums.len();
-        for &elevation in elevations.iter().rev() {
-            let row = &sums[end - ring.columns(elevation)..end];
-            end -= row.len();
-            if row.len() == ring.evaluated {
-                let (first, second) = row.split_at(half);
-                self.rows.extend(second.iter().chain(first).map(|s| narrow(s.opposite())));
-                below.push(-elevation);
-            }
+        let here = row.iter().map(|s| narrow(s.here()));
+        if is_whole {
+            self.rows.extend(here.chain(row.iter().map(|s| narrow(s.opposite()))));
+        } else {
+            let (first, second) = row.split_at(row.len() / 2);
+            self.rows.extend(second.iter().chain(first).map(|s| narrow(s.opposite())).chain(here));
         }
-        let mut rest = sums;
-        for &elevation in elevations {
-            let (row, tail) = rest.split_at(ring.columns(elevation));
-            rest = tail;
-            self.rows.extend(row.iter().map(|s| narrow(s.here())));
-            if row.len() == half {
-                self.rows.extend(row.iter().map(|s| narrow(s.opposite())));
-            }
-        }
-        below.extend_from_slice(elevations);
-        below
     }
 }
 
-impl Ring {
-    /// Directions to be summed at an elevation: half a ring where the antipodes complete it.
-    fn columns(&self, elevation: f64) -> usize {
-        if self.flat || elevation == 0.0 { self.evaluated / 2 } else { self.evaluated }
+/// Both sides of the horizon, as their rows come: of each elevation the one below first.
+#[derive(Default)]
+struct Sides {
+    up: Side,
+    down: Option<Side>,
+    row: Vec<f64>,
+    sampled: Sampled,
+}
+
+impl Sides {
+    fn take(&mut self, row: impl Iterator<Item = f64>, evaluated: usize) {
+        self.row.clear();
+        self.row.extend(row);
+        self.sampled.rows += 1;
+        self.sampled.summed += evaluated;
+    }
+
+    fn above(&mut self, row: impl Iterator<Item = f64>, elevation: f64, evaluated: usize) {
+        self.take(row, evaluated);
+        self.up.push(&self.row, elevation, &mut self.sampled.maxima);
+    }
+
+    fn below(&mut self, row: impl Iterator<Item = f64>, elevation: f64, evaluated: usize) {
+        self.take(row, evaluated);
+        // The first of them is a neighbour of the horizon, which is the last row above as yet.
+        let down = self.down.get_or_insert_with(|| self.up.met_by(&self.row));
+        down.push(&self.row, -elevation, &mut self.sampled.maxima);
+    }
+
+    fn end(mut self) -> Sampled {
+        for side in std::iter::once(&mut self.up).chain(&mut self.down) {
+            side.end(&mut self.sampled.maxima);
+        }
+        self.sampled
     }
 }

@@ -21,22 +21,21 @@ use super::crb::{Fit, Spread, deviations, independence};
 use super::error::Error;
 use super::estimate::{Estimate, SearchOptions};
 use super::explain::{ElevationSearch, Precision, SearchPlan};
-use super::maxima::{argmax, local_maxima, vertex};
 use super::mirror::odometry_tells;
 use super::newton::{Hill, Point, Second, Top};
 use super::report::{Findings, REPORTED, mirror_start};
-use super::sampler::{RING_STEP, Ring, Sampled, Sampler, elevation_rings};
+use super::sampler::{RING_STEP, Rings, Sampled, Sampler, elevation_rings};
 use super::scene::{Scene, Shape};
 use crate::signal::samples::Samples;
 use crate::tuning::TUNING;
-use csi5300_kernels::fft::{good_size, near_size};
+use csi5300_kernels::fft::good_size;
 use csi5300_kernels::simd::{ROUGH, Tier};
 use csi5300_kernels::sums::Sines;
 use nalgebra::Vector3;
 
 /// Samples per ring, in units of the profile's degree `M`: `4 M` suffice, more leave fewer candidates. They are
 /// interpolated from `2 M + 2` evaluated ones.
-const SAMPLES_PER_ORDER: usize = 8;
+const SAMPLES_PER_ORDER: usize = 6;
 /// What the band limit of a ring leaves out, relative to `sum w |z|`; as much again is folded back.
 const TAIL: f64 = 1e-4;
 /// Above this radius (radians of phase) sampling is done in double: single precision loses 1e-4 of a turn there.
@@ -105,10 +104,9 @@ impl Searcher {
             });
         }
         let order = self.order(TAU * scene.radius);
-        let evaluated = near_size(2 * order + 2, 2);
         let ring = good_size(SAMPLES_PER_ORDER * order + 16);
         let shape = scene.shape();
-        let search = Search { scene: &scene, shape, tools: self, order, evaluated, ring, evaluations: 0, exact: 0 };
+        let search = Search { scene: &scene, shape, tools: self, order, ring, evaluations: 0, exact: 0 };
         Ok(search.run(elevation_max_rad, odometry_sd_m))
     }
 }
@@ -120,8 +118,6 @@ struct Search<'a> {
     tools: &'a mut Searcher,
     /// The band limit of a ring.
     order: usize,
-    /// Evaluated azimuths per ring, even.
-    evaluated: usize,
     /// Samples per ring, even, interpolated.
     ring: usize,
     evaluations: usize,
@@ -136,15 +132,16 @@ impl<'a> Search<'a> {
         let limit = if observable { elevation_max } else { 0.0 };
         let sampled = if observable { self.sample(&elevation_rings(self.scene, limit)) } else { horizon };
         let kind = if self.scene.is_flat() { Second::Cosine } else { Second::Elevation };
-        let hill = self.hill(kind, limit, &sampled);
-        let tops = self.climb(&hill, &sampled);
+        let hill = self.hill(kind, limit, sampled.rows);
+        let rows = sampled.rows;
+        let tops = self.climb(&hill, sampled);
         self.evaluations += self.exact;
         let elevation = match (observable, elevation_max > 0.0) {
             (true, _) => ElevationSearch::Searched,
             (false, true) => ElevationSearch::NotObservable,
             (false, false) => ElevationSearch::NotAsked,
         };
-        let plan = self.plan(elevation, sampled.elevations.len());
+        let plan = self.plan(elevation, rows);
         let evaluations = self.evaluations;
         Findings { scene: self.scene, shape: self.shape, hill: &hill, tops: &tops, plan, odometry_sd_m, evaluations }
             .estimate()
@@ -154,14 +151,13 @@ impl<'a> Search<'a> {
         let precision = if self.in_double() { Precision::Double } else { Precision::Single };
         let (tier, samples) = (self.tools.tier, self.scene.len());
         let pair = pair_ns(tier, precision);
-        // An exact look, with its derivatives in double, takes about as long as four pairs; the horizon comes first.
-        let horizon = if rings > 1 { self.evaluated } else { 0 };
-        let pairs = (rings * self.evaluated + horizon) as f64 / 2.0 + 4.0 * self.exact as f64;
+        // An exact look, with its derivatives in double, takes about as long as four pairs.
+        let pairs = (self.evaluations - self.exact) as f64 / 2.0 + 4.0 * self.exact as f64;
         SearchPlan {
             tier,
             precision,
             band_limit: self.order,
-            summed: self.evaluated,
+            summed: Rings::summed(self.order),
             sampled: self.ring,
             rings,
             exact: self.exact,
@@ -172,25 +168,26 @@ impl<'a> Search<'a> {
         }
     }
 
-    fn hill(&self, kind: Second, limit: f64, sampled: &Sampled) -> Hill<'a> {
+    fn hill(&self, kind: Second, limit: f64, rows: usize) -> Hill<'a> {
         let (low, high) = match kind {
             Second::Cosine => (limit.cos(), 1.0),
             Second::Elevation => (-limit, limit),
         };
-        let rows = sampled.elevations.len().max(2);
-        let reach = [TAU / self.ring as f64, (high - low) / (rows - 1) as f64];
+        let reach = [TAU / self.ring as f64, (high - low) / (rows.max(2) - 1) as f64];
         Hill { level: self.tools.tier.level_or_portable(), samples: self.scene.columns(), kind, low, high, reach }
     }
 
     /// `F` on rings at the given elevations (from 0 upwards) and, unless the motion is level, at their negatives.
     fn sample(&mut self, elevations: &[f64]) -> Sampled {
-        let ring = Ring { evaluated: self.evaluated, dense: self.ring, flat: self.scene.is_flat() };
+        let order_of = |share: f64| tail_order(1.005 * share * TAU * self.scene.radius, TAIL);
+        let highest = elevations.last().copied().unwrap_or_default();
+        let rings = Rings::new(self.order, self.ring, self.scene.is_flat(), highest, order_of);
         let sampled = if self.in_double() {
-            self.tools.double.sample(self.tools.tier, self.scene, elevations, ring)
+            self.tools.double.sample(self.tools.tier, self.scene, elevations, &rings)
         } else {
-            self.tools.single.sample(self.tools.tier, self.scene, elevations, ring)
+            self.tools.single.sample(self.tools.tier, self.scene, elevations, &rings)
         };
-        self.evaluations += sampled.elevations.len() * self.evaluated;
+        self.evaluations += sampled.summed;
         sampled
     }
 
@@ -215,8 +212,8 @@ impl<'a> Search<'a> {
     /// nuisance, is below that of a uniform guess (range / sqrt 12) in the cosine or, where the odometry is good enough for the
     /// height of the motion, in the angle.
     fn elevation_observable(&self, horizon: &Sampled, limit: f64, odometry_sd_m: f64) -> bool {
-        let (index, value) = argmax(&horizon.values);
-        let azimuth = TAU * index as f64 / self.ring as f64;
+        let (column, value) = horizon.highest();
+        let azimuth = TAU * column as f64 / self.ring as f64;
         let (fit, spread) = (Fit::new(self.scene, value), Spread::new(self.scene, azimuth));
         let uniform = 12f64.sqrt();
         let cosine = deviations(fit, spread, Second::Cosine, Point { azimuth, second: 1.0 }, false)[1];
@@ -229,16 +226,14 @@ impl<'a> Search<'a> {
     }
 
     /// Climbs from every candidate that the bound does not rule out; a few more are reported as they were sampled.
-    fn climb(&mut self, hill: &Hill<'_>, sampled: &Sampled) -> Vec<Top> {
-        let mut candidates = local_maxima(sampled, self.ring);
-        candidates.sort_by(|a, b| b.1.total_cmp(&a.1));
+    fn climb(&mut self, hill: &Hill<'_>, sampled: Sampled) -> Vec<Top> {
+        let mut candidates = sampled.maxima;
+        candidates.sort_by(|a, b| b.value().total_cmp(&a.value()));
         let (mut tops, mut best) = (Vec::<Top>::new(), 0f64);
-        for (rank, (index, value)) in candidates.into_iter().enumerate() {
-            let elevation = sampled.elevations[index / self.ring];
-            let azimuth =
-                TAU * ((index % self.ring) as f64 + vertex(&sampled.values, index, self.ring)) / self.ring as f64;
-            let at = Point { azimuth, second: hill.kind.of_elevation(elevation) };
-            if value.sqrt() >= self.least(best.sqrt(), sampled.elevations.len()) {
+        for (rank, candidate) in candidates.into_iter().enumerate() {
+            let (value, azimuth) = (candidate.value(), TAU * candidate.vertex() / self.ring as f64);
+            let at = Point { azimuth, second: hill.kind.of_elevation(candidate.elevation) };
+            if value.sqrt() >= self.least(best.sqrt(), sampled.rows) {
                 let top = hill.climb(at);
                 self.exact += top.evaluations;
                 best = best.max(top.value);

@@ -51,7 +51,10 @@ impl Direction {
             return Ok(expected);
         }
         let within = &expected.plane_wave;
-        if reach == Reach::Level && within.elevation_searched && hopeless(samples, within, options)? {
+        // Of level motion a higher plane wave has to leave no doubt; of low motion, so may one that is told from its mirror
+        // image, whatever that one explains.
+        let other = if reach == Reach::Level { within.value } else { 0.0 };
+        if reach != Reach::Tall && within.elevation_searched && hopeless(samples, other, options)? {
             return Ok(expected);
         }
         let free = bartlett::search(samples, &options.search.with_elevation_max_rad(FRAC_PI_2))?;
@@ -103,9 +106,9 @@ impl Reach {
     }
 }
 
-/// True if no plane wave up to the zenith can be so much better than the best one that is expected as to leave no doubt: by
-/// sums over runs of samples, which keep [`KEPT`] of a wave's power at least, and cost a fraction of what the samples do.
-fn hopeless(samples: &Samples, within: &Estimate, options: &Options) -> Result<bool, bartlett::Error> {
+/// True if no plane wave up to the zenith can be so much better than one that explains `other` of the power as to leave no
+/// doubt: by sums over runs of samples, which keep [`KEPT`] of a wave's power at least, and cost a fraction of what the samples do.
+fn hopeless(samples: &Samples, other: f64, options: &Options) -> Result<bool, bartlett::Error> {
     let reach_m = ROUGH_TURNS * samples.wavelength_m() / f64::from(samples.path_gain());
     let mut rough = Samples::new(samples.wavelength_m(), samples.path_gain())?;
     let displacement_m: Vec<Vector3<f64>> = samples.displacements_m().collect();
@@ -119,7 +122,7 @@ fn hopeless(samples: &Samples, within: &Estimate, options: &Options) -> Result<b
     let whole: f64 = samples.z().iter().map(|z| z.norm()).sum();
     let found = bartlett::search(&rough, &options.search.with_elevation_max_rad(FRAC_PI_2))?;
     let most = (found.value * (sizes / whole).powi(2) / KEPT).min(1.0);
-    Ok(!decisive(log_odds(most, within.value)))
+    Ok(!decisive(log_odds(most, other)))
 }
 
 /// True if the samples leave no doubt whether the plane wave comes from above or from below.
@@ -135,4 +138,49 @@ fn tells_up(samples: &Samples, plane_wave: &Estimate) -> Result<bool, bartlett::
     };
     let (above, below) = (highest(plane_wave.abs_elevation_rad)?, highest(-plane_wave.abs_elevation_rad)?);
     Ok(decisive(log_odds(above.max(below), above.min(below))))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::signal::channel::Channel;
+
+    /// A circle of 0.4 m whose height drifts by some millimetres, and a wave from `elevation_rad` with phases that are off by
+    /// up to `off_rad`.
+    fn drifting(options: &Options, elevation_rad: f64, off_rad: f64, seed: u64) -> Samples {
+        let mut state = seed;
+        let mut random = move || {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (state >> 40) as f64 / f64::from(1u32 << 24) - 0.5
+        };
+        let wavelength_m = options.channel.wavelength_m();
+        let mut samples = Samples::new(wavelength_m, 2).unwrap();
+        let towards = bartlett::direction(0.3 * seed as f64, elevation_rad);
+        for k in 0..700 {
+            let (sin, cos) = (TAU * f64::from(k) / 700.0).sin_cos();
+            let at = Vector3::new(0.4 * cos, 0.4 * sin, 0.012 * sin);
+            let phase = 2.0 * TAU * towards.dot(&at) / wavelength_m + 2.0 * off_rad * random();
+            samples.push(0.01 * f64::from(k), Complex64::cis(phase), at, Vector3::zeros()).unwrap();
+        }
+        samples
+    }
+
+    #[test]
+    fn the_rough_look_never_hides_what_would_leave_no_doubt() {
+        let options = Options::new("108".parse::<Channel>().unwrap());
+        let mut looks = [0, 0];
+        for seed in 0..24 {
+            let (elevation_rad, off_rad) = (0.05 * seed as f64, 0.9 + 0.1 * (seed % 16) as f64);
+            let samples = drifting(&options, elevation_rad, off_rad, seed);
+            let within = bartlett::search(&samples, &options.search).unwrap();
+            let free = bartlett::search(&samples, &options.search.with_elevation_max_rad(FRAC_PI_2)).unwrap();
+            assert!(Reach::of(&samples, &within) == Reach::Low && free.elevation_searched);
+            for other in [0.0, within.value] {
+                let is_hopeless = hopeless(&samples, other, &options).unwrap();
+                looks[usize::from(is_hopeless)] += 1;
+                assert!(!is_hopeless || !decisive(log_odds(free.value, other)), "{seed} {other} {}", free.value);
+            }
+        }
+        assert!(looks[0] > 5 && looks[1] > 5, "{looks:?}");
+    }
 }

@@ -7,6 +7,7 @@ use crate::signal::reciprocity::Reciprocity;
 use crate::source::Error;
 use crate::tuning::TUNING;
 use driver_iface::Mac;
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Frames of each log that are read ahead to find out which transmitter wrote which log.
@@ -44,16 +45,14 @@ pub(super) fn find_macs(
     busiest.truncate(MAX_TRANSMITTERS);
     let macs: Vec<Mac> = busiest.iter().map(|(mac, _)| *mac).collect();
     let taken: Vec<bool> = macs.iter().map(|mac| options.tx_macs.contains(mac)).collect();
-    let mut spreads: Vec<Vec<Option<Spread>>> = Vec::new();
-    for (k, tx) in txs.iter_mut().enumerate() {
+    let mut logs: Vec<Vec<Mark>> = Vec::new();
+    for tx in txs.iter_mut() {
         let receiver = options.rx_mac.or(most_frequent(tx)?);
         let wanted = |mac: &Mac| receiver == Some(*mac);
         let marks = tx.read_ahead(READ_AHEAD)?.iter().filter(|(mac, _)| wanted(mac));
-        let marks: Vec<Mark> = marks.map(|(_, heard)| (heard.number, heard.timestamp_low)).collect();
-        let named = options.tx_macs.get(k).is_some();
-        let row = busiest.iter().map(|(_, receiver)| if named { None } else { assign::spread(receiver, &marks) });
-        spreads.push(row.collect());
+        logs.push(marks.map(|(_, heard)| (heard.number, heard.timestamp_low)).collect());
     }
+    let spreads = spreads(&busiest, &logs, options);
     let mut found = assign::assign(&spreads, &taken);
     if found.iter().any(assign::is_open) {
         let correlations = correlations(rx, txs, (&busiest, &spreads, &found), options)?;
@@ -75,6 +74,20 @@ pub(super) fn find_macs(
         }
     }
     Ok(settled)
+}
+
+/// How well each of `logs` goes with each sender, unless the log's sender is named.
+fn spreads(senders: &[(Mac, Vec<Mark>)], logs: &[Vec<Mark>], options: &Options) -> Vec<Vec<Option<Spread>>> {
+    let each: Vec<(usize, usize)> = (0..logs.len()).flat_map(|k| (0..senders.len()).map(move |s| (k, s))).collect();
+    let own = |&(k, s): &(usize, usize)| {
+        let is_open = options.tx_macs.get(k).is_none();
+        is_open.then(|| assign::spread(&senders[s].1, &logs[k])).flatten()
+    };
+    let all: Vec<Option<Spread>> = match options.parallel {
+        true => each.par_iter().map(own).collect(),
+        false => each.iter().map(own).collect(),
+    };
+    (0..logs.len()).map(|k| all[k * senders.len()..][..senders.len()].to_vec()).collect()
 }
 
 /// Senders with their marks, how well each log goes with each sender, and what was found of each log.

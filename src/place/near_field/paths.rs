@@ -10,6 +10,7 @@ use super::fix::Source;
 use super::kernel::powers;
 use super::prepared::PreparedAperture;
 use super::search::Search;
+use super::thin::Sectors;
 use super::types::{Place, Precision};
 use crate::maths::wrap_rad;
 use crate::tuning::TUNING;
@@ -66,6 +67,8 @@ impl Search {
         let Some(whole) = self.apertures.first().map(PreparedAperture::columns) else { return Vec::new() };
         let mut found = Found { places: Vec::new(), steering: Vec::new(), amplitudes: Vec::new(), powers: Vec::new() };
         let mut next = Place::from(first);
+        // The sums that serve the grid are the same for every path.
+        let sectors = self.sectors(&self.apertures[0].with_columns(&whole), &self.axes);
         let energy = |columns: &[Vec<Complex64>]| columns.iter().flatten().map(Complex64::norm_sqr).sum::<f64>();
         let mut left = energy(&whole);
         while found.places.len() < TUNING.paths.most {
@@ -86,7 +89,7 @@ impl Search {
                 break;
             }
             left = now;
-            next = self.strongest(&self.apertures[0].with_columns(&rest));
+            next = self.strongest(&self.apertures[0].with_columns(&rest), &sectors);
         }
         found.list(first.signed_elevation_rad.is_some())
     }
@@ -105,8 +108,8 @@ impl Search {
     }
 
     /// The place that explains most of `aperture`.
-    fn strongest(&self, aperture: &PreparedAperture) -> Place {
-        let powers = self.powers_on(aperture, &self.axes);
+    fn strongest(&self, aperture: &PreparedAperture, sectors: &Sectors) -> Place {
+        let powers = self.powers_in(aperture, sectors);
         let best = powers.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
         self.climb_in(aperture, self.axes.places()[best])
     }
@@ -119,6 +122,8 @@ impl Search {
         let (mut across, mut along) = (0.5 * step, 0.5 * axes.curves.get(1).copied().unwrap_or(0.0));
         let (low, high) = (axes.elevations[0], axes.elevations[axes.elevations.len() - 1]);
         let mut up = 0.25 * (high - low);
+        // No climb leaves the places that samples alike there may be summed for.
+        let thin = self.apertures_about(std::slice::from_ref(aperture), &start);
         for _ in 0..5 {
             let mut around = vec![best];
             for (a, e, c) in [(1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1)] {
@@ -131,15 +136,15 @@ impl Search {
                     });
                 }
             }
-            best = self.highest(aperture, &around, Precision::Exact);
+            best = self.highest(&thin, &around);
             (across, up, along) = (0.6 * across, 0.6 * up, 0.6 * along);
         }
         best
     }
 
-    fn highest(&self, aperture: &PreparedAperture, places: &[Place], precision: Precision) -> Place {
+    fn highest(&self, apertures: &[PreparedAperture], places: &[Place]) -> Place {
         let at_height: Vec<Place> = places.iter().map(|place| self.at_height(place)).collect();
-        let powers = powers(self.level(), std::slice::from_ref(aperture), &at_height, precision);
+        let powers = powers(self.level(), apertures, &at_height, Precision::Exact);
         let best = powers.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
         places[best]
     }

@@ -238,17 +238,30 @@ fn principal(aperture: &Aperture, count: usize) -> Principal {
     (bases.chunks(ABREAST).map(chunk).collect(), energies)
 }
 
-/// The `most` strongest eigenvectors of the correlation of the `count` columns of `rows`; zeros where there are fewer.
-fn strongest(rows: &[Vec<Complex32>], count: usize, most: usize) -> Vec<Vec<Complex32>> {
-    let mut correlation = DMatrix::<Complex64>::zeros(count, count);
-    for i in 0..count {
-        for k in i..count {
-            let sum: Complex32 = rows.iter().map(|row| row[i].conj() * row[k]).sum();
-            correlation[(i, k)] = Complex64::new(f64::from(sum.re), f64::from(sum.im));
-            correlation[(k, i)] = correlation[(i, k)].conj();
+/// `sum conj(row[i]) row[k]` of the `count` columns of `rows`.
+fn correlation(rows: &[Vec<Complex32>], count: usize) -> DMatrix<Complex64> {
+    // Real and imaginary parts apart, along k: plain loops, which vectors follow.
+    let mut sums = [[[0f32; SUBCARRIERS]; 2]; SUBCARRIERS];
+    let (mut re, mut im) = ([0f32; SUBCARRIERS], [0f32; SUBCARRIERS]);
+    for row in rows {
+        for ((re, im), value) in re.iter_mut().zip(&mut im).zip(row) {
+            (*re, *im) = (value.re, value.im);
+        }
+        for (i, (value, [sum_re, sum_im])) in row.iter().zip(&mut sums).enumerate() {
+            let others = re[i..count].iter().zip(&im[i..count]);
+            for ((sum_re, sum_im), (re, im)) in sum_re[i..].iter_mut().zip(&mut sum_im[i..]).zip(others) {
+                *sum_re += value.re * re + value.im * im;
+                *sum_im += value.re * im - value.im * re;
+            }
         }
     }
-    let eigen = correlation.symmetric_eigen();
+    let above = |i: usize, k: usize| Complex64::new(f64::from(sums[i][0][k]), f64::from(sums[i][1][k]));
+    DMatrix::from_fn(count, count, |i, k| if i <= k { above(i, k) } else { above(k, i).conj() })
+}
+
+/// The `most` strongest eigenvectors of the correlation of the `count` columns of `rows`; zeros where there are fewer.
+fn strongest(rows: &[Vec<Complex32>], count: usize, most: usize) -> Vec<Vec<Complex32>> {
+    let eigen = correlation(rows, count).symmetric_eigen();
     let mut order: Vec<usize> = (0..count).collect();
     order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
     let basis = |place: usize| -> Vec<Complex32> {

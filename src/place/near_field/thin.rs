@@ -26,15 +26,56 @@ struct Neighbourhood {
     change: f64,
 }
 
+/// A grid of places, and the sums that serve them: those of an aperture's positions, whatever its samples are.
+pub(super) struct Sectors {
+    places: Vec<Place>,
+    /// Places of a sector, but for the last of them.
+    each: usize,
+    /// Where runs of samples begin, and each sector's sums over them; none where that saves too little.
+    thinned: Option<(Vec<usize>, Vec<Thinning>)>,
+}
+
+/// How the samples of an aperture are summed over runs for one neighbourhood.
+struct Thinning {
+    /// The places of the sums, without samples.
+    thin: PreparedAperture,
+    /// What steers each sample to the middle of the neighbourhood, and each sum back from it.
+    there: Vec<(f32, f32)>,
+    back: Vec<(f32, f32)>,
+}
+
 impl Search {
     /// The power of every view of `aperture` on the grid `axes`, roughly: `powers[place * views + view]`.
     pub(super) fn powers_on(&self, aperture: &PreparedAperture, axes: &Axes) -> Vec<f32> {
+        self.powers_in(aperture, &self.sectors(aperture, axes))
+    }
+
+    /// The same on a grid that was made ready, for this aperture or another one of the same positions and windows.
+    pub(super) fn powers_in(&self, aperture: &PreparedAperture, sectors: &Sectors) -> Vec<f32> {
+        let Sectors { places, each, thinned } = sectors;
+        let Some((runs, thinnings)) = thinned else {
+            return powers(self.level(), std::slice::from_ref(aperture), places, Precision::Rough);
+        };
+        let sectors: Vec<_> = places.chunks(*each).zip(thinnings).collect();
+        self.each(&sectors, |(places, thinning)| {
+            let thin = [aperture.summed(self.level(), thinning, runs)];
+            powers(self.level(), &thin, places, Precision::Rough)
+        })
+        .concat()
+    }
+
+    /// The grid `axes` of an aperture, in sectors of some azimuths.
+    pub(super) fn sectors(&self, aperture: &PreparedAperture, axes: &Axes) -> Sectors {
         let places: Vec<Place> = axes.places().iter().map(|place| self.at_height(place)).collect();
-        let whole = || powers(self.level(), std::slice::from_ref(aperture), &places, Precision::Rough);
-        if self.limits.elevations != Elevations::Expected || axes.azimuths < 2 * TOGETHER {
-            return whole();
-        }
-        let depth = places.len() / axes.azimuths;
+        let each = TOGETHER * places.len() / axes.azimuths;
+        let thinned = match self.limits.elevations {
+            Elevations::Expected if axes.azimuths >= 2 * TOGETHER => self.thinnings(aperture, axes),
+            _ => None,
+        };
+        Sectors { places, each, thinned }
+    }
+
+    fn thinnings(&self, aperture: &PreparedAperture, axes: &Axes) -> Option<(Vec<usize>, Vec<Thinning>)> {
         let sectors = axes.azimuths.div_ceil(TOGETHER);
         let half_rad = 0.5 * TAU * TOGETHER as f64 / axes.azimuths as f64;
         let about = |sector: usize| {
@@ -42,15 +83,13 @@ impl Search {
             self.neighbourhood(aperture, azimuth, half_rad)
         };
         let around: Vec<Neighbourhood> = (0..sectors).map(about).collect();
-        let Some(runs) = around.first().and_then(|own| aperture.runs(own.change)) else { return whole() };
+        let runs = around.first().and_then(|own| aperture.runs(own.change))?;
         let centres: Vec<Place> = around.iter().map(|own| own.centre).collect();
         let steering = steerings(self.level(), aperture, &centres);
-        let sectors: Vec<_> = places.chunks(TOGETHER * depth).zip(centres.iter().zip(&steering)).collect();
-        self.each(&sectors, |(places, (own, steering))| {
-            let thin = [aperture.about(self.level(), own, steering, &runs)];
-            powers(self.level(), &thin, places, Precision::Rough)
-        })
-        .concat()
+        let thinning =
+            |(centre, there): (&Place, Vec<(f32, f32)>)| aperture.thinning(self.level(), centre, there, &runs);
+        let thinnings = centres.iter().zip(steering).map(thinning).collect();
+        Some((runs, thinnings))
     }
 
     /// `apertures` with the samples of a neighbourhood of `start`: some cells of azimuth, every elevation and range.
@@ -62,8 +101,8 @@ impl Search {
             runs.map_or_else(
                 || aperture.clone(),
                 |runs| {
-                    let steering = steerings(self.level(), aperture, &[own.centre]).pop().unwrap_or_default();
-                    aperture.about(self.level(), &own.centre, &steering, &runs)
+                    let there = steerings(self.level(), aperture, &[own.centre]).pop().unwrap_or_default();
+                    aperture.summed(self.level(), &aperture.thinning(self.level(), &own.centre, there, &runs), &runs)
                 },
             )
         };
@@ -119,30 +158,33 @@ impl PreparedAperture {
         Some(runs)
     }
 
-    /// The sums over `runs` of the samples, each steered to `centre` (by `steering`) and back from where the mean of its run
-    /// is.
-    fn about(&self, level: Level, centre: &Place, steering: &[(f32, f32)], runs: &[usize]) -> Self {
+    /// How samples are summed over `runs`: each steered to `centre` (by `there`) and back from where the mean of its run is.
+    fn thinning(&self, level: Level, centre: &Place, there: Vec<(f32, f32)>, runs: &[usize]) -> Thinning {
         let mean = |values: &[f32]| -> Vec<f32> {
             let of = |run: &[usize]| values[run[0]..run[1]].iter().sum::<f32>() / (run[1] - run[0]) as f32;
             runs.windows(2).map(of).collect()
         };
         let (x, y, z) = (mean(&self.x), mean(&self.y), mean(&self.z));
         let square = x.iter().zip(&y).zip(&z).map(|((x, y), z)| x * x + y * y + z * z).collect();
-        let mut thin = Self { x, y, z, square, recorded_m: Vec::new(), views: Arc::new([]), ..*self };
-        let back: Vec<(f32, f32)> =
-            steerings(level, &thin, &[*centre]).into_iter().flatten().map(|(cos, sin)| (cos, -sin)).collect();
+        let thin = Self { x, y, z, square, recorded_m: Vec::new(), views: Arc::new([]), ..*self };
+        let back = steerings(level, &thin, &[*centre]).into_iter().flatten().map(|(cos, sin)| (cos, -sin)).collect();
+        Thinning { thin, there, back }
+    }
+
+    /// The sums over `runs` of the samples.
+    fn summed(&self, level: Level, thinning: &Thinning, runs: &[usize]) -> Self {
+        let Thinning { thin, there, back } = thinning;
         let window = |window: &Window| {
             let from = runs.partition_point(|at| *at < window.from);
             let length = window.columns.first().map_or(0, Vec::len);
             let within = runs[from..].partition_point(|at| *at < window.from + length);
             let own = Runs { runs: &runs[from..], back: &back[from..][..within], first: window.from };
-            let column = |samples: &Vec<Abreast>| on_tier!(level, _simd => own.sums(samples, steering));
+            let column = |samples: &Vec<Abreast>| on_tier!(level, _simd => own.sums(samples, there));
             Window { from, columns: window.columns.iter().map(column).collect() }
         };
         let view =
             |view: &PreparedView| PreparedView { windows: view.windows.iter().map(window).collect(), full: view.full };
-        thin.views = self.views.iter().map(view).collect();
-        thin
+        Self { views: self.views.iter().map(view).collect(), ..thin.clone() }
     }
 }
 

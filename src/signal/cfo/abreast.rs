@@ -3,7 +3,7 @@
 use crate::signal::channel::SUBCARRIERS;
 use csi5300_kernels::simd::{Tier, V, on_tier, sin_cos_turns, turns_of};
 use driver_iface::bfee::Iq;
-use fearless_simd::{Simd, SimdBase, SimdFloat};
+use fearless_simd::{Select, Simd, SimdBase, SimdFloat};
 use num_complex::Complex64;
 
 /// What one antenna heard of a frame.
@@ -64,7 +64,7 @@ fn centres<S: Simd>(simd: S, pairs: &[[&Heard; 2]], indices: &[i8; SUBCARRIERS],
 }
 
 /// Least squares through the unwrapped phases of `products`, whose slope is about `slope` turns per index: the value at
-/// index 0 of unit magnitude times the root mean square, and the power.
+/// index 0 of unit magnitude times the root mean square, and the power. A product of zero has no phase and no part in it.
 #[inline(always)]
 fn line<S: Simd>(
     simd: S,
@@ -73,22 +73,28 @@ fn line<S: Simd>(
     slope: V<S, f32>,
 ) -> (V<S, f32>, V<S, f32>, V<S, f32>) {
     let splat = |value: f32| V::<S, f32>::splat(simd, value);
-    let n = SUBCARRIERS as f32;
-    let (mut sum_x, mut sum_xx) = (0.0, 0.0);
-    let (mut sum, mut sum_xy, mut power, mut last) = (splat(0.0), splat(0.0), splat(0.0), splat(0.0));
-    for (k, ((re, im), index)) in products.iter().zip(indices).enumerate() {
-        let x = f32::from(*index);
-        power += *re * *re + *im * *im;
-        let turns = turns_of(simd, *re, *im) - slope * splat(x);
+    let (zero, one) = (splat(0.0), splat(1.0));
+    let [mut n, mut sum_x, mut sum_xx, mut sum, mut sum_xy, mut power, mut last] = [zero; 7];
+    for ((re, im), index) in products.iter().zip(indices) {
+        let x = splat(f32::from(*index));
+        let own = *re * *re + *im * *im;
+        let turns = turns_of(simd, *re, *im) - slope * x;
         let step = turns - last;
-        last = if k == 0 { turns } else { last + (step - step.round_ties_even()) };
-        (sum_x, sum_xx) = (sum_x + x, sum_xx + x * x);
-        sum += last;
-        sum_xy += last * splat(x);
+        let (is_heard, is_first) = (own.simd_gt(zero), n.simd_le(zero));
+        let unwrapped = is_first.select(turns, last + (step - step.round_ties_even()));
+        last = is_heard.select(unwrapped, last);
+        let weight = is_heard.select(one, zero);
+        power += own;
+        n += weight;
+        sum_x += weight * x;
+        sum_xx += weight * x * x;
+        sum += weight * last;
+        sum_xy += weight * last * x;
     }
-    let rest = (sum_xy * splat(n) - sum * splat(sum_x)) * splat(1.0 / (n * sum_xx - sum_x * sum_x));
-    let (sin, cos) = sin_cos_turns::<S, f32>(simd, (sum - rest * splat(sum_x)) * splat(1.0 / n));
-    let size = (power * splat(1.0 / n)).sqrt();
+    // Of a single subcarrier the line has no slope of its own: its spread is 0, and so is what is divided by it.
+    let rest = (sum_xy * n - sum * sum_x) / (n * sum_xx - sum_x * sum_x).max(one);
+    let (sin, cos) = sin_cos_turns::<S, f32>(simd, (sum - rest * sum_x) / n.max(one));
+    let size = (power * splat(1.0 / SUBCARRIERS as f32)).sqrt();
     (cos * size, sin * size, power)
 }
 
@@ -137,13 +143,15 @@ mod tests {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             (state >> 40) as f32 / (1u32 << 24) as f32 - 0.5
         };
-        // A wave with a slope and noise, quantised as the card does; every seventh is silent.
+        // A wave with a slope and noise, quantised as the card does; every seventh is silent, and of every fifth some
+        // subcarriers are, the first among them.
         let mut heard = |k: usize| -> Heard {
             let (phase, slope) = (6.0 * random(), 1.5 * random());
             std::array::from_fn(|s| {
                 let noise = Complex32::new(random(), random()) * 12.0;
                 let wave = Complex32::from_polar(50.0, phase + slope * f32::from(INDICES_20_MHZ[s])) + noise;
-                if k % 7 == 3 { Iq::default() } else { Iq { i: wave.re as i8, q: wave.im as i8 } }
+                let is_silent = k % 7 == 3 || k % 5 == 1 && s % 4 == 0;
+                if is_silent { Iq::default() } else { Iq { i: wave.re as i8, q: wave.im as i8 } }
             })
         };
         let frames: Vec<[Heard; 2]> = (0..203).map(|k| [heard(k), heard(k / 2)]).collect();

@@ -10,7 +10,8 @@ use num_complex::{Complex32, Complex64};
 ///
 /// So that unwrapping does not slip on noise the slope is first taken out as the phase of the summed neighbour products,
 /// and the rest unwrapped and fitted; nothing is lost, the fit is of the sum of both.
-/// The magnitude is the root mean square over the subcarriers. `None` if all are zero.
+/// A subcarrier at (0, 0) has no phase and no part in the line. The magnitude is the root mean square over all subcarriers.
+/// `None` if all are zero.
 #[must_use]
 pub fn at_centre(csi: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS]) -> Option<Coherent> {
     Some(Coherent { h: centre(csi, indices, slope(csi, indices))?, path_gain: 1 })
@@ -31,20 +32,22 @@ pub(super) fn centre(csi: &[Complex32; SUBCARRIERS], indices: &[i8; SUBCARRIERS]
     if !(power > 0.0 && power.is_finite()) {
         return None;
     }
-    let mut last = 0.0;
-    let (mut sum, mut sum_x, mut sum_xx, mut sum_xy) = (0.0, 0.0, 0.0, 0.0);
-    for k in 0..SUBCARRIERS {
+    let mut last = None;
+    let (mut n, mut sum, mut sum_x, mut sum_xx, mut sum_xy) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for k in (0..SUBCARRIERS).filter(|&k| csi[k] != Complex32::default()) {
         let x = f64::from(indices[k]);
         let phase = f64::from(csi[k].arg()) - slope * x;
-        let phase = if k == 0 { phase } else { last + wrap_rad(phase - last) };
-        last = phase;
+        let phase = last.map_or(phase, |last| last + wrap_rad(phase - last));
+        last = Some(phase);
+        n += 1.0;
         sum += phase;
         sum_x += x;
         sum_xx += x * x;
         sum_xy += x * phase;
     }
-    let n = SUBCARRIERS as f64;
-    let rest = (n * sum_xy - sum_x * sum) / (n * sum_xx - sum_x * sum_x);
+    let spread = n * sum_xx - sum_x * sum_x;
+    // Of a single subcarrier the line has no slope of its own.
+    let rest = if spread > 0.0 { (n * sum_xy - sum_x * sum) / spread } else { 0.0 };
     let phase = (sum - rest * sum_x) / n;
-    Some(Complex64::from_polar((f64::from(power) / n).sqrt(), phase))
+    Some(Complex64::from_polar((f64::from(power) / SUBCARRIERS as f64).sqrt(), phase))
 }

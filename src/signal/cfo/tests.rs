@@ -27,6 +27,23 @@ fn centre_phase_is_exact_for_any_delay_the_card_has() {
     assert_eq!(at_centre(&[Complex32::new(f32::NAN, 0.0); SUBCARRIERS], &INDICES), None);
 }
 
+#[test]
+fn a_subcarrier_at_zero_has_no_part_in_the_line() {
+    let wave: [Complex32; SUBCARRIERS] =
+        std::array::from_fn(|k| Complex32::from_polar(3.0, 2.0 + 0.3 * f32::from(INDICES[k])));
+    for silent in [&[0][..], &[0, 1, 2], &[7], &[3, 4, 20, 29], &[29]] {
+        let mut csi = wave;
+        silent.iter().for_each(|k| csi[*k] = Complex32::default());
+        let found = at_centre(&csi, &INDICES).unwrap().h;
+        assert!((found.arg() - 2.0).abs() < 1e-5, "{silent:?} {found}");
+        assert!((found.norm_sqr() - 9.0 * (30.0 - silent.len() as f64) / 30.0).abs() < 1e-4, "{silent:?} {found}");
+    }
+    // One alone gives its own phase.
+    let mut csi = [Complex32::default(); SUBCARRIERS];
+    csi[4] = Complex32::from_polar(1.0, 0.7);
+    assert!((at_centre(&csi, &INDICES).unwrap().h.arg() - 0.7).abs() < 1e-6);
+}
+
 /// A link of `n` pairs at 10 ms with a slowly turning phase, an offset of `df_hz`, and a jitter with outliers.
 fn link(n: usize, df_hz: f64, drift_ppm: f64) -> (Vec<Complex64>, Vec<i64>, Vec<i64>) {
     let mut state = 1u64;
