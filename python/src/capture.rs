@@ -77,8 +77,8 @@ impl CsiSource for Stoppable {
 }
 
 /// A log as Python names it: a path, bytes, a file object, or (records, rows, host times) of a log in memory.
-fn source(log: &Bound<'_, PyAny>) -> PyResult<Box<dyn CsiSource + Send>> {
-    let Ok(parts) = log.cast::<PyTuple>() else { return Ok(Box::new(open(log)?)) };
+fn source(log: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Box<dyn CsiSource + Send>> {
+    let Ok(parts) = log.cast::<PyTuple>() else { return Ok(Box::new(open(log, stop)?)) };
     let (records, rows, host_us): (PyRef<'_, Records>, Option<PyReadonlyArray1<'_, i64>>, PyReadonlyArray1<'_, i64>) =
         parts.extract()?;
     let chosen = selected(&records.arena, rows.as_ref())?;
@@ -93,8 +93,11 @@ fn trajectory(of: &Bound<'_, PyAny>) -> PyResult<Trajectory> {
     }
     let path: PathBuf = of.extract()?;
     let name = path.display().to_string();
-    let (trajectory, _) = csv::read(&path).map_err(|error| Failure::new(Kind::Trajectory, error).of(name))?;
-    Ok(trajectory)
+    // In a thread of its own, for the sake of a file that lets its reader wait.
+    interruptible(of.py(), &Stop::default(), move || {
+        let read = csv::read(&path).map_err(|error| Failure::new(Kind::Trajectory, error).of(name));
+        read.map(|(trajectory, _)| trajectory)
+    })
 }
 
 fn poses(rows: &PyReadonlyArray2<'_, f64>) -> Result<Trajectory, Failure> {
@@ -213,7 +216,7 @@ pub fn bearings(
     let keywords = Keywords::parse(keywords)?;
     let options = keywords.options()?.with_keep_course(true).with_parallel(tx.len() > 1);
     let stop = Stop::default();
-    let stoppable = |log| PyResult::Ok(Stoppable { source: source(log)?, stop: stop.clone() });
+    let stoppable = |log| PyResult::Ok(Stoppable { source: source(log, &stop)?, stop: stop.clone() });
     let mut receiver = stoppable(rx)?;
     let mut logs = tx.iter().map(stoppable).collect::<PyResult<Vec<_>>>()?;
     let mut own = trajectory(path)?;

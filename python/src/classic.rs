@@ -1,6 +1,7 @@
 //! A log as csiread's `Intel` has it: zeros where a record has no CSI, rows by `antenna_sel`, frames beside.
 
 use crate::error::{Failure, Kind};
+use crate::patient::open_at_once;
 use crate::pool::pool;
 use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Next};
@@ -155,7 +156,8 @@ fn open_at(path: &PathBuf, position: u64) -> Result<Replay<Box<dyn Read + Send>>
     if path.is_dir() {
         return Err(Failure::log(csi5300::source::Error::Directory { path: path.clone() }, &name, 0));
     }
-    let mut file = std::fs::File::open(path).map_err(refused)?;
+    // A FIFO has no places: it is refused by the next line, and not waited for.
+    let mut file = open_at_once(path).map_err(refused)?;
     file.seek(SeekFrom::Start(position)).map_err(refused)?;
     Ok(Replay::new(Box::new(file), name.clone()))
 }

@@ -1,6 +1,7 @@
 //! Logs as Python names them, and reading them.
 
-use crate::error::{Failure, Kind};
+use crate::error::{Failure, Kind, Stop};
+use crate::patient::Patient;
 use csi5300::source::CsiSource;
 use csi5300::source::replay::Replay;
 use csi5300::time::Instant;
@@ -29,8 +30,9 @@ impl Read for FileObject {
     }
 }
 
-/// A `.dat` file as Python names it: a path, bytes, or an object with `read`.
-pub fn open(file: &Bound<'_, PyAny>) -> PyResult<Replay<Box<dyn Read + Send>>> {
+/// A `.dat` file as Python names it: a path, bytes, or an object with `read`. Where reading it has to wait, Ctrl-C and `stop`
+/// end the wait.
+pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Read + Send>>> {
     if let Ok(bytes) = file.cast::<PyBytes>() {
         // Backed by Python's memory: bytes never change.
         let memory = Cursor::new(Backed(bytes.clone().unbind(), bytes.as_bytes().len()));
@@ -43,6 +45,14 @@ pub fn open(file: &Bound<'_, PyAny>) -> PyResult<Replay<Box<dyn Read + Send>>> {
     }
     let path: PathBuf = file.extract()?;
     let name = path.display().to_string();
+    let refused = |source| {
+        let what = format!("cannot read the log {name}");
+        Failure::log(csi5300::source::Error::Io { what, source }, &name, 0)
+    };
+    if let Some(patient) = Patient::open(&path, stop).map_err(refused)? {
+        let name = if path.as_os_str() == "-" { "standard input".into() } else { name };
+        return Ok(Replay::new(Box::new(patient), name));
+    }
     Replay::open(&path).map_err(|error| Failure::log(error, &name, 0).into())
 }
 
@@ -120,9 +130,13 @@ pub fn info<S: CsiSource>(reading: &Reading<S>, name: &str, bytes: Option<u64>) 
     serde_json::to_string(&json).map_err(|error| Failure::new(Kind::Internal, error))
 }
 
-/// True for an object that is asked for its bytes by `read`: a method that belongs into the thread that called us.
-pub fn is_file_object(file: &Bound<'_, PyAny>) -> PyResult<bool> {
-    Ok(!file.is_instance_of::<PyBytes>() && file.hasattr("read")?)
+/// True for what is to be read in the thread that called us: an object that is asked for its bytes by `read`, a method that
+/// belongs there, and a file that may have to wait, which signals must reach.
+pub fn is_read_here(file: &Bound<'_, PyAny>) -> PyResult<bool> {
+    if file.is_instance_of::<PyBytes>() {
+        return Ok(false);
+    }
+    Ok(file.hasattr("read")? || !file.extract::<PathBuf>()?.is_file())
 }
 
 /// Reads all of a log on two threads, interruptibly.

@@ -3,7 +3,7 @@
 //!
 //! | module | what |
 //! |---|---|
-//! | `intake` | logs from paths, bytes and file objects |
+//! | `intake`, `patient` | logs from paths, bytes and file objects; files that let a reader wait |
 //! | `columns` | a column for each field as arrays |
 //! | `records` | `read`, `scan`, pickling |
 //! | `classic` | the records as csiread's `Intel` has them |
@@ -19,6 +19,7 @@ mod error;
 mod evaluate;
 mod intake;
 mod options;
+mod patient;
 mod pool;
 mod records;
 mod simulate;

@@ -2,7 +2,7 @@
 
 use crate::columns::{arrays, from_arrays};
 use crate::error::{Failure, Kind, Stop, detached, interruptible};
-use crate::intake::{filter, info, is_file_object, open, read_all, read_on};
+use crate::intake::{filter, info, is_read_here, open, read_all, read_on};
 use crate::pool::pool;
 use csi5300::signal::csi::{scale_factor, total_rss_dbm};
 use csi5300::source::replay::Replay;
@@ -264,8 +264,8 @@ pub fn read<'py>(
     t: Option<(Option<f64>, Option<f64>)>,
     letters: Option<&str>,
 ) -> PyResult<Read4<'py>> {
-    let mut intake = Reading::new(open(file)?, filter(macs, t, letters)?);
-    if is_file_object(file)? {
+    let mut intake = Reading::new(open(file, &Stop::default())?, filter(macs, t, letters)?);
+    if is_read_here(file)? {
         read_on(py, &mut intake, usize::MAX)?;
     } else {
         read_all(py, &mut intake)?;
@@ -300,7 +300,8 @@ impl Scanner {
         if chunk == 0 {
             return Err(Failure::new(Kind::Option, "chunk: at least 1 record").into());
         }
-        Ok(Self { intake: Mutex::new(Reading::new(open(file)?, filter(macs, t, letters)?)), chunk })
+        let source = open(file, &Stop::default())?;
+        Ok(Self { intake: Mutex::new(Reading::new(source, filter(macs, t, letters)?)), chunk })
     }
 
     /// The next piece, or None at the end.

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import pickle
 import subprocess
 import sys
@@ -7,7 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import csi5300
+import numpy as np
 import pytest
+from csi5300 import csiread
 
 
 def test_one_family_with_the_file(tmp_path: Path) -> None:
@@ -126,6 +129,70 @@ def test_an_interrupt_ends_a_long_call_and_its_work(work: str, rx: Path, tx: Pat
     command = [sys.executable, "-c", LONG, work, str(rx), str(tx), str(path_csv), str(rx.parent)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.stdout == "interrupted False\n", done.stderr
+
+
+WAITING = """
+import pathlib, signal, sys
+import csi5300
+import numpy as np
+from csi5300 import csiread
+
+work, fifo, rx, path = sys.argv[1:]
+
+def reading():
+    csi5300.read(fifo)
+
+def scanning():
+    for _ in csi5300.scan(fifo):
+        pass
+
+def bearings():
+    csi5300.bearings(fifo, rx, trajectory=path, channel=108)
+
+def a_trajectory():
+    csi5300.bearings(rx, rx, trajectory=fifo, channel=108)
+
+def a_silent_writer():
+    # Somebody has the FIFO open and writes nothing.
+    with open(fifo, "r+b", buffering=0):
+        csi5300.read(fifo)
+
+signal.signal(signal.SIGALRM, signal.default_int_handler)
+signal.setitimer(signal.ITIMER_REAL, 0.5)
+try:
+    globals()[work]()
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+@pytest.mark.parametrize("work", ["reading", "scanning", "bearings", "a_trajectory", "a_silent_writer"])
+def test_an_interrupt_ends_the_wait_for_a_fifo(work: str, rx: Path, path_csv: Path, tmp_path: Path) -> None:
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    command = [sys.executable, "-c", WAITING, work, str(fifo), str(rx), str(path_csv)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.stdout == "interrupted\n", done.stderr
+
+
+def test_a_fifo_is_read_to_the_end_of_its_writer(rx: Path, tmp_path: Path) -> None:
+    fifo = tmp_path / "fifo"
+    os.mkfifo(fifo)
+    whole = csi5300.read(rx)
+    # It opens the FIFO whenever it comes to it, also after the reader.
+    writer = subprocess.Popen(["cp", str(rx), str(fifo)])
+    log = csi5300.read(fifo)
+    assert writer.wait(timeout=120) == 0
+    assert len(log) == len(whole) and np.array_equal(log.csi, whole.csi, equal_nan=True)
+    with pytest.raises(csi5300.LogError, match="no regular file"):
+        csiread.Intel(str(fifo), 3, 1).read()
+
+
+def test_standard_input_is_a_log(rx: Path) -> None:
+    count = "import csi5300; log = csi5300.read('-'); print(len(log), log.info['name'])"
+    with rx.open("rb") as file:
+        done = subprocess.run([sys.executable, "-c", count], stdin=file, capture_output=True, text=True, timeout=120)
+    assert done.stdout == f"{len(csi5300.read(rx))} standard input\n", done.stderr
 
 
 def test_a_pickled_log_that_was_damaged_is_refused(rx: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
 from pathlib import Path
 
 import csi5300
@@ -59,6 +61,44 @@ def test_mat(path: Path, tmp_path: Path) -> None:
         assert arrays[name].shape == (1, len(log)) and arrays[name].dtype == dtype
         _same(log, name, arrays[name].ravel())
     assert arrays["mac"].shape == (6, len(log)) and arrays["scaled"].item() == 1
+
+
+OCTAVE = """
+log = load(argv(){1});
+names = argv()(2:end);
+for k = 1:numel(names)
+    values = log.(names{k});
+    printf("%s %s\\n", class(values), mat2str(size(values)));
+    to = fopen([names{k} ".bin"], "w");
+    fwrite(to, real(values), class(values));
+    fwrite(to, imag(values), class(values));
+    fclose(to);
+end
+"""
+
+
+@pytest.mark.parametrize("path", LOGS, ids=lambda path: path.name)
+def test_mat_in_octave(path: Path, tmp_path: Path) -> None:
+    octave = shutil.which("octave-cli")
+    if octave is None:
+        pytest.skip("no octave-cli: apt-get install --no-install-recommends octave (260 MB)")
+    log = csi5300.read(path)
+    log.write(tmp_path / "log.mat", scaled=True)
+    (tmp_path / "values.m").write_text(OCTAVE)
+    names = ["csi", "mac", *TYPES]
+    command = [octave, "--norc", "--quiet", "values.m", "log.mat", *names]
+    said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    said.check_returncode()
+    classes = {np.float32: "single", np.float64: "double"}
+    # Octave leaves out a size of 1 at the end.
+    sizes = [30, log.streams, len(log.antennas), len(log)]
+    expected = [f"single [{' '.join(map(str, sizes))}]", f"uint8 [6 {len(log)}]"]
+    expected += [f"{classes.get(dtype, np.dtype(dtype).name)} [1 {len(log)}]" for dtype in TYPES.values()]
+    assert said.stdout.splitlines() == expected
+    re, im = np.fromfile(tmp_path / "csi.bin", np.float32).reshape(2, *reversed(sizes))
+    assert np.array_equal(re + 1j * im, log.scaled(), equal_nan=True), "column by column in Octave, row by row here"
+    for name, dtype in TYPES.items():
+        _same(log, name, np.fromfile(tmp_path / f"{name}.bin", dtype)[: len(log)])
 
 
 @pytest.mark.parametrize("path", LOGS, ids=lambda path: path.name)

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# The Python package: the wheel built once (release), its types (mypy --strict), its tests beside the libraries that it speaks to,
-# its examples and notebook; and the wheel alone in a clean environment. Exit status 77: no Python, or nothing from PyPI.
+# The Python package: the wheel built once (release, for manylinux2014 where PyPI has zig), its types (mypy --strict), its tests
+# beside the libraries that it speaks to, its examples and notebook; and the wheel alone in a clean environment. Exit status 77: no
+# Python, or nothing from PyPI.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 export PIP_DISABLE_PIP_VERSION_CHECK=1
@@ -17,11 +18,16 @@ mkdir -p "$own"
 step() { printf -- '-- %s (%s s)\n' "$1" "$SECONDS"; }
 
 step "the wheel"
-rm -f "$own"/wheels/*.whl
-(cd python && PATH="$own/venv/bin:$PATH" maturin build --quiet --release --out "$own/wheels")
+status=0
+scripts/wheel.sh "$own/wheels" || status=$?
+if [ "$status" = 77 ]; then
+    echo "not built for manylinux2014, but with the C library of this machine"
+    rm -f "$own"/wheels/*.whl
+    (cd python && PATH="$own/venv/bin:$PATH" maturin build --quiet --release --out "$own/wheels")
+elif [ "$status" != 0 ]; then
+    exit "$status"
+fi
 wheel=$(echo "$own"/wheels/*.whl)
-# Its tag says the oldest C library that it runs with; maturin looks at the symbols that it needs.
-ls -l "$wheel"
 
 step "alone, in a clean environment"
 rm -rf "$own/clean"

@@ -83,6 +83,8 @@ class Intel:
     ) -> None:
         self.file = None if file is None else os.fspath(file)
         if self.file is not None and not os.path.isfile(self.file):
+            if os.path.exists(self.file):
+                raise LogError(f"{self.file} is no regular file, which this reads from any place: use csi5300.read", self.file)
             raise LogNotFoundError(f"no such log: {self.file}", self.file)
         self.nrxnum, self.ntxnum, self.pl_size = nrxnum, ntxnum, pl_size
         self.if_report, self.bufsize = if_report, bufsize
