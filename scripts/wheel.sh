@@ -15,6 +15,6 @@ tools=$CARGO_TARGET_DIR/wheel-tools
 rm -f "$out"/csi5300-*.whl
 (cd python && PATH="$tools/bin:$PATH" maturin build --quiet --release --zig --compatibility manylinux2014 --out "$out")
 wheel=$(echo "$out"/csi5300-*.whl)
-"$tools/bin/auditwheel" show "$wheel" | grep -o 'platform tag: *"[a-z0-9_]*"' | tee /dev/stderr | grep -q '"manylinux_2_17_x86_64"' ||
-    { echo "$wheel: not what its name says"; exit 1; }
+found=$("$tools/bin/auditwheel" show "$wheel" | tr -s '\n' ' ')
+[[ "$found" == *'platform tag: "manylinux_2_17_x86_64"'* ]] || { echo "it is not what its name says: $found"; exit 1; }
 ls -l "$wheel"
