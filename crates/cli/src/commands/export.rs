@@ -154,7 +154,7 @@ fn table(args: &Args, output: &Path, filter: Filter) -> Words<Written> {
     let source = super::open_log(&args.file)?;
     let antennas = filter.antennas().map(<[Antenna]>::to_vec);
     let mut reading = Reading::new(source, filter);
-    while reading.burst(Instant::ZERO, usize::MAX).map_err(|error| error.to_string())? {}
+    reading.read_all(Instant::ZERO, || true).map_err(|error| error.to_string())?;
     let (arena, columns) = reading.take();
     let (records, bytes) = (arena.len() as u64, reading.source().bytes());
     let mut export = Export::new(&arena, (0..arena.len()).collect(), &columns, args.form());

@@ -11,18 +11,21 @@ const BLOCK: usize = 8_192;
 /// # Errors
 /// As the writer.
 pub(super) fn emit<T: Pod>(mut values: impl Iterator<Item = T>, out: &mut impl Write) -> io::Result<u64> {
-    emit_blocks(|block| block.extend(values.by_ref().take(BLOCK)), out)
+    let next = |block: &mut Vec<T>| {
+        block.clear();
+        block.extend(values.by_ref().take(BLOCK));
+    };
+    emit_blocks(next, out)
 }
 
-/// The same of values that are handed over block by block: `next` fills the block, which is empty, and leaves it empty at the
-/// end.
+/// The same of values that are handed over block by block: `next` puts the next values in the place of those in the block, and none
+/// at the end.
 ///
 /// # Errors
 /// As the writer.
 pub(super) fn emit_blocks<T: Pod>(mut next: impl FnMut(&mut Vec<T>), out: &mut impl Write) -> io::Result<u64> {
     let (mut block, mut written) = (Vec::new(), 0);
     loop {
-        block.clear();
         next(&mut block);
         if block.is_empty() {
             return Ok(written);

@@ -125,13 +125,25 @@ impl<'a> Export<'a> {
         }
     }
 
-    /// The CSI of all records, `[record][antenna][stream][subcarrier]`, decoded piece by piece, until it is stopped.
-    fn csi(&self) -> impl Iterator<Item = Vec<Complex32>> {
+    /// The CSI of all records, `[record][antenna][stream][subcarrier]`, decoded piece by piece, until it is stopped: each call
+    /// puts the next piece in the place of what is in the vector, and nothing behind the last.
+    fn pieces(&self) -> impl FnMut(&mut Vec<Complex32>) {
         let rows = Rows::new(&self.antennas, self.streams);
-        self.records.chunks(PIECE).take_while(move |_| !self.is_stopped()).map(move |records| {
-            let mut piece = vec![Complex32::default(); records.len() * rows.len()];
-            decode(self.arena, records, &rows, self.form, &mut piece);
-            piece
+        let mut records = self.records.chunks(PIECE);
+        move |piece| {
+            let records = records.next().filter(|_| !self.is_stopped()).unwrap_or_default();
+            piece.resize(records.len() * rows.len(), Complex32::default());
+            decode(self.arena, records, &rows, self.form, piece);
+        }
+    }
+
+    /// The same as vectors of their own.
+    fn csi(&self) -> impl Iterator<Item = Vec<Complex32>> {
+        let mut next = self.pieces();
+        std::iter::from_fn(move || {
+            let mut piece = Vec::new();
+            next(&mut piece);
+            (!piece.is_empty()).then_some(piece)
         })
     }
 
@@ -139,12 +151,11 @@ impl<'a> Export<'a> {
         let mut npz = npz::Npz::create(path)?;
         let (n, ports, streams) = (self.records.len() as u64, self.antennas.len(), self.streams);
         let shape = [n, SUBCARRIERS as u64, ports as u64, streams as u64];
-        let mut pieces = self.csi();
+        let (mut next, mut piece) = (self.pieces(), Vec::new());
         npz.blocks("csi", &shape, |turned| {
-            if let Some(piece) = pieces.next() {
-                turned.resize(piece.len(), Complex32::default());
-                subcarriers_first(&piece, ports * streams, turned);
-            }
+            next(&mut piece);
+            turned.resize(piece.len(), Complex32::default());
+            subcarriers_first(&piece, ports * streams, turned);
         })?;
         fields::write(self, &mut npz)?;
         npz.finish()

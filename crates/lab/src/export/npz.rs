@@ -58,8 +58,8 @@ impl Npz {
         self.add::<T>(name, shape, |out| emit(values, out))
     }
 
-    /// Adds an array whose values are handed over block by block: `next` fills the block, which is empty, and leaves it empty at
-    /// the end.
+    /// Adds an array whose values are handed over block by block: `next` puts the next values in the place of those in the block,
+    /// and none at the end.
     ///
     /// # Errors
     /// As [`Npz::array`].
