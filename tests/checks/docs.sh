@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
 # The commands of README.md and of the pages in docs (their ```sh blocks), run as written, each page in an empty folder of its own;
+# commands elsewhere in them, which name files that readers have, are ones that the program knows, with options that it knows;
 # and every link between pages leads somewhere. A program may be named: tests/checks/docs.sh PROGRAM
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -20,6 +21,28 @@ if grep -n '\.\./shared' README.md docs/*.md; then
     echo "these pages name a folder that readers do not have"
     exit 1
 fi
+# Lines of blocks (fenced or indented) and what stands in backticks; what follows " #" is a remark.
+commands() { grep -oE '^(    )?csi5300 [a-z].*|`csi5300 [a-z][^`]*`' "$1" | tr -d '`' | sed 's/ #.*//'; }
+known=0
+for page in README.md docs/*.md; do
+    while read -r _ command rest; do
+        # The first bytes of a side file.
+        [ "$command $rest" != "checks 1" ] || continue
+        help="$folder/help-$command"
+        [ -e "$help" ] || "$program" "$command" --help >"$help" 2>&1 || {
+            echo "$page: csi5300 $command is no command"
+            exit 1
+        }
+        for option in $(grep -oE -- '(^|[^a-z-])--[a-z][a-z-]*' <<<"$rest" | grep -oE -- '--.*' | sort -u); do
+            grep -qE -- "(^|[^a-z-])$option([^a-z-]|$)" "$help" || grep -q 'was built without it' "$help" || {
+                echo "$page: csi5300 $command has no $option"
+                exit 1
+            }
+            known=$((known + 1))
+        done
+    done < <(commands "$page")
+done
+echo "$known options of commands that are not run are known"
 for page in README.md docs/tutorial.md docs/view.md; do
     grep -q '^```sh$' "$page" || { echo "$page has no commands"; exit 1; }
 done
