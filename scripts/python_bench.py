@@ -1,4 +1,5 @@
-"""Times csi5300's reader against csiread and CSIKit on one log: wall time and peak memory, each run in a process of its own.
+"""Times csi5300's reader against csiread and CSIKit on one log: wall time, processor time (user and system, all threads) and peak
+memory, each run in a process of its own.
 
 usage: python scripts/python_bench.py [--log LOG.dat] [--megabytes 200] [--runs 5] [--csikit] [--rust PROGRAM]
 Needs csi5300 (the wheel), csiread and, with --csikit, CSIKit in the interpreter that runs it; without --log it writes one of
@@ -14,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import statistics
 import struct
 import subprocess
@@ -41,7 +43,8 @@ JOBS = {
         "log = csi5300.read(path)\nlog.scaled()\nn = len(log)"
     ),
     "csi5300 read + scaled, memory again": (
-        "import csi5300\nimport numpy as np\nout = np.ones((records, 3, 1, 30), np.complex64)\nbegan = time.perf_counter()\n"
+        "import csi5300\nimport numpy as np\nout = np.ones((records, 3, 1, 30), np.complex64)\n"
+        "began, used = time.perf_counter(), time.process_time()\n"
         "log = csi5300.read(path)\nlog.scaled(out=out)\nn = len(log)"
     ),
     "CSIKit read": (
@@ -68,10 +71,10 @@ import json, resource, sys, time
 path, records = sys.argv[1], int(sys.argv[2])
 {imports}
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-began = time.perf_counter()
+began, used = time.perf_counter(), time.process_time()
 {job}
-took = time.perf_counter() - began
-print(json.dumps([took, n, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, before]))
+took, used = time.perf_counter() - began, time.process_time() - used
+print(json.dumps([took, used, n, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, before]))
 """
 
 
@@ -97,12 +100,15 @@ def write_log(path: Path, megabytes: int) -> None:
             out.write(block)
 
 
-def measure(job: str, log: Path, records: int) -> tuple[float, int, int]:
-    """Seconds, records and peak memory (KiB)."""
+def measure(job: str, log: Path, records: int) -> tuple[float, float, int, int]:
+    """Seconds, seconds of processor time, records and peak memory (KiB)."""
     if job.startswith("/"):
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
         done = subprocess.run([job, str(log)], capture_output=True, text=True, check=True)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
         took, n, peak = done.stdout.split()
-        return float(took), int(n), int(peak)
+        used = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        return float(took), used, int(n), int(peak)
     imports = "\n".join(line for line in job.splitlines() if line.startswith(("import", "from")))
     body = "\n".join(line for line in job.splitlines() if not line.startswith(("import", "from")))
     code = RUN.format(imports=imports, job=body)
@@ -110,8 +116,8 @@ def measure(job: str, log: Path, records: int) -> tuple[float, int, int]:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(done.stderr.strip().splitlines()[-1] if done.stderr else f"status {done.returncode}")
-    took, n, peak, _ = json.loads(done.stdout.splitlines()[-1])
-    return took, n, peak
+    took, used, n, peak, _ = json.loads(done.stdout.splitlines()[-1])
+    return took, used, n, peak
 
 
 def main() -> None:
@@ -129,27 +135,30 @@ def main() -> None:
         jobs = {name: job for name, job in JOBS.items() if args.csikit or not name.startswith("CSIKit")}
         if args.rust:
             jobs["Rust, read + scaled"] = str(args.rust.resolve())
-        _, records, _ = measure(JOBS["csi5300 read"], log, 0)
+        _, _, records, _ = measure(JOBS["csi5300 read"], log, 0)
         took: dict[str, list[float]] = {name: [] for name in jobs}
+        used: dict[str, list[float]] = {name: [] for name in jobs}
         counts, peaks = {}, {}
         for _ in range(args.runs):  # in turns, so that all see the same machine
             for name, job in list(jobs.items()):
                 try:
-                    seconds, counts[name], peaks[name] = measure(job, log, records)
+                    seconds, processor, counts[name], peaks[name] = measure(job, log, records)
                 except RuntimeError as error:
                     print(f"{name}: {error}")
                     del jobs[name]
                     continue
                 took[name].append(seconds)
+                used[name].append(processor)
         print(f"{log.name}: {os.path.getsize(log) / 1e6:.0f} MB, {os.cpu_count()} cores, median of {args.runs}")
         for name in jobs:
             seconds = statistics.median(took[name])
             rate = counts[name] / seconds / 1e6
-            print(f"{name:36} {seconds:8.3f} s  {counts[name]:9} records  {rate:6.2f} M/s  peak {peaks[name] / 1024:7.0f} MiB")
+            processor = f"{statistics.median(used[name]):.3f} s of processor (least {min(used[name]):.3f})"
+            print(f"{name:36} {seconds:8.3f} s, {processor}  {counts[name]:9} records  {rate:6.2f} M/s  peak {peaks[name] / 1024:7.0f} MiB")
         for pair in PAIRS:
             if all(name in jobs for name in pair):
-                theirs, ours = (statistics.median(took[name]) for name in pair)
-                print(f"{pair[0]} / {pair[1]}: {theirs / ours:.2f}")
+                wall, processor = (statistics.median(of[pair[0]]) / statistics.median(of[pair[1]]) for of in (took, used))
+                print(f"{pair[0]} / {pair[1]}: {wall:.2f}, processor time {processor:.2f}")
 
 
 main()
