@@ -1,4 +1,4 @@
-//! Links of captures, evaluated in the background: first those that somebody wants to see.
+//! Links of captures, evaluated in the background; those that somebody wants to see at once, while the background rests.
 
 use crate::Error;
 use crate::events::Events;
@@ -11,7 +11,10 @@ use csi5300_lab::evaluate::{Capture, Errors, Judged, SetSummary, TrajectorySourc
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+/// Captures that somebody waits for at a time, each on a thread of its own; further ones are next in the background.
+const URGENT: usize = 2;
 
 /// How captures are read and their links estimated.
 #[derive(Clone)]
@@ -88,6 +91,8 @@ struct Done {
 struct State {
     /// Captures that nobody works on yet.
     waiting: VecDeque<usize>,
+    /// Captures that are worked on because somebody waits for them.
+    urgent: usize,
     links: Vec<Option<Done>>,
     /// Links in the order in which they came.
     arrived: Vec<usize>,
@@ -103,6 +108,28 @@ pub(crate) struct Links {
     reading: Reading,
     table: Option<Table>,
     state: Mutex<State>,
+    /// None is urgent any more.
+    calm: Condvar,
+}
+
+/// A capture that somebody waits for; until this is dropped no other is begun in the background.
+pub(crate) struct Urgent<'a> {
+    links: &'a Links,
+    capture: usize,
+}
+
+impl Urgent<'_> {
+    /// Evaluates it.
+    pub fn work(self, events: &Events) {
+        self.links.evaluate(self.capture, events);
+    }
+}
+
+impl Drop for Urgent<'_> {
+    fn drop(&mut self) {
+        self.links.state().urgent -= 1;
+        self.links.calm.notify_all();
+    }
 }
 
 impl Links {
@@ -129,7 +156,7 @@ impl Links {
         let links = first.last().map_or_else(Vec::new, |all| (0..*all).map(|_| None).collect());
         let lost = !unreadable.is_empty();
         let state = State { waiting: (0..captures.len()).collect(), links, notes, lost, ..State::default() };
-        Some(Self { captures, first, reading, table, state: Mutex::new(state) })
+        Some(Self { captures, first, reading, table, state: Mutex::new(state), calm: Condvar::new() })
     }
 
     pub fn captures(&self) -> &[Capture] {
@@ -165,10 +192,28 @@ impl Links {
         self.captures.iter().flat_map(named).collect()
     }
 
-    /// Evaluates the capture that is next; false if none is left.
+    /// Evaluates the capture that is next, once none is urgent; false if none is left.
     pub fn work(&self, events: &Events) -> bool {
-        let Some(number) = self.state().waiting.pop_front() else { return false };
-        let Some(capture) = self.captures.get(number) else { return true };
+        let rested = self.calm.wait_while(self.state(), |state| state.urgent > 0);
+        let next = rested.unwrap_or_else(PoisonError::into_inner).waiting.pop_front();
+        next.is_some_and(|number| {
+            self.evaluate(number, events);
+            true
+        })
+    }
+
+    /// The capture of a link to be worked on now; none if somebody works on it, or on too many.
+    pub fn urgent(&self, link: usize) -> Option<Urgent<'_>> {
+        let (capture, _) = self.place(link)?;
+        let mut state = self.state();
+        let at = state.waiting.iter().position(|waiting| *waiting == capture).filter(|_| state.urgent < URGENT)?;
+        state.waiting.remove(at);
+        state.urgent += 1;
+        Some(Urgent { links: self, capture })
+    }
+
+    fn evaluate(&self, number: usize, events: &Events) {
+        let Some(capture) = self.captures.get(number) else { return };
         let mut details: BTreeMap<String, Arc<str>> = BTreeMap::new();
         let mut look = |name: &str, bearing: &csi5300::pipeline::Bearing, _: &Options| {
             if let Ok(text) = serde_json::to_string(&Detail::new(bearing)) {
@@ -193,7 +238,6 @@ impl Links {
             state.arrived.len()
         };
         events.tell("rows", &format!("{{\"done\":{done},\"of\":{}}}", self.len()));
-        true
     }
 
     /// Evaluates all that is left; `progress` is handed how many links are done.
@@ -244,17 +288,19 @@ impl Links {
 
     /// A link: its whole row, where its capture's receiver is located, and what the page draws. A capture that nobody works
     /// on is next then, and until it is done there are `waiting`, true, and the logs only. `logs` are the numbers of the receiver's and the
-    /// transmitter's log.
-    pub fn link(&self, link: usize, logs: [Option<usize>; 2]) -> Result<Option<Vec<u8>>, Error> {
+    /// transmitter's log. Beside the answer: whether it is one that nobody works on.
+    pub fn link(&self, link: usize, logs: [Option<usize>; 2]) -> Result<Option<(Vec<u8>, bool)>, Error> {
         let Some((capture, _)) = self.place(link) else { return Ok(None) };
         let numbers = serde_json::json!({ "receiver": logs[0], "transmitter": logs[1] });
         let mut state = self.state();
         let Some(done) = state.links.get(link).and_then(Option::as_ref) else {
-            if let Some(at) = state.waiting.iter().position(|waiting| *waiting == capture) {
+            let at = state.waiting.iter().position(|waiting| *waiting == capture);
+            if let Some(at) = at {
                 state.waiting.remove(at);
                 state.waiting.push_front(capture);
             }
-            return Ok(Some(serde_json::to_vec(&serde_json::json!({ "waiting": true, "logs": numbers }))?));
+            let answer = serde_json::to_vec(&serde_json::json!({ "waiting": true, "logs": numbers }))?;
+            return Ok(Some((answer, at.is_some())));
         };
         let siblings = self.first[capture]..self.first[capture + 1];
         let rows = siblings.filter_map(|k| state.links.get(k)?.as_ref().map(|done| done.row.clone()));
@@ -267,7 +313,7 @@ impl Links {
         text.pop();
         let detail = done.detail.as_deref().unwrap_or("null");
         text += &format!(",\"drawn\":{detail}}}");
-        Ok(Some(text.into_bytes()))
+        Ok(Some((text.into_bytes(), false)))
     }
 }
 
@@ -292,5 +338,34 @@ fn short(number: usize, done: &Done) -> ShortRow<'_> {
         position_m: answer.position_m,
         position_covariance_m2: answer.position_covariance_m2,
         beside: done.beside,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300::signal::channel::Width;
+
+    #[test]
+    fn what_somebody_waits_for_is_done_before_what_is_next() {
+        let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
+        let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
+        let reading = Reading::new(TrajectorySource::GroundTruth, None, options);
+        let mut links = Links::below(&fixture, reading).unwrap();
+        // The same capture three times, a link each.
+        links.captures = std::iter::repeat_n(links.captures[0].clone(), 3).collect();
+        links.first = vec![0, 1, 2, 3];
+        *links.state() = State { waiting: (0..3).collect(), links: (0..3).map(|_| None).collect(), ..State::default() };
+        let events = Events::default();
+        let urgent = links.urgent(2).unwrap();
+        assert!(links.urgent(2).is_none() && links.urgent(3).is_none());
+        std::thread::scope(|scope| {
+            let background = scope.spawn(|| links.finish(&events, |_| {}));
+            // The background begins when this is done, whatever runs first.
+            urgent.work(&events);
+            background.join().unwrap();
+        });
+        assert_eq!(links.state().arrived, [2, 0, 1]);
+        assert!(links.urgent(0).is_none(), "it is done");
     }
 }

@@ -16,7 +16,7 @@ use serde::Serialize;
 use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 use std::str::FromStr;
-use std::sync::{Arc, Weak};
+use std::sync::{Arc, OnceLock, Weak};
 
 /// Columns of a stretch where the page asks for no number of them.
 const COLUMNS: usize = 600;
@@ -32,6 +32,8 @@ pub struct View {
     pub(crate) events: Arc<Events>,
     antenna: Antenna,
     source: TrajectorySource,
+    /// Itself, once links are evaluated in the background: for the threads of links that somebody waits for.
+    own: OnceLock<Weak<Self>>,
 }
 
 /// An answer: its kind (a MIME type) and its bytes.
@@ -116,6 +118,7 @@ impl View {
             events: Arc::clone(&events),
             antenna,
             source,
+            own: OnceLock::new(),
         };
         if kind.is_dir() {
             let (logs, links) = (Logs::below(path), Links::below(path, reading));
@@ -142,6 +145,7 @@ impl View {
         if self.links.is_none() {
             return Ok(());
         }
+        self.own.get_or_init(|| Arc::downgrade(self));
         for _ in 0..threads.max(1) {
             let of: Weak<Self> = Arc::downgrade(self);
             let work = move || {
@@ -153,6 +157,17 @@ impl View {
             thread.map_err(|source| Error::Start { what: "the thread that evaluates links", source })?;
         }
         Ok(())
+    }
+
+    /// Has a link evaluated at once, on a thread of its own, if that was not begun. Where none can be started it is next.
+    fn hurry(&self, link: usize) {
+        let Some(view) = self.own.get().and_then(Weak::upgrade) else { return };
+        let work = move || {
+            if let Some(urgent) = view.links.as_ref().and_then(|links| links.urgent(link)) {
+                urgent.work(&view.events);
+            }
+        };
+        drop(std::thread::Builder::new().name("csi5300 link".into()).spawn(work));
     }
 
     /// How many links there are.
@@ -194,7 +209,11 @@ impl View {
             ["data", "states"] => self.node.as_ref().ok_or_else(none)?.states(),
             ["data", "link", link] => {
                 let link = number(link)?;
-                links()?.link(link, self.logs_of(link))?.ok_or_else(none)?
+                let (answer, waits) = links()?.link(link, self.logs_of(link))?.ok_or_else(none)?;
+                if waits {
+                    self.hurry(link);
+                }
+                answer
             }
             ["data", "log", log] => self.facts(number(log)?)?.ok_or_else(none)?,
             ["data", "log", log, what @ ("levels" | "csi")] => {
