@@ -160,7 +160,8 @@ pub mod internal {
     pub use crate::pipeline::intake::{FrameHeard, Front};
     pub use crate::place::confidence::{
         camera_heading_rad, full_deviation_rad, full_features, full_probability, heading_feature, probability_limits,
-        quick_deviation_rad, quick_features, quick_probability, unmounted_heading_rad, wheels_heading_rad,
+        quick_deviation_rad, quick_features, quick_probability, rolling_camera_heading_rad, unmounted_heading_rad,
+        wheels_heading_rad,
     };
     pub use crate::place::near_field::types::{Band, Limits, Taper, View};
     pub use crate::place::near_field::{aperture::Aperture, search::Search};

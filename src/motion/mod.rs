@@ -3,3 +3,4 @@
 pub(crate) mod heading;
 pub mod odometry;
 pub mod pose;
+pub mod rolling;

@@ -62,9 +62,9 @@ pub enum TrajectoryError {
         /// Usable poses.
         poses: usize,
     },
-    /// An antenna offset can only be turned with a heading.
+    /// An offset on the robot can only be turned with its heading, and wheels roll along it.
     #[error(
-        "an antenna offset needs the robot's heading, and this trajectory has none (5 columns); use one with yaw or quaternion"
+        "an offset on the robot needs its heading, and this trajectory has none (5 columns); use one with yaw or quaternion"
     )]
     NoHeading,
     /// A pose with a position, time or heading that is not a number.

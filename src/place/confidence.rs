@@ -32,6 +32,12 @@ pub fn camera_heading_rad() -> f64 {
     TUNING.certainty.camera_heading_deg.to_radians()
 }
 
+/// The same of one held to what wheels can roll ([`crate::motion::rolling`]).
+#[must_use]
+pub fn rolling_camera_heading_rad() -> f64 {
+    TUNING.certainty.rolling_camera_heading_deg.to_radians()
+}
+
 /// The same of wheel odometry where the place of the antenna on the robot is known.
 #[must_use]
 pub fn wheels_heading_rad() -> f64 {

@@ -31,8 +31,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let quick = ["per_coherence", "per_ratio", "per_aperture", "compensated", "per_heading"];
     probability("full_probability", &full, &rows, Kind::Full);
     probability("quick_probability", &quick, &rows, Kind::Quick);
-    let heading_deg = error_bar("full_error_bar", &full, &rows, Kind::Full, None);
-    error_bar("quick_error_bar", &quick, &rows, Kind::Quick, heading_deg);
+    error_bar("full_error_bar", &full, &rows, Kind::Full);
+    error_bar("quick_error_bar", &quick, &rows, Kind::Quick);
     Ok(())
 }
 
@@ -59,16 +59,13 @@ fn probability(group: &str, names: &[&str], rows: &[FoldRow], kind: Kind) {
     }
 }
 
-fn error_bar(group: &str, names: &[&str], rows: &[FoldRow], kind: Kind, heading_deg: Option<f64>) -> Option<f64> {
+fn error_bar(group: &str, names: &[&str], rows: &[FoldRow], kind: Kind) {
     let rows = error_rows(rows, kind);
     println!("{group}: {} bearings", rows.len());
-    let Some(model) = ErrorBarModel::fit(&rows.iter().collect::<Vec<&ErrorRow>>(), heading_deg) else {
-        println!("  too few to fit");
-        return None;
-    };
-    print_model(model.base, names, &model.coefficients);
-    println!("  certainty.camera_heading_deg: {:.1}", model.heading_deg);
-    Some(model.heading_deg)
+    match ErrorBarModel::fit(&rows.iter().collect::<Vec<&ErrorRow>>()) {
+        Some(model) => print_model(model.base, names, &model.coefficients),
+        None => println!("  too few to fit"),
+    }
 }
 
 fn print_model(base: f64, names: &[&str], coefficients: &[f64]) {

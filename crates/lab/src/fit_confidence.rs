@@ -1,8 +1,8 @@
 //! The logistic models of `src/place/confidence.rs`, fitted to captures with known truth.
 //!
 //! A row is one bearing: its features, and whether it was within five degrees. Bearings of one place are near copies of
-//! each other, so the place is the unit: every place has the same weight in the fit, however many bearings it has, and
-//! calibration is judged on places that the fit has not seen (leave one out). The fit maximises the weighted likelihood
+//! each other, so the place is the unit: every place has the same weight in the fit, however many bearings it has, and within
+//! it whole motions together as much as halves or quarters; calibration is judged on places that the fit has not seen (leave one out). The fit maximises the weighted likelihood
 //! less a ridge on the coefficients of standardised features (not on the intercept), by Newton's method from zero: the
 //! same rows give the same digits.
 
@@ -21,6 +21,8 @@ const STEPS: usize = 50;
 pub struct LabelledBearing {
     /// The place that it was recorded at.
     pub place: String,
+    /// Parts that its motion was cut into.
+    pub parts: u32,
     /// Features of the model.
     pub features: Vec<f64>,
     /// Whether the azimuth was within [`crate::evaluate::WRONG_DEG`] of the bearing from the mean pose.
@@ -49,11 +51,22 @@ pub struct Calibration {
     pub expected_error: f64,
 }
 
-/// The weight of each bearing: those of a place sum to one.
-fn weights(rows: &[&LabelledBearing]) -> Vec<f64> {
-    let mut counts: BTreeMap<&str, f64> = BTreeMap::new();
-    rows.iter().for_each(|row| *counts.entry(&row.place).or_default() += 1.0);
-    rows.iter().map(|row| 1.0 / counts.get(row.place.as_str()).copied().unwrap_or(1.0)).collect()
+/// The weight of each bearing, of its place and the number of parts that its motion was cut into: those of a place sum to one,
+/// and of its lengths of motion each has the same.
+pub(crate) fn weights<'a>(rows: impl Iterator<Item = (&'a str, u32)> + Clone) -> Vec<f64> {
+    let mut places: BTreeMap<&str, BTreeMap<u32, f64>> = BTreeMap::new();
+    rows.clone().for_each(|(place, parts)| *places.entry(place).or_default().entry(parts).or_default() += 1.0);
+    let weight = |(place, parts): (&str, u32)| {
+        let lengths = places.get(place)?;
+        Some(1.0 / (lengths.len() as f64 * lengths.get(&parts)?))
+    };
+    rows.map(|row| weight(row).unwrap_or(0.0)).collect()
+}
+
+impl LabelledBearing {
+    fn unit(&self) -> (&str, u32) {
+        (&self.place, self.parts)
+    }
 }
 
 fn sigmoid(logit: f64) -> f64 {
@@ -65,7 +78,7 @@ impl LogisticModel {
     #[must_use]
     pub fn fit(rows: &[&LabelledBearing]) -> Option<Self> {
         let n = rows.first()?.features.len();
-        let weights = weights(rows);
+        let weights = weights(rows.iter().map(|row| row.unit()));
         let total: f64 = weights.iter().sum();
         let mean_of = |f: &dyn Fn(&LabelledBearing) -> f64| {
             rows.iter().zip(&weights).map(|(row, weight)| weight * f(row)).sum::<f64>() / total
@@ -115,7 +128,7 @@ fn newton(inputs: &[DVector<f64>], rows: &[&LabelledBearing], weights: &[f64]) -
 /// Calibration of one probability for each of `rows`.
 #[must_use]
 pub fn calibration(rows: &[&LabelledBearing], probabilities: &[f64]) -> Calibration {
-    let weights = weights(rows);
+    let weights = weights(rows.iter().map(|row| row.unit()));
     let total: f64 = weights.iter().sum::<f64>().max(f64::MIN_POSITIVE);
     let each = || rows.iter().zip(&weights).zip(probabilities);
     let label = |row: &LabelledBearing| f64::from(u8::from(row.right));
@@ -147,7 +160,8 @@ mod tests {
     use super::*;
 
     fn row(place: usize, x: f64, right: bool) -> LabelledBearing {
-        LabelledBearing { place: place.to_string(), features: vec![x, 7.0], right, probability: 0.5 }
+        let (place, parts) = (place.to_string(), 1 + u32::from(x > 0.0));
+        LabelledBearing { place, parts, features: vec![x, 7.0], right, probability: 0.5 }
     }
 
     #[test]
@@ -161,6 +175,12 @@ mod tests {
         let (fitted, base) = (calibration(&all, &own), calibration(&all, &[0.5; 200]));
         assert!(fitted.brier < base.brier && base.brier == 0.25, "{fitted:?}");
         assert!(leave_one_place_out(&rows).unwrap().brier < base.brier);
+    }
+
+    #[test]
+    fn places_weigh_the_same_and_so_do_their_lengths_of_motion() {
+        let rows = [("a", 1), ("a", 2), ("a", 2), ("b", 1), ("b", 1)];
+        assert_eq!(weights(rows.into_iter()), [0.5, 0.25, 0.25, 0.5, 0.5]);
     }
 
     #[test]

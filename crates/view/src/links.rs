@@ -3,6 +3,7 @@
 use crate::Error;
 use crate::events::Events;
 use crate::link::Detail;
+use csi5300::motion::rolling::Mount;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::beside::{Beside, Table};
@@ -23,6 +24,7 @@ pub struct Reading {
     channel: Option<Channel>,
     options: Options,
     antenna_offset_m: Option<[f64; 3]>,
+    camera: Option<Mount>,
 }
 
 impl Reading {
@@ -30,13 +32,19 @@ impl Reading {
     #[must_use]
     pub fn new(source: TrajectorySource, channel: Option<Channel>, options: Options) -> Self {
         // Curves, paths and phases are what the page shows.
-        Self { source, channel, options: options.with_keep_course(true), antenna_offset_m: None }
+        Self { source, channel, options: options.with_keep_course(true), antenna_offset_m: None, camera: None }
     }
 
     /// With the antenna this far (metres forward, left, up) from what the trajectories of the camera or the wheels are of.
     #[must_use]
     pub fn with_antenna_offset_m(self, antenna_offset_m: Option<[f64; 3]>) -> Self {
         Self { antenna_offset_m, ..self }
+    }
+
+    /// The same with the tracking camera there on the robot ([`Capture::camera`]).
+    #[must_use]
+    pub fn with_camera(self, camera: Option<Mount>) -> Self {
+        Self { camera, ..self }
     }
 
     pub(crate) fn source(&self) -> TrajectorySource {
@@ -136,7 +144,9 @@ impl Links {
     /// The captures below a folder; none where there is none.
     pub fn below(folder: &Path, reading: Reading) -> Option<Self> {
         let (mut captures, unreadable) = find_all(folder);
-        captures.iter_mut().for_each(|capture| capture.antenna_offset_m = reading.antenna_offset_m);
+        for capture in &mut captures {
+            (capture.antenna_offset_m, capture.camera) = (reading.antenna_offset_m, reading.camera);
+        }
         if captures.is_empty() {
             return None;
         }

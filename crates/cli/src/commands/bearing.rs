@@ -3,9 +3,10 @@
 mod quality;
 
 use self::quality::{edge, quality};
-use super::args::{Estimation, channel, mac, triple};
+use super::args::{Estimation, channel, mac};
 use super::files::Log;
 use super::inputs::{BagArgs, Inputs, order_unknown};
+use super::mounting::Mounting;
 use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, some, usage};
 use csi5300::bartlett::Grid;
 use csi5300::pipeline::LinkError;
@@ -15,7 +16,6 @@ use csi5300::pipeline::{CaptureReport, JoinBy, LinkReport, LogReport, Options, T
 use csi5300::signal::channel::Channel;
 use csi5300::source::{CsiSource, read_key};
 use driver_iface::Mac;
-use nalgebra::Vector3;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -53,9 +53,8 @@ pub struct Args {
     /// Join the n-th frame of a link with the n-th row of the trajectory instead of by time
     #[arg(long)]
     join_rows: bool,
-    /// Place of the antenna on the receiver: metres forward, left, up; turned with the heading
-    #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
-    antenna_offset: Option<Vector3<f64>>,
+    #[command(flatten)]
+    mounting: Mounting,
     /// The key that the robots shared: frames without its tag are left out, where the logs hold frames (records 0xC1 of the
     /// stock driver); records of the WSR driver hold none and cannot be checked, which is said
     #[arg(long, value_name = "FILE")]
@@ -155,10 +154,7 @@ pub fn run(mut args: Args) -> Result {
         usage(&order_unknown(&args.tx));
     }
     options = options.with_parallel(args.tx.len() > 1);
-    let mut trajectory = inputs.trajectory(&named.trajectory)?;
-    if let Some(offset) = args.antenna_offset {
-        trajectory = trajectory.with_antenna_offset(offset).map_err(|error| error.to_string())?;
-    }
+    let trajectory = args.mounting.of_antenna(inputs.trajectory(&named.trajectory)?)?;
     let mut receiver = inputs.open(&rx)?;
     let (mut logs, unread) = open_transmitters(&mut args, &inputs)?;
     options.tx_macs.clone_from(&args.tx_mac);

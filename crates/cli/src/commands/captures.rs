@@ -1,11 +1,12 @@
 //! What the commands on folders of captures share.
 
-use super::args::{Estimation, channel, triple};
+use super::args::{Estimation, channel};
+use super::mounting::Mounting;
 use super::usage;
+use csi5300::motion::rolling::Mount;
 use csi5300::pipeline::{JoinBy, Options};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::evaluate::{Capture, TrajectorySource, find_all};
-use nalgebra::Vector3;
 use std::path::Path;
 
 /// What a capture is, for who named a folder without one.
@@ -18,10 +19,8 @@ pub struct Reading {
     /// Which trajectory to use
     #[arg(long, value_enum, default_value = "gt")]
     trajectory: Which,
-    /// Where the antenna is on the robot, seen from what the tracking camera's or the wheels' trajectory is of: metres forward,
-    /// left, up; turned with the heading. With --folds that of wheels is measured at the other places
-    #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
-    antenna_offset: Option<Vector3<f64>>,
+    #[command(flatten)]
+    mounting: Mounting,
     /// WiFi channel instead of the one in groundtruth_positions.json
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     pub channel: Option<Channel>,
@@ -35,10 +34,12 @@ pub struct Reading {
 impl Reading {
     /// The trajectory to use.
     pub fn source(&self) -> TrajectorySource {
-        match self.trajectory {
-            Which::Gt => TrajectorySource::GroundTruth,
-            Which::T265 => TrajectorySource::T265,
-            Which::Odom => TrajectorySource::Odometry,
+        match (self.trajectory, self.mounting.camera_mount) {
+            (Which::T265, Some(_)) => TrajectorySource::RollingT265,
+            (_, Some(_)) => usage("--camera-mount is of the tracking camera: --trajectory t265"),
+            (Which::Gt, None) => TrajectorySource::GroundTruth,
+            (Which::T265, None) => TrajectorySource::T265,
+            (Which::Odom, None) => TrajectorySource::Odometry,
         }
     }
 
@@ -62,13 +63,20 @@ impl Reading {
 
     /// Where the antenna was said to be, metres forward, left, up.
     pub fn antenna_offset_m(&self) -> Option<[f64; 3]> {
-        self.antenna_offset.map(Into::into)
+        self.mounting.antenna_offset.map(Into::into)
     }
 
-    /// Captures with the antenna where it was said to be.
+    /// How the robot was said to carry its tracking camera.
+    pub fn camera(&self) -> Option<Mount> {
+        self.mounting.camera_mount
+    }
+
+    /// Captures with antenna and camera where they were said to be.
     pub fn mounted(&self, mut captures: Vec<Capture>) -> Vec<Capture> {
-        let antenna_offset_m = self.antenna_offset_m();
-        captures.iter_mut().for_each(|capture| capture.antenna_offset_m = antenna_offset_m);
+        let (antenna_offset_m, camera) = (self.antenna_offset_m(), self.camera());
+        for capture in &mut captures {
+            (capture.antenna_offset_m, capture.camera) = (antenna_offset_m, camera);
+        }
         captures
     }
 

@@ -45,7 +45,8 @@ pub struct Args {
     #[arg(long)]
     ablation: bool,
     /// Leave each place out in turn, with everything fitted to the others: errors with intervals, by motion capture,
-    /// the tracking camera and wheels, whole motions, halves and quarters. A place is the last two folders of a capture
+    /// the tracking camera (as recorded, and held to what wheels can roll) and wheels, whole motions, halves and quarters.
+    /// A place is the last two folders of a capture
     #[arg(long, value_enum, value_name = "UNIT", conflicts_with_all = ["ablation", "trajectory"])]
     folds: Option<Folds>,
     /// Captures worked on at a time; 0 is one for each core

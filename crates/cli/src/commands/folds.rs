@@ -3,7 +3,9 @@
 use super::{Outcome, print, print_json};
 use csi5300::pipeline::Options;
 use csi5300_lab::evaluate::{Capture, Errors, Kept, TrajectorySource};
-use csi5300_lab::folds::{ConfidenceColumn, ErrorBarColumn, ErrorColumn, Kind, RefusalColumn, Report, gather, report};
+use csi5300_lab::folds::{
+    ConfidenceColumn, ErrorBarColumn, ErrorColumn, Kind, PathColumn, RefusalColumn, Report, gather, report,
+};
 use std::fmt::Write;
 
 /// Leaves every place of `captures` out in turn, and prints what came of it.
@@ -27,7 +29,8 @@ fn text(report: &Report) -> String {
     let mut text = format!(
         "{} places, {} links; each place is judged by what was fitted to the others\n\n\
          absolute error from the mean pose, degrees: mean / median / 90th percentile / share over 20 degrees,\n\
-         in brackets 95 % intervals by resampling places; oracle: the best of the first five candidates\n",
+         in brackets 95 % intervals by resampling places; oracle: the best of the first five candidates; turned right: less the\n\
+         rotation of the whole path that motion capture shows\n",
         report.places, report.links
     );
     if let Some([forward, left]) = report.antenna_offset_m {
@@ -37,6 +40,17 @@ fn text(report: &Report) -> String {
              forward, {left:.3} m left"
         );
     }
+    if let Some(mount) = &report.camera {
+        let _ = writeln!(
+            text,
+            "rolling camera: the tracking camera held to what wheels can roll, {:.3} m forward and {:.3} m left of the middle \
+             between them, looking {:.1} degrees to the left, as the other places show",
+            mount.forward_m, mount.left_m, mount.yaw_deg
+        );
+    }
+    text += "\npaths against motion capture's: rotation in degrees (mean, standard deviation, largest), scale (median, standard\n\
+             deviation), root mean square of what is left in millimetres (median, largest)\n";
+    report.paths.iter().for_each(|column| path(&mut text, column));
     let mut last = None;
     for column in &report.errors {
         let which = (column.which.source, column.which.parts, column.which.kind);
@@ -45,7 +59,7 @@ fn text(report: &Report) -> String {
         }
         line(&mut text, column);
     }
-    text += "\nconfidence from models fitted to the other places (whole motions and halves): bearings, said, right,\n\
+    text += "\nconfidence from models fitted to the other places: bearings, said, right,\n\
              expected calibration error, and what a perfect calibration would show with as many\n";
     report.confidence.iter().for_each(|column| confidence(&mut text, column));
     text += "\nerror bars from models fitted to the other places: bearings, share of errors within one (68 % meant) and two (95 %),\n\
@@ -62,20 +76,34 @@ fn text(report: &Report) -> String {
     text
 }
 
-fn heading(source: TrajectorySource, parts: u32, kind: Kind) -> String {
-    let source = match source {
-        TrajectorySource::GroundTruth => "motion capture",
-        TrajectorySource::T265 => "tracking camera",
-        TrajectorySource::Odometry => "wheel odometry",
-    };
+fn path(text: &mut String, column: &PathColumn) {
+    let [mean, deviation, largest] = column.rotation_deg;
+    let [shape, most] = column.shape_m.map(|metres| 1e3 * metres);
+    let _ = writeln!(
+        text,
+        "{:32} {:4}  {mean:5.2} {deviation:5.2} {largest:5.1}  {:.3} {:.3}  {shape:5.1} {most:5.1}",
+        motions(column.source, column.parts),
+        column.paths,
+        column.scale[0],
+        column.scale[1]
+    );
+}
+
+/// A trajectory and how long its motions are.
+fn motions(source: TrajectorySource, parts: u32) -> String {
     let parts = match parts {
         1 => "whole motions",
         2 => "halves",
         _ => "quarters",
     };
+    format!("{source}, {parts}")
+}
+
+fn heading(source: TrajectorySource, parts: u32, kind: Kind) -> String {
+    let motions = motions(source, parts);
     match kind {
-        Kind::Full => format!("{source}, {parts}, everything on"),
-        Kind::Quick => format!("{source}, {parts}, plane wave"),
+        Kind::Full => format!("{motions}, everything on"),
+        Kind::Quick => format!("{motions}, plane wave"),
     }
 }
 
@@ -91,7 +119,11 @@ fn line(text: &mut String, column: &ErrorColumn) {
     let [over, low, high] = [own.over_20, range.low, range.high].map(|share| 100.0 * share);
     let _ = write!(text, "{over:.1} % [{low:.1} .. {high:.1}]");
     let Errors { mean_deg, median_deg, p90_deg, over_20, .. } = column.oracle;
-    let _ = writeln!(text, "  oracle {mean_deg:.2} / {median_deg:.2} / {p90_deg:.2} / {:.1} %", 100.0 * over_20);
+    let _ = write!(text, "  oracle {mean_deg:.2} / {median_deg:.2} / {p90_deg:.2} / {:.1} %", 100.0 * over_20);
+    if let Some(Errors { mean_deg, median_deg, .. }) = column.unturned {
+        let _ = write!(text, "  turned right {mean_deg:.2} / {median_deg:.2}");
+    }
+    text.push('\n');
 }
 
 fn confidence(text: &mut String, column: &ConfidenceColumn) {

@@ -28,6 +28,7 @@ mod live;
 mod locate;
 #[cfg(feature = "foxglove")]
 mod mcap;
+mod mounting;
 #[cfg(feature = "node")]
 mod node;
 #[cfg(feature = "plot")]

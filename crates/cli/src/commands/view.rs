@@ -37,6 +37,7 @@ pub fn reading(reading: &Reading) -> csi5300_view::Reading {
     let options = reading.options().unwrap_or_else(|message| usage(&message));
     csi5300_view::Reading::new(reading.source(), reading.channel, options)
         .with_antenna_offset_m(reading.antenna_offset_m())
+        .with_camera(reading.camera())
 }
 
 /// Serves the page until a signal ends it.

@@ -59,7 +59,7 @@ impl Table {
         }
         let displacement = match source {
             TrajectorySource::GroundTruth => "gt",
-            TrajectorySource::T265 => "t265",
+            TrajectorySource::T265 | TrajectorySource::RollingT265 => "t265",
             TrajectorySource::Odometry => "odom",
         };
         let mut table = Self::default();

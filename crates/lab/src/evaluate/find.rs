@@ -1,6 +1,7 @@
 //! Captures below a folder: their logs, and which of their trajectories is read.
 
-use csi5300::internal::{camera_heading_rad, unmounted_heading_rad, wheels_heading_rad};
+use csi5300::internal::{camera_heading_rad, rolling_camera_heading_rad, unmounted_heading_rad, wheels_heading_rad};
+use csi5300::motion::rolling::Mount;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -8,7 +9,7 @@ use std::path::{Path, PathBuf};
 pub const TRUTH_FILE: &str = "groundtruth_positions.json";
 
 /// Which trajectory of a capture is used.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum TrajectorySource {
     /// Motion capture.
@@ -16,18 +17,21 @@ pub enum TrajectorySource {
     GroundTruth,
     /// Tracking camera.
     T265,
+    /// Tracking camera, of whose steps only those that wheels can roll are kept ([`Capture::camera`]).
+    RollingT265,
     /// Wheel odometry.
     Odometry,
 }
 
 impl TrajectorySource {
     /// Standard deviation of the heading of its trajectories, radians: what error bars and probabilities have to know of
-    /// the sensor. Of wheels it is that of trajectories of the antenna ([`Capture::antenna_offset_m`]).
+    /// the sensor. Of wheels and of what rolls it is that of trajectories of the antenna ([`Capture::antenna_offset_m`]).
     #[must_use]
     pub fn heading_sd_rad(self) -> f64 {
         match self {
             Self::GroundTruth => 0.0,
             Self::T265 => camera_heading_rad(),
+            Self::RollingT265 => rolling_camera_heading_rad(),
             Self::Odometry => wheels_heading_rad(),
         }
     }
@@ -36,9 +40,20 @@ impl TrajectorySource {
     pub(super) fn prefix(self) -> &'static str {
         match self {
             Self::GroundTruth => "",
-            Self::T265 => "t265_",
+            Self::T265 | Self::RollingT265 => "t265_",
             Self::Odometry => "odom_",
         }
+    }
+}
+
+impl std::fmt::Display for TrajectorySource {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::GroundTruth => "motion capture",
+            Self::T265 => "tracking camera",
+            Self::RollingT265 => "rolling camera",
+            Self::Odometry => "wheel odometry",
+        })
     }
 }
 
@@ -57,6 +72,9 @@ pub struct Capture {
     /// metres forward, left, up; none where it is not known, and those trajectories are taken as the antenna's. Motion
     /// capture is of the antenna itself.
     pub antenna_offset_m: Option<[f64; 3]>,
+    /// Where the tracking camera is on the robot. Its trajectory rolls about the middle between the wheels then, which is where
+    /// the antenna is seen from; none where it is not known.
+    pub camera: Option<Mount>,
 }
 
 impl Capture {
@@ -163,6 +181,7 @@ fn captures_in(root: &Path, folder: &Path, names: &[String]) -> Vec<Capture> {
             folder: folder.into(),
             transmitters,
             antenna_offset_m: None,
+            camera: None,
         }
     };
     stamps.iter().map(|stamp| capture(stamp)).collect()

@@ -192,7 +192,8 @@ impl Capture {
         self.transmitters.iter().map(read).collect()
     }
 
-    fn trajectory(
+    /// The antenna's trajectory by `source`.
+    pub(super) fn trajectory(
         &self,
         shelf: &Shelf,
         source: TrajectorySource,

@@ -6,6 +6,9 @@
 //! `l = sum conj(e) (a - o) / sum |e|^2`, `e = exp(j h)` less its mean, of complex coordinates. The robots of the WSR data
 //! set (\[wsr\] in docs/references.md) have the antenna 16 cm beside the middle between their wheels: when they drive an
 //! arc, its path is twice as wide as theirs.
+//!
+//! The antenna's steps in a camera's frame say how the camera looks on the robot as well ([`Travel`]): the middle between
+//! the wheels is that far behind and beside the antenna, and does not move sideways.
 
 use super::find::{Capture, TrajectorySource};
 use super::shelf::Shelf;
@@ -29,6 +32,14 @@ impl Capture {
         offset_m(&self.turned(&shelf, source, read(source)?).ok()?, &antenna)
     }
 
+    /// How the antenna travels in the frame of the tracking camera, by motion capture. None as of [`Self::measured_offset_m`].
+    #[must_use]
+    pub(crate) fn measured_travel(&self) -> Option<Travel> {
+        let shelf = Shelf::default();
+        let read = |source| shelf.trajectory(&self.trajectory_of(source, "rx")).ok().map(|(trajectory, _)| trajectory);
+        Travel::of(&read(TrajectorySource::T265)?, &read(TrajectorySource::GroundTruth)?)
+    }
+
     /// The antenna's trajectory, of the one that was recorded by `source`.
     pub(super) fn of_antenna(
         &self,
@@ -39,6 +50,8 @@ impl Capture {
         if source == TrajectorySource::GroundTruth {
             return Ok(recorded);
         }
+        let rolls = source == TrajectorySource::RollingT265;
+        let recorded = if rolls { recorded.rolling(&self.camera.unwrap_or_default())? } else { recorded };
         let turned = self.turned(shelf, source, recorded)?;
         self.antenna_offset_m.map_or(Ok(turned.clone()), |offset| turned.with_antenna_offset(offset.into()))
     }
@@ -60,6 +73,41 @@ impl Capture {
             heading_between_rad(&recorded, &other)
         });
         turn_rad.map_or(Ok(recorded.clone()), |turn_rad| turned_by(&recorded, turn_rad))
+    }
+}
+
+/// How an antenna travels in the frame of a sensor beside it: sums over the steps of a motion, in the horizontal plane, x
+/// forward and y left of the sensor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Travel {
+    /// Of the steps, metres.
+    steps_m: Complex64,
+    /// Of the changes of a unit vector ahead.
+    turns: Complex64,
+}
+
+impl Travel {
+    fn of(sensor: &Trajectory, antenna: &Trajectory) -> Option<Self> {
+        let (from_s, to_s) = antenna.motion().window_s?;
+        let inside = sensor.poses().iter().filter(|pose| (from_s..=to_s).contains(&pose.t_s));
+        let seen: Vec<(f64, Complex64)> =
+            inside.filter_map(|pose| Some((pose.heading_rad?, complex(&antenna.at(pose.t_s)?)))).collect();
+        let mut travel = Self { steps_m: Complex64::ZERO, turns: Complex64::ZERO };
+        for pair in seen.windows(2) {
+            let [(first, from), (last, to)] = *pair else { continue };
+            let back = Complex64::from_polar(1.0, -(first + 0.5 * wrap_rad(last - first)));
+            travel.steps_m += (to - from) * back;
+            travel.turns += (Complex64::from_polar(1.0, last) - Complex64::from_polar(1.0, first)) * back;
+        }
+        (travel.steps_m.norm() > 0.0).then_some(travel)
+    }
+
+    /// The sensor's heading less the robot's, radians, if the antenna is `offset_m` forward and left of the middle between
+    /// the wheels: that at which this middle has no step sideways. None where no heading does that.
+    pub fn yaw_rad(&self, offset_m: [f64; 2]) -> Option<f64> {
+        let sideways_m = (self.turns * Complex64::new(offset_m[0], offset_m[1])).im;
+        let share = sideways_m / self.steps_m.norm();
+        (share.abs() <= 1.0).then(|| wrap_rad(share.asin() - self.steps_m.arg()))
     }
 }
 
@@ -90,7 +138,6 @@ fn turned_by(trajectory: &Trajectory, turn_rad: f64) -> Result<Trajectory, Traje
 /// See the module.
 fn offset_m(odometry: &Trajectory, antenna: &Trajectory) -> Option<[f64; 2]> {
     let (from_s, to_s) = antenna.motion().window_s?;
-    let complex = |pose: &Pose| Complex64::new(pose.position_m.x, pose.position_m.y);
     let inside = odometry.poses().iter().filter(|pose| (from_s..=to_s).contains(&pose.t_s));
     let both: Vec<(Complex64, Complex64)> = inside
         .filter_map(|pose| {
@@ -105,6 +152,10 @@ fn offset_m(odometry: &Trajectory, antenna: &Trajectory) -> Option<[f64; 2]> {
     let turn: f64 = both.iter().map(|own| (own.0 - heading).norm_sqr()).sum();
     let along: Complex64 = both.iter().map(|own| (own.0 - heading).conj() * (own.1 - beside)).sum();
     (turn > LEAST_TURN * count).then(|| [along.re / turn, along.im / turn])
+}
+
+fn complex(pose: &Pose) -> Complex64 {
+    Complex64::new(pose.position_m.x, pose.position_m.y)
 }
 
 #[cfg(test)]
@@ -131,9 +182,30 @@ mod tests {
         let straight = |pose: &Pose| Pose { position_m: Vector3::x() * pose.t_s, heading_rad: Some(0.0), ..*pose };
         let line = Trajectory::new(wheels.poses().iter().map(straight).collect()).unwrap();
         assert_eq!(offset_m(&line, &line), None);
-        let later = |pose: &Pose| Pose { t_s: pose.t_s + 100.0, ..*pose };
-        let late = Trajectory::new(wheels.poses().iter().map(later).collect()).unwrap();
-        assert_eq!(offset_m(&late, &antenna), None);
+        assert_eq!(offset_m(&later(&wheels), &antenna), None);
+    }
+
+    #[test]
+    fn the_heading_at_which_wheels_do_not_slip_is_the_cameras() {
+        for yaw_rad in [0.0, 0.05, -0.3] {
+            let wheels = wheels(0.4);
+            let antenna = wheels.with_antenna_offset(Vector3::new(0.04, 0.16, 0.3)).unwrap();
+            let looks = |pose: &Pose| Pose { heading_rad: pose.heading_rad.map(|h| wrap_rad(h + yaw_rad)), ..*pose };
+            let camera = Trajectory::new(wheels.poses().iter().map(looks).collect()).unwrap();
+            let travel = Travel::of(&camera, &antenna).unwrap();
+            let found = travel.yaw_rad([0.04, 0.16]).unwrap();
+            assert!((found - yaw_rad).abs() < 2e-3, "{yaw_rad}: {found}");
+            // With the antenna taken to be elsewhere along the robot, another heading is found.
+            assert!((travel.yaw_rad([-0.1, 0.16]).unwrap() - yaw_rad).abs() > 0.1);
+            assert_eq!(travel.yaw_rad([9.0, 0.0]), None);
+        }
+        assert_eq!(Travel::of(&wheels(0.0), &later(&wheels(0.0))), None);
+    }
+
+    /// The same a minute and a half later.
+    fn later(trajectory: &Trajectory) -> Trajectory {
+        let moved = |pose: &Pose| Pose { t_s: pose.t_s + 100.0, ..*pose };
+        Trajectory::new(trajectory.poses().iter().map(moved).collect()).unwrap()
     }
 
     #[test]

@@ -9,8 +9,6 @@ use csi5300_sim::random::Stream;
 use serde::Serialize;
 use std::collections::BTreeSet;
 
-/// Parts that models are fitted to: whole motions and halves. Quarters are judged, too, but not fitted to.
-const FITTED: u32 = 2;
 /// Outcomes drawn to see what a perfect probability would have for an error.
 const DRAWS: usize = 200;
 
@@ -129,24 +127,19 @@ fn perfect(own: &[&LabelledBearing], probabilities: &[f64]) -> f64 {
     (0..DRAWS).map(|_| draw()).sum::<f64>() / DRAWS as f64
 }
 
-/// What probabilities are fitted to: bearings of whole motions and halves, by motion capture and by the tracking camera.
-/// Their last feature is that of the trajectory's heading.
+/// What probabilities are fitted to: all bearings that have one. Their last feature is that of the trajectory's heading.
 #[must_use]
 pub fn labelled(rows: &[FoldRow], kind: Kind) -> Vec<LabelledBearing> {
-    rows.iter().filter(|row| is_fitted_to(row)).filter_map(|row| label(row, kind)).collect()
-}
-
-/// Whether models are fitted to a row: a whole motion or a half, by motion capture or by the tracking camera.
-pub(super) fn is_fitted_to(row: &FoldRow) -> bool {
-    row.part.of <= FITTED && row.source != TrajectorySource::Odometry
+    rows.iter().filter_map(|row| label(row, kind)).collect()
 }
 
 fn label(row: &FoldRow, kind: Kind) -> Option<LabelledBearing> {
     let answered = row.answered(kind).filter(|answered| !answered.mirrored)?;
     let mut features = answered.features.clone()?;
-    features.push(heading_feature(row.source.heading_sd_rad()));
+    features.push(heading_feature(row.heading_sd_rad));
     Some(LabelledBearing {
         place: row.place.clone(),
+        parts: row.part.of,
         features,
         right: answered.error_deg.abs() <= WRONG_DEG,
         probability: f64::NAN,

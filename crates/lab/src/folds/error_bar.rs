@@ -1,9 +1,7 @@
 //! Error bars of places that they were not fitted to.
 
-use super::confidence::is_fitted_to;
 use super::gather::{FoldRow, Kind, PARTS, SOURCES};
 use super::report::{Which, sight};
-use crate::evaluate::TrajectorySource;
 use crate::fit_error_bar::{ErrorBarModel, ErrorRow};
 use csi5300::maths::median;
 use serde::Serialize;
@@ -33,23 +31,16 @@ pub struct ErrorBarColumn {
     pub over_bound: f64,
 }
 
-/// Rows of an error bar's fit: bearings of whole motions and halves, by motion capture and by the tracking camera.
+/// Rows of an error bar's fit: all bearings that have one.
 #[must_use]
 pub fn error_rows(rows: &[FoldRow], kind: Kind) -> Vec<ErrorRow> {
-    rows.iter().filter(|row| is_fitted_to(row)).filter_map(|row| error_row(row, kind)).collect()
+    rows.iter().filter_map(|row| error_row(row, kind)).collect()
 }
 
 fn error_row(row: &FoldRow, kind: Kind) -> Option<ErrorRow> {
     let answered = row.answered(kind).filter(|answered| !answered.mirrored)?;
-    let by_camera = row.source == TrajectorySource::T265;
-    Some(ErrorRow::new(row.place.clone(), answered.features.clone()?, answered.error_deg, by_camera))
-}
-
-/// Both models of `rows`; the camera's heading comes from full answers.
-pub(super) fn fit(full: &[&ErrorRow], quick: &[&ErrorRow]) -> [Option<ErrorBarModel>; 2] {
-    let first = ErrorBarModel::fit(full, None);
-    let heading_deg = first.as_ref().map(|model| model.heading_deg);
-    [first, ErrorBarModel::fit(quick, heading_deg)]
+    let heading_deg = row.heading_sd_rad.to_degrees();
+    Some(ErrorRow::new(row.place.clone(), row.part.of, answered.features.clone()?, answered.error_deg, heading_deg))
 }
 
 /// A bearing, its error bar from all other places, and its error.
@@ -98,8 +89,7 @@ fn column(which: Which, own: &[&Barred<'_>]) -> ErrorBarColumn {
     }
 }
 
-/// Every bearing with the error bar of models that were fitted to all other places. Wheel odometry, which nothing is fitted
-/// to, has none.
+/// Every bearing with the error bar of models that were fitted to all other places.
 fn barred(rows: &[FoldRow]) -> Vec<Barred<'_>> {
     let places: BTreeSet<&str> = rows.iter().map(|row| row.place.as_str()).collect();
     let kinds = [Kind::Full, Kind::Quick];
@@ -107,12 +97,12 @@ fn barred(rows: &[FoldRow]) -> Vec<Barred<'_>> {
     let mut barred = Vec::new();
     for place in places {
         let others = fitted.each_ref().map(|own| own.iter().filter(|row| row.place != place).collect::<Vec<_>>());
-        let models = fit(&others[0], &others[1]);
-        let own = rows.iter().filter(|row| row.place == place && row.source != TrajectorySource::Odometry);
+        let models = others.each_ref().map(|own| ErrorBarModel::fit(own));
+        let own = rows.iter().filter(|row| row.place == place);
         for (row, (kind, model)) in own.flat_map(|row| kinds.iter().zip(&models).map(move |own| (row, own))) {
             let Some((model, own)) = model.as_ref().zip(error_row(row, *kind)) else { continue };
             let bound_deg = row.answered(*kind).map_or(0.0, |answered| answered.bound_deg);
-            let bar_deg = model.error_bar_deg(&own.features, own.by_camera).max(bound_deg).min(LONGEST_DEG);
+            let bar_deg = model.error_bar_deg(&own.features, own.heading_deg).max(bound_deg).min(LONGEST_DEG);
             barred.push(Barred { row, kind: *kind, error_deg: own.error_deg.abs(), bar_deg, bound_deg });
         }
     }

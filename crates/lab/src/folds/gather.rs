@@ -1,16 +1,18 @@
 //! Every link by each trajectory, over the whole motion and parts of it.
 
-use crate::evaluate::{Capture, Judged, Part, TrajectorySource, usual_offset_m};
+use super::robot::mounted;
+use crate::evaluate::{Capture, Judged, Part, PathError, TrajectorySource};
 use csi5300::internal::{full_features, quick_features};
 use csi5300::maths::wrap_rad;
+use csi5300::motion::rolling::Mount;
 use csi5300::pipeline::{Bearing, Options};
 use rayon::prelude::*;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// Trajectories that captures are judged by. No model of certainty is fitted to wheel odometry.
-pub(super) const SOURCES: [TrajectorySource; 3] =
-    [TrajectorySource::GroundTruth, TrajectorySource::T265, TrajectorySource::Odometry];
+/// Trajectories that captures are judged by.
+pub(super) const SOURCES: [TrajectorySource; 4] =
+    [TrajectorySource::GroundTruth, TrajectorySource::T265, TrajectorySource::RollingT265, TrajectorySource::Odometry];
 /// Numbers of parts that motions are cut into.
 pub(super) const PARTS: [u32; 3] = [1, 2, 4];
 /// Candidates of which the best is the oracle's.
@@ -54,9 +56,15 @@ pub struct FoldRow {
     pub link: String,
     /// Trajectory by which it was estimated.
     pub source: TrajectorySource,
-    /// Where the antenna was taken to be on the robot, metres forward and left: of wheel odometry, by motion capture of the
-    /// other places.
+    /// Where the antenna was taken to be on the robot, metres forward and left: of wheel odometry and of a rolling camera, by
+    /// motion capture of the other places.
     pub antenna_offset_m: Option<[f64; 2]>,
+    /// How the robot was taken to carry its camera: of a rolling camera, as above.
+    pub camera: Option<Mount>,
+    /// Deviation of the trajectory's heading that models of certainty are given, radians.
+    pub heading_sd_rad: f64,
+    /// The path of the antenna over this part against motion capture's; none of motion capture itself.
+    pub path: Option<PathError>,
     /// Part of the motion.
     pub part: Part,
     /// The answer of everything that is on; none where the link failed.
@@ -76,36 +84,28 @@ impl FoldRow {
     }
 }
 
-/// All links of `captures` by each trajectory that they have, whole and in parts. The antenna's place on the robot, which wheel
-/// odometry has to know, is that which motion capture shows at the other places.
+/// All links of `captures` by each trajectory that they have, whole and in parts. The places of antenna and camera on the robot,
+/// which wheel odometry and a rolling camera have to know, are those which motion capture shows at the other places.
 #[must_use]
 pub fn gather(captures: &[Capture], options: &Options) -> Vec<FoldRow> {
     let parts: Vec<Part> = PARTS.into_iter().flat_map(Part::each).collect();
     let mounted = mounted(captures);
     let jobs = captures.iter().zip(&mounted).flat_map(|(capture, mounted)| {
-        SOURCES.map(|source| (if source == TrajectorySource::Odometry { mounted } else { capture }, source))
+        SOURCES.map(|source| (if on_wheels(source) { mounted } else { capture }, source))
     });
-    let jobs: Vec<(&Capture, TrajectorySource)> = jobs.filter(|(capture, source)| capture.has(*source)).collect();
+    let is_known = |(capture, source): &(&Capture, TrajectorySource)| {
+        capture.has(*source) && (*source != TrajectorySource::RollingT265 || capture.camera.is_some())
+    };
+    let jobs: Vec<(&Capture, TrajectorySource)> = jobs.filter(is_known).collect();
     let of_run = |&(capture, source): &(&Capture, TrajectorySource)| -> Vec<FoldRow> {
         parts.iter().flat_map(|part| rows(capture, source, *part, options)).collect()
     };
     jobs.par_iter().map(of_run).collect::<Vec<_>>().into_iter().flatten().collect()
 }
 
-/// The captures with their antenna where wheels and motion capture of the other places say that it is.
-fn mounted(captures: &[Capture]) -> Vec<Capture> {
-    let measured = |capture: &Capture| {
-        Some((set_and_place(&capture.place).1, capture.measured_offset_m(TrajectorySource::Odometry)?))
-    };
-    let measured: Vec<(String, [f64; 2])> = captures.par_iter().filter_map(measured).collect();
-    let one = |capture: &Capture| {
-        let own = set_and_place(&capture.place).1;
-        let others = measured.iter().filter(|(place, _)| *place != own).map(|(_, offset_m)| *offset_m);
-        let measured_m = usual_offset_m(others).map(|[forward, left]| [forward, left, 0.0]);
-        let antenna_offset_m = measured_m.or(capture.antenna_offset_m);
-        Capture { antenna_offset_m, ..capture.clone() }
-    };
-    captures.iter().map(one).collect()
+/// Whether a trajectory is that of the middle between the wheels before it is the antenna's.
+fn on_wheels(source: TrajectorySource) -> bool {
+    matches!(source, TrajectorySource::Odometry | TrajectorySource::RollingT265)
 }
 
 fn rows(capture: &Capture, source: TrajectorySource, part: Part, options: &Options) -> Vec<FoldRow> {
@@ -115,19 +115,22 @@ fn rows(capture: &Capture, source: TrajectorySource, part: Part, options: &Optio
     };
     let judged = capture.evaluate_part(source, None, options, part, &mut look).rows;
     let (set, place) = set_and_place(&capture.place);
-    let is_wheels = source == TrajectorySource::Odometry;
-    let antenna_offset_m = capture.antenna_offset_m.filter(|_| is_wheels).map(|[forward, left, _]| [forward, left]);
+    let antenna_offset_m =
+        capture.antenna_offset_m.filter(|_| on_wheels(source)).map(|[forward, left, _]| [forward, left]);
+    let camera = capture.camera.filter(|_| source == TrajectorySource::RollingT265);
+    let heading_sd_rad = capture.heading_sd_rad(source);
+    let path = (source != TrajectorySource::GroundTruth).then(|| capture.path_error(source, part)).flatten();
     let row = |judged: Judged| {
         let own = seen.remove(&judged.answer.link).zip(judged.true_from_mean_pose_deg);
         let (full, quick) = own.map_or((None, None), |(own, truth_deg)| own.answered(truth_deg));
         let (place, set, link) = (place.clone(), set.clone(), judged.answer.link);
-        FoldRow { place, set, link, source, antenna_offset_m, part, full, quick }
+        FoldRow { place, set, link, source, antenna_offset_m, camera, heading_sd_rad, path, part, full, quick }
     };
     judged.into_iter().map(row).collect()
 }
 
 /// The last two folders of a capture's path: a set, and a place of it.
-fn set_and_place(path: &str) -> (String, String) {
+pub(super) fn set_and_place(path: &str) -> (String, String) {
     let mut folders = path.rsplit('/');
     let last = folders.next().unwrap_or_default();
     match folders.next() {

@@ -4,7 +4,10 @@ use super::bootstrap::{Interval, intervals};
 use super::confidence::{self, ConfidenceColumn, RefusalColumn};
 use super::error_bar::{self, ErrorBarColumn};
 use super::gather::{FoldRow, Kind, PARTS, SOURCES};
+use super::paths::{self, PathColumn};
 use crate::evaluate::{Errors, TrajectorySource, usual_offset_m};
+use csi5300::maths::{median, wrap_rad};
+use csi5300::motion::rolling::Mount;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -39,6 +42,21 @@ pub struct ErrorColumn {
     pub intervals: [Interval; 4],
     /// Errors of the best of the answer and the first five candidates.
     pub oracle: Errors,
+    /// Errors of the answers less the rotation of the whole path that motion capture shows: what a sensor would have whose
+    /// heading is right. None of motion capture.
+    pub unturned: Option<Errors>,
+}
+
+/// How a robot carries its tracking camera, seen from the middle between the wheels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct CameraMount {
+    /// Metres forward.
+    pub forward_m: f64,
+    /// Metres left.
+    pub left_m: f64,
+    /// Its heading less the robot's, degrees, counter-clockwise.
+    pub yaw_deg: f64,
 }
 
 /// Everything that leaving one place out shows.
@@ -52,6 +70,10 @@ pub struct Report {
     /// Where the antenna was taken to be on the robot of wheel odometry, metres forward and left: the median over all
     /// places, each of which has that of the others.
     pub antenna_offset_m: Option<[f64; 2]>,
+    /// How the robot was taken to carry its camera where that rolls, likewise.
+    pub camera: Option<CameraMount>,
+    /// Paths against motion capture's.
+    pub paths: Vec<PathColumn>,
     /// Errors.
     pub errors: Vec<ErrorColumn>,
     /// Probabilities from models fitted to all other places.
@@ -72,11 +94,22 @@ pub fn report(rows: &[FoldRow]) -> Report {
         places: names(|row| &row.place).len(),
         links: names(|row| &row.link).len(),
         antenna_offset_m: usual_offset_m(rows.iter().filter_map(|row| row.antenna_offset_m)),
+        camera: camera(rows),
+        paths: paths::columns(rows),
         errors: kinds.into_iter().flat_map(|kind| errors(rows, kind)).collect(),
         confidence: [full.0, quick.0].concat(),
         refusals: [full.1, quick.1].concat(),
         error_bars: error_bar::columns(rows),
     }
+}
+
+/// The median mount over all rows that have one.
+fn camera(rows: &[FoldRow]) -> Option<CameraMount> {
+    let of = |value: fn(&Mount) -> f64| {
+        median(&mut rows.iter().filter_map(|row| row.camera.as_ref()).map(value).collect::<Vec<_>>())
+    };
+    let (forward_m, left_m) = (of(|mount| mount.offset_m.x)?, of(|mount| mount.offset_m.y)?);
+    Some(CameraMount { forward_m, left_m, yaw_deg: of(|mount| mount.yaw_rad)?.to_degrees() })
 }
 
 fn errors(rows: &[FoldRow], kind: Kind) -> Vec<ErrorColumn> {
@@ -103,13 +136,17 @@ pub(super) fn sight(set: &str) -> Option<&'static str> {
 
 fn column(which: Which, rows: &[&FoldRow]) -> ErrorColumn {
     let mut places: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
-    let (mut oracle, mut failed) = (Vec::new(), 0);
+    let (mut oracle, mut unturned, mut failed) = (Vec::new(), Vec::new(), 0);
     for row in rows {
         let own = places.entry(&row.place).or_default();
         match row.answered(which.kind) {
             Some(answered) => {
                 own.push(answered.error_deg.abs());
                 oracle.push(answered.oracle_deg);
+                unturned.extend(
+                    row.path
+                        .map(|path| wrap_rad(answered.error_deg.to_radians() - path.rotation_rad).to_degrees().abs()),
+                );
             }
             None => failed += 1,
         }
@@ -122,5 +159,6 @@ fn column(which: Which, rows: &[&FoldRow]) -> ErrorColumn {
         errors: Errors::of(places.iter().flatten().copied()),
         intervals: intervals(&places),
         oracle: Errors::of(oracle.into_iter()),
+        unturned: (!unturned.is_empty()).then(|| Errors::of(unturned.into_iter())),
     }
 }

@@ -4,9 +4,9 @@ use super::{
     CdfPlot, Ellipse, Error, Format, MapPlot, Ray, RayClass, ReliabilityPlot, ReliabilityPoint, ScatterLines, file_safe,
 };
 use crate::evaluate::quality::{Receiver, receivers, refusals, sure};
-use crate::evaluate::{Judged, Kept, Reliability, TrajectorySource, reliability};
+use crate::evaluate::{Judged, Kept, Reliability, reliability};
 use crate::folds::{Kind, Report};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// What the WSR toolbox as released reaches on each set of its data, all links, against the mean pose, with motion
@@ -75,8 +75,8 @@ pub fn fold_stems(folder: &Path) -> [PathBuf; 2] {
 }
 
 /// Writes `reliability` and `reliability-plane-wave` into a folder: probabilities from models fitted
-/// to all other places beside how often they came true, of whole motions and halves. Neither of them where no model could be
-/// fitted, as with a single place.
+/// to all other places beside how often they came true, a curve for each trajectory over motions of all lengths. Neither of them
+/// where no model could be fitted, as with a single place.
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
@@ -87,14 +87,11 @@ pub fn write_folds(report: &Report, folder: &Path, format: &Format) -> Result<Ve
     ];
     let mut written = Vec::new();
     for ((kind, title), stem) in kinds.into_iter().zip(fold_stems(folder)) {
-        let columns = report
-            .confidence
-            .iter()
-            .filter(|column| column.kind == kind && column.parts <= 2 && column.source != TrajectorySource::Odometry);
-        let series = columns.map(|column| {
-            let source = if column.source == TrajectorySource::T265 { "tracking camera" } else { "motion capture" };
-            let part = if column.parts == 1 { "whole motions" } else { "halves" };
-            (format!("{source}, {part}"), points(&column.bins))
+        let sources: BTreeSet<_> = report.confidence.iter().map(|column| column.source).collect();
+        let series = sources.into_iter().map(|source| {
+            let own = report.confidence.iter().filter(|column| column.kind == kind && column.source == source);
+            let bins: Vec<&Reliability> = own.flat_map(|column| &column.bins).collect();
+            (source.to_string(), points(&pooled(&bins)))
         });
         let plot = ReliabilityPlot { title: title.into(), series: series.collect() };
         if plot.series.iter().any(|series| !series.1.is_empty()) {
@@ -102,6 +99,24 @@ pub fn write_folds(report: &Report, folder: &Path, format: &Format) -> Result<Ve
         }
     }
     Ok(written)
+}
+
+/// Bins of several columns as those of all their bearings.
+fn pooled(bins: &[&Reliability]) -> Vec<Reliability> {
+    let mut pooled: Vec<Reliability> = Vec::new();
+    for bin in bins {
+        match pooled.iter_mut().find(|own| own.from == bin.from) {
+            None => pooled.push(**bin),
+            Some(own) => {
+                let [before, more] = [own.links, bin.links].map(|links| links as f64);
+                own.said = (own.said * before + bin.said * more) / (before + more);
+                own.right = (own.right * before + bin.right * more) / (before + more);
+                own.links += bin.links;
+            }
+        }
+    }
+    pooled.sort_by(|a, b| a.from.total_cmp(&b.from));
+    pooled
 }
 
 fn points(bins: &[Reliability]) -> Vec<ReliabilityPoint> {

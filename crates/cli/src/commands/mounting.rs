@@ -1,0 +1,49 @@
+//! Where things are on the receiver's robot.
+
+use super::args::triple;
+use csi5300::motion::pose::Trajectory;
+use csi5300::motion::rolling::Mount;
+use nalgebra::Vector3;
+
+/// Where antenna and camera are on the robot.
+#[derive(clap::Args)]
+pub struct Mounting {
+    /// Where the antenna is on the robot, seen from what the trajectory is of: metres forward, left, up; turned with the
+    /// heading. With --folds measured at the other places
+    #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
+    pub antenna_offset: Option<Vector3<f64>>,
+    /// Where the tracking camera that the trajectory is of is on a robot with wheels: metres forward and left of the middle
+    /// between them, and its heading less the robot's, degrees. Of its steps only what wheels can roll is kept, and
+    /// --antenna-offset is seen from that middle
+    #[arg(
+        long,
+        value_name = "X,Y,YAW",
+        value_parser = mount,
+        requires = "antenna_offset",
+        allow_negative_numbers = true,
+        allow_hyphen_values = true
+    )]
+    pub camera_mount: Option<Mount>,
+}
+
+impl Mounting {
+    /// The antenna's trajectory, of the one that was recorded.
+    ///
+    /// # Errors
+    /// If that has no heading, in words.
+    pub fn of_antenna(&self, recorded: Trajectory) -> Result<Trajectory, String> {
+        let rolled = self.camera_mount.map(|mount| recorded.rolling(&mount)).transpose();
+        let moved = rolled.and_then(|rolled| {
+            let own = rolled.unwrap_or(recorded);
+            self.antenna_offset.map_or(Ok(own.clone()), |offset| own.with_antenna_offset(offset))
+        });
+        moved.map_err(|error| error.to_string())
+    }
+}
+
+/// Metres forward and left, and degrees.
+fn mount(text: &str) -> Result<Mount, String> {
+    let place =
+        triple(text).map_err(|_| "three finite numbers with commas between: metres, metres, degrees".to_owned())?;
+    Ok(Mount::new(Vector3::new(place.x, place.y, 0.0), place.z.to_radians()))
+}
