@@ -92,7 +92,8 @@ mod tests {
             .collect();
         let keep = |v: &[i64]| v.iter().enumerate().filter(|(k, _)| k % 50 != 7).map(|(_, v)| *v).collect::<Vec<_>>();
         let found = of(&keep(&rx), &keep(&tx));
-        assert!(found.correlation > 0.9 && found.pauses > 500, "{found:?}");
+        // 588 of 600 frames, and the pauses over those that were lost left out.
+        assert!(found.correlation > 0.9 && found.pauses == 587 - 12, "{found:?}");
     }
 
     #[test]

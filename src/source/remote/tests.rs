@@ -156,8 +156,9 @@ fn a_message_is_as_long_as_its_head_and_its_records() {
         batch.push_record(None, record);
         assert_eq!((batch.len(), batch.is_empty()), (HEAD + records * (8 + record.emit_len()), false));
     }
+    batch.push_record(None, Record { code: 0xBB, body: &vec![0; 1 << 16] });
     let sent = batch.take();
-    assert_eq!((sent.len(), batch.len()), (HEAD + 3 * (8 + record.emit_len()), 0));
+    assert_eq!((sent.len(), batch.len()), (HEAD + 3 * (8 + record.emit_len()), 0), "one that is too long is left out");
 }
 
 #[test]
@@ -167,4 +168,15 @@ fn what_is_no_message_is_counted_with_its_time_too() {
         mailbox.put_at(NOW, b"no message of a robot");
         assert_eq!((mailbox.counts().foreign, mailbox.counts().contested), (foreign, 0));
     }
+}
+
+#[test]
+fn the_longest_record_that_a_log_can_hold_arrives() {
+    let (mailbox, mut batch) = (Mailbox::new(4), Batch::records(7));
+    let body = vec![5; MAX_LENGTH - 1];
+    batch.push_record(None, Record { code: 0xBB, body: &body });
+    mailbox.put(&batch.take());
+    assert_eq!((mailbox.counts().received, mailbox.counts().foreign), (1, 0));
+    let mut card = mailbox.card();
+    assert!(matches!(card.receive(NOW), Ok(Next::Record(_, record)) if record.body == body));
 }

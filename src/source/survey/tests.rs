@@ -1,4 +1,5 @@
 use super::*;
+use crate::source::Refused;
 use driver_iface::bfee::{Iq, Repr, Wsr};
 
 fn sender(numbers: &[u32]) -> Sender {
@@ -132,6 +133,8 @@ fn losses_are_counted_whatever_they_are_of_and_the_first_are_kept() {
         (survey.damages, survey.damaged_bytes, survey.overruns)
     };
     assert_eq!(of(Loss::Bytes { offset: 5, len: 9, reason }), (1, 9, 0));
+    let datagram = Loss::Datagram { number: 5, len: 9, reason: Refused::Truncated { sent: 90, kept: 81 } };
+    assert_eq!(of(datagram), (1, 9, 0));
     assert_eq!(of(Loss::Overrun { dropped: Some(3) }), (0, 0, 3));
     assert_eq!(of(Loss::Overrun { dropped: None }), (0, 0, 1));
     for offset in 0..LOSSES_KEPT as u64 + 2 {
@@ -141,6 +144,28 @@ fn losses_are_counted_whatever_they_are_of_and_the_first_are_kept() {
     let lost = LOSSES_KEPT as u64 + 2;
     assert_eq!((survey.damages, survey.damaged_bytes, survey.overruns), (lost, 2 * lost, 2 * lost));
     assert_eq!(survey.losses.iter().map(|lost| lost.offset).collect::<Vec<_>>(), (0..lost - 2).collect::<Vec<_>>());
+}
+
+#[test]
+fn records_are_counted_by_code_and_one_that_cannot_be_read_is_something_lost() {
+    let mut survey = Survey::default();
+    for (code, times) in [(0x7f, 3), (code::BFEE, 2)] {
+        (0..times).for_each(|_| {
+            assert!(survey.note(&Next::Record(Stamps::default(), Record { code, body: &[1, 2, 3] })).is_none());
+        });
+    }
+    assert_eq!((survey.records, survey.bad_bfee, survey.bfees()), (5, 2, 0));
+    assert_eq!((survey.by_code[&0x7f], survey.by_code[&code::BFEE], survey.losses.len()), (3, 2, 2));
+    assert!(survey.lost_something());
+}
+
+#[test]
+fn a_number_that_is_sent_again_counts_up_too() {
+    // Ten records, of which five, or four, repeat the one before: half of them are enough.
+    let far = |k: u32| 0x1000_0000 * (k + 1);
+    let with = |repeated: usize| [vec![7; repeated + 1], (0..9 - repeated as u32).map(far).collect()].concat();
+    assert!(sender(&with(5)).counts_up());
+    assert!(!sender(&with(4)).counts_up());
 }
 
 #[test]

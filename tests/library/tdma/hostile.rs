@@ -221,6 +221,46 @@ fn taped_answers_to_others_are_not_heard_again() {
     assert_eq!(replayed((last, &[&older[0].2])), 1, "an answer to a frame of an older session");
 }
 
+#[test]
+fn without_a_key_answers_to_others_are_not_told_apart_by_their_age() {
+    let configs = everybody(3, request(false));
+    let (older, now) = (exchanges(&configs, 4, 1), exchanges(&configs, 5, 3));
+    let mut listener = Tdma::new(&configs[2].clone().with_initiate(false)).unwrap();
+    for (at, forward, answer) in now.iter().chain(&older) {
+        listener.handle_heard(*at, *at, forward);
+        listener.handle_heard(*at, *at, answer);
+    }
+    assert_eq!(listener.counts().replayed, 0, "a forged session could use up all to come");
+    listener.handle_heard(older[0].0, older[0].0, &older[0].1);
+    assert_eq!(listener.counts().replayed, 1, "the very repetition of the last forward frame");
+}
+
+/// The `n`-th forward frame of robot `k`, which hears nothing, is switched on at `start` and waits for a short silence.
+fn frame_of(k: usize, start: Instant, n: usize) -> (Instant, Vec<u8>) {
+    let mut config = everybody(4, request(false))[k].clone().with_start(start);
+    config.silence_slots = 4;
+    let mut tdma = Tdma::new(&config).unwrap();
+    let mut frames = std::iter::repeat_with(|| {
+        let now = tdma.poll_timeout().unwrap();
+        tdma.poll_transmit(now).map(|sent| (now, sent.frame.to_vec()))
+    });
+    frames.by_ref().flatten().nth(n).unwrap()
+}
+
+#[test]
+fn an_initiator_of_an_earlier_turn_is_believed_at_once_only_after_a_silence() {
+    // Robot 0 had some fifty turns when it was heard; robot 1 begins with its first.
+    let (at, late) = frame_of(0, Instant::ZERO, 2_000);
+    for (pause_us, believed) in [(0, false), (1_000_000, true)] {
+        let mut listener = Tdma::new(&everybody(4, request(false))[3].clone().with_initiate(false)).unwrap();
+        listener.handle_heard(at, at, &late);
+        assert_eq!(listener.initiator(), Some(mac(0)));
+        let (then, early) = frame_of(1, at + Span::from_us(pause_us), 0);
+        listener.handle_heard(then, then, &early);
+        assert_eq!(listener.initiator(), Some(mac(usize::from(believed))), "a pause of {} us", (then - at).as_us());
+    }
+}
+
 /// One step of a hostile driver.
 #[derive(Clone, Debug)]
 enum Step {
