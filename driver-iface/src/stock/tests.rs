@@ -112,6 +112,11 @@ fn refusals_say_what_is_wrong() {
     long[0] = 58;
     assert_eq!(RxMpdu::new_checked(&long).unwrap_err(), BadPacket::Mpdu { byte_count: 58, got: 65 });
     assert!(RxMpdu::from_start(65, &mpdu()[..31], 3).is_err() && RxMpdu::from_start(65, &mpdu()[..32], 3).is_ok());
+    let whole = mpdu();
+    assert!(
+        (whole.len() - 8..whole.len()).all(|len| RxMpdu::from_start(len, &whole, 3).is_err()),
+        "no room for the status"
+    );
     let mut bb = csi();
     bb.truncate(211);
     assert_eq!(CsiNotification::new_checked(&bb).unwrap_err(), BadPacket::CsiShort { need: 212, got: 211 });
