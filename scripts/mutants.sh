@@ -69,13 +69,13 @@ for room in "${rooms[@]}"; do
         bound=(timeout --signal=INT --kill-after=30 "$left")
     fi
     rm -rf "$out/mutants.out"
-    "${bound[@]}" "$tool" mutants "${common[@]}" "${files[@]}" "${arguments[@]}" --output "$out" -- ${filter[@]:+-- "${filter[@]}"} >"$out/log.txt" 2>&1 || true
+    "${bound[@]}" "$tool" mutants "${common[@]}" "${files[@]}" "${arguments[@]}" --output "$out" -- ${filter[@]:+-- "${filter[@]}"} >"$out/log.txt" 2>&1 && ended= || ended=$?
     count() { cat "$out/mutants.out/$1.txt" 2>/dev/null | wc -l; }
     caught=$(($(count caught) + $(count timeout))) lost=$(count missed) unviable=$(count unviable)
     tried=$((caught + lost + unviable))
     [ $tried -gt 0 ] || { echo "$room: nothing was tried:"; tail -n 5 "$out/log.txt"; continue; }
     share=$((caught + lost > 0 ? 100 * caught / (caught + lost) : 100))
-    echo "$room: $caught caught, $lost missed ($share % caught), $unviable do not compile; $((all - tried)) of $all not tried"
+    echo "$room: $caught caught, $lost missed ($share % caught), $unviable do not compile; $((all - tried)) of $all not tried$([ "$ended" != 124 ] || echo ", the time is over")"
     missed=$((missed + lost))
 done
 [ $missed -eq 0 ] || exit 2
