@@ -32,7 +32,14 @@ pub(super) fn settled<'a, const K: usize>(
 ) -> Option<Settled> {
     let mut at = start;
     for _ in 0..3 {
-        let (mut place, still) = stepped(&waves(free), at, reach_rad)?;
+        let stepped = stepped(&waves(free), at, reach_rad);
+        if stepped.is_none() && free.elevation && !free.range && !signed && at[1].abs() < HORIZON_RAD {
+            // On the horizon of level motion no phase changes with the elevation: there is no step that way. (Where the range is
+            // open too, the ridge that both make leads elsewhere.)
+            (at[1], free.elevation) = (0.0, false);
+            continue;
+        }
+        let (mut place, still) = stepped?;
         if free.elevation && !signed {
             // Level motion has the same phases above and below, and none that tells heights near the horizon apart.
             place[1] = place[1].abs();

@@ -159,7 +159,13 @@ impl CentreWave {
         let waves = |free| Waves::at_centre(&self.aperture, &self.middle_m, self.wavelength_m, free);
         let at = [source.azimuth_rad, source.elevation_rad(), source.inverse_range_per_m];
         let reach_rad = TUNING.deviations.polish_cells * TAU / self.search.axes.azimuths as f64;
-        let found = settled(waves, at, self.free(), signed, reach_rad).ok_or(Unexplained::NoPlace)?;
+        let mut found = settled(waves, at, self.free(), signed, reach_rad).ok_or(Unexplained::NoPlace)?;
+        if found.free.elevation && !found.free.range && !signed && found.place[1] > highest {
+            // Higher than is expected: the highest that is stands for it, if that leaves nothing but noise too.
+            let at = [found.place[0], highest, found.place[2]];
+            let free = Free { elevation: false, ..found.free };
+            found = settled(waves, at, free, signed, reach_rad).ok_or(Unexplained::NoPlace)?;
+        }
         let Settled { place, free } = found;
         Left::of(&waves(free), place).is_noise()?;
         if !(lowest..=highest).contains(&place[1]) || place[2] > self.search.curve_max {

@@ -71,11 +71,15 @@ fn near_a_short_arc_every_step_is_as_right_as_one_wave() {
 #[test]
 fn far_away_a_small_circle_needs_nothing_beyond_a_plane_wave() {
     let receiver = RobotMotion::Circle(Circle { radius_m: 0.03, duration_s: 6.0, turns: 1.0, start_s: 0.0 });
-    let ends =
-        Ends { receiver, transmitter_m: [390.0, 0.0, 0.0], duration_s: 6.0, snr_db: 25.0, seed: 5, ..Ends::default() };
-    let bearing = ends.record().unwrap().bearing(&options()).unwrap();
-    assert!(matches!(bearing.sufficient, Sufficient::PlaneWave(_)), "{:?}", bearing.sufficient);
-    assert!(bearing.placed.is_none());
+    // The noise leaves elevations open beyond those that are expected.
+    let bearings = (1..=8).map(|seed| {
+        let (receiver, transmitter_m) = (receiver.clone(), [390.0, 0.0, 0.0]);
+        let ends = Ends { receiver, transmitter_m, duration_s: 6.0, snr_db: 25.0, seed, ..Ends::default() };
+        ends.record().unwrap().bearing(&options()).unwrap()
+    });
+    let bearings: Vec<_> = bearings.map(|bearing| (bearing.sufficient, bearing.placed.is_none())).collect();
+    let is_plane = |(sufficient, flat): &(Sufficient, bool)| matches!(sufficient, Sufficient::PlaneWave(_)) && *flat;
+    assert!(bearings.iter().all(is_plane), "{bearings:?}");
 }
 
 #[test]
