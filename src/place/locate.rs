@@ -3,6 +3,10 @@
 //! Least squares over the position with a robust loss (Cauchy): a bearing that came off a wall loses its weight once it
 //! is several deviations out. Started from every crossing of two bearings, so that one wrong bearing cannot choose the
 //! minimum. The covariance is that of the linearised problem at the answer, with the weights of the loss.
+//!
+//! Places are on the floor: azimuths and horizontal ranges do not depend on heights. Where the motion showed the elevation
+//! of a transmitter whose height is known, the receiver's height follows from it: that of the transmitter less the distance
+//! times the tangent.
 
 use crate::maths::wrap_rad;
 use crate::tuning::TUNING;
@@ -22,13 +26,26 @@ pub struct Sighting {
     pub azimuth_sd_rad: f64,
     /// Horizontal range and its standard deviation, metres, where known.
     pub range_m: Option<(f64, f64)>,
+    /// Elevation of a transmitter whose height is known, where the motion showed it.
+    pub elevation: Option<Elevation>,
+}
+
+/// How high a transmitter is, and seems from the receiver.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Elevation {
+    /// Height of the transmitter, metres, in the frame of its place.
+    pub transmitter_z_m: f64,
+    /// Elevation of the transmitter as seen from the receiver, radians, positive above it.
+    pub elevation_rad: f64,
+    /// Its standard deviation, radians.
+    pub sd_rad: f64,
 }
 
 impl Sighting {
     /// A bearing without a range: the transmitter's place in metres, the azimuth to it and its deviation in radians.
     #[must_use]
     pub fn new(transmitter_m: Vector2<f64>, azimuth_rad: f64, azimuth_sd_rad: f64) -> Self {
-        Self { transmitter_m, azimuth_rad, mirror_rad: None, azimuth_sd_rad, range_m: None }
+        Self { transmitter_m, azimuth_rad, mirror_rad: None, azimuth_sd_rad, range_m: None, elevation: None }
     }
 
     /// The same with the other bearing that the motion cannot tell from it, radians: the place decides between the two.
@@ -47,6 +64,12 @@ impl Sighting {
     pub fn with_range_m(self, range_m: Option<(f64, f64)>) -> Self {
         Self { range_m, ..self }
     }
+
+    /// The same with the elevation of a transmitter whose height is known, where the motion showed it.
+    #[must_use]
+    pub fn with_elevation(self, elevation: Option<Elevation>) -> Self {
+        Self { elevation, ..self }
+    }
 }
 
 /// A position.
@@ -59,6 +82,8 @@ pub struct Located {
     pub covariance_m2: Matrix2<f64>,
     /// Share of its weight that each sighting kept, 0..1: small for one that fits nothing else.
     pub weights: Vec<f64>,
+    /// Height of the receiver and its standard deviation, metres, where a sighting has an elevation.
+    pub height_m: Option<(f64, f64)>,
 }
 
 /// Why there is no position.
@@ -191,7 +216,41 @@ fn finish(at: Vector2<f64>, sightings: &[Sighting]) -> Option<Located> {
     for e in &equations {
         weights[e.source] = weights[e.source].min(weight(e.residual));
     }
-    Some(Located { position_m: at, covariance_m2, weights })
+    let height_m = height(&at, &covariance_m2, sightings, &weights);
+    Some(Located { position_m: at, covariance_m2, weights, height_m })
+}
+
+/// The height at `at` and its deviation, by the elevations: each by its variance and by the weight of its sighting. The place
+/// is what they share: its errors do not average out.
+fn height(
+    at: &Vector2<f64>,
+    covariance_m2: &Matrix2<f64>,
+    sightings: &[Sighting],
+    weights: &[f64],
+) -> Option<(f64, f64)> {
+    let (mut sum, mut height_m, mut along) = (0.0, 0.0, Vector2::zeros());
+    for (sighting, weight) in sightings.iter().zip(weights) {
+        let to = sighting.transmitter_m - at;
+        let (distance, floor) = (to.norm().max(1e-3), TUNING.locate.azimuth_floor_rad);
+        let off = |azimuth: f64| wrap_rad(to.y.atan2(to.x) - azimuth).abs();
+        // Of the mirror the elevation is another one.
+        let is_mirror = sighting.mirror_rad.is_some_and(|mirror| off(mirror) < off(sighting.azimuth_rad));
+        let Some(Elevation { transmitter_z_m, elevation_rad, sd_rad }) = sighting.elevation.filter(|_| !is_mirror)
+        else {
+            continue;
+        };
+        let (tan, sd_m) = (elevation_rad.tan(), distance * sd_rad.hypot(floor) / elevation_rad.cos().powi(2));
+        let share = weight / (sd_m * sd_m);
+        let own_m = transmitter_z_m - distance * tan;
+        if share.is_finite() && own_m.is_finite() {
+            sum += share;
+            height_m += share * own_m;
+            along += to * (share * tan / distance);
+        }
+    }
+    let by_place = along / sum;
+    let variance = 1.0 / sum + (by_place.transpose() * covariance_m2 * by_place)[0];
+    (sum > 0.0).then(|| (height_m / sum, variance.sqrt()))
 }
 
 #[cfg(test)]
@@ -206,6 +265,7 @@ mod tests {
             mirror_rad: None,
             azimuth_sd_rad: 0.01,
             range_m: None,
+            elevation: None,
         }
     }
 
@@ -244,6 +304,28 @@ mod tests {
         assert!(off(at.1) < 1e-3, "{found:?}");
         own.iter_mut().for_each(|one| one.mirror_rad = None);
         assert!((locate(&own).unwrap().position_m - Vector2::new(at.0, at.1)).norm() > 0.5);
+    }
+
+    #[test]
+    fn elevations_give_the_height_and_how_well_it_is_known() {
+        let (at, height_m) = ((0.3, -0.4), 1.2);
+        let seen = |k: usize, error_rad: f64| {
+            let (own, z) = (sighting(at, ROBOTS[k], 0.0), 0.4 * k as f64);
+            let distance = (own.transmitter_m - Vector2::new(at.0, at.1)).norm();
+            let elevation_rad = (z - height_m).atan2(distance) + error_rad;
+            own.with_elevation(Some(Elevation { transmitter_z_m: z, elevation_rad, sd_rad: 0.01 }))
+        };
+        let mut own: Vec<_> = (0..4).map(|k| seen(k, 0.0)).collect();
+        let (exact_m, sd_m) = locate(&own).unwrap().height_m.unwrap();
+        assert!((exact_m - height_m).abs() < 1e-6 && sd_m > 0.02 && sd_m < 0.2, "{exact_m} {sd_m}");
+        own[2] = seen(2, 0.02);
+        let (height, _) = locate(&own).unwrap().height_m.unwrap();
+        assert!((height - height_m).abs() > 1e-3 && (height - height_m).abs() < 2.0 * sd_m, "{height}");
+        // One elevation tells less than four, those beside a mirror that is the right bearing tell nothing.
+        own.iter_mut().skip(1).for_each(|one| one.elevation = None);
+        assert!(locate(&own).unwrap().height_m.unwrap().1 > 1.2 * sd_m);
+        (own[0].mirror_rad, own[0].azimuth_rad) = (Some(own[0].azimuth_rad), own[0].azimuth_rad + 1.0);
+        assert_eq!(locate(&own).unwrap().height_m, None);
     }
 
     #[test]

@@ -15,9 +15,9 @@ pub struct Args {
     /// groundtruth_positions.json, where it is there
     folder: PathBuf,
     /// Where a transmitter is, metres in the trajectory's frame, as links name it: tx2=-3.18,1.11. For captures without a
-    /// truth, or instead of it
-    #[arg(long, value_name = "NAME=X,Y", value_parser = place, allow_hyphen_values = true)]
-    place: Vec<(String, [f64; 2])>,
+    /// truth, or instead of it. With its height as a third number the receiver's height is told, where the motion shows elevations
+    #[arg(long, value_name = "NAME=X,Y[,Z]", value_parser = place, allow_hyphen_values = true)]
+    place: Vec<(String, Place)>,
     #[command(flatten)]
     reading: Reading,
     /// Draw a map of each capture into this folder: the bearings, the transmitters, the receiver as located
@@ -32,13 +32,20 @@ pub struct Args {
     json: bool,
 }
 
-fn place(text: &str) -> std::result::Result<(String, [f64; 2]), String> {
-    let parts = text.split_once('=').and_then(|(name, place)| {
-        let (x, y) = place.split_once(',')?;
-        Some((name.to_owned(), [x.trim().parse::<f64>().ok()?, y.trim().parse::<f64>().ok()?]))
+/// Where a transmitter is, and how high if that was given, metres.
+type Place = ([f64; 2], Option<f64>);
+
+fn place(text: &str) -> std::result::Result<(String, Place), String> {
+    let parts = text.split_once('=').filter(|(name, _)| !name.is_empty()).and_then(|(name, place)| {
+        let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
+        let numbers: Vec<f64> = place.split(',').map(number).collect::<Option<_>>()?;
+        match numbers[..] {
+            [x, y] => Some((name.to_owned(), ([x, y], None))),
+            [x, y, z] => Some((name.to_owned(), ([x, y], Some(z)))),
+            _ => None,
+        }
     });
-    let good = parts.filter(|(name, place)| !name.is_empty() && place.iter().all(|value| value.is_finite()));
-    good.ok_or_else(|| "a name and two numbers of metres, such as tx2=-3.18,1.11".into())
+    parts.ok_or_else(|| "a name and two or three numbers of metres, such as tx2=-3.18,1.11".into())
 }
 
 /// Locates the receiver of every capture.
@@ -61,7 +68,8 @@ pub fn run(args: &Args) -> Result {
     }
     for row in &mut rows {
         let own = args.place.iter().find(|(name, _)| row.answer.link.rsplit('/').next() == Some(name));
-        row.true_transmitter_m = own.map(|(_, place)| *place).or(row.true_transmitter_m);
+        row.true_transmitter_m = own.map(|(_, (place, _))| *place).or(row.true_transmitter_m);
+        row.transmitter_z_m = own.and_then(|(_, (_, height))| *height);
     }
     let found = receivers(&rows);
     if args.json {
@@ -110,6 +118,9 @@ fn table(found: &[Receiver], rows: &[Judged]) -> String {
                     c[1][1].sqrt(),
                     some(receiver.links as u64, "link", "links")
                 );
+                if let (Some(z), Some(sd)) = (receiver.height_m, receiver.height_sd_m) {
+                    let _ = write!(text, ", z {z:.2} +- {sd:.2} m");
+                }
             }
             _ => text += receiver.error.as_deref().unwrap_or("not located"),
         }
@@ -136,4 +147,19 @@ fn table(found: &[Receiver], rows: &[Judged]) -> String {
             writeln!(text, "{} located, median error {median:.2} m", some(off.len() as u64, "receiver", "receivers"));
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn places_have_two_numbers_and_perhaps_a_height() {
+        assert_eq!(place("tx2=-3.18, 1.11"), Ok(("tx2".into(), ([-3.18, 1.11], None))));
+        assert_eq!(place("a=b=1,2,0.5").ok(), None);
+        assert_eq!(place("tx=1,2,0.5"), Ok(("tx".into(), ([1.0, 2.0], Some(0.5)))));
+        for wrong in ["tx=1", "tx=1,2,3,4", "=1,2", "tx=1,nan", "tx=1,2,inf", "tx"] {
+            assert!(place(wrong).is_err_and(|why| why.contains("two or three numbers")), "{wrong}");
+        }
+    }
 }

@@ -35,6 +35,9 @@ pub struct Judged {
     pub range_error_m: Option<f64>,
     /// Where the transmitter is, metres; of one that moved, the mean of its places over the pairs used.
     pub true_transmitter_m: Option<[f64; 2]>,
+    /// How high the transmitter is, metres, where that is given: no truth has it.
+    #[serde(skip)]
+    pub transmitter_z_m: Option<f64>,
     /// Horizontal distance between the position reported and where the transmitter was at that time, metres.
     pub position_error_m: Option<f64>,
     /// Mean pose of the pairs used, metres, from motion capture.
@@ -306,6 +309,7 @@ fn judge(answer: Answer, transmitter: &TruePlace<'_>, reference: Option<&Traject
         true_range_m,
         range_error_m: answer.range_m.zip(true_range_m).map(|(range, truth)| range * level - truth),
         true_transmitter_m: position.map(|p| [p.x, p.y]),
+        transmitter_z_m: None,
         position_error_m: reported.map(|([x, y, _], truth)| (Vector2::new(x, y) - truth).norm()),
         true_receiver_m: mean.map(|mean| [mean.x, mean.y]),
         error_from_start_deg: error(true_from_start_deg),

@@ -3,7 +3,7 @@
 use super::Judged;
 use super::sure::{Kept, Sure, WRONG_DEG, surest};
 use csi5300::maths::median;
-use csi5300::place::locate::{LocateError, Located, Sighting, locate};
+use csi5300::place::locate::{Elevation, LocateError, Located, Sighting, locate};
 use nalgebra::Vector2;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -77,6 +77,12 @@ pub struct Receiver {
     pub position_m: Option<[f64; 2]>,
     /// Its covariance, metres squared, row by row.
     pub covariance_m2: Option<[[f64; 2]; 2]>,
+    /// Height and its standard deviation, metres, where links with an elevation have transmitters whose heights are given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub height_m: Option<f64>,
+    /// See there.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub height_sd_m: Option<f64>,
     /// Share of its say that each link kept.
     pub weights: Vec<f64>,
     /// Why there is none.
@@ -112,6 +118,8 @@ fn receiver(capture: &str, rows: &[&Judged]) -> Receiver {
         without_probability: rows.iter().filter(|row| is_unweighed(row)).count(),
         position_m: None,
         covariance_m2: None,
+        height_m: None,
+        height_sd_m: None,
         weights: Vec::new(),
         error: None,
         true_position_m: truth,
@@ -123,6 +131,7 @@ fn receiver(capture: &str, rows: &[&Judged]) -> Receiver {
             receiver.position_m = Some(found.position_m.into());
             receiver.covariance_m2 = Some(found.covariance_m2.into());
             receiver.weights = found.weights;
+            (receiver.height_m, receiver.height_sd_m) = found.height_m.unzip();
         }
         Err(error) => receiver.error = Some(error.to_string()),
     }
@@ -152,7 +161,14 @@ fn sighting(row: &Judged) -> Option<Sighting> {
     let azimuth_sd_rad = deviation_rad(sure).max(answer.azimuth_sd_deg.unwrap_or(0.0).to_radians());
     let range_m = answer.range_m.zip(answer.range_sd_m).map(|(range, sd)| (range * horizontal, sd * horizontal));
     let sighting = Sighting::new(row.true_transmitter_m?.into(), answer.azimuth_deg?.to_radians(), azimuth_sd_rad);
-    Some(sighting.with_mirror_rad(answer.mirror_deg.map(f64::to_radians)).with_range_m(range_m))
+    let elevation = answer.elevation_deg.zip(answer.elevation_sd_deg).zip(row.transmitter_z_m);
+    let elevation = elevation.map(|((elevation_deg, sd_deg), transmitter_z_m)| Elevation {
+        transmitter_z_m,
+        elevation_rad: elevation_deg.to_radians(),
+        sd_rad: sd_deg.to_radians(),
+    });
+    let sighting = sighting.with_mirror_rad(answer.mirror_deg.map(f64::to_radians));
+    Some(sighting.with_range_m(range_m).with_elevation(elevation))
 }
 
 /// Standard deviation of a normal error that is within five degrees with probability `sure`: the error function is
@@ -220,7 +236,15 @@ mod tests {
         };
         let found = receivers(&[seen("tx2", [4.0, 2.5]), seen("tx3", [1.5, -3.0]), seen("tx4", [-2.0, 4.0])]);
         assert_eq!((found.len(), found[0].links, found[0].capture.as_str()), (1, 3, "place/stamp"));
-        assert!(found[0].off_m.unwrap() < 1e-6);
+        assert!(found[0].off_m.unwrap() < 1e-6 && found[0].height_m.is_none());
+        // 45 degrees up to a transmitter whose height is given.
+        let mut rows = [seen("tx2", [4.0, 2.0]), seen("tx3", [1.5, -3.0]), seen("tx4", [-2.0, 4.0])];
+        rows[0].transmitter_z_m = Some(3.5);
+        (rows[0].answer.elevation_deg, rows[0].answer.elevation_sd_deg) = (Some(45.0), Some(1.0));
+        assert!(
+            (receivers(&rows)[0].height_m.unwrap() - 0.5).abs() < 1e-6
+                && receivers(&rows)[0].height_sd_m.unwrap() > 0.05
+        );
     }
 
     #[test]
