@@ -2,6 +2,7 @@
 
 use super::accurate::Placed;
 use super::bearing::{Bearing, BearingAnswer, Candidate, PairCounts, WaveModel};
+use super::carried::CarriedAnswer;
 use super::error::LinkError;
 use super::explain::LinkPlan;
 use super::link::Link;
@@ -125,6 +126,9 @@ pub struct Answer {
     pub receiver_records: SideCounts,
     /// Records of the link in the transmitter's log by what became of them.
     pub transmitter_records: SideCounts,
+    /// What all stretches of motion so far say, where they are carried from one to the next.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub carried: Option<CarriedAnswer>,
     /// What was computed and what was not, where that was asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub plan: Option<LinkPlan>,

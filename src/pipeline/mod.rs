@@ -14,15 +14,18 @@
 //! | spherical waves over all subcarriers, autofocus over all links, paths | `accurate` |
 //! | the same while robots drive, over the last metres | [`live`] |
 //! | the answer, as values and as a line of JSON | `bearing`, `answer`, `explain` |
+//! | what it says of the transmitter's place, for a filter over several motions | `evidence`, `carried` |
 
 mod accurate;
 mod answer;
 mod bearing;
 mod capture;
+mod carried;
 mod direction;
 mod draft;
 mod effort;
 mod error;
+mod evidence;
 mod explain;
 pub(crate) mod intake;
 mod link;
@@ -37,6 +40,7 @@ pub use accurate::Placed;
 pub use answer::{Answer, PathAnswer, lost_something};
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
 pub use capture::{Capture, CaptureError};
+pub use carried::{CarriedAnswer, CarriedCandidate, StretchAnswer};
 pub(crate) use draft::{LinkJoin, estimate};
 pub use effort::{Reason, Risk, Sufficient};
 pub use error::LinkError;

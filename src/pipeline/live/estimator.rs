@@ -49,7 +49,7 @@ impl LiveEstimator {
         let count = peers.len().max(1) as f64;
         // One after the other, so that the load is even.
         let due = |k: usize| now + Span::from_s((1.0 + k as f64 / count) / settings.rate_hz);
-        let state = |(k, peer): (usize, LivePeer)| PeerLink::new(peer, own, options.antenna, due(k));
+        let state = |(k, peer): (usize, LivePeer)| PeerLink::new(peer, own, due(k), &options);
         let peers = peers.into_iter().enumerate().map(state).collect();
         let plain = options.clone().with_accuracy(options.accuracy.without_layers());
         Self { own, settings, front, track, peers, losses: 0, strangers: 0, other_antenna: 0, options, plain }
@@ -197,8 +197,12 @@ impl LiveEstimator {
     /// Peers and what was counted of them.
     pub fn peers(&self) -> impl Iterator<Item = (&LivePeer, PeerCounts)> {
         let refused = |state: &PeerLink| state.admission.as_ref().map_or_else(Default::default, |gate| gate.counts);
-        let counts =
-            move |state: &PeerLink| PeerCounts { pairs: state.pairs(), refused: refused(state), ..state.counts };
+        let counts = move |state: &PeerLink| PeerCounts {
+            pairs: state.pairs(),
+            refused: refused(state),
+            carried: state.carried_counts(),
+            ..state.counts
+        };
         self.peers.iter().map(move |state| (&state.peer, counts(state)))
     }
 

@@ -6,11 +6,11 @@ use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Pose, Trajectory};
 use crate::pipeline::draft::estimate_one;
-use crate::pipeline::{Answer, Bearing, FrameHeard, Front, Link, LinkJoin, Options};
+use crate::pipeline::{Answer, Bearing, CarriedAnswer, FrameHeard, Front, Link, LinkJoin, Options};
+use crate::place::track::{PeerTrack, TrackCounts, TrackSettings};
 use crate::source::Next;
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
-use driver_iface::bfee::Antenna;
 use driver_iface::sounding::native::Measurement;
 
 /// Relative motion since an answer that makes a new one worth while, metres.
@@ -44,6 +44,9 @@ pub(super) struct PeerLink {
     pub(super) unrefined: bool,
     /// The last estimate with everything in it.
     pub(super) bearing: Option<Bearing>,
+    /// The peer's place by all windows that do not overlap, and the end of the last of them, seconds.
+    carried: PeerTrack,
+    carried_to_s: Option<f64>,
 }
 
 /// The last answer.
@@ -89,7 +92,9 @@ pub(super) enum Why {
 
 impl PeerLink {
     /// A peer of which nothing was heard yet.
-    pub(super) fn new(peer: LivePeer, own: Mac, antenna: Antenna, due: Instant) -> Self {
+    pub(super) fn new(peer: LivePeer, own: Mac, due: Instant, options: &Options) -> Self {
+        let antenna = options.antenna;
+        let heading_sd_rad = options.heading_sd_rad.unwrap_or_default();
         Self {
             front: Front::new(antenna).with_known([own]),
             link: Link::new(peer.mac, None),
@@ -104,6 +109,8 @@ impl PeerLink {
             accurate_at: None,
             unrefined: false,
             bearing: None,
+            carried: PeerTrack::new(TrackSettings::new(heading_sd_rad)),
+            carried_to_s: None,
         }
     }
 
@@ -112,6 +119,13 @@ impl PeerLink {
         self.link.forget_before(i64::MAX);
         (self.last, self.searched, self.bearing) = (None, None, None);
         (self.accurate_at, self.unrefined) = (None, false);
+        self.carried.reset();
+        self.carried_to_s = None;
+    }
+
+    /// What became of the windows that its place was carried through.
+    pub(super) fn carried_counts(&self) -> TrackCounts {
+        self.carried.counts()
     }
 
     /// Takes what one of the two cards heard of the other.
@@ -266,7 +280,7 @@ impl PeerLink {
         let join = LinkJoin { link: &self.link, receiver: &receiver, transmitter };
         let options = if accurate { context.options } else { context.plain };
         let made = estimate_one(&join, options);
-        let answer = Answer::of(self.peer.name.clone(), Some(&self.link), made.as_ref());
+        let mut answer = Answer::of(self.peer.name.clone(), Some(&self.link), made.as_ref());
         self.bearing = made.ok();
         self.counts.estimates += 1;
         if accurate {
@@ -282,6 +296,7 @@ impl PeerLink {
             report.answer.cause = answer.cause;
             return report;
         }
+        answer.carried = self.carry(found.path_m, accurate || !context.has_layers());
         let words = format!("bearing {:.2} deg", answer.azimuth_deg.unwrap_or(f64::NAN));
         let (moved_m, needed_m, heard_at) = (found.extent_m, context.settings.least_m, self.paired_at);
         PeerReport {
@@ -295,6 +310,22 @@ impl PeerLink {
             heard_at,
             answer,
         }
+    }
+
+    /// What this window's bearing and all windows before it say, where the way driven in this one is `driven_m` metres. What
+    /// an earlier window knew is not counted again: a window is kept once none of its samples is in the one kept before, and
+    /// if it is `whole`, made by every step that is on.
+    fn carry(&mut self, driven_m: f64, whole: bool) -> Option<CarriedAnswer> {
+        let bearing = self.bearing.as_ref()?;
+        let times_s = bearing.samples.t_s();
+        let carried_to_s = self.carried_to_s.unwrap_or(f64::NEG_INFINITY);
+        let fresh = times_s.iter().filter(|t_s| **t_s > carried_to_s).count() as f64 / times_s.len().max(1) as f64;
+        let evidence = bearing.evidence().with_driven_m(driven_m).with_fresh(fresh);
+        let answer = self.carried.answer_with(&evidence).ok()?;
+        if fresh >= 1.0 && whole && self.carried.update(&evidence).is_ok() {
+            self.carried_to_s = times_s.last().copied();
+        }
+        Some(CarriedAnswer::new(&answer))
     }
 
     /// A report without a new bearing: the last one, if there is one, is said again with its age.

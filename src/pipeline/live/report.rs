@@ -3,6 +3,7 @@
 use super::track::Track;
 use crate::exchange::admission::AdmissionCounts;
 use crate::pipeline::Answer;
+use crate::place::track::TrackCounts;
 use crate::time::Instant;
 use driver_iface::Mac;
 use serde::Serialize;
@@ -114,4 +115,6 @@ pub struct PeerCounts {
     pub losses: u64,
     /// Where the scheduler shares a key: what was not admitted.
     pub refused: AdmissionCounts,
+    /// Windows through which the peer's place was carried, and how often that began anew.
+    pub carried: TrackCounts,
 }

@@ -1,6 +1,7 @@
 //! `csi5300 bearing`.
 
 mod quality;
+mod stretches;
 
 use self::quality::{edge, quality};
 use super::args::{Estimation, channel, mac};
@@ -66,6 +67,10 @@ pub struct Args {
     /// Links worked on at a time; 0 is one for each core
     #[arg(long, default_value_t = 0, value_name = "N")]
     threads: usize,
+    /// Also cut the motion into stretches of this many seconds, and say what each gives by itself and carried on from those
+    /// before it
+    #[arg(long, value_name = "SECONDS", conflicts_with = "join_rows")]
+    every: Option<f64>,
     /// Also say for each link what was computed, at what cost, and what was skipped and why
     #[arg(long)]
     explain: bool,
@@ -105,6 +110,9 @@ fn check(args: &Args) {
     let is_same = |a: &Path, b: &Path| a == b || is_same_file(a, b);
     if let Some((_, twice)) = logs().find(|(k, log)| logs().take(*k).any(|(_, other)| is_same(log, other))) {
         usage(&format!("{} is given twice: each robot has a log of its own", twice.display()));
+    }
+    if args.every.is_some_and(|every| !(every.is_finite() && every > 0.0)) {
+        usage("--every takes a positive number of seconds");
     }
     if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
         usage("--min-confidence takes a probability, 0 to 1");
@@ -177,9 +185,15 @@ pub fn run(mut args: Args) -> Result {
         }
     }
     let mut answered = 0;
+    let paths: Vec<_> = (0..report.links.len()).map(|k| partners.get(k)).collect();
+    let in_stretches = |every_s: f64| report.in_stretches(&trajectory, &paths, every_s, &options);
+    let mut cut = args.every.map(in_stretches).unwrap_or_default().into_iter();
     for (name, link) in names.iter().zip(&report.links) {
         let mut answer = Answer::new(name.clone(), link);
         hint::add(&mut answer);
+        if let Some(own) = cut.next() {
+            stretches::tell(&mut answer, own, args.json);
+        }
         if let Some(least) = args.min_confidence {
             answer.refuse_below(least);
         }

@@ -1,0 +1,37 @@
+//! `--every`: stretches of the motion, each by itself and carried on.
+
+use super::super::{print, print_json};
+use csi5300::pipeline::{Answer, StretchAnswer};
+use std::fmt::Write;
+
+/// Prints a link's stretches, and adds what is carried to its end to the link's answer.
+pub(super) fn tell(answer: &mut Answer, stretches: Vec<StretchAnswer>, json: bool) {
+    answer.carried = stretches.iter().rev().find_map(|stretch| stretch.answer.carried.clone());
+    for mut stretch in stretches {
+        stretch.answer.link.clone_from(&answer.link);
+        stretch.answer.mac.clone_from(&answer.mac);
+        if json { print_json(&stretch) } else { print(&line(&stretch)) }
+    }
+}
+
+fn line(stretch: &StretchAnswer) -> String {
+    let (own, from_s, to_s) = (&stretch.answer, stretch.from_s, stretch.to_s);
+    let mut text = format!("{} {from_s:.1} .. {to_s:.1} s: ", own.link);
+    let _ = match (own.azimuth_deg, own.azimuth_sd_deg) {
+        (Some(azimuth), Some(sd)) => write!(text, "{azimuth:.2} deg +- {sd:.2}"),
+        (Some(azimuth), None) => write!(text, "{azimuth:.2} deg"),
+        (None, _) => write!(text, "no bearing ({})", own.error.as_deref().unwrap_or("nothing measured")),
+    };
+    if let Some(carried) = &own.carried {
+        let _ = write!(
+            text,
+            "; carried {:.2} deg +- {:.2}, within 5 degrees with probability {:.2}",
+            carried.azimuth_deg, carried.azimuth_sd_deg, carried.confidence
+        );
+        if let Some([x, y]) = carried.place_m {
+            let _ = write!(text, ", place x {x:.2}, y {y:.2} m");
+        }
+    }
+    text.push('\n');
+    text
+}

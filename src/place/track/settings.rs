@@ -1,0 +1,76 @@
+//! What is known of odometry and peers beforehand.
+
+use crate::tuning::TUNING;
+
+/// What may happen to places between two stretches of motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct TrackSettings {
+    /// Standard deviation of the heading of the whole trajectory, radians, as for single bearings. Common to all stretches,
+    /// it decides between no places; error bars and probabilities of answers hold it.
+    pub heading_sd_rad: f64,
+    /// How the heading wanders: standard deviation after one metre, radians; it grows with the root of the way driven.
+    pub turn_rad_per_rt_m: f64,
+    /// Error of the position as a share of the way driven.
+    pub slip: f64,
+    /// How a peer without odometry wanders: standard deviation after one second, metres, in x and in y; it grows with the
+    /// root of the time. 0: it stands still, or its odometry is known.
+    pub wander_m_per_rt_s: f64,
+    /// A peer of which nothing was heard for longer has gone: what was known of its place is forgotten, seconds.
+    pub gone_s: f64,
+}
+
+impl TrackSettings {
+    /// A peer that stands still or has odometry of its own, and odometry whose heading has this standard deviation over one
+    /// motion of about a metre, radians ([`crate::pipeline::Options::heading_sd_rad`]).
+    #[must_use]
+    pub fn new(heading_sd_rad: f64) -> Self {
+        let heading_sd_rad = if heading_sd_rad.is_finite() { heading_sd_rad.abs() } else { 0.0 };
+        Self {
+            heading_sd_rad,
+            turn_rad_per_rt_m: heading_sd_rad.max(TUNING.track.turn_deg_per_rt_m.to_radians()),
+            slip: TUNING.track.slip,
+            wander_m_per_rt_s: 0.0,
+            gone_s: TUNING.track.gone_s,
+        }
+    }
+
+    /// For a peer that wanders so far without odometry: standard deviation after one second, metres.
+    #[must_use]
+    pub fn with_wander_m_per_rt_s(self, wander_m_per_rt_s: f64) -> Self {
+        Self { wander_m_per_rt_s, ..self }
+    }
+
+    /// For odometry whose heading wanders so far: standard deviation after one metre, radians.
+    #[must_use]
+    pub fn with_turn_rad_per_rt_m(self, turn_rad_per_rt_m: f64) -> Self {
+        Self { turn_rad_per_rt_m, ..self }
+    }
+
+    /// For odometry whose positions are off by this share of the way driven.
+    #[must_use]
+    pub fn with_slip(self, slip: f64) -> Self {
+        Self { slip, ..self }
+    }
+
+    /// With another time after which a silent peer has gone, seconds.
+    #[must_use]
+    pub fn with_gone_s(self, gone_s: f64) -> Self {
+        Self { gone_s, ..self }
+    }
+
+    /// Standard deviations after `driven_m` metres and `passed_s` seconds: of the heading, radians, and of the place of the
+    /// peer relative to the robot, metres. Settings that are no numbers, or negative, count as 0.
+    pub(super) fn blur(&self, driven_m: f64, passed_s: f64) -> (f64, f64) {
+        let of = |value: f64| if value.is_finite() { value.max(0.0) } else { 0.0 };
+        let turn_rad = of(self.turn_rad_per_rt_m) * driven_m.sqrt();
+        let moved_m = (of(self.slip) * driven_m).hypot(of(self.wander_m_per_rt_s) * passed_s.sqrt());
+        (turn_rad, moved_m)
+    }
+}
+
+impl Default for TrackSettings {
+    fn default() -> Self {
+        Self::new(0.0)
+    }
+}
