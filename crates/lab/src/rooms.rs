@@ -6,7 +6,7 @@
 //! trajectory) has a scale and a drifting heading.
 
 use csi5300_sim::crystal::Crystal;
-use csi5300_sim::motion::{Arc, RobotMotion};
+use csi5300_sim::motion::{Arc, RandomWalk, RobotMotion};
 use csi5300_sim::radio::Radio;
 use csi5300_sim::random::Stream;
 use csi5300_sim::scene::{Cfo, Odometry, Robot, Sounding, Wall};
@@ -34,13 +34,28 @@ pub struct RoomsError {
 /// # Errors
 /// If a file cannot be written, or a room cannot be built.
 pub fn write(folder: &Path, count: u64, seed: u64) -> Result<(), RoomsError> {
+    write_each(folder, [IN_SIGHT, BEHIND_WALLS], count, seed, &scene)
+}
+
+/// The same of drives of a minute, some 15 m in all, in a random walk about the middle of the room.
+///
+/// # Errors
+/// As [`write`].
+pub fn write_drives(folder: &Path, count: u64, seed: u64) -> Result<(), RoomsError> {
+    write_each(folder, ["drives_LOS", "drives_NLOS"], count, seed, &drive)
+}
+
+/// What makes a scene of a seed, in sight or behind walls.
+type MakeScene = dyn Fn(u64, bool) -> Result<Scene, SceneError> + Sync;
+
+fn write_each(folder: &Path, sets: [&str; 2], count: u64, seed: u64, make: &MakeScene) -> Result<(), RoomsError> {
     let jobs: Vec<(u64, bool)> = (0..count).flat_map(|number| [(number, true), (number, false)]).collect();
     jobs.into_par_iter().try_for_each(|(number, in_sight)| {
         let refused = |source| RoomsError { number, source };
         let scene =
-            scene(seed.wrapping_add(2 * number + u64::from(in_sight)), in_sight).map_err(|e| refused(e.into()))?;
+            make(seed.wrapping_add(2 * number + u64::from(in_sight)), in_sight).map_err(|e| refused(e.into()))?;
         let mut room = Room::new(&scene).map_err(refused)?;
-        let set = if in_sight { IN_SIGHT } else { BEHIND_WALLS };
+        let set = sets[usize::from(!in_sight)];
         let written = write_dataset(&mut room, &folder.join(set).join(format!("{number:03}")), &mut |_| {});
         written.map(|_| ()).map_err(|error| refused(error.into()))
     })
@@ -48,13 +63,35 @@ pub fn write(folder: &Path, count: u64, seed: u64) -> Result<(), RoomsError> {
 
 /// The scene of a room.
 fn scene(seed: u64, in_sight: bool) -> Result<Scene, SceneError> {
+    scene_with(seed, in_sight, [2.2, 5.0])
+}
+
+/// The scene of a drive: transmitters far enough away to be driven about, odometry whose heading wanders.
+fn drive(seed: u64, in_sight: bool) -> Result<Scene, SceneError> {
+    let mut scene = scene_with(seed, in_sight, [3.5, 5.5])?;
+    scene.duration_s = 65.0;
+    if let Some(robot) = scene.robot.first_mut() {
+        robot.motion = RobotMotion::RandomWalk(RandomWalk {
+            speed_m_s: 0.25,
+            turning_deg_s: 40.0,
+            within_m: 2.0,
+            duration_s: 60.0,
+            start_s: 4.0,
+        });
+        robot.odometry = Odometry { heading_drift_deg_s: 0.0, heading_walk_deg: 0.5, ..robot.odometry };
+    }
+    Ok(scene)
+}
+
+/// The scene of a room whose transmitters are between these ranges, metres.
+fn scene_with(seed: u64, in_sight: bool, [nearest_m, farthest_m]: [f64; 2]) -> Result<Scene, SceneError> {
     let mut random = Stream::of_seed(seed);
     let mut robot = vec![receiver(&mut random)];
     let mut wall = Vec::new();
     let turned_deg = random.between(-180.0, 180.0);
     for number in 0..3 {
         let azimuth_deg = turned_deg + 120.0 * f64::from(number) + random.between(-45.0, 45.0);
-        let range_m = random.between(2.2, 5.0);
+        let range_m = random.between(nearest_m, farthest_m);
         let (sin, cos) = azimuth_deg.to_radians().sin_cos();
         robot.push(transmitter(number, [range_m * cos, range_m * sin], &mut random));
         if !in_sight {
@@ -172,6 +209,8 @@ mod tests {
                 assert_eq!(scene.robot.len(), 4);
                 assert_eq!(scene.wall.len(), if in_sight { 4 } else { 7 });
             }
+            let far = drive(seed, seed.is_multiple_of(2)).unwrap();
+            Room::new(&far).unwrap_or_else(|error| panic!("{error}\n{}", far.to_toml().unwrap()));
             assert_ne!(scene(seed, true).unwrap().robot, scene(seed + 1, true).unwrap().robot);
         }
     }

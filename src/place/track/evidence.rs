@@ -98,15 +98,10 @@ impl Evidence {
         self.modes.iter().filter(|mode| mode.is_usable())
     }
 
-    /// The likelihood of each place less that of a uniform guess, as factors over azimuth and over range, one pair for each
-    /// mode, and the rest that is the same everywhere. There are `azimuths` cells around; `ranges` are the logarithms of the
+    /// The likelihood of each place over that of a uniform guess: the sum of the modes' products, and the rest that is the same
+    /// everywhere. There are `azimuths` cells around; `ranges` are the logarithms of the
     /// ranges, with the prior's share of each; `believed` is the share of the probability that is believed.
-    pub(super) fn factors(
-        &self,
-        azimuths: usize,
-        ranges: &[(f64, f64)],
-        believed: f64,
-    ) -> (Vec<(Vec<f64>, Vec<f64>)>, f64) {
+    pub(super) fn factors(&self, azimuths: usize, ranges: &[(f64, f64)], believed: f64) -> (Vec<Factor>, f64) {
         let total: f64 = self.modes().map(|mode| mode.share).sum();
         let [_, most] = TUNING.certainty.limits;
         let known = self.known.clamp(0.0, most) * believed;
@@ -114,10 +109,18 @@ impl Evidence {
             let weight = known * mode.share / total;
             let mut around = wrapped_normal(mode.azimuth_rad, mode.sd_rad, azimuths);
             around.iter_mut().for_each(|value| *value *= weight);
-            (around, along(mode, ranges))
+            Factor { around, along: along(mode, ranges) }
         };
         (self.modes().map(factor).collect(), 1.0 - known)
     }
+}
+
+/// What one mode adds to the likelihood of a place: the product of a factor of its azimuth and one of its range.
+pub(super) struct Factor {
+    /// At the centre of each cell around, from azimuth 0 on.
+    pub around: Vec<f64>,
+    /// At each range.
+    pub along: Vec<f64>,
 }
 
 /// A normal density around the circle over the uniform one, at the centres of `cells` cells from azimuth 0 on; its mean is 1.

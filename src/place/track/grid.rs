@@ -1,6 +1,6 @@
 //! Probabilities of places about a robot: azimuth times logarithm of the range.
 
-use super::evidence::Evidence;
+use super::evidence::{Evidence, Factor};
 use crate::tuning::TUNING;
 use nalgebra::Vector2;
 use std::f64::consts::TAU;
@@ -58,7 +58,7 @@ impl PlaceGrid {
         let mut cells = self.cells.clone();
         for (k, row) in cells.chunks_exact_mut(AZIMUTHS).enumerate() {
             let mut likelihood = vec![rest; AZIMUTHS];
-            for (around, along) in &factors {
+            for Factor { around, along } in &factors {
                 let weight = along.get(k).copied().unwrap_or(1.0);
                 likelihood.iter_mut().zip(around).for_each(|(sum, value)| *sum += weight * value);
             }

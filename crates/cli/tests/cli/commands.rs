@@ -96,6 +96,30 @@ fn a_bearing_with_everything_that_was_counted() {
 }
 
 #[test]
+fn stretches_are_carried_on_from_one_to_the_next() {
+    let folder = Folder::new("every");
+    folder.link(&link(600, 2.0));
+    let (status, out, err) = folder.bearing(&["--every", "1.5", "--json"]);
+    assert_eq!(status, 0, "{err}");
+    let lines: Vec<_> = out.lines().map(json).collect();
+    // Five and a half seconds of motion, and the link itself.
+    assert_eq!(lines.len(), 5, "{out}");
+    for (k, stretch) in lines[..4].iter().enumerate() {
+        assert_eq!(stretch["carried"]["stretches"].as_u64(), Some(k as u64 + 1), "{stretch}");
+        assert_eq!(stretch["link"], lines[4]["link"]);
+        let [from, to] = ["from_s", "to_s"].map(|key| stretch[key].as_f64().unwrap());
+        assert!(to - from > 0.9 && to - from < 1.6, "{stretch}");
+    }
+    let carried = &lines[4]["carried"];
+    assert_eq!(*carried, lines[3]["carried"]);
+    let off = carried["azimuth_deg"].as_f64().unwrap() - 2f64.to_degrees();
+    assert!(off.abs() < 2.0 && carried["confidence"].as_f64().unwrap() > 0.8, "{carried}");
+    super::looking::are_documented(&out);
+    assert!(folder.bearing(&["--every", "3"]).1.contains("; carried 11"));
+    assert_eq!(folder.bearing(&["--every", "0"]).0, 2);
+}
+
+#[test]
 fn losses_before_the_tail_are_counted_and_change_the_status() {
     let folder = Folder::new("losses");
     let mut damaged = link(600, -1.0);

@@ -2,7 +2,7 @@
 
 use csi5300::motion::pose::{Trajectory, TrajectoryError};
 
-/// One of several parts of a motion that follow each other and last equally long.
+/// One of several parts of a motion that follow each other and last equally long, or the first few of them together.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[non_exhaustive]
 pub struct Part {
@@ -10,15 +10,23 @@ pub struct Part {
     pub index: u32,
     /// How many parts the motion is cut into.
     pub of: u32,
+    /// How many parts from this one on: 1 for a single one.
+    pub count: u32,
 }
 
 impl Part {
     /// The whole motion.
-    pub const WHOLE: Self = Self { index: 0, of: 1 };
+    pub const WHOLE: Self = Self { index: 0, of: 1, count: 1 };
 
     /// All `of` parts of a motion, in the order of time.
     pub fn each(of: u32) -> impl Iterator<Item = Self> {
-        (0..of).map(move |index| Self { index, of })
+        (0..of).map(move |index| Self { index, of, count: 1 })
+    }
+
+    /// The motion from its start to the end of this part.
+    #[must_use]
+    pub fn and_before(self) -> Self {
+        Self { index: 0, count: self.index + self.count, ..self }
     }
 
     /// The poses of this part. The motion is what lies between the first and the last pose that moves; a trajectory
@@ -31,7 +39,7 @@ impl Part {
             return Ok(trajectory.clone());
         };
         let edge_s = |k: u32| start_s + (end_s - start_s) * f64::from(k) / f64::from(self.of);
-        let (from_s, to_s) = (edge_s(self.index), edge_s(self.index + 1));
+        let (from_s, to_s) = (edge_s(self.index), edge_s(self.index + self.count));
         let inside = trajectory.poses().iter().filter(|pose| (from_s..=to_s).contains(&pose.t_s));
         Trajectory::new(inside.copied().collect())
     }
@@ -56,5 +64,7 @@ mod tests {
             assert!((span.1 - span.0 - (end_s - start_s) / 4.0).abs() < 0.05, "{k}: {spans:?}");
         }
         assert!(spans.windows(2).all(|two| two[1].0 - two[0].1 < 0.03), "{spans:?}");
+        let so_far = Part::each(4).nth(2).unwrap().and_before().cut(&whole).unwrap().span_s();
+        assert_eq!(so_far, (spans[0].0, spans[2].1));
     }
 }
