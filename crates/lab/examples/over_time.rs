@@ -69,6 +69,7 @@ fn name(source: TrajectorySource) -> &'static str {
     match source {
         TrajectorySource::GroundTruth => "true trajectory",
         TrajectorySource::T265 => "tracking camera",
+        TrajectorySource::RollingT265 => "tracking camera held to what wheels can roll",
         TrajectorySource::Odometry => "odometry",
     }
 }
