@@ -10,6 +10,8 @@
 
 #[cfg(feature = "tunable")]
 mod changed;
+#[macro_use]
+mod declare;
 mod values;
 
 pub(crate) use values::DeviationTuning;
