@@ -163,6 +163,10 @@ pub mod internal {
         quick_deviation_rad, quick_features, quick_probability, rolling_camera_heading_rad, unmounted_heading_rad,
         wheels_heading_rad,
     };
+    /// The filter over a peer's place.
+    pub mod track {
+        pub use crate::place::track::{Evidence, EvidenceMode, PeerTrack, TrackAnswer, TrackSettings};
+    }
     pub use crate::place::near_field::types::{Band, Limits, Taper, View};
     pub use crate::place::near_field::{aperture::Aperture, search::Search};
     pub use crate::signal::alignment::{CsiRow, align, remove_common_slope};

@@ -14,10 +14,9 @@ use serde::Serialize;
 pub struct CarriedAnswer {
     /// Bearing to the peer from the middle of the last stretch, in the trajectory's frame, from +x towards +y, (-180, 180].
     pub azimuth_deg: f64,
-    /// Error bar of the azimuth: with the probability 0.68 the peer is within it.
-    pub azimuth_sd_deg: f64,
-    /// Probability that the azimuth is within five degrees, 0..1.
-    pub confidence: f64,
+    /// Half of the width about the azimuth that holds 0.68 of the evidence: how far it is spread, and no error bar, since
+    /// nothing fitted it to errors.
+    pub spread_deg: f64,
     /// The directions in which the peer may be, the likeliest first.
     pub candidates: Vec<CarriedCandidate>,
     /// Where the peer is in the trajectory's frame, metres, where its range is known well enough. Of two robots that both
@@ -35,14 +34,15 @@ pub struct CarriedAnswer {
 pub struct CarriedCandidate {
     /// Bearing, degrees.
     pub azimuth_deg: f64,
-    /// Probability that the peer is within five degrees of it, 0..1.
+    /// Share of the evidence within five degrees of it, 0..1. Stretches of one place may be deceived together, so it is no
+    /// probability of being right.
     pub share: f64,
 }
 
 impl CarriedAnswer {
     /// The same in degrees.
     #[must_use]
-    pub fn new(answer: &TrackAnswer) -> Self {
+    pub(crate) fn new(answer: &TrackAnswer) -> Self {
         let candidate = |mode: &crate::place::track::TrackMode| CarriedCandidate {
             azimuth_deg: mode.azimuth_rad.to_degrees(),
             share: mode.share,
@@ -50,8 +50,7 @@ impl CarriedAnswer {
         let (place_m, covariance_m2) = answer.place_m.unzip();
         Self {
             azimuth_deg: answer.azimuth_rad.to_degrees(),
-            azimuth_sd_deg: answer.azimuth_sd_rad.to_degrees(),
-            confidence: answer.probability,
+            spread_deg: answer.azimuth_sd_rad.to_degrees(),
             candidates: answer.modes.iter().map(candidate).collect(),
             place_m: place_m.map(Into::into),
             place_covariance_m2: covariance_m2.map(Into::into),

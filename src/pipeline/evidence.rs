@@ -12,7 +12,8 @@ impl Bearing {
     /// reflections of all of them where the motion hides a mirror, and a rest that grows as the probability of the answer
     /// falls. Positions are those of
     /// the receiver less the transmitter's displacement, so a transmitter whose odometry is known counts as standing where
-    /// it would be without any; see [`PeerTrack`](crate::place::track::PeerTrack).
+    /// it would be without any; see `PeerTrack`.
+    #[doc(hidden)]
     #[must_use]
     pub fn evidence(&self) -> Evidence {
         let samples = &self.samples;

@@ -4,4 +4,4 @@
 pub(crate) mod confidence;
 pub mod locate;
 pub mod near_field;
-pub mod track;
+pub(crate) mod track;

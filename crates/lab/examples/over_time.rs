@@ -6,8 +6,8 @@
 //! by motion capture and by the tracking camera. `--drives` adds N simulated drives of a minute in rooms of either kind, in
 //! stretches of four seconds. Expect the tables of docs/accuracy.md, "Over the time driven"; with `--out` also its picture.
 
+use csi5300::internal::track::TrackSettings;
 use csi5300::pipeline::Options;
-use csi5300::place::track::TrackSettings;
 use csi5300_lab::evaluate::{Capture, Errors, TrajectorySource, find};
 use csi5300_lab::over_time::{Column, Drive, Report, gather, report};
 use std::path::{Path, PathBuf};

@@ -14,6 +14,7 @@ mod report;
 mod track;
 
 pub use crate::exchange::admission::AdmissionCounts;
+pub use crate::place::track::TrackCounts;
 pub use estimator::LiveEstimator;
 pub use links::Links;
 pub use report::{LivePeer, LiveSettings, PeerCounts, PeerReport, PeerState};

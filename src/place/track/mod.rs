@@ -26,6 +26,6 @@ mod settings;
 mod tests;
 
 pub use evidence::{Evidence, EvidenceMode};
-pub use peer_track::{PeerTrack, TrackCounts, TrackError};
+pub use peer_track::{PeerTrack, TrackCounts};
 pub use posterior::{TrackAnswer, TrackMode};
 pub use settings::TrackSettings;

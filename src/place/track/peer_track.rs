@@ -41,7 +41,7 @@ pub enum TrackError {
 pub struct TrackCounts {
     /// Stretches that were used.
     pub used: u64,
-    /// Stretches that were refused ([`TrackError`]).
+    /// Stretches that were refused (`TrackError`).
     pub refused: u64,
     /// Times that what was known was forgotten: another frame began.
     pub reset: u64,
@@ -75,7 +75,7 @@ impl PeerTrack {
     /// [`Evidence::fresh`] says.
     ///
     /// # Errors
-    /// [`TrackError`] where it cannot be used; it is counted, and the track is as it was.
+    /// `TrackError` where it cannot be used; it is counted, and the track is as it was.
     pub fn update(&mut self, evidence: &Evidence) -> Result<(), TrackError> {
         let next = self.with(evidence);
         match next {

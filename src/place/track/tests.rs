@@ -1,4 +1,5 @@
 use super::grid::{PlaceGrid, normalise};
+use super::peer_track::TrackError;
 use super::*;
 use crate::maths::wrap_rad;
 use nalgebra::Vector2;

@@ -1,9 +1,9 @@
 //! Motions cut into stretches, each estimated by itself, and all of the motion up to some of them.
 
 use crate::evaluate::{Capture, Judged, Part, TrajectorySource};
+use csi5300::internal::track::{Evidence, PeerTrack, TrackAnswer, TrackSettings};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Bearing, Options};
-use csi5300::place::track::{Evidence, PeerTrack, TrackAnswer, TrackSettings};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 

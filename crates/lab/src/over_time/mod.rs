@@ -1,4 +1,4 @@
-//! Bearings over the time driven: each stretch of a motion by itself, what [`PeerTrack`](csi5300::place::track::PeerTrack)
+//! Bearings over the time driven: each stretch of a motion by itself, what `PeerTrack`
 //! carries from stretch to stretch, and the whole motion so far at once.
 //!
 //! [`gather`] cuts motions into stretches and estimates each, [`Drive::carried`] replays a drive through a filter,

@@ -2,7 +2,7 @@
 
 use super::gather::Drive;
 use crate::evaluate::Errors;
-use csi5300::place::track::TrackSettings;
+use csi5300::internal::track::TrackSettings;
 use serde::Serialize;
 use std::collections::BTreeMap;
 

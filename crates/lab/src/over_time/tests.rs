@@ -1,7 +1,7 @@
 use super::gather::{Drive, Seen, StretchRow};
 use super::report;
 use crate::evaluate::{Part, TrajectorySource};
-use csi5300::place::track::{Evidence, EvidenceMode, TrackSettings};
+use csi5300::internal::track::{Evidence, EvidenceMode, TrackSettings};
 use nalgebra::Vector2;
 
 /// A drive along x past a transmitter at (2, 3), each stretch a line that hides a mirror; the side that a stretch takes for

@@ -141,7 +141,7 @@ fn bearings_are_right_after_one_circle_with_two_four_and_eight_robots() {
             assert!(off < 1.0 && report.state == PeerState::Bearing, "{off} {report:?}");
             let carried = report.answer.carried.as_ref().unwrap();
             let off = wrap_rad((carried.azimuth_deg - truth_deg(&room, peer + 1)).to_radians()).to_degrees().abs();
-            assert!(off < 3.0 && carried.confidence > 0.5 && carried.stretches > 1, "{off} {carried:?}");
+            assert!(off < 3.0 && carried.candidates[0].share > 0.5 && carried.stretches > 1, "{off} {carried:?}");
         }
         // At rest nothing is guessed; while it drives there is a bearing twice a second.
         let words: Vec<&str> = reports.iter().map(|(.., report)| report.words.as_str()).collect();

@@ -23,11 +23,10 @@ fn line(stretch: &StretchAnswer) -> String {
         (None, _) => write!(text, "no bearing ({})", own.error.as_deref().unwrap_or("nothing measured")),
     };
     if let Some(carried) = &own.carried {
-        let _ = write!(
-            text,
-            "; carried {:.2} deg +- {:.2}, within 5 degrees with probability {:.2}",
-            carried.azimuth_deg, carried.azimuth_sd_deg, carried.confidence
-        );
+        let _ = write!(text, "; carried {:.2} deg, spread {:.2}", carried.azimuth_deg, carried.spread_deg);
+        if let Some(first) = carried.candidates.first() {
+            let _ = write!(text, ", {:.2} of the evidence within 5 degrees", first.share);
+        }
         if let Some([x, y]) = carried.place_m {
             let _ = write!(text, ", place x {x:.2}, y {y:.2} m");
         }
