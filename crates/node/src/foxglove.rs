@@ -9,6 +9,7 @@
 //! | `/pose` | `foxglove.PoseInFrame` | the robot as a pose |
 //! | `/trajectory` | `foxglove.PosesInFrame` | the whole path |
 //! | `/bearing/LINK` | `foxglove.PoseInFrame` | the bearing as a pose |
+//! | `/mirror/LINK` | `foxglove.PoseInFrame` | the mirror of the bearing as a pose, where it has one |
 //! | `/aoa_profile/LINK` | `foxglove.LaserScan` | the profile round the horizon, in metres of length 1 at its peak, about the robot |
 
 use crate::door::{Door, Rules};
@@ -180,7 +181,25 @@ pub struct Channels {
     trajectory: Channel<fox::PosesInFrame>,
     rows: BTreeMap<String, Channel<CsiRow>>,
     counters: BTreeMap<String, Channel<Counters>>,
-    bearings: BTreeMap<String, (Channel<fox::PoseInFrame>, Channel<fox::LaserScan>)>,
+    bearings: BTreeMap<String, OfLink>,
+}
+
+/// The channels of a link: its bearing, the mirror of it, and its profile.
+struct OfLink {
+    bearing: Channel<fox::PoseInFrame>,
+    mirror: Channel<fox::PoseInFrame>,
+    profile: Channel<fox::LaserScan>,
+}
+
+impl OfLink {
+    fn new(context: &Arc<Context>, link: &str) -> Self {
+        let named = |topic: &str| context.channel_builder(format!("/{topic}/{link}"));
+        Self {
+            bearing: named("bearing").build(),
+            mirror: named("mirror").build(),
+            profile: named("aoa_profile").build(),
+        }
+    }
 }
 
 /// The channel of that name, made if it is not there yet.
@@ -189,12 +208,6 @@ fn named<'a, T>(channels: &'a mut BTreeMap<String, T>, name: &str, make: impl Fn
         channels.insert(name.to_owned(), make());
     }
     &channels[name]
-}
-
-/// The channels of a link: its bearing and its profile.
-fn of_link(context: &Arc<Context>, link: &str) -> (Channel<fox::PoseInFrame>, Channel<fox::LaserScan>) {
-    let pose = context.channel_builder(format!("/bearing/{link}")).build();
-    (pose, context.channel_builder(format!("/aoa_profile/{link}")).build())
 }
 
 impl Channels {
@@ -216,7 +229,7 @@ impl Channels {
         named(&mut self.rows, log, || context.channel_builder(format!("/csi/{log}")).build());
         named(&mut self.counters, log, || context.channel_builder(format!("/counters/{log}")).build());
         for link in links {
-            named(&mut self.bearings, link, || of_link(context, link));
+            named(&mut self.bearings, link, || OfLink::new(context, link));
         }
     }
 
@@ -281,22 +294,27 @@ impl Channels {
         self.trajectory.log_with_time(&path, nanoseconds(t_s));
     }
 
-    /// A bearing and its profile.
+    /// A bearing, its mirror where it has one, and its profile.
     ///
     /// # Errors
     /// If the profile cannot be computed.
     pub fn bearing(&mut self, link: &str, bearing: &Bearing) -> Result<(), Error> {
         let context = &self.context;
-        let (poses, _) = named(&mut self.bearings, link, || of_link(context, link));
+        named(&mut self.bearings, link, || OfLink::new(context, link));
+        let Some(channels) = self.bearings.get(link) else { return Ok(()) };
         let t_s = bearing.samples.t_s().last().copied().unwrap_or(0.0);
         let from = Pose { t_s, position_m: bearing.mean_position_m, heading_rad: None };
-        let rotation = aim(bearing.answer.azimuth_rad, bearing.answer.signed_elevation_rad.unwrap_or(0.0));
-        poses.log_with_time(&in_frame(&from, rotation), nanoseconds(t_s));
+        let answer = &bearing.answer;
+        let rotation = aim(answer.azimuth_rad, answer.signed_elevation_rad.unwrap_or(0.0));
+        channels.bearing.log_with_time(&in_frame(&from, rotation), nanoseconds(t_s));
+        if let Some(mirror_rad) = answer.mirror_rad {
+            let towards = aim(mirror_rad, answer.mirror_elevation_rad.unwrap_or(0.0));
+            channels.mirror.log_with_time(&in_frame(&from, towards), nanoseconds(t_s));
+        }
         self.transform(&format!("bearing/{link}"), &from, rotation);
-        let Some((_, profiles)) = self.bearings.get(link).filter(|(_, profiles)| profiles.has_sinks()) else {
-            return Ok(());
-        };
-        profiles.log_with_time(&profile(bearing, &from)?, nanoseconds(t_s));
+        if channels.profile.has_sinks() {
+            channels.profile.log_with_time(&profile(bearing, &from)?, nanoseconds(t_s));
+        }
         Ok(())
     }
 }
@@ -371,7 +389,8 @@ mod tests {
         let address = SocketAddr::from(([127, 0, 0, 1], 0));
         let mut live = Live::listen("burger", ["a", "b"].into_iter(), address, Vec::new()).unwrap();
         let ids = |live: &Live| {
-            live.channels.bearings.values().map(|(pose, scan)| (pose.id(), scan.id())).collect::<Vec<_>>()
+            let of = |own: &OfLink| [own.bearing.id(), own.mirror.id(), own.profile.id()];
+            live.channels.bearings.values().map(of).collect::<Vec<_>>()
         };
         let before = ids(&live);
         assert_eq!((before.len(), live.channels.rows.len(), live.channels.counters.len()), (2, 1, 1));
