@@ -257,6 +257,14 @@ fn trajectories_that_do_not_fit_say_why() {
     folder.write("t.csv", made.trajectory.as_bytes());
     let (status, _, err) = folder.bearing(&["--antenna-offset", "0.1,0,0"]);
     assert!(status == 1 && err.contains("heading"), "{err}");
+    let (status, _, err) = folder.bearing(&["--antenna-offset", "0,0,0", "--camera-mount", "0.1,0,-2"]);
+    assert!(status == 1 && err.contains("heading"), "{err}");
+    // A path that rolls is that of the middle between the wheels: where the antenna is seen from there has to be said.
+    let (status, _, err) = folder.bearing(&["--camera-mount", "0.1,0,-2"]);
+    assert!(status == 2 && err.contains("--antenna-offset"), "{err}");
+    let of_wheels = ["evaluate", "--trajectory", "odom", "--antenna-offset", "0,0,0", "--camera-mount", "0,0,0", "."];
+    let (status, _, err) = folder.run(&of_wheels);
+    assert!(status == 2 && err.contains("--trajectory t265"), "{err}");
 }
 
 #[test]
