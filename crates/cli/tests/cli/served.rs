@@ -260,12 +260,16 @@ fn what_cannot_be_sent_is_counted_and_said_once() {
     let refused = served.join("nobody", |address| served::join(address, served::Role::Card).unwrap_err().to_string());
     assert!(refused.contains("no robot nobody: it has rx, tx"), "{refused}");
     drop(two_streams);
-    served.turn(2_000);
-    served.monitor("rx", 1);
+    let mut again = None;
+    comes(|| {
+        served.turn(2_000);
+        again = served.join("rx", |address| served::join(address, served::Role::Air).ok());
+        again.is_some()
+    });
 }
 
-/// Waits for what comes when the room has gone: programs that other tests start hold its sockets between their fork and their
-/// exec.
+/// Waits for what comes when one end has gone: programs that other tests start hold copies of sockets between their fork and
+/// their exec.
 fn comes(mut is_there: impl FnMut() -> bool) {
     let until = std::time::Instant::now() + std::time::Duration::from_secs(60);
     while !is_there() {
@@ -345,7 +349,6 @@ fn a_socket_left_behind_is_replaced_and_one_in_use_is_not() {
     std::fs::rename(&served.socket, &left).unwrap();
     served.socket = left.clone();
     drop(served);
-    // A program that another test starts holds a copy of the socket until it runs, so the socket may be in use a while longer.
     let mut again = None;
     comes(|| {
         again = Server::bind(&left).ok();
