@@ -40,7 +40,7 @@ pub fn write(folder: &Path, count: u64, seed: u64) -> Result<(), RoomsError> {
 /// The same of drives of a minute, some 15 m in all, in a random walk about the middle of the room.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_drives(folder: &Path, count: u64, seed: u64) -> Result<(), RoomsError> {
     write_each(folder, ["drives_LOS", "drives_NLOS"], count, seed, &drive)
 }
