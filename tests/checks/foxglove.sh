@@ -33,6 +33,8 @@ TOPICS = {
     "/csi/burger": "CsiRow", "/counters/burger": "Counters", "/tf": "FrameTransform", "/pose": "PoseInFrame",
     "/trajectory": "PosesInFrame", "/bearing/tx": "PoseInFrame", "/aoa_profile/tx": "LaserScan",
 }
+# Comes where a bearing has a mirror.
+SOMETIMES = {"/mirror/tx": "PoseInFrame"}
 
 def message_of(schema, name):
     files = descriptor_pb2.FileDescriptorSet.FromString(base64.b64decode(schema))
@@ -69,7 +71,7 @@ async def watch(url):
                     for channel in said["channels"]:
                         channels[channel["id"]] = channel["topic"]
                         decoders[channel["id"]] = message_of(channel["schema"], channel["schemaName"])
-                        kind = TOPICS.get(channel["topic"])
+                        kind = (TOPICS | SOMETIMES).get(channel["topic"])
                         assert kind and channel["schemaName"].split(".")[-1] == kind, channel["topic"]
                         assert channel["encoding"] == "protobuf", channel
                         wanted.append({"id": channel["id"], "channelId": channel["id"]})
@@ -108,6 +110,14 @@ for at, bearing in got["/bearing/tx"][:4]:
     assert min(apart(azimuth, l["azimuth_deg"]) for l in said) < 1e-6, (azimuth, said)
     frames = [m for t, m in got["/tf"] if t == at and m.child_frame_id == "bearing/tx"]
     assert any(apart(degrees(m.rotation), azimuth) < 1e-9 for m in frames), frames
+mirrors = dict(got["/mirror/tx"])
+assert set(mirrors) <= {at for at, _ in got["/bearing/tx"]}, "a mirror without its bearing"
+for at, bearing in got["/bearing/tx"][:4]:
+    azimuth = degrees(bearing.pose.orientation)
+    line = min(said, key=lambda l: apart(azimuth, l["azimuth_deg"]))
+    assert (at in mirrors) == (line["mirror_deg"] is not None), (at, line)
+    if at in mirrors:
+        assert apart(degrees(mirrors[at].pose.orientation), line["mirror_deg"]) < 1e-6, (mirrors[at], line)
 for at, scan in got["/aoa_profile/tx"][:4]:
     assert scan.frame_id == "robot" and max(scan.ranges) == 1.0 and len(scan.ranges) == 360, scan.frame_id
     step = (scan.end_angle - scan.start_angle) / 359
@@ -118,7 +128,7 @@ for at, scan in got["/aoa_profile/tx"][:4]:
     if line["azimuth_body_deg"] is not None:
         known = [l["azimuth_deg"] - l["azimuth_body_deg"] for l in said]
         assert min(apart(heading, k) for k in known) < 1e-6, (heading, known)
-print(f"{sum(map(len, got.values()))} messages on {len(got)} topics; bearing {azimuth:.2f} deg")
+print(f"{sum(map(len, got.values()))} messages on {sum(map(bool, got.values()))} topics, {len(mirrors)} mirrors; bearing {azimuth:.2f} deg")
 PYTHON
 kill "$node"
 wait "$node" || [ $? = 3 ] || { cat "$folder/said"; exit 1; }
