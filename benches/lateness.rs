@@ -96,9 +96,8 @@ fn robot(own: usize, interface: &str, fifo_priority: Option<i32>, clock: Monoton
     let now = clock.now();
     let mut config = Config::new(MACS[own], 0, &[MACS[1 - own]], Request::new(1, 1_000.0), 1)
         .with_initiate(own == 0)
-        .with_epoch(Epoch::Heard(now))
-        .with_start(now);
-    (config.open_loop, config.silence_slots) = (true, 2);
+        .with_epoch(Epoch::Heard(now));
+    (config.start, config.open_loop, config.silence_slots) = (now, true, 2);
     Ok(Running::start(
         Tdma::new(&config)?,
         Monitor::open(&options)?,

@@ -44,9 +44,6 @@ impl Instant {
 }
 
 impl Span {
-    /// No time at all.
-    pub const ZERO: Self = Self { us: 0 };
-
     /// A span of `us` microseconds.
     #[must_use]
     pub const fn from_us(us: i64) -> Self {

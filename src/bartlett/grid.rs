@@ -167,7 +167,7 @@ impl Profile {
 
     /// The likelihood of the highest entry (\[paper\] in docs/references.md): its share of the profile's sum, `F / sum F`.
     #[must_use]
-    pub fn likelihood_share(&self) -> Option<f64> {
+    pub(crate) fn likelihood_share(&self) -> Option<f64> {
         let sum: f64 = self.values.iter().sum();
         self.max().map(|(_, top)| top / sum)
     }

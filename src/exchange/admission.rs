@@ -122,7 +122,7 @@ impl<T> Admission<T> {
 
     /// The same at the end, when nothing more comes.
     pub(crate) fn poll_last(&mut self, now: Instant) -> Option<(LinkSide, Instant, T)> {
-        let mut last = |side| self.poll_side(side, now, Span::ZERO);
+        let mut last = |side| self.poll_side(side, now, Span::default());
         last(LinkSide::Transmitter).or_else(|| last(LinkSide::Receiver))
     }
 

@@ -48,27 +48,9 @@ impl Sighting {
         Self { transmitter_m, azimuth_rad, mirror_rad: None, azimuth_sd_rad, range_m: None, elevation: None }
     }
 
-    /// The same with the other bearing that the motion cannot tell from it, radians: the place decides between the two.
-    #[must_use]
-    pub fn with_mirror_rad(self, mirror_rad: Option<f64>) -> Self {
-        Self { mirror_rad, ..self }
-    }
-
     /// Each bearing that it may be, radians.
     fn azimuths_rad(&self) -> impl Iterator<Item = f64> {
         std::iter::once(self.azimuth_rad).chain(self.mirror_rad)
-    }
-
-    /// The same with the horizontal range and its standard deviation, metres, where known.
-    #[must_use]
-    pub fn with_range_m(self, range_m: Option<(f64, f64)>) -> Self {
-        Self { range_m, ..self }
-    }
-
-    /// The same with the elevation of a transmitter whose height is known, where the motion showed it.
-    #[must_use]
-    pub fn with_elevation(self, elevation: Option<Elevation>) -> Self {
-        Self { elevation, ..self }
     }
 }
 
@@ -313,7 +295,7 @@ mod tests {
             let (own, z) = (sighting(at, ROBOTS[k], 0.0), 0.4 * k as f64);
             let distance = (own.transmitter_m - Vector2::new(at.0, at.1)).norm();
             let elevation_rad = (z - height_m).atan2(distance) + error_rad;
-            own.with_elevation(Some(Elevation { transmitter_z_m: z, elevation_rad, sd_rad: 0.01 }))
+            Sighting { elevation: Some(Elevation { transmitter_z_m: z, elevation_rad, sd_rad: 0.01 }), ..own }
         };
         let mut own: Vec<_> = (0..4).map(|k| seen(k, 0.0)).collect();
         let (exact_m, sd_m) = locate(&own).unwrap().height_m.unwrap();

@@ -76,20 +76,6 @@ impl Default for Options {
     }
 }
 
-impl Options {
-    /// Sets [`hand_over`](Self::hand_over).
-    #[must_use]
-    pub fn with_hand_over(self, hand_over: Span) -> Self {
-        Self { hand_over, ..self }
-    }
-
-    /// Sets [`sync_every`](Self::sync_every).
-    #[must_use]
-    pub fn with_sync_every(self, sync_every: Option<Span>) -> Self {
-        Self { sync_every, ..self }
-    }
-}
-
 /// What was recorded. `received = written + dropped + lost_on_disk` once the recorder is finished.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
 #[non_exhaustive]

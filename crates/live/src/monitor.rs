@@ -325,7 +325,7 @@ mod tests {
         assert_eq!(age(Some(5), Some(65)), Some(Span::from_us(60)));
         assert_eq!(age(Some(5), Some(second + 4)), Some(OLDEST - Span::from_us(1)));
         assert_eq!(age(Some(5), Some(second + 5)), None);
-        assert_eq!(age(Some(second), Some(3)), Some(Span::ZERO), "the clock was set back");
-        assert_eq!((age(None, Some(9)), age(Some(9), None)), (Some(Span::ZERO), Some(Span::ZERO)));
+        assert_eq!(age(Some(second), Some(3)), Some(Span::default()), "the clock was set back");
+        assert_eq!((age(None, Some(9)), age(Some(9), None)), (Some(Span::default()), Some(Span::default())));
     }
 }

@@ -100,7 +100,7 @@ impl Status {
     pub fn page(&mut self, now: Instant, title: &str, losses: Losses) -> String {
         let survey = &self.survey;
         let mut text = format!("csi5300  {title}\n\n");
-        let seconds = self.first_at.map_or(Span::ZERO, |first| now - first).as_s();
+        let seconds = self.first_at.map_or(Span::default(), |first| now - first).as_s();
         let silent = self.last_at.map_or(0.0, |last| (now - last).as_s());
         let _ = writeln!(text, "records   {:>10}   {:>8} bfee   {seconds:>7.0} s", survey.records, survey.bfees());
         let Losses { kernel, driver, disk } = losses;

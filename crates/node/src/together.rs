@@ -86,7 +86,7 @@ pub fn begin<S: CsiSource>(
         return Ok(Begin { skip: peer.before - 1, after: own.since });
     }
     let after = own.since - peer.since;
-    Ok(Begin { skip: 0, after: if after > APART { after } else { Span::ZERO } })
+    Ok(Begin { skip: 0, after: if after > APART { after } else { Span::default() } })
 }
 
 /// The first frame of the second log whose number is among the first of the first log, in both.
@@ -125,7 +125,7 @@ mod tests {
         };
         // At 100 frames a second: the peer was started a hundred seconds before, about together, or after.
         let early = begin(10_000..11_000, 0..11_000);
-        assert_eq!(early, Begin { skip: 9_999, after: Span::ZERO });
+        assert_eq!(early, Begin { skip: 9_999, after: Span::default() });
         assert_eq!(begin(100..1_000, 0..1_000), Begin::default());
         assert_eq!(begin(0..11_000, 10_000..11_000), Begin { skip: 0, after: Span::from_ms(100_000) });
         assert_eq!(begin(0..100, 200..300), Begin::default());

@@ -65,7 +65,7 @@ pub(super) fn request(scene: &Scene, sounding: &Sounding) -> Result<Request, Pla
         .with_phy(phy)
         .with_dialect(dialect)
         .with_turn_around_us(longest(|radio| radio.turn_around.max_us).ceil() as u32)
-        .with_guard_us(tdma::GUARD_US.max(longest(lateness_us).ceil() as u32));
+        .with_guard_us(Request::default().guard_us.max(longest(lateness_us).ceil() as u32));
     if sounding.rate_hz != f64::INFINITY {
         return Plan::new(&request).map(|_| request);
     }
@@ -98,8 +98,8 @@ pub(super) fn sounder(world: &World, robot: usize, restarts: u64, now: Instant) 
     let session = (scene.start_unix_s as u32).wrapping_add(restarts as u32);
     let mut config = Config::new(world.mac(robot), index(robot), &[], request, session)
         .with_initiate(initiators.contains(&robot))
-        .with_epoch(tdma::Epoch::Heard(begin))
-        .with_start(now.max(begin));
+        .with_epoch(tdma::Epoch::Heard(begin));
+    config.start = now.max(begin);
     config.peers = peers.map(|peer| tdma::Robot { mac: world.mac(peer), index: index(peer) }).collect();
     if initiators.len() == 1 {
         config.silence_slots = ALONE_SILENCE_SLOTS;

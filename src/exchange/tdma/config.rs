@@ -111,13 +111,6 @@ impl Config {
         self
     }
 
-    /// When this robot is switched on, on its own clock.
-    #[must_use]
-    pub const fn with_start(mut self, start: Instant) -> Self {
-        self.start = start;
-        self
-    }
-
     /// The MACs this robot sounds.
     pub(super) fn link_macs(&self) -> Vec<Mac> {
         self.links.clone().unwrap_or_else(|| self.peers.iter().map(|peer| peer.mac).collect())

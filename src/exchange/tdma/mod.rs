@@ -57,6 +57,6 @@ pub use config::{Config, Robot};
 pub use event::{Cause, Event, LinkCounts, TdmaCounts};
 pub use machine::{Tdma, Transmit};
 pub use phy::{Dialect, Phy};
-pub use plan::{GUARD_US, Plan, PlanError, Request, TURN_AROUND_US};
+pub use plan::{Plan, PlanError, Request};
 pub(crate) use proof::{Proof, Prover};
 pub use roster::Priority;

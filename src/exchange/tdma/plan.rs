@@ -7,9 +7,9 @@ use driver_iface::sounding::wsr;
 
 /// Longest time from the end of a forward frame to the start of its answer, microseconds: the WSR driver answers
 /// within 145 to 322 us, median 225 (892 second frames in WSR's `test_count_rx_5.dat`, rise to rise).
-pub const TURN_AROUND_US: u32 = 322;
+const TURN_AROUND_US: u32 = 322;
 /// Default guard, microseconds: how late a frame may start, and again how far clocks may be apart.
-pub const GUARD_US: u32 = 50;
+const GUARD_US: u32 = 50;
 /// Most robots in one exchange, this one included.
 pub(crate) const MAX_ROBOTS: usize = 256;
 /// Default length of a turn, slots: every frame of it names the next initiator, which at 60 % loss misses all of them
@@ -38,6 +38,13 @@ pub struct Request {
     /// Short turns interleave the robots' samples more finely; but a turn of which the next robot hears nothing is
     /// followed by a silence.
     pub turn_slots: u16,
+}
+
+impl Default for Request {
+    /// One link, sounded 100 times a second; the rest as of [`Request::new`].
+    fn default() -> Self {
+        Self::new(1, 100.0)
+    }
 }
 
 impl Request {

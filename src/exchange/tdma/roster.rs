@@ -16,12 +16,8 @@ const ABSENT_ROUNDS: u16 = 8;
 pub struct Priority(u8);
 
 impl Priority {
-    /// Sounded in every round.
-    pub const FULL: Self = Self(u8::MAX);
-    /// Not sounded, except where an initiator must be heard at all.
-    pub const PAUSED: Self = Self(0);
-
-    /// Sounded in `share` of the rounds, evenly spread; 0 to 1, steps of 1/255.
+    /// Sounded in `share` of the rounds, evenly spread; 0 to 1, steps of 1/255. A link of share 0 is not sounded, except where an
+    /// initiator must be heard at all.
     #[must_use]
     pub fn share(share: f64) -> Self {
         Self((share.clamp(0.0, 1.0) * f64::from(u8::MAX)).round() as u8)
@@ -140,7 +136,7 @@ impl Roster {
         let place = |mac: &Mac| peers.binary_search_by_key(mac, |peer| peer.mac).ok();
         let macs = config.link_macs();
         let links = macs.iter().filter_map(place);
-        let link = |peer| Link { peer, priority: Priority::FULL, credit: 0, counts: LinkCounts::default() };
+        let link = |peer| Link { peer, priority: Priority::share(1.0), credit: 0, counts: LinkCounts::default() };
         let links = links.map(link).collect();
         Self { peers, links, own_rank }
     }
@@ -324,7 +320,7 @@ mod tests {
     fn priorities_are_shares_of_rounds() {
         let mut roster = roster(1, &[2, 3, 4, 5]);
         roster.links[1].priority = Priority::every(4);
-        roster.links[2].priority = Priority::PAUSED;
+        roster.links[2].priority = Priority::share(0.0);
         roster.links[3].priority = Priority::share(0.5);
         let mut sounded = [0; 4];
         for _ in 0..10_200 {

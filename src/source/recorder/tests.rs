@@ -108,7 +108,7 @@ fn chunks_and_syncs_keep_time() {
     drop(open);
     let sink = Gate { open: gate, kept: Vec::new(), syncs: 0 };
     let source = Numbered::new([Some(1), None, None, None, None]);
-    let options = Options::default().with_sync_every(Some(Span::from_ms(25))).with_hand_over(Span::from_ms(10));
+    let options = Options { sync_every: Some(Span::from_ms(25)), hand_over: Span::from_ms(10), ..Options::default() };
     let mut recorder = Recorder::new(source, sink, options).unwrap();
     assert_eq!(recorder.next_at(), None);
     let _ = recorder.receive(Instant::ZERO).unwrap();
@@ -120,14 +120,6 @@ fn chunks_and_syncs_keep_time() {
     let (_, sink, totals) = recorder.finish(Instant::from_us(26_000)).unwrap();
     assert_eq!((sink.syncs, numbers(&sink.kept)), (2, vec![1]));
     assert_eq!(totals.written, 1);
-}
-
-#[test]
-fn what_is_set_is_set_and_the_rest_stays() {
-    let options = Options { chunk_bytes: 1, chunks: 2, hand_over: Span::from_ms(3), sync_every: None };
-    let told = |options: Options| (options.chunk_bytes, options.chunks, options.hand_over, options.sync_every);
-    assert_eq!(told(options.with_hand_over(Span::from_ms(7))), (1, 2, Span::from_ms(7), None));
-    assert_eq!(told(options.with_sync_every(Some(Span::from_ms(9)))), (1, 2, Span::from_ms(3), Some(Span::from_ms(9))));
 }
 
 #[test]
@@ -148,8 +140,7 @@ fn while_the_disk_stands_still_it_is_asked_again_after_a_while_and_not_at_once()
     let (open, gate) = channel();
     let sink = Gate { open: gate, kept: Vec::new(), syncs: 0 };
     let source = Numbered::new([Some(1), None, Some(2), None, None, None]);
-    let options = Options { chunks: 2, ..Options::default() };
-    let options = options.with_hand_over(Span::from_ms(10)).with_sync_every(Some(Span::from_ms(1_000)));
+    let options = Options { chunks: 2, hand_over: Span::from_ms(10), ..Options::default() };
     let mut recorder = Recorder::new(source, sink, options).unwrap();
     let mut at = |ms: i64| {
         let _ = recorder.receive(Instant::from_us(1_000 * ms)).unwrap();
@@ -314,7 +305,7 @@ fn a_sync_that_went_with_a_chunk_is_not_asked_for_again() {
     drop(open);
     let sink = Gate { open: gate, kept: Vec::new(), syncs: 0 };
     let source = Numbered::new([Some(1), None, Some(2), None]);
-    let options = Options::default().with_sync_every(Some(Span::from_ms(25))).with_hand_over(Span::from_ms(10));
+    let options = Options { sync_every: Some(Span::from_ms(25)), hand_over: Span::from_ms(10), ..Options::default() };
     let mut recorder = Recorder::new(source, sink, options).unwrap();
     let mut at = |ms: i64| {
         let _ = recorder.receive(Instant::from_us(1_000 * ms)).unwrap();

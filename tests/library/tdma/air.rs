@@ -167,7 +167,8 @@ impl Air {
     /// Turns a robot on with an empty memory.
     pub fn start(&mut self, k: usize, config: &Config) {
         let skew = self.stations[k].skew;
-        let config = config.clone().with_start(skew.local(self.now_us));
+        let mut config = config.clone();
+        config.start = skew.local(self.now_us);
         let station = &mut self.stations[k];
         (station.tdma, station.session) = (Tdma::new(&config).unwrap(), config.session);
         (station.on, station.wake_us) = (true, self.now_us);
@@ -183,7 +184,8 @@ impl Air {
     pub fn restart_with_skew(&mut self, configs: &[Config], skews: &[Skew]) {
         self.stations.clear();
         for (config, skew) in configs.iter().zip(skews) {
-            let config = config.clone().with_start(skew.local(self.now_us));
+            let mut config = config.clone();
+            config.start = skew.local(self.now_us);
             self.add(&config, *skew);
         }
     }

@@ -237,8 +237,8 @@ fn without_a_key_answers_to_others_are_not_told_apart_by_their_age() {
 
 /// The `n`-th forward frame of robot `k`, which hears nothing, is switched on at `start` and waits for a short silence.
 fn frame_of(k: usize, start: Instant, n: usize) -> (Instant, Vec<u8>) {
-    let mut config = everybody(4, request(false))[k].clone().with_start(start);
-    config.silence_slots = 4;
+    let mut config = everybody(4, request(false))[k].clone();
+    (config.start, config.silence_slots) = (start, 4);
     let mut tdma = Tdma::new(&config).unwrap();
     let mut frames = std::iter::repeat_with(|| {
         let now = tdma.poll_timeout().unwrap();

@@ -148,8 +148,8 @@ fn only_the_chosen_links_are_sounded_and_priorities_thin_them_out() {
     let mut air = Air::new(&configs, 11);
     let first = &mut air.stations[0].tdma;
     assert!(first.set_priority(mac(1), Priority::every(5)));
-    assert!(first.set_priority(mac(4), Priority::PAUSED));
-    assert!(!first.set_priority(mac(2), Priority::FULL), "no link");
+    assert!(first.set_priority(mac(4), Priority::share(0.0)));
+    assert!(!first.set_priority(mac(2), Priority::share(1.0)), "no link");
     air.run_s(2);
     let before = air.stations[0].answered.clone();
     air.run_s(10);
@@ -166,7 +166,7 @@ fn an_initiator_is_heard_to_be_there_even_if_no_link_matters() {
     let mut air = Air::new(&configs, 12);
     for k in 0..2 {
         (0..3).filter(|other| *other != k).for_each(|other| {
-            air.stations[k].tdma.set_priority(mac(other), Priority::PAUSED);
+            air.stations[k].tdma.set_priority(mac(other), Priority::share(0.0));
         });
     }
     air.run_s(60);

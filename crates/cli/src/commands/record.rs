@@ -129,11 +129,14 @@ pub fn run(args: &Args) -> Result {
         },
     };
     note!("{}; recording to {}", listener::describe(&listener), args.out.display());
-    let sync_every = (args.sync_every > Span::ZERO).then_some(args.sync_every);
-    let recorder = Recorder::new(listener, files, Options::default().with_sync_every(sync_every)).map_err(text)?;
+    let sync_every = (args.sync_every > Span::default()).then_some(args.sync_every);
+    let mut options = Options::default();
+    options.sync_every = sync_every;
+    let recorder = Recorder::new(listener, files, options).map_err(text)?;
     let (failed, listener, files, totals) = if args.live {
         let pipe = Pipe::new(std::io::stdout());
-        let options = Options::default().with_sync_every(None).with_hand_over(Span::from_ms(10));
+        let mut options = Options::default();
+        (options.sync_every, options.hand_over) = (None, Span::from_ms(10));
         let mut tee = Recorder::new(recorder, pipe, options).map_err(text)?;
         let failed = session.capture(&mut tee, |tee| (tee.source().totals(), tee.source().source().lost())).err();
         let (recorder, _, piped) = tee.finish(clock.now()).map_err(text)?;

@@ -127,7 +127,7 @@ pub fn run(mut scene: Scene, args: &Args, json: bool) -> Result {
     let room = if server.is_some() { Room::quiet(&scene) } else { Room::new(&scene) };
     let mut room = room.map_err(|error| error.to_string())?;
     let robots = outputs.into_iter().map(|output| output.of(&mut room)).collect::<Words<Vec<_>>>()?;
-    let mut serving = Serving { room, server, robots, clock, speed, behind: Span::ZERO };
+    let mut serving = Serving { room, server, robots, clock, speed, behind: Span::default() };
     serving.work(&signals)?;
     if json {
         super::print_json(&serving.row());

@@ -189,7 +189,7 @@ impl Bearings<'_> {
     fn spare(&self, mac: Mac, sd_deg: Option<f64>, running: &Running) {
         if let Some(enough) = self.args.good_enough {
             let settled = sd_deg.is_some_and(|sd| sd <= enough);
-            running.order(Order::Priority(mac, if settled { Priority::every(SETTLED_ROUNDS) } else { Priority::FULL }));
+            running.order(Order::Priority(mac, Priority::every(if settled { SETTLED_ROUNDS } else { 1 })));
         }
     }
 

@@ -4,7 +4,7 @@ use super::args::mac;
 use super::listener::{Listening, Needs, describe};
 use super::live::{Signals, create_refused, duration, join_refused};
 use super::{Outcome, is_end_of_room, usage};
-use csi5300::exchange::tdma::{Config, Dialect, GUARD_US, Phy, Plan, PlanError, Request, TURN_AROUND_US};
+use csi5300::exchange::tdma::{Config, Dialect, Phy, Plan, PlanError, Request};
 use csi5300::source::Error;
 use csi5300::source::recorder::{LogFiles, Rotation};
 use csi5300::time::Span;
@@ -61,10 +61,10 @@ pub struct Sounding {
     #[arg(long, value_name = "BYTES")]
     pub ack_len: Option<u16>,
     /// How late a frame may be sent, and how much time is left free after it, microseconds; later ones are skipped
-    #[arg(long, default_value_t = GUARD_US, value_name = "US")]
+    #[arg(long, default_value_t = Request::default().guard_us, value_name = "US")]
     pub guard: u32,
     /// How long after a forward frame its answer may begin, microseconds
-    #[arg(long, default_value_t = TURN_AROUND_US, value_name = "US")]
+    #[arg(long, default_value_t = Request::default().turn_around_us, value_name = "US")]
     pub turn_around: u32,
     /// File with the group's key or this robot's own (`csi5300 key` makes both): frames without a valid tag are ignored, and
     /// only exchanges with one are used for bearings

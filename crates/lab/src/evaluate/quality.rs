@@ -160,15 +160,15 @@ fn sighting(row: &Judged) -> Option<Sighting> {
     let horizontal = answer.abs_elevation_deg.unwrap_or(0.0).to_radians().cos();
     let azimuth_sd_rad = deviation_rad(sure).max(answer.azimuth_sd_deg.unwrap_or(0.0).to_radians());
     let range_m = answer.range_m.zip(answer.range_sd_m).map(|(range, sd)| (range * horizontal, sd * horizontal));
-    let sighting = Sighting::new(row.true_transmitter_m?.into(), answer.azimuth_deg?.to_radians(), azimuth_sd_rad);
+    let mut sighting = Sighting::new(row.true_transmitter_m?.into(), answer.azimuth_deg?.to_radians(), azimuth_sd_rad);
     let elevation = answer.elevation_deg.zip(answer.elevation_sd_deg).zip(row.transmitter_z_m);
-    let elevation = elevation.map(|((elevation_deg, sd_deg), transmitter_z_m)| Elevation {
+    sighting.elevation = elevation.map(|((elevation_deg, sd_deg), transmitter_z_m)| Elevation {
         transmitter_z_m,
         elevation_rad: elevation_deg.to_radians(),
         sd_rad: sd_deg.to_radians(),
     });
-    let sighting = sighting.with_mirror_rad(answer.mirror_deg.map(f64::to_radians));
-    Some(sighting.with_range_m(range_m).with_elevation(elevation))
+    (sighting.mirror_rad, sighting.range_m) = (answer.mirror_deg.map(f64::to_radians), range_m);
+    Some(sighting)
 }
 
 /// Standard deviation of a normal error that is within five degrees with probability `sure`: the error function is

@@ -163,7 +163,7 @@ fn an_exchange_ends_at_its_time_whatever_is_due_or_heard() {
     let latest = exchange.air.sent.iter().map(|(at, _)| *at).max().unwrap();
     assert!(latest < end && end - latest < Span::from_ms(20), "{latest:?}");
     let sent = exchange.air.sent.len();
-    exchange.air.incoming.push_back((last, Span::ZERO));
+    exchange.air.incoming.push_back((last, Span::default()));
     assert_eq!(exchange.step(&|| end, &mut |_| {}).unwrap(), None);
     assert_eq!((exchange.air.sent.len(), exchange.air.incoming.len()), (sent, 1), "not heard, not answered");
 }
@@ -194,7 +194,7 @@ fn a_responder_notices_that_its_answers_vanish_too() {
         let mut exchange = Exchange::new(Tdma::new(&config(B, A)).unwrap(), &mut air);
         let mut told = Vec::new();
         for (k, (at, frame)) in (1..).zip(&asked.sent) {
-            exchange.air.incoming.push_back((frame.clone(), Span::ZERO));
+            exchange.air.incoming.push_back((frame.clone(), Span::default()));
             exchange.air.certain = Some(certain(k));
             exchange.air.failed = if failed { k } else { 0 };
             exchange.step(&|| *at, &mut |news| told.push(news)).unwrap();

@@ -123,9 +123,9 @@ fn mcs_1() -> u8 {
 }
 
 fn guard_us() -> u32 {
-    csi5300::exchange::tdma::GUARD_US
+    csi5300::exchange::tdma::Request::default().guard_us
 }
 
 fn turn_around_us() -> u32 {
-    csi5300::exchange::tdma::TURN_AROUND_US
+    csi5300::exchange::tdma::Request::default().turn_around_us
 }
