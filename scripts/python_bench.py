@@ -1,13 +1,14 @@
 """Times csi5300's reader against csiread and CSIKit on one log: wall time, processor time (user and system, all threads) and peak
 memory, each run in a process of its own.
 
-usage: python scripts/python_bench.py [--log LOG.dat] [--megabytes 200] [--runs 5] [--csikit] [--rust PROGRAM]
-Needs csi5300 (the wheel), csiread and, with --csikit, CSIKit in the interpreter that runs it; without --log it writes one of
-random 3x1 records, stock layout. PROGRAM is `cargo build --release -p csi5300-lab --example read_scaled`'s: the same work without
-Python.
+usage: python scripts/python_bench.py [--log LOG.dat] [--megabytes 200] [--runs 5] [--csikit PYTHON] [--rust PROGRAM]
+Needs csi5300 (the wheel) and csiread in the interpreter that runs it; without --log it writes one of random 3x1 records, stock
+layout. PYTHON is an interpreter that has CSIKit==2.5 with numpy<2. PROGRAM is `cargo build --release --example
+read_scaled`'s in python/: the same work without Python, compiled as the wheel is.
 
 Rows: `read` (arrays of the fields and raw CSI), `read + scaled`; csiread's quickest (`bufsize` known, scaled in place); ours on one
-core; and into memory that was used before. All in turns, each in a process of its own.
+core; and into memory that was used before. All in turns, each in a process of its own, CSIKit's once; the log is read once before. Said are the least
+and the median of the runs, and of each pair the ratios of both.
 """
 
 from __future__ import annotations
@@ -63,6 +64,9 @@ PAIRS = [
     ("csiread read + scaled in place", "csi5300 read + scaled"),
     ("csiread read + scaled in place", "csi5300 read + scaled, one core"),
     ("csiread read + scaled", "csi5300.csiread read + scaled"),
+    ("csiread read", "csi5300.csiread read"),
+    ("CSIKit read", "csi5300 read"),
+    ("CSIKit read + scaled", "csi5300 read + scaled"),
     ("csi5300 read + scaled", "Rust, read + scaled"),
 ]
 
@@ -100,7 +104,7 @@ def write_log(path: Path, megabytes: int) -> None:
             out.write(block)
 
 
-def measure(job: str, log: Path, records: int) -> tuple[float, float, int, int]:
+def measure(job: str, log: Path, records: int, python: str = sys.executable) -> tuple[float, float, int, int]:
     """Seconds, seconds of processor time, records and peak memory (KiB)."""
     if job.startswith("/"):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -112,7 +116,7 @@ def measure(job: str, log: Path, records: int) -> tuple[float, float, int, int]:
     imports = "\n".join(line for line in job.splitlines() if line.startswith(("import", "from")))
     body = "\n".join(line for line in job.splitlines() if not line.startswith(("import", "from")))
     code = RUN.format(imports=imports, job=body)
-    command = [sys.executable, "-c", code, str(log), str(records)]
+    command = [python, "-c", code, str(log), str(records)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise RuntimeError(done.stderr.strip().splitlines()[-1] if done.stderr else f"status {done.returncode}")
@@ -125,7 +129,7 @@ def main() -> None:
     parser.add_argument("--log", type=Path)
     parser.add_argument("--megabytes", type=int, default=200)
     parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--csikit", action="store_true")
+    parser.add_argument("--csikit")
     parser.add_argument("--rust", type=Path)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -139,26 +143,33 @@ def main() -> None:
         took: dict[str, list[float]] = {name: [] for name in jobs}
         used: dict[str, list[float]] = {name: [] for name in jobs}
         counts, peaks = {}, {}
-        for _ in range(args.runs):  # in turns, so that all see the same machine
+        for turn in range(args.runs):  # in turns, so that all see the same machine
             for name, job in list(jobs.items()):
+                if turn > 0 and name.startswith("CSIKit"):  # it takes minutes
+                    continue
                 try:
-                    seconds, processor, counts[name], peaks[name] = measure(job, log, records)
+                    python = args.csikit if name.startswith("CSIKit") else sys.executable
+                    seconds, processor, counts[name], peaks[name] = measure(job, log, records, python)
                 except RuntimeError as error:
                     print(f"{name}: {error}")
                     del jobs[name]
                     continue
+                if counts[name] != records:
+                    print(f"{name}: {counts[name]} records, not {records}")
                 took[name].append(seconds)
                 used[name].append(processor)
-        print(f"{log.name}: {os.path.getsize(log) / 1e6:.0f} MB, {os.cpu_count()} cores, median of {args.runs}")
+        print(f"{log.name}: {os.path.getsize(log) / 1e6:.0f} MB, {records} records, {os.cpu_count()} cores, {args.runs} runs")
+        print("| | wall time, least (median) | processor time, least (median) | peak memory |\n|---|---|---|---|")
         for name in jobs:
-            seconds = statistics.median(took[name])
-            rate = counts[name] / seconds / 1e6
-            processor = f"{statistics.median(used[name]):.3f} s of processor (least {min(used[name]):.3f})"
-            print(f"{name:36} {seconds:8.3f} s, {processor}  {counts[name]:9} records  {rate:6.2f} M/s  peak {peaks[name] / 1024:7.0f} MiB")
+            wall, processor = (f"{min(of[name]):.3f} s ({statistics.median(of[name]):.3f})" for of in (took, used))
+            print(f"| {name} | {wall} | {processor} | {peaks[name] / 1024:.0f} MiB |")
         for pair in PAIRS:
             if all(name in jobs for name in pair):
-                wall, processor = (statistics.median(of[pair[0]]) / statistics.median(of[pair[1]]) for of in (took, used))
-                print(f"{pair[0]} / {pair[1]}: {wall:.2f}, processor time {processor:.2f}")
+                least, middle, processor = (
+                    of_all(of[pair[0]]) / of_all(of[pair[1]])
+                    for of, of_all in ((took, min), (took, statistics.median), (used, min))
+                )
+                print(f"{pair[0]} / {pair[1]}: {least:.2f} (medians {middle:.2f}; processor time, least {processor:.2f})")
 
 
 main()

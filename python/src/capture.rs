@@ -9,7 +9,9 @@ use csi5300::bartlett::{self, Grid};
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::nalgebra::Vector3;
-use csi5300::pipeline::{Answer, Bearing, CaptureReport, Transmitter, bearings as estimate};
+use csi5300::pipeline::{
+    Answer, Bearing, LinkPlan, LinkReport, Options, StretchAnswer, Transmitter, bearings as estimate,
+};
 use csi5300::source::{CsiSource, Next, Origin, Stamps};
 use csi5300::time::Instant;
 use csi5300_lab::table::{Arena, NO_TIME};
@@ -198,8 +200,8 @@ impl Link {
     }
 }
 
-/// A link's answer as JSON, and the link itself where it has a bearing.
-type Linked = (String, Option<Link>);
+/// A link's answer as JSON, the link itself where it has a bearing, and the answers of its stretches as JSON.
+type Linked = (String, Option<Link>, Vec<String>);
 
 /// The bearings of a capture: one link for each transmitter.
 #[pyfunction]
@@ -219,26 +221,52 @@ pub fn bearings(
     let stoppable = |log| PyResult::Ok(Stoppable { source: source(log, &stop)?, stop: stop.clone() });
     let mut receiver = stoppable(rx)?;
     let mut logs = tx.iter().map(stoppable).collect::<PyResult<Vec<_>>>()?;
-    let mut own = trajectory(path)?;
-    if let Some([x, y, z]) = keywords.antenna_offset {
-        let moved = own.with_antenna_offset(Vector3::new(x, y, z));
-        own = moved.map_err(|error| Failure::new(Kind::Trajectory, error))?;
-    }
+    let own = keywords.of_antenna(trajectory(path)?)?;
     let moved = tx_paths.iter().map(|path| path.as_ref().map(trajectory).transpose()).collect::<PyResult<Vec<_>>>()?;
     let pool = if keywords.threads == 0 { pool()? } else { Arc::new(build(keywords.threads)?) };
-    let report: CaptureReport = interruptible(py, &stop, move || {
+    let every_s = keywords.every;
+    let (report, stretches, options) = interruptible(py, &stop, move || {
         pool.install(move || {
             let trajectory = |k: usize| moved.get(k).and_then(Option::as_ref);
             let transmitters = logs.iter_mut().enumerate();
             let transmitters = transmitters.map(|(k, log)| Transmitter { log, trajectory: trajectory(k) });
             let report = estimate(&mut receiver, transmitters.collect(), &own, &options);
-            report.map_err(|error| Failure::new(Kind::Capture, error))
+            let report = report.map_err(|error| Failure::new(Kind::Capture, error))?;
+            let paths: Vec<_> = (0..report.links.len()).map(trajectory).collect();
+            let cut = every_s.map(|every_s| report.in_stretches(&own, &paths, every_s, &options));
+            Ok((report, cut.unwrap_or_default(), options))
         })
     })?;
-    let linked = names.into_iter().zip(report.links).map(|(name, link)| {
-        let answer = Answer::new(name, &link);
-        let json = serde_json::to_string(&answer).map_err(|error| Failure::new(Kind::Internal, error))?;
-        Ok((json, link.bearing.ok().map(|bearing| Link { bearing: Arc::new(bearing) })))
+    let mut stretches = stretches.into_iter();
+    let links = names.into_iter().zip(report.links);
+    links.map(|(name, link)| linked(name, link, stretches.next().unwrap_or_default(), &keywords, &options)).collect()
+}
+
+/// What Python is given of a link.
+fn linked(
+    name: String,
+    link: LinkReport,
+    stretches: Vec<StretchAnswer>,
+    keywords: &Keywords,
+    options: &Options,
+) -> PyResult<Linked> {
+    let internal = |error| Failure::new(Kind::Internal, error);
+    let mut answer = Answer::new(name, &link);
+    answer.carried = stretches.iter().rev().find_map(|stretch| stretch.answer.carried.clone());
+    let own = stretches.into_iter().map(|mut stretch| {
+        stretch.answer.link.clone_from(&answer.link);
+        stretch.answer.mac.clone_from(&answer.mac);
+        serde_json::to_string(&stretch).map_err(internal)
     });
-    linked.collect()
+    let own = own.collect::<Result<_, _>>()?;
+    if let (true, Ok(bearing)) = (keywords.explain, &link.bearing) {
+        let plan = LinkPlan::of(bearing, options, &Grid::azimuth(360));
+        answer.plan = Some(plan.map_err(|error| Failure::new(Kind::Option, error))?);
+    }
+    if let Some(least) = keywords.min_confidence {
+        answer.refuse_below(least);
+    }
+    let json = serde_json::to_string(&answer).map_err(internal)?;
+    let bearing = link.bearing.ok().filter(|_| answer.azimuth_deg.is_some());
+    Ok((json, bearing.map(|bearing| Link { bearing: Arc::new(bearing) }), own))
 }

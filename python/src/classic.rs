@@ -103,28 +103,32 @@ impl Read1 {
     }
 }
 
-/// The fields of a record as csiread names them.
+/// The names of fields that csiread has as integers of the machine's size, in the order of [`numbers`].
+const NUMBERS: [&str; 9] = ["bfee_count", "Nrx", "Ntx", "rssi_a", "rssi_b", "rssi_c", "noise", "agc", "rate"];
+
+/// The fields of a record that [`NUMBERS`] names.
+fn numbers(bfee: &Bfee<'_>) -> [i64; NUMBERS.len()] {
+    let [a, b, c] = bfee.rssi().map(i64::from);
+    let (noise, agc, rate) = (bfee.noise_dbm().into(), bfee.agc().into(), bfee.rate_n_flags().into());
+    [bfee.bfee_count().into(), bfee.n_rx() as i64, bfee.n_tx() as i64, a, b, c, noise, agc, rate]
+}
+
+/// The fields of all records as csiread names them.
 fn fields(arrays: &Bound<'_, PyDict>, arena: &Arena) -> PyResult<()> {
-    let py = arrays.py();
-    macro_rules! column {
-        ($name:literal, $of:expr) => {
-            let values: Vec<_> = (0..arena.len()).filter_map(|k| arena.bfee(k)).map($of).collect();
-            arrays.set_item($name, values.into_pyarray(py))?;
-        };
+    let (py, n) = (arrays.py(), arena.len());
+    let mut times: Vec<u32> = Vec::with_capacity(n);
+    let mut columns = NUMBERS.map(|_| Vec::<i64>::with_capacity(n));
+    let mut perm: Vec<i64> = Vec::with_capacity(3 * n);
+    for bfee in (0..n).filter_map(|k| arena.bfee(k)) {
+        times.push(bfee.timestamp_low());
+        columns.iter_mut().zip(numbers(&bfee)).for_each(|(column, number)| column.push(number));
+        perm.extend([0, 2, 4].map(|shift| i64::from(bfee.antenna_sel() >> shift & 3)));
     }
-    column!("timestamp_low", |bfee| bfee.timestamp_low());
-    column!("bfee_count", |bfee| bfee.bfee_count());
-    column!("Nrx", |bfee| bfee.n_rx() as u8);
-    column!("Ntx", |bfee| bfee.n_tx() as u8);
-    column!("rssi_a", |bfee| bfee.rssi()[0]);
-    column!("rssi_b", |bfee| bfee.rssi()[1]);
-    column!("rssi_c", |bfee| bfee.rssi()[2]);
-    column!("noise", |bfee| bfee.noise_dbm());
-    column!("agc", |bfee| bfee.agc());
-    column!("rate", |bfee| bfee.rate_n_flags());
-    let perm = |bfee: Bfee<'_>| [0, 2, 4].map(|shift| bfee.antenna_sel() >> shift & 3);
-    let perm: Vec<u8> = (0..arena.len()).filter_map(|k| arena.bfee(k)).flat_map(perm).collect();
-    arrays.set_item("perm", perm.into_pyarray(py).reshape([arena.len(), 3])?)
+    arrays.set_item("timestamp_low", times.into_pyarray(py))?;
+    for (name, column) in NUMBERS.into_iter().zip(columns) {
+        arrays.set_item(name, column.into_pyarray(py))?;
+    }
+    arrays.set_item("perm", perm.into_pyarray(py).reshape([n, 3])?)
 }
 
 /// Writes one record `[subcarrier][row][stream]` of `shape` rows and streams, no fewer than it has; the row is the antenna's,

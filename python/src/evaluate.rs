@@ -3,6 +3,7 @@
 use crate::error::{Cancel, Failure, Kind, Stop, interruptible, stopped};
 use crate::options::Keywords;
 use crate::pool::{build, pool};
+use csi5300::motion::rolling::Mount;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::{Capture, Shelf, TrajectorySource, find};
@@ -29,25 +30,35 @@ struct Run {
     source: TrajectorySource,
     options: Options,
     channel: Option<Channel>,
+    antenna_offset_m: Option<[f64; 3]>,
+    camera: Option<Mount>,
     threads: usize,
 }
 
 impl Run {
     fn new(trajectory: &str, keywords: &str) -> Result<Self, Failure> {
-        let source = match trajectory {
-            "gt" => TrajectorySource::GroundTruth,
-            "t265" => TrajectorySource::T265,
-            "odom" => TrajectorySource::Odometry,
-            other => return Err(Failure::new(Kind::Option, format!("trajectory: {other:?} is not gt, t265 or odom"))),
-        };
+        let wrong = |why: String| Err(Failure::new(Kind::Option, why));
         let keywords = Keywords::parse(keywords)?;
-        let threads = keywords.threads;
-        Ok(Self { source, options: keywords.options()?, channel: keywords.channel()?, threads })
+        keywords.of_captures()?;
+        let camera = keywords.camera();
+        let source = match (trajectory, camera) {
+            ("gt", None) => TrajectorySource::GroundTruth,
+            ("t265", None) => TrajectorySource::T265,
+            ("t265", Some(_)) => TrajectorySource::RollingT265,
+            ("odom", None) => TrajectorySource::Odometry,
+            ("gt" | "odom", Some(_)) => {
+                return wrong("camera_mount: is of the tracking camera: trajectory=\"t265\"".into());
+            }
+            (other, _) => return wrong(format!("trajectory: {other:?} is not gt, t265 or odom")),
+        };
+        let (channel, antenna_offset_m, threads) = (keywords.channel()?, keywords.antenna_offset, keywords.threads);
+        Ok(Self { source, options: keywords.options()?, channel, antenna_offset_m, camera, threads })
     }
 
     /// JSON with `rows`, `notes` and `lost`.
     fn evaluate(&self, capture: &Capture, shelf: &Shelf) -> Result<String, Failure> {
-        let evaluate = || capture.evaluate_from(shelf, self.source, self.channel, &self.options);
+        let mounted = Capture { antenna_offset_m: self.antenna_offset_m, camera: self.camera, ..capture.clone() };
+        let evaluate = || mounted.evaluate_from(shelf, self.source, self.channel, &self.options);
         let pool = if self.threads == 0 { pool()? } else { Arc::new(build(self.threads)?) };
         let evaluated = pool.install(evaluate);
         let json = serde_json::json!({ "rows": evaluated.rows, "notes": evaluated.notes, "lost": evaluated.lost });

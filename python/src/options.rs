@@ -2,7 +2,10 @@
 
 use crate::error::{Failure, Kind};
 use csi5300::bartlett::SearchOptions;
-use csi5300::pipeline::{Accuracy, JoinBy, Options};
+use csi5300::motion::pose::Trajectory;
+use csi5300::motion::rolling::Mount;
+use csi5300::nalgebra::Vector3;
+use csi5300::pipeline::{Accuracy, Effort, JoinBy, Options};
 use csi5300::signal::channel::{Channel, Width};
 use csi5300::source::read_key;
 use csi5300_lab::table::antennas;
@@ -33,6 +36,7 @@ pub struct Keywords {
     elevation_max: Option<f64>,
     no_compensation: bool,
     without: Vec<Step>,
+    accuracy: Option<f64>,
     range_min: Option<f64>,
     height: Option<f64>,
     heading_sd: Option<f64>,
@@ -41,6 +45,15 @@ pub struct Keywords {
     join_rows: bool,
     /// Place of the antenna on the receiver, metres forward, left, up.
     pub antenna_offset: Option<[f64; 3]>,
+    /// Place of the tracking camera, metres forward and left of the middle between the wheels, and its heading less the
+    /// robot's, degrees.
+    camera_mount: Option<[f64; 3]>,
+    /// Bearings less likely than this to be within 5 degrees are refused, 0 to 1.
+    pub min_confidence: Option<f64>,
+    /// Seconds of the stretches in which links are answered again.
+    pub every: Option<f64>,
+    /// Whether answers have what was computed.
+    pub explain: bool,
     key: Option<PathBuf>,
     tx_mac: Vec<String>,
     rx_mac: Option<String>,
@@ -101,13 +114,61 @@ impl Keywords {
         Ok(options)
     }
 
+    /// How the robot carries its tracking camera, where that was named.
+    pub fn camera(&self) -> Option<Mount> {
+        let [x, y, yaw] = self.camera_mount?;
+        Some(Mount::new(Vector3::new(x, y, 0.0), yaw.to_radians()))
+    }
+
+    /// The antenna's trajectory, of the one that was recorded.
+    ///
+    /// # Errors
+    /// If that has no heading.
+    pub fn of_antenna(&self, recorded: Trajectory) -> Result<Trajectory, Failure> {
+        let refused = |error| Failure::new(Kind::Trajectory, error);
+        let own = match self.camera() {
+            Some(mount) => recorded.rolling(&mount).map_err(refused)?,
+            None => recorded,
+        };
+        match self.antenna_offset {
+            Some([x, y, z]) => own.with_antenna_offset(Vector3::new(x, y, z)).map_err(refused),
+            None => Ok(own),
+        }
+    }
+
+    /// Refuses what is of single bearings, and not of captures with a truth.
+    ///
+    /// # Errors
+    /// With the name of the option.
+    pub fn of_captures(&self) -> Result<(), Failure> {
+        let given = [
+            ("min_confidence", self.min_confidence.is_some()),
+            ("every", self.every.is_some()),
+            ("explain", self.explain),
+            ("key", self.key.is_some()),
+            ("tx_mac", !self.tx_mac.is_empty()),
+            ("rx_mac", self.rx_mac.is_some()),
+        ];
+        match given.iter().find(|(_, is_given)| *is_given) {
+            Some((name, _)) => Err(wrong(format!("{name}: an option of bearings, not of an evaluation"))),
+            None => Ok(()),
+        }
+    }
+
     fn left_out(&self, step: Step) -> bool {
         self.without.contains(&step)
     }
 
     fn accuracy(&self) -> Accuracy {
-        let mut accuracy =
-            Accuracy::default().with_near_field(!self.left_out(Step::NearField)).with_height_m(self.height);
+        let effort = match self.accuracy {
+            None => Effort::Needed,
+            Some(0.0) => Effort::Everything,
+            Some(degrees) => Effort::Within(degrees.to_radians()),
+        };
+        let mut accuracy = Accuracy::default()
+            .with_near_field(!self.left_out(Step::NearField))
+            .with_effort(effort)
+            .with_height_m(self.height);
         if let Some(range_min) = self.range_min {
             accuracy = accuracy.with_range_min_m(range_min);
         }
@@ -141,6 +202,20 @@ impl Keywords {
         };
         within("elevation_max", self.elevation_max, 0.0, 90.0)?;
         within("heading_sd", self.heading_sd, 0.0, 180.0)?;
+        within("accuracy", self.accuracy, 0.0, 180.0)?;
+        within("min_confidence", self.min_confidence, 0.0, 1.0)?;
+        within("every", self.every, f64::MIN_POSITIVE, f64::MAX)?;
+        for (name, numbers) in [("antenna_offset", self.antenna_offset), ("camera_mount", self.camera_mount)] {
+            if numbers.is_some_and(|numbers| numbers.iter().any(|number| !number.is_finite())) {
+                return Err(wrong(format!("{name}: three finite numbers")));
+            }
+        }
+        if self.camera_mount.is_some() && self.antenna_offset.is_none() {
+            return Err(wrong("camera_mount: antenna_offset is needed too, seen from the middle between the wheels"));
+        }
+        if self.every.is_some() && self.join_rows {
+            return Err(wrong("every: stretches have no rows to join by (join_rows)"));
+        }
         within("range_min", self.range_min, f64::MIN_POSITIVE, 1e6)?;
         if self.from_.zip(self.to).is_some_and(|(from, to)| from >= to) {
             return Err(wrong("from_ is not before to"));

@@ -246,6 +246,7 @@ pub fn scale_factor(bfee: &Bfee<'_>) -> Result<f64, ScaleError> {
 /// # Errors
 /// [`ScaleError`] when all RSSI or all CSI is 0.
 #[doc(hidden)]
+#[inline]
 pub fn scale_factor_of(bfee: &Bfee<'_>, samples: &[[i8; 2]]) -> Result<f64, ScaleError> {
     let milliwatt = heard(bfee)? * ratio(-(RSSI_OFFSET_DB + i32::from(bfee.agc())));
     // 540 squares of 2^14 at most.

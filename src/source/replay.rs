@@ -3,7 +3,7 @@
 use super::side_file::{Checks, Said, SideFile};
 use super::{CsiSource, Error, Loss, Next, Origin, Stamps};
 use crate::time::Instant;
-use driver_iface::record::{Framer, LOOKAHEAD, Reason, Record, Step};
+use driver_iface::record::{Framer, LOOKAHEAD, Reason, Record, Step, Tail};
 use driver_iface::side_file::Layout;
 use std::io::Read;
 use std::path::Path;
@@ -14,17 +14,59 @@ const CHUNK: usize = 64 * 1024;
 
 /// Plays back a log as fast as it is asked for. Memory is one buffer, whatever the size of the log.
 pub struct Replay<R> {
+    bytes: Bytes<R>,
+    framing: Framing,
+    /// The time of the last call: the next record is due by then. None once the log has ended.
+    due: Option<Instant>,
+}
+
+/// The bytes of a log, in the order in which they are used: half of a [`Replay`].
+#[doc(hidden)]
+pub struct Bytes<R> {
     reader: R,
     name: String,
     buffer: Vec<u8>,
     start: usize,
     filled: usize,
     end_of_file: bool,
+    read: u64,
+}
+
+/// Which bytes of a log are records: the other half of a [`Replay`].
+#[doc(hidden)]
+pub struct Framing {
     framer: Framer,
-    bytes: u64,
     side: Option<SideFile>,
-    /// The time of the last call: the next record is due by then. None once the log has ended.
-    due: Option<Instant>,
+}
+
+/// What stands at the front of the bytes that were not used before.
+#[doc(hidden)]
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Front {
+    /// A record of `used` bytes, the last `body` of them its body.
+    Record {
+        /// Bytes to use up.
+        used: usize,
+        /// Bytes of the body.
+        body: usize,
+        /// What the record is.
+        code: u8,
+        /// Bytes of the log before it.
+        offset: u64,
+        /// When the host received it, microseconds since the Unix epoch.
+        host_us: Option<i64>,
+    },
+    /// No record, or a wrong one.
+    Lost {
+        /// Bytes to use up.
+        used: usize,
+        /// What was lost.
+        loss: Loss,
+    },
+    /// More bytes are needed behind those; [`LOOKAHEAD`] of them are always enough.
+    Short,
+    /// The log's end.
+    End(Tail),
 }
 
 impl Replay<Box<dyn Read + Send>> {
@@ -43,7 +85,91 @@ impl Replay<Box<dyn Read + Send>> {
             return Err(Error::Directory { path: path.into() });
         }
         let file = std::fs::File::open(path).map_err(io)?;
-        Ok(Self { side: SideFile::of(path), ..Self::new(Box::new(file), name.clone()) })
+        let mut replay = Self::new(Box::new(file), name.clone());
+        replay.framing.side = SideFile::of(path);
+        Ok(replay)
+    }
+}
+
+impl<R> Bytes<R> {
+    /// The bytes that are there and were not used.
+    #[inline]
+    fn front(&self) -> &[u8] {
+        &self.buffer[self.start..self.filled]
+    }
+}
+
+impl<R: Read> Bytes<R> {
+    /// Makes room in the buffer and reads on.
+    fn fill(&mut self) -> Result<(), Error> {
+        self.buffer.copy_within(self.start..self.filled, 0);
+        self.filled -= self.start;
+        self.start = 0;
+        let mut buffer = std::mem::take(&mut self.buffer);
+        let read = buffer.get_mut(self.filled..).map_or(Ok(0), |room| self.read_on(room));
+        self.buffer = buffer;
+        self.filled += read?;
+        Ok(())
+    }
+
+    /// Reads the bytes that come next into other memory than the buffer's, which is emptied first; how many, 0 at the log's
+    /// end.
+    ///
+    /// # Errors
+    /// If the reader fails.
+    pub fn read_into(&mut self, room: &mut [u8]) -> Result<usize, Error> {
+        let left = self.front();
+        if left.is_empty() {
+            return self.read_on(room);
+        }
+        let count = left.len().min(room.len());
+        room.iter_mut().zip(left).for_each(|(to, from)| *to = *from);
+        self.start += count;
+        Ok(count)
+    }
+
+    fn read_on(&mut self, room: &mut [u8]) -> Result<usize, Error> {
+        loop {
+            match self.reader.read(room) {
+                Ok(read) => {
+                    self.end_of_file |= read == 0;
+                    self.read += read as u64;
+                    return Ok(read);
+                }
+                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => {}
+                Err(source) => {
+                    let what = format!("reading {} at byte {}", self.name, self.read);
+                    return Err(Error::Io { what, source });
+                }
+            }
+        }
+    }
+}
+
+impl Framing {
+    /// Looks at the front of the bytes that were not used; `end` says that no more will follow.
+    #[inline]
+    pub fn step(&mut self, front: &[u8], end: bool) -> Front {
+        match self.framer.step(front, end) {
+            Step::Record { offset, used, record } => {
+                let said = self.side.as_mut().map_or(Said::NOTHING, |side| side.take(front.split_at(used).0));
+                if said.is_right {
+                    let Record { code, body } = record;
+                    return Front::Record { used, body: body.len(), code, offset, host_us: said.host_us };
+                }
+                let loss = Loss::Bytes { offset, len: used as u64, reason: Reason::Checksum };
+                Front::Lost { used, loss }
+            }
+            Step::Incomplete => Front::Short,
+            Step::Bad { offset, skipped, reason } => {
+                self.side.iter_mut().for_each(SideFile::skip);
+                Front::Lost { used: skipped, loss: Loss::Bytes { offset, len: skipped as u64, reason } }
+            }
+            Step::End(tail) => {
+                self.side.iter_mut().for_each(SideFile::end);
+                Front::End(tail)
+            }
+        }
     }
 }
 
@@ -51,97 +177,66 @@ impl<R: Read> Replay<R> {
     /// Replays what `reader` gives; `name` is for messages.
     pub fn new(reader: R, name: String) -> Self {
         let buffer = vec![0; CHUNK + LOOKAHEAD];
-        Self {
-            reader,
-            name,
-            buffer,
-            start: 0,
-            filled: 0,
-            end_of_file: false,
-            framer: Framer::new(),
-            bytes: 0,
-            side: None,
-            due: Some(Instant::ZERO),
-        }
+        let bytes = Bytes { reader, name, buffer, start: 0, filled: 0, end_of_file: false, read: 0 };
+        Self { bytes, framing: Framing { framer: Framer::new(), side: None }, due: Some(Instant::ZERO) }
+    }
+
+    /// Its halves, for who reads bytes and frames records in different threads, to the log's end: nothing is received
+    /// afterwards.
+    #[doc(hidden)]
+    pub fn halves(&mut self) -> (&mut Bytes<R>, &mut Framing) {
+        self.due = None;
+        (&mut self.bytes, &mut self.framing)
     }
 
     /// Bytes read so far: the size of the log once it ended.
     #[must_use]
     pub fn bytes(&self) -> u64 {
-        self.bytes
+        self.bytes.read
     }
 
     /// How the log's side file is laid out, if it has one.
     #[must_use]
     pub fn side_layout(&self) -> Option<Layout> {
-        self.side.as_ref().map(SideFile::layout)
+        self.framing.side.as_ref().map(SideFile::layout)
     }
 
     /// What the checksums of the side file said so far; `None` without a side file that has them.
     #[must_use]
     pub fn checks(&self) -> Option<Checks> {
-        self.side.as_ref().and_then(SideFile::checks)
+        self.framing.side.as_ref().and_then(SideFile::checks)
     }
 
     /// The name given at the start.
     #[must_use]
     pub fn name(&self) -> &str {
-        &self.name
-    }
-
-    fn fill(&mut self) -> Result<(), Error> {
-        self.buffer.copy_within(self.start..self.filled, 0);
-        self.filled -= self.start;
-        self.start = 0;
-        loop {
-            match self.reader.read(&mut self.buffer[self.filled..]) {
-                Ok(0) => self.end_of_file = true,
-                Ok(read) => {
-                    self.filled += read;
-                    self.bytes += read as u64;
-                }
-                Err(error) if error.kind() == std::io::ErrorKind::Interrupted => continue,
-                Err(source) => {
-                    let what = format!("reading {} at byte {}", self.name, self.bytes);
-                    return Err(Error::Io { what, source });
-                }
-            }
-            return Ok(());
-        }
+        &self.bytes.name
     }
 }
 
 impl<R: Read> CsiSource for Replay<R> {
     fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
         self.due = Some(now);
-        let (offset, code, said, from, to) = loop {
-            let front = &self.buffer[self.start..self.filled];
-            match self.framer.step(front, self.end_of_file) {
-                Step::Record { offset, used, record } => {
-                    let said = self.side.as_mut().map_or(Said::NOTHING, |side| side.take(front.split_at(used).0));
-                    let to = self.start + used;
-                    let from = to - record.body.len();
-                    self.start = to;
-                    if !said.is_right {
-                        return Ok(Next::Lost(Loss::Bytes { offset, len: used as u64, reason: Reason::Checksum }));
-                    }
-                    break (offset, record.code, said, from, to);
+        loop {
+            let bytes = &mut self.bytes;
+            match self.framing.step(bytes.front(), bytes.end_of_file) {
+                Front::Record { used, body, code, offset, host_us } => {
+                    bytes.start += used;
+                    let stamps = Stamps { at: now, host_us, origin: Origin::File { offset } };
+                    let body = &self.bytes.buffer[self.bytes.start - body..self.bytes.start];
+                    return Ok(Next::Record(stamps, Record { code, body }));
                 }
-                Step::Incomplete => self.fill()?,
-                Step::Bad { offset, skipped, reason } => {
-                    self.start += skipped;
-                    self.side.iter_mut().for_each(SideFile::skip);
-                    return Ok(Next::Lost(Loss::Bytes { offset, len: skipped as u64, reason }));
+                Front::Lost { used, loss } => {
+                    bytes.start += used;
+                    return Ok(Next::Lost(loss));
                 }
-                Step::End(tail) => {
+                Front::Short => bytes.fill()?,
+                Front::End(tail) => {
                     self.due = None;
-                    self.side.iter_mut().for_each(SideFile::end);
                     return Ok(Next::End(tail));
                 }
             }
-        };
-        let stamps = Stamps { at: now, host_us: said.host_us, origin: Origin::File { offset } };
-        Ok(Next::Record(stamps, Record { code, body: &self.buffer[from..to] }))
+        }
     }
 
     fn next_at(&self) -> Option<Instant> {

@@ -1,7 +1,7 @@
 //! Reads a log into memory and decodes its CSI in sqrt(SNR), all antennas, as the Python package does, without Python: what
 //! `scripts/python_bench.py` takes Python's share from. Prints seconds, records and the peak memory in KiB.
 //!
-//! `cargo run --release -p csi5300-lab --example read_scaled -- LOG`
+//! `cargo run --release --example read_scaled -- LOG`, in `python/` as the wheel is compiled
 #![allow(clippy::print_stdout)]
 
 use bytemuck::cast_slice_mut;

@@ -49,6 +49,9 @@ class Bearing:
     answer: dict[str, Any]
     """Everything, by the names of ``csi5300 bearing --json``."""
     _link: _native.Link | None = field(repr=False, default=None)
+    stretches: list[dict[str, Any]] = field(repr=False, default_factory=list)
+    """With ``every``: each stretch of the motion by itself (``from_s``, ``to_s``, seconds on the trajectory's clock, and the names
+    of :attr:`answer`), and in ``carried`` what it and those before it give together."""
 
     def __bool__(self) -> bool:
         return self._link is not None
@@ -180,8 +183,9 @@ def _keywords(options: dict[str, Any]) -> str:
             given[name] = [given[name]]
         elif name in given:
             given[name] = list(given[name])
-    if "antenna_offset" in given:
-        given["antenna_offset"] = [float(metres) for metres in given["antenna_offset"]]
+    for name in ("antenna_offset", "camera_mount"):
+        if name in given:
+            given[name] = [float(number) for number in given[name]]
     if "channel" in given:
         given["channel"] = str(given["channel"])
     if "key" in given:
@@ -204,6 +208,7 @@ def bearings(
     elevation_max: float | None = None,
     no_compensation: bool = False,
     without: str | Iterable[str] | None = None,
+    accuracy: float | None = None,
     range_min: float | None = None,
     height: float | None = None,
     heading_sd: float | None = None,
@@ -211,6 +216,10 @@ def bearings(
     to: float | None = None,
     join_rows: bool = False,
     antenna_offset: Sequence[float] | None = None,
+    camera_mount: Sequence[float] | None = None,
+    min_confidence: float | None = None,
+    every: float | None = None,
+    explain: bool = False,
     key: str | os.PathLike[str] | None = None,
     tx_mac: str | Iterable[str] | None = None,
     rx_mac: str | None = None,
@@ -218,8 +227,12 @@ def bearings(
 ) -> list[Bearing]:
     """Bearings from the receiver, whose ``trajectory`` it is, to each transmitter, in the order of ``tx``.
 
-    Logs are paths, bytes, file objects or :class:`Log`. Options are those of ``csi5300 bearing`` under the same names (``from_``
-    for ``--from``). A link without a bearing is in the list, is False, and has its :attr:`Bearing.error`.
+    Logs are paths, bytes, file objects or :class:`Log`. Options are those of ``csi5300 bearing`` under the same names and in the same
+    units (``from_`` for ``--from``). ``antenna_offset`` is where the antenna is seen from what the trajectory is of: metres forward,
+    left, up; with ``camera_mount`` (metres forward and left of the middle between the wheels, and heading less the robot's, degrees)
+    the trajectory is a tracking camera's, is held to what wheels can roll, and the antenna is seen from that middle. ``every`` (seconds)
+    fills :attr:`Bearing.stretches`, ``explain`` ``answer["plan"]``. A link without a bearing is in the list, is False, and has its
+    :attr:`Bearing.error`; so is one whose probability of being within 5 degrees is below ``min_confidence``, or not known.
 
     Raises :class:`LogError`, :class:`TrajectoryError`, :class:`OptionError`.
     """
@@ -236,4 +249,4 @@ def bearings(
     found = _native.bearings(
         _source(rx), [_source(log) for log in logs], names, _track(trajectory), tracks, _keywords(options)
     )
-    return [Bearing(json.loads(answer), link) for answer, link in found]
+    return [Bearing(json.loads(answer), link, [json.loads(one) for one in own]) for answer, link, own in found]

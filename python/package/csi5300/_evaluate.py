@@ -188,8 +188,9 @@ def evaluate(
 ) -> Evaluation:
     """Evaluates the captures below ``folder`` (a tree laid out as the WSR data set) against their truth.
 
-    ``options`` are those of :func:`csi5300.bearings`, and ``trajectory``: ``"gt"`` (motion capture), ``"t265"``, ``"odom"``. ``sweep``
-    maps options to lists of values: every combination is evaluated, and ``option_NAME`` says which a row is of. ``workers``
+    ``options`` are those of ``csi5300 evaluate`` under the same names and in the same units: ``trajectory`` is ``"gt"`` (motion capture),
+    ``"t265"`` (tracking camera) or ``"odom"`` (wheels); ``antenna_offset`` says where the antenna is on the robot, and ``camera_mount``
+    how the tracking camera is mounted, as in :func:`csi5300.bearings`. ``sweep`` maps options to lists of values: every combination is evaluated, and ``option_NAME`` says which a row is of. ``workers``
     captures are worked on at a time (None: one a core). ``progress`` is called with captures done and all.
     """
     captures, unreadable = find(folder)

@@ -4,6 +4,7 @@ use super::arena::Arena;
 use super::columns::antenna_order;
 use csi5300::signal::csi::{Csi, scale_factor_of};
 use driver_iface::bfee::{Antenna, Bfee, MAX_SAMPLES, SUBCARRIERS};
+use fearless_simd::{Level, dispatch};
 use num_complex::Complex32;
 use rayon::prelude::*;
 
@@ -75,17 +76,20 @@ pub fn decode(arena: &Arena, records: &[usize], rows: &Rows, form: Form, out: &m
     if rows.is_empty() {
         return;
     }
+    let level = Level::new();
     let jobs = out.par_chunks_exact_mut(rows.len()).zip(records.par_iter()).with_min_len(1024);
     jobs.for_each_init(
         || [[0; 2]; MAX_SAMPLES],
         |samples, (out, &record)| match arena.bfee(record) {
-            Some(bfee) => one(&bfee, rows, form, samples, out),
+            // Compiled for each SIMD tier, as compilers vectorise it.
+            Some(bfee) => dispatch!(level, _ => one(&bfee, rows, form, samples, out)),
             None => out.fill(NOTHING),
         },
     );
 }
 
 /// One record; `samples` is room to work in.
+#[inline(always)]
 fn one(bfee: &Bfee<'_>, rows: &Rows, form: Form, samples: &mut [[i8; 2]; MAX_SAMPLES], out: &mut [Complex32]) {
     let count = bfee.unpack_planes(samples).unwrap_or(0);
     let samples = samples.get(..count).unwrap_or_default();
@@ -120,6 +124,7 @@ fn one(bfee: &Bfee<'_>, rows: &Rows, form: Form, samples: &mut [[i8; 2]; MAX_SAM
 }
 
 /// The samples of a column times a factor: one loop over as many numbers as there always are, which compilers vectorise.
+#[inline(always)]
 fn widen(plane: &[[i8; 2]; SUBCARRIERS], factor: f32, column: &mut [Complex32]) {
     let values = bytemuck::cast_slice_mut::<Complex32, f32>(column).first_chunk_mut::<{ 2 * SUBCARRIERS }>();
     let Some(values) = values else { return };

@@ -10,6 +10,7 @@ mod columns;
 mod decode;
 mod piece;
 mod reading;
+mod whole;
 
 pub use arena::Arena;
 pub use columns::{Columns, NO_ANTENNA, NO_TIME, antenna_order, antennas};

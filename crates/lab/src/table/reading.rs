@@ -3,7 +3,7 @@
 use super::arena::Arena;
 use super::block::Block;
 use super::columns::{Columns, antennas};
-use super::piece::{Piece, Span};
+use super::piece::Span;
 use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{CsiSource, Error, Next, Origin};
 use csi5300::time::Instant;
@@ -12,12 +12,9 @@ use driver_iface::ParseMacError;
 use driver_iface::bfee::{Antenna, Bfee};
 use driver_iface::record::code;
 use std::collections::BTreeSet;
-use std::sync::mpsc::sync_channel;
 
 /// Records that [`Reading::burst`] reads at most.
 const BURST: usize = 32_768;
-/// Pieces that may wait between the thread that reads and the one that sorts.
-const AHEAD: usize = 4;
 
 /// Why there is no such filter.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -126,7 +123,7 @@ pub struct Reading<S> {
     /// Intact records that the filter left out.
     pub left_out: u64,
     first_us: Option<i64>,
-    ended: bool,
+    pub(super) ended: bool,
 }
 
 impl<S: CsiSource> Reading<S> {
@@ -176,73 +173,14 @@ impl<S: CsiSource> Reading<S> {
         Ok(true)
     }
 
-    /// Reads all that is there at `now`, to the end if the source has one, on two threads: one takes records from the source, this
-    /// one sorts them. Stops early once `go_on`, which is asked every few megabytes, says no.
-    ///
-    /// # Errors
-    /// If the source cannot be read further.
-    pub fn read_all(&mut self, now: Instant, mut go_on: impl FnMut() -> bool) -> Result<(), Error>
-    where
-        S: Send,
-    {
-        if self.ended {
-            return Ok(());
-        }
-        let (source, mut table) = self.parts();
-        // A short log is read before a thread would be there.
-        let mut first = Piece::new(Block::small());
-        let more = first.fill(source, now);
-        let mut ended = table.take_piece(first);
-        if more? && go_on() {
-            ended = in_pieces(source, now, |piece| {
-                let last = table.take_piece(piece);
-                (last, go_on())
-            })?;
-        }
-        self.ended = ended;
-        Ok(())
-    }
-
-    fn parts(&mut self) -> (&mut S, Table<'_>) {
+    pub(super) fn parts(&mut self) -> (&mut S, Table<'_>) {
         let Self { source, filter, survey, arena, columns, left_out, first_us, .. } = self;
         (source, Table { filter, survey, arena, columns, left_out, first_us })
     }
 }
 
-/// Reads a source in a thread of its own and hands over piece after piece; `take` says whether the log has ended in it and
-/// whether to go on. Gives whether the log has ended.
-fn in_pieces<S: CsiSource + Send>(
-    source: &mut S,
-    now: Instant,
-    mut take: impl FnMut(Piece) -> (bool, bool),
-) -> Result<bool, Error> {
-    let (sender, pieces) = sync_channel(AHEAD);
-    std::thread::scope(|scope| {
-        let read = move || {
-            loop {
-                let mut piece = Piece::new(Block::large());
-                let more = piece.fill(source, now);
-                let is_last = !matches!(more, Ok(true));
-                // Nobody receives once it was enough.
-                if sender.send((piece, more)).is_err() || is_last {
-                    return;
-                }
-            }
-        };
-        let started = std::thread::Builder::new().name("csi5300-read".into()).spawn_scoped(scope, read);
-        started.map_err(|source| Error::Io { what: "cannot start a thread to read the log".into(), source })?;
-        for (piece, more) in pieces {
-            let (ended, go_on) = take(piece);
-            if !more? || !go_on {
-                return Ok(ended);
-            }
-        }
-        Ok(false)
-    })
-}
-
 /// What records become.
-struct Table<'a> {
+pub(super) struct Table<'a> {
     filter: &'a Filter,
     survey: &'a mut Survey,
     arena: &'a mut Arena,
@@ -284,42 +222,54 @@ impl Table<'_> {
         }
     }
 
-    /// Takes a piece, whose memory the arena takes over if most of it is kept; whether the log ends in it.
-    fn take_piece(&mut self, piece: Piece) -> bool {
-        let (mut kept, mut bytes, mut ended) = (Vec::with_capacity(piece.len()), 0, false);
-        let mut mpdu: Option<Span> = None;
-        for (next, span) in (0..piece.len()).map_while(|index| piece.get(index)) {
-            let is_kept = self.note(&next);
-            match (&next, is_kept) {
-                (_, Some(true)) => {
-                    bytes += span.len + mpdu.map_or(0, |mpdu| mpdu.len);
-                    kept.push((span, mpdu.take()));
-                    continue;
-                }
-                (Next::Record(_, record), None) if record.code == code::MPDU => mpdu = Some(span),
-                (Next::Lost(_), _) | (_, Some(false)) => mpdu = None,
-                (Next::End(_), _) => ended = true,
-                _ => continue,
+    /// Counts what a source gave whose bytes are in a block, in their place.
+    pub(super) fn sort(&mut self, sorted: &mut Sorted, next: &Next<'_>, span: Span) {
+        let is_kept = self.note(next);
+        match (next, is_kept) {
+            (_, Some(true)) => {
+                let mpdu = sorted.mpdu.take();
+                sorted.bytes += span.len + mpdu.map_or(0, |mpdu| mpdu.len);
+                sorted.kept.push((span, mpdu));
+                return;
             }
-            if kept.is_empty() {
-                // One noted before this piece is of no record any more.
-                self.arena.drop_mpdu();
-            }
+            (Next::Record(_, record), None) if record.code == code::MPDU => sorted.mpdu = Some(span),
+            (Next::Lost(_), _) | (_, Some(false)) => sorted.mpdu = None,
+            (Next::End(_), _) => {}
+            _ => return,
         }
-        if 2 * bytes as usize >= piece.block.bytes().len() {
-            let rest = mpdu.map(|span| span.of(piece.block.bytes()).to_vec());
+        if sorted.kept.is_empty() {
+            // One noted before this block is of no record any more.
+            self.arena.drop_mpdu();
+        }
+    }
+
+    /// Keeps what was sorted of a block, whose memory the arena takes over if most of it is kept.
+    pub(super) fn keep(&mut self, sorted: Sorted, block: Block) {
+        let Sorted { kept, bytes, mpdu } = sorted;
+        if 2 * bytes as usize >= block.bytes().len() {
+            let rest = mpdu.map(|span| span.of(block.bytes()).to_vec());
             if !kept.is_empty() {
-                self.arena.adopt(piece.block, kept);
+                self.arena.adopt(block, kept);
             }
             rest.iter().for_each(|body| self.arena.note_mpdu(body));
-            return ended;
+            return;
         }
-        let body = |span: Span| span.of(piece.block.bytes());
+        let body = |span: Span| span.of(block.bytes());
         for (span, before) in kept {
             before.iter().for_each(|mpdu| self.arena.note_mpdu(body(*mpdu)));
             self.arena.push(body(span));
         }
         mpdu.iter().for_each(|mpdu| self.arena.note_mpdu(body(*mpdu)));
-        ended
     }
+}
+
+/// What of a block is kept.
+#[derive(Default)]
+pub(super) struct Sorted {
+    /// bfee records, each with its MPDU where that is in the block too.
+    kept: Vec<(Span, Option<Span>)>,
+    /// Bytes of all of them.
+    bytes: u32,
+    /// The newest MPDU, until a bfee takes it.
+    mpdu: Option<Span>,
 }

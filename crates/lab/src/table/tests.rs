@@ -1,12 +1,15 @@
 //! A log as a table against the same log frame by frame.
 
+use super::whole::Cut;
 use super::{Arena, Columns, Filter, FilterError, Form, Held, NO_TIME, Reading, Rows, decode};
 use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
 use csi5300::{Frame, Log};
 use driver_iface::bfee::Antenna;
+use driver_iface::record::LOOKAHEAD;
 use num_complex::Complex32;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 fn path() -> PathBuf {
@@ -122,17 +125,47 @@ fn bodies(arena: &Arena) -> Vec<(&[u8], &[u8])> {
 fn two_threads_read_what_one_reads() {
     let log = long();
     let few = Filter::default().with_time(Some(0.5), Some(0.6)).unwrap();
-    for filter in [Filter::default(), few, Filter::default().with_macs(["02:00:00:00:00:77"]).unwrap()] {
+    let nobody = Filter::default().with_macs(["02:00:00:00:00:77"]).unwrap();
+    // As usual; blocks into which few records fit, so that many lie across two of them; and no room for what is left over.
+    let small = |head| Cut { first: 1_000, block: Some(4_096 + head), head };
+    let cuts = [Cut::default(), small(LOOKAHEAD), small(100)];
+    for (filter, cut) in
+        [Filter::default(), few, nobody].iter().flat_map(|filter| cuts.map(|cut| (filter.clone(), cut)))
+    {
         let mut one = Reading::new(replay(&log), filter.clone());
         while one.burst(Instant::ZERO, usize::MAX).unwrap() {}
         let mut two = Reading::new(replay(&log), filter);
-        two.read_all(Instant::ZERO, || true).unwrap();
+        two.read_cut(Instant::ZERO, cut, || true).unwrap();
         assert!(one.has_ended() && two.has_ended() && one.left_out == two.left_out);
         assert_eq!(serde_json::to_string(&one.survey).unwrap(), serde_json::to_string(&two.survey).unwrap());
         let ((a, a_columns), (b, b_columns)) = (one.take(), two.take());
         assert!(bodies(&a) == bodies(&b), "{} records, {}", a.len(), b.len());
         assert_eq!(format!("{a_columns:?}"), format!("{b_columns:?}"));
         assert_eq!(a.len() + one.left_out as usize, COPIES * 281);
+    }
+}
+
+/// A log of which some was received, and one whose reader fails in the middle.
+#[test]
+fn what_was_received_before_is_not_read_again_and_what_was_read_before_an_error_is_there() {
+    let log = long();
+    let mut one = Reading::new(replay(&log), Filter::default());
+    assert!(one.burst(Instant::ZERO, 700).unwrap() || one.arena.len() == 700);
+    one.read_all(Instant::ZERO, || true).unwrap();
+    assert_eq!((one.arena.len(), one.has_ended(), one.source().bytes()), (COPIES * 281, true, log.len() as u64));
+    let half = &log[..log.len() / 2];
+    let failing = Replay::new(half.chain(Failing), "half a log".into());
+    let mut two = Reading::new(failing, Filter::default());
+    let error = two.read_all(Instant::ZERO, || true).unwrap_err().to_string();
+    assert!(error.contains(&format!("half a log at byte {}", half.len())), "{error}");
+    assert!(!two.has_ended() && two.arena.len() > COPIES * 130, "{}", two.arena.len());
+}
+
+struct Failing;
+
+impl Read for Failing {
+    fn read(&mut self, _: &mut [u8]) -> std::io::Result<usize> {
+        Err(std::io::Error::other("the disk is gone"))
     }
 }
 

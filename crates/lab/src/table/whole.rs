@@ -1,0 +1,144 @@
+//! Whole logs on two threads: one reads bytes and finds records among them, the other sorts these. They stay where they were read.
+
+use super::block::{BLOCK, Block};
+use super::piece::Piece;
+use super::reading::{Reading, Sorted, Table};
+use csi5300::source::Error;
+use csi5300::source::replay::{Bytes, Framing, Replay};
+use csi5300::time::Instant;
+use driver_iface::record::LOOKAHEAD;
+use std::io::Read;
+use std::sync::mpsc::sync_channel;
+
+/// Pieces that may wait between the thread that reads and the one that sorts.
+const AHEAD: usize = 4;
+
+/// How a log is cut into blocks.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cut {
+    /// Bytes of the first block: a log that fits into it is read before a thread would be there.
+    pub first: usize,
+    /// Bytes of those in the heap after it, or `None` for [large](Block::large) ones.
+    pub block: Option<usize>,
+    /// Bytes before what is read into a block: room for what the block before ends with, the beginning of a record.
+    pub head: usize,
+}
+
+impl Default for Cut {
+    fn default() -> Self {
+        const { assert!(LOOKAHEAD < BLOCK) };
+        Self { first: 128 << 10, block: None, head: LOOKAHEAD }
+    }
+}
+
+impl Cut {
+    fn next(self) -> Block {
+        let mut block = self.block.map_or_else(Block::large, Block::fixed);
+        block.skip(self.head);
+        block
+    }
+}
+
+impl<R: Read + Send> Reading<Replay<R>> {
+    /// Reads all of a log on two threads; records are received at `now`. Stops early once `go_on`, which is asked every few
+    /// megabytes, says no.
+    ///
+    /// # Errors
+    /// If the log cannot be read further. What was read before is there.
+    pub fn read_all(&mut self, now: Instant, go_on: impl FnMut() -> bool) -> Result<(), Error> {
+        self.read_cut(now, Cut::default(), go_on)
+    }
+
+    /// The same in blocks of other sizes.
+    pub(super) fn read_cut(&mut self, now: Instant, cut: Cut, mut go_on: impl FnMut() -> bool) -> Result<(), Error> {
+        if self.ended {
+            return Ok(());
+        }
+        let (replay, mut table) = self.parts();
+        let (bytes, framing) = replay.halves();
+        let mut cutter = Cutter { bytes, framing, now, left: Vec::new(), most: 0 };
+        let (first, more) = cutter.piece(Block::fixed(cut.first), 0);
+        let mut ended = sort(&mut table, first);
+        if more? && go_on() {
+            in_pieces(cutter, cut, |piece| {
+                ended = sort(&mut table, piece);
+                go_on()
+            })?;
+        }
+        self.ended = ended;
+        Ok(())
+    }
+}
+
+/// Sorts a piece; whether the log ends in it.
+fn sort(table: &mut Table<'_>, piece: Piece) -> bool {
+    let (mut sorted, ended) = (Sorted::default(), piece.has_ended());
+    piece.each(|next, span| table.sort(&mut sorted, next, span));
+    table.keep(sorted, piece.block);
+    ended
+}
+
+/// Cuts a log into pieces in a thread of its own and hands over one after the other; `take` says whether to go on.
+fn in_pieces<R: Read + Send>(
+    mut cutter: Cutter<'_, R>,
+    cut: Cut,
+    mut take: impl FnMut(Piece) -> bool,
+) -> Result<(), Error> {
+    let (sender, pieces) = sync_channel(AHEAD);
+    std::thread::scope(|scope| {
+        let read = move || {
+            loop {
+                let (piece, more) = cutter.piece(cut.next(), cut.head);
+                let is_last = !matches!(more, Ok(true));
+                // Nobody receives once it was enough.
+                if sender.send((piece, more)).is_err() || is_last {
+                    return;
+                }
+            }
+        };
+        let started = std::thread::Builder::new().name("csi5300-read".into()).spawn_scoped(scope, read);
+        started.map_err(|source| Error::Io { what: "cannot start a thread to read the log".into(), source })?;
+        for (piece, more) in pieces {
+            let go_on = take(piece);
+            if !more? || !go_on {
+                break;
+            }
+        }
+        Ok(())
+    })
+}
+
+/// Reads a log and finds its records, a block at a time.
+struct Cutter<'a, R> {
+    bytes: &'a mut Bytes<R>,
+    framing: &'a mut Framing,
+    now: Instant,
+    /// What the last block ended with and was not used.
+    left: Vec<u8>,
+    /// Items of the largest piece so far.
+    most: usize,
+}
+
+impl<R: Read> Cutter<'_, R> {
+    /// The next piece, in `block`, in which bytes are read behind `head`; whether there may be more.
+    fn piece(&mut self, mut block: Block, head: usize) -> (Piece, Result<bool, Error>) {
+        let more = self.fill(&mut block);
+        let from = block.put_before(head, &self.left);
+        let mut piece = Piece::new(block, self.most);
+        let used = piece.frame(from, self.framing, matches!(more, Ok(false)), self.now);
+        self.left.clear();
+        self.left.extend_from_slice(piece.block.bytes().get(used..).unwrap_or_default());
+        self.most = self.most.max(piece.len());
+        (piece, more)
+    }
+
+    /// Reads until a block is full or the log ends; whether there may be more.
+    fn fill(&mut self, block: &mut Block) -> Result<bool, Error> {
+        while block.room() > 0 {
+            if block.fill(|room| self.bytes.read_into(room))? == 0 {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+}
