@@ -160,14 +160,14 @@ fn floors_of_single_precision_are_measured() {
     let mut rng = ChaCha8Rng::seed_from_u64(27);
     for radius in [0.03, 0.3, 1.0, 5.0, 20.0] {
         for method in [Method::Direct, Method::RingsDirect, Method::RingsNufft] {
-            let (mut worst, mut floor) = (0f64, 0f64);
+            let (mut worst, mut floor, mut planner) = (0f64, 0f64, Planner::default());
             for case in 0..20 {
                 let points = track(2, radius, if method == Method::Direct { 1 } else { 4 } + case % 3, &mut rng);
                 let samples = samples(&points, &[(1.0, 0.0, Complex64::ONE)], 0.01, &mut rng);
                 let exact = Exact::new(&samples, Grid::azimuth(360), 60, &mut rng);
                 let eps = 4e-6;
                 let options = ProfileOptions { eps, method: Some(method), precision: Some(Precision::Single) };
-                let (error, explanation) = exact.error(&mut Planner::default(), &options);
+                let (error, explanation) = exact.error(&mut planner, &options);
                 if explanation.method == method {
                     worst = worst.max(error);
                     floor = crate::bartlett::cost::single_floor(method, TAU * exact.scene.radius);
