@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Coverage-guided fuzzing by libFuzzer, with the stable compiler: the code is instrumented, there is no address sanitizer (no `unsafe` is in it).
 # usage: scripts/fuzz.sh [SECONDS [TARGET...]]
-# SECONDS for each target (60), TARGETs all of fuzz/fuzz_targets. What is new goes into fuzz/corpus/TARGET, reduced to what covers something of its own.
+# SECONDS of CPU time for each target (60; user and system time of its process by /proc, so that a machine with other work does not shorten it), TARGETs
+# all of fuzz/fuzz_targets. What is new goes into fuzz/corpus/TARGET, reduced to what covers something of its own.
 # An input that fails is in target/fuzz/found; exit status 1.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -25,14 +26,34 @@ bins=()
 for target in "${targets[@]}"; do bins+=(--bin "$target"); done
 (cd fuzz && CARGO_TARGET_DIR=../target/fuzz cargo build --quiet --release --target "$host" "${features[@]}" "${bins[@]}")
 mkdir -p target/fuzz/found
+tick=$(getconf CLK_TCK)
+# Seconds of CPU time that a process of this shell has used, with one digit behind the point; fails when it has ended.
+cpu_s() {
+    local stat
+    stat=$(cat "/proc/$1/stat" 2>/dev/null) || return 1
+    # Behind the name, which is in brackets: user and system time are fields 12 and 13 there.
+    set -- ${stat##*) }
+    [ "$1" != Z ] || return 1
+    echo $(((${12} + ${13}) * 10 / tick))
+}
 status=0
 for target in "${targets[@]}"; do
     program=target/fuzz/$host/release/$target
     corpus=fuzz/corpus/$target
     grown=target/fuzz/grown/$target
     mkdir -p "$corpus" "$grown"
-    "$program" -max_total_time="$seconds" -max_len=8192 -timeout=10 -rss_limit_mb=1024 -artifact_prefix=target/fuzz/found/"$target"- -print_final_stats=1 \
-        "$grown" "$corpus" 2>target/fuzz/"$target".log || { status=1; tail -n 30 target/fuzz/"$target".log; }
+    # A minute by the wall for one input: on a busy machine that is some seconds of CPU time.
+    "$program" -max_len=8192 -timeout=60 -rss_limit_mb=1024 -artifact_prefix=target/fuzz/found/"$target"- -print_final_stats=1 \
+        "$grown" "$corpus" 2>target/fuzz/"$target".log &
+    run=$! used=0
+    while now=$(cpu_s $run); do
+        used=$now
+        [ "$used" -lt $((seconds * 10)) ] || break
+        sleep 1
+    done
+    # libFuzzer ends by itself on this signal, with its statistics.
+    kill -USR1 $run 2>/dev/null || true
+    wait $run || { status=1; tail -n 30 target/fuzz/"$target".log; }
     # Small inputs first; the committed corpus stays under 16 KiB a target.
     reduced=target/fuzz/reduced/$target
     rm -rf "$reduced" && mkdir -p "$reduced"
@@ -44,7 +65,7 @@ for target in "${targets[@]}"; do
         [ $size -le 16384 ] || break
         cp "$file" "$corpus/"
     done < <(find "$reduced" -type f -printf '%s %p\n' | sort -n)
-    sed -n 's/^stat::\(number_of_executed_units\|average_exec_per_sec\): */\1 /p' target/fuzz/"$target".log | paste -sd ' ' | sed "s/^/$target: /"
+    sed -n 's/^stat::\(number_of_executed_units\|average_exec_per_sec\): */\1 /p' target/fuzz/"$target".log | paste -sd ' ' | sed "s/^/$target: $((used / 10)).$((used % 10)) s of CPU time, /"
     echo "$target: $(find "$corpus" -type f | wc -l) inputs kept"
 done
 exit $status

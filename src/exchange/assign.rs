@@ -301,6 +301,39 @@ mod tests {
     }
 
     #[test]
+    fn spreads_below_what_clocks_can_tell_decide_nothing_by_their_ratio() {
+        let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
+        let margin = |a: f64, b: f64| assign(&[vec![of(a), of(b)]], &[])[0].map(|found| found.margin);
+        assert_eq!(margin(0.0, 0.1), Ok(Some(2.0)), "a tenth of a microsecond is added to both");
+        assert!(matches!(margin(0.0, 0.04), Err(Unmatched::Unclear { .. })), "1.4 times");
+        // One log alone: what is unclear stays so, unless the channel speaks for one of both.
+        let spreads = [vec![of(0.0), of(0.04)]];
+        for (reciprocity, mac) in [(vec![], None), (vec![vec![Some(0.5), None]], Some(0))] {
+            let mut found = assign(&spreads, &[]);
+            settle(&mut found, &spreads, &reciprocity, &[]);
+            assert_eq!(found[0].ok().map(|found| found.mac), mac);
+        }
+    }
+
+    #[test]
+    fn of_all_ways_to_settle_the_cheapest_is_taken() {
+        let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
+        let spreads = [vec![of(10.0), of(13.0)]];
+        let mut found = assign(&spreads, &[]);
+        settle(&mut found, &spreads, &[vec![Some(0.5), None]], &[]);
+        let found = found[0].unwrap();
+        // ln 13.1 - (ln 10.1 - 2 artanh 0.5), as a ratio.
+        assert_eq!(found.mac, 0);
+        assert!((found.margin.unwrap() - 13.1 / 10.1 * 3.0).abs() < 1e-9, "{found:?}");
+        // What each log would choose alone is the dearer way for both: 10 + 40 against 12 + 13, in tenths.
+        let costs = vec![vec![(0, 1.0), (1, 1.2)], vec![(0, 1.3), (1, 4.0)]];
+        let (cost, macs) = cheapest(&costs, &mut Vec::new(), None).unwrap();
+        assert!((cost - 2.5).abs() < 1e-12 && macs == [1, 0], "{cost} {macs:?}");
+        let (other, macs) = cheapest(&costs, &mut Vec::new(), Some((0, 1))).unwrap();
+        assert!((other - 5.0).abs() < 1e-12 && macs == [0, 1], "{other} {macs:?}");
+    }
+
+    #[test]
     fn unclear_and_unrelated_logs_are_refused() {
         let (receiver, transmitter) = round(0, 20);
         let same = spread(&receiver, &transmitter);

@@ -107,4 +107,13 @@ mod tests {
         assert_eq!((regular.correlation, regular.pause_us), (0.0, 0.0));
         assert_eq!(kinship(&ends(1, 5)[..20], &[0; 20]), None);
     }
+
+    #[test]
+    fn a_pause_of_half_as_much_again_is_over_a_lost_frame() {
+        let at = |long: i64| (0..200).map(|k| 10_000 * k + long * (k / 10)).collect::<Vec<i64>>();
+        let pauses = |rx: &[i64], tx: &[i64]| of(rx, tx).pauses;
+        let (short, long) = (at(4_999), at(5_000));
+        assert_eq!(pauses(&short, &short), 199);
+        assert_eq!([pauses(&long, &long), pauses(&long, &short), pauses(&short, &long)], [199 - 19; 3]);
+    }
 }

@@ -240,6 +240,35 @@ mod tests {
         assert_eq!((open.log.unchecked, open.log.unused.unauthenticated), (0, 0));
     }
 
+    /// A card that has nothing yet, until the time that it names; then it is over.
+    struct Late(Option<Instant>, Vec<Instant>);
+
+    impl CsiSource for Late {
+        fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+            self.1.push(now);
+            let is_over = self.0.is_some_and(|at| now >= at);
+            Ok(if is_over { Next::End(driver_iface::record::Tail::Clean) } else { Next::Pending })
+        }
+
+        fn next_at(&self) -> Option<Instant> {
+            self.0
+        }
+    }
+
+    #[test]
+    fn a_source_is_asked_again_when_it_says_and_one_that_never_does_is_refused() {
+        let options = Options::new("108".parse().unwrap());
+        let at = Instant::from_us(7_000);
+        let mut late = Late(Some(at), Vec::new());
+        let mut reader = LogReader::new(&mut late, &options, []);
+        assert!(!reader.is_done());
+        assert!(reader.next_frame().unwrap().is_none() && reader.is_done());
+        assert!(reader.read_ahead(5).unwrap().is_empty());
+        assert_eq!(late.1, [Instant::ZERO, at]);
+        let mut never = Late(None, Vec::new());
+        assert!(matches!(LogReader::new(&mut never, &options, []).next_frame(), Err(Error::Endless)));
+    }
+
     #[test]
     fn what_has_no_number_or_not_the_antenna_is_counted() {
         let mut front = Front::new(Antenna::C);

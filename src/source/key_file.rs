@@ -289,6 +289,22 @@ mod tests {
     }
 
     #[test]
+    fn a_secret_needs_ten_bytes_and_nine_steps_that_differ_of_sixteen() {
+        for (digits, different, steps, weak) in [
+            ("da2ee5d02ee5c5abfd00fcc5c5e5d0b0", 10, 12, false),
+            ("c18b8b621c62ffff086277c18b3fd8d8", 9, 12, true),
+            ("17e9bfd6dbd142c1b7bce6e6e6bce610", 12, 9, false),
+            ("f0861c68ffa55ff6a74dfe94a5f6a74d", 12, 8, true),
+        ] {
+            let secret = unhex(digits).unwrap();
+            assert_eq!(secret.iter().collect::<BTreeSet<_>>().len(), different);
+            let step = |pair: &[u8]| (256 + u16::from(pair[1]) - u16::from(pair[0])) % 256;
+            assert_eq!(secret.windows(2).map(step).collect::<BTreeSet<_>>().len(), steps);
+            assert_eq!(is_weak(&secret), weak, "{digits}");
+        }
+    }
+
+    #[test]
     fn a_robots_file_holds_its_own_keys() {
         let folder = Folder::new("robot");
         let mac = |last| Mac([2, 0, 0, 0, 0, last]);

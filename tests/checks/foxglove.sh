@@ -11,7 +11,7 @@ port=$("$python" -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)
 cat >"$folder/robot.toml" <<END
 name = "burger"
 channel = "108"
-capture.room = { scene = "lab-circle", robot = "rx", speed = 2.0 }
+capture.room = { scene = "lab-circle", robot = "rx" }
 odometry.room = {}
 [estimator]
 least_motion_m = 0.2
@@ -25,7 +25,7 @@ END
 "$csi5300" node --config "$folder/robot.toml" 2>"$folder/said" &
 node=$!
 "$python" - "$port" "$folder/bearings.jsonl" <<'PYTHON'
-import asyncio, base64, collections, json, math, struct, sys
+import asyncio, base64, collections, json, math, struct, sys, time
 import websockets
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
@@ -63,7 +63,11 @@ async def watch(url):
     channels, decoders, got = {}, {}, collections.defaultdict(list)
     async with await connect(url) as socket:
         while not done(got):
-            said = await asyncio.wait_for(socket.recv(), 60)
+            try:
+                said = await asyncio.wait_for(socket.recv(), 60)
+            except (websockets.ConnectionClosed, asyncio.TimeoutError) as ended:
+                came = {topic: len(messages) for topic, messages in got.items()}
+                sys.exit(f"{ended!r} after {came} of {sorted(channels.values())}")
             if isinstance(said, str):
                 said = json.loads(said)
                 if said["op"] == "advertise":
@@ -103,8 +107,16 @@ moved = robot[pose[0]].translation
 assert robot[pose[0]].parent_frame_id == "odom" and (moved.x, moved.y) == (where.x, where.y), robot
 path = got["/trajectory"][-1][1].poses
 assert 2 <= len(path) <= 501, len(path)
-said = [json.loads(line) for line in open(sys.argv[2])]
-said = [l for l in said if l["state"] == "bearing"]
+def bearings_said():
+    lines = [json.loads(line) for line in open(sys.argv[2]) if line.endswith("\n")]
+    return [l for l in lines if l["state"] == "bearing"]
+
+# A bearing's line is written beside its message, a little later on a busy machine.
+for _ in range(600):
+    said = bearings_said()
+    if len(said) >= len(got["/bearing/tx"]):
+        break
+    time.sleep(0.1)
 for at, bearing in got["/bearing/tx"][:4]:
     azimuth = degrees(bearing.pose.orientation)
     assert min(apart(azimuth, l["azimuth_deg"]) for l in said) < 1e-6, (azimuth, said)
@@ -130,6 +142,7 @@ for at, scan in got["/aoa_profile/tx"][:4]:
         assert min(apart(heading, k) for k in known) < 1e-6, (heading, known)
 print(f"{sum(map(len, got.values()))} messages on {sum(map(bool, got.values()))} topics, {len(mirrors)} mirrors; bearing {azimuth:.2f} deg")
 PYTHON
-kill "$node"
+# On a slow machine the run of the scene, and the node with it, is over by then.
+kill "$node" 2>/dev/null || true
 wait "$node" || [ $? = 3 ] || { cat "$folder/said"; exit 1; }
 node=

@@ -362,3 +362,30 @@ fn frames_of_a_version_and_type_that_exist_are_evidence() {
     // An acknowledgement has 14 bytes, and the code is counted.
     assert_eq!([bits(0xd4, 14), bits(0xd4, 15)], [0, 13]);
 }
+
+#[test]
+fn a_code_and_a_length_are_evidence_where_the_card_has_them() {
+    use super::head::{Codes, Head, SURE, head, likely, sure};
+    let bits = |seen: &Codes, bytes: &[u8]| match head(bytes, seen) {
+        Head::Good { len, bits } => (len, bits),
+        other => panic!("{other:?}"),
+    };
+    let none = Codes::default();
+    // Reports of an aggregated transmission have nine bytes; of another length the code is all.
+    assert_eq!(bits(&none, &[0, 9, code::TX_BLOCK_AGG]), (11, 24));
+    assert_eq!([8, 10].map(|length| bits(&none, &[0, length, code::TX_BLOCK_AGG]).1), [8, 8]);
+    // A code that nobody knows, until it was met in this log.
+    let mut seen = Codes::default();
+    seen.insert(0x42);
+    assert_eq!([bits(&none, &[1, 2, 0x42]), bits(&seen, &[1, 2, 0x42])], [(0x104, 0), (0x104, 8)]);
+    // Noise is four bytes, -255 to -1 dBm.
+    let noise = |length: u8, dbm: i32| [&[0, length, code::NOISE][..], &dbm.to_le_bytes()].concat();
+    for (length, dbm, is_noise) in
+        [(5, -92, true), (5, -255, true), (5, -1, true), (5, 0, false), (5, -256, false), (6, -92, false)]
+    {
+        let bytes = noise(length, dbm);
+        assert_eq!(bits(&none, &bytes), (2 + usize::from(length), if is_noise { SURE } else { 0 }), "{length}, {dbm}");
+        assert_eq!((sure(&bytes).is_some(), likely(&bytes, &none)), (is_noise, None), "{length}, {dbm}");
+    }
+    assert_eq!(head(&noise(5, -92)[..6], &none), Head::Short);
+}

@@ -113,6 +113,8 @@ fn refusals_say_what_is_wrong() {
     assert_eq!(RxMpdu::new_checked(&long).unwrap_err(), BadPacket::Mpdu { byte_count: 58, got: 65 });
     assert!(RxMpdu::from_start(65, &mpdu()[..31], 3).is_err() && RxMpdu::from_start(65, &mpdu()[..32], 3).is_ok());
     let whole = mpdu();
+    let checked = RxMpdu::new_checked(&whole).unwrap();
+    assert_eq!((checked.byte_count(), checked.frame()), (57, whole.get(4..61)));
     assert!(
         (whole.len() - 8..whole.len()).all(|len| RxMpdu::from_start(len, &whole, 3).is_err()),
         "no room for the status"

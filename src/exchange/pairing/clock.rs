@@ -132,6 +132,36 @@ mod tests {
     }
 
     #[test]
+    fn two_cards_may_drift_apart_by_so_much_a_second() {
+        let pairing = &TUNING.pairing;
+        let allowed_us = (pairing.clock_slack_us + 100 * pairing.clock_drift_per_s) as u32;
+        for (change_us, follows) in [(allowed_us, true), (allowed_us + 1, false)] {
+            let (_, mut clock) = believed(std::iter::repeat(1_000_000));
+            let (rx, difference) = clock.last.unwrap();
+            let (rx, tx) = (rx as u32 + 100_000_000, rx as u32 + 100_000_000 + difference as u32 - change_us);
+            assert_eq!(clock.follow(rx, tx).is_some(), follows, "{change_us} us in 100 s");
+        }
+    }
+
+    #[test]
+    fn candidates_of_eight_runs_are_kept_of_all_counts() {
+        let run = TUNING.pairing.run;
+        let kept = RUNS_KEPT * run;
+        for (others, agrees) in [(kept - run, true), (kept - run + 1, false)] {
+            let mut clock = Clock::default();
+            let mut doubt = |count, k: usize, difference: u32| {
+                let rx = 10_000 * k as u32;
+                clock.doubt(count, rx, rx.wrapping_add(difference))
+            };
+            assert!(!doubt(0, 0, 500));
+            // Each of another count, as of initiators that are heard once.
+            assert!((1..=others).all(|k| !doubt(k as u32, k, 1_000_000 * k as u32)));
+            let last = (1..run).map(|k| doubt(0, others + k, 500)).collect::<Vec<_>>();
+            assert_eq!(last, [vec![false; run - 2], vec![agrees]].concat(), "{others} others between");
+        }
+    }
+
+    #[test]
     fn nothing_is_followed_before_anything_is_believed() {
         let mut clock = Clock::default();
         assert!(!clock.is_known() && clock.follow(0, 0).is_none() && !clock.believe());

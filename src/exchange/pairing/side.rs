@@ -298,6 +298,9 @@ mod tests {
         // As many as of random numbers: 1 - 1/e of all values of the bits by which a table chooses the place.
         let low: HashSet<_> = keys().map(|key| hash(key) & 0xfff).collect();
         assert!(low.len() > 2_300, "{} of 4,096", low.len());
+        // Numbers of initiators that begin far apart differ in their upper bits.
+        let apart: HashSet<_> = (0..4_096).map(|k| hash((0, k << 20)) & 0xfff).collect();
+        assert!(apart.len() > 2_300, "{} of 4,096", apart.len());
         let of = |bytes: &[u8]| {
             let mut hasher = KeyHasher::default();
             hasher.write(bytes);
@@ -331,6 +334,20 @@ mod tests {
             assert_eq!(side.wait((0, 0), entry()), is_new, "{others} others");
             assert_eq!(side.counts.duplicates, u64::from(!is_new));
         }
+    }
+
+    #[test]
+    fn a_log_is_ahead_by_restarts_and_then_by_numbers() {
+        let side = |restarts, last| SideState::<()> {
+            sessions: 1,
+            open: vec![Count { session: 0, restarts, last }],
+            ..Default::default()
+        };
+        assert_eq!(side(3, 40).ahead_of(&side(1, 50)), Some((2, -10)));
+        assert_eq!(side(1, 50).ahead_of(&side(3, 40)), Some((-2, 10)));
+        assert_eq!(side(0, 5).ahead_of(&side(0, u32::MAX)), Some((0, 6)), "numbers wrap");
+        assert_eq!(side(0, MAX_STEP).ahead_of(&side(0, 0)), Some((0, i64::from(MAX_STEP))));
+        assert_eq!(side(0, MAX_STEP + 1).ahead_of(&side(0, 0)), None, "another count");
     }
 
     #[test]

@@ -261,3 +261,97 @@ impl Tdma {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::exchange::tdma::{Config, Epoch, Request};
+    use driver_iface::Mac;
+
+    fn mac(k: u16) -> Mac {
+        Mac([2, 0x53, 0, 0, 0, k as u8])
+    }
+
+    /// Robot `k` of `robots`, which all want the turn and share a clock; a silence is 8 slots, a turn 32.
+    fn robot(k: u16, robots: u16) -> Tdma {
+        let peers: Vec<Mac> = (0..robots).filter(|other| *other != k).map(mac).collect();
+        let mut config = Config::new(mac(k), k, &peers, Request::new(robots - 1, 100.0), 1).with_initiate(true);
+        (config.silence_slots, config.epoch) = (8, Epoch::Common(Instant::ZERO));
+        Tdma::new(&config).unwrap()
+    }
+
+    fn events(tdma: &mut Tdma) -> Vec<Event> {
+        std::iter::from_fn(|| tdma.poll_event()).collect()
+    }
+
+    #[test]
+    fn patterns_are_those_of_splitmix64() {
+        let golden = 0x9e37_79b9_7f4a_7c15_u64;
+        let first = [0xe220_a839_7b1d_cdaf, 0x6e78_9e6a_a1b9_65f4, 0x06c4_5d18_8009_454f];
+        assert_eq!([1, 2, 3].map(|k: u64| mixed(golden.wrapping_mul(k))), first);
+    }
+
+    #[test]
+    fn a_lost_turn_is_claimed_in_the_first_half_of_ones_own_window() {
+        for k in 0..3 {
+            let (tdma, window) = (robot(k, 3), 8 * i64::from(k));
+            for (from, slot) in [(0, 0), (1, 1), (3, 3), (4, 24), (7, 24), (23, 24), (24, 24), (27, 27), (28, 48)] {
+                assert_eq!(tdma.own_claim_slot(window + from, 8), window + slot, "robot {k} from {from}");
+            }
+        }
+    }
+
+    #[test]
+    fn slots_slept_through_are_those_that_began() {
+        for (later, missed) in [(9, 10), (31, 32), (40, 32)] {
+            let mut tdma = robot(0, 2);
+            let begun = tdma.poll_timeout().unwrap();
+            assert!(tdma.poll_transmit(begun).is_some());
+            let (slot, turn) = (tdma.turn.unwrap().slot, tdma.view.turn());
+            let start = tdma.clock.start(&tdma.plan, slot);
+            let now = tdma.clock.start(&tdma.plan, slot + later) + tdma.plan.guard();
+            events(&mut tdma);
+            assert!(tdma.poll_transmit(now).is_none());
+            // The first slot of the turn was used.
+            let slots = missed.min(31);
+            let expected = [
+                Event::Missed { slots, late: now - start, slot: tdma.plan.span_of(1) },
+                Event::TurnEnded { turn, next: None },
+            ];
+            let mut said = events(&mut tdma);
+            said.retain(|event| !matches!(event, Event::Unanswered { .. }));
+            assert_eq!(said, expected, "{later} slots late");
+            assert_eq!(tdma.counts().overslept, 1);
+        }
+    }
+
+    #[test]
+    fn a_turn_that_was_passed_on_is_taken_back_within_half_a_silence_more() {
+        for (later, cause) in [(8, Cause::TakenBack), (12, Cause::TakenBack), (13, Cause::Claimed)] {
+            let (mut first, mut second) = (robot(0, 2), robot(1, 2));
+            // The second one answers, and wants the turn, until it is promised to it.
+            while first.passed.is_none() {
+                let now = first.poll_timeout().unwrap();
+                let frame = first.poll_transmit(now).map(|sent| sent.frame.to_vec());
+                if let Some(frame) = frame {
+                    second.handle_heard(now, now, &frame);
+                    let answer = second.poll_transmit(now).map(|sent| sent.frame.to_vec()).unwrap();
+                    first.handle_heard(now, now, &answer);
+                }
+            }
+            let (end, _) = first.passed.unwrap();
+            events(&mut first);
+            // Nobody is heard, and the driver looks again only then.
+            let mut now = first.clock.start(&first.plan, end + later);
+            while !first.has_turn() {
+                first.poll_transmit(now);
+                now = first.poll_timeout().unwrap();
+            }
+            let causes = events(&mut first).into_iter().filter_map(|event| match event {
+                Event::TurnBegan { cause, .. } => Some(cause),
+                _ => None,
+            });
+            assert_eq!(causes.collect::<Vec<_>>(), [cause], "{later} slots after its end");
+        }
+    }
+}

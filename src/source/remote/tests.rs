@@ -162,6 +162,22 @@ fn a_message_is_as_long_as_its_head_and_its_records() {
 }
 
 #[test]
+fn records_are_numbered_as_they_come_out_and_nothing_is_due_at_a_time() {
+    let (mailbox, mut batch) = (Mailbox::new(4), Batch::records(7));
+    mailbox.put(&message(&mut batch, 0..3));
+    let mut card = mailbox.card();
+    for number in 0..3 {
+        let Next::Record(stamps, _) = card.receive(Instant::from_us(50)).unwrap() else { panic!("three were sent") };
+        assert_eq!((stamps.origin, stamps.at), (Origin::Live { number }, Instant::from_us(50)));
+    }
+    assert_eq!((card.next_at(), mailbox.poses().next_at()), (None, None));
+    // A queue has room for one item at least.
+    let narrow = Mailbox::new(0);
+    narrow.put(&message(&mut batch, 3..4));
+    assert_eq!(drain(&mut narrow.card()), [3]);
+}
+
+#[test]
 fn what_is_no_message_is_counted_with_its_time_too() {
     let mailbox = Mailbox::new(4);
     for foreign in 1..4 {

@@ -39,6 +39,24 @@ fn survey(records: impl Iterator<Item = (Mac, u16, u16)>) -> Survey {
 }
 
 #[test]
+fn numbers_of_several_initiators_are_counts_of_their_own() {
+    let far = SAME_COUNT + 1;
+    let two = sender(&[10, 10 + far, 11, 11 + far, 13, 12 + far]);
+    assert_eq!((two.frames_skipped, two.frames_restarted), (1, 0));
+    // One count more than are kept: its numbers are restarts of what is nearest.
+    let begin = |k: u32| 2 * far * k;
+    let all: Vec<u32> = (0..=COUNTS_KEPT as u32).map(begin).collect();
+    assert_eq!(sender(&all[..COUNTS_KEPT]).frames_restarted, 0);
+    assert_eq!(sender(&all).frames_restarted, 1);
+}
+
+#[test]
+fn rates_are_counted_each() {
+    let survey = survey([0x101, 0x102, 0x101, 0x101].into_iter().map(|rate| (Mac([2; 6]), 0, rate)));
+    assert_eq!((survey.rates[&0x101], survey.rates[&0x102]), (3, 1));
+}
+
+#[test]
 fn a_driver_that_was_loaded_anew_is_no_loss() {
     let counts = [65_534, 65_535, 0, 1, 1, 5, 0, 1];
     let survey = survey(counts.iter().map(|count| (Mac([2; 6]), *count, 0x101)));
@@ -50,6 +68,7 @@ fn what_noise_makes_up_is_bounded() {
     let survey = survey((0..1_000).map(|n: u16| (Mac([2, 0, 0, 0, (n >> 8) as u8, n as u8]), n, n)));
     assert_eq!((survey.senders.len(), survey.rates.len()), (SENDERS_KEPT, SENDERS_KEPT));
     assert_eq!(survey.further_senders, 1_000 - SENDERS_KEPT as u64);
+    assert_eq!(survey.senders_forgotten, 1_000 - SENDERS_KEPT as u64);
 }
 
 #[test]
@@ -166,6 +185,10 @@ fn a_number_that_is_sent_again_counts_up_too() {
     let with = |repeated: usize| [vec![7; repeated + 1], (0..9 - repeated as u32).map(far).collect()].concat();
     assert!(sender(&with(5)).counts_up());
     assert!(!sender(&with(4)).counts_up());
+    // Nine records have eight steps, of which four are half.
+    let nine = |counting: u32| [(0..=counting).collect(), (0..8 - counting).map(far).collect::<Vec<_>>()].concat();
+    assert!(sender(&nine(4)).counts_up());
+    assert!(!sender(&nine(3)).counts_up());
 }
 
 #[test]
@@ -183,6 +206,73 @@ fn a_wsr_record_has_its_drivers_time_and_a_stock_one_the_listeners() {
     assert_eq!(host_us(wsr(5, 7)), (Some(5_000_007), 1, 0, 1));
     assert_eq!(host_us(wsr(0, 0)), (Some(77), 2, 0, 2));
     assert_eq!(host_us(None), (Some(77), 2, 1, 3));
+}
+
+#[test]
+fn the_rate_is_that_of_the_first_4096_steps() {
+    // As many of 20 ms as of 10 ms, the upper median of which is 20 ms; one more of 10 ms comes too late.
+    let steps = [vec![10_000; 2_048], vec![20_000; 2_048], vec![10_000]].concat();
+    let (mut sender, mut at) = (Sender::default(), 0);
+    sender.note(None, at);
+    for step in steps {
+        at += step;
+        sender.note(None, at);
+    }
+    assert_eq!(sender.rate_hz(), Some(50.0));
+}
+
+#[test]
+fn half_of_the_range_of_the_drivers_count_is_a_gap_and_more_a_restart() {
+    for (step, missing, restarted) in [(0x7fff, 0x7ffe, 0), (0x8000, 0, 1)] {
+        let survey = survey([0, step].into_iter().map(|count| (Mac([2; 6]), count, 0x101)));
+        assert_eq!((survey.bfee_missing, survey.bfee_restarted), (missing, restarted), "a step of {step}");
+    }
+}
+
+#[test]
+fn what_the_card_says_of_each_record_is_counted() {
+    let mut survey = Survey::default();
+    let mut hear = |n_rx, n_tx, antenna_sel, noise_dbm, rssi, agc| {
+        let repr = Repr { n_rx, n_tx, antenna_sel, noise_dbm, rssi, agc, ..Repr::default() };
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
+        assert!(survey.note(&Next::Record(Stamps::default(), Record { code: code::BFEE, body: &body })).is_some());
+    };
+    (0..2).for_each(|_| hear(3, 2, 0x24, -90, [30, 31, 32], 40));
+    (0..3).for_each(|_| hear(1, 1, 0, -127, [30, 0, 0], 20));
+    hear(2, 3, 0xff, -80, [10, 11, 0], 30);
+    assert_eq!(survey.streams, [[3, 0, 0], [0, 0, 1], [0, 2, 0]]);
+    assert_eq!((survey.antenna_sel[&0x24], survey.antenna_sel[&0], survey.antenna_sel[&0xff]), (2, 3, 1));
+    assert_eq!((survey.bad_permutations, survey.noise_unknown), (1, 3));
+    let range = |range: Range| (range.min, range.max, range.count);
+    assert_eq!(range(survey.noise_dbm), (-90, -80, 3));
+    assert_eq!(survey.rssi.map(range), [(10, 30, 6), (11, 31, 3), (32, 32, 2)], "0 is no antenna");
+    assert_eq!((range(survey.agc), survey.agc.mean), ((20, 40, 6), 170.0 / 6.0));
+    let broken = [0; 40];
+    (0..2).for_each(|_| {
+        survey.note(&Next::Record(Stamps::default(), Record { code: code::MPDU, body: &broken }));
+    });
+    assert_eq!(survey.mpdu_bad_fcs, 2);
+}
+
+#[test]
+fn a_pause_longer_than_the_cards_clock_is_seen_by_the_hosts() {
+    let mut survey = Survey::default();
+    // An hour and a half between the second and the third: the card's clock wrapped once.
+    let hour_us = 3_600_000_000_i64;
+    let at = [5_000_000, 5_010_000, 5_010_000 + 3 * hour_us / 2, 5_020_000 + 3 * hour_us / 2];
+    for now_us in at {
+        let repr = Repr { timestamp_low: now_us as u32, ..Repr::default() };
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
+        let stamps = Stamps { host_us: Some(1_700_000_000_000_000 + now_us), ..Stamps::default() };
+        survey.note(&Next::Record(stamps, Record { code: code::BFEE, body: &body }));
+    }
+    assert_eq!(survey.clock_us, Some((at[0], at[3])));
+    assert_eq!(survey.host_us, Some((1_700_000_000_000_000 + at[0], 1_700_000_000_000_000 + at[3])));
+    let steps = survey.clock_steps;
+    assert_eq!((steps.pauses, steps.longest_pause_us, steps.forward_us), (1, 3 * hour_us / 2, at[3] - at[0]));
+    assert_eq!(survey.host_steps.set, 0);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The dialect of the WSR toolbox: byte-exact frames, the kernel's responder, counters beyond 100,000.
 
 use super::air::{Air, everybody, mac};
-use csi5300::exchange::tdma::{Config, Dialect, Event, Request, Tdma};
+use csi5300::exchange::tdma::{Config, Dialect, Event, Request, TURN_AROUND_US, Tdma};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::sounding::{Frame, wsr};
@@ -131,6 +131,26 @@ fn an_answer_given_too_late_is_skipped() {
     tdma.handle_heard(ended + Span::from_us(300), ended, &buffer[..len]);
     assert!(tdma.poll_transmit(ended + Span::from_us(323)).is_none());
     assert_eq!((tdma.counts().replies, tdma.counts().missed_replies), (0, 1));
+}
+
+#[test]
+fn an_answer_is_given_up_to_one_turn_around_after_its_frame_and_only_the_newest() {
+    let (own, initiator) = (mac(5), mac(200));
+    let mut tdma = Tdma::new(&Config::new(own, 0, &[initiator], request(3, 100.0), 1)).unwrap();
+    let hear = |tdma: &mut Tdma, number, ended| {
+        let mut buffer = [0; 80];
+        let repr = wsr::Repr { sender: initiator, number, len_with_fcs: 57 };
+        let len = repr.emit(&mut buffer, &mut wsr::Lfsr::default()).unwrap();
+        tdma.handle_heard(ended, ended, &buffer[..len]);
+    };
+    let ended = Instant::from_us(1_000);
+    let latest = ended + Span::from_us(i64::from(TURN_AROUND_US));
+    hear(&mut tdma, 1, ended);
+    hear(&mut tdma, 2, ended);
+    assert_eq!(tdma.counts().missed_replies, 1, "the first was not fetched");
+    let answer = tdma.poll_transmit(latest).map(|transmit| (transmit.number, transmit.latest));
+    assert_eq!(answer, Some((2, latest)), "at the very last");
+    assert_eq!((tdma.counts().replies, tdma.counts().missed_replies), (1, 1));
 }
 
 #[test]
