@@ -94,6 +94,13 @@ fn vendor_fields_are_skipped_by_their_length() {
     ];
     let repr = parsed(&bytes);
     assert_eq!((repr.flags, repr.signal_dbm), (Some(0x40), Some(-50)));
+    // They may be the last of the header, and may not go beyond it.
+    for (len, fits) in [(1, true), (2, true), (3, false), (0xffff, false)] {
+        let mut header = std::vec![0, 0, 16, 0, 0, 0, 0, 0x40, 1, 2, 3, 0, 0, 0, 9, 9];
+        header[12..14].copy_from_slice(&u16::to_le_bytes(len));
+        let parsed = Packet::new_checked(header).and_then(|packet| Repr::parse(&packet));
+        assert_eq!(parsed.is_ok(), fits, "{len} bytes of vendor's fields");
+    }
 }
 
 #[test]

@@ -280,4 +280,39 @@ mod tests {
         assert_eq!((records, lost, replay.bytes()), (5, 14, log.len() as u64));
         assert_eq!(replay.next_at(), None, "nothing comes after the end");
     }
+
+    /// A reader that is interrupted before each read, and fails at the end.
+    struct Interrupted<'a>(&'a [u8], bool);
+
+    impl Read for Interrupted<'_> {
+        fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
+            self.1 = !self.1;
+            if self.1 {
+                return Err(std::io::ErrorKind::Interrupted.into());
+            }
+            match self.0.read(buffer)? {
+                0 => Err(std::io::ErrorKind::ConnectionReset.into()),
+                read => Ok(read),
+            }
+        }
+    }
+
+    #[test]
+    fn an_interrupted_read_is_repeated_and_another_failure_is_said_with_its_place() {
+        // Noise, -92 dBm.
+        let record = [0, 5, code::NOISE, 0xa4, 0xff, 0xff, 0xff];
+        let log = record.repeat(4);
+        let mut replay = Replay::new(Interrupted(&log, false), "two.dat".into());
+        let mut records = 0;
+        let failed = loop {
+            match replay.receive(Instant::ZERO) {
+                Ok(Next::Record(_, record)) => records += usize::from(record.code == code::NOISE),
+                Ok(other) => panic!("{other:?}"),
+                Err(error) => break error,
+            }
+        };
+        assert!((3..=4).contains(&records), "{records}");
+        let Error::Io { what, source } = failed else { panic!("{failed}") };
+        assert_eq!((what.as_str(), source.kind()), ("reading two.dat at byte 28", std::io::ErrorKind::ConnectionReset));
+    }
 }

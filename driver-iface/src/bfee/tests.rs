@@ -70,6 +70,9 @@ proptest! {
 
         let (n_rx, n_tx) = (bfee.n_rx(), bfee.n_tx());
         let some = [29, 0, 7, 7, 28];
+        let mut none = [Iq::default(); 5];
+        prop_assert!(bfee.column(n_rx, 0, &some, &mut none).is_none() && bfee.column(0, n_tx, &some, &mut none).is_none());
+        prop_assert!(bfee.column(0, 0, &[29, 30], &mut none[..2]).is_none());
         for rx in 0..n_rx {
             for tx in 0..n_tx {
                 let (mut iq, mut re_im) = ([Iq::default(); 5], [0.0; 10]);

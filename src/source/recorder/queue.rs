@@ -244,3 +244,50 @@ fn work<W: Sink>(sink: &mut W, message: Message, shared: &Shared, give_back: imp
         shared.note(Written { error: sink.sync(), ..Written::default() });
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::time::Span;
+
+    /// Remembers the records of each chunk.
+    struct Chunks(Vec<usize>);
+
+    impl Sink for Chunks {
+        fn write(&mut self, chunk: &Chunk) -> Written {
+            self.0.push(chunk.host_us.len());
+            Written { records: chunk.host_us.len() as u64, ..Written::default() }
+        }
+
+        fn sync(&mut self) -> Option<String> {
+            None
+        }
+    }
+
+    #[test]
+    fn records_fill_a_chunk_to_its_last_byte() {
+        let record = Record { code: 0x42, body: &[7; 10] };
+        for (limit, fit) in [(26, 2), (25, 1), (39, 3), (38, 2), (1, 1)] {
+            let mut chunk = Chunk::default();
+            let fitted = (0..5).take_while(|_| push(&mut chunk, limit, None, record)).count();
+            assert_eq!((fitted, chunk.bytes.len(), chunk.host_us.len()), (fit, 13 * fit, fit), "{limit} bytes");
+        }
+        assert!(!push(&mut Chunk::default(), 1 << 20, None, Record { code: 0x42, body: &vec![0; 1 << 16] }));
+    }
+
+    #[test]
+    fn a_chunk_without_room_for_the_longest_record_is_handed_over_at_once() {
+        let record = Record { code: 0x42, body: &[7; 10] };
+        let longest = MAX_LENGTH + LENGTH_FIELD;
+        for (chunk_bytes, chunks) in [(13 + longest, vec![2]), (12 + longest, vec![1, 1])] {
+            let options = Options { chunk_bytes, chunks: 9, ..Options::default() };
+            let options = options.with_hand_over(Span::from_ms(10)).with_sync_every(None);
+            let mut queue = Queue::new(Chunks(Vec::new()), options).unwrap();
+            for us in [0, 1] {
+                queue.push(Instant::from_us(us), None, record);
+                queue.keep_time(Instant::from_us(us));
+            }
+            assert_eq!(queue.close(Instant::from_us(2)).map(|sink| sink.0), Some(chunks), "{chunk_bytes} bytes");
+        }
+    }
+}

@@ -166,6 +166,17 @@ fn the_side_file_of_a_log_is_beside_its_name_or_beside_what_that_leads_to() {
     };
     std::fs::write(side_path(&real), narrow(1_700_000_000_000_001)).unwrap();
     assert_eq!((time(&real), time(&link)), (Some(1_700_000_000_000_001), Some(1_700_000_000_000_001)));
+    // With checksums it is known whose it is.
+    for (number, of_another) in [(0, false), (9, true)] {
+        let mut bytes = Layout::Checked.head().to_vec();
+        let mut out = [0; 16];
+        entry(number).emit(Layout::Checked, &mut out).unwrap();
+        bytes.extend(out);
+        std::fs::write(side_path(&real), bytes).unwrap();
+        let checks = SideFile::of(&real).and_then(|side| side.checks());
+        assert_eq!(checks.map(|checks| checks.out_of_step), Some(of_another));
+    }
+    std::fs::write(side_path(&real), narrow(1_700_000_000_000_001)).unwrap();
     std::fs::write(side_path(&link), narrow(1_700_000_000_000_002)).unwrap();
     assert_eq!((time(&real), time(&link)), (Some(1_700_000_000_000_001), Some(1_700_000_000_000_002)));
     std::fs::remove_dir_all(folder).unwrap();

@@ -39,6 +39,11 @@ fn what_cannot_be_synced_is_said() {
 }
 
 #[test]
+fn what_is_no_file_is_not_cut() {
+    assert!(Grown::create("/dev/null".into(), true).is_ok(), "a device has no length");
+}
+
+#[test]
 fn names_in_a_row() {
     assert_eq!(numbered(Path::new("a/out.dat"), 0), Path::new("a/out.dat"));
     assert_eq!(numbered(Path::new("a/out.dat"), 12), Path::new("a/out-0012.dat"));
