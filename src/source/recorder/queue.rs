@@ -280,8 +280,7 @@ mod tests {
         let record = Record { code: 0x42, body: &[7; 10] };
         let longest = MAX_LENGTH + LENGTH_FIELD;
         for (chunk_bytes, chunks) in [(13 + longest, vec![2]), (12 + longest, vec![1, 1])] {
-            let options = Options { chunk_bytes, chunks: 9, ..Options::default() };
-            let options = options.with_hand_over(Span::from_ms(10)).with_sync_every(None);
+            let options = Options { chunk_bytes, chunks: 9, hand_over: Span::from_ms(10), sync_every: None };
             let mut queue = Queue::new(Chunks(Vec::new()), options).unwrap();
             for us in [0, 1] {
                 queue.push(Instant::from_us(us), None, record);

@@ -1,7 +1,7 @@
 //! The dialect of the WSR toolbox: byte-exact frames, the kernel's responder, counters beyond 100,000.
 
 use super::air::{Air, everybody, mac};
-use csi5300::exchange::tdma::{Config, Dialect, Event, Request, TURN_AROUND_US, Tdma};
+use csi5300::exchange::tdma::{Config, Dialect, Event, Request, Tdma};
 use csi5300::time::{Instant, Span};
 use driver_iface::Mac;
 use driver_iface::sounding::{Frame, wsr};
@@ -144,7 +144,7 @@ fn an_answer_is_given_up_to_one_turn_around_after_its_frame_and_only_the_newest(
         tdma.handle_heard(ended, ended, &buffer[..len]);
     };
     let ended = Instant::from_us(1_000);
-    let latest = ended + Span::from_us(i64::from(TURN_AROUND_US));
+    let latest = ended + Span::from_us(i64::from(request(3, 100.0).turn_around_us));
     hear(&mut tdma, 1, ended);
     hear(&mut tdma, 2, ended);
     assert_eq!(tdma.counts().missed_replies, 1, "the first was not fetched");
