@@ -115,5 +115,8 @@ mod tests {
         let (short, long) = (at(4_999), at(5_000));
         assert_eq!(pauses(&short, &short), 199);
         assert_eq!([pauses(&long, &long), pauses(&long, &short), pauses(&short, &long)], [199 - 19; 3]);
+        // And one of half as much is none of this initiator's.
+        let (half, more) = (at(-5_000), at(-4_999));
+        assert_eq!([pauses(&half, &half), pauses(&half, &more), pauses(&more, &more)], [199 - 19, 199 - 19, 199]);
     }
 }

@@ -155,6 +155,18 @@ fn what_is_not_wanted_is_not_given() {
 }
 
 #[test]
+fn only_the_beginning_of_a_frame_has_its_status_behind_it() {
+    for (command, flags, kept) in [(0xC1, 1, 12), (0xC1, 0, 8), (0xBB, 1, 8), (0xBB, 0, 8)] {
+        let fields = EventRepr { data_len: 8, command, flags, ..EventRepr::default() };
+        let mut bytes = [0; 64];
+        for (len, fits) in [(kept, true), (kept + 1, false)] {
+            fields.emit(&[7; 13][..len], &mut bytes).unwrap();
+            assert_eq!(Event::new_checked(&bytes).is_ok(), fits, "{command:#x} {flags} {len}");
+        }
+    }
+}
+
+#[test]
 fn an_event_gives_back_what_it_was_made_of() {
     let fields = EventRepr {
         card: 0x1122_3344_5566_7788,

@@ -92,6 +92,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_longest_frames_are_those_of_the_last_robot_and_of_both_additions() {
+        let wsr = Dialect::Wsr { first_len: 57 };
+        assert_eq!([wsr.longest(0), wsr.longest(3)], [(57, 57 + wsr::REPLY_GROWTH), (63, 63 + wsr::REPLY_GROWTH)]);
+        for (measurement, authenticated) in [(false, false), (true, false), (false, true), (true, true)] {
+            let (forward, backward) = Dialect::Native { measurement, authenticated }.longest(3);
+            let tag = if authenticated { native::TAG_LEN } else { 0 };
+            assert_eq!(forward, native::len_with_fcs(false, false) + tag);
+            assert_eq!(backward, native::len_with_fcs(measurement, false) + tag);
+        }
+    }
+
+    #[test]
     fn airtime_is_that_of_the_standard() {
         let ht20 = |mcs| Phy { mcs, bandwidth: Bandwidth::Ht20 };
         // 57 bytes: 478 bits; 19 symbols of 26, 10 of 52, 2 of 260.

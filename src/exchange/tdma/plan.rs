@@ -323,7 +323,7 @@ mod tests {
         ] {
             let request = Request { dialect, ..Request::new(12, 100.0) };
             let plan = Plan::new(&request).unwrap();
-            assert_eq!((plan.round_us(), plan.slots), (10_000, 12));
+            assert_eq!((plan.round_us(), plan.slots, plan.rate_hz()), (10_000, 12, 100.0));
             let Err(PlanError::Rate { highest_hz, slot_us, .. }) = Plan::new(&Request { links: 32, ..request }) else {
                 panic!("32 links at 100 rounds/s must not fit");
             };

@@ -326,6 +326,19 @@ mod tests {
     }
 
     #[test]
+    fn a_turn_is_lost_after_a_silence_and_not_before() {
+        for (later_us, lost) in [(0, 0), (1, 1)] {
+            let mut tdma = robot(0, 2);
+            let begun = tdma.poll_timeout().unwrap();
+            assert!(tdma.poll_transmit(begun).is_some());
+            let start = tdma.clock.start(&tdma.plan, tdma.turn.unwrap().slot);
+            let now = start + tdma.plan.span_of(tdma.silence_slots) + Span::from_us(later_us);
+            tdma.poll_transmit(now);
+            assert_eq!((tdma.counts().overslept, tdma.has_turn()), (lost, lost == 0), "{later_us} us");
+        }
+    }
+
+    #[test]
     fn a_turn_that_was_passed_on_is_taken_back_within_half_a_silence_more() {
         for (later, cause) in [(8, Cause::TakenBack), (12, Cause::TakenBack), (13, Cause::Claimed)] {
             let (mut first, mut second) = (robot(0, 2), robot(1, 2));

@@ -88,6 +88,18 @@ mod tests {
     }
 
     #[test]
+    fn a_clock_that_stands_is_no_step_back_and_a_second_is_a_pause() {
+        let mut steps = ClockSteps::default();
+        for step_us in [0, PAUSE_US - 1, PAUSE_US, -1, -3, -2, 5] {
+            steps.note(step_us);
+        }
+        let forward_us = 2 * PAUSE_US + 4;
+        let expected =
+            ClockSteps { forward_us, steps_back: 3, furthest_back_us: 3, pauses: 1, longest_pause_us: PAUSE_US };
+        assert_eq!(steps, expected);
+    }
+
+    #[test]
     fn a_hosts_clock_that_is_set_is_seen_and_what_is_usual_is_not() {
         assert_eq!(steps(&[(0.0, 0.0), (1.0, 1.4), (2.0, 2.0), (3.0, 3.0)]), (0, 0), "records that were read late");
         assert_eq!(steps(&[(0.0, 0.0), (1.0, 3_601.0), (2.0, 3_602.0)]), (1, 3_600_000_000), "an hour on");

@@ -257,6 +257,7 @@ fn time_that_runs_back_is_taken_as_standing_still() {
     let mut tdma = Tdma::new(&configs[0]).unwrap();
     let at = tdma.poll_timeout().unwrap();
     assert!(tdma.poll_transmit(at).is_some());
+    assert_eq!(tdma.counts().time_ran_back, 0);
     assert!(tdma.poll_transmit(Instant::ZERO).is_none());
     assert_eq!(tdma.counts().time_ran_back, 1);
     assert!(tdma.poll_timeout().unwrap() > at);

@@ -222,6 +222,21 @@ fn taped_answers_to_others_are_not_heard_again() {
 }
 
 #[test]
+fn an_answer_that_comes_again_is_no_pair() {
+    let configs = everybody(2, one_link().with_dialect(request(false).dialect));
+    let mut initiator = Tdma::new(&configs[0]).unwrap();
+    let mut responder = Tdma::new(&configs[1].clone().with_initiate(false)).unwrap();
+    let now = initiator.poll_timeout().unwrap();
+    let forward = initiator.poll_transmit(now).unwrap().frame.to_vec();
+    responder.handle_heard(now, now, &forward);
+    let answer = responder.poll_transmit(now).unwrap().frame.to_vec();
+    for unmatched in 0..3 {
+        initiator.handle_heard(now, now, &answer);
+        assert_eq!((initiator.counts().answered, initiator.counts().unmatched), (1, unmatched));
+    }
+}
+
+#[test]
 fn without_a_key_answers_to_others_are_not_told_apart_by_their_age() {
     let configs = everybody(3, request(false));
     let (older, now) = (exchanges(&configs, 4, 1), exchanges(&configs, 5, 3));

@@ -154,6 +154,27 @@ fn an_answer_is_given_up_to_one_turn_around_after_its_frame_and_only_the_newest(
 }
 
 #[test]
+fn lengths_of_no_robot_are_foreign_and_an_answer_counts_once() {
+    let config = Config::new(mac(5), 1, &[mac(200)], request(3, 100.0), 1).with_initiate(true);
+    let mut tdma = Tdma::new(&config).unwrap();
+    let now = tdma.poll_timeout().unwrap();
+    let frame = tdma.poll_transmit(now).unwrap().frame.to_vec();
+    let answer = kernel_answer(&frame, 57, mac(200)).unwrap();
+    for (unmatched, heard) in [0, 1, 2].into_iter().zip([&answer; 3]) {
+        tdma.handle_heard(now, now, heard);
+        assert_eq!((tdma.counts().answered, tdma.counts().unmatched), (1, unmatched));
+    }
+    let mut buffer = [0; 120];
+    for foreign in 1..4 {
+        // Beyond the last robot's, and no answer's.
+        let repr = wsr::Repr { sender: mac(200), number: foreign, len_with_fcs: 97 };
+        let len = repr.emit(&mut buffer, &mut wsr::Lfsr::default()).unwrap();
+        tdma.handle_heard(now, now, &buffer[..len]);
+        assert_eq!(tdma.counts().foreign, u64::from(foreign));
+    }
+}
+
+#[test]
 fn robots_of_one_length_scheme_share_the_air() {
     let mut configs = everybody(5, request(5, 100.0));
     configs.iter_mut().skip(1).for_each(|config| config.initiate = false);

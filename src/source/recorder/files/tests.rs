@@ -122,17 +122,17 @@ fn a_file_is_left_for_the_next_once_it_holds_something() {
     let folder = folder("due");
     let log = folder.join("out.dat");
     let ms = |ms| Instant::ZERO + Span::from_ms(ms);
-    let rotation = Rotation { bytes: Some(19), every: Some(Span::from_ms(10)) };
+    let rotation = Rotation { bytes: Some(18), every: Some(Span::from_ms(10)) };
     let mut files = LogFiles::create(&log, rotation, false).unwrap();
     let mut made = Vec::new();
-    // 24 bytes into an empty file; 6 for the next one and 6 beside them; 6 more would fit and come too late.
-    for (at, numbers) in [(0, 0..4), (1, 4..5), (10, 5..6), (11, 6..7)] {
+    // 24 bytes into an empty file; the next is filled to its last byte; in the third 6 more would fit and come too late.
+    for (at, numbers) in [(0, 0..4), (1, 4..5), (2, 5..6), (3, 6..7), (4, 7..8), (13, 8..9), (14, 9..10)] {
         assert_eq!(files.write(&Chunk { at: ms(at), ..chunk(numbers) }).error, None);
         made.push(files.paths().len());
     }
-    assert_eq!(made, [1, 2, 2, 3]);
+    assert_eq!(made, [1, 2, 2, 2, 3, 3, 4]);
     let lengths = files.paths().iter().map(|path| std::fs::metadata(path).unwrap().len()).collect::<Vec<_>>();
-    assert_eq!(lengths, [24, 12, 6]);
+    assert_eq!(lengths, [24, 18, 12, 6]);
     std::fs::remove_dir_all(folder).unwrap();
 }
 
