@@ -18,8 +18,8 @@ type Anything<T> = Result<T, Box<dyn std::error::Error>>;
 
 /// What a robot has after a turn: its own log, the others', and where its odometry says it was.
 struct Turn {
-    own: Box<dyn CsiSource>,
-    others: Vec<Box<dyn CsiSource>>,
+    own: Box<dyn CsiSource + Send>,
+    others: Vec<Box<dyn CsiSource + Send>>,
     path: Trajectory,
 }
 
@@ -82,7 +82,7 @@ fn simulated(scene: &Scene) -> Anything<Turn> {
     let mut room = Room::new(scene)?;
     let mut own = room.backend(0).ok_or("no robot")?;
     let others = (1..4).filter_map(|robot| room.backend(robot));
-    let others = others.map(|other| Box::new(other.card) as Box<dyn CsiSource>).collect();
+    let others = others.map(|other| Box::new(other.card) as Box<dyn CsiSource + Send>).collect();
     let path = drive(&mut own.odometry)?;
     Ok(Turn { own: Box::new(own.card), others, path })
 }
@@ -95,7 +95,7 @@ fn replayed(scene: &Scene) -> Anything<Turn> {
     let capture = captures.first().ok_or("no capture")?;
     let (path, _) = csv::read(&folder.join(format!("odom_rx_trajectory_{}_.csv", capture.stamp)))?;
     let logs: Result<Vec<_>, Error> = capture.logs.iter().map(|log| Replay::open(&log.path)).collect();
-    let mut logs = logs?.into_iter().map(|log| Box::new(log) as Box<dyn CsiSource>);
+    let mut logs = logs?.into_iter().map(|log| Box::new(log) as Box<dyn CsiSource + Send>);
     Ok(Turn { own: logs.next().ok_or("no log")?, others: logs.collect(), path })
 }
 

@@ -34,6 +34,8 @@ pub(super) struct Side {
     elevation: f64,
     /// The last row is searched by another side.
     only_beside: bool,
+    /// Which samples of a row may be maxima of it.
+    high: Vec<bool>,
 }
 
 impl Side {
@@ -58,21 +60,26 @@ impl Side {
         self.search(&[], maxima);
     }
 
-    fn search(&self, next: &[f64], maxima: &mut Vec<Maximum>) {
+    fn search(&mut self, next: &[f64], maxima: &mut Vec<Maximum>) {
         let ring = self.last.len();
-        if self.only_beside {
+        if self.only_beside || ring == 0 {
             return;
         }
-        for (column, &value) in self.last.iter().enumerate() {
+        let row = &self.last;
+        // Most are below a neighbour on their own ring: said of all in a plain loop, which is vector code.
+        self.high.clear();
+        self.high.resize(ring, false);
+        for (high, around) in self.high[1..].iter_mut().zip(row.windows(3)) {
+            *high = (around[1] >= around[0]) & (around[1] >= around[2]);
+        }
+        (self.high[0], self.high[ring - 1]) = (true, true);
+        for (column, _) in self.high.iter().enumerate().filter(|(_, high)| **high) {
             let (before, after) =
                 (if column == 0 { ring - 1 } else { column - 1 }, if column + 1 == ring { 0 } else { column + 1 });
-            let around = [self.last[before], value, self.last[after]];
-            // Most are below a neighbour on their own ring.
-            if around[0] > value || around[2] > value {
-                continue;
-            }
+            let around = [row[before], row[column], row[after]];
+            let value = around[1];
             let below = |row: &[f64]| row.is_empty() || [before, column, after].iter().all(|c| row[*c] <= value);
-            if below(&self.before) && below(next) {
+            if around[0] <= value && around[2] <= value && below(&self.before) && below(next) {
                 maxima.push(Maximum { elevation: self.elevation, column, around });
             }
         }

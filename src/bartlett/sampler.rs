@@ -8,6 +8,7 @@
 use std::f64::consts::TAU;
 
 use num_complex::Complex;
+use rayon::prelude::*;
 
 use super::maxima::{Maximum, Side};
 use super::scene::Scene;
@@ -29,6 +30,8 @@ pub(super) struct Sampler<T: Real> {
     directions: Vec<[T; 3]>,
     rows: Vec<Complex<T>>,
     work: ResampleWork<T>,
+    /// Whether sums are split over the threads of the current rayon pool; they are the same numbers.
+    pub parallel: bool,
 }
 
 /// A sampled profile.
@@ -73,6 +76,8 @@ impl Scene {
 const PARTS: usize = 4;
 /// Directions that are summed before their rings are interpolated: what fits a core's own memory.
 const AT_ONCE: usize = 2_048;
+/// Directions that one thread sums at a time.
+const SPLIT: usize = 512;
 
 /// How rings are sampled.
 #[derive(Clone, Copy)]
@@ -129,7 +134,7 @@ impl Rings {
 impl<T: Real> Sampler<T> {
     pub fn new(tier: Tier) -> Self {
         let (columns, work) = (Default::default(), ResampleWork::default());
-        Self { ffts: Ffts::new(tier), columns, directions: Vec::new(), rows: Vec::new(), work }
+        Self { ffts: Ffts::new(tier), columns, directions: Vec::new(), rows: Vec::new(), work, parallel: false }
     }
 
     /// `F` on rings at the given elevations (from 0 upwards) and, unless the motion is level, at their negatives.
@@ -145,14 +150,13 @@ impl<T: Real> Sampler<T> {
             let (group, tail) = rest.split_at(rings.alike(rest));
             rest = tail;
             self.sum(tier, scene, group, rings);
-            let dense = self.work.dense.chunks_exact(rings.dense);
-            let mut dense = dense.map(|row| row.iter().map(|f| f.norm_sqr().into()));
+            let mut dense = self.work.dense.chunks_exact(rings.dense);
             for &elevation in group {
                 let evaluated = rings.evaluated(elevation);
                 if !rings.is_whole(elevation) {
-                    sides.below(dense.next().into_iter().flatten(), elevation, evaluated);
+                    sides.below(dense.next().unwrap_or_default(), elevation, evaluated);
                 }
-                sides.above(dense.next().into_iter().flatten(), elevation, evaluated);
+                sides.above(dense.next().unwrap_or_default(), elevation, evaluated);
             }
         }
         sides.end()
@@ -172,7 +176,11 @@ impl<T: Real> Sampler<T> {
         }
         let [x, y, z, re, im] = &self.columns;
         let columns = Columns { x, y, z, re, im };
-        let sums = pairs::<T>(tier.level_or_portable(), columns, &self.directions, scene.sines());
+        let of = |directions: &[[T; 3]]| pairs::<T>(tier.level_or_portable(), columns, directions, scene.sines());
+        let sums = match self.parallel {
+            true => self.directions.par_chunks(SPLIT).map(of).collect::<Vec<_>>().concat(),
+            false => of(&self.directions),
+        };
         self.rows.clear();
         let mut rest = sums.as_slice();
         for &elevation in elevations {
@@ -206,19 +214,20 @@ struct Sides {
 }
 
 impl Sides {
-    fn take(&mut self, row: impl Iterator<Item = f64>, evaluated: usize) {
+    /// Takes the sums of a row.
+    fn take<T: Real>(&mut self, row: &[Complex<T>], evaluated: usize) {
         self.row.clear();
-        self.row.extend(row);
+        self.row.extend(row.iter().map(|f| -> f64 { f.norm_sqr().into() }));
         self.sampled.rows += 1;
         self.sampled.summed += evaluated;
     }
 
-    fn above(&mut self, row: impl Iterator<Item = f64>, elevation: f64, evaluated: usize) {
+    fn above<T: Real>(&mut self, row: &[Complex<T>], elevation: f64, evaluated: usize) {
         self.take(row, evaluated);
         self.up.push(&self.row, elevation, &mut self.sampled.maxima);
     }
 
-    fn below(&mut self, row: impl Iterator<Item = f64>, elevation: f64, evaluated: usize) {
+    fn below<T: Real>(&mut self, row: &[Complex<T>], elevation: f64, evaluated: usize) {
         self.take(row, evaluated);
         // The first of them is a neighbour of the horizon, which is the last row above as yet.
         let down = self.down.get_or_insert_with(|| self.up.met_by(&self.row));

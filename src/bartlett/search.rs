@@ -68,6 +68,13 @@ impl Searcher {
         Self { tier, single: Sampler::new(tier), double: Sampler::new(tier), last: (0.0, 0) }
     }
 
+    /// The same; if `parallel`, rings are summed on all threads of the current rayon pool.
+    #[must_use]
+    pub(crate) fn with_parallel(mut self, parallel: bool) -> Self {
+        (self.single.parallel, self.double.parallel) = (parallel, parallel);
+        self
+    }
+
     /// The band limit for a radius in radians of phase: the last one if that was for one at most two percent larger.
     fn order(&mut self, radius: f64) -> usize {
         if !(0.98 * self.last.0..=self.last.0).contains(&radius) {
@@ -85,7 +92,11 @@ impl Searcher {
         self.search_with(samples, elevation_max_rad, TUNING.plane_wave.odometry_sd_m)
     }
 
-    fn search_with(
+    /// As [`Searcher::search`], with the assumed error of the positions.
+    ///
+    /// # Errors
+    /// As [`search`].
+    pub(crate) fn search_with(
         &mut self,
         samples: &Samples,
         elevation_max_rad: f64,

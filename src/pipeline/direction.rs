@@ -4,7 +4,7 @@
 //! the samples leave no doubt; motion that distinguishes up from down is searched from the nadir to the zenith.
 
 use super::options::Options;
-use crate::bartlett::{self, Estimate, Grid};
+use crate::bartlett::{self, Estimate, Grid, Searcher};
 use crate::place::near_field::Elevations;
 use crate::place::near_field::aperture::runs;
 use crate::place::near_field::mirror::{decisive, log_odds};
@@ -38,8 +38,9 @@ impl Direction {
     /// # Errors
     /// As [`bartlett::search`].
     pub fn of(samples: &Samples, options: &Options) -> Result<Self, bartlett::Error> {
-        let within = bartlett::search(samples, &options.search)?;
         let limit_rad = options.search.elevation_max_rad;
+        let mut searcher = Searcher::new(options.search.tier).with_parallel(options.parallel);
+        let within = searcher.search_with(samples, limit_rad, options.search.odometry_sd_m)?;
         let at_limit = within.elevation_searched && within.abs_elevation_rad > EDGE * limit_rad;
         let reach = Reach::of(samples, &within);
         let clear = reach == Reach::Level && !at_limit && within.value >= TUNING.elevation.clear;
@@ -54,10 +55,10 @@ impl Direction {
         // Of level motion a higher plane wave has to leave no doubt; of low motion, so may one that is told from its mirror
         // image, whatever that one explains.
         let other = if reach == Reach::Level { within.value } else { 0.0 };
-        if reach != Reach::Tall && within.elevation_searched && hopeless(samples, other, options)? {
+        if reach != Reach::Tall && within.elevation_searched && hopeless(&mut searcher, samples, other, options)? {
             return Ok(expected);
         }
-        let free = bartlett::search(samples, &options.search.with_elevation_max_rad(FRAC_PI_2))?;
+        let free = searcher.search_with(samples, FRAC_PI_2, options.search.odometry_sd_m)?;
         let signed = reach == Reach::Tall || free.elevation_searched && tells_up(samples, &free)?;
         let elevations = if signed { Elevations::Signed } else { elevations };
         Ok(Self { elevations, ..expected }.or(free))
@@ -108,7 +109,12 @@ impl Reach {
 
 /// True if no plane wave up to the zenith can be so much better than one that explains `other` of the power as to leave no
 /// doubt: by sums over runs of samples, which keep [`KEPT`] of a wave's power at least, and cost a fraction of what the samples do.
-fn hopeless(samples: &Samples, other: f64, options: &Options) -> Result<bool, bartlett::Error> {
+fn hopeless(
+    searcher: &mut Searcher,
+    samples: &Samples,
+    other: f64,
+    options: &Options,
+) -> Result<bool, bartlett::Error> {
     let reach_m = ROUGH_TURNS * samples.wavelength_m() / f64::from(samples.path_gain());
     let mut rough = Samples::new(samples.wavelength_m(), samples.path_gain())?;
     let displacement_m: Vec<Vector3<f64>> = samples.displacements_m().collect();
@@ -120,7 +126,7 @@ fn hopeless(samples: &Samples, other: f64, options: &Options) -> Result<bool, ba
         rough.push(samples.t_s()[from], sum, middle_m, Vector3::zeros())?;
     }
     let whole: f64 = samples.z().iter().map(|z| z.norm()).sum();
-    let found = bartlett::search(&rough, &options.search.with_elevation_max_rad(FRAC_PI_2))?;
+    let found = searcher.search_with(&rough, FRAC_PI_2, options.search.odometry_sd_m)?;
     let most = (found.value * (sizes / whole).powi(2) / KEPT).min(1.0);
     Ok(!decisive(log_odds(most, other)))
 }
@@ -176,7 +182,8 @@ mod tests {
             let free = bartlett::search(&samples, &options.search.with_elevation_max_rad(FRAC_PI_2)).unwrap();
             assert!(Reach::of(&samples, &within) == Reach::Low && free.elevation_searched);
             for other in [0.0, within.value] {
-                let is_hopeless = hopeless(&samples, other, &options).unwrap();
+                let mut searcher = Searcher::new(options.search.tier);
+                let is_hopeless = hopeless(&mut searcher, &samples, other, &options).unwrap();
                 looks[usize::from(is_hopeless)] += 1;
                 assert!(!is_hopeless || !decisive(log_odds(free.value, other)), "{seed} {other} {}", free.value);
             }

@@ -132,7 +132,7 @@ impl Front {
 
 /// A log being read.
 pub(crate) struct LogReader<'a> {
-    source: &'a mut dyn CsiSource,
+    source: &'a mut (dyn CsiSource + Send),
     /// What was counted and used.
     pub front: Front,
     queue: VecDeque<(Mac, FrameHeard)>,
@@ -142,7 +142,11 @@ pub(crate) struct LogReader<'a> {
 
 impl<'a> LogReader<'a> {
     /// A log from `source`, of which only `antenna` is decoded; `known` are senders that are looked for by name.
-    pub(crate) fn new(source: &'a mut dyn CsiSource, options: &Options, known: impl IntoIterator<Item = Mac>) -> Self {
+    pub(crate) fn new(
+        source: &'a mut (dyn CsiSource + Send),
+        options: &Options,
+        known: impl IntoIterator<Item = Mac>,
+    ) -> Self {
         let front = Front::new(options.antenna).with_known(known).with_key(options.key.clone());
         Self { source, front, queue: VecDeque::new(), now: Instant::ZERO, ended: false }
     }

@@ -15,6 +15,9 @@ use num_complex::{Complex32, Complex64};
 /// At 100 exchanges a second it is over a minute within one trajectory, longer than odometry stays coherent.
 const MAX_ROWS: usize = 8_192;
 
+/// Pairs of a log that are made into rows at once: enough for vector code, few enough for a core's own memory.
+const ROWS_AT_ONCE: usize = 512;
+
 /// Leaves the first of every two.
 fn every_second<T>(list: &mut Vec<T>) {
     let mut index = 0;
@@ -91,7 +94,7 @@ impl Link {
     /// The same for logs that are read to their ends: rows are made when many pairs wait for it, and by [`Self::finish`].
     #[must_use]
     pub(super) fn of_logs(self) -> Self {
-        Self { most_pending: MAX_ROWS, ..self }
+        Self { most_pending: ROWS_AT_ONCE, ..self }
     }
 
     /// Which side should be read next.
@@ -180,7 +183,7 @@ impl Link {
 
     /// Makes rows of the pairs that wait for it.
     fn settle(&mut self, options: &Options) {
-        let pending = std::mem::take(&mut self.pending);
+        let mut pending = std::mem::take(&mut self.pending);
         let heard: Vec<[&Heard; 2]> =
             pending.iter().map(|pair| [pair.transmitter.heard(), pair.receiver.heard()]).collect();
         let centres = round_trips_at_centre(&heard, &options.channel.subcarriers(), options.search.tier);
@@ -188,6 +191,9 @@ impl Link {
         self.rows.reserve(more);
         self.frames.reserve(more);
         pending.iter().zip(centres).for_each(|(pair, centre)| self.keep(pair, centre, options));
+        // Its memory is that of the next ones.
+        pending.clear();
+        self.pending = pending;
     }
 
     /// Makes a row of a pair with its round trip at the channel centre, if it is wanted.

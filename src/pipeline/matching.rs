@@ -15,23 +15,40 @@ const READ_AHEAD: usize = 32_768;
 /// Senders in the receiver's log that are tried for each transmitter's log.
 const MAX_TRANSMITTERS: usize = 64;
 
-/// The sender of most of the frames that wait: a transmitter's log may hold overheard frames of others, but the
-/// receiver sounds it in every round.
-pub(super) fn most_frequent(log: &mut LogReader<'_>) -> Result<Option<Mac>, Error> {
-    let mut counts: BTreeMap<Mac, usize> = BTreeMap::new();
-    for (mac, _) in log.read_ahead(READ_AHEAD)? {
-        *counts.entry(*mac).or_default() += 1;
+/// Reads the first frames of all logs, side by side where threads are free.
+pub(super) fn read_ahead(rx: &mut LogReader<'_>, txs: &mut [LogReader<'_>], options: &Options) -> Result<(), Error> {
+    let mut own = || rx.read_ahead(READ_AHEAD).map(|_| ());
+    let ahead = |tx: &mut LogReader<'_>| tx.read_ahead(READ_AHEAD).map(|_| ());
+    if !options.parallel {
+        own()?;
+        return txs.iter_mut().try_for_each(ahead);
     }
-    Ok(counts.into_iter().max_by_key(|(_, count)| *count).map(|(mac, _)| mac))
+    let (own, others) = rayon::join(own, || txs.par_iter_mut().map(ahead).collect::<Vec<Result<(), Error>>>());
+    own?;
+    others.into_iter().collect()
+}
+
+/// The receiver as each transmitter's log has it, unless it is named: the sender of most of the frames that wait. The log may
+/// hold overheard frames of others, but the receiver sounds the transmitter in every round.
+pub(super) fn receivers(txs: &mut [LogReader<'_>], options: &Options) -> Result<Vec<Option<Mac>>, Error> {
+    let most_frequent = |log: &mut LogReader<'_>| {
+        let mut counts: BTreeMap<Mac, usize> = BTreeMap::new();
+        for (mac, _) in log.read_ahead(READ_AHEAD)? {
+            *counts.entry(*mac).or_default() += 1;
+        }
+        Ok(counts.into_iter().max_by_key(|(_, count)| *count).map(|(mac, _)| mac))
+    };
+    txs.iter_mut().map(|log| if options.rx_mac.is_some() { Ok(options.rx_mac) } else { most_frequent(log) }).collect()
 }
 
 /// The MAC of a log's transmitter and how it was found, or why it was not.
 pub(super) type MacFound = Result<(Mac, Option<Match>), Unmatched>;
 
-/// Which MAC in the receiver's log each transmitter's log belongs to.
+/// Which MAC in the receiver's log each transmitter's log belongs to; `receivers` as [`receivers`] gives them.
 pub(super) fn find_macs(
     rx: &mut LogReader<'_>,
     txs: &mut [LogReader<'_>],
+    receivers: &[Option<Mac>],
     options: &Options,
 ) -> Result<Vec<MacFound>, Error> {
     let mut by_mac: BTreeMap<Mac, Vec<Mark>> = BTreeMap::new();
@@ -46,16 +63,15 @@ pub(super) fn find_macs(
     let macs: Vec<Mac> = busiest.iter().map(|(mac, _)| *mac).collect();
     let taken: Vec<bool> = macs.iter().map(|mac| options.tx_macs.contains(mac)).collect();
     let mut logs: Vec<Vec<Mark>> = Vec::new();
-    for tx in txs.iter_mut() {
-        let receiver = options.rx_mac.or(most_frequent(tx)?);
-        let wanted = |mac: &Mac| receiver == Some(*mac);
+    for (tx, receiver) in txs.iter_mut().zip(receivers) {
+        let wanted = |mac: &Mac| *receiver == Some(*mac);
         let marks = tx.read_ahead(READ_AHEAD)?.iter().filter(|(mac, _)| wanted(mac));
         logs.push(marks.map(|(_, heard)| (heard.number, heard.timestamp_low)).collect());
     }
     let spreads = spreads(&busiest, &logs, options);
     let mut found = assign::assign(&spreads, &taken);
     if found.iter().any(assign::is_open) {
-        let correlations = correlations(rx, txs, (&busiest, &spreads, &found), options)?;
+        let correlations = correlations(rx, txs, receivers, (&busiest, &spreads, &found))?;
         assign::settle(&mut found, &spreads, &correlations, &taken);
     }
     let settle = |(k, found): (usize, Result<Match, Unmatched>)| match options.tx_macs.get(k) {
@@ -63,12 +79,11 @@ pub(super) fn find_macs(
         None => found.map(|found| (macs[found.mac], Some(found))),
     };
     let mut settled: Vec<MacFound> = found.into_iter().enumerate().map(settle).collect();
-    for (tx, found) in txs.iter_mut().zip(&mut settled) {
-        let receiver = options.rx_mac.or(most_frequent(tx)?);
+    for (receiver, found) in receivers.iter().zip(&mut settled) {
         // Stock records carry no address: all zeros say nothing.
         if let Ok((mac, _)) = found
             && *mac != Mac([0; 6])
-            && receiver == Some(*mac)
+            && *receiver == Some(*mac)
         {
             *found = Err(Unmatched::SameSender { mac: *mac });
         }
@@ -97,13 +112,12 @@ type Unsettled<'a> = (&'a [(Mac, Vec<Mark>)], &'a [Vec<Option<Spread>>], &'a [Re
 fn correlations(
     rx: &mut LogReader<'_>,
     txs: &mut [LogReader<'_>],
+    receivers: &[Option<Mac>],
     (senders, spreads, found): Unsettled<'_>,
-    options: &Options,
 ) -> Result<Vec<Vec<Option<f64>>>, Error> {
     let mut rows = vec![Vec::new(); txs.len()];
     for (k, tx) in txs.iter_mut().enumerate().filter(|(k, _)| assign::is_open(&found[*k])) {
-        let receiver = options.rx_mac.or(most_frequent(tx)?);
-        let heard = tx.read_ahead(READ_AHEAD)?.iter().filter(|(mac, _)| receiver == Some(*mac));
+        let heard = tx.read_ahead(READ_AHEAD)?.iter().filter(|(mac, _)| receivers[k] == Some(*mac));
         let own: Vec<FrameHeard> = heard.map(|(_, heard)| *heard).collect();
         let marks: Vec<Mark> = own.iter().map(|heard| (heard.number, heard.timestamp_low)).collect();
         for ((sender, sent), spread) in senders.iter().zip(&spreads[k]) {

@@ -56,12 +56,12 @@ use crate::source::survey::Survey;
 use crate::source::{CsiSource, Error};
 use driver_iface::Mac;
 use intake::LogReader;
-use matching::{MacFound, find_macs};
+use matching::{MacFound, find_macs, read_ahead, receivers};
 
 /// One transmitter: its log and, if it moved too, its trajectory on the receiver's clock.
 pub struct Transmitter<'a> {
-    /// Its log.
-    pub log: &'a mut dyn CsiSource,
+    /// Its log; with others it is read on all threads of the current rayon pool, if [`Options::parallel`] says so.
+    pub log: &'a mut (dyn CsiSource + Send),
     /// Its displacement, if it moved.
     pub trajectory: Option<&'a Trajectory>,
 }
@@ -107,7 +107,7 @@ pub struct CaptureReport {
 /// # Errors
 /// If a log cannot be read. A link that fails is reported in its place and does not stop the others.
 pub fn bearings(
-    receiver: &mut dyn CsiSource,
+    receiver: &mut (dyn CsiSource + Send),
     transmitters: Vec<Transmitter<'_>>,
     trajectory: &Trajectory,
     options: &Options,
@@ -116,11 +116,13 @@ pub fn bearings(
     let (logs, paths): (Vec<_>, Vec<_>) = transmitters.into_iter().map(|t| (t.log, t.trajectory)).unzip();
     let mut txs: Vec<LogReader<'_>> =
         logs.into_iter().map(|log| LogReader::new(log, options, options.rx_mac)).collect();
-    let found = find_macs(&mut rx, &mut txs, options)?;
+    read_ahead(&mut rx, &mut txs, options)?;
+    let receivers = receivers(&mut txs, options)?;
+    let found = find_macs(&mut rx, &mut txs, &receivers, options)?;
     let span_us = options.span_us(trajectory);
     let link = |found: &MacFound| found.as_ref().ok().map(|(mac, _)| Link::new(*mac, span_us).of_logs());
     let mut links: Vec<Option<Link>> = found.iter().map(link).collect();
-    reading::read(&mut rx, &mut txs, &mut links, options)?;
+    reading::read(&mut rx, &mut txs, &receivers, &mut links, options)?;
     let joins: Vec<LinkJoin<'_>> = links
         .iter()
         .zip(paths)

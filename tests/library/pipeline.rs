@@ -5,7 +5,8 @@ use crate::common::root;
 use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::{Pose, Trajectory};
-use csi5300::pipeline::{Answer, Bearing, CaptureReport, Options, Transmitter, bearings};
+use csi5300::exchange::pairing::LinkSide;
+use csi5300::pipeline::{Answer, Bearing, CaptureReport, Effort, Options, Transmitter, bearings};
 use csi5300::source::replay::Replay;
 use nalgebra::{Rotation3, Vector3};
 use proptest::prelude::*;
@@ -87,6 +88,33 @@ fn an_answer_is_the_same_however_loud_both_cards_are() {
     let (quiet, loud) = (bearing(&quiet, &path).answer, bearing(&loud, &path).answer);
     assert!((quiet.azimuth_rad - loud.azimuth_rad).abs() < 1e-6, "{quiet:?} {loud:?}");
     assert!((quiet.probability.unwrap() - loud.probability.unwrap()).abs() < 1e-4);
+}
+
+#[test]
+fn threads_change_no_number() {
+    let made = link(400, 2.0);
+    let path = trajectory(&made);
+    let every_step = options().with_accuracy(options().accuracy.with_effort(Effort::Everything));
+    let answer = |options: &Options| {
+        let report = run(&made.rx, &made.tx, &path, options);
+        serde_json::to_value(Answer::new("tx".into(), &report.links[0])).unwrap()
+    };
+    let alone = answer(&every_step);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+    assert_eq!(pool.install(|| answer(&every_step.clone().with_parallel(true))), alone);
+    assert!(alone["azimuth_deg"].is_number() && alone["paths"][0].is_object(), "{alone}");
+}
+
+#[test]
+fn a_log_is_paired_whole_though_it_is_handed_out_piece_by_piece() {
+    // A piece is 8,192 frames. The transmitter's log goes on for longer.
+    let made = link(9_000, 2.0);
+    let quick = options().with_accuracy(options().accuracy.without_layers());
+    let report = run(&made.rx[..8_900], &made.tx, &trajectory(&made), &quick);
+    let link = report.links[0].link.as_ref().unwrap();
+    let [receiver, transmitter] = [LinkSide::Receiver, LinkSide::Transmitter].map(|side| link.counts(side));
+    assert_eq!([link.pairs() as u64, receiver.paired, receiver.handed], [8_900; 3]);
+    assert_eq!([transmitter.handed, transmitter.paired, transmitter.unpaired], [9_000, 8_900, 100]);
 }
 
 #[test]

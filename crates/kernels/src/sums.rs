@@ -125,8 +125,9 @@ fn some<S: Simd, T: Real, const TALL: bool, const ROUGH: bool, const N: usize>(
         }
     }
     for (i, sum) in sums.iter_mut().enumerate() {
-        let [re_cos, im_sin, im_cos, re_sin] = totals[i / lanes].map(|total| total[i % lanes]);
-        *sum = PairSum { re_cos, im_sin, im_cos, re_sin };
+        let [re_cos, im_sin, im_cos, re_sin] = &totals[i / lanes];
+        let lane = i % lanes;
+        *sum = PairSum { re_cos: re_cos[lane], im_sin: im_sin[lane], im_cos: im_cos[lane], re_sin: re_sin[lane] };
     }
 }
 

@@ -96,6 +96,8 @@ pub(super) struct SideState<T> {
     order: VecDeque<Key>,
     /// The latest keys.
     seen: VecDeque<Key>,
+    /// The highest key that ever waited: one above it repeats none.
+    highest: Option<Key>,
     pub(super) counts: SideCounts,
 }
 
@@ -108,6 +110,7 @@ impl<T> Default for SideState<T> {
             waiting: Waiting::default(),
             order: VecDeque::new(),
             seen: VecDeque::new(),
+            highest: None,
             counts: SideCounts::default(),
         }
     }
@@ -211,10 +214,12 @@ impl<T> SideState<T> {
 
     /// A placed record waits from now on; false for one whose number was there already.
     pub(super) fn wait(&mut self, key: Key, entry: Entry<T>) -> bool {
-        if self.waiting.contains_key(&key) || self.seen.contains(&key) {
+        let may_repeat = self.highest.is_some_and(|highest| key <= highest);
+        if may_repeat && (self.waiting.contains_key(&key) || self.seen.contains(&key)) {
             self.counts.duplicates += 1;
             return false;
         }
+        self.highest = self.highest.max(Some(key));
         self.seen.push_back(key);
         if self.seen.len() > (NEAR as usize) * 2 {
             self.seen.pop_front();

@@ -48,7 +48,7 @@ impl Search {
         let high = |peak: &&Scored| ((peak.score - peaks[0].score) / total).exp() >= TUNING.climb.floor;
         let high: Vec<Place> = peaks.iter().take(TUNING.climb.most).take_while(high).map(|peak| peak.place).collect();
         let climb = Climb { weights: &weights, precision: Precision::Rough, end_rad: TUNING.climb.coarse_rad };
-        let climbed = self.each(&high, |place| self.climb(&self.apertures, *place, climb));
+        let climbed = self.limits.each(&high, |place| self.climb(&self.apertures, *place, climb));
         self.evaluations += climbed.iter().map(|(_, evaluations)| evaluations).sum::<usize>();
         let places: Vec<Place> = climbed.into_iter().map(|(top, _)| top.place).collect();
         // Rough powers led there; exact ones decide which is the highest.

@@ -3,8 +3,10 @@
 use super::aperture::Aperture;
 use super::bend::BendPolynomial;
 use super::types::{Band, Place, Taper, View, Warp};
-use crate::signal::alignment::CsiRow;
+use crate::signal::alignment::planes::{LANES, Lanes};
 use crate::signal::channel::SUBCARRIERS;
+use csi5300_kernels::simd::on_tier;
+use fearless_simd::Level;
 use nalgebra::{DMatrix, Vector3};
 use num_complex::{Complex32, Complex64};
 use std::collections::BTreeMap;
@@ -56,8 +58,15 @@ pub(super) struct PreparedAperture {
 }
 
 impl PreparedAperture {
-    /// `aperture` about `middle` in `views`, for places no nearer than `1 / curve_max`.
-    pub fn new(aperture: &Aperture, middle: &Vector3<f64>, wavelength_m: f64, curve_max: f64, views: &[View]) -> Self {
+    /// `aperture` about `middle` in `views`, for places no nearer than `1 / curve_max`; made ready on `level`.
+    pub fn new(
+        aperture: &Aperture,
+        middle: &Vector3<f64>,
+        wavelength_m: f64,
+        curve_max: f64,
+        views: &[View],
+        level: Level,
+    ) -> Self {
         let mut prepared = Self {
             recorded_m: aperture.displacement_m.iter().map(|p| p - middle).collect(),
             x: Vec::new(),
@@ -67,7 +76,7 @@ impl PreparedAperture {
             turn_m: (wavelength_m / f64::from(aperture.path_gain)) as f32,
             curve_max,
             polynomial: None,
-            views: PreparedView::all(aperture, views).into(),
+            views: PreparedView::all(aperture, views, level).into(),
         };
         prepared.warp(&Warp::default());
         prepared
@@ -153,13 +162,13 @@ impl PreparedAperture {
 
 impl PreparedView {
     /// All `views`: those of one band share its columns.
-    fn all(aperture: &Aperture, views: &[View]) -> Vec<Self> {
+    fn all(aperture: &Aperture, views: &[View], level: Level) -> Vec<Self> {
         let mut bands: BTreeMap<usize, Principal> = BTreeMap::new();
         let mut prepared = |view: &View| match view.band {
             Band::Centre => Self::of_centre(aperture, view),
             Band::Subcarriers(count) => {
                 let count = count.clamp(1, SUBCARRIERS);
-                Self::of_subcarriers(bands.entry(count).or_insert_with(|| principal(aperture, count)), view)
+                Self::of_subcarriers(bands.entry(count).or_insert_with(|| principal(aperture, count, level)), view)
             }
         };
         views.iter().map(&mut prepared).collect()
@@ -219,49 +228,71 @@ fn cuts(n: usize, view: &View) -> Vec<(usize, Vec<f64>)> {
 /// orthogonal basis, and in that of their correlation nearly all of it that is more than noise is in the first
 /// [`ABREAST`] (of up to six subcarriers) or twice as many columns. What is left out can only lower a power, by its
 /// share of the energy at most. Beside them the full energy of each sample.
-fn principal(aperture: &Aperture, count: usize) -> Principal {
+fn principal(aperture: &Aperture, count: usize, level: Level) -> Principal {
     let lowest = (SUBCARRIERS - count) / 2;
-    let band = |row: &CsiRow| -> Vec<Complex32> { row[lowest..lowest + count].to_vec() };
-    let rows: Vec<Vec<Complex32>> = aperture.rows.iter().map(band).collect();
+    let rows: Vec<&[Complex32]> = aperture.rows.iter().map(|row| &row[lowest..lowest + count]).collect();
     let energies = rows.iter().map(|row| f64::from(row.iter().map(Complex32::norm_sqr).sum::<f32>())).collect();
     let chunks = if count <= 2 * ABREAST { 1 } else { 2 };
-    let bases = strongest(&rows, count, chunks * ABREAST);
-    let chunk = |bases: &[Vec<Complex32>]| {
-        let sample = |row: &Vec<Complex32>| -> Abreast {
-            std::array::from_fn(|i| {
-                let value: Complex32 = row.iter().zip(&bases[i]).map(|(a, b)| a * b).sum();
-                (value.re, value.im)
-            })
-        };
-        rows.iter().map(sample).collect()
+    let bases = strongest(correlation(&rows, count, level), chunks * ABREAST);
+    (on_tier!(level, _simd => projected(&rows, &bases, chunks)), energies)
+}
+
+/// Places for the columns of all bases: real and imaginary parts apart, side by side.
+type Side = [f32; 8];
+
+/// The rows in the basis of each of `bases`, [`ABREAST`] to a chunk.
+#[inline(always)]
+fn projected(rows: &[&[Complex32]], bases: &[Vec<Complex32>], chunks: usize) -> Vec<Vec<Abreast>> {
+    let part = |k: usize, of: fn(&Complex32) -> f32| -> Side {
+        std::array::from_fn(|i| bases.get(i).and_then(|basis| basis.get(k)).map_or(0.0, of))
     };
-    (bases.chunks(ABREAST).map(chunk).collect(), energies)
+    let by_subcarrier: Vec<[Side; 2]> =
+        (0..SUBCARRIERS).map(|k| [part(k, |value| value.re), part(k, |value| value.im)]).collect();
+    let mut columns = vec![Vec::with_capacity(rows.len()); chunks];
+    for row in rows {
+        let (mut re, mut im): (Side, Side) = ([0.0; 8], [0.0; 8]);
+        for (value, [basis_re, basis_im]) in row.iter().zip(&by_subcarrier) {
+            for i in 0..re.len() {
+                re[i] += value.re * basis_re[i] - value.im * basis_im[i];
+                im[i] += value.re * basis_im[i] + value.im * basis_re[i];
+            }
+        }
+        for (chunk, column) in columns.iter_mut().enumerate() {
+            column.push(std::array::from_fn(|i| (re[chunk * ABREAST + i], im[chunk * ABREAST + i])));
+        }
+    }
+    columns
 }
 
 /// `sum conj(row[i]) row[k]` of the `count` columns of `rows`.
-fn correlation(rows: &[Vec<Complex32>], count: usize) -> DMatrix<Complex64> {
-    // Real and imaginary parts apart, along k: plain loops, which vectors follow.
-    let mut sums = [[[0f32; SUBCARRIERS]; 2]; SUBCARRIERS];
-    let (mut re, mut im) = ([0f32; SUBCARRIERS], [0f32; SUBCARRIERS]);
-    for row in rows {
-        for ((re, im), value) in re.iter_mut().zip(&mut im).zip(row) {
-            (*re, *im) = (value.re, value.im);
-        }
-        for (i, (value, [sum_re, sum_im])) in row.iter().zip(&mut sums).enumerate() {
-            let others = re[i..count].iter().zip(&im[i..count]);
-            for ((sum_re, sum_im), (re, im)) in sum_re[i..].iter_mut().zip(&mut sum_im[i..]).zip(others) {
-                *sum_re += value.re * re + value.im * im;
-                *sum_im += value.re * im - value.im * re;
-            }
-        }
-    }
+fn correlation(rows: &[&[Complex32]], count: usize, level: Level) -> DMatrix<Complex64> {
+    let mut sums = [[[0f32; LANES]; 2]; SUBCARRIERS];
+    on_tier!(level, _simd => correlate(rows, &mut sums));
     let above = |i: usize, k: usize| Complex64::new(f64::from(sums[i][0][k]), f64::from(sums[i][1][k]));
     DMatrix::from_fn(count, count, |i, k| if i <= k { above(i, k) } else { above(k, i).conj() })
 }
 
-/// The `most` strongest eigenvectors of the correlation of the `count` columns of `rows`; zeros where there are fewer.
-fn strongest(rows: &[Vec<Complex32>], count: usize, most: usize) -> Vec<Vec<Complex32>> {
-    let eigen = correlation(rows, count).symmetric_eigen();
+/// Adds up `conj(row[i]) row[k]`: real and imaginary parts apart, along k: plain loops, which vectors follow.
+#[inline(always)]
+fn correlate(rows: &[&[Complex32]], sums: &mut [[Lanes; 2]; SUBCARRIERS]) {
+    let (mut re, mut im): (Lanes, Lanes) = ([0.0; LANES], [0.0; LANES]);
+    for row in rows {
+        for ((re, im), value) in re.iter_mut().zip(&mut im).zip(*row) {
+            (*re, *im) = (value.re, value.im);
+        }
+        for (value, [sum_re, sum_im]) in row.iter().zip(&mut *sums) {
+            for k in 0..LANES {
+                sum_re[k] += value.re * re[k] + value.im * im[k];
+                sum_im[k] += value.re * im[k] - value.im * re[k];
+            }
+        }
+    }
+}
+
+/// The `most` strongest eigenvectors of a correlation; zeros where there are fewer.
+fn strongest(correlation: DMatrix<Complex64>, most: usize) -> Vec<Vec<Complex32>> {
+    let count = correlation.nrows();
+    let eigen = correlation.symmetric_eigen();
     let mut order: Vec<usize> = (0..count).collect();
     order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
     let basis = |place: usize| -> Vec<Complex32> {

@@ -14,7 +14,6 @@ use crate::maths::wrap_rad;
 use crate::signal::channel::SUBCARRIERS;
 use fearless_simd::Level;
 use nalgebra::Vector3;
-use rayon::prelude::*;
 use std::f64::consts::TAU;
 
 /// Steps along a ridge at most, and the shares of each that are tried.
@@ -95,13 +94,14 @@ impl Search {
         let views: Vec<View> = layers.iter().flat_map(|(_, views)| views.iter().copied()).collect();
         let extent = Extent { radius_m, height_share: height_share(layers, &middle_m, radius_m) };
         let axes_of = |gain: u8| axes(extent, TAU * f64::from(gain) * radius_m / wavelength_m, curve_max, limits);
+        let level = limits.tier.level_or_portable();
         let prepared = |(aperture, views): &(&Aperture, &[View])| {
-            PreparedAperture::new(aperture, &middle_m, wavelength_m, curve_max, views)
+            PreparedAperture::new(aperture, &middle_m, wavelength_m, curve_max, views, level)
         };
         Some(Self {
             axes: axes_of(gain)?,
             own_axes: layers.iter().map(|(aperture, _)| axes_of(aperture.path_gain)).collect::<Option<_>>()?,
-            apertures: layers.iter().map(prepared).collect(),
+            apertures: limits.each(layers, prepared),
             weights: Weights::of(&views),
             averaging: Vec::new(),
             reference,
@@ -230,14 +230,6 @@ impl Search {
     /// Where the samples of the first aperture are, about the middle, metres.
     pub(super) fn offsets_m(&self) -> Vec<Vector3<f64>> {
         self.apertures.first().map(PreparedAperture::offsets_m).unwrap_or_default()
-    }
-
-    /// `work` of each item: on all threads of the current pool, if the search may have them.
-    pub(super) fn each<T: Sync, U: Send>(&self, items: &[T], work: impl Fn(&T) -> U + Send + Sync) -> Vec<U> {
-        match self.limits.parallel {
-            true => items.par_iter().map(work).collect(),
-            false => items.iter().map(work).collect(),
-        }
     }
 
     pub(super) fn level(&self) -> Level {

@@ -57,7 +57,7 @@ impl Search {
             return powers(self.level(), std::slice::from_ref(aperture), places, Precision::Rough);
         };
         let sectors: Vec<_> = places.chunks(*each).zip(thinnings).collect();
-        self.each(&sectors, |(places, thinning)| {
+        self.limits.each(&sectors, |(places, thinning)| {
             let thin = [aperture.summed(self.level(), thinning, runs)];
             powers(self.level(), &thin, places, Precision::Rough)
         })

@@ -4,6 +4,7 @@ use crate::bartlett::{Tier, direction};
 use crate::signal::channel::SUBCARRIERS;
 use crate::tuning::TUNING;
 use nalgebra::Vector3;
+use rayon::prelude::*;
 use std::f64::consts::FRAC_PI_2;
 
 /// How a trajectory is cut into windows.
@@ -132,6 +133,14 @@ impl Limits {
     #[must_use]
     pub fn with_elevations(self, elevations: Elevations) -> Self {
         Self { elevations, ..self }
+    }
+
+    /// `work` of each item, in their order: on all threads of the current pool, if the search may have them.
+    pub(super) fn each<T: Sync, U: Send>(&self, items: &[T], work: impl Fn(&T) -> U + Send + Sync) -> Vec<U> {
+        match self.parallel {
+            true => items.par_iter().map(work).collect(),
+            false => items.iter().map(work).collect(),
+        }
     }
 
     /// Lowest and highest elevation that are searched, radians.

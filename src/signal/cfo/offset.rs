@@ -79,22 +79,63 @@ pub(super) fn along(course: &[(f64, f64)], x: f64) -> Option<f64> {
     Some(if run > 0.0 { left.1 + (right.1 - left.1) * ((x - left.0) / run).clamp(0.0, 1.0) } else { left.1 })
 }
 
+/// Terms side by side, and partial sums.
+const ABREAST: usize = 8;
+
+/// Some terms: real and imaginary parts as they are turned, and those of what turns each from one offset to the next.
+#[derive(Clone, Copy, Default)]
+struct Turned {
+    re: [f64; ABREAST],
+    im: [f64; ABREAST],
+    by_re: [f64; ABREAST],
+    by_im: [f64; ABREAST],
+}
+
+/// The terms on a grid of offsets: from one to the next each turns by the same.
+struct Turning(Vec<Turned>);
+
+impl Turning {
+    fn new(terms: &[Term], from_hz: f64, step_hz: f64) -> Self {
+        let turn = |term: &Term, hz: f64| Complex64::cis(TAU * hz * 1e-6 * term.second_us);
+        let abreast = |terms: &[Term]| {
+            let mut turned = Turned::default();
+            for (i, term) in terms.iter().enumerate() {
+                let (first, by) = (term.sum * turn(term, from_hz), turn(term, step_hz));
+                (turned.re[i], turned.im[i], turned.by_re[i], turned.by_im[i]) = (first.re, first.im, by.re, by.im);
+            }
+            turned
+        };
+        Self(terms.chunks(ABREAST).map(abreast).collect())
+    }
+
+    /// The sum of all terms at this offset, the first on the grid at first; turns them to the next.
+    fn next(&mut self) -> Complex64 {
+        let (mut re, mut im) = ([0.0; ABREAST], [0.0; ABREAST]);
+        for own in &mut self.0 {
+            for i in 0..ABREAST {
+                re[i] += own.re[i];
+                im[i] += own.im[i];
+                let turned = own.re[i] * own.by_re[i] - own.im[i] * own.by_im[i];
+                own.im[i] = own.re[i] * own.by_im[i] + own.im[i] * own.by_re[i];
+                own.re[i] = turned;
+            }
+        }
+        Complex64::new(re.iter().sum(), im.iter().sum())
+    }
+}
+
 /// The offset within `reach_hz` of `near_hz` at which the terms' sum is largest: a grid, then golden sections.
 pub(super) fn maximise(terms: &[Term], near_hz: f64, reach_hz: f64) -> f64 {
     let step_hz = TUNING.turn_around.step_hz;
     let steps = (reach_hz / step_hz) as i32;
     let from_hz = near_hz - f64::from(steps) * step_hz;
-    let turn = |term: &Term, hz: f64| Complex64::cis(TAU * hz * 1e-6 * term.second_us);
-    // From one offset of the grid to the next each term turns by the same.
-    let mut turned: Vec<Complex64> = terms.iter().map(|term| term.sum * turn(term, from_hz)).collect();
-    let by: Vec<Complex64> = terms.iter().map(|term| turn(term, step_hz)).collect();
+    let mut turning = Turning::new(terms, from_hz, step_hz);
     let mut best = (f64::NEG_INFINITY, near_hz);
     for k in 0..=2 * steps {
-        let value = turned.iter().sum::<Complex64>().norm_sqr();
+        let value = turning.next().norm_sqr();
         if value > best.0 {
             best = (value, from_hz + f64::from(k) * step_hz);
         }
-        turned.iter_mut().zip(&by).for_each(|(turned, by)| *turned *= by);
     }
     let f = |hz: f64| sum_at(terms, hz).norm_sqr();
     let ratio = (5f64.sqrt() - 1.0) / 2.0;
@@ -113,4 +154,27 @@ pub(super) fn maximise(terms: &[Term], near_hz: f64, reach_hz: f64) -> f64 {
         }
     }
     0.5 * (low + high)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn terms_turn_from_offset_to_offset_as_each_by_itself() {
+        for count in [1, 7, 8, 41] {
+            let term = |k: usize| Term {
+                second_us: 3.0 * k as f64 - 50.0,
+                sum: Complex64::from_polar(1.0 + k as f64, 0.7 * k as f64),
+                count: 1.0,
+            };
+            let terms: Vec<Term> = (0..count).map(term).collect();
+            let mut turning = Turning::new(&terms, -2_000.0, 25.0);
+            for k in 0..200 {
+                let expected = sum_at(&terms, -2_000.0 + 25.0 * f64::from(k));
+                let found = turning.next();
+                assert!((found - expected).norm() < 1e-9 * (1.0 + expected.norm()), "{count} {k}: {found} {expected}");
+            }
+        }
+    }
 }

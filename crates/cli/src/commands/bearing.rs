@@ -171,7 +171,7 @@ pub fn run(mut args: Args) -> Result {
     let transmitters = logs
         .iter_mut()
         .enumerate()
-        .map(|(k, log)| Transmitter { log: log as &mut dyn CsiSource, trajectory: partners.get(k) })
+        .map(|(k, log)| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: partners.get(k) })
         .collect();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.min(64));
     pool.build_global().map_err(|error| error.to_string())?;

@@ -6,7 +6,6 @@ use super::{Outcome, Result, print, print_json, simulate};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Bearing, CaptureReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::CsiSource;
 use csi5300_lab::suite::{Standing, standing};
 use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::{Scene, WrittenCapture};
@@ -212,7 +211,7 @@ fn files(capture: &WrittenCapture) -> (PathBuf, PathBuf, PathBuf) {
 fn estimate(rx: &Path, tx: &Path, trajectory: &Path, options: &Options) -> Words<CaptureReport> {
     let (mut receiver, mut transmitter) = (super::open_log(rx)?, super::open_log(tx)?);
     let path = super::read_trajectory(trajectory)?;
-    let transmitters = vec![Transmitter { log: &mut transmitter as &mut dyn CsiSource, trajectory: None }];
+    let transmitters = vec![Transmitter { log: &mut transmitter, trajectory: None }];
     bearings(&mut receiver, transmitters, &path, options).map_err(|error| error.to_string())
 }
 

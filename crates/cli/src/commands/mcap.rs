@@ -139,7 +139,7 @@ fn estimate(
     let mut receiver = super::open_log(receiver)?;
     let mut logs = others.iter().map(|path| super::open_log(path)).collect::<std::result::Result<Vec<_>, _>>()?;
     let transmitters =
-        logs.iter_mut().map(|log| Transmitter { log: log as &mut dyn CsiSource, trajectory: None }).collect();
+        logs.iter_mut().map(|log| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: None }).collect();
     let report = bearings(&mut receiver, transmitters, trajectory, options).map_err(text)?;
     let mut rows = Vec::new();
     for (name, link) in names.iter().skip(1).zip(&report.links) {

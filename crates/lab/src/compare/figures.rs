@@ -113,8 +113,8 @@ const TRUTH_HZ: f64 = 180.0;
 /// # Errors
 /// If a log cannot be read or the two have no frame in common.
 pub fn measure(
-    receiver: &mut dyn CsiSource,
-    transmitter: &mut dyn CsiSource,
+    receiver: &mut (dyn CsiSource + Send),
+    transmitter: &mut (dyn CsiSource + Send),
     trajectory: &Trajectory,
     displaced: Option<&Trajectory>,
     options: &Options,

@@ -75,7 +75,7 @@ pub struct SideFigures {
 
 /// A source that is passed on as it is, with its records' figures collected on the way.
 pub struct Observed<'a> {
-    source: &'a mut dyn CsiSource,
+    source: &'a mut (dyn CsiSource + Send),
     indices: [i8; SUBCARRIERS],
     survey: Survey,
     unwrap: Unwrap32,
@@ -84,7 +84,7 @@ pub struct Observed<'a> {
 
 impl<'a> Observed<'a> {
     /// Observes `source`; the subcarrier `indices` are those of its channel.
-    pub fn new(source: &'a mut dyn CsiSource, indices: [i8; SUBCARRIERS]) -> Self {
+    pub fn new(source: &'a mut (dyn CsiSource + Send), indices: [i8; SUBCARRIERS]) -> Self {
         Self { source, indices, survey: Survey::default(), unwrap: Unwrap32::default(), senders: BTreeMap::new() }
     }
 

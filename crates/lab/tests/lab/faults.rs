@@ -258,7 +258,7 @@ fn a_killed_loggers_tail_is_what_the_log_lacks() {
     let (trajectory, _) = csv::read(&path).unwrap();
     let mut logs: Vec<Replay<_>> = captures[0].logs.iter().map(|log| Replay::open(&log.path).unwrap()).collect();
     let (rx, tx) = logs.split_at_mut(1);
-    let transmitters = vec![Transmitter { log: &mut tx[0] as &mut dyn CsiSource, trajectory: None }];
+    let transmitters = vec![Transmitter { log: &mut tx[0], trajectory: None }];
     let report = bearings(&mut rx[0], transmitters, &trajectory, &options()).unwrap();
     std::fs::remove_dir_all(&folder).unwrap();
     let injected = room.injected();

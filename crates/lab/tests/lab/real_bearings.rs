@@ -5,7 +5,7 @@
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{JoinBy, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::{CsiSource, replay::Replay};
+use csi5300::source::replay::Replay;
 use csi5300_lab::evaluate::quality::{ranges, receivers};
 use csi5300_lab::evaluate::{Capture, Errors, Judged, TrajectorySource, find};
 use rayon::prelude::*;
@@ -103,7 +103,7 @@ fn paper(captures: &Path, shape: &str, name: &str, join: JoinBy, transmitter_m: 
     let (mut rx, mut tx) = (log("rx"), log("tx"));
     let path = folder.join(format!("rx_movement_{name}.csv"));
     let (trajectory, _) = csi5300::motion::odometry::csv::read(&path).unwrap();
-    let transmitters = vec![Transmitter { log: &mut tx as &mut dyn CsiSource, trajectory: None }];
+    let transmitters = vec![Transmitter { log: &mut tx, trajectory: None }];
     let report = bearings(&mut rx, transmitters, &trajectory, &options(join)).unwrap();
     let bearing = report.links[0].bearing.as_ref().unwrap_or_else(|error| panic!("{shape} {name}: {error}"));
     let from = bearing.mean_position_m;

@@ -363,7 +363,7 @@ fn compare(capture: &Path) -> usize {
     let (path, _) = csi5300::motion::odometry::csv::read(trajectory).unwrap();
     let mut logs: Vec<_> = txs.iter().map(|tx| Replay::open(tx).unwrap()).collect();
     let transmitters =
-        logs.iter_mut().map(|log| Transmitter { log: log as &mut dyn CsiSource, trajectory: None }).collect();
+        logs.iter_mut().map(|log| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: None }).collect();
     let options = csi5300::pipeline::Options::new("108".parse().unwrap());
     let offline = bearings(&mut Replay::open(rx).unwrap(), transmitters, &path, &options).unwrap();
     // The receiver's own MAC is the sender of most frames in a transmitter's log.
