@@ -143,6 +143,8 @@ pub(super) fn refocus(links: &mut [&mut (Placed, Search)], parallel: bool) {
         if let Some(fix) = search.run() {
             placed.fix = fix;
         }
+        // They were those of the trajectory as it was.
+        placed.paths.clear();
     };
     match (focus.worthwhile, parallel) {
         (true, true) => links.par_iter_mut().for_each(again),
@@ -151,13 +153,18 @@ pub(super) fn refocus(links: &mut [&mut (Placed, Search)], parallel: bool) {
     }
 }
 
-/// What is taken from a search when it is over: the paths, and maps for pictures. Of one wave that leaves nothing but noise
-/// the only path is the answer.
-pub(super) fn extract((mut placed, mut search): (Placed, Search), one_wave: bool, options: &Options) -> Placed {
-    if options.accuracy.paths {
+/// Finds the paths where they are asked for and not found yet. Of one wave that leaves nothing but noise the only path is the
+/// answer.
+pub(super) fn find_paths(placed: &mut Placed, search: &mut Search, one_wave: bool, options: &Options) {
+    if options.accuracy.paths && placed.paths.is_empty() {
         let best = placed.fix.best();
         placed.paths = if one_wave { vec![Path::only(&best)] } else { search.paths(&best) };
     }
+}
+
+/// What is taken from a search when it is over: the paths, and maps for pictures.
+pub(super) fn extract((mut placed, mut search): (Placed, Search), one_wave: bool, options: &Options) -> Placed {
+    find_paths(&mut placed, &mut search, one_wave, options);
     if options.keep_maps {
         placed.maps = Some(search.maps(MAP_AZIMUTHS));
     }

@@ -1,11 +1,12 @@
-//! From the pairs of all links of a capture to their bearings, in steps: clocks, compensation, gate, search, accuracy;
-//! then what takes all links together, and what each search still gives.
+//! From the pairs of a link to its bearing, in steps: clocks, compensation, gate, search, accuracy; then what the search still
+//! gives.
 
 use super::accurate::{self, Placed};
 use super::bearing::{Bearing, BearingAnswer, PairCounts, ProfileFigures};
 use super::direction::Direction;
 use super::effort::{Least, Sufficient};
 use super::error::LinkError;
+use super::joint::LinkJoin;
 use super::link::{Link, PairRow};
 use super::options::{JoinBy, Options};
 use super::slope::Slope;
@@ -20,63 +21,20 @@ use crate::signal::samples::Samples;
 use crate::tuning::TUNING;
 use nalgebra::Vector3;
 use num_complex::Complex64;
-use rayon::prelude::*;
 use std::ops::Range;
 
 /// The time of a pair whose time is not known: no pose is that late, so the single pair is counted and the link goes on.
 const NEVER_S: f64 = f64::MAX;
 
-/// A link and the trajectories that its pairs are joined with, both on the receiver's clock.
-#[derive(Clone, Copy, Debug)]
-pub struct LinkJoin<'a> {
-    /// The link, with all its pairs.
-    pub link: &'a Link,
-    /// The receiver's trajectory: the same for all links of one call.
-    pub receiver: &'a Trajectory,
-    /// The transmitter's, if it moved.
-    pub transmitter: Option<&'a Trajectory>,
-}
-
-/// The bearings of all links of a capture, in their order. Together, because autofocus finds what the trajectory that
-/// they share lacks from all of them; a single link is a capture of one.
-///
-/// Each is an error by itself: see [`LinkError`].
-#[must_use]
-pub fn estimate(links: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bearing, LinkError>> {
-    let begin = |join: &LinkJoin<'_>| Draft::begin(join, options);
-    let mut drafts: Vec<Result<Draft, LinkError>> = match options.parallel {
-        true => links.par_iter().map(begin).collect(),
-        false => links.iter().map(begin).collect(),
-    };
-    if options.accuracy.focus {
-        // What links share is the receiver's trajectory: the displacements of a moving transmitter are no path of it. One
-        // link that it leaves nothing but noise of shows that it is right.
-        let still = |draft: &&mut Draft| !draft.bearing.samples.transmitter_moves();
-        let is_right = drafts.iter().flatten().any(|draft| draft.bearing.sufficient.explains_all());
-        let placed = drafts.iter_mut().flatten().filter(still).filter_map(|draft| draft.placed.as_mut());
-        accurate::refocus(&mut placed.filter(|_| !is_right).collect::<Vec<_>>(), options.parallel);
-    }
-    let finish = |draft: Result<Draft, LinkError>| draft.map(|draft| draft.finish(options));
-    match options.parallel {
-        true => drafts.into_par_iter().map(finish).collect(),
-        false => drafts.into_iter().map(finish).collect(),
-    }
-}
-
-/// The bearing of one link by itself: a capture of one.
-pub(super) fn estimate_one(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing, LinkError> {
-    Ok(Draft::begin(join, options)?.finish(options))
-}
-
 /// A bearing before what takes all links of a capture: its search is still open.
-struct Draft {
-    placed: Option<(Placed, Search)>,
+pub(super) struct Draft {
+    pub placed: Option<(Placed, Search)>,
     slope: Option<Slope>,
-    bearing: Bearing,
+    pub bearing: Bearing,
 }
 
 impl Draft {
-    fn begin(join: &LinkJoin<'_>, options: &Options) -> Result<Self, LinkError> {
+    pub fn begin(join: &LinkJoin<'_>, options: &Options) -> Result<Self, LinkError> {
         let LinkJoin { link, receiver, transmitter } = *join;
         something(link, receiver, options)?;
         let phases = Compensated::new(link, options);
@@ -143,8 +101,15 @@ impl Draft {
         }
     }
 
+    /// Finds the paths on the trajectory as it is.
+    pub fn find_paths(&mut self, options: &Options) {
+        if let Some((placed, search)) = &mut self.placed {
+            accurate::find_paths(placed, search, self.bearing.sufficient.explains_all(), options);
+        }
+    }
+
     /// The bearing; its search is spent.
-    fn finish(self, options: &Options) -> Bearing {
+    pub fn finish(self, options: &Options) -> Bearing {
         let Self { placed, slope, mut bearing } = self;
         if let Some(placed) = placed {
             let placed = accurate::extract(placed, bearing.sufficient.explains_all(), options);

@@ -162,6 +162,15 @@ impl<'a> LogReader<'a> {
         Ok(&self.queue)
     }
 
+    /// As [`Self::read_ahead`], and gives those frames away.
+    ///
+    /// # Errors
+    /// If the source fails.
+    pub(crate) fn take_ahead(&mut self, limit: usize) -> Result<VecDeque<(Mac, FrameHeard)>, Error> {
+        self.read_ahead(limit)?;
+        Ok(std::mem::take(&mut self.queue))
+    }
+
     /// The next frame in the log, or `None` at its end.
     ///
     /// # Errors

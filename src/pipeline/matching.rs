@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 
 /// Frames of each log that are read ahead to find out which transmitter wrote which log.
-const READ_AHEAD: usize = 32_768;
+pub(super) const READ_AHEAD: usize = 32_768;
 /// Senders in the receiver's log that are tried for each transmitter's log.
 const MAX_TRANSMITTERS: usize = 64;
 

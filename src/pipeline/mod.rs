@@ -12,6 +12,7 @@
 //! | of motion that is too wide to be searched at once, the stretch that tells most | `stretch` |
 //! | what motion along a climbing line leaves open | `slope` |
 //! | spherical waves over all subcarriers, autofocus over all links, paths | `accurate` |
+//! | all links of a capture, side by side and together | `joint` |
 //! | the same while robots drive, over the last metres | [`live`] |
 //! | the answer, as values and as a line of JSON | `bearing`, `answer`, `explain` |
 //! | what it says of the transmitter's place, for a filter over several motions | `evidence`, `carried` |
@@ -28,6 +29,7 @@ mod error;
 mod evidence;
 mod explain;
 pub(crate) mod intake;
+mod joint;
 mod link;
 pub mod live;
 mod matching;
@@ -41,12 +43,12 @@ pub use answer::{Answer, PathAnswer, lost_something};
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
 pub use capture::{Capture, CaptureError};
 pub use carried::{CarriedAnswer, CarriedCandidate, StretchAnswer};
-pub(crate) use draft::{LinkJoin, estimate};
 pub use effort::{Reason, Risk, Sufficient};
 pub use error::LinkError;
 pub use explain::{LinkPlan, StepPlan};
 pub use intake::UnusedRecords;
 pub(crate) use intake::{FrameHeard, Front};
+pub(crate) use joint::{LinkJoin, estimate};
 pub use link::Link;
 pub use options::{Accuracy, Effort, JoinBy, Options};
 

@@ -2,6 +2,7 @@
 
 use super::intake::{FrameHeard, LogReader};
 use super::link::Link;
+use super::matching::READ_AHEAD;
 use super::options::Options;
 use crate::exchange::pairing::LinkSide;
 use crate::source::Error;
@@ -9,21 +10,21 @@ use driver_iface::Mac;
 use rayon::prelude::*;
 use std::collections::VecDeque;
 
-/// Frames of the receiver's log that are handed out to the links at a time.
-const HANDED: usize = 8_192;
+/// Frames of the receiver's log with their senders.
+type Piece = VecDeque<(Mac, FrameHeard)>;
 
 /// A link with what it is fed from.
 struct Feed<'a, 's> {
     link: &'a mut Option<Link>,
-    /// What the receiver heard of the link's transmitter and the link has not taken yet.
-    inbox: VecDeque<FrameHeard>,
+    /// The sender whose frames in the receiver's log are the link's; none if it is another one's, too.
+    mac: Option<Mac>,
     tx: &'a mut LogReader<'s>,
     /// The sender of the frames in the transmitter's log that are of use; none for all of them.
     receiver: Option<Mac>,
 }
 
 /// Reads all logs to their ends, for each link always the one that is behind in frame number, so that no clock offset between
-/// the robots, however large, makes frames wait longer than their own order asks for. The receiver's log is handed out piece by
+/// the robots, however large, makes frames wait longer than their own order asks for. The receiver's log is taken piece by
 /// piece; of each piece links take their frames side by side.
 pub(super) fn read(
     rx: &mut LogReader<'_>,
@@ -32,11 +33,18 @@ pub(super) fn read(
     links: &mut [Option<Link>],
     options: &Options,
 ) -> Result<(), Error> {
-    let feed = |((link, tx), receiver)| Feed { link, inbox: VecDeque::new(), tx, receiver };
-    let mut feeds: Vec<Feed<'_, '_>> = links.iter_mut().zip(txs).zip(receivers.iter().copied()).map(feed).collect();
+    let macs: Vec<Option<Mac>> = links.iter().map(|link| link.as_ref().map(|link| link.mac)).collect();
+    // Of two links with one sender the first has its frames.
+    let mac = |k: usize| macs[k].filter(|mac| !macs[..k].contains(&Some(*mac)));
+    let feed = |(k, ((link, tx), receiver))| Feed { link, mac: mac(k), tx, receiver };
+    let each = links.iter_mut().zip(txs).zip(receivers.iter().copied()).enumerate();
+    let mut feeds: Vec<Feed<'_, '_>> = each.map(feed).collect();
     loop {
-        let is_last = hand_out(rx, &mut feeds)?;
-        let take = |feed: &mut Feed<'_, '_>| feed.take(is_last, options);
+        let piece = rx.take_ahead(READ_AHEAD)?;
+        let is_last = rx.is_done();
+        let of_others = piece.iter().filter(|(mac, _)| !macs.contains(&Some(*mac))).count();
+        rx.front.log.unused.other_sender += of_others as u64;
+        let take = |feed: &mut Feed<'_, '_>| feed.take(&piece, is_last, options);
         let taken: Vec<Result<(), Error>> = match options.parallel {
             true => feeds.par_iter_mut().map(take).collect(),
             false => feeds.iter_mut().map(take).collect(),
@@ -48,28 +56,19 @@ pub(super) fn read(
     }
 }
 
-/// Hands out the next piece of the receiver's log; true if that was the last.
-fn hand_out(rx: &mut LogReader<'_>, feeds: &mut [Feed<'_, '_>]) -> Result<bool, Error> {
-    for _ in 0..HANDED {
-        let Some((mac, heard)) = rx.next_frame()? else { return Ok(true) };
-        match feeds.iter_mut().find(|feed| feed.link.as_ref().is_some_and(|link| link.mac == mac)) {
-            Some(feed) => feed.inbox.push_back(heard),
-            None => rx.front.log.unused.other_sender += 1,
-        }
-    }
-    Ok(false)
-}
-
 impl Feed<'_, '_> {
-    /// Takes what was handed out, and of the transmitter's log what goes before it; after the last piece all of it.
-    fn take(&mut self, is_last: bool, options: &Options) -> Result<(), Error> {
+    /// Takes the link's frames of a piece, and of the transmitter's log what goes before them; after the last piece all of it.
+    fn take(&mut self, piece: &Piece, is_last: bool, options: &Options) -> Result<(), Error> {
+        let own_mac = self.mac;
+        let mut own = piece.iter().filter(|(mac, _)| own_mac == Some(*mac)).map(|(_, heard)| *heard).peekable();
         loop {
-            let from_tx = |link: &Link| link.behind() == LinkSide::Transmitter || self.inbox.is_empty() && is_last;
+            let rest = is_last && own.peek().is_none();
+            let from_tx = |link: &Link| rest || link.behind() == LinkSide::Transmitter;
             if !self.tx.is_done() && self.link.as_ref().is_none_or(from_tx) {
                 if let (Some(heard), Some(link)) = (self.next_from_tx()?, self.link.as_mut()) {
                     link.handle(LinkSide::Transmitter, heard, options);
                 }
-            } else if let (Some(heard), Some(link)) = (self.inbox.pop_front(), self.link.as_mut()) {
+            } else if let (Some(heard), Some(link)) = (own.next(), self.link.as_mut()) {
                 link.handle(LinkSide::Receiver, heard, options);
             } else {
                 break;

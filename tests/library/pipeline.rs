@@ -2,10 +2,10 @@
 
 use crate::common::link::{Link, PARTNER_AHEAD_S, link, louder_link};
 use crate::common::root;
+use csi5300::exchange::pairing::LinkSide;
 use csi5300::maths::wrap_rad;
 use csi5300::motion::odometry::csv;
 use csi5300::motion::pose::{Pose, Trajectory};
-use csi5300::exchange::pairing::LinkSide;
 use csi5300::pipeline::{Answer, Bearing, CaptureReport, Effort, Options, Transmitter, bearings};
 use csi5300::source::replay::Replay;
 use nalgebra::{Rotation3, Vector3};

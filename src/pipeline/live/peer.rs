@@ -5,7 +5,7 @@ use super::track::{Track, Window, aligned, window};
 use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Pose, Trajectory};
-use crate::pipeline::draft::estimate_one;
+use crate::pipeline::joint::estimate_one;
 use crate::pipeline::{Answer, Bearing, CarriedAnswer, FrameHeard, Front, Link, LinkJoin, Options};
 use crate::place::track::{PeerTrack, TrackCounts, TrackSettings};
 use crate::source::Next;

@@ -82,7 +82,8 @@ fn the_kernel_is_the_sum_as_written_on_every_tier() {
     let aperture = Aperture { displacement_m: path.clone(), rows: data.clone(), path_gain: 1, ..Aperture::default() };
     let middle = middle(&path);
     let views = [View::new(1, Taper::Hann, ALL), View::new(3, Taper::Hann, ALL)];
-    let prepared = [PreparedAperture::new(&aperture, &middle, WAVELENGTH_M, 0.6, &views, Tier::detect().level_or_portable())];
+    let prepared =
+        [PreparedAperture::new(&aperture, &middle, WAVELENGTH_M, 0.6, &views, Tier::detect().level_or_portable())];
     let place = |(azimuth, elevation, curve)| Place { azimuth, elevation, curve };
     let places = [(0.3, 0.1, 0.0), (2.0, 0.0, 0.4), (-1.2, 0.3, 0.55)].map(place);
     let written = |&Place { azimuth, elevation, curve }: &Place| {

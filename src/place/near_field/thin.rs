@@ -57,11 +57,12 @@ impl Search {
             return powers(self.level(), std::slice::from_ref(aperture), places, Precision::Rough);
         };
         let sectors: Vec<_> = places.chunks(*each).zip(thinnings).collect();
-        self.limits.each(&sectors, |(places, thinning)| {
-            let thin = [aperture.summed(self.level(), thinning, runs)];
-            powers(self.level(), &thin, places, Precision::Rough)
-        })
-        .concat()
+        self.limits
+            .each(&sectors, |(places, thinning)| {
+                let thin = [aperture.summed(self.level(), thinning, runs)];
+                powers(self.level(), &thin, places, Precision::Rough)
+            })
+            .concat()
     }
 
     /// The grid `axes` of an aperture, in sectors of some azimuths.

@@ -7,7 +7,7 @@ use std::f64::consts::TAU;
 /// Unit second differences summed by the (integer) second difference of the turn-around that goes with them: the
 /// histogram makes the search over `df` as cheap as the jitter is small.
 pub(super) struct Term {
-    /// Second difference of the turn-around, microseconds.
+    /// Second difference of the turn-around, whole microseconds.
     pub second_us: f64,
     /// Sum of the unit second differences of the phase.
     pub sum: Complex64,
@@ -15,7 +15,7 @@ pub(super) struct Term {
     pub count: f64,
 }
 
-/// The terms of a record.
+/// The terms of a record, by rising second differences.
 pub(super) fn second_differences(z: &[Complex64], clock_us: &[i64], difference_us: &[i64]) -> Vec<Term> {
     let most_us = TUNING.turn_around.max_second_difference_us;
     let width = 2 * most_us as usize + 1;
@@ -42,8 +42,18 @@ pub(super) fn second_differences(z: &[Complex64], clock_us: &[i64], difference_u
 
 /// The sum of all terms with an offset of `df_hz` taken out.
 pub(super) fn sum_at(terms: &[Term], df_hz: f64) -> Complex64 {
+    let Some(first) = terms.first() else { return Complex64::ZERO };
     let rate = TAU * df_hz * 1e-6;
-    terms.iter().map(|term| term.sum * Complex64::cis(rate * term.second_us)).sum()
+    // Terms rise by whole microseconds, each of which turns by the same.
+    let by = Complex64::cis(rate);
+    let (mut at_us, mut turn, mut sum) = (first.second_us, Complex64::cis(rate * first.second_us), Complex64::ZERO);
+    for term in terms {
+        while at_us < term.second_us {
+            (at_us, turn) = (at_us + 1.0, turn * by);
+        }
+        sum += term.sum * turn;
+    }
+    sum
 }
 
 /// Offsets block by block, and the sum of the blocks' coherent sums, if they gain more than their number explains.
@@ -171,9 +181,12 @@ mod tests {
             let terms: Vec<Term> = (0..count).map(term).collect();
             let mut turning = Turning::new(&terms, -2_000.0, 25.0);
             for k in 0..200 {
-                let expected = sum_at(&terms, -2_000.0 + 25.0 * f64::from(k));
-                let found = turning.next();
-                assert!((found - expected).norm() < 1e-9 * (1.0 + expected.norm()), "{count} {k}: {found} {expected}");
+                let df_hz = -2_000.0 + 25.0 * f64::from(k);
+                let own = |term: &Term| term.sum * Complex64::cis(TAU * df_hz * 1e-6 * term.second_us);
+                let expected: Complex64 = terms.iter().map(own).sum();
+                for found in [turning.next(), sum_at(&terms, df_hz)] {
+                    assert!((found - expected).norm() < 1e-9 * (1.0 + expected.norm()), "{count} {k}: {found}");
+                }
             }
         }
     }
