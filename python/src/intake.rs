@@ -5,11 +5,13 @@ use crate::patient::Patient;
 use csi5300::source::CsiSource;
 use csi5300::source::replay::Replay;
 use csi5300::time::Instant;
-use csi5300_lab::table::{Filter, Reading};
+use csi5300_lab::table::{Advise, Filter, Reading};
+use csi5300_live::sys::advise_large_pages;
 use driver_iface::record::Tail;
 use pyo3::prelude::*;
 use pyo3::types::PyBytes;
 use std::io::{self, Cursor, Read};
+use std::mem::MaybeUninit;
 use std::path::PathBuf;
 
 /// A Python object with `read(n)`, as files opened with "rb" have.
@@ -139,11 +141,29 @@ pub fn is_read_here(file: &Bound<'_, PyAny>) -> PyResult<bool> {
     Ok(file.hasattr("read")? || !file.extract::<PathBuf>()?.is_file())
 }
 
-/// Reads all of a log on two threads, interruptibly.
-pub fn read_all(py: Python<'_>, reading: &mut Reading<Replay<Box<dyn Read + Send>>>) -> PyResult<()> {
+/// Memory in large pages.
+struct Large;
+
+impl Advise for Large {
+    fn advise<T>(&mut self, memory: &mut [MaybeUninit<T>]) {
+        // Pages of the usual size do as well.
+        let _ = advise_large_pages(memory);
+    }
+}
+
+/// How many bytes a log has, where that is known before it is read.
+pub fn size(file: &Bound<'_, PyAny>) -> Option<u64> {
+    if let Ok(bytes) = file.cast::<PyBytes>() {
+        return Some(bytes.as_bytes().len() as u64);
+    }
+    file.extract::<PathBuf>().ok()?.metadata().ok().map(|of| of.len())
+}
+
+/// Reads all of a log of `size` bytes on two threads, interruptibly.
+pub fn read_all(py: Python<'_>, reading: &mut Reading<Replay<Box<dyn Read + Send>>>, size: u64) -> PyResult<()> {
     let mut signal = Ok(());
     let read = crate::error::detached(py, || {
-        reading.read_all(Instant::ZERO, || {
+        reading.read_sized(Instant::ZERO, size, &mut Large, || {
             signal = Python::attach(|py| py.check_signals());
             signal.is_ok()
         })

@@ -2,7 +2,7 @@
 
 use crate::columns::{arrays, from_arrays};
 use crate::error::{Failure, Kind, Stop, detached, interruptible};
-use crate::intake::{filter, info, is_read_here, open, read_all, read_on};
+use crate::intake::{filter, info, is_read_here, open, read_all, read_on, size};
 use crate::pool::pool;
 use csi5300::signal::csi::{scale_factor, total_rss_dbm};
 use csi5300::source::replay::Replay;
@@ -268,7 +268,7 @@ pub fn read<'py>(
     if is_read_here(file)? {
         read_on(py, &mut intake, usize::MAX)?;
     } else {
-        read_all(py, &mut intake)?;
+        read_all(py, &mut intake, size(file).unwrap_or(0))?;
     }
     let (arena, columns) = intake.take();
     let info = info(&intake, intake.source().name(), Some(intake.source().bytes()))?;

@@ -193,3 +193,40 @@ pub fn set_up(interface: &str, up: bool) -> io::Result<()> {
     // SAFETY: SIOCSIFFLAGS reads the structure, which outlives the call.
     answered(unsafe { libc::ioctl(socket.as_raw_fd(), libc::SIOCSIFFLAGS, &raw mut request) })
 }
+
+/// Asks for large pages (MADV_HUGEPAGE) where memory is first written, at the addresses of `memory`: whole pages of it, of which the
+/// kernel backs as many as it can. Contents do not change; a kernel without large pages refuses, and nothing is lost by that. Memory
+/// of less than 2 MiB, the least of them on x86-64, is left alone.
+///
+/// # Errors
+/// The kernel's refusal.
+pub fn advise_large_pages<T>(memory: &mut [std::mem::MaybeUninit<T>]) -> io::Result<()> {
+    const PAGE: usize = 4_096;
+    const LEAST: usize = 2 << 20;
+    let bytes = size_of_val(memory);
+    let start = memory.as_mut_ptr().cast::<u8>();
+    let (before, past) = (start.align_offset(PAGE), (start.addr() + bytes) % PAGE);
+    let Some(len) = bytes.checked_sub(before.saturating_add(past)).filter(|len| *len >= LEAST) else { return Ok(()) };
+    // SAFETY: the range lies inside `memory`, which is borrowed for the call; MADV_HUGEPAGE changes which pages back it, not what is in
+    // it.
+    answered(unsafe { libc::madvise(start.wrapping_add(before).cast::<libc::c_void>(), len, libc::MADV_HUGEPAGE) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::advise_large_pages;
+
+    #[test]
+    fn memory_in_large_pages_is_written_like_any_other() {
+        for (room, at) in [(5_000_000_usize, 0), (5_000_000, 3), (4_097, 1), (100, 0), (0, 0)] {
+            let mut values: Vec<u64> = Vec::with_capacity(room);
+            values.extend(0..at);
+            // A kernel may have none.
+            let _ = advise_large_pages(values.spare_capacity_mut());
+            values.extend(at..room as u64);
+            assert!(
+                values.iter().enumerate().all(|(k, value)| *value == k as u64) && values.len() == room.max(at as usize)
+            );
+        }
+    }
+}

@@ -1,6 +1,7 @@
 //! Records in memory, packed as the card sent them: a quarter of what their CSI takes as complex numbers.
 
 use super::block::Block;
+use super::columns::Advise;
 use super::piece::Span;
 use driver_iface::bfee::Bfee;
 use driver_iface::record::code;
@@ -40,6 +41,13 @@ impl Arena {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.entries.is_empty()
+    }
+
+    /// Makes room for so many more records, as far as memory allows; `advise` is told of it.
+    pub(super) fn reserve(&mut self, records: usize, advise: &mut impl Advise) {
+        if self.entries.try_reserve_exact(records).is_ok() {
+            advise.advise(self.entries.spare_capacity_mut());
+        }
     }
 
     /// Keeps an MPDU for the next bfee.

@@ -2,11 +2,23 @@
 
 use csi5300::source::survey::Identity;
 use driver_iface::bfee::{Antenna, Bfee};
+use std::mem::MaybeUninit;
 
 /// No host time: what NumPy has for it (NaT).
 pub const NO_TIME: i64 = i64::MIN;
 /// No antenna.
 pub const NO_ANTENNA: u8 = 255;
+
+/// What is done with memory before it is first written: large pages, say.
+pub trait Advise {
+    /// Is told of memory that will be written.
+    fn advise<T>(&mut self, memory: &mut [MaybeUninit<T>]);
+}
+
+/// Nothing is done.
+impl Advise for () {
+    fn advise<T>(&mut self, _: &mut [MaybeUninit<T>]) {}
+}
 
 /// Columns of equal length.
 #[derive(Clone, Debug, Default)]
@@ -54,6 +66,30 @@ impl Columns {
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.time_us.is_empty()
+    }
+
+    /// Makes room for so many more records, as far as memory allows; `advise` is told of the room of each column.
+    pub(super) fn reserve(&mut self, records: usize, advise: &mut impl Advise) {
+        fn room<T>(column: &mut Vec<T>, more: usize, advise: &mut impl Advise) {
+            if column.try_reserve_exact(more).is_ok() {
+                advise.advise(column.spare_capacity_mut());
+            }
+        }
+        room(&mut self.time_us, records, advise);
+        room(&mut self.host_us, records, advise);
+        room(&mut self.timestamp_low, records, advise);
+        room(&mut self.bfee_count, records, advise);
+        room(&mut self.n_rx, records, advise);
+        room(&mut self.n_tx, records, advise);
+        room(&mut self.rssi, records.saturating_mul(3), advise);
+        room(&mut self.noise_dbm, records, advise);
+        room(&mut self.agc, records, advise);
+        room(&mut self.rate, records, advise);
+        room(&mut self.antenna_sel, records, advise);
+        room(&mut self.antenna_order, records.saturating_mul(3), advise);
+        room(&mut self.frame, records, advise);
+        room(&mut self.mac, records.saturating_mul(6), advise);
+        room(&mut self.offset, records, advise);
     }
 
     /// The antennas of all records, in their order: those that any record used, and, where records do not say which they used, as

@@ -13,7 +13,7 @@ mod reading;
 mod whole;
 
 pub use arena::Arena;
-pub use columns::{Columns, NO_ANTENNA, NO_TIME, antenna_order, antennas};
+pub use columns::{Advise, Columns, NO_ANTENNA, NO_TIME, antenna_order, antennas};
 pub use decode::{Form, Rows, decode};
 pub use piece::{Held, HeldSource};
 pub use reading::{Filter, FilterError, Reading};

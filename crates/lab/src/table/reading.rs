@@ -2,7 +2,7 @@
 
 use super::arena::Arena;
 use super::block::Block;
-use super::columns::{Columns, antennas};
+use super::columns::{Advise, Columns, antennas};
 use super::piece::Span;
 use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{CsiSource, Error, Next, Origin};
@@ -190,6 +190,17 @@ pub(super) struct Table<'a> {
 }
 
 impl Table<'_> {
+    /// Records kept.
+    pub(super) fn kept(&self) -> usize {
+        self.arena.len()
+    }
+
+    /// Makes room for so many more records, as far as memory allows; `advise` is told of it.
+    pub(super) fn reserve(&mut self, records: usize, advise: &mut impl Advise) {
+        self.arena.reserve(records, advise);
+        self.columns.reserve(records, advise);
+    }
+
     /// Counts what a source gave; whether it is a bfee record, and whether that is kept, whose columns are added then.
     fn note(&mut self, next: &Next<'_>) -> Option<bool> {
         let (bfee, identity) = self.survey.note(next)?;

@@ -134,8 +134,14 @@ fn two_threads_read_what_one_reads() {
     {
         let mut one = Reading::new(replay(&log), filter.clone());
         while one.burst(Instant::ZERO, usize::MAX).unwrap() {}
+        // As from too few bytes, and from more than there is memory for.
+        for size in [None, Some(1), Some(u64::MAX)] {
+            let mut other = Reading::new(replay(&log), filter.clone());
+            other.read_cut(Instant::ZERO, cut, size, &mut (), || true).unwrap();
+            assert_eq!((other.arena.len(), other.columns.len()), (one.arena.len(), one.columns.len()), "{size:?}");
+        }
         let mut two = Reading::new(replay(&log), filter);
-        two.read_cut(Instant::ZERO, cut, || true).unwrap();
+        two.read_cut(Instant::ZERO, cut, Some(log.len() as u64), &mut (), || true).unwrap();
         assert!(one.has_ended() && two.has_ended() && one.left_out == two.left_out);
         assert_eq!(serde_json::to_string(&one.survey).unwrap(), serde_json::to_string(&two.survey).unwrap());
         let ((a, a_columns), (b, b_columns)) = (one.take(), two.take());

@@ -1,6 +1,7 @@
 //! Whole logs on two threads: one reads bytes and finds records among them, the other sorts these. They stay where they were read.
 
 use super::block::{BLOCK, Block};
+use super::columns::Advise;
 use super::piece::Piece;
 use super::reading::{Reading, Sorted, Table};
 use csi5300::source::Error;
@@ -46,11 +47,32 @@ impl<R: Read + Send> Reading<Replay<R>> {
     /// # Errors
     /// If the log cannot be read further. What was read before is there.
     pub fn read_all(&mut self, now: Instant, go_on: impl FnMut() -> bool) -> Result<(), Error> {
-        self.read_cut(now, Cut::default(), go_on)
+        self.read_cut(now, Cut::default(), None, &mut (), go_on)
+    }
+
+    /// The same of a log of about `bytes`, for whose records there is room then from the beginning; `advise` is told of it.
+    ///
+    /// # Errors
+    /// As [`Self::read_all`].
+    pub fn read_sized(
+        &mut self,
+        now: Instant,
+        bytes: u64,
+        advise: &mut impl Advise,
+        go_on: impl FnMut() -> bool,
+    ) -> Result<(), Error> {
+        self.read_cut(now, Cut::default(), Some(bytes), advise, go_on)
     }
 
     /// The same in blocks of other sizes.
-    pub(super) fn read_cut(&mut self, now: Instant, cut: Cut, mut go_on: impl FnMut() -> bool) -> Result<(), Error> {
+    pub(super) fn read_cut(
+        &mut self,
+        now: Instant,
+        cut: Cut,
+        size: Option<u64>,
+        advise: &mut impl Advise,
+        mut go_on: impl FnMut() -> bool,
+    ) -> Result<(), Error> {
         if self.ended {
             return Ok(());
         }
@@ -58,8 +80,12 @@ impl<R: Read + Send> Reading<Replay<R>> {
         let (bytes, framing) = replay.halves();
         let mut cutter = Cutter { bytes, framing, now, left: Vec::new(), most: 0 };
         let (first, more) = cutter.piece(Block::fixed(cut.first), 0);
+        let first_bytes = first.block.bytes().len();
         let mut ended = sort(&mut table, first);
         if more? && go_on() {
+            if let Some(size) = size {
+                table.reserve(expected(table.kept(), first_bytes, size), advise);
+            }
             in_pieces(cutter, cut, |piece| {
                 ended = sort(&mut table, piece);
                 go_on()
@@ -68,6 +94,12 @@ impl<R: Read + Send> Reading<Replay<R>> {
         self.ended = ended;
         Ok(())
     }
+}
+
+/// Records of a log of `size` bytes by those kept of its first ones, and a few more.
+fn expected(kept: usize, of_bytes: usize, size: u64) -> usize {
+    let all = kept as f64 * (size as f64 / of_bytes.max(1) as f64);
+    (1.02 * all) as usize
 }
 
 /// Sorts a piece; whether the log ends in it.
