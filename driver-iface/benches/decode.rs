@@ -15,8 +15,8 @@ use std::time::Instant;
 use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, MAX_SAMPLES, Repr, Wsr};
 use driver_iface::record::{Framer, LOOKAHEAD, Record, Step, code};
 
-/// Buffer: room for a look ahead and as much again to read into; both stay in the second-level cache.
-const BUFFER: usize = 2 * LOOKAHEAD;
+/// Buffer: room for a look ahead and for 192 KiB to read into; both stay in the second-level cache.
+const BUFFER: usize = LOOKAHEAD + 192 * 1024;
 
 /// What is decoded of each record.
 #[derive(Clone, Copy)]
@@ -118,7 +118,7 @@ fn write_log(log: &Path, frames: bool) {
             file.write_all(&bytes[..length]).unwrap();
         }
         let wsr = Some(Wsr { frame_count: count, ..Wsr::default() });
-        let repr = Repr { bfee_count: count as u16, timestamp_low: count * 8_000, wsr, ..Repr::default() };
+        let repr = Repr { bfee_count: count as u16, timestamp_low: count.wrapping_mul(8_000), wsr, ..Repr::default() };
         let (mut body, mut bytes) = ([0; 600], [0; 600]);
         let length = repr.emit(&csi, &mut body).unwrap();
         let length = Record { code: code::BFEE, body: &body[..length] }.emit(&mut bytes).unwrap();

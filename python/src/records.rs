@@ -178,14 +178,13 @@ impl Records {
             let target = path.canonicalize().unwrap_or_else(|_| path.clone());
             let half = draft(&target);
             let written = pool.install(|| export.write(&half)).map_err(|error| error.to_string());
-            let kept = written.and_then(|()| std::fs::rename(&half, &target).map_err(|error| error.to_string()));
-            if let Err(error) = kept {
+            let renamed = |unscaled| std::fs::rename(&half, &target).map(|()| unscaled).map_err(|error| error.to_string());
+            written.and_then(renamed).map_err(|error| {
                 // It is not there where it could not be made.
                 let _ = std::fs::remove_file(&half);
                 let message = format!("cannot write {}: {error}", path.display());
-                return Err(Failure::new(Kind::Export, message).of(path.display().to_string()));
-            }
-            Ok(export.unscaled())
+                Failure::new(Kind::Export, message).of(path.display().to_string())
+            })
         })
     }
 

@@ -38,8 +38,9 @@ pub struct Placed {
 
 /// Cells around of the maps.
 const MAP_AZIMUTHS: usize = 360;
-/// Azimuths of the evidence.
-const EVIDENCE_AZIMUTHS: usize = 1_440;
+/// Azimuths of the evidence beside the answers' own: half a degree, a third of the first null's distance for a motion of 1 m. It is
+/// searched as exactly as an answer, so it costs what it has azimuths.
+const EVIDENCE_AZIMUTHS: usize = 720;
 
 impl Placed {
     /// The answer of one wave that leaves nothing but noise.

@@ -5,7 +5,7 @@ use super::{Outcome, Result, info, print_json, usage};
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::signal::csi::{Csi, scale_factor, total_rss_dbm};
 use csi5300::source::survey::{Identity, Survey};
-use csi5300::source::{CsiSource, Next};
+use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::Instant;
 use csi5300_lab::export::{Export, KNOWN, is_known};
 use csi5300_lab::table::{Filter, Form, Reading};
@@ -149,23 +149,38 @@ pub fn run(args: &Args) -> Result {
     })
 }
 
-/// Reads the log once into memory, packed, and writes it.
+/// Writes a table of the log. A file is read twice, first for all but its CSI: that costs less than memory for all of it. What can
+/// be read only once is kept in memory, packed.
 fn table(args: &Args, output: &Path, filter: Filter) -> Words<Written> {
+    let is_file = args.file.metadata().is_ok_and(|found| found.is_file());
     let source = super::open_log(&args.file)?;
     let antennas = filter.antennas().map(<[Antenna]>::to_vec);
     let mut reading = Reading::new(source, filter);
-    reading.read_all(Instant::ZERO, || true).map_err(|error| error.to_string())?;
+    if is_file {
+        reading = reading.without_bodies();
+    }
+    let read = if is_file { read_columns(&mut reading) } else { reading.read_all(Instant::ZERO, || true) };
+    read.map_err(|error| error.to_string())?;
     let (arena, columns) = reading.take();
-    let (records, bytes) = (arena.len() as u64, reading.source().bytes());
-    let mut export = Export::new(&arena, (0..arena.len()).collect(), &columns, args.form());
+    let (records, bytes) = (columns.len() as u64, reading.source().bytes());
+    let mut export = match is_file {
+        true => Export::of_log(&args.file, &columns, args.form()),
+        false => Export::new(&arena, (0..arena.len()).collect(), &columns, args.form()),
+    };
     if let Some(antennas) = antennas {
         export = export.with_antennas(&antennas);
     }
+    let mut unscaled = 0;
     if records > 0 {
-        export.write(output).map_err(|error| error.to_string())?;
+        unscaled = export.write(output).map_err(|error| error.to_string())?;
     }
-    let (unscaled, without_antennas) = (export.unscaled(), export.without_antennas());
-    Ok(Written { survey: reading.survey, bytes, records, unscaled, without_antennas })
+    Ok(Written { survey: reading.survey, bytes, records, unscaled, without_antennas: export.without_antennas() })
+}
+
+/// Reads the columns of a log to its end, on this thread.
+fn read_columns(reading: &mut Reading<impl CsiSource>) -> std::result::Result<(), Error> {
+    while reading.burst(Instant::ZERO, usize::MAX)? {}
+    Ok(())
 }
 
 /// Reads a log once and hands over each intact bfee record that the filter keeps.

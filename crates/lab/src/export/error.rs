@@ -12,6 +12,22 @@ pub enum ExportError {
         /// Its answer.
         source: std::io::Error,
     },
+    /// The log cannot be read again.
+    #[error("cannot read {file} again: {source}")]
+    Log {
+        /// The log.
+        file: String,
+        /// The operating system's answer.
+        source: std::io::Error,
+    },
+    /// A record of the log is not where it was when the log was read first.
+    #[error("{file} was changed while it was exported: the record at byte {offset} is gone; export a copy of it")]
+    Changed {
+        /// The log.
+        file: String,
+        /// Where the record was, bytes.
+        offset: u64,
+    },
     /// The library that writes the format refused.
     #[error("writing {file}: {source}")]
     Format {

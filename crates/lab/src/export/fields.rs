@@ -2,10 +2,9 @@
 
 use super::mat::{Mat, Number};
 use super::npz::{Element, Npz};
+use super::walk::Figures;
 use super::{Export, ExportError};
 use crate::table::NO_TIME;
-use csi5300::signal::csi::{scale_factor, total_rss_dbm};
-use driver_iface::bfee::Bfee;
 
 /// A file that takes arrays of `count` times `width` values, the values of one record beside each other.
 pub trait Target {
@@ -49,8 +48,8 @@ impl Target for Mat {
 }
 
 /// Writes all fields.
-pub fn write(export: &Export<'_>, file: &mut impl Target) -> Result<(), ExportError> {
-    let (n, columns) = (export.records.len() as u64, export.columns);
+pub fn write(export: &Export<'_>, figures: &Figures, file: &mut impl Target) -> Result<(), ExportError> {
+    let (n, columns) = (export.len() as u64, export.columns);
     let host = columns.host_us.iter().map(|us| if *us == NO_TIME { -1 } else { *us });
     let rssi = |port: usize| columns.rssi.iter().skip(port).step_by(3).copied();
     file.put("record", n, 1, 0..n as i64)?;
@@ -69,8 +68,8 @@ pub fn write(export: &Export<'_>, file: &mut impl Target) -> Result<(), ExportEr
     file.put("antenna_sel", n, 1, columns.antenna_sel.iter().copied())?;
     file.put("rate_n_flags", n, 1, columns.rate.iter().copied())?;
     file.put("antennas_known", n, 1, export.antennas_known().map(u8::from))?;
-    file.put("total_rss_dbm", n, 1, export.figure(0, |bfee| total_rss_dbm(bfee).ok()))?;
-    file.put("scale", n, 1, export.figure(0, |bfee| scale_factor(bfee).ok()))?;
+    file.put("total_rss_dbm", n, 1, figures.rss_dbm.iter().copied())?;
+    file.put("scale", n, 1, figures.scale.iter().copied())?;
     file.put("offset", n, 1, columns.offset.iter().copied())?;
     file.put("mac", n, 6, columns.mac.iter().copied())?;
     if let Some(subcarriers) = export.subcarriers() {
@@ -79,12 +78,4 @@ pub fn write(export: &Export<'_>, file: &mut impl Target) -> Result<(), ExportEr
     let ports = export.antennas.iter().map(|antenna| antenna.index() as u8);
     file.put("antennas", export.antennas.len() as u64, 1, ports)?;
     file.put("scaled", 1, 1, [u8::from(export.form.scaled)].into_iter())
-}
-
-impl Export<'_> {
-    /// A figure of each record from the `first` on; not a number where it has none.
-    pub(super) fn figure(&self, first: usize, of: impl Fn(&Bfee<'_>) -> Option<f64>) -> impl Iterator<Item = f64> {
-        let records = self.records.get(first..).unwrap_or_default();
-        records.iter().map(move |record| self.arena.bfee(*record).and_then(|bfee| of(&bfee)).unwrap_or(f64::NAN))
-    }
 }

@@ -1,28 +1,29 @@
 //! Logs as files for other programs: NPZ (NumPy), MAT (MATLAB, Octave, SciPy) and, with the feature `parquet`, Parquet (DuckDB,
-//! Polars, pandas, Spark). The log was read once, into a [`table`](crate::table), whatever is written.
+//! Polars, pandas, Spark). The log was read once, into a [`table`](crate::table), whatever is written; or only its columns were,
+//! and the CSI is read while it is written.
 
 mod blocks;
 mod error;
 mod fields;
+mod log_reader;
 mod mat;
 pub mod npz;
 #[cfg(feature = "parquet")]
 mod parquet;
 #[cfg(test)]
 mod tests;
+mod walk;
 
 pub use error::ExportError;
 
-use crate::table::{Arena, Columns, Form, NO_ANTENNA, Rows, decode};
+use crate::table::{Arena, Columns, Form, NO_ANTENNA};
 use csi5300::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIERS};
 use driver_iface::bfee::{Antenna, rate};
 use num_complex::Complex32;
 use rayon::prelude::*;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-
-/// Records decoded at a time.
-const PIECE: usize = 4_096;
+use walk::{Figures, Walk};
 
 /// What is written, for errors and help.
 #[cfg(feature = "parquet")]
@@ -38,11 +39,19 @@ pub fn is_known(path: &Path) -> bool {
     path.extension().and_then(|extension| extension.to_str()).is_some_and(|extension| known.contains(&extension))
 }
 
+/// Where the records of an export are.
+#[derive(Clone, Debug)]
+enum Source<'a> {
+    /// In memory, at these places.
+    Arena { arena: &'a Arena, records: Vec<usize> },
+    /// In a log, where the column of offsets says.
+    Log(&'a Path),
+}
+
 /// Records of a table on their way to a file.
 #[derive(Clone, Debug)]
 pub struct Export<'a> {
-    arena: &'a Arena,
-    records: Vec<usize>,
+    source: Source<'a>,
     columns: &'a Columns,
     antennas: Vec<Antenna>,
     streams: usize,
@@ -55,15 +64,27 @@ impl<'a> Export<'a> {
     /// of CSI are antennas A, B and C, columns as many streams as a record has at most.
     #[must_use]
     pub fn new(arena: &'a Arena, records: Vec<usize>, columns: &'a Columns, form: Form) -> Self {
-        let streams = columns.n_tx.iter().copied().max().unwrap_or(1);
-        Self {
-            arena,
-            records,
-            columns,
-            antennas: Antenna::ALL.to_vec(),
-            streams: usize::from(streams),
-            form,
-            stop: None,
+        Self::with_source(Source::Arena { arena, records }, columns, form)
+    }
+
+    /// The records of a log, a regular file, of which only the `columns` are in memory
+    /// ([`Reading::without_bodies`](crate::table::Reading::without_bodies)): their CSI is read from the log, on one thread, while it is
+    /// written. Otherwise as [`Export::new`].
+    #[must_use]
+    pub fn of_log(log: &'a Path, columns: &'a Columns, form: Form) -> Self {
+        Self::with_source(Source::Log(log), columns, form)
+    }
+
+    fn with_source(source: Source<'a>, columns: &'a Columns, form: Form) -> Self {
+        let streams = usize::from(columns.n_tx.iter().copied().max().unwrap_or(1));
+        Self { source, columns, antennas: Antenna::ALL.to_vec(), streams, form, stop: None }
+    }
+
+    /// Number of records.
+    fn len(&self) -> usize {
+        match &self.source {
+            Source::Arena { records, .. } => records.len(),
+            Source::Log(_) => self.columns.len(),
         }
     }
 
@@ -85,11 +106,13 @@ impl<'a> Export<'a> {
         self
     }
 
-    /// Writes a file whose extension says its format ([`KNOWN`]); one that is there is replaced.
+    /// Writes a file whose extension says its format ([`KNOWN`]); one that is there is replaced. Gives the number of records without
+    /// a scale where one was asked for: their CSI is not a number.
     ///
     /// # Errors
-    /// If there is no such format, the file cannot be written, or that was stopped: then it is not whole.
-    pub fn write(&self, path: &Path) -> Result<(), ExportError> {
+    /// If there is no such format, the file cannot be written, the log cannot be read again or was changed, or that was stopped:
+    /// then it is not whole.
+    pub fn write(&self, path: &Path) -> Result<u64, ExportError> {
         let written = match path.extension().and_then(|extension| extension.to_str()) {
             Some("npz") => self.npz(path),
             Some("mat") => self.mat(path),
@@ -97,16 +120,10 @@ impl<'a> Export<'a> {
             Some("parquet") => parquet::write(self, path),
             _ => Err(ExportError::Extension { file: path.display().to_string(), known: KNOWN }),
         };
-        if self.is_stopped() { Err(ExportError::Stopped { file: path.display().to_string() }) } else { written }
-    }
-
-    /// Records without a scale, where one was asked for: their CSI is not a number.
-    #[must_use]
-    pub fn unscaled(&self) -> u64 {
-        let missing = |record: &&usize| {
-            self.arena.bfee(**record).is_none_or(|bfee| csi5300::signal::csi::scale_factor(&bfee).is_err())
-        };
-        if self.form.scaled { self.records.iter().filter(missing).count() as u64 } else { 0 }
+        if self.is_stopped() {
+            return Err(ExportError::Stopped { file: path.display().to_string() });
+        }
+        written.map(|figures| if self.form.scaled { figures.unscaled() } else { 0 })
     }
 
     /// Records whose antennas are not known: their rows are in the order of chains.
@@ -125,50 +142,42 @@ impl<'a> Export<'a> {
         }
     }
 
-    /// The CSI of all records, `[record][antenna][stream][subcarrier]`, decoded piece by piece, until it is stopped: each call
-    /// puts the next piece in the place of what is in the vector, and nothing behind the last.
-    fn pieces(&self) -> impl FnMut(&mut Vec<Complex32>) {
-        let rows = Rows::new(&self.antennas, self.streams);
-        let mut records = self.records.chunks(PIECE);
-        move |piece| {
-            let records = records.next().filter(|_| !self.is_stopped()).unwrap_or_default();
-            piece.resize(records.len() * rows.len(), Complex32::default());
-            decode(self.arena, records, &rows, self.form, piece);
-        }
-    }
-
-    /// The same as vectors of their own.
-    fn csi(&self) -> impl Iterator<Item = Vec<Complex32>> {
-        let mut next = self.pieces();
-        std::iter::from_fn(move || {
-            let mut piece = Vec::new();
-            next(&mut piece);
-            (!piece.is_empty()).then_some(piece)
-        })
-    }
-
-    fn npz(&self, path: &Path) -> Result<(), ExportError> {
+    fn npz(&self, path: &Path) -> Result<Figures, ExportError> {
         let mut npz = npz::Npz::create(path)?;
-        let (n, ports, streams) = (self.records.len() as u64, self.antennas.len(), self.streams);
+        let (n, ports, streams) = (self.len() as u64, self.antennas.len(), self.streams);
         let shape = [n, SUBCARRIERS as u64, ports as u64, streams as u64];
-        let (mut next, mut piece) = (self.pieces(), Vec::new());
-        npz.blocks("csi", &shape, |turned| {
-            next(&mut piece);
+        let (mut walk, mut piece) = (Walk::new(self)?, Vec::new());
+        let written = npz.blocks("csi", &shape, |turned| {
+            walk.next(&mut piece);
             turned.resize(piece.len(), Complex32::default());
             subcarriers_first(&piece, ports * streams, turned);
-        })?;
-        fields::write(self, &mut npz)?;
-        npz.finish()
+        });
+        // Why there were too few values, if there were.
+        let figures = walk.finish()?;
+        written?;
+        fields::write(self, &figures, &mut npz)?;
+        npz.finish()?;
+        Ok(figures)
     }
 
     /// `csi` is (subcarrier, stream, antenna, record), in MATLAB's order of indices.
-    fn mat(&self, path: &Path) -> Result<(), ExportError> {
+    fn mat(&self, path: &Path) -> Result<Figures, ExportError> {
         let mut mat = mat::Mat::create(path)?;
-        let (n, ports) = (self.records.len() as u64, self.antennas.len() as u64);
+        let (n, ports) = (self.len() as u64, self.antennas.len() as u64);
         let dims = [SUBCARRIERS as u64, self.streams as u64, ports, n];
-        mat.complex("csi", &dims, self.csi().flatten().map(|h| h.re), self.csi().flatten().map(|h| h.im))?;
-        fields::write(self, &mut mat)?;
-        mat.finish()
+        let (mut first, mut second) = (Walk::new(self)?, Walk::new(self)?);
+        let written = mat.complex(
+            "csi",
+            &dims,
+            vectors(&mut first).flatten().map(|h| h.re),
+            vectors(&mut second).flatten().map(|h| h.im),
+        );
+        let figures = first.finish()?;
+        second.finish()?;
+        written?;
+        fields::write(self, &figures, &mut mat)?;
+        mat.finish()?;
+        Ok(figures)
     }
 
     /// The antenna of each chain of a record is known.
@@ -177,18 +186,33 @@ impl<'a> Export<'a> {
     }
 }
 
+/// The pieces of a walk as vectors of their own.
+fn vectors(walk: &mut Walk<'_>) -> impl Iterator<Item = Vec<Complex32>> {
+    std::iter::from_fn(move || {
+        let mut piece = Vec::new();
+        walk.next(&mut piece);
+        (!piece.is_empty()).then_some(piece)
+    })
+}
+
 /// Turns records of `columns` columns from `[column][subcarrier]` to `[subcarrier][column]`, on all cores of the current pool.
 fn subcarriers_first(records: &[Complex32], columns: usize, out: &mut [Complex32]) {
     let size = columns * SUBCARRIERS;
     if columns <= 1 {
         return out.copy_from_slice(records);
     }
-    let pairs = records.par_chunks_exact(size).zip(out.par_chunks_exact_mut(size)).with_min_len(256);
-    pairs.for_each(|(record, out)| {
+    let turn = |(record, out): (&[Complex32], &mut [Complex32])| {
         for (column, values) in record.as_chunks::<SUBCARRIERS>().0.iter().enumerate() {
             for (place, h) in out.iter_mut().skip(column).step_by(columns).zip(values) {
                 *place = *h;
             }
         }
-    });
+    };
+    if records.len() < ON_ALL_CORES * size {
+        return records.chunks_exact(size).zip(out.chunks_exact_mut(size)).for_each(turn);
+    }
+    records.par_chunks_exact(size).zip(out.par_chunks_exact_mut(size)).with_min_len(256).for_each(turn);
 }
+
+/// From as many records on other threads are worth waking.
+const ON_ALL_CORES: usize = 1_024;

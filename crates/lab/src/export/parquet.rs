@@ -1,6 +1,7 @@
 //! Parquet: a row a record, CSI as fixed-size lists, units in the schema's metadata.
 
-use super::{Export, ExportError, PIECE};
+use super::walk::{Figures, Walk};
+use super::{Export, ExportError};
 use crate::table::NO_TIME;
 use arrow_array::types::{ArrowPrimitiveType, Float32Type, Int8Type, Int64Type, UInt8Type, UInt16Type, UInt32Type};
 use arrow_array::{
@@ -8,9 +9,8 @@ use arrow_array::{
     TimestampMicrosecondArray, UInt32Array,
 };
 use arrow_schema::{DataType, Field, Schema};
-use csi5300::signal::csi::{scale_factor, total_rss_dbm};
 use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, Bfee, NOISE_UNKNOWN_DBM, SUBCARRIERS};
+use driver_iface::bfee::{Antenna, NOISE_UNKNOWN_DBM, SUBCARRIERS};
 use num_complex::Complex32;
 use parquet::arrow::ArrowWriter;
 use parquet::arrow::arrow_writer::ArrowWriterOptions;
@@ -30,7 +30,7 @@ const GROUP: usize = 16_384;
 type Column = (Field, ArrayRef);
 
 /// Writes all records.
-pub fn write(export: &Export<'_>, path: &Path) -> Result<(), ExportError> {
+pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, ExportError> {
     let file = path.display().to_string();
     let format =
         |source: parquet::errors::ParquetError| ExportError::Format { file: file.clone(), source: source.into() };
@@ -43,16 +43,24 @@ pub fn write(export: &Export<'_>, path: &Path) -> Result<(), ExportError> {
         // Arrow's readers find the facts in the schema, others here.
         .set_key_value_metadata(Some(facts(export).into_iter().map(|(name, fact)| KeyValue::new(name, fact)).collect()))
         .build();
-    let none = batch(export, 0, &[])?;
+    let none = batch(export, &Figures::default(), 0, &[])?;
     let options = ArrowWriterOptions::new().with_properties(properties);
     let mut writer = ArrowWriter::try_new_with_options(out, schema(export, &none), options).map_err(format)?;
-    for (piece, csi) in export.csi().enumerate() {
-        let columns = batch(export, piece * PIECE, &csi)?;
+    let (mut walk, mut csi) = (Walk::new(export)?, Vec::new());
+    loop {
+        let first = walk.figures().scale.len();
+        walk.next(&mut csi);
+        if csi.is_empty() {
+            break;
+        }
+        let columns = batch(export, walk.figures(), first, &csi)?;
         let schema = schema(export, &columns);
         let arrays = columns.into_iter().map(|(_, array)| array).collect();
         writer.write(&RecordBatch::try_new(schema, arrays).map_err(arrow)?).map_err(format)?;
     }
-    writer.close().map(|_| ()).map_err(format)
+    let figures = walk.finish()?;
+    writer.close().map_err(format)?;
+    Ok(figures)
 }
 
 /// What holds for the whole file.
@@ -92,13 +100,13 @@ fn of<T: Copy>(values: &[T], part: &Range<usize>, width: usize) -> impl Iterator
 }
 
 /// The records from `first` on whose CSI is given.
-fn batch(export: &Export<'_>, first: usize, csi: &[Complex32]) -> Result<Vec<Column>, ExportError> {
+fn batch(export: &Export<'_>, figures: &Figures, first: usize, csi: &[Complex32]) -> Result<Vec<Column>, ExportError> {
     const RSSI: &str = "dB above the card's reference, 0: nothing heard";
     let size = export.antennas.len() * export.streams * SUBCARRIERS;
     let (all, part) = (export.columns, &(first..first + csi.len() / size.max(1)));
     let mut columns =
         vec![numbers::<Int64Type>("time_us", "microseconds, card's clock, unwrapped", of(&all.time_us, part, 1))];
-    columns.extend(maybe(export, part));
+    columns.extend(maybe(export, figures, part));
     for (port, name) in ["rssi_a", "rssi_b", "rssi_c"].into_iter().enumerate() {
         columns.push(numbers::<UInt8Type>(name, RSSI, of(&all.rssi, part, 3).skip(port).step_by(3)));
     }
@@ -120,7 +128,7 @@ fn batch(export: &Export<'_>, first: usize, csi: &[Complex32]) -> Result<Vec<Col
 }
 
 /// The columns that are null where a record does not say.
-fn maybe(export: &Export<'_>, part: &Range<usize>) -> [Column; 6] {
+fn maybe(export: &Export<'_>, figures: &Figures, part: &Range<usize>) -> [Column; 6] {
     let all = export.columns;
     let noise = of(&all.noise_dbm, part, 1).map(|dbm| Some(dbm).filter(|dbm| *dbm != NOISE_UNKNOWN_DBM));
     let host = of(&all.host_us, part, 1).map(|us| Some(us).filter(|us| *us != NO_TIME));
@@ -128,17 +136,18 @@ fn maybe(export: &Export<'_>, part: &Range<usize>) -> [Column; 6] {
     let octets: Vec<u8> = of(&all.mac, part, 6).collect();
     let (octets, _) = octets.as_chunks::<6>();
     let mac = octets.iter().map(|octets| Some(Mac(*octets)).filter(|mac| !mac.is_zero()).map(|mac| mac.to_string()));
-    let figure = |of: fn(&Bfee<'_>) -> Option<f64>| -> ArrayRef {
-        let values = export.figure(part.start, of).take(part.len());
-        Arc::new(values.map(|value| Some(value).filter(|value| value.is_finite())).collect::<Float64Array>())
+    let figure = |values: &[f64]| -> ArrayRef {
+        Arc::new(
+            of(values, part, 1).map(|value| Some(value).filter(|value| value.is_finite())).collect::<Float64Array>(),
+        )
     };
     [
         column("host_time", "UTC", true, Arc::new(TimestampMicrosecondArray::from_iter(host).with_timezone("UTC"))),
         column("mac", "", true, Arc::new(StringArray::from_iter(mac))),
         column("frame_count", "", true, Arc::new(UInt32Array::from_iter(frame))),
         column("noise_dbm", "dBm", true, Arc::new(Int8Array::from_iter(noise))),
-        column("total_rss_dbm", "dBm", true, figure(|bfee| total_rss_dbm(bfee).ok())),
-        column("scale", "sqrt(SNR) per unit", true, figure(|bfee| scale_factor(bfee).ok())),
+        column("total_rss_dbm", "dBm", true, figure(&figures.rss_dbm)),
+        column("scale", "sqrt(SNR) per unit", true, figure(&figures.scale)),
     ]
 }
 

@@ -1,23 +1,67 @@
-//! Exports that are stopped; what whole ones hold is compared by their readers (python/tests/test_export.py).
+//! Exports that are stopped, and those of logs that are read again; what whole ones hold is compared by their readers
+//! (python/tests/test_export.py).
 
 use super::{Export, ExportError};
 use crate::table::{Arena, Columns, Filter, Form, Reading};
 use csi5300::source::replay::Replay;
 use csi5300::time::Instant;
-use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
+use driver_iface::bfee::Antenna;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
-fn table() -> (Arena, Columns) {
-    let log = "../../tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat";
-    let source = Replay::open(&Path::new(env!("CARGO_MANIFEST_DIR")).join(log)).unwrap();
-    let mut reading = Reading::new(source, Filter::default());
+fn fixture() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle/csi_rx_2023-11-14_221320.dat")
+}
+
+fn table(log: &Path, filter: Filter) -> (Arena, Columns) {
+    let mut reading = Reading::new(Replay::open(log).unwrap(), filter);
     reading.read_all(Instant::ZERO, || true).unwrap();
     reading.take()
 }
 
+fn columns(log: &Path, filter: Filter) -> Columns {
+    let mut reading = Reading::new(Replay::open(log).unwrap(), filter).without_bodies();
+    while reading.burst(Instant::ZERO, usize::MAX).unwrap() {}
+    let (arena, columns) = reading.take();
+    assert!(arena.is_empty() && !columns.is_empty());
+    columns
+}
+
+/// A file of one test; removed at the end.
+struct Temporary(PathBuf);
+
+static TEMPORARIES: AtomicU32 = AtomicU32::new(0);
+
+impl Temporary {
+    fn new(name: &str) -> Self {
+        let number = TEMPORARIES.fetch_add(1, Ordering::Relaxed);
+        Self(std::env::temp_dir().join(format!("csi5300-{}-{number}-{name}", std::process::id())))
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+/// The fixture many times over, longer than what is read at once, with noise between and frames of other records before some.
+fn long_log() -> Temporary {
+    let once = std::fs::read(fixture()).unwrap();
+    let mut log = Vec::new();
+    for copy in 0..40_u8 {
+        log.extend([0xff; 500]);
+        log.extend([0, 41, 0xc1].into_iter().chain([copy; 40]));
+        log.extend(&once);
+    }
+    let file = Temporary::new("long.dat");
+    std::fs::write(&file.0, log).unwrap();
+    file
+}
+
 #[test]
 fn an_export_that_is_stopped_says_so() {
-    let (arena, columns) = table();
+    let (arena, columns) = table(&fixture(), Filter::default());
     let stop = AtomicBool::new(false);
     let export = Export::new(&arena, (0..arena.len()).collect(), &columns, Form::default()).with_stop(&stop);
     let endings: &[&str] = if cfg!(feature = "parquet") { &["npz", "mat", "parquet"] } else { &["npz", "mat"] };
@@ -31,4 +75,50 @@ fn an_export_that_is_stopped_says_so() {
         assert!(std::fs::metadata(&path).unwrap().len() < whole, "{ending}: it was written all the same");
         std::fs::remove_file(&path).unwrap();
     }
+}
+
+#[test]
+fn a_log_that_is_read_again_gives_the_same_file_as_one_in_memory() {
+    let log = long_log();
+    let part = || Filter::default().with_time(Some(0.4), Some(0.9)).unwrap();
+    for (number, filter) in [Filter::default(), part()].into_iter().enumerate() {
+        let (arena, all) = table(&log.0, filter.clone());
+        let again = columns(&log.0, filter);
+        assert!(format!("{all:?}") == format!("{again:?}"), "columns differ");
+        assert!(all.len() > if number == 0 { 11_000 } else { 50 });
+        for form in [Form::default(), Form { scaled: true, without_spatial_mapping: false }] {
+            let memory = Export::new(&arena, (0..arena.len()).collect(), &all, form);
+            let file = Export::of_log(&log.0, &again, form);
+            for antennas in [&Antenna::ALL[..], &[Antenna::C, Antenna::A]] {
+                let (memory, file) = (memory.clone().with_antennas(antennas), file.clone().with_antennas(antennas));
+                for ending in ["npz", "mat"] {
+                    let out = Temporary::new(&format!("again.{ending}"));
+                    let first = (memory.write(&out.0).unwrap(), std::fs::read(&out.0).unwrap());
+                    assert!(first == (file.write(&out.0).unwrap(), std::fs::read(&out.0).unwrap()), "{ending}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_log_that_changes_meanwhile_is_an_error_with_its_place() {
+    let log = long_log();
+    let columns = columns(&log.0, Filter::default());
+    let out = Temporary::new("changed.npz");
+    let export = Export::of_log(&log.0, &columns, Form::default());
+    let bytes = std::fs::read(&log.0).unwrap();
+    // Cut inside the last record; then a record in the middle overwritten.
+    let last = u64::try_from(*columns.offset.last().unwrap()).unwrap();
+    std::fs::write(&log.0, &bytes[..last as usize + 9]).unwrap();
+    assert!(matches!(export.write(&out.0), Err(ExportError::Changed { offset, .. }) if offset == last));
+    let middle = usize::try_from(columns.offset[6_000]).unwrap();
+    let mut other = bytes.clone();
+    other[middle + 2..middle + 30].fill(0);
+    std::fs::write(&log.0, other).unwrap();
+    assert!(matches!(export.write(&out.0), Err(ExportError::Changed { offset, .. }) if offset == middle as u64));
+    std::fs::write(&log.0, bytes).unwrap();
+    export.write(&out.0).unwrap();
+    std::fs::remove_file(&log.0).unwrap();
+    assert!(matches!(export.write(&out.0), Err(ExportError::Log { .. })));
 }

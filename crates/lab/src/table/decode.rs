@@ -88,6 +88,26 @@ pub fn decode(arena: &Arena, records: &[usize], rows: &Rows, form: Form, out: &m
     );
 }
 
+/// Decodes records one at a time.
+#[derive(Clone, Debug)]
+pub(crate) struct Decoder {
+    /// Room to work in.
+    samples: [[i8; 2]; MAX_SAMPLES],
+}
+
+impl Default for Decoder {
+    fn default() -> Self {
+        Self { samples: [[0; 2]; MAX_SAMPLES] }
+    }
+}
+
+impl Decoder {
+    /// Writes the CSI of a record, as [`decode`] does; `out` has room for [`Rows::len`].
+    pub fn decode(&mut self, bfee: &Bfee<'_>, rows: &Rows, form: Form, out: &mut [Complex32]) {
+        one(bfee, rows, form, &mut self.samples, out);
+    }
+}
+
 /// One record; `samples` is room to work in.
 #[inline(always)]
 fn one(bfee: &Bfee<'_>, rows: &Rows, form: Form, samples: &mut [[i8; 2]; MAX_SAMPLES], out: &mut [Complex32]) {

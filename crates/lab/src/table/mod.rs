@@ -14,6 +14,7 @@ mod whole;
 
 pub use arena::Arena;
 pub use columns::{Advise, Columns, NO_ANTENNA, NO_TIME, antenna_order, antennas};
+pub(crate) use decode::Decoder;
 pub use decode::{Form, Rows, decode};
 pub use piece::{Held, HeldSource};
 pub use reading::{Filter, FilterError, Reading};

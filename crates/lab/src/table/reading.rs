@@ -124,6 +124,7 @@ pub struct Reading<S> {
     pub left_out: u64,
     first_us: Option<i64>,
     pub(super) ended: bool,
+    bodies: bool,
 }
 
 impl<S: CsiSource> Reading<S> {
@@ -131,7 +132,15 @@ impl<S: CsiSource> Reading<S> {
     #[must_use]
     pub fn new(source: S, filter: Filter) -> Self {
         let (arena, columns) = Default::default();
-        Self { source, filter, survey: Survey::default(), arena, columns, left_out: 0, first_us: None, ended: false }
+        let survey = Survey::default();
+        Self { source, filter, survey, arena, columns, left_out: 0, first_us: None, ended: false, bodies: true }
+    }
+
+    /// With columns only: the arena stays empty. For a log that is read again.
+    #[must_use]
+    pub fn without_bodies(mut self) -> Self {
+        self.bodies = false;
+        self
     }
 
     /// The source.
@@ -158,7 +167,7 @@ impl<S: CsiSource> Reading<S> {
     /// If the source cannot be read further.
     pub fn burst(&mut self, now: Instant, limit: usize) -> Result<bool, Error> {
         for _ in 0..BURST {
-            if self.ended || self.arena.len() >= limit {
+            if self.ended || self.columns.len() >= limit {
                 return Ok(false);
             }
             let (source, mut table) = self.parts();
@@ -174,8 +183,8 @@ impl<S: CsiSource> Reading<S> {
     }
 
     pub(super) fn parts(&mut self) -> (&mut S, Table<'_>) {
-        let Self { source, filter, survey, arena, columns, left_out, first_us, .. } = self;
-        (source, Table { filter, survey, arena, columns, left_out, first_us })
+        let Self { source, filter, survey, arena, columns, left_out, first_us, bodies, .. } = self;
+        (source, Table { filter, survey, arena, columns, left_out, first_us, bodies: *bodies })
     }
 }
 
@@ -187,6 +196,7 @@ pub(super) struct Table<'a> {
     columns: &'a mut Columns,
     left_out: &'a mut u64,
     first_us: &'a mut Option<i64>,
+    bodies: bool,
 }
 
 impl Table<'_> {
@@ -225,6 +235,9 @@ impl Table<'_> {
     /// Takes what a source gave; the record is copied if it is kept.
     fn take(&mut self, next: &Next<'_>) {
         let is_kept = self.note(next);
+        if !self.bodies {
+            return;
+        }
         match (next, is_kept) {
             (Next::Record(_, record), Some(true)) => self.arena.push(record.body),
             (Next::Record(_, record), None) if record.code == code::MPDU => self.arena.note_mpdu(record.body),
@@ -256,6 +269,9 @@ impl Table<'_> {
 
     /// Keeps what was sorted of a block, whose memory the arena takes over if most of it is kept.
     pub(super) fn keep(&mut self, sorted: Sorted, block: Block) {
+        if !self.bodies {
+            return;
+        }
         let Sorted { kept, bytes, mpdu } = sorted;
         if 2 * bytes as usize >= block.bytes().len() {
             let rest = mpdu.map(|span| span.of(block.bytes()).to_vec());

@@ -1,0 +1,113 @@
+//! The way through the records of an export: once, piece by piece, each decoded into memory that the caller has.
+
+use super::log_reader::LogReader;
+use super::{Export, ExportError, Source};
+use crate::table::{Decoder, Rows, decode};
+use csi5300::signal::csi::{scale_factor, total_rss_dbm};
+use driver_iface::bfee::Bfee;
+use num_complex::Complex32;
+
+/// Records decoded at a time on all cores.
+pub(super) const PIECE: usize = 4_096;
+/// Records of a log decoded at a time: their CSI stays in the second-level cache until it is written.
+const LOG_PIECE: usize = 256;
+
+/// What is computed of each record, in the order of the records; not a number where it has none.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Figures {
+    /// Received power, dBm.
+    pub rss_dbm: Vec<f64>,
+    /// Factor from the card's integers to sqrt(SNR).
+    pub scale: Vec<f64>,
+}
+
+impl Figures {
+    fn with_room(records: usize) -> Self {
+        Self { rss_dbm: Vec::with_capacity(records), scale: Vec::with_capacity(records) }
+    }
+
+    fn push(&mut self, bfee: Option<&Bfee<'_>>) {
+        self.rss_dbm.push(bfee.and_then(|bfee| total_rss_dbm(bfee).ok()).unwrap_or(f64::NAN));
+        self.scale.push(bfee.and_then(|bfee| scale_factor(bfee).ok()).unwrap_or(f64::NAN));
+    }
+
+    /// Records without a scale.
+    pub fn unscaled(&self) -> u64 {
+        self.scale.iter().filter(|scale| scale.is_nan()).count() as u64
+    }
+}
+
+/// A walk through all records of an export.
+pub(super) struct Walk<'a> {
+    export: &'a Export<'a>,
+    rows: Rows,
+    log: Option<(LogReader, Decoder)>,
+    done: usize,
+    figures: Figures,
+    failure: Option<ExportError>,
+}
+
+impl<'a> Walk<'a> {
+    /// Before the first record.
+    ///
+    /// # Errors
+    /// If the records are in a log that cannot be opened.
+    pub fn new(export: &'a Export<'a>) -> Result<Self, ExportError> {
+        let log = match &export.source {
+            Source::Arena { .. } => None,
+            Source::Log(path) => Some((LogReader::open(path)?, Decoder::default())),
+        };
+        let rows = Rows::new(&export.antennas, export.streams);
+        let figures = Figures::with_room(export.len());
+        Ok(Self { export, rows, log, done: 0, figures, failure: None })
+    }
+
+    /// Puts the CSI of the next records, `[record][antenna][stream][subcarrier]`, in the place of what is in the vector: nothing
+    /// behind the last record, once the export was stopped, and when the log cannot be read further ([`Walk::finish`] says so).
+    pub fn next(&mut self, csi: &mut Vec<Complex32>) {
+        let size = if self.log.is_some() { LOG_PIECE } else { PIECE };
+        let from = self.done;
+        let wanted = if self.failure.is_some() || self.export.is_stopped() { 0 } else { size };
+        self.done = (from + wanted).min(self.export.len());
+        csi.resize((self.done - from) * self.rows.len(), Complex32::default());
+        match &self.export.source {
+            Source::Arena { arena, records } => {
+                let records = records.get(from..self.done).unwrap_or_default();
+                decode(arena, records, &self.rows, self.export.form, csi);
+                records.iter().for_each(|record| self.figures.push(arena.bfee(*record).as_ref()));
+            }
+            Source::Log(_) => {
+                if let Err(failure) = self.read(from, csi) {
+                    self.failure = Some(failure);
+                    csi.clear();
+                }
+            }
+        }
+    }
+
+    /// Reads and decodes the records from the one numbered `from` to those that are done.
+    fn read(&mut self, from: usize, csi: &mut [Complex32]) -> Result<(), ExportError> {
+        let Some((log, decoder)) = &mut self.log else { return Ok(()) };
+        let offsets = self.export.columns.offset.get(from..self.done).unwrap_or_default();
+        for (offset, out) in offsets.iter().zip(csi.chunks_exact_mut(self.rows.len().max(1))) {
+            let bfee = log.bfee(*offset)?;
+            decoder.decode(&bfee, &self.rows, self.export.form, out);
+            self.figures.push(Some(&bfee));
+        }
+        Ok(())
+    }
+
+    /// The figures of the records so far.
+    #[cfg(feature = "parquet")]
+    pub fn figures(&self) -> &Figures {
+        &self.figures
+    }
+
+    /// The figures of all records.
+    ///
+    /// # Errors
+    /// If the log could not be read to its end, or was changed after its columns were read.
+    pub fn finish(self) -> Result<Figures, ExportError> {
+        self.failure.map_or(Ok(self.figures), Err)
+    }
+}
