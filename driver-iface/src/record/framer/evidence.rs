@@ -95,7 +95,8 @@ impl Framer {
             self.searched = front.len();
             return Found::Short;
         }
-        self.searched = to;
+        // A search further on may have come further, before it ran out of bytes.
+        self.searched = self.searched.max(to);
         Found::Nothing
     }
 
