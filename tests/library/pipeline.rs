@@ -107,14 +107,14 @@ fn threads_change_no_number() {
 
 #[test]
 fn a_log_is_paired_whole_though_it_is_handed_out_piece_by_piece() {
-    // A piece is 8,192 frames. The transmitter's log goes on for longer.
-    let made = link(9_000, 2.0);
+    // A piece is 32,768 frames. The transmitter's log goes on for longer.
+    let made = link(33_100, 2.0);
     let quick = options().with_accuracy(options().accuracy.without_layers());
-    let report = run(&made.rx[..8_900], &made.tx, &trajectory(&made), &quick);
+    let report = run(&made.rx[..33_000], &made.tx, &trajectory(&made), &quick);
     let link = report.links[0].link.as_ref().unwrap();
     let [receiver, transmitter] = [LinkSide::Receiver, LinkSide::Transmitter].map(|side| link.counts(side));
-    assert_eq!([link.pairs() as u64, receiver.paired, receiver.handed], [8_900; 3]);
-    assert_eq!([transmitter.handed, transmitter.paired, transmitter.unpaired], [9_000, 8_900, 100]);
+    assert_eq!([link.pairs() as u64, receiver.paired, receiver.handed], [33_000; 3]);
+    assert_eq!([transmitter.handed, transmitter.paired, transmitter.unpaired], [33_100, 33_000, 100]);
 }
 
 #[test]
