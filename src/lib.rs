@@ -157,6 +157,7 @@ pub mod internal {
     pub use crate::exchange::pairing::numbering::before_first_number;
     pub use crate::exchange::tdma::proof::{Proof, Prover};
     pub use crate::motion::heading::heading_of;
+    pub use crate::motion::rolling::Roller;
     pub use crate::pipeline::intake::{FrameHeard, Front};
     pub use crate::place::confidence::{
         camera_heading_rad, full_deviation_rad, full_features, full_probability, heading_feature, probability_limits,
@@ -165,7 +166,9 @@ pub mod internal {
     };
     /// The filter over a peer's place.
     pub mod track {
-        pub use crate::place::track::{Evidence, EvidenceMode, PeerTrack, TrackAnswer, TrackSettings};
+        pub use crate::place::track::{
+            Evidence, EvidenceMode, PeerPlace, PeerPlaces, PeerTrack, TrackAnswer, TrackError, TrackSettings, places,
+        };
     }
     pub use crate::place::near_field::types::{Band, Limits, Taper, View};
     pub use crate::place::near_field::{aperture::Aperture, search::Search};

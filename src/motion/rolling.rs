@@ -6,6 +6,7 @@
 
 use super::pose::{Pose, Trajectory, TrajectoryError};
 use crate::maths::wrap_rad;
+use crate::tuning::TUNING;
 use nalgebra::Vector3;
 
 /// Where a sensor of poses is on its robot, and which way it looks.
@@ -34,23 +35,77 @@ impl Trajectory {
     /// # Errors
     /// [`TrajectoryError::NoHeading`] if a pose has no heading.
     pub fn rolling(&self, mount: &Mount) -> Result<Self, TrajectoryError> {
-        let middle = |pose: &Pose| {
-            let heading = pose.heading_rad.ok_or(TrajectoryError::NoHeading)?;
-            Pose { heading_rad: Some(wrap_rad(heading - mount.yaw_rad)), ..*pose }.mounted(-mount.offset_m)
-        };
-        let mut poses: Vec<Pose> = self.poses().iter().map(middle).collect::<Result<_, _>>()?;
         let gaps = self.gaps();
-        let mut before: Option<(Pose, Vector3<f64>)> = None;
-        for pose in &mut poses {
-            let reported = *pose;
-            if let Some((last, at_m)) = before {
-                let is_gap = gaps.iter().any(|gap| gap.from_s == last.t_s);
-                pose.position_m =
-                    at_m + if is_gap { reported.position_m - last.position_m } else { roll(&last, &reported) };
-            }
-            before = Some((reported, pose.position_m));
+        let mut roller = Roller::new(*mount);
+        let mut middle = |pose: &Pose| {
+            let last_s = roller.before.map(|before| before.reported.t_s);
+            roller.moved(pose, gaps.iter().any(|gap| Some(gap.from_s) == last_s))
+        };
+        Self::new(self.poses().iter().map(&mut middle).collect::<Result<_, _>>()?)
+    }
+}
+
+/// [`Trajectory::rolling`] of poses that come one by one.
+#[derive(Clone, Copy, Debug)]
+pub struct Roller {
+    mount: Mount,
+    before: Option<Before>,
+}
+
+/// The newest pose so far.
+#[derive(Clone, Copy, Debug)]
+struct Before {
+    /// The middle between the wheels, as the sensor has it.
+    reported: Pose,
+    /// The same as it rolled, metres.
+    at_m: Vector3<f64>,
+    /// Time from the pose before it, seconds; not over a gap.
+    step_s: Option<f64>,
+}
+
+impl Roller {
+    /// Of a sensor at `mount`.
+    #[must_use]
+    pub fn new(mount: Mount) -> Self {
+        Self { mount, before: None }
+    }
+
+    /// The pose of the middle between the wheels when the sensor reports `pose`. A gap is a step of more than
+    /// `motion.min_gap_s` and of ten steps before it. A pose that comes late is seen from the newest one, which it does
+    /// not move.
+    ///
+    /// # Errors
+    /// [`TrajectoryError::NoHeading`] if the pose has no heading; it then moves nothing.
+    pub fn step(&mut self, pose: &Pose) -> Result<Pose, TrajectoryError> {
+        let is_gap = self.before.is_some_and(|before| {
+            let usual_s = before.step_s.unwrap_or_default();
+            pose.t_s - before.reported.t_s > TUNING.motion.min_gap_s.max(10.0 * usual_s)
+        });
+        self.moved(pose, is_gap)
+    }
+
+    /// Begins anew: the next pose is in another frame.
+    pub fn reset(&mut self) {
+        self.before = None;
+    }
+
+    fn moved(&mut self, pose: &Pose, over_gap: bool) -> Result<Pose, TrajectoryError> {
+        let heading = pose.heading_rad.ok_or(TrajectoryError::NoHeading)?;
+        let turned = Pose { heading_rad: Some(wrap_rad(heading - self.mount.yaw_rad)), ..*pose };
+        let reported = turned.mounted(-self.mount.offset_m)?;
+        let Some(before) = self.before else {
+            self.before = Some(Before { reported, at_m: reported.position_m, step_s: None });
+            return Ok(reported);
+        };
+        let passed_s = reported.t_s - before.reported.t_s;
+        if passed_s < 0.0 {
+            return Ok(Pose { position_m: before.at_m - roll(&reported, &before.reported), ..reported });
         }
-        Self::new(poses)
+        let step_m =
+            if over_gap { reported.position_m - before.reported.position_m } else { roll(&before.reported, &reported) };
+        let (at_m, step_s) = (before.at_m + step_m, Some(passed_s).filter(|_| !over_gap).or(before.step_s));
+        self.before = Some(Before { reported, at_m, step_s });
+        Ok(Pose { position_m: at_m, ..reported })
     }
 }
 
@@ -131,6 +186,36 @@ mod tests {
         let step = rolled.poses()[450].position_m - rolled.poses()[449].position_m;
         assert!((step - (poses[450].position_m - poses[449].position_m)).norm() < 1e-12, "{step}");
         assert_eq!(rolled.poses()[800].position_m.z, 0.07);
+    }
+
+    #[test]
+    fn poses_that_come_one_by_one_roll_as_those_of_a_file() {
+        let mut poses = middle();
+        for pose in &mut poses[450..] {
+            pose.t_s += 5.0;
+            pose.position_m += Vector3::new(0.3, -0.2, 0.07);
+        }
+        let whole = Trajectory::new(poses.clone()).unwrap().rolling(&MOUNT).unwrap();
+        let mut roller = Roller::new(MOUNT);
+        let own: Vec<Pose> = poses.iter().map(|pose| roller.step(pose).unwrap()).collect();
+        assert_eq!(own, whole.poses());
+        // A late pose is where it would have been, and what follows is as without it.
+        let (mut with, mut without) = (Roller::new(MOUNT), Roller::new(MOUNT));
+        for pose in &poses[..50] {
+            without.step(pose).unwrap();
+        }
+        for pose in poses[..50].iter().filter(|pose| pose.t_s != poses[48].t_s) {
+            with.step(pose).unwrap();
+        }
+        let late = with.step(&poses[48]).unwrap();
+        assert!((late.position_m - own[48].position_m).norm() < 1e-5, "{late:?}");
+        let [a, b] = [&mut with, &mut without].map(|roller| roller.step(&poses[50]).unwrap().position_m);
+        assert!((a - b).norm() < 1e-5, "{a} {b}");
+        // In another frame it begins where that has it.
+        with.reset();
+        let begun = Roller::new(MOUNT).step(&poses[700]).unwrap();
+        assert_eq!(with.step(&poses[700]), Ok(begun));
+        assert_eq!(with.step(&Pose { heading_rad: None, ..poses[701] }), Err(TrajectoryError::NoHeading));
     }
 
     #[test]

@@ -34,8 +34,8 @@ pub struct CarriedAnswer {
 pub struct CarriedCandidate {
     /// Bearing, degrees.
     pub azimuth_deg: f64,
-    /// Share of the evidence within five degrees of it, 0..1. Stretches of one place may be deceived together, so it is no
-    /// probability of being right.
+    /// Probability of being within five degrees of it, 0..1: right on average over places (docs/accuracy.md), too low in
+    /// sight and too high behind walls.
     pub share: f64,
 }
 

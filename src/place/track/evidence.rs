@@ -1,8 +1,10 @@
 //! What one stretch of motion says of a peer's place.
 
 use super::peer_track::TrackError;
+use crate::maths::wrap_rad;
 use crate::tuning::TUNING;
-use nalgebra::Vector2;
+use nalgebra::{Rotation2, Vector2};
+use std::f64::consts::TAU;
 
 /// One direction that a stretch may be explained by.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -94,17 +96,37 @@ impl Evidence {
     }
 
     /// The modes that can be used.
-    fn modes(&self) -> impl Iterator<Item = &EvidenceMode> {
+    pub(super) fn modes(&self) -> impl Iterator<Item = &EvidenceMode> {
         self.modes.iter().filter(|mode| mode.is_usable())
+    }
+
+    /// The probability that one of the directions is right, within what is said.
+    pub(super) fn believed(&self) -> f64 {
+        let [_, most] = TUNING.certainty.limits;
+        self.known.clamp(0.0, most)
+    }
+
+    /// The same where the heading of all of the trajectory has this deviation, radians, and no other motion shares it.
+    #[must_use]
+    pub fn with_heading_sd_rad(mut self, heading_sd_rad: f64) -> Self {
+        self.modes.iter_mut().for_each(|mode| mode.sd_rad = mode.sd_rad.hypot(heading_sd_rad));
+        self
+    }
+
+    /// The same in another frame, in which the origin of this one is at `origin_m` and its x axis is turned by `yaw_rad`.
+    #[must_use]
+    pub fn in_frame(mut self, origin_m: Vector2<f64>, yaw_rad: f64) -> Self {
+        self.position_m = origin_m + Rotation2::new(yaw_rad) * self.position_m;
+        self.modes.iter_mut().for_each(|mode| mode.azimuth_rad = wrap_rad(mode.azimuth_rad + yaw_rad));
+        self
     }
 
     /// The likelihood of each place over that of a uniform guess: the sum of the modes' products, and the rest that is the same
     /// everywhere. There are `azimuths` cells around; `ranges` are the logarithms of the
-    /// ranges, with the prior's share of each; `believed` is the share of the probability that is believed.
-    pub(super) fn factors(&self, azimuths: usize, ranges: &[(f64, f64)], believed: f64) -> (Vec<Factor>, f64) {
+    /// ranges, with the prior's share of each.
+    pub(super) fn factors(&self, azimuths: usize, ranges: &[(f64, f64)]) -> (Vec<Factor>, f64) {
         let total: f64 = self.modes().map(|mode| mode.share).sum();
-        let [_, most] = TUNING.certainty.limits;
-        let known = self.known.clamp(0.0, most) * believed;
+        let known = self.believed();
         let factor = |mode: &EvidenceMode| {
             let weight = known * mode.share / total;
             let mut around = wrapped_normal(mode.azimuth_rad, mode.sd_rad, azimuths);
@@ -125,8 +147,7 @@ pub(super) struct Factor {
 
 /// A normal density around the circle over the uniform one, at the centres of `cells` cells from azimuth 0 on; its mean is 1.
 fn wrapped_normal(azimuth_rad: f64, sd_rad: f64, cells: usize) -> Vec<f64> {
-    use crate::maths::wrap_rad;
-    let step_rad = std::f64::consts::TAU / cells as f64;
+    let step_rad = TAU / cells as f64;
     // A peak narrower than the cells would fall between their centres.
     let sd_rad = sd_rad.max(0.6 * step_rad);
     let at = |cell: usize| {
@@ -143,10 +164,16 @@ fn wrapped_normal(azimuth_rad: f64, sd_rad: f64, cells: usize) -> Vec<f64> {
 /// observed. Ranges are wrong more often than their deviations say: a share of the prior stays in them.
 fn along(mode: &EvidenceMode, ranges: &[(f64, f64)]) -> Vec<f64> {
     let Some((range_m, sd_m)) = mode.range_m else { return vec![1.0; ranges.len()] };
-    let sd = (sd_m / range_m).hypot(TUNING.locate.range_floor);
+    let (sd, mean) = bell(range_m, sd_m, ranges);
     let at = |ln_range: f64| (-0.5 * ((ln_range - range_m.ln()) / sd).powi(2)).exp();
-    let mean: f64 = ranges.iter().map(|(ln_range, share)| share * at(*ln_range)).sum();
     let missed = TUNING.track.range_missed;
     let of = |ln_range: f64| if mean > 0.0 { missed + (1.0 - missed) * at(ln_range) / mean } else { 1.0 };
     ranges.iter().map(|(ln_range, _)| of(*ln_range)).collect()
+}
+
+/// The deviation of a range's logarithm, and the mean of its bell over the prior of ranges.
+pub(super) fn bell(range_m: f64, sd_m: f64, ranges: &[(f64, f64)]) -> (f64, f64) {
+    let sd = (sd_m / range_m).hypot(TUNING.locate.range_floor);
+    let at = |ln_range: f64| (-0.5 * ((ln_range - range_m.ln()) / sd).powi(2)).exp();
+    (sd, ranges.iter().map(|(ln_range, share)| share * at(*ln_range)).sum())
 }

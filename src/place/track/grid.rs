@@ -49,11 +49,10 @@ impl PlaceGrid {
         rows.map(|(k, row)| (ln_range(k as f64), sum(row))).collect()
     }
 
-    /// Multiplies every place by the likelihood of `evidence`, of whose probability the share `believed` counts. `false`, and
-    /// nothing is changed, where no place is left.
-    pub fn multiply(&mut self, evidence: &Evidence, believed: f64) -> bool {
-        let ranges: Vec<(f64, f64)> = (0..RANGES).map(|k| ln_range(k as f64)).zip(range_shares()).collect();
-        let (factors, rest) = evidence.factors(AZIMUTHS, &ranges, believed);
+    /// Multiplies every place by the likelihood of `evidence`. `false`, and nothing is changed, where no place is left.
+    pub fn multiply(&mut self, evidence: &Evidence) -> bool {
+        let ranges = prior_ranges();
+        let (factors, rest) = evidence.factors(AZIMUTHS, &ranges);
         let fresh = evidence.fresh.clamp(0.0, 1.0);
         let mut cells = self.cells.clone();
         for (k, row) in cells.chunks_exact_mut(AZIMUTHS).enumerate() {
@@ -69,6 +68,17 @@ impl PlaceGrid {
             self.cells = cells;
         }
         sound
+    }
+
+    /// The probabilities after all evidence so far was taken to this power.
+    pub fn tempered(&self, exponent: f64) -> Self {
+        let prior = Self::prior(self.middle_m).cells;
+        let tempered = |prior: &f64, cell: &f64| prior * (cell / prior).powf(exponent);
+        let mut cells: Vec<f64> = prior.iter().zip(&self.cells).map(|(prior, cell)| tempered(prior, cell)).collect();
+        match normalise(&mut cells) {
+            true => Self { middle_m: self.middle_m, cells },
+            false => self.clone(),
+        }
     }
 
     /// The same probabilities about another middle.
@@ -171,6 +181,11 @@ fn range_shares() -> Vec<f64> {
     let mut shares: Vec<f64> = (0..RANGES).map(share).collect();
     normalise(&mut shares);
     shares
+}
+
+/// The logarithm of each range with its share of the prior.
+pub(super) fn prior_ranges() -> Vec<(f64, f64)> {
+    (0..RANGES).map(|k| ln_range(k as f64)).zip(range_shares()).collect()
 }
 
 /// Divides by the sum; `false`, with nothing changed, where that is no positive number.

@@ -14,18 +14,23 @@
 //! decides only in part: a reflection in a flat wall has an image that stands as still as the transmitter. It loses where
 //! the robot goes so far that the wall ends, that the straight path is free, or that ranges tell the two apart.
 //!
+//! [`places`] has no order of time: it takes motions that are all seen in one frame, such as several captures of a room.
+//!
 //! No clocks and no sockets: times and positions are arguments, and the same evidence gives the same answer. `grid` has
 //! the probabilities, `posterior` what is read from them, `evidence` and `settings` the values that go in.
 
 mod evidence;
 mod grid;
 mod peer_track;
+mod places;
 mod posterior;
 mod settings;
+mod spot;
 #[cfg(test)]
 mod tests;
 
 pub use evidence::{Evidence, EvidenceMode};
-pub use peer_track::{PeerTrack, TrackCounts};
+pub use peer_track::{PeerTrack, TrackCounts, TrackError};
+pub use places::{PeerPlace, PeerPlaces, places};
 pub use posterior::{TrackAnswer, TrackMode};
 pub use settings::TrackSettings;

@@ -3,7 +3,7 @@
 use super::evidence::Evidence;
 use super::grid::PlaceGrid;
 use super::posterior::TrackAnswer;
-use super::settings::TrackSettings;
+use super::settings::{TrackSettings, temper};
 use crate::tuning::TUNING;
 use nalgebra::Vector2;
 
@@ -62,6 +62,8 @@ struct Known {
     grid: PlaceGrid,
     t_s: f64,
     stretches: u32,
+    /// Stretches that know a direction: their probabilities, summed and forgotten as places are.
+    known: f64,
 }
 
 impl PeerTrack {
@@ -105,8 +107,8 @@ impl PeerTrack {
     #[must_use]
     pub fn answer(&self, position_m: Vector2<f64>) -> Option<TrackAnswer> {
         let known = self.known.as_ref().filter(|_| position_m.iter().all(|x| x.is_finite()))?;
-        let grid = known.grid.moved_to(position_m);
-        Some(TrackAnswer::of(&grid, self.settings.heading_sd_rad, known.stretches))
+        let moved = Known { grid: known.grid.moved_to(position_m), ..*known };
+        Some(moved.answer(&self.settings))
     }
 
     /// The same seen from where the last evidence was.
@@ -140,16 +142,19 @@ impl PeerTrack {
             return Err(TrackError::OutOfOrder { t_s: evidence.t_s, last_s });
         }
         let present = before.filter(|known| evidence.t_s - known.t_s <= self.settings.gone_s);
-        let (mut grid, stretches, believed) = match present {
-            None => (PlaceGrid::prior(evidence.position_m), 0, 1.0),
-            Some(known) => (self.predicted(known, evidence), known.stretches, TUNING.track.believed),
+        let (mut grid, stretches, before_known) = match present {
+            None => (PlaceGrid::prior(evidence.position_m), 0, 0.0),
+            Some(known) => (self.predicted(known, evidence), known.stretches, known.known),
         };
-        if !grid.multiply(evidence, believed) {
+        let mut known =
+            before_known * (1.0 - TUNING.track.forgotten) + evidence.fresh.clamp(0.0, 1.0) * evidence.believed();
+        if !grid.multiply(evidence) {
             // No place is left of what was known: the evidence stands by itself.
             grid = PlaceGrid::prior(evidence.position_m);
-            grid.multiply(evidence, 1.0);
+            grid.multiply(evidence);
+            known = evidence.believed();
         }
-        let known = Known { grid, t_s: evidence.t_s, stretches: stretches.saturating_add(1) };
+        let known = Known { grid, t_s: evidence.t_s, stretches: stretches.saturating_add(1), known };
         Ok((known, before.is_some() && present.is_none()))
     }
 
@@ -167,6 +172,7 @@ impl PeerTrack {
 
 impl Known {
     fn answer(&self, settings: &TrackSettings) -> TrackAnswer {
-        TrackAnswer::of(&self.grid, settings.heading_sd_rad, self.stretches)
+        let exponent = temper(self.known, settings.own_share);
+        TrackAnswer::of(&self.grid, exponent, settings.heading_sd_rad, self.stretches)
     }
 }

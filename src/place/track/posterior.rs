@@ -44,9 +44,10 @@ pub struct TrackAnswer {
 }
 
 impl TrackAnswer {
-    /// Read from a grid about the place that is asked from; the heading of the whole trajectory has this deviation, radians.
-    pub(super) fn of(grid: &PlaceGrid, heading_sd_rad: f64, stretches: u32) -> Self {
-        let mut around = grid.around();
+    /// Read from a grid about the place that is asked from, its evidence taken to the power `exponent`; the heading of the whole
+    /// trajectory has this deviation, radians. A range is that of all evidence, its variance divided by that power.
+    pub(super) fn of(grid: &PlaceGrid, exponent: f64, heading_sd_rad: f64, stretches: u32) -> Self {
+        let mut around = grid.tempered(exponent).around();
         blur_around(&mut around, heading_sd_rad * AZIMUTHS as f64 / TAU);
         let modes = modes(&around);
         let best = modes.first().copied().unwrap_or(TrackMode { azimuth_rad: 0.0, share: 0.0 });
@@ -54,7 +55,8 @@ impl TrackAnswer {
             azimuth_rad: best.azimuth_rad,
             azimuth_sd_rad: error_bar_rad(&around, best.azimuth_rad).min(UNIFORM_RAD),
             probability: best.share,
-            place_m: place_m(grid, best.azimuth_rad),
+            place_m: place_m(grid, best.azimuth_rad)
+                .map(|(place_m, covariance_m2)| (place_m, covariance_m2 / exponent)),
             modes,
             stretches,
         }

@@ -2,6 +2,14 @@
 
 use crate::tuning::TUNING;
 
+/// The power that the evidence of `known` motions together is taken to (each counts as the probability that one of its
+/// directions is right): motions are deceived together, and each after the first counts as a share of one that is
+/// deceived by itself (`own_share`).
+pub(super) fn temper(known: f64, own_share: f64) -> f64 {
+    let known = known.max(1.0);
+    (1.0 + (known - 1.0) * own_share.clamp(0.0, 1.0)) / known
+}
+
 /// What may happen to places between two stretches of motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
@@ -18,6 +26,9 @@ pub struct TrackSettings {
     pub wander_m_per_rt_s: f64,
     /// A peer of which nothing was heard for longer has gone: what was known of its place is forgotten, seconds.
     pub gone_s: f64,
+    /// What each stretch after the first adds to the power that all evidence together is taken to when an answer is read from
+    /// it; the first adds 1. 1: stretches are deceived independently; 0: all alike.
+    pub own_share: f64,
 }
 
 impl TrackSettings {
@@ -32,6 +43,7 @@ impl TrackSettings {
             slip: TUNING.track.slip,
             wander_m_per_rt_s: 0.0,
             gone_s: TUNING.track.gone_s,
+            own_share: TUNING.track.own_share,
         }
     }
 
@@ -57,6 +69,12 @@ impl TrackSettings {
     #[must_use]
     pub fn with_gone_s(self, gone_s: f64) -> Self {
         Self { gone_s, ..self }
+    }
+
+    /// For stretches of which each after the first adds this to the power of all, 0..1.
+    #[must_use]
+    pub fn with_own_share(self, own_share: f64) -> Self {
+        Self { own_share, ..self }
     }
 
     /// Standard deviations after `driven_m` metres and `passed_s` seconds: of the heading, radians, and of the place of the

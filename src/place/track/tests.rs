@@ -46,9 +46,9 @@ fn two_lines_in_different_directions_settle_which_side_the_peer_is_on() {
         let from = Vector2::new(1.0, 0.5);
         track.update(&mirrored(5.0, from, FRAC_PI_2, peer)).unwrap();
         let second = track.last_answer().unwrap();
-        assert!(off_deg(&second, azimuth(from, peer)) < 1.0 && second.probability > 0.7, "{second:?}");
-        assert!(second.modes.iter().skip(1).all(|mode| 5.0 * mode.share < second.probability), "{second:?}");
-        assert!(second.azimuth_sd_rad < 3.0 * DEGREE && second.stretches == 2, "{second:?}");
+        assert!(off_deg(&second, azimuth(from, peer)) < 1.0 && second.probability > 0.55, "{second:?}");
+        assert!(second.modes.iter().skip(1).all(|mode| 4.0 * mode.share < second.probability), "{second:?}");
+        assert!(second.azimuth_sd_rad < 0.6 * first.azimuth_sd_rad && second.stretches == 2, "{second:?}");
     }
 }
 
@@ -66,7 +66,26 @@ fn a_candidate_that_moves_with_the_robot_loses_to_one_that_stays() {
         let truth = if k == 0 { PI } else { azimuth(from, peer) };
         assert!(off_deg(&answer, truth) < 2.0, "{k}: {answer:?}");
     }
-    assert!(track.last_answer().unwrap().probability > 0.8);
+    assert!(track.last_answer().unwrap().probability > 0.5);
+}
+
+#[test]
+fn stretches_that_are_deceived_together_are_not_as_sure_as_independent_ones() {
+    let places = [Vector2::new(4.0, 1.0), Vector2::new(-3.0, 2.0)];
+    let sure = [1.0, 0.3, 0.0].map(|own_share| {
+        let mut track = PeerTrack::new(settings().with_own_share(own_share));
+        for k in 0..4 {
+            let mut evidence = seen(f64::from(k), Vector2::new(0.0, 0.2 * f64::from(k)), &places);
+            evidence.modes[1].share = 0.5;
+            track.update(&evidence).unwrap();
+        }
+        let answer = track.last_answer().unwrap();
+        assert!(off_deg(&answer, azimuth(Vector2::new(0.0, 0.6), places[0])) < 2.0, "{answer:?}");
+        answer.probability
+    });
+    // Alone the first place has twice the share of the second: so it has of all four if they are one. Four independent ones
+    // would have sixteen times.
+    assert!(sure[0] > 0.85 && sure[0] > sure[1] + 0.05 && sure[1] > sure[2] + 0.05 && sure[2] < 0.75, "{sure:?}");
 }
 
 #[test]
@@ -80,7 +99,7 @@ fn crossing_bearings_give_a_place_and_bearings_from_anywhere() {
     assert!((place - peer).norm() < 0.3 && covariance.determinant() > 0.0, "{place} {covariance}");
     for from in [Vector2::new(0.0, 6.0), Vector2::new(-6.0, 3.0), Vector2::new(1.0, 1.0)] {
         let answer = track.answer(from).unwrap();
-        assert!(off_deg(&answer, azimuth(from, peer)) < 3.0 && answer.probability > 0.8, "{from} {answer:?}");
+        assert!(off_deg(&answer, azimuth(from, peer)) < 3.0 && answer.probability > 0.35, "{from} {answer:?}");
     }
     assert!(track.answer(Vector2::new(f64::NAN, 0.0)).is_none());
 }
@@ -249,7 +268,7 @@ fn a_grid_that_is_moved_there_and_back_keeps_its_places() {
     for x in [0.0, 1.5, -1.5, 0.0] {
         let from = Vector2::new(x, 0.0);
         grid = grid.moved_to(from);
-        assert!(grid.multiply(&seen(0.0, from, &[peer]), 1.0));
+        assert!(grid.multiply(&seen(0.0, from, &[peer])));
     }
     let sum = |grid: &PlaceGrid| grid.around().iter().sum::<f64>();
     let there = grid.moved_to(Vector2::new(0.7, -1.0)).moved_to(Vector2::zeros());

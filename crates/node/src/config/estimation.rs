@@ -1,7 +1,8 @@
 //! How bearings are made.
 
-use super::Config;
 use super::values::{maybe_positive, positive};
+use super::{Config, Odometry};
+use csi5300::internal::{rolling_camera_heading_rad, wheels_heading_rad};
 use csi5300::pipeline::live::LiveSettings;
 
 /// How bearings are made.
@@ -24,6 +25,9 @@ pub struct Estimation {
     pub extrapolate_s: f64,
     /// Largest |elevation| searched, degrees.
     pub elevation_max_deg: f64,
+    /// Standard deviation of the heading of this robot's poses, degrees; where absent that of its kind of odometry
+    /// ([`Config::heading_sd_deg`]).
+    pub heading_sd_deg: Option<f64>,
     /// Spherical waves, all subcarriers and the one-way channel: better, and ten to a hundred times the work.
     pub accurate: bool,
     /// That work is done once in so many seconds for each peer, and when nothing moves any more; 0: for every bearing.
@@ -39,6 +43,7 @@ impl Default for Estimation {
             rate_hz: 2.0,
             extrapolate_s: 0.05,
             elevation_max_deg: 20.0,
+            heading_sd_deg: None,
             accurate: true,
             accurate_every_s: 5.0,
         }
@@ -54,6 +59,19 @@ impl Estimation {
 }
 
 impl Config {
+    /// Standard deviation of the heading of this robot's poses, degrees, which error bars and confidence hold. Where
+    /// `estimator.heading_sd_deg` does not say it: measured ones of a camera held to its wheels and of wheels with the antenna's
+    /// place known, and 0 of everything else.
+    #[must_use]
+    pub fn heading_sd_deg(&self) -> f64 {
+        let usual_rad = match self.odometry {
+            _ if self.camera_mount.is_some() => rolling_camera_heading_rad(),
+            Odometry::Opencr(_) => wheels_heading_rad(),
+            _ => 0.0,
+        };
+        self.estimator.heading_sd_deg.unwrap_or(usual_rad.to_degrees())
+    }
+
     /// How the estimator is set.
     #[must_use]
     pub fn estimator_settings(&self) -> LiveSettings {

@@ -27,7 +27,7 @@ pub use capture::{Capture, Card, Replay, Room, Served, Stock};
 pub use estimation::Estimation;
 pub use outputs::{Log, Network, Output, StatusLine};
 pub use problem::{ConfigError, Problem};
-pub use robots::{Csv, Model, NoKeys, Odometry, OpenCr, Peer, Place, Records};
+pub use robots::{CameraMount, Csv, Model, NoKeys, Odometry, OpenCr, Peer, Place, Records};
 
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::Channel;
@@ -66,6 +66,10 @@ pub struct Config {
     /// The antenna's place on the robot: metres forward, left, up. The room's odometry is the robot's too.
     #[serde(default)]
     pub antenna_offset_m: [f64; 3],
+    /// How this robot carries the tracking camera that its poses are of: they are then held to what its wheels can roll, and
+    /// `antenna_offset_m` is seen from the middle between the wheels.
+    #[serde(default)]
+    pub camera_mount: Option<CameraMount>,
     /// How bearings are made.
     #[serde(default)]
     pub estimator: Estimation,
@@ -125,6 +129,7 @@ impl Config {
     #[must_use]
     pub fn options(&self) -> Options {
         let mut options = Options::new(self.channel).with_antenna(self.antenna);
+        options = options.with_heading_sd_rad(Some(self.heading_sd_deg().to_radians()));
         options.search.elevation_max_rad = self.estimator.elevation_max_deg.to_radians();
         if !self.estimator.accurate {
             options.accuracy = options.accuracy.without_layers();

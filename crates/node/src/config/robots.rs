@@ -3,7 +3,9 @@
 use super::values::{hundred, maybe_parsed, positive};
 use super::{ros, ros2};
 use csi5300::motion::odometry::drive::Geometry;
+use csi5300::motion::rolling::Mount;
 use driver_iface::Mac;
+use nalgebra::Vector3;
 use std::path::PathBuf;
 
 /// Where poses come from.
@@ -88,6 +90,27 @@ pub struct Place {
     pub position_m: [f64; 3],
     /// Degrees from +x towards +y.
     pub heading_deg: f64,
+}
+
+/// How a robot with wheels carries its tracking camera.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraMount {
+    /// The camera seen from the middle between the wheels, metres forward.
+    pub forward_m: f64,
+    /// The same, metres to the left.
+    pub left_m: f64,
+    /// Its heading less the robot's, degrees, counter-clockwise.
+    #[serde(default)]
+    pub yaw_deg: f64,
+}
+
+impl CameraMount {
+    /// The same for [`csi5300::motion::rolling`].
+    #[must_use]
+    pub fn mount(&self) -> Mount {
+        Mount::new(Vector3::new(self.forward_m, self.left_m, 0.0), self.yaw_deg.to_radians())
+    }
 }
 
 /// A robot whose bearing is wanted.

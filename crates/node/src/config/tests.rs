@@ -188,3 +188,23 @@ fn the_example_for_simulators_is_good() {
     let problems = Config::load(&file).err().map(|error| error.to_string()).unwrap_or_default();
     assert!(problems.lines().all(|line| !cfg!(feature = "ros1") && line.contains("--features ros1")), "{problems}");
 }
+
+#[test]
+fn error_bars_hold_the_heading_of_the_odometry() {
+    let config = |text: &str| Config::read(text, Path::new("")).unwrap();
+    assert_eq!(config(ROOM).options().heading_sd_rad, Some(0.0));
+    let own = config(&format!("{ROOM}[estimator]\nheading_sd_deg = 3.0\n")).options().heading_sd_rad;
+    assert!((own.unwrap() - 3f64.to_radians()).abs() < 1e-12, "{own:?}");
+    let of = |change: &dyn Fn(&mut Config)| {
+        let mut changed = config(ROOM);
+        change(&mut changed);
+        changed.heading_sd_deg()
+    };
+    let wheels = of(&|config| {
+        config.odometry = Odometry::Opencr(OpenCr { port: "/dev/null".into(), model: None, rate_hz: 100.0 });
+    });
+    let camera = of(&|config| {
+        config.camera_mount = Some(CameraMount { forward_m: 0.0, left_m: 0.0, yaw_deg: 0.0 });
+    });
+    assert!(0.0 < wheels && wheels < camera && camera < 5.0, "{wheels} {camera}");
+}

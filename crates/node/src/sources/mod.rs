@@ -3,6 +3,7 @@
 mod card;
 mod poses;
 mod replay;
+mod rolling;
 mod room;
 #[cfg(feature = "ros1")]
 mod ros;
@@ -21,7 +22,7 @@ pub(crate) use ros::RosNode;
 pub(crate) use ros2::Ros2Node;
 
 use crate::NodeError;
-use crate::config::{Capture, Config, Odometry, Peer as PeerConfig, Records};
+use crate::config::{CameraMount, Capture, Config, Odometry, Peer as PeerConfig, Records};
 use csi5300::motion::odometry::OdometrySource;
 use csi5300::motion::odometry::replay::Mounted;
 use csi5300::motion::odometry::ros::Stamp;
@@ -82,6 +83,14 @@ struct Opened {
     speed: f64,
 }
 
+/// Where things are on a robot.
+struct Mounting {
+    /// The antenna: metres forward, left, up.
+    antenna_m: [f64; 3],
+    /// The camera that its poses are of.
+    camera: Option<CameraMount>,
+}
+
 /// What several sources of one configuration share.
 struct Shared<'a> {
     start: Instant,
@@ -110,7 +119,8 @@ impl Sources {
         let Opened { card, wake, mac, speed } = shared.capture(capture, config)?;
         let own = config.mac.or(mac);
         let robot = capture.robot().unwrap_or_default();
-        let (poses, track) = shared.poses(&config.odometry, robot, config.antenna_offset_m)?;
+        let mount = Mounting { antenna_m: config.antenna_offset_m, camera: config.camera_mount };
+        let (poses, track) = shared.poses(&config.odometry, robot, mount)?;
         let peers = config.peer.iter().map(|peer| shared.peer(peer.get_ref())).collect::<Result<_, _>>()?;
         let own = own.ok_or(NodeError::OwnMac)?;
         Ok(Self { own, capture: card, wake, poses, track, peers, speed, ros: shared.ros, ros2: shared.ros2 })
@@ -152,9 +162,9 @@ impl<'a> Shared<'a> {
     }
 
     /// A source of poses, or the place of a robot that has none.
-    fn poses(&self, odometry: &Odometry, robot: &str, offset_m: [f64; 3]) -> Result<(Option<Poses>, Track), Error> {
+    fn poses(&self, odometry: &Odometry, robot: &str, mount: Mounting) -> Result<(Option<Poses>, Track), Error> {
         let source: Poses = match odometry {
-            Odometry::Static(place) => return Ok((None, poses::still(place, offset_m))),
+            Odometry::Static(place) => return Ok((None, poses::still(place, mount.antenna_m))),
             Odometry::Network(_) => return Ok((None, Track::default())),
             Odometry::Csv(file) => {
                 let origin_s = self.replayed.as_ref().map_or(0.0, |replayed| replayed.origin_s);
@@ -169,7 +179,11 @@ impl<'a> Shared<'a> {
             },
             Odometry::Opencr(port) => serial::poses(port, self.start, self.wall_us)?,
         };
-        let offset_m = Vector3::from(offset_m);
+        let source: Poses = match mount.camera {
+            Some(camera) => Box::new(rolling::Rolling::new(source, camera.mount())),
+            None => source,
+        };
+        let offset_m = Vector3::from(mount.antenna_m);
         let mounted: Poses =
             if offset_m == Vector3::zeros() { source } else { Box::new(Mounted::new(source, offset_m)) };
         Ok((Some(mounted), Track::default()))
@@ -195,7 +209,8 @@ impl<'a> Shared<'a> {
 
     fn peer(&mut self, peer: &PeerConfig) -> Result<PeerSources, Error> {
         let (records, mac) = self.records(peer)?;
-        let (poses, track) = self.poses(&peer.poses, &peer.name, peer.antenna_offset_m)?;
+        let mount = Mounting { antenna_m: peer.antenna_offset_m, camera: None };
+        let (poses, track) = self.poses(&peer.poses, &peer.name, mount)?;
         let unknown = || NodeError::PeerMac { peer: peer.name.clone() };
         let mac = peer.mac.or(mac).ok_or_else(unknown)?;
         let told = LivePeer { name: peer.name.clone(), mac, track, yaw_rad: peer.yaw_deg.to_radians() };

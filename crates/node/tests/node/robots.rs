@@ -4,7 +4,7 @@ use csi5300::maths::wrap_rad;
 use csi5300::pipeline::live::{PeerReport, PeerState};
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::{Instant, Span};
-use csi5300_node::config::Config;
+use csi5300_node::config::{CameraMount, Config};
 use csi5300_node::machine::{Capture, Machine};
 use csi5300_node::sources::Sources;
 use csi5300_sim::{Room, Scene};
@@ -345,31 +345,54 @@ fn a_replayed_capture_gives_the_bearings_that_are_made_offline() {
     for set in ["LOS_Set_A/L1", "NLOS_Set_A/L1"] {
         let folder = captures.join("wsr").join(set);
         if folder.is_dir() {
-            compared += compare(&folder);
+            compared += compare(&folder, None);
         }
     }
     assert!(compared >= 3, "{compared} links");
 }
 
-/// Compares what a node says of a replayed capture with what `csi5300 bearing` does, link by link.
-fn compare(capture: &Path) -> usize {
+#[test]
+fn a_camera_that_is_held_to_its_wheels_gives_the_bearings_that_are_made_offline() {
+    let Some(captures) = crate::common::captures() else { return };
+    let mount = CameraMount { forward_m: 0.04, left_m: 0.17, yaw_deg: -1.5 };
+    let compared = compare(&captures.join("wsr/LOS_Set_A/L1"), Some(mount));
+    assert!(compared >= 3, "{compared} links");
+}
+
+/// Compares what a node says of a replayed capture with what `csi5300 bearing` does, link by link; of the tracking camera's
+/// poses where `camera` says how it is mounted.
+fn compare(capture: &Path, camera: Option<CameraMount>) -> usize {
     use csi5300::pipeline::{Transmitter, bearings};
     use csi5300::source::replay::Replay;
     let files: Vec<PathBuf> = std::fs::read_dir(capture).unwrap().map(|entry| entry.unwrap().path()).collect();
     let is = |file: &PathBuf, begin: &str| file.file_name().unwrap().to_str().unwrap().starts_with(begin);
     let named = |begin: &str| files.iter().find(|file| is(file, begin)).unwrap();
-    let (rx, trajectory) = (named("csi_rx_"), named("rx_trajectory_"));
+    let poses = if camera.is_some() { "t265_rx_trajectory_" } else { "rx_trajectory_" };
+    let (rx, trajectory) = (named("csi_rx_"), named(poses));
     let txs: Vec<&PathBuf> = files.iter().filter(|file| is(file, "csi_tx")).collect();
-    let (path, _) = csi5300::motion::odometry::csv::read(trajectory).unwrap();
+    let (mut path, _) = csi5300::motion::odometry::csv::read(trajectory).unwrap();
+    if let Some(camera) = camera {
+        path = path.rolling(&camera.mount()).unwrap().with_antenna_offset([0.05, 0.16, 0.0].into()).unwrap();
+    }
     let mut logs: Vec<_> = txs.iter().map(|tx| Replay::open(tx).unwrap()).collect();
     let transmitters =
         logs.iter_mut().map(|log| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: None }).collect();
-    let options = csi5300::pipeline::Options::new("108".parse().unwrap());
+    let mut options = csi5300::pipeline::Options::new("108".parse().unwrap());
+    // A node has no autofocus, which leaves motion capture as it is.
+    options.accuracy.focus = camera.is_none();
     let offline = bearings(&mut Replay::open(rx).unwrap(), transmitters, &path, &options).unwrap();
     // The receiver's own MAC is the sender of most frames in a transmitter's log.
     let senders = &offline.transmitters[0].survey.senders;
     let own = senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0;
-    let mut text = format!(
+    let mounting = camera.map(|CameraMount { forward_m, left_m, yaw_deg }| {
+        format!(
+            "antenna_offset_m = [0.05, 0.16, 0.0]\n\
+             camera_mount = {{ forward_m = {forward_m}, left_m = {left_m}, yaw_deg = {yaw_deg} }}\n"
+        )
+    });
+    let mut text = mounting.unwrap_or_default();
+    let _ = write!(
+        text,
         "mac = \"{own}\"\nchannel = \"108\"\ncapture.replay.file = '{}'\nodometry.csv.file = '{}'\n\
          [estimator]\nwindow_m = 1000\nwindow_s = 100000\nrate_hz = 0.02\nextrapolate_s = 0\n",
         rx.display(),

@@ -32,6 +32,7 @@ pub(super) fn problems(config: &Config, text: &str) -> Vec<Problem> {
     check.finite();
     check.motion();
     check.own_poses();
+    check.camera();
     check.ros();
     check.something_to_do();
     check.peers();

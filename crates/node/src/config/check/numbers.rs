@@ -20,6 +20,9 @@ fn wrong_estimation(asked: &Estimation, least_m: f64) -> Vec<(&'static str, Stri
         let why = "extrapolate_s: 0 to 1 second; a robot is somewhere else after a longer time";
         wrong.push(("extrapolate_s", why.into()));
     }
+    if asked.heading_sd_deg.is_some_and(|sd_deg| !(0.0..=180.0).contains(&sd_deg)) {
+        wrong.push(("heading_sd_deg", "heading_sd_deg: 0 to 180 degrees".into()));
+    }
     if least_m > asked.window_m {
         let key = if asked.least_motion_m.is_some() { "least_motion_m" } else { "window_m" };
         let why = format!(

@@ -1,6 +1,6 @@
 //! This robot: its card, its room, its poses.
 
-use super::super::{Capture, Odometry, ros};
+use super::super::{CameraMount, Capture, Odometry, ros};
 use super::Check;
 use csi5300_sim::Room;
 use csi5300_sim::toml_lines::Step::{Index, Key};
@@ -87,6 +87,28 @@ impl Check<'_> {
             let place: Vec<_> = std::iter::once(Key("odometry")).chain(place).collect();
             self.refuse(&place, why);
         }
+    }
+
+    /// How this robot carries its camera.
+    pub(super) fn camera(&mut self) {
+        let Some(CameraMount { forward_m, left_m, yaw_deg }) = self.config.camera_mount else { return };
+        let numbers = [("forward_m", forward_m), ("left_m", left_m), ("yaw_deg", yaw_deg)];
+        for (key, _) in numbers.into_iter().filter(|(_, number)| !number.is_finite()) {
+            let why = format!("camera_mount: {key} must be a finite number");
+            self.refuse(&[Key("camera_mount"), Key(key)], why);
+        }
+        let why = match &self.config.odometry {
+            Odometry::Csv(_) | Odometry::Ros(_) => return,
+            Odometry::Ros2(topic) if topic.antenna_frame.is_none() => return,
+            Odometry::Ros2(_) => {
+                "`antenna_frame` moves poses to the antenna: leave it out, `antenna_offset_m` is where the antenna is"
+            }
+            Odometry::Opencr(_) => "`opencr` poses are of the wheels already",
+            Odometry::Room(_) => "`room` poses are of the robot, not of a camera on it",
+            Odometry::Static(_) | Odometry::Network(_) => "this robot has no poses of a camera",
+        };
+        let why = format!("camera_mount is for poses of a tracking camera (`csv`, `ros`, `ros2`): {why}");
+        self.refuse(&[Key("camera_mount")], why);
     }
 
     /// A program without a purpose.

@@ -69,6 +69,7 @@ fn numbers() {
     let estimator = |more: &str| format!("{ROOM}{PEER}[estimator]\naccurate = true\n{more}\n");
     for (key, value) in [
         ("elevation_max_deg", "91.0"),
+        ("heading_sd_deg", "-1.0"),
         ("accurate_every_s", "-1.0"),
         ("extrapolate_s", "2.0"),
         ("window_m", "0.05"),
@@ -84,6 +85,26 @@ fn numbers() {
     refused(&room("yaw_deg = 0.0", "yaw_deg = nan"), "nan", "peer `tx`");
     refused(&format!("{ROOM}{PEER}antenna_offset_m = [0, nan, 0]\n"), "nan", "peer `tx`");
     refused(&format!("{ROOM}{PEER}[peer.poses.static]\nheading_deg = 1.0\nposition_m = [0, 0, inf]\n"), "inf", "peer");
+}
+
+#[test]
+fn a_camera_is_for_poses_of_one() {
+    let mounted = |camera: &str, poses: &str| {
+        let given = format!("camera_mount = {camera}\n{poses}");
+        CARD.replace("odometry.opencr.port = \"/dev/null\"", &given)
+    };
+    let mount = "{ forward_m = 0.04, left_m = 0.17, yaw_deg = -1.5 }";
+    refused(&mounted(mount, "odometry.opencr.port = \"/dev/null\""), "camera_mount", "of the wheels already");
+    refused(&mounted(mount, "odometry.static = {}"), "camera_mount", "no poses of a camera");
+    let room = format!("camera_mount = {mount}\n{ROOM}{PEER}");
+    refused(&room, "camera_mount", "of the robot, not of a camera");
+    let endless = mounted("{ forward_m = 0.0, left_m = inf }", "odometry.csv.file = \"no.csv\"");
+    refused(&endless, "inf", "left_m must be a finite number");
+    if cfg!(feature = "ros2") {
+        assert_eq!(refusals(&mounted(mount, "odometry.ros2 = { topic = \"/odom\" }")), Vec::<String>::new());
+        let antenna = mounted(mount, "odometry.ros2 = { topic = \"/odom\", antenna_frame = \"wifi\" }");
+        refused(&antenna, "camera_mount", "`antenna_frame` moves poses");
+    }
 }
 
 #[test]
