@@ -1,19 +1,25 @@
 //! `csi5300 locate`.
 
+mod transmitters;
+
 use super::captures::Reading;
 use super::{Outcome, Result, hint, print, print_json, some};
 use csi5300::maths::median;
-use csi5300_lab::evaluate::Judged;
 use csi5300_lab::evaluate::quality::{Receiver, UNKNOWN_PROBABILITY, receivers};
+use csi5300_lab::evaluate::{Capture, Judged};
 use std::fmt::Write;
 use std::path::PathBuf;
+use transmitters::Together;
 
 /// Arguments of `locate`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// A capture, or a folder with captures below it; the places of the transmitters are read from
+    /// Captures, or folders with captures below them; the places of the transmitters are read from
     /// groundtruth_positions.json, where it is there
-    folder: PathBuf,
+    #[arg(required = true, value_name = "FOLDER")]
+    folders: Vec<PathBuf>,
+    #[command(flatten)]
+    together: Together,
     /// Where a transmitter is, metres in the trajectory's frame, as links name it: tx2=-3.18,1.11. For captures without a
     /// truth, or instead of it. With its height as a third number the receiver's height is told, where the motion shows elevations
     #[arg(long, value_name = "NAME=X,Y[,Z]", value_parser = place, allow_hyphen_values = true)]
@@ -22,12 +28,12 @@ pub struct Args {
     reading: Reading,
     /// Draw a map of each capture into this folder: the bearings, the transmitters, the receiver as located
     #[cfg(feature = "plot")]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", conflicts_with = "transmitters")]
     plot: Option<PathBuf>,
     #[cfg(feature = "plot")]
     #[command(flatten)]
     pictures: super::pictures::Pictures,
-    /// JSON Lines: one object a receiver
+    /// JSON Lines: one object a receiver, or a transmitter
     #[arg(long)]
     json: bool,
 }
@@ -48,16 +54,35 @@ fn place(text: &str) -> std::result::Result<(String, Place), String> {
     parts.ok_or_else(|| "a name and two or three numbers of metres, such as tx2=-3.18,1.11".into())
 }
 
-/// Locates the receiver of every capture.
+impl Args {
+    /// The captures of all folders, and whether some could not be read. Of several folders each gives its own name to what is
+    /// below it.
+    fn captures(&self) -> std::result::Result<(Vec<Capture>, bool), String> {
+        let (mut captures, mut lost) = (Vec::new(), false);
+        for folder in &self.folders {
+            let (mut found, unreadable) = self.reading.find(folder)?;
+            unreadable.iter().for_each(|folder| wrong!("cannot read {folder}"));
+            lost |= !unreadable.is_empty();
+            let own = folder.file_name().map(|name| name.to_string_lossy().into_owned());
+            if let Some(own) = own.filter(|_| self.folders.len() > 1) {
+                let named = |place: &str| if place.is_empty() { own.clone() } else { format!("{own}/{place}") };
+                found.iter_mut().for_each(|capture| capture.place = named(&capture.place));
+            }
+            captures.extend(found);
+        }
+        Ok((captures, lost))
+    }
+}
+
+/// Locates the receiver of every capture, or the transmitters of all of them.
 pub fn run(args: &Args) -> Result {
     #[cfg(feature = "plot")]
     args.pictures.must_have(args.plot.as_deref(), "--plot");
-    let options = args.reading.options()?;
-    let (captures, unreadable) = args.reading.find(&args.folder)?;
-    for folder in &unreadable {
-        wrong!("cannot read {folder}");
+    if args.together.transmitters {
+        return transmitters::run(args);
     }
-    let mut lost = !unreadable.is_empty();
+    let options = args.reading.options()?;
+    let (captures, mut lost) = args.captures()?;
     let mut rows: Vec<Judged> = Vec::new();
     for capture in &captures {
         let mut evaluated = capture.evaluate(args.reading.source(), args.reading.channel, &options);

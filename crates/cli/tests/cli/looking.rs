@@ -188,6 +188,7 @@ fn every_field_of_json_is_in_the_documentation() {
         &["evaluate", "tree", "--json", "--ablation"],
         &["evaluate", "tree", "--json", "--folds", "places"],
         &["locate", "c", "--channel", "108", "--json"],
+        &["locate", "c", "--channel", "108", "--transmitters", "--json"],
         &["suite", "--only", "circle 10", "--repetitions", "1", "--json"],
         &["demo", "--out", "demo", "--json"],
         &["simulate", "paper-circle", "--out", "room", "--json"],

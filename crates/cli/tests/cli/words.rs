@@ -126,6 +126,29 @@ fn captures_without_a_truth_are_explained_located_and_reported() {
     let (_, out, _) = folder.run(&["locate", "runs", "--channel", "108", "--place", "tx=-416,909", "--json"]);
     assert_eq!(json(&out)["links"], 1);
     assert_eq!(folder.run(&["locate", "runs", "--place", "tx=1"]).0, 2);
+    // One motion has a direction and no range: a long place. Another, beside the first, looks past it at a right angle.
+    let locate = |more: &[&str]| folder.run(&[&["locate", "--transmitters", "--channel", "108"], more].concat());
+    let place = |out: &str| {
+        let found = json(out);
+        let number = |name: &str, k: usize| found[name][k].as_f64().unwrap_or_else(|| panic!("{found}"));
+        assert_eq!(found["transmitter"], "tx");
+        ([number("position_m", 0), number("position_m", 1)], [number("ellipse_m", 0), number("ellipse_m", 1)], found)
+    };
+    let (_, [longer, shorter], _) = place(&locate(&["runs", "--json"]).1);
+    assert!(longer > 3.0 * shorter, "{longer} {shorter}");
+    let beside = ["runs", "other", "--frame", "other/circle=-7.04,3.38,-90", "--place", "tx=-2.50,5.46", "--json"];
+    std::fs::rename(folder.0.join("runs"), folder.0.join("other")).unwrap();
+    capture(&folder);
+    let (status, out, err) = locate(&beside);
+    let ([x, y], [longer, _], found) = place(&out);
+    // 114.6 degrees from about the origin, and 24.6 from about (-7.04, 3.38), cross six metres from here.
+    let off_m = (x + 2.5).hypot(y - 5.46);
+    assert!(status == 0 && found["motions"] == 2 && off_m < 0.8 && longer < 4.0, "{found} {err}");
+    assert!((found["off_m"].as_f64().unwrap() - off_m).abs() < 1e-3, "{found}");
+    let (status, _, err) = locate(&["runs", "--frame", "kitchen=0,0,0"]);
+    assert!(status == 2 && err.contains("no capture has this name"), "{err}");
+    assert_eq!(folder.run(&["locate", "runs", "--channel", "108", "--stretches", "2"]).0, 2);
+    std::fs::remove_dir_all(folder.0.join("other")).unwrap();
     #[cfg(feature = "plot")]
     {
         let (status, _, err) = folder.run(&["report", "runs", "--channel", "108", "--out", "r.html"]);

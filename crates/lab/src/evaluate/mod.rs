@@ -8,7 +8,7 @@
 //!
 //! [`find`] lists captures, [`find_all`] those without a truth too, [`Capture::evaluate`] makes a row of each link
 //! ([`Judged`]), with several options from files read once ([`Capture::shelf`]), [`summarise`] their errors by set; [`quality`] says what a set of rows is worth beside its errors;
-//! [`reliability`], [`surest`] and [`above`] what their probabilities are.
+//! [`transmitters`] locates those from several captures of one frame, [`reliability`], [`surest`] and [`above`] what their probabilities are.
 
 pub mod beside;
 mod errors;
@@ -20,6 +20,7 @@ mod path_error;
 pub mod quality;
 mod shelf;
 mod sure;
+pub mod transmitters;
 mod truth;
 
 pub use errors::{Errors, SetSummary, summarise};

@@ -1,7 +1,8 @@
 //! Errors by group and by how much was driven.
 
 use super::gather::Drive;
-use crate::evaluate::Errors;
+use crate::evaluate::{Errors, WRONG_DEG};
+use crate::fit_confidence::{Calibration, LabelledBearing, calibration};
 use csi5300::internal::track::TrackSettings;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -22,6 +23,10 @@ pub struct Column {
     pub said: f64,
     /// Share of them that was.
     pub right: f64,
+    /// Mean squared difference between those probabilities and what was, each place weighing the same.
+    pub brier: f64,
+    /// Expected calibration error of those probabilities in five bins, each place weighing the same.
+    pub expected_error: f64,
     /// Share of their errors within the error bar.
     pub within: f64,
     /// Share of their errors within twice the error bar.
@@ -63,8 +68,9 @@ pub fn report(
     Report { columns }
 }
 
-/// One carried answer: the stretch, its own error, the carried one's, that of all at once; probability and error bar.
+/// One carried answer: its place, the stretch, its own error, the carried one's, that of all at once; probability and error bar.
 struct Row {
+    place: String,
     stretch: usize,
     single_deg: f64,
     carried_deg: f64,
@@ -78,6 +84,7 @@ fn column(group: String, drives: &[&Drive], settings: &dyn Fn(&Drive) -> TrackSe
         let of = |carried: super::gather::Carried| {
             let stretch = drive.stretches.get(carried.index)?;
             Some(Row {
+                place: drive.place.clone(),
                 stretch: carried.index,
                 single_deg: stretch.own.as_ref()?.error_deg,
                 carried_deg: carried.error_deg,
@@ -99,6 +106,7 @@ fn column(group: String, drives: &[&Drive], settings: &dyn Fn(&Drive) -> TrackSe
             at_once: Errors::of(own().filter_map(|row| row.at_once_deg)),
         }
     };
+    let calibration = calibrated(&rows);
     let share =
         |holds: &dyn Fn(&Row) -> bool| rows.iter().filter(|row| holds(row)).count() as f64 / rows.len().max(1) as f64;
     Column {
@@ -106,9 +114,24 @@ fn column(group: String, drives: &[&Drive], settings: &dyn Fn(&Drive) -> TrackSe
         points: (0..most).map(point).collect(),
         carried: rows.len(),
         said: rows.iter().map(|row| row.said).sum::<f64>() / rows.len().max(1) as f64,
-        right: share(&|row| row.carried_deg.abs() <= 5.0),
+        brier: calibration.brier,
+        expected_error: calibration.expected_error,
+        right: share(&|row| row.carried_deg.abs() <= WRONG_DEG),
         within: share(&|row| row.carried_deg.abs() <= row.bar_deg),
         within_twice: share(&|row| row.carried_deg.abs() <= 2.0 * row.bar_deg),
         group,
     }
+}
+
+/// The answers as what probabilities are judged by.
+fn calibrated(rows: &[Row]) -> Calibration {
+    let label = |row: &Row| LabelledBearing {
+        place: row.place.clone(),
+        parts: 1,
+        features: Vec::new(),
+        right: row.carried_deg.abs() <= WRONG_DEG,
+        probability: row.said,
+    };
+    let own: Vec<LabelledBearing> = rows.iter().map(label).collect();
+    calibration(&own.iter().collect::<Vec<_>>(), &own.iter().map(|row| row.probability).collect::<Vec<f64>>())
 }

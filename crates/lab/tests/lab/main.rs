@@ -13,3 +13,4 @@ mod real_bearings;
 mod shelf;
 mod skipping;
 mod strange_logs;
+mod together;

@@ -1,0 +1,141 @@
+//! `csi5300 locate --transmitters`: each transmitter from all captures together.
+
+use super::super::{Outcome, Result, print, print_json, some, usage};
+use super::Args;
+use csi5300_lab::evaluate::Capture;
+use csi5300_lab::evaluate::transmitters::{Frame, Located, Motion, located};
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+/// How captures lie to each other.
+#[derive(clap::Args)]
+pub struct Together {
+    /// Locate the transmitters instead, each from all captures together: what they say of every place is carried along, not only
+    /// their bearings. Trajectories are in one frame, as those of motion capture are, or --frame says how they lie
+    #[arg(long)]
+    pub transmitters: bool,
+    /// Where the frame of a capture's trajectory lies in the common one: metres of its origin, and degrees from the common x axis
+    /// towards +y. CAPTURE is a folder as links name it
+    #[arg(long, value_name = "CAPTURE=X,Y,DEGREES", value_parser = frame, allow_hyphen_values = true, requires = "transmitters")]
+    frame: Vec<(String, Frame)>,
+    /// Cut every motion into so many stretches that last equally long: for a long drive
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 1,
+        value_parser = clap::value_parser!(u32).range(1..=1000),
+        requires = "transmitters"
+    )]
+    stretches: u32,
+}
+
+impl Together {
+    /// The frame of a capture's trajectory: that of the longest name that is its or a folder's above it.
+    fn frame(&self, capture: &Capture) -> Frame {
+        let own = capture.link_name("");
+        let is_of = |name: &str| own == name || own.strip_prefix(name).is_some_and(|rest| rest.starts_with('/'));
+        let named = self.frame.iter().filter(|(name, _)| is_of(name));
+        named.max_by_key(|(name, _)| name.len()).map(|(_, frame)| *frame).unwrap_or_default()
+    }
+
+    /// Refuses frames of captures that are not there.
+    fn must_be_of(&self, captures: &[Capture]) {
+        for (name, _) in &self.frame {
+            let below = format!("{name}/");
+            let is_there = |own: String| own == *name || own.starts_with(&below);
+            if !captures.iter().any(|capture| is_there(capture.link_name(""))) {
+                let names: Vec<String> = captures.iter().take(5).map(|capture| capture.link_name("")).collect();
+                usage(&format!("--frame {name}=...: no capture has this name; there are {}", names.join(", ")));
+            }
+        }
+    }
+}
+
+fn frame(text: &str) -> std::result::Result<(String, Frame), String> {
+    let parts = text.split_once('=').filter(|(name, _)| !name.is_empty()).and_then(|(name, place)| {
+        let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
+        let numbers: Vec<f64> = place.split(',').map(number).collect::<Option<_>>()?;
+        let [x, y, deg] = numbers[..] else { return None };
+        Some((name.trim_end_matches('/').to_owned(), Frame { origin_m: [x, y], yaw_rad: deg.to_radians() }))
+    });
+    parts.ok_or_else(|| "a capture's name, metres, metres, degrees, such as kitchen=4.2,-1,90".into())
+}
+
+/// Locates every transmitter of the captures.
+pub fn run(args: &Args) -> Result {
+    let options = args.reading.options()?;
+    let (captures, mut lost) = args.captures()?;
+    args.together.must_be_of(&captures);
+    let (mut motions, mut failed): (Vec<Motion>, Vec<(String, String)>) = (Vec::new(), Vec::new());
+    for capture in &captures {
+        let frame = args.together.frame(capture);
+        let source = args.reading.source();
+        let found = capture.motions(source, args.reading.channel, &options, args.together.stretches, frame);
+        lost |= found.lost;
+        found.notes.iter().for_each(|line| note!("{line}"));
+        motions.extend(found.motions);
+        failed.extend(found.failed);
+    }
+    let told: BTreeMap<String, [f64; 2]> = args.place.iter().map(|(name, (place, _))| (name.clone(), *place)).collect();
+    let found = located(&motions, &told);
+    if args.json {
+        found.iter().for_each(print_json);
+    } else {
+        print(&table(&found));
+    }
+    if args.together.stretches > 1 {
+        if !failed.is_empty() {
+            note!("{} without a bearing", some(failed.len() as u64, "stretch is", "stretches are"));
+        }
+    } else {
+        failed.iter().for_each(|(link, error)| wrong!("{link}: {error}"));
+    }
+    Ok(match found.iter().any(|one| one.position_m.is_some()) {
+        false => Outcome::Nothing,
+        true if lost => Outcome::DataLost,
+        true => Outcome::Done,
+    })
+}
+
+fn table(found: &[Located]) -> String {
+    let mut text = String::new();
+    for one in found {
+        let _ = write!(text, "{}: ", one.transmitter);
+        let Some(([x, y], share)) = one.position_m.zip(one.share) else {
+            let _ = writeln!(text, "{}", one.error.as_deref().unwrap_or("not located"));
+            continue;
+        };
+        let _ = write!(text, "x {x:.2}, y {y:.2} m");
+        if let Some(([longer, shorter], deg)) = one.ellipse_m.zip(one.ellipse_deg) {
+            let _ = write!(text, "; 68 % within {longer:.2} by {shorter:.2} m towards {deg:.0} degrees");
+        }
+        let _ = write!(text, "; share {share:.2}, from {}", some(one.motions as u64, "motion", "motions"));
+        if one.refused > 0 {
+            let _ = write!(text, ", {} unusable", one.refused);
+        }
+        if let Some(off) = one.off_m {
+            let _ = write!(text, "; {off:.2} m from the truth");
+        }
+        text.push('\n');
+        for other in &one.others {
+            let [x, y] = other.position_m;
+            let _ = writeln!(text, "  or x {x:.2}, y {y:.2} m: share {:.2}", other.share);
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_frame_has_a_place_and_a_direction() {
+        let (name, found) = frame("a/b/=1,-2.5, 90").unwrap();
+        assert_eq!((name.as_str(), found.origin_m), ("a/b", [1.0, -2.5]));
+        assert!((found.yaw_rad - std::f64::consts::FRAC_PI_2).abs() < 1e-12);
+        for wrong in ["a=1,2", "=1,2,3", "a=1,2,nan", "a", "a=1,2,3,4"] {
+            assert!(frame(wrong).is_err_and(|why| why.contains("degrees")), "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,253 @@
+//! Where transmitters are, each from all motions of receivers that are seen in one frame.
+
+use super::find::{Capture, TrajectorySource};
+use super::judge::Judged;
+use super::part::Part;
+use csi5300::internal::track::{Evidence, PeerPlace, places};
+use csi5300::pipeline::{Bearing, Options};
+use csi5300::signal::channel::Channel;
+use nalgebra::{Matrix2, Rotation2, Vector2};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Squared distance, in standard deviations, within which 68 % of a plane's normal distribution is.
+const ELLIPSE: f64 = 2.278_868_566_376_729_5;
+
+/// Where the frame of a capture's trajectory lies in the common one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Frame {
+    /// Its origin, metres.
+    pub origin_m: [f64; 2],
+    /// Its x axis, radians from the common one's towards +y.
+    pub yaw_rad: f64,
+}
+
+/// What one motion of a receiver says of a transmitter, in the common frame.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Motion {
+    /// Name of the transmitter: `tx2`.
+    pub transmitter: String,
+    /// The directions, seen from the middle of the motion.
+    pub evidence: Evidence,
+    /// Where the transmitter is, metres, where the capture has a truth in the frame of its trajectory.
+    pub true_m: Option<[f64; 2]>,
+}
+
+/// The motions of a capture.
+#[derive(Clone, Debug, Default)]
+#[non_exhaustive]
+pub struct Motions {
+    /// One for each transmitter and stretch that has a bearing.
+    pub motions: Vec<Motion>,
+    /// Links without one, and why.
+    pub failed: Vec<(String, String)>,
+    /// What was lost or left out, a line each.
+    pub notes: Vec<String>,
+    /// True if records were lost, or a link failed over a whole motion.
+    pub lost: bool,
+}
+
+/// A place where a transmitter may be.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct OtherPlace {
+    /// Its middle, metres in the common frame.
+    pub position_m: [f64; 2],
+    /// Probability that it is there.
+    pub share: f64,
+}
+
+/// A transmitter located from all motions together.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Located {
+    /// Its name.
+    pub transmitter: String,
+    /// Motions used.
+    pub motions: usize,
+    /// Motions whose evidence could not be used.
+    pub refused: usize,
+    /// The likeliest place, metres in the common frame.
+    pub position_m: Option<[f64; 2]>,
+    /// Its covariance, metres squared, row by row.
+    pub covariance_m2: Option<[[f64; 2]; 2]>,
+    /// Half axes, metres, the longer first, of the ellipse that holds 68 % of this place.
+    pub ellipse_m: Option<[f64; 2]>,
+    /// Direction of the longer axis, degrees from +x towards +y, in (-90, 90].
+    pub ellipse_deg: Option<f64>,
+    /// Probability that the transmitter is at this place and at none of the others.
+    pub share: Option<f64>,
+    /// The other places, the likeliest first.
+    pub others: Vec<OtherPlace>,
+    /// Why there is none.
+    pub error: Option<String>,
+    /// Where it is, metres, where a capture or the caller says it.
+    pub true_position_m: Option<[f64; 2]>,
+    /// Distance between the two, metres.
+    pub off_m: Option<f64>,
+    /// Whether the truth is within the ellipse.
+    pub within: Option<bool>,
+}
+
+impl Capture {
+    /// What this capture says of each of its transmitters over `stretches` stretches of its motion that last equally long,
+    /// in the common frame, in which its trajectory's lies at `frame`. Truths are in the frame of motion capture alone.
+    #[must_use]
+    pub fn motions(
+        &self,
+        source: TrajectorySource,
+        channel: Option<Channel>,
+        options: &Options,
+        stretches: u32,
+        frame: Frame,
+    ) -> Motions {
+        let heading_sd_rad = options.heading_sd_rad.unwrap_or(self.heading_sd_rad(source));
+        let mut found = Motions::default();
+        for part in Part::each(stretches.max(1)) {
+            let mut seen: BTreeMap<String, Evidence> = BTreeMap::new();
+            let mut look = |name: &str, bearing: &Bearing, _: &Options| {
+                let evidence = bearing.evidence().with_heading_sd_rad(heading_sd_rad);
+                seen.insert(name.to_owned(), evidence.in_frame(frame.origin_m.into(), frame.yaw_rad));
+            };
+            let evaluated = self.evaluate_part(source, channel, options, part, &mut look);
+            if part.index == 0 {
+                found.notes = evaluated.notes;
+            }
+            found.lost |= evaluated.lost && stretches <= 1;
+            for row in evaluated.rows {
+                match seen.remove(&row.answer.link) {
+                    Some(evidence) => found.motions.push(motion(&row, evidence, source, frame)),
+                    None => found.failed.push((row.answer.link, row.answer.error.unwrap_or_default())),
+                }
+            }
+        }
+        found
+    }
+}
+
+fn motion(row: &Judged, evidence: Evidence, source: TrajectorySource, frame: Frame) -> Motion {
+    let common = |place_m: [f64; 2]| {
+        let place_m = Vector2::from(frame.origin_m) + Rotation2::new(frame.yaw_rad) * Vector2::from(place_m);
+        place_m.into()
+    };
+    let true_m = row.true_transmitter_m.filter(|_| source == TrajectorySource::GroundTruth).map(common);
+    let transmitter = row.answer.link.rsplit('/').next().unwrap_or_default().to_owned();
+    Motion { transmitter, evidence, true_m }
+}
+
+/// Locates every transmitter from all motions that heard it; `told` has the places that the caller knows, by name.
+#[must_use]
+pub fn located(motions: &[Motion], told: &BTreeMap<String, [f64; 2]>) -> Vec<Located> {
+    let mut transmitters: BTreeMap<&str, Vec<&Motion>> = BTreeMap::new();
+    for motion in motions {
+        transmitters.entry(&motion.transmitter).or_default().push(motion);
+    }
+    let one = |(name, own): (&str, Vec<&Motion>)| {
+        let true_m = told.get(name).copied().or_else(|| own.iter().find_map(|motion| motion.true_m));
+        locate(name, &own, true_m)
+    };
+    transmitters.into_iter().map(one).collect()
+}
+
+fn locate(name: &str, motions: &[&Motion], true_position_m: Option<[f64; 2]>) -> Located {
+    let evidence: Vec<Evidence> = motions.iter().map(|motion| motion.evidence.clone()).collect();
+    let (found, error, motions, refused) = match places(&evidence) {
+        Ok(found) => (found.places, None, found.used, found.refused),
+        Err(error) => (Vec::new(), Some(error.to_string()), 0, evidence.len()),
+    };
+    let best = found.first();
+    let axes = best.map(|place| axes(&place.covariance_m2));
+    let off_m = best.zip(true_position_m).map(|(place, truth)| place.position_m - Vector2::from(truth));
+    Located {
+        transmitter: name.to_owned(),
+        motions,
+        refused,
+        position_m: best.map(|place| place.position_m.into()),
+        covariance_m2: best.map(|place| place.covariance_m2.into()),
+        ellipse_m: axes.map(|(half_m, _)| half_m),
+        ellipse_deg: axes.map(|(_, deg)| deg),
+        share: best.map(|place| place.share),
+        others: found.iter().skip(1).map(other).collect(),
+        error,
+        true_position_m,
+        off_m: off_m.map(|off_m| off_m.norm()),
+        within: best.zip(off_m).and_then(|(place, off_m)| {
+            let inverse = place.covariance_m2.try_inverse()?;
+            Some(off_m.dot(&(inverse * off_m)) <= ELLIPSE)
+        }),
+    }
+}
+
+fn other(place: &PeerPlace) -> OtherPlace {
+    OtherPlace { position_m: place.position_m.into(), share: place.share }
+}
+
+/// Half axes of the ellipse, metres, and the direction of the longer one, degrees.
+fn axes(covariance_m2: &Matrix2<f64>) -> ([f64; 2], f64) {
+    let own = covariance_m2.symmetric_eigen();
+    let longer = usize::from(own.eigenvalues[1] > own.eigenvalues[0]);
+    let half_m = |k: usize| (ELLIPSE * own.eigenvalues[k].max(0.0)).sqrt();
+    let along = own.eigenvectors.column(longer);
+    let deg = along[1].atan2(along[0]).to_degrees();
+    let upright = if deg > 90.0 {
+        deg - 180.0
+    } else if deg <= -90.0 {
+        deg + 180.0
+    } else {
+        deg
+    };
+    ([half_m(longer), half_m(1 - longer)], upright)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300::internal::track::EvidenceMode;
+
+    const AT: [f64; 2] = [3.0, 1.0];
+
+    fn seen(from: [f64; 2], mirror_deg: Option<f64>) -> Motion {
+        let to = Vector2::from(AT) - Vector2::from(from);
+        let mode = |azimuth_rad: f64, share: f64| EvidenceMode::new(azimuth_rad, 0.02, share);
+        let mut modes = vec![mode(to.y.atan2(to.x), 0.5)];
+        modes.extend(mirror_deg.map(|deg| mode(deg.to_radians(), 0.5)));
+        let evidence = Evidence::new(0.0, from.into(), modes, 0.9);
+        Motion { transmitter: "tx2".into(), evidence, true_m: None }
+    }
+
+    #[test]
+    fn the_second_motion_settles_a_mirror_and_the_truth_is_in_the_ellipse() {
+        let told = BTreeMap::from([("tx2".to_owned(), AT)]);
+        let [alone] = &located(&[seen([0.0, 0.0], Some(-60.0))], &told)[..] else { panic!() };
+        let share = alone.share.unwrap();
+        assert!(share < 0.7 && !alone.others.is_empty(), "{alone:?}");
+        let both = [seen([0.0, 0.0], Some(-60.0)), seen([1.0, 3.0], Some(100.0))];
+        let [both] = &located(&both, &told)[..] else { panic!() };
+        assert!(both.share.unwrap() > share + 0.1 && both.off_m.unwrap() < 0.2, "{both:?}");
+        assert_eq!((both.motions, both.within), (2, Some(true)));
+        let [longer, shorter] = both.ellipse_m.unwrap();
+        assert!(longer >= shorter && longer < 1.0, "{both:?}");
+        assert!(located(&[], &told).is_empty());
+    }
+
+    #[test]
+    fn an_ellipse_has_its_longer_axis_first_and_upright() {
+        let turned = Rotation2::new(-1.0);
+        let covariance = turned.matrix() * Matrix2::new(4.0, 0.0, 0.0, 1.0) * turned.matrix().transpose();
+        let ([longer, shorter], deg) = axes(&covariance);
+        assert!((longer - 2.0 * ELLIPSE.sqrt()).abs() < 1e-9 && (shorter - ELLIPSE.sqrt()).abs() < 1e-9);
+        assert!((deg + 57.295_779_5).abs() < 1e-6, "{deg}");
+        assert!((ELLIPSE + 2.0 * 0.32f64.ln()).abs() < 1e-6);
+    }
+
+    #[test]
+    fn evidence_that_is_none_is_counted() {
+        let mut broken = seen([0.0, 0.0], None);
+        broken.evidence.modes.clear();
+        let [found] = &located(&[broken.clone(), seen([0.0, 0.0], None)], &BTreeMap::new())[..] else { panic!() };
+        assert_eq!((found.motions, found.refused, found.error.is_none()), (1, 1, true));
+        let [found] = &located(&[broken], &BTreeMap::new())[..] else { panic!() };
+        assert!(found.error.as_ref().is_some_and(|error| error.contains("usable")), "{found:?}");
+    }
+}
