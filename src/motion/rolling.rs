@@ -47,6 +47,7 @@ impl Trajectory {
 
 /// [`Trajectory::rolling`] of poses that come one by one.
 #[derive(Clone, Copy, Debug)]
+#[doc(hidden)]
 pub struct Roller {
     mount: Mount,
     before: Option<Before>,
