@@ -27,7 +27,7 @@ pub struct Args {
     open: bool,
     #[command(flatten)]
     reading: Reading,
-    /// Captures worked on at a time; 0 is one for each core
+    /// Captures worked on at a time; 0 is one for each core but one, which is left for who clicks
     #[arg(long, default_value_t = 0, value_name = "N")]
     threads: usize,
 }
@@ -48,7 +48,8 @@ pub fn run(args: &Args) -> Result {
     let server = Server::listen(args.listen).map_err(|error| error.to_string())?;
     let address = server.address();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    view.start(if args.threads == 0 { cores } else { args.threads }).map_err(|error| error.to_string())?;
+    let usual = cores.saturating_sub(1).max(1);
+    view.start(if args.threads == 0 { usual } else { args.threads }).map_err(|error| error.to_string())?;
     let shown =
         if address.ip().is_unspecified() { SocketAddr::new([127, 0, 0, 1].into(), address.port()) } else { address };
     let url = format!("http://{shown}/");
