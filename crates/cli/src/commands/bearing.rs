@@ -177,13 +177,7 @@ pub fn run(mut args: Args) -> Result {
     pool.build_global().map_err(|error| error.to_string())?;
     let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
     say_losses(&args, &rx, &report, &receiver, &logs);
-    let mut names: Vec<String> = args.tx.iter().map(|path| link_name(&inputs, path)).collect();
-    let stems = names.clone();
-    for (k, name) in stems.iter().enumerate() {
-        if stems.iter().filter(|other| *other == name).count() > 1 {
-            names[k] = format!("{name}.{}", k + 1);
-        }
-    }
+    let names = told_apart(args.tx.iter().map(|path| link_name(&inputs, path)).collect());
     let mut answered = 0;
     let paths: Vec<_> = (0..report.links.len()).map(|k| partners.get(k)).collect();
     let in_stretches = |every_s: f64| report.in_stretches(&trajectory, &paths, every_s, &options);
@@ -213,6 +207,13 @@ pub fn run(mut args: Args) -> Result {
     } else {
         Outcome::Done
     })
+}
+
+/// The names of links, those that stand more than once with their place among all behind them.
+fn told_apart(stems: Vec<String>) -> Vec<String> {
+    let is_shared = |name: &String| stems.iter().filter(|other| *other == name).count() > 1;
+    let apart = |(k, name): (usize, &String)| if is_shared(name) { format!("{name}.{}", k + 1) } else { name.clone() };
+    stems.iter().enumerate().map(apart).collect()
 }
 
 fn options(args: &Args) -> std::result::Result<Options, String> {

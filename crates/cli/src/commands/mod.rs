@@ -148,7 +148,7 @@ enum Command {
     /// A page in the browser: logs, the links of captures with their errors, or a running node
     #[cfg(feature = "view")]
     View(view::Args),
-    /// Where the receiver of a capture is, from its links to transmitters whose places are known
+    /// Where the receiver of a capture is, from its links to transmitters whose places are known; or where transmitters are
     Locate(locate::Args),
     /// One link from end to end: phase, compensation, autofocus, candidates and paths, with pictures
     Explain(explain::Args),
