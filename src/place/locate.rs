@@ -4,6 +4,10 @@
 //! is several deviations out. Started from every crossing of two bearings, so that one wrong bearing cannot choose the
 //! minimum. The covariance is that of the linearised problem at the answer, with the weights of the loss.
 //!
+//! A sighting may have several bearings: its mirror, and the other candidates of its link with their evidence. Its likelihood is then
+//! the sum of theirs, each times its evidence, and every step weighs each bearing by its part of that sum (expectation and
+//! maximisation): three links that agree choose the candidate of the one that does not.
+//!
 //! Places are on the floor: azimuths and horizontal ranges do not depend on heights. Where the motion showed the elevation
 //! of a transmitter whose height is known, the receiver's height follows from it: that of the transmitter less the distance
 //! times the tangent.
@@ -13,7 +17,7 @@ use crate::tuning::TUNING;
 use nalgebra::{Matrix2, Vector2};
 
 /// The bearing of one link, and its range where known.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Sighting {
     /// Where the transmitter is, metres.
@@ -22,12 +26,20 @@ pub struct Sighting {
     pub azimuth_rad: f64,
     /// The other bearing that the motion cannot tell from it, radians, where there is one.
     pub mirror_rad: Option<f64>,
-    /// Standard deviation of the bearing, radians.
+    /// Further bearings that it may be, radians, each with its evidence in units of that of `azimuth_rad`: the other candidates.
+    pub others: Vec<(f64, f64)>,
+    /// Standard deviation of each of these bearings, radians.
     pub azimuth_sd_rad: f64,
     /// Horizontal range and its standard deviation, metres, where known.
     pub range_m: Option<(f64, f64)>,
     /// Elevation of a transmitter whose height is known, where the motion showed it.
     pub elevation: Option<Elevation>,
+}
+
+struct Direction {
+    azimuth_rad: f64,
+    evidence: f64,
+    has_range: bool,
 }
 
 /// How high a transmitter is, and seems from the receiver.
@@ -45,12 +57,33 @@ impl Sighting {
     /// A bearing without a range: the transmitter's place in metres, the azimuth to it and its deviation in radians.
     #[must_use]
     pub fn new(transmitter_m: Vector2<f64>, azimuth_rad: f64, azimuth_sd_rad: f64) -> Self {
-        Self { transmitter_m, azimuth_rad, mirror_rad: None, azimuth_sd_rad, range_m: None, elevation: None }
+        Self {
+            transmitter_m,
+            azimuth_rad,
+            mirror_rad: None,
+            others: Vec::new(),
+            azimuth_sd_rad,
+            range_m: None,
+            elevation: None,
+        }
     }
 
-    /// Each bearing that it may be, radians.
-    fn azimuths_rad(&self) -> impl Iterator<Item = f64> {
-        std::iter::once(self.azimuth_rad).chain(self.mirror_rad)
+    /// Each bearing that it may be, radians, with its evidence. The range is that of the first and of the mirror.
+    fn bearings(&self) -> impl Iterator<Item = Direction> {
+        let own = std::iter::once(self.azimuth_rad).chain(self.mirror_rad);
+        let own = own.map(|azimuth_rad| Direction { azimuth_rad, evidence: 1.0, has_range: true });
+        let other = |(azimuth_rad, evidence): &(f64, f64)| Direction {
+            azimuth_rad: *azimuth_rad,
+            evidence: *evidence,
+            has_range: false,
+        };
+        own.chain(self.others.iter().map(other))
+    }
+
+    fn is_usable(&self) -> bool {
+        self.bearings().all(|bearing| bearing.azimuth_rad.is_finite() && (0.0..1e9).contains(&bearing.evidence))
+            && self.azimuth_sd_rad >= 0.0
+            && self.transmitter_m.iter().all(|v| v.is_finite())
     }
 }
 
@@ -62,8 +95,10 @@ pub struct Located {
     pub position_m: Vector2<f64>,
     /// Its covariance, metres squared.
     pub covariance_m2: Matrix2<f64>,
-    /// Share of its weight that each sighting kept, 0..1: small for one that fits nothing else.
+    /// Share of its weight that each usable sighting kept, 0..1: small for one that fits nothing else.
     pub weights: Vec<f64>,
+    /// Of each usable sighting, the bearing that this place speaks for, radians: the answer, its mirror or another candidate.
+    pub azimuths_rad: Vec<f64>,
     /// Height of the receiver and its standard deviation, metres, where a sighting has an elevation.
     pub height_m: Option<(f64, f64)>,
 }
@@ -83,10 +118,22 @@ pub enum LocateError {
     Parallel,
 }
 
+/// A residual in deviations, its gradient by the position, and what weight it has.
 struct Equation {
     residual: f64,
     gradient: Vector2<f64>,
-    source: usize,
+    weight: f64,
+}
+
+/// A sighting as seen from a place.
+struct Seen {
+    equations: Vec<Equation>,
+    /// Likelihood, with the robust loss in place of a normal density.
+    likelihood: f64,
+    /// Share of its weight that it keeps.
+    weight: f64,
+    /// Index of the bearing with the largest part of the likelihood.
+    likeliest: usize,
 }
 
 /// Locates a receiver.
@@ -94,10 +141,7 @@ struct Equation {
 /// # Errors
 /// [`LocateError`] where the sightings do not fix a position. Sightings that are not finite are left out.
 pub fn locate(sightings: &[Sighting]) -> Result<Located, LocateError> {
-    let finite = |s: &&Sighting| {
-        s.azimuths_rad().all(f64::is_finite) && s.azimuth_sd_rad >= 0.0 && s.transmitter_m.iter().all(|v| v.is_finite())
-    };
-    let usable: Vec<Sighting> = sightings.iter().filter(finite).copied().collect();
+    let usable: Vec<Sighting> = sightings.iter().filter(|sighting| sighting.is_usable()).cloned().collect();
     let starts = starts(&usable);
     if usable.len() < 2 && usable.iter().all(|s| s.range_m.is_none()) {
         return Err(LocateError::TooFew { sightings: usable.len() });
@@ -107,16 +151,16 @@ pub fn locate(sightings: &[Sighting]) -> Result<Located, LocateError> {
     finish(best.0, &usable).ok_or(LocateError::Parallel)
 }
 
-/// Crossings of all pairs of bearings that lie ahead, and the ends of ranges; mirrors are bearings too.
+/// Crossings of all pairs of bearings that lie ahead, and the ends of ranges; mirrors and other candidates are bearings too.
 fn starts(sightings: &[Sighting]) -> Vec<Vector2<f64>> {
     let back = |azimuth: f64| -Vector2::new(azimuth.cos(), azimuth.sin());
-    let bearings = |s: &Sighting| s.azimuths_rad().map(back).collect::<Vec<_>>();
+    let bearings = |s: &Sighting| s.bearings().map(|one| (back(one.azimuth_rad), one.has_range)).collect::<Vec<_>>();
     let mut starts = Vec::new();
     for (i, a) in sightings.iter().enumerate() {
-        for u in bearings(a) {
-            starts.extend(a.range_m.map(|(range, _)| a.transmitter_m + u * range));
+        for (u, has_range) in bearings(a) {
+            starts.extend(a.range_m.filter(|_| has_range).map(|(range, _)| a.transmitter_m + u * range));
             for b in &sightings[i + 1..] {
-                for v in bearings(b) {
+                for (v, _) in bearings(b) {
                     let cross = u.perp(&v);
                     if cross.abs() > 1e-3 {
                         let along = (b.transmitter_m - a.transmitter_m).perp(&v) / cross;
@@ -129,57 +173,66 @@ fn starts(sightings: &[Sighting]) -> Vec<Vector2<f64>> {
     starts
 }
 
-fn equations(at: &Vector2<f64>, sightings: &[Sighting]) -> Vec<Equation> {
-    let mut equations = Vec::with_capacity(2 * sightings.len());
-    for (source, s) in sightings.iter().enumerate() {
-        let to = s.transmitter_m - at;
-        let distance = to.norm().max(1e-3);
-        let sd = s.azimuth_sd_rad.hypot(TUNING.locate.azimuth_floor_rad);
-        let across = Vector2::new(to.y, -to.x) / (distance * distance);
-        let off = s.azimuths_rad().map(|azimuth| wrap_rad(to.y.atan2(to.x) - azimuth));
-        let residual = off.min_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default() / sd;
-        equations.push(Equation { residual, gradient: across / sd, source });
-        if let Some((range, own)) = s.range_m.filter(|(range, own)| range.is_finite() && *own >= 0.0) {
-            let sd = own.hypot(TUNING.locate.range_floor * range).max(1e-3);
-            equations.push(Equation { residual: (distance - range) / sd, gradient: -to / (distance * sd), source });
-        }
+fn seen(at: &Vector2<f64>, s: &Sighting) -> Seen {
+    let to = s.transmitter_m - at;
+    let distance = to.norm().max(1e-3);
+    let sd = s.azimuth_sd_rad.hypot(TUNING.locate.azimuth_floor_rad);
+    let across = Vector2::new(to.y, -to.x) / (distance * distance);
+    let known = s.range_m.filter(|(range, own)| range.is_finite() && *own >= 0.0);
+    let range = known.map(|(range, own)| {
+        let sd = own.hypot(TUNING.locate.range_floor * range).max(1e-3);
+        Equation { residual: (distance - range) / sd, gradient: -to / (distance * sd), weight: 0.0 }
+    });
+    let fits = range.as_ref().map(|range| weight(range.residual));
+    let (mut parts, mut equations) = (Vec::new(), Vec::new());
+    for bearing in s.bearings() {
+        let residual = wrap_rad(to.y.atan2(to.x) - bearing.azimuth_rad) / sd;
+        // Where another bearing is the right one its range is not known: as good as one that has lost half of its weight.
+        let by_range = fits.map_or(1.0, |fits| if bearing.has_range { fits } else { 0.5 });
+        parts.push((bearing.evidence * weight(residual) * by_range, bearing.has_range));
+        equations.push(Equation { residual, gradient: across / sd, weight: weight(residual) });
     }
-    equations
+    let likelihood: f64 = parts.iter().map(|(part, _)| part).sum::<f64>().max(f64::MIN_POSITIVE);
+    let own: f64 = parts.iter().filter(|(_, has_range)| *has_range).map(|(part, _)| part / likelihood).sum();
+    let kept = |sum: f64, (equation, (part, _)): (&Equation, &(f64, bool))| sum + equation.weight * part / likelihood;
+    let by_bearing = equations.iter().zip(&parts).fold(0.0, kept);
+    let by_range = fits.map_or(1.0, |fits| 1.0 - own + own * fits);
+    equations.iter_mut().zip(&parts).for_each(|(equation, (part, _))| equation.weight *= part / likelihood);
+    equations.extend(range.map(|range| Equation { weight: own * weight(range.residual), ..range }));
+    let likeliest = parts.iter().enumerate().max_by(|a, b| a.1.0.total_cmp(&b.1.0)).map_or(0, |(k, _)| k);
+    Seen { equations, likelihood, weight: by_bearing.min(by_range), likeliest }
 }
 
 fn weight(residual: f64) -> f64 {
     1.0 / (1.0 + (residual / TUNING.locate.cauchy).powi(2))
 }
 
-fn cost(at: &Vector2<f64>, sightings: &[Sighting]) -> f64 {
-    equations(at, sightings).iter().map(|e| (1.0 + (e.residual / TUNING.locate.cauchy).powi(2)).ln()).sum()
-}
-
-/// Normal matrix and gradient of the reweighted problem.
-fn normal(equations: &[Equation]) -> (Matrix2<f64>, Vector2<f64>) {
-    let mut matrix = Matrix2::zeros();
-    let mut side = Vector2::zeros();
-    for e in equations {
-        let w = weight(e.residual);
-        matrix += e.gradient * e.gradient.transpose() * w;
-        side += e.gradient * (e.residual * w);
+/// The cost at a place, and the normal matrix and gradient of the reweighted problem there.
+fn normal(at: &Vector2<f64>, sightings: &[Sighting]) -> (f64, Matrix2<f64>, Vector2<f64>) {
+    let (mut cost, mut matrix, mut side) = (0.0, Matrix2::zeros(), Vector2::zeros());
+    for seen in sightings.iter().map(|sighting| seen(at, sighting)) {
+        cost -= seen.likelihood.ln();
+        for e in &seen.equations {
+            matrix += e.gradient * e.gradient.transpose() * e.weight;
+            side += e.gradient * (e.residual * e.weight);
+        }
     }
-    (matrix, side)
+    (cost, matrix, side)
 }
 
 /// Levenberg and Marquardt (\[levenberg1944\], \[marquardt1963\] in docs/references.md) from `start`, each residual
 /// weighted by the loss in every step.
 fn descend(start: Vector2<f64>, sightings: &[Sighting]) -> Option<(Vector2<f64>, f64)> {
-    let (mut at, mut own) = (start, cost(&start, sightings));
+    let mut at = start;
+    let (mut own, mut matrix, mut side) = normal(&at, sightings);
     let mut damping = 1e-3;
     for _ in 0..TUNING.locate.steps {
-        let (matrix, side) = normal(&equations(&at, sightings));
         let damped = matrix + Matrix2::from_diagonal(&matrix.diagonal()) * damping + Matrix2::identity() * 1e-9;
         let step = damped.try_inverse()? * side;
         let next = at - step;
-        let new = cost(&next, sightings);
-        if new < own {
-            (at, own, damping) = (next, new, damping * 0.3);
+        let (cost, next_matrix, next_side) = normal(&next, sightings);
+        if cost < own {
+            (at, own, matrix, side, damping) = (next, cost, next_matrix, next_side, damping * 0.3);
         } else {
             damping *= 10.0;
         }
@@ -191,15 +244,15 @@ fn descend(start: Vector2<f64>, sightings: &[Sighting]) -> Option<(Vector2<f64>,
 }
 
 fn finish(at: Vector2<f64>, sightings: &[Sighting]) -> Option<Located> {
-    let equations = equations(&at, sightings);
-    let (matrix, _) = normal(&equations);
+    let (_, matrix, _) = normal(&at, sightings);
     let covariance_m2 = matrix.try_inverse().filter(|c| c.iter().all(|v| v.is_finite()))?;
-    let mut weights = vec![1.0f64; sightings.len()];
-    for e in &equations {
-        weights[e.source] = weights[e.source].min(weight(e.residual));
-    }
-    let height_m = height(&at, &covariance_m2, sightings, &weights);
-    Some(Located { position_m: at, covariance_m2, weights, height_m })
+    let views: Vec<Seen> = sightings.iter().map(|sighting| seen(&at, sighting)).collect();
+    let bearing =
+        |(s, seen): (&Sighting, &Seen)| s.bearings().nth(seen.likeliest).map_or(s.azimuth_rad, |b| b.azimuth_rad);
+    let azimuths_rad = sightings.iter().zip(&views).map(bearing).collect();
+    let height_m = height(&at, &covariance_m2, sightings, &views);
+    let weights = views.iter().map(|seen| seen.weight).collect();
+    Some(Located { position_m: at, covariance_m2, weights, azimuths_rad, height_m })
 }
 
 /// The height at `at` and its deviation, by the elevations: each by its variance and by the weight of its sighting. The place
@@ -208,21 +261,17 @@ fn height(
     at: &Vector2<f64>,
     covariance_m2: &Matrix2<f64>,
     sightings: &[Sighting],
-    weights: &[f64],
+    views: &[Seen],
 ) -> Option<(f64, f64)> {
     let (mut sum, mut height_m, mut along) = (0.0, 0.0, Vector2::zeros());
-    for (sighting, weight) in sightings.iter().zip(weights) {
+    for (sighting, seen) in sightings.iter().zip(views) {
         let to = sighting.transmitter_m - at;
         let (distance, floor) = (to.norm().max(1e-3), TUNING.locate.azimuth_floor_rad);
-        let off = |azimuth: f64| wrap_rad(to.y.atan2(to.x) - azimuth).abs();
-        // Of the mirror the elevation is another one.
-        let is_mirror = sighting.mirror_rad.is_some_and(|mirror| off(mirror) < off(sighting.azimuth_rad));
-        let Some(Elevation { transmitter_z_m, elevation_rad, sd_rad }) = sighting.elevation.filter(|_| !is_mirror)
-        else {
-            continue;
-        };
+        // Of the mirror and of other candidates the elevation is another one.
+        let elevation = sighting.elevation.filter(|_| seen.likeliest == 0);
+        let Some(Elevation { transmitter_z_m, elevation_rad, sd_rad }) = elevation else { continue };
         let (tan, sd_m) = (elevation_rad.tan(), distance * sd_rad.hypot(floor) / elevation_rad.cos().powi(2));
-        let share = weight / (sd_m * sd_m);
+        let share = seen.weight / (sd_m * sd_m);
         let own_m = transmitter_z_m - distance * tan;
         if share.is_finite() && own_m.is_finite() {
             sum += share;
@@ -241,14 +290,7 @@ mod tests {
 
     fn sighting(from: (f64, f64), tx: (f64, f64), error_deg: f64) -> Sighting {
         let azimuth = (tx.1 - from.1).atan2(tx.0 - from.0) + error_deg.to_radians();
-        Sighting {
-            transmitter_m: Vector2::new(tx.0, tx.1),
-            azimuth_rad: wrap_rad(azimuth),
-            mirror_rad: None,
-            azimuth_sd_rad: 0.01,
-            range_m: None,
-            elevation: None,
-        }
+        Sighting::new(Vector2::new(tx.0, tx.1), wrap_rad(azimuth), 0.01)
     }
 
     const ROBOTS: [(f64, f64); 4] = [(-2.4, 2.7), (2.5, -2.7), (-3.7, -1.5), (3.0, 3.0)];
@@ -270,6 +312,28 @@ mod tests {
         let found = locate(&own).unwrap();
         assert!((found.position_m - Vector2::new(0.3, -0.4)).norm() < 0.1, "{found:?}");
         assert!(found.weights[1] < 0.1);
+    }
+
+    #[test]
+    fn links_that_agree_choose_the_candidate_of_the_one_that_does_not() {
+        let at = (0.3, -0.4);
+        let mut own: Vec<_> = ROBOTS[..3].iter().map(|tx| sighting(at, *tx, 0.3)).collect();
+        let right = own[1].azimuth_rad;
+        // A reflection is stronger; beside it another, and the direct path third with half of its evidence.
+        own[1].azimuth_rad = wrap_rad(right + 2.0);
+        own[1].others = vec![(wrap_rad(right - 1.2), 0.9), (right, 0.5)];
+        let found = locate(&own).unwrap();
+        assert!((found.position_m - Vector2::new(at.0, at.1)).norm() < 0.1, "{found:?}");
+        assert!(wrap_rad(found.azimuths_rad[1] - right).abs() < 1e-9 && found.weights[1] > 0.9, "{found:?}");
+        assert_eq!(found.azimuths_rad[0], own[0].azimuth_rad);
+        // Without evidence for it the direct path is no help, and all three bearings keep little of their say or one of them does.
+        own[1].others.clear();
+        assert!(locate(&own).unwrap().weights.iter().copied().fold(1.0, f64::min) < 0.1);
+        // The range of the answer says nothing of the other candidates.
+        own[1].others = vec![(right, 0.5)];
+        own[1].range_m = Some((1.0, 0.1));
+        let found = locate(&own).unwrap();
+        assert!((found.position_m - Vector2::new(at.0, at.1)).norm() < 0.1, "{found:?}");
     }
 
     #[test]
@@ -313,7 +377,7 @@ mod tests {
     #[test]
     fn one_bearing_needs_a_range() {
         let mut one = sighting((0.0, 0.0), (3.0, 0.0), 0.0);
-        assert_eq!(locate(&[one]), Err(LocateError::TooFew { sightings: 1 }));
+        assert_eq!(locate(std::slice::from_ref(&one)), Err(LocateError::TooFew { sightings: 1 }));
         one.range_m = Some((3.0, 0.3));
         assert!(locate(&[one]).unwrap().position_m.norm() < 1e-3);
         assert_eq!(locate(&[]), Err(LocateError::TooFew { sightings: 0 }));
@@ -322,9 +386,10 @@ mod tests {
     #[test]
     fn parallel_bearings_and_foreign_numbers_are_refused() {
         let a = sighting((0.0, 0.0), (3.0, 0.0), 0.0);
-        let b = Sighting { transmitter_m: Vector2::new(3.0, 1.0), ..a };
-        assert_eq!(locate(&[a, b]), Err(LocateError::Parallel));
-        let broken = Sighting { azimuth_rad: f64::NAN, ..a };
-        assert_eq!(locate(&[a, broken]), Err(LocateError::TooFew { sightings: 1 }));
+        let b = Sighting { transmitter_m: Vector2::new(3.0, 1.0), ..a.clone() };
+        assert_eq!(locate(&[a.clone(), b]), Err(LocateError::Parallel));
+        let broken = Sighting { azimuth_rad: f64::NAN, ..a.clone() };
+        let no_evidence = Sighting { others: vec![(1.0, f64::INFINITY)], ..a.clone() };
+        assert_eq!(locate(&[a, broken, no_evidence]), Err(LocateError::TooFew { sightings: 1 }));
     }
 }

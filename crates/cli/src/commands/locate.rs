@@ -160,18 +160,46 @@ fn table(found: &[Receiver], rows: &[Judged]) -> String {
             );
         }
         text.push('\n');
+        said_otherwise(receiver, rows, &mut text);
         let own = rows.iter().filter(|row| row.answer.link.starts_with(&format!("{}/", receiver.capture)));
         for row in own {
             let Some([x, y, z]) = row.answer.position_m else { continue };
             let _ = writeln!(text, "  {}: seen at x {x:.2}, y {y:.2}, z {z:.2} m", row.answer.link);
         }
     }
+    errors(found, &mut text);
     let mut off: Vec<f64> = found.iter().filter_map(|receiver| receiver.off_m).collect();
     if let Some(median) = median(&mut off) {
         let _ =
             writeln!(text, "{} located, median error {median:.2} m", some(off.len() as u64, "receiver", "receivers"));
     }
     text
+}
+
+/// The links for which the place speaks for another bearing than their answer.
+fn said_otherwise(receiver: &Receiver, rows: &[Judged], text: &mut String) {
+    for (link, azimuth_deg) in receiver.names.iter().zip(&receiver.azimuths_deg) {
+        let answer = rows.iter().find(|row| row.answer.link == *link).and_then(|row| row.answer.azimuth_deg);
+        if let Some(answer) = answer.filter(|answer| (answer - azimuth_deg).abs() > 1e-6) {
+            let _ = writeln!(text, "  {link}: {azimuth_deg:.2} deg fits this place, not the {answer:.2} deg answered");
+        }
+    }
+}
+
+/// Errors of the bearings of links to located receivers, as answered and as the places choose them, where the truth is known.
+fn errors(found: &[Receiver], text: &mut String) {
+    let chosen = || found.iter().filter(|receiver| receiver.azimuth_errors_deg.len() > 1);
+    let pool = |errors: fn(&Receiver) -> &[f64]| {
+        let mut errors: Vec<f64> = chosen().flat_map(errors).map(|error| error.abs()).collect();
+        let mean = errors.iter().sum::<f64>() / errors.len() as f64;
+        median(&mut errors).map(|median| format!("{mean:.2} / {median:.2} deg"))
+    };
+    if let (Some(answered), Some(fitting)) = (pool(|r| &r.answer_errors_deg), pool(|r| &r.azimuth_errors_deg)) {
+        let _ = writeln!(
+            text,
+            "bearings of receivers with two or more, mean / median error: {answered} as answered, {fitting} as the places choose among their candidates"
+        );
+    }
 }
 
 #[cfg(test)]

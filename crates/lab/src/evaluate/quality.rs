@@ -2,7 +2,8 @@
 
 use super::Judged;
 use super::sure::{Kept, Sure, WRONG_DEG, surest};
-use csi5300::maths::median;
+use csi5300::maths::{median, wrap_rad};
+use csi5300::pipeline::{Answer, PathAnswer};
 use csi5300::place::locate::{Elevation, LocateError, Located, Sighting, locate};
 use nalgebra::Vector2;
 use serde::Serialize;
@@ -70,6 +71,8 @@ pub struct Receiver {
     pub capture: String,
     /// Links used.
     pub links: usize,
+    /// Their names, in the order of what is listed of each.
+    pub names: Vec<String>,
     /// Those of them that have no calibrated probability: they are weighed by [`UNKNOWN_PROBABILITY`].
     #[serde(skip_serializing_if = "is_zero")]
     pub without_probability: usize,
@@ -85,6 +88,14 @@ pub struct Receiver {
     pub height_sd_m: Option<f64>,
     /// Share of its say that each link kept.
     pub weights: Vec<f64>,
+    /// The bearing of each link that the place speaks for, degrees: the answer, its mirror or another of its candidates.
+    pub azimuths_deg: Vec<f64>,
+    /// Their errors against the true bearings from the mean pose, degrees, where all are known.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub azimuth_errors_deg: Vec<f64>,
+    /// The same of the links' answers.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub answer_errors_deg: Vec<f64>,
     /// Why there is none.
     pub error: Option<String>,
     /// True mean position of the motion, metres.
@@ -109,18 +120,23 @@ pub fn receivers(rows: &[Judged]) -> Vec<Receiver> {
 }
 
 fn receiver(capture: &str, rows: &[&Judged]) -> Receiver {
-    let sightings: Vec<Sighting> = rows.iter().filter_map(|row| sighting(row)).collect();
+    let (sightings, seen): (Vec<Sighting>, Vec<&Judged>) =
+        rows.iter().filter_map(|row| Some((sighting(row)?, *row))).unzip();
     let truth = rows.iter().find_map(|row| row.true_receiver_m);
     let found: Result<Located, LocateError> = locate(&sightings);
     let mut receiver = Receiver {
         capture: capture.into(),
         links: sightings.len(),
+        names: seen.iter().map(|row| row.answer.link.clone()).collect(),
         without_probability: rows.iter().filter(|row| is_unweighed(row)).count(),
         position_m: None,
         covariance_m2: None,
         height_m: None,
         height_sd_m: None,
         weights: Vec::new(),
+        azimuths_deg: Vec::new(),
+        azimuth_errors_deg: Vec::new(),
+        answer_errors_deg: Vec::new(),
         error: None,
         true_position_m: truth,
         off_m: None,
@@ -131,6 +147,12 @@ fn receiver(capture: &str, rows: &[&Judged]) -> Receiver {
             receiver.position_m = Some(found.position_m.into());
             receiver.covariance_m2 = Some(found.covariance_m2.into());
             receiver.weights = found.weights;
+            receiver.azimuths_deg = found.azimuths_rad.into_iter().map(f64::to_degrees).collect();
+            let chosen = seen.iter().zip(&receiver.azimuths_deg);
+            let errors = chosen.map(|(row, azimuth)| Some(wrap_deg(azimuth - row.true_from_mean_pose_deg?)));
+            receiver.azimuth_errors_deg = errors.collect::<Option<_>>().unwrap_or_default();
+            let errors = seen.iter().map(|row| row.error_from_mean_pose_deg);
+            receiver.answer_errors_deg = errors.collect::<Option<_>>().unwrap_or_default();
             (receiver.height_m, receiver.height_sd_m) = found.height_m.unzip();
         }
         Err(error) => receiver.error = Some(error.to_string()),
@@ -168,7 +190,25 @@ fn sighting(row: &Judged) -> Option<Sighting> {
         sd_rad: sd_deg.to_radians(),
     });
     (sighting.mirror_rad, sighting.range_m) = (answer.mirror_deg.map(f64::to_radians), range_m);
+    sighting.others = others(answer);
     Some(sighting)
+}
+
+fn wrap_deg(angle: f64) -> f64 {
+    wrap_rad(angle.to_radians()).to_degrees()
+}
+
+/// The candidates beside the answer and its mirror, radians, each with its evidence over that of the answer's own.
+fn others(answer: &Answer) -> Vec<(f64, f64)> {
+    let off = |candidate: &PathAnswer, azimuth_deg: f64| wrap_deg(candidate.azimuth_deg - azimuth_deg).abs();
+    let Some(azimuth_deg) = answer.azimuth_deg else { return Vec::new() };
+    let nearest = answer.candidates.iter().min_by(|a, b| off(a, azimuth_deg).total_cmp(&off(b, azimuth_deg)));
+    let Some((own, share)) = nearest.and_then(|own| Some((own, own.share.filter(|share| *share > 0.0)?))) else {
+        return Vec::new();
+    };
+    let is_mirror = |other: &PathAnswer| answer.mirror_deg.is_some_and(|mirror| off(other, mirror) < WRONG_DEG);
+    let beside = answer.candidates.iter().filter(|other| !std::ptr::eq(*other, own) && !is_mirror(other));
+    beside.filter_map(|other| Some((other.azimuth_deg.to_radians(), other.share? / share))).collect()
 }
 
 /// Standard deviation of a normal error that is within five degrees with probability `sure`: the error function is
@@ -237,6 +277,7 @@ mod tests {
         let found = receivers(&[seen("tx2", [4.0, 2.5]), seen("tx3", [1.5, -3.0]), seen("tx4", [-2.0, 4.0])]);
         assert_eq!((found.len(), found[0].links, found[0].capture.as_str()), (1, 3, "place/stamp"));
         assert!(found[0].off_m.unwrap() < 1e-6 && found[0].height_m.is_none());
+        assert!(found[0].azimuth_errors_deg.is_empty(), "no true bearing was given");
         // 45 degrees up to a transmitter whose height is given.
         let mut rows = [seen("tx2", [4.0, 2.0]), seen("tx3", [1.5, -3.0]), seen("tx4", [-2.0, 4.0])];
         rows[0].transmitter_z_m = Some(3.5);
@@ -245,6 +286,29 @@ mod tests {
             (receivers(&rows)[0].height_m.unwrap() - 0.5).abs() < 1e-6
                 && receivers(&rows)[0].height_sd_m.unwrap() > 0.05
         );
+    }
+
+    #[test]
+    fn a_place_chooses_among_the_candidates_of_a_link() {
+        let receiver = [1.0, 2.0];
+        let seen = |name: &str, tx: [f64; 2], off_deg: f64| {
+            let truth = (tx[1] - receiver[1]).atan2(tx[0] - receiver[0]).to_degrees();
+            let mut row = row(&format!("place/stamp/{name}"), truth + off_deg, off_deg, 0.6);
+            (row.true_transmitter_m, row.true_from_mean_pose_deg) = (Some(tx), Some(truth));
+            row
+        };
+        let candidate =
+            |azimuth_deg: f64, share: f64| PathAnswer { azimuth_deg, share: Some(share), ..PathAnswer::default() };
+        let mut rows = [seen("tx2", [4.0, 2.5], 0.5), seen("tx3", [1.5, -3.0], 60.0), seen("tx4", [-2.0, 4.0], -0.5)];
+        let truth = rows[1].true_from_mean_pose_deg.unwrap();
+        // 360 degrees away is the same candidate; an answer that is none of them names none.
+        rows[1].answer.candidates = vec![candidate(truth + 60.0 - 360.0, 0.6), candidate(truth, 0.4)];
+        let found = &receivers(&rows)[0];
+        assert!((found.azimuths_deg[1] - truth).abs() < 1e-9 && found.azimuth_errors_deg[1].abs() < 1e-9);
+        assert_eq!((found.answer_errors_deg[1], found.names[1].as_str()), (60.0, "place/stamp/tx3"));
+        assert!((found.position_m.unwrap()[0] - 1.0).hypot(found.position_m.unwrap()[1] - 2.0) < 0.1, "{found:?}");
+        rows[1].answer.mirror_deg = Some(truth);
+        assert!(others(&rows[1].answer).is_empty(), "a mirror is no other candidate");
     }
 
     #[test]
