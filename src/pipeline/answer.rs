@@ -135,7 +135,7 @@ pub struct Answer {
 }
 
 /// A direction from which waves come.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct PathAnswer {
     /// Bearing, degrees.
     pub azimuth_deg: f64,

@@ -68,13 +68,14 @@ impl Sighting {
         }
     }
 
-    /// Each bearing that it may be, radians, with its evidence. The range is that of the first and of the mirror.
+    /// Each bearing that it may be, radians, with its evidence, tempered: the model of the wave is surer of its candidates than
+    /// it is right. The range is that of the first and of the mirror.
     fn bearings(&self) -> impl Iterator<Item = Direction> {
         let own = std::iter::once(self.azimuth_rad).chain(self.mirror_rad);
         let own = own.map(|azimuth_rad| Direction { azimuth_rad, evidence: 1.0, has_range: true });
         let other = |(azimuth_rad, evidence): &(f64, f64)| Direction {
             azimuth_rad: *azimuth_rad,
-            evidence: *evidence,
+            evidence: evidence.powf(TUNING.locate.candidate_power),
             has_range: false,
         };
         own.chain(self.others.iter().map(other))
