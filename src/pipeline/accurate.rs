@@ -68,7 +68,7 @@ pub(super) fn place(
     let wavelength_m = options.channel.wavelength_m();
     let indices = options.channel.subcarriers();
     let tier = options.search.tier;
-    let alignment = steps.align.then(|| align_planes(&mut rows, &indices, tier));
+    let alignment = steps.align.then(|| align_planes(&mut rows, &indices, tier, options.parallel));
     remove_slope(&mut rows, &indices, tier);
     let displacement_m: Vec<Vector3<f64>> = samples.displacements_m().collect();
     let gather = |rows: &[Planes], centre: &[Complex64], path_gain: u8| {

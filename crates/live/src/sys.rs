@@ -212,9 +212,34 @@ pub fn advise_large_pages<T>(memory: &mut [std::mem::MaybeUninit<T>]) -> io::Res
     answered(unsafe { libc::madvise(start.wrapping_add(before).cast::<libc::c_void>(), len, libc::MADV_HUGEPAGE) })
 }
 
+/// For a short command that computes: the calling thread's heap grows by 8 MiB at a time, is kept until the process ends, and is in
+/// large pages (MADV_HUGEPAGE) where the kernel has them. Each page that is new to a process costs it about a microsecond; a
+/// bearing of three links touches some 1,400 of 4 KiB. Every thread that allocates much calls it for itself. Only glibc's heap
+/// can be told; with another nothing happens.
+pub fn keep_heap() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    {
+        const STEP: usize = 8 << 20;
+        const LARGE_PAGE: usize = 2 << 20;
+        let step = STEP as libc::c_int;
+        for (what, bytes) in
+            [(libc::M_TRIM_THRESHOLD, 8 * step), (libc::M_MMAP_THRESHOLD, 4 * step), (libc::M_TOP_PAD, step)]
+        {
+            // SAFETY: `mallopt` takes numbers only, and sets how glibc grows and shrinks its heaps.
+            unsafe { libc::mallopt(what, bytes) };
+        }
+        // More than a heap has free at first: this makes it grow.
+        let first: Vec<u8> = Vec::with_capacity(LARGE_PAGE / 4);
+        let start = first.as_ptr().map_addr(|at| at - at % LARGE_PAGE).cast_mut();
+        // SAFETY: MADV_HUGEPAGE changes which pages back the heap, not what is in it; where the range holds other memory of this
+        // process, or none, that is as true.
+        unsafe { libc::madvise(start.cast::<libc::c_void>(), STEP, libc::MADV_HUGEPAGE) };
+    }
+}
+
 #[cfg(test)]
 mod tests {
-    use super::advise_large_pages;
+    use super::{advise_large_pages, keep_heap};
 
     #[test]
     fn memory_in_large_pages_is_written_like_any_other() {
@@ -228,5 +253,16 @@ mod tests {
                 values.iter().enumerate().all(|(k, value)| *value == k as u64) && values.len() == room.max(at as usize)
             );
         }
+    }
+
+    #[test]
+    fn a_heap_that_is_kept_is_written_like_any_other() {
+        let sum = || {
+            keep_heap();
+            let parts: Vec<Vec<u64>> = (0..64).map(|part| (part..part + 20_000).collect()).collect();
+            parts.iter().flatten().sum::<u64>()
+        };
+        let expected = (0..64u64).map(|part| (part..part + 20_000).sum::<u64>()).sum::<u64>();
+        assert_eq!((sum(), std::thread::spawn(sum).join().unwrap()), (expected, expected));
     }
 }

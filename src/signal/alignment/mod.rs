@@ -12,9 +12,9 @@ use crate::bartlett::Tier;
 use crate::signal::channel::SUBCARRIERS;
 use crate::tuning::TUNING;
 use csi5300_kernels::simd::{V, on_tier, sin_cos_turns};
-use fearless_simd::{Simd, SimdBase};
+use fearless_simd::{Level, Simd, SimdBase};
 use num_complex::Complex32;
-use planes::{LANES, Lanes, Planes, lanes, planes_of, settle, sum, with_neighbours};
+use planes::{Around, LANES, Lanes, Planes, lanes, planes_of, settle, sum};
 
 /// One channel sample on every reported subcarrier, in the order of the subcarrier indices.
 pub type CsiRow = [Complex32; SUBCARRIERS];
@@ -137,10 +137,7 @@ impl Comb {
     fn climb<S: Simd>(&self, simd: S, row: &Planes, mut slope: f32) -> f32 {
         for _ in 0..TUNING.alignment.steps {
             let turned = row.times(&self.turns(simd, slope));
-            let moment = |by: &Lanes| {
-                Complex32::new(sum(&lanes(|k| turned.re[k] * by[k])), sum(&lanes(|k| turned.im[k] * by[k])))
-            };
-            let (b, b1, b2) = (turned.sum(), moment(&self.index), moment(&self.square));
+            let (b, b1, b2) = (turned.sum(), turned.moment(&self.index), turned.moment(&self.square));
             // |B|^2 has the derivatives 2 Im(conj(B) B1) and 2 (|B1|^2 - Re(conj(B) B2)).
             let first = (b.conj() * b1).im;
             let second = b1.norm_sqr() - (b.conj() * b2).re;
@@ -153,36 +150,36 @@ impl Comb {
     }
 }
 
-/// Mean over packets of `|sum_k v conj(m)| / sum_k |v||m|`, `m` the sum of the neighbours.
+/// `|sum_k v conj(m)| / sum_k |v||m|` of each packet, `m` the sum of the neighbours.
 #[inline(always)]
-fn coherence(rows: &mut [Planes]) -> f64 {
-    let mut total = 0.0;
-    let count = rows.len().max(1);
-    with_neighbours(
-        rows,
-        TUNING.alignment.reach,
+fn coherences(part: Part<'_>) -> Vec<f64> {
+    let mut found = vec![0.0; part.rows.len()];
+    part.around.along(
+        part.rows,
+        part.behind,
         #[inline(always)]
-        |_, row, around| {
+        |k, row, around| {
             let mut others = *around;
             others.take(row);
             let product = row.against(&others);
             let full = sum(&product.sizes());
             if full > 0.0 {
-                total += f64::from(product.sum().norm() / full);
+                found[k] = f64::from(product.sum().norm() / full);
             }
         },
     );
-    total / count as f64
+    found
 }
 
 /// One round: each packet is turned to the sum of its neighbours as they were before it. (Packets that were already
 /// turned must not lead those that were not: the slope would wander off along the record, while the mean over
-/// neighbours as recorded keeps to what the cards have in common.)
+/// neighbours as recorded keeps to what the cards have in common.) Gives the slopes that were taken out.
 #[inline(always)]
-fn round<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb, first: bool, slopes: &mut [f32]) {
-    with_neighbours(
-        rows,
-        TUNING.alignment.reach,
+fn round<S: Simd>(simd: S, part: Part<'_>, comb: &Comb, first: bool) -> Vec<f32> {
+    let mut slopes = vec![0.0; part.rows.len()];
+    part.around.along(
+        part.rows,
+        part.behind,
         #[inline(always)]
         |k, row, around| {
             let mut others = *around;
@@ -192,10 +189,42 @@ fn round<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb, first: bool, slopes
             let slope = comb.climb(simd, &against, from);
             if slope.is_finite() {
                 *row = row.times(&comb.turns(simd, slope));
-                slopes[k] += slope;
+                slopes[k] = slope;
             }
         },
     );
+    slopes
+}
+
+/// Some rows in a run, with what their sums over neighbours need of the others.
+struct Part<'a> {
+    rows: &'a mut [Planes],
+    around: Around,
+    behind: &'a [Planes],
+}
+
+/// What `own` gives for all `rows`; if `parallel`, of both halves side by side on the threads of the current rayon pool, to the
+/// same numbers.
+fn by_parts<T: Send>(
+    rows: &mut [Planes],
+    level: Level,
+    parallel: bool,
+    own: impl Fn(Part<'_>) -> Vec<T> + Sync,
+) -> Vec<T> {
+    let reach = TUNING.alignment.reach;
+    let around = Around::first(rows, reach);
+    if !parallel {
+        return own(Part { rows, around, behind: &[] });
+    }
+    let middle = rows.len() / 2;
+    let (later, behind) = on_tier!(level, _simd => Around::parted(rows, reach, middle));
+    let (front, back) = rows.split_at_mut(middle);
+    let (mut first, second) = rayon::join(
+        || own(Part { rows: front, around, behind: &behind }),
+        || own(Part { rows: back, around: later, behind: &[] }),
+    );
+    first.extend(second);
+    first
 }
 
 /// Aligns `rows`, one per packet in the order of time, in place, on `tier`.
@@ -203,33 +232,38 @@ fn round<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb, first: bool, slopes
 /// Rows should be of like magnitude. With fewer than three rows nothing is done.
 pub fn align(rows: &mut [CsiRow], indices: &[i8; SUBCARRIERS], tier: Tier) -> Alignment {
     let mut planes = planes_of(rows);
-    let found = align_planes(&mut planes, indices, tier);
+    let found = align_planes(&mut planes, indices, tier, false);
     rows.iter_mut().zip(&planes).for_each(|(row, planes)| *row = planes.row());
     found
 }
 
-/// [`align`] of planes.
-pub(crate) fn align_planes(rows: &mut [Planes], indices: &[i8; SUBCARRIERS], tier: Tier) -> Alignment {
+/// [`align`] of planes; if `parallel`, on all threads of the current rayon pool.
+pub(crate) fn align_planes(rows: &mut [Planes], indices: &[i8; SUBCARRIERS], tier: Tier, parallel: bool) -> Alignment {
     if rows.len() < 3 {
         return Alignment::default();
     }
-    on_tier!(tier.level_or_portable(), simd => align_simd(simd, rows, &Comb::new(indices)))
-}
-
-#[inline(always)]
-fn align_simd<S: Simd>(simd: S, rows: &mut [Planes], comb: &Comb) -> Alignment {
+    let (level, comb) = (tier.level_or_portable(), Comb::new(indices));
+    let in_middle = |k: usize| indices.get(k).is_some_and(|index| f32::from(index.abs()) <= TUNING.alignment.middle);
+    let middle = lanes(|k| f32::from(in_middle(k)));
     let mut turned = vec![0.0; rows.len()];
     // While slopes differ, only the middle of the band gives packets' phases.
-    settle(rows, &lanes(|k| f32::from(k < SUBCARRIERS && comb.index[k].abs() <= TUNING.alignment.middle)), &mut turned);
+    on_tier!(level, _simd => settle(rows, &middle, &mut turned));
+    let count = rows.len() as f64;
+    let coherence = |rows: &mut [Planes]| {
+        let each = by_parts(rows, level, parallel, |part| on_tier!(level, _simd => coherences(part)));
+        each.iter().sum::<f64>() / count
+    };
     let mut slopes = vec![0f32; rows.len()];
     let coherence_before = coherence(rows);
     for number in 0..TUNING.alignment.rounds {
-        round(simd, rows, comb, number == 0, &mut slopes);
+        let own = |part: Part<'_>| on_tier!(level, simd => round(simd, part, &comb, number == 0));
+        let more = by_parts(rows, level, parallel, own);
+        slopes.iter_mut().zip(more).for_each(|(slope, more)| *slope += more);
     }
-    let mean = slopes.iter().map(|s| f64::from(*s)).sum::<f64>() / slopes.len() as f64;
-    let variance = slopes.iter().map(|s| (f64::from(*s) - mean).powi(2)).sum::<f64>() / slopes.len() as f64;
+    let mean = slopes.iter().map(|s| f64::from(*s)).sum::<f64>() / count;
+    let variance = slopes.iter().map(|s| (f64::from(*s) - mean).powi(2)).sum::<f64>() / count;
     let coherence_after = coherence(rows);
-    rows.iter_mut().zip(turned).for_each(|(row, turned)| row.turn(turned));
+    on_tier!(level, _simd => rows.iter_mut().zip(turned).for_each(|(row, turned)| row.turn(turned)));
     Alignment { slope_sd_rad: variance.sqrt(), coherence_before, coherence_after }
 }
 
@@ -263,7 +297,9 @@ mod tests {
     fn packets_are_turned_to_a_common_slope_and_keep_their_centre_phase() {
         let (clean, mut rows) = packets(0.3);
         let found = align(&mut rows, &INDICES_20_MHZ, Tier::detect());
-        let best = coherence(&mut planes_of(&clean));
+        let level = Tier::detect().level_or_portable();
+        let each = by_parts(&mut planes_of(&clean), level, false, coherences);
+        let best = each.iter().sum::<f64>() / each.len() as f64;
         assert!(best > 0.99 && found.coherence_before < 0.65 && found.coherence_after > 0.88, "{found:?} {best}");
         assert!((found.slope_sd_rad - 0.3 / 12f64.sqrt()).abs() < 0.025, "{found:?}");
         // What is left of each packet's own slope: common or slowly wandering, and nothing at the channel centre.
@@ -292,6 +328,18 @@ mod tests {
             assert!((alignment.slope_sd_rad - expected.slope_sd_rad).abs() < 1e-4, "{tier:?} {alignment:?}");
             let apart = own.iter().flatten().zip(turned.iter().flatten()).map(|(a, b)| (a - b).norm());
             assert!(apart.fold(0.0, f32::max) < 5e-3, "{tier:?}");
+        }
+    }
+
+    #[test]
+    fn halves_side_by_side_give_the_same_numbers() {
+        let (_, rows) = packets(0.3);
+        for (tier, count) in Tier::available().into_iter().flat_map(|tier| [3, 8, 15, 200].map(|count| (tier, count))) {
+            let found = |parallel| {
+                let mut own = planes_of(&rows[..count]);
+                (align_planes(&mut own, &INDICES_20_MHZ, tier, parallel), own)
+            };
+            assert_eq!(found(true), found(false), "{tier:?}, {count}");
         }
     }
 

@@ -112,6 +112,12 @@ impl Planes {
         }
     }
 
+    /// The sum over all places, each times its number in `by`.
+    #[inline(always)]
+    pub fn moment(&self, by: &Lanes) -> Complex32 {
+        Complex32::new(sum(&lanes(|k| self.re[k] * by[k])), sum(&lanes(|k| self.im[k] * by[k])))
+    }
+
     #[inline(always)]
     pub fn sum(&self) -> Complex32 {
         Complex32::new(sum(&self.re), sum(&self.im))
@@ -173,24 +179,66 @@ pub(crate) fn settle(rows: &mut [Planes], weights: &Lanes, turned: &mut [f64]) {
     }
 }
 
-/// Hands `step` each row's place and the sum over `2 reach + 1` rows about it (fewer at the ends), by running sums over
-/// the rows as they are: `step` may only change the row that it is handed, which the sums of later rows do not see.
-#[inline(always)]
-pub(crate) fn with_neighbours(rows: &mut [Planes], reach: usize, mut step: impl FnMut(usize, &mut Planes, &Planes)) {
-    // The rows of before, which the running sum still has to lose.
-    let mut old = vec![Planes::ZERO; reach + 1];
-    let mut sum = Planes::ZERO;
-    rows.iter().take(reach).for_each(|row| sum.add(row));
-    for k in 0..rows.len() {
-        if let Some(row) = rows.get(k + reach) {
-            sum.add(row);
+/// The sum over `2 reach + 1` rows about one (fewer at the ends), on its way along all rows: a running sum over the rows as they
+/// are.
+pub(crate) struct Around {
+    reach: usize,
+    sum: Planes,
+    /// The rows of before, which the sum still has to lose.
+    old: Vec<Planes>,
+    /// The row that comes next.
+    next: usize,
+}
+
+impl Around {
+    /// As it is before the first row.
+    #[inline(always)]
+    pub fn first(rows: &[Planes], reach: usize) -> Self {
+        Self::before(rows, reach, 0)
+    }
+
+    /// As it is before row `next`, summed anew.
+    #[inline(always)]
+    pub fn before(rows: &[Planes], reach: usize, next: usize) -> Self {
+        let mut around = Self { reach, sum: Planes::ZERO, old: vec![Planes::ZERO; reach + 1], next };
+        let from = next.saturating_sub(reach + 1);
+        rows.iter().skip(from).take(next + reach - from).for_each(|row| around.sum.add(row));
+        rows.iter().enumerate().take(next).skip(from).for_each(|(k, row)| around.old[k % (reach + 1)] = *row);
+        around
+    }
+
+    /// As it is before row `middle`, and the rows from there on that sums of rows before it take in: with both, the two parts
+    /// can be gone along side by side, to the same numbers as one after the other.
+    #[inline(always)]
+    pub fn parted(rows: &[Planes], reach: usize, middle: usize) -> (Self, Vec<Planes>) {
+        let mut around = Self::first(rows, reach);
+        (0..middle).for_each(|k| around.step(&rows[k], rows.get(k + reach)));
+        (around, rows.iter().skip(middle).take(reach).copied().collect())
+    }
+
+    /// Goes along `rows`, the first of which is the row that comes next; `behind` follows them. Hands `step` each row's place in
+    /// `rows` and the sum about it: `step` may only change the row that it is handed, which the sums of later rows do not see.
+    #[inline(always)]
+    pub fn along(mut self, rows: &mut [Planes], behind: &[Planes], mut step: impl FnMut(usize, &mut Planes, &Planes)) {
+        let (count, reach) = (rows.len(), self.reach);
+        for k in 0..count {
+            let ahead = k + reach;
+            self.step(&rows[k], if ahead < count { rows.get(ahead) } else { behind.get(ahead - count) });
+            step(k, &mut rows[k], &self.sum);
         }
-        let slot = k % (reach + 1);
-        if k > reach {
-            sum.take(&old[slot]);
+    }
+
+    #[inline(always)]
+    fn step(&mut self, row: &Planes, ahead: Option<&Planes>) {
+        if let Some(ahead) = ahead {
+            self.sum.add(ahead);
         }
-        old[slot] = rows[k];
-        step(k, &mut rows[k], &sum);
+        let slot = self.next % (self.reach + 1);
+        if self.next > self.reach {
+            self.sum.take(&self.old[slot]);
+        }
+        self.old[slot] = *row;
+        self.next += 1;
     }
 }
 
@@ -246,7 +294,7 @@ mod tests {
         for (n, reach) in [(1, 3), (5, 2), (20, 4)] {
             let mut rows: Vec<Planes> = (0..n).map(row).collect();
             let mut seen = 0;
-            with_neighbours(&mut rows, reach, |k, row, sum| {
+            Around::first(&rows, reach).along(&mut rows, &[], |k, row, sum| {
                 let around = k.saturating_sub(reach)..(k + reach + 1).min(n);
                 assert_eq!((sum.re[3], sum.im[7]), (around.clone().sum::<usize>() as f32, around.len() as f32));
                 // What is changed is not seen by later sums.

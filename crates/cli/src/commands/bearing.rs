@@ -173,8 +173,7 @@ pub fn run(mut args: Args) -> Result {
         .enumerate()
         .map(|(k, log)| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: partners.get(k) })
         .collect();
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.min(64));
-    pool.build_global().map_err(|error| error.to_string())?;
+    super::threads::make(args.threads.min(64))?;
     let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
     say_losses(&args, &rx, &report, &receiver, &logs);
     let names = told_apart(args.tx.iter().map(|path| link_name(&inputs, path)).collect());

@@ -57,6 +57,7 @@ mod sound;
 #[cfg(feature = "live")]
 mod sounding;
 mod suite;
+mod threads;
 #[cfg(feature = "ros2")]
 mod unbag;
 #[cfg(feature = "view")]
@@ -129,7 +130,9 @@ struct Cli {
     command: Command,
 }
 
+// What a command takes is made when it is the one: all of them take longer than reading a trajectory.
 #[derive(Subcommand)]
+#[command(defer = true)]
 enum Command {
     /// The circle and line experiments of Dijkstra et al., simulated, decoded and estimated, with pictures
     Demo(demo::Args),

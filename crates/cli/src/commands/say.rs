@@ -82,7 +82,8 @@ fn coloured(word: &str, tone: Tone, wanted: &AtomicBool) -> String {
 /// Says something. Where standard error is closed there is nobody to be told.
 pub fn words(level: Level, words: Arguments<'_>) {
     if says(level) {
-        let _ = std::io::stderr().lock().write_fmt(words);
+        // In one piece: standard error writes each part of a text by itself.
+        let _ = std::io::stderr().lock().write_all(words.to_string().as_bytes());
     }
 }
 
