@@ -181,6 +181,13 @@ mod tests {
         assert_eq!(clock.epoch_16, 16_000 + 4);
         clock.follow(&plan, 0, clock.start(&plan, 0) - near);
         assert_eq!(clock.epoch_16, 16_004 - 8 * 4);
+        // What is as late as may be is followed smoothly too, what is later at once.
+        let (before, most) = (clock.epoch_16, Span::from_us(clock.tolerance_us));
+        clock.follow(&plan, 0, clock.start(&plan, 0) + most);
+        assert_eq!(clock.epoch_16, before + clock.tolerance_us);
+        let (before, more) = (clock.epoch_16, Span::from_us(clock.tolerance_us + 1));
+        clock.follow(&plan, 0, clock.start(&plan, 0) + more);
+        assert_eq!(clock.epoch_16, before + 16 * (clock.tolerance_us + 1));
         clock.unlock();
         assert!(!clock.is_locked());
         clock.follow(&plan, 0, Instant::from_us(1_004));

@@ -317,3 +317,6 @@ impl Tdma {
         self.tell(Event::Answered { peer, number, peer_session: 0, measurement: None });
     }
 }
+
+#[cfg(test)]
+mod tests;

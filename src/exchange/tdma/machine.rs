@@ -354,3 +354,6 @@ impl Tdma {
         self.events.push_back(event);
     }
 }
+
+#[cfg(test)]
+mod tests;

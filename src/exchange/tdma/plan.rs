@@ -324,6 +324,9 @@ mod tests {
             let request = Request { dialect, ..Request::new(12, 100.0) };
             let plan = Plan::new(&request).unwrap();
             assert_eq!((plan.round_us(), plan.slots, plan.rate_hz()), (10_000, 12, 100.0));
+            assert!((plan.slot_us() - 833.333).abs() < 0.001);
+            let (forward_len, _) = dialect.longest(12);
+            assert_eq!(plan.forward_us(), request.phy.airtime_us(forward_len));
             let Err(PlanError::Rate { highest_hz, slot_us, .. }) = Plan::new(&Request { links: 32, ..request }) else {
                 panic!("32 links at 100 rounds/s must not fit");
             };

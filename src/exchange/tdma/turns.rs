@@ -239,7 +239,6 @@ impl Tdma {
     fn oversleep(&mut self, turn: Turn) {
         self.turn = None;
         self.quiet_since = self.now;
-        self.view.expire();
         self.counts.overslept += 1;
         let slots = turn.end.min(self.clock.slot_at(&self.plan, self.now) + 1) - turn.slot;
         let late = self.now - self.clock.start(&self.plan, turn.slot);
@@ -341,17 +340,7 @@ mod tests {
     #[test]
     fn a_turn_that_was_passed_on_is_taken_back_within_half_a_silence_more() {
         for (later, cause) in [(8, Cause::TakenBack), (12, Cause::TakenBack), (13, Cause::Claimed)] {
-            let (mut first, mut second) = (robot(0, 2), robot(1, 2));
-            // The second one answers, and wants the turn, until it is promised to it.
-            while first.passed.is_none() {
-                let now = first.poll_timeout().unwrap();
-                let frame = first.poll_transmit(now).map(|sent| sent.frame.to_vec());
-                if let Some(frame) = frame {
-                    second.handle_heard(now, now, &frame);
-                    let answer = second.poll_transmit(now).map(|sent| sent.frame.to_vec()).unwrap();
-                    first.handle_heard(now, now, &answer);
-                }
-            }
+            let (mut first, _) = until_passed();
             let (end, _) = first.passed.unwrap();
             events(&mut first);
             // Nobody is heard, and the driver looks again only then.
@@ -365,6 +354,75 @@ mod tests {
                 _ => None,
             });
             assert_eq!(causes.collect::<Vec<_>>(), [cause], "{later} slots after its end");
+        }
+    }
+
+    /// Two robots of which the second one answers, and wants the turn, until it is promised to it.
+    fn until_passed() -> (Tdma, Tdma) {
+        let (mut first, mut second) = (robot(0, 2), robot(1, 2));
+        while first.passed.is_none() {
+            let now = first.poll_timeout().unwrap();
+            let frame = first.poll_transmit(now).map(|sent| sent.frame.to_vec());
+            if let Some(frame) = frame {
+                second.handle_heard(now, now, &frame);
+                let answer = second.poll_transmit(now).map(|sent| sent.frame.to_vec()).unwrap();
+                first.handle_heard(now, now, &answer);
+            }
+        }
+        (first, second)
+    }
+
+    #[test]
+    fn a_turn_that_is_promised_is_taken_within_half_a_silence_with_the_next_number() {
+        for (later, expected, step) in [(0, Cause::Passed, 1), (4, Cause::Passed, 1), (5, Cause::Claimed, 2)] {
+            let (_, mut second) = until_passed();
+            let claim = second.view.current().unwrap();
+            events(&mut second);
+            let mut now = second.clock.start(&second.plan, claim.end + later);
+            while !second.has_turn() {
+                second.poll_transmit(now);
+                now = second.poll_timeout().unwrap();
+            }
+            let began = events(&mut second).into_iter().find_map(|event| match event {
+                Event::TurnBegan { turn, cause } => Some((turn, cause)),
+                _ => None,
+            });
+            assert_eq!(began, Some((claim.turn + step, expected)), "{later} slots after the end");
+        }
+    }
+
+    #[test]
+    fn only_a_turn_that_is_used_up_and_promised_ends_with_a_later_one() {
+        let mut tdma = robot(0, 2);
+        let begun = tdma.poll_timeout().unwrap();
+        assert!(tdma.poll_transmit(begun).is_some());
+        let turn = Turn { next: Some(0), ..tdma.turn.unwrap() };
+        let used_up = Turn { slot: turn.end, ..turn };
+        let cases =
+            [(turn, 1, true), (used_up, 0, true), (Turn { next: None, ..used_up }, 1, true), (used_up, 1, false)];
+        for (turn, later, goes_on) in cases {
+            tdma.turn = Some(turn);
+            tdma.end_turn_at_successor(turn.number + later);
+            assert_eq!(tdma.has_turn(), goes_on, "{turn:?}, {later} turns later");
+        }
+    }
+
+    #[test]
+    fn who_is_not_answered_listens_in_slots_of_its_own() {
+        let slots = |k, late_us| {
+            let mut tdma = robot(k, 4);
+            tdma.now = tdma.answered_at + tdma.plan.span_of(DEAF_SLOTS) + Span::from_us(late_us);
+            (-800..800).filter(|slot| tdma.listens_in(*slot)).collect::<Vec<_>>()
+        };
+        assert_eq!(slots(0, 0), Vec::<i64>::new(), "it is not that long");
+        let of = [0, 1, 2, 3].map(|k| slots(k, 1));
+        for (k, own) in of.iter().enumerate() {
+            assert!((120..280).contains(&own.len()), "one in eight: {}", own.len());
+            for other in of.iter().skip(k + 1) {
+                let halves = [-800..0, 0..800]
+                    .map(|half| own.iter().filter(|slot| half.contains(*slot) && other.contains(slot)).count());
+                assert!(halves.iter().all(|both| *both < 30), "{halves:?}");
+            }
         }
     }
 }

@@ -56,13 +56,6 @@ impl View {
         self.rival = None;
     }
 
-    /// Forgets everything but the turn's number: nobody was heard for long.
-    pub(super) fn expire(&mut self) {
-        if let Some(claim) = &mut self.current {
-            claim.next = None;
-        }
-    }
-
     /// A frame says `heard`. True if this is (now) the view; false if the frame's word on the turn is not taken.
     ///
     /// `silent`: nobody was heard for so long that any initiator is welcome. `proven`: the frame has a valid tag.
