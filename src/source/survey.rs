@@ -12,10 +12,13 @@ mod antennas;
 pub(crate) mod bounds;
 mod clocks;
 mod senders;
+mod tally;
 
 pub use clocks::{ClockSteps, HostSteps};
+#[doc(hidden)]
+pub use tally::Tally;
 
-use bounds::{LOSSES_KEPT, SENDERS_KEPT};
+use bounds::LOSSES_KEPT;
 
 /// Counts of frame numbers distinguished for each sender, and how far numbers of one count are from each other at most:
 /// initiators begin further apart (`exchange::pairing::numbering`).
@@ -273,8 +276,17 @@ impl Survey {
 
     /// Counts what a source gave. For an intact bfee record it gives the checked view and the frame's identity.
     pub fn note<'a>(&mut self, next: &Next<'a>) -> Option<(Bfee<'a>, Identity)> {
+        let mut tally = Tally::default();
+        let noted = self.note_in(&mut tally, next);
+        self.settle(&mut tally);
+        noted
+    }
+
+    /// The same for many in a row: what is counted by code, antennas and rate may be in the tally until [`Survey::settle`].
+    #[doc(hidden)]
+    pub fn note_in<'a>(&mut self, tally: &mut Tally, next: &Next<'a>) -> Option<(Bfee<'a>, Identity)> {
         match next {
-            Next::Record(stamps, record) => self.note_record(*stamps, *record),
+            Next::Record(stamps, record) => self.note_record(tally, *stamps, *record),
             Next::Lost(loss) => {
                 self.note_loss(loss);
                 None
@@ -287,12 +299,17 @@ impl Survey {
         }
     }
 
-    fn note_record<'a>(&mut self, stamps: Stamps, record: Record<'a>) -> Option<(Bfee<'a>, Identity)> {
+    fn note_record<'a>(
+        &mut self,
+        tally: &mut Tally,
+        stamps: Stamps,
+        record: Record<'a>,
+    ) -> Option<(Bfee<'a>, Identity)> {
         self.records += 1;
-        *self.by_code.entry(record.code).or_default() += 1;
+        self.tally_code(tally, record.code);
         match record.code {
             code::BFEE => match Bfee::new_checked(record.body) {
-                Ok(bfee) => Some((bfee, self.note_bfee(stamps, &bfee))),
+                Ok(bfee) => Some((bfee, self.note_bfee(tally, stamps, &bfee))),
                 Err(error) => {
                     self.bad_bfee += 1;
                     self.keep(stamps.origin.position(), record.body.len() as u64 + 3, error.to_string());
@@ -322,7 +339,7 @@ impl Survey {
         }
     }
 
-    fn note_bfee(&mut self, stamps: Stamps, bfee: &Bfee<'_>) -> Identity {
+    fn note_bfee(&mut self, tally: &mut Tally, stamps: Stamps, bfee: &Bfee<'_>) -> Identity {
         let heard = self.heard.take();
         let identity = match bfee.wsr() {
             Some(wsr) => {
@@ -353,12 +370,8 @@ impl Survey {
         {
             *count += 1;
         }
-        *self.antenna_sel.entry(bfee.antenna_sel()).or_default() += 1;
+        self.tally_bfee(tally, bfee.antenna_sel(), bfee.rate_n_flags());
         self.bad_permutations += u64::from(bfee.antennas().is_err());
-        let rate = bfee.rate_n_flags();
-        if self.rates.len() < SENDERS_KEPT || self.rates.contains_key(&rate) {
-            *self.rates.entry(rate).or_default() += 1;
-        }
         match bfee.noise_dbm() {
             -127 => self.noise_unknown += 1,
             noise => self.noise_dbm.note(i32::from(noise)),
@@ -367,7 +380,7 @@ impl Survey {
             range.note(i32::from(rssi));
         }
         self.agc.note(i32::from(bfee.agc()));
-        self.sender(identity.mac).note(identity.frame_count, bfee.timestamp_low());
+        self.note_sender(identity.mac, identity.frame_count, bfee.timestamp_low());
         self.host_steps.note(bfee.timestamp_low(), identity.host_us);
         let elapsed_us = self.host_us.zip(identity.host_us).map(|((_, last), now)| now.saturating_sub(last));
         let now_us = self.clock.next_after(bfee.timestamp_low(), elapsed_us);

@@ -4,8 +4,8 @@
 //! least evidence and begins with one more than that one had, so a sender of more than 1 in [`SENDERS_KEPT`] records has a
 //! place whatever the others make up. Evidence halves with time, so senders of long ago make room.
 
+use super::Survey;
 use super::bounds::SENDERS_KEPT;
-use super::{Sender, Survey};
 use driver_iface::Mac;
 
 /// Evidence of all strangers is halved once in so many that were forgotten.
@@ -19,15 +19,26 @@ pub(super) struct Standing {
     heard_at: u64,
 }
 
+impl Standing {
+    /// One record more, the survey's `at`th; `least` was the evidence of who had the place before.
+    fn hear(&mut self, least: u64, at: u64) {
+        self.evidence = self.evidence.max(least).saturating_add(1);
+        self.heard_at = at;
+    }
+}
+
 impl Survey {
-    /// The place of a sender, which from now on has one more record.
-    pub(super) fn sender(&mut self, mac: Mac) -> &mut Sender {
-        let least = if self.senders.contains_key(&mac) || self.known.contains(&mac) { None } else { self.make_room() };
+    /// Counts a record of a sender, which has a place from now on.
+    pub(super) fn note_sender(&mut self, mac: Mac, frame_count: Option<u32>, timestamp_low: u32) {
         let heard_at = self.records;
+        if let Some(sender) = self.senders.get_mut(&mac) {
+            sender.standing.hear(0, heard_at);
+            return sender.note(frame_count, timestamp_low);
+        }
+        let least = if self.known.contains(&mac) { None } else { self.make_room() };
         let sender = self.senders.entry(mac).or_default();
-        sender.standing.evidence = sender.standing.evidence.max(least.unwrap_or(0)).saturating_add(1);
-        sender.standing.heard_at = heard_at;
-        sender
+        sender.standing.hear(least.unwrap_or(0), heard_at);
+        sender.note(frame_count, timestamp_low);
     }
 
     /// Forgets a stranger if all places are taken; gives what its evidence was.

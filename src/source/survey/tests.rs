@@ -1,3 +1,4 @@
+use super::bounds::SENDERS_KEPT;
 use super::*;
 use crate::source::Refused;
 use driver_iface::bfee::{Iq, Repr, Wsr};

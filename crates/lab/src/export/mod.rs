@@ -197,21 +197,47 @@ fn vectors(walk: &mut Walk<'_>) -> impl Iterator<Item = Vec<Complex32>> {
 
 /// Turns records of `columns` columns from `[column][subcarrier]` to `[subcarrier][column]`, on all cores of the current pool.
 fn subcarriers_first(records: &[Complex32], columns: usize, out: &mut [Complex32]) {
-    let size = columns * SUBCARRIERS;
-    if columns <= 1 {
-        return out.copy_from_slice(records);
-    }
-    let turn = |(record, out): (&[Complex32], &mut [Complex32])| {
-        for (column, values) in record.as_chunks::<SUBCARRIERS>().0.iter().enumerate() {
-            for (place, h) in out.iter_mut().skip(column).step_by(columns).zip(values) {
-                *place = *h;
+    match columns {
+        0 | 1 => out.copy_from_slice(records),
+        2 => turned::<2>(records, out),
+        3 => turned::<3>(records, out),
+        4 => turned::<4>(records, out),
+        6 => turned::<6>(records, out),
+        9 => turned::<9>(records, out),
+        _ => turn_all(records, out, columns * SUBCARRIERS, |record, out| {
+            for (column, values) in record.as_chunks::<SUBCARRIERS>().0.iter().enumerate() {
+                for (place, h) in out.iter_mut().skip(column).step_by(columns).zip(values) {
+                    *place = *h;
+                }
             }
-        }
-    };
-    if records.len() < ON_ALL_CORES * size {
-        return records.chunks_exact(size).zip(out.chunks_exact_mut(size)).for_each(turn);
+        }),
     }
-    records.par_chunks_exact(size).zip(out.par_chunks_exact_mut(size)).with_min_len(256).for_each(turn);
+}
+
+/// The same of a known number of columns: all places are constants.
+fn turned<const COLUMNS: usize>(records: &[Complex32], out: &mut [Complex32]) {
+    turn_all(records, out, COLUMNS * SUBCARRIERS, |record, out| {
+        let columns = record.as_chunks::<SUBCARRIERS>().0.first_chunk::<COLUMNS>();
+        let rows = out.as_chunks_mut::<COLUMNS>().0.first_chunk_mut::<SUBCARRIERS>();
+        let (Some(columns), Some(rows)) = (columns, rows) else { return };
+        for (subcarrier, row) in rows.iter_mut().enumerate() {
+            *row = std::array::from_fn(|column| columns[column][subcarrier]);
+        }
+    });
+}
+
+/// Turns records of `size` numbers, many of them on all cores of the current pool.
+fn turn_all(
+    records: &[Complex32],
+    out: &mut [Complex32],
+    size: usize,
+    turn: impl Fn(&[Complex32], &mut [Complex32]) + Sync,
+) {
+    if records.len() < ON_ALL_CORES * size {
+        return records.chunks_exact(size).zip(out.chunks_exact_mut(size)).for_each(|(record, out)| turn(record, out));
+    }
+    let all = records.par_chunks_exact(size).zip(out.par_chunks_exact_mut(size)).with_min_len(256);
+    all.for_each(|(record, out)| turn(record, out));
 }
 
 /// From as many records on other threads are worth waking.

@@ -26,9 +26,10 @@ impl Figures {
         Self { rss_dbm: Vec::with_capacity(records), scale: Vec::with_capacity(records) }
     }
 
-    fn push(&mut self, bfee: Option<&Bfee<'_>>) {
+    /// Adds a record's; `scale` is its factor, where it has one.
+    fn push(&mut self, bfee: Option<&Bfee<'_>>, scale: Option<f64>) {
         self.rss_dbm.push(bfee.and_then(|bfee| total_rss_dbm(bfee).ok()).unwrap_or(f64::NAN));
-        self.scale.push(bfee.and_then(|bfee| scale_factor(bfee).ok()).unwrap_or(f64::NAN));
+        self.scale.push(scale.unwrap_or(f64::NAN));
     }
 
     /// Records without a scale.
@@ -74,7 +75,9 @@ impl<'a> Walk<'a> {
             Source::Arena { arena, records } => {
                 let records = records.get(from..self.done).unwrap_or_default();
                 decode(arena, records, &self.rows, self.export.form, csi);
-                records.iter().for_each(|record| self.figures.push(arena.bfee(*record).as_ref()));
+                for bfee in records.iter().map(|record| arena.bfee(*record)) {
+                    self.figures.push(bfee.as_ref(), bfee.and_then(|bfee| scale_factor(&bfee).ok()));
+                }
             }
             Source::Log(_) => {
                 if let Err(failure) = self.read(from, csi) {
@@ -91,8 +94,8 @@ impl<'a> Walk<'a> {
         let offsets = self.export.columns.offset.get(from..self.done).unwrap_or_default();
         for (offset, out) in offsets.iter().zip(csi.chunks_exact_mut(self.rows.len().max(1))) {
             let bfee = log.bfee(*offset)?;
-            decoder.decode(&bfee, &self.rows, self.export.form, out);
-            self.figures.push(Some(&bfee));
+            let scale = decoder.decode(&bfee, &self.rows, self.export.form, out);
+            self.figures.push(Some(&bfee), scale);
         }
         Ok(())
     }

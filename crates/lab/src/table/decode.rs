@@ -88,24 +88,43 @@ pub fn decode(arena: &Arena, records: &[usize], rows: &Rows, form: Form, out: &m
     );
 }
 
-/// Decodes records one at a time.
+/// Decodes records of one thread.
 #[derive(Clone, Debug)]
 pub(crate) struct Decoder {
+    level: Level,
     /// Room to work in.
     samples: [[i8; 2]; MAX_SAMPLES],
 }
 
 impl Default for Decoder {
     fn default() -> Self {
-        Self { samples: [[0; 2]; MAX_SAMPLES] }
+        Self { level: Level::new(), samples: [[0; 2]; MAX_SAMPLES] }
     }
 }
 
 impl Decoder {
-    /// Writes the CSI of a record, as [`decode`] does; `out` has room for [`Rows::len`].
-    pub fn decode(&mut self, bfee: &Bfee<'_>, rows: &Rows, form: Form, out: &mut [Complex32]) {
-        one(bfee, rows, form, &mut self.samples, out);
+    /// Writes the CSI of a record, as [`decode`] does; `out` has room for [`Rows::len`]. Gives the factor to sqrt(SNR), in whatever
+    /// units the CSI is, where the record has one.
+    pub fn decode(&mut self, bfee: &Bfee<'_>, rows: &Rows, form: Form, out: &mut [Complex32]) -> Option<f64> {
+        let Self { level, samples } = self;
+        dispatch!(*level, _ => one_with_factor(bfee, rows, form, samples, out))
     }
+}
+
+/// [`one`], and its factor to sqrt(SNR) even where that is not asked for.
+#[inline(always)]
+fn one_with_factor(
+    bfee: &Bfee<'_>,
+    rows: &Rows,
+    form: Form,
+    samples: &mut [[i8; 2]; MAX_SAMPLES],
+    out: &mut [Complex32],
+) -> Option<f64> {
+    let count = bfee.unpack_planes(samples).unwrap_or(0);
+    let samples = samples.get(..count).unwrap_or_default();
+    let factor = scale_factor_of(bfee, samples).ok();
+    write(bfee, rows, form, samples, if form.scaled { factor } else { Some(1.0) }, out);
+    factor
 }
 
 /// One record; `samples` is room to work in.
@@ -113,11 +132,14 @@ impl Decoder {
 fn one(bfee: &Bfee<'_>, rows: &Rows, form: Form, samples: &mut [[i8; 2]; MAX_SAMPLES], out: &mut [Complex32]) {
     let count = bfee.unpack_planes(samples).unwrap_or(0);
     let samples = samples.get(..count).unwrap_or_default();
-    let factor = match form.scaled {
-        true => scale_factor_of(bfee, samples).ok().map(|factor| factor as f32),
-        false => Some(1.0),
-    };
-    let Some(factor) = factor else {
+    let factor = if form.scaled { scale_factor_of(bfee, samples).ok() } else { Some(1.0) };
+    write(bfee, rows, form, samples, factor, out);
+}
+
+/// Writes the samples of a record times a factor; without one nothing is a number.
+#[inline(always)]
+fn write(bfee: &Bfee<'_>, rows: &Rows, form: Form, samples: &[[i8; 2]], factor: Option<f64>, out: &mut [Complex32]) {
+    let Some(factor) = factor.map(|factor| factor as f32) else {
         out.fill(NOTHING);
         return;
     };

@@ -1,8 +1,7 @@
 //! What a source gave, in its order, in memory: to be worked on in another thread, or more than once.
 
 use super::block::Block;
-use csi5300::source::replay::{Framing, Front};
-use csi5300::source::{CsiSource, Error, Loss, Next, Origin, Stamps};
+use csi5300::source::{CsiSource, Error, Loss, Next, Stamps};
 use csi5300::time::Instant;
 use driver_iface::record::{MAX_LENGTH, Record, Tail};
 
@@ -41,51 +40,14 @@ pub(super) struct Piece {
 }
 
 impl Piece {
-    /// Nothing yet, in this block; with room for `items` at once.
-    pub fn new(block: Block, items: usize) -> Self {
-        Self { block, items: Vec::with_capacity(items) }
-    }
-
-    /// Takes what is in the block from byte `from` on, received at `now`; `is_last` says that the log ends there. Gives the
-    /// first byte that was not used: the beginning of a record.
-    pub fn frame(&mut self, from: usize, framing: &mut Framing, is_last: bool, now: Instant) -> usize {
-        let (bytes, mut at) = (self.block.bytes(), from);
-        loop {
-            match framing.step(bytes.get(at..).unwrap_or_default(), is_last) {
-                Front::Record { used, body, code, offset, host_us } => {
-                    at += used;
-                    let span = Span { from: (at - body) as u32, len: body as u32 };
-                    let stamps = Stamps { at: now, host_us, origin: Origin::File { offset } };
-                    self.items.push(Item::Record(stamps, code, span));
-                }
-                Front::Lost { used, loss } => {
-                    at += used;
-                    self.items.push(Item::Lost(loss));
-                }
-                Front::Short => return at,
-                Front::End(tail) => {
-                    self.items.push(Item::End(tail));
-                    return at;
-                }
-            }
-        }
-    }
-
-    /// How many things a source gave.
-    pub fn len(&self) -> usize {
-        self.items.len()
+    /// Nothing yet, in this block.
+    pub fn new(block: Block) -> Self {
+        Self { block, items: Vec::new() }
     }
 
     /// True if the last of them is the log's end.
     pub fn has_ended(&self) -> bool {
         matches!(self.items.last(), Some(Item::End(_)))
-    }
-
-    /// All that a source gave, with its place in the block.
-    pub fn each(&self, mut take: impl FnMut(&Next<'_>, Span)) {
-        for (next, span) in (0..self.items.len()).filter_map(|index| self.get(index)) {
-            take(&next, span);
-        }
     }
 
     /// Takes what the source gives until the block is full, nothing is there at `now`, or all was given; whether more may be
@@ -139,7 +101,7 @@ impl Held {
     pub fn read(source: &mut dyn CsiSource, go_on: &dyn Fn() -> bool) -> Result<Option<Self>, Error> {
         let mut pieces = Vec::new();
         while go_on() {
-            let mut piece = Piece::new(if pieces.is_empty() { Block::small() } else { Block::large() }, 0);
+            let mut piece = Piece::new(if pieces.is_empty() { Block::small() } else { Block::large() });
             let more = piece.fill(source, Instant::ZERO)?;
             let has_ended = piece.has_ended();
             pieces.push(piece);

@@ -4,7 +4,7 @@ use super::arena::Arena;
 use super::block::Block;
 use super::columns::{Advise, Columns, antennas};
 use super::piece::Span;
-use csi5300::source::survey::{Identity, Survey};
+use csi5300::source::survey::{Identity, Survey, Tally};
 use csi5300::source::{CsiSource, Error, Next, Origin};
 use csi5300::time::Instant;
 use driver_iface::Mac;
@@ -166,6 +166,13 @@ impl<S: CsiSource> Reading<S> {
     /// # Errors
     /// If the source cannot be read further.
     pub fn burst(&mut self, now: Instant, limit: usize) -> Result<bool, Error> {
+        let mut tally = Tally::default();
+        let more = self.burst_in(&mut tally, now, limit);
+        self.survey.settle(&mut tally);
+        more
+    }
+
+    fn burst_in(&mut self, tally: &mut Tally, now: Instant, limit: usize) -> Result<bool, Error> {
         for _ in 0..BURST {
             if self.ended || self.columns.len() >= limit {
                 return Ok(false);
@@ -176,7 +183,7 @@ impl<S: CsiSource> Reading<S> {
             if matches!(next, Next::Pending) {
                 return Ok(false);
             }
-            table.take(&next);
+            table.take(tally, &next);
             self.ended |= ended;
         }
         Ok(true)
@@ -212,8 +219,8 @@ impl Table<'_> {
     }
 
     /// Counts what a source gave; whether it is a bfee record, and whether that is kept, whose columns are added then.
-    fn note(&mut self, next: &Next<'_>) -> Option<bool> {
-        let (bfee, identity) = self.survey.note(next)?;
+    fn note(&mut self, tally: &mut Tally, next: &Next<'_>) -> Option<bool> {
+        let (bfee, identity) = self.survey.note_in(tally, next)?;
         let offset = match next {
             Next::Record(stamps, _) => {
                 let (Origin::File { offset: place } | Origin::Live { number: place }) = stamps.origin;
@@ -233,8 +240,8 @@ impl Table<'_> {
     }
 
     /// Takes what a source gave; the record is copied if it is kept.
-    fn take(&mut self, next: &Next<'_>) {
-        let is_kept = self.note(next);
+    fn take(&mut self, tally: &mut Tally, next: &Next<'_>) {
+        let is_kept = self.note(tally, next);
         if !self.bodies {
             return;
         }
@@ -248,7 +255,7 @@ impl Table<'_> {
 
     /// Counts what a source gave whose bytes are in a block, in their place.
     pub(super) fn sort(&mut self, sorted: &mut Sorted, next: &Next<'_>, span: Span) {
-        let is_kept = self.note(next);
+        let is_kept = self.note(&mut sorted.tally, next);
         match (next, is_kept) {
             (_, Some(true)) => {
                 let mpdu = sorted.mpdu.take();
@@ -268,21 +275,24 @@ impl Table<'_> {
     }
 
     /// Keeps what was sorted of a block, whose memory the arena takes over if most of it is kept.
-    pub(super) fn keep(&mut self, sorted: Sorted, block: Block) {
+    pub(super) fn keep(&mut self, sorted: &mut Sorted, block: Block) {
+        let Sorted { kept, bytes, mpdu, tally } = sorted;
+        self.survey.settle(tally);
+        let (bytes, mpdu) = (std::mem::take(bytes), mpdu.take());
         if !self.bodies {
+            kept.clear();
             return;
         }
-        let Sorted { kept, bytes, mpdu } = sorted;
         if 2 * bytes as usize >= block.bytes().len() {
             let rest = mpdu.map(|span| span.of(block.bytes()).to_vec());
             if !kept.is_empty() {
-                self.arena.adopt(block, kept);
+                self.arena.adopt(block, kept.drain(..));
             }
             rest.iter().for_each(|body| self.arena.note_mpdu(body));
             return;
         }
         let body = |span: Span| span.of(block.bytes());
-        for (span, before) in kept {
+        for (span, before) in kept.drain(..) {
             before.iter().for_each(|mpdu| self.arena.note_mpdu(body(*mpdu)));
             self.arena.push(body(span));
         }
@@ -299,4 +309,6 @@ pub(super) struct Sorted {
     bytes: u32,
     /// The newest MPDU, until a bfee takes it.
     mpdu: Option<Span>,
+    /// What the survey has not in its maps yet.
+    tally: Tally,
 }
