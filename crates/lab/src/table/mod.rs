@@ -8,6 +8,7 @@ mod arena;
 mod block;
 mod columns;
 mod decode;
+mod found;
 mod piece;
 mod reading;
 mod whole;

@@ -6,8 +6,8 @@ use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
 use csi5300::{Frame, Log};
-use driver_iface::bfee::Antenna;
-use driver_iface::record::LOOKAHEAD;
+use driver_iface::bfee::{Antenna, Iq, Repr};
+use driver_iface::record::{LOOKAHEAD, Record, code};
 use num_complex::Complex32;
 use std::io::Read;
 use std::path::{Path, PathBuf};
@@ -149,6 +149,37 @@ fn two_threads_read_what_one_reads() {
         assert_eq!(format!("{a_columns:?}"), format!("{b_columns:?}"));
         assert_eq!(a.len() + one.left_out as usize, COPIES * 281);
     }
+}
+
+/// Host times of a side file, some of which are not known, beside noise between records: with and without them in one block.
+#[test]
+fn two_threads_read_the_host_times_that_one_reads() {
+    let folder = std::env::temp_dir().join(format!("csi5300-table-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("stock.dat");
+    let repr = Repr::default();
+    let mut body = vec![0; repr.body_len()];
+    repr.emit(&vec![Iq { i: 3, q: -4 }; repr.samples()], &mut body).unwrap();
+    let whole = Record { code: code::BFEE, body: &body };
+    let mut record = vec![0; whole.emit_len()];
+    whole.emit(&mut record).unwrap();
+    let (mut log, mut times) = (Vec::new(), Vec::new());
+    for k in 0..3_000_i64 {
+        log.extend(&record);
+        let known = k % 3 != 1;
+        times.extend([1_700_000_000 + k, 250_000].map(|part| if known { part } else { 0 }).map(i64::to_le_bytes));
+    }
+    std::fs::write(&path, &log).unwrap();
+    std::fs::write(folder.join("stock.datstp"), times.as_flattened()).unwrap();
+    let open = || Reading::new(Replay::open(&path).unwrap(), Filter::default());
+    let (mut one, mut two) = (open(), open());
+    while one.burst(Instant::ZERO, usize::MAX).unwrap() {}
+    let cut = Cut { first: 1_000, block: Some(4_096 + LOOKAHEAD), head: LOOKAHEAD };
+    two.read_cut(Instant::ZERO, cut, None, &mut (), || true).unwrap();
+    std::fs::remove_dir_all(&folder).unwrap();
+    assert_eq!(format!("{:?}", one.columns), format!("{:?}", two.columns));
+    assert_eq!(two.columns.host_us.iter().filter(|us| **us == NO_TIME).count(), 1_000);
+    assert_eq!(two.columns.host_us[2_999], 1_700_002_999_250_000);
 }
 
 /// A log of which some was received, and one whose reader fails in the middle.

@@ -1,20 +1,17 @@
-//! Whole logs on two threads: one reads bytes, the other finds records among them and sorts these. They stay where they were read.
-//!
-//! Reading takes new memory, which the kernel clears, and costs as much as all the rest. What is found of a record is used at once:
-//! handed from one thread to another, it would have to come out of the other's cache.
+//! Whole logs on two threads: one reads bytes and finds records among them, the other sorts these. They stay where they were read.
 
 use super::block::{BLOCK, Block};
 use super::columns::Advise;
-use super::piece::Span;
+use super::found::Found;
 use super::reading::{Reading, Sorted, Table};
-use csi5300::source::replay::{Bytes, Framing, Front, Replay};
-use csi5300::source::{Error, Next, Origin, Stamps};
+use csi5300::source::Error;
+use csi5300::source::replay::{Bytes, Framing, Replay};
 use csi5300::time::Instant;
-use driver_iface::record::{LOOKAHEAD, Record};
+use driver_iface::record::LOOKAHEAD;
 use std::io::Read;
 use std::sync::mpsc::sync_channel;
 
-/// Blocks that may wait between the thread that reads and the one that sorts.
+/// Pieces that may wait between the thread that reads and the one that sorts.
 const AHEAD: usize = 4;
 
 /// How a log is cut into blocks.
@@ -81,16 +78,17 @@ impl<R: Read + Send> Reading<Replay<R>> {
         }
         let (replay, table) = self.parts();
         let (bytes, framing) = replay.halves();
-        let mut sorter = Sorter { framing, table, now, left: Vec::new(), sorted: Sorted::default(), ended: false };
-        let (first, more) = filled(bytes, Block::fixed(cut.first));
-        let first_bytes = first.bytes().len();
-        sorter.take(first, 0, matches!(more, Ok(false)));
+        let mut cutter = Cutter { bytes, framing, left: Vec::new(), most: 0 };
+        let mut sorter = Sorter { table, now, sorted: Sorted::default(), ended: false };
+        let (first, more) = cutter.next(Block::fixed(cut.first), 0);
+        let first_bytes = first.block.bytes().len();
+        sorter.take(first);
         if more? && go_on() {
             if let Some(size) = size {
                 sorter.table.reserve(expected(sorter.table.kept(), first_bytes, size), advise);
             }
-            in_blocks(bytes, cut, |block, is_last| {
-                sorter.take(block, cut.head, is_last);
+            in_pieces(cutter, cut, |piece| {
+                sorter.take(piece);
                 go_on()
             })?;
         }
@@ -105,29 +103,34 @@ fn expected(kept: usize, of_bytes: usize, size: u64) -> usize {
     (1.02 * all) as usize
 }
 
-/// Reads a log in a thread of its own and hands over one block after the other, and whether the log ends in it; `take` says whether to
-/// go on.
-fn in_blocks<R: Read + Send>(
-    bytes: &mut Bytes<R>,
+/// A block and what was found in it.
+struct Piece {
+    block: Block,
+    found: Found,
+}
+
+/// Cuts a log into pieces in a thread of its own and hands over one after the other; `take` says whether to go on.
+fn in_pieces<R: Read + Send>(
+    mut cutter: Cutter<'_, R>,
     cut: Cut,
-    mut take: impl FnMut(Block, bool) -> bool,
+    mut take: impl FnMut(Piece) -> bool,
 ) -> Result<(), Error> {
-    let (sender, blocks) = sync_channel(AHEAD);
+    let (sender, pieces) = sync_channel(AHEAD);
     std::thread::scope(|scope| {
         let read = move || {
             loop {
-                let (block, more) = filled(bytes, cut.next());
+                let (piece, more) = cutter.next(cut.next(), cut.head);
                 let is_last = !matches!(more, Ok(true));
                 // Nobody receives once it was enough.
-                if sender.send((block, more)).is_err() || is_last {
+                if sender.send((piece, more)).is_err() || is_last {
                     return;
                 }
             }
         };
         let started = std::thread::Builder::new().name("csi5300-read".into()).spawn_scoped(scope, read);
         started.map_err(|source| Error::Io { what: "cannot start a thread to read the log".into(), source })?;
-        for (block, more) in blocks {
-            let go_on = take(block, matches!(more, Ok(false)));
+        for (piece, more) in pieces {
+            let go_on = take(piece);
             if !more? || !go_on {
                 break;
             }
@@ -136,62 +139,52 @@ fn in_blocks<R: Read + Send>(
     })
 }
 
-/// Reads until a block is full or the log ends; whether there may be more.
-fn filled<R: Read>(bytes: &mut Bytes<R>, mut block: Block) -> (Block, Result<bool, Error>) {
-    while block.room() > 0 {
-        match block.fill(|room| bytes.read_into(room)) {
-            Ok(0) => return (block, Ok(false)),
-            Ok(_) => {}
-            Err(error) => return (block, Err(error)),
-        }
-    }
-    (block, Ok(true))
-}
-
-/// Finds the records of a log, a block at a time, and sorts them.
-struct Sorter<'a> {
+/// Reads a log and finds its records, a block at a time.
+struct Cutter<'a, R> {
+    bytes: &'a mut Bytes<R>,
     framing: &'a mut Framing,
-    table: Table<'a>,
-    now: Instant,
     /// What the last block ended with and was not used.
     left: Vec<u8>,
+    /// What was found in a block so far at most.
+    most: usize,
+}
+
+impl<R: Read> Cutter<'_, R> {
+    /// The next piece, in `block`, in which bytes are read behind `head`; whether there may be more.
+    fn next(&mut self, mut block: Block, head: usize) -> (Piece, Result<bool, Error>) {
+        let more = self.fill(&mut block);
+        let from = block.put_before(head, &self.left);
+        let (found, used) = Found::new(block.bytes(), from, self.framing, matches!(more, Ok(false)), self.most);
+        self.left.clear();
+        self.left.extend_from_slice(block.bytes().get(used..).unwrap_or_default());
+        self.most = self.most.max(found.len());
+        (Piece { block, found }, more)
+    }
+
+    /// Reads until a block is full or the log ends; whether there may be more.
+    fn fill(&mut self, block: &mut Block) -> Result<bool, Error> {
+        while block.room() > 0 {
+            if block.fill(|room| self.bytes.read_into(room))? == 0 {
+                return Ok(false);
+            }
+        }
+        Ok(true)
+    }
+}
+
+/// Sorts what was found in a log, a block at a time.
+struct Sorter<'a> {
+    table: Table<'a>,
+    now: Instant,
     /// Of the block at hand; its memory is used again.
     sorted: Sorted,
     ended: bool,
 }
 
 impl Sorter<'_> {
-    /// Takes the next block, into which bytes were read behind `head`; `is_last` says that the log ends there.
-    fn take(&mut self, mut block: Block, head: usize, is_last: bool) {
-        let mut at = block.put_before(head, &self.left);
-        let bytes = block.bytes();
-        while let Some((next, used, body)) = self.step(bytes, at, is_last) {
-            at += used;
-            self.ended = matches!(next, Next::End(_));
-            self.table.sort(&mut self.sorted, &next, Span { from: (at - body) as u32, len: body as u32 });
-            if self.ended {
-                break;
-            }
-        }
-        self.left.clear();
-        self.left.extend_from_slice(bytes.get(at..).unwrap_or_default());
-        self.table.keep(&mut self.sorted, block);
-    }
-
-    /// What is in the block from byte `at` on, the bytes that it takes, and how many of them, at its end, are a record's body;
-    /// `None` where that takes more bytes.
-    #[inline]
-    fn step<'b>(&mut self, bytes: &'b [u8], at: usize, is_last: bool) -> Option<(Next<'b>, usize, usize)> {
-        let front = bytes.get(at..).unwrap_or_default();
-        Some(match self.framing.step(front, is_last) {
-            Front::Record { used, body, code, offset, host_us } => {
-                let stamps = Stamps { at: self.now, host_us, origin: Origin::File { offset } };
-                let body_bytes = front.get(used - body..used).unwrap_or_default();
-                (Next::Record(stamps, Record { code, body: body_bytes }), used, body)
-            }
-            Front::Lost { used, loss } => (Next::Lost(loss), used, 0),
-            Front::Short => return None,
-            Front::End(tail) => (Next::End(tail), 0, 0),
-        })
+    fn take(&mut self, Piece { block, found }: Piece) {
+        let Self { table, sorted, .. } = self;
+        self.ended = found.each(block.bytes(), self.now, |next, span| table.sort(sorted, next, span));
+        table.keep(sorted, block);
     }
 }
