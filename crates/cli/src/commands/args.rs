@@ -7,7 +7,7 @@ use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
 use nalgebra::Vector3;
 
-/// How bearings are made.
+// How bearings are made.
 #[derive(Args, Clone, Debug)]
 pub struct Estimation {
     /// Antenna (RF port) used on both robots: A, B or C

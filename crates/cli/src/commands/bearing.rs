@@ -20,7 +20,7 @@ use driver_iface::Mac;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Arguments of `bearing`.
+// Arguments of `bearing`.
 #[derive(clap::Args)]
 pub struct Args {
     /// Log of the receiver, the robot whose trajectory is given; - is standard input

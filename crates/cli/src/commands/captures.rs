@@ -13,7 +13,7 @@ use std::path::Path;
 pub const A_CAPTURE: &str = "a capture is a folder with csi_rx_TS.dat, csi_txK_TS.dat, a trajectory (rx_trajectory_TS_.csv) and, \
                              for the truth and the channel, groundtruth_positions.json";
 
-/// How captures are read.
+// How captures are read.
 #[derive(clap::Args)]
 pub struct Reading {
     /// Which trajectory to use

@@ -15,7 +15,7 @@ use csi5300_sim::Scene;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Arguments of `compare`.
+// Arguments of `compare`.
 #[derive(clap::Args)]
 pub struct Args {
     /// A scene, or a folder that `simulate --out` wrote; without it a scene is fitted to the recorded capture

@@ -4,7 +4,7 @@ use super::{Outcome, Result, print};
 use clap::CommandFactory;
 use std::path::PathBuf;
 
-/// Arguments of `completions`.
+// Arguments of `completions`.
 #[derive(clap::Args)]
 #[command(after_help = "Example, for the running shell and for every later one:\n  \
                         source <(csi5300 completions bash)\n  \
@@ -15,7 +15,7 @@ pub struct Args {
     shell: clap_complete::Shell,
 }
 
-/// Arguments of `manual`.
+// Arguments of `manual`.
 #[derive(clap::Args)]
 pub struct ManualArgs {
     /// A folder, made where it is absent: csi5300.1 and a page for each command

@@ -12,7 +12,7 @@ use csi5300_sim::{Scene, WrittenCapture};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Arguments of `demo`.
+// Arguments of `demo`.
 #[derive(clap::Args)]
 pub struct Args {
     /// Folder for logs and pictures

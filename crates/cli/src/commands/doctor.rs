@@ -17,7 +17,7 @@ use std::fmt::Write;
 use std::os::fd::AsFd;
 use std::path::PathBuf;
 
-/// Arguments of `doctor`.
+// Arguments of `doctor`.
 #[derive(clap::Args)]
 pub struct Args {
     /// One JSON object instead of text

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// Arguments of `evaluate`.
+// Arguments of `evaluate`.
 #[derive(clap::Args)]
 pub struct Args {
     /// Folders with captures below them, as in the WSR data set

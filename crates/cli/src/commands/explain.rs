@@ -9,7 +9,7 @@ use csi5300_lab::evaluate::Judged;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Arguments of `explain`.
+// Arguments of `explain`.
 #[derive(clap::Args)]
 #[command(
     after_help = "Example, with a link as `evaluate DIR` names it:\n  csi5300 explain DIR/LOS_Set_A/L1/2024-01-01_120000/tx2 --out pictures"

@@ -14,7 +14,7 @@ use num_complex::Complex32;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// Arguments of `export`.
+// Arguments of `export`.
 #[derive(clap::Args)]
 pub struct Args {
     /// The log; - is standard input

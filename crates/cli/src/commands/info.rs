@@ -10,7 +10,7 @@ use driver_iface::record::{Tail, code};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Arguments of `info`.
+// Arguments of `info`.
 #[derive(clap::Args)]
 pub struct Args {
     /// Logs; - is standard input

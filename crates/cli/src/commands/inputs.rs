@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 #[cfg(feature = "ros2")]
 use csi5300_node::ros2::unbag::{Content, Recording};
 
-/// The option of commands that read recordings too.
+// The option of commands that read recordings too.
 #[derive(clap::Args, Clone, Default)]
 pub struct BagArgs {
     /// A recording that has odometry and CSI (a folder of `ros2 bag`, or a file: MCAP, SQLite, ROS 1): --rx, --tx and --trajectory

@@ -8,7 +8,7 @@ use driver_iface::Mac;
 use std::io::Read;
 use std::path::PathBuf;
 
-/// Arguments of `key`.
+// Arguments of `key`.
 #[derive(clap::Args)]
 #[command(after_help = "Example, on a machine that is no robot:\n  csi5300 key new group.key\n  \
                         csi5300 key robot --group group.key --mac 00:21:6a:00:00:01 --peers 00:21:6a:00:00:02,00:21:6a:00:00:03 one.key\n\

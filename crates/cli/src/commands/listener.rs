@@ -13,7 +13,7 @@ use csi5300_sim::served::{self, Address};
 use driver_iface::Mac;
 use std::fmt::Write;
 
-/// How to listen to the card.
+// How to listen to the card.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Listening {
     /// Connector index of the driver, instead of looking for it
@@ -32,7 +32,7 @@ pub struct Listening {
     stock: StockArgs,
 }
 
-/// How to take the card's packets from under an unmodified driver.
+// How to take the card's packets from under an unmodified driver.
 #[derive(clap::Args, Clone, Debug)]
 struct StockArgs {
     /// Take the card's packets from the kernel's own, unpatched driver, by an eBPF program (Linux 5.8 and later)

@@ -11,7 +11,7 @@ use std::fmt::Write;
 use std::path::PathBuf;
 use transmitters::Together;
 
-/// Arguments of `locate`.
+// Arguments of `locate`.
 #[derive(clap::Args)]
 pub struct Args {
     /// Captures, or folders with captures below them; the places of the transmitters are read from

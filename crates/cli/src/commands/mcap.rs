@@ -12,7 +12,7 @@ use csi5300::time::{Instant, Unwrap32};
 use csi5300_node::foxglove::{Channels, Recording};
 use std::path::{Path, PathBuf};
 
-/// Arguments of `mcap`.
+// Arguments of `mcap`.
 #[derive(clap::Args)]
 pub struct Args {
     /// Logs; with a trajectory the first is the receiver's, and the others make a bearing each

@@ -130,7 +130,8 @@ struct Cli {
     command: Command,
 }
 
-// What a command takes is made when it is the one: all of them take longer than reading a trajectory.
+// What a command takes is made when it is the one: all of them take longer than reading a trajectory. So structs of arguments
+// have no doc comments: those would replace what is said of a command here.
 #[derive(Subcommand)]
 #[command(defer = true)]
 enum Command {
@@ -208,7 +209,7 @@ enum Command {
     Setup(setup::Args),
 }
 
-/// Arguments of a command that was not compiled in: any.
+// Arguments of a command that was not compiled in: any.
 #[cfg(not(feature = "foxglove"))]
 #[derive(clap::Args)]
 struct Missing {
@@ -348,5 +349,25 @@ pub fn print_json(value: &impl serde::Serialize) {
     match serde_json::to_string(value) {
         Ok(line) => print(&format!("{line}\n")),
         Err(error) => wrong!("{error}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Cli;
+    use clap::CommandFactory;
+
+    #[test]
+    fn a_command_says_of_itself_what_the_list_says() {
+        let said = |command: &clap::Command| {
+            let of = |one: &clap::Command| (one.get_name().to_owned(), one.get_about().map(ToString::to_string));
+            command.get_subcommands().map(of).collect::<Vec<_>>()
+        };
+        let listed = said(&Cli::command());
+        let mut command = Cli::command();
+        command.build();
+        let own: Vec<_> = said(&command).into_iter().filter(|(name, _)| name != "help").collect();
+        assert_eq!(listed, own);
+        assert!(own.iter().all(|(_, about)| about.as_ref().is_some_and(|about| !about.is_empty())), "{own:?}");
     }
 }

@@ -5,7 +5,7 @@ use csi5300::motion::pose::Trajectory;
 use csi5300::motion::rolling::Mount;
 use nalgebra::Vector3;
 
-/// Where antenna and camera are on the robot.
+// Where antenna and camera are on the robot.
 #[derive(clap::Args)]
 pub struct Mounting {
     /// Where the antenna is on the robot, seen from what the trajectory is of: metres forward, left, up; turned with the

@@ -5,7 +5,7 @@ use csi5300_node::config::{Capture, Config};
 use csi5300_node::service::{self, Ended};
 use std::path::PathBuf;
 
-/// Arguments of `node`.
+// Arguments of `node`.
 #[derive(clap::Args)]
 pub struct Args {
     /// The robot's configuration; packaging/robot.toml explains every key. If not given: robot.toml in this folder, in

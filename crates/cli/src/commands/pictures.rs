@@ -5,7 +5,7 @@ use clap::ValueEnum;
 use csi5300_lab::show::{Error, Format, Kind};
 use std::path::{Path, PathBuf};
 
-/// How pictures are drawn.
+// How pictures are drawn.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Drawing {
     /// Formats of pictures; png,svg if not given
@@ -16,7 +16,7 @@ pub struct Drawing {
     dpi: f64,
 }
 
-/// The same for commands that write nothing but pictures.
+// The same for commands that write nothing but pictures.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Pictures {
     #[command(flatten)]

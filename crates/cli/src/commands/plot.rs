@@ -10,7 +10,7 @@ use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use std::path::{Path, PathBuf};
 
-/// Arguments of `plot`.
+// Arguments of `plot`.
 #[derive(clap::Args)]
 #[command(
     after_help = "NAME-csi: amplitude and phase of each antenna over time and subcarrier, as heat maps. NAME-levels: \

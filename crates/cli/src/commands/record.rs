@@ -28,7 +28,7 @@ const ROOMY: usize = 1 << 20;
 /// Records between two looks at signals and the view when the source never pauses.
 const BURST: u32 = 256;
 
-/// Arguments of `record`.
+// Arguments of `record`.
 #[derive(clap::Args)]
 pub struct Args {
     /// The log; its side file with host times is OUT.datstp

@@ -15,7 +15,7 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-/// Arguments of `recover`.
+// Arguments of `recover`.
 #[derive(clap::Args)]
 pub struct Args {
     /// The damaged log; - is standard input

@@ -14,7 +14,7 @@ use std::io::{StdoutLock, Write};
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
-/// Arguments of `replay`.
+// Arguments of `replay`.
 #[derive(clap::Args)]
 pub struct Args {
     /// The log; - is standard input

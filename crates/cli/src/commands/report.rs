@@ -5,7 +5,7 @@ use super::{Outcome, Result, usage};
 use csi5300_lab::show::report::HtmlReport;
 use std::path::PathBuf;
 
-/// Arguments of `report`.
+// Arguments of `report`.
 #[derive(clap::Args)]
 pub struct Args {
     /// Folder with captures below it, as in the WSR data set

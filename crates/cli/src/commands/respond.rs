@@ -13,7 +13,7 @@ use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 
-/// Arguments of `respond`.
+// Arguments of `respond`.
 #[derive(clap::Args)]
 #[command(after_help = "Answers are given at once, from user space; with --dialect wsr --ack-len N as the WSR driver \
                         gives them in the kernel. In the native dialect an answer carries what the card measured of an \

@@ -16,7 +16,7 @@ use std::io::Write;
 use std::os::fd::AsFd;
 use std::path::PathBuf;
 
-/// How a room is served.
+// How a room is served.
 #[derive(clap::Args)]
 #[group(id = "serving")]
 pub struct Args {

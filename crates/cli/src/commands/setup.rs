@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use csi5300::signal::channel::Channel;
 use csi5300_live::doctor::{self, Machine, Request, SetupError, Step, default_interface, plan, undo, warnings};
 
-/// Arguments of `setup`.
+// Arguments of `setup`.
 #[derive(clap::Args)]
 pub struct Args {
     /// The card's interface; found on the PCI bus where not given

@@ -6,7 +6,7 @@ use csi5300_sim::{Injected, Room, Scene, SceneError, WrittenCapture, write_datas
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// Arguments of `simulate`.
+// Arguments of `simulate`.
 #[derive(clap::Args)]
 pub struct Args {
     /// The scene, a file or the name of a built-in one: lab-circle, lab-line, paper-circle, paper-line

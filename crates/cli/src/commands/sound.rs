@@ -24,7 +24,7 @@ const SETTLED_ROUNDS: u16 = 8;
 const ALONE_SILENCE_US: f64 = 50_000.0;
 const ALONE_SILENCE_SLOTS: u32 = 2;
 
-/// Arguments of `sound`.
+// Arguments of `sound`.
 #[derive(clap::Args)]
 #[command(
     after_help = "Examples:\n  csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2,00:21:6a:53:90:a4 --rate 100\n  \

@@ -29,7 +29,7 @@ mod words;
 pub use row::ExchangeRow;
 pub use words::{NO_NUMBERS, tell, waiting};
 
-/// Arguments of both commands.
+// Arguments of both commands.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Sounding {
     /// Monitor interface

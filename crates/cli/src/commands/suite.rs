@@ -9,7 +9,7 @@ use csi5300_lab::suite::{REPETITIONS, Summary, experiments, run_all, summarise};
 use std::fmt::Write;
 use std::path::PathBuf;
 
-/// Arguments of `suite`.
+// Arguments of `suite`.
 #[derive(clap::Args)]
 pub struct Args {
     /// Repetitions of each experiment

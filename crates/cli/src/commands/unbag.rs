@@ -4,7 +4,7 @@ use super::{Outcome, Result};
 use csi5300_node::ros2::unbag::{BagError, UnbaggedTopic, unbag};
 use std::path::{Path, PathBuf};
 
-/// Arguments of `unbag`.
+// Arguments of `unbag`.
 #[derive(clap::Args)]
 pub struct Args {
     /// The recording: a folder as `ros2 bag` makes it, or a file (MCAP, SQLite, bag of ROS 1)

@@ -7,7 +7,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// Arguments of `view`.
+// Arguments of `view`.
 #[derive(clap::Args)]
 #[command(
     after_help = "The page is served on this machine only, to browsers that show it from there; nothing is loaded from \

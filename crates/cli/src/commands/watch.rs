@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::Duration;
 
-/// Arguments of `watch`.
+// Arguments of `watch`.
 #[derive(clap::Args)]
 pub struct Args {
     /// The node's status socket, as its configuration names it. If not given: that of the configuration which `node` finds,

@@ -7,7 +7,7 @@ use csi5300_lab::evaluate::transmitters::{Frame, Located, Motion, located};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-/// How captures lie to each other.
+// How captures lie to each other.
 #[derive(clap::Args)]
 pub struct Together {
     /// Locate the transmitters instead, each from all captures together: what they say of every place is carried along, not only
