@@ -17,7 +17,6 @@ use crate::signal::channel::SUBCARRIERS;
 use crate::tuning::TUNING;
 use csi5300_kernels::simd::on_tier;
 use fearless_simd::Simd;
-use std::ops::Range;
 
 /// What [`one_way`] gives.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,9 +56,8 @@ fn roots_of<S: Simd>(_simd: S, roots: &mut [Planes]) -> Signs {
     roots.iter_mut().for_each(root);
     track(roots);
     let mut corrected = 0;
-    let mut open = vec![true; roots.len()];
     for _ in 0..TUNING.one_way.sweeps {
-        let changed = sweep(roots, &mut open);
+        let changed = sweep(roots);
         corrected += changed;
         if changed == 0 {
             break;
@@ -129,44 +127,20 @@ fn flip(row: &mut Planes, expected: &Planes) -> usize {
 }
 
 /// Compares every sample with the sum of its neighbours in time and on the subcarriers beside it. Returns how many
-/// signs changed. `changed` says which rows changed in the sweep before, and afterwards which did in this one: a row of which no
-/// neighbour changed stays as it is.
+/// signs changed.
 #[inline(always)]
-fn sweep(roots: &mut [Planes], changed: &mut [bool]) -> usize {
-    let reach = TUNING.one_way.reach;
-    let stretches = about(changed, reach);
-    changed.fill(false);
-    let mut count = 0;
-    for Range { start, end } in stretches {
-        let around = Around::before(roots, reach, start);
-        let (own, behind) = roots[start..].split_at_mut(end - start);
-        around.along(
-            own,
-            behind,
-            #[inline(always)]
-            |k, row, sum| {
-                let around = Planes { re: beside(&sum.re, &row.re), im: beside(&sum.im, &row.im) };
-                let flipped = flip(row, &around);
-                changed[start + k] = flipped > 0;
-                count += flipped;
-            },
-        );
-    }
-    count
-}
-
-/// The stretches of rows that have one which changed within `reach`; so far apart that no row of one is within `reach` of
-/// another.
-fn about(changed: &[bool], reach: usize) -> Vec<Range<usize>> {
-    let mut stretches: Vec<Range<usize>> = Vec::new();
-    for k in (0..changed.len()).filter(|k| changed[*k]) {
-        let own = k.saturating_sub(reach)..(k + reach + 1).min(changed.len());
-        match stretches.last_mut() {
-            Some(last) if own.start <= last.end + reach => last.end = own.end,
-            _ => stretches.push(own),
-        }
-    }
-    stretches
+fn sweep(roots: &mut [Planes]) -> usize {
+    let mut changed = 0;
+    Around::first(roots, TUNING.one_way.reach).along(
+        roots,
+        &[],
+        #[inline(always)]
+        |_, row, sum| {
+            let around = Planes { re: beside(&sum.re, &row.re), im: beside(&sum.im, &row.im) };
+            changed += flip(row, &around);
+        },
+    );
+    changed
 }
 
 /// At each place the sum over it and the two beside it, less its own value.
@@ -196,36 +170,6 @@ mod tests {
         let power: f32 = truth.iter().flatten().map(Complex32::norm_sqr).sum();
         assert!(product.norm() / power > 0.999, "{}", product.norm() / power);
         assert!(found.signs.slips < 1e-3 && found.signs.coherence > 0.98, "{:?}", found.signs);
-    }
-
-    #[test]
-    fn rows_about_which_nothing_changed_are_left_out_of_a_sweep() {
-        // A slowly turning channel with signs wrong in places, swept in full and only where something changed.
-        let channel = |t: usize, k: usize| Complex32::cis(0.05 * t as f32 + 0.02 * k as f32);
-        let wrong = |t: usize, k: usize| matches!(t, 0 | 40..=52 | 120 | 130 | 299) && k % 3 < 2;
-        let rows: Vec<CsiRow> = (0..300)
-            .map(|t| std::array::from_fn(|k| if wrong(t, k) { -channel(t, k) } else { channel(t, k) }))
-            .collect();
-        let (mut part, mut full) = (planes_of(&rows), planes_of(&rows));
-        let (mut open, mut sweeps) = (vec![true; rows.len()], 0);
-        loop {
-            let changed = sweep(&mut part, &mut open);
-            assert_eq!(changed, sweep(&mut full, &mut vec![true; rows.len()]));
-            assert_eq!(part, full);
-            sweeps += 1;
-            if changed == 0 {
-                break;
-            }
-        }
-        assert!(sweeps > 2, "{sweeps}");
-    }
-
-    #[test]
-    fn stretches_hold_all_neighbours_and_do_not_see_each_other() {
-        let changed: Vec<bool> = (0..60).map(|k| matches!(k, 1 | 20 | 29 | 50)).collect();
-        assert_eq!(about(&changed, 3), [0..5, 17..33, 47..54]);
-        assert_eq!(about(&[false; 4], 3), []);
-        assert_eq!(about(&[true; 4], 3), std::iter::once(0..4).collect::<Vec<_>>());
     }
 
     #[test]
