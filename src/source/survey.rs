@@ -408,7 +408,8 @@ impl Survey {
                 self.damaged_bytes += len;
                 self.keep(*number, *len, reason.to_string());
             }
-            Loss::Overrun { dropped } => self.overruns += dropped.unwrap_or(1),
+            // A peer says its own numbers (`remote`): two may be more than are counted here.
+            Loss::Overrun { dropped } => self.overruns = self.overruns.saturating_add(dropped.unwrap_or(1)),
         }
     }
 

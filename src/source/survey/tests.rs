@@ -167,6 +167,15 @@ fn losses_are_counted_whatever_they_are_of_and_the_first_are_kept() {
 }
 
 #[test]
+fn losses_that_a_peer_makes_up_add_up_to_no_more_than_can_be_counted() {
+    let mut survey = Survey::default();
+    for dropped in [u64::MAX - 1, u64::MAX - 1, 1] {
+        survey.note(&Next::Lost(Loss::Overrun { dropped: Some(dropped) }));
+    }
+    assert_eq!(survey.overruns, u64::MAX);
+}
+
+#[test]
 fn records_are_counted_by_code_and_one_that_cannot_be_read_is_something_lost() {
     let mut survey = Survey::default();
     for (code, times) in [(0x7f, 3), (code::BFEE, 2)] {

@@ -253,3 +253,13 @@ fn who_does_not_respond_and_who_has_the_turn_answers_nobody() {
     assert_eq!((holder.has_turn(), holder.counts().rivals), (true, 1), "an earlier turn");
     assert!(holder.reply.is_none());
 }
+
+#[test]
+fn without_a_key_the_answer_to_a_frame_with_a_tag_has_none() {
+    let mut tdma = listener(None);
+    let repr = native::Repr { destination: mac(2), tag: Some([5; native::TAG_LEN]), ..forward(1) };
+    hear_late(&mut tdma, &bytes(&repr), 0);
+    let now = tdma.now;
+    let answer = tdma.poll_transmit(now).unwrap().frame.to_vec();
+    assert_eq!(native::Repr::parse(&Frame::new_checked(&answer).unwrap()).unwrap().tag, None);
+}
