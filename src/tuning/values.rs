@@ -243,7 +243,7 @@ tuning! {
         /// Residual, in deviations, at which a sighting has lost half of its weight.
         cauchy: f64 = 2.0, "not recorded", "half: receivers' median error (m) 0.247 instead of 0.256; double: receivers' median error (m) 0.261 instead of 0.256";
         /// Power to which the evidence of another candidate over that of the answer is taken.
-        candidate_power: f64 = 0.5, "measured: the links of receivers with two or more (csi5300 locate), motion capture and tracking camera", "half: mean error of links to located receivers (degrees; wsr, wsr-more, the same by T265) 4.8, 4.9, 7.0, 7.1 instead of 3.4, 5.1, 6.8, 7.3; double: 3.4, 5.4, 10.9, 12.3";
+        candidate_power: f64 = 0.5, "chosen by a program in 29 of 30 folds of places (sensitivity -- refit place), motion capture and tracking camera", "half: mean error of links to located receivers (degrees; wsr, wsr-more, the same by T265) 4.8, 4.9, 7.0, 7.1 instead of 3.4, 5.1, 6.8, 7.3; double: 3.4, 5.4, 10.9, 12.3";
         /// Steps at most.
         steps: usize = 60, "not recorded", "no effect";
     }

@@ -108,7 +108,8 @@ fn the_promise_holds_from_one_packet_to_many_and_from_no_motion_to_five_metres_o
     let mut rng = ChaCha8Rng::seed_from_u64(21);
     let mut used = std::collections::BTreeSet::new();
     for case in 0..56 {
-        let n = [1, 2, 3, 17, 300, 3_000, 30_000, 100_000][case % 8];
+        // Many packets take most of the time, and their cases are alike: twice each.
+        let n = [1, 2, 3, 17, 300, 3_000, 30_000, 100_000][case % if case < 16 { 8 } else { 6 }];
         let radius = if case % 11 == 0 { 0.0 } else { 5.0 * 1e-4f64.powf(rng.random::<f64>()) };
         let samples = wide_scene(case, n, radius, &mut rng);
         let grid = if case % 2 == 0 { Grid::azimuth_elevation(48, 13) } else { Grid::azimuth(360) };
@@ -133,7 +134,7 @@ fn every_path_keeps_the_promise_at_every_size_on_every_tier() {
     let methods =
         [Method::Direct, Method::RingsDirect, Method::RingsNufft, Method::TargetsNufft, Method::Slab, Method::Cone];
     let mut used = std::collections::BTreeMap::<String, usize>::new();
-    for (case, n) in [1, 3, 30, 1_000, 10_000, 100_000].into_iter().cycle().take(12).enumerate() {
+    for (case, n) in [1, 3, 30, 1_000, 10_000, 100_000].into_iter().cycle().take(10).enumerate() {
         // Slabs of metres take seconds in a test build; apertures of few metres have the same code.
         let radius = if n > 1_000 { 1.0 } else { 5.0 } * 1e-3f64.powf(rng.random::<f64>());
         let samples = wide_scene(case, n, radius, &mut rng);

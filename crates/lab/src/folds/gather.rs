@@ -130,7 +130,8 @@ fn rows(capture: &Capture, source: TrajectorySource, part: Part, options: &Optio
 }
 
 /// The last two folders of a capture's path: a set, and a place of it.
-pub(super) fn set_and_place(path: &str) -> (String, String) {
+#[must_use]
+pub fn set_and_place(path: &str) -> (String, String) {
     let mut folders = path.rsplit('/');
     let last = folders.next().unwrap_or_default();
     match folders.next() {

@@ -21,7 +21,7 @@ mod robot;
 pub use bootstrap::Interval;
 pub use confidence::{ConfidenceColumn, RefusalColumn, labelled};
 pub use error_bar::{ErrorBarColumn, error_rows};
-pub use gather::{Answered, FoldRow, Kind, gather};
+pub use gather::{Answered, FoldRow, Kind, gather, set_and_place};
 pub use paths::PathColumn;
 pub use report::{CameraMount, ErrorColumn, Report, Which, report};
 

@@ -1,0 +1,1 @@
+//! No code: see the crate's manifest.
