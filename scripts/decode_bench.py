@@ -9,7 +9,7 @@ import sys
 import tempfile
 import time
 
-ROUNDS = 5
+ROUNDS = 15
 SIZE = 200_000_000
 FLOORS = {"all": 15.0, "antenna30": 15.0, "antenna8": 25.0}
 # Of a log in which each record follows a copy of its frame, whatever is decoded.
@@ -81,14 +81,17 @@ def measure(bench, log, floors):
         csiread.append(csiread_rate(log))
         for name, rate in our_rates(bench, log).items():
             ours[name].append(rate)
-    theirs = statistics.median(csiread)
-    print(f"csiread Intel.read(), with its constructor: {theirs / 1e6:.2f} M records/s")
+    theirs, quickest = statistics.median(csiread), max(csiread)
+    print(f"csiread Intel.read(), with its constructor: {theirs / 1e6:.2f} M records/s, in its least time {quickest / 1e6:.2f}")
     good = True
     for name, rates in ours.items():
         rate = statistics.median(rates)
         met = rate >= floors[name] * theirs
         good &= met
-        print(f"{name}: {rate / 1e6:.2f} M records/s, {rate / theirs:.1f} x csiread (floor {floors[name]:.0f}){'' if met else ' MISSED'}")
+        print(
+            f"{name}: {rate / 1e6:.2f} M records/s, {rate / theirs:.1f} x csiread (floor {floors[name]:.0f}){'' if met else ' MISSED'}; "
+            f"by the least times {max(rates) / 1e6:.2f} and {max(rates) / quickest:.1f} x"
+        )
     return good
 
 

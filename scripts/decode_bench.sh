@@ -1,5 +1,5 @@
 #!/bin/sh
-# Decoding speed against csiread (PyPI): a 200 MB WSR log, 3x1, one thread, warm, the two in turns, median of 5.
+# Decoding speed against csiread (PyPI): a 200 MB WSR log, 3x1, one thread, warm, the two in turns, median (and least time) of 15.
 #
 # usage: scripts/decode_bench.sh [LOG]
 # Without LOG the real captures of ../shared/captures/paper (or CSI5300_CAPTURES) are concatenated; where they are

@@ -1,4 +1,4 @@
-//! Decodes a log as a stream, one thread, a fixed buffer, to `f32`.
+//! Decodes a log as a stream, one thread, a fixed buffer, to `f32`; all CSI of a record in the widest vectors that the processor has.
 //!
 //! `cargo bench -p driver-iface --bench decode -- [LOG [RUNS]]` prints, for each of three tasks, the median time of
 //! the runs and records per second. Without a log 200 MB of records made by `emit` are written to a temporary file;
@@ -11,6 +11,8 @@ use std::hint::black_box;
 use std::io::{Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+use fearless_simd::{Level, dispatch};
 
 use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, MAX_SAMPLES, Repr, Wsr};
 use driver_iface::record::{Framer, LOOKAHEAD, Record, Step, code};
@@ -69,12 +71,12 @@ fn decode(log: &Path, task: Task) -> u64 {
     let mut file = File::open(log).unwrap();
     let mut buffer = vec![0; BUFFER];
     let mut out = [0.0_f32; 2 * MAX_SAMPLES];
-    let mut framer = Framer::new();
+    let (mut framer, level) = (Framer::new(), Level::new());
     let (mut from, mut to, mut end, mut records) = (0, 0, false, 0);
     loop {
         match framer.step(&buffer[from..to], end) {
             Step::Record { used, record, .. } => {
-                records += u64::from(record.code == code::BFEE && decode_record(&record, task, &mut out));
+                records += u64::from(record.code == code::BFEE && decode_record(level, &record, task, &mut out));
                 from += used;
             }
             Step::Bad { skipped, .. } => from += skipped,
@@ -90,12 +92,13 @@ fn decode(log: &Path, task: Task) -> u64 {
     }
 }
 
-fn decode_record(record: &Record<'_>, task: Task, out: &mut [f32; 2 * MAX_SAMPLES]) -> bool {
+fn decode_record(level: Level, record: &Record<'_>, task: Task, out: &mut [f32; 2 * MAX_SAMPLES]) -> bool {
     let Ok(bfee) = Bfee::new_checked(record.body) else { return false };
     match task {
-        Task::All => bfee.unpack_f32(out),
+        Task::All => dispatch!(level, _ => bfee.unpack_f32(out)),
         Task::Column(subcarriers) => {
             let Some(chain) = bfee.chain_of(driver_iface::bfee::Antenna::A) else { return false };
+            // Too few numbers for wide vectors to be worth their call.
             bfee.column_f32(chain, 0, subcarriers, out)
         }
     };

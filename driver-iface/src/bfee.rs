@@ -12,7 +12,7 @@ mod unpack;
 
 pub use antennas::{Antenna, Antennas, InvalidPerm};
 pub use repr::Repr;
-pub use unpack::{ALL_SUBCARRIERS, Iq, MAX_SAMPLES};
+pub use unpack::{ALL_SUBCARRIERS, Iq, MAX_SAMPLE_BYTES, MAX_SAMPLES};
 
 use byteorder::{ByteOrder, LittleEndian};
 use core::fmt;

@@ -145,10 +145,10 @@ pub fn fcs_is_good(frame: &[u8]) -> bool {
 /// CRC-32 of the frame check sequence (802.11-2016 9.2.4.8): reflected 0x04C11DB7, all ones before and after.
 #[must_use]
 pub fn crc32(bytes: &[u8]) -> u32 {
-    checksum::of(&CRC_TABLE, bytes)
+    checksum::of(&CRC_TABLES, bytes)
 }
 
-static CRC_TABLE: [u32; 256] = checksum::table(0xEDB8_8320);
+static CRC_TABLES: checksum::Tables = checksum::tables(0xEDB8_8320);
 
 /// The value form of an MPDU.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -21,7 +21,7 @@ const US_PER_S: i64 = 1_000_000;
 pub const MAGIC: [u8; 16] = *b"csi5300 checks 1";
 
 /// CRC-32C \[rfc3720\]: the polynomial 0x1EDC6F41, reversed.
-static CASTAGNOLI: [u32; 256] = checksum::table(0x82F6_3B78);
+static CASTAGNOLI: checksum::Tables = checksum::tables(0x82F6_3B78);
 
 /// How a side file is laid out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

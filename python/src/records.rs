@@ -14,14 +14,13 @@ use numpy::{IntoPyArray, PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray1, P
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use rayon::prelude::*;
-use std::borrow::Cow;
 use std::ffi::OsString;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Records decoded between two looks at signals.
-const PIECE: usize = 1 << 18;
+const PIECE: usize = 1 << 17;
 
 /// bfee records in memory, packed as the card sent them.
 #[pyclass(frozen, module = "csi5300._native")]
@@ -61,12 +60,16 @@ impl Chosen {
         }
     }
 
-    /// The numbers of a stretch of [`PIECE`] records.
-    fn piece(&self, number: usize) -> Cow<'_, [usize]> {
+    /// The numbers of a stretch of [`PIECE`] records; `counted` is room for them.
+    fn piece<'a>(&'a self, number: usize, counted: &'a mut Vec<usize>) -> &'a [usize] {
         let (from, to) = (number * PIECE, ((number + 1) * PIECE).min(self.len()));
         match self {
-            Self::All(_) => (from..to).collect(),
-            Self::Rows(rows) => rows.get(from..to).unwrap_or_default().into(),
+            Self::All(_) => {
+                counted.clear();
+                counted.extend(from..to);
+                counted
+            }
+            Self::Rows(rows) => rows.get(from..to).unwrap_or_default(),
         }
     }
 }
@@ -122,10 +125,10 @@ impl Records {
         }
         let mut writer = array.try_readwrite().map_err(|error| wrong(error.to_string()))?;
         let out: &mut [Complex32] = writer.as_slice_mut().map_err(|error| wrong(error.to_string()))?;
-        let pool = pool()?;
+        let (pool, mut counted) = (pool()?, Vec::new());
         for (number, out) in out.chunks_mut(PIECE * shape.len().max(1)).enumerate() {
-            let records = records.piece(number);
-            detached(py, || pool.install(|| decode(&self.arena, &records, &shape, form, out)))?;
+            let records = records.piece(number, &mut counted);
+            detached(py, || pool.install(|| decode(&self.arena, records, &shape, form, out)))?;
             py.check_signals()?;
         }
         drop(writer);
@@ -178,7 +181,8 @@ impl Records {
             let target = path.canonicalize().unwrap_or_else(|_| path.clone());
             let half = draft(&target);
             let written = pool.install(|| export.write(&half)).map_err(|error| error.to_string());
-            let renamed = |unscaled| std::fs::rename(&half, &target).map(|()| unscaled).map_err(|error| error.to_string());
+            let renamed =
+                |unscaled| std::fs::rename(&half, &target).map(|()| unscaled).map_err(|error| error.to_string());
             written.and_then(renamed).map_err(|error| {
                 // It is not there where it could not be made.
                 let _ = std::fs::remove_file(&half);

@@ -246,12 +246,16 @@ pub fn scale_factor(bfee: &Bfee<'_>) -> Result<f64, ScaleError> {
 /// # Errors
 /// [`ScaleError`] when all RSSI or all CSI is 0.
 #[doc(hidden)]
-#[inline]
+#[inline(always)]
 pub fn scale_factor_of(bfee: &Bfee<'_>, samples: &[[i8; 2]]) -> Result<f64, ScaleError> {
-    let milliwatt = heard(bfee)? * ratio(-(RSSI_OFFSET_DB + i32::from(bfee.agc())));
-    // 540 squares of 2^14 at most.
+    // 540 squares of 2^14 at most. Summed where this is inlined, by the vectors that are compiled for there.
     let samples = samples.get(..MAX_SAMPLES).unwrap_or(samples);
-    let squares: i32 = samples.as_flattened().iter().map(|&value| i32::from(value) * i32::from(value)).sum();
+    scale_factor_by(bfee, samples.as_flattened().iter().map(|&value| i32::from(value) * i32::from(value)).sum())
+}
+
+/// [`scale_factor`] of a record the squares of whose integers have this sum.
+fn scale_factor_by(bfee: &Bfee<'_>, squares: i32) -> Result<f64, ScaleError> {
+    let milliwatt = heard(bfee)? * ratio(-(RSSI_OFFSET_DB + i32::from(bfee.agc())));
     if squares == 0 {
         return Err(ScaleError::ZeroCsi { values: bfee.samples() });
     }

@@ -11,10 +11,13 @@ use std::collections::{BTreeMap, BTreeSet};
 mod antennas;
 pub(crate) mod bounds;
 mod clocks;
+mod fields;
 mod senders;
 mod tally;
 
 pub use clocks::{ClockSteps, HostSteps};
+#[doc(hidden)]
+pub use fields::Fields;
 #[doc(hidden)]
 pub use tally::Tally;
 
@@ -309,7 +312,7 @@ impl Survey {
         self.tally_code(tally, record.code);
         match record.code {
             code::BFEE => match Bfee::new_checked(record.body) {
-                Ok(bfee) => Some((bfee, self.note_bfee(tally, stamps, &bfee))),
+                Ok(bfee) => Some((bfee, self.note_bfee(tally, stamps, &Fields::of(&bfee)))),
                 Err(error) => {
                     self.bad_bfee += 1;
                     self.keep(stamps.origin.position(), record.body.len() as u64 + 3, error.to_string());
@@ -322,6 +325,14 @@ impl Survey {
             }
             _ => None,
         }
+    }
+
+    /// Counts an intact bfee record by its fields, as [`Survey::note_in`] does; gives the frame's identity.
+    #[doc(hidden)]
+    pub fn note_fields(&mut self, tally: &mut Tally, stamps: Stamps, fields: &Fields) -> Identity {
+        self.records += 1;
+        self.tally_code(tally, code::BFEE);
+        self.note_bfee(tally, stamps, fields)
     }
 
     fn note_mpdu(&mut self, body: &[u8]) {
@@ -339,12 +350,11 @@ impl Survey {
         }
     }
 
-    fn note_bfee(&mut self, tally: &mut Tally, stamps: Stamps, bfee: &Bfee<'_>) -> Identity {
+    fn note_bfee(&mut self, tally: &mut Tally, stamps: Stamps, fields: &Fields) -> Identity {
         let heard = self.heard.take();
-        let identity = match bfee.wsr() {
+        let identity = match fields.wsr {
             Some(wsr) => {
                 self.wsr += 1;
-
                 let host_us = i64::from(wsr.tv_sec) * 1_000_000 + i64::from(wsr.tv_usec);
                 Identity {
                     mac: wsr.mac,
@@ -359,31 +369,31 @@ impl Survey {
                 Identity { mac, frame_count, host_us: stamps.host_us }
             }
         };
-        match self.count.step(bfee.bfee_count()) {
+        match self.count.step(fields.bfee_count) {
             None | Some(1) => {}
             Some(0) => self.bfee_repeated += 1,
             Some(step) if step <= u16::MAX / 2 => self.bfee_missing += u64::from(step - 1),
             Some(_) => self.bfee_restarted += 1,
         }
-        if let Some(row) = self.streams.get_mut(bfee.n_rx().wrapping_sub(1))
-            && let Some(count) = row.get_mut(bfee.n_tx().wrapping_sub(1))
+        if let Some(row) = self.streams.get_mut(usize::from(fields.n_rx).wrapping_sub(1))
+            && let Some(count) = row.get_mut(usize::from(fields.n_tx).wrapping_sub(1))
         {
             *count += 1;
         }
-        self.tally_bfee(tally, bfee.antenna_sel(), bfee.rate_n_flags());
-        self.bad_permutations += u64::from(bfee.antennas().is_err());
-        match bfee.noise_dbm() {
+        self.tally_bfee(tally, fields.antenna_sel, fields.rate);
+        self.bad_permutations += u64::from(fields.antennas.is_none());
+        match fields.noise_dbm {
             -127 => self.noise_unknown += 1,
             noise => self.noise_dbm.note(i32::from(noise)),
         }
-        for (range, rssi) in self.rssi.iter_mut().zip(bfee.rssi()).filter(|(_, rssi)| *rssi != 0) {
+        for (range, rssi) in self.rssi.iter_mut().zip(fields.rssi).filter(|(_, rssi)| *rssi != 0) {
             range.note(i32::from(rssi));
         }
-        self.agc.note(i32::from(bfee.agc()));
-        self.note_sender(identity.mac, identity.frame_count, bfee.timestamp_low());
-        self.host_steps.note(bfee.timestamp_low(), identity.host_us);
+        self.agc.note(i32::from(fields.agc));
+        self.note_sender(identity.mac, identity.frame_count, fields.timestamp_low);
+        self.host_steps.note(fields.timestamp_low, identity.host_us);
         let elapsed_us = self.host_us.zip(identity.host_us).map(|((_, last), now)| now.saturating_sub(last));
-        let now_us = self.clock.next_after(bfee.timestamp_low(), elapsed_us);
+        let now_us = self.clock.next_after(fields.timestamp_low, elapsed_us);
         if let Some((_, last_us)) = self.clock_us {
             self.clock_steps.note(now_us.saturating_sub(last_us));
         }

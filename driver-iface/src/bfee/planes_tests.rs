@@ -1,6 +1,6 @@
-//! Samples by chain pair against the reading bit by bit.
+//! Samples by chain pair, and as bytes, against the reading bit by bit.
 
-use super::{Bfee, Iq, MAX_SAMPLES, Repr, SUBCARRIERS};
+use super::{Bfee, Iq, MAX_SAMPLE_BYTES, MAX_SAMPLES, Repr, SUBCARRIERS};
 use std::vec;
 use std::vec::Vec;
 
@@ -28,5 +28,25 @@ fn planes_are_the_samples_by_chain_pair() {
         }
         assert!(planes[repr.samples()..].iter().all(|rest| *rest == [99; 2]), "written beyond the record");
         assert_eq!(bfee.unpack_planes(&mut planes[..repr.samples() - 1]), None);
+    }
+}
+
+#[test]
+fn bytes_are_the_samples_in_the_order_of_the_payload() {
+    for (n_rx, n_tx) in (1..=3).flat_map(|n_rx| (1..=3).map(move |n_tx| (n_rx, n_tx))) {
+        let repr = Repr { n_rx, n_tx, ..Repr::default() };
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&samples(repr.samples()), &mut body).unwrap();
+        let bfee = Bfee::new_checked(&body).unwrap();
+        let mut bits = vec![Iq::default(); repr.samples()];
+        assert_eq!(bfee.unpack_bits(&mut bits), Some(repr.samples()));
+        let mut bytes = [99; MAX_SAMPLE_BYTES + 1];
+        assert_eq!(bfee.unpack_bytes(&mut bytes), Some(repr.samples()));
+        let (used, rest) = bytes.split_at(2 * repr.samples());
+        let expected: Vec<u8> = bits.iter().flat_map(|iq| [iq.i.cast_unsigned(), iq.q.cast_unsigned()]).collect();
+        assert_eq!(used, expected, "{n_rx}x{n_tx}");
+        assert!(rest.iter().skip(8).all(|byte| *byte == 99), "written beyond a word more");
+        let short = 2 * repr.samples() + 7;
+        assert_eq!(bfee.unpack_bytes(&mut bytes[..short]), None);
     }
 }

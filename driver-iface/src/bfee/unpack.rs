@@ -3,15 +3,18 @@
 //! For each of 30 subcarriers 3 bits that are not CSI (the SNR field of 802.11n 7.3.1.28, always 0) and then
 //! `n_rx n_tx` samples of 8 bits real and 8 bits imaginary, two's complement, tx fastest. Trailing bits are 0.
 
-use byteorder::{ByteOrder, LittleEndian};
-
 use super::{Bfee, SUBCARRIERS};
 
 /// Samples of the largest record: 30 subcarriers, 3 by 3 chains.
 pub const MAX_SAMPLES: usize = SUBCARRIERS * 9;
 
+/// Bytes that [`Bfee::unpack_bytes`] needs for the largest record.
+pub const MAX_SAMPLE_BYTES: usize = 2 * MAX_SAMPLES + WORD;
+
 /// Bits before the samples of each subcarrier.
 const GAP: usize = 3;
+/// Bytes of such a load.
+const WORD: usize = 8;
 /// Samples that one 64-bit load yields, whatever the bit offset: 48 bits and at most 7 before them.
 const PER_WORD: usize = 3;
 
@@ -36,7 +39,8 @@ const fn bit_of(subcarrier: usize, index: usize, n: usize) -> usize {
 fn word_at(payload: &[u8], bit: usize) -> u64 {
     let from = (bit / 8).min(payload.len().saturating_sub(8));
     let shift = bit - 8 * from;
-    payload.get(from..from + 8).map_or(0, LittleEndian::read_u64) >> (shift & 63)
+    let word = payload.get(from..).and_then(|rest| rest.first_chunk());
+    word.map_or(0, |word| u64::from_le_bytes(*word)) >> (shift & 63)
 }
 
 /// The sample in the low 16 bits.
@@ -44,20 +48,29 @@ const fn low_iq(word: u64) -> Iq {
     Iq { i: word as i8, q: (word >> 8) as i8 }
 }
 
-/// Unpacks and widens `N` chain pairs; `BYTES` is `60 N` and room for one word. `None` when a slice is too short.
-///
-/// First to bytes, a word for every three samples, then all of them to floats, in a loop that compilers vectorise.
+/// Unpacks `N` chain pairs to bytes, a word for every three samples: the last word ends beyond the samples. `None` when a slice is too
+/// short.
 #[inline(always)]
-fn unpack_f32_n<const N: usize, const BYTES: usize>(payload: &[u8], out: &mut [f32]) -> Option<usize> {
+fn unpack_bytes_n<const N: usize>(payload: &[u8], bytes: &mut [u8]) -> Option<usize> {
     let payload = payload.get(..60 * N + 12)?;
-    let out = out.get_mut(..2 * SUBCARRIERS * N)?;
-    let mut bytes = [0; BYTES];
+    let bytes = bytes.get_mut(..60 * N + WORD)?;
     for octave in 0..3 {
         let from = octave * (GAP + 16 * N);
         let to = octave * 16 * N;
-        unpack_run::<N, 8>(payload.get(from..from + GAP + 16 * N + 8)?, bytes.get_mut(to..to + 16 * N + 8)?);
+        unpack_run::<N, 8>(payload.get(from..from + GAP + 16 * N + 8)?, bytes.get_mut(to..to + 16 * N + WORD)?);
     }
     unpack_run::<N, 6>(payload.get(3 * (GAP + 16 * N)..)?, bytes.get_mut(48 * N..)?);
+    Some(SUBCARRIERS * N)
+}
+
+/// Unpacks and widens `N` chain pairs; `BYTES` is `60 N` and room for one word. `None` when a slice is too short.
+///
+/// First to bytes, then all of them to floats, in a loop that compilers vectorise.
+#[inline(always)]
+fn unpack_f32_n<const N: usize, const BYTES: usize>(payload: &[u8], out: &mut [f32]) -> Option<usize> {
+    let out = out.get_mut(..2 * SUBCARRIERS * N)?;
+    let mut bytes = [0; BYTES];
+    unpack_bytes_n::<N>(payload, &mut bytes)?;
     widen(&bytes, out);
     Some(SUBCARRIERS * N)
 }
@@ -71,8 +84,9 @@ fn unpack_run<const N: usize, const COUNT: usize>(payload: &[u8], bytes: &mut [u
         for first in (0..N).step_by(PER_WORD) {
             let word = word_at(payload, bit_of(subcarrier, first, N));
             let at = 2 * (subcarrier * N + first);
-            if let Some(bytes) = bytes.get_mut(at..at + 8) {
-                LittleEndian::write_u64(bytes, word);
+            // An array, as a slice may be copied by a call.
+            if let Some(place) = bytes.get_mut(at..).and_then(|rest| rest.first_chunk_mut()) {
+                *place = word.to_le_bytes();
             }
         }
     }
@@ -111,12 +125,17 @@ fn unpack_planes_run<const N: usize, const COUNT: usize>(
     }
 }
 
-/// The two bytes of a sample: its subcarrier's `bit`, its place `index` there. Zeros outside the payload.
+/// The two bytes of a sample inside the payload: its subcarrier's `bit`, its place `index` there.
+///
+/// The load is moved back from the end, as in [`word_at`].
 #[inline(always)]
 fn sample_at(payload: &[u8], bit: usize, index: usize) -> [u8; 2] {
-    let from = bit / 8 + 2 * index;
-    let word = payload.get(from..from + 3).map_or(0, LittleEndian::read_u24);
-    ((word >> (bit % 8)) as u16).to_le_bytes()
+    const LOAD: usize = 4;
+    let wanted = bit / 8 + 2 * index;
+    let from = wanted.min(payload.len().saturating_sub(LOAD));
+    let word = payload.get(from..).and_then(|rest| rest.first_chunk()).map_or(0, |word| u32::from_le_bytes(*word));
+    let shift = 8 * (wanted - from) + bit % 8;
+    ((word >> (shift & 31)) as u16).to_le_bytes()
 }
 
 /// One sample of each subcarrier asked for, of `N` chain pairs, widened.
@@ -228,6 +247,9 @@ impl Bfee<'_> {
     /// Unpacks everything to `f32`, re and im alternating, `[subcarrier][rx][tx][re, im]`.
     ///
     /// Returns the number of samples (half the number of floats); `None` when `out` is too short.
+    ///
+    /// Inlined, as [`Bfee::unpack_bytes`] and [`Bfee::column_f32`] are, so that who compiles for wide vectors has it in those.
+    #[inline(always)]
     pub fn unpack_f32(&self, out: &mut [f32]) -> Option<usize> {
         let payload = self.payload();
         match self.n_rx() * self.n_tx() {
@@ -237,6 +259,23 @@ impl Bfee<'_> {
             4 => unpack_f32_n::<4, 248>(payload, out),
             6 => unpack_f32_n::<6, 368>(payload, out),
             _ => unpack_f32_n::<9, 548>(payload, out),
+        }
+    }
+
+    /// Unpacks everything in the order of the payload, `[subcarrier][rx][tx][i, q]`, two's complement.
+    ///
+    /// Returns the number of samples (half the number of bytes); `None` when `out` has not 8 bytes more than they take. Those may be
+    /// written to.
+    #[inline(always)]
+    pub fn unpack_bytes(&self, out: &mut [u8]) -> Option<usize> {
+        let payload = self.payload();
+        match self.n_rx() * self.n_tx() {
+            1 => unpack_bytes_n::<1>(payload, out),
+            2 => unpack_bytes_n::<2>(payload, out),
+            3 => unpack_bytes_n::<3>(payload, out),
+            4 => unpack_bytes_n::<4>(payload, out),
+            6 => unpack_bytes_n::<6>(payload, out),
+            _ => unpack_bytes_n::<9>(payload, out),
         }
     }
 
@@ -269,6 +308,7 @@ impl Bfee<'_> {
     }
 
     /// [`Bfee::column`] to `f32`, re and im alternating; `out` has at least two floats for each subcarrier.
+    #[inline(always)]
     pub fn column_f32(&self, rx: usize, tx: usize, subcarriers: &[u8], out: &mut [f32]) -> Option<usize> {
         let index = self.column_index(rx, tx, subcarriers)?;
         let (out, _) = out.get_mut(..2 * subcarriers.len())?.as_chunks_mut::<2>();

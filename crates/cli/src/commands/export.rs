@@ -5,13 +5,14 @@ use super::{Outcome, Result, info, print_json, usage};
 use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::signal::csi::{Csi, scale_factor, total_rss_dbm};
 use csi5300::source::survey::{Identity, Survey};
-use csi5300::source::{CsiSource, Error, Next};
+use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
 use csi5300_lab::export::{Export, KNOWN, is_known};
-use csi5300_lab::table::{Filter, Form, Reading};
+use csi5300_lab::table::{Advise, Filter, Form, Reading};
 use driver_iface::bfee::{Antenna, Bfee};
 use num_complex::Complex32;
 use std::io::{BufWriter, Write};
+use std::mem::MaybeUninit;
 use std::path::{Path, PathBuf};
 
 // Arguments of `export`.
@@ -152,20 +153,23 @@ pub fn run(args: &Args) -> Result {
 /// Writes a table of the log. A file is read twice, first for all but its CSI: that costs less than memory for all of it. What can
 /// be read only once is kept in memory, packed.
 fn table(args: &Args, output: &Path, filter: Filter) -> Words<Written> {
-    let is_file = args.file.metadata().is_ok_and(|found| found.is_file());
+    let size = args.file.metadata().ok().filter(|found| found.is_file()).map(|found| found.len());
     let source = super::open_log(&args.file)?;
     let antennas = filter.antennas().map(<[Antenna]>::to_vec);
     let mut reading = Reading::new(source, filter);
-    if is_file {
-        reading = reading.without_bodies();
-    }
-    let read = if is_file { read_columns(&mut reading) } else { reading.read_all(Instant::ZERO, || true) };
+    let read = match size {
+        Some(size) => {
+            reading = reading.without_bodies();
+            reading.read_sized(Instant::ZERO, size, &mut Large, || true)
+        }
+        None => reading.read_all(Instant::ZERO, || true),
+    };
     read.map_err(|error| error.to_string())?;
     let (arena, columns) = reading.take();
     let (records, bytes) = (columns.len() as u64, reading.source().bytes());
-    let mut export = match is_file {
-        true => Export::of_log(&args.file, &columns, args.form()),
-        false => Export::new(&arena, (0..arena.len()).collect(), &columns, args.form()),
+    let mut export = match size {
+        Some(_) => Export::of_log(&args.file, &columns, args.form()),
+        None => Export::new(&arena, (0..arena.len()).collect(), &columns, args.form()),
     };
     if let Some(antennas) = antennas {
         export = export.with_antennas(&antennas);
@@ -177,10 +181,16 @@ fn table(args: &Args, output: &Path, filter: Filter) -> Words<Written> {
     Ok(Written { survey: reading.survey, bytes, records, unscaled, without_antennas: export.without_antennas() })
 }
 
-/// Reads the columns of a log to its end, on this thread.
-fn read_columns(reading: &mut Reading<impl CsiSource>) -> std::result::Result<(), Error> {
-    while reading.burst(Instant::ZERO, usize::MAX)? {}
-    Ok(())
+/// Memory in large pages, where the operating system has them.
+struct Large;
+
+impl Advise for Large {
+    #[cfg_attr(not(feature = "live"), allow(unused_variables))]
+    fn advise<T>(&mut self, memory: &mut [MaybeUninit<T>]) {
+        // Pages of the usual size do as well.
+        #[cfg(feature = "live")]
+        let _ = csi5300_live::sys::advise_large_pages(memory);
+    }
 }
 
 /// Reads a log once and hands over each intact bfee record that the filter keeps.

@@ -3,8 +3,8 @@
 use bytemuck::{Pod, cast_slice};
 use std::io::{self, Write};
 
-/// Values written at a time.
-const BLOCK: usize = 8_192;
+/// Bytes written at a time: many for one call of the kernel, few enough to stay in the second-level cache.
+const BLOCK: usize = 256 * 1024;
 
 /// Writes values as they lie in memory; gives how many there were.
 ///
@@ -13,7 +13,7 @@ const BLOCK: usize = 8_192;
 pub(super) fn emit<T: Pod>(mut values: impl Iterator<Item = T>, out: &mut impl Write) -> io::Result<u64> {
     let next = |block: &mut Vec<T>| {
         block.clear();
-        block.extend(values.by_ref().take(BLOCK));
+        block.extend(values.by_ref().take(BLOCK / size_of::<T>().max(1)));
     };
     emit_blocks(next, out)
 }

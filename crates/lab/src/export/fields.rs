@@ -47,6 +47,9 @@ impl Target for Mat {
     }
 }
 
+/// Bytes that [`write`] writes of each record.
+pub const BYTES: u64 = 79;
+
 /// Writes all fields.
 pub fn write(export: &Export<'_>, figures: &Figures, file: &mut impl Target) -> Result<(), ExportError> {
     let (n, columns) = (export.len() as u64, export.columns);

@@ -16,11 +16,10 @@ mod walk;
 
 pub use error::ExportError;
 
-use crate::table::{Arena, Columns, Form, NO_ANTENNA};
+use crate::table::{Arena, Columns, Form, NO_ANTENNA, Order};
 use csi5300::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIERS};
 use driver_iface::bfee::{Antenna, rate};
 use num_complex::Complex32;
-use rayon::prelude::*;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use walk::{Figures, Walk};
@@ -143,15 +142,12 @@ impl<'a> Export<'a> {
     }
 
     fn npz(&self, path: &Path) -> Result<Figures, ExportError> {
-        let mut npz = npz::Npz::create(path)?;
         let (n, ports, streams) = (self.len() as u64, self.antennas.len(), self.streams);
         let shape = [n, SUBCARRIERS as u64, ports as u64, streams as u64];
-        let (mut walk, mut piece) = (Walk::new(self)?, Vec::new());
-        let written = npz.blocks("csi", &shape, |turned| {
-            walk.next(&mut piece);
-            turned.resize(piece.len(), Complex32::default());
-            subcarriers_first(&piece, ports * streams, turned);
-        });
+        let mut walk = Walk::new(self, Order::SubcarriersFirst)?;
+        let bytes = shape.iter().product::<u64>() * size_of::<Complex32>() as u64 + n * fields::BYTES;
+        let mut npz = npz::Npz::create_for(path, bytes)?;
+        let written = npz.blocks("csi", &shape, |piece| walk.next(piece));
         // Why there were too few values, if there were.
         let figures = walk.finish()?;
         written?;
@@ -165,7 +161,8 @@ impl<'a> Export<'a> {
         let mut mat = mat::Mat::create(path)?;
         let (n, ports) = (self.len() as u64, self.antennas.len() as u64);
         let dims = [SUBCARRIERS as u64, self.streams as u64, ports, n];
-        let (mut first, mut second) = (Walk::new(self)?, Walk::new(self)?);
+        let order = Order::SubcarriersLast;
+        let (mut first, mut second) = (Walk::new(self, order)?, Walk::new(self, order)?);
         let written = mat.complex(
             "csi",
             &dims,
@@ -194,51 +191,3 @@ fn vectors(walk: &mut Walk<'_>) -> impl Iterator<Item = Vec<Complex32>> {
         (!piece.is_empty()).then_some(piece)
     })
 }
-
-/// Turns records of `columns` columns from `[column][subcarrier]` to `[subcarrier][column]`, on all cores of the current pool.
-fn subcarriers_first(records: &[Complex32], columns: usize, out: &mut [Complex32]) {
-    match columns {
-        0 | 1 => out.copy_from_slice(records),
-        2 => turned::<2>(records, out),
-        3 => turned::<3>(records, out),
-        4 => turned::<4>(records, out),
-        6 => turned::<6>(records, out),
-        9 => turned::<9>(records, out),
-        _ => turn_all(records, out, columns * SUBCARRIERS, |record, out| {
-            for (column, values) in record.as_chunks::<SUBCARRIERS>().0.iter().enumerate() {
-                for (place, h) in out.iter_mut().skip(column).step_by(columns).zip(values) {
-                    *place = *h;
-                }
-            }
-        }),
-    }
-}
-
-/// The same of a known number of columns: all places are constants.
-fn turned<const COLUMNS: usize>(records: &[Complex32], out: &mut [Complex32]) {
-    turn_all(records, out, COLUMNS * SUBCARRIERS, |record, out| {
-        let columns = record.as_chunks::<SUBCARRIERS>().0.first_chunk::<COLUMNS>();
-        let rows = out.as_chunks_mut::<COLUMNS>().0.first_chunk_mut::<SUBCARRIERS>();
-        let (Some(columns), Some(rows)) = (columns, rows) else { return };
-        for (subcarrier, row) in rows.iter_mut().enumerate() {
-            *row = std::array::from_fn(|column| columns[column][subcarrier]);
-        }
-    });
-}
-
-/// Turns records of `size` numbers, many of them on all cores of the current pool.
-fn turn_all(
-    records: &[Complex32],
-    out: &mut [Complex32],
-    size: usize,
-    turn: impl Fn(&[Complex32], &mut [Complex32]) + Sync,
-) {
-    if records.len() < ON_ALL_CORES * size {
-        return records.chunks_exact(size).zip(out.chunks_exact_mut(size)).for_each(|(record, out)| turn(record, out));
-    }
-    let all = records.par_chunks_exact(size).zip(out.par_chunks_exact_mut(size)).with_min_len(256);
-    all.for_each(|(record, out)| turn(record, out));
-}
-
-/// From as many records on other threads are worth waking.
-const ON_ALL_CORES: usize = 1_024;

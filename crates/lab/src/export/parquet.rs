@@ -2,7 +2,7 @@
 
 use super::walk::{Figures, Walk};
 use super::{Export, ExportError};
-use crate::table::NO_TIME;
+use crate::table::{NO_TIME, Order};
 use arrow_array::types::{ArrowPrimitiveType, Float32Type, Int8Type, Int64Type, UInt8Type, UInt16Type, UInt32Type};
 use arrow_array::{
     ArrayRef, BooleanArray, FixedSizeListArray, Float64Array, Int8Array, PrimitiveArray, RecordBatch, StringArray,
@@ -46,7 +46,7 @@ pub fn write(export: &Export<'_>, path: &Path) -> Result<Figures, ExportError> {
     let none = batch(export, &Figures::default(), 0, &[])?;
     let options = ArrowWriterOptions::new().with_properties(properties);
     let mut writer = ArrowWriter::try_new_with_options(out, schema(export, &none), options).map_err(format)?;
-    let (mut walk, mut csi) = (Walk::new(export)?, Vec::new());
+    let (mut walk, mut csi) = (Walk::new(export, Order::SubcarriersLast)?, Vec::new());
     loop {
         let first = walk.figures().scale.len();
         walk.next(&mut csi);

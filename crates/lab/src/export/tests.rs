@@ -101,6 +101,19 @@ fn a_log_that_is_read_again_gives_the_same_file_as_one_in_memory() {
     }
 }
 
+/// What the file system sets aside for an archive is all of it but for its headers: nothing is left over at its end.
+#[test]
+fn an_archive_is_its_records_and_headers() {
+    let log = long_log();
+    let columns = columns(&log.0, Filter::default());
+    let out = Temporary::new("whole.npz");
+    Export::of_log(&log.0, &columns, Form::default()).write(&out.0).unwrap();
+    let records = columns.len() as u64 * (3 * 30 * 8 + super::fields::BYTES);
+    let headers = std::fs::metadata(&out.0).unwrap().len() - records;
+    // 22 or 23 arrays, each with an NPY header of 128 bytes and its name and sizes in the archive, twice.
+    assert!((22 * 200..23 * 500).contains(&headers), "{headers}");
+}
+
 #[test]
 fn a_log_that_changes_meanwhile_is_an_error_with_its_place() {
     let log = long_log();

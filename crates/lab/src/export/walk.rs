@@ -2,15 +2,16 @@
 
 use super::log_reader::LogReader;
 use super::{Export, ExportError, Source};
-use crate::table::{Decoder, Rows, decode};
+use crate::table::{Decoder, Order, Rows, decode_in};
 use csi5300::signal::csi::{scale_factor, total_rss_dbm};
 use driver_iface::bfee::Bfee;
 use num_complex::Complex32;
 
 /// Records decoded at a time on all cores.
 pub(super) const PIECE: usize = 4_096;
-/// Records of a log decoded at a time: their CSI stays in the second-level cache until it is written.
-const LOG_PIECE: usize = 256;
+/// Bytes of CSI of a log decoded at a time: they stay in the second-level cache until they are written, and are many for one call of
+/// the kernel.
+const LOG_PIECE: usize = 512 * 1024;
 
 /// What is computed of each record, in the order of the records; not a number where it has none.
 #[derive(Clone, Debug, Default)]
@@ -41,6 +42,7 @@ impl Figures {
 /// A walk through all records of an export.
 pub(super) struct Walk<'a> {
     export: &'a Export<'a>,
+    order: Order,
     rows: Rows,
     log: Option<(LogReader, Decoder)>,
     done: usize,
@@ -49,24 +51,25 @@ pub(super) struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    /// Before the first record.
+    /// Before the first record; CSI in this order.
     ///
     /// # Errors
     /// If the records are in a log that cannot be opened.
-    pub fn new(export: &'a Export<'a>) -> Result<Self, ExportError> {
+    pub fn new(export: &'a Export<'a>, order: Order) -> Result<Self, ExportError> {
+        let rows = Rows::new(&export.antennas, export.streams);
         let log = match &export.source {
             Source::Arena { .. } => None,
-            Source::Log(path) => Some((LogReader::open(path)?, Decoder::default())),
+            Source::Log(path) => Some((LogReader::open(path)?, Decoder::new(order, rows.clone(), export.form))),
         };
-        let rows = Rows::new(&export.antennas, export.streams);
         let figures = Figures::with_room(export.len());
-        Ok(Self { export, rows, log, done: 0, figures, failure: None })
+        Ok(Self { export, order, rows, log, done: 0, figures, failure: None })
     }
 
-    /// Puts the CSI of the next records, `[record][antenna][stream][subcarrier]`, in the place of what is in the vector: nothing
+    /// Puts the CSI of the next records, one after the other, in the place of what is in the vector: nothing
     /// behind the last record, once the export was stopped, and when the log cannot be read further ([`Walk::finish`] says so).
     pub fn next(&mut self, csi: &mut Vec<Complex32>) {
-        let size = if self.log.is_some() { LOG_PIECE } else { PIECE };
+        let log_piece = (LOG_PIECE / (size_of::<Complex32>() * self.rows.len().max(1))).max(1);
+        let size = if self.log.is_some() { log_piece } else { PIECE };
         let from = self.done;
         let wanted = if self.failure.is_some() || self.export.is_stopped() { 0 } else { size };
         self.done = (from + wanted).min(self.export.len());
@@ -74,7 +77,7 @@ impl<'a> Walk<'a> {
         match &self.export.source {
             Source::Arena { arena, records } => {
                 let records = records.get(from..self.done).unwrap_or_default();
-                decode(arena, records, &self.rows, self.export.form, csi);
+                decode_in(self.order, arena, records, &self.rows, self.export.form, csi);
                 for bfee in records.iter().map(|record| arena.bfee(*record)) {
                     self.figures.push(bfee.as_ref(), bfee.and_then(|bfee| scale_factor(&bfee).ok()));
                 }
@@ -94,7 +97,7 @@ impl<'a> Walk<'a> {
         let offsets = self.export.columns.offset.get(from..self.done).unwrap_or_default();
         for (offset, out) in offsets.iter().zip(csi.chunks_exact_mut(self.rows.len().max(1))) {
             let bfee = log.bfee(*offset)?;
-            let scale = decoder.decode(&bfee, &self.rows, self.export.form, out);
+            let scale = decoder.decode(&bfee, out);
             self.figures.push(Some(&bfee), scale);
         }
         Ok(())

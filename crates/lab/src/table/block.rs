@@ -106,6 +106,14 @@ impl Block {
         }
     }
 
+    /// The memory of a block of a fixed size, to be written anew.
+    pub fn emptied(self) -> Option<Self> {
+        match self {
+            Self::Fixed { memory, .. } => Some(Self::Fixed { memory, len: 0 }),
+            Self::Growing(_) => None,
+        }
+    }
+
     /// Writes `bytes` so that they end at `to`, over what is there; where they begin. A block whose bytes before `to` are too few
     /// becomes one that holds `bytes` and what is behind `to`.
     pub fn put_before(&mut self, to: usize, bytes: &[u8]) -> usize {

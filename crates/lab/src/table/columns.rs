@@ -1,7 +1,7 @@
 //! What a log says of each record beside its CSI, a column a field.
 
-use csi5300::source::survey::Identity;
-use driver_iface::bfee::{Antenna, Bfee};
+use csi5300::source::survey::{Fields, Identity};
+use driver_iface::bfee::{Antenna, Antennas, Bfee};
 use std::mem::MaybeUninit;
 
 /// No host time: what NumPy has for it (NaT).
@@ -107,19 +107,19 @@ impl Columns {
     }
 
     /// Adds a record.
-    pub fn push(&mut self, bfee: &Bfee<'_>, identity: Identity, time_us: i64, offset: u64) {
+    pub(super) fn push(&mut self, fields: &Fields, identity: Identity, time_us: i64, offset: u64) {
         self.time_us.push(time_us);
         self.host_us.push(identity.host_us.unwrap_or(NO_TIME));
-        self.timestamp_low.push(bfee.timestamp_low());
-        self.bfee_count.push(bfee.bfee_count());
-        self.n_rx.push(bfee.n_rx() as u8);
-        self.n_tx.push(bfee.n_tx() as u8);
-        self.rssi.extend(bfee.rssi());
-        self.noise_dbm.push(bfee.noise_dbm());
-        self.agc.push(bfee.agc());
-        self.rate.push(bfee.rate_n_flags());
-        self.antenna_sel.push(bfee.antenna_sel());
-        self.antenna_order.extend(antenna_order(bfee));
+        self.timestamp_low.push(fields.timestamp_low);
+        self.bfee_count.push(fields.bfee_count);
+        self.n_rx.push(fields.n_rx);
+        self.n_tx.push(fields.n_tx);
+        self.rssi.extend(fields.rssi);
+        self.noise_dbm.push(fields.noise_dbm);
+        self.agc.push(fields.agc);
+        self.rate.push(fields.rate);
+        self.antenna_sel.push(fields.antenna_sel);
+        self.antenna_order.extend(order_of(fields.antennas));
         self.frame.push(identity.frame_count.map_or(-1, i64::from));
         self.mac.extend(identity.mac.0);
         self.offset.push(i64::try_from(offset).unwrap_or(i64::MAX));
@@ -129,8 +129,12 @@ impl Columns {
 /// The antenna of each chain, 0 to 2 for A to C; [`NO_ANTENNA`] for chains not used and where the record does not say.
 #[must_use]
 pub fn antenna_order(bfee: &Bfee<'_>) -> [u8; 3] {
+    order_of(bfee.antennas().ok())
+}
+
+fn order_of(antennas: Option<Antennas>) -> [u8; 3] {
     let mut order = [NO_ANTENNA; 3];
-    if let Ok(antennas) = bfee.antennas() {
+    if let Some(antennas) = antennas {
         for (place, antenna) in order.iter_mut().zip(antennas.as_slice()) {
             *place = antenna.index() as u8;
         }

@@ -1,15 +1,16 @@
 //! CSI from packed records into an array that is already there.
 
 use super::arena::Arena;
-use super::columns::antenna_order;
+use super::plan::Plan;
+use super::turned;
 use csi5300::signal::csi::{Csi, scale_factor_of};
-use driver_iface::bfee::{Antenna, Bfee, MAX_SAMPLES, SUBCARRIERS};
+use driver_iface::bfee::{Antenna, Bfee, SUBCARRIERS};
 use fearless_simd::{Level, dispatch};
 use num_complex::Complex32;
 use rayon::prelude::*;
 
 /// What stands where a record has no CSI.
-const NOTHING: Complex32 = Complex32::new(f32::NAN, f32::NAN);
+pub(super) const NOTHING: Complex32 = Complex32::new(f32::NAN, f32::NAN);
 
 /// The units of CSI, and in which columns it is.
 #[derive(Clone, Copy, Debug, Default)]
@@ -20,12 +21,21 @@ pub struct Form {
     pub without_spatial_mapping: bool,
 }
 
+/// In which order the numbers of a record are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Order {
+    /// `[n_rx][n_tx][subcarrier]`.
+    SubcarriersLast,
+    /// `[subcarrier][n_rx][n_tx]`.
+    SubcarriersFirst,
+}
+
 /// The rows of an array: which antenna is in which.
 #[derive(Clone, Debug)]
 pub struct Rows {
     row_of: [Option<usize>; 3],
-    n_rx: usize,
-    n_tx: usize,
+    pub(super) n_rx: usize,
+    pub(super) n_tx: usize,
 }
 
 impl Rows {
@@ -55,7 +65,7 @@ impl Rows {
 
     /// The chain of each row: that of its antenna, or, where a record does not say which antenna a chain is of, the chain of the
     /// row's number.
-    fn chains(&self, n_rx: usize, order: [u8; 3]) -> [Option<usize>; 3] {
+    pub(super) fn chains(&self, n_rx: usize, order: [u8; 3]) -> [Option<usize>; 3] {
         let mut chain_of = [None; 3];
         for (chain, antenna) in order.into_iter().enumerate().take(n_rx) {
             let row = match self.row_of.get(usize::from(antenna)) {
@@ -73,16 +83,28 @@ impl Rows {
 /// Writes the CSI of records `[n_rx][n_tx][subcarrier]`, subcarrier fastest, on all cores of the current pool. `out` has
 /// room for one of [`Rows::len`] a record; what a record does not have is not a number.
 pub fn decode(arena: &Arena, records: &[usize], rows: &Rows, form: Form, out: &mut [Complex32]) {
+    decode_in(Order::SubcarriersLast, arena, records, rows, form, out);
+}
+
+/// [`decode`] in either order.
+pub(crate) fn decode_in(
+    order: Order,
+    arena: &Arena,
+    records: &[usize],
+    rows: &Rows,
+    form: Form,
+    out: &mut [Complex32],
+) {
     if rows.is_empty() {
         return;
     }
-    let level = Level::new();
     let jobs = out.par_chunks_exact_mut(rows.len()).zip(records.par_iter()).with_min_len(1024);
     jobs.for_each_init(
-        || [[0; 2]; MAX_SAMPLES],
-        |samples, (out, &record)| match arena.bfee(record) {
-            // Compiled for each SIMD tier, as compilers vectorise it.
-            Some(bfee) => dispatch!(level, _ => one(&bfee, rows, form, samples, out)),
+        || Decoder::new(order, rows.clone(), form),
+        |decoder, (out, &record)| match arena.bfee(record) {
+            Some(bfee) => {
+                decoder.write(&bfee, form.scaled, out);
+            }
             None => out.fill(NOTHING),
         },
     );
@@ -91,54 +113,71 @@ pub fn decode(arena: &Arena, records: &[usize], rows: &Rows, form: Form, out: &m
 /// Decodes records of one thread.
 #[derive(Clone, Debug)]
 pub(crate) struct Decoder {
+    order: Order,
+    rows: Rows,
+    form: Form,
     level: Level,
+    plan: Plan,
     /// Room to work in.
-    samples: [[i8; 2]; MAX_SAMPLES],
-}
-
-impl Default for Decoder {
-    fn default() -> Self {
-        Self { level: Level::new(), samples: [[0; 2]; MAX_SAMPLES] }
-    }
+    room: turned::Room,
 }
 
 impl Decoder {
+    /// Writes CSI in this order and form into these rows.
+    pub fn new(order: Order, rows: Rows, form: Form) -> Self {
+        Self { order, rows, form, level: Level::new(), plan: Plan::default(), room: turned::Room::default() }
+    }
+
     /// Writes the CSI of a record, as [`decode`] does; `out` has room for [`Rows::len`]. Gives the factor to sqrt(SNR), in whatever
     /// units the CSI is, where the record has one.
-    pub fn decode(&mut self, bfee: &Bfee<'_>, rows: &Rows, form: Form, out: &mut [Complex32]) -> Option<f64> {
-        let Self { level, samples } = self;
-        dispatch!(*level, _ => one_with_factor(bfee, rows, form, samples, out))
+    pub fn decode(&mut self, bfee: &Bfee<'_>, out: &mut [Complex32]) -> Option<f64> {
+        self.write(bfee, true, out)
+    }
+
+    /// The same, with the factor only where that is asked for.
+    fn write(&mut self, bfee: &Bfee<'_>, with_factor: bool, out: &mut [Complex32]) -> Option<f64> {
+        let Self { order, rows, form, level, plan, room } = self;
+        plan.fit(bfee, rows);
+        // Compiled for each SIMD tier, as compilers vectorise it.
+        match order {
+            Order::SubcarriersLast => dispatch!(*level, _ => one(bfee, plan, rows, *form, with_factor, room, out)),
+            Order::SubcarriersFirst => {
+                dispatch!(*level, _ => turned::one(bfee, plan, rows, *form, with_factor, room, out))
+            }
+        }
     }
 }
 
-/// [`one`], and its factor to sqrt(SNR) even where that is not asked for.
+/// One record; its factor to sqrt(SNR) where that was asked for.
 #[inline(always)]
-fn one_with_factor(
+fn one(
     bfee: &Bfee<'_>,
+    plan: &Plan,
     rows: &Rows,
     form: Form,
-    samples: &mut [[i8; 2]; MAX_SAMPLES],
+    with_factor: bool,
+    room: &mut turned::Room,
     out: &mut [Complex32],
 ) -> Option<f64> {
+    let samples = room.planes();
     let count = bfee.unpack_planes(samples).unwrap_or(0);
     let samples = samples.get(..count).unwrap_or_default();
-    let factor = scale_factor_of(bfee, samples).ok();
-    write(bfee, rows, form, samples, if form.scaled { factor } else { Some(1.0) }, out);
+    let factor = if with_factor { scale_factor_of(bfee, samples).ok() } else { None };
+    write(bfee, plan, rows, form, samples, if form.scaled { factor } else { Some(1.0) }, out);
     factor
-}
-
-/// One record; `samples` is room to work in.
-#[inline(always)]
-fn one(bfee: &Bfee<'_>, rows: &Rows, form: Form, samples: &mut [[i8; 2]; MAX_SAMPLES], out: &mut [Complex32]) {
-    let count = bfee.unpack_planes(samples).unwrap_or(0);
-    let samples = samples.get(..count).unwrap_or_default();
-    let factor = if form.scaled { scale_factor_of(bfee, samples).ok() } else { Some(1.0) };
-    write(bfee, rows, form, samples, factor, out);
 }
 
 /// Writes the samples of a record times a factor; without one nothing is a number.
 #[inline(always)]
-fn write(bfee: &Bfee<'_>, rows: &Rows, form: Form, samples: &[[i8; 2]], factor: Option<f64>, out: &mut [Complex32]) {
+fn write(
+    bfee: &Bfee<'_>,
+    plan: &Plan,
+    rows: &Rows,
+    form: Form,
+    samples: &[[i8; 2]],
+    factor: Option<f64>,
+    out: &mut [Complex32],
+) {
     let Some(factor) = factor.map(|factor| factor as f32) else {
         out.fill(NOTHING);
         return;
@@ -147,9 +186,8 @@ fn write(bfee: &Bfee<'_>, rows: &Rows, form: Form, samples: &[[i8; 2]], factor: 
     let unmapped =
         (form.without_spatial_mapping && n_tx > 1).then(|| Csi::raw(bfee).without_spatial_mapping(bfee.is_40_mhz()));
     let (planes, _) = samples.as_chunks::<SUBCARRIERS>();
-    let chains = rows.chains(bfee.n_rx(), antenna_order(bfee));
     // Each place is written once: memory that is new costs more than what is written to it.
-    for (columns, chain) in out.chunks_exact_mut(rows.n_tx * SUBCARRIERS).zip(chains) {
+    for (columns, chain) in out.chunks_exact_mut(rows.n_tx * SUBCARRIERS).zip(plan.chains) {
         for (stream, column) in columns.chunks_exact_mut(SUBCARRIERS).enumerate() {
             let chain = chain.filter(|_| stream < n_tx);
             match (&unmapped, chain, chain.and_then(|chain| planes.get(chain * n_tx + stream))) {

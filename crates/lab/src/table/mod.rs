@@ -10,12 +10,14 @@ mod columns;
 mod decode;
 mod found;
 mod piece;
+mod plan;
 mod reading;
+mod turned;
 mod whole;
 
 pub use arena::Arena;
 pub use columns::{Advise, Columns, NO_ANTENNA, NO_TIME, antenna_order, antennas};
-pub(crate) use decode::Decoder;
+pub(crate) use decode::{Decoder, Order, decode_in};
 pub use decode::{Form, Rows, decode};
 pub use piece::{Held, HeldSource};
 pub use reading::{Filter, FilterError, Reading};

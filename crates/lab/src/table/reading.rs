@@ -4,12 +4,12 @@ use super::arena::Arena;
 use super::block::Block;
 use super::columns::{Advise, Columns, antennas};
 use super::piece::Span;
-use csi5300::source::survey::{Identity, Survey, Tally};
-use csi5300::source::{CsiSource, Error, Next, Origin};
+use csi5300::source::survey::{Fields, Identity, Survey, Tally};
+use csi5300::source::{CsiSource, Error, Next, Origin, Stamps};
 use csi5300::time::Instant;
 use driver_iface::Mac;
 use driver_iface::ParseMacError;
-use driver_iface::bfee::{Antenna, Bfee};
+use driver_iface::bfee::{Antenna, Antennas, Bfee};
 use driver_iface::record::code;
 use std::collections::BTreeSet;
 
@@ -100,13 +100,17 @@ impl Filter {
     /// Whether a record is kept; `since_us` is its time after the log's first bfee record by the card's clock, microseconds.
     #[must_use]
     pub fn keeps(&self, bfee: &Bfee<'_>, identity: Identity, since_us: i64) -> bool {
+        self.keeps_by(bfee.antennas().ok(), identity, since_us)
+    }
+
+    /// The same by the antennas that were used, where they are known.
+    #[inline]
+    fn keeps_by(&self, used: Option<Antennas>, identity: Identity, since_us: i64) -> bool {
+        let is_used = |antenna: &Antenna| used.is_some_and(|used| used.chain_of(*antenna).is_some());
         self.macs.as_ref().is_none_or(|macs| macs.contains(&identity.mac))
             && self.from_us.is_none_or(|from| since_us >= from)
             && self.to_us.is_none_or(|to| since_us < to)
-            && self
-                .antennas
-                .as_ref()
-                .is_none_or(|wanted| wanted.iter().any(|antenna| bfee.chain_of(*antenna).is_some()))
+            && self.antennas.as_ref().is_none_or(|wanted| wanted.iter().any(is_used))
     }
 }
 
@@ -124,7 +128,7 @@ pub struct Reading<S> {
     pub left_out: u64,
     first_us: Option<i64>,
     pub(super) ended: bool,
-    bodies: bool,
+    pub(super) bodies: bool,
 }
 
 impl<S: CsiSource> Reading<S> {
@@ -209,7 +213,7 @@ pub(super) struct Table<'a> {
 impl Table<'_> {
     /// Records kept.
     pub(super) fn kept(&self) -> usize {
-        self.arena.len()
+        self.columns.len()
     }
 
     /// Makes room for so many more records, as far as memory allows; `advise` is told of it.
@@ -222,21 +226,24 @@ impl Table<'_> {
     fn note(&mut self, tally: &mut Tally, next: &Next<'_>) -> Option<bool> {
         let (bfee, identity) = self.survey.note_in(tally, next)?;
         let offset = match next {
-            Next::Record(stamps, _) => {
-                let (Origin::File { offset: place } | Origin::Live { number: place }) = stamps.origin;
-                place
-            }
+            Next::Record(stamps, _) => place(*stamps),
             _ => 0,
         };
+        Some(self.choose(&Fields::of(&bfee), identity, offset))
+    }
+
+    /// Whether a bfee record that was counted is kept; its columns are added then.
+    #[inline(always)]
+    fn choose(&mut self, fields: &Fields, identity: Identity, offset: u64) -> bool {
         let time_us = self.survey.clock_us.map_or(0, |(_, last)| last);
         let since_us = time_us - *self.first_us.get_or_insert(time_us);
-        let is_kept = self.filter.keeps(&bfee, identity, since_us);
+        let is_kept = self.filter.keeps_by(fields.antennas, identity, since_us);
         if is_kept {
-            self.columns.push(&bfee, identity, time_us, offset);
+            self.columns.push(fields, identity, time_us, offset);
         } else {
             *self.left_out += 1;
         }
-        Some(is_kept)
+        is_kept
     }
 
     /// Takes what a source gave; the record is copied if it is kept.
@@ -253,16 +260,26 @@ impl Table<'_> {
         }
     }
 
+    /// Counts a bfee record, by its fields, whose bytes are in a block, in their place.
+    #[inline(always)]
+    pub(super) fn sort_bfee(&mut self, sorted: &mut Sorted, stamps: Stamps, fields: &Fields, span: Span) {
+        let identity = self.survey.note_fields(&mut sorted.tally, stamps, fields);
+        if self.choose(fields, identity, place(stamps)) {
+            sorted.keep(span);
+            return;
+        }
+        sorted.mpdu = None;
+        if sorted.kept.is_empty() {
+            // One noted before this block is of no record any more.
+            self.arena.drop_mpdu();
+        }
+    }
+
     /// Counts what a source gave whose bytes are in a block, in their place.
     pub(super) fn sort(&mut self, sorted: &mut Sorted, next: &Next<'_>, span: Span) {
         let is_kept = self.note(&mut sorted.tally, next);
         match (next, is_kept) {
-            (_, Some(true)) => {
-                let mpdu = sorted.mpdu.take();
-                sorted.bytes += span.len + mpdu.map_or(0, |mpdu| mpdu.len);
-                sorted.kept.push((span, mpdu));
-                return;
-            }
+            (_, Some(true)) => return sorted.keep(span),
             (Next::Record(_, record), None) if record.code == code::MPDU => sorted.mpdu = Some(span),
             (Next::Lost(_), _) | (_, Some(false)) => sorted.mpdu = None,
             (Next::End(_), _) => {}
@@ -274,14 +291,14 @@ impl Table<'_> {
         }
     }
 
-    /// Keeps what was sorted of a block, whose memory the arena takes over if most of it is kept.
-    pub(super) fn keep(&mut self, sorted: &mut Sorted, block: Block) {
+    /// Keeps what was sorted of a block, whose memory the arena takes over if most of it is kept; the block otherwise.
+    pub(super) fn keep(&mut self, sorted: &mut Sorted, block: Block) -> Option<Block> {
         let Sorted { kept, bytes, mpdu, tally } = sorted;
         self.survey.settle(tally);
         let (bytes, mpdu) = (std::mem::take(bytes), mpdu.take());
         if !self.bodies {
             kept.clear();
-            return;
+            return Some(block);
         }
         if 2 * bytes as usize >= block.bytes().len() {
             let rest = mpdu.map(|span| span.of(block.bytes()).to_vec());
@@ -289,7 +306,7 @@ impl Table<'_> {
                 self.arena.adopt(block, kept.drain(..));
             }
             rest.iter().for_each(|body| self.arena.note_mpdu(body));
-            return;
+            return None;
         }
         let body = |span: Span| span.of(block.bytes());
         for (span, before) in kept.drain(..) {
@@ -297,7 +314,14 @@ impl Table<'_> {
             self.arena.push(body(span));
         }
         mpdu.iter().for_each(|mpdu| self.arena.note_mpdu(body(*mpdu)));
+        Some(block)
     }
+}
+
+/// Where a record is in its source.
+fn place(stamps: Stamps) -> u64 {
+    let (Origin::File { offset: place } | Origin::Live { number: place }) = stamps.origin;
+    place
 }
 
 /// What of a block is kept.
@@ -311,4 +335,14 @@ pub(super) struct Sorted {
     mpdu: Option<Span>,
     /// What the survey has not in its maps yet.
     tally: Tally,
+}
+
+impl Sorted {
+    /// Keeps a bfee record with the MPDU before it.
+    #[inline(always)]
+    fn keep(&mut self, span: Span) {
+        let mpdu = self.mpdu.take();
+        self.bytes += span.len + mpdu.map_or(0, |mpdu| mpdu.len);
+        self.kept.push((span, mpdu));
+    }
 }

@@ -1,7 +1,7 @@
 //! A log as a table against the same log frame by frame.
 
 use super::whole::Cut;
-use super::{Arena, Columns, Filter, FilterError, Form, Held, NO_TIME, Reading, Rows, decode};
+use super::{Arena, Columns, Filter, FilterError, Form, Held, NO_TIME, Order, Reading, Rows, decode, decode_in};
 use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
@@ -72,6 +72,57 @@ fn rows_that_a_record_does_not_have_are_no_numbers() {
         }
     }
     assert!(csi[2 * rows.len()..].iter().all(|h| h.is_nan()));
+}
+
+/// Records of every number of chains and streams, of antennas in every order, of none that are known and of none that was heard: the
+/// next is always of another kind.
+fn all_kinds() -> Arena {
+    let mut arena = Arena::default();
+    for (k, antenna_sel) in (0..64_u8).enumerate() {
+        for (n_rx, n_tx) in (1..=3).flat_map(|n_rx| (1..=3).map(move |n_tx| (n_rx, n_tx))) {
+            let rssi = [[38, 0, 0], [0, 35, 0], [40, 38, 35], [0, 0, 0]][k % 4];
+            let rate_n_flags = if k % 3 == 0 { 0x0900 } else { 0x0100 };
+            let repr = Repr { n_rx, n_tx, antenna_sel, rssi, rate_n_flags, agc: 30, ..Repr::default() };
+            let value = |at: usize| ((at * 73 + k * 11) as u8).cast_signed();
+            let samples: Vec<Iq> =
+                (0..repr.samples()).map(|at| Iq { i: value(2 * at), q: value(2 * at + 1) }).collect();
+            let mut body = vec![0; repr.body_len()];
+            repr.emit(&samples, &mut body).unwrap();
+            arena.push(&body);
+        }
+    }
+    arena
+}
+
+#[test]
+fn subcarriers_first_or_last_the_numbers_are_the_same() {
+    use Antenna::{A, B, C};
+    let arena = all_kinds();
+    let records: Vec<usize> = (0..arena.len() + 1).collect();
+    for (antennas, n_tx) in [(&[A, B, C][..], 3), (&[A, B, C], 1), (&[A, C], 2), (&[B], 1), (&[], 1)] {
+        let rows = Rows::new(antennas, n_tx);
+        let columns = antennas.len() * n_tx;
+        for (scaled, without_spatial_mapping) in [(false, false), (true, false), (false, true), (true, true)] {
+            let form = Form { scaled, without_spatial_mapping };
+            let mut last = vec![Complex32::default(); records.len() * rows.len()];
+            decode(&arena, &records, &rows, form, &mut last);
+            let mut first = vec![Complex32::default(); records.len() * rows.len()];
+            decode_in(Order::SubcarriersFirst, &arena, &records, &rows, form, &mut first);
+            for (at, h) in first.iter().enumerate() {
+                let (record, inside) = (at / rows.len(), at % rows.len());
+                let other = last[record * rows.len() + inside % columns * 30 + inside / columns];
+                let bits =
+                    |h: Complex32| [h.re, h.im].map(|part| if part.is_nan() { None } else { Some(part.to_bits()) });
+                assert_eq!(bits(*h), bits(other), "{antennas:?}, {n_tx} columns, {form:?}, {record}, {inside}");
+            }
+            let numbers = last.iter().filter(|h| !h.is_nan()).count();
+            assert!(
+                antennas.is_empty() || 6 * numbers > last.len() && numbers < last.len(),
+                "{numbers} of {}",
+                last.len()
+            );
+        }
+    }
 }
 
 #[test]
@@ -149,6 +200,32 @@ fn two_threads_read_what_one_reads() {
         assert_eq!(format!("{a_columns:?}"), format!("{b_columns:?}"));
         assert_eq!(a.len() + one.left_out as usize, COPIES * 281);
     }
+}
+
+/// Without bodies a whole log is read on one thread, in memory that is used again.
+#[test]
+fn columns_alone_are_those_of_the_whole_log() {
+    let log = long();
+    let few = Filter::default().with_time(Some(0.5), Some(0.6)).unwrap();
+    let small = |head| Cut { first: 1_000, block: Some(4_096 + head), head };
+    let cuts = [Cut::default(), small(LOOKAHEAD), small(100)];
+    for (filter, cut) in [Filter::default(), few].iter().flat_map(|filter| cuts.map(|cut| (filter.clone(), cut))) {
+        let mut whole = Reading::new(replay(&log), filter.clone());
+        while whole.burst(Instant::ZERO, usize::MAX).unwrap() {}
+        let mut alone = Reading::new(replay(&log), filter).without_bodies();
+        alone.read_cut(Instant::ZERO, cut, Some(log.len() as u64), &mut (), || true).unwrap();
+        assert!(alone.has_ended() && alone.arena.is_empty() && alone.left_out == whole.left_out);
+        assert_eq!(serde_json::to_string(&alone.survey).unwrap(), serde_json::to_string(&whole.survey).unwrap());
+        assert!(format!("{:?}", alone.columns) == format!("{:?}", whole.columns), "columns differ");
+    }
+    let mut asked = 0;
+    let mut stopped = Reading::new(replay(&log), Filter::default()).without_bodies();
+    let go_on = || {
+        asked += 1;
+        asked < 3
+    };
+    stopped.read_all(Instant::ZERO, go_on).unwrap();
+    assert!(asked == 3 && !stopped.has_ended() && !stopped.columns.is_empty());
 }
 
 /// Host times of a side file, some of which are not known, beside noise between records: with and without them in one block.

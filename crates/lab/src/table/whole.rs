@@ -2,7 +2,7 @@
 
 use super::block::{BLOCK, Block};
 use super::columns::Advise;
-use super::found::Found;
+use super::found::{Found, Thing};
 use super::reading::{Reading, Sorted, Table};
 use csi5300::source::Error;
 use csi5300::source::replay::{Bytes, Framing, Replay};
@@ -13,6 +13,9 @@ use std::sync::mpsc::sync_channel;
 
 /// Pieces that may wait between the thread that reads and the one that sorts.
 const AHEAD: usize = 4;
+
+/// Bytes that are read at once: few enough to be in the second-level cache while records are found in them.
+const STRETCH: usize = 256 << 10;
 
 /// How a log is cut into blocks.
 #[derive(Clone, Copy, Debug)]
@@ -41,8 +44,8 @@ impl Cut {
 }
 
 impl<R: Read + Send> Reading<Replay<R>> {
-    /// Reads all of a log on two threads; records are received at `now`. Stops early once `go_on`, which is asked every few
-    /// megabytes, says no.
+    /// Reads all of a log, on two threads where bodies are kept; records are received at `now`. Stops early once `go_on`, which is
+    /// asked every few megabytes, says no.
     ///
     /// # Errors
     /// If the log cannot be read further. What was read before is there.
@@ -76,6 +79,7 @@ impl<R: Read + Send> Reading<Replay<R>> {
         if self.ended {
             return Ok(());
         }
+        let bodies = self.bodies;
         let (replay, table) = self.parts();
         let (bytes, framing) = replay.halves();
         let mut cutter = Cutter { bytes, framing, left: Vec::new(), most: 0 };
@@ -87,10 +91,14 @@ impl<R: Read + Send> Reading<Replay<R>> {
             if let Some(size) = size {
                 sorter.table.reserve(expected(sorter.table.kept(), first_bytes, size), advise);
             }
-            in_pieces(cutter, cut, |piece| {
-                sorter.take(piece);
-                go_on()
-            })?;
+            if bodies {
+                in_pieces(cutter, cut, |piece| {
+                    sorter.take(piece);
+                    go_on()
+                })?;
+            } else {
+                in_one_block(cutter, cut, |piece| (sorter.take(piece), go_on()))?;
+            }
         }
         self.ended = sorter.ended;
         Ok(())
@@ -139,6 +147,25 @@ fn in_pieces<R: Read + Send>(
     })
 }
 
+/// Cuts a log into pieces in memory that is used again: `take` gives the block back, and says whether to go on.
+fn in_one_block<R: Read>(
+    mut cutter: Cutter<'_, R>,
+    cut: Cut,
+    mut take: impl FnMut(Piece) -> (Option<Block>, bool),
+) -> Result<(), Error> {
+    let bytes = cut.head + cut.block.unwrap_or(STRETCH);
+    let mut block = Block::fixed(bytes);
+    loop {
+        block.skip(cut.head);
+        let (piece, more) = cutter.next(block, cut.head);
+        let (back, go_on) = take(piece);
+        if !more? || !go_on {
+            return Ok(());
+        }
+        block = back.and_then(Block::emptied).unwrap_or_else(|| Block::fixed(bytes));
+    }
+}
+
 /// Reads a log and finds its records, a block at a time.
 struct Cutter<'a, R> {
     bytes: &'a mut Bytes<R>,
@@ -152,19 +179,37 @@ struct Cutter<'a, R> {
 impl<R: Read> Cutter<'_, R> {
     /// The next piece, in `block`, in which bytes are read behind `head`; whether there may be more.
     fn next(&mut self, mut block: Block, head: usize) -> (Piece, Result<bool, Error>) {
-        let more = self.fill(&mut block);
-        let from = block.put_before(head, &self.left);
-        let (found, used) = Found::new(block.bytes(), from, self.framing, matches!(more, Ok(false)), self.most);
+        let mut found = Found::with_room(self.most);
+        // What is left over has room before the bytes, but where that is next to nothing.
+        let has_room = self.left.len() <= head;
+        let stretch = if has_room { STRETCH } else { usize::MAX };
+        let mut at = if has_room { block.put_before(head, &self.left) } else { 0 };
+        let more = loop {
+            let more = self.fill(&mut block, stretch);
+            if !has_room {
+                at = block.put_before(head, &self.left);
+            }
+            at = found.find(block.bytes(), at, self.framing, matches!(more, Ok(false)));
+            if !has_room || !matches!(more, Ok(true)) || block.room() == 0 {
+                break more;
+            }
+        };
         self.left.clear();
-        self.left.extend_from_slice(block.bytes().get(used..).unwrap_or_default());
+        self.left.extend_from_slice(block.bytes().get(at..).unwrap_or_default());
         self.most = self.most.max(found.len());
         (Piece { block, found }, more)
     }
 
-    /// Reads until a block is full or the log ends; whether there may be more.
-    fn fill(&mut self, block: &mut Block) -> Result<bool, Error> {
-        while block.room() > 0 {
-            if block.fill(|room| self.bytes.read_into(room))? == 0 {
+    /// Reads so many bytes, until a block is full or the log ends; whether there may be more.
+    fn fill(&mut self, block: &mut Block, bytes: usize) -> Result<bool, Error> {
+        let until = block.room().saturating_sub(bytes);
+        while block.room() > until {
+            let wanted = block.room() - until;
+            let read = block.fill(|room| {
+                let most = room.len().min(wanted);
+                self.bytes.read_into(room.split_at_mut(most).0)
+            })?;
+            if read == 0 {
                 return Ok(false);
             }
         }
@@ -182,9 +227,13 @@ struct Sorter<'a> {
 }
 
 impl Sorter<'_> {
-    fn take(&mut self, Piece { block, found }: Piece) {
+    /// Takes a piece; gives back its block if that is not kept.
+    fn take(&mut self, Piece { block, found }: Piece) -> Option<Block> {
         let Self { table, sorted, .. } = self;
-        self.ended = found.each(block.bytes(), self.now, |next, span| table.sort(sorted, next, span));
-        table.keep(sorted, block);
+        self.ended = found.each(block.bytes(), self.now, |thing, span| match thing {
+            Thing::Bfee(stamps, fields) => table.sort_bfee(sorted, stamps, fields, span),
+            Thing::Other(next) => table.sort(sorted, next, span),
+        });
+        table.keep(sorted, block)
     }
 }
