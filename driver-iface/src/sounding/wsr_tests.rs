@@ -53,6 +53,7 @@ fn the_counter_stays_true_and_the_filler_runs_on_beyond_68_966_frames() {
         let len = repr.emit(&mut buffer, &mut filler).unwrap();
         let frame = Frame::new_checked(&buffer[..len]).unwrap();
         assert_eq!(Repr::parse(&frame), repr);
+        assert_eq!(frame.body(), &buffer[28..len]);
         assert!(frame.body().iter().all(|byte| *byte == slow_byte(&mut slow)));
     }
 }
