@@ -61,13 +61,15 @@ fn what_follows_by_chance_hides_no_record() {
 /// As many bytes of a frame are lost as the bfee behind it has: where its length ends, a record begins.
 #[test]
 fn a_bfee_that_took_the_place_of_a_frames_end_is_found() {
-    let [first, hidden, last] = [1, 2, 3].map(|k| bfee_record(k, 3, 1, true));
-    let frame = mpdu_record(4, 500);
-    let kept = frame.len() - hidden.len();
-    let stream = [&first, &frame[..kept], &hidden, &last].concat();
-    let reason = Reason::Overlapped { expect: frame.len(), got: kept };
-    assert_eq!(damage(&stream), [(first.len() as u64, kept, reason)]);
-    assert!(records(&stream) == [first, hidden, last]);
+    for (n_rx, n_tx, wsr) in [(1, 1, false), (3, 1, true), (2, 3, false), (3, 3, false), (3, 3, true)] {
+        let [first, hidden, last] = [1, 2, 3].map(|k| bfee_record(k, n_rx, n_tx, wsr));
+        let frame = mpdu_record(4, 900);
+        let kept = frame.len() - hidden.len();
+        let stream = [&first, &frame[..kept], &hidden, &last].concat();
+        let reason = Reason::Overlapped { expect: frame.len(), got: kept };
+        assert_eq!(damage(&stream), [(first.len() as u64, kept, reason)], "{n_rx} x {n_tx}");
+        assert!(records(&stream) == [first, hidden, last], "{n_rx} x {n_tx}");
+    }
 }
 
 #[test]
