@@ -77,6 +77,18 @@ fn an_answer_is_the_forward_frame_grown_by_five_with_the_responders_mac() {
 }
 
 #[test]
+fn a_frame_to_each_robot_is_two_bytes_longer_than_to_the_one_before() {
+    assert_eq!([0, 1, 2, 5].map(|k| forward_len(DEFAULT_LEN, k)), [57, 59, 61, 67]);
+    // The shortest is the shortest of odd length that has room for its number.
+    let emitted = |len_with_fcs| {
+        let repr = Repr { sender: Mac([2; 6]), number: 1, len_with_fcs };
+        repr.emit(&mut [0; 64], &mut Lfsr::default()).map(|len| len + FCS_LEN)
+    };
+    assert_eq!((MIN_FORWARD_LEN % 2, emitted(MIN_FORWARD_LEN)), (1, Ok(MIN_FORWARD_LEN)));
+    assert!(emitted(MIN_FORWARD_LEN - 2).is_err());
+}
+
+#[test]
 fn no_answer_is_ever_answered() {
     for first in (MIN_FORWARD_LEN..200).step_by(2) {
         for (a, b) in (0..40).flat_map(|a| (0..40).map(move |b| (a, b))) {
