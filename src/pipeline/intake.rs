@@ -248,6 +248,9 @@ mod tests {
             assert!(note(&mut front, &[&[0; 60]], 1).is_none());
             assert_eq!((front.log.unchecked, front.log.unused.unauthenticated), (1, wrong));
         }
+        let right = crate::exchange::tdma::proof::tests::frame(&Key::new([7; 16]));
+        let (_, heard) = note(&mut front, &[&right], 1).unwrap();
+        assert_eq!((heard.proof, front.log.unchecked, front.log.unused.unauthenticated), (Proof::Good, 1, 3));
         let mut open = Front::new(Antenna::A);
         assert!(note(&mut open, &[&[0; 60]], 1).is_some(), "nothing is checked without a key");
         assert_eq!((open.log.unchecked, open.log.unused.unauthenticated), (0, 0));
