@@ -210,7 +210,9 @@ impl<W: Sink> Drop for Queue<W> {
 }
 
 fn empty_chunk(options: &Options) -> Chunk {
-    Chunk { bytes: Vec::with_capacity(options.chunk_bytes), ..Chunk::default() }
+    let mut chunk = Chunk::default();
+    chunk.bytes.reserve_exact(options.chunk_bytes);
+    chunk
 }
 
 /// Copies a record into the chunk; false if it does not fit the chunk.
