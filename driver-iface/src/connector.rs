@@ -348,6 +348,14 @@ mod tests {
     }
 
     #[test]
+    fn the_longest_record_makes_the_longest_datagram() {
+        let body = vec![7; usize::from(u16::MAX) - 1];
+        let repr = Repr { idx: CN_IDX, val: CN_VAL, record: Record { code: 0xBB, body: &body }, padded: true };
+        let mut out = vec![0; MAX_DATAGRAM];
+        assert_eq!(repr.emit(&mut out), Ok(MAX_DATAGRAM));
+    }
+
+    #[test]
     fn index_of_the_loaded_driver() {
         let text = "Name            ID\ncn_proc         1:1\niwlagn          26:1\n";
         assert_eq!(registered_idx(text), Some(26));

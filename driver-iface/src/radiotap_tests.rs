@@ -62,6 +62,25 @@ fn an_announced_fcs_is_not_part_of_the_frame() {
 }
 
 #[test]
+fn a_wrong_checksum_is_said_by_its_own_bit() {
+    for (flags, bad) in
+        [(None, false), (Some(0), false), (Some(0xff ^ FLAGS_BAD_FCS), false), (Some(FLAGS_BAD_FCS), true)]
+    {
+        assert_eq!(parsed(&emitted(Repr { flags, ..Repr::default() })).is_bad_fcs(), bad, "{flags:?}");
+    }
+}
+
+#[test]
+fn a_header_is_as_long_as_it_says() {
+    for repr in [Repr::default(), Repr::injected(7, Bandwidth::Ht20), Repr::lorcon(5540)] {
+        let header = emitted(repr);
+        let bytes = [&header[..], &[1, 2, 3]].concat();
+        let packet = Packet::new_checked(&bytes[..]).unwrap();
+        assert_eq!((packet.header_len(), packet.payload()), (header.len(), &[1, 2, 3][..]));
+    }
+}
+
+#[test]
 fn a_tx_status_copy_is_known_by_its_tx_flags() {
     let status = parsed(&emitted(Repr { tx_flags: Some(0), data_retries: Some(0), ..Repr::default() }));
     assert!(status.is_own_echo());

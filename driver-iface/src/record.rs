@@ -128,4 +128,6 @@ pub fn whole_records(bytes: &[u8], upto: usize) -> (usize, usize) {
 }
 
 #[cfg(test)]
+mod damage_tests;
+#[cfg(test)]
 mod tests;

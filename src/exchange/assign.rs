@@ -334,6 +334,42 @@ mod tests {
     }
 
     #[test]
+    fn sixteen_numbers_in_common_are_enough_and_half_as_much_again_is_clear() {
+        let (receiver, transmitter) = round(0, 20);
+        let common = |records: usize| spread(&receiver[..records], &transmitter).map(|found| found.common);
+        let least = TUNING.pairing.min_common;
+        assert_eq!([common(least - 1), common(least)], [None, Some(least)]);
+        let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
+        // Both are a tenth of a microsecond more: 1 and 1.5.
+        assert_eq!(assign(&[vec![of(0.9), of(1.4)]], &[])[0].map(|found| found.mac), Ok(0));
+        assert!(assign(&[vec![of(0.9), of(1.39)]], &[])[0].is_err());
+    }
+
+    #[test]
+    fn of_two_logs_of_one_sender_the_better_keeps_it() {
+        let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
+        let found = assign(&[vec![of(5.0), of(300.0)], vec![of(8.0), of(300.0)]], &[]);
+        assert_eq!(found[0].map(|found| found.mac), Ok(0));
+        assert_eq!(found[1], Err(Unmatched::Taken { spread_us: 8.0, other_us: 5.0 }));
+        assert_eq!([&found[0], &found[1]].map(is_open), [false, true]);
+    }
+
+    #[test]
+    fn what_is_left_to_an_unclear_log_is_what_no_other_has() {
+        let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
+        // The first sender is another log's, clearly, or named for one.
+        let clear = [vec![of(5.0), of(300.0)], vec![of(8.0), of(9.0)]];
+        let named = [vec![None, None], vec![of(9.0), of(8.0)]];
+        for (spreads, taken) in [(&clear, [false, false]), (&named, [true, false])] {
+            let mut found = assign(spreads, &taken);
+            assert_eq!([&found[0], &found[1]].map(is_open), [false, true]);
+            let first = found[0];
+            settle(&mut found, spreads, &[], &taken);
+            assert_eq!((found[0], found[1].map(|found| found.mac)), (first, Ok(1)));
+        }
+    }
+
+    #[test]
     fn unclear_and_unrelated_logs_are_refused() {
         let (receiver, transmitter) = round(0, 20);
         let same = spread(&receiver, &transmitter);

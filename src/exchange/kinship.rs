@@ -105,7 +105,22 @@ mod tests {
         assert!(of(&ends(1, 200), &slower).correlation.abs() < 0.2);
         let regular = of(&ends(1, 0), &ends(1, 0));
         assert_eq!((regular.correlation, regular.pause_us), (0.0, 0.0));
-        assert_eq!(kinship(&ends(1, 5)[..20], &[0; 20]), None);
+        let few = |records: usize| kinship(&ends(1, 5)[..records], &vec![0; records]).map(|found| found.pauses);
+        assert_eq!([few(20), few(24), few(25)], [None, None, Some(24)]);
+    }
+
+    #[test]
+    fn a_pause_far_from_the_others_counts_no_more_than_five_usual_ones() {
+        // The median is 1,000, the median deviation 10.
+        let values = vec![980.0, 990.0, 990.0, 1_000.0, 1_010.0, 1_010.0, 5_000.0];
+        let (off, usual) = clipped(values).unwrap();
+        let clipped_off = [-20.0, -10.0, -10.0, 0.0, 10.0, 10.0, 50.0];
+        let mean = 30.0 / 7.0;
+        assert_eq!(usual, 10.0);
+        assert!(off.iter().zip(clipped_off).all(|(off, is)| (off - (is - mean)).abs() < 1e-9), "{off:?}");
+        // Pauses that are all alike: by whole microseconds, which is what clocks tell.
+        let (off, usual) = clipped(vec![7.0, 7.0, 7.0, 90.0]).unwrap();
+        assert_eq!((usual, off), (0.0, vec![-1.25, -1.25, -1.25, 3.75]));
     }
 
     #[test]

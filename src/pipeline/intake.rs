@@ -248,6 +248,9 @@ mod tests {
             assert!(note(&mut front, &[&[0; 60]], 1).is_none());
             assert_eq!((front.log.unchecked, front.log.unused.unauthenticated), (1, wrong));
         }
+        let right = crate::exchange::tdma::proof::tests::frame(&Key::new([7; 16]));
+        let (_, heard) = note(&mut front, &[&right], 1).unwrap();
+        assert_eq!((heard.proof, front.log.unchecked, front.log.unused.unauthenticated), (Proof::Good, 1, 3));
         let mut open = Front::new(Antenna::A);
         assert!(note(&mut open, &[&[0; 60]], 1).is_some(), "nothing is checked without a key");
         assert_eq!((open.log.unchecked, open.log.unused.unauthenticated), (0, 0));
@@ -280,6 +283,43 @@ mod tests {
         assert_eq!(late.1, [Instant::ZERO, at]);
         let mut never = Late(None, Vec::new());
         assert!(matches!(LogReader::new(&mut never, &options, []).next_frame(), Err(Error::Endless)));
+    }
+
+    /// A card that has heard these frames.
+    struct Heard(Vec<Vec<u8>>, usize);
+
+    impl CsiSource for Heard {
+        fn receive(&mut self, _: Instant) -> Result<Next<'_>, Error> {
+            self.1 += 1;
+            let body = self.0.get(self.1 - 1);
+            Ok(body.map_or(Next::End(driver_iface::record::Tail::Clean), |body| {
+                Next::Record(Stamps::default(), Record { code: code::BFEE, body })
+            }))
+        }
+
+        fn next_at(&self) -> Option<Instant> {
+            None
+        }
+    }
+
+    #[test]
+    fn as_many_frames_are_read_ahead_as_are_asked_for_and_none_is_lost_by_it() {
+        let body = |frame_count| {
+            let repr = Repr { wsr: Some(Wsr { mac: SENDER, frame_count, ..Wsr::default() }), ..Repr::default() };
+            let mut body = vec![0; repr.body_len()];
+            repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
+            body
+        };
+        let mut card = Heard((1..=6).map(body).collect(), 0);
+        let mut reader = LogReader::new(&mut card, &Options::new("108".parse().unwrap()), []);
+        let numbers = |frames: &VecDeque<(Mac, FrameHeard)>| frames.iter().map(|(_, f)| f.number).collect::<Vec<_>>();
+        assert_eq!(numbers(reader.read_ahead(2).unwrap()), [1, 2]);
+        assert_eq!(numbers(reader.read_ahead(1).unwrap()), [1, 2], "what waits is not read again");
+        assert_eq!(reader.next_frame().unwrap().unwrap().1.number, 1);
+        assert_eq!(numbers(&reader.take_ahead(3).unwrap()), [2, 3, 4]);
+        assert!(!reader.is_done());
+        assert_eq!(numbers(&reader.take_ahead(9).unwrap()), [5, 6]);
+        assert!(reader.is_done() && reader.take_ahead(9).unwrap().is_empty());
     }
 
     #[test]

@@ -281,6 +281,54 @@ mod tests {
         assert_eq!(replay.next_at(), None, "nothing comes after the end");
     }
 
+    #[test]
+    fn what_was_not_received_is_read_whole_and_in_order() {
+        let log: Vec<u8> = (1..=200_u8).flat_map(|dbm| [0, 5, code::NOISE, dbm, 0xff, 0xff, 0xff]).collect();
+        for (received, room) in [(0, 5), (1, 5), (1, 10_000), (3, 7)] {
+            let mut replay = Replay::new(&log[..], "two.dat".into());
+            (0..received).for_each(|_| assert!(matches!(replay.receive(Instant::ZERO), Ok(Next::Record(..)))));
+            let (bytes, _) = replay.halves();
+            let (mut read, mut room) = (Vec::new(), vec![0; room]);
+            loop {
+                match bytes.read_into(&mut room).unwrap() {
+                    0 => break,
+                    count => read.extend_from_slice(&room[..count]),
+                }
+                assert!(read.len() <= log.len(), "it goes on");
+            }
+            assert!(read == log[7 * received..], "{received} received");
+            assert_eq!(replay.next_at(), None);
+        }
+    }
+
+    #[test]
+    fn a_log_says_what_its_side_file_is_and_what_that_said() {
+        use driver_iface::side_file::{Check, Entry};
+        let folder = std::env::temp_dir().join(format!("csi5300-replay-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let records: Vec<[u8; 7]> = (1..=3).map(|dbm| [0, 5, code::NOISE, dbm, 0xff, 0xff, 0xff]).collect();
+        let log = folder.join("out.dat");
+        std::fs::write(&log, records.concat()).unwrap();
+        let replayed = || {
+            let mut replay = Replay::open(&log).unwrap();
+            while !matches!(replay.receive(Instant::ZERO).unwrap(), Next::End(_)) {}
+            (replay.side_layout(), replay.checks().map(|checks| checks.good))
+        };
+        assert_eq!(replayed(), (None, None), "there is none");
+        for (layout, good) in [(Layout::Narrow, None), (Layout::Wide, None), (Layout::Checked, Some(3))] {
+            let mut side = layout.head().to_vec();
+            for (record, host_us) in records.iter().zip(1_700_000_000_000_000..) {
+                let check = (layout == Layout::Checked).then(|| Check::of(record));
+                let mut out = [0; Layout::Wide.bytes()];
+                Entry { host_us: Some(host_us), check }.emit(layout, &mut out).unwrap();
+                side.extend_from_slice(&out[..layout.bytes()]);
+            }
+            std::fs::write(folder.join("out.datstp"), side).unwrap();
+            assert_eq!(replayed(), (Some(layout), good));
+        }
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
     /// A reader that is interrupted before each read, and fails at the end.
     struct Interrupted<'a>(&'a [u8], bool);
 

@@ -80,7 +80,7 @@ impl Sender {
     #[must_use]
     pub fn mean_rate_hz(&self) -> Option<f64> {
         let (steps, us) = (self.records.saturating_sub(1 + self.clock_steps.steps_back), self.clock_steps.forward_us);
-        (steps > 0 && us > 0).then(|| 1e6 * steps as f64 / us as f64)
+        (us > 0).then(|| 1e6 * steps as f64 / us as f64)
     }
 
     /// Whether what stands where a sounding frame has its number counts up from frame to frame, in at least half of the

@@ -89,6 +89,17 @@ proptest! {
     }
 
     #[test]
+    fn a_column_has_as_many_samples_as_subcarriers_were_asked_for((repr, csi) in any_repr(), some in vec(0..30_u8, 0..30)) {
+        let body = emitted(&repr, &csi);
+        let bfee = Bfee::new_checked(&body).unwrap();
+        let (rx, tx) = (bfee.n_rx() - 1, bfee.n_tx() - 1);
+        let expect: Vec<f32> = some.iter().filter_map(|&s| bfee.iq(s.into(), rx, tx)).flat_map(|iq| [iq.i.into(), iq.q.into()]).collect();
+        let mut column = vec![9.0; 2 * some.len()];
+        prop_assert_eq!(bfee.column_f32(rx, tx, &some, &mut column), Some(some.len()));
+        prop_assert_eq!(column, expect);
+    }
+
+    #[test]
     fn any_bytes_are_read_or_refused(body in vec(any::<u8>(), 0..600)) {
         if let Ok(bfee) = Bfee::new_checked(&body) {
             let mut out = [Iq::default(); MAX_SAMPLES];

@@ -7,7 +7,7 @@ use std::vec;
 use std::vec::Vec;
 
 /// A bfee record whose samples depend on `seed`.
-fn bfee_record(seed: u8, n_rx: u8, n_tx: u8, wsr: bool) -> Vec<u8> {
+pub(super) fn bfee_record(seed: u8, n_rx: u8, n_tx: u8, wsr: bool) -> Vec<u8> {
     let wsr = wsr.then(|| bfee::Wsr { tv_sec: 1, frame_count: seed.into(), ..bfee::Wsr::default() });
     let timestamp_low = u32::from(seed) << 20 | 0x1234;
     let repr = bfee::Repr { n_rx, n_tx, bfee_count: seed.into(), timestamp_low, wsr, ..bfee::Repr::default() };
@@ -22,7 +22,7 @@ fn bfee_record(seed: u8, n_rx: u8, n_tx: u8, wsr: bool) -> Vec<u8> {
     framed(code::BFEE, &body)
 }
 
-fn mpdu_record(seed: u8, len: usize) -> Vec<u8> {
+pub(super) fn mpdu_record(seed: u8, len: usize) -> Vec<u8> {
     let payload: Vec<u8> = (0..len).map(|k| (k as u8).wrapping_mul(37) ^ seed).collect();
     let addr = crate::Mac([0, 0x16, 0xea, 0x12, 0x34, seed]);
     let repr = mpdu::Repr {
@@ -39,7 +39,7 @@ fn mpdu_record(seed: u8, len: usize) -> Vec<u8> {
     framed(code::MPDU, &body)
 }
 
-fn framed(code: u8, body: &[u8]) -> Vec<u8> {
+pub(super) fn framed(code: u8, body: &[u8]) -> Vec<u8> {
     let record = Record { code, body };
     let mut out = vec![0; record.emit_len()];
     assert_eq!(record.emit(&mut out), Ok(out.len()));
@@ -62,7 +62,7 @@ fn logs() -> Vec<Vec<Vec<u8>>> {
     vec![wsr, stock, frames, only_mpdu, mixed]
 }
 
-fn records(bytes: &[u8]) -> Vec<Vec<u8>> {
+pub(super) fn records(bytes: &[u8]) -> Vec<Vec<u8>> {
     events(bytes)
         .filter_map(|step| match step {
             Step::Record { record, .. } => Some(framed(record.code, record.body)),
@@ -250,7 +250,7 @@ fn random_bytes_yield_no_record() {
 }
 
 /// The steps when the stream arrives in chunks of the sizes given, over and over.
-fn in_chunks(bytes: &[u8], sizes: &[usize]) -> Vec<(u64, usize, Option<Reason>)> {
+pub(super) fn in_chunks(bytes: &[u8], sizes: &[usize]) -> Vec<(u64, usize, Option<Reason>)> {
     let (mut framer, mut steps) = (Framer::new(), Vec::new());
     let (mut from, mut to) = (0, 0);
     let mut sizes = sizes.iter().cycle();

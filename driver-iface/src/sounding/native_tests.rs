@@ -113,6 +113,9 @@ proptest! {
         let len = repr.emit(&mut buffer).unwrap();
         prop_assert_eq!(len, repr.mpdu_len());
         let frame = Frame::new_checked(&buffer[..len]).unwrap();
+        let extras = (repr.measurement.is_some(), repr.tag.is_some());
+        prop_assert_eq!(frame.len_with_fcs(), len_with_fcs(extras.0, extras.1));
+        prop_assert_eq!(len == MAX_LEN, extras == (true, true));
         prop_assert_eq!(Repr::parse(&frame), Ok(repr));
     }
 

@@ -53,6 +53,7 @@ fn the_counter_stays_true_and_the_filler_runs_on_beyond_68_966_frames() {
         let len = repr.emit(&mut buffer, &mut filler).unwrap();
         let frame = Frame::new_checked(&buffer[..len]).unwrap();
         assert_eq!(Repr::parse(&frame), repr);
+        assert_eq!(frame.body(), &buffer[28..len]);
         assert!(frame.body().iter().all(|byte| *byte == slow_byte(&mut slow)));
     }
 }
@@ -73,6 +74,18 @@ fn an_answer_is_the_forward_frame_grown_by_five_with_the_responders_mac() {
     assert_eq!(reply[55..60], [1, 2, 3, 4, 0]);
     assert_eq!(answer.addr2(), MAGIC_MAC);
     assert_eq!(emit_reply(&forward, [0; 4], Mac([7; 6]), &mut [0; 59]), Err(Error::Length { expect: 60, got: 59 }));
+}
+
+#[test]
+fn a_frame_to_each_robot_is_two_bytes_longer_than_to_the_one_before() {
+    assert_eq!([0, 1, 2, 5].map(|k| forward_len(DEFAULT_LEN, k)), [57, 59, 61, 67]);
+    // The shortest is the shortest of odd length that has room for its number.
+    let emitted = |len_with_fcs| {
+        let repr = Repr { sender: Mac([2; 6]), number: 1, len_with_fcs };
+        repr.emit(&mut [0; 64], &mut Lfsr::default()).map(|len| len + FCS_LEN)
+    };
+    assert_eq!((MIN_FORWARD_LEN % 2, emitted(MIN_FORWARD_LEN)), (1, Ok(MIN_FORWARD_LEN)));
+    assert!(emitted(MIN_FORWARD_LEN - 2).is_err());
 }
 
 #[test]

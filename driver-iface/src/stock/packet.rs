@@ -189,7 +189,7 @@ impl<'a> RxMpdu<'a> {
 fn checked_len(start: &[u8], data_len: usize) -> Result<usize, BadPacket> {
     let byte_count = start.first_chunk::<2>().map_or(0, |bytes| usize::from(u16::from_le_bytes(*bytes)));
     let fits = offset::MPDU_FRAME + byte_count + STATUS_LEN <= data_len;
-    if start.len() < offset::MPDU_FRAME || !fits || !(MIN_FRAME..=MAX_FRAME).contains(&byte_count) {
+    if !fits || !(MIN_FRAME..=MAX_FRAME).contains(&byte_count) {
         return Err(BadPacket::Mpdu { byte_count, got: data_len });
     }
     Ok(byte_count)

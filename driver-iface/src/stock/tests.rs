@@ -143,6 +143,34 @@ fn the_longest_frame_is_that_of_the_longest_record() {
 }
 
 #[test]
+fn the_beginning_of_a_frame_is_as_long_as_what_is_read_of_it() {
+    let data = mpdu();
+    let frame = |kept: usize| RxMpdu::from_start(data.len(), &data[..kept], 3).map(|mpdu| mpdu.byte_count());
+    assert_eq!([frame(32), frame(33), frame(data.len())], [Ok(57); 3]);
+    for kept in [2, 3, 4, 5, 31] {
+        assert_eq!(frame(kept), Err(BadPacket::Mpdu { byte_count: 57, got: kept }));
+    }
+    assert_eq!(frame(1), Err(BadPacket::Mpdu { byte_count: 0, got: data.len() }));
+}
+
+#[test]
+fn an_event_of_a_frames_beginning_is_that_frame() {
+    let (data, mut bytes) = (mpdu(), [0; 128]);
+    let kept = [&data[..36], &3_u32.to_le_bytes()].concat();
+    let start = EventRepr { data_len: 65, command: 0xC1, flags: 1, ..EventRepr::default() };
+    start.emit(&kept, &mut bytes).unwrap();
+    let sender = |bytes: &[u8]| match Event::new_checked(bytes).unwrap().packet() {
+        Packet::RxMpdu(Ok(frame)) => (frame.byte_count(), frame.sender()),
+        other => panic!("{other:?}"),
+    };
+    let right = (57, Some(("00:21:6a:00:00:07".parse().unwrap(), 0x0102_0304)));
+    assert_eq!(sender(&bytes), right);
+    // What was not cut has its status at its own end.
+    EventRepr { flags: 0, ..start }.emit(&data, &mut bytes).unwrap();
+    assert_eq!(sender(&bytes), right);
+}
+
+#[test]
 fn what_is_not_wanted_is_not_given() {
     let packets = [(0xC0, phy()), (0xC1, mpdu()), (0xBB, csi())];
     for (csi, frames, codes) in

@@ -337,6 +337,10 @@ fn the_log_that_is_behind_is_read_next() {
     let third = 1 << 24;
     let ahead = [(Receiver, 1), (Receiver, third), (Receiver, third + 1)];
     assert_eq!(behind(&[&ahead[..], &[(Transmitter, 1); 9]].concat()), Transmitter);
+    // One began anew: it is ahead, though its numbers are lower.
+    let again = (40..60).chain([1, 2]).map(|number| (Receiver, number));
+    let still = (40..50).map(|number| (Transmitter, number));
+    assert_eq!(behind(&again.chain(still).collect::<Vec<_>>()), Transmitter);
     // Both begin anew: neither is ahead by that.
     let log = |side| (40..60).chain([1, 2]).map(move |number| (side, number));
     let anew: Vec<_> = log(Receiver).chain(log(Transmitter)).chain([(Receiver, 2)]).collect();

@@ -69,7 +69,7 @@ impl Key {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::source::{Loss, Stamps};
     use driver_iface::Mac;
@@ -81,7 +81,7 @@ mod tests {
     const C: Mac = Mac([2, 0, 0, 0, 0, 3]);
 
     /// A frame from A to B with the key's tag, and a checksum that nobody looks at.
-    fn frame(key: &Key) -> Vec<u8> {
+    pub(crate) fn frame(key: &Key) -> Vec<u8> {
         let repr = Repr {
             sender: A,
             number: 7,

@@ -59,17 +59,13 @@ impl Grown {
 
     /// Appends as many whole units of `bytes` as the disk takes; `whole` says how many of the first n bytes that is.
     fn append(&mut self, bytes: &[u8], whole: impl Fn(usize) -> usize) -> (usize, io::Result<()>) {
-        let mut done = 0;
-        while done < bytes.len() {
-            match self.file.write(bytes.get(done..).unwrap_or_default()) {
-                Ok(0) => return self.take_back(whole(done), io::ErrorKind::WriteZero.into()),
-                Ok(more) => done += more,
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => return self.take_back(whole(done), error),
+        match write_on(&mut self.file, bytes) {
+            (done, Ok(())) => {
+                self.len += done as u64;
+                (done, Ok(()))
             }
+            (done, Err(error)) => self.take_back(whole(done), error),
         }
-        self.len += done as u64;
-        (done, Ok(()))
     }
 
     /// After a failed write: ends the file with the last whole unit.
@@ -78,6 +74,26 @@ impl Grown {
         let cut = self.file.set_len(self.len).and_then(|()| self.file.seek(SeekFrom::Start(self.len)));
         (whole, Err(cut.err().unwrap_or(error)))
     }
+}
+
+/// Writes as much of `bytes` as can be: how many.
+fn write_on(out: &mut impl Write, bytes: &[u8]) -> (usize, io::Result<()>) {
+    let mut done = 0;
+    while done < bytes.len() {
+        match out.write(bytes.get(done..).unwrap_or_default()) {
+            Ok(0) => return (done, Err(io::ErrorKind::WriteZero.into())),
+            Ok(more) => done += more,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return (done, Err(error)),
+        }
+    }
+    (done, Ok(()))
+}
+
+/// The bytes of the whole entries, and of the head, in the first `done` of a side file: the head is as long as an entry,
+/// or empty.
+fn whole_entries(layout: Layout, done: usize) -> usize {
+    done - done % layout.bytes()
 }
 
 /// A log on disk: a [`Sink`] of data file and side file.
@@ -175,8 +191,8 @@ impl LogFiles {
             let _ = entry.emit(self.layout, &mut out);
             bytes.extend_from_slice(out.split_at(length).0);
         }
-        // The head is as long as an entry, or empty.
-        self.side.append(&bytes, |done| done - done % length).1
+        let layout = self.layout;
+        self.side.append(&bytes, |done| whole_entries(layout, done)).1
     }
 }
 

@@ -210,7 +210,9 @@ impl<W: Sink> Drop for Queue<W> {
 }
 
 fn empty_chunk(options: &Options) -> Chunk {
-    Chunk { bytes: Vec::with_capacity(options.chunk_bytes), ..Chunk::default() }
+    let mut chunk = Chunk::default();
+    chunk.bytes.reserve_exact(options.chunk_bytes);
+    chunk
 }
 
 /// Copies a record into the chunk; false if it does not fit the chunk.
@@ -288,5 +290,44 @@ mod tests {
             }
             assert_eq!(queue.close(Instant::from_us(2)).map(|sink| sink.0), Some(chunks), "{chunk_bytes} bytes");
         }
+    }
+
+    /// A disk that says when it was given something, and takes it once the gate is open.
+    struct Held(std::sync::mpsc::Sender<()>, Receiver<()>);
+
+    impl Sink for Held {
+        fn write(&mut self, chunk: &Chunk) -> Written {
+            let _ = self.0.send(());
+            let _ = self.1.recv();
+            Written { records: chunk.host_us.len() as u64, ..Written::default() }
+        }
+
+        fn sync(&mut self) -> Option<String> {
+            None
+        }
+    }
+
+    #[test]
+    fn a_sync_for_which_there_is_no_room_is_asked_for_again_after_a_while() {
+        let (entered, is_writing) = channel();
+        let (open, gate) = channel();
+        let (hand_over, sync_every) = (Span::from_ms(10), Some(Span::from_ms(5)));
+        let options = Options { chunk_bytes: 1 << 16, chunks: 5, hand_over, sync_every };
+        let mut queue = Queue::new(Held(entered, gate), options).unwrap();
+        let ms = |ms: i64| Instant::from_us(1_000 * ms);
+        // One chunk is with the disk; behind it three others and three syncs are as much as there is room for.
+        for (round, again) in [(0, None), (20, None), (40, None), (60, Some(ms(85)))] {
+            queue.push(ms(round), None, Record { code: 0x42, body: &[7; 10] });
+            queue.keep_time(ms(round + 10));
+            if round == 0 {
+                is_writing.recv().unwrap();
+            }
+            assert_eq!(queue.next_at(), Some(ms(round + 15)), "a sync went with the chunk");
+            queue.keep_time(ms(round + 15));
+            assert_eq!(queue.next_at(), again, "at {round}");
+        }
+        drop(open);
+        assert!(queue.close(ms(90)).is_some());
+        assert_eq!(queue.shared().totals().written, 4);
     }
 }

@@ -42,6 +42,21 @@ fn records_arrive_as_they_were_sent_and_gaps_are_counted() {
 }
 
 #[test]
+fn what_does_not_follow_begins_a_message_of_its_own() {
+    let (mailbox, mut batch) = (Mailbox::new(100), Batch::records(7));
+    let push = |batch: &mut Batch, body| batch.push_record(Some(body), Record { code: 0xBB, body: &[body as u8; 3] });
+    assert_eq!(batch.number(5), None, "there is nothing to send yet");
+    push(&mut batch, 0);
+    assert_eq!(batch.number(6), None, "it follows");
+    push(&mut batch, 1);
+    let sent = batch.number(9).unwrap();
+    push(&mut batch, 2);
+    mailbox.put(&sent);
+    mailbox.put(&batch.take());
+    assert_eq!(drain(&mut mailbox.card()), [0, 1, -2, 2]);
+}
+
+#[test]
 fn a_full_queue_drops_the_oldest_and_says_how_many() {
     let (mailbox, mut batch) = (Mailbox::new(4), Batch::records(1));
     mailbox.put(&message(&mut batch, 0..10));

@@ -107,6 +107,13 @@ fn a_side_file_of_another_log_is_not_gone_by() {
 }
 
 #[test]
+fn a_record_is_looked_for_among_as_many_entries_as_the_window_has() {
+    let entries = [vec![entry(0)], vec![entry(1); WINDOW - 2], vec![entry(2), entry(3)]].concat();
+    let is_right = |number| side_file(&entries).take(&record(number)).is_right;
+    assert_eq!([0, 1, 2, 3].map(is_right), [true, true, true, false]);
+}
+
+#[test]
 fn layouts_without_checksums_give_times_until_bytes_are_skipped() {
     for layout in [Layout::Narrow, Layout::Wide] {
         let times = [1_700_000_000_000_001, 1_700_000_000_000_002].map(|us| Entry::from(Some(us)));

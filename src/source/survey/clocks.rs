@@ -62,7 +62,7 @@ impl HostSteps {
         let off_us = host_us.saturating_sub(host).saturating_sub(card_us);
         let wrap = 1_i64 << 32;
         let is_pause =
-            off_us > wrap / 2 && off_us.saturating_add(wrap / 2).rem_euclid(wrap).abs_diff(wrap / 2) < SET_US as u64;
+            off_us > 0 && off_us.saturating_add(wrap / 2).rem_euclid(wrap).abs_diff(wrap / 2) < SET_US as u64;
         let usual_us = SET_US.saturating_add(card_us.abs() / SLEW);
         if card_us < 0 || is_pause || off_us.saturating_abs() <= usual_us {
             return;
@@ -109,9 +109,17 @@ mod tests {
             "on, and further back"
         );
         assert_eq!(steps(&[(0.0, 0.0), (1.0, 1.6)]), (1, 600_000));
+        assert_eq!(steps(&[(1.0, 0.0), (1.0, 1.0)]), (1, 1_000_000), "two records of one microsecond");
         // A pause in which the card's clock wraps twice, one in which it does not, and a clock that drifts by 500 ppm in it.
         let wrap = 4_294.967_296;
         assert_eq!(steps(&[(0.0, 0.0), (10.0, 10.0 + 2.0 * wrap), (1_800.0, 1_800.9 + 2.0 * wrap)]), (0, 0));
+        // As far from a whole number of wraps as is no pause any more.
+        let past_a_wrap = |off_us: i64| {
+            let mut steps = HostSteps::default();
+            [(0, 0), (10, (1 << 32) + off_us + 10)].iter().for_each(|(card, host)| steps.note(*card, Some(*host)));
+            steps.set
+        };
+        assert_eq!([SET_US - 1, SET_US, 1 - SET_US, -SET_US].map(past_a_wrap), [0, 1, 0, 1]);
         // The card was reset.
         assert_eq!(steps(&[(500.0, 0.0), (0.0, 0.2), (1.0, 1.2)]), (0, 0));
         // Records without a time are passed over.

@@ -27,7 +27,10 @@ fn numbers_wrap_without_a_restart() {
 
 /// A survey of WSR records with the senders, `bfee_count`s and rates given.
 fn survey(records: impl Iterator<Item = (Mac, u16, u16)>) -> Survey {
-    let mut survey = Survey::default();
+    heard_by(Survey::default(), records)
+}
+
+fn heard_by(mut survey: Survey, records: impl Iterator<Item = (Mac, u16, u16)>) -> Survey {
     for (mac, bfee_count, rate_n_flags) in records {
         let wsr = Wsr { mac, frame_count: 1, ..Wsr::default() };
         let repr = Repr { bfee_count, rate_n_flags, wsr: Some(wsr), ..Repr::default() };
@@ -139,6 +142,9 @@ fn what_was_never_measured_has_no_range() {
     let mut above = Range::default();
     [7, 9].iter().for_each(|value| above.note(*value));
     assert_eq!((above.min, above.max, above.mean), (7, 9, 8.0), "0 was not measured");
+    let json = |range: Range| serde_json::to_value(range).unwrap();
+    assert_eq!(json(above), serde_json::json!({"min": 7, "max": 9, "mean": 8.0}));
+    assert_eq!(json(Range::default()), serde_json::Value::Null);
 }
 
 #[test]
@@ -186,6 +192,51 @@ fn records_are_counted_by_code_and_one_that_cannot_be_read_is_something_lost() {
     assert_eq!((survey.records, survey.bad_bfee, survey.bfees()), (5, 2, 0));
     assert_eq!((survey.by_code[&0x7f], survey.by_code[&code::BFEE], survey.losses.len()), (3, 2, 2));
     assert!(survey.lost_something());
+    // Of a record, its length field, and its code, which are lost with it.
+    assert_eq!(survey.losses.iter().map(|lost| lost.bytes).collect::<Vec<_>>(), [6, 6]);
+}
+
+#[test]
+fn records_counted_in_a_row_are_those_that_are_counted_each() {
+    let body = |antenna_sel, rate_n_flags| {
+        let repr = Repr { antenna_sel, rate_n_flags, ..Repr::default() };
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
+        (code::BFEE, body)
+    };
+    let row: Vec<(u8, Vec<u8>)> = [
+        vec![(0x7f, vec![1]); 2],
+        vec![body(0x24, 0x101); 3],
+        vec![body(0x21, 0x101); 2],
+        vec![(0x7f, vec![1])],
+        vec![body(0x24, 0x102); 4],
+        vec![body(0x24, 0x101), (0, vec![1])],
+    ]
+    .concat();
+    let (mut each, mut in_a_row, mut tally) = (Survey::default(), Survey::default(), Tally::default());
+    for (code, body) in &row {
+        let record = Next::Record(Stamps::default(), Record { code: *code, body });
+        let noted = [each.note(&record), in_a_row.note_in(&mut tally, &record)].map(|noted| noted.map(|(_, who)| who));
+        assert_eq!(noted[0], noted[1]);
+    }
+    in_a_row.settle(&mut tally);
+    // Settled again it counts nothing again.
+    in_a_row.settle(&mut tally);
+    for survey in [each, in_a_row] {
+        assert_eq!(survey.by_code, BTreeMap::from([(0, 1), (0x7f, 3), (code::BFEE, 10)]));
+        assert_eq!(survey.antenna_sel, BTreeMap::from([(0x21, 2), (0x24, 8)]));
+        assert_eq!(survey.rates, BTreeMap::from([(0x101, 6), (0x102, 4)]));
+    }
+}
+
+#[test]
+fn a_log_without_csi_has_no_antennas_and_no_rates() {
+    let mut survey = Survey::default();
+    survey.note(&Next::Pending);
+    assert!(survey.by_code.is_empty(), "nor has nothing a code");
+    survey.note(&Next::Record(Stamps::default(), Record { code: 0x7f, body: &[1] }));
+    assert_eq!(survey.by_code, BTreeMap::from([(0x7f, 1)]));
+    assert!(survey.antenna_sel.is_empty() && survey.rates.is_empty());
 }
 
 #[test]
@@ -318,11 +369,21 @@ fn a_busy_stranger_has_a_place_among_any_number_of_made_up_ones() {
 
 #[test]
 fn strangers_of_long_ago_make_room() {
-    let old = (0..SENDERS_KEPT as u32).flat_map(|n| vec![made_up(n); 50]);
+    let old = (0..SENDERS_KEPT as u32).flat_map(|n| vec![made_up(n); if n == 0 { 5_000 } else { 50 }]);
     // One in twenty is of a robot that came later.
     let late = Mac([2; 6]);
     let later = (0..60_000).map(|n| if n % 20 == 0 { late } else { made_up(1_000 + n) });
     let survey = survey(old.chain(later).map(|mac| (mac, 0, 0x101)));
     let records = survey.senders[&late].records;
     assert!(records >= 1_500, "{records} of 3,000");
+    assert!(!survey.senders.contains_key(&made_up(0)), "nothing was heard of it since, however much before");
+}
+
+#[test]
+fn who_is_known_keeps_its_place_among_any_number_of_strangers() {
+    let known = Mac([2; 6]);
+    let heard = || [known].into_iter().chain((0..1_000).map(made_up)).map(|mac| (mac, 0, 0x101));
+    let survey = heard_by(Survey::with_known([known]), heard());
+    assert_eq!((survey.senders[&known].records, survey.senders.len()), (1, SENDERS_KEPT + 1));
+    assert!(!heard_by(Survey::default(), heard()).senders.contains_key(&known));
 }

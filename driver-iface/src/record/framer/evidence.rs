@@ -182,14 +182,17 @@ fn may_vouch(front: &[u8], from: usize, to: usize) -> bool {
     }
 }
 
+/// 1 if a head with these first and third bytes may vouch for itself, else 0.
+#[inline(always)]
+fn hit(high: &u8, code: &u8) -> u8 {
+    let [bfee, noise] = VOUCHING_CODES;
+    u8::from(*high < VOUCHING_LENGTHS) & (u8::from(*code == bfee) | u8::from(*code == noise))
+}
+
 /// [`may_vouch`], of the first and third bytes of the positions; in blocks that a compiler compares at once.
 #[inline(never)]
 fn any_vouches(highs: &[u8], codes: &[u8]) -> bool {
     const BLOCK: usize = 32;
-    let [bfee, noise] = VOUCHING_CODES;
-    let hit = |high: &u8, code: &u8| {
-        u8::from(*high < VOUCHING_LENGTHS) & (u8::from(*code == bfee) | u8::from(*code == noise))
-    };
     let (Some(last_highs), Some(last_codes)) = (highs.last_chunk::<BLOCK>(), codes.last_chunk::<BLOCK>()) else {
         return highs.iter().zip(codes).any(|(high, code)| hit(high, code) != 0);
     };

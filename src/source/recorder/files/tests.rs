@@ -149,3 +149,48 @@ fn a_write_that_failed_leaves_whole_units_and_the_next_goes_behind_them() {
     assert_eq!(std::fs::read(&path).unwrap(), b"0123456789abcdXY");
     std::fs::remove_dir_all(folder).unwrap();
 }
+
+/// A disk that takes three bytes at a time, each time after an interruption, and `room` at most.
+struct Small {
+    taken: Vec<u8>,
+    room: usize,
+    interrupted: bool,
+}
+
+impl Write for Small {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.interrupted = !self.interrupted;
+        if self.interrupted {
+            return Err(io::ErrorKind::Interrupted.into());
+        }
+        let count = bytes.len().min(3).min(self.room - self.taken.len());
+        self.taken.extend_from_slice(&bytes[..count]);
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_write_goes_on_where_it_was_interrupted_until_the_disk_is_full() {
+    for (room, failed) in
+        [(20, None), (10, None), (7, Some(io::ErrorKind::WriteZero)), (0, Some(io::ErrorKind::WriteZero))]
+    {
+        let mut disk = Small { taken: Vec::new(), room, interrupted: false };
+        let (done, outcome) = write_on(&mut disk, b"0123456789");
+        assert_eq!((done, outcome.err().map(|error| error.kind())), (room.min(10), failed), "room for {room}");
+        assert_eq!(disk.taken, b"0123456789"[..done]);
+    }
+    let mut nothing = File::open("/dev/null").unwrap();
+    assert!(matches!(write_on(&mut nothing, b"0"), (0, Err(_))), "it is not open for writing");
+}
+
+#[test]
+fn what_is_kept_of_a_side_file_is_whole_entries() {
+    for (layout, bytes) in [(Layout::Narrow, 8), (Layout::Wide, 16), (Layout::Checked, 16)] {
+        let kept = [0, bytes - 1, bytes, bytes + 1, 5 * bytes - 1].map(|done| whole_entries(layout, done));
+        assert_eq!(kept, [0, 0, bytes, bytes, 4 * bytes], "{layout:?}");
+    }
+}
