@@ -1,5 +1,6 @@
 use super::*;
 use crate::evaluate::{Part, TrajectorySource};
+use std::sync::LazyLock;
 
 /// Bearings of 20 places, of which every fourth is wrong, as a feature says.
 fn rows() -> Vec<FoldRow> {
@@ -34,9 +35,12 @@ fn rows() -> Vec<FoldRow> {
     rows
 }
 
+/// The report of these rows: it takes most of the time of what follows.
+static REPORT: LazyLock<Report> = LazyLock::new(|| report(&rows()));
+
 #[test]
 fn groups_are_pooled_by_sight_and_listed_by_set() {
-    let report = report(&rows());
+    let report = &*REPORT;
     assert_eq!((report.places, report.links), (20, 60));
     let whole = |kind: Kind, group: &str| {
         let is_it = |column: &&ErrorColumn| {
@@ -57,16 +61,14 @@ fn groups_are_pooled_by_sight_and_listed_by_set() {
 
 #[test]
 fn probabilities_come_from_other_places() {
-    let rows = rows();
-    let honest = report(&rows);
     let whole = |report: &Report| {
         let is_it = |column: &&ConfidenceColumn| column.parts == 1 && column.source == TrajectorySource::GroundTruth;
         report.confidence.iter().find(is_it).unwrap().clone()
     };
-    let own = whole(&honest);
+    let own = whole(&REPORT);
     assert!((own.said - own.right).abs() < 0.05 && own.expected_error < 0.15, "{own:?}");
     // A feature that means something else at one place only cannot be learnt from the others.
-    let mut odd = rows;
+    let mut odd = rows();
     for row in odd.iter_mut().filter(|row| row.place == "LOS_Set_A/L4") {
         if let Some(full) = &mut row.full {
             full.features = full.features.take().map(|f| vec![1.0 - f[0], f[1]]);
@@ -77,7 +79,7 @@ fn probabilities_come_from_other_places() {
 
 #[test]
 fn refusing_what_models_of_other_places_doubt_leaves_what_is_right() {
-    let report = report(&rows());
+    let report = &*REPORT;
     let is_it = |column: &&RefusalColumn| {
         let which = &column.which;
         (which.source, which.parts, which.kind, which.group.as_str()) == (TrajectorySource::T265, 2, Kind::Quick, "all")
@@ -92,6 +94,6 @@ fn refusing_what_models_of_other_places_doubt_leaves_what_is_right() {
 
 #[test]
 fn the_same_rows_give_the_same_digits() {
-    assert_eq!(report(&rows()), report(&rows()));
+    assert_eq!(*REPORT, report(&rows()));
     assert!(report(&[]).errors.is_empty() && report(&[]).confidence.is_empty());
 }
