@@ -351,8 +351,8 @@ impl Survey {
     }
 
     fn note_bfee(&mut self, tally: &mut Tally, stamps: Stamps, fields: &Fields) -> Identity {
-        let heard = self.heard.take();
-        let identity = match fields.wsr {
+        let (heard, head) = (self.heard.take(), &fields.head);
+        let identity = match head.wsr {
             Some(wsr) => {
                 self.wsr += 1;
                 let host_us = i64::from(wsr.tv_sec) * 1_000_000 + i64::from(wsr.tv_usec);
@@ -369,31 +369,31 @@ impl Survey {
                 Identity { mac, frame_count, host_us: stamps.host_us }
             }
         };
-        match self.count.step(fields.bfee_count) {
+        match self.count.step(head.bfee_count) {
             None | Some(1) => {}
             Some(0) => self.bfee_repeated += 1,
             Some(step) if step <= u16::MAX / 2 => self.bfee_missing += u64::from(step - 1),
             Some(_) => self.bfee_restarted += 1,
         }
-        if let Some(row) = self.streams.get_mut(usize::from(fields.n_rx).wrapping_sub(1))
-            && let Some(count) = row.get_mut(usize::from(fields.n_tx).wrapping_sub(1))
+        if let Some(row) = self.streams.get_mut(usize::from(head.n_rx).wrapping_sub(1))
+            && let Some(count) = row.get_mut(usize::from(head.n_tx).wrapping_sub(1))
         {
             *count += 1;
         }
-        self.tally_bfee(tally, fields.antenna_sel, fields.rate);
+        self.tally_bfee(tally, head.antenna_sel, head.rate_n_flags);
         self.bad_permutations += u64::from(fields.antennas.is_none());
-        match fields.noise_dbm {
+        match head.noise_dbm {
             -127 => self.noise_unknown += 1,
             noise => self.noise_dbm.note(i32::from(noise)),
         }
-        for (range, rssi) in self.rssi.iter_mut().zip(fields.rssi).filter(|(_, rssi)| *rssi != 0) {
+        for (range, rssi) in self.rssi.iter_mut().zip(head.rssi).filter(|(_, rssi)| *rssi != 0) {
             range.note(i32::from(rssi));
         }
-        self.agc.note(i32::from(fields.agc));
-        self.note_sender(identity.mac, identity.frame_count, fields.timestamp_low);
-        self.host_steps.note(fields.timestamp_low, identity.host_us);
+        self.agc.note(i32::from(head.agc));
+        self.note_sender(identity.mac, identity.frame_count, head.timestamp_low);
+        self.host_steps.note(head.timestamp_low, identity.host_us);
         let elapsed_us = self.host_us.zip(identity.host_us).map(|((_, last), now)| now.saturating_sub(last));
-        let now_us = self.clock.next_after(fields.timestamp_low, elapsed_us);
+        let now_us = self.clock.next_after(head.timestamp_low, elapsed_us);
         if let Some((_, last_us)) = self.clock_us {
             self.clock_steps.note(now_us.saturating_sub(last_us));
         }

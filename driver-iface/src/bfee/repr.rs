@@ -54,6 +54,7 @@ impl Default for Repr {
 impl Repr {
     /// The header fields of a record.
     #[must_use]
+    #[inline]
     pub fn parse(bfee: &Bfee<'_>) -> Self {
         Self {
             timestamp_low: bfee.timestamp_low(),

@@ -110,15 +110,16 @@ impl Columns {
     pub(super) fn push(&mut self, fields: &Fields, identity: Identity, time_us: i64, offset: u64) {
         self.time_us.push(time_us);
         self.host_us.push(identity.host_us.unwrap_or(NO_TIME));
-        self.timestamp_low.push(fields.timestamp_low);
-        self.bfee_count.push(fields.bfee_count);
-        self.n_rx.push(fields.n_rx);
-        self.n_tx.push(fields.n_tx);
-        self.rssi.extend(fields.rssi);
-        self.noise_dbm.push(fields.noise_dbm);
-        self.agc.push(fields.agc);
-        self.rate.push(fields.rate);
-        self.antenna_sel.push(fields.antenna_sel);
+        let head = &fields.head;
+        self.timestamp_low.push(head.timestamp_low);
+        self.bfee_count.push(head.bfee_count);
+        self.n_rx.push(head.n_rx);
+        self.n_tx.push(head.n_tx);
+        self.rssi.extend(head.rssi);
+        self.noise_dbm.push(head.noise_dbm);
+        self.agc.push(head.agc);
+        self.rate.push(head.rate_n_flags);
+        self.antenna_sel.push(head.antenna_sel);
         self.antenna_order.extend(order_of(fields.antennas));
         self.frame.push(identity.frame_count.map_or(-1, i64::from));
         self.mac.extend(identity.mac.0);
