@@ -12,7 +12,7 @@ use nalgebra::{Matrix3, SymmetricEigen, Vector3};
 /// `ln` of how many times likelier a place of joint power `power` is than one of `other`: the likelihood of Gaussian
 /// residuals of unknown variance, by as many looks as are independent.
 pub(crate) fn log_odds(power: f64, other: f64) -> f64 {
-    TUNING.prior.looks_between_peaks * ((1.0 - other).max(1e-6) / (1.0 - power).max(1e-6)).ln()
+    TUNING.prior.looks_of_odds * ((1.0 - other).max(1e-6) / (1.0 - power).max(1e-6)).ln()
 }
 
 /// Whether [`log_odds`] leave no doubt.
