@@ -74,11 +74,11 @@ tuning! {
         /// and range has to be so.
         odds: f64 = 1000.0, "chosen: clean data exceed it by far, real captures of level motion stay below", "half: T265 LOS -0.32/-0.44, time x1.5; double: no effect";
         /// Independent looks where two places are compared by these odds: likelihood goes with the unexplained power to this.
-        looks_of_odds: f64 = 16.0, "parts of real captures (docs/accuracy.md)", "not measured";
+        looks_of_odds: f64 = 16.0, "parts of real captures (docs/accuracy.md)", "half: no effect; double: T265 LOS +0.06/0, time x2.3";
         /// Independent looks where azimuths are compared by their evidence: probability goes with the joint power to this.
-        looks_between_peaks: f64 = 22.4, "chosen by a program in 29 of 30 folds of places (sensitivity -- refit looks)", "half: T265 NLOS +1.8/+2.6; double: LOS -0.01/-0.04, NLOS +0.57/+0.24, T265 LOS +0.50/+0.05, T265 NLOS +0.13/0, time x1.9; also: 12 to 27: within the noise of the parts";
+        looks_between_peaks: f64 = 22.4, "chosen by a program in 29 of 30 folds of places (sensitivity -- refit looks)", "half: LOS +0.01/+0.04, NLOS -0.26/-0.19, T265 NLOS +0.05/0; double: NLOS +0.71/+0.38, T265 LOS +0.15/0, T265 NLOS +0.13/0";
         /// Independent looks where places within a peak are weighed, for a peak that explains half of the power.
-        looks_within_peak: f64 = 12.0, "not recorded; a program (sensitivity -- refit looks) chooses 8.4, which moves no column of whole motions by more than 0.05 degrees and raises the largest error of a circle in noise by half", "half: LOS -0.04/-0.04, NLOS -0.02/+0.02, T265 LOS -0.04/+0.01, T265 NLOS -0.04/-0.10; double: LOS +0.04/-0.01, NLOS +0.04/+0.03, T265 LOS +0.06/+0.07, T265 NLOS +0.09/+0.20";
+        looks_within_peak: f64 = 12.0, "not recorded; a program (sensitivity -- refit looks) chooses 8.4, which moves no column of whole motions by more than 0.05 degrees and raises the largest error of a circle in noise by half", "half: LOS -0.04/-0.02, NLOS -0.01/+0.04, T265 LOS -0.04/+0.01, T265 NLOS -0.04/-0.10; double: LOS +0.04/-0.02, NLOS +0.03/-0.07, T265 LOS +0.06/+0.07, T265 NLOS +0.09/+0.20";
         /// Steps of the weighing on either side, in azimuth.
         azimuth_steps: i32 = 5, "not recorded", "half: LOS +0.01/+0.03, T265 LOS +0.04/+0.04, T265 NLOS +0.03/+0.09; double: LOS -0.14/-0.05, NLOS -0.03/+0.23, T265 LOS -0.08/-0.53, T265 NLOS +0.09/+0.65";
         /// Their length, cells of the grid.

@@ -4,6 +4,7 @@ use super::fix::Source;
 use super::prior;
 use super::search::{Search, scores};
 use super::types::{Place, Precision};
+use crate::maths::wrap_rad;
 use std::f64::consts::{PI, TAU};
 
 /// What the azimuth of an answer was chosen from: the evidence of every azimuth, `(mean of P^n)^(1/n)` of the joint power
@@ -11,7 +12,7 @@ use std::f64::consts::{PI, TAU};
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Evidence {
-    /// Azimuths, radians in (-pi, pi], rising: even around the circle, and those of all sources.
+    /// Azimuths, radians in (-pi, pi], rising: even around the circle, closer about the answer, and those of all sources.
     pub azimuths_rad: Vec<f64>,
     /// Evidence of each, 0..1.
     pub values: Vec<f64>,
@@ -34,16 +35,27 @@ pub struct Maps {
     pub over_range: Vec<f64>,
 }
 
+/// Azimuths on either side of the answer that are closer than those of the circle, and their distance, radians.
+const CLOSE: (i32, f64) = (60, 0.1 * PI / 180.0);
+
 /// Rows of a map.
 const ROWS: usize = 24;
 
 impl Search {
-    /// The evidence over azimuth: of `azimuths` of them even around the circle, and of those of `sources`. The elevations
+    /// The evidence over azimuth: of `azimuths` of them even around the circle, of those of `sources`, and of some close to the
+    /// first of these, whose peak may be narrower than a step around the circle. The elevations
     /// and ranges of the sources are looked at beside the grid's, which may miss a narrow peak between two of its own.
     #[must_use]
     pub fn evidence(&mut self, azimuths: usize, sources: &[Source]) -> Evidence {
         let even = (1..=azimuths).map(|k| TAU * k as f64 / azimuths as f64 - PI);
-        let mut azimuths_rad: Vec<f64> = even.chain(sources.iter().map(|source| source.azimuth_rad)).collect();
+        let (count, step_rad) = CLOSE;
+        let steps = (-count..=count).filter(|k| *k != 0);
+        let close = sources
+            .first()
+            .into_iter()
+            .flat_map(|first| steps.clone().map(move |k| wrap_rad(first.azimuth_rad + f64::from(k) * step_rad)));
+        let own = sources.iter().map(|source| source.azimuth_rad);
+        let mut azimuths_rad: Vec<f64> = even.chain(own).chain(close).collect();
         azimuths_rad.sort_by(f64::total_cmp);
         let depth = self.axes.elevations.len() * self.axes.curves.len();
         let column: Vec<Place> =
