@@ -115,6 +115,10 @@ pub struct Framer {
     seen: Codes,
     /// Positions of the present front that are known to begin no record.
     searched: usize,
+    /// Positions of it that are known to begin none that vouches for itself.
+    searched_sure: usize,
+    /// Whether the checksum of the present front is right, once it was asked for.
+    front_is_right: Option<bool>,
     /// Bytes that checksums may still be taken of; see [`CREDIT`].
     credit: usize,
 }
@@ -188,7 +192,8 @@ impl Framer {
     /// At the start of a stream.
     #[must_use]
     pub fn new() -> Self {
-        Self { offset: 0, state: State::Fresh, seen: Codes::default(), searched: 0, credit: CREDIT }
+        let (seen, credit) = (Codes::default(), CREDIT);
+        Self { offset: 0, state: State::Fresh, seen, searched: 0, searched_sure: 0, front_is_right: None, credit }
     }
 
     /// Position in the stream: bytes consumed so far.
@@ -350,7 +355,10 @@ impl Framer {
     /// A record that nothing speaks for but an MPDU's checksum; `reason` is what speaks against it.
     #[inline(never)]
     fn judge_alone(&mut self, front: &[u8], len: usize, reason: Reason) -> Verdict {
-        if self.checksum(front, len) == Some(true) { Verdict::take(len) } else { Verdict::Seek { from: 1, reason } }
+        // Paid for once, however often it is asked for before enough bytes are there.
+        let is_right = self.front_is_right.unwrap_or_else(|| self.checksum(front, len) == Some(true));
+        self.front_is_right = Some(is_right);
+        if is_right { Verdict::take(len) } else { Verdict::Seek { from: 1, reason } }
     }
 
     /// The stream ends inside the record at the front, or in what looks like one.
@@ -382,7 +390,7 @@ impl Framer {
         if self.credit < CREDIT {
             self.credit = self.credit.saturating_add(bytes.saturating_mul(CREDIT_PER_BYTE)).min(CREDIT);
         }
-        self.searched = 0;
+        (self.searched, self.searched_sure, self.front_is_right) = (0, 0, None);
         self.state = next;
         offset
     }

@@ -129,7 +129,7 @@ impl Framer {
     /// The first position inside a record of `len` bytes at which another begins that vouches for itself.
     #[inline(never)]
     pub(super) fn search_sure(&mut self, front: &[u8], end: bool, len: usize) -> Found {
-        let mut at = self.searched.max(1);
+        let mut at = self.searched_sure.max(1);
         while at < whole_heads(front, len) {
             let to = whole_heads(front, len).min(at + STRETCH);
             if may_vouch(front, at, to)
@@ -143,7 +143,7 @@ impl Framer {
             match head(front.get(at..).unwrap_or_default(), &self.seen) {
                 Head::Good { bits, .. } if bits >= SURE => return Found::At(at),
                 Head::Short if !end => {
-                    self.searched = at;
+                    self.searched_sure = at;
                     return Found::Short;
                 }
                 _ => {}
