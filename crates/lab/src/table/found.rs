@@ -8,6 +8,7 @@ use csi5300::source::{Loss, Next, Origin, Stamps};
 use csi5300::time::Instant;
 use driver_iface::bfee::Bfee;
 use driver_iface::record::{LENGTH_FIELD, Record, Tail, code};
+use fearless_simd::{Level, dispatch};
 
 /// Bytes of a record before its body.
 const HEAD: u64 = LENGTH_FIELD as u64 + 1;
@@ -56,7 +57,13 @@ impl Found {
 
     /// Adds what is in `bytes`, the block's, from byte `at` on; `is_last` says that the log ends there. Gives the first byte that was
     /// not used, where a record begins.
-    pub fn find(&mut self, bytes: &[u8], mut at: usize, framing: &mut Framing, is_last: bool) -> usize {
+    pub fn find(&mut self, bytes: &[u8], at: usize, framing: &mut Framing, is_last: bool) -> usize {
+        dispatch!(Level::new(), _ => self.find_in(bytes, at, framing, is_last))
+    }
+
+    /// [`Self::find`], in whatever vectors it is compiled for.
+    #[inline(always)]
+    fn find_in(&mut self, bytes: &[u8], mut at: usize, framing: &mut Framing, is_last: bool) -> usize {
         loop {
             match framing.step(bytes.get(at..).unwrap_or_default(), is_last) {
                 Front::Record { used, body, code, offset, host_us } => {

@@ -202,17 +202,25 @@ fn any_vouches(highs: &[u8], codes: &[u8]) -> bool {
     };
     // The last block overlaps the one before.
     let mut least = nearer([u8::MAX; BLOCK], last_highs, last_codes);
-    for (highs, codes) in highs.as_chunks().0.iter().zip(codes.as_chunks().0) {
-        least = nearer(least, highs, codes);
+    let (mut highs, mut codes) = (highs, codes);
+    while let (Some((first_highs, more_highs)), Some((first_codes, more_codes))) =
+        (highs.split_first_chunk(), codes.split_first_chunk())
+    {
+        least = nearer(least, first_highs, first_codes);
+        (highs, codes) = (more_highs, more_codes);
     }
-    least.iter().fold(false, |any, least| any | (*least == 0))
+    let mut any = false;
+    for least in least {
+        any |= least == 0;
+    }
+    any
 }
 
 /// Of each position in a block what [`miss`] says, or what was there before if that is less.
 #[inline(always)]
 fn nearer<const BLOCK: usize>(mut least: [u8; BLOCK], highs: &[u8; BLOCK], codes: &[u8; BLOCK]) -> [u8; BLOCK] {
-    for ((least, high), code) in least.iter_mut().zip(highs).zip(codes) {
-        *least = miss(*high, *code).min(*least);
+    for k in 0..BLOCK {
+        least[k] = least[k].min(miss(highs[k], codes[k]));
     }
     least
 }
