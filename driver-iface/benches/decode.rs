@@ -1,4 +1,4 @@
-//! Decodes a log as a stream, one thread, a fixed buffer, to `f32`; all CSI of a record in the widest vectors that the processor has.
+//! Decodes a log as a stream, one thread, a fixed buffer, to `f32`; framing and unpacking in the widest vectors that the processor has.
 //!
 //! `cargo bench -p driver-iface --bench decode -- [LOG [RUNS]]` prints, for each of three tasks, the median time of
 //! the runs and records per second. Without a log 200 MB of records made by `emit` are written to a temporary file;
@@ -29,6 +29,10 @@ enum Task {
     Column(&'static [u8]),
 }
 
+/// Numbers of a record, where no wide vector of them lies in two lines of the cache.
+#[repr(align(64))]
+struct Out([f32; 2 * MAX_SAMPLES]);
+
 const EIGHT: [u8; 8] = [0, 4, 8, 12, 16, 20, 24, 28];
 const TASKS: [(&str, Task); 3] =
     [("all", Task::All), ("antenna30", Task::Column(&ALL_SUBCARRIERS)), ("antenna8", Task::Column(&EIGHT))];
@@ -51,10 +55,11 @@ fn main() {
     };
     for (name, task) in TASKS {
         let mut times = Vec::new();
-        let mut records = decode(&log, task);
+        let level = Level::new();
+        let mut records = dispatch!(level, _ => decode(&log, task));
         for _ in 0..runs {
             let start = Instant::now();
-            records = decode(&log, task);
+            records = dispatch!(level, _ => decode(&log, task));
             times.push(start.elapsed().as_secs_f64());
         }
         times.sort_by(f64::total_cmp);
@@ -67,16 +72,17 @@ fn main() {
 }
 
 /// Reads the log to its end; returns the number of records decoded.
+#[inline(always)]
 fn decode(log: &Path, task: Task) -> u64 {
     let mut file = File::open(log).unwrap();
     let mut buffer = vec![0; BUFFER];
-    let mut out = [0.0_f32; 2 * MAX_SAMPLES];
-    let (mut framer, level) = (Framer::new(), Level::new());
+    let mut out = Out([0.0_f32; 2 * MAX_SAMPLES]);
+    let mut framer = Framer::new();
     let (mut from, mut to, mut end, mut records) = (0, 0, false, 0);
     loop {
         match framer.step(&buffer[from..to], end) {
             Step::Record { used, record, .. } => {
-                records += u64::from(record.code == code::BFEE && decode_record(level, &record, task, &mut out));
+                records += u64::from(record.code == code::BFEE && decode_record(&record, task, &mut out.0));
                 from += used;
             }
             Step::Bad { skipped, .. } => from += skipped,
@@ -92,13 +98,13 @@ fn decode(log: &Path, task: Task) -> u64 {
     }
 }
 
-fn decode_record(level: Level, record: &Record<'_>, task: Task, out: &mut [f32; 2 * MAX_SAMPLES]) -> bool {
+#[inline(always)]
+fn decode_record(record: &Record<'_>, task: Task, out: &mut [f32; 2 * MAX_SAMPLES]) -> bool {
     let Ok(bfee) = Bfee::new_checked(record.body) else { return false };
     match task {
-        Task::All => dispatch!(level, _ => bfee.unpack_f32(out)),
+        Task::All => bfee.unpack_f32(out),
         Task::Column(subcarriers) => {
             let Some(chain) = bfee.chain_of(driver_iface::bfee::Antenna::A) else { return false };
-            // Too few numbers for wide vectors to be worth their call.
             bfee.column_f32(chain, 0, subcarriers, out)
         }
     };

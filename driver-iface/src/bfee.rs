@@ -329,12 +329,14 @@ impl<'a> Bfee<'a> {
     ///
     /// # Errors
     /// [`InvalidPerm`], see [`Antennas::new`].
+    #[inline]
     pub fn antennas(&self) -> Result<Antennas, InvalidPerm> {
         Antennas::new(self.antenna_sel(), self.head[offset::N_RX], self.rssi())
     }
 
     /// The raw chain of an antenna; `None` when it was not used or the permutation is invalid.
     #[must_use]
+    #[inline]
     pub fn chain_of(&self, antenna: Antenna) -> Option<usize> {
         self.antennas().ok()?.chain_of(antenna)
     }

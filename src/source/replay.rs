@@ -147,8 +147,8 @@ impl<R: Read> Bytes<R> {
 }
 
 impl Framing {
-    /// Looks at the front of the bytes that were not used; `end` says that no more will follow.
-    #[inline]
+    /// Looks at the front of the bytes that were not used; `end` says that no more will follow. Inlined, as [`Framer::step`] is.
+    #[inline(always)]
     pub fn step(&mut self, front: &[u8], end: bool) -> Front {
         match self.framer.step(front, end) {
             Step::Record { offset, used, record } => {

@@ -55,9 +55,14 @@ impl Antennas {
     ///
     /// # Errors
     /// [`InvalidPerm`] when the bits name no antenna or one twice. Nothing is guessed.
+    #[inline]
     pub fn new(antenna_sel: u8, n_rx: u8, rssi: [u8; 3]) -> Result<Self, InvalidPerm> {
         let invalid = InvalidPerm { antenna_sel, n_rx };
-        let [a, b, c] = [0, 2, 4].map(|shift| Antenna::from_bits(antenna_sel >> shift & 3));
+        if n_rx == 3 {
+            let of_chain = OF_THREE.get(usize::from(antenna_sel & 63)).copied().flatten().ok_or(invalid)?;
+            return Ok(Self { of_chain, n_rx });
+        }
+        let [a, b] = [0, 2].map(|shift| Antenna::from_bits(antenna_sel >> shift & 3));
         let of_chain = match n_rx {
             1 => {
                 let only = a.or_else(|| only_heard(rssi)).ok_or(invalid)?;
@@ -67,10 +72,6 @@ impl Antennas {
                 let (a, b) = a.zip(b).filter(|(a, b)| a != b).ok_or(invalid)?;
                 [a, b, b]
             }
-            3 => match (a, b, c) {
-                (Some(a), Some(b), Some(c)) if a != b && b != c && a != c => [a, b, c],
-                _ => return Err(invalid),
-            },
             _ => return Err(invalid),
         };
         Ok(Self { of_chain, n_rx })
@@ -84,10 +85,30 @@ impl Antennas {
 
     /// The raw chain that was connected to `antenna`, if any.
     #[must_use]
+    #[inline]
     pub fn chain_of(&self, antenna: Antenna) -> Option<usize> {
         self.as_slice().iter().position(|&a| a == antenna)
     }
 }
+
+/// The antennas of three chains, by the low six bits of `antenna_sel`: all that are permutations.
+static OF_THREE: [Option<[Antenna; 3]>; 64] = {
+    let mut table = [None; 64];
+    let mut first = 0;
+    while first < 3 {
+        let mut second = 0;
+        while second < 3 {
+            if first != second {
+                let third = 3 - first - second;
+                table[first | second << 2 | third << 4] =
+                    Some([Antenna::ALL[first], Antenna::ALL[second], Antenna::ALL[third]]);
+            }
+            second += 1;
+        }
+        first += 1;
+    }
+    table
+};
 
 /// The one antenna with a nonzero RSSI.
 fn only_heard(rssi: [u8; 3]) -> Option<Antenna> {

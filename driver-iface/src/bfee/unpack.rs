@@ -15,8 +15,14 @@ pub const MAX_SAMPLE_BYTES: usize = 2 * MAX_SAMPLES + WORD;
 const GAP: usize = 3;
 /// Bytes of such a load.
 const WORD: usize = 8;
+/// Bytes of a load for one sample.
+const LOAD: usize = 4;
 /// Samples that one 64-bit load yields, whatever the bit offset: 48 bits and at most 7 before them.
 const PER_WORD: usize = 3;
+
+/// Bytes on the way to floats, where no wide vector of them lies in two lines of the cache.
+#[repr(align(64))]
+struct Lines<const N: usize>([u8; N]);
 
 /// One sample as the card reports it; +-127 and -128 mean saturation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -69,9 +75,9 @@ fn unpack_bytes_n<const N: usize>(payload: &[u8], bytes: &mut [u8]) -> Option<us
 #[inline(always)]
 fn unpack_f32_n<const N: usize, const BYTES: usize>(payload: &[u8], out: &mut [f32]) -> Option<usize> {
     let out = out.get_mut(..2 * SUBCARRIERS * N)?;
-    let mut bytes = [0; BYTES];
-    unpack_bytes_n::<N>(payload, &mut bytes)?;
-    widen(&bytes, out);
+    let mut bytes = Lines([0; BYTES]);
+    unpack_bytes_n::<N>(payload, &mut bytes.0)?;
+    widen(&bytes.0, out);
     Some(SUBCARRIERS * N)
 }
 
@@ -125,27 +131,78 @@ fn unpack_planes_run<const N: usize, const COUNT: usize>(
     }
 }
 
-/// The two bytes of a sample inside the payload: its subcarrier's `bit`, its place `index` there.
-///
-/// The load is moved back from the end, as in [`word_at`].
+/// Where a sample lies in the payload: the first byte of a load, and the bits before the sample there.
+#[derive(Clone, Copy)]
+struct Place {
+    from: u16,
+    shift: u16,
+}
+
+impl Place {
+    /// Of sample `index` of the subcarrier that begins at `bit`, in a payload of `len` bytes. The load is moved back from the end, as in
+    /// [`word_at`].
+    #[inline(always)]
+    const fn new(len: usize, bit: usize, index: usize) -> Self {
+        let (wanted, last) = (bit / 8 + 2 * index, len.saturating_sub(LOAD));
+        let from = if wanted < last { wanted } else { last };
+        Self { from: from as u16, shift: (8 * (wanted - from) + bit % 8) as u16 }
+    }
+
+    /// The sample in the low half.
+    #[inline(always)]
+    fn load(self, payload: &[u8]) -> u32 {
+        let rest = payload.get(self.from.into()..);
+        rest.and_then(|rest| rest.first_chunk()).map_or(0, |word| u32::from_le_bytes(*word)) >> (self.shift & 31)
+    }
+
+    /// The two bytes of the sample.
+    #[inline(always)]
+    fn sample(self, payload: &[u8]) -> [u8; 2] {
+        (self.load(payload) as u16).to_le_bytes()
+    }
+}
+
+/// Where the samples of `N` chain pairs lie: of each pair every subcarrier's.
+struct Places<const N: usize>;
+
+impl<const N: usize> Places<N> {
+    const OF: &[[Place; SUBCARRIERS]; N] = &{
+        let mut places = [[Place { from: 0, shift: 0 }; SUBCARRIERS]; N];
+        let mut at = 0;
+        while at < SUBCARRIERS * N {
+            let (subcarrier, index) = (at / N, at % N);
+            places[index][subcarrier] = Place::new(60 * N + 12, bit_of(subcarrier, 0, N), index);
+            at += 1;
+        }
+        places
+    };
+}
+
+/// True for all subcarriers in order. An array is compared without a call.
 #[inline(always)]
-fn sample_at(payload: &[u8], bit: usize, index: usize) -> [u8; 2] {
-    const LOAD: usize = 4;
-    let wanted = bit / 8 + 2 * index;
-    let from = wanted.min(payload.len().saturating_sub(LOAD));
-    let word = payload.get(from..).and_then(|rest| rest.first_chunk()).map_or(0, |word| u32::from_le_bytes(*word));
-    let shift = 8 * (wanted - from) + bit % 8;
-    ((word >> (shift & 31)) as u16).to_le_bytes()
+fn is_whole(subcarriers: &[u8]) -> bool {
+    <&[u8; SUBCARRIERS]>::try_from(subcarriers).is_ok_and(|numbers| *numbers == ALL_SUBCARRIERS)
+}
+
+/// True if all numbers are those of subcarriers; eight at once, without a look at those of a whole column.
+#[inline(always)]
+fn are_subcarriers(numbers: &[u8]) -> bool {
+    let outside = |numbers: &[u8]| numbers.iter().fold(false, |any, &s| any | (usize::from(s) >= SUBCARRIERS));
+    let (eights, rest) = numbers.as_chunks::<8>();
+    is_whole(numbers) || !eights.iter().fold(outside(rest), |any, eight| any | outside(eight))
 }
 
 /// One sample of each subcarrier asked for, of `N` chain pairs, widened.
 #[inline(always)]
 fn column_f32_n<const N: usize>(payload: &[u8], index: usize, subcarriers: &[u8], out: &mut [[f32; 2]]) -> Option<()> {
     let payload = payload.get(..60 * N + 12)?;
-    if subcarriers == ALL_SUBCARRIERS {
+    if let Ok(out) = out.try_into()
+        && is_whole(subcarriers)
+    {
         return column_f32_all::<N>(payload, index, out);
     }
-    let sample = |subcarrier: u8| sample_at(payload, bit_of(usize::from(subcarrier), 0, N), index);
+    let places = Places::<N>::OF.get(index)?;
+    let sample = |subcarrier: u8| places.get(usize::from(subcarrier)).map_or([0; 2], |place| place.sample(payload));
     let (fours, rest) = subcarriers.as_chunks::<4>();
     let (out_fours, out_rest) = out.split_at_mut(4 * fours.len());
     for (out, four) in out_fours.as_chunks_mut::<4>().0.iter_mut().zip(fours) {
@@ -161,25 +218,27 @@ fn column_f32_n<const N: usize>(payload: &[u8], index: usize, subcarriers: &[u8]
 
 /// One sample of every subcarrier: first gathered, so that widening vectorises.
 #[inline(always)]
-fn column_f32_all<const N: usize>(payload: &[u8], index: usize, out: &mut [[f32; 2]]) -> Option<()> {
-    let mut samples = [[0; 2]; SUBCARRIERS];
-    let (octaves, rest) = samples.as_chunks_mut::<8>();
-    for (octave, samples) in octaves.iter_mut().enumerate() {
+fn column_f32_all<const N: usize>(payload: &[u8], index: usize, out: &mut [[f32; 2]; SUBCARRIERS]) -> Option<()> {
+    let mut bytes = Lines([0; 2 * SUBCARRIERS + LOAD]);
+    for octave in 0..3 {
         let from = octave * (GAP + 16 * N) + 2 * index;
-        gather_run::<N>(payload.get(from..from + 14 * N + 6)?, samples);
+        gather_run::<N, 8>(payload.get(from..from + 14 * N + 6)?, bytes.0.get_mut(16 * octave..)?);
     }
     let from = 3 * (GAP + 16 * N) + 2 * index;
-    gather_run::<N>(payload.get(from..from + 10 * N + 5)?, rest);
-    widen(samples.as_flattened(), out.as_flattened_mut());
+    gather_run::<N, 6>(payload.get(from..from + 10 * N + 5)?, bytes.0.get_mut(48..)?);
+    widen(&bytes.0, out.as_flattened_mut());
     Some(())
 }
 
-/// One sample of each subcarrier of a run whose first begins on a byte of `payload`, as every eighth one does: all
-/// offsets are constants.
+/// One sample of each of `COUNT` subcarriers in a row, the first of which begins on a byte of `payload`, as every eighth one does: all
+/// offsets are constants. Each is written with what the load has behind it, which the next one is written over.
 #[inline(always)]
-fn gather_run<const N: usize>(payload: &[u8], samples: &mut [[u8; 2]]) {
-    for (subcarrier, sample) in samples.iter_mut().enumerate() {
-        *sample = sample_at(payload, bit_of(subcarrier, 0, N), 0);
+fn gather_run<const N: usize, const COUNT: usize>(payload: &[u8], bytes: &mut [u8]) {
+    for subcarrier in 0..COUNT {
+        let place = bytes.get_mut(2 * subcarrier..).and_then(|rest| rest.first_chunk_mut());
+        if let Some(place) = place {
+            *place = Place::new(payload.len(), bit_of(subcarrier, 0, N), 0).load(payload).to_le_bytes();
+        }
     }
 }
 
@@ -301,7 +360,8 @@ impl Bfee<'_> {
         let index = self.column_index(rx, tx, subcarriers)?;
         let n = self.n_rx() * self.n_tx();
         for (out, &subcarrier) in out.get_mut(..subcarriers.len())?.iter_mut().zip(subcarriers) {
-            let [i, q] = sample_at(self.payload(), bit_of(usize::from(subcarrier), 0, n), index).map(u8::cast_signed);
+            let bit = bit_of(usize::from(subcarrier), 0, n);
+            let [i, q] = Place::new(self.payload().len(), bit, index).sample(self.payload()).map(u8::cast_signed);
             *out = Iq { i, q };
         }
         Some(subcarriers.len())
@@ -337,8 +397,7 @@ impl Bfee<'_> {
     /// Position of a chain pair among the samples of a subcarrier, if it and all `subcarriers` are in range.
     #[inline]
     fn column_index(&self, rx: usize, tx: usize, subcarriers: &[u8]) -> Option<usize> {
-        let last = subcarriers.iter().fold(0, |last, &s| last.max(s));
-        let inside = rx < self.n_rx() && tx < self.n_tx() && usize::from(last) < SUBCARRIERS;
+        let inside = rx < self.n_rx() && tx < self.n_tx() && are_subcarriers(subcarriers);
         inside.then(|| rx * self.n_tx() + tx)
     }
 }

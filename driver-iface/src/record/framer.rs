@@ -27,11 +27,13 @@
 //! the front is `Damage` from its first byte on; a record found right there ends that state.
 
 mod evidence;
+mod usual;
 
 use super::head::{Codes, Head, Reason, SURE, head, likely, sure};
 use super::{LENGTH_FIELD, MAX_LENGTH, Record};
 use crate::bfee::MAX_BODY;
 use evidence::{CREDIT, CREDIT_PER_BYTE, Chain, Found, Links, MAX_LINKS, gaps_are_clear, is_plain};
+use usual::Usual;
 
 /// Bytes of buffer with which [`Framer::step`] can always decide.
 pub const LOOKAHEAD: usize = 72 * 1024;
@@ -121,6 +123,7 @@ pub struct Framer {
     front_is_right: Option<bool>,
     /// Bytes that checksums may still be taken of; see [`CREDIT`].
     credit: usize,
+    usual: Usual,
 }
 
 impl Default for Framer {
@@ -192,8 +195,8 @@ impl Framer {
     /// At the start of a stream.
     #[must_use]
     pub fn new() -> Self {
-        let (seen, credit) = (Codes::default(), CREDIT);
-        Self { offset: 0, state: State::Fresh, seen, searched: 0, searched_sure: 0, front_is_right: None, credit }
+        let (seen, credit, usual) = (Codes::default(), CREDIT, Usual::default());
+        Self { offset: 0, state: State::Fresh, seen, searched: 0, searched_sure: 0, front_is_right: None, credit, usual }
     }
 
     /// Position in the stream: bytes consumed so far.
@@ -203,32 +206,52 @@ impl Framer {
     }
 
     /// Looks at the front of the unconsumed bytes; `end` says that no more will follow.
+    #[inline(always)]
     pub fn step<'a>(&mut self, front: &'a [u8], end: bool) -> Step<'a> {
-        if let Some((len, next)) = self.go_on(front) {
-            return self.take(front, len, next);
+        if let Some((record, len, next)) = self.go_on(front) {
+            let offset = self.consume(len, next);
+            return Step::Record { offset, used: len, record };
         }
-        match self.judge(front, end) {
-            Verdict::Take { len, next } => self.take(front, len, next),
-            verdict => self.settle(front, end, verdict),
+        // Put together anew: what comes back by memory would have the step above go there too.
+        match self.step_in_doubt(front, end) {
+            Step::Record { offset, used, record } => Step::Record { offset, used, record },
+            Step::Bad { offset, skipped, reason } => Step::Bad { offset, skipped, reason },
+            Step::Incomplete => Step::Incomplete,
+            Step::End(tail) => Step::End(tail),
         }
     }
 
-    /// The rows of the table that a good log keeps to: its records are `Vouched` and `Followed` in turns, or `Vouched` all.
-    /// Length of the record at the front and what is known of what follows, in registers; `None` leaves it to [`Self::judge`].
+    /// A step that asks for more than what a good log shows.
+    #[cold]
+    #[inline(never)]
+    fn step_in_doubt<'a>(&mut self, front: &'a [u8], end: bool) -> Step<'a> {
+        let verdict = self.judge(front, end);
+        self.settle(front, end, verdict)
+    }
+
+    /// The rows of the table that a good log keeps to: its records are `Vouched` and `Followed` in turns, or `Vouched` all, and as usual.
+    /// The record at the front, its length and what is known of what follows, in registers; `None` leaves it to [`Self::judge`].
+    /// Its code is one that is known anyhow.
     #[inline(always)]
-    fn go_on(&self, front: &[u8]) -> Option<(usize, State)> {
-        match self.state {
-            State::Vouched { len } => Some((len.into(), self.behind_sure(front.get(len.into()..)?)?)),
-            State::Followed { len, next } if is_plain(front, len.into()) => {
-                Some((len.into(), State::Vouched { len: next }))
-            }
-            _ => None,
-        }
+    fn go_on<'a>(&self, front: &'a [u8]) -> Option<(Record<'a>, usize, State)> {
+        let (len, next) = match self.state {
+            State::Vouched { len } => (len.into(), self.usual.behind_sure(front.get(len.into()..)?)?),
+            State::Followed { len, next } if is_plain(front, len.into()) => (len.into(), State::Vouched { len: next }),
+            _ => return None,
+        };
+        Some((Record::from_message(front.get(LENGTH_FIELD..len)?)?, len, next))
     }
 
     /// What is known of the `rest` behind a record that vouches for itself, if that is enough to take it.
+    fn behind_sure(&mut self, rest: &[u8]) -> Option<State> {
+        let state = self.look_behind_sure(rest)?;
+        self.usual.learn(rest, state);
+        Some(state)
+    }
+
+    /// [`Self::behind_sure`], by the whole heads.
     #[inline(always)]
-    fn behind_sure(&self, rest: &[u8]) -> Option<State> {
+    fn look_behind_sure(&self, rest: &[u8]) -> Option<State> {
         if let Some(next) = sure(rest) {
             return Some(State::Vouched { len: next as Len });
         }

@@ -8,6 +8,7 @@ use csi5300::source::{Loss, Next, Origin, Stamps};
 use csi5300::time::Instant;
 use driver_iface::bfee::Bfee;
 use driver_iface::record::{LENGTH_FIELD, Record, Tail, code};
+use fearless_simd::{Level, dispatch};
 
 /// Bytes of a record before its body.
 const HEAD: u64 = LENGTH_FIELD as u64 + 1;
@@ -38,7 +39,7 @@ pub(super) enum Thing<'a> {
 }
 
 /// What was found in a block, in its order.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Found {
     places: Vec<Place>,
     /// Of the intact bfee records among those that are plain.
@@ -49,14 +50,25 @@ pub(super) struct Found {
 }
 
 impl Found {
-    /// Nothing yet; with room for `most` at once.
-    pub fn with_room(most: usize) -> Self {
-        Self { places: Vec::with_capacity(most), fields: Vec::with_capacity(most), others: Vec::new(), start: 0 }
+    /// Forgets all that was found and makes room for `most` things; memory that there is stays.
+    pub fn emptied(mut self, most: usize) -> Self {
+        self.places.clear();
+        self.fields.clear();
+        self.others.clear();
+        self.places.reserve(most);
+        self.fields.reserve(most);
+        Self { start: 0, ..self }
     }
 
     /// Adds what is in `bytes`, the block's, from byte `at` on; `is_last` says that the log ends there. Gives the first byte that was
     /// not used, where a record begins.
-    pub fn find(&mut self, bytes: &[u8], mut at: usize, framing: &mut Framing, is_last: bool) -> usize {
+    pub fn find(&mut self, bytes: &[u8], at: usize, framing: &mut Framing, is_last: bool) -> usize {
+        dispatch!(Level::new(), _ => self.find_in(bytes, at, framing, is_last))
+    }
+
+    /// [`Self::find`], in whatever vectors it is compiled for.
+    #[inline(always)]
+    fn find_in(&mut self, bytes: &[u8], mut at: usize, framing: &mut Framing, is_last: bool) -> usize {
         loop {
             match framing.step(bytes.get(at..).unwrap_or_default(), is_last) {
                 Front::Record { used, body, code, offset, host_us } => {
@@ -117,7 +129,7 @@ impl Found {
     }
 
     /// Gives all, received at `now`, with their places in the block's `bytes`; whether the log ends there.
-    pub fn each(self, bytes: &[u8], now: Instant, mut take: impl FnMut(Thing<'_>, Span)) -> bool {
+    pub fn each(&self, bytes: &[u8], now: Instant, mut take: impl FnMut(Thing<'_>, Span)) -> bool {
         let mut ended = false;
         let stamps = |host_us, offset| Stamps { at: now, host_us, origin: Origin::File { offset } };
         let record = |stamps, code, span: Span| Next::Record(stamps, Record { code, body: span.of(bytes) });

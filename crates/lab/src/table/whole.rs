@@ -9,7 +9,7 @@ use csi5300::source::replay::{Bytes, Framing, Replay};
 use csi5300::time::Instant;
 use driver_iface::record::LOOKAHEAD;
 use std::io::Read;
-use std::sync::mpsc::sync_channel;
+use std::sync::mpsc::{channel, sync_channel};
 
 /// Pieces that may wait between the thread that reads and the one that sorts.
 const AHEAD: usize = 4;
@@ -84,7 +84,7 @@ impl<R: Read + Send> Reading<Replay<R>> {
         let (bytes, framing) = replay.halves();
         let mut cutter = Cutter { bytes, framing, left: Vec::new(), most: 0 };
         let mut sorter = Sorter { table, now, sorted: Sorted::default(), ended: false };
-        let (first, more) = cutter.next(Block::fixed(cut.first), 0);
+        let (first, more) = cutter.next(Block::fixed(cut.first), Found::default(), 0);
         let first_bytes = first.block.bytes().len();
         sorter.take(first);
         if more? && go_on() {
@@ -92,10 +92,7 @@ impl<R: Read + Send> Reading<Replay<R>> {
                 sorter.table.reserve(expected(sorter.table.kept(), first_bytes, size), advise);
             }
             if bodies {
-                in_pieces(cutter, cut, |piece| {
-                    sorter.take(piece);
-                    go_on()
-                })?;
+                in_pieces(cutter, cut, |piece| (sorter.take(piece).found, go_on()))?;
             } else {
                 in_one_block(cutter, cut, |piece| (sorter.take(piece), go_on()))?;
             }
@@ -117,17 +114,25 @@ struct Piece {
     found: Found,
 }
 
-/// Cuts a log into pieces in a thread of its own and hands over one after the other; `take` says whether to go on.
+/// What is left of a piece to be used again: what was found in it, and its block if that is not kept.
+struct Spare {
+    block: Option<Block>,
+    found: Found,
+}
+
+/// Cuts a log into pieces in a thread of its own and hands over one after the other; `take` gives back what was found, whose memory
+/// is used again, and says whether to go on.
 fn in_pieces<R: Read + Send>(
     mut cutter: Cutter<'_, R>,
     cut: Cut,
-    mut take: impl FnMut(Piece) -> bool,
+    mut take: impl FnMut(Piece) -> (Found, bool),
 ) -> Result<(), Error> {
     let (sender, pieces) = sync_channel(AHEAD);
+    let (back, used) = channel();
     std::thread::scope(|scope| {
         let read = move || {
             loop {
-                let (piece, more) = cutter.next(cut.next(), cut.head);
+                let (piece, more) = cutter.next(cut.next(), used.try_recv().unwrap_or_default(), cut.head);
                 let is_last = !matches!(more, Ok(true));
                 // Nobody receives once it was enough.
                 if sender.send((piece, more)).is_err() || is_last {
@@ -138,10 +143,12 @@ fn in_pieces<R: Read + Send>(
         let started = std::thread::Builder::new().name("csi5300-read".into()).spawn_scoped(scope, read);
         started.map_err(|source| Error::Io { what: "cannot start a thread to read the log".into(), source })?;
         for (piece, more) in pieces {
-            let go_on = take(piece);
+            let (found, go_on) = take(piece);
             if !more? || !go_on {
                 break;
             }
+            // Nobody waits for it behind the last piece.
+            let _ = back.send(found);
         }
         Ok(())
     })
@@ -151,18 +158,19 @@ fn in_pieces<R: Read + Send>(
 fn in_one_block<R: Read>(
     mut cutter: Cutter<'_, R>,
     cut: Cut,
-    mut take: impl FnMut(Piece) -> (Option<Block>, bool),
+    mut take: impl FnMut(Piece) -> (Spare, bool),
 ) -> Result<(), Error> {
     let bytes = cut.head + cut.block.unwrap_or(STRETCH);
-    let mut block = Block::fixed(bytes);
+    let (mut block, mut found) = (Block::fixed(bytes), Found::default());
     loop {
         block.skip(cut.head);
-        let (piece, more) = cutter.next(block, cut.head);
-        let (back, go_on) = take(piece);
+        let (piece, more) = cutter.next(block, found, cut.head);
+        let (spare, go_on) = take(piece);
         if !more? || !go_on {
             return Ok(());
         }
-        block = back.and_then(Block::emptied).unwrap_or_else(|| Block::fixed(bytes));
+        found = spare.found;
+        block = spare.block.and_then(Block::emptied).unwrap_or_else(|| Block::fixed(bytes));
     }
 }
 
@@ -177,9 +185,9 @@ struct Cutter<'a, R> {
 }
 
 impl<R: Read> Cutter<'_, R> {
-    /// The next piece, in `block`, in which bytes are read behind `head`; whether there may be more.
-    fn next(&mut self, mut block: Block, head: usize) -> (Piece, Result<bool, Error>) {
-        let mut found = Found::with_room(self.most);
+    /// The next piece, in `block`, in which bytes are read behind `head`, with the memory of `found`; whether there may be more.
+    fn next(&mut self, mut block: Block, found: Found, head: usize) -> (Piece, Result<bool, Error>) {
+        let mut found = found.emptied(self.most);
         // What is left over has room before the bytes, but where that is next to nothing.
         let has_room = self.left.len() <= head;
         let stretch = if has_room { STRETCH } else { usize::MAX };
@@ -227,13 +235,13 @@ struct Sorter<'a> {
 }
 
 impl Sorter<'_> {
-    /// Takes a piece; gives back its block if that is not kept.
-    fn take(&mut self, Piece { block, found }: Piece) -> Option<Block> {
+    /// Takes a piece; gives back what of it is not kept.
+    fn take(&mut self, Piece { block, found }: Piece) -> Spare {
         let Self { table, sorted, .. } = self;
         self.ended = found.each(block.bytes(), self.now, |thing, span| match thing {
             Thing::Bfee(stamps, fields) => table.sort_bfee(sorted, stamps, fields, span),
             Thing::Other(next) => table.sort(sorted, next, span),
         });
-        table.keep(sorted, block)
+        Spare { block: table.keep(sorted, block), found }
     }
 }

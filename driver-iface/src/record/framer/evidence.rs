@@ -169,7 +169,11 @@ fn whole_heads(front: &[u8], len: usize) -> usize {
 /// True if two bytes of each position are enough to see that no record inside one of `len` bytes vouches for itself.
 #[inline(always)]
 pub(super) fn is_plain(front: &[u8], len: usize) -> bool {
-    len == whole_heads(front, len) && !may_vouch(front, 1, len)
+    let Some(heads) = front.get(..len + LONGEST_HEAD - 1) else { return false };
+    match (heads.get(1..len), heads.get(1 + LENGTH_FIELD..len + LENGTH_FIELD)) {
+        (Some(highs), Some(codes)) => !any_vouches(highs, codes),
+        _ => false,
+    }
 }
 
 /// False where no record that vouches for itself begins in `from..to`: by its code, and by its length, which is below
@@ -182,26 +186,43 @@ fn may_vouch(front: &[u8], from: usize, to: usize) -> bool {
     }
 }
 
-/// 1 if a head with these first and third bytes may vouch for itself, else 0.
+/// 0 if a head with these first and third bytes may vouch for itself. Without a comparison, of which wide vectors make masks.
 #[inline(always)]
-fn hit(high: &u8, code: &u8) -> u8 {
+fn miss(high: u8, code: u8) -> u8 {
     let [bfee, noise] = VOUCHING_CODES;
-    u8::from(*high < VOUCHING_LENGTHS) & (u8::from(*code == bfee) | u8::from(*code == noise))
+    (code ^ bfee).min(code ^ noise) | high.saturating_sub(VOUCHING_LENGTHS - 1)
 }
 
-/// [`may_vouch`], of the first and third bytes of the positions; in blocks that a compiler compares at once.
-#[inline(never)]
+/// [`may_vouch`], of the first and third bytes of the positions; in blocks that a compiler looks at at once.
+#[inline(always)]
 fn any_vouches(highs: &[u8], codes: &[u8]) -> bool {
-    const BLOCK: usize = 32;
+    const BLOCK: usize = 64;
     let (Some(last_highs), Some(last_codes)) = (highs.last_chunk::<BLOCK>(), codes.last_chunk::<BLOCK>()) else {
-        return highs.iter().zip(codes).any(|(high, code)| hit(high, code) != 0);
-    };
-    let block = |highs: &[u8; BLOCK], codes: &[u8; BLOCK]| {
-        highs.iter().zip(codes).fold(0, |any, (high, code)| any | hit(high, code))
+        return highs.iter().zip(codes).any(|(high, code)| miss(*high, *code) == 0);
     };
     // The last block overlaps the one before.
-    let all = highs.as_chunks().0.iter().zip(codes.as_chunks().0);
-    all.fold(block(last_highs, last_codes), |any, (highs, codes)| any | block(highs, codes)) != 0
+    let mut least = nearer([u8::MAX; BLOCK], last_highs, last_codes);
+    let (mut highs, mut codes) = (highs, codes);
+    while let (Some((first_highs, more_highs)), Some((first_codes, more_codes))) =
+        (highs.split_first_chunk(), codes.split_first_chunk())
+    {
+        least = nearer(least, first_highs, first_codes);
+        (highs, codes) = (more_highs, more_codes);
+    }
+    let mut any = false;
+    for least in least {
+        any |= least == 0;
+    }
+    any
+}
+
+/// Of each position in a block what [`miss`] says, or what was there before if that is less.
+#[inline(always)]
+fn nearer<const BLOCK: usize>(mut least: [u8; BLOCK], highs: &[u8; BLOCK], codes: &[u8; BLOCK]) -> [u8; BLOCK] {
+    for k in 0..BLOCK {
+        least[k] = least[k].min(miss(highs[k], codes[k]));
+    }
+    least
 }
 
 /// Remembers the code of the record at the front, unless it is only the same byte over and over.
