@@ -115,15 +115,21 @@ pub struct Framer {
     state: State,
     /// Codes of accepted records.
     seen: Codes,
-    /// Positions of the present front that are known to begin no record.
-    searched: usize,
-    /// Positions of it that are known to begin none that vouches for itself.
-    searched_sure: usize,
-    /// Whether the checksum of the present front is right, once it was asked for.
-    front_is_right: Option<bool>,
+    known: Known,
     /// Bytes that checksums may still be taken of; see [`CREDIT`].
     credit: usize,
     usual: Usual,
+}
+
+/// What is known of the present front.
+#[derive(Clone, Copy, Debug, Default)]
+struct Known {
+    /// Positions that begin no record.
+    searched: usize,
+    /// Positions that begin none that vouches for itself.
+    searched_sure: usize,
+    /// Whether its checksum is right, once it was asked for.
+    is_right: Option<bool>,
 }
 
 impl Default for Framer {
@@ -195,8 +201,8 @@ impl Framer {
     /// At the start of a stream.
     #[must_use]
     pub fn new() -> Self {
-        let (seen, credit, usual) = (Codes::default(), CREDIT, Usual::default());
-        Self { offset: 0, state: State::Fresh, seen, searched: 0, searched_sure: 0, front_is_right: None, credit, usual }
+        let (seen, known, usual) = (Codes::default(), Known::default(), Usual::default());
+        Self { offset: 0, state: State::Fresh, seen, known, credit: CREDIT, usual }
     }
 
     /// Position in the stream: bytes consumed so far.
@@ -379,8 +385,8 @@ impl Framer {
     #[inline(never)]
     fn judge_alone(&mut self, front: &[u8], len: usize, reason: Reason) -> Verdict {
         // Paid for once, however often it is asked for before enough bytes are there.
-        let is_right = self.front_is_right.unwrap_or_else(|| self.checksum(front, len) == Some(true));
-        self.front_is_right = Some(is_right);
+        let is_right = self.known.is_right.unwrap_or_else(|| self.checksum(front, len) == Some(true));
+        self.known.is_right = Some(is_right);
         if is_right { Verdict::take(len) } else { Verdict::Seek { from: 1, reason } }
     }
 
@@ -413,7 +419,7 @@ impl Framer {
         if self.credit < CREDIT {
             self.credit = self.credit.saturating_add(bytes.saturating_mul(CREDIT_PER_BYTE)).min(CREDIT);
         }
-        (self.searched, self.searched_sure, self.front_is_right) = (0, 0, None);
+        self.known = Known::default();
         self.state = next;
         offset
     }

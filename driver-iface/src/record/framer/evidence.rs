@@ -73,7 +73,7 @@ impl Framer {
 
     /// The first position of `from..to` at which a record can be believed.
     pub(super) fn search(&mut self, front: &[u8], end: bool, from: usize, to: usize) -> Found {
-        for at in from.max(self.searched)..to.min(front.len()) {
+        for at in from.max(self.known.searched)..to.min(front.len()) {
             let rest = front.get(at..).unwrap_or_default();
             let verdict = match head(rest, &self.seen) {
                 Head::Short if end => Chain::No,
@@ -85,18 +85,18 @@ impl Framer {
             match verdict {
                 Chain::Yes => return Found::At(at),
                 Chain::Short if !end => {
-                    self.searched = at;
+                    self.known.searched = at;
                     return Found::Short;
                 }
                 _ => {}
             }
         }
         if front.len() < to && !end {
-            self.searched = front.len();
+            self.known.searched = front.len();
             return Found::Short;
         }
         // A search further on may have come further, before it ran out of bytes.
-        self.searched = self.searched.max(to);
+        self.known.searched = self.known.searched.max(to);
         Found::Nothing
     }
 
@@ -129,7 +129,7 @@ impl Framer {
     /// The first position inside a record of `len` bytes at which another begins that vouches for itself.
     #[inline(never)]
     pub(super) fn search_sure(&mut self, front: &[u8], end: bool, len: usize) -> Found {
-        let mut at = self.searched_sure.max(1);
+        let mut at = self.known.searched_sure.max(1);
         while at < whole_heads(front, len) {
             let to = whole_heads(front, len).min(at + STRETCH);
             if may_vouch(front, at, to)
@@ -143,7 +143,7 @@ impl Framer {
             match head(front.get(at..).unwrap_or_default(), &self.seen) {
                 Head::Good { bits, .. } if bits >= SURE => return Found::At(at),
                 Head::Short if !end => {
-                    self.searched_sure = at;
+                    self.known.searched_sure = at;
                     return Found::Short;
                 }
                 _ => {}
