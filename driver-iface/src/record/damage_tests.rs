@@ -108,3 +108,17 @@ fn a_record_that_begins_in_the_last_bytes_of_another_is_waited_for() {
         assert_eq!(in_chunks(&stream, &[first, stream.len()]), whole, "the first {first} bytes");
     }
 }
+
+/// Each byte that comes has the same front judged again. Its checksum is paid for once: with the credit used up, the frame with a bad
+/// one further on would count as unchecked, and be believed.
+#[test]
+fn a_frame_in_doubt_is_checked_once_however_its_bytes_come() {
+    let mut wrong = mpdu_record(4, 60);
+    *wrong.last_mut().unwrap() ^= 1;
+    let good = [bfee_record(1, 3, 1, true), bfee_record(2, 3, 1, true)].concat();
+    let stream = [wrong.as_slice(), &[0; 2_000], &wrong, &good].concat();
+    let whole = in_chunks(&stream, &[stream.len()]);
+    assert_eq!((whole[0].1, whole.len()), (stream.len() - good.len(), 3));
+    let each: Vec<usize> = (1..=stream.len()).collect();
+    assert_eq!(in_chunks(&stream, &each), whole);
+}
