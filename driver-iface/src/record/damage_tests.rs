@@ -119,6 +119,5 @@ fn a_frame_in_doubt_is_checked_once_however_its_bytes_come() {
     let stream = [wrong.as_slice(), &[0; 2_000], &wrong, &good].concat();
     let whole = in_chunks(&stream, &[stream.len()]);
     assert_eq!((whole[0].1, whole.len()), (stream.len() - good.len(), 3));
-    let each: Vec<usize> = (1..=stream.len()).collect();
-    assert_eq!(in_chunks(&stream, &each), whole);
+    assert_eq!(in_chunks(&stream, &[1]), whole);
 }
