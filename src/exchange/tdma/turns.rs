@@ -48,8 +48,9 @@ impl Tdma {
 
     /// The forward frame that is due, if this robot has the turn or may take it now.
     pub(super) fn due_forward(&mut self) -> Option<Ready> {
-        self.take_turn_if_due();
         loop {
+            // Also after a turn that ended here: a late driver may find the next one due already.
+            self.take_turn_if_due();
             let turn = self.turn?;
             let start = self.clock.start(&self.plan, turn.slot);
             if start > self.now {
@@ -405,6 +406,24 @@ mod tests {
             tdma.end_turn_at_successor(turn.number + later);
             assert_eq!(tdma.has_turn(), goes_on, "{turn:?}, {later} turns later");
         }
+    }
+
+    #[test]
+    fn what_a_late_driver_may_begin_is_begun_in_the_call_that_ends_the_turn() {
+        let mut tdma = robot(0, 2);
+        let begun = tdma.poll_timeout().unwrap();
+        assert!(tdma.poll_transmit(begun).is_some());
+        let turn = tdma.turn.unwrap();
+        tdma.turn = Some(Turn { slot: turn.end, next: Some(0), ..turn });
+        let mut taken_back = 0;
+        for (later, late_us) in (0..48).flat_map(|later| [(later, 0), (later, 1)]) {
+            let mut late = tdma.clone();
+            let now = late.clock.start(&late.plan, turn.end + later) + Span::from_us(late_us);
+            while late.poll_transmit(now).is_some() {}
+            assert!(late.poll_timeout().unwrap() > now, "{later} slots and {late_us} us after the end");
+            taken_back += usize::from(late.has_turn());
+        }
+        assert!(taken_back > 0);
     }
 
     #[test]
