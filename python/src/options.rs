@@ -11,6 +11,7 @@ use csi5300::source::read_key;
 use csi5300_lab::table::antennas;
 use driver_iface::Mac;
 use serde::Deserialize;
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 
 /// Steps that can be left out.
@@ -42,6 +43,7 @@ pub struct Keywords {
     heading_sd: Option<f64>,
     from_: Option<f64>,
     to: Option<f64>,
+    decimate: Option<NonZeroUsize>,
     join_rows: bool,
     /// Place of the antenna on the receiver, metres forward, left, up.
     pub antenna_offset: Option<[f64; 3]>,
@@ -93,6 +95,7 @@ impl Keywords {
         let mac = |name: &str, text: &String| text.parse::<Mac>().map_err(|error| wrong(format!("{name}: {error}")));
         let mut options = Options::new(channel)
             .with_cut(self.from_, self.to)
+            .with_decimate(self.decimate.unwrap_or(NonZeroUsize::MIN))
             .with_compensate(!self.no_compensation && !self.left_out(Step::Compensation))
             .with_accuracy(self.accuracy())
             .with_heading_sd_rad(self.heading_sd.map(f64::to_radians))

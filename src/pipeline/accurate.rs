@@ -9,7 +9,7 @@ use crate::place::near_field::{
 };
 use crate::signal::alignment::planes::Planes;
 use crate::signal::alignment::{Alignment, CsiRow, align_planes, remove_slope};
-use crate::signal::one_way::take_roots;
+use crate::signal::one_way::{is_dense_enough, take_roots};
 use crate::signal::samples::Samples;
 use crate::tuning::TUNING;
 use nalgebra::Vector3;
@@ -76,7 +76,9 @@ pub(super) fn place(
         Aperture::gather_by(&displacement_m, row, centre, path_gain, wavelength_m)
     };
     let round_trip = gather(&rows, samples.z(), 2);
-    let slips = steps.one_way.then(|| take_roots(&mut rows, tier).slips);
+    let spacing_wavelengths = samples.spacing_m() / wavelength_m;
+    let has_signs = steps.one_way && is_dense_enough(spacing_wavelengths);
+    let slips = has_signs.then(|| take_roots(&mut rows, spacing_wavelengths, tier).slips);
     let one_way = slips.map(|_| gather(&rows, &[], 1));
     drop(rows);
     let views = (round_trip_views(round_trip.path_m() / wavelength_m), one_way_views());

@@ -275,7 +275,7 @@ pub struct PairCounts {
     pub cut: usize,
     /// Without energy at the antenna.
     pub silent: usize,
-    /// Left out evenly, because the link has more pairs than are kept.
+    /// Left out evenly, because the link has more pairs than are kept or only every so manieth was asked for.
     pub thinned: usize,
     /// Taken in motion outside the stretch that is searched, because all of it is too wide to be searched as one aperture.
     pub too_wide: usize,

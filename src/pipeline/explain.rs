@@ -86,6 +86,13 @@ impl Steps<'_> {
             }
             false => left_out(accuracy.focus, "errors of the trajectory found from all transmitters"),
         };
+        let roots = match accuracy.one_way && !one_way && self.takes_all() && placed.is_some() {
+            true => format!(
+                "packets are {:.2} wavelengths of motion apart: from 0.25 on nothing tells the signs of roots",
+                bearing.samples.spacing_m() / self.options.channel.wavelength_m()
+            ),
+            false => left_out(accuracy.one_way, "the root of the round trip, beside it"),
+        };
         vec![
             step("turn-around compensation", bearing.compensated, self.turn_around()),
             step("pairs at rest", false, standing),
@@ -98,12 +105,7 @@ impl Steps<'_> {
                 left_out(accuracy.align, "slopes from packet to packet taken out"),
                 cost.align_us,
             ),
-            self.step(
-                "one-way channel",
-                one_way,
-                left_out(accuracy.one_way, "the root of the round trip, beside it"),
-                cost.one_way_us,
-            ),
+            self.step("one-way channel", one_way, roots, cost.one_way_us),
             self.step(
                 "windows along the motion",
                 self.takes_all() && placed.is_some(),

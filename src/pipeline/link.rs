@@ -207,7 +207,7 @@ impl Link {
                 return;
             }
         }
-        if !(self.rows.len() + self.thinned).is_multiple_of(self.stride) {
+        if !(self.rows.len() + self.thinned).is_multiple_of(self.stride.saturating_mul(options.decimate.get())) {
             self.thinned += 1;
             return;
         }

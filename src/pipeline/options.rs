@@ -6,6 +6,7 @@ use crate::motion::pose::Trajectory;
 use crate::signal::channel::Channel;
 use crate::tuning::TUNING;
 use driver_iface::{Mac, bfee::Antenna};
+use std::num::NonZeroUsize;
 
 /// Pairs this long before and after the trajectory are kept, seconds; others are counted and forgotten, so that a log
 /// of hours costs no memory.
@@ -141,6 +142,8 @@ pub struct Options {
     pub from_s: Option<f64>,
     /// Only pairs up to here, seconds after the link's first pair.
     pub to_s: Option<f64>,
+    /// Only every so manieth pair, as if frames had been sent more slowly.
+    pub decimate: NonZeroUsize,
     /// Whether turn-around compensation may be applied.
     pub compensate: bool,
     /// Whether links are estimated on all cores of the current rayon pool, or one after the other.
@@ -178,6 +181,7 @@ impl Options {
             join: JoinBy::Time,
             from_s: None,
             to_s: None,
+            decimate: NonZeroUsize::MIN,
             compensate: true,
             accuracy: Accuracy::default(),
             parallel: false,
@@ -227,6 +231,13 @@ impl Options {
     #[must_use]
     pub fn with_cut(mut self, from_s: Option<f64>, to_s: Option<f64>) -> Self {
         (self.from_s, self.to_s) = (from_s, to_s);
+        self
+    }
+
+    /// With only every so manieth pair.
+    #[must_use]
+    pub fn with_decimate(mut self, decimate: NonZeroUsize) -> Self {
+        self.decimate = decimate;
         self
     }
 

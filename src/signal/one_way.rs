@@ -9,6 +9,10 @@
 //! in sweeps against the mean of the neighbourhood in time and frequency until nothing changes any more. That is
 //! reliable where the channel is strong; where it fades, the sign matters little, and samples count by their
 //! magnitude. It needs a channel whose slope over the subcarriers and turn-around phase have been taken out first.
+//!
+//! Between packets that are far apart motion turns the channel by more than fading does, and what varies least is another
+//! channel. So the turn that neighbouring packets have in common, half of the round trips', is taken out meanwhile. From a
+//! quarter of a wavelength on nothing tells a turn by half a circle from a change of the sign: [`is_dense_enough`].
 
 use crate::bartlett::Tier;
 use crate::signal::alignment::CsiRow;
@@ -17,6 +21,7 @@ use crate::signal::channel::SUBCARRIERS;
 use crate::tuning::TUNING;
 use csi5300_kernels::simd::on_tier;
 use fearless_simd::Simd;
+use num_complex::Complex32;
 
 /// What [`one_way`] gives.
 #[derive(Clone, Debug, PartialEq)]
@@ -38,21 +43,30 @@ pub struct Signs {
     pub coherence: f64,
 }
 
-/// Takes the square root of `rows` (round trips, common slope removed, in the order of time), on `tier`.
+/// Takes the square root of `rows` (round trips, common slope removed, in the order of time, `spacing_wavelengths` apart), on
+/// `tier`.
 #[must_use]
-pub fn one_way(rows: &[CsiRow], tier: Tier) -> OneWay {
+pub fn one_way(rows: &[CsiRow], spacing_wavelengths: f64, tier: Tier) -> OneWay {
     let mut planes = planes_of(rows);
-    let signs = take_roots(&mut planes, tier);
+    let signs = take_roots(&mut planes, spacing_wavelengths, tier);
     OneWay { rows: planes.iter().map(Planes::row).collect(), signs }
 }
 
-/// The same in place.
-pub(crate) fn take_roots(rows: &mut [Planes], tier: Tier) -> Signs {
-    on_tier!(tier.level_or_portable(), simd => roots_of(simd, rows))
+/// Whether packets so far apart tell the signs of a one-way channel: motion towards the source by a quarter of a wavelength turns
+/// it by a quarter of a circle, beyond which the other sign is nearer.
+pub(crate) fn is_dense_enough(spacing_wavelengths: f64) -> bool {
+    spacing_wavelengths < 0.25
+}
+
+/// [`one_way`] in place.
+pub(crate) fn take_roots(rows: &mut [Planes], spacing_wavelengths: f64, tier: Tier) -> Signs {
+    on_tier!(tier.level_or_portable(), simd => roots_of(simd, rows, spacing_wavelengths > TUNING.one_way.sparse_wavelengths))
 }
 
 #[inline(always)]
-fn roots_of<S: Simd>(_simd: S, roots: &mut [Planes]) -> Signs {
+fn roots_of<S: Simd>(_simd: S, roots: &mut [Planes], are_sparse: bool) -> Signs {
+    let turned_rad = if are_sparse { turns_rad(roots) } else { Vec::new() };
+    roots.iter_mut().zip(&turned_rad).for_each(|(row, turned)| row.turn(-2.0 * turned));
     roots.iter_mut().for_each(root);
     track(roots);
     let mut corrected = 0;
@@ -73,10 +87,28 @@ fn roots_of<S: Simd>(_simd: S, roots: &mut [Planes]) -> Signs {
             slipped[k] += if product.re[k] < 0.0 { sizes[k] } else { 0.0 };
         }
     }
+    roots.iter_mut().zip(&turned_rad).for_each(|(row, turned)| row.turn(*turned));
     let full = sum(&full);
     let share = |part: f32| if full > 0.0 { f64::from(part / full) } else { 0.0 };
     let samples = (roots.len() * SUBCARRIERS).max(1) as f64;
     Signs { corrected: corrected as f64 / samples, slips: share(sum(&slipped)), coherence: share(aligned.sum().norm()) }
+}
+
+/// How far motion has turned the one-way channel at each row since the first, radians: half of what the round trips have turned
+/// from row to row, averaged over the rows about it. (Averaged over few it would follow a channel through its fades, whose turn is
+/// the sign that is looked for.)
+#[inline(always)]
+fn turns_rad(rows: &[Planes]) -> Vec<f64> {
+    let steps: Vec<Complex32> = rows.windows(2).map(|pair| pair[1].against(&pair[0]).sum()).collect();
+    let reach = TUNING.one_way.turn_reach;
+    let mut turned = vec![0.0; rows.len()];
+    let mut total = 0.0;
+    for (step, turned) in turned.iter_mut().skip(1).enumerate() {
+        let about = step.saturating_sub(reach)..(step + reach + 1).min(steps.len());
+        total += 0.5 * f64::from(steps[about].iter().sum::<Complex32>().arg());
+        *turned = total;
+    }
+    turned
 }
 
 /// The square root with a positive real part, without the polar form.
@@ -154,7 +186,6 @@ fn beside(sum: &Lanes, own: &Lanes) -> Lanes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use num_complex::Complex32;
 
     #[test]
     fn two_paths_come_back_out_of_their_square() {
@@ -164,12 +195,33 @@ mod tests {
         };
         let truth: Vec<CsiRow> = (0..600).map(|t| std::array::from_fn(|k| channel(t, k))).collect();
         let squared: Vec<CsiRow> = truth.iter().map(|row| row.map(|v| v * v)).collect();
-        let found = one_way(&squared, Tier::detect());
+        let found = one_way(&squared, 0.0, Tier::detect());
         let product: Complex32 =
             truth.iter().flatten().zip(found.rows.iter().flatten()).map(|(a, b)| a * b.conj()).sum();
         let power: f32 = truth.iter().flatten().map(Complex32::norm_sqr).sum();
         assert!(product.norm() / power > 0.999, "{}", product.norm() / power);
         assert!(found.signs.slips < 1e-3 && found.signs.coherence > 0.98, "{:?}", found.signs);
+    }
+
+    /// Two paths, the stronger of which turns by up to 1.3 radians from packet to packet: faster and slower, and back.
+    #[test]
+    fn a_channel_that_motion_turns_far_from_packet_to_packet_comes_back_too() {
+        let turned = |t: usize| 60.0 * 1.3 * (t as f32 / 60.0).sin();
+        let channel = |t: usize, k: usize| {
+            let beside = 0.7 + 0.2 * turned(t) + 0.05 * k as f32;
+            Complex32::cis(turned(t)) + Complex32::from_polar(0.4, beside)
+        };
+        let truth: Vec<CsiRow> = (0..600).map(|t| std::array::from_fn(|k| channel(t, k))).collect();
+        let squared: Vec<CsiRow> = truth.iter().map(|row| row.map(|v| v * v)).collect();
+        let likeness = |spacing_wavelengths: f64| {
+            let found = one_way(&squared, spacing_wavelengths, Tier::detect());
+            let product: Complex32 =
+                truth.iter().flatten().zip(found.rows.iter().flatten()).map(|(a, b)| a * b.conj()).sum();
+            product.norm() / truth.iter().flatten().map(Complex32::norm_sqr).sum::<f32>()
+        };
+        let (sparse, taken_for_dense) = (likeness(0.2), likeness(0.0));
+        assert!(sparse > 0.999 && taken_for_dense < 0.5, "{sparse} {taken_for_dense}");
+        assert!(is_dense_enough(0.2) && !is_dense_enough(0.25) && !is_dense_enough(f64::NAN));
     }
 
     #[test]
@@ -194,8 +246,8 @@ mod tests {
         };
         let rows: Vec<CsiRow> =
             (0..300).map(|_| std::array::from_fn(|_| Complex32::cis(std::f32::consts::TAU * random()))).collect();
-        assert!(one_way(&rows, Tier::detect()).signs.coherence < 0.8);
-        assert!(one_way(&rows, Tier::detect()).signs.slips > 0.05);
-        assert!(one_way(&[], Tier::detect()).rows.is_empty());
+        assert!(one_way(&rows, 0.0, Tier::detect()).signs.coherence < 0.8);
+        assert!(one_way(&rows, 0.0, Tier::detect()).signs.slips > 0.05);
+        assert!(one_way(&[], 0.0, Tier::detect()).rows.is_empty());
     }
 }

@@ -190,6 +190,18 @@ impl Samples {
         self.receiver_m.iter().zip(&self.transmitter_m).map(|(receiver, transmitter)| receiver - transmitter)
     }
 
+    /// Median distance from one sample's place to the next's, metres; 0 of fewer than two.
+    #[must_use]
+    pub fn spacing_m(&self) -> f64 {
+        let places: Vec<Vector3<f64>> = self.displacements_m().collect();
+        let mut steps: Vec<f64> = places.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
+        let middle = steps.len() / 2;
+        match steps.is_empty() {
+            true => 0.0,
+            false => *steps.select_nth_unstable_by(middle, f64::total_cmp).1,
+        }
+    }
+
     /// Time of each sample, seconds on the receiver's clock.
     #[must_use]
     pub fn t_s(&self) -> &[f64] {

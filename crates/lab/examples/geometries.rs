@@ -1,5 +1,5 @@
 //! Answers of the default pipeline in free space, for motions of one end or both, beside their truth and the Cramer-Rao
-//! bound: `cargo run --release -p csi5300-lab --example geometries [helix | near | shapes | both]`.
+//! bound: `cargo run --release -p csi5300-lab --example geometries [helix | near | shapes | both | wide]`.
 
 use csi5300::pipeline::Options;
 use csi5300_lab::ends::{Ends, Seen};
@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 fn main() {
     let wanted: Vec<String> = std::env::args().skip(1).collect();
-    let all: [(&str, fn()); 4] = [("helix", helix), ("near", near), ("shapes", shapes), ("both", both)];
+    let all: [(&str, fn()); 5] = [("helix", helix), ("near", near), ("shapes", shapes), ("both", both), ("wide", wide)];
     all.iter().filter(|(name, _)| wanted.is_empty() || wanted.iter().any(|w| w == name)).for_each(|(_, run)| run());
 }
 
@@ -42,12 +42,13 @@ fn print(name: &str, seen: &[Seen]) {
     let positions: Vec<f64> = seen.iter().filter_map(|s| s.position_error_m.map(|e| e.xy().norm())).collect();
     let inside = seen.iter().filter(|s| s.position_level.is_some_and(|level| level < 5.99)).count();
     println!(
-        "{name:34} {:4} runs; azimuth mean {:7.4}, worst {:7.3} ({:5.2} x bound), elevation {:7.3} ({:5.2}); {} signed, {} at an edge; \
-         position {} reported, worst {:.2} m, {inside} within 95 %",
+        "{name:34} {:4} runs; azimuth mean {:7.4}, worst {:7.3} ({:5.2} x bound, {} beyond the bar), elevation {:7.3} ({:5.2}); {} signed, \
+         {} at an edge; position {} reported, worst {:.2} m, {inside} within 95 %",
         seen.len(),
         seen.iter().map(|s| s.azimuth_error_deg).sum::<f64>() / seen.len().max(1) as f64,
         worst(&|s| s.azimuth_error_deg),
         over(&|s| s.azimuth_error_deg / s.bound_deg[0]),
+        seen.iter().filter(|s| s.azimuth_error_deg.abs() > s.azimuth_sd_deg).count(),
         worst(&elevation),
         over(&|s| elevation(s) / s.bound_deg[1]),
         seen.iter().filter(|s| s.signed).count(),
@@ -96,6 +97,37 @@ fn near() {
             };
             let seen = run(&(0..12).map(one).collect::<Vec<_>>());
             print(&format!("helix, {range_m} m, odometry {noise} m, {scale}"), &seen);
+        }
+    }
+}
+
+/// Drives that are wider than what is searched at once, at up to 0.6 m/s: packets up to a quarter of a wavelength apart.
+fn wide() {
+    for size_m in [1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0] {
+        let corner = vec![[size_m, 0.0, 0.0], [size_m, size_m, 0.0]];
+        let bend = |k: i32| (0.12 * f64::from(k)).sin_cos();
+        let bend = (1..=12).map(bend).map(|(sin, cos)| [size_m * sin, size_m * (1.0 - cos), 0.0]).collect();
+        let (duration_s, turns, start_s, speed_m_s) = (50.0, 1.0, 0.0, 0.2);
+        let motions: [(&str, RobotMotion); 4] = [
+            ("circle", RobotMotion::Circle(Circle { radius_m: size_m, duration_s, turns, start_s })),
+            ("eight", RobotMotion::FigureEight(FigureEight { radius_m: size_m, duration_s, turns, start_s })),
+            ("corner", RobotMotion::Waypoints(Waypoints { points_m: corner, speed_m_s, start_s })),
+            ("bend", RobotMotion::Waypoints(Waypoints { points_m: bend, speed_m_s, start_s })),
+        ];
+        for (name, receiver) in motions {
+            let one = |k: u32| Ends {
+                receiver: receiver.clone(),
+                transmitter_m: {
+                    let (sin, cos) = (137.5 * f64::from(k)).to_radians().sin_cos();
+                    let range_m = size_m + 2.0 + 1.7 * f64::from(k % 6);
+                    [range_m * cos, range_m * sin, 0.1 * f64::from(k % 8)]
+                },
+                duration_s,
+                snr_db: 15.0,
+                seed: u64::from(k),
+                ..Ends::default()
+            };
+            print(&format!("{name} of {size_m} m"), &run(&(0..24).map(one).collect::<Vec<_>>()));
         }
     }
 }

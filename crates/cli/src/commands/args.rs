@@ -6,6 +6,7 @@ use csi5300::pipeline::{Accuracy, Effort, Options};
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
 use nalgebra::Vector3;
+use std::num::NonZeroUsize;
 
 // How bearings are made.
 #[derive(Args, Clone, Debug)]
@@ -45,6 +46,9 @@ pub struct Estimation {
     /// Use pairs up to this many seconds after the link's first one
     #[arg(long, value_name = "SECONDS")]
     pub to: Option<f64>,
+    /// Use only every Nth pair of frames: what bearings of slower sounding would be
+    #[arg(long, default_value_t = NonZeroUsize::MIN, value_name = "N")]
+    pub decimate: NonZeroUsize,
 }
 
 /// A step of the estimate that can be left out.
@@ -86,6 +90,7 @@ impl Default for Estimation {
             heading_sd: None,
             from: None,
             to: None,
+            decimate: NonZeroUsize::MIN,
         }
     }
 }
@@ -135,6 +140,7 @@ impl Estimation {
             .with_antenna(self.antenna)
             .with_clock_offset_s(self.clock_offset)
             .with_cut(self.from, self.to)
+            .with_decimate(self.decimate)
             .with_compensate(!self.no_compensation && !left_out(Step::Compensation))
             .with_accuracy(accuracy)
             .with_heading_sd_rad(self.heading_sd.map(f64::to_radians))

@@ -405,11 +405,7 @@ fn pairs(answer: &Answer) -> String {
         counts.no_pose,
         counts.cut,
         counts.silent,
-        if counts.thinned > 0 {
-            format!(", {} left out evenly (more than are kept)", counts.thinned)
-        } else {
-            String::new()
-        }
+        if counts.thinned > 0 { format!(", {} left out evenly", counts.thinned) } else { String::new() }
     );
     if counts.too_wide > 0 {
         let _ = writeln!(
