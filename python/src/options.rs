@@ -43,7 +43,7 @@ pub struct Keywords {
     heading_sd: Option<f64>,
     from_: Option<f64>,
     to: Option<f64>,
-    decimate: Option<NonZeroUsize>,
+    decimate: Option<usize>,
     join_rows: bool,
     /// Place of the antenna on the receiver, metres forward, left, up.
     pub antenna_offset: Option<[f64; 3]>,
@@ -93,9 +93,11 @@ impl Keywords {
         self.check()?;
         let channel = self.channel()?.map_or_else(|| Channel::new(108, Width::Ht20).map_err(wrong), Ok)?;
         let mac = |name: &str, text: &String| text.parse::<Mac>().map_err(|error| wrong(format!("{name}: {error}")));
+        let decimate =
+            NonZeroUsize::new(self.decimate.unwrap_or(1)).ok_or_else(|| wrong("decimate: 0 is not 1 or more"))?;
         let mut options = Options::new(channel)
             .with_cut(self.from_, self.to)
-            .with_decimate(self.decimate.unwrap_or(NonZeroUsize::MIN))
+            .with_decimate(decimate)
             .with_compensate(!self.no_compensation && !self.left_out(Step::Compensation))
             .with_accuracy(self.accuracy())
             .with_heading_sd_rad(self.heading_sd.map(f64::to_radians))

@@ -35,6 +35,10 @@ def test_options_are_the_command_lines(rx: Path, tx: Path, path_csv: Path) -> No
     assert full.answer["compensated"] and not bare.answer["compensated"]
     (part,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, from_=0.5, to=1.5)
     assert 0 < part.answer["pairs_in_motion"] < full.answer["pairs_in_motion"]
+    (fourth,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, decimate=4)
+    assert abs(4 * fourth.answer["pairs_in_motion"] - full.answer["pairs_in_motion"]) <= 4
+    with pytest.raises(csi5300.OptionError, match="decimate"):
+        csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, decimate=0)
 
 
 def test_a_link_without_a_bearing_says_why(rx: Path, tx: Path, path_csv: Path) -> None:

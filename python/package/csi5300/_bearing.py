@@ -214,6 +214,7 @@ def bearings(
     heading_sd: float | None = None,
     from_: float | None = None,
     to: float | None = None,
+    decimate: int | None = None,
     join_rows: bool = False,
     antenna_offset: Sequence[float] | None = None,
     camera_mount: Sequence[float] | None = None,
@@ -230,8 +231,8 @@ def bearings(
     Logs are paths, bytes, file objects or :class:`Log`. Options are those of ``csi5300 bearing`` under the same names and in the same
     units (``from_`` for ``--from``). ``antenna_offset`` is where the antenna is seen from what the trajectory is of: metres forward,
     left, up; with ``camera_mount`` (metres forward and left of the middle between the wheels, and heading less the robot's, degrees)
-    the trajectory is a tracking camera's, is held to what wheels can roll, and the antenna is seen from that middle. ``every`` (seconds)
-    fills :attr:`Bearing.stretches`, ``explain`` ``answer["plan"]``. A link without a bearing is in the list, is False, and has its
+    the trajectory is a tracking camera's, is held to what wheels can roll, and the antenna is seen from that middle. ``decimate`` uses
+    every so manieth pair of frames, what slower sounding would give. ``every`` (seconds) fills :attr:`Bearing.stretches`, ``explain`` ``answer["plan"]``. A link without a bearing is in the list, is False, and has its
     :attr:`Bearing.error`; so is one whose probability of being within 5 degrees is below ``min_confidence``, or not known.
 
     Raises :class:`LogError`, :class:`TrajectoryError`, :class:`OptionError`.
