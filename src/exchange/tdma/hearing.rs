@@ -55,8 +55,9 @@ impl Tdma {
 
     fn hear_native(&mut self, ended: Instant, frame: &Frame<'_>, repr: &native::Repr, peer: usize) {
         // What is for this robot must be of its sender; what is for others says whose turn it is, and is of the group.
-        let is_valid = |shown| shown == Shown::Pair || (shown == Shown::Group && repr.destination != self.own);
-        if self.key.as_ref().is_some_and(|key| !is_valid(key.check(frame.mpdu(), repr))) {
+        let shown = self.key.as_ref().map_or(Shown::Pair, |key| key.check(frame.mpdu(), repr));
+        let is_proven = shown == Shown::Pair;
+        if !(is_proven || (shown == Shown::Group && repr.destination != self.own)) {
             self.counts.unauthenticated += 1;
             return;
         }
@@ -64,11 +65,11 @@ impl Tdma {
             self.counts.foreign += 1;
             return;
         }
-        if !self.is_fresh(repr, peer) {
+        if !self.is_fresh(repr, peer, is_proven) {
             self.counts.replayed += 1;
             return;
         }
-        self.note_heard(repr, peer);
+        self.note_heard(repr, peer, is_proven);
         let began = ended - self.airtime(frame);
         let fit = self.follow(repr, peer, began);
         match repr.role {
@@ -84,49 +85,51 @@ impl Tdma {
 
     /// False for a frame that was heard before, as far as that can be known.
     ///
-    /// With a key, sessions and numbers of an initiator only go up. Without one a single forged frame could use up
-    /// all numbers to come, so only the very repetition of the last one is refused.
-    fn is_fresh(&self, repr: &native::Repr, peer: usize) -> bool {
+    /// With a key, sessions and numbers of an initiator only go up: of frames that it has proven to be its own against what it
+    /// has proven, of those that only the group vouches for against all. Without a key a single forged frame could use up all
+    /// numbers to come, so only the very repetition of the last one is refused.
+    fn is_fresh(&self, repr: &native::Repr, peer: usize, is_proven: bool) -> bool {
         let Some(sender) = self.roster.peer(peer) else { return false };
-        let proven = self.key.is_some();
-        let is_old = |old: u32| proven && is_after(old, repr.sender_session);
-        if sender.session.is_some_and(is_old) {
+        let has_key = self.key.is_some();
+        let reached = if is_proven { &sender.proven } else { &sender.overheard };
+        if has_key && reached.session.is_some_and(|newest| is_after(newest, repr.sender_session)) {
             return false;
         }
-        let last_of =
-            |initiator: &super::roster::Peer| initiator.last_number.filter(|_| initiator.session == Some(repr.session));
         match repr.role {
-            Role::Forward => last_of(sender)
-                .is_none_or(|last| if proven { is_after(repr.number, last) } else { repr.number != last }),
-            Role::Backward if proven && repr.destination != self.own => {
+            Role::Forward => reached
+                .number_in(repr.session)
+                .is_none_or(|last| if has_key { is_after(repr.number, last) } else { repr.number != last }),
+            Role::Backward if has_key && repr.destination != self.own => {
                 let initiator = self.roster.find(repr.destination).and_then(|at| self.roster.peer(at));
-                let of_old_session =
-                    initiator.and_then(|peer| peer.session).is_some_and(|now| is_after(now, repr.session));
-                !of_old_session && initiator.and_then(last_of).is_none_or(|last| !is_after(last, repr.number))
+                initiator.map(|peer| peer.overheard).is_none_or(|reached| {
+                    !reached.session.is_some_and(|newest| is_after(newest, repr.session))
+                        && !reached.number_in(repr.session).is_some_and(|last| is_after(last, repr.number))
+                })
             }
             Role::Backward => true,
         }
     }
 
-    /// Keeps what a frame says about its sender.
-    fn note_heard(&mut self, repr: &native::Repr, peer: usize) {
+    /// Keeps what a frame says about its sender. Where the sender is, only its own word says for good: any robot of the group
+    /// could say that another one was started anew, and that robot would not be believed again.
+    fn note_heard(&mut self, repr: &native::Repr, peer: usize, is_proven: bool) {
         let joined = self.roster.hear(peer, self.now);
         let Some(sender) = self.roster.peer_mut(peer) else { return };
         sender.wants_turn = repr.wants_turn;
-        let known = sender.session.replace(repr.sender_session);
-        if repr.role == Role::Forward {
-            sender.last_number = Some(repr.number);
+        let known = sender.proven.session;
+        let number = (repr.role == Role::Forward).then_some(repr.number);
+        sender.overheard.note(repr.sender_session, number);
+        if is_proven {
+            sender.proven.note(repr.sender_session, number);
+        }
+        let is_anew = is_proven && known.is_some_and(|known| known != repr.sender_session);
+        if is_anew {
+            sender.forget_asked();
         }
         if joined {
             self.tell(Event::Joined(repr.sender));
         }
-        if known.is_some_and(|known| known != repr.sender_session) {
-            if let Some(sender) = self.roster.peer_mut(peer) {
-                sender.forget_asked();
-                if repr.role == Role::Backward {
-                    sender.last_number = None;
-                }
-            }
+        if is_anew {
             self.tell(Event::Restarted { peer: repr.sender, session: repr.sender_session });
         }
     }
@@ -282,7 +285,7 @@ impl Tdma {
         }
         let Some(initiator) = self.roster.peer_mut(peer) else { return };
         let rank = initiator.rank;
-        let last = initiator.last_number.replace(number);
+        let last = initiator.proven.number.replace(number);
         // WSR's senders give all frames of a round the same number: only one for this robot can be a repetition.
         if for_this_robot && initiator.asked.last() == Some(number) {
             self.counts.replayed += 1;

@@ -47,7 +47,7 @@ const EVENT_CAPACITY: usize = 256;
 /// | the initiator vanishes | after twice `silence_slots`, in slots that belong to one robot each (`n = silence_slots * (rank + k * robots)`), the first robot that wants the turn claims it |
 /// | two robots initiate at once | the later turn wins, of equal turns the lower MAC; the other yields ([`Event::Yielded`]) and listens. Rivals in step hear nothing, so an initiator that is not answered for 64 slots leaves one in eight out, by its own pattern |
 /// | the driver sleeps through `silence_slots` of its own turn | the turn is lost, and claimed anew only after a silence |
-/// | frames are forged | without a key: a frame for this robot is answered, but [`Event::Answered`] needs number, session, sender and destination of a frame that waits; contradictions on turn or epoch need several frames in a row to convince. With a key: frames without a valid tag, old sessions and repeated numbers are ignored |
+/// | frames are forged | without a key: a frame for this robot is answered, but [`Event::Answered`] needs number, session, sender and destination of a frame that waits; contradictions on turn or epoch need several frames in a row to convince. With a key: frames without a valid tag, old sessions and repeated numbers are ignored; what a robot of the group says in another's name to a third counts for whose turn it is, and until that other one is heard itself |
 ///
 /// Synchronised robots (a common epoch, or a followed one) do not transmit at the same time: a slot has one initiator,
 /// a turn's end and successor are fixed at its beginning and repeated in all its frames, and a turn is claimed only

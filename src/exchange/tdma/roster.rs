@@ -30,6 +30,26 @@ impl Priority {
     }
 }
 
+/// How far a robot is: its session, and the number of its last forward frame in it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Reached {
+    pub(super) session: Option<u32>,
+    pub(super) number: Option<u32>,
+}
+
+impl Reached {
+    /// Takes the session of a frame, and its number if it is a forward frame of the robot.
+    pub(super) fn note(&mut self, session: u32, number: Option<u32>) {
+        let is_same = self.session.replace(session) == Some(session);
+        self.number = number.or(self.number.filter(|_| is_same));
+    }
+
+    /// The last number in this session.
+    pub(super) fn number_in(&self, session: u32) -> Option<u32> {
+        self.number.filter(|_| self.session == Some(session))
+    }
+}
+
 /// What is known of one peer.
 #[derive(Clone, Debug)]
 pub(super) struct Peer {
@@ -41,9 +61,11 @@ pub(super) struct Peer {
     pub(super) wants_turn: bool,
     /// Was given the turn and did not take it up; cleared when heard.
     pub(super) let_turn_lapse: bool,
-    pub(super) session: Option<u32>,
-    /// Number of the last forward frame heard from it in its session, to whomever.
-    pub(super) last_number: Option<u32>,
+    /// By frames that it has made, as far as can be known: all where there is no key.
+    pub(super) proven: Reached,
+    /// Also by frames for others of which no more is known than that a robot of the group made them. What the robot itself says
+    /// later replaces it.
+    pub(super) overheard: Reached,
     pub(super) unanswered_in_a_row: u32,
     /// Numbers of the frames that were answered to it in its session.
     pub(super) asked: Asked,
@@ -115,7 +137,9 @@ impl Roster {
         robots.sort_by_key(|robot| robot.mac);
         let own_rank = robots.iter().filter(|robot| robot.mac < config.own.mac).count() as u16;
         let heard = |mac| config.heard.iter().find(|(heard, ..)| config.key.is_some() && *heard == mac);
-        let known = |mac| heard(mac).map(|(_, session, number)| (*session, *number));
+        let reached =
+            |(_, session, number): &(Mac, u32, u32)| Reached { session: Some(*session), number: Some(*number) };
+        let known = |mac| heard(mac).map(reached).unwrap_or_default();
         let peers = robots.iter().zip(0u16..).map(|(robot, at)| Peer {
             mac: robot.mac,
             index: robot.index,
@@ -123,8 +147,8 @@ impl Roster {
             heard_at: None,
             wants_turn: false,
             let_turn_lapse: false,
-            session: known(robot.mac).map(|(session, _)| session),
-            last_number: known(robot.mac).map(|(_, number)| number),
+            proven: known(robot.mac),
+            overheard: known(robot.mac),
             unanswered_in_a_row: 0,
             asked: Asked::default(),
             measurement: None,

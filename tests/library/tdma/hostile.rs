@@ -201,6 +201,45 @@ fn exchanges(configs: &[Config], session: u32, count: usize) -> Vec<(Instant, Ve
     found
 }
 
+/// Frames from robot 0 to the third, as far as the second can tell, are made by any robot of the group.
+#[test]
+fn what_a_robot_says_in_anothers_name_to_a_third_silences_nobody() {
+    let key = Key::new([1; 16]);
+    let configs = everybody(3, request(true));
+    let of = |k: usize| {
+        let peers: Vec<Mac> =
+            configs.iter().map(|config| config.own.mac).filter(|mac| *mac != configs[k].own.mac).collect();
+        configs[k].clone().with_key(Some(key.for_robot(configs[k].own.mac, &peers))).with_initiate(k == 0)
+    };
+    let frames = |session, to: usize| {
+        let (mut tdma, mut frames) = (Tdma::new(&of(0).with_session(session)).unwrap(), Vec::new());
+        while frames.len() < 4 {
+            let now = tdma.poll_timeout().unwrap();
+            let sent = tdma.poll_transmit(now).filter(|sent| sent.peer == configs[to].own.mac);
+            frames.extend(sent.map(|sent| (now, sent.frame.to_vec())));
+        }
+        frames
+    };
+    let honest = frames(5, 1);
+    for forged in [frames(5 + 0x7fff_0000, 2).remove(0).1, frames(5, 2).remove(3).1] {
+        let mut responder = Tdma::new(&of(1).with_session(9)).unwrap();
+        for (now, frame) in &honest {
+            responder.handle_heard(*now, *now, &forged);
+            responder.handle_heard(*now, *now, frame);
+            assert!(responder.poll_transmit(*now).is_some(), "{:?}", responder.counts());
+        }
+        let events: Vec<Event> = std::iter::from_fn(|| responder.poll_event()).collect();
+        assert!(!events.iter().any(|event| matches!(event, Event::Restarted { .. })), "{events:?}");
+    }
+    // The robot itself says it: an older session is not answered any more.
+    let mut responder = Tdma::new(&of(1).with_session(9)).unwrap();
+    let (now, anew) = frames(6, 1).remove(3);
+    responder.handle_heard(now, now, &anew);
+    assert!(responder.poll_transmit(now).is_some());
+    responder.handle_heard(now, now, &honest[3].1);
+    assert!(responder.poll_transmit(now).is_none() && responder.counts().replayed == 1);
+}
+
 #[test]
 fn taped_answers_to_others_are_not_heard_again() {
     let key = Some(Key::new([1; 16]));
