@@ -82,7 +82,13 @@ pub enum KeyFileError {
 pub fn read_key(path: &Path) -> Result<Key, KeyFileError> {
     let path_buf = || path.to_owned();
     let failed = |source| KeyFileError::Io { path: path.to_owned(), source };
-    let metadata = std::fs::metadata(path).map_err(failed)?;
+    // Opening a pipe would wait.
+    if !std::fs::metadata(path).map_err(failed)?.is_file() {
+        return Err(KeyFileError::NoFile { path: path_buf() });
+    }
+    let file = std::fs::File::open(path).map_err(failed)?;
+    // Of what was opened: another file may be there by now.
+    let metadata = file.metadata().map_err(failed)?;
     if !metadata.is_file() {
         return Err(KeyFileError::NoFile { path: path_buf() });
     }
@@ -90,16 +96,13 @@ pub fn read_key(path: &Path) -> Result<Key, KeyFileError> {
         return Err(KeyFileError::Mode { path: path_buf(), mode });
     }
     let mut bytes = Zeroizing::new(Vec::with_capacity(LONGEST as usize));
-    let file = std::fs::File::open(path).map_err(failed)?;
     file.take(LONGEST).read_to_end(&mut bytes).map_err(failed)?;
-    if let Some(key) = robot_key(&bytes) {
-        return Ok(key);
+    let weak = || KeyFileError::Weak { path: path_buf() };
+    if let Some(robot) = RobotKeys::parse(&bytes) {
+        return robot.key().ok_or_else(weak);
     }
     let secret = secret(&bytes).ok_or_else(|| KeyFileError::Shape { path: path_buf() })?;
-    if is_weak(&secret) {
-        return Err(KeyFileError::Weak { path: path_buf() });
-    }
-    Ok(Key::from_secret(&secret))
+    if is_weak(&secret) { Err(weak()) } else { Ok(Key::from_secret(&secret)) }
 }
 
 #[cfg(unix)]
@@ -168,25 +171,45 @@ fn secret(bytes: &[u8]) -> Option<Zeroizing<Vec<u8>>> {
     digits.or_else(|| Some(Zeroizing::new(bytes.to_vec())).filter(right))
 }
 
-/// A robot's key.
-fn robot_key(bytes: &[u8]) -> Option<Key> {
-    let mut lines = std::str::from_utf8(bytes).ok()?.lines();
-    (lines.next()? == ROBOT).then_some(())?;
-    let own = lines.next()?.strip_prefix("robot ")?;
-    let entry = |line: &str| -> Option<(Mac, [u8; 16])> {
-        let (mac, digits) = line.split_once(' ')?;
-        Some((mac.parse().ok()?, unhex(digits)?.as_slice().try_into().ok()?))
-    };
-    let (own, group) = entry(own)?;
-    let peers = lines.map(entry).collect::<Option<Vec<_>>>()?;
-    Some(Key::of_robot(own, group, peers))
+/// What a robot's file holds.
+struct RobotKeys {
+    own: Mac,
+    group: Zeroizing<[u8; 16]>,
+    peers: Vec<(Mac, Zeroizing<[u8; 16]>)>,
 }
 
-/// True for what no random source gives: each rule refuses less than one in a million random secrets.
+impl RobotKeys {
+    /// `None` for another file, and for one that names a peer twice.
+    fn parse(bytes: &[u8]) -> Option<Self> {
+        let mut lines = std::str::from_utf8(bytes).ok()?.lines();
+        (lines.next()? == ROBOT).then_some(())?;
+        let own = lines.next()?.strip_prefix("robot ")?;
+        let entry = |line: &str| -> Option<(Mac, Zeroizing<[u8; 16]>)> {
+            let (mac, digits) = line.split_once(' ')?;
+            Some((mac.parse().ok()?, Zeroizing::new(unhex(digits)?.as_slice().try_into().ok()?)))
+        };
+        let (own, group) = entry(own)?;
+        let peers = lines.map(entry).collect::<Option<Vec<_>>>()?;
+        let named: BTreeSet<Mac> = peers.iter().map(|(mac, _)| *mac).collect();
+        (named.len() == peers.len() && !named.contains(&own)).then_some(Self { own, group, peers })
+    }
+
+    /// The keys, unless one can be guessed.
+    fn key(&self) -> Option<Key> {
+        let mut all = std::iter::once(&self.group).chain(self.peers.iter().map(|(_, key)| key));
+        let is_guessed = all.any(|key| is_weak(key.as_slice()));
+        let peers = self.peers.iter().map(|(mac, key)| (*mac, **key)).collect();
+        (!is_guessed).then(|| Key::of_robot(self.own, *self.group, peers))
+    }
+}
+
+/// True for what no random source gives: each rule refuses less than one in a hundred thousand random secrets.
 fn is_weak(secret: &[u8]) -> bool {
     let different = secret.iter().collect::<BTreeSet<_>>().len();
     let steps = secret.windows(2).map(|pair| pair[1].wrapping_sub(pair[0])).collect::<BTreeSet<_>>().len();
-    let is_text = secret.iter().all(|byte| byte.is_ascii_graphic() || *byte == b' ');
+    // In any alphabet, and with the end of a line, as an editor writes it.
+    let is_text = std::str::from_utf8(secret)
+        .is_ok_and(|text| text.chars().all(|letter| !letter.is_control() || letter.is_whitespace()));
     different < secret.len() / 2 + 2 || steps < secret.len() / 2 + 1 || is_text
 }
 
@@ -243,6 +266,11 @@ mod tests {
             "correct horse ba",
             "+f7c1e9a5b2d8046c1e0f4a7936bd258",
             "0123456789abcdef",
+            "my robot pass 7\n",
+            "my\trobotpasswd42",
+            "swordfish-1234567-mellon-frodo9\n",
+            "Zürich-Straße1",
+            "пароль-р\n",
         ] {
             let error = read_key(&folder.file("weak", weak.as_bytes(), 0o600)).unwrap_err();
             assert!(matches!(error, KeyFileError::Weak { .. }), "{weak}: {error}");
@@ -319,5 +347,12 @@ mod tests {
             KeyFileError::Shape { .. }
         ));
         assert!(robot_text(&Key::new([1; 16])).is_none());
+        // A key that can be guessed, a peer with two keys, and one with itself.
+        let last = text.lines().last().unwrap();
+        let guessed = text.replace(last.split(' ').next_back().unwrap(), &"0".repeat(32));
+        let refused = |text: &str| read_key(&folder.file("refused", text.as_bytes(), 0o600)).unwrap_err();
+        assert!(matches!(refused(&guessed), KeyFileError::Weak { .. }));
+        assert!(matches!(refused(&format!("{}{last}\n", *text)), KeyFileError::Shape { .. }));
+        assert!(matches!(refused(&text.replace(&mac(2).to_string(), &mac(1).to_string())), KeyFileError::Shape { .. }));
     }
 }

@@ -96,6 +96,24 @@ pub enum NodeError {
         /// Where it would listen.
         endpoint: String,
     },
+    /// The network's file of users names none, and zenoh asks nobody then.
+    #[error(
+        "{} names no user: a line `user:password` for each, or leave out `dictionary_file` in zenoh's file (`network.zenoh`){}",
+        .path.display(),
+        .source.as_ref().map(|source| format!(": {source}")).unwrap_or_default()
+    )]
+    NoUsers {
+        /// The file.
+        path: PathBuf,
+        /// Why it cannot be read, if it cannot.
+        source: Option<std::io::Error>,
+    },
+    /// The group's name would be a pattern, or a path, among zenoh's keys.
+    #[error("[network] group {group:?}: letters, digits, `-`, `_` and `.` only")]
+    GroupName {
+        /// The name.
+        group: String,
+    },
     /// A peer has a certificate, and nobody is asked for one.
     #[error(
         "a peer's `certificate` needs a network where both ends show one: TLS with `enable_mtls` in zenoh's file \

@@ -1,7 +1,12 @@
 //! Who can take part in the robots' network, by its endpoints and by what is asked of those who connect.
 
+use std::path::PathBuf;
+
 /// Endpoints of this machine that only its own programs reach: for a network that asks nobody for anything.
 pub(crate) const LOCAL: &str = "tcp/127.0.0.1:0";
+
+/// Settings of an endpoint that change nothing about who may connect; none at all is one.
+const HARMLESS: [&str; 5] = ["", "iface", "bind", "so_sndbuf", "so_rcvbuf"];
 
 /// What of zenoh's configuration decides who takes part.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -10,8 +15,8 @@ pub(crate) struct Doors {
     pub listen: Option<Vec<String>>,
     /// Endpoints to which it connects.
     pub connect: Vec<String>,
-    /// A file with users and their passwords.
-    pub has_users: bool,
+    /// The file with users and their passwords.
+    pub users: Option<PathBuf>,
     /// Both ends of TLS show a certificate.
     pub has_certificates: bool,
     /// Its file has an access control of its own.
@@ -32,11 +37,12 @@ pub(crate) enum Verdict {
 impl Doors {
     /// Judges them.
     pub(crate) fn judge(&self) -> Verdict {
-        let encrypted = |endpoint: &String| ["tls/", "quic/"].iter().any(|scheme| endpoint.starts_with(scheme));
         let all: Vec<&String> = self.listen.iter().flatten().chain(&self.connect).collect();
-        let by_certificate =
-            self.has_certificates && !all.is_empty() && self.listen.is_some() && all.iter().all(|one| encrypted(one));
-        if self.has_users || by_certificate {
+        let by_certificate = self.has_certificates
+            && !all.is_empty()
+            && self.listen.is_some()
+            && all.iter().all(|one| is_encrypted(one));
+        if self.users.is_some() || by_certificate {
             return Verdict::Good;
         }
         match &self.listen {
@@ -47,6 +53,13 @@ impl Doors {
             },
         }
     }
+}
+
+/// True for an endpoint of TLS as the file has it: settings behind `#` may leave out what the file asks for.
+fn is_encrypted(endpoint: &str) -> bool {
+    let (address, settings) = endpoint.split_once('#').unwrap_or((endpoint, ""));
+    let is_harmless = |setting: &str| HARMLESS.contains(&setting.split('=').next().unwrap_or_default());
+    ["tls/", "quic/"].iter().any(|scheme| address.starts_with(scheme)) && settings.split(';').all(is_harmless)
 }
 
 /// True for an endpoint that only programs of this machine reach, such as `tcp/127.0.0.1:7447`.
@@ -108,11 +121,15 @@ mod tests {
         );
         assert_eq!(doors(Some(&["tcp/127.0.0.1:7447"]), &[]).judge(), Verdict::KeepLocal);
         assert_eq!(doors(Some(&["tcp/127.0.0.1:1", all]), &[]).judge(), Verdict::Open(all.into()));
-        let with_users = Doors { has_users: true, ..doors(Some(&[all]), &[]) };
+        let with_users = Doors { users: Some("users".into()), ..doors(Some(&[all]), &[]) };
         assert_eq!(with_users.judge(), Verdict::Good);
         let tls = |listen: &[&str], connect: &[&str]| Doors { has_certificates: true, ..doors(Some(listen), connect) };
         assert_eq!(tls(&["tls/0.0.0.0:7447"], &["quic/10.0.0.1:1"]).judge(), Verdict::Good);
         assert_eq!(tls(&["tls/0.0.0.0:7447", all], &[]).judge(), Verdict::Open("tls/0.0.0.0:7447".into()));
+        assert_eq!(tls(&["tls/0.0.0.0:7447#iface=lo;so_rcvbuf=9"], &[]).judge(), Verdict::Good);
+        for open in ["tls/0.0.0.0:7447#enable_mtls=false", "quic/0.0.0.0:1#iface=lo;verify_name_on_connect=false"] {
+            assert_eq!(tls(&[open], &[]).judge(), Verdict::Open(open.into()));
+        }
         let unsaid = Doors { has_certificates: true, ..doors(None, &["tls/10.0.0.1:1"]) };
         assert_eq!(unsaid.judge(), Verdict::KeepLocal, "it would listen without TLS");
     }

@@ -13,6 +13,8 @@ use csi5300::source::Error;
 use csi5300::source::remote::{Batch, Mailbox, QueueCounts};
 use driver_iface::Mac;
 use driver_iface::record::Record;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -38,6 +40,9 @@ const FIRST_LOOKS: u32 = 200;
 const FIRST_LOOK: Duration = Duration::from_millis(5);
 /// Messages that are still sent after a request to stop: more than can wait.
 const LAST_MESSAGES: usize = 256;
+
+/// Bytes of the file of users that are looked at: whether there are any is seen in the first ones.
+const USERS_BYTES: u64 = 1 << 16;
 
 /// Something to publish, with its number among those of its kind. What there was no room for has a number too.
 enum Item {
@@ -69,8 +74,16 @@ fn prefix_of(asked: &Asked) -> String {
     format!("csi5300/{}", if asked.group.is_empty() { "robots" } else { &asked.group })
 }
 
+/// Whether a name stands for itself among zenoh's keys.
+fn is_plain(group: &str) -> bool {
+    group.chars().all(|letter| letter.is_alphanumeric() || ['-', '_', '.'].contains(&letter))
+}
+
 /// Zenoh's configuration with the endpoints and owners of ours, closed to whoever is not asked who they are.
 fn configured(asked: &Asked, owners: &[Owner]) -> Result<zenoh::Config, Error> {
+    if !is_plain(&asked.group) {
+        return Err(NodeError::GroupName { group: asked.group.clone() }.into());
+    }
     let mut config = match &asked.zenoh {
         Some(file) => zenoh::Config::from_file(file).map_err(wrong("zenoh's configuration"))?,
         None => zenoh::Config::default(),
@@ -93,6 +106,9 @@ fn configured(asked: &Asked, owners: &[Owner]) -> Result<zenoh::Config, Error> {
     }
     if asked.insecure {
         return Ok(config);
+    }
+    if let Some(path) = &doors.users {
+        has_users(path)?;
     }
     match doors.judge() {
         Verdict::Good => {}
@@ -125,10 +141,19 @@ fn doors(config: &zenoh::Config) -> Doors {
     Doors {
         listen: (listen != usual).then(|| endpoints(&listen)),
         connect,
-        has_users: users.as_str().is_some_and(|file| !file.is_empty()),
+        users: users.as_str().filter(|file| !file.is_empty()).map(PathBuf::from),
         has_certificates: is_on("transport/link/tls/enable_mtls"),
         has_rules: is_on("access_control/enabled"),
     }
+}
+
+/// Refuses a file of users without any: zenoh asks nobody for a password then.
+fn has_users(path: &Path) -> Result<(), NodeError> {
+    let none = |source| NodeError::NoUsers { path: path.to_owned(), source };
+    let file = std::fs::File::open(path).map_err(|error| none(Some(error)))?;
+    let mut text = String::new();
+    file.take(USERS_BYTES).read_to_string(&mut text).map_err(|error| none(Some(error)))?;
+    if text.trim().is_empty() { Err(none(None)) } else { Ok(()) }
 }
 
 /// Every endpoint in a list, or in the lists of each mode.
@@ -379,6 +404,37 @@ pub struct NetworkCounts {
 mod tests {
     use super::*;
     use std::cell::{Cell, RefCell};
+
+    #[test]
+    fn what_asks_nobody_is_not_taken_for_closed() {
+        let folder = std::env::temp_dir().join(format!("csi5300-network-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let refused = |zenoh: &str, users: &str, group: &str| {
+            std::fs::write(folder.join("users"), users).unwrap();
+            let zenoh = zenoh.replace("FOLDER", &folder.display().to_string());
+            std::fs::write(folder.join("zenoh.json5"), zenoh).unwrap();
+            let asked = Asked { zenoh: Some(folder.join("zenoh.json5")), group: group.into(), ..Asked::default() };
+            refusal(&asked, &[]).unwrap_or_default()
+        };
+        let with = |file: &str| {
+            r#"{listen:{endpoints:["tcp/0.0.0.0:7447"]},transport:{auth:{usrpwd:{dictionary_file:"FOLDER/FILE"}}}}"#
+                .replace("FILE", file)
+        };
+        assert_eq!(refused(&with("users"), "burger-1:secret\n", "lab"), "");
+        assert!(refused(&with("users"), " \n\n", "lab").contains("users names no user"));
+        assert!(refused(&with("none"), "burger-1:secret\n", "lab").contains("none names no user"));
+        let tls = |settings: &str| {
+            r#"{listen:{endpoints:["tls/0.0.0.0:7448SETTINGS"]},transport:{link:{tls:{enable_mtls:true}}}}"#
+                .replace("SETTINGS", settings)
+        };
+        assert_eq!(refused(&tls("#iface=lo"), "", "lab"), "");
+        let without = refused(&tls("#iface=lo;enable_mtls=false"), "", "lab");
+        assert!(without.contains("anybody who reaches tls/0.0.0.0:7448"), "{without}");
+        for group in ["**", "a/b", "a*", "a#b", "a b"] {
+            assert!(refused(&with("users"), "burger-1:secret\n", group).contains("group"), "{group}");
+        }
+        std::fs::remove_dir_all(folder).unwrap();
+    }
 
     #[test]
     fn the_publisher_ends_when_told_to_though_items_go_on_coming() {
