@@ -11,8 +11,11 @@ use std::path::{Path, PathBuf};
 
 /// Entries looked at for the checksum of a record: so many records may be missing from a log at one place.
 const WINDOW: usize = 1 << 16;
-/// So many records in a row that a side file does not know: more is missing than is looked at.
-const STRANGERS: u64 = 64;
+/// Records in a row that a side file does not know, from which on the window is looked through for every so manieth of them only,
+/// and for the others so many entries about the one that would be theirs.
+const STRANGERS: usize = 64;
+/// Entries looked at when the number of strangers has doubled: so many records may be missing behind a damaged stretch.
+const FURTHEST: usize = 1 << 20;
 /// A side file that knows none of the first so many records is of another log.
 const FIRST: usize = 1_024;
 /// Bytes at the beginning in which nothing is known, beyond which the layout is not looked for.
@@ -39,7 +42,7 @@ pub struct Checks {
     pub wrong: u64,
     /// Records that were written and are not in the log, or not as they were.
     pub missing: u64,
-    /// The side file is of another log, or lost its place in this one: from there on it says nothing.
+    /// The side file knows none of the log's first records: it is of another log, or all of these were changed. It says nothing.
     pub out_of_step: bool,
 }
 
@@ -68,7 +71,7 @@ pub(super) struct SideFile<R = BufReader<File>> {
     /// Entries read and not used.
     ahead: VecDeque<Entry>,
     /// Records in a row that were wrong.
-    strangers: u64,
+    strangers: usize,
     checks: Checks,
 }
 
@@ -172,38 +175,46 @@ impl<R: Read> SideFile<R> {
         Said { host_us: self.ahead.pop_front().unwrap_or_default().host_us, is_right: true }
     }
 
-    /// A record whose checksum is in no entry.
+    /// A record whose checksum is in no entry that was looked at.
     fn take_other(&mut self) -> Said {
-        let known = self.ahead.iter().take_while(|entry| entry.check.is_some()).count();
         // As many records as there are entries with checksums were others already: these are damaged or gone, and what
-        // follows is what nothing is known of.
-        if self.strangers >= known as u64 {
-            self.ahead.drain(..known);
+        // follows is what nothing is known of. Of the entries before this one that was seen to be not so.
+        if self.ahead.get(self.strangers).is_none_or(|entry| entry.check.is_none()) {
+            let known = self.ahead.drain(..self.strangers.min(self.ahead.len())).count();
             self.checks.missing += known as u64;
             (self.checks.unknown, self.strangers) = (self.checks.unknown + 1, 0);
             return Said { host_us: self.ahead.pop_front().unwrap_or_default().host_us, is_right: true };
         }
         self.checks.wrong += 1;
         self.strangers += 1;
-        self.checks.out_of_step = self.strangers >= STRANGERS;
         Said { host_us: None, is_right: false }
     }
 
-    /// The place of the first entry with this checksum.
+    /// The place of the first entry with this checksum among those looked at.
     fn find(&mut self, check: Check) -> Option<usize> {
         let is_same = |entry: &Entry| entry.check == Some(check);
-        if self.ahead.is_empty() {
-            let first = self.read()?;
-            self.ahead.push_back(first);
-        }
+        self.read_ahead(1);
         if self.ahead.front().is_some_and(is_same) {
             return Some(0);
         }
-        while self.ahead.len() < WINDOW {
-            let Some(entry) = self.read() else { break };
+        let strangers = self.strangers;
+        let (from, to) = match strangers {
+            far if far >= STRANGERS && far.is_power_of_two() => (0, FURTHEST),
+            near if near.is_multiple_of(STRANGERS) || near < STRANGERS => (0, WINDOW),
+            _ => (strangers - STRANGERS, strangers + STRANGERS),
+        };
+        self.read_ahead(to);
+        let to = to.min(self.ahead.len());
+        let at = self.ahead.range(from.min(to)..to).position(is_same)?;
+        Some(from + at)
+    }
+
+    /// Has so many entries ahead, as far as there are so many.
+    fn read_ahead(&mut self, entries: usize) {
+        while self.ahead.len() < entries {
+            let Some(entry) = self.read() else { return };
             self.ahead.push_back(entry);
         }
-        self.ahead.iter().position(is_same)
     }
 
     /// The next entry of the file; `None` at its end, and where it cannot be read.

@@ -99,11 +99,40 @@ fn a_side_file_of_another_log_is_not_gone_by() {
     // It knows one record, behind many that it does not know: damage is not looked through for ever.
     assert!(side_file(&entries).is_of(log(&[records(1_000..2_023), records(7..8)].concat())));
     assert!(!side_file(&entries).is_of(log(&[records(1_000..2_024), records(7..8)].concat())));
-    // It lost its place: after so many it gives up.
-    let all = [records(0..10), records(500..600)].concat();
-    let (said, checks) = read(side_file(&entries), &all);
-    let wrong = said.iter().filter(|said| !said.is_right).count() as u64;
-    assert_eq!((wrong, checks.wrong, checks.good, checks.out_of_step), (STRANGERS, STRANGERS, 10, true));
+}
+
+#[test]
+fn what_was_changed_is_left_out_however_much_of_it_there_is() {
+    let number = |count: usize| count as u16;
+    let entries: Vec<Entry> = (0..4_000).map(entry).collect();
+    for (from, changed) in [(1_000, 63), (1_000, 64), (1_000, 65), (100, 700), (1_000, 3_000), (3_990, 10)] {
+        let is_changed = |at: &usize| (from..from + changed).contains(at);
+        let log: Vec<Vec<u8>> =
+            (0..4_000).map(|at| record(number(if is_changed(&at) { 30_000 + at } else { at }))).collect();
+        let (said, checks) = read(side_file(&entries), &log);
+        let expected: Vec<Said> = (0..4_000).map(|at| if is_changed(&at) { WRONG } else { right(at as i64) }).collect();
+        assert!(said == expected, "{changed} from {from}");
+        let (good, changed) = (4_000 - changed as u64, changed as u64);
+        assert_eq!(checks, Checks { good, wrong: changed, missing: changed, ..Checks::default() });
+    }
+}
+
+#[test]
+fn behind_a_damaged_stretch_records_are_found_though_more_are_missing_than_the_window_has() {
+    let entries: Vec<Entry> = (0..100_000_u32)
+        .map(|at| {
+            if at < 90_000 {
+                Entry { check: Some(Check::of(&at.to_le_bytes())), ..Entry::default() }
+            } else {
+                entry((at - 90_000) as u16)
+            }
+        })
+        .collect();
+    let log: Vec<Vec<u8>> = (30_000..30_100).chain(0..1_000).map(record).collect();
+    let (said, checks) = read(side_file(&entries), &log);
+    // They are looked for that far when there were 64 strangers, and 128.
+    assert_eq!((checks.wrong, checks.good, checks.out_of_step), (128, 972, false));
+    assert!(said[128..].iter().zip(28..).all(|(said, at)| *said == right(at)));
 }
 
 #[test]

@@ -30,6 +30,13 @@ pub fn open_log(path: &Path) -> Words<Log> {
     let log = Replay::open(path).map_err(|error| hint::log_refused(&error))?;
     must_be_log(path)?;
     detail!("reading {}", path.display());
+    if log.checks().is_some_and(|checks| checks.out_of_step) {
+        let path = path.display();
+        note!(
+            "{path}: the checksums beside it know none of its first records: they are of another log, or all of these were \
+             changed. Nothing of it is checked"
+        );
+    }
     Ok(log)
 }
 

@@ -80,7 +80,8 @@ pub fn run(args: &Args) -> Result {
                 }
                 let survey = &read.survey;
                 usable |= survey.bfees() > 0 || survey.by_code.contains_key(&code::MPDU);
-                lost |= survey.lost_something() || read.checks.is_some_and(|checks| checks.missing > 0);
+                lost |= survey.lost_something()
+                    || read.checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
             }
             Err(message) => {
                 failed = true;
@@ -172,7 +173,7 @@ pub fn check_words(checks: &Checks) -> String {
         }
     }
     if out_of_step {
-        text += if good == 0 { "; it is of another log" } else { "; then it lost its place in the log" };
+        text += "; it is of another log, or all of the first records were changed: nothing was checked";
     }
     text
 }

@@ -215,7 +215,10 @@ pub fn run(args: &Args) -> Result {
     }
     super::must_not_exist(&args.output, args.force)?;
     let mut source = super::open_log(&args.input)?;
-    let side = if args.layout == Some(Layout::Stock) { Some(SideLayout::Narrow) } else { source.side_layout() };
+    // Checksums of what was never checked would vouch for it.
+    let is_checked = source.checks().is_none_or(|checks| !checks.out_of_step);
+    let own = source.side_layout().filter(|_| is_checked);
+    let side = if args.layout == Some(Layout::Stock) { Some(SideLayout::Narrow) } else { own };
     // Without a side file of its own the recovered log must not be read with that of another.
     side_files(&args.output).iter().try_for_each(|side| super::must_not_exist(side, args.force))?;
     let mut out = Output::create(&args.output, side)?;
@@ -255,7 +258,7 @@ pub fn run(args: &Args) -> Result {
         let doubtful = super::some(doubts.dropped, "doubtful record", "doubtful records");
         note!("  {doubtful} beside the damage left out: nothing but their place spoke for them");
     }
-    let missing = checks.is_some_and(|checks| checks.missing > 0);
+    let missing = checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
     Ok(match (kept, survey.lost_something() || missing || doubts.dropped > 0) {
         (0, _) => Outcome::Nothing,
         (_, true) => Outcome::DataLost,

@@ -156,8 +156,13 @@ fn checksums_show_what_the_layout_of_a_log_cannot() {
     // The side file of another log is not gone by.
     write(&log, &link(50, 0.0).tx, Layout::Checked);
     std::fs::write(&log, all.concat()).unwrap();
-    let (status, out, _) = folder.run(&["info", "in.dat"]);
-    assert!(status == 0 && out.contains("it is of another log"), "{out}");
+    let (status, out, said) = folder.run(&["info", "in.dat"]);
+    assert!(status == 3 && out.contains("it is of another log"), "{out}");
+    assert!(said.contains("Nothing of it is checked"), "{said}");
+    // Nor does recovering vouch for what was not checked.
+    let (status, _, said) = folder.run(&["recover", "in.dat", "unchecked.dat"]);
+    assert!(status == 3 && said.contains("50 intact records"), "{said}");
+    assert!(!side_path(&folder.0.join("unchecked.dat")).exists());
 }
 
 fn pipe(path: &Path) {
