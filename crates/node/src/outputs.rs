@@ -5,7 +5,7 @@ use crate::{NodeError, descriptors};
 use csi5300::source::Error;
 use std::fs::{File, Permissions};
 use std::io::{ErrorKind, IsTerminal, Write};
-use std::os::unix::fs::{FileTypeExt, PermissionsExt};
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -49,11 +49,10 @@ impl Lines {
         let to: Box<dyn Write + Send> = match output.bearings.as_str() {
             "" => return Ok(Self { writer: None, counts: Arc::default() }),
             "-" => Box::new(std::io::stdout()),
-            path => {
-                let what = format!("cannot write bearings to {path}");
-                let file = File::options().append(true).create(true).open(path);
-                Box::new(file.map_err(|source| Error::Io { what, source })?)
-            }
+            path => Box::new(
+                append_to(path)
+                    .map_err(|source| Error::Io { what: format!("cannot write bearings to {path}"), source })?,
+            ),
         };
         Self::to(to)
     }
@@ -104,6 +103,18 @@ impl Lines {
         }
         self.lost()
     }
+}
+
+/// Opens what lines are added to. A pipe without a reader is refused: it would be waited for, and signals with it.
+fn append_to(path: &str) -> std::io::Result<File> {
+    let file = File::options().append(true).create(true).custom_flags(nix::libc::O_NONBLOCK).open(path);
+    let file = file.map_err(|error| match error.raw_os_error() {
+        Some(nix::libc::ENXIO) => std::io::Error::other("it is a pipe that nobody reads: start its reader first"),
+        _ => error,
+    })?;
+    // A reader that is slow is waited for, by the thread that writes.
+    nix::fcntl::fcntl(&file, nix::fcntl::FcntlArg::F_SETFL(nix::fcntl::OFlag::O_APPEND))?;
+    Ok(file)
 }
 
 /// The status socket: every connection gets the state as one line of JSON a look.
@@ -244,6 +255,23 @@ mod tests {
         let before = lines.lost();
         drop(go);
         assert_eq!(lines.finish(), before, "the others were written");
+    }
+
+    #[test]
+    fn a_pipe_that_nobody_reads_is_not_waited_for() {
+        let path = std::env::temp_dir().join(format!("csi5300-bearings-{}", std::process::id()));
+        let output = Output { bearings: path.display().to_string(), ..Output::default() };
+        nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        let refused = Lines::open(&output).err().unwrap().to_string();
+        assert!(refused.contains("nobody reads"), "{refused}");
+        let mut reader = File::options().read(true).custom_flags(nix::libc::O_NONBLOCK).open(&path).unwrap();
+        let mut lines = Lines::open(&output).unwrap();
+        lines.write(&7);
+        assert_eq!(lines.finish(), 0);
+        let mut said = String::new();
+        std::io::Read::read_to_string(&mut reader, &mut said).unwrap();
+        assert_eq!(said, "7\n");
+        std::fs::remove_file(&path).unwrap();
     }
 
     #[test]

@@ -131,6 +131,9 @@ impl<'a> Service<'a> {
         let wake = wake.map_err(|source| Error::Io { what: "cannot wait for the card's thread".into(), source })?;
         let clock = Clock { real: Monotonic::new(), speed: sources.speed };
         let (own, peers) = (sources.own, sources.peers.iter().map(|peer| peer.peer.mac).collect());
+        // Before the log: a start that fails leaves none behind.
+        let lines = Lines::open(&config.output)?;
+        let socket = config.output.status_socket.as_deref().map(StatusSocket::open).transpose()?;
         let logged = |card: Card| logged(card, config.log.as_ref());
         let mut machine = Machine::new(sources, logged, config.estimator_settings(), config.options(), clock.now())?;
         network.attach(&mut machine);
@@ -147,8 +150,8 @@ impl<'a> Service<'a> {
             machine,
             sounder,
             looks: Looks::new(name),
-            lines: Lines::open(&config.output)?,
-            socket: config.output.status_socket.as_deref().map(StatusSocket::open).transpose()?,
+            lines,
+            socket,
             text: StatusText::new(config.output.status_line),
             load: Load::default(),
             looked: (clock.real.now(), processor_s()),

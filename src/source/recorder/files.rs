@@ -68,6 +68,12 @@ impl Grown {
         }
     }
 
+    /// True if its name still leads to this file, an empty one.
+    fn is_there_and_empty(&self) -> bool {
+        let (Ok(own), Ok(named)) = (self.file.metadata(), std::fs::symlink_metadata(&self.path)) else { return false };
+        named.is_file() && named.len() == 0 && is_same(&own, &named)
+    }
+
     /// After a failed write: ends the file with the last whole unit.
     fn take_back(&mut self, whole: usize, error: io::Error) -> (usize, io::Result<()>) {
         self.len += whole as u64;
@@ -96,7 +102,7 @@ fn whole_entries(layout: Layout, done: usize) -> usize {
     done - done % layout.bytes()
 }
 
-/// A log on disk: a [`Sink`] of data file and side file.
+/// A log on disk: a [`Sink`] of data file and side file. Without a record in it, it is removed when it is dropped.
 #[derive(Debug)]
 pub struct LogFiles {
     path: PathBuf,
@@ -206,6 +212,31 @@ fn is_pipe(path: &Path) -> bool {
     #[cfg(not(unix))]
     {
         let _ = path;
+        false
+    }
+}
+
+impl Drop for LogFiles {
+    /// A log without a record is taken back: whoever is started again and again without hearing anything leaves none.
+    fn drop(&mut self) {
+        for grown in [&self.data, &self.side] {
+            if self.data.len == 0 && grown.is_there_and_empty() {
+                let _ = std::fs::remove_file(&grown.path);
+            }
+        }
+    }
+}
+
+/// True for the metadata of one file; where that cannot be told, of two.
+fn is_same(a: &std::fs::Metadata, b: &std::fs::Metadata) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        (a.dev(), a.ino()) == (b.dev(), b.ino())
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = (a, b);
         false
     }
 }

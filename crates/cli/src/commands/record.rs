@@ -203,7 +203,8 @@ fn outcome(totals: &Totals, lost: Losses, damaged: bool, files: &LogFiles) -> Ou
             paths.iter().flat_map(|log| [log.clone(), side_path(log)]).for_each(|path| remove_empty(&path));
             Outcome::Nothing
         }
-        _ if lost != Losses::default() || damaged => Outcome::DataLost,
+        // Failing: the disk refuses it, or it was deleted.
+        _ if lost != Losses::default() || damaged || totals.failing => Outcome::DataLost,
         _ => Outcome::Done,
     }
 }

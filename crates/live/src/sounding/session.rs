@@ -1,7 +1,7 @@
 //! The number of a start: later than that of every start before, also where the clock is not.
 
 use driver_iface::Mac;
-use std::io::{self, Read};
+use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
 /// 2025, seconds since 1970: a clock that shows less was never set.
@@ -31,6 +31,8 @@ pub(super) fn usual_folders() -> Vec<PathBuf> {
 
 /// What was kept in a file; nothing in one that is longer than any.
 pub(super) fn read(file: &Path) -> Option<String> {
+    // A pipe of that name would be waited for.
+    std::fs::metadata(file).ok().filter(std::fs::Metadata::is_file)?;
     let mut text = String::new();
     std::fs::File::open(file).ok()?.take(LONGEST).read_to_string(&mut text).ok()?;
     Some(text)
@@ -63,8 +65,11 @@ fn begin_in(folders: &[PathBuf], own: Mac, wall_s: u32) -> (u32, io::Result<()>)
 pub(super) fn keep(folder: &Path, name: &str, text: &str) -> io::Result<()> {
     std::fs::create_dir_all(folder)?;
     let new = folder.join(format!("{name}.new"));
-    std::fs::write(&new, text)?;
-    std::fs::File::open(&new)?.sync_all()?;
+    // Whatever is there, a pipe even, is not written into.
+    let _ = std::fs::remove_file(&new);
+    let mut file = std::fs::File::create_new(&new)?;
+    file.write_all(text.as_bytes())?;
+    file.sync_all()?;
     std::fs::rename(new, folder.join(name))
 }
 
@@ -92,6 +97,13 @@ mod tests {
         assert_eq!([begin(b, 7), begin(b, 7)], [7, 8]);
         let (session, kept) = begin_in(&folders[..1], a, 9);
         assert!(session == 9 && kept.is_err());
+        // Pipes where its files should be are not waited for, and give way.
+        for name in ["session-020000000001", "session-020000000001.new"] {
+            let pipe = root.join("state/csi5300").join(name);
+            let _ = std::fs::remove_file(&pipe);
+            assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        }
+        assert_eq!([begin(a, 5), begin(a, 5)], [5, 6]);
         std::fs::remove_dir_all(root).unwrap();
     }
 

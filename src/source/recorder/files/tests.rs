@@ -79,6 +79,31 @@ fn chunk(numbers: std::ops::Range<u8>) -> Chunk {
 }
 
 #[test]
+fn a_log_without_a_record_is_taken_back_and_nothing_else_is() {
+    let folder = folder("empty");
+    let log = folder.join("out.dat");
+    let create = |rotation| LogFiles::create(&log, rotation, false).unwrap();
+    let there = || [log.exists(), side_path(&log).exists()];
+    drop(create(Rotation::default()));
+    assert_eq!(there(), [false, false]);
+    // Another's of the same name, made after this one was deleted.
+    let files = create(Rotation::default());
+    std::fs::remove_file(&log).unwrap();
+    std::fs::write(&log, "").unwrap();
+    drop(files);
+    assert_eq!(there(), [true, false]);
+    std::fs::remove_file(&log).unwrap();
+    // One with a record, and the first of a row.
+    let mut files = create(Rotation::default());
+    assert_eq!(files.write(&chunk(0..1)).records, 1);
+    drop(files);
+    assert_eq!(there(), [true, true]);
+    drop(create(Rotation { bytes: Some(1 << 20), every: None }));
+    assert_eq!(std::fs::read_dir(&folder).unwrap().count(), 2);
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
 fn side_files_of_every_layout_keep_step_with_the_log() {
     let folder = folder("layouts");
     for layout in [Layout::Narrow, Layout::Wide, Layout::Checked] {
