@@ -137,14 +137,24 @@ pub(crate) fn ensure(ok: bool, key: &'static str, reason: impl FnOnce() -> Strin
     if ok { Ok(()) } else { Err(Problem::new(format!("{key} {}", reason())).key(key)) }
 }
 
-/// Refuses values that are negative or not finite.
+/// Nothing in a room is larger, whatever its unit: what it is multiplied with would no longer be a number.
+const LARGEST: f64 = 1e9;
+/// Nothing that something is divided by is smaller.
+const SMALLEST: f64 = 1e-9;
+/// No power is further from another, dB.
+const FURTHEST_DB: f64 = 400.0;
+
+/// Refuses values that are negative, or too large to be meant.
 pub(crate) fn not_negative(key: &'static str, value: f64) -> Checked {
-    ensure(value >= 0.0 && value.is_finite(), key, || format!("is {value}; it must be a number of at least 0"))
+    ensure(value >= 0.0, key, || format!("is {value}; it must be a number of at least 0"))?;
+    at_most(key, value, LARGEST)
 }
 
-/// Refuses values that are not positive and finite.
+/// Refuses values that are not positive, or too large or small to be meant.
 pub(crate) fn positive(key: &'static str, value: f64) -> Checked {
-    ensure(value > 0.0 && value.is_finite(), key, || format!("is {value}; it must be more than 0"))
+    ensure(value > 0.0, key, || format!("is {value}; it must be more than 0"))?;
+    ensure(value >= SMALLEST, key, || format!("is {value}; {SMALLEST:e} is the least"))?;
+    at_most(key, value, LARGEST)
 }
 
 /// Refuses values above what makes sense: what they are multiplied with would be too much for the machine.
@@ -157,7 +167,16 @@ pub(crate) fn share(key: &'static str, value: f64) -> Checked {
     ensure((0.0..=1.0).contains(&value), key, || format!("is {value}; it is a share, from 0 to 1"))
 }
 
-/// Refuses what is no finite number.
+/// Refuses what is no number, or too large to be meant.
 pub(crate) fn finite(key: &'static str, values: &[f64]) -> Checked {
-    ensure(values.iter().all(|v| v.is_finite()), key, || "must be finite numbers".to_owned())
+    ensure(values.iter().all(|v| v.abs() <= LARGEST), key, || {
+        format!("must be finite numbers, of at most {LARGEST:e} either side of 0")
+    })
+}
+
+/// Refuses what is no number of decibels.
+pub(crate) fn decibels(key: &'static str, values: &[f64]) -> Checked {
+    ensure(values.iter().all(|v| v.abs() <= FURTHEST_DB), key, || {
+        format!("must be finite numbers of dB, of at most {FURTHEST_DB} either side of 0")
+    })
 }

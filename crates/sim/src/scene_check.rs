@@ -4,7 +4,7 @@ use super::carrier::Carrier;
 use super::faults::Faults;
 use super::motion::RobotMotion;
 use super::radio::{Gain, Noise, Radio};
-use super::refusal::{Checked, Problem, at_most, ensure, finite, not_negative, positive, share};
+use super::refusal::{Checked, Problem, at_most, decibels, ensure, finite, not_negative, positive, share};
 use super::scene::{Dialect, Odometry, Pattern, Robot, Scene};
 use nalgebra::Vector3;
 
@@ -196,15 +196,15 @@ fn check_radio(radio: &Radio) -> Checked {
         .iter()
         .try_for_each(|&(key, value)| not_negative(key, value).and_then(|()| at_most(key, value, LATEST_US)))?;
     finite("delay_ns", &[radio.delay_ns])?;
-    finite("filter_db", &radio.filter_db.unwrap_or_default())?;
+    decibels("filter_db", &radio.filter_db.unwrap_or_default())?;
     share("share", radio.send_delay.share).map_err(|p| p.key("send_delay"))?;
     not_negative("us", radio.send_delay.us).map_err(|p| p.key("send_delay"))?;
     not_negative("spread_us", radio.send_delay.spread_us).map_err(|p| p.key("send_delay"))?;
-    finite("tx_power_dbm", &[radio.tx_power_dbm])?;
+    decibels("tx_power_dbm", &[radio.tx_power_dbm])?;
     ensure((1..=3).contains(&radio.chains), "chains", || format!("is {}; the card has 1 to 3", radio.chains))?;
     ensure(radio.mcs <= 7, "mcs", || format!("is {}; one stream has 0 to 7", radio.mcs))?;
     if let Noise::SnrDb(db) | Noise::FloorDbm(db) = radio.noise {
-        finite("noise", &[db])?;
+        decibels("noise", &[db])?;
     }
     match &radio.gain {
         Gain::Fixed(fixed) => positive("lsb_at_1m", fixed.lsb_at_1m).map_err(|p| p.key("fixed").key("gain"))?,

@@ -37,7 +37,7 @@ fn a_good_scene_is_read() {
 #[test]
 fn bad_scenes_are_refused_with_line_and_reason() {
     let good = good();
-    let cases: [(String, usize, &str); 22] = [
+    let cases: [(String, usize, &str); 27] = [
         (GOOD.to_owned(), 3, "noise_free"),
         (good.replace("duration_s = 10.0\nseed", "duration_s = -1.0\nseed"), 1, "more than 0"),
         (good.replace("duration_s = 10.0\nseed", "duration_s = 1e12\nseed"), 1, "is the most"),
@@ -59,6 +59,11 @@ fn bad_scenes_are_refused_with_line_and_reason() {
             "never go on",
         ),
         (good.replace("to_m = [5.0, 3.0]", "to_m = [-5.0, 3.0]"), 15, "where the wall begins"),
+        (good.replace("to_m = [5.0, 3.0]", "to_m = [1e308, 3.0]"), 15, "at most 1e9"),
+        (good.replace("name = \"tx\"", "name = \"tx\"\nodometry.noise_m = 1e300"), 12, "is the most"),
+        (good.replace("duration_s = 10.0 }", "duration_s = 1e-300 }"), 9, "is the least"),
+        (good.replace("seed = 3", "radio.noise = { floor_dbm = 1e300 }"), 2, "numbers of dB"),
+        (good.replace("seed = 3", "radio.delay_ns = 1e300"), 2, "at most 1e9"),
         (good.replace("seed = 3", "radio.send_delay = { share = 2.0 }"), 2, "a share"),
         (good.replace("seed = 3", "radio.send_delay = { us = -1.0 }"), 2, "us is -1"),
         (good.replace("seed = 3", "radio.filter_db = [0.0, 1.0]"), 2, "length 2"),

@@ -8,6 +8,9 @@ use driver_iface::{Mac, bfee::Antenna};
 use nalgebra::Vector3;
 use std::num::NonZeroUsize;
 
+/// No card hears another one so far away, metres.
+const FURTHEST_M: f64 = 1e6;
+
 // How bearings are made.
 #[derive(Args, Clone, Debug)]
 pub struct Estimation {
@@ -110,8 +113,9 @@ impl Estimation {
         {
             return Err(format!("--from {from} is not before --to {to}"));
         }
-        if !(self.range_min.is_finite() && self.range_min > 0.0 && self.height.is_none_or(f64::is_finite)) {
-            return Err("--range-min takes a positive number of metres, --height a number of metres".into());
+        let far = |metres: f64| metres.is_nan() || metres.abs() > FURTHEST_M;
+        if self.range_min <= 0.0 || far(self.range_min) || self.height.is_some_and(far) {
+            return Err("--range-min takes metres, more than 0, --height metres, both of at most 1e6".into());
         }
         if self.heading_sd.is_some_and(|sd| !(0.0..=180.0).contains(&sd)) {
             return Err("--heading-sd takes 0 to 180 degrees".into());

@@ -44,7 +44,7 @@ struct Row<'a> {
     /// Stretches of bytes that are no record, and the bytes in them.
     damages: u64,
     damaged_bytes: u64,
-    /// Records of unknown codes beside damage, left out.
+    /// Records of other codes than CSI and its frames beside damage, left out.
     doubtful: u64,
     /// Of the side file; null without one that has checksums.
     checks: Option<Checks>,
@@ -60,7 +60,7 @@ enum Layout {
 
 type Words<T> = std::result::Result<T, String>;
 
-/// Records of unknown codes that wait for one of a known code: so many of them vouch for each other.
+/// Records of other codes than CSI and its frames that wait for one of these: so many of them vouch for each other.
 const WAITING: usize = 16;
 
 /// What is being written.
@@ -151,8 +151,8 @@ fn side_files(output: &Path) -> [PathBuf; 2] {
     [side_path(&led_to(output)), side_path(output)]
 }
 
-/// Records of codes that nobody knows: between intact records they are kept, beside damage they are as likely made up of its
-/// bytes.
+/// Records of other codes than CSI and its frames, unknown ones or what drivers log beside: between intact records they are kept,
+/// beside damage they are as likely made up of its bytes.
 #[derive(Default)]
 struct Doubts {
     waiting: Vec<(u8, Vec<u8>, Option<i64>)>,
@@ -162,7 +162,7 @@ struct Doubts {
 }
 
 impl Doubts {
-    /// Takes a record of an unknown code.
+    /// Takes a record of another code.
     fn hold(&mut self, record: Record<'_>, host_us: Option<i64>, out: &mut Output) -> Words<()> {
         if self.after_damage {
             self.dropped += 1;
@@ -289,7 +289,7 @@ fn copy(
             (Next::Record(stamps, record), noted) => {
                 let identified = noted.filter(|_| layout.is_some()).and_then(|(_, identity)| identity.host_us);
                 let host_us = identified.or(stamps.host_us);
-                if is_checked || code::name(record.code).is_some() {
+                if is_checked || [code::BFEE, code::MPDU].contains(&record.code) {
                     doubts.believe(out)?;
                     out.write(record, host_us)?;
                     out.kept += 1;

@@ -6,7 +6,14 @@ use csi5300::signal::channel::ChannelError;
 use nalgebra::Vector2;
 use serde::Deserialize;
 use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read;
 use std::path::{Path, PathBuf};
+
+/// Bytes of the file at most: a line for each of ten thousand transmitters.
+const LONGEST: u64 = 1 << 20;
+/// Transmitters are no further from the origin, metres.
+const FURTHEST_M: f64 = 1e6;
 
 /// Why a capture could not be evaluated.
 #[derive(Debug, thiserror::Error)]
@@ -27,6 +34,14 @@ pub enum EvaluateError {
         path: PathBuf,
         /// Where it is wrong, and how.
         source: serde_json::Error,
+    },
+    /// The file with the truth has a transmitter where none can be.
+    #[error("{}: {transmitter} is further than 1e6 m from the origin", path.display())]
+    Far {
+        /// The file.
+        path: PathBuf,
+        /// The transmitter.
+        transmitter: String,
     },
     /// The file with the truth names a channel that is none.
     #[error("{TRUTH_FILE}: {0}")]
@@ -90,11 +105,24 @@ impl Truth {
     /// Reads the file of the capture in `folder`.
     pub(super) fn read(folder: &Path) -> Result<Self, EvaluateError> {
         let path = folder.join(TRUTH_FILE);
-        let text = match std::fs::read_to_string(&path) {
-            Ok(text) => text,
-            Err(source) => return Err(EvaluateError::Io { path, source }),
-        };
-        serde_json::from_str(&text).map_err(|source| EvaluateError::Truth { path, source })
+        let mut text = String::new();
+        let read = File::open(&path).and_then(|file| file.take(LONGEST).read_to_string(&mut text));
+        if let Err(source) = read {
+            return Err(EvaluateError::Io { path, source });
+        }
+        let truth: Self =
+            serde_json::from_str(&text).map_err(|source| EvaluateError::Truth { path: path.clone(), source })?;
+        match truth.far() {
+            Some(transmitter) => Err(EvaluateError::Far { transmitter: transmitter.to_owned(), path }),
+            None => Ok(truth),
+        }
+    }
+
+    /// A transmitter that is further away than any card hears.
+    fn far(&self) -> Option<&str> {
+        let all = self.true_tx_positions.iter().flat_map(|places| &places.value);
+        let is_far = |at: &Xy| !(at.x.abs() <= FURTHEST_M && at.y.abs() <= FURTHEST_M);
+        all.into_iter().find(|(_, pose)| is_far(&pose.position)).map(|(name, _)| name.as_str())
     }
 
     /// The channel's number, if the file names one.
@@ -106,5 +134,29 @@ impl Truth {
     pub(super) fn place(&self, transmitter: &str) -> Option<Vector2<f64>> {
         let pose = self.true_tx_positions.as_ref()?.value.get(transmitter)?;
         Some(Vector2::new(pose.position.x, pose.position.y))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_truth_that_is_none_is_refused() {
+        let folder = std::env::temp_dir().join(format!("csi5300-truth-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let read = |text: &str| {
+            std::fs::write(folder.join(TRUTH_FILE), text).unwrap();
+            Truth::read(&folder).map(|truth| truth.place("tx1")).map_err(|error| error.to_string())
+        };
+        let at = |x: &str| {
+            read(&r#"{"true_tx_positions": {"value": {"tx1": {"position": {"x": X, "y": 2}}}}}"#.replace('X', x))
+        };
+        assert_eq!(at("1e6").unwrap(), Some(Vector2::new(1e6, 2.0)));
+        assert!(at("-1.1e6").unwrap_err().contains("tx1 is further"));
+        assert!(at("1e308").is_err() && at("1e999").is_err());
+        let long = format!("{}{}", " ".repeat(LONGEST as usize), "{}");
+        assert!(read(&long).is_err() && read("{}").is_ok());
+        std::fs::remove_dir_all(folder).unwrap();
     }
 }
