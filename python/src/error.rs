@@ -146,6 +146,11 @@ impl Stop {
 /// A [`Stop`] in Python's hands: for work in other threads than the one that signals reach.
 #[pyclass(frozen, module = "csi5300._native")]
 pub struct Cancel(pub Stop);
+    /// Asks for it.
+    pub fn ask(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
 
 #[pymethods]
 impl Cancel {
@@ -156,7 +161,7 @@ impl Cancel {
 
     /// Asks the work that has it to stop.
     fn set(&self) {
-        self.0.0.store(true, Ordering::Relaxed);
+        self.0.ask();
     }
 
     /// True once it was asked.
@@ -197,7 +202,7 @@ where
             Ok(result) => return result.map_err(Into::into),
             Err(RecvTimeoutError::Timeout) => {
                 if let Err(signal) = py.check_signals() {
-                    stop.0.store(true, Ordering::Relaxed);
+                    stop.ask();
                     // A receiver is handed over for good.
                     let _ = py.detach(move || receiver.recv_timeout(GRACE).map(drop));
                     return Err(signal);
