@@ -5,7 +5,7 @@
 //! |---|---|
 //! | `intake`, `patient` | logs from paths, bytes and file objects; files that let a reader wait |
 //! | `columns` | a column for each field as arrays |
-//! | `records` | `read`, `scan`, pickling |
+//! | `records`, `scan` | `read`, `scan`, pickling |
 //! | `classic` | the records as csiread's `Intel` has them |
 //! | `capture`, `link`, `options` | bearings |
 //! | `evaluate`, `simulate`, `stream` | captures with truth, rooms, cards |
@@ -23,6 +23,7 @@ mod options;
 mod patient;
 mod pool;
 mod records;
+mod scan;
 mod simulate;
 mod stream;
 
@@ -40,6 +41,7 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<stream::Listener>()?;
     module.add_class::<error::Cancel>()?;
     module.add_function(wrap_pyfunction!(records::read, module)?)?;
+    module.add_function(wrap_pyfunction!(scan::widest, module)?)?;
     module.add_function(wrap_pyfunction!(classic::classic, module)?)?;
     module.add_function(wrap_pyfunction!(classic_scale::classic_scaled, module)?)?;
     module.add_function(wrap_pyfunction!(classic_scale::classic_unmapped, module)?)?;
