@@ -179,6 +179,15 @@ def test_what_is_no_place_is_refused(rx: Path) -> None:
             log[index]
 
 
+def test_senders_have_their_octets(rx: Path) -> None:
+    log = csi5300.read(rx)
+    octets = np.random.default_rng(1).choice(np.array([0, 1, 0x80, 0xFF], np.uint8), size=(len(log), 6))
+    octets[::7] = 0
+    other = csi5300.Log(log._records, {**log._columns, "mac": octets}, log.info)
+    assert other.mac.tolist() == [bytes(row).hex(":") if row.any() else "" for row in octets]
+    assert log[:0].mac.tolist() == [] and log[:0].mac.dtype == log.mac.dtype
+
+
 def test_frames_are_compared_by_identity(rx: Path) -> None:
     log = csi5300.read(rx)
     first, again = log[0], log[0]

@@ -102,7 +102,7 @@ def _widest(file: Any, filters: Any) -> tuple[str, int]:
         found = _native.widest(file, *filters)
         file.seek(start)
         return found
-    if isinstance(file, (str, os.PathLike)) and not os.path.isfile(file):
-        # A FIFO, or what the native half refuses with its reason.
+    if isinstance(file, (str, os.PathLike)) and (os.fspath(file) == "-" or not os.path.isfile(file)):
+        # Standard input, a FIFO, or what the native half refuses with its reason.
         return WIDEST
     return _native.widest(_file(file), *filters)
