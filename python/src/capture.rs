@@ -2,24 +2,24 @@
 
 use crate::error::{Failure, Kind, Stop, interruptible};
 use crate::intake::open;
+use crate::link::Link;
 use crate::options::Keywords;
 use crate::pool::{build, pool};
 use crate::records::{Records, selected};
-use csi5300::bartlett::{self, Grid};
-use csi5300::motion::odometry::csv;
+use csi5300::bartlett::Grid;
+use csi5300::motion::odometry::csv::{self, CsvError};
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::{
-    Answer, Bearing, LinkPlan, LinkReport, Options, StretchAnswer, Transmitter, bearings as estimate,
+    Answer, LinkPlan, LinkReport, LogReport, Options, StretchAnswer, Transmitter, bearings as estimate,
 };
 use csi5300::source::{CsiSource, Next, Origin, Stamps};
 use csi5300::time::Instant;
 use csi5300_lab::table::{Arena, NO_TIME};
 use driver_iface::record::{Record, Tail};
-use num_complex::Complex64;
-use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::PyTuple;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -97,7 +97,11 @@ fn trajectory(of: &Bound<'_, PyAny>) -> PyResult<Trajectory> {
     let name = path.display().to_string();
     // In a thread of its own, for the sake of a file that lets its reader wait.
     interruptible(of.py(), &Stop::default(), move || {
-        let read = csv::read(&path).map_err(|error| Failure::new(Kind::Trajectory, error).of(name));
+        let kind = |error: &CsvError| match error {
+            CsvError::Io { .. } => Kind::TrajectoryFile,
+            _ => Kind::Trajectory,
+        };
+        let read = csv::read(&path).map_err(|error| Failure::new(kind(&error), error).of(name));
         read.map(|(trajectory, _)| trajectory)
     })
 }
@@ -134,72 +138,6 @@ pub fn read_trajectory<'py>(py: Python<'py>, path: &Bound<'py, PyAny>) -> PyResu
     pose_array(py, &trajectory(path)?)
 }
 
-/// A link's bearing with what it was made of.
-#[pyclass(frozen, module = "csi5300._native")]
-pub struct Link {
-    bearing: Arc<Bearing>,
-}
-
-#[pymethods]
-impl Link {
-    /// The profile over a grid: `(azimuths, elevations)` even ones, or directions (n, 2), degrees. Returns azimuths and
-    /// elevations (degrees) and values, each (rows, columns).
-    #[pyo3(signature = (azimuths, elevations, directions))]
-    fn profile<'py>(
-        &self,
-        py: Python<'py>,
-        azimuths: usize,
-        elevations: usize,
-        directions: Option<PyReadonlyArray2<'py, f64>>,
-    ) -> PyResult<[Bound<'py, PyArray2<f64>>; 3]> {
-        const LIMIT: usize = 10_000_000;
-        let grid = match &directions {
-            Some(list) => {
-                let list = list.as_array();
-                let pair = |row: usize| Some((list.get((row, 0))?.to_radians(), list.get((row, 1))?.to_radians()));
-                Grid::directions((0..list.nrows()).filter_map(pair).collect())
-            }
-            None if azimuths.checked_mul(elevations.max(1)).is_none_or(|all| all > LIMIT || all == 0) => {
-                return Err(Failure::new(Kind::Option, format!("a grid of 1 to {LIMIT} directions")).into());
-            }
-            None if elevations < 2 => Grid::azimuth(azimuths),
-            None => Grid::azimuth_elevation(azimuths, elevations),
-        };
-        let bearing = Arc::clone(&self.bearing);
-        // Ten million directions are done within a second.
-        let profile = interruptible(py, &Stop::default(), move || {
-            bartlett::profile(&bearing.samples, &grid).map_err(|error| Failure::new(Kind::Option, error))
-        })?;
-        let (rows, columns) = profile.grid.shape();
-        let angles: Vec<(f64, f64)> = (0..profile.values.len()).map(|index| profile.grid.at(index)).collect();
-        let of = |values: Vec<f64>| values.into_pyarray(py).reshape([rows, columns]);
-        Ok([
-            of(angles.iter().map(|(azimuth, _)| azimuth.to_degrees()).collect())?,
-            of(angles.iter().map(|(_, elevation)| elevation.to_degrees()).collect())?,
-            of(profile.values)?,
-        ])
-    }
-
-    /// The samples: `t_s` (n), `z` (n), `receiver_m` (n, 3), and the receiver's whole path `path_m`, and the phase of
-    /// each pair (`phase`: seconds, one way, round trip, compensated, radians).
-    fn samples<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let samples = &self.bearing.samples;
-        let arrays = PyDict::new(py);
-        let flat = |points: &[Vector3<f64>]| {
-            let values: Vec<f64> = points.iter().flat_map(|p| [p.x, p.y, p.z]).collect();
-            values.into_pyarray(py).reshape([points.len(), 3])
-        };
-        arrays.set_item("t_s", PyArray1::<f64>::from_slice(py, samples.t_s()))?;
-        arrays.set_item("z", PyArray1::<Complex64>::from_slice(py, samples.z()))?;
-        arrays.set_item("receiver_m", flat(samples.receiver_m())?)?;
-        arrays.set_item("path_m", flat(&self.bearing.path_m)?)?;
-        let row = |p: &csi5300::pipeline::Phase| [p.t_s, p.one_way_rad, p.round_trip_rad, p.compensated_rad];
-        let course: Vec<f64> = self.bearing.course.iter().flat_map(row).collect();
-        arrays.set_item("phase", course.into_pyarray(py).reshape([self.bearing.course.len(), 4])?)?;
-        Ok(arrays)
-    }
-}
-
 /// A link's answer as JSON, the link itself where it has a bearing, and the answers of its stretches as JSON.
 type Linked = (String, Option<Link>, Vec<String>);
 
@@ -216,6 +154,9 @@ pub fn bearings(
     keywords: &str,
 ) -> PyResult<Vec<Linked>> {
     let keywords = Keywords::parse(keywords)?;
+    if keywords.channel()?.is_none() {
+        return Err(Failure::new(Kind::Option, "channel: it must be named, the logs do not say it").into());
+    }
     let options = keywords.options()?.with_keep_course(true).with_parallel(tx.len() > 1);
     let stop = Stop::default();
     let stoppable = |log| PyResult::Ok(Stoppable { source: source(log, &stop)?, stop: stop.clone() });
@@ -238,8 +179,23 @@ pub fn bearings(
         })
     })?;
     let mut stretches = stretches.into_iter();
-    let links = names.into_iter().zip(report.links);
-    links.map(|(name, link)| linked(name, link, stretches.next().unwrap_or_default(), &keywords, &options)).collect()
+    let links = names.into_iter().zip(report.links).zip(&report.transmitters);
+    let answer = |((name, link), log): ((String, LinkReport), &LogReport)| {
+        let empty = nothing(&report.receiver, log);
+        linked(name, link, stretches.next().unwrap_or_default(), (&keywords, &options), empty)
+    };
+    links.map(answer).collect()
+}
+
+/// What there is to say of logs without any record, with which nothing can have gone right.
+fn nothing(receiver: &LogReport, transmitter: &LogReport) -> Option<String> {
+    let (whose, survey) = match (receiver.survey.bfees(), transmitter.survey.bfees()) {
+        (0, _) => ("the receiver's log", &receiver.survey),
+        (_, 0) => ("the transmitter's log", &transmitter.survey),
+        _ => return None,
+    };
+    let lost = survey.damaged_bytes;
+    Some(format!("{whose} holds no record with CSI ({lost} bytes are no record): is it a log of this card?"))
 }
 
 /// What Python is given of a link.
@@ -247,8 +203,8 @@ fn linked(
     name: String,
     link: LinkReport,
     stretches: Vec<StretchAnswer>,
-    keywords: &Keywords,
-    options: &Options,
+    (keywords, options): (&Keywords, &Options),
+    empty: Option<String>,
 ) -> PyResult<Linked> {
     let internal = |error| Failure::new(Kind::Internal, error);
     let mut answer = Answer::new(name, &link);
@@ -266,7 +222,8 @@ fn linked(
     if let Some(least) = keywords.min_confidence {
         answer.refuse_below(least);
     }
+    answer.error = answer.error.map(|error| empty.unwrap_or(error));
     let json = serde_json::to_string(&answer).map_err(internal)?;
     let bearing = link.bearing.ok().filter(|_| answer.azimuth_deg.is_some());
-    Ok((json, bearing.map(|bearing| Link { bearing: Arc::new(bearing) }), own))
+    Ok((json, bearing.map(Link::new), own))
 }

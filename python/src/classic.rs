@@ -13,10 +13,10 @@ use driver_iface::record::code;
 use num_complex::{Complex32, Complex64};
 use numpy::{IntoPyArray, PyArray4, PyArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyBytes, PyDict};
 use rayon::prelude::*;
-use std::io::{Read, Seek, SeekFrom};
-use std::path::PathBuf;
+use std::io::{Cursor, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
 
 use crate::error::detached;
 
@@ -150,15 +150,22 @@ fn unpack(bfee: &Bfee<'_>, (rows, streams): (usize, usize), out: &mut [Complex64
     }
 }
 
-/// Opens a log from byte `position` on.
-fn open_at(path: &PathBuf, position: u64) -> Result<Replay<Box<dyn Read + Send>>, Failure> {
+/// Opens a log, a path or bytes, from byte `position` on.
+fn open(log: &Bound<'_, PyAny>, position: u64) -> PyResult<Replay<Box<dyn Read + Send>>> {
+    let Ok(bytes) = log.cast::<PyBytes>() else { return Ok(open_at(&log.extract::<PathBuf>()?, position)?) };
+    let mut memory = Cursor::new(bytes.as_bytes().to_vec());
+    memory.set_position(position);
+    Ok(Replay::new(Box::new(memory), format!("{} bytes in memory", bytes.as_bytes().len())))
+}
+
+fn open_at(path: &Path, position: u64) -> Result<Replay<Box<dyn Read + Send>>, Failure> {
     let name = path.display().to_string();
     let refused = |source: std::io::Error| {
         let what = format!("cannot read the log {name}");
         Failure::log(csi5300::source::Error::Io { what, source }, &name, position)
     };
     if path.is_dir() {
-        return Err(Failure::log(csi5300::source::Error::Directory { path: path.clone() }, &name, 0));
+        return Err(Failure::log(csi5300::source::Error::Directory { path: path.to_owned() }, &name, 0));
     }
     // A FIFO has no places: it is refused by the next line, and not waited for.
     let mut file = open_at_once(path).map_err(refused)?;
@@ -171,13 +178,13 @@ fn open_at(path: &PathBuf, position: u64) -> Result<Replay<Box<dyn Read + Send>>
 #[pyfunction]
 pub fn classic<'py>(
     py: Python<'py>,
-    path: PathBuf,
+    log: &Bound<'py, PyAny>,
     position: u64,
     limit: usize,
     shape: (usize, usize),
     payload_size: usize,
 ) -> PyResult<Bound<'py, PyDict>> {
-    let mut source = open_at(&path, position)?;
+    let mut source = open(log, position)?;
     let limit = if limit == 0 { usize::MAX } else { limit };
     let mut read = Read1::default();
     while !read.ended {

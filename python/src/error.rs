@@ -26,8 +26,14 @@ pub enum Kind {
     Option,
     /// Poses make no trajectory.
     Trajectory,
+    /// A trajectory's file cannot be read.
+    TrajectoryFile,
     /// A scene cannot be.
     Scene,
+    /// A scene's file cannot be read.
+    SceneFile,
+    /// A file or folder that an argument names cannot be read.
+    OptionFile,
     /// No bearing comes from these logs at all.
     Capture,
     /// The card or the room is not there.
@@ -45,7 +51,10 @@ impl Kind {
             Self::NotFound => "LogNotFoundError",
             Self::Option => "OptionError",
             Self::Trajectory => "TrajectoryError",
+            Self::TrajectoryFile => "TrajectoryFileError",
             Self::Scene => "SceneError",
+            Self::SceneFile => "SceneFileError",
+            Self::OptionFile => "OptionFileError",
             Self::Capture => "CaptureError",
             Self::Live => "LiveError",
             Self::Export => "ExportError",
@@ -137,6 +146,11 @@ impl Stop {
         self.0.load(Ordering::Relaxed)
     }
 
+    /// Asks for it.
+    pub fn ask(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+
     /// The flag itself.
     pub fn flag(&self) -> &AtomicBool {
         &self.0
@@ -156,7 +170,7 @@ impl Cancel {
 
     /// Asks the work that has it to stop.
     fn set(&self) {
-        self.0.0.store(true, Ordering::Relaxed);
+        self.0.ask();
     }
 
     /// True once it was asked.
@@ -197,7 +211,7 @@ where
             Ok(result) => return result.map_err(Into::into),
             Err(RecvTimeoutError::Timeout) => {
                 if let Err(signal) = py.check_signals() {
-                    stop.0.store(true, Ordering::Relaxed);
+                    stop.ask();
                     // A receiver is handed over for good.
                     let _ = py.detach(move || receiver.recv_timeout(GRACE).map(drop));
                     return Err(signal);

@@ -127,7 +127,7 @@ pub fn info<S: CsiSource>(reading: &Reading<S>, name: &str, bytes: Option<u64>) 
         .collect();
     let json = serde_json::json!({
         "name": name, "bytes": bytes, "left_out": reading.left_out, "tail": tail, "senders": senders,
-        "lost_something": survey.lost_something(), "survey": survey,
+        "lost_something": survey.lost_something(), "first_time_us": reading.first_us(), "survey": survey,
     });
     serde_json::to_string(&json).map_err(|error| Failure::new(Kind::Internal, error))
 }

@@ -5,9 +5,9 @@
 //! |---|---|
 //! | `intake`, `patient` | logs from paths, bytes and file objects; files that let a reader wait |
 //! | `columns` | a column for each field as arrays |
-//! | `records` | `read`, `scan`, pickling |
+//! | `records`, `scan` | `read`, `scan`, pickling |
 //! | `classic` | the records as csiread's `Intel` has them |
-//! | `capture`, `options` | bearings |
+//! | `capture`, `link`, `options` | bearings |
 //! | `evaluate`, `simulate`, `stream` | captures with truth, rooms, cards |
 //! | `error`, `pool` | exceptions, interrupts, threads |
 
@@ -18,10 +18,12 @@ mod columns;
 mod error;
 mod evaluate;
 mod intake;
+mod link;
 mod options;
 mod patient;
 mod pool;
 mod records;
+mod scan;
 mod simulate;
 mod stream;
 
@@ -34,11 +36,12 @@ fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("SUBCARRIERS_20_MHZ", csi5300::signal::channel::INDICES_20_MHZ.to_vec())?;
     module.add("SUBCARRIERS_40_MHZ", csi5300::signal::channel::INDICES_40_MHZ.to_vec())?;
     module.add_class::<records::Records>()?;
-    module.add_class::<records::Scanner>()?;
-    module.add_class::<capture::Link>()?;
+    module.add_class::<scan::Scanner>()?;
+    module.add_class::<link::Link>()?;
     module.add_class::<stream::Listener>()?;
     module.add_class::<error::Cancel>()?;
     module.add_function(wrap_pyfunction!(records::read, module)?)?;
+    module.add_function(wrap_pyfunction!(scan::widest, module)?)?;
     module.add_function(wrap_pyfunction!(classic::classic, module)?)?;
     module.add_function(wrap_pyfunction!(classic_scale::classic_scaled, module)?)?;
     module.add_function(wrap_pyfunction!(classic_scale::classic_unmapped, module)?)?;

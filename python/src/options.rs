@@ -7,7 +7,7 @@ use csi5300::motion::rolling::Mount;
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::{Accuracy, Effort, JoinBy, Options};
 use csi5300::signal::channel::{Channel, Width};
-use csi5300::source::read_key;
+use csi5300::source::{KeyFileError, read_key};
 use csi5300_lab::table::antennas;
 use driver_iface::Mac;
 use serde::Deserialize;
@@ -114,7 +114,11 @@ impl Keywords {
             options = options.with_antenna(one.ok_or_else(|| wrong(format!("antenna: {text:?} is not A, B or C")))?);
         }
         if let Some(path) = &self.key {
-            options = options.with_key(Some(read_key(path).map_err(wrong)?));
+            let refused = |error: KeyFileError| {
+                let unread = matches!(error, KeyFileError::Io { .. } | KeyFileError::NoFile { .. });
+                Failure::new(if unread { Kind::OptionFile } else { Kind::Option }, format!("key: {error}"))
+            };
+            options = options.with_key(Some(read_key(path).map_err(refused)?));
         }
         Ok(options)
     }
@@ -209,7 +213,11 @@ impl Keywords {
         within("heading_sd", self.heading_sd, 0.0, 180.0)?;
         within("accuracy", self.accuracy, 0.0, 180.0)?;
         within("min_confidence", self.min_confidence, 0.0, 1.0)?;
-        within("every", self.every, f64::MIN_POSITIVE, f64::MAX)?;
+        let positive = [("every", self.every), ("range_min", self.range_min)];
+        if let Some((name, Some(value))) = positive.iter().find(|(_, value)| value.is_some_and(|value| value <= 0.0)) {
+            return Err(wrong(format!("{name}: {value} is not above 0")));
+        }
+        within("every", self.every, 0.0, 1e9)?;
         for (name, numbers) in [("antenna_offset", self.antenna_offset), ("camera_mount", self.camera_mount)] {
             if numbers.is_some_and(|numbers| numbers.iter().any(|number| !number.is_finite())) {
                 return Err(wrong(format!("{name}: three finite numbers")));
@@ -221,7 +229,7 @@ impl Keywords {
         if self.every.is_some() && self.join_rows {
             return Err(wrong("every: stretches have no rows to join by (join_rows)"));
         }
-        within("range_min", self.range_min, f64::MIN_POSITIVE, 1e6)?;
+        within("range_min", self.range_min, 0.0, 1e6)?;
         if self.from_.zip(self.to).is_some_and(|(from, to)| from >= to) {
             return Err(wrong("from_ is not before to"));
         }

@@ -5,9 +5,8 @@ use crate::error::{Failure, Kind, Stop, detached, interruptible};
 use crate::intake::{filter, info, is_read_here, open, read_all, read_on, size};
 use crate::pool::pool;
 use csi5300::signal::csi::{scale_factor, total_rss_dbm};
-use csi5300::source::replay::Replay;
 use csi5300_lab::export::Export;
-use csi5300_lab::table::{Arena, Columns, Form, Reading, Rows, antennas, decode};
+use csi5300_lab::table::{Arena, Columns, Form, Reading, Rows, Widest, antennas, decode};
 use driver_iface::bfee::{Antenna, Bfee, SUBCARRIERS};
 use num_complex::Complex32;
 use numpy::{IntoPyArray, PyArray1, PyArray4, PyArrayMethods, PyReadonlyArray1, PyUntypedArrayMethods};
@@ -15,9 +14,8 @@ use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use rayon::prelude::*;
 use std::ffi::OsString;
-use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 /// Records decoded between two looks at signals.
 const PIECE: usize = 1 << 17;
@@ -153,9 +151,10 @@ impl Records {
         self.figure(py, rows, |bfee| total_rss_dbm(bfee).ok())
     }
 
-    /// Writes `rows`, whose columns are given, to a file: .npz, .mat or .parquet. Returns how many have no scale, where one was
-    /// asked for.
-    #[pyo3(signature = (path, rows, columns, letters, scaled, without_spatial_mapping))]
+    /// Writes `rows`, whose columns are given, to a file: .npz, .mat or .parquet; CSI of the antennas `letters` and so many streams.
+    /// Returns how many have no scale, where one was asked for.
+    #[pyo3(signature = (path, rows, columns, letters, n_tx, scaled, without_spatial_mapping))]
+    #[allow(clippy::too_many_arguments)]
     fn write(
         &self,
         py: Python<'_>,
@@ -163,6 +162,7 @@ impl Records {
         rows: Option<PyReadonlyArray1<'_, i64>>,
         columns: &Bound<'_, PyDict>,
         letters: &str,
+        n_tx: usize,
         scaled: bool,
         without_spatial_mapping: bool,
     ) -> PyResult<u64> {
@@ -176,7 +176,8 @@ impl Records {
         let stop = Stop::default();
         let asked = stop.clone();
         interruptible(py, &stop, move || {
-            let export = Export::new(&arena, records, &columns, form).with_antennas(&ports).with_stop(asked.flag());
+            let export = Export::new(&arena, records, &columns, form).with_antennas(&ports).with_streams(n_tx);
+            let export = export.with_stop(asked.flag());
             // What a link leads to is replaced, not the link.
             let target = path.canonicalize().unwrap_or_else(|_| path.clone());
             let half = draft(&target);
@@ -186,8 +187,12 @@ impl Records {
             written.and_then(renamed).map_err(|error| {
                 // It is not there where it could not be made.
                 let _ = std::fs::remove_file(&half);
-                let message = format!("cannot write {}: {error}", path.display());
-                Failure::new(Kind::Export, message).of(path.display().to_string())
+                let path = path.display().to_string();
+                // Nobody knows the draft by its name.
+                let why = error.replace(&half.display().to_string(), &path);
+                let known = format!("cannot write {path}: ");
+                let message = if why.contains(&path) { why } else { known + &why };
+                Failure::new(Kind::Export, message).of(path)
             })
         })
     }
@@ -257,6 +262,11 @@ impl Records {
 /// What `read` gives: records, columns, what is known of the log as JSON, and the letters of its antennas with its streams.
 type Read4<'py> = (Records, Bound<'py, PyDict>, String, (String, usize));
 
+/// The letters of the antennas that CSI has rows for, and its streams.
+pub fn shape(widest: &Widest) -> (String, usize) {
+    (widest.antennas().iter().map(Antenna::to_string).collect(), widest.streams())
+}
+
 /// Reads a log into memory.
 #[pyfunction]
 #[pyo3(signature = (file, macs=None, t=None, letters=None))]
@@ -275,53 +285,7 @@ pub fn read<'py>(
     }
     let (arena, columns) = intake.take();
     let info = info(&intake, intake.source().name(), Some(intake.source().bytes()))?;
-    let used: String = columns.antennas().iter().map(Antenna::to_string).collect();
-    let shape = (used, usize::from(columns.n_tx.iter().copied().max().unwrap_or(1)));
+    let shape = shape(&columns.widest());
     let (records, columns) = Records::new(py, arena, columns)?;
     Ok((records, columns, info, shape))
-}
-
-/// A log read piece by piece.
-#[pyclass(module = "csi5300._native")]
-pub struct Scanner {
-    /// Behind a lock that nobody else holds: readers may be sent between threads, not shared.
-    intake: Mutex<Reading<Replay<Box<dyn Read + Send>>>>,
-    chunk: usize,
-}
-
-#[pymethods]
-impl Scanner {
-    #[new]
-    #[pyo3(signature = (file, chunk, macs=None, t=None, letters=None))]
-    fn new(
-        file: &Bound<'_, PyAny>,
-        chunk: usize,
-        macs: Option<Vec<String>>,
-        t: Option<(Option<f64>, Option<f64>)>,
-        letters: Option<&str>,
-    ) -> PyResult<Self> {
-        if chunk == 0 {
-            return Err(Failure::new(Kind::Option, "chunk: at least 1 record").into());
-        }
-        let source = open(file, &Stop::default())?;
-        Ok(Self { intake: Mutex::new(Reading::new(source, filter(macs, t, letters)?)), chunk })
-    }
-
-    /// The next piece, or None at the end.
-    fn next<'py>(&mut self, py: Python<'py>) -> PyResult<Option<(Records, Bound<'py, PyDict>)>> {
-        let intake = self.intake.get_mut().unwrap_or_else(PoisonError::into_inner);
-        read_on(py, intake, self.chunk)?;
-        let (arena, columns) = intake.take();
-        if arena.len() == 0 {
-            return Ok(None);
-        }
-        Records::new(py, arena, columns).map(Some)
-    }
-
-    /// What is known of the log so far, as JSON.
-    fn info(&mut self) -> PyResult<String> {
-        let intake = self.intake.get_mut().unwrap_or_else(PoisonError::into_inner);
-        let source = intake.source();
-        Ok(info(intake, source.name(), Some(source.bytes()))?)
-    }
 }

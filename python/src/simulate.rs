@@ -3,7 +3,7 @@
 use crate::capture::pose_array;
 use crate::error::{Failure, Kind, Stop, interruptible};
 use csi5300_sim::scene::Driver;
-use csi5300_sim::{BUILT_IN, Room, Scene};
+use csi5300_sim::{BUILT_IN, Room, Scene, SceneError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::Path;
@@ -18,9 +18,10 @@ fn scene(text: &str, is_json: bool) -> Result<Scene, Failure> {
     built_in.map_or_else(|| Scene::load(path).map_err(|error| refused(&error, text)), Ok)
 }
 
-fn refused(error: &dyn std::fmt::Display, name: &str) -> Failure {
+fn refused(error: &SceneError, name: &str) -> Failure {
     let names: Vec<_> = BUILT_IN.iter().map(|(name, _)| *name).collect();
-    Failure::new(Kind::Scene, format!("{error} (built-in scenes: {})", names.join(", "))).of(name)
+    let kind = if matches!(error, SceneError::Io { .. }) { Kind::SceneFile } else { Kind::Scene };
+    Failure::new(kind, format!("{error} (built-in scenes: {})", names.join(", "))).of(name)
 }
 
 /// Runs a scene: channel, initiators, and for each robot its name, MAC, log, true path and what was done to it.

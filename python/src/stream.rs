@@ -1,29 +1,32 @@
 //! Records as they come: from this machine's card, or from a robot of a served room.
 
-use crate::error::{Failure, Kind, detached};
+use crate::error::{Failure, Kind, Stop, detached};
 use crate::intake::{filter, info};
 use crate::records::Records;
 use csi5300::time::{Instant, Span};
-use csi5300_lab::table::Reading;
+use csi5300_lab::table::{Arena, Columns, Reading};
 use csi5300_live::netlink::{Netlink, Options};
 use csi5300_live::wait::{Monotonic, wall_us};
 use csi5300_sim::served::{self, Address};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::os::fd::{AsFd, AsRawFd, OwnedFd};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// How long a signal waits at most.
 const PATIENCE: Span = Span::from_ms(100);
 /// Records taken at once at most.
 const MOST: usize = 8_192;
 
-/// A listener.
-#[pyclass(module = "csi5300._native")]
+/// A listener, which several threads may ask; it listens until it is [closed](Listener::close).
+#[pyclass(frozen, module = "csi5300._native")]
 pub struct Listener {
-    intake: Reading<Netlink>,
+    /// Taken for a moment at a time and never with the interpreter's lock: who has it waits for nobody.
+    intake: Mutex<Reading<Netlink>>,
     socket: OwnedFd,
     clock: Monotonic,
     name: String,
+    closed: Stop,
 }
 
 fn refused(error: impl ToString) -> Failure {
@@ -59,7 +62,8 @@ impl Listener {
         };
         let socket = source.as_fd().try_clone_to_owned().map_err(refused)?;
         let name = room.map_or_else(|| "this machine's card".to_owned(), str::to_owned);
-        Ok(Self { intake: Reading::new(source, filter(macs, None, None)?), socket, clock: Monotonic::new(), name })
+        let intake = Mutex::new(Reading::new(source, filter(macs, None, None)?));
+        Ok(Self { intake, socket, clock: Monotonic::new(), name, closed: Stop::default() })
     }
 
     /// The socket's file descriptor, readable when records wait.
@@ -69,41 +73,51 @@ impl Listener {
 
     /// True once a served room ended.
     #[getter]
-    fn ended(&self) -> bool {
-        self.intake.has_ended()
+    fn ended(&self, py: Python<'_>) -> PyResult<bool> {
+        detached(py, || self.intake().has_ended())
+    }
+
+    /// Ends the waits of all who read.
+    fn close(&self) {
+        self.closed.ask();
     }
 
     /// The records that wait; where there are none, waits up to `timeout_s` seconds (None: as long as it takes).
-    fn read<'py>(&mut self, py: Python<'py>, timeout_s: Option<f64>) -> PyResult<(Records, Bound<'py, PyDict>)> {
+    fn read<'py>(&self, py: Python<'py>, timeout_s: Option<f64>) -> PyResult<(Records, Bound<'py, PyDict>)> {
         let end = timeout_s.map(|s| self.clock.now() + Span::from_s(s.max(0.0)));
         loop {
-            let waited = detached(py, || self.step(end))?;
-            waited?;
-            py.check_signals()?;
             let over = end.is_some_and(|end| self.clock.now() >= end);
-            if !self.intake.arena.is_empty() || over || self.intake.has_ended() {
-                let (arena, columns) = self.intake.take();
+            let taken = detached(py, || self.step(end, over))?;
+            py.check_signals()?;
+            if let Some((arena, columns)) = taken? {
                 return Records::new(py, arena, columns);
             }
         }
     }
 
     /// What is known of the stream so far, as JSON.
-    fn info(&self) -> PyResult<String> {
-        Ok(info(&self.intake, &self.name, None)?)
+    fn info(&self, py: Python<'_>) -> PyResult<String> {
+        Ok(detached(py, || info(&self.intake(), &self.name, None))??)
     }
 }
 
 impl Listener {
-    /// Takes what is there, or waits for something a moment.
-    fn step(&mut self, end: Option<Instant>) -> Result<(), Failure> {
+    fn intake(&self) -> MutexGuard<'_, Reading<Netlink>> {
+        self.intake.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What is there, which may be nothing once the time is `over` or the room ended; otherwise waits for something a moment.
+    fn step(&self, end: Option<Instant>, over: bool) -> Result<Option<(Arena, Columns)>, Failure> {
         let now = self.clock.now();
-        self.intake.burst(now, MOST).map_err(refused)?;
-        if !self.intake.arena.is_empty() || self.intake.has_ended() {
-            return Ok(());
+        {
+            let mut intake = self.intake();
+            intake.burst(now, MOST).map_err(refused)?;
+            if !intake.arena.is_empty() || over || intake.has_ended() || self.closed.is_asked() {
+                return Ok(Some(intake.take()));
+            }
         }
         let until = end.unwrap_or(now + PATIENCE).min(now + PATIENCE);
         self.clock.wait([self.socket.as_fd()], Some(until)).map_err(refused)?;
-        self.intake.burst(self.clock.now(), MOST).map(|_| ()).map_err(refused)
+        Ok(None)
     }
 }

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import copy
 import json
 import pickle
 from pathlib import Path
@@ -64,6 +65,41 @@ def test_profiles(rx: Path, tx: Path, path_csv: Path) -> None:
         bearing.profile(0)
 
 
+def test_steps_are_whole_numbers_of_any_kind(rx: Path, tx: Path, path_csv: Path) -> None:
+    (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, without="near-field")
+    steps = bearing.profile(36)
+    for number in (np.int64(36), np.array(36), np.uint8(36)):
+        assert np.array_equal(bearing.profile(number).value, steps.value)
+    assert np.array_equal(bearing.profile(36, 1).value, steps.value)
+    for elevation in (bearing.profile([0.0], 1), bearing.profile([0.0])):
+        assert elevation.elevation_deg.tolist() == [[0.0]]
+    for wrong in (36.0, np.float64(36), True, "36", None, 0, [], ["north"]):
+        with pytest.raises(csi5300.OptionError, match="azimuth"):
+            bearing.profile(wrong)  # type: ignore[arg-type]
+
+
+def test_bearings_are_pickled_with_what_they_were_made_of(rx: Path, tx: Path, path_csv: Path) -> None:
+    good, bad = csi5300.bearings(rx, [tx, b""], trajectory=path_csv, channel=108, every=1.0)
+    for other in (pickle.loads(pickle.dumps(good)), copy.copy(good), copy.deepcopy(good)):
+        assert other and other.answer == good.answer and other.stretches == good.stretches
+        assert np.array_equal(other.profile(90, 3).value, good.profile(90, 3).value)
+        assert all(np.array_equal(values, other.samples[name]) for name, values in good.samples.items())
+    again = pickle.loads(pickle.dumps(bad))
+    assert not again and again.error == bad.error and len({good, bad, again}) == 3
+    state = good.__getstate__()
+    state["link"][1][0] = np.nan
+    with pytest.raises(csi5300.OptionError, match="damaged"):
+        copy.copy(good).__setstate__(state)
+
+
+def test_a_log_without_records_is_said_to_be_one(rx: Path, tx: Path, path_csv: Path) -> None:
+    noise = b"It was a dark and stormy night. " * 20
+    (bearing,) = csi5300.bearings(noise, tx, trajectory=path_csv, channel=108)
+    assert bearing.error and "the receiver's log holds no record with CSI" in bearing.error
+    (bearing,) = csi5300.bearings(rx, b"", trajectory=path_csv, channel=108)
+    assert bearing.error and "the transmitter's log holds no record with CSI" in bearing.error
+
+
 def test_samples_make_the_profile(rx: Path, tx: Path, path_csv: Path) -> None:
     (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, without="near-field")
     samples, around = bearing.samples, bearing.profile()
@@ -99,8 +135,13 @@ def test_a_room_has_its_bearing() -> None:
     stock = csi5300.simulate(scene, layout="stock")
     assert stock["rx"].log.info["survey"]["stock"] == 600
     assert set(stock["rx"].log.mac) == {room["tx"].mac}
-    with pytest.raises(KeyError):
+    with pytest.raises(KeyError, match="no robot 'nobody' in this room: rx, tx"):
         room["nobody"]
+    assert len({*room, *room}) == 2 and room["rx"] == room["rx"]
+    with pytest.raises(csi5300.OptionError, match="channel"):
+        room.bearings(channel=None)
+    scene["duration_s"], scene["robot"][1]["position_m"] = np.float32(6), np.array([3.0, 2.5, 0.0])  # type: ignore[index]
+    assert csi5300.simulate(scene)["tx"].data == room["tx"].data, "NumPy's values are values"
 
 
 def test_stock_logs_in_memory_keep_senders_and_numbers(rx: Path) -> None:
@@ -133,8 +174,10 @@ def test_a_tree_is_evaluated() -> None:
         (["near-field"], 20.0),
     ]
     assert swept.rows[1]["azimuth_deg"] == row["azimuth_deg"]
-    with pytest.raises(csi5300.OptionError, match="no capture"):
+    with pytest.raises(csi5300.OptionFileError, match="no folder"):
         csi5300.evaluate(CIRCLE.parent / "none")
+    with pytest.raises(csi5300.OptionError, match="no capture"):
+        csi5300.evaluate(CIRCLE.parent.parent / "checks")
     with pytest.raises(csi5300.OptionError, match="nonsense"):
         csi5300.evaluate(CIRCLE, nonsense=1)
 
@@ -148,3 +191,19 @@ def test_an_evaluation_is_a_table() -> None:
     for library, frame in (("pandas", result.to_pandas), ("polars", result.to_polars)):
         pytest.importorskip(library)
         assert list(frame()["link"]) == [row["link"] for row in result], library
+
+
+def test_tables_have_columns_of_one_kind() -> None:
+    result = csi5300.evaluate(CIRCLE, sweep={"without": [None, "focus", ["focus", "paths"]], "to": [1, 2.5]})
+    said = [None, None, "focus", "focus", "focus,paths", "focus,paths"]
+    rows = [{**row, "nowhere_deg": None} for row in result]
+    result = csi5300.Evaluation(rows)
+    for library, frame in (("pyarrow", result.to_arrow), ("polars", result.to_polars)):
+        pytest.importorskip(library)
+        table = frame()
+        column = table["option_without"].to_pylist() if library == "pyarrow" else table["option_without"].to_list()
+        assert column == said and table["nowhere_deg"].to_numpy().dtype == np.float64, library
+    pytest.importorskip("pandas")
+    table = result.to_pandas()
+    assert table["nowhere_deg"].dtype == np.float64 and table["option_to"].dtype == np.float64
+    assert len(table.groupby("option_without", dropna=False)) == 3

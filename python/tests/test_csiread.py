@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import csi5300.csiread
 import numpy as np
 import pytest
 from conftest import CSITOOL
+from numpy.typing import NDArray
 from oracle import packets
 
 FIELDS = ("timestamp_low", "bfee_count", "Nrx", "Ntx", "rssi_a", "rssi_b", "rssi_c", "noise", "agc", "perm", "rate")
@@ -17,7 +21,8 @@ FRAMES = ("fc", "dur", "addr_des", "addr_src", "addr_bssid", "seq", "payload")
 
 @pytest.fixture
 def theirs() -> ModuleType:
-    return pytest.importorskip("csiread")
+    module: ModuleType = pytest.importorskip("csiread")
+    return module
 
 
 def stock(path: Path) -> bool:
@@ -37,7 +42,7 @@ STOCK = [path for path in CSITOOL if stock(path)]
 
 @pytest.mark.parametrize("path", STOCK, ids=lambda path: path.name)
 def test_fields_and_csi_are_csireads(path: Path, theirs: ModuleType) -> None:
-    args = {"nrxnum": 3, "ntxnum": 3, "pl_size": 64, "if_report": False}
+    args: dict[str, Any] = {"nrxnum": 3, "ntxnum": 3, "pl_size": 64, "if_report": False}
     own, other = csi5300.csiread.Intel(str(path), **args), theirs.Intel(str(path), **args)
     own.read()
     other.read()
@@ -82,7 +87,25 @@ def test_seek_pmsg_and_refusals(path: Path, theirs: ModuleType, capsys: pytest.C
 @pytest.mark.parametrize("path", [p for p in STOCK if Path(f"{p}stp").exists()], ids=lambda path: path.name)
 def test_host_times_are_csireads(path: Path, theirs: ModuleType) -> None:
     own, other = csi5300.csiread.Intel(str(path)), theirs.Intel(str(path))
-    assert own.readstp() == other.readstp() and np.array_equal(own.stp, other.stp)
+    assert own.readstp() == other.readstp() and own.stp is not None and np.array_equal(own.stp, other.stp)
+
+
+# csiread itself, in a process of its own: its buffers are written beyond, and a file that is not there ends the process.
+THEIRS = """
+import sys
+import csiread
+import numpy as np
+
+log = csiread.Intel(None, nrxnum=3, ntxnum=3, if_report=False, bufsize=5000)
+log.seek(sys.argv[1], 0, 5000)
+np.save(sys.argv[2], log.csi)
+"""
+
+
+def _theirs(log: Path, out: Path) -> tuple[int, NDArray[np.complex128] | None]:
+    """csiread's exit status, and the CSI of the packets that it read."""
+    run = subprocess.run([sys.executable, "-c", THEIRS, str(log), str(out)], capture_output=True, timeout=120, check=False)
+    return run.returncode, np.load(out) if out.exists() else None
 
 
 def test_what_csiread_cannot(rx: Path, tmp_path: Path) -> None:
@@ -102,4 +125,74 @@ def test_what_csiread_cannot(rx: Path, tmp_path: Path) -> None:
     assert broken.skipped >= 1 and reader.count - 3 <= broken.count < reader.count
     with pytest.raises(FileNotFoundError):
         csi5300.csiread.Intel(str(tmp_path / "none.dat"))
+    with pytest.raises(ValueError, match="at most"):
+        csi5300.csiread.Intel(None).pmsg(bytes(70_000))
     assert csi5300.csiread.Intel(None).pmsg(b"") == 0 and csi5300.csiread.Intel(None).pmsg(b"\xbbshort") == 0xBB
+
+
+def test_that_csiread_cannot(rx: Path, tmp_path: Path) -> None:
+    pytest.importorskip("csiread")
+    reader = csi5300.csiread.Intel(rx, nrxnum=3, ntxnum=3, if_report=False)
+    reader.read()
+    status, csi = _theirs(rx, tmp_path / "wsr.npy")
+    assert status == 0 and csi is not None and csi.shape == reader.csi.shape
+    assert not (csi == reader.csi).all(axis=(1, 2, 3)).any(), "a record of the WSR layout is read"
+    assert _theirs(tmp_path / "none.dat", tmp_path / "none.npy") == (255, None), "a missing file ends the process"
+
+
+@pytest.mark.parametrize("path", STOCK[-1:], ids=lambda path: path.name)
+def test_that_csiread_loses_what_is_behind_damage(path: Path, tmp_path: Path) -> None:
+    pytest.importorskip("csiread")
+    data = bytearray(path.read_bytes())
+    at = int(csi5300.read(path).offset[20])
+    data[at : at + 10] = b"\xff" * 10
+    (tmp_path / "broken.dat").write_bytes(data)
+    broken = csi5300.csiread.Intel(str(tmp_path / "broken.dat"), nrxnum=3, ntxnum=3, if_report=False)
+    broken.read()
+    status, csi = _theirs(tmp_path / "broken.dat", tmp_path / "broken.npy")
+    assert status == 0 and csi is not None and len(csi) < broken.count // 2
+
+
+@pytest.mark.parametrize("path", STOCK[:1], ids=lambda path: path.name)
+def test_a_packet_is_printed_as_csiread_prints_it(path: Path, theirs: ModuleType, capfd: pytest.CaptureFixture[str]) -> None:
+    said = []
+    for module in (csi5300.csiread, theirs):
+        log = module.Intel(str(path), ntxnum=3, pl_size=8, if_report=False)
+        assert log.stp is None
+        log.read()
+        capfd.readouterr()
+        log.display(0)
+        said.append(capfd.readouterr().out)
+    assert said[0] == said[1]
+
+
+@pytest.mark.parametrize("path", STOCK, ids=lambda path: path.name)
+def test_a_report_is_csireads(path: Path) -> None:
+    pytest.importorskip("csiread")
+    said = []
+    for module in ("csiread", "csi5300.csiread"):
+        report = f"from {module} import Intel; import sys; Intel(sys.argv[1], ntxnum=3).read()"
+        run = subprocess.run([sys.executable, "-c", report, str(path)], capture_output=True, text=True, timeout=120, check=True)
+        said.append(run.stdout)
+    assert said[0] == said[1] and "0xbb packets parsed" in said[0]
+
+
+def test_what_csiread_has_beside_its_readers() -> None:
+    theirs = pytest.importorskip("csiread")
+    from csi5300.csiread.utils import calib, phy_fft, phy_ifft, scidx
+
+    assert csi5300.csiread.__version__ == theirs.__version__
+    for bw in (20, 40):
+        for ng in (1, 2, 4):
+            indices = scidx(bw, ng)
+            assert np.array_equal(indices, theirs.scidx(bw, ng)), (bw, ng)
+            generator = np.random.default_rng(1)
+            csi = generator.normal(size=(4, len(indices), 3)) + 1j * generator.normal(size=(4, len(indices), 3))
+            phase = np.unwrap(np.angle(csi), axis=1)
+            assert np.allclose(calib(phase, indices), theirs.calib(phase, indices))
+            delays = phy_ifft(csi, indices)
+            assert np.allclose(delays, theirs.phy_ifft(csi, indices))
+            assert np.allclose(phy_fft(delays, indices), theirs.phy_fft(delays, indices))
+    assert np.array_equal(scidx(20, 2), csi5300.read(CSITOOL[0])[:1].subcarriers) if CSITOOL else True
+    with pytest.raises(ValueError, match="bw=80"):
+        scidx(80, 2)

@@ -62,6 +62,37 @@ def test_wrong_options_are_named(rx: Path, tx: Path, path_csv: Path) -> None:
     ):
         with pytest.raises(csi5300.OptionError, match=word):
             run(**options)
+    nan, three = float("nan"), (1, 2, 3)
+    for name, value in (
+        ("channel", None),
+        ("elevation_max", "x"),
+        ("elevation_max", True),
+        ("clock_offset", nan),
+        ("height", np.inf),
+        ("threads", -1),
+        ("decimate", 1.5),
+        ("antenna_offset", (1, 2)),
+        ("antenna_offset", 1),
+        ("camera_mount", (1, 2, nan)),
+        ("no_compensation", 1),
+        ("without", "near_field"),
+        ("without", 5),
+        ("tx_mac", 5),
+        ("key", 5),
+        ("every", 0),
+        ("every", nan),
+        ("range_min", -1),
+    ):
+        with pytest.raises(csi5300.OptionError, match=f"^{name}: ") as caught:
+            run(**{name: value})
+        assert len(str(caught.value)) < 150
+    with pytest.raises(csi5300.OptionError, match="nonsense"):
+        csi5300.evaluate(rx.parent, nonsense=three)
+    for trajectory in (None, [1.0, 2.0, 3.0, 4.0], np.zeros((2, 2, 4)), [[0, 0, 0, 0], [0, 0]], ["a", "b"], 5):
+        with pytest.raises(csi5300.TrajectoryError, match="^trajectory: "):
+            csi5300.bearings(rx, tx, trajectory=trajectory, channel=108)  # type: ignore[arg-type]
+    with pytest.raises(csi5300.TrajectoryError, match="^tx_trajectory: "):
+        run(tx_trajectory=[[1.0]])
     with pytest.raises(csi5300.TrajectoryError):
         csi5300.bearings(rx, tx, trajectory=[[0, 0, 0, 0]], channel=108)
     with pytest.raises(csi5300.TrajectoryError):
@@ -70,10 +101,68 @@ def test_wrong_options_are_named(rx: Path, tx: Path, path_csv: Path) -> None:
         csi5300.bearings(rx, [], trajectory=path_csv, channel=108)
 
 
+def test_scalars_of_numpy_are_numbers(rx: Path, tx: Path, path_csv: Path) -> None:
+    plain = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, to=1.5, decimate=2, no_compensation=True)
+    options = {"to": np.float32(1.5), "decimate": np.int16(2), "no_compensation": np.True_, "channel": np.uint8(108)}
+    (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, **options)  # type: ignore[arg-type]
+    assert bearing.azimuth_deg == plain[0].azimuth_deg
+
+
+def test_errors_about_files_are_errors_of_the_system(rx: Path, tx: Path, path_csv: Path, tmp_path: Path) -> None:
+    none = tmp_path / "none"
+    with pytest.raises(csi5300.TrajectoryFileError) as caught:
+        csi5300.read_trajectory(none)
+    assert isinstance(caught.value, (OSError, csi5300.TrajectoryError)) and caught.value.file == str(none)
+    with pytest.raises(csi5300.SceneFileError):
+        csi5300.simulate(none)
+    with pytest.raises(csi5300.OptionFileError, match="^key: "):
+        csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, key=none)
+    for of_a_folder in (csi5300.evaluate, csi5300.ray.evaluate, lambda uri: csi5300.ray.convert(uri, tmp_path)):
+        with pytest.raises(csi5300.OptionFileError, match="no folder"):
+            of_a_folder(none)
+    with pytest.raises(csi5300.LogNotFoundError, match="datstp"):
+        csiread.Intel(str(rx), if_report=False).readstp()
+    for error in (csi5300.TrajectoryFileError, csi5300.SceneFileError, csi5300.OptionFileError, csi5300.ExportError):
+        assert issubclass(error, csi5300.Error) and issubclass(error, OSError)
+
+
+def test_arguments_are_of_the_family(rx: Path) -> None:
+    for call in (
+        lambda: csi5300.simulate("lab-circle", seed=-1),
+        lambda: csi5300.simulate("lab-circle", seed=2**64),
+        lambda: csi5300.evaluate(rx.parent, workers=-1),
+        lambda: csi5300.evaluate(rx.parent, sweep={"elevation_max": 5}),  # type: ignore[dict-item]
+        lambda: csi5300.evaluate(rx.parent, sweep={"without": "focus"}),
+        lambda: csi5300.evaluate(rx.parent, sweep=5),  # type: ignore[arg-type]
+        lambda: csi5300.evaluate(rx.parent, trajectory=5),
+        lambda: csi5300.ray.evaluate(rx.parent, use_ray=False, workers=1.5),  # type: ignore[arg-type]
+        lambda: csi5300.read(rx, macs=5),  # type: ignore[arg-type]
+        lambda: csi5300.read(rx, antennas=5),  # type: ignore[arg-type]
+    ):
+        with pytest.raises(csi5300.OptionError):
+            call()
+
+
+def test_modules_are_there_when_they_are_named() -> None:
+    name = "import csi5300; print(csi5300.ray.RETRIES, csi5300.plot.COLUMNS, csi5300.csiread.__version__)"
+    said = subprocess.run([sys.executable, "-c", name], capture_output=True, text=True, timeout=120, check=False)
+    assert said.stdout.split()[2:] == ["1.4.1"], said.stderr
+    with pytest.raises(AttributeError, match="nothing"):
+        csi5300.nothing  # type: ignore[attr-defined]
+
+
+def test_what_is_not_installed_is_said(rx: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    log = csi5300.read(rx)
+    for name, table in (("pandas", log.to_pandas), ("polars", log.to_polars), ("xarray", log.to_xarray)):
+        monkeypatch.setitem(sys.modules, name, None)
+        with pytest.raises(ImportError, match=f"pip install {name}"):
+            table()
+
+
 def test_scenes_are_refused() -> None:
-    for scene in ("no-such-scene", {"duration_s": "long"}, {"nonsense": 1}, {"duration_s": -1.0, "robot": []}):
+    for scene in ("no-such-scene", {"duration_s": "long"}, {"nonsense": 1}, {"duration_s": -1.0, "robot": []}, {"robot": {1, 2}}):
         with pytest.raises(csi5300.SceneError):
-            csi5300.simulate(scene)  # type: ignore[arg-type]
+            csi5300.simulate(scene)
 
 
 LONG = """
@@ -188,11 +277,15 @@ def test_a_fifo_is_read_to_the_end_of_its_writer(rx: Path, tmp_path: Path) -> No
         csiread.Intel(str(fifo), 3, 1).read()
 
 
-def test_standard_input_is_a_log(rx: Path) -> None:
-    count = "import csi5300; log = csi5300.read('-'); print(len(log), log.info['name'])"
-    with rx.open("rb") as file:
-        done = subprocess.run([sys.executable, "-c", count], stdin=file, capture_output=True, text=True, timeout=120)
-    assert done.stdout == f"{len(csi5300.read(rx))} standard input\n", done.stderr
+def test_standard_input_is_a_log(rx: Path, tmp_path: Path) -> None:
+    # Whatever files there are.
+    (tmp_path / "-").write_bytes(b"")
+    for log in ("csi5300.read('-')", "next(csi5300.scan('-'))"):
+        count = f"import csi5300; log = {log}; print(len(log), log.info['name'])"
+        with rx.open("rb") as file:
+            command = [sys.executable, "-c", count]
+            done = subprocess.run(command, stdin=file, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+        assert done.stdout == f"{len(csi5300.read(rx))} standard input\n", done.stderr
 
 
 def test_a_pickled_log_that_was_damaged_is_refused(rx: Path) -> None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import csi5300
 import numpy as np
@@ -25,9 +27,8 @@ TYPES = {
 }
 
 
-def _same(log: csi5300.Log, name: str, values: np.ndarray) -> None:
-    of = {"total_rss_dbm": log.total_rss} if name == "total_rss_dbm" else {}
-    own = of.get(name, getattr(log, RENAMED.get(name, name), None))
+def _same(log: csi5300.Log, name: str, values: np.ndarray[Any, Any]) -> None:
+    own = log.total_rss if name == "total_rss_dbm" else getattr(log, RENAMED.get(name, name))
     assert np.array_equal(values, own, equal_nan=name == "total_rss_dbm"), name
 
 
@@ -89,7 +90,7 @@ def test_mat_in_octave(path: Path, tmp_path: Path) -> None:
     command = [octave, "--norc", "--quiet", "values.m", "log.mat", *names]
     said = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
     said.check_returncode()
-    classes = {np.float32: "single", np.float64: "double"}
+    classes: dict[Any, str] = {np.float32: "single", np.float64: "double"}
     # Octave leaves out a size of 1 at the end.
     sizes = [30, log.streams, len(log.antennas), len(log)]
     expected = [f"single [{' '.join(map(str, sizes))}]", f"uint8 [6 {len(log)}]"]
@@ -143,8 +144,13 @@ def test_parts_of_a_log_and_refusals(rx: Path, tmp_path: Path) -> None:
     part.write(tmp_path / "part.npz")
     arrays = np.load(tmp_path / "part.npz")
     assert np.array_equal(arrays["csi"].transpose(0, 2, 3, 1), part.csi) and np.array_equal(arrays["time_us"], part.time_us)
+    assert part.write(tmp_path / "PART.NPZ") == 0 and len(np.load(tmp_path / "PART.NPZ")["agc"]) == len(part)
     with pytest.raises(csi5300.ExportError, match=r"\.npz, \.mat or \.parquet"):
         log.write(tmp_path / "log.xls")
     with pytest.raises(csi5300.ExportError) as caught:
         log.write(tmp_path / "none" / "log.npz")
     assert caught.value.file and "none" in caught.value.file
+    assert str(caught.value).startswith(f"cannot write {tmp_path}/none/log.npz: ") and str(os.getpid()) not in str(caught.value)
+    with pytest.raises(csi5300.ExportError) as caught:
+        log.write(tmp_path / "log.xls")
+    assert str(caught.value).startswith(f"{tmp_path}/log.xls: ")

@@ -5,6 +5,7 @@ import io
 import multiprocessing
 import pickle
 from pathlib import Path
+from typing import Any
 
 import csi5300
 import numpy as np
@@ -15,6 +16,7 @@ from oracle import by_antenna, packets
 
 def test_every_field_is_the_records(rx: Path) -> None:
     log = csi5300.read(rx)
+    no_noise = np.ma.getmaskarray(log.noise)
     truth = list(packets(rx.read_bytes()))
     assert len(log) == len(truth) > 100
     assert log.csi.dtype == np.complex64 and log.csi.shape == (len(log), len(log.antennas), 1, 30)
@@ -23,8 +25,9 @@ def test_every_field_is_the_records(rx: Path) -> None:
         assert log.bfee_count[k] == packet.bfee_count
         assert tuple(log.rssi[k]) == packet.rssi
         assert (log.agc[k], log.rate[k], log.offset[k]) == (packet.agc, packet.rate, packet.offset)
-        assert log.noise.data[k] == packet.noise and bool(log.noise.mask[k]) == (packet.noise == -127)
-        assert np.array_equal(log.csi[k], by_antenna(packet, log.antennas), equal_nan=True)
+        assert log.noise.data[k] == packet.noise and bool(no_noise[k]) == (packet.noise == -127)
+        rows = by_antenna(packet, log.antennas)
+        assert rows is not None and np.array_equal(log.csi[k], rows, equal_nan=True)
     assert set(log.mac) == {"02:53:00:00:00:02"}
     assert not log.frame.mask.any() and log.antennas_known.all()
     assert list(log.subcarriers[[0, 14, 15, 29]]) == [-28, -1, 1, 28]
@@ -87,7 +90,7 @@ def test_filters(rx: Path) -> None:
     assert csi5300.read(rx, antennas="a").antennas == "A"
     for wrong in ({"macs": "nobody"}, {"t": (2.0, 1.0)}, {"t": (float("nan"), 1.0)}, {"antennas": "D"}):
         with pytest.raises(csi5300.OptionError):
-            csi5300.read(rx, **wrong)  # type: ignore[arg-type]
+            csi5300.read(rx, **wrong)  # type: ignore[arg-type, unused-ignore]
 
 
 def test_pieces_are_the_whole(rx: Path) -> None:
@@ -96,6 +99,99 @@ def test_pieces_are_the_whole(rx: Path) -> None:
     assert [len(piece) for piece in pieces[:-1]] == [64] * (len(pieces) - 1)
     assert np.array_equal(np.concatenate([piece.csi for piece in pieces]), log.csi)
     assert np.array_equal(np.concatenate([piece.time_us for piece in pieces]), log.time_us)
+
+
+def test_nothing_behind_the_last_record_is_lost_in_silence(rx: Path) -> None:
+    whole = csi5300.read(rx)
+    n, end = len(whole), int(whole.offset[-1])
+    clean = rx.read_bytes()[: 2 * end - int(whole.offset[-2])]
+    for data in (clean + b"\xff" * 5000, rx.read_bytes(), b"It was a dark and stormy night. " * 200, clean[: end + 40], b""):
+        log = csi5300.read(data)
+        assert log.lost_something or log.tail or data == b""
+        for chunk in (n + 1, n, n - 1):
+            scanned = csi5300.scan(data, chunk=chunk)
+            pieces = list(scanned)
+            assert sum(map(len, pieces)) == len(log) and len(pieces) == max(1, -(-len(log) // chunk))
+            for last in (pieces[-1], scanned):
+                assert last.info == log.info and last.tail == log.tail
+                assert (last.lost_something, last.losses) == (log.lost_something, log.losses)
+
+
+@pytest.mark.parametrize("path", CSITOOL, ids=lambda path: path.name)
+def test_pieces_have_the_shape_of_the_whole(path: Path) -> None:
+    log = csi5300.read(path)
+    with path.open("rb") as file:
+        for source in (path, file):
+            pieces = list(csi5300.scan(source, chunk=max(2, len(log) // 7)))
+            assert {(piece.antennas, piece.streams) for piece in pieces} == {(log.antennas, log.streams)}
+            assert np.array_equal(np.concatenate([piece.csi for piece in pieces]), log.csi, equal_nan=True)
+    assert log[:0].csi.shape == log.csi[:0].shape and log[:2].csi.shape == log.csi[:2].shape
+    part = pickle.loads(pickle.dumps(log[:2]))
+    assert np.array_equal(part.csi, log.csi[:2], equal_nan=True)
+
+
+def test_antennas_and_streams_are_as_asked_for(rx: Path) -> None:
+    for log in (csi5300.read(rx, antennas="CA", streams=2), next(csi5300.scan(rx, antennas="CA", streams=2, chunk=9))):
+        assert (log.antennas, log.streams, log.csi.shape[1:]) == ("AC", 2, (2, 2, 30))
+        assert np.isnan(log.csi[:, :, 1]).all() and log.present[:, :, 1].sum() == 0
+
+    class Once:
+        """A file that cannot seek."""
+
+        def __init__(self, data: bytes) -> None:
+            self.read = io.BytesIO(data).read
+
+    log = csi5300.read(rx)
+    (piece,) = csi5300.scan(Once(rx.read_bytes()))  # type: ignore[arg-type]
+    assert piece.csi.shape == (len(log), 3, 3, 30)
+    assert np.array_equal(piece.csi[:, ["ABC".index(a) for a in log.antennas], : log.streams], log.csi, equal_nan=True)
+    for wrong in ({"streams": 4}, {"streams": 1.5}, {"chunk": -1}, {"chunk": "many"}, {"t": (1,)}, {"t": [0, 1, 2]}, {"t": 5}):
+        with pytest.raises(csi5300.OptionError, match=next(iter(wrong))):
+            csi5300.scan(rx, **wrong)  # type: ignore[arg-type, unused-ignore]
+    assert len(csi5300.read(rx, t=np.array([0.5, 1.0]))) == len(csi5300.read(rx, t=(0.5, 1)))  # type: ignore[arg-type]
+
+
+def test_a_frame_has_one_time(rx: Path) -> None:
+    log = csi5300.read(rx)
+    part = csi5300.read(rx, t=(0.5, 1.0))
+    chosen = (log.t >= 0.5) & (log.t < 1.0)
+    assert np.array_equal(part.t, log.t[chosen]) and np.array_equal(log[chosen].t, part.t) and part.t[0] >= 0.5
+    assert np.array_equal(np.concatenate([piece.t for piece in csi5300.scan(rx, chunk=50)]), log.t)
+    assert np.array_equal(pickle.loads(pickle.dumps(part)).t, part.t)
+
+
+def test_masked_masks_choose_no_masked_frame(rx: Path) -> None:
+    log = csi5300.read(rx)
+    masked = np.ma.masked_array(np.ones(len(log), bool), mask=np.arange(len(log)) >= 5)
+    assert len(log[masked]) == 5
+    nothing = np.ma.masked_array(log.agc, mask=True)
+    assert len(log[nothing < 255]) == 0 and len(log[np.ma.masked_array([3, 4], mask=[True, False])]) == 1
+
+
+def test_what_is_no_place_is_refused(rx: Path) -> None:
+    log = csi5300.read(rx)
+    assert len(log[[]]) == 0 and len(csi5300.read(b"")[[]]) == 0
+    third: Any = np.array(3)
+    assert log[third].offset == log.offset[3]
+    wrong: list[Any] = [np.zeros((2, 2), int), True, 1.5, [1.5], "a", None]
+    for index in wrong:
+        with pytest.raises(IndexError, match="a log takes"):
+            log[index]
+
+
+def test_senders_have_their_octets(rx: Path) -> None:
+    log = csi5300.read(rx)
+    octets = np.random.default_rng(1).choice(np.array([0, 1, 0x80, 0xFF], np.uint8), size=(len(log), 6))
+    octets[::7] = 0
+    other = csi5300.Log(log._records, {**log._columns, "mac": octets}, log.info)
+    assert other.mac.tolist() == [bytes(row).hex(":") if row.any() else "" for row in octets]
+    assert log[:0].mac.tolist() == [] and log[:0].mac.dtype == log.mac.dtype
+
+
+def test_frames_are_compared_by_identity(rx: Path) -> None:
+    log = csi5300.read(rx)
+    first, again = log[0], log[0]
+    assert first == first and first != again and len({first, again}) == 2
 
 
 def test_slices_masks_and_frames(rx: Path) -> None:

@@ -90,8 +90,8 @@ def test_what_cannot_be_mounted_is_refused(rx: Path, tx: Path, path_csv: Path) -
 
     for options, word in (
         ({"camera_mount": MOUNT}, "antenna_offset"),
-        ({"camera_mount": (0, 0), "antenna_offset": OFFSET}, "options"),
-        ({"antenna_offset": (0, float("nan"), 0)}, "options"),
+        ({"camera_mount": (0, 0), "antenna_offset": OFFSET}, "camera_mount"),
+        ({"antenna_offset": (0, float("nan"), 0)}, "antenna_offset"),
         ({"accuracy": 181}, "accuracy"),
         ({"min_confidence": 2}, "min_confidence"),
         ({"every": 0}, "every"),

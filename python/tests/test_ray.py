@@ -12,6 +12,7 @@ from typing import Any
 
 import csi5300
 import csi5300.ray
+import numpy as np
 import pytest
 from conftest import CIRCLE, STAMP
 
@@ -109,6 +110,9 @@ def _through_s3(tree: Path, bucket: str, use_ray: bool) -> None:
             tables.append(pq.read_table(file))
     log = csi5300.read(tree / done[0].log)
     assert sum((table["time_us"].to_pylist() for table in tables), []) == log.time_us.tolist()
+    again = csi5300.ray.convert(f"{bucket}/data", f"{bucket}/out", chunk=1000, use_ray=use_ray, workers=2)
+    system.invalidate_cache()
+    assert len(system.find(f"{bucket}/out")) == sum(len(one.parts) for one in again) < sum(len(one.parts) for one in done)
 
 
 def test_s3(tree: Path, bucket: str) -> None:
@@ -130,6 +134,70 @@ def test_conversion(tree: Path, tmp_path: Path) -> None:
     assert one.frames == len(log) and len(one.parts) == -(-len(log) // 100)
     tables = [pq.read_table(part) for part in one.parts]
     assert sum((table["time_us"].to_pylist() for table in tables), []) == log.time_us.tolist()
+
+
+def test_conversion_tells_what_was_lost(tmp_path: Path) -> None:
+    data = (CIRCLE / f"csi_rx_{STAMP}.dat").read_bytes()
+    log = csi5300.read(data)
+    (tmp_path / "garbage.dat").write_bytes(b"It was a dark and stormy night. " * 20)
+    (tmp_path / "behind.dat").write_bytes(data[: int(log.offset[-1])] + b"\xff" * 5000)
+    (tmp_path / "cut.dat").write_bytes(data[: int(log.offset[-1]) + 40])
+    done = csi5300.ray.convert(tmp_path, tmp_path / "out", chunk=len(log) - 1, use_ray=False)
+    said = {c.log: (c.frames, len(c.parts), c.lost_something, c.tail is not None, c.error) for c in done}
+    assert said == {
+        "behind.dat": (len(log) - 1, 1, True, False, None),
+        "cut.dat": (len(log) - 1, 1, False, True, None),
+        "garbage.dat": (0, 0, True, False, None),
+    }
+
+
+def test_a_conversion_done_again_counts_once(tree: Path, tmp_path: Path) -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    out = tmp_path / "out"
+    csi5300.ray.convert(tree, out, chunk=100, use_ray=False)
+    (tmp_path / "out" / "notes.parquet").write_text("not ours")
+    done = csi5300.ray.convert(tree, out, chunk=200, use_ray=False)
+    there = sorted(str(file) for file in out.glob("log=*/*"))
+    assert there == sorted(part for one in done for part in one.parts) and (out / "notes.parquet").exists()
+    assert sum(pq.read_metadata(part).num_rows for part in there) == sum(one.frames for one in done)
+    assert csi5300.ray.convert(tree, out, macs="02:53:00:00:00:77", use_ray=False)[0].frames == 0
+    assert not list(out.glob("log=*/*")), "what is filtered now was not removed"
+    twin = tree / f"set0__run0__csi_rx_{STAMP}.dat"
+    twin.write_bytes(b"")
+    with pytest.raises(csi5300.OptionError, match="one partition"):
+        csi5300.ray.convert(tree, out, use_ray=False)
+
+
+def _shape(file: str) -> bytes:
+    import pyarrow.parquet as pq
+
+    shape: bytes = pq.read_schema(file).metadata[b"csi5300.csi_shape"]
+    return shape
+
+
+def test_a_conversion_is_one_table(captures: Path, tmp_path: Path) -> None:
+    pl, dataset, duckdb = (pytest.importorskip(name) for name in ("polars", "pyarrow.dataset", "duckdb"))
+    for scaled, values in ((False, pl.Int8), (True, pl.Float32)):
+        out = tmp_path / f"scaled={scaled}"
+        done = csi5300.ray.convert(captures / "csitool", out, chunk=1000, scaled=scaled, use_ray=False)
+        frames = sum(one.frames for one in done)
+        assert not any(one.error for one in done) and len({_shape(part) for one in done for part in one.parts}) == 1
+        table = pl.read_parquet(out / "**" / "*.parquet", hive_partitioning=True)
+        assert table.height == frames and table["csi_re"].dtype == pl.Array(values, 270)
+        assert dataset.dataset(out, partitioning="hive").to_table().num_rows == frames
+        ((rows, size),) = duckdb.sql(f"select count(*), max(len(csi_re)) from '{out}/**/*.parquet'").fetchall()
+        assert (rows, size) == (frames, 270)
+        for one in done:
+            log = csi5300.read(captures / "csitool" / one.log)
+            own = table.filter(pl.col("log") == one.log).sort("offset")
+            csi = own["csi_re"].to_numpy().reshape(-1, 3, 3, 30)
+            rows_of = ["ABC".index(letter) for letter in log.antennas]
+            expected = (log.scaled() if scaled else log.csi).real
+            assert np.array_equal(csi[:, rows_of, : log.streams].astype(np.float32), expected, equal_nan=True), one.log
+    done = csi5300.ray.convert(captures / "csitool", tmp_path / "a", antennas="A", streams=1, t=(0, 1), use_ray=False)
+    for one in done:
+        log = csi5300.read(captures / "csitool" / one.log, antennas="A", t=(0, 1))
+        assert one.frames == len(log) and {_shape(part) for part in one.parts} <= {b"1,1,30"}
 
 
 def test_ray_gives_the_same_rows(tree: Path, cluster: Any) -> None:

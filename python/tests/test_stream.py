@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 import subprocess
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -73,6 +74,49 @@ def test_async(room: str) -> None:
             return sum([len(log) async for log in stream])
 
     assert asyncio.run(count()) > 10
+
+
+def test_a_close_ends_the_waits_of_others(room: str) -> None:
+    with csi5300.Stream(room) as first:
+        # All that comes; from the end of the room on nobody waits, so it is closed long before.
+        stream = csi5300.Stream(room, macs="02:53:00:00:00:77")
+        ends: list[str] = []
+
+        def reads() -> None:
+            try:
+                stream.read()
+            except csi5300.LiveError as error:
+                ends.append(str(error))
+
+        def iterates() -> None:
+            ends.extend("a log" for _ in stream)
+            ends.append("over")
+
+        threads = [threading.Thread(target=work) for work in (reads, iterates)]
+        for thread in threads:
+            thread.start()
+        # Counting needs no turn of those who wait.
+        assert stream.info["survey"]["records"] >= 0 and not stream.ended
+        stream.close()
+        for thread in threads:
+            thread.join(timeout=60)
+        assert sorted(ends) == ["over", "the stream is closed"] and not first.ended
+
+
+def test_a_close_ends_the_waits_of_tasks(room: str) -> None:
+    async def count(stream: csi5300.Stream) -> int:
+        return sum([len(log) async for log in stream])
+
+    async def run() -> tuple[list[int], bool]:
+        async with csi5300.Stream(room, macs="02:53:00:00:00:77") as stream:
+            tasks = [asyncio.ensure_future(count(stream)) for _ in range(2)]
+            while len(stream._waiting) < 2:
+                await asyncio.sleep(0)
+            stream.close()
+            done = await asyncio.wait_for(asyncio.gather(*tasks), timeout=60)
+        return done, stream.ended
+
+    assert asyncio.run(run()) == ([0, 0], True)
 
 
 def test_nobody_there(tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ impl Samples {
     ///
     /// # Errors
     /// As [`Samples::push`], and [`SamplesError::Weight`] for a weight below 0; the set is then unchanged.
-    pub(crate) fn push_weighted(
+    pub fn push_weighted(
         &mut self,
         t_s: f64,
         z: Complex64,
@@ -210,7 +210,7 @@ impl Samples {
 
     /// Weight of each sample, at least 0; 1 for an ordinary one.
     #[must_use]
-    pub(crate) fn weight(&self) -> &[f64] {
+    pub fn weight(&self) -> &[f64] {
         &self.weight
     }
 }

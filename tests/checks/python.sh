@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
-# The Python package: the wheel built once (release, for manylinux2014 where PyPI has zig), its types (mypy --strict), its tests
-# beside the libraries that it speaks to, its examples and notebook; and the wheel alone in a clean environment. Exit status 77: no
-# Python, or nothing from PyPI.
+# The Python package: the wheel built once (release, for manylinux2014), its types (mypy --strict, with its tests and examples), its
+# tests beside the libraries that it speaks to, its examples and notebook; the wheel alone in a clean environment; and README's lines,
+# pip building from the clone. Exit status 77: no Python, or nothing from PyPI. What cannot be installed although PyPI can be reached
+# is a failure.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 export PIP_DISABLE_PIP_VERSION_CHECK=1
@@ -16,12 +17,20 @@ mkdir -p "$own"
 [ -x "$own/venv/bin/python" ] || python3 -m venv "$own/venv"
 "$own/venv/bin/pip" install --quiet 'maturin>=1.7,<2' mypy pytest numpy || { echo "PyPI cannot be reached"; exit 77; }
 step() { printf -- '-- %s (%s s)\n' "$1" "$SECONDS"; }
+# What needs something that cannot be had: skipped without PyPI, and a failure with it.
+without() {
+    if "$own/venv/bin/pip" download --quiet --no-cache-dir --no-deps --dest "$own/reached" pip 2>/dev/null; then
+        echo "failed: $1, although PyPI can be reached"
+        exit 1
+    fi
+    echo "skipped: $1: PyPI cannot be reached"
+}
 
 step "the wheel"
 status=0
 scripts/wheel.sh "$own/wheels" || status=$?
 if [ "$status" = 77 ]; then
-    echo "not built for manylinux2014, but with the C library of this machine"
+    without "the wheel for manylinux2014 (built with the C library of this machine instead)"
     rm -f "$own"/wheels/*.whl
     (cd python && PATH="$own/venv/bin:$PATH" maturin build --quiet --release --out "$own/wheels")
 elif [ "$status" != 0 ]; then
@@ -38,20 +47,33 @@ python3 -m venv "$own/clean"
 step "types"
 "$own/venv/bin/pip" install --quiet --force-reinstall --no-deps "$wheel"
 (cd python && "$own/venv/bin/python" -m mypy --cache-dir "$own/mypy")
+(cd python && "$own/venv/bin/python" -m mypy --strict --cache-dir "$own/mypy-tests" tests ../examples/python/*.py)
+# The native half's types against what it has.
+(cd "$own" && "$own/venv/bin/python" -m mypy.stubtest csi5300._native)
 
 step "tests, beside the libraries that it speaks to"
-for package in matplotlib pandas polars xarray pyarrow duckdb scipy fsspec csiread==1.4.1 ray 'moto[server]' s3fs nbclient ipykernel; do
-    "$own/venv/bin/pip" install --quiet "$package" || echo "not installed, its tests are skipped: $package"
-done
+libraries=(matplotlib pandas polars xarray pyarrow duckdb scipy fsspec csiread==1.4.1 ray 'moto[server]' s3fs nbclient ipykernel)
+if ! "$own/venv/bin/pip" install --quiet "${libraries[@]}"; then
+    for library in "${libraries[@]}"; do
+        "$own/venv/bin/pip" install --quiet "$library" || without "tests with $library, which cannot be installed"
+    done
+fi
+command -v octave-cli >/dev/null || echo "skipped: .mat in Octave: no octave-cli (apt-get install --no-install-recommends octave, 260 MB)"
 # csiread's own examples run against ours.
-if [ ! -d "$own/csiread-1.4.1" ] && "$own/venv/bin/pip" download --quiet --no-deps --no-binary csiread -d "$own" csiread==1.4.1; then
-    tar xzf "$own/csiread-1.4.1.tar.gz" -C "$own"
+if [ ! -d "$own/csiread-1.4.1" ]; then
+    if "$own/venv/bin/pip" download --quiet --no-deps --no-binary csiread -d "$own" csiread==1.4.1; then
+        tar xzf "$own/csiread-1.4.1.tar.gz" -C "$own"
+    else
+        without "csiread's examples, whose sources cannot be fetched"
+    fi
 fi
 export CSIREAD_SDIST="$own/csiread-1.4.1"
 # CSIKit fails with NumPy 2, so it has an environment of its own.
 [ -x "$own/csikit/bin/python" ] || python3 -m venv "$own/csikit"
 if "$own/csikit/bin/pip" install --quiet CSIKit==2.5 'numpy<2'; then
     export CSIKIT_PYTHON="$own/csikit/bin/python"
+else
+    without "tests with CSIKit, which cannot be installed"
 fi
 CSI5300_PROGRAM=$(scripts/program.sh)
 export CSI5300_PROGRAM
@@ -64,6 +86,9 @@ trap 'rm -rf "$work"' EXIT
 cd "$work"
 python="$own/venv/bin/python"
 "$python" "$examples/reading.py"
+for log in "$OLDPWD"/tests/fixtures/*/*.dat "$captures"/csitool/*.dat; do
+    [ ! -e "$log" ] || "$python" "$examples/reading.py" "$log" >reading.txt || { echo "reading.py $log"; exit 1; }
+done
 "$python" "$examples/simulation.py"
 "$python" "$examples/bearings.py"
 "$python" "$examples/cluster.py" "$OLDPWD/tests/fixtures"
@@ -79,6 +104,25 @@ kill "${started[@]}" 2>/dev/null || true
 wait "${started[@]}" || true
 printf '%s\n' "$said"
 [[ "$said" == *" frames, RSSI at A "* ]] || { echo "no frame came: $(cat robots.txt)"; exit 1; }
+
+step "README's lines, pip building from the clone"
+block() { awk -v fence="$1" '/^## /{ on = /From Python/ } /^```/{ open = !open; inside = on && open && $0 == "```" fence; next } inside' "$OLDPWD/README.md"; }
+[[ "$(block "")" == *$'\npip install ./python matplotlib '* ]] || { echo "README has another line to install"; exit 1; }
+rm -rf "$own/readme"
+python3 -m venv "$own/readme"
+# Not optimised, which takes a third of the time: how fast it is was seen above.
+unoptimised="--profile dev --config profile.dev.opt-level=0 --config profile.dev.debug=false"
+for crate in csi5300 csi5300-lab csi5300-kernels driver-iface libm rand_chacha; do
+    unoptimised+=" --config profile.dev.package.$crate.opt-level=0"
+done
+MATURIN_PEP517_ARGS=$unoptimised "$own/readme/bin/pip" install --quiet "$OLDPWD/python" matplotlib
+fixture=$OLDPWD/tests/fixtures/small-circle
+cp "$fixture"/csi_rx_*.dat rx.dat
+cp "$fixture"/csi_tx1_*.dat tx.dat
+cp "$fixture"/rx_trajectory_*.csv t.csv
+block python >readme.py
+"$own/readme/bin/python" readme.py
+[ -s csi.png ] && [ -s bearing.png ] || { echo "README's lines made no pictures"; exit 1; }
 
 step "the notebook"
 cp "$examples/first_look.ipynb" .

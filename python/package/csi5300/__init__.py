@@ -14,6 +14,9 @@ not ``datetime64`` are seconds (``t``, ``_s``) or microseconds (``_us``); length
 
 from __future__ import annotations
 
+import importlib
+from typing import TYPE_CHECKING, Any
+
 from ._bearing import Bearing, Profile, Track, bearings, read_trajectory
 from ._errors import (
     CaptureError,
@@ -25,13 +28,17 @@ from ._errors import (
     LogError,
     LogNotFoundError,
     OptionError,
+    OptionFileError,
     SceneError,
+    SceneFileError,
     TrajectoryError,
+    TrajectoryFileError,
 )
 from ._evaluate import Evaluation, evaluate
 from ._frame import Frame, Loss
-from ._log import Log, read, scan
+from ._log import Log, read
 from ._native import __version__
+from ._scan import Scan, scan
 from ._simulate import Robot, Room, simulate
 from ._stream import Stream
 
@@ -50,13 +57,17 @@ __all__ = [
     "LogNotFoundError",
     "Loss",
     "OptionError",
+    "OptionFileError",
     "Profile",
     "Robot",
     "Room",
+    "Scan",
     "SceneError",
+    "SceneFileError",
     "Stream",
     "Track",
     "TrajectoryError",
+    "TrajectoryFileError",
     "__version__",
     "bearings",
     "evaluate",
@@ -65,3 +76,14 @@ __all__ = [
     "scan",
     "simulate",
 ]
+
+
+if TYPE_CHECKING:
+    from . import csiread, plot, ray
+else:
+
+    def __getattr__(name: str) -> Any:
+        # Modules that most programs do not need are imported when they are first named.
+        if name in ("csiread", "plot", "ray"):
+            return importlib.import_module(f"{__name__}.{name}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

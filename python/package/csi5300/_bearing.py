@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import _native
-from ._errors import LinkError, OptionError
+from . import _native, _options
+from ._errors import LinkError, OptionError, TrajectoryError
 from ._log import File, Log, _file
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ Track: TypeAlias = "str | os.PathLike[str] | NDArray[np.floating[Any]] | Sequenc
 """A trajectory: a CSV file, or an array (n, 4) of seconds, x, y, z (metres), or (n, 5) with heading (radians)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Profile:
     """Evidence over directions: ``|sum z a|^2 / (sum |z|)^2``, 0 to 1."""
 
@@ -42,9 +42,10 @@ def _number(value: Any) -> float:
     return math.nan if value is None else float(value)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Bearing:
-    """One link's answer. False (``if bearing``) where the link has none; :attr:`error` then says why."""
+    """One link's answer. False (``if bearing``) where the link has none; :attr:`error` then says why. It can be pickled, with all
+    that :meth:`profile` and :attr:`samples` need."""
 
     answer: dict[str, Any]
     """Everything, by the names of ``csi5300 bearing --json``."""
@@ -117,20 +118,20 @@ class Bearing:
     ) -> Profile:
         """The evidence over directions.
 
-        ``azimuth`` and ``elevation`` are numbers of even steps (around the circle from -180 degrees; from -90 to 90), or arrays of
-        degrees, all azimuths for each elevation. Without ``elevation``: the horizon. Raises :class:`LinkError` without a bearing.
+        ``azimuth`` and ``elevation`` are numbers of even steps (around the circle from -180 degrees; from -90 to 90, one step being
+        the horizon), or arrays of degrees, all azimuths for each elevation. Without ``elevation``: the horizon. Raises
+        :class:`LinkError` without a bearing, :class:`OptionError` for what is neither a whole number nor an array.
         """
         link = self._held()
-        if isinstance(azimuth, int) and (elevation is None or isinstance(elevation, int)):
-            if azimuth < 1 or (elevation is not None and elevation < 1):
-                raise OptionError("azimuth, elevation: at least 1 step")
-            return Profile(*link.profile(azimuth, elevation or 1, None))
-        around = -180 + 360 / azimuth * np.arange(azimuth) if isinstance(azimuth, int) else np.asarray(azimuth, np.float64)
-        if elevation is None:
-            up = np.zeros(1)
+        columns, rows = _angles("azimuth", azimuth), _angles("elevation", 1 if elevation is None else elevation)
+        if isinstance(columns, int) and isinstance(rows, int):
+            return Profile(*link.profile(columns, rows, None))
+        around = -180 + 360 / columns * np.arange(columns) if isinstance(columns, int) else columns
+        if isinstance(rows, int):
+            up = np.linspace(-90, 90, rows) if rows > 1 else np.zeros(1)
         else:
-            up = np.linspace(-90, 90, elevation) if isinstance(elevation, int) else np.asarray(elevation, np.float64)
-        pairs = [part.ravel() for part in np.meshgrid(around.ravel(), up.ravel())]
+            up = rows
+        pairs = [part.ravel() for part in np.meshgrid(around, up)]
         parts = link.profile(0, 0, np.ascontiguousarray(np.stack(pairs, axis=1)))
         shape = (up.size, around.size)
         return Profile(*(part.reshape(shape) for part in parts))
@@ -141,15 +142,39 @@ class Bearing:
         path; ``phase`` (k, 4): seconds, and radians one way, round trip, and compensated."""
         return self._held().samples()
 
-    def plot(self) -> Figure:
-        """Profile with the answer marked, and the path with the bearing; needs matplotlib."""
+    def plot(self, *, truth_deg: float | None = None) -> Figure:
+        """Profile with the answer (and ``truth_deg``, degrees) marked, and the path with the bearing; needs matplotlib."""
         from . import plot
 
-        return plot.bearing(self)
+        return plot.bearing(self, truth_deg=truth_deg)
+
+    def __getstate__(self) -> dict[str, Any]:
+        link = None if self._link is None else self._link.dump()
+        return {"answer": self.answer, "link": link, "stretches": self.stretches}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        link = None if state["link"] is None else _native.Link.restore(*state["link"])
+        self.__dict__.update(answer=state["answer"], _link=link, stretches=state["stretches"])
+
+
+def _angles(name: str, given: Any) -> int | NDArray[np.float64]:
+    """A number of steps, or degrees."""
+    if np.ndim(given) == 0:
+        return _options.whole(name, given, 1)
+    try:
+        degrees = np.asarray(given, np.float64).ravel()
+    except (TypeError, ValueError) as error:
+        raise OptionError(f"{name}: {error}: a number of steps, or an array of degrees") from None
+    if not degrees.size:
+        raise OptionError(f"{name}: no direction")
+    return degrees
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """A trajectory file (CSV with 5, 6, 9 or 15 columns) as an array (n, 5): seconds, x, y, z (metres), heading (radians, nan)."""
+    """A trajectory file (CSV with 5, 6, 9 or 15 columns) as an array (n, 5): seconds, x, y, z (metres), heading (radians, nan).
+
+    Raises :class:`TrajectoryError`, which is a :class:`TrajectoryFileError` where the file cannot be read.
+    """
     return _native.read_trajectory(path)
 
 
@@ -163,37 +188,24 @@ def _logs(tx: Source | Sequence[Source]) -> list[Source]:
     return [alone] if one else list(alone)
 
 
-def _track(track: Track) -> Any:
+def _track(name: str, track: Track) -> Any:
     if isinstance(track, (str, os.PathLike)):
         return track
-    return np.ascontiguousarray(track, dtype=np.float64)
+    needed = "a path, or rows of 4 or 5 numbers: seconds, x, y, z (metres), heading (radians)"
+    try:
+        rows = np.asarray(track, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise TrajectoryError(f"{name}: {error}: {needed}") from None
+    if rows.ndim != 2:
+        what = "None" if track is None else f"an array of shape {rows.shape}"
+        raise TrajectoryError(f"{name}: {what} is no trajectory: {needed}")
+    return np.ascontiguousarray(rows)
 
 
 def _name(log: Source, index: int) -> str:
     if isinstance(log, (str, os.PathLike)):
         return Path(log).stem
     return Path(log.name).stem if isinstance(log, Log) else f"tx{index + 1}"
-
-
-def _keywords(options: dict[str, Any]) -> str:
-    """Options as the native half takes them: what is None is as by default."""
-    given = {name: value for name, value in options.items() if value is not None}
-    for name in ("without", "tx_mac"):
-        if isinstance(given.get(name), str):
-            given[name] = [given[name]]
-        elif name in given:
-            given[name] = list(given[name])
-    for name in ("antenna_offset", "camera_mount"):
-        if name in given:
-            given[name] = [float(number) for number in given[name]]
-    if "channel" in given:
-        given["channel"] = str(given["channel"])
-    if "key" in given:
-        given["key"] = os.fspath(given["key"])
-    try:
-        return json.dumps(given)
-    except (TypeError, ValueError) as error:
-        raise OptionError(f"options: {error}") from None
 
 
 def bearings(
@@ -232,10 +244,11 @@ def bearings(
     units (``from_`` for ``--from``). ``antenna_offset`` is where the antenna is seen from what the trajectory is of: metres forward,
     left, up; with ``camera_mount`` (metres forward and left of the middle between the wheels, and heading less the robot's, degrees)
     the trajectory is a tracking camera's, is held to what wheels can roll, and the antenna is seen from that middle. ``decimate`` uses
-    every so manieth pair of frames, what slower sounding would give. ``every`` (seconds) fills :attr:`Bearing.stretches`, ``explain`` ``answer["plan"]``. A link without a bearing is in the list, is False, and has its
-    :attr:`Bearing.error`; so is one whose probability of being within 5 degrees is below ``min_confidence``, or not known.
+    every so manieth pair of frames, what slower sounding would give. ``every`` (seconds) fills :attr:`Bearing.stretches`, ``explain``
+    ``answer["plan"]``. A link without a bearing is in the list, is False, and has its :attr:`Bearing.error`; so is one whose
+    probability of being within 5 degrees is below ``min_confidence``, or not known.
 
-    Raises :class:`LogError`, :class:`TrajectoryError`, :class:`OptionError`.
+    Raises :class:`LogError`, :class:`TrajectoryError`, :class:`OptionError`, whose message names the argument.
     """
     options = dict(locals())
     for name in ("rx", "tx", "trajectory", "tx_trajectory"):
@@ -246,8 +259,8 @@ def bearings(
     if len(tx_trajectory) > len(logs):
         raise OptionError("tx_trajectory: more than tx")
     names = [_name(log, index) for index, log in enumerate(logs)]
-    tracks = [None if track is None else _track(track) for track in tx_trajectory]
-    found = _native.bearings(
-        _source(rx), [_source(log) for log in logs], names, _track(trajectory), tracks, _keywords(options)
-    )
+    tracks = [None if track is None else _track("tx_trajectory", track) for track in tx_trajectory]
+    own = _track("trajectory", trajectory)
+    sources = [_source(log) for log in logs]
+    found = _native.bearings(_source(rx), sources, names, own, tracks, _options.keywords(options))
     return [Bearing(json.loads(answer), link, [json.loads(one) for one in own]) for answer, link, own in found]

@@ -34,12 +34,24 @@ class OptionError(Error, ValueError):
     """An argument makes no sense; the message names it."""
 
 
+class OptionFileError(OptionError, OSError):
+    """A file or folder that an argument names is not there or cannot be read."""
+
+
 class TrajectoryError(Error, ValueError):
     """A trajectory cannot be read, or its poses make none."""
 
 
+class TrajectoryFileError(TrajectoryError, OSError):
+    """A trajectory's file is not there or cannot be read."""
+
+
 class SceneError(Error, ValueError):
     """A scene cannot be read, or cannot be."""
+
+
+class SceneFileError(SceneError, OSError):
+    """A scene's file is not there or cannot be read, nor is there a built-in scene of this name."""
 
 
 class CaptureError(Error):

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import _native
-from ._bearing import _keywords
-from ._errors import Error, OptionError
+from . import _native, _options
+from ._errors import Error, OptionError, OptionFileError
+from ._tables import module
 
 if TYPE_CHECKING:
     import pandas
@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     import pyarrow
     import ray.data
 
-TRAJECTORIES = ("gt", "t265", "odom")
+TEXTS = ("capture", "error", "link", "mac")
+"""Columns that are no numbers."""
 
 
 @dataclass(frozen=True)
@@ -67,33 +68,54 @@ class Evaluation:
         return {name: _errors(rows) for name, rows in [*sorted(sets.items()), ("all", self.rows)]}
 
     def to_pandas(self) -> pandas.DataFrame:
-        """A row a link; needs pandas."""
-        import pandas as pd
-
-        return pd.DataFrame(self.rows)
+        """A row a link; needs pandas. Swept values that are not all numbers, or all texts, are texts: lists with commas between."""
+        table: pandas.DataFrame = module("pandas").DataFrame(_columns(self.rows))
+        return table
 
     def to_polars(self) -> polars.DataFrame:
-        """A row a link; needs polars."""
-        import polars as pl
-
-        return pl.DataFrame(self.rows, infer_schema_length=None)
+        """A row a link, as :meth:`to_pandas` has them; needs polars."""
+        table: polars.DataFrame = module("polars").DataFrame(_columns(self.rows), strict=False, nan_to_null=True)
+        return table
 
     def to_arrow(self) -> pyarrow.Table:
-        """A row a link; needs pyarrow."""
-        import pyarrow as pa
-
-        return pa.Table.from_pylist(_rectangular(self.rows))
+        """A row a link, as :meth:`to_pandas` has them; needs pyarrow."""
+        pa = module("pyarrow")
+        columns = _columns(self.rows)
+        # Not a number means no value, as in pandas.
+        table: pyarrow.Table = pa.table({name: pa.array(values, from_pandas=True) for name, values in columns.items()})
+        return table
 
     def to_ray(self) -> ray.data.Dataset:
         """A row a link, as a Ray Dataset on the cluster that was joined; needs ray and pyarrow."""
-        import ray.data
+        dataset: ray.data.Dataset = module("ray.data").from_arrow(self.to_arrow())
+        return dataset
 
-        return ray.data.from_arrow(self.to_arrow())
+
+def _columns(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """A column for each name that any row has."""
+    names = dict.fromkeys(name for row in rows for name in row)
+    columns: dict[str, Any] = {name: [row.get(name) for row in rows] for name in names}
+    for name, values in columns.items():
+        there = [value for value in values if value is not None]
+        if not there and name not in TEXTS:
+            # Numbers that no row has are numbers all the same.
+            columns[name] = np.full(len(values), np.nan)
+        elif {type(value) for value in there} == {int, float}:
+            columns[name] = [None if value is None else float(value) for value in values]
+        elif name.startswith("option_") and not _is_plain(there):
+            columns[name] = [None if value is None else _words(value) for value in values]
+    return columns
 
 
-def _rectangular(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    return [{name: row.get(name) for name in names} for row in rows]
+def _is_plain(values: list[Any]) -> bool:
+    kinds = {type(_options.plain(value)) for value in values}
+    return kinds <= {int, float} or kinds == {str} or kinds == {bool}
+
+
+def _words(value: Any) -> str:
+    """A value of an option as the command line takes it: lists with commas between."""
+    listed = isinstance(value, Iterable) and not isinstance(value, str)
+    return ",".join(str(_options.plain(one)) for one in value) if listed else str(_options.plain(value))
 
 
 def _errors(rows: list[dict[str, Any]]) -> dict[str, float]:
@@ -123,21 +145,39 @@ def find(root: str | os.PathLike[str]) -> tuple[list[Capture], list[str]]:
     return captures, list(unreadable)
 
 
+NO_CAPTURE = "a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat"
+
+
+def found_below(folder: str | os.PathLike[str]) -> tuple[list[Capture], list[str]]:
+    """As :func:`find`. Raises :class:`OptionError` where there is none, :class:`OptionFileError` where there is no such folder."""
+    name = os.fspath(folder)
+    if not os.path.isdir(name):
+        raise OptionFileError(f"folder: {name} is no folder that can be read", name)
+    captures, unreadable = find(name)
+    if not captures:
+        raise OptionError(f"no capture below {name}: {NO_CAPTURE}", name)
+    return captures, unreadable
+
+
+def workers_of(workers: int | None) -> int:
+    """Threads to work with: one a core where none are named."""
+    return (0 if workers is None else _options.whole("workers", workers)) or os.cpu_count() or 1
+
+
 def combinations(options: Mapping[str, Any], sweep: Mapping[str, Sequence[Any]] | None) -> list[dict[str, Any]]:
     """The options of each run: the cartesian product of ``sweep``, each with ``options``."""
-    sweep = sweep or {}
-    twice = set(sweep) & set(options)
-    if twice:
-        raise OptionError(f"{', '.join(sorted(twice))}: both an option and swept")
-    values = itertools.product(*sweep.values())
-    return [dict(options) | dict(zip(sweep, chosen, strict=True)) for chosen in values]
+    names, values = _options.combinations(options, sweep)
+    runs = [dict(options) | dict(zip(names, chosen, strict=True)) for chosen in itertools.product(*values)]
+    for run in runs:
+        _run(run)
+    return runs
 
 
 def _run(options: Mapping[str, Any]) -> tuple[str, str]:
     """The trajectory, and the other options as the native half takes them."""
     keywords = dict(options)
     trajectory = keywords.pop("trajectory", None) or "gt"
-    return trajectory, _keywords(keywords)
+    return _options.text("trajectory", trajectory), _options.keywords(keywords)
 
 
 def one(
@@ -193,15 +233,12 @@ def evaluate(
     how the tracking camera is mounted, as in :func:`csi5300.bearings`. ``sweep`` maps options to lists of values: every combination is evaluated, and ``option_NAME`` says which a row is of. ``workers``
     captures are worked on at a time (None: one a core). ``progress`` is called with captures done and all.
     """
-    captures, unreadable = find(folder)
-    if not captures:
-        raise OptionError(
-            f"no capture below {os.fspath(folder)}: a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat"
-        )
     runs = combinations(options, sweep)
+    workers = workers_of(workers)
+    captures, unreadable = found_below(folder)
     parts: list[Evaluation] = []
     cancel = _native.Cancel()
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(workers) as pool:
         futures = [pool.submit(one, capture, runs, sweep or (), cancel) for capture in captures]
         try:
             for future in futures:

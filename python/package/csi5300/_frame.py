@@ -20,7 +20,8 @@ class Loss:
     """Why."""
 
 
-@dataclass(frozen=True)
+# Compared by identity: arrays are not equal or unequal as a whole.
+@dataclass(frozen=True, eq=False)
 class Frame:
     """One received frame: an element of a :class:`Log`."""
 

@@ -45,7 +45,7 @@ def of_log(log: Log) -> str:
     survey: dict[str, Any] = log.info["survey"]
     senders = ", ".join(f"{s['mac'] or 'unknown'} ({s['records']})" for s in log.info["senders"][:6])
     more = len(log.info["senders"]) - 6
-    length = float(log.t[-1]) if len(log) else 0.0
+    length = float(log.t[-1] - log.t[0]) if len(log) else 0.0
     host = str(log.host_time[0]) if len(log) and not np.isnat(log.host_time[0]) else "not known"
     lost = f"{survey['damages']} damaged stretches, {survey['damaged_bytes']} bytes; {survey['bad_bfee']} impossible records"
     shape = (len(log), len(log.antennas), log.streams, 30)

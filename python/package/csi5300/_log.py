@@ -1,4 +1,4 @@
-"""Logs in memory: :func:`read`, :func:`scan`, :class:`Log`."""
+"""Logs in memory: :func:`read`, :class:`Log`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, TypeAlias, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _native
+from . import _native, _options
 from ._errors import OptionError
 from ._frame import Frame, Loss
 
@@ -33,56 +33,42 @@ def _file(file: File) -> Any:
     return bytes(file) if isinstance(file, (bytearray, memoryview)) else file
 
 
-def _macs(macs: str | Iterable[str] | None) -> list[str] | None:
-    return [macs] if isinstance(macs, str) else None if macs is None else list(macs)
-
-
-def _letters(antennas: str | Iterable[str] | None) -> str | None:
-    return None if antennas is None else "".join(antennas)
-
-
 def read(
     file: File,
     *,
     macs: str | Iterable[str] | None = None,
     t: tuple[float | None, float | None] | None = None,
     antennas: str | Iterable[str] | None = None,
+    streams: int | None = None,
 ) -> Log:
     """Reads a log (``.dat``, stock csitool or WSR layout, told apart record by record) into memory.
 
     ``file`` is a path, bytes, or an object with ``read`` (binary). Kept are frames of the senders ``macs``, from ``t[0]`` up to
-    ``t[1]`` seconds after the first record, of which an antenna of ``antennas`` (``"A"``, ``"BC"``) was used. What is damaged is
-    skipped and counted: :attr:`Log.losses`. Host times come from ``<file>stp`` or from the records.
+    ``t[1]`` seconds after the first record (:attr:`Log.t`), of which an antenna of ``antennas`` (``"A"``, ``"BC"``) was used; CSI
+    has rows for these antennas and ``streams`` columns, or as many of both as any frame needs. What is damaged is skipped and
+    counted: :attr:`Log.losses`. Host times come from ``<file>stp`` or from the records.
 
     Raises :class:`LogError` if the file cannot be read, :class:`OptionError` for a filter that makes no sense.
     """
-    letters = _letters(antennas)
-    records, columns, info, (used, streams) = _native.read(_file(file), _macs(macs), t, letters)
-    log = Log(records, columns, json.loads(info), letters)
-    # What the properties of these names would look for in all records.
-    log.__dict__["streams"] = streams
-    if letters is None:
-        log.__dict__["antennas"] = used
-    return log
+    letters, columns_of_csi = _options.letters(antennas), _options.streams(streams)
+    found = _native.read(_file(file), _options.macs(macs), _options.stretch(t), letters)
+    records, columns, info, (used, most) = found
+    return Log(records, columns, json.loads(info), used if letters is None else letters, streams=columns_of_csi or most)
 
 
-def scan(
-    file: File,
-    *,
-    chunk: int = 8192,
-    macs: str | Iterable[str] | None = None,
-    t: tuple[float | None, float | None] | None = None,
-    antennas: str | Iterable[str] | None = None,
-) -> Iterator[Log]:
-    """Reads a log of any size in constant memory: yields :class:`Log` after :class:`Log` of up to ``chunk`` records.
-
-    Filters and errors are those of :func:`read`. :attr:`Log.losses` of a piece are those of the log up to there.
-    """
-    letters = _letters(antennas)
-    scanner = _native.Scanner(_file(file), chunk, _macs(macs), t, letters)
-    while (piece := scanner.next()) is not None:
-        records, columns = piece
-        yield Log(records, columns, json.loads(scanner.info()), letters)
+def _places(index: Any) -> int | NDArray[Any]:
+    """A number, or an array of numbers or of True and False. What is masked is not chosen, whatever lies under the mask."""
+    if isinstance(index, np.ma.MaskedArray) and index.ndim:
+        index = index.filled(False) if index.dtype == bool else index.compressed()
+    places = np.asarray(index)
+    if places.ndim == 1 and places.size == 0 and places.dtype != bool:
+        return np.zeros(0, np.int64)
+    if places.ndim == 0 and places.dtype.kind in "iu":
+        return int(places)
+    if places.ndim != 1 or places.dtype.kind not in "iub":
+        what = f"an array {places.shape} of {places.dtype}" if places.ndim else repr(index)
+        raise IndexError(f"{what}: a log takes a number, a slice, or a row of numbers or of True and False")
+    return places
 
 
 class Log:
@@ -99,11 +85,13 @@ class Log:
         info: dict[str, Any],
         letters: str | None = None,
         rows: NDArray[np.int64] | None = None,
+        streams: int | None = None,
     ) -> None:
         self._records = records
         self._columns = columns
         self._rows = rows
         self._letters = letters
+        self._streams = streams
         self.info: dict[str, Any] = info
         """What is known of the log as a whole (``survey``: what ``csi5300 info --json`` counts)."""
 
@@ -124,9 +112,12 @@ class Log:
 
     @property
     def t(self) -> NDArray[np.float64]:
-        """(n,) Seconds after the first frame of this log, by the card's clock."""
-        time = self.time_us
-        seconds: NDArray[np.float64] = (time - (time[0] if len(time) else 0)) * 1e-6
+        """(n,) Seconds after the first record of the whole log, by the card's clock: what the ``t`` of :func:`read` counts.
+
+        So filters, slices and the pieces of :func:`scan` leave each frame its time, and ``log[100:].t[0]`` is not 0.
+        """
+        time, first = self.time_us, self.info.get("first_time_us")
+        seconds: NDArray[np.float64] = (time - (time[:1].sum() if first is None else first)) * 1e-6
         return seconds
 
     @property
@@ -196,9 +187,12 @@ class Log:
     def mac(self) -> NDArray[np.str_]:
         """(n,) The sender, as ``00:16:ea:12:34:56``; empty where not known."""
         octets = self._columns["mac"]
-        distinct, which = np.unique(octets, axis=0, return_inverse=True)
-        words = np.array([":".join(f"{o:02x}" for o in row) if row.any() else "" for row in distinct], dtype="U17")
-        named: NDArray[np.str_] = words[which.reshape(-1)] if len(octets) else words
+        # A number for each address: numbers are sorted without the interpreter's lock, rows are not.
+        padded = np.zeros((len(octets), 8), np.uint8)
+        padded[:, 2:] = octets
+        distinct, which = np.unique(padded.view(">u8").ravel().astype(np.uint64), return_inverse=True)
+        words = np.array([int(one).to_bytes(6, "big").hex(":") if one else "" for one in distinct], dtype="U17")
+        named: NDArray[np.str_] = words[which.reshape(-1)]
         return named
 
     @property
@@ -229,7 +223,8 @@ class Log:
 
     @cached_property
     def antennas(self) -> str:
-        """Letters of the rows of :attr:`csi`: the antennas asked for, or those that were used in any frame."""
+        """Letters of the rows of :attr:`csi`: the antennas asked for, or those that were used in any frame of the log; a part has
+        those of the whole."""
         if self._letters is not None:
             return "".join(sorted(set(self._letters.upper()) & set("ABC")))
         order = self._columns["antenna_order"]
@@ -241,7 +236,9 @@ class Log:
 
     @cached_property
     def streams(self) -> int:
-        """Columns of :attr:`csi`: the most streams of a frame."""
+        """Columns of :attr:`csi`: those asked for, or the most streams of a frame of the log; a part has as many as the whole."""
+        if self._streams is not None:
+            return self._streams
         return int(self.n_tx.max()) if len(self) else 1
 
     @cached_property
@@ -334,14 +331,15 @@ class Log:
     @overload
     def __getitem__(self, index: Index) -> Log: ...
     def __getitem__(self, index: int | np.integer[Any] | Index) -> Frame | Log:
-        if isinstance(index, (int, np.integer)):
-            return self._frame(int(index))
+        chosen = index if isinstance(index, slice) else _places(index)
+        if isinstance(chosen, int):
+            return self._frame(chosen)
         rows = np.arange(len(self), dtype=np.int64) if self._rows is None else self._rows
-        chosen = index if isinstance(index, slice) else np.asarray(index)
         columns = {name: column[chosen] for name, column in self._columns.items()}
-        part = Log(self._records, columns, self.info, self.antennas, np.ascontiguousarray(rows[chosen]))
-        if "csi" in self.__dict__ and isinstance(index, slice) and part.streams == self.streams:
-            part.__dict__["csi"] = self.csi[index]
+        rows = np.ascontiguousarray(rows[chosen])
+        part = Log(self._records, columns, self.info, self.antennas, rows, self.streams)
+        if "csi" in self.__dict__ and isinstance(chosen, slice):
+            part.__dict__["csi"] = self.csi[chosen]
         return part
 
     def _frame(self, index: int) -> Frame:
@@ -375,17 +373,18 @@ class Log:
 
     def __getstate__(self) -> dict[str, Any]:
         lengths, packed = self._records.dump(self._rows)
-        letters = self._letters
-        return {"columns": self._columns, "info": self.info, "letters": letters, "lengths": lengths, "packed": packed}
+        shape = {"letters": self._letters, "streams": self._streams}
+        return {"columns": self._columns, "info": self.info, **shape, "lengths": lengths, "packed": packed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         records = _native.Records.restore(state["lengths"], state["packed"])
-        self.__init__(records, state["columns"], state["info"], state["letters"])  # type: ignore[misc]
+        columns, info = state["columns"], state["info"]
+        self.__init__(records, columns, info, state["letters"], streams=state["streams"])  # type: ignore[misc]
 
     def __copy__(self) -> Log:
-        return Log(self._records, dict(self._columns), self.info, self._letters, self._rows)
+        return Log(self._records, dict(self._columns), self.info, self._letters, self._rows, self._streams)
 
-    def _held(self) -> _native.Held:
+    def _held(self) -> _native._Held:
         """What native functions take for a log in memory."""
         return (self._records, self._rows, self._columns["host_us"])
 
@@ -421,7 +420,8 @@ class Log:
 
         Raises :class:`ExportError`.
         """
-        return self._records.write(path, self._rows, self._columns, self.antennas, scaled, remove_spatial_mapping)
+        shape = (self.antennas, self.streams)
+        return self._records.write(path, self._rows, self._columns, *shape, scaled, remove_spatial_mapping)
 
     def plot(self, *, antenna: str | None = None, stream: int = 0) -> Figure:
         """Amplitude and phase over time and subcarrier; needs matplotlib."""

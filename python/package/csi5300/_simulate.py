@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _native
+from . import _native, _options
 from ._bearing import Bearing, bearings
-from ._errors import OptionError
+from ._errors import OptionError, SceneError
 from ._log import Log, read
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Robot:
     """What a robot of a room logged, and the truth about it."""
 
@@ -44,7 +44,7 @@ class Robot:
         return None if self.path is None else self.path[0, 1:4]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Room:
     """A scene that was run: its robots, in the scene's order."""
 
@@ -57,7 +57,7 @@ class Room:
         for robot in self.robots:
             if robot.name == name:
                 return robot
-        raise KeyError(name)
+        raise KeyError(f"no robot {name!r} in this room: {', '.join(robot.name for robot in self.robots)}")
 
     def __iter__(self) -> Iterator[Robot]:
         return iter(self.robots)
@@ -84,6 +84,22 @@ class Room:
         return bearings(own.log, [robot.log for robot in others], trajectory=own.path, **options)
 
 
+def _json(scene: Mapping[str, Any]) -> str:
+    """A scene's values, those of NumPy as Python's."""
+
+    def known(value: Any) -> Any:
+        if isinstance(value, (np.ndarray, np.generic)):
+            return value.tolist()
+        if isinstance(value, Mapping):
+            return dict(value)
+        raise TypeError(f"{value!r} is no value of a scene")
+
+    try:
+        return json.dumps(scene if isinstance(scene, dict) else dict(scene), default=known)
+    except (TypeError, ValueError) as error:
+        raise SceneError(f"the scene: {error}") from None
+
+
 def simulate(
     scene: str | os.PathLike[str] | Mapping[str, Any],
     *,
@@ -93,10 +109,11 @@ def simulate(
     """Runs a scene in memory: a ``.toml`` file, the name of a built-in one (``"lab-circle"``), or a dictionary of its values.
 
     ``seed`` and ``layout`` (``"wsr"``, ``"stock"``) replace the scene's. A seed gives the same bytes on any machine.
-    Raises :class:`SceneError`.
+    Raises :class:`SceneError`, which is a :class:`SceneFileError` where the file cannot be read; :class:`OptionError`.
     """
     is_json = isinstance(scene, Mapping)
-    text = json.dumps(scene) if isinstance(scene, Mapping) else os.fspath(scene)
-    channel, initiators, made = _native.simulate(text, is_json, seed, layout)
+    text = _json(scene) if isinstance(scene, Mapping) else os.fspath(scene)
+    number = None if seed is None else _options.whole("seed", seed, 0, 2**64 - 1)
+    channel, initiators, made = _native.simulate(text, is_json, number, layout)
     robots = [Robot(r["name"], r["mac"], r["log"], r["path"], r["injected"]) for r in made]
     return Room(channel, robots, [robots[number].name for number in initiators])

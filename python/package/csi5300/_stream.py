@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 from collections.abc import AsyncIterator, Iterable, Iterator
 from types import TracebackType
 from typing import Any
 
-from . import _native
+from . import _native, _options
 from ._errors import LiveError
-from ._log import Log, _macs
+from ._log import Log
 
 
 class Stream:
     """Frames of this machine's card, or of a robot in a served room (``csi5300 simulate SCENE --serve --socket PATH``).
 
     ``for log in stream`` and ``async for log in stream`` give a :class:`Log` of the frames that came since the last one, until a
-    served room ends or the stream is closed. Listening to the card needs CAP_NET_ADMIN. Raises :class:`LiveError`.
+    served room ends or the stream is closed, from whichever thread or task. Listening to the card needs CAP_NET_ADMIN. Raises
+    :class:`LiveError`.
     """
 
     def __init__(
@@ -31,8 +33,10 @@ class Stream:
     ) -> None:
         """``room`` is ``PATH#ROBOT``; without it the driver of this machine's card is listened to."""
         self._listener: _native.Listener | None = _native.Listener(
-            room, connector_index, allow_user_sender, receive_buffer, _macs(macs)
+            room, connector_index, allow_user_sender, receive_buffer, _options.macs(macs)
         )
+        # Tasks that wait for frames: close() wakes them.
+        self._waiting: set[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = set()
 
     def _open(self) -> _native.Listener:
         if self._listener is None:
@@ -48,21 +52,31 @@ class Stream:
     @property
     def ended(self) -> bool:
         """True once a served room ended, or the stream was closed."""
-        return self._listener is None or self._listener.ended
+        listener = self._listener
+        return listener is None or listener.ended
 
     def fileno(self) -> int:
         """The socket: readable when frames wait."""
         return self._open().fileno()
 
     def read(self, timeout: float | None = None) -> Log:
-        """The frames that wait; where there are none, those that come within ``timeout`` seconds (None: waits for one)."""
+        """The frames that wait; where there are none, those that come within ``timeout`` seconds (None: waits for one).
+
+        Raises :class:`LiveError` if the stream is closed, also if that happens while this waits.
+        """
         listener = self._open()
-        records, columns = listener.read(timeout)
-        return Log(records, columns, json.loads(listener.info()))
+        log = _take(listener, None if timeout is None else _options.number("timeout", timeout))
+        if not len(log):
+            self._open()
+        return log
 
     def close(self) -> None:
-        """Stops listening."""
-        self._listener = None
+        """Stops listening; who waits for frames, in another thread or task, waits no more."""
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            listener.close()
+        for loop, ready in list(self._waiting):
+            loop.call_soon_threadsafe(ready.set)
 
     def __enter__(self) -> Stream:
         return self
@@ -72,26 +86,46 @@ class Stream:
     ) -> None:
         self.close()
 
+    async def __aenter__(self) -> Stream:
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
     def __iter__(self) -> Iterator[Log]:
-        while not self.ended:
-            log = self.read()
+        while (listener := self._listener) is not None and not listener.ended:
+            log = _take(listener, None)
             if len(log):
                 yield log
 
     async def __aiter__(self) -> AsyncIterator[Log]:
         loop = asyncio.get_running_loop()
-        while not self.ended:
-            log = self.read(0)
+        while (listener := self._listener) is not None and not listener.ended:
+            log = _take(listener, 0)
             if len(log):
                 yield log
-            elif not self.ended:
-                await self._readable(loop)
+            elif not listener.ended:
+                await self._readable(listener, loop)
 
-    async def _readable(self, loop: asyncio.AbstractEventLoop) -> None:
+    async def _readable(self, listener: _native.Listener, loop: asyncio.AbstractEventLoop) -> None:
         ready = asyncio.Event()
-        socket = self.fileno()
+        # A descriptor of its own: it stays open whoever closes the stream, and another task that waits has another.
+        socket = os.dup(listener.fileno())
+        self._waiting.add((loop, ready))
         loop.add_reader(socket, ready.set)
         try:
-            await ready.wait()
+            # The stream may have been closed before this task was among those who wait.
+            if self._listener is not None:
+                await ready.wait()
         finally:
             loop.remove_reader(socket)
+            os.close(socket)
+            self._waiting.discard((loop, ready))
+
+
+def _take(listener: _native.Listener, timeout: float | None) -> Log:
+    """What a listener has."""
+    records, columns = listener.read(timeout)
+    return Log(records, columns, json.loads(listener.info()))

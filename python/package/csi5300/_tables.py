@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,21 +36,32 @@ def columns(log: Log) -> dict[str, Any]:
     }
 
 
+def module(name: str) -> Any:
+    """A library that is asked for. Raises ImportError, which says how to have it."""
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        if error.name != name.split(".")[0]:
+            raise
+        raise ImportError(f"{error.name} is not installed: pip install {error.name}", name=error.name) from None
+
+
 def to_pandas(log: Log) -> pandas.DataFrame:
     """See :meth:`csi5300.Log.to_pandas`."""
-    import pandas as pd
+    pd = module("pandas")
 
     def series(values: Any) -> Any:
         if not isinstance(values, np.ma.MaskedArray):
             return values
         return pd.arrays.IntegerArray(values.data.astype(np.int64), np.ma.getmaskarray(values).copy())
 
-    return pd.DataFrame({name: series(values) for name, values in columns(log).items()})
+    table: pandas.DataFrame = pd.DataFrame({name: series(values) for name, values in columns(log).items()})
+    return table
 
 
 def to_polars(log: Log, *, scaled: bool = False) -> polars.DataFrame:
     """See :meth:`csi5300.Log.to_polars`."""
-    import polars as pl
+    pl = module("polars")
 
     def series(name: str, values: Any) -> Any:
         if not isinstance(values, np.ma.MaskedArray):
@@ -58,19 +70,21 @@ def to_polars(log: Log, *, scaled: bool = False) -> polars.DataFrame:
         return pl.select(pl.when(~mask).then(plain).alias(name)).to_series()
 
     csi = log.scaled() if scaled else log.csi
-    shape = csi.shape[1:]
+    n, *shape = csi.shape
     table = pl.DataFrame([series(name, values) for name, values in columns(log).items()])
-    parts = [
-        pl.Series(name, np.ascontiguousarray(part).reshape(len(log), -1)).reshape((len(log), *shape))
-        for name, part in (("csi_re", csi.real), ("csi_im", csi.imag))
-    ]
-    return table.with_columns(parts)
+
+    def arrays(name: str, part: Any) -> Any:
+        if not part.size:
+            return pl.Series(name, [], dtype=pl.Array(pl.Float32, tuple(shape)))
+        return pl.Series(name, np.ascontiguousarray(part).reshape(n, -1)).reshape((n, *shape))
+
+    whole: polars.DataFrame = table.with_columns([arrays("csi_re", csi.real), arrays("csi_im", csi.imag)])
+    return whole
 
 
 def to_xarray(log: Log, *, scaled: bool = False) -> xarray.Dataset:
     """See :meth:`csi5300.Log.to_xarray`."""
-    import xarray as xr
-
+    xr = module("xarray")
     csi = log.scaled() if scaled else log.csi
     units = "sqrt(SNR)" if scaled else "card's integers"
 
@@ -79,13 +93,14 @@ def to_xarray(log: Log, *, scaled: bool = False) -> xarray.Dataset:
         return values if masked is None else masked.filled(np.nan)
 
     per_frame = {name: ("time", plain(values)) for name, values in columns(log).items() if name != "time_us"}
-    return xr.Dataset(
+    dataset: xarray.Dataset = xr.Dataset(
         {"csi": (("time", "rx", "tx", "subcarrier"), csi, {"units": units}), **per_frame},
         coords={
-            "time": ("time", log.t, {"units": "s", "long_name": "seconds after the first frame, card's clock"}),
+            "time": ("time", log.t, {"units": "s", "long_name": "seconds after the log's first record, card's clock"}),
             "rx": list(log.antennas),
             "tx": np.arange(1, log.streams + 1),
             "subcarrier": log.subcarriers,
         },
         attrs={"name": log.name, "lost_something": int(log.lost_something)},
     )
+    return dataset

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from . import _options
 from ._errors import OptionError
 
 if TYPE_CHECKING:
@@ -20,9 +21,10 @@ if TYPE_CHECKING:
     from ._log import Log
 
 COLUMNS = 1_500
-"""Frames drawn at most, evenly chosen by their number."""
+"""Frames drawn at most, evenly chosen by their number, beside those at both ends of a pause."""
 GAP_S = 0.5
-"""Longer pauses between frames are left white."""
+GAP_STEPS = 5
+"""Pauses between frames that are longer than this, and than so many usual steps, are left white."""
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -47,6 +49,27 @@ def _edges(places: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([[2 * places[0] - between[0]], between, [2 * places[-1] - between[-1]]])
 
 
+def _columns(places: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Of frames at these places, in their order: those to draw, the edges of the cells, and which cells are of a frame: the others
+    are the pauses, in which nothing is drawn."""
+    steps = np.diff(places)
+    usual = float(np.median(steps[steps > 0]))
+    pauses = np.flatnonzero(steps > max(GAP_S, GAP_STEPS * usual))
+    # The longest, where there are very many.
+    pauses = np.sort(pauses[np.argsort(-steps[pauses], kind="stable")[:COLUMNS]])
+    evenly = np.linspace(0, len(places) - 1, min(COLUMNS, len(places))).astype(np.int64)
+    drawn = np.unique(np.concatenate([evenly, pauses, pauses + 1]))
+    between = (places[drawn[1:]] + places[drawn[:-1]]) / 2
+    half = usual / 2
+    before = np.searchsorted(drawn, pauses)
+    edges = np.concatenate([[places[0] - half], between, [places[-1] + half]])
+    # The edge in the middle of a pause becomes two, half a step from its ends.
+    edges[before + 1] = places[pauses] + half
+    edges = np.insert(edges, before + 2, places[pauses + 1] - half)
+    is_frame = np.insert(np.ones(len(drawn), dtype=bool), before + 1, False)
+    return drawn, edges, is_frame
+
+
 def _without_line(h: NDArray[np.complex64], places: NDArray[np.float64]) -> NDArray[np.float64]:
     """Phases (n, 30) without offset and slope; the slope is that of neighbours at the usual distance."""
     step = np.diff(places)
@@ -62,33 +85,44 @@ def heat_map(log: Log, *, antenna: str | None = None, stream: int = 0) -> Figure
     """Amplitude (dB, the card's integers) and phase over time and subcarrier of one antenna and stream.
 
     The phase is what is left of each frame's without its offset and its slope over subcarriers: those of carrier and sampling
-    clock differ from frame to frame and hide the channel. Raises :class:`OptionError` for an antenna or stream that the log does not have.
+    clock differ from frame to frame and hide the channel. Pauses are white; frames that all have one time are drawn by their
+    number. Raises :class:`OptionError` for an antenna or stream that the log does not have.
     """
-    letter = (antenna or log.antennas[:1]).upper()
-    if len(log) < 2 or letter not in log.antennas or not letter or not 0 <= stream < log.streams:
-        raise OptionError(f"a log of {len(log)} frames, antennas {log.antennas or 'none'}, {log.streams} streams has no such picture")
-    chosen = np.unique(np.linspace(0, len(log) - 1, min(COLUMNS, len(log))).astype(np.int64))
-    part = log[chosen]
-    h = part.csi[:, part.antennas.index(letter), stream, :]
+    letter, column = _which(log, antenna, stream)
+    order = np.argsort(log.time_us, kind="stable")
+    t = log.t[order]
+    is_timed = bool(t[-1] > t[0])
+    chosen, along, is_frame = _columns(t if is_timed else np.arange(len(log), dtype=np.float64))
+    part = log[order[chosen]]
+    h = part.csi[:, part.antennas.index(letter), column, :]
     level = 20 * np.log10(np.maximum(np.abs(h), 0.5))
     turned = _without_line(h, part.subcarriers.astype(np.float64))
-    t = log.t[chosen]
-    alone = np.diff(t, prepend=t[0]) > GAP_S
-    level[alone], turned[alone] = np.nan, np.nan
     most = max(0.1, float(np.nanpercentile(np.abs(turned), 99))) if np.isfinite(turned).any() else np.pi
     figure = _figure(9, 5)
     upper, lower = figure.subplots(2, 1, sharex=True)
-    along, up = _edges(t), _edges(part.subcarriers.astype(np.float64))
+    up = _edges(part.subcarriers.astype(np.float64))
     for axes, values, words, more in (
         (upper, level, "amplitude, dB", {"cmap": "viridis"}),
         (lower, turned, "phase, rad", {"cmap": "coolwarm", "vmin": -most, "vmax": most}),
     ):
-        drawn = axes.pcolormesh(along, up, values.T, rasterized=True, **more)
+        cells = np.full((len(is_frame), values.shape[1]), np.nan)
+        cells[is_frame] = values
+        drawn = axes.pcolormesh(along, up, cells.T, rasterized=True, **more)
         figure.colorbar(drawn, ax=axes, label=words)
         axes.set_ylabel("subcarrier")
-    upper.set_title(f"{log.name}, antenna {letter}, stream {stream + 1}", fontsize="medium")
-    lower.set_xlabel("seconds after the first frame")
+    upper.set_title(f"{log.name}, antenna {letter}, stream {column + 1}", fontsize="medium")
+    lower.set_xlabel("seconds after the log's first record" if is_timed else "frame: all have one time")
     return figure
+
+
+def _which(log: Log, antenna: str | None, stream: int) -> tuple[str, int]:
+    """The antenna's letter and the stream, if the log has them."""
+    if len(log) < 2:
+        raise OptionError(f"a log of {len(log)} frames has no picture: 2 are needed")
+    letter = log.antennas[:1] if antenna is None else antenna
+    if not isinstance(letter, str) or letter.upper() not in tuple(log.antennas):
+        raise OptionError(f"antenna: {letter!r} is not one of this log's, {log.antennas or 'none'}")
+    return letter.upper(), _options.whole("stream", stream, 0, log.streams - 1)
 
 
 def _mark(axes: Any, degrees: float, style: str, words: str) -> None:
@@ -120,9 +154,12 @@ def bearing(found: Bearing, *, truth_deg: float | None = None) -> Figure:
 
 
 def trajectory(bearings: list[Bearing]) -> Figure:
-    """The receiver's path from above, with an arrow for each bearing."""
+    """The receiver's path from above, with an arrow for each bearing. Raises :class:`OptionError` without any bearing."""
+    drawn = [found for found in bearings if found]
+    if not drawn:
+        raise OptionError("bearings: none of these links has a bearing, and so a path")
     figure = _figure(5, 5)
-    _path(figure.add_subplot(), [found for found in bearings if found])
+    _path(figure.add_subplot(), drawn)
     return figure
 
 

@@ -12,22 +12,23 @@ import posixpath
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from . import _native
-from ._errors import Error, OptionError
-from ._evaluate import Capture, Evaluation, combinations, find, joined, one
-from ._log import scan
+from . import _native, _options
+from ._errors import Error, OptionError, OptionFileError
+from ._evaluate import NO_CAPTURE, Capture, Evaluation, combinations, found_below, joined, one, workers_of
+from ._scan import WIDEST, Scan
 
 __all__ = ["Converted", "convert", "evaluate", "sweep"]
 
 Progress = Callable[[int, int], None]
 RETRIES = 8
 """Times that Ray does a task again whose node or process was lost."""
+_PART = re.compile(r"part-\d{5,}\.parquet")
 
 
 def _remote(uri: str) -> tuple[Any, str]:
@@ -139,7 +140,7 @@ def _on_ray(ray: Any, work: Callable[..., Any], tasks: Sequence[Any], rest: tupl
 
 def _on_threads(work: Callable[..., Any], tasks: Sequence[Any], rest: tuple[Any, ...], workers: int | None) -> Iterator[tuple[int, Any]]:
     cancel = _native.Cancel()
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(workers_of(workers)) as pool:
         futures = {pool.submit(work, task, *rest, cancel=cancel): place for place, task in enumerate(tasks)}
         try:
             for future in as_completed(futures):
@@ -187,10 +188,11 @@ def evaluate(
     """
     uri = os.fspath(uri)
     runs = combinations(options, sweep)
+    workers_of(workers)
     tasks: list[Capture] | list[_Remote]
-    tasks, unreadable = find(uri) if _is_local(uri) else (_find_remote(uri), [])
+    tasks, unreadable = found_below(uri) if _is_local(uri) else (_find_remote(uri), [])
     if not tasks:
-        raise OptionError(f"no capture below {uri}: a capture is a folder with groundtruth_positions.json and csi_rx_TS.dat")
+        raise OptionError(f"no capture below {uri}: {NO_CAPTURE}", uri)
     if use_ray is not False or workers is not None:
         # One capture a core: its links one after the other, unless that was asked for.
         runs = [{"threads": max(int(cpus_per_task), 1), **run} for run in runs]
@@ -210,36 +212,86 @@ class Converted:
     log: str
     """Its place below the folder that was converted."""
     parts: list[str]
-    """The Parquet files that were written."""
+    """The Parquet files that were written; of a log without a frame none."""
     frames: int
     lost_something: bool
+    """True if anything before the log's end was damaged or dropped."""
     error: str | None = None
+    tail: dict[str, int | None] | None = None
+    """Where the log was cut in the middle of a record, as :attr:`csi5300.Log.tail` has it."""
 
 
-def _convert_task(
-    file: str, uri_in: str, uri_out: str, chunk: int, scaled: bool, cancel: _native.Cancel | None = None
-) -> Converted:
-    source, root = (None, uri_in) if _is_local(uri_in) else _remote(uri_in)
-    place = posixpath.relpath(file, root.rstrip("/")) if source is not None else Path(file).relative_to(root).as_posix()
-    done = Converted(place, [], 0, False)
+@dataclass(frozen=True)
+class _Conversion:
+    """What is done to each log."""
+
+    uri_in: str
+    uri_out: str
+    chunk: int
+    scaled: bool
+    filters: tuple[list[str] | None, tuple[float | None, float | None] | None, str | None]
+    shape: tuple[str, int]
+
+    def place(self, file: str) -> str:
+        """Where a log is below the folder."""
+        if _is_local(self.uri_in):
+            return Path(file).relative_to(self.uri_in).as_posix()
+        return posixpath.relpath(file, _remote(self.uri_in)[1].rstrip("/"))
+
+    def partition(self, file: str) -> str:
+        """The folder of a log's parts."""
+        return f"log={self.place(file).replace('/', '__')}"
+
+    def fetched(self, file: str, folder: str) -> str:
+        """The log as a file of this machine."""
+        if _is_local(self.uri_in):
+            return file
+        source, _ = _remote(self.uri_in)
+        log = os.path.join(folder, posixpath.basename(file))
+        source.get_file(file, log)
+        if source.exists(f"{file}stp"):
+            source.get_file(f"{file}stp", f"{log}stp")
+        return log
+
+
+def _convert_task(file: str, work: _Conversion, cancel: _native.Cancel | None = None) -> Converted:
+    done = Converted(work.place(file), [], 0, False)
     try:
         with tempfile.TemporaryDirectory(prefix="csi5300-") as folder:
-            log = file
-            if source is not None:
-                log = os.path.join(folder, posixpath.basename(file))
-                source.get_file(file, log)
-                if source.exists(f"{file}stp"):
-                    source.get_file(f"{file}stp", f"{log}stp")
-            for number, piece in enumerate(scan(log, chunk=chunk)):
+            pieces = Scan(work.fetched(file, folder), work.chunk, work.filters, work.shape)
+            for number, piece in enumerate(pieces):
                 if cancel is not None and cancel.is_set():
                     return replace(done, error="the conversion was stopped")
-                part = os.path.join(folder, "part.parquet")
-                piece.write(part, scaled=scaled)
-                done.parts.append(_put(part, uri_out, f"log={place.replace('/', '__')}/part-{number:05}.parquet"))
-                done = replace(done, frames=done.frames + len(piece), lost_something=piece.lost_something)
+                if number == 0:
+                    # Those of an earlier conversion may be of other frames.
+                    _clear(work.uri_out, work.partition(file))
+                if len(piece):
+                    part = os.path.join(folder, "part.parquet")
+                    piece.write(part, scaled=work.scaled)
+                    done.parts.append(_put(part, work.uri_out, f"{work.partition(file)}/part-{number:05}.parquet"))
+                done = replace(done, frames=done.frames + len(piece), lost_something=piece.lost_something, tail=piece.tail)
     except (Error, OSError) as error:
         return replace(done, error=str(error))
     return done
+
+
+def _clear(uri_out: str, partition: str) -> None:
+    """Removes the parts of a log."""
+    if _is_local(uri_out):
+        folder = Path(uri_out) / partition
+        for part in folder.iterdir() if folder.is_dir() else ():
+            if _PART.fullmatch(part.name):
+                part.unlink()
+        return
+    system, root = _remote(uri_out)
+    system.invalidate_cache()
+    try:
+        there = system.ls(posixpath.join(root, partition), detail=False)
+    except FileNotFoundError:
+        return
+    for name in there:
+        if _PART.fullmatch(posixpath.basename(name)):
+            system.rm_file(name)
 
 
 def _put(file: str, uri_out: str, name: str) -> str:
@@ -261,6 +313,10 @@ def convert(
     uri_in: str | os.PathLike[str],
     uri_out: str | os.PathLike[str],
     *,
+    macs: str | Iterable[str] | None = None,
+    t: tuple[float | None, float | None] | None = None,
+    antennas: str | Iterable[str] | None = None,
+    streams: int | None = None,
     scaled: bool = False,
     chunk: int = 1_000_000,
     use_ray: bool | None = None,
@@ -269,15 +325,37 @@ def convert(
 ) -> list[Converted]:
     """Writes each log (``*.dat``) below ``uri_in`` as Parquet below ``uri_out``: ``log=PLACE/part-00000.parquet``, ``chunk`` frames a file.
 
-    ``/`` in PLACE is written ``__``. A log that cannot be read is in the list with its ``error``. Files are written whole or not at
-    all, under names that follow from the log's: a task that Ray does again writes the same ones.
+    All files have one schema, whatever the logs hold, and are read as one table: CSI of the antennas A, B and C and of 3 streams,
+    null where a frame has none, or of ``antennas`` and ``streams``. Filters are those of :func:`csi5300.read`.
+
+    ``/`` in PLACE is written ``__``. A log that cannot be read is in the list with its ``error``; what was lost of one that could is
+    said there too. Files are written whole or not at all, under names that follow from the log's, and those of an earlier conversion
+    of the log are removed: what is done twice, by Ray or by you, counts once. Raises :class:`csi5300.OptionError`.
     """
     uri_in, uri_out = os.fspath(uri_in), os.fspath(uri_out)
-    if _is_local(uri_in):
-        files = sorted(str(file) for file in Path(uri_in).rglob("*.dat"))
+    letters, columns = _options.letters(antennas), _options.streams(streams)
+    filters = (_options.macs(macs), _options.stretch(t), letters)
+    shape = (letters or WIDEST[0], columns or WIDEST[1])
+    work = _Conversion(uri_in, uri_out, _options.whole("chunk", chunk, 1), _options.flag("scaled", scaled), filters, shape)
+    # It makes no sense for one log if it makes none for all.
+    Scan(b"", work.chunk, filters, shape)
+    files = _logs(uri_in)
+    partitions: dict[str, str] = {}
+    for file in files:
+        other = partitions.setdefault(work.partition(file), file)
+        if other != file:
+            raise OptionError(f"{other} and {file} would be one partition, {work.partition(file)}: rename one of them", file)
+    return _all(_convert_task, files, (work,), use_ray, workers, 1, progress)
+
+
+def _logs(uri: str) -> list[str]:
+    if _is_local(uri):
+        if not os.path.isdir(uri):
+            raise OptionFileError(f"uri_in: {uri} is no folder that can be read", uri)
+        files = sorted(str(file) for file in Path(uri).rglob("*.dat"))
     else:
-        system, root = _remote(uri_in)
+        system, root = _remote(uri)
         files = sorted(file for file in system.find(root) if file.endswith(".dat"))
     if not files:
-        raise OptionError(f"no log (*.dat) below {uri_in}")
-    return _all(_convert_task, files, (uri_in, uri_out, chunk, scaled), use_ray, workers, 1, progress)
+        raise OptionError(f"no log (*.dat) below {uri}", uri)
+    return files

@@ -98,7 +98,8 @@ struct Written {
 
 /// Writes the CSI of a log.
 pub fn run(args: &Args) -> Result {
-    let extension = args.output.extension().and_then(|extension| extension.to_str());
+    let extension = args.output.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
+    let extension = extension.as_deref();
     if extension != Some("csv") && !is_known(&args.output) {
         let missing = extension == Some("parquet") && !cfg!(feature = "parquet");
         let hint = if missing { "; .parquet needs a program built with the feature: --features parquet" } else { "" };

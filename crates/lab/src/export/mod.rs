@@ -35,7 +35,12 @@ pub const KNOWN: &str = ".npz or .mat";
 #[must_use]
 pub fn is_known(path: &Path) -> bool {
     let known: &[&str] = if cfg!(feature = "parquet") { &["npz", "mat", "parquet"] } else { &["npz", "mat"] };
-    path.extension().and_then(|extension| extension.to_str()).is_some_and(|extension| known.contains(&extension))
+    extension(path).is_some_and(|extension| known.contains(&extension.as_str()))
+}
+
+/// The extension in small letters.
+fn extension(path: &Path) -> Option<String> {
+    Some(path.extension()?.to_str()?.to_ascii_lowercase())
 }
 
 /// Where the records of an export are.
@@ -75,7 +80,7 @@ impl<'a> Export<'a> {
     }
 
     fn with_source(source: Source<'a>, columns: &'a Columns, form: Form) -> Self {
-        let streams = usize::from(columns.n_tx.iter().copied().max().unwrap_or(1));
+        let streams = columns.widest().streams();
         Self { source, columns, antennas: Antenna::ALL.to_vec(), streams, form, stop: None }
     }
 
@@ -105,6 +110,13 @@ impl<'a> Export<'a> {
         self
     }
 
+    /// With so many streams: what a record has beyond is left out, what it has not is not a number.
+    #[must_use]
+    pub fn with_streams(mut self, streams: usize) -> Self {
+        self.streams = streams;
+        self
+    }
+
     /// Writes a file whose extension says its format ([`KNOWN`]); one that is there is replaced. Gives the number of records without
     /// a scale where one was asked for: their CSI is not a number.
     ///
@@ -112,7 +124,7 @@ impl<'a> Export<'a> {
     /// If there is no such format, the file cannot be written, the log cannot be read again or was changed, or that was stopped:
     /// then it is not whole.
     pub fn write(&self, path: &Path) -> Result<u64, ExportError> {
-        let written = match path.extension().and_then(|extension| extension.to_str()) {
+        let written = match extension(path).as_deref() {
             Some("npz") => self.npz(path),
             Some("mat") => self.mat(path),
             #[cfg(feature = "parquet")]

@@ -78,6 +78,20 @@ fn an_export_that_is_stopped_says_so() {
 }
 
 #[test]
+fn an_extension_may_be_in_capitals_and_streams_more_than_there_are() {
+    let (arena, columns) = table(&fixture(), Filter::default());
+    let export = Export::new(&arena, (0..arena.len()).collect(), &columns, Form::default());
+    let (small, large, wide) = (Temporary::new("log.npz"), Temporary::new("LOG.NPZ"), Temporary::new("wide.npz"));
+    export.write(&small.0).unwrap();
+    export.write(&large.0).unwrap();
+    export.with_streams(3).write(&wide.0).unwrap();
+    let bytes = |file: &Temporary| std::fs::read(&file.0).unwrap();
+    assert!(super::is_known(&large.0) && bytes(&small) == bytes(&large));
+    // complex64 of 30 subcarriers, 3 antennas and 2 streams that no record has.
+    assert_eq!(bytes(&wide).len() - bytes(&small).len(), columns.len() * 8 * 30 * 3 * 2);
+}
+
+#[test]
 fn a_log_that_is_read_again_gives_the_same_file_as_one_in_memory() {
     let log = long_log();
     let part = || Filter::default().with_time(Some(0.4), Some(0.9)).unwrap();

@@ -92,18 +92,12 @@ impl Columns {
         room(&mut self.offset, records, advise);
     }
 
-    /// The antennas of all records, in their order: those that any record used, and, where records do not say which they used, as
-    /// many more as these have chains.
+    /// What the CSI of all records needs.
     #[must_use]
-    pub fn antennas(&self) -> Vec<Antenna> {
-        let is_used = |antenna: Antenna| self.antenna_order.iter().any(|order| usize::from(*order) == antenna.index());
-        let mut used: Vec<Antenna> = Antenna::ALL.into_iter().filter(|antenna| is_used(*antenna)).collect();
-        let first = self.antenna_order.iter().step_by(3).zip(&self.n_rx);
-        let most = first.filter(|(first, _)| **first == NO_ANTENNA).map(|(_, n_rx)| usize::from(*n_rx)).max();
-        let others = Antenna::ALL.into_iter().filter(|antenna| !is_used(*antenna));
-        used.extend(others.take(most.unwrap_or(0).saturating_sub(used.len())));
-        used.sort();
-        used
+    pub fn widest(&self) -> Widest {
+        let mut widest = Widest::default();
+        widest.note(self);
+        widest
     }
 
     /// Adds a record.
@@ -124,6 +118,45 @@ impl Columns {
         self.frame.push(identity.frame_count.map_or(-1, i64::from));
         self.mac.extend(identity.mac.0);
         self.offset.push(i64::try_from(offset).unwrap_or(i64::MAX));
+    }
+}
+
+/// The rows and columns that the CSI of some records needs.
+#[derive(Clone, Debug, Default)]
+pub struct Widest {
+    used: [bool; 3],
+    /// The most chains of a record that does not say which antennas it used.
+    unnamed: usize,
+    streams: usize,
+}
+
+impl Widest {
+    /// Takes more records into account.
+    pub fn note(&mut self, columns: &Columns) {
+        for (used, antenna) in self.used.iter_mut().zip(Antenna::ALL) {
+            *used = *used || columns.antenna_order.iter().any(|order| usize::from(*order) == antenna.index());
+        }
+        let first = columns.antenna_order.iter().step_by(3).zip(&columns.n_rx);
+        let most = first.filter(|(first, _)| **first == NO_ANTENNA).map(|(_, n_rx)| usize::from(*n_rx)).max();
+        self.unnamed = self.unnamed.max(most.unwrap_or(0));
+        self.streams = self.streams.max(columns.n_tx.iter().copied().max().map_or(0, usize::from));
+    }
+
+    /// Antennas, in their order: those that any record used, and, where records do not say which they used, as many more as these
+    /// have chains.
+    #[must_use]
+    pub fn antennas(&self) -> Vec<Antenna> {
+        let (used, others): (Vec<_>, Vec<_>) = Antenna::ALL.into_iter().partition(|antenna| self.used[antenna.index()]);
+        let more = self.unnamed.saturating_sub(used.len());
+        let mut antennas: Vec<Antenna> = used.into_iter().chain(others.into_iter().take(more)).collect();
+        antennas.sort();
+        antennas
+    }
+
+    /// The most streams of a record, 1 without any.
+    #[must_use]
+    pub fn streams(&self) -> usize {
+        self.streams.max(1)
     }
 }
 

@@ -16,7 +16,7 @@ mod turned;
 mod whole;
 
 pub use arena::Arena;
-pub use columns::{Advise, Columns, NO_ANTENNA, NO_TIME, antenna_order, antennas};
+pub use columns::{Advise, Columns, NO_ANTENNA, NO_TIME, Widest, antenna_order, antennas};
 pub(crate) use decode::{Decoder, Order, decode_in};
 pub use decode::{Form, Rows, decode};
 pub use piece::{Held, HeldSource};

@@ -153,6 +153,12 @@ impl<S: CsiSource> Reading<S> {
         &self.source
     }
 
+    /// The card's clock at the log's first bfee record, kept or not, microseconds from the origin of [`Columns::time_us`].
+    #[must_use]
+    pub fn first_us(&self) -> Option<i64> {
+        self.first_us
+    }
+
     /// True once all was read.
     #[must_use]
     pub fn has_ended(&self) -> bool {

@@ -1,7 +1,10 @@
 //! A log as a table against the same log frame by frame.
 
 use super::whole::Cut;
-use super::{Arena, Columns, Filter, FilterError, Form, Held, NO_TIME, Order, Reading, Rows, decode, decode_in};
+use super::{
+    Arena, Columns, Filter, FilterError, Form, Held, NO_ANTENNA, NO_TIME, Order, Reading, Rows, Widest, decode,
+    decode_in,
+};
 use csi5300::source::replay::Replay;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
@@ -145,6 +148,26 @@ fn filters_keep_what_was_asked_for() {
 const COPIES: usize = 150;
 
 /// Enough copies of the fixture for several blocks of memory, damaged in places, with MPDU records between the others.
+#[test]
+fn pieces_need_together_what_the_whole_needs() {
+    let columns = |orders: &[[u8; 3]], n_rx: &[u8], n_tx: &[u8]| Columns {
+        antenna_order: orders.concat(),
+        n_rx: n_rx.to_vec(),
+        n_tx: n_tx.to_vec(),
+        ..Columns::default()
+    };
+    let (only_c, unknown) = ([2, NO_ANTENNA, NO_ANTENNA], [NO_ANTENNA; 3]);
+    for (chains, expect) in [(1, vec![Antenna::C]), (2, vec![Antenna::A, Antenna::C])] {
+        let mut together = Widest::default();
+        together.note(&columns(&[only_c], &[1], &[1]));
+        together.note(&columns(&[unknown], &[chains], &[2]));
+        let whole = columns(&[only_c, unknown], &[1, chains], &[1, 2]).widest();
+        assert_eq!((whole.antennas(), whole.streams()), (expect.clone(), 2));
+        assert_eq!((together.antennas(), together.streams()), (expect, 2));
+    }
+    assert_eq!((Widest::default().antennas(), Widest::default().streams()), (vec![], 1));
+}
+
 fn long() -> Vec<u8> {
     let whole = std::fs::read(path()).unwrap();
     let mut log = Vec::new();

@@ -13,10 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import _native
-from ._errors import LogError, LogNotFoundError
+from .. import _native
+from .._errors import LogError, LogNotFoundError
+from .utils import calib, phy_fft, phy_ifft, scidx
 
-__all__ = ["Intel"]
+__all__ = ["Intel", "calib", "phy_fft", "phy_ifft", "scidx"]
+
+__version__ = "1.4.1"
+"""That of the csiread whose interface this is: scripts compare it."""
 
 _FIELDS = ("timestamp_low", "bfee_count", "Nrx", "Ntx", "rssi_a", "rssi_b", "rssi_c", "noise", "agc", "rate")
 _FRAMES = ("fc", "dur", "seq")
@@ -24,6 +28,10 @@ _ADDRESSES = ("addr_des", "addr_src", "addr_bssid")
 _PACKETS = (*_FIELDS, "perm", "csi")
 _OTHERS = (*_FRAMES, *_ADDRESSES, "payload")
 _ALL = _PACKETS + _OTHERS
+# In the order in which csiread prints them.
+_RSSI = ("rssi_b", "rssi_c", "rssi_a")
+_SHOWN = ("timestamp_low", "bfee_count", "Nrx", "Ntx", *_RSSI, "noise", "agc", "perm", "rate", "csi")
+_SHOWN_OF_FRAMES = ("fc", "dur", "addr_src", "addr_des", "addr_bssid", "seq", "payload")
 
 
 def _mapping(turns: list[list[float]]) -> list[complex]:
@@ -63,7 +71,7 @@ class Intel:
     perm: NDArray[np.intp]
     rate: NDArray[np.intp]
     csi: NDArray[np.complex128]
-    stp: NDArray[np.float64]
+    stp: NDArray[np.float64] | None
     fc: NDArray[np.intp]
     dur: NDArray[np.intp]
     addr_des: NDArray[np.intp]
@@ -91,6 +99,7 @@ class Intel:
         self.skipped = 0
         """Damaged stretches and impossible records of the last reading (csiread has no such count)."""
         self.count = 0
+        self.stp = None
         nothing = {name: np.zeros(0, np.intp) for name in (*_FIELDS, *_FRAMES)}
         nothing |= {name: np.zeros((0, 6), np.intp) for name in _ADDRESSES}
         nothing |= {"perm": np.zeros((0, 3), np.intp), "payload": np.zeros((0, pl_size), np.uint8)}
@@ -100,7 +109,8 @@ class Intel:
         """Keeps arrays under their names, in csiread's types."""
         kept = {"timestamp_low": np.uint32, "payload": np.uint8, "csi": np.complex128}
         for name in names:
-            setattr(self, name, arrays[name].astype(kept.get(name, np.intp), copy=False))
+            # A view, as csiread's arrays are: scripts ask their `base`.
+            setattr(self, name, arrays[name].astype(kept.get(name, np.intp), copy=False)[:])
 
     def __getitem__(self, index: Any) -> dict[str, Any]:
         return {name: getattr(self, name)[index] for name in _PACKETS}
@@ -128,21 +138,24 @@ class Intel:
         self._take(arrays, _ALL)
         self.count = len(self.timestamp_low)
         if self.if_report:
-            print(f"{len(self.fc)} 0xc1 packets parsed\n{self.count} 0xbb packets parsed")
+            kinds = (1 | 4 if len(self.fc) else 1) if self.count else 4
+            print(f"connector_log={kinds:#x}")
+            if kinds & 4:
+                print(f"{len(self.fc)} 0xc1 packets parsed")
+            if kinds & 1:
+                print(f"{self.count} 0xbb packets parsed")
             if self.skipped:
                 print(f"{self.skipped} damaged stretches skipped")
 
     def pmsg(self, data: bytes) -> int:
         """Reads one packet, code first, as a socket gave it; its code is returned, and the arrays hold it (0xbb, 0xc1)."""
-        import tempfile
-
         if not data:
             return 0
+        if len(data) > 0xFFFF:
+            raise ValueError(f"a packet of {len(data)} bytes: records have 65,535 at most")
         # A record as logs have it: its length, then code and body.
-        with tempfile.NamedTemporaryFile(suffix=".dat") as log:
-            log.write(len(data).to_bytes(2, "big") + bytes(data))
-            log.flush()
-            arrays = _native.classic(log.name, 0, 0, (self.nrxnum, self.ntxnum), self.pl_size)
+        record = len(data).to_bytes(2, "big") + bytes(data)
+        arrays = _native.classic(record, 0, 0, (self.nrxnum, self.ntxnum), self.pl_size)
         n_rx, n_tx = arrays["largest"]
         if n_rx > self.nrxnum or n_tx > self.ntxnum:
             raise ValueError(f"nrxnum={self.nrxnum} or ntxnum={self.ntxnum} is too small!\n")
@@ -156,10 +169,14 @@ class Intel:
         """Reads the host times beside the log (``<file>stp``: seconds and microseconds, u32 each) into ``stp``; gives the first."""
         if self.file is None:
             raise LogError("no file was named: Intel(file)")
-        words = np.fromfile(self.file + "stp", dtype="<u4" if endian == "little" else ">u4")
+        name = self.file + "stp"
+        if not os.path.isfile(name):
+            raise LogNotFoundError(f"no host times beside the log: {name}", name)
+        words = np.fromfile(name, dtype="<u4" if endian == "little" else ">u4")
         pairs = words[: len(words) // 2 * 2].reshape(-1, 2)
-        self.stp = pairs[:, 0] + pairs[:, 1] / 1e6
-        return float(self.stp[0])
+        stp: NDArray[np.float64] = pairs[:, 0] + pairs[:, 1] / 1e6
+        self.stp = stp
+        return float(stp[0])
 
     def get_total_rss(self) -> NDArray[np.float64]:
         """Received power of each packet over all antennas, dBm; 0 where all RSSI are 0."""
@@ -204,13 +221,12 @@ class Intel:
 
     def display(self, index: int) -> None:
         """Prints a packet."""
-        lines = [f"{index}th packet:", f"  {'file':<20}: {self.file}", f"  {'count':<20}: {self.count}"]
-        for name in (*_FIELDS, "perm"):
-            lines.append(f"  {name:<20}: {getattr(self, name)[index]}")
-        lines.append(f"  {'csi':<20}: {self.csi[index].shape}")
+        values = {name: getattr(self, name)[index] for name in _SHOWN}
+        values["csi"] = values["csi"].shape
         if len(self.fc) > index:
-            lines += [f"  {name:<20}: {getattr(self, name)[index]}" for name in _FRAMES]
+            values |= {name: getattr(self, name)[index] for name in _SHOWN_OF_FRAMES}
             for name in _ADDRESSES:
-                lines.append(f"  {name:<20}: {bytes(getattr(self, name)[index].tolist()).hex(':')}")
-            lines.append(f"  {'payload':<20}: {self.payload[index].tobytes().hex(' ')}")
-        print("\n".join(lines))
+                values[name] = bytes(values[name].tolist()).hex(":")
+            values["payload"] = values["payload"].tobytes().hex(" ")
+        lines = {"file": self.file, "count": self.count, **values}
+        print("\n".join([f"{index}th packet:", *(f"  {name:<20}: {value}" for name, value in lines.items())]))

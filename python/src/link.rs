@@ -1,0 +1,149 @@
+//! What a bearing was made of: its profile, its samples, and both in a pickle.
+
+use crate::error::{Failure, Kind, Stop, interruptible};
+use csi5300::bartlett::{self, Grid};
+use csi5300::nalgebra::Vector3;
+use csi5300::pipeline::Bearing;
+use csi5300::signal::samples::Samples;
+use num_complex::Complex64;
+use numpy::{IntoPyArray, PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::sync::Arc;
+
+/// A link that has a bearing.
+#[pyclass(frozen, module = "csi5300._native")]
+pub struct Link {
+    samples: Arc<Samples>,
+    path_m: Vec<Vector3<f64>>,
+    /// Of each pair: seconds, and radians one way, round trip, compensated.
+    course: Vec<[f64; 4]>,
+}
+
+/// Rows of a matrix of so many columns.
+fn matrix<'py, const N: usize>(
+    py: Python<'py>,
+    rows: impl ExactSizeIterator<Item = [f64; N]>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    let count = rows.len();
+    let values: Vec<f64> = rows.flatten().collect();
+    values.into_pyarray(py).reshape([count, N])
+}
+
+fn points<'py>(py: Python<'py>, points: &[Vector3<f64>]) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    matrix(py, points.iter().map(|p| [p.x, p.y, p.z]))
+}
+
+/// The rows of an array that has N columns.
+fn rows<const N: usize>(array: &PyReadonlyArray2<'_, f64>) -> Result<Vec<[f64; N]>, Failure> {
+    let array = array.as_array();
+    let row = |row: numpy::ndarray::ArrayView1<'_, f64>| <[f64; N]>::try_from(row.to_vec()).ok();
+    array.rows().into_iter().map(row).collect::<Option<_>>().ok_or_else(|| wrong(format!("{N} columns are needed")))
+}
+
+fn wrong(why: impl std::fmt::Display) -> Failure {
+    Failure::new(Kind::Option, format!("a pickled bearing that is damaged: {why}"))
+}
+
+impl Link {
+    /// Of a bearing, what Python asks for.
+    pub fn new(bearing: Bearing) -> Self {
+        let course = bearing.course.iter().map(|p| [p.t_s, p.one_way_rad, p.round_trip_rad, p.compensated_rad]);
+        Self { course: course.collect(), path_m: bearing.path_m, samples: Arc::new(bearing.samples) }
+    }
+}
+
+/// What [`Link::restore`] takes.
+type Dumped<'py> =
+    ((f64, u8), Bound<'py, PyArray1<Complex64>>, Bound<'py, PyArray2<f64>>, [Bound<'py, PyArray2<f64>>; 2]);
+
+#[pymethods]
+impl Link {
+    /// The profile over a grid: `(azimuths, elevations)` even ones, or directions (n, 2), degrees. Returns azimuths and
+    /// elevations (degrees) and values, each (rows, columns).
+    #[pyo3(signature = (azimuths, elevations, directions))]
+    fn profile<'py>(
+        &self,
+        py: Python<'py>,
+        azimuths: usize,
+        elevations: usize,
+        directions: Option<PyReadonlyArray2<'py, f64>>,
+    ) -> PyResult<[Bound<'py, PyArray2<f64>>; 3]> {
+        const LIMIT: usize = 10_000_000;
+        let grid = match &directions {
+            Some(list) => {
+                let list = list.as_array();
+                let pair = |row: usize| Some((list.get((row, 0))?.to_radians(), list.get((row, 1))?.to_radians()));
+                Grid::directions((0..list.nrows()).filter_map(pair).collect())
+            }
+            None if azimuths.checked_mul(elevations.max(1)).is_none_or(|all| all > LIMIT || all == 0) => {
+                return Err(Failure::new(Kind::Option, format!("a grid of 1 to {LIMIT} directions")).into());
+            }
+            None if elevations < 2 => Grid::azimuth(azimuths),
+            None => Grid::azimuth_elevation(azimuths, elevations),
+        };
+        let samples = Arc::clone(&self.samples);
+        // Ten million directions are done within a second.
+        let profile = interruptible(py, &Stop::default(), move || {
+            bartlett::profile(&samples, &grid).map_err(|error| Failure::new(Kind::Option, error))
+        })?;
+        let (rows, columns) = profile.grid.shape();
+        let angles: Vec<(f64, f64)> = (0..profile.values.len()).map(|index| profile.grid.at(index)).collect();
+        let of = |values: Vec<f64>| values.into_pyarray(py).reshape([rows, columns]);
+        Ok([
+            of(angles.iter().map(|(azimuth, _)| azimuth.to_degrees()).collect())?,
+            of(angles.iter().map(|(_, elevation)| elevation.to_degrees()).collect())?,
+            of(profile.values)?,
+        ])
+    }
+
+    /// The samples: `t_s` (n), `z` (n), `receiver_m` (n, 3), and the receiver's whole path `path_m`, and the phase of
+    /// each pair (`phase`: seconds, one way, round trip, compensated, radians).
+    fn samples<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let samples = &self.samples;
+        let arrays = PyDict::new(py);
+        arrays.set_item("t_s", PyArray1::<f64>::from_slice(py, samples.t_s()))?;
+        arrays.set_item("z", PyArray1::<Complex64>::from_slice(py, samples.z()))?;
+        arrays.set_item("receiver_m", points(py, samples.receiver_m())?)?;
+        arrays.set_item("path_m", points(py, &self.path_m)?)?;
+        arrays.set_item("phase", matrix(py, self.course.iter().copied())?)?;
+        Ok(arrays)
+    }
+
+    /// Wavelength and gain; samples; of each its seconds, the places of both sides and its weight; path and course.
+    fn dump<'py>(&self, py: Python<'py>) -> PyResult<Dumped<'py>> {
+        let samples = &self.samples;
+        let row = |k: usize| {
+            let (own, other) = (samples.receiver_m().get(k)?, samples.transmitter_m().get(k)?);
+            let (t_s, weight) = (*samples.t_s().get(k)?, *samples.weight().get(k)?);
+            Some([t_s, own.x, own.y, own.z, other.x, other.y, other.z, weight])
+        };
+        let rows: Vec<[f64; 8]> = (0..samples.len()).filter_map(row).collect();
+        let drawn = [points(py, &self.path_m)?, matrix(py, self.course.iter().copied())?];
+        let z = PyArray1::from_slice(py, samples.z());
+        Ok(((samples.wavelength_m(), samples.path_gain()), z, matrix(py, rows.into_iter())?, drawn))
+    }
+
+    /// A link from what [`Link::dump`] gave.
+    #[staticmethod]
+    fn restore(
+        carrier: (f64, u8),
+        z: PyReadonlyArray1<'_, Complex64>,
+        samples: PyReadonlyArray2<'_, f64>,
+        drawn: [PyReadonlyArray2<'_, f64>; 2],
+    ) -> PyResult<Self> {
+        let places = rows::<8>(&samples)?;
+        let z: Vec<Complex64> = z.as_array().to_vec();
+        if z.len() != places.len() {
+            return Err(wrong(format!("{} samples at {} places", z.len(), places.len())).into());
+        }
+        let mut samples = Samples::new(carrier.0, carrier.1).map_err(wrong)?;
+        for (z, [t_s, x, y, up, other_x, other_y, other_up, weight]) in z.into_iter().zip(places) {
+            let (own, other) = (Vector3::new(x, y, up), Vector3::new(other_x, other_y, other_up));
+            samples.push_weighted(t_s, z, own, other, weight).map_err(wrong)?;
+        }
+        let [path, course] = drawn;
+        let path_m = rows::<3>(&path)?.into_iter().map(Vector3::from).collect();
+        Ok(Self { samples: Arc::new(samples), path_m, course: rows::<4>(&course)? })
+    }
+}
