@@ -292,6 +292,8 @@ pub struct Phase {
     pub round_trip_rad: f64,
     /// The same after turn-around compensation, radians.
     pub compensated_rad: f64,
+    /// True if it is one of the bearing's samples: in motion, and inside of what was searched.
+    pub is_used: bool,
 }
 
 /// Figures of merit as other programs define them, from an azimuth profile on the WSR toolbox's grid.

@@ -2,7 +2,7 @@
 //! gives.
 
 use super::accurate::{self, Placed};
-use super::bearing::{Bearing, BearingAnswer, PairCounts, ProfileFigures};
+use super::bearing::{Bearing, BearingAnswer, PairCounts, Phase, ProfileFigures};
 use super::direction::Direction;
 use super::effort::{Least, Sufficient};
 use super::error::LinkError;
@@ -52,11 +52,11 @@ impl Draft {
             None => found?,
         };
         let LeastOf { direction, quick, slope, limits, least: Least { sufficient, one_wave } } = least;
-        let samples = gated.samples;
-        let place = || accurate::place(&samples, phases.round_trips(link, options), &gated.used, &direction, options);
+        let samples = &gated.samples;
+        let place = || accurate::place(samples, phases.round_trips(link, options), &gated.used, &direction, options);
         let every_step = matches!(sufficient, Sufficient::Everything(_));
         let placed = || one_wave.or_else(|| every_step.then(place).flatten());
-        let figures = || ProfileFigures::of(&samples);
+        let figures = || ProfileFigures::of(samples);
         let (placed, figures) = if options.parallel { rayon::join(placed, figures) } else { (placed(), figures()) };
         let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
         let bearing = Bearing {
@@ -71,9 +71,9 @@ impl Draft {
             turn_around: phases.turn_around,
             pairs: gated.pairs,
             mean_position_m: sum / samples.len() as f64,
-            samples,
+            course: if options.keep_course { gated.course(link, &times_s, &phases.z) } else { Vec::new() },
+            samples: gated.samples,
             path_m: receiver.poses().iter().filter(|_| options.keep_course).map(|pose| pose.position_m).collect(),
-            course: if options.keep_course { link.course(&times_s, &phases.z) } else { Vec::new() },
         };
         Ok(Self { placed, slope, bearing })
     }
@@ -359,6 +359,17 @@ impl Gated {
     fn searchable(&self, limits: &Limits) -> Option<Range<usize>> {
         let points: Vec<Vector3<f64>> = self.samples.displacements_m().collect();
         stretch::searchable(&points, self.samples.wavelength_m(), limits)
+    }
+
+    /// The phases of all of the link's pairs, with those marked that are among the samples.
+    fn course(&self, link: &Link, times_s: &[f64], z: &[Complex64]) -> Vec<Phase> {
+        let mut course = link.course(times_s, z);
+        for index in &self.used {
+            if let Some(phase) = course.get_mut(*index) {
+                phase.is_used = true;
+            }
+        }
+        course
     }
 
     /// The same of a stretch of the samples.

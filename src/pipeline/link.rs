@@ -310,6 +310,7 @@ impl Link {
             one_way_rad: row.one_way_rad,
             round_trip_rad: row.z.arg(),
             compensated_rad: z.arg(),
+            is_used: false,
         };
         self.rows.iter().zip(z).zip(times_s).map(phase).collect()
     }

@@ -109,7 +109,7 @@ pub struct Located {
 #[non_exhaustive]
 pub enum LocateError {
     /// Two bearings cross in a point; one is a line, unless it has a range.
-    #[error("{sightings} usable bearing(s) and no range: a position needs two bearings, or one with a range")]
+    #[error("{sightings} usable bearing{} and no range: a position needs two bearings, or one with a range", if *sightings == 1 { "" } else { "s" })]
     TooFew {
         /// Usable sightings.
         sightings: usize,

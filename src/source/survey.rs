@@ -1,8 +1,7 @@
 //! What is in a log, and what is not: counts of everything read, dropped and missing.
 
-use crate::maths::upper_median_ord;
 use crate::source::{Loss, Next, Stamps};
-use crate::time::{Step16, Unwrap32};
+use crate::time::Step16;
 use driver_iface::mpdu::Mpdu;
 use driver_iface::record::{Record, Tail, code};
 use driver_iface::{Mac, bfee::Bfee};
@@ -12,122 +11,19 @@ mod antennas;
 pub(crate) mod bounds;
 mod clocks;
 mod fields;
+mod sender;
 mod senders;
 mod tally;
 
-pub use clocks::{ClockSteps, HostSteps};
+use clocks::CardClock;
+pub use clocks::{ClockSteps, HostSteps, TimeBase};
 #[doc(hidden)]
 pub use fields::Fields;
+pub use sender::Sender;
 #[doc(hidden)]
 pub use tally::Tally;
 
 use bounds::LOSSES_KEPT;
-
-/// Counts of frame numbers distinguished for each sender, and how far numbers of one count are from each other at most:
-/// initiators begin further apart (`exchange::pairing::numbering`).
-const COUNTS_KEPT: usize = 16;
-const SAME_COUNT: u32 = 1 << 22;
-/// Inter-packet times kept for the median.
-const STEPS_KEPT: usize = 4_096;
-
-/// Steps of a frame number that count as counting up: a sender that several robots share counts past the others' frames.
-const COUNTING_UP: std::ops::RangeInclusive<i32> = 1..=64;
-
-/// Frames of one sender in a log.
-#[derive(Clone, Debug, Default, serde::Serialize)]
-pub struct Sender {
-    /// bfee records.
-    pub records: u64,
-    /// How the card's clock went on from one to the next.
-    pub clock_steps: ClockSteps,
-    /// Steps of the frame number by 1 to 64.
-    #[serde(skip)]
-    followed: u64,
-    /// Lowest and highest frame number.
-    pub frame_count: Option<(u32, u32)>,
-    /// Frame numbers skipped on the way up.
-    pub frames_skipped: u64,
-    /// Frames with the number of the one before: the card reports some twice.
-    pub frames_repeated: u64,
-    /// Steps back of the frame number: a sender that started anew.
-    pub frames_restarted: u64,
-    /// The newest number of each count: where several robots initiate, a sender's answers bear the numbers of others.
-    #[serde(skip)]
-    last_frame_counts: Vec<u32>,
-    #[serde(skip)]
-    clock: Unwrap32,
-    #[serde(skip)]
-    last_us: Option<i64>,
-    #[serde(skip)]
-    steps_us: Vec<i64>,
-    /// Frames that had a number.
-    #[serde(skip)]
-    pub(crate) numbered: u32,
-    #[serde(skip)]
-    standing: senders::Standing,
-}
-
-impl Sender {
-    /// Frames per second from the median time between frames on the card's clock.
-    #[must_use]
-    pub fn rate_hz(&self) -> Option<f64> {
-        let median = upper_median_ord(&mut self.steps_us.clone())?;
-        (median > 0).then(|| 1e6 / median as f64)
-    }
-
-    /// Frames per second over the whole log: steps over their sum on the card's clock, pauses included, steps back left
-    /// out.
-    #[must_use]
-    pub fn mean_rate_hz(&self) -> Option<f64> {
-        let (steps, us) = (self.records.saturating_sub(1 + self.clock_steps.steps_back), self.clock_steps.forward_us);
-        (us > 0).then(|| 1e6 * steps as f64 / us as f64)
-    }
-
-    /// Whether what stands where a sounding frame has its number counts up from frame to frame, in at least half of the
-    /// records. Frames of other programs have anything there.
-    #[must_use]
-    pub fn counts_up(&self) -> bool {
-        self.frame_count.is_some() && 2 * self.followed + 2 * self.frames_repeated + 1 >= self.records
-    }
-
-    fn note(&mut self, frame_count: Option<u32>, timestamp_low: u32) {
-        self.records += 1;
-        self.numbered = self.numbered.saturating_add(u32::from(frame_count.is_some()));
-        if let Some(number) = frame_count {
-            let (low, high) = self.frame_count.unwrap_or((number, number));
-            self.frame_count = Some((low.min(number), high.max(number)));
-            self.note_number(number);
-        }
-        let now_us = self.clock.next(timestamp_low);
-        if let Some(last_us) = self.last_us {
-            self.clock_steps.note(now_us.saturating_sub(last_us));
-            if self.steps_us.len() < STEPS_KEPT {
-                self.steps_us.push(now_us.saturating_sub(last_us));
-            }
-        }
-        self.last_us = Some(now_us);
-    }
-
-    fn note_number(&mut self, number: u32) {
-        let step_from = |last: u32| number.wrapping_sub(last).cast_signed();
-        let has_room = self.last_frame_counts.len() < COUNTS_KEPT;
-        let nearest = self.last_frame_counts.iter_mut().min_by_key(|last| step_from(**last).unsigned_abs());
-        match nearest {
-            Some(last) if step_from(*last).unsigned_abs() <= SAME_COUNT => {
-                self.followed += u64::from(COUNTING_UP.contains(&step_from(*last)));
-                match step_from(*last) {
-                    1 => {}
-                    0 => self.frames_repeated += 1,
-                    step @ 2.. => self.frames_skipped += u64::from(step.unsigned_abs() - 1),
-                    _ => self.frames_restarted += 1,
-                }
-                *last = number;
-            }
-            _ if has_room => self.last_frame_counts.push(number),
-            _ => self.frames_restarted += 1,
-        }
-    }
-}
 
 /// Smallest, largest and mean value of a quantity; null in JSON where it was never measured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
@@ -251,7 +147,7 @@ pub struct Survey {
     #[serde(skip)]
     count: Step16,
     #[serde(skip)]
-    clock: Unwrap32,
+    clock: CardClock,
     #[serde(skip)]
     heard: Option<(Mac, Option<u32>)>,
     /// Senders that always have a place.
@@ -390,12 +286,11 @@ impl Survey {
             range.note(i32::from(rssi));
         }
         self.agc.note(i32::from(head.agc));
-        self.note_sender(identity.mac, identity.frame_count, head.timestamp_low);
+        self.note_sender(&identity, head.timestamp_low);
         self.host_steps.note(head.timestamp_low, identity.host_us);
-        let elapsed_us = self.host_us.zip(identity.host_us).map(|((_, last), now)| now.saturating_sub(last));
-        let now_us = self.clock.next_after(head.timestamp_low, elapsed_us);
-        if let Some((_, last_us)) = self.clock_us {
-            self.clock_steps.note(now_us.saturating_sub(last_us));
+        let (now_us, step_us) = self.clock.note(head.timestamp_low, identity.host_us);
+        if let Some(step_us) = step_us {
+            self.clock_steps.note(step_us);
         }
         self.clock_us = Some((self.clock_us.map_or(now_us, |(first, _)| first), now_us));
         if let Some(host_us) = identity.host_us {
@@ -433,6 +328,25 @@ impl Survey {
     #[must_use]
     pub fn bfees(&self) -> u64 {
         self.stock + self.wsr
+    }
+
+    /// What says when the records came. It may be another one as long as there are few.
+    #[must_use]
+    pub fn time_base(&self) -> TimeBase {
+        TimeBase::of(self.bfees().saturating_sub(1), self.clock_steps.forward_us, self.clock.host_forward_us)
+    }
+
+    /// Time from the first record to the last so far, microseconds; steps back of the clock count as none. Where there is no
+    /// clock it is the number of the last record, from 0, in millions.
+    #[must_use]
+    pub fn elapsed_us(&self, base: TimeBase) -> i64 {
+        match base {
+            TimeBase::Card => self.clock_steps.forward_us,
+            TimeBase::Host => self.clock.host_forward_us,
+            TimeBase::Number => {
+                i64::try_from(self.bfees().saturating_sub(1)).unwrap_or(i64::MAX).saturating_mul(1_000_000)
+            }
+        }
     }
 
     /// True if anything before the tail was dropped or damaged.

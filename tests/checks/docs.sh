@@ -43,7 +43,7 @@ for page in README.md docs/*.md; do
     done < <(commands "$page")
 done
 echo "$known options of commands that are not run are known"
-for page in README.md docs/tutorial.md docs/view.md; do
+for page in README.md docs/node.md docs/simulation.md docs/tutorial.md docs/view.md; do
     grep -q '^```sh$' "$page" || { echo "$page has no commands"; exit 1; }
 done
 for page in README.md docs/*.md; do

@@ -57,7 +57,7 @@ pub fn plane_wave(bearing: &Bearing) -> Result<Curve, bartlett::Error> {
 }
 
 /// What is left of the phases of the samples once the paths to the answer are taken out, about their mean: (seconds
-/// from the first sample, radians).
+/// from the link's first pair, radians); from the first sample where the course was not kept.
 #[must_use]
 pub fn without_motion(bearing: &Bearing) -> Vec<(f64, f64)> {
     let Some(best) = bearing.answer.candidates.first() else { return Vec::new() };
@@ -79,5 +79,6 @@ pub fn without_motion(bearing: &Bearing) -> Vec<(f64, f64)> {
     let left: Vec<Complex64> = samples.z().iter().zip(&at).map(turned).collect();
     let mean: Complex64 = left.iter().sum();
     let first_s = samples.t_s().first().copied().unwrap_or_default();
-    samples.t_s().iter().zip(&left).map(|(t_s, z)| (t_s - first_s, (z * mean.conj()).arg())).collect()
+    let begun_s = bearing.course.iter().find(|phase| phase.is_used).map_or(0.0, |phase| phase.t_s);
+    samples.t_s().iter().zip(&left).map(|(t_s, z)| (begun_s + t_s - first_s, (z * mean.conj()).arg())).collect()
 }

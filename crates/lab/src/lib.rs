@@ -13,6 +13,7 @@
 //! | [`table`] | a log | its records in memory: columns, and CSI decoded on demand |
 //! | [`export`] | such a table | NPZ, MAT and Parquet files |
 //! | [`rooms`] | a seed | random rooms with known truth, written as captures |
+//! | [`words`] | counts | them with their nouns |
 //! | `show` (feature `plot`) | bearings, rows, figures | pictures (PNG, SVG) and one HTML page |
 //!
 //! `evaluate`, `compare` and `suite` know nothing of pictures; `show` draws what they give.
@@ -34,3 +35,4 @@ pub mod show;
 pub mod skipping;
 pub mod suite;
 pub mod table;
+pub mod words;

@@ -17,7 +17,7 @@ pub enum NodeError {
         peer: String,
     },
     /// A scene cannot be loaded.
-    #[error("{}: {source}", .scene.display())]
+    #[error("{}", .source.of_file(.scene))]
     Scene {
         /// Its file.
         scene: PathBuf,

@@ -1,6 +1,8 @@
 //! Scenes that come with the program.
 
+use super::refusal::SceneError;
 use super::scene::Scene;
+use std::path::Path;
 
 /// Names and texts of the built-in scenes, ready to be printed, changed and read again.
 pub const BUILT_IN: [(&str, &str); 4] = [
@@ -17,6 +19,18 @@ impl Scene {
         let (_, text) = BUILT_IN.iter().find(|(known, _)| *known == name)?;
         Self::from_toml(text).ok()
     }
+
+    /// The scene of a file, or the built-in one of that name where there is no such file.
+    ///
+    /// # Errors
+    /// If there is neither, or the scene is refused.
+    pub fn find(scene: &Path) -> Result<Self, SceneError> {
+        if scene.exists() {
+            return Self::load(scene);
+        }
+        let built_in = scene.to_str().and_then(Self::built_in);
+        built_in.ok_or_else(|| SceneError::Nowhere { scene: scene.to_owned() })
+    }
 }
 
 #[cfg(test)]
@@ -31,5 +45,9 @@ mod tests {
             assert_eq!(Scene::built_in(name), Some(scene));
         }
         assert_eq!(Scene::built_in("nowhere"), None);
+        assert!(Scene::find(Path::new("lab-line")).is_ok());
+        let nowhere = Scene::find(Path::new("nowhere")).unwrap_err();
+        let words = "there is no file nowhere, and no built-in scene of that name: paper-circle, paper-line, lab-circle, lab-line";
+        assert_eq!(nowhere.of_file(Path::new("nowhere")), words);
     }
 }

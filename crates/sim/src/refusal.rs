@@ -2,7 +2,7 @@
 
 use super::toml_lines::{Step, TomlLines};
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Why a scene was refused.
 #[derive(Debug, thiserror::Error)]
@@ -15,6 +15,12 @@ pub enum SceneError {
         file: PathBuf,
         /// The operating system's answer.
         source: std::io::Error,
+    },
+    /// Neither a file nor a built-in scene has the name.
+    #[error("there is no file {}, and no built-in scene of that name: {}", scene.display(), super::BUILT_IN.map(|own| own.0).join(", "))]
+    Nowhere {
+        /// The name.
+        scene: PathBuf,
     },
     /// It is no TOML, or no scene's: an unknown key, a value of another kind.
     #[error("{}{reason}", At(*line))]
@@ -57,8 +63,23 @@ impl SceneError {
     pub fn line(&self) -> Option<usize> {
         match self {
             Self::Toml { line, .. } | Self::Value { line, .. } => *line,
-            Self::Io { .. } | Self::Unwritable { .. } => None,
+            Self::Io { .. } | Self::Nowhere { .. } | Self::Unwritable { .. } => None,
         }
+    }
+
+    /// Why a scene was refused, with the name of its file, once.
+    #[must_use]
+    pub fn of_file(&self, file: &Path) -> String {
+        match self {
+            Self::Io { .. } | Self::Nowhere { .. } => self.to_string(),
+            _ => format!("{}: {self}", file.display()),
+        }
+    }
+
+    /// True if the scene can be read and makes no sense: another text would.
+    #[must_use]
+    pub fn is_of_text(&self) -> bool {
+        matches!(self, Self::Toml { .. } | Self::Value { .. })
     }
 
     /// The same error with the line that the text has for its place.

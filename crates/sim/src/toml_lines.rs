@@ -39,6 +39,12 @@ impl<'t> TomlLines<'t> {
         Self { text, root }
     }
 
+    /// A text of which only this was read.
+    #[must_use]
+    pub fn of_table(text: &'t str, table: DeTable<'t>) -> Self {
+        Self { text, root: Some(DeValue::Table(table)) }
+    }
+
     /// The line, from 1, of the innermost part of `place` that the text has; `None` if it has not even the first step, or
     /// `place` is empty.
     ///

@@ -64,11 +64,12 @@ const csi = {};
 
   csi.button = (words, title, onclick, more = {}) => csi.el("button", { type: "button", title, onclick, ...more }, words);
 
-  // What a line or a mark of a colour means; colours by their names, so that they follow light and dark.
+  // What a line or a mark of a colour means; colours by their names, so that they follow light and dark. How it looks, where that
+  // is no line: dash, area, tick.
   csi.keyOf = (...entries) => {
     const key = csi.el("div", { class: "key" });
-    for (const [colour, words] of entries) {
-      const entry = csi.el("span", {}, words);
+    for (const [colour, words, look] of entries) {
+      const entry = csi.el("span", { class: look }, words);
       entry.style.setProperty("--swatch", `var(--${colour})`);
       key.append(entry);
     }

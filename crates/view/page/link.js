@@ -53,9 +53,9 @@
 
   const mapKey = ({ row, receiver }, sameFrame) => {
     const entries = [["sky", "path of the receiver"], ["red", "bearing, error bar 68 % and 95 %"]];
-    if (csi.isNumber(row.mirror_deg)) entries.push(["grey", "mirror (dashed)"]);
+    if (csi.isNumber(row.mirror_deg)) entries.push(["grey", "mirror", "dash"]);
     if (csi.isNumber(row.true_from_mean_pose_deg)) entries.push(["green", "truth"]);
-    if (row.position_m) entries.push(["red", "ellipse: position, two deviations"]);
+    if (row.position_m) entries.push(["red", "ellipse: position, two deviations", "area"]);
     if (sameFrame && receiver?.position_m) entries.push(["purple", `receiver located${csi.isNumber(receiver.off_m) ? `, ${csi.figure(receiver.off_m, 2)} m off` : ""}`]);
     return csi.keyOf(...entries);
   };
@@ -74,7 +74,7 @@
     known.forEach(([name, number]) => choice.append(csi.button(name, name, () => show(number))));
     const section = card("Log", true, known.length ? choice : csi.el("p", { class: "soft" }, "its log is not here"), host);
     const counts = csi.el("p", { class: "soft" }, [["receiver", row.receiver_records], ["transmitter", row.transmitter_records]]
-      .filter(([, side]) => side?.handed).map(([name, side]) => `${name}: ${side.paired} of ${side.handed} records found their partner, ${side.missing} numbers missing, ${side.duplicates} twice`).join("; "));
+      .filter(([, side]) => side?.handed).map(([name, side]) => `${name}: ${side.paired} of ${csi.count(side.handed, "record", "records")} found their partner, ${csi.count(side.missing, "frame number", "frame numbers")} not heard, ${side.duplicates} reported twice`).join("; "));
     section.insertBefore(counts, host);
     return { section, begin: () => known.length && show(known[0][1]) };
   };

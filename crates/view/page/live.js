@@ -63,7 +63,7 @@
       name.style.color = `var(--${csi.seriesName(k)})`;
       const cells = [
         bearing(report), csi.figure(report.confidence, 2), csi.figure(report.range_m, 1, " m"), csi.figure(peer.pairs_hz, 0),
-        csi.isNumber(losses) ? String(losses) : "–", csi.figure(report.coherence, 2), csi.figure(report.moved_m, 2, " m"), held ? csi.figure(report.age_s, 0, " s") : "",
+        csi.isNumber(losses) ? String(losses) : "–", csi.figure(report.coherence, 2), csi.figure(report.moved_m, 2, " m"), csi.isNumber(report.age_s) ? csi.figure(report.age_s, 0, " s") : "",
       ];
       return csi.el("tr", {}, name, ...cells.map((text) => csi.el("td", { class: held ? "soft" : "" }, text)));
     }

@@ -6,6 +6,8 @@
     amplitude_db: { words: "amplitude", unit: "dB of the card's step" },
     phase_rad: { words: "phase", unit: "rad, relative to the middle subcarrier" },
   };
+  // Rows that have a tick: the outermost subcarriers, one beside the centre, and two between.
+  const TICKED = [0, 7, 15, 22, 29];
   // What the user chose stays when another log is shown.
   const chosen = { map: "amplitude_db", antenna: "A", sender: "" };
 
@@ -37,9 +39,15 @@
       const f = this.facts;
       const [from, to] = f.span_s;
       const steps = f.clock_steps.steps_back;
+      const sum = (name) => f.senders.reduce((all, sender) => all + (sender[name] ?? 0), 0);
+      const [skipped, repeated] = [sum("frames_skipped"), sum("frames_repeated")];
+      const long = f.time_base === "number" ? "" : ` over ${csi.figure(to - from, 1)} s`;
       const parts = [
-        `${csi.size(f.bytes)}, ${csi.count(f.records, "record", "records")} over ${csi.figure(to - from, 1)} s`,
-        f.bfee_missing ? `${csi.count(f.bfee_missing, "number", "numbers")} missing` : "no number missing",
+        `${csi.size(f.bytes)}, ${csi.count(f.records, "record", "records")}${long}`,
+        { host: "times are the host's: the card's clock stands", number: "no times: the card's clock stands, and the host has none" }[f.time_base] ?? null,
+        f.bfee_missing ? `${csi.count(f.bfee_missing, "number", "numbers")} missing from bfee_count` : "none missing from bfee_count",
+        skipped ? `${csi.count(skipped, "frame number", "frame numbers")} not heard` : null,
+        repeated ? `${csi.count(repeated, "frame", "frames")} reported twice` : null,
         f.damages ? `${csi.count(f.damages, "damaged stretch", "damaged stretches")} (${csi.size(f.damaged_bytes)})` : null,
         f.bad_bfee ? `${csi.count(f.bad_bfee, "impossible record", "impossible records")}` : null,
         steps ? `the card's clock steps back ${csi.count(steps, "time", "times")}` : null,
@@ -98,9 +106,10 @@
 
     rateChart() {
       const stepped = uPlot.paths.stepped({ align: 1 });
-      return this.chart(110, { name: "records per second; losses, gaps and steps back of the clock" }, {
+      const rate = this.facts.time_base === "number" ? "over the records: there is no clock, and no rate" : "records per second";
+      return this.chart(110, { name: `${rate}; losses, gaps and steps back of the clock` }, {
         scale: { range: (_, low, high) => [0, Math.max(1, high * 1.1)] },
-        series: [{}, { stroke: () => csi.series(0), width: 1.5, paths: stepped, points: { show: false } }],
+        series: [{}, { stroke: () => csi.colour("ink"), width: 1.5, paths: stepped, points: { show: false } }],
         hooks: { draw: [(plot) => this.marks(plot)] },
         data: [this.facts.span_s, [null, null]],
       });
@@ -111,18 +120,21 @@
       const levels = this.now;
       if (!levels) return;
       csi.clipped(plot, (ctx, bbox, x) => {
-        ctx.fillStyle = csi.faint(csi.colour("orange"), 0.3);
+        ctx.fillStyle = csi.faint(csi.colour("purple"), 0.3);
         for (const [from, to] of levels.gaps_s) ctx.fillRect(x(from), bbox.top, Math.max(1, x(to) - x(from)), bbox.height);
         const width = (levels.to_s - levels.from_s) / levels.columns;
-        const tick = (colour, share) => ([column]) => {
+        // From `high` to `low` of the height; 0 is above.
+        const tick = (colour, high, low) => ([column]) => {
           ctx.fillStyle = colour;
           const at = x(levels.from_s + column * width);
           const wide = Math.max(1.5 * devicePixelRatio, x(levels.from_s + (column + 1) * width) - at);
-          ctx.fillRect(at, bbox.top + bbox.height * (1 - share), wide, bbox.height * share);
+          ctx.fillRect(at, bbox.top + bbox.height * high, wide, bbox.height * (low - high));
         };
-        levels.missing.forEach(tick(csi.colour("bad"), 0.22));
-        levels.damaged.forEach(tick(csi.colour("purple"), 0.45));
-        for (const [at] of levels.steps_back) csi.vertical(ctx, bbox, x(at), csi.colour("purple"), 1.5, [5, 4]);
+        levels.skipped.forEach(tick(csi.colour("sky"), 0, 0.13));
+        levels.repeated.forEach(tick(csi.colour("red"), 0.15, 0.28));
+        levels.damaged.forEach(tick(csi.colour("ink"), 0.55, 1));
+        levels.missing.forEach(tick(csi.colour("bad"), 0.78, 1));
+        for (const [at] of levels.steps_back) csi.vertical(ctx, bbox, x(at), csi.colour("ink"), 1.5, [5, 4]);
       });
     }
 
@@ -143,8 +155,14 @@
       });
     }
 
+    // The index of a subcarrier about the centre; its place in the record where frames of both widths are in the log.
+    subcarrier(k) {
+      return String(this.facts.subcarriers?.[k] ?? k);
+    }
+
     heatChart() {
-      return this.chart(230, { name: "CSI over time and subcarrier, first stream" }, {
+      const axis = { splits: () => TICKED.map((k) => k + 0.5), values: (_, places) => places.map((place) => this.subcarrier(Math.floor(place))) };
+      return this.chart(230, { name: "CSI over time and subcarrier, first stream", axis }, {
         scale: { range: [0, 30] }, showX: true, cursorY: true,
         series: [{}, { stroke: "transparent", points: { show: false } }],
         hooks: { draw: [(plot) => this.paint(plot)], setCursor: [(plot) => this.point(plot)] },
@@ -155,7 +173,8 @@
     columnChart() {
       const series = ANTENNAS.map((letter) => ({ stroke: () => csi.antennaColour(letter), width: 1.6, points: { show: false } }));
       const { plot } = csi.chart(this.host, {
-        height: 130, x: {}, y: { name: "under the cursor, over the subcarriers (0 to 29)" },
+        height: 130, x: { axis: { splits: () => TICKED, values: (_, places) => places.map((k) => this.subcarrier(k)) } },
+        y: { name: "under the cursor, over the subcarriers" },
         options: { scales: { x: { time: false, range: [0, 29] }, y: { range: () => this.range() } }, cursor: { show: false }, series: [{}, ...series] },
         data: [Array.from({ length: 30 }, (_, k) => k), ...ANTENNAS.map(() => Array(30).fill(null))],
       });
@@ -200,10 +219,12 @@
         ...connected.map((letter) => [csi.antennaName(letter), `antenna ${letter}`]),
         ["grey", "gain"],
       ];
-      if (now.missing.length) entries.push(["bad", csi.count(sum(now.missing), "number missing", "numbers missing")]);
-      if (now.damaged.length) entries.push(["purple", csi.count(sum(now.damaged), "damaged stretch", "damaged stretches")]);
-      if (now.gaps_s.length) entries.push(["orange", csi.count(now.gaps_s.length, "gap", "gaps")]);
-      if (now.steps_back.length) entries.push(["purple", csi.count(now.steps_back.length, "step back of the clock", "steps back of the clock")]);
+      if (now.gaps_s.length) entries.push(["purple", csi.count(now.gaps_s.length, "gap", "gaps"), "area"]);
+      if (now.missing.length) entries.push(["bad", csi.count(sum(now.missing), "number missing from bfee_count", "numbers missing from bfee_count"), "tick"]);
+      if (now.damaged.length) entries.push(["ink", csi.count(sum(now.damaged), "damaged stretch", "damaged stretches"), "tick"]);
+      if (now.skipped.length) entries.push(["sky", csi.count(sum(now.skipped), "frame number not heard", "frame numbers not heard"), "tick"]);
+      if (now.repeated.length) entries.push(["red", csi.count(sum(now.repeated), "frame reported twice", "frames reported twice"), "tick"]);
+      if (now.steps_back.length) entries.push(["ink", csi.count(now.steps_back.length, "step back of the clock", "steps back of the clock"), "dash"]);
       this.key.replaceChildren(csi.keyOf(...entries));
     }
 
@@ -273,9 +294,9 @@
       this.column.setData([this.column.data[0], ...lines]);
       const { words, unit } = MAPS[chosen.map];
       const k = plot.cursor.top >= 0 && plot.cursor.left >= 0 ? Math.min(29, Math.max(0, Math.floor(plot.posToVal(plot.cursor.top, "y")))) : null;
-      const here = k === null ? "" : `; subcarrier ${k}: ${csi.figure(value(own[chosen.map], k), 2)}`;
+      const here = k === null ? "" : `; subcarrier ${this.subcarrier(k)}: ${csi.figure(value(own[chosen.map], k), 2)}`;
       const every = this.maps.every > 1 ? `; every ${this.maps.every}th record is in the picture` : "";
-      this.readout.textContent = `antenna ${own.antenna}, ${words} from ${csi.figure(low, 1)} (dark) to ${csi.figure(high, 1)} ${unit}; ${csi.figure(t, 3)} s${here}${every}`;
+      this.readout.textContent = `antenna ${own.antenna}, ${words} from ${csi.figure(low, 1)} (dark) to ${csi.figure(high, 1)} ${unit}; ${this.facts.time_base === "number" ? `record ${Math.round(t)}` : `${csi.figure(t, 3)} s`}${here}${every}`;
     }
 
     // The same range under every place of the cursor.

@@ -73,7 +73,7 @@
       readout));
     look(-180, 180);
     const entries = [["red", `answer ${csi.figure(row.azimuth_deg, 2)}° ± ${csi.figure(row.azimuth_sd_deg, 2)}° (68 % and 95 %)`]];
-    if (csi.isNumber(row.mirror_deg)) entries.push(["grey", `mirror ${csi.figure(row.mirror_deg, 2)}°`]);
+    if (csi.isNumber(row.mirror_deg)) entries.push(["grey", `mirror ${csi.figure(row.mirror_deg, 2)}°`, "dash"]);
     if (csi.isNumber(row.true_from_mean_pose_deg)) entries.push(["green", `truth ${csi.figure(row.true_from_mean_pose_deg, 2)}°`]);
     curves.forEach(({ name }, k) => entries.push([k ? "purple" : "blue", name]));
     host.append(csi.keyOf(...entries));
@@ -81,7 +81,7 @@
 
   csi.candidateTable = ({ candidates = [] }) => {
     if (!candidates.length) return csi.el("p", { class: "soft" }, "no candidates");
-    const head = ["", "azimuth", "elevation", "range", "power", "share"];
+    const head = ["", "azimuth", "elevation", "range", "power", "probability share"];
     const cells = (own, k) => [
       String(k + 1), csi.figure(own.azimuth_deg, 1, "°"),
       csi.isNumber(own.elevation_deg) ? csi.figure(own.elevation_deg, 1, "°") : `±${csi.figure(own.abs_elevation_deg, 1)}°`,

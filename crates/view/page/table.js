@@ -181,13 +181,13 @@
     });
     plot.setScale("x", { min: 0, max: most });
     plot.over.addEventListener("dblclick", () => plot.setScale("x", { min: 0, max: most }));
-    const named = curves.map(({ set, k, dash }) => [csi.seriesName(k), dash ? `${set}, toolbox (dashed)` : set]);
+    const named = curves.map(({ set, k, dash }) => [csi.seriesName(k), dash ? `${set}, toolbox` : set, dash ? "dash" : undefined]);
     host.append(csi.keyOf(...named));
   };
 
   // Errors by set in figures.
   csi.setTable = (sets, judged) => {
-    const names = Object.keys(sets);
+    const names = [...Object.keys(sets).filter((name) => name !== "all"), ...("all" in sets ? ["all"] : [])];
     const beside = names.some((name) => sets[name].beside);
     const figures = (errors) => [csi.figure(errors?.mean_deg, 2), csi.figure(errors?.median_deg, 2), csi.figure(errors?.p90_deg, 2), csi.isNumber(errors?.over_20) ? `${(100 * errors.over_20).toFixed(0)} %` : "–"];
     const four = (name) => ["mean", "median", "90 %", "over 20°"].map((figure) => `${name}${figure}`);

@@ -9,6 +9,7 @@ use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::beside::{Beside, Table};
 use csi5300_lab::evaluate::quality::receivers;
 use csi5300_lab::evaluate::{Capture, Errors, Judged, SetSummary, TrajectorySource, find_all, summarise};
+use csi5300_lab::words::count;
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
@@ -156,7 +157,7 @@ impl Links {
             None
         });
         if let Some(bad) = table.as_ref().map(Table::bad_rows).filter(|bad| *bad > 0) {
-            notes.push(format!("links.csv: {bad} rows without numbers were left out"));
+            notes.push(format!("links.csv: {} without numbers left out", count(bad as u64, "row", "rows")));
         }
         let mut first = vec![0];
         for capture in &captures {
@@ -262,6 +263,14 @@ impl Links {
         let state = self.state();
         let mut rows = state.links.iter().flatten();
         (rows.any(|done| done.row.answer.azimuth_deg.is_some()), state.lost)
+    }
+
+    /// What was noted, and why links have no bearing.
+    pub fn said(&self) -> (Vec<String>, Vec<String>) {
+        let state = self.state();
+        let answers = state.links.iter().flatten().map(|done| &done.row.answer);
+        let failed = answers.filter_map(|answer| Some(format!("{}: {}", answer.link, answer.error.as_deref()?)));
+        (state.notes.clone(), failed.collect())
     }
 
     /// The rows that arrived after the first `known`, how many arrived, and what was noted.

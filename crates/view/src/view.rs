@@ -6,7 +6,8 @@ use crate::links::{Links, Reading};
 use crate::logs::Logs;
 use crate::node::Node;
 use crate::{Error, page};
-use csi5300::source::survey::{Sender, Survey};
+use csi5300::signal::channel::SUBCARRIERS;
+use csi5300::source::survey::{Sender, Survey, TimeBase};
 use csi5300_lab::course::LogIndex;
 use csi5300_lab::evaluate::TrajectorySource;
 use driver_iface::Mac;
@@ -68,7 +69,11 @@ struct LogFacts<'a> {
     name: &'a str,
     bytes: u64,
     cut: bool,
+    /// First and last time, seconds, by `time_base`; with that of numbers the records' numbers.
     span_s: (f64, f64),
+    time_base: TimeBase,
+    /// Indices of the reported subcarriers about the centre, where frames are of one width.
+    subcarriers: Option<[i8; SUBCARRIERS]>,
     senders: Vec<SenderFacts>,
     #[serde(flatten)]
     survey: &'a Survey,
@@ -80,6 +85,9 @@ struct SenderFacts {
     records: u64,
     rate_hz: Option<f64>,
     median_rate_hz: Option<f64>,
+    /// Null for what does not count up.
+    frames_skipped: Option<u64>,
+    frames_repeated: Option<u64>,
 }
 
 /// What follows the `?` of a question.
@@ -187,6 +195,18 @@ impl View {
     #[must_use]
     pub fn outcome(&self) -> (bool, bool) {
         self.links.as_ref().map_or((false, false), Links::outcome)
+    }
+
+    /// What was noted of the captures so far.
+    #[must_use]
+    pub fn notes(&self) -> Vec<String> {
+        self.links.as_ref().map(|links| links.said().0).unwrap_or_default()
+    }
+
+    /// Links without a bearing so far, and why.
+    #[must_use]
+    pub fn failed(&self) -> Vec<String> {
+        self.links.as_ref().map(|links| links.said().1).unwrap_or_default()
     }
 
     /// The answer to a question of the page: a path, and what follows its `?`.
@@ -297,6 +317,8 @@ impl View {
                 records: counted.map_or(0, |sender| sender.records),
                 rate_hz: counted.and_then(Sender::mean_rate_hz),
                 median_rate_hz: counted.and_then(Sender::rate_hz),
+                frames_skipped: counted.filter(|sender| sender.counts_up()).map(|sender| sender.frames_skipped),
+                frames_repeated: counted.filter(|sender| sender.counts_up()).map(|sender| sender.frames_repeated),
             }
         };
         let facts = LogFacts {
@@ -304,6 +326,8 @@ impl View {
             bytes: index.bytes(),
             cut: survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean)),
             span_s: index.span_s(),
+            time_base: index.base(),
+            subcarriers: index.subcarriers(),
             senders: index.senders().iter().take(SENDERS).map(sender).collect(),
             survey,
         };

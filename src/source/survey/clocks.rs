@@ -1,6 +1,7 @@
 //! How the clocks behind a log went on: the card's from record to record, and the host's beside it.
 
 use super::bounds::PAUSE_US;
+use crate::time::Unwrap32;
 
 /// How the card's clock went on from record to record.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -30,6 +31,58 @@ impl ClockSteps {
             self.pauses += 1;
             self.longest_pause_us = self.longest_pause_us.max(step_us);
         }
+    }
+}
+
+/// What says when the records of a log came.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum TimeBase {
+    /// The card's clock, `timestamp_low`.
+    #[default]
+    Card,
+    /// The host's times: the card's clock stands.
+    Host,
+    /// Nothing: the card's clock stands and there are no host times. Records have their numbers.
+    Number,
+}
+
+/// A card's clock that goes on by less than this a record, microseconds, says nothing of time: the preamble and SIGNAL field of
+/// a frame alone take as long (802.11-2016 table 17-5).
+const LEAST_US: i64 = 20;
+
+impl TimeBase {
+    /// Of so many steps between records, with the sums of the steps forward of both clocks, microseconds.
+    pub(super) fn of(steps: u64, card_us: i64, host_us: i64) -> Self {
+        let least_us = i64::try_from(steps).unwrap_or(i64::MAX).saturating_mul(LEAST_US);
+        match () {
+            () if steps == 0 || card_us >= least_us => Self::Card,
+            () if host_us > 0 => Self::Host,
+            () => Self::Number,
+        }
+    }
+}
+
+/// The card's clock from record to record. The host's beside it says how often it wrapped in a pause.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct CardClock {
+    unwrapped: Unwrap32,
+    last_us: Option<i64>,
+    last_host_us: Option<i64>,
+    /// Sum of the host's steps forward, microseconds.
+    pub(super) host_forward_us: i64,
+}
+
+impl CardClock {
+    /// The unwrapped time of the next record, and the step to it from the one before.
+    pub(super) fn note(&mut self, timestamp_low: u32, host_us: Option<i64>) -> (i64, Option<i64>) {
+        let elapsed_us = self.last_host_us.zip(host_us).map(|(last, now)| now.saturating_sub(last));
+        self.last_host_us = host_us.or(self.last_host_us);
+        self.host_forward_us = self.host_forward_us.saturating_add(elapsed_us.unwrap_or(0).max(0));
+        let now_us = self.unwrapped.next_after(timestamp_low, elapsed_us);
+        let step_us = self.last_us.replace(now_us).map(|last| now_us.saturating_sub(last));
+        (now_us, step_us)
     }
 }
 
@@ -97,6 +150,26 @@ mod tests {
         let expected =
             ClockSteps { forward_us, steps_back: 3, furthest_back_us: 3, pauses: 1, longest_pause_us: PAUSE_US };
         assert_eq!(steps, expected);
+    }
+
+    #[test]
+    fn a_pause_longer_than_half_a_wrap_is_one_where_the_host_was_beside_it() {
+        let steps = |host: [Option<i64>; 2]| {
+            let mut clock = CardClock::default();
+            clock.note(1_000, host[0]);
+            clock.note(1_000 + 3_000_000_000, host[1]).1
+        };
+        assert_eq!(steps([Some(0), Some(3_000_400_000)]), Some(3_000_000_000));
+        assert_eq!(steps([None, None]), Some(3_000_000_000 - (1 << 32)), "the nearer reading");
+    }
+
+    #[test]
+    fn a_clock_that_stands_is_none() {
+        assert_eq!(TimeBase::of(0, 0, 5), TimeBase::Card);
+        assert_eq!(TimeBase::of(10, 10 * LEAST_US, 5), TimeBase::Card);
+        assert_eq!(TimeBase::of(10, 10 * LEAST_US - 1, 5), TimeBase::Host);
+        assert_eq!(TimeBase::of(10, 0, 0), TimeBase::Number);
+        assert_eq!(TimeBase::of(u64::MAX, i64::MAX, 0), TimeBase::Card);
     }
 
     #[test]

@@ -4,9 +4,8 @@
 //! least evidence and begins with one more than that one had, so a sender of more than 1 in [`SENDERS_KEPT`] records has a
 //! place whatever the others make up. Evidence halves with time, so senders of long ago make room.
 
-use super::Survey;
 use super::bounds::SENDERS_KEPT;
-use driver_iface::Mac;
+use super::{Identity, Survey};
 
 /// Evidence of all strangers is halved once in so many that were forgotten.
 const HALVED_EVERY: u64 = 4_096;
@@ -29,16 +28,16 @@ impl Standing {
 
 impl Survey {
     /// Counts a record of a sender, which has a place from now on.
-    pub(super) fn note_sender(&mut self, mac: Mac, frame_count: Option<u32>, timestamp_low: u32) {
-        let heard_at = self.records;
+    pub(super) fn note_sender(&mut self, identity: &Identity, timestamp_low: u32) {
+        let (heard_at, Identity { mac, frame_count, host_us }) = (self.records, *identity);
         if let Some(sender) = self.senders.get_mut(&mac) {
             sender.standing.hear(0, heard_at);
-            return sender.note(frame_count, timestamp_low);
+            return sender.note(frame_count, timestamp_low, host_us);
         }
         let least = if self.known.contains(&mac) { None } else { self.make_room() };
         let sender = self.senders.entry(mac).or_default();
         sender.standing.hear(least.unwrap_or(0), heard_at);
-        sender.note(frame_count, timestamp_low);
+        sender.note(frame_count, timestamp_low, host_us);
     }
 
     /// Forgets a stranger if all places are taken; gives what its evidence was.

@@ -6,7 +6,7 @@ use driver_iface::bfee::{Iq, Repr, Wsr};
 fn sender(numbers: &[u32]) -> Sender {
     let mut sender = Sender::default();
     for (at, number) in numbers.iter().enumerate() {
-        sender.note(Some(*number), 10_000 * at as u32);
+        sender.note(Some(*number), 10_000 * at as u32, None);
     }
     sender
 }
@@ -81,10 +81,10 @@ fn a_clock_that_pauses_or_steps_back_is_seen_and_the_rate_is_that_of_the_whole_l
     // 101 frames 10 ms apart, a pause of 9 s, 100 more; then the clock falls back by 3 s and 10 frames follow.
     let steps = [vec![10_000_i64; 100], vec![9_000_000], vec![10_000; 99], vec![-3_000_000], vec![10_000; 9]].concat();
     let mut at_us = 5_000_000_i64;
-    sender.note(None, at_us as u32);
+    sender.note(None, at_us as u32, None);
     for step in steps {
         at_us += step;
-        sender.note(None, at_us as u32);
+        sender.note(None, at_us as u32, None);
     }
     let clock = sender.clock_steps;
     assert_eq!((clock.pauses, clock.longest_pause_us), (1, 9_000_000));

@@ -85,7 +85,7 @@ pub struct Args {
     grid: Grid,
     /// Draw phase, trajectory and profile of each link into this folder
     #[cfg(feature = "plot")]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, visible_alias = "out", value_name = "DIR")]
     plot: Option<PathBuf>,
     #[cfg(feature = "plot")]
     #[command(flatten)]
@@ -235,8 +235,13 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
-        let pictures =
-            csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, transmitter_m: None, recorded: None };
+        let pictures = csi5300_lab::show::link::LinkPictures {
+            bearing,
+            truth_rad: None,
+            transmitter_m: None,
+            recorded: None,
+            every: 1,
+        };
         let written = pictures.write(folder, name, &args.drawing.format(args.force));
         for path in written.map_err(|error| super::pictures::refused(&error))? {
             note!("picture of {name}: {}", path.display());
@@ -325,7 +330,9 @@ fn tell(answer: &Answer, json: bool) {
 fn say_heard(rx: &Path, report: &CaptureReport, link: &LinkReport) {
     if let Err(LinkError::NoPairs { receiver: 0, .. }) = &link.bearing {
         let senders = report.receiver.survey.senders.iter();
-        let heard: Vec<String> = senders.map(|(mac, sender)| format!("{mac} ({} records)", sender.records)).collect();
+        let heard: Vec<String> = senders
+            .map(|(mac, sender)| format!("{mac} ({})", super::some(sender.records, "record", "records")))
+            .collect();
         note!(
             "  {} has frames of: {}",
             rx.display(),
@@ -397,8 +404,8 @@ const ALIKE: f64 = 0.9;
 fn pairs(answer: &Answer) -> String {
     let counts = answer.pair_counts;
     let mut text = format!(
-        "  {} pairs: {} in motion ({}), {} standing, {} without a pose, {} cut, {} silent{}\n",
-        answer.pairs,
+        "  {}: {} in motion ({}), {} standing, {} without a pose, {} cut, {} silent{}\n",
+        super::some(answer.pairs as u64, "pair", "pairs"),
         counts.in_motion,
         answer.geometry.as_deref().unwrap_or("-"),
         counts.standing,

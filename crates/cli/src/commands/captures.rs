@@ -54,7 +54,7 @@ impl Reading {
             return Err(format!("{kind} {}: {A_CAPTURE}", folder.display()));
         }
         let captures = self.mounted(captures);
-        detail!("{} captures in or below {}", captures.len(), folder.display());
+        detail!("{} in or below {}", super::some(captures.len() as u64, "capture", "captures"), folder.display());
         if self.channel.is_none() && captures.iter().all(|capture| !capture.has_truth()) {
             usage("--channel is needed: no groundtruth_positions.json names the WiFi channel of these captures");
         }

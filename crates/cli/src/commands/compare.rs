@@ -150,7 +150,7 @@ impl Args {
 
 /// Reads a scene, which must be of the recording's channel.
 fn load(file: &Path, channel: Channel) -> Words<Scene> {
-    let scene = Scene::load(file).map_err(|error| simulate::refused(file, &error))?;
+    let scene = simulate::load(file)?;
     let wide = channel.width() != Width::Ht20;
     if (scene.channel, scene.bandwidth_mhz == 40) != (scene_channel(channel), wide) {
         return Err(format!(
@@ -231,7 +231,7 @@ fn describe(table: &[FigureRow]) -> String {
     }
     let count = |verdict| table.iter().filter(|row| row.verdict == verdict).count();
     let (agree, differ) = (count(Verdict::Agrees), count(Verdict::Differs));
-    let _ = writeln!(text, "{agree} figures agree, {differ} differ");
+    let _ = writeln!(text, "{} agree, {differ} differ", super::some(agree as u64, "figure", "figures"));
     text
 }
 

@@ -93,8 +93,8 @@ pub fn run(args: &Args) -> Result {
         }
     };
     tell(
-        "Two robots, simulated down to the bytes that their cards, drivers and loggers would have written. What follows\n\
-         reads those logs as if they were recorded.\n\n",
+        "Two robots, simulated down to the bytes that their cards, drivers and loggers\n\
+         would have written. What follows reads those logs as if they were recorded.\n\n",
     );
     let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let options = Estimation::default().options(channel)?.with_keep_course(true);
@@ -122,7 +122,11 @@ pub fn run(args: &Args) -> Result {
         shown.iter().for_each(print_json);
         return Ok(Outcome::Done);
     }
-    print("\nThe circle and the line of Dijkstra et al., 3 dB of signal to noise, a transmitter about 4 m away:\n\n");
+    print(
+        "\nThe circle and the line of Dijkstra et al., 3 dB of signal to noise, a transmitter\n\
+         about 4 m away. Spread of the phase from packet to packet before and after the\n\
+         turn-around is taken out:\n\n",
+    );
     print(&table(&shown));
     print(&format!("\nLogs and pictures are in {}. Try next:\n{next}", args.out.display()));
     Ok(Outcome::Done)
@@ -178,8 +182,9 @@ fn describe_standing(standing: &Standing) -> String {
     format!(
         "standing: {} exchanges in {STANDING_S:.0} s, nothing moves; the phase should stand still.\n\
          \x20 one direction                  {spread_one_way_rad:5.2} rad from packet to packet (1.0 and more: random)\n\
-         \x20 both directions multiplied     {spread_rad:5.2} rad: the carrier offset ({:.0} Hz) cancels, but for the time between\n\
-         \x20                                          the two frames, which jitters by {:.1} us (median)\n\
+         \x20 both directions multiplied     {spread_rad:5.2} rad: the carrier offset ({:.0} Hz) cancels,\n\
+         \x20                                          but for the time between the two frames,\n\
+         \x20                                          which jitters by {:.1} us (median)\n\
          \x20 and the turn-around taken out  {spread_compensated_rad:5.2} rad: that time is on the cards' clocks\n",
         course.len(),
         turn_around.df_hz,
@@ -228,26 +233,26 @@ fn truth(scene: &Scene, bearing: &Bearing) -> Option<f64> {
 
 fn table(shown: &[Shown]) -> String {
     let mut text = String::from(
-        "          exchanges   azimuth       +-    mirror     truth     error   phase, before   after\n\
-         \x20                       deg      deg       deg       deg       deg   cancelling      rad\n",
+        "          exchanges  azimuth    +-   mirror    truth   error  before  after\n\
+         \x20                      deg   deg      deg      deg     deg     rad    rad\n",
     );
     let figure = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
     for row in shown {
         let error = row.error_deg.map_or("-".into(), |error| format!("{error:+.2}"));
-        let before = row.phase_before_rad.map_or("-".into(), |before| format!("{before:.2} rad"));
         let _ = writeln!(
             text,
-            "  {:<8} {:>8} {:>9.2} {:>8.2} {:>9} {:>9} {error:>9} {before:>15} {:>7}",
+            "  {:<8} {:>8} {:>8.2} {:>5.2} {:>8} {:>8} {error:>7} {:>7} {:>6}",
             row.experiment,
             row.exchanges,
             row.azimuth_deg,
             row.azimuth_sd_deg,
             figure(row.mirror_deg),
             figure(row.truth_deg),
+            figure(row.phase_before_rad),
             figure(row.phase_after_rad),
         );
     }
-    text += "\nA line cannot tell a bearing from its mirror image: the error is that of the nearer of the two.\n";
+    text += "\nA line cannot tell a bearing from its mirror image: the error is that of the nearer\nof the two.\n";
     text
 }
 
@@ -278,7 +283,7 @@ fn draw(
     recorded: Option<&Bearing>,
 ) -> Words<Vec<PathBuf>> {
     let transmitter_m = scene.robot.get(1).map(|robot| [robot.position_m[0], robot.position_m[1]]);
-    let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m, recorded };
+    let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m, recorded, every: 1 };
     let written = pictures.write(&args.out, name, &args.drawing.format(args.force));
     written.map_err(|error| super::pictures::refused(&error))
 }

@@ -5,12 +5,12 @@ use super::captures::{A_CAPTURE, Reading};
 use super::{Outcome, Result, print, print_json, usage};
 use clap::ValueEnum;
 use csi5300::maths::median;
-use csi5300_lab::evaluate::quality::{over_bound, ranges, receivers, risk_coverage, sure};
+use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, receivers, risk_coverage, sure};
 use csi5300_lab::evaluate::{
-    Capture, Errors, Evaluated, Judged, SetSummary, TrajectorySource, find, reliability, summarise,
+    ALL_SETS, Capture, Errors, Evaluated, Judged, SetSummary, TrajectorySource, find, reliability, summarise,
 };
 #[cfg(feature = "plot")]
-use csi5300_lab::show::set;
+use csi5300_lab::show::set::{self, Others};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -31,7 +31,7 @@ pub struct Args {
     seed: u64,
     /// Folder for pictures: error distributions, refusals, reliability, a map of each place; with --folds reliability
     #[cfg(feature = "plot")]
-    #[arg(long, value_name = "DIR", conflicts_with = "ablation")]
+    #[arg(long, visible_alias = "plot", value_name = "DIR", conflicts_with = "ablation")]
     out: Option<PathBuf>,
     #[cfg(feature = "plot")]
     #[command(flatten)]
@@ -102,7 +102,7 @@ pub fn run(args: &Args) -> Result {
         if let Some(folder) = &args.out {
             let written = set::write_folds(&report, folder, &args.pictures.format());
             let written = written.map_err(|error| super::pictures::refused(&error))?;
-            note!("{}: {} pictures", folder.display(), written.len());
+            note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
         }
         return Ok(super::folds::outcome(&report));
     }
@@ -189,9 +189,10 @@ fn show(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.out {
-        let written = set::write(rows, folder, &args.pictures.format());
+        let others = Others::of(&args.folders, args.reading.source())?;
+        let written = set::write(rows, &others, folder, &args.pictures.format());
         let written = written.map_err(|error| super::pictures::refused(&error))?;
-        note!("{}: {} pictures", folder.display(), written.len());
+        note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
     }
     Ok(())
 }
@@ -237,17 +238,23 @@ fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
         );
     }
     let _ = writeln!(text, "\nabsolute error, degrees: mean / median / 90th percentile / share over 20 degrees");
-    for (set, s) in summary {
+    for (set, s) in all_last(summary) {
         let _ = writeln!(
             text,
-            "{set}: {} links, {} failed; from the mean pose {}; from the start {}",
-            s.links,
+            "{set}: {}, {} failed; from the mean pose {}; from the start {}",
+            super::some(s.links as u64, "link", "links"),
             s.failed,
             line(&s.from_mean_pose),
             line(&s.from_start)
         );
     }
     text
+}
+
+/// Sets in their order, then all of them together.
+fn all_last<T>(sets: &BTreeMap<String, T>) -> impl Iterator<Item = (&String, &T)> {
+    let named = |all: bool| sets.iter().filter(move |(set, _)| (*set == ALL_SETS) == all);
+    named(false).chain(named(true))
 }
 
 pub(super) fn line(errors: &Errors) -> String {
@@ -272,26 +279,29 @@ fn worth(rows: &[Judged]) -> String {
     }
     let located = receivers(rows);
     for (set, own) in sets(rows) {
-        let ranges = ranges(&own);
         let mut off: Vec<f64> = located
             .iter()
             .filter(|r| r.capture == set || r.capture.starts_with(&format!("{set}/")))
             .filter_map(|r| r.off_m)
             .collect();
-        let median = median(&mut off).map_or("-".into(), |off| format!("{off:.2} m"));
-        let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
-        let _ = writeln!(
-            text,
-            "{set}: error over error bar {}; range from {} of {} links, median error {} m, over predicted deviation {}; {} receivers located, median error {median}",
-            number(over_bound(&own)),
-            ranges.reported,
-            ranges.links,
-            number(ranges.median_m),
-            number(ranges.over_bound),
-            off.len()
-        );
+        let mut parts: Vec<String> = Vec::new();
+        parts.extend(over_bound(&own).map(|over| format!("error over error bar {over:.2}")));
+        parts.extend(range_words(&ranges(&own)));
+        let located = super::some(off.len() as u64, "receiver", "receivers");
+        parts.extend(median(&mut off).map(|off| format!("{located} located, median error {off:.2} m")));
+        if !parts.is_empty() {
+            let _ = writeln!(text, "{set}: {}", parts.join("; "));
+        }
     }
     text
+}
+
+/// How good the ranges of a set are, where some are known.
+fn range_words(ranges: &Ranges) -> Option<String> {
+    let median_m = ranges.median_m?;
+    let links = super::some(ranges.links as u64, "link", "links");
+    let over = ranges.over_bound.map_or(String::new(), |over| format!(", {over:.2} of the predicted deviation"));
+    Some(format!("range from {} of {links}, median error {median_m:.2} m{over}", ranges.reported))
 }
 
 /// Links by set.

@@ -21,7 +21,7 @@ pub struct Args {
     reading: Reading,
     /// Folder for pictures: phase, trajectory, profile, joint power over azimuth and elevation, and azimuth and range
     #[cfg(feature = "plot")]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, visible_alias = "plot", value_name = "DIR")]
     out: Option<PathBuf>,
     #[cfg(feature = "plot")]
     #[command(flatten)]
@@ -83,11 +83,14 @@ pub fn run(args: &Args) -> Result {
     for folder in &unreadable {
         wrong!("cannot read {folder}");
     }
-    let mut names = captures.iter().flat_map(|own| own.transmitters.iter().map(|(name, _)| own.link_name(name)));
-    if !names.any(|name| is_wanted(&name, wanted.as_deref())) {
+    let names = captures.iter().flat_map(|own| own.transmitters.iter().map(|(name, _)| own.link_name(name)));
+    let named: Vec<String> = names.filter(|name| is_wanted(name, wanted.as_deref())).collect();
+    if named.is_empty() {
         let name = wanted.unwrap_or_default();
         return Err(format!("{} is no link of {}: `evaluate` and `report` name them", name, folder.display()));
     }
+    #[cfg(feature = "plot")]
+    check_pictures(args, &named)?;
     let (mut shown, mut lost) = (0, !unreadable.is_empty());
     for capture in &captures {
         let wants = |name: &str| is_wanted(name, wanted.as_deref());
@@ -127,13 +130,22 @@ pub fn run(args: &Args) -> Result {
     })
 }
 
+/// Refuses pictures that are there before the work, not after.
+#[cfg(feature = "plot")]
+fn check_pictures(args: &Args, names: &[String]) -> std::result::Result<(), String> {
+    let Some(folder) = &args.out else { return Ok(()) };
+    let stems: Vec<PathBuf> =
+        names.iter().flat_map(|name| csi5300_lab::show::link::LinkPictures::stems(folder, name)).collect();
+    args.pictures.format().check(&stems).map_err(|error| super::pictures::refused(&error))
+}
+
 #[cfg(feature = "plot")]
 fn draw(args: &Args, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
     let Some(folder) = &args.out else { return Ok(()) };
     let pictures = csi5300_lab::show::link::LinkPictures::of(row, bearing, args.reading.source());
     let written = pictures.write_all(folder, &row.answer.link, &args.pictures.format());
     let written = written.map_err(|error| super::pictures::refused(&error))?;
-    note!("{}: {} pictures", folder.display(), written.len());
+    note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
     Ok(())
 }
 
@@ -253,7 +265,8 @@ pub fn places(paths: &[PathAnswer]) -> String {
             "  {}: {:7.2} deg, {elevation} deg, {range}, {:.1} dB",
             number + 1,
             path.azimuth_deg,
-            path.relative_power_db
+            // -0.04 is no -0.0.
+            (10.0 * path.relative_power_db).round() / 10.0 + 0.0
         );
         if let Some([a, b]) = path.cross_term_of {
             let _ = write!(text, ", the product of {} and {}", a + 1, b + 1);

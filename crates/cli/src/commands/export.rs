@@ -142,7 +142,7 @@ pub fn run(args: &Args) -> Result {
     if records == 0 {
         note!("nothing to write: no {}", args.output.display());
     } else {
-        note!("{records} records written to {}", args.output.display());
+        note!("{} written to {}", super::some(records, "record", "records"), args.output.display());
     }
     Ok(match (records, survey.lost_something()) {
         (0, _) => Outcome::Nothing,

@@ -27,11 +27,12 @@ pub(super) fn outcome(report: &Report) -> Outcome {
 
 fn text(report: &Report) -> String {
     let mut text = format!(
-        "{} places, {} links; each place is judged by what was fitted to the others\n\n\
+        "{}, {}; each place is judged by what was fitted to the others\n\n\
          absolute error from the mean pose, degrees: mean / median / 90th percentile / share over 20 degrees,\n\
          in brackets 95 % intervals by resampling places; oracle: the best of the first five candidates; turned right: less the\n\
          rotation of the whole path that motion capture shows\n",
-        report.places, report.links
+        super::some(report.places as u64, "place", "places"),
+        super::some(report.links as u64, "link", "links")
     );
     if let Some([forward, left]) = report.antenna_offset_m {
         let _ = writeln!(

@@ -1,8 +1,8 @@
 //! `csi5300 info`.
 
-use super::{Outcome, Result, print, print_json};
+use super::{Outcome, Result, print, print_json, some};
 use csi5300::internal::{LOSSES_KEPT, SENDERS_KEPT};
-use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey};
+use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey, TimeBase};
 use csi5300::source::{Checks, CsiSource, Next};
 use csi5300::time::Instant;
 use driver_iface::Mac;
@@ -56,6 +56,8 @@ struct Row<'a> {
     bytes: u64,
     tail: String,
     cut: bool,
+    /// What says when its records came.
+    time_base: TimeBase,
     senders: std::collections::BTreeMap<String, SenderRow<'a>>,
     /// Of the side file; null without one that has checksums.
     checks: Option<Checks>,
@@ -122,6 +124,7 @@ fn row<'a>(path: &Path, read: &'a Read) -> Row<'a> {
         file: path.display().to_string(),
         bytes: *bytes,
         tail: tail_words(survey, *bytes),
+        time_base: survey.time_base(),
         cut: survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean)),
         senders: survey.senders.iter().map(sender).collect(),
         checks: *checks,
@@ -181,14 +184,14 @@ pub fn check_words(checks: &Checks) -> String {
 /// Times that the host's clock was set; `None` where it was not.
 pub fn host_words(steps: &HostSteps) -> Option<String> {
     let furthest_s = steps.furthest_us as f64 * 1e-6;
-    let times = super::some(steps.set, "time", "times");
+    let times = some(steps.set, "time", "times");
     (steps.set > 0).then(|| format!("the host's clock was set {times} meanwhile, the furthest by {furthest_s:+.3} s"))
 }
 
 fn describe(name: &str, read: &Read) -> String {
     let Read { survey, bytes, checks } = read;
     let bytes = *bytes;
-    let mut text = format!("{name}: {bytes} bytes, {} records\n", survey.records);
+    let mut text = format!("{name}: {bytes} bytes, {}\n", some(survey.records, "record", "records"));
     if survey.bfees() == 0 {
         let why = match (bytes, survey.records) {
             (0, _) => {
@@ -211,12 +214,12 @@ fn describe(name: &str, read: &Read) -> String {
     if survey.bfee_missing > 0 {
         let _ = writeln!(text, "  missing from bfee_count: {} (lost, or filtered out of the log)", survey.bfee_missing);
     }
-    for (count, what) in [
-        (survey.bfee_repeated, "records with the bfee_count of the one before"),
-        (survey.bfee_restarted, "steps back of bfee_count (the driver was loaded anew)"),
+    for (count, [one, many], what) in [
+        (survey.bfee_repeated, ["record", "records"], "with the bfee_count of the one before"),
+        (survey.bfee_restarted, ["step", "steps"], "back of bfee_count (the driver was loaded anew)"),
     ] {
         if count > 0 {
-            let _ = writeln!(text, "  {count} {what}");
+            let _ = writeln!(text, "  {} {what}", some(count, one, many));
         }
     }
     if let Some(words) = host_words(&survey.host_steps) {
@@ -227,7 +230,8 @@ fn describe(name: &str, read: &Read) -> String {
     }
     text.push_str(&losses(survey, bytes));
     if survey.damages > 0 {
-        let _ = writeln!(text, "  damaged: {} stretches, {} bytes in all", survey.damages, survey.damaged_bytes);
+        let stretches = some(survey.damages, "stretch", "stretches");
+        let _ = writeln!(text, "  damaged: {stretches}, {} bytes in all", survey.damaged_bytes);
     }
     if survey.records > 0 && survey.tail == Some(Tail::Clean) && !survey.lost_something() {
         text.push_str("  intact to the last byte\n");
@@ -249,14 +253,20 @@ fn describe_csi(text: &mut String, survey: &Survey) {
     }
     let _ = writeln!(text, "  {layout}; receive x transmit streams {}", streams.join(", "));
     let steps = &survey.clock_steps;
-    if survey.clock_us.is_some() {
-        let _ = writeln!(
+    let elapsed_s = survey.elapsed_us(survey.time_base()) as f64 * 1e-6;
+    let _ = match survey.time_base() {
+        TimeBase::Host => writeln!(
             text,
-            "  {:.3} s on the card's clock (timestamp_low){}",
-            steps.forward_us as f64 * 1e-6,
-            clock_words(steps)
-        );
-    }
+            "  {elapsed_s:.3} s by the host's times; the card's clock (timestamp_low) stands: {} us in all",
+            steps.forward_us
+        ),
+        TimeBase::Number => writeln!(
+            text,
+            "  no times: the card's clock (timestamp_low) stands, {} us in all, and there are no host times",
+            steps.forward_us
+        ),
+        _ => writeln!(text, "  {elapsed_s:.3} s on the card's clock (timestamp_low){}", clock_words(steps)),
+    };
     let noise = match survey.noise_unknown {
         all if all == survey.bfees() => "not measured (-127, usual in monitor mode)".into(),
         _ => format!("{} to {} dBm", survey.noise_dbm.min, survey.noise_dbm.max),
@@ -294,7 +304,6 @@ fn describe_csi(text: &mut String, survey: &Survey) {
 /// What a clock did other than go on: pauses and steps back.
 fn clock_words(steps: &ClockSteps) -> String {
     let mut text = String::new();
-    let some = |count: u64, one: &str, many: &str| format!("{count} {}", if count == 1 { one } else { many });
     if steps.pauses > 0 {
         let longest = steps.longest_pause_us as f64 * 1e-6;
         let pauses = some(steps.pauses, "pause", "pauses");
@@ -329,7 +338,7 @@ fn describe_senders(text: &mut String, survey: &Survey) {
             Some((low, high)) => format!(", frames {low}..{high}{}", steps(sender)),
             None => String::new(),
         };
-        let _ = writeln!(text, "  {name}: {} records{rate}{numbers}", sender.records);
+        let _ = writeln!(text, "  {name}: {}{rate}{numbers}", some(sender.records, "record", "records"));
     }
     if survey.further_senders > 0 {
         let _ = writeln!(
@@ -345,7 +354,10 @@ fn steps(sender: &Sender) -> String {
     [
         (sender.frames_skipped, "skipped"),
         (sender.frames_repeated, "reported twice"),
-        (sender.frames_restarted, "restarts of the count"),
+        (
+            sender.frames_restarted,
+            if sender.frames_restarted == 1 { "restart of the count" } else { "restarts of the count" },
+        ),
     ]
     .iter()
     .filter(|(count, _)| *count > 0)

@@ -28,7 +28,7 @@ pub struct Args {
     reading: Reading,
     /// Draw a map of each capture into this folder: the bearings, the transmitters, the receiver as located
     #[cfg(feature = "plot")]
-    #[arg(long, value_name = "DIR", conflicts_with = "transmitters")]
+    #[arg(long, visible_alias = "out", value_name = "DIR", conflicts_with = "transmitters")]
     plot: Option<PathBuf>,
     #[cfg(feature = "plot")]
     #[command(flatten)]
@@ -125,7 +125,7 @@ fn draw(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
     let written = csi5300_lab::show::set::write_maps(rows, folder, &args.pictures.format());
     match written.map_err(|error| super::pictures::refused(&error))?.len() {
         0 => note!("no map: nothing says where the receiver drove"),
-        count => note!("{}: {count} pictures", folder.display()),
+        count => note!("{}: {}", folder.display(), some(count as u64, "picture", "pictures")),
     }
     Ok(())
 }
@@ -155,8 +155,8 @@ fn table(found: &[Receiver], rows: &[Judged]) -> String {
         if receiver.without_probability > 0 {
             let _ = write!(
                 text,
-                "; {} links without a calibrated probability weighed as within 5 degrees with {UNKNOWN_PROBABILITY}",
-                receiver.without_probability
+                "; {} without a calibrated probability weighed as within 5 degrees with {UNKNOWN_PROBABILITY}",
+                some(receiver.without_probability as u64, "link", "links")
             );
         }
         text.push('\n');

@@ -66,6 +66,7 @@ mod view;
 mod watch;
 
 use clap::{Parser, Subcommand};
+pub use csi5300_lab::words::count as some;
 pub use files::{is_same_file, must_not_exist, open_log, read_trajectory};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use say::Level;
@@ -104,7 +105,7 @@ pub type Result = std::result::Result<Outcome, String>;
     after_help = "Exit status, of every command:\n  \
                   0  done; a log cut at its end, a room that ends and a stop by a signal are normal\n  \
                   1  nothing usable: a file that is missing or cannot be written, no link with a bearing, no record\n  \
-                  2  wrong usage: arguments, extensions and configurations that cannot be meant\n  \
+                  2  wrong usage: arguments, extensions, configurations and scenes that cannot be meant\n  \
                   3  done, but records were lost before the end of a log, rows of a trajectory were left out, or a link or\n     \
                   capture failed"
 )]
@@ -322,11 +323,6 @@ pub fn bar(steps: u64, template: &str) -> ProgressBar {
         Ok(style) => bar.with_style(style),
         Err(_) => bar,
     }
-}
-
-/// A count and its noun: `1 number`, `2 numbers`.
-pub fn some(count: u64, one: &str, many: &str) -> String {
-    format!("{count} {}", if count == 1 { one } else { many })
 }
 
 /// True where a program's end of a served room's sockets says that the room has ended: a normal end.

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 #[derive(clap::Args)]
 pub struct Mounting {
     /// Where the antenna is on the robot, seen from what the trajectory is of: metres forward, left, up; turned with the
-    /// heading. With --folds measured at the other places
+    /// heading
     #[arg(long, value_name = "X,Y,Z", value_parser = triple, allow_negative_numbers = true, allow_hyphen_values = true)]
     pub antenna_offset: Option<Vector3<f64>>,
     /// Where the tracking camera that the trajectory is of is on a robot with wheels: metres forward and left of the middle

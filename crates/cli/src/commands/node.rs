@@ -1,6 +1,6 @@
 //! `csi5300 node`.
 
-use super::{Outcome, Result, is_end_of_room, print, say, usage};
+use super::{Outcome, Result, is_end_of_room, print, say, some, usage};
 use csi5300_node::config::{Capture, Config};
 use csi5300_node::service::{self, Ended};
 use std::path::PathBuf;
@@ -21,6 +21,8 @@ pub struct Args {
 pub fn run(args: &Args) -> Result {
     let found = args.config.clone().map_or_else(super::places::configuration, Ok);
     let file = found.unwrap_or_else(|message| usage(&message));
+    // A file that is missing is no wrong usage, of any command.
+    std::fs::File::open(&file).map_err(|error| format!("{}: cannot be read: {error}", file.display()))?;
     let config = Config::load(&file).unwrap_or_else(|error| {
         let lines: Vec<String> = error.0.iter().map(|problem| format!("{}: {problem}", file.display())).collect();
         usage(&lines.join("\ncsi5300: "))
@@ -55,20 +57,27 @@ fn host_name() -> String {
 fn summary(ended: &Ended) -> String {
     let health = &ended.health;
     let mut text = format!(
-        "{} records and {} poses in {:.1} s; {} bearings; {} losses\n",
-        health.records, health.poses.poses, health.uptime_s, ended.bearings, health.losses
+        "{} and {} in {:.1} s; {}; {}\n",
+        some(health.records, "record", "records"),
+        some(health.poses.poses, "pose", "poses"),
+        health.uptime_s,
+        some(ended.bearings, "bearing", "bearings"),
+        some(health.losses, "loss", "losses")
     );
     for peer in &health.peers {
         let words = peer.report.as_ref().map_or("nothing was said of it", |report| report.words.as_str());
         let counts = &peer.counts;
         text += &format!(
-            "  {}: {words}; {} pairs of {} records here and {} there\n",
-            peer.name, counts.pairs, counts.heard, counts.heard_by_peer
+            "  {}: {words}; {} of {} here and {} there\n",
+            peer.name,
+            some(counts.pairs, "pair", "pairs"),
+            some(counts.heard, "record", "records"),
+            counts.heard_by_peer
         );
     }
     if let Some(log) = &ended.totals {
         let missing = log.dropped + log.lost_on_disk;
-        text += &format!("  {} records in the log, {missing} not\n", log.written);
+        text += &format!("  {} in the log, {missing} not\n", some(log.written, "record", "records"));
     }
     for trouble in &health.trouble {
         text += &format!("  {trouble}\n");

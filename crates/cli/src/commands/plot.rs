@@ -15,7 +15,8 @@ use std::path::{Path, PathBuf};
 #[command(
     after_help = "NAME-csi: amplitude and phase of each antenna over time and subcarrier, as heat maps. NAME-levels: \
                         amplitude, RSSI and gain over time, and the rate, with gaps, losses and steps back of the card's \
-                        clock marked. Times are of the card's clock, from the first record on.\n\
+                        clock marked. Times are of the card's clock, from the first record on: what `info` counts.\n\
+                        Where that clock stands they are the host's, and where there are none the records' numbers.\n\
                         Examples:\n  csi5300 plot rx.dat --antenna A --from 2 --to 8 --out pictures\n  \
                         csi5300 plot rx.dat --format pdf --size 900x700"
 )]
@@ -24,7 +25,7 @@ pub struct Args {
     #[arg(required = true, value_name = "LOG")]
     logs: Vec<PathBuf>,
     /// Folder for the pictures
-    #[arg(long, default_value = ".", value_name = "DIR")]
+    #[arg(long, visible_alias = "plot", default_value = ".", value_name = "DIR")]
     out: PathBuf,
     /// Only frames of these senders
     #[arg(long, value_delimiter = ',', value_parser = mac, value_name = "MAC,..")]
@@ -71,13 +72,14 @@ pub fn run(args: &Args) -> Result {
     let format = args.drawing.format(args.force);
     let wanted =
         Wanted::default().with_macs(args.mac.clone()).with_antennas(args.antenna.clone()).with_cut(args.from, args.to);
-    let (mut drawn, mut failed) = (0, 0);
+    let (mut drawn, mut failed, mut lost) = (0, 0, false);
     for (k, log) in args.logs.iter().enumerate() {
         super::progress(&format!("{} of {} logs", k + 1, args.logs.len()));
         match draw(args, log, &stem(args, k), &wanted, &format) {
-            Ok(written) => {
+            Ok((written, loss)) => {
                 super::progress("");
                 drawn += 1;
+                lost |= loss;
                 if args.json {
                     super::print_json(&Row { log, pictures: &written });
                 } else {
@@ -93,7 +95,7 @@ pub fn run(args: &Args) -> Result {
     }
     Ok(match (drawn, failed) {
         (0, _) => Outcome::Nothing,
-        (_, 0) => Outcome::Done,
+        (_, 0) if !lost => Outcome::Done,
         _ => Outcome::DataLost,
     })
 }
@@ -106,13 +108,14 @@ fn stem(args: &Args, k: usize) -> PathBuf {
     args.out.join(file_safe(&if same { format!("{own}.{}", k + 1) } else { own }))
 }
 
+/// Draws a log; gives the pictures, and whether the log lost records before its end.
 fn draw(
     args: &Args,
     log: &Path,
     stem: &Path,
     wanted: &Wanted,
     format: &Format,
-) -> std::result::Result<Vec<PathBuf>, String> {
+) -> std::result::Result<(Vec<PathBuf>, bool), String> {
     format.check(&LogPictures::stems(stem)).map_err(|error| pictures::refused(&error))?;
     if log.as_os_str() == "-" {
         usage("a log is read twice for its pictures, and standard input only once: name a file");
@@ -124,5 +127,9 @@ fn draw(
     }
     let title = log.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     let drawn = LogPictures { title: &title, course: &course, size: args.size };
-    drawn.write(stem, format).map_err(|error| pictures::refused(&error))
+    let written = drawn.write(stem, format).map_err(|error| pictures::refused(&error))?;
+    if course.lost_something {
+        note!("{}: records were lost before its end: `csi5300 info` says where", log.display());
+    }
+    Ok((written, course.lost_something))
 }

@@ -320,7 +320,10 @@ fn summary(status: &Status, listener: &Listener, totals: &Totals, files: &[PathB
     let mut text = String::new();
     let names: Vec<_> = files.iter().map(|path: &PathBuf| Path::display(path).to_string()).collect();
     let seconds = status.first_at.zip(status.last_at).map_or(0.0, |(first, last)| (last - first).as_s());
-    let _ = writeln!(text, "{} records written to {} in {seconds:.1} s", totals.written, names.join(", "));
+    if totals.written > 0 {
+        let records = super::some(totals.written, "record", "records");
+        let _ = writeln!(text, "{records} written to {} in {seconds:.1} s", names.join(", "));
+    }
     if seconds > 0.0 {
         let _ = writeln!(text, "  {:.1} records/s", totals.written as f64 / seconds);
     }
@@ -340,7 +343,7 @@ fn summary(status: &Status, listener: &Listener, totals: &Totals, files: &[PathB
     }
     for (mac, sender) in &status.survey.senders {
         let name = if mac.is_zero() { "an unknown sender".to_string() } else { mac.to_string() };
-        let _ = writeln!(text, "  from {name}: {} records", sender.records);
+        let _ = writeln!(text, "  from {name}: {}", super::some(sender.records, "record", "records"));
     }
     if totals.received == 0 {
         text.push_str("  nothing came: `csi5300 doctor --listen 10s` says what may be wrong\n");

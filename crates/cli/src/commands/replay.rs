@@ -113,7 +113,7 @@ pub fn run(args: &Args) -> Result {
         super::print_json(&Row { log, records: sent, seconds, bad_bfee, damages, damaged_bytes, cut });
     }
     notes!("{}", super::info::losses(&survey, source.source().bytes()));
-    note!("{sent} records played");
+    note!("{} played", super::some(sent, "record", "records"));
     Ok(match (sent, survey.lost_something()) {
         (0, _) => Outcome::Nothing,
         (_, true) => Outcome::DataLost,

@@ -31,6 +31,11 @@ pub struct Args {
 pub fn run(args: &Args) -> Result {
     let options = args.reading.options().unwrap_or_else(|message| usage(&message));
     let options = options.with_keep_course(!args.no_pictures);
+    let is_page = args.out.extension().is_none_or(|ending| ending == "html" || ending == "htm");
+    // Devices take anything.
+    if !is_page && (args.out.is_file() || !args.out.exists()) {
+        usage(&format!("{}: the page is HTML: .html", args.out.display()));
+    }
     super::must_not_exist(&args.out, args.force)?;
     #[cfg(feature = "view")]
     if args.interactive {
@@ -38,7 +43,12 @@ pub fn run(args: &Args) -> Result {
     }
     let (captures, unreadable) = args.reading.find(&args.folder)?;
     let pictures_in = std::env::temp_dir().join(format!("csi5300-report-{}", std::process::id()));
+    let beside = csi5300_lab::evaluate::beside::Table::read(&args.folder, args.reading.source());
     let mut report = if args.no_pictures { HtmlReport::new() } else { HtmlReport::with_pictures(pictures_in.clone()) };
+    match beside {
+        Ok(table) => report.beside(table),
+        Err(error) => report.note(error.to_string()),
+    }
     unreadable.iter().for_each(|folder| report.note(format!("cannot read {folder}")));
     for (k, capture) in captures.iter().enumerate() {
         super::progress(&format!("{} of {} captures", k + 1, captures.len()));
@@ -48,7 +58,14 @@ pub fn run(args: &Args) -> Result {
     let page = report.html(&args.folder.display().to_string());
     let _ = std::fs::remove_dir_all(&pictures_in);
     std::fs::write(&args.out, &page).map_err(|error| format!("{}: {error}", args.out.display()))?;
-    note!("{}: {} links, {} KiB", args.out.display(), report.rows().len(), page.len() / 1024);
+    report.notes().iter().for_each(|line| note!("{line}"));
+    for answer in report.rows().map(|row| &row.answer) {
+        if let Some(error) = &answer.error {
+            wrong!("{}: {error}", answer.link);
+        }
+    }
+    let links = super::some(report.rows().len() as u64, "link", "links");
+    note!("{}: {links}, {} KiB", args.out.display(), page.len() / 1024);
     Ok(match report.rows().any(|row| row.answer.azimuth_deg.is_some()) {
         false => Outcome::Nothing,
         true if report.lost() => Outcome::DataLost,
@@ -66,7 +83,10 @@ fn interactive(args: &Args) -> Result {
     super::progress("");
     let page = view.file().map_err(|error| error.to_string())?;
     std::fs::write(&args.out, &page).map_err(|error| format!("{}: {error}", args.out.display()))?;
-    note!("{}: {} links, {} KiB", args.out.display(), view.links(), page.len() / 1024);
+    view.notes().iter().for_each(|line| note!("{line}"));
+    view.failed().iter().for_each(|line| wrong!("{line}"));
+    let links = super::some(view.links() as u64, "link", "links");
+    note!("{}: {links}, {} KiB", args.out.display(), page.len() / 1024);
     Ok(match view.outcome() {
         (false, _) if view.links() > 0 => Outcome::Nothing,
         (_, true) => Outcome::DataLost,

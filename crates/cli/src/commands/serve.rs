@@ -240,8 +240,12 @@ impl Serving {
 /// What went over the socket, and what was done to each robot.
 fn describe(scene: &Scene, counts: &ServedCounts, injected: &[Injected]) -> String {
     let mut text = format!(
-        "{} programs joined, {} were refused; {} frames put on air, {} not; {} records sent\n",
-        counts.joined, counts.refused, counts.frames, counts.bad_frames, counts.records
+        "{} joined, {} refused; {} put on air, {} not; {} sent\n",
+        super::some(counts.joined, "program", "programs"),
+        counts.refused,
+        super::some(counts.frames, "frame", "frames"),
+        counts.bad_frames,
+        super::some(counts.records, "record", "records")
     );
     if counts.untaken > 0 {
         text += &format!("  {} messages were lost because a program did not read them\n", counts.untaken);

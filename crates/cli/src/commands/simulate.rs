@@ -2,7 +2,7 @@
 
 use super::{Outcome, Result, print, print_json};
 use csi5300_sim::scene::Driver;
-use csi5300_sim::{Injected, Room, Scene, SceneError, WrittenCapture, write_dataset};
+use csi5300_sim::{Injected, Room, Scene, WrittenCapture, write_dataset};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -31,9 +31,6 @@ pub struct Args {
     #[command(flatten)]
     live: super::serve::Args,
 }
-
-/// Names of the built-in scenes.
-const BUILT_IN: [&str; 4] = ["lab-circle", "lab-line", "paper-circle", "paper-line"];
 
 /// A layout of records: that of a driver.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -75,26 +72,13 @@ pub fn run(args: &Args) -> Result {
     Ok(if captures.is_empty() { Outcome::Nothing } else { Outcome::Done })
 }
 
-/// A scene from its file, or the built-in one of that name where there is no such file.
-fn load(scene: &Path) -> std::result::Result<Scene, String> {
-    let built_in = || scene.to_str().filter(|_| !scene.exists()).and_then(Scene::built_in);
-    if let Some(scene) = built_in() {
-        return Ok(scene);
-    }
-    if !scene.exists() {
-        let names = BUILT_IN.join(", ");
-        return Err(format!("there is no file {}, and no built-in scene of that name: {names}", scene.display()));
-    }
-    Scene::load(scene).map_err(|error| refused(scene, &error))
-}
-
-/// Why a scene was refused, with its file.
-pub fn refused(file: &Path, error: &SceneError) -> String {
-    match error {
-        // It names the file.
-        SceneError::Io { .. } => error.to_string(),
-        _ => format!("{}: {error}", file.display()),
-    }
+/// A scene from its file, or the built-in one of that name where there is no such file. One that makes no sense is wrong usage, as a
+/// configuration is.
+pub fn load(file: &Path) -> std::result::Result<Scene, String> {
+    Scene::find(file).map_err(|error| match error.is_of_text() {
+        true => super::usage(&error.of_file(file)),
+        false => error.of_file(file),
+    })
 }
 
 /// Runs a scene into a folder, with a progress bar on a terminal.
@@ -143,7 +127,8 @@ fn describe(scene: &Scene, captures: &[WrittenCapture], injected: &[Injected]) -
             capture.stamp
         );
         for log in &capture.logs {
-            let _ = writeln!(text, "  {}: {} records of {}", log.path.display(), log.records, name(log.robot));
+            let records = super::some(log.records, "record", "records");
+            let _ = writeln!(text, "  {}: {records} of {}", log.path.display(), name(log.robot));
         }
     }
     for (robot, injected) in injected.iter().enumerate().filter(|(_, injected)| **injected != Injected::default()) {

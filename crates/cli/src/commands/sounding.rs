@@ -184,10 +184,10 @@ impl Sounding {
         let opened = opened.map_err(text)?;
         opened.warning.iter().for_each(|warning| note!("{warning}"));
         note!(
-            "{} is {}; {} links in a round, {:.3} rounds/s, slots of {:.0} us (at least {})",
+            "{} is {}; {} in a round, {:.3} rounds/s, slots of {:.0} us (at least {})",
             self.name(),
             opened.own,
-            plan.slots,
+            super::some(plan.slots.into(), "link", "links"),
             plan.rate_hz(),
             plan.slot_us(),
             plan.shortest_slot_us()
@@ -264,9 +264,9 @@ impl Sounding {
             note!("  {} news of the air were not fetched in time", finished.news_lost);
         }
         if let (Some(totals), Some(log)) = (&finished.log, &self.log) {
-            note!("{} records written to {}", totals.recorded.written, log.display());
+            note!("{} written to {}", super::some(totals.recorded.written, "record", "records"), log.display());
             if totals.missing() > 0 {
-                note!("  {} records are not in it", totals.missing());
+                note!("  not in it: {}", super::some(totals.missing(), "record", "records"));
             }
         }
         let over = self.room_ended(finished);

@@ -23,7 +23,7 @@ pub struct Args {
     csv: PathBuf,
     /// Draw each experiment into this folder: phase before and after, and the profile averaged over the repetitions
     #[cfg(feature = "plot")]
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, visible_alias = "out", value_name = "DIR")]
     plot: Option<PathBuf>,
     #[cfg(feature = "plot")]
     #[command(flatten)]
@@ -72,9 +72,9 @@ pub fn run(args: &Args) -> Result {
     if let Some(folder) = &args.plot {
         let written = csi5300_lab::show::repeated::write(&runs, folder, &args.drawing.format(args.force));
         let written = written.map_err(|error| super::pictures::refused(&error))?;
-        note!("{} pictures in {}", written.len(), folder.display());
+        note!("{} in {}", super::some(written.len() as u64, "picture", "pictures"), folder.display());
     }
-    note!("{} repetitions in {}", runs.len(), args.csv.display());
+    note!("{} in {}", super::some(runs.len() as u64, "repetition", "repetitions"), args.csv.display());
     Ok(Outcome::Done)
 }
 
@@ -90,19 +90,19 @@ fn check_pictures(args: &Args, all: &[Experiment]) -> std::result::Result<(), St
 
 fn describe(table: &[Summary]) -> String {
     let mut text = format!(
-        "{:<34} {:>5} {:>17} {:>11} {:>9} {:>10} {:>17}\n{:<34} {:>5} {:>17} {:>11} {:>9} {:>10} {:>17}\n",
+        "{:<34} {:>5} {:>17} {:>11} {:>10} {:>10} {:>17}\n{:<34} {:>5} {:>17} {:>11} {:>10} {:>10} {:>17}\n",
         "experiment",
         "runs",
         "|error| mean, max",
         "confidence",
-        "share",
+        "likelihood",
         "coherence",
         "residual, comp.",
         "",
         "",
         "deg",
         "",
-        "",
+        "share",
         "",
         "rad"
     );
@@ -113,7 +113,7 @@ fn describe(table: &[Summary]) -> String {
         let residual = format!("{:.3}, {:.3}", row.residual_rad, row.residual_compensated_rad);
         let _ = writeln!(
             text,
-            "{:<34} {:>5} {error:>17} {:>11} {:>9} {:>10} {residual:>17}",
+            "{:<34} {:>5} {error:>17} {:>11} {:>10} {:>10} {residual:>17}",
             row.experiment,
             row.repetitions,
             value(row.confidence, 2),

@@ -13,6 +13,9 @@ pub struct Args {
     /// Folder for a log of each topic of CSI and a trajectory of each topic of poses
     #[arg(long, short, value_name = "DIR")]
     out: PathBuf,
+    /// Overwrite files of the same names
+    #[arg(long)]
+    force: bool,
     /// One JSON object a topic
     #[arg(long)]
     json: bool,
@@ -30,8 +33,8 @@ struct Row<'a> {
 
 /// Makes logs and trajectories of a recording.
 pub fn run(args: &Args) -> Result {
-    let done = unbag(&args.bag, &args.out).map_err(|error| match error {
-        BagError::There { .. } => format!("{error}: --out names another folder"),
+    let done = unbag(&args.bag, &args.out, args.force).map_err(|error| match error {
+        BagError::There { .. } => format!("{error}: --force overwrites it, --out names another folder"),
         _ => error.to_string(),
     })?;
     let (mut written, mut lost) = (0, false);
@@ -42,10 +45,11 @@ pub fn run(args: &Args) -> Result {
         if args.json {
             super::print_json(&Row { file, topic: name, kind, messages: *messages, unreadable: *unreadable });
         } else {
-            super::print(&format!("{}: {messages} messages of {name} ({kind})\n", file.display()));
+            let messages = super::some(*messages, "message", "messages");
+            super::print(&format!("{}: {messages} of {name} ({kind})\n", file.display()));
         }
         if topic.unreadable > 0 {
-            note!("{}: {} messages are unreadable", topic.topic, topic.unreadable);
+            note!("{}: unreadable: {}", topic.topic, super::some(topic.unreadable, "message", "messages"));
         }
     }
     for file in &done.cut {
@@ -55,7 +59,7 @@ pub fn run(args: &Args) -> Result {
         lost = true;
         note!("{}: {words}", args.bag.display());
     }
-    note!("{} messages of other topics", done.others);
+    note!("{} of other topics", super::some(done.others, "message", "messages"));
     Ok(match written {
         0 => Outcome::Nothing,
         _ if lost => Outcome::DataLost,

@@ -119,6 +119,16 @@ fn figure(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "-".into(), |value| format!("{value:.digits$}"))
 }
 
+/// A tenth of what is below a hundred: more has no room.
+fn short(value: Option<f64>) -> String {
+    figure(value, if value.is_some_and(|value| value < 99.95) { 1 } else { 0 })
+}
+
+/// Whole degrees from 0 to 359.
+fn whole_turn(deg: f64) -> f64 {
+    deg.round().rem_euclid(360.0)
+}
+
 /// The whole screen.
 fn draw(frame: &mut Frame<'_>, state: &Value, title: &str) {
     let peers = state["peers"].as_array().cloned().unwrap_or_default();
@@ -143,7 +153,7 @@ fn summary(state: &Value) -> Vec<Line<'static>> {
         "x {} m, y {} m, heading {} deg",
         figure(of("/pose/1/0"), 2),
         figure(of("/pose/1/1"), 2),
-        figure(of("/pose/2"), 0)
+        figure(of("/pose/2").map(whole_turn), 0)
     );
     let log = match of("/log/written") {
         Some(written) => format!("{written:.0} records, {disk:.0} not"),
@@ -163,12 +173,12 @@ fn summary(state: &Value) -> Vec<Line<'static>> {
         )),
         Line::from(format!("poses {}/s: {pose}", figure(of("/poses_hz"), 0))),
         Line::from(format!(
-            "load {} % of a core, {} MiB; estimate {} ms (longest {}); latest by {} ms",
-            figure(of("/load/cpu_percent"), 1),
+            "load {} % of a core, {} MiB; estimate {} ms, longest {}; late {} ms",
+            short(of("/load/cpu_percent")),
             figure(of("/load/memory_mib"), 0),
-            figure(of("/load/estimate_ms"), 1),
-            figure(of("/load/longest_estimate_ms"), 1),
-            figure(of("/load/late_ms"), 1)
+            short(of("/load/estimate_ms")),
+            short(of("/load/longest_estimate_ms")),
+            short(of("/load/late_ms"))
         )),
     ]
 }
@@ -184,7 +194,7 @@ fn table(peers: &[Value]) -> Table<'static> {
             _ => text(peer, "/report/words"),
         };
         let held = text(peer, "/report/state") == "held";
-        let age = if held { format!("{} s", figure(of("/report/age_s"), 0)) } else { String::new() };
+        let age = of("/report/age_s").map_or_else(String::new, |age| format!("{age:.0} s"));
         let cells = [
             format!("{} {}", k + 1, text(peer, "/name")),
             bearing,
@@ -263,7 +273,8 @@ mod tests {
     fn a_state_fills_the_screen_and_a_small_one_does_not_break() {
         let state = serde_json::json!({
             "name": "burger-1", "uptime_s": 12.0, "records": 1200, "records_hz": 100.0, "losses": 3,
-            "pose": [1.7e9, [0.25, -0.5, 0.0], 90.0], "trouble": ["the port is gone"],
+            "pose": [1.7e9, [0.25, -0.5, 0.0], 359.7],
+            "load": {"cpu_percent": 106.0, "memory_mib": 120.0, "estimate_ms": 133.2, "longest_estimate_ms": 1059.3, "late_ms": 1101.3}, "trouble": ["the port is gone"],
             "log": {"written": 1199, "dropped": 1, "lost_on_disk": 0},
             "peers": [
                 {"name": "alpha", "pairs_hz": 99.0, "report": {"azimuth_deg": 41.25, "azimuth_sd_deg": 0.5,
@@ -273,7 +284,19 @@ mod tests {
         });
         let on_any =
             ["burger-1", "100/s", "41.2 +- 0.5 or -141.0", "0.93", "4.2", "17", "not yet: moved 0.04 m", "lost 3"];
-        let heads = ["bearing, deg", "prob.", "range m", "pairs/s", "lost", "age", "-90", "180", "the port is gone"];
+        let heads = [
+            "late 1101 ms",
+            "heading 0 deg",
+            "bearing, deg",
+            "prob.",
+            "range m",
+            "pairs/s",
+            "lost",
+            "age",
+            "-90",
+            "180",
+            "the port is gone",
+        ];
         for (width, height) in [(80, 24), (120, 30), (200, 50)] {
             let shown = screen(&state, width, height);
             for words in on_any.iter().chain(&heads) {

@@ -1,7 +1,7 @@
 //! Pictures of every command that draws: in the formats asked for, and nothing overwritten unasked.
 
 use super::commands::{Folder, capture};
-use crate::common::link::link;
+use crate::common::link::{Link, link};
 
 fn is_pdf(folder: &Folder, name: &str) {
     let bytes = std::fs::read(folder.0.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
@@ -87,4 +87,88 @@ fn pictures_of_the_experiments_are_refused_before_they_begin() {
     let (status, _, err) = run("two.csv");
     assert!(status == 1 && err.contains("circle_10_cm-phase.pdf is there already: --force"), "{err}");
     assert!(!folder.0.join("two.csv").exists(), "nothing was begun");
+}
+
+/// Bytes of the largest link of a page.
+fn largest_link(page: &str) -> usize {
+    let (_, links) = page.split_once("<h2>Links</h2>").unwrap();
+    links.split("<details").skip(1).map(str::len).max().unwrap()
+}
+
+#[test]
+fn a_link_of_any_length_is_small_on_a_page() {
+    for pairs in [3_000, 6_000] {
+        let folder = Folder::new(&format!("drawing-long-{pairs}"));
+        capture(&folder, "tree/A/good", &scattered(pairs));
+        let (status, _, err) = folder.run(&["report", "tree", "--out", "r.html"]);
+        assert_eq!(status, 0, "{err}");
+        let page = std::fs::read_to_string(folder.0.join("r.html")).unwrap();
+        let largest = largest_link(&page);
+        assert!(largest < 150_000 && page.contains("every "), "{pairs} pairs: {largest} bytes");
+    }
+}
+
+/// A link whose phases are all over the place, as those of weak signals are: no two of its dots lie on each other.
+fn scattered(pairs: u32) -> Link {
+    let mut made = link(pairs, 2.0);
+    for (k, record) in made.rx.iter_mut().enumerate() {
+        // The payload of one byte in four is turned about.
+        let noise = (k as u32).wrapping_mul(2_654_435_761).to_le_bytes();
+        let from = record.len() - 120;
+        record[from..].iter_mut().zip(noise.iter().cycle()).step_by(4).for_each(|(byte, noise)| *byte ^= noise & 0x3f);
+    }
+    made
+}
+
+#[test]
+fn a_page_has_its_ending_and_says_why_a_link_has_no_bearing() {
+    let folder = Folder::new("drawing-page");
+    capture(&folder, "tree/A/good", &link(300, 2.0));
+    let (status, out, err) = folder.run(&["report", "tree", "--out", "x.pdf"]);
+    assert!(status == 2 && out.is_empty() && err.contains("x.pdf: the page is HTML"), "{status} {err}");
+    assert!(!folder.0.join("x.pdf").exists());
+    // A capture whose channel nobody knows, beside one that names its own.
+    capture(&folder, "tree/A/bad", &link(300, 2.0));
+    std::fs::remove_file(folder.0.join("tree/A/bad/groundtruth_positions.json")).unwrap();
+    for more in [&["--out", "r.html"][..], &["--out", "i.html", "--interactive"]] {
+        let (_, _, err) = folder.run(&[&["report", "tree"], more].concat());
+        assert!(
+            err.contains("A/bad") && err.contains("the WiFi channel is not known") && err.contains("--channel"),
+            "{err}"
+        );
+    }
+}
+
+#[test]
+fn errors_are_drawn_beside_those_of_another_program_on_the_same_links() {
+    let folder = Folder::new("drawing-beside");
+    capture(&folder, "tree/nlos/P1", &link(300, 2.0));
+    capture(&folder, "tree/NLOS_Set_A/P1", &link(300, 2.0));
+    let rows = "capture,tx,displacement,peer_est_deg,peer_err_from_mean_pose_deg\nnlos/P1/1,tx2,gt,30.0,-6.5\n";
+    folder.write("tree/links.csv", rows.as_bytes());
+    let (status, out, err) = folder.run(&["evaluate", "tree", "--out", "p", "--format", "svg"]);
+    assert_eq!(status, 0, "{err}");
+    let drawn = std::fs::read_to_string(folder.0.join("p/errors.svg")).unwrap();
+    assert!(drawn.contains("toolbox, the same links (median 6.50)"), "{drawn}");
+    assert!(drawn.contains("toolbox on all links of NLOS_Set_A as published"), "{drawn}");
+    // All together come last, whatever the sets are called, and of what is not known nothing is said.
+    let line =
+        |start: &str| out.lines().position(|line| line.starts_with(start)).unwrap_or_else(|| panic!("{start}: {out}"));
+    assert!(line("nlos: 1 link, 0 failed") < line("all: 2 links, 0 failed"), "{out}");
+    assert!(!out.contains("0 of 0 links") && !out.contains("median error -"), "{out}");
+}
+
+#[test]
+fn a_log_that_lost_records_is_drawn_and_ends_with_3_as_its_account_does() {
+    let folder = Folder::new("drawing-damaged");
+    let mut log = link(300, 1.0).rx.concat();
+    log.drain(20_000..20_050);
+    folder.write("torn.dat", &log);
+    let (status, _, err) = folder.run(&["plot", "torn.dat", "--out", "p", "--format", "svg"]);
+    assert!(status == 3 && err.contains("torn.dat: records were lost before its end"), "{status} {err}");
+    assert_eq!(folder.run(&["info", "torn.dat"]).0, 3);
+    let drawn = std::fs::read_to_string(folder.0.join("p/torn-levels.svg")).unwrap();
+    assert!(drawn.contains("1 damaged stretch<") && drawn.contains("missing from bfee_count"), "{drawn}");
+    folder.write("whole.dat", &link(300, 1.0).rx.concat());
+    assert_eq!(folder.run(&["plot", "whole.dat", "--out", "p", "--format", "svg"]).0, 0);
 }

@@ -37,7 +37,7 @@ fn a_configuration_is_checked_whole_before_anything_starts() {
     let (status, _, err) = check("bad.toml");
     assert!(status == 2 && err.contains("bad.toml: line 3") && err.contains("radio"), "{err}");
     let (status, _, err) = check("absent.toml");
-    assert!(status == 2 && err.contains("absent.toml"), "{err}");
+    assert!(status == 1 && err.contains("absent.toml"), "a missing file is no wrong usage: {err}");
 }
 
 #[test]

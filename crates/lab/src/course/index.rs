@@ -1,9 +1,11 @@
 //! A log read once, and any stretch of it binned at once.
 
 use super::cells::{Cells, row_of};
-use super::{AntennaCourse, Seen, Wanted, bin, gaps, scan, span_s};
+use super::scan::{Seen, scan};
+use super::{AntennaCourse, Wanted, bin, gaps, span_s, subcarriers};
+use csi5300::signal::channel::SUBCARRIERS;
 use csi5300::signal::csi::Csi;
-use csi5300::source::survey::Survey;
+use csi5300::source::survey::{Survey, TimeBase};
 use csi5300::source::{CsiSource, Error, Next, replay::Replay};
 use csi5300::time::Instant;
 use driver_iface::bfee::{Antenna, Bfee};
@@ -30,6 +32,8 @@ const SENDERS: usize = u16::MAX as usize;
 /// stretches is read again from the file.
 pub struct LogIndex {
     path: PathBuf,
+    /// What its times are of.
+    base: TimeBase,
     seen: Seen,
     /// The sender of each row, a place in `senders`.
     sent_by: Vec<u16>,
@@ -55,7 +59,7 @@ pub struct Band {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Stretch {
-    /// Its beginning, seconds after the log's first record on the card's clock; steps back of the clock count as none.
+    /// Its beginning, seconds after the log's first record ([`LogIndex::base`]); steps back of the clock count as none.
     pub from_s: f64,
     /// Its end, seconds.
     pub to_s: f64,
@@ -71,8 +75,12 @@ pub struct Stretch {
     pub agc: Band,
     /// Columns with losses, and how many numbers of `bfee_count` are missing there.
     pub missing: Vec<(usize, u64)>,
-    /// Columns with damaged bytes, and how many stretches of them.
+    /// Columns with damaged bytes or impossible records, and how many stretches of them.
     pub damaged: Vec<(usize, u64)>,
+    /// Columns in which senders skipped frame numbers, and how many.
+    pub skipped: Vec<(usize, u64)>,
+    /// Columns with frames that have the number of the one before, and how many.
+    pub repeated: Vec<(usize, u64)>,
     /// From and to of parts without a record, seconds.
     pub gaps_s: Vec<(f64, f64)>,
     /// Where the card's clock stepped back: when, by how much, seconds.
@@ -143,9 +151,17 @@ impl LogIndex {
     /// # Errors
     /// If the log cannot be read. A log without an intact record has no span.
     pub fn read(path: &Path) -> Result<Self, Error> {
+        let index = Self::read_by(path, TimeBase::Card)?;
+        match index.seen.survey.time_base() {
+            TimeBase::Card => Ok(index),
+            base => Self::read_by(path, base),
+        }
+    }
+
+    fn read_by(path: &Path, base: TimeBase) -> Result<Self, Error> {
         let (mut senders, mut numbers) = (Vec::new(), BTreeMap::new());
         let (mut sent_by, mut kept) = (Vec::new(), Kept::new());
-        let seen = scan(path, &Wanted::default(), |row, identity, bfee| {
+        let seen = scan(path, base, &Wanted::default(), |row, identity, bfee| {
             let number = *numbers.entry(identity.mac).or_insert_with(|| {
                 if senders.len() < SENDERS {
                     senders.push(identity.mac);
@@ -158,7 +174,7 @@ impl LogIndex {
             }
         })?;
         let (span_s, gaps_s) = (span_s(&seen.rows).unwrap_or_default(), gaps(&seen.rows));
-        Ok(Self { path: path.into(), seen, sent_by, senders, span_s, gaps_s, kept })
+        Ok(Self { path: path.into(), base, seen, sent_by, senders, span_s, gaps_s, kept })
     }
 
     /// The log.
@@ -177,6 +193,18 @@ impl LogIndex {
     #[must_use]
     pub fn survey(&self) -> &Survey {
         &self.seen.survey
+    }
+
+    /// What its times are of: with [`TimeBase::Number`] they are numbers of records.
+    #[must_use]
+    pub fn base(&self) -> TimeBase {
+        self.base
+    }
+
+    /// Indices of the reported subcarriers about the centre; none where frames of both widths are in the log.
+    #[must_use]
+    pub fn subcarriers(&self) -> Option<[i8; SUBCARRIERS]> {
+        subcarriers(&self.seen.survey)
     }
 
     /// First and last time, seconds after the first record.
@@ -229,14 +257,14 @@ impl LogIndex {
         }
         let width_s = (cut.1 - cut.0).max(1e-6) / bins as f64;
         let inside = |t_s: &f64| (cut.0..=cut.1).contains(t_s);
-        let (mut missing, mut damaged) = (BTreeMap::new(), BTreeMap::new());
-        for (t_s, numbers) in self.seen.losses.iter().filter(|(t_s, _)| inside(t_s)) {
-            let column = bin(*t_s, cut, columns);
-            match numbers {
-                0 => *damaged.entry(column).or_default() += 1,
-                numbers => *missing.entry(column).or_default() += numbers,
+        let counted = |marks: &mut dyn Iterator<Item = (f64, u64)>| {
+            let mut found = BTreeMap::new();
+            for (t_s, count) in marks.filter(|(t_s, _)| inside(t_s)) {
+                *found.entry(bin(t_s, cut, columns)).or_default() += count;
             }
-        }
+            found.into_iter().collect()
+        };
+        let seen = &self.seen;
         Stretch {
             from_s: cut.0,
             to_s: cut.1,
@@ -245,10 +273,12 @@ impl LogIndex {
             rate_hz: rates.iter().map(|count| hundredths(f64::from(*count) / width_s)).collect(),
             rssi: rssi.map(Sums::band),
             agc: agc.band(),
-            missing: missing.into_iter().collect(),
-            damaged: damaged.into_iter().collect(),
+            missing: counted(&mut seen.missing.iter().copied()),
+            damaged: counted(&mut seen.damaged.iter().map(|t_s| (*t_s, 1))),
+            skipped: counted(&mut seen.skipped.iter().copied()),
+            repeated: counted(&mut seen.repeated.iter().map(|t_s| (*t_s, 1))),
             gaps_s: self.gaps_s.iter().filter(|(from, to)| *to >= cut.0 && *from <= cut.1).copied().collect(),
-            steps_back: self.seen.steps_back.iter().filter(|(t_s, _)| inside(t_s)).copied().collect(),
+            steps_back: seen.steps_back.iter().filter(|(t_s, _)| inside(t_s)).copied().collect(),
         }
     }
 

@@ -5,21 +5,23 @@
 
 mod cells;
 mod index;
+mod scan;
 
 pub use index::{Band, LogIndex, Stretch, StretchCsi};
 
 use cells::{Cells, row_of};
 use csi5300::internal::PAUSE_US;
+use csi5300::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIERS};
 use csi5300::signal::csi::Csi;
-use csi5300::source::survey::{Identity, Survey};
-use csi5300::source::{CsiSource, Error, Next, Origin, replay::Replay};
-use csi5300::time::{Instant, Step16, Unwrap32};
+use csi5300::source::Error;
+use csi5300::source::survey::{Survey, TimeBase};
 use driver_iface::Mac;
-use driver_iface::bfee::{Antenna, Bfee};
+use driver_iface::bfee::{Antenna, rate::HT40};
+use scan::{Row, scan};
 use std::path::Path;
 
-/// Columns of a heat map.
-pub const COLUMNS: usize = 600;
+/// Columns of a heat map at most.
+const COLUMNS: usize = 600;
 /// Bins of the rate.
 pub const RATE_BINS: usize = 200;
 /// A gap in records is marked where it is longer than this many usual intervals, and this long, seconds.
@@ -91,8 +93,15 @@ pub struct AntennaCourse {
 pub struct Course {
     /// Records in it.
     pub records: u64,
-    /// First and last time, seconds after the log's first record, on the card's clock; steps back of it count as none.
+    /// What its times are of.
+    pub base: TimeBase,
+    /// First and last time, seconds after the log's first record, by `base` (numbers of records where there is no clock); steps
+    /// back of the clock count as none.
     pub span_s: (f64, f64),
+    /// Indices of the reported subcarriers about the centre; none where frames of both widths are in the log.
+    pub subcarriers: Option<[i8; SUBCARRIERS]>,
+    /// Columns of the heat maps: one for a record at most.
+    pub columns: usize,
     /// Antennas with CSI.
     pub antennas: Vec<AntennaCourse>,
     /// RSSI of antennas A, B, C as the card reports it, dB: (seconds, dB), thinned out evenly; 0 (not connected) left out.
@@ -103,83 +112,22 @@ pub struct Course {
     pub rate_hz: Vec<(f64, f64)>,
     /// From and to of stretches without a record, seconds.
     pub gaps_s: Vec<(f64, f64)>,
-    /// Records lost: when (seconds) and how many numbers of `bfee_count` are missing; 0 for damaged bytes.
-    pub losses: Vec<(f64, u64)>,
+    /// Numbers missing from `bfee_count`: when (seconds), and how many.
+    pub missing: Vec<(f64, u64)>,
+    /// Stretches of damaged bytes, and impossible records: when, seconds.
+    pub damaged: Vec<f64>,
+    /// Frame numbers that senders skipped on the way up: when (seconds), and how many.
+    pub skipped: Vec<(f64, u64)>,
+    /// Frames with the number of the one before: when, seconds.
+    pub repeated: Vec<f64>,
     /// Where the card's clock stepped back: when (seconds), by how much (seconds).
     pub steps_back: Vec<(f64, f64)>,
+    /// True if records were lost before the log's end.
+    pub lost_something: bool,
 }
 
 /// Points kept of a line.
 const POINTS: usize = 2_000;
-
-/// One record of the log, short.
-#[derive(Clone, Copy)]
-struct Row {
-    t_us: i64,
-    /// Where it begins in the file, bytes.
-    offset: u64,
-    rssi: [u8; 3],
-    agc: u8,
-}
-
-impl Row {
-    fn t_s(&self) -> f64 {
-        self.t_us as f64 * 1e-6
-    }
-}
-
-/// What was seen on the way through a log: what does not depend on the time that it takes.
-#[derive(Default)]
-struct Seen {
-    rows: Vec<Row>,
-    losses: Vec<(f64, u64)>,
-    steps_back: Vec<(f64, f64)>,
-    survey: Survey,
-    bytes: u64,
-}
-
-/// Reads a log once; `each` takes the records that are wanted with their short row and sender.
-fn scan(path: &Path, wanted: &Wanted, mut each: impl FnMut(Row, &Identity, &Bfee<'_>)) -> Result<Seen, Error> {
-    let (mut source, mut survey, mut seen) = (Replay::open(path)?, Survey::default(), Seen::default());
-    let (mut clock, mut count) = (Unwrap32::default(), Step16::default());
-    let (mut t_us, mut last_us) = (0_i64, None);
-    loop {
-        let next = source.receive(Instant::ZERO)?;
-        let noted = survey.note(&next);
-        let now_s = t_us as f64 * 1e-6;
-        let offset = match next {
-            Next::End(_) => break,
-            Next::Record(stamps, _) => match stamps.origin {
-                Origin::File { offset } => offset,
-                Origin::Live { .. } => 0,
-            },
-            Next::Lost(_) => {
-                seen.losses.push((now_s, 0));
-                continue;
-            }
-            Next::Pending => continue,
-        };
-        let Some((bfee, identity)) = noted else { continue };
-        let now_us = clock.next(bfee.timestamp_low());
-        let step_us = last_us.map_or(0, |last| now_us - last);
-        last_us = Some(now_us);
-        if step_us < 0 {
-            seen.steps_back.push((now_s, -step_us as f64 * 1e-6));
-        }
-        t_us += step_us.max(0);
-        let t_s = t_us as f64 * 1e-6;
-        if let Some(step @ 2..) = count.step(bfee.bfee_count()).filter(|step| *step <= u16::MAX / 2) {
-            seen.losses.push((t_s, u64::from(step - 1)));
-        }
-        if wanted.takes(identity.mac, t_s) {
-            let row = Row { t_us, offset, rssi: bfee.rssi(), agc: bfee.agc() };
-            seen.rows.push(row);
-            each(row, &identity, &bfee);
-        }
-    }
-    (seen.survey, seen.bytes) = (survey, source.bytes());
-    Ok(seen)
-}
 
 impl Course {
     /// Reads a log, twice: once for its times, once for its CSI.
@@ -188,29 +136,38 @@ impl Course {
     /// If the log cannot be read. A log without a record that is wanted gives an empty course.
     pub fn read(path: &Path, wanted: &Wanted) -> Result<Self, Error> {
         let mut antennas = [false; 3];
-        let seen = scan(path, wanted, |_, _, bfee| {
+        let seen = scan(path, TimeBase::Card, wanted, |_, _, bfee| {
             if let Ok(csi) = Csi::from_bfee(bfee) {
                 for (known, antenna) in antennas.iter_mut().zip(Antenna::ALL) {
                     *known |= csi.row(antenna).is_some();
                 }
             }
         })?;
-        let Some(span_s) = span_s(&seen.rows) else { return Ok(Self::default()) };
+        let base = seen.survey.time_base();
+        let seen = if base == TimeBase::Card { seen } else { scan(path, base, wanted, |_, _, _| ())? };
+        let lost_something = seen.survey.lost_something();
+        let Some(span_s) = span_s(&seen.rows) else { return Ok(Self { lost_something, ..Self::default() }) };
+        let columns = seen.rows.len().clamp(1, COLUMNS);
         let asked = |antenna: &Antenna| wanted.antennas.is_empty() || wanted.antennas.contains(antenna);
         let known = Antenna::ALL.into_iter().zip(antennas).filter(|(antenna, known)| *known && asked(antenna));
-        let mut cells: Vec<(Antenna, Cells)> = known.map(|(antenna, _)| (antenna, Cells::new(COLUMNS))).collect();
-        scan(path, wanted, |row, _, bfee| {
+        let mut cells: Vec<(Antenna, Cells)> = known.map(|(antenna, _)| (antenna, Cells::new(columns))).collect();
+        scan(path, base, wanted, |row, _, bfee| {
             let Ok(csi) = Csi::from_bfee(bfee) else { return };
             for (antenna, cells) in &mut cells {
                 if let Some(h) = row_of(&csi, *antenna) {
-                    cells.add(bin(row.t_s(), span_s, COLUMNS), &h);
+                    cells.add(bin(row.t_s(), span_s, columns), &h);
                 }
             }
         })?;
-        let inside = |t_s: &f64| (span_s.0..=span_s.1).contains(t_s);
+        let inside = |t_s: f64| (span_s.0..=span_s.1).contains(&t_s);
+        let counted = |marks: Vec<(f64, u64)>| marks.into_iter().filter(|mark| inside(mark.0)).collect();
+        let times = |marks: Vec<f64>| marks.into_iter().filter(|t_s| inside(*t_s)).collect();
         Ok(Self {
             records: seen.rows.len() as u64,
+            base,
             span_s,
+            subcarriers: subcarriers(&seen.survey),
+            columns,
             antennas: cells.into_iter().filter_map(|(antenna, cells)| cells.course(antenna, span_s)).collect(),
             rssi: std::array::from_fn(|k| {
                 thin(&seen.rows, |row| row.rssi[k]).into_iter().filter(|p| p.1 > 0.0).collect()
@@ -218,9 +175,23 @@ impl Course {
             agc: thin(&seen.rows, |row| row.agc),
             rate_hz: rate(&seen.rows, span_s),
             gaps_s: gaps(&seen.rows),
-            losses: seen.losses.into_iter().filter(|(t_s, _)| inside(t_s)).collect(),
-            steps_back: seen.steps_back.into_iter().filter(|(t_s, _)| inside(t_s)).collect(),
+            missing: counted(seen.missing),
+            damaged: times(seen.damaged),
+            skipped: counted(seen.skipped),
+            repeated: times(seen.repeated),
+            steps_back: seen.steps_back.into_iter().filter(|(t_s, _)| inside(*t_s)).collect(),
+            lost_something,
         })
+    }
+}
+
+/// Indices of the subcarriers, where all frames are of one width.
+fn subcarriers(survey: &Survey) -> Option<[i8; SUBCARRIERS]> {
+    let wide = survey.rates.keys().filter(|rate| *rate & HT40 != 0).count();
+    match wide {
+        0 => Some(INDICES_20_MHZ),
+        all if all == survey.rates.len() => Some(INDICES_40_MHZ),
+        _ => None,
     }
 }
 
@@ -256,3 +227,6 @@ fn gaps(rows: &[Row]) -> Vec<(f64, f64)> {
     let pairs = rows.windows(2).map(|pair| (pair[0].t_s(), pair[1].t_s()));
     pairs.filter(|(from, to)| to - from >= limit_s && to - from > 2.0 * usual_s).collect()
 }
+
+#[cfg(test)]
+mod tests;

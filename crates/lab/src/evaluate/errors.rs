@@ -58,6 +58,9 @@ pub struct SetSummary {
     pub from_start: Errors,
 }
 
+/// The name of all sets together.
+pub const ALL_SETS: &str = "all";
+
 /// Statistics by set (the first folder below the evaluated one) and of all.
 #[must_use]
 pub fn summarise(rows: &[Judged]) -> BTreeMap<String, SetSummary> {
@@ -77,6 +80,6 @@ pub fn summarise(rows: &[Judged]) -> BTreeMap<String, SetSummary> {
         (name, own)
     };
     let mut sets: BTreeMap<String, SetSummary> = names.into_iter().map(of_set).collect();
-    sets.insert("all".into(), summary(&rows.iter().collect::<Vec<_>>()));
+    sets.insert(ALL_SETS.into(), summary(&rows.iter().collect::<Vec<_>>()));
     sets
 }

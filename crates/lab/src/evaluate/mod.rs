@@ -23,7 +23,7 @@ mod sure;
 pub mod transmitters;
 mod truth;
 
-pub use errors::{Errors, SetSummary, summarise};
+pub use errors::{ALL_SETS, Errors, SetSummary, summarise};
 pub use find::{Capture, TRUTH_FILE, TrajectorySource, find, find_all};
 pub use judge::{Evaluated, Judged, Look};
 pub(crate) use mounting::{Travel, usual_offset_m};

@@ -47,7 +47,7 @@ pub enum EvaluateError {
     #[error("{TRUTH_FILE}: {0}")]
     Channel(#[from] ChannelError),
     /// Neither the file with the truth nor the caller names a channel.
-    #[error("the WiFi channel is not known: no {TRUTH_FILE} names it, and none was given")]
+    #[error("the WiFi channel is not known: no {TRUTH_FILE} names it (--channel does)")]
     NoChannel,
     /// A receiver's log stands alone.
     #[error("no csi_txK_{stamp}.dat beside csi_rx_{stamp}.dat")]

@@ -63,9 +63,17 @@ impl Axes {
         for (from, to) in corners.iter().zip(corners.iter().cycle().skip(1)) {
             canvas.line(*from, *to, BLACK, 1.5, false);
         }
-        canvas.text((self.left + self.width / 2.0, bottom + 64.0), x_label, FONT, TextAnchor::Middle, BLACK);
+        self.under(canvas, x_label, 0.0);
         // Flat, above the axis: kuva smears letters that it turns.
         canvas.text(((self.left - 82.0).max(20.0), self.top - 11.0), y_label, FONT - 2, TextAnchor::Start, BLACK);
+    }
+}
+
+impl Axes {
+    /// The name of x, so many pixels further down than usual.
+    pub(super) fn under(&self, canvas: &mut Canvas, x_label: &str, further: f64) {
+        let at = (self.left + self.width / 2.0, self.top + self.height + 64.0 + further);
+        canvas.text(at, x_label, FONT, TextAnchor::Middle, BLACK);
     }
 }
 

@@ -32,8 +32,10 @@ pub(super) fn series_colour(i: usize) -> Rgb {
 #[derive(Clone, Copy)]
 pub(super) enum Key {
     Dot,
+    Ring,
     Line,
     Dash,
+    Area,
 }
 
 pub(super) struct Canvas(Scene);
@@ -138,8 +140,9 @@ impl Canvas {
 
     /// Text on a white ground, readable where lines pass below.
     pub(super) fn backed_text(&mut self, at: (f64, f64), content: &str, size: u32, anchor: TextAnchor) {
-        // DejaVu Sans is about 0.6 em wide per letter.
-        let width = 0.6 * f64::from(size) * content.chars().count() as f64;
+        // Words in DejaVu Sans are about 0.53 em wide per letter, digits 0.64.
+        let letter = |c: char| if c.is_ascii_digit() || c.is_uppercase() { 0.64 } else { 0.53 };
+        let width = f64::from(size) * content.chars().map(letter).sum::<f64>();
         let x = match anchor {
             TextAnchor::Start => at.0,
             TextAnchor::Middle => at.0 - width / 2.0,
@@ -172,8 +175,13 @@ impl Canvas {
             for e in row {
                 match e.0 {
                     Key::Dot => self.dots(&[(x + 20.0, y - 7.0)], 7.0, e.1, 1.0),
+                    Key::Ring => self.ring((x + 20.0, y - 7.0), 7.0, e.1, 2.0),
                     Key::Line => self.line((x, y - 7.0), (x + 40.0, y - 7.0), e.1, 4.0, false),
                     Key::Dash => self.line((x, y - 7.0), (x + 40.0, y - 7.0), e.1, 3.0, true),
+                    Key::Area => {
+                        let corners = [(x, y - 16.0), (x + 40.0, y - 16.0), (x + 40.0, y + 2.0), (x, y + 2.0)];
+                        self.polygon(&corners, e.1, 0.35);
+                    }
                 }
                 self.text((x + 50.0, y), &e.2, FONT - 2, TextAnchor::Start, BLACK);
                 x += width(e);

@@ -20,6 +20,7 @@ pub fn write(recorded: &Figures, simulated: &Figures, folder: &Path, format: &Fo
         before: "both directions multiplied".into(),
         capture: round_trip("recorded", recorded),
         other: Some(round_trip("simulated", simulated)),
+        ..PhasePlot::default()
     };
     let late = |label: &str, figures: &Figures| (label.to_owned(), figures.link.late_us.clone());
     let turn_around = CdfPlot {

@@ -18,6 +18,9 @@ pub struct CdfPlot {
     pub known: Vec<(String, Vec<(f64, f64)>)>,
 }
 
+/// Points of a known distribution that are drawn as such, at most: more are its stairs.
+const FEW: usize = 2;
+
 impl CdfPlot {
     /// Writes it as `stem` with the ending of each format.
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
@@ -58,7 +61,10 @@ impl CdfPlot {
         for (i, known) in self.known.iter().enumerate() {
             let points: Vec<_> = known.1.iter().map(|&(error, share)| axes.at(error, share)).collect();
             points.windows(2).for_each(|pair| canvas.line(pair[0], pair[1], series_colour(i), 2.0, true));
-            canvas.dots(&points, 6.0, series_colour(i), 1.0);
+            // A whole distribution is a line, a few of its points are points.
+            if points.len() <= FEW {
+                canvas.dots(&points, 6.0, series_colour(i), 1.0);
+            }
         }
         canvas.save(stem, format)
     }

@@ -17,6 +17,8 @@ pub struct LinkPictures<'a> {
     pub transmitter_m: Option<[f64; 2]>,
     /// A recorded link whose phase is drawn beside.
     pub recorded: Option<&'a Bearing>,
+    /// Every how manieth pair's phase is drawn.
+    pub every: usize,
 }
 
 impl<'a> LinkPictures<'a> {
@@ -26,7 +28,13 @@ impl<'a> LinkPictures<'a> {
     pub fn of(row: &Judged, bearing: &'a Bearing, source: TrajectorySource) -> Self {
         let transmitter_m = row.true_transmitter_m.filter(|_| source == TrajectorySource::GroundTruth);
         let truth_rad = row.true_from_mean_pose_deg.map(f64::to_radians);
-        Self { bearing, truth_rad, transmitter_m, recorded: None }
+        Self { bearing, truth_rad, transmitter_m, recorded: None, every: 1 }
+    }
+
+    /// What the pictures of [`Self::write`] are called, without their endings.
+    #[must_use]
+    pub fn stems(folder: &Path, name: &str) -> [PathBuf; 3] {
+        ["phase", "trajectory", "profile"].map(|what| stem(folder, name, what))
     }
 
     /// Writes `NAME-phase`, `NAME-trajectory` and `NAME-profile` into a folder; none of them if one may not be replaced.
@@ -36,7 +44,7 @@ impl<'a> LinkPictures<'a> {
     pub fn write(&self, folder: &Path, name: &str, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let named = |source| Error::Folder { folder: folder.display().to_string(), source };
         std::fs::create_dir_all(folder).map_err(named)?;
-        let [phase, trajectory, profile] = ["phase", "trajectory", "profile"].map(|what| stem(folder, name, what));
+        let [phase, trajectory, profile] = Self::stems(folder, name);
         format.check(&[phase.clone(), trajectory.clone(), profile.clone()])?;
         let mut written = Vec::new();
         if !self.bearing.course.is_empty() {
@@ -61,11 +69,26 @@ impl<'a> LinkPictures<'a> {
         Ok(written)
     }
 
+    /// Writes `NAME-phase` alone.
+    ///
+    /// # Errors
+    /// If it cannot be drawn or written.
+    pub fn write_phase(&self, folder: &Path, name: &str, format: &Format) -> Result<Vec<PathBuf>, Error> {
+        self.phase(name).write(&stem(folder, name, "phase"), format)
+    }
+
     fn phase(&self, name: &str) -> PhasePlot {
         let title = format!("{name}: phase at the channel centre");
         let label = if self.recorded.is_some() { "this capture" } else { "" };
         let other = self.recorded.map(|recorded| whole_track("recorded", recorded));
-        PhasePlot { title, before: "one direction".into(), capture: whole_track(label, self.bearing), other }
+        PhasePlot {
+            title,
+            before: "one direction".into(),
+            capture: whole_track(label, self.bearing),
+            other,
+            every: self.every,
+            averaged: 0,
+        }
     }
 
     fn trajectory(&self, name: &str) -> TrajectoryPlot {
@@ -126,6 +149,7 @@ pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {
 fn whole_track(label: &str, bearing: &Bearing) -> PhaseTrack {
     PhaseTrack {
         product_rad: bearing.course.iter().map(|phase| phase.round_trip_rad).collect(),
+        is_used: bearing.course.iter().map(|phase| phase.is_used).collect(),
         left: without_motion(bearing),
         ..track(label, &bearing.course)
     }

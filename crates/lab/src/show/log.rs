@@ -1,9 +1,12 @@
 //! A log over time: CSI as heat maps, amplitude by antenna, RSSI and gain, rate, and what is missing.
+mod events;
+
 use super::axes::{Axes, extent};
-use super::canvas::{BLACK, BLUE, Canvas, GREEN, GREY, Key, ORANGE, PURPLE, RED, Rgb, series_colour};
+use super::canvas::{BLACK, Canvas, GREY, Key, ORANGE, Rgb, series_colour};
 use super::{Error, Format};
-use crate::course::{AntennaCourse, COLUMNS, Course};
+use crate::course::{AntennaCourse, Course};
 use csi5300::signal::channel::SUBCARRIERS;
+use csi5300::source::survey::TimeBase;
 use kuva::plot::ColorMap;
 use kuva::render::render::TextAnchor;
 use std::f64::consts::PI;
@@ -29,8 +32,8 @@ const TOP: f64 = 150.0;
 const BOTTOM: f64 = 90.0;
 /// Between panels: the upper one's ticks and the lower one's name.
 const GAP: f64 = 70.0;
-/// Losses drawn at most; more of them lie on each other.
-const MARKS: usize = 2_000;
+/// Rows of a heat map that have a tick: the outermost subcarriers, those beside the centre, and two between.
+const TICKED: [usize; 6] = [0, 7, 14, 15, 22, SUBCARRIERS - 1];
 
 impl LogPictures<'_> {
     /// Writes `STEM-csi` (heat maps of each antenna) and `STEM-levels` (amplitude, RSSI and gain, rate).
@@ -61,10 +64,10 @@ impl LogPictures<'_> {
         })
     }
 
-    /// The frames of `n` panels below each other.
-    fn panels(&self, n: usize) -> Vec<[f64; 4]> {
+    /// The frames of `n` panels below each other, with `below` pixels left under them.
+    fn panels(&self, n: usize, below: f64) -> Vec<[f64; 4]> {
         let (width, height) = self.size;
-        let each = ((height - TOP - BOTTOM - GAP * (n as f64 - 1.0)) / n as f64).max(30.0);
+        let each = ((height - TOP - BOTTOM - below - GAP * (n as f64 - 1.0)) / n as f64).max(30.0);
         (0..n).map(|k| [LEFT, TOP + k as f64 * (each + GAP), width - LEFT - RIGHT, each]).collect()
     }
 
@@ -72,18 +75,17 @@ impl LogPictures<'_> {
         let (width, height) = self.size;
         let mut canvas = Canvas::sized(width, height, &format!("{}: CSI, first stream", self.title));
         let antennas = &self.course.antennas;
-        let panels = self.panels(2 * antennas.len());
+        let panels = self.panels(2 * antennas.len(), 0.0);
         for (k, antenna) in antennas.iter().enumerate() {
             let last = k + 1 == antennas.len();
-            let name = format!("antenna {}: amplitude (dB of a step), subcarrier", antenna.antenna);
+            let name = format!("antenna {}: amplitude by subcarrier (dB, 0 is the card's step)", antenna.antenna);
             let range = extent(antenna.amplitude_db.iter().copied(), 0.0).unwrap_or((0.0, 1.0));
             let ticks = [range.0, (range.0 + range.1) / 2.0, range.1].map(|db| (db, format!("{db:.0} dB")));
             let shade = |share: f64| ColorMap::Viridis.map_rgb(share).unwrap_or(GREY);
             self.heat(&mut canvas, panels[2 * k], &antenna.amplitude_db, (range, &ticks, &shade), (&name, ""));
-            let name =
-                format!("antenna {}: phase relative to the middle subcarrier (rad), subcarrier", antenna.antenna);
+            let name = format!("antenna {}: phase by subcarrier, less the middle one's (rad)", antenna.antenna);
             let ticks = [(-PI, "-π".into()), (0.0, "0".into()), (PI, "π".into())];
-            let below = if last { "time (s)" } else { "" };
+            let below = if last { self.time_words() } else { "" };
             self.heat(
                 &mut canvas,
                 panels[2 * k + 1],
@@ -105,13 +107,14 @@ impl LogPictures<'_> {
         (name, x_label): (&str, &str),
     ) {
         let mut axes = Axes::new(frame, self.course.span_s, (0.0, SUBCARRIERS as f64));
-        axes.y_ticks = Some([0, 10, 20, 30].map(|k| (f64::from(k), k.to_string())).to_vec());
+        axes.y_ticks = Some(self.subcarrier_ticks(axes.height));
         axes.draw(canvas, x_label, name);
-        let (w, h) = (axes.width / COLUMNS as f64, axes.height / SUBCARRIERS as f64);
+        let columns = self.course.columns;
+        let (w, h) = (axes.width / columns as f64, axes.height / SUBCARRIERS as f64);
         let share = |value: f64| ((value - range.0) / (range.1 - range.0)).clamp(0.0, 1.0);
         let known = values.iter().enumerate().filter(|(_, value)| value.is_finite());
         canvas.cells(known.map(|(cell, value)| {
-            let (row, column) = (cell / COLUMNS, cell % COLUMNS);
+            let (row, column) = (cell / columns, cell % columns);
             let at = [axes.left + column as f64 * w, axes.top + axes.height - (row + 1) as f64 * h, w + 0.6, h + 0.6];
             (at, shade(share(*value)))
         }));
@@ -133,6 +136,27 @@ impl LogPictures<'_> {
         }
     }
 
+    /// Ticks at subcarriers' own indices; at their places in the record where frames of both widths are in the log.
+    fn subcarrier_ticks(&self, height: f64) -> Vec<(f64, String)> {
+        let name = |row: usize| match self.course.subcarriers.and_then(|indices| indices.get(row).copied()) {
+            Some(index) => index.to_string(),
+            None => row.to_string(),
+        };
+        // Both sides of the centre are one row apart: one of them has the tick.
+        let rows =
+            TICKED.into_iter().filter(|row| *row != 14 && (height > 110.0 || [0, SUBCARRIERS - 1].contains(row)));
+        rows.map(|row| (row as f64 + 0.5, name(row))).collect()
+    }
+
+    /// What the times are.
+    fn time_words(&self) -> &'static str {
+        match self.course.base {
+            TimeBase::Host => "time (s), of the host: the card's clock stands",
+            TimeBase::Number => "record: the card's clock stands, and there are no host times",
+            _ => "time (s)",
+        }
+    }
+
     fn levels(&self) -> Result<Canvas, Error> {
         let (width, height) = self.size;
         let course = self.course;
@@ -140,66 +164,70 @@ impl LogPictures<'_> {
         let name = |antenna: &AntennaCourse| format!("antenna {}", antenna.antenna);
         let mut keys: Vec<(Key, Rgb, String)> = course.antennas.iter().map(|a| (Key::Line, of(a), name(a))).collect();
         keys.push((Key::Line, GREY, "gain (AGC)".into()));
-        let lost: u64 = course.losses.iter().map(|loss| loss.1).sum();
-        let marks = [
-            (course.gaps_s.len(), ORANGE, format!("{} gaps", course.gaps_s.len())),
-            (course.losses.len(), RED, format!("losses at {} places, {lost} numbers missing", course.losses.len())),
-            (course.steps_back.len(), PURPLE, format!("{} steps back of the clock", course.steps_back.len())),
-        ];
-        keys.extend(marks.into_iter().filter(|mark| mark.0 > 0).map(|(_, colour, words)| (Key::Line, colour, words)));
+        keys.push((Key::Line, BLACK, "rate".into()));
+        if !course.gaps_s.is_empty() {
+            keys.push((Key::Area, ORANGE, crate::words::count(course.gaps_s.len() as u64, "gap", "gaps")));
+        }
         canvas.legend(58.0, &keys);
-        let panels = self.panels(3);
+        let events = events::of(course);
+        let below = events::height(&events);
+        let panels = self.panels(3, below);
         let amplitude: Vec<_> = course.antennas.iter().map(|antenna| (of(antenna), &antenna.line_db)).collect();
-        self.lines(&mut canvas, panels[0], &amplitude, ("mean amplitude over the subcarriers (dB of a step)", ""));
+        let words = "mean amplitude over the subcarriers (dB, 0 is the card's step)";
+        self.lines(&mut canvas, panels[0], &amplitude, words);
         let antennas = (0..3).filter(|k| course.antennas.iter().any(|a| a.antenna as usize == *k));
         let mut levels: Vec<_> = antennas.map(|k| (series_colour(k), &course.rssi[k])).collect();
         levels.push((GREY, &course.agc));
-        self.lines(&mut canvas, panels[1], &levels, ("RSSI of each antenna, and gain (dB)", ""));
-        self.rate(&mut canvas, panels[2])?;
+        self.lines(&mut canvas, panels[1], &levels, "RSSI of each antenna, and gain (dB)");
+        let axes = self.rate(&mut canvas, panels[2])?;
+        events::draw(&mut canvas, &axes, &events);
+        axes.under(&mut canvas, self.time_words(), (below - 24.0).max(0.0));
         Ok(canvas)
     }
 
-    fn lines(
-        &self,
-        canvas: &mut Canvas,
-        frame: [f64; 4],
-        series: &[(Rgb, &Vec<(f64, f64)>)],
-        (name, x_label): (&str, &str),
-    ) {
+    fn lines(&self, canvas: &mut Canvas, frame: [f64; 4], series: &[(Rgb, &Vec<(f64, f64)>)], name: &str) {
         let all = series.iter().flat_map(|(_, points)| points.iter().map(|point| point.1));
         let axes = Axes::new(frame, self.course.span_s, extent(all, 0.08).unwrap_or((0.0, 1.0)));
-        axes.draw(canvas, x_label, name);
+        axes.draw(canvas, "", name);
         for (colour, points) in series {
-            canvas.polyline(points.iter().map(|p| axes.at(p.0, p.1)).collect(), *colour, 1.8);
+            for piece in points.chunk_by(|a, b| !is_broken(a.0, b.0, &self.course.gaps_s)) {
+                let piece: Vec<_> = piece.iter().map(|p| axes.at(p.0, p.1)).collect();
+                match piece.as_slice() {
+                    [alone] => canvas.dots(&[*alone], 1.5, *colour, 1.0),
+                    _ => canvas.polyline(piece, *colour, 1.8),
+                }
+            }
         }
     }
 
-    /// Records per second, with everything that is missing.
-    fn rate(&self, canvas: &mut Canvas, frame: [f64; 4]) -> Result<(), Error> {
+    /// Records per second, with the gaps.
+    fn rate(&self, canvas: &mut Canvas, frame: [f64; 4]) -> Result<Axes, Error> {
         let course = self.course;
         let rates = || course.rate_hz.iter().map(|point| point.1);
         let top = extent(rates().chain([0.0]), 0.08).ok_or(Error::Empty { what: "rate" })?.1;
         let axes = Axes::new(frame, course.span_s, (0.0, top));
-        axes.draw(canvas, "time (s)", "records per second; gaps, losses and steps back of the clock");
+        let words = if course.base == TimeBase::Number { "no rate: there is no clock" } else { "records per second" };
+        axes.draw(canvas, "", words);
         canvas.clipped(&axes, |canvas| {
             for (from, to) in &course.gaps_s {
-                let corners = [(*from, 0.0), (*to, 0.0), (*to, top), (*from, top)].map(|p| axes.at(p.0, p.1));
-                canvas.polygon(&corners, ORANGE, 0.35);
-            }
-            let every = course.losses.len().div_ceil(MARKS).max(1);
-            for (t_s, _) in course.losses.iter().step_by(every) {
-                canvas.line(axes.at(*t_s, 0.0), axes.at(*t_s, 0.18 * top), RED, 1.5, false);
-            }
-            for (t_s, _) in &course.steps_back {
-                canvas.line(axes.at(*t_s, 0.0), axes.at(*t_s, top), PURPLE, 2.5, true);
+                let ((left, below), (right, above)) = (axes.at(*from, 0.0), axes.at(*to, top));
+                let right = right.max(left + 1.5);
+                canvas.polygon(&[(left, below), (right, below), (right, above), (left, above)], ORANGE, 0.35);
             }
             // Steps: a bin's rate holds over all of it.
             let half = 0.5 * (course.span_s.1 - course.span_s.0) / course.rate_hz.len().max(1) as f64;
             let stairs = course.rate_hz.iter().flat_map(|p| [axes.at(p.0 - half, p.1), axes.at(p.0 + half, p.1)]);
-            canvas.polyline(stairs.collect(), if course.gaps_s.is_empty() { BLUE } else { GREEN }, 2.5);
+            canvas.polyline(stairs.collect(), BLACK, 2.0);
         });
-        Ok(())
+        Ok(axes)
     }
+}
+
+/// True if a gap that is no short one beside them lies between two neighbouring points of a line.
+fn is_broken(from_s: f64, to_s: f64, gaps_s: &[(f64, f64)]) -> bool {
+    let between = gaps_s.partition_point(|gap| 0.5 * (gap.0 + gap.1) <= from_s);
+    let inside = gaps_s.iter().skip(between).take_while(|gap| 0.5 * (gap.0 + gap.1) < to_s);
+    inside.map(|gap| gap.1 - gap.0).fold(0.0, f64::max) >= 0.5 * (to_s - from_s)
 }
 
 fn of(antenna: &AntennaCourse) -> Rgb {
@@ -210,4 +238,18 @@ fn of(antenna: &AntennaCourse) -> Rgb {
 fn circular(share: f64) -> Rgb {
     let part = |shift: f64| (127.5 + 100.0 * (2.0 * PI * (share + shift)).cos()).round() as u8;
     (part(0.5), part(0.83), part(0.17))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_is_broken_at_a_gap_and_not_at_one_that_is_short_beside_its_points() {
+        let gaps = [(1.0, 2.0), (5.0, 5.01)];
+        assert!(is_broken(0.9, 2.1, &gaps) && is_broken(1.0, 2.0, &gaps));
+        assert!(!is_broken(2.1, 3.0, &gaps) && !is_broken(4.0, 6.0, &gaps));
+        assert!(is_broken(4.995, 5.012, &gaps));
+        assert!(!is_broken(0.0, 1.0, &[]));
+    }
 }

@@ -44,6 +44,8 @@ pub struct Ray {
     pub origin_m: [f64; 2],
     /// Its azimuth, radians.
     pub azimuth_rad: f64,
+    /// Standard deviation of the azimuth, radians; the wedge is two of them to each side.
+    pub sd_rad: Option<f64>,
     /// Name at its tip; may be empty.
     pub label: String,
     /// What it stands for.
@@ -143,11 +145,7 @@ impl TrajectoryPlot {
         axes.draw(&mut canvas, "x (m)", "y (m)");
         canvas.clipped(&axes, |canvas| {
             let start = axes.at(mean[0], mean[1]);
-            if let Some(sd) = self.sd_rad.filter(|sd| sd.is_finite() && self.azimuth_rad.is_finite()) {
-                let half = (2.0 * sd.abs()).min(1.5);
-                let [low, high] = [-half, half].map(|d| beyond(&axes, mean, self.azimuth_rad + d));
-                canvas.polygon(&[start, low, high], RED, 0.18);
-            }
+            wedge(canvas, &axes, mean, (self.azimuth_rad, self.sd_rad), 0.18);
             // The truth is wider than the bearing on it, so that both are seen where they agree.
             for &(azimuth, colour, dash, name) in &rays {
                 let width = if name == "truth" { 9.0 } else { 3.0 };
@@ -161,6 +159,14 @@ impl TrajectoryPlot {
         }
         canvas.save(stem, format)
     }
+}
+
+/// Two standard deviations to each side of a bearing.
+fn wedge(canvas: &mut Canvas, axes: &Axes, from: [f64; 2], (azimuth_rad, sd_rad): (f64, Option<f64>), opacity: f64) {
+    let Some(sd) = sd_rad.filter(|sd| sd.is_finite() && azimuth_rad.is_finite()) else { return };
+    let half = (2.0 * sd.abs()).min(1.5);
+    let [low, high] = [-half, half].map(|d| beyond(axes, from, azimuth_rad + d));
+    canvas.polygon(&[axes.at(from[0], from[1]), low, high], RED, opacity);
 }
 
 /// A ringed dot with a name on the side where there is room.
@@ -183,6 +189,18 @@ impl RayClass {
 }
 
 impl MapPlot {
+    /// Positions found that are not further from the robots than these are from each other: others would shrink the map to dots.
+    fn in_view(&self, points: &[[f64; 2]]) -> Vec<&Ellipse> {
+        let range = |k: usize| extent(points.iter().filter_map(|p| p.get(k).copied()), 0.0);
+        let (Some(x), Some(y)) = (range(0), range(1)) else { return Vec::new() };
+        let room = (x.1 - x.0).max(y.1 - y.0);
+        let inside = |v: f64, range: (f64, f64)| (range.0 - room..=range.1 + room).contains(&v);
+        self.ellipses
+            .iter()
+            .filter(|ellipse| inside(ellipse.centre_m[0], x) && inside(ellipse.centre_m[1], y))
+            .collect()
+    }
+
     /// Writes it as `stem` with the ending of each format.
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let path = finite(&self.path_m);
@@ -191,6 +209,8 @@ impl MapPlot {
         let truth: Vec<_> = self.truth.iter().filter(|t| t.1.iter().all(|v| v.is_finite())).collect();
         let mut view = path.clone();
         view.extend(truth.iter().map(|t| t.1).chain(rays.iter().map(|r| r.origin_m)));
+        let ellipses = self.in_view(&view);
+        view.extend(ellipses.iter().map(|ellipse| ellipse.centre_m));
         let mut keys = vec![];
         if !path.is_empty() {
             keys.push((Key::Line, BLUE, "path of the receiver".to_owned()));
@@ -201,7 +221,10 @@ impl MapPlot {
                 keys.push((if dash { Key::Dash } else { Key::Line }, colour, name.to_owned()));
             }
         }
-        if !self.ellipses.is_empty() {
+        if rays.iter().any(|ray| ray.sd_rad.is_some()) {
+            keys.push((Key::Area, RED, "two deviations".to_owned()));
+        }
+        if !ellipses.is_empty() {
             keys.push((Key::Dot, PURPLE, "position found, two deviations".to_owned()));
         }
         let mut canvas = Canvas::new(900.0, &self.title);
@@ -210,7 +233,10 @@ impl MapPlot {
         axes.draw(&mut canvas, "x (m)", "y (m)");
         let reach = 0.16 * (axes.y.1 - axes.y.0).max(axes.x.1 - axes.x.0);
         canvas.clipped(&axes, |canvas| {
-            for ellipse in &self.ellipses {
+            for ray in &rays {
+                wedge(canvas, &axes, ray.origin_m, (ray.azimuth_rad, ray.sd_rad), 0.12);
+            }
+            for ellipse in &ellipses {
                 canvas.polygon(&pixels(&axes, &ellipse.around()), PURPLE, 0.35);
                 canvas.dots(&pixels(&axes, &finite(&[ellipse.centre_m])), 5.0, PURPLE, 1.0);
             }

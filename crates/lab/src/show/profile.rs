@@ -128,7 +128,7 @@ impl ProfilePlot {
         keys.extend(mark(self.mirror_deg, Key::Dash, GREY, "mirror"));
         keys.extend(mark(self.truth_deg, Key::Line, GREEN, "truth"));
         if self.candidates_deg.len() > 1 {
-            keys.push((Key::Dot, BLACK, "candidates (rings)".into()));
+            keys.push((Key::Ring, BLACK, "candidates".into()));
         }
         keys
     }

@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 
 /// Single repetitions drawn beside the average.
 const SINGLES: usize = 5;
+/// Pairs of robots that stand whose phases are averaged before they are unwrapped.
+const STANDING: usize = 25;
 
 /// Writes `NAME-phase` (the first repetition) and, where the robot moved, `NAME-profile` for each experiment.
 ///
@@ -46,7 +48,7 @@ pub fn standing(standing: &Standing) -> PhasePlot {
         title: "Two robots that stand: phase at the channel centre".into(),
         before: "one direction".into(),
         capture: PhaseTrack { product_rad, ..track(&spread, &standing.course) },
-        other: None,
+        ..PhasePlot::default()
     }
 }
 
@@ -60,7 +62,8 @@ fn phase(run: &Run) -> PhasePlot {
         title: format!("{}: phase at the channel centre", run.experiment),
         before: "one direction".into(),
         capture: PhaseTrack { product_rad, ..track(&spread, &run.course) },
-        other: None,
+        averaged: if run.profile.is_empty() { STANDING } else { 0 },
+        ..PhasePlot::default()
     }
 }
 
@@ -74,7 +77,11 @@ fn averaged(runs: &[Run]) -> ProfilePlot {
     let (errors, truth_deg): (Vec<f64>, _) = (with.iter().filter_map(|run| run.error_deg).collect(), runs[0].truth_deg);
     let largest = errors.iter().fold(0.0_f64, |most, error| most.max(error.abs()));
     ProfilePlot {
-        title: format!("{}: {} repetitions, largest error {largest:.2}°", runs[0].experiment, runs.len()),
+        title: format!(
+            "{}: {}, largest error {largest:.2}°",
+            runs[0].experiment,
+            crate::words::count(runs.len() as u64, "repetition", "repetitions")
+        ),
         chosen_from: ("average of the repetitions".into(), azimuths.clone(), (0..azimuths.len()).map(mean).collect()),
         others: singles.map(|(k, run)| (name(k), azimuths.clone(), run.profile.clone())).collect(),
         truth_deg,

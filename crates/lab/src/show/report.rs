@@ -2,9 +2,10 @@
 
 use super::format::{Format, Kind};
 use super::link::LinkPictures;
-use crate::evaluate::{Capture, Evaluated, Judged, SetSummary, TrajectorySource, summarise};
-use csi5300::pipeline::Bearing;
-use csi5300::pipeline::Options;
+use super::set::Others;
+use crate::evaluate::beside::Table;
+use crate::evaluate::{ALL_SETS, Capture, Evaluated, Judged, SetSummary, TrajectorySource, summarise};
+use csi5300::pipeline::{Answer, Bearing, Options};
 use csi5300::signal::channel::Channel;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -16,6 +17,8 @@ pub struct HtmlReport {
     links: Vec<LinkShown>,
     notes: Vec<String>,
     lost: bool,
+    /// What another program answers on the links.
+    others: Others,
     /// Where pictures are drawn before they go into the page; no pictures without.
     pictures_in: Option<PathBuf>,
 }
@@ -44,6 +47,17 @@ impl HtmlReport {
     pub fn note(&mut self, note: String) {
         self.notes.push(note);
         self.lost = true;
+    }
+
+    /// What was noted so far.
+    #[must_use]
+    pub fn notes(&self) -> &[String] {
+        &self.notes
+    }
+
+    /// Adds what another program answers on the links.
+    pub fn beside(&mut self, table: Option<Table>) {
+        self.others.add(table);
     }
 
     /// Evaluates a capture and adds its links. Phases are drawn where `options.keep_course` is set.
@@ -88,7 +102,7 @@ impl HtmlReport {
     pub fn html(&self, title: &str) -> String {
         let rows: Vec<Judged> = self.links.iter().map(|link| link.row.clone()).collect();
         let mut notes = self.notes.clone();
-        let sets = match self.pictures_in.as_deref().map(|folder| sets(&rows, folder)) {
+        let sets = match self.pictures_in.as_deref().map(|folder| sets(&rows, &self.others, folder)) {
             Some(Ok(pictures)) => pictures,
             Some(Err(error)) => {
                 notes.push(error.to_string());
@@ -102,12 +116,12 @@ impl HtmlReport {
 
 /// What stands in the page.
 fn vectors() -> Format {
-    Format::default().with_kinds(&[Kind::Svg])
+    Format::default().with_kinds(&[Kind::Svg]).with_replace(true)
 }
 
 /// The pictures of all links together, as SVG with their names: distributions, then maps of places.
-fn sets(rows: &[Judged], folder: &Path) -> Result<Vec<(String, String)>, super::Error> {
-    let written = super::set::write(rows, folder, &vectors())?;
+fn sets(rows: &[Judged], others: &Others, folder: &Path) -> Result<Vec<(String, String)>, super::Error> {
+    let written = super::set::write(rows, others, folder, &vectors())?;
     let read = |path: PathBuf| {
         let name = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
         let text = std::fs::read_to_string(&path).map_err(|source| super::Error::Io { path, source })?;
@@ -116,13 +130,31 @@ fn sets(rows: &[Judged], folder: &Path) -> Result<Vec<(String, String)>, super::
     written.into_iter().map(read).collect()
 }
 
-/// The pictures of a link as SVG.
+/// Pictures of a link take no more bytes: its words and tables have the rest of 150 KB.
+const PICTURES_BYTES: usize = 145_000;
+/// Every how manieth pair's phase is drawn at most.
+const MOST_EVERY: usize = 64;
+
+/// The pictures of a link as SVG, the phase of so few of its pairs that they are small.
 fn draw(folder: &Path, row: &Judged, bearing: &Bearing, source: TrajectorySource) -> Result<Vec<String>, String> {
     let name = &row.answer.link;
-    let pictures = LinkPictures::of(row, bearing, source);
-    let written = pictures.write(folder, name, &vectors()).map_err(|error| format!("{name}: {error}"))?;
-    let slim = |text: String| super::slim::slim(&text);
-    written.iter().map(|path| std::fs::read_to_string(path).map(slim).map_err(|error| error.to_string())).collect()
+    let of_link = |error: super::Error| format!("{name}: {error}");
+    let read = |path: &PathBuf| {
+        let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
+        Ok::<_, String>(super::slim::slim(&text))
+    };
+    let mut pictures = LinkPictures::of(row, bearing, source);
+    let written = pictures.write(folder, name, &vectors()).map_err(of_link)?;
+    let mut drawn = written.iter().map(read).collect::<Result<Vec<_>, _>>()?;
+    let bytes = |drawn: &[String]| drawn.iter().map(String::len).sum::<usize>();
+    while bytes(&drawn) > PICTURES_BYTES && pictures.every < MOST_EVERY && !bearing.course.is_empty() {
+        pictures.every *= 2;
+        let phase = pictures.write_phase(folder, name, &vectors()).map_err(of_link)?;
+        if let (Some(first), Some(path)) = (drawn.first_mut(), phase.first()) {
+            *first = read(path)?;
+        }
+    }
+    Ok(drawn)
 }
 
 /// Links of a page whose pictures are seen at once; those of larger ones are looked at one by one.
@@ -169,7 +201,11 @@ fn overview(html: &mut String, pictures: &[(String, String)]) {
     curves.iter().for_each(|picture| html.push_str(&figure(picture)));
     if !maps.is_empty() {
         let open = if maps.len() <= OPEN { " open" } else { "" };
-        let _ = writeln!(html, "<details{open}><summary>Maps of {} captures</summary>", maps.len());
+        let _ = writeln!(
+            html,
+            "<details{open}><summary>Maps of {}</summary>",
+            crate::words::count(maps.len() as u64, "capture", "captures")
+        );
         maps.iter().for_each(|picture| html.push_str(&figure(picture)));
         html.push_str("</details>\n");
     }
@@ -180,7 +216,8 @@ fn summary(html: &mut String, sets: &BTreeMap<String, SetSummary>) {
         "<h2>Errors</h2>\n<table><tr><th>set</th><th>links</th><th>failed</th><th>mean</th><th>median</th><th>90 %</th>\
          <th>over 20 deg</th></tr>\n",
     );
-    for (name, set) in sets {
+    let named = |all: bool| sets.iter().filter(move |(name, _)| (*name == ALL_SETS) == all);
+    for (name, set) in named(false).chain(named(true)) {
         let errors = &set.from_mean_pose;
         let _ = writeln!(
             html,
@@ -282,24 +319,34 @@ fn details(html: &mut String, link: &LinkShown, open: bool) {
     let counts = &answer.pair_counts;
     let _ = writeln!(
         html,
-        "<p>{} pairs formed: {} in motion ({}), {} standing, {} without a pose, {} cut, {} silent, {} thinned. Carrier offset \
-         {} Hz; phase coherence {} before and {} after compensation.</p>",
-        counts.formed,
+        "<p>{} formed: {} in motion ({}), {} standing, {} without a pose, {} cut, {} silent, {} thinned. {}</p>",
+        crate::words::count(counts.formed as u64, "pair", "pairs"),
         counts.in_motion,
-        escape(answer.geometry.as_deref().unwrap_or("-")),
+        escape(answer.geometry.as_deref().unwrap_or("of no known kind")),
         counts.standing,
         counts.no_pose,
         counts.cut,
         counts.silent,
         counts.thinned,
-        figure(answer.cfo_hz, 0),
-        figure(answer.phase_coherence_before, 2),
-        figure(answer.phase_coherence_after, 2)
+        compensation(answer)
     );
     for (k, picture) in link.pictures.iter().enumerate() {
         let _ = writeln!(html, "<figure>{}</figure>", apart(picture, &format!("{}-{k}-", answer.link)));
     }
     html.push_str("</details>\n");
+}
+
+/// What the compensation of the clocks did, where it is known.
+fn compensation(answer: &Answer) -> String {
+    let offset = answer.cfo_hz.map(|hz| format!("Carrier offset {hz:.0} Hz. "));
+    let coherence = answer.phase_coherence_before.zip(answer.phase_coherence_after);
+    let coherence = coherence
+        .map(|(before, after)| format!("Phase coherence {before:.2} before and {after:.2} after compensation. "));
+    let none = "The turn-around was not compensated: the clocks do not show it.";
+    match (offset, coherence) {
+        (None, None) => none.into(),
+        (offset, coherence) => offset.unwrap_or_default() + &coherence.unwrap_or_default(),
+    }
 }
 
 /// An SVG ready to stand in a page with others: without its XML head, as large as there is room, its ids its own.

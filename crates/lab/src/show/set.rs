@@ -3,14 +3,15 @@
 use super::{
     CdfPlot, Ellipse, Error, Format, MapPlot, Ray, RayClass, ReliabilityPlot, ReliabilityPoint, ScatterLines, file_safe,
 };
+use crate::evaluate::beside::Table;
 use crate::evaluate::quality::{Receiver, receivers, refusals, sure};
-use crate::evaluate::{Judged, Kept, Reliability, reliability};
+use crate::evaluate::{Judged, Kept, Reliability, TrajectorySource, reliability};
 use crate::folds::{Kind, Report};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-/// What the WSR toolbox as released reaches on each set of its data, all links, against the mean pose, with motion
-/// capture (measured): name, median, 90th percentile, degrees.
+/// What the WSR toolbox as released reaches on each set of its data, all links of the published set, against the mean pose, with
+/// motion capture (measured): name, median, 90th percentile, degrees. Drawn where no table has its answers on the links that are.
 const TOOLBOX: [(&str, f64, f64); 5] = [
     ("LOS_Set_A", 2.46, 5.97),
     ("LOS_Set_B", 3.65, 14.80),
@@ -19,17 +20,43 @@ const TOOLBOX: [(&str, f64, f64); 5] = [
     ("NLOS_Set_C", 2.15, 7.03),
 ];
 
+/// What another program answers on the same links, from the tables beside the captures.
+#[derive(Clone, Debug, Default)]
+pub struct Others(Vec<Table>);
+
+impl Others {
+    /// The tables of these folders, where they have one.
+    ///
+    /// # Errors
+    /// If one is there and cannot be read, in words.
+    pub fn of(folders: &[PathBuf], source: TrajectorySource) -> Result<Self, String> {
+        let read =
+            |folder: &PathBuf| Table::read(folder, source).map_err(|error| format!("{}: {error}", folder.display()));
+        let tables: Vec<_> = folders.iter().map(read).collect::<Result<_, _>>()?;
+        Ok(Self(tables.into_iter().flatten().collect()))
+    }
+
+    /// One more table.
+    pub fn add(&mut self, table: Option<Table>) {
+        self.0.extend(table);
+    }
+
+    fn error_deg(&self, row: &Judged) -> Option<f64> {
+        self.0.iter().find_map(|table| table.of(&row.answer.link)).map(|beside| beside.error_deg)
+    }
+}
+
 /// Writes `errors`, where the truth of a link is known, `refusals` and `reliability`, where such a link has a confidence, and
 /// a `map-PLACE` for each capture into a folder.
 ///
 /// # Errors
 /// If a picture cannot be drawn or written.
-pub fn write(rows: &[Judged], folder: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
+pub fn write(rows: &[Judged], others: &Others, folder: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
     let [errors_stem, refusals_stem, reliability_stem] = stems(folder);
     let judged = |row: &&Judged| row.error_from_mean_pose_deg.is_some();
     let mut written = Vec::new();
     if rows.iter().any(|row| judged(&row)) {
-        written.extend(errors(rows).write(&errors_stem, format)?);
+        written.extend(errors(rows, others).write(&errors_stem, format)?);
     }
     if !sure(rows).is_empty() {
         written.extend(refused(rows).write(&refusals_stem, format)?);
@@ -128,25 +155,47 @@ fn reliable(rows: &[Judged]) -> ReliabilityPlot {
     ReliabilityPlot { title: "How often bearings of each confidence were right".into(), series }
 }
 
-fn errors(rows: &[Judged]) -> CdfPlot {
-    let mut sets: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+fn errors(rows: &[Judged], others: &Others) -> CdfPlot {
+    let mut sets: BTreeMap<String, (Vec<f64>, Vec<f64>)> = BTreeMap::new();
     for row in rows {
-        if let Some(error) = row.error_from_mean_pose_deg {
-            sets.entry(row.set().into()).or_default().push(error);
-        }
+        let Some(error) = row.error_from_mean_pose_deg else { continue };
+        let (own, other) = sets.entry(row.set().into()).or_default();
+        own.push(error);
+        other.extend(others.error_deg(row));
     }
-    let known = |(name, median, p90): &(&str, f64, f64)| {
-        let points = vec![(*median, 0.5), (*p90, 0.9)];
-        (format!("toolbox {name}: median, 90th percentile"), points)
-    };
-    // In the order of the sets, so that each has the colour of the toolbox's.
-    let published = sets.keys().map(|set| TOOLBOX.iter().find(|own| own.0 == set));
+    // In the order of the sets, so that each has the colour of the other program's.
+    let known = sets.iter().map(|(set, (own, other))| match other.as_slice() {
+        [] => published(set).unwrap_or_default(),
+        other => {
+            let of = if other.len() == own.len() { "the same".into() } else { format!("{} of the", other.len()) };
+            (format!("toolbox, {of} links (median {:.2})", median_size(other)), steps(other))
+        }
+    });
     CdfPlot {
         title: "Bearing error against the mean pose".into(),
         x_label: "error (degrees)".into(),
-        known: published.map(|own| own.map(known).unwrap_or_default()).collect::<Vec<_>>(),
-        series: sets.into_iter().collect(),
+        known: known.collect(),
+        series: sets.iter().map(|(set, (own, _))| (set.clone(), own.clone())).collect(),
     }
+}
+
+/// What is published of a set: two points.
+fn published(set: &str) -> Option<(String, Vec<(f64, f64)>)> {
+    let (name, median, p90) = TOOLBOX.iter().find(|own| own.0 == set)?;
+    Some((format!("toolbox on all links of {name} as published: median, 90 %"), vec![(*median, 0.5), (*p90, 0.9)]))
+}
+
+fn median_size(errors: &[f64]) -> f64 {
+    csi5300::maths::median(&mut errors.iter().map(|error| error.abs()).collect::<Vec<_>>()).unwrap_or_default()
+}
+
+/// The distribution of errors: the share within each, as stairs.
+fn steps(errors: &[f64]) -> Vec<(f64, f64)> {
+    let mut sizes: Vec<f64> = errors.iter().map(|error| error.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let n = sizes.len() as f64;
+    let stair = |(k, size): (usize, f64)| [k, k + 1].map(|k| (size.max(0.01), k as f64 / n));
+    sizes.into_iter().enumerate().flat_map(stair).collect()
 }
 
 fn refused(rows: &[Judged]) -> ScatterLines {
@@ -173,8 +222,16 @@ fn map(capture: &str, rows: &[&Judged], receiver: Option<&Receiver>) -> MapPlot 
         let name = row.answer.link.rsplit('/').next().unwrap_or_default();
         plot.truth.extend(row.true_transmitter_m.map(|at| (name.to_owned(), at)));
         let Some(origin_m) = row.true_receiver_m else { continue };
+        let sd_rad = row.answer.azimuth_sd_deg.map(f64::to_radians);
         let mut ray = |azimuth_deg: Option<f64>, label: String, class| {
-            plot.rays.extend(azimuth_deg.map(|deg| Ray { origin_m, azimuth_rad: deg.to_radians(), label, class }));
+            let sd_rad = sd_rad.filter(|_| class == RayClass::Measured);
+            plot.rays.extend(azimuth_deg.map(|deg| Ray {
+                origin_m,
+                azimuth_rad: deg.to_radians(),
+                sd_rad,
+                label,
+                class,
+            }));
         };
         ray(row.true_from_mean_pose_deg, String::new(), RayClass::Truth);
         let sure = row.answer.confidence.map_or(String::new(), |c| format!("{name} {:.0} %", 100.0 * c));

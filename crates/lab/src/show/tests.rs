@@ -33,9 +33,16 @@ fn draws_around_values_that_are_not_finite() {
         ..PhaseTrack::default()
     };
     check(
-        &PhasePlot { title: "t".into(), before: String::new(), other: Some(capture.clone()), capture }
-            .write(&at.join("phase"), &Format::default())
-            .unwrap(),
+        &PhasePlot {
+            title: "t".into(),
+            before: String::new(),
+            other: Some(capture.clone()),
+            capture,
+            every: 0,
+            averaged: 0,
+        }
+        .write(&at.join("phase"), &Format::default())
+        .unwrap(),
     );
     let path_m = vec![[0.0, 0.0], [f64::NAN, 1.0], [1.0, 1.0]];
     let plot = TrajectoryPlot { path_m, azimuth_rad: f64::NAN, sd_rad: Some(0.1), ..Default::default() };
@@ -96,7 +103,7 @@ fn pictures(at: &Path, format: &Format) -> Vec<PathBuf> {
     let ramp = |from: f64| (0..40).map(|k| from + f64::from(k) * 0.1).collect::<Vec<f64>>();
     let capture = PhaseTrack { t_s: ramp(0.0), before_rad: ramp(1.0), after_rad: ramp(2.0), ..PhaseTrack::default() };
     let path_m: Vec<[f64; 2]> = ramp(0.0).iter().map(|a| [a.cos(), a.sin()]).collect();
-    let ray = |class| Ray { origin_m: [0.0; 2], azimuth_rad: 1.0, label: "tx ± 1°".into(), class };
+    let ray = |class| Ray { origin_m: [0.0; 2], azimuth_rad: 1.0, sd_rad: Some(0.1), label: "tx ± 1°".into(), class };
     let ellipse = Ellipse { centre_m: [1.0, 2.0], covariance_m2: [[0.1, 0.0], [0.0, 0.2]], label: "tx".into() };
     let point = ReliabilityPoint { said: 0.8, right: 0.7, count: 9 };
     let value: Vec<f64> = ramp(1.0);

@@ -98,9 +98,6 @@ impl Room {
     /// If there is no such scene, or it is refused.
     pub fn load_scene(&self) -> Result<Scene, Error> {
         let name = &self.scene;
-        if let Some(scene) = name.to_str().and_then(Scene::built_in) {
-            return Ok(scene);
-        }
-        Scene::load(name).map_err(|source| NodeError::Scene { scene: name.clone(), source }.into())
+        Scene::find(name).map_err(|source| NodeError::Scene { scene: name.clone(), source }.into())
     }
 }

@@ -10,6 +10,7 @@
 //! | [`ros2`] | the same of ROS 2 |
 //! | `outputs` | what is recorded and published, and the network |
 //! | `check` | what contradicts itself or this machine, one function a group of rules |
+//! | `reading` | the text read with everything in it that is of another kind than it should be |
 //! | `problem` | a refusal: the line, and why |
 
 mod capture;
@@ -17,6 +18,7 @@ mod check;
 mod estimation;
 mod outputs;
 mod problem;
+mod reading;
 mod robots;
 pub mod ros;
 pub mod ros2;
@@ -31,9 +33,10 @@ pub use robots::{CameraMount, Csv, Model, NoKeys, Odometry, OpenCr, Peer, Place,
 
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::Channel;
-use csi5300_sim::toml_lines::line_of;
+use csi5300_sim::toml_lines::TomlLines;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
+use reading::Reading;
 use std::io::Read;
 use std::path::Path;
 use toml::Spanned;
@@ -116,12 +119,17 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] with every problem found.
     pub fn read(text: &str, folder: &Path) -> Result<Self, ConfigError> {
-        let mut config: Self = toml::from_str(text).map_err(|error| {
-            let line = error.span().map(|span| line_of(text, span.start));
-            ConfigError(vec![Problem { line, reason: error.message().to_owned() }])
-        })?;
+        let Reading { config, table, mut problems, gone } = Reading::of(text);
+        let Some(mut config) = config else { return Err(ConfigError(problems)) };
         config.resolve(folder);
-        let problems = check::problems(&config, text);
+        // Without its capture nearly every rule would be of the stand-in.
+        if !gone.contains("capture") {
+            let lines = TomlLines::of_table(text, table);
+            let read: Vec<Option<usize>> = problems.iter().map(|problem| problem.line).collect();
+            let further = check::problems(&config, lines, &gone);
+            problems.extend(further.into_iter().filter(|problem| !read.contains(&problem.line)));
+        }
+        problems.sort_by_key(|problem| problem.line);
         if problems.is_empty() { Ok(config) } else { Err(ConfigError(problems)) }
     }
 

@@ -31,9 +31,11 @@ fn a_room_that_another_program_runs_is_as_few() {
 #[test]
 fn all_paths_are_relative_to_the_file() {
     let more = "[log]\nfile = \"l.dat\"\n[output]\nbearings = \"b\"\nstatus_socket = \"s\"\n";
-    let config = Config::read(&format!("{ROOM}{more}"), Path::new("/f")).unwrap();
-    assert_eq!(config.log.unwrap().file, Path::new("/f/l.dat"));
-    assert_eq!((config.output.bearings.as_str(), config.output.status_socket), ("/f/b", Some("/f/s".into())));
+    let folder = std::env::temp_dir();
+    let there = |name: &str| folder.join(name);
+    let config = Config::read(&format!("{ROOM}{more}"), &folder).unwrap();
+    assert_eq!(config.log.unwrap().file, there("l.dat"));
+    assert_eq!((Path::new(&config.output.bearings), config.output.status_socket), (&*there("b"), Some(there("s"))));
     for told in ["-", ""] {
         let text = format!("{ROOM}[output]\nbearings = \"{told}\"\n");
         assert_eq!(Config::read(&text, Path::new("/f")).unwrap().output.bearings, told);
@@ -150,7 +152,7 @@ fn robots_of_a_room_follow_what_there_is() {
 fn a_node_of_ros_is_checked_like_everything_else() {
     let card = "mac = \"00:21:6a:00:00:01\"\nchannel = \"108\"\ncapture.card = {}\nodometry.ros.topic = \"/odom\"\n\
                 [ros]\nmaster = \"http://10.0.0.1:11311/\"\n[log]\nfile = \"x.dat\"\n";
-    let read = |text: &str| Config::read(text, Path::new("/f")).map_err(|error| error.to_string());
+    let read = |text: &str| Config::read(text, &std::env::temp_dir()).map_err(|error| error.to_string());
     let in_room = refused(&ROOM.replace("odometry.room = {}", "odometry.ros.topic = \"/odom\""));
     assert!(in_room.starts_with("line 3: `ros` poses are of now"), "{in_room}");
     if !cfg!(feature = "ros1") {
@@ -207,4 +209,52 @@ fn error_bars_hold_the_heading_of_the_odometry() {
         config.camera_mount = Some(CameraMount { forward_m: 0.0, left_m: 0.0, yaw_deg: 0.0 });
     });
     assert!(0.0 < wheels && wheels < camera && camera < 5.0, "{wheels} {camera}");
+}
+
+/// Lines of all refusals of a text.
+fn refused_lines(text: &str) -> Vec<String> {
+    refused(text).lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn one_wrong_value_does_not_hide_the_others() {
+    let text = "channel = 108\nantenna = \"D\"\nmac = \"02:00:00:00:00:01\"\ncapture.card = {}\n[estimator]\nwindow = 3\n\
+                window_m = \"three\"\n[log]\nfile = \"no/folder/x.dat\"\n[output]\nbearings = \"no/folder/b.jsonl\"\n\
+                status_socket = \"no/folder/s\"\n";
+    let all = refused_lines(text);
+    let found: Vec<(&str, bool)> = [
+        (0, "line 1: ", "string"),
+        (1, "line 2: ", "antenna `D`: A, B or C"),
+        (2, "line 6: ", "unknown field `window`"),
+        (3, "line 7: ", "\"three\""),
+        (4, "line 9: ", "there is no folder no/folder"),
+        (5, "line 11: ", "there is no folder no/folder"),
+        (6, "line 12: ", "there is no folder no/folder"),
+    ]
+    .map(|(k, line, why)| (line, all.get(k).is_some_and(|said| said.starts_with(line) && said.contains(why))))
+    .to_vec();
+    assert!(all.len() == 7 && found.iter().all(|found| found.1), "{found:?}\n{all:#?}");
+}
+
+#[test]
+fn what_is_missing_because_it_was_wrong_is_not_said_again() {
+    let peers = "[[peer]]\nname = 3\nrecords.rom = {}\n[[peer]]\nname = \"tx\"\nrecords.room = {}\nfoo = 1\n";
+    let all = refused_lines(&ROOM.replace("[[peer]]\nname = \"tx\"\nrecords.room = {}\n", peers));
+    assert_eq!(all.len(), 3, "{all:#?}");
+    assert!(all[0].starts_with("line 5: ") && all[1].starts_with("line 6: unknown variant `rom`"), "{all:#?}");
+    assert!(all[2].starts_with("line 10: unknown field `foo`"), "{all:#?}");
+    let nothing = refused_lines("antenna = \"A\"\n[output]\nbearing = \"x\"\n");
+    assert!(nothing.len() == 3 && nothing[0].contains("missing field `channel`"), "{nothing:#?}");
+    assert!(nothing[1].contains("missing field `capture`") && nothing[2].starts_with("line 3: "), "{nothing:#?}");
+    // Text that is no TOML is refused as such, each place of it.
+    let broken = refused_lines("[a\ny = 3\nz = [1,,2]\n");
+    assert!(broken.len() == 2 && broken[0].starts_with("line 1: ") && broken[1].starts_with("line 3: "), "{broken:#?}");
+}
+
+#[test]
+fn a_scene_that_is_none_is_named_once_with_what_there_is() {
+    let nowhere = refused(&ROOM.replace("lab-circle", "nosuch"));
+    let words =
+        "line 2: there is no file nosuch, and no built-in scene of that name: paper-circle, paper-line, lab-circle";
+    assert!(nowhere.starts_with(words), "{nowhere}");
 }

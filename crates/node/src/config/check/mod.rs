@@ -3,6 +3,7 @@
 //! One function a group of rules. Each refusal names the place of the key that is wrong, or of the table where one is
 //! missing; its line is found by the spans of the TOML reader.
 
+mod files;
 mod numbers;
 mod own;
 mod peers;
@@ -12,19 +13,22 @@ use super::{Capture, Config, Odometry, Place, Problem, ros, ros2};
 use csi5300_sim::Scene;
 use csi5300_sim::toml_lines::Step::{Index, Key};
 use csi5300_sim::toml_lines::{Step, TomlLines};
+use std::collections::BTreeSet;
 
 /// A configuration that is being checked.
 struct Check<'a> {
     config: &'a Config,
     lines: TomlLines<'a>,
+    /// Keys of the file's own table of which something could not be read, and is refused already.
+    gone: &'a BTreeSet<String>,
     /// The simulated room's scene, if there is one.
     scene: Option<Scene>,
     problems: Vec<Problem>,
 }
 
-/// Everything that contradicts itself or this machine.
-pub(super) fn problems(config: &Config, text: &str) -> Vec<Problem> {
-    let mut check = Check { config, lines: TomlLines::new(text), scene: None, problems: Vec::new() };
+/// Everything that contradicts itself or this machine; nothing that follows from keys that are `gone`.
+pub(super) fn problems(config: &Config, lines: TomlLines<'_>, gone: &BTreeSet<String>) -> Vec<Problem> {
+    let mut check = Check { config, lines, gone, scene: None, problems: Vec::new() };
     check.own_card();
     check.own_room();
     check.estimator();
@@ -38,6 +42,7 @@ pub(super) fn problems(config: &Config, text: &str) -> Vec<Problem> {
     check.peers();
     check.sounding();
     check.output();
+    check.files_to_write();
     check.network();
     check.open_network();
     check.problems
@@ -47,6 +52,11 @@ impl Check<'_> {
     /// Refuses the value at `place`.
     fn refuse(&mut self, place: &[Step<'_>], reason: impl Into<String>) {
         self.problems.push(Problem { line: self.lines.line(place), reason: reason.into() });
+    }
+
+    /// True if nothing of these could not be read: what is missing then is missing in the file.
+    fn knows(&self, keys: &[&str]) -> bool {
+        !keys.iter().any(|key| self.gone.contains(*key))
     }
 
     fn capture(&self) -> &Capture {

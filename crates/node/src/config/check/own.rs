@@ -8,7 +8,7 @@ use csi5300_sim::toml_lines::Step::{Index, Key};
 impl Check<'_> {
     /// This robot's MAC and log.
     pub(super) fn own_card(&mut self) {
-        if self.config.mac.is_none() && !self.is_room() {
+        if self.config.mac.is_none() && !self.is_room() && self.knows(&["mac"]) {
             let why = "`mac`, the address of this robot's card, is missing: `ip link` shows it, and `csi5300 info` shows the \
                        senders in a log";
             self.refuse(&[Key("capture")], why);
@@ -73,8 +73,8 @@ impl Check<'_> {
     pub(super) fn motion(&mut self) {
         let stands = |odometry: &Odometry| matches!(odometry, Odometry::Static(_));
         let peers = &self.config.peer;
-        if !peers.is_empty() && stands(&self.config.odometry) && peers.iter().all(|peer| stands(&peer.get_ref().poses))
-        {
+        let all_stand = stands(&self.config.odometry) && peers.iter().all(|peer| stands(&peer.get_ref().poses));
+        if !peers.is_empty() && all_stand && self.knows(&["odometry", "peer"]) {
             let why = "no robot here ever moves (`static` poses, also where none are given), and without motion there is no \
                        bearing: give this robot `odometry` or a peer `poses`";
             self.refuse(&[Key("peer"), Index(0)], why);
@@ -119,6 +119,7 @@ impl Check<'_> {
             && config.network.is_none()
             && config.ros.is_none()
             && config.ros2.is_none()
+            && self.knows(&["peer", "log", "network", "ros", "ros2"])
         {
             let why = "no [[peer]], no [log], no [network] and no [ros] or [ros2]: there is nothing to do";
             self.refuse(&[Key("capture")], why);

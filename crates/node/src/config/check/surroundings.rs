@@ -23,7 +23,7 @@ impl Check<'_> {
 
     /// This robot's part in the sounding exchange.
     pub(super) fn sounding(&mut self) {
-        if let Some((key, why)) = self.config.wrong_sounding() {
+        if let Some((key, why)) = self.config.wrong_sounding().filter(|_| self.knows(&["peer"])) {
             self.refuse_in("sounding", key, why);
         }
     }

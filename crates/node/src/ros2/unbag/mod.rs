@@ -112,8 +112,8 @@ struct Writing {
 /// bag of ROS 1, also compressed. Times are those of the headers.
 ///
 /// # Errors
-/// If nothing can be read or written, or a file is there already.
-pub fn unbag(bag: &Path, out: &Path) -> Result<Unbagged, BagError> {
+/// If nothing can be read or written, or a file is there already and not to be replaced.
+pub fn unbag(bag: &Path, out: &Path, replace: bool) -> Result<Unbagged, BagError> {
     let io = |path: &Path| {
         let path = path.to_owned();
         move |source| BagError::Io { path, source }
@@ -123,7 +123,10 @@ pub fn unbag(bag: &Path, out: &Path) -> Result<Unbagged, BagError> {
     let rest = each(bag, |channel, content, bytes| {
         let key = (channel.topic.clone(), channel.kind.clone());
         if !writing.contains_key(&key) {
-            writing.insert(key.clone(), create(out, channel, content.ending())?);
+            let file = file_of(out, channel, content.ending());
+            // Two topics may have one name in plain letters.
+            let replace = replace && writing.values().all(|one| one.told.file != file);
+            writing.insert(key.clone(), create(file, channel, replace)?);
         }
         let Some(one) = writing.get_mut(&key) else { return Ok(()) };
         match bytes {
@@ -145,11 +148,15 @@ pub fn unbag(bag: &Path, out: &Path) -> Result<Unbagged, BagError> {
     Ok(done)
 }
 
-fn create(out: &Path, channel: &Channel, end: &str) -> Result<Writing, BagError> {
+fn file_of(out: &Path, channel: &Channel, end: &str) -> PathBuf {
     let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
     let name: String = channel.topic.trim_start_matches('/').chars().map(plain).collect();
-    let file = out.join(format!("{name}.{end}"));
-    let opened = File::create_new(&file).map_err(|source| match source.kind() {
+    out.join(format!("{name}.{end}"))
+}
+
+fn create(file: PathBuf, channel: &Channel, replace: bool) -> Result<Writing, BagError> {
+    let opened = if replace { File::create(&file) } else { File::create_new(&file) };
+    let opened = opened.map_err(|source| match source.kind() {
         io::ErrorKind::AlreadyExists => BagError::There { path: file.clone() },
         _ => BagError::Io { path: file.clone(), source },
     })?;

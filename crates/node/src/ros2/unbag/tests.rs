@@ -58,7 +58,7 @@ fn a_recording_becomes_a_log_and_a_trajectory() {
         writer.finish().unwrap();
     });
     let out = folder.join("out");
-    let done = unbag(&folder, &out).unwrap();
+    let done = unbag(&folder, &out, false).unwrap();
     let counts: Vec<_> =
         done.topics.iter().map(|topic| (topic.topic.as_str(), topic.messages, topic.unreadable)).collect();
     assert_eq!(counts, [("/n/csi", 3, 1), ("/odom", 1, 0)]);
@@ -73,7 +73,8 @@ fn a_recording_becomes_a_log_and_a_trajectory() {
     assert_eq!(matrix.antenna(1), Some(driver_iface::bfee::Antenna::ALL[2]));
     let path = std::fs::read_to_string(out.join("odom.csv")).unwrap();
     assert!(path.starts_with("12.500000,0,1.500000,"), "{path}");
-    assert!(matches!(unbag(&folder, &out), Err(BagError::There { .. })), "nothing is overwritten");
+    assert!(matches!(unbag(&folder, &out, false), Err(BagError::There { .. })), "nothing is overwritten");
+    unbag(&folder, &out, true).unwrap();
     std::fs::remove_dir_all(&folder).unwrap();
 }
 
@@ -98,7 +99,7 @@ fn a_log_that_was_published_and_recorded_is_the_log_again() {
         }
         writer.finish().unwrap();
     });
-    unbag(&folder, &folder).unwrap();
+    unbag(&folder, &folder, false).unwrap();
     let again = std::fs::read(folder.join("csi.dat")).unwrap();
     assert!(bodies(log).len() > 100 && bodies(log).len() == bodies(&again).len());
     for (before, after) in bodies(log).into_iter().zip(bodies(&again)) {
@@ -126,7 +127,7 @@ fn one_that_is_cut_is_read_up_to_there_and_what_is_none_is_said() {
     let messages = |length: usize| {
         std::fs::write(&file, &bytes[..length]).unwrap();
         let out = folder.join(length.to_string());
-        let done = unbag(&file, &out).unwrap();
+        let done = unbag(&file, &out, false).unwrap();
         assert_eq!(done.cut, std::slice::from_ref(&file));
         done.topics.iter().map(|topic| topic.messages).sum::<u64>()
     };
@@ -134,7 +135,7 @@ fn one_that_is_cut_is_read_up_to_there_and_what_is_none_is_said() {
     assert_eq!(messages(bytes.len() - 100), 1);
     assert_eq!(messages(60), 0);
     std::fs::write(&file, b"PNG").unwrap();
-    assert!(matches!(unbag(&file, &folder.join("x")), Err(BagError::Unknown { .. })));
-    assert!(matches!(unbag(&folder.join("60"), &folder.join("x")), Err(BagError::Empty { .. })));
+    assert!(matches!(unbag(&file, &folder.join("x"), false), Err(BagError::Unknown { .. })));
+    assert!(matches!(unbag(&folder.join("60"), &folder.join("x"), false), Err(BagError::Empty { .. })));
     std::fs::remove_dir_all(&folder).unwrap();
 }

@@ -1,0 +1,115 @@
+use super::*;
+use csi5300::source::{CsiSource, Next, replay::Replay};
+use csi5300::time::Instant;
+use driver_iface::bfee::{Iq, Repr, Wsr};
+use driver_iface::record::{Record, code};
+use std::path::PathBuf;
+
+/// A record: the card's clock, host time (whole microseconds; 0 for none), frame number.
+type Told = (u32, u64, u32);
+
+/// A log of such records, in a file of its own.
+fn log(name: &str, records: &[Told]) -> PathBuf {
+    let mut bytes = Vec::new();
+    for (k, (timestamp_low, host_us, frame_count)) in records.iter().enumerate() {
+        let mac = Mac([2, 0, 0, 0, 0, 1]);
+        let (tv_sec, tv_usec) = ((host_us / 1_000_000) as u32, (host_us % 1_000_000) as u32);
+        let wsr = Some(Wsr { tv_sec, tv_usec, mac, frame_count: *frame_count });
+        let repr =
+            Repr { timestamp_low: *timestamp_low, bfee_count: k as u16, rssi: [38, 30, 31], wsr, ..Repr::default() };
+        let csi = vec![Iq { i: 40, q: 9 }; repr.samples()];
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&csi, &mut body).unwrap();
+        let record = Record { code: code::BFEE, body: &body };
+        let at = bytes.len();
+        bytes.resize(at + record.emit_len(), 0);
+        record.emit(&mut bytes[at..]).unwrap();
+    }
+    let path = std::env::temp_dir().join(format!("csi5300-course-{name}-{}.dat", std::process::id()));
+    std::fs::write(&path, bytes).unwrap();
+    path
+}
+
+/// What `csi5300 info` says of a log.
+fn survey(path: &Path) -> Survey {
+    let (mut source, mut survey) = (Replay::open(path).unwrap(), Survey::default());
+    loop {
+        let next = source.receive(Instant::ZERO).unwrap();
+        survey.note(&next);
+        if matches!(next, Next::End(_)) {
+            return survey;
+        }
+    }
+}
+
+const START_US: u64 = 1_700_000_000_000_000;
+
+/// `info`, `plot` and `view` say the same of a log's times; gives what `plot` does.
+fn agreed(path: &Path) -> Course {
+    let (survey, index) = (survey(path), LogIndex::read(path).unwrap());
+    let course = Course::read(path, &Wanted::default()).unwrap();
+    let stretch = index.stretch(0.0, f64::INFINITY, 100, None);
+    let long_s = survey.elapsed_us(survey.time_base()) as f64 * 1e-6;
+    assert!((course.span_s.1 - course.span_s.0 - long_s).abs() < 1e-9, "{:?} {long_s}", course.span_s);
+    assert_eq!((course.span_s, course.base), (index.span_s(), index.base()));
+    assert_eq!(course.base, survey.time_base());
+    let back = [course.steps_back.len(), stretch.steps_back.len()];
+    assert_eq!(back, [survey.clock_steps.steps_back as usize; 2]);
+    let sender = survey.senders.values().next().unwrap();
+    let sum = |marks: &[(usize, u64)]| marks.iter().map(|mark| mark.1).sum::<u64>();
+    let counted = |count: u64| if sender.counts_up() { count } else { 0 };
+    assert_eq!(
+        [course.skipped.iter().map(|mark| mark.1).sum(), sum(&stretch.skipped)],
+        [counted(sender.frames_skipped); 2]
+    );
+    assert_eq!([course.repeated.len() as u64, sum(&stretch.repeated)], [counted(sender.frames_repeated); 2]);
+    assert_eq!((&course.gaps_s, &course.steps_back), (&stretch.gaps_s, &stretch.steps_back));
+    std::fs::remove_file(path).unwrap();
+    course
+}
+
+#[test]
+fn a_pause_of_an_hour_is_one_wherever_a_log_is_looked_at() {
+    // The card's clock goes on by more than half of its range in the pause: only the host tells that it went forward.
+    let told = |k: u32| {
+        let pause = if k < 50 { 0 } else { 3_553_500_000_u64 };
+        let clock = u64::from(4_000_000_000 + 4_000 * k) + pause;
+        (clock as u32, START_US + 4_000 * u64::from(k) + pause, k)
+    };
+    let course = agreed(&log("pause", &(0..100).map(told).collect::<Vec<_>>()));
+    assert!(course.steps_back.is_empty() && course.gaps_s.len() == 1, "{:?}", course.gaps_s);
+    assert!((course.gaps_s[0].1 - course.gaps_s[0].0 - 3_553.504).abs() < 1e-6, "{:?}", course.gaps_s);
+}
+
+#[test]
+fn a_clock_that_steps_back_is_seen_once_and_takes_no_time() {
+    let told = |k: u32| (1_000_000 + 4_000 * k - if k < 50 { 0 } else { 900_000 }, 0, k);
+    let course = agreed(&log("back", &(0..100).map(told).collect::<Vec<_>>()));
+    assert_eq!(course.steps_back.len(), 1);
+    assert!((course.steps_back[0].1 - 0.896).abs() < 1e-9, "{:?}", course.steps_back);
+}
+
+#[test]
+fn where_the_cards_clock_stands_the_host_tells_the_time_else_there_are_numbers() {
+    // Some programs write 0, others count on by one now and then.
+    let host =
+        agreed(&log("host", &(0..100).map(|k| (k / 10, START_US + 10_000 * u64::from(k), k)).collect::<Vec<_>>()));
+    assert_eq!((host.base, host.columns), (TimeBase::Host, 100));
+    assert!((host.span_s.1 - 0.99).abs() < 1e-9, "{:?}", host.span_s);
+    let number = agreed(&log("number", &(0..29).map(|k| (0, 0, k)).collect::<Vec<_>>()));
+    assert_eq!((number.base, number.span_s, number.columns), (TimeBase::Number, (0.0, 28.0), 29));
+    assert!(number.gaps_s.is_empty());
+    // One column for each record, none empty between them.
+    assert!(number.antennas[0].amplitude_db.iter().all(|db| db.is_finite()), "{:?}", number.antennas[0].line_db);
+}
+
+#[test]
+fn frame_numbers_that_are_skipped_or_come_twice_are_marked_where_they_do() {
+    let number = |k: u32| if k < 20 { k } else { k + 3 } - u32::from(k >= 40);
+    let course = agreed(&log("numbers", &(0..60).map(|k| (1_000 * k, 0, number(k))).collect::<Vec<_>>()));
+    assert_eq!((&course.skipped, &course.repeated), (&vec![(0.02, 3)], &vec![0.04]));
+    // What does not count up is no number.
+    let random = |k: u32| (1_000 * k, 0, k.wrapping_mul(2_654_435_761) ^ 0x5bd1_e995);
+    let course = agreed(&log("random", &(0..60).map(random).collect::<Vec<_>>()));
+    assert!(course.skipped.is_empty() && course.repeated.is_empty());
+}
