@@ -18,8 +18,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let mut reading = Reading::new(Replay::open(Path::new(&log))?, Filter::default());
     reading.read_all(Instant::ZERO, || true)?;
     let (arena, columns) = reading.take();
-    let streams = columns.n_tx.iter().copied().max().unwrap_or(1);
-    let rows = Rows::new(&columns.antennas(), usize::from(streams));
+    let widest = columns.widest();
+    let rows = Rows::new(&widest.antennas(), widest.streams());
     // Memory in large pages, as NumPy asks for it.
     let mut memory = memmap2::MmapMut::map_anon((arena.len() * rows.len() * size_of::<Complex32>()).max(1))?;
     memory.advise(memmap2::Advice::HugePage)?;
