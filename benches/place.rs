@@ -58,7 +58,9 @@ fn main() {
     let mut aligned = raw.clone();
     align(&mut aligned, &INDICES_20_MHZ, Tier::detect());
     remove_common_slope(&mut aligned, &INDICES_20_MHZ, Tier::detect());
-    let roots = one_way(&aligned, Tier::detect()).rows;
+    let steps_m = path[STANDING..].windows(2).map(|pair| (pair[1] - pair[0]).norm());
+    let spacing = steps_m.sum::<f64>() / MOVING as f64 / WAVELENGTH_M;
+    let roots = one_way(&aligned, spacing, Tier::detect()).rows;
     let round = Aperture::gather(&path[STANDING..], &aligned[STANDING..], 2, WAVELENGTH_M);
     let once = Aperture::gather(&path[STANDING..], &roots[STANDING..], 1, WAVELENGTH_M);
     let view = |windows, taper, subcarriers| View::new(windows, taper, Band::Subcarriers(subcarriers));
@@ -80,7 +82,7 @@ fn main() {
             remove_common_slope(&mut own, &INDICES_20_MHZ, tier);
         });
         row(&name, "alignment, 1,550 packets", alignment, None);
-        let root = quickest(300.0, || drop(one_way(&aligned, tier)));
+        let root = quickest(300.0, || drop(one_way(&aligned, spacing, tier)));
         row(&name, "one-way channel", root, None);
         let limits = Limits::new(20f64.to_radians(), 1.8).with_tier(tier);
         let mut evaluations = 0;

@@ -96,7 +96,13 @@ fn curves(out: &Path, format: &Format) -> Result<(), Error> {
 /// All robots of a place.
 fn robots(out: &Path, format: &Format) -> Result<(), Error> {
     let truth = vec![("robot A".into(), [3.0, 2.0]), ("robot B".into(), [-2.0, 2.5]), ("robot C".into(), [2.0, -2.0])];
-    let ray = |azimuth_rad, label: &str, class| Ray { origin_m: [0.0; 2], azimuth_rad, label: label.into(), class };
+    let ray = |azimuth_rad, label: &str, class| Ray {
+        origin_m: [0.0; 2],
+        azimuth_rad,
+        sd_rad: None,
+        label: label.into(),
+        class,
+    };
     let rays = vec![
         ray(0.55, "A", RayClass::Measured),
         ray(2.2, "B", RayClass::Measured),

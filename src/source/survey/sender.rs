@@ -6,8 +6,8 @@ use crate::maths::upper_median_ord;
 
 /// Counts of frame numbers distinguished for each sender, and how far numbers of one count are from each other at most:
 /// initiators begin further apart (`exchange::pairing::numbering`).
-const COUNTS_KEPT: usize = 16;
-const SAME_COUNT: u32 = 1 << 22;
+pub(super) const COUNTS_KEPT: usize = 16;
+pub(super) const SAME_COUNT: u32 = 1 << 22;
 /// Inter-packet times kept for the median.
 const STEPS_KEPT: usize = 4_096;
 

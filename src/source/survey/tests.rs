@@ -1,4 +1,5 @@
 use super::bounds::SENDERS_KEPT;
+use super::sender::{COUNTS_KEPT, SAME_COUNT};
 use super::*;
 use crate::source::Refused;
 use driver_iface::bfee::{Iq, Repr, Wsr};
@@ -93,6 +94,24 @@ fn a_clock_that_pauses_or_steps_back_is_seen_and_the_rate_is_that_of_the_whole_l
     assert_eq!(sender.rate_hz(), Some(100.0));
     let mean = sender.mean_rate_hz().unwrap();
     assert!((mean - 209.0 / 11.08).abs() < 1e-9, "{mean}");
+}
+
+#[test]
+fn a_sender_whose_clock_stands_has_the_rate_of_the_hosts_times_or_none() {
+    let sender = |host_us: fn(u32) -> Option<i64>| {
+        let mut sender = Sender::default();
+        (0..101).for_each(|k| sender.note(None, k / 50, host_us(k)));
+        sender
+    };
+    let by_host = sender(|k| Some(1_700_000_000_000_000 + 10_000 * i64::from(k)));
+    assert_eq!((by_host.mean_rate_hz(), by_host.rate_hz()), (Some(100.0), None));
+    assert_eq!(sender(|_| None).mean_rate_hz(), None);
+    // A pause in which the card's clock goes on by more than half of its range is one of a sender, too.
+    let mut paused = Sender::default();
+    for (card_us, host_us) in [(0, 0), (3_553_500_000_u32, 3_553_500_000)] {
+        paused.note(None, card_us, Some(host_us));
+    }
+    assert_eq!((paused.clock_steps.pauses, paused.clock_steps.steps_back), (1, 0));
 }
 
 #[test]
@@ -274,10 +293,10 @@ fn the_rate_is_that_of_the_first_4096_steps() {
     // As many of 20 ms as of 10 ms, the upper median of which is 20 ms; one more of 10 ms comes too late.
     let steps = [vec![10_000; 2_048], vec![20_000; 2_048], vec![10_000]].concat();
     let (mut sender, mut at) = (Sender::default(), 0);
-    sender.note(None, at);
+    sender.note(None, at, None);
     for step in steps {
         at += step;
-        sender.note(None, at);
+        sender.note(None, at, None);
     }
     assert_eq!(sender.rate_hz(), Some(50.0));
 }
@@ -340,7 +359,7 @@ fn a_pause_longer_than_the_cards_clock_is_seen_by_the_hosts() {
 fn there_is_no_rate_without_a_step_forward() {
     let rate = |clocks: &[u32]| {
         let mut sender = Sender::default();
-        clocks.iter().for_each(|clock| sender.note(None, *clock));
+        clocks.iter().for_each(|clock| sender.note(None, *clock, None));
         (sender.rate_hz(), sender.mean_rate_hz())
     };
     assert_eq!([rate(&[]), rate(&[5]), rate(&[5, 5])], [(None, None); 3]);

@@ -72,17 +72,31 @@ fn on_the_bus(card: Option<&Card>) -> Check {
     }
 }
 
+/// True if a patched driver is published for a kernel of this release.
+fn has_patch(release: &str) -> bool {
+    let is_of =
+        |tree: &&str| release.strip_prefix(*tree).is_some_and(|rest| !rest.starts_with(|c: char| c.is_ascii_digit()));
+    KERNELS.iter().any(is_of)
+}
+
+/// True where no patched driver is to be had for this kernel, and another way is a step off.
+pub(super) fn leads_elsewhere(system: &dyn System, ways: &Ways) -> bool {
+    let release = system.text("/proc/sys/kernel/osrelease").unwrap_or_default();
+    ways.leads_past_patch() && !has_patch(&release)
+}
+
 fn kernel(system: &dyn System, ways: &Ways) -> Check {
     let expected = format!("one with a published CSI driver: {}", KERNELS.join(", "));
     let Some(release) = system.text("/proc/sys/kernel/osrelease") else {
         return Check::unknown("kernel", "no /proc/sys/kernel/osrelease", expected);
     };
-    let of =
-        |tree: &str| release.strip_prefix(tree).is_some_and(|rest| !rest.starts_with(|c: char| c.is_ascii_digit()));
-    if KERNELS.iter().any(|tree| of(tree)) {
+    if has_patch(&release) {
         Check::good("kernel", release, expected)
     } else if ways.without_patch() {
         Check::good("kernel", format!("{release}: no patched driver is known for it, and none is needed"), expected)
+    } else if ways.leads_past_patch() {
+        let found = format!("{release}: no patched driver is known for it, `way to CSI` has the step to another way");
+        Check::good("kernel", found, expected)
     } else {
         Check::doubt("kernel", format!("{release}: no CSI driver is known for it"), expected)
             .mend("install Ubuntu 18.04 with kernel 4.15 and hold it: `sudo apt-mark hold linux-image-$(uname -r)`")
@@ -121,6 +135,9 @@ fn patched(system: &dyn System, ways: &Ways) -> Check {
     }
     if ways.without_patch() {
         return Check::good("patched module", "not there, and not needed: see `way to CSI`", expected);
+    }
+    if leads_elsewhere(system, ways) {
+        return Check::unknown("patched module", "not there: this kernel has none, see `way to CSI`", expected);
     }
     let mend = "build and install the CSI driver (firmware-notes/install-up-squared.md), then `sudo modprobe -r iwldvm \
                 iwlwifi && sudo modprobe iwlwifi connector_log=0x1`";

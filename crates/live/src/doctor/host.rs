@@ -1,5 +1,6 @@
 //! The host: connector, privileges, namespace, buffers, clock.
 
+use super::card;
 use super::ways::Ways;
 use super::{Check, System};
 use driver_iface::connector::{CN_IDX, registered_idx};
@@ -42,6 +43,9 @@ fn connector(system: &dyn System, ways: &Ways) -> Check {
             .mend("use a newer CSI driver (4.15)"),
         None if ways.without_patch() => {
             Check::unknown(name, "`iwlagn` is not registered; `record --stock` needs no connector", expected)
+        }
+        None if card::leads_elsewhere(system, ways) => {
+            Check::unknown(name, "`iwlagn` is not registered: `way to CSI` says which driver to have", expected)
         }
         None => Check::bad(name, "`iwlagn` is not registered: no CSI driver is running", expected)
             .mend("sudo modprobe iwlwifi connector_log=0x1"),

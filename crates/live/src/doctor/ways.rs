@@ -51,6 +51,12 @@ impl Ways {
             && [&self.module, &self.ebpf].iter().any(|way| matches!(way, Way::Taken(_) | Way::Open(_)))
     }
 
+    /// True where one of the other ways can be gone after a step at most.
+    pub(super) fn leads_past_patch(&self) -> bool {
+        !matches!(self.patched, Way::Taken(_))
+            && [&self.module, &self.ebpf].iter().any(|way| !matches!(way, Way::Closed(_)))
+    }
+
     pub(super) fn check(&self) -> Check {
         let expected = "the patched driver, the module csi5300, or Linux 5.8 and later for `record --stock`";
         let all = [("patched driver", &self.patched), ("module", &self.module), ("eBPF", &self.ebpf)];
