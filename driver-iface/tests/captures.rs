@@ -1,30 +1,15 @@
 //! Real captures, where they are at hand: every record read, every intact record found again after damage.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
-use std::io::Write;
+#[path = "../../tests/common/mod.rs"]
+mod shared;
+
+use shared::captures;
 use std::path::{Path, PathBuf};
 
 use driver_iface::bfee::{Bfee, Iq, Layout, MAX_SAMPLES};
 use driver_iface::mpdu::Mpdu;
 use driver_iface::record::{Step, Tail, code, events};
-
-/// The folder of captures, or a word on why the test says nothing.
-fn captures() -> Option<PathBuf> {
-    let beside = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/captures");
-    let folder = std::env::var_os("CSI5300_CAPTURES").map_or(beside, PathBuf::from);
-    if !folder.is_dir() {
-        let test = std::thread::current().name().unwrap_or("a test").to_owned();
-        let line =
-            format!("skipped: {test}: no captures at {} (CSI5300_CAPTURES names another folder)\n", folder.display());
-        let _ = std::io::stderr().write_all(line.as_bytes());
-        if let Some(list) = std::env::var_os("CSI5300_SKIPS") {
-            let file = std::fs::OpenOptions::new().create(true).append(true).open(list);
-            file.and_then(|mut file| file.write_all(line.as_bytes())).unwrap();
-        }
-        return None;
-    }
-    Some(folder)
-}
 
 fn logs_below(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();

@@ -6,15 +6,24 @@ pub mod link;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-/// Says that the running test does not run whole here, and why: on standard error past the harness, which hides what passed, and as a line of the file that
-/// `CSI5300_SKIPS` names, where `.ci/run` collects them.
+/// Says that the running test does not run whole here, and why: on standard error past the harness, which hides what passed; as a line of [`skips`], of which
+/// the last binary of `cargo test` makes a summary; and of the file that `CSI5300_SKIPS` names, where `.ci/run` collects them.
 pub fn skipped(why: &str) {
     let line = format!("skipped: {}: {why}\n", std::thread::current().name().unwrap_or("a test"));
     let _ = std::io::stderr().write_all(line.as_bytes());
+    let append = |list: &Path| {
+        let file = std::fs::OpenOptions::new().create(true).append(true).open(list);
+        file.and_then(|mut file| file.write_all(line.as_bytes()))
+    };
+    let _ = append(&skips());
     if let Some(list) = std::env::var_os("CSI5300_SKIPS") {
-        let file = std::fs::OpenOptions::new().create(true).append(true).open(&list);
-        file.and_then(|mut file| file.write_all(line.as_bytes())).unwrap();
+        append(Path::new(&list)).unwrap();
     }
+}
+
+/// Where what was skipped is collected: the binaries of one run of `cargo test` are children of one process.
+pub fn skips() -> PathBuf {
+    std::env::temp_dir().join(format!("csi5300-skipped-{}", std::os::unix::process::parent_id()))
 }
 
 /// The folder of the workspace.

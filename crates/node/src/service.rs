@@ -17,6 +17,7 @@ use csi5300::source::side_path;
 use csi5300::time::{Instant, Span};
 use csi5300_live::sys::watch_fd;
 use csi5300_live::wait::{Monotonic, is_ignored, processor_s, wall_us};
+use driver_iface::side_file::Layout;
 use sd_notify::NotifyState;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -326,7 +327,8 @@ async fn readable(wake: Option<&AsyncFd<std::os::fd::OwnedFd>>) -> Result<(), Er
 fn logged(card: Card, log: Option<&Log>) -> Result<Capture, Error> {
     let Some(log) = log else { return Ok(Capture::Plain(card)) };
     let rotation = Rotation { bytes: log.rotate_mib.map(|mib| mib.saturating_mul(1 << 20)), every: None };
-    let files = LogFiles::create(&free_name(&log.file, rotation), rotation, false)?;
+    let layout = if log.checksums { Layout::Checked } else { Layout::Narrow };
+    let files = LogFiles::create(&free_name(&log.file, rotation), rotation, false)?.with_side_layout(layout);
     Ok(Capture::Logged(Box::new(Recorder::new(card, files, RecorderOptions::default())?)))
 }
 

@@ -400,6 +400,9 @@ fn describe(answer: &Answer) -> String {
 /// A second candidate for which this share as much speaks as for the first is said beside it.
 const ALIKE: f64 = 0.9;
 
+/// Numbers that come twice are said where they are one in so many frames: senders repeat some, a few in a thousand.
+const MANY_TWICE: f64 = 10.0;
+
 /// What became of the pairs and of each log's frames.
 fn pairs(answer: &Answer) -> String {
     let counts = answer.pair_counts;
@@ -445,6 +448,13 @@ fn pairs(answer: &Answer) -> String {
             );
         }
         text.push('\n');
+        if MANY_TWICE * side.duplicates as f64 > side.handed as f64 {
+            let _ = writeln!(
+                text,
+                "  {} of the {name} log have the number of one before: the first of each is used, whoever sent the other",
+                some(side.duplicates, "frame", "frames")
+            );
+        }
     }
     text
 }

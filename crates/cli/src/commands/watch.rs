@@ -48,7 +48,7 @@ pub fn run(args: &Args) -> Result {
                 Ok(Outcome::Done)
             }
             Some(Err(error)) => Err(error.to_string()),
-            None => Err("the node ended before it said anything".into()),
+            None => Err("the node ended before it said anything, or 16 others are looking at it already".into()),
         };
     }
     let (told, from_node) = channel();

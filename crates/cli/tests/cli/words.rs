@@ -242,3 +242,19 @@ fn help_names_no_option_that_a_command_has_not() {
         assert!(!out.contains("--folds"), "{command}: {out}");
     }
 }
+
+/// A sender repeats some of its frames; many numbers that come twice may be somebody else's answers.
+#[test]
+fn numbers_that_come_twice_are_said_where_they_are_many() {
+    let folder = Folder::new("twice");
+    let made = link(400, 1.0);
+    folder.link(&made);
+    let said = |every: usize| {
+        let twice = |(at, record): (usize, &Vec<u8>)| record.repeat(1 + usize::from(at % every == 0));
+        folder.write("rx.dat", &made.rx.iter().enumerate().flat_map(twice).collect::<Vec<u8>>());
+        folder.bearing(&[]).1
+    };
+    let words = "100 frames of the receiver's log have the number of one before";
+    assert!(said(4).contains(words), "{}", said(4));
+    assert!(!said(20).contains("number of one before") && said(20).contains("20 duplicates"), "{}", said(20));
+}

@@ -111,7 +111,7 @@ impl Config {
             let reason = format!("cannot be read: {error}");
             ConfigError(vec![Problem { line: None, reason }])
         })?;
-        Self::read(&text, file.parent().unwrap_or(Path::new("")))
+        Self::read_from(&text, file.parent().unwrap_or(Path::new("")), Some(file))
     }
 
     /// Reads and checks a text; paths in it are relative to `folder`.
@@ -119,6 +119,10 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] with every problem found.
     pub fn read(text: &str, folder: &Path) -> Result<Self, ConfigError> {
+        Self::read_from(text, folder, None)
+    }
+
+    fn read_from(text: &str, folder: &Path, own_file: Option<&Path>) -> Result<Self, ConfigError> {
         let Reading { config, table, mut problems, gone } = Reading::of(text);
         let Some(mut config) = config else { return Err(ConfigError(problems)) };
         config.resolve(folder);
@@ -126,7 +130,7 @@ impl Config {
         if !gone.contains("capture") {
             let lines = TomlLines::of_table(text, table);
             let read: Vec<Option<usize>> = problems.iter().map(|problem| problem.line).collect();
-            let further = check::problems(&config, lines, &gone);
+            let further = check::problems(&config, own_file, lines, &gone);
             problems.extend(further.into_iter().filter(|problem| !read.contains(&problem.line)));
         }
         problems.sort_by_key(|problem| problem.line);

@@ -8,9 +8,12 @@ use std::path::PathBuf;
 pub struct Log {
     /// The file, `.dat`; later starts get a number behind its name.
     pub file: PathBuf,
-    /// Go on in a new file before this size, MiB.
+    /// Go on in a new file before this size, MiB; more than 0.
     #[serde(default)]
     pub rotate_mib: Option<u64>,
+    /// With a checksum of each record in the side file.
+    #[serde(default)]
+    pub checksums: bool,
 }
 
 /// What is published where.

@@ -1,6 +1,7 @@
-//! Files that a robot writes: their folders are there, and may be written to.
+//! Files that a robot writes: their folders are there and may be written to, and none is another one.
 
 use super::Check;
+use csi5300::source::side_path;
 use csi5300_sim::toml_lines::Step::Key;
 use nix::unistd::{AccessFlags, access};
 use std::path::Path;
@@ -20,12 +21,37 @@ impl Check<'_> {
             (["output", "status_socket"], output.status_socket.as_deref()),
             (["ros2", "bag"], bag),
         ];
+        let mut before: Vec<(&str, &Path)> = Vec::new();
         for (place, file) in files {
-            if let Some(why) = file.and_then(unwritable) {
+            let Some(file) = file else { continue };
+            let twice = before.iter().find(|(_, other)| is_one(other, file)).map(|(name, _)| {
+                format!("{} is what `{name}` writes, too: they would destroy each other", file.display())
+            });
+            let itself = self.own_file.is_some_and(|own| is_one(own, file));
+            let itself = itself.then(|| format!("{} is this configuration", file.display()));
+            if let Some(why) = unwritable(file).or(twice).or(itself) {
                 self.refuse(&place.map(Key), why);
             }
+            before.push((place[1], file));
+        }
+        let Some(log) = &config.log else { return };
+        if log.file.exists() && !log.file.is_file() && !log.file.is_dir() {
+            self.refuse(&[Key("log"), Key("file")], format!("{} is no regular file", log.file.display()));
+        }
+        if log.rotate_mib == Some(0) {
+            self.refuse(&[Key("log"), Key("rotate_mib")], "rotate_mib is 0: every record would have a file of its own");
         }
     }
+}
+
+/// True for two names of one file, or of one that is not there yet; the side file of a log is its own.
+fn is_one(a: &Path, b: &Path) -> bool {
+    let place = |file: &Path| {
+        let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
+        let there = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+        file.canonicalize().unwrap_or_else(|_| there.join(file.file_name().unwrap_or_default()))
+    };
+    place(a) == place(b) || place(&side_path(a)) == place(b)
 }
 
 /// Why a file cannot be written, as far as that is seen without writing it.

@@ -14,10 +14,13 @@ use csi5300_sim::Scene;
 use csi5300_sim::toml_lines::Step::{Index, Key};
 use csi5300_sim::toml_lines::{Step, TomlLines};
 use std::collections::BTreeSet;
+use std::path::Path;
 
 /// A configuration that is being checked.
 struct Check<'a> {
     config: &'a Config,
+    /// The file that it was read from, if it was one.
+    own_file: Option<&'a Path>,
     lines: TomlLines<'a>,
     /// Keys of the file's own table of which something could not be read, and is refused already.
     gone: &'a BTreeSet<String>,
@@ -27,8 +30,13 @@ struct Check<'a> {
 }
 
 /// Everything that contradicts itself or this machine; nothing that follows from keys that are `gone`.
-pub(super) fn problems(config: &Config, lines: TomlLines<'_>, gone: &BTreeSet<String>) -> Vec<Problem> {
-    let mut check = Check { config, lines, gone, scene: None, problems: Vec::new() };
+pub(super) fn problems(
+    config: &Config,
+    own_file: Option<&Path>,
+    lines: TomlLines<'_>,
+    gone: &BTreeSet<String>,
+) -> Vec<Problem> {
+    let mut check = Check { config, own_file, lines, gone, scene: None, problems: Vec::new() };
     check.own_card();
     check.own_room();
     check.estimator();

@@ -224,6 +224,31 @@ fn output_and_network() {
     refused(&network("zenoh = \"no.json5\""), "no.json5", "no such file");
 }
 
+#[test]
+fn what_a_robot_writes_is_in_files_of_their_own() {
+    let folder = std::env::temp_dir().join(format!("csi5300-written-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let name = |file: &str| folder.join(file).display().to_string();
+    let with = |log: &str, bearings: &str, socket: &str| {
+        CARD.replace("x.dat", &name(log))
+            + &format!("[output]\nbearings = '{}'\nstatus_socket = '{}'\n", name(bearings), name(socket))
+    };
+    assert_eq!(refusals(&with("a.dat", "b", "c")), Vec::<String>::new());
+    refused(&with("a.dat", "./a.dat", "c"), "bearings", "is what `file` writes");
+    refused(&with("a.dat", "a.datstp", "c"), "bearings", "is what `file` writes");
+    refused(&with("a.dat", "b", "a.dat"), "status_socket", "is what `file` writes");
+    refused(&with("a.dat", "b", "b"), "status_socket", "is what `bearings` writes");
+    refused(&CARD.replace("x.dat", "/dev/full"), "/dev/full", "no regular file");
+    refused(&format!("{CARD}rotate_mib = 0\n"), "rotate_mib", "a file of its own");
+    // Its own file, by another name.
+    let own = folder.join("robot.toml");
+    std::fs::write(&own, with("a.dat", "robot.toml", "c")).unwrap();
+    std::os::unix::fs::symlink(&own, folder.join("link.toml")).unwrap();
+    let said = Config::load(&folder.join("link.toml")).unwrap_err().to_string();
+    assert!(said.contains("is this configuration"), "{said}");
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
 #[cfg(feature = "zenoh")]
 #[test]
 fn certificates_of_peers() {
