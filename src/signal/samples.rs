@@ -108,6 +108,7 @@ impl Samples {
     ///
     /// # Errors
     /// As [`Samples::push`], and [`SamplesError::Weight`] for a weight below 0; the set is then unchanged.
+    #[doc(hidden)] // for the crates of this workspace
     pub fn push_weighted(
         &mut self,
         t_s: f64,
@@ -192,7 +193,7 @@ impl Samples {
 
     /// Median distance from one sample's place to the next's, metres; 0 of fewer than two.
     #[must_use]
-    pub fn spacing_m(&self) -> f64 {
+    pub(crate) fn spacing_m(&self) -> f64 {
         let places: Vec<Vector3<f64>> = self.displacements_m().collect();
         let mut steps: Vec<f64> = places.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
         let middle = steps.len() / 2;
@@ -210,6 +211,7 @@ impl Samples {
 
     /// Weight of each sample, at least 0; 1 for an ordinary one.
     #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
     pub fn weight(&self) -> &[f64] {
         &self.weight
     }

@@ -16,7 +16,9 @@ mod senders;
 mod tally;
 
 use clocks::CardClock;
-pub use clocks::{ClockSteps, HostSteps, TimeBase};
+#[doc(hidden)]
+pub use clocks::TimeBase;
+pub use clocks::{ClockSteps, HostSteps};
 #[doc(hidden)]
 pub use fields::Fields;
 pub use sender::Sender;
@@ -332,6 +334,7 @@ impl Survey {
 
     /// What says when the records came. It may be another one as long as there are few.
     #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
     pub fn time_base(&self) -> TimeBase {
         TimeBase::of(self.bfees().saturating_sub(1), self.clock_steps.forward_us, self.clock.host_forward_us)
     }
@@ -339,6 +342,7 @@ impl Survey {
     /// Time from the first record to the last so far, microseconds; steps back of the clock count as none. Where there is no
     /// clock it is the number of the last record, from 0, in millions.
     #[must_use]
+    #[doc(hidden)] // for the crates of this workspace
     pub fn elapsed_us(&self, base: TimeBase) -> i64 {
         match base {
             TimeBase::Card => self.clock_steps.forward_us,
