@@ -57,7 +57,9 @@ impl Canvas {
         let mut scene = Scene::new(width, height);
         scene.font_family = Some("DejaVu Sans, Verdana, sans-serif".into());
         let mut canvas = Self(scene);
-        canvas.text((width / 2.0, 42.0), title, 28, TextAnchor::Middle, BLACK);
+        // A letter is 0.6 of its size wide.
+        let size = (width - 20.0) / (0.6 * title.chars().count().max(1) as f64);
+        canvas.text((width / 2.0, 42.0), title, size.clamp(14.0, 28.0) as u32, TextAnchor::Middle, BLACK);
         canvas
     }
 

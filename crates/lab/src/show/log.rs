@@ -64,18 +64,18 @@ impl LogPictures<'_> {
         })
     }
 
-    /// The frames of `n` panels below each other, with `below` pixels left under them.
-    fn panels(&self, n: usize, below: f64) -> Vec<[f64; 4]> {
+    /// The frames of `n` panels below each other, from `top` on, with `below` pixels left under them.
+    fn panels(&self, n: usize, top: f64, below: f64) -> Vec<[f64; 4]> {
         let (width, height) = self.size;
-        let each = ((height - TOP - BOTTOM - below - GAP * (n as f64 - 1.0)) / n as f64).max(30.0);
-        (0..n).map(|k| [LEFT, TOP + k as f64 * (each + GAP), width - LEFT - RIGHT, each]).collect()
+        let each = ((height - top - BOTTOM - below - GAP * (n as f64 - 1.0)) / n as f64).max(30.0);
+        (0..n).map(|k| [LEFT, top + k as f64 * (each + GAP), width - LEFT - RIGHT, each]).collect()
     }
 
     fn csi(&self) -> Canvas {
         let (width, height) = self.size;
         let mut canvas = Canvas::sized(width, height, &format!("{}: CSI, first stream", self.title));
         let antennas = &self.course.antennas;
-        let panels = self.panels(2 * antennas.len(), 0.0);
+        let panels = self.panels(2 * antennas.len(), TOP, 0.0);
         for (k, antenna) in antennas.iter().enumerate() {
             let last = k + 1 == antennas.len();
             let name = format!("antenna {}: amplitude by subcarrier (dB, 0 is the card's step)", antenna.antenna);
@@ -168,12 +168,12 @@ impl LogPictures<'_> {
         if !course.gaps_s.is_empty() {
             keys.push((Key::Area, ORANGE, crate::words::count(course.gaps_s.len() as u64, "gap", "gaps")));
         }
-        canvas.legend(58.0, &keys);
+        let top = TOP.max(58.0 + canvas.legend(58.0, &keys) + 50.0);
         let events = events::of(course);
         let below = events::height(&events);
-        let panels = self.panels(3, below);
+        let panels = self.panels(3, top, below);
         let amplitude: Vec<_> = course.antennas.iter().map(|antenna| (of(antenna), &antenna.line_db)).collect();
-        let words = "mean amplitude over the subcarriers (dB, 0 is the card's step)";
+        let words = "mean amplitude (dB, 0 is the card's step)";
         self.lines(&mut canvas, panels[0], &amplitude, words);
         let antennas = (0..3).filter(|k| course.antennas.iter().any(|a| a.antenna as usize == *k));
         let mut levels: Vec<_> = antennas.map(|k| (series_colour(k), &course.rssi[k])).collect();
