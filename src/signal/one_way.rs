@@ -60,12 +60,18 @@ pub(crate) fn is_dense_enough(spacing_wavelengths: f64) -> bool {
 
 /// [`one_way`] in place.
 pub(crate) fn take_roots(rows: &mut [Planes], spacing_wavelengths: f64, tier: Tier) -> Signs {
-    on_tier!(tier.level_or_portable(), simd => roots_of(simd, rows, spacing_wavelengths > TUNING.one_way.sparse_wavelengths))
+    on_tier!(tier.level_or_portable(), simd => roots_of(simd, rows, turn_reach(spacing_wavelengths)))
+}
+
+/// Steps on either side over which the turn of packets so far apart is averaged; `None` where it is not taken out.
+fn turn_reach(spacing_wavelengths: f64) -> Option<usize> {
+    let reach = TUNING.one_way.turn_reach_wavelengths / spacing_wavelengths;
+    (spacing_wavelengths > TUNING.one_way.sparse_wavelengths).then_some(reach.round() as usize)
 }
 
 #[inline(always)]
-fn roots_of<S: Simd>(_simd: S, roots: &mut [Planes], are_sparse: bool) -> Signs {
-    let turned_rad = if are_sparse { turns_rad(roots) } else { Vec::new() };
+fn roots_of<S: Simd>(_simd: S, roots: &mut [Planes], turn_reach: Option<usize>) -> Signs {
+    let turned_rad = turn_reach.map_or_else(Vec::new, |reach| turns_rad(roots, reach));
     roots.iter_mut().zip(&turned_rad).for_each(|(row, turned)| row.turn(-2.0 * turned));
     roots.iter_mut().for_each(root);
     track(roots);
@@ -95,12 +101,11 @@ fn roots_of<S: Simd>(_simd: S, roots: &mut [Planes], are_sparse: bool) -> Signs 
 }
 
 /// How far motion has turned the one-way channel at each row since the first, radians: half of what the round trips have turned
-/// from row to row, averaged over the rows about it. (Averaged over few it would follow a channel through its fades, whose turn is
-/// the sign that is looked for.)
+/// from row to row, averaged over so many steps on either side. (Averaged over few it would follow a channel through its fades,
+/// whose turn is the sign that is looked for, and noise.)
 #[inline(always)]
-fn turns_rad(rows: &[Planes]) -> Vec<f64> {
+fn turns_rad(rows: &[Planes], reach: usize) -> Vec<f64> {
     let steps: Vec<Complex32> = rows.windows(2).map(|pair| pair[1].against(&pair[0]).sum()).collect();
-    let reach = TUNING.one_way.turn_reach;
     let mut turned = vec![0.0; rows.len()];
     let mut total = 0.0;
     for (step, turned) in turned.iter_mut().skip(1).enumerate() {
