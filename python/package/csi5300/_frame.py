@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,30 @@ class Loss:
     """Bytes skipped."""
     reason: str
     """Why."""
+
+
+class Lost(ABC):
+    """What was lost of a log, from what was counted."""
+
+    @abstractmethod
+    def _counted(self) -> dict[str, Any]:
+        """What ``info`` has."""
+
+    @property
+    def losses(self) -> list[Loss]:
+        """The first 16 stretches of the log without an intact record; all are counted in ``info``."""
+        return [Loss(**loss) for loss in self._counted()["survey"]["losses"]]
+
+    @property
+    def lost_something(self) -> bool:
+        """True if anything before the log's end was damaged or dropped."""
+        return bool(self._counted()["lost_something"])
+
+    @property
+    def tail(self) -> dict[str, int | None] | None:
+        """Where the log was cut in the middle of a record: ``offset``, ``bytes``, ``expected``; None if it was not."""
+        tail: dict[str, int | None] | None = self._counted()["tail"]
+        return tail
 
 
 # Compared by identity: arrays are not equal or unequal as a whole.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from . import _native, _options
 from ._errors import OptionError
-from ._frame import Frame, Loss
+from ._frame import Frame, Lost
 
 if TYPE_CHECKING:
     import pandas
@@ -71,7 +71,7 @@ def _places(index: Any) -> int | NDArray[Any]:
     return places
 
 
-class Log:
+class Log(Lost):
     """Frames of a log: a NumPy array for each field, all of length ``n``.
 
     ``log[3]`` is a :class:`Frame`; ``log[10:20]``, ``log[mask]`` and ``log[indices]`` are logs that share its memory. CSI is held
@@ -301,23 +301,8 @@ class Log:
         """(n,) Received power over all antennas, dBm; not a number where all RSSI are 0."""
         return self._records.total_rss_dbm(self._rows)
 
-    # What was lost.
-
-    @property
-    def losses(self) -> list[Loss]:
-        """The first 16 stretches of the log without an intact record; all are counted in :attr:`info`."""
-        return [Loss(**loss) for loss in self.info["survey"]["losses"]]
-
-    @property
-    def lost_something(self) -> bool:
-        """True if anything before the log's end was damaged or dropped."""
-        return bool(self.info["lost_something"])
-
-    @property
-    def tail(self) -> dict[str, int | None] | None:
-        """Where the log was cut in the middle of a record: ``offset``, ``bytes``, ``expected``; None if it was not."""
-        tail: dict[str, int | None] | None = self.info["tail"]
-        return tail
+    def _counted(self) -> dict[str, Any]:
+        return self.info
 
     @property
     def nbytes(self) -> int:

@@ -8,14 +8,14 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from . import _native, _options
-from ._frame import Loss
+from ._frame import Lost
 from ._log import File, Log, _file
 
 WIDEST = ("ABC", 3)
 """Rows and columns that every frame of the card fits in."""
 
 
-class Scan(Iterator[Log]):
+class Scan(Lost, Iterator[Log]):
     """The pieces of a log, one after the other: what :func:`scan` gives.
 
     :attr:`info`, :attr:`losses`, :attr:`lost_something` and :attr:`tail` are those of the log up to where it was read, so of all of
@@ -49,21 +49,8 @@ class Scan(Iterator[Log]):
         info: dict[str, Any] = json.loads(self._scanner.info())
         return info
 
-    @property
-    def losses(self) -> list[Loss]:
-        """The first 16 stretches without an intact record; all are counted in :attr:`info`."""
-        return [Loss(**loss) for loss in self.info["survey"]["losses"]]
-
-    @property
-    def lost_something(self) -> bool:
-        """True if anything before the log's end was damaged or dropped."""
-        return bool(self.info["lost_something"])
-
-    @property
-    def tail(self) -> dict[str, int | None] | None:
-        """Where the log was cut in the middle of a record, as :attr:`Log.tail` has it; None if it was not, or not yet."""
-        tail: dict[str, int | None] | None = self.info["tail"]
-        return tail
+    def _counted(self) -> dict[str, Any]:
+        return self.info
 
 
 def scan(

@@ -1,5 +1,6 @@
 //! `csi5300 bearing`.
 
+mod pairs;
 mod quality;
 mod stretches;
 
@@ -8,7 +9,7 @@ use super::args::{Estimation, channel, mac};
 use super::files::Log;
 use super::inputs::{BagArgs, Inputs, order_unknown};
 use super::mounting::Mounting;
-use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, some, usage};
+use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, usage};
 use csi5300::bartlett::Grid;
 use csi5300::pipeline::LinkError;
 use csi5300::pipeline::LinkPlan;
@@ -393,68 +394,9 @@ fn describe(answer: &Answer) -> String {
         let _ = writeln!(text, "  in the robot's frame: {body:.2} deg (heading at the last sample)");
     }
     text += &quality(answer);
-    text += &pairs(answer);
+    text += &pairs::pairs(answer);
     text
 }
 
 /// A second candidate for which this share as much speaks as for the first is said beside it.
 const ALIKE: f64 = 0.9;
-
-/// Numbers that come twice are said where they are one in so many frames: senders repeat some, a few in a thousand.
-const MANY_TWICE: f64 = 10.0;
-
-/// What became of the pairs and of each log's frames.
-fn pairs(answer: &Answer) -> String {
-    let counts = answer.pair_counts;
-    let mut text = format!(
-        "  {}: {} in motion ({}), {} standing, {} without a pose, {} cut, {} silent{}\n",
-        super::some(answer.pairs as u64, "pair", "pairs"),
-        counts.in_motion,
-        answer.geometry.as_deref().unwrap_or("-"),
-        counts.standing,
-        counts.no_pose,
-        counts.cut,
-        counts.silent,
-        if counts.thinned > 0 { format!(", {} left out evenly", counts.thinned) } else { String::new() }
-    );
-    if counts.too_wide > 0 {
-        let _ = writeln!(
-            text,
-            "  the motion is too wide to be searched at once: {} pairs outside of its best stretch left out (--from and --to choose another)",
-            counts.too_wide
-        );
-    }
-    if let (Some(cfo), Some(before), Some(after)) =
-        (answer.cfo_hz, answer.phase_coherence_before, answer.phase_coherence_after)
-    {
-        let verb = if answer.compensated { "taken out" } else { "not taken out: the phase gets no steadier" };
-        let drifts = answer.cfo_span_hz.map_or(String::new(), |hz| format!(" (drifting by {hz:.0} Hz)"));
-        let _ = writeln!(text, "  CFO {cfo:.0} Hz{drifts} {verb}; phase coherence {before:.2} -> {after:.2}");
-    }
-    for (name, side) in [("receiver's", answer.receiver_records), ("transmitter's", answer.transmitter_records)] {
-        let odd = side.duplicates + side.implausible + side.mispaired + side.restarts;
-        let _ = write!(
-            text,
-            "  {name} log: {} of {} frames paired, {} missing",
-            side.paired,
-            side.handed,
-            some(side.missing, "number", "numbers")
-        );
-        if odd > 0 {
-            let _ = write!(
-                text,
-                "; {} duplicates, {} implausible, {} of other sessions, {} restarts",
-                side.duplicates, side.implausible, side.mispaired, side.restarts
-            );
-        }
-        text.push('\n');
-        if MANY_TWICE * side.duplicates as f64 > side.handed as f64 {
-            let _ = writeln!(
-                text,
-                "  {} of the {name} log have the number of one before: the first of each is used, whoever sent the other",
-                some(side.duplicates, "frame", "frames")
-            );
-        }
-    }
-    text
-}

@@ -252,21 +252,7 @@ fn describe_csi(text: &mut String, survey: &Survey) {
         }
     }
     let _ = writeln!(text, "  {layout}; receive x transmit streams {}", streams.join(", "));
-    let steps = &survey.clock_steps;
-    let elapsed_s = survey.elapsed_us(survey.time_base()) as f64 * 1e-6;
-    let _ = match survey.time_base() {
-        TimeBase::Host => writeln!(
-            text,
-            "  {elapsed_s:.3} s by the host's times; the card's clock (timestamp_low) stands: {} us in all",
-            steps.forward_us
-        ),
-        TimeBase::Number => writeln!(
-            text,
-            "  no times: the card's clock (timestamp_low) stands, {} us in all, and there are no host times",
-            steps.forward_us
-        ),
-        _ => writeln!(text, "  {elapsed_s:.3} s on the card's clock (timestamp_low){}", clock_words(steps)),
-    };
+    let _ = writeln!(text, "  {}", time_words(survey));
     let noise = match survey.noise_unknown {
         all if all == survey.bfees() => "not measured (-127, usual in monitor mode)".into(),
         _ => format!("{} to {} dBm", survey.noise_dbm.min, survey.noise_dbm.max),
@@ -298,6 +284,26 @@ fn describe_csi(text: &mut String, survey: &Survey) {
             "  antenna_sel no permutation in {} records: antennas unknown there",
             survey.bad_permutations
         );
+    }
+}
+
+/// How long the records took, and by which clock.
+fn time_words(survey: &Survey) -> String {
+    let (base, steps) = (survey.time_base(), &survey.clock_steps);
+    let elapsed_s = survey.elapsed_us(base) as f64 * 1e-6;
+    let stands_us = steps.forward_us;
+    match base {
+        TimeBase::Host => {
+            format!(
+                "{elapsed_s:.3} s by the host's times; the card's clock (timestamp_low) stands: {stands_us} us in all"
+            )
+        }
+        TimeBase::Number => {
+            format!(
+                "no times: the card's clock (timestamp_low) stands, {stands_us} us in all, and there are no host times"
+            )
+        }
+        _ => format!("{elapsed_s:.3} s on the card's clock (timestamp_low){}", clock_words(steps)),
     }
 }
 
