@@ -268,9 +268,9 @@ mod tests {
         let mut lines = Lines::open(&output).unwrap();
         lines.write(&7);
         assert_eq!(lines.finish(), 0);
-        let mut said = String::new();
-        std::io::Read::read_to_string(&mut reader, &mut said).unwrap();
-        assert_eq!(said, "7\n");
+        let mut said = [0; 2];
+        std::io::Read::read_exact(&mut reader, &mut said).unwrap();
+        assert_eq!(&said, b"7\n");
         std::fs::remove_file(&path).unwrap();
     }
 
