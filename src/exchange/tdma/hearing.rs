@@ -65,12 +65,13 @@ impl Tdma {
             self.counts.foreign += 1;
             return;
         }
-        if !self.is_fresh(repr, peer, is_proven) {
+        let began = ended - self.airtime(frame);
+        let is_now = self.is_of_now(repr, peer, began);
+        if !(is_now && !is_proven) && !self.is_fresh(repr, peer, is_proven) {
             self.counts.replayed += 1;
             return;
         }
-        self.note_heard(repr, peer, is_proven);
-        let began = ended - self.airtime(frame);
+        self.note_heard(repr, peer, is_proven, is_now);
         let fit = self.follow(repr, peer, began);
         match repr.role {
             Role::Forward if repr.destination == self.own => self.answer_native(repr, peer, ended, fit),
@@ -110,15 +111,48 @@ impl Tdma {
         }
     }
 
-    /// Keeps what a frame says about its sender. Where the sender is, only its own word says for good: any robot of the group
-    /// could say that another one was started anew, and that robot would not be believed again.
-    fn note_heard(&mut self, repr: &native::Repr, peer: usize, is_proven: bool) {
+    /// True for a frame of a group with a key that is sent in the slot it names, in the session that its initiator itself has
+    /// shown to have: no tape, which would name a slot that is over. So what a robot of the group made up about another one's
+    /// numbers to come, or its session, does not silence it.
+    fn is_of_now(&self, repr: &native::Repr, peer: usize, began: Instant) -> bool {
+        let initiator = match repr.role {
+            Role::Forward => Some(peer),
+            Role::Backward => self.roster.find(repr.destination),
+        };
+        let Some(initiator) = initiator.and_then(|at| self.roster.peer(at)) else { return false };
+        let (proven, overheard) = (initiator.proven, initiator.overheard);
+        let is_later = match repr.role {
+            Role::Forward => {
+                overheard.number_in(repr.session) != Some(repr.number)
+                    && proven.number_in(repr.session).is_none_or(|last| is_after(repr.number, last))
+            }
+            Role::Backward => proven.number_in(repr.session).is_none_or(|last| !is_after(last, repr.number)),
+        };
+        let sender = self.roster.peer(peer).and_then(|sender| sender.proven.session.or(sender.overheard.session));
+        self.key.is_some()
+            && self.is_same_plan(repr)
+            && proven.session.or(overheard.session) == Some(repr.session)
+            && sender.is_none_or(|session| session == repr.sender_session)
+            && is_later
+            && self.is_current(repr.slot.cast_signed(), began)
+    }
+
+    /// Keeps what a frame says about its sender. Where the sender is, only its own word says for good, and what was sent now:
+    /// any robot of the group could say that another one was started anew, and that robot would not be believed again. A
+    /// frame that comes late, its own word or not, takes nothing back of what was heard since.
+    fn note_heard(&mut self, repr: &native::Repr, peer: usize, is_proven: bool, is_now: bool) {
         let joined = self.roster.hear(peer, self.now);
         let Some(sender) = self.roster.peer_mut(peer) else { return };
         sender.wants_turn = repr.wants_turn;
         let known = sender.proven.session;
         let number = (repr.role == Role::Forward).then_some(repr.number);
-        sender.overheard.note(repr.sender_session, number);
+        let is_back = sender.overheard.session.is_some_and(|newest| is_after(newest, repr.sender_session))
+            || number
+                .zip(sender.overheard.number_in(repr.sender_session))
+                .is_some_and(|(new, last)| is_after(last, new));
+        if self.key.is_none() || is_now || !is_back {
+            sender.overheard.note(repr.sender_session, number);
+        }
         if is_proven {
             sender.proven.note(repr.sender_session, number);
         }
@@ -134,10 +168,14 @@ impl Tdma {
         }
     }
 
+    /// True for a frame of this robot's rounds, with a slot that can be one.
+    fn is_same_plan(&self, repr: &native::Repr) -> bool {
+        (repr.round_us, repr.slots) == (self.plan.round_us(), self.plan.slots) && repr.slot <= MAX_SLOT
+    }
+
     /// Follows the initiator of a frame in turn and epoch. A frame outside of its slot is ignored.
     fn follow(&mut self, repr: &native::Repr, peer: usize, began: Instant) -> Fit {
-        let is_same_plan = (repr.round_us, repr.slots) == (self.plan.round_us(), self.plan.slots);
-        if !is_same_plan || repr.slot > MAX_SLOT || u32::from(repr.left) >= self.plan.turn_slots() {
+        if !self.is_same_plan(repr) || u32::from(repr.left) >= self.plan.turn_slots() {
             self.counts.other_plan += 1;
             return Fit::Unknown;
         }
@@ -174,17 +212,17 @@ impl Tdma {
 
     /// Weighs what a frame says about the turn. True if it is the turn that this robot goes by from now on.
     fn hear_claim(&mut self, claim: Claim) -> bool {
-        let proven = self.key.is_some();
+        let has_key = self.key.is_some();
         self.end_turn_at_successor(claim.turn);
         let accepted = if self.turn.is_some() {
-            let yields = self.view.hear_as_holder(claim, proven);
+            let yields = self.view.hear_as_holder(claim, has_key);
             if yields {
                 self.yield_to(claim.holder);
             }
             yields
         } else {
             let silent = self.now - self.quiet_since > self.plan.span_of(2 * self.silence_slots);
-            self.view.hear(claim, silent, proven)
+            self.view.hear(claim, silent, has_key)
         };
         if accepted {
             self.quiet_since = self.now;

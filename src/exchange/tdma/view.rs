@@ -58,14 +58,14 @@ impl View {
 
     /// A frame says `heard`. True if this is (now) the view; false if the frame's word on the turn is not taken.
     ///
-    /// `silent`: nobody was heard for so long that any initiator is welcome. `proven`: the frame has a valid tag.
-    pub(super) fn hear(&mut self, heard: Claim, silent: bool, proven: bool) -> bool {
+    /// `silent`: nobody was heard for so long that any initiator is welcome. `has_key`: the group has a key, so the frame has a valid tag.
+    pub(super) fn hear(&mut self, heard: Claim, silent: bool, has_key: bool) -> bool {
         let Some(current) = self.current else {
             self.take(heard);
             return true;
         };
         let same = (heard.holder, heard.turn) == (current.holder, current.turn);
-        if same || silent || (precedes(current, heard) && (proven || self.is_plausible(current, heard))) {
+        if same || silent || (precedes(current, heard) && (has_key || self.is_plausible(current, heard))) {
             self.take(heard);
             return true;
         }
@@ -76,9 +76,9 @@ impl View {
     }
 
     /// As [`View::hear`] for a robot that itself has the turn: true if it must yield. A rival that loses is ignored.
-    pub(super) fn hear_as_holder(&mut self, heard: Claim, proven: bool) -> bool {
+    pub(super) fn hear_as_holder(&mut self, heard: Claim, has_key: bool) -> bool {
         let yields = self.current.is_none_or(|own| precedes(own, heard));
-        let convinced = yields && (proven || self.persists(heard, 0));
+        let convinced = yields && (has_key || self.persists(heard, 0));
         if convinced {
             self.take(heard);
         }
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn a_single_forged_turn_convinces_nobody_and_a_proven_one_does() {
+    fn a_single_forged_turn_convinces_nobody_and_one_with_a_tag_does() {
         let mut view = View::new(4);
         view.take(claim(1, 5));
         assert!(!view.hear(claim(2, 5_000), false, false));

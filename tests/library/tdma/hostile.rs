@@ -240,6 +240,71 @@ fn what_a_robot_says_in_anothers_name_to_a_third_silences_nobody() {
     assert!(responder.poll_transmit(now).is_none() && responder.counts().replayed == 1);
 }
 
+/// Frames of robot 0 to all others, in order: when each was sent, to whom, and its bytes.
+fn sent_by_the_first(configs: &[Config], count: usize) -> Vec<(Instant, Mac, Vec<u8>)> {
+    let mut tdma = Tdma::new(&configs[0]).unwrap();
+    std::iter::from_fn(|| {
+        let now = tdma.poll_timeout()?;
+        Some(tdma.poll_transmit(now).map(|sent| (now, sent.peer, sent.frame.to_vec())))
+    })
+    .flatten()
+    .take(count)
+    .collect()
+}
+
+/// Three robots with files of their own, of which the first initiates.
+fn three_with_keys() -> Vec<Config> {
+    let configs = everybody(3, request(true));
+    let macs: Vec<Mac> = configs.iter().map(|config| config.own.mac).collect();
+    let with_key = |(k, config): (usize, Config)| {
+        let peers: Vec<Mac> = macs.iter().copied().filter(|mac| *mac != macs[k]).collect();
+        config.with_key(Some(Key::new([1; 16]).for_robot(macs[k], &peers))).with_session(5).with_initiate(k == 0)
+    };
+    configs.into_iter().enumerate().map(with_key).collect()
+}
+
+/// A frame that was lost here, and is played later, is new; what was heard after it is not.
+#[test]
+fn a_tape_that_begins_with_a_lost_frame_is_not_heard_again() {
+    let configs = three_with_keys();
+    let own = configs[1].own.mac;
+    let sent = sent_by_the_first(&configs, 60);
+    // From the lost one on, the listener gets only what is for the third.
+    let lost = sent.iter().skip(10).position(|(_, to, _)| *to == own).unwrap() + 10;
+    let (before, tape) = sent.split_at(lost);
+    let after: Vec<_> = tape.iter().filter(|(_, to, _)| *to != own).collect();
+    let mut listener = Tdma::new(&configs[1]).unwrap();
+    for (now, _, frame) in before.iter().chain(after.iter().copied()) {
+        listener.handle_heard(*now, *now, frame);
+        listener.poll_transmit(*now);
+    }
+    assert_eq!((listener.counts().replayed, listener.counts().off_epoch), (0, 0));
+    let later = |k: usize| sent[59].0 + Span::from_ms(300 + 5 * k as i64);
+    for (k, (_, _, frame)) in tape.iter().take(1).chain(after.iter().copied()).enumerate() {
+        listener.handle_heard(later(k), later(k), frame);
+        assert!(listener.poll_transmit(later(k)).is_none());
+    }
+    assert_eq!(listener.counts().replayed, after.len() as u64);
+    assert_eq!(listener.counts().off_epoch, 1, "the lost one itself, which no turn and no answer follows");
+}
+
+/// A robot that sounds only a third one shows itself to the second by nothing but the slots it keeps to.
+#[test]
+fn a_robot_that_only_others_are_sounded_by_is_not_silenced_by_numbers_made_up_for_it() {
+    let mut configs = three_with_keys();
+    configs[0].links = Some(vec![configs[2].own.mac]);
+    let sent = sent_by_the_first(&configs, 80);
+    let mut listener = Tdma::new(&configs[1]).unwrap();
+    for (k, (now, _, frame)) in sent.iter().take(40).enumerate() {
+        if k == 5 {
+            // Of the same session, but far ahead.
+            listener.handle_heard(*now, *now, &sent[70].2);
+        }
+        listener.handle_heard(*now, *now, frame);
+    }
+    assert_eq!((listener.counts().replayed, listener.counts().off_epoch), (0, 1), "{:?}", listener.counts());
+}
+
 #[test]
 fn taped_answers_to_others_are_not_heard_again() {
     let key = Some(Key::new([1; 16]));
