@@ -130,16 +130,7 @@ pub struct Unwrap32 {
 impl Unwrap32 {
     /// The unwrapped value of the next reading, in counts since the first reading's own wrap.
     pub fn next(&mut self, raw: u32) -> i64 {
-        self.next_after(raw, None)
-    }
-
-    /// The same, where another clock says how long ago the last reading was (to within half an hour): pauses of any
-    /// length are then distinguished.
-    pub(crate) fn next_after(&mut self, raw: u32, elapsed_us: Option<i64>) -> i64 {
-        let value = match self.last {
-            None => i64::from(raw),
-            Some(last) => unwrap_near(last.saturating_add(elapsed_us.unwrap_or(0)), raw),
-        };
+        let value = self.last.map_or_else(|| i64::from(raw), |last| unwrap_near(last, raw));
         self.last = Some(value);
         value
     }
@@ -217,15 +208,6 @@ mod tests {
         assert_eq!(unwrap.next(5), i64::from(u32::MAX) + 6);
         assert_eq!(unwrap.next(u32::MAX), i64::from(u32::MAX));
         assert_eq!(unwrap.next(1_000), i64::from(u32::MAX) + 1_001);
-    }
-
-    #[test]
-    fn another_clock_tells_long_pauses_apart() {
-        let hour_us = 3_600_000_000_i64;
-        let mut unwrap = Unwrap32::default();
-        assert_eq!(unwrap.next(1_000), 1_000);
-        assert_eq!(unwrap.next_after((1_000 + hour_us) as u32, Some(hour_us - 70_000)), 1_000 + hour_us);
-        assert_eq!(unwrap.next_after(2_000, None), 2_000 + (1 << 32));
     }
 
     #[test]

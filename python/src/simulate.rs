@@ -3,7 +3,7 @@
 use crate::capture::pose_array;
 use crate::error::{Failure, Kind, Stop, interruptible};
 use csi5300_sim::scene::Driver;
-use csi5300_sim::{BUILT_IN, Room, Scene, SceneError};
+use csi5300_sim::{Room, Scene, SceneError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
 use std::path::Path;
@@ -13,15 +13,12 @@ fn scene(text: &str, is_json: bool) -> Result<Scene, Failure> {
     if is_json {
         return serde_json::from_str(text).map_err(|error| Failure::new(Kind::Scene, format!("the scene: {error}")));
     }
-    let path = Path::new(text);
-    let built_in = (!path.exists()).then(|| Scene::built_in(text)).flatten();
-    built_in.map_or_else(|| Scene::load(path).map_err(|error| refused(&error, text)), Ok)
+    Scene::find(Path::new(text)).map_err(|error| refused(&error, text))
 }
 
 fn refused(error: &SceneError, name: &str) -> Failure {
-    let names: Vec<_> = BUILT_IN.iter().map(|(name, _)| *name).collect();
-    let kind = if matches!(error, SceneError::Io { .. }) { Kind::SceneFile } else { Kind::Scene };
-    Failure::new(kind, format!("{error} (built-in scenes: {})", names.join(", "))).of(name)
+    let is_file = matches!(error, SceneError::Io { .. } | SceneError::Nowhere { .. });
+    Failure::new(if is_file { Kind::SceneFile } else { Kind::Scene }, error.to_string()).of(name)
 }
 
 /// Runs a scene: channel, initiators, and for each robot its name, MAC, log, true path and what was done to it.

@@ -48,6 +48,8 @@ pub struct Link {
     first_us: Option<i64>,
     /// One pair in so many is kept.
     stride: usize,
+    /// Pairs of which one in so many was to be kept.
+    offered: usize,
     thinned: usize,
 }
 
@@ -87,6 +89,7 @@ impl Link {
             partner_inside: 0,
             first_us: None,
             stride: 1,
+            offered: 0,
             thinned: 0,
         }
     }
@@ -207,7 +210,9 @@ impl Link {
                 return;
             }
         }
-        if !(self.rows.len() + self.thinned).is_multiple_of(self.stride.saturating_mul(options.decimate.get())) {
+        let at = self.offered;
+        self.offered += 1;
+        if !at.is_multiple_of(self.stride.saturating_mul(options.decimate.get())) {
             self.thinned += 1;
             return;
         }
@@ -272,9 +277,12 @@ impl Link {
         sums.get()
     }
 
-    /// True if both frames of every pair are the same: one log taken for both sides.
+    /// True if both frames of every pair are the same, and the times of both cards: one log taken for both sides. Frames alone are
+    /// also alike without noise where nothing moves.
     pub(super) fn is_one_log(&self) -> bool {
-        self.frames.len() >= reciprocity::LEAST && self.frames.iter().all(|[forward, backward]| forward == backward)
+        self.frames.len() >= reciprocity::LEAST
+            && self.frames.iter().all(|[forward, backward]| forward == backward)
+            && self.rows.iter().all(|row| row.difference_us == 0)
     }
 
     /// How the pauses between exchanges go together on both clocks.

@@ -197,7 +197,8 @@ impl RobotKeys {
     /// The keys, unless one can be guessed.
     fn key(&self) -> Option<Key> {
         let mut all = std::iter::once(&self.group).chain(self.peers.iter().map(|(_, key)| key));
-        let is_guessed = all.any(|key| is_weak(key.as_slice()));
+        // Text was looked for in what they are made from: of so many keys one may well look like some.
+        let is_guessed = all.any(|key| is_patterned(key.as_slice()));
         let peers = self.peers.iter().map(|(mac, key)| (*mac, **key)).collect();
         (!is_guessed).then(|| Key::of_robot(self.own, *self.group, peers))
     }
@@ -205,12 +206,17 @@ impl RobotKeys {
 
 /// True for what no random source gives: each rule refuses less than one in a hundred thousand random secrets.
 fn is_weak(secret: &[u8]) -> bool {
-    let different = secret.iter().collect::<BTreeSet<_>>().len();
-    let steps = secret.windows(2).map(|pair| pair[1].wrapping_sub(pair[0])).collect::<BTreeSet<_>>().len();
-    // In any alphabet, and with the end of a line, as an editor writes it.
+    // UTF-8 of any alphabet, and with the end of a line, as an editor writes it. Of other encodings nothing is known.
     let is_text = std::str::from_utf8(secret)
         .is_ok_and(|text| text.chars().all(|letter| !letter.is_control() || letter.is_whitespace()));
-    different < secret.len() / 2 + 2 || steps < secret.len() / 2 + 1 || is_text
+    is_text || is_patterned(secret)
+}
+
+/// True for repetitions and sequences.
+fn is_patterned(secret: &[u8]) -> bool {
+    let different = secret.iter().collect::<BTreeSet<_>>().len();
+    let steps = secret.windows(2).map(|pair| pair[1].wrapping_sub(pair[0])).collect::<BTreeSet<_>>().len();
+    different < secret.len() / 2 + 2 || steps < secret.len() / 2 + 1
 }
 
 #[cfg(test)]

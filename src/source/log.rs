@@ -1,10 +1,10 @@
 //! A log, frame by frame: what a reader of `.dat` files needs, from one crate.
 
 use super::replay::Replay;
-use super::survey::{Identity, Survey};
+use super::survey::{CardClock, Identity, Survey};
 use super::{CsiSource, Error, Next, Origin};
 use crate::signal::csi::{Csi, ScaleError, scale_factor};
-use crate::time::{Instant, Unwrap32};
+use crate::time::Instant;
 use driver_iface::Mac;
 use driver_iface::bfee::{Bfee, NOISE_UNKNOWN_DBM};
 use driver_iface::record::Tail;
@@ -37,8 +37,7 @@ use std::path::Path;
 pub struct Log {
     replay: Replay<Box<dyn Read + Send>>,
     survey: Survey,
-    clock: Unwrap32,
-    last_host_us: Option<i64>,
+    clock: CardClock,
     failed: bool,
 }
 
@@ -82,8 +81,7 @@ impl Log {
     /// If it cannot be opened, or is a directory.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, Error> {
         let replay = Replay::open(path.as_ref())?;
-        let (survey, clock) = (Survey::default(), Unwrap32::default());
-        Ok(Self { replay, survey, clock, last_host_us: None, failed: false })
+        Ok(Self { replay, survey: Survey::default(), clock: CardClock::default(), failed: false })
     }
 
     /// What was read so far: records by kind, senders, losses with their places.
@@ -117,9 +115,7 @@ impl Log {
                 Next::Lost(_) => Origin::default(),
             };
             let Some((bfee, identity)) = self.survey.note(&next) else { continue };
-            let elapsed_us = self.last_host_us.zip(identity.host_us).map(|(last, now)| now.saturating_sub(last));
-            self.last_host_us = identity.host_us.or(self.last_host_us);
-            let card_us = self.clock.next_after(bfee.timestamp_low(), elapsed_us);
+            let (card_us, _) = self.clock.note(bfee.timestamp_low(), identity.host_us);
             return Ok(Some(Frame::new(&bfee, identity, card_us, origin)));
         }
     }

@@ -198,10 +198,12 @@ impl<R: Read> SideFile<R> {
             return Some(0);
         }
         let strangers = self.strangers;
+        // Wherever it is looked for, it is about where its own entry would be, too.
+        let own = strangers + STRANGERS;
         let (from, to) = match strangers {
-            far if far >= STRANGERS && far.is_power_of_two() => (0, FURTHEST),
-            near if near.is_multiple_of(STRANGERS) || near < STRANGERS => (0, WINDOW),
-            _ => (strangers - STRANGERS, strangers + STRANGERS),
+            far if far >= STRANGERS && far.is_power_of_two() => (0, FURTHEST.max(own)),
+            near if near.is_multiple_of(STRANGERS) || near < STRANGERS => (0, WINDOW.max(own)),
+            _ => (strangers - STRANGERS, own),
         };
         self.read_ahead(to);
         let to = to.min(self.ahead.len());

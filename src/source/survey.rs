@@ -15,7 +15,7 @@ mod sender;
 mod senders;
 mod tally;
 
-use clocks::CardClock;
+pub(super) use clocks::CardClock;
 #[doc(hidden)]
 pub use clocks::TimeBase;
 pub use clocks::{ClockSteps, HostSteps};

@@ -21,9 +21,16 @@ pub fn skipped(why: &str) {
     }
 }
 
-/// Where what was skipped is collected: the binaries of one run of `cargo test` are children of one process.
+/// Where what was skipped is collected: the binaries of one run of `cargo test` are children of one process, known by its number and
+/// its start. In the folder of what is built, where nobody else writes.
 pub fn skips() -> PathBuf {
-    std::env::temp_dir().join(format!("csi5300-skipped-{}", std::os::unix::process::parent_id()))
+    let parent = std::os::unix::process::parent_id();
+    let stat = std::fs::read_to_string(format!("/proc/{parent}/stat")).unwrap_or_default();
+    // Field 22; the name, in brackets, is the second.
+    let fields = stat.rsplit_once(')').map_or("", |(_, fields)| fields);
+    let began = fields.split_whitespace().nth(19).unwrap_or("0");
+    let folder = option_env!("CARGO_TARGET_TMPDIR").map_or_else(std::env::temp_dir, PathBuf::from);
+    folder.join(format!("skipped-{parent}-{began}"))
 }
 
 /// The folder of the workspace.

@@ -108,7 +108,11 @@ impl Lines {
 /// Opens what lines are added to. A pipe without a reader is refused: it would be waited for, and signals with it.
 fn append_to(path: &str) -> std::io::Result<File> {
     let file = File::options().append(true).create(true).custom_flags(nix::libc::O_NONBLOCK).open(path);
+    let is_socket = || std::fs::metadata(path).is_ok_and(|there| there.file_type().is_socket());
     let file = file.map_err(|error| match error.raw_os_error() {
+        Some(nix::libc::ENXIO) if is_socket() => {
+            std::io::Error::other("it is a socket: bearings go to a file or a pipe")
+        }
         Some(nix::libc::ENXIO) => std::io::Error::other("it is a pipe that nobody reads: start its reader first"),
         _ => error,
     })?;

@@ -25,7 +25,8 @@ impl Scene {
     /// # Errors
     /// If there is neither, or the scene is refused.
     pub fn find(scene: &Path) -> Result<Self, SceneError> {
-        if scene.exists() {
+        // A folder of that name, as `simulate` makes it, is no scene.
+        if scene.exists() && !scene.is_dir() {
             return Self::load(scene);
         }
         let built_in = scene.to_str().and_then(Self::built_in);
@@ -46,6 +47,10 @@ mod tests {
         }
         assert_eq!(Scene::built_in("nowhere"), None);
         assert!(Scene::find(Path::new("lab-line")).is_ok());
+        let folder = std::env::temp_dir().join(format!("csi5300-scene-{}", std::process::id()));
+        std::fs::create_dir_all(folder.join("lab-line")).unwrap();
+        assert!(matches!(Scene::find(&folder.join("lab-line")), Err(SceneError::Nowhere { .. })));
+        std::fs::remove_dir_all(&folder).unwrap();
         let nowhere = Scene::find(Path::new("nowhere")).unwrap_err();
         let words = "there is no file nowhere, and no built-in scene of that name: paper-circle, paper-line, lab-circle, lab-line";
         assert_eq!(nowhere.of_file(Path::new("nowhere")), words);

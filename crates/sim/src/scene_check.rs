@@ -115,6 +115,8 @@ impl Scene {
                 finite("from_m", &wall.from_m)?;
                 finite("to_m", &wall.to_m)?;
                 ensure(wall.from_m != wall.to_m, "to_m", || "is where the wall begins".to_owned())?;
+                finite("bottom_m", &[wall.bottom_m])?;
+                finite("top_m", &[wall.top_m])?;
                 ensure(wall.top_m > wall.bottom_m, "top_m", || "is not above bottom_m".to_owned())?;
                 not_negative("thickness_m", wall.thickness_m)?;
                 check_losses(wall.loss_db, wall.through_db)
@@ -124,6 +126,8 @@ impl Scene {
         for (index, panel) in self.reflector.iter().enumerate() {
             let check = || {
                 finite("corner_m", &panel.corner_m)?;
+                finite("edge_a_m", &panel.edge_a_m)?;
+                finite("edge_b_m", &panel.edge_b_m)?;
                 let area = Vector3::from(panel.edge_a_m).cross(&Vector3::from(panel.edge_b_m)).norm();
                 ensure(area > 1e-6, "edge_b_m", || "spans no area with edge_a_m".to_owned())?;
                 check_losses(panel.loss_db, panel.through_db)
@@ -140,9 +144,11 @@ fn check_losses(loss_db: f64, through_db: Option<f64>) -> Checked {
 }
 
 fn check_motion(motion: &RobotMotion) -> Checked {
-    let timed = |kind: &'static str, size: (&'static str, f64), duration_s: f64, start_s: f64| {
+    let timed = |kind: &'static str, sizes: [(&'static str, f64); 2], duration_s: f64, start_s: f64| {
+        let [size, of_any_sign] = sizes;
         let check = || {
             not_negative(size.0, size.1)?;
+            finite(of_any_sign.0, &[of_any_sign.1])?;
             positive("duration_s", duration_s)?;
             not_negative("start_s", start_s)
         };
@@ -150,15 +156,28 @@ fn check_motion(motion: &RobotMotion) -> Checked {
     };
     match motion {
         RobotMotion::Static => Ok(()),
-        RobotMotion::Line(m) => timed("line", ("length_m", m.length_m), m.duration_s, m.start_s),
-        RobotMotion::Circle(m) => timed("circle", ("radius_m", m.radius_m), m.duration_s, m.start_s),
-        RobotMotion::Arc(m) => timed("arc", ("radius_m", m.radius_m), m.duration_s, m.start_s),
-        RobotMotion::Square(m) => timed("square", ("side_m", m.side_m), m.duration_s, m.start_s),
-        RobotMotion::Helix(m) => timed("helix", ("radius_m", m.radius_m), m.duration_s, m.start_s),
-        RobotMotion::FigureEight(m) => timed("figure_eight", ("radius_m", m.radius_m), m.duration_s, m.start_s),
+        RobotMotion::Line(m) => {
+            let length = ("length_m", m.length_m);
+            timed("line", [length, length], m.duration_s, m.start_s)
+        }
+        RobotMotion::Circle(m) => {
+            timed("circle", [("radius_m", m.radius_m), ("turns", m.turns)], m.duration_s, m.start_s)
+        }
+        RobotMotion::Arc(m) => {
+            timed("arc", [("radius_m", m.radius_m), ("angle_deg", m.angle_deg)], m.duration_s, m.start_s)
+        }
+        RobotMotion::Square(m) => timed("square", [("side_m", m.side_m), ("turns", m.turns)], m.duration_s, m.start_s),
+        RobotMotion::Helix(m) => {
+            finite("rise_m", &[m.rise_m]).map_err(|p| p.key("helix"))?;
+            timed("helix", [("radius_m", m.radius_m), ("turns", m.turns)], m.duration_s, m.start_s)
+        }
+        RobotMotion::FigureEight(m) => {
+            timed("figure_eight", [("radius_m", m.radius_m), ("turns", m.turns)], m.duration_s, m.start_s)
+        }
         RobotMotion::RandomWalk(m) => {
             positive("within_m", m.within_m).map_err(|p| p.key("random_walk"))?;
-            timed("random_walk", ("speed_m_s", m.speed_m_s), m.duration_s, m.start_s)
+            let sizes = [("speed_m_s", m.speed_m_s), ("turning_deg_s", m.turning_deg_s)];
+            timed("random_walk", sizes, m.duration_s, m.start_s)
         }
         RobotMotion::Waypoints(m) => {
             let check = || {
@@ -212,9 +231,10 @@ fn check_radio(radio: &Radio) -> Checked {
     }
     let turn = &radio.turn_around;
     let ordered = turn.min_us >= 0.0 && turn.min_us <= turn.median_us && turn.median_us <= turn.max_us;
-    ensure(ordered && turn.max_us.is_finite(), "turn_around", || {
+    ensure(ordered, "turn_around", || {
         format!("has min_us {}, median_us {}, max_us {}: not in order", turn.min_us, turn.median_us, turn.max_us)
     })?;
+    at_most("max_us", turn.max_us, LATEST_US).map_err(|p| p.key("turn_around"))?;
     not_negative("spread_us", turn.spread_us).map_err(|p| p.key("turn_around"))?;
     not_negative("tail_spread_us", turn.tail_spread_us).map_err(|p| p.key("turn_around"))?;
     finite("tail_us", &[turn.tail_us]).map_err(|p| p.key("turn_around"))?;

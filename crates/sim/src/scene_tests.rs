@@ -37,7 +37,7 @@ fn a_good_scene_is_read() {
 #[test]
 fn bad_scenes_are_refused_with_line_and_reason() {
     let good = good();
-    let cases: [(String, usize, &str); 27] = [
+    let cases: [(String, usize, &str); 31] = [
         (GOOD.to_owned(), 3, "noise_free"),
         (good.replace("duration_s = 10.0\nseed", "duration_s = -1.0\nseed"), 1, "more than 0"),
         (good.replace("duration_s = 10.0\nseed", "duration_s = 1e12\nseed"), 1, "is the most"),
@@ -60,6 +60,15 @@ fn bad_scenes_are_refused_with_line_and_reason() {
         ),
         (good.replace("to_m = [5.0, 3.0]", "to_m = [-5.0, 3.0]"), 15, "where the wall begins"),
         (good.replace("to_m = [5.0, 3.0]", "to_m = [1e308, 3.0]"), 15, "at most 1e9"),
+        (good.replace("to_m = [5.0, 3.0]", "to_m = [5.0, 3.0]\ntop_m = inf"), 16, "at most 1e9"),
+        (good.replace("radius_m = 0.3,", "radius_m = 0.3, turns = inf,"), 9, "at most 1e9"),
+        (good.replace("seed = 3", "radio.turn_around.max_us = 1e300"), 2, "is the most"),
+        (
+            good.clone()
+                + "[[reflector]]\ncorner_m = [9.0, 9.0, 0.0]\nedge_a_m = [1e308, 0.0, 0.0]\nedge_b_m = [0.0, 0.0, 1.0]\n",
+            good.lines().count() + 3,
+            "at most 1e9",
+        ),
         (good.replace("name = \"tx\"", "name = \"tx\"\nodometry.noise_m = 1e300"), 12, "is the most"),
         (good.replace("duration_s = 10.0 }", "duration_s = 1e-300 }"), 9, "is the least"),
         (good.replace("seed = 3", "radio.noise = { floor_dbm = 1e300 }"), 2, "numbers of dB"),

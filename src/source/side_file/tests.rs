@@ -118,6 +118,22 @@ fn what_was_changed_is_left_out_however_much_of_it_there_is() {
 }
 
 #[test]
+fn a_record_is_found_behind_more_changed_ones_than_the_window_has() {
+    // Checksums of the numbers themselves: records have 16 bits of their own.
+    let checked = |bytes: &[u8]| Entry { check: Some(Check::of(bytes)), ..Entry::default() };
+    for changed in [WINDOW + STRANGERS, WINDOW + 2 * STRANGERS + 1, FURTHEST] {
+        let entries: Vec<Entry> = (0..changed + 100).map(|at| checked(&at.to_le_bytes())).collect();
+        let mut file = side_file(&entries);
+        let said: Vec<bool> = (0..changed + 100)
+            .map(|at| if at < changed { vec![0xff; 3] } else { at.to_le_bytes().to_vec() })
+            .map(|bytes| file.take(&bytes).is_right)
+            .collect();
+        assert_eq!(said.iter().position(|is_right| *is_right), Some(changed), "{changed}");
+        assert_eq!((file.checks().unwrap().wrong, file.checks().unwrap().good), (changed as u64, 100));
+    }
+}
+
+#[test]
 fn behind_a_damaged_stretch_records_are_found_though_more_are_missing_than_the_window_has() {
     let entries: Vec<Entry> = (0..100_000_u32)
         .map(|at| {

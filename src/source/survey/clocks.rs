@@ -1,7 +1,7 @@
 //! How the clocks behind a log went on: the card's from record to record, and the host's beside it.
 
 use super::bounds::PAUSE_US;
-use crate::time::Unwrap32;
+use crate::maths::unwrap_near;
 
 /// How the card's clock went on from record to record.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -66,24 +66,54 @@ impl TimeBase {
 
 /// The card's clock from record to record. The host's beside it says how often it wrapped in a pause.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct CardClock {
-    unwrapped: Unwrap32,
-    last_us: Option<i64>,
-    last_host_us: Option<i64>,
+pub(in crate::source) struct CardClock {
+    /// The last reading, and what it is unwrapped.
+    last: Option<(u32, i64)>,
+    /// Unwrapped time and host time of the last record that had both.
+    last_both: Option<(i64, i64)>,
     /// Sum of the host's steps forward, microseconds.
     pub(super) host_forward_us: i64,
 }
 
 impl CardClock {
     /// The unwrapped time of the next record, and the step to it from the one before.
-    pub(super) fn note(&mut self, timestamp_low: u32, host_us: Option<i64>) -> (i64, Option<i64>) {
-        let elapsed_us = self.last_host_us.zip(host_us).map(|(last, now)| now.saturating_sub(last));
-        self.last_host_us = host_us.or(self.last_host_us);
-        self.host_forward_us = self.host_forward_us.saturating_add(elapsed_us.unwrap_or(0).max(0));
-        let now_us = self.unwrapped.next_after(timestamp_low, elapsed_us);
-        let step_us = self.last_us.replace(now_us).map(|last| now_us.saturating_sub(last));
+    pub(in crate::source) fn note(&mut self, timestamp_low: u32, host_us: Option<i64>) -> (i64, Option<i64>) {
+        let now_us = self.unwrap(timestamp_low, host_us);
+        let step_us = self.last.replace((timestamp_low, now_us)).map(|(_, last)| now_us.saturating_sub(last));
+        if let Some(host_us) = host_us {
+            let host_step_us =
+                self.last_both.replace((now_us, host_us)).map_or(0, |(_, last)| host_us.saturating_sub(last));
+            self.host_forward_us = self.host_forward_us.saturating_add(host_step_us.max(0));
+        }
         (now_us, step_us)
     }
+
+    /// The reading nearest to the last one; where the host's clock went on by so many wraps more, it was a pause of those. A
+    /// host's clock that was set says nothing of the card's, and one that did not move at all stands.
+    fn unwrap(&self, timestamp_low: u32, host_us: Option<i64>) -> i64 {
+        let Some((last, last_us)) = self.last else { return i64::from(timestamp_low) };
+        let near_us = unwrap_near(last_us, timestamp_low);
+        let Some((both_us, last_host_us)) = self.last_both.filter(|_| last != timestamp_low) else { return near_us };
+        let Some(elapsed_us) = host_us.map(|now| now.saturating_sub(last_host_us)) else { return near_us };
+        let off_us = elapsed_us.saturating_sub(near_us.saturating_sub(both_us));
+        let usual_us = SET_US.saturating_add(elapsed_us / SLEW).min(FURTHEST_US);
+        if is_whole_wraps(off_us, usual_us) {
+            unwrap_near(both_us.saturating_add(elapsed_us), timestamp_low)
+        } else {
+            near_us
+        }
+    }
+}
+
+/// Beside pauses of any length clocks do not differ by more, microseconds; of clocks that were set, one in 200 does not by chance.
+const FURTHEST_US: i64 = 10_000_000;
+/// The card's clock wraps every so many microseconds.
+const WRAP_US: i64 = 1 << 32;
+
+/// True if a clock that was off by so much went on by a wrap of the card's clock or several, to within `usual_us`.
+fn is_whole_wraps(off_us: i64, usual_us: i64) -> bool {
+    let from_whole = off_us.saturating_add(WRAP_US / 2).rem_euclid(WRAP_US).abs_diff(WRAP_US / 2);
+    off_us > 0 && from_whole < usual_us.unsigned_abs()
 }
 
 /// A host's clock may be this far from the card's between two records, microseconds, and be no clock that was set: records
@@ -113,9 +143,7 @@ impl HostSteps {
         let Some((card, host)) = self.last.replace((timestamp_low, host_us)) else { return };
         let card_us = i64::from(timestamp_low.wrapping_sub(card).cast_signed());
         let off_us = host_us.saturating_sub(host).saturating_sub(card_us);
-        let wrap = 1_i64 << 32;
-        let is_pause =
-            off_us > 0 && off_us.saturating_add(wrap / 2).rem_euclid(wrap).abs_diff(wrap / 2) < SET_US as u64;
+        let is_pause = is_whole_wraps(off_us, SET_US);
         let usual_us = SET_US.saturating_add(card_us.abs() / SLEW);
         if card_us < 0 || is_pause || off_us.saturating_abs() <= usual_us {
             return;
@@ -161,6 +189,39 @@ mod tests {
         };
         assert_eq!(steps([Some(0), Some(3_000_400_000)]), Some(3_000_000_000));
         assert_eq!(steps([None, None]), Some(3_000_000_000 - (1 << 32)), "the nearer reading");
+    }
+
+    /// Sum of the card's steps forward over records of (card's clock, host's) in seconds; none where the host's is not known.
+    fn forward_s(records: impl Iterator<Item = (f64, Option<f64>)>) -> f64 {
+        let (mut clock, mut steps) = (CardClock::default(), ClockSteps::default());
+        for (card_s, host_s) in records {
+            let host_us = host_s.map(|at_s| 1_700_000_000_000_000 + (at_s * 1e6) as i64);
+            if let Some(step_us) = clock.note((card_s * 1e6) as u64 as u32, host_us).1 {
+                steps.note(step_us);
+            }
+        }
+        assert_eq!(steps.steps_back, 0);
+        steps.forward_us as f64 * 1e-6
+    }
+
+    #[test]
+    fn a_hosts_clock_that_is_not_known_for_long_or_set_is_no_pause_of_the_cards() {
+        // A record a second for 50 minutes; the host's times are known at both ends only.
+        let known = |k: usize| (k < 10 || k >= 2_990).then_some(k as f64);
+        assert_eq!(forward_s((0..3_000).map(|k| (k as f64, known(k)))), 2_999.0);
+        // Set on by a year, and back by a day.
+        for set_s in [31_536_000.3, -86_400.3] {
+            let host_s = |k: u32| f64::from(k) + if k < 50 { 0.0 } else { set_s };
+            assert_eq!(forward_s((0..100).map(|k| (f64::from(k), Some(host_s(k))))), 99.0);
+        }
+        // A clock that stands through a pause.
+        assert_eq!(
+            forward_s([(5.0, 0.0), (5.0, 1.0), (5.0, 4_295.0)].map(|(card, host)| (card, Some(host))).into_iter()),
+            0.0
+        );
+        // Pauses with a host's clock that is read late, and that drifts.
+        let paused = [(0.0, 0.0), (1.0, 1.0), (3_601.0, 3_601.9), (12_001.0, 12_003.0)];
+        assert_eq!(forward_s(paused.map(|(card, host)| (card, Some(host))).into_iter()), 12_001.0);
     }
 
     #[test]

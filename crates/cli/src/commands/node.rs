@@ -22,8 +22,8 @@ pub fn run(args: &Args) -> Result {
     let found = args.config.clone().map_or_else(super::places::configuration, Ok);
     let file = found.unwrap_or_else(|message| usage(&message));
     // A file that is missing is no wrong usage, of any command.
-    std::fs::File::open(&file).map_err(|error| format!("{}: cannot be read: {error}", file.display()))?;
-    let config = Config::load(&file).unwrap_or_else(|error| {
+    let text = Config::text_of(&file).map_err(|error| format!("{}: cannot be read: {error}", file.display()))?;
+    let config = Config::of_file(&text, &file).unwrap_or_else(|error| {
         let lines: Vec<String> = error.0.iter().map(|problem| format!("{}: {problem}", file.display())).collect();
         usage(&lines.join("\ncsi5300: "))
     });

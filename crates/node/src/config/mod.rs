@@ -105,13 +105,29 @@ impl Config {
     /// # Errors
     /// [`ConfigError`] with every problem found.
     pub fn load(file: &Path) -> Result<Self, ConfigError> {
-        let mut text = String::new();
-        let read = std::fs::File::open(file).and_then(|open| open.take(LONGEST).read_to_string(&mut text));
-        read.map_err(|error| {
+        let unread = |error| {
             let reason = format!("cannot be read: {error}");
             ConfigError(vec![Problem { line: None, reason }])
-        })?;
-        Self::read_from(&text, file.parent().unwrap_or(Path::new("")), Some(file))
+        };
+        Self::of_file(&Self::text_of(file).map_err(unread)?, file)
+    }
+
+    /// The text of a file, as much of it as a configuration can have: of what can be read only once, a pipe, too.
+    ///
+    /// # Errors
+    /// If it cannot be read.
+    pub fn text_of(file: &Path) -> std::io::Result<String> {
+        let mut text = String::new();
+        std::fs::File::open(file)?.take(LONGEST).read_to_string(&mut text)?;
+        Ok(text)
+    }
+
+    /// Checks the text of a file; paths in it are relative to its folder.
+    ///
+    /// # Errors
+    /// [`ConfigError`] with every problem found.
+    pub fn of_file(text: &str, file: &Path) -> Result<Self, ConfigError> {
+        Self::read_from(text, file.parent().unwrap_or(Path::new("")), Some(file))
     }
 
     /// Reads and checks a text; paths in it are relative to `folder`.
@@ -123,15 +139,16 @@ impl Config {
     }
 
     fn read_from(text: &str, folder: &Path, own_file: Option<&Path>) -> Result<Self, ConfigError> {
-        let Reading { config, table, mut problems, gone } = Reading::of(text);
+        let Reading { config, table, mut problems, gone, stand_ins } = Reading::of(text);
         let Some(mut config) = config else { return Err(ConfigError(problems)) };
         config.resolve(folder);
         // Without its capture nearly every rule would be of the stand-in.
-        if !gone.contains("capture") {
+        if !stand_ins.contains("capture") {
             let lines = TomlLines::of_table(text, table);
             let read: Vec<Option<usize>> = problems.iter().map(|problem| problem.line).collect();
             let further = check::problems(&config, own_file, lines, &gone);
-            problems.extend(further.into_iter().filter(|problem| !read.contains(&problem.line)));
+            let is_new = |problem: &Problem| problem.line.is_none() || !read.contains(&problem.line);
+            problems.extend(further.into_iter().filter(is_new));
         }
         problems.sort_by_key(|problem| problem.line);
         if problems.is_empty() { Ok(config) } else { Err(ConfigError(problems)) }

@@ -22,6 +22,8 @@ pub(super) struct Reading<'t> {
     pub problems: Vec<Problem>,
     /// Keys of the file's own table of which something could not be read.
     pub gone: BTreeSet<String>,
+    /// Those of them in whose place something stands that the file does not have.
+    pub stand_ins: BTreeSet<String>,
 }
 
 /// Something that was taken out.
@@ -40,7 +42,8 @@ impl<'t> Reading<'t> {
         let (document, wrong) = DeTable::parse_recoverable(text);
         let (whole, table) = (document.span(), document.into_inner());
         let mut problems: Vec<Problem> = wrong.iter().map(|error| problem(error.span(), error.message())).collect();
-        let mut reading = Self { config: None, table, problems: Vec::new(), gone: BTreeSet::new() };
+        let (gone, stand_ins) = (BTreeSet::new(), BTreeSet::new());
+        let mut reading = Self { config: None, table, problems: Vec::new(), gone, stand_ins };
         let mut cuts: Vec<Cut> = Vec::new();
         while problems.is_empty() || (wrong.is_empty() && problems.len() < MOST) {
             let error =
@@ -78,6 +81,7 @@ impl<'t> Reading<'t> {
         let found = DeTable::parse(STAND_INS).ok().and_then(|mut table| table.get_mut().remove_entry(key));
         found.is_some_and(|(name, value)| {
             self.gone.insert(key.to_owned());
+            self.stand_ins.insert(key.to_owned());
             self.table.insert(name, value).is_none()
         })
     }

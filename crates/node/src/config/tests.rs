@@ -62,6 +62,11 @@ fn every_problem_has_its_line() {
     assert!(lines[1].starts_with("line 3:") && lines[2].starts_with("line 6: peer `tx`"), "{two}");
     let twice = refused(&format!("{ROOM}[[peer]]\nname = \"tx\"\nrecords.room = {{}}\n"));
     assert!(twice.starts_with("line 8: peer `tx`: another peer"), "{twice}");
+    // Beside what nobody knows in a capture, the rest of the file is checked as well.
+    let both = refused(
+        &ROOM.replace("robot = \"rx\"", "robot = \"rx\", colour = 3").replace("name = \"tx\"", "name = \"ty\""),
+    );
+    assert!(both.contains("colour") && both.contains("the scene has no robot `ty`"), "{both}");
     let nobody = refused(&ROOM.replace("name = \"tx\"", "name = \"ty\""));
     assert!(nobody.starts_with("line 5: the scene has no robot `ty`: it has rx, tx"), "{nobody}");
     let nowhere = refused(&ROOM.replace("lab-circle", "lab.toml"));

@@ -240,6 +240,20 @@ fn what_a_robot_writes_is_in_files_of_their_own() {
     refused(&with("a.dat", "b", "b"), "status_socket", "is what `bearings` writes");
     refused(&CARD.replace("x.dat", "/dev/full"), "/dev/full", "no regular file");
     refused(&format!("{CARD}rotate_mib = 0\n"), "rotate_mib", "a file of its own");
+    // What is there already: a log and a recording get other names, lines are added, a socket is one.
+    std::fs::create_dir_all(folder.join("run")).unwrap();
+    std::fs::write(folder.join("old"), "").unwrap();
+    let ros = |bag: &str| format!("{CARD}[ros2]\nbag = '{}'\n", name(bag));
+    for good in [with("old", "/dev/null", "c"), with("a.dat", "old", "c"), ros("run"), ros("no/such/run")] {
+        assert_eq!(refusals(&good.replace(&name("/dev/null"), "/dev/null")), Vec::<String>::new(), "{good}");
+    }
+    refused(&ros("old/run"), "bag", "old is no folder");
+    refused(&with("run", "b", "c"), "file", "it is a folder");
+    refused(&with("a.dat", "run", "c"), "bearings", "it is a folder");
+    refused(&with("a.dat", "b", "old"), "status_socket", "there and no socket");
+    let _socket = std::os::unix::net::UnixListener::bind(folder.join("socket")).unwrap();
+    refused(&with("a.dat", "socket", "c"), "bearings", "it is a socket");
+    assert_eq!(refusals(&with("a.dat", "b", "socket")), Vec::<String>::new(), "left by another start, or refused then");
     // Its own file, by another name.
     let own = folder.join("robot.toml");
     std::fs::write(&own, with("a.dat", "robot.toml", "c")).unwrap();
