@@ -126,10 +126,11 @@ pub fn run(args: &Args) -> Result {
     }
     let lost = !unreadable.is_empty() || beside.lost || results.iter().any(|result| result.lost);
     let rows: Vec<Judged> = results.into_iter().flat_map(|result| result.rows).collect();
-    show(args, &rows, &beside)?;
+    let shown = show(args, &rows, &beside);
     for row in rows.iter().filter(|row| row.answer.error.is_some()) {
         wrong!("{}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
     }
+    shown?;
     Ok(match rows.iter().any(|row| row.answer.azimuth_deg.is_some()) {
         false => Outcome::Nothing,
         true if lost => Outcome::DataLost,

@@ -240,6 +240,10 @@ fn pictures_that_cannot_be_drawn_are_said_and_are_a_loss_of_a_page() {
     assert!(err.lines().any(|line| line.starts_with("cannot write ")), "{err}");
     let page = std::fs::read_to_string(folder.0.join("r.html")).unwrap();
     assert!(page.contains("<p class=\"note\">cannot write ") && !page.contains("<svg"), "{page}");
+    // An evaluation without its pictures has failed, and says which links failed all the same.
+    capture(&folder, "tree/A/short", &link(5, 2.0));
+    let (status, out, err) = folder.run(&["evaluate", "tree", "--out", "file/p"]);
+    assert!(status == 1 && out.contains("A/good/1/tx2") && err.contains("A/short/1/tx2: "), "{status} {err}");
 }
 
 #[test]

@@ -388,6 +388,19 @@ mod tests {
     }
 
     #[test]
+    fn a_link_whose_pictures_cannot_be_drawn_is_a_loss() {
+        let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
+        let (captures, _) = crate::evaluate::find_all(&fixture);
+        let mut report = HtmlReport::with_pictures(fixture.join("groundtruth_positions.json"));
+        let options = Options::new("108".parse().unwrap()).with_keep_course(true);
+        report.add(&captures[0], TrajectorySource::GroundTruth, None, &options);
+        assert!(report.lost() && report.notes().len() == 1, "{:?}", report.notes());
+        // That of all links together is another one.
+        let html = report.html("t");
+        assert!(report.notes().len() == 2 && html.matches("class=\"note\"").count() == 2, "{:?}", report.notes());
+    }
+
+    #[test]
     fn errors_and_losses_are_shown_where_there_are_any() {
         let link = |change: fn(&mut Judged)| {
             let mut row = Judged::default();
