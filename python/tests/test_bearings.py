@@ -73,7 +73,7 @@ def test_steps_are_whole_numbers_of_any_kind(rx: Path, tx: Path, path_csv: Path)
     assert np.array_equal(bearing.profile(36, 1).value, steps.value)
     for elevation in (bearing.profile([0.0], 1), bearing.profile([0.0])):
         assert elevation.elevation_deg.tolist() == [[0.0]]
-    for wrong in (36.0, np.float64(36), True, "36", None, 0, [], ["north"]):
+    for wrong in (36.0, np.float64(36), True, "36", None, 0, [], ["north"], [[0.0], [1.0, 2.0]]):
         with pytest.raises(csi5300.OptionError, match="azimuth"):
             bearing.profile(wrong)  # type: ignore[arg-type]
 

@@ -6,6 +6,12 @@ pub fn count(count: u64, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
+/// What of many is looked at: `one pair in 2`.
+#[must_use]
+pub fn one_in(every: usize, one: &str) -> String {
+    format!("one {one} in {every}")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

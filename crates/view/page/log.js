@@ -104,10 +104,17 @@
       return plot;
     }
 
+    // Without a clock there are numbers of records in place of times, and no rate.
+    hasClock() {
+      return this.facts.time_base !== "number";
+    }
+
     rateChart() {
       const stepped = uPlot.paths.stepped({ align: 1 });
-      const rate = this.facts.time_base === "number" ? "over the records: there is no clock, and no rate" : "records per second";
-      return this.chart(110, { name: `${rate}; losses, gaps and steps back of the clock` }, {
+      const rate = this.hasClock() ? "records per second" : "over the records: there is no clock, and no rate";
+      // Without a rate its ticks would be of nothing.
+      const axis = this.hasClock() ? {} : { values: (_, places) => places.map(() => "") };
+      return this.chart(110, { name: `${rate}; losses, gaps and steps back of the clock`, axis }, {
         scale: { range: (_, low, high) => [0, Math.max(1, high * 1.1)] },
         series: [{}, { stroke: () => csi.colour("ink"), width: 1.5, paths: stepped, points: { show: false } }],
         hooks: { draw: [(plot) => this.marks(plot)] },
@@ -202,7 +209,8 @@
       const { now } = this;
       const bins = now.rate_hz.length;
       const left = csi.middles(now.from_s, now.to_s, bins).map((t) => t - (now.to_s - now.from_s) / bins / 2);
-      this.rate.setData([[...left, now.to_s], [...now.rate_hz, now.rate_hz.at(-1) ?? null]]);
+      const rates = [...now.rate_hz, now.rate_hz.at(-1) ?? null];
+      this.rate.setData([[...left, now.to_s], this.hasClock() ? rates : rates.map(() => null)]);
       const times = csi.middles(now.from_s, now.to_s, now.columns);
       const none = times.map(() => null);
       const bands = [...now.rssi, now.agc].flatMap((band) => [band.min, band.mean, band.max].map((line) => (line.length ? line : none)));
@@ -295,7 +303,7 @@
       const { words, unit } = MAPS[chosen.map];
       const k = plot.cursor.top >= 0 && plot.cursor.left >= 0 ? Math.min(29, Math.max(0, Math.floor(plot.posToVal(plot.cursor.top, "y")))) : null;
       const here = k === null ? "" : `; subcarrier ${this.subcarrier(k)}: ${csi.figure(value(own[chosen.map], k), 2)}`;
-      const every = this.maps.every > 1 ? `; every ${this.maps.every}th record is in the picture` : "";
+      const every = this.maps.every > 1 ? `; one record in ${this.maps.every} is in the picture` : "";
       this.readout.textContent = `antenna ${own.antenna}, ${words} from ${csi.figure(low, 1)} (dark) to ${csi.figure(high, 1)} ${unit}; ${this.facts.time_base === "number" ? `record ${Math.round(t)}` : `${csi.figure(t, 3)} s`}${here}${every}`;
     }
 

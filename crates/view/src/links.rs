@@ -9,7 +9,6 @@ use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::beside::{Beside, Table};
 use csi5300_lab::evaluate::quality::receivers;
 use csi5300_lab::evaluate::{Capture, Errors, Judged, SetSummary, TrajectorySource, find_all, summarise};
-use csi5300_lab::words::count;
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
@@ -152,20 +151,15 @@ impl Links {
             return None;
         }
         let mut notes: Vec<String> = unreadable.iter().map(|folder| format!("cannot read {folder}")).collect();
-        let table = Table::read(folder, reading.source()).unwrap_or_else(|error| {
-            notes.push(error.to_string());
-            None
-        });
-        if let Some(bad) = table.as_ref().map(Table::bad_rows).filter(|bad| *bad > 0) {
-            notes.push(format!("links.csv: {} without numbers left out", count(bad as u64, "row", "rows")));
-        }
+        let (table, note) = Table::noted(folder, reading.source());
+        notes.extend(note);
         let mut first = vec![0];
         for capture in &captures {
             let links = capture.transmitters.len().max(1);
             first.push(first.last().map_or(0, |last| last + links));
         }
         let links = first.last().map_or_else(Vec::new, |all| (0..*all).map(|_| None).collect());
-        let lost = !unreadable.is_empty();
+        let lost = !notes.is_empty();
         let state = State { waiting: (0..captures.len()).collect(), links, notes, lost, ..State::default() };
         Some(Self { captures, first, reading, table, state: Mutex::new(state), calm: Condvar::new() })
     }

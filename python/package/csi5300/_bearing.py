@@ -159,12 +159,12 @@ class Bearing:
 
 def _angles(name: str, given: Any) -> int | NDArray[np.float64]:
     """A number of steps, or degrees."""
-    if np.ndim(given) == 0:
-        return _options.whole(name, given, 1)
     try:
-        degrees = np.asarray(given, np.float64).ravel()
+        degrees = None if np.ndim(given) == 0 else np.asarray(given, np.float64).ravel()
     except (TypeError, ValueError) as error:
         raise OptionError(f"{name}: {error}: a number of steps, or an array of degrees") from None
+    if degrees is None:
+        return _options.whole(name, given, 1)
     if not degrees.size:
         raise OptionError(f"{name}: no direction")
     return degrees

@@ -153,7 +153,8 @@ fn open_transmitters(args: &mut Args, inputs: &Inputs) -> std::result::Result<(V
 
 /// Estimates and prints the bearings.
 pub fn run(mut args: Args) -> Result {
-    let mut options = options(&args).unwrap_or_else(|message| usage(&message));
+    let options = options(&args).unwrap_or_else(|message| usage(&message));
+    let key = args.key.as_deref().map(read_key).transpose().map_err(|error| error.to_string())?;
     let is_named = !args.tx.is_empty();
     let (inputs, named) = args.bag.resolve(args.rx.take(), std::mem::take(&mut args.tx), args.trajectory.take())?;
     (args.rx, args.tx) = (Some(named.rx.clone()), named.tx);
@@ -162,7 +163,7 @@ pub fn run(mut args: Args) -> Result {
     if !is_named && args.tx.len() > 1 && args.tx_mac.len() + args.tx_trajectory.len() > 0 {
         usage(&order_unknown(&args.tx));
     }
-    options = options.with_parallel(args.tx.len() > 1);
+    let mut options = options.with_key(key).with_parallel(args.tx.len() > 1);
     let trajectory = args.mounting.of_antenna(inputs.trajectory(&named.trajectory)?)?;
     let mut receiver = inputs.open(&rx)?;
     let (mut logs, unread) = open_transmitters(&mut args, &inputs)?;
@@ -221,8 +222,7 @@ fn options(args: &Args) -> std::result::Result<Options, String> {
     let join = if args.join_rows { JoinBy::Row } else { JoinBy::Time };
     #[cfg(feature = "plot")]
     let options = options.with_keep_course(args.plot.is_some());
-    let key = args.key.as_deref().map(read_key).transpose().map_err(|error| error.to_string())?;
-    Ok(options.with_key(key).with_macs(args.rx_mac, args.tx_mac.clone()).with_join(join))
+    Ok(options.with_macs(args.rx_mac, args.tx_mac.clone()).with_join(join))
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.
@@ -242,6 +242,7 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
             transmitter_m: None,
             recorded: None,
             every: 1,
+            places: 0,
         };
         let written = pictures.write(folder, name, &args.drawing.format(args.force));
         for path in written.map_err(|error| super::pictures::refused(&error))? {

@@ -283,7 +283,8 @@ fn draw(
     recorded: Option<&Bearing>,
 ) -> Words<Vec<PathBuf>> {
     let transmitter_m = scene.robot.get(1).map(|robot| [robot.position_m[0], robot.position_m[1]]);
-    let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m, recorded, every: 1 };
+    let pictures =
+        csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m, recorded, every: 1, places: 0 };
     let written = pictures.write(&args.out, name, &args.drawing.format(args.force));
     written.map_err(|error| super::pictures::refused(&error))
 }

@@ -93,6 +93,7 @@ pub fn run(args: &Args) -> Result {
     for folder in &unreadable {
         wrong!("cannot read {folder}");
     }
+    let beside = Beside::read(args);
     let bar = super::bar(captures.len() as u64, "{bar:40} {pos}/{len} captures, {eta} left");
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build().map_err(|error| error.to_string())?;
     if let Some(Folds::Places) = args.folds {
@@ -123,17 +124,45 @@ pub fn run(args: &Args) -> Result {
     for note in results.iter().flat_map(|result| &result.notes) {
         note!("{note}");
     }
-    let lost = !unreadable.is_empty() || results.iter().any(|result| result.lost);
+    let lost = !unreadable.is_empty() || beside.lost || results.iter().any(|result| result.lost);
     let rows: Vec<Judged> = results.into_iter().flat_map(|result| result.rows).collect();
-    show(args, &rows)?;
+    let shown = show(args, &rows, &beside);
     for row in rows.iter().filter(|row| row.answer.error.is_some()) {
         wrong!("{}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
     }
+    shown?;
     Ok(match rows.iter().any(|row| row.answer.azimuth_deg.is_some()) {
         false => Outcome::Nothing,
         true if lost => Outcome::DataLost,
         true => Outcome::Done,
     })
+}
+
+/// What another program answers on the links, for the pictures.
+#[derive(Default)]
+struct Beside {
+    #[cfg(feature = "plot")]
+    others: Others,
+    /// True if some of it could not be read.
+    lost: bool,
+}
+
+impl Beside {
+    /// Reads the tables beside the captures where they are drawn, and says what of them is left out.
+    fn read(args: &Args) -> Self {
+        #[cfg_attr(not(feature = "plot"), allow(unused_mut))]
+        let mut beside = Self::default();
+        #[cfg(feature = "plot")]
+        for folder in args.folders.iter().filter(|_| args.out.is_some() && args.folds.is_none()) {
+            if let Some(words) = beside.others.add(folder, args.reading.source()) {
+                note!("{words}");
+                beside.lost = true;
+            }
+        }
+        #[cfg(not(feature = "plot"))]
+        let _ = args;
+        beside
+    }
 }
 
 /// Refuses pictures that are there before minutes of work, not after.
@@ -178,7 +207,8 @@ fn find_all<'a>(
 }
 
 /// Prints rows and summary, and draws the pictures that were asked for.
-fn show(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
+#[cfg_attr(not(feature = "plot"), allow(unused_variables))]
+fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<(), String> {
     let summary = summarise(rows);
     if args.json {
         rows.iter().for_each(print_json);
@@ -189,8 +219,7 @@ fn show(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.out {
-        let others = Others::of(&args.folders, args.reading.source())?;
-        let written = set::write(rows, &others, folder, &args.pictures.format());
+        let written = set::write(rows, &beside.others, folder, &args.pictures.format());
         let written = written.map_err(|error| super::pictures::refused(&error))?;
         note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
     }

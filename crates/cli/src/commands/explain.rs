@@ -135,7 +135,7 @@ pub fn run(args: &Args) -> Result {
 fn check_pictures(args: &Args, names: &[String]) -> std::result::Result<(), String> {
     let Some(folder) = &args.out else { return Ok(()) };
     let stems: Vec<PathBuf> =
-        names.iter().flat_map(|name| csi5300_lab::show::link::LinkPictures::stems(folder, name)).collect();
+        names.iter().flat_map(|name| csi5300_lab::show::link::LinkPictures::all_stems(folder, name)).collect();
     args.pictures.format().check(&stems).map_err(|error| super::pictures::refused(&error))
 }
 

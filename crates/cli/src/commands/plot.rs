@@ -39,7 +39,7 @@ pub struct Args {
     /// Up to this time, seconds after the first record
     #[arg(long, value_name = "SECONDS")]
     to: Option<f64>,
-    /// Size of the drawing, pixels at 96 to the inch
+    /// Size of the drawing, pixels at 96 to the inch; higher where its panels and rows need more
     #[arg(long, default_value = "1200x1100", value_parser = size, value_name = "WIDTHxHEIGHT")]
     size: (f64, f64),
     #[command(flatten)]

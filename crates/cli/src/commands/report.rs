@@ -31,7 +31,8 @@ pub struct Args {
 pub fn run(args: &Args) -> Result {
     let options = args.reading.options().unwrap_or_else(|message| usage(&message));
     let options = options.with_keep_course(!args.no_pictures);
-    let is_page = args.out.extension().is_none_or(|ending| ending == "html" || ending == "htm");
+    let is_html = |ending: &std::ffi::OsStr| ["html", "htm"].iter().any(|own| ending.eq_ignore_ascii_case(own));
+    let is_page = args.out.extension().is_none_or(is_html);
     // Devices take anything.
     if !is_page && (args.out.is_file() || !args.out.exists()) {
         usage(&format!("{}: the page is HTML: .html", args.out.display()));
@@ -43,12 +44,8 @@ pub fn run(args: &Args) -> Result {
     }
     let (captures, unreadable) = args.reading.find(&args.folder)?;
     let pictures_in = std::env::temp_dir().join(format!("csi5300-report-{}", std::process::id()));
-    let beside = csi5300_lab::evaluate::beside::Table::read(&args.folder, args.reading.source());
     let mut report = if args.no_pictures { HtmlReport::new() } else { HtmlReport::with_pictures(pictures_in.clone()) };
-    match beside {
-        Ok(table) => report.beside(table),
-        Err(error) => report.note(error.to_string()),
-    }
+    report.beside(&args.folder, args.reading.source());
     unreadable.iter().for_each(|folder| report.note(format!("cannot read {folder}")));
     for (k, capture) in captures.iter().enumerate() {
         super::progress(&format!("{} of {} captures", k + 1, captures.len()));

@@ -1,7 +1,8 @@
 //! Pictures of every command that draws: in the formats asked for, and nothing overwritten unasked.
 
 use super::commands::{Folder, capture};
-use crate::common::link::{Link, link};
+use crate::common::link::{Link, START_S, link};
+use std::process::{Command, Stdio};
 
 fn is_pdf(folder: &Folder, name: &str) {
     let bytes = std::fs::read(folder.0.join(name)).unwrap_or_else(|error| panic!("{name}: {error}"));
@@ -60,6 +61,16 @@ fn pictures_of_an_evaluation_are_refused_before_it_begins_and_a_page_is_small() 
     let (status, _, err) = folder.run(&["explain", "tree", "--out", "link", "--format", "pdf"]);
     assert_eq!(status, 0, "{err}");
     assert!(names(&folder, "link").len() >= 4 && names(&folder, "link").iter().all(|name| name.ends_with(".pdf")));
+    // A map alone is enough to be refused, before anything is said of the link.
+    let maps: Vec<String> = names(&folder, "link").into_iter().filter(|name| name.contains("-azimuth-")).collect();
+    assert_eq!(maps.len(), 2, "{maps:?}");
+    for map in maps {
+        let only = format!("only-{map}");
+        std::fs::create_dir(folder.0.join(&only)).unwrap();
+        folder.write(&format!("{only}/{map}"), b"mine");
+        let (status, out, err) = folder.run(&["explain", "tree", "--out", &only, "--format", "pdf"]);
+        assert!(status == 1 && out.is_empty() && err.contains("is there already: --force"), "{map}: {out}{err}");
+    }
     let (_, out, err) = folder.run(&["locate", "tree", "--plot", "places", "--format", "pdf"]);
     assert!(out.starts_with("A/good/1: "), "{out}{err}");
     is_pdf(&folder, "places/map-A_good_1.pdf");
@@ -104,8 +115,27 @@ fn a_link_of_any_length_is_small_on_a_page() {
         assert_eq!(status, 0, "{err}");
         let page = std::fs::read_to_string(folder.0.join("r.html")).unwrap();
         let largest = largest_link(&page);
-        assert!(largest < 150_000 && page.contains("every "), "{pairs} pairs: {largest} bytes");
+        assert!(largest < 150_000 && page.contains(", one pair in "), "{pairs} pairs: {largest} bytes");
     }
+}
+
+/// A robot that drives 60 turns on a spiral: each of its places is another one, as is each of its phases.
+#[test]
+fn a_long_drive_is_small_on_a_page() {
+    let folder = Folder::new("drawing-drive");
+    let mut made = scattered(3_000);
+    made.trajectory = (0..=45_000).fold(String::new(), |rows, row| {
+        let share = f64::from(row) / 45_000.0;
+        let (turn, radius_m) = (60.0 * std::f64::consts::TAU * share, 0.3 + share);
+        let (x, y, t_s) = (radius_m * turn.cos(), radius_m * turn.sin(), START_S + 30.0 * share);
+        rows + &format!("{t_s:.6},0,{x:.6},{y:.6},0.1,\n")
+    });
+    capture(&folder, "tree/A/good", &made);
+    let (status, _, err) = folder.run(&["report", "tree", "--out", "r.html"]);
+    assert_eq!(status, 0, "{err}");
+    let page = std::fs::read_to_string(folder.0.join("r.html")).unwrap();
+    let largest = largest_link(&page);
+    assert!(largest < 150_000 && page.contains("trajectory and bearing"), "{largest} bytes");
 }
 
 /// A link whose phases are all over the place, as those of weak signals are: no two of its dots lie on each other.
@@ -127,6 +157,7 @@ fn a_page_has_its_ending_and_says_why_a_link_has_no_bearing() {
     let (status, out, err) = folder.run(&["report", "tree", "--out", "x.pdf"]);
     assert!(status == 2 && out.is_empty() && err.contains("x.pdf: the page is HTML"), "{status} {err}");
     assert!(!folder.0.join("x.pdf").exists());
+    assert_eq!(folder.run(&["report", "tree", "--out", "x.HTML", "--no-pictures"]).0, 0);
     // A capture whose channel nobody knows, beside one that names its own.
     capture(&folder, "tree/A/bad", &link(300, 2.0));
     std::fs::remove_file(folder.0.join("tree/A/bad/groundtruth_positions.json")).unwrap();
@@ -156,6 +187,63 @@ fn errors_are_drawn_beside_those_of_another_program_on_the_same_links() {
         |start: &str| out.lines().position(|line| line.starts_with(start)).unwrap_or_else(|| panic!("{start}: {out}"));
     assert!(line("nlos: 1 link, 0 failed") < line("all: 2 links, 0 failed"), "{out}");
     assert!(!out.contains("0 of 0 links") && !out.contains("median error -"), "{out}");
+}
+
+/// A side table that is none, or has a row without numbers: said before the work, and a loss, of every command that reads it.
+#[test]
+fn what_is_left_out_of_another_programs_answers_is_said_and_is_a_loss() {
+    let folder = Folder::new("drawing-bad-table");
+    capture(&folder, "tree/A/good", &link(300, 2.0));
+    // A link that fails is said all the same.
+    capture(&folder, "tree/A/short", &link(5, 2.0));
+    let head = "capture,tx,displacement,peer_est_deg,peer_err_from_mean_pose_deg";
+    let row = format!("{head}\nA/good/1,tx2,gt,30.0,x\n");
+    let cases = [
+        ("a,b\n1,2\n", "tree: links.csv has no column `capture`: it is left out"),
+        (row.as_str(), "tree: links.csv: 1 row without numbers left out"),
+    ];
+    for (table, words) in cases {
+        folder.write("tree/links.csv", table.as_bytes());
+        let mut commands = vec![
+            &["evaluate", "tree", "--out", "p", "--format", "svg", "--force"][..],
+            &["report", "tree", "--out", "r.html", "--force"],
+        ];
+        if cfg!(feature = "view") {
+            commands.push(&["report", "tree", "--out", "i.html", "--interactive", "--force"]);
+        }
+        for command in commands {
+            let (status, _, err) = folder.run(command);
+            assert!(status == 3 && err.lines().any(|line| line == words), "{command:?}: {status} {err}");
+            assert!(err.contains("A/short/1/tx2: "), "{command:?}: {err}");
+        }
+        assert!(folder.0.join("p/errors.svg").is_file());
+        std::fs::remove_dir_all(folder.0.join("p")).unwrap();
+        assert!(std::fs::read_to_string(folder.0.join("r.html")).unwrap().contains(words));
+    }
+    // Without pictures nobody asked for it.
+    let (_, _, err) = folder.run(&["evaluate", "tree"]);
+    assert!(!err.contains("links.csv"), "{err}");
+}
+
+#[test]
+fn pictures_that_cannot_be_drawn_are_said_and_are_a_loss_of_a_page() {
+    let folder = Folder::new("drawing-nowhere");
+    capture(&folder, "tree/A/good", &link(300, 2.0));
+    let no_folder = folder.write("file", b"");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    command.current_dir(&folder.0).env("TMPDIR", no_folder).args(["report", "tree", "--out", "r.html"]);
+    let output = command.stdin(Stdio::null()).output().unwrap();
+    let err = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(3), "{err}");
+    // Of the link, and of all links together.
+    assert!(err.lines().any(|line| line.starts_with("A/good/1/tx2: cannot make the folder ")), "{err}");
+    assert!(err.lines().any(|line| line.starts_with("cannot write ")), "{err}");
+    let page = std::fs::read_to_string(folder.0.join("r.html")).unwrap();
+    assert!(page.contains("<p class=\"note\">cannot write ") && !page.contains("<svg"), "{page}");
+    // An evaluation without its pictures has failed, and says which links failed all the same.
+    capture(&folder, "tree/A/short", &link(5, 2.0));
+    let (status, out, err) = folder.run(&["evaluate", "tree", "--out", "file/p"]);
+    assert!(status == 1 && out.contains("A/good/1/tx2") && err.contains("A/short/1/tx2: "), "{status} {err}");
 }
 
 #[test]

@@ -224,6 +224,9 @@ fn a_file_that_is_missing_is_no_wrong_usage_and_one_that_makes_no_sense_is() {
     folder.write("robot.toml", b"colour = 3\n");
     let (status, _, err) = folder.run(&["simulate", "gone.toml", "--out", "o"]);
     assert!(status == 1 && err.contains("no file gone.toml, and no built-in scene"), "{status} {err}");
+    folder.link(&link(300, 1.0));
+    let (status, _, err) = folder.bearing(&["--key", "gone.key"]);
+    assert!(status == 1 && err.contains("gone.key"), "{status} {err}");
     let (status, _, err) = folder.run(&["simulate", "scene.toml", "--out", "o"]);
     assert!(status == 2 && err.contains("scene.toml: line 1: unknown field `colour`"), "{status} {err}");
     if cfg!(feature = "node") {

@@ -77,9 +77,9 @@ pub struct Stretch {
     pub missing: Vec<(usize, u64)>,
     /// Columns with damaged bytes or impossible records, and how many stretches of them.
     pub damaged: Vec<(usize, u64)>,
-    /// Columns in which senders skipped frame numbers, and how many.
+    /// Columns in which the senders asked for skipped frame numbers, and how many.
     pub skipped: Vec<(usize, u64)>,
-    /// Columns with frames that have the number of the one before, and how many.
+    /// Columns with their frames that have the number of the one before, and how many.
     pub repeated: Vec<(usize, u64)>,
     /// From and to of parts without a record, seconds.
     pub gaps_s: Vec<(f64, f64)>,
@@ -237,7 +237,7 @@ impl LogIndex {
     }
 
     /// Levels and losses between two times in about `columns` columns, of one sender or of all; a column for two
-    /// records at most. A stretch outside of the log is all of it.
+    /// records at most. What is missing from `bfee_count`, and damage, are of no sender: they are in it whoever is asked for. A stretch outside of the log is all of it.
     #[must_use]
     pub fn stretch(&self, from_s: f64, to_s: f64, columns: usize, sender: Option<Mac>) -> Stretch {
         let (cut, rows) = self.cut(from_s, to_s);
@@ -265,6 +265,9 @@ impl LogIndex {
             found.into_iter().collect()
         };
         let seen = &self.seen;
+        let is_own = |mac: &Mac| sender.is_none_or(|sender| sender == *mac);
+        let skipped = seen.skipped.iter().filter(|mark| is_own(&mark.0));
+        let repeated = seen.repeated.iter().filter(|mark| is_own(&mark.0));
         Stretch {
             from_s: cut.0,
             to_s: cut.1,
@@ -275,8 +278,8 @@ impl LogIndex {
             agc: agc.band(),
             missing: counted(&mut seen.missing.iter().copied()),
             damaged: counted(&mut seen.damaged.iter().map(|t_s| (*t_s, 1))),
-            skipped: counted(&mut seen.skipped.iter().copied()),
-            repeated: counted(&mut seen.repeated.iter().map(|t_s| (*t_s, 1))),
+            skipped: counted(&mut skipped.map(|mark| (mark.1, mark.2))),
+            repeated: counted(&mut repeated.map(|mark| (mark.1, 1))),
             gaps_s: self.gaps_s.iter().filter(|(from, to)| *to >= cut.0 && *from <= cut.1).copied().collect(),
             steps_back: seen.steps_back.iter().filter(|(t_s, _)| inside(t_s)).copied().collect(),
         }

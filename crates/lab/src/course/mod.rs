@@ -17,7 +17,7 @@ use csi5300::source::Error;
 use csi5300::source::survey::{Survey, TimeBase};
 use driver_iface::Mac;
 use driver_iface::bfee::{Antenna, rate::HT40};
-use scan::{Row, scan};
+use scan::{Row, Seen, scan};
 use std::path::Path;
 
 /// Columns of a heat map at most.
@@ -130,21 +130,17 @@ pub struct Course {
 const POINTS: usize = 2_000;
 
 impl Course {
-    /// Reads a log, twice: once for its times, once for its CSI.
+    /// Reads a log, twice: once for its times, once for its CSI; once more where its card's clock stands.
     ///
     /// # Errors
     /// If the log cannot be read. A log without a record that is wanted gives an empty course.
     pub fn read(path: &Path, wanted: &Wanted) -> Result<Self, Error> {
-        let mut antennas = [false; 3];
-        let seen = scan(path, TimeBase::Card, wanted, |_, _, bfee| {
-            if let Ok(csi) = Csi::from_bfee(bfee) {
-                for (known, antenna) in antennas.iter_mut().zip(Antenna::ALL) {
-                    *known |= csi.row(antenna).is_some();
-                }
-            }
-        })?;
+        let (mut seen, mut antennas) = scan_antennas(path, TimeBase::Card, wanted)?;
         let base = seen.survey.time_base();
-        let seen = if base == TimeBase::Card { seen } else { scan(path, base, wanted, |_, _, _| ())? };
+        if base != TimeBase::Card {
+            // What lies in the cut is known by these times only.
+            (seen, antennas) = scan_antennas(path, base, wanted)?;
+        }
         let lost_something = seen.survey.lost_something();
         let Some(span_s) = span_s(&seen.rows) else { return Ok(Self { lost_something, ..Self::default() }) };
         let columns = seen.rows.len().clamp(1, COLUMNS);
@@ -177,12 +173,24 @@ impl Course {
             gaps_s: gaps(&seen.rows),
             missing: counted(seen.missing),
             damaged: times(seen.damaged),
-            skipped: counted(seen.skipped),
-            repeated: times(seen.repeated),
+            skipped: counted(seen.skipped.into_iter().map(|(_, t_s, count)| (t_s, count)).collect()),
+            repeated: times(seen.repeated.into_iter().map(|(_, t_s)| t_s).collect()),
             steps_back: seen.steps_back.into_iter().filter(|(t_s, _)| inside(*t_s)).collect(),
             lost_something,
         })
     }
+}
+
+/// Reads a log once by a clock; which antennas have CSI in what is wanted of it.
+fn scan_antennas(path: &Path, base: TimeBase, wanted: &Wanted) -> Result<(Seen, [bool; 3]), Error> {
+    let mut antennas = [false; 3];
+    let seen = scan(path, base, wanted, |_, _, bfee| {
+        let Ok(csi) = Csi::from_bfee(bfee) else { return };
+        for (known, antenna) in antennas.iter_mut().zip(Antenna::ALL) {
+            *known |= csi.row(antenna).is_some();
+        }
+    })?;
+    Ok((seen, antennas))
 }
 
 /// Indices of the subcarriers, where all frames are of one width.

@@ -33,9 +33,10 @@ pub(super) struct Seen {
     /// When, seconds, and how many numbers of `bfee_count` are missing.
     pub missing: Vec<(f64, u64)>,
     pub damaged: Vec<f64>,
-    /// When, and how many frame numbers a sender skipped.
-    pub skipped: Vec<(f64, u64)>,
-    pub repeated: Vec<f64>,
+    /// Who skipped frame numbers, when, and how many.
+    pub skipped: Vec<(Mac, f64, u64)>,
+    /// Who sent a number again, and when.
+    pub repeated: Vec<(Mac, f64)>,
     /// When the card's clock stepped back, and by how much, seconds.
     pub steps_back: Vec<(f64, f64)>,
     pub survey: Survey,
@@ -53,11 +54,13 @@ struct Numbers {
 }
 
 impl Numbers {
-    fn note(&mut self, survey: &Survey, mac: Mac, t_s: f64) {
+    /// Notes a record, and marks what it shows if it is wanted: of one that is not, the next one must not be charged.
+    fn note(&mut self, survey: &Survey, mac: Mac, t_s: f64, is_wanted: bool) {
         let Some(sender) = survey.senders.get(&mac).filter(|sender| sender.counts_up()) else { return };
         let now = (sender.frames_skipped, sender.frames_repeated);
         let before = self.counts.insert(mac, now).unwrap_or_default();
         match (now.0.saturating_sub(before.0), now.1.saturating_sub(before.1)) {
+            _ if !is_wanted => {}
             (0, 0) => {}
             (0, _) => self.repeated.push((mac, t_s)),
             (skipped, _) => self.skipped.push((mac, t_s, skipped)),
@@ -66,8 +69,8 @@ impl Numbers {
 
     fn settle(self, seen: &mut Seen) {
         let counts = |mac: &Mac| seen.survey.senders.get(mac).is_some_and(csi5300::source::survey::Sender::counts_up);
-        seen.skipped = self.skipped.into_iter().filter(|mark| counts(&mark.0)).map(|mark| (mark.1, mark.2)).collect();
-        seen.repeated = self.repeated.into_iter().filter(|mark| counts(&mark.0)).map(|mark| mark.1).collect();
+        seen.skipped = self.skipped.into_iter().filter(|mark| counts(&mark.0)).collect();
+        seen.repeated = self.repeated.into_iter().filter(|mark| counts(&mark.0)).collect();
     }
 }
 
@@ -111,8 +114,9 @@ pub(super) fn scan(
         if let Some(step @ 2..) = count.step(bfee.bfee_count()).filter(|step| *step <= u16::MAX / 2) {
             seen.missing.push((t_s, u64::from(step - 1)));
         }
-        if wanted.takes(identity.mac, t_s) {
-            numbers.note(&survey, identity.mac, t_s);
+        let is_wanted = wanted.takes(identity.mac, t_s);
+        numbers.note(&survey, identity.mac, t_s, is_wanted);
+        if is_wanted {
             let row = Row { t_us, offset, rssi: bfee.rssi(), agc: bfee.agc() };
             seen.rows.push(row);
             each(row, &identity, &bfee);

@@ -8,11 +8,21 @@ use std::path::PathBuf;
 /// A record: the card's clock, host time (whole microseconds; 0 for none), frame number.
 type Told = (u32, u64, u32);
 
-/// A log of such records, in a file of its own.
+/// A sender.
+const fn sender(number: u8) -> Mac {
+    Mac([2, 0, 0, 0, 0, number])
+}
+
+/// A log of such records of one sender, in a file of its own.
 fn log(name: &str, records: &[Told]) -> PathBuf {
+    log_of(name, &records.iter().map(|told| (sender(1), *told)).collect::<Vec<_>>())
+}
+
+/// A log of such records of several senders.
+fn log_of(name: &str, records: &[(Mac, Told)]) -> PathBuf {
     let mut bytes = Vec::new();
-    for (k, (timestamp_low, host_us, frame_count)) in records.iter().enumerate() {
-        let mac = Mac([2, 0, 0, 0, 0, 1]);
+    for (k, (mac, (timestamp_low, host_us, frame_count))) in records.iter().enumerate() {
+        let mac = *mac;
         let (tv_sec, tv_usec) = ((host_us / 1_000_000) as u32, (host_us % 1_000_000) as u32);
         let wsr = Some(Wsr { tv_sec, tv_usec, mac, frame_count: *frame_count });
         let repr =
@@ -112,4 +122,55 @@ fn frame_numbers_that_are_skipped_or_come_twice_are_marked_where_they_do() {
     let random = |k: u32| (1_000 * k, 0, k.wrapping_mul(2_654_435_761) ^ 0x5bd1_e995);
     let course = agreed(&log("random", &(0..60).map(random).collect::<Vec<_>>()));
     assert!(course.skipped.is_empty() && course.repeated.is_empty());
+}
+
+#[test]
+fn a_cut_has_its_csi_by_whatever_clock() {
+    // The card's clock says that nothing lies after half a second, or at 20 and later.
+    let host = |k: u32| (k / 10, START_US + 10_000 * u64::from(k), k);
+    let path = log("cut-host", &(0..100).map(host).collect::<Vec<_>>());
+    let course = Course::read(&path, &Wanted::default().with_cut(Some(0.5), None)).unwrap();
+    assert_eq!((course.base, course.records, course.antennas.len()), (TimeBase::Host, 50, 3));
+    std::fs::remove_file(path).unwrap();
+    let path = log("cut-number", &(0..29).map(|k| (0, 0, k)).collect::<Vec<_>>());
+    let course = Course::read(&path, &Wanted::default().with_cut(Some(20.0), Some(24.0))).unwrap();
+    assert_eq!((course.base, course.records, course.antennas.len()), (TimeBase::Number, 5, 3));
+    assert_eq!(course.antennas[0].line_db.len(), 5);
+    std::fs::remove_file(path).unwrap();
+}
+
+#[test]
+fn numbers_skipped_outside_of_what_is_wanted_are_not_counted_in_it() {
+    // Two senders in turn, a record a millisecond; the first skips 3 at 20 ms and 5 at 60 ms and repeats one at 30 ms, the other
+    // skips 7 at 41 ms.
+    let told = |k: u32| {
+        let own = k / 2;
+        let number = match k % 2 {
+            0 => own + if own >= 10 { 3 } else { 0 } + if own >= 30 { 5 } else { 0 } - u32::from(own >= 15),
+            _ => own + if own >= 20 { 7 } else { 0 },
+        };
+        (sender(1 + (k % 2) as u8), (1_000_000 + 1_000 * k, 0, number))
+    };
+    let path = log_of("cut-numbers", &(0..100).map(told).collect::<Vec<_>>());
+    let ms = |t_s: f64| (1_000.0 * t_s).round() as u32;
+    let read = |wanted: Wanted| {
+        let course = Course::read(&path, &wanted).unwrap();
+        let skipped: Vec<_> = course.skipped.iter().map(|(t_s, count)| (ms(*t_s), *count)).collect();
+        (skipped, course.repeated.iter().map(|t_s| ms(*t_s)).collect::<Vec<_>>())
+    };
+    assert_eq!(read(Wanted::default()), (vec![(20, 3), (41, 7), (60, 5)], vec![30]));
+    assert_eq!(read(Wanted::default().with_cut(Some(0.05), None)), (vec![(60, 5)], vec![]));
+    assert_eq!(read(Wanted::default().with_cut(Some(0.025), Some(0.05))), (vec![(41, 7)], vec![30]));
+    assert_eq!(read(Wanted::default().with_macs(vec![sender(2)])), (vec![(41, 7)], vec![]));
+    let own = Wanted::default().with_macs(vec![sender(1)]).with_cut(Some(0.045), None);
+    assert_eq!(read(own), (vec![(60, 5)], vec![]));
+
+    // The same of a stretch with one sender chosen.
+    let index = LogIndex::read(&path).unwrap();
+    let counts = |sender: Option<Mac>| {
+        let stretch = index.stretch(0.0, f64::INFINITY, 50, sender);
+        [stretch.skipped, stretch.repeated].map(|marks| marks.iter().map(|mark| mark.1).sum::<u64>())
+    };
+    assert_eq!([None, Some(sender(1)), Some(sender(2))].map(counts), [[15, 1], [8, 1], [7, 0]]);
+    std::fs::remove_file(path).unwrap();
 }

@@ -83,6 +83,21 @@ impl Table {
         Ok(Some(table))
     }
 
+    /// [`Self::read`], with what there is to say in words: why the table is left out, or how many of its rows are. Both
+    /// are losses.
+    #[must_use]
+    pub fn noted(folder: &Path, source: TrajectorySource) -> (Option<Self>, Option<String>) {
+        let said = |words: String| Some(format!("{}: {words}", folder.display()));
+        match Self::read(folder, source) {
+            Err(error) => (None, said(error.to_string())),
+            Ok(Some(table)) if table.bad_rows > 0 => {
+                let rows = crate::words::count(table.bad_rows as u64, "row", "rows");
+                (Some(table), said(format!("{TABLE}: {rows} without numbers left out")))
+            }
+            Ok(table) => (table, None),
+        }
+    }
+
     /// Its answer on a link.
     #[must_use]
     pub fn of(&self, link: &str) -> Option<Beside> {
@@ -111,11 +126,16 @@ mod tests {
         let table = Table::read(&folder, TrajectorySource::GroundTruth).unwrap().unwrap();
         assert_eq!(table.of("A/L1/x/tx2"), Some(Beside { azimuth_deg: 132.8, error_deg: 5.9 }));
         assert_eq!((table.of("A/L1/x/tx3"), table.bad_rows()), (None, 2));
+        let (noted, note) = Table::noted(&folder, TrajectorySource::GroundTruth);
+        assert!(noted == Some(table) && note.unwrap().ends_with("links.csv: 2 rows without numbers left out"));
         let camera = Table::read(&folder, TrajectorySource::T265).unwrap().unwrap();
         assert_eq!(camera.of("A/L1/x/tx2").map(|beside| beside.error_deg), Some(-1.0));
+        assert_eq!(Table::noted(&folder, TrajectorySource::T265), (Some(camera), None));
         std::fs::write(folder.join(TABLE), "a,b\n1,2\n").unwrap();
         let error = Table::read(&folder, TrajectorySource::GroundTruth).unwrap_err();
         assert!(error.to_string().contains("no column `capture`"), "{error}");
+        let (noted, note) = Table::noted(&folder, TrajectorySource::GroundTruth);
+        assert!(noted.is_none() && note.unwrap().contains("no column `capture`"));
         std::fs::remove_dir_all(&folder).unwrap();
     }
 }

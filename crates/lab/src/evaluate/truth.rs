@@ -35,6 +35,14 @@ pub enum EvaluateError {
         /// Where it is wrong, and how.
         source: serde_json::Error,
     },
+    /// The file with the truth is longer than one can be.
+    #[error("{}: {bytes} bytes; a file with the truth of a capture has {LONGEST} at most", path.display())]
+    Long {
+        /// The file.
+        path: PathBuf,
+        /// Its size.
+        bytes: u64,
+    },
     /// The file with the truth has a transmitter where none can be.
     #[error("{}: {transmitter} is further than 1e6 m from the origin", path.display())]
     Far {
@@ -101,17 +109,26 @@ struct Xy {
     y: f64,
 }
 
+/// The whole file; one that is longer than [`LONGEST`] is not read to its end.
+fn read(path: &Path) -> Result<Vec<u8>, EvaluateError> {
+    let io = |source| EvaluateError::Io { path: path.to_owned(), source };
+    let file = File::open(path).map_err(io)?;
+    let (size, mut text) = (file.metadata().map_err(io)?.len(), Vec::new());
+    let got = file.take(LONGEST + 1).read_to_end(&mut text).map_err(io)? as u64;
+    // A pipe has no size of its own.
+    match got > LONGEST {
+        true => Err(EvaluateError::Long { path: path.to_owned(), bytes: size.max(got) }),
+        false => Ok(text),
+    }
+}
+
 impl Truth {
     /// Reads the file of the capture in `folder`.
     pub(super) fn read(folder: &Path) -> Result<Self, EvaluateError> {
         let path = folder.join(TRUTH_FILE);
-        let mut text = String::new();
-        let read = File::open(&path).and_then(|file| file.take(LONGEST).read_to_string(&mut text));
-        if let Err(source) = read {
-            return Err(EvaluateError::Io { path, source });
-        }
+        let text = read(&path)?;
         let truth: Self =
-            serde_json::from_str(&text).map_err(|source| EvaluateError::Truth { path: path.clone(), source })?;
+            serde_json::from_slice(&text).map_err(|source| EvaluateError::Truth { path: path.clone(), source })?;
         match truth.far() {
             Some(transmitter) => Err(EvaluateError::Far { transmitter: transmitter.to_owned(), path }),
             None => Ok(truth),
@@ -155,8 +172,11 @@ mod tests {
         assert_eq!(at("1e6").unwrap(), Some(Vector2::new(1e6, 2.0)));
         assert!(at("-1.1e6").unwrap_err().contains("tx1 is further"));
         assert!(at("1e308").is_err() && at("1e999").is_err());
-        let long = format!("{}{}", " ".repeat(LONGEST as usize), "{}");
-        assert!(read(&long).is_err() && read("{}").is_ok());
+        // Its first MiB is a truth by itself.
+        let long = |bytes: u64| format!("{{}}{}", " ".repeat(bytes as usize - 2));
+        let error = read(&long(LONGEST + 1)).unwrap_err();
+        assert!(error.contains("1048577 bytes; a file with the truth of a capture has 1048576 at most"), "{error}");
+        assert!(read(&long(LONGEST)).is_ok() && read("{}").is_ok());
         std::fs::remove_dir_all(folder).unwrap();
     }
 }

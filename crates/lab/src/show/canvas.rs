@@ -63,6 +63,11 @@ impl Canvas {
         canvas
     }
 
+    /// Makes it at least so high.
+    pub(super) fn grow_to(&mut self, height: f64) {
+        self.0.height = self.0.height.max(height);
+    }
+
     pub(super) fn line(&mut self, from: (f64, f64), to: (f64, f64), c: Rgb, width: f64, dash: bool) {
         self.0.elements.push(Primitive::Line {
             x1: from.0,

@@ -4,6 +4,7 @@ use super::{Error, Format, PhasePlot, PhaseTrack, PlaceMap, ProfilePlot, Traject
 use crate::curves::{Curve, evidence, plane_wave, without_motion};
 use crate::evaluate::{Judged, TrajectorySource};
 use csi5300::bartlett;
+use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::{Bearing, Phase};
 use std::path::{Path, PathBuf};
 
@@ -19,6 +20,8 @@ pub struct LinkPictures<'a> {
     pub recorded: Option<&'a Bearing>,
     /// Every how manieth pair's phase is drawn.
     pub every: usize,
+    /// Points of the path, and places at which CSI was used, that are drawn at most; 0 is all.
+    pub places: usize,
 }
 
 impl<'a> LinkPictures<'a> {
@@ -28,13 +31,21 @@ impl<'a> LinkPictures<'a> {
     pub fn of(row: &Judged, bearing: &'a Bearing, source: TrajectorySource) -> Self {
         let transmitter_m = row.true_transmitter_m.filter(|_| source == TrajectorySource::GroundTruth);
         let truth_rad = row.true_from_mean_pose_deg.map(f64::to_radians);
-        Self { bearing, truth_rad, transmitter_m, recorded: None, every: 1 }
+        Self { bearing, truth_rad, transmitter_m, recorded: None, every: 1, places: 0 }
     }
 
     /// What the pictures of [`Self::write`] are called, without their endings.
     #[must_use]
     pub fn stems(folder: &Path, name: &str) -> [PathBuf; 3] {
         ["phase", "trajectory", "profile"].map(|what| stem(folder, name, what))
+    }
+
+    /// What the pictures of [`Self::write_all`] are called, without their endings.
+    #[must_use]
+    pub fn all_stems(folder: &Path, name: &str) -> [PathBuf; 5] {
+        let [phase, trajectory, profile] = Self::stems(folder, name);
+        let [elevation, range] = MAPS.map(|what| stem(folder, name, what));
+        [phase, trajectory, profile, elevation, range]
     }
 
     /// Writes `NAME-phase`, `NAME-trajectory` and `NAME-profile` into a folder; none of them if one may not be replaced.
@@ -93,10 +104,11 @@ impl<'a> LinkPictures<'a> {
 
     fn trajectory(&self, name: &str) -> TrajectoryPlot {
         let answer = &self.bearing.answer;
+        let drawn = |places: &[Vector3<f64>]| spread(places.iter().map(|p| [p.x, p.y]).collect(), self.places);
         TrajectoryPlot {
             title: format!("{name}: trajectory and bearing"),
-            path_m: self.bearing.path_m.iter().map(|p| [p.x, p.y]).collect(),
-            used_m: self.bearing.samples.receiver_m().iter().map(|p| [p.x, p.y]).collect(),
+            path_m: drawn(&self.bearing.path_m),
+            used_m: drawn(self.bearing.samples.receiver_m()),
             azimuth_rad: answer.azimuth_rad,
             mirror_rad: answer.mirror_rad,
             sd_rad: Some(answer.azimuth_sd_rad),
@@ -128,6 +140,30 @@ impl<'a> LinkPictures<'a> {
             mirror_deg: answer.mirror_rad.map(f64::to_degrees),
         })
     }
+}
+
+/// The maps of places, where they were asked for.
+const MAPS: [&str; 2] = ["azimuth-elevation", "azimuth-range"];
+
+/// Of a path's points so many at most, equally far from each other along it, with both ends; all of them where `most` is 0.
+fn spread(points: Vec<[f64; 2]>, most: usize) -> Vec<[f64; 2]> {
+    if most == 0 || points.len() <= most {
+        return points;
+    }
+    let from = |a: &[f64; 2], b: &[f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+    let length: f64 = points.windows(2).map(|pair| from(&pair[0], &pair[1])).sum();
+    let step = length / (most.max(3) - 2) as f64;
+    let (mut gone, mut last, mut kept) = (0.0, None::<[f64; 2]>, Vec::with_capacity(most));
+    for point in &points {
+        gone += last.map_or(step, |last| from(&last, point));
+        last = Some(*point);
+        if gone >= step {
+            kept.push(*point);
+            gone = if step > 0.0 { gone % step } else { f64::NEG_INFINITY };
+        }
+    }
+    kept.extend(last.filter(|last| kept.last() != Some(last)));
+    kept
 }
 
 /// What a picture of a link is called, without its ending.
@@ -178,7 +214,7 @@ fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'stati
             truth_deg,
             ..PlaceMap::default()
         };
-        found.push(("azimuth-elevation", map));
+        found.push((MAPS[0], map));
     }
     if maps.curves_per_m.len() > 1 {
         let most = last(&maps.curves_per_m);
@@ -194,7 +230,29 @@ fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'stati
             marks: candidates().map(|s| (s.azimuth_rad.to_degrees(), s.inverse_range_per_m)).collect(),
             truth_deg,
         };
-        found.push(("azimuth-range", map));
+        found.push((MAPS[1], map));
     }
     found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_keeps_its_ends_and_its_shape_with_few_points() {
+        let turns = |n: usize| (0..n).map(|k| std::f64::consts::TAU * k as f64 / 1_000.0);
+        let path: Vec<[f64; 2]> = turns(60_000).map(|turn| [turn.cos(), turn.sin()]).collect();
+        // It stands for as long as it drove.
+        let whole = [path.clone(), vec![path[59_999]; 60_000]].concat();
+        let few = spread(whole.clone(), 3_000);
+        assert!((2_900..=3_000).contains(&few.len()), "{}", few.len());
+        assert_eq!((few.first(), few.last()), (whole.first(), whole.last()));
+        let longest = few.windows(2).map(|pair| (pair[0][0] - pair[1][0]).hypot(pair[0][1] - pair[1][1]));
+        assert!(longest.fold(0.0, f64::max) < 0.14);
+        assert_eq!(spread(path.clone(), 0), path);
+        assert_eq!(spread(path[..3_000].to_vec(), 3_000), path[..3_000]);
+        // One that stands is its place.
+        assert_eq!(spread(vec![[1.0, 2.0]; 9], 4).last(), Some(&[1.0, 2.0]));
+    }
 }

@@ -22,7 +22,7 @@ pub struct LogPictures<'a> {
     pub title: &'a str,
     /// What is drawn.
     pub course: &'a Course,
-    /// Width and height of the drawing, pixels at 96 to the inch.
+    /// Width and height of the drawing, pixels at 96 to the inch; it is higher where its panels need more.
     pub size: (f64, f64),
 }
 
@@ -32,6 +32,10 @@ const TOP: f64 = 150.0;
 const BOTTOM: f64 = 90.0;
 /// Between panels: the upper one's ticks and the lower one's name.
 const GAP: f64 = 70.0;
+/// Height of a panel at least: the three names of a colour bar.
+const LEAST: f64 = 60.0;
+/// Height of a panel that is nothing but an axis.
+const FLAT: f64 = 8.0;
 /// Rows of a heat map that have a tick: the outermost subcarriers, those beside the centre, and two between.
 const TICKED: [usize; 6] = [0, 7, 14, 15, 22, SUBCARRIERS - 1];
 
@@ -64,10 +68,13 @@ impl LogPictures<'_> {
         })
     }
 
-    /// The frames of `n` panels below each other, from `top` on, with `below` pixels left under them.
-    fn panels(&self, n: usize, top: f64, below: f64) -> Vec<[f64; 4]> {
+    /// The frames of `n` panels below each other, from `top` on, with `below` pixels left under them; the canvas grows
+    /// where they have no room on it.
+    fn panels(&self, canvas: &mut Canvas, n: usize, top: f64, below: f64) -> Vec<[f64; 4]> {
         let (width, height) = self.size;
-        let each = ((height - top - BOTTOM - below - GAP * (n as f64 - 1.0)) / n as f64).max(30.0);
+        let rest = top + BOTTOM + below + GAP * (n as f64 - 1.0);
+        let each = ((height - rest) / n as f64).max(LEAST);
+        canvas.grow_to(rest + n as f64 * each);
         (0..n).map(|k| [LEFT, top + k as f64 * (each + GAP), width - LEFT - RIGHT, each]).collect()
     }
 
@@ -75,7 +82,7 @@ impl LogPictures<'_> {
         let (width, height) = self.size;
         let mut canvas = Canvas::sized(width, height, &format!("{}: CSI, first stream", self.title));
         let antennas = &self.course.antennas;
-        let panels = self.panels(2 * antennas.len(), TOP, 0.0);
+        let panels = self.panels(&mut canvas, 2 * antennas.len(), TOP, 0.0);
         for (k, antenna) in antennas.iter().enumerate() {
             let last = k + 1 == antennas.len();
             let name = format!("antenna {}: amplitude by subcarrier (dB, 0 is the card's step)", antenna.antenna);
@@ -148,6 +155,22 @@ impl LogPictures<'_> {
         rows.map(|row| (row as f64 + 0.5, name(row))).collect()
     }
 
+    /// The frames of amplitude, RSSI and rate; the last is flat where there is no rate.
+    fn level_panels(&self, canvas: &mut Canvas, top: f64, below: f64) -> Vec<[f64; 4]> {
+        if self.has_clock() {
+            return self.panels(canvas, 3, top, below);
+        }
+        let mut panels = self.panels(canvas, 2, top, below + GAP + FLAT);
+        let last = panels.last().map(|[left, top, width, height]| [*left, top + height + GAP, *width, FLAT]);
+        panels.extend(last);
+        panels
+    }
+
+    /// True if there are times: without them there is no rate.
+    fn has_clock(&self) -> bool {
+        self.course.base != TimeBase::Number
+    }
+
     /// What the times are.
     fn time_words(&self) -> &'static str {
         match self.course.base {
@@ -160,18 +183,19 @@ impl LogPictures<'_> {
     fn levels(&self) -> Result<Canvas, Error> {
         let (width, height) = self.size;
         let course = self.course;
-        let mut canvas = Canvas::sized(width, height, &format!("{}: levels and rate", self.title));
+        let what = if self.has_clock() { "levels and rate" } else { "levels" };
+        let mut canvas = Canvas::sized(width, height, &format!("{}: {what}", self.title));
         let name = |antenna: &AntennaCourse| format!("antenna {}", antenna.antenna);
         let mut keys: Vec<(Key, Rgb, String)> = course.antennas.iter().map(|a| (Key::Line, of(a), name(a))).collect();
         keys.push((Key::Line, GREY, "gain (AGC)".into()));
-        keys.push((Key::Line, BLACK, "rate".into()));
+        keys.extend(self.has_clock().then(|| (Key::Line, BLACK, "rate".into())));
         if !course.gaps_s.is_empty() {
             keys.push((Key::Area, ORANGE, crate::words::count(course.gaps_s.len() as u64, "gap", "gaps")));
         }
         let top = TOP.max(58.0 + canvas.legend(58.0, &keys) + 50.0);
         let events = events::of(course);
         let below = events::height(&events);
-        let panels = self.panels(3, top, below);
+        let panels = self.level_panels(&mut canvas, top, below);
         let amplitude: Vec<_> = course.antennas.iter().map(|antenna| (of(antenna), &antenna.line_db)).collect();
         let words = "mean amplitude (dB, 0 is the card's step)";
         self.lines(&mut canvas, panels[0], &amplitude, words);
@@ -200,14 +224,19 @@ impl LogPictures<'_> {
         }
     }
 
-    /// Records per second, with the gaps.
+    /// Records per second, with the gaps; without a clock nothing but the axis of what is under it.
     fn rate(&self, canvas: &mut Canvas, frame: [f64; 4]) -> Result<Axes, Error> {
         let course = self.course;
+        if !self.has_clock() {
+            let mut axes = Axes::new(frame, course.span_s, (0.0, 1.0));
+            axes.y_ticks = Some(Vec::new());
+            axes.draw(canvas, "", "no rate: there is no clock");
+            return Ok(axes);
+        }
         let rates = || course.rate_hz.iter().map(|point| point.1);
         let top = extent(rates().chain([0.0]), 0.08).ok_or(Error::Empty { what: "rate" })?.1;
         let axes = Axes::new(frame, course.span_s, (0.0, top));
-        let words = if course.base == TimeBase::Number { "no rate: there is no clock" } else { "records per second" };
-        axes.draw(canvas, "", words);
+        axes.draw(canvas, "", "records per second");
         canvas.clipped(&axes, |canvas| {
             for (from, to) in &course.gaps_s {
                 let ((left, below), (right, above)) = (axes.at(*from, 0.0), axes.at(*to, top));
@@ -242,7 +271,9 @@ fn circular(share: f64) -> Rgb {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Kind;
     use super::*;
+    use driver_iface::bfee::Antenna;
 
     #[test]
     fn a_line_is_broken_at_a_gap_and_not_at_one_that_is_short_beside_its_points() {
@@ -251,5 +282,77 @@ mod tests {
         assert!(!is_broken(2.1, 3.0, &gaps) && !is_broken(4.0, 6.0, &gaps));
         assert!(is_broken(4.995, 5.012, &gaps));
         assert!(!is_broken(0.0, 1.0, &[]));
+    }
+
+    /// Draws a course; the SVG of its two pictures.
+    fn drawn(name: &str, course: &Course, size: (f64, f64)) -> Vec<String> {
+        let stem = std::env::temp_dir().join(format!("csi5300-log-{name}-{}", std::process::id()));
+        let pictures = LogPictures { title: "a.dat", course, size };
+        let written = pictures.write(&stem, &Format::default().with_kinds(&[Kind::Svg])).unwrap();
+        let read = |path: PathBuf| {
+            let text = std::fs::read_to_string(&path).unwrap();
+            std::fs::remove_file(path).unwrap();
+            text
+        };
+        written.into_iter().map(read).collect()
+    }
+
+    /// A log of three antennas with an event of every kind.
+    fn eventful(base: TimeBase) -> Course {
+        let antenna = |antenna| AntennaCourse {
+            antenna,
+            amplitude_db: vec![1.0; SUBCARRIERS * 2],
+            phase_rad: vec![0.0; SUBCARRIERS * 2],
+            line_db: vec![(0.0, 1.0), (9.0, 2.0)],
+        };
+        Course {
+            records: 9,
+            base,
+            span_s: (0.0, 9.0),
+            columns: 2,
+            antennas: Antenna::ALL.map(antenna).into(),
+            rssi: std::array::from_fn(|_| vec![(0.0, 30.0), (9.0, 31.0)]),
+            agc: vec![(0.0, 20.0), (9.0, 20.0)],
+            rate_hz: vec![(4.5, 123.0)],
+            missing: vec![(1.0, 1)],
+            damaged: vec![2.0],
+            skipped: vec![(3.0, 2)],
+            repeated: vec![4.0],
+            steps_back: vec![(5.0, 1.0)],
+            ..Course::default()
+        }
+    }
+
+    /// Values of an attribute of all tags.
+    fn numbers(svg: &str, name: &str) -> Vec<f64> {
+        let name = format!(" {name}=\"");
+        let parts = svg.split(&name).skip(1);
+        parts.filter_map(|rest| rest.split('"').next()?.parse().ok()).collect()
+    }
+
+    #[test]
+    fn everything_of_a_small_picture_is_on_it() {
+        let bases = [TimeBase::Card, TimeBase::Number];
+        let sizes = [(800.0, 500.0), (400.0, 400.0), (1200.0, 1100.0)];
+        for (base, size) in bases.into_iter().flat_map(|base| sizes.map(|size| (base, size))) {
+            for svg in drawn("small", &eventful(base), size) {
+                let height = numbers(&svg, "height")[0];
+                let lowest = ["y", "y1", "y2"].iter().flat_map(|name| numbers(&svg, name)).fold(0.0, f64::max);
+                assert!(height >= size.1 && lowest <= height - 10.0, "{size:?}: {lowest} of {height}");
+                assert!(size.1 < 1_000.0 || height == size.1, "{height}");
+            }
+        }
+    }
+
+    #[test]
+    fn without_a_clock_there_is_no_rate() {
+        let levels = |base| drawn("clock", &eventful(base), (1200.0, 1100.0)).pop().unwrap();
+        let (with, without) = (levels(TimeBase::Host), levels(TimeBase::Number));
+        assert!(with.contains(">rate<") && with.contains("levels and rate") && !with.contains("no rate"));
+        assert!(
+            !without.contains(">rate<") && !without.contains("and rate") && without.contains("no rate: there is no")
+        );
+        assert_eq!(with.matches("<path").count(), without.matches("<path").count() + 1);
+        assert!(without.contains("numbers skipped") && without.contains("record: the card"), "{without}");
     }
 }

@@ -60,7 +60,8 @@ impl PhasePlot {
         let tracks: Vec<&PhaseTrack> = std::iter::once(&self.capture).chain(&self.other).collect();
         let panels = if tracks.iter().any(|track| !track.left.is_empty()) { 4 } else { 3 };
         let every = self.every.max(1);
-        let title = if every > 1 { format!("{}, every {every}th pair", self.title) } else { self.title.clone() };
+        let thinned = (every > 1).then(|| format!(", {}", crate::words::one_in(every, "pair")));
+        let title = format!("{}{}", self.title, thinned.unwrap_or_default());
         let mut canvas = Canvas::new(TOP + STEP * f64::from(panels) + 20.0, &title);
         let before = if self.before.is_empty() { "before" } else { &self.before };
         let mut keys = vec![(Key::Dot, ORANGE, before.to_owned())];

@@ -48,6 +48,7 @@ pub fn standing(standing: &Standing) -> PhasePlot {
         title: "Two robots that stand: phase at the channel centre".into(),
         before: "one direction".into(),
         capture: PhaseTrack { product_rad, ..track(&spread, &standing.course) },
+        averaged: STANDING,
         ..PhasePlot::default()
     }
 }
@@ -87,5 +88,37 @@ fn averaged(runs: &[Run]) -> ProfilePlot {
         truth_deg,
         mirror_deg: truth_deg.filter(|_| runs.iter().any(|run| run.mirror_deg.is_some())).and(runs[0].mirror_deg),
         ..ProfilePlot::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300::pipeline::Phase;
+    use csi5300::signal::cfo::TurnAround;
+    use num_complex::Complex64;
+
+    #[test]
+    fn of_robots_that_stand_more_phases_are_averaged_than_of_those_that_move() {
+        let phase = |k: usize| Phase {
+            t_s: k as f64,
+            one_way_rad: 0.0,
+            round_trip_rad: 0.0,
+            compensated_rad: 0.0,
+            is_used: true,
+        };
+        let course: Vec<Phase> = (0..40).map(phase).collect();
+        let clock_us: Vec<i64> = (0..40).map(|k| 10_000 * k).collect();
+        let turn_around = TurnAround::estimate(&[Complex64::ONE; 40], &clock_us, &[7; 40], 5.54e9).unwrap();
+        let (spread_one_way_rad, spread_rad, spread_compensated_rad) = (1.0, 0.5, 0.2);
+        let stood = Standing { course, turn_around, spread_one_way_rad, spread_rad, spread_compensated_rad };
+        assert_eq!(standing(&stood).averaged, STANDING);
+        assert_eq!(phase_of(false).averaged, STANDING);
+        assert_eq!(phase_of(true).averaged, 0);
+    }
+
+    /// The phase of an experiment in which the robot moved, or stood.
+    fn phase_of(moved: bool) -> PhasePlot {
+        phase(&Run { profile: if moved { vec![1.0] } else { Vec::new() }, ..Run::default() })
     }
 }

@@ -3,7 +3,6 @@
 use super::format::{Format, Kind};
 use super::link::LinkPictures;
 use super::set::Others;
-use crate::evaluate::beside::Table;
 use crate::evaluate::{ALL_SETS, Capture, Evaluated, Judged, SetSummary, TrajectorySource, summarise};
 use csi5300::pipeline::{Answer, Bearing, Options};
 use csi5300::signal::channel::Channel;
@@ -55,14 +54,17 @@ impl HtmlReport {
         &self.notes
     }
 
-    /// Adds what another program answers on the links.
-    pub fn beside(&mut self, table: Option<Table>) {
-        self.others.add(table);
+    /// Adds what another program answers on the links, where there is a table of it in the folder.
+    pub fn beside(&mut self, folder: &Path, source: TrajectorySource) {
+        if let Some(note) = self.others.add(folder, source) {
+            self.note(note);
+        }
     }
 
     /// Evaluates a capture and adds its links. Phases are drawn where `options.keep_course` is set.
     pub fn add(&mut self, capture: &Capture, source: TrajectorySource, channel: Option<Channel>, options: &Options) {
-        let folder = self.pictures_in.as_deref();
+        let folder = self.pictures_in.clone();
+        let folder = folder.as_deref();
         let mut bearings: BTreeMap<String, Bearing> = BTreeMap::new();
         let mut look = |name: &str, bearing: &Bearing, _: &Options| {
             if folder.is_some() {
@@ -76,7 +78,7 @@ impl HtmlReport {
             let bearing = bearings.remove(&row.answer.link).zip(folder);
             let pictures = match bearing.map(|(bearing, folder)| draw(folder, &row, &bearing, source)) {
                 Some(Err(error)) => {
-                    self.notes.push(error);
+                    self.note(error);
                     Vec::new()
                 }
                 Some(Ok(pictures)) => pictures,
@@ -91,26 +93,22 @@ impl HtmlReport {
         self.links.iter().map(|link| &link.row)
     }
 
-    /// True if records were lost before a log's tail, a link failed, or something was noted.
+    /// True if records were lost before a log's tail, a link failed, a picture could not be drawn, or something was noted.
     #[must_use]
     pub fn lost(&self) -> bool {
         self.lost
     }
 
-    /// The page. Pictures of sets and places are drawn here.
+    /// The page. Pictures of sets and places are drawn here; that they cannot be is noted.
     #[must_use]
-    pub fn html(&self, title: &str) -> String {
+    pub fn html(&mut self, title: &str) -> String {
         let rows: Vec<Judged> = self.links.iter().map(|link| link.row.clone()).collect();
-        let mut notes = self.notes.clone();
-        let sets = match self.pictures_in.as_deref().map(|folder| sets(&rows, &self.others, folder)) {
-            Some(Ok(pictures)) => pictures,
-            Some(Err(error)) => {
-                notes.push(error.to_string());
-                Vec::new()
-            }
-            None => Vec::new(),
-        };
-        page(title, &self.links, &rows, &sets, &notes)
+        let drawn = self.pictures_in.as_deref().map(|folder| sets(&rows, &self.others, folder));
+        let sets = drawn.unwrap_or(Ok(Vec::new())).unwrap_or_else(|error| {
+            self.note(error.to_string());
+            Vec::new()
+        });
+        page(title, &self.links, &rows, &sets, &self.notes)
     }
 }
 
@@ -132,8 +130,9 @@ fn sets(rows: &[Judged], others: &Others, folder: &Path) -> Result<Vec<(String, 
 
 /// Pictures of a link take no more bytes: its words and tables have the rest of 150 KB.
 const PICTURES_BYTES: usize = 145_000;
-/// Every how manieth pair's phase is drawn at most.
-const MOST_EVERY: usize = 64;
+/// Points of a path, and places at which CSI was used, of a picture on the page: a circle of 60 turns has one for each
+/// five degrees.
+const PLACES: usize = 3_000;
 
 /// The pictures of a link as SVG, the phase of so few of its pairs that they are small.
 fn draw(folder: &Path, row: &Judged, bearing: &Bearing, source: TrajectorySource) -> Result<Vec<String>, String> {
@@ -143,11 +142,11 @@ fn draw(folder: &Path, row: &Judged, bearing: &Bearing, source: TrajectorySource
         let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
         Ok::<_, String>(super::slim::slim(&text))
     };
-    let mut pictures = LinkPictures::of(row, bearing, source);
+    let mut pictures = LinkPictures { places: PLACES, ..LinkPictures::of(row, bearing, source) };
     let written = pictures.write(folder, name, &vectors()).map_err(of_link)?;
     let mut drawn = written.iter().map(read).collect::<Result<Vec<_>, _>>()?;
     let bytes = |drawn: &[String]| drawn.iter().map(String::len).sum::<usize>();
-    while bytes(&drawn) > PICTURES_BYTES && pictures.every < MOST_EVERY && !bearing.course.is_empty() {
+    while bytes(&drawn) > PICTURES_BYTES && pictures.every < bearing.course.len() {
         pictures.every *= 2;
         let phase = pictures.write_phase(folder, name, &vectors()).map_err(of_link)?;
         if let (Some(first), Some(path)) = (drawn.first_mut(), phase.first()) {
@@ -386,6 +385,19 @@ mod tests {
         assert!(!html.contains("<script>") && html.contains("a&amp;b"));
         assert!(!html.contains("<?xml") && !html.contains("id=\"a\""), "{html}");
         assert!(html.contains("<svg viewBox=\"0 0 800 600.5\" width=\"800\""), "{html}");
+    }
+
+    #[test]
+    fn a_link_whose_pictures_cannot_be_drawn_is_a_loss() {
+        let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
+        let (captures, _) = crate::evaluate::find_all(&fixture);
+        let mut report = HtmlReport::with_pictures(fixture.join("groundtruth_positions.json"));
+        let options = Options::new("108".parse().unwrap()).with_keep_course(true);
+        report.add(&captures[0], TrajectorySource::GroundTruth, None, &options);
+        assert!(report.lost() && report.notes().len() == 1, "{:?}", report.notes());
+        // That of all links together is another one.
+        let html = report.html("t");
+        assert!(report.notes().len() == 2 && html.matches("class=\"note\"").count() == 2, "{:?}", report.notes());
     }
 
     #[test]

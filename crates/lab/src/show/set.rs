@@ -25,20 +25,11 @@ const TOOLBOX: [(&str, f64, f64); 5] = [
 pub struct Others(Vec<Table>);
 
 impl Others {
-    /// The tables of these folders, where they have one.
-    ///
-    /// # Errors
-    /// If one is there and cannot be read, in words.
-    pub fn of(folders: &[PathBuf], source: TrajectorySource) -> Result<Self, String> {
-        let read =
-            |folder: &PathBuf| Table::read(folder, source).map_err(|error| format!("{}: {error}", folder.display()));
-        let tables: Vec<_> = folders.iter().map(read).collect::<Result<_, _>>()?;
-        Ok(Self(tables.into_iter().flatten().collect()))
-    }
-
-    /// One more table.
-    pub fn add(&mut self, table: Option<Table>) {
+    /// Adds the table of a folder, where it has one. Gives what of it is left out, and why, in words: a loss.
+    pub fn add(&mut self, folder: &Path, source: TrajectorySource) -> Option<String> {
+        let (table, note) = Table::noted(folder, source);
         self.0.extend(table);
+        note
     }
 
     fn error_deg(&self, row: &Judged) -> Option<f64> {
