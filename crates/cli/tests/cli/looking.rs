@@ -251,7 +251,11 @@ fn commands_end_alike() {
         let (status, _, err) = folder.run(command);
         assert_eq!(status, 1, "{command:?}: {err}");
     }
-    assert_eq!(folder.run(&["simulate", "lab-circle", "--out", "room"]).0, 0, "a built-in scene by its name");
+    let built_in = ["simulate", "paper-line", "--out", "paper-line"];
+    assert_eq!(folder.run(&built_in).0, 0, "a built-in scene by its name");
+    let (status, _, err) = folder.run(&built_in);
+    assert!(status == 1 && err.contains("--force") && !err.contains("cannot read"), "its folder is no scene: {err}");
+    std::fs::create_dir(folder.0.join("room")).unwrap();
     let (status, _, err) = folder.run(&["simulate", "room", "--out", "again"]);
     assert!(status == 1 && err.contains("cannot read room: ") && err.matches("room").count() == 1, "{err}");
     if cfg!(not(feature = "foxglove")) {
