@@ -128,11 +128,9 @@ impl Tdma {
             }
             Role::Backward => proven.number_in(repr.session).is_none_or(|last| !is_after(last, repr.number)),
         };
-        let sender = self.roster.peer(peer).and_then(|sender| sender.proven.session.or(sender.overheard.session));
         self.key.is_some()
             && self.is_same_plan(repr)
             && proven.session.or(overheard.session) == Some(repr.session)
-            && sender.is_none_or(|session| session == repr.sender_session)
             && is_later
             && self.is_current(repr.slot.cast_signed(), began)
     }

@@ -305,6 +305,56 @@ fn a_robot_that_only_others_are_sounded_by_is_not_silenced_by_numbers_made_up_fo
     assert_eq!((listener.counts().replayed, listener.counts().off_epoch), (0, 1), "{:?}", listener.counts());
 }
 
+/// Two slots are as near as clocks tell them apart: there, numbers tell what is over.
+#[test]
+fn what_is_played_in_the_next_slot_is_not_heard_again() {
+    let configs = three_with_keys();
+    let mut responder = Tdma::new(&configs[1]).unwrap();
+    let sent = sent_by_the_first(&configs, 60);
+    let mut listener = Tdma::new(&configs[2]).unwrap();
+    let mut replays = 0;
+    // Robot 0 sounds robot 1, then robot 2, which listens.
+    let order = [configs[1].own.mac, configs[2].own.mac];
+    for pair in sent.windows(2).filter(|pair| [pair[0].1, pair[1].1] == order) {
+        let [(asked, _, forward), (now, _, own)] = pair else { unreachable!() };
+        responder.handle_heard(*asked, *asked, forward);
+        let answer = responder.poll_transmit(*asked).unwrap().frame.to_vec();
+        // In every other round what is not for the listener is lost to it, and is played when its own frame was heard.
+        let is_lost = replays % 2 == 0;
+        let third = [forward, &answer];
+        third.iter().filter(|_| !is_lost).for_each(|frame| listener.handle_heard(*asked, *asked, frame));
+        listener.handle_heard(*now, *now, own);
+        assert!(listener.poll_transmit(*now).is_some());
+        third.iter().for_each(|frame| listener.handle_heard(*now, *now, frame));
+        replays += 1;
+        assert_eq!(listener.counts().replayed, 2 * replays, "{is_lost}");
+    }
+    assert!(replays > 20 && listener.counts().off_epoch == 0);
+}
+
+/// Answers to a robot whose numbers another one made up are heard, too, in their slots.
+#[test]
+fn answers_in_their_slots_are_heard_whatever_was_said_of_numbers() {
+    let configs = three_with_keys();
+    let heard = exchanges(&configs, 5, 60);
+    let mut listener = Tdma::new(&configs[2]).unwrap();
+    for (k, (now, forward, answer)) in heard.iter().take(30).enumerate() {
+        if k == 5 {
+            listener.handle_heard(*now, *now, &heard[50].1);
+        }
+        listener.handle_heard(*now, *now, forward);
+        listener.handle_heard(*now, *now, answer);
+    }
+    assert_eq!((listener.counts().replayed, listener.counts().off_epoch), (0, 1), "{:?}", listener.counts());
+    // The same once more, which is over.
+    let now = heard[29].0;
+    for (_, forward, answer) in heard.iter().take(30) {
+        listener.handle_heard(now, now, forward);
+        listener.handle_heard(now, now, answer);
+    }
+    assert_eq!(listener.counts().replayed, 59, "all but the last answer, which says nothing new");
+}
+
 #[test]
 fn taped_answers_to_others_are_not_heard_again() {
     let key = Some(Key::new([1; 16]));
