@@ -67,7 +67,7 @@ impl Tdma {
         }
         let began = ended - self.airtime(frame);
         let is_now = self.is_of_now(repr, peer, began);
-        if (!is_now || is_proven) && !self.is_fresh(repr, peer, is_proven) {
+        if !is_now && !self.is_fresh(repr, peer, is_proven) {
             self.counts.replayed += 1;
             return;
         }

@@ -332,6 +332,22 @@ fn what_is_played_in_the_next_slot_is_not_heard_again() {
     assert!(replays > 20 && listener.counts().off_epoch == 0);
 }
 
+/// Before its restart an initiator had the same slots: its session tells.
+#[test]
+fn what_was_taped_in_the_same_slots_of_an_older_session_is_not_heard() {
+    let mut configs = three_with_keys();
+    let sent = sent_by_the_first(&configs, 30);
+    configs[0].session = 4;
+    let tape = sent_by_the_first(&configs, 30);
+    let mut listener = Tdma::new(&configs[2]).unwrap();
+    for ((now, _, frame), (then, _, taped)) in sent.iter().zip(&tape) {
+        assert_eq!(now, then);
+        listener.handle_heard(*now, *now, frame);
+        listener.handle_heard(*now, *now, taped);
+    }
+    assert_eq!((listener.counts().heard, listener.counts().replayed), (60, 30));
+}
+
 /// Answers to a robot whose numbers another one made up are heard, too, in their slots.
 #[test]
 fn answers_in_their_slots_are_heard_whatever_was_said_of_numbers() {
