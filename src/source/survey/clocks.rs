@@ -76,7 +76,8 @@ pub(in crate::source) struct CardClock {
 }
 
 impl CardClock {
-    /// The unwrapped time of the next record, and the step to it from the one before.
+    /// The unwrapped time of the next record and the step to it from the one before, microseconds; `timestamp_low` as the card
+    /// gives it, `host_us` since the Unix epoch.
     pub(in crate::source) fn note(&mut self, timestamp_low: u32, host_us: Option<i64>) -> (i64, Option<i64>) {
         let now_us = self.unwrap(timestamp_low, host_us);
         let step_us = self.last.replace((timestamp_low, now_us)).map(|(_, last)| now_us.saturating_sub(last));

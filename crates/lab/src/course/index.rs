@@ -237,7 +237,8 @@ impl LogIndex {
     }
 
     /// Levels and losses between two times in about `columns` columns, of one sender or of all; a column for two
-    /// records at most. What is missing from `bfee_count`, and damage, are of no sender: they are in it whoever is asked for. A stretch outside of the log is all of it.
+    /// records at most. What is missing from `bfee_count`, and damage, are of no sender: they are in it whoever is asked
+    /// for. A stretch outside of the log is all of it.
     #[must_use]
     pub fn stretch(&self, from_s: f64, to_s: f64, columns: usize, sender: Option<Mac>) -> Stretch {
         let (cut, rows) = self.cut(from_s, to_s);
