@@ -4,5 +4,6 @@ mod air;
 mod faults;
 mod golden;
 mod hostile;
+mod keys;
 mod rounds;
 mod wsr;
