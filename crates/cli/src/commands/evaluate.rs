@@ -90,6 +90,10 @@ pub fn run(args: &Args) -> Result {
     options.accuracy = options.accuracy.with_paths(options.accuracy.paths && args.json);
     let (captures, unreadable) = find_all(args.folders.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)))?;
     let captures = args.reading.mounted(captures);
+    #[cfg(feature = "plot")]
+    if let Some(folder) = args.out.as_ref().filter(|_| args.folds.is_none()) {
+        args.pictures.check_maps(folder, &captures)?;
+    }
     for folder in &unreadable {
         wrong!("cannot read {folder}");
     }
@@ -174,7 +178,7 @@ fn check_pictures(args: &Args) -> std::result::Result<(), String> {
         Some(Folds::Places) => set::fold_stems(folder).to_vec(),
         None => set::stems(folder).to_vec(),
     };
-    args.pictures.format().check(&stems).map_err(|error| super::pictures::refused(&error))
+    args.pictures.check(&stems)
 }
 
 /// The captures below all folders, and folders that could not be read.

@@ -136,7 +136,7 @@ fn check_pictures(args: &Args, names: &[String]) -> std::result::Result<(), Stri
     let Some(folder) = &args.out else { return Ok(()) };
     let stems: Vec<PathBuf> =
         names.iter().flat_map(|name| csi5300_lab::show::link::LinkPictures::all_stems(folder, name)).collect();
-    args.pictures.format().check(&stems).map_err(|error| super::pictures::refused(&error))
+    args.pictures.check(&stems)
 }
 
 #[cfg(feature = "plot")]

@@ -83,6 +83,10 @@ pub fn run(args: &Args) -> Result {
     }
     let options = args.reading.options()?;
     let (captures, mut lost) = args.captures()?;
+    #[cfg(feature = "plot")]
+    if let Some(folder) = &args.plot {
+        args.pictures.check_maps(folder, &captures)?;
+    }
     let mut rows: Vec<Judged> = Vec::new();
     for capture in &captures {
         let mut evaluated = capture.evaluate(args.reading.source(), args.reading.channel, &options);

@@ -2,6 +2,7 @@
 
 use super::usage;
 use clap::ValueEnum;
+use csi5300_lab::evaluate::Capture;
 use csi5300_lab::show::{Error, Format, Kind};
 use std::path::{Path, PathBuf};
 
@@ -30,6 +31,23 @@ impl Pictures {
     /// [`Drawing::format`] with the choice of `--force`.
     pub fn format(&self) -> Format {
         self.drawing.format(self.force)
+    }
+
+    /// Refuses pictures that are there and may not be replaced: before the work, not after it.
+    ///
+    /// # Errors
+    /// In words, which one is there.
+    pub fn check(&self, stems: &[PathBuf]) -> Result<(), String> {
+        self.format().check(stems).map_err(|error| refused(&error))
+    }
+
+    /// The same for the maps of captures.
+    ///
+    /// # Errors
+    /// As of [`Pictures::check`].
+    pub fn check_maps(&self, folder: &Path, captures: &[Capture]) -> Result<(), String> {
+        let stem = |capture: &Capture| csi5300_lab::show::set::map_stem(folder, &capture.link_name(""));
+        self.check(&captures.iter().map(stem).collect::<Vec<_>>())
     }
 
     /// [`Drawing::must_have`].

@@ -74,6 +74,13 @@ fn pictures_of_an_evaluation_are_refused_before_it_begins_and_a_page_is_small() 
     let (_, out, err) = folder.run(&["locate", "tree", "--plot", "places", "--format", "pdf"]);
     assert!(out.starts_with("A/good/1: "), "{out}{err}");
     is_pdf(&folder, "places/map-A_good_1.pdf");
+    // Of both commands, a map alone is enough, too.
+    for draw in [["evaluate", "tree", "--out", "places"], ["locate", "tree", "--plot", "places"]] {
+        let (status, out, err) = folder.run(&[&draw[..], &["--format", "pdf"]].concat());
+        let named = err.contains("places/map-A_good_1.pdf is there already: --force");
+        assert!(status == 1 && out.is_empty() && named, "{out}{err}");
+    }
+    assert_eq!(names(&folder, "places"), ["map-A_good_1.pdf"], "nothing else was drawn");
 
     // Distributions and maps come before the links, and a link takes 150 KB at most.
     let (status, _, err) = folder.run(&["report", "tree", "--out", "r.html"]);

@@ -70,7 +70,7 @@ pub fn write_maps(rows: &[Judged], folder: &Path, format: &Format) -> Result<Vec
         }
     }
     captures.retain(|_, own| own.iter().any(|row| row.true_receiver_m.is_some()));
-    let stem = |capture: &str| folder.join(format!("map-{}", file_safe(capture)));
+    let stem = |capture: &str| map_stem(folder, capture);
     format.check(&captures.keys().map(|capture| stem(capture)).collect::<Vec<_>>())?;
     let (located, mut written) = (receivers(rows), Vec::new());
     for (capture, own) in captures {
@@ -78,6 +78,12 @@ pub fn write_maps(rows: &[Judged], folder: &Path, format: &Format) -> Result<Vec
         written.extend(map(capture, &own, receiver).write(&stem(capture), format)?);
     }
     Ok(written)
+}
+
+/// What the map of a capture ([`Capture::link_name`](crate::evaluate::Capture::link_name)) is called, without its ending.
+#[must_use]
+pub fn map_stem(folder: &Path, capture: &str) -> PathBuf {
+    folder.join(format!("map-{}", file_safe(capture)))
 }
 
 /// What the pictures of all links together are called, without their endings.
