@@ -296,7 +296,7 @@ pub fn usage(message: &str) -> ! {
 /// Prints to standard output; a reader that went away (`| head`) ends the command quietly, a full disk does not.
 pub fn print(text: &str) {
     use std::io::Write;
-    match std::io::stdout().write_all(text.as_bytes()) {
+    match std::io::stdout().write_all(say::printable(text).as_bytes()) {
         Ok(()) => {}
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => std::process::exit(0),
         Err(error) => {
@@ -311,7 +311,7 @@ pub fn progress(text: &str) {
     use std::io::{IsTerminal, Write};
     let mut stderr = std::io::stderr().lock();
     if stderr.is_terminal() && say::says(Level::Usual) {
-        let _ = write!(stderr, "\r\x1b[K{text}").and_then(|()| stderr.flush());
+        let _ = write!(stderr, "\r\x1b[K{}", say::printable(text)).and_then(|()| stderr.flush());
     }
 }
 

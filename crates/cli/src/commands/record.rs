@@ -2,7 +2,7 @@
 
 use super::listener::{self, Listening, Needs};
 use super::live::{Signals, create_refused, duration, size};
-use super::{Outcome, Result};
+use super::{Outcome, Result, say};
 use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
 use csi5300::source::side_path;
 use csi5300::source::{CsiSource, Error, Loss, Next};
@@ -122,7 +122,7 @@ pub fn run(args: &Args) -> Result {
         status: Status::new(clock.now()),
         view: if args.watch {
             View::Page
-        } else if terminal && super::say::says(super::say::Level::Usual) {
+        } else if terminal && say::says(say::Level::Usual) {
             View::Line
         } else {
             View::None
@@ -291,7 +291,7 @@ impl Session<'_> {
             View::None => return,
             View::Line => format!("\r\x1b[K{}", self.status.line(losses)),
             View::Page => {
-                let title = self.args.out.display().to_string();
+                let title = say::printable(&self.args.out.display().to_string()).into_owned();
                 format!("\x1b[H\x1b[J{}", self.status.page(now, &title, losses))
             }
         };

@@ -1,6 +1,7 @@
 //! What is said beside results, on standard error: how much of it, and in which colours.
 
-use std::fmt::Arguments;
+use std::borrow::Cow;
+use std::fmt::{Arguments, Write as _};
 use std::io::{IsTerminal, Write};
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 
@@ -40,6 +41,11 @@ pub enum Tone {
     Bad,
 }
 
+const GREEN: &str = "\x1b[1;32m";
+const YELLOW: &str = "\x1b[1;33m";
+const RED: &str = "\x1b[1;31m";
+const PLAIN: &str = "\x1b[0m";
+
 static LEVEL: AtomicU8 = AtomicU8::new(Level::Usual as u8);
 /// Whether words on standard output and on standard error are coloured.
 static COLOURED: [AtomicBool; 2] = [AtomicBool::new(false), AtomicBool::new(false)];
@@ -71,26 +77,49 @@ pub fn toned(word: &str, tone: Tone) -> String {
 
 fn coloured(word: &str, tone: Tone, wanted: &AtomicBool) -> String {
     let code = match tone {
-        Tone::Good => 32,
+        Tone::Good => GREEN,
         #[cfg(feature = "live")]
-        Tone::Doubt => 33,
-        Tone::Bad => 31,
+        Tone::Doubt => YELLOW,
+        Tone::Bad => RED,
     };
-    if wanted.load(Ordering::Relaxed) { format!("\x1b[1;{code}m{word}\x1b[0m") } else { word.to_owned() }
+    if wanted.load(Ordering::Relaxed) { format!("{code}{word}{PLAIN}") } else { word.to_owned() }
+}
+
+/// A text as it may go to a terminal: what names of files, topics and links have of control characters is written as JSON writes
+/// it (`\u001b`), ends of lines, tabs and our own colours stay. A name cannot clear, rename or answer for a terminal.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    let is_told = |sign: char| sign.is_control() && !matches!(sign, '\n' | '\t');
+    if !text.contains(is_told) {
+        return Cow::Borrowed(text);
+    }
+    let (mut shown, mut rest) = (String::with_capacity(text.len() + 16), text);
+    while let Some(at) = rest.find(is_told) {
+        let (before, from) = rest.split_at(at);
+        shown.push_str(before);
+        let own = [GREEN, YELLOW, RED, PLAIN].into_iter().find(|code| from.starts_with(code));
+        let sign = from.chars().next().unwrap_or_default();
+        match own {
+            Some(code) => shown.push_str(code),
+            None => _ = write!(shown, "\\u{:04x}", u32::from(sign)),
+        }
+        rest = from.get(own.map_or(sign.len_utf8(), str::len)..).unwrap_or_default();
+    }
+    shown.push_str(rest);
+    Cow::Owned(shown)
 }
 
 /// Says something. Where standard error is closed there is nobody to be told.
 pub fn words(level: Level, words: Arguments<'_>) {
     if says(level) {
         // In one piece: standard error writes each part of a text by itself.
-        let _ = std::io::stderr().lock().write_all(words.to_string().as_bytes());
+        let _ = std::io::stderr().lock().write_all(printable(&words.to_string()).as_bytes());
     }
 }
 
 /// Says what went wrong, a line.
 pub fn error(words: Arguments<'_>) {
     let name = coloured("csi5300:", Tone::Bad, &COLOURED[1]);
-    let _ = writeln!(std::io::stderr().lock(), "{name} {words}");
+    let _ = writeln!(std::io::stderr().lock(), "{name} {}", printable(&words.to_string()));
 }
 
 /// A line of what may help: not said with `--quiet`.
@@ -126,4 +155,18 @@ pub fn used(begun: std::time::Instant) -> String {
         status.lines().find_map(|line| line.strip_prefix("VmHWM:")?.split_whitespace().next()?.parse::<f64>().ok());
     let memory = peak.map_or(String::new(), |kib| format!(", {:.0} MB of memory", kib * 1.024e-3));
     format!("{:.2} s{memory}", begun.elapsed().as_secs_f64())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{RED, YELLOW, printable};
+
+    #[test]
+    fn what_would_command_a_terminal_is_written_out() {
+        let name = "a\x1b[2J\x07\r\u{9b}1m\u{7f}\x1b]0;mine\x1b";
+        assert_eq!(printable(name), "a\\u001b[2J\\u0007\\u000d\\u009b1m\\u007f\\u001b]0;mine\\u001b");
+        for good in ["", "two\nlines\tand \u{e4}\u{4e2d}", &format!("{RED}BAD{YELLOW}?\x1b[0m\n")] {
+            assert_eq!(printable(good), *good);
+        }
+    }
 }
