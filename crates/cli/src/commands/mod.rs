@@ -221,7 +221,7 @@ struct Missing {
 /// Runs the command named by the arguments.
 pub fn run() -> ExitCode {
     let begun = std::time::Instant::now();
-    let cli = Cli::parse();
+    let cli = Cli::try_parse().unwrap_or_else(|error| misused(&error));
     let level = match (cli.quiet, cli.verbose) {
         (true, _) => Level::Quiet,
         (false, false) => Level::Usual,
@@ -291,6 +291,19 @@ fn execute(command: Command) -> Result {
 pub fn usage(message: &str) -> ! {
     wrong!("{message}");
     std::process::exit(2);
+}
+
+/// Says which arguments make no sense, or what was asked for instead of a command (`--help`), and ends the program. `clap`
+/// repeats arguments as they are.
+fn misused(error: &clap::Error) -> ! {
+    let plain = error.render().to_string();
+    match say::printable(&plain) {
+        std::borrow::Cow::Borrowed(_) => error.exit(),
+        std::borrow::Cow::Owned(shown) => {
+            notes!("{shown}");
+            std::process::exit(error.exit_code());
+        }
+    }
 }
 
 /// Prints to standard output; a reader that went away (`| head`) ends the command quietly, a full disk does not.

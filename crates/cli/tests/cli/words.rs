@@ -43,14 +43,17 @@ fn colours_are_for_terminals_and_for_who_asks() {
 
 #[test]
 fn a_name_is_shown_and_commands_no_terminal() {
-    let folder = Folder::new("names");
+    let folder = Folder::new("terminal");
     let name = "here\x1b[2J\x1b]0;mine\x07\u{9b}7m";
     super::commands::capture(&folder, &format!("tree/{name}"), &link(300, 2.0));
     folder.write(&format!("{name}.dat"), b"none");
     let shown = r"here\u001b[2J\u001b]0;mine\u0007\u009b7m";
     let log = format!("{name}.dat");
     let bearing = vec!["-v", "bearing", "--channel", "108", "--rx", &log, "--tx", &log, "--trajectory", &log];
-    for arguments in [vec!["explain", "tree"], vec!["info", &log], vec!["info", "--json", &log], bearing] {
+    let no_option = format!("--{name}");
+    for arguments in
+        [vec!["explain", "tree"], vec!["info", &no_option], vec!["info", &log], vec!["info", "--json", &log], bearing]
+    {
         let (_, out, err) = folder.run(&arguments);
         let said = out + &err;
         assert!(said.contains(shown) && !said.contains(|sign: char| sign.is_control() && sign != '\n'), "{said:?}");
