@@ -18,8 +18,10 @@ use csi5300::time::Instant;
 use csi5300_lab::table::{Arena, NO_TIME};
 use driver_iface::record::{Record, Tail};
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
 use pyo3::types::PyTuple;
+use std::ffi::CString;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -96,14 +98,21 @@ fn trajectory(of: &Bound<'_, PyAny>) -> PyResult<Trajectory> {
     let path: PathBuf = of.extract()?;
     let name = path.display().to_string();
     // In a thread of its own, for the sake of a file that lets its reader wait.
-    interruptible(of.py(), &Stop::default(), move || {
+    let file = name.clone();
+    let (trajectory, lost) = interruptible(of.py(), &Stop::default(), move || {
         let kind = |error: &CsvError| match error {
             CsvError::Io { .. } => Kind::TrajectoryFile,
             _ => Kind::Trajectory,
         };
-        let read = csv::read(&path).map_err(|error| Failure::new(kind(&error), error).of(name));
-        read.map(|(trajectory, _)| trajectory)
-    })
+        let (trajectory, counts) = csv::read(&path).map_err(|error| Failure::new(kind(&error), error).of(file))?;
+        let lost = if counts.lost_something(&trajectory) { counts.notes(&trajectory) } else { Vec::new() };
+        Ok((trajectory, lost))
+    })?;
+    for words in lost {
+        let words = CString::new(format!("{name}: {words}")).unwrap_or_default();
+        PyErr::warn(of.py(), &of.py().get_type::<PyUserWarning>(), &words, 2)?;
+    }
+    Ok(trajectory)
 }
 
 fn poses(rows: &PyReadonlyArray2<'_, f64>) -> Result<Trajectory, Failure> {

@@ -44,7 +44,9 @@ pub enum Error {
         index: usize,
     },
     /// The receiver did not move (or only vertically): there is no bearing.
-    #[error("no motion: no bearing (the trajectory spans {extent_m:.6} m horizontally, needed are {needed_m:.6} m)")]
+    #[error(
+        "no motion in the plane: no azimuth (the trajectory spans {extent_m:.6} m horizontally, needed are {needed_m:.6} m; up and down shows elevations only)"
+    )]
     NoMotion {
         /// Largest horizontal distance from the middle, metres.
         extent_m: f64,

@@ -45,12 +45,24 @@ pub struct Gap {
     pub moved_m: f64,
 }
 
+/// Poses that a trajectory was given and does not use.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+#[non_exhaustive]
+pub struct LeftOut {
+    /// Poses at the start that were from before the run.
+    pub stale: usize,
+    /// Poses at a time that a later one has too, which is elsewhere.
+    pub same_time: usize,
+    /// Poses before or after a clock was set back, and how far, seconds: with both the robot would be in two places at once.
+    pub set_back: Option<(usize, f64)>,
+}
+
 /// Poses in the order of time, at least two.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     poses: Vec<Pose>,
     max_gap_s: f64,
-    stale_head: usize,
+    left_out: LeftOut,
 }
 
 /// Why poses make no trajectory.
@@ -75,11 +87,48 @@ pub enum TrajectoryError {
     },
 }
 
+/// A path in the order of time is longer by this factor than as it was given where a clock was set back.
+const TWO_PLACES: f64 = 1.1;
+
+fn is_in_order(poses: &[Pose]) -> bool {
+    poses.is_sorted_by(|a, b| a.t_s.total_cmp(&b.t_s).is_le())
+}
+
+fn length_m<'a>(poses: impl Iterator<Item = &'a Pose> + Clone) -> f64 {
+    poses.clone().zip(poses.skip(1)).map(|(a, b)| (b.position_m - a.position_m).norm()).sum()
+}
+
+/// Puts poses in the order of time. If that sends the robot to and fro between two places, its clock was set back: then the
+/// longest part between steps back stays. Gives how many poses that leaves out, and the largest step, seconds.
+fn in_order(poses: &mut Vec<Pose>) -> Option<(usize, f64)> {
+    let by_time = |a: &Pose, b: &Pose| a.t_s.total_cmp(&b.t_s);
+    let mut sorted = poses.clone();
+    sorted.sort_by(by_time);
+    if length_m(sorted.iter()) <= TWO_PLACES * length_m(poses.iter()) {
+        *poses = sorted;
+        return None;
+    }
+    let mut steps: Vec<f64> = poses.windows(2).map(|w| w[1].t_s - w[0].t_s).filter(|step| *step > 0.0).collect();
+    let usual_s = upper_median(&mut steps).unwrap_or(0.0);
+    // Poses that overtook each other are about their place; a clock that was set goes by more.
+    let back = |w: &[Pose]| Some(w[0].t_s - w[1].t_s).filter(|back_s| *back_s > 10.0 * usual_s);
+    let ends = poses.windows(2).enumerate().filter_map(|(k, w)| back(w).map(|_| k + 1)).chain([poses.len()]);
+    let parts = ends.scan(0, |begin, end| Some(std::mem::replace(begin, end)..end));
+    let longest = parts.max_by_key(ExactSizeIterator::len).unwrap_or(0..poses.len());
+    let most_s = poses.windows(2).filter_map(back).fold(0.0, f64::max);
+    let left_out = poses.len() - longest.len();
+    poses.truncate(longest.end);
+    poses.drain(..longest.start);
+    poses.sort_by(by_time);
+    (left_out > 0).then_some((left_out, most_s))
+}
+
 /// Poses on either side of where even ones would put a time that are looked at first.
 const NEAR: usize = 8;
 
 impl Trajectory {
-    /// A trajectory from poses in any order; of several at one time the last stays.
+    /// A trajectory from poses in any order; of several at one time the last stays. Where times go back although the robot does
+    /// not, so that it would be in two places at once (a clock that was set), the longest part between two such steps stays.
     ///
     /// # Errors
     /// Fewer than two distinct times, or a value that is not finite.
@@ -90,13 +139,15 @@ impl Trajectory {
                 return Err(TrajectoryError::NotFinite { index });
             }
         }
+        let mut left_out = LeftOut::default();
         // Sorting takes half as much memory again; files are in order.
-        if !poses.is_sorted_by(|a, b| a.t_s.total_cmp(&b.t_s).is_le()) {
-            poses.sort_by(|a, b| a.t_s.total_cmp(&b.t_s));
+        if !is_in_order(&poses) {
+            left_out.set_back = in_order(&mut poses);
         }
         poses.dedup_by(|later, earlier| {
             let same = later.t_s == earlier.t_s;
             if same {
+                left_out.same_time += usize::from(later != earlier);
                 *earlier = *later;
             }
             same
@@ -106,7 +157,7 @@ impl Trajectory {
         }
         let mut steps: Vec<f64> = poses.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
         let usual = upper_median(&mut steps).unwrap_or(0.0);
-        let mut trajectory = Self { poses, max_gap_s: TUNING.motion.min_gap_s.max(10.0 * usual), stale_head: 0 };
+        let mut trajectory = Self { poses, max_gap_s: TUNING.motion.min_gap_s.max(10.0 * usual), left_out };
         trajectory.drop_stale_head();
         Ok(trajectory)
     }
@@ -121,7 +172,7 @@ impl Trajectory {
             && self.poses.len() - k >= 2
         {
             self.poses.drain(..k);
-            self.stale_head = k;
+            self.left_out.stale = k;
         }
     }
 
@@ -131,11 +182,10 @@ impl Trajectory {
         &self.poses
     }
 
-    /// Poses dropped at the start because they were from before the run.
+    /// What it was given and does not use.
     #[must_use]
-    #[doc(hidden)] // for the crates of this workspace
-    pub fn stale_head(&self) -> usize {
-        self.stale_head
+    pub fn left_out(&self) -> LeftOut {
+        self.left_out
     }
 
     /// First and last time, seconds.
@@ -319,8 +369,60 @@ mod tests {
             pose.position_m.y = 4.0;
         }
         let trajectory = Trajectory::new(poses).unwrap();
-        assert_eq!(trajectory.stale_head(), 3);
+        assert_eq!(trajectory.left_out(), LeftOut { stale: 3, ..LeftOut::default() });
         assert!(trajectory.span_s().0 > 0.0);
+    }
+
+    /// Ten seconds along x at 1 m/s, a pose each 10 ms.
+    fn drive() -> Vec<Pose> {
+        line(1_000, |t| t).poses().to_vec()
+    }
+
+    #[test]
+    fn poses_that_overtook_each_other_are_put_in_order() {
+        let mut poses = drive();
+        (10..900).step_by(7).for_each(|k| poses.swap(k, k + 3));
+        assert_eq!(Trajectory::new(poses).unwrap(), Trajectory::new(drive()).unwrap());
+        // In whatever order all of them are.
+        let mut shuffled = drive();
+        (1..1_000).for_each(|k| shuffled.swap(k, k * 7_919 % (k + 1)));
+        assert!(!is_in_order(&shuffled));
+        assert_eq!(Trajectory::new(shuffled).unwrap(), Trajectory::new(drive()).unwrap());
+        let backwards = drive().into_iter().rev().collect();
+        assert_eq!(Trajectory::new(backwards).unwrap(), Trajectory::new(drive()).unwrap());
+    }
+
+    #[test]
+    fn of_a_clock_that_was_set_back_the_longer_part_is_used() {
+        for (at, expected) in [(400, 400..1_000), (700, 0..700)] {
+            let mut poses = drive();
+            poses[at..].iter_mut().for_each(|pose| pose.t_s -= 1.5);
+            // Some overtook each other, too.
+            poses.swap(at + 100, at + 101);
+            let trajectory = Trajectory::new(poses).unwrap();
+            let left_out = 1_000 - expected.len();
+            let (count, back_s) = trajectory.left_out().set_back.unwrap();
+            assert!(count == left_out && (back_s - 1.49).abs() < 1e-6, "{count} {back_s}");
+            let xs: Vec<f64> = trajectory.poses().iter().map(|pose| pose.position_m.x).collect();
+            assert_eq!(xs, drive()[expected].iter().map(|pose| pose.position_m.x).collect::<Vec<_>>());
+        }
+        // A clock that was set back while the robot stood does no harm.
+        let mut still = drive();
+        still[300..700].iter_mut().for_each(|pose| pose.position_m.x = 0.3);
+        still.iter_mut().skip(700).for_each(|pose| pose.position_m.x -= 0.4);
+        still[500..].iter_mut().for_each(|pose| pose.t_s -= 1.0);
+        assert_eq!(Trajectory::new(still).unwrap().left_out().set_back, None);
+    }
+
+    #[test]
+    fn poses_of_one_time_are_counted_where_they_differ() {
+        let twice: Vec<Pose> = drive().into_iter().flat_map(|pose| [pose, pose]).collect();
+        let trajectory = Trajectory::new(twice).unwrap();
+        assert_eq!((trajectory.poses().len(), trajectory.left_out()), (1_000, LeftOut::default()));
+        let mut whole = drive();
+        whole.iter_mut().for_each(|pose| pose.t_s = pose.t_s.floor());
+        let trajectory = Trajectory::new(whole).unwrap();
+        assert_eq!((trajectory.poses().len(), trajectory.left_out().same_time), (10, 990));
     }
 
     #[test]

@@ -271,6 +271,9 @@ pub struct PairCounts {
     pub standing: usize,
     /// Outside the trajectory, or in a gap of it.
     pub no_pose: usize,
+    /// Those that would be outside the trajectory by the host times of the transmitter's log: far fewer where the two logs were
+    /// exchanged.
+    pub no_pose_by_transmitter: usize,
     /// Outside the stretch that was asked for.
     pub cut: usize,
     /// Without energy at the antenna.

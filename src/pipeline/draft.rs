@@ -41,7 +41,11 @@ impl Draft {
         let times_s = times_s(link.rows(), receiver, options)?;
         let doubt = of_one_run(link, phases.turn_around.as_ref())?.or(phases.check().err());
         let gate = Gate::new(link, receiver, transmitter, &times_s, options);
-        let found = gate.pass(&times_s, &phases.z).and_then(|gated| {
+        let found = gate.pass(&times_s, &phases.z).and_then(|mut gated| {
+            gated.pairs.no_pose_by_transmitter = match options.join {
+                JoinBy::Time => link.outside_by_transmitter(receiver, options),
+                JoinBy::Row => gated.pairs.no_pose,
+            };
             gated.check(&times_s, receiver)?;
             rows_or_times(link, receiver, &gated.pairs, options)?;
             Self::least(gated, &gate, phases.compensated, options)

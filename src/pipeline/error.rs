@@ -44,7 +44,7 @@ pub enum LinkError {
     },
     /// Neither the clocks nor the channel of the two logs go together.
     #[error(
-        "the two logs are not of one run: the pauses between frames correlate by {clocks:.2} and the channel's changes by {channel:.2}, where the logs of one exchange have 0.8 and 0.9 or more: name the other robot's log of this run"
+        "the frames of the two sides are not of one exchange, or answers come too irregularly to tell: the pauses between them correlate by {clocks:.2} and the channel's changes by {channel:.2}, where those of one exchange have 0.8 and 0.9 or more"
     )]
     OfTwoRuns {
         /// Correlation of the pauses between frames on both clocks.
@@ -80,7 +80,7 @@ pub enum LinkError {
     /// All pairs lie outside the trajectory, or many and the other log's times fit it.
     #[error(
         "the {pairs} pairs (from about {from_s:.3} s) lie outside the trajectory ({start_s:.3} s to {end_s:.3} s): {}",
-        if *.other_fits { "the other log's times fit it: were the two logs exchanged?" } else { "is it of this run?" }
+        why_outside(*.other_fits, *.from_s, *.start_s)
     )]
     OutsideTrajectory {
         /// Pairs.
@@ -108,4 +108,30 @@ pub enum LinkError {
     /// The estimator refused.
     #[error(transparent)]
     Bartlett(#[from] bartlett::Error),
+}
+
+/// A unit of time in which a trajectory's times would fit, where they are no seconds.
+fn unit(from_s: f64, start_s: f64) -> Option<&'static str> {
+    let units = [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")];
+    // Hosts have Unix time: of a run of the same year, the first digits agree.
+    units.into_iter().find(|(factor, _)| (start_s / from_s / factor - 1.0).abs() < 0.02).map(|(_, unit)| unit)
+}
+
+fn why_outside(other_fits: bool, from_s: f64, start_s: f64) -> String {
+    match unit(from_s, start_s) {
+        _ if other_fits => "the other log's times fit it: were the two logs exchanged?".into(),
+        Some(unit) => format!("its times look like {unit}, and are read as seconds"),
+        None => "is it of this run?".into(),
+    }
+}
+
+impl LinkError {
+    /// The unit in which a trajectory's times would fit those of its pairs, where they are no seconds.
+    #[must_use]
+    pub fn unit_of_times(&self) -> Option<&'static str> {
+        match self {
+            Self::OutsideTrajectory { from_s, start_s, other_fits: false, .. } => unit(*from_s, *start_s),
+            _ => None,
+        }
+    }
 }

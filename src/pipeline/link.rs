@@ -6,6 +6,7 @@ use super::options::Options;
 use crate::exchange::kinship::{Kinship, kinship};
 use crate::exchange::pairing::{LinkSide, Pair, Pairing, SideCounts};
 use crate::maths::upper_median_ord;
+use crate::motion::pose::Trajectory;
 use crate::signal::cfo::{Heard, TurnAround, at_centre, round_trips_at_centre};
 use crate::signal::reciprocity::{self, Reciprocal, Reciprocity};
 use driver_iface::Mac;
@@ -151,6 +152,14 @@ impl Link {
         let partner = stands_for * self.rows.iter().filter(inside).count() as f64 + self.partner_inside as f64;
         let all = self.pairs() as f64;
         self.outside as f64 > share * all && partner >= (1.0 - share) * all
+    }
+
+    /// Pairs outside the receiver's trajectory by the host times of the transmitter's log, of those not thinned out.
+    pub(super) fn outside_by_transmitter(&self, receiver: &Trajectory, options: &Options) -> usize {
+        let (start_s, end_s) = receiver.span_s();
+        let inside = |us: i64| (start_s..=end_s).contains(&(us as f64 * 1e-6 + options.clock_offset_s));
+        let outside = self.rows.iter().filter(|row| !row.partner_host_us.is_some_and(inside)).count();
+        outside + self.outside - self.partner_inside
     }
 
     /// The receiver's host time of the first pair, microseconds since the Unix epoch.

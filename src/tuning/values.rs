@@ -331,7 +331,7 @@ tuning! {
     /// Whether two records are of one exchange, and two logs of one link.
     pairing: PairingTuning, "cargo test -p csi5300 pairing" {
         /// Largest change of the clocks' difference between pairs, microseconds.
-        clock_slack_us: i64 = 5_000, "not recorded", "no effect";
+        clock_slack_us: i64 = 20_000, "measured: answers of a busy host come up to 10 ms late", "no effect";
         /// The same per second between them, microseconds.
         clock_drift_per_s: i64 = 200, "theory: 200 ppm; 802.11 allows two cards 40", "no effect";
         /// Candidates that must agree before their difference is believed.

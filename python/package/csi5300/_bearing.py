@@ -171,7 +171,7 @@ def _angles(name: str, given: Any) -> int | NDArray[np.float64]:
 
 
 def read_trajectory(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """A trajectory file (CSV with 5, 6, 9 or 15 columns) as an array (n, 5): seconds, x, y, z (metres), heading (radians, nan).
+    """A trajectory file (CSV with 5, 6, 8, 9 or 15 columns) as an array (n, 5): seconds, x, y, z (metres), heading (radians, nan).
 
     Raises :class:`TrajectoryError`, which is a :class:`TrajectoryFileError` where the file cannot be read.
     """

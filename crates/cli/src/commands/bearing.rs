@@ -32,7 +32,7 @@ pub struct Args {
     #[cfg_attr(feature = "ros2", arg(long, value_name = "TX.dat", required_unless_present = "bag"))]
     #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "TX.dat", required = true))]
     tx: Vec<PathBuf>,
-    /// Trajectory of the receiver: CSV with 5, 6, 9 or 15 columns
+    /// Trajectory of the receiver: CSV with 5, 6, 8, 9 or 15 columns
     #[cfg_attr(feature = "ros2", arg(long, value_name = "T.csv", required_unless_present = "bag"))]
     #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "T.csv", required = true))]
     trajectory: Option<PathBuf>,

@@ -17,7 +17,8 @@ type Words<T> = std::result::Result<T, String>;
 /// What a log is, for who named something else.
 const A_LOG: &str = "a log is the .dat that the CSI tool, the WSR toolbox or `csi5300 record` wrote";
 /// What a trajectory is.
-const A_TRAJECTORY: &str = "a trajectory is a CSV of 5, 6, 9 or 15 columns: seconds, nanoseconds, x, y, z ...";
+const A_TRAJECTORY: &str =
+    "a trajectory is a CSV of 5, 6, 9 or 15 columns (seconds, nanoseconds, x, y, z ...) or of 8 (TUM)";
 /// Bytes in which another kind of file is recognised, and in which a log that begins with damage has its first record.
 const BEGINNING: usize = 4_096;
 const SEARCHED: u64 = 1 << 20;
@@ -77,20 +78,12 @@ pub fn rows_were_lost() -> bool {
 /// Says what of a trajectory was read, and what was left out.
 pub fn say_trajectory(path: &Path, trajectory: &Trajectory, counts: &CsvCounts) {
     let name = path.display();
-    // A first line that is no row names the columns.
-    let headings = u64::from(counts.first_bad.as_ref().is_some_and(|(line, _)| *line == 1));
-    if counts.bad_rows > headings {
+    if counts.lost_something(trajectory) {
         ROWS_LOST.store(true, Ordering::Relaxed);
     }
     detail!("reading {name}: {} poses", trajectory.poses().len());
-    if let Some((line, why)) = &counts.first_bad {
-        note!("{name}: {} rows left out, the first in line {line}: {why}", counts.bad_rows);
-    }
-    if counts.out_of_order > 0 {
-        note!("{name}: {} rows out of order in time, sorted", counts.out_of_order);
-    }
-    if trajectory.stale_head() > 0 {
-        note!("{name}: the first {} poses are from before the run and left out", trajectory.stale_head());
+    for words in counts.notes(trajectory) {
+        note!("{name}: {words}");
     }
     for gap in trajectory.gaps() {
         let (length_s, moved_mm) = (gap.to_s - gap.from_s, gap.moved_m * 1e3);

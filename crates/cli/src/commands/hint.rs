@@ -20,7 +20,7 @@ pub fn words(error: &LinkError) -> String {
         }
         LinkError::RowsNotTimes { .. } => format!("{error} (--clock-offset)"),
         LinkError::TooLarge { .. } => format!("{error} (--from and --to cut a piece)"),
-        LinkError::OutsideTrajectory { other_fits: false, .. } => {
+        LinkError::OutsideTrajectory { other_fits: false, .. } if error.unit_of_times().is_none() => {
             format!("{error} --clock-offset shifts one against the other")
         }
         _ => error.to_string(),
@@ -42,6 +42,7 @@ fn bearing_words(error: &LinkError) -> String {
         LinkError::OutsideTrajectory { other_fits: true, .. } => {
             format!("{error} Try --rx and --tx the other way round")
         }
+        LinkError::OfTwoRuns { .. } => format!("{error}: name the other robot's log of this run"),
         LinkError::Unmatched(Unmatched::Unclear { .. } | Unmatched::Taken { .. }) => format!("{error} with --tx-mac"),
         LinkError::Unmatched(Unmatched::Named { .. }) => format!("{error} (--tx-mac)"),
         _ => joined_words(error),
@@ -78,8 +79,18 @@ mod tests {
         assert!(joined_words(&LinkError::NoHostTime).contains("--join-rows"));
         assert!(!words(&LinkError::NoHostTime).contains("--join-rows"));
         // `evaluate` and `sound` name no logs.
-        let exchanged =
-            |other_fits| LinkError::OutsideTrajectory { pairs: 9, from_s: 1.0, start_s: 2.0, end_s: 3.0, other_fits };
+        let from = |from_s: f64, start_s, other_fits| LinkError::OutsideTrajectory {
+            pairs: 9,
+            from_s,
+            start_s,
+            end_s: start_s + 1.0,
+            other_fits,
+        };
+        let exchanged = |other_fits| from(1.0, 2.0, other_fits);
+        for (factor, unit) in [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")] {
+            let words = joined_words(&from(1.7253e9, 1.7257e9 * factor, false));
+            assert!(words.ends_with(&format!("its times look like {unit}, and are read as seconds")), "{words}");
+        }
         assert!(bearing_words(&exchanged(true)).ends_with("Try --rx and --tx the other way round"));
         assert!(joined_words(&exchanged(true)).ends_with("were the two logs exchanged?"));
         assert!(joined_words(&exchanged(false)).contains("--clock-offset"));

@@ -21,7 +21,7 @@ pub struct Args {
     /// The recording
     #[arg(long, short, value_name = "OUT.mcap")]
     out: PathBuf,
-    /// Trajectory of the receiver: CSV with 5, 6, 9 or 15 columns
+    /// Trajectory of the receiver: CSV with 5, 6, 8, 9 or 15 columns
     #[arg(long, value_name = "T.csv")]
     trajectory: Option<PathBuf>,
     /// WiFi channel, with + or - for 40 MHz; needed for bearings

@@ -217,6 +217,26 @@ fn rows_of_a_trajectory_that_cannot_be_read_are_a_loss_and_a_line_of_headings_is
     assert!(status == 3 && errors.contains(&format!("{lost} rows left out")), "{status}: {errors}");
     let azimuth = |text: &str| json(text.lines().next().unwrap())["azimuth_deg"].as_f64().unwrap();
     assert!((azimuth(&out) - azimuth(&expected)).abs() < 1.0, "{out}");
+    // Times of whole seconds leave a pose for each; a clock that was set back leaves the longest part.
+    let time = |line: &str| line.split(',').next().unwrap().parse::<f64>().unwrap();
+    let with_times = |of: &dyn Fn(usize, f64) -> f64| {
+        let row = |(k, line): (usize, &str)| format!("{:.6},{}\n", of(k, time(line)), line.split_once(',').unwrap().1);
+        made.trajectory.lines().enumerate().map(row).collect::<String>()
+    };
+    let middle = made.trajectory.lines().count() / 3;
+    let set_back = with_times(&|k, t_s| if k < middle { t_s } else { t_s - 1.0 });
+    for (rows, words) in
+        [(with_times(&|_, t_s| t_s.floor()), "at whose time another one is"), (set_back, "time goes back by 0.9")]
+    {
+        folder.write("t.csv", rows.as_bytes());
+        let (status, _, errors) = folder.bearing(&["--json"]);
+        assert!(status == 3 && errors.contains(words), "{status}: {errors}");
+    }
+    // Semicolons and decimal commas change nothing.
+    let semicolons: String =
+        made.trajectory.lines().map(|line| line.replace(',', ";").replace('.', ",") + "\n").collect();
+    folder.write("t.csv", semicolons.as_bytes());
+    assert_eq!(folder.bearing(&["--json"]).1, expected);
     // Coordinates that no room has are left out with their rows.
     for far in ["1e308", "-1e308", "1e155"] {
         for every in [1, 2, 7] {
@@ -230,7 +250,7 @@ fn rows_of_a_trajectory_that_cannot_be_read_are_a_loss_and_a_line_of_headings_is
             let rows: String = made.trajectory.lines().enumerate().map(moved).collect();
             folder.write("t.csv", rows.as_bytes());
             let (status, out, errors) = folder.bearing(&["--json"]);
-            assert!(errors.contains("column 2 is further than 1e9 m from the origin"), "{errors}");
+            assert!(errors.contains("column 3 is further than 1e9 m from the origin"), "{errors}");
             assert_eq!(status, if every == 1 { 1 } else { 3 }, "{far} {every}: {errors}");
             assert!(every == 1 || (azimuth(&out) - azimuth(&expected)).abs() < 1.0, "{far} {every}: {out}");
         }

@@ -170,9 +170,11 @@ impl Capture {
         }
         let rx_path = self.receiver_log();
         let paths = std::iter::once(&rx_path).chain(self.transmitters.iter().map(|(_, path)| path));
+        // So far they are of rows of trajectories.
+        let rows_lost = !notes.is_empty();
         let surveys = std::iter::once(&report.receiver).chain(&report.transmitters).map(|log| &log.survey);
         notes.extend(paths.zip(surveys).filter_map(|(path, survey)| loss_note(path, survey)));
-        Ok(Evaluated { rows, lost: lost_something(&report), notes })
+        Ok(Evaluated { rows, lost: rows_lost || lost_something(&report), notes })
     }
 
     /// True if the capture has this trajectory.
@@ -241,14 +243,14 @@ struct Run<'a> {
     part: Part,
 }
 
+/// Reads a trajectory, and notes what of it was lost.
 fn read_path(shelf: &Shelf, path: PathBuf, notes: &mut Vec<String>) -> Result<Trajectory, EvaluateError> {
     let (trajectory, counts) = match shelf.trajectory(&path) {
         Ok(read) => read,
         Err(source) => return Err(EvaluateError::Trajectory { path, source }),
     };
-    if let Some((line, why)) = counts.first_bad {
-        let rows = counts.bad_rows;
-        notes.push(format!("{}: {rows} rows left out, the first in line {line}: {why}", path.display()));
+    if counts.lost_something(&trajectory) {
+        notes.extend(counts.notes(&trajectory).into_iter().map(|words| format!("{}: {words}", path.display())));
     }
     Ok(trajectory)
 }

@@ -7,6 +7,9 @@ use std::fmt::Write as _;
 /// Numbers that come twice are said where they are one in so many frames: senders repeat some, a few in a thousand.
 const MANY_TWICE: f64 = 10.0;
 
+/// Share of pairs that lose their pose by more than what two hosts' clocks make of a log's beginning and end.
+const MANY_OUTSIDE: f64 = 0.05;
+
 /// What became of the pairs and of each log's frames.
 pub(super) fn pairs(answer: &Answer) -> String {
     let counts = answer.pair_counts;
@@ -21,6 +24,13 @@ pub(super) fn pairs(answer: &Answer) -> String {
         counts.silent,
         if counts.thinned > 0 { format!(", {} left out evenly", counts.thinned) } else { String::new() }
     );
+    let by_transmitter = counts.no_pose_by_transmitter;
+    if counts.no_pose.saturating_sub(by_transmitter) as f64 > MANY_OUTSIDE * counts.formed as f64 {
+        let _ = writeln!(
+            text,
+            "  by the times of the transmitter's log {by_transmitter} would be without a pose: were the two logs exchanged?"
+        );
+    }
     if counts.too_wide > 0 {
         let _ = writeln!(
             text,
@@ -47,7 +57,7 @@ pub(super) fn pairs(answer: &Answer) -> String {
         if odd > 0 {
             let _ = write!(
                 text,
-                "; {} duplicates, {} implausible, {} of other sessions, {} restarts",
+                "; {} duplicates, {} implausible, {} of other sessions or answered very late, {} restarts",
                 side.duplicates, side.implausible, side.mispaired, side.restarts
             );
         }
