@@ -399,9 +399,14 @@ fn the_suite_writes_a_row_for_each_repetition() {
     assert_eq!(status, 0, "{said}{error}");
     let rows = std::fs::read_to_string(folder.0.join("rows.csv")).unwrap();
     assert_eq!(rows.lines().count(), 4, "{rows}");
+    let page = std::fs::read_to_string(crate::common::root().join("docs/formats.md")).unwrap();
+    let table = page.split("## Tables: `suite --csv`").nth(1).unwrap().split("\n## ").next().unwrap();
+    let described = table.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next());
+    let columns: Vec<&str> = rows.lines().next().unwrap().split(',').collect();
+    assert_eq!(described.collect::<Vec<_>>(), columns);
     assert!(rows.lines().skip(1).all(|row| row.starts_with("circle 10 cm,")), "{rows}");
     let (status, _, error) = folder.run(&["suite", "--only", "triangle"]);
-    assert!(status == 1 && error.contains("line 30 cm"), "{error}");
+    assert!(status == 2 && error.contains("line 30 cm"), "{error}");
 }
 
 #[test]
