@@ -176,12 +176,12 @@
     wedge(ctx, { from, deg, sd, colour, quiet }) {
       if (!csi.isNumber(sd) || quiet) return;
       for (const [times, alpha] of [[2, 0.1], [1, 0.18]]) {
-        const half = Math.min(times * sd, 85);
+        const half = Math.min(times * sd, 180);
         const edge = (k) => {
-          const angle = rad(deg - half + (2 * half * k) / 12);
+          const angle = rad(deg - half + (2 * half * k) / 48);
           return [from[0] + this.far * Math.cos(angle), from[1] + this.far * Math.sin(angle)];
         };
-        this.area(ctx, [from, ...Array.from({ length: 13 }, (_, k) => edge(k))], colour, alpha);
+        this.area(ctx, [from, ...Array.from({ length: 49 }, (_, k) => edge(k))], colour, alpha);
       }
     }
 

@@ -18,9 +18,10 @@
     for (const [times, alpha] of [[2, 0.1], [1, 0.2]]) {
       if (!csi.isNumber(sd)) break;
       ctx.fillStyle = csi.faint(csi.colour("red"), alpha);
-      // Around the end of the axis a bar goes on at the other.
+      // Around the end of the axis a bar goes on at the other; it is no longer than once around.
+      const half = Math.min(times * sd, 180);
       for (const turn of [-360, 0, 360]) {
-        const [left, right] = [row.azimuth_deg - times * sd + turn, row.azimuth_deg + times * sd + turn];
+        const [left, right] = [row.azimuth_deg - half + turn, row.azimuth_deg + half + turn];
         ctx.fillRect(x(left), bbox.top, Math.max(1, x(right) - x(left)), bbox.height);
       }
     }

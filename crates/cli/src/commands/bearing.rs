@@ -9,7 +9,7 @@ use super::args::{Estimation, channel, mac};
 use super::files::Log;
 use super::inputs::{BagArgs, Inputs, order_unknown};
 use super::mounting::Mounting;
-use super::{Outcome, Result, hint, info, is_same_file, print, print_json, profile, usage};
+use super::{Outcome, Result, fixed, hint, info, is_same_file, print, print_json, profile, usage};
 use csi5300::bartlett::Grid;
 use csi5300::pipeline::LinkError;
 use csi5300::pipeline::LinkPlan;
@@ -351,29 +351,26 @@ fn describe(answer: &Answer) -> String {
     let Some(azimuth) = answer.azimuth_deg else {
         return format!("{text}: no bearing\n");
     };
-    let _ = write!(text, ": {azimuth:.2} deg");
+    let _ = write!(text, ": {} deg", fixed(azimuth, 2));
     if let Some(sd) = answer.azimuth_sd_deg {
         let _ = write!(text, " +- {sd:.2}");
     }
-    if let Some(mirror) = answer.mirror_deg {
-        let (height, motion) = match answer.mirror_elevation_deg {
-            Some(elevation) => (format!(" at elevation {elevation:.1} deg"), "in a plane"),
-            None => (String::new(), "along a line"),
-        };
-        let _ = write!(text, ", or its mirror {mirror:.2} deg{height}: motion {motion} cannot tell them apart");
+    if let Some(mirror) = super::explain::mirror(answer) {
+        let _ = write!(text, ", or its mirror {mirror}");
     } else if let (Some(ratio), Some(next)) = (answer.peak_ratio.filter(|r| *r >= ALIKE), answer.candidates.get(1)) {
         let share = 100.0 * ratio;
-        let _ = write!(text, ", or {:.2} deg, for which {share:.0} % as much speaks", next.azimuth_deg);
+        let _ = write!(text, ", or {} deg, for which {share:.0} % as much speaks", fixed(next.azimuth_deg, 2));
     }
     text.push('\n');
     if let Some(confidence) = answer.confidence {
         let _ = writeln!(text, "  within 5 degrees with probability {confidence:.2}");
     }
     match (answer.range_m, answer.range_sd_m, answer.position_m) {
-        (Some(range), Some(sd), Some([x, y, z])) => {
+        (Some(range), Some(sd), Some(position_m)) => {
+            let [x, y, z] = position_m.map(|metres| fixed(metres, 2));
             let _ = writeln!(
                 text,
-                "  range {range:.2} +- {sd:.2} m: x {x:.2}, y {y:.2}, z {z:.2} m in the trajectory's frame at the last pair{}",
+                "  range {range:.2} +- {sd:.2} m: x {x}, y {y}, z {z} m in the trajectory's frame at the last pair{}",
                 if answer.elevation_deg.is_none() { " (the sign of the height is a guess)" } else { "" }
             );
         }
@@ -388,11 +385,14 @@ fn describe(answer: &Answer) -> String {
     }
     if let Some(focus) = answer.focus.filter(|focus| focus.worthwhile) {
         let (scale, turn_deg) = (focus.warp.scale, focus.warp.turn_rad_per_m.to_degrees());
-        let _ =
-            writeln!(text, "  trajectory sharpened over all links: scaled by {scale:.3}, bent by {turn_deg:.1} deg/m");
+        let _ = writeln!(
+            text,
+            "  trajectory sharpened over all links: scaled by {scale:.3}, bent by {} deg/m",
+            fixed(turn_deg, 1)
+        );
     }
     if let Some(body) = answer.azimuth_body_deg {
-        let _ = writeln!(text, "  in the robot's frame: {body:.2} deg (heading at the last sample)");
+        let _ = writeln!(text, "  in the robot's frame: {} deg (heading at the last sample)", fixed(body, 2));
     }
     text += &quality(answer);
     text += &pairs::pairs(answer);

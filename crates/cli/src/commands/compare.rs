@@ -3,13 +3,13 @@
 use super::args::channel;
 use super::inputs::{BagArgs, Inputs};
 use super::say::{Tone, toned};
-use super::{Outcome, Result, print, print_json, read_trajectory, simulate};
+use super::{Outcome, Result, fixed, print, print_json, read_trajectory, simulate, usage};
 use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
-use csi5300_lab::compare::fit::Known;
-use csi5300_lab::compare::{FigureRow, Figures, Verdict, fit, measure, rows, scene_channel};
+use csi5300_lab::compare::fit::{Known, check_width};
+use csi5300_lab::compare::{FigureRow, Figures, Verdict, channel_of, fit, measure, rows, scene_channel};
 use csi5300_lab::evaluate::find;
 use csi5300_sim::Scene;
 use std::fmt::Write;
@@ -37,9 +37,9 @@ pub struct Args {
     /// The recorded trajectory of the other robot, if it moved, on the first one's clock
     #[arg(long, value_name = "T.csv")]
     tx_trajectory: Option<PathBuf>,
-    /// WiFi channel
-    #[arg(long, default_value = "108", value_parser = channel)]
-    channel: Channel,
+    /// WiFi channel, with + or - for 40 MHz; that of the scene or of the simulated folder where one is given
+    #[arg(long, value_parser = channel, value_name = "NUMBER", required_unless_present = "with")]
+    channel: Option<Channel>,
     /// Where the transmitter's antenna was, metres, in the trajectory's frame; found from the capture if not given
     #[arg(long, value_name = "X,Y,Z", value_parser = place, allow_hyphen_values = true)]
     transmitter: Option<[f64; 3]>,
@@ -69,7 +69,6 @@ type Words<T> = std::result::Result<T, String>;
 
 /// Puts a recorded and a simulated capture beside each other.
 pub fn run(args: &Args) -> Result {
-    let options = Options::new(args.channel);
     // Before anything is read or fitted: minutes of work end in these files.
     let tx: Vec<PathBuf> = args.tx.iter().cloned().collect();
     let (inputs, named) = args.bag.resolve(args.rx.clone(), tx, args.trajectory.clone())?;
@@ -81,10 +80,12 @@ pub fn run(args: &Args) -> Result {
         }
     };
     args.check_outputs(inputs.bag().into_iter().chain([&*named.rx, tx, &named.trajectory]))?;
-    let given = args.with.as_deref().filter(|with| !with.is_dir()).map(|file| load(file, args.channel)).transpose()?;
+    let given = args.with.as_deref().filter(|with| !with.is_dir()).map(simulate::load).transpose()?;
+    let options = Options::new(args.channel(given.as_ref())?);
     let trajectory = inputs.trajectory(&named.trajectory)?;
     let displaced = args.tx_trajectory.as_deref().map(|path| inputs.trajectory(path)).transpose()?;
     let recorded = read(&inputs, (&named.rx, tx), (&trajectory, displaced.as_ref()), &options)?;
+    check_width(&recorded, options.channel).map_err(|error| error.to_string())?;
     let folder = args.out.join(SIMULATED);
     // A fitted scene's robot strays from the recorded trajectory, which is all that a recording has.
     let along = args.with.is_none().then_some(&trajectory);
@@ -114,6 +115,15 @@ const SCENE: &str = "scene.toml";
 const SIMULATED: &str = "simulated";
 
 impl Args {
+    /// The channel of both captures: of the scene that was read, of the folder, or the one asked for.
+    fn channel(&self, scene: Option<&Scene>) -> Words<Channel> {
+        match (&self.with, scene) {
+            (Some(file), Some(scene)) => of_scene(file, scene, self.channel),
+            (Some(folder), None) => of_folder(folder, self.channel),
+            (None, _) => Ok(self.channel.unwrap_or_else(|| usage("--channel is needed to fit a scene"))),
+        }
+    }
+
     /// Refuses outputs that are inputs, and without --force those that are there.
     fn check_outputs<'a>(&'a self, read: impl Iterator<Item = &'a Path>) -> Words<()> {
         #[cfg(feature = "plot")]
@@ -148,19 +158,39 @@ impl Args {
     }
 }
 
-/// Reads a scene, which must be of the recording's channel.
-fn load(file: &Path, channel: Channel) -> Words<Scene> {
-    let scene = simulate::load(file)?;
-    let wide = channel.width() != Width::Ht20;
-    if (scene.channel, scene.bandwidth_mhz == 40) != (scene_channel(channel), wide) {
-        return Err(format!(
+/// The channel of a scene in this file, which is the one asked for, if one is.
+fn of_scene(file: &Path, scene: &Scene, asked: Option<Channel>) -> Words<Channel> {
+    let is_other = |channel: &Channel| {
+        (scene.channel, scene.bandwidth_mhz == 40) != (scene_channel(*channel), channel.width() != Width::Ht20)
+    };
+    match asked {
+        Some(channel) if is_other(&channel) => Err(format!(
             "{} is of channel {} at {} MHz, not of --channel {channel}",
             file.display(),
             scene.channel,
             scene.bandwidth_mhz
-        ));
+        )),
+        Some(channel) => Ok(channel),
+        None => channel_of(scene).map_err(|error| format!("{}: {error}", file.display())),
     }
-    Ok(scene)
+}
+
+/// The channel of the first capture in a folder, which is the one asked for, if one is. Files with a truth do not say how wide.
+fn of_folder(folder: &Path, asked: Option<Channel>) -> Words<Channel> {
+    let (captures, _) = find(folder);
+    let capture = captures.first().ok_or_else(|| no_capture(folder))?;
+    match (asked, capture.channel_number().map_err(|error| error.to_string())?) {
+        (Some(channel), Some(own)) if u32::from(scene_channel(channel)) != own => {
+            Err(format!("{} is of channel {own}, not of --channel {channel}", folder.display()))
+        }
+        (Some(channel), _) => Ok(channel),
+        (None, Some(own)) => Channel::new(own, Width::Ht20).map_err(|error| error.to_string()),
+        (None, None) => usage(&format!("--channel is needed: no file with a truth in {} names it", folder.display())),
+    }
+}
+
+fn no_capture(folder: &Path) -> String {
+    format!("no capture in {}", folder.display())
 }
 
 /// Removes the capture of an earlier run.
@@ -187,7 +217,7 @@ fn read(
 /// given.
 fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> Words<Figures> {
     let (captures, _) = find(folder);
-    let capture = captures.first().ok_or_else(|| format!("no capture in {}", folder.display()))?;
+    let capture = captures.first().ok_or_else(|| no_capture(folder))?;
     let (name, tx) =
         capture.transmitters.first().ok_or_else(|| format!("no transmitter's log in {}", folder.display()))?;
     let beside = |name: String| capture.folder.join(name);
@@ -238,10 +268,10 @@ fn describe(table: &[FigureRow]) -> String {
 /// Four significant digits, no exponent.
 fn short(value: f64) -> String {
     if value == value.trunc() && value.abs() < 1e9 {
-        return format!("{value}");
+        return fixed(value, 0);
     }
     let digits = 3 - value.abs().log10().floor() as i32;
-    format!("{value:.*}", digits.clamp(0, 6) as usize)
+    fixed(value, digits.clamp(0, 6) as usize)
 }
 
 #[cfg(not(feature = "plot"))]
@@ -258,4 +288,15 @@ fn draw(args: &Args, recorded: &Figures, simulated: &Figures) -> Words<()> {
         print(&format!("picture {}\n", path.display()));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::short;
+
+    #[test]
+    fn figures_have_four_digits_and_what_is_nothing_has_no_sign() {
+        assert_eq!([-0.0, -1e-9, 1000.0, -20.0].map(short), ["0", "0.000000", "1000", "-20"]);
+        assert_eq!([0.642_58, 31.006, -10_955.2].map(short), ["0.6426", "31.01", "-10955"]);
+    }
 }

@@ -2,7 +2,7 @@
 //! line of Dijkstra et al. (\[paper\] in docs/references.md), simulated, decoded and estimated.
 
 use super::args::Estimation;
-use super::{Outcome, Result, print, print_json, simulate};
+use super::{Outcome, Result, fixed, print, print_json, simulate};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Bearing, CaptureReport, Options, Transmitter, bearings};
 use csi5300::signal::channel::{Channel, Width};
@@ -236,15 +236,16 @@ fn table(shown: &[Shown]) -> String {
         "          exchanges  azimuth    +-   mirror    truth   error  before  after\n\
          \x20                      deg   deg      deg      deg     deg     rad    rad\n",
     );
-    let figure = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+    let figure = |value: Option<f64>| value.map_or("-".into(), |value| fixed(value, 2));
     for row in shown {
-        let error = row.error_deg.map_or("-".into(), |error| format!("{error:+.2}"));
+        let error = figure(row.error_deg);
+        let error = if row.error_deg.is_some() && !error.starts_with('-') { format!("+{error}") } else { error };
         let _ = writeln!(
             text,
-            "  {:<8} {:>8} {:>8.2} {:>5.2} {:>8} {:>8} {error:>7} {:>7} {:>6}",
+            "  {:<8} {:>8} {:>8} {:>5.2} {:>8} {:>8} {error:>7} {:>7} {:>6}",
             row.experiment,
             row.exchanges,
-            row.azimuth_deg,
+            fixed(row.azimuth_deg, 2),
             row.azimuth_sd_deg,
             figure(row.mirror_deg),
             figure(row.truth_deg),

@@ -2,7 +2,7 @@
 
 use super::args::{Estimation, Step};
 use super::captures::{A_CAPTURE, Reading};
-use super::{Outcome, Result, print, print_json, usage};
+use super::{Outcome, Result, fixed, print, print_json, usage};
 use clap::ValueEnum;
 use csi5300::maths::median;
 use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, receivers, risk_coverage, sure};
@@ -253,7 +253,7 @@ fn table(rows: &[Judged], summary: &BTreeMap<String, SetSummary>) -> String {
         "",
         "Hz"
     );
-    let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| format!("{value:.digits$}"));
+    let number = |value: Option<f64>, digits: usize| value.map_or("-".into(), |value| fixed(value, digits));
     for row in rows {
         let a = &row.answer;
         let _ = writeln!(

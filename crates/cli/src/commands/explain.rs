@@ -1,11 +1,13 @@
 //! `csi5300 explain`.
 
 use super::captures::Reading;
-use super::{Outcome, Result, hint, print, print_json, usage};
+use super::{Outcome, Result, fixed, hint, print, print_json, usage};
+use csi5300::pipeline::Answer;
 use csi5300::pipeline::Bearing;
 use csi5300::pipeline::Options;
 use csi5300::pipeline::PathAnswer;
 use csi5300_lab::evaluate::Judged;
+use csi5300_lab::evaluate::quality::horizontal;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -230,7 +232,7 @@ fn placed(text: &mut String, bearing: &Bearing) {
 /// The answer, and the truth where it is known.
 fn conclusion(text: &mut String, row: &Judged) {
     let answer = &row.answer;
-    let number = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
+    let number = |value: Option<f64>| value.map_or("-".into(), |value| fixed(value, 2));
     let _ = writeln!(
         text,
         "answer        {} +- {} deg, within 5 deg with probability {}; {}",
@@ -238,17 +240,36 @@ fn conclusion(text: &mut String, row: &Judged) {
         number(answer.azimuth_sd_deg),
         number(answer.confidence),
         match (answer.range_m, answer.range_sd_m) {
-            (Some(range), Some(sd)) => format!("range {range:.2} +- {sd:.2} m"),
+            (Some(range), Some(sd)) => {
+                format!("range {range:.2} +- {sd:.2} m, horizontally {:.2} m", range * horizontal(answer))
+            }
             _ => "no range".into(),
         }
     );
-    if let Some(mirror) = answer.mirror_deg {
-        let _ = writeln!(text, "mirror        {mirror:.2} deg: motion along a line cannot tell them apart");
+    if let Some(mirror) = mirror(answer) {
+        let _ = writeln!(text, "mirror        {mirror}");
     }
     if let (Some(truth), Some(error)) = (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) {
-        let range = row.true_range_m.map_or(String::new(), |range| format!("; range {range:.2} m"));
-        let _ = writeln!(text, "truth         {truth:.2} deg: off by {error:.2}{range}");
+        let _ = write!(text, "truth         {} deg: off by {}", fixed(truth, 2), fixed(error, 2));
+        // No truth has heights.
+        if let Some(range) = row.true_range_m {
+            let _ = write!(text, "; horizontally {range:.2} m");
+        }
+        if let Some(error) = row.range_error_m {
+            let _ = write!(text, ": off by {}", fixed(error, 2));
+        }
+        text.push('\n');
     }
+}
+
+/// The other bearing that the motion cannot tell from the answer, and why it cannot.
+pub fn mirror(answer: &Answer) -> Option<String> {
+    let azimuth = fixed(answer.mirror_deg?, 2);
+    let (height, motion) = match answer.mirror_elevation_deg {
+        Some(elevation) => (format!(" at elevation {} deg", fixed(elevation, 1)), "in a plane"),
+        None => (String::new(), "along a line"),
+    };
+    Some(format!("{azimuth} deg{height}: motion {motion} cannot tell them apart"))
 }
 
 /// A line for each path.
@@ -257,16 +278,15 @@ pub fn places(paths: &[PathAnswer]) -> String {
     for (number, path) in paths.iter().enumerate() {
         let range = path.range_m.map_or("far".into(), |range| format!("{range:.1} m"));
         let elevation = match path.elevation_deg {
-            Some(elevation) => format!("elevation {elevation:5.1}"),
+            Some(elevation) => format!("elevation {:>5}", fixed(elevation, 1)),
             None => format!("|elevation| {:4.1}", path.abs_elevation_deg),
         };
         let _ = write!(
             text,
-            "  {}: {:7.2} deg, {elevation} deg, {range}, {:.1} dB",
+            "  {}: {:>7} deg, {elevation} deg, {range}, {} dB",
             number + 1,
-            path.azimuth_deg,
-            // -0.04 is no -0.0.
-            (10.0 * path.relative_power_db).round() / 10.0 + 0.0
+            fixed(path.azimuth_deg, 2),
+            fixed(path.relative_power_db, 1)
         );
         if let Some([a, b]) = path.cross_term_of {
             let _ = write!(text, ", the product of {} and {}", a + 1, b + 1);
@@ -274,4 +294,43 @@ pub fn places(paths: &[PathAnswer]) -> String {
         text.push('\n');
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn concluded(change: impl FnOnce(&mut Judged)) -> String {
+        let mut row = Judged { answer: Answer::failed("a/tx".into(), String::new()), ..Judged::default() };
+        (row.answer.azimuth_deg, row.answer.azimuth_sd_deg) = (Some(-1e-17), Some(0.5));
+        change(&mut row);
+        let mut text = String::new();
+        conclusion(&mut text, &row);
+        text
+    }
+
+    #[test]
+    fn a_mirror_is_of_a_line_or_of_a_plane_in_which_it_has_an_elevation() {
+        let of = |elevation_deg: Option<f64>| {
+            concluded(|row| {
+                (row.answer.mirror_deg, row.answer.mirror_elevation_deg) = (Some(-138.38), elevation_deg);
+            })
+        };
+        let line = "mirror        -138.38 deg: motion along a line cannot tell them apart\n";
+        let plane = "mirror        -138.38 deg at elevation 2.3 deg: motion in a plane cannot tell them apart\n";
+        assert!(of(None).ends_with(line) && of(Some(2.3)).ends_with(plane), "{}{}", of(None), of(Some(2.3)));
+    }
+
+    #[test]
+    fn a_horizontal_truth_stands_beside_a_horizontal_range() {
+        let text = concluded(|row| {
+            row.answer.abs_elevation_deg = Some(60.0);
+            (row.answer.range_m, row.answer.range_sd_m) = (Some(4.0), Some(0.01));
+            (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) = (Some(1e-17), Some(-2e-17));
+            (row.true_range_m, row.range_error_m) = (Some(2.0), Some(-0.001));
+        });
+        let answer = "answer        0.00 +- 0.50 deg, within 5 deg with probability -; range 4.00 +- 0.01 m, horizontally 2.00 m";
+        let truth = "truth         0.00 deg: off by 0.00; horizontally 2.00 m: off by 0.00";
+        assert_eq!(text, format!("{answer}\n{truth}\n"));
+    }
 }

@@ -3,7 +3,7 @@
 mod transmitters;
 
 use super::captures::Reading;
-use super::{Outcome, Result, hint, print, print_json, some};
+use super::{Outcome, Result, fixed, hint, print, print_json, some};
 use csi5300::maths::median;
 use csi5300_lab::evaluate::quality::{Receiver, UNKNOWN_PROBABILITY, receivers};
 use csi5300_lab::evaluate::{Capture, Judged};
@@ -100,7 +100,8 @@ pub fn run(args: &Args) -> Result {
         row.true_transmitter_m = own.map(|(_, (place, _))| *place).or(row.true_transmitter_m);
         row.transmitter_z_m = own.and_then(|(_, (_, height))| *height);
     }
-    let found = receivers(&rows);
+    let mut found = receivers(&rows);
+    found.iter_mut().for_each(|receiver| say_unplaced(receiver, &rows));
     if args.json {
         found.iter().for_each(print_json);
     } else {
@@ -134,6 +135,28 @@ fn draw(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
     Ok(())
 }
 
+/// The links to a receiver.
+fn own<'a>(receiver: &Receiver, rows: &'a [Judged]) -> impl Iterator<Item = &'a Judged> {
+    let capture = format!("{}/", receiver.capture);
+    rows.iter().filter(move |row| row.answer.link.starts_with(&capture))
+}
+
+/// Of a receiver that is not located: which of its bearings are to transmitters whose places are not known.
+fn say_unplaced(receiver: &mut Receiver, rows: &[Judged]) {
+    let Some(error) = receiver.error.clone() else { return };
+    let is_unplaced = |row: &&Judged| row.answer.azimuth_deg.is_some() && row.true_transmitter_m.is_none();
+    let name = |row: &'_ Judged| row.answer.link.rsplit('/').next().unwrap_or_default().to_owned();
+    let unplaced: Vec<String> = own(receiver, rows).filter(is_unplaced).map(name).collect();
+    let (whose, options) = match &unplaced[..] {
+        [] => return,
+        [one] => (format!("the place of {one} is"), format!("--place {one}=X,Y")),
+        [one, ..] => (format!("the places of {} are", unplaced.join(", ")), format!("--place {one}=X,Y and so on")),
+    };
+    let unplaced = format!("{whose} not known ({options})");
+    let known = if receiver.links == 0 { "not located:".into() } else { format!("{error};") };
+    receiver.error = Some(format!("{known} {unplaced}"));
+}
+
 fn table(found: &[Receiver], rows: &[Judged]) -> String {
     let mut text = String::new();
     for receiver in found {
@@ -142,13 +165,15 @@ fn table(found: &[Receiver], rows: &[Judged]) -> String {
             (Some([x, y]), Some(c)) => {
                 let _ = write!(
                     text,
-                    "x {x:.2} +- {:.2} m, y {y:.2} +- {:.2} m from {}",
+                    "x {} +- {:.2} m, y {} +- {:.2} m from {}",
+                    fixed(x, 2),
                     c[0][0].sqrt(),
+                    fixed(y, 2),
                     c[1][1].sqrt(),
                     some(receiver.links as u64, "link", "links")
                 );
                 if let (Some(z), Some(sd)) = (receiver.height_m, receiver.height_sd_m) {
-                    let _ = write!(text, ", z {z:.2} +- {sd:.2} m");
+                    let _ = write!(text, ", z {} +- {sd:.2} m", fixed(z, 2));
                 }
             }
             _ => text += receiver.error.as_deref().unwrap_or("not located"),
@@ -165,10 +190,10 @@ fn table(found: &[Receiver], rows: &[Judged]) -> String {
         }
         text.push('\n');
         said_otherwise(receiver, rows, &mut text);
-        let own = rows.iter().filter(|row| row.answer.link.starts_with(&format!("{}/", receiver.capture)));
-        for row in own {
-            let Some([x, y, z]) = row.answer.position_m else { continue };
-            let _ = writeln!(text, "  {}: seen at x {x:.2}, y {y:.2}, z {z:.2} m", row.answer.link);
+        for row in own(receiver, rows) {
+            let Some(position_m) = row.answer.position_m else { continue };
+            let [x, y, z] = position_m.map(|metres| fixed(metres, 2));
+            let _ = writeln!(text, "  {}: seen at x {x}, y {y}, z {z} m", row.answer.link);
         }
     }
     errors(found, &mut text);
@@ -185,7 +210,8 @@ fn said_otherwise(receiver: &Receiver, rows: &[Judged], text: &mut String) {
     for (link, azimuth_deg) in receiver.names.iter().zip(&receiver.azimuths_deg) {
         let answer = rows.iter().find(|row| row.answer.link == *link).and_then(|row| row.answer.azimuth_deg);
         if let Some(answer) = answer.filter(|answer| (answer - azimuth_deg).abs() > 1e-6) {
-            let _ = writeln!(text, "  {link}: {azimuth_deg:.2} deg fits this place, not the {answer:.2} deg answered");
+            let [fitting, answer] = [*azimuth_deg, answer].map(|deg| fixed(deg, 2));
+            let _ = writeln!(text, "  {link}: {fitting} deg fits this place, not the {answer} deg answered");
         }
     }
 }

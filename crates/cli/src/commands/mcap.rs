@@ -1,7 +1,7 @@
 //! `csi5300 mcap`.
 
 use super::args::{Estimation, channel};
-use super::{Outcome, Result, info, read_trajectory, usage};
+use super::{Outcome, Result, fixed, info, read_trajectory, usage};
 use csi5300::internal::Front;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::{Options, Transmitter, bearings};
@@ -147,7 +147,7 @@ fn estimate(
             Ok(bearing) => {
                 channels.bearing(name, bearing).map_err(|error| error.to_string())?;
                 let azimuth_deg = bearing.answer.azimuth_rad.to_degrees();
-                note!("{name}: {azimuth_deg:.2} deg");
+                note!("{name}: {} deg", fixed(azimuth_deg, 2));
                 rows.push(LinkRow { link: name.clone(), azimuth_deg: Some(azimuth_deg), error: None });
             }
             Err(error) => {

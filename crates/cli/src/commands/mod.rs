@@ -66,7 +66,7 @@ mod view;
 mod watch;
 
 use clap::{Parser, Subcommand};
-pub use csi5300_lab::words::count as some;
+pub use csi5300_lab::words::{count as some, fixed};
 pub use files::{is_same_file, must_not_exist, open_log, read_trajectory};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use say::Level;

@@ -3,7 +3,7 @@
 use super::args::{Estimation, channel};
 use super::live::{Signals, duration};
 use super::sounding::{NO_NUMBERS, Sounding, Wanted, Words, tell, waiting};
-use super::{Result, hint, print, print_json, usage};
+use super::{Result, fixed, hint, print, print_json, usage};
 use csi5300::exchange::tdma::{Epoch, Event, Plan, Priority};
 use csi5300::motion::odometry;
 use csi5300::pipeline::{Bearing, LinkError};
@@ -201,9 +201,10 @@ impl Bearings<'_> {
         match (line.azimuth_deg, &line.error) {
             (Some(azimuth), _) => {
                 let sd = line.azimuth_sd_deg.map_or(String::new(), |sd| format!(" +- {sd:.2}"));
-                let mirror = line.mirror_deg.map_or(String::new(), |mirror| format!(", or {mirror:.1}"));
+                let mirror = line.mirror_deg.map_or(String::new(), |mirror| format!(", or {}", fixed(mirror, 1)));
                 let coherence = line.coherence.unwrap_or(0.0);
-                print(&format!("{mac}  {azimuth:.1}{sd} deg{mirror}; coherence {coherence:.2}, {pairs} pairs\n"));
+                let azimuth = fixed(azimuth, 1);
+                print(&format!("{mac}  {azimuth}{sd} deg{mirror}; coherence {coherence:.2}, {pairs} pairs\n"));
             }
             (None, Some(error)) => print(&format!("{mac}  no bearing yet: {error}\n")),
             (None, None) => {}

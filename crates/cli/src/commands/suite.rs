@@ -1,6 +1,6 @@
 //! `csi5300 suite`.
 
-use super::{Outcome, Result, print, print_json};
+use super::{Outcome, Result, print, print_json, usage};
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 #[cfg(feature = "plot")]
@@ -44,7 +44,7 @@ pub fn run(args: &Args) -> Result {
     }
     if all.is_empty() {
         let names: Vec<String> = experiments().into_iter().map(|experiment| experiment.name).collect();
-        return Err(format!("no experiment has that in its name; there are: {}", names.join("; ")));
+        usage(&format!("no experiment has that in its name; there are: {}", names.join("; ")));
     }
     let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let failed = |error: String| format!("cannot write {}: {error}", args.csv.display());

@@ -1,6 +1,6 @@
 //! `csi5300 watch`: a running node in a terminal.
 
-use super::{Outcome, Result, print};
+use super::{Outcome, Result, fixed, print};
 use ratatui::Frame;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -116,7 +116,7 @@ fn text(value: &Value, path: &str) -> String {
 }
 
 fn figure(value: Option<f64>, digits: usize) -> String {
-    value.map_or_else(|| "-".into(), |value| format!("{value:.digits$}"))
+    value.map_or_else(|| "-".into(), |value| fixed(value, digits))
 }
 
 /// A tenth of what is below a hundred: more has no room.
@@ -188,8 +188,8 @@ fn table(peers: &[Value]) -> Table<'static> {
         let of = |path: &str| number(peer, path);
         let bearing = match (of("/report/azimuth_deg"), of("/report/azimuth_sd_deg"), of("/report/mirror_deg")) {
             (Some(azimuth), sd, mirror) => {
-                let mirror = mirror.map_or(String::new(), |mirror| format!(" or {mirror:.1}"));
-                format!("{azimuth:.1} +- {}{mirror}", figure(sd, 1))
+                let mirror = mirror.map_or(String::new(), |mirror| format!(" or {}", fixed(mirror, 1)));
+                format!("{} +- {}{mirror}", fixed(azimuth, 1), figure(sd, 1))
             }
             _ => text(peer, "/report/words"),
         };

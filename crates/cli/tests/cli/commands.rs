@@ -368,7 +368,7 @@ fn an_evaluation_reports_bad_captures_and_goes_on() {
 #[test]
 fn a_simulated_capture_is_compared_with_the_scene_it_came_from() {
     let folder = Folder::new("compare");
-    let text = "duration_s = 4.0\n[sounding]\nrate_hz = 100\n[radio]\nnoise.snr_db = 20.0\n[[robot]]\nname = \"rx\"\n\
+    let text = "duration_s = 4.0\nchannel = 36\n[sounding]\nrate_hz = 100\n[radio]\nnoise.snr_db = 20.0\n[[robot]]\nname = \"rx\"\n\
                 motion.circle = { radius_m = 0.2, duration_s = 4.0 }\n[[robot]]\nname = \"tx\"\nposition_m = [4.0, 1.0, 0.0]\n";
     folder.write("scene.toml", text.as_bytes());
     let (status, said, error) = folder.run(&["simulate", "scene.toml", "--out", "capture"]);
@@ -384,6 +384,16 @@ fn a_simulated_capture_is_compared_with_the_scene_it_came_from() {
         assert_eq!(status, 0, "{said}{error}");
         assert!(said.contains(" figures agree, 0 differ"), "{said}");
     }
+    // The channel is theirs; without them it has to be given.
+    for with in ["scene.toml", "capture"] {
+        assert_eq!(folder.run(&[&recorded[..], &[with, "--channel", "36"]].concat()).0, 0, "{with}");
+        let (status, _, error) = folder.run(&[&recorded[..], &[with, "--channel", "34+"]].concat());
+        assert_eq!(status, 1, "{with}: {error}");
+        let (status, _, error) = folder.run(&[&recorded[..], &[with, "--channel", "108"]].concat());
+        assert!(status == 1 && error.contains("is of channel 36") && error.contains("not of --channel 108"), "{error}");
+    }
+    let (status, _, error) = folder.run(&recorded);
+    assert!(status == 2 && error.contains("--channel"), "{error}");
     let (_, said, _) = folder.run(&[&recorded[..], &["capture", "--json"]].concat());
     let rows: Vec<_> = said.lines().map(json).collect();
     assert!(rows.len() > 80 && rows.iter().all(|row| row["recorded"] == row["simulated"]), "{said}");
@@ -399,9 +409,14 @@ fn the_suite_writes_a_row_for_each_repetition() {
     assert_eq!(status, 0, "{said}{error}");
     let rows = std::fs::read_to_string(folder.0.join("rows.csv")).unwrap();
     assert_eq!(rows.lines().count(), 4, "{rows}");
+    let page = std::fs::read_to_string(crate::common::root().join("docs/formats.md")).unwrap();
+    let table = page.split("## Tables: `suite --csv`").nth(1).unwrap().split("\n## ").next().unwrap();
+    let described = table.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next());
+    let columns: Vec<&str> = rows.lines().next().unwrap().split(',').collect();
+    assert_eq!(described.collect::<Vec<_>>(), columns);
     assert!(rows.lines().skip(1).all(|row| row.starts_with("circle 10 cm,")), "{rows}");
     let (status, _, error) = folder.run(&["suite", "--only", "triangle"]);
-    assert!(status == 1 && error.contains("line 30 cm"), "{error}");
+    assert!(status == 2 && error.contains("line 30 cm"), "{error}");
 }
 
 #[test]

@@ -142,7 +142,11 @@ fn captures_without_a_truth_are_explained_located_and_reported() {
     assert!(status == 1 && err.contains("1 capture without one"), "{err}");
     // The transmitter is 1 km away, so the bearing alone says little of where the receiver is; it is said that it is used.
     let (_, out, err) = folder.run(&["locate", "runs", "--channel", "108"]);
-    assert!(err.contains("--place NAME=X,Y") && out.starts_with("circle/real_1: "), "{out}{err}");
+    assert!(err.contains("--place NAME=X,Y"), "{err}");
+    let unplaced = "not located: the place of tx is not known (--place tx=X,Y)";
+    assert_eq!(out.lines().next(), Some(format!("circle/real_1: {unplaced}").as_str()), "{out}");
+    let (_, out, _) = folder.run(&["locate", "runs", "--channel", "108", "--json"]);
+    assert_eq!(json(&out)["error"], unplaced);
     let (_, out, _) = folder.run(&["locate", "runs", "--channel", "108", "--place", "tx=-416,909", "--json"]);
     assert_eq!(json(&out)["links"], 1);
     assert_eq!(folder.run(&["locate", "runs", "--place", "tx=1"]).0, 2);

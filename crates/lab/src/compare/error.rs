@@ -37,7 +37,9 @@ pub enum CompareError {
     #[error("a scene of one robot has no link to measure")]
     OneRobot,
     /// The records are of another bandwidth than the channel.
-    #[error("the records are of {recorded_mhz} MHz, the channel {channel} is not")]
+    #[error(
+        "the records are of {recorded_mhz} MHz, the channel {channel} is not: 40 MHz have + or - behind the number"
+    )]
     Width {
         /// Bandwidth of the records, MHz.
         recorded_mhz: u16,

@@ -12,7 +12,7 @@ use super::fitted_scene::{Recording, is_wide, text};
 use super::side::SideFigures;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
-use csi5300::signal::channel::Width;
+use csi5300::signal::channel::{Channel, Width};
 use csi5300_sim::Scene;
 use nalgebra::Vector3;
 use std::f64::consts::TAU;
@@ -68,16 +68,23 @@ const MARGIN_M: [f64; 3] = [2.5, 1.5, 4.0];
 /// A coefficient is rounded to integers: this is the power of the error, steps squared.
 const ROUNDING: f64 = 2.0 / 12.0;
 
+/// Refuses a recording that is not as wide as a channel.
+///
+/// # Errors
+/// [`CompareError::Width`] if most records are of the other width.
+pub fn check_width(recorded: &Figures, channel: Channel) -> Result<(), CompareError> {
+    let recorded_mhz = if is_wide(&recorded.receiver) { 40 } else { 20 };
+    let mhz = if channel.width() == Width::Ht20 { 20 } else { 40 };
+    if recorded_mhz == mhz { Ok(()) } else { Err(CompareError::Width { recorded_mhz, channel }) }
+}
+
 /// Fits a scene.
 ///
 /// # Errors
 /// If the recording lacks what a scene needs, is not of the options' channel, or the scene made of it cannot
 /// be simulated.
 pub fn fit(recorded: &Figures, known: &Known<'_>, options: &Options) -> Result<Fitted, CompareError> {
-    if is_wide(&recorded.receiver) != (options.channel.width() != Width::Ht20) {
-        let recorded_mhz = if is_wide(&recorded.receiver) { 40 } else { 20 };
-        return Err(CompareError::Width { recorded_mhz, channel: options.channel });
-    }
+    check_width(recorded, options.channel)?;
     let place = known.transmitter_m.or(recorded.link.place_m).ok_or(CompareError::NoPlace)?;
     let recording = Recording { figures: recorded, known, place, channel: options.channel };
     let mut adjusted = first(recorded, known.trajectory, place);

@@ -6,7 +6,7 @@ use super::fit::{Adjusted, Known, middle, noise};
 use super::pattern::pattern;
 use super::side::{SideFigures, usual};
 use csi5300::motion::pose::Trajectory;
-use csi5300::signal::channel::{Channel, SPEED_OF_LIGHT_M_PER_S, SUBCARRIER_SPACING_HZ, Width};
+use csi5300::signal::channel::{Channel, ChannelError, SPEED_OF_LIGHT_M_PER_S, SUBCARRIER_SPACING_HZ, Width};
 use csi5300_sim::crystal::Crystal;
 use csi5300_sim::motion::{RecordedMotion, RobotMotion};
 use csi5300_sim::radio::{Agc, AntennaOrder, Gain, Noise, Radio, Stray, TurnAround};
@@ -282,5 +282,37 @@ pub fn scene_channel(channel: Channel) -> u16 {
         Width::Ht20 => number,
         Width::Ht40Plus => number + 2,
         Width::Ht40Minus => number.saturating_sub(2),
+    }
+}
+
+/// The channel of a scene. At 40 MHz its primary channel is the lower half where that is a channel: the centre is the same.
+///
+/// # Errors
+/// If no channel has the scene's number.
+pub fn channel_of(scene: &Scene) -> Result<Channel, ChannelError> {
+    let number = u32::from(scene.channel);
+    if scene.bandwidth_mhz != 40 {
+        return Channel::new(number, Width::Ht20);
+    }
+    Channel::new(number.saturating_sub(2), Width::Ht40Plus).or_else(|_| Channel::new(number + 2, Width::Ht40Minus))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_scene_is_of_the_channel_whose_centre_and_width_it_has() {
+        let scene = |channel, bandwidth_mhz| Scene { channel, bandwidth_mhz, ..Scene::default() };
+        let named = |scene: &Scene| channel_of(scene).map(|channel| channel.to_string());
+        assert_eq!(named(&scene(36, 20)), Ok("36".into()));
+        assert_eq!(named(&scene(110, 40)), Ok("108+".into()));
+        // No channel is two below the lowest of a band.
+        assert_eq!([named(&scene(34, 40)), named(&scene(2, 40))], [Ok("36-".into()), Ok("4-".into())]);
+        for (number, mhz) in [(36, 20), (110, 40), (34, 40), (3, 40), (196, 40)] {
+            let channel = channel_of(&scene(number, mhz)).unwrap();
+            assert_eq!((scene_channel(channel), channel.width() != Width::Ht20), (number, mhz == 40));
+        }
+        assert!(channel_of(&scene(20, 20)).is_err());
     }
 }

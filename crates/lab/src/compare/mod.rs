@@ -16,5 +16,5 @@ pub mod table;
 pub use error::CompareError;
 pub use figures::{Figures, LinkFigures, measure, measure_scene, measure_scene_along};
 pub use fit::{Fitted, fit};
-pub use fitted_scene::scene_channel;
+pub use fitted_scene::{channel_of, scene_channel};
 pub use table::{FigureRow, Verdict, rows};

@@ -2,6 +2,7 @@
 
 use super::find::{Capture, TrajectorySource};
 use super::part::Part;
+use super::quality::horizontal;
 use super::shelf::Shelf;
 use super::truth::{EvaluateError, Truth};
 use csi5300::maths::wrap_rad;
@@ -306,10 +307,9 @@ fn judge(answer: Answer, transmitter: &TruePlace<'_>, reference: Option<&Traject
         Some(wrap_rad((azimuth - truth).to_radians()).to_degrees())
     };
     let true_range_m = position.zip(mean).map(|(p, from)| (p.x - from.x).hypot(p.y - from.y));
-    let level = answer.abs_elevation_deg.unwrap_or(0.0).to_radians().cos();
     Judged {
         true_range_m,
-        range_error_m: answer.range_m.zip(true_range_m).map(|(range, truth)| range * level - truth),
+        range_error_m: answer.range_m.zip(true_range_m).map(|(range, truth)| range * horizontal(&answer) - truth),
         true_transmitter_m: position.map(|p| [p.x, p.y]),
         transmitter_z_m: None,
         position_error_m: reported.map(|([x, y, _], truth)| (Vector2::new(x, y) - truth).norm()),

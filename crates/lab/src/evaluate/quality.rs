@@ -60,8 +60,16 @@ pub fn ranges(rows: &[&Judged]) -> Ranges {
     let known = rows.iter().filter(|row| row.true_range_m.is_some() && row.answer.azimuth_deg.is_some());
     let mut errors: Vec<f64> = rows.iter().filter_map(|row| row.range_error_m).map(f64::abs).collect();
     let reported = errors.len();
-    let over_bound = scale(rows.iter().filter_map(|row| row.range_error_m.zip(row.answer.range_sd_m)));
+    // Errors are horizontal, and so are their deviations.
+    let sd_m = |answer: &Answer| answer.range_sd_m.map(|sd| sd * horizontal(answer));
+    let over_bound = scale(rows.iter().filter_map(|row| row.range_error_m.zip(sd_m(&row.answer))));
     Ranges { links: known.count(), reported, median_m: median(&mut errors), over_bound }
+}
+
+/// The share of an answer's range that is horizontal: the truth has no heights.
+#[must_use]
+pub fn horizontal(answer: &Answer) -> f64 {
+    answer.abs_elevation_deg.unwrap_or(0.0).to_radians().cos()
 }
 
 /// A receiver located from its links.
@@ -179,7 +187,7 @@ fn sighting(row: &Judged) -> Option<Sighting> {
     // The probability that the bearing or its mirror is within five degrees: the place decides between the two.
     let either = |confidence: f64| confidence / (1.0 - answer.mirror_share.unwrap_or(0.0).min(0.5));
     let sure = answer.confidence.map_or(UNKNOWN_PROBABILITY, |confidence| either(confidence).min(MOST_SURE));
-    let horizontal = answer.abs_elevation_deg.unwrap_or(0.0).to_radians().cos();
+    let horizontal = horizontal(answer);
     let azimuth_sd_rad = deviation_rad(sure).max(answer.azimuth_sd_deg.unwrap_or(0.0).to_radians());
     let range_m = answer.range_m.zip(answer.range_sd_m).map(|(range, sd)| (range * horizontal, sd * horizontal));
     let mut sighting = Sighting::new(row.true_transmitter_m?.into(), answer.azimuth_deg?.to_radians(), azimuth_sd_rad);
@@ -265,6 +273,15 @@ mod tests {
         assert!((over_bound(&rows).unwrap() - 0.7 / 0.674_5).abs() < 1e-9, "{:?}", over_bound(&rows));
         assert_eq!(over_bound(&[]), None);
         assert_eq!(ranges(&rows), Ranges { links: 0, reported: 0, median_m: None, over_bound: None });
+        // Half a slant deviation is a whole horizontal one 60 degrees up.
+        let slant = |elevation_deg: f64| {
+            let mut row = row("a/x", 0.0, 0.0, 0.5);
+            row.answer.abs_elevation_deg = Some(elevation_deg);
+            (row.answer.range_sd_m, row.range_error_m, row.true_range_m) = (Some(0.2), Some(0.1), Some(3.0));
+            ranges(&[&row])
+        };
+        assert!((slant(60.0).over_bound.unwrap() - 1.0 / 0.674_5).abs() < 1e-9, "{:?}", slant(60.0));
+        assert!((slant(0.0).over_bound.unwrap() - 0.5 / 0.674_5).abs() < 1e-9, "{:?}", slant(0.0));
     }
 
     #[test]

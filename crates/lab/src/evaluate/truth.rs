@@ -1,6 +1,6 @@
 //! The file with the truth of a capture, and why a capture could not be evaluated.
 
-use super::find::TRUTH_FILE;
+use super::find::{Capture, TRUTH_FILE};
 use csi5300::motion::odometry::csv::CsvError;
 use csi5300::signal::channel::ChannelError;
 use nalgebra::Vector2;
@@ -119,6 +119,16 @@ fn read(path: &Path) -> Result<Vec<u8>, EvaluateError> {
     match got > LONGEST {
         true => Err(EvaluateError::Long { path: path.to_owned(), bytes: size.max(got) }),
         false => Ok(text),
+    }
+}
+
+impl Capture {
+    /// The number of the channel that the file with the truth names, where there is one and it does.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub fn channel_number(&self) -> Result<Option<u32>, EvaluateError> {
+        if self.has_truth() { Ok(Truth::read(&self.folder)?.channel()) } else { Ok(None) }
     }
 }
 

@@ -3,6 +3,7 @@ use super::axes::Axes;
 use super::canvas::{BLACK, Canvas, GREEN, Key, RED, WIDTH};
 use super::profile::{FLOOR_DB, shade};
 use super::{Error, Format};
+use crate::words::fixed;
 use kuva::render::render::TextAnchor;
 use std::path::{Path, PathBuf};
 
@@ -27,6 +28,16 @@ pub struct PlaceMap {
     pub truth_deg: Option<f64>,
 }
 
+/// How high the numbers of places are.
+const NUMBER_PX: u32 = 18;
+
+/// Where the number of a place stands: above its ring, or below where that would leave the frame.
+fn numbered(at: (f64, f64), axes: &Axes) -> (f64, f64) {
+    let above = at.1 - 16.0;
+    let is_within = above - f64::from(NUMBER_PX) >= axes.top;
+    (at.0, if is_within { above } else { at.1 + 14.0 + f64::from(NUMBER_PX) })
+}
+
 impl PlaceMap {
     /// Writes it as `stem` with the ending of each format.
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
@@ -42,7 +53,7 @@ impl PlaceMap {
         let mut canvas = Canvas::new(700.0, &self.title);
         let mut keys = vec![(Key::Dot, RED, "candidates, 1 is the answer".to_owned())];
         if let Some(truth) = self.truth_deg {
-            keys.push((Key::Dash, GREEN, format!("truth {truth:.1}°")));
+            keys.push((Key::Dash, GREEN, format!("truth {}°", fixed(truth, 1))));
         }
         let head = 74.0 + canvas.legend(58.0, &keys);
         let mut axes = Axes::new([130.0, head, WIDTH - 300.0, 600.0 - head], (-180.0, 180.0), self.y);
@@ -62,7 +73,7 @@ impl PlaceMap {
         for (number, mark) in self.marks.iter().enumerate() {
             let at = axes.at(mark.0, mark.1.clamp(self.y.0, self.y.1));
             canvas.ring(at, 10.0, RED, 3.0);
-            canvas.backed_text((at.0, at.1 - 16.0), &format!("{}", number + 1), 18, TextAnchor::Middle);
+            canvas.backed_text(numbered(at, &axes), &format!("{}", number + 1), NUMBER_PX, TextAnchor::Middle);
         }
         let (scale, left) = (128, axes.left + axes.width + 30.0);
         let step = axes.height / f64::from(scale);

@@ -2,7 +2,9 @@
 use super::axes::{Axes, extent};
 use super::canvas::{BLACK, BLUE, Canvas, GREEN, GREY, Key, PURPLE, RED, Rgb, SKY, WIDTH};
 use super::{Error, Format};
+use crate::words::fixed;
 use kuva::render::render::TextAnchor;
+use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
 /// A receiver's path with the bearing found from it, metre for metre in x and y.
@@ -70,7 +72,7 @@ impl Ellipse {
         let l = a.max(1e-12).sqrt();
         let (m, n) = (b / l, (d - b * b / (l * l)).max(0.0).sqrt());
         let point = |k: i32| {
-            let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 72.0).sin_cos();
+            let (sin, cos) = (TAU * f64::from(k) / 72.0).sin_cos();
             [self.centre_m[0] + 2.0 * l * cos, self.centre_m[1] + 2.0 * (m * cos + n * sin)]
         };
         finite(&(0..72).map(point).collect::<Vec<_>>())
@@ -105,10 +107,27 @@ fn axes(top: f64, points: &[[f64; 2]], pad: f64, what: &'static str) -> Result<A
     Ok(Axes::new(frame, (x0 - more, x1 + more), (y0 - more, y1 + more)).equal_aspect())
 }
 
+/// A pixel in a direction from a place in the frame, twice as far as the frame is wide from corner to corner.
 fn beyond(axes: &Axes, from: [f64; 2], azimuth: f64) -> (f64, f64) {
     let far = 2.0 * (axes.x.1 - axes.x.0).hypot(axes.y.1 - axes.y.0);
     axes.at(from[0] + far * azimuth.cos(), from[1] + far * azimuth.sin())
 }
+
+/// The pixels around the directions no further than `half_rad` from an azimuth, from a place in the frame: a sector that ends
+/// beyond the frame, all around from half a turn on.
+fn sector(axes: &Axes, from: [f64; 2], azimuth: f64, half_rad: f64) -> Vec<(f64, f64)> {
+    let half = half_rad.min(PI);
+    let steps = (half / ARC_STEP_RAD).ceil().max(1.0);
+    let edge = |k: i32| beyond(axes, from, azimuth + half * f64::from(k) / steps);
+    let mut around: Vec<_> = (-steps as i32..=steps as i32).map(edge).collect();
+    if half < PI {
+        around.push(axes.at(from[0], from[1]));
+    }
+    around
+}
+
+/// The largest step along the arc of a sector, radians: its chords stay beyond the frame.
+const ARC_STEP_RAD: f64 = PI / 24.0;
 
 fn pixels(axes: &Axes, points: &[[f64; 2]]) -> Vec<(f64, f64)> {
     points.iter().map(|p| axes.at(p[0], p[1])).collect()
@@ -134,18 +153,20 @@ impl TrajectoryPlot {
             (Some(self.azimuth_rad), RED, false, "bearing"),
         ];
         let rays: Vec<_> = rays.iter().filter_map(|r| Some((r.0.filter(|a| a.is_finite())?, r.1, r.2, r.3))).collect();
+        let bar = (self.azimuth_rad, self.sd_rad.filter(|sd| sd.is_finite() && self.azimuth_rad.is_finite()));
         let mut keys = vec![(Key::Line, SKY, "path".to_owned()), (Key::Dot, BLUE, "CSI used".to_owned())];
         keys.extend(rays.iter().rev().map(|&(azimuth, colour, dash, name)| {
             let key = if dash { Key::Dash } else { Key::Line };
-            (key, colour, format!("{name} {:.2}°", azimuth.to_degrees()))
+            (key, colour, format!("{name} {}°", fixed(azimuth.to_degrees(), 2)))
         }));
+        keys.extend(bar.1.map(|_| (Key::Area, RED, TWO_DEVIATIONS.to_owned())));
         let mut canvas = Canvas::new(900.0, &self.title);
         let top = 74.0 + canvas.legend(58.0, &keys);
         let axes = axes(top, &view, 0.3, "trajectory")?;
         axes.draw(&mut canvas, "x (m)", "y (m)");
         canvas.clipped(&axes, |canvas| {
             let start = axes.at(mean[0], mean[1]);
-            wedge(canvas, &axes, mean, (self.azimuth_rad, self.sd_rad), 0.18);
+            wedge(canvas, &axes, mean, bar, 0.18);
             // The truth is wider than the bearing on it, so that both are seen where they agree.
             for &(azimuth, colour, dash, name) in &rays {
                 let width = if name == "truth" { 9.0 } else { 3.0 };
@@ -161,12 +182,13 @@ impl TrajectoryPlot {
     }
 }
 
+/// How legends name a wedge.
+const TWO_DEVIATIONS: &str = "two deviations";
+
 /// Two standard deviations to each side of a bearing.
 fn wedge(canvas: &mut Canvas, axes: &Axes, from: [f64; 2], (azimuth_rad, sd_rad): (f64, Option<f64>), opacity: f64) {
     let Some(sd) = sd_rad.filter(|sd| sd.is_finite() && azimuth_rad.is_finite()) else { return };
-    let half = (2.0 * sd.abs()).min(1.5);
-    let [low, high] = [-half, half].map(|d| beyond(axes, from, azimuth_rad + d));
-    canvas.polygon(&[axes.at(from[0], from[1]), low, high], RED, opacity);
+    canvas.polygon(&sector(axes, from, azimuth_rad, 2.0 * sd.abs()), RED, opacity);
 }
 
 /// A ringed dot with a name on the side where there is room.
@@ -222,7 +244,7 @@ impl MapPlot {
             }
         }
         if rays.iter().any(|ray| ray.sd_rad.is_some()) {
-            keys.push((Key::Area, RED, "two deviations".to_owned()));
+            keys.push((Key::Area, RED, TWO_DEVIATIONS.to_owned()));
         }
         if !ellipses.is_empty() {
             keys.push((Key::Dot, PURPLE, "position found, two deviations".to_owned()));
@@ -258,5 +280,36 @@ impl MapPlot {
             star(&mut canvas, at, name, &axes);
         }
         canvas.save(stem, format)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// True for a pixel inside of a polygon: a ray from it crosses its edges an odd number of times.
+    fn is_inside(polygon: &[(f64, f64)], (x, y): (f64, f64)) -> bool {
+        let ends = polygon.iter().zip(polygon.iter().cycle().skip(1));
+        let crossed = ends.filter(|(a, b)| (a.1 > y) != (b.1 > y) && x < a.0 + (y - a.1) / (b.1 - a.1) * (b.0 - a.0));
+        crossed.count() % 2 == 1
+    }
+
+    #[test]
+    fn a_wedge_covers_the_frame_in_its_directions_and_nowhere_else() {
+        let axes = Axes::new([120.0, 106.0, 1_040.0, 704.0], (-4.5, 7.0), (-5.9, 2.0)).equal_aspect();
+        let from = [-4.0, 1.5];
+        for (azimuth, half) in [(-1.4, 0.01), (-1.4, 1.0), (3.0, 1.5), (-1.4, 1.9), (0.5, 3.1), (-1.4, PI), (2.0, 9.0)]
+        {
+            let polygon = sector(&axes, from, azimuth, half);
+            for (i, j) in (0..60).flat_map(|i| (0..40).map(move |j| (i, j))) {
+                let at = [-4.5 + 11.5 * (f64::from(i) + 0.5) / 60.0, -5.9 + 7.9 * (f64::from(j) + 0.5) / 40.0];
+                let off = (at[1] - from[1]).atan2(at[0] - from[0]) - azimuth;
+                let off = csi5300::maths::wrap_rad(off).abs();
+                if (off - half).abs() > 1e-3 {
+                    let inside = is_inside(&polygon, axes.at(at[0], at[1]));
+                    assert_eq!(inside, off < half, "{half} rad about {azimuth}: {at:?}, {off} rad off");
+                }
+            }
+        }
     }
 }

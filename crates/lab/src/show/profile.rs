@@ -2,6 +2,7 @@
 use super::axes::Axes;
 use super::canvas::{BLACK, BLUE, Canvas, GREEN, GREY, Key, PALE, RED, Rgb, series_colour};
 use super::{Error, Format};
+use crate::words::fixed;
 use csi5300::maths::wrap_rad;
 use kuva::plot::ColorMap;
 use kuva::render::render::TextAnchor;
@@ -120,10 +121,10 @@ impl ProfilePlot {
         keys.extend(others.map(|(i, other)| (Key::Line, self.colour_of_other(i), other.0.clone())));
         if let Some(answer) = self.answer() {
             let sd = self.answer_sd_deg.filter(|sd| sd.is_finite()).map_or(String::new(), |sd| format!(" ± {sd:.2}°"));
-            keys.push((Key::Dot, RED, format!("answer {answer:.2}°{sd}")));
+            keys.push((Key::Dot, RED, format!("answer {}°{sd}", fixed(answer, 2))));
         }
         let mark = |azimuth: Option<f64>, key, colour, name: &str| {
-            azimuth.filter(|a| a.is_finite()).map(|azimuth| (key, colour, format!("{name} {azimuth:.2}°")))
+            azimuth.filter(|a| a.is_finite()).map(|azimuth| (key, colour, format!("{name} {}°", fixed(azimuth, 2))))
         };
         keys.extend(mark(self.mirror_deg, Key::Dash, GREY, "mirror"));
         keys.extend(mark(self.truth_deg, Key::Line, GREEN, "truth"));

@@ -310,7 +310,7 @@ fn details(html: &mut String, link: &LinkShown, open: bool) {
     let answer = &link.row.answer;
     let head = match (&answer.error, answer.azimuth_deg) {
         (Some(error), _) => error.clone(),
-        (None, Some(azimuth)) => format!("{azimuth:.2} deg"),
+        (None, Some(azimuth)) => format!("{} deg", crate::words::fixed(azimuth, 2)),
         (None, None) => "no bearing".into(),
     };
     let open = if open { " open" } else { "" };
@@ -364,7 +364,7 @@ fn apart(svg: &str, prefix: &str) -> String {
 }
 
 fn figure(value: Option<f64>, digits: usize) -> String {
-    value.filter(|value| value.is_finite()).map_or_else(|| "-".into(), |value| format!("{value:.digits$}"))
+    value.filter(|value| value.is_finite()).map_or_else(|| "-".into(), |value| crate::words::fixed(value, digits))
 }
 
 fn escape(text: &str) -> String {

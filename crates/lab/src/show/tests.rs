@@ -65,6 +65,51 @@ fn draws_around_values_that_are_not_finite() {
     std::fs::remove_dir_all(at).unwrap();
 }
 
+/// What is written in a picture, with the pixels where it stands.
+fn written_in(svg: &str) -> Vec<(String, f64, f64)> {
+    let number = |tag: &str, name: &str| tag.split(&format!(" {name}=\"")).nth(1)?.split('"').next()?.parse().ok();
+    let texts = svg.split("<text").skip(1).filter_map(|rest| {
+        let (tag, rest) = rest.split_once('>')?;
+        Some((rest.split('<').next()?.to_owned(), number(tag, "x")?, number(tag, "y")?))
+    });
+    texts.collect()
+}
+
+#[test]
+fn legends_name_the_wedge_of_a_bearing_that_has_one_and_no_angle_is_minus_zero() {
+    let at = folder("legend");
+    let svg = |sd_rad: Option<f64>| {
+        let path_m = vec![[0.0, 0.0], [1.0, 1.0]];
+        let plot = TrajectoryPlot { path_m, azimuth_rad: -1e-17, truth_rad: Some(-1e-5), sd_rad, ..Default::default() };
+        let written = plot.write(&at.join("trajectory"), &Format::default().with_kinds(&[Kind::Svg])).unwrap();
+        std::fs::read_to_string(&written[0]).unwrap()
+    };
+    for (sd_rad, is_named) in [(Some(1.8), true), (None, false), (Some(f64::INFINITY), false)] {
+        let words: Vec<String> = written_in(&svg(sd_rad)).into_iter().map(|text| text.0).collect();
+        assert_eq!(words.iter().any(|text| text == "two deviations"), is_named, "{sd_rad:?}: {words:?}");
+        assert!(words.iter().any(|text| text == "bearing 0.00°"), "{words:?}");
+        assert!(words.iter().any(|text| text == "truth 0.00°"), "{words:?}");
+    }
+    std::fs::remove_dir_all(at).unwrap();
+}
+
+#[test]
+fn numbers_of_places_stay_within_the_frame() {
+    let at = folder("numbers");
+    let marks = vec![(0.0, 1.0), (10.0, 0.98), (20.0, 0.9), (30.0, 0.5), (40.0, 0.0)];
+    let map = PlaceMap { y: (0.0, 1.0), n_az: 8, value: vec![1.0; 40], marks, ..Default::default() };
+    let written = map.write(&at.join("place"), &Format::default().with_kinds(&[Kind::Svg])).unwrap();
+    let svg = std::fs::read_to_string(&written[0]).unwrap();
+    let texts = written_in(&svg);
+    // The frame begins 28 pixels below the words of its legend, and its lower edge is at 600.
+    let legend = texts.iter().find(|text| text.0.starts_with("candidates")).unwrap().2;
+    for number in ["1", "2", "3", "4", "5"] {
+        let (_, _, y) = texts.iter().find(|text| text.0 == number).unwrap();
+        assert!(y - 18.0 >= legend + 28.0 && *y < 600.0, "{number} at {y}, the legend at {legend}");
+    }
+    std::fs::remove_dir_all(at).unwrap();
+}
+
 #[test]
 fn nothing_to_draw_is_an_error() {
     let stem = folder("empty").join("x");

@@ -1,5 +1,6 @@
 //! How far a bearing explains what was measured, in words: limits, elevation, figures.
 
+use crate::commands::fixed;
 use csi5300::pipeline::Answer;
 use csi5300::place::near_field::Edge;
 
@@ -18,7 +19,7 @@ pub(super) fn edge(answer: &Answer) -> String {
 fn elevation(answer: &Answer) -> String {
     let sd = answer.elevation_sd_deg.map_or(String::new(), |sd| format!(" +- {sd:.2}"));
     match (answer.elevation_deg, answer.abs_elevation_deg) {
-        (Some(elevation), _) => format!("elevation {elevation:.2}{sd} deg"),
+        (Some(elevation), _) => format!("elevation {}{sd} deg", fixed(elevation, 2)),
         (None, Some(size)) => format!("|elevation| {size:.2} deg"),
         (None, None) => "elevation -".into(),
     }

@@ -1,6 +1,6 @@
 //! `--every`: stretches of the motion, each by itself and carried on.
 
-use super::super::{print, print_json};
+use super::super::{fixed, print, print_json};
 use csi5300::pipeline::{Answer, StretchAnswer};
 use std::fmt::Write;
 
@@ -18,17 +18,18 @@ fn line(stretch: &StretchAnswer) -> String {
     let (own, from_s, to_s) = (&stretch.answer, stretch.from_s, stretch.to_s);
     let mut text = format!("{} {from_s:.1} .. {to_s:.1} s: ", own.link);
     let _ = match (own.azimuth_deg, own.azimuth_sd_deg) {
-        (Some(azimuth), Some(sd)) => write!(text, "{azimuth:.2} deg +- {sd:.2}"),
-        (Some(azimuth), None) => write!(text, "{azimuth:.2} deg"),
+        (Some(azimuth), Some(sd)) => write!(text, "{} deg +- {sd:.2}", fixed(azimuth, 2)),
+        (Some(azimuth), None) => write!(text, "{} deg", fixed(azimuth, 2)),
         (None, _) => write!(text, "no bearing ({})", own.error.as_deref().unwrap_or("nothing measured")),
     };
     if let Some(carried) = &own.carried {
-        let _ = write!(text, "; carried {:.2} deg, spread {:.2}", carried.azimuth_deg, carried.spread_deg);
+        let _ = write!(text, "; carried {} deg, spread {:.2}", fixed(carried.azimuth_deg, 2), carried.spread_deg);
         if let Some(first) = carried.candidates.first() {
             let _ = write!(text, ", {:.2} of the evidence within 5 degrees", first.share);
         }
-        if let Some([x, y]) = carried.place_m {
-            let _ = write!(text, ", place x {x:.2}, y {y:.2} m");
+        if let Some(place_m) = carried.place_m {
+            let [x, y] = place_m.map(|metres| fixed(metres, 2));
+            let _ = write!(text, ", place x {x}, y {y} m");
         }
     }
     text.push('\n');

@@ -1,6 +1,6 @@
 //! `csi5300 locate --transmitters`: each transmitter from all captures together.
 
-use super::super::{Outcome, Result, print, print_json, some, usage};
+use super::super::{Outcome, Result, fixed, print, print_json, some, usage};
 use super::Args;
 use csi5300_lab::evaluate::Capture;
 use csi5300_lab::evaluate::transmitters::{Frame, Located, Motion, located};
@@ -101,13 +101,14 @@ fn table(found: &[Located]) -> String {
     let mut text = String::new();
     for one in found {
         let _ = write!(text, "{}: ", one.transmitter);
-        let Some(([x, y], share)) = one.position_m.zip(one.share) else {
+        let Some((position_m, share)) = one.position_m.zip(one.share) else {
             let _ = writeln!(text, "{}", one.error.as_deref().unwrap_or("not located"));
             continue;
         };
-        let _ = write!(text, "x {x:.2}, y {y:.2} m");
+        let [x, y] = position_m.map(|metres| fixed(metres, 2));
+        let _ = write!(text, "x {x}, y {y} m");
         if let Some(([longer, shorter], deg)) = one.ellipse_m.zip(one.ellipse_deg) {
-            let _ = write!(text, "; 68 % within {longer:.2} by {shorter:.2} m towards {deg:.0} degrees");
+            let _ = write!(text, "; 68 % within {longer:.2} by {shorter:.2} m towards {} degrees", fixed(deg, 0));
         }
         let _ = write!(text, "; share {share:.2}, from {}", some(one.motions as u64, "motion", "motions"));
         if one.refused > 0 {
@@ -118,8 +119,8 @@ fn table(found: &[Located]) -> String {
         }
         text.push('\n');
         for other in &one.others {
-            let [x, y] = other.position_m;
-            let _ = writeln!(text, "  or x {x:.2}, y {y:.2} m: share {:.2}", other.share);
+            let [x, y] = other.position_m.map(|metres| fixed(metres, 2));
+            let _ = writeln!(text, "  or x {x}, y {y} m: share {:.2}", other.share);
         }
     }
     text
