@@ -59,7 +59,8 @@ impl Spread {
 
 /// Standard deviations of azimuth and of the second coordinate, each with the other as a nuisance.
 ///
-/// With `second_known` the azimuth stands alone (and the second deviation is infinite). Nothing exceeds a uniform
+/// With `second_known` the azimuth stands alone (and the second deviation is infinite); along the motion it is known by the
+/// square of its change. Nothing exceeds a uniform
 /// guess for the azimuth.
 pub(crate) fn deviations(fit: Fit, spread: Spread, kind: Second, at: Point, second_known: bool) -> [f64; 2] {
     let gain = 2.0 * fit.ratio * TAU * TAU;
@@ -67,7 +68,11 @@ pub(crate) fn deviations(fit: Fit, spread: Spread, kind: Second, at: Point, seco
     let det = aa * bb - ab * ab;
     let sd = |information: f64| if information > 0.0 { (1.0 / information).sqrt() } else { f64::INFINITY };
     if second_known {
-        return [sd(gain * aa).min(SD_MAX), f64::INFINITY];
+        // Towards or away from the motion phases do not change with the azimuth to first order, and by half of its square to
+        // second: then that square is what is known.
+        let [s, ..] = kind.bend(at.second).s;
+        let by_square = (2.0 * sd(gain * s * s * spread.0[0])).sqrt();
+        return [sd(gain * aa).min(by_square).min(SD_MAX), f64::INFINITY];
     }
     // A determinant of the size of rounding errors: the two coordinates have the same effect on the phases.
     if det <= 1e-13 * aa * bb {

@@ -231,8 +231,10 @@ impl Answer {
         self.azimuth_deg = Some(answer.azimuth_rad.to_degrees());
         self.azimuth_sd_deg = Some(answer.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
         self.azimuth_bound_deg = Some(answer.azimuth_bound_rad.to_degrees()).filter(|bound| bound.is_finite());
-        self.abs_elevation_deg = Some(answer.abs_elevation_rad.to_degrees());
-        self.elevation_deg = answer.signed_elevation_rad.map(f64::to_degrees);
+        // Of a motion along a line none is searched for, and none is known.
+        let is_known = answer.elevation_sd_rad.is_some() || answer.abs_elevation_rad != 0.0;
+        self.abs_elevation_deg = is_known.then(|| answer.abs_elevation_rad.to_degrees());
+        self.elevation_deg = answer.signed_elevation_rad.filter(|_| is_known).map(f64::to_degrees);
         self.at_edge = answer.edge;
         self.elevation_sd_deg = answer.elevation_sd_rad.map(f64::to_degrees);
         self.mirror_deg = answer.mirror_rad.map(f64::to_degrees);

@@ -2,7 +2,7 @@
 
 use super::bearing::{Bearing, BearingAnswer};
 use crate::maths::wrap_rad;
-use crate::place::confidence::UNIFORM_RAD;
+use crate::place::confidence::{UNIFORM_RAD, within_by_noise};
 use crate::place::track::{Evidence, EvidenceMode};
 use crate::tuning::TUNING;
 use nalgebra::{Vector2, Vector3};
@@ -30,6 +30,9 @@ fn modes(answer: &BearingAnswer) -> (Vec<EvidenceMode>, f64) {
     let tuning = TUNING.track;
     let sd_rad = (tuning.sd_bounds * answer.azimuth_bound_rad).hypot(tuning.sd_least_deg.to_radians());
     let sd_rad = if sd_rad.is_finite() { sd_rad.min(UNIFORM_RAD) } else { UNIFORM_RAD };
+    // Of a motion nearly towards the transmitter the bound grows without end; a direction and its mirror stay two.
+    let apart_rad = answer.mirror_rad.map_or(UNIFORM_RAD, |mirror| wrap_rad(answer.azimuth_rad - mirror).abs());
+    let sd_rad = sd_rad.min((apart_rad / 4.0).max(answer.azimuth_sd_rad));
     let mirror = answer.mirror_rad.zip(answer.mirror_share);
     let right = probability(answer, mirror.map_or(0.0, |(_, share)| share));
     let level = answer.abs_elevation_rad.cos();
@@ -57,10 +60,6 @@ fn modes(answer: &BearingAnswer) -> (Vec<EvidenceMode>, f64) {
 fn probability(answer: &BearingAnswer, mirror_share: f64) -> f64 {
     match answer.probability {
         Some(own) => (own / (1.0 - mirror_share).max(0.5)).clamp(0.0, 1.0),
-        None => {
-            // 2 Phi(x) - 1 by the logistic curve that is nearest to Phi, within 0.02.
-            let times = 5f64.to_radians() / answer.azimuth_sd_rad.max(1e-6);
-            2.0 / (1.0 + (-1.702 * times).exp()) - 1.0
-        }
+        None => within_by_noise(answer.azimuth_sd_rad),
     }
 }

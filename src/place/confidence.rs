@@ -89,7 +89,21 @@ pub fn full_probability(fix: &Fix, mirror: Option<(f64, f64)>, heading_sd_rad: f
     let features = full_features(fix, mirror.map(|(azimuth_rad, _)| azimuth_rad));
     let logit = linear(tuning.base, [tuning.per_spread, tuning.per_views], features);
     let either = probability(logit + tuning.per_heading * heading_feature(heading_sd_rad));
-    either * (1.0 - mirror.map_or(0.0, |(_, share)| share))
+    let either = either.min(within_by_noise(fix.deviations.azimuth_rad));
+    either * (1.0 - mirror.map_or(0.0, |(azimuth_rad, share)| share * apart(wrap_rad(azimuth_rad - fix.azimuth_rad))))
+}
+
+/// What the wrong one of two directions costs that are `by_rad` apart: nothing where an azimuth that is right for one is within
+/// five degrees of the other, all from ten degrees on.
+fn apart(by_rad: f64) -> f64 {
+    (by_rad.abs().to_degrees() / 5.0 - 1.0).clamp(0.0, 1.0)
+}
+
+/// Probability that a normal error with this deviation is less than five degrees: no bearing is surer than its bound allows.
+pub(crate) fn within_by_noise(bound_rad: f64) -> f64 {
+    let times = 5f64.to_radians() / bound_rad;
+    // 2 Phi(x) - 1 by the logistic curve that is nearest to Phi, within 0.02.
+    if times.is_finite() { 2.0 / (1.0 + (-1.702 * times).exp()) - 1.0 } else { 1.0 }
 }
 
 /// Error bar of the azimuth of `fix`, radians; of a motion that hides a mirror it is that of the bearing on its own side.

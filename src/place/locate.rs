@@ -94,8 +94,11 @@ impl Sighting {
 pub struct Located {
     /// The receiver, metres, in the frame of the transmitters.
     pub position_m: Vector2<f64>,
-    /// Its covariance, metres squared.
+    /// Its covariance, metres squared: about this place, however many `others_m` there are.
     pub covariance_m2: Matrix2<f64>,
+    /// Other places that the sightings fit nearly as well (at least half of the likelihood), the likeliest first, metres: as
+    /// where the only link has a mirror.
+    pub others_m: Vec<Vector2<f64>>,
     /// Share of its weight that each usable sighting kept, 0..1: small for one that fits nothing else.
     pub weights: Vec<f64>,
     /// Of each usable sighting, the bearing that this place speaks for, radians: the answer, its mirror or another candidate.
@@ -147,10 +150,28 @@ pub fn locate(sightings: &[Sighting]) -> Result<Located, LocateError> {
     if usable.len() < 2 && usable.iter().all(|s| s.range_m.is_none()) {
         return Err(LocateError::TooFew { sightings: usable.len() });
     }
-    let solved = starts.into_iter().filter_map(|start| descend(start, &usable));
-    let best = solved.min_by(|a, b| a.1.total_cmp(&b.1)).ok_or(LocateError::Parallel)?;
-    finish(best.0, &usable).ok_or(LocateError::Parallel)
+    let mut solved: Vec<(Vector2<f64>, f64)> = starts.into_iter().filter_map(|start| descend(start, &usable)).collect();
+    solved.sort_by(|a, b| a.1.total_cmp(&b.1));
+    let best = *solved.first().ok_or(LocateError::Parallel)?;
+    let mut found = finish(best.0, &usable).ok_or(LocateError::Parallel)?;
+    let inverse = found.covariance_m2.try_inverse().unwrap_or_default();
+    for (at, cost) in solved {
+        let is_new = |known: &Vector2<f64>| {
+            let by = known - at;
+            by.dot(&(inverse * by)) > APART_SD * APART_SD && by.norm() > APART_M
+        };
+        if cost - best.1 < AS_LIKELY.ln() && is_new(&best.0) && found.others_m.iter().all(is_new) {
+            found.others_m.push(at);
+        }
+    }
+    Ok(found)
 }
+
+/// Another place is named if the best is less than this many times as likely, and further away than so many deviations of the
+/// best and so many metres.
+const AS_LIKELY: f64 = 2.0;
+const APART_SD: f64 = 3.0;
+const APART_M: f64 = 0.3;
 
 /// Crossings of all pairs of bearings that lie ahead, and the ends of ranges; mirrors and other candidates are bearings too.
 fn starts(sightings: &[Sighting]) -> Vec<Vector2<f64>> {
@@ -253,7 +274,7 @@ fn finish(at: Vector2<f64>, sightings: &[Sighting]) -> Option<Located> {
     let azimuths_rad = sightings.iter().zip(&views).map(bearing).collect();
     let height_m = height(&at, &covariance_m2, sightings, &views);
     let weights = views.iter().map(|seen| seen.weight).collect();
-    Some(Located { position_m: at, covariance_m2, weights, azimuths_rad, height_m })
+    Some(Located { position_m: at, covariance_m2, others_m: Vec::new(), weights, azimuths_rad, height_m })
 }
 
 /// The height at `at` and its deviation, by the elevations: each by its variance and by the weight of its sighting. The place
@@ -351,6 +372,24 @@ mod tests {
         assert!(off(at.1) < 1e-3, "{found:?}");
         own.iter_mut().for_each(|one| one.mirror_rad = None);
         assert!((locate(&own).unwrap().position_m - Vector2::new(at.0, at.1)).norm() > 0.5);
+    }
+
+    #[test]
+    fn what_a_single_link_and_its_mirror_leave_is_two_places() {
+        let mirrored = |range_sd_m: f64| {
+            let mut one = sighting((0.0, 0.0), (3.0, 1.0), 0.0);
+            (one.mirror_rad, one.range_m) = (Some(-one.azimuth_rad), Some((10f64.sqrt(), range_sd_m)));
+            one
+        };
+        let found = locate(&[mirrored(0.1)]).unwrap();
+        let mut places = vec![found.position_m];
+        places.extend(&found.others_m);
+        places.sort_by(|a, b| a.y.total_cmp(&b.y));
+        let expected = [Vector2::zeros(), Vector2::new(0.0, 2.0)];
+        assert!(places.len() == 2 && places.iter().zip(expected).all(|(a, b)| (a - b).norm() < 1e-3), "{found:?}");
+        // A second link decides.
+        let two = locate(&[mirrored(0.1), sighting((0.0, 0.0), (-2.0, 3.0), 0.0)]).unwrap();
+        assert!(two.others_m.is_empty() && two.position_m.norm() < 0.01, "{two:?}");
     }
 
     #[test]

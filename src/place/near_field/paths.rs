@@ -187,8 +187,7 @@ impl Found {
     fn list(&self, signed: bool) -> Vec<Path> {
         let mut order: Vec<usize> = (0..self.places.len()).collect();
         order.get_mut(1..).unwrap_or_default().sort_by(|a, b| self.powers[*b].total_cmp(&self.powers[*a]));
-        let parents: Vec<_> =
-            (0..order.len()).map(|at| if at == 0 { None } else { self.parents(&order, at) }).collect();
+        let parents = self.parents(&order);
         let sources = order.iter().zip(&parents).filter(|(_, parents)| parents.is_none());
         let strongest = sources.map(|(own, _)| self.powers[*own]).fold(f64::MIN_POSITIVE, f64::max);
         let path = |(&own, &cross_term_of): (&usize, &Option<[usize; 2]>)| {
@@ -206,16 +205,33 @@ impl Found {
         order.iter().zip(&parents).map(path).collect()
     }
 
-    /// The two waves whose product the one at `at` of `order` may be.
-    fn parents(&self, order: &[usize], at: usize) -> Option<[usize; 2]> {
-        let others: Vec<usize> = (0..order.len()).filter(|&k| k != at).collect();
-        let pairs = others.iter().enumerate().flat_map(|(n, &i)| others[n + 1..].iter().map(move |&k| [i, k]));
-        let makes = |pair: &[usize; 2]| {
-            let [own, a, b] = [order[at], order[pair[0]], order[pair[1]]];
-            let possible = self.powers[own] < TUNING.paths.cross_gain * (self.powers[a] * self.powers[b]).sqrt();
-            possible && self.resemblance(own, a, b) > TUNING.paths.alike
-        };
-        pairs.into_iter().find(makes)
+    /// Of each wave of `order` the two whose product it may be; both of them are sources themselves. The likest products are
+    /// taken first: what explains one is explained by no other.
+    fn parents(&self, order: &[usize]) -> Vec<Option<[usize; 2]>> {
+        let count = order.len();
+        let mut likest = Vec::new();
+        // The answer, which comes first, is a source.
+        for at in 1..count {
+            let pairs = (0..count).flat_map(|i| (i + 1..count).map(move |k| [i, k])).filter(|pair| !pair.contains(&at));
+            for pair in pairs {
+                let [own, a, b] = [order[at], order[pair[0]], order[pair[1]]];
+                let possible = self.powers[own] < TUNING.paths.cross_gain * (self.powers[a] * self.powers[b]).sqrt();
+                let alike = if possible { self.resemblance(own, a, b) } else { 0.0 };
+                if alike > TUNING.paths.alike {
+                    likest.push((alike, at, pair));
+                }
+            }
+        }
+        likest.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let mut parents = vec![None; count];
+        let mut is_source = vec![false; count];
+        for (_, at, pair) in likest {
+            if !is_source[at] && parents[at].is_none() && pair.iter().all(|&k| parents[k].is_none()) {
+                parents[at] = Some(pair);
+                pair.iter().for_each(|&k| is_source[k] = true);
+            }
+        }
+        parents
     }
 
     /// How much wave `own` is like the product of the one-way waves of `a` and `b`, 0..1. The square of that product is

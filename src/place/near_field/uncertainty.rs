@@ -25,28 +25,65 @@ pub(super) fn deviations<const K: usize>(waves: &Waves<'_, K>, at: &Source, prio
     let n = residual.len() as f64;
     let phase_variance = residual.iter().map(|e| e * e).sum::<f64>() / (n - 4.0).max(1.0);
     let correlated_rows = correlation_rows(&residual);
-    let gradients = waves.gradients(c);
-    let mean = gradients.iter().sum::<Vector4<f64>>() / n;
-    let scatter: Matrix4<f64> = gradients.iter().map(|g| (g - mean) * (g - mean).transpose()).sum();
-    let whole = scatter / (phase_variance * correlated_rows).max(1e-12);
-    // The scale of the trajectory is known to its prior only; what it may explain is no information about the place.
-    let shared = whole.fixed_view::<3, 1>(0, 3).into_owned();
-    let scale = whole[(3, 3)] + TUNING.deviations.scale_sd.powi(-2);
-    let mut information = whole.fixed_view::<3, 3>(0, 0).into_owned() - shared * shared.transpose() / scale;
+    let row_variance = (phase_variance * correlated_rows).max(1e-12);
     let priors = [PI / 3f64.sqrt(), prior[0], prior[1]];
-    for i in 0..3 {
-        // What is known gets no variance: as good as infinite information.
-        information[(i, i)] += if waves.free[i] && priors[i] > 0.0 { priors[i].powi(-2) } else { 1e18 };
+    let gradients = waves.gradients(c);
+    let covariance = covariance(&gradients, row_variance, priors, waves.free);
+    let mut covariance =
+        covariance.unwrap_or_else(|| Matrix3::from_diagonal(&priors.map(|prior| prior.powi(2)).into()));
+    let first_order = covariance[(0, 0)].max(0.0).sqrt();
+    let azimuth_rad = first_order.min(turn_rad(waves, c, row_variance, priors));
+    if azimuth_rad < first_order {
+        let shrink = Matrix3::from_diagonal(&Vector3::new(azimuth_rad / first_order, 1.0, 1.0));
+        covariance = shrink * covariance * shrink;
     }
-    let covariance = information.try_inverse().unwrap_or_else(|| Matrix3::from_diagonal(&priors.map(|p| p * p).into()));
     Deviations {
-        azimuth_rad: covariance[(0, 0)].max(0.0).sqrt(),
+        azimuth_rad,
         elevation_rad: covariance[(1, 1)].max(0.0).sqrt(),
         inverse_range_per_m: covariance[(2, 2)].max(0.0).sqrt(),
         covariance,
         phase_variance,
         correlated_rows,
     }
+}
+
+/// The covariance of azimuth, elevation and 1 / range where the phases go by them (and the trajectory's scale) as `gradients`
+/// say, each with a variance of `row_variance`.
+fn covariance(
+    gradients: &[Vector4<f64>],
+    row_variance: f64,
+    priors: [f64; 3],
+    free: [bool; 3],
+) -> Option<Matrix3<f64>> {
+    let mean = gradients.iter().sum::<Vector4<f64>>() / gradients.len() as f64;
+    let scatter: Matrix4<f64> = gradients.iter().map(|g| (g - mean) * (g - mean).transpose()).sum();
+    let whole = scatter / row_variance;
+    // The scale of the trajectory is known to its prior only; what it may explain is no information about the place.
+    let shared = whole.fixed_view::<3, 1>(0, 3).into_owned();
+    let scale = whole[(3, 3)] + TUNING.deviations.scale_sd.powi(-2);
+    let mut information = whole.fixed_view::<3, 3>(0, 0).into_owned() - shared * shared.transpose() / scale;
+    for i in 0..3 {
+        // What is known gets no variance: as good as infinite information.
+        information[(i, i)] += if free[i] && priors[i] > 0.0 { priors[i].powi(-2) } else { 1e18 };
+    }
+    information.try_inverse()
+}
+
+/// By how much the azimuth may turn before the phases show it by their curvature, radians: about the direction of a straight
+/// motion they do not change with the azimuth to first order. A turn of `e` changes them by their second derivative times
+/// `e^2 / 2`, which is as well known as an azimuth by whose derivative they go is. That is of a plane wave: what the curvature
+/// of the front adds tells a turn from another scale only where the range is known better than it is there.
+fn turn_rad<const K: usize>(waves: &Waves<'_, K>, c: [f64; 3], row_variance: f64, priors: [f64; 3]) -> f64 {
+    const STEP_RAD: f64 = 1e-3;
+    let at = |by: f64| waves.gradients([c[0] + by, c[1], 0.0]);
+    let gradients = at(0.0);
+    let (before, after) = (at(-STEP_RAD), at(STEP_RAD));
+    let bent = gradients.iter().zip(before.iter().zip(&after)).map(|(own, (before, after))| {
+        let second = (after[0] - before[0]) / (2.0 * STEP_RAD);
+        Vector4::new(second, own[1], own[2], own[3])
+    });
+    let covariance = covariance(&bent.collect::<Vec<_>>(), row_variance, priors, waves.free);
+    covariance.map_or(f64::INFINITY, |covariance| (2.0 * covariance[(0, 0)].max(0.0).sqrt()).sqrt())
 }
 
 /// The deviation of the azimuth at `c` that noise of the variance of the residual phases leaves, radians: with the

@@ -189,11 +189,19 @@ fn table(found: &[Receiver], rows: &[Judged]) -> String {
             );
         }
         text.push('\n');
+        for [x, y] in &receiver.others_m {
+            let _ =
+                writeln!(text, "  or x {} m, y {} m, which the links fit nearly as well", fixed(*x, 2), fixed(*y, 2));
+        }
         said_otherwise(receiver, rows, &mut text);
         for row in own(receiver, rows) {
             let Some(position_m) = row.answer.position_m else { continue };
             let [x, y, z] = position_m.map(|metres| fixed(metres, 2));
-            let _ = writeln!(text, "  {}: seen at x {x}, y {y}, z {z} m", row.answer.link);
+            let mirror = row
+                .answer
+                .mirror_deg
+                .map_or(String::new(), |deg| format!("; its mirror, at {} deg, is as far away", fixed(deg, 2)));
+            let _ = writeln!(text, "  {}: seen at x {x}, y {y}, z {z} m{mirror}", row.answer.link);
         }
     }
     errors(found, &mut text);

@@ -88,6 +88,9 @@ pub struct Receiver {
     pub position_m: Option<[f64; 2]>,
     /// Its covariance, metres squared, row by row.
     pub covariance_m2: Option<[[f64; 2]; 2]>,
+    /// Other places that the links fit nearly as well, the likeliest first, metres.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub others_m: Vec<[f64; 2]>,
     /// Height and its standard deviation, metres, where links with an elevation have transmitters whose heights are given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub height_m: Option<f64>,
@@ -139,6 +142,7 @@ fn receiver(capture: &str, rows: &[&Judged]) -> Receiver {
         without_probability: rows.iter().filter(|row| is_unweighed(row)).count(),
         position_m: None,
         covariance_m2: None,
+        others_m: Vec::new(),
         height_m: None,
         height_sd_m: None,
         weights: Vec::new(),
@@ -154,6 +158,7 @@ fn receiver(capture: &str, rows: &[&Judged]) -> Receiver {
             receiver.off_m = truth.map(|truth| (found.position_m - Vector2::from(truth)).norm());
             receiver.position_m = Some(found.position_m.into());
             receiver.covariance_m2 = Some(found.covariance_m2.into());
+            receiver.others_m = found.others_m.into_iter().map(Into::into).collect();
             receiver.weights = found.weights;
             receiver.azimuths_deg = found.azimuths_rad.into_iter().map(f64::to_degrees).collect();
             let chosen = seen.iter().zip(&receiver.azimuths_deg);
