@@ -388,7 +388,7 @@ mod tests {
         let expected = [Vector2::zeros(), Vector2::new(0.0, 2.0)];
         assert!(places.len() == 2 && places.iter().zip(expected).all(|(a, b)| (a - b).norm() < 1e-3), "{found:?}");
         // A second link decides.
-        let two = locate(&[mirrored(0.1), sighting((0.0, 0.0), (-2.0, 3.0), 0.0)]).unwrap();
+        let two = locate(&[mirrored(0.1), sighting((0.0, 0.0), (-5.0, 0.0), 0.0)]).unwrap();
         assert!(two.others_m.is_empty() && two.position_m.norm() < 0.01, "{two:?}");
     }
 
