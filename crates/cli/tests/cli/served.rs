@@ -343,7 +343,7 @@ fn hear_fails(monitor: &mut Monitor) -> String {
 fn a_socket_left_behind_is_replaced_and_one_in_use_is_not() {
     let mut served = Served::new(&scene(1.0, ""), "twice");
     let error = Server::bind(&served.socket).unwrap_err().to_string();
-    assert!(error.contains("is another one served there?"), "{error}");
+    assert!(error.contains("another room, or another program, is served at"), "{error}");
     // As after a kill: the file stays.
     let left = served.socket.with_extension("left");
     std::fs::rename(&served.socket, &left).unwrap();
