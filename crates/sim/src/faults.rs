@@ -47,13 +47,24 @@ impl Faults {
     /// If the listening process is stopped at `now`, when it goes on. Stalls begin at whole multiples of their period.
     #[must_use]
     pub(crate) fn stalled_until(&self, now: Instant) -> Option<Instant> {
-        // In whole microseconds: what is due at the end of a stall must not be found stalled by a rounding error.
-        let [every_us, stall_us] = [self.stall_every_s, self.stall_s].map(|s| Span::from_s(s).as_us());
+        let [every_us, stall_us] = self.stalls_us();
         if every_us <= 0 || stall_us <= 0 || now.as_us() < every_us {
             return None;
         }
         let until_us = now.as_us() / every_us * every_us + stall_us;
         (now.as_us() < until_us).then_some(Instant::from_us(until_us))
+    }
+
+    /// From stall to stall, and the length of one, in whole microseconds: what is due at the end of a stall must not be found
+    /// stalled by a rounding error.
+    fn stalls_us(&self) -> [i64; 2] {
+        [self.stall_every_s, self.stall_s].map(|s| Span::from_s(s).as_us())
+    }
+
+    /// False if one stall would begin before the one before it ended.
+    pub(crate) fn goes_on_after_stalls(&self) -> bool {
+        let [every_us, stall_us] = self.stalls_us();
+        every_us <= 0 || stall_us < every_us
     }
 
     /// If the robot is off at `t_s`.

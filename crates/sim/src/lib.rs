@@ -109,4 +109,6 @@ mod dataset_tests;
 #[cfg(test)]
 mod room_tests;
 #[cfg(test)]
+mod scene_numbers_tests;
+#[cfg(test)]
 mod sounding_tests;
