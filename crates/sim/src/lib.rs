@@ -105,6 +105,8 @@ pub use simulation::{SimulatedRobot, Simulation};
 use station::{FrameRole, Station};
 
 #[cfg(test)]
+mod account_tests;
+#[cfg(test)]
 mod dataset_tests;
 #[cfg(test)]
 mod room_tests;

@@ -8,7 +8,7 @@ use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
 use driver_iface::connector::{CN_IDX, CN_VAL, MAX_DATAGRAM, Repr as Message};
 use driver_iface::radiotap::{Bandwidth, Mcs, Packet, Repr};
-use driver_iface::record::Record;
+use driver_iface::record::{Record, code};
 use nix::errno::Errno;
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
 use nix::sys::socket::{Backlog, ControlMessageOwned, MsgFlags, SockFlag, listen, recvmsg, send, setsockopt, sockopt};
@@ -346,9 +346,17 @@ impl Server {
     /// Hands on the records of a robot's card; when there are more.
     fn tell_records(&mut self, robot: usize, now: Instant) -> Result<Option<Instant>, Error> {
         let Some(mut card) = self.robots[robot].card.take() else { return Ok(None) };
+        if !self.clients.iter().any(|client| client.what == Some((Role::Card, robot))) {
+            card.let_go(now);
+        }
         let next = loop {
             match card.receive(now)? {
-                Next::Record(_, record) => self.tell_record(robot, record),
+                Next::Record(_, record) => {
+                    let whole = record.code == code::BFEE;
+                    if self.tell_record(robot, record) == 0 && whole {
+                        card.take_back();
+                    }
+                }
                 // The real socket has its own queue, and the real listener stalls by itself.
                 Next::Lost(_) => {}
                 Next::Pending => break card.next_at(),
@@ -359,12 +367,14 @@ impl Server {
         Ok(next)
     }
 
-    fn tell_record(&mut self, robot: usize, record: Record<'_>) {
+    /// Sends a record to every program that listens; to how many.
+    fn tell_record(&mut self, robot: usize, record: Record<'_>) -> u64 {
         let mut message = std::mem::take(&mut self.buffer);
-        if let Ok(len) = (Message { idx: CN_IDX, val: CN_VAL, record, padded: true }).emit(&mut message) {
-            self.counts.records += self.tell(Role::Card, robot, &message[..len]);
-        }
+        let len = (Message { idx: CN_IDX, val: CN_VAL, record, padded: true }).emit(&mut message);
+        let told = len.map_or(0, |len| self.tell(Role::Card, robot, &message[..len]));
         self.buffer = message;
+        self.counts.records += told;
+        told
     }
 
     fn tell_poses(&mut self, robot: usize, now: Instant) -> Result<Option<Instant>, Error> {
