@@ -116,7 +116,7 @@ pub struct Injected {
     pub overrun_records: u64,
     /// Restarts.
     pub restarts: u64,
-    /// Records handed out, whole.
+    /// Records handed out, whole; in a served room to one program at least, however many listen.
     pub delivered: u64,
     /// Components of channel coefficients cut to -128 or 127.
     pub saturated: u64,
