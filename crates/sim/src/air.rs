@@ -107,7 +107,7 @@ impl Air {
 
     /// What was done to each robot.
     pub fn injected(&self) -> impl Iterator<Item = Injected> + '_ {
-        self.nodes.iter().map(|node| node.injected)
+        self.nodes.iter().map(|node| Injected { under_way: node.arrivals.len() as u64, ..node.injected })
     }
 
     /// The true time that the room has come to.
@@ -348,6 +348,7 @@ impl Air {
         }
         let overheard = node.listening == Listening::Own && role == FrameRole::Overheard;
         node.injected.overheard += u64::from(overheard);
+        node.injected.unheard += u64::from(node.listening == Listening::Nobody);
         if node.listening != Listening::Nobody && !overheard {
             let radio = scene.radio_of(&scene.robot[robot]);
             let end_ns = t_ns + flight.end_ns - flight.start_ns;

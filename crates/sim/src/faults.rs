@@ -47,13 +47,24 @@ impl Faults {
     /// If the listening process is stopped at `now`, when it goes on. Stalls begin at whole multiples of their period.
     #[must_use]
     pub(crate) fn stalled_until(&self, now: Instant) -> Option<Instant> {
-        // In whole microseconds: what is due at the end of a stall must not be found stalled by a rounding error.
-        let [every_us, stall_us] = [self.stall_every_s, self.stall_s].map(|s| Span::from_s(s).as_us());
+        let [every_us, stall_us] = self.stalls_us();
         if every_us <= 0 || stall_us <= 0 || now.as_us() < every_us {
             return None;
         }
         let until_us = now.as_us() / every_us * every_us + stall_us;
         (now.as_us() < until_us).then_some(Instant::from_us(until_us))
+    }
+
+    /// From stall to stall, and the length of one, in whole microseconds: what is due at the end of a stall must not be found
+    /// stalled by a rounding error.
+    fn stalls_us(&self) -> [i64; 2] {
+        [self.stall_every_s, self.stall_s].map(|s| Span::from_s(s).as_us())
+    }
+
+    /// False if one stall would begin before the one before it ended.
+    pub(crate) fn goes_on_after_stalls(&self) -> bool {
+        let [every_us, stall_us] = self.stalls_us();
+        every_us <= 0 || stall_us < every_us
     }
 
     /// If the robot is off at `t_s`.
@@ -64,6 +75,9 @@ impl Faults {
 }
 
 /// What was done to one robot, exactly. The pipeline's own counts are held against it.
+///
+/// Every frame received is in one place: `received = delivered + unheard + under_way + overheard + unmeasured + driver_dropped +
+/// overrun_records`, but for what waits in the queue of a listener that has stopped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Injected {
@@ -84,6 +98,12 @@ pub struct Injected {
     pub duplicated: u64,
     /// Records of others' exchanges, left out by a reader who wants only its own ([`super::Port::own_only`]).
     pub overheard: u64,
+    /// Records that reached this robot's host while nobody listened there, or no listener had room.
+    pub unheard: u64,
+    /// Records on their way to the host when the room was asked.
+    pub under_way: u64,
+    /// Frames of which no record could be made: the antennas met, or of the signal less was left than numbers tell.
+    pub unmeasured: u64,
     /// Records lost in the driver, first and second copies of a frame alike: [`Faults::driver_drop`].
     pub driver_dropped: u64,
     /// Those of them before the first and after the last record that the driver handed on, from each switching on to the
@@ -96,7 +116,7 @@ pub struct Injected {
     pub overrun_records: u64,
     /// Restarts.
     pub restarts: u64,
-    /// Records handed out, whole.
+    /// Records handed out, whole; in a served room to one program at least, however many listen.
     pub delivered: u64,
     /// Components of channel coefficients cut to -128 or 127.
     pub saturated: u64,
@@ -124,11 +144,14 @@ impl std::fmt::Display for Injected {
             (self.missed_while_off, "missed while off"),
             (self.duplicated, "duplicated"),
             (self.overheard, "overheard"),
+            (self.unmeasured, "without a record because antennas met or no signal was left"),
             (self.driver_dropped, "records dropped by the driver"),
             (self.driver_dropped_unseen, "of them at an end, where no gap shows them"),
             (self.overruns, "overruns"),
             (self.overrun_records, "records lost in them"),
             (self.restarts, "restarts"),
+            (self.unheard, "records nobody listened to"),
+            (self.under_way, "records under way"),
             (self.delivered, "records delivered"),
             (self.saturated, "coefficients saturated"),
             (self.tail_records, "records lost at the end of a killed log"),
@@ -161,5 +184,7 @@ mod tests {
         assert_eq!((until_ms(&fine, 6_399), until_ms(&fine, 6_400)), (Some(6_400), None), "no endless stall");
         assert!(!faults.is_off(2.9) && faults.is_off(3.2) && !faults.is_off(3.5));
         assert_eq!(until_ms(&Faults::default(), 20_000), None);
+        let rounded = |stall_s| Faults { stall_every_s: 2e-6, stall_s, ..Faults::default() }.goes_on_after_stalls();
+        assert_eq!([1.4e-6, 1.6e-6].map(rounded), [true, false], "1 and 2 of 2 us");
     }
 }

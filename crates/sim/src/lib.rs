@@ -105,8 +105,12 @@ pub use simulation::{SimulatedRobot, Simulation};
 use station::{FrameRole, Station};
 
 #[cfg(test)]
+mod account_tests;
+#[cfg(test)]
 mod dataset_tests;
 #[cfg(test)]
 mod room_tests;
+#[cfg(test)]
+mod scene_numbers_tests;
 #[cfg(test)]
 mod sounding_tests;

@@ -105,6 +105,33 @@ impl Port {
         })
     }
 
+    /// Lets go what has come by `now`, as the kernel does where nobody listens: it is counted, and not computed.
+    #[cfg(feature = "serve")]
+    pub(crate) fn let_go(&mut self, now: Instant) {
+        let shared = Arc::clone(&self.air);
+        let mut air = lock(&shared);
+        self.now = self.now.max(now);
+        let now_ns = self.now.as_us().saturating_mul(1_000);
+        air.advance(now_ns);
+        let mut gone = self.queue.len() + usize::from(self.follows.take().is_some());
+        (self.queue, self.overrun) = (VecDeque::new(), None);
+        let node = air.node(self.robot);
+        while node.arrivals.front().is_some_and(|r| r.arrival_ns <= now_ns) {
+            node.arrivals.pop_front();
+            gone += 1;
+        }
+        node.injected.unheard += gone as u64;
+    }
+
+    /// The last record reached nobody although it was handed out.
+    #[cfg(feature = "serve")]
+    pub(crate) fn take_back(&mut self) {
+        let mut air = lock(&self.air);
+        let injected = &mut air.node(self.robot).injected;
+        injected.delivered -= 1;
+        injected.unheard += 1;
+    }
+
     /// The next record, its body left in `self.body`.
     fn read(&mut self, now: Instant) -> Result<Read, Error> {
         let shared = Arc::clone(&self.air);
@@ -175,7 +202,10 @@ impl Port {
         let flight = &reception.flight;
         let arrival =
             Arrival { from: flight.from, to: self.robot, t_ns: reception.t_ns, instant_ns: flight.instant_ns };
-        let Some(measured) = self.receiver.measure(&world, arrival) else { return Ok(false) };
+        let Some(measured) = self.receiver.measure(&world, arrival) else {
+            air.node(self.robot).injected.unmeasured += 1;
+            return Ok(false);
+        };
         let scene = world.scene();
         let repr = Repr {
             timestamp_low: reception.clock_us as u32,

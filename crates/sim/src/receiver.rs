@@ -62,13 +62,13 @@ impl Receiver {
         Self { filter: radio.filter(), radio, stream: Stream::new(seed, robot, Purpose::Radio), paths: Vec::new() }
     }
 
-    /// Receives a frame. `None` if no path leads from sender to receiver.
+    /// Receives a frame. `None` if no path leads from sender to receiver, or one of no length: antennas at one place.
     pub fn measure(&mut self, world: &World, arrival: Arrival) -> Option<Measured> {
         let common = self.common(world, arrival);
         let n_rx = usize::from(self.radio.chains.clamp(1, 3));
         let incoming = self.incoming(world, arrival, common, n_rx);
         let strongest = incoming.power.iter().flatten().fold(0.0_f64, |a, &b| a.max(b));
-        if strongest <= 0.0 {
+        if strongest <= 0.0 || incoming.power.iter().flatten().any(|power| !power.is_finite()) {
             return None;
         }
         let received_db = self.radio.tx_power_dbm - world.first_metre_db();

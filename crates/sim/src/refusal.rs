@@ -195,6 +195,12 @@ pub(crate) fn finite(key: &'static str, values: &[f64]) -> Checked {
     })
 }
 
+/// Refuses what is no deviation of a number of decibels.
+pub(crate) fn deviation_db(key: &'static str, value: f64) -> Checked {
+    not_negative(key, value)?;
+    at_most(key, value, FURTHEST_DB)
+}
+
 /// Refuses what is no number of decibels.
 pub(crate) fn decibels(key: &'static str, values: &[f64]) -> Checked {
     ensure(values.iter().all(|v| v.abs() <= FURTHEST_DB), key, || {

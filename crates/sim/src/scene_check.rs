@@ -3,13 +3,17 @@
 use super::carrier::Carrier;
 use super::faults::Faults;
 use super::motion::RobotMotion;
-use super::radio::{Gain, Noise, Radio};
-use super::refusal::{Checked, Problem, at_most, decibels, ensure, finite, not_negative, positive, share};
-use super::scene::{Dialect, Odometry, Pattern, Robot, Scene};
+use super::radio::{Gain, Noise, Radio, Stray, TurnAround};
+use super::refusal::{
+    Checked, Problem, at_most, decibels, deviation_db, ensure, finite, not_negative, positive, share,
+};
+use super::scene::{Cfo, Dialect, HostClock, Odometry, Pattern, Robot, Scene};
 use nalgebra::Vector3;
 
 /// A scene lasts a year at most, seconds.
 const LONGEST_S: f64 = 31_536_000.0;
+/// A random walk lasts a day at most, seconds: its steps of 10 ms are held in memory.
+const LONGEST_WALK_S: f64 = 86_400.0;
 /// Rounds, and poses, a second at most: more than a card or an encoder has.
 const FASTEST_HZ: f64 = 100_000.0;
 /// No delay is longer than a quarter of an hour, microseconds.
@@ -29,9 +33,13 @@ impl Scene {
         ensure(self.reflections <= 4, "reflections", || {
             format!("is {}; more than 4 would be more paths than sense", self.reflections)
         })?;
-        ensure((0..=i64::from(u32::MAX)).contains(&self.start_unix_s), "start_unix_s", || {
-            format!("is {}; records hold seconds from 0 to 4,294,967,295", self.start_unix_s)
+        ensure(self.host_times_fit(&HostClock::default()), "start_unix_s", || {
+            format!(
+                "is {}, and the scene lasts {} s; records hold seconds from 0 to 4,294,967,295",
+                self.start_unix_s, self.duration_s
+            )
         })?;
+        check_cfo(&self.cfo).map_err(|p| p.key("cfo"))?;
         check_radio(&self.radio).map_err(|p| p.key("radio"))?;
         ensure(!self.robot.is_empty(), "robot", || "is missing: a scene needs at least one [[robot]]".to_owned())?;
         for (number, robot) in self.robot.iter().enumerate() {
@@ -44,6 +52,14 @@ impl Scene {
         }
         self.check_sounding()?;
         self.check_surfaces()
+    }
+
+    /// True if records can hold the host's time from the start of the scene to its end.
+    fn host_times_fit(&self, clock: &HostClock) -> bool {
+        let held = 0.0..=f64::from(u32::MAX);
+        let begins_s = self.start_unix_s as f64 + clock.offset_s;
+        let ends_s = begins_s + self.duration_s * (1.0 + clock.drift_ppm * 1e-6);
+        held.contains(&begins_s) && held.contains(&ends_s)
     }
 
     fn check_robot(&self, number: usize, robot: &Robot) -> Checked {
@@ -63,6 +79,8 @@ impl Scene {
         finite("position_m", &robot.position_m)?;
         finite("yaw_deg", &[robot.yaw_deg])?;
         finite("antenna_m", &robot.antenna_m)?;
+        finite("antenna_b_m", &robot.antenna_b_m.unwrap_or_default())?;
+        finite("antenna_c_m", &robot.antenna_c_m.unwrap_or_default())?;
         let Pattern { cos_db, sin_db, cos2_db, sin2_db } = robot.pattern;
         let harmonics = [cos_db, sin_db, cos2_db, sin2_db];
         ensure(harmonics.iter().all(|db| db.abs() <= 60.0), "pattern", || {
@@ -79,6 +97,12 @@ impl Scene {
         let host = &robot.host_clock;
         ensure(host.offset_s.abs() < 1e8 && host.drift_ppm.abs() <= 1e3, "host_clock", || {
             "is further off than clocks are".to_owned()
+        })?;
+        ensure(self.host_times_fit(host), "host_clock", || {
+            format!(
+                "is {} s ahead of a scene that begins at {} s and lasts {} s; records hold seconds from 0 to 4,294,967,295",
+                host.offset_s, self.start_unix_s, self.duration_s
+            )
         })?;
         if let Some(radio) = &robot.radio {
             check_radio(radio).map_err(|p| p.key("radio"))?;
@@ -176,6 +200,7 @@ fn check_motion(motion: &RobotMotion) -> Checked {
         }
         RobotMotion::RandomWalk(m) => {
             positive("within_m", m.within_m).map_err(|p| p.key("random_walk"))?;
+            at_most("duration_s", m.duration_s, LONGEST_WALK_S).map_err(|p| p.key("random_walk"))?;
             let sizes = [("speed_m_s", m.speed_m_s), ("turning_deg_s", m.turning_deg_s)];
             timed("random_walk", sizes, m.duration_s, m.start_s)
         }
@@ -203,6 +228,38 @@ fn check_motion(motion: &RobotMotion) -> Checked {
     }
 }
 
+fn check_cfo(cfo: &Cfo) -> Checked {
+    let Cfo::Paper(cfo) = cfo else { return Ok(()) };
+    let check = || {
+        finite("df_hz", &[cfo.df_hz])?;
+        finite("c1", &[cfo.c1])?;
+        finite("c2", &[cfo.c2])?;
+        not_negative("jitter_ns", cfo.jitter_ns)
+    };
+    check().map_err(|p: Problem| p.key("paper"))
+}
+
+fn check_gain(gain: &Gain) -> Checked {
+    match gain {
+        Gain::Fixed(fixed) => positive("lsb_at_1m", fixed.lsb_at_1m).map_err(|p| p.key("fixed")),
+        Gain::Agc(agc) => {
+            let check = || {
+                positive("target_lsb", agc.target_lsb)?;
+                deviation_db("lsb_std_db", agc.lsb_std_db)?;
+                decibels("rssi_db", &[agc.rssi_db])?;
+                deviation_db("agc_std_db", agc.agc_std_db)
+            };
+            check().map_err(|p: Problem| p.key("agc"))
+        }
+    }
+}
+
+fn check_stray(stray: &Stray) -> Checked {
+    not_negative("lsb", stray.lsb)?;
+    decibels("rssi_db", &[stray.rssi_db])?;
+    deviation_db("rssi_std_db", stray.rssi_std_db)
+}
+
 fn check_radio(radio: &Radio) -> Checked {
     let sizes = [
         ("phase_noise_rad", radio.phase_noise_rad),
@@ -225,11 +282,13 @@ fn check_radio(radio: &Radio) -> Checked {
     if let Noise::SnrDb(db) | Noise::FloorDbm(db) = radio.noise {
         decibels("noise", &[db])?;
     }
-    match &radio.gain {
-        Gain::Fixed(fixed) => positive("lsb_at_1m", fixed.lsb_at_1m).map_err(|p| p.key("fixed").key("gain"))?,
-        Gain::Agc(agc) => positive("target_lsb", agc.target_lsb).map_err(|p| p.key("agc").key("gain"))?,
-    }
-    let turn = &radio.turn_around;
+    check_gain(&radio.gain).map_err(|p| p.key("gain"))?;
+    check_stray(&radio.stray_b).map_err(|p| p.key("stray_b"))?;
+    check_stray(&radio.stray_c).map_err(|p| p.key("stray_c"))?;
+    check_turn_around(&radio.turn_around)
+}
+
+fn check_turn_around(turn: &TurnAround) -> Checked {
     let ordered = turn.min_us >= 0.0 && turn.min_us <= turn.median_us && turn.median_us <= turn.max_us;
     ensure(ordered, "turn_around", || {
         format!("has min_us {}, median_us {}, max_us {}: not in order", turn.min_us, turn.median_us, turn.max_us)
@@ -259,10 +318,9 @@ fn check_faults(faults: &Faults) -> Checked {
     ensure(faults.queue_records > 0, "queue_records", || "is 0: nothing would ever arrive".to_owned())?;
     not_negative("stall_every_s", faults.stall_every_s)?;
     not_negative("stall_s", faults.stall_s)?;
-    let goes_on = faults.stall_every_s == 0.0 || faults.stall_s < faults.stall_every_s;
-    ensure(goes_on, "stall_s", || {
+    ensure(faults.goes_on_after_stalls(), "stall_s", || {
         format!(
-            "is {}, not less than stall_every_s, {}: the listener would never go on",
+            "is {}, in whole microseconds not less than stall_every_s, {}: the listener would never go on",
             faults.stall_s, faults.stall_every_s
         )
     })?;

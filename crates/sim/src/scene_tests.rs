@@ -37,7 +37,7 @@ fn a_good_scene_is_read() {
 #[test]
 fn bad_scenes_are_refused_with_line_and_reason() {
     let good = good();
-    let cases: [(String, usize, &str); 31] = [
+    let cases: [(String, usize, &str); 37] = [
         (GOOD.to_owned(), 3, "noise_free"),
         (good.replace("duration_s = 10.0\nseed", "duration_s = -1.0\nseed"), 1, "more than 0"),
         (good.replace("duration_s = 10.0\nseed", "duration_s = 1e12\nseed"), 1, "is the most"),
@@ -57,6 +57,31 @@ fn bad_scenes_are_refused_with_line_and_reason() {
             good.replace("name = \"tx\"", "name = \"tx\"\nfaults = { stall_every_s = 1.0, stall_s = 1.0 }"),
             12,
             "never go on",
+        ),
+        // Both are 2 us on the clock of the room.
+        (
+            good.replace("name = \"tx\"", "name = \"tx\"\nfaults = { stall_every_s = 0.000002, stall_s = 0.0000016 }"),
+            12,
+            "never go on",
+        ),
+        (good.replace("seed = 3", "start_unix_s = 4294967294"), 2, "lasts 10 s; records hold"),
+        (good.replace("seed = 3", "start_unix_s = -1"), 2, "is -1"),
+        (
+            good.replace("name = \"tx\"", "name = \"tx\"\nhost_clock.offset_s = -9.0")
+                .replace("seed = 3", "start_unix_s = 5"),
+            12,
+            "is -9 s ahead of a scene that begins at 5 s",
+        ),
+        (
+            good.replace("name = \"tx\"", "name = \"tx\"\nmotion.random_walk = { speed_m_s = 1.0, duration_s = 1e9 }"),
+            12,
+            "86400 is the most",
+        ),
+        (
+            good.replace("motion.circle = { radius_m = 0.3, duration_s = 10.0 }", "antenna_m = [-3.858, 0.929, 0.2]")
+                .replace("name = \"tx\"", "name = \"tx\"\nantenna_m = [0.0, 0.0, 0.2]"),
+            12,
+            "an antenna of tx is where one of rx is",
         ),
         (good.replace("to_m = [5.0, 3.0]", "to_m = [-5.0, 3.0]"), 15, "where the wall begins"),
         (good.replace("to_m = [5.0, 3.0]", "to_m = [1e308, 3.0]"), 15, "at most 1e9"),

@@ -56,19 +56,38 @@ fn check_ways(world: &World) -> Checked {
     Ok(())
 }
 
-/// No two robots begin at one place.
+/// Closer than this, metres, nothing else is where something is.
+const SAME_PLACE_M: f64 = 0.01;
+
+/// No two robots begin at one place, and no antennas of robots that stay there: nothing could be measured. Those that meet on
+/// their way are counted.
 fn check_places(world: &World) -> Checked {
     let robots = &world.scene().robot;
     for (index, robot) in robots.iter().enumerate() {
         for (other, state) in robots.iter().enumerate().take(index) {
             let apart = world.pose(index, 0.0).position_m - world.pose(other, 0.0).position_m;
-            if apart.norm() < 0.01 {
+            if apart.norm() < SAME_PLACE_M {
                 let reason = format!("{} is where {} is", robot.name, state.name);
                 return Err(Problem::new(reason).key("position_m").item("robot", index));
+            }
+            let stay = world.is_still(index) && world.is_still(other);
+            if stay && (antennas_meet(world, index, other) || antennas_meet(world, other, index)) {
+                let reason =
+                    format!("an antenna of {} is where one of {} is, and both stay there", robot.name, state.name);
+                return Err(Problem::new(reason).key("antenna_m").item("robot", index));
             }
         }
     }
     Ok(())
+}
+
+/// If the antenna that one robot sends with is at the place of one that another receives with.
+fn antennas_meet(world: &World, from: usize, to: usize) -> bool {
+    let scene = world.scene();
+    let chains = scene.robot.get(to).map_or(0, |robot| usize::from(scene.radio_of(robot).chains));
+    let sends = world.antenna(from, 0, 0.0);
+    let receive = (0..chains).filter_map(|antenna| world.antenna(to, antenna, 0.0));
+    sends.is_some_and(|sends| receive.into_iter().any(|receives| (sends - receives).norm() < SAME_PLACE_M))
 }
 
 /// Bytes of a scene's file at most.

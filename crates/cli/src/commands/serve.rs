@@ -1,20 +1,22 @@
 //! `csi5300 simulate --serve`: a room in real time.
 
+mod poses;
+
+use self::poses::PosesFile;
 use super::live::Signals;
 use super::{Outcome, Result};
-use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
+use csi5300::motion::odometry::{NextPose, OdometrySource};
 use csi5300::source::{CsiSource, Loss, Next};
 use csi5300::time::{Instant, Span};
 use csi5300_live::netlink::Sender;
 use csi5300_live::wait::{Monotonic, wall_us};
+use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::served::{ServedCounts, Server};
 use csi5300_sim::{Injected, Odometer, Port, Room, Scene};
 use driver_iface::connector::CN_IDX;
 use nix::sys::prctl::set_timerslack;
-use std::fs::{File, OpenOptions};
-use std::io::Write;
 use std::os::fd::AsFd;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 // How a room is served.
 #[derive(clap::Args)]
@@ -31,8 +33,8 @@ pub struct Args {
     /// or with --socket nobody
     #[arg(long, value_name = "NAME[=INDEX]", value_parser = served)]
     robot: Vec<(String, u32)>,
-    /// Append the poses of the robot's odometry here, a CSV line each as they come; - is standard output. Once for
-    /// each --robot, in their order; with --socket and no --robot, of the first initiator
+    /// Append the poses of the robot's odometry here, a CSV line each as they come, to a new file or one of such lines; - is
+    /// standard output. Once for each --robot, in their order; with --socket and no --robot, of the first initiator
     #[arg(long, value_name = "FILE")]
     poses: Vec<PathBuf>,
     /// Times real time (1 if not given); max does not wait at all
@@ -64,7 +66,7 @@ struct Served {
     /// Until its end.
     card: Option<(Port, Sender)>,
     sent: u64,
-    poses: Option<(Odometer, Box<dyn Write>)>,
+    poses: Option<(Odometer, PosesFile)>,
 }
 
 type Words<T> = std::result::Result<T, String>;
@@ -101,8 +103,8 @@ struct SocketRow {
     untaken: u64,
 }
 
-/// Serves a scene until its end or a signal.
-pub fn run(mut scene: Scene, args: &Args, json: bool) -> Result {
+/// Serves a scene, which was read from `file`, until its end or a signal.
+pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
     if json && args.poses.iter().any(|path| path.as_os_str() == "-") {
         super::usage("--json and --poses - both want standard output");
     }
@@ -111,7 +113,7 @@ pub fn run(mut scene: Scene, args: &Args, json: bool) -> Result {
     if args.socket.is_some() && speed != 1.0 {
         return Err("other programs live in real time: --socket and --speed do not go together".into());
     }
-    let outputs = open(&scene, args)?;
+    let outputs = open(&scene, file, args)?;
     let server = args.socket.as_deref().map(Server::bind).transpose().map_err(|error| error.to_string())?;
     for (output, sender) in outputs.iter().filter_map(|output| Some((output, output.sender.as_ref()?))) {
         note!("serving {} on connector index {}", output.name, sender.index());
@@ -233,7 +235,18 @@ impl Serving {
         if self.speed.is_finite() {
             note!("at most {:.1} ms behind real time", self.behind.as_s() * 1e3);
         }
-        if sent == 0 { Outcome::Nothing } else { Outcome::Done }
+        let mut all_written = true;
+        for (unwritten, file) in self.robots.iter().filter_map(|robot| Some(robot.poses.as_ref()?.1.unwritten())) {
+            if unwritten > 0 {
+                note!("{} not written to {file}", super::some(unwritten, "pose", "poses"));
+                all_written = false;
+            }
+        }
+        match (sent, all_written) {
+            (0, _) => Outcome::Nothing,
+            (_, true) => Outcome::Done,
+            (_, false) => Outcome::DataLost,
+        }
     }
 }
 
@@ -257,7 +270,7 @@ fn describe(scene: &Scene, counts: &ServedCounts, injected: &[Injected]) -> Stri
 }
 
 /// Opens everything that may take time or fail, before the scene's time begins.
-fn open(scene: &Scene, args: &Args) -> Words<Vec<Output>> {
+fn open(scene: &Scene, file: &Path, args: &Args) -> Words<Vec<Output>> {
     let first = scene.initiators().first().and_then(|&k| scene.robot.get(k)).map(|robot| robot.name.clone());
     let named = match args.robot.as_slice() {
         [] if args.socket.is_some() && args.poses.is_empty() => Vec::new(),
@@ -281,19 +294,31 @@ fn open(scene: &Scene, args: &Args) -> Words<Vec<Output>> {
             }
         }
     }
+    let mut taken = in_use(scene, file, args);
     let output = |(k, (name, index)): (usize, (String, Option<u32>))| {
         let sender = index.map(|index| Sender::open(index, true)).transpose().map_err(|error| error.to_string())?;
-        let poses = args.poses.get(k).map(append).transpose()?;
+        let poses = args.poses.get(k).map(|path| PosesFile::open(path, &taken)).transpose()?;
+        taken.extend(args.poses.get(k).map(|path| (path.clone(), "where the poses of another robot go")));
         Ok(Output { name, sender, poses })
     };
     named.into_iter().enumerate().map(output).collect()
+}
+
+/// Files that are no place for poses, and what they are.
+fn in_use(scene: &Scene, file: &Path, args: &Args) -> Vec<(PathBuf, &'static str)> {
+    let socket = args.socket.iter().map(|socket| (socket.clone(), "the room's socket"));
+    let recorded = scene.robot.iter().filter_map(|robot| match &robot.motion {
+        RobotMotion::Recorded(motion) => Some((motion.file.clone(), "a trajectory that the scene reads")),
+        _ => None,
+    });
+    std::iter::once((file.to_owned(), "the scene")).chain(socket).chain(recorded).collect()
 }
 
 /// Where a robot's records and poses go.
 struct Output {
     name: String,
     sender: Option<Sender>,
-    poses: Option<Box<dyn Write>>,
+    poses: Option<PosesFile>,
 }
 
 impl Output {
@@ -306,18 +331,6 @@ impl Output {
         let poses = poses.and_then(|out| room.odometry(number).map(|source| (source, out)));
         Ok(Served { name, on_connector: card.is_some(), card, sent: 0, poses })
     }
-}
-
-fn append(path: &PathBuf) -> Words<Box<dyn Write>> {
-    if path.as_os_str() == "-" {
-        return Ok(Box::new(std::io::stdout()));
-    }
-    let file: File = OpenOptions::new()
-        .create(true)
-        .append(true)
-        .open(path)
-        .map_err(|error| format!("cannot append poses to {}: {error}", path.display()))?;
-    Ok(Box::new(file))
 }
 
 impl Served {
@@ -342,25 +355,16 @@ impl Served {
         Ok([card_at, self.pump_poses(now)?].into_iter().flatten().min())
     }
 
-    /// Writes the poses that are due, in the columns of motion capture with a heading.
+    /// Writes the poses that are due.
     fn pump_poses(&mut self, now: Instant) -> Words<Option<Instant>> {
         let Some((source, out)) = &mut self.poses else { return Ok(None) };
-        let mut written = false;
-        let at = loop {
+        loop {
             match source.receive(now).map_err(|error| error.to_string())? {
-                NextPose::Pose(pose) => {
-                    let line = csv::line(&pose);
-                    out.write_all(line.as_bytes()).map_err(|error| format!("cannot write a pose: {error}"))?;
-                    written = true;
-                }
+                NextPose::Pose(pose) => out.write(&pose),
                 NextPose::NewFrame => {}
-                NextPose::Pending => break source.next_at(),
-                NextPose::End => break None,
+                NextPose::Pending => return Ok(source.next_at()),
+                NextPose::End => return Ok(None),
             }
-        };
-        if written {
-            out.flush().map_err(|error| format!("cannot write a pose: {error}"))?;
         }
-        Ok(at)
     }
 }

@@ -52,7 +52,7 @@ pub fn run(args: &Args) -> Result {
     };
     #[cfg(feature = "live")]
     if args.live.serve {
-        return super::serve::run(scene, &args.live, args.json);
+        return super::serve::run(scene, &args.scene, &args.live, args.json);
     }
     #[cfg(feature = "live")]
     if args.live.asked() {

@@ -330,3 +330,65 @@ fn two_robots_on_one_connector_index_are_refused() {
     assert_eq!(out.status.code(), Some(1), "{said}");
     assert!(said.contains("rx and tx would both be served on connector index 9"), "{said}");
 }
+
+#[test]
+fn a_room_takes_no_file_for_its_socket_and_writes_no_poses_into_others() {
+    let folder = std::env::temp_dir().join(format!("csi5300-serve-files-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let [scene, log, socket] = ["scene.toml", "precious.dat", "room"].map(|name| folder.join(name));
+    std::fs::write(&scene, LIVE).unwrap();
+    std::fs::write(&log, "precious").unwrap();
+    let [scene_name, log_name, room] = [&scene, &log, &socket].map(|path| path.to_str().unwrap());
+    let refused = |options: &[&str]| {
+        let (status, said) = Program::start(&[&["simulate", scene_name, "--serve"], options].concat()).end();
+        assert_eq!(status, Some(1), "{said}");
+        said
+    };
+    let said = refused(&["--socket", log_name]);
+    assert!(said.contains("precious.dat is there and is no socket"), "{said}");
+    let said = refused(&["--socket", room, "--poses", scene_name]);
+    assert!(said.contains("scene.toml is the scene: --poses needs a file of its own"), "{said}");
+    let said = refused(&["--socket", room, "--poses", log_name]);
+    assert!(said.contains("precious.dat is there and holds something else"), "{said}");
+    let said = refused(&["--socket", room, "--poses", room]);
+    assert!(said.contains("is the room's socket"), "{said}");
+    assert_eq!(std::fs::read_to_string(&scene).unwrap(), LIVE);
+    assert_eq!(std::fs::read_to_string(&log).unwrap(), "precious");
+    std::fs::remove_dir_all(&folder).unwrap();
+}
+
+#[test]
+fn poses_that_cannot_be_written_stop_no_room() {
+    use csi5300::source::Injector;
+    use csi5300_live::monitor::{Monitor, Options};
+    use csi5300_sim::served::{Address, Role, join};
+    use nix::sys::socket::{MsgFlags, recv};
+    let folder = std::env::temp_dir().join(format!("csi5300-serve-full-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let [scene, socket] = ["scene.toml", "room"].map(|name| folder.join(name));
+    std::fs::write(&scene, LIVE).unwrap();
+    let [scene, room] = [&scene, &socket].map(|path| path.to_str().unwrap());
+    let mut program = Program::start(&["simulate", scene, "--serve", "--socket", room, "--poses", "/dev/full"]);
+    program.until("cannot write poses to /dev/full");
+    // The room is there for the others: what one robot sends, the other's card records.
+    let of = |robot: &str| Address { socket: socket.clone(), robot: robot.into() };
+    let (air, mac) = join(&of("tx"), Role::Air).unwrap();
+    let mut air = Monitor::over(air, mac, &Options::new("room", 200).with_wall_us(|| None)).unwrap();
+    let (card, _) = join(&of("rx"), Role::Card).unwrap();
+    let mut frame = vec![0x08, 0, 0xff, 0xff];
+    frame.extend([0x00, 0x16, 0xea, 0x12, 0x34, 0x56].repeat(2));
+    frame.extend(mac.0);
+    frame.resize(53, 0x55);
+    air.inject(Instant::ZERO, &frame).unwrap();
+    // In the stock layout a record comes after a copy of its frame.
+    for _ in 0..2 {
+        let mut record = [0; 4096];
+        assert!(recv(std::os::fd::AsRawFd::as_raw_fd(&card), &mut record, MsgFlags::empty()).unwrap() > 0);
+    }
+    program.stop();
+    let (status, said) = program.end();
+    assert!(status == Some(3) && said.contains("not written to /dev/full"), "{status:?}: {said}");
+    assert!(said.contains("rx: 1 received, 1 records delivered"), "{said}");
+    assert_eq!(said.matches("cannot write poses").count(), 1, "{said}");
+    std::fs::remove_dir_all(&folder).unwrap();
+}

@@ -331,6 +331,51 @@ fn a_card_behind_the_socket_says_what_the_room_s_card_says() {
     assert!(hear_fails(&mut air).contains("the room has ended"));
 }
 
+/// Messages that a program finds at its end of a socket.
+fn messages(program: &std::os::fd::OwnedFd) -> u64 {
+    use nix::sys::socket::{MsgFlags, recv};
+    let mut buffer = [0; 4096];
+    let mut one = || recv(std::os::fd::AsRawFd::as_raw_fd(program), &mut buffer, MsgFlags::MSG_DONTWAIT);
+    std::iter::from_fn(|| one().ok()).count() as u64
+}
+
+#[test]
+fn records_are_delivered_while_somebody_listens_and_the_others_are_counted_as_unheard() {
+    use nix::sys::socket::{Shutdown, shutdown};
+    let mut served = Served::new(&scene(3.0, ""), "unheard");
+    let mut air = served.monitor("tx", 1);
+    let mut number = 0;
+    // A frame every 10 ms, a record half a millisecond later at most.
+    let mut frames = |served: &mut Served, count: u32| {
+        for _ in 0..count {
+            number += 1;
+            let at_us = i64::from(number) * 10_000;
+            air.inject(Instant::from_us(at_us), &frame(&served.room, 1, number)).unwrap();
+            served.turn(at_us);
+            served.turn(at_us + 500);
+        }
+    };
+    let listen = |served: &mut Served| served.join("rx", |at| served::join(at, served::Role::Card).unwrap().0);
+    frames(&mut served, 20);
+    let mut heard = 0;
+    for _ in 0..2 {
+        let recorder = listen(&mut served);
+        frames(&mut served, 30);
+        heard += messages(&recorder);
+        // Whoever holds a copy of it, it is at its end.
+        shutdown(std::os::fd::AsRawFd::as_raw_fd(&recorder), Shutdown::Both).unwrap();
+        frames(&mut served, 50);
+    }
+    let rx = served.injected()[0];
+    assert_eq!((heard, served.server.counts().records), (60, 60));
+    assert_eq!((rx.received, rx.delivered, rx.unheard, rx.under_way), (180, 60, 120, 0), "{rx}");
+    // One that takes nothing more: what is sent to it reaches nobody.
+    let deaf = listen(&mut served);
+    shutdown(std::os::fd::AsRawFd::as_raw_fd(&deaf), Shutdown::Read).unwrap();
+    frames(&mut served, 5);
+    assert_eq!((served.injected()[0].delivered, served.injected()[0].unheard), (60, 125));
+}
+
 fn hear_fails(monitor: &mut Monitor) -> String {
     loop {
         if let Err(error) = monitor.hear() {
@@ -343,7 +388,7 @@ fn hear_fails(monitor: &mut Monitor) -> String {
 fn a_socket_left_behind_is_replaced_and_one_in_use_is_not() {
     let mut served = Served::new(&scene(1.0, ""), "twice");
     let error = Server::bind(&served.socket).unwrap_err().to_string();
-    assert!(error.contains("is another one served there?"), "{error}");
+    assert!(error.contains("another room, or another program, is served at"), "{error}");
     // As after a kill: the file stays.
     let left = served.socket.with_extension("left");
     std::fs::rename(&served.socket, &left).unwrap();

@@ -20,10 +20,12 @@
 //! overlaps collides. Several may listen to one card; one at a time has a robot's air.
 
 mod address;
+mod place;
 mod poses;
 mod server;
 
 pub use address::{Address, AddressError, JoinError};
+pub use place::PlaceError;
 pub use poses::Poses;
 pub use server::{ServedCounts, Server};
 

@@ -1,5 +1,6 @@
 //! The room's side: who is there, frames in, frames, records and poses out. It neither waits nor asks for the time.
 
+use super::place::Place;
 use super::{GREETING, Role, WORDS, seqpacket};
 use crate::{Interface, Odometer, Port, Room};
 use csi5300::motion::odometry::{NextPose, OdometrySource, csv};
@@ -7,17 +8,15 @@ use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
 use driver_iface::connector::{CN_IDX, CN_VAL, MAX_DATAGRAM, Repr as Message};
 use driver_iface::radiotap::{Bandwidth, Mcs, Packet, Repr};
-use driver_iface::record::Record;
+use driver_iface::record::{Record, code};
 use nix::errno::Errno;
 use nix::sys::epoll::{Epoll, EpollCreateFlags, EpollEvent, EpollFlags};
-use nix::sys::socket::{
-    Backlog, ControlMessageOwned, MsgFlags, SockFlag, UnixAddr, bind, listen, recvmsg, send, setsockopt, sockopt,
-};
+use nix::sys::socket::{Backlog, ControlMessageOwned, MsgFlags, SockFlag, listen, recvmsg, send, setsockopt, sockopt};
 use nix::sys::time::TimeSpec;
 use std::io::{ErrorKind, IoSliceMut};
 use std::os::fd::{AsFd, AsRawFd, BorrowedFd, OwnedFd};
 use std::os::unix::net::UnixListener;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Longest radiotap header and frame that are taken, bytes (IEEE80211_MAX_FRAME_LEN and a header of ours).
 const LONGEST: usize = 2_352 + driver_iface::radiotap::MAX_EMIT_LEN;
@@ -96,7 +95,7 @@ pub struct Server {
     ready: Epoll,
     /// Of the standard library for its safe `accept`; its type is SOCK_SEQPACKET all the same.
     listener: UnixListener,
-    path: PathBuf,
+    place: Place,
     clients: Vec<Client>,
     robots: Vec<Robot>,
     buffer: Box<[u8]>,
@@ -115,28 +114,24 @@ impl Server {
     /// Opens the socket. One that an earlier room left behind is replaced.
     ///
     /// # Errors
-    /// When the path cannot be used, or another room is served there.
+    /// [`PlaceError`](super::PlaceError) when what is there is no socket, or one that is in use; when the path cannot be used.
     pub fn bind(path: &Path) -> Result<Self, Error> {
-        let io = |errno: Errno| Error::Io {
-            what: format!("cannot serve a room at {}; is another one served there?", path.display()),
-            source: errno.into(),
+        let io = |errno: Errno| {
+            let what = format!("cannot serve a room at {}", path.display());
+            Error::Io { what, source: errno.into() }
         };
         let listener = seqpacket(SockFlag::SOCK_NONBLOCK).map_err(io)?;
-        let address = UnixAddr::new(path).map_err(io)?;
-        let mut bound = bind(listener.as_raw_fd(), &address);
-        if bound == Err(Errno::EADDRINUSE) && is_left_behind(path) {
-            bound = std::fs::remove_file(path)
-                .map_err(|_| Errno::EADDRINUSE)
-                .and_then(|()| bind(listener.as_raw_fd(), &address));
-        }
-        bound.map_err(io)?;
-        listen(&listener, Backlog::MAXALLOWABLE).map_err(io)?;
         let ready = Epoll::new(EpollCreateFlags::EPOLL_CLOEXEC).map_err(io)?;
         ready.add(&listener, EpollEvent::new(EpollFlags::EPOLLIN, 0)).map_err(io)?;
+        let place = Place::take(&listener, path)?;
+        if let Err(errno) = listen(&listener, Backlog::MAXALLOWABLE) {
+            place.leave();
+            return Err(io(errno));
+        }
         Ok(Self {
             ready,
             listener: listener.into(),
-            path: path.to_owned(),
+            place,
             clients: Vec::new(),
             robots: Vec::new(),
             buffer: vec![0; MAX_DATAGRAM.max(LONGEST)].into_boxed_slice(),
@@ -208,7 +203,7 @@ impl Server {
                 Err(error) if error.kind() == ErrorKind::WouldBlock => return Ok(()),
                 Err(error) if [ErrorKind::Interrupted, ErrorKind::ConnectionAborted].contains(&error.kind()) => {}
                 Err(source) => {
-                    let what = format!("nobody can join the room at {} any more", self.path.display());
+                    let what = format!("nobody can join the room at {} any more", self.place.path().display());
                     return Err(Error::Io { what, source });
                 }
             }
@@ -351,9 +346,17 @@ impl Server {
     /// Hands on the records of a robot's card; when there are more.
     fn tell_records(&mut self, robot: usize, now: Instant) -> Result<Option<Instant>, Error> {
         let Some(mut card) = self.robots[robot].card.take() else { return Ok(None) };
+        if !self.clients.iter().any(|client| client.what == Some((Role::Card, robot))) {
+            card.let_go(now);
+        }
         let next = loop {
             match card.receive(now)? {
-                Next::Record(_, record) => self.tell_record(robot, record),
+                Next::Record(_, record) => {
+                    let whole = record.code == code::BFEE;
+                    if self.tell_record(robot, record) == 0 && whole {
+                        card.take_back();
+                    }
+                }
                 // The real socket has its own queue, and the real listener stalls by itself.
                 Next::Lost(_) => {}
                 Next::Pending => break card.next_at(),
@@ -364,12 +367,14 @@ impl Server {
         Ok(next)
     }
 
-    fn tell_record(&mut self, robot: usize, record: Record<'_>) {
+    /// Sends a record to every program that listens; to how many.
+    fn tell_record(&mut self, robot: usize, record: Record<'_>) -> u64 {
         let mut message = std::mem::take(&mut self.buffer);
-        if let Ok(len) = (Message { idx: CN_IDX, val: CN_VAL, record, padded: true }).emit(&mut message) {
-            self.counts.records += self.tell(Role::Card, robot, &message[..len]);
-        }
+        let len = (Message { idx: CN_IDX, val: CN_VAL, record, padded: true }).emit(&mut message);
+        let told = len.map_or(0, |len| self.tell(Role::Card, robot, &message[..len]));
         self.buffer = message;
+        self.counts.records += told;
+        told
     }
 
     fn tell_poses(&mut self, robot: usize, now: Instant) -> Result<Option<Instant>, Error> {
@@ -411,15 +416,8 @@ impl AsFd for Server {
 
 impl Drop for Server {
     fn drop(&mut self) {
-        let _ = std::fs::remove_file(&self.path);
+        self.place.leave();
     }
-}
-
-/// True if nobody answers at a socket's path.
-fn is_left_behind(path: &Path) -> bool {
-    let Ok(socket) = seqpacket(SockFlag::empty()) else { return false };
-    let Ok(address) = UnixAddr::new(path) else { return false };
-    nix::sys::socket::connect(socket.as_raw_fd(), &address) == Err(Errno::ECONNREFUSED)
 }
 
 /// Takes one message: its true length, 0 at the end, and the kernel's stamp, microseconds since the Unix epoch.
