@@ -215,7 +215,10 @@ fn paths_come_out_of_their_square_and_their_product_is_named() {
         let found = sources.iter().find(near).unwrap_or_else(|| panic!("{at}: {paths:?}"));
         assert!((found.relative_power_db - 20.0 * f64::log10(*amplitude)).abs() < 1.0, "{paths:?}");
     }
-    assert!(paths.iter().any(|path| path.cross_term_of.is_some()), "{paths:?}");
+    // Products are of sources: none is explained by another product.
+    let products: Vec<[usize; 2]> = paths.iter().filter_map(|path| path.cross_term_of).collect();
+    assert!(!products.is_empty(), "{paths:?}");
+    assert!(products.iter().flatten().all(|parent| paths[*parent].cross_term_of.is_none()), "{paths:?}");
     assert_eq!(sources.len(), 2, "{paths:?}");
 }
 

@@ -202,3 +202,29 @@ fn a_climbing_line_says_what_elevations_leave_open() {
     }
     assert!(2 * within >= count && widest < 40.0, "{within} of {count}, {widest}");
 }
+
+/// Along the motion phases change with the square of the azimuth's change only: bar and probability say the same of that, a mirror
+/// close by costs no probability, and both stay two directions where they are carried on.
+#[test]
+fn a_motion_towards_the_transmitter_or_nearly_is_as_sure_as_its_bar_says() {
+    let line = RobotMotion::Line(Line { length_m: 1.0, duration_s: 6.0, start_s: 0.0 });
+    for (k, azimuth_deg) in [0.0, 0.3, 3.0, 11.0, -169.0, 180.0].into_iter().enumerate() {
+        let recording = in_space(line.clone(), away(azimuth_deg, 0.0, 6.0), 40 + k as u64).record().unwrap();
+        let bearing = recording.bearing(&options()).unwrap();
+        let (seen, answer) = (recording.judge(&bearing), &bearing.answer);
+        let folded_deg = answer.azimuth_rad.to_degrees().abs() - azimuth_deg.abs();
+        assert!(folded_deg.abs() < 1.5 * seen.azimuth_sd_deg, "{azimuth_deg}: {folded_deg} {seen:?}");
+        assert!((0.5..12.0).contains(&seen.azimuth_sd_deg), "{azimuth_deg}: {seen:?}");
+        // What a normal error with the bar makes of five degrees; half of it where the mirror is elsewhere.
+        let times = 5.0 / seen.azimuth_sd_deg;
+        let by_bar = 2.0 / (1.0 + (-1.702 * times).exp()) - 1.0;
+        let apart = answer.mirror_rad.map_or(0.0, |mirror| wrap_rad(answer.azimuth_rad - mirror).abs());
+        let [least, most] = [if apart > 0.087 { 0.5 } else { 1.0 }, if apart > 0.175 { 0.5 } else { 1.0 }];
+        let allowed = 0.9 * least * by_bar.min(0.98)..=most * by_bar + 0.02;
+        assert!(seen.confidence.is_some_and(|own| allowed.contains(&own)), "{azimuth_deg}: {allowed:?} {seen:?}");
+        let evidence = bearing.evidence();
+        if most < 1.0 {
+            assert!(evidence.modes.iter().all(|mode| mode.sd_rad < 0.3 * apart), "{azimuth_deg}: {evidence:?}");
+        }
+    }
+}
