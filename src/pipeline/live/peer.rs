@@ -297,7 +297,9 @@ impl PeerLink {
             return report;
         }
         answer.carried = self.carry(found.path_m, accurate || !context.has_layers());
-        let words = format!("bearing {:.2} deg", answer.azimuth_deg.unwrap_or(f64::NAN));
+        // What rounds to zero has no sign.
+        let hundredths = (answer.azimuth_deg.unwrap_or(f64::NAN) * 100.0).round() + 0.0;
+        let words = format!("bearing {:.2} deg", hundredths / 100.0);
         let (moved_m, needed_m, heard_at) = (found.extent_m, context.settings.least_m, self.paired_at);
         PeerReport {
             t_s: seen,
