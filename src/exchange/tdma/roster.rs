@@ -442,4 +442,16 @@ mod tests {
         assert_eq!(outstanding.take_back(3).map(|waiting| (waiting.number, waiting.until)), Some((3, at(3))));
         assert_eq!((outstanding.next_at(), outstanding.expired(at(3)).is_none()), (Some(at(4)), true));
     }
+
+    #[test]
+    fn a_frame_without_a_number_keeps_that_of_its_own_session_only() {
+        let mut reached = Reached::default();
+        reached.note(4, Some(70));
+        reached.note(4, None);
+        assert_eq!((reached.number_in(4), reached.number_in(5)), (Some(70), None));
+        reached.note(5, None);
+        assert_eq!((reached.number_in(4), reached.number_in(5)), (None, None));
+        reached.note(5, Some(1));
+        assert_eq!(reached.number_in(5), Some(1));
+    }
 }
