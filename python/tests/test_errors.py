@@ -108,6 +108,17 @@ def test_scalars_of_numpy_are_numbers(rx: Path, tx: Path, path_csv: Path) -> Non
     assert bearing.azimuth_deg == plain[0].azimuth_deg
 
 
+def test_rows_of_a_trajectory_that_are_left_out_are_a_warning(path_csv: Path, tmp_path: Path) -> None:
+    whole = csi5300.read_trajectory(path_csv)
+    rows = path_csv.read_text().splitlines()
+    rows[7] = "?,0,1,2,3,"
+    damaged = tmp_path / "damaged.csv"
+    damaged.write_text("\n".join(rows) + "\n")
+    with pytest.warns(UserWarning, match=r"damaged.csv: 1 rows left out, the first in line 8: column 1 is not"):
+        track = csi5300.read_trajectory(damaged)
+    assert len(track) == len(whole) - 1
+
+
 def test_errors_about_files_are_errors_of_the_system(rx: Path, tx: Path, path_csv: Path, tmp_path: Path) -> None:
     none = tmp_path / "none"
     with pytest.raises(csi5300.TrajectoryFileError) as caught:

@@ -95,7 +95,7 @@ class Bearing:
 
     @property
     def abs_elevation_deg(self) -> float:
-        """Magnitude of the elevation, degrees."""
+        """Magnitude of the elevation, degrees; nan where none was searched, as of a motion along a line."""
         return _number(self.answer["abs_elevation_deg"])
 
     @property
