@@ -11,6 +11,7 @@ use csi5300_live::listener::{Listener, Lost};
 use csi5300_live::status::{Losses, Status};
 use csi5300_live::wait::Monotonic;
 use driver_iface::side_file::Layout;
+use nix::sys::signal::{SigSet, Signal};
 use std::fmt::Write as _;
 use std::io::{IsTerminal, Write};
 use std::os::fd::{AsFd, OwnedFd};
@@ -107,6 +108,9 @@ pub fn run(args: &Args) -> Result {
     let text = |error: csi5300::source::Error| error.to_string();
     // Signals first: one that comes during the opening must not leave half a start behind.
     let signals = Signals::catch()?;
+    // A log as large as files may be here (`ulimit -f`) is a full disk: the write fails with EFBIG, and the signal ends nothing.
+    let sizes = SigSet::from_iter([Signal::SIGXFSZ]).thread_block();
+    sizes.map_err(|errno| format!("cannot catch signals: {errno}"))?;
     let listener = args.listening.open(Needs::default())?;
     let rotation = Rotation { bytes: args.rotate_size, every: args.rotate_every };
     let files = LogFiles::create(&args.out, rotation, args.force).map_err(|error| create_refused(&error))?;
