@@ -34,4 +34,6 @@ mod recording;
 mod recovering;
 #[cfg(feature = "live")]
 mod served;
+#[cfg(feature = "node")]
+mod signalled;
 mod words;
