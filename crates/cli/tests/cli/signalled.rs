@@ -1,12 +1,11 @@
 //! `watch` and `view` until a signal comes: the terminal is as it was, and the end is a good one.
 
 use super::commands::Folder;
-use crate::common::link::link;
 use nix::pty::{Winsize, openpty};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use std::fs::File;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::os::unix::net::UnixListener;
 use std::process::{Child, Command, Stdio};
 
@@ -73,8 +72,9 @@ fn a_signal_gives_the_terminal_back_as_it_was() {
 #[cfg(feature = "view")]
 #[test]
 fn a_signal_ends_the_page_as_it_ends_a_recording() {
+    use std::io::{BufRead, BufReader};
     let folder = Folder::new("view-signals");
-    folder.write("rx.dat", &link(100, 1.0).rx.concat());
+    folder.write("rx.dat", &crate::common::link::link(100, 1.0).rx.concat());
     for signal in [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP] {
         let Some(mut command) = usual() else { return };
         command.arg("view").arg(folder.0.join("rx.dat")).stdout(Stdio::piped());
