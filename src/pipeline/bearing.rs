@@ -272,8 +272,8 @@ pub struct PairCounts {
     /// Outside the trajectory, or in a gap of it.
     pub no_pose: usize,
     /// Those that would be outside the trajectory by the host times of the transmitter's log: far fewer where the two logs were
-    /// exchanged.
-    pub no_pose_by_transmitter: usize,
+    /// exchanged. None where that log has no host times.
+    pub no_pose_by_transmitter: Option<usize>,
     /// Outside the stretch that was asked for.
     pub cut: usize,
     /// Without energy at the antenna.

@@ -44,7 +44,7 @@ impl Draft {
         let found = gate.pass(&times_s, &phases.z).and_then(|mut gated| {
             gated.pairs.no_pose_by_transmitter = match options.join {
                 JoinBy::Time => link.outside_by_transmitter(receiver, options),
-                JoinBy::Row => gated.pairs.no_pose,
+                JoinBy::Row => None,
             };
             gated.check(&times_s, receiver)?;
             rows_or_times(link, receiver, &gated.pairs, options)?;

@@ -154,12 +154,14 @@ impl Link {
         self.outside as f64 > share * all && partner >= (1.0 - share) * all
     }
 
-    /// Pairs outside the receiver's trajectory by the host times of the transmitter's log, of those not thinned out.
-    pub(super) fn outside_by_transmitter(&self, receiver: &Trajectory, options: &Options) -> usize {
+    /// Pairs outside the receiver's trajectory by the host times of the transmitter's log, of those not thinned out; none where it
+    /// has no such times.
+    pub(super) fn outside_by_transmitter(&self, receiver: &Trajectory, options: &Options) -> Option<usize> {
         let (start_s, end_s) = receiver.span_s();
         let inside = |us: i64| (start_s..=end_s).contains(&(us as f64 * 1e-6 + options.clock_offset_s));
         let outside = self.rows.iter().filter(|row| !row.partner_host_us.is_some_and(inside)).count();
-        outside + self.outside - self.partner_inside
+        let is_known = self.partner_inside > 0 || self.rows.iter().any(|row| row.partner_host_us.is_some());
+        is_known.then_some(outside + self.outside - self.partner_inside)
     }
 
     /// The receiver's host time of the first pair, microseconds since the Unix epoch.

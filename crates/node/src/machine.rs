@@ -4,8 +4,9 @@
 use super::sources::{Card, Poses, Sources};
 use csi5300::motion::odometry::{NextPose, OdometrySource, SourceCounts};
 use csi5300::motion::pose::Pose;
+use csi5300::pipeline::LinkError;
 use csi5300::pipeline::Options;
-use csi5300::pipeline::live::{LiveEstimator, PeerReport};
+use csi5300::pipeline::live::{LiveEstimator, PeerReport, PeerState};
 use csi5300::source::recorder::{LogFiles, Recorder, Totals};
 use csi5300::source::{CsiSource, Error, Next};
 use csi5300::time::{Instant, Span};
@@ -260,7 +261,11 @@ impl Machine {
 
     /// The next report that is due: the peer's number and what is said of it.
     pub fn poll_report(&mut self, now: Instant) -> Option<(usize, PeerReport)> {
-        self.estimator.poll_report(now)
+        let (peer, mut report) = self.estimator.poll_report(now)?;
+        if let Some((_, counts)) = self.estimator.peers().nth(peer) {
+            say_silence(&mut report, counts.pairs);
+        }
+        Some((peer, report))
     }
 
     /// When something is to be done next, apart from what wakes it up.
@@ -336,7 +341,17 @@ impl Machine {
         }
         // The log first: it must be whole whatever the last estimates take.
         let totals = self.capture.source.finish(now);
-        let reports = self.estimator.finish(now);
+        let pairs: Vec<u64> = self.estimator.peers().map(|(_, counts)| counts.pairs).collect();
+        let mut reports = self.estimator.finish(now);
+        reports.iter_mut().zip(pairs).for_each(|(report, pairs)| say_silence(report, pairs));
         Ok((reports, totals?))
+    }
+}
+
+/// Says of a peer with pairs of which none has ever had a use what `csi5300 bearing` says: the antenna heard nothing. Every pair
+/// has a host time here, so nothing else leaves it out.
+fn say_silence(report: &mut PeerReport, pairs: u64) {
+    if report.state == PeerState::NoPairs && report.t_s.is_none() && pairs > 0 {
+        report.words = LinkError::Silent { pairs: usize::try_from(pairs).unwrap_or(usize::MAX) }.to_string();
     }
 }

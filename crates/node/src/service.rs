@@ -18,6 +18,7 @@ use csi5300::time::{Instant, Span};
 use csi5300_live::sys::watch_fd;
 use csi5300_live::wait::{Monotonic, is_ignored, processor_s, wall_us};
 use driver_iface::side_file::Layout;
+use nix::sys::signal::SigSet;
 use sd_notify::NotifyState;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -52,6 +53,9 @@ pub struct Ended {
 /// # Errors
 /// If it cannot be started. What fails later is in [`Ended::error`].
 pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
+    // A log as large as files may be here (`ulimit -f`) is a full disk: the write fails with EFBIG, and the signal ends nothing.
+    let sizes = SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
+    sizes.map_err(|errno| Error::Io { what: "cannot catch signals".into(), source: errno.into() })?;
     let mut sources = Sources::open(config, Instant::ZERO, wall_us)?;
     let network = Joined::join(config, &sources)?;
     let mut ros = Ros::open(config, &mut sources);

@@ -16,6 +16,20 @@ pub enum Error {
         /// The system's answer.
         source: io::Error,
     },
+    /// What can be read only once, or is no file at all.
+    #[error(
+        "{} is a pipe or a device: the page reads a log more than once, so write it to a file first", path.display()
+    )]
+    NoFile {
+        /// What was named.
+        path: PathBuf,
+    },
+    /// A log is another one than the page was made of.
+    #[error("{} was changed since it was read: load the page again", path.display())]
+    Changed {
+        /// The log.
+        path: PathBuf,
+    },
     /// A folder without anything that can be shown.
     #[error("no log and no capture below {}: a log's name ends in .dat", path.display())]
     Empty {
@@ -80,6 +94,7 @@ impl Error {
         match self {
             Self::NoSuch { .. } => 404,
             Self::Query { .. } => 400,
+            Self::Changed { .. } => 409,
             _ => 500,
         }
     }

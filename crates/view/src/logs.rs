@@ -3,8 +3,11 @@
 use crate::Error;
 use csi5300_lab::course::LogIndex;
 use std::collections::VecDeque;
+use std::fs::Metadata;
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::SystemTime;
 
 /// Logs that stay read; the one that was looked at longest ago is forgotten first.
 const KEPT: usize = 6;
@@ -15,12 +18,65 @@ pub(crate) struct Named {
     pub name: String,
     /// The file.
     pub path: PathBuf,
-    index: Mutex<Option<Arc<LogIndex>>>,
+    index: Mutex<Read>,
+}
+
+/// What was read of a log. The stamp stays when the index is forgotten.
+#[derive(Default)]
+struct Read {
+    index: Option<Arc<LogIndex>>,
+    stamp: Option<Stamp>,
+}
+
+/// A file as it was when it was read.
+#[derive(Clone, Copy)]
+struct Stamp {
+    device: u64,
+    inode: u64,
+    bytes: u64,
+    /// When it was last written to; not known of a file that grew while it was read.
+    modified: Option<SystemTime>,
+}
+
+impl Stamp {
+    /// Of a file of which `bytes` were read between these two looks.
+    fn new(before: &Metadata, after: &Metadata, bytes: u64) -> Self {
+        let stood = before.len() == after.len() && before.modified().ok() == after.modified().ok();
+        let modified = before.modified().ok().filter(|_| stood);
+        Self { device: before.dev(), inode: before.ino(), bytes: bytes.max(before.len()), modified }
+    }
+
+    /// What is there now may begin as what was read: the same file, as it was or longer. A log grows while it is recorded.
+    fn holds(&self, now: &Metadata) -> bool {
+        let is_same = (self.device, self.inode) == (now.dev(), now.ino());
+        let stood = self.modified.is_none() || self.modified == now.modified().ok();
+        is_same && (now.len() > self.bytes || (now.len() == self.bytes && stood))
+    }
+}
+
+impl Named {
+    /// The file now.
+    fn metadata(&self) -> Result<Metadata, Error> {
+        self.path.metadata().map_err(|source| Error::Missing { path: self.path.clone(), source })
+    }
+
+    /// The index of what is there now.
+    fn read(&self, place: &mut Read) -> Result<Arc<LogIndex>, Error> {
+        let before = self.metadata()?;
+        if !before.is_file() {
+            return Err(Error::NoFile { path: self.path.clone() });
+        }
+        let index = Arc::new(LogIndex::read(&self.path)?);
+        place.stamp = Some(Stamp::new(&before, &self.metadata()?, index.bytes()));
+        Ok(Arc::clone(place.index.insert(index)))
+    }
 }
 
 /// The logs that can be looked at.
 pub(crate) struct Logs {
     all: Vec<Named>,
+    /// What has a log's name and is none.
+    left_out: Vec<PathBuf>,
     recent: Mutex<VecDeque<usize>>,
 }
 
@@ -31,26 +87,35 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 impl Logs {
     pub fn new(logs: Vec<(String, PathBuf)>) -> Self {
         let named = |(name, path)| Named { name, path, index: Mutex::default() };
-        Self { all: logs.into_iter().map(named).collect(), recent: Mutex::default() }
+        Self { all: logs.into_iter().map(named).collect(), left_out: Vec::new(), recent: Mutex::default() }
     }
 
-    /// All logs below a folder (names in `.dat`), in the order of their names; links are not followed.
+    /// All logs below a folder (names in `.dat`), in the order of their names; links to folders are not followed. Pipes and
+    /// devices are left out: opening one could wait for ever.
     pub fn below(folder: &Path) -> Self {
-        let (mut found, mut folders) = (Vec::new(), vec![folder.to_path_buf()]);
+        let (mut found, mut left_out, mut folders) = (Vec::new(), Vec::new(), vec![folder.to_path_buf()]);
         while let Some(next) = folders.pop() {
             for entry in std::fs::read_dir(&next).into_iter().flatten().flatten() {
                 match entry.file_type() {
                     Ok(kind) if kind.is_dir() => folders.push(entry.path()),
                     _ if entry.path().extension().is_some_and(|extension| extension == "dat") => {
-                        found.push(entry.path());
+                        let is_other = entry.path().metadata().is_ok_and(|there| !there.is_file());
+                        (if is_other { &mut left_out } else { &mut found }).push(entry.path());
                     }
                     _ => {}
                 }
             }
         }
         found.sort();
+        left_out.sort();
         let name = |path: &PathBuf| path.strip_prefix(folder).unwrap_or(path).to_string_lossy().into_owned();
-        Self::new(found.into_iter().map(|path| (name(&path), path)).collect())
+        let logs = Self::new(found.into_iter().map(|path| (name(&path), path)).collect());
+        Self { left_out, ..logs }
+    }
+
+    /// What has a log's name and is none.
+    pub fn left_out(&self) -> &[PathBuf] {
+        &self.left_out
     }
 
     pub fn len(&self) -> usize {
@@ -66,16 +131,40 @@ impl Logs {
         self.all.iter().position(|log| log.path == path)
     }
 
-    /// A log and its index, read where it is not yet; whoever asks meanwhile waits for the same.
+    /// A log and its index, read where it is not yet, or is another one by now; whoever asks meanwhile waits for the same.
     pub fn read(&self, number: usize) -> Result<Option<(&Named, Arc<LogIndex>)>, Error> {
         let Some(log) = self.all.get(number) else { return Ok(None) };
         let index = {
             let mut place = lock(&log.index);
-            match &*place {
-                Some(index) => Arc::clone(index),
-                None => Arc::clone(place.insert(Arc::new(LogIndex::read(&log.path)?))),
+            let holds = place.stamp.is_some_and(|stamp| log.metadata().is_ok_and(|now| stamp.holds(&now)));
+            match &place.index {
+                Some(index) if holds => Arc::clone(index),
+                _ => log.read(&mut place)?,
             }
         };
+        self.keep(number);
+        Ok(Some((log, index)))
+    }
+
+    /// The same of a log that was read before and must still be what it was then: the page shows something of it already.
+    pub fn read_again(&self, number: usize) -> Result<Option<(&Named, Arc<LogIndex>)>, Error> {
+        self.must_hold(number)?;
+        self.read(number)
+    }
+
+    /// Refuses a log that is another one than was read last.
+    pub fn must_hold(&self, number: usize) -> Result<(), Error> {
+        let Some(log) = self.all.get(number) else { return Ok(()) };
+        match lock(&log.index).stamp {
+            Some(stamp) if !log.metadata().is_ok_and(|now| stamp.holds(&now)) => {
+                Err(Error::Changed { path: log.path.clone() })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Notes that an index was used, and forgets the one that was not for the longest.
+    fn keep(&self, number: usize) {
         let forgotten = {
             let mut recent = lock(&self.recent);
             recent.retain(|other| *other != number);
@@ -83,9 +172,8 @@ impl Logs {
             if recent.len() > KEPT { recent.pop_front() } else { None }
         };
         if let Some(other) = forgotten.and_then(|other| self.all.get(other)) {
-            lock(&other.index).take();
+            lock(&other.index).index.take();
         }
-        Ok(Some((log, index)))
     }
 }
 
@@ -105,5 +193,75 @@ mod tests {
         (1..KEPT + 1).for_each(|k| drop(many.read(k).unwrap()));
         assert!(!Arc::ptr_eq(&first, &many.read(0).unwrap().unwrap().1), "it was forgotten");
         assert!(many.read(KEPT + 2).unwrap().is_none());
+    }
+
+    /// A folder of its own with a log in it.
+    fn folder(name: &str) -> (PathBuf, PathBuf, Vec<u8>) {
+        let folder = std::env::temp_dir().join(format!("csi5300-logs-{}-{name}", std::process::id()));
+        let _ = std::fs::remove_dir_all(&folder);
+        std::fs::create_dir_all(&folder).unwrap();
+        let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures");
+        let bytes = std::fs::read(&Logs::below(&fixtures).iter().next().unwrap().path).unwrap();
+        let log = folder.join("a.dat");
+        std::fs::write(&log, &bytes).unwrap();
+        (folder, log, bytes)
+    }
+
+    #[test]
+    fn a_log_that_became_another_one_is_read_anew_and_no_part_of_it_is_shown_as_the_old_ones() {
+        let (folder, log, bytes) = folder("changed");
+        let logs = Logs::below(&folder);
+        let is_changed = || matches!(logs.read_again(0), Err(Error::Changed { .. }));
+        let (_, first) = logs.read(0).unwrap().unwrap();
+        assert!(!is_changed());
+        // Another robot's, of the same size, under the same name.
+        std::fs::write(folder.join("other"), &bytes).unwrap();
+        std::fs::rename(folder.join("other"), &log).unwrap();
+        assert!(is_changed());
+        let (_, second) = logs.read(0).unwrap().unwrap();
+        assert!(!Arc::ptr_eq(&first, &second) && !is_changed());
+        // Cut short, and written to in its place.
+        let open = std::fs::File::options().write(true).open(&log).unwrap();
+        open.set_len(bytes.len() as u64 / 2).unwrap();
+        assert!(is_changed());
+        assert!(logs.read(0).unwrap().unwrap().1.bytes() < first.bytes() && !is_changed());
+        open.set_modified(SystemTime::UNIX_EPOCH).unwrap();
+        assert!(is_changed());
+        let (_, third) = logs.read(0).unwrap().unwrap();
+        // One that is recorded grows: what was read of it is still there.
+        open.set_len(bytes.len() as u64).unwrap();
+        assert!(!is_changed() && Arc::ptr_eq(&third, &logs.read(0).unwrap().unwrap().1));
+        std::fs::remove_file(&log).unwrap();
+        assert!(is_changed());
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_log_whose_index_was_forgotten_is_still_known_to_be_another_one() {
+        let (folder, log, bytes) = folder("forgotten");
+        let mut named = vec![("0".to_owned(), log.clone())];
+        let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures");
+        let other = Logs::below(&fixtures).iter().next().unwrap().path.clone();
+        named.extend((1..=KEPT).map(|k| (k.to_string(), other.clone())));
+        let logs = Logs::new(named);
+        (0..=KEPT).for_each(|k| drop(logs.read(k).unwrap()));
+        std::fs::write(folder.join("other"), &bytes).unwrap();
+        std::fs::rename(folder.join("other"), &log).unwrap();
+        assert!(matches!(logs.read_again(0), Err(Error::Changed { .. })));
+        std::fs::remove_dir_all(folder).unwrap();
+    }
+
+    #[test]
+    fn a_pipe_with_a_logs_name_is_left_out_and_not_waited_for() {
+        let (folder, log, _) = folder("pipe");
+        let pipe = folder.join("p.dat");
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+        assert!(made.is_ok_and(|status| status.success()), "mkfifo");
+        std::os::unix::fs::symlink("p.dat", folder.join("q.dat")).unwrap();
+        let logs = Logs::below(&folder);
+        assert_eq!(logs.iter().map(|log| log.path.clone()).collect::<Vec<_>>(), [log]);
+        assert_eq!(logs.left_out(), [pipe.clone(), folder.join("q.dat")]);
+        assert!(matches!(Logs::new(vec![("p".into(), pipe)]).read(0), Err(Error::NoFile { .. })));
+        std::fs::remove_dir_all(folder).unwrap();
     }
 }

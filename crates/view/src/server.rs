@@ -54,29 +54,25 @@ impl Server {
         self.address
     }
 
-    /// Answers until the process is asked to end (SIGINT, SIGTERM).
+    /// Answers until the process is asked to end (SIGINT, SIGTERM, and with `hangup` SIGHUP, which is otherwise left as it is).
     ///
     /// # Errors
     /// If the server cannot be started.
-    pub fn run(self, view: &Arc<View>) -> Result<(), Error> {
+    pub fn run(self, view: &Arc<View>, hangup: bool) -> Result<(), Error> {
         let failed = |source| Error::Start { what: "the server", source };
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
         runtime.block_on(async {
-            let mut interrupt = signal(SignalKind::interrupt()).map_err(failed)?;
-            let mut terminate = signal(SignalKind::terminate()).map_err(failed)?;
+            let kinds = [SignalKind::interrupt(), SignalKind::terminate()].into_iter();
+            let kinds = kinds.chain(hangup.then(SignalKind::hangup));
+            let mut signals = kinds.map(signal).collect::<std::io::Result<Vec<_>>>().map_err(failed)?;
             let listener = tokio::net::TcpListener::from_std(self.listener).map_err(failed)?;
             tokio::spawn(accept(listener, self.address, Arc::clone(view)));
-            let asked = async {
-                // Whichever comes first.
-                let (first, second) = (interrupt.recv(), terminate.recv());
-                let (mut first, mut second) = (std::pin::pin!(first), std::pin::pin!(second));
-                std::future::poll_fn(|context| {
-                    let ended = first.as_mut().poll(context).is_ready() || second.as_mut().poll(context).is_ready();
-                    if ended { std::task::Poll::Ready(()) } else { std::task::Poll::Pending }
-                })
-                .await;
-            };
-            asked.await;
+            // Whichever comes first.
+            std::future::poll_fn(|context| {
+                let ended = signals.iter_mut().any(|signal| signal.poll_recv(context).is_ready());
+                if ended { std::task::Poll::Ready(()) } else { std::task::Poll::Pending }
+            })
+            .await;
             Ok::<(), Error>(())
         })?;
         // A log that is being read is not waited for.

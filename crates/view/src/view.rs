@@ -14,8 +14,9 @@ use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
 use driver_iface::record::Tail;
 use serde::Serialize;
+use std::fs::Metadata;
 use std::os::unix::fs::FileTypeExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 use std::sync::{Arc, OnceLock, Weak};
 
@@ -108,13 +109,24 @@ impl Query<'_> {
 }
 
 impl View {
+    /// Whether `path` is of a kind that is looked at, without opening it: a file, a folder or a socket.
+    ///
+    /// # Errors
+    /// If it is not there, or a pipe or a device, which could be waited for.
+    pub fn check(path: &Path) -> Result<Metadata, Error> {
+        let found = std::fs::metadata(path).map_err(|source| Error::Missing { path: path.to_owned(), source })?;
+        match found.is_file() || found.is_dir() || found.file_type().is_socket() {
+            true => Ok(found),
+            false => Err(Error::NoFile { path: path.to_owned() }),
+        }
+    }
+
     /// What `path` is: a log, a folder, or the status socket of a node.
     ///
     /// # Errors
     /// If there is nothing to look at.
     pub fn open(path: &Path, reading: Reading) -> Result<Self, Error> {
-        let missing = |source| Error::Missing { path: path.to_owned(), source };
-        let kind = std::fs::metadata(path).map_err(missing)?;
+        let kind = Self::check(path)?;
         let events = Arc::new(Events::default());
         let (antenna, source) = (reading.antenna(), reading.source());
         let name = path.file_name().map_or_else(|| path.display().to_string(), |n| n.to_string_lossy().into_owned());
@@ -197,6 +209,13 @@ impl View {
         self.links.as_ref().map_or((false, false), Links::outcome)
     }
 
+    /// What has the name of a log and is not shown, in words.
+    #[must_use]
+    pub fn left_out(&self) -> Vec<String> {
+        let words = |path: &PathBuf| format!("{} is left out: it is no file", path.display());
+        self.logs.left_out().iter().map(words).collect()
+    }
+
     /// What was noted of the captures so far.
     #[must_use]
     pub fn notes(&self) -> Vec<String> {
@@ -237,8 +256,12 @@ impl View {
             }
             ["data", "log", log] => self.facts(number(log)?)?.ok_or_else(none)?,
             ["data", "log", log, what @ ("levels" | "csi")] => {
-                let (_, index) = self.logs.read(number(log)?)?.ok_or_else(none)?;
-                self.stretch(&index, what, &query)?
+                let log = number(log)?;
+                let (_, index) = self.logs.read_again(log)?.ok_or_else(none)?;
+                let stretch = self.stretch(&index, what, &query);
+                // Where the log became another one meanwhile, what was read of it is of neither.
+                self.logs.must_hold(log)?;
+                stretch?
             }
             _ => return Err(none()),
         };

@@ -160,10 +160,18 @@ impl LogFiles {
         self.finished.iter().chain([&self.data.path]).cloned().collect()
     }
 
-    fn is_due(&self, chunk: &Chunk) -> bool {
-        let larger = self.rotation.bytes.is_some_and(|limit| self.data.len + chunk.bytes.len() as u64 > limit);
-        let older = self.rotation.every.zip(self.since).is_some_and(|(every, since)| chunk.at - since >= every);
-        self.records > 0 && (larger || older)
+    /// The file has been written to for as long as one is.
+    fn is_old(&self, now: Instant) -> bool {
+        self.records > 0 && self.rotation.every.zip(self.since).is_some_and(|(every, since)| now - since >= every)
+    }
+
+    /// How much of `rest` goes into the current file: bytes and records. A record that is larger than a file has one of its own.
+    fn fitting(&self, rest: &[u8]) -> (usize, usize) {
+        let room = self.rotation.bytes.map_or(u64::MAX, |limit| limit.saturating_sub(self.data.len));
+        match whole_records(rest, usize::try_from(room).unwrap_or(usize::MAX)) {
+            (0, _) if self.records == 0 => written(rest).next().map_or((0, 0), |record| (record.len(), 1)),
+            fits => fits,
+        }
     }
 
     /// Goes on in the next file; where that cannot be had, the old one goes on growing.
@@ -182,13 +190,13 @@ impl LogFiles {
     }
 
     /// Brings the side file up to the data file: zeros for what an earlier failure left out, then the first `records` of
-    /// a chunk, of which `before` were in the log already.
-    fn stamp(&mut self, before: u64, chunk: &Chunk, records: usize) -> io::Result<()> {
+    /// a part, of which `before` were in the log already.
+    fn stamp(&mut self, before: u64, part: Part<'_>, records: usize) -> io::Result<()> {
         let (length, head) = (self.layout.bytes(), self.layout.head());
         let there = self.side.len.saturating_sub(head.len() as u64) / length as u64;
         let behind = before.saturating_sub(there) as usize;
         let check = |record| (self.layout == Layout::Checked).then(|| Check::of(record));
-        let known = chunk.host_us.iter().zip(written(&chunk.bytes)).take(records);
+        let known = part.host_us.iter().zip(written(part.bytes)).take(records);
         let known = known.map(|(host_us, record)| Entry { host_us: *host_us, check: check(record) });
         let mut bytes = if self.side.len == 0 { head.to_vec() } else { Vec::new() };
         for entry in std::iter::repeat_n(Entry::default(), behind).chain(known) {
@@ -199,6 +207,38 @@ impl LogFiles {
         }
         let layout = self.layout;
         self.side.append(&bytes, |done| whole_entries(layout, done)).1
+    }
+
+    /// Appends to the current file, and counts what was appended in `sum`; false once the disk takes no more.
+    fn append(&mut self, part: Part<'_>, sum: &mut Written) -> bool {
+        let (done, outcome) = self.data.append(part.bytes, |done| whole_records(part.bytes, done).0);
+        let records = whole_records(part.bytes, done).1;
+        let before = self.records;
+        self.records += records as u64;
+        let stamped = self.stamp(before, part, records);
+        let words = |path: &Path, error: io::Error| format!("writing {}: {error}", path.display());
+        sum.records += records as u64;
+        let takes = outcome.is_ok();
+        let error = outcome.map_err(|error| words(&self.data.path, error)).err();
+        let error = error.or_else(|| stamped.map_err(|error| words(&self.side.path, error)).err());
+        sum.error = error.or(sum.error.take());
+        takes
+    }
+}
+
+/// Whole records of a chunk, and their host times.
+#[derive(Clone, Copy)]
+struct Part<'a> {
+    bytes: &'a [u8],
+    host_us: &'a [Option<i64>],
+}
+
+impl<'a> Part<'a> {
+    /// The first of it, and the rest.
+    fn split(self, bytes: usize, records: usize) -> Option<(Self, Self)> {
+        let (bytes, more) = self.bytes.split_at_checked(bytes)?;
+        let (host_us, later) = self.host_us.split_at_checked(records)?;
+        Some((Self { bytes, host_us }, Self { bytes: more, host_us: later }))
     }
 }
 
@@ -280,18 +320,27 @@ fn numbered(path: &Path, number: u32) -> PathBuf {
 
 impl Sink for LogFiles {
     fn write(&mut self, chunk: &Chunk) -> Written {
-        let rotated = if self.is_due(chunk) { self.rotate() } else { None };
-        self.since.get_or_insert(chunk.at);
-        let (done, outcome) = self.data.append(&chunk.bytes, |done| whole_records(&chunk.bytes, done).0);
-        let records = whole_records(&chunk.bytes, done).1;
-        let lost = chunk.host_us.len() - records;
-        let before = self.records;
-        self.records += records as u64;
-        let stamped = self.stamp(before, chunk, records);
-        let words = |path: &Path, error: io::Error| format!("writing {}: {error}", path.display());
-        let error = outcome.map_err(|error| words(&self.data.path, error)).err();
-        let error = error.or_else(|| stamped.map_err(|error| words(&self.side.path, error)).err()).or(rotated);
-        Written { records: records as u64, lost: lost as u64, error }
+        let mut sum = Written { error: if self.is_old(chunk.at) { self.rotate() } else { None }, ..Written::default() };
+        let mut rest = Part { bytes: &chunk.bytes, host_us: &chunk.host_us };
+        while !rest.bytes.is_empty() {
+            let mut fits = self.fitting(rest.bytes);
+            if fits.1 == 0 {
+                let number = self.number;
+                sum.error = self.rotate().or(sum.error);
+                let went_on = self.number > number;
+                fits = if went_on { self.fitting(rest.bytes) } else { (rest.bytes.len(), rest.host_us.len()) };
+            }
+            self.since.get_or_insert(chunk.at);
+            let Some((part, more)) = rest.split(fits.0, fits.1).filter(|(part, _)| !part.bytes.is_empty()) else {
+                break;
+            };
+            if !self.append(part, &mut sum) {
+                break;
+            }
+            rest = more;
+        }
+        sum.lost = chunk.host_us.len() as u64 - sum.records;
+        sum
     }
 
     fn sync(&mut self) -> Option<String> {

@@ -177,7 +177,7 @@ fn table(args: &Args, output: &Path, filter: Filter) -> Words<Written> {
     }
     let mut unscaled = 0;
     if records > 0 {
-        unscaled = export.write(output).map_err(|error| error.to_string())?;
+        unscaled = export.write(output).map_err(|error| error.of_file(&args.output).to_string())?;
     }
     Ok(Written { survey: reading.survey, bytes, records, unscaled, without_antennas: export.without_antennas() })
 }

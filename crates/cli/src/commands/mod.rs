@@ -221,6 +221,9 @@ struct Missing {
 /// Runs the command named by the arguments.
 pub fn run() -> ExitCode {
     let begun = std::time::Instant::now();
+    // A file as large as files may be here (`ulimit -f`) is a full disk: the write fails with EFBIG, and the signal ends nothing.
+    #[cfg(feature = "live")]
+    let _ = nix::sys::signal::SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
     let cli = Cli::try_parse().unwrap_or_else(|error| misused(&error));
     let level = match (cli.quiet, cli.verbose) {
         (true, _) => Level::Quiet,

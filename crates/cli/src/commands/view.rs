@@ -42,8 +42,11 @@ pub fn reading(reading: &Reading) -> csi5300_view::Reading {
 
 /// Serves the page until a signal ends it.
 pub fn run(args: &Args) -> Result {
+    // Before it is opened: a pipe would be waited for.
+    View::check(&args.what).map_err(|error| error.to_string())?;
     super::files::must_be_log(&args.what)?;
     let view = View::open(&args.what, reading(&args.reading)).map_err(|error| error.to_string())?;
+    view.left_out().iter().for_each(|words| note!("{words}"));
     let view = Arc::new(view);
     let server = Server::listen(args.listen).map_err(|error| error.to_string())?;
     let address = server.address();
@@ -60,8 +63,17 @@ pub fn run(args: &Args) -> Result {
     if args.open {
         open(&url);
     }
-    server.run(&view).map_err(|error| error.to_string())?;
+    server.run(&view, ends_by_hangup()).map_err(|error| error.to_string())?;
     Ok(Outcome::Done)
+}
+
+/// SIGHUP ends it, unless it is ignored, as under `nohup`.
+fn ends_by_hangup() -> bool {
+    #[cfg(feature = "live")]
+    let ends = !csi5300_live::wait::is_ignored(nix::sys::signal::Signal::SIGHUP);
+    #[cfg(not(feature = "live"))]
+    let ends = true;
+    ends
 }
 
 /// Opens the page as the desktop opens pages.

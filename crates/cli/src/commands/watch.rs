@@ -1,6 +1,10 @@
 //! `csi5300 watch`: a running node in a terminal.
 
+use super::live::Signals;
 use super::{Outcome, Result, fixed, print};
+use csi5300_live::wait::Monotonic;
+use nix::sys::signal::{SigSet, Signal};
+use nix::sys::signalfd::{SfdFlags, SignalFd};
 use ratatui::Frame;
 use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -11,6 +15,7 @@ use ratatui::widgets::canvas::{Canvas, Circle, Line as Stroke};
 use ratatui::widgets::{Block, Paragraph, Row, Table};
 use serde_json::Value;
 use std::io::{BufRead, BufReader, IsTerminal};
+use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, channel};
@@ -36,7 +41,33 @@ const TABLE: u16 = 80;
 const COLOURS: [Color; 6] =
     [Color::Cyan, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::LightBlue];
 
-/// Shows a running node until `q` is pressed.
+/// The signals that end the program: they wait until the terminal is as it was.
+struct Ends {
+    signals: Signals,
+    /// SIGQUIT, which leaves a core behind where nothing is set aside for it.
+    quit: SignalFd,
+    clock: Monotonic,
+}
+
+impl Ends {
+    /// From here on they end nothing by themselves. Threads started later inherit that.
+    fn catch() -> std::result::Result<Self, String> {
+        let set = SigSet::from_iter([Signal::SIGQUIT]);
+        let quit = set
+            .thread_block()
+            .and_then(|()| SignalFd::with_flags(&set, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC));
+        let quit = quit.map_err(|errno| format!("cannot catch signals: {errno}"))?;
+        Ok(Self { signals: Signals::catch()?, quit, clock: Monotonic::new() })
+    }
+
+    /// True once one has come.
+    fn is_one_here(&self) -> bool {
+        let come = self.clock.wait([self.signals.as_fd(), self.quit.as_fd()], Some(self.clock.now()));
+        come.is_ok_and(|come| come.contains(&true))
+    }
+}
+
+/// Shows a running node until `q` is pressed, or a signal comes.
 pub fn run(args: &Args) -> Result {
     let socket = args.socket.clone().unwrap_or_else(super::places::status_socket);
     let stream = connect(&socket)?;
@@ -51,6 +82,8 @@ pub fn run(args: &Args) -> Result {
             None => Err("the node ended before it said anything, or 16 others are looking at it already".into()),
         };
     }
+    // Before the thread, which would end the program on one, and before there is anything to restore.
+    let ends = Ends::catch()?;
     let (told, from_node) = channel();
     std::thread::spawn(move || {
         for line in states.map_while(std::result::Result::ok) {
@@ -61,9 +94,13 @@ pub fn run(args: &Args) -> Result {
         }
     });
     let mut terminal = ratatui::init();
-    let shown = show(&mut terminal, &from_node, &socket);
+    let shown = show(&mut terminal, &from_node, &socket, &ends);
     ratatui::restore();
-    shown.map_err(|error| error.to_string())
+    match shown {
+        // A terminal that was closed refuses to be drawn on, and says so by a hangup.
+        Err(_) if ends.is_one_here() => Ok(Outcome::Done),
+        shown => shown.map_err(|error| error.to_string()),
+    }
 }
 
 fn connect(socket: &Path) -> std::result::Result<UnixStream, String> {
@@ -73,11 +110,16 @@ fn connect(socket: &Path) -> std::result::Result<UnixStream, String> {
     })
 }
 
-/// Draws every state that comes, until a key ends it.
-fn show(terminal: &mut ratatui::DefaultTerminal, states: &Receiver<Value>, socket: &Path) -> std::io::Result<Outcome> {
+/// Draws every state that comes, until a key or a signal ends it.
+fn show(
+    terminal: &mut ratatui::DefaultTerminal,
+    states: &Receiver<Value>,
+    socket: &Path,
+    ends: &Ends,
+) -> std::io::Result<Outcome> {
     let mut state = Value::Null;
     let mut silent = Duration::ZERO;
-    loop {
+    while !ends.is_one_here() {
         let look = Duration::from_millis(100);
         match states.try_iter().last() {
             Some(new) => (state, silent) = (new, Duration::ZERO),
@@ -91,10 +133,11 @@ fn show(terminal: &mut ratatui::DefaultTerminal, states: &Receiver<Value>, socke
         {
             let interrupt = key.code == KeyCode::Char('c') && key.modifiers.contains(KeyModifiers::CONTROL);
             if interrupt || matches!(key.code, KeyCode::Char('q') | KeyCode::Esc) {
-                return Ok(Outcome::Done);
+                break;
             }
         }
     }
+    Ok(Outcome::Done)
 }
 
 /// The table of so many peers and the compass: beside each other where there is room, else below each other.

@@ -20,6 +20,8 @@ mod commands;
 mod compare;
 #[cfg(feature = "plot")]
 mod drawing;
+#[cfg(all(feature = "live", feature = "plot"))]
+mod full;
 mod looking;
 #[cfg(feature = "live")]
 mod monitor;
@@ -32,4 +34,6 @@ mod recording;
 mod recovering;
 #[cfg(feature = "live")]
 mod served;
+#[cfg(feature = "node")]
+mod signalled;
 mod words;

@@ -185,6 +185,27 @@ fn a_full_disk_is_counted_loss() {
     assert!(said.contains(&lost) && said.contains("No space left"), "expected {lost}:\n{said}");
 }
 
+/// `ulimit -f`, in blocks of 512 or 1,024 bytes by the shell.
+#[test]
+fn a_limit_of_file_sizes_is_a_full_disk_and_ends_nothing() {
+    if !inside(concat!(module_path!(), "::a_limit_of_file_sizes_is_a_full_disk_and_ends_nothing"), "-Urn") {
+        return;
+    }
+    let folder = folder("limit");
+    let out = folder.join("out.dat");
+    let running = Running::start_by("ulimit -f 100; exec", &out, &[]);
+    let mut sender = Sender::open(CN_IDX, true).unwrap();
+    send_gently(&mut sender, 0..3_000);
+    Running::wait_for_bytes(&out, 40_000);
+    let (status, said) = running.end(Signal::SIGTERM);
+    assert_eq!(status, Some(3), "{said}");
+    let (counts, tail, _) = read(&out);
+    assert_eq!((tail, counts.len() < 3_000), (Tail::Clean, true), "{said}");
+    let lost = format!("{} that it refused", 3_000 - counts.len());
+    assert!(said.contains(&lost) && said.contains("File too large"), "expected {lost}:\n{said}");
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
 #[test]
 fn a_stopped_recorder_reports_what_it_missed() {
     if !inside(concat!(module_path!(), "::a_stopped_recorder_reports_what_it_missed"), "-Urn") {

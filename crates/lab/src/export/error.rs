@@ -75,3 +75,21 @@ pub enum ExportError {
         known: &'static str,
     },
 }
+
+impl ExportError {
+    /// The same of a file that will have another name: who writes a draft names the file that it becomes.
+    #[must_use]
+    pub fn of_file(mut self, name: &std::path::Path) -> Self {
+        match &mut self {
+            Self::Io { file, .. }
+            | Self::Format { file, .. }
+            | Self::Values { file, .. }
+            | Self::TooLong { file, .. }
+            | Self::Stopped { file }
+            | Self::Extension { file, .. } => *file = name.display().to_string(),
+            // Of the log that is read.
+            Self::Log { .. } | Self::Changed { .. } => {}
+        }
+        self
+    }
+}

@@ -7,7 +7,7 @@ use super::error::ExportError;
 use bytemuck::Pod;
 use num_complex::Complex32;
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::{self, Seek, SeekFrom, Write};
 use std::path::Path;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
@@ -28,9 +28,68 @@ macro_rules! elements {
 
 elements!(u8: "u1", i8: "i1", u16: "u2", u32: "u4", i64: "i8", f64: "f8", Complex32: "c8");
 
+/// A file that takes nothing any more once it has refused something. What is written to it then seems to succeed: the writer of
+/// the archive, which finishes it when it is dropped, would say on standard error that it cannot.
+struct Disk {
+    file: File,
+    /// Where in the file it would be had nothing been refused, and where its end would be.
+    at: u64,
+    end: u64,
+    refused: Option<io::ErrorKind>,
+}
+
+impl Disk {
+    /// An empty file.
+    fn new(file: File) -> Self {
+        Self { file, at: 0, end: 0, refused: None }
+    }
+
+    /// Notes what the file refuses.
+    fn note<T>(&mut self, said: io::Result<T>) -> io::Result<T> {
+        let refused = said.as_ref().err().map(io::Error::kind);
+        self.refused = refused.filter(|kind| *kind != io::ErrorKind::Interrupted);
+        said
+    }
+}
+
+impl Write for Disk {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let count = match self.refused {
+            Some(_) => bytes.len(),
+            None => {
+                let said = self.file.write(bytes);
+                self.note(said)?
+            }
+        };
+        self.at += count as u64;
+        self.end = self.end.max(self.at);
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        let said = if self.refused.is_none() { self.file.flush() } else { return Ok(()) };
+        self.note(said)
+    }
+}
+
+impl Seek for Disk {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.at = match (self.refused, to) {
+            (None, _) => {
+                let said = self.file.seek(to);
+                self.note(said)?
+            }
+            (Some(_), SeekFrom::Start(at)) => at,
+            (Some(_), SeekFrom::Current(by)) => self.at.saturating_add_signed(by),
+            (Some(_), SeekFrom::End(by)) => self.end.saturating_add_signed(by),
+        };
+        Ok(self.at)
+    }
+}
+
 /// An NPZ file being written. Dropped early, it is left without its directory, and readers refuse it.
 pub struct Npz {
-    writer: ZipWriter<File>,
+    writer: ZipWriter<Disk>,
     name: String,
 }
 
@@ -54,7 +113,7 @@ impl Npz {
         {
             let _ = nix::fcntl::fallocate(&file, nix::fcntl::FallocateFlags::FALLOC_FL_KEEP_SIZE, 0, bytes);
         }
-        Ok(Self { writer: ZipWriter::new(file), name })
+        Ok(Self { writer: ZipWriter::new(Disk::new(file)), name })
     }
 
     /// Adds an array of the given shape, last index fastest.
@@ -89,7 +148,7 @@ impl Npz {
         &mut self,
         name: &str,
         shape: &[u64],
-        write: impl FnOnce(&mut ZipWriter<File>) -> io::Result<u64>,
+        write: impl FnOnce(&mut ZipWriter<Disk>) -> io::Result<u64>,
     ) -> Result<(), ExportError> {
         let io = |source| ExportError::Io { file: self.name.clone(), source };
         // Room for sizes over 4 GiB: an array's size is known only at its end.
@@ -114,7 +173,9 @@ impl Npz {
             Ok(written) => written,
             Err(source) => return Err(ExportError::Format { file, source: source.into() }),
         };
-        written.flush().map_err(|source| ExportError::Io { file, source })
+        let flushed = written.flush();
+        let refused = written.refused.map_or(flushed, |kind| Err(kind.into()));
+        refused.map_err(|source| ExportError::Io { file, source })
     }
 }
 
@@ -135,4 +196,30 @@ fn header<T: Element>(shape: &[u64]) -> Vec<u8> {
     header.extend(u16::try_from(length).unwrap_or(u16::MAX).to_le_bytes());
     header.extend(dict.as_bytes());
     header
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file in which nothing can be written is a disk without room: `/dev/full` does not tell where in it one is.
+    #[test]
+    fn a_disk_that_refused_once_is_not_asked_again_and_the_refusal_is_not_forgotten() {
+        let path = std::env::temp_dir().join(format!("csi5300-refused-{}.npz", std::process::id()));
+        std::fs::write(&path, b"").unwrap();
+        let mut disk = Disk::new(File::open(&path).unwrap());
+        assert!(disk.write(b"x").is_err());
+        assert!(disk.refused.is_some());
+        assert!(disk.write(b"more").is_ok_and(|count| count == 4) && disk.flush().is_ok());
+        // It goes on where it would be.
+        assert_eq!(disk.seek(SeekFrom::Current(-3)).unwrap(), 1);
+        assert_eq!((disk.seek(SeekFrom::End(1)).unwrap(), disk.seek(SeekFrom::Start(2)).unwrap()), (5, 2));
+        let name = path.display().to_string();
+        let refusing = || ZipWriter::new(Disk::new(File::open(&path).unwrap()));
+        // The first array is refused; what comes after is not a success.
+        let mut npz = Npz { writer: refusing(), name: name.clone() };
+        assert!(npz.array("a", &[1], [1_u8].into_iter()).is_err());
+        assert!(matches!(npz.finish(), Err(ExportError::Io { .. } | ExportError::Format { .. })));
+        std::fs::remove_file(path).unwrap();
+    }
 }

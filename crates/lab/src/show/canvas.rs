@@ -1,11 +1,12 @@
 //! Lines, text, legends and marks on kuva's scene, which is written as PNG, SVG or PDF. Pixels, y down.
 use super::Error;
 use super::axes::Axes;
-use super::format::{Format, Kind};
+use super::format::{Format, Kind, write_whole};
 use kuva::RasterBackend;
 use kuva::backend::svg::SvgBackend;
 use kuva::render::color::Color;
 use kuva::render::render::{PathData, Primitive, Scene, TextAnchor};
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 pub(super) type Rgb = (u8, u8, u8);
@@ -257,7 +258,7 @@ impl Canvas {
                     super::pdf::render(&self.0, &title)?
                 }
             };
-            std::fs::write(path, bytes).map_err(fail(path))?;
+            write_whole(path, |file| file.write_all(&bytes)).map_err(fail(path))?;
         }
         Ok(files)
     }

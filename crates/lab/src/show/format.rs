@@ -1,5 +1,7 @@
 //! In which formats pictures are written.
 use super::Error;
+use std::fs::File;
+use std::io;
 use std::path::{Path, PathBuf};
 
 /// A format of picture files.
@@ -96,5 +98,58 @@ impl Format {
             Some(path) => Err(Error::There { path }),
             None => Ok(()),
         }
+    }
+}
+
+/// Writes a file that is whole or as it was: under a name of its own beside, and renamed at the end. A link stays one; devices
+/// and pipes are written as they are.
+///
+/// # Errors
+/// If it cannot be written; nothing is left of it then.
+pub(super) fn write_whole(path: &Path, write: impl FnOnce(&mut File) -> io::Result<()>) -> io::Result<()> {
+    let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    if target.metadata().is_ok_and(|found| !found.is_file()) {
+        return write(&mut File::create(&target)?);
+    }
+    let name = |part: Option<&std::ffi::OsStr>| part.unwrap_or_default().to_string_lossy().into_owned();
+    let (stem, extension) = (name(target.file_stem()), name(target.extension()));
+    let draft = target.with_file_name(format!("{stem}.part-{}.{extension}", std::process::id()));
+    let written = File::create(&draft).and_then(|mut file| write(&mut file));
+    let written = written.and_then(|()| std::fs::rename(&draft, &target));
+    if written.is_err() {
+        let _ = std::fs::remove_file(&draft);
+    }
+    written
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    #[test]
+    fn a_picture_for_which_the_disk_has_no_room_leaves_what_was_there() {
+        let folder = std::env::temp_dir().join(format!("csi5300-whole-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let full = |file: &mut File| {
+            file.write_all(b"the first ha")?;
+            Err(io::ErrorKind::StorageFull.into())
+        };
+        let names = || std::fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name()).collect::<Vec<_>>();
+        let picture = folder.join("a.png");
+        let error = write_whole(&picture, full).unwrap_err();
+        assert_eq!((error.kind(), names().len()), (io::ErrorKind::StorageFull, 0));
+        write_whole(&picture, |file| file.write_all(b"old")).unwrap();
+        write_whole(&picture, full).unwrap_err();
+        assert_eq!((std::fs::read(&picture).unwrap(), names().len()), (b"old".to_vec(), 1));
+        #[cfg(unix)]
+        {
+            let link = folder.join("link.png");
+            std::os::unix::fs::symlink("a.png", &link).unwrap();
+            write_whole(&link, |file| file.write_all(b"new")).unwrap();
+            assert!(link.is_symlink() && std::fs::read(&picture).unwrap() == b"new");
+            write_whole(Path::new("/dev/null"), |file| file.write_all(b"nowhere")).unwrap();
+        }
+        std::fs::remove_dir_all(folder).unwrap();
     }
 }

@@ -8,6 +8,7 @@ use csi5300_node::config::{CameraMount, Config};
 use csi5300_node::machine::{Capture, Machine};
 use csi5300_node::sources::Sources;
 use csi5300_sim::{Room, Scene};
+use driver_iface::bfee::Antenna;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -238,6 +239,25 @@ fn nothing_is_computed_for_robots_that_stand() {
     let late: Vec<PeerState> =
         reports.iter().filter(|(at, ..)| at.as_s() > 22.2).map(|(.., report)| report.state).collect();
     assert!(!late.is_empty() && late.iter().all(|state| *state == PeerState::Held), "{late:?}");
+}
+
+#[test]
+fn an_antenna_that_hears_nothing_is_said_and_not_waited_for() {
+    let folder = folder("ring-silent");
+    let text = scene(2, false);
+    let mut config = config(&folder, &text, 2, false);
+    config.antenna = Antenna::B;
+    let (reports, last) = run(machine(&config), Instant::from_us(4_000_000));
+    let (first, then) = reports.split_first().unwrap();
+    // What is said before the first pair is that there was none.
+    assert!(first.0.as_s() < 1.0 && !then.is_empty(), "{first:?}");
+    for report in then.iter().map(|(.., report)| report).chain(&last) {
+        assert_eq!(report.state, PeerState::NoPairs);
+        assert!(report.words.starts_with("the antenna heard nothing: the CSI of all "), "{}", report.words);
+    }
+    config.antenna = Antenna::A;
+    let (heard, _) = run(machine(&config), Instant::from_us(1_000_000));
+    assert!(heard.iter().all(|(.., report)| !report.words.contains("heard nothing")), "{heard:?}");
 }
 
 /// The same room, in which all robots initiate in turns.

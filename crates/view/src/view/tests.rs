@@ -69,6 +69,26 @@ fn a_stretch_of_a_log_is_what_was_asked_for() {
 }
 
 #[test]
+fn a_stretch_of_a_log_that_was_replaced_is_refused_until_the_page_is_loaded_again() {
+    let folder = std::env::temp_dir().join(format!("csi5300-view-replaced-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let fixture = View::open(&fixtures(), reading()).unwrap().logs.iter().next().map(|log| log.path.clone()).unwrap();
+    let log = folder.join("a.dat");
+    std::fs::copy(&fixture, &log).unwrap();
+    let view = View::open(&log, reading()).unwrap();
+    ask(&view, "/data/log/0/csi", "columns=40");
+    std::fs::copy(&fixture, folder.join("b")).unwrap();
+    std::fs::rename(folder.join("b"), &log).unwrap();
+    for what in ["csi", "levels"] {
+        let error = view.answer(&format!("/data/log/0/{what}"), "").map(|_| ()).unwrap_err();
+        assert!(error.status() == 409 && error.to_string().contains("was changed since"), "{what}: {error}");
+    }
+    ask(&view, "/data/log/0", "");
+    ask(&view, "/data/log/0/csi", "columns=40");
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
 fn what_cannot_be_meant_is_said() {
     let view = View::open(&fixtures(), reading()).unwrap();
     for path in

@@ -150,14 +150,71 @@ fn a_file_is_left_for_the_next_once_it_holds_something() {
     let rotation = Rotation { bytes: Some(18), every: Some(Span::from_ms(10)) };
     let mut files = LogFiles::create(&log, rotation, false).unwrap();
     let mut made = Vec::new();
-    // 24 bytes into an empty file; the next is filled to its last byte; in the third 6 more would fit and come too late.
+    // Four records, of which the first file takes three; the next is filled to its last byte; in the third 6 more would fit and
+    // come too late.
     for (at, numbers) in [(0, 0..4), (1, 4..5), (2, 5..6), (3, 6..7), (4, 7..8), (13, 8..9), (14, 9..10)] {
         assert_eq!(files.write(&Chunk { at: ms(at), ..chunk(numbers) }).error, None);
         made.push(files.paths().len());
     }
-    assert_eq!(made, [1, 2, 2, 2, 3, 3, 4]);
+    assert_eq!(made, [2, 2, 2, 3, 3, 4, 4]);
     let lengths = files.paths().iter().map(|path| std::fs::metadata(path).unwrap().len()).collect::<Vec<_>>();
-    assert_eq!(lengths, [24, 18, 12, 6]);
+    assert_eq!(lengths, [18, 18, 12, 12]);
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn no_file_is_larger_than_was_asked_for_however_much_comes_at_once() {
+    let folder = folder("size");
+    // 6 bytes a record: as many as fit, and one where none does.
+    for (limit, lengths) in [(13, vec![12, 12, 12, 12, 12]), (24, vec![24, 24, 12]), (5, vec![6; 10]), (99, vec![60])] {
+        let log = folder.join(format!("{limit}.dat"));
+        let rotation = Rotation { bytes: Some(limit), every: None };
+        let mut files = LogFiles::create(&log, rotation, false).unwrap().with_side_layout(Layout::Checked);
+        assert_eq!(files.write(&chunk(0..10)), Written { records: 10, ..Written::default() });
+        let paths = files.paths();
+        let logs: Vec<Vec<u8>> = paths.iter().map(|path| std::fs::read(path).unwrap()).collect();
+        assert_eq!(logs.iter().map(Vec::len).collect::<Vec<_>>(), lengths, "{limit}");
+        assert_eq!(logs.concat(), chunk(0..10).bytes, "{limit}");
+        let mut number = 0;
+        for (path, log) in paths.iter().zip(&logs) {
+            let side = std::fs::read(side_path(path)).unwrap();
+            let entries = side[Layout::Checked.head().len()..].chunks(Layout::Checked.bytes());
+            assert_eq!(entries.len(), log.len() / 6);
+            for entry in entries {
+                let expected = Check::of(&record(number));
+                assert_eq!(Entry::parse(entry, Layout::Checked).check, Some(expected), "{limit}: {number}");
+                number += 1;
+            }
+        }
+    }
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn where_there_is_no_next_file_the_old_one_takes_all_that_came() {
+    let folder = folder("no-next");
+    std::fs::write(folder.join("out-0002.dat"), "another's").unwrap();
+    let rotation = Rotation { bytes: Some(12), every: None };
+    let mut files = LogFiles::create(&folder.join("out.dat"), rotation, false).unwrap();
+    for (numbers, bytes) in [(0..5, 30), (5..6, 36)] {
+        let written = files.write(&chunk(numbers.clone()));
+        assert_eq!((written.records, written.lost), (numbers.len() as u64, 0));
+        assert!(written.error.unwrap().contains("so the old one grows"));
+        assert_eq!(std::fs::metadata(folder.join("out-0001.dat")).unwrap().len(), bytes);
+    }
+    assert_eq!(std::fs::read(folder.join("out-0002.dat")).unwrap(), b"another's");
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn what_a_full_disk_left_out_of_a_chunk_is_counted_over_all_its_files() {
+    let folder = folder("part");
+    let rotation = Rotation { bytes: Some(12), every: None };
+    let mut files = LogFiles::create(&folder.join("out.dat"), rotation, false).unwrap();
+    files.data.file = File::open("/dev/null").unwrap();
+    let written = files.write(&chunk(0..5));
+    assert_eq!((written.records, written.lost), (0, 5));
+    assert!(written.error.unwrap().contains("out-0001.dat"));
     std::fs::remove_dir_all(folder).unwrap();
 }
 

@@ -24,8 +24,9 @@ pub(super) fn pairs(answer: &Answer) -> String {
         counts.silent,
         if counts.thinned > 0 { format!(", {} left out evenly", counts.thinned) } else { String::new() }
     );
-    let by_transmitter = counts.no_pose_by_transmitter;
-    if counts.no_pose.saturating_sub(by_transmitter) as f64 > MANY_OUTSIDE * counts.formed as f64 {
+    let other = counts.no_pose_by_transmitter;
+    let far_fewer = |other: &usize| counts.no_pose.saturating_sub(*other) as f64 > MANY_OUTSIDE * counts.formed as f64;
+    if let Some(by_transmitter) = other.filter(far_fewer) {
         let _ = writeln!(
             text,
             "  by the times of the transmitter's log {by_transmitter} would be without a pose: were the two logs exchanged?"

@@ -1,14 +1,19 @@
-//! Files that a robot writes: their folders are there and may be written to, and none is another one.
+//! Files that a robot writes: their folders are there and may be written to, and none is another one, nor one that it reads.
 
+use super::super::{Capture, Config, Odometry, Records};
 use super::Check;
 use csi5300::source::side_path;
 use csi5300_sim::toml_lines::Step::Key;
 use nix::unistd::{AccessFlags, access};
-use std::os::unix::fs::FileTypeExt;
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::os::unix::net::SocketAddr;
 use std::path::Path;
 
 /// Folders that the service makes when it starts, for its own user (`packaging/csi5300-node.service`).
 const OF_SERVICE: [&str; 2] = ["/var/lib/csi5300", "/run/csi5300"];
+
+/// Bytes of a socket's name at most: `sun_path` in `<linux/un.h>`, with a zero at its end.
+const NAME_OF_SOCKET: usize = 107;
 
 /// What becomes of an output's name.
 #[derive(Clone, Copy)]
@@ -35,15 +40,19 @@ impl Check<'_> {
             (["output", "status_socket"], Kind::Socket, output.status_socket.as_deref()),
             (["ros2", "bag"], Kind::Folder, bag),
         ];
+        let inputs = files_to_read(config);
         let mut before: Vec<(&str, &Path)> = Vec::new();
         for (place, kind, file) in files {
             let Some(file) = file else { continue };
+            let read = inputs.iter().find(|(_, input)| is_one(input, file)).map(|(key, _)| {
+                format!("{} is what {key} names: what this robot reads is not written to", file.display())
+            });
             let twice = before.iter().find(|(_, other)| is_one(other, file)).map(|(name, _)| {
                 format!("{} is what `{name}` writes, too: they would destroy each other", file.display())
             });
             let itself = self.own_file.is_some_and(|own| is_one(own, file));
             let itself = itself.then(|| format!("{} is this configuration", file.display()));
-            if let Some(why) = unwritable(file, kind).or(twice).or(itself) {
+            if let Some(why) = unwritable(file, kind).or(read).or(twice).or(itself) {
                 self.refuse(&place.map(Key), why);
             }
             before.push((place[1], file));
@@ -54,14 +63,58 @@ impl Check<'_> {
     }
 }
 
+/// Every file that the configuration has this robot read, and the key that names it.
+fn files_to_read(config: &Config) -> Vec<(String, &Path)> {
+    let mut inputs: Vec<(String, &Path)> = Vec::new();
+    match config.capture.get_ref() {
+        Capture::Replay(replay) => inputs.push(("`capture.replay`".into(), &replay.file)),
+        Capture::Room(room) => {
+            // Others are built in.
+            let scene = Some(room.scene.as_path()).filter(|scene| scene.extension().is_some());
+            inputs.extend(scene.map(|scene| ("`capture.room`".into(), scene)));
+            let followed = room.follow.iter();
+            inputs.extend(followed.filter_map(|(name, of)| poses(format!("`capture.room.follow.{name}`"), of)));
+        }
+        Capture::Served(served) => inputs.push(("`capture.served`".into(), &served.socket)),
+        Capture::Card(_) | Capture::Stock(_) => {}
+    }
+    inputs.extend(poses("`odometry`".into(), &config.odometry));
+    for peer in config.peer.iter().map(|peer| peer.get_ref()) {
+        if let Records::Replay(replay) = &peer.records {
+            inputs.push((format!("`records.replay` of peer `{}`", peer.name), &replay.file));
+        }
+        inputs.extend(poses(format!("`poses` of peer `{}`", peer.name), &peer.poses));
+    }
+    let key = config.sounding.as_ref().and_then(|sounding| sounding.key.as_deref());
+    inputs.extend(key.map(|key| ("`sounding.key`".into(), key)));
+    let zenoh = config.network.as_ref().and_then(|network| network.zenoh.as_deref());
+    inputs.extend(zenoh.map(|file| ("`network.zenoh`".into(), file)));
+    inputs
+}
+
+/// The trajectory that poses are read from, with the key that names them.
+fn poses(key: String, odometry: &Odometry) -> Option<(String, &Path)> {
+    match odometry {
+        Odometry::Csv(csv) => Some((key, &csv.file)),
+        _ => None,
+    }
+}
+
 /// True for two names of one file, or of one that is not there yet; the side file of a log is its own.
 fn is_one(a: &Path, b: &Path) -> bool {
     let place = |file: &Path| {
-        let folder = file.parent().filter(|folder| *folder != Path::new("")).unwrap_or(Path::new("."));
-        let there = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+        let there = folder_of(file).canonicalize().unwrap_or_else(|_| folder_of(file).to_owned());
         file.canonicalize().unwrap_or_else(|_| there.join(file.file_name().unwrap_or_default()))
     };
-    place(a) == place(b) || place(&side_path(a)) == place(b)
+    // Hard links have a name each; a device is not changed by what is written to it.
+    let number = |file: &Path| {
+        let found = file.metadata().ok().filter(|found| !found.file_type().is_char_device())?;
+        Some((found.dev(), found.ino()))
+    };
+    let is_same = |a: &Path, b: &Path| place(a) == place(b) || (number(a).is_some() && number(a) == number(b));
+    // A log that is read by a link may have its side file beside the link, or beside the log.
+    let sides = [side_path(a), side_path(&place(a))];
+    is_same(a, b) || sides.iter().any(|side| is_same(side, b))
 }
 
 /// Why an output cannot be written, as far as that is seen without writing it.
@@ -71,6 +124,10 @@ fn unwritable(file: &Path, kind: Kind) -> Option<String> {
     }
     let there = std::fs::metadata(file).ok().map(|found| found.file_type());
     let why = match (kind, there) {
+        _ if file.as_os_str().is_empty() => return Some("an empty name is no file's: leave it out for none".into()),
+        (Kind::Socket, _) if SocketAddr::from_pathname(file).is_err() => {
+            format!("it has {} bytes, and the name of a socket at most {NAME_OF_SOCKET}", file.as_os_str().len())
+        }
         (Kind::Log | Kind::Lines, Some(there)) if there.is_dir() => "it is a folder".to_owned(),
         (Kind::Log, Some(there)) if !there.is_file() => "it is no regular file".to_owned(),
         (Kind::Lines, Some(there)) if there.is_socket() => "it is a socket".to_owned(),

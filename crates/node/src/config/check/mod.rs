@@ -41,6 +41,7 @@ pub(super) fn problems(
     check.own_room();
     check.estimator();
     check.macs_of_the_room();
+    check.speed();
     check.finite();
     check.motion();
     check.own_poses();
@@ -134,6 +135,18 @@ const ROS_NOW: &str = "`ros` poses are of now and need a card (`capture.card` or
 /// The number of `numbers` that is none, if there is one.
 fn not_finite(numbers: &[f64]) -> Option<usize> {
     numbers.iter().position(|number| !number.is_finite())
+}
+
+/// Metres from the middle of a robot at which something on it can be.
+const ON_ROBOT_M: f64 = 10.0;
+
+/// The number of a place on a robot that is none, or not on it, and why.
+fn too_far(place_m: &[f64]) -> Option<(usize, String)> {
+    let reason = |m: f64| match m.is_finite() {
+        false => Some("every number must be finite".to_owned()),
+        true => (m.abs() > ON_ROBOT_M).then(|| format!("{m:e} m is not on a robot: {ON_ROBOT_M} m at most")),
+    };
+    place_m.iter().enumerate().find_map(|(number, m)| Some((number, reason(*m)?)))
 }
 
 /// Where below its `static` a place has a number that is none.

@@ -1,11 +1,14 @@
 //! Numbers that must be in a range, or finite.
 
-use super::super::Estimation;
-use super::{Check, not_finite, wrong_place};
+use super::super::{Capture, Estimation};
+use super::{Check, too_far, wrong_place};
 use csi5300_sim::toml_lines::Step::{Index, Key};
 
 /// Bearings of each peer a second that can be asked for: one in a thousand seconds to what no processor keeps up with.
 const RATES_HZ: std::ops::RangeInclusive<f64> = 1e-3..=100.0;
+
+/// Times its own pace at which a log or a room can be asked for: beyond, no processor keeps up, nor does anybody wait.
+const SPEEDS: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 
 /// What the rules of `[estimator]` refuse: the key, and why.
 fn wrong_estimation(asked: &Estimation, least_m: f64) -> Vec<(&'static str, String)> {
@@ -48,22 +51,38 @@ impl Check<'_> {
         }
     }
 
+    /// How fast what is not of now goes by.
+    pub(super) fn speed(&mut self) {
+        let (kind, speed) = match self.capture() {
+            Capture::Replay(replay) => ("replay", replay.speed),
+            Capture::Room(room) => ("room", room.speed),
+            Capture::Card(_) | Capture::Stock(_) | Capture::Served(_) => return,
+        };
+        if !SPEEDS.contains(&speed) {
+            let why = format!("speed: {} to {} times its own pace, not {speed:e}", SPEEDS.start(), SPEEDS.end());
+            self.refuse(&[Key("capture"), Key(kind), Key("speed")], why);
+        }
+    }
+
     /// Places and angles of this robot and its peers.
     pub(super) fn finite(&mut self) {
         let config = self.config;
-        if let Some(number) = not_finite(&config.antenna_offset_m) {
-            let why = "antenna_offset_m: every number must be finite";
-            self.refuse(&[Key("antenna_offset_m"), Index(number)], why);
+        if let Some((number, why)) = too_far(&config.antenna_offset_m) {
+            self.refuse(&[Key("antenna_offset_m"), Index(number)], format!("antenna_offset_m: {why}"));
         } else if let Some(place) = wrong_place(&config.odometry) {
             let place: Vec<_> = std::iter::once(Key("odometry")).chain(place).collect();
             self.refuse(&place, "odometry: every number must be finite");
         }
         for (k, peer) in config.peer.iter().map(|peer| peer.get_ref()).enumerate() {
-            let offset = not_finite(&peer.antenna_offset_m).map(|number| vec![Key("antenna_offset_m"), Index(number)]);
+            if let Some((number, why)) = too_far(&peer.antenna_offset_m) {
+                let why = format!("peer `{}`: antenna_offset_m: {why}", peer.name);
+                self.refuse(&[Key("peer"), Index(k), Key("antenna_offset_m"), Index(number)], why);
+                continue;
+            }
             let yaw = (!peer.yaw_deg.is_finite()).then(|| vec![Key("yaw_deg")]);
             let poses = || wrong_place(&peer.poses).map(|place| [vec![Key("poses")], place].concat());
-            if let Some(key) = offset.or(yaw).or_else(poses) {
-                let why = format!("peer `{}`: antenna_offset_m, yaw_deg and poses must be finite numbers", peer.name);
+            if let Some(key) = yaw.or_else(poses) {
+                let why = format!("peer `{}`: yaw_deg and poses must be finite numbers", peer.name);
                 self.refuse(&[vec![Key("peer"), Index(k)], key].concat(), why);
             }
         }

@@ -1,7 +1,7 @@
 //! This robot: its card, its room, its poses.
 
 use super::super::{CameraMount, Capture, Odometry, ros};
-use super::Check;
+use super::{Check, too_far};
 use csi5300_sim::Room;
 use csi5300_sim::toml_lines::Step::{Index, Key};
 
@@ -92,10 +92,11 @@ impl Check<'_> {
     /// How this robot carries its camera.
     pub(super) fn camera(&mut self) {
         let Some(CameraMount { forward_m, left_m, yaw_deg }) = self.config.camera_mount else { return };
-        let numbers = [("forward_m", forward_m), ("left_m", left_m), ("yaw_deg", yaw_deg)];
-        for (key, _) in numbers.into_iter().filter(|(_, number)| !number.is_finite()) {
-            let why = format!("camera_mount: {key} must be a finite number");
-            self.refuse(&[Key("camera_mount"), Key(key)], why);
+        let yaw = (!yaw_deg.is_finite()).then(|| ("yaw_deg", "it must be a finite number".to_owned()));
+        let place = [("forward_m", forward_m), ("left_m", left_m)];
+        let place = place.into_iter().filter_map(|(key, m)| Some((key, too_far(&[m])?.1)));
+        for (key, why) in place.chain(yaw) {
+            self.refuse(&[Key("camera_mount"), Key(key)], format!("camera_mount: {key}: {why}"));
         }
         let why = match &self.config.odometry {
             Odometry::Csv(_) | Odometry::Ros(_) => return,

@@ -65,6 +65,10 @@ impl Check<'_> {
                 let why = "`sounding` records have no time of the peer's host, so it must stand (`poses.static`)";
                 ("sounding", format!("peer `{name}`: {why}"))
             }
+            Records::Room(_) if self.capture().robot() == Some(name) => {
+                let why = format!("peer `{name}` is this robot itself: the one of the room that `capture` names");
+                return vec![(vec![Key("name")], why)];
+            }
             Records::Room(_) => return self.absent(name).map(|why| (vec![Key("name")], why)).into_iter().collect(),
             Records::Replay(_) | Records::Network(_) | Records::Sounding(_) => return Vec::new(),
         };

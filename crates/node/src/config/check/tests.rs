@@ -88,6 +88,35 @@ fn numbers() {
 }
 
 #[test]
+fn an_antenna_is_on_its_robot_and_a_pace_is_one_that_can_be_kept() {
+    let room = |from: &str, to: &str| format!("{ROOM}{PEER}").replace(from, to);
+    refused(&room("odometry.room", "antenna_offset_m = [1e300, 0.0, 0.0]\nodometry.room"), "1e300", "not on a robot");
+    refused(
+        &format!("{ROOM}{PEER}antenna_offset_m = [0, 0,\n-10.5]\n"),
+        "-10.5",
+        "peer `tx`: antenna_offset_m: -1.05e1 m",
+    );
+    assert_eq!(refusals(&format!("{ROOM}{PEER}antenna_offset_m = [0, 0, -10]\n")), Vec::<String>::new());
+    let inline = "capture.room = { scene = \"lab-circle\", robot = \"rx\" }\n";
+    let paced = |speed: &str| {
+        let table = format!("[capture.room]\nscene = \"lab-circle\"\nspeed = {speed}\nrobot = \"rx\"\n");
+        room(inline, "").replace(PEER, &format!("{table}{PEER}"))
+    };
+    let replay = |speed: &str| {
+        CARD.replace("capture.card = {}\n", "").replace("odometry.opencr.port = \"/dev/null\"", "odometry.static = {}")
+            + &format!("[capture.replay]\nfile = \"lib.rs\"\nspeed = {speed}\n")
+    };
+    for speed in ["1e-3", "1", "1e3"] {
+        assert_eq!(refusals(&paced(speed)), Vec::<String>::new(), "{speed}");
+        assert_eq!(refusals(&replay(speed)), Vec::<String>::new(), "{speed}");
+    }
+    for speed in ["1e300", "1.1e3", "9e-4"] {
+        refused(&paced(speed), "speed", "0.001 to 1000 times");
+        refused(&replay(speed), "speed", "0.001 to 1000 times");
+    }
+}
+
+#[test]
 fn a_camera_is_for_poses_of_one() {
     let mounted = |camera: &str, poses: &str| {
         let given = format!("camera_mount = {camera}\n{poses}");
@@ -99,7 +128,12 @@ fn a_camera_is_for_poses_of_one() {
     let room = format!("camera_mount = {mount}\n{ROOM}{PEER}");
     refused(&room, "camera_mount", "of the robot, not of a camera");
     let endless = mounted("{ forward_m = 0.0, left_m = inf }", "odometry.csv.file = \"no.csv\"");
-    refused(&endless, "inf", "left_m must be a finite number");
+    refused(&endless, "inf", "left_m: every number must be finite");
+    refused(
+        &mounted("{ forward_m = 1e300, left_m = 0 }", "odometry.static = {}"),
+        "1e300",
+        "forward_m: 1e300 m is not on",
+    );
     if cfg!(feature = "ros2") {
         assert_eq!(refusals(&mounted(mount, "odometry.ros2 = { topic = \"/odom\" }")), Vec::<String>::new());
         let antenna = mounted(mount, "odometry.ros2 = { topic = \"/odom\", antenna_frame = \"wifi\" }");
@@ -144,6 +178,10 @@ fn the_peers() {
     refused(&owned("\" \"\nrecords.network = {}"), "certificate", "`certificate` is the common name");
     refused(&owned("\"b\"\nrecords.replay.file = \"no.dat\""), "certificate", "records and poses of the network");
     refused(&format!("{ROOM}{PEER}[[peer]]\nrecords.room = {{}}\nname = \"ty\"\n"), "\"ty\"", "no robot `ty`");
+    let itself = "[[peer]]\nrecords.room = {}\nname = \"rx\" # itself\n";
+    refused(&format!("{ROOM}{itself}"), "# itself", "peer `rx` is this robot itself");
+    let served = CARD.replace("capture.card = {}", "capture.served = { socket = \"s\", robot = \"rx\" }");
+    refused(&format!("{}{itself}", served.replace("mac =", "#")), "# itself", "peer `rx` is this robot itself");
 }
 
 #[test]
@@ -244,7 +282,8 @@ fn what_a_robot_writes_is_in_files_of_their_own() {
     std::fs::create_dir_all(folder.join("run")).unwrap();
     std::fs::write(folder.join("old"), "").unwrap();
     let ros = |bag: &str| format!("{CARD}[ros2]\nbag = '{}'\n", name(bag));
-    for good in [with("old", "/dev/null", "c"), with("a.dat", "old", "c"), ros("run"), ros("no/such/run")] {
+    let bags = [ros("run"), ros("no/such/run")].into_iter().filter(|_| cfg!(feature = "ros2"));
+    for good in [with("old", "/dev/null", "c"), with("a.dat", "old", "c")].into_iter().chain(bags) {
         assert_eq!(refusals(&good.replace(&name("/dev/null"), "/dev/null")), Vec::<String>::new(), "{good}");
     }
     refused(&ros("old/run"), "bag", "old is no folder");
@@ -261,6 +300,67 @@ fn what_a_robot_writes_is_in_files_of_their_own() {
     let said = Config::load(&folder.join("link.toml")).unwrap_err().to_string();
     assert!(said.contains("is this configuration"), "{said}");
     std::fs::remove_dir_all(folder).unwrap();
+}
+
+/// Whatever name it is given: the recording would be what is written, or have lines of JSON in it.
+#[test]
+fn what_a_robot_reads_is_not_written_to() {
+    let folder = std::env::temp_dir().join(format!("csi5300-read-{}", std::process::id()));
+    std::fs::create_dir_all(folder.join("sub")).unwrap();
+    for file in ["rx.dat", "rx.datstp", "tx.dat", "way.csv", "key"] {
+        std::fs::write(folder.join(file), file).unwrap();
+    }
+    std::os::unix::fs::symlink("../rx.dat", folder.join("sub/link.dat")).unwrap();
+    std::fs::hard_link(folder.join("rx.dat"), folder.join("sub/hard.dat")).unwrap();
+    std::fs::hard_link(folder.join("way.csv"), folder.join("hard.csv")).unwrap();
+    let config = |capture: &str, output: &str| {
+        format!(
+            "name = 'here'\nchannel = '108'\nmac = '02:00:00:00:00:01'\ncapture.replay.file = '{capture}'\n\
+             odometry.csv.file = 'way.csv'\n[output]\n{output}\n[[peer]]\nname = 'tx'\n\
+             mac = '02:00:00:00:00:02'\nrecords.replay.file = 'tx.dat'\n"
+        )
+    };
+    let said = |text: &str| Config::read(text, &folder).err().map(|error| error.to_string()).unwrap_or_default();
+    for (capture, bearings, key) in [
+        ("rx.dat", "rx.dat", "`capture.replay`"),
+        ("rx.dat", "sub/../rx.dat", "`capture.replay`"),
+        ("rx.dat", "./rx.dat", "`capture.replay`"),
+        ("rx.dat", "sub/link.dat", "`capture.replay`"),
+        ("sub/link.dat", "rx.dat", "`capture.replay`"),
+        ("rx.dat", "sub/hard.dat", "`capture.replay`"),
+        ("rx.dat", "rx.datstp", "`capture.replay`"),
+        ("sub/link.dat", "rx.datstp", "`capture.replay`"),
+        ("rx.dat", "tx.dat", "`records.replay` of peer `tx`"),
+        ("rx.dat", "way.csv", "`odometry`"),
+        ("rx.dat", "hard.csv", "`odometry`"),
+    ] {
+        let why = said(&config(capture, &format!("bearings = '{bearings}'")));
+        let wanted = format!("{key} names: what this robot reads is not written to");
+        assert!(why.starts_with("line 7: ") && why.contains(&wanted), "{capture}, {bearings}: {why}");
+    }
+    let output = |more: &str| said(&config("rx.dat", more));
+    assert_eq!(output("bearings = 'out.json'\n[log]\nfile = 'own.dat'"), "");
+    assert!(output("bearings = ''\n[log]\nfile = 'rx.dat'").starts_with("line 9: "));
+    assert!(output("bearings = ''\nstatus_socket = 'way.csv'").starts_with("line 8: "));
+    let keyed = format!("{CARD}[output]\nbearings = 'key'\n[sounding]\ninterface = 'mon0'\nkey = 'key'\n{PEER}")
+        .replace("records.room = {}", "mac = '02:00:00:00:00:02'\nrecords.sounding = {}");
+    let why = said(&keyed);
+    assert!(why.contains("what `sounding.key` names"), "{why}");
+    assert_eq!(std::fs::read(folder.join("rx.dat")).unwrap(), b"rx.dat");
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+#[test]
+fn names_that_no_file_or_socket_can_have_are_refused_before_the_start() {
+    let output = |more: &str| format!("{CARD}[output]\nbearings = \"\"\n{more}\n");
+    let said = |text: &str| Config::read(text, Path::new("")).err().map(|error| error.to_string()).unwrap_or_default();
+    let empty = "an empty name is no file's";
+    assert!(said(&output("status_socket = \"\"")).starts_with(&format!("line 10: {empty}")));
+    assert!(said(&CARD.replace("x.dat", "")).starts_with(&format!("line 7: {empty}")));
+    let socket = |bytes: usize| output(&format!("status_socket = '/tmp/{}'", "s".repeat(bytes - "/tmp/".len())));
+    assert_eq!(said(&socket(107)), "");
+    let why = said(&socket(108));
+    assert!(why.starts_with("line 10: ") && why.contains("it has 108 bytes") && why.contains("at most 107"), "{why}");
 }
 
 #[cfg(feature = "zenoh")]
