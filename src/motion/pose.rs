@@ -87,9 +87,6 @@ pub enum TrajectoryError {
     },
 }
 
-/// A path in the order of time is longer by this factor than as it was given where a clock was set back.
-const TWO_PLACES: f64 = 1.1;
-
 fn is_in_order(poses: &[Pose]) -> bool {
     poses.is_sorted_by(|a, b| a.t_s.total_cmp(&b.t_s).is_le())
 }
@@ -104,7 +101,7 @@ fn in_order(poses: &mut Vec<Pose>) -> Option<(usize, f64)> {
     let by_time = |a: &Pose, b: &Pose| a.t_s.total_cmp(&b.t_s);
     let mut sorted = poses.clone();
     sorted.sort_by(by_time);
-    if length_m(sorted.iter()) <= TWO_PLACES * length_m(poses.iter()) {
+    if length_m(sorted.iter()) <= TUNING.motion.two_places * length_m(poses.iter()) {
         *poses = sorted;
         return None;
     }

@@ -32,7 +32,7 @@ fn modes(answer: &BearingAnswer) -> (Vec<EvidenceMode>, f64) {
     let sd_rad = if sd_rad.is_finite() { sd_rad.min(UNIFORM_RAD) } else { UNIFORM_RAD };
     // Of a motion nearly towards the transmitter the bound grows without end; a direction and its mirror stay two.
     let apart_rad = answer.mirror_rad.map_or(UNIFORM_RAD, |mirror| wrap_rad(answer.azimuth_rad - mirror).abs());
-    let sd_rad = sd_rad.min((apart_rad / 4.0).max(answer.azimuth_sd_rad));
+    let sd_rad = sd_rad.min((tuning.mirror_share * apart_rad).max(answer.azimuth_sd_rad));
     let mirror = answer.mirror_rad.zip(answer.mirror_share);
     let right = probability(answer, mirror.map_or(0.0, |(_, share)| share));
     let level = answer.abs_elevation_rad.cos();

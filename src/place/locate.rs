@@ -154,24 +154,19 @@ pub fn locate(sightings: &[Sighting]) -> Result<Located, LocateError> {
     solved.sort_by(|a, b| a.1.total_cmp(&b.1));
     let best = *solved.first().ok_or(LocateError::Parallel)?;
     let mut found = finish(best.0, &usable).ok_or(LocateError::Parallel)?;
+    let (as_likely, apart_sd, apart_m) = (TUNING.locate.as_likely, TUNING.locate.apart_sd, TUNING.locate.apart_m);
     let inverse = found.covariance_m2.try_inverse().unwrap_or_default();
     for (at, cost) in solved {
         let is_new = |known: &Vector2<f64>| {
             let by = known - at;
-            by.dot(&(inverse * by)) > APART_SD * APART_SD && by.norm() > APART_M
+            by.dot(&(inverse * by)) > apart_sd * apart_sd && by.norm() > apart_m
         };
-        if cost - best.1 < AS_LIKELY.ln() && is_new(&best.0) && found.others_m.iter().all(is_new) {
+        if cost - best.1 < as_likely.ln() && is_new(&best.0) && found.others_m.iter().all(is_new) {
             found.others_m.push(at);
         }
     }
     Ok(found)
 }
-
-/// Another place is named if the best is less than this many times as likely, and further away than so many deviations of the
-/// best and so many metres.
-const AS_LIKELY: f64 = 2.0;
-const APART_SD: f64 = 3.0;
-const APART_M: f64 = 0.3;
 
 /// Crossings of all pairs of bearings that lie ahead, and the ends of ranges; mirrors and other candidates are bearings too.
 fn starts(sightings: &[Sighting]) -> Vec<Vector2<f64>> {
