@@ -1,7 +1,7 @@
 //! What a bearing was made of, in words.
 
 use crate::commands::some;
-use csi5300::pipeline::Answer;
+use csi5300::pipeline::{Answer, PairCounts};
 use std::fmt::Write as _;
 
 /// Numbers that come twice are said where they are one in so many frames: senders repeat some, a few in a thousand.
@@ -24,14 +24,7 @@ pub(super) fn pairs(answer: &Answer) -> String {
         counts.silent,
         if counts.thinned > 0 { format!(", {} left out evenly", counts.thinned) } else { String::new() }
     );
-    let other = counts.no_pose_by_transmitter;
-    let far_fewer = |other: &usize| counts.no_pose.saturating_sub(*other) as f64 > MANY_OUTSIDE * counts.formed as f64;
-    if let Some(by_transmitter) = other.filter(far_fewer) {
-        let _ = writeln!(
-            text,
-            "  by the times of the transmitter's log {by_transmitter} would be without a pose: were the two logs exchanged?"
-        );
-    }
+    text += &exchanged(&counts);
     if counts.too_wide > 0 {
         let _ = writeln!(
             text,
@@ -72,4 +65,14 @@ pub(super) fn pairs(answer: &Answer) -> String {
         }
     }
     text
+}
+
+/// Asks whether the logs were exchanged, where by the other one's times far fewer pairs are without a pose.
+fn exchanged(counts: &PairCounts) -> String {
+    let far_fewer = |other: &usize| counts.no_pose.saturating_sub(*other) as f64 > MANY_OUTSIDE * counts.formed as f64;
+    counts.no_pose_by_transmitter.filter(far_fewer).map_or(String::new(), |other| {
+        format!(
+            "  by the times of the transmitter's log {other} would be without a pose: were the two logs exchanged?\n"
+        )
+    })
 }
