@@ -60,8 +60,7 @@ impl Spread {
 /// Standard deviations of azimuth and of the second coordinate, each with the other as a nuisance.
 ///
 /// With `second_known` the azimuth stands alone (and the second deviation is infinite); along the motion it is known by the
-/// square of its change. Nothing exceeds a uniform
-/// guess for the azimuth.
+/// square of its change. Nothing exceeds a uniform guess for the azimuth.
 pub(crate) fn deviations(fit: Fit, spread: Spread, kind: Second, at: Point, second_known: bool) -> [f64; 2] {
     let gain = 2.0 * fit.ratio * TAU * TAU;
     let [aa, ab, bb] = information(spread, kind, at);

@@ -53,7 +53,8 @@ pub struct LeftOut {
     pub stale: usize,
     /// Poses at a time that a later one has too, which is elsewhere.
     pub same_time: usize,
-    /// Poses before or after a clock was set back, and how far, seconds: with both the robot would be in two places at once.
+    /// How many poses are of other parts than the longest between steps of a clock that was set back, and the largest of these
+    /// steps, seconds: with all of them the robot would be in two places at once.
     pub set_back: Option<(usize, f64)>,
 }
 

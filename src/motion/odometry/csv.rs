@@ -8,10 +8,10 @@
 //! | 9 | sec.frac, 0, x, y, z, qx, qy, qz, qw | simulated captures of \[paper\] |
 //! | 15 | sec, nsec, x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz | T265 and wheel odometry (`t265_rx_*`, `odom_rx_*`) |
 //!
-//! Time is the first column, plus the second x 1e-9 s but where there are 8; metres, radians; a trailing comma is usual. Columns are parted by
-//! commas or, as the first row is, by semicolons, tabs or spaces; then numbers may have decimal commas. A first line whose first
-//! cell is no number names the columns, lines that begin with `#` are comments. Rows that cannot be read are counted with their
-//! line and left out.
+//! Time is the first column, plus the second x 1e-9 s but where there are 8; metres, radians; a trailing comma is usual.
+//! Columns are parted by commas or, as the first row is, by semicolons, tabs or spaces; then numbers may have decimal commas. A
+//! first line whose first cell is no number names the columns, lines that begin with `#` are comments. Rows that cannot be read
+//! are counted with their line and left out.
 
 use crate::motion::heading::heading_of;
 use crate::motion::pose::{Pose, Trajectory, TrajectoryError};
@@ -394,6 +394,7 @@ impl<'a> Cells<'a> {
             9 | 15 => (2, Some(5), true),
             _ => return Err(RowError::Columns),
         };
+        // What is behind the quaternion (speeds) is not used.
         let mut values = [0.0; 9];
         let count = self.count();
         for (column, (cell, value)) in self.all().zip(&mut values).enumerate() {
