@@ -11,8 +11,13 @@
 use crate::exchange::pairing::{LinkSide, Pair, Pairing};
 use crate::maths::upper_median;
 use crate::signal::cfo::drift_line::drift_line;
-use crate::tuning::TUNING;
 use driver_iface::Mac;
+
+/// Common numbers that say something of whether logs match.
+pub(crate) const MIN_COMMON: usize = 16;
+
+/// By this factor the best match must spread less than the next.
+const MIN_MARGIN: f64 = 1.5;
 
 /// One record as far as matching needs it: frame number and card clock (`timestamp_low`).
 pub type Mark = (u32, u32);
@@ -65,7 +70,7 @@ pub fn common(receiver: &[Mark], transmitter: &[Mark]) -> Vec<Pair<usize>> {
 #[must_use]
 pub fn spread(receiver: &[Mark], transmitter: &[Mark]) -> Option<Spread> {
     let pairs = common(receiver, transmitter);
-    if pairs.len() < TUNING.pairing.min_common {
+    if pairs.len() < MIN_COMMON {
         return None;
     }
     let clock: Vec<i64> = pairs.iter().map(|pair| pair.clock_rx_us).collect();
@@ -94,7 +99,7 @@ pub enum Unmatched {
     /// No MAC has enough frame numbers in common with the log.
     #[error(
         "no transmitter in the receiver's log shares {} frame numbers with it: are the two logs of one run?",
-        TUNING.pairing.min_common
+        MIN_COMMON
     )]
     NothingInCommon,
     /// Two MACs go with it about equally well.
@@ -144,7 +149,7 @@ pub fn assign(spreads: &[Vec<Option<Spread>>], taken: &[bool]) -> Vec<Result<Mat
         let margin = order.get(1).map(|next| (next.1.spread_us + 0.1) / (spread.spread_us + 0.1));
         match margin {
             _ if !free(mac) => Err(Unmatched::Named { spread_us: spread.spread_us }),
-            Some(margin) if margin < TUNING.pairing.min_margin => {
+            Some(margin) if margin < MIN_MARGIN => {
                 Err(Unmatched::Unclear { spread_us: spread.spread_us, next_us: order[1].1.spread_us })
             }
             _ => Ok(Match { mac, spread, margin }),
@@ -206,7 +211,7 @@ pub fn settle(
         let margin = cheapest(&choices, &mut Vec::new(), Some((k, mac))).map(|(other, _)| (other - cost).exp());
         let least = spreads[log].iter().flatten().map(|s| s.spread_us).fold(f64::INFINITY, f64::min);
         let Some(spread) = spreads[log][mac] else { continue };
-        let clearly = TUNING.pairing.min_margin;
+        let clearly = MIN_MARGIN;
         if margin.is_none_or(|margin| margin >= clearly) && spread.spread_us <= clearly * (least + 0.1) {
             found[log] = Ok(Match { mac, spread, margin });
         }
@@ -337,7 +342,7 @@ mod tests {
     fn sixteen_numbers_in_common_are_enough_and_half_as_much_again_is_clear() {
         let (receiver, transmitter) = round(0, 20);
         let common = |records: usize| spread(&receiver[..records], &transmitter).map(|found| found.common);
-        let least = TUNING.pairing.min_common;
+        let least = MIN_COMMON;
         assert_eq!([common(least - 1), common(least)], [None, Some(least)]);
         let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
         // Both are a tenth of a microsecond more: 1 and 1.5.

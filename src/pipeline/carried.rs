@@ -1,7 +1,7 @@
 //! Bearings carried from one stretch of motion to the next: the flat form, and a capture cut into stretches.
 
 use super::error::LinkError;
-use super::joint::{LinkJoin, estimate};
+use super::{LinkJoin, estimate};
 use super::options::Options;
 use super::{Answer, Bearing, CaptureReport};
 use crate::motion::pose::Trajectory;

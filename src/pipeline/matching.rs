@@ -5,7 +5,7 @@ use super::options::Options;
 use crate::exchange::assign::{self, Mark, Match, Spread, Unmatched};
 use crate::signal::reciprocity::Reciprocity;
 use crate::source::Error;
-use crate::tuning::TUNING;
+use crate::exchange::assign::MIN_COMMON;
 use driver_iface::Mac;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -57,7 +57,7 @@ pub(super) fn find_macs(
     }
     // Foreign frames bring MACs of their own; only those with enough frames can be a transmitter, the busiest first.
     let mut busiest: Vec<(Mac, Vec<Mark>)> =
-        by_mac.into_iter().filter(|(_, marks)| marks.len() >= TUNING.pairing.min_common).collect();
+        by_mac.into_iter().filter(|(_, marks)| marks.len() >= MIN_COMMON).collect();
     busiest.sort_by_key(|(_, marks)| std::cmp::Reverse(marks.len()));
     busiest.truncate(MAX_TRANSMITTERS);
     let macs: Vec<Mac> = busiest.iter().map(|(mac, _)| *mac).collect();

@@ -42,8 +42,7 @@ fn print(name: &str, seen: &[Seen]) {
     let positions: Vec<f64> = seen.iter().filter_map(|s| s.position_error_m.map(|e| e.xy().norm())).collect();
     let inside = seen.iter().filter(|s| s.position_level.is_some_and(|level| level < 5.99)).count();
     println!(
-        "{name:34} {:4} runs; azimuth mean {:7.4}, worst {:7.3} ({:5.2} x bound, {} beyond the bar), elevation {:7.3} ({:5.2}); {} signed, \
-         {} at an edge; position {} reported, worst {:.2} m, {inside} within 95 %",
+        "{name:34} {:4} runs; azimuth mean {:7.4}, worst {:7.3} ({:5.2} x bound, {} beyond the bar), elevation {:7.3} ({:5.2}); {} signed; position {} reported, worst {:.2} m, {inside} within 95 %",
         seen.len(),
         seen.iter().map(|s| s.azimuth_error_deg).sum::<f64>() / seen.len().max(1) as f64,
         worst(&|s| s.azimuth_error_deg),
@@ -52,7 +51,6 @@ fn print(name: &str, seen: &[Seen]) {
         worst(&elevation),
         over(&|s| elevation(s) / s.bound_deg[1]),
         seen.iter().filter(|s| s.signed).count(),
-        seen.iter().filter(|s| s.edge.is_some()).count(),
         positions.len(),
         positions.iter().copied().fold(0.0, f64::max),
     );

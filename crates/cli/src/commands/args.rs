@@ -1,7 +1,6 @@
 //! Arguments that several commands share.
 
 use clap::Args;
-use csi5300::bartlett::SearchOptions;
 use csi5300::pipeline::{Accuracy, Effort, Options};
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
@@ -20,26 +19,26 @@ pub struct Estimation {
     /// Added to the receiver's host time to get the trajectory's
     #[arg(long, default_value_t = 0.0, value_name = "SECONDS", allow_negative_numbers = true)]
     pub clock_offset: f64,
-    /// Largest elevation of a transmitter above or below the plane of motion, degrees
-    #[arg(long, default_value_t = 20.0, value_name = "DEGREES")]
-    pub elevation_max: f64,
+    /// Largest elevation of a transmitter above or below the plane of motion, degrees [default: 20 for level motion]
+    #[arg(long, value_name = "DEGREES")]
+    pub elevation_max: Option<f64>,
     /// Leave out the turn-around compensation
     #[arg(long)]
     pub no_compensation: bool,
     /// Steps to leave out, to see what each brings
     #[arg(long, value_enum, value_delimiter = ',', value_name = "STEP,..")]
     pub without: Vec<Step>,
-    /// Leave out every step that cannot move the azimuth by more than this, degrees, and all of them where the plane wave's
-    /// error bar is below it; 0 takes every step. Default: a tenth of the error bar
+    /// Stop where the rest cannot move the azimuth by more than this, degrees: 0 computes everything, from 1 on a coarse grid
+    /// will do. Default: a tenth of the error bar
     #[arg(long, value_name = "DEGREES")]
     pub accuracy: Option<f64>,
-    /// Shortest distance of a transmitter, metres
-    #[arg(long, default_value_t = 1.8, value_name = "METRES")]
-    pub range_min: f64,
+    /// Shortest distance of a transmitter, metres [default: 1.8, less in a scene without reflections]
+    #[arg(long, value_name = "METRES")]
+    pub range_min: Option<f64>,
     /// Height of the transmitter above the receiver's antenna, where known, metres
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     pub height: Option<f64>,
-    /// Standard deviation of the heading of the whole trajectory, degrees: 0 for motion capture, about 3 for a tracking
+    /// Standard deviation of the heading of the whole trajectory, degrees: 0.3 for motion capture, about 4 for a tracking
     /// camera, 20 for wheels. Error bars and confidence take it into account
     #[arg(long, value_name = "DEGREES")]
     pub heading_sd: Option<f64>,
@@ -63,20 +62,16 @@ pub enum Step {
     Alignment,
     /// The one-way channel beside the round trip
     OneWay,
-    /// Spherical waves (and with them all subcarriers, alignment and the one-way channel)
+    /// Curved wave fronts: range beside the bearing
     NearField,
     /// The search for the elevation
     Elevation,
-    /// Autofocus of the trajectory over all transmitters
-    Focus,
-    /// The list of paths
-    Paths,
 }
 
 impl Step {
     /// All that change bearings.
-    pub const ALL: [Self; 6] =
-        [Self::Compensation, Self::Alignment, Self::OneWay, Self::NearField, Self::Elevation, Self::Focus];
+    pub const ALL: [Self; 5] =
+        [Self::Compensation, Self::Alignment, Self::OneWay, Self::NearField, Self::Elevation];
 }
 
 impl Default for Estimation {
@@ -84,11 +79,11 @@ impl Default for Estimation {
         Self {
             antenna: Antenna::A,
             clock_offset: 0.0,
-            elevation_max: 20.0,
+            elevation_max: None,
             no_compensation: false,
             without: Vec::new(),
             accuracy: None,
-            range_min: 1.8,
+            range_min: None,
             height: None,
             heading_sd: None,
             from: None,
@@ -101,12 +96,12 @@ impl Default for Estimation {
 impl Estimation {
     /// The pipeline's options, on `channel`.
     pub fn options(&self, channel: Channel) -> Result<Options, String> {
-        let finite = [Some(self.clock_offset), Some(self.elevation_max), self.from, self.to];
+        let finite = [Some(self.clock_offset), self.elevation_max, self.from, self.to];
         if finite.iter().flatten().any(|value| !value.is_finite()) {
             return Err("--clock-offset, --elevation-max, --from and --to take finite numbers".into());
         }
-        if !(0.0..=90.0).contains(&self.elevation_max) {
-            return Err(format!("--elevation-max {}: 0 to 90 degrees", self.elevation_max));
+        if let Some(asked) = self.elevation_max.filter(|asked| !(0.0..=90.0).contains(asked)) {
+            return Err(format!("--elevation-max {asked}: 0 to 90 degrees"));
         }
         if let (Some(from), Some(to)) = (self.from, self.to)
             && from >= to
@@ -114,7 +109,7 @@ impl Estimation {
             return Err(format!("--from {from} is not before --to {to}"));
         }
         let far = |metres: f64| metres.is_nan() || metres.abs() > FURTHEST_M;
-        if self.range_min <= 0.0 || far(self.range_min) || self.height.is_some_and(far) {
+        if self.range_min.is_some_and(|near| near <= 0.0 || far(near)) || self.height.is_some_and(far) {
             return Err("--range-min takes metres, more than 0, --height metres, both of at most 1e6".into());
         }
         if self.heading_sd.is_some_and(|sd| !(0.0..=180.0).contains(&sd)) {
@@ -129,17 +124,15 @@ impl Estimation {
             Some(asked) => Effort::Within(asked.to_radians()),
         };
         let left_out = |step| self.without.contains(&step);
-        let elevation_max = if left_out(Step::Elevation) { 0.0 } else { self.elevation_max };
+        let elevation_max = if left_out(Step::Elevation) { Some(0.0) } else { self.elevation_max };
         let mut accuracy = Accuracy::default()
             .with_near_field(!left_out(Step::NearField))
             .with_effort(effort)
+            .with_elevation_max_rad(elevation_max.map(f64::to_radians))
             .with_range_min_m(self.range_min)
             .with_height_m(self.height);
         accuracy.align = !left_out(Step::Alignment);
         accuracy.one_way = !left_out(Step::OneWay);
-        accuracy.focus = !left_out(Step::Focus);
-        accuracy.paths = !left_out(Step::Paths);
-        let search = SearchOptions::default().with_elevation_max_rad(elevation_max.to_radians());
         Ok(Options::new(channel)
             .with_antenna(self.antenna)
             .with_clock_offset_s(self.clock_offset)
@@ -147,8 +140,7 @@ impl Estimation {
             .with_decimate(self.decimate)
             .with_compensate(!self.no_compensation && !left_out(Step::Compensation))
             .with_accuracy(accuracy)
-            .with_heading_sd_rad(self.heading_sd.map(f64::to_radians))
-            .with_search(search))
+            .with_heading_sd_rad(self.heading_sd.map(f64::to_radians)))
     }
 }
 

@@ -4,7 +4,7 @@ mod pairs;
 mod quality;
 mod stretches;
 
-use self::quality::{edge, quality};
+use self::quality::quality;
 use super::args::{Estimation, channel, mac};
 use super::files::Log;
 use super::inputs::{BagArgs, Inputs, order_unknown};
@@ -357,9 +357,8 @@ fn describe(answer: &Answer) -> String {
     }
     if let Some(mirror) = super::explain::mirror(answer) {
         let _ = write!(text, ", or its mirror {mirror}");
-    } else if let (Some(ratio), Some(next)) = (answer.peak_ratio.filter(|r| *r >= ALIKE), answer.candidates.get(1)) {
-        let share = 100.0 * ratio;
-        let _ = write!(text, ", or {} deg, for which {share:.0} % as much speaks", fixed(next.azimuth_deg, 2));
+    } else if let Some(next) = answer.candidates.get(1).filter(|next| next.share >= ALIKE) {
+        let _ = write!(text, ", or {} deg ({:.0} %)", fixed(next.azimuth_deg, 2), 100.0 * next.share);
     }
     text.push('\n');
     if let Some(confidence) = answer.confidence {
@@ -376,20 +375,11 @@ fn describe(answer: &Answer) -> String {
         }
         // A plane wave has no range to be found.
         _ if answer.model != Some(WaveModel::SphericalWave) => {}
-        _ => text += "  no range: the wave front's curvature does not fix it\n",
+        _ => text += "  no range: the samples do not narrow it\n",
     }
-    text += &edge(answer);
-    if answer.paths.len() > 1 {
-        text += "  paths (one-way power):\n";
-        text += &super::explain::places(&answer.paths);
-    }
-    if let Some(focus) = answer.focus.filter(|focus| focus.worthwhile) {
-        let (scale, turn_deg) = (focus.warp.scale, focus.warp.turn_rad_per_m.to_degrees());
-        let _ = writeln!(
-            text,
-            "  trajectory sharpened over all links: scaled by {scale:.3}, bent by {} deg/m",
-            fixed(turn_deg, 1)
-        );
+    if answer.mirror_deg.is_none() && answer.candidates.len() > 1 {
+        text += "  candidates:\n";
+        text += &super::explain::places(&answer.candidates);
     }
     if let Some(body) = answer.azimuth_body_deg {
         let _ = writeln!(text, "  in the robot's frame: {} deg (heading at the last sample)", fixed(body, 2));
@@ -399,5 +389,5 @@ fn describe(answer: &Answer) -> String {
     text
 }
 
-/// A second candidate for which this share as much speaks as for the first is said beside it.
-const ALIKE: f64 = 0.9;
+/// A second candidate with at least this probability stands beside the first.
+const ALIKE: f64 = 0.1;

@@ -29,7 +29,7 @@ pub struct Args {
     /// Seed of the first simulated room
     #[arg(long, default_value_t = 1, value_name = "NUMBER")]
     seed: u64,
-    /// Folder for pictures: error distributions, refusals, reliability, a map of each place; with --folds reliability
+    /// Folder for pictures: error distributions, refusals, reliability, a map of each place
     #[cfg(feature = "plot")]
     #[arg(long, visible_alias = "plot", value_name = "DIR", conflicts_with = "ablation")]
     out: Option<PathBuf>,
@@ -44,21 +44,9 @@ pub struct Args {
     /// Also evaluate with each step left out, and print what it brings
     #[arg(long)]
     ablation: bool,
-    /// Leave each place out in turn, with everything fitted to the others: errors with intervals, by motion capture,
-    /// the tracking camera (as recorded, and held to what wheels can roll) and wheels, whole motions, halves and quarters.
-    /// A place is the last two folders of a capture
-    #[arg(long, value_enum, value_name = "UNIT", conflicts_with_all = ["ablation", "trajectory"])]
-    folds: Option<Folds>,
     /// Captures worked on at a time; 0 is one for each core
     #[arg(long, default_value_t = 0, value_name = "N")]
     threads: usize,
-}
-
-/// What is left out in turn.
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Folds {
-    /// A set's folder, with all of its captures
-    Places,
 }
 
 /// Simulated rooms in a folder of their own, which goes with the value.
@@ -85,13 +73,11 @@ pub fn run(args: &Args) -> Result {
     check_pictures(args)?;
     let rooms = args.rooms.map(|count| Rooms::write(count, args.seed)).transpose()?;
     let source = args.reading.source();
-    let mut options = args.reading.options().unwrap_or_else(|message| usage(&message));
-    // Paths are in the lines of JSON only, and change no bearing.
-    options.accuracy = options.accuracy.with_paths(options.accuracy.paths && args.json);
+    let options = args.reading.options().unwrap_or_else(|message| usage(&message));
     let (captures, unreadable) = find_all(args.folders.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)))?;
     let captures = args.reading.mounted(captures);
     #[cfg(feature = "plot")]
-    if let Some(folder) = args.out.as_ref().filter(|_| args.folds.is_none()) {
+    if let Some(folder) = args.out.as_ref() {
         args.pictures.check_maps(folder, &captures)?;
     }
     for folder in &unreadable {
@@ -100,17 +86,6 @@ pub fn run(args: &Args) -> Result {
     let beside = Beside::read(args);
     let bar = super::bar(captures.len() as u64, "{bar:40} {pos}/{len} captures, {eta} left");
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build().map_err(|error| error.to_string())?;
-    if let Some(Folds::Places) = args.folds {
-        bar.finish_and_clear();
-        let report = pool.install(|| super::folds::run(&captures, &options, args.json));
-        #[cfg(feature = "plot")]
-        if let Some(folder) = &args.out {
-            let written = set::write_folds(&report, folder, &args.pictures.format());
-            let written = written.map_err(|error| super::pictures::refused(&error))?;
-            note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
-        }
-        return Ok(super::folds::outcome(&report));
-    }
     let one = |capture: &Capture| {
         let mut evaluated = capture.evaluate(source, args.reading.channel, &options);
         super::hint::add_all(&mut evaluated.rows);
@@ -157,7 +132,7 @@ impl Beside {
         #[cfg_attr(not(feature = "plot"), allow(unused_mut))]
         let mut beside = Self::default();
         #[cfg(feature = "plot")]
-        for folder in args.folders.iter().filter(|_| args.out.is_some() && args.folds.is_none()) {
+        for folder in args.folders.iter().filter(|_| args.out.is_some()) {
             if let Some(words) = beside.others.add(folder, args.reading.source()) {
                 note!("{words}");
                 beside.lost = true;
@@ -174,11 +149,7 @@ impl Beside {
 fn check_pictures(args: &Args) -> std::result::Result<(), String> {
     args.pictures.must_have(args.out.as_deref(), "--out");
     let Some(folder) = &args.out else { return Ok(()) };
-    let stems = match args.folds {
-        Some(Folds::Places) => set::fold_stems(folder).to_vec(),
-        None => set::stems(folder).to_vec(),
-    };
-    args.pictures.check(&stems)
+    args.pictures.check(&set::stems(folder))
 }
 
 /// The captures below all folders, and folders that could not be read.
@@ -378,7 +349,6 @@ fn ablation(
     for left_out in runs {
         let estimation = Estimation { without: left_out.into_iter().collect(), ..args.reading.estimation.clone() };
         let mut options = args.reading.options_of(&estimation)?;
-        options.accuracy = options.accuracy.with_paths(false);
         let rows: Vec<Judged> =
             captures.par_iter().flat_map_iter(|c| c.evaluate(source, args.reading.channel, &options).rows).collect();
         let without = left_out.and_then(|step| step.to_possible_value()).map(|value| value.get_name().to_owned());

@@ -5,7 +5,7 @@ use super::{Outcome, Result, fixed, hint, print, print_json, usage};
 use csi5300::pipeline::Answer;
 use csi5300::pipeline::Bearing;
 use csi5300::pipeline::Options;
-use csi5300::pipeline::PathAnswer;
+use csi5300::pipeline::CandidateAnswer;
 use csi5300_lab::evaluate::Judged;
 use csi5300_lab::evaluate::quality::horizontal;
 use std::fmt::Write;
@@ -38,23 +38,14 @@ pub struct Args {
 struct Row<'a> {
     #[serde(flatten)]
     judged: &'a Judged,
-    /// Places at which the search evaluated the joint power.
-    places_searched: Option<usize>,
-    /// Standard deviation of the phase that the answer leaves unexplained, radians.
+    /// Standard deviation of the phase that the best plane wave leaves unexplained, radians.
     residual_phase_rad: Option<f64>,
-    /// Rows of the samples that share an error.
-    correlated_rows: Option<f64>,
 }
 
 impl<'a> Row<'a> {
     fn new(judged: &'a Judged, bearing: &Bearing) -> Self {
-        let fix = bearing.placed.as_ref().map(|placed| &placed.fix);
-        Self {
-            judged,
-            places_searched: fix.map(|fix| fix.evaluations),
-            residual_phase_rad: fix.map(|fix| fix.deviations.phase_variance.sqrt()),
-            correlated_rows: fix.map(|fix| fix.deviations.correlated_rows),
-        }
+        let coherence = bearing.plane_wave.coherence;
+        Self { judged, residual_phase_rad: (coherence > 0.0).then(|| (-2.0 * coherence.ln()).max(0.0).sqrt()) }
     }
 }
 
@@ -79,7 +70,6 @@ pub fn run(args: &Args) -> Result {
     let options = args.reading.options().unwrap_or_else(|message| usage(&message));
     let options = options.with_keep_course(true);
     #[cfg(feature = "plot")]
-    let options = options.with_keep_maps(args.out.is_some());
     let (folder, wanted) = parts(&args.link);
     let (captures, unreadable) = args.reading.find(&folder)?;
     for folder in &unreadable {
@@ -137,7 +127,7 @@ pub fn run(args: &Args) -> Result {
 fn check_pictures(args: &Args, names: &[String]) -> std::result::Result<(), String> {
     let Some(folder) = &args.out else { return Ok(()) };
     let stems: Vec<PathBuf> =
-        names.iter().flat_map(|name| csi5300_lab::show::link::LinkPictures::all_stems(folder, name)).collect();
+        names.iter().flat_map(|name| csi5300_lab::show::link::LinkPictures::stems(folder, name)).collect();
     args.pictures.check(&stems)
 }
 
@@ -145,7 +135,7 @@ fn check_pictures(args: &Args, names: &[String]) -> std::result::Result<(), Stri
 fn draw(args: &Args, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
     let Some(folder) = &args.out else { return Ok(()) };
     let pictures = csi5300_lab::show::link::LinkPictures::of(row, bearing, args.reading.source());
-    let written = pictures.write_all(folder, &row.answer.link, &args.pictures.format());
+    let written = pictures.write(folder, &row.answer.link, &args.pictures.format());
     let written = written.map_err(|error| super::pictures::refused(&error))?;
     note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
     Ok(())
@@ -162,17 +152,11 @@ fn describe(row: &Judged, bearing: &Bearing) -> String {
         counts.formed, counts.in_motion, counts.standing, counts.no_pose
     );
     turn_around(&mut text, bearing);
-    placed(&mut text, bearing);
-    let views: Vec<String> = answer.view_powers.iter().map(|power| format!("{power:.2}")).collect();
-    let _ = writeln!(
-        text,
-        "views         {} (round trip whole, its centre in windows, one way in windows)",
-        views.join(", ")
-    );
-    text += "candidates    (by evidence; power of all views)\n";
+    if let Some(slope_sd_rad) = bearing.slope_sd_rad {
+        let _ = writeln!(text, "sampling time slopes {slope_sd_rad:.3} rad per subcarrier (deviation) taken out");
+    }
+    text += "candidates    (by probability)\n";
     text += &places(&answer.candidates);
-    text += "paths         (one-way power, of the round trip)\n";
-    text += &places(&answer.paths);
     conclusion(&mut text, row);
     text
 }
@@ -193,39 +177,6 @@ fn turn_around(text: &mut String, bearing: &Bearing) {
             );
         }
         None => text.push_str("turn-around   not known\n"),
-    }
-}
-
-/// What the search over places found out on its way.
-fn placed(text: &mut String, bearing: &Bearing) {
-    if let Some(placed) = &bearing.placed {
-        if let Some(a) = &placed.alignment {
-            let _ = writeln!(
-                text,
-                "sampling time slopes {:.3} rad per subcarrier (deviation) taken out; coherence {:.2} -> {:.2}",
-                a.slope_sd_rad, a.coherence_before, a.coherence_after
-            );
-        }
-        if let Some(slips) = placed.slips {
-            let _ = writeln!(text, "one-way       {:.1} % of the power at sign slips", 100.0 * slips);
-        }
-        if let Some(focus) = &placed.focus {
-            let _ = writeln!(
-                text,
-                "autofocus     scale {:.3}, turn {:.1} deg/m: ln power {:+.3} over all links, {}",
-                focus.warp.scale,
-                focus.warp.turn_rad_per_m.to_degrees(),
-                focus.gain,
-                if focus.worthwhile { "applied" } else { "not worth its two parameters" }
-            );
-        }
-        let _ = writeln!(
-            text,
-            "search        {} places; residual phase {:.2} rad, {:.0} rows share an error",
-            placed.fix.evaluations,
-            placed.fix.deviations.phase_variance.sqrt(),
-            placed.fix.deviations.correlated_rows
-        );
     }
 }
 
@@ -272,26 +223,17 @@ pub fn mirror(answer: &Answer) -> Option<String> {
     Some(format!("{azimuth} deg{height}: motion {motion} cannot tell them apart"))
 }
 
-/// A line for each path.
-pub fn places(paths: &[PathAnswer]) -> String {
+/// A line for each candidate.
+pub fn places(candidates: &[CandidateAnswer]) -> String {
     let mut text = String::new();
-    for (number, path) in paths.iter().enumerate() {
-        let range = path.range_m.map_or("far".into(), |range| format!("{range:.1} m"));
-        let elevation = match path.elevation_deg {
+    for (number, candidate) in candidates.iter().enumerate() {
+        let range = candidate.range_m.map_or("far".into(), |range| format!("{range:.1} m"));
+        let elevation = match candidate.elevation_deg {
             Some(elevation) => format!("elevation {:>5}", fixed(elevation, 1)),
-            None => format!("|elevation| {:4.1}", path.abs_elevation_deg),
+            None => format!("|elevation| {:4.1}", candidate.abs_elevation_deg),
         };
-        let _ = write!(
-            text,
-            "  {}: {:>7} deg, {elevation} deg, {range}, {} dB",
-            number + 1,
-            fixed(path.azimuth_deg, 2),
-            fixed(path.relative_power_db, 1)
-        );
-        if let Some([a, b]) = path.cross_term_of {
-            let _ = write!(text, ", the product of {} and {}", a + 1, b + 1);
-        }
-        text.push('\n');
+        let (azimuth, percent) = (fixed(candidate.azimuth_deg, 2), 100.0 * candidate.share);
+        let _ = writeln!(text, "  {}: {azimuth:>7} deg, {elevation} deg, {range}, {percent:.0} %", number + 1);
     }
     text
 }

@@ -16,7 +16,6 @@ mod evaluate;
 mod explain;
 mod export;
 mod files;
-mod folds;
 mod hint;
 mod info;
 mod inputs;

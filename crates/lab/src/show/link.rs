@@ -1,6 +1,6 @@
 //! The pictures of a link: phase, trajectory with the bearing on it, polar profile, maps of places.
 
-use super::{Error, Format, PhasePlot, PhaseTrack, PlaceMap, ProfilePlot, TrajectoryPlot, file_safe};
+use super::{Error, Format, PhasePlot, PhaseTrack, ProfilePlot, TrajectoryPlot, file_safe};
 use crate::curves::{Curve, evidence, plane_wave, without_motion};
 use crate::evaluate::{Judged, TrajectorySource};
 use csi5300::bartlett;
@@ -40,14 +40,6 @@ impl<'a> LinkPictures<'a> {
         ["phase", "trajectory", "profile"].map(|what| stem(folder, name, what))
     }
 
-    /// What the pictures of [`Self::write_all`] are called, without their endings.
-    #[must_use]
-    pub fn all_stems(folder: &Path, name: &str) -> [PathBuf; 5] {
-        let [phase, trajectory, profile] = Self::stems(folder, name);
-        let [elevation, range] = MAPS.map(|what| stem(folder, name, what));
-        [phase, trajectory, profile, elevation, range]
-    }
-
     /// Writes `NAME-phase`, `NAME-trajectory` and `NAME-profile` into a folder; none of them if one may not be replaced.
     ///
     /// # Errors
@@ -63,20 +55,6 @@ impl<'a> LinkPictures<'a> {
         }
         written.extend(self.trajectory(name).write(&trajectory, format)?);
         written.extend(self.profile(name)?.write(&profile, format)?);
-        Ok(written)
-    }
-
-    /// The same, and `NAME-azimuth-elevation` and `NAME-azimuth-range` where maps were asked for.
-    ///
-    /// # Errors
-    /// If a picture cannot be drawn or written.
-    pub fn write_all(&self, folder: &Path, name: &str, format: &Format) -> Result<Vec<PathBuf>, Error> {
-        let maps = places(self.bearing, name, self.truth_rad.map(f64::to_degrees));
-        format.check(&maps.iter().map(|(what, _)| stem(folder, name, what)).collect::<Vec<_>>())?;
-        let mut written = self.write(folder, name, format)?;
-        for (what, map) in maps {
-            written.extend(map.write(&stem(folder, name, what), format)?);
-        }
         Ok(written)
     }
 
@@ -142,9 +120,6 @@ impl<'a> LinkPictures<'a> {
     }
 }
 
-/// The maps of places, where they were asked for.
-const MAPS: [&str; 2] = ["azimuth-elevation", "azimuth-range"];
-
 /// Of a path's points so many at most, equally far from each other along it, with both ends; all of them where `most` is 0.
 fn spread(points: Vec<[f64; 2]>, most: usize) -> Vec<[f64; 2]> {
     if most == 0 || points.len() <= most {
@@ -189,50 +164,6 @@ fn whole_track(label: &str, bearing: &Bearing) -> PhaseTrack {
         left: without_motion(bearing),
         ..track(label, &bearing.course)
     }
-}
-
-fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'static str, PlaceMap)> {
-    let Some(maps) = bearing.placed.as_ref().and_then(|placed| placed.maps.as_ref()) else {
-        return Vec::new();
-    };
-    let candidates = || bearing.answer.candidates.iter();
-    let last = |values: &[f64]| values.last().copied().unwrap_or(0.0);
-    let mut found = Vec::new();
-    if maps.elevations_rad.len() > 1 {
-        let signed = maps.elevations_rad.first().is_some_and(|lowest| *lowest < 0.0);
-        let elevation =
-            |s: &csi5300::pipeline::Candidate| s.signed_elevation_rad.unwrap_or(s.abs_elevation_rad).to_degrees();
-        let own = candidates().map(|s| (s.azimuth_rad.to_degrees(), elevation(s)));
-        let first = maps.elevations_rad.first().copied().unwrap_or(0.0);
-        let map = PlaceMap {
-            title: format!("{name}: joint power, best range of each"),
-            y_label: if signed { "elevation (degrees)" } else { "|elevation| (degrees)" }.into(),
-            y: (first.to_degrees(), last(&maps.elevations_rad).to_degrees()),
-            n_az: maps.azimuths,
-            value: maps.over_elevation.clone(),
-            marks: own.collect(),
-            truth_deg,
-            ..PlaceMap::default()
-        };
-        found.push((MAPS[0], map));
-    }
-    if maps.curves_per_m.len() > 1 {
-        let most = last(&maps.curves_per_m);
-        let ticks = [f64::INFINITY, 20.0, 10.0, 6.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.0];
-        let shown = ticks.into_iter().filter(|range| 1.0 / range <= most * 1.001);
-        let map = PlaceMap {
-            title: format!("{name}: joint power, best elevation of each"),
-            y_label: "range (m), even in 1/range".into(),
-            y: (0.0, most),
-            y_ticks: shown.map(|r| (1.0 / r, if r.is_finite() { r.to_string() } else { "far".into() })).collect(),
-            n_az: maps.azimuths,
-            value: maps.over_range.clone(),
-            marks: candidates().map(|s| (s.azimuth_rad.to_degrees(), s.inverse_range_per_m)).collect(),
-            truth_deg,
-        };
-        found.push((MAPS[1], map));
-    }
-    found
 }
 
 #[cfg(test)]
