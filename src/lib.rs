@@ -154,12 +154,12 @@ pub mod internal {
     }
     pub use crate::bartlett::direct::oracle;
     pub use crate::bartlett::search::Searcher;
+    pub use crate::estimate::heading;
     pub use crate::exchange::pairing::numbering::before_first_number;
     pub use crate::exchange::tdma::proof::{Proof, Prover};
     pub use crate::motion::heading::heading_of;
     pub use crate::motion::rolling::Roller;
     pub use crate::pipeline::intake::{FrameHeard, Front};
-    pub use crate::estimate::heading;
     /// The filter over a peer's place.
     pub mod track {
         pub use crate::place::track::{

@@ -21,11 +21,7 @@ pub struct SearchOptions {
 
 impl Default for SearchOptions {
     fn default() -> Self {
-        Self {
-            elevation_max_rad: 20f64.to_radians(),
-            odometry_sd_m: sensor::POSITION_M,
-            tier: Tier::detect(),
-        }
+        Self { elevation_max_rad: 20f64.to_radians(), odometry_sd_m: sensor::POSITION_M, tier: Tier::detect() }
     }
 }
 

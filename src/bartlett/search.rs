@@ -26,8 +26,8 @@ use super::newton::{Hill, Point, Second, Top};
 use super::report::{Findings, REPORTED, mirror_start};
 use super::sampler::{RING_STEP, Rings, Sampled, Sampler, elevation_rings};
 use super::scene::{Scene, Shape};
-use crate::signal::samples::Samples;
 use crate::estimate::tuning::sensor;
+use crate::signal::samples::Samples;
 use csi5300_kernels::fft::good_size;
 use csi5300_kernels::simd::{ROUGH, Tier};
 use csi5300_kernels::sums::Sines;
@@ -227,8 +227,7 @@ impl<'a> Search<'a> {
         let cosine = deviations(fit, spread, Second::Cosine, Point { azimuth, second: 1.0 }, false)[1];
         let angle = deviations(fit, spread, Second::Elevation, Point { azimuth, second: 0.0 }, false)[1];
         let high = odometry_tells(self.scene.depth_squared(Vector3::z()), odometry_sd_m / self.scene.turn_m);
-        let apart =
-            |kind, second| independence(spread, kind, Point { azimuth, second }) > INDEPENDENT;
+        let apart = |kind, second| independence(spread, kind, Point { azimuth, second }) > INDEPENDENT;
         (cosine < (1.0 - limit.cos()) / uniform && apart(Second::Cosine, 1.0))
             || (high && angle < 2.0 * limit / uniform && apart(Second::Elevation, 0.0))
     }

@@ -8,8 +8,8 @@
 //! `ln L = mean over channels and window lengths of (N - windows) (-ln(1 - rho))`.
 
 use super::signal::{Aperture, COLUMNS};
-use crate::bartlett::Tier;
 use super::tuning;
+use crate::bartlett::Tier;
 use csi5300_kernels::simd::{V, on_tier, sin_cos_turns};
 use fearless_simd::{Level, Simd, SimdBase, SimdFloat, f32x8};
 use nalgebra::Vector3;
@@ -106,7 +106,8 @@ impl Field {
         self.steer(simd, place, work);
         let lengths = self.freedom.len();
         for (own, shares) in self.apertures.iter().zip(shares.chunks_mut(lengths)) {
-            let (cos, sin) = if own.aperture.path_gain == 1 { (&work.cos, &work.sin) } else { (&work.cos2, &work.sin2) };
+            let (cos, sin) =
+                if own.aperture.path_gain == 1 { (&work.cos, &work.sin) } else { (&work.cos2, &work.sin2) };
             for (slot, cut) in work.sums.iter_mut().zip(self.cuts.windows(2)) {
                 let inside = cut[0]..cut[1];
                 *slot = window(simd, &own.aperture.rows[inside.clone()], &cos[inside.clone()], &sin[inside]);
@@ -281,8 +282,7 @@ mod tests {
             let z = vec![Complex64::ONE; count];
             let bins = Bins::along(&points, WAVELENGTH_M);
             let aperture = Aperture::of_phasors(&z, &bins, 2);
-            let field =
-                Field::new(&bins.points_m(&points), vec![aperture], WAVELENGTH_M, 1.0, 4, Tier::detect());
+            let field = Field::new(&bins.points_m(&points), vec![aperture], WAVELENGTH_M, 1.0, 4, Tier::detect());
             let place = Place { azimuth: 1.0, elevation: 0.0, curve: 0.1 };
             assert_eq!(field.log_likelihoods(&[place]), [0.0], "{count}");
         }

@@ -34,8 +34,8 @@ struct Plane {
     depth2: f64,
 }
 
-/// The thin sides of a motion: across in its own plane, and in space across that plane.
-fn planes(points: &[Vector3<f64>], prior: &Prior) -> Vec<Plane> {
+/// The plane that a motion lies nearest to, or of a line the upright one along it.
+fn planes(points: &[Vector3<f64>], prior: &Prior, odometry_sd_m: f64) -> Vec<Plane> {
     let scatter: Matrix3<f64> =
         points.iter().map(|p| p * p.transpose()).sum::<Matrix3<f64>>() / points.len().max(1) as f64;
     let eigen = SymmetricEigen::new(scatter);
@@ -45,14 +45,15 @@ fn planes(points: &[Vector3<f64>], prior: &Prior) -> Vec<Plane> {
         normal: eigen.eigenvectors.column(order[k]).into_owned(),
         depth2: eigen.eigenvalues[order[k]].max(0.0),
     };
-    if prior.is_signed() {
-        return vec![plane(2), plane(1)];
-    }
-    // In its own plane: the least of the horizontal extents.
-    let along = eigen.eigenvectors.column(order[0]);
-    let normal = Vector3::new(-along.y, along.x, 0.0);
-    let across = points.iter().map(|p| normal.dot(p).powi(2)).sum::<f64>() / points.len().max(1) as f64;
-    vec![Plane { normal: normal / normal.norm().max(1e-12), depth2: across / normal.norm_squared().max(1e-12) }]
+    let along = eigen.eigenvectors.column(order[0]).into_owned();
+    let depth2 =
+        |normal: &Vector3<f64>| points.iter().map(|p| normal.dot(p).powi(2)).sum::<f64>() / points.len().max(1) as f64;
+    // Upright and along the motion: what a level motion, or a line in space, has on either side of it. What lies about a line
+    // beyond that, the elevations say.
+    let upright = Vector3::new(-along.y, along.x, 0.0).try_normalize(1e-6);
+    let on_its_sides = upright.map(|normal| Plane { normal, depth2: depth2(&normal) });
+    let is_line = share(f64::INFINITY, plane(1).depth2, odometry_sd_m) >= LEAST;
+    if prior.is_signed() && !is_line { vec![plane(2)] } else { on_its_sides.into_iter().collect() }
 }
 
 /// A place reflected in a plane.
@@ -83,7 +84,7 @@ pub(super) fn mix(
     odometry_sd_m: f64,
 ) -> Mirrored {
     let shares = |_: &Place, plane: &Plane| share(f64::INFINITY, plane.depth2, odometry_sd_m);
-    mixed(modes, points, steps, prior, &shares)
+    mixed(modes, planes(points, prior, odometry_sd_m), steps, prior, &shares)
 }
 
 /// The same of one wave: `L` is that of independent samples.
@@ -111,19 +112,19 @@ pub(super) fn of_one_wave(
         let ratio = samples.len() as f64 * (unexplained(&image) / unexplained(place)).ln();
         share(ratio.max(0.0), plane.depth2, odometry_sd_m)
     };
-    mixed(modes, points, steps, prior, &shares)
+    mixed(modes, planes(points, prior, odometry_sd_m), steps, prior, &shares)
 }
 
 fn mixed(
     modes: &mut Vec<Mode>,
-    points: &[Vector3<f64>],
+    planes: Vec<Plane>,
     steps: &Steps,
     prior: &Prior,
     shares: &dyn Fn(&Place, &Plane) -> f64,
 ) -> Mirrored {
     let (mut plane_of_mirror, mut level) = (None, false);
     let first = modes.first().map(|mode| mode.place);
-    for plane in planes(points, prior) {
+    for plane in planes {
         let Some(first) = first else { break };
         let own = shares(&first, &plane);
         if own < LEAST {
@@ -139,7 +140,8 @@ fn mixed(
         let images: Vec<Mode> = modes.iter().map(|mode| image_of(mode, &plane, own, prior.is_signed())).collect();
         modes.iter_mut().for_each(|mode| scale(mode, 1.0 - own));
         for image in images {
-            let near = |mode: &&mut Mode| wrap_rad(mode.place.azimuth - image.place.azimuth).abs() < 2.0 * steps.azimuth();
+            let near =
+                |mode: &&mut Mode| wrap_rad(mode.place.azimuth - image.place.azimuth).abs() < 2.0 * steps.azimuth();
             match modes.iter_mut().find(near) {
                 Some(mode) => {
                     mode.mass += image.mass;

@@ -23,7 +23,7 @@ use crate::bartlett::{self, Searcher, Tier};
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::Planes;
 use crate::signal::samples::Samples;
-use likelihood::Field;
+use likelihood::{Field, Place};
 use nalgebra::Vector3;
 pub use one_wave::Unexplained;
 use posterior::{Blur, Mode, Steps, half_width, mass_within};
@@ -37,8 +37,6 @@ const LEVEL_TURNS: f64 = 0.35;
 /// A tracking camera's height drifts by up to a seventh of a circle's radius: heights below this share of the motion's
 /// longest side may be no heights at all.
 const TALL: f64 = 0.2;
-/// A wave that moves the azimuth by less than this share of its error bar is of no consequence.
-const OF_NO_CONSEQUENCE: f64 = 0.1;
 /// An elevation above this share of its limit is at the limit.
 const AT_LIMIT: f64 = 0.995;
 /// From this accuracy on the grid alone will do, radians.
@@ -69,24 +67,22 @@ pub(crate) struct Task<'a> {
     /// Error of the positions from moment to moment, metres.
     pub odometry_sd_m: f64,
     pub heading_sd_rad: f64,
-    /// Stop early where one wave explains all: never, within a share of the error bar, or within so many radians.
     pub effort: Effort,
     pub align: bool,
     pub one_way: bool,
     pub tier: Tier,
 }
 
-/// How much is computed beyond the least.
+/// How much is computed.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub enum Effort {
-    /// What may move the azimuth by more than a tenth of its error bar: where one wave leaves nothing but noise, nothing
-    /// does.
+    /// What the scene needs: one wave, where that leaves nothing but noise, else the posterior over windows and channels.
     #[default]
     Needed,
-    /// What may move the azimuth by more than this, radians; from one degree on the coarse grid alone.
+    /// The same; where the azimuth needs to be right to this only, radians, and that is a degree or more, on the coarse grid alone.
     Within(f64),
-    /// Everything.
+    /// The posterior over windows and channels in every scene.
     Everything,
 }
 
@@ -104,10 +100,8 @@ pub enum Sufficient {
 /// What leaving the posterior out risked.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Risk {
-    /// How far it may have moved the azimuth, radians: by a wave as strong as the noise could hide.
+    /// How far it may have moved the azimuth at most, radians: by a wave as strong as the noise could hide.
     pub risk_rad: f64,
-    /// How far it was allowed to, radians.
-    pub tolerance_rad: f64,
 }
 
 /// Why the whole posterior was computed.
@@ -266,56 +260,96 @@ pub(crate) fn estimate(
         Reach::Low => &[false, true],
         Reach::Tall => &[true],
     };
-    let models: Vec<Model> =
-        signs.iter().map(|&signed| Model::new(&points, samples, &task.limits, signed)).collect();
+    let models: Vec<Model> = signs.iter().map(|&signed| Model::new(&points, samples, &task.limits, signed)).collect();
     let mut searcher = Searcher::new(task.tier);
     let plane_wave = plane_wave(task, &mut searcher, &models)?;
-    let reason = match early(task, &models, &plane_wave, middle_m) {
+    let reason = match early(task, &models, (&plane_wave, None), middle_m) {
         Ok(found) => return Ok(found),
         Err(reason) => reason,
     };
     let (slope_sd_rad, apertures, bins) = channels(task, &models[0].points, rows(), used);
-    let blur = Blur { heading_rad: task.heading_sd_rad, model_rad: tuning::MODEL_DEG.to_radians() };
     let fine = !matches!(task.effort, Effort::Within(asked) if asked >= COARSE_RAD);
-    let mut best: Option<(f64, Found)> = None;
+    let mut best: Option<Windowed> = None;
     for model in models {
-        let points = bins.points_m(&model.points);
-        let path_m: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
-        // One sample in a quarter of the turn that the round trip makes is independent of the next.
-        let independent = (2.0 * path_m * f64::from(samples.path_gain()) / samples.wavelength_m()).min(bins.len() as f64);
-        let field = Field::new(
-            &points,
-            apertures.clone(),
-            samples.wavelength_m(),
-            independent,
-            tuning::WINDOW_LENGTHS,
-            task.tier,
-        );
-        let (evidence, mut modes) = posterior::modes(&field, &model.prior, &model.steps, fine);
-        if best.as_ref().is_some_and(|(other, _)| *other >= evidence) {
-            continue;
+        let field = field(task, &bins, &model, &apertures);
+        let own = Windowed::new(&field, model, fine);
+        let wider = own.wider(task).map(|model| Windowed::new(&field, model, fine));
+        for own in [Some(own), wider].into_iter().flatten() {
+            if best.as_ref().is_none_or(|best| own.evidence > best.evidence) {
+                best = Some(own);
+            }
         }
-        let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry_sd_m);
-        let bound_rad = modes.first().map_or(f64::INFINITY, |mode| mode.covariance[(0, 0)].max(0.0).sqrt());
-        let found = Found {
-            plane_wave: plane_wave.clone(),
-            sufficient: Sufficient::Posterior(reason),
-            signed: model.prior.is_signed() && !mirror.level,
-            mirror: mirror.of_first,
-            modes,
-            blur,
-            prior: model.prior,
-            bound_rad,
-            slope_sd_rad,
-            middle_m,
-        };
-        best = Some((evidence, found));
     }
-    best.map(|(_, found)| found).ok_or(bartlett::Error::Empty)
+    let Some(Windowed { model, mut modes, .. }) = best else { return Err(bartlett::Error::Empty) };
+    // A wave that the plane wave did not lead to.
+    let start = modes.first().map(|mode| mode.place);
+    if let Ok(found) = early(task, std::slice::from_ref(&model), (&plane_wave, start), middle_m) {
+        return Ok(found);
+    }
+    let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry_sd_m);
+    Ok(Found {
+        plane_wave,
+        sufficient: Sufficient::Posterior(reason),
+        signed: model.prior.is_signed() && !mirror.level,
+        mirror: mirror.of_first,
+        bound_rad: modes.first().map_or(f64::INFINITY, |mode| mode.covariance[(0, 0)].max(0.0).sqrt()),
+        modes,
+        blur: Blur { heading_rad: task.heading_sd_rad, model_rad: tuning::MODEL_DEG.to_radians() },
+        prior: model.prior,
+        slope_sd_rad,
+        middle_m,
+    })
+}
+
+/// The likelihood over windows and channels for one model of the heights.
+fn field(task: &Task<'_>, bins: &Bins, model: &Model, apertures: &[Aperture]) -> Field {
+    let (wavelength_m, gain) = (task.samples.wavelength_m(), f64::from(task.samples.path_gain()));
+    let points = bins.points_m(&model.points);
+    let path_m: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    // One sample in a quarter of the turn that the round trip makes is independent of the next.
+    let independent = (2.0 * path_m * gain / wavelength_m).min(bins.len() as f64);
+    Field::new(&points, apertures.to_vec(), wavelength_m, independent, tuning::WINDOW_LENGTHS, task.tier)
+}
+
+/// The posterior over windows for one model.
+struct Windowed {
+    model: Model,
+    /// `ln` of the evidence for the model.
+    evidence: f64,
+    modes: Vec<Mode>,
+}
+
+impl Windowed {
+    fn new(field: &Field, model: Model, fine: bool) -> Self {
+        let (evidence, modes) = posterior::modes(field, &model.prior, &model.steps, fine);
+        Self { model, evidence, modes }
+    }
+
+    /// The model with nearer places, where the nearest place seems to be the best and nobody asked for that limit.
+    fn wider(&self, task: &Task<'_>) -> Option<Model> {
+        let Model { points, prior, steps } = &self.model;
+        let curve = self.modes.first().map_or(0.0, |mode| mode.place.curve);
+        let at_limit = prior.curve_max > 0.0 && curve > 0.9 * prior.curve_max;
+        if !at_limit || task.limits.range_min_m.is_some() {
+            return None;
+        }
+        let prior = prior.with_curve_max(nearest_curve(points, task.samples.wavelength_m()));
+        steps.are_affordable(points.len(), &prior).then(|| Model { points: points.clone(), prior, steps: *steps })
+    }
+}
+
+/// 1 / range of the nearest place that a motion leaves free, 1/m.
+fn nearest_curve(points: &[Vector3<f64>], wavelength_m: f64) -> f64 {
+    let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
+    1.0 / (1.2 * radius_m).max(wavelength_m)
 }
 
 /// The best plane wave within the limits; where it lies at one that nobody asked for, within all elevations.
-fn plane_wave(task: &Task<'_>, searcher: &mut Searcher, models: &[Model]) -> Result<bartlett::Estimate, bartlett::Error> {
+fn plane_wave(
+    task: &Task<'_>,
+    searcher: &mut Searcher,
+    models: &[Model],
+) -> Result<bartlett::Estimate, bartlett::Error> {
     let widest = models.iter().map(|model| model.prior.elevation_rad[1]).fold(0.0, f64::max);
     let highest_rad = if task.limits.height_m.is_some() { FRAC_PI_2 } else { widest };
     let within = searcher.search_with(task.samples, highest_rad, task.odometry_sd_m)?;
@@ -330,7 +364,7 @@ fn plane_wave(task: &Task<'_>, searcher: &mut Searcher, models: &[Model]) -> Res
 fn early(
     task: &Task<'_>,
     models: &[Model],
-    plane_wave: &bartlett::Estimate,
+    (plane_wave, start): (&bartlett::Estimate, Option<Place>),
     middle_m: Vector3<f64>,
 ) -> Result<Found, Reason> {
     if task.effort == Effort::Everything {
@@ -340,12 +374,12 @@ fn early(
     let mut failed = Reason::Unexplained(Unexplained::NoPlace);
     for model in models {
         // A clean wave front shows a near or high place by itself: only a limit that was asked for holds.
-        let radius = model.points.iter().map(|p| p.norm()).fold(0.0, f64::max);
-        let nearest = (1.2 * radius).max(samples.wavelength_m());
+        let nearest = nearest_curve(&model.points, samples.wavelength_m());
         let is_free = task.limits.range_min_m.is_none() && task.limits.near_field;
-        let prior = if is_free { model.prior.with_curve_max(model.prior.curve_max.max(1.0 / nearest)) } else { model.prior };
+        let prior = if is_free { model.prior.with_curve_max(model.prior.curve_max.max(nearest)) } else { model.prior };
         let prior = if task.limits.elevation_max_rad.is_none() { prior.with_any_elevation() } else { prior };
-        let one = match one_wave::explain(samples, &model.points, plane_wave, &prior, &model.steps, task.tier) {
+        let one = match one_wave::explain(samples, &model.points, (plane_wave, start), &prior, &model.steps, task.tier)
+        {
             Ok(one) => one,
             Err(unexplained) => {
                 failed = Reason::Unexplained(unexplained);
@@ -354,9 +388,9 @@ fn early(
         };
         let mut modes = one.modes;
         let mirror = mirror::of_one_wave(&mut modes, samples, &model.points, &prior, &model.steps, task.odometry_sd_m);
-        let found = Found {
+        return Ok(Found {
             plane_wave: plane_wave.clone(),
-            sufficient: Sufficient::OneWave(Risk { risk_rad: one.risk_rad, tolerance_rad: 0.0 }),
+            sufficient: Sufficient::OneWave(Risk { risk_rad: one.risk_rad }),
             signed: prior.is_signed() && !mirror.level,
             mirror: mirror.of_first,
             modes,
@@ -365,16 +399,7 @@ fn early(
             bound_rad: one.bound_rad,
             slope_sd_rad: None,
             middle_m,
-        };
-        let tolerance_rad = match task.effort {
-            Effort::Within(asked) => asked,
-            _ => OF_NO_CONSEQUENCE * found.half_width_rad(0.683),
-        };
-        if one.risk_rad > tolerance_rad {
-            failed = Reason::Unexplained(Unexplained::Noise(one.risk_rad));
-            continue;
-        }
-        return Ok(Found { sufficient: Sufficient::OneWave(Risk { risk_rad: one.risk_rad, tolerance_rad }), ..found });
+        });
     }
     Err(failed)
 }

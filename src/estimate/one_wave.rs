@@ -11,20 +11,22 @@ use super::likelihood::{Field, Place};
 use super::posterior::{Atom, Mode, Steps};
 use super::prior::Prior;
 use super::signal::{Aperture, Bins};
+use super::tuning::sensor;
 use crate::bartlett::{Estimate, Searcher, Tier};
 use crate::maths::wrap_rad;
 use crate::signal::samples::Samples;
-use super::tuning::sensor;
 use csi5300_kernels::fft::Ffts;
 use nalgebra::{Matrix3, Matrix4, SMatrix, SVector, Vector3, Vector4};
 use num_complex::Complex64;
 use std::f64::consts::{FRAC_PI_2, TAU};
 use std::fmt;
 
-/// Probability that noise is taken for something else: one motion in a hundred is searched in full for nothing.
-const FALSE_ALARM: f64 = 0.01;
+/// Probability that noise is taken for something else: then the posterior over windows is computed for nothing.
+const FALSE_ALARM: f64 = 0.001;
 /// Fewer samples tell no noise from anything else.
 const LEAST_SAMPLES: usize = 32;
+/// Phases of a wave with less of the power wrap too often for least squares.
+const LEAST_SHARE: f64 = 0.25;
 /// Steps of least squares at most.
 const STEPS: usize = 12;
 /// Azimuths of the posterior on either side of the most likely one, and how far the first of them goes in deviations.
@@ -32,6 +34,8 @@ const SIDE: usize = 12;
 const REACH: f64 = 4.0;
 /// `ln` of how many times less likely another direction has to be.
 const DECISIVE: f64 = 12.0;
+/// A range that is this far less likely, in logarithms, is out of the question.
+const DOUBT: f64 = 3.0;
 
 /// Why one wave is not the whole answer.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -40,6 +44,8 @@ const DECISIVE: f64 = 12.0;
 pub enum Unexplained {
     /// Too few samples to tell noise from anything else.
     FewSamples(usize),
+    /// The best single wave explains only this share of the power.
+    Faint(f64),
     /// Least squares lead to no place within the limits of the prior.
     NoPlace,
     /// What is left goes on along the motion: its cumulative periodogram is this many times as far from that of noise as
@@ -49,8 +55,6 @@ pub enum Unexplained {
     AnotherWave(f64),
     /// Another direction explains the samples about as well.
     Ambiguous,
-    /// The noise could hide a wave that moves the azimuth by so much, radians.
-    Noise(f64),
 }
 
 impl fmt::Display for Unexplained {
@@ -59,15 +63,15 @@ impl fmt::Display for Unexplained {
             Self::FewSamples(samples) => {
                 write!(f, "{samples} samples are too few to tell noise from anything else")
             }
+            Self::Faint(share) => write!(f, "one wave explains only {:.0} % of the power", 100.0 * share),
             Self::NoPlace => f.write_str("no place within the limits explains the samples"),
             Self::NotWhite(times) => {
                 write!(f, "the residual phases are not noise: {times:.1} times the limit of the whiteness test")
             }
-            Self::AnotherWave(times) => write!(f, "another wave is there, {times:.1} times as strong as noise may seem"),
-            Self::Ambiguous => f.write_str("another direction explains the samples about as well"),
-            Self::Noise(rad) => {
-                write!(f, "the noise could hide a wave that moves the azimuth by {:.2} degrees", rad.to_degrees())
+            Self::AnotherWave(times) => {
+                write!(f, "another wave is there, {times:.1} times as strong as noise may seem")
             }
+            Self::Ambiguous => f.write_str("another direction explains the samples about as well"),
         }
     }
 }
@@ -104,14 +108,15 @@ struct Wave<'a> {
     open: Open,
 }
 
-/// Looks for one wave next to `plane_wave`. `points` are the displacements of `samples` about their middle.
+/// Looks for one wave next to `start`, or where none is given next to `plane_wave`. `points` are the displacements of
+/// `samples` about their middle.
 ///
 /// # Errors
 /// What else there is.
 pub(crate) fn explain(
     samples: &Samples,
     points: &[Vector3<f64>],
-    plane_wave: &Estimate,
+    (plane_wave, start): (&Estimate, Option<Place>),
     prior: &Prior,
     steps: &Steps,
     tier: Tier,
@@ -120,24 +125,32 @@ pub(crate) fn explain(
         return Err(Unexplained::FewSamples(samples.len()));
     }
     let kappa = TAU * f64::from(samples.path_gain()) / samples.wavelength_m();
-    let open = Open([prior.elevation_is_open() && plane_wave.elevation_searched, prior.curve_max > 0.0, true]);
-    let wave = Wave { samples, points, kappa, prior, open };
-    let start = start(samples, points, plane_wave, prior, steps, tier);
-    let at = wave.settled(At { place: start, scale: 0.0 }).ok_or(Unexplained::NoPlace)?;
+    let shows_elevation = plane_wave.elevation_searched || prior.is_signed();
+    let open = Open([prior.elevation_is_open() && shows_elevation, prior.curve_max > 0.0, false]);
+    let mut wave = Wave { samples, points, kappa, prior, open };
+    let place = start.unwrap_or_else(|| best_start(samples, points, plane_wave, prior, steps, tier));
+    let share = explained(&wave, &At { place, scale: 0.0 });
+    if share < LEAST_SHARE {
+        return Err(Unexplained::Faint(share));
+    }
+    let at = wave.settled(At { place, scale: 0.0 }).ok_or(Unexplained::NoPlace)?;
     let left = wave.residual(&at);
     whiteness(&left, tier)?;
     unambiguous(&wave, &at, plane_wave, steps)?;
     let peak = highest_peak(&wave, &at, &left, plane_wave, tier)?;
     let free = left.len() as f64 - 5.0;
     let variance = (left.iter().map(|e| e * e).sum::<f64>() / free).max(1e-16);
-    let covariance = wave.covariance(&at, variance, true);
     let bound_rad = wave.covariance(&at, variance, false)[(0, 0)].max(0.0).sqrt();
+    // The trajectory is taken as it is for the place, which is efficient where it is exact; what its scale leaves open is in the
+    // posterior.
+    wave.open.0[2] = true;
+    let covariance = wave.covariance(&at, variance, true);
     let modes = vec![wave.mode(&at, covariance, variance)];
     Ok(OneWave { modes, bound_rad, risk_rad: (2.0 * peak).sqrt() * bound_rad })
 }
 
 /// The best of the places about the plane wave, on a grid.
-fn start(
+fn best_start(
     samples: &Samples,
     points: &[Vector3<f64>],
     plane_wave: &Estimate,
@@ -147,7 +160,8 @@ fn start(
 ) -> Place {
     let bins = Bins::along(points, samples.wavelength_m());
     let aperture = Aperture::of_phasors(samples.z(), &bins, samples.path_gain());
-    let field = Field::new(&bins.points_m(points), vec![aperture], samples.wavelength_m(), 1.0 + bins.len() as f64, 1, tier);
+    let field =
+        Field::new(&bins.points_m(points), vec![aperture], samples.wavelength_m(), 1.0 + bins.len() as f64, 1, tier);
     let elevation = plane_wave.signed_elevation_rad.unwrap_or(plane_wave.abs_elevation_rad);
     let mut elevations = vec![elevation];
     match prior.is_signed() {
@@ -252,26 +266,23 @@ impl Wave<'_> {
         let mut slope: Vector4<f64> = gradients.iter().zip(&left).map(|(g, e)| -(g - mean) * *e / variance).sum();
         information[(3, 3)] += sensor::SCALE.powi(-2);
         slope[3] -= at.scale * sensor::SCALE.powi(-2);
-        let fixed = [!azimuth_is_open, held[0] || !self.open.0[0], held[1] || !self.open.0[1], held[2] || !self.open.0[2]];
+        let fixed =
+            [!azimuth_is_open, held[0] || !self.open.0[0], held[1] || !self.open.0[1], held[2] || !self.open.0[2]];
         for k in (0..4).filter(|k| fixed[*k]) {
             information.row_mut(k).fill(0.0);
             information.column_mut(k).fill(0.0);
             information[(k, k)] = 1.0;
             slope[k] = 0.0;
         }
-        let full = solve(information, slope)?;
-        // Less of the step where all of it would leave more.
+        // Less far, and more along the steepest descent, where all of the step would leave more (Levenberg and Marquardt).
         let now = self.cost(at, variance);
-        let mut best = None;
-        for share in [1.0, 0.5, 0.2, 0.05] {
-            let (next, hits) = self.moved(at, &(full * share), held);
-            let cost = self.cost(&next, variance);
-            if cost <= now {
-                best = Some((next, hits));
-                break;
+        for damping in [1e-12, 1e-6, 1e-4, 1e-2, 0.3, 10.0] {
+            let (next, hits) = self.moved(at, &solve(information, slope, damping)?, held);
+            if self.cost(&next, variance) <= now {
+                return Some((next, hits));
             }
         }
-        Some(best.unwrap_or((*at, *held)))
+        Some((*at, *held))
     }
 
     /// `at` after a step, clamped to the limits, and which coordinates are at them.
@@ -332,26 +343,28 @@ impl Wave<'_> {
         covariance
     }
 
-    /// The posterior about `at`: for each azimuth the likelihood of the best place that has it.
+    /// The posterior about `at`: for each azimuth the likelihood and the prior of the best place that has it.
     fn mode(&self, at: &At, covariance: Matrix3<f64>, variance: f64) -> Mode {
-        let least = self.cost(at, variance);
         let mut step = (covariance[(0, 0)].max(0.0).sqrt() * REACH / SIDE as f64).clamp(1e-9, 0.05);
         let mut atoms = Vec::new();
         for _ in 0..12 {
-            let mut logs = vec![(0.0, 0.0)];
+            let mut logs = vec![(0.0, self.log(&self.best_with(*at, [false, true, true]), variance))];
             for side in [-1.0, 1.0] {
                 let mut near = *at;
                 for k in 1..=SIDE {
                     let off = side * k as f64 * step;
-                    near.place.azimuth = at.place.azimuth + off;
-                    near = self.best_at_azimuth(near);
-                    logs.push((off, -0.5 * (self.cost(&near, variance) - least)));
+                    near = self.best_with(self.beside(&near, side * step, variance), [false, true, true]);
+                    logs.push((off, self.log(&near, variance)));
                 }
             }
-            atoms = logs
-                .iter()
-                .map(|(off, log)| Atom { azimuth: wrap_rad(at.place.azimuth + off), width: step, mass: log.min(0.0).exp() })
-                .collect();
+            let most = logs.iter().map(|(_, log)| *log).fold(f64::MIN, f64::max);
+            logs.iter_mut().for_each(|(_, log)| *log -= most);
+            let atom = |(off, log): &(f64, f64)| Atom {
+                azimuth: wrap_rad(at.place.azimuth + off),
+                width: step,
+                mass: log.exp(),
+            };
+            atoms = logs.iter().map(atom).collect();
             let edge = logs[SIDE].1.max(logs[2 * SIDE].1);
             let inside = logs[SIDE / 4].1.min(logs[SIDE + SIDE / 4].1);
             // Towards the line of a straight motion the azimuth shows to second order only: wider. Too wide: closer.
@@ -370,24 +383,64 @@ impl Wave<'_> {
         let (own, seen) = (covariance[(0, 0)].max(1e-24).sqrt(), spread.max(0.0).sqrt());
         let scale = Matrix3::from_diagonal(&Vector3::new(seen / own, 1.0, 1.0));
         covariance = scale * covariance * scale;
+        if !self.shows_range(at, variance) {
+            covariance[(2, 2)] = covariance[(2, 2)].max(self.prior.curve_max.powi(2));
+        }
         Mode { place: Place { azimuth: wrap_rad(at.place.azimuth), ..at.place }, covariance, mass: 1.0, atoms }
     }
 
-    fn best_at_azimuth(&self, at: At) -> At {
-        let (mut at, mut held) = (at, [false; 3]);
-        for _ in 0..3 {
-            let Some((next, hits)) = self.step(&at, &held, false) else { break };
+    /// The place `by_rad` beside `at` whose phases differ least, to first order: elsewhere they would be turns away from those of
+    /// the samples.
+    fn beside(&self, at: &At, by_rad: f64, variance: f64) -> At {
+        let mut information = self.information(at, variance);
+        information[(3, 3)] += sensor::SCALE.powi(-2);
+        let mut slope = -information.column(0).into_owned() * by_rad;
+        for k in (0..4).filter(|k| *k == 0 || !self.open.0[k - 1]) {
+            information.row_mut(k).fill(0.0);
+            information.column_mut(k).fill(0.0);
+            (information[(k, k)], slope[k]) = (1.0, 0.0);
+        }
+        let mut step = solve(information, slope, 1e-9).unwrap_or_default();
+        step[0] = by_rad;
+        self.moved(at, &step, &[false; 3]).0
+    }
+
+    /// Whether much farther and nearer places explain the samples less well: to first order alone, a wave front straight ahead of
+    /// a line seems to tell its range by what is the scale of the path or the azimuth.
+    fn shows_range(&self, at: &At, variance: f64) -> bool {
+        let least = self.log(&self.best_with(*at, [true; 3]), variance);
+        let as_likely = |curve: f64| {
+            let there = At { place: self.prior.at_height(Place { curve, ..at.place }), ..*at };
+            self.log(&self.best_with(there, [true, true, false]), variance) > least - DOUBT
+        };
+        let curve = at.place.curve;
+        curve > 0.0 && !as_likely(0.4 * curve) && !as_likely(2.5 * curve)
+    }
+
+    /// `ln` of likelihood and prior, but for a constant.
+    fn log(&self, at: &At, variance: f64) -> f64 {
+        -0.5 * self.cost(at, variance) + self.prior.log_density(&at.place)
+    }
+
+    /// The best place next to `at` with the coordinates (azimuth, elevation, 1 / range) that are not open as they are.
+    fn best_with(&self, at: At, open: [bool; 3]) -> At {
+        let (mut at, mut held) = (at, [!open[1], !open[2], false]);
+        for _ in 0..STEPS {
+            let Some((next, hits)) = self.step(&at, &held, open[0]) else { break };
+            let moved = (next.place.elevation - at.place.elevation).abs() + (next.place.curve - at.place.curve).abs();
             (at, held) = (next, hits);
+            if moved < 1e-7 {
+                break;
+            }
         }
         at
     }
 }
 
-/// Solves `information x = slope` in units in which the diagonal is 1.
-fn solve(information: Matrix4<f64>, slope: Vector4<f64>) -> Option<Vector4<f64>> {
+/// Solves `information x = slope` in units in which the diagonal is 1, `damping` added to it.
+fn solve(information: Matrix4<f64>, slope: Vector4<f64>, damping: f64) -> Option<Vector4<f64>> {
     let (scaled, units) = in_units(information);
-    // A direction in which no phase changes is left where it is.
-    let damped = scaled + Matrix4::identity() * 1e-12;
+    let damped = scaled + Matrix4::identity() * damping;
     let solved = damped.cholesky()?.solve(&slope.component_mul(&units));
     solved.iter().all(|v| v.is_finite()).then(|| solved.component_mul(&units))
 }
@@ -452,13 +505,7 @@ fn explained(wave: &Wave<'_>, at: &At) -> f64 {
 }
 
 /// The highest Bartlett peak of what is left, in units of what noise has on average.
-fn highest_peak(
-    wave: &Wave<'_>,
-    at: &At,
-    left: &[f64],
-    plane_wave: &Estimate,
-    tier: Tier,
-) -> Result<f64, Unexplained> {
+fn highest_peak(wave: &Wave<'_>, at: &At, left: &[f64], plane_wave: &Estimate, tier: Tier) -> Result<f64, Unexplained> {
     let samples = wave.samples;
     let mut rest = Samples::new(samples.wavelength_m(), samples.path_gain()).map_err(|_| Unexplained::NoPlace)?;
     for (k, ((p, phase), e)) in wave.points.iter().zip(wave.phases(at)).zip(left).enumerate() {

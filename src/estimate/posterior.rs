@@ -7,8 +7,8 @@
 
 use super::likelihood::{Field, Place};
 use super::prior::{Cell, Prior};
-use crate::maths::wrap_rad;
 use super::tuning;
+use crate::maths::wrap_rad;
 use nalgebra::{Matrix3, Vector3};
 use std::f64::consts::{PI, TAU};
 
@@ -81,7 +81,7 @@ impl Steps {
     /// Whether a motion of so many samples can be searched at once.
     pub fn are_affordable(&self, samples: usize, prior: &Prior) -> bool {
         let [low, high] = prior.elevation_rad;
-        let span = if prior.is_signed() { high - low } else { low.cos() - high.cos() };
+        let span = if prior.is_signed() { high - low } else { (high - low) * high.sin() };
         let count = |span: f64, step: f64| (span / step).ceil().max(1.0);
         let elevations = if prior.elevation_is_open() { count(span, self.elevation) } else { 1.0 };
         let places = count(TAU, self.azimuth) * elevations * count(prior.curve_max, self.curve);
@@ -191,7 +191,11 @@ impl Coarse {
         if !close {
             let atoms: Vec<Atom> = basin.iter().map(atom).collect();
             let cells = self.bounds(top);
-            let place = prior.at_height(Place { azimuth: atom(&top).azimuth, elevation: cells.elevation.1, curve: cells.curve.1 });
+            let place = prior.at_height(Place {
+                azimuth: atom(&top).azimuth,
+                elevation: cells.elevation.1,
+                curve: cells.curve.1,
+            });
             let square = |width: f64| width * width / 12.0;
             let covariance = Matrix3::from_diagonal(&Vector3::new(
                 square(spacing),
@@ -311,7 +315,7 @@ impl Local {
         // The coarse steps, or a few in what is left of one.
         let fine = |span: f64, step: f64| if span > 1.5 * step { step } else { span / 3.0 };
         let [e_low, e_high] = bounds.elevation;
-        let span = if prior.is_signed() { e_high - e_low } else { e_low.cos() - e_high.cos() };
+        let span = if prior.is_signed() { e_high - e_low } else { (e_high - e_low) * e_high.sin() };
         let elevations = prior.elevations(bounds.elevation, fine(span, steps.elevation));
         let curves = prior.curves(bounds.curve, fine(bounds.curve[1] - bounds.curve[0], steps.curve));
         let cells = logs(field, prior, (0..FINE).map(azimuth), &elevations, &curves);
@@ -441,7 +445,11 @@ pub(crate) fn half_width(modes: &[Mode], blur: &Blur, centres: &[f64], share: f6
     let (mut low, mut high) = (0.0, PI);
     while high - low > 2e-3 * high {
         let middle = if low > 0.0 { 0.5 * (low + high) } else { 0.1 * high };
-        if mass_within(modes, blur, centres, middle) < share { low = middle } else { high = middle }
+        if mass_within(modes, blur, centres, middle) < share {
+            low = middle
+        } else {
+            high = middle
+        }
         if high < 1e-9 {
             break;
         }

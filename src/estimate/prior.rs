@@ -120,6 +120,16 @@ impl Prior {
         (below(to) - below(from)) / below(self.curve_max)
     }
 
+    /// `ln` of the density of elevation and 1 / range.
+    pub fn log_density(&self, place: &Place) -> f64 {
+        let far = self.curve_max / tuning::FARTHEST;
+        let by_curve = if self.curve_max > 0.0 { -(place.curve.max(far) / far).ln() } else { 0.0 };
+        let inside = self.expected_rad <= 0.0 || place.elevation.abs() <= self.expected_rad;
+        let share = if inside { 1.0 - self.beyond } else { self.beyond };
+        let width = if inside { self.expected_rad } else { FRAC_PI_2 - self.expected_rad };
+        by_curve + if self.elevation_is_open() { (share / width.max(1e-9)).ln() } else { 0.0 }
+    }
+
     /// Standard deviations of elevation, radians, and of ln range, before anything was heard.
     pub fn deviations(&self) -> [f64; 2] {
         let [low, high] = self.elevation_rad;
@@ -127,18 +137,14 @@ impl Prior {
         [elevation / 3f64.sqrt(), tuning::FARTHEST.ln() / 12f64.sqrt()]
     }
 
-    /// Elevations between two limits in cells `step` apart: in the cosine for level motion, whose phases go by it.
+    /// Elevations between two limits, in cells `step` apart; of level motion, whose phases go by the cosine, in cells whose
+    /// cosines are at most `step` apart.
     pub fn elevations(&self, [low, high]: [f64; 2], step: f64) -> Vec<Cell> {
         if !self.elevation_is_open() || high <= low {
             return Cell::only(low, high);
         }
-        let edge: Box<dyn Fn(f64) -> f64> = if self.is_signed() {
-            Box::new(move |share| low + share * (high - low))
-        } else {
-            Box::new(move |share| (low.cos() + share * (high.cos() - low.cos())).clamp(-1.0, 1.0).acos())
-        };
-        let span = if self.is_signed() { high - low } else { low.cos() - high.cos() };
-        cells(span, step, &edge, &|from, to| self.elevation_mass(from, to))
+        let span = if self.is_signed() { high - low } else { (high - low) * high.sin() };
+        cells(span, step, &|share| low + share * (high - low), &|from, to| self.elevation_mass(from, to))
     }
 
     /// Values of 1 / range between two limits in cells `step` apart.
@@ -150,6 +156,7 @@ impl Prior {
     }
 }
 
+/// Cells of equal length between the edges that shares of the whole have.
 fn cells(span: f64, step: f64, edge: &dyn Fn(f64) -> f64, mass: &dyn Fn(f64, f64) -> f64) -> Vec<Cell> {
     let count = (span / step).ceil().max(1.0);
     let cell = |k: usize| {
@@ -178,12 +185,8 @@ mod tests {
 
     #[test]
     fn limits_that_are_given_leave_nothing_beyond_them() {
-        let limits = Limits {
-            elevation_max_rad: Some(0.1),
-            range_min_m: Some(3.0),
-            near_field: true,
-            ..Limits::default()
-        };
+        let limits =
+            Limits { elevation_max_rad: Some(0.1), range_min_m: Some(3.0), near_field: true, ..Limits::default() };
         let prior = Prior::new(&limits, true);
         let place = |elevation, curve| Place { azimuth: 0.0, elevation, curve };
         assert!(prior.contains(&place(-0.1, 1.0 / 3.0)) && !prior.contains(&place(0.11, 0.1)));

@@ -7,10 +7,10 @@
 //! subcarrier. [`Aperture`] then averages both over short stretches of the motion and keeps the strongest combinations of
 //! subcarriers.
 
+use super::tuning;
 use crate::bartlett::Tier;
 use crate::signal::channel::SUBCARRIERS;
 use crate::signal::planes::{LANES, Lanes, Planes, lanes, sum};
-use super::tuning;
 use csi5300_kernels::simd::on_tier;
 use nalgebra::{DMatrix, SymmetricEigen, Vector3};
 use num_complex::{Complex32, Complex64};
@@ -52,7 +52,8 @@ impl Comb {
 
     /// Takes a slope out of a row, radians per subcarrier index.
     fn turn(&self, row: &mut Planes, slope: f32) {
-        let turns = Planes { re: lanes(|k| (slope * self.index[k]).cos()), im: lanes(|k| -(slope * self.index[k]).sin()) };
+        let turns =
+            Planes { re: lanes(|k| (slope * self.index[k]).cos()), im: lanes(|k| -(slope * self.index[k]).sin()) };
         *row = row.times(&turns);
     }
 }
@@ -80,7 +81,15 @@ pub(crate) fn align(rows: &mut [Planes], indices: &[i8; SUBCARRIERS], tier: Tier
     let reach = tuning::SLOPE_PACKETS.min(slopes.len().saturating_sub(1)) as isize;
     let last = slopes.len() as isize - 1;
     // The ends are mirrored, so that a window is as long there.
-    let mirrored = |k: isize| slopes[(if k < 0 { -k } else if k > last { 2 * last - k } else { k }) as usize];
+    let mirrored = |k: isize| {
+        slopes[(if k < 0 {
+            -k
+        } else if k > last {
+            2 * last - k
+        } else {
+            k
+        }) as usize]
+    };
     let mut window: f32 = if slopes.is_empty() { 0.0 } else { (-reach..=reach).map(mirrored).sum() };
     let mut square = 0.0;
     on_tier!(tier.level_or_portable(), _simd => {
@@ -297,9 +306,7 @@ mod tests {
     fn packets_are_turned_to_a_common_slope_and_keep_their_centre_phase() {
         let mut random = random();
         let slopes: Vec<f32> = (0..300).map(|_| 0.3 * random()).collect();
-        let jittered = |t: usize| {
-            planes(|k| channel(t, k) * Complex32::cis(-slopes[t] * f32::from(INDICES_20_MHZ[k])))
-        };
+        let jittered = |t: usize| planes(|k| channel(t, k) * Complex32::cis(-slopes[t] * f32::from(INDICES_20_MHZ[k])));
         for tier in Tier::available() {
             let mut rows: Vec<Planes> = (0..300).map(jittered).collect();
             remove_slope(&mut rows, &INDICES_20_MHZ, tier);

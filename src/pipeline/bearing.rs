@@ -111,8 +111,7 @@ impl BearingAnswer {
     /// What the posterior says.
     pub(super) fn of(found: &Found, samples: &Samples) -> Self {
         let first = found.modes.first();
-        let (place, covariance) =
-            first.map_or((NOWHERE, Matrix3::identity()), |mode| (mode.place, mode.covariance));
+        let (place, covariance) = first.map_or((NOWHERE, Matrix3::identity()), |mode| (mode.place, mode.covariance));
         let mirror = found.mirror.and_then(|k| found.modes.get(k)).filter(|mirror| mirror.mass > 0.0);
         let [elevation_sd, ln_range_sd] = found.prior.deviations();
         let own_sd = covariance[(1, 1)].max(0.0).sqrt();
@@ -128,8 +127,14 @@ impl BearingAnswer {
             share: mode.mass,
         };
         let given = |(k, mode): &(usize, &Mode)| *k == 0 || mode.mass >= LEAST_SHARE;
-        let candidates: Vec<Candidate> =
-            found.modes.iter().enumerate().filter(given).map(|(_, mode)| candidate(mode)).take(MOST_CANDIDATES).collect();
+        let candidates: Vec<Candidate> = found
+            .modes
+            .iter()
+            .enumerate()
+            .filter(given)
+            .map(|(_, mode)| candidate(mode))
+            .take(MOST_CANDIDATES)
+            .collect();
         Self {
             model: if found.prior.curve_max > 0.0 { WaveModel::SphericalWave } else { WaveModel::PlaneWave },
             azimuth_rad: place.azimuth,
@@ -172,7 +177,8 @@ fn range(
     covariance[(0, 0)] = covariance[(0, 0)].max(azimuth_sd_rad * azimuth_sd_rad);
     // A scale of the path that is off moves the place along with it.
     let scale_m = range_m * tuning::sensor::SCALE;
-    let covariance_m2 = jacobian * covariance * jacobian.transpose() + towards * towards.transpose() * (scale_m * scale_m);
+    let covariance_m2 =
+        jacobian * covariance * jacobian.transpose() + towards * towards.transpose() * (scale_m * scale_m);
     let sd_m = (covariance[(2, 2)].max(0.0).sqrt() * range_m * range_m).hypot(scale_m);
     let position_m = found.middle_m + towards * range_m + displaced_m;
     Some(Range { range_m, sd_m, position_m, position_t_s: *position_t_s, covariance_m2 })

@@ -6,11 +6,11 @@ use super::link::{Link, PairRow};
 use super::options::{JoinBy, Options};
 use super::stretch;
 use crate::bartlett;
+use crate::estimate::{Found, estimate};
 use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Motion, Trajectory};
-use crate::estimate::{Found, estimate};
-use crate::signal::planes::{Planes, round_trips};
 use crate::signal::cfo::TurnAround;
+use crate::signal::planes::{Planes, round_trips};
 use crate::signal::samples::Samples;
 use nalgebra::Vector3;
 use num_complex::Complex64;
@@ -98,9 +98,8 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
         let found = estimate(&task, || phases.round_trips(link, options), &gated.used)?;
         Ok((gated, found))
     });
-    let follows = |(gated, found): &(Gated, Found)| {
-        found.plane_wave.coherence > BY_CHANCE / (gated.samples.len() as f64).sqrt()
-    };
+    let follows =
+        |(gated, found): &(Gated, Found)| found.plane_wave.coherence > BY_CHANCE / (gated.samples.len() as f64).sqrt();
     let (gated, found) = match doubt.filter(|_| !found.as_ref().is_ok_and(follows)) {
         Some(doubt) => return Err(doubt),
         None => found?,
@@ -170,8 +169,7 @@ fn of_one_run(link: &Link, turn_around: Option<&TurnAround>) -> Result<Option<Li
     let changes = channel.steadiness > STEADY;
     // A channel that shows nothing but noise cannot be compared: then phases that are random speak beside the clocks, if
     // pauses differ by more than turn-arounds do.
-    let random =
-        turn_around.is_some_and(|found| found.coherence_after.max(found.coherence_before) < RANDOM_PHASES);
+    let random = turn_around.is_some_and(|found| found.coherence_after.max(found.coherence_before) < RANDOM_PHASES);
     // Noise makes the two directions' changes as unlike as it makes each from one pair to the next.
     let alike = CHANNEL_ALIKE * channel.steadiness.min(1.0);
     let speaks = if changes { channel.correlation < alike } else { random && clocks.pause_us > PAUSES_US };
@@ -230,8 +228,7 @@ impl Compensated {
 
     /// Refuses clocks that no exchange ties together.
     fn check(&self) -> Result<(), LinkError> {
-        let spread_us =
-            self.turn_around.as_ref().map(|t| t.jitter_median_us).filter(|us| *us > MAX_SPREAD_US);
+        let spread_us = self.turn_around.as_ref().map(|t| t.jitter_median_us).filter(|us| *us > MAX_SPREAD_US);
         spread_us.map_or(Ok(()), |spread_us| Err(LinkError::NotOfOneRun { spread_us }))
     }
 

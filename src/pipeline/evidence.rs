@@ -27,7 +27,8 @@ impl Bearing {
 fn modes(answer: &BearingAnswer) -> Vec<EvidenceMode> {
     let apart_rad = answer.mirror_rad.map(|mirror| wrap_rad(answer.azimuth_rad - mirror).abs());
     let most_rad = apart_rad.map_or(f64::MAX, |apart| MIRROR_SHARE * apart);
-    let sd_rad = answer.azimuth_bound_rad.hypot(tuning::MODEL_DEG.to_radians()).min(most_rad.max(answer.azimuth_bound_rad));
+    let sd_rad =
+        answer.azimuth_bound_rad.hypot(tuning::MODEL_DEG.to_radians()).min(most_rad.max(answer.azimuth_bound_rad));
     let range_m = answer.range.map(|range| (range.range_m * answer.abs_elevation_rad.cos(), range.sd_m));
     let mode = |(k, candidate): (usize, &super::Candidate)| {
         EvidenceMode::new(candidate.azimuth_rad, sd_rad, candidate.share).with_range_m(range_m.filter(|_| k == 0))

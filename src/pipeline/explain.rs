@@ -64,7 +64,7 @@ fn steps(bearing: &Bearing, options: &Options) -> Vec<StepPlan> {
     ];
     let spacing = bearing.samples.spacing_m() / options.channel.wavelength_m();
     let windowed = |name, asked: bool, taken: bool, words: &str, not: String| match bearing.sufficient {
-        Sufficient::OneWave(Risk { risk_rad, .. }) => StepPlan {
+        Sufficient::OneWave(Risk { risk_rad }) => StepPlan {
             step: name,
             taken: false,
             why: "one wave leaves nothing but noise".into(),
@@ -76,12 +76,11 @@ fn steps(bearing: &Bearing, options: &Options) -> Vec<StepPlan> {
     let accuracy = &options.accuracy;
     let aligned = bearing.slope_sd_rad.is_some();
     let (taken, why) = match bearing.sufficient {
-        Sufficient::OneWave(Risk { risk_rad, tolerance_rad }) => (
+        Sufficient::OneWave(Risk { risk_rad }) => (
             true,
             format!(
-                "it leaves nothing but noise, which hides no wave that moves the azimuth by more than {:.3} degrees ({:.3} allowed)",
-                risk_rad.to_degrees(),
-                tolerance_rad.to_degrees()
+                "it leaves nothing but noise, which hides no wave that moves the azimuth by more than {:.3} degrees",
+                risk_rad.to_degrees()
             ),
         ),
         Sufficient::Posterior(reason) => (false, reason.to_string()),

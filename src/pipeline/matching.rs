@@ -2,10 +2,10 @@
 
 use super::intake::{FrameHeard, LogReader};
 use super::options::Options;
+use crate::exchange::assign::MIN_COMMON;
 use crate::exchange::assign::{self, Mark, Match, Spread, Unmatched};
 use crate::signal::reciprocity::Reciprocity;
 use crate::source::Error;
-use crate::exchange::assign::MIN_COMMON;
 use driver_iface::Mac;
 use rayon::prelude::*;
 use std::collections::BTreeMap;

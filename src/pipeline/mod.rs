@@ -34,11 +34,11 @@ pub use answer::{Answer, CandidateAnswer, lost_something};
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
 pub use capture::{Capture, CaptureError};
 pub use carried::{CarriedAnswer, CarriedCandidate, StretchAnswer};
+pub(crate) use draft::{LinkJoin, bearing as estimate_one, estimate_all as estimate};
 pub use error::LinkError;
 pub use explain::{LinkPlan, StepPlan};
 pub use intake::UnusedRecords;
 pub(crate) use intake::{FrameHeard, Front};
-pub(crate) use draft::{LinkJoin, bearing as estimate_one, estimate_all as estimate};
 pub use link::Link;
 pub use options::{Accuracy, JoinBy, Options};
 

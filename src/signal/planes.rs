@@ -130,7 +130,8 @@ mod tests {
 
     #[test]
     fn planes_are_multiplied_place_by_place() {
-        let a: Vec<Complex32> = (0..SUBCARRIERS).map(|k| Complex32::new(k as f32 - 3.5, 2.0 - 0.3 * k as f32)).collect();
+        let a: Vec<Complex32> =
+            (0..SUBCARRIERS).map(|k| Complex32::new(k as f32 - 3.5, 2.0 - 0.3 * k as f32)).collect();
         let b: Vec<Complex32> = (0..SUBCARRIERS).map(|k| Complex32::cis(0.7 * k as f32)).collect();
         let near = |got: Planes, expected: &dyn Fn(usize) -> Complex32| {
             row(&got).iter().enumerate().all(|(k, v)| (v - expected(k)).norm() < 1e-5)

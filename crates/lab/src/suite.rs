@@ -4,7 +4,6 @@
 use crate::compare::CompareError;
 pub use crate::compare::figures::spread_rad;
 use crate::compare::figures::true_path;
-use csi5300::bartlett::{self, Grid};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Bearing, CaptureReport, Options, Phase, Transmitter, bearings};
 use csi5300::signal::cfo::TurnAround;
@@ -189,10 +188,14 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
     run.coherence = Some(bearing.plane_wave.coherence);
 }
 
-/// The plane wave's profile over azimuth relative to its highest.
+/// The probability density over azimuth relative to its highest.
 fn profile(bearing: &Bearing) -> Vec<f64> {
-    let ring = Grid::directions((0..PROFILE_AZIMUTHS).map(|index| (profile_azimuth_rad(index), 0.0)).collect());
-    let values = bartlett::profile(&bearing.samples, &ring).map(|profile| profile.values).unwrap_or_default();
+    let density = &bearing.density;
+    let nearest = |index: usize| {
+        let turns = profile_azimuth_rad(index).rem_euclid(TAU) / TAU;
+        density.get((turns * density.len() as f64).round() as usize % density.len().max(1)).copied().unwrap_or_default()
+    };
+    let values: Vec<f64> = (0..PROFILE_AZIMUTHS).map(nearest).collect();
     let highest = values.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     values.into_iter().map(|value| value / highest).collect()
 }

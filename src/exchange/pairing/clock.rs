@@ -78,14 +78,8 @@ impl Clock {
     /// The latest candidates of the newest one's count, in order.
     fn newest_run(&self) -> Vec<Candidate> {
         let Some(newest) = self.run.back() else { return Vec::new() };
-        let mut run: Vec<Candidate> = self
-            .run
-            .iter()
-            .rev()
-            .filter(|other| other.count == newest.count)
-            .take(RUN)
-            .copied()
-            .collect();
+        let mut run: Vec<Candidate> =
+            self.run.iter().rev().filter(|other| other.count == newest.count).take(RUN).copied().collect();
         run.reverse();
         run
     }

@@ -149,8 +149,7 @@ impl PeerTrack {
             None => (PlaceGrid::prior(evidence.position_m), 0, 0.0),
             Some(known) => (self.predicted(known, evidence), known.stretches, known.known),
         };
-        let mut known =
-            before_known * (1.0 - FORGOTTEN) + evidence.fresh.clamp(0.0, 1.0) * evidence.believed();
+        let mut known = before_known * (1.0 - FORGOTTEN) + evidence.fresh.clamp(0.0, 1.0) * evidence.believed();
         if !grid.multiply(evidence) {
             // No place is left of what was known: the evidence stands by itself.
             grid = PlaceGrid::prior(evidence.position_m);

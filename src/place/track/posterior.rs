@@ -1,8 +1,8 @@
 //! What is read from the probabilities of places: directions, error bars, a place.
 
 use super::grid::{AZIMUTHS, PlaceGrid, azimuth_rad, blur_around};
-use crate::maths::wrap_rad;
 use crate::maths::UNIFORM_RAD;
+use crate::maths::wrap_rad;
 use crate::place::track::settings::RANGE_SHARE;
 use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::TAU;

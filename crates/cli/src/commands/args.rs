@@ -28,8 +28,8 @@ pub struct Estimation {
     /// Steps to leave out, to see what each brings
     #[arg(long, value_enum, value_delimiter = ',', value_name = "STEP,..")]
     pub without: Vec<Step>,
-    /// Stop where the rest cannot move the azimuth by more than this, degrees: 0 computes everything, from 1 on a coarse grid
-    /// will do. Default: a tenth of the error bar
+    /// How exact an azimuth is needed, degrees: 0 computes everything, from 1 on a coarse grid will do. Default: what the scene
+    /// needs
     #[arg(long, value_name = "DEGREES")]
     pub accuracy: Option<f64>,
     /// Shortest distance of a transmitter, metres [default: 1.8, less in a scene without reflections]
@@ -70,8 +70,7 @@ pub enum Step {
 
 impl Step {
     /// All that change bearings.
-    pub const ALL: [Self; 5] =
-        [Self::Compensation, Self::Alignment, Self::OneWay, Self::NearField, Self::Elevation];
+    pub const ALL: [Self; 5] = [Self::Compensation, Self::Alignment, Self::OneWay, Self::NearField, Self::Elevation];
 }
 
 impl Default for Estimation {

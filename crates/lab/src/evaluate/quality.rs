@@ -318,7 +318,7 @@ mod tests {
             row
         };
         let candidate =
-            |azimuth_deg: f64, share: f64| PathAnswer { azimuth_deg, share: Some(share), ..PathAnswer::default() };
+            |azimuth_deg: f64, share: f64| CandidateAnswer { azimuth_deg, share, ..CandidateAnswer::default() };
         let mut rows = [seen("tx2", [4.0, 2.5], 0.5), seen("tx3", [1.5, -3.0], 60.0), seen("tx4", [-2.0, 4.0], -0.5)];
         let truth = rows[1].true_from_mean_pose_deg.unwrap();
         // 360 degrees away is the same candidate; an answer that is none of them names none.

@@ -1,6 +1,6 @@
 //! Transmitters located from several stretches of simulated drives, whose frame is one.
 
-use csi5300::pipeline::{Accuracy, Options};
+use csi5300::pipeline::Options;
 use csi5300_lab::evaluate::transmitters::{Frame, Located, located};
 use csi5300_lab::evaluate::{Capture, TrajectorySource, find};
 use csi5300_lab::rooms;
@@ -13,7 +13,7 @@ fn transmitters_in_sight_are_where_several_stretches_say_and_in_their_ellipses()
     let _ = std::fs::remove_dir_all(&folder);
     rooms::write_drives(&folder, 2, 1).unwrap();
     let (captures, _) = find(&folder.join("drives_LOS"));
-    let options = Options::new("108".parse().unwrap()).with_accuracy(Accuracy::default().with_paths(false));
+    let options = Options::new("108".parse().unwrap());
     let of = |captures: &[Capture], frame: Frame| -> Vec<Located> {
         let one = |capture: &Capture| {
             let found = capture.motions(TrajectorySource::GroundTruth, None, &options, 4, frame);
