@@ -1,6 +1,5 @@
-//! Records of a log by their places, from a window that moves through the file.
+//! Records of a log by their places, from a window that moves through the file: a log whose columns were read is read again for its CSI.
 
-use super::ExportError;
 use driver_iface::bfee::Bfee;
 use driver_iface::record::{LENGTH_FIELD, MAX_LENGTH, Record, code};
 use std::fs::File;
@@ -13,9 +12,8 @@ const WINDOW: usize = 256 * 1024;
 const LONGEST: usize = LENGTH_FIELD + MAX_LENGTH;
 
 /// A log that was read before, and whose records are read again.
-pub(super) struct LogReader {
+pub(crate) struct LogReader {
     file: File,
-    name: String,
     window: Vec<u8>,
     /// Place of the window's first byte in the file.
     start: u64,
@@ -27,31 +25,27 @@ impl LogReader {
     /// Opens a log; it must be a file in which one can seek.
     ///
     /// # Errors
-    /// [`ExportError::Log`].
-    pub fn open(path: &Path) -> Result<Self, ExportError> {
-        let name = path.display().to_string();
-        let file = File::open(path).map_err(|source| ExportError::Log { file: name.clone(), source })?;
-        Ok(Self { file, name, window: vec![0; WINDOW], start: 0, filled: 0 })
+    /// As the operating system.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        Ok(Self { file: File::open(path)?, window: vec![0; WINDOW], start: 0, filled: 0 })
     }
 
-    /// The bfee record that begins at a byte of the log. Quick where each place is behind the one before.
+    /// The bfee record that begins at a byte of the log; none where no bfee record is there (any more). Quick where each place is behind
+    /// the one before.
     ///
     /// # Errors
-    /// [`ExportError::Log`] if the file cannot be read, [`ExportError::Changed`] if no bfee record is there.
-    pub fn bfee(&mut self, offset: i64) -> Result<Bfee<'_>, ExportError> {
+    /// As the operating system.
+    pub fn bfee(&mut self, offset: i64) -> io::Result<Option<Bfee<'_>>> {
         let place = u64::try_from(offset).unwrap_or(u64::MAX);
         let inside = place.checked_sub(self.start).and_then(|at| usize::try_from(at).ok());
-        let at = match inside.filter(|at| at + LONGEST <= self.filled) {
+        let at = match inside.filter(|at| at.saturating_add(LONGEST) <= self.filled) {
             Some(at) => at,
             None => {
-                let moved = self.move_to(place);
-                moved.map_err(|source| ExportError::Log { file: self.name.clone(), source })?;
+                self.move_to(place)?;
                 0
             }
         };
-        let Self { window, filled, name, .. } = self;
-        let bytes = window.get(at..*filled).unwrap_or_default();
-        bfee_at(bytes).ok_or_else(|| ExportError::Changed { file: name.clone(), offset: place })
+        Ok(bfee_at(self.window.get(at..self.filled).unwrap_or_default()))
     }
 
     /// Moves the window to a place: bytes of it that were read stay, the others are read, as many as there are.
