@@ -153,7 +153,8 @@ impl Course {
         let asked = |antenna: Antenna| wanted.antennas.is_empty() || wanted.antennas.contains(&antenna);
         let antennas = Antenna::ALL.into_iter().zip(cells).filter(|(antenna, _)| asked(*antenna));
         let inside = |t_s: &f64| (span_s.0..=span_s.1).contains(t_s);
-        let own = |row: usize| inside(&log.t_s(row)) && (wanted.macs.is_empty() || wanted.macs.contains(&log.sender_of(row)));
+        let own =
+            |row: usize| inside(&log.t_s(row)) && (wanted.macs.is_empty() || wanted.macs.contains(&log.sender_of(row)));
         let thin = |value: &dyn Fn(usize) -> u8| -> Vec<(f64, f64)> {
             let every = rows.len().div_ceil(POINTS).max(1);
             rows.iter().step_by(every).map(|row| (log.t_s(*row), f64::from(value(*row)))).collect()
@@ -172,7 +173,12 @@ impl Course {
             agc: thin(&|row| log.agc_of(row)),
             rate_hz: rate(&times_s, span_s),
             gaps_s: gaps(&times_s),
-            missing: marks.missing.iter().map(|mark| (log.t_s(mark.0), mark.1)).filter(|mark| inside(&mark.0)).collect(),
+            missing: marks
+                .missing
+                .iter()
+                .map(|mark| (log.t_s(mark.0), mark.1))
+                .filter(|mark| inside(&mark.0))
+                .collect(),
             damaged: marks.damaged.iter().map(|row| log.t_s(*row)).filter(inside).collect(),
             skipped: marks.skipped.iter().filter(|mark| own(mark.0)).map(|mark| (log.t_s(mark.0), mark.1)).collect(),
             repeated: marks.repeated.iter().filter(|row| own(**row)).map(|row| log.t_s(*row)).collect(),

@@ -54,7 +54,7 @@ fn survey(path: &Path) -> Survey {
 
 const START_US: u64 = 1_700_000_000_000_000;
 
-/// `info`, `plot` and `view` say the same of a log's times; gives what `plot` does.
+/// `info`, its pictures and `view` say the same of a log's times; gives what is drawn.
 fn agreed(path: &Path) -> Course {
     let (survey, index) = (survey(path), LogIndex::read(path).unwrap());
     let course = Course::read(path, &Wanted::default()).unwrap();

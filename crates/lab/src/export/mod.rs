@@ -258,7 +258,10 @@ impl<'a> Walk<'a> {
         let rows = Rows::new(&export.antennas, export.streams);
         let log = match &export.source {
             Source::Arena { .. } => None,
-            Source::Log(path) => Some((LogReader::open(path).map_err(|source| export.gone(path, source))?, Decoder::new(order, rows.clone(), export.form))),
+            Source::Log(path) => Some((
+                LogReader::open(path).map_err(|source| export.gone(path, source))?,
+                Decoder::new(order, rows.clone(), export.form),
+            )),
         };
         let figures = Figures::with_room(export.len());
         Ok(Self { export, order, rows, log, done: 0, figures, failure: None })
@@ -296,7 +299,10 @@ impl<'a> Walk<'a> {
         let offsets = self.export.columns.offset.get(from..self.done).unwrap_or_default();
         for (offset, out) in offsets.iter().zip(csi.chunks_exact_mut(self.rows.len().max(1))) {
             let bfee = log.bfee(*offset).map_err(|source| self.export.gone(path, source))?;
-            let changed = || ExportError::Changed { file: path.display().to_string(), offset: u64::try_from(*offset).unwrap_or(u64::MAX) };
+            let changed = || ExportError::Changed {
+                file: path.display().to_string(),
+                offset: u64::try_from(*offset).unwrap_or(u64::MAX),
+            };
             let bfee = bfee.ok_or_else(changed)?;
             let scale = decoder.decode(&bfee, out);
             self.figures.push(Some(&bfee), scale);

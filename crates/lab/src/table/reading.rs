@@ -1,7 +1,7 @@
 //! A log read into memory: filters, columns, packed records.
 
-use super::memory::{Arena, Block, Span};
 use super::columns::{Advise, Columns, antennas};
+use super::memory::{Arena, Block, Span};
 use csi5300::source::survey::{Fields, Identity, Survey, Tally};
 use csi5300::source::{CsiSource, Error, Next, Origin, Stamps};
 use csi5300::time::Instant;

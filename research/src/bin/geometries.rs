@@ -1,5 +1,5 @@
 //! Answers of the default pipeline in free space, for motions of one end or both, beside their truth and the Cramer-Rao
-//! bound: `cargo run --release -p csi5300-lab --example geometries [helix | near | shapes | both | wide]`.
+//! bound: `cargo run --release --bin geometries [helix | near | shapes | both | wide]`.
 
 use csi5300::pipeline::Options;
 use csi5300_lab::ends::{Ends, Seen};

@@ -15,9 +15,9 @@ use rayon::prelude::*;
 use std::path::Path;
 
 /// Folder of rooms in which nothing stands between receiver and transmitters.
-pub(crate) const IN_SIGHT: &str = "rooms_LOS";
+const IN_SIGHT: &str = "rooms_LOS";
 /// Folder of rooms with walls between them.
-pub(crate) const BEHIND_WALLS: &str = "rooms_NLOS";
+const BEHIND_WALLS: &str = "rooms_NLOS";
 
 /// Which room could not be written, and why.
 #[derive(Debug, thiserror::Error)]

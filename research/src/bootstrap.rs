@@ -1,9 +1,8 @@
 //! Intervals of statistics by resampling places.
 
-use crate::evaluate::Errors;
 use csi5300::maths::percentile;
+use csi5300_lab::evaluate::Errors;
 use csi5300_sim::random::Stream;
-use serde::Serialize;
 
 /// Samples of places.
 const SAMPLES: usize = 1_000;
@@ -13,7 +12,7 @@ const SEED: u64 = 15;
 const OUTSIDE: f64 = 0.025;
 
 /// From where to where 95 % of the samples have a statistic.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Interval {
     /// 2.5 % of the samples have less.
     pub low: f64,
@@ -23,7 +22,7 @@ pub struct Interval {
 
 /// Intervals of mean, median, 90th percentile and share over 20 degrees of absolute errors, by resampling places (with
 /// all of their errors) with replacement.
-pub(super) fn intervals(places: &[Vec<f64>]) -> [Interval; 4] {
+pub fn intervals(places: &[Vec<f64>]) -> [Interval; 4] {
     let Some(count) = u64::try_from(places.len()).ok().filter(|count| *count > 0) else {
         return [Interval::default(); 4];
     };
@@ -39,6 +38,12 @@ pub(super) fn intervals(places: &[Vec<f64>]) -> [Interval; 4] {
         all.sort_by(f64::total_cmp);
         Interval { low: percentile(&all, OUTSIDE), high: percentile(&all, 1.0 - OUTSIDE) }
     })
+}
+
+impl std::fmt::Display for Interval {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:.2} to {:.2}", self.low, self.high)
+    }
 }
 
 #[cfg(test)]
