@@ -18,15 +18,15 @@ pub const A_CAPTURE: &str = "a capture is a folder with csi_rx_TS.dat, csi_txK_T
 pub struct Reading {
     /// Which trajectory to use
     #[arg(long, value_enum, default_value = "gt")]
-    trajectory: Which,
+    pub trajectory: Which,
     #[command(flatten)]
-    mounting: Mounting,
+    pub mounting: Mounting,
     /// WiFi channel instead of the one in groundtruth_positions.json
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     pub channel: Option<Channel>,
     /// Join the n-th frame of a link with the n-th row of its trajectory instead of by time
-    #[arg(long)]
-    join_rows: bool,
+    #[arg(long, hide_short_help = true)]
+    pub join_rows: bool,
     #[command(flatten)]
     pub estimation: Estimation,
 }
@@ -82,20 +82,15 @@ impl Reading {
 
     /// The pipeline's options. Their channel is a stand-in where none was given: each capture brings its own.
     pub fn options(&self) -> Result<Options, String> {
-        self.options_of(&self.estimation)
-    }
-
-    /// The same for another estimation.
-    pub fn options_of(&self, estimation: &Estimation) -> Result<Options, String> {
         let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
         let join = if self.join_rows { JoinBy::Row } else { JoinBy::Time };
-        Ok(estimation.options(self.channel.unwrap_or(fallback))?.with_join(join))
+        Ok(self.estimation.options(self.channel.unwrap_or(fallback))?.with_join(join))
     }
 }
 
 /// A trajectory file of a capture.
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Which {
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Which {
     /// Motion capture
     Gt,
     /// Tracking camera

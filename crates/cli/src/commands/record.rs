@@ -37,12 +37,9 @@ pub struct Args {
     /// Overwrite the log if it is there
     #[arg(long)]
     force: bool,
-    /// Entries of 16 bytes in the side file (times after 2106) instead of the 8 that csiread reads
-    #[arg(long)]
-    wide_times: bool,
-    /// A checksum of each record in the side file, which `info`, `recover` and whatever reads the log then check; csiread does
+    /// A checksum of each record in the side file, which `info`, `export --dat` and whatever reads the log then check; csiread does
     /// not read such side files
-    #[arg(long, conflicts_with = "wide_times")]
+    #[arg(long)]
     checksums: bool,
     /// Make the log survive a power cut this often; 0s leaves it to the system
     #[arg(long, value_parser = duration, default_value = "1s", value_name = "TIME")]
@@ -74,11 +71,7 @@ pub struct Args {
 
 impl Args {
     fn side_layout(&self) -> Layout {
-        match (self.checksums, self.wide_times) {
-            (true, _) => Layout::Checked,
-            (false, true) => Layout::Wide,
-            (false, false) => Layout::Narrow,
-        }
+        if self.checksums { Layout::Checked } else { Layout::Narrow }
     }
 }
 

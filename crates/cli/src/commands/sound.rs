@@ -1,8 +1,11 @@
 //! `csi5300 sound`.
 
-use super::args::{Estimation, channel};
+mod common;
+mod respond;
+
+use self::common::{NO_NUMBERS, Sounding, Wanted, Words, tell, waiting};
+use super::args::{Estimation, antenna, channel};
 use super::live::{Signals, duration};
-use super::sounding::{NO_NUMBERS, Sounding, Wanted, Words, tell, waiting};
 use super::{Result, fixed, hint, print, print_json, usage};
 use csi5300::exchange::tdma::{Epoch, Event, Plan, Priority};
 use csi5300::motion::odometry;
@@ -13,6 +16,7 @@ use csi5300::time::{Instant, Span};
 use csi5300_live::sounding::{Beside, News, Observer, Order, Products, Running};
 use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
+use driver_iface::bfee::Antenna;
 use std::collections::BTreeMap;
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
@@ -29,11 +33,16 @@ const ALONE_SILENCE_SLOTS: u32 = 2;
 #[command(
     after_help = "Examples:\n  csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2,00:21:6a:53:90:a4 --rate 100\n  \
                         csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2 --log OUT.dat --trajectory T.csv --channel 64\n  \
-                        csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2 --dialect wsr --open-loop\n\
+                        csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2 --dialect wsr --open-loop\n  \
+                        csi5300 sound --answer --interface mon0 --peers 00:21:6a:53:89:d2\n\
                         A rate that does not fit is refused with the highest one that does. Frames that the kernel drops \
                         silently (channels on which the card may not start to transmit) are noticed and said."
 )]
 pub struct Args {
+    /// Answer the frames of robots that sound, instead of sounding. Answers carry what the card measured, so that those have bearings
+    /// live (driver with connector_log=0x5, or --stock); with --dialect wsr --ack-len N they are the WSR driver's
+    #[arg(long, conflicts_with_all = ["alone", "open_loop", "trajectory", "channel", "good_enough", "heading_sd"])]
+    answer: bool,
     #[command(flatten)]
     common: Sounding,
     /// No other robot initiates: begin at once, without a long listen
@@ -54,11 +63,15 @@ pub struct Args {
     /// Sound a link in every eighth round only, once its bearing's error bar (`+-`) is at most this, degrees
     #[arg(long, value_name = "DEGREES", requires = "trajectory")]
     good_enough: Option<f64>,
+    /// Antenna (RF port) of bearings, and of the measurements that answers carry: A, B or C
+    #[arg(long, default_value = "A", value_parser = antenna)]
+    antenna: Antenna,
+    /// Standard deviation of the trajectory's heading, degrees: 0 for motion capture, about 3 for a tracking camera, 20 for wheels
+    #[arg(long, value_name = "DEGREES", requires = "trajectory")]
+    heading_sd: Option<f64>,
     /// JSON Lines: one object a bearing, then a summary
     #[arg(long)]
     json: bool,
-    #[command(flatten)]
-    estimation: Estimation,
 }
 
 /// A bearing while sounding.
@@ -215,6 +228,9 @@ impl Bearings<'_> {
 /// Sounds until told to stop.
 pub fn run(args: &Args) -> Result {
     let common = &args.common;
+    if args.answer {
+        return respond::run(common, args.antenna, args.json);
+    }
     if args.trajectory.is_some() && (common.dialect == Words::Wsr || common.no_measurement) {
         usage(
             "live bearings need the responder's measurements, which only native frames carry: leave out --trajectory, \
@@ -235,14 +251,15 @@ pub fn run(args: &Args) -> Result {
     note!("{}", waiting(&common.peers, opened.tdma.transmit_at().map(|at| at - now)));
     let bearings = match (&args.trajectory, args.channel) {
         (Some(path), Some(channel)) => {
-            let options = args.estimation.options(channel)?;
+            let estimation = Estimation { heading_sd: args.heading_sd, ..Estimation::with_antenna(args.antenna) };
+            let options = estimation.options(channel)?;
             let products = Products::new(&common.peers, options).with_key(opened.key.as_ref());
             let beside = Beside::new(now, args.bearing_every);
             Some(Bearings { args, products, path, beside, clock, told: false, contested: 0 })
         }
         _ => None,
     };
-    common.see_to_rate(args.estimation.antenna)?;
+    common.see_to_rate(args.antenna)?;
     let wanted = if bearings.is_some() { Wanted::Needed } else { Wanted::Not };
     let messages = common.messages(wanted, opened.own)?;
     let mut live = Live { bearings };

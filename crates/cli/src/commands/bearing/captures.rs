@@ -1,36 +1,76 @@
-//! `csi5300 explain`.
+//! Bearings of captures: folders with the logs of a receiver and its transmitters, a trajectory and perhaps the truth.
 
-use super::captures::Reading;
-use super::{Outcome, Result, fixed, hint, print, print_json, usage};
-use csi5300::pipeline::Answer;
-use csi5300::pipeline::Bearing;
-use csi5300::pipeline::Options;
-use csi5300::pipeline::PathAnswer;
-use csi5300_lab::evaluate::Judged;
-use csi5300_lab::evaluate::quality::horizontal;
+use super::super::captures::{Reading, Which};
+use super::super::{Outcome, Result, fixed, hint, print, print_json, usage};
+use super::{Args, located, transmitters};
+use clap::ValueEnum;
+use csi5300::pipeline::{Answer, Bearing, Options, PathAnswer};
+use csi5300_lab::evaluate::quality::{Receiver, horizontal, receivers};
+use csi5300_lab::evaluate::{Capture, Judged};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-// Arguments of `explain`.
-#[derive(clap::Args)]
-#[command(
-    after_help = "Example, with a link as `evaluate DIR` names it:\n  csi5300 explain DIR/LOS_Set_A/L1/2024-01-01_120000/tx2 --out pictures"
-)]
-pub struct Args {
-    /// A capture, a folder with captures below it, or a link: either of them, / and the link's name or the end of it (tx2)
-    link: PathBuf,
-    #[command(flatten)]
-    reading: Reading,
-    /// Folder for pictures: phase, trajectory, profile, joint power over azimuth and elevation, and azimuth and range
-    #[cfg(feature = "plot")]
-    #[arg(long, visible_alias = "plot", value_name = "DIR")]
-    out: Option<PathBuf>,
-    #[cfg(feature = "plot")]
-    #[command(flatten)]
-    pictures: super::pictures::Pictures,
-    /// JSON Lines: one object a link
-    #[arg(long)]
-    json: bool,
+/// Where a transmitter is, and how high if that was given, metres.
+pub type Place = ([f64; 2], Option<f64>);
+
+/// A transmitter's name and place.
+pub fn place(text: &str) -> std::result::Result<(String, Place), String> {
+    let parts = text.split_once('=').filter(|(name, _)| !name.is_empty()).and_then(|(name, place)| {
+        let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
+        let numbers: Vec<f64> = place.split(',').map(number).collect::<Option<_>>()?;
+        match numbers[..] {
+            [x, y] => Some((name.to_owned(), ([x, y], None))),
+            [x, y, z] => Some((name.to_owned(), ([x, y], Some(z)))),
+            _ => None,
+        }
+    });
+    parts.ok_or_else(|| "a name and two or three numbers of metres, such as tx2=-3.18,1.11".into())
+}
+
+impl Args {
+    /// How captures are read.
+    fn reading(&self) -> Reading {
+        let named = self.logs.trajectory.as_deref().map(|name| {
+            let which = name.to_str().and_then(|name| Which::from_str(name, false).ok());
+            which.unwrap_or_else(|| usage("of a capture --trajectory is gt, t265 or odom: it has its files"))
+        });
+        Reading {
+            trajectory: named.unwrap_or(Which::Gt),
+            mounting: self.mounting.clone(),
+            channel: self.channel,
+            join_rows: self.join_rows,
+            estimation: self.estimation.clone(),
+        }
+    }
+
+    /// The captures of all that was named, with the names of the links that are wanted of them; and whether some could not be read. Of
+    /// several folders each gives its own name to what is below it.
+    fn find(&self, reading: &Reading) -> std::result::Result<(Vec<Capture>, Vec<String>, bool), String> {
+        let (mut captures, mut names, mut lost) = (Vec::new(), Vec::new(), false);
+        for named in &self.captures {
+            let (folder, wanted) = parts(named);
+            let (mut found, unreadable) = reading.find(&folder)?;
+            unreadable.iter().for_each(|folder| wrong!("cannot read {folder}"));
+            lost |= !unreadable.is_empty();
+            let own = folder.file_name().map(|name| name.to_string_lossy().into_owned());
+            if let Some(own) = own.filter(|_| self.captures.len() > 1) {
+                let named = |place: &str| if place.is_empty() { own.clone() } else { format!("{own}/{place}") };
+                found.iter_mut().for_each(|capture| capture.place = named(&capture.place));
+            }
+            let links =
+                |own: &Capture| own.transmitters.iter().map(|(name, _)| own.link_name(name)).collect::<Vec<_>>();
+            let is_named = |name: &String| is_wanted(name, wanted.as_deref());
+            found.retain(|own| wanted.is_none() || links(own).iter().any(is_named));
+            let named: Vec<String> = found.iter().flat_map(links).filter(is_named).collect();
+            if named.is_empty() && wanted.is_some() {
+                let name = wanted.unwrap_or_default();
+                return Err(format!("{name} is no link of {}: `evaluate` names them", folder.display()));
+            }
+            names.extend(named);
+            captures.extend(found);
+        }
+        Ok((captures, names, lost))
+    }
 }
 
 /// A line of JSON: what `evaluate` says of the link, and what the search found out on its way.
@@ -47,8 +87,8 @@ struct Row<'a> {
 }
 
 impl<'a> Row<'a> {
-    fn new(judged: &'a Judged, bearing: &Bearing) -> Self {
-        let fix = bearing.placed.as_ref().map(|placed| &placed.fix);
+    fn new(judged: &'a Judged, bearing: Option<&Bearing>) -> Self {
+        let fix = bearing.and_then(|bearing| bearing.placed.as_ref()).map(|placed| &placed.fix);
         Self {
             judged,
             places_searched: fix.map(|fix| fix.evaluations),
@@ -72,59 +112,41 @@ fn is_wanted(name: &str, wanted: Option<&str>) -> bool {
     wanted.is_none_or(|wanted| name == wanted || name.ends_with(&format!("/{wanted}")))
 }
 
-/// Shows links from end to end.
+/// Shows the links of captures, and locates their receivers where several links see known places.
 pub fn run(args: &Args) -> Result {
+    let reading = args.reading();
+    let options = reading.options().unwrap_or_else(|message| usage(&message)).with_keep_course(true);
     #[cfg(feature = "plot")]
-    args.pictures.must_have(args.out.as_deref(), "--out");
-    let options = args.reading.options().unwrap_or_else(|message| usage(&message));
-    let options = options.with_keep_course(true);
-    #[cfg(feature = "plot")]
-    let options = options.with_keep_maps(args.out.is_some());
-    let (folder, wanted) = parts(&args.link);
-    let (captures, unreadable) = args.reading.find(&folder)?;
-    for folder in &unreadable {
-        wrong!("cannot read {folder}");
-    }
-    let names = captures.iter().flat_map(|own| own.transmitters.iter().map(|(name, _)| own.link_name(name)));
-    let named: Vec<String> = names.filter(|name| is_wanted(name, wanted.as_deref())).collect();
-    if named.is_empty() {
-        let name = wanted.unwrap_or_default();
-        return Err(format!("{} is no link of {}: `evaluate` and `report` name them", name, folder.display()));
+    let options = options.with_keep_maps(args.plot.is_some());
+    let (captures, names, mut lost) = args.find(&reading)?;
+    if args.together.transmitters {
+        return transmitters::run(&args.together, &reading, (captures, lost), &args.place, args.json);
     }
     #[cfg(feature = "plot")]
-    check_pictures(args, &named)?;
-    let (mut shown, mut lost) = (0, !unreadable.is_empty());
+    check_pictures(args, &captures, &names)?;
+    let (mut rows, mut shown) = (Vec::new(), 0);
     for capture in &captures {
-        let wants = |name: &str| is_wanted(name, wanted.as_deref());
-        if !capture.transmitters.iter().any(|(name, _)| wants(&capture.link_name(name))) {
-            continue;
-        }
         let mut links: Vec<(String, Bearing)> = Vec::new();
-        let mut look = |name: &str, bearing: &Bearing, _: &Options| {
-            if wants(name) {
-                links.push((name.to_owned(), bearing.clone()));
-            }
-        };
-        let mut evaluated = capture.evaluate_and(args.reading.source(), args.reading.channel, &options, &mut look);
+        let mut look = |name: &str, bearing: &Bearing, _: &Options| links.push((name.to_owned(), bearing.clone()));
+        let mut evaluated = capture.evaluate_and(reading.source(), reading.channel, &options, &mut look);
         hint::add_all(&mut evaluated.rows);
         lost |= evaluated.lost;
         evaluated.notes.iter().for_each(|line| note!("{line}"));
-        for (name, bearing) in &links {
-            let Some(row) = evaluated.rows.iter().find(|row| row.answer.link == *name) else { continue };
-            if args.json {
-                print_json(&Row::new(row, bearing));
-            } else {
-                print(&describe(row, bearing));
-            }
-            shown += 1;
+        evaluated.rows.retain(|row| names.contains(&row.answer.link));
+        for row in &mut evaluated.rows {
+            args.estimation.must_act(&row.answer);
+            args.min_confidence.into_iter().for_each(|least| row.answer.refuse_below(least));
+            let bearing = links.iter().find(|(name, _)| *name == row.answer.link).map(|(_, bearing)| bearing);
+            tell(args, row, bearing);
+            shown += usize::from(row.answer.azimuth_deg.is_some());
             #[cfg(feature = "plot")]
-            draw(args, row, bearing)?;
+            bearing.map_or(Ok(()), |bearing| draw(args, &reading, row, bearing))?;
         }
-        let failed = evaluated.rows.iter().filter(|row| wants(&row.answer.link));
-        for row in failed.filter(|row| row.answer.error.is_some()) {
-            wrong!("{}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
-        }
+        rows.extend(evaluated.rows);
     }
+    locate(args, &mut rows);
+    #[cfg(feature = "plot")]
+    draw_maps(args, &rows)?;
     Ok(match (shown, lost) {
         (0, _) => Outcome::Nothing,
         (_, true) => Outcome::DataLost,
@@ -132,27 +154,72 @@ pub fn run(args: &Args) -> Result {
     })
 }
 
+/// One link.
+fn tell(args: &Args, row: &Judged, bearing: Option<&Bearing>) {
+    match bearing {
+        _ if args.json => print_json(&Row::new(row, bearing)),
+        Some(bearing) if args.explain => print(&explain(row, bearing)),
+        _ => {
+            let mut text = super::describe(&row.answer);
+            truth(&mut text, "  truth", row);
+            print(&text);
+        }
+    }
+    if let Some(error) = &row.answer.error {
+        wrong!("{}: {error}", row.answer.link);
+    }
+}
+
+/// Where the receivers are of whose links several see known places, or one that was told.
+fn locate(args: &Args, rows: &mut [Judged]) {
+    for row in rows.iter_mut() {
+        let own = args.place.iter().find(|(name, _)| row.answer.link.rsplit('/').next() == Some(name));
+        row.true_transmitter_m = own.map(|(_, (place, _))| *place).or(row.true_transmitter_m);
+        row.transmitter_z_m = own.and_then(|(_, (_, height))| *height);
+    }
+    let mut found: Vec<Receiver> = receivers(rows);
+    if args.place.is_empty() {
+        found.retain(|receiver| receiver.position_m.is_some() && receiver.links > 1);
+    }
+    found.iter_mut().for_each(|receiver| located::say_unplaced(receiver, rows));
+    if args.json {
+        found.iter().for_each(print_json);
+    } else if !found.is_empty() {
+        print(&format!("located from links to known places:\n{}", located::table(&found, rows)));
+    }
+}
+
 /// Refuses pictures that are there before the work, not after.
 #[cfg(feature = "plot")]
-fn check_pictures(args: &Args, names: &[String]) -> std::result::Result<(), String> {
-    let Some(folder) = &args.out else { return Ok(()) };
-    let stems: Vec<PathBuf> =
-        names.iter().flat_map(|name| csi5300_lab::show::link::LinkPictures::all_stems(folder, name)).collect();
-    args.pictures.check(&stems)
+fn check_pictures(args: &Args, captures: &[Capture], names: &[String]) -> std::result::Result<(), String> {
+    let Some(folder) = &args.plot else { return Ok(()) };
+    let links = names.iter().flat_map(|name| csi5300_lab::show::link::LinkPictures::stems(folder, name));
+    let map = |capture: &Capture| csi5300_lab::show::set::map_stem(folder, &capture.link_name(""));
+    let stems: Vec<PathBuf> = links.chain(captures.iter().map(map)).collect();
+    super::super::pictures::check(&stems, args.force)
 }
 
 #[cfg(feature = "plot")]
-fn draw(args: &Args, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
-    let Some(folder) = &args.out else { return Ok(()) };
-    let pictures = csi5300_lab::show::link::LinkPictures::of(row, bearing, args.reading.source());
-    let written = pictures.write_all(folder, &row.answer.link, &args.pictures.format());
-    let written = written.map_err(|error| super::pictures::refused(&error))?;
-    note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
+fn draw(args: &Args, reading: &Reading, row: &Judged, bearing: &Bearing) -> std::result::Result<(), String> {
+    let Some(folder) = &args.plot else { return Ok(()) };
+    let pictures = csi5300_lab::show::link::LinkPictures::of(row, bearing, reading.source());
+    super::write(&pictures, folder, &row.answer.link, args.force)
+}
+
+/// A map of each capture: the bearings, the transmitters, the receiver as located.
+#[cfg(feature = "plot")]
+fn draw_maps(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
+    let Some(folder) = &args.plot else { return Ok(()) };
+    let written = csi5300_lab::show::set::write_maps(rows, folder, &super::super::pictures::format(args.force));
+    let written = written.map_err(|error| super::super::pictures::refused(&error))?;
+    if !written.is_empty() {
+        note!("{}: {}", folder.display(), super::super::some(written.len() as u64, "map", "maps"));
+    }
     Ok(())
 }
 
 /// The link in the order of its steps.
-fn describe(row: &Judged, bearing: &Bearing) -> String {
+fn explain(row: &Judged, bearing: &Bearing) -> String {
     let answer = &row.answer;
     let mut text = format!("{}\n", answer.link);
     let counts = answer.pair_counts;
@@ -163,16 +230,8 @@ fn describe(row: &Judged, bearing: &Bearing) -> String {
     );
     turn_around(&mut text, bearing);
     placed(&mut text, bearing);
-    let views: Vec<String> = answer.view_powers.iter().map(|power| format!("{power:.2}")).collect();
-    let _ = writeln!(
-        text,
-        "views         {} (round trip whole, its centre in windows, one way in windows)",
-        views.join(", ")
-    );
-    text += "candidates    (by evidence; power of all views)\n";
+    text += "candidates    (by evidence)\n";
     text += &places(&answer.candidates);
-    text += "paths         (one-way power, of the round trip)\n";
-    text += &places(&answer.paths);
     conclusion(&mut text, row);
     text
 }
@@ -209,16 +268,6 @@ fn placed(text: &mut String, bearing: &Bearing) {
         if let Some(slips) = placed.slips {
             let _ = writeln!(text, "one-way       {:.1} % of the power at sign slips", 100.0 * slips);
         }
-        if let Some(focus) = &placed.focus {
-            let _ = writeln!(
-                text,
-                "autofocus     scale {:.3}, turn {:.1} deg/m: ln power {:+.3} over all links, {}",
-                focus.warp.scale,
-                focus.warp.turn_rad_per_m.to_degrees(),
-                focus.gain,
-                if focus.worthwhile { "applied" } else { "not worth its two parameters" }
-            );
-        }
         let _ = writeln!(
             text,
             "search        {} places; residual phase {:.2} rad, {:.0} rows share an error",
@@ -249,8 +298,13 @@ fn conclusion(text: &mut String, row: &Judged) {
     if let Some(mirror) = mirror(answer) {
         let _ = writeln!(text, "mirror        {mirror}");
     }
+    truth(text, "truth        ", row);
+}
+
+/// The truth, where it is known.
+fn truth(text: &mut String, head: &str, row: &Judged) {
     if let (Some(truth), Some(error)) = (row.true_from_mean_pose_deg, row.error_from_mean_pose_deg) {
-        let _ = write!(text, "truth         {} deg: off by {}", fixed(truth, 2), fixed(error, 2));
+        let _ = write!(text, "{head} {} deg: off by {}", fixed(truth, 2), fixed(error, 2));
         // No truth has heights.
         if let Some(range) = row.true_range_m {
             let _ = write!(text, "; horizontally {range:.2} m");
@@ -332,5 +386,15 @@ mod tests {
         let answer = "answer        0.00 +- 0.50 deg, within 5 deg with probability -; range 4.00 +- 0.01 m, horizontally 2.00 m";
         let truth = "truth         0.00 deg: off by 0.00; horizontally 2.00 m: off by 0.00";
         assert_eq!(text, format!("{answer}\n{truth}\n"));
+    }
+
+    #[test]
+    fn places_have_two_numbers_and_perhaps_a_height() {
+        assert_eq!(place("tx2=-3.18, 1.11"), Ok(("tx2".into(), ([-3.18, 1.11], None))));
+        assert_eq!(place("a=b=1,2,0.5").ok(), None);
+        assert_eq!(place("tx=1,2,0.5"), Ok(("tx".into(), ([1.0, 2.0], Some(0.5)))));
+        for wrong in ["tx=1", "tx=1,2,3,4", "=1,2", "tx=1,nan", "tx=1,2,inf", "tx"] {
+            assert!(place(wrong).is_err_and(|why| why.contains("two or three numbers")), "{wrong}");
+        }
     }
 }

@@ -1,139 +1,10 @@
-//! `csi5300 locate`.
+//! Where a receiver is, from its links to transmitters whose places are known, in words.
 
-mod transmitters;
-
-use super::captures::Reading;
-use super::{Outcome, Result, fixed, hint, print, print_json, some};
+use super::super::{fixed, some};
 use csi5300::maths::median;
-use csi5300_lab::evaluate::quality::{Receiver, UNKNOWN_PROBABILITY, receivers};
-use csi5300_lab::evaluate::{Capture, Judged};
+use csi5300_lab::evaluate::Judged;
+use csi5300_lab::evaluate::quality::{Receiver, UNKNOWN_PROBABILITY};
 use std::fmt::Write;
-use std::path::PathBuf;
-use transmitters::Together;
-
-// Arguments of `locate`.
-#[derive(clap::Args)]
-pub struct Args {
-    /// Captures, or folders with captures below them; the places of the transmitters are read from
-    /// groundtruth_positions.json, where it is there
-    #[arg(required = true, value_name = "FOLDER")]
-    folders: Vec<PathBuf>,
-    #[command(flatten)]
-    together: Together,
-    /// Where a transmitter is, metres in the trajectory's frame, as links name it: tx2=-3.18,1.11. For captures without a
-    /// truth, or instead of it. With its height as a third number the receiver's height is told, where the motion shows elevations
-    #[arg(long, value_name = "NAME=X,Y[,Z]", value_parser = place, allow_hyphen_values = true)]
-    place: Vec<(String, Place)>,
-    #[command(flatten)]
-    reading: Reading,
-    /// Draw a map of each capture into this folder: the bearings, the transmitters, the receiver as located
-    #[cfg(feature = "plot")]
-    #[arg(long, visible_alias = "out", value_name = "DIR", conflicts_with = "transmitters")]
-    plot: Option<PathBuf>,
-    #[cfg(feature = "plot")]
-    #[command(flatten)]
-    pictures: super::pictures::Pictures,
-    /// JSON Lines: one object a receiver, or a transmitter
-    #[arg(long)]
-    json: bool,
-}
-
-/// Where a transmitter is, and how high if that was given, metres.
-type Place = ([f64; 2], Option<f64>);
-
-fn place(text: &str) -> std::result::Result<(String, Place), String> {
-    let parts = text.split_once('=').filter(|(name, _)| !name.is_empty()).and_then(|(name, place)| {
-        let number = |text: &str| text.trim().parse::<f64>().ok().filter(|value| value.is_finite());
-        let numbers: Vec<f64> = place.split(',').map(number).collect::<Option<_>>()?;
-        match numbers[..] {
-            [x, y] => Some((name.to_owned(), ([x, y], None))),
-            [x, y, z] => Some((name.to_owned(), ([x, y], Some(z)))),
-            _ => None,
-        }
-    });
-    parts.ok_or_else(|| "a name and two or three numbers of metres, such as tx2=-3.18,1.11".into())
-}
-
-impl Args {
-    /// The captures of all folders, and whether some could not be read. Of several folders each gives its own name to what is
-    /// below it.
-    fn captures(&self) -> std::result::Result<(Vec<Capture>, bool), String> {
-        let (mut captures, mut lost) = (Vec::new(), false);
-        for folder in &self.folders {
-            let (mut found, unreadable) = self.reading.find(folder)?;
-            unreadable.iter().for_each(|folder| wrong!("cannot read {folder}"));
-            lost |= !unreadable.is_empty();
-            let own = folder.file_name().map(|name| name.to_string_lossy().into_owned());
-            if let Some(own) = own.filter(|_| self.folders.len() > 1) {
-                let named = |place: &str| if place.is_empty() { own.clone() } else { format!("{own}/{place}") };
-                found.iter_mut().for_each(|capture| capture.place = named(&capture.place));
-            }
-            captures.extend(found);
-        }
-        Ok((captures, lost))
-    }
-}
-
-/// Locates the receiver of every capture, or the transmitters of all of them.
-pub fn run(args: &Args) -> Result {
-    #[cfg(feature = "plot")]
-    args.pictures.must_have(args.plot.as_deref(), "--plot");
-    if args.together.transmitters {
-        return transmitters::run(args);
-    }
-    let options = args.reading.options()?;
-    let (captures, mut lost) = args.captures()?;
-    #[cfg(feature = "plot")]
-    if let Some(folder) = &args.plot {
-        args.pictures.check_maps(folder, &captures)?;
-    }
-    let mut rows: Vec<Judged> = Vec::new();
-    for capture in &captures {
-        let mut evaluated = capture.evaluate(args.reading.source(), args.reading.channel, &options);
-        hint::add_all(&mut evaluated.rows);
-        lost |= evaluated.lost;
-        evaluated.notes.iter().for_each(|line| note!("{line}"));
-        rows.extend(evaluated.rows);
-    }
-    for row in &mut rows {
-        let own = args.place.iter().find(|(name, _)| row.answer.link.rsplit('/').next() == Some(name));
-        row.true_transmitter_m = own.map(|(_, (place, _))| *place).or(row.true_transmitter_m);
-        row.transmitter_z_m = own.and_then(|(_, (_, height))| *height);
-    }
-    let mut found = receivers(&rows);
-    found.iter_mut().for_each(|receiver| say_unplaced(receiver, &rows));
-    if args.json {
-        found.iter().for_each(print_json);
-    } else {
-        print(&table(&found, &rows));
-    }
-    #[cfg(feature = "plot")]
-    draw(args, &rows)?;
-    for row in rows.iter().filter(|row| row.answer.error.is_some()) {
-        wrong!("{}: {}", row.answer.link, row.answer.error.as_deref().unwrap_or_default());
-    }
-    let is_placed = rows.iter().any(|row| row.true_transmitter_m.is_some());
-    if !is_placed {
-        note!("a receiver is located from transmitters whose places are known: --place NAME=X,Y");
-    }
-    let is_seen = || !is_placed && rows.iter().any(|row| row.answer.position_m.is_some());
-    Ok(match found.iter().any(|receiver| receiver.position_m.is_some()) || is_seen() {
-        false => Outcome::Nothing,
-        true if lost => Outcome::DataLost,
-        true => Outcome::Done,
-    })
-}
-
-#[cfg(feature = "plot")]
-fn draw(args: &Args, rows: &[Judged]) -> std::result::Result<(), String> {
-    let Some(folder) = &args.plot else { return Ok(()) };
-    let written = csi5300_lab::show::set::write_maps(rows, folder, &args.pictures.format());
-    match written.map_err(|error| super::pictures::refused(&error))?.len() {
-        0 => note!("no map: nothing says where the receiver drove"),
-        count => note!("{}: {}", folder.display(), some(count as u64, "picture", "pictures")),
-    }
-    Ok(())
-}
 
 /// The links to a receiver.
 fn own<'a>(receiver: &Receiver, rows: &'a [Judged]) -> impl Iterator<Item = &'a Judged> {
@@ -142,7 +13,7 @@ fn own<'a>(receiver: &Receiver, rows: &'a [Judged]) -> impl Iterator<Item = &'a 
 }
 
 /// Of a receiver that is not located: which of its bearings are to transmitters whose places are not known.
-fn say_unplaced(receiver: &mut Receiver, rows: &[Judged]) {
+pub fn say_unplaced(receiver: &mut Receiver, rows: &[Judged]) {
     let Some(error) = receiver.error.clone() else { return };
     let is_unplaced = |row: &&Judged| row.answer.azimuth_deg.is_some() && row.true_transmitter_m.is_none();
     let name = |row: &'_ Judged| row.answer.link.rsplit('/').next().unwrap_or_default().to_owned();
@@ -157,7 +28,7 @@ fn say_unplaced(receiver: &mut Receiver, rows: &[Judged]) {
     receiver.error = Some(format!("{known} {unplaced}"));
 }
 
-fn table(found: &[Receiver], rows: &[Judged]) -> String {
+pub fn table(found: &[Receiver], rows: &[Judged]) -> String {
     let mut text = String::new();
     for receiver in found {
         let _ = write!(text, "{}: ", receiver.capture);
@@ -237,20 +108,5 @@ fn errors(found: &[Receiver], text: &mut String) {
             text,
             "bearings of receivers with two or more, mean / median error: {answered} as answered, {fitting} as the places choose among their candidates"
         );
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn places_have_two_numbers_and_perhaps_a_height() {
-        assert_eq!(place("tx2=-3.18, 1.11"), Ok(("tx2".into(), ([-3.18, 1.11], None))));
-        assert_eq!(place("a=b=1,2,0.5").ok(), None);
-        assert_eq!(place("tx=1,2,0.5"), Ok(("tx".into(), ([1.0, 2.0], Some(0.5)))));
-        for wrong in ["tx=1", "tx=1,2,3,4", "=1,2", "tx=1,nan", "tx=1,2,inf", "tx"] {
-            assert!(place(wrong).is_err_and(|why| why.contains("two or three numbers")), "{wrong}");
-        }
     }
 }

@@ -1,7 +1,8 @@
-//! `csi5300 locate --transmitters`: each transmitter from all captures together.
+//! `csi5300 bearing CAPTURE --transmitters`: each transmitter from all captures together.
 
+use super::super::captures::Reading;
 use super::super::{Outcome, Result, fixed, print, print_json, some, usage};
-use super::Args;
+use super::captures::Place;
 use csi5300_lab::evaluate::Capture;
 use csi5300_lab::evaluate::transmitters::{Frame, Located, Motion, located};
 use std::collections::BTreeMap;
@@ -9,14 +10,15 @@ use std::fmt::Write;
 
 // How captures lie to each other.
 #[derive(clap::Args)]
+#[command(next_help_heading = "Transmitters from several captures")]
 pub struct Together {
     /// Locate the transmitters instead, each from all captures together: what they say of every place is carried along, not only
     /// their bearings. Trajectories are in one frame, as those of motion capture are, or --frame says how they lie
-    #[arg(long)]
+    #[arg(long, requires = "captures", conflicts_with = "explain", hide_short_help = true)]
     pub transmitters: bool,
     /// Where the frame of a capture's trajectory lies in the common one: metres of its origin, and degrees from the common x axis
     /// towards +y. CAPTURE is a folder as links name it
-    #[arg(long, value_name = "CAPTURE=X,Y,DEGREES", value_parser = frame, allow_hyphen_values = true, requires = "transmitters")]
+    #[arg(long, value_name = "CAPTURE=X,Y,DEGREES", value_parser = frame, allow_hyphen_values = true, requires = "transmitters", hide_short_help = true)]
     frame: Vec<(String, Frame)>,
     /// Cut every motion into so many stretches that last equally long: for a long drive
     #[arg(
@@ -24,7 +26,8 @@ pub struct Together {
         value_name = "N",
         default_value_t = 1,
         value_parser = clap::value_parser!(u32).range(1..=1000),
-        requires = "transmitters"
+        requires = "transmitters",
+        hide_short_help = true
     )]
     stretches: u32,
 }
@@ -62,28 +65,32 @@ fn frame(text: &str) -> std::result::Result<(String, Frame), String> {
 }
 
 /// Locates every transmitter of the captures.
-pub fn run(args: &Args) -> Result {
-    let options = args.reading.options()?;
-    let (captures, mut lost) = args.captures()?;
-    args.together.must_be_of(&captures);
+pub fn run(
+    together: &Together,
+    reading: &Reading,
+    (captures, mut lost): (Vec<Capture>, bool),
+    told: &[(String, Place)],
+    json: bool,
+) -> Result {
+    let options = reading.options()?;
+    together.must_be_of(&captures);
     let (mut motions, mut failed): (Vec<Motion>, Vec<(String, String)>) = (Vec::new(), Vec::new());
     for capture in &captures {
-        let frame = args.together.frame(capture);
-        let source = args.reading.source();
-        let found = capture.motions(source, args.reading.channel, &options, args.together.stretches, frame);
+        let frame = together.frame(capture);
+        let found = capture.motions(reading.source(), reading.channel, &options, together.stretches, frame);
         lost |= found.lost;
         found.notes.iter().for_each(|line| note!("{line}"));
         motions.extend(found.motions);
         failed.extend(found.failed);
     }
-    let told: BTreeMap<String, [f64; 2]> = args.place.iter().map(|(name, (place, _))| (name.clone(), *place)).collect();
+    let told: BTreeMap<String, [f64; 2]> = told.iter().map(|(name, (place, _))| (name.clone(), *place)).collect();
     let found = located(&motions, &told);
-    if args.json {
+    if json {
         found.iter().for_each(print_json);
     } else {
         print(&table(&found));
     }
-    if args.together.stretches > 1 {
+    if together.stretches > 1 {
         if !failed.is_empty() {
             note!("{} without a bearing", some(failed.len() as u64, "stretch is", "stretches are"));
         }

@@ -1,9 +1,9 @@
-//! `csi5300 recover`.
+//! `csi5300 export --dat`: every intact record of a damaged log.
 
 mod settle;
 
-use super::draft::{Draft, led_to};
-use super::{Outcome, Result};
+use super::super::draft::{Draft, led_to};
+use super::super::{Outcome, Result};
 use csi5300::source::survey::{Identity, Survey};
 use csi5300::source::{Checks, CsiSource, Next, replay::Replay, side_path};
 use csi5300::time::Instant;
@@ -15,22 +15,18 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
-// Arguments of `recover`.
-#[derive(clap::Args)]
-pub struct Args {
-    /// The damaged log; - is standard input
-    input: PathBuf,
-    /// Where the intact records go
-    output: PathBuf,
-    /// Also bring records into this layout, which other tools (csiread, csitool) read
-    #[arg(long, value_enum, value_name = "LAYOUT")]
-    layout: Option<Layout>,
-    /// One JSON object about what was written and what was lost
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the output if it is there
-    #[arg(long)]
-    force: bool,
+/// What is read and written, and how.
+pub struct Recovery<'a> {
+    /// The damaged log; - is standard input.
+    pub input: &'a Path,
+    /// Where the intact records go.
+    pub output: &'a Path,
+    /// The layout to bring records into.
+    pub layout: Option<Layout>,
+    /// One JSON object about what was written and what was lost.
+    pub json: bool,
+    /// Overwrite the output if it is there.
+    pub force: bool,
 }
 
 /// The line of JSON.
@@ -52,7 +48,7 @@ struct Row<'a> {
 
 /// A layout to bring records into.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-enum Layout {
+pub enum Layout {
     /// The original CSI tool's: sender and number of a WSR record go into a copy of its frame before it, host times into
     /// a side file (OUTPUTstp, 8 bytes a record)
     Stock,
@@ -208,29 +204,29 @@ fn sounding_frame(mac: Mac, number: u32) -> Words<Vec<u8>> {
 }
 
 /// Copies the intact records of a log.
-pub fn run(args: &Args) -> Result {
+pub fn run(args: &Recovery<'_>) -> Result {
     let output = args.output.display().to_string();
-    if super::is_same_file(&args.input, &args.output) {
+    if super::super::is_same_file(&args.input, &args.output) {
         return Err(format!("{output} is the input itself: name another file"));
     }
-    super::must_not_exist(&args.output, args.force)?;
-    let mut source = super::open_log(&args.input)?;
+    super::super::must_not_exist(&args.output, args.force)?;
+    let mut source = super::super::open_log(&args.input)?;
     // Checksums of what was never checked would vouch for it.
     let is_checked = source.checks().is_none_or(|checks| !checks.out_of_step);
     let own = source.side_layout().filter(|_| is_checked);
     let side = if args.layout == Some(Layout::Stock) { Some(SideLayout::Narrow) } else { own };
     // Without a side file of its own the recovered log must not be read with that of another.
-    side_files(&args.output).iter().try_for_each(|side| super::must_not_exist(side, args.force))?;
+    side_files(&args.output).iter().try_for_each(|side| super::super::must_not_exist(side, args.force))?;
     let mut out = Output::create(&args.output, side)?;
     let (mut survey, mut doubts) = (Survey::default(), Doubts::default());
     if side.is_some() && !out.draft.is_file() {
         note!("{output} is no file: host times, which stand in a file beside, are not written");
     }
     copy(&mut source, args.layout, &mut out, &mut survey, &mut doubts)?;
-    notes!("{}", super::info::losses(&survey, source.bytes()));
+    notes!("{}", super::super::info::losses(&survey, source.bytes()));
     let checks = source.checks();
     if let Some(checks) = &checks {
-        note!("  {}", super::info::check_words(checks));
+        note!("  {}", super::super::info::check_words(checks));
     }
     let mut kept = out.kept;
     if kept == 0 {
@@ -239,7 +235,7 @@ pub fn run(args: &Args) -> Result {
     } else {
         let taken = out.finish(&args.output)?;
         (kept, doubts.dropped) = (kept.saturating_sub(taken), doubts.dropped + taken);
-        note!("{} written to {output}", super::some(kept, "intact record", "intact records"));
+        note!("{} written to {output}", super::super::some(kept, "intact record", "intact records"));
     }
     if args.json {
         let Survey { bad_bfee, damages, damaged_bytes, .. } = survey;
@@ -252,10 +248,10 @@ pub fn run(args: &Args) -> Result {
             doubtful: doubts.dropped,
             checks,
         };
-        super::print_json(&row);
+        super::super::print_json(&row);
     }
     if doubts.dropped > 0 {
-        let doubtful = super::some(doubts.dropped, "doubtful record", "doubtful records");
+        let doubtful = super::super::some(doubts.dropped, "doubtful record", "doubtful records");
         note!("  {doubtful} beside the damage left out: nothing but their place spoke for them");
     }
     let missing = checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);

@@ -1,9 +1,13 @@
-//! `csi5300 compare`.
+//! `csi5300 simulate --rx ...`: a recorded capture beside a simulated one.
 
-use super::args::channel;
-use super::inputs::{BagArgs, Inputs};
-use super::say::{Tone, toned};
-use super::{Outcome, Result, fixed, print, print_json, read_trajectory, simulate, usage};
+use super::super::args::channel;
+use super::super::inputs::{BagArgs, Inputs};
+#[cfg(feature = "plot")]
+use super::super::pictures;
+use super::super::say::{Tone, toned};
+use super::super::{
+    Outcome, Result, fixed, is_same_file, print, print_json, progress, read_trajectory, simulate, some, usage,
+};
 use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::Options;
@@ -15,54 +19,58 @@ use csi5300_sim::Scene;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-// Arguments of `compare`.
-#[derive(clap::Args)]
-pub struct Args {
-    /// A scene, or a folder that `simulate --out` wrote; without it a scene is fitted to the recorded capture
-    with: Option<PathBuf>,
-    /// The recorded log of the robot that moved
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "RX.dat", required_unless_present = "bag"))]
-    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "RX.dat", required = true))]
+// A recorded capture.
+#[derive(clap::Args, Clone)]
+#[command(next_help_heading = "A recorded capture to put beside the simulated one")]
+pub struct Recorded {
+    /// The recorded log of the robot that moved. SCENE is then a scene, or a folder that --out wrote; without it a scene is fitted to
+    /// the recording
+    #[cfg_attr(feature = "ros2", arg(long, value_name = "RX.dat"))]
+    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "RX.dat", requires_all = ["tx", "trajectory"]))]
     rx: Option<PathBuf>,
     /// The recorded log of the other robot
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "TX.dat", required_unless_present = "bag"))]
-    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "TX.dat", required = true))]
+    #[arg(long, value_name = "TX.dat")]
     tx: Option<PathBuf>,
     /// The recorded trajectory
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "T.csv", required_unless_present = "bag"))]
-    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "T.csv", required = true))]
+    #[arg(long, value_name = "T.csv")]
     trajectory: Option<PathBuf>,
     #[command(flatten)]
     bag: BagArgs,
     /// The recorded trajectory of the other robot, if it moved, on the first one's clock
     #[arg(long, value_name = "T.csv")]
     tx_trajectory: Option<PathBuf>,
-    /// WiFi channel, with + or - for 40 MHz; that of the scene or of the simulated folder where one is given
-    #[arg(long, value_parser = channel, value_name = "NUMBER", required_unless_present = "with")]
+    /// WiFi channel of the recording, with + or - for 40 MHz; that of the scene or of the simulated folder where one is given
+    #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
-    /// Where the transmitter's antenna was, metres, in the trajectory's frame; found from the capture if not given
-    #[arg(long, value_name = "X,Y,Z", value_parser = place, allow_hyphen_values = true)]
-    transmitter: Option<[f64; 3]>,
-    /// Folder for the fitted scene and its trajectory, the simulated capture and the pictures
-    #[arg(long, default_value = "csi5300-compare", value_name = "DIR")]
-    out: PathBuf,
-    /// Replace what an earlier run left in that folder
-    #[arg(long)]
-    force: bool,
-    #[cfg(feature = "plot")]
-    #[command(flatten)]
-    drawing: super::pictures::Drawing,
-    /// A line of JSON for each figure
-    #[arg(long)]
-    json: bool,
 }
 
-fn place(text: &str) -> Words<[f64; 3]> {
-    let numbers: Option<Vec<f64>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
-    let place = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
-    place
-        .filter(|place| place.iter().all(|v| v.is_finite()))
-        .ok_or_else(|| "three numbers, such as -3.2,1.1,0.3".into())
+impl Recorded {
+    /// True if one was named.
+    pub fn is_named(&self) -> bool {
+        #[cfg(feature = "ros2")]
+        if self.bag.bag.is_some() {
+            return true;
+        }
+        self.rx.is_some()
+            || self.tx.is_some()
+            || self.trajectory.is_some()
+            || self.tx_trajectory.is_some()
+            || self.channel.is_some()
+    }
+}
+
+/// What is compared, and how.
+pub struct Args {
+    /// A scene, or a folder with a simulated capture; without it a scene is fitted.
+    pub with: Option<PathBuf>,
+    /// The recording.
+    pub recorded: Recorded,
+    /// Folder for the fitted scene and its trajectory, the simulated capture and the pictures.
+    pub out: PathBuf,
+    /// Replace what an earlier run left in that folder.
+    pub force: bool,
+    /// A line of JSON for each figure.
+    pub json: bool,
 }
 
 type Words<T> = std::result::Result<T, String>;
@@ -70,8 +78,8 @@ type Words<T> = std::result::Result<T, String>;
 /// Puts a recorded and a simulated capture beside each other.
 pub fn run(args: &Args) -> Result {
     // Before anything is read or fitted: minutes of work end in these files.
-    let tx: Vec<PathBuf> = args.tx.iter().cloned().collect();
-    let (inputs, named) = args.bag.resolve(args.rx.clone(), tx, args.trajectory.clone())?;
+    let tx: Vec<PathBuf> = args.recorded.tx.iter().cloned().collect();
+    let (inputs, named) = args.recorded.bag.resolve(args.recorded.rx.clone(), tx, args.recorded.trajectory.clone())?;
     let tx = match &named.tx[..] {
         [tx] => tx,
         several => {
@@ -83,7 +91,7 @@ pub fn run(args: &Args) -> Result {
     let given = args.with.as_deref().filter(|with| !with.is_dir()).map(simulate::load).transpose()?;
     let options = Options::new(args.channel(given.as_ref())?);
     let trajectory = inputs.trajectory(&named.trajectory)?;
-    let displaced = args.tx_trajectory.as_deref().map(|path| inputs.trajectory(path)).transpose()?;
+    let displaced = args.recorded.tx_trajectory.as_deref().map(|path| inputs.trajectory(path)).transpose()?;
     let recorded = read(&inputs, (&named.rx, tx), (&trajectory, displaced.as_ref()), &options)?;
     check_width(&recorded, options.channel).map_err(|error| error.to_string())?;
     let folder = args.out.join(SIMULATED);
@@ -118,27 +126,24 @@ impl Args {
     /// The channel of both captures: of the scene that was read, of the folder, or the one asked for.
     fn channel(&self, scene: Option<&Scene>) -> Words<Channel> {
         match (&self.with, scene) {
-            (Some(file), Some(scene)) => of_scene(file, scene, self.channel),
-            (Some(folder), None) => of_folder(folder, self.channel),
-            (None, _) => Ok(self.channel.unwrap_or_else(|| usage("--channel is needed to fit a scene"))),
+            (Some(file), Some(scene)) => of_scene(file, scene, self.recorded.channel),
+            (Some(folder), None) => of_folder(folder, self.recorded.channel),
+            (None, _) => Ok(self.recorded.channel.unwrap_or_else(|| usage("--channel is needed to fit a scene"))),
         }
     }
 
     /// Refuses outputs that are inputs, and without --force those that are there.
     fn check_outputs<'a>(&'a self, read: impl Iterator<Item = &'a Path>) -> Words<()> {
         #[cfg(feature = "plot")]
-        self.drawing
-            .format(self.force)
-            .check(&csi5300_lab::show::compared::stems(&self.out))
-            .map_err(|error| super::pictures::refused(&error))?;
+        pictures::check(&csi5300_lab::show::compared::stems(&self.out), self.force)?;
         let simulated = self.out.join(SIMULATED);
         let written: Vec<PathBuf> = match &self.with {
             Some(folder) if folder.is_dir() => return Ok(()),
             Some(_) => Vec::new(),
             None => [TRAJECTORY, SCENE].iter().map(|name| self.out.join(name)).collect(),
         };
-        for input in read.chain(self.tx_trajectory.as_deref()).chain(self.with.as_deref()) {
-            if let Some(output) = written.iter().find(|output| super::is_same_file(input, output)) {
+        for input in read.chain(self.recorded.tx_trajectory.as_deref()).chain(self.with.as_deref()) {
+            if let Some(output) = written.iter().find(|output| is_same_file(input, output)) {
                 return Err(format!("{} is an input: another --out is needed", output.display()));
             }
             let inside = input.canonicalize().ok().zip(simulated.canonicalize().ok());
@@ -237,10 +242,10 @@ fn fitted(args: &Args, recorded: &Figures, trajectory: &Trajectory, options: &Op
     let mut poses = String::new();
     trajectory.poses().iter().for_each(|pose| poses += &odometry::csv::line(pose));
     written(&args.out.join(TRAJECTORY), &poses)?;
-    let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: &args.out, transmitter_m: args.transmitter };
-    super::progress("fitting a scene to the recording");
+    let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: &args.out, transmitter_m: None };
+    progress("fitting a scene to the recording");
     let fitted = fit(recorded, &known, options).map_err(|error| error.to_string());
-    super::progress("");
+    progress("");
     let fitted = fitted?;
     written(&args.out.join(SCENE), &fitted.toml)?;
     Ok(fitted.scene)
@@ -261,7 +266,7 @@ fn describe(table: &[FigureRow]) -> String {
     }
     let count = |verdict| table.iter().filter(|row| row.verdict == verdict).count();
     let (agree, differ) = (count(Verdict::Agrees), count(Verdict::Differs));
-    let _ = writeln!(text, "{} agree, {differ} differ", super::some(agree as u64, "figure", "figures"));
+    let _ = writeln!(text, "{} agree, {differ} differ", some(agree as u64, "figure", "figures"));
     text
 }
 
@@ -281,10 +286,10 @@ fn draw(_: &Args, _: &Figures, _: &Figures) -> Words<()> {
 
 #[cfg(feature = "plot")]
 fn draw(args: &Args, recorded: &Figures, simulated: &Figures) -> Words<()> {
-    let format = args.drawing.format(args.force);
+    let format = pictures::format(args.force);
     let written = csi5300_lab::show::compared::write(recorded, simulated, &args.out, &format);
-    let written = written.map_err(|error| super::pictures::refused(&error))?;
-    for path in super::pictures::first_of_each(&written).filter(|_| !args.json) {
+    let written = written.map_err(|error| pictures::refused(&error))?;
+    for path in pictures::first_of_each(&written).filter(|_| !args.json) {
         print(&format!("picture {}\n", path.display()));
     }
     Ok(())

@@ -3,8 +3,8 @@
 mod poses;
 
 use self::poses::PosesFile;
-use super::live::Signals;
-use super::{Outcome, Result};
+use super::super::live::Signals;
+use super::super::{Outcome, Result};
 use csi5300::motion::odometry::{NextPose, OdometrySource};
 use csi5300::source::{CsiSource, Loss, Next};
 use csi5300::time::{Instant, Span};
@@ -21,11 +21,12 @@ use std::path::{Path, PathBuf};
 // How a room is served.
 #[derive(clap::Args)]
 #[group(id = "serving")]
+#[command(next_help_heading = "Serving a room in real time")]
 pub struct Args {
     /// Run the room in real time: a robot's records go out on the kernel's connector, as its driver would send them
     #[arg(long, conflicts_with_all = ["out", "force"])]
     pub serve: bool,
-    /// Let other programs (`--room PATH#ROBOT` of sound, respond and record) work with the robots' cards and antennas, over
+    /// Let other programs (`--room PATH#ROBOT` of sound and record) work with the robots' cards and antennas, over
     /// a socket made here. The robots then send nothing by themselves, but for drivers with an `ack_len`
     #[arg(long, value_name = "PATH", requires = "serve")]
     socket: Option<PathBuf>,
@@ -38,7 +39,7 @@ pub struct Args {
     #[arg(long, value_name = "FILE")]
     poses: Vec<PathBuf>,
     /// Times real time (1 if not given); max does not wait at all
-    #[arg(long, value_parser = super::live::speed)]
+    #[arg(long, value_parser = super::super::live::speed)]
     speed: Option<f64>,
 }
 
@@ -106,7 +107,7 @@ struct SocketRow {
 /// Serves a scene, which was read from `file`, until its end or a signal.
 pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
     if json && args.poses.iter().any(|path| path.as_os_str() == "-") {
-        super::usage("--json and --poses - both want standard output");
+        super::super::usage("--json and --poses - both want standard output");
     }
     let signals = Signals::catch()?;
     let speed = args.speed.unwrap_or(1.0);
@@ -132,7 +133,7 @@ pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
     let mut serving = Serving { room, server, robots, clock, speed, behind: Span::default() };
     serving.work(&signals)?;
     if json {
-        super::print_json(&serving.row());
+        super::super::print_json(&serving.row());
     }
     Ok(serving.conclude())
 }
@@ -238,7 +239,7 @@ impl Serving {
         let mut all_written = true;
         for (unwritten, file) in self.robots.iter().filter_map(|robot| Some(robot.poses.as_ref()?.1.unwritten())) {
             if unwritten > 0 {
-                note!("{} not written to {file}", super::some(unwritten, "pose", "poses"));
+                note!("{} not written to {file}", super::super::some(unwritten, "pose", "poses"));
                 all_written = false;
             }
         }
@@ -254,11 +255,11 @@ impl Serving {
 fn describe(scene: &Scene, counts: &ServedCounts, injected: &[Injected]) -> String {
     let mut text = format!(
         "{} joined, {} refused; {} put on air, {} not; {} sent\n",
-        super::some(counts.joined, "program", "programs"),
+        super::super::some(counts.joined, "program", "programs"),
         counts.refused,
-        super::some(counts.frames, "frame", "frames"),
+        super::super::some(counts.frames, "frame", "frames"),
         counts.bad_frames,
-        super::some(counts.records, "record", "records")
+        super::super::some(counts.records, "record", "records")
     );
     if counts.untaken > 0 {
         text += &format!("  {} messages were lost because a program did not read them\n", counts.untaken);

@@ -1,45 +1,37 @@
-//! `csi5300 suite`.
+//! `csi5300 simulate suite`: the experiments of Dijkstra et al.
 
-use super::{Outcome, Result, print, print_json, usage};
+use super::super::{Outcome, Result, must_not_exist, print, print_json, progress, some, usage};
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
-#[cfg(feature = "plot")]
-use csi5300_lab::suite::Experiment;
 use csi5300_lab::suite::{REPETITIONS, Summary, experiments, run_all, summarise};
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::path::Path;
 
-// Arguments of `suite`.
-#[derive(clap::Args)]
-pub struct Args {
-    /// Repetitions of each experiment
-    #[arg(long, default_value_t = REPETITIONS, value_parser = clap::value_parser!(u64).range(1..=100_000))]
-    repetitions: u64,
+// What of the experiments is run.
+#[derive(clap::Args, Clone)]
+#[command(
+    next_help_heading = "The experiments of Dijkstra et al. (SCENE is suite; --out names a table, a CSV row a repetition)"
+)]
+pub struct Which {
+    /// Repetitions of each experiment [default: 10]
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    repetitions: Option<u64>,
     /// Only experiments whose name holds this
     #[arg(long, value_name = "TEXT")]
     only: Option<String>,
-    /// A row for each repetition, as CSV
-    #[arg(long, default_value = "csi5300-suite.csv", value_name = "FILE")]
-    csv: PathBuf,
-    /// Draw each experiment into this folder: phase before and after, and the profile averaged over the repetitions
-    #[cfg(feature = "plot")]
-    #[arg(long, visible_alias = "out", value_name = "DIR")]
-    plot: Option<PathBuf>,
-    #[cfg(feature = "plot")]
-    #[command(flatten)]
-    drawing: super::pictures::Drawing,
-    /// JSON Lines: one object an experiment instead of the table
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the table, and pictures of the same names, if they are there
-    #[arg(long)]
-    force: bool,
+}
+
+impl Which {
+    /// True if anything was asked of them.
+    pub fn is_asked(&self) -> bool {
+        self.repetitions.is_some() || self.only.is_some()
+    }
 }
 
 /// Runs the experiments of Dijkstra et al. (\[paper\] in docs/references.md) and prints a table of them.
-pub fn run(args: &Args) -> Result {
+pub fn run(which: &Which, path: &Path, force: bool, json: bool) -> Result {
     let mut all = experiments();
-    if let Some(text) = &args.only {
+    if let Some(text) = &which.only {
         all.retain(|experiment| experiment.name.contains(text));
     }
     if all.is_empty() {
@@ -47,45 +39,28 @@ pub fn run(args: &Args) -> Result {
         usage(&format!("no experiment has that in its name; there are: {}", names.join("; ")));
     }
     let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
-    let failed = |error: String| format!("cannot write {}: {error}", args.csv.display());
-    super::must_not_exist(&args.csv, args.force)?;
-    #[cfg(feature = "plot")]
-    check_pictures(args, &all)?;
+    let failed = |error: String| format!("cannot write {}: {error}", path.display());
+    must_not_exist(path, force)?;
     // Opened first: a file that cannot be written is found before minutes of work, not after.
-    let mut csv = csv::Writer::from_path(&args.csv).map_err(|error| failed(error.to_string()))?;
+    let mut csv = csv::Writer::from_path(path).map_err(|error| failed(error.to_string()))?;
     let mut runs = Vec::new();
     for (k, experiment) in all.iter().enumerate() {
-        super::progress(&format!("{} of {} experiments: {}", k + 1, all.len(), experiment.name));
-        let own = run_all(std::slice::from_ref(experiment), args.repetitions, &Options::new(channel));
+        progress(&format!("{} of {} experiments: {}", k + 1, all.len(), experiment.name));
+        let own =
+            run_all(std::slice::from_ref(experiment), which.repetitions.unwrap_or(REPETITIONS), &Options::new(channel));
         runs.extend(own.map_err(|error| error.to_string())?);
     }
-    super::progress("");
+    progress("");
     runs.iter().try_for_each(|run| csv.serialize(run)).map_err(|error| failed(error.to_string()))?;
     csv.flush().map_err(|error| failed(error.to_string()))?;
     let table = summarise(&runs);
-    if args.json {
+    if json {
         table.iter().for_each(print_json);
     } else {
         print(&describe(&table));
     }
-    #[cfg(feature = "plot")]
-    if let Some(folder) = &args.plot {
-        let written = csi5300_lab::show::repeated::write(&runs, folder, &args.drawing.format(args.force));
-        let written = written.map_err(|error| super::pictures::refused(&error))?;
-        note!("{} in {}", super::some(written.len() as u64, "picture", "pictures"), folder.display());
-    }
-    note!("{} in {}", super::some(runs.len() as u64, "repetition", "repetitions"), args.csv.display());
+    note!("{} in {}", some(runs.len() as u64, "repetition", "repetitions"), path.display());
     Ok(Outcome::Done)
-}
-
-/// Refuses pictures that are there before minutes of work, not after.
-#[cfg(feature = "plot")]
-fn check_pictures(args: &Args, all: &[Experiment]) -> std::result::Result<(), String> {
-    args.drawing.must_have(args.plot.as_deref(), "--plot");
-    let Some(folder) = &args.plot else { return Ok(()) };
-    let stems = |experiment: &Experiment| csi5300_lab::show::repeated::stems(&experiment.name, folder);
-    let stems: Vec<PathBuf> = all.iter().flat_map(stems).collect();
-    args.drawing.format(args.force).check(&stems).map_err(|error| super::pictures::refused(&error))
 }
 
 fn describe(table: &[Summary]) -> String {

@@ -1,9 +1,9 @@
-//! What `sound` and `respond` share: arguments, what they open, and the words for it.
+//! What sounding and answering (`sound --answer`) share: arguments, what they open, and the words for it.
 
-use super::args::mac;
-use super::listener::{Listening, Needs, describe};
-use super::live::{Signals, create_refused, duration, join_refused};
-use super::{Outcome, is_end_of_room, usage};
+use super::super::args::mac;
+use super::super::listener::{Listening, Needs, describe};
+use super::super::live::{Signals, create_refused, duration, join_refused};
+use super::super::{Outcome, is_end_of_room, usage};
 use csi5300::exchange::tdma::{Config, Dialect, Phy, Plan, PlanError, Request};
 use csi5300::source::Error;
 use csi5300::source::recorder::{LogFiles, Rotation};
@@ -80,9 +80,6 @@ pub struct Sounding {
     /// Answers carry no measurement (native dialect); then they are shorter, and there are no live bearings
     #[arg(long)]
     pub no_measurement: bool,
-    /// Leave the driver's rate (monitor_tx_rate) as it is
-    #[arg(long)]
-    pub keep_rate: bool,
     /// Do not ask for SCHED_FIFO
     #[arg(long)]
     pub no_fifo: bool,
@@ -187,7 +184,7 @@ impl Sounding {
             "{} is {}; {} in a round, {:.3} rounds/s, slots of {:.0} us (at least {})",
             self.name(),
             opened.own,
-            super::some(plan.slots.into(), "link", "links"),
+            super::super::some(plan.slots.into(), "link", "links"),
             plan.rate_hz(),
             plan.slot_us(),
             plan.shortest_slot_us()
@@ -197,7 +194,7 @@ impl Sounding {
 
     /// Sees to the driver's rate.
     pub fn see_to_rate(&self, antenna: Antenna) -> std::result::Result<(), String> {
-        let Some(interface) = self.interface.as_deref().filter(|_| !self.keep_rate) else { return Ok(()) };
+        let Some(interface) = self.interface.as_deref() else { return Ok(()) };
         let rate = rate_n_flags(self.request().phy, antenna).ok_or_else(|| {
             format!("--mcs {} has more streams than the card has antennas: 23 is the highest", self.mcs)
         })?;
@@ -264,9 +261,9 @@ impl Sounding {
             note!("  {} news of the air were not fetched in time", finished.news_lost);
         }
         if let (Some(totals), Some(log)) = (&finished.log, &self.log) {
-            note!("{} written to {}", super::some(totals.recorded.written, "record", "records"), log.display());
+            note!("{} written to {}", super::super::some(totals.recorded.written, "record", "records"), log.display());
             if totals.missing() > 0 {
-                note!("  not in it: {}", super::some(totals.missing(), "record", "records"));
+                note!("  not in it: {}", super::super::some(totals.missing(), "record", "records"));
             }
         }
         let over = self.room_ended(finished);

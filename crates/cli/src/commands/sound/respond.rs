@@ -1,9 +1,10 @@
-//! `csi5300 respond`.
+//! `csi5300 sound --answer`: answers the frames of robots that sound. Answers are given at once, from user space; with --dialect wsr
+//! --ack-len N as the WSR driver gives them in the kernel. In the native dialect an answer carries what the card measured of an earlier
+//! frame, so that the initiator has bearings live.
 
-use super::args::antenna;
-use super::live::Signals;
-use super::sounding::{NO_NUMBERS, Sounding, Wanted, Words, tell};
-use super::{Result, print_json, usage};
+use super::super::live::Signals;
+use super::super::{Result, print_json, usage};
+use super::common::{NO_NUMBERS, Sounding, Wanted, Words, tell};
 use csi5300::exchange::tdma::Epoch;
 use csi5300::internal::{Proof, Prover};
 use csi5300::source::Next;
@@ -12,23 +13,6 @@ use csi5300_live::sounding::{News, Observer, Order, Running, measurement};
 use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
-
-// Arguments of `respond`.
-#[derive(clap::Args)]
-#[command(after_help = "Answers are given at once, from user space; with --dialect wsr --ack-len N as the WSR driver \
-                        gives them in the kernel. In the native dialect an answer carries what the card measured of an \
-                        earlier frame (driver with connector_log=0x5, or --stock), so that the initiator has bearings live.\n\
-                        Example: csi5300 respond --interface mon0 --peers 00:21:6a:53:89:d2")]
-pub struct Args {
-    #[command(flatten)]
-    common: Sounding,
-    /// Antenna (RF port) whose measurements answers carry: A, B or C
-    #[arg(long, default_value = "A", value_parser = antenna)]
-    antenna: Antenna,
-    /// One JSON object at the end: answers, how late they were, and what came to nothing
-    #[arg(long)]
-    json: bool,
-}
 
 /// Hands the card's measurements to the answers.
 struct Measuring {
@@ -64,22 +48,21 @@ impl Observer for Measuring {
 }
 
 /// Answers until told to stop.
-pub fn run(args: &Args) -> Result {
-    let common = &args.common;
+pub fn run(common: &Sounding, antenna: Antenna, json: bool) -> Result {
     if common.dialect == Words::Wsr && common.ack_len.is_none() {
         usage("--dialect wsr needs --ack-len, the length of the frames meant for this robot (57 for the first)");
     }
     let signals = Signals::catch()?;
     let clock = Monotonic::new();
     let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
-    common.see_to_rate(args.antenna)?;
+    common.see_to_rate(antenna)?;
     let carries = common.dialect == Words::Native && !common.no_measurement;
     let messages = common.messages(if carries { Wanted::IfPossible } else { Wanted::Not }, opened.own)?;
     let peers = common.peers.clone();
     let (survey, prover) = (Survey::with_known(peers.iter().copied()), Prover::new(opened.key.clone()));
-    let mut task = Measuring { antenna: args.antenna, peers, survey, prover, carries, told: false };
+    let mut task = Measuring { antenna, peers, survey, prover, carries, told: false };
     let (outcome, row) = common.run(&signals, messages, opened, clock, &mut task)?;
-    if args.json {
+    if json {
         print_json(&row);
     }
     Ok(outcome)
