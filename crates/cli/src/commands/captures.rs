@@ -1,6 +1,6 @@
 //! What the commands on folders of captures share.
 
-use super::args::{Estimation, channel};
+use super::args::Estimation;
 use super::mounting::Mounting;
 use super::usage;
 use csi5300::motion::rolling::Mount;
@@ -13,21 +13,17 @@ use std::path::Path;
 pub const A_CAPTURE: &str = "a capture is a folder with csi_rx_TS.dat, csi_txK_TS.dat, a trajectory (rx_trajectory_TS_.csv) and, \
                              for the truth and the channel, groundtruth_positions.json";
 
-// How captures are read.
-#[derive(clap::Args)]
+/// How captures are read.
 pub struct Reading {
-    /// Which trajectory to use
-    #[arg(long, value_enum, default_value = "gt")]
+    /// Which trajectory to use.
     pub trajectory: Which,
-    #[command(flatten)]
+    /// Where antenna and camera are on the robot.
     pub mounting: Mounting,
-    /// WiFi channel instead of the one in groundtruth_positions.json
-    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    /// WiFi channel instead of the one in groundtruth_positions.json.
     pub channel: Option<Channel>,
-    /// Join the n-th frame of a link with the n-th row of its trajectory instead of by time
-    #[arg(long, hide_short_help = true)]
+    /// Join the n-th frame of a link with the n-th row of its trajectory instead of by time.
     pub join_rows: bool,
-    #[command(flatten)]
+    /// How bearings are made.
     pub estimation: Estimation,
 }
 

@@ -65,6 +65,9 @@ pub struct Args {
     /// One JSON object about the recording at its end
     #[arg(long, conflicts_with = "live")]
     json: bool,
+    /// Receive buffer to ask the kernel for
+    #[arg(long, value_parser = size, default_value = "32M", value_name = "SIZE")]
+    receive_buffer: u64,
     #[command(flatten)]
     listening: Listening,
 }
@@ -100,7 +103,7 @@ pub fn run(args: &Args) -> Result {
     let text = |error: csi5300::source::Error| error.to_string();
     // Signals first: one that comes during the opening must not leave half a start behind.
     let signals = Signals::catch()?;
-    let listener = args.listening.open(Needs::default())?;
+    let listener = args.listening.open(Needs { receive_buffer: Some(args.receive_buffer), ..Needs::default() })?;
     let rotation = Rotation { bytes: args.rotate_size, every: args.rotate_every };
     let files = LogFiles::create(&args.out, rotation, args.force).map_err(|error| create_refused(&error))?;
     let files = files.with_side_layout(args.side_layout());

@@ -7,13 +7,13 @@ use self::common::{NO_NUMBERS, Sounding, Wanted, Words, tell, waiting};
 use super::args::{Estimation, antenna, channel};
 use super::live::{Signals, duration};
 use super::{Result, fixed, hint, print, print_json, usage};
-use csi5300::exchange::tdma::{Epoch, Event, Plan, Priority};
+use csi5300::exchange::tdma::{Epoch, Event, Plan};
 use csi5300::motion::odometry;
 use csi5300::pipeline::{Bearing, LinkError};
 use csi5300::signal::channel::Channel;
 use csi5300::source::Next;
 use csi5300::time::{Instant, Span};
-use csi5300_live::sounding::{Beside, News, Observer, Order, Products, Running};
+use csi5300_live::sounding::{Beside, News, Observer, Products, Running};
 use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
 use driver_iface::bfee::Antenna;
@@ -21,8 +21,6 @@ use std::collections::BTreeMap;
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
-/// A link whose bearing is good enough is sounded in every so manieth round.
-const SETTLED_ROUNDS: u16 = 8;
 /// Silence after which a robot that alone wants to initiate takes a lost turn, microseconds and slots at least: a busy
 /// host that sleeps for less keeps its turn.
 const ALONE_SILENCE_US: f64 = 50_000.0;
@@ -41,7 +39,7 @@ const ALONE_SILENCE_SLOTS: u32 = 2;
 pub struct Args {
     /// Answer the frames of robots that sound, instead of sounding. Answers carry what the card measured, so that those have bearings
     /// live (driver with connector_log=0x5, or --stock); with --dialect wsr --ack-len N they are the WSR driver's
-    #[arg(long, conflicts_with_all = ["alone", "open_loop", "trajectory", "channel", "good_enough", "heading_sd"])]
+    #[arg(long, conflicts_with_all = ["alone", "open_loop", "trajectory", "channel", "heading_sd"])]
     answer: bool,
     #[command(flatten)]
     common: Sounding,
@@ -60,9 +58,6 @@ pub struct Args {
     /// How often bearings are made, beside the sounding; the last one may come after its end
     #[arg(long, value_parser = duration, default_value = "2s", value_name = "TIME")]
     bearing_every: Span,
-    /// Sound a link in every eighth round only, once its bearing's error bar (`+-`) is at most this, degrees
-    #[arg(long, value_name = "DEGREES", requires = "trajectory")]
-    good_enough: Option<f64>,
     /// Antenna (RF port) of bearings, and of the measurements that answers carry: A, B or C
     #[arg(long, default_value = "A", value_parser = antenna)]
     antenna: Antenna,
@@ -143,10 +138,10 @@ impl Observer for Live<'_> {
         }
     }
 
-    fn look(&mut self, now: Instant, running: &Running) {
+    fn look(&mut self, now: Instant, _running: &Running) {
         let Some(bearings) = &mut self.bearings else { return };
         if let Some(made) = bearings.beside.take() {
-            bearings.tell(made, Some(running));
+            bearings.tell(made);
         }
         if bearings.beside.is_due(now) {
             bearings.begin(now);
@@ -176,17 +171,14 @@ impl Bearings<'_> {
         }
     }
 
-    /// Says what was made; while it sounds, links that are good enough leave the channel to the others.
-    fn tell(&self, made: Made, running: Option<&Running>) {
+    /// Says what was made.
+    fn tell(&self, made: Made) {
         let made = match made {
             Ok(made) => made,
             Err(error) => return wrong!("{error}"),
         };
         for (mac, pairs, made) in made {
             let line = Line::new(mac, pairs, &made);
-            if let Some(running) = running.filter(|_| line.error.is_none()) {
-                self.spare(mac, line.azimuth_sd_deg, running);
-            }
             self.show(&line);
         }
     }
@@ -194,16 +186,8 @@ impl Bearings<'_> {
     /// The end: what is under way is said when it is done, unless a signal ended the sounding or ends this.
     fn finish(mut self, signals: &Signals) -> std::result::Result<(), String> {
         let last = self.beside.last(self.clock, signals.as_fd()).map_err(|error| error.to_string())?;
-        last.into_iter().for_each(|made| self.tell(made, None));
+        last.into_iter().for_each(|made| self.tell(made));
         Ok(())
-    }
-
-    /// Leaves the channel to links that need it more.
-    fn spare(&self, mac: Mac, sd_deg: Option<f64>, running: &Running) {
-        if let Some(enough) = self.args.good_enough {
-            let settled = sd_deg.is_some_and(|sd| sd <= enough);
-            running.order(Order::Priority(mac, Priority::every(if settled { SETTLED_ROUNDS } else { 1 })));
-        }
     }
 
     fn show(&self, line: &Line) {
@@ -231,7 +215,7 @@ pub fn run(args: &Args) -> Result {
     if args.answer {
         return respond::run(common, args.antenna, args.json);
     }
-    if args.trajectory.is_some() && (common.dialect == Words::Wsr || common.no_measurement) {
+    if args.trajectory.is_some() && common.dialect == Words::Wsr {
         usage(
             "live bearings need the responder's measurements, which only native frames carry: leave out --trajectory, \
              record with --log, and use `csi5300 bearing` on the logs of both robots",

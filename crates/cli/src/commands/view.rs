@@ -32,8 +32,6 @@ pub struct Args {
     /// Which trajectory of captures to use
     #[arg(long, value_enum, default_value = "gt")]
     trajectory: Which,
-    #[command(flatten)]
-    mounting: Mounting,
     /// WiFi channel instead of the one in groundtruth_positions.json
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
@@ -54,7 +52,7 @@ impl Args {
     fn reading(&self) -> Reading {
         Reading {
             trajectory: self.trajectory,
-            mounting: self.mounting.clone(),
+            mounting: Mounting::default(),
             channel: self.channel,
             join_rows: false,
             estimation: Estimation::with_antenna(self.antenna),

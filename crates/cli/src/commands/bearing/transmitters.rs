@@ -20,16 +20,6 @@ pub struct Together {
     /// towards +y. CAPTURE is a folder as links name it
     #[arg(long, value_name = "CAPTURE=X,Y,DEGREES", value_parser = frame, allow_hyphen_values = true, requires = "transmitters", hide_short_help = true)]
     frame: Vec<(String, Frame)>,
-    /// Cut every motion into so many stretches that last equally long: for a long drive
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 1,
-        value_parser = clap::value_parser!(u32).range(1..=1000),
-        requires = "transmitters",
-        hide_short_help = true
-    )]
-    stretches: u32,
 }
 
 impl Together {
@@ -77,7 +67,7 @@ pub fn run(
     let (mut motions, mut failed): (Vec<Motion>, Vec<(String, String)>) = (Vec::new(), Vec::new());
     for capture in &captures {
         let frame = together.frame(capture);
-        let found = capture.motions(reading.source(), reading.channel, &options, together.stretches, frame);
+        let found = capture.motions(reading.source(), reading.channel, &options, 1, frame);
         lost |= found.lost;
         found.notes.iter().for_each(|line| note!("{line}"));
         motions.extend(found.motions);
@@ -90,13 +80,7 @@ pub fn run(
     } else {
         print(&table(&found));
     }
-    if together.stretches > 1 {
-        if !failed.is_empty() {
-            note!("{} without a bearing", some(failed.len() as u64, "stretch is", "stretches are"));
-        }
-    } else {
-        failed.iter().for_each(|(link, error)| wrong!("{link}: {error}"));
-    }
+    failed.iter().for_each(|(link, error)| wrong!("{link}: {error}"));
     Ok(match found.iter().any(|one| one.position_m.is_some()) {
         false => Outcome::Nothing,
         true if lost => Outcome::DataLost,

@@ -29,13 +29,16 @@ mod words;
 pub use row::ExchangeRow;
 pub use words::{NO_NUMBERS, tell, waiting};
 
-// Arguments of both commands.
+/// WSR dialect: length of the frames for the first robot, frame check sequence included.
+const FIRST_LEN: u16 = wsr::DEFAULT_LEN as u16;
+
+// Arguments of sounding and answering.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Sounding {
     /// Monitor interface
     #[arg(long, value_name = "NAME", required_unless_present = "room", conflicts_with = "room")]
     pub interface: Option<String>,
-    /// MACs of the other robots, with commas between; in the WSR dialect the first is sounded with --first-len, the next
+    /// MACs of the other robots, with commas between; in the WSR dialect the first is sounded with 57 bytes, the next
     /// with two bytes more, and so on
     #[arg(long, required = true, value_delimiter = ',', value_parser = mac, value_name = "MAC,..")]
     pub peers: Vec<Mac>,
@@ -54,9 +57,6 @@ pub struct Sounding {
     /// Frames 40 MHz wide
     #[arg(long)]
     pub ht40: bool,
-    /// WSR dialect: length of the frames for the first robot, frame check sequence included
-    #[arg(long, default_value_t = wsr::DEFAULT_LEN as u16, value_name = "BYTES")]
-    pub first_len: u16,
     /// WSR dialect: length of the frames that this robot answers (57, 59, 61 ...)
     #[arg(long, value_name = "BYTES")]
     pub ack_len: Option<u16>,
@@ -77,9 +77,6 @@ pub struct Sounding {
     /// This robot's MAC, instead of the interface's own
     #[arg(long, value_parser = mac, value_name = "MAC")]
     pub mac: Option<Mac>,
-    /// Answers carry no measurement (native dialect); then they are shorter, and there are no live bearings
-    #[arg(long)]
-    pub no_measurement: bool,
     /// Do not ask for SCHED_FIFO
     #[arg(long)]
     pub no_fifo: bool,
@@ -110,8 +107,8 @@ impl Sounding {
     pub fn request(&self) -> Request {
         let bandwidth = if self.ht40 { Bandwidth::Ht40 } else { Bandwidth::Ht20 };
         let dialect = match self.dialect {
-            Words::Native => Dialect::Native { measurement: !self.no_measurement, authenticated: self.key.is_some() },
-            Words::Wsr => Dialect::Wsr { first_len: self.first_len },
+            Words::Native => Dialect::Native { measurement: true, authenticated: self.key.is_some() },
+            Words::Wsr => Dialect::Wsr { first_len: FIRST_LEN },
         };
         let own = self.own_index().map_or(0, |index| index.saturating_add(1));
         let peers = u16::try_from(self.peers.len()).unwrap_or(u16::MAX);
@@ -133,15 +130,15 @@ impl Sounding {
 
     /// The robot's index in the WSR dialect, from the length that it answers.
     fn own_index(&self) -> Option<u16> {
-        self.ack_len.map(|len| len.saturating_sub(self.first_len) / 2)
+        self.ack_len.map(|len| len.saturating_sub(FIRST_LEN) / 2)
     }
 
     /// What of the arguments contradicts itself ends the command.
     fn check(&self) {
         match (self.dialect, self.ack_len) {
             (Words::Native, Some(_)) => usage("--ack-len belongs to --dialect wsr"),
-            (Words::Wsr, Some(len)) if len < self.first_len || (len - self.first_len) % 2 == 1 => {
-                usage(&format!("--ack-len {len}: {}, and two bytes more for each robot", self.first_len))
+            (Words::Wsr, Some(len)) if len < FIRST_LEN || (len - FIRST_LEN) % 2 == 1 => {
+                usage(&format!("--ack-len {len}: {FIRST_LEN}, and two bytes more for each robot"))
             }
             _ => {}
         }
@@ -216,7 +213,7 @@ impl Sounding {
         if self.log.is_none() && wanted == Wanted::Not {
             return Ok(DriverMessages::none());
         }
-        let needs = Needs { own: Some(own), frames: self.key.is_some() };
+        let needs = Needs { own: Some(own), frames: self.key.is_some(), receive_buffer: None };
         let listener = match self.listening.open(needs) {
             Ok(listener) => listener,
             Err(error) if self.log.is_none() && wanted == Wanted::IfPossible => {

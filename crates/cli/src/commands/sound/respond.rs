@@ -56,7 +56,7 @@ pub fn run(common: &Sounding, antenna: Antenna, json: bool) -> Result {
     let clock = Monotonic::new();
     let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
     common.see_to_rate(antenna)?;
-    let carries = common.dialect == Words::Native && !common.no_measurement;
+    let carries = common.dialect == Words::Native;
     let messages = common.messages(if carries { Wanted::IfPossible } else { Wanted::Not }, opened.own)?;
     let peers = common.peers.clone();
     let (survey, prover) = (Survey::with_known(peers.iter().copied()), Prover::new(opened.key.clone()));
