@@ -411,7 +411,7 @@ fn several_links_to_known_places_locate_the_receiver_and_old_names_say_the_new_o
         assert!(all.contains(words), "{words}: {all}");
     }
     let (_, short, _) = folder.run(&["bearing", "-h"]);
-    assert!(short.lines().count() <= 24, "{short}");
+    assert!(short.lines().count() <= 28, "{short}");
     for words in ["--channel", "--antenna-offset", "--json", "--verbose"] {
         assert!(short.contains(words), "{words}: {short}");
     }

@@ -14,6 +14,7 @@ const SIZE: (f64, f64) = (1200.0, 1100.0);
 
 // What is drawn of logs.
 #[derive(clap::Args)]
+#[group(id = "drawn")]
 #[command(next_help_heading = "Pictures")]
 pub struct Args {
     /// Draw each log into this folder: NAME-csi (amplitude and phase of each antenna over time and subcarrier) and NAME-levels
