@@ -23,6 +23,8 @@ pub use clocks::{ClockSteps, HostSteps};
 pub use fields::Fields;
 pub use sender::Sender;
 #[doc(hidden)]
+pub use sender::{NumberStep, Numbering};
+#[doc(hidden)]
 pub use tally::Tally;
 
 use bounds::LOSSES_KEPT;

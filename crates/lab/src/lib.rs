@@ -10,9 +10,8 @@
 //! | [`curves`] | a bearing | curves over azimuth and time for pictures and pages |
 //! | [`table`] | a log | its records in memory: columns, and CSI decoded on demand |
 //! | [`export`] | such a table | NPZ, MAT and Parquet files |
-//! | [`rooms`] | a seed | random rooms with known truth, written as captures |
 //! | [`words`] | counts | them with their nouns |
-//! | `show` (feature `plot`) | bearings, rows, figures | pictures (PNG, SVG) and one HTML page |
+//! | `show` (feature `plot`) | bearings, rows, figures | pictures (PNG, SVG) |
 //!
 //! `evaluate`, `compare` and `suite` know nothing of pictures; `show` draws what they give.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -23,7 +22,6 @@ pub mod curves;
 pub mod ends;
 pub mod evaluate;
 pub mod export;
-pub mod rooms;
 #[cfg(feature = "plot")]
 pub mod show;
 pub mod suite;

@@ -6,12 +6,6 @@ pub fn count(count: u64, one: &str, many: &str) -> String {
     format!("{count} {}", if count == 1 { one } else { many })
 }
 
-/// What of many is looked at: `one pair in 2`.
-#[must_use]
-pub fn one_in(every: usize, one: &str) -> String {
-    format!("one {one} in {every}")
-}
-
 /// A number with so many digits behind its point; what rounds to zero has no sign.
 #[must_use]
 pub fn fixed(value: f64, digits: usize) -> String {

@@ -3,7 +3,7 @@
 mod bring_up;
 
 use super::args::mac;
-use super::listener::{Listening, Needs, describe};
+use super::listener::{Card, Listening, Needs, describe};
 use super::live::{Signals, duration};
 use super::say::{Tone, toned};
 use super::{Outcome, Result, print, print_json};
@@ -39,7 +39,7 @@ pub struct Args {
     #[arg(long, value_parser = mac, value_name = "MAC", requires = "bring_up")]
     peer: Option<Mac>,
     #[command(flatten)]
-    listening: Listening,
+    card: Card,
 }
 
 #[derive(serde::Serialize)]
@@ -101,7 +101,8 @@ fn text(checks: &[Check], ready: bool) -> String {
 fn listen(args: &Args, span: Span) -> std::result::Result<Vec<Check>, String> {
     let signals = Signals::catch()?;
     let mut heard = Reception::default();
-    let mut listener = match args.listening.open(Needs::default()) {
+    let listening = Listening { card: args.card.clone(), allow_user_sender: false, room: None };
+    let mut listener = match listening.open(Needs::default()) {
         Ok(listener) => listener,
         Err(message) => {
             return Ok(vec![Check {

@@ -1,5 +1,8 @@
 //! `csi5300 info`.
 
+#[cfg(feature = "plot")]
+mod plot;
+
 use super::{Outcome, Result, print, print_json, some};
 use csi5300::internal::{LOSSES_KEPT, SENDERS_KEPT};
 use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey, TimeBase};
@@ -12,13 +15,17 @@ use std::path::{Path, PathBuf};
 
 // Arguments of `info`.
 #[derive(clap::Args)]
+#[command(after_help = "Example:\n  csi5300 info rx.dat --plot pictures --antenna A --from 2 --to 8")]
 pub struct Args {
     /// Logs; - is standard input
-    #[arg(required = true)]
+    #[arg(required = true, value_name = "LOG")]
     files: Vec<PathBuf>,
     /// One JSON object a log instead of text
     #[arg(long)]
     json: bool,
+    #[cfg(feature = "plot")]
+    #[command(flatten)]
+    plot: plot::Args,
 }
 
 #[derive(serde::Serialize)]
@@ -61,6 +68,9 @@ struct Row<'a> {
     senders: std::collections::BTreeMap<String, SenderRow<'a>>,
     /// Of the side file; null without one that has checksums.
     checks: Option<Checks>,
+    /// Those that were drawn.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pictures: Vec<PathBuf>,
     #[serde(flatten)]
     survey: &'a Survey,
 }
@@ -71,8 +81,13 @@ pub fn run(args: &Args) -> Result {
     for (k, path) in args.files.iter().enumerate() {
         match survey(path) {
             Ok(read) => {
+                let pictures = draw(args, k).unwrap_or_else(|message| {
+                    failed = true;
+                    wrong!("{message}");
+                    Vec::new()
+                });
                 if args.json {
-                    print_json(&row(path, &read));
+                    print_json(&row(path, &read, pictures));
                 } else {
                     print(&format!(
                         "{}{}",
@@ -98,6 +113,21 @@ pub fn run(args: &Args) -> Result {
     })
 }
 
+/// The pictures of the `k`th log, where some were asked for.
+#[cfg(feature = "plot")]
+fn draw(args: &Args, k: usize) -> std::result::Result<Vec<PathBuf>, String> {
+    let drawn = plot::draw(&args.plot, &args.files, k)?;
+    if !args.json {
+        drawn.iter().for_each(|path| note!("{}", path.display()));
+    }
+    Ok(drawn)
+}
+
+#[cfg(not(feature = "plot"))]
+fn draw(_: &Args, _: usize) -> std::result::Result<Vec<PathBuf>, String> {
+    Ok(Vec::new())
+}
+
 /// A log that was read.
 struct Read {
     survey: Survey,
@@ -117,7 +147,7 @@ fn survey(path: &Path) -> std::result::Result<Read, String> {
     }
 }
 
-fn row<'a>(path: &Path, read: &'a Read) -> Row<'a> {
+fn row<'a>(path: &Path, read: &'a Read, pictures: Vec<PathBuf>) -> Row<'a> {
     let Read { survey, bytes, checks } = read;
     let sender = |(mac, sender): (&Mac, &'a Sender)| (mac.to_string(), SenderRow::new(sender));
     Row {
@@ -128,6 +158,7 @@ fn row<'a>(path: &Path, read: &'a Read) -> Row<'a> {
         cut: survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean)),
         senders: survey.senders.iter().map(sender).collect(),
         checks: *checks,
+        pictures,
         survey,
     }
 }

@@ -16,7 +16,7 @@ pub struct BagArgs {
     /// A recording that has odometry and CSI (a folder of `ros2 bag`, or a file: MCAP, SQLite, ROS 1): --rx, --tx and --trajectory
     /// then name topics of it, or files, and what is not named is the only topic that it can be
     #[cfg(feature = "ros2")]
-    #[arg(long, value_name = "BAG")]
+    #[arg(long, value_name = "BAG", hide_short_help = true)]
     pub bag: Option<PathBuf>,
 }
 

@@ -1,7 +1,7 @@
 //! What the live commands listen to: the kernel's connector, or the card under the kernel's own driver; and the words for
 //! it.
 
-use super::live::{join_refused, size};
+use super::live::join_refused;
 #[cfg(feature = "stock")]
 use csi5300::source::Error;
 use csi5300_live::listener::Listener;
@@ -13,48 +13,55 @@ use csi5300_sim::served::{self, Address};
 use driver_iface::Mac;
 use std::fmt::Write;
 
+/// Receive buffer to ask the kernel for, bytes.
+const RECEIVE_BUFFER: u64 = 32 << 20;
+
 // How to listen to the card.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Listening {
-    /// Connector index of the driver, instead of looking for it
-    #[arg(long, value_name = "INDEX", value_parser = clap::value_parser!(u32).range(1..=32))]
-    pub connector_index: Option<u32>,
+    #[command(flatten)]
+    pub card: Card,
     /// Believe messages of other programs too: emulators, `replay --connector`
     #[arg(long)]
+    #[cfg_attr(feature = "stock", arg(conflicts_with = "stock"))]
     pub allow_user_sender: bool,
-    /// Receive buffer to ask the kernel for
-    #[arg(long, value_parser = size, default_value = "32M", value_name = "SIZE")]
-    pub receive_buffer: u64,
     /// Work with a robot of a simulated room (`simulate SCENE --serve --socket PATH`) as if it were the card
     #[arg(long, value_name = "PATH#ROBOT", conflicts_with_all = ["connector_index", "allow_user_sender"])]
+    #[cfg_attr(feature = "stock", arg(conflicts_with = "stock"))]
     pub room: Option<Address>,
-    #[command(flatten)]
-    stock: StockArgs,
 }
 
-// How to take the card's packets from under an unmodified driver.
-#[derive(clap::Args, Clone, Debug)]
-struct StockArgs {
-    /// Take the card's packets from the kernel's own, unpatched driver, by an eBPF program (Linux 5.8 and later)
+// Which way the card's records come.
+#[derive(clap::Args, Clone, Debug, Default)]
+pub struct Card {
+    /// Connector index of the driver, instead of looking for it
+    #[arg(long, value_name = "INDEX", value_parser = clap::value_parser!(u32).range(1..=32))]
+    connector_index: Option<u32>,
+    /// Take the card's packets from the kernel's own, unpatched driver, by an eBPF program (Linux 5.8 and later): records as the WSR
+    /// driver makes them, with sender and frame number, or as csitool's does; or either with the frames themselves too (0xC1), as
+    /// connector_log 0x5 does
     #[cfg(feature = "stock")]
-    #[arg(long, conflicts_with_all = ["connector_index", "allow_user_sender", "room"])]
-    stock: bool,
-    /// With --stock: records as the WSR driver makes them, with sender and frame number, or as csitool's does
-    #[cfg(feature = "stock")]
-    #[arg(long, value_enum, default_value_t = Layout::Wsr, requires = "stock", value_name = "LAYOUT")]
-    stock_layout: Layout,
-    /// With --stock: give the frames themselves too (0xC1), as connector_log 0x5 does
-    #[cfg(feature = "stock")]
-    #[arg(long, requires = "stock")]
-    stock_frames: bool,
+    #[arg(
+        long,
+        value_enum,
+        value_name = "RECORDS",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "wsr",
+        overrides_with = "stock",
+        conflicts_with = "connector_index"
+    )]
+    stock: Option<Records>,
 }
 
-/// Whose records.
+/// Whose records, with frames or without.
 #[cfg(feature = "stock")]
 #[derive(clap::ValueEnum, Clone, Copy, Debug, PartialEq, Eq)]
-enum Layout {
+enum Records {
     Wsr,
+    WsrFrames,
     Csitool,
+    CsitoolFrames,
 }
 
 /// What a command needs of the card's records.
@@ -64,31 +71,33 @@ pub struct Needs {
     pub own: Option<Mac>,
     /// The frames (0xC1) too: their tags are checked.
     pub frames: bool,
+    /// Receive buffer to ask the kernel for, bytes, where it is not the usual one.
+    pub receive_buffer: Option<u64>,
 }
 
 impl Listening {
     /// Opens what the arguments name.
     pub fn open(&self, needs: Needs) -> Result<Listener, String> {
+        let receive_buffer = usize::try_from(needs.receive_buffer.unwrap_or(RECEIVE_BUFFER)).unwrap_or(usize::MAX);
         #[cfg(feature = "stock")]
-        if self.stock.stock {
-            let layout = match self.stock.stock_layout {
-                Layout::Wsr => driver_iface::bfee::Layout::Wsr,
-                Layout::Csitool => driver_iface::bfee::Layout::Stock,
+        if let Some(asked) = self.card.stock {
+            let layout = match asked {
+                Records::Wsr | Records::WsrFrames => driver_iface::bfee::Layout::Wsr,
+                Records::Csitool | Records::CsitoolFrames => driver_iface::bfee::Layout::Stock,
             };
-            let frames = self.stock.stock_frames || needs.frames;
+            let frames = matches!(asked, Records::WsrFrames | Records::CsitoolFrames) || needs.frames;
             let records = driver_iface::stock::Options::default().with_layout(layout).with_frames(frames);
-            let ring = usize::try_from(self.receive_buffer).unwrap_or(usize::MAX);
-            let options = stock::Options::default().with_records(records).with_ring(ring).with_own(needs.own);
+            let options = stock::Options::default().with_records(records).with_ring(receive_buffer).with_own(needs.own);
             return Stock::open(&options).map(Listener::from).map_err(|error| with_causes(&error));
         }
-        let _ = (needs.own, needs.frames, &self.stock);
+        let _ = (needs.own, needs.frames);
         if let Some(address) = &self.room {
             let (card, _) = served::join(address, served::Role::Card).map_err(|error| join_refused(&error))?;
             return Ok(Netlink::over(card, wall_us).into());
         }
-        let receive_buffer = usize::try_from(self.receive_buffer).unwrap_or(usize::MAX).min(i32::MAX as usize / 2);
+        let receive_buffer = receive_buffer.min(i32::MAX as usize / 2);
         let options = Options::default()
-            .with_connector_index(self.connector_index)
+            .with_connector_index(self.card.connector_index)
             .with_allow_user_sender(self.allow_user_sender)
             .with_receive_buffer(receive_buffer);
         Netlink::open(&options).map(Listener::from).map_err(|error| error.to_string())

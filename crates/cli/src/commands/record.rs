@@ -37,12 +37,9 @@ pub struct Args {
     /// Overwrite the log if it is there
     #[arg(long)]
     force: bool,
-    /// Entries of 16 bytes in the side file (times after 2106) instead of the 8 that csiread reads
-    #[arg(long)]
-    wide_times: bool,
-    /// A checksum of each record in the side file, which `info`, `recover` and whatever reads the log then check; csiread does
+    /// A checksum of each record in the side file, which `info`, `export --dat` and whatever reads the log then check; csiread does
     /// not read such side files
-    #[arg(long, conflicts_with = "wide_times")]
+    #[arg(long)]
     checksums: bool,
     /// Make the log survive a power cut this often; 0s leaves it to the system
     #[arg(long, value_parser = duration, default_value = "1s", value_name = "TIME")]
@@ -68,17 +65,16 @@ pub struct Args {
     /// One JSON object about the recording at its end
     #[arg(long, conflicts_with = "live")]
     json: bool,
+    /// Receive buffer to ask the kernel for
+    #[arg(long, value_parser = size, default_value = "32M", value_name = "SIZE")]
+    receive_buffer: u64,
     #[command(flatten)]
     listening: Listening,
 }
 
 impl Args {
     fn side_layout(&self) -> Layout {
-        match (self.checksums, self.wide_times) {
-            (true, _) => Layout::Checked,
-            (false, true) => Layout::Wide,
-            (false, false) => Layout::Narrow,
-        }
+        if self.checksums { Layout::Checked } else { Layout::Narrow }
     }
 }
 
@@ -107,7 +103,7 @@ pub fn run(args: &Args) -> Result {
     let text = |error: csi5300::source::Error| error.to_string();
     // Signals first: one that comes during the opening must not leave half a start behind.
     let signals = Signals::catch()?;
-    let listener = args.listening.open(Needs::default())?;
+    let listener = args.listening.open(Needs { receive_buffer: Some(args.receive_buffer), ..Needs::default() })?;
     let rotation = Rotation { bytes: args.rotate_size, every: args.rotate_every };
     let files = LogFiles::create(&args.out, rotation, args.force).map_err(|error| create_refused(&error))?;
     let files = files.with_side_layout(args.side_layout());

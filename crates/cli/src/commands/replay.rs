@@ -14,6 +14,10 @@ use std::io::{StdoutLock, Write};
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
+/// The driver's connector index, as an argument is.
+const CN_IDX_TEXT: &str = "26";
+const _: () = assert!(CN_IDX == 26);
+
 // Arguments of `replay`.
 #[derive(clap::Args)]
 pub struct Args {
@@ -25,12 +29,17 @@ pub struct Args {
     /// Shorten longer pauses to this
     #[arg(long, value_parser = duration, value_name = "TIME")]
     longest_pause: Option<Span>,
-    /// Multicast to the driver's connector group, as the driver would, instead of writing the log to standard output
-    #[arg(long)]
-    connector: bool,
-    /// Connector index to send to
-    #[arg(long, default_value_t = CN_IDX, requires = "connector", value_parser = clap::value_parser!(u32).range(1..=32))]
-    connector_index: u32,
+    /// Multicast to the driver's connector group, as the driver would, instead of writing the log to standard output; to this connector
+    /// index where one is given
+    #[arg(
+        long,
+        value_name = "INDEX",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = CN_IDX_TEXT,
+        value_parser = clap::value_parser!(u32).range(1..=32)
+    )]
+    connector: Option<u32>,
     /// One JSON object about what was played; standard output is free for it with --connector only
     #[arg(long, requires = "connector")]
     json: bool,
@@ -74,8 +83,8 @@ pub fn run(args: &Args) -> Result {
     let signals = Signals::catch()?;
     let log = super::open_log(&args.file)?;
     let mut target = match args.connector {
-        true => Target::Connector(Sender::open(args.connector_index, true).map_err(|error| error.to_string())?),
-        false => Target::Stdout(std::io::stdout().lock(), Vec::new()),
+        Some(index) => Target::Connector(Sender::open(index, true).map_err(|error| error.to_string())?),
+        None => Target::Stdout(std::io::stdout().lock(), Vec::new()),
     };
     let mut source = Paced::new(log, args.speed, args.longest_pause);
     let (clock, mut survey, mut sent) = (Monotonic::new(), Survey::default(), 0_u64);

@@ -1,24 +1,26 @@
 //! `csi5300 sound`.
 
-use super::args::{Estimation, channel};
+mod common;
+mod respond;
+
+use self::common::{NO_NUMBERS, Sounding, Wanted, Words, tell, waiting};
+use super::args::{Estimation, antenna, channel};
 use super::live::{Signals, duration};
-use super::sounding::{NO_NUMBERS, Sounding, Wanted, Words, tell, waiting};
 use super::{Result, fixed, hint, print, print_json, usage};
-use csi5300::exchange::tdma::{Epoch, Event, Plan, Priority};
+use csi5300::exchange::tdma::{Epoch, Event, Plan};
 use csi5300::motion::odometry;
 use csi5300::pipeline::{Bearing, LinkError};
 use csi5300::signal::channel::Channel;
 use csi5300::source::Next;
 use csi5300::time::{Instant, Span};
-use csi5300_live::sounding::{Beside, News, Observer, Order, Products, Running};
+use csi5300_live::sounding::{Beside, News, Observer, Products, Running};
 use csi5300_live::wait::Monotonic;
 use driver_iface::Mac;
+use driver_iface::bfee::Antenna;
 use std::collections::BTreeMap;
 use std::os::fd::AsFd;
 use std::path::{Path, PathBuf};
 
-/// A link whose bearing is good enough is sounded in every so manieth round.
-const SETTLED_ROUNDS: u16 = 8;
 /// Silence after which a robot that alone wants to initiate takes a lost turn, microseconds and slots at least: a busy
 /// host that sleeps for less keeps its turn.
 const ALONE_SILENCE_US: f64 = 50_000.0;
@@ -29,11 +31,16 @@ const ALONE_SILENCE_SLOTS: u32 = 2;
 #[command(
     after_help = "Examples:\n  csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2,00:21:6a:53:90:a4 --rate 100\n  \
                         csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2 --log OUT.dat --trajectory T.csv --channel 64\n  \
-                        csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2 --dialect wsr --open-loop\n\
+                        csi5300 sound --interface mon0 --peers 00:21:6a:53:89:d2 --dialect wsr --open-loop\n  \
+                        csi5300 sound --answer --interface mon0 --peers 00:21:6a:53:89:d2\n\
                         A rate that does not fit is refused with the highest one that does. Frames that the kernel drops \
                         silently (channels on which the card may not start to transmit) are noticed and said."
 )]
 pub struct Args {
+    /// Answer the frames of robots that sound, instead of sounding. Answers carry what the card measured, so that those have bearings
+    /// live (driver with connector_log=0x5, or --stock); with --dialect wsr --ack-len N they are the WSR driver's
+    #[arg(long, conflicts_with_all = ["alone", "open_loop", "trajectory", "channel", "heading_sd"])]
+    answer: bool,
     #[command(flatten)]
     common: Sounding,
     /// No other robot initiates: begin at once, without a long listen
@@ -51,14 +58,15 @@ pub struct Args {
     /// How often bearings are made, beside the sounding; the last one may come after its end
     #[arg(long, value_parser = duration, default_value = "2s", value_name = "TIME")]
     bearing_every: Span,
-    /// Sound a link in every eighth round only, once its bearing's error bar (`+-`) is at most this, degrees
+    /// Antenna (RF port) of bearings, and of the measurements that answers carry: A, B or C
+    #[arg(long, default_value = "A", value_parser = antenna)]
+    antenna: Antenna,
+    /// Standard deviation of the trajectory's heading, degrees: 0 for motion capture, about 3 for a tracking camera, 20 for wheels
     #[arg(long, value_name = "DEGREES", requires = "trajectory")]
-    good_enough: Option<f64>,
+    heading_sd: Option<f64>,
     /// JSON Lines: one object a bearing, then a summary
     #[arg(long)]
     json: bool,
-    #[command(flatten)]
-    estimation: Estimation,
 }
 
 /// A bearing while sounding.
@@ -130,10 +138,10 @@ impl Observer for Live<'_> {
         }
     }
 
-    fn look(&mut self, now: Instant, running: &Running) {
+    fn look(&mut self, now: Instant, _running: &Running) {
         let Some(bearings) = &mut self.bearings else { return };
         if let Some(made) = bearings.beside.take() {
-            bearings.tell(made, Some(running));
+            bearings.tell(made);
         }
         if bearings.beside.is_due(now) {
             bearings.begin(now);
@@ -163,17 +171,14 @@ impl Bearings<'_> {
         }
     }
 
-    /// Says what was made; while it sounds, links that are good enough leave the channel to the others.
-    fn tell(&self, made: Made, running: Option<&Running>) {
+    /// Says what was made.
+    fn tell(&self, made: Made) {
         let made = match made {
             Ok(made) => made,
             Err(error) => return wrong!("{error}"),
         };
         for (mac, pairs, made) in made {
             let line = Line::new(mac, pairs, &made);
-            if let Some(running) = running.filter(|_| line.error.is_none()) {
-                self.spare(mac, line.azimuth_sd_deg, running);
-            }
             self.show(&line);
         }
     }
@@ -181,16 +186,8 @@ impl Bearings<'_> {
     /// The end: what is under way is said when it is done, unless a signal ended the sounding or ends this.
     fn finish(mut self, signals: &Signals) -> std::result::Result<(), String> {
         let last = self.beside.last(self.clock, signals.as_fd()).map_err(|error| error.to_string())?;
-        last.into_iter().for_each(|made| self.tell(made, None));
+        last.into_iter().for_each(|made| self.tell(made));
         Ok(())
-    }
-
-    /// Leaves the channel to links that need it more.
-    fn spare(&self, mac: Mac, sd_deg: Option<f64>, running: &Running) {
-        if let Some(enough) = self.args.good_enough {
-            let settled = sd_deg.is_some_and(|sd| sd <= enough);
-            running.order(Order::Priority(mac, Priority::every(if settled { SETTLED_ROUNDS } else { 1 })));
-        }
     }
 
     fn show(&self, line: &Line) {
@@ -215,7 +212,10 @@ impl Bearings<'_> {
 /// Sounds until told to stop.
 pub fn run(args: &Args) -> Result {
     let common = &args.common;
-    if args.trajectory.is_some() && (common.dialect == Words::Wsr || common.no_measurement) {
+    if args.answer {
+        return respond::run(common, args.antenna, args.json);
+    }
+    if args.trajectory.is_some() && common.dialect == Words::Wsr {
         usage(
             "live bearings need the responder's measurements, which only native frames carry: leave out --trajectory, \
              record with --log, and use `csi5300 bearing` on the logs of both robots",
@@ -235,14 +235,15 @@ pub fn run(args: &Args) -> Result {
     note!("{}", waiting(&common.peers, opened.tdma.transmit_at().map(|at| at - now)));
     let bearings = match (&args.trajectory, args.channel) {
         (Some(path), Some(channel)) => {
-            let options = args.estimation.options(channel)?;
+            let estimation = Estimation { heading_sd: args.heading_sd, ..Estimation::with_antenna(args.antenna) };
+            let options = estimation.options(channel)?;
             let products = Products::new(&common.peers, options).with_key(opened.key.as_ref());
             let beside = Beside::new(now, args.bearing_every);
             Some(Bearings { args, products, path, beside, clock, told: false, contested: 0 })
         }
         _ => None,
     };
-    common.see_to_rate(args.estimation.antenna)?;
+    common.see_to_rate(args.antenna)?;
     let wanted = if bearings.is_some() { Wanted::Needed } else { Wanted::Not };
     let messages = common.messages(wanted, opened.own)?;
     let mut live = Live { bearings };

@@ -196,7 +196,7 @@ fn compare_reads_a_recording_too() {
     std::fs::write(folder.0.join("run.mcap"), mcap(&topics)).unwrap();
     let capture = root().join("tests/fixtures/small-circle");
     let with = capture.to_str().unwrap();
-    let run = |args: &[&str]| folder.run(&[&["compare", with, "--json", "--out", "pictures"][..], args].concat());
+    let run = |args: &[&str]| folder.run(&[&["simulate", with, "--json", "--out", "pictures"][..], args].concat());
     let (status, expected, errors) = run(&["--rx", &rx, "--tx", &tx, "--trajectory", &path]);
     assert_eq!(status, 0, "{errors}");
     let (status, out, errors) = run(&["--bag", "run.mcap", "--rx", "/a/csi", "--force"]);

@@ -1,8 +1,7 @@
 //! From what a robot's odometry is of to its antenna.
 //!
-//! Phases show where the antenna went. A tracking camera and wheels say where they themselves went. The robots of the WSR data set
-//! (\[wsr\] in docs/references.md) have the antenna 16 cm beside the middle between their wheels: when they drive an arc, its path
-//! is twice as wide as theirs.
+//! Phases show where the antenna went. A tracking camera and wheels say where they themselves went: their trajectory becomes the
+//! antenna's by where that is on the robot, and wheels, which count on from the run before, are turned to where another sensor looks.
 
 use super::find::{Capture, TrajectorySource};
 use super::shelf::Shelf;

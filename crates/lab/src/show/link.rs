@@ -16,12 +16,6 @@ pub struct LinkPictures<'a> {
     pub truth_rad: Option<f64>,
     /// True place of the transmitter in the trajectory's frame, where known, metres.
     pub transmitter_m: Option<[f64; 2]>,
-    /// A recorded link whose phase is drawn beside.
-    pub recorded: Option<&'a Bearing>,
-    /// Every how manieth pair's phase is drawn.
-    pub every: usize,
-    /// Points of the path, and places at which CSI was used, that are drawn at most; 0 is all.
-    pub places: usize,
 }
 
 impl<'a> LinkPictures<'a> {
@@ -31,58 +25,47 @@ impl<'a> LinkPictures<'a> {
     pub fn of(row: &Judged, bearing: &'a Bearing, source: TrajectorySource) -> Self {
         let transmitter_m = row.true_transmitter_m.filter(|_| source == TrajectorySource::GroundTruth);
         let truth_rad = row.true_from_mean_pose_deg.map(f64::to_radians);
-        Self { bearing, truth_rad, transmitter_m, recorded: None, every: 1, places: 0 }
+        Self { bearing, truth_rad, transmitter_m }
     }
 
-    /// What the pictures of [`Self::write`] are called, without their endings.
+    /// What the pictures of a link are called, without their endings.
     #[must_use]
     pub fn stems(folder: &Path, name: &str) -> [PathBuf; 3] {
         ["phase", "trajectory", "profile"].map(|what| stem(folder, name, what))
     }
 
-    /// Writes `NAME-phase`, `NAME-trajectory` and `NAME-profile` into a folder; none of them if one may not be replaced.
+    /// Writes `NAME-trajectory` and `NAME-profile` into a folder, and `NAME-phase` where the course was kept; none of them if one may not
+    /// be replaced.
     ///
     /// # Errors
     /// If a picture cannot be drawn or written.
     pub fn write(&self, folder: &Path, name: &str, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let named = |source| Error::Folder { folder: folder.display().to_string(), source };
         std::fs::create_dir_all(folder).map_err(named)?;
-        let [phase, trajectory, profile] = Self::stems(folder, name);
-        format.check(&[phase.clone(), trajectory.clone(), profile.clone()])?;
+        format.check(&Self::stems(folder, name))?;
         let mut written = Vec::new();
         if !self.bearing.course.is_empty() {
-            written.extend(self.phase(name).write(&phase, format)?);
+            written.extend(self.phase(name).write(&stem(folder, name, "phase"), format)?);
         }
-        written.extend(self.trajectory(name).write(&trajectory, format)?);
-        written.extend(self.profile(name)?.write(&profile, format)?);
+        written.extend(self.trajectory(name).write(&stem(folder, name, "trajectory"), format)?);
+        written.extend(self.profile(name)?.write(&stem(folder, name, "profile"), format)?);
         Ok(written)
-    }
-
-    /// Writes `NAME-phase` alone.
-    ///
-    /// # Errors
-    /// If it cannot be drawn or written.
-    pub fn write_phase(&self, folder: &Path, name: &str, format: &Format) -> Result<Vec<PathBuf>, Error> {
-        self.phase(name).write(&stem(folder, name, "phase"), format)
     }
 
     fn phase(&self, name: &str) -> PhasePlot {
         let title = format!("{name}: phase at the channel centre");
-        let label = if self.recorded.is_some() { "this capture" } else { "" };
-        let other = self.recorded.map(|recorded| whole_track("recorded", recorded));
         PhasePlot {
             title,
             before: "one direction".into(),
-            capture: whole_track(label, self.bearing),
-            other,
-            every: self.every,
+            capture: whole_track(self.bearing),
+            other: None,
             averaged: 0,
         }
     }
 
     fn trajectory(&self, name: &str) -> TrajectoryPlot {
         let answer = &self.bearing.answer;
-        let drawn = |places: &[Vector3<f64>]| spread(places.iter().map(|p| [p.x, p.y]).collect(), self.places);
+        let drawn = |places: &[Vector3<f64>]| places.iter().map(|p| [p.x, p.y]).collect();
         TrajectoryPlot {
             title: format!("{name}: trajectory and bearing"),
             path_m: drawn(&self.bearing.path_m),
@@ -120,27 +103,6 @@ impl<'a> LinkPictures<'a> {
     }
 }
 
-/// Of a path's points so many at most, equally far from each other along it, with both ends; all of them where `most` is 0.
-fn spread(points: Vec<[f64; 2]>, most: usize) -> Vec<[f64; 2]> {
-    if most == 0 || points.len() <= most {
-        return points;
-    }
-    let from = |a: &[f64; 2], b: &[f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
-    let length: f64 = points.windows(2).map(|pair| from(&pair[0], &pair[1])).sum();
-    let step = length / (most.max(3) - 2) as f64;
-    let (mut gone, mut last, mut kept) = (0.0, None::<[f64; 2]>, Vec::with_capacity(most));
-    for point in &points {
-        gone += last.map_or(step, |last| from(&last, point));
-        last = Some(*point);
-        if gone >= step {
-            kept.push(*point);
-            gone = if step > 0.0 { gone % step } else { f64::NEG_INFINITY };
-        }
-    }
-    kept.extend(last.filter(|last| kept.last() != Some(last)));
-    kept
-}
-
 /// What a picture of a link is called, without its ending.
 fn stem(folder: &Path, name: &str, what: &str) -> PathBuf {
     folder.join(format!("{}-{what}", file_safe(name)))
@@ -157,33 +119,11 @@ pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {
 }
 
 /// The track of a link with the product of both directions, and with what is left without the motion.
-fn whole_track(label: &str, bearing: &Bearing) -> PhaseTrack {
+fn whole_track(bearing: &Bearing) -> PhaseTrack {
     PhaseTrack {
         product_rad: bearing.course.iter().map(|phase| phase.round_trip_rad).collect(),
         is_used: bearing.course.iter().map(|phase| phase.is_used).collect(),
         left: without_motion(bearing),
-        ..track(label, &bearing.course)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_path_keeps_its_ends_and_its_shape_with_few_points() {
-        let turns = |n: usize| (0..n).map(|k| std::f64::consts::TAU * k as f64 / 1_000.0);
-        let path: Vec<[f64; 2]> = turns(60_000).map(|turn| [turn.cos(), turn.sin()]).collect();
-        // It stands for as long as it drove.
-        let whole = [path.clone(), vec![path[59_999]; 60_000]].concat();
-        let few = spread(whole.clone(), 3_000);
-        assert!((2_900..=3_000).contains(&few.len()), "{}", few.len());
-        assert_eq!((few.first(), few.last()), (whole.first(), whole.last()));
-        let longest = few.windows(2).map(|pair| (pair[0][0] - pair[1][0]).hypot(pair[0][1] - pair[1][1]));
-        assert!(longest.fold(0.0, f64::max) < 0.14);
-        assert_eq!(spread(path.clone(), 0), path);
-        assert_eq!(spread(path[..3_000].to_vec(), 3_000), path[..3_000]);
-        // One that stands is its place.
-        assert_eq!(spread(vec![[1.0, 2.0]; 9], 4).last(), Some(&[1.0, 2.0]));
+        ..track("", &bearing.course)
     }
 }

@@ -11,4 +11,3 @@ mod geometries;
 mod real_bearings;
 mod shelf;
 mod strange_logs;
-mod together;
