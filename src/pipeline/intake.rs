@@ -214,7 +214,7 @@ mod tests {
 
     /// A record of the WSR driver, after these copies of frames.
     fn note(front: &mut Front, copies: &[&[u8]], frame_count: u32) -> Option<(Mac, FrameHeard)> {
-        let wsr = Wsr { mac: SENDER, frame_count, ..Wsr::default() };
+        let wsr = Wsr { mac: SENDER, frame_count: Some(frame_count), ..Wsr::default() };
         let repr = Repr { wsr: Some(wsr), n_rx: 2, timestamp_low: 10 * frame_count, ..Repr::default() };
         let mut body = vec![0; repr.body_len()];
         let iq: Vec<Iq> = (0..repr.samples()).map(|k| Iq { i: k as i8, q: -(k as i8) }).collect();
@@ -305,7 +305,7 @@ mod tests {
     #[test]
     fn as_many_frames_are_read_ahead_as_are_asked_for_and_none_is_lost_by_it() {
         let body = |frame_count| {
-            let repr = Repr { wsr: Some(Wsr { mac: SENDER, frame_count, ..Wsr::default() }), ..Repr::default() };
+            let repr = Repr { wsr: Some(Wsr { mac: SENDER, frame_count: Some(frame_count), ..Wsr::default() }), ..Repr::default() };
             let mut body = vec![0; repr.body_len()];
             repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
             body

@@ -238,6 +238,17 @@ fn describe(name: &str, read: &Read) -> String {
     for (code, count) in survey.by_code.iter().filter(|(code, _)| **code != code::BFEE) {
         let _ = writeln!(text, "  code 0x{code:02X} ({}): {count}", code::name(*code).unwrap_or("unknown"));
     }
+    if survey.longer > 0 {
+        let (some, bytes) = (some(survey.longer, "record", "records"), survey.bytes_behind_csi);
+        let _ = writeln!(text, "  bytes behind the CSI: {bytes} in {some}, not read (netlink pads to 4)");
+    }
+    if survey.mpdu_without_fcs > 0 {
+        let _ = writeln!(
+            text,
+            "  MPDUs without a frame check sequence: {} (client or access point mode; their sender is address 2)",
+            survey.mpdu_without_fcs
+        );
+    }
     if survey.mpdu_bad_fcs > 0 {
         let _ = writeln!(text, "  MPDUs with a wrong frame check sequence: {}", survey.mpdu_bad_fcs);
     }
@@ -271,10 +282,18 @@ fn describe(name: &str, read: &Read) -> String {
 }
 
 fn describe_csi(text: &mut String, survey: &Survey) {
-    let layout = match (survey.stock, survey.wsr) {
-        (0, wsr) => format!("WSR layout, {wsr} bfee records"),
-        (stock, 0) => format!("stock layout, {stock} bfee records"),
-        (stock, wsr) => format!("mixed layouts: {stock} stock and {wsr} WSR bfee records"),
+    let layouts = [
+        (survey.stock, "stock", ""),
+        (survey.wsr_2021, "WSR", ", as of 2021: no frame numbers"),
+        (survey.wsr, "WSR", ""),
+    ];
+    let used: Vec<_> = layouts.iter().filter(|(count, ..)| *count > 0).collect();
+    let layout = match used[..] {
+        [(count, name, remark)] => format!("{name} layout{remark}, {count} bfee records"),
+        _ => {
+            let each = used.iter().map(|(count, name, remark)| format!("{count} {name}{remark}"));
+            format!("mixed layouts of bfee records: {}", each.collect::<Vec<_>>().join("; "))
+        }
     };
     let mut streams = Vec::new();
     for (rx, row) in survey.streams.iter().enumerate() {

@@ -24,7 +24,7 @@ fn log_of(name: &str, records: &[(Mac, Told)]) -> PathBuf {
     for (k, (mac, (timestamp_low, host_us, frame_count))) in records.iter().enumerate() {
         let mac = *mac;
         let (tv_sec, tv_usec) = ((host_us / 1_000_000) as u32, (host_us % 1_000_000) as u32);
-        let wsr = Some(Wsr { tv_sec, tv_usec, mac, frame_count: *frame_count });
+        let wsr = Some(Wsr { tv_sec, tv_usec, mac, frame_count: Some(*frame_count) });
         let repr =
             Repr { timestamp_low: *timestamp_low, bfee_count: k as u16, rssi: [38, 30, 31], wsr, ..Repr::default() };
         let csi = vec![Iq { i: 40, q: 9 }; repr.samples()];

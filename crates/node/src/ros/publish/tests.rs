@@ -45,7 +45,7 @@ fn a_pose_looks_along_the_bearing() {
 
 #[test]
 fn csi_is_in_the_order_of_antennas_and_in_the_cards_units() {
-    let wsr = Wsr { tv_sec: 1_700_000_000, tv_usec: 250_000, mac: driver_iface::Mac([2; 6]), frame_count: 77 };
+    let wsr = Wsr { tv_sec: 1_700_000_000, tv_usec: 250_000, mac: driver_iface::Mac([2; 6]), frame_count: Some(77) };
     // The first chain is antenna B, the second A.
     let repr = Repr { n_rx: 2, n_tx: 1, antenna_sel: 0b0001, rssi: [30, 31, 0], wsr: Some(wsr), ..Repr::default() };
     let mut samples = [Iq { i: 0, q: 0 }; 60];
