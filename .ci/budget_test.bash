@@ -12,13 +12,13 @@ names=$(printf '%s\n' "${items[@]#* }" | sort)
 run() {
     local item took
     for item in "${items[@]}"; do [ "${item#* }" != "$1" ] || took=$(needs "${item%% *}"); done
-    [ $((now + took)) -le 4500 ] || fail "$1 started at $now s and needs $took s"
+    [ $((now + took)) -le "$limit" ] || fail "$1 started at $now s and needs $took s"
     now=$((now + took * (75 + RANDOM % 51) / 100))
     done+=("$1")
     ran=$((ran + 1))
 }
 skip() {
-    [ $((now + $2)) -gt 4500 ] || fail "$1 was skipped at $now s and needs $2 s"
+    [ $((now + $2)) -gt "$limit" ] || fail "$1 was skipped at $now s and needs $2 s"
     done+=("$1")
 }
 RANDOM=5300
@@ -31,7 +31,7 @@ for ((try = 0; try < 60; try++)); do
     first+=("${order[0]}")
     spend run skip "${order[@]}"
     [ "$(printf '%s\n' "${done[@]}" | sort)" = "$names" ] || fail "of ${names//$'\n'/ } only ${done[*]}"
-    [ "$now" -le 5100 ] || fail "it ended at $now s"
+    [ "$now" -le "$stop" ] || fail "it ended at $now s"
     [ $ran -le $most ] || most=$ran
     [ $ran -ge $least ] || least=$ran
 done
