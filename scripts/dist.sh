@@ -5,9 +5,9 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 target=x86_64-unknown-linux-gnu
 export RUSTFLAGS="-C target-feature=+crt-static ${RUSTFLAGS:-}"
-cargo build --profile dist --bin csi5300 --target "$target" "$@"
+cargo build --release --bin csi5300 --target "$target" "$@"
 mkdir -p target/dist
-strip -o target/dist/csi5300 "target/$target/dist/csi5300"
+strip -o target/dist/csi5300 "target/$target/release/csi5300"
 # A static-pie executable may have a dynamic section, but no interpreter and no library that it needs.
 if readelf -ld target/dist/csi5300 | grep -E 'INTERP|\(NEEDED\)'; then
     echo "not static" >&2
