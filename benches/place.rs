@@ -32,7 +32,8 @@ fn main() {
         })
     };
     let base_us = time_us(Tier::Portable, Effort::Needed);
-    let mut table = Table::new("place", &[("tier", 10), ("one wave, us", 14), ("ratio", 8), ("posterior, us", 14), ("ratio", 8)]);
+    let mut table =
+        Table::new("place", &[("tier", 10), ("one wave, us", 14), ("ratio", 8), ("posterior, us", 14), ("ratio", 8)]);
     for tier in Tier::available() {
         let (one_us, all_us) = (time_us(tier, Effort::Needed), time_us(tier, Effort::Everything));
         let ratio = |us: f64| format!("{:.2}", base_us / us);
