@@ -5,6 +5,7 @@
 //! | step | where |
 //! |---|---|
 //! | records of each log become frames of one antenna | `intake` |
+//! | frames without numbers get them by the cards' clocks | `unnumbered` |
 //! | which transmitter wrote which log | `matching` |
 //! | all logs read in step, frames paired, each pair a round trip | `reading`, `link` |
 //! | clocks, compensation, gate, plane wave | `draft` |
@@ -37,6 +38,7 @@ mod options;
 mod reading;
 mod slope;
 mod stretch;
+mod unnumbered;
 
 pub use accurate::Placed;
 pub use answer::{Answer, PathAnswer, lost_something};
@@ -119,6 +121,7 @@ pub fn bearings(
     let mut txs: Vec<LogReader<'_>> =
         logs.into_iter().map(|log| LogReader::new(log, options, options.rx_mac)).collect();
     read_ahead(&mut rx, &mut txs, options)?;
+    unnumbered::number(&mut rx, &mut txs, options);
     let receivers = receivers(&mut txs, options)?;
     let found = find_macs(&mut rx, &mut txs, &receivers, options)?;
     let span_us = options.span_us(trajectory);
