@@ -31,6 +31,7 @@ mod mcap;
 mod mounting;
 #[cfg(feature = "node")]
 mod node;
+mod other_cards;
 #[cfg(feature = "plot")]
 mod pictures;
 #[cfg(feature = "node")]
