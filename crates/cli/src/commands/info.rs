@@ -1,13 +1,9 @@
 //! `csi5300 info`.
 
-<<<<<<< HEAD
 #[cfg(feature = "plot")]
 mod plot;
 
-use super::{Outcome, Result, print, print_json, some};
-=======
 use super::{Outcome, Result, other_cards, print, print_json, some};
->>>>>>> lane-formats
 use csi5300::internal::{LOSSES_KEPT, SENDERS_KEPT};
 use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey, TimeBase};
 use csi5300::source::{Checks, CsiSource, Next};
