@@ -57,7 +57,7 @@ fn explain_says_what_was_computed_and_what_was_not() {
     assert_eq!(status, 0);
     for words in [
         "decoded: antenna A",
-        "spherical waves: taken",
+        "windows along the motion: taken",
         "search in single precision",
         "skipped: ",
         "directions evaluated",
@@ -67,7 +67,7 @@ fn explain_says_what_was_computed_and_what_was_not() {
     let (_, out, _) = folder.bearing(&["--explain", "--json", "--grid", "360x181"]);
     let plan = &json(&out)["plan"];
     let step = |name: &str| plan["steps"].as_array().unwrap().iter().find(|s| s["step"] == name).unwrap().clone();
-    assert_eq!(step("spherical waves")["taken"], true);
+    assert_eq!(step("windows along the motion")["taken"], true);
     assert_eq!(plan["profile"]["directions"], 65_160);
     assert!(plan["search"]["estimate_us"].as_f64().unwrap() > 0.0);
     assert!(json(&folder.bearing(&["--json"]).1)["plan"].is_null());
@@ -431,7 +431,7 @@ fn a_link_of_a_capture_is_explained_with_pictures() {
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
-    for part in ["azimuth-elevation.png", "azimuth-range.png", "phase.png", "map-1.svg"] {
+    for part in ["trajectory.png", "profile.png", "phase.png", "map-1.svg"] {
         assert!(drawn.iter().any(|name| name.ends_with(part)), "{part}: {drawn:?}");
     }
     assert_eq!(folder.run(&["bearing", "place/tx9"]).0, 1);

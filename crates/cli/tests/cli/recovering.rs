@@ -242,7 +242,7 @@ fn a_link_as_output_stays_one_and_its_side_file_is_that_of_its_log() {
             }
         }
         let args = ["export", "--dat", "log.dat", "link.dat", "--force"];
-        let (status, _, errors) = folder.run(if force { &args } else { &args[..3] });
+        let (status, _, errors) = folder.run(if force { &args } else { &args[..4] });
         assert_eq!(status, 0, "{errors}");
         assert!(linked.is_symlink());
         assert_eq!((timed(&real), timed(&linked)), (20, 20));

@@ -185,7 +185,7 @@ impl Doubts {
     }
 }
 
-/// A frame as the CSI tool logs it: sender in address 3, number in the payload.
+/// A sounding frame as the CSI tool logs it: to the magic address, sender in address 3, number in the payload.
 fn sounding_frame(mac: Mac, number: u32) -> Words<Vec<u8>> {
     let payload = number.to_be_bytes();
     let repr = mpdu::Repr {
@@ -193,7 +193,7 @@ fn sounding_frame(mac: Mac, number: u32) -> Words<Vec<u8>> {
         frame_control: 0x0008,
         duration_us: 0,
         seq_ctrl: 0,
-        addr1: Mac([0xff; 6]),
+        addr1: driver_iface::sounding::MAGIC_MAC,
         addr2: mac,
         addr3: mac,
         payload: &payload,
