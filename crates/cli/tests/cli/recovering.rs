@@ -268,7 +268,16 @@ fn begun(folder: &Folder, prefix: &str, args: &[&str]) -> (std::process::Child, 
     let mut command = Command::new("sh");
     command.current_dir(&folder.0).args(["-c", &line, env!("CARGO_BIN_EXE_csi5300")]).args(args);
     let mut child = command.stdin(std::process::Stdio::null()).stderr(std::process::Stdio::null()).spawn().unwrap();
-    let mut pipe = std::fs::OpenOptions::new().write(true).open(folder.0.join("input")).unwrap();
+    // Without blocking: a command that ended before it opened the pipe fails the test instead of holding it up.
+    let mut options = std::fs::OpenOptions::new();
+    std::os::unix::fs::OpenOptionsExt::custom_flags(options.write(true), nix::libc::O_NONBLOCK);
+    let mut pipe = loop {
+        if let Ok(pipe) = options.open(folder.0.join("input")) {
+            break pipe;
+        }
+        assert_eq!(child.try_wait().unwrap(), None, "it ended before it read anything");
+        std::thread::yield_now();
+    };
     pipe.write_all(&link(20, 0.0).rx.concat()).unwrap();
     while !names(&folder.0).iter().any(|name| name.contains(".part-")) {
         assert_eq!(child.try_wait().unwrap(), None, "it ended before it wrote anything");
@@ -309,7 +318,8 @@ fn a_signal_leaves_the_old_output_and_nothing_else() {
         kill(pid(&child), Signal::SIGHUP).unwrap();
         drop(input);
         assert!(child.wait().unwrap().success(), "{args:?}");
-        assert_ne!(std::fs::read(folder.0.join(args[2])).unwrap(), b"old");
+        let output = args.iter().find(|arg| arg.starts_with("old.")).unwrap();
+        assert_ne!(std::fs::read(folder.0.join(output)).unwrap(), b"old");
     }
 }
 
