@@ -246,7 +246,7 @@ impl Canvas {
             std::fs::create_dir_all(folder).map_err(fail(folder))?;
         }
         let files = format.files(stem);
-        let png = RasterBackend::new().render_scene(&self.0).map_err(Error::Drawing)?;
+        let png = RasterBackend::new().with_scale(1.0).render_scene(&self.0).map_err(Error::Drawing)?;
         let svg = SvgBackend::new().render_scene(&self.0).into_bytes();
         for (path, bytes) in files.iter().zip([png, svg]) {
             write_whole(path, |file| file.write_all(&bytes)).map_err(fail(path))?;

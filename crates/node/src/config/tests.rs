@@ -31,11 +31,13 @@ fn a_room_that_another_program_runs_is_as_few() {
 #[test]
 fn all_paths_are_relative_to_the_file() {
     let more = "[log]\nfile = \"l.dat\"\n[output]\nbearings = \"b\"\nstatus_socket = \"s\"\n";
-    let folder = std::env::temp_dir();
+    let folder = std::env::temp_dir().join(format!("csi5300-config-paths-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
     let there = |name: &str| folder.join(name);
     let config = Config::read(&format!("{ROOM}{more}"), &folder).unwrap();
     assert_eq!(config.log.unwrap().file, there("l.dat"));
     assert_eq!((Path::new(&config.output.bearings), config.output.status_socket), (&*there("b"), Some(there("s"))));
+    std::fs::remove_dir_all(&folder).unwrap();
     for told in ["-", ""] {
         let text = format!("{ROOM}[output]\nbearings = \"{told}\"\n");
         assert_eq!(Config::read(&text, Path::new("/f")).unwrap().output.bearings, told);
