@@ -28,6 +28,7 @@ pub mod export;
 pub mod fit_confidence;
 pub mod fit_error_bar;
 pub mod folds;
+pub mod kinds;
 pub mod over_time;
 pub mod rooms;
 #[cfg(feature = "plot")]

@@ -2,6 +2,7 @@
 
 use clap::Args;
 use csi5300::bartlett::SearchOptions;
+use csi5300::motion::odometry::csv::Columns;
 use csi5300::pipeline::{Accuracy, Effort, Options};
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
@@ -152,6 +153,11 @@ impl Estimation {
     }
 }
 
+/// What is in the columns of a trajectory.
+pub fn columns(text: &str) -> Result<Columns, String> {
+    text.parse::<Columns>().map_err(|error| error.to_string())
+}
+
 /// An antenna by its letter.
 pub fn antenna(text: &str) -> Result<Antenna, String> {
     match text {
@@ -164,7 +170,16 @@ pub fn antenna(text: &str) -> Result<Antenna, String> {
 
 /// A WiFi channel: its number, with `+` or `-` for a 40 MHz pair.
 pub fn channel(text: &str) -> Result<Channel, String> {
-    text.parse::<Channel>().map_err(|error| error.to_string())
+    let channel = text.parse::<Channel>().map_err(|error| error.to_string())?;
+    match channel.number() {
+        // 802.11-2016 annex E; 34 to 46 and 184 to 196 were Japan's.
+        1..=14 | 34 | 36 | 38 | 40 | 42 | 44 | 46 => Ok(channel),
+        48..=64 | 100..=144 | 184..=196 if channel.number().is_multiple_of(4) => Ok(channel),
+        149..=177 if channel.number() % 4 == 1 => Ok(channel),
+        number => {
+            Err(format!("there is no channel {number}: 5 GHz has 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177"))
+        }
+    }
 }
 
 /// A MAC address.
@@ -179,5 +194,21 @@ pub fn triple(text: &str) -> Result<Vector3<f64>, String> {
     match parts[..] {
         [x, y, z] if parts.iter().all(|p| p.is_finite()) => Ok(Vector3::new(x, y, z)),
         _ => Err("three finite numbers with commas between, in metres".into()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::channel;
+
+    #[test]
+    fn channels_are_those_that_there_are() {
+        for text in ["1", "14", "36", "36+", "64", "100", "108", "144", "149", "165", "196"] {
+            assert_eq!(channel(text).map(|channel| channel.to_string()), Ok(text.into()));
+        }
+        for text in ["0", "15", "37", "50", "66", "99", "110", "148", "152", "180", "197", "14+", "x"] {
+            let error = channel(text).unwrap_err();
+            assert!(error.contains("no channel"), "{text}: {error}");
+        }
     }
 }

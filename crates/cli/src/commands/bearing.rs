@@ -32,7 +32,7 @@ pub struct Args {
     #[cfg_attr(feature = "ros2", arg(long, value_name = "TX.dat", required_unless_present = "bag"))]
     #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "TX.dat", required = true))]
     tx: Vec<PathBuf>,
-    /// Trajectory of the receiver: CSV with 5, 6, 8, 9 or 15 columns
+    /// Trajectory of the receiver: CSV, whose headings are read, or TUM, KITTI, Motive, what ROS echoes (docs/formats.md)
     #[cfg_attr(feature = "ros2", arg(long, value_name = "T.csv", required_unless_present = "bag"))]
     #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "T.csv", required = true))]
     trajectory: Option<PathBuf>,
@@ -230,8 +230,9 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
     let Ok(bearing) = &link.bearing else { return Ok(()) };
     if let Some(path) = &args.profile {
         let path = if links > 1 { numbered(path, name) } else { path.clone() };
-        super::must_not_exist(&path, args.force)?;
-        profile::write(&path, &args.grid, &bearing.samples)?;
+        let draft = super::draft::Draft::create(&path, args.force)?;
+        profile::write(draft.path(), &args.grid, &bearing.samples).map_err(|error| draft.words(&error))?;
+        draft.keep(false).map_err(|error| format!("writing {}: {error}", path.display()))?;
         note!("profile of {name}: {}", path.display());
     }
     #[cfg(feature = "plot")]

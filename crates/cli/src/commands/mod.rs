@@ -65,7 +65,7 @@ mod view;
 #[cfg(feature = "node")]
 mod watch;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 pub use csi5300_lab::words::{count as some, fixed};
 pub use files::{is_same_file, must_not_exist, open_log, read_trajectory};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -224,14 +224,17 @@ pub fn run() -> ExitCode {
     // A file as large as files may be here (`ulimit -f`) is a full disk: the write fails with EFBIG, and the signal ends nothing.
     #[cfg(feature = "live")]
     let _ = nix::sys::signal::SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
-    let cli = Cli::try_parse().unwrap_or_else(|error| misused(&error));
+    say::set_names(std::env::args_os().skip(1));
+    let mut command = Cli::command();
+    let matches = command.try_get_matches_from_mut(std::env::args_os()).unwrap_or_else(|error| misused(&error));
+    let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| misused(&error.format(&mut command)));
     let level = match (cli.quiet, cli.verbose) {
         (true, _) => Level::Quiet,
         (false, false) => Level::Usual,
         (false, true) => Level::Verbose,
     };
     say::set(level, cli.color);
-    let result = execute(cli.command);
+    let result = outputs_are_no_inputs(&command, &matches).and_then(|()| execute(cli.command));
     detail!("{}", say::used(begun));
     match result {
         Ok(Outcome::Done) if files::rows_were_lost() => Outcome::DataLost.into(),
@@ -241,6 +244,27 @@ pub fn run() -> ExitCode {
             Outcome::Nothing.into()
         }
     }
+}
+
+/// Options and arguments that name what is written. Whatever else names a file or folder is read.
+const OUTPUTS: [&str; 8] = ["out", "output", "profile", "plot", "csv", "log", "poses", "bring_up"];
+
+/// Notes what this run reads, and refuses an output that is among it.
+fn outputs_are_no_inputs(command: &clap::Command, matches: &clap::ArgMatches) -> std::result::Result<(), String> {
+    let Some((name, given)) = matches.subcommand() else { return Ok(()) };
+    let named = |arg: &clap::Arg| {
+        let takes = arg.get_action().takes_values();
+        let values = given.try_get_raw(arg.get_id().as_str()).ok().flatten().filter(|_| takes);
+        values.into_iter().flatten().map(std::path::PathBuf::from).collect::<Vec<_>>()
+    };
+    let args = || command.find_subcommand(name).into_iter().flat_map(clap::Command::get_arguments);
+    let is_output = |arg: &&clap::Arg| OUTPUTS.contains(&arg.get_id().as_str());
+    for read in args().filter(|arg| !is_output(arg)).flat_map(named) {
+        if read.exists() || read.as_os_str() == "-" {
+            draft::reads(&read);
+        }
+    }
+    args().filter(is_output).flat_map(named).try_for_each(|output| draft::must_not_be_read(&output))
 }
 
 fn execute(command: Command) -> Result {
@@ -366,8 +390,34 @@ pub fn print_json(value: &impl serde::Serialize) {
 
 #[cfg(test)]
 mod tests {
-    use super::Cli;
+    use super::{Cli, OUTPUTS};
     use clap::CommandFactory;
+
+    /// A new option that names a file is an output or an input: who adds one says which.
+    #[test]
+    fn options_that_write_are_known() {
+        let mut command = Cli::command();
+        command.build();
+        let mut written = Vec::new();
+        for (command, arg) in
+            command.get_subcommands().flat_map(|one| one.get_arguments().map(move |arg| (one.get_name(), arg)))
+        {
+            let is_path = format!("{:?}", arg.get_value_parser().type_id()).contains("PathBuf");
+            if is_path && OUTPUTS.contains(&arg.get_id().as_str()) {
+                written.push(format!("{command} {}", arg.get_id()));
+            }
+        }
+        for known in ["bearing profile", "simulate out", "export output", "recover output", "suite csv", "report out"] {
+            assert!(written.iter().any(|one| one == known), "{known}: {written:?}");
+        }
+        // Inputs: what is read. `file` of `key` is made anew, and never written over.
+        let inputs = ["bag", "config", "file", "files", "folder", "folders", "group", "input", "key", "link", "logs", "recorded", "root", "rx", "scene", "socket", "trajectory", "tx", "tx_trajectory", "what", "with"];
+        for arg in command.get_subcommands().flat_map(clap::Command::get_arguments) {
+            let is_path = format!("{:?}", arg.get_value_parser().type_id()).contains("PathBuf");
+            let name = arg.get_id().as_str();
+            assert!(!is_path || OUTPUTS.contains(&name) || inputs.contains(&name), "--{name}: an input or an output?");
+        }
+    }
 
     #[test]
     fn a_command_says_of_itself_what_the_list_says() {

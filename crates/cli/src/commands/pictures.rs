@@ -86,7 +86,11 @@ impl Drawing {
     /// For the room of pictures; files of the same names are replaced if `force` is set.
     pub fn format(&self, force: bool) -> Format {
         let kinds: Vec<Kind> = self.format.iter().map(|kind| Kind::from(*kind)).collect();
-        Format::default().with_kinds(&kinds).with_dpi(self.dpi).with_replace(force)
+        Format::default()
+            .with_kinds(&kinds)
+            .with_dpi(self.dpi)
+            .with_replace(force)
+            .with_kept(super::draft::read_files())
     }
 
     /// Ends the program where formats are asked for and no folder is named, which `option` does.

@@ -37,7 +37,8 @@ pub fn run(args: &Args) -> Result {
     if !is_page && (args.out.is_file() || !args.out.exists()) {
         usage(&format!("{}: the page is HTML: .html", args.out.display()));
     }
-    super::must_not_exist(&args.out, args.force)?;
+    // Before the work; written at its end.
+    drop(super::draft::Draft::create(&args.out, args.force)?);
     #[cfg(feature = "view")]
     if args.interactive {
         return interactive(args);
@@ -54,7 +55,7 @@ pub fn run(args: &Args) -> Result {
     super::progress("");
     let page = report.html(&args.folder.display().to_string());
     let _ = std::fs::remove_dir_all(&pictures_in);
-    std::fs::write(&args.out, &page).map_err(|error| format!("{}: {error}", args.out.display()))?;
+    super::draft::write(&args.out, &page)?;
     report.notes().iter().for_each(|line| note!("{line}"));
     for answer in report.rows().map(|row| &row.answer) {
         if let Some(error) = &answer.error {
@@ -79,7 +80,7 @@ fn interactive(args: &Args) -> Result {
     view.finish(|done| super::progress(&format!("{done} of {} links", view.links())));
     super::progress("");
     let page = view.file().map_err(|error| error.to_string())?;
-    std::fs::write(&args.out, &page).map_err(|error| format!("{}: {error}", args.out.display()))?;
+    super::draft::write(&args.out, &page)?;
     view.notes().iter().for_each(|line| note!("{line}"));
     view.failed().iter().for_each(|line| wrong!("{line}"));
     let links = super::some(view.links() as u64, "link", "links");

@@ -48,11 +48,11 @@ pub fn run(args: &Args) -> Result {
     }
     let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let failed = |error: String| format!("cannot write {}: {error}", args.csv.display());
-    super::must_not_exist(&args.csv, args.force)?;
+    let draft = super::draft::Draft::create(&args.csv, args.force)?;
     #[cfg(feature = "plot")]
     check_pictures(args, &all)?;
     // Opened first: a file that cannot be written is found before minutes of work, not after.
-    let mut csv = csv::Writer::from_path(&args.csv).map_err(|error| failed(error.to_string()))?;
+    let mut csv = csv::Writer::from_path(draft.path()).map_err(|error| failed(error.to_string()))?;
     let mut runs = Vec::new();
     for (k, experiment) in all.iter().enumerate() {
         super::progress(&format!("{} of {} experiments: {}", k + 1, all.len(), experiment.name));
@@ -62,6 +62,7 @@ pub fn run(args: &Args) -> Result {
     super::progress("");
     runs.iter().try_for_each(|run| csv.serialize(run)).map_err(|error| failed(error.to_string()))?;
     csv.flush().map_err(|error| failed(error.to_string()))?;
+    draft.keep(false).map_err(|error| failed(error.to_string()))?;
     let table = summarise(&runs);
     if args.json {
         table.iter().for_each(print_json);

@@ -38,12 +38,14 @@ pub struct Format {
     pub dpi: f64,
     /// Whether files of the same names are replaced; where not, one of them is [`Error::There`].
     pub replace: bool,
+    /// Files that are never replaced, by whatever name: [`Error::Kept`].
+    pub kept: Vec<PathBuf>,
 }
 
 impl Default for Format {
     /// PNG and SVG, which replace what is there.
     fn default() -> Self {
-        Self { kinds: vec![Kind::Png, Kind::Svg], dpi: 96.0, replace: true }
+        Self { kinds: vec![Kind::Png, Kind::Svg], dpi: 96.0, replace: true, kept: Vec::new() }
     }
 }
 
@@ -76,6 +78,13 @@ impl Format {
         self
     }
 
+    /// Never replacing these files, by whatever name.
+    #[must_use]
+    pub fn with_kept(mut self, kept: Vec<PathBuf>) -> Self {
+        self.kept = kept;
+        self
+    }
+
     /// The files of a picture: `stem` with the ending of each format.
     #[must_use]
     pub fn files(&self, stem: &Path) -> Vec<PathBuf> {
@@ -91,14 +100,28 @@ impl Format {
     /// the first of several pictures.
     ///
     /// # Errors
-    /// [`Error::There`].
+    /// [`Error::There`], [`Error::Kept`].
     pub fn check(&self, stems: &[PathBuf]) -> Result<(), Error> {
-        let there = || stems.iter().flat_map(|stem| self.files(stem)).find(|file| file.is_file());
-        match there().filter(|_| !self.replace) {
+        let there = || stems.iter().flat_map(|stem| self.files(stem)).filter(|file| file.is_file());
+        if let Some(path) = there().find(|file| self.kept.iter().any(|kept| is_same(kept, file))) {
+            return Err(Error::Kept { path });
+        }
+        match there().next().filter(|_| !self.replace) {
             Some(path) => Err(Error::There { path }),
             None => Ok(()),
         }
     }
+}
+
+/// True if both names lead to one file.
+fn is_same(a: &Path, b: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        a.metadata().ok().zip(b.metadata().ok()).is_some_and(|(a, b)| (a.dev(), a.ino()) == (b.dev(), b.ino()))
+    }
+    #[cfg(not(unix))]
+    a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }
 
 /// Writes a file that is whole or as it was: under a name of its own beside, and renamed at the end. A link stays one; devices
