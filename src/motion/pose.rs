@@ -210,6 +210,9 @@ fn spread(poses: &mut [Pose]) -> Result<Option<(f64, f64)>, TrajectoryError> {
     }
     let mut steps: Vec<f64> = last.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
     let step_s = upper_median(&mut steps).unwrap_or(0.0);
+    if ![poses[0].t_s - step_s, poses[poses.len() - 1].t_s + step_s].iter().all(|t_s| t_s.is_finite()) {
+        return Ok(None);
+    }
     let mut sizes: Vec<f64> = groups().map(|group| group.len() as f64).collect();
     let usual = upper_median(&mut sizes).unwrap_or(1.0);
     let mut turns: Vec<f64> = last.windows(3).filter_map(turn_rad).collect();
@@ -217,16 +220,16 @@ fn spread(poses: &mut [Pose]) -> Result<Option<(f64, f64)>, TrajectoryError> {
     if turn_rad > COARSE_RAD {
         return Err(TrajectoryError::TooCoarse { step_s, turn_deg: turn_rad.to_degrees() });
     }
+    let times: Vec<f64> = last.iter().map(|pose| pose.t_s).collect();
     for (k, group) in poses.chunk_by_mut(|a, b| a.t_s == b.t_s).enumerate() {
         let n = group.len() as f64;
-        // The first and the last step are begun late and ended early.
-        let (each_s, from) = match k {
-            0 => (step_s / n.max(usual), (usual - n).max(0.0)),
-            _ if k + 1 == count => (step_s / n.max(usual), 0.0),
-            _ => (step_s / n, 0.0),
-        };
+        let room_s = times.get(k + 1).map_or(step_s, |next| step_s.min(next - times[k]));
+        // The first step is begun late and the last one ended early.
+        let from = if k == 0 { (usual - n).max(0.0) } else { 0.0 };
+        let each_s = room_s / if k == 0 || k + 1 == count { n.max(usual) } else { n };
         for (j, pose) in group.iter_mut().enumerate() {
-            pose.t_s += (from + j as f64 + 0.5) * each_s - 0.25 * step_s;
+            pose.t_s += (from + j as f64 + 0.5) * each_s;
+            pose.t_s -= 0.25 * step_s;
         }
     }
     Ok(Some((step_s, turn_rad)))
