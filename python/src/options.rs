@@ -171,6 +171,7 @@ impl Keywords {
     pub fn of_captures(&self) -> Result<(), Failure> {
         let given = [
             ("min_confidence", self.min_confidence.is_some()),
+            ("columns", self.columns.is_some()),
             ("every", self.every.is_some()),
             ("explain", self.explain),
             ("key", self.key.is_some()),

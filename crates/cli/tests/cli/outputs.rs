@@ -79,7 +79,7 @@ fn no_output_is_an_input() {
                 }
                 let before = contents(&folder.0);
                 for output in outputs {
-                    let mut args: Vec<&str> = args.iter().map(|arg| if *arg == "OUT" { &output } else { *arg }).collect();
+                    let mut args: Vec<&str> = args.iter().map(|arg| if *arg == "OUT" { output.as_str() } else { *arg }).collect();
                     if !["unbag"].contains(&args[0]) || output.contains("recording") {
                         args.push("--force");
                     }
