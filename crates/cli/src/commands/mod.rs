@@ -398,11 +398,12 @@ mod tests {
     fn options_that_write_are_known() {
         let mut command = Cli::command();
         command.build();
+        let path = clap::builder::ValueParser::path_buf().type_id();
         let mut written = Vec::new();
         for (command, arg) in
             command.get_subcommands().flat_map(|one| one.get_arguments().map(move |arg| (one.get_name(), arg)))
         {
-            let is_path = format!("{:?}", arg.get_value_parser().type_id()).contains("PathBuf");
+            let is_path = arg.get_value_parser().type_id() == path;
             if is_path && OUTPUTS.contains(&arg.get_id().as_str()) {
                 written.push(format!("{command} {}", arg.get_id()));
             }
@@ -411,9 +412,31 @@ mod tests {
             assert!(written.iter().any(|one| one == known), "{known}: {written:?}");
         }
         // Inputs: what is read. `file` of `key` is made anew, and never written over.
-        let inputs = ["bag", "config", "file", "files", "folder", "folders", "group", "input", "key", "link", "logs", "recorded", "root", "rx", "scene", "socket", "trajectory", "tx", "tx_trajectory", "what", "with"];
+        let inputs = [
+            "bag",
+            "config",
+            "file",
+            "files",
+            "folder",
+            "folders",
+            "group",
+            "input",
+            "key",
+            "link",
+            "logs",
+            "recorded",
+            "root",
+            "rx",
+            "scene",
+            "socket",
+            "trajectory",
+            "tx",
+            "tx_trajectory",
+            "what",
+            "with",
+        ];
         for arg in command.get_subcommands().flat_map(clap::Command::get_arguments) {
-            let is_path = format!("{:?}", arg.get_value_parser().type_id()).contains("PathBuf");
+            let is_path = arg.get_value_parser().type_id() == path;
             let name = arg.get_id().as_str();
             assert!(!is_path || OUTPUTS.contains(&name) || inputs.contains(&name), "--{name}: an input or an output?");
         }

@@ -319,7 +319,10 @@ fn logs_of_frames_only_and_of_zeros_say_why_they_are_of_no_use() {
     };
     folder.write("only_c1.dat", &records(0xC1).concat());
     let (status, out, _) = folder.run(&["info", "only_c1.dat"]);
-    assert!(status == 1 && out.contains("only copies of frames (0xC1)") && out.contains("HT frames"), "{status}: {out}");
+    assert!(
+        status == 1 && out.contains("only copies of frames (0xC1)") && out.contains("HT frames"),
+        "{status}: {out}"
+    );
     let mut silent = records(0xBB);
     // Behind length, code and the 20 bytes of the head.
     silent.iter_mut().for_each(|record| record[23..].fill(0));

@@ -12,10 +12,45 @@ const CAPTURE: &[&str] = &["set/csi_rx_1.dat", "set/csi_tx1_1.dat", "set/rx_traj
 
 /// Each option of a command that names an output. `the_list_is_whole` in the program's own tests knows them too.
 const RUNS: &[Run] = &[
-    (BEARING, &["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--profile", "OUT"]),
-    (BEARING, &["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--plot", "OUT"]),
+    (
+        BEARING,
+        &[
+            "bearing",
+            "--rx",
+            "rx.dat",
+            "--tx",
+            "tx.dat",
+            "--trajectory",
+            "t.csv",
+            "--channel",
+            "108",
+            "--profile",
+            "OUT",
+        ],
+    ),
+    (
+        BEARING,
+        &["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--plot", "OUT"],
+    ),
     (BEARING, &["mcap", "rx.dat", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--out", "OUT"]),
-    (BEARING, &["compare", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--transmitter", "1,2,0", "--out", "OUT"]),
+    (
+        BEARING,
+        &[
+            "compare",
+            "--rx",
+            "rx.dat",
+            "--tx",
+            "tx.dat",
+            "--trajectory",
+            "t.csv",
+            "--channel",
+            "108",
+            "--transmitter",
+            "1,2,0",
+            "--out",
+            "OUT",
+        ],
+    ),
     (BEARING, &["demo", "--recorded", "rx.dat", "tx.dat", "t.csv", "--out", "OUT"]),
     (&["rx.dat", "rx.datstp"], &["recover", "rx.dat", "OUT"]),
     (&["rx.dat"], &["export", "rx.dat", "OUT"]),
@@ -26,8 +61,28 @@ const RUNS: &[Run] = &[
     (CAPTURE, &["explain", "set/1/tx1", "--out", "OUT"]),
     (&["drive.toml", "t.csv"], &["simulate", "drive.toml", "--out", "OUT"]),
     (&["recording.mcap"], &["unbag", "recording.mcap", "--out", "OUT"]),
-    (&["group.key"], &["respond", "--interface", "none0", "--peers", "00:21:6a:53:89:d2", "--key", "group.key", "--log", "OUT"]),
-    (&["group.key", "t.csv"], &["sound", "--interface", "none0", "--peers", "00:21:6a:53:89:d2", "--key", "group.key", "--trajectory", "t.csv", "--channel", "108", "--log", "OUT"]),
+    (
+        &["group.key"],
+        &["respond", "--interface", "none0", "--peers", "00:21:6a:53:89:d2", "--key", "group.key", "--log", "OUT"],
+    ),
+    (
+        &["group.key", "t.csv"],
+        &[
+            "sound",
+            "--interface",
+            "none0",
+            "--peers",
+            "00:21:6a:53:89:d2",
+            "--key",
+            "group.key",
+            "--trajectory",
+            "t.csv",
+            "--channel",
+            "108",
+            "--log",
+            "OUT",
+        ],
+    ),
 ];
 
 const DRIVE: &str = "channel = 108\nduration_s = 0.2\n[[robot]]\nname = \"rx\"\nposition_m = [0.0, 0.0, 0.0]\n\
@@ -52,7 +107,9 @@ fn inputs(name: &str) -> Folder {
 fn contents(folder: &Path) -> Vec<(PathBuf, Vec<u8>)> {
     let entries = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let mut all: Vec<_> = entries
-        .flat_map(|path| if path.is_dir() { contents(&path) } else { vec![(path.clone(), std::fs::read(&path).unwrap())] })
+        .flat_map(
+            |path| if path.is_dir() { contents(&path) } else { vec![(path.clone(), std::fs::read(&path).unwrap())] },
+        )
         .collect();
     all.sort();
     all
@@ -79,7 +136,8 @@ fn no_output_is_an_input() {
                 }
                 let before = contents(&folder.0);
                 for output in outputs {
-                    let mut args: Vec<&str> = args.iter().map(|arg| if *arg == "OUT" { output.as_str() } else { *arg }).collect();
+                    let mut args: Vec<&str> =
+                        args.iter().map(|arg| if *arg == "OUT" { output.as_str() } else { *arg }).collect();
                     if !["unbag"].contains(&args[0]) || output.contains("recording") {
                         args.push("--force");
                     }
@@ -117,7 +175,8 @@ fn what_a_folder_gets_is_no_input_either() {
     assert_eq!(std::fs::read(folder.0.join("rx.dat")).unwrap(), log);
     // A page beside the captures is no input.
     for _ in 0..2 {
-        let (status, _, err) = folder.run(&["report", "set", "--channel", "108", "--no-pictures", "--out", "set/page.html", "--force"]);
+        let (status, _, err) =
+            folder.run(&["report", "set", "--channel", "108", "--no-pictures", "--out", "set/page.html", "--force"]);
         assert!(status == 0 || status == 3, "{status}: {err}");
     }
 }

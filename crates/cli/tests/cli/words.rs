@@ -328,6 +328,7 @@ fn columns_that_may_mean_two_things_are_asked_for() {
     assert!(status == 2 && err.contains("name no y"), "{status}: {err}");
     let (status, _, err) = folder.bearing(&["--antenna-offset", "4.6,15.9,0"]);
     assert!(status == 1 && err.contains("16.6 m is off the robot"), "{status}: {err}");
-    let (status, _, err) = folder.run(&["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "37"]);
+    let (status, _, err) =
+        folder.run(&["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "37"]);
     assert!(status == 2 && err.contains("there is no channel 37"), "{status}: {err}");
 }
