@@ -305,7 +305,10 @@ mod tests {
     #[test]
     fn as_many_frames_are_read_ahead_as_are_asked_for_and_none_is_lost_by_it() {
         let body = |frame_count| {
-            let repr = Repr { wsr: Some(Wsr { mac: SENDER, frame_count: Some(frame_count), ..Wsr::default() }), ..Repr::default() };
+            let repr = Repr {
+                wsr: Some(Wsr { mac: SENDER, frame_count: Some(frame_count), ..Wsr::default() }),
+                ..Repr::default()
+            };
             let mut body = vec![0; repr.body_len()];
             repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
             body

@@ -4,7 +4,7 @@ use super::super::captures::{Reading, Which};
 use super::super::{Outcome, Result, fixed, hint, print, print_json, usage};
 use super::{Args, located, transmitters};
 use clap::ValueEnum;
-use csi5300::pipeline::{Answer, Bearing, Options, CandidateAnswer};
+use csi5300::pipeline::{Answer, Bearing, CandidateAnswer, Options};
 use csi5300_lab::evaluate::quality::{Receiver, horizontal, receivers};
 use csi5300_lab::evaluate::{Capture, Judged};
 use std::fmt::Write;
