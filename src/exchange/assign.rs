@@ -8,6 +8,7 @@
 //! than their mean or root mean square, since outliers of the turn-around are common). The number of common frame
 //! numbers does not decide: it is wrong or tied on half of these links.
 
+use crate::exchange::pairing::by_clock::Refusal;
 use crate::exchange::pairing::{LinkSide, Pair, Pairing};
 use crate::maths::upper_median;
 use crate::signal::cfo::drift_line::drift_line;
@@ -118,6 +119,9 @@ pub enum Unmatched {
         /// Spread of this log, microseconds.
         spread_us: f64,
     },
+    /// Frames have no numbers, and the cards' clocks do not tell which belong together.
+    #[error(transparent)]
+    Clocks(#[from] Refusal),
     /// Both logs hold frames of the same sender, so neither is of the robot that the other heard.
     #[error("both logs hold frames of {mac}: two logs of one link are of two robots, each with frames of the other")]
     SameSender {

@@ -79,6 +79,11 @@ pub(super) fn find_macs(
         None => found.map(|found| (macs[found.mac], Some(found))),
     };
     let mut settled: Vec<MacFound> = found.into_iter().enumerate().map(settle).collect();
+    for (tx, found) in txs.iter().zip(&mut settled) {
+        if let Some(why) = tx.refused {
+            *found = Err(Unmatched::Clocks(why));
+        }
+    }
     for (receiver, found) in receivers.iter().zip(&mut settled) {
         // Stock records carry no address: all zeros say nothing.
         if let Ok((mac, _)) = found

@@ -5,6 +5,7 @@
 //! | step | where |
 //! |---|---|
 //! | records of each log become frames of one antenna | `intake` |
+//! | frames without numbers get them by the cards' clocks | `unnumbered` |
 //! | which transmitter wrote which log | `matching` |
 //! | all logs read in step, frames paired, each pair a round trip | `reading`, `link` |
 //! | clocks, compensation, the gate of motion, the estimate (`crate::estimate`) | `draft` |
@@ -28,6 +29,7 @@ mod matching;
 mod options;
 mod reading;
 mod stretch;
+mod unnumbered;
 
 pub use crate::estimate::{Effort, Reason, Risk, Sufficient, Unexplained};
 pub use answer::{Answer, CandidateAnswer, lost_something};
@@ -109,6 +111,7 @@ pub fn bearings(
     let mut txs: Vec<LogReader<'_>> =
         logs.into_iter().map(|log| LogReader::new(log, options, options.rx_mac)).collect();
     read_ahead(&mut rx, &mut txs, options)?;
+    unnumbered::number(&mut rx, &mut txs, options);
     let receivers = receivers(&mut txs, options)?;
     let found = find_macs(&mut rx, &mut txs, &receivers, options)?;
     let span_us = options.span_us(trajectory);

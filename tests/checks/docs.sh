@@ -25,8 +25,6 @@ fi
 commands() { grep -oE '^(    )?csi5300 [a-z].*|`csi5300 [a-z][^`]*`' "$1" | tr -d '`' | sed 's/ #.*//'; }
 known=0
 for page in README.md docs/*.md; do
-    # It says how each number was chosen, with programs of then.
-    [ "$page" != docs/tuning.md ] || continue
     while read -r _ command rest; do
         # The first bytes of a side file.
         [ "$command $rest" != "checks 1" ] || continue

@@ -285,7 +285,7 @@ fn a_wsr_record_has_its_drivers_time_and_a_stock_one_the_listeners() {
         let (_, identity) = survey.note(&Next::Record(stamps, Record { code: code::BFEE, body: &body })).unwrap();
         (identity.host_us, survey.wsr, survey.stock, survey.bfees())
     };
-    let wsr = |tv_sec, tv_usec| Some(Wsr { tv_sec, tv_usec, ..Wsr::default() });
+    let wsr = |tv_sec, tv_usec| Some(Wsr { tv_sec, tv_usec, frame_count: Some(0), ..Wsr::default() });
     assert_eq!(host_us(wsr(5, 7)), (Some(5_000_007), 1, 0, 1));
     assert_eq!(host_us(wsr(0, 0)), (Some(77), 2, 0, 2));
     assert_eq!(host_us(None), (Some(77), 2, 1, 3));

@@ -2,7 +2,7 @@
 
 use clap::Args;
 use csi5300::motion::odometry::csv::Columns;
-use csi5300::pipeline::{Accuracy, Effort, Options};
+use csi5300::pipeline::{Accuracy, Options};
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
 use nalgebra::Vector3;
@@ -33,9 +33,6 @@ pub struct Estimation {
     /// camera, 20 for wheels. Error bars and confidence take it into account
     #[arg(long, value_name = "DEGREES", hide_short_help = true)]
     pub heading_sd: Option<f64>,
-    /// How exact an azimuth is needed, degrees: from 1 on a coarse search will do, 0 computes everything [default: what the scene needs]
-    #[arg(long, value_name = "DEGREES", hide_short_help = true)]
-    pub accuracy: Option<f64>,
     /// Use pairs from this many seconds after the link's first one on
     #[arg(long, value_name = "SECONDS", hide_short_help = true)]
     pub from: Option<f64>,
@@ -60,7 +57,6 @@ impl Estimation {
             range_min: None,
             height: None,
             heading_sd: None,
-            accuracy: None,
             from: None,
             to: None,
         }
@@ -87,16 +83,7 @@ impl Estimation {
         if self.heading_sd.is_some_and(|sd| !(0.0..=180.0).contains(&sd)) {
             return Err("--heading-sd takes 0 to 180 degrees".into());
         }
-        if self.accuracy.is_some_and(|asked| !(0.0..=180.0).contains(&asked)) {
-            return Err("--accuracy takes 0 to 180 degrees".into());
-        }
-        let effort = match self.accuracy {
-            None => Effort::Needed,
-            Some(0.0) => Effort::Everything,
-            Some(asked) => Effort::Within(asked.to_radians()),
-        };
         let accuracy = Accuracy::default()
-            .with_effort(effort)
             .with_elevation_max_rad(self.elevation_max.map(f64::to_radians))
             .with_range_min_m(self.range_min)
             .with_height_m(self.height);

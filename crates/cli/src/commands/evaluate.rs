@@ -54,6 +54,7 @@ pub struct Args {
     #[cfg_attr(feature = "view", arg(conflicts_with = "html"))]
     json: bool,
     /// Overwrite the page, and pictures of the same names
+    #[cfg(any(feature = "plot", feature = "view"))]
     #[arg(long)]
     force: bool,
 }

@@ -3,7 +3,7 @@
 #[cfg(feature = "plot")]
 mod plot;
 
-use super::{Outcome, Result, print, print_json, some};
+use super::{Outcome, Result, other_cards, print, print_json, some};
 use csi5300::internal::{LOSSES_KEPT, SENDERS_KEPT};
 use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey, TimeBase};
 use csi5300::source::{Checks, CsiSource, Next};
@@ -82,6 +82,12 @@ struct Row<'a> {
 pub fn run(args: &Args) -> Result {
     let (mut usable, mut lost, mut failed) = (false, false, false);
     for (k, path) in args.files.iter().enumerate() {
+        if let Some(row) = other_cards::read(path) {
+            row.show(args.json, k > 0);
+            usable |= row.is_usable();
+            lost |= row.lost_something();
+            continue;
+        }
         match survey(path) {
             Ok(read) => {
                 let pictures = draw(args, k).unwrap_or_else(|message| {

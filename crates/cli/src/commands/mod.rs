@@ -28,6 +28,7 @@ mod mounting;
 #[cfg(feature = "node")]
 mod node;
 mod old;
+mod other_cards;
 #[cfg(feature = "plot")]
 mod pictures;
 #[cfg(feature = "node")]

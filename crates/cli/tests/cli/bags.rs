@@ -50,7 +50,7 @@ fn csi(log: &Path) -> Vec<Vec<u8>> {
         let bfee = Bfee::new_checked(body).unwrap();
         let (wsr, matrix) = (bfee.wsr().unwrap(), Csi::from_bfee(&bfee).unwrap());
         let mut to = Cdr::begin(i64::from(wsr.tv_sec) * 1_000_000 + i64::from(wsr.tv_usec), "");
-        to.text(&wsr.mac.to_string()).put(&wsr.frame_count.to_le_bytes());
+        to.text(&wsr.mac.to_string()).put(&wsr.frame_count.unwrap_or_default().to_le_bytes());
         to.put(&bfee.timestamp_low().to_le_bytes()).put(&bfee.bfee_count().to_le_bytes());
         to.0.extend([matrix.n_rx() as u8, matrix.n_tx() as u8]);
         to.0.extend(bfee.rssi());
