@@ -3,11 +3,11 @@
 use crate::error::{Failure, Kind, Stop, interruptible};
 use crate::intake::open;
 use crate::link::Link;
-use crate::options::Keywords;
+use crate::options::{Keywords, columns as columns_of};
 use crate::pool::{build, pool};
 use crate::records::{Records, selected};
 use csi5300::bartlett::Grid;
-use csi5300::motion::odometry::csv::{self, CsvError};
+use csi5300::motion::odometry::csv::{self, Columns, CsvCounts, CsvError};
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::nalgebra::Vector3;
 use csi5300::pipeline::{
@@ -17,6 +17,7 @@ use csi5300::source::{CsiSource, Next, Origin, Stamps};
 use csi5300::time::Instant;
 use csi5300_lab::table::{Arena, NO_TIME};
 use driver_iface::record::{Record, Tail};
+use numpy::ndarray::ArrayView1;
 use numpy::{IntoPyArray, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
@@ -90,45 +91,66 @@ fn source(log: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Box<dyn CsiSource + S
     Ok(Box::new(Replayed { arena: Arc::clone(&records.arena), records: chosen, host_us, at: (0, false) }))
 }
 
-/// A trajectory as Python names it: a CSV file, or an array (n, 4 or 5) of seconds, x, y, z and heading.
-fn trajectory(of: &Bound<'_, PyAny>) -> PyResult<Trajectory> {
-    if let Ok(rows) = of.extract::<PyReadonlyArray2<'_, f64>>() {
-        return poses(&rows).map_err(Into::into);
-    }
-    let path: PathBuf = of.extract()?;
-    let name = path.display().to_string();
-    // In a thread of its own, for the sake of a file that lets its reader wait.
-    let file = name.clone();
-    let (trajectory, lost) = interruptible(of.py(), &Stop::default(), move || {
-        let kind = |error: &CsvError| match error {
-            CsvError::Io { .. } => Kind::TrajectoryFile,
-            _ => Kind::Trajectory,
-        };
-        let (trajectory, counts) = csv::read(&path).map_err(|error| Failure::new(kind(&error), error).of(file))?;
-        let lost = if counts.lost_something(&trajectory) { counts.notes(&trajectory) } else { Vec::new() };
-        Ok((trajectory, lost))
-    })?;
-    for words in lost {
+/// A trajectory as Python names it: a file, or an array of the columns that a file has; of 4 or 5 columns an array is seconds, x,
+/// y, z and heading.
+fn trajectory(of: &Bound<'_, PyAny>, columns: Option<&Columns>) -> PyResult<Trajectory> {
+    let (read, name) = if let Ok(rows) = of.extract::<PyReadonlyArray2<'_, f64>>() {
+        (poses(&rows, columns).map_err(|error| Failure::new(Kind::Trajectory, error))?, "the array".to_owned())
+    } else {
+        let path: PathBuf = of.extract()?;
+        let (name, columns) = (path.display().to_string(), columns.cloned());
+        // In a thread of its own, for the sake of a file that lets its reader wait.
+        let file = name.clone();
+        let read = interruptible(of.py(), &Stop::default(), move || {
+            let kind = |error: &CsvError| match error {
+                CsvError::Io { .. } => Kind::TrajectoryFile,
+                _ => Kind::Trajectory,
+            };
+            csv::read_as(&path, columns.as_ref()).map_err(|error| Failure::new(kind(&error), error).of(file))
+        })?;
+        (read, name)
+    };
+    let (trajectory, counts) = read;
+    let rounded = trajectory.time_step_s().is_some();
+    for words in counts.notes(&trajectory).into_iter().filter(|_| rounded || counts.lost_something(&trajectory)) {
         let words = CString::new(format!("{name}: {words}")).unwrap_or_default();
         PyErr::warn(of.py(), &of.py().get_type::<PyUserWarning>(), &words, 2)?;
     }
     Ok(trajectory)
 }
 
-fn poses(rows: &PyReadonlyArray2<'_, f64>) -> Result<Trajectory, Failure> {
+/// An array has the columns of a file; of 4 or 5 those that [`pose_array`] gives, unless they may be a file's.
+fn poses(rows: &PyReadonlyArray2<'_, f64>, columns: Option<&Columns>) -> Result<(Trajectory, CsvCounts), CsvError> {
     let rows = rows.as_array();
-    let columns = rows.ncols();
-    if !(4..=5).contains(&columns) {
-        let message =
-            format!("a trajectory has 4 columns (seconds, x, y, z in metres) or 5 (heading, radians), not {columns}");
-        return Err(Failure::new(Kind::Trajectory, message));
-    }
-    let pose = |row: usize| {
-        let value = |column: usize| rows.get((row, column)).copied();
-        let position_m = Vector3::new(value(1)?, value(2)?, value(3)?);
-        Some(Pose { t_s: value(0)?, position_m, heading_rad: value(4).filter(|heading| heading.is_finite()) })
+    let own: Option<Columns> = match rows.ncols() {
+        4 => "t,x,y,z".parse().ok(),
+        5 => "t,x,y,z,yaw".parse().ok(),
+        _ => None,
     };
-    Trajectory::new((0..rows.nrows()).filter_map(pose).collect()).map_err(|error| Failure::new(Kind::Trajectory, error))
+    if columns.is_none() && rows.ncols() == 5 {
+        let whole = |value: &f64| value.fract() == 0.0 && (0.0..1e9).contains(value);
+        if rows.column(1).iter().all(whole) && !rows.column(4).iter().all(|heading| heading.is_nan()) {
+            let why = "the second column is whole, as x seldom is and nanoseconds are".to_owned();
+            return Err(CsvError::Ambiguous { why, readings: ["t,x,y,z,yaw", "t,ns,x,y,z"].map(str::to_owned) });
+        }
+        // Poses whose heading is not known.
+        if rows.column(4).iter().any(|heading| !heading.is_finite()) {
+            let pose = |row: ArrayView1<'_, f64>| {
+                let value = |column: usize| row.get(column).copied().unwrap_or(f64::NAN);
+                let position_m = Vector3::new(value(1), value(2), value(3));
+                Pose { t_s: value(0), position_m, heading_rad: Some(value(4)).filter(|heading| heading.is_finite()) }
+            };
+            let trajectory = Trajectory::new(rows.rows().into_iter().map(pose).collect())?;
+            return Ok((trajectory, CsvCounts::default()));
+        }
+    }
+    // Numbers as text are the same numbers: a row means here what it means in a file.
+    let mut text = String::new();
+    for row in rows.rows() {
+        let row: Vec<String> = row.iter().map(f64::to_string).collect();
+        text += &(row.join(",") + "\n");
+    }
+    csv::parse_as(text.as_bytes(), columns.or(own.as_ref()))
 }
 
 /// A trajectory's poses as an array (n, 5): seconds, x, y, z (metres), heading (radians, not a number where unknown).
@@ -143,8 +165,13 @@ pub fn pose_array<'py>(py: Python<'py>, trajectory: &Trajectory) -> PyResult<Bou
 
 /// Reads a trajectory file.
 #[pyfunction]
-pub fn read_trajectory<'py>(py: Python<'py>, path: &Bound<'py, PyAny>) -> PyResult<Bound<'py, PyArray2<f64>>> {
-    pose_array(py, &trajectory(path)?)
+#[pyo3(signature = (path, columns=None))]
+pub fn read_trajectory<'py>(
+    py: Python<'py>,
+    path: &Bound<'py, PyAny>,
+    columns: Option<&str>,
+) -> PyResult<Bound<'py, PyArray2<f64>>> {
+    pose_array(py, &trajectory(path, columns_of(columns)?.as_ref())?)
 }
 
 /// A link's answer as JSON, the link itself where it has a bearing, and the answers of its stretches as JSON.
@@ -171,8 +198,10 @@ pub fn bearings(
     let stoppable = |log| PyResult::Ok(Stoppable { source: source(log, &stop)?, stop: stop.clone() });
     let mut receiver = stoppable(rx)?;
     let mut logs = tx.iter().map(stoppable).collect::<PyResult<Vec<_>>>()?;
-    let own = keywords.of_antenna(trajectory(path)?)?;
-    let moved = tx_paths.iter().map(|path| path.as_ref().map(trajectory).transpose()).collect::<PyResult<Vec<_>>>()?;
+    let columns = keywords.columns()?;
+    let own = keywords.of_antenna(trajectory(path, columns.as_ref())?)?;
+    let moved = tx_paths.iter().map(|path| path.as_ref().map(|path| trajectory(path, columns.as_ref())).transpose());
+    let moved = moved.collect::<PyResult<Vec<_>>>()?;
     let pool = if keywords.threads == 0 { pool()? } else { Arc::new(build(keywords.threads)?) };
     let every_s = keywords.every;
     let (report, stretches, options) = interruptible(py, &stop, move || {

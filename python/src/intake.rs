@@ -5,6 +5,7 @@ use crate::patient::Patient;
 use csi5300::source::CsiSource;
 use csi5300::source::replay::Replay;
 use csi5300::time::Instant;
+use csi5300_lab::kinds::{A_LOG, not_a_log};
 use csi5300_lab::table::{Advise, Filter, Reading};
 use csi5300_live::sys::advise_large_pages;
 use driver_iface::record::Tail;
@@ -51,6 +52,10 @@ pub fn open(file: &Bound<'_, PyAny>, stop: &Stop) -> PyResult<Replay<Box<dyn Rea
         let what = format!("cannot read the log {name}");
         Failure::log(csi5300::source::Error::Io { what, source }, &name, 0)
     };
+    if let Some(kind) = not_a_log(&path) {
+        let message = format!("{name} is another kind of file, {kind}: {A_LOG}");
+        return Err(Failure::new(Kind::Log, message).of(name).into());
+    }
     if let Some(patient) = Patient::open(&path, stop).map_err(refused)? {
         let name = if path.as_os_str() == "-" { "standard input".into() } else { name };
         return Ok(Replay::new(Box::new(patient), name));

@@ -1,6 +1,7 @@
 //! How bearings are made: keyword arguments with the names of the command line's options.
 
 use crate::error::{Failure, Kind};
+use csi5300::motion::odometry::csv::Columns;
 use csi5300::motion::pose::Trajectory;
 use csi5300::motion::rolling::Mount;
 use csi5300::nalgebra::Vector3;
@@ -54,10 +55,20 @@ pub struct Keywords {
     /// Whether answers have what was computed.
     pub explain: bool,
     key: Option<PathBuf>,
+    /// What is in the columns of trajectories.
+    columns: Option<String>,
     tx_mac: Vec<String>,
     rx_mac: Option<String>,
     /// Links worked on at a time; 0 is one a core.
     pub threads: usize,
+}
+
+/// Columns by their names.
+///
+/// # Errors
+/// If a name is not known, or time, x or y are not among them.
+pub fn columns(text: Option<&str>) -> Result<Option<Columns>, Failure> {
+    text.map(|text| text.parse::<Columns>().map_err(|error| wrong(format!("columns: {error}")))).transpose()
 }
 
 fn wrong(message: impl ToString) -> Failure {
@@ -71,6 +82,14 @@ impl Keywords {
     /// For an unknown name and a value of another kind, with its name.
     pub fn parse(json: &str) -> Result<Self, Failure> {
         serde_json::from_str(json).map_err(|error| wrong(format!("options: {error}")))
+    }
+
+    /// What is in the columns of trajectories, where it was named.
+    ///
+    /// # Errors
+    /// If a name is not known, or time, x or y are not among them.
+    pub fn columns(&self) -> Result<Option<Columns>, Failure> {
+        columns(self.columns.as_deref())
     }
 
     /// The channel, where one was named.
@@ -148,6 +167,7 @@ impl Keywords {
     pub fn of_captures(&self) -> Result<(), Failure> {
         let given = [
             ("min_confidence", self.min_confidence.is_some()),
+            ("columns", self.columns.is_some()),
             ("every", self.every.is_some()),
             ("explain", self.explain),
             ("key", self.key.is_some()),

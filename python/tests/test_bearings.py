@@ -28,6 +28,26 @@ def test_paths_logs_and_arrays_give_one_bearing(rx: Path, tx: Path, path_csv: Pa
         assert other.azimuth_deg == bearing.azimuth_deg and other.azimuth_sd_deg == bearing.azimuth_sd_deg
 
 
+def test_arrays_mean_what_files_do_or_are_refused(rx: Path, tx: Path, path_csv: Path, tmp_path: Path) -> None:
+    (bearing,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
+    track = csi5300.read_trajectory(path_csv)
+    file = np.column_stack([track[:, 0], np.zeros(len(track)), track[:, 1:4]])
+    with pytest.raises(csi5300.TrajectoryError, match=r"t,x,y,z,yaw or t,ns,x,y,z.*columns="):
+        csi5300.bearings(rx, tx, trajectory=file, channel=108)
+    yaw = np.column_stack([file, np.full(len(track), 0.5)])
+    named = np.column_stack([track[:, 0], track[:, 2], -track[:, 1]])
+    for rows, columns in ((file, "t,ns,x,y,z"), (yaw, None), (named, "t,y,-x")):
+        (same,) = csi5300.bearings(rx, tx, trajectory=rows, channel=108, columns=columns)
+        assert abs(same.azimuth_deg - bearing.azimuth_deg) < 1e-6, columns
+    other = tmp_path / "t.csv"
+    np.savetxt(other, named, fmt="%.9f", delimiter=",")
+    with pytest.raises(csi5300.TrajectoryError, match="3 columns without headings"):
+        csi5300.read_trajectory(other)
+    assert np.allclose(csi5300.read_trajectory(other, columns="t,y,-x")[:, 1:3], track[:, 1:3], atol=1e-8)
+    with pytest.raises(csi5300.OptionError, match="columns: name no y"):
+        csi5300.bearings(rx, tx, trajectory=named, channel=108, columns="t,x")
+
+
 def test_options_are_the_command_lines(rx: Path, tx: Path, path_csv: Path) -> None:
     (full,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108)
     (lean,) = csi5300.bearings(rx, tx, trajectory=path_csv, channel=108, without="near-field", threads=1)

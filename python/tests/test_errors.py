@@ -20,6 +20,10 @@ def test_one_family_with_the_file(tmp_path: Path) -> None:
     assert caught.value.file == str(tmp_path / "none.dat") and "none.dat" in str(caught.value)
     with pytest.raises(csi5300.LogError, match="directory"):
         csi5300.read(tmp_path)
+    table = tmp_path / "t.csv"
+    table.write_text("1.5,0,0.1,0.2,0.3\n1.6,0,0.1,0.2,0.3\n")
+    with pytest.raises(csi5300.LogError, match=r"another kind of file, a table of numbers such as a trajectory: a log is"):
+        csi5300.read(table)
     again = pickle.loads(pickle.dumps(caught.value))
     assert (str(again), again.file, again.offset) == (str(caught.value), caught.value.file, 0)
 

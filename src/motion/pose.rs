@@ -40,8 +40,11 @@ impl Pose {
     /// heading.
     ///
     /// # Errors
-    /// If there is no heading and the offset is not along z.
+    /// If there is no heading and the offset is not along z, or if it is further than 3 m.
     pub fn mounted(self, offset_m: Vector3<f64>) -> Result<Self, TrajectoryError> {
+        if offset_m.norm() > FURTHEST_M {
+            return Err(TrajectoryError::OffRobot { offset_m: offset_m.norm() });
+        }
         let (sin, cos) = match self.heading_rad {
             Some(heading) => heading.sin_cos(),
             None if offset_m.x != 0.0 || offset_m.y != 0.0 => return Err(TrajectoryError::NoHeading),
@@ -51,6 +54,9 @@ impl Pose {
         Ok(Self { position_m: self.position_m + turned, ..self })
     }
 }
+
+/// Nothing on a robot is further from its middle than this, metres: such offsets are centimetres.
+const FURTHEST_M: f64 = 3.0;
 
 /// A hole in a trajectory wide enough that nothing should be interpolated across it.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -76,28 +82,82 @@ pub struct LeftOut {
     pub set_back: Option<(usize, f64)>,
 }
 
+/// What kind of sensor a trajectory is of, where that is certain: how well its heading is known follows from it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum TrajectoryKind {
+    /// Neither the file nor its name says it.
+    #[default]
+    Unknown,
+    /// Cameras of a room.
+    MotionCapture,
+    /// A tracking camera on the robot.
+    Camera,
+    /// The robot's wheels.
+    Wheels,
+}
+
+impl TrajectoryKind {
+    /// By the words of headings, of the names of frames or of a file, where they name a sensor; `odom` names none.
+    #[must_use]
+    pub fn of_words(text: &str) -> Self {
+        let text = text.to_lowercase();
+        let has =
+            |names: &[&str]| text.split(|letter: char| !letter.is_alphanumeric()).any(|word| names.contains(&word));
+        match () {
+            () if has(&["t265", "camera", "vio", "zed", "realsense"]) => Self::Camera,
+            () if has(&["wheel", "wheels", "encoder", "encoders"]) => Self::Wheels,
+            () if has(&["mocap", "vicon", "optitrack", "vrpn", "qualisys"]) => Self::MotionCapture,
+            () => Self::Unknown,
+        }
+    }
+}
+
 /// Poses in the order of time, at least two.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectory {
     poses: Vec<Pose>,
     max_gap_s: f64,
     left_out: LeftOut,
+    kind: TrajectoryKind,
+    /// What times were rounded to, seconds, and by how much the path turns meanwhile, radians.
+    rounded: Option<(f64, f64)>,
 }
 
 /// Why poses make no trajectory.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum TrajectoryError {
     /// Interpolation needs two poses at different times.
-    #[error("{poses} usable poses make no trajectory: at least 2 at different times are needed")]
+    #[error(
+        "{poses} usable poses make no trajectory: at least 2 at different times are needed (times are written with too few digits?)"
+    )]
     TooFew {
         /// Usable poses.
         poses: usize,
+    },
+    /// Times are rounded so much that the direction of the path is lost.
+    #[error(
+        "times are rounded to {step_s} s, within which the path turns by {turn_deg:.0} degrees: write them with more digits \
+         (nanoseconds, or %.6f)"
+    )]
+    TooCoarse {
+        /// What times are rounded to, seconds.
+        step_s: f64,
+        /// By how much the path turns from one step to the next, degrees.
+        turn_deg: f64,
     },
     /// An offset on the robot can only be turned with its heading, and wheels roll along it.
     #[error(
         "an offset on the robot needs its heading, and this trajectory has none (5 columns); use one with yaw or quaternion"
     )]
     NoHeading,
+    /// An offset that leads off the robot.
+    #[error("an offset of {offset_m:.1} m is off the robot: offsets are metres (4.6 cm are 0.046), 3 at most")]
+    OffRobot {
+        /// Its length, metres.
+        offset_m: f64,
+    },
     /// A pose with a position, time or heading that is not a number.
     #[error("pose {index} is not finite")]
     NotFinite {
@@ -139,6 +199,66 @@ fn in_order(poses: &mut Vec<Pose>) -> Option<(usize, f64)> {
     (left_out > 0).then_some((left_out, most_s))
 }
 
+/// Of rounded times there are this many poses to each at least, on average.
+const ROUNDED: f64 = 1.5;
+/// A path that turns by more than this within a step of rounded times has no direction, radians.
+const COARSE_RAD: f64 = std::f64::consts::FRAC_PI_4;
+
+/// Poses of one time are spread over the step that times were rounded to, where they are a path and not two. Gives that step,
+/// seconds, and by how much the path turns meanwhile, radians.
+///
+/// Times that are cut off are early by up to a step, rounded ones early or late by half of it. Neither is known, so the poses of
+/// one time are put about a quarter of the step behind it, which is a quarter off at most.
+fn spread(poses: &mut [Pose]) -> Result<Option<(f64, f64)>, TrajectoryError> {
+    let groups = || poses.chunk_by(|a, b| a.t_s == b.t_s);
+    let count = groups().count();
+    let moved = groups().any(|group| group.first() != group.last());
+    if !moved || count < 2 || (poses.len() as f64) < ROUNDED * count as f64 {
+        return Ok(None);
+    }
+    let last: Vec<Pose> = groups().filter_map(|group| group.last().copied()).collect();
+    // Two paths in one file go to and fro by more than either goes on.
+    let median_m = |pairs: &mut dyn Iterator<Item = &[Pose]>| {
+        let mut moved: Vec<f64> = pairs.map(|w| (w[1].position_m - w[0].position_m).norm()).collect();
+        upper_median(&mut moved).unwrap_or(0.0)
+    };
+    let to_and_fro_m = median_m(&mut groups().flat_map(|group| group.windows(2)));
+    if to_and_fro_m > median_m(&mut last.windows(2)) + STILL_M {
+        return Ok(None);
+    }
+    let mut steps: Vec<f64> = last.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
+    let step_s = upper_median(&mut steps).unwrap_or(0.0);
+    if ![poses[0].t_s - step_s, poses[poses.len() - 1].t_s + step_s].iter().all(|t_s| t_s.is_finite()) {
+        return Ok(None);
+    }
+    let mut sizes: Vec<f64> = groups().map(|group| group.len() as f64).collect();
+    let usual = upper_median(&mut sizes).unwrap_or(1.0);
+    let mut turns: Vec<f64> = last.windows(3).filter_map(turn_rad).collect();
+    let turn_rad = upper_median(&mut turns).unwrap_or(0.0);
+    if turn_rad > COARSE_RAD {
+        return Err(TrajectoryError::TooCoarse { step_s, turn_deg: turn_rad.to_degrees() });
+    }
+    let times: Vec<f64> = last.iter().map(|pose| pose.t_s).collect();
+    for (k, group) in poses.chunk_by_mut(|a, b| a.t_s == b.t_s).enumerate() {
+        let n = group.len() as f64;
+        let room_s = times.get(k + 1).map_or(step_s, |next| step_s.min(next - times[k]));
+        // The first step is begun late and the last one ended early.
+        let from = if k == 0 { (usual - n).max(0.0) } else { 0.0 };
+        let each_s = room_s / if k == 0 || k + 1 == count { n.max(usual) } else { n };
+        for (j, pose) in group.iter_mut().enumerate() {
+            pose.t_s += (from + j as f64 + 0.5) * each_s;
+            pose.t_s -= 0.25 * step_s;
+        }
+    }
+    Ok(Some((step_s, turn_rad)))
+}
+
+/// By how much a path turns at the middle one of three poses, if it moves.
+fn turn_rad(poses: &[Pose]) -> Option<f64> {
+    let (before, after) = (poses[1].position_m - poses[0].position_m, poses[2].position_m - poses[1].position_m);
+    (before.norm().min(after.norm()) > STILL_M).then(|| before.angle(&after))
+}
+
 /// Poses on either side of where even ones would put a time that are looked at first.
 const NEAR: usize = 8;
 
@@ -160,6 +280,7 @@ impl Trajectory {
         if !is_in_order(&poses) {
             left_out.set_back = in_order(&mut poses);
         }
+        let rounded = spread(&mut poses)?;
         poses.dedup_by(|later, earlier| {
             let same = later.t_s == earlier.t_s;
             if same {
@@ -173,7 +294,8 @@ impl Trajectory {
         }
         let mut steps: Vec<f64> = poses.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
         let usual = upper_median(&mut steps).unwrap_or(0.0);
-        let mut trajectory = Self { poses, max_gap_s: MIN_GAP_S.max(10.0 * usual), left_out };
+        let mut trajectory =
+            Self { poses, max_gap_s: MIN_GAP_S.max(10.0 * usual), left_out, kind: TrajectoryKind::Unknown, rounded };
         trajectory.drop_stale_head();
         Ok(trajectory)
     }
@@ -202,6 +324,44 @@ impl Trajectory {
     #[must_use]
     pub fn left_out(&self) -> LeftOut {
         self.left_out
+    }
+
+    /// What kind of sensor it is of.
+    #[must_use]
+    pub fn kind(&self) -> TrajectoryKind {
+        self.kind
+    }
+
+    /// As of a sensor of this kind.
+    #[must_use]
+    pub fn with_kind(mut self, kind: TrajectoryKind) -> Self {
+        self.kind = kind;
+        self
+    }
+
+    /// With the sensor and the times of another one.
+    pub(super) fn of_same(mut self, other: &Self) -> Self {
+        (self.kind, self.rounded) = (other.kind, other.rounded);
+        self
+    }
+
+    /// What the times that it was given are rounded to, seconds, where several poses had one time.
+    #[must_use]
+    pub fn time_step_s(&self) -> Option<f64> {
+        self.rounded.map(|(step_s, _)| step_s)
+    }
+
+    /// By how much its path turns, in the median, within [`Self::time_step_s`], radians; 0 where times are not rounded.
+    #[must_use]
+    pub fn turn_in_step_rad(&self) -> f64 {
+        self.rounded.map_or(0.0, |(_, turn_rad)| turn_rad)
+    }
+
+    /// Standard deviation of every azimuth that rounded times leave, radians: poses may be early or late by half a step, all by
+    /// the same, and the path turns meanwhile. It adds to that of the heading.
+    #[must_use]
+    pub fn rounding_sd_rad(&self) -> f64 {
+        self.turn_in_step_rad() / 12f64.sqrt()
     }
 
     /// First and last time, seconds.
@@ -435,10 +595,50 @@ mod tests {
         let twice: Vec<Pose> = drive().into_iter().flat_map(|pose| [pose, pose]).collect();
         let trajectory = Trajectory::new(twice).unwrap();
         assert_eq!((trajectory.poses().len(), trajectory.left_out()), (1_000, LeftOut::default()));
-        let mut whole = drive();
-        whole.iter_mut().for_each(|pose| pose.t_s = pose.t_s.floor());
-        let trajectory = Trajectory::new(whole).unwrap();
-        assert_eq!((trajectory.poses().len(), trajectory.left_out().same_time), (10, 990));
+        // Two robots in one file: at each time there are two places.
+        let other = |pose: Pose| Pose { position_m: pose.position_m + Vector3::y(), ..pose };
+        let two = drive().into_iter().flat_map(|pose| [pose, other(pose)]).collect();
+        let trajectory = Trajectory::new(two).unwrap();
+        assert_eq!((trajectory.poses().len(), trajectory.left_out().same_time), (1_000, 1_000));
+        assert_eq!(trajectory.time_step_s(), None);
+    }
+
+    /// Twenty seconds on a circle that is turned through at `turn_per_s`, a pose each 10 ms, its times made by `times`.
+    fn circle(turn_per_s: f64, times: impl Fn(f64) -> f64) -> Result<Trajectory, TrajectoryError> {
+        let pose = |k: i32| {
+            let t_s = 0.37 + f64::from(k) * 0.01;
+            let (sin, cos) = (turn_per_s * t_s).sin_cos();
+            Pose { t_s: times(t_s), position_m: Vector3::new(cos, sin, 0.0), heading_rad: None }
+        };
+        Trajectory::new((0..2_000).map(pose).collect())
+    }
+
+    #[test]
+    fn poses_of_rounded_times_are_spread_over_the_step_and_the_doubt_is_known() {
+        let turn_per_s = 0.25;
+        let exact = circle(turn_per_s, |t_s| t_s).unwrap();
+        assert_eq!((exact.time_step_s(), exact.rounding_sd_rad()), (None, 0.0));
+        let half = |way: fn(f64) -> f64| move |t_s: f64| way(2.0 * t_s) / 2.0;
+        for (step_s, read) in [
+            (1.0, circle(turn_per_s, f64::floor)),
+            (1.0, circle(turn_per_s, f64::round)),
+            (0.5, circle(turn_per_s, half(f64::floor))),
+            (0.5, circle(turn_per_s, half(f64::round))),
+        ] {
+            let read = read.unwrap();
+            assert!((read.time_step_s().unwrap() - step_s).abs() < 1e-9);
+            assert!((read.turn_in_step_rad() - turn_per_s * step_s).abs() < 0.01, "{}", read.turn_in_step_rad());
+            assert_eq!((read.poses().len(), read.left_out().same_time), (2_000, 0));
+            // A quarter of the step, and the hundredth of a second at which poses come.
+            for (pose, truth) in read.poses().iter().zip(exact.poses()) {
+                let off_s = (pose.t_s - truth.t_s).abs();
+                assert!(off_s <= 0.25 * step_s + 0.0101, "{step_s}: {} for {}", pose.t_s, truth.t_s);
+            }
+            let antenna = read.with_antenna_offset(Vector3::z()).unwrap();
+            assert_eq!(antenna.rounding_sd_rad(), read.rounding_sd_rad());
+        }
+        let coarse = circle(2.0, f64::floor);
+        assert!(matches!(coarse, Err(TrajectoryError::TooCoarse { step_s: 1.0, turn_deg }) if turn_deg > 90.0));
     }
 
     #[test]
@@ -455,6 +655,8 @@ mod tests {
             Pose { heading_rad: None, ..pose(1.0, 0.0) },
         ]);
         assert_eq!(bare.unwrap().with_antenna_offset(Vector3::x()), Err(TrajectoryError::NoHeading));
+        let centimetres = trajectory.with_antenna_offset(Vector3::new(4.6, 15.9, 0.0));
+        assert!(centimetres.unwrap_err().to_string().starts_with("an offset of 16.6 m is off the robot"));
     }
 
     #[test]

@@ -41,7 +41,8 @@ impl Trajectory {
             let last_s = roller.before.map(|before| before.reported.t_s);
             roller.moved(pose, gaps.iter().any(|gap| Some(gap.from_s) == last_s))
         };
-        Self::new(self.poses().iter().map(&mut middle).collect::<Result<_, _>>()?)
+        let rolled = Self::new(self.poses().iter().map(&mut middle).collect::<Result<_, _>>()?)?;
+        Ok(rolled.of_same(self))
     }
 }
 

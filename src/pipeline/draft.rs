@@ -94,7 +94,7 @@ pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing,
         if let Some(stretch) = gated.searchable(options) {
             gated = gated.within(stretch, &gate)?;
         }
-        let task = options.task(&gated.samples);
+        let task = options.task(&gated.samples, receiver);
         let found = estimate(&task, || phases.round_trips(link, options), &gated.used)?;
         Ok((gated, found))
     });

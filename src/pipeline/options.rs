@@ -5,7 +5,7 @@ use crate::estimate::prior::Limits;
 use crate::estimate::tuning::sensor;
 use crate::estimate::{Effort, Task};
 use crate::exchange::tdma::Key;
-use crate::motion::pose::Trajectory;
+use crate::motion::pose::{Trajectory, TrajectoryKind};
 use crate::signal::channel::Channel;
 use crate::signal::samples::Samples;
 use driver_iface::{Mac, bfee::Antenna};
@@ -110,7 +110,7 @@ pub struct Options {
     /// Added to the receiver's host time to get the trajectory's, seconds.
     pub clock_offset_s: f64,
     /// Standard deviation of the heading of the whole trajectory, radians: a figure of the sensor, which error bars and
-    /// probabilities take into account. `None`: one degree, as of motion capture.
+    /// probabilities take into account. `None`: as usual for the trajectory's kind, as of motion capture where that is not known.
     pub heading_sd_rad: Option<f64>,
     /// How pairs are joined with the trajectory.
     pub join: JoinBy,
@@ -258,14 +258,25 @@ impl Options {
         Limits { elevation_max_rad, range_min_m, height_m, near_field }
     }
 
-    /// The estimate of these samples.
-    pub(super) fn task<'a>(&self, samples: &'a Samples) -> Task<'a> {
+    /// Standard deviation of the heading: the one given, or that of the trajectory's kind of sensor; and of the azimuths that
+    /// rounded times leave.
+    fn heading_sd_of(&self, trajectory: &Trajectory) -> f64 {
+        let usual_deg = match trajectory.kind() {
+            TrajectoryKind::Camera => sensor::CAMERA_DEG,
+            TrajectoryKind::Wheels => sensor::WHEELS_DEG,
+            TrajectoryKind::MotionCapture | TrajectoryKind::Unknown => sensor::MOTION_CAPTURE_DEG,
+        };
+        self.heading_sd_rad.unwrap_or(usual_deg.to_radians()).hypot(trajectory.rounding_sd_rad())
+    }
+
+    /// The estimate of these samples, which were placed on this trajectory.
+    pub(super) fn task<'a>(&self, samples: &'a Samples, receiver: &Trajectory) -> Task<'a> {
         Task {
             samples,
             indices: self.channel.subcarriers(),
             limits: self.limits(),
             odometry_sd_m: self.odometry_sd_m,
-            heading_sd_rad: self.heading_sd_rad.unwrap_or(sensor::MOTION_CAPTURE_DEG.to_radians()),
+            heading_sd_rad: self.heading_sd_of(receiver),
             effort: self.accuracy.effort,
             align: self.accuracy.align,
             one_way: self.accuracy.one_way,

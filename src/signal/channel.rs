@@ -61,7 +61,18 @@ pub enum ChannelError {
 }
 
 /// What is a channel.
-const KNOWN: &str = "1 to 14 (2.4 GHz) or 34 to 196 (5 GHz), with + or - for 40 MHz, for example 108 or 36+";
+const KNOWN: &str = "1 to 14 (2.4 GHz), or 36, 40, .. 64, 100, 104, .. 144 and 149, 153, .. 177 (5 GHz), with + or - for 40 MHz, for \
+                     example 108 or 36+";
+
+/// Whether some country has a channel of this number (802.11-2016 annex E; 34 to 46 and 184 to 196 were Japan's).
+fn is_assigned(number: u32) -> bool {
+    match number {
+        1..=14 | 34 | 36 | 38 | 40 | 42 | 44 | 46 => true,
+        48..=64 | 100..=144 | 184..=196 => number.is_multiple_of(4),
+        149..=177 => number % 4 == 1,
+        _ => false,
+    }
+}
 
 impl Channel {
     /// A channel by its number and width.
@@ -129,7 +140,7 @@ impl FromStr for Channel {
             _ => (text, Width::Ht20),
         };
         let number = digits.parse().map_err(|_| wrong())?;
-        Self::new(number, width).map_err(|_| wrong())
+        Self::new(number, width).ok().filter(|_| is_assigned(number)).ok_or_else(wrong)
     }
 }
 
@@ -147,6 +158,17 @@ impl fmt::Display for Channel {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn texts_name_channels_that_there_are() {
+        for text in ["1", "14", "36", "36+", "64", "100", "108", "144", "149", "165", "196"] {
+            assert_eq!(text.parse::<Channel>().map(|channel| channel.to_string()), Ok(text.into()));
+        }
+        for text in ["0", "15", "37", "50", "66", "99", "110", "148", "152", "180", "197", "14+", "x"] {
+            let error = text.parse::<Channel>().unwrap_err().to_string();
+            assert!(error.contains("no channel"), "{text}: {error}");
+        }
+    }
 
     #[test]
     fn channels_of_both_bands() {

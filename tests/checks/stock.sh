@@ -46,7 +46,7 @@ program=$tree/bin/csi5300
 
 # series NUMBER SUITE [FLAVOUR]: image and headers of that series, in a folder of its own; why not, where they cannot be had.
 series() {
-    local key=/usr/share/keyrings/debian-archive-keyring.gpg flavour=${3:-amd64} site name needs headers
+    local key=/usr/share/keyrings/debian-archive-keyring.gpg flavour=${3:-amd64} site security name needs headers
     later=$place/$1-$flavour
     [ ! -e "$later/complete" ] || return 0
     [ -e "$key" ] || { echo "no $key"; return 1; }
@@ -56,6 +56,9 @@ series() {
     site=$(apt-get indextargets --format '$(RELEASE) $(SITE)' 2>/dev/null | sed -n 's/^bookworm //p' | head -n 1)
     [ -n "$site" ] || { echo "apt has no bookworm here"; return 1; }
     echo "deb [signed-by=$key] $site $2 main" >"$later/sources.list"
+    # The newest image of a series may be there only; what is not, is not missed.
+    security=$(apt-get indextargets --format '$(RELEASE) $(SITE)' 2>/dev/null | sed -n "s/^$2-security //p" | head -n 1)
+    [ -z "$security" ] || echo "deb [signed-by=$key] $security $2-security main" >>"$later/sources.list"
     apt_of() {
         local verb=$1
         shift
@@ -83,7 +86,8 @@ series() {
 # probe NUMBER SUITE [FLAVOUR]: csi5300.ko and the eBPF program on that kernel.
 probe() {
     if ! series "$@"; then
-        echo "$*: skipped, its packages cannot be had (above)"
+        echo "$*: its packages cannot be had (above)"
+        missing="${missing:+$missing, }$*"
         return 0
     fi
     local folder tree
@@ -107,6 +111,9 @@ probe() {
     boot "$tree" "$(echo "$later"/boot/boot/vmlinuz-*)" 300
     [ "$status" = 33 ] || exit 1
 }
+missing=
 probe 6.12 bookworm-backports
 probe 5.10 bullseye
 probe 6.1 bookworm rt-amd64
+# What passed has passed, but this is no pass.
+[ -z "$missing" ] || cannot "the packages of $missing cannot be had"

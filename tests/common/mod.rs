@@ -39,6 +39,29 @@ pub fn root() -> &'static Path {
     own.ancestors().find(|folder| folder.join("Cargo.lock").is_file()).unwrap_or(own)
 }
 
+/// The captures of the WSR data set that tests know, by their stamps: a folder that has more changes no bound.
+const WSR: [&str; 14] = [
+    "2021-06-27_202550",
+    "2021-06-27_203220",
+    "2021-06-27_204514",
+    "2021-06-27_205432",
+    "2021-06-27_191635",
+    "2021-06-27_192624",
+    "2021-06-28_193409",
+    "2021-06-28_194645",
+    "2021-06-28_195558",
+    "2021-06-29_135548",
+    "2021-06-29_140734",
+    "2021-06-29_143813",
+    "2021-08-18_175655",
+    "2021-08-18_182429",
+];
+
+/// True for a capture of the WSR data set that tests know.
+pub fn is_known(stamp: &str) -> bool {
+    WSR.contains(&stamp)
+}
+
 /// The folder of real captures, or `None` (said) where it is absent.
 pub fn captures() -> Option<PathBuf> {
     let beside = root().join("../shared/captures");

@@ -22,6 +22,7 @@ pub mod curves;
 pub mod ends;
 pub mod evaluate;
 pub mod export;
+pub mod kinds;
 #[cfg(feature = "plot")]
 pub mod show;
 pub mod suite;

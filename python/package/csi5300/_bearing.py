@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Source: TypeAlias = "File | Log"
 Track: TypeAlias = "str | os.PathLike[str] | NDArray[np.floating[Any]] | Sequence[Sequence[float]]"
-"""A trajectory: a CSV file, or an array (n, 4) of seconds, x, y, z (metres), or (n, 5) with heading (radians)."""
+"""A trajectory: a file, or an array (n, 4) of seconds, x, y, z (metres), or (n, 5) with heading (radians); with ``columns`` any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,12 +170,14 @@ def _angles(name: str, given: Any) -> int | NDArray[np.float64]:
     return degrees
 
 
-def read_trajectory(path: str | os.PathLike[str]) -> NDArray[np.float64]:
-    """A trajectory file (CSV with 5, 6, 8, 9 or 15 columns) as an array (n, 5): seconds, x, y, z (metres), heading (radians, nan).
+def read_trajectory(path: str | os.PathLike[str], *, columns: str | None = None) -> NDArray[np.float64]:
+    """A trajectory file (docs/formats.md) as an array (n, 5): seconds, x, y, z (metres), heading (radians, nan).
+
+    ``columns`` names what is in its columns, instead of what its headings say: ``"t,x,y,yaw"``.
 
     Raises :class:`TrajectoryError`, which is a :class:`TrajectoryFileError` where the file cannot be read.
     """
-    return _native.read_trajectory(path)
+    return _native.read_trajectory(path, columns)
 
 
 def _source(log: Source) -> Any:
@@ -191,7 +193,7 @@ def _logs(tx: Source | Sequence[Source]) -> list[Source]:
 def _track(name: str, track: Track) -> Any:
     if isinstance(track, (str, os.PathLike)):
         return track
-    needed = "a path, or rows of 4 or 5 numbers: seconds, x, y, z (metres), heading (radians)"
+    needed = "a path, or rows of 4 or 5 numbers: seconds, x, y, z (metres), heading (radians), or others that columns= names"
     try:
         rows = np.asarray(track, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -230,6 +232,7 @@ def bearings(
     join_rows: bool = False,
     antenna_offset: Sequence[float] | None = None,
     camera_mount: Sequence[float] | None = None,
+    columns: str | None = None,
     min_confidence: float | None = None,
     every: float | None = None,
     explain: bool = False,
@@ -243,7 +246,8 @@ def bearings(
     Logs are paths, bytes, file objects or :class:`Log`. Options are those of ``csi5300 bearing`` under the same names and in the same
     units (``from_`` for ``--from``). ``antenna_offset`` is where the antenna is seen from what the trajectory is of: metres forward,
     left, up; with ``camera_mount`` (metres forward and left of the middle between the wheels, and heading less the robot's, degrees)
-    the trajectory is a tracking camera's, is held to what wheels can roll, and the antenna is seen from that middle. ``decimate`` uses
+    the trajectory is a tracking camera's, is held to what wheels can roll, and the antenna is seen from that middle. ``columns``
+    (``"t,x,y,yaw"``) names what is in the columns of trajectories, of files and of arrays. ``decimate`` uses
     every so manieth pair of frames, what slower sounding would give. ``every`` (seconds) fills :attr:`Bearing.stretches`, ``explain``
     ``answer["plan"]``. A link without a bearing is in the list, is False, and has its :attr:`Bearing.error`; so is one whose
     probability of being within 5 degrees is below ``min_confidence``, or not known.

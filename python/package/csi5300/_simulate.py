@@ -81,6 +81,7 @@ class Room:
         others = [robot for robot in self.robots if robot is not own]
         options.setdefault("channel", self.channel)
         options.setdefault("tx_mac", [robot.mac for robot in others])
+        options.setdefault("columns", "t,x,y,z,yaw")
         return bearings(own.log, [robot.log for robot in others], trajectory=own.path, **options)
 
 

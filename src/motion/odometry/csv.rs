@@ -1,4 +1,7 @@
-//! Trajectory CSV files; the number of columns is the kind. Keys in brackets: docs/references.md.
+//! Trajectory files: rows of numbers, told by their headings or, without any, by what is in the columns.
+//!
+//! A line of headings decides: order, units and the order of quaternions. It may be a comment, and may have titles above it and a
+//! line of units below. Without headings these are read; keys in brackets: docs/references.md.
 //!
 //! | columns | what | from |
 //! |---|---|---|
@@ -6,18 +9,20 @@
 //! | 6 | sec.frac, 0, x, y, z, yaw | motion capture, real captures of \[paper\] |
 //! | 8 | sec.frac, x, y, z, qx, qy, qz, qw | the TUM RGB-D benchmark's format, as `evo` writes it |
 //! | 9 | sec.frac, 0, x, y, z, qx, qy, qz, qw | simulated captures of \[paper\] |
+//! | 12 | a 3 x 4 matrix, with a file of times beside it | KITTI: x right, y down, z forward |
 //! | 15 | sec, nsec, x, y, z, qx, qy, qz, qw, vx, vy, vz, wx, wy, wz | T265 and wheel odometry (`t265_rx_*`, `odom_rx_*`) |
+//! | any | sec, nsec, frame, \[child frame,\] x, y, z, qx, qy, qz, qw, .. | `ros2 topic echo --csv` |
 //!
-//! Time is the first column, plus the second x 1e-9 s but where there are 8; metres, radians; a trailing comma is usual.
-//! Columns are parted by commas or, as the first row is, by semicolons, tabs or spaces; then numbers may have decimal commas. A
-//! first line whose first cell is no number names the columns, lines that begin with `#` are comments. Rows that cannot be read
-//! are counted with their line and left out.
+//! Metres, seconds and radians unless a heading says otherwise. What may mean two things is refused, with both readings and the
+//! [`Columns`] that choose one. Columns are parted by semicolons, tabs, commas or spaces; all but commas leave decimal commas to
+//! the numbers. Rows that cannot be read are counted with their line and left out.
 
 use crate::motion::heading::heading_of;
-use crate::motion::pose::{Pose, Trajectory, TrajectoryError};
+use crate::motion::pose::{Pose, Trajectory, TrajectoryError, TrajectoryKind};
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
-use std::io::Read;
-use std::path::Path;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 /// What was read beside the poses.
 #[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize)]
@@ -25,7 +30,7 @@ use std::path::Path;
 pub struct CsvCounts {
     /// Rows read into poses.
     pub rows: u64,
-    /// Whether a first line names the columns.
+    /// Whether a line names the columns.
     pub headings: bool,
     /// Rows that could not be read.
     pub bad_rows: u64,
@@ -33,8 +38,10 @@ pub struct CsvCounts {
     pub first_bad: Option<(u64, RowError)>,
     /// Rows whose time is before that of the row before.
     pub out_of_order: u64,
-    /// Number of columns (a trailing comma not counted).
+    /// Number of columns (empty ones at the end not counted).
     pub columns: usize,
+    /// What the columns were taken for, as [`Columns`] name them.
+    pub taken_for: String,
 }
 
 impl CsvCounts {
@@ -60,8 +67,14 @@ impl CsvCounts {
         }
         if left_out.same_time > 0 {
             notes.push(format!(
-                "{} rows left out at whose time another one is elsewhere (times that were rounded?): the last of each time is used",
+                "{} rows left out at whose time another one is elsewhere: the last of each time is used",
                 left_out.same_time
+            ));
+        }
+        if let Some(step_s) = trajectory.time_step_s() {
+            notes.push(format!(
+                "times are rounded to {step_s} s: the poses of one time are spread over it; by {:.1} deg the path turns meanwhile",
+                trajectory.turn_in_step_rad().to_degrees()
             ));
         }
         if left_out.stale > 0 {
@@ -78,8 +91,12 @@ impl CsvCounts {
     }
 }
 
+/// How a reading is chosen, in words.
+const CHOOSE: &str = "a line of headings above them says which, or `--columns` (`columns=` in Python)";
+
 /// Why a file gave no trajectory.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum CsvError {
     /// The file could not be opened or read.
     #[error("cannot read the trajectory {path}: {source}")]
@@ -91,13 +108,46 @@ pub enum CsvError {
     },
     /// The first row is of no known kind.
     #[error(
-        "line {line}: {found} columns; a trajectory has 5 (time, 0, x, y, z), 6 (.., yaw), 8 (TUM: time, x, y, z, quaternion), 9 (time, 0, x, y, z, quaternion) or 15 (T265, wheel odometry)"
+        "line {line}: {found} columns without headings; a trajectory has 5 (time, 0, x, y, z), 6 (.., yaw), 8 (TUM: time, x, y, z, \
+         quaternion), 9 (time, 0, x, y, z, quaternion) or 15 (T265, wheel odometry). Of others {CHOOSE}, as t,x,y,yaw"
     )]
     Columns {
         /// Line of the row.
         line: u64,
         /// Columns found.
         found: usize,
+    },
+    /// The columns can be read in two ways.
+    #[error("{why}: the columns may be {} or {}. {}", readings[0], readings[1], capital(CHOOSE))]
+    Ambiguous {
+        /// What speaks against the usual reading.
+        why: String,
+        /// The two readings, as [`Columns`] name them.
+        readings: [String; 2],
+    },
+    /// Headings that do not say where time, x and y are, or say it twice.
+    #[error("line {line}: the headings {why}; `--columns` (`columns=` in Python) names the columns, as t,x,y,yaw")]
+    Headings {
+        /// Line of the headings.
+        line: u64,
+        /// What they lack.
+        why: String,
+    },
+    /// Poses of several frames in one file.
+    #[error("line {line}: poses of `{found}` among those of `{first}`: write each into a file of its own")]
+    Frames {
+        /// Line of the first other one.
+        line: u64,
+        /// The frames of the first row.
+        first: String,
+        /// The others.
+        found: String,
+    },
+    /// Poses without times, and no file of times beside them.
+    #[error("12 columns are a KITTI pose, which has no time: {why}")]
+    NoTimes {
+        /// What was looked for.
+        why: String,
     },
     /// No row could be read.
     #[error("no row of numbers{}", first.as_ref().map(|(line, why)| format!("; line {line}: {why}")).unwrap_or_default())]
@@ -110,212 +160,9 @@ pub enum CsvError {
     Trajectory(#[from] TrajectoryError),
 }
 
-/// Coordinates at most, metres: beyond, their last bit is more than 0.1 micrometres, and motions are differences of them.
-const FURTHEST_M: f64 = 1e9;
-/// Bytes of a trajectory file at most: an hour of a thousand poses a second, twice over.
-const LONGEST: u64 = 512 << 20;
-/// Poses of a trajectory at most, by the same measure: short rows are a fifth of the poses they become.
-const MOST_POSES: usize = 10_000_000;
-/// Bytes of a row at most; what is beyond is left out, so that a file without lines takes no memory.
-const LONGEST_ROW: usize = 64 << 10;
-
-/// Bytes in which the first row is looked for, to see what parts its columns.
-const BEGINNING: u64 = 16 << 10;
-
-/// Reads a trajectory file, row by row: what is held is the poses.
-///
-/// # Errors
-/// If it cannot be read, is of no known kind, longer than any trajectory, or holds fewer than two poses.
-pub fn read(path: &Path) -> Result<(Trajectory, CsvCounts), CsvError> {
-    let io = |source| CsvError::Io { path: path.display().to_string(), source };
-    if path.is_dir() {
-        return Err(io(std::io::Error::other("it is a directory; name the CSV file inside it")));
-    }
-    let file = std::fs::File::open(path).map_err(io)?;
-    let mut rows = Rows::default();
-    let mut bytes = file.take(LONGEST + 1);
-    let longer = match rows.read(&mut bytes, MOST_POSES)? {
-        End::Whole => bytes.limit() == 0,
-        End::Failed(source) => return Err(io(source)),
-        End::TooMany => true,
-    };
-    if longer {
-        let most = format!("it is longer than {} MiB or {MOST_POSES} poses, which no trajectory is", LONGEST >> 20);
-        return Err(io(std::io::Error::other(most)));
-    }
-    rows.trajectory()
-}
-
-/// Parses a trajectory from bytes.
-///
-/// # Errors
-/// If it is of no known kind or holds fewer than two poses.
-pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
-    let mut rows = Rows::default();
-    rows.read(bytes, usize::MAX)?;
-    rows.trajectory()
-}
-
-/// A reader of rows. A row ends with its line whatever is in it: quotes have no meaning between numbers, and a stray one would
-/// take the lines behind it into its cell.
-fn reader(delimiter: u8) -> ::csv::ReaderBuilder {
-    let mut reader = ::csv::ReaderBuilder::new();
-    let trim = if delimiter == b' ' { ::csv::Trim::None } else { ::csv::Trim::All };
-    reader.has_headers(false).flexible(true).quoting(false).trim(trim).delimiter(delimiter).comment(Some(b'#'));
-    reader
-}
-
-/// What parts the columns of a row: commas may be in its numbers, where something else does.
-fn delimiter(row: &[u8]) -> u8 {
-    let row = row.trim_ascii();
-    b";\t,".iter().copied().find(|byte| row.contains(byte)).unwrap_or(if row.contains(&b' ') { b' ' } else { b',' })
-}
-
-/// The first row that is no comment, of what a file begins with.
-fn first_row(beginning: &[u8]) -> &[u8] {
-    let lines = beginning.split(|byte| matches!(byte, b'\n' | b'\r'));
-    lines.map(<[u8]>::trim_ascii).find(|line| !line.is_empty() && !line.starts_with(b"#")).unwrap_or_default()
-}
-
-/// Bytes, of each row no more than [`LONGEST_ROW`].
-struct ShortRows<R> {
-    inner: R,
-    /// Bytes of the row so far.
-    row: usize,
-}
-
-impl<R: Read> Read for ShortRows<R> {
-    fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
-        loop {
-            let n = self.inner.read(out)?;
-            let mut kept = 0;
-            for i in 0..n {
-                let byte = out[i];
-                self.row = if matches!(byte, b'\n' | b'\r') { 0 } else { self.row + 1 };
-                if self.row <= LONGEST_ROW {
-                    out[kept] = byte;
-                    kept += 1;
-                }
-            }
-            if n == 0 || kept > 0 {
-                return Ok(kept);
-            }
-        }
-    }
-}
-
-/// How reading ended.
-enum End {
-    /// With the input.
-    Whole,
-    /// By an answer of the operating system.
-    Failed(std::io::Error),
-    /// With more poses than a trajectory has.
-    TooMany,
-}
-
-/// The poses of the rows read so far.
-#[derive(Default)]
-struct Rows {
-    poses: Vec<Pose>,
-    counts: CsvCounts,
-    /// What parts its columns.
-    delimiter: u8,
-}
-
-impl Rows {
-    /// Reads to the end, or to `most` poses.
-    fn read(&mut self, bytes: impl Read, most: usize) -> Result<End, CsvError> {
-        let mut bytes = ShortRows { inner: bytes, row: 0 };
-        let mut beginning = Vec::new();
-        if let Err(source) = (&mut bytes).take(BEGINNING).read_to_end(&mut beginning) {
-            return Ok(End::Failed(source));
-        }
-        self.delimiter = delimiter(first_row(&beginning));
-        let mut reader = reader(self.delimiter).from_reader(beginning.chain(bytes));
-        let mut record = ::csv::ByteRecord::new();
-        let mut fallback_line = 0;
-        loop {
-            fallback_line += 1;
-            match reader.read_byte_record(&mut record) {
-                Ok(true) => {}
-                Ok(false) => return Ok(End::Whole),
-                Err(error) => match error.into_kind() {
-                    ::csv::ErrorKind::Io(source) => return Ok(End::Failed(source)),
-                    _ => {
-                        self.bad(fallback_line, RowError::Unreadable);
-                        continue;
-                    }
-                },
-            }
-            if self.poses.len() == most {
-                return Ok(End::TooMany);
-            }
-            self.row(&record, record.position().map_or(fallback_line, ::csv::Position::line))?;
-        }
-    }
-
-    /// Takes a row, or counts it as bad. Fails at a first one of no known kind.
-    fn row(&mut self, record: &::csv::ByteRecord, line: u64) -> Result<(), CsvError> {
-        let cells = Cells { record, delimiter: self.delimiter };
-        let columns = cells.count();
-        if columns == 0 {
-            return Ok(());
-        }
-        match cells.pose() {
-            Ok(_) if self.counts.rows > 0 && columns != self.counts.columns => {
-                self.bad(line, RowError::OtherColumns { found: columns, others: self.counts.columns });
-            }
-            Ok(pose) => {
-                self.counts.columns = columns;
-                self.counts.rows += 1;
-                self.counts.out_of_order += u64::from(self.poses.last().is_some_and(|last| last.t_s > pose.t_s));
-                if self.poses.len() == self.poses.capacity() {
-                    self.poses.reserve_exact(1024.max(self.poses.len() / 4));
-                }
-                self.poses.push(pose);
-            }
-            Err(RowError::Columns) if self.counts.rows == 0 && columns > 1 => {
-                return Err(CsvError::Columns { line, found: columns });
-            }
-            Err(_) if self.counts == CsvCounts::default() && cells.are_headings() => self.counts.headings = true,
-            Err(error) => self.bad(line, error),
-        }
-        Ok(())
-    }
-
-    fn bad(&mut self, line: u64, why: RowError) {
-        self.counts.bad_rows += 1;
-        self.counts.first_bad.get_or_insert((line, why));
-    }
-
-    /// The poses in the order of time.
-    fn trajectory(self) -> Result<(Trajectory, CsvCounts), CsvError> {
-        if self.poses.is_empty() {
-            return Err(CsvError::Empty { first: self.counts.first_bad });
-        }
-        Ok((Trajectory::new(self.poses)?, self.counts))
-    }
-}
-
-/// Parses a single row.
-///
-/// # Errors
-/// What is wrong with it.
-#[doc(hidden)]
-pub fn parse_line(line: &[u8]) -> Result<Pose, RowError> {
-    let (mut record, delimiter) = (::csv::ByteRecord::new(), delimiter(line));
-    reader(delimiter).from_reader(line).read_byte_record(&mut record).map_err(|_| RowError::Unreadable)?;
-    Cells { record: &record, delimiter }.pose()
-}
-
-/// A pose as a row: 6 columns, 5 where it has no heading, and the trailing comma.
-#[must_use]
-#[doc(hidden)]
-pub fn line(pose: &Pose) -> String {
-    let p = pose.position_m;
-    let heading = pose.heading_rad.map_or(String::new(), |heading| format!("{heading:.6},"));
-    format!("{:.6},0,{:.6},{:.6},{:.6},{heading}\n", pose.t_s, p.x, p.y, p.z)
+fn capital(words: &str) -> String {
+    let mut letters = words.chars();
+    letters.next().map(|first| first.to_uppercase().chain(letters).collect()).unwrap_or_default()
 }
 
 /// What is wrong with one row.
@@ -330,12 +177,15 @@ pub enum RowError {
     OtherColumns {
         /// Columns found.
         found: usize,
-        /// Columns of the rows before.
+        /// Columns of the rows before, or as many as are named.
         others: usize,
     },
     /// A column, from 1, is not a finite number.
     #[error("column {0} is not a finite number")]
     Number(usize),
+    /// A column, from 1, that has the nanoseconds of a second has none.
+    #[error("column {0} has no nanoseconds, which are whole and 0 to 999999999")]
+    Nanoseconds(usize),
     /// A coordinate, in this column from 1, is so far from the origin that nothing is left of a robot's motion.
     #[error("column {0} is further than 1e9 m from the origin")]
     TooFar(usize),
@@ -354,70 +204,1496 @@ impl serde::Serialize for RowError {
     }
 }
 
-/// The cells of a row.
-struct Cells<'a> {
-    record: &'a ::csv::ByteRecord,
-    delimiter: u8,
+/// Coordinates at most, metres: beyond, their last bit is more than 0.1 micrometres, and motions are differences of them.
+const FURTHEST_M: f64 = 1e9;
+/// Bytes of a trajectory file at most: an hour of a thousand poses a second, twice over.
+const LONGEST: u64 = 512 << 20;
+/// Poses of a trajectory at most, by the same measure: short rows are a fifth of the poses they become.
+const MOST_POSES: usize = 10_000_000;
+/// Bytes of a row at most; what is beyond is left out, so that a file without lines takes no memory.
+const LONGEST_ROW: usize = 64 << 10;
+/// Lines above the first row that are kept to find headings in.
+const HEAD: usize = 32;
+
+// ---------------------------------------------------------------------------------------------------------------------------
+// What columns mean.
+
+/// What a column has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum What {
+    Time,
+    Nanoseconds,
+    X,
+    Y,
+    Z,
+    Qx,
+    Qy,
+    Qz,
+    Qw,
+    Yaw,
 }
 
-impl<'a> Cells<'a> {
-    /// Its cells; between spaces, and behind a trailing delimiter, there are none.
-    fn all(&self) -> impl Iterator<Item = &'a [u8]> {
-        let by_spaces = self.delimiter == b' ';
-        let ends = self.record.iter().next_back().is_some_and(<[u8]>::is_empty);
-        let last = self.record.len() - usize::from(ends && !by_spaces);
-        self.record.iter().take(last).filter(move |cell| !by_spaces || !cell.is_empty())
-    }
+/// Each, in the order of its number, as [`Columns`] name it.
+const NAMES: [&str; 10] = ["t", "ns", "x", "y", "z", "qx", "qy", "qz", "qw", "yaw"];
 
-    fn count(&self) -> usize {
-        self.all().count()
-    }
+/// A column that is used.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Column {
+    what: What,
+    /// What its numbers are multiplied by for seconds, metres or radians. `None`: no unit is named. Then metres, radians, and
+    /// of times what their size says.
+    scale: Option<f64>,
+    /// Of two columns that have the same, the one of the higher rank is used.
+    rank: u8,
+}
 
-    fn number(&self, cell: &[u8]) -> Option<f64> {
-        let text = std::str::from_utf8(cell).ok()?.trim_matches('"');
-        if self.delimiter != b',' && text.contains(',') {
-            return text.replacen(',', ".", 1).parse().ok();
+/// A unit by its name, in seconds, metres or radians; `None` for what is no unit, a scale of `None` for "no unit".
+fn unit(name: &str) -> Option<f64> {
+    Some(match name {
+        "s" | "sec" | "secs" | "second" | "seconds" | "m" | "meter" | "meters" | "metre" | "metres" | "rad"
+        | "rads" | "radian" | "radians" => 1.0,
+        "ms" | "msec" | "millisecond" | "milliseconds" | "mm" | "millimeter" | "millimeters" | "millimetres" => 1e-3,
+        "us" | "usec" | "\u{b5}s" | "\u{3bc}s" | "microsecond" | "microseconds" => 1e-6,
+        "ns" | "nsec" | "nanosec" | "nanosecond" | "nanoseconds" => 1e-9,
+        "cm" | "centimeter" | "centimeters" | "centimetres" => 1e-2,
+        "km" => 1e3,
+        "deg" | "degs" | "degree" | "degrees" | "\u{b0}" => std::f64::consts::PI / 180.0,
+        _ => return None,
+    })
+}
+
+/// Words of a heading: `Pos.X [m]` is `pos`, `x` and the unit `m`.
+fn words_of(heading: &str) -> (Vec<String>, Option<String>) {
+    let heading = heading.trim().trim_matches('"').trim();
+    let (name, in_brackets) = match heading.find(['[', '(']) {
+        Some(at) => heading.split_at(at),
+        None => (heading, ""),
+    };
+    let mut spaced = String::new();
+    let mut small = false;
+    for letter in name.chars() {
+        // posX is pos_x
+        if small && letter.is_uppercase() {
+            spaced.push('_');
         }
-        text.parse().ok()
+        small = letter.is_lowercase();
+        spaced.extend(letter.to_lowercase());
+    }
+    let words = spaced.split(|letter: char| !letter.is_alphanumeric() && letter != '\u{b0}');
+    let words = words.filter(|word| !word.is_empty()).map(str::to_owned).collect();
+    let in_brackets = in_brackets.trim_matches(|letter: char| !letter.is_alphanumeric() && letter != '\u{b0}');
+    (words, (!in_brackets.is_empty()).then(|| in_brackets.to_lowercase()))
+}
+
+/// Words beside which x, y, z and yaw are not a pose: speeds, deviations, wishes.
+const NO_POSE: &str = "v vel velocity speed twist linear angular w omega a acc accel acceleration gyro \
+                       cov covariance b bias std sd sigma var variance err error cmd goal target des desired ref \
+                       mag force torque euler marker rate imu wheel";
+/// Words for a time.
+const TIMES: &str =
+    "t time times timestamp stamp seconds second sec secs unix unixtime epoch zeit sekunden temps tiempo";
+/// Words for a quaternion.
+const TURNS: &str = "q quat quaternion orientation rotation rot ori";
+
+/// What a column has whose heading this is, if it is used.
+fn column(heading: &str) -> Option<Column> {
+    let (mut words, in_brackets) = words_of(heading);
+    let all = words.join("_");
+    let nanoseconds = ["ns", "nsec", "nsecs", "nanosec", "nanosecs", "nanosecond", "nanoseconds"];
+    // Beside `stamp.sec` there is `stamp.nanosec`; `stamp_ns` is the whole time.
+    let is_part = words.last().is_some_and(|last| nanoseconds[1..].contains(&last.as_str()));
+    if nanoseconds.contains(&all.as_str()) || (is_part && words.iter().any(|word| word == "stamp")) {
+        return Some(Column { what: What::Nanoseconds, scale: Some(1e-9), rank: 0 });
+    }
+    let mut named = in_brackets.as_deref().map(unit);
+    if named.is_none() && words.len() > 1 {
+        named = words.last().and_then(|last| unit(last)).map(Some);
+        if named.is_some() {
+            words.pop();
+        }
+    }
+    // A unit that nobody knows: nothing is known of the column.
+    let scale = match named {
+        Some(None) => return None,
+        Some(scale) => scale,
+        None => None,
+    };
+    let last = words.last()?.as_str();
+    let is = |names: &str| words.iter().any(|word| names.split(' ').any(|one| one == word));
+    let rank = u8::from(words.len() == 1);
+    if TIMES.split(' ').any(|one| one == last) && !is("capture frame send sent") {
+        let rank = if is("stamp timestamp") { 2 } else { rank };
+        return Some(Column { what: What::Time, scale, rank });
+    }
+    if is(NO_POSE) && !(last == "w" && is(TURNS)) {
+        return None;
+    }
+    // The transforms of one message of TF: its first.
+    if words
+        .iter()
+        .any(|word| word.strip_prefix("transforms").is_some_and(|number| !number.is_empty() && number != "0"))
+    {
+        return None;
+    }
+    let what = match last {
+        "x" | "px" | "tx" | "y" | "py" | "ty" | "z" | "pz" | "tz" | "w" | "pos" | "position" => {
+            let axis = if matches!(last, "pos" | "position") { words.first()?.as_str() } else { last };
+            let turns = is(TURNS);
+            match (axis.trim_start_matches(['p', 't']), turns) {
+                ("x", false) => What::X,
+                ("y", false) => What::Y,
+                ("z", false) => What::Z,
+                ("x", true) => What::Qx,
+                ("y", true) => What::Qy,
+                ("z", true) => What::Qz,
+                ("w", true) => What::Qw,
+                _ => return None,
+            }
+        }
+        "qx" => What::Qx,
+        "qy" => What::Qy,
+        "qz" => What::Qz,
+        "qw" => What::Qw,
+        "yaw" | "theta" | "heading" | "psi" => What::Yaw,
+        _ => return None,
+    };
+    Some(Column { what, scale, rank })
+}
+
+/// What is in the columns of a trajectory, one after another: `t,x,y,yaw`.
+///
+/// Names, parted by commas: `t` (seconds since 1970; `t_ms`, `t_us`, `t_ns`), `ns` (nanoseconds that are added), `x`, `y`, `z`
+/// (metres; `x_mm`, `x_cm`), `qx`, `qy`, `qz`, `qw`, `yaw` (radians; `yaw_deg`). `_` passes a column over, a minus before a name
+/// turns its sign, and what is behind the last name is not read. `t`, `x` and `y` are needed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Columns(Layout);
+
+/// Why text names no columns.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{0}: columns are named as t,x,y,yaw (t, ns, x, y, z, qx, qy, qz, qw, yaw, with _ms, _us, _ns, _mm, _cm or _deg; _ passes one over)"
+)]
+pub struct ColumnsError(String);
+
+impl FromStr for Columns {
+    type Err = ColumnsError;
+
+    fn from_str(text: &str) -> Result<Self, ColumnsError> {
+        let mut layout = Layout::default();
+        for (at, name) in text.split(',').map(str::trim).enumerate() {
+            if matches!(name, "_" | "") {
+                continue;
+            }
+            let bare = name.strip_prefix('-').unwrap_or(name);
+            let (base, has_unit) = bare.split_once('_').map_or((bare, true), |(base, own)| (base, unit(own).is_some()));
+            let known = (has_unit && NAMES.contains(&base)).then(|| column(bare)).flatten();
+            let column = known.ok_or_else(|| ColumnsError(format!("`{name}` is not known")))?;
+            let scale = column.scale.or((column.what != What::Time).then_some(1.0));
+            let scale = scale.map(|scale| if bare == name { scale } else { -scale });
+            layout.put(at, Column { scale, rank: 1, ..column }).map_err(ColumnsError)?;
+        }
+        if !layout.has_quaternion() && layout.at[What::Qx as usize..=What::Qw as usize].iter().any(Option::is_some) {
+            return Err(ColumnsError("a quaternion has qx, qy, qz and qw".into()));
+        }
+        layout.whole().map_err(ColumnsError)?;
+        Ok(Self(layout))
+    }
+}
+
+/// Where in a row everything is.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct Layout {
+    /// Of each [`What`] its column from 0, and how it is read.
+    at: [Option<(usize, Column)>; NAMES.len()],
+    /// Columns that name frames: they must not change.
+    frames: Vec<usize>,
+    /// Columns of each row, where these are all that tells the kind.
+    exactly: Option<usize>,
+    /// A row is a matrix of KITTI; `at` is empty.
+    matrix: bool,
+    /// The axes were turned by what the format usually has: y is up, or down.
+    turned: bool,
+    kind: TrajectoryKind,
+}
+
+impl Layout {
+    /// Columns in this order without headings, `_` for those that are not read.
+    fn of(names: &str, exactly: usize) -> Self {
+        let columns: Result<Columns, _> = names.parse();
+        let mut layout = columns.map(|Columns(layout)| layout).unwrap_or_default();
+        layout.exactly = Some(exactly);
+        // Radians, if nothing speaks against it.
+        if let Some((_, yaw)) = &mut layout.at[What::Yaw as usize] {
+            yaw.scale = None;
+        }
+        layout
     }
 
-    /// True if the first of them is something, and no number.
-    fn are_headings(&self) -> bool {
-        self.all().next().is_some_and(|cell| !cell.is_empty() && self.number(cell).is_none())
+    fn column(&self, what: What) -> Option<(usize, Column)> {
+        self.at[what as usize]
     }
 
-    fn pose(&self) -> Result<Pose, RowError> {
-        // Where in a row are the position and the quaternion, and whether the second column has nanoseconds.
-        let (at, quaternion, nanoseconds) = match self.count() {
-            5 | 6 => (2, None, true),
-            8 => (1, Some(4), false),
-            9 | 15 => (2, Some(5), true),
-            _ => return Err(RowError::Columns),
+    /// The column `at` has this too.
+    fn put(&mut self, at: usize, column: Column) -> Result<(), String> {
+        let place = &mut self.at[column.what as usize];
+        match place {
+            Some((_, there)) if there.rank > column.rank => {}
+            Some((other, there)) if there.rank == column.rank => {
+                let name = NAMES[column.what as usize];
+                return Err(format!("name `{name}` twice, columns {} and {}", *other + 1, at + 1));
+            }
+            _ => *place = Some((at, column)),
+        }
+        Ok(())
+    }
+
+    /// Fails where time, x or y are missing. Four parts of a quaternion are one; nanoseconds alone are the time.
+    fn whole(&mut self) -> Result<(), String> {
+        if self.column(What::Time).is_none()
+            && let Some((at, column)) = self.at[What::Nanoseconds as usize].take()
+        {
+            self.at[What::Time as usize] = Some((at, Column { what: What::Time, ..column }));
+        }
+        let missing = [(What::Time, "time"), (What::X, "x"), (What::Y, "y")];
+        let missing: Vec<&str> =
+            missing.iter().filter(|(what, _)| self.column(*what).is_none()).map(|(_, n)| *n).collect();
+        if !missing.is_empty() {
+            return Err(format!("name no {}", missing.join(" and no ")));
+        }
+        if !self.has_quaternion() {
+            self.at[What::Qx as usize..=What::Qw as usize].fill(None);
+        }
+        Ok(())
+    }
+
+    fn has_quaternion(&self) -> bool {
+        self.at[What::Qx as usize..=What::Qw as usize].iter().all(Option::is_some)
+    }
+
+    /// Columns that a row must have.
+    fn needed(&self) -> usize {
+        self.exactly.unwrap_or_else(|| self.at.iter().flatten().map(|(at, _)| at + 1).max().unwrap_or(0))
+    }
+
+    /// The other reading of one whose axes were turned.
+    fn with_z_up(&self) -> Self {
+        let mut other = self.clone();
+        for (y, z) in [(What::Y, What::Z), (What::Qy, What::Qz)] {
+            let own = |what: What, there: Option<(usize, Column)>| {
+                there.map(|(at, one)| (at, Column { what, scale: one.scale.map(f64::abs), ..one }))
+            };
+            (other.at[y as usize], other.at[z as usize]) = (own(y, self.column(z)), own(z, self.column(y)));
+        }
+        other
+    }
+
+    /// As [`Columns`] name it.
+    fn words(&self) -> String {
+        if self.matrix {
+            return "a 3 x 4 matrix of a camera".into();
+        }
+        let mut names = vec!["_".to_owned(); self.at.iter().flatten().map(|(at, _)| at + 1).max().unwrap_or(0)];
+        for (at, column) in self.at.iter().flatten() {
+            let scale = column.scale.unwrap_or(1.0);
+            let units = match column.what {
+                What::Time => [(1e-3, "_ms"), (1e-6, "_us"), (1e-9, "_ns")],
+                What::X | What::Y | What::Z => [(1e-3, "_mm"), (1e-2, "_cm"), (1e3, "_km")],
+                What::Yaw => [(std::f64::consts::PI / 180.0, "_deg"); 3],
+                _ => [(0.0, ""); 3],
+            };
+            let unit = units.iter().find(|(own, _)| *own == scale.abs()).map_or("", |(_, name)| name);
+            let sign = if scale < 0.0 { "-" } else { "" };
+            names[*at] = format!("{sign}{}{unit}", NAMES[column.what as usize]);
+        }
+        names.join(",")
+    }
+}
+
+// ---------------------------------------------------------------------------------------------------------------------------
+// Headings and what tells a kind without them.
+
+/// Parts a row. Quotes hold a cell together where they come in pairs; empty cells at the end are none.
+fn cells(row: &str) -> Vec<&str> {
+    cells_by(row, delimiter(row))
+}
+
+/// What parts a row: commas may be in its numbers, where something else does.
+fn delimiter(row: &str) -> char {
+    [';', '\t', ','].into_iter().find(|by| row.contains(*by)).unwrap_or(' ')
+}
+
+fn cells_by(row: &str, by: char) -> Vec<&str> {
+    let quotes = row.bytes().filter(|byte| *byte == b'"').count() % 2 == 0;
+    let (mut inside, mut begins) = (false, true);
+    let parts = row.split(|letter: char| {
+        inside = if quotes && letter == '"' { begins && !inside } else { inside };
+        let ends = letter == by && !inside;
+        begins = ends || (begins && letter == ' ');
+        ends
+    });
+    let parts = parts.map(|cell| cell.trim().trim_matches('"').trim());
+    let mut cells: Vec<&str> = parts.filter(|cell| by != ' ' || !cell.is_empty()).collect();
+    while cells.last().is_some_and(|last| last.is_empty()) {
+        cells.pop();
+    }
+    cells
+}
+
+fn number(cell: &str) -> Option<f64> {
+    match cell.parse() {
+        Ok(number) => Some(number),
+        Err(_) => cell.contains(',').then(|| cell.replacen(',', ".", 1).parse().ok()).flatten(),
+    }
+}
+
+fn is_comment(row: &str) -> bool {
+    row.starts_with(['#', '%'])
+}
+
+/// True for a row whose first cell with anything in it is no number.
+fn is_words(cells: &[&str]) -> bool {
+    cells.iter().find(|cell| !cell.is_empty()).is_some_and(|cell| number(cell).is_none())
+}
+
+/// Units in a line of their own, one for each column that has any.
+fn units(cells: &[&str]) -> Option<Vec<Option<f64>>> {
+    let bare = |cell: &&str| cell.trim_matches(['[', ']', '(', ')', ' ']).to_lowercase();
+    let all = cells.iter().map(bare).map(|cell| match cell.as_str() {
+        "" | "-" | "1" => Some(None),
+        cell => unit(cell).map(Some),
+    });
+    all.collect::<Option<Vec<_>>>().filter(|all| all.iter().flatten().count() > 1)
+}
+
+/// The layout that the lines above the first row name, if one does. `row` is that row, parted by `by`.
+fn headed(head: &[(u64, String)], row: &[&str], by: char) -> Result<Option<Layout>, CsvError> {
+    if head.iter().any(|(_, line)| line.starts_with("Format Version")) {
+        return motive(head).map(Some);
+    }
+    let mut below = None;
+    for (line, text) in head.iter().rev() {
+        let bare = text.trim_start_matches(['#', '%', ' ']);
+        let own = cells_by(bare, by);
+        if let Some(units) = units(&own) {
+            below = Some(units);
+            continue;
+        }
+        // A comment may be parted as no row is.
+        let mut ways = [cells(bare), cells_by(bare, ' ')].into_iter();
+        let (known, layout) = named_by(&own, row, below.as_deref());
+        let mut other = || ways.find_map(|names| named_by(&names, row, below.as_deref()).1.ok());
+        match layout.or_else(|why| other().ok_or(why)) {
+            Ok(layout) => return Ok(Some(Layout { kind: TrajectoryKind::of_words(bare), ..layout })),
+            // A title, or a sentence.
+            Err(_) if known < 3 && (is_comment(text) || own.len() < 3 || own.len() != row.len()) => {}
+            Err(why) => return Err(CsvError::Headings { line: *line, why }),
+        }
+    }
+    Ok(None)
+}
+
+/// How many headings are known, and the layout that they name, or why they name none.
+fn named_by(names: &[&str], row: &[&str], units: Option<&[Option<f64>]>) -> (usize, Result<Layout, String>) {
+    let mut layout = Layout::default();
+    let mut known = 0;
+    let mut put = Ok(());
+    for (at, name) in names.iter().enumerate() {
+        let is_text = row.get(at).is_some_and(|cell| number(cell).is_none());
+        if let Some(mut column) = column(name) {
+            known += 1;
+            if column.what != What::Nanoseconds {
+                column.scale = units.and_then(|units| units.get(at).copied().flatten()).or(column.scale);
+            }
+            put = put.and(layout.put(at, column));
+        } else if is_text && words_of(name).0.iter().any(|word| word == "frame") {
+            layout.frames.push(at);
+        }
+    }
+    let whole = put.and_then(|()| layout.whole()).and_then(|()| match layout.needed() {
+        needed if needed > row.len() => Err(format!("name {needed} columns, and the first row has {}", row.len())),
+        _ => Ok(()),
+    });
+    (known, whole.map(|()| layout))
+}
+
+/// The columns of Motive's export: those of the first rigid body. Its axes are x, y up, z towards the one who looks.
+fn motive(head: &[(u64, String)]) -> Result<Layout, CsvError> {
+    let line = |first: &str| {
+        head.iter().map(|(line, text)| (*line, cells(text))).find(|(_, cells)| cells.iter().any(|cell| *cell == first))
+    };
+    let at = head.first().map_or(1, |(line, _)| *line);
+    let lacks = |what: &str| CsvError::Headings { line: at, why: format!("of Motive have no {what}") };
+    let (_, options) = line("Format Version").ok_or_else(|| lacks("format"))?;
+    let option = |name: &str| options.iter().position(|cell| *cell == name).and_then(|at| options.get(at + 1).copied());
+    let scale = option("Length Units")
+        .map_or(Some(1.0), |name| unit(&name.to_lowercase()))
+        .ok_or_else(|| lacks("known unit"))?;
+    let (_, types) = line("Type").or_else(|| line("Rigid Body")).ok_or_else(|| lacks("types"))?;
+    let (_, bodies) = line("Name").ok_or_else(|| lacks("names"))?;
+    let (_, parts) = line("Position").ok_or_else(|| lacks("positions"))?;
+    let (axes_line, axes) = line("Frame").ok_or_else(|| lacks("axes"))?;
+    let is_body = |at: usize| types.get(at).copied() == Some("Rigid Body");
+    let mut names: Vec<&str> =
+        bodies.iter().enumerate().filter(|(at, _)| is_body(*at)).map(|(_, name)| *name).collect();
+    names.dedup();
+    let [body] = names[..] else {
+        let why = format!("of Motive have {} rigid bodies ({}): export one", names.len(), names.join(", "));
+        return Err(CsvError::Headings { line: axes_line, why });
+    };
+    let mut layout = Layout { turned: true, kind: TrajectoryKind::MotionCapture, ..Layout::default() };
+    for (at, axis) in axes.iter().enumerate() {
+        let own = is_body(at) && bodies.get(at).copied() == Some(body);
+        let what = match (parts.get(at).copied().unwrap_or_default(), *axis) {
+            _ if axis.starts_with("Time") => (What::Time, 1.0),
+            ("Position", "X") if own => (What::X, scale),
+            ("Position", "Y") if own => (What::Z, scale),
+            ("Position", "Z") if own => (What::Y, -scale),
+            ("Rotation", "W") if own => (What::Qw, 1.0),
+            ("Rotation", "X") if own => (What::Qx, 1.0),
+            ("Rotation", "Y") if own => (What::Qz, 1.0),
+            ("Rotation", "Z") if own => (What::Qy, -1.0),
+            _ => continue,
         };
-        // What is behind the quaternion (speeds) is not used.
-        let mut values = [0.0; 9];
-        let count = self.count();
-        for (column, (cell, value)) in self.all().zip(&mut values).enumerate() {
-            *value = self.number(cell).filter(|value| value.is_finite()).ok_or(RowError::Number(column + 1))?;
+        let headings = |why| CsvError::Headings { line: axes_line, why };
+        layout.put(at, Column { what: what.0, scale: Some(what.1), rank: 0 }).map_err(headings)?;
+    }
+    layout.whole().map_err(|why| CsvError::Headings { line: axes_line, why })?;
+    Ok(layout)
+}
+
+/// What kind of sensor a file of this name is of: the names of the WSR data set and of \[paper\], or what names a sensor.
+fn kind_of_file(path: &Path) -> TrajectoryKind {
+    let name = path.file_name().unwrap_or_default().to_string_lossy().to_lowercase();
+    match () {
+        () if name.starts_with("odom_rx_trajectory") => TrajectoryKind::Wheels,
+        () if name.starts_with("rx_trajectory") || name.starts_with("rx_movement") => TrajectoryKind::MotionCapture,
+        () => TrajectoryKind::of_words(&name),
+    }
+}
+
+/// The layout of a row without headings, by how many columns it has and what is in them.
+fn headless(row: &[&str]) -> Option<Layout> {
+    let is_number = |at: usize| row.get(at).is_some_and(|cell| number(cell).is_some());
+    let quaternion = "x,y,z,qx,qy,qz,qw";
+    if row.len() >= 10 && is_number(0) && is_number(1) && !is_number(2) {
+        // A header of ROS 2: its stamp, its frame, perhaps another one's.
+        let names = if is_number(3) { "t,ns,_" } else { "t,ns,_,_" };
+        let mut layout = Layout::of(&format!("{names},{quaternion}"), row.len());
+        // Messages of TF have as many transforms as there were.
+        layout.exactly = None;
+        layout.frames = if is_number(3) { vec![2] } else { vec![2, 3] };
+        return Some(layout);
+    }
+    Some(match row.len() {
+        5 => Layout::of("t,ns,x,y,z", 5),
+        6 => Layout::of("t,ns,x,y,z,yaw", 6),
+        8 => Layout::of(&format!("t,{quaternion}"), 8),
+        9 => Layout::of(&format!("t,ns,{quaternion}"), 9),
+        12 if matrix(row).is_ok() => Layout { matrix: true, turned: true, exactly: Some(12), ..Layout::default() },
+        15 => Layout::of(&format!("t,ns,{quaternion}"), 15),
+        _ => return None,
+    })
+}
+
+// ---------------------------------------------------------------------------------------------------------------------------
+// Rows to poses.
+
+impl Layout {
+    /// The number of a column, in seconds, metres or radians.
+    fn value(&self, row: &[&str], what: What) -> Result<Option<f64>, RowError> {
+        let Some((at, column)) = self.column(what) else { return Ok(None) };
+        let cell = row.get(at).copied().unwrap_or_default();
+        let read = number(cell).filter(|value| value.is_finite()).ok_or(RowError::Number(at + 1))?;
+        let scale = match column.scale {
+            Some(scale) => scale,
+            // Since 1970, of seconds, milliseconds, microseconds and nanoseconds no two are of one size.
+            None if what == What::Time => match read.abs() {
+                1e17.. => 1e-9,
+                1e14.. => 1e-6,
+                1e11.. => 1e-3,
+                _ => 1.0,
+            },
+            None => 1.0,
+        };
+        if what == What::Nanoseconds && (read.fract() != 0.0 || !(0.0..1e9).contains(&read)) {
+            return Err(RowError::Nanoseconds(at + 1));
         }
+        let value = read * scale;
+        if matches!(what, What::X | What::Y | What::Z) && value.abs() > FURTHEST_M {
+            return Err(RowError::TooFar(at + 1));
+        }
+        Ok(Some(value))
+    }
+
+    /// The pose of a row, and its quaternion (x, y, z, w), if it has one.
+    fn pose(&self, row: &[&str]) -> Result<(Pose, Option<[f64; 4]>), RowError> {
+        let (found, others) = (row.len(), self.needed());
+        if self.exactly.map_or(found < others, |_| found != others) {
+            return Err(RowError::OtherColumns { found, others });
+        }
+        if self.matrix {
+            return matrix(row).map(|pose| (pose, None));
+        }
+        let mut values = [0.0; NAMES.len()];
+        let all = [
+            What::Time,
+            What::Nanoseconds,
+            What::X,
+            What::Y,
+            What::Z,
+            What::Qx,
+            What::Qy,
+            What::Qz,
+            What::Qw,
+            What::Yaw,
+        ];
+        for what in all {
+            values[what as usize] = self.value(row, what)?.unwrap_or(0.0);
+        }
+        let [time, nanoseconds, x, y, z, qx, qy, qz, qw, yaw] = values;
+        // A time with a fraction has its nanoseconds already.
+        if let Some((at, _)) = self.column(What::Nanoseconds).filter(|_| nanoseconds != 0.0 && time.fract() != 0.0) {
+            return Err(RowError::Nanoseconds(at + 1));
+        }
+        let quaternion = self.has_quaternion().then_some([qx, qy, qz, qw]);
         let heading_rad = match quaternion {
-            None => (count == 6).then_some(values[5]),
-            Some(q) => {
-                let q = Quaternion::new(values[q + 3], values[q], values[q + 1], values[q + 2]);
+            None => self.column(What::Yaw).map(|_| yaw),
+            Some(_) => {
+                let q = Quaternion::new(qw, qx, qy, qz);
                 if !(0.9..1.1).contains(&q.norm()) {
                     return Err(RowError::Quaternion);
                 }
                 Some(heading_of(&UnitQuaternion::from_quaternion(q)))
             }
         };
-        let position_m = Vector3::new(values[at], values[at + 1], values[at + 2]);
-        if let Some(far) = position_m.iter().position(|value| value.abs() > FURTHEST_M) {
-            return Err(RowError::TooFar(at + far + 1));
+        Ok((Pose { t_s: time + nanoseconds, position_m: Vector3::new(x, y, z), heading_rad }, quaternion))
+    }
+}
+
+/// A pose of KITTI: a camera's, whose x is right, y down, z forward, in the axes of its first one. Its time is not known.
+fn matrix(row: &[&str]) -> Result<Pose, RowError> {
+    let mut m = [0.0; 12];
+    for (column, (cell, value)) in row.iter().zip(&mut m).enumerate() {
+        *value = number(cell).filter(|value| value.is_finite()).ok_or(RowError::Number(column + 1))?;
+    }
+    for column in [3, 7, 11] {
+        if m[column].abs() > FURTHEST_M {
+            return Err(RowError::TooFar(column + 1));
         }
-        let t_s = values[0] + if nanoseconds { values[1] * 1e-9 } else { 0.0 };
-        Ok(Pose { t_s, position_m, heading_rad })
+    }
+    let forward = Vector3::new(m[2], m[6], m[10]);
+    if !(0.9..1.1).contains(&forward.norm()) {
+        return Err(RowError::Quaternion);
+    }
+    let position_m = Vector3::new(m[11], -m[3], -m[7]);
+    Ok(Pose { t_s: 0.0, position_m, heading_rad: Some((-forward.x).atan2(forward.z)) })
+}
+
+/// The poses of the rows read so far.
+#[derive(Default)]
+struct Rows {
+    poses: Vec<Pose>,
+    counts: CsvCounts,
+    layout: Option<Layout>,
+    /// Lines above the first row.
+    head: Vec<(u64, String)>,
+    /// The frames of the first row.
+    frames: Option<String>,
+    /// Rows whose nanoseconds are none, and the line of the first.
+    no_nanoseconds: (u64, u64),
+    /// How much of the robot's z axis looks up, summed over all rows: as the quaternions are read, and with w as the first.
+    up: [f64; 2],
+    /// The largest yaw, radians.
+    yaw_rad: f64,
+}
+
+/// How reading ended too early.
+enum Stop {
+    /// By an answer of the operating system.
+    Io(std::io::Error),
+    /// With more poses than a trajectory has.
+    TooMany,
+    Csv(CsvError),
+}
+
+impl From<CsvError> for Stop {
+    fn from(error: CsvError) -> Self {
+        Self::Csv(error)
+    }
+}
+
+impl Rows {
+    fn named(columns: Option<&Columns>) -> Self {
+        Self { layout: columns.map(|Columns(layout)| layout.clone()), ..Self::default() }
+    }
+
+    /// Reads to the end, or to `most` poses.
+    fn read(&mut self, bytes: impl Read, most: usize) -> Result<(), Stop> {
+        let mut lines = Lines {
+            inner: BufReader::new(Utf8 { inner: bytes, wide: None, start: Vec::new() }),
+            line: 0,
+            after_cr: false,
+        };
+        let mut row = Vec::new();
+        while lines.next(&mut row).map_err(Stop::Io)? {
+            let text = String::from_utf8_lossy(&row);
+            let text = text.trim_matches(['\u{feff}', ' ']);
+            if self.poses.len() == most && !text.is_empty() {
+                return Err(Stop::TooMany);
+            }
+            self.row(text, lines.line)?;
+        }
+        Ok(())
+    }
+
+    /// Takes a row, or counts it as bad. Fails where the first one is of no known kind.
+    fn row(&mut self, text: &str, line: u64) -> Result<(), CsvError> {
+        let cells = cells(text);
+        if cells.is_empty() {
+            return Ok(());
+        }
+        let begun = self.counts.rows + self.counts.bad_rows > 0;
+        if is_comment(text) || (is_words(&cells) && !begun) {
+            if !begun && self.head.len() < HEAD {
+                self.head.push((line, text.to_owned()));
+            }
+            return Ok(());
+        }
+        // The headings of another file that was put behind.
+        if begun && self.head.iter().any(|(_, head)| head == text) {
+            return Ok(());
+        }
+        if self.layout.is_none() && cells.len() > 1 {
+            let layout = headed(&self.head, &cells, delimiter(text))?;
+            self.counts.headings = layout.is_some();
+            let layout = layout.or_else(|| headless(&cells));
+            self.layout = Some(layout.ok_or(CsvError::Columns { line, found: cells.len() })?);
+        }
+        let Some(layout) = &self.layout else {
+            self.bad(line, RowError::Unreadable);
+            return Ok(());
+        };
+        match layout.pose(&cells) {
+            Ok((pose, quaternion)) => {
+                self.same_frames(&cells, line)?;
+                self.take(pose, quaternion, cells.len());
+            }
+            Err(why) => {
+                if matches!(why, RowError::Nanoseconds(_)) {
+                    self.no_nanoseconds.1 = if self.no_nanoseconds.0 == 0 { line } else { self.no_nanoseconds.1 };
+                    self.no_nanoseconds.0 += 1;
+                }
+                self.bad(line, why);
+            }
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, pose: Pose, quaternion: Option<[f64; 4]>, columns: usize) {
+        self.counts.columns = columns;
+        self.counts.rows += 1;
+        self.counts.out_of_order += u64::from(self.poses.last().is_some_and(|last| last.t_s > pose.t_s));
+        if let Some([a, b, c, _]) = quaternion {
+            self.up[0] += 1.0 - 2.0 * (a * a + b * b);
+            self.up[1] += 1.0 - 2.0 * (b * b + c * c);
+        } else {
+            self.yaw_rad = self.yaw_rad.max(pose.heading_rad.unwrap_or(0.0).abs());
+        }
+        if self.poses.len() == self.poses.capacity() {
+            self.poses.reserve_exact(1024.max(self.poses.len() / 4));
+        }
+        self.poses.push(pose);
+    }
+
+    /// Poses of several frames (as of TF) make no path.
+    fn same_frames(&mut self, cells: &[&str], line: u64) -> Result<(), CsvError> {
+        let Some(layout) = self.layout.as_ref().filter(|layout| !layout.frames.is_empty()) else { return Ok(()) };
+        let of = |at: &usize| cells.get(*at).copied().unwrap_or_default();
+        let found = layout.frames.iter().map(of).collect::<Vec<_>>().join(" -> ");
+        match &self.frames {
+            Some(first) if *first != found => Err(CsvError::Frames { line, first: first.clone(), found }),
+            Some(_) => Ok(()),
+            None => {
+                self.frames = Some(found);
+                Ok(())
+            }
+        }
+    }
+
+    fn bad(&mut self, line: u64, why: RowError) {
+        self.counts.bad_rows += 1;
+        self.counts.first_bad.get_or_insert((line, why));
+    }
+
+    /// Fails where the rows speak against what their columns were taken for.
+    fn check(&self, layout: &Layout) -> Result<(), CsvError> {
+        let ambiguous = |why: String, readings: [String; 2]| Err(CsvError::Ambiguous { why, readings });
+        let own = layout.words();
+        let (wrong, line) = self.no_nanoseconds;
+        if wrong * 10 > self.counts.rows && layout.exactly.is_some() {
+            let readings = match layout.exactly {
+                Some(5) => ["t,x,y,z,yaw", "t,x,y,yaw"],
+                Some(6) => ["t,x,y,yaw", "t,x,y,z,_,yaw"],
+                _ => ["t,x,y,z,qx,qy,qz,qw", "t,x,y,z,qw,qx,qy,qz"],
+            };
+            let why = format!("line {line}: column 2 has no nanoseconds, which are whole and 0 to 999999999");
+            return ambiguous(why, readings.map(str::to_owned));
+        }
+        // A robot's z axis looks up.
+        if layout.exactly.is_some()
+            && self.up[0] < 0.5 * self.counts.rows as f64
+            && self.up[1] > 0.9 * self.counts.rows as f64
+        {
+            let other = own.replace("qx,qy,qz,qw", "qw,qx,qy,qz");
+            return ambiguous(
+                "by its quaternions the robot lies on its side, unless w is their first".into(),
+                [own, other],
+            );
+        }
+        let unnamed = layout.column(What::Yaw).is_some_and(|(_, yaw)| yaw.scale.is_none());
+        if unnamed && self.yaw_rad > 6.5 {
+            let why = format!("yaw goes to {}, which may be degrees or radians of several turns", self.yaw_rad);
+            let other = own.replace("yaw", "yaw_deg");
+            return ambiguous(why, [own, other]);
+        }
+        if layout.turned {
+            let least = |axis: usize| self.poses.iter().map(|pose| pose.position_m[axis]).fold(f64::INFINITY, f64::min);
+            let most =
+                |axis: usize| self.poses.iter().map(|pose| pose.position_m[axis]).fold(f64::NEG_INFINITY, f64::max);
+            let [x, y, z] = [0, 1, 2].map(|axis| most(axis) - least(axis));
+            if z > 0.05 && z > 10.0 * x.min(y) {
+                let why = "the axis that is up in this format has most of the motion".to_owned();
+                return ambiguous(why, [own, layout.with_z_up().words()]);
+            }
+        }
+        Ok(())
+    }
+
+    /// The poses in the order of time.
+    fn trajectory(mut self, times: Option<Vec<f64>>) -> Result<(Trajectory, CsvCounts), CsvError> {
+        if let Some(layout) = &self.layout {
+            self.check(layout)?;
+            self.counts.taken_for = layout.words();
+        }
+        if self.poses.is_empty() {
+            let first =
+                self.counts.first_bad.or_else(|| self.head.first().map(|(line, _)| (*line, RowError::Unreadable)));
+            return Err(CsvError::Empty { first });
+        }
+        let layout = self.layout.unwrap_or_default();
+        if layout.matrix {
+            timed(&mut self.poses, times)?;
+        }
+        let mut kind = layout.kind;
+        if kind == TrajectoryKind::Unknown {
+            kind = TrajectoryKind::of_words(self.frames.as_deref().unwrap_or_default());
+        }
+        if kind == TrajectoryKind::Unknown && layout.exactly == Some(15) {
+            // The only two that write 15 columns: wheels know no height, a camera's is never the same twice.
+            let level = self.poses.iter().all(|pose| pose.position_m.z == self.poses[0].position_m.z);
+            kind = if level { TrajectoryKind::Wheels } else { TrajectoryKind::Camera };
+        }
+        Ok((Trajectory::new(self.poses)?.with_kind(kind), self.counts))
+    }
+}
+
+/// Gives each pose its time.
+fn timed(poses: &mut [Pose], times: Option<Vec<f64>>) -> Result<(), CsvError> {
+    let name = "a file of its times beside it (times.txt, or the poses' name and _times.txt: seconds, one a line)";
+    let times = times.ok_or_else(|| CsvError::NoTimes { why: format!("{name} is needed") })?;
+    if times.len() != poses.len() {
+        let why = format!("{} poses and {} times in the file beside it", poses.len(), times.len());
+        return Err(CsvError::NoTimes { why });
+    }
+    poses.iter_mut().zip(times).for_each(|(pose, t_s)| pose.t_s = t_s);
+    Ok(())
+}
+
+/// The times beside a file of KITTI's poses.
+fn times_beside(path: &Path) -> Option<Vec<f64>> {
+    let stem = path.file_stem()?.to_string_lossy().into_owned();
+    let folder = path.parent()?;
+    let names: [PathBuf; 3] = [
+        folder.join(format!("{stem}_times.txt")),
+        folder.join("times.txt"),
+        folder.join("../sequences").join(&stem).join("times.txt"),
+    ];
+    let file = names.iter().find(|name| name.is_file())?;
+    let mut text = String::new();
+    std::fs::File::open(file).ok()?.take(LONGEST).read_to_string(&mut text).ok()?;
+    text.lines()
+        .map(str::trim)
+        .filter(|line| !line.is_empty())
+        .map(|line| number(line).filter(|t| t.is_finite()))
+        .collect()
+}
+
+/// Reads a trajectory file, row by row: what is held is the poses.
+///
+/// # Errors
+/// If it cannot be read, is of no known kind or of two, longer than any trajectory, or holds fewer than two poses.
+pub fn read(path: &Path) -> Result<(Trajectory, CsvCounts), CsvError> {
+    read_as(path, None)
+}
+
+/// Reads a trajectory file whose columns are named; what its headings say is then not asked.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_as(path: &Path, columns: Option<&Columns>) -> Result<(Trajectory, CsvCounts), CsvError> {
+    let io = |source| CsvError::Io { path: path.display().to_string(), source };
+    if path.is_dir() {
+        return Err(io(std::io::Error::other("it is a directory; name the CSV file inside it")));
+    }
+    let file = std::fs::File::open(path).map_err(io)?;
+    let mut rows = Rows::named(columns);
+    let mut bytes = file.take(LONGEST + 1);
+    let read = rows.read(&mut bytes, MOST_POSES);
+    match read {
+        Ok(()) if bytes.limit() > 0 => {}
+        Ok(()) | Err(Stop::TooMany) => {
+            let most = format!("it is longer than {} MiB or {MOST_POSES} poses, which no trajectory is", LONGEST >> 20);
+            return Err(io(std::io::Error::other(most)));
+        }
+        Err(Stop::Io(source)) => return Err(io(source)),
+        Err(Stop::Csv(error)) => return Err(error),
+    }
+    let times = rows.layout.as_ref().filter(|layout| layout.matrix).and_then(|_| times_beside(path));
+    let (trajectory, counts) = rows.trajectory(times)?;
+    let kind = match kind_of_file(path) {
+        TrajectoryKind::Unknown => trajectory.kind(),
+        kind => kind,
+    };
+    Ok((trajectory.with_kind(kind), counts))
+}
+
+/// Parses a trajectory from bytes.
+///
+/// # Errors
+/// If it is of no known kind or of two, or holds fewer than two poses.
+pub fn parse(bytes: &[u8]) -> Result<(Trajectory, CsvCounts), CsvError> {
+    parse_as(bytes, None)
+}
+
+/// Parses a trajectory from bytes whose columns are named.
+///
+/// # Errors
+/// As [`parse`].
+pub fn parse_as(bytes: &[u8], columns: Option<&Columns>) -> Result<(Trajectory, CsvCounts), CsvError> {
+    let mut rows = Rows::named(columns);
+    match rows.read(bytes, usize::MAX) {
+        Err(Stop::Csv(error)) => Err(error),
+        // Bytes in memory do not fail.
+        _ => rows.trajectory(None),
+    }
+}
+
+/// Parses a single row without headings.
+///
+/// # Errors
+/// What is wrong with it.
+#[doc(hidden)]
+pub fn parse_line(line: &[u8]) -> Result<Pose, RowError> {
+    let text = std::str::from_utf8(line).map_err(|_| RowError::Unreadable)?;
+    let cells = cells(text.trim());
+    headless(&cells).filter(|layout| !layout.matrix).ok_or(RowError::Columns)?.pose(&cells).map(|(pose, _)| pose)
+}
+
+/// A pose as a row: 6 columns, 5 where it has no heading, and the trailing comma.
+#[must_use]
+#[doc(hidden)]
+pub fn line(pose: &Pose) -> String {
+    let p = pose.position_m;
+    let heading = pose.heading_rad.map_or(String::new(), |heading| format!("{heading:.6},"));
+    format!("{:.6},0,{:.6},{:.6},{:.6},{heading}\n", pose.t_s, p.x, p.y, p.z)
+}
+
+// ---------------------------------------------------------------------------------------------------------------------------
+// Bytes to lines.
+
+/// Lines, each ended by LF, CR or both, of each no more than [`LONGEST_ROW`].
+struct Lines<R> {
+    inner: R,
+    /// Number of the line that was read, from 1.
+    line: u64,
+    after_cr: bool,
+}
+
+impl<R: BufRead> Lines<R> {
+    /// Reads the next line; false at the end.
+    fn next(&mut self, row: &mut Vec<u8>) -> std::io::Result<bool> {
+        row.clear();
+        let mut any = false;
+        loop {
+            let bytes = self.inner.fill_buf()?;
+            if bytes.is_empty() {
+                self.line += u64::from(any);
+                return Ok(any);
+            }
+            // The other half of an end of a line.
+            let skip = usize::from(std::mem::take(&mut self.after_cr) && bytes[0] == b'\n');
+            let end = bytes[skip..].iter().position(|byte| matches!(byte, b'\n' | b'\r')).map(|at| skip + at);
+            let part = &bytes[skip..end.unwrap_or(bytes.len())];
+            row.extend_from_slice(&part[..part.len().min(LONGEST_ROW - row.len())]);
+            any |= !part.is_empty();
+            let used = end.map_or(bytes.len(), |end| end + 1);
+            self.after_cr = end.is_some_and(|end| bytes[end] == b'\r');
+            self.inner.consume(used);
+            if end.is_some() {
+                self.line += 1;
+                return Ok(true);
+            }
+        }
+    }
+}
+
+/// Text as UTF-8; UTF-16 is told by its mark, or by the zero of its first letter.
+struct Utf8<R> {
+    inner: R,
+    /// Whether it is UTF-16, and its lower byte is the first; `None` before the beginning was seen.
+    wide: Option<Option<bool>>,
+    /// Bytes that were read and not given.
+    start: Vec<u8>,
+}
+
+impl<R: Read> Read for Utf8<R> {
+    fn read(&mut self, out: &mut [u8]) -> std::io::Result<usize> {
+        if self.wide.is_none() {
+            (&mut self.inner).take(2).read_to_end(&mut self.start)?;
+            self.wide = Some(match self.start[..] {
+                [0xff, 0xfe] | [1..=0xff, 0] => Some(true),
+                [0xfe, 0xff] | [0, 1..=0xff] => Some(false),
+                _ => None,
+            });
+        }
+        let Some(Some(low_first)) = self.wide else {
+            let given = self.start.len().min(out.len());
+            if given > 0 {
+                self.start.drain(..given).zip(out).for_each(|(byte, place)| *place = byte);
+                return Ok(given);
+            }
+            return self.inner.read(out);
+        };
+        // Three bytes of UTF-8 at most for two of UTF-16; letters beyond are no part of numbers or headings.
+        let wanted = (out.len() as u64 / 3).max(1) * 2;
+        (&mut self.inner).take(wanted - (self.start.len() as u64).min(wanted)).read_to_end(&mut self.start)?;
+        let pairs = self.start.chunks_exact(2).map(|pair| match low_first {
+            true => u16::from_le_bytes([pair[0], pair[1]]),
+            false => u16::from_be_bytes([pair[0], pair[1]]),
+        });
+        let text: String =
+            char::decode_utf16(pairs).map(|letter| letter.unwrap_or(char::REPLACEMENT_CHARACTER)).collect();
+        self.start.clear();
+        let given = text.len().min(out.len());
+        out[..given].copy_from_slice(&text.as_bytes()[..given]);
+        Ok(given)
     }
 }
 
 #[cfg(test)]
-mod tests;
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_kind_is_told_by_its_columns() {
+        let five = b"10.5,0,1,2,3,\n10.6,0,1.1,2,3,\n";
+        let six = b"10.5,0,1,2,3,0.5,\n10.6,0,1.1,2,3,0.6,\n";
+        let nine = b"10.5,0,1,2,3,0,0,0,1\n10.6,0,1.1,2,3,0,0,0.38268343236509,0.923879532511287\n";
+        let fifteen = b"10,500000000,1,2,3,0,0,0,1,0,0,0,0,0,0,\n10,600000000,1.1,2,3,0,0,0,1,0,0,0,0,0,0,\n";
+        for (bytes, heading) in
+            [(&five[..], None), (six, Some(0.6)), (nine, Some(std::f64::consts::FRAC_PI_4)), (fifteen, Some(0.0))]
+        {
+            let (trajectory, counts) = parse(bytes).unwrap();
+            let last = trajectory.poses()[1];
+            assert_eq!(counts.rows, 2);
+            assert!((last.t_s - 10.6).abs() < 1e-9 && (last.position_m.x - 1.1).abs() < 1e-12);
+            match (last.heading_rad, heading) {
+                (None, None) => {}
+                (Some(a), Some(b)) => assert!((a - b).abs() < 1e-8, "{a} {b}"),
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn columns_may_be_parted_otherwise_and_then_have_decimal_commas() {
+        let rows = "10.5,0,1.25,-2e-3,3\n10.75,0,1.5,2,3\n";
+        let expected = parse(rows.as_bytes()).unwrap();
+        assert_eq!((expected.1.rows, expected.1.headings), (2, false));
+        let decimal_commas = |by: &str| rows.replace(',', by).replace('.', ",");
+        let spaces = format!("  {}", rows.replace(',', "   ").replace('\n', "  \n "));
+        for text in [rows.replace(',', ";"), rows.replace(',', "\t"), spaces, decimal_commas(";"), decimal_commas("\t")]
+        {
+            assert_eq!(parse(text.as_bytes()).unwrap(), expected, "{text}");
+        }
+        for headings in ["\u{feff}t;0;x;y;z\n", "# seconds\n\nZeit;ns;x;y;z\n", "\"t\";\"0\";\"x\";\"y\";\"z\"\r\n"] {
+            let (trajectory, counts) = parse(format!("{headings}{}", decimal_commas(";")).as_bytes()).unwrap();
+            assert_eq!((&trajectory, counts.headings, counts.bad_rows), (&expected.0, true, 0), "{headings}");
+        }
+        // A first row of what is no number names nothing.
+        let (trajectory, counts) = parse(format!("nan,0,1,2,3\n{rows}").as_bytes()).unwrap();
+        assert!(counts.bad_rows == 1 && counts.lost_something(&trajectory), "{counts:?}");
+    }
+
+    #[test]
+    fn the_format_of_tum_is_told_by_its_columns() {
+        let text =
+        b"# timestamp tx ty tz qx qy qz qw\n10.5 1 2 3 0 0 0 1\n10.75 1.5 2 3 0 0 0.38268343236509 0.923879532511287\n";
+        let (trajectory, counts) = parse(text).unwrap();
+        assert_eq!((counts.columns, counts.rows, counts.bad_rows, counts.headings), (8, 2, 0, true));
+        let last = trajectory.poses()[1];
+        assert_eq!((last.t_s, last.position_m), (10.75, Vector3::new(1.5, 2.0, 3.0)));
+        assert!((last.heading_rad.unwrap() - std::f64::consts::FRAC_PI_4).abs() < 1e-8);
+        // Numbers with decimal commas, parted by commas, are as many as those of another kind.
+        assert_eq!(parse_line(b"10,5,0,1,25,0,002,3,5"), Err(RowError::Quaternion));
+    }
+
+    #[test]
+    fn what_of_a_file_is_not_used_is_said() {
+        let said = |text: &str| {
+            let (trajectory, counts) = parse(text.as_bytes()).unwrap();
+            (counts.notes(&trajectory).join("; "), counts.lost_something(&trajectory))
+        };
+        assert_eq!(said("1,0,0,0,0\n2,0,1,0,0\n"), (String::new(), false));
+        assert_eq!(
+            said("t,0,x,y,z\n2,0,1,0,0\n1,0,0,0,0\n3,0,2,0,0\n"),
+            ("1 rows out of order in time, sorted".into(), false)
+        );
+        let (words, lost) = said("1,0,0,0,0\n1,0,1,0,0\n2,0,1,0,0\n3,0,1,0,0\n4,0,?,0,0\n");
+        assert!(
+            lost && words.starts_with("1 rows left out, the first in line 5: column 3 is not")
+                && words.contains("; 1 rows left out at whose time"),
+            "{words}"
+        );
+        let row = |k: u32| format!("{},0,{},0,0\n", if k < 60 { k } else { k - 30 }, f64::from(k) * 0.1);
+        let (words, lost) = said(&(0..100).map(row).collect::<String>());
+        assert!(
+            lost && words.starts_with("time goes back by 29.000 s") && words.contains(" 40 rows left out"),
+            "{words}"
+        );
+    }
+
+    #[test]
+    fn bad_rows_are_counted_and_the_rest_is_used() {
+        let text = b"1,0,0,0,0,\nnonsense\n2,0,1,0,0,\n3,0,nan,0,0,\n2.5,0,1,0,0,\n";
+        let (trajectory, counts) = parse(text).unwrap();
+        assert_eq!((trajectory.poses().len(), counts.bad_rows, counts.out_of_order), (3, 2, 0));
+        assert_eq!(counts.first_bad.unwrap().0, 2);
+    }
+
+    #[test]
+    fn a_stray_quote_costs_its_row_and_quoted_numbers_are_numbers() {
+        let mut text = String::new();
+        (0..100).for_each(|k| text += &format!("{k},0,\"{k}\",0,{}0,\n", if k == 10 { "\"1" } else { "" }));
+        let (trajectory, counts) = parse(text.as_bytes()).unwrap();
+        assert_eq!(
+            (trajectory.poses().len(), counts.rows, counts.bad_rows),
+            (100, 100, 0),
+            "a quote at an end is none"
+        );
+        let text = text.replace("\"10\"", "1\"0");
+        let (trajectory, counts) = parse(text.as_bytes()).unwrap();
+        assert_eq!((trajectory.poses().len(), counts.bad_rows), (99, 1));
+        assert_eq!(counts.first_bad, Some((11, RowError::Number(3))));
+    }
+
+    #[test]
+    fn coordinates_of_which_no_metre_is_left_are_none() {
+        for (far, expected) in [(1e9, Ok(())), (-1.000_001e9, Err(())), (1e308, Err(()))] {
+            for column in 2..5 {
+                let mut cells = ["1", "0", "0", "0", "0"].map(str::to_owned);
+                cells[column] = far.to_string();
+                let parsed = parse_line(cells.join(",").as_bytes());
+                let expected = expected.map_err(|()| RowError::TooFar(column + 1));
+                assert_eq!(parsed.map(|_| ()), expected, "{far} in {column}");
+            }
+        }
+    }
+
+    #[test]
+    fn rows_that_are_written_are_read_again() {
+        for heading_rad in [None, Some(-0.5)] {
+            let pose = Pose { t_s: 1_700_000_000.25, position_m: Vector3::new(1.0, -2.5, 0.125), heading_rad };
+            assert_eq!(parse_line(line(&pose).as_bytes()), Ok(pose));
+        }
+        assert!(parse_line(b"").is_err() && parse_line(b"1,2,3").is_err() && parse_line(b"1,0,a,0,0").is_err());
+    }
+
+    #[test]
+    fn what_reading_holds_is_the_poses_and_not_the_file() {
+        const ROWS: usize = 20_000;
+        let path = std::env::temp_dir().join(format!("csi5300-rows-{}.csv", std::process::id()));
+        let row = |k: usize| format!("{k},0,{k}.125,2.25,3.5,0,0,0,1,{}0\n", "0.000000000000000000000,".repeat(5));
+        std::fs::write(&path, (0..ROWS).map(row).collect::<String>()).unwrap();
+        let length = std::fs::metadata(&path).unwrap().len();
+        let mut read = None;
+        let held = allocation_counter::measure(|| read = Some(super::read(&path))).bytes_max;
+        std::fs::remove_file(&path).unwrap();
+        let poses = (ROWS * size_of::<Pose>()) as u64;
+        assert_eq!(read.unwrap().unwrap().1.rows, ROWS as u64);
+        // Poses that move into a place a quarter larger are there twice for that moment.
+        assert!(held < 9 * poses / 4 && held < length, "{held} bytes for {poses} of poses, {length} of the file");
+    }
+
+    #[test]
+    fn there_is_a_most_of_poses() {
+        let rows = |most| {
+            let mut rows = Rows::default();
+            let end = rows.read(&b"1,0,0,0,0\n2,0,0,0,0\n3,0,0,0,0\n"[..], most);
+            (matches!(end, Err(Stop::TooMany)), rows.poses.len())
+        };
+        assert_eq!([rows(2), rows(3)], [(true, 2), (false, 3)]);
+    }
+
+    #[test]
+    fn a_row_without_an_end_takes_no_memory_and_costs_itself() {
+        let (before, after) = (&b"1,0,0,0,0\n"[..], &b"\n2,0,0,0,0\n"[..]);
+        let zeros = std::io::repeat(0).take(64 << 20);
+        let mut rows = Rows::default();
+        let held = allocation_counter::measure(|| {
+            assert!(matches!(rows.read(before.chain(zeros).chain(after), 9), Ok(())));
+        });
+        assert!(held.bytes_max < 1 << 20, "{} bytes", held.bytes_max);
+        assert_eq!((rows.poses.len(), rows.counts.bad_rows, rows.counts.first_bad.unwrap().0), (2, 1, 2));
+    }
+
+    #[test]
+    fn wrong_files_say_what_is_wrong() {
+        assert!(matches!(parse(b""), Err(CsvError::Empty { first: None })));
+        assert!(matches!(parse(b"a,b,c\n"), Err(CsvError::Empty { first: Some((1, _)) })));
+        assert!(matches!(parse(b"1,2,3\n"), Err(CsvError::Columns { line: 1, found: 3 })));
+        assert!(matches!(parse(&[0xBB, 0, 0xFF, b'\n', 7]), Err(CsvError::Empty { first: Some(_) })));
+        assert!(matches!(parse(b"1,0,0,0,0\n"), Err(CsvError::Trajectory(TrajectoryError::TooFew { poses: 1 }))));
+    }
+
+    /// Half a second on a circle, from 1,700,000,000 s on, a pose each 10 ms: time, x, y, z, heading.
+    fn arc() -> Vec<[f64; 5]> {
+        let pose = |k: u32| {
+            let turn = f64::from(k) * 0.02;
+            [1_700_000_000.0 + f64::from(k) * 0.01, turn.sin() + 0.1, 1.1 - turn.cos(), 0.25, turn]
+        };
+        (0..50).map(pose).collect()
+    }
+
+    /// A file of [`arc`] below `head`, each row by `row`.
+    fn written(head: &str, row: impl Fn([f64; 5]) -> String) -> String {
+        head.to_owned() + &arc().into_iter().map(|pose| row(pose) + "\n").collect::<String>()
+    }
+
+    /// What a file of [`arc`] must give: its poses, with the heading if `heading`; times may be of a run that begins at 0.
+    fn must_be_arc(
+        name: &str,
+        read: Result<(Trajectory, CsvCounts), CsvError>,
+        heading: bool,
+        from_s: f64,
+    ) -> CsvCounts {
+        let (trajectory, counts) = read.unwrap_or_else(|error| panic!("{name}: {error}"));
+        assert_eq!((trajectory.poses().len(), counts.bad_rows), (50, 0), "{name}: {counts:?}");
+        for (pose, [t, x, y, z, yaw]) in trajectory.poses().iter().zip(arc()) {
+            let t = t - 1_700_000_000.0 + from_s;
+            let off_m = (pose.position_m - Vector3::new(x, y, z)).norm();
+            assert!((pose.t_s - t).abs() < 1e-6 && off_m < 1e-6, "{name}: {pose:?} for {t} {x} {y} {z}");
+            match pose.heading_rad {
+                Some(own) if heading => assert!((own - yaw).abs() < 1e-6, "{name}: {own} for {yaw}"),
+                None if !heading => {}
+                other => panic!("{name}: {other:?}"),
+            }
+        }
+        counts
+    }
+
+    fn quaternion(yaw: f64) -> (f64, f64) {
+        (0.5 * yaw).sin_cos()
+    }
+
+    #[test]
+    fn twenty_kinds_of_files_give_the_same_path() {
+        let seconds = |t: f64| (t.floor(), ((t - t.floor()) * 100.0).round() as u64 * 10_000_000);
+        let ns = |t: f64| {
+            let (s, ns) = seconds(t);
+            format!("{s}{ns:09}")
+        };
+        let five = |[t, x, y, z, _]: [f64; 5]| format!("{t:.6},0,{x},{y},{z}");
+        let tum = |[t, x, y, z, yaw]: [f64; 5]| {
+            let (s, c) = quaternion(yaw);
+            format!("{t:.6} {x} {y} {z} 0 0 {s} {c}")
+        };
+        let wxyz = |[t, x, y, z, yaw]: [f64; 5]| {
+            let (s, c) = quaternion(yaw);
+            format!("{t:.6} {x} {y} {z} {c} 0 0 {s}")
+        };
+        let euroc = |[t, x, y, z, yaw]: [f64; 5]| {
+            let (s, c) = quaternion(yaw);
+            format!("{},{x},{y},{z},{c},0,0,{s},0.1,0.2,0.3,0,0,0,0,0,0", ns(t))
+        };
+        let odometry = |[t, x, y, z, yaw]: [f64; 5]| {
+            let ((sec, nsec), (s, c)) = (seconds(t), quaternion(yaw));
+            format!("{sec},{nsec},odom,base_link,{x},{y},{z},0.0,0.0,{s},{c},{}0.1", "0.0,".repeat(77))
+        };
+        let stamped = |[t, x, y, z, yaw]: [f64; 5]| {
+            let ((sec, nsec), (s, c)) = (seconds(t), quaternion(yaw));
+            format!("{sec},{nsec},map,{x},{y},{z},0.0,0.0,{s},{c}")
+        };
+        let echoed = |[t, x, y, z, yaw]: [f64; 5]| {
+            let (s, c) = quaternion(yaw);
+            format!("{},7,{},map,{x},{y},{z},0.0,0.0,{s},{c}", ns(t + 0.5), ns(t))
+        };
+        let pose = "pose.position.x,field.pose.position.y,field.pose.position.z,field.pose.orientation.x,field.pose.orientation.y,\
+                field.pose.orientation.z,field.pose.orientation.w";
+        let stamp = "%time,field.header.seq,field.header.stamp,field.header.frame_id";
+        let transform = "field.transforms0.transform.translation.x,field.transforms0.transform.translation.y,\
+                     field.transforms0.transform.translation.z,field.transforms0.transform.rotation.x,\
+                     field.transforms0.transform.rotation.y,field.transforms0.transform.rotation.z,\
+                     field.transforms0.transform.rotation.w";
+        let ros = |names: &str| format!("{stamp},{names}\n");
+        let files: Vec<(&str, bool, String)> = vec![
+            ("five columns", false, written("", five)),
+            (
+                "headings",
+                true,
+                written("timestamp,x,y,z,yaw\n", |[t, x, y, z, yaw]| format!("{t:.6},{x},{y},{z},{yaw}")),
+            ),
+            (
+                "speeds",
+                true,
+                written("t,x,y,yaw,v,w,z\n", |[t, x, y, z, yaw]| format!("{t:.6},{x},{y},{yaw},0.2,0.1,{z}")),
+            ),
+            (
+                "degrees",
+                true,
+                written("seconds,nanoseconds,x,y,z,yaw_deg\n", |[t, x, y, z, yaw]| {
+                    format!("{t:.6},0,{x},{y},{z},{}", yaw.to_degrees())
+                }),
+            ),
+            (
+                "units of their own",
+                true,
+                written("Time [ms];Pos X (mm);Pos Y (mm);Pos Z (mm);Yaw (\u{b0})\n", |[t, x, y, z, yaw]| {
+                    let numbers = [t * 1e3, x * 1e3, y * 1e3, z * 1e3, yaw.to_degrees()];
+                    numbers.map(|number| format!("{number:.6}").replace('.', ",")).join(";")
+                }),
+            ),
+            ("a line of units", false, written("time,ns,x,y,z\n[s],[ns],[m],[m],[m]\n", five)),
+            (
+                "a line of other units",
+                false,
+                written("time,ns,x,y,z\ns,ns,cm,cm,cm\n", |[t, x, y, z, _]| {
+                    format!("{t:.6},0,{},{},{}", x * 1e2, y * 1e2, z * 1e2)
+                }),
+            ),
+            ("a title", false, written("Robot 1 trajectory\ntime,ns,x,y,z\n", five)),
+            ("a tail", false, written("", five) + "   \n,,,,\n;;;\n"),
+            ("TUM", true, written("# timestamp tx ty tz qx qy qz qw\n", tum)),
+            ("SVIn", true, written("# timestamp tx ty tz qw qx qy qz\n", wxyz)),
+            (
+                "EuRoC",
+                true,
+                written(
+                    "#timestamp [ns],p_RS_R_x [m],p_RS_R_y [m],p_RS_R_z [m],q_RS_w [],q_RS_x [],q_RS_y [],q_RS_z [],v_RS_R_x [m s^-1],\
+             v_RS_R_y [m s^-1],v_RS_R_z [m s^-1],b_w_RS_S_x [rad s^-1],b_w_RS_S_y [rad s^-1],b_w_RS_S_z [rad s^-1],\
+             b_a_RS_S_x [m s^-2],b_a_RS_S_y [m s^-2],b_a_RS_S_z [m s^-2]\n",
+                    euroc,
+                ),
+            ),
+            ("rostopic, pose", true, written(&ros(&format!("field.{pose}")), echoed)),
+            (
+                "rostopic, odometry",
+                true,
+                written(&ros(&format!("field.pose.{}", pose.replace("field.", "field.pose."))), echoed),
+            ),
+            (
+                "rostopic, TF",
+                true,
+                written(&ros(transform).replace("field.header", "field.transforms0.header"), echoed),
+            ),
+            ("rostopic, transform", true, written(&ros(&transform.replace("transforms0.", "")), echoed)),
+            ("ros2, odometry", true, written("", odometry)),
+            ("ros2, pose", true, written("", stamped)),
+            ("ros2, pose with covariance", true, written("", |pose| stamped(pose) + &",0.0".repeat(36))),
+            (
+                "ros2, TF",
+                true,
+                written("", |pose| {
+                    let one = odometry(pose).split(',').take(11).collect::<Vec<_>>().join(",");
+                    // Some messages have another transform, too.
+                    if pose[4] > 0.5 { one } else { format!("{one},{one}") }
+                }),
+            ),
+            (
+                "pandas",
+                true,
+                written(",stamp.sec,stamp.nanosec,x,y,z,theta\n", |[t, x, y, z, yaw]| {
+                    let (sec, nsec) = seconds(t);
+                    format!("3,{sec},{nsec},{x},{y},{z},{yaw}")
+                }),
+            ),
+            (
+                "nanoseconds",
+                true,
+                written("t_ns\tpx\tpy\tpz\theading\n", |[t, x, y, z, yaw]| format!("{}\t{x}\t{y}\t{z}\t{yaw}", ns(t))),
+            ),
+        ];
+        for (name, heading, text) in &files {
+            must_be_arc(name, parse(text.as_bytes()), *heading, 1_700_000_000.0);
+            // As Windows writes it, twice one behind the other, and as 16 bits a letter.
+            let mut wide: Vec<u8> = vec![0xff, 0xfe];
+            wide.extend(text.replace('\n', "\r\n").encode_utf16().flat_map(u16::to_le_bytes));
+            must_be_arc(name, parse(&wide), *heading, 1_700_000_000.0);
+            let bare: Vec<u8> = text.encode_utf16().flat_map(u16::to_be_bytes).collect();
+            must_be_arc(name, parse(&bare), *heading, 1_700_000_000.0);
+        }
+    }
+
+    #[test]
+    fn motive_and_kitti_have_axes_of_their_own() {
+        let body = ",,Rotation,Rotation,Rotation,Rotation,Position,Position,Position,Mean Marker Error";
+        let names = |count: usize, name: &str| format!(",{}", [name].repeat(count).join(","));
+        let head = format!(
+            "Format Version,1.23,Take Name,Take 1,Capture Frame Rate,120.000000,Length Units,Millimeters\n\n,Type{}\n,Name{}\n\
+         ,ID{}\n{body}\nFrame,Time (Seconds),X,Y,Z,W,X,Y,Z,\n",
+            names(8, "Rigid Body"),
+            names(8, "Robot"),
+            names(8, "1")
+        );
+        let row = |[t, x, y, z, yaw]: [f64; 5]| {
+            let (s, c) = quaternion(yaw);
+            // x, up, towards the one who looks
+            format!("7,{:.6},0,{s},0,{c},{},{},{},0.1", t - 1_700_000_000.0, x * 1e3, z * 1e3, -y * 1e3)
+        };
+        let text = written(&head, row);
+        let motive = parse(text.as_bytes());
+        assert_eq!(motive.as_ref().unwrap().0.kind(), TrajectoryKind::MotionCapture);
+        must_be_arc("Motive", motive, true, 0.0);
+        // Two bodies are refused, and so is what was exported with z up.
+        let two = text.replacen(",Robot,Robot", ",Robot,Other", 1);
+        let error = parse(two.as_bytes()).unwrap_err().to_string();
+        assert!(error.contains("rigid bodies (Robot, Other, Robot): export one"), "{error}");
+        let z_up = written(&head, |[t, x, y, z, yaw]| row([t, x, -z, y, yaw]));
+        let Err(CsvError::Ambiguous { readings, .. }) = parse(z_up.as_bytes()) else { panic!() };
+        assert_eq!(readings, ["_,t,qx,qz,-qy,qw,x_mm,z_mm,-y_mm", "_,t,qx,qy,qz,qw,x_mm,y_mm,z_mm"]);
+        // KITTI: x right, y down, z forward, and the times in a file beside.
+        let folder = std::env::temp_dir().join(format!("csi5300-kitti-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let kitti = written("", |[_, x, y, z, yaw]| {
+            let (s, c) = yaw.sin_cos();
+            format!("{c} 0 {} {} 0 1 0 {} {s} 0 {c} {x}", -s, -y, -z)
+        });
+        std::fs::write(folder.join("00.txt"), &kitti).unwrap();
+        let error = read(&folder.join("00.txt")).unwrap_err().to_string();
+        assert!(error.contains("KITTI") && error.contains("times.txt"), "{error}");
+        std::fs::write(folder.join("times.txt"), written("", |[t, ..]| format!("{:e}", t - 1_700_000_000.0))).unwrap();
+        must_be_arc("KITTI", read(&folder.join("00.txt")), true, 0.0);
+        std::fs::write(folder.join("00_times.txt"), "1\n2\n").unwrap();
+        let error = read(&folder.join("00.txt")).unwrap_err().to_string();
+        assert!(error.contains("50 poses and 2 times"), "{error}");
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn what_may_mean_two_things_is_refused_and_named_columns_decide() {
+        let wxyz = |[t, x, y, z, yaw]: [f64; 5]| {
+            let (s, c) = quaternion(yaw);
+            format!("{t:.6} {x} {y} {z} {c} 0 0 {s}")
+        };
+        let cases: [(&str, String, &str, bool); 6] = [
+            ("yaw last", written("", |[t, x, y, z, yaw]| format!("{t:.6},{x},{y},{z},{yaw}")), "t,x,y,z,yaw", true),
+            ("speeds", written("", |[t, x, y, z, yaw]| format!("{t:.6},{x},{y},{yaw},{z},0.1")), "t,x,y,yaw,z", true),
+            ("w first", written("", wxyz), "t,x,y,z,qw,qx,qy,qz", true),
+            (
+                "degrees",
+                written("", |[t, x, y, z, yaw]| format!("{t:.6},0,{x},{y},{z},{}", yaw.to_degrees())),
+                "t,_,x,y,z,yaw_deg",
+                true,
+            ),
+            (
+                "degrees, headed",
+                written("t,x,y,z,yaw\n", |[t, x, y, z, yaw]| format!("{t:.6},{x},{y},{z},{}", yaw.to_degrees())),
+                "t,x,y,z,yaw_deg",
+                true,
+            ),
+            ("four", written("", |[t, x, y, z, _]| format!("{t:.6},{x},{y},{z}")), "t,x,y,z", false),
+        ];
+        for (name, text, columns, heading) in &cases {
+            let error = parse(text.as_bytes()).expect_err(name);
+            assert!(matches!(error, CsvError::Ambiguous { .. } | CsvError::Columns { .. }), "{name}: {error}");
+            assert!(error.to_string().contains("--columns"), "{name}: {error}");
+            if let CsvError::Ambiguous { readings, .. } = &error {
+                assert!(readings.iter().all(|reading| reading.parse::<Columns>().is_ok()), "{readings:?}");
+                assert!(
+                    readings.iter().any(|reading| columns.starts_with(reading)) || *columns == "t,_,x,y,z,yaw_deg",
+                    "{readings:?}"
+                );
+            }
+            let columns: Columns = columns.parse().unwrap();
+            must_be_arc(name, parse_as(text.as_bytes(), Some(&columns)), *heading, 1_700_000_000.0);
+        }
+        for (text, why) in [
+            ("when,east,north,x,y\n1.5,1,2,3,4\n2.5,1,2,3,5\n", "the headings name no time"),
+            ("a,b,c,d,e\n1.5,0,2,3,4\n2.5,0,2,3,5\n", "the headings name no time and no x and no y"),
+            ("t,x,y,tx_x,x\n1.5,1,2,3,4\n2.5,1,2,3,5\n", "name `x` twice, columns 2 and 5"),
+            ("# time x y z kurs\n1.5,0,2,3,4\n2.5,0,2,3,5\n", ""),
+        ] {
+            match parse(text.as_bytes()) {
+                Ok((trajectory, _)) => {
+                    assert!(why.is_empty() && trajectory.poses()[0].position_m == Vector3::new(0.0, 2.0, 3.0))
+                }
+                Err(error) => assert!(!why.is_empty() && error.to_string().contains(why), "{error}"),
+            }
+        }
+        let frames = "1,0,odom,base,0,0,0,0,0,0,1\n1,5,odom,base,0,0,0,0,0,0,1\n2,0,base,laser,9,0,0,0,0,0,1\n";
+        let error = parse(frames.as_bytes()).unwrap_err();
+        assert!(
+            error.to_string().starts_with("line 3: poses of `base -> laser` among those of `odom -> base`"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn columns_are_named_in_one_way() {
+        for text in ["t,x,y", "t,ns,x,y,z,yaw", "_,t_ns,x_mm,y_mm,_,yaw_deg", "t,qx,qz,-qy,qw,x,z,-y", "t_ms,x_cm,y_cm"]
+        {
+            let Columns(layout) = text.parse().unwrap();
+            assert_eq!(layout.words(), text);
+        }
+        for (text, why) in [
+            ("", "name no time"),
+            ("t,x", "name no y"),
+            ("t,x,y,x", "name `x` twice"),
+            ("t,x,y,z,roll", "`roll` is not known"),
+            ("t,x,y,qx,qy", "a quaternion has"),
+            ("t,x_y,y", "`x_y` is not known"),
+            ("seconds,x,y", "`seconds` is not known"),
+        ] {
+            let error = text.parse::<Columns>().unwrap_err().to_string();
+            assert!(error.contains(why), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn a_file_says_what_sensor_it_is_of_where_that_is_certain() {
+        use TrajectoryKind::{Camera, MotionCapture, Unknown, Wheels};
+        let fifteen = |z: f64| format!("1,0,0,0,{z},0,0,0,1,0,0,0,0,0,0\n2,0,1,0,0.5,0,0,0,1,0,0,0,0,0,0\n");
+        let ros = |frames: &str| format!("1,0,{frames},0,0,0,0,0,0,1\n2,0,{frames},1,0,0,0,0,0,1\n");
+        for (text, kind) in [
+            (fifteen(0.5), Wheels),
+            (fifteen(0.25), Camera),
+            (ros("odom,base_link"), Unknown),
+            (ros("camera_odom_frame,camera_pose_frame"), Camera),
+            (ros("wheel_odom"), Wheels),
+            (ros("mocap"), MotionCapture),
+            ("1,0,0,0,0\n2,0,0,0,0\n".into(), Unknown),
+        ] {
+            assert_eq!(parse(text.as_bytes()).unwrap().0.kind(), kind, "{text}");
+        }
+        for (name, kind) in [
+            ("odom_rx_trajectory_1_.csv", Wheels),
+            ("t265_rx_trajectory_1_.csv", Camera),
+            ("rx_trajectory_1_.csv", MotionCapture),
+            ("rx_movement_1.csv", MotionCapture),
+            ("behaviour.csv", Unknown),
+            ("run.csv", Unknown),
+        ] {
+            assert_eq!(kind_of_file(Path::new(name)), kind, "{name}");
+        }
+    }
+}

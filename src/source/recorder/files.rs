@@ -318,9 +318,39 @@ fn numbered(path: &Path, number: u32) -> PathBuf {
     path.with_file_name(format!("{stem}-{number:04}{extension}"))
 }
 
+impl LogFiles {
+    /// Goes on in another file where somebody else cut this one: what is written behind its end would be behind zeros. Gives what
+    /// there is to say of it, and how many records are gone, which is an estimate where some are left.
+    fn go_on_if_cut(&mut self) -> (Option<String>, u64) {
+        let cut = |grown: &Grown| grown.file.metadata().ok().filter(|found| found.is_file() && found.len() < grown.len);
+        let (data, side) = (cut(&self.data).map(|found| found.len()), cut(&self.side).is_some());
+        if data.is_none() && !side {
+            return (None, 0);
+        }
+        let (path, was, records) = (self.data.path.display().to_string(), self.data.len, self.records);
+        let left = data.unwrap_or(was);
+        let kept = (u128::from(records) * u128::from(left)).checked_div(u128::from(was)).unwrap_or(0) as u64;
+        let what = if data.is_some() { path } else { self.side.path.display().to_string() };
+        let number = self.number;
+        let refused = self.rotate();
+        if self.number == number {
+            for grown in [&mut self.data, &mut self.side] {
+                grown.len = grown.file.seek(SeekFrom::End(0)).unwrap_or(grown.len);
+            }
+            return (refused, records - kept);
+        }
+        let next = self.data.path.display();
+        (Some(format!("{what} was cut by another program while it was recorded: it goes on in {next}")), records - kept)
+    }
+}
+
 impl Sink for LogFiles {
     fn write(&mut self, chunk: &Chunk) -> Written {
-        let mut sum = Written { error: if self.is_old(chunk.at) { self.rotate() } else { None }, ..Written::default() };
+        let (cut, gone) = self.go_on_if_cut();
+        let mut sum = Written { error: cut, ..Written::default() };
+        if self.is_old(chunk.at) {
+            sum.error = self.rotate().or(sum.error);
+        }
         let mut rest = Part { bytes: &chunk.bytes, host_us: &chunk.host_us };
         while !rest.bytes.is_empty() {
             let mut fits = self.fitting(rest.bytes);
@@ -339,7 +369,7 @@ impl Sink for LogFiles {
             }
             rest = more;
         }
-        sum.lost = chunk.host_us.len() as u64 - sum.records;
+        sum.lost = chunk.host_us.len() as u64 - sum.records + gone;
         sum
     }
 

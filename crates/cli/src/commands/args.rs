@@ -1,6 +1,7 @@
 //! Arguments that several commands share.
 
 use clap::Args;
+use csi5300::motion::odometry::csv::Columns;
 use csi5300::pipeline::{Accuracy, Options};
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
@@ -93,6 +94,11 @@ impl Estimation {
             .with_accuracy(accuracy)
             .with_heading_sd_rad(self.heading_sd.map(f64::to_radians)))
     }
+}
+
+/// What is in the columns of a trajectory.
+pub fn columns(text: &str) -> Result<Columns, String> {
+    text.parse::<Columns>().map_err(|error| error.to_string())
 }
 
 /// An antenna by its letter.

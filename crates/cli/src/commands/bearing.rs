@@ -33,7 +33,7 @@ pub struct Args {
     /// several links of a capture see transmitters whose places are known, its receiver is located too
     #[arg(
         value_name = "CAPTURE",
-        conflicts_with_all = ["rx", "tx", "tx_trajectory", "tx_mac", "rx_mac", "key", "profile"]
+        conflicts_with_all = ["rx", "tx", "tx_trajectory", "tx_mac", "rx_mac", "key", "profile", "columns"]
     )]
     captures: Vec<PathBuf>,
     /// WiFi channel, with + or - for 40 MHz; of a capture instead of the one in groundtruth_positions.json
@@ -106,8 +106,8 @@ struct Logs {
         arg(long, value_name = "TX.dat", required_unless_present = "captures", hide_short_help = true)
     )]
     tx: Vec<PathBuf>,
-    /// Trajectory of the receiver: CSV with 5, 6, 8, 9 or 15 columns; of a capture which of its own: gt (motion capture, if none is
-    /// named), t265 (tracking camera) or odom (wheels)
+    /// Trajectory of the receiver: CSV, whose headings are read, or TUM, KITTI, Motive, what ROS echoes (docs/formats.md); of a
+    /// capture which of its own: gt (motion capture, if none is named), t265 (tracking camera) or odom (wheels)
     #[cfg_attr(feature = "ros2", arg(long, value_name = "T.csv", required_unless_present_any = ["captures", "bag"], hide_short_help = true))]
     #[cfg_attr(
         not(feature = "ros2"),
@@ -258,8 +258,9 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
     let Ok(bearing) = &link.bearing else { return Ok(()) };
     if let Some(path) = &args.profile {
         let path = if links > 1 { numbered(path, name) } else { path.clone() };
-        super::must_not_exist(&path, args.force)?;
-        profile::write(&path, &args.grid, &bearing.samples)?;
+        let draft = super::draft::Draft::create(&path, args.force)?;
+        profile::write(draft.path(), &args.grid, &bearing.samples).map_err(|error| draft.words(&error))?;
+        draft.keep(false).map_err(|error| format!("writing {}: {error}", path.display()))?;
         note!("profile of {name}: {}", path.display());
     }
     #[cfg(feature = "plot")]

@@ -1,5 +1,7 @@
-//! Outputs that are whole or as they were: written under a name of their own beside, and renamed at the end.
+//! Outputs, by one rule for all commands: an output is never an input (by name, link or inode), what is there is replaced with
+//! `--force` only, and a file is whole or as it was: written under a name of its own beside, and renamed at the end.
 
+use super::files::{is_same_file, must_not_exist};
 use csi5300::source::side_path;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -7,6 +9,57 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Links of links that are followed, as many as the kernel does.
 const LINKS: usize = 40;
+
+/// Files and folders that this run reads.
+static READ: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+/// Endings of the files in a folder that is read, of which some are read.
+const DATA: [&str; 10] = ["dat", "datstp", "csv", "txt", "json", "toml", "yaml", "mcap", "db3", "bag"];
+/// How deep folders are looked into.
+const DEEPEST: usize = 16;
+
+/// This run reads `path`, a file or a folder: nothing of it is written from here on.
+pub fn reads(path: &Path) {
+    READ.lock().unwrap_or_else(PoisonError::into_inner).push(path.to_owned());
+}
+
+/// The files that this run may read, with those beside logs and in folders.
+pub fn read_files() -> Vec<PathBuf> {
+    let read = READ.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let mut files = Vec::new();
+    for path in read {
+        if path.is_dir() {
+            data_in(&path, DEEPEST, &mut files);
+        } else {
+            files.extend([side_path(&path), path]);
+        }
+    }
+    files
+}
+
+fn data_in(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) {
+    for path in std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()) {
+        let is_data = |ending: &std::ffi::OsStr| DATA.iter().any(|own| ending.eq_ignore_ascii_case(own));
+        if path.is_file() && path.extension().is_some_and(is_data) {
+            files.push(path);
+        } else if depth > 0 && path.is_dir() && !path.is_symlink() {
+            data_in(&path, depth - 1, files);
+        }
+    }
+}
+
+/// Refuses an output that this run reads, by whatever name or link.
+pub fn must_not_be_read(output: &Path) -> Result<(), String> {
+    if !output.is_file() {
+        return Ok(());
+    }
+    match read_files().into_iter().find(|input| is_same_file(input, output)) {
+        Some(input) if input == output => Err(format!("{} is an input: name another output", output.display())),
+        Some(input) => {
+            Err(format!("{} is the input {} by another name: name another output", output.display(), input.display()))
+        }
+        None => Ok(()),
+    }
+}
 
 /// Drafts that are being written: a signal that ends the program takes them away.
 static DRAFTS: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
@@ -24,6 +77,16 @@ pub struct Draft {
 }
 
 impl Draft {
+    /// For the output `path`, which must be no input and, without `force`, not there. One that is there as a pipe is not replaced.
+    ///
+    /// # Errors
+    /// In words.
+    pub fn create(path: &Path, force: bool) -> Result<Self, String> {
+        must_not_be_read(path)?;
+        must_not_exist(path, force)?;
+        Ok(Self::new(path))
+    }
+
     /// For the output `path`. A link stays a link, also one that leads to a file that is not there.
     pub fn new(path: &Path) -> Self {
         let path = led_to(path);
@@ -43,6 +106,11 @@ impl Draft {
     /// Where to write it, with the output's extension.
     pub fn path(&self) -> &Path {
         self.part.as_deref().unwrap_or(&self.path)
+    }
+
+    /// Words about the draft as words about the file that it will be.
+    pub fn words(&self, words: &str) -> String {
+        words.replace(&self.path().display().to_string(), &self.path.display().to_string())
     }
 
     /// The file that it will be.
@@ -76,6 +144,90 @@ impl Drop for Draft {
     }
 }
 
+/// Files of a folder on their way: they are written into a folder of their own inside, and moved when all are whole.
+pub struct FolderDraft {
+    folder: PathBuf,
+    part: PathBuf,
+    /// Whether the folder was not there before.
+    made: bool,
+}
+
+impl FolderDraft {
+    /// For files in `folder`, which is made where it is not there.
+    pub fn new(folder: &Path) -> Result<Self, String> {
+        let part = folder.join(format!(".part-{}", std::process::id()));
+        let made = !folder.exists();
+        std::fs::create_dir_all(&part).map_err(|error| format!("cannot make {}: {error}", folder.display()))?;
+        drafts().push(part.clone());
+        #[cfg(feature = "live")]
+        signals::watch();
+        Ok(Self { folder: folder.to_owned(), part, made })
+    }
+
+    /// Where to write them.
+    pub fn path(&self) -> &Path {
+        &self.part
+    }
+
+    /// Words about the draft as words about the folder.
+    pub fn words(&self, words: &str) -> String {
+        words.replace(&self.part.display().to_string(), &self.folder.display().to_string())
+    }
+
+    /// What was written, where it will be.
+    pub fn at_last(&self, written: &Path) -> PathBuf {
+        written.strip_prefix(&self.part).map_or_else(
+            |_| written.to_owned(),
+            |inside| match inside.as_os_str().is_empty() {
+                true => self.folder.clone(),
+                false => self.folder.join(inside),
+            },
+        )
+    }
+
+    /// All are whole: moves them to their names, unless one of these is an input.
+    pub fn keep(self) -> Result<(), String> {
+        let mut files = Vec::new();
+        files_in(&self.part, &mut files);
+        for file in &files {
+            must_not_be_read(&self.at_last(file))?;
+        }
+        // A signal that comes meanwhile waits.
+        let _drafts = drafts();
+        files.iter().try_for_each(|file| {
+            let last = self.at_last(file);
+            let moved =
+                last.parent().map_or(Ok(()), std::fs::create_dir_all).and_then(|()| std::fs::rename(file, &last));
+            moved.map_err(|error| format!("cannot write {}: {error}", last.display()))
+        })
+    }
+}
+
+impl Drop for FolderDraft {
+    fn drop(&mut self) {
+        remove(&self.part);
+        drafts().retain(|other| *other != self.part);
+        if self.made {
+            // Where it is empty: it was made for nothing.
+            let _ = std::fs::remove_dir(&self.folder);
+        }
+    }
+}
+
+fn files_in(folder: &Path, files: &mut Vec<PathBuf>) {
+    for path in std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()) {
+        if path.is_dir() { files_in(&path, files) } else { files.push(path) }
+    }
+}
+
+/// Writes a file as a whole; that it may be written was asked before.
+pub fn write(path: &Path, content: impl AsRef<[u8]>) -> Result<(), String> {
+    must_not_be_read(path)?;
+    let draft = Draft::new(path);
+    let written = std::fs::write(draft.path(), content).and_then(|()| draft.keep(false));
+    written.map_err(|error| format!("cannot write {}: {error}", path.display()))
+}
+
 /// Where a log is written while it is written anew.
 pub fn rest(log: &Path) -> PathBuf {
     let mut name = log.as_os_str().to_owned();
@@ -85,6 +237,10 @@ pub fn rest(log: &Path) -> PathBuf {
 
 /// Takes away what there is of a draft.
 fn remove(part: &Path) {
+    if part.is_dir() {
+        let _ = std::fs::remove_dir_all(part);
+        return;
+    }
     for path in [part.to_owned(), side_path(part), rest(part)] {
         let _ = std::fs::remove_file(path);
     }

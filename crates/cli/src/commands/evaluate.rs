@@ -126,7 +126,8 @@ fn page(args: &Args, out: &std::path::Path) -> Result {
     if !out.extension().is_none_or(is_html) && (out.is_file() || !out.exists()) {
         usage(&format!("{}: the page is HTML: .html", out.display()));
     }
-    super::must_not_exist(out, args.force)?;
+    // Before the work; written at its end.
+    drop(super::draft::Draft::create(out, args.force)?);
     let reading = args.reading();
     reading.find(folder)?;
     let reading = super::view::reading(&reading);
@@ -134,7 +135,7 @@ fn page(args: &Args, out: &std::path::Path) -> Result {
     view.finish(|done| super::progress(&format!("{done} of {} links", view.links())));
     super::progress("");
     let page = view.file().map_err(|error| error.to_string())?;
-    std::fs::write(out, &page).map_err(|error| format!("{}: {error}", out.display()))?;
+    super::draft::write(out, &page)?;
     view.notes().iter().for_each(|line| note!("{line}"));
     view.failed().iter().for_each(|line| wrong!("{line}"));
     let links = super::some(view.links() as u64, "link", "links");

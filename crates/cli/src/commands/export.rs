@@ -122,11 +122,7 @@ pub fn run(args: &Args) -> Result {
         usage(&format!("{}: CSI is exported as .csv or {KNOWN}{hint}", args.output.display()));
     }
     let filter = args.filter().unwrap_or_else(|error| usage(&error.to_string()));
-    super::must_not_exist(&args.output, args.force)?;
-    if super::is_same_file(&args.file, &args.output) {
-        return Err(format!("{} is the input itself: name another file", args.output.display()));
-    }
-    let draft = Draft::new(&args.output);
+    let draft = Draft::create(&args.output, args.force)?;
     let Written { survey, bytes, records, unscaled, without_antennas } = match extension {
         Some("csv") => csv(args, draft.path(), &filter)?,
         _ => table(args, draft.path(), filter)?,

@@ -1,10 +1,10 @@
 //! Files that commands read and write: logs and trajectories, told from other kinds of files; outputs that are not overwritten.
 
 use super::hint;
-use csi5300::motion::odometry::csv::{self, CsvCounts, CsvError};
+use csi5300::motion::odometry::csv::{self, Columns, CsvCounts, CsvError};
 use csi5300::motion::pose::Trajectory;
-use csi5300::source::{CsiSource, Next, replay::Replay};
-use csi5300::time::Instant;
+use csi5300::source::replay::Replay;
+use csi5300_lab::kinds::{A_LOG, has_record, not_a_log, not_a_trajectory};
 use std::io::Read;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -14,14 +14,8 @@ pub type Log = Replay<Box<dyn Read + Send>>;
 
 type Words<T> = std::result::Result<T, String>;
 
-/// What a log is, for who named something else.
-const A_LOG: &str = "a log is the .dat that the CSI tool, the WSR toolbox or `csi5300 record` wrote";
 /// What a trajectory is.
-const A_TRAJECTORY: &str =
-    "a trajectory is a CSV of 5, 6, 9 or 15 columns (seconds, nanoseconds, x, y, z ...) or of 8 (TUM)";
-/// Bytes in which another kind of file is recognised, and in which a log that begins with damage has its first record.
-const BEGINNING: usize = 4_096;
-const SEARCHED: u64 = 1 << 20;
+const A_TRAJECTORY: &str = "a trajectory is a table of times and places, as CSV (docs/formats.md)";
 
 /// Opens a log; `-` is standard input.
 ///
@@ -43,7 +37,7 @@ pub fn open_log(path: &Path) -> Words<Log> {
 
 /// Refuses what is seen to be another kind of file.
 pub fn must_be_log(path: &Path) -> Words<()> {
-    match other_kind(path).filter(|_| !has_record(path)) {
+    match not_a_log(path) {
         Some(kind) => Err(format!("{} is another kind of file, {kind}: {A_LOG}", path.display())),
         None => Ok(()),
     }
@@ -54,11 +48,19 @@ pub fn must_be_log(path: &Path) -> Words<()> {
 /// # Errors
 /// If it cannot be read, or is another kind of file, in words.
 pub fn read_trajectory(path: &Path) -> Words<Trajectory> {
+    read_trajectory_as(path, None)
+}
+
+/// Reads a trajectory whose columns are named.
+///
+/// # Errors
+/// As [`read_trajectory`].
+pub fn read_trajectory_as(path: &Path, columns: Option<&Columns>) -> Words<Trajectory> {
     let name = path.display();
-    let (trajectory, counts) = csv::read(path).map_err(|error| match error {
+    let (trajectory, counts) = csv::read_as(path, columns).map_err(|error| match error {
         CsvError::Io { .. } => error.to_string(),
         _ if has_record(path) => format!("{name} is a log of CSI: {A_TRAJECTORY}"),
-        _ => match binary_kind(&beginning(path)) {
+        _ => match not_a_trajectory(path) {
             Some(kind) => format!("{name} is another kind of file, {kind}: {A_TRAJECTORY}"),
             None => format!("{name}: {error}"),
         },
@@ -81,7 +83,7 @@ pub fn say_trajectory(path: &Path, trajectory: &Trajectory, counts: &CsvCounts) 
     if counts.lost_something(trajectory) {
         ROWS_LOST.store(true, Ordering::Relaxed);
     }
-    detail!("reading {name}: {} poses", trajectory.poses().len());
+    detail!("reading {name}: {} poses, columns {}", trajectory.poses().len(), counts.taken_for);
     for words in counts.notes(trajectory) {
         note!("{name}: {words}");
     }
@@ -89,77 +91,6 @@ pub fn say_trajectory(path: &Path, trajectory: &Trajectory, counts: &CsvCounts) 
         let (length_s, moved_mm) = (gap.to_s - gap.from_s, gap.moved_m * 1e3);
         note!("{name}: no pose for {length_s:.2} s from {:.3} s on (moved {moved_mm:.0} mm meanwhile)", gap.from_s);
     }
-}
-
-/// The first bytes of a file; none of what can be read only once.
-fn beginning(path: &Path) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    if path.is_file()
-        && let Ok(file) = std::fs::File::open(path)
-    {
-        let _ = file.take(BEGINNING as u64).read_to_end(&mut bytes);
-    }
-    bytes
-}
-
-/// True if a record is near the beginning of a file.
-fn has_record(path: &Path) -> bool {
-    let Ok(file) = std::fs::File::open(path) else { return false };
-    let mut log = Replay::new(file.take(SEARCHED), String::new());
-    loop {
-        match log.receive(Instant::ZERO) {
-            Ok(Next::Record(..)) => return true,
-            Ok(Next::End(_)) | Err(_) => return false,
-            Ok(Next::Lost(_) | Next::Pending) => {}
-        }
-    }
-}
-
-/// What a file is that begins as no log does.
-fn other_kind(path: &Path) -> Option<&'static str> {
-    let bytes = beginning(path);
-    binary_kind(&bytes).or_else(|| text_kind(&bytes))
-}
-
-/// Kinds of files that begin with a mark of their own.
-fn binary_kind(bytes: &[u8]) -> Option<&'static str> {
-    const MARKS: [(&[u8], &str); 12] = [
-        (
-            b"\x89MCAP0\r\n",
-            "an MCAP recording (`bearing --bag` reads one of ROS 2, `csi5300 unbag` makes logs and trajectories of it)",
-        ),
-        (b"SQLite format 3\0", "a SQLite database, as recordings of ROS 2 are (`bearing --bag`, `csi5300 unbag`)"),
-        (b"#ROSBAG", "a recording of ROS 1 (`bearing --bag`, `csi5300 unbag`)"),
-        (b"PK\x03\x04", "a ZIP archive, as .npz is"),
-        (b"PAR1", "a Parquet table"),
-        (b"MATLAB 5.0", "a MATLAB file"),
-        (&[0xd4, 0xc3, 0xb2, 0xa1], "a packet capture (pcap)"),
-        (&[0xa1, 0xb2, 0xc3, 0xd4], "a packet capture (pcap)"),
-        (&[0x0a, 0x0d, 0x0d, 0x0a], "a packet capture (pcapng)"),
-        (b"\x89PNG", "a picture"),
-        (b"\x7fELF", "a program"),
-        (&[0x1f, 0x8b], "compressed by gzip"),
-    ];
-    MARKS.iter().find(|(mark, _)| bytes.starts_with(mark)).map(|(_, kind)| *kind)
-}
-
-/// Kinds of text. A log is never text: the first byte of each record is the high one of its length.
-fn text_kind(bytes: &[u8]) -> Option<&'static str> {
-    let is_text = |byte: &u8| matches!(byte, b'\t' | b'\n' | b'\r' | b' '..=b'~' | 0x80..);
-    if bytes.is_empty() || !bytes.iter().all(is_text) {
-        return None;
-    }
-    let text = String::from_utf8(bytes.to_vec()).ok().or_else(|| {
-        // A letter may be cut at the end.
-        let whole = bytes.len().saturating_sub(3);
-        bytes.get(..whole).and_then(|bytes| String::from_utf8(bytes.to_vec()).ok())
-    })?;
-    let cells = |line: &str| line.split(',').filter(|cell| cell.trim().parse::<f64>().is_ok()).count();
-    Some(match text.trim_start().chars().next() {
-        Some('{' | '[') => "JSON or TOML",
-        _ if text.lines().take(5).any(|line| cells(line) >= 3) => "a table of numbers such as a trajectory",
-        _ => "text",
-    })
 }
 
 /// True if both names lead to one file, by whatever links; `-` is what standard input was opened from.
@@ -172,10 +103,17 @@ pub fn is_same_file(input: &Path, output: &Path) -> bool {
     }
 }
 
-/// Refuses an output that is there already, unless `--force` was given.
+/// Refuses an output that is there already, unless `--force` was given; that replaces files, and no pipes, which would wait for a
+/// reader.
 pub fn must_not_exist(output: &Path, force: bool) -> Words<()> {
-    // Devices and pipes hold nothing that could be lost.
+    use std::os::unix::fs::FileTypeExt;
+    // Standard output is one of the program's own.
+    let is_own = |path: &Path| path.starts_with("/dev") || path.starts_with("/proc");
     match output.metadata() {
+        Ok(found) if force && found.file_type().is_fifo() && !is_own(output) => {
+            Err(format!("{} is a pipe, which --force does not replace", output.display()))
+        }
+        // Devices and pipes hold nothing that could be lost.
         Ok(found) if !force && found.is_file() => {
             Err(format!("{} is there already: --force overwrites it", output.display()))
         }
@@ -211,8 +149,8 @@ mod tests {
         let logs = std::fs::read_dir(fixtures).unwrap().map(|entry| entry.unwrap().path());
         let log = std::fs::read(logs.filter(|path| is_log(path)).min().unwrap()).unwrap();
         let damaged = folder.join("damaged.dat");
-        std::fs::write(&damaged, [&b"words, ".repeat(BEGINNING)[..], &log].concat()).unwrap();
-        assert!(other_kind(&damaged).is_some() && open_log(&damaged).is_ok());
+        std::fs::write(&damaged, [&b"words, ".repeat(4_096)[..], &log].concat()).unwrap();
+        assert!(open_log(&damaged).is_ok());
         std::fs::write(folder.join("log.csv"), &log).unwrap();
         let error = read_trajectory(&folder.join("log.csv")).err().unwrap();
         assert!(error.contains("is a log of CSI: a trajectory is"), "{error}");

@@ -9,6 +9,7 @@ use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey, TimeBase};
 use csi5300::source::{Checks, CsiSource, Next};
 use csi5300::time::Instant;
 use driver_iface::Mac;
+use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, Iq, SUBCARRIERS};
 use driver_iface::record::{Tail, code};
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -71,6 +72,8 @@ struct Row<'a> {
     /// Those that were drawn.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pictures: Vec<PathBuf>,
+    /// Records whose CSI is nothing but zeros.
+    silent: u64,
     #[serde(flatten)]
     survey: &'a Survey,
 }
@@ -102,7 +105,7 @@ pub fn run(args: &Args) -> Result {
                     ));
                 }
                 let survey = &read.survey;
-                usable |= survey.bfees() > 0 || survey.by_code.contains_key(&code::MPDU);
+                usable |= survey.bfees() > 0;
                 lost |= survey.lost_something()
                     || read.checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
             }
@@ -139,22 +142,34 @@ struct Read {
     survey: Survey,
     bytes: u64,
     checks: Option<Checks>,
+    /// Records whose CSI is nothing but zeros.
+    silent: u64,
+}
+
+/// True for CSI of nothing but zeros.
+fn is_silent(bfee: &Bfee<'_>) -> bool {
+    let mut iq = [Iq::default(); SUBCARRIERS];
+    let columns = (0..bfee.n_rx()).flat_map(|chain| (0..bfee.n_tx()).map(move |stream| (chain, stream)));
+    columns.into_iter().all(|(chain, stream)| {
+        let read = bfee.column(chain, stream, &ALL_SUBCARRIERS, &mut iq).is_some();
+        !read || iq.iter().all(|iq| iq.i == 0 && iq.q == 0)
+    })
 }
 
 fn survey(path: &Path) -> std::result::Result<Read, String> {
     let mut source = super::open_log(path)?;
-    let mut survey = Survey::default();
+    let (mut survey, mut silent) = (Survey::default(), 0);
     loop {
         let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
-        survey.note(&next);
+        silent += u64::from(survey.note(&next).is_some_and(|(bfee, _)| is_silent(&bfee)));
         if matches!(next, Next::End(_)) {
-            return Ok(Read { survey, bytes: source.bytes(), checks: source.checks() });
+            return Ok(Read { survey, bytes: source.bytes(), checks: source.checks(), silent });
         }
     }
 }
 
 fn row<'a>(path: &Path, read: &'a Read, pictures: Vec<PathBuf>) -> Row<'a> {
-    let Read { survey, bytes, checks } = read;
+    let Read { survey, bytes, checks, silent } = read;
     let sender = |(mac, sender): (&Mac, &'a Sender)| (mac.to_string(), SenderRow::new(sender));
     Row {
         file: path.display().to_string(),
@@ -165,6 +180,7 @@ fn row<'a>(path: &Path, read: &'a Read, pictures: Vec<PathBuf>) -> Row<'a> {
         senders: survey.senders.iter().map(sender).collect(),
         checks: *checks,
         pictures,
+        silent: *silent,
         survey,
     }
 }
@@ -226,7 +242,7 @@ pub fn host_words(steps: &HostSteps) -> Option<String> {
 }
 
 fn describe(name: &str, read: &Read) -> String {
-    let Read { survey, bytes, checks } = read;
+    let Read { survey, bytes, checks, silent } = read;
     let bytes = *bytes;
     let mut text = format!("{name}: {bytes} bytes, {}\n", some(survey.records, "record", "records"));
     if survey.bfees() == 0 {
@@ -235,11 +251,22 @@ fn describe(name: &str, read: &Read) -> String {
                 "the file is empty: was the logger's socket on the right connector index, and the CSI firmware loaded?"
             }
             (_, 0) => "no record of a csitool log in it: is it another kind of file?",
+            _ if survey.by_code.keys().all(|own| *own == code::MPDU) => {
+                "no CSI in it, only copies of frames (0xC1): the card measures HT frames (802.11n, `monitor_tx_rate` 0x4101 on \
+                 the sender) on an open network only, and in monitor mode those to or from 00:16:ea:12:34:56"
+            }
             _ => "no CSI in it",
         };
         let _ = writeln!(text, "  {why}");
     } else {
         describe_csi(&mut text, survey);
+    }
+    if *silent > 0 {
+        let records = some(*silent, "record has", "records have");
+        let _ = writeln!(
+            text,
+            "  {records} CSI of nothing but zeros: the card was not measuring (load the driver anew; another card)"
+        );
     }
     for (code, count) in survey.by_code.iter().filter(|(code, _)| **code != code::BFEE) {
         let _ = writeln!(text, "  code 0x{code:02X} ({}): {count}", code::name(*code).unwrap_or("unknown"));

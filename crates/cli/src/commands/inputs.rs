@@ -1,7 +1,8 @@
 //! Where logs and trajectories come from: files, or with `--bag` the topics of a recording, which is read into memory.
 
-use super::files::{Log, say_trajectory};
-use csi5300::motion::odometry::csv;
+use super::args::columns;
+use super::files::{Log, read_trajectory_as, say_trajectory};
+use csi5300::motion::odometry::csv::{self, Columns};
 use csi5300::motion::pose::Trajectory;
 use csi5300::source::replay::Replay;
 use std::io::Cursor;
@@ -10,7 +11,7 @@ use std::path::{Path, PathBuf};
 #[cfg(feature = "ros2")]
 use csi5300_node::ros2::unbag::{Content, Recording};
 
-// The option of commands that read recordings too.
+// Where trajectories come from: files of named columns, or recordings.
 #[derive(clap::Args, Clone, Default)]
 pub struct BagArgs {
     /// A recording that has odometry and CSI (a folder of `ros2 bag`, or a file: MCAP, SQLite, ROS 1): --rx, --tx and --trajectory
@@ -18,6 +19,10 @@ pub struct BagArgs {
     #[cfg(feature = "ros2")]
     #[arg(long, value_name = "BAG", hide_short_help = true)]
     pub bag: Option<PathBuf>,
+    /// What is in the columns of the trajectories, instead of what their headings say: t,x,y,yaw (t, ns, x, y, z, qx, qy, qz, qw,
+    /// yaw; t_ms, x_mm, yaw_deg ..; _ passes one over)
+    #[arg(long, value_parser = columns, value_name = "NAMES", hide_short_help = true)]
+    pub columns: Option<Columns>,
 }
 
 type Words<T> = std::result::Result<T, String>;
@@ -35,6 +40,8 @@ pub struct Named {
 /// Files, or files and topics.
 #[derive(Default)]
 pub struct Inputs {
+    /// What is in the columns of trajectories that are files, where it was named.
+    pub columns: Option<Columns>,
     #[cfg(feature = "ros2")]
     recorded: Option<(PathBuf, Recording)>,
 }
@@ -56,7 +63,7 @@ impl Inputs {
     /// # Errors
     /// If it cannot be read, in words.
     pub fn trajectory(&self, path: &Path) -> Words<Trajectory> {
-        let Some(bytes) = self.topic(path) else { return super::read_trajectory(path) };
+        let Some(bytes) = self.topic(path) else { return read_trajectory_as(path, self.columns.as_ref()) };
         let (trajectory, counts) = csv::parse(bytes).map_err(|error| format!("{}: {error}", path.display()))?;
         say_trajectory(path, &trajectory, &counts);
         Ok(trajectory)
@@ -81,12 +88,14 @@ impl BagArgs {
     ) -> Words<(Inputs, Named)> {
         #[cfg(feature = "ros2")]
         if let Some(bag) = &self.bag {
-            return Inputs::of(bag, rx, tx, trajectory);
+            let (inputs, named) = Inputs::of(bag, rx, tx, trajectory)?;
+            return Ok((Inputs { columns: self.columns.clone(), ..inputs }, named));
         }
         let (Some(rx), Some(trajectory)) = (rx, trajectory) else {
             return Err("--rx and --trajectory are needed".into());
         };
-        Ok((Inputs::default(), Named { rx, tx, trajectory }))
+        let inputs = Inputs { columns: self.columns.clone(), ..Inputs::default() };
+        Ok((inputs, Named { rx, tx, trajectory }))
     }
 }
 
@@ -118,7 +127,7 @@ impl Inputs {
     /// Reads a recording, and finds in it what was not named.
     fn of(bag: &Path, rx: Option<PathBuf>, tx: Vec<PathBuf>, trajectory: Option<PathBuf>) -> Words<(Self, Named)> {
         let recording = Recording::read(bag).map_err(|error| error.to_string())?;
-        let inputs = Self { recorded: Some((bag.to_path_buf(), recording)) };
+        let inputs = Self { recorded: Some((bag.to_path_buf(), recording)), columns: None };
         inputs.say();
         let named = inputs.choose(rx, tx, trajectory)?;
         Ok((inputs, named))

@@ -69,6 +69,21 @@ pub fn duration(text: &str) -> Result<Span, String> {
     }
 }
 
+/// A length of time that is more than nothing.
+pub fn some_duration(text: &str) -> Result<Span, String> {
+    duration(text).and_then(|span| if span > Span::default() { Ok(span) } else { Err("more than 0".into()) })
+}
+
+/// A size at which a log is continued in another file: a record of the stock driver has up to 64 KiB.
+pub fn rotation_size(text: &str) -> Result<u64, String> {
+    size(text).and_then(
+        |size| if size >= LEAST_ROTATION { Ok(size) } else { Err("64k or more: a record is as large".into()) },
+    )
+}
+
+/// Bytes of a log at least before it is continued in another file.
+const LEAST_ROTATION: u64 = 64 << 10;
+
 /// A multiple of real time, above 0; `max` for no waiting at all.
 pub fn speed(text: &str) -> Result<f64, String> {
     match text {
@@ -108,6 +123,8 @@ mod tests {
         for wrong in ["", "s", "-1s", "3 days", "nan", "1e999s"] {
             assert!(duration(wrong).is_err(), "{wrong}");
         }
+        assert!(some_duration("0s").is_err() && some_duration("0").is_err() && some_duration("1ms").is_ok());
+        assert!(rotation_size("1").is_err() && rotation_size("63k").is_err() && rotation_size("64k").is_ok());
         assert_eq!(size("500k"), Ok(512_000));
         assert_eq!(size("2G"), Ok(1 << 31));
         for wrong in ["", "0", "k", "-5M", "1T", "99999999999G"] {

@@ -1,8 +1,10 @@
 //! `csi5300 mcap`.
 
-use super::args::{Estimation, channel};
-use super::{Outcome, Result, fixed, info, read_trajectory, usage};
+use super::args::{Estimation, channel, columns};
+use super::files::read_trajectory_as;
+use super::{Outcome, Result, fixed, info, usage};
 use csi5300::internal::Front;
+use csi5300::motion::odometry::csv::Columns;
 use csi5300::motion::pose::Trajectory;
 use csi5300::pipeline::{Options, Transmitter, bearings};
 use csi5300::signal::channel::Channel;
@@ -21,9 +23,12 @@ pub struct Args {
     /// The recording
     #[arg(long, short, value_name = "OUT.mcap")]
     out: PathBuf,
-    /// Trajectory of the receiver: CSV with 5, 6, 8, 9 or 15 columns
+    /// Trajectory of the receiver: CSV, whose headings are read, or TUM, KITTI, Motive, what ROS echoes (docs/formats.md)
     #[arg(long, value_name = "T.csv")]
     trajectory: Option<PathBuf>,
+    /// What is in its columns, instead of what its headings say: t,x,y,yaw
+    #[arg(long, value_parser = columns, value_name = "NAMES", requires = "trajectory")]
+    columns: Option<Columns>,
     /// WiFi channel, with + or - for 40 MHz; needed for bearings
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
@@ -60,13 +65,14 @@ struct LinkRow {
 
 /// Converts captures.
 pub fn run(args: &Args) -> Result {
-    super::must_not_exist(&args.out, args.force)?;
+    let draft = super::draft::Draft::create(&args.out, args.force)?;
     let names = names(&args.logs);
-    let trajectory = args.trajectory.as_deref().map(read_trajectory).transpose()?;
+    let trajectory =
+        args.trajectory.as_deref().map(|path| read_trajectory_as(path, args.columns.as_ref())).transpose()?;
     // What is wrong with the options is said before there is a file.
     let options = args.channel.filter(|_| trajectory.is_some());
     let options = options.map(|channel| args.estimation.options(channel).unwrap_or_else(|message| usage(&message)));
-    let mut recording = Recording::create(&args.out).map_err(|error| error.to_string())?;
+    let mut recording = Recording::create(draft.path()).map_err(|error| draft.words(&error.to_string()))?;
     let (mut usable, mut lost) = (0, false);
     let mut row = Row { output: &args.out, logs: Vec::new(), bearings: Vec::new() };
     for (name, path) in names.iter().zip(&args.logs) {
@@ -84,7 +90,8 @@ pub fn run(args: &Args) -> Result {
             None => note!("no bearings: they need --channel"),
         }
     }
-    recording.finish().map_err(|error| error.to_string())?;
+    recording.finish().map_err(|error| draft.words(&error.to_string()))?;
+    draft.keep(false).map_err(|error| format!("writing {}: {error}", args.out.display()))?;
     lost |= row.bearings.iter().any(|link| link.error.is_some());
     if args.json {
         super::print_json(&row);

@@ -51,7 +51,7 @@ mod view;
 #[cfg(feature = "node")]
 mod watch;
 
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 pub use csi5300_lab::words::{count as some, fixed};
 pub use files::{is_same_file, must_not_exist, open_log, read_trajectory};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -197,12 +197,18 @@ pub fn run() -> ExitCode {
     #[cfg(feature = "live")]
     let _ = nix::sys::signal::SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
     let mut args: Vec<_> = std::env::args_os().collect();
+    say::set_names(args.iter().skip(1).cloned());
     if args.get(1..).is_some_and(|rest| *rest == ["help", "--all"]) {
         print(&old::all(&Cli::command()));
         return ExitCode::SUCCESS;
     }
     let moved = old::rename(&mut args);
-    let cli = Cli::try_parse_from(args).unwrap_or_else(|error| {
+    let mut command = Cli::command();
+    let parsed = command.try_get_matches_from_mut(args).and_then(|matches| {
+        let cli = Cli::from_arg_matches(&matches).map_err(|error| error.format(&mut command))?;
+        Ok((cli, matches))
+    });
+    let (cli, matches) = parsed.unwrap_or_else(|error| {
         moved.iter().for_each(|words| notes!("{words}\n"));
         misused(&error)
     });
@@ -213,7 +219,7 @@ pub fn run() -> ExitCode {
     };
     say::set(level, cli.color);
     moved.iter().for_each(|words| note!("{words}"));
-    let result = execute(cli.command);
+    let result = outputs_are_no_inputs(&command, &matches).and_then(|()| execute(cli.command));
     detail!("{}", say::used(begun));
     match result {
         Ok(Outcome::Done) if files::rows_were_lost() => Outcome::DataLost.into(),
@@ -223,6 +229,27 @@ pub fn run() -> ExitCode {
             Outcome::Nothing.into()
         }
     }
+}
+
+/// Options and arguments that name what is written. Whatever else names a file or folder is read.
+const OUTPUTS: [&str; 8] = ["out", "output", "profile", "plot", "html", "log", "poses", "bring_up"];
+
+/// Notes what this run reads, and refuses an output that is among it.
+fn outputs_are_no_inputs(command: &clap::Command, matches: &clap::ArgMatches) -> std::result::Result<(), String> {
+    let Some((name, given)) = matches.subcommand() else { return Ok(()) };
+    let named = |arg: &clap::Arg| {
+        let takes = arg.get_action().takes_values();
+        let values = given.try_get_raw(arg.get_id().as_str()).ok().flatten().filter(|_| takes);
+        values.into_iter().flatten().map(std::path::PathBuf::from).collect::<Vec<_>>()
+    };
+    let args = || command.find_subcommand(name).into_iter().flat_map(clap::Command::get_arguments);
+    let is_output = |arg: &&clap::Arg| OUTPUTS.contains(&arg.get_id().as_str());
+    for read in args().filter(|arg| !is_output(arg)).flat_map(named) {
+        if read.exists() || read.as_os_str() == "-" {
+            draft::reads(&read);
+        }
+    }
+    args().filter(is_output).flat_map(named).try_for_each(|output| draft::must_not_be_read(&output))
 }
 
 fn execute(command: Command) -> Result {
@@ -337,8 +364,61 @@ pub fn print_json(value: &impl serde::Serialize) {
 
 #[cfg(test)]
 mod tests {
-    use super::Cli;
+    use super::{Cli, OUTPUTS};
     use clap::{Arg, Command, CommandFactory};
+
+    /// A new option that names a file is an output or an input: who adds one says which.
+    #[test]
+    fn options_that_write_are_known() {
+        let mut command = Cli::command();
+        command.build();
+        let path = clap::builder::ValueParser::path_buf().type_id();
+        let mut written = Vec::new();
+        for (command, arg) in
+            command.get_subcommands().flat_map(|one| one.get_arguments().map(move |arg| (one.get_name(), arg)))
+        {
+            let is_path = arg.get_value_parser().type_id() == path;
+            if is_path && OUTPUTS.contains(&arg.get_id().as_str()) {
+                written.push(format!("{command} {}", arg.get_id()));
+            }
+        }
+        for known in [
+            "bearing profile",
+            "bearing plot",
+            "simulate out",
+            "export output",
+            "evaluate plot",
+            "info plot",
+            "demo out",
+        ] {
+            assert!(written.iter().any(|one| one == known), "{known}: {written:?}");
+        }
+        // Inputs: what is read. `file` of `key` is made anew, and never written over.
+        let inputs = [
+            "bag",
+            "captures",
+            "config",
+            "file",
+            "files",
+            "folders",
+            "group",
+            "key",
+            "logs",
+            "root",
+            "rx",
+            "scene",
+            "socket",
+            "trajectory",
+            "tx",
+            "tx_trajectory",
+            "what",
+        ];
+        for arg in command.get_subcommands().flat_map(clap::Command::get_arguments) {
+            let is_path = arg.get_value_parser().type_id() == path;
+            let name = arg.get_id().as_str();
+            assert!(!is_path || OUTPUTS.contains(&name) || inputs.contains(&name), "--{name}: an input or an output?");
+        }
+    }
 
     #[test]
     fn a_command_says_of_itself_what_the_list_says() {

@@ -3,9 +3,9 @@
 use csi5300_lab::show::{Error, Format};
 use std::path::PathBuf;
 
-/// Pictures of the same names are replaced if `force` is set.
+/// Pictures of the same names are replaced if `force` is set, those that lead to inputs never.
 pub fn format(force: bool) -> Format {
-    Format::default().with_replace(force)
+    Format::default().with_replace(force).with_kept(super::draft::read_files())
 }
 
 /// Refuses pictures that are there and may not be replaced: before the work, not after it.

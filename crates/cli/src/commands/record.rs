@@ -1,7 +1,7 @@
 //! `csi5300 record`.
 
 use super::listener::{self, Listening, Needs};
-use super::live::{Signals, create_refused, duration, size};
+use super::live::{Signals, create_refused, duration, rotation_size, size, some_duration};
 use super::{Outcome, Result, say};
 use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
 use csi5300::source::side_path;
@@ -45,16 +45,16 @@ pub struct Args {
     #[arg(long, value_parser = duration, default_value = "1s", value_name = "TIME")]
     sync_every: Span,
     /// Go on in a new file (OUT-0001.dat, OUT-0002.dat ...) before this size: 500k, 100M, 2G
-    #[arg(long, value_parser = size, value_name = "SIZE")]
+    #[arg(long, value_parser = rotation_size, value_name = "SIZE")]
     rotate_size: Option<u64>,
     /// Go on in a new file after this time: 30s, 10m, 1h
-    #[arg(long, value_parser = duration, value_name = "TIME")]
+    #[arg(long, value_parser = some_duration, value_name = "TIME")]
     rotate_every: Option<Span>,
     /// Stop after this time
     #[arg(long, value_parser = duration, value_name = "TIME")]
     stop_after: Option<Span>,
     /// Stop after this many records
-    #[arg(long, value_name = "N")]
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..), value_name = "N")]
     records: Option<u64>,
     /// Also write the records to standard output, for another program
     #[arg(long)]

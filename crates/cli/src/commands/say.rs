@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::fmt::{Arguments, Write as _};
 use std::io::{IsTerminal, Write};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 
 /// How much is said: errors only, notes too, or also what was read, how long it took and how much memory.
@@ -65,6 +66,20 @@ pub fn set(level: Level, colours: When) {
     }
 }
 
+/// Names with ends of lines in them, among the arguments and their parts.
+static NAMES: OnceLock<Vec<String>> = OnceLock::new();
+
+/// The names that the program was given.
+pub fn set_names(arguments: impl Iterator<Item = std::ffi::OsString>) {
+    let names = arguments.map(|one| one.to_string_lossy().into_owned()).filter(|one| one.contains('\n'));
+    let parts = |name: String| {
+        let last = name.rsplit('/').next().unwrap_or_default().to_owned();
+        let stem = last.rsplit_once('.').map_or(String::new(), |(stem, _)| stem.to_owned());
+        [name, last, stem]
+    };
+    let _ = NAMES.set(names.flat_map(parts).filter(|part| part.contains('\n')).collect());
+}
+
 /// True if so much is said.
 pub fn says(level: Level) -> bool {
     LEVEL.load(Ordering::Relaxed) >= level as u8
@@ -87,8 +102,19 @@ fn coloured(word: &str, tone: Tone, wanted: &AtomicBool) -> String {
 
 /// A text as it may go to a terminal: what names of files, topics and links have of control characters is written as JSON writes
 /// it (`\u001b`), ends of lines, tabs and our own colours stay. A name cannot clear, rename or answer for a terminal.
+///
+/// Ends of lines that are in the names that the program was given are written out, too.
 pub fn printable(text: &str) -> Cow<'_, str> {
-    let is_told = |sign: char| sign.is_control() && !matches!(sign, '\n' | '\t');
+    let names = NAMES.get().map(Vec::as_slice).unwrap_or_default();
+    if names.iter().any(|name| text.contains(name.as_str())) {
+        let whole = names.iter().fold(text.to_owned(), |text, name| text.replace(name, &name.replace('\n', "\\n")));
+        return Cow::Owned(without_signs(&whole).into_owned());
+    }
+    without_signs(text)
+}
+
+fn without_signs(text: &str) -> Cow<'_, str> {
+    let is_told = |sign: char| (sign.is_control() && !matches!(sign, '\n' | '\t')) || turns_writing(sign);
     if !text.contains(is_told) {
         return Cow::Borrowed(text);
     }
@@ -106,6 +132,11 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     }
     shown.push_str(rest);
     Cow::Owned(shown)
+}
+
+/// Signs that turn the direction of what is written behind them, or hide in it: a name can look like another one by them.
+fn turns_writing(sign: char) -> bool {
+    matches!(sign, '\u{61c}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{2069}' | '\u{feff}')
 }
 
 /// Says something. Where standard error is closed there is nobody to be told.
@@ -165,6 +196,7 @@ mod tests {
     fn what_would_command_a_terminal_is_written_out() {
         let name = "a\x1b[2J\x07\r\u{9b}1m\u{7f}\x1b]0;mine\x1b";
         assert_eq!(printable(name), "a\\u001b[2J\\u0007\\u000d\\u009b1m\\u007f\\u001b]0;mine\\u001b");
+        assert_eq!(printable("log\u{202e}tad.dat"), "log\\u202etad.dat");
         for good in ["", "two\nlines\tand \u{e4}\u{4e2d}", &format!("{RED}BAD{YELLOW}?\x1b[0m\n")] {
             assert_eq!(printable(good), *good);
         }

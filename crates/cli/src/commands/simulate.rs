@@ -6,6 +6,7 @@ mod serve;
 mod suite;
 
 use super::{Outcome, Result, print, print_json, usage};
+use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::scene::Driver;
 use csi5300_sim::{Injected, Room, Scene, WrittenCapture, write_dataset};
 use std::fmt::Write;
@@ -143,11 +144,23 @@ pub fn load(file: &Path) -> std::result::Result<Scene, String> {
 /// Runs a scene into a folder, with a progress bar on a terminal.
 pub fn write(scene: &Scene, folder: &Path) -> std::result::Result<(Vec<WrittenCapture>, Vec<Injected>), String> {
     let mut room = Room::new(scene).map_err(|error| error.to_string())?;
+    for robot in &scene.robot {
+        if let RobotMotion::Recorded(recorded) = &robot.motion {
+            super::draft::reads(&recorded.file);
+        }
+    }
+    let draft = super::draft::FolderDraft::new(folder)?;
     let bar = super::bar(100, "{bar:40} {percent} % of {msg}, {eta} left");
     bar.set_message(format!("{:.0} s", scene.duration_s));
-    let captures = write_dataset(&mut room, folder, &mut |share| bar.set_position((share * 100.0) as u64));
+    let captures = write_dataset(&mut room, draft.path(), &mut |share| bar.set_position((share * 100.0) as u64));
     bar.finish_and_clear();
-    Ok((captures.map_err(|error| error.to_string())?, room.injected()))
+    let mut captures = captures.map_err(|error| draft.words(&error.to_string()))?;
+    for capture in &mut captures {
+        capture.dir = draft.at_last(&capture.dir);
+        capture.logs.iter_mut().for_each(|log| log.path = draft.at_last(&log.path));
+    }
+    draft.keep()?;
+    Ok((captures, room.injected()))
 }
 
 /// A line of JSON.

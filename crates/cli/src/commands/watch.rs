@@ -2,11 +2,11 @@
 
 use super::live::Signals;
 use super::{Outcome, Result, fixed, print};
+use csi5300::time::Instant;
 use csi5300_live::wait::Monotonic;
 use nix::sys::signal::{SigSet, Signal};
 use nix::sys::signalfd::{SfdFlags, SignalFd};
 use ratatui::Frame;
-use ratatui::crossterm::event::{self, Event, KeyCode, KeyEventKind, KeyModifiers};
 use ratatui::layout::{Constraint, Layout, Rect};
 use ratatui::style::{Color, Modifier, Style};
 use ratatui::symbols::Marker;
@@ -14,7 +14,8 @@ use ratatui::text::{Line, Span};
 use ratatui::widgets::canvas::{Canvas, Circle, Line as Stroke};
 use ratatui::widgets::{Block, Paragraph, Row, Table};
 use serde_json::Value;
-use std::io::{BufRead, BufReader, IsTerminal};
+use std::fs::File;
+use std::io::{BufRead, BufReader, IsTerminal, Read};
 use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
@@ -33,6 +34,10 @@ pub struct Args {
     once: bool,
 }
 
+/// Time between two looks at the node.
+const LOOK: csi5300::time::Span = csi5300::time::Span::from_ms(100);
+/// Bytes of a state at most.
+const LONGEST: u64 = 16 << 20;
 /// How long a silent node is waited for before the screen says so.
 const SILENT: Duration = Duration::from_secs(3);
 /// Columns that the table of peers needs, its frame with it.
@@ -65,13 +70,46 @@ impl Ends {
         let come = self.clock.wait([self.signals.as_fd(), self.quit.as_fd()], Some(self.clock.now()));
         come.is_ok_and(|come| come.contains(&true))
     }
+
+    /// Waits for a key, a signal or `until`; true for a key that ends the program, and where the terminal ended.
+    fn wait(&self, keys: &mut Keys, until: Instant) -> bool {
+        let fds = [keys.terminal.as_fd(), self.signals.as_fd(), self.quit.as_fd()];
+        self.clock.wait(fds, Some(until)).is_ok_and(|[key, ..]| key) && keys.end()
+    }
+}
+
+/// The keyboard. Not read by crossterm, which reads a terminal that has ended for ever (its `mio.rs`: neither an end nor an error
+/// leaves the inner loop), with the signals that would end the program blocked.
+struct Keys {
+    terminal: File,
+}
+
+impl Keys {
+    fn open() -> std::io::Result<Self> {
+        let stdin = std::io::stdin();
+        let terminal =
+            if stdin.is_terminal() { File::from(stdin.as_fd().try_clone_to_owned()?) } else { File::open("/dev/tty")? };
+        Ok(Self { terminal })
+    }
+
+    /// Reads what is there: true for q, Escape and Ctrl-C, and where there is nobody to press one.
+    fn end(&mut self) -> bool {
+        let mut bytes = [0; 64];
+        let Ok(read) = self.terminal.read(&mut bytes) else { return true };
+        match bytes.get(..read).unwrap_or_default() {
+            [] | [0x1b] => true,
+            // An arrow, a function key.
+            [0x1b, ..] => false,
+            keys => keys.iter().any(|key| matches!(key, b'q' | 0x03)),
+        }
+    }
 }
 
 /// Shows a running node until `q` is pressed, or a signal comes.
 pub fn run(args: &Args) -> Result {
     let socket = args.socket.clone().unwrap_or_else(super::places::status_socket);
     let stream = connect(&socket)?;
-    let mut states = BufReader::new(stream).lines();
+    let mut states = lines(stream);
     if args.once || !std::io::stdout().is_terminal() {
         return match states.find(|line| line.as_ref().is_ok_and(|line| !line.is_empty())) {
             Some(Ok(line)) => {
@@ -93,14 +131,31 @@ pub fn run(args: &Args) -> Result {
             }
         }
     });
+    let mut keys = Keys::open().map_err(|error| format!("the terminal: {error}"))?;
     let mut terminal = ratatui::init();
-    let shown = show(&mut terminal, &from_node, &socket, &ends);
+    let shown = show(&mut terminal, &from_node, &socket, (&ends, &mut keys));
     ratatui::restore();
     match shown {
-        // A terminal that was closed refuses to be drawn on, and says so by a hangup.
-        Err(_) if ends.is_one_here() => Ok(Outcome::Done),
+        // A terminal that was closed refuses to be drawn on, and says so by a hangup or by its end.
+        Err(_) if ends.is_one_here() || ends.wait(&mut keys, ends.clock.now()) => Ok(Outcome::Done),
         shown => shown.map_err(|error| error.to_string()),
     }
+}
+
+/// The lines that a node says, up to one that has no end.
+fn lines(stream: UnixStream) -> impl Iterator<Item = std::io::Result<String>> {
+    let mut stream = BufReader::new(stream);
+    std::iter::from_fn(move || {
+        let mut line = String::new();
+        match (&mut stream).take(LONGEST).read_line(&mut line) {
+            Ok(0) => None,
+            Ok(_) if !line.ends_with('\n') && line.len() as u64 >= LONGEST => {
+                Some(Err(std::io::Error::other(format!("the node's state has more than {} MiB", LONGEST >> 20))))
+            }
+            Ok(_) => Some(Ok(line.trim_end_matches('\n').to_owned())),
+            Err(error) => Some(Err(error)),
+        }
+    })
 }
 
 fn connect(socket: &Path) -> std::result::Result<UnixStream, String> {
@@ -115,26 +170,19 @@ fn show(
     terminal: &mut ratatui::DefaultTerminal,
     states: &Receiver<Value>,
     socket: &Path,
-    ends: &Ends,
+    (ends, keys): (&Ends, &mut Keys),
 ) -> std::io::Result<Outcome> {
     let mut state = Value::Null;
     let mut silent = Duration::ZERO;
     while !ends.is_one_here() {
-        let look = Duration::from_millis(100);
         match states.try_iter().last() {
             Some(new) => (state, silent) = (new, Duration::ZERO),
-            None => silent += look,
+            None => silent += Duration::from_micros(LOOK.as_us().unsigned_abs()),
         }
         let title = if silent > SILENT { "  no word from the node: it ended, or hangs" } else { "" };
         terminal.draw(|frame| draw(frame, &state, &format!(" {}{title} ", socket.display())))?;
-        if event::poll(look)?
-            && let Event::Key(key) = event::read()?
-            && key.kind == KeyEventKind::Press
-        {
-            let interrupt = key.code == KeyCode::Char('c') && key.modifiers.contains(KeyModifiers::CONTROL);
-            if interrupt || matches!(key.code, KeyCode::Char('q') | KeyCode::Esc) {
-                break;
-            }
+        if ends.wait(keys, ends.clock.now() + LOOK) {
+            break;
         }
     }
     Ok(Outcome::Done)

@@ -284,3 +284,46 @@ fn a_log_is_drawn_with_what_is_asked_for() {
     assert!(status == 3 && err.contains("no record that is wanted"), "{status} {err}");
     assert_eq!(folder.run(&["info", "rx.dat", "--from", "1"]).0, 2, "nothing is drawn");
 }
+
+#[test]
+fn logs_of_frames_only_and_of_zeros_say_why_they_are_of_no_use() {
+    let folder = Folder::new("no-csi");
+    folder.link(&link(60, 0.5));
+    let (status, ..) = folder.run(&["export", "--dat", "rx.dat", "stock.dat", "--layout", "stock"]);
+    assert_eq!(status, 0);
+    // Each record: two bytes of length, then its code.
+    let records = |keep: u8| {
+        let bytes = std::fs::read(folder.0.join("stock.dat")).unwrap();
+        let (mut rest, mut kept) = (&bytes[..], Vec::new());
+        while rest.len() > 2 {
+            let (record, after) = rest.split_at(2 + usize::from(u16::from_be_bytes([rest[0], rest[1]])));
+            if record[2] == keep {
+                kept.push(record.to_vec());
+            }
+            rest = after;
+        }
+        kept
+    };
+    folder.write("only_c1.dat", &records(0xC1).concat());
+    let (status, out, _) = folder.run(&["info", "only_c1.dat"]);
+    assert!(
+        status == 1 && out.contains("only copies of frames (0xC1)") && out.contains("HT frames"),
+        "{status}: {out}"
+    );
+    let mut silent = records(0xBB);
+    // Behind length, code and the 20 bytes of the head.
+    silent.iter_mut().for_each(|record| record[23..].fill(0));
+    folder.write("csi0.dat", &silent.concat());
+    let (status, out, _) = folder.run(&["info", "csi0.dat"]);
+    assert!(status == 0 && out.contains("60 records have CSI of nothing but zeros"), "{status}: {out}");
+    let (_, out, _) = folder.run(&["info", "csi0.dat", "--json"]);
+    assert_eq!(json(out.trim())["silent"], 60);
+}
+
+#[test]
+fn names_are_written_out() {
+    let folder = Folder::new("names");
+    let (status, _, err) = folder.run(&["info", "a\nb\u{202e}tad.log"]);
+    assert_eq!(status, 1);
+    assert!(err.contains("a\\nb\\u202etad.log") && err.trim_end().lines().count() == 1, "{err}");
+}

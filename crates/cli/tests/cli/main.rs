@@ -27,6 +27,8 @@ mod looking;
 mod monitor;
 #[cfg(feature = "node")]
 mod node;
+#[cfg(unix)]
+mod outputs;
 #[cfg(feature = "zenoh")]
 mod peers;
 #[cfg(feature = "live")]

@@ -69,6 +69,33 @@ fn a_signal_gives_the_terminal_back_as_it_was() {
     }
 }
 
+/// As when an SSH session or a pane goes and the hangup does not reach the program (`nohup`, another session): the end of the
+/// terminal is all that there is to see.
+#[test]
+fn a_terminal_that_ends_ends_what_is_shown_on_it() {
+    let folder = Folder::new("watch-ended");
+    let socket = folder.0.join("status.sock");
+    let node = UnixListener::bind(&socket).unwrap();
+    let terminal = openpty(&Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 }, None).unwrap();
+    let side = || Stdio::from(terminal.slave.try_clone().unwrap());
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
+    command.arg("watch").arg(&socket).stdin(side()).stdout(side()).stderr(Stdio::null()).env("TERM", "xterm");
+    let mut child = command.spawn().unwrap();
+    drop(command);
+    let mut state = node.accept().unwrap().0;
+    state.write_all(b"{\"name\": \"burger-7\"}\n").unwrap();
+    let mut screen = File::from(terminal.master);
+    let (mut shown, mut bytes) = (String::new(), [0; 4096]);
+    while !shown.contains("burger-7") {
+        let count = screen.read(&mut bytes).unwrap();
+        shown += &String::from_utf8_lossy(&bytes[..count]);
+    }
+    // Part of an arrow key, after which crossterm would wait for the rest.
+    screen.write_all(b"\x1b[").unwrap();
+    drop((screen, terminal.slave));
+    assert_eq!(child.wait().unwrap().code(), Some(0));
+}
+
 #[cfg(feature = "view")]
 #[test]
 fn a_signal_ends_the_page_as_it_ends_a_recording() {

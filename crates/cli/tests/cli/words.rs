@@ -290,3 +290,30 @@ fn numbers_that_come_twice_are_said_where_they_are_many() {
     assert!(said(4).contains(words), "{}", said(4));
     assert!(!said(20).contains("number of one before") && said(20).contains("20 duplicates"), "{}", said(20));
 }
+
+#[test]
+fn columns_that_may_mean_two_things_are_asked_for() {
+    let folder = Folder::new("columns");
+    let made = link(600, 2.0);
+    folder.link(&made);
+    let (_, plain, _) = folder.bearing(&["--json"]);
+    // Time, x, y and yaw, as a robot's own logger writes them, without headings and with.
+    let rows: Vec<Vec<&str>> = made.trajectory.lines().map(|line| line.split(',').collect()).collect();
+    let four: String = rows.iter().map(|row| format!("{},{},{},0.5\n", row[0], row[2], row[3])).collect();
+    folder.write("t.csv", four.as_bytes());
+    let (status, _, err) = folder.bearing(&[]);
+    assert!(status == 1 && err.contains("4 columns without headings") && err.contains("--columns"), "{status}: {err}");
+    let azimuth = |out: &str| json(out.trim())["azimuth_deg"].as_f64().unwrap();
+    let (_, named, err) = folder.bearing(&["--json", "--columns", "t,x,y,yaw"]);
+    assert!((azimuth(&named) - azimuth(&plain)).abs() < 1e-6, "{err}");
+    folder.write("t.csv", format!("time [s],pos_x,pos_y,yaw\n{four}").as_bytes());
+    let (_, headed, err) = folder.bearing(&["--json"]);
+    assert!((azimuth(&headed) - azimuth(&plain)).abs() < 1e-6, "{err}");
+    let (status, _, err) = folder.bearing(&["--columns", "t,x,z"]);
+    assert!(status == 2 && err.contains("name no y"), "{status}: {err}");
+    let (status, _, err) = folder.bearing(&["--antenna-offset", "4.6,15.9,0"]);
+    assert!(status == 1 && err.contains("16.6 m is off the robot"), "{status}: {err}");
+    let (status, _, err) =
+        folder.run(&["bearing", "--rx", "rx.dat", "--tx", "tx.dat", "--trajectory", "t.csv", "--channel", "37"]);
+    assert!(status == 2 && err.contains("`37` is no channel"), "{status}: {err}");
+}

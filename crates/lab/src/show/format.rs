@@ -8,17 +8,19 @@ use std::path::{Path, PathBuf};
 const KINDS: [&str; 2] = ["png", "svg"];
 
 /// How pictures are written: whether files of the same names are replaced.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub struct Format {
     /// Whether files of the same names are replaced; where not, one of them is [`Error::There`].
     pub replace: bool,
+    /// Files that are never replaced, by whatever name: [`Error::Kept`].
+    pub kept: Vec<PathBuf>,
 }
 
 impl Default for Format {
     /// What is there is replaced.
     fn default() -> Self {
-        Self { replace: true }
+        Self { replace: true, kept: Vec::new() }
     }
 }
 
@@ -27,6 +29,13 @@ impl Format {
     #[must_use]
     pub fn with_replace(mut self, replace: bool) -> Self {
         self.replace = replace;
+        self
+    }
+
+    /// Never replacing these files, by whatever name.
+    #[must_use]
+    pub fn with_kept(mut self, kept: Vec<PathBuf>) -> Self {
+        self.kept = kept;
         self
     }
 
@@ -44,14 +53,28 @@ impl Format {
     /// the first of several pictures.
     ///
     /// # Errors
-    /// [`Error::There`].
+    /// [`Error::There`], [`Error::Kept`].
     pub fn check(&self, stems: &[PathBuf]) -> Result<(), Error> {
-        let there = || stems.iter().flat_map(|stem| self.files(stem)).find(|file| file.is_file());
-        match there().filter(|_| !self.replace) {
+        let there = || stems.iter().flat_map(|stem| self.files(stem)).filter(|file| file.is_file());
+        if let Some(path) = there().find(|file| self.kept.iter().any(|kept| is_same(kept, file))) {
+            return Err(Error::Kept { path });
+        }
+        match there().next().filter(|_| !self.replace) {
             Some(path) => Err(Error::There { path }),
             None => Ok(()),
         }
     }
+}
+
+/// True if both names lead to one file.
+fn is_same(a: &Path, b: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::MetadataExt;
+        a.metadata().ok().zip(b.metadata().ok()).is_some_and(|(a, b)| (a.dev(), a.ino()) == (b.dev(), b.ino()))
+    }
+    #[cfg(not(unix))]
+    a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b)
 }
 
 /// Writes a file that is whole or as it was: under a name of its own beside, and renamed at the end. A link stays one; devices

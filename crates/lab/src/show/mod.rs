@@ -67,6 +67,12 @@ pub enum Error {
         /// The system's reason.
         source: std::io::Error,
     },
+    /// A file of this name leads to one that is never to be replaced.
+    #[error("{} leads to a file that is read: name another folder", path.display())]
+    Kept {
+        /// The file.
+        path: PathBuf,
+    },
     /// A file of this name is there, and is not to be replaced.
     #[error("{} is there already", path.display())]
     There {

@@ -18,7 +18,10 @@ pub(super) fn checks(system: &dyn System, card: Option<&Card>) -> Vec<Check> {
             );
             return checks;
         };
-        checks.extend([mode(system, &interface), owner(system, &interface), channel(system, &interface, card)]);
+        checks.extend([mode(system, &interface), owner(system, &interface, card), channel(system, &interface, card)]);
+        if !is_monitor(system, &interface) {
+            checks.extend(association(system, &interface));
+        }
         checks.push(rate(system, card));
     }
     checks.push(domain(system));
@@ -27,8 +30,17 @@ pub(super) fn checks(system: &dyn System, card: Option<&Card>) -> Vec<Check> {
 
 /// The monitor interface if there is one, else the first.
 fn interface(system: &dyn System, card: &Card) -> Option<String> {
-    let monitor = |name: &&String| system.text(&format!("/sys/class/net/{name}/type")).as_deref() == Some(RADIOTAP);
+    let monitor = |name: &&String| is_monitor(system, name);
     card.interfaces.iter().find(monitor).or(card.interfaces.first()).cloned()
+}
+
+fn is_monitor(system: &dyn System, interface: &str) -> bool {
+    system.text(&format!("/sys/class/net/{interface}/type")).as_deref() == Some(RADIOTAP)
+}
+
+fn is_up(system: &dyn System, interface: &str) -> bool {
+    let flags = system.text(&format!("/sys/class/net/{interface}/flags")).unwrap_or_default();
+    u32::from_str_radix(flags.trim_start_matches("0x"), 16).is_ok_and(|flags| flags & 1 != 0)
 }
 
 fn rfkill(system: &dyn System) -> Check {
@@ -56,9 +68,7 @@ fn mode(system: &dyn System, interface: &str) -> Check {
         "sudo ip link set {interface} down && sudo iw dev {interface} set type monitor && sudo ip link set {interface} up"
     );
     let kind = system.text(&format!("/sys/class/net/{interface}/type"));
-    let flags = system.text(&format!("/sys/class/net/{interface}/flags")).unwrap_or_default();
-    let up = u32::from_str_radix(flags.trim_start_matches("0x"), 16).is_ok_and(|flags| flags & 1 != 0);
-    match (kind.as_deref(), up) {
+    match (kind.as_deref(), is_up(system, interface)) {
         (Some(RADIOTAP), true) => Check::good("interface", format!("{interface}: monitor, up"), expected),
         (Some(RADIOTAP), false) => Check::bad("interface", format!("{interface}: monitor, but down"), expected)
             .mend(format!("sudo ip link set {interface} up")),
@@ -66,9 +76,16 @@ fn mode(system: &dyn System, interface: &str) -> Check {
     }
 }
 
-fn owner(system: &dyn System, interface: &str) -> Check {
-    let expected = "no other program sets the interface's mode and channel";
+fn owner(system: &dyn System, interface: &str, card: &Card) -> Check {
+    let expected = "no other program and no other interface of the card sets its mode and channel";
     let name = "other owners";
+    let other = card.interfaces.iter().find(|other| *other != interface && is_up(system, other));
+    if let Some(other) = other.filter(|_| is_monitor(system, interface)) {
+        let found = format!(
+            "{other} is up on the same card: {interface} hears its channel, and cannot be set to another (busy)"
+        );
+        return Check::bad(name, found, expected).mend(format!("sudo ip link set {other} down"));
+    }
     if let Some(ran) = system.run(&["nmcli", "-t", "-f", "DEVICE,STATE", "device"]) {
         let state =
             ran.text.lines().find_map(|line| line.strip_prefix(interface)?.strip_prefix(':').map(str::to_string));
@@ -90,6 +107,90 @@ fn owner(system: &dyn System, interface: &str) -> Check {
             .mend(format!("sudo kill {pid}, and leave {interface} out of /etc/network/interfaces or netplan")),
         None => Check::good(name, "none seen", expected),
     }
+}
+
+/// What a client of an access point needs for CSI of its frames.
+fn association(system: &dyn System, interface: &str) -> Vec<Check> {
+    let Some(link) = system.run(&["iw", "dev", interface, "link"]).map(|ran| ran.text) else { return Vec::new() };
+    let expected = "associated with an open access point that sends HT frames (802.11n)";
+    let name = "association";
+    let Some(station) = link.trim().strip_prefix("Connected to ") else {
+        let mend =
+            format!("sudo iw dev {interface} connect SSID, of an open network (or monitor mode, see `interface`)");
+        return vec![
+            Check::bad(name, "not associated: no frames come to this card, and so no CSI", expected).mend(mend),
+        ];
+    };
+    let station = station.split_whitespace().next().unwrap_or_default();
+    let mut checks = Vec::new();
+    // Of the access point's frames the card measures CSI; where it does not say their rate, this card's is of the same kind.
+    let rate =
+        |which: &str| link.lines().find_map(|line| line.trim().strip_prefix(which).map(|rate| rate.trim().to_owned()));
+    if let Some(rate) = rate("rx bitrate:").or_else(|| rate("tx bitrate:")).filter(|rate| !rate.contains("MCS")) {
+        let found = format!("{rate}: a legacy rate, and only HT frames (MCS) carry CSI");
+        let mend = "802.11n on the access point (mode n, WMM on, open: WEP and TKIP end HT), `swcrypto` and `11n_disable` of \
+                    iwlwifi at 0, and traffic: ping -i 0.01 to the access point";
+        checks.push(Check::bad(name, found, expected).mend(mend));
+    }
+    if is_encrypted(system, interface, station) {
+        let mend = "an open network on the access point, for the time of the measurement";
+        let found = format!("{station} encrypts: the CSI firmware measures no encrypted frames");
+        checks.push(Check::bad(name, found, expected).mend(mend));
+    }
+    if checks.is_empty() {
+        checks.push(Check::good(name, format!("associated with {station}"), expected));
+    }
+    checks
+}
+
+/// True if the last scan found that a station encrypts.
+fn is_encrypted(system: &dyn System, interface: &str, station: &str) -> bool {
+    // What is known already; a copy of a machine may have the scan itself.
+    let known = system.run(&["iw", "dev", interface, "scan", "dump"]);
+    let scan = known.or_else(|| system.run(&["iw", "dev", interface, "scan"])).map(|ran| ran.text).unwrap_or_default();
+    let of_station =
+        |part: &&str| part.split(['(', ' ', '\n', '\t']).next().is_some_and(|own| own.eq_ignore_ascii_case(station));
+    let mut lines = scan.split("BSS ").find(of_station).unwrap_or_default().lines().map(str::trim);
+    lines.any(|line| {
+        line.starts_with("RSN:")
+            || line.starts_with("WPA:")
+            || (line.starts_with("capability:") && line.contains("Privacy"))
+    })
+}
+
+/// A transmission rate (`rate_n_flags` of `dvm/commands.h`) in words.
+fn rate_words(rate: u32) -> String {
+    const LEGACY: [(u32, &str); 12] = [
+        (0xd, "6"),
+        (0xf, "9"),
+        (0x5, "12"),
+        (0x7, "18"),
+        (0x9, "24"),
+        (0xb, "36"),
+        (0x1, "48"),
+        (0x3, "54"),
+        (10, "1"),
+        (20, "2"),
+        (55, "5.5"),
+        (110, "11"),
+    ];
+    let code = rate & 0xff;
+    let cck = rate & 0x200 != 0;
+    let kind = if rate & RATE_HT != 0 {
+        format!("HT, MCS {}", code & 0x1f)
+    } else {
+        let known = LEGACY.iter().skip(if cck { 8 } else { 0 }).find(|(own, _)| *own == code);
+        let speed = known.map_or_else(|| "an unknown rate".to_owned(), |(_, speed)| format!("{speed} Mbit/s"));
+        format!("legacy {}, {speed}", if cck { "CCK" } else { "OFDM" })
+    };
+    let antennas: String = [(0x4000, 'A'), (0x8000, 'B'), (0x1_0000, 'C')]
+        .into_iter()
+        .filter_map(|(bit, name)| (rate & bit != 0).then_some(name))
+        .collect();
+    let width = if rate & 0x800 != 0 { "40 MHz" } else { "20 MHz" };
+    let guard = if rate & 0x2000 != 0 { ", short guard" } else { "" };
+    let antennas = if antennas.is_empty() { "no antenna".into() } else { format!("antennas {antennas}") };
+    format!("{kind}, {width}{guard}, {antennas}")
 }
 
 fn channel(system: &dyn System, interface: &str, card: &Card) -> Check {
@@ -150,7 +251,13 @@ fn rate(system: &dyn System, card: &Card) -> Check {
     let text = system.text(&path).unwrap_or_default();
     let rate = u32::from_str_radix(text.trim_start_matches("0x"), 16);
     match rate {
-        Ok(rate) if rate & RATE_HT != 0 => Check::good(name, format!("{rate:#x}"), expected),
+        Ok(rate) if rate & RATE_HT != 0 => Check::good(name, format!("{rate:#x} ({})", rate_words(rate)), expected),
+        Ok(rate) => Check::doubt(
+            name,
+            format!("{rate:#x} ({}): not HT, so what this card sends gives no CSI to others", rate_words(rate)),
+            expected,
+        )
+        .mend(format!("echo 0x4101 | sudo tee {path}")),
         _ => Check::doubt(name, format!("{text}: not HT, so what this card sends gives no CSI to others"), expected)
             .mend(format!("echo 0x4101 | sudo tee {path}")),
     }

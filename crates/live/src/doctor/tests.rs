@@ -179,6 +179,79 @@ const CASES: &[Case] = &[
         "not a monitor",
         "type monitor",
     ),
+    (
+        "not associated",
+        |s| {
+            s.put("sys/class/net/wlp1s0/type", "1");
+            s.put("run/iw dev wlp1s0 link", "Not connected.\n");
+        },
+        "association",
+        Verdict::Bad,
+        "not associated",
+        "iw dev wlp1s0 connect",
+    ),
+    (
+        "legacy access point",
+        |s| {
+            s.put("sys/class/net/wlp1s0/type", "1");
+            s.put("run/iw dev wlp1s0 link", "Connected to 02:53:00:00:00:aa (on wlp1s0)\n\ttx bitrate: 54.0 MBit/s\n");
+        },
+        "association",
+        Verdict::Bad,
+        "54.0 MBit/s: a legacy rate",
+        "802.11n",
+    ),
+    (
+        "encrypted access point",
+        |s| {
+            s.put("sys/class/net/wlp1s0/type", "1");
+            let link = "Connected to 02:53:00:00:00:aa (on wlp1s0)\n\tSSID: lab\n\ttx bitrate: 26.0 MBit/s MCS 3\n";
+            s.put("run/iw dev wlp1s0 link", link);
+            let scan = "BSS 02:53:00:00:00:bb(on wlp1s0)\n\tSSID: open\nBSS 02:53:00:00:00:AA(on wlp1s0)\n\tRSN:\t * Version: 1\n";
+            s.put("run/iw dev wlp1s0 scan dump", scan);
+        },
+        "association",
+        Verdict::Bad,
+        "02:53:00:00:00:aa encrypts",
+        "open network",
+    ),
+    (
+        "open access point",
+        |s| {
+            s.put("sys/class/net/wlp1s0/type", "1");
+            let link = "Connected to 02:53:00:00:00:bb (on wlp1s0)\n\ttx bitrate: 26.0 MBit/s MCS 3\n";
+            s.put("run/iw dev wlp1s0 link", link);
+            s.put(
+                "run/iw dev wlp1s0 scan",
+                "BSS 02:53:00:00:00:bb\n\tSSID: open\nBSS 02:53:00:00:00:aa\n\tRSN: * Version: 1\n",
+            );
+        },
+        "association",
+        Verdict::Good,
+        "associated with 02:53:00:00:00:bb",
+        "",
+    ),
+    (
+        "another interface",
+        |s| {
+            s.put(&format!("{CARD}/net/mon0/address"), "00:16:ea:00:00:01\n");
+            s.put("sys/class/net/mon0/type", "803\n");
+            s.put("sys/class/net/mon0/flags", "0x1003\n");
+            s.put("sys/class/net/wlp1s0/type", "1\n");
+        },
+        "other owners",
+        Verdict::Bad,
+        "wlp1s0 is up on the same card",
+        "sudo ip link set wlp1s0 down",
+    ),
+    (
+        "unsigned module",
+        |s| s.put("run/dmesg", "iwlwifi: module verification failed: signature and/or required key missing\n"),
+        "patched module",
+        Verdict::Good,
+        "harmless",
+        "",
+    ),
     ("down", |s| s.put("sys/class/net/wlp1s0/flags", "0x1002"), "interface", Verdict::Bad, "down", "up"),
     (
         "NetworkManager",
@@ -261,7 +334,8 @@ fn each_failure_is_told_with_its_remedy() {
         let check = stage.check(check);
         assert_eq!(check.verdict, *verdict, "{name}: {check:?}");
         assert!(check.found.contains(found), "{name}: {check:?}");
-        assert!(check.mend.as_ref().is_some_and(|said| said.contains(mend)), "{name}: {check:?}");
+        let mends = check.mend.as_ref().map_or(mend.is_empty(), |said| said.contains(mend));
+        assert!(mends, "{name}: {check:?}");
     }
 }
 

@@ -52,13 +52,10 @@ fn the_papers_simulated_captures_survive_our_encoder() {
 fn the_papers_real_captures_survive_it_too() {
     let Some(captures) = crate::common::captures() else { return };
     let mut files = 0;
-    for shape in ["circle", "line"] {
-        for entry in std::fs::read_dir(captures.join("paper").join(shape)).unwrap() {
-            let path = entry.unwrap().path();
-            let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            if !(name.ends_with(".dat") && name.contains("_real_")) {
-                continue;
-            }
+    for (shape, runs) in [("circle", ["10cm_1", "20cm_2", "30cm_2"]), ("line", ["10cm_2", "20cm_1", "30cm_3"])] {
+        for (run, end) in runs.into_iter().flat_map(|run| [(run, "rx"), (run, "tx")]) {
+            let name = format!("csi_{end}_real_{run}.dat");
+            let path = captures.join("paper").join(shape).join(&name);
             let bytes = std::fs::read(&path).unwrap();
             let (written, records) = again(&bytes);
             assert!(records > 2_500 && bytes.len() - written.len() < 233, "{name}: {records} records");

@@ -276,3 +276,36 @@ fn what_is_kept_of_a_side_file_is_whole_entries() {
         assert_eq!(kept, [0, 0, bytes, bytes, 4 * bytes], "{layout:?}");
     }
 }
+
+#[test]
+fn a_log_that_somebody_cuts_goes_on_in_another_file() {
+    let folder = folder("cut");
+    let log = folder.join("out.dat");
+    let side = side_path(&log);
+    for (cut, left, gone) in [(&log, 0, 4), (&log, 12, 2), (&side, 0, 0)] {
+        let mut files = LogFiles::create(&log, Rotation::default(), true).unwrap();
+        assert_eq!(files.write(&chunk(0..4)).records, 4);
+        OpenOptions::new().write(true).open(cut).unwrap().set_len(left).unwrap();
+        let written = files.write(&chunk(4..6));
+        assert_eq!((written.records, written.lost), (2, gone), "{} to {left}", cut.display());
+        assert!(written.error.unwrap().contains("was cut by another program"));
+        assert_eq!(files.write(&chunk(6..7)), Written { records: 1, ..Written::default() });
+        let next = folder.join("out-0001.dat");
+        assert_eq!(files.paths(), [log.clone(), next.clone()]);
+        drop(files);
+        assert_eq!(std::fs::metadata(cut).unwrap().len(), left);
+        assert_eq!(std::fs::read(&next).unwrap(), (4..7).flat_map(record).collect::<Vec<_>>());
+        std::fs::remove_file(&next).unwrap();
+        std::fs::remove_file(side_path(&next)).unwrap();
+    }
+    // The next name is somebody's: it goes on behind what is left.
+    let mut files = LogFiles::create(&log, Rotation::default(), true).unwrap();
+    files.write(&chunk(0..4));
+    std::fs::write(folder.join("out-0001.dat"), "precious").unwrap();
+    files.force = false;
+    OpenOptions::new().write(true).open(&log).unwrap().set_len(6).unwrap();
+    assert!(files.write(&chunk(4..5)).error.unwrap().contains("cannot go on in a new file"));
+    drop(files);
+    assert_eq!(std::fs::read(&log).unwrap(), [record(0), record(4)].concat());
+    std::fs::remove_dir_all(folder).unwrap();
+}

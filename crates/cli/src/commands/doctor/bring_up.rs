@@ -117,7 +117,7 @@ pub fn run(interface: &str, peer: Option<Mac>, report: &Path) -> Result<(), Stri
             question.tells
         );
     }
-    std::fs::write(report, text).map_err(|error| format!("{}: {error}", report.display()))?;
+    crate::commands::draft::write(report, text)?;
     note!("the report is in {}: send it in as firmware-notes/README.md says", report.display());
     Ok(())
 }

@@ -206,9 +206,7 @@ fn sounding_frame(mac: Mac, number: u32) -> Words<Vec<u8>> {
 /// Copies the intact records of a log.
 pub fn run(args: &Recovery<'_>) -> Result {
     let output = args.output.display().to_string();
-    if super::super::is_same_file(args.input, args.output) {
-        return Err(format!("{output} is the input itself: name another file"));
-    }
+    super::super::draft::must_not_be_read(args.output)?;
     super::super::must_not_exist(args.output, args.force)?;
     let mut source = super::super::open_log(args.input)?;
     // Checksums of what was never checked would vouch for it.
@@ -216,7 +214,9 @@ pub fn run(args: &Recovery<'_>) -> Result {
     let own = source.side_layout().filter(|_| is_checked);
     let side = if args.layout == Some(Layout::Stock) { Some(SideLayout::Narrow) } else { own };
     // Without a side file of its own the recovered log must not be read with that of another.
-    side_files(args.output).iter().try_for_each(|side| super::super::must_not_exist(side, args.force))?;
+    side_files(args.output).iter().try_for_each(|side| {
+        super::super::draft::must_not_be_read(side).and_then(|()| super::super::must_not_exist(side, args.force))
+    })?;
     let mut out = Output::create(args.output, side)?;
     let (mut survey, mut doubts) = (Survey::default(), Doubts::default());
     if side.is_some() && !out.draft.is_file() {

@@ -1,6 +1,7 @@
 //! `csi5300 simulate --rx ...`: a recorded capture beside a simulated one.
 
 use super::super::args::channel;
+use super::super::draft;
 use super::super::inputs::{BagArgs, Inputs};
 #[cfg(feature = "plot")]
 use super::super::pictures;
@@ -56,6 +57,7 @@ impl Recorded {
             || self.trajectory.is_some()
             || self.tx_trajectory.is_some()
             || self.channel.is_some()
+            || self.bag.columns.is_some()
     }
 }
 
@@ -235,19 +237,16 @@ fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> 
 
 /// Fits a scene to the recorded capture and keeps it, with the trajectory that it names.
 fn fitted(args: &Args, recorded: &Figures, trajectory: &Trajectory, options: &Options) -> Words<Scene> {
-    let written = |path: &Path, text: &str| {
-        std::fs::write(path, text).map_err(|error| format!("cannot write {}: {error}", path.display()))
-    };
     std::fs::create_dir_all(&args.out).map_err(|error| format!("cannot make {}: {error}", args.out.display()))?;
     let mut poses = String::new();
     trajectory.poses().iter().for_each(|pose| poses += &odometry::csv::line(pose));
-    written(&args.out.join(TRAJECTORY), &poses)?;
+    draft::write(&args.out.join(TRAJECTORY), &poses)?;
     let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: &args.out, transmitter_m: None };
     progress("fitting a scene to the recording");
     let fitted = fit(recorded, &known, options).map_err(|error| error.to_string());
     progress("");
     let fitted = fitted?;
-    written(&args.out.join(SCENE), &fitted.toml)?;
+    draft::write(&args.out.join(SCENE), &fitted.toml)?;
     Ok(fitted.scene)
 }
 

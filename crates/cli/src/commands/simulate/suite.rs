@@ -1,6 +1,7 @@
 //! `csi5300 simulate suite`: the experiments of Dijkstra et al.
 
-use super::super::{Outcome, Result, must_not_exist, print, print_json, progress, some, usage};
+use super::super::draft::Draft;
+use super::super::{Outcome, Result, print, print_json, progress, some, usage};
 use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::suite::{REPETITIONS, Summary, experiments, run_all, summarise};
@@ -40,9 +41,9 @@ pub fn run(which: &Which, path: &Path, force: bool, json: bool) -> Result {
     }
     let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let failed = |error: String| format!("cannot write {}: {error}", path.display());
-    must_not_exist(path, force)?;
+    let draft = Draft::create(path, force)?;
     // Opened first: a file that cannot be written is found before minutes of work, not after.
-    let mut csv = csv::Writer::from_path(path).map_err(|error| failed(error.to_string()))?;
+    let mut csv = csv::Writer::from_path(draft.path()).map_err(|error| failed(error.to_string()))?;
     let mut runs = Vec::new();
     for (k, experiment) in all.iter().enumerate() {
         progress(&format!("{} of {} experiments: {}", k + 1, all.len(), experiment.name));
@@ -53,6 +54,7 @@ pub fn run(which: &Which, path: &Path, force: bool, json: bool) -> Result {
     progress("");
     runs.iter().try_for_each(|run| csv.serialize(run)).map_err(|error| failed(error.to_string()))?;
     csv.flush().map_err(|error| failed(error.to_string()))?;
+    draft.keep(false).map_err(|error| failed(error.to_string()))?;
     let table = summarise(&runs);
     if json {
         table.iter().for_each(print_json);

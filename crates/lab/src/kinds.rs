@@ -1,0 +1,91 @@
+//! Logs and trajectories, told from other kinds of files.
+
+use csi5300::source::{CsiSource, Next, replay::Replay};
+use csi5300::time::Instant;
+use std::io::Read;
+use std::path::Path;
+
+/// What a log is, for who named something else.
+pub const A_LOG: &str = "a log is the .dat that the CSI tool, the WSR toolbox or `csi5300 record` wrote";
+/// Bytes in which another kind of file is recognised, and in which a log that begins with damage has its first record.
+const BEGINNING: usize = 4_096;
+const SEARCHED: u64 = 1 << 20;
+
+/// What a file is that begins as no log does, and has no record near its beginning.
+#[must_use]
+pub fn not_a_log(path: &Path) -> Option<&'static str> {
+    let bytes = beginning(path);
+    binary_kind(&bytes).or_else(|| text_kind(&bytes)).filter(|_| !has_record(path))
+}
+
+/// What a file is that is no text.
+#[must_use]
+pub fn not_a_trajectory(path: &Path) -> Option<&'static str> {
+    binary_kind(&beginning(path))
+}
+
+/// The first bytes of a file; none of what can be read only once.
+fn beginning(path: &Path) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    if path.is_file()
+        && let Ok(file) = std::fs::File::open(path)
+    {
+        let _ = file.take(BEGINNING as u64).read_to_end(&mut bytes);
+    }
+    bytes
+}
+
+/// True if a record is near the beginning of a file.
+#[must_use]
+pub fn has_record(path: &Path) -> bool {
+    let Ok(file) = std::fs::File::open(path) else { return false };
+    let mut log = Replay::new(file.take(SEARCHED), String::new());
+    loop {
+        match log.receive(Instant::ZERO) {
+            Ok(Next::Record(..)) => return true,
+            Ok(Next::End(_)) | Err(_) => return false,
+            Ok(Next::Lost(_) | Next::Pending) => {}
+        }
+    }
+}
+
+/// Kinds of files that begin with a mark of their own.
+fn binary_kind(bytes: &[u8]) -> Option<&'static str> {
+    const MARKS: [(&[u8], &str); 12] = [
+        (
+            b"\x89MCAP0\r\n",
+            "an MCAP recording (`bearing --bag` reads one of ROS 2, `csi5300 unbag` makes logs and trajectories of it)",
+        ),
+        (b"SQLite format 3\0", "a SQLite database, as recordings of ROS 2 are (`bearing --bag`, `csi5300 unbag`)"),
+        (b"#ROSBAG", "a recording of ROS 1 (`bearing --bag`, `csi5300 unbag`)"),
+        (b"PK\x03\x04", "a ZIP archive, as .npz is"),
+        (b"PAR1", "a Parquet table"),
+        (b"MATLAB 5.0", "a MATLAB file"),
+        (&[0xd4, 0xc3, 0xb2, 0xa1], "a packet capture (pcap)"),
+        (&[0xa1, 0xb2, 0xc3, 0xd4], "a packet capture (pcap)"),
+        (&[0x0a, 0x0d, 0x0d, 0x0a], "a packet capture (pcapng)"),
+        (b"\x89PNG", "a picture"),
+        (b"\x7fELF", "a program"),
+        (&[0x1f, 0x8b], "compressed by gzip"),
+    ];
+    MARKS.iter().find(|(mark, _)| bytes.starts_with(mark)).map(|(_, kind)| *kind)
+}
+
+/// Kinds of text. A log is never text: the first byte of each record is the high one of its length.
+fn text_kind(bytes: &[u8]) -> Option<&'static str> {
+    let is_text = |byte: &u8| matches!(byte, b'\t' | b'\n' | b'\r' | b' '..=b'~' | 0x80..);
+    if bytes.is_empty() || !bytes.iter().all(is_text) {
+        return None;
+    }
+    let text = String::from_utf8(bytes.to_vec()).ok().or_else(|| {
+        // A letter may be cut at the end.
+        let whole = bytes.len().saturating_sub(3);
+        bytes.get(..whole).and_then(|bytes| String::from_utf8(bytes.to_vec()).ok())
+    })?;
+    let cells = |line: &str| line.split(',').filter(|cell| cell.trim().parse::<f64>().is_ok()).count();
+    Some(match text.trim_start().chars().next() {
+        Some('{' | '[') => "JSON or TOML",
+        _ if text.lines().take(5).any(|line| cells(line) >= 3) => "a table of numbers such as a trajectory",
+        _ => "text",
+    })
+}
