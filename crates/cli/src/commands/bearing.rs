@@ -25,16 +25,13 @@ use std::path::{Path, PathBuf};
 #[derive(clap::Args)]
 pub struct Args {
     /// Log of the receiver, the robot whose trajectory is given; - is standard input
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "RX.dat", required_unless_present = "bag"))]
-    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "RX.dat", required = true))]
+    #[arg(long, value_name = "RX.dat", required_unless_present = "bag")]
     rx: Option<PathBuf>,
     /// Log of a transmitter; several make one link each
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "TX.dat", required_unless_present = "bag"))]
-    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "TX.dat", required = true))]
+    #[arg(long, value_name = "TX.dat", required_unless_present = "bag")]
     tx: Vec<PathBuf>,
     /// Trajectory of the receiver: CSV with 5, 6, 8, 9 or 15 columns
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "T.csv", required_unless_present = "bag"))]
-    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "T.csv", required = true))]
+    #[arg(long, value_name = "T.csv", required_unless_present = "bag")]
     trajectory: Option<PathBuf>,
     #[command(flatten)]
     bag: BagArgs,

@@ -2,7 +2,6 @@
 
 use super::args::channel;
 use super::inputs::{BagArgs, Inputs};
-use super::say::{Tone, toned};
 use super::{Outcome, Result, fixed, print, print_json, read_trajectory, simulate, usage};
 use csi5300::motion::odometry;
 use csi5300::motion::pose::Trajectory;
@@ -11,6 +10,7 @@ use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::fit::{Known, check_width};
 use csi5300_lab::compare::{FigureRow, Figures, Verdict, channel_of, fit, measure, rows, scene_channel};
 use csi5300_lab::evaluate::find;
+use csi5300_say::{Tone, toned};
 use csi5300_sim::Scene;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -21,16 +21,13 @@ pub struct Args {
     /// A scene, or a folder that `simulate --out` wrote; without it a scene is fitted to the recorded capture
     with: Option<PathBuf>,
     /// The recorded log of the robot that moved
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "RX.dat", required_unless_present = "bag"))]
-    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "RX.dat", required = true))]
+    #[arg(long, value_name = "RX.dat", required_unless_present = "bag")]
     rx: Option<PathBuf>,
     /// The recorded log of the other robot
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "TX.dat", required_unless_present = "bag"))]
-    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "TX.dat", required = true))]
+    #[arg(long, value_name = "TX.dat", required_unless_present = "bag")]
     tx: Option<PathBuf>,
     /// The recorded trajectory
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "T.csv", required_unless_present = "bag"))]
-    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "T.csv", required = true))]
+    #[arg(long, value_name = "T.csv", required_unless_present = "bag")]
     trajectory: Option<PathBuf>,
     #[command(flatten)]
     bag: BagArgs,

@@ -98,10 +98,10 @@ pub fn run(args: &Args) -> Result {
         wrong!("cannot read {folder}");
     }
     let beside = Beside::read(args);
-    let bar = super::bar(captures.len() as u64, "{bar:40} {pos}/{len} captures, {eta} left");
+    let bar = super::bar(captures.len() as u64, &super::some(captures.len() as u64, "capture", "captures"));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build().map_err(|error| error.to_string())?;
     if let Some(Folds::Places) = args.folds {
-        bar.finish_and_clear();
+        bar.clear();
         let report = pool.install(|| super::folds::run(&captures, &options, args.json));
         #[cfg(feature = "plot")]
         if let Some(folder) = &args.out {
@@ -114,17 +114,17 @@ pub fn run(args: &Args) -> Result {
     let one = |capture: &Capture| {
         let mut evaluated = capture.evaluate(source, args.reading.channel, &options);
         super::hint::add_all(&mut evaluated.rows);
-        bar.inc(1);
+        bar.inc();
         evaluated
     };
     if args.ablation {
         let rows = pool.install(|| ablation(args, source, &captures));
-        bar.finish_and_clear();
+        bar.clear();
         show_ablation(&rows?, args.json);
         return Ok(Outcome::Done);
     }
     let results: Vec<Evaluated> = pool.install(|| captures.par_iter().map(one).collect());
-    bar.finish_and_clear();
+    bar.clear();
     for note in results.iter().flat_map(|result| &result.notes) {
         note!("{note}");
     }

@@ -1,6 +1,9 @@
 //! `csi5300 mcap`.
 
+mod recording;
+
 use super::args::{Estimation, channel};
+use super::draft::Draft;
 use super::{Outcome, Result, fixed, info, read_trajectory, usage};
 use csi5300::internal::Front;
 use csi5300::motion::pose::Trajectory;
@@ -9,7 +12,7 @@ use csi5300::signal::channel::Channel;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::{Instant, Unwrap32};
-use csi5300_node::foxglove::{Channels, Recording};
+use recording::Recording;
 use std::path::{Path, PathBuf};
 
 // Arguments of `mcap`.
@@ -61,30 +64,35 @@ struct LinkRow {
 /// Converts captures.
 pub fn run(args: &Args) -> Result {
     super::must_not_exist(&args.out, args.force)?;
+    if let Some(input) = args.logs.iter().chain(&args.trajectory).find(|input| super::is_same_file(input, &args.out)) {
+        return Err(format!("{} is read here: --out must be another file", input.display()));
+    }
     let names = names(&args.logs);
     let trajectory = args.trajectory.as_deref().map(read_trajectory).transpose()?;
     // What is wrong with the options is said before there is a file.
     let options = args.channel.filter(|_| trajectory.is_some());
     let options = options.map(|channel| args.estimation.options(channel).unwrap_or_else(|message| usage(&message)));
-    let mut recording = Recording::create(&args.out).map_err(|error| error.to_string())?;
+    let failed = |error| format!("{}: {error}", args.out.display());
+    let draft = Draft::new(&args.out);
+    let mut recording = Recording::create(draft.path()).map_err(failed)?;
     let (mut usable, mut lost) = (0, false);
     let mut row = Row { output: &args.out, logs: Vec::new(), bearings: Vec::new() };
     for (name, path) in names.iter().zip(&args.logs) {
-        let (survey, bytes) = convert(&mut recording.channels, name, path, args)?;
+        let (survey, bytes) = convert(&mut recording, name, path, args)?;
         usable += survey.bfees();
         row.logs.push(LogRow { log: path, records: survey.bfees() });
         lost |= survey.lost_something();
         notes!("{}: {} bfee records\n{}", path.display(), survey.bfees(), info::losses(&survey, bytes));
     }
     if let Some(trajectory) = &trajectory {
-        trajectory.poses().iter().for_each(|pose| recording.channels.pose(pose));
-        recording.channels.path(trajectory.span_s().0, trajectory.poses().iter());
+        trajectory.poses().iter().try_for_each(|pose| recording.pose(pose)).map_err(failed)?;
+        recording.path(trajectory.span_s().0, trajectory.poses()).map_err(failed)?;
         match &options {
-            Some(options) => row.bearings = estimate(&mut recording.channels, &names, trajectory, options, args)?,
+            Some(options) => row.bearings = estimate(&mut recording, &names, trajectory, options, args)?,
             None => note!("no bearings: they need --channel"),
         }
     }
-    recording.finish().map_err(|error| error.to_string())?;
+    recording.finish().and_then(|()| draft.keep(false)).map_err(failed)?;
     lost |= row.bearings.iter().any(|link| link.error.is_some());
     if args.json {
         super::print_json(&row);
@@ -98,7 +106,7 @@ pub fn run(args: &Args) -> Result {
 
 /// Every record of a log. Those without a host time get the card's, from the log's beginning on.
 fn convert(
-    channels: &mut Channels,
+    recording: &mut Recording,
     name: &str,
     path: &Path,
     args: &Args,
@@ -113,20 +121,20 @@ fn convert(
             let card_us = clock.next(heard.timestamp_low);
             let since_us = card_us - *first_card_us.get_or_insert(card_us);
             let t_s = heard.host_us.unwrap_or(since_us) as f64 * 1e-6;
-            channels.record(name, t_s, sender, &heard);
+            recording.record(name, t_s, sender, &heard).map_err(|error| error.to_string())?;
         }
         if matches!(next, Next::End(_)) {
             break;
         }
     }
     let end_s = front.log.survey.host_us.map_or(0.0, |(_, last)| last as f64 * 1e-6);
-    channels.counters(name, end_s, &front.log.survey);
+    recording.counters(name, end_s, &front.log.survey).map_err(|error| error.to_string())?;
     Ok((front.log.survey, log.bytes()))
 }
 
 /// The bearings of the first log to the others.
 fn estimate(
-    channels: &mut Channels,
+    recording: &mut Recording,
     names: &[String],
     trajectory: &Trajectory,
     options: &Options,
@@ -145,7 +153,7 @@ fn estimate(
     for (name, link) in names.iter().skip(1).zip(&report.links) {
         match &link.bearing {
             Ok(bearing) => {
-                channels.bearing(name, bearing).map_err(|error| error.to_string())?;
+                recording.bearing(name, bearing)?;
                 let azimuth_deg = bearing.answer.azimuth_rad.to_degrees();
                 note!("{name}: {} deg", fixed(azimuth_deg, 2));
                 rows.push(LinkRow { link: name.clone(), azimuth_deg: Some(azimuth_deg), error: None });

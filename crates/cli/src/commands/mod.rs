@@ -1,16 +1,13 @@
 //! Words to calls, results to exit codes. Results go to standard output, diagnostics to standard error.
 
-#[macro_use]
-mod say;
-
 mod args;
 mod bearing;
 mod captures;
+#[cfg(feature = "live")]
+mod card;
 mod compare;
 mod completions;
 mod demo;
-#[cfg(feature = "live")]
-mod doctor;
 mod draft;
 mod evaluate;
 mod explain;
@@ -21,81 +18,32 @@ mod hint;
 mod info;
 mod inputs;
 mod key;
-#[cfg(feature = "live")]
-mod listener;
-#[cfg(feature = "live")]
-mod live;
 mod locate;
-#[cfg(feature = "foxglove")]
 mod mcap;
 mod mounting;
-#[cfg(feature = "node")]
 mod node;
 #[cfg(feature = "plot")]
 mod pictures;
-#[cfg(feature = "node")]
-mod places;
 #[cfg(feature = "plot")]
 mod plot;
 mod profile;
-#[cfg(feature = "live")]
-mod record;
 mod recover;
-#[cfg(feature = "live")]
-mod replay;
 #[cfg(feature = "plot")]
 mod report;
-#[cfg(feature = "live")]
-mod respond;
-#[cfg(feature = "live")]
-mod serve;
-#[cfg(feature = "live")]
-mod setup;
 mod simulate;
-#[cfg(feature = "live")]
-mod sound;
-#[cfg(feature = "live")]
-mod sounding;
 mod suite;
 mod threads;
-#[cfg(feature = "ros2")]
 mod unbag;
 #[cfg(feature = "view")]
 mod view;
-#[cfg(feature = "node")]
-mod watch;
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{Parser, Subcommand};
-pub use csi5300_lab::words::{count as some, fixed};
+use csi5300_say::{self as say, Level, When};
+pub use csi5300_say::{Outcome, Result, count as some, fixed, is_end_of_room, print, print_json, usage};
 pub use files::{is_same_file, must_not_exist, open_log, read_trajectory};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use say::Level;
 use std::process::ExitCode;
-
-/// How a command ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
-    /// Done; a cut last record is the normal end of a log that was killed.
-    Done,
-    /// Done, but records were dropped or damaged before the tail, rows of a trajectory could not be read, or some link or
-    /// capture failed.
-    DataLost,
-    /// Nothing usable.
-    Nothing,
-}
-
-impl From<Outcome> for ExitCode {
-    fn from(outcome: Outcome) -> Self {
-        Self::from(match outcome {
-            Outcome::Done => 0,
-            Outcome::Nothing => 1,
-            Outcome::DataLost => 3,
-        })
-    }
-}
-
-/// A command's result: its outcome, or what went wrong in words for the user.
-pub type Result = std::result::Result<Outcome, String>;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Bearings between robots from WiFi alone: CSI of the Intel 5300, live, replayed or simulated.
 #[derive(Parser)]
@@ -120,13 +68,13 @@ struct Cli {
     #[arg(
         long,
         alias = "colour",
-        value_enum,
-        default_value_t,
+        default_value = When::NAMES[0],
+        value_parser = PossibleValuesParser::new(When::NAMES).map(|name| When::named(&name)),
         value_name = "WHEN",
         global = true,
         display_order = 902
     )]
-    color: say::When,
+    color: When,
     #[command(subcommand)]
     command: Command,
 }
@@ -162,14 +110,8 @@ enum Command {
     /// CSI of a log as CSV, NPZ, MAT or Parquet, raw or scaled
     Export(export::Args),
     /// Captures as MCAP, for Foxglove, Lichtblick and MCAP readers
-    #[cfg(feature = "foxglove")]
     Mcap(mcap::Args),
-    /// Captures as MCAP: this program was built without it (feature `foxglove`)
-    #[cfg(not(feature = "foxglove"))]
-    #[command(hide = true)]
-    Mcap(Missing),
     /// Logs and trajectories from a recording of ROS 2
-    #[cfg(feature = "ros2")]
     Unbag(unbag::Args),
     /// A room full of robots: writes the logs that their cards would have recorded
     Simulate(simulate::Args),
@@ -181,56 +123,29 @@ enum Command {
     Key(key::Args),
     /// The script with which a shell completes commands and options
     Completions(completions::Args),
-    /// Manual pages, for packages
-    #[command(hide = true)]
-    Manual(completions::ManualArgs),
-    /// Sounds other robots: sends them frames in turn, which they answer, so that both cards measure; live bearings
+    /// The card on this machine
     #[cfg(feature = "live")]
-    Sound(Box<sound::Args>),
-    /// Answers the frames of robots that sound
-    #[cfg(feature = "live")]
-    Respond(respond::Args),
-    /// Records the driver's messages to a log, live
-    #[cfg(feature = "live")]
-    Record(record::Args),
-    /// Plays a log at its own pace, to standard output or into the kernel's connector
-    #[cfg(feature = "live")]
-    Replay(replay::Args),
-    /// What stands between this machine and a first record, and the command that mends it
-    #[cfg(feature = "live")]
-    Doctor(doctor::Args),
+    #[command(flatten)]
+    Card(card::Command),
     /// The robot's own service: capture, odometry, peers, live bearings
-    #[cfg(feature = "node")]
-    Node(node::Args),
+    Node(node::NodeArgs),
     /// A running node in a terminal: peers, rates, losses, bearings on a compass
-    #[cfg(feature = "node")]
-    Watch(watch::Args),
-    /// The steps that put the card into monitor mode: printed, or taken with --apply
-    #[cfg(feature = "live")]
-    Setup(setup::Args),
-}
-
-// Arguments of a command that was not compiled in: any.
-#[cfg(not(feature = "foxglove"))]
-#[derive(clap::Args)]
-struct Missing {
-    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-    _any: Vec<String>,
+    Watch(node::WatchArgs),
 }
 
 /// Runs the command named by the arguments.
 pub fn run() -> ExitCode {
     let begun = std::time::Instant::now();
     // A file as large as files may be here (`ulimit -f`) is a full disk: the write fails with EFBIG, and the signal ends nothing.
-    #[cfg(feature = "live")]
     let _ = nix::sys::signal::SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
-    let cli = Cli::try_parse().unwrap_or_else(|error| misused(&error));
+    let cli = Cli::try_parse()
+        .unwrap_or_else(|error| say::misused(&error.render().to_string(), error.exit_code(), || error.exit()));
     let level = match (cli.quiet, cli.verbose) {
         (true, _) => Level::Quiet,
         (false, false) => Level::Usual,
         (false, true) => Level::Verbose,
     };
-    say::set(level, cli.color);
+    say::set("csi5300", level, cli.color);
     let result = execute(cli.command);
     detail!("{}", say::used(begun));
     match result {
@@ -259,66 +174,16 @@ fn execute(command: Command) -> Result {
         Command::Explain(args) => explain::run(&args),
         Command::Recover(args) => recover::run(&args),
         Command::Export(args) => export::run(&args),
-        #[cfg(feature = "foxglove")]
         Command::Mcap(args) => mcap::run(&args),
-        #[cfg(not(feature = "foxglove"))]
-        Command::Mcap(_) => usage("`mcap` needs a program built with the feature: --features foxglove"),
-        #[cfg(feature = "ros2")]
         Command::Unbag(args) => unbag::run(&args),
         Command::Simulate(args) => simulate::run(&args),
         Command::Compare(args) => compare::run(&args),
         Command::Suite(args) => suite::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Completions(args) => completions::run(&args),
-        Command::Manual(args) => completions::manual(&args),
         #[cfg(feature = "live")]
-        Command::Sound(args) => sound::run(&args),
-        #[cfg(feature = "live")]
-        Command::Respond(args) => respond::run(&args),
-        #[cfg(feature = "live")]
-        Command::Record(args) => record::run(&args),
-        #[cfg(feature = "live")]
-        Command::Replay(args) => replay::run(&args),
-        #[cfg(feature = "live")]
-        Command::Doctor(args) => doctor::run(&args),
-        #[cfg(feature = "node")]
-        Command::Node(args) => node::run(&args),
-        #[cfg(feature = "node")]
-        Command::Watch(args) => watch::run(&args),
-        #[cfg(feature = "live")]
-        Command::Setup(args) => setup::run(&args),
-    }
-}
-
-/// Ends the command as wrong usage, as the argument parser does.
-pub fn usage(message: &str) -> ! {
-    wrong!("{message}");
-    std::process::exit(2);
-}
-
-/// Says which arguments make no sense, or what was asked for instead of a command (`--help`), and ends the program. `clap`
-/// repeats arguments as they are.
-fn misused(error: &clap::Error) -> ! {
-    let plain = error.render().to_string();
-    match say::printable(&plain) {
-        std::borrow::Cow::Borrowed(_) => error.exit(),
-        std::borrow::Cow::Owned(shown) => {
-            notes!("{shown}");
-            std::process::exit(error.exit_code());
-        }
-    }
-}
-
-/// Prints to standard output; a reader that went away (`| head`) ends the command quietly, a full disk does not.
-pub fn print(text: &str) {
-    use std::io::Write;
-    match std::io::stdout().write_all(say::printable(text).as_bytes()) {
-        Ok(()) => {}
-        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => std::process::exit(0),
-        Err(error) => {
-            wrong!("standard output: {error}");
-            std::process::exit(1);
-        }
+        Command::Card(command) => card::run(command),
+        Command::Node(_) | Command::Watch(_) => node::run(),
     }
 }
 
@@ -332,35 +197,41 @@ pub fn progress(text: &str) {
 }
 
 /// A bar on a terminal that says how far a long command is.
-pub fn bar(steps: u64, template: &str) -> ProgressBar {
-    let target = if say::says(Level::Usual) { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-    let bar = ProgressBar::with_draw_target(Some(steps), target);
-    match ProgressStyle::with_template(template) {
-        Ok(style) => bar.with_style(style),
-        Err(_) => bar,
-    }
+pub struct Bar {
+    steps: u64,
+    done: AtomicU64,
+    /// Percent when it was last drawn.
+    drawn: AtomicU64,
+    what: String,
+    begun: std::time::Instant,
 }
 
-/// True where a program's end of a served room's sockets says that the room has ended: a normal end.
-#[cfg(feature = "live")]
-pub fn is_end_of_room(error: &(dyn std::error::Error + 'static)) -> bool {
-    use std::io::ErrorKind;
-    let mut cause = Some(error);
-    while let Some(error) = cause {
-        if let Some(error) = error.downcast_ref::<std::io::Error>() {
-            let ended = [ErrorKind::UnexpectedEof, ErrorKind::BrokenPipe, ErrorKind::ConnectionReset];
-            return ended.contains(&error.kind());
+/// A bar for so many steps of `what`.
+pub fn bar(steps: u64, what: &str) -> Bar {
+    let (done, drawn, what) = (AtomicU64::new(0), AtomicU64::new(u64::MAX), what.to_owned());
+    Bar { steps, done, drawn, what, begun: std::time::Instant::now() }
+}
+
+impl Bar {
+    /// One more step is done.
+    pub fn inc(&self) {
+        self.set(self.done.load(Ordering::Relaxed) + 1);
+    }
+
+    /// So many steps are done.
+    pub fn set(&self, done: u64) {
+        self.done.store(done, Ordering::Relaxed);
+        let percent = 100 * done.min(self.steps) / self.steps.max(1);
+        if self.drawn.swap(percent, Ordering::Relaxed) != percent {
+            let full = "#".repeat(percent as usize * 2 / 5);
+            let left_s = self.begun.elapsed().as_secs_f64() * (100.0 / percent.max(1) as f64 - 1.0);
+            progress(&format!("{full:-<40} {percent} % of {}, {left_s:.0} s left", self.what));
         }
-        cause = error.source();
     }
-    false
-}
 
-/// Prints one value as a line of JSON.
-pub fn print_json(value: &impl serde::Serialize) {
-    match serde_json::to_string(value) {
-        Ok(line) => print(&format!("{line}\n")),
-        Err(error) => wrong!("{error}"),
+    /// Takes it away.
+    pub fn clear(&self) {
+        progress("");
     }
 }
 

@@ -29,7 +29,7 @@ pub struct Args {
     json: bool,
     #[cfg(feature = "live")]
     #[command(flatten)]
-    live: super::serve::Args,
+    live: super::card::serve::Args,
 }
 
 /// A layout of records: that of a driver.
@@ -52,7 +52,7 @@ pub fn run(args: &Args) -> Result {
     };
     #[cfg(feature = "live")]
     if args.live.serve {
-        return super::serve::run(scene, &args.scene, &args.live, args.json);
+        return super::card::serve::run(scene, &args.scene, &args.live, args.json);
     }
     #[cfg(feature = "live")]
     if args.live.asked() {
@@ -84,10 +84,9 @@ pub fn load(file: &Path) -> std::result::Result<Scene, String> {
 /// Runs a scene into a folder, with a progress bar on a terminal.
 pub fn write(scene: &Scene, folder: &Path) -> std::result::Result<(Vec<WrittenCapture>, Vec<Injected>), String> {
     let mut room = Room::new(scene).map_err(|error| error.to_string())?;
-    let bar = super::bar(100, "{bar:40} {percent} % of {msg}, {eta} left");
-    bar.set_message(format!("{:.0} s", scene.duration_s));
-    let captures = write_dataset(&mut room, folder, &mut |share| bar.set_position((share * 100.0) as u64));
-    bar.finish_and_clear();
+    let bar = super::bar(100, &format!("{:.0} s", scene.duration_s));
+    let captures = write_dataset(&mut room, folder, &mut |share| bar.set((share * 100.0) as u64));
+    bar.clear();
     Ok((captures.map_err(|error| error.to_string())?, room.injected()))
 }
 

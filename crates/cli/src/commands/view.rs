@@ -2,7 +2,7 @@
 
 use super::captures::Reading;
 use super::{Outcome, Result, print, usage};
-use csi5300_view::{Server, View};
+use csi5300_view::{Ends, Server, View};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -42,6 +42,8 @@ pub fn reading(reading: &Reading) -> csi5300_view::Reading {
 
 /// Serves the page until a signal ends it.
 pub fn run(args: &Args) -> Result {
+    // Before there are threads, which inherit it.
+    let ends = Ends::catch(ends_by_hangup()).map_err(|error| error.to_string())?;
     // Before it is opened: a pipe would be waited for.
     View::check(&args.what).map_err(|error| error.to_string())?;
     super::files::must_be_log(&args.what)?;
@@ -63,7 +65,7 @@ pub fn run(args: &Args) -> Result {
     if args.open {
         open(&url);
     }
-    server.run(&view, ends_by_hangup()).map_err(|error| error.to_string())?;
+    server.run(&view, &ends).map_err(|error| error.to_string())?;
     Ok(Outcome::Done)
 }
 

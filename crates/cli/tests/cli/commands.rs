@@ -114,7 +114,7 @@ fn stretches_are_carried_on_from_one_to_the_next() {
     assert_eq!(*carried, lines[3]["carried"]);
     let off = carried["azimuth_deg"].as_f64().unwrap() - 2f64.to_degrees();
     assert!(off.abs() < 2.0 && carried["candidates"][0]["share"].as_f64().unwrap() > 0.6, "{carried}");
-    super::looking::are_documented(&out);
+    crate::documented::are_documented(&out);
     assert!(folder.bearing(&["--every", "3"]).1.contains("; carried 11"));
     assert_eq!(folder.bearing(&["--every", "0"]).0, 2);
 }

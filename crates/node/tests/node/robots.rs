@@ -22,7 +22,7 @@ fn folder(name: &str) -> PathBuf {
 
 /// A robot that was configured, ready to run in virtual time.
 fn machine(config: &Config) -> Machine {
-    let sources = Sources::open(config, Instant::ZERO, || None).unwrap();
+    let sources = Sources::open(config, Instant::ZERO, || None, &mut []).unwrap();
     let plain = |card| Ok(Capture::Plain(card));
     Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap()
 }
