@@ -491,7 +491,10 @@ impl<'a> ReadChunk<'a> {
     fn is_good(&self) -> bool {
         let (mut from, mut sum, mut length) = (self.unpacked(), crc32fast::Hasher::new(), 0);
         let mut buffer = [0; 1 << 14];
-        while self.size <= LARGEST_CHUNK {
+        if self.size > LARGEST_CHUNK {
+            return false;
+        }
+        loop {
             match from.read(&mut buffer) {
                 Ok(0) => return length == self.size && (self.sum == 0 || sum.finalize() == self.sum),
                 Ok(count) => {
@@ -505,7 +508,6 @@ impl<'a> ReadChunk<'a> {
                 return false;
             }
         }
-        false
     }
 }
 

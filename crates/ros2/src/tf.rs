@@ -63,7 +63,7 @@ impl Tree {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use csi5300_bag::messages::standard::{Header, Time, Vector3};
+    use csi5300_bag::messages::standard::{Header, Quaternion, Time, Transform, Vector3};
     use std::f64::consts::FRAC_1_SQRT_2;
 
     fn told(parent: &str, child: &str, at: [f64; 3], quarter: bool) -> TransformStamped {

@@ -170,7 +170,7 @@ fn the_recording_is_not_overwritten_whatever_it_is_called() {
     let (recording, log) = (folder.join("run_0.mcap"), folder.join("n_csi.dat"));
     let before = std::fs::read(&recording).unwrap();
     let links: [fn(&Path, &Path) -> io::Result<()>; 2] =
-        [std::fs::hard_link, |from, to| std::os::unix::fs::symlink(from, to)];
+        [|from, to| std::fs::hard_link(from, to), |from, to| std::os::unix::fs::symlink(from, to)];
     for link in links {
         link(&recording, &log).unwrap();
         for bag in [&recording, &log, &folder] {

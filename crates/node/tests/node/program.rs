@@ -15,7 +15,7 @@ pub fn folder(name: &str) -> PathBuf {
     path
 }
 
-fn node(folder: &Path) -> Command {
+fn program(folder: &Path) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300-node"));
     command.current_dir(folder).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
     command
@@ -33,7 +33,7 @@ const ROOM: &str = "name = \"alpha\"\nchannel = \"108\"\ncapture.room = { scene 
 fn a_configuration_is_checked_whole_before_anything_starts() {
     let folder = folder("node-check");
     std::fs::write(folder.join("good.toml"), ROOM).unwrap();
-    let check = |name: &str| said(node(&folder).args(["node", "--config", name, "--check"]).output().unwrap());
+    let check = |name: &str| said(program(&folder).args(["node", "--config", name, "--check"]).output().unwrap());
     let (status, out, err) = check("good.toml");
     assert_eq!((status, out.as_str()), (0, "good.toml: good\n"), "{err}");
     let bad = ROOM.replace("channel = \"108\"", "channel = \"13\"").replace("capture.room", "capture.radio");
@@ -42,7 +42,7 @@ fn a_configuration_is_checked_whole_before_anything_starts() {
     assert!(status == 2 && err.contains("bad.toml: line 3") && err.contains("radio"), "{err}");
     let (status, _, err) = check("absent.toml");
     assert!(status == 1 && err.contains("absent.toml"), "a missing file is no wrong usage: {err}");
-    let alone = |args: &[&str]| said(node(&folder).args(args).output().unwrap());
+    let alone = |args: &[&str]| said(program(&folder).args(args).output().unwrap());
     assert_eq!(alone(&["--check", "--config", "good.toml"]).0, 0, "the service needs no name");
     assert_eq!(alone(&["--check", "watch", "--once"]).0, 2, "every option acts or is refused");
 }
@@ -75,7 +75,7 @@ fn a_configuration_is_found_in_the_usual_places() {
     let folder = folder("node-places");
     let home = folder.join("home");
     let run = |args: &[&str]| {
-        let mut command = node(&folder);
+        let mut command = program(&folder);
         said(command.env("HOME", &home).env_remove("XDG_CONFIG_HOME").args(args).output().unwrap())
     };
     if !Path::new("/etc/csi5300/robot.toml").exists() {
@@ -109,7 +109,7 @@ fn a_simulated_robot_runs_to_its_end_with_its_log_and_its_bearings() {
         [("own.dat", ""), ("own-r1-0001.dat", "rotate_mib = 100\n"), ("own-r2-0001.dat", "rotate_mib = 100\n")]
     {
         std::fs::write(folder.join("robot.toml"), format!("{text}{rotate}")).unwrap();
-        let (status, out, err) = said(node(&folder).args(["node", "--config", "robot.toml"]).output().unwrap());
+        let (status, out, err) = said(program(&folder).args(["node", "--config", "robot.toml"]).output().unwrap());
         // At forty times real time the simulated socket may run over, as a real one does: that is status 3.
         assert!(matches!(status, 0 | 3) && out.is_empty(), "{status} {err}");
         assert!(err.contains("tx: bearing") && err.contains("records/s"), "{err}");
@@ -146,8 +146,8 @@ fn the_state_is_told_on_a_socket_and_a_signal_ends_the_robot_in_order() {
         folder.display()
     );
     std::fs::write(folder.join("robot.toml"), text).unwrap();
-    let mut node = Running(node(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
-    let look = || said(node(&folder).args(["watch", "s", "--once"]).output().unwrap());
+    let mut node = Running(program(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
+    let look = || said(program(&folder).args(["watch", "s", "--once"]).output().unwrap());
     // The socket appears when the robot is up.
     let state = loop {
         let (status, out, _) = look();
@@ -160,7 +160,7 @@ fn the_state_is_told_on_a_socket_and_a_signal_ends_the_robot_in_order() {
     assert!(crate::documented::are_documented(&state.to_string()) > 18);
     assert_eq!((state["name"].as_str(), state["peers"][0]["name"].as_str()), (Some("alpha"), Some("tx")));
     // A second one on the same socket is refused, and does not take it away.
-    let (status, _, err) = said(node(&folder).args(["node", "--config", "robot.toml"]).output().unwrap());
+    let (status, _, err) = said(program(&folder).args(["node", "--config", "robot.toml"]).output().unwrap());
     assert!(status == 1 && err.contains("another node answers"), "{err}");
     assert_eq!(look().0, 0);
     nix::sys::signal::kill(nix::unistd::Pid::from_raw(node.0.id() as i32), nix::sys::signal::Signal::SIGTERM).unwrap();
@@ -184,7 +184,7 @@ fn the_log_of_a_robot_that_was_killed_can_be_read() {
         folder.display()
     );
     std::fs::write(folder.join("robot.toml"), text).unwrap();
-    let mut node = Running(node(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
+    let mut node = Running(program(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
     while std::fs::metadata(folder.join("own.dat")).map_or(0, |log| log.len()) < 20_000 {
         assert!(node.0.try_wait().unwrap().is_none(), "the robot ended by itself");
         std::thread::yield_now();
