@@ -88,7 +88,7 @@ fn case(at: f64, ends: &Ends) -> Case {
 }
 
 fn nearest(mut case: Case, range_min_m: f64) -> Case {
-    let accuracy = case.options.accuracy.with_range_min_m(range_min_m);
+    let accuracy = case.options.accuracy.with_range_min_m(Some(range_min_m));
     case.options = case.options.with_accuracy(accuracy);
     case
 }

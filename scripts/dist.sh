@@ -9,8 +9,8 @@ mkdir -p target/dist
 # One after the other: built together, each would have the features of both.
 for program in csi5300:csi5300-cli csi5300-node:csi5300-node; do
     name=${program%:*}
-    cargo build --profile dist --package "${program#*:}" --bin "$name" --target "$target"
-    strip -o "target/dist/$name" "target/$target/dist/$name"
+    cargo build --release --package "${program#*:}" --bin "$name" --target "$target"
+    strip -o "target/dist/$name" "target/$target/release/$name"
     # A static-pie executable may have a dynamic section, but no interpreter and no library that it needs.
     if readelf -ld "target/dist/$name" | grep -E 'INTERP|\(NEEDED\)'; then
         echo "not static" >&2

@@ -14,7 +14,7 @@ host=$(rustc -vV | sed -n 's/^host: //p')
 features=(--no-default-features)
 for target in "${targets[@]}"; do
     case $target in
-        bfee | connector | frame | record_stream | side_file | stock) ;;
+        bfee | connector | formats | frame | record_stream | side_file | stock) ;;
         recording | rtps) features+=(--features ros) ;;
         *) features+=(--features library) ;;
     esac

@@ -65,7 +65,7 @@ try:
     wait(lambda: os.path.exists(f"{folder}/room"), 60, "the room")
     rx, tx = node("rx", "tx", "true"), node("tx", "rx", "false")
     running += [rx, tx]
-    stranger = start("sound", "--room", f"{folder}/room#stranger", "--rate", "100", "--peers", "02:66:00:00:00:02", "--keep-rate", "--no-fifo")
+    stranger = start("sound", "--room", f"{folder}/room#stranger", "--rate", "100", "--peers", "02:66:00:00:00:02", "--no-fifo")
     running.append(stranger)
     wait(lambda: os.path.exists(f"{folder}/rx.sock"), 60, "the node's status socket")
     part, readers, worst = 60 * minutes / 3, [], {}

@@ -127,6 +127,7 @@
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
 pub mod bartlett;
+pub(crate) mod estimate;
 pub mod exchange;
 // What estimators count and wrap with: public for the crates of this workspace, no part of the library's interface.
 #[doc(hidden)]
@@ -137,7 +138,6 @@ pub mod place;
 pub mod signal;
 pub mod source;
 pub mod time;
-mod tuning;
 
 pub use driver_iface;
 pub use nalgebra;
@@ -154,30 +154,20 @@ pub mod internal {
     }
     pub use crate::bartlett::direct::oracle;
     pub use crate::bartlett::search::Searcher;
+    pub use crate::estimate::heading;
     pub use crate::exchange::pairing::numbering::before_first_number;
     pub use crate::exchange::tdma::proof::{Proof, Prover};
     pub use crate::motion::heading::heading_of;
     pub use crate::motion::rolling::Roller;
     pub use crate::pipeline::intake::{FrameHeard, Front};
-    pub use crate::place::confidence::{
-        camera_heading_rad, full_deviation_rad, full_features, full_probability, heading_feature, probability_limits,
-        quick_deviation_rad, quick_features, quick_probability, rolling_camera_heading_rad, unmounted_heading_rad,
-        wheels_heading_rad,
-    };
     /// The filter over a peer's place.
     pub mod track {
         pub use crate::place::track::{
             Evidence, EvidenceMode, PeerPlace, PeerPlaces, PeerTrack, TrackAnswer, TrackError, TrackSettings, places,
         };
     }
-    pub use crate::place::near_field::types::{Band, Limits, Taper, View};
-    pub use crate::place::near_field::{aperture::Aperture, search::Search};
-    pub use crate::signal::alignment::{CsiRow, align, remove_common_slope};
     pub use crate::signal::cfo::drift_line::drift_line;
-    pub use crate::signal::one_way::one_way;
     pub use crate::source::hearing::{FrameReceiver, HeardFrame};
     pub use crate::source::key_file::{create_key_file, group_text, robot_text};
     pub use crate::source::survey::bounds::{LOSSES_KEPT, PAUSE_US, SENDERS_KEPT};
-    #[cfg(feature = "tunable")]
-    pub use crate::tuning::{VARIABLE as TUNING_VARIABLE, chosen_json as chosen_tuning_json};
 }

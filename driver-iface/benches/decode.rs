@@ -126,7 +126,7 @@ fn write_log(log: &Path, frames: bool) {
             let length = Record { code: code::MPDU, body: &frame }.emit(&mut bytes).unwrap();
             file.write_all(&bytes[..length]).unwrap();
         }
-        let wsr = Some(Wsr { frame_count: count, ..Wsr::default() });
+        let wsr = Some(Wsr { frame_count: Some(count), ..Wsr::default() });
         let repr = Repr { bfee_count: count as u16, timestamp_low: count.wrapping_mul(8_000), wsr, ..Repr::default() };
         let (mut body, mut bytes) = ([0; 600], [0; 600]);
         let length = repr.emit(&csi, &mut body).unwrap();

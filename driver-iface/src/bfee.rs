@@ -1,8 +1,11 @@
 //! The 0xBB record: beamforming feedback, the CSI of one received frame.
 //!
-//! Two layouts exist. The stock csitool driver writes a 20-byte header and the packed CSI; the WSR driver puts 18
-//! bytes more between them (host time, sender, frame number). `len` counts the CSI bytes in both, so the lengths tell
-//! them apart: `body - 20 - len` is 0 or 18. Anything else is damage.
+//! Three layouts exist. The stock csitool driver writes a 20-byte header and the packed CSI. The WSR driver of 2021 puts
+//! 14 bytes between them (host time, sender), later ones 18 (a frame number too). `len` counts the CSI bytes in all,
+//! so the lengths tell them apart: `body - 20 - len` is 0, 14 or 18.
+//!
+//! Bytes behind the CSI are kept apart ([`Bfee::behind_csi`]), as other readers ignore them: netlink pads a datagram to
+//! four bytes, and a logger may write what it received. Such a body is told by the bits between the samples, which are 0.
 //!
 //! Field offsets are those of `struct iwl_bfee_notif` (csitool `netlink/bfee.h`; WSR `dvm/commands.h`), little-endian.
 
@@ -25,6 +28,10 @@ pub const SUBCARRIERS: usize = 30;
 pub const STOCK_HEADER: usize = 20;
 /// Bytes that the WSR driver adds after the stock header.
 pub const WSR_EXTRA: usize = 18;
+/// Bytes that the WSR driver of 2021 adds after the stock header: all but the frame number.
+pub const WSR_2021_EXTRA: usize = 14;
+/// Bytes before the CSI in the WSR layout of 2021.
+pub const WSR_2021_HEADER: usize = STOCK_HEADER + WSR_2021_EXTRA;
 /// Bytes before the CSI in the WSR layout.
 pub const WSR_HEADER: usize = STOCK_HEADER + WSR_EXTRA;
 /// The longest body: WSR header and 3x3 CSI.
@@ -56,13 +63,13 @@ pub mod offset {
     pub const LEN: usize = 16;
     /// u16.
     pub const RATE_N_FLAGS: usize = 18;
-    /// u32, WSR layout only.
+    /// u32, WSR layouts only.
     pub const TV_SEC: usize = 20;
-    /// u32, WSR layout only.
+    /// u32, WSR layouts only.
     pub const TV_USEC: usize = 24;
-    /// 6 bytes, WSR layout only.
+    /// 6 bytes, WSR layouts only.
     pub const MAC: usize = 28;
-    /// u32, WSR layout only.
+    /// u32, WSR layout only, not in that of 2021.
     pub const FRAME_COUNT: usize = 34;
 }
 
@@ -93,6 +100,8 @@ pub const fn csi_len(n_rx: u8, n_tx: u8) -> usize {
 pub enum Layout {
     /// csitool: 20-byte header.
     Stock,
+    /// WSR of 2021: 34-byte header with host time and sender.
+    Wsr2021,
     /// WSR: 38-byte header with host time, sender and frame number.
     Wsr,
 }
@@ -103,6 +112,7 @@ impl Layout {
     pub const fn header_len(self) -> usize {
         match self {
             Self::Stock => STOCK_HEADER,
+            Self::Wsr2021 => WSR_2021_HEADER,
             Self::Wsr => WSR_HEADER,
         }
     }
@@ -121,14 +131,15 @@ pub struct Wsr {
     /// checksum both still show the frame before.
     pub mac: Mac,
     /// The four bytes after the 802.11 header, read big-endian: the sounding counter, or anything in foreign frames.
-    pub frame_count: u32,
+    /// `None` in the layout of 2021, which has no number.
+    pub frame_count: Option<u32>,
 }
 
 impl Wsr {
     /// False when the driver did not know the sender ([`Wsr::mac`]).
     #[must_use]
     pub fn sender_known(&self) -> bool {
-        !(self.mac.is_zero() && self.frame_count == 0)
+        !(self.mac.is_zero() && self.frame_count.is_none_or(|number| number == 0))
     }
 }
 
@@ -154,7 +165,7 @@ pub enum Error {
         /// The field as read.
         got: usize,
     },
-    /// The body is neither 20 nor 38 bytes longer than the CSI.
+    /// The body is too short for its CSI, or longer than any layout makes it.
     BodyLength {
         /// Bytes of CSI.
         csi: usize,
@@ -171,9 +182,10 @@ impl fmt::Display for Error {
             Self::CsiLength { expect, got } => write!(f, "bfee says {got} bytes of CSI, its chains need {expect}"),
             Self::BodyLength { csi, got } => write!(
                 f,
-                "bfee of {got} bytes with {csi} of CSI: neither stock ({}) nor WSR ({})",
+                "bfee of {got} bytes with {csi} of CSI: neither stock ({}) nor WSR ({}, or {} as in 2021)",
                 csi + STOCK_HEADER,
-                csi + WSR_HEADER
+                csi + WSR_HEADER,
+                csi + WSR_2021_HEADER
             ),
         }
     }
@@ -188,11 +200,12 @@ impl core::error::Error for Error {}
 #[derive(Clone, Copy, Debug)]
 pub struct Bfee<'a> {
     head: &'a [u8; STOCK_HEADER],
-    extra: Option<&'a [u8; WSR_EXTRA]>,
+    extra: &'a [u8],
     payload: &'a [u8],
+    behind: &'a [u8],
 }
 
-/// Checks the header against the body's length; all that can be wrong with a bfee is found here.
+/// Checks the header against the length of a body that ends with its CSI.
 #[inline]
 pub(crate) fn check(head: &[u8; STOCK_HEADER], body_len: usize) -> Result<Layout, Error> {
     let [n_rx, n_tx] = [head[offset::N_RX], head[offset::N_TX]];
@@ -206,26 +219,41 @@ pub(crate) fn check(head: &[u8; STOCK_HEADER], body_len: usize) -> Result<Layout
     }
     match body_len.checked_sub(expect) {
         Some(STOCK_HEADER) => Ok(Layout::Stock),
+        Some(WSR_2021_HEADER) => Ok(Layout::Wsr2021),
         Some(WSR_HEADER) => Ok(Layout::Wsr),
         _ => Err(Error::BodyLength { csi: expect, got: body_len }),
     }
 }
 
 impl<'a> Bfee<'a> {
-    /// Checks a body (without the code byte).
+    /// Checks a body (without the code byte). It may go on behind its CSI, see [`Bfee::behind_csi`].
     ///
     /// # Errors
     /// When the body is too short, the chains are not 1 to 3, or the lengths disagree.
     pub fn new_checked(body: &'a [u8]) -> Result<Self, Error> {
         let short = Error::Short { got: body.len() };
         let (head, rest) = body.split_first_chunk::<STOCK_HEADER>().ok_or(short)?;
-        match check(head, body.len())? {
-            Layout::Stock => Ok(Self { head, extra: None, payload: rest }),
-            Layout::Wsr => {
-                let (extra, payload) = rest.split_first_chunk::<WSR_EXTRA>().ok_or(short)?;
-                Ok(Self { head, extra: Some(extra), payload })
+        match check(head, body.len()) {
+            Ok(layout) => {
+                let (extra, payload) = rest.split_at_checked(layout.header_len() - STOCK_HEADER).ok_or(short)?;
+                Ok(Self { head, extra, payload, behind: &[] })
             }
+            Err(error @ Error::BodyLength { csi, .. }) => Self::longer(head, rest, csi).ok_or(error),
+            Err(error) => Err(error),
         }
+    }
+
+    /// A body that goes on behind its CSI: of the layouts that it is long enough for the first in which the bits between
+    /// the samples are 0, or stock, as csitool's readers take it.
+    #[cold]
+    fn longer(head: &'a [u8; STOCK_HEADER], rest: &'a [u8], csi: usize) -> Option<Self> {
+        let as_layout = |layout: Layout| {
+            let (extra, rest) = rest.split_at_checked(layout.header_len() - STOCK_HEADER)?;
+            let (payload, behind) = rest.split_at_checked(csi)?;
+            Some(Self { head, extra, payload, behind })
+        };
+        let layouts = [Layout::Stock, Layout::Wsr2021, Layout::Wsr];
+        layouts.into_iter().filter_map(as_layout).find(Self::gaps_are_clear).or_else(|| as_layout(Layout::Stock))
     }
 
     fn u16_at(&self, at: usize) -> u16 {
@@ -235,7 +263,11 @@ impl<'a> Bfee<'a> {
     /// Which driver wrote it.
     #[must_use]
     pub fn layout(&self) -> Layout {
-        if self.extra.is_some() { Layout::Wsr } else { Layout::Stock }
+        match self.extra.len() {
+            WSR_EXTRA => Layout::Wsr,
+            WSR_2021_EXTRA => Layout::Wsr2021,
+            _ => Layout::Stock,
+        }
     }
 
     /// Low 32 bits of the card's 1 MHz clock when the frame began, microseconds; wraps every 4,294.967296 s.
@@ -307,15 +339,17 @@ impl<'a> Bfee<'a> {
         self.rate_n_flags() & rate::HT40 != 0
     }
 
-    /// Host time, sender and frame number, in the WSR layout.
+    /// Host time, sender and frame number, in the WSR layouts.
     #[must_use]
+    #[inline]
     pub fn wsr(&self) -> Option<Wsr> {
-        let [s0, s1, s2, s3, u0, u1, u2, u3, m0, m1, m2, m3, m4, m5, c0, c1, c2, c3] = *self.extra?;
+        let (host_and_sender, number) = self.extra.split_first_chunk::<WSR_2021_EXTRA>()?;
+        let [s0, s1, s2, s3, u0, u1, u2, u3, m0, m1, m2, m3, m4, m5] = *host_and_sender;
         Some(Wsr {
             tv_sec: u32::from_le_bytes([s0, s1, s2, s3]),
             tv_usec: u32::from_le_bytes([u0, u1, u2, u3]),
             mac: Mac([m0, m1, m2, m3, m4, m5]),
-            frame_count: u32::from_le_bytes([c0, c1, c2, c3]),
+            frame_count: number.first_chunk().map(|number| u32::from_le_bytes(*number)),
         })
     }
 
@@ -323,6 +357,12 @@ impl<'a> Bfee<'a> {
     #[must_use]
     pub fn payload(&self) -> &'a [u8] {
         self.payload
+    }
+
+    /// What the body has behind its CSI: nothing as a driver writes it, padding where a logger wrote whole datagrams.
+    #[must_use]
+    pub fn behind_csi(&self) -> &'a [u8] {
+        self.behind
     }
 
     /// Which antenna each raw chain was connected to.

@@ -1,4 +1,8 @@
-//! The 0xC1 record: a received frame as the card saw it, 802.11 header to frame check sequence.
+//! The 0xC1 record: a received frame as the card saw it, from the 802.11 header on.
+//!
+//! In monitor mode the frame check sequence (FCS) stands at its end; in client and access point mode the card leaves it
+//! out ([`Mpdu`] is the view of a frame with one, [`Header`] that of any). Nothing in a record says which: where no
+//! frame of a log ends in its own FCS, none has one.
 //!
 //! The driver sends it before it checks the FCS, so damaged frames appear too, and before the 0xBB of the same frame:
 //! a 0xBB belongs to the 0xC1 just before it ([`Pairing`]), never to one found by counting.
@@ -34,7 +38,7 @@ pub mod offset {
     pub const COUNTER: usize = 24;
 }
 
-/// A frame too short to have a header and an FCS.
+/// A frame too short for what it should have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Short {
     /// Bytes of the body.
@@ -43,7 +47,7 @@ pub struct Short {
 
 impl fmt::Display for Short {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "frame of {} bytes, header and FCS alone have {}", self.got, HEADER + FCS)
+        write!(f, "frame of {} bytes, too short for its header", self.got)
     }
 }
 
@@ -133,6 +137,76 @@ impl<'a> Mpdu<'a> {
     #[must_use]
     pub fn fcs_is_good(&self) -> bool {
         fcs_is_good(self.frame)
+    }
+}
+
+/// A checked view of the header of a frame of any type, with or without an FCS behind it.
+///
+/// Fields that the type of frame does not have are `None`: an ACK or CTS has one address, other control frames two
+/// (802.11-2016 9.3.1).
+#[derive(Clone, Copy, Debug)]
+pub struct Header<'a> {
+    frame: &'a [u8],
+    control: u16,
+}
+
+impl<'a> Header<'a> {
+    /// Bytes of the shortest header, that of an ACK: frame control, duration, address 1.
+    pub const SHORTEST: usize = offset::ADDR2;
+
+    /// Checks the body of a 0xC1 record.
+    ///
+    /// # Errors
+    /// [`Short`] for fewer than 10 bytes.
+    pub fn new_checked(frame: &'a [u8]) -> Result<Self, Short> {
+        let control = frame.get(..Self::SHORTEST).ok_or(Short { got: frame.len() })?;
+        Ok(Self { frame, control: LittleEndian::read_u16(control) })
+    }
+
+    /// Whether it is a control frame, and if so whether one with a single address.
+    fn control_kind(&self) -> Option<bool> {
+        (self.control >> 2 & 3 == 1).then_some(matches!(self.control >> 4 & 15, 12 | 13))
+    }
+
+    fn mac_at(&self, at: usize) -> Option<Mac> {
+        self.frame.get(at..)?.first_chunk().copied().map(Mac)
+    }
+
+    /// Frame control: version, type, subtype and flags.
+    #[must_use]
+    pub fn frame_control(&self) -> u16 {
+        self.control
+    }
+
+    /// Duration field, microseconds.
+    #[must_use]
+    pub fn duration_us(&self) -> u16 {
+        self.frame.get(offset::DURATION..).map_or(0, LittleEndian::read_u16)
+    }
+
+    /// Address 1, the receiver.
+    #[must_use]
+    pub fn addr1(&self) -> Mac {
+        self.mac_at(offset::ADDR1).unwrap_or_default()
+    }
+
+    /// Address 2, the transmitter.
+    #[must_use]
+    pub fn addr2(&self) -> Option<Mac> {
+        self.mac_at(offset::ADDR2).filter(|_| self.control_kind() != Some(true))
+    }
+
+    /// Address 3: BSSID, or the sounding robot's own address.
+    #[must_use]
+    pub fn addr3(&self) -> Option<Mac> {
+        self.mac_at(offset::ADDR3).filter(|_| self.control_kind().is_none())
+    }
+
+    /// Sequence control.
+    #[must_use]
+    pub fn seq_ctrl(&self) -> Option<u16> {
+        let bytes = self.frame.get(offset::SEQ_CTRL..HEADER).filter(|_| self.control_kind().is_none())?;
+        Some(LittleEndian::read_u16(bytes))
     }
 }
 
@@ -283,6 +357,28 @@ mod tests {
         assert!(!mpdu.fcs_is_good());
         assert_eq!(Mpdu::new_checked(&frame[..27]).unwrap_err(), Short { got: 27 });
         assert_eq!(Mpdu::new_checked(&frame[..31]).unwrap().sounding_counter(), None);
+    }
+
+    #[test]
+    fn a_header_has_the_addresses_of_its_type() {
+        let frame =
+            |control: u16, len: u8| -> std::vec::Vec<u8> { control.to_le_bytes().into_iter().chain(2..len).collect() };
+        let [one, two, three] = [4, 10, 16].map(|from: u8| Mac(core::array::from_fn(|k| from + k as u8)));
+        for (control, len, addr2, addr3, seq_ctrl) in [
+            (0x00d4, 14, None, None, None),
+            (0x00c4, 14, None, None, None),
+            (0x00b4, 20, Some(two), None, None),
+            (0x0094, 32, Some(two), None, None),
+            (0x0948, 24, Some(two), Some(three), Some(0x1716)),
+            (0x0188, 26, Some(two), Some(three), Some(0x1716)),
+            (0x0008, 15, None, None, None),
+        ] {
+            let bytes = frame(control, len);
+            let header = Header::new_checked(&bytes).unwrap();
+            assert_eq!((header.frame_control(), header.duration_us(), header.addr1()), (control, 0x0302, one));
+            assert_eq!((header.addr2(), header.addr3(), header.seq_ctrl()), (addr2, addr3, seq_ctrl), "{control:#06x}");
+        }
+        assert_eq!(Header::new_checked(&[0; 9]).unwrap_err(), Short { got: 9 });
     }
 
     proptest! {

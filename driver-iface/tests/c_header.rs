@@ -45,6 +45,7 @@ fn of_rust() -> Vec<(&'static str, i64)> {
         "CODE_NOISE" => code::NOISE, "CODE_TX_RESP" => code::TX_RESP, "CODE_TX_BLOCK_AGG" => code::TX_BLOCK_AGG,
         "CODE_STATUS" => code::STATUS, "CODE_PARALLEL" => code::PARALLEL,
         "SUBCARRIERS" => bfee::SUBCARRIERS, "STOCK_HEADER" => bfee::STOCK_HEADER, "WSR_EXTRA" => bfee::WSR_EXTRA,
+        "WSR_2021_EXTRA" => bfee::WSR_2021_EXTRA, "WSR_2021_HEADER" => bfee::WSR_2021_HEADER,
         "WSR_HEADER" => bfee::WSR_HEADER, "MAX_BODY" => bfee::MAX_BODY, "NOISE_UNKNOWN_DBM" => bfee::NOISE_UNKNOWN_DBM,
         "BFEE_TIMESTAMP_LOW" => b::TIMESTAMP_LOW, "BFEE_BFEE_COUNT" => b::BFEE_COUNT, "BFEE_RESERVED" => b::RESERVED,
         "BFEE_N_RX" => b::N_RX, "BFEE_N_TX" => b::N_TX, "BFEE_RSSI" => b::RSSI, "BFEE_NOISE" => b::NOISE,

@@ -41,7 +41,8 @@ impl Random {
 
     /// A bfee body, either layout, any chains.
     fn body(&mut self) -> Vec<u8> {
-        let wsr = (self.below(2) == 0).then(|| Wsr { frame_count: self.next() as u32, ..Wsr::default() });
+        let wsr = (self.below(2) == 0)
+            .then(|| Wsr { frame_count: (self.below(2) == 0).then(|| self.next() as u32), ..Wsr::default() });
         let (n_rx, n_tx) = (1 + self.below(3) as u8, 1 + self.below(3) as u8);
         let antenna_sel = self.next() as u8;
         let repr = Repr { n_rx, n_tx, antenna_sel, timestamp_low: self.next() as u32, wsr, ..Repr::default() };

@@ -8,7 +8,7 @@ use csi5300::source::{CsiSource, Next};
 use csi5300::time::Instant;
 use csi5300_lab::table::{Arena, antenna_order};
 use driver_iface::bfee::{ALL_SUBCARRIERS, Bfee, SUBCARRIERS};
-use driver_iface::mpdu::Mpdu;
+use driver_iface::mpdu::Header;
 use driver_iface::record::code;
 use num_complex::{Complex32, Complex64};
 use numpy::{IntoPyArray, PyArray4, PyArrayMethods};
@@ -37,13 +37,14 @@ struct Frames {
 
 impl Frames {
     fn push(&mut self, body: &[u8], payload_size: usize) {
-        let Ok(mpdu) = Mpdu::new_checked(body) else { return };
-        self.fc.push(mpdu.frame_control());
-        self.dur.push(mpdu.duration_us());
-        self.des.extend(mpdu.addr1().0);
-        self.src.extend(mpdu.addr2().0);
-        self.bssid.extend(mpdu.addr3().0);
-        self.seq.push(mpdu.seq_ctrl());
+        let Ok(header) = Header::new_checked(body) else { return };
+        self.fc.push(header.frame_control());
+        self.dur.push(header.duration_us());
+        self.des.extend(header.addr1().0);
+        // What the type of frame does not have is zero.
+        self.src.extend(header.addr2().unwrap_or_default().0);
+        self.bssid.extend(header.addr3().unwrap_or_default().0);
+        self.seq.push(header.seq_ctrl().unwrap_or(0));
         let kept = body.get(..payload_size.min(body.len())).unwrap_or_default();
         self.payload.extend_from_slice(kept);
         self.payload.resize(self.payload.len() + payload_size - kept.len(), 0);

@@ -1,7 +1,6 @@
 //! How bearings are made: keyword arguments with the names of the command line's options.
 
 use crate::error::{Failure, Kind};
-use csi5300::bartlett::SearchOptions;
 use csi5300::motion::pose::Trajectory;
 use csi5300::motion::rolling::Mount;
 use csi5300::nalgebra::Vector3;
@@ -23,8 +22,6 @@ enum Step {
     OneWay,
     NearField,
     Elevation,
-    Focus,
-    Paths,
 }
 
 /// Keyword arguments, as JSON brings them; what is absent is as by default.
@@ -101,7 +98,6 @@ impl Keywords {
             .with_compensate(!self.no_compensation && !self.left_out(Step::Compensation))
             .with_accuracy(self.accuracy())
             .with_heading_sd_rad(self.heading_sd.map(f64::to_radians))
-            .with_search(self.search())
             .with_clock_offset_s(self.clock_offset.unwrap_or(0.0))
             .with_join(if self.join_rows { JoinBy::Row } else { JoinBy::Time })
             .with_macs(
@@ -174,27 +170,16 @@ impl Keywords {
             Some(0.0) => Effort::Everything,
             Some(degrees) => Effort::Within(degrees.to_radians()),
         };
+        let elevation_max = self.elevation_max.map(f64::to_radians);
         let mut accuracy = Accuracy::default()
             .with_near_field(!self.left_out(Step::NearField))
             .with_effort(effort)
+            .with_elevation_max_rad(if self.left_out(Step::Elevation) { Some(0.0) } else { elevation_max })
+            .with_range_min_m(self.range_min)
             .with_height_m(self.height);
-        if let Some(range_min) = self.range_min {
-            accuracy = accuracy.with_range_min_m(range_min);
-        }
         accuracy.align = !self.left_out(Step::Alignment);
         accuracy.one_way = !self.left_out(Step::OneWay);
-        accuracy.focus = !self.left_out(Step::Focus);
-        accuracy.paths = !self.left_out(Step::Paths);
         accuracy
-    }
-
-    fn search(&self) -> SearchOptions {
-        let search = SearchOptions::default();
-        match self.elevation_max {
-            _ if self.left_out(Step::Elevation) => search.with_elevation_max_rad(0.0),
-            Some(degrees) => search.with_elevation_max_rad(degrees.to_radians()),
-            None => search,
-        }
     }
 
     fn check(&self) -> Result<(), Failure> {

@@ -194,8 +194,8 @@ def test_an_evaluation_is_a_table() -> None:
 
 
 def test_tables_have_columns_of_one_kind() -> None:
-    result = csi5300.evaluate(CIRCLE, sweep={"without": [None, "focus", ["focus", "paths"]], "to": [1, 2.5]})
-    said = [None, None, "focus", "focus", "focus,paths", "focus,paths"]
+    result = csi5300.evaluate(CIRCLE, sweep={"without": [None, "alignment", ["alignment", "one-way"]], "to": [1, 2.5]})
+    said = [None, None, "alignment", "alignment", "alignment,one-way", "alignment,one-way"]
     rows = [{**row, "nowhere_deg": None} for row in result]
     result = csi5300.Evaluation(rows)
     for library, frame in (("pyarrow", result.to_arrow), ("polars", result.to_polars)):

@@ -143,7 +143,7 @@ def test_arguments_are_of_the_family(rx: Path) -> None:
         lambda: csi5300.simulate("lab-circle", seed=2**64),
         lambda: csi5300.evaluate(rx.parent, workers=-1),
         lambda: csi5300.evaluate(rx.parent, sweep={"elevation_max": 5}),  # type: ignore[dict-item]
-        lambda: csi5300.evaluate(rx.parent, sweep={"without": "focus"}),
+        lambda: csi5300.evaluate(rx.parent, sweep={"without": "alignment"}),
         lambda: csi5300.evaluate(rx.parent, sweep=5),  # type: ignore[arg-type]
         lambda: csi5300.evaluate(rx.parent, trajectory=5),
         lambda: csi5300.ray.evaluate(rx.parent, use_ray=False, workers=1.5),  # type: ignore[arg-type]

@@ -18,8 +18,9 @@ from conftest import CIRCLE, STAMP
 from numpy.typing import NDArray
 
 Poses = NDArray[np.float64]
-OUTPUT = {"bag", "color", "help", "json", "quiet", "verbose", "force", "profile", "grid", "plot", "format", "dpi"}
-"""What is read from recordings, printed and drawn: arrays, attributes and methods in Python."""
+OUTPUT = {"bag", "color", "help", "json", "quiet", "verbose", "force", "profile", "grid", "plot"}
+OUTPUT |= {"place", "transmitters", "frame", "stretches"}
+"""What is read from recordings, printed and drawn: arrays, attributes and methods in Python; and what is of captures."""
 OFFSET, MOUNT = (0.05, 0.16, 0.0), (0.04, 0.17, -1.5)
 
 

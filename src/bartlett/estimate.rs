@@ -2,7 +2,7 @@
 
 use super::explain::SearchPlan;
 use super::scene::{Geometry, Shape};
-use crate::tuning::TUNING;
+use crate::estimate::tuning::sensor;
 use csi5300_kernels::simd::Tier;
 use nalgebra::Vector3;
 
@@ -21,11 +21,7 @@ pub struct SearchOptions {
 
 impl Default for SearchOptions {
     fn default() -> Self {
-        Self {
-            elevation_max_rad: 20f64.to_radians(),
-            odometry_sd_m: TUNING.plane_wave.odometry_sd_m,
-            tier: Tier::detect(),
-        }
+        Self { elevation_max_rad: 20f64.to_radians(), odometry_sd_m: sensor::POSITION_M, tier: Tier::detect() }
     }
 }
 

@@ -23,7 +23,22 @@ use super::grid::direction;
 use super::newton::{Hill, Point, Second, Top};
 use super::scene::{Geometry, Scene, Shape};
 use crate::maths::wrap_rad;
-use crate::tuning::TUNING;
+
+/// A trajectory at most this wide for its length may have a mirror.
+const ELONGATED: f64 = 0.15;
+
+/// A reflection is excluded by this natural logarithm of the likelihood ratio (ln 99, a share of one percent).
+const MIRROR_EXCLUDED: f64 = 4.6;
+
+/// A mirror that the odometry would exclude is reported from this height on.
+const MIRROR_RATIO: f64 = 0.8;
+
+/// A plane tilted by less is level, radians (floors and drifting tracking cameras (measured 0.12) tilt by less).
+const LEVEL_RAD: f64 = 0.2;
+
+/// A reflection in a level plane whose azimuth differs by less is the elevation's sign, radians (five degrees, as
+/// confidence counts).
+const SAME_AZIMUTH_RAD: f64 = 0.087;
 
 /// Fewest blocks in which the independence of residuals is judged.
 const LEAST_BLOCKS: usize = 8;
@@ -65,7 +80,7 @@ pub(super) fn axis(shape: &Shape) -> Option<f64> {
 
 /// True if a side of the motion is thin for the next longer one.
 pub(super) fn is_thin(shape: &Shape, side: usize) -> bool {
-    shape.half_extent_m[side] <= TUNING.plane_wave.elongated * shape.half_extent_m[side - 1]
+    shape.half_extent_m[side] <= ELONGATED * shape.half_extent_m[side - 1]
 }
 
 impl<'a> Reflections<'a> {
@@ -118,7 +133,7 @@ impl<'a> Reflections<'a> {
         let snr = self.explained(self.best.value) / self.unexplained(self.best.value);
         // The loss of a wave whose phases are off by so much, as a share of what it explains.
         let lost = 1.0 - (-(2.0 * TAU).powi(2) * depth).exp();
-        evidence(self.looks * (snr * lost).ln_1p(), depth, self.odometry) >= TUNING.plane_wave.mirror_excluded
+        evidence(self.looks * (snr * lost).ln_1p(), depth, self.odometry) >= MIRROR_EXCLUDED
     }
 
     fn explained(&self, value: f64) -> f64 {
@@ -143,10 +158,10 @@ impl<'a> Reflections<'a> {
         let depth = self.scene.depth_squared(normal);
         let against = evidence(logarithm.max(0.0), depth, self.odometry);
         let by_shape = odometry_tells(depth, self.odometry)
-            && !(is_thin(self.shape, side) && value >= TUNING.plane_wave.mirror_ratio * self.best.value);
+            && !(is_thin(self.shape, side) && value >= MIRROR_RATIO * self.best.value);
         // Of a line the peak itself, since its course bends both directions; of a plane the image, which is exact.
         let at = if near && side == 1 { top.at.azimuth } else { azimuth };
-        (against < TUNING.plane_wave.mirror_excluded && !by_shape).then(|| Mirror {
+        (against < MIRROR_EXCLUDED && !by_shape).then(|| Mirror {
             azimuth: wrap_rad(at),
             elevation,
             share: 1.0 / (1.0 + against.exp()),
@@ -175,7 +190,7 @@ impl<'a> Reflections<'a> {
 
 /// True if a reflection in the plane with a normal, `off` radians away in azimuth, is no more than the sign of the elevation.
 pub(crate) fn is_level(normal: &Vector3<f64>, off: f64) -> bool {
-    normal.z.abs() > TUNING.plane_wave.level_rad.cos() && off < TUNING.plane_wave.same_azimuth_rad
+    normal.z.abs() > LEVEL_RAD.cos() && off < SAME_AZIMUTH_RAD
 }
 
 /// What is left of the logarithm of a likelihood ratio by an odometry whose error is `odometry` against a depth (squared).
@@ -185,7 +200,7 @@ fn evidence(logarithm: f64, depth_squared: f64, odometry: f64) -> f64 {
 
 /// Whether a depth (squared) is told from nothing by an odometry whose error is `odometry`, however small the noise.
 pub(super) fn odometry_tells(depth_squared: f64, odometry: f64) -> bool {
-    evidence(f64::INFINITY, depth_squared, odometry) >= TUNING.plane_wave.mirror_excluded
+    evidence(f64::INFINITY, depth_squared, odometry) >= MIRROR_EXCLUDED
 }
 
 /// The unit vector of a point of a search.

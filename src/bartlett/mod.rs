@@ -50,7 +50,6 @@ pub(crate) mod search;
 #[cfg(test)]
 mod tests;
 
-pub(crate) use cost::pair_ns;
 pub use csi5300_kernels::simd::Tier;
 pub use error::Error;
 pub use estimate::{Estimate, Peak, SearchOptions};
@@ -59,7 +58,6 @@ pub(crate) use grid::wsr_planar_profile_variance;
 #[cfg(test)]
 use grid::wsr_profile_variance;
 pub use grid::{Grid, Profile, direction};
-pub(crate) use mirror::is_level;
 pub use planner::Planner;
 pub use scene::{Geometry, Shape};
 pub(crate) use search::Searcher;

@@ -26,12 +26,16 @@ use super::newton::{Hill, Point, Second, Top};
 use super::report::{Findings, REPORTED, mirror_start};
 use super::sampler::{RING_STEP, Rings, Sampled, Sampler, elevation_rings};
 use super::scene::{Scene, Shape};
+use crate::estimate::tuning::sensor;
 use crate::signal::samples::Samples;
-use crate::tuning::TUNING;
 use csi5300_kernels::fft::good_size;
 use csi5300_kernels::simd::{ROUGH, Tier};
 use csi5300_kernels::sums::Sines;
 use nalgebra::Vector3;
+
+/// Azimuth and elevation must differ by this share of the phases' variance for elevation to be searched (odometry's
+/// millimetres must not decide).
+const INDEPENDENT: f64 = 0.1;
 
 /// Samples per ring, in units of the profile's degree `M`: `4 M` suffice, more leave fewer candidates. They are
 /// interpolated from `2 M + 2` evaluated ones.
@@ -68,13 +72,6 @@ impl Searcher {
         Self { tier, single: Sampler::new(tier), double: Sampler::new(tier), last: (0.0, 0) }
     }
 
-    /// The same; if `parallel`, rings are summed on all threads of the current rayon pool.
-    #[must_use]
-    pub(crate) fn with_parallel(mut self, parallel: bool) -> Self {
-        (self.single.parallel, self.double.parallel) = (parallel, parallel);
-        self
-    }
-
     /// The band limit for a radius in radians of phase: the last one if that was for one at most two percent larger.
     fn order(&mut self, radius: f64) -> usize {
         if !(0.98 * self.last.0..=self.last.0).contains(&radius) {
@@ -89,7 +86,7 @@ impl Searcher {
     /// # Errors
     /// As [`search`].
     pub fn search(&mut self, samples: &Samples, elevation_max_rad: f64) -> Result<Estimate, Error> {
-        self.search_with(samples, elevation_max_rad, TUNING.plane_wave.odometry_sd_m)
+        self.search_with(samples, elevation_max_rad, sensor::POSITION_M)
     }
 
     /// As [`Searcher::search`], with the assumed error of the positions.
@@ -230,8 +227,7 @@ impl<'a> Search<'a> {
         let cosine = deviations(fit, spread, Second::Cosine, Point { azimuth, second: 1.0 }, false)[1];
         let angle = deviations(fit, spread, Second::Elevation, Point { azimuth, second: 0.0 }, false)[1];
         let high = odometry_tells(self.scene.depth_squared(Vector3::z()), odometry_sd_m / self.scene.turn_m);
-        let apart =
-            |kind, second| independence(spread, kind, Point { azimuth, second }) > TUNING.plane_wave.independent;
+        let apart = |kind, second| independence(spread, kind, Point { azimuth, second }) > INDEPENDENT;
         (cosine < (1.0 - limit.cos()) / uniform && apart(Second::Cosine, 1.0))
             || (high && angle < 2.0 * limit / uniform && apart(Second::Elevation, 0.0))
     }

@@ -8,11 +8,17 @@
 //! than their mean or root mean square, since outliers of the turn-around are common). The number of common frame
 //! numbers does not decide: it is wrong or tied on half of these links.
 
+use crate::exchange::pairing::by_clock::Refusal;
 use crate::exchange::pairing::{LinkSide, Pair, Pairing};
 use crate::maths::upper_median;
 use crate::signal::cfo::drift_line::drift_line;
-use crate::tuning::TUNING;
 use driver_iface::Mac;
+
+/// Common numbers that say something of whether logs match.
+pub(crate) const MIN_COMMON: usize = 16;
+
+/// By this factor the best match must spread less than the next.
+const MIN_MARGIN: f64 = 1.5;
 
 /// One record as far as matching needs it: frame number and card clock (`timestamp_low`).
 pub type Mark = (u32, u32);
@@ -65,7 +71,7 @@ pub fn common(receiver: &[Mark], transmitter: &[Mark]) -> Vec<Pair<usize>> {
 #[must_use]
 pub fn spread(receiver: &[Mark], transmitter: &[Mark]) -> Option<Spread> {
     let pairs = common(receiver, transmitter);
-    if pairs.len() < TUNING.pairing.min_common {
+    if pairs.len() < MIN_COMMON {
         return None;
     }
     let clock: Vec<i64> = pairs.iter().map(|pair| pair.clock_rx_us).collect();
@@ -94,7 +100,7 @@ pub enum Unmatched {
     /// No MAC has enough frame numbers in common with the log.
     #[error(
         "no transmitter in the receiver's log shares {} frame numbers with it: are the two logs of one run?",
-        TUNING.pairing.min_common
+        MIN_COMMON
     )]
     NothingInCommon,
     /// Two MACs go with it about equally well.
@@ -113,6 +119,9 @@ pub enum Unmatched {
         /// Spread of this log, microseconds.
         spread_us: f64,
     },
+    /// Frames have no numbers, and the cards' clocks do not tell which belong together.
+    #[error(transparent)]
+    Clocks(#[from] Refusal),
     /// Both logs hold frames of the same sender, so neither is of the robot that the other heard.
     #[error("both logs hold frames of {mac}: two logs of one link are of two robots, each with frames of the other")]
     SameSender {
@@ -144,7 +153,7 @@ pub fn assign(spreads: &[Vec<Option<Spread>>], taken: &[bool]) -> Vec<Result<Mat
         let margin = order.get(1).map(|next| (next.1.spread_us + 0.1) / (spread.spread_us + 0.1));
         match margin {
             _ if !free(mac) => Err(Unmatched::Named { spread_us: spread.spread_us }),
-            Some(margin) if margin < TUNING.pairing.min_margin => {
+            Some(margin) if margin < MIN_MARGIN => {
                 Err(Unmatched::Unclear { spread_us: spread.spread_us, next_us: order[1].1.spread_us })
             }
             _ => Ok(Match { mac, spread, margin }),
@@ -206,7 +215,7 @@ pub fn settle(
         let margin = cheapest(&choices, &mut Vec::new(), Some((k, mac))).map(|(other, _)| (other - cost).exp());
         let least = spreads[log].iter().flatten().map(|s| s.spread_us).fold(f64::INFINITY, f64::min);
         let Some(spread) = spreads[log][mac] else { continue };
-        let clearly = TUNING.pairing.min_margin;
+        let clearly = MIN_MARGIN;
         if margin.is_none_or(|margin| margin >= clearly) && spread.spread_us <= clearly * (least + 0.1) {
             found[log] = Ok(Match { mac, spread, margin });
         }
@@ -337,7 +346,7 @@ mod tests {
     fn sixteen_numbers_in_common_are_enough_and_half_as_much_again_is_clear() {
         let (receiver, transmitter) = round(0, 20);
         let common = |records: usize| spread(&receiver[..records], &transmitter).map(|found| found.common);
-        let least = TUNING.pairing.min_common;
+        let least = MIN_COMMON;
         assert_eq!([common(least - 1), common(least)], [None, Some(least)]);
         let of = |us: f64| Some(Spread { spread_us: us, common: 400 });
         // Both are a tenth of a microsecond more: 1 and 1.5.

@@ -22,6 +22,7 @@
 //!   difference is accepted once a run of candidates agrees to within the jitter of a turn-around: exchanges do, frames
 //!   of different sessions do not.
 
+pub mod by_clock;
 mod clock;
 pub(crate) mod numbering;
 mod side;

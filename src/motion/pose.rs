@@ -3,8 +3,26 @@
 //! Frame: the trajectory file's own, metres, right-handed; azimuth and heading from +x towards +y.
 
 use crate::maths::{lower_rank, upper_median, wrap_rad};
-use crate::tuning::TUNING;
 use nalgebra::Vector3;
+
+/// A clock was set back where a path in the order of time is longer by this factor than as it was given (up to 1.01
+/// in the three shared recordings that have a step back).
+const TWO_PLACES: f64 = 1.1;
+
+/// Poses further apart than this, or than ten usual steps, leave a gap, seconds.
+pub(crate) const MIN_GAP_S: f64 = 0.25;
+
+/// A robot that moved less across a gap stood still, metres (several times the noise of motion capture at rest).
+const STILL_M: f64 = 0.005;
+
+/// A robot slower than this share of its usual speed stands still.
+const STILL_SHARE: f64 = 0.15;
+
+/// No robot drives slower, m/s (motion capture at rest seems to move by less).
+const STILL_M_PER_S: f64 = 0.004;
+
+/// Half the time over which speed is judged, seconds.
+const SPEED_HALF_S: f64 = 0.1;
 
 /// Where a robot was, and which way it looked.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -102,7 +120,7 @@ fn in_order(poses: &mut Vec<Pose>) -> Option<(usize, f64)> {
     let by_time = |a: &Pose, b: &Pose| a.t_s.total_cmp(&b.t_s);
     let mut sorted = poses.clone();
     sorted.sort_by(by_time);
-    if length_m(sorted.iter()) <= TUNING.motion.two_places * length_m(poses.iter()) {
+    if length_m(sorted.iter()) <= TWO_PLACES * length_m(poses.iter()) {
         *poses = sorted;
         return None;
     }
@@ -155,7 +173,7 @@ impl Trajectory {
         }
         let mut steps: Vec<f64> = poses.windows(2).map(|w| w[1].t_s - w[0].t_s).collect();
         let usual = upper_median(&mut steps).unwrap_or(0.0);
-        let mut trajectory = Self { poses, max_gap_s: TUNING.motion.min_gap_s.max(10.0 * usual), left_out };
+        let mut trajectory = Self { poses, max_gap_s: MIN_GAP_S.max(10.0 * usual), left_out };
         trajectory.drop_stale_head();
         Ok(trajectory)
     }
@@ -166,7 +184,7 @@ impl Trajectory {
         let head = self.poses.len() / 20;
         let gap = (1..=head).rev().find(|&k| self.poses[k].t_s - self.poses[k - 1].t_s > 1.0);
         if let Some(k) = gap
-            && (self.poses[k].position_m - self.poses[k - 1].position_m).norm() > TUNING.motion.still_m
+            && (self.poses[k].position_m - self.poses[k - 1].position_m).norm() > STILL_M
             && self.poses.len() - k >= 2
         {
             self.poses.drain(..k);
@@ -226,7 +244,7 @@ impl Trajectory {
             return Some((last, last, 0.0));
         }
         let (a, b) = (&self.poses[after - 1], &self.poses[after]);
-        if b.t_s - a.t_s > self.max_gap_s && (b.position_m - a.position_m).norm() > TUNING.motion.still_m {
+        if b.t_s - a.t_s > self.max_gap_s && (b.position_m - a.position_m).norm() > STILL_M {
             return None;
         }
         Some((a, b, (t_s - a.t_s) / (b.t_s - a.t_s)))
@@ -264,7 +282,7 @@ impl Trajectory {
         let mut sorted = speeds.clone();
         sorted.sort_by(f64::total_cmp);
         let usual = lower_rank(&sorted, 0.9).unwrap_or(0.0);
-        let floor = (TUNING.motion.still_share * usual).max(TUNING.motion.still_m_per_s);
+        let floor = (STILL_SHARE * usual).max(STILL_M_PER_S);
         let moving = |k: &usize| speeds[*k] > floor;
         let first = (0..speeds.len()).find(moving);
         let last = (0..speeds.len()).rev().find(moving);
@@ -280,7 +298,7 @@ impl Trajectory {
     #[must_use]
     pub(crate) fn speed_m_per_s(&self, t_s: f64) -> f64 {
         let (start, end) = self.span_s();
-        let (from, to) = ((t_s - TUNING.motion.speed_half_s).max(start), (t_s + TUNING.motion.speed_half_s).min(end));
+        let (from, to) = ((t_s - SPEED_HALF_S).max(start), (t_s + SPEED_HALF_S).min(end));
         match (self.position_m(from), self.position_m(to)) {
             (Some(a), Some(b)) if to > from => (b - a).norm() / (to - from),
             _ => 0.0,

@@ -6,7 +6,7 @@
 
 use super::pose::{Pose, Trajectory, TrajectoryError};
 use crate::maths::wrap_rad;
-use crate::tuning::TUNING;
+use crate::motion::pose::MIN_GAP_S;
 use nalgebra::Vector3;
 
 /// Where a sensor of poses is on its robot, and which way it looks.
@@ -80,7 +80,7 @@ impl Roller {
     pub fn step(&mut self, pose: &Pose) -> Result<Pose, TrajectoryError> {
         let is_gap = self.before.is_some_and(|before| {
             let usual_s = before.step_s.unwrap_or_default();
-            pose.t_s - before.reported.t_s > TUNING.motion.min_gap_s.max(10.0 * usual_s)
+            pose.t_s - before.reported.t_s > MIN_GAP_S.max(10.0 * usual_s)
         });
         self.moved(pose, is_gap)
     }

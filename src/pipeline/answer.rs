@@ -1,6 +1,5 @@
 //! The flat form of a bearing, for printing and for JSON Lines.
 
-use super::accurate::Placed;
 use super::bearing::{Bearing, BearingAnswer, Candidate, PairCounts, WaveModel};
 use super::carried::CarriedAnswer;
 use super::error::LinkError;
@@ -9,14 +8,12 @@ use super::link::Link;
 use super::{CaptureReport, LinkReport};
 use crate::bartlett::Geometry;
 use crate::exchange::pairing::{LinkSide, SideCounts};
-use crate::place::near_field::{Edge, Focus, Path};
 use driver_iface::Mac;
 use serde::Serialize;
 
 /// One link in degrees: a line of JSON. Absent values are null.
 ///
-/// Azimuth, elevation, their deviations, mirror, peak ratio, candidates, range, position and confidence are of the wave
-/// that `model` names. Coherence, profile variance and likelihood share are always of the plane wave.
+/// Coherence, profile variance and likelihood share are of the best plane wave; everything else is read from the posterior.
 #[derive(Clone, Debug, Default, Serialize)]
 #[non_exhaustive]
 pub struct Answer {
@@ -40,11 +37,11 @@ pub struct Answer {
     pub abs_elevation_deg: Option<f64>,
     /// Elevation with its sign, where the motion distinguishes up from down.
     pub elevation_deg: Option<f64>,
-    /// Which limits of the search the answer lies at (`elevation`, `range`, `elevation_and_range`).
-    pub at_edge: Option<Edge>,
-    /// Error bar of the azimuth: 68 % of errors within it, 95 % within twice (docs/accuracy.md).
+    /// Error bar of the azimuth: 68 % of errors are within it (docs/accuracy.md).
     pub azimuth_sd_deg: Option<f64>,
-    /// Cramer-Rao bound of its standard deviation: what noise alone leaves of one wave on an exact trajectory.
+    /// The same for 95 % of errors.
+    pub azimuth_95_deg: Option<f64>,
+    /// Deviation that the likelihood alone leaves, on an exact trajectory: in a clean scene the Cramer-Rao bound.
     pub azimuth_bound_deg: Option<f64>,
     /// The other bearing that fits a motion along a line or in a tilted plane as well as noise and odometry let one tell:
     /// the first, mirrored in it.
@@ -53,8 +50,7 @@ pub struct Answer {
     pub mirror_elevation_deg: Option<f64>,
     /// Share of the evidence that the mirror has of the two, 0.01 to 0.5.
     pub mirror_share: Option<f64>,
-    /// Calibrated probability that the azimuth is within five degrees, 0..1; none for a plane wave
-    /// with a mirror.
+    /// Probability that the azimuth is within five degrees of the truth, 0..1.
     pub confidence: Option<f64>,
     /// `|sum z a| / sum |z|` of the best plane wave, 0..1.
     pub coherence: Option<f64>,
@@ -74,26 +70,11 @@ pub struct Answer {
     pub position_t_s: Option<f64>,
     /// Covariance of the position, metres squared, row by row.
     pub position_covariance_m2: Option<[[f64; 3]; 3]>,
-    /// The paths in the round trip, the top of the answer first, the others falling in power.
+    /// The directions that explain the samples, the most probable first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub paths: Vec<PathAnswer>,
-    /// The directions that the search chose from, the best first; of a spherical wave by evidence, relative power being
-    /// that of all views together.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub candidates: Vec<PathAnswer>,
-    /// The change of the trajectory that autofocus found, where there were two links or more.
-    pub focus: Option<Focus>,
-    /// Geometric mean of the powers that the views of the motion give the answer, 0..1.
-    pub joint_power: Option<f64>,
-    /// The powers themselves: round trip whole, its phase at the channel centre in windows, one-way channel in windows.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub view_powers: Vec<f64>,
-    /// How far the view furthest off would have put the bearing, degrees.
-    pub view_spread_deg: Option<f64>,
+    pub candidates: Vec<CandidateAnswer>,
     /// Sampling-time slopes taken out, standard deviation, radians per subcarrier.
     pub slope_sd_rad: Option<f64>,
-    /// Share of the one-way channel's power at sign slips.
-    pub slips: Option<f64>,
     /// Carrier frequency offset found from the turn-around jitter, Hz.
     pub cfo_hz: Option<f64>,
     /// By how much it changed in the course of the record, Hz; null where one offset explains all.
@@ -134,9 +115,9 @@ pub struct Answer {
     pub plan: Option<LinkPlan>,
 }
 
-/// A direction from which waves come.
+/// A direction that explains the samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
-pub struct PathAnswer {
+pub struct CandidateAnswer {
     /// Bearing, degrees.
     pub azimuth_deg: f64,
     /// |elevation|, degrees.
@@ -146,28 +127,19 @@ pub struct PathAnswer {
     pub elevation_deg: Option<f64>,
     /// Apparent range, metres; none for a plane wave.
     pub range_m: Option<f64>,
-    /// Power: of a path, one way, relative to the strongest's; of a candidate, relative to the answer's; dB.
-    pub relative_power_db: f64,
-    /// Of a candidate, its share of the probability as the model of the wave has it, 0..1 (not calibrated).
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub share: Option<f64>,
-    /// A false source: the product of two other paths of this list (by their places in it), as squaring makes it.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub cross_term_of: Option<[usize; 2]>,
+    /// Its probability, 0..1.
+    pub share: f64,
 }
 
-impl PathAnswer {
-    /// `place`: azimuth, |elevation|, the elevation where it has a sign, 1 / range.
-    fn new(place: (f64, f64, Option<f64>, f64), relative_power_db: f64, cross_term_of: Option<[usize; 2]>) -> Self {
-        let (azimuth_rad, abs_elevation_rad, signed_elevation_rad, curve) = place;
+impl CandidateAnswer {
+    fn new(candidate: &Candidate) -> Self {
+        let curve = candidate.inverse_range_per_m;
         Self {
-            azimuth_deg: azimuth_rad.to_degrees(),
-            abs_elevation_deg: abs_elevation_rad.to_degrees(),
-            elevation_deg: signed_elevation_rad.map(f64::to_degrees),
+            azimuth_deg: candidate.azimuth_rad.to_degrees(),
+            abs_elevation_deg: candidate.abs_elevation_rad.to_degrees(),
+            elevation_deg: candidate.signed_elevation_rad.map(f64::to_degrees),
             range_m: (curve > 0.0).then(|| 1.0 / curve),
-            relative_power_db,
-            share: None,
-            cross_term_of,
+            share: candidate.share,
         }
     }
 }
@@ -213,9 +185,7 @@ impl Answer {
         self.pairs_in_motion = bearing.pairs.in_motion;
         self.pair_counts = bearing.pairs;
         self.compensated = bearing.compensated;
-        if let Some(placed) = &bearing.placed {
-            self.take_placed(placed);
-        }
+        self.slope_sd_rad = bearing.slope_sd_rad;
         if let Some(turn_around) = &bearing.turn_around {
             self.cfo_hz = Some(turn_around.df_hz);
             self.cfo_span_hz = Some(turn_around.df_span_hz()).filter(|hz| *hz > 0.0);
@@ -230,47 +200,25 @@ impl Answer {
         self.model = Some(answer.model);
         self.azimuth_deg = Some(answer.azimuth_rad.to_degrees());
         self.azimuth_sd_deg = Some(answer.azimuth_sd_rad.to_degrees()).filter(|sd| sd.is_finite());
+        self.azimuth_95_deg = Some(answer.azimuth_95_rad.to_degrees()).filter(|bar| bar.is_finite());
         self.azimuth_bound_deg = Some(answer.azimuth_bound_rad.to_degrees()).filter(|bound| bound.is_finite());
         // Of a motion along a line none is searched for, and none is known.
-        let is_known = answer.elevation_sd_rad.is_some() || answer.abs_elevation_rad != 0.0;
+        let is_known = answer.elevation_sd_rad.is_some();
         self.abs_elevation_deg = is_known.then(|| answer.abs_elevation_rad.to_degrees());
         self.elevation_deg = answer.signed_elevation_rad.filter(|_| is_known).map(f64::to_degrees);
-        self.at_edge = answer.edge;
         self.elevation_sd_deg = answer.elevation_sd_rad.map(f64::to_degrees);
         self.mirror_deg = answer.mirror_rad.map(f64::to_degrees);
         self.mirror_elevation_deg = answer.mirror_elevation_rad.map(f64::to_degrees);
         self.mirror_share = answer.mirror_share;
         self.peak_ratio = answer.peak_ratio;
-        self.confidence = answer.probability;
+        self.confidence = Some(answer.probability);
         if let Some(range) = &answer.range {
             (self.range_m, self.range_sd_m) = (Some(range.range_m), Some(range.sd_m));
             self.position_m = Some(range.position_m.into());
             self.position_t_s = Some(range.position_t_s);
             self.position_covariance_m2 = Some(range.covariance_m2.into());
         }
-        let best = answer.candidates.first().map_or(1.0, |best| best.power);
-        let candidate = |other: &Candidate| {
-            let place =
-                (other.azimuth_rad, other.abs_elevation_rad, other.signed_elevation_rad, other.inverse_range_per_m);
-            let own = PathAnswer::new(place, 10.0 * (other.power / best).log10(), None);
-            PathAnswer { share: Some(other.share), ..own }
-        };
-        self.candidates = answer.candidates.iter().map(candidate).collect();
-    }
-
-    fn take_placed(&mut self, placed: &Placed) {
-        let fix = &placed.fix;
-        let path = |path: &Path| {
-            let place = (path.azimuth_rad, path.abs_elevation_rad, path.signed_elevation_rad, path.inverse_range_per_m);
-            PathAnswer::new(place, path.relative_power_db, path.cross_term_of)
-        };
-        self.paths = placed.paths.iter().map(path).collect();
-        self.focus = placed.focus;
-        self.joint_power = Some(fix.best().power);
-        self.view_powers.clone_from(&fix.view_powers);
-        self.view_spread_deg = Some(fix.view_spread_rad().to_degrees());
-        self.slope_sd_rad = placed.alignment.map(|alignment| alignment.slope_sd_rad);
-        self.slips = placed.slips;
+        self.candidates = answer.candidates.iter().map(CandidateAnswer::new).collect();
     }
 
     /// Replaces the bearing by an error if the probability that it is within five degrees is below `least`, or unknown.
@@ -285,9 +233,9 @@ impl Answer {
         self.error = Some(error);
         self.azimuth_deg = None;
         self.azimuth_body_deg = None;
-        (self.azimuth_sd_deg, self.azimuth_bound_deg) = (None, None);
+        (self.azimuth_sd_deg, self.azimuth_95_deg, self.azimuth_bound_deg) = (None, None, None);
         (self.mirror_deg, self.mirror_elevation_deg, self.mirror_share) = (None, None, None);
-        (self.abs_elevation_deg, self.elevation_deg, self.at_edge) = (None, None, None);
+        (self.abs_elevation_deg, self.elevation_deg) = (None, None);
         self.elevation_sd_deg = None;
         (self.range_m, self.range_sd_m) = (None, None);
         (self.position_m, self.position_t_s, self.position_covariance_m2) = (None, None, None);

@@ -1,26 +1,30 @@
-//! The result of a link: one answer (all of one wave model), and beside it what it was computed from.
+//! The result of a link: one answer, read from the posterior, and beside it what it was computed from.
 
-use super::accurate::Placed;
-use super::direction::Direction;
-use super::effort::Sufficient;
-use super::options::Options;
 use crate::bartlett::{self, Estimate, Grid};
+use crate::estimate::likelihood::Place;
+use crate::estimate::posterior::Mode;
+use crate::estimate::tuning;
+use crate::estimate::{Found, Sufficient};
 use crate::maths::wrap_rad;
-use crate::place::confidence::{
-    full_deviation_rad, full_probability, quick_deviation_rad, quick_features, quick_probability, shares,
-};
-use crate::place::near_field::{Edge, Fix, Limits, Source};
 use crate::signal::cfo::TurnAround;
 use crate::signal::samples::Samples;
 use nalgebra::{Matrix3, Vector3};
+
+/// Half width of what counts as right in a probability, radians.
+const RIGHT_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+/// Candidates are given down to this probability, and at most so many.
+const LEAST_SHARE: f64 = 0.01;
+const MOST_CANDIDATES: usize = 5;
+/// Data narrow a prior where they leave less than this share of its deviation.
+const NARROWED: f64 = 0.5;
 
 /// The wave that an answer is of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WaveModel {
-    /// From infinitely far away, at the channel centre: a direction.
+    /// From infinitely far away: a direction.
     PlaneWave,
-    /// From a place, over all subcarriers: a direction and a curvature.
+    /// From a place: a direction and a curvature.
     SphericalWave,
 }
 
@@ -35,11 +39,7 @@ pub struct Candidate {
     pub signed_elevation_rad: Option<f64>,
     /// 1 / range, 1/m; 0 for a plane wave.
     pub inverse_range_per_m: f64,
-    /// How much of the samples it explains, 0..1: of a plane wave `F / (sum w |z|)^2`, of a spherical wave the geometric
-    /// mean of the views' normalised powers. Comparable within one answer only.
-    pub power: f64,
-    /// What it has of the probability, 0..1, as the model of the wave has it; the shares of all candidates sum to 1. Errors
-    /// of the model are not in it: the answer's error bar and probability are calibrated, this is not.
+    /// Its probability, 0..1.
     pub share: f64,
 }
 
@@ -60,46 +60,45 @@ pub struct Range {
     pub covariance_m2: Matrix3<f64>,
 }
 
-/// Where the transmitter is: every field is of the wave that [`model`](Self::model) names.
+/// Where the transmitter is, as the posterior says: see `docs/accuracy.md`.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct BearingAnswer {
     /// The wave.
     pub model: WaveModel,
-    /// Azimuth of the transmitter, radians in (-pi, pi], from +x towards +y in the trajectory's frame.
+    /// Most probable azimuth of the transmitter from the mean position, radians in (-pi, pi], from +x towards +y in the trajectory's
+    /// frame.
     pub azimuth_rad: f64,
-    /// Error bar of the azimuth, radians: 68 % of errors are within it and 95 % within twice, as calibrated on real
-    /// captures (docs/accuracy.md); at most that of a uniform guess, pi / sqrt 3. Where it is wide, `candidates` say which
-    /// other directions it stands for.
+    /// Error bar of the azimuth, radians: half the width that holds 68 % of the posterior. Where there is a mirror, of what
+    /// lies nearer to the azimuth than to the mirror.
     pub azimuth_sd_rad: f64,
-    /// Cramer-Rao bound of the azimuth's standard deviation, radians: what noise alone leaves if one wave, the trajectory
-    /// as it was reported and the right peak are taken for granted.
+    /// The same for 95 %.
+    pub azimuth_95_rad: f64,
+    /// Deviation that noise and the likelihood alone leave of the azimuth, radians: the posterior of one wave on an exact
+    /// trajectory; of a clean scene the Cramer-Rao bound.
     pub azimuth_bound_rad: f64,
-    /// |elevation|, radians; 0 where it was not searched or cannot be observed.
+    /// |elevation|, radians: the mean of the posterior.
     pub abs_elevation_rad: f64,
     /// The elevation with its sign, radians, where the motion distinguishes up from down.
     pub signed_elevation_rad: Option<f64>,
-    /// Predicted standard deviation of |elevation|, radians, where it was searched.
+    /// Standard deviation of the elevation, radians, where the samples narrow the prior; else none, and the elevation says
+    /// nothing.
     pub elevation_sd_rad: Option<f64>,
     /// The mirror bearing of motion along a line or in a tilted plane, radians: reflected in it, the bearing explains the
     /// samples as well as noise and the odometry's error let one tell.
     pub mirror_rad: Option<f64>,
-    /// Elevation of the mirror, radians, with its sign, where the elevation was searched.
+    /// Elevation of the mirror, radians, with its sign, where the motion distinguishes up from down.
     pub mirror_elevation_rad: Option<f64>,
-    /// Share of the evidence that the mirror has of the two, 0.01 to 0.5.
+    /// Share of the probability that the mirror has of the two, 0..0.5.
     pub mirror_share: Option<f64>,
-    /// The directions that were chosen from, the best first.
+    /// The directions that explain the samples, the most probable first.
     pub candidates: Vec<Candidate>,
-    /// What speaks for the second candidate over what speaks for the first, 0..1; none without a second.
+    /// Probability of the second candidate over that of the first, 0..1; none without a second.
     pub peak_ratio: Option<f64>,
-    /// Range and position, where the wave front's curvature fixes them.
+    /// Range and position, where the samples narrow the prior of the range.
     pub range: Option<Range>,
-    /// Which limits of the search the answer lies at: the samples may be explained better beyond them, but not so much
-    /// better that it outweighs what is expected.
-    pub edge: Option<Edge>,
-    /// Probability that the azimuth is within five degrees of the truth, calibrated for the wave that `model` names; none
-    /// for a plane wave with a mirror, which is as likely as the bearing itself.
-    pub probability: Option<f64>,
+    /// Probability that the azimuth is within five degrees of the truth.
+    pub probability: f64,
 }
 
 impl BearingAnswer {
@@ -109,111 +108,80 @@ impl BearingAnswer {
         self.signed_elevation_rad.unwrap_or(self.abs_elevation_rad)
     }
 
-    /// The answer of the plane wave alone; `compensated` says whether the turn-around was taken out of its samples.
-    pub(super) fn of_plane_wave(direction: &Direction, compensated: bool, options: &Options) -> Self {
-        let plane_wave = &direction.plane_wave;
-        let signed = |peak: &bartlett::Peak| plane_wave.peaks.first().filter(|best| *best == peak);
-        let heading_sd_rad = options.heading_sd_rad.unwrap_or_default();
-        let features = quick_features(plane_wave, compensated, options.channel.wavelength_m());
-        let bound_rad = plane_wave.azimuth_sd_rad;
-        let shares = shares(plane_wave.peaks.iter().map(|peak| peak.value));
-        let candidate = |(peak, share): (&bartlett::Peak, f64)| Candidate {
-            signed_elevation_rad: signed(peak).and(plane_wave.signed_elevation_rad),
-            azimuth_rad: peak.azimuth_rad,
-            abs_elevation_rad: peak.abs_elevation_rad,
-            inverse_range_per_m: 0.0,
-            power: peak.value,
-            share,
+    /// What the posterior says.
+    pub(super) fn of(found: &Found, samples: &Samples) -> Self {
+        let first = found.modes.first();
+        let (place, covariance) = first.map_or((NOWHERE, Matrix3::identity()), |mode| (mode.place, mode.covariance));
+        let mirror = found.mirror.and_then(|k| found.modes.get(k)).filter(|mirror| mirror.mass > 0.0);
+        let [elevation_sd, ln_range_sd] = found.prior.deviations();
+        let own_sd = covariance[(1, 1)].max(0.0).sqrt();
+        let narrowed = found.prior.elevation_is_open() && own_sd < NARROWED * elevation_sd;
+        let curve_sd = covariance[(2, 2)].max(0.0).sqrt();
+        let has_range = found.prior.curve_max > 0.0 && curve_sd < NARROWED * ln_range_sd * place.curve;
+        let azimuth_sd_rad = found.half_width_rad(0.683);
+        let candidate = |mode: &Mode| Candidate {
+            azimuth_rad: mode.place.azimuth,
+            abs_elevation_rad: mode.place.elevation.abs(),
+            signed_elevation_rad: found.signed.then_some(mode.place.elevation),
+            inverse_range_per_m: mode.place.curve,
+            share: mode.mass,
         };
+        let given = |(k, mode): &(usize, &Mode)| *k == 0 || mode.mass >= LEAST_SHARE;
+        let candidates: Vec<Candidate> = found
+            .modes
+            .iter()
+            .enumerate()
+            .filter(given)
+            .map(|(_, mode)| candidate(mode))
+            .take(MOST_CANDIDATES)
+            .collect();
         Self {
-            model: WaveModel::PlaneWave,
-            azimuth_rad: plane_wave.azimuth_rad,
-            azimuth_sd_rad: quick_deviation_rad(features, heading_sd_rad, bound_rad),
-            azimuth_bound_rad: bound_rad,
-            abs_elevation_rad: plane_wave.abs_elevation_rad,
-            signed_elevation_rad: plane_wave.signed_elevation_rad,
-            edge: Edge::of(false, direction.at_edge),
-            elevation_sd_rad: plane_wave.elevation_searched.then_some(plane_wave.elevation_sd_rad),
-            mirror_rad: plane_wave.mirror_rad,
-            mirror_elevation_rad: plane_wave.mirror_elevation_rad,
-            mirror_share: plane_wave.mirror_share,
-            candidates: plane_wave.peaks.iter().zip(shares).map(candidate).collect(),
-            peak_ratio: plane_wave.peak_ratio,
-            range: None,
-            probability: plane_wave.mirror_rad.is_none().then(|| quick_probability(features, heading_sd_rad)),
-        }
-    }
-
-    /// The answer of a search over places. Its mirror is its reflection in the line or plane that the plane wave and its own
-    /// mirror give.
-    pub(super) fn of_spherical_wave(
-        placed: &Placed,
-        plane_wave: &Estimate,
-        samples: &Samples,
-        options: &Options,
-    ) -> Self {
-        let heading_sd_rad = options.heading_sd_rad.unwrap_or_default();
-        let fix = &placed.fix;
-        let best = fix.best();
-        let (mirror_rad, mirror_elevation_rad) = mirror_of(fix, plane_wave).unzip();
-        let mirror_share = plane_wave.mirror_share.filter(|_| mirror_rad.is_some());
-        Self {
-            model: WaveModel::SphericalWave,
-            azimuth_rad: fix.azimuth_rad,
-            azimuth_sd_rad: full_deviation_rad(fix, mirror_rad, heading_sd_rad),
-            azimuth_bound_rad: fix.deviations.azimuth_rad,
-            abs_elevation_rad: best.abs_elevation_rad,
-            signed_elevation_rad: best.signed_elevation_rad,
-            edge: fix.edge(),
-            elevation_sd_rad: fix.elevation_searched.then_some(fix.deviations.elevation_rad),
-            mirror_rad,
-            mirror_elevation_rad: mirror_elevation_rad.filter(|_| fix.elevation_searched),
-            mirror_share,
-            candidates: candidates(fix),
-            peak_ratio: fix.sources.get(1).map(|other| (other.evidence / best.evidence).min(1.0)),
-            range: range(placed, samples),
-            probability: Some(full_probability(fix, mirror_rad.zip(mirror_share), heading_sd_rad)),
+            model: if found.prior.curve_max > 0.0 { WaveModel::SphericalWave } else { WaveModel::PlaneWave },
+            azimuth_rad: place.azimuth,
+            azimuth_sd_rad,
+            azimuth_95_rad: found.half_width_rad(0.954),
+            azimuth_bound_rad: found.bound_rad,
+            abs_elevation_rad: place.elevation.abs(),
+            signed_elevation_rad: found.signed.then_some(place.elevation),
+            elevation_sd_rad: narrowed.then_some(own_sd),
+            mirror_rad: mirror.map(|mirror| mirror.place.azimuth),
+            mirror_elevation_rad: mirror.filter(|_| found.signed).map(|mirror| mirror.place.elevation),
+            mirror_share: mirror.zip(first).map(|(mirror, first)| mirror.mass / (mirror.mass + first.mass)),
+            peak_ratio: candidates.get(1).zip(candidates.first()).map(|(other, best)| other.share / best.share),
+            candidates,
+            range: has_range.then(|| range(found, &place, &covariance, azimuth_sd_rad, samples)).flatten(),
+            probability: found.probability_within(RIGHT_RAD),
         }
     }
 }
 
-/// Azimuth and signed elevation of the reflection of a search's answer, if its motion hides one.
-fn mirror_of(fix: &Fix, plane_wave: &Estimate) -> Option<(f64, f64)> {
-    let (mirror, normal) = (plane_wave.mirror_rad?, plane_wave.mirror_normal?);
-    let best = fix.best();
-    let like_plane_wave = || best.abs_elevation_rad.copysign(plane_wave.signed_elevation_rad.unwrap_or(1.0));
-    let elevation = best.signed_elevation_rad.unwrap_or_else(like_plane_wave);
-    if normal.z == 0.0 {
-        // About a line: the course of the motion bends its axis for both alike.
-        return Some((wrap_rad(plane_wave.azimuth_rad + mirror - fix.azimuth_rad), elevation));
-    }
-    let towards = bartlett::direction(fix.azimuth_rad, elevation);
-    let image = towards - normal * (2.0 * towards.dot(&normal));
-    let azimuth = image.y.atan2(image.x);
-    let level = bartlett::is_level(&normal, wrap_rad(azimuth - fix.azimuth_rad).abs());
-    (!level).then(|| (azimuth, image.z.clamp(-1.0, 1.0).asin()))
-}
-
-fn candidates(fix: &Fix) -> Vec<Candidate> {
-    let shares = shares(fix.sources.iter().map(|source| source.evidence));
-    let candidate = |(source, share): (&Source, f64)| Candidate {
-        azimuth_rad: source.azimuth_rad,
-        abs_elevation_rad: source.abs_elevation_rad,
-        signed_elevation_rad: source.signed_elevation_rad,
-        inverse_range_per_m: source.inverse_range_per_m,
-        power: source.power,
-        share,
-    };
-    fix.sources.iter().zip(shares).map(candidate).collect()
-}
+/// The place of a posterior without any mode.
+const NOWHERE: Place = Place { azimuth: 0.0, elevation: 0.0, curve: 0.0 };
 
 /// Range and position. The search sees the transmitter where it would stand if its own displacements were zero; at the last
-/// sample it is its displacement there away.
-fn range(placed: &Placed, samples: &Samples) -> Option<Range> {
-    let (range_m, sd_m) = placed.range_m()?;
-    let (at_rest_m, covariance_m2) = placed.fix.position()?;
+/// sample it is its displacement there away. Across, the place is as uncertain as the azimuth's error bar says.
+fn range(
+    found: &Found,
+    place: &Place,
+    covariance: &Matrix3<f64>,
+    azimuth_sd_rad: f64,
+    samples: &Samples,
+) -> Option<Range> {
     let (displaced_m, position_t_s) = samples.transmitter_m().last().zip(samples.t_s().last())?;
-    Some(Range { range_m, sd_m, position_m: at_rest_m + displaced_m, position_t_s: *position_t_s, covariance_m2 })
+    let (a, e, range_m) = (place.azimuth, place.elevation, 1.0 / place.curve);
+    let towards = bartlett::direction(a, e);
+    let by_azimuth = Vector3::new(-a.sin(), a.cos(), 0.0) * (range_m * e.cos());
+    let by_elevation = Vector3::new(-a.cos() * e.sin(), -a.sin() * e.sin(), e.cos()) * range_m;
+    let jacobian = Matrix3::from_columns(&[by_azimuth, by_elevation, towards * (-range_m * range_m)]);
+    let mut covariance = *covariance;
+    covariance[(0, 0)] = covariance[(0, 0)].max(azimuth_sd_rad * azimuth_sd_rad);
+    // A scale of the path that is off moves the place along with it.
+    let scale_m = range_m * tuning::sensor::SCALE;
+    let covariance_m2 =
+        jacobian * covariance * jacobian.transpose() + towards * towards.transpose() * (scale_m * scale_m);
+    let sd_m = (covariance[(2, 2)].max(0.0).sqrt() * range_m * range_m).hypot(scale_m);
+    let position_m = found.middle_m + towards * range_m + displaced_m;
+    Some(Range { range_m, sd_m, position_m, position_t_s: *position_t_s, covariance_m2 })
 }
 
 /// Everything that a link gave.
@@ -224,13 +192,13 @@ pub struct Bearing {
     pub answer: BearingAnswer,
     /// How much of the estimate sufficed.
     pub sufficient: Sufficient,
-    /// What a search over places may expect, for the plan.
-    pub(super) limits: Limits,
-    /// The best plane wave at the channel centre: the answer itself where no spherical waves were searched, and its own
-    /// value where they were. Its coherence says how much of the samples one plane wave explains.
+    /// The best plane wave at the channel centre, where every estimate begins. Its coherence says how much of the samples one
+    /// plane wave explains.
     pub plane_wave: Estimate,
-    /// What the search over places found and what it was made of, where it was made.
-    pub placed: Option<Placed>,
+    /// Probability of each azimuth from 0 on, per radian, if [`super::Options::keep_course`] asked for it.
+    pub density: Vec<f64>,
+    /// Standard deviation of the sampling-time slopes taken out, radians per subcarrier index, where they were.
+    pub slope_sd_rad: Option<f64>,
     /// The robot's heading at the last sample used, radians.
     pub heading_rad: Option<f64>,
     /// Turn-around compensation, where both clocks allowed one.

@@ -1,9 +1,9 @@
 //! Bearings carried from one stretch of motion to the next: the flat form, and a capture cut into stretches.
 
 use super::error::LinkError;
-use super::joint::{LinkJoin, estimate};
 use super::options::Options;
 use super::{Answer, Bearing, CaptureReport};
+use super::{LinkJoin, estimate};
 use crate::motion::pose::Trajectory;
 use crate::place::track::{PeerTrack, TrackAnswer, TrackSettings};
 use serde::Serialize;

@@ -1,153 +1,135 @@
-//! From the pairs of a link to its bearing, in steps: clocks, compensation, gate, search, accuracy; then what the search still
-//! gives.
+//! From the pairs of a link to its bearing: clocks, compensation, the gate of motion, the estimate.
 
-use super::accurate::{self, Placed};
 use super::bearing::{Bearing, BearingAnswer, PairCounts, Phase, ProfileFigures};
-use super::direction::Direction;
-use super::effort::{Least, Sufficient};
 use super::error::LinkError;
-use super::joint::LinkJoin;
 use super::link::{Link, PairRow};
 use super::options::{JoinBy, Options};
-use super::slope::Slope;
 use super::stretch;
 use crate::bartlett;
+use crate::estimate::{Found, estimate};
 use crate::exchange::pairing::LinkSide;
 use crate::motion::pose::{Motion, Trajectory};
-use crate::place::near_field::{Limits, Search};
-use crate::signal::alignment::planes::{Planes, round_trips};
 use crate::signal::cfo::TurnAround;
+use crate::signal::planes::{Planes, round_trips};
 use crate::signal::samples::Samples;
-use crate::tuning::TUNING;
 use nalgebra::Vector3;
 use num_complex::Complex64;
+use rayon::prelude::*;
 use std::ops::Range;
+
+/// But not logs of two runs where one plane wave has a coherence over this by the root of the number of samples (in
+/// the best of 10,000 directions, random phases reach sqrt(ln 1e7) once in a thousand times).
+const BY_CHANCE: f64 = 4.0;
+
+/// A trajectory's times do not fit if more than this share of the pairs lies outside them (logs begin and end some
+/// frames apart).
+const OUTSIDE_SHARE: f64 = 0.02;
+
+/// Two logs are of one run from this correlation of the pauses between frames on (0.83 to 0.98 on 76 links, up to
+/// 0.31 on 30 pairs of unrelated logs).
+const CLOCKS_ALIKE: f64 = 0.6;
+
+/// The shape's changes are no noise from this correlation from pair to pair on (noise alone has 0, give or take
+/// 0.01).
+const STEADY: f64 = 0.2;
+
+/// Phases whose second differences are no steadier than this are random (1,500 random phases reach 0.17, the real
+/// links at hand have 0.6 at least).
+const RANDOM_PHASES: f64 = 0.25;
+
+/// Or from this correlation of the two directions' changes of shape on (0.91 to 0.99 on 76 links, up to 0.58 on 494
+/// wrong pairs of 14 captures).
+const CHANNEL_ALIKE: f64 = 0.75;
+
+/// Pauses that differ by less than this between frames, median, are all alike, microseconds (a turn-around jitters by
+/// 4 to 22).
+const PAUSES_US: f64 = 20.0;
+
+/// A trajectory has a row for each frame if their numbers differ by at most this share (some frames are lost).
+const ROW_FOR_ROW: f64 = 0.005;
+
+/// A turn-around that jitters by more leaves no phase, microseconds (several turns at the offsets that cards have).
+const MAX_SPREAD_US: f64 = 500.0;
+
+/// Largest motion that is searched as one array, metres (far beyond what odometry follows to a wavelength).
+const MAX_EXTENT_M: f64 = 50.0;
 
 /// The time of a pair whose time is not known: no pose is that late, so the single pair is counted and the link goes on.
 const NEVER_S: f64 = f64::MAX;
+/// Azimuths of the density that pictures show.
+const DENSITY_AZIMUTHS: usize = 1440;
 
-/// A bearing before what takes all links of a capture: its search is still open.
-pub(super) struct Draft {
-    pub placed: Option<(Placed, Search)>,
-    slope: Option<Slope>,
-    pub bearing: Bearing,
+/// A link and the trajectories that its pairs are joined with, both on the receiver's clock.
+#[derive(Clone, Copy, Debug)]
+pub struct LinkJoin<'a> {
+    /// The link, with all its pairs.
+    pub link: &'a Link,
+    /// The receiver's trajectory: the same for all links of one call.
+    pub receiver: &'a Trajectory,
+    /// The transmitter's, if it moved.
+    pub transmitter: Option<&'a Trajectory>,
 }
 
-impl Draft {
-    pub fn begin(join: &LinkJoin<'_>, options: &Options) -> Result<Self, LinkError> {
-        let LinkJoin { link, receiver, transmitter } = *join;
-        something(link, receiver, options)?;
-        let phases = Compensated::new(link, options);
-        let times_s = times_s(link.rows(), receiver, options)?;
-        let doubt = of_one_run(link, phases.turn_around.as_ref())?.or(phases.check().err());
-        let gate = Gate::new(link, receiver, transmitter, &times_s, options);
-        let found = gate.pass(&times_s, &phases.z).and_then(|mut gated| {
-            gated.pairs.no_pose_by_transmitter = match options.join {
-                JoinBy::Time => link.outside_by_transmitter(receiver, options),
-                JoinBy::Row => None,
-            };
-            gated.check(&times_s, receiver)?;
-            rows_or_times(link, receiver, &gated.pairs, options)?;
-            Self::least(gated, &gate, phases.compensated, options)
-        });
-        let follow = found.as_ref().is_ok_and(|(gated, least)| least.follow_the_motion(gated.samples.len()));
-        let (gated, least) = match doubt.filter(|_| !follow) {
-            Some(doubt) => return Err(doubt),
-            None => found?,
+/// The bearing of one link.
+///
+/// # Errors
+/// See [`LinkError`].
+pub(crate) fn bearing(join: &LinkJoin<'_>, options: &Options) -> Result<Bearing, LinkError> {
+    let LinkJoin { link, receiver, transmitter } = *join;
+    something(link, receiver, options)?;
+    let phases = Compensated::new(link, options);
+    let times_s = times_s(link.rows(), receiver, options)?;
+    // Phases are as random as those of two runs where a robot goes far between frames that come irregularly; then they follow
+    // its motion.
+    let doubt = of_one_run(link, phases.turn_around.as_ref())?.or(phases.check().err());
+    let gate = Gate::new(link, receiver, transmitter, &times_s, options);
+    let found = gate.pass(&times_s, &phases.z).and_then(|mut gated| {
+        gated.pairs.no_pose_by_transmitter = match options.join {
+            JoinBy::Time => link.outside_by_transmitter(receiver, options),
+            JoinBy::Row => None,
         };
-        let LeastOf { direction, quick, slope, limits, least: Least { sufficient, one_wave } } = least;
-        let samples = &gated.samples;
-        let place = || accurate::place(samples, phases.round_trips(link, options), &gated.used, &direction, options);
-        let every_step = matches!(sufficient, Sufficient::Everything(_));
-        let placed = || one_wave.or_else(|| every_step.then(place).flatten());
-        let figures = || ProfileFigures::of(samples);
-        let (placed, figures) = if options.parallel { rayon::join(placed, figures) } else { (placed(), figures()) };
-        let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
-        let bearing = Bearing {
-            answer: quick,
-            sufficient,
-            limits,
-            plane_wave: direction.plane_wave,
-            placed: None,
-            heading_rad: gated.heading_rad,
-            figures: figures?,
-            compensated: phases.compensated,
-            turn_around: phases.turn_around,
-            pairs: gated.pairs,
-            mean_position_m: sum / samples.len() as f64,
-            course: if options.keep_course { gated.course(link, &times_s, &phases.z) } else { Vec::new() },
-            samples: gated.samples,
-            path_m: receiver.poses().iter().filter(|_| options.keep_course).map(|pose| pose.position_m).collect(),
-        };
-        Ok(Self { placed, slope, bearing })
-    }
-
-    /// What the samples need; where that is more than can be searched at once, of the stretch that can.
-    fn least(
-        mut gated: Gated,
-        gate: &Gate<'_>,
-        compensated: bool,
-        options: &Options,
-    ) -> Result<(Gated, LeastOf), LinkError> {
-        // What is too wide even for the horizon alone is cut before anything is computed of it.
-        let horizon = accurate::horizon(options);
-        if let Some(stretch) = gated.searchable(&horizon).filter(|_| options.accuracy.near_field) {
-            gated = gated.within(stretch, gate)?;
+        gated.check(&times_s, receiver)?;
+        rows_or_times(link, receiver, &gated.pairs, options)?;
+        // Of motion that is too wide to be searched as one aperture, the stretch that tells most.
+        if let Some(stretch) = gated.searchable(options) {
+            gated = gated.within(stretch, &gate)?;
         }
-        // A shorter stretch may tell less of elevations, and so need fewer of them searched, or more; each is shorter than
-        // the one before it.
-        loop {
-            let least = LeastOf::new(&gated.samples, compensated, options)?;
-            match gated.searchable(&least.limits).filter(|_| options.accuracy.near_field) {
-                Some(stretch) => gated = gated.within(stretch, gate)?,
-                None => return Ok((gated, least)),
-            }
-        }
-    }
-
-    /// Finds the paths on the trajectory as it is.
-    pub fn find_paths(&mut self, options: &Options) {
-        if let Some((placed, search)) = &mut self.placed {
-            accurate::find_paths(placed, search, self.bearing.sufficient.explains_all(), options);
-        }
-    }
-
-    /// The bearing; its search is spent.
-    pub fn finish(self, options: &Options) -> Bearing {
-        let Self { placed, slope, mut bearing } = self;
-        if let Some(placed) = placed {
-            let placed = accurate::extract(placed, bearing.sufficient.explains_all(), options);
-            bearing.answer = BearingAnswer::of_spherical_wave(&placed, &bearing.plane_wave, &bearing.samples, options);
-            slope.iter().for_each(|slope| slope.tell(&mut bearing.answer));
-            bearing.placed = Some(placed);
-        }
-        bearing
-    }
+        let task = options.task(&gated.samples);
+        let found = estimate(&task, || phases.round_trips(link, options), &gated.used)?;
+        Ok((gated, found))
+    });
+    let follows =
+        |(gated, found): &(Gated, Found)| found.plane_wave.coherence > BY_CHANCE / (gated.samples.len() as f64).sqrt();
+    let (gated, found) = match doubt.filter(|_| !found.as_ref().is_ok_and(follows)) {
+        Some(doubt) => return Err(doubt),
+        None => found?,
+    };
+    let samples = &gated.samples;
+    let sum = samples.receiver_m().iter().fold(Vector3::zeros(), |sum, p| sum + p);
+    Ok(Bearing {
+        answer: BearingAnswer::of(&found, samples),
+        sufficient: found.sufficient,
+        heading_rad: gated.heading_rad,
+        figures: ProfileFigures::of(samples)?,
+        compensated: phases.compensated,
+        turn_around: phases.turn_around,
+        pairs: gated.pairs,
+        mean_position_m: sum / samples.len() as f64,
+        density: if options.keep_course { found.density(DENSITY_AZIMUTHS) } else { Vec::new() },
+        slope_sd_rad: found.slope_sd_rad,
+        plane_wave: found.plane_wave,
+        course: if options.keep_course { gated.course(link, &times_s, &phases.z) } else { Vec::new() },
+        samples: gated.samples,
+        path_m: receiver.poses().iter().filter(|_| options.keep_course).map(|pose| pose.position_m).collect(),
+    })
 }
 
-/// The plane wave of some samples, and how much more they need.
-struct LeastOf {
-    direction: Direction,
-    quick: BearingAnswer,
-    slope: Option<Slope>,
-    limits: Limits,
-    least: Least,
-}
-
-impl LeastOf {
-    fn new(samples: &Samples, compensated: bool, options: &Options) -> Result<Self, LinkError> {
-        let direction = Direction::of(samples, options)?;
-        let mut quick = BearingAnswer::of_plane_wave(&direction, compensated, options);
-        let slope = Slope::of(samples, &direction.plane_wave, options)?;
-        slope.iter().for_each(|slope| slope.tell(&mut quick));
-        let limits = accurate::limits(&direction, options);
-        let least = Least::of(samples, &direction, &limits, &quick, options);
-        Ok(Self { direction, quick, slope, limits, least })
-    }
-
-    /// Whether the plane wave explains more of the phases than the best of all directions does of random ones.
-    fn follow_the_motion(&self, samples: usize) -> bool {
-        self.direction.plane_wave.coherence > TUNING.pairing.by_chance / (samples as f64).sqrt()
+/// The bearings of all links of a capture, in their order.
+#[must_use]
+pub fn estimate_all(links: &[LinkJoin<'_>], options: &Options) -> Vec<Result<Bearing, LinkError>> {
+    match options.parallel {
+        true => links.par_iter().map(|join| bearing(join, options)).collect(),
+        false => links.iter().map(|join| bearing(join, options)).collect(),
     }
 }
 
@@ -170,7 +152,7 @@ fn something(link: &Link, receiver: &Trajectory, options: &Options) -> Result<()
 fn outside(link: &Link, receiver: &Trajectory, options: &Options) -> LinkError {
     let from_s = link.first_us().map_or(0.0, |us| us as f64 * 1e-6 + options.clock_offset_s);
     let (start_s, end_s) = receiver.span_s();
-    let other_fits = link.other_fits(TUNING.motion.outside_share);
+    let other_fits = link.other_fits(OUTSIDE_SHARE);
     LinkError::OutsideTrajectory { pairs: link.outside(), from_s, start_s, end_s, other_fits }
 }
 
@@ -178,21 +160,19 @@ fn outside(link: &Link, receiver: &Trajectory, options: &Options) -> LinkError {
 /// know of each other. Where only random phases speak against them, that is the doubt which is returned: phases are as
 /// random where a robot goes far between frames that come irregularly, and then they follow its motion.
 fn of_one_run(link: &Link, turn_around: Option<&TurnAround>) -> Result<Option<LinkError>, LinkError> {
-    let pairing = TUNING.pairing;
     if link.is_one_log() {
         return Err(LinkError::OneLogTwice);
     }
-    let apart = link.kinship().filter(|clocks| clocks.correlation < pairing.clocks_alike);
+    let apart = link.kinship().filter(|clocks| clocks.correlation < CLOCKS_ALIKE);
     let both = apart.and_then(|clocks| Some((clocks, link.reciprocity()?)));
     let Some((clocks, channel)) = both else { return Ok(None) };
-    let changes = channel.steadiness > pairing.steady;
+    let changes = channel.steadiness > STEADY;
     // A channel that shows nothing but noise cannot be compared: then phases that are random speak beside the clocks, if
     // pauses differ by more than turn-arounds do.
-    let random =
-        turn_around.is_some_and(|found| found.coherence_after.max(found.coherence_before) < pairing.random_phases);
+    let random = turn_around.is_some_and(|found| found.coherence_after.max(found.coherence_before) < RANDOM_PHASES);
     // Noise makes the two directions' changes as unlike as it makes each from one pair to the next.
-    let alike = pairing.channel_alike * channel.steadiness.min(1.0);
-    let speaks = if changes { channel.correlation < alike } else { random && clocks.pause_us > pairing.pauses_us };
+    let alike = CHANNEL_ALIKE * channel.steadiness.min(1.0);
+    let speaks = if changes { channel.correlation < alike } else { random && clocks.pause_us > PAUSES_US };
     let two_runs = LinkError::OfTwoRuns { clocks: clocks.correlation, channel: channel.correlation };
     match (speaks, changes) {
         (true, true) => Err(two_runs),
@@ -204,10 +184,10 @@ fn of_one_run(link: &Link, turn_around: Option<&TurnAround>) -> Result<Option<Li
 /// is another one, and a wrong time gives a wrong bearing without any other sign of it.
 fn rows_or_times(link: &Link, receiver: &Trajectory, pairs: &PairCounts, options: &Options) -> Result<(), LinkError> {
     let (rows, frames) = (receiver.poses().len(), link.counts(LinkSide::Receiver).handed as usize);
-    let as_many = rows.abs_diff(frames) as f64 <= TUNING.motion.row_for_row * rows as f64;
-    let outside = pairs.no_pose as f64 > TUNING.motion.outside_share * pairs.formed as f64;
+    let as_many = rows.abs_diff(frames) as f64 <= ROW_FOR_ROW * rows as f64;
+    let outside = pairs.no_pose as f64 > OUTSIDE_SHARE * pairs.formed as f64;
     let may_be_wrong = options.join == JoinBy::Time && options.clock_offset_s == 0.0;
-    if may_be_wrong && link.other_fits(TUNING.motion.outside_share) {
+    if may_be_wrong && link.other_fits(OUTSIDE_SHARE) {
         return Err(self::outside(link, receiver, options));
     }
     match may_be_wrong && as_many && outside {
@@ -248,15 +228,14 @@ impl Compensated {
 
     /// Refuses clocks that no exchange ties together.
     fn check(&self) -> Result<(), LinkError> {
-        let spread_us =
-            self.turn_around.as_ref().map(|t| t.jitter_median_us).filter(|us| *us > TUNING.turn_around.max_spread_us);
+        let spread_us = self.turn_around.as_ref().map(|t| t.jitter_median_us).filter(|us| *us > MAX_SPREAD_US);
         spread_us.map_or(Ok(()), |spread_us| Err(LinkError::NotOfOneRun { spread_us }))
     }
 
     /// The round trips on all subcarriers, turned as those at the channel centre were.
     fn round_trips(&self, link: &Link, options: &Options) -> Vec<Planes> {
         let turns = link.rows().iter().zip(&self.z).map(|(row, z)| z / row.z);
-        round_trips(link.frames(), turns, options.search.tier)
+        round_trips(link.frames(), turns, options.tier)
     }
 }
 
@@ -360,9 +339,9 @@ struct Gated {
 
 impl Gated {
     /// The stretch that can be searched, where that is not all of it.
-    fn searchable(&self, limits: &Limits) -> Option<Range<usize>> {
+    fn searchable(&self, options: &Options) -> Option<Range<usize>> {
         let points: Vec<Vector3<f64>> = self.samples.displacements_m().collect();
-        stretch::searchable(&points, self.samples.wavelength_m(), limits)
+        stretch::searchable(&points, self.samples.wavelength_m(), self.samples.path_gain(), &options.limits())
     }
 
     /// The phases of all of the link's pairs, with those marked that are among the samples.
@@ -397,8 +376,8 @@ impl Gated {
             return Err(self.nothing(times_s, receiver));
         }
         let extent_m = extent_m(&self.samples);
-        if extent_m > TUNING.motion.max_extent_m {
-            return Err(LinkError::TooLarge { extent_m, limit_m: TUNING.motion.max_extent_m });
+        if extent_m > MAX_EXTENT_M {
+            return Err(LinkError::TooLarge { extent_m, limit_m: MAX_EXTENT_M });
         }
         Ok(())
     }

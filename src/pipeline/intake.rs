@@ -2,6 +2,7 @@
 
 use super::LogReport;
 use super::options::Options;
+use crate::exchange::pairing::by_clock::Refusal;
 use crate::exchange::tdma::{Key, Proof, Prover};
 use crate::signal::cfo::Heard;
 use crate::signal::channel::SUBCARRIERS;
@@ -47,6 +48,11 @@ impl FrameHeard {
         let iq = measurement.iq.map(|[i, q]| Iq { i, q });
         let Measurement { number, timestamp_low, .. } = *measurement;
         Self { number, timestamp_low, host_us: None, row, proof: Proof::Unknown, iq }
+    }
+
+    /// The same with another number, and another running number in its log.
+    pub(super) fn with_number(self, number: u32, row: u32) -> Self {
+        Self { number, row, ..self }
     }
 
     /// As raw pairs `[I, Q]` by reported subcarrier.
@@ -112,11 +118,20 @@ impl Front {
 
     /// Notes what a source gave, and gives the frame in it with its sender.
     pub fn note(&mut self, next: &Next<'_>) -> Option<(Mac, FrameHeard)> {
+        let (mac, heard, is_numbered) = self.note_any(next)?;
+        self.log.unused.no_number += u64::from(!is_numbered);
+        is_numbered.then_some((mac, heard))
+    }
+
+    /// The same of frames without a number too, which have 0 for it; at last whether it has one.
+    fn note_any(&mut self, next: &Next<'_>) -> Option<(Mac, FrameHeard, bool)> {
         let proof = self.prover.note(next);
         let (bfee, identity) = self.log.survey.note(next)?;
         let Some(number) = identity.frame_count else {
-            self.log.unused.no_number += 1;
-            return None;
+            let heard = FrameHeard::of(&bfee, self.antenna, 0, identity.host_us, 0);
+            let heard = heard.filter(|_| proof != Proof::Wrong);
+            self.log.unused.no_number += u64::from(heard.is_none());
+            return heard.map(|heard| (identity.mac, FrameHeard { proof, ..heard }, false));
         };
         let row = self.log.survey.senders.get(&identity.mac).map_or(0, |sender| sender.numbered.saturating_sub(1));
         let heard = FrameHeard::of(&bfee, self.antenna, number, identity.host_us, row);
@@ -126,9 +141,12 @@ impl Front {
             return None;
         }
         self.log.unchecked += u64::from(proof == Proof::Unknown && self.prover.has_key() && heard.is_some());
-        heard.map(|heard| (identity.mac, FrameHeard { proof, ..heard }))
+        heard.map(|heard| (identity.mac, FrameHeard { proof, ..heard }, true))
     }
 }
+
+/// Frames without a number that are kept of a log that has none: three quarters of an hour at 100 a second.
+const MOST_UNNUMBERED: usize = 1 << 18;
 
 /// A log being read.
 pub(crate) struct LogReader<'a> {
@@ -136,6 +154,11 @@ pub(crate) struct LogReader<'a> {
     /// What was counted and used.
     pub front: Front,
     queue: VecDeque<(Mac, FrameHeard)>,
+    /// Frames without a number, as long as none has one.
+    unnumbered: Vec<(Mac, FrameHeard)>,
+    has_numbers: bool,
+    /// Why its frames could not be numbered.
+    pub refused: Option<Refusal>,
     now: Instant,
     ended: bool,
 }
@@ -148,7 +171,9 @@ impl<'a> LogReader<'a> {
         known: impl IntoIterator<Item = Mac>,
     ) -> Self {
         let front = Front::new(options.antenna).with_known(known).with_key(options.key.clone());
-        Self { source, front, queue: VecDeque::new(), now: Instant::ZERO, ended: false }
+        let (queue, unnumbered) = (VecDeque::new(), Vec::new());
+        let now = Instant::ZERO;
+        Self { source, front, queue, unnumbered, has_numbers: false, refused: None, now, ended: false }
     }
 
     /// Reads ahead until `limit` frames wait or the log ends, and gives those that wait.
@@ -171,6 +196,19 @@ impl<'a> LogReader<'a> {
         Ok(std::mem::take(&mut self.queue))
     }
 
+    /// The frames without a number of a log that was read to its end and has no others; none of any other log.
+    pub(crate) fn take_unnumbered(&mut self) -> Vec<(Mac, FrameHeard)> {
+        let of_use = self.ended && !self.has_numbers;
+        std::mem::take(&mut self.unnumbered).into_iter().filter(|_| of_use).collect()
+    }
+
+    /// Puts frames back that have a number now, to be read like any others.
+    pub(crate) fn put_numbered(&mut self, frames: Vec<(Mac, FrameHeard)>) {
+        let unused = &mut self.front.log.unused;
+        unused.no_number = unused.no_number.saturating_sub(frames.len() as u64);
+        self.queue.extend(frames);
+    }
+
     /// The next frame in the log, or `None` at its end.
     ///
     /// # Errors
@@ -190,7 +228,20 @@ impl<'a> LogReader<'a> {
 
     fn pull(&mut self) -> Result<(), Error> {
         let next = self.source.receive(self.now)?;
-        self.queue.extend(self.front.note(&next));
+        match self.front.note_any(&next) {
+            Some((mac, heard, true)) => {
+                self.queue.push_back((mac, heard));
+                self.has_numbers = true;
+                self.unnumbered.clear();
+            }
+            Some((mac, heard, false)) => {
+                self.front.log.unused.no_number += 1;
+                if !self.has_numbers && self.unnumbered.len() < MOST_UNNUMBERED {
+                    self.unnumbered.push((mac, heard));
+                }
+            }
+            None => {}
+        }
         match next {
             Next::End(_) => self.ended = true,
             Next::Pending => match self.source.next_at() {
@@ -214,7 +265,7 @@ mod tests {
 
     /// A record of the WSR driver, after these copies of frames.
     fn note(front: &mut Front, copies: &[&[u8]], frame_count: u32) -> Option<(Mac, FrameHeard)> {
-        let wsr = Wsr { mac: SENDER, frame_count, ..Wsr::default() };
+        let wsr = Wsr { mac: SENDER, frame_count: Some(frame_count), ..Wsr::default() };
         let repr = Repr { wsr: Some(wsr), n_rx: 2, timestamp_low: 10 * frame_count, ..Repr::default() };
         let mut body = vec![0; repr.body_len()];
         let iq: Vec<Iq> = (0..repr.samples()).map(|k| Iq { i: k as i8, q: -(k as i8) }).collect();
@@ -305,7 +356,10 @@ mod tests {
     #[test]
     fn as_many_frames_are_read_ahead_as_are_asked_for_and_none_is_lost_by_it() {
         let body = |frame_count| {
-            let repr = Repr { wsr: Some(Wsr { mac: SENDER, frame_count, ..Wsr::default() }), ..Repr::default() };
+            let repr = Repr {
+                wsr: Some(Wsr { mac: SENDER, frame_count: Some(frame_count), ..Wsr::default() }),
+                ..Repr::default()
+            };
             let mut body = vec![0; repr.body_len()];
             repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
             body

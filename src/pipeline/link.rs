@@ -200,7 +200,7 @@ impl Link {
         let mut pending = std::mem::take(&mut self.pending);
         let heard: Vec<[&Heard; 2]> =
             pending.iter().map(|pair| [pair.transmitter.heard(), pair.receiver.heard()]).collect();
-        let centres = round_trips_at_centre(&heard, &options.channel.subcarriers(), options.search.tier);
+        let centres = round_trips_at_centre(&heard, &options.channel.subcarriers(), options.tier);
         let more = pending.len().min(MAX_ROWS - self.rows.len());
         self.rows.reserve(more);
         self.frames.reserve(more);

@@ -2,10 +2,10 @@
 
 use super::intake::{FrameHeard, LogReader};
 use super::options::Options;
+use crate::exchange::assign::MIN_COMMON;
 use crate::exchange::assign::{self, Mark, Match, Spread, Unmatched};
 use crate::signal::reciprocity::Reciprocity;
 use crate::source::Error;
-use crate::tuning::TUNING;
 use driver_iface::Mac;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -57,7 +57,7 @@ pub(super) fn find_macs(
     }
     // Foreign frames bring MACs of their own; only those with enough frames can be a transmitter, the busiest first.
     let mut busiest: Vec<(Mac, Vec<Mark>)> =
-        by_mac.into_iter().filter(|(_, marks)| marks.len() >= TUNING.pairing.min_common).collect();
+        by_mac.into_iter().filter(|(_, marks)| marks.len() >= MIN_COMMON).collect();
     busiest.sort_by_key(|(_, marks)| std::cmp::Reverse(marks.len()));
     busiest.truncate(MAX_TRANSMITTERS);
     let macs: Vec<Mac> = busiest.iter().map(|(mac, _)| *mac).collect();
@@ -79,6 +79,11 @@ pub(super) fn find_macs(
         None => found.map(|found| (macs[found.mac], Some(found))),
     };
     let mut settled: Vec<MacFound> = found.into_iter().enumerate().map(settle).collect();
+    for (tx, found) in txs.iter().zip(&mut settled) {
+        if let Some(why) = tx.refused {
+            *found = Err(Unmatched::Clocks(why));
+        }
+    }
     for (receiver, found) in receivers.iter().zip(&mut settled) {
         // Stock records carry no address: all zeros say nothing.
         if let Ok((mac, _)) = found

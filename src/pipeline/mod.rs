@@ -5,52 +5,44 @@
 //! | step | where |
 //! |---|---|
 //! | records of each log become frames of one antenna | `intake` |
+//! | frames without numbers get them by the cards' clocks | `unnumbered` |
 //! | which transmitter wrote which log | `matching` |
 //! | all logs read in step, frames paired, each pair a round trip | `reading`, `link` |
-//! | clocks, compensation, gate, plane wave | `draft` |
-//! | how much of the rest is needed | `effort` |
+//! | clocks, compensation, the gate of motion, the estimate (`crate::estimate`) | `draft` |
 //! | of motion that is too wide to be searched at once, the stretch that tells most | `stretch` |
-//! | what motion along a climbing line leaves open | `slope` |
-//! | spherical waves over all subcarriers, autofocus over all links, paths | `accurate` |
-//! | all links of a capture, side by side and together | `joint` |
 //! | the same while robots drive, over the last metres | [`live`] |
 //! | the answer, as values and as a line of JSON | `bearing`, `answer`, `explain` |
 //! | what it says of the transmitter's place, for a filter over several motions | `evidence`, `carried` |
 
-mod accurate;
 mod answer;
 mod bearing;
 mod capture;
 mod carried;
-mod direction;
 mod draft;
-mod effort;
 mod error;
 mod evidence;
 mod explain;
 pub(crate) mod intake;
-mod joint;
 mod link;
 pub mod live;
 mod matching;
 mod options;
 mod reading;
-mod slope;
 mod stretch;
+mod unnumbered;
 
-pub use accurate::Placed;
-pub use answer::{Answer, PathAnswer, lost_something};
+pub use crate::estimate::{Effort, Reason, Risk, Sufficient, Unexplained};
+pub use answer::{Answer, CandidateAnswer, lost_something};
 pub use bearing::{Bearing, BearingAnswer, Candidate, PairCounts, Phase, ProfileFigures, Range, WaveModel};
 pub use capture::{Capture, CaptureError};
 pub use carried::{CarriedAnswer, CarriedCandidate, StretchAnswer};
-pub use effort::{Reason, Risk, Sufficient};
+pub(crate) use draft::{LinkJoin, bearing as estimate_one, estimate_all as estimate};
 pub use error::LinkError;
 pub use explain::{LinkPlan, StepPlan};
 pub use intake::UnusedRecords;
 pub(crate) use intake::{FrameHeard, Front};
-pub(crate) use joint::{LinkJoin, estimate};
 pub use link::Link;
-pub use options::{Accuracy, Effort, JoinBy, Options};
+pub use options::{Accuracy, JoinBy, Options};
 
 use crate::exchange::assign::{Match, Unmatched};
 use crate::motion::pose::Trajectory;
@@ -119,6 +111,7 @@ pub fn bearings(
     let mut txs: Vec<LogReader<'_>> =
         logs.into_iter().map(|log| LogReader::new(log, options, options.rx_mac)).collect();
     read_ahead(&mut rx, &mut txs, options)?;
+    unnumbered::number(&mut rx, &mut txs, options);
     let receivers = receivers(&mut txs, options)?;
     let found = find_macs(&mut rx, &mut txs, &receivers, options)?;
     let span_us = options.span_us(trajectory);

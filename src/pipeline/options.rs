@@ -1,10 +1,13 @@
 //! How bearings are to be made.
 
-use crate::bartlett::SearchOptions;
+use crate::bartlett::Tier;
+use crate::estimate::prior::Limits;
+use crate::estimate::tuning::sensor;
+use crate::estimate::{Effort, Task};
 use crate::exchange::tdma::Key;
 use crate::motion::pose::Trajectory;
 use crate::signal::channel::Channel;
-use crate::tuning::TUNING;
+use crate::signal::samples::Samples;
 use driver_iface::{Mac, bfee::Antenna};
 use std::num::NonZeroUsize;
 
@@ -22,38 +25,24 @@ pub enum JoinBy {
     Row,
 }
 
-/// How much is computed beyond a plane wave, of the steps that [`Accuracy`] allows.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[non_exhaustive]
-pub enum Effort {
-    /// Every step that may move the azimuth by more than a tenth of its error bar: where one wave leaves nothing but noise,
-    /// none does.
-    #[default]
-    Needed,
-    /// Every step that may move the azimuth by more than this, radians; none where the plane wave's error bar is below it.
-    Within(f64),
-    /// Every step.
-    Everything,
-}
-
-/// Which steps beyond a plane wave at the channel centre may be taken. Every one can be left out, to see what it brings.
+/// Which steps of the estimate may be taken, and the limits of its prior.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Accuracy {
-    /// Spherical waves: range and position beside the bearing. Without them none of the other steps is taken.
+    /// Curved wave fronts: range and position beside the bearing.
     pub near_field: bool,
     /// Alignment of the sampling time from packet to packet.
     pub align: bool,
     /// The one-way channel beside the round trip.
     pub one_way: bool,
-    /// Autofocus of the trajectory over all transmitters of a capture.
-    pub focus: bool,
-    /// The paths beside the answer.
-    pub paths: bool,
-    /// How much of them is computed.
+    /// How much is computed.
     pub effort: Effort,
-    /// Shortest distance of a transmitter, metres.
-    pub range_min_m: f64,
+    /// Largest |elevation| of a transmitter, radians, 0 to pi/2: it holds for every motion; 0 fixes the horizon. None: 20 degrees,
+    /// and where the motion distinguishes elevations, more with a tenth of the probability.
+    pub elevation_max_rad: Option<f64>,
+    /// Shortest distance of a transmitter, metres: it holds for every motion. None: 1.8 m, and where one wave leaves nothing but
+    /// noise, any.
+    pub range_min_m: Option<f64>,
     /// The transmitter's height above the receiver's antenna, metres, where known.
     pub height_m: Option<f64>,
 }
@@ -64,55 +53,43 @@ impl Default for Accuracy {
             near_field: true,
             align: true,
             one_way: true,
-            focus: true,
-            paths: true,
             effort: Effort::default(),
-            range_min_m: TUNING.deviations.range_min_m,
+            elevation_max_rad: None,
+            range_min_m: None,
             height_m: None,
         }
     }
 }
 
 impl Accuracy {
-    /// Without any step: a plane wave at the channel centre.
+    /// With or without curved wave fronts.
     #[must_use]
-    pub fn without_layers(self) -> Self {
-        Self { near_field: false, align: false, one_way: false, ..self }
+    pub fn with_near_field(self, near_field: bool) -> Self {
+        Self { near_field, ..self }
     }
 
-    /// With or without spherical waves.
+    /// With so much computed.
     #[must_use]
-    pub fn with_near_field(mut self, near_field: bool) -> Self {
-        self.near_field = near_field;
-        self
+    pub fn with_effort(self, effort: Effort) -> Self {
+        Self { effort, ..self }
     }
 
-    /// With or without the paths beside the answer.
+    /// With another largest |elevation|, radians.
     #[must_use]
-    pub fn with_paths(mut self, paths: bool) -> Self {
-        self.paths = paths;
-        self
-    }
-
-    /// With so much of the steps computed.
-    #[must_use]
-    pub fn with_effort(mut self, effort: Effort) -> Self {
-        self.effort = effort;
-        self
+    pub fn with_elevation_max_rad(self, elevation_max_rad: Option<f64>) -> Self {
+        Self { elevation_max_rad, ..self }
     }
 
     /// With another shortest distance of a transmitter, metres.
     #[must_use]
-    pub fn with_range_min_m(mut self, range_min_m: f64) -> Self {
-        self.range_min_m = range_min_m;
-        self
+    pub fn with_range_min_m(self, range_min_m: Option<f64>) -> Self {
+        Self { range_min_m, ..self }
     }
 
     /// With the transmitter's height above the receiver's antenna, metres.
     #[must_use]
-    pub fn with_height_m(mut self, height_m: Option<f64>) -> Self {
-        self.height_m = height_m;
-        self
+    pub fn with_height_m(self, height_m: Option<f64>) -> Self {
+        Self { height_m, ..self }
     }
 }
 
@@ -133,8 +110,7 @@ pub struct Options {
     /// Added to the receiver's host time to get the trajectory's, seconds.
     pub clock_offset_s: f64,
     /// Standard deviation of the heading of the whole trajectory, radians: a figure of the sensor, which error bars and
-    /// probabilities take into account. `None`: as exact as motion capture, unless the caller of the pipeline knows the
-    /// sensor.
+    /// probabilities take into account. `None`: one degree, as of motion capture.
     pub heading_sd_rad: Option<f64>,
     /// How pairs are joined with the trajectory.
     pub join: JoinBy,
@@ -150,13 +126,13 @@ pub struct Options {
     pub parallel: bool,
     /// Whether the course of the phase, and the evidence over azimuth, are kept for pictures.
     pub keep_course: bool,
-    /// Whether maps of the joint power over all elevations and ranges are made for pictures; they cost more than the bearing.
-    #[doc(hidden)] // for the crates of this workspace
-    pub keep_maps: bool,
-    /// What is done beyond a plane wave.
+    /// Which steps are taken, and the limits of the prior.
     pub accuracy: Accuracy,
-    /// How the bearing is searched for.
-    pub search: SearchOptions,
+    /// Error of the positions from moment to moment, metres, standard deviation: it decides whether the motion's depth tells a
+    /// direction from its reflection. Default 3 mm.
+    pub odometry_sd_m: f64,
+    /// The SIMD tier to run on. Default: the widest of this machine.
+    pub tier: Tier,
 }
 
 impl Options {
@@ -186,8 +162,8 @@ impl Options {
             accuracy: Accuracy::default(),
             parallel: false,
             keep_course: false,
-            keep_maps: false,
-            search: SearchOptions::default(),
+            odometry_sd_m: sensor::POSITION_M,
+            tier: Tier::detect(),
         }
     }
 
@@ -262,26 +238,39 @@ impl Options {
         self
     }
 
-    /// With or without maps of the joint power.
-    #[doc(hidden)] // for the crates of this workspace
-    #[must_use]
-    pub fn with_keep_maps(mut self, keep_maps: bool) -> Self {
-        self.keep_maps = keep_maps;
-        self
-    }
-
-    /// With other steps beyond a plane wave.
+    /// With other steps and limits.
     #[must_use]
     pub fn with_accuracy(mut self, accuracy: Accuracy) -> Self {
         self.accuracy = accuracy;
         self
     }
 
-    /// With another search.
+    /// On another SIMD tier.
     #[must_use]
-    pub fn with_search(mut self, search: SearchOptions) -> Self {
-        self.search = search;
+    pub fn with_tier(mut self, tier: Tier) -> Self {
+        self.tier = tier;
         self
+    }
+
+    /// The limits of the prior.
+    pub(super) fn limits(&self) -> Limits {
+        let Accuracy { near_field, elevation_max_rad, range_min_m, height_m, .. } = self.accuracy;
+        Limits { elevation_max_rad, range_min_m, height_m, near_field }
+    }
+
+    /// The estimate of these samples.
+    pub(super) fn task<'a>(&self, samples: &'a Samples) -> Task<'a> {
+        Task {
+            samples,
+            indices: self.channel.subcarriers(),
+            limits: self.limits(),
+            odometry_sd_m: self.odometry_sd_m,
+            heading_sd_rad: self.heading_sd_rad.unwrap_or(sensor::MOTION_CAPTURE_DEG.to_radians()),
+            effort: self.accuracy.effort,
+            align: self.accuracy.align,
+            one_way: self.accuracy.one_way,
+            tier: self.tier,
+        }
     }
 
     /// The receiver's host time, microseconds, in which pairs are of use: the trajectory's and some seconds about it, in

@@ -4,7 +4,8 @@
 //! wider than some 2.7 m at 5 GHz have too many, odometry hardly stays coherent over them, and a plane wave is no answer either, as
 //! wave fronts are curved over so wide an aperture.
 
-use crate::place::near_field::{Limits, is_searchable};
+use crate::estimate::is_searchable;
+use crate::estimate::prior::Limits;
 use nalgebra::{Matrix2, Vector3};
 use std::ops::Range;
 
@@ -15,8 +16,13 @@ const ALONG: f64 = 1e-3;
 
 /// The stretch of these displacements, metres, in the order of time, that tells most of a direction within `limits`; `None`
 /// where all of them can be searched at once, or no two.
-pub(super) fn searchable(displacement_m: &[Vector3<f64>], wavelength_m: f64, limits: &Limits) -> Option<Range<usize>> {
-    let fits = |range: Range<usize>| is_searchable(&displacement_m[range], wavelength_m, limits);
+pub(super) fn searchable(
+    displacement_m: &[Vector3<f64>],
+    wavelength_m: f64,
+    path_gain: u8,
+    limits: &Limits,
+) -> Option<Range<usize>> {
+    let fits = |range: Range<usize>| is_searchable(&displacement_m[range], wavelength_m, path_gain, limits);
     let count = displacement_m.len();
     if fits(0..count) {
         return None;
@@ -68,21 +74,21 @@ mod tests {
 
     #[test]
     fn what_fits_is_taken_whole_and_what_is_wide_as_the_stretch_that_tells_most() {
-        let limits = Limits::new(0.35, 1.8);
+        let limits = Limits { near_field: true, ..Limits::default() };
         let small: Vec<_> = circle(0.5, 0.0, 1.0, 400).collect();
-        assert_eq!(searchable(&small, WAVELENGTH_M, &limits), None);
-        assert_eq!(searchable(&[], WAVELENGTH_M, &limits), None);
+        assert_eq!(searchable(&small, WAVELENGTH_M, 2, &limits), None);
+        assert_eq!(searchable(&[], WAVELENGTH_M, 2, &limits), None);
         // Ten metres straight on, a turn on the spot, and ten metres on.
         let line = |from_m: f64| (0..1_000).map(move |k| Vector3::new(from_m + 0.01 * f64::from(k), 0.5, 0.0));
         let drive: Vec<_> = line(-10.0).chain(circle(0.5, 0.25, 1.25, 400)).chain(line(0.0)).collect();
-        let stretch = searchable(&drive, WAVELENGTH_M, &limits).unwrap();
-        assert!(is_searchable(&drive[stretch.clone()], WAVELENGTH_M, &limits));
+        let stretch = searchable(&drive, WAVELENGTH_M, 2, &limits).unwrap();
+        assert!(is_searchable(&drive[stretch.clone()], WAVELENGTH_M, 2, &limits));
         assert!(
-            stretch.start <= 1_000 && stretch.end >= 1_400 && stretch.len() < 900,
+            stretch.start <= 1_000 && stretch.end >= 1_400 && stretch.len() < 1_500,
             "{stretch:?}: the turn is in it"
         );
         // One that cannot end sooner than it begins.
         let jump = [Vector3::zeros(), Vector3::new(40.0, 0.0, 0.0)];
-        assert_eq!(searchable(&jump, WAVELENGTH_M, &limits), None);
+        assert_eq!(searchable(&jump, WAVELENGTH_M, 2, &limits), None);
     }
 }

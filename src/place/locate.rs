@@ -13,8 +13,34 @@
 //! times the tangent.
 
 use crate::maths::wrap_rad;
-use crate::tuning::TUNING;
 use nalgebra::{Matrix2, Vector2};
+
+/// Power to which the evidence of another candidate over that of the answer is taken (chosen by a program in 29 of 30
+/// folds of places (sensitivity -- refit place), motion capture and tracking camera).
+const CANDIDATE_POWER: f64 = 0.5;
+
+/// Another place is named where the best is at most this many times as likely (a link and its mirror are as likely,
+/// three links of a capture leave one place).
+const AS_LIKELY: f64 = 2.0;
+
+/// And is further away than so many deviations of the best (chosen).
+const APART_SD: f64 = 3.0;
+
+/// And than so many metres (chosen).
+const APART_M: f64 = 0.3;
+
+/// Error that no bearing is better than, radians (median error in line of sight about one degree whatever was
+/// predicted).
+const AZIMUTH_FLOOR_RAD: f64 = 0.02;
+
+/// The same for range, relative (one range in six is off by more).
+pub(crate) const RANGE_FLOOR: f64 = 0.3;
+
+/// Residual, in deviations, at which a sighting has lost half of its weight.
+const CAUCHY: f64 = 2.0;
+
+/// Steps at most.
+const STEPS: usize = 60;
 
 /// The bearing of one link, and its range where known.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,7 +101,7 @@ impl Sighting {
         let own = own.map(|azimuth_rad| Direction { azimuth_rad, evidence: 1.0, has_range: true });
         let other = |(azimuth_rad, evidence): &(f64, f64)| Direction {
             azimuth_rad: *azimuth_rad,
-            evidence: evidence.powf(TUNING.locate.candidate_power),
+            evidence: evidence.powf(CANDIDATE_POWER),
             has_range: false,
         };
         own.chain(self.others.iter().map(other))
@@ -154,7 +180,7 @@ pub fn locate(sightings: &[Sighting]) -> Result<Located, LocateError> {
     solved.sort_by(|a, b| a.1.total_cmp(&b.1));
     let best = *solved.first().ok_or(LocateError::Parallel)?;
     let mut found = finish(best.0, &usable).ok_or(LocateError::Parallel)?;
-    let (as_likely, apart_sd, apart_m) = (TUNING.locate.as_likely, TUNING.locate.apart_sd, TUNING.locate.apart_m);
+    let (as_likely, apart_sd, apart_m) = (AS_LIKELY, APART_SD, APART_M);
     let inverse = found.covariance_m2.try_inverse().unwrap_or_default();
     for (at, cost) in solved {
         let is_new = |known: &Vector2<f64>| {
@@ -193,11 +219,11 @@ fn starts(sightings: &[Sighting]) -> Vec<Vector2<f64>> {
 fn seen(at: &Vector2<f64>, s: &Sighting) -> Seen {
     let to = s.transmitter_m - at;
     let distance = to.norm().max(1e-3);
-    let sd = s.azimuth_sd_rad.hypot(TUNING.locate.azimuth_floor_rad);
+    let sd = s.azimuth_sd_rad.hypot(AZIMUTH_FLOOR_RAD);
     let across = Vector2::new(to.y, -to.x) / (distance * distance);
     let known = s.range_m.filter(|(range, own)| range.is_finite() && *own >= 0.0);
     let range = known.map(|(range, own)| {
-        let sd = own.hypot(TUNING.locate.range_floor * range).max(1e-3);
+        let sd = own.hypot(RANGE_FLOOR * range).max(1e-3);
         Equation { residual: (distance - range) / sd, gradient: -to / (distance * sd), weight: 0.0 }
     });
     let fits = range.as_ref().map(|range| weight(range.residual));
@@ -221,7 +247,7 @@ fn seen(at: &Vector2<f64>, s: &Sighting) -> Seen {
 }
 
 fn weight(residual: f64) -> f64 {
-    1.0 / (1.0 + (residual / TUNING.locate.cauchy).powi(2))
+    1.0 / (1.0 + (residual / CAUCHY).powi(2))
 }
 
 /// The cost at a place, and the normal matrix and gradient of the reweighted problem there.
@@ -243,7 +269,7 @@ fn descend(start: Vector2<f64>, sightings: &[Sighting]) -> Option<(Vector2<f64>,
     let mut at = start;
     let (mut own, mut matrix, mut side) = normal(&at, sightings);
     let mut damping = 1e-3;
-    for _ in 0..TUNING.locate.steps {
+    for _ in 0..STEPS {
         let damped = matrix + Matrix2::from_diagonal(&matrix.diagonal()) * damping + Matrix2::identity() * 1e-9;
         let step = damped.try_inverse()? * side;
         let next = at - step;
@@ -283,7 +309,7 @@ fn height(
     let (mut sum, mut height_m, mut along) = (0.0, 0.0, Vector2::zeros());
     for (sighting, seen) in sightings.iter().zip(views) {
         let to = sighting.transmitter_m - at;
-        let (distance, floor) = (to.norm().max(1e-3), TUNING.locate.azimuth_floor_rad);
+        let (distance, floor) = (to.norm().max(1e-3), AZIMUTH_FLOOR_RAD);
         // Of the mirror and of other candidates the elevation is another one.
         let elevation = sighting.elevation.filter(|_| seen.likeliest == 0);
         let Some(Elevation { transmitter_z_m, elevation_rad, sd_rad }) = elevation else { continue };

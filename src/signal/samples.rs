@@ -181,11 +181,6 @@ impl Samples {
         &self.transmitter_m
     }
 
-    /// True if the transmitter is not in one place in all samples.
-    pub(crate) fn transmitter_moves(&self) -> bool {
-        self.transmitter_m.windows(2).any(|pair| pair[0] != pair[1])
-    }
-
     /// `receiver - transmitter` at each sample, metres.
     pub(crate) fn displacements_m(&self) -> impl ExactSizeIterator<Item = Vector3<f64>> + '_ {
         self.receiver_m.iter().zip(&self.transmitter_m).map(|(receiver, transmitter)| receiver - transmitter)

@@ -2,8 +2,9 @@
 
 use crate::source::{Loss, Next, Stamps};
 use crate::time::Step16;
-use driver_iface::mpdu::Mpdu;
+use driver_iface::mpdu::{self, Header};
 use driver_iface::record::{Record, Tail, code};
+use driver_iface::sounding;
 use driver_iface::{Mac, bfee::Bfee};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -22,6 +23,8 @@ pub use clocks::{ClockSteps, HostSteps};
 #[doc(hidden)]
 pub use fields::Fields;
 pub use sender::Sender;
+#[doc(hidden)]
+pub use sender::{NumberStep, Numbering};
 #[doc(hidden)]
 pub use tally::Tally;
 
@@ -92,8 +95,14 @@ pub struct Survey {
     pub by_code: BTreeMap<u8, u64>,
     /// Intact bfee records in the stock layout.
     pub stock: u64,
+    /// Intact bfee records in the WSR layout of 2021, which has no frame number.
+    pub wsr_2021: u64,
     /// Intact bfee records in the WSR layout.
     pub wsr: u64,
+    /// Records with bytes behind their CSI, which are no part of it.
+    pub longer: u64,
+    /// Those bytes.
+    pub bytes_behind_csi: u64,
     /// bfee records that were framed but hold something impossible.
     pub bad_bfee: u64,
     /// Stretches of bytes that are no record.
@@ -141,8 +150,10 @@ pub struct Survey {
     pub host_us: Option<(i64, i64)>,
     /// How the host's clock went on beside the card's.
     pub host_steps: HostSteps,
-    /// MPDU records whose frame check sequence does not fit.
+    /// MPDU records whose frame check sequence does not fit, in a log that has them.
     pub mpdu_bad_fcs: u64,
+    /// MPDU records without a frame check sequence, as the card hands them up in client and access point mode.
+    pub mpdu_without_fcs: u64,
     /// How the log ended.
     #[serde(skip)]
     pub tail: Option<Tail>,
@@ -152,6 +163,9 @@ pub struct Survey {
     clock: CardClock,
     #[serde(skip)]
     heard: Option<(Mac, Option<u32>)>,
+    /// A frame ended in its own frame check sequence, so all have one.
+    #[serde(skip)]
+    has_fcs: bool,
     /// Senders that always have a place.
     #[serde(skip)]
     known: BTreeSet<Mac>,
@@ -160,12 +174,24 @@ pub struct Survey {
 /// The identity of a bfee: who sent the frame, its number, when the host saw it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Identity {
-    /// Sender (addr3 of the frame); all zero if unknown.
+    /// Sender; all zero if unknown.
     pub mac: Mac,
     /// Sounding counter.
     pub frame_count: Option<u32>,
     /// Host time of the record, microseconds since the Unix epoch.
     pub host_us: Option<i64>,
+}
+
+/// Sender and number of a sounding frame (no FCS), which has its sender in address 3. A group address sends nothing: that
+/// frame is of another program (csitool's injection broadcasts there), and its payload no number.
+fn sounded(frame: &[u8]) -> Option<(Mac, Option<u32>)> {
+    let frame = sounding::Frame::new_checked(frame).ok().filter(|frame| frame.sender().0[0] & 1 == 0)?;
+    Some((frame.sender(), Some(frame.number())))
+}
+
+/// Sender of any frame: address 2, where it has one.
+fn sent(frame: &[u8]) -> Option<(Mac, Option<u32>)> {
+    Some((Header::new_checked(frame).ok()?.addr2()?, None))
 }
 
 impl Survey {
@@ -235,16 +261,18 @@ impl Survey {
 
     fn note_mpdu(&mut self, body: &[u8]) {
         self.heard = None;
-        if let Ok(mpdu) = Mpdu::new_checked(body) {
-            if mpdu.fcs_is_good() {
-                // A sounding frame has its sender in address 3. A group address sends nothing: that frame is of another
-                // program (csitool's injection broadcasts there), its sender in address 2, its payload no number.
-                let addr3 = mpdu.addr3();
-                let is_group = addr3.0[0] & 1 == 1;
-                self.heard = Some(if is_group { (mpdu.addr2(), None) } else { (addr3, mpdu.sounding_counter()) });
-            } else {
-                self.mpdu_bad_fcs += 1;
-            }
+        if mpdu::fcs_is_good(body) {
+            self.has_fcs = true;
+            // What was taken for a frame without one was damaged.
+            self.mpdu_bad_fcs += std::mem::take(&mut self.mpdu_without_fcs);
+            let frame = body.split_last_chunk::<{ mpdu::FCS }>().map_or(body, |(frame, _)| frame);
+            self.heard = sounded(frame).or_else(|| sent(frame));
+        } else if self.has_fcs {
+            self.mpdu_bad_fcs += 1;
+        } else {
+            self.mpdu_without_fcs += 1;
+            // Robots sound in monitor mode, where frames have an FCS.
+            self.heard = sent(body).filter(|(mac, _)| *mac != sounding::MAGIC_MAC);
         }
     }
 
@@ -252,11 +280,11 @@ impl Survey {
         let (heard, head) = (self.heard.take(), &fields.head);
         let identity = match head.wsr {
             Some(wsr) => {
-                self.wsr += 1;
+                *if wsr.frame_count.is_some() { &mut self.wsr } else { &mut self.wsr_2021 } += 1;
                 let host_us = i64::from(wsr.tv_sec) * 1_000_000 + i64::from(wsr.tv_usec);
                 Identity {
                     mac: wsr.mac,
-                    frame_count: wsr.sender_known().then_some(wsr.frame_count),
+                    frame_count: wsr.frame_count.filter(|_| wsr.sender_known()),
                     // The driver's own time is nearer to the frame than a listener's.
                     host_us: (host_us > 0).then_some(host_us).or(stamps.host_us),
                 }
@@ -267,6 +295,8 @@ impl Survey {
                 Identity { mac, frame_count, host_us: stamps.host_us }
             }
         };
+        self.longer += u64::from(fields.behind_csi > 0);
+        self.bytes_behind_csi += u64::from(fields.behind_csi);
         match self.count.step(head.bfee_count) {
             None | Some(1) => {}
             Some(0) => self.bfee_repeated += 1,
@@ -329,7 +359,7 @@ impl Survey {
     /// Intact bfee records.
     #[must_use]
     pub fn bfees(&self) -> u64 {
-        self.stock + self.wsr
+        self.stock + self.wsr_2021 + self.wsr
     }
 
     /// What says when the records came. It may be another one as long as there are few.

@@ -111,11 +111,7 @@ block() { awk -v fence="$1" '/^## /{ on = /From Python/ } /^```/{ open = !open; 
 rm -rf "$own/readme"
 python3 -m venv "$own/readme"
 # Not optimised, which takes a third of the time: how fast it is was seen above.
-unoptimised="--profile dev --config profile.dev.opt-level=0 --config profile.dev.debug=false"
-for crate in csi5300 csi5300-lab csi5300-kernels driver-iface libm rand_chacha; do
-    unoptimised+=" --config profile.dev.package.$crate.opt-level=0"
-done
-MATURIN_PEP517_ARGS=$unoptimised "$own/readme/bin/pip" install --quiet "$OLDPWD/python" matplotlib
+MATURIN_PEP517_ARGS="--profile dev" "$own/readme/bin/pip" install --quiet "$OLDPWD/python" matplotlib
 fixture=$OLDPWD/tests/fixtures/small-circle
 cp "$fixture"/csi_rx_*.dat rx.dat
 cp "$fixture"/csi_tx1_*.dat tx.dat

@@ -51,7 +51,7 @@ serve() { # what, where its address is written
 serve "$folder/captures" "$folder/captures.url"
 serve "$(ls "$folder"/captures/LOS_A/P1/csi_rx_*.dat)" "$folder/log.url"
 status=0
-"$csi5300" report "$folder/captures" --interactive --out "$folder/page.html" || status=$?
+"$csi5300" evaluate "$folder/captures" --html "$folder/page.html" || status=$?
 [ "$status" = 3 ] || { echo "a capture without its log: exit status $status instead of 3"; exit 1; }
 # Last, as the room ends after a minute; the first that is looked at.
 (cd "$folder" && exec "$csi5300" node --config robot.toml) 2>"$folder/said" &

@@ -60,7 +60,7 @@ pub fn louder_link(n: u32, azimuth_rad: f64, gain: i8) -> Link {
 
 fn record(k: u32, timestamp_low: u32, mac: Mac, host_s: f64, (phase_rad, gain): (f64, i8)) -> Vec<u8> {
     let tv_usec = ((host_s.fract() * 1e6).round() as u32).min(999_999);
-    let wsr = Wsr { tv_sec: host_s as u32, tv_usec, mac, frame_count: k + 1 };
+    let wsr = Wsr { tv_sec: host_s as u32, tv_usec, mac, frame_count: Some(k + 1) };
     let repr =
         Repr { timestamp_low, bfee_count: k as u16, rssi: [38, 0, 0], n_rx: 3, wsr: Some(wsr), ..Repr::default() };
     let mut csi = vec![Iq::default(); repr.samples()];

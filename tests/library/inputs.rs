@@ -9,9 +9,7 @@ use nalgebra::Vector3;
 use std::io::Cursor;
 
 fn options() -> Options {
-    let options = Options::new("108".parse().unwrap());
-    let steps = options.accuracy.without_layers();
-    options.with_accuracy(steps)
+    Options::new("108".parse().unwrap())
 }
 
 fn run(rx: &[Vec<u8>], tx: &[Vec<u8>], path: &Trajectory, options: &Options) -> Result<Bearing, LinkError> {

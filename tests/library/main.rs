@@ -1,6 +1,7 @@
 //! The library from outside: the scheduler on a virtual air, bodies of the fuzz targets.
 #![allow(clippy::unwrap_used, clippy::expect_used)]
 
+mod by_clock;
 #[path = "../common/mod.rs"]
 mod common;
 mod fuzz_corpus;
@@ -10,3 +11,4 @@ mod inputs;
 mod pipeline;
 mod soak;
 mod tdma;
+mod users_logs;

@@ -45,7 +45,7 @@ impl Node {
     /// A record in the WSR layout of a frame that `sender` numbered.
     fn record(&mut self, sender: Mac, number: u32) -> Vec<u8> {
         self.count = self.count.wrapping_add(1);
-        let wsr = Wsr { mac: sender, frame_count: number, ..Wsr::default() };
+        let wsr = Wsr { mac: sender, frame_count: Some(number), ..Wsr::default() };
         let repr = Repr {
             timestamp_low: self.now.as_us() as u32,
             bfee_count: self.count,

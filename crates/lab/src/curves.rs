@@ -20,16 +20,18 @@ pub struct Curve {
     pub values: Vec<f64>,
 }
 
-/// The evidence over azimuth, where spherical waves were searched and what pictures need was kept
+/// The probability density over azimuth relative to its highest, where what pictures need was kept
 /// ([`keep_course`](csi5300::pipeline::Options::keep_course)).
 #[must_use]
 pub fn evidence(bearing: &Bearing) -> Option<Curve> {
-    let evidence = bearing.placed.as_ref()?.evidence.as_ref()?;
-    Some(Curve {
-        name: "evidence of spherical waves, all subcarriers".into(),
-        azimuths_deg: evidence.azimuths_rad.iter().map(|azimuth| azimuth.to_degrees()).collect(),
-        values: evidence.values.clone(),
-    })
+    let density = Some(&bearing.density).filter(|density| !density.is_empty())?;
+    let highest = density.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    let step_rad = std::f64::consts::TAU / density.len() as f64;
+    let at = |(k, value): (usize, &f64)| (wrap_rad(k as f64 * step_rad).to_degrees(), value / highest);
+    let mut points: Vec<(f64, f64)> = density.iter().enumerate().map(at).collect();
+    points.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let (azimuths_deg, values) = points.into_iter().unzip();
+    Some(Curve { name: "probability density".into(), azimuths_deg, values })
 }
 
 /// The plane wave's profile over azimuth: the highest of the |elevations| that its peaks have.

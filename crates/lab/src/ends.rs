@@ -5,7 +5,6 @@ use crate::compare::figures::true_path;
 use csi5300::maths::wrap_rad;
 use csi5300::motion::pose::{Pose, Trajectory};
 use csi5300::pipeline::{Bearing, Options, Transmitter, bearings};
-use csi5300::place::near_field::Edge;
 use csi5300_sim::motion::RobotMotion;
 use csi5300_sim::radio::{Noise, Radio};
 use csi5300_sim::scene::{Robot, Scene, Sounding, Wall};
@@ -73,9 +72,7 @@ pub struct Seen {
     /// Its horizontal part in units of the covariance: squared length, about 2 on average.
     pub position_level: Option<f64>,
     /// Probability that the azimuth is within five degrees.
-    pub confidence: Option<f64>,
-    /// The limits of the search that the answer lies at.
-    pub edge: Option<Edge>,
+    pub confidence: f64,
     /// Another candidate is this near to the true direction, degrees.
     pub nearest_candidate_deg: f64,
 }
@@ -192,7 +189,6 @@ impl Recording {
             position_error_m: position.map(|(_, error)| error),
             position_level: position.and_then(level),
             confidence: answer.probability,
-            edge: answer.edge,
             nearest_candidate_deg: answer.candidates.iter().map(off).fold(f64::MAX, f64::min),
         }
     }

@@ -4,17 +4,14 @@
 //! | module | what goes in | what comes out |
 //! |---|---|---|
 //! | [`evaluate`] | a folder of captures with their truth | a row of each link, errors by set, what the rows are worth |
-//! | [`folds`] | captures with their truth | errors and calibration on places that nothing was fitted to |
-//! | [`over_time`] | captures with their truth, cut into stretches | errors of single stretches, of what is carried over them, and of all at once |
 //! | [`compare`] | a recorded capture, and a simulated one or none | their figures beside each other; a scene fitted to the recording |
 //! | [`suite`] | the experiments of \[paper\] as scenes | each repeated and summed up |
 //! | [`course`] | a log | CSI, levels and rate over time, binned |
 //! | [`curves`] | a bearing | curves over azimuth and time for pictures and pages |
 //! | [`table`] | a log | its records in memory: columns, and CSI decoded on demand |
 //! | [`export`] | such a table | NPZ, MAT and Parquet files |
-//! | [`rooms`] | a seed | random rooms with known truth, written as captures |
 //! | [`words`] | counts | them with their nouns |
-//! | `show` (feature `plot`) | bearings, rows, figures | pictures (PNG, SVG) and one HTML page |
+//! | `show` (feature `plot`) | bearings, rows, figures | pictures (PNG, SVG) |
 //!
 //! `evaluate`, `compare` and `suite` know nothing of pictures; `show` draws what they give.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
@@ -25,14 +22,8 @@ pub mod curves;
 pub mod ends;
 pub mod evaluate;
 pub mod export;
-pub mod fit_confidence;
-pub mod fit_error_bar;
-pub mod folds;
-pub mod over_time;
-pub mod rooms;
 #[cfg(feature = "plot")]
 pub mod show;
-pub mod skipping;
 pub mod suite;
 pub mod table;
 pub mod words;

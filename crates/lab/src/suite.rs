@@ -4,7 +4,6 @@
 use crate::compare::CompareError;
 pub use crate::compare::figures::spread_rad;
 use crate::compare::figures::true_path;
-use csi5300::bartlett::{self, Grid};
 use csi5300::maths::wrap_rad;
 use csi5300::pipeline::{Bearing, CaptureReport, Options, Phase, Transmitter, bearings};
 use csi5300::signal::cfo::TurnAround;
@@ -184,27 +183,19 @@ fn judge(run: &mut Run, bearing: &Bearing, room: &Room) {
     run.abs_elevation_deg = Some(answer.abs_elevation_rad.to_degrees());
     run.elevation_deg = answer.signed_elevation_rad.map(f64::to_degrees);
     run.sd_deg = Some(answer.azimuth_bound_rad.to_degrees());
-    run.confidence = answer.probability;
+    run.confidence = Some(answer.probability);
     run.likelihood_share = bearing.figures.likelihood_share;
     run.coherence = Some(bearing.plane_wave.coherence);
 }
 
-/// The evidence over azimuth relative to its highest; the plane wave's profile where no other was searched.
+/// The probability density over azimuth relative to its highest.
 fn profile(bearing: &Bearing) -> Vec<f64> {
-    let evidence = bearing.placed.as_ref().and_then(|placed| placed.evidence.as_ref());
-    let at = |index: usize| profile_azimuth_rad(index);
-    let values: Vec<f64> = match evidence {
-        Some(evidence) => (0..PROFILE_AZIMUTHS)
-            .map(|index| {
-                let next = evidence.azimuths_rad.partition_point(|azimuth| *azimuth < at(index) - 1e-9);
-                evidence.values.get(next).copied().unwrap_or_default()
-            })
-            .collect(),
-        None => {
-            let ring = Grid::directions((0..PROFILE_AZIMUTHS).map(|index| (at(index), 0.0)).collect());
-            bartlett::profile(&bearing.samples, &ring).map(|profile| profile.values).unwrap_or_default()
-        }
+    let density = &bearing.density;
+    let nearest = |index: usize| {
+        let turns = profile_azimuth_rad(index).rem_euclid(TAU) / TAU;
+        density.get((turns * density.len() as f64).round() as usize % density.len().max(1)).copied().unwrap_or_default()
     };
+    let values: Vec<f64> = (0..PROFILE_AZIMUTHS).map(nearest).collect();
     let highest = values.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     values.into_iter().map(|value| value / highest).collect()
 }

@@ -135,7 +135,7 @@ mod tests {
     fn log(numbers: std::ops::Range<u32>, sender: Mac, from_us: u32) -> Vec<u8> {
         let mut log = Vec::new();
         for number in numbers {
-            let wsr = Some(Wsr { tv_sec: 0, tv_usec: 0, mac: sender, frame_count: number });
+            let wsr = Some(Wsr { tv_sec: 0, tv_usec: 0, mac: sender, frame_count: Some(number) });
             let timestamp_low = from_us.wrapping_add(number * 10_000);
             let repr = Repr { timestamp_low, n_rx: 1, antenna_sel: 0, wsr, ..Repr::default() };
             let mut body = vec![0; repr.body_len()];

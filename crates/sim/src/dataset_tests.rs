@@ -38,7 +38,7 @@ fn read(path: &Path) -> (Vec<(u8, u32)>, usize) {
     for event in events(&bytes) {
         if let Step::Record { record, .. } = event {
             let wsr = Bfee::new_checked(record.body).unwrap().wsr().unwrap();
-            numbers.push((wsr.mac.0[5], wsr.frame_count));
+            numbers.push((wsr.mac.0[5], wsr.frame_count.unwrap()));
             whole += record.emit_len();
         }
     }

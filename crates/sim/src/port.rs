@@ -238,7 +238,7 @@ impl Port {
             tv_sec: host_us.div_euclid(1_000_000) as u32,
             tv_usec: host_us.rem_euclid(1_000_000) as u32,
             mac: self.last.0,
-            frame_count: self.last.1,
+            frame_count: Some(self.last.1),
         }
     }
 

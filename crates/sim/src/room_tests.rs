@@ -79,7 +79,7 @@ impl Row {
     }
 
     fn number(&self) -> u32 {
-        self.bfee().wsr().unwrap().frame_count
+        self.bfee().wsr().unwrap().frame_count.unwrap()
     }
 }
 

@@ -28,7 +28,7 @@ fn numbers(port: &mut Port) -> BTreeMap<(&'static str, u8), Vec<u32>> {
                     FrameRole::Overheard => "overheard",
                     FrameRole::Unknown => panic!("a robot that sounds knows"),
                 };
-                heard.entry((role, wsr.mac.0[5])).or_default().push(wsr.frame_count);
+                heard.entry((role, wsr.mac.0[5])).or_default().push(wsr.frame_count.unwrap());
             }
             (.., Next::Pending) => now = port.next_at().unwrap(),
             (.., Next::End(_)) => return heard,

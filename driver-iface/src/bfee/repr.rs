@@ -2,7 +2,7 @@
 
 use byteorder::{ByteOrder, LittleEndian};
 
-use super::{Bfee, Iq, NOISE_UNKNOWN_DBM, STOCK_HEADER, SUBCARRIERS, WSR_HEADER, Wsr, csi_len, offset};
+use super::{Bfee, Iq, Layout, NOISE_UNKNOWN_DBM, STOCK_HEADER, SUBCARRIERS, Wsr, csi_len, offset};
 use crate::{EmitError, room};
 
 /// All header fields of a bfee; the CSI is handed to [`Repr::emit`] beside it.
@@ -28,7 +28,7 @@ pub struct Repr {
     pub antenna_sel: u8,
     /// Rate and flags.
     pub rate_n_flags: u16,
-    /// What the WSR driver adds; `None` writes the stock layout.
+    /// What the WSR driver adds; `None` writes the stock layout, no frame number that of 2021.
     pub wsr: Option<Wsr>,
 }
 
@@ -77,10 +77,20 @@ impl Repr {
         SUBCARRIERS * usize::from(self.n_rx) * usize::from(self.n_tx)
     }
 
+    /// The layout that [`Repr::emit`] writes.
+    #[must_use]
+    pub fn layout(&self) -> Layout {
+        match self.wsr {
+            None => Layout::Stock,
+            Some(Wsr { frame_count: None, .. }) => Layout::Wsr2021,
+            Some(_) => Layout::Wsr,
+        }
+    }
+
     /// Bytes of the body, code not counted.
     #[must_use]
     pub fn body_len(&self) -> usize {
-        csi_len(self.n_rx, self.n_tx) + if self.wsr.is_some() { WSR_HEADER } else { STOCK_HEADER }
+        csi_len(self.n_rx, self.n_tx) + self.layout().header_len()
     }
 
     /// Writes the body (without the code): header, then `csi` packed, `[subcarrier][raw rx chain][tx]`.
@@ -129,10 +139,10 @@ impl Repr {
     }
 }
 
-/// Writes the 18 bytes that follow the stock header.
+/// Writes the 18 bytes that follow the stock header, or the 14 where there is no number.
 fn emit_wsr(wsr: &Wsr, out: &mut [u8]) {
     let fields = wsr.tv_sec.to_le_bytes().into_iter().chain(wsr.tv_usec.to_le_bytes());
-    let fields = fields.chain(wsr.mac.0).chain(wsr.frame_count.to_le_bytes());
+    let fields = fields.chain(wsr.mac.0).chain(wsr.frame_count.unwrap_or(0).to_le_bytes());
     for (byte, field) in out.iter_mut().zip(fields) {
         *byte = field;
     }

@@ -7,7 +7,7 @@ use std::vec::Vec;
 
 pub(crate) fn any_repr() -> impl Strategy<Value = (Repr, Vec<Iq>)> {
     let wsr = proptest::option::of(
-        (any::<u32>(), any::<u32>(), any::<[u8; 6]>(), any::<u32>())
+        (any::<u32>(), any::<u32>(), any::<[u8; 6]>(), any::<Option<u32>>())
             .prop_map(|(tv_sec, tv_usec, mac, frame_count)| Wsr { tv_sec, tv_usec, mac: Mac(mac), frame_count }),
     );
     let head = (any::<u32>(), any::<u16>(), any::<u16>(), 1..=3_u8, 1..=3_u8, any::<[u8; 3]>());
@@ -137,17 +137,40 @@ fn fields_lie_where_the_format_says() {
     assert_eq!((bfee.noise_dbm(), bfee.agc(), bfee.rate_n_flags()), (NOISE_UNKNOWN_DBM, 38, 0x2901));
     assert!(bfee.is_40_mhz());
     let mac = Mac([0x00, 0x21, 0x6a, 0x53, 0x89, 0xd2]);
-    assert_eq!(bfee.wsr(), Some(Wsr { tv_sec: 1, tv_usec: 2, mac, frame_count: 0x0203_0405 }));
+    assert_eq!(bfee.wsr(), Some(Wsr { tv_sec: 1, tv_usec: 2, mac, frame_count: Some(0x0203_0405) }));
     assert_eq!(bfee.iq(0, 0, 0), Some(Iq { i: -1, q: -128 }));
     assert_eq!(bfee.iq(30, 0, 0), None);
     assert_eq!(bfee.iq(0, 1, 0), None);
-    body.drain(20..38);
+    body.drain(34..38);
+    let unnumbered = Bfee::new_checked(&body).unwrap();
+    assert_eq!((unnumbered.layout(), unnumbered.iq(0, 0, 0)), (Layout::Wsr2021, bfee_first()));
+    assert_eq!(unnumbered.wsr(), Some(Wsr { tv_sec: 1, tv_usec: 2, mac, frame_count: None }));
+    body.drain(20..34);
     let stock = Bfee::new_checked(&body).unwrap();
     assert_eq!((stock.layout(), stock.wsr(), stock.iq(0, 0, 0)), (Layout::Stock, None, bfee_first()));
 }
 
 fn bfee_first() -> Option<Iq> {
     Some(Iq { i: -1, q: -128 })
+}
+
+#[test]
+fn a_body_that_goes_on_behind_its_csi_is_read_in_its_layout() {
+    let numbered = Wsr { tv_sec: 5, tv_usec: 6, mac: Mac([2; 6]), frame_count: Some(7) };
+    for wsr in [None, Some(Wsr { frame_count: None, ..numbered }), Some(numbered)] {
+        let repr = Repr { wsr, ..Repr::default() };
+        let csi: Vec<Iq> = (0..repr.samples()).map(|k| Iq { i: k as i8, q: !(k as i8) }).collect();
+        let body = emitted(&repr, &csi);
+        for behind in 0..40 {
+            let longer: Vec<u8> = body.iter().copied().chain(0xa0..0xa0 + behind).collect();
+            let bfee = Bfee::new_checked(&longer).unwrap();
+            // By its length such a body is of another layout.
+            if Layout::Wsr2021.header_len() + 192 != longer.len() && Layout::Wsr.header_len() + 192 != longer.len() {
+                assert_eq!((Repr::parse(&bfee), bfee.iq(29, 2, 0)), (repr, csi.last().copied()), "{behind} behind");
+                assert_eq!(bfee.behind_csi(), &longer[body.len()..]);
+            }
+        }
+    }
 }
 
 #[test]
@@ -205,7 +228,7 @@ fn antennas_of_known_selections() {
 
 #[test]
 fn a_sender_is_unknown_where_address_and_number_are_zero() {
-    let known = |mac, frame_count| Wsr { mac, frame_count, ..Wsr::default() }.sender_known();
+    let known = |mac, frame_count| Wsr { mac, frame_count: Some(frame_count), ..Wsr::default() }.sender_known();
     let some = Mac([0, 0, 0, 0, 0, 1]);
     assert_eq!(
         [known(Mac::default(), 0), known(Mac::default(), 1), known(some, 0), known(some, 1)],

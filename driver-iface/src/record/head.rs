@@ -17,7 +17,7 @@ pub enum Reason {
         /// The largest possible, [`MAX_LENGTH`].
         max: usize,
     },
-    /// Code 0xBB with a length that no bfee has.
+    /// Code 0xBB with a length shorter than that of any bfee.
     BfeeLength {
         /// As read: code and body.
         got: usize,
@@ -52,7 +52,7 @@ impl fmt::Display for Reason {
         match *self {
             Self::ZeroLength => write!(f, "a record of length 0"),
             Self::ImpossibleLength { got, max } => write!(f, "a record of length {got}, at most {max} is possible"),
-            Self::BfeeLength { got } => write!(f, "a bfee record of length {got}, which fits no number of chains"),
+            Self::BfeeLength { got } => write!(f, "a bfee record of length {got}, shorter than one of one chain"),
             Self::Bfee(error) => error.fmt(f),
             Self::Overlapped { expect, got } => {
                 write!(f, "a record of {expect} bytes, but the next begins after {got}: bytes are missing")
@@ -85,6 +85,9 @@ pub(super) enum Head {
 
 /// Bits of evidence that end all doubt: one chance in 10^12 for each position.
 pub(super) const SURE: u32 = 40;
+
+/// Value of the length field of the shortest bfee: stock, one chain.
+const SHORTEST_BFEE: usize = 1 + bfee::STOCK_HEADER + bfee::csi_len(1, 1);
 
 /// Bytes with which [`head`] never asks for more: length field, code, and the header of a bfee.
 pub(super) const LONGEST_HEAD: usize = LENGTH_FIELD + 1 + bfee::STOCK_HEADER;
@@ -161,22 +164,19 @@ pub(super) fn likely(bytes: &[u8], seen: &Codes) -> Option<usize> {
     }
 }
 
-/// True for the length of some bfee: 1 + 20 or 38 + 12 + 60 n for n chain pairs.
-fn is_bfee_length(length: usize) -> bool {
-    let pairs = |header: usize| match length.checked_sub(1 + header + 12) {
-        Some(csi) if csi % 60 == 0 => matches!(csi / 60, 1 | 2 | 3 | 4 | 6 | 9),
-        _ => false,
-    };
-    pairs(bfee::STOCK_HEADER) || pairs(bfee::WSR_HEADER)
-}
+/// Bits of evidence of a bfee that is longer than its CSI: numbers of chains, and a length of CSI that is theirs.
+const LONGER_BFEE: u32 = 28;
 
-/// A bfee says so much about itself that nothing else looks like one.
+/// A bfee says so much about itself that nothing else looks like one; one that goes on behind its CSI needs a witness.
 #[inline]
 fn bfee_head(body: &[u8], length: usize) -> Head {
     let checked = body.first_chunk().map(|header| bfee::check(header, length - 1));
     match checked {
         Some(Ok(_)) => Head::Good { len: LENGTH_FIELD + length, bits: SURE },
-        _ if !is_bfee_length(length) => Head::Bad(Reason::BfeeLength { got: length }),
+        _ if length < SHORTEST_BFEE => Head::Bad(Reason::BfeeLength { got: length }),
+        Some(Err(bfee::Error::BodyLength { csi, got })) if got > csi + bfee::STOCK_HEADER => {
+            Head::Good { len: LENGTH_FIELD + length, bits: LONGER_BFEE }
+        }
         Some(Err(error)) => Head::Bad(Reason::Bfee(error)),
         None => Head::Short,
     }

@@ -8,7 +8,7 @@ use std::vec::Vec;
 
 /// A bfee record whose samples depend on `seed`.
 pub(super) fn bfee_record(seed: u8, n_rx: u8, n_tx: u8, wsr: bool) -> Vec<u8> {
-    let wsr = wsr.then(|| bfee::Wsr { tv_sec: 1, frame_count: seed.into(), ..bfee::Wsr::default() });
+    let wsr = wsr.then(|| bfee::Wsr { tv_sec: 1, frame_count: Some(seed.into()), ..bfee::Wsr::default() });
     let timestamp_low = u32::from(seed) << 20 | 0x1234;
     let repr = bfee::Repr { n_rx, n_tx, bfee_count: seed.into(), timestamp_low, wsr, ..bfee::Repr::default() };
     let mut state = u32::from(seed) + 1;
@@ -85,6 +85,29 @@ fn without(log: &[Vec<u8>], at: usize) -> Vec<Vec<u8>> {
         at < end
     });
     log.iter().enumerate().filter(|(k, _)| Some(*k) != hit).map(|(_, record)| record.clone()).collect()
+}
+
+#[test]
+fn records_that_go_on_behind_their_csi_are_records() {
+    let padded = |seed, behind: usize| {
+        let record = bfee_record(seed, 3, 1, seed % 2 == 0);
+        framed(code::BFEE, &[&record[3..], &vec![0; behind]].concat())
+    };
+    for behind in [1, 3, 5] {
+        let log: Vec<u8> = (0..9).flat_map(|seed| padded(seed, behind)).collect();
+        let steps: Vec<_> = events(&log).collect();
+        assert_eq!(steps.len(), 10);
+        assert_eq!(steps.last(), Some(&Step::End(Tail::Clean)));
+        for step in &steps[..9] {
+            let Step::Record { record, .. } = step else { panic!("{step:?}") };
+            assert_eq!(bfee::Bfee::new_checked(record.body).unwrap().behind_csi().len(), behind);
+        }
+        // A length field that is wrong is not believed for it.
+        let mut damaged = (0..9).flat_map(|seed| bfee_record(seed, 3, 1, true)).collect::<Vec<u8>>();
+        damaged[1] += behind as u8;
+        let found = events(&damaged).filter(|step| matches!(step, Step::Record { .. })).count();
+        assert_eq!(found, 8);
+    }
 }
 
 #[test]
@@ -206,12 +229,17 @@ fn damage_has_a_reason_with_numbers() {
     };
     assert_eq!(with(&|r| r[..2].fill(0)), (233, 233, Reason::ZeroLength));
     assert_eq!(with(&|r| r[0] = 0x20), (233, 233, Reason::ImpossibleLength { got: 0x20e7, max: 8192 }));
-    assert_eq!(with(&|r| r[..2].copy_from_slice(&[0x20, 0])), (233, 233, Reason::BfeeLength { got: 8192 }));
-    assert_eq!(with(&|r| r[1] = 0xe8), (233, 233, Reason::BfeeLength { got: 0xe8 }));
+    assert_eq!(
+        with(&|r| r[..2].copy_from_slice(&[0x20, 0])),
+        (233, 233, Reason::Overlapped { expect: 8194, got: 233 })
+    );
+    assert_eq!(with(&|r| r[1] = 0xe8), (233, 233, Reason::NotFollowed { code: code::BFEE, expect: 234 }));
+    assert_eq!(with(&|r| r[1] = 0x40), (233, 233, Reason::BfeeLength { got: 0x40 }));
     let chains = |n_rx| Reason::Bfee(bfee::Error::Chains { n_rx, n_tx: 1 });
     assert_eq!(with(&|r| r[11] = 0), (233, 233, chains(0)));
     assert_eq!(with(&|r| r[11] = 4), (233, 233, chains(4)));
-    assert_eq!(with(&|r| *r = framed(code::BFEE, &[7; 8191])), (233, 8194, Reason::BfeeLength { got: 8192 }));
+    let seven = Reason::Bfee(bfee::Error::Chains { n_rx: 7, n_tx: 7 });
+    assert_eq!(with(&|r| *r = framed(code::BFEE, &[7; 8191])), (233, 8194, seven));
     let overlapped = Reason::Overlapped { expect: 233, got: 232 };
     assert_eq!(with(&|r| r.truncate(232)), (233, 232, overlapped));
     assert_eq!(with(&|r| drop(r.splice(50..50, [0x55; 10]))), (233, 243, Reason::GapBits));

@@ -196,8 +196,9 @@ impl Card {
         let (head, rest) = body.split_first_chunk_mut::<STOCK_HEADER>()?;
         fill(head, csi.head(), &phy, self.bfee_count);
         let header_len = options.layout.header_len();
-        if options.layout == Layout::Wsr {
+        if options.layout != Layout::Stock {
             self.counts.no_sender = self.counts.no_sender.wrapping_add(sender.is_none().into());
+            // In the layout of 2021 the CSI is written over the number.
             extend(rest.first_chunk_mut()?, host_us, sender.unwrap_or_default());
         }
         let len = header_len + csi.csi().len();

@@ -55,7 +55,7 @@ fn the_three_packets_of_a_frame_are_a_record() {
     assert_eq!((bfee.rssi(), bfee.agc(), bfee.noise_dbm(), bfee.rate_n_flags()), ([33, 32, 31], 40, -127, 0x0101));
     assert_eq!((bfee.antenna_sel(), bfee.reserved(), bfee.payload()), (0x06, 0x7777, &csi()[20..]));
     let wsr = bfee.wsr().unwrap();
-    assert_eq!((wsr.tv_sec, wsr.tv_usec, wsr.frame_count), (1_700_000_000, 123, 0x0102_0304));
+    assert_eq!((wsr.tv_sec, wsr.tv_usec, wsr.frame_count), (1_700_000_000, 123, Some(0x0102_0304)));
     assert_eq!(wsr.mac, "00:21:6a:00:00:07".parse().unwrap());
     let expect = Counts { phy: 1, mpdu: 1, bfee: 1, records: 1, ..Counts::default() };
     assert_eq!((got.len(), card.counts(), expect.dropped()), (2, expect, 0));

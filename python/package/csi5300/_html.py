@@ -51,7 +51,7 @@ def of_log(log: Log) -> str:
     shape = (len(log), len(log.antennas), log.streams, 30)
     rows = [
         ("frames", f"{len(log)} over {length:.3f} s, csi {shape}, antennas {log.antennas}"),
-        ("of the log", f"{survey['records']} records, {survey['stock']} stock and {survey['wsr']} WSR with CSI"),
+        ("of the log", f"{survey['records']} records, {survey['stock']} stock and {survey['wsr'] + survey['wsr_2021']} WSR with CSI"),
         ("senders", senders + (f" and {more} more" if more > 0 else "")),
         ("first frame at", host),
         ("missing before the log", f"{survey['bfee_missing']} by bfee_count"),

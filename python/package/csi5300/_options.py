@@ -13,7 +13,7 @@ import numpy as np
 
 from ._errors import OptionError
 
-STEPS = ("compensation", "alignment", "one-way", "near-field", "elevation", "focus", "paths")
+STEPS = ("compensation", "alignment", "one-way", "near-field", "elevation")
 
 
 def plain(value: Any) -> Any:

@@ -1,8 +1,24 @@
 //! The cards' clocks along a link: whether two records of one number are of one exchange.
 
 use crate::maths::{unwrap_near, upper_median_ord};
-use crate::tuning::TUNING;
 use std::collections::VecDeque;
+
+/// Largest change of the clocks' difference between pairs, microseconds (answers of a busy host come up to 10 ms
+/// late).
+const CLOCK_SLACK_US: i64 = 20_000;
+
+/// The same per second between them, microseconds (200 ppm; 802.11 allows two cards 40).
+const CLOCK_DRIFT_PER_S: i64 = 200;
+
+/// Candidates that must agree before their difference is believed.
+const RUN: usize = 16;
+
+/// Candidates after which any are believed.
+const PATIENCE: u32 = 1_024;
+
+/// They agree if the median step is at most this, microseconds (a turn-around jitters by 4 to 22, independent senders
+/// by hundreds).
+const RUN_STEP_US: i64 = 80;
 
 /// Candidates kept, of all counts.
 const RUNS_KEPT: usize = 8;
@@ -39,7 +55,7 @@ impl Clock {
         let (last_rx, last_difference) = self.last?;
         let step_us = i64::from(rx.wrapping_sub(last_rx as u32).cast_signed());
         let change_us = i64::from(raw.wrapping_sub(last_difference as u32).cast_signed());
-        let slack_us = TUNING.pairing.clock_slack_us + step_us.abs() / 1_000_000 * TUNING.pairing.clock_drift_per_s;
+        let slack_us = CLOCK_SLACK_US + step_us.abs() / 1_000_000 * CLOCK_DRIFT_PER_S;
         let clocks = (change_us.abs() <= slack_us).then_some((last_rx + step_us, last_difference + change_us))?;
         self.last = Some(clocks);
         self.run.clear();
@@ -49,27 +65,21 @@ impl Clock {
     /// Notes a candidate of `count` that does not fit; true if this makes a new difference the accepted one.
     pub(super) fn doubt(&mut self, count: u32, rx: u32, tx: u32) -> bool {
         self.run.push_back(Candidate { count, rx, difference: tx.wrapping_sub(rx) });
-        if self.run.len() > RUNS_KEPT * TUNING.pairing.run {
+        if self.run.len() > RUNS_KEPT * RUN {
             self.run.pop_front();
         }
         self.doubtful += 1;
         let run = self.newest_run();
-        let patience_ends = self.last.is_none() && self.doubtful >= TUNING.pairing.patience;
-        let agrees = run.len() == TUNING.pairing.run && median_step_us(&run) <= TUNING.pairing.run_step_us;
+        let patience_ends = self.last.is_none() && self.doubtful >= PATIENCE;
+        let agrees = run.len() == RUN && median_step_us(&run) <= RUN_STEP_US;
         (agrees || patience_ends) && self.believe()
     }
 
     /// The latest candidates of the newest one's count, in order.
     fn newest_run(&self) -> Vec<Candidate> {
         let Some(newest) = self.run.back() else { return Vec::new() };
-        let mut run: Vec<Candidate> = self
-            .run
-            .iter()
-            .rev()
-            .filter(|other| other.count == newest.count)
-            .take(TUNING.pairing.run)
-            .copied()
-            .collect();
+        let mut run: Vec<Candidate> =
+            self.run.iter().rev().filter(|other| other.count == newest.count).take(RUN).copied().collect();
         run.reverse();
         run
     }
@@ -115,7 +125,7 @@ mod tests {
 
     #[test]
     fn a_run_that_agrees_is_believed_in_its_middle() {
-        let run = TUNING.pairing.run;
+        let run = RUN;
         let (at, clock) = believed((0..).map(|k| 500 + 20 * (k % 3)));
         assert_eq!((at, clock.is_known()), (Some(run - 1), true));
         let mut middle: Vec<i64> = (0..run as i64).map(|k| 500 + 20 * (k % 3)).collect();
@@ -126,15 +136,14 @@ mod tests {
     fn candidates_that_never_agree_are_believed_when_patience_ends_and_only_where_nothing_was_known() {
         let apart = || (0..3_000).map(|k| 100_000 * (k % 7));
         let (at, mut clock) = believed(apart());
-        assert_eq!(at, Some(TUNING.pairing.patience as usize - 1));
+        assert_eq!(at, Some(PATIENCE as usize - 1));
         assert!(clock.is_known());
         assert!((0..).zip(apart()).all(|(k, difference)| !clock.doubt(0, 10_000 * k, 10_000 * k + difference)));
     }
 
     #[test]
     fn two_cards_may_drift_apart_by_so_much_a_second() {
-        let pairing = &TUNING.pairing;
-        let allowed_us = (pairing.clock_slack_us + 100 * pairing.clock_drift_per_s) as u32;
+        let allowed_us = (CLOCK_SLACK_US + 100 * CLOCK_DRIFT_PER_S) as u32;
         for (change_us, follows) in [(allowed_us, true), (allowed_us + 1, false)] {
             let (_, mut clock) = believed(std::iter::repeat(1_000_000));
             let (rx, difference) = clock.last.unwrap();
@@ -145,7 +154,7 @@ mod tests {
 
     #[test]
     fn candidates_of_eight_runs_are_kept_of_all_counts() {
-        let run = TUNING.pairing.run;
+        let run = RUN;
         let kept = RUNS_KEPT * run;
         for (others, agrees) in [(kept - run, true), (kept - run + 1, false)] {
             let mut clock = Clock::default();

@@ -4,11 +4,12 @@ use super::links::Links;
 use super::peer::{Context, PeerLink, SETTLE_S, WAIT, Why};
 use super::report::{LivePeer, LiveSettings, PeerCounts, PeerReport};
 use super::track::Track;
+use crate::estimate::COARSE_RAD;
 use crate::exchange::admission::Admission;
 use crate::exchange::pairing::LinkSide;
 use crate::exchange::tdma::Key;
 use crate::motion::pose::Pose;
-use crate::pipeline::{Bearing, Front, LogReport, Options};
+use crate::pipeline::{Bearing, Effort, Front, LogReport, Options};
 use crate::source::{Loss, Next};
 use crate::time::{Instant, Span};
 use driver_iface::Mac;
@@ -51,7 +52,8 @@ impl LiveEstimator {
         let due = |k: usize| now + Span::from_s((1.0 + k as f64 / count) / settings.rate_hz);
         let state = |(k, peer): (usize, LivePeer)| PeerLink::new(peer, own, due(k), &options);
         let peers = peers.into_iter().enumerate().map(state).collect();
-        let plain = options.clone().with_accuracy(options.accuracy.without_layers());
+        // In between, the grid alone.
+        let plain = options.clone().with_accuracy(options.accuracy.with_effort(Effort::Within(COARSE_RAD)));
         Self { own, settings, front, track, peers, losses: 0, strangers: 0, other_antenna: 0, options, plain }
     }
 

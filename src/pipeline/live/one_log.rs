@@ -17,7 +17,7 @@ const PEER: Mac = Mac([2, 0, 0, 0, 0, 2]);
 fn hear(mac: Mac, number: u32, (turn, ahead_us): (f64, u32), take: &mut dyn FnMut(&Next<'_>)) {
     let timestamp_low = number * 10_000 + ahead_us;
     let (tv_sec, tv_usec) = (timestamp_low / 1_000_000, timestamp_low % 1_000_000);
-    let wsr = Wsr { mac, frame_count: number, tv_sec, tv_usec };
+    let wsr = Wsr { mac, frame_count: Some(number), tv_sec, tv_usec };
     let repr = Repr { timestamp_low, n_rx: 1, n_tx: 1, antenna_sel: 0, wsr: Some(wsr), ..Repr::default() };
     let mut body = vec![0; repr.body_len()];
     let iq = Iq { i: (40.0 * turn.cos()) as i8, q: (40.0 * turn.sin()) as i8 };

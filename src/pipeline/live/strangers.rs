@@ -14,7 +14,7 @@ const PEER: Mac = Mac([2, 0, 0, 0, 0, 2]);
 
 /// A record of a card that heard frame `number` of `mac`, in the WSR layout.
 fn hear(mac: Mac, number: u32, clock_us: u32, take: &mut dyn FnMut(&Next<'_>)) {
-    let wsr = Wsr { mac, frame_count: number, tv_sec: 1, tv_usec: 0 };
+    let wsr = Wsr { mac, frame_count: Some(number), tv_sec: 1, tv_usec: 0 };
     let repr = Repr { timestamp_low: clock_us, n_rx: 1, n_tx: 1, antenna_sel: 0, wsr: Some(wsr), ..Repr::default() };
     let mut body = vec![0; repr.body_len()];
     repr.emit(&vec![Iq { i: 20, q: 3 }; repr.samples()], &mut body).unwrap();

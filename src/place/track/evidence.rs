@@ -2,7 +2,8 @@
 
 use super::peer_track::TrackError;
 use crate::maths::wrap_rad;
-use crate::tuning::TUNING;
+use crate::place::locate::RANGE_FLOOR;
+use crate::place::track::settings::RANGE_MISSED;
 use nalgebra::{Rotation2, Vector2};
 use std::f64::consts::TAU;
 
@@ -102,8 +103,7 @@ impl Evidence {
 
     /// The probability that one of the directions is right, within what is said.
     pub(super) fn believed(&self) -> f64 {
-        let [_, most] = TUNING.certainty.limits;
-        self.known.clamp(0.0, most)
+        self.known.clamp(0.0, 0.99)
     }
 
     /// The same where the heading of all of the trajectory has this deviation, radians, and no other motion shares it.
@@ -166,14 +166,14 @@ fn along(mode: &EvidenceMode, ranges: &[(f64, f64)]) -> Vec<f64> {
     let Some((range_m, sd_m)) = mode.range_m else { return vec![1.0; ranges.len()] };
     let (sd, mean) = bell(range_m, sd_m, ranges);
     let at = |ln_range: f64| (-0.5 * ((ln_range - range_m.ln()) / sd).powi(2)).exp();
-    let missed = TUNING.track.range_missed;
+    let missed = RANGE_MISSED;
     let of = |ln_range: f64| if mean > 0.0 { missed + (1.0 - missed) * at(ln_range) / mean } else { 1.0 };
     ranges.iter().map(|(ln_range, _)| of(*ln_range)).collect()
 }
 
 /// The deviation of a range's logarithm, and the mean of its bell over the prior of ranges.
 pub(super) fn bell(range_m: f64, sd_m: f64, ranges: &[(f64, f64)]) -> (f64, f64) {
-    let sd = (sd_m / range_m).hypot(TUNING.locate.range_floor);
+    let sd = (sd_m / range_m).hypot(RANGE_FLOOR);
     let at = |ln_range: f64| (-0.5 * ((ln_range - range_m.ln()) / sd).powi(2)).exp();
     (sd, ranges.iter().map(|(ln_range, share)| share * at(*ln_range)).sum())
 }

@@ -1,7 +1,7 @@
 //! Probabilities of places about a robot: azimuth times logarithm of the range.
 
 use super::evidence::{Evidence, Factor};
-use crate::tuning::TUNING;
+use crate::place::track::settings::ROOM_M;
 use nalgebra::Vector2;
 use std::f64::consts::TAU;
 
@@ -173,7 +173,7 @@ fn step() -> f64 {
 
 /// The prior's share of each range.
 fn range_shares() -> Vec<f64> {
-    let room = TUNING.track.room_m * TUNING.track.room_m;
+    let room = ROOM_M * ROOM_M;
     let share = |row: usize| {
         let square = (2.0 * ln_range(row as f64)).exp();
         square / (room + square)

@@ -4,8 +4,11 @@ use super::evidence::Evidence;
 use super::grid::PlaceGrid;
 use super::posterior::TrackAnswer;
 use super::settings::{TrackSettings, temper};
-use crate::tuning::TUNING;
 use nalgebra::Vector2;
+
+/// Share of what is known that every motion gives back to the prior (a peer that was carried elsewhere is found there
+/// after two motions).
+const FORGOTTEN: f64 = 0.02;
 
 /// Why evidence was not used; the track is as it was.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
@@ -146,8 +149,7 @@ impl PeerTrack {
             None => (PlaceGrid::prior(evidence.position_m), 0, 0.0),
             Some(known) => (self.predicted(known, evidence), known.stretches, known.known),
         };
-        let mut known =
-            before_known * (1.0 - TUNING.track.forgotten) + evidence.fresh.clamp(0.0, 1.0) * evidence.believed();
+        let mut known = before_known * (1.0 - FORGOTTEN) + evidence.fresh.clamp(0.0, 1.0) * evidence.believed();
         if !grid.multiply(evidence) {
             // No place is left of what was known: the evidence stands by itself.
             grid = PlaceGrid::prior(evidence.position_m);
@@ -165,7 +167,7 @@ impl PeerTrack {
             self.settings.blur(evidence.driven_m.max(straight_m), (evidence.t_s - known.t_s).max(0.0));
         let mut grid = known.grid.moved_to(evidence.position_m);
         grid.blur(turn_rad, shift_m);
-        grid.forget(TUNING.track.forgotten);
+        grid.forget(FORGOTTEN);
         grid
     }
 }

@@ -9,7 +9,7 @@ use super::evidence::Evidence;
 use super::peer_track::TrackError;
 use super::settings::temper;
 use super::spot::Spot;
-use crate::tuning::TUNING;
+use crate::place::track::settings::{OWN_SHARE, ROOM_M};
 use nalgebra::{Matrix2, Vector2};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -110,8 +110,8 @@ impl Plane {
 
     /// The probability of each cell; their sum is 1.
     fn weighed(&self, cells: impl Iterator<Item = Cell>, side_m: f64) -> BTreeMap<Cell, f64> {
-        let exponent = temper(self.spots.iter().map(Spot::known).sum(), TUNING.track.own_share);
-        let room = TUNING.track.room_m * TUNING.track.room_m;
+        let exponent = temper(self.spots.iter().map(Spot::known).sum(), OWN_SHARE);
+        let room = ROOM_M * ROOM_M;
         let ln = |cell: Cell| {
             let offset_m = offset_m(cell, side_m);
             let prior = -(room + offset_m.norm_squared()).ln();
@@ -145,7 +145,7 @@ fn likeliest(cells: &BTreeMap<Cell, f64>) -> Vec<Cell> {
 
 /// The probability of a cell before any evidence, in a plane as wide as [`FARTHEST_M`].
 fn prior(cell: Cell, side_m: f64) -> f64 {
-    let room = TUNING.track.room_m * TUNING.track.room_m;
+    let room = ROOM_M * ROOM_M;
     let whole = PI * (1.0 + FARTHEST_M * FARTHEST_M / room).ln();
     side_m * side_m / (whole * (room + offset_m(cell, side_m).norm_squared()))
 }

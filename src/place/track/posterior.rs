@@ -1,9 +1,9 @@
 //! What is read from the probabilities of places: directions, error bars, a place.
 
 use super::grid::{AZIMUTHS, PlaceGrid, azimuth_rad, blur_around};
+use crate::maths::UNIFORM_RAD;
 use crate::maths::wrap_rad;
-use crate::place::confidence::UNIFORM_RAD;
-use crate::tuning::TUNING;
+use crate::place::track::settings::RANGE_SHARE;
 use nalgebra::{Matrix2, Vector2};
 use std::f64::consts::TAU;
 
@@ -122,7 +122,7 @@ fn place_m(grid: &PlaceGrid, azimuth_rad: f64) -> Option<(Vector2<f64>, Matrix2<
     }
     let mean = along.iter().map(|(ln, p)| ln * p).sum::<f64>() / total;
     let variance = along.iter().map(|(ln, p)| (ln - mean).powi(2) * p).sum::<f64>() / total;
-    if variance.sqrt() > TUNING.deviations.range_share {
+    if variance.sqrt() > RANGE_SHARE {
         return None;
     }
     let near = || grid.around().into_iter().enumerate().filter(|(cell, _)| off(*cell).abs() <= 2.0 * WITHIN_RAD);

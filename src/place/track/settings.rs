@@ -1,7 +1,27 @@
 //! What is known of odometry and peers beforehand.
 
-use crate::tuning::TUNING;
+/// What each motion after the first adds to the power that the evidence of all is taken to; the first adds 1 (least
+/// Brier score of what is carried, 30 places, four trajectories, halves to eighths).
+pub(crate) const OWN_SHARE: f64 = 0.3;
 
+/// Peers are as likely per area up to here, and per logarithm of the range beyond, metres (half of a room).
+pub(crate) const ROOM_M: f64 = 4.0;
+
+/// A range is reported where its predicted deviation is below this share of it.
+pub(crate) const RANGE_SHARE: f64 = 0.35;
+
+/// Share of ranges that are wrong whatever their deviation (ranges behind walls and by bent trajectories are wrong by
+/// metres).
+pub(crate) const RANGE_MISSED: f64 = 0.5;
+
+/// Least wander of a heading, degrees after one metre (motion capture).
+const TURN_DEG_PER_RT_M: f64 = 0.2;
+
+/// Error of positions as a share of the way driven (as deviations.scale_sd).
+const SLIP: f64 = 0.01;
+
+/// A peer that is silent for longer has gone, seconds (longer than a window of a live estimator).
+const GONE_S: f64 = 300.0;
 /// The power that the evidence of `known` motions together is taken to (each counts as the probability that one of its
 /// directions is right): motions are deceived together, and each after the first counts as a share of one that is
 /// deceived by itself (`own_share`).
@@ -39,11 +59,11 @@ impl TrackSettings {
         let heading_sd_rad = if heading_sd_rad.is_finite() { heading_sd_rad.abs() } else { 0.0 };
         Self {
             heading_sd_rad,
-            turn_rad_per_rt_m: heading_sd_rad.max(TUNING.track.turn_deg_per_rt_m.to_radians()),
-            slip: TUNING.track.slip,
+            turn_rad_per_rt_m: heading_sd_rad.max(TURN_DEG_PER_RT_M.to_radians()),
+            slip: SLIP,
             wander_m_per_rt_s: 0.0,
-            gone_s: TUNING.track.gone_s,
-            own_share: TUNING.track.own_share,
+            gone_s: GONE_S,
+            own_share: OWN_SHARE,
         }
     }
 

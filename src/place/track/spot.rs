@@ -3,7 +3,7 @@
 use super::evidence::{Evidence, EvidenceMode, bell};
 use super::grid::prior_ranges;
 use crate::maths::wrap_rad;
-use crate::tuning::TUNING;
+use crate::place::track::settings::RANGE_MISSED;
 use nalgebra::Vector2;
 use std::f64::consts::TAU;
 
@@ -87,7 +87,7 @@ impl Along {
     fn density(&self, range_m: f64, blur: f64) -> f64 {
         let sd = self.sd.hypot(blur);
         let off = (range_m.ln() - self.ln_range) / sd;
-        let missed = TUNING.track.range_missed;
+        let missed = RANGE_MISSED;
         missed + (1.0 - missed) * (-0.5 * off * off).exp() * self.sd / (sd * self.mean)
     }
 }

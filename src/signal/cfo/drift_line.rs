@@ -1,7 +1,9 @@
 //! The drift of one card's clock against another's, as a straight line.
 
 use crate::maths::upper_median;
-use crate::tuning::TUNING;
+
+/// Outliers are further than this from the line, microseconds (the jitter is 4 to 22).
+const OUTLIER_US: f64 = 25.0;
 
 /// `value = middle + slope * (x - middle_x)`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,9 +44,7 @@ pub(super) fn drift_line_by(clock_us: &[i64], difference_us: &[i64], lag: usize)
     let y = median((0..n).map(|k| difference_us[k] as f64 - slope * (clock_us[k] as f64 - origin)).collect());
     let mut line = DriftLine { slope, x: origin, y };
     for _ in 0..4 {
-        let near = (0..n).filter(|&k| {
-            (difference_us[k] as f64 - line.at(clock_us[k] as f64)).abs() <= TUNING.turn_around.outlier_us
-        });
+        let near = (0..n).filter(|&k| (difference_us[k] as f64 - line.at(clock_us[k] as f64)).abs() <= OUTLIER_US);
         let (mut count, mut sx, mut sy) = (0.0, 0.0, 0.0);
         for k in near.clone() {
             count += 1.0;

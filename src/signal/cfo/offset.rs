@@ -1,8 +1,22 @@
 //! The search for the carrier frequency offset `df` that makes the product's phase steady.
 
-use crate::tuning::TUNING;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
+
+/// Second differences of the jitter beyond this are left out, microseconds.
+const MAX_SECOND_DIFFERENCE_US: i64 = 500;
+
+/// Pairs that an offset of their own is searched in.
+const BLOCK: usize = 200;
+
+/// How far a block's offset is searched from that of all, Hz (2.4 kHz within six seconds).
+const DRIFT_HZ: f64 = 4_000.0;
+
+/// By how much a block's own offset must raise the sum of its unit phasors, on average (chance gives half of one).
+const GAIN_PER_BLOCK: f64 = 2.0;
+
+/// Step of the search, Hz (the coherence is 8 kHz wide).
+const STEP_HZ: f64 = 400.0;
 
 /// Unit second differences summed by the (integer) second difference of the turn-around that goes with them: the
 /// histogram makes the search over `df` as cheap as the jitter is small.
@@ -17,7 +31,7 @@ pub(super) struct Term {
 
 /// The terms of a record, by rising second differences.
 pub(super) fn second_differences(z: &[Complex64], clock_us: &[i64], difference_us: &[i64]) -> Vec<Term> {
-    let most_us = TUNING.turn_around.max_second_difference_us;
+    let most_us = MAX_SECOND_DIFFERENCE_US;
     let width = 2 * most_us as usize + 1;
     let mut sums = vec![(Complex64::default(), 0.0); width];
     for k in 1..z.len() - 1 {
@@ -63,7 +77,7 @@ pub(super) fn course(
     difference_us: &[i64],
     df_hz: f64,
 ) -> Option<(Vec<(f64, f64)>, f64)> {
-    let blocks = z.len() / TUNING.turn_around.block;
+    let blocks = z.len() / BLOCK;
     if blocks < 2 {
         return None;
     }
@@ -72,11 +86,11 @@ pub(super) fn course(
         let (from, to) = (block * z.len() / blocks, (block + 1) * z.len() / blocks);
         let terms = second_differences(&z[from..to], &clock_us[from..to], &difference_us[from..to]);
         let coherent = |hz: f64| sum_at(&terms, hz).norm();
-        let own_hz = maximise(&terms, df_hz, TUNING.turn_around.drift_hz);
+        let own_hz = maximise(&terms, df_hz, DRIFT_HZ);
         (with, without) = (with + coherent(own_hz), without + coherent(df_hz));
         course.push((0.5 * (clock_us[from] + clock_us[to - 1]) as f64, own_hz));
     }
-    (with - without > TUNING.turn_around.gain_per_block * blocks as f64).then_some((course, with))
+    (with - without > GAIN_PER_BLOCK * blocks as f64).then_some((course, with))
 }
 
 /// The value at `x` between the points of `course`, and that of the nearest beyond its ends; `None` if it is empty.
@@ -136,7 +150,7 @@ impl Turning {
 
 /// The offset within `reach_hz` of `near_hz` at which the terms' sum is largest: a grid, then golden sections.
 pub(super) fn maximise(terms: &[Term], near_hz: f64, reach_hz: f64) -> f64 {
-    let step_hz = TUNING.turn_around.step_hz;
+    let step_hz = STEP_HZ;
     let steps = (reach_hz / step_hz) as i32;
     let from_hz = near_hz - f64::from(steps) * step_hz;
     let mut turning = Turning::new(terms, from_hz, step_hz);

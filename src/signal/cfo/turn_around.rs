@@ -2,9 +2,14 @@
 
 use super::drift_line::{DriftLine, drift_line_by, median};
 use super::offset::{Term, along, course, maximise, second_differences, sum_at};
-use crate::tuning::TUNING;
 use num_complex::Complex64;
 use std::f64::consts::TAU;
+
+/// Clocks that drift apart by more are not two cards' (802.11 allows each 20 ppm).
+const MAX_DRIFT: f64 = 100e-6;
+
+/// How far from the clocks' drift the offset is searched, Hz (the turn-around's own drift fakes up to 2 ppm, 11 kHz).
+const SEARCH_HZ: f64 = 20_000.0;
 
 /// What [`TurnAround::estimate`] found.
 #[derive(Clone, Debug, PartialEq)]
@@ -43,7 +48,7 @@ impl TurnAround {
         let lines: Vec<DriftLine> = [2, 4, 8]
             .map(|parts| drift_line_by(clock_rx_us, difference_us, (n / parts).max(1)))
             .into_iter()
-            .filter(|line| line.slope.abs() <= TUNING.turn_around.max_drift)
+            .filter(|line| line.slope.abs() <= MAX_DRIFT)
             .collect();
         let terms = second_differences(z, clock_rx_us, difference_us);
         let total: f64 = terms.iter().map(|term| term.count).sum();
@@ -105,11 +110,11 @@ fn by_lines(lines: &[DriftLine], terms: &[Term], carrier_hz: f64, gain: f64) -> 
     let mut best: Option<(f64, DriftLine, f64)> = None;
     for line in lines {
         let near_hz = line.slope * carrier_hz;
-        if searched.iter().any(|hz| (hz - near_hz).abs() < 0.5 * TUNING.turn_around.search_hz) {
+        if searched.iter().any(|hz| (hz - near_hz).abs() < 0.5 * SEARCH_HZ) {
             continue;
         }
         searched.push(near_hz);
-        let df_hz = maximise(terms, near_hz, TUNING.turn_around.search_hz);
+        let df_hz = maximise(terms, near_hz, SEARCH_HZ);
         let sum = sum_at(terms, df_hz).norm();
         if best.as_ref().is_none_or(|(greatest, ..)| sum > greatest + gain) {
             best = Some((sum, *line, df_hz));

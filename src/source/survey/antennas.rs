@@ -1,8 +1,11 @@
 //! Ports without an antenna.
 
 use super::Survey;
-use crate::tuning::TUNING;
 use driver_iface::bfee::Antenna;
+
+/// An antenna whose mean RSSI is this much below the strongest one's is as good as unconnected, dB (ports without an
+/// antenna are 18 to 35 below in 64 logs).
+const UNCONNECTED_DB: f64 = 14.0;
 
 impl Survey {
     /// Where `antenna` hears so much less than another that nothing seems to be connected to its port: the antenna that
@@ -14,7 +17,7 @@ impl Survey {
         let heard = Antenna::ALL.into_iter().filter_map(|other| Some((other, mean(other)?)));
         let (best, level_db) = heard.max_by(|a, b| a.1.total_cmp(&b.1))?;
         let above_db = level_db - mean(antenna).unwrap_or(0.0);
-        (best != antenna && above_db >= TUNING.pairing.unconnected_db).then_some((best, above_db))
+        (best != antenna && above_db >= UNCONNECTED_DB).then_some((best, above_db))
     }
 }
 

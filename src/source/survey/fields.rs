@@ -11,6 +11,8 @@ pub struct Fields {
     pub head: Repr,
     /// Antenna of each chain, where the record says a permutation.
     pub antennas: Option<Antennas>,
+    /// Bytes behind the CSI.
+    pub behind_csi: u16,
 }
 
 impl Fields {
@@ -18,6 +20,6 @@ impl Fields {
     #[must_use]
     #[inline]
     pub fn of(bfee: &Bfee<'_>) -> Self {
-        Self { head: Repr::parse(bfee), antennas: bfee.antennas().ok() }
+        Self { head: Repr::parse(bfee), antennas: bfee.antennas().ok(), behind_csi: bfee.behind_csi().len() as u16 }
     }
 }

@@ -12,7 +12,7 @@ pub(super) const SAME_COUNT: u32 = 1 << 22;
 const STEPS_KEPT: usize = 4_096;
 
 /// Steps of a frame number that count as counting up: a sender that several robots share counts past the others' frames.
-const COUNTING_UP: std::ops::RangeInclusive<i32> = 1..=64;
+const COUNTING_UP: std::ops::RangeInclusive<u32> = 1..=64;
 
 /// Frames of one sender in a log.
 #[derive(Clone, Debug, Default, serde::Serialize)]
@@ -32,9 +32,8 @@ pub struct Sender {
     pub frames_repeated: u64,
     /// Steps back of the frame number: a sender that started anew.
     pub frames_restarted: u64,
-    /// The newest number of each count: where several robots initiate, a sender's answers bear the numbers of others.
     #[serde(skip)]
-    last_frame_counts: Vec<u32>,
+    numbering: Numbering,
     #[serde(skip)]
     clock: CardClock,
     #[serde(skip)]
@@ -97,22 +96,61 @@ impl Sender {
     }
 
     fn note_number(&mut self, number: u32) {
-        let step_from = |last: u32| number.wrapping_sub(last).cast_signed();
-        let has_room = self.last_frame_counts.len() < COUNTS_KEPT;
-        let nearest = self.last_frame_counts.iter_mut().min_by_key(|last| step_from(**last).unsigned_abs());
-        match nearest {
-            Some(last) if step_from(*last).unsigned_abs() <= SAME_COUNT => {
-                self.followed += u64::from(COUNTING_UP.contains(&step_from(*last)));
-                match step_from(*last) {
-                    1 => {}
-                    0 => self.frames_repeated += 1,
-                    step @ 2.. => self.frames_skipped += u64::from(step.unsigned_abs() - 1),
-                    _ => self.frames_restarted += 1,
-                }
-                *last = number;
+        match self.numbering.note(number) {
+            NumberStep::New => {}
+            NumberStep::Repeated => self.frames_repeated += 1,
+            NumberStep::Back => self.frames_restarted += 1,
+            NumberStep::Forward(step) => {
+                self.followed += u64::from(COUNTING_UP.contains(&step));
+                self.frames_skipped += u64::from(step - 1);
             }
-            _ if has_room => self.last_frame_counts.push(number),
-            _ => self.frames_restarted += 1,
+        }
+    }
+}
+
+/// How a frame number went on from those before.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum NumberStep {
+    /// The first of a count.
+    New,
+    /// Up by 1 or more.
+    Forward(u32),
+    /// The one before once more.
+    Repeated,
+    /// Back: the sender started anew.
+    Back,
+}
+
+/// The frame numbers of one sender. Where several robots initiate, a sender's answers bear the numbers of others: there are several
+/// counts then, and each number goes on from the nearest one.
+#[doc(hidden)]
+#[derive(Clone, Debug, Default)]
+pub struct Numbering {
+    /// The newest number of each count.
+    last: Vec<u32>,
+}
+
+impl Numbering {
+    /// Takes the next number.
+    pub fn note(&mut self, number: u32) -> NumberStep {
+        let step_from = |last: u32| number.wrapping_sub(last).cast_signed();
+        let has_room = self.last.len() < COUNTS_KEPT;
+        match self.last.iter_mut().min_by_key(|last| step_from(**last).unsigned_abs()) {
+            Some(last) if step_from(*last).unsigned_abs() <= SAME_COUNT => {
+                let step = step_from(*last);
+                *last = number;
+                match step {
+                    0 => NumberStep::Repeated,
+                    1.. => NumberStep::Forward(step.unsigned_abs()),
+                    _ => NumberStep::Back,
+                }
+            }
+            _ if has_room => {
+                self.last.push(number);
+                NumberStep::New
+            }
+            _ => NumberStep::Back,
         }
     }
 }

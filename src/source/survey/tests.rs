@@ -33,7 +33,7 @@ fn survey(records: impl Iterator<Item = (Mac, u16, u16)>) -> Survey {
 
 fn heard_by(mut survey: Survey, records: impl Iterator<Item = (Mac, u16, u16)>) -> Survey {
     for (mac, bfee_count, rate_n_flags) in records {
-        let wsr = Wsr { mac, frame_count: 1, ..Wsr::default() };
+        let wsr = Wsr { mac, frame_count: Some(1), ..Wsr::default() };
         let repr = Repr { bfee_count, rate_n_flags, wsr: Some(wsr), ..Repr::default() };
         let mut body = vec![0; repr.body_len()];
         repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
@@ -124,12 +124,12 @@ fn random_payload_is_no_frame_number() {
 
 #[test]
 fn a_broadcast_address_is_no_sender() {
-    let frame = |addr3: Mac| {
+    let frame = |addr1, addr3| {
         let repr = driver_iface::mpdu::Repr {
             frame_control: 0x0008,
             duration_us: 0,
             seq_ctrl: 0,
-            addr1: Mac([2; 6]),
+            addr1,
             addr2: Mac([4; 6]),
             addr3,
             payload: &[0, 0, 0, 9],
@@ -138,12 +138,15 @@ fn a_broadcast_address_is_no_sender() {
         repr.emit(&mut frame).unwrap();
         frame
     };
-    for (addr3, sender, number) in [(Mac([0xff; 6]), Mac([4; 6]), None), (Mac([6; 6]), Mac([6; 6]), Some(9))] {
+    let (magic, four, six, all) = (driver_iface::sounding::MAGIC_MAC, Mac([4; 6]), Mac([6; 6]), Mac([0xff; 6]));
+    for (addr1, addr3, sender, number) in
+        [(magic, all, four, None), (magic, six, six, Some(9)), (Mac([2; 6]), six, four, None)]
+    {
         let repr = Repr::default();
         let mut body = vec![0; repr.body_len()];
         repr.emit(&vec![Iq::default(); repr.samples()], &mut body).unwrap();
         let mut survey = Survey::default();
-        let mpdu = frame(addr3);
+        let mpdu = frame(addr1, addr3);
         survey.note(&Next::Record(Stamps::default(), Record { code: code::MPDU, body: &mpdu }));
         let record = Record { code: code::BFEE, body: &body };
         let (_, identity) = survey.note(&Next::Record(Stamps::default(), record)).unwrap();
@@ -282,7 +285,7 @@ fn a_wsr_record_has_its_drivers_time_and_a_stock_one_the_listeners() {
         let (_, identity) = survey.note(&Next::Record(stamps, Record { code: code::BFEE, body: &body })).unwrap();
         (identity.host_us, survey.wsr, survey.stock, survey.bfees())
     };
-    let wsr = |tv_sec, tv_usec| Some(Wsr { tv_sec, tv_usec, ..Wsr::default() });
+    let wsr = |tv_sec, tv_usec| Some(Wsr { tv_sec, tv_usec, frame_count: Some(0), ..Wsr::default() });
     assert_eq!(host_us(wsr(5, 7)), (Some(5_000_007), 1, 0, 1));
     assert_eq!(host_us(wsr(0, 0)), (Some(77), 2, 0, 2));
     assert_eq!(host_us(None), (Some(77), 2, 1, 3));
@@ -332,7 +335,11 @@ fn what_the_card_says_of_each_record_is_counted() {
     (0..2).for_each(|_| {
         survey.note(&Next::Record(Stamps::default(), Record { code: code::MPDU, body: &broken }));
     });
-    assert_eq!(survey.mpdu_bad_fcs, 2);
+    assert_eq!((survey.mpdu_bad_fcs, survey.mpdu_without_fcs), (0, 2), "no frame of the log has one");
+    let ack = [0xd4, 0, 0, 0, 2, 2, 2, 2, 2, 2];
+    let ack = [&ack[..], &driver_iface::mpdu::crc32(&ack).to_le_bytes()].concat();
+    survey.note(&Next::Record(Stamps::default(), Record { code: code::MPDU, body: &ack }));
+    assert_eq!((survey.mpdu_bad_fcs, survey.mpdu_without_fcs), (2, 0), "all frames of the log have one");
 }
 
 #[test]

@@ -66,7 +66,7 @@ for dialect in native wsr; do
     insmod /modules/csi5300_heard.ko interfaces=wlan0,wlan1 idx=26,25 wsr=$wsr
     listen a 26
     listen b 25
-    csi5300 respond --interface wlan1 --peers "$A" --dialect "$dialect" $own --rate 50 $slow --connector-index 25 2>respond &
+    csi5300 sound --answer --interface wlan1 --peers "$A" --dialect "$dialect" $own --rate 50 $slow --connector-index 25 2>respond &
     responder=$!
     ready respond "$responder"
     csi5300 sound --interface wlan0 --peers "$B" --dialect "$dialect" --alone --rate 50 $slow --stop-after 10s 2>sound
@@ -87,7 +87,7 @@ listen a 26
 listen b 25
 listen c 23
 common="--rate 40 $slow --links 2 --key /tmp/key"
-csi5300 respond --interface wlan2 --peers "$A,$B" $common --connector-index 23 2>respond &
+csi5300 sound --answer --interface wlan2 --peers "$A,$B" $common --connector-index 23 2>respond &
 responder=$!
 ready respond "$responder"
 csi5300 sound --interface wlan1 --peers "$A,$C" $common 2>sound-b &

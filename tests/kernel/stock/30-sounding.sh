@@ -49,7 +49,7 @@ csi5300 record tx.dat --force --connector-index 25 2>tx.said &
 tx=$!
 until grep -q "recording to" rx.said && grep -q "recording to" tx.said; do :; done
 slow="--rate 100 --turn-around 6000 --guard 1500"
-csi5300 respond --interface wlan1 --peers "$A" $slow --connector-index 25 2>respond &
+csi5300 sound --answer --interface wlan1 --peers "$A" $slow --connector-index 25 2>respond &
 responder=$!
 touch respond
 until grep -q "^sending under" respond; do kill -0 "$responder"; done

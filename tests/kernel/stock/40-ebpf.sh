@@ -43,7 +43,7 @@ cost() {
 
 cards
 echo "10,000 frames at 1,000/s, csitool's layout"
-start --stock-layout csitool
+start --stock=csitool
 feed "steady 10000 1 1000"
 sleep 1
 stop 0
@@ -51,7 +51,7 @@ check "/tmp/ebpf.dat csitool 1 all steady 10000 1 -"
 grep "packets of the driver" /tmp/recorder
 
 echo "1,000 frames in WSR's layout, with the frames"
-start --stock-frames
+start --stock=wsr-frames
 feed "steady 1000 2 1000"
 sleep 1
 stop 0
@@ -66,7 +66,7 @@ check "/tmp/ebpf.dat wsr 1 all hostile 100000 3 -"
 grep "contradict" /tmp/recorder
 
 echo "a ring that is too small and a recorder that is stopped"
-start --receive-buffer 64k --stock-layout csitool
+start --receive-buffer 64k --stock=csitool
 kill -STOP "$recorder"
 feed "steady 300 4 0"
 kill -CONT "$recorder"
@@ -133,7 +133,7 @@ insmod /modules/csi5300.ko transmit=fakecard_tx
 csi5300 record /tmp/beside.dat --force 2>/tmp/beside &
 beside=$!
 until grep -q "recording to" /tmp/beside; do :; done
-start --stock-layout csitool
+start --stock=csitool
 feed "steady 2000 12 1000"
 sleep 1
 kill -TERM "$beside"
@@ -144,7 +144,7 @@ cmp /tmp/ebpf.dat /tmp/beside.dat
 rmmod csi5300
 
 echo "the driver goes and comes under a recorder"
-start --stock-layout csitool
+start --stock=csitool
 for k in 1 2 3; do
     feed "steady 100 8 0"
     rmmod fakecard iwldvm iwlwifi

@@ -25,7 +25,7 @@ exchange() {
     air=$!
     rates_before=$(counter rates_set)
     : >"$name.respond"
-    csi5300 respond --stock --interface wlan1 --peers "$A" $slow --log "$name-tx.dat" $two 2>"$name.respond" &
+    csi5300 sound --answer --stock --interface wlan1 --peers "$A" $slow --log "$name-tx.dat" $two 2>"$name.respond" &
     responder=$!
     until grep -q "^sending under" "$name.respond"; do kill -0 "$responder" || { cat "$name.respond"; exit 1; }; done
     grep -q "packets of the unpatched iwlwifi" "$name.respond"

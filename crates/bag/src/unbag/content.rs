@@ -93,7 +93,7 @@ fn record(csi: &Csi) -> Option<Vec<u8>> {
         tv_sec: u32::try_from(us / 1_000_000).ok()?,
         tv_usec: (us % 1_000_000) as u32,
         mac,
-        frame_count: csi.frame_count,
+        frame_count: Some(csi.frame_count),
     };
     let repr = Repr {
         timestamp_low: csi.timestamp_low,

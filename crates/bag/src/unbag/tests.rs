@@ -66,7 +66,7 @@ fn a_recording_becomes_a_log_and_a_trajectory() {
     assert_eq!(bodies(&log).len(), 3);
     let bfee = Bfee::new_checked(bodies(&log)[1]).unwrap();
     let wsr = bfee.wsr().unwrap();
-    assert_eq!((wsr.tv_sec, wsr.tv_usec, wsr.frame_count, wsr.mac.to_string()), (12, 2, 2, csi(2).mac));
+    assert_eq!((wsr.tv_sec, wsr.tv_usec, wsr.frame_count, wsr.mac.to_string()), (12, 2, Some(2), csi(2).mac));
     let matrix = Matrix::from_bfee(&bfee).unwrap();
     assert_eq!(matrix.as_slice().iter().map(|h| h.re as i8).collect::<Vec<_>>(), csi(2).re);
     assert_eq!(matrix.antenna(1), Some(driver_iface::bfee::Antenna::ALL[2]));

@@ -1,112 +1,74 @@
 //! Arguments that several commands share.
 
 use clap::Args;
-use csi5300::bartlett::SearchOptions;
-use csi5300::pipeline::{Accuracy, Effort, Options};
+use csi5300::pipeline::{Accuracy, Options};
 use csi5300::signal::channel::Channel;
 use driver_iface::{Mac, bfee::Antenna};
 use nalgebra::Vector3;
-use std::num::NonZeroUsize;
 
 /// No card hears another one so far away, metres.
 const FURTHEST_M: f64 = 1e6;
 
 // How bearings are made.
 #[derive(Args, Clone, Debug)]
+#[command(next_help_heading = "How bearings are made")]
 pub struct Estimation {
     /// Antenna (RF port) used on both robots: A, B or C
-    #[arg(long, default_value = "A", value_parser = antenna)]
+    #[arg(long, default_value = "A", value_parser = antenna, hide_short_help = true)]
     pub antenna: Antenna,
     /// Added to the receiver's host time to get the trajectory's
-    #[arg(long, default_value_t = 0.0, value_name = "SECONDS", allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 0.0, value_name = "SECONDS", allow_negative_numbers = true, hide_short_help = true)]
     pub clock_offset: f64,
-    /// Largest elevation of a transmitter above or below the plane of motion, degrees
-    #[arg(long, default_value_t = 20.0, value_name = "DEGREES")]
-    pub elevation_max: f64,
-    /// Leave out the turn-around compensation
-    #[arg(long)]
-    pub no_compensation: bool,
-    /// Steps to leave out, to see what each brings
-    #[arg(long, value_enum, value_delimiter = ',', value_name = "STEP,..")]
-    pub without: Vec<Step>,
-    /// Leave out every step that cannot move the azimuth by more than this, degrees, and all of them where the plane wave's
-    /// error bar is below it; 0 takes every step. Default: a tenth of the error bar
-    #[arg(long, value_name = "DEGREES")]
-    pub accuracy: Option<f64>,
-    /// Shortest distance of a transmitter, metres
-    #[arg(long, default_value_t = 1.8, value_name = "METRES")]
-    pub range_min: f64,
+    /// Largest elevation of a transmitter above or below the horizon, degrees [default: 20; more where the signals show it]
+    #[arg(long, value_name = "DEGREES", hide_short_help = true)]
+    pub elevation_max: Option<f64>,
+    /// Shortest distance of a transmitter, metres [default: 1.8; less where the signals show it]
+    #[arg(long, value_name = "METRES", hide_short_help = true)]
+    pub range_min: Option<f64>,
     /// Height of the transmitter above the receiver's antenna, where known, metres
-    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true, hide_short_help = true)]
     pub height: Option<f64>,
-    /// Standard deviation of the heading of the whole trajectory, degrees: 0 for motion capture, about 3 for a tracking
+    /// Standard deviation of the heading of the whole trajectory, degrees: 0.3 for motion capture, about 4 for a tracking
     /// camera, 20 for wheels. Error bars and confidence take it into account
-    #[arg(long, value_name = "DEGREES")]
+    #[arg(long, value_name = "DEGREES", hide_short_help = true)]
     pub heading_sd: Option<f64>,
     /// Use pairs from this many seconds after the link's first one on
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", hide_short_help = true)]
     pub from: Option<f64>,
     /// Use pairs up to this many seconds after the link's first one
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", hide_short_help = true)]
     pub to: Option<f64>,
-    /// Use only every Nth pair of frames: what bearings of slower sounding would be
-    #[arg(long, default_value_t = NonZeroUsize::MIN, value_name = "N")]
-    pub decimate: NonZeroUsize,
-}
-
-/// A step of the estimate that can be left out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub enum Step {
-    /// Turn-around compensation
-    Compensation,
-    /// Alignment of the sampling time from packet to packet
-    Alignment,
-    /// The one-way channel beside the round trip
-    OneWay,
-    /// Spherical waves (and with them all subcarriers, alignment and the one-way channel)
-    NearField,
-    /// The search for the elevation
-    Elevation,
-    /// Autofocus of the trajectory over all transmitters
-    Focus,
-    /// The list of paths
-    Paths,
-}
-
-impl Step {
-    /// All that change bearings.
-    pub const ALL: [Self; 6] =
-        [Self::Compensation, Self::Alignment, Self::OneWay, Self::NearField, Self::Elevation, Self::Focus];
 }
 
 impl Default for Estimation {
     fn default() -> Self {
-        Self {
-            antenna: Antenna::A,
-            clock_offset: 0.0,
-            elevation_max: 20.0,
-            no_compensation: false,
-            without: Vec::new(),
-            accuracy: None,
-            range_min: 1.8,
-            height: None,
-            heading_sd: None,
-            from: None,
-            to: None,
-            decimate: NonZeroUsize::MIN,
-        }
+        Self::with_antenna(Antenna::A)
     }
 }
 
 impl Estimation {
+    /// Everything as usual, by this antenna.
+    pub fn with_antenna(antenna: Antenna) -> Self {
+        Self {
+            antenna,
+            clock_offset: 0.0,
+            elevation_max: None,
+            range_min: None,
+            height: None,
+            heading_sd: None,
+            from: None,
+            to: None,
+        }
+    }
+
     /// The pipeline's options, on `channel`.
     pub fn options(&self, channel: Channel) -> Result<Options, String> {
-        let finite = [Some(self.clock_offset), Some(self.elevation_max), self.from, self.to];
+        let finite = [Some(self.clock_offset), self.elevation_max, self.from, self.to];
         if finite.iter().flatten().any(|value| !value.is_finite()) {
             return Err("--clock-offset, --elevation-max, --from and --to take finite numbers".into());
         }
-        if !(0.0..=90.0).contains(&self.elevation_max) {
-            return Err(format!("--elevation-max {}: 0 to 90 degrees", self.elevation_max));
+        if let Some(asked) = self.elevation_max.filter(|asked| !(0.0..=90.0).contains(asked)) {
+            return Err(format!("--elevation-max {asked}: 0 to 90 degrees"));
         }
         if let (Some(from), Some(to)) = (self.from, self.to)
             && from >= to
@@ -114,41 +76,22 @@ impl Estimation {
             return Err(format!("--from {from} is not before --to {to}"));
         }
         let far = |metres: f64| metres.is_nan() || metres.abs() > FURTHEST_M;
-        if self.range_min <= 0.0 || far(self.range_min) || self.height.is_some_and(far) {
+        if self.range_min.is_some_and(|near| near <= 0.0 || far(near)) || self.height.is_some_and(far) {
             return Err("--range-min takes metres, more than 0, --height metres, both of at most 1e6".into());
         }
         if self.heading_sd.is_some_and(|sd| !(0.0..=180.0).contains(&sd)) {
             return Err("--heading-sd takes 0 to 180 degrees".into());
         }
-        if self.accuracy.is_some_and(|asked| !(0.0..=180.0).contains(&asked)) {
-            return Err("--accuracy takes 0 to 180 degrees".into());
-        }
-        let effort = match self.accuracy {
-            None => Effort::Needed,
-            Some(0.0) => Effort::Everything,
-            Some(asked) => Effort::Within(asked.to_radians()),
-        };
-        let left_out = |step| self.without.contains(&step);
-        let elevation_max = if left_out(Step::Elevation) { 0.0 } else { self.elevation_max };
-        let mut accuracy = Accuracy::default()
-            .with_near_field(!left_out(Step::NearField))
-            .with_effort(effort)
+        let accuracy = Accuracy::default()
+            .with_elevation_max_rad(self.elevation_max.map(f64::to_radians))
             .with_range_min_m(self.range_min)
             .with_height_m(self.height);
-        accuracy.align = !left_out(Step::Alignment);
-        accuracy.one_way = !left_out(Step::OneWay);
-        accuracy.focus = !left_out(Step::Focus);
-        accuracy.paths = !left_out(Step::Paths);
-        let search = SearchOptions::default().with_elevation_max_rad(elevation_max.to_radians());
         Ok(Options::new(channel)
             .with_antenna(self.antenna)
             .with_clock_offset_s(self.clock_offset)
             .with_cut(self.from, self.to)
-            .with_decimate(self.decimate)
-            .with_compensate(!self.no_compensation && !left_out(Step::Compensation))
             .with_accuracy(accuracy)
-            .with_heading_sd_rad(self.heading_sd.map(f64::to_radians))
-            .with_search(search))
+            .with_heading_sd_rad(self.heading_sd.map(f64::to_radians)))
     }
 }
 

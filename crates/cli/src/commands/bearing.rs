@@ -1,10 +1,12 @@
 //! `csi5300 bearing`.
 
+mod captures;
+mod located;
 mod pairs;
 mod quality;
-mod stretches;
+mod transmitters;
 
-use self::quality::{edge, quality};
+use self::quality::quality;
 use super::args::{Estimation, channel, mac};
 use super::files::Log;
 use super::inputs::{BagArgs, Inputs, order_unknown};
@@ -23,124 +25,140 @@ use std::path::{Path, PathBuf};
 
 // Arguments of `bearing`.
 #[derive(clap::Args)]
+#[command(after_help = "Examples:\n  csi5300 bearing DIR/tx2 --plot pictures\n  \
+                        csi5300 bearing --rx RX.dat --tx TX.dat --trajectory T.csv --channel 108\n\
+                        --help lists all options.")]
 pub struct Args {
+    /// Captures, folders with captures below them, or links of them (FOLDER/tx2); or name the logs by --rx, --tx and --trajectory. Where
+    /// several links of a capture see transmitters whose places are known, its receiver is located too
+    #[arg(
+        value_name = "CAPTURE",
+        conflicts_with_all = ["rx", "tx", "tx_trajectory", "tx_mac", "rx_mac", "key", "profile"]
+    )]
+    captures: Vec<PathBuf>,
+    /// WiFi channel, with + or - for 40 MHz; of a capture instead of the one in groundtruth_positions.json
+    #[arg(long, value_parser = channel, value_name = "NUMBER", required_unless_present = "captures")]
+    channel: Option<Channel>,
+    #[command(flatten)]
+    mounting: Mounting,
+    /// Draw each link into this folder: phase, trajectory, profile, and the evidence over azimuth, elevation and range; a map of each
+    /// capture
+    #[cfg(feature = "plot")]
+    #[arg(long, visible_alias = "out", value_name = "DIR")]
+    plot: Option<PathBuf>,
+    /// One JSON object a link instead of text, and one a receiver that was located
+    #[arg(long)]
+    json: bool,
+    /// Also say for each link what was computed, at what cost, and what was skipped and why; of a capture its steps: pairs, compensation,
+    /// search, candidates
+    #[arg(long, hide_short_help = true)]
+    explain: bool,
+    /// Overwrite the profile and pictures of the same names if they are there
+    #[arg(long, hide_short_help = true)]
+    force: bool,
+    #[command(flatten)]
+    logs: Logs,
+    #[command(flatten)]
+    estimation: Estimation,
+    /// Join the n-th frame of a link with the n-th row of the trajectory instead of by time
+    #[arg(long, hide_short_help = true)]
+    join_rows: bool,
+    /// Refuse bearings whose probability of being within 5 degrees is below this, 0..1, or not known (as of a plane
+    /// wave with a mirror)
+    #[arg(long, value_name = "P", hide_short_help = true)]
+    min_confidence: Option<f64>,
+    /// Where a transmitter is, metres in the trajectory's frame, as links name it: tx2=-3.18,1.11. For captures without a
+    /// truth, or instead of it. With its height as a third number the receiver's height is told, where the motion shows elevations
+    #[arg(
+        long,
+        value_name = "NAME=X,Y[,Z]",
+        value_parser = captures::place,
+        allow_hyphen_values = true,
+        requires = "captures",
+        hide_short_help = true
+    )]
+    place: Vec<(String, captures::Place)>,
+    #[command(flatten)]
+    together: transmitters::Together,
+    /// Write the profile of each link as CSV or NPZ
+    #[arg(long, value_name = "OUT.npz|.csv", hide_short_help = true, help_heading = "Profiles")]
+    profile: Option<PathBuf>,
+    /// Directions of the profile: 360x181 (azimuth x elevation), 360 (azimuth only), or wsr (the toolbox's own grid)
+    #[arg(long, default_value = "360", value_parser = profile::grid, value_name = "GRID", hide_short_help = true, help_heading = "Profiles")]
+    grid: Grid,
+}
+
+// Logs that are named one by one.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Logs by their names")]
+struct Logs {
     /// Log of the receiver, the robot whose trajectory is given; - is standard input
-    #[arg(long, value_name = "RX.dat", required_unless_present = "bag")]
+    #[arg(long, value_name = "RX.dat", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     rx: Option<PathBuf>,
     /// Log of a transmitter; several make one link each
-    #[arg(long, value_name = "TX.dat", required_unless_present = "bag")]
+    #[arg(long, value_name = "TX.dat", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     tx: Vec<PathBuf>,
-    /// Trajectory of the receiver: CSV with 5, 6, 8, 9 or 15 columns
-    #[arg(long, value_name = "T.csv", required_unless_present = "bag")]
+    /// Trajectory of the receiver: CSV with 5, 6, 8, 9 or 15 columns; of a capture which of its own: gt (motion capture, if none is
+    /// named), t265 (tracking camera) or odom (wheels)
+    #[arg(long, value_name = "T.csv", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     trajectory: Option<PathBuf>,
     #[command(flatten)]
     bag: BagArgs,
     /// Trajectory of a transmitter that moved, in the order of --tx, on the receiver's clock
-    #[arg(long, value_name = "T.csv")]
+    #[arg(long, value_name = "T.csv", hide_short_help = true)]
     tx_trajectory: Vec<PathBuf>,
-    /// WiFi channel, with + or - for 40 MHz
-    #[arg(long, value_parser = channel, value_name = "NUMBER")]
-    channel: Channel,
     /// MAC of a transmitter, in the order of --tx; found from the clocks where not given
-    #[arg(long, value_parser = mac, value_name = "MAC")]
+    #[arg(long, value_parser = mac, value_name = "MAC", hide_short_help = true)]
     tx_mac: Vec<Mac>,
     /// MAC of the receiver in the transmitters' logs; the most frequent one where not given
-    #[arg(long, value_parser = mac, value_name = "MAC")]
+    #[arg(long, value_parser = mac, value_name = "MAC", hide_short_help = true)]
     rx_mac: Option<Mac>,
-    #[command(flatten)]
-    estimation: Estimation,
-    /// Join the n-th frame of a link with the n-th row of the trajectory instead of by time
-    #[arg(long)]
-    join_rows: bool,
-    #[command(flatten)]
-    mounting: Mounting,
     /// The key that the robots shared: frames without its tag are left out, where the logs hold frames (records 0xC1 of the
     /// stock driver); records of the WSR driver hold none and cannot be checked, which is said
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", hide_short_help = true)]
     key: Option<PathBuf>,
-    /// Refuse bearings whose probability of being within 5 degrees is below this, 0..1, or not known (as of a plane
-    /// wave with a mirror)
-    #[arg(long, value_name = "P")]
-    min_confidence: Option<f64>,
-    /// Links worked on at a time; 0 is one for each core
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    threads: usize,
-    /// Also cut the motion into stretches of this many seconds, and say what each gives by itself and carried on from those
-    /// before it
-    #[arg(long, value_name = "SECONDS", conflicts_with = "join_rows")]
-    every: Option<f64>,
-    /// Also say for each link what was computed, at what cost, and what was skipped and why
-    #[arg(long)]
-    explain: bool,
-    /// One JSON object a link instead of text
-    #[arg(long)]
-    json: bool,
-    /// Write the profile of each link as CSV or NPZ
-    #[arg(long, value_name = "OUT.npz|.csv")]
-    profile: Option<PathBuf>,
-    /// Directions of the profile: 360x181 (azimuth x elevation), 360 (azimuth only), or wsr (the toolbox's own grid)
-    #[arg(long, default_value = "360", value_parser = profile::grid, value_name = "GRID")]
-    grid: Grid,
-    /// Draw phase, trajectory and profile of each link into this folder
-    #[cfg(feature = "plot")]
-    #[arg(long, visible_alias = "out", value_name = "DIR")]
-    plot: Option<PathBuf>,
-    #[cfg(feature = "plot")]
-    #[command(flatten)]
-    drawing: super::pictures::Drawing,
-    /// Overwrite the profile and pictures of the same names if they are there
-    #[arg(long)]
-    force: bool,
 }
 
 /// Ends the program where arguments contradict each other.
 fn check(args: &Args) {
-    if args.tx_trajectory.len() > args.tx.len() || args.tx_mac.len() > args.tx.len() {
+    if args.logs.tx_trajectory.len() > args.logs.tx.len() || args.logs.tx_mac.len() > args.logs.tx.len() {
         usage("more --tx-trajectory or --tx-mac than --tx");
     }
-    if (1..args.tx_mac.len()).any(|k| args.tx_mac[..k].contains(&args.tx_mac[k])) {
+    if (1..args.logs.tx_mac.len()).any(|k| args.logs.tx_mac[..k].contains(&args.logs.tx_mac[k])) {
         usage("one --tx-mac is given twice: each log has a transmitter of its own");
     }
-    if args.rx.iter().chain(&args.tx).filter(|path| path.as_os_str() == "-").count() > 1 {
+    if args.logs.rx.iter().chain(&args.logs.tx).filter(|path| path.as_os_str() == "-").count() > 1 {
         usage("standard input can be one log only");
     }
-    let logs = || args.rx.iter().chain(&args.tx).enumerate();
+    let logs = || args.logs.rx.iter().chain(&args.logs.tx).enumerate();
     let is_same = |a: &Path, b: &Path| a == b || is_same_file(a, b);
     if let Some((_, twice)) = logs().find(|(k, log)| logs().take(*k).any(|(_, other)| is_same(log, other))) {
         usage(&format!("{} is given twice: each robot has a log of its own", twice.display()));
     }
-    if args.every.is_some_and(|every| !(every.is_finite() && every > 0.0)) {
-        usage("--every takes a positive number of seconds");
-    }
-    if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
-        usage("--min-confidence takes a probability, 0 to 1");
-    }
     if let Some(path) = args.profile.as_deref().filter(|path| !profile::is_known(path)) {
         usage(&format!("{}: a profile is written as .csv or .npz", path.display()));
     }
-    #[cfg(feature = "plot")]
-    args.drawing.must_have(args.plot.as_deref(), "--plot");
 }
 
 /// Opens the transmitters' logs. One that cannot be read is taken out of the arguments with what goes with it, and answered
 /// with why; an error if it is the only one.
 fn open_transmitters(args: &mut Args, inputs: &Inputs) -> std::result::Result<(Vec<Log>, Vec<Answer>), String> {
     let (mut logs, mut unread, mut k) = (Vec::new(), Vec::new(), 0);
-    while let Some(path) = args.tx.get(k) {
+    while let Some(path) = args.logs.tx.get(k) {
         match inputs.open(path) {
             Ok(log) => {
                 logs.push(log);
                 k += 1;
             }
-            Err(error) if logs.is_empty() && args.tx.len() == 1 => return Err(error),
+            Err(error) if logs.is_empty() && args.logs.tx.len() == 1 => return Err(error),
             Err(error) => {
-                let link = link_name(inputs, &args.tx.remove(k));
+                let link = link_name(inputs, &args.logs.tx.remove(k));
                 unread.push(Answer::failed(link, error));
-                if k < args.tx_mac.len() {
-                    args.tx_mac.remove(k);
+                if k < args.logs.tx_mac.len() {
+                    args.logs.tx_mac.remove(k);
                 }
-                if k < args.tx_trajectory.len() {
-                    args.tx_trajectory.remove(k);
+                if k < args.logs.tx_trajectory.len() {
+                    args.logs.tx_trajectory.remove(k);
                 }
             }
         }
@@ -150,42 +168,43 @@ fn open_transmitters(args: &mut Args, inputs: &Inputs) -> std::result::Result<(V
 
 /// Estimates and prints the bearings.
 pub fn run(mut args: Args) -> Result {
+    if args.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
+        usage("--min-confidence takes a probability, 0 to 1");
+    }
+    if !args.captures.is_empty() {
+        return captures::run(&args);
+    }
     let options = options(&args).unwrap_or_else(|message| usage(&message));
-    let key = args.key.as_deref().map(read_key).transpose().map_err(|error| error.to_string())?;
-    let is_named = !args.tx.is_empty();
-    let (inputs, named) = args.bag.resolve(args.rx.take(), std::mem::take(&mut args.tx), args.trajectory.take())?;
-    (args.rx, args.tx) = (Some(named.rx.clone()), named.tx);
+    let key = args.logs.key.as_deref().map(read_key).transpose().map_err(|error| error.to_string())?;
+    let is_named = !args.logs.tx.is_empty();
+    let (inputs, named) =
+        args.logs.bag.resolve(args.logs.rx.take(), std::mem::take(&mut args.logs.tx), args.logs.trajectory.take())?;
+    (args.logs.rx, args.logs.tx) = (Some(named.rx.clone()), named.tx);
     let rx = named.rx;
     check(&args);
-    if !is_named && args.tx.len() > 1 && args.tx_mac.len() + args.tx_trajectory.len() > 0 {
-        usage(&order_unknown(&args.tx));
+    if !is_named && args.logs.tx.len() > 1 && args.logs.tx_mac.len() + args.logs.tx_trajectory.len() > 0 {
+        usage(&order_unknown(&args.logs.tx));
     }
-    let mut options = options.with_key(key).with_parallel(args.tx.len() > 1);
+    let mut options = options.with_key(key).with_parallel(args.logs.tx.len() > 1);
     let trajectory = args.mounting.of_antenna(inputs.trajectory(&named.trajectory)?)?;
     let mut receiver = inputs.open(&rx)?;
     let (mut logs, unread) = open_transmitters(&mut args, &inputs)?;
-    options.tx_macs.clone_from(&args.tx_mac);
-    let partners = args.tx_trajectory.iter().map(|path| inputs.trajectory(path));
+    options.tx_macs.clone_from(&args.logs.tx_mac);
+    let partners = args.logs.tx_trajectory.iter().map(|path| inputs.trajectory(path));
     let partners = partners.collect::<std::result::Result<Vec<_>, _>>()?;
     let transmitters = logs
         .iter_mut()
         .enumerate()
         .map(|(k, log)| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: partners.get(k) })
         .collect();
-    super::threads::make(args.threads.min(64))?;
+    super::threads::make(0)?;
     let report = bearings(&mut receiver, transmitters, &trajectory, &options).map_err(|error| error.to_string())?;
     say_losses(&args, &rx, &report, &receiver, &logs);
-    let names = told_apart(args.tx.iter().map(|path| link_name(&inputs, path)).collect());
+    let names = told_apart(args.logs.tx.iter().map(|path| link_name(&inputs, path)).collect());
     let mut answered = 0;
-    let paths: Vec<_> = (0..report.links.len()).map(|k| partners.get(k)).collect();
-    let in_stretches = |every_s: f64| report.in_stretches(&trajectory, &paths, every_s, &options);
-    let mut cut = args.every.map(in_stretches).unwrap_or_default().into_iter();
     for (name, link) in names.iter().zip(&report.links) {
         let mut answer = Answer::new(name.clone(), link);
         hint::add(&mut answer);
-        if let Some(own) = cut.next() {
-            stretches::tell(&mut answer, own, args.json);
-        }
         if let Some(least) = args.min_confidence {
             answer.refuse_below(least);
         }
@@ -215,11 +234,11 @@ fn told_apart(stems: Vec<String>) -> Vec<String> {
 }
 
 fn options(args: &Args) -> std::result::Result<Options, String> {
-    let options = args.estimation.options(args.channel)?;
+    let options = args.estimation.options(args.channel.ok_or("--channel is needed")?)?;
     let join = if args.join_rows { JoinBy::Row } else { JoinBy::Time };
     #[cfg(feature = "plot")]
     let options = options.with_keep_course(args.plot.is_some());
-    Ok(options.with_macs(args.rx_mac, args.tx_mac.clone()).with_join(join))
+    Ok(options.with_macs(args.logs.rx_mac, args.logs.tx_mac.clone()).with_join(join))
 }
 
 /// Writes the profile and the pictures of a link that has a bearing.
@@ -233,18 +252,23 @@ fn artefacts(args: &Args, name: &str, link: &LinkReport, links: usize) -> std::r
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &args.plot {
-        let pictures = csi5300_lab::show::link::LinkPictures {
-            bearing,
-            truth_rad: None,
-            transmitter_m: None,
-            recorded: None,
-            every: 1,
-            places: 0,
-        };
-        let written = pictures.write(folder, name, &args.drawing.format(args.force));
-        for path in written.map_err(|error| super::pictures::refused(&error))? {
-            note!("picture of {name}: {}", path.display());
-        }
+        let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad: None, transmitter_m: None };
+        write(&pictures, folder, name, args.force)?;
+    }
+    Ok(())
+}
+
+/// Writes the pictures of a link.
+#[cfg(feature = "plot")]
+fn write(
+    pictures: &csi5300_lab::show::link::LinkPictures<'_>,
+    folder: &Path,
+    name: &str,
+    force: bool,
+) -> std::result::Result<(), String> {
+    let written = pictures.write(folder, name, &super::pictures::format(force));
+    for path in written.map_err(|error| super::pictures::refused(&error))? {
+        note!("picture of {name}: {}", path.display());
     }
     Ok(())
 }
@@ -307,7 +331,7 @@ fn say_losses(args: &Args, rx_path: &Path, report: &CaptureReport, rx: &Log, txs
         }
     };
     log(rx_path, &report.receiver, rx.bytes());
-    for ((path, report), source) in args.tx.iter().zip(&report.transmitters).zip(txs) {
+    for ((path, report), source) in args.logs.tx.iter().zip(&report.transmitters).zip(txs) {
         log(path, report, source.bytes());
     }
 }
@@ -352,11 +376,10 @@ fn describe(answer: &Answer) -> String {
     if let Some(sd) = answer.azimuth_sd_deg {
         let _ = write!(text, " +- {sd:.2}");
     }
-    if let Some(mirror) = super::explain::mirror(answer) {
+    if let Some(mirror) = captures::mirror(answer) {
         let _ = write!(text, ", or its mirror {mirror}");
-    } else if let (Some(ratio), Some(next)) = (answer.peak_ratio.filter(|r| *r >= ALIKE), answer.candidates.get(1)) {
-        let share = 100.0 * ratio;
-        let _ = write!(text, ", or {} deg, for which {share:.0} % as much speaks", fixed(next.azimuth_deg, 2));
+    } else if let Some(next) = answer.candidates.get(1).filter(|next| next.share >= ALIKE) {
+        let _ = write!(text, ", or {} deg ({:.0} %)", fixed(next.azimuth_deg, 2), 100.0 * next.share);
     }
     text.push('\n');
     if let Some(confidence) = answer.confidence {
@@ -373,20 +396,11 @@ fn describe(answer: &Answer) -> String {
         }
         // A plane wave has no range to be found.
         _ if answer.model != Some(WaveModel::SphericalWave) => {}
-        _ => text += "  no range: the wave front's curvature does not fix it\n",
+        _ => text += "  no range: the samples do not narrow it\n",
     }
-    text += &edge(answer);
-    if answer.paths.len() > 1 {
-        text += "  paths (one-way power):\n";
-        text += &super::explain::places(&answer.paths);
-    }
-    if let Some(focus) = answer.focus.filter(|focus| focus.worthwhile) {
-        let (scale, turn_deg) = (focus.warp.scale, focus.warp.turn_rad_per_m.to_degrees());
-        let _ = writeln!(
-            text,
-            "  trajectory sharpened over all links: scaled by {scale:.3}, bent by {} deg/m",
-            fixed(turn_deg, 1)
-        );
+    if answer.mirror_deg.is_none() && answer.candidates.len() > 1 {
+        text += "  candidates:\n";
+        text += &captures::places(&answer.candidates);
     }
     if let Some(body) = answer.azimuth_body_deg {
         let _ = writeln!(text, "  in the robot's frame: {} deg (heading at the last sample)", fixed(body, 2));
@@ -396,5 +410,5 @@ fn describe(answer: &Answer) -> String {
     text
 }
 
-/// A second candidate for which this share as much speaks as for the first is said beside it.
-const ALIKE: f64 = 0.9;
+/// A second candidate with at least this probability stands beside the first.
+const ALIKE: f64 = 0.1;

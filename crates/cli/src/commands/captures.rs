@@ -1,6 +1,6 @@
 //! What the commands on folders of captures share.
 
-use super::args::{Estimation, channel};
+use super::args::Estimation;
 use super::mounting::Mounting;
 use super::usage;
 use csi5300::motion::rolling::Mount;
@@ -13,21 +13,17 @@ use std::path::Path;
 pub const A_CAPTURE: &str = "a capture is a folder with csi_rx_TS.dat, csi_txK_TS.dat, a trajectory (rx_trajectory_TS_.csv) and, \
                              for the truth and the channel, groundtruth_positions.json";
 
-// How captures are read.
-#[derive(clap::Args)]
+/// How captures are read.
 pub struct Reading {
-    /// Which trajectory to use
-    #[arg(long, value_enum, default_value = "gt")]
-    trajectory: Which,
-    #[command(flatten)]
-    mounting: Mounting,
-    /// WiFi channel instead of the one in groundtruth_positions.json
-    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    /// Which trajectory to use.
+    pub trajectory: Which,
+    /// Where antenna and camera are on the robot.
+    pub mounting: Mounting,
+    /// WiFi channel instead of the one in groundtruth_positions.json.
     pub channel: Option<Channel>,
-    /// Join the n-th frame of a link with the n-th row of its trajectory instead of by time
-    #[arg(long)]
-    join_rows: bool,
-    #[command(flatten)]
+    /// Join the n-th frame of a link with the n-th row of its trajectory instead of by time.
+    pub join_rows: bool,
+    /// How bearings are made.
     pub estimation: Estimation,
 }
 
@@ -82,20 +78,15 @@ impl Reading {
 
     /// The pipeline's options. Their channel is a stand-in where none was given: each capture brings its own.
     pub fn options(&self) -> Result<Options, String> {
-        self.options_of(&self.estimation)
-    }
-
-    /// The same for another estimation.
-    pub fn options_of(&self, estimation: &Estimation) -> Result<Options, String> {
         let fallback = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
         let join = if self.join_rows { JoinBy::Row } else { JoinBy::Time };
-        Ok(estimation.options(self.channel.unwrap_or(fallback))?.with_join(join))
+        Ok(self.estimation.options(self.channel.unwrap_or(fallback))?.with_join(join))
     }
 }
 
 /// A trajectory file of a capture.
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Which {
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub enum Which {
     /// Motion capture
     Gt,
     /// Tracking camera

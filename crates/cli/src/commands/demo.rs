@@ -18,15 +18,9 @@ pub struct Args {
     /// Folder for logs and pictures
     #[arg(long, default_value = "csi5300-demo", value_name = "DIR")]
     out: PathBuf,
-    /// A recorded capture whose phase is drawn beside the simulated circle's
-    #[arg(long, num_args = 3, value_names = ["RX.dat", "TX.dat", "T.csv"])]
-    recorded: Vec<PathBuf>,
     /// Write into a folder that is not empty
     #[arg(long)]
     force: bool,
-    #[cfg(feature = "plot")]
-    #[command(flatten)]
-    drawing: super::pictures::Drawing,
     /// JSON Lines instead of words: one object for the robots that stand, one each for circle and line
     #[arg(long)]
     json: bool,
@@ -98,10 +92,6 @@ pub fn run(args: &Args) -> Result {
     );
     let channel = Channel::new(108, Width::Ht20).map_err(|error| error.to_string())?;
     let options = Estimation::default().options(channel)?.with_keep_course(true);
-    let recorded = match args.recorded.as_slice() {
-        [rx, tx, trajectory] => Some(bearing_of(estimate(rx, tx, trajectory, &options)?)?),
-        _ => None,
-    };
     stand(args, &options)?;
     let (mut next, mut shown) = (String::new(), Vec::new());
     for (name, text) in SCENES {
@@ -112,10 +102,7 @@ pub fn run(args: &Args) -> Result {
         }
         let bearing = bearing_of(estimate(&rx, &tx, &trajectory, &options)?)?;
         let truth_rad = truth(&scene, &bearing);
-        say_pictures(
-            args,
-            &draw(args, name, &bearing, &scene, truth_rad, recorded.as_ref().filter(|_| name == "circle"))?,
-        );
+        say_pictures(args, &draw(args, name, &bearing, &scene, truth_rad)?);
         shown.push(Shown::new(name, &bearing, truth_rad));
     }
     if args.json {
@@ -258,7 +245,7 @@ fn table(shown: &[Shown]) -> String {
 }
 
 #[cfg(not(feature = "plot"))]
-fn draw(_: &Args, _: &str, _: &Bearing, _: &Scene, _: Option<f64>, _: Option<&Bearing>) -> Words<Vec<PathBuf>> {
+fn draw(_: &Args, _: &str, _: &Bearing, _: &Scene, _: Option<f64>) -> Words<Vec<PathBuf>> {
     Ok(Vec::new())
 }
 
@@ -270,23 +257,15 @@ fn draw_standing(_: &Args, _: &Standing) -> Words<Vec<PathBuf>> {
 #[cfg(feature = "plot")]
 fn draw_standing(args: &Args, standing: &Standing) -> Words<Vec<PathBuf>> {
     let picture = csi5300_lab::show::repeated::standing(standing);
-    let written = picture.write(&args.out.join("standing-phase"), &args.drawing.format(args.force));
+    let written = picture.write(&args.out.join("standing-phase"), &super::pictures::format(args.force));
     written.map_err(|error| super::pictures::refused(&error))
 }
 
 #[cfg(feature = "plot")]
-fn draw(
-    args: &Args,
-    name: &str,
-    bearing: &Bearing,
-    scene: &Scene,
-    truth_rad: Option<f64>,
-    recorded: Option<&Bearing>,
-) -> Words<Vec<PathBuf>> {
+fn draw(args: &Args, name: &str, bearing: &Bearing, scene: &Scene, truth_rad: Option<f64>) -> Words<Vec<PathBuf>> {
     let transmitter_m = scene.robot.get(1).map(|robot| [robot.position_m[0], robot.position_m[1]]);
-    let pictures =
-        csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m, recorded, every: 1, places: 0 };
-    let written = pictures.write(&args.out, name, &args.drawing.format(args.force));
+    let pictures = csi5300_lab::show::link::LinkPictures { bearing, truth_rad, transmitter_m };
+    let written = pictures.write(&args.out, name, &super::pictures::format(args.force));
     written.map_err(|error| super::pictures::refused(&error))
 }
 

@@ -1,16 +1,16 @@
 //! `csi5300 evaluate`.
 
-use super::args::{Estimation, Step};
-use super::captures::{A_CAPTURE, Reading};
+use super::args::{Estimation, antenna, channel};
+use super::captures::{A_CAPTURE, Reading, Which};
+use super::mounting::Mounting;
 use super::{Outcome, Result, fixed, print, print_json, usage};
-use clap::ValueEnum;
 use csi5300::maths::median;
+use csi5300::signal::channel::Channel;
 use csi5300_lab::evaluate::quality::{Ranges, over_bound, ranges, receivers, risk_coverage, sure};
-use csi5300_lab::evaluate::{
-    ALL_SETS, Capture, Errors, Evaluated, Judged, SetSummary, TrajectorySource, find, reliability, summarise,
-};
+use csi5300_lab::evaluate::{ALL_SETS, Capture, Errors, Evaluated, Judged, SetSummary, find, reliability, summarise};
 #[cfg(feature = "plot")]
 use csi5300_lab::show::set::{self, Others};
+use driver_iface::bfee::Antenna;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -20,110 +20,85 @@ use std::path::PathBuf;
 #[derive(clap::Args)]
 pub struct Args {
     /// Folders with captures below them, as in the WSR data set
-    #[arg(required_unless_present = "rooms", value_name = "DIR")]
+    #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
-    /// Also evaluate this many simulated rooms with the transmitters in sight, and as many with walls before them (with
-    /// the true trajectory or odometry)
-    #[arg(long, value_name = "N")]
-    rooms: Option<u64>,
-    /// Seed of the first simulated room
-    #[arg(long, default_value_t = 1, value_name = "NUMBER")]
-    seed: u64,
-    /// Folder for pictures: error distributions, refusals, reliability, a map of each place; with --folds reliability
+    /// Write the page of `csi5300 view` as one file instead: every link of one DIR with its map, profile and logs, to be zoomed and
+    /// sorted; captures without a truth too
+    #[cfg(feature = "view")]
+    #[arg(long, value_name = "OUT.html")]
+    html: Option<PathBuf>,
+    /// Folder for pictures: error distributions, refusals, reliability, a map of each place
     #[cfg(feature = "plot")]
-    #[arg(long, visible_alias = "plot", value_name = "DIR", conflicts_with = "ablation")]
-    out: Option<PathBuf>,
-    #[cfg(feature = "plot")]
+    #[arg(long, visible_alias = "out", value_name = "DIR")]
+    #[cfg_attr(feature = "view", arg(conflicts_with = "html"))]
+    plot: Option<PathBuf>,
+    /// Which trajectory to use
+    #[arg(long, value_enum, default_value = "gt")]
+    trajectory: Which,
     #[command(flatten)]
-    pictures: super::pictures::Pictures,
-    #[command(flatten)]
-    reading: Reading,
+    mounting: Mounting,
+    /// WiFi channel instead of the one in groundtruth_positions.json
+    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    channel: Option<Channel>,
+    /// Antenna (RF port) used on both robots: A, B or C
+    #[arg(long, default_value = "A", value_parser = antenna)]
+    antenna: Antenna,
+    /// Added to the receivers' host times to get the trajectories'
+    #[arg(long, default_value_t = 0.0, value_name = "SECONDS", allow_negative_numbers = true)]
+    clock_offset: f64,
+    /// Standard deviation of the heading of the trajectories, degrees, where it is not that of the usual sensor of their kind
+    #[arg(long, value_name = "DEGREES")]
+    heading_sd: Option<f64>,
     /// JSON Lines: one object a link, then a summary
     #[arg(long)]
+    #[cfg_attr(feature = "view", arg(conflicts_with = "html"))]
     json: bool,
-    /// Also evaluate with each step left out, and print what it brings
+    /// Overwrite the page, and pictures of the same names
+    #[cfg(any(feature = "plot", feature = "view"))]
     #[arg(long)]
-    ablation: bool,
-    /// Leave each place out in turn, with everything fitted to the others: errors with intervals, by motion capture,
-    /// the tracking camera (as recorded, and held to what wheels can roll) and wheels, whole motions, halves and quarters.
-    /// A place is the last two folders of a capture
-    #[arg(long, value_enum, value_name = "UNIT", conflicts_with_all = ["ablation", "trajectory"])]
-    folds: Option<Folds>,
-    /// Captures worked on at a time; 0 is one for each core
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    threads: usize,
+    force: bool,
 }
 
-/// What is left out in turn.
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Folds {
-    /// A set's folder, with all of its captures
-    Places,
-}
-
-/// Simulated rooms in a folder of their own, which goes with the value.
-struct Rooms(PathBuf);
-
-impl Rooms {
-    fn write(count: u64, seed: u64) -> std::result::Result<Self, String> {
-        let folder = std::env::temp_dir().join(format!("csi5300-rooms-{}", std::process::id()));
-        let rooms = Self(folder);
-        csi5300_lab::rooms::write(&rooms.0, count, seed).map_err(|error| error.to_string())?;
-        Ok(rooms)
-    }
-}
-
-impl Drop for Rooms {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
+impl Args {
+    fn reading(&self) -> Reading {
+        let estimation = Estimation::with_antenna(self.antenna);
+        Reading {
+            trajectory: self.trajectory,
+            mounting: self.mounting.clone(),
+            channel: self.channel,
+            join_rows: false,
+            estimation: Estimation { clock_offset: self.clock_offset, heading_sd: self.heading_sd, ..estimation },
+        }
     }
 }
 
 /// Evaluates a tree of captures.
 pub fn run(args: &Args) -> Result {
-    #[cfg(feature = "plot")]
-    check_pictures(args)?;
-    let rooms = args.rooms.map(|count| Rooms::write(count, args.seed)).transpose()?;
-    let source = args.reading.source();
-    let mut options = args.reading.options().unwrap_or_else(|message| usage(&message));
-    // Paths are in the lines of JSON only, and change no bearing.
-    options.accuracy = options.accuracy.with_paths(options.accuracy.paths && args.json);
-    let (captures, unreadable) = find_all(args.folders.iter().chain(rooms.as_ref().map(|rooms| &rooms.0)))?;
-    let captures = args.reading.mounted(captures);
-    #[cfg(feature = "plot")]
-    if let Some(folder) = args.out.as_ref().filter(|_| args.folds.is_none()) {
-        args.pictures.check_maps(folder, &captures)?;
+    #[cfg(feature = "view")]
+    if let Some(out) = &args.html {
+        return page(args, out);
     }
+    #[cfg(feature = "plot")]
+    check_pictures(args, &[])?;
+    let reading = args.reading();
+    let source = reading.source();
+    let options = reading.options().unwrap_or_else(|message| usage(&message));
+    let (captures, unreadable) = find_all(args.folders.iter())?;
+    let captures = reading.mounted(captures);
+    #[cfg(feature = "plot")]
+    check_pictures(args, &captures)?;
     for folder in &unreadable {
         wrong!("cannot read {folder}");
     }
     let beside = Beside::read(args);
     let bar = super::bar(captures.len() as u64, &super::some(captures.len() as u64, "capture", "captures"));
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads).build().map_err(|error| error.to_string())?;
-    if let Some(Folds::Places) = args.folds {
-        bar.clear();
-        let report = pool.install(|| super::folds::run(&captures, &options, args.json));
-        #[cfg(feature = "plot")]
-        if let Some(folder) = &args.out {
-            let written = set::write_folds(&report, folder, &args.pictures.format());
-            let written = written.map_err(|error| super::pictures::refused(&error))?;
-            note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
-        }
-        return Ok(super::folds::outcome(&report));
-    }
     let one = |capture: &Capture| {
-        let mut evaluated = capture.evaluate(source, args.reading.channel, &options);
+        let mut evaluated = capture.evaluate(source, reading.channel, &options);
         super::hint::add_all(&mut evaluated.rows);
         bar.inc();
         evaluated
     };
-    if args.ablation {
-        let rows = pool.install(|| ablation(args, source, &captures));
-        bar.clear();
-        show_ablation(&rows?, args.json);
-        return Ok(Outcome::Done);
-    }
-    let results: Vec<Evaluated> = pool.install(|| captures.par_iter().map(one).collect());
+    let results: Vec<Evaluated> = captures.par_iter().map(one).collect();
     bar.clear();
     for note in results.iter().flat_map(|result| &result.notes) {
         note!("{note}");
@@ -142,6 +117,35 @@ pub fn run(args: &Args) -> Result {
     })
 }
 
+/// Writes the page of `view` as one file.
+#[cfg(feature = "view")]
+fn page(args: &Args, out: &std::path::Path) -> Result {
+    let [folder] = args.folders.as_slice() else { usage("--html takes one folder: the page is of what is below it") };
+    let is_html = |ending: &std::ffi::OsStr| ["html", "htm"].iter().any(|own| ending.eq_ignore_ascii_case(own));
+    // Devices take anything.
+    if !out.extension().is_none_or(is_html) && (out.is_file() || !out.exists()) {
+        usage(&format!("{}: the page is HTML: .html", out.display()));
+    }
+    super::must_not_exist(out, args.force)?;
+    let reading = args.reading();
+    reading.find(folder)?;
+    let reading = super::view::reading(&reading);
+    let view = csi5300_view::View::open(folder, reading).map_err(|error| error.to_string())?;
+    view.finish(|done| super::progress(&format!("{done} of {} links", view.links())));
+    super::progress("");
+    let page = view.file().map_err(|error| error.to_string())?;
+    std::fs::write(out, &page).map_err(|error| format!("{}: {error}", out.display()))?;
+    view.notes().iter().for_each(|line| note!("{line}"));
+    view.failed().iter().for_each(|line| wrong!("{line}"));
+    let links = super::some(view.links() as u64, "link", "links");
+    note!("{}: {links}, {} KiB", out.display(), page.len() / 1024);
+    Ok(match view.outcome() {
+        (false, _) if view.links() > 0 => Outcome::Nothing,
+        (_, true) => Outcome::DataLost,
+        _ => Outcome::Done,
+    })
+}
+
 /// What another program answers on the links, for the pictures.
 #[derive(Default)]
 struct Beside {
@@ -157,8 +161,8 @@ impl Beside {
         #[cfg_attr(not(feature = "plot"), allow(unused_mut))]
         let mut beside = Self::default();
         #[cfg(feature = "plot")]
-        for folder in args.folders.iter().filter(|_| args.out.is_some() && args.folds.is_none()) {
-            if let Some(words) = beside.others.add(folder, args.reading.source()) {
+        for folder in args.folders.iter().filter(|_| args.plot.is_some()) {
+            if let Some(words) = beside.others.add(folder, args.reading().source()) {
                 note!("{words}");
                 beside.lost = true;
             }
@@ -171,14 +175,11 @@ impl Beside {
 
 /// Refuses pictures that are there before minutes of work, not after.
 #[cfg(feature = "plot")]
-fn check_pictures(args: &Args) -> std::result::Result<(), String> {
-    args.pictures.must_have(args.out.as_deref(), "--out");
-    let Some(folder) = &args.out else { return Ok(()) };
-    let stems = match args.folds {
-        Some(Folds::Places) => set::fold_stems(folder).to_vec(),
-        None => set::stems(folder).to_vec(),
-    };
-    args.pictures.check(&stems)
+fn check_pictures(args: &Args, captures: &[Capture]) -> std::result::Result<(), String> {
+    let Some(folder) = &args.plot else { return Ok(()) };
+    let maps = captures.iter().map(|capture| set::map_stem(folder, &capture.link_name("")));
+    let stems: Vec<PathBuf> = set::stems(folder).into_iter().chain(maps).collect();
+    super::pictures::check(&stems, args.force)
 }
 
 /// The captures below all folders, and folders that could not be read.
@@ -196,8 +197,8 @@ fn find_all<'a>(
             return Err(match without {
                 0 => format!("no capture below {}: {A_CAPTURE}", folder.display()),
                 _ => format!(
-                    "no capture with a truth below {} (groundtruth_positions.json); {} without one: `report`, `view`, \
-                     `explain` and `locate` take {}",
+                    "no capture with a truth below {} (groundtruth_positions.json); {} without one: `view`, \
+                     `bearing` and --html take {}",
                     folder.display(),
                     super::some(without as u64, "capture", "captures"),
                     if without == 1 { "it" } else { "them" }
@@ -222,8 +223,8 @@ fn show(args: &Args, rows: &[Judged], beside: &Beside) -> std::result::Result<()
         print(&worth(rows));
     }
     #[cfg(feature = "plot")]
-    if let Some(folder) = &args.out {
-        let written = set::write(rows, &beside.others, folder, &args.pictures.format());
+    if let Some(folder) = &args.plot {
+        let written = set::write(rows, &beside.others, folder, &super::pictures::format(args.force));
         let written = written.map_err(|error| super::pictures::refused(&error))?;
         note!("{}: {}", folder.display(), super::some(written.len() as u64, "picture", "pictures"));
     }
@@ -290,7 +291,7 @@ fn all_last<T>(sets: &BTreeMap<String, T>) -> impl Iterator<Item = (&String, &T)
     named(false).chain(named(true))
 }
 
-pub(super) fn line(errors: &Errors) -> String {
+fn line(errors: &Errors) -> String {
     let Errors { links, mean_deg, median_deg, p90_deg, over_20, .. } = errors;
     if *links == 0 {
         return "-".into();
@@ -344,48 +345,4 @@ fn sets(rows: &[Judged]) -> BTreeMap<&str, Vec<&Judged>> {
         sets.entry(row.set()).or_default().push(row);
     }
     sets
-}
-
-/// Errors of a set without a step; with everything where none is named.
-#[derive(serde::Serialize)]
-struct AblationRow {
-    without: Option<String>,
-    set: String,
-    #[serde(flatten)]
-    errors: Errors,
-}
-
-fn show_ablation(rows: &[AblationRow], json: bool) {
-    if json {
-        return rows.iter().for_each(print_json);
-    }
-    let mut text = String::from("error from the mean pose: mean / median / 90th percentile / share over 20 degrees\n");
-    for AblationRow { without, set, errors } in rows {
-        let name = without.as_ref().map_or("everything".into(), |step| format!("without {step}"));
-        let _ = writeln!(text, "{name:22} {set:12} {:4} links  {}", errors.links, line(errors));
-    }
-    print(&text);
-}
-
-/// Evaluates with everything, then without each step.
-fn ablation(
-    args: &Args,
-    source: TrajectorySource,
-    captures: &[Capture],
-) -> std::result::Result<Vec<AblationRow>, String> {
-    let mut found = Vec::new();
-    let runs = std::iter::once(None).chain(Step::ALL.into_iter().map(Some));
-    for left_out in runs {
-        let estimation = Estimation { without: left_out.into_iter().collect(), ..args.reading.estimation.clone() };
-        let mut options = args.reading.options_of(&estimation)?;
-        options.accuracy = options.accuracy.with_paths(false);
-        let rows: Vec<Judged> =
-            captures.par_iter().flat_map_iter(|c| c.evaluate(source, args.reading.channel, &options).rows).collect();
-        let without = left_out.and_then(|step| step.to_possible_value()).map(|value| value.get_name().to_owned());
-        for (set, own) in sets(&rows) {
-            let errors = Errors::of(own.iter().filter_map(|row| row.error_from_mean_pose_deg));
-            found.push(AblationRow { without: without.clone(), set: set.to_owned(), errors });
-        }
-    }
-    Ok(found)
 }

@@ -1,5 +1,7 @@
 //! `csi5300 export`.
 
+mod recover;
+
 use super::draft::Draft;
 use super::{Outcome, Result, info, print_json, usage};
 use csi5300::signal::channel::SUBCARRIERS;
@@ -20,8 +22,14 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// The log; - is standard input
     file: PathBuf,
-    /// Where to write: .csv, one row a record; .npz; .mat; .parquet (feature `parquet`)
+    /// Where to write: .csv, one row a record; .npz; .mat; .parquet (feature `parquet`); with --dat a log
     output: PathBuf,
+    /// Write a log: every intact record of the input, and nothing else
+    #[arg(long, conflicts_with_all = ["scaled", "remove_spatial_mapping", "mac", "from", "to", "antennas"])]
+    dat: bool,
+    /// With --dat: bring records into this layout, which other tools (csiread, csitool) read
+    #[arg(long, value_enum, value_name = "LAYOUT", requires = "dat")]
+    layout: Option<recover::Layout>,
     /// CSI in units of sqrt(SNR) instead of the card's integers
     #[arg(long)]
     scaled: bool,
@@ -98,11 +106,19 @@ struct Written {
 
 /// Writes the CSI of a log.
 pub fn run(args: &Args) -> Result {
+    if args.dat {
+        let Args { file: input, output, layout, json, force, .. } = args;
+        return recover::run(&recover::Recovery { input, output, layout: *layout, json: *json, force: *force });
+    }
     let extension = args.output.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
     let extension = extension.as_deref();
     if extension != Some("csv") && !is_known(&args.output) {
         let missing = extension == Some("parquet") && !cfg!(feature = "parquet");
-        let hint = if missing { "; .parquet needs a program built with the feature: --features parquet" } else { "" };
+        let hint = match extension {
+            Some("parquet") if missing => "; .parquet needs a program built with the feature: --features parquet",
+            Some("dat") => "; --dat writes a log",
+            _ => "",
+        };
         usage(&format!("{}: CSI is exported as .csv or {KNOWN}{hint}", args.output.display()));
     }
     let filter = args.filter().unwrap_or_else(|error| usage(&error.to_string()));

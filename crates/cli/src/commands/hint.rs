@@ -27,11 +27,11 @@ pub fn words(error: &LinkError) -> String {
     }
 }
 
-/// An error of a command that has `--join-rows` in words.
+/// An error of a link of logs in words.
 fn joined_words(error: &LinkError) -> String {
     match error {
-        LinkError::RowsNotTimes { .. } => format!("{error} (--join-rows, --clock-offset)"),
-        LinkError::NoHostTime => format!("{error} (--join-rows)"),
+        LinkError::RowsNotTimes { .. } => format!("{error} (--clock-offset, or --join-rows of `bearing`)"),
+        LinkError::NoHostTime => format!("{error} (--join-rows of `bearing`)"),
         _ => words(error),
     }
 }

@@ -1,6 +1,9 @@
 //! `csi5300 info`.
 
-use super::{Outcome, Result, print, print_json, some};
+#[cfg(feature = "plot")]
+mod plot;
+
+use super::{Outcome, Result, other_cards, print, print_json, some};
 use csi5300::internal::{LOSSES_KEPT, SENDERS_KEPT};
 use csi5300::source::survey::{ClockSteps, HostSteps, Sender, Survey, TimeBase};
 use csi5300::source::{Checks, CsiSource, Next};
@@ -12,13 +15,17 @@ use std::path::{Path, PathBuf};
 
 // Arguments of `info`.
 #[derive(clap::Args)]
+#[command(after_help = "Example:\n  csi5300 info rx.dat --plot pictures --antenna A --from 2 --to 8")]
 pub struct Args {
     /// Logs; - is standard input
-    #[arg(required = true)]
+    #[arg(required = true, value_name = "LOG")]
     files: Vec<PathBuf>,
     /// One JSON object a log instead of text
     #[arg(long)]
     json: bool,
+    #[cfg(feature = "plot")]
+    #[command(flatten)]
+    plot: plot::Args,
 }
 
 #[derive(serde::Serialize)]
@@ -61,6 +68,9 @@ struct Row<'a> {
     senders: std::collections::BTreeMap<String, SenderRow<'a>>,
     /// Of the side file; null without one that has checksums.
     checks: Option<Checks>,
+    /// Those that were drawn.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pictures: Vec<PathBuf>,
     #[serde(flatten)]
     survey: &'a Survey,
 }
@@ -69,10 +79,21 @@ struct Row<'a> {
 pub fn run(args: &Args) -> Result {
     let (mut usable, mut lost, mut failed) = (false, false, false);
     for (k, path) in args.files.iter().enumerate() {
+        if let Some(row) = other_cards::read(path) {
+            row.show(args.json, k > 0);
+            usable |= row.is_usable();
+            lost |= row.lost_something();
+            continue;
+        }
         match survey(path) {
             Ok(read) => {
+                let pictures = draw(args, k).unwrap_or_else(|message| {
+                    failed = true;
+                    wrong!("{message}");
+                    Vec::new()
+                });
                 if args.json {
-                    print_json(&row(path, &read));
+                    print_json(&row(path, &read, pictures));
                 } else {
                     print(&format!(
                         "{}{}",
@@ -98,6 +119,21 @@ pub fn run(args: &Args) -> Result {
     })
 }
 
+/// The pictures of the `k`th log, where some were asked for.
+#[cfg(feature = "plot")]
+fn draw(args: &Args, k: usize) -> std::result::Result<Vec<PathBuf>, String> {
+    let drawn = plot::draw(&args.plot, &args.files, k)?;
+    if !args.json {
+        drawn.iter().for_each(|path| note!("{}", path.display()));
+    }
+    Ok(drawn)
+}
+
+#[cfg(not(feature = "plot"))]
+fn draw(_: &Args, _: usize) -> std::result::Result<Vec<PathBuf>, String> {
+    Ok(Vec::new())
+}
+
 /// A log that was read.
 struct Read {
     survey: Survey,
@@ -117,7 +153,7 @@ fn survey(path: &Path) -> std::result::Result<Read, String> {
     }
 }
 
-fn row<'a>(path: &Path, read: &'a Read) -> Row<'a> {
+fn row<'a>(path: &Path, read: &'a Read, pictures: Vec<PathBuf>) -> Row<'a> {
     let Read { survey, bytes, checks } = read;
     let sender = |(mac, sender): (&Mac, &'a Sender)| (mac.to_string(), SenderRow::new(sender));
     Row {
@@ -128,6 +164,7 @@ fn row<'a>(path: &Path, read: &'a Read) -> Row<'a> {
         cut: survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean)),
         senders: survey.senders.iter().map(sender).collect(),
         checks: *checks,
+        pictures,
         survey,
     }
 }
@@ -207,6 +244,17 @@ fn describe(name: &str, read: &Read) -> String {
     for (code, count) in survey.by_code.iter().filter(|(code, _)| **code != code::BFEE) {
         let _ = writeln!(text, "  code 0x{code:02X} ({}): {count}", code::name(*code).unwrap_or("unknown"));
     }
+    if survey.longer > 0 {
+        let (some, bytes) = (some(survey.longer, "record", "records"), survey.bytes_behind_csi);
+        let _ = writeln!(text, "  bytes behind the CSI: {bytes} in {some}, not read (netlink pads to 4)");
+    }
+    if survey.mpdu_without_fcs > 0 {
+        let _ = writeln!(
+            text,
+            "  MPDUs without a frame check sequence: {} (client or access point mode; their sender is address 2)",
+            survey.mpdu_without_fcs
+        );
+    }
     if survey.mpdu_bad_fcs > 0 {
         let _ = writeln!(text, "  MPDUs with a wrong frame check sequence: {}", survey.mpdu_bad_fcs);
     }
@@ -240,10 +288,18 @@ fn describe(name: &str, read: &Read) -> String {
 }
 
 fn describe_csi(text: &mut String, survey: &Survey) {
-    let layout = match (survey.stock, survey.wsr) {
-        (0, wsr) => format!("WSR layout, {wsr} bfee records"),
-        (stock, 0) => format!("stock layout, {stock} bfee records"),
-        (stock, wsr) => format!("mixed layouts: {stock} stock and {wsr} WSR bfee records"),
+    let layouts = [
+        (survey.stock, "stock", ""),
+        (survey.wsr_2021, "WSR", ", as of 2021: no frame numbers"),
+        (survey.wsr, "WSR", ""),
+    ];
+    let used: Vec<_> = layouts.iter().filter(|(count, ..)| *count > 0).collect();
+    let layout = match used[..] {
+        [(count, name, remark)] => format!("{name} layout{remark}, {count} bfee records"),
+        _ => {
+            let each = used.iter().map(|(count, name, remark)| format!("{count} {name}{remark}"));
+            format!("mixed layouts of bfee records: {}", each.collect::<Vec<_>>().join("; "))
+        }
     };
     let mut streams = Vec::new();
     for (rx, row) in survey.streams.iter().enumerate() {

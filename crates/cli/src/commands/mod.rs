@@ -3,44 +3,50 @@
 mod args;
 mod bearing;
 mod captures;
-#[cfg(feature = "live")]
-mod card;
-mod compare;
 mod completions;
 mod demo;
+#[cfg(feature = "live")]
+mod doctor;
 mod draft;
 mod evaluate;
-mod explain;
 mod export;
 mod files;
-mod folds;
 mod hint;
 mod info;
 mod inputs;
 mod key;
-mod locate;
+#[cfg(feature = "live")]
+mod listener;
+#[cfg(feature = "live")]
+mod live;
 mod mcap;
 mod mounting;
 mod node;
+mod old;
+mod other_cards;
 #[cfg(feature = "plot")]
 mod pictures;
-#[cfg(feature = "plot")]
-mod plot;
 mod profile;
-mod recover;
-#[cfg(feature = "plot")]
-mod report;
+#[cfg(feature = "live")]
+mod record;
+#[cfg(feature = "live")]
+mod replay;
+#[cfg(feature = "live")]
+mod setup;
 mod simulate;
-mod suite;
+#[cfg(feature = "live")]
+mod sound;
 mod threads;
 mod unbag;
 #[cfg(feature = "view")]
 mod view;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use csi5300_say::{self as say, Level, When};
-pub use csi5300_say::{Outcome, Result, count as some, fixed, is_end_of_room, print, print_json, usage};
+pub use csi5300_say::{Outcome, Result, count as some, fixed, print, print_json, usage};
+#[cfg(feature = "live")]
+pub use csi5300_say::is_end_of_room;
 pub use files::{is_same_file, must_not_exist, open_log, read_trajectory};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -50,7 +56,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 #[command(
     name = "csi5300",
     version,
-    after_help = "Exit status, of every command:\n  \
+    after_help = "`csi5300 help --all` lists commands that are seldom needed, and what became of older ones.\n\nExit status, of every command:\n  \
                   0  done; a log cut at its end, a room that ends and a stop by a signal are normal\n  \
                   1  nothing usable: a file that is missing or cannot be written, no link with a bearing, no record\n  \
                   2  wrong usage: arguments, extensions, configurations and scenes that cannot be meant\n  \
@@ -59,7 +65,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 )]
 struct Cli {
     /// Say nothing but results and errors: no notes, no progress
-    #[arg(short, long, global = true, display_order = 900)]
+    #[arg(short, long, global = true, display_order = 900, hide_short_help = true)]
     quiet: bool,
     /// Also say what is read, how long the command took and how much memory
     #[arg(short, long, global = true, conflicts_with = "quiet", display_order = 901)]
@@ -72,7 +78,8 @@ struct Cli {
         value_parser = PossibleValuesParser::new(When::NAMES).map(|name| When::named(&name)),
         value_name = "WHEN",
         global = true,
-        display_order = 902
+        display_order = 902,
+        hide_short_help = true
     )]
     color: When,
     #[command(subcommand)]
@@ -86,51 +93,50 @@ struct Cli {
 enum Command {
     /// The circle and line experiments of Dijkstra et al., simulated, decoded and estimated, with pictures
     Demo(demo::Args),
-    /// The bearing from a receiver that moved to one or more transmitters, from their logs
-    Bearing(Box<bearing::Args>),
-    /// What is in logs: layout, senders, rates, losses with their offsets, where and why a log was cut
-    Info(info::Args),
-    /// A log over time as pictures: CSI, levels, rate, gaps and losses
-    #[cfg(feature = "plot")]
-    Plot(plot::Args),
-    /// Bearings of a whole tree of captures against the truth
-    Evaluate(evaluate::Args),
-    /// One self-contained HTML page about a tree of captures: pictures, tables, losses
-    #[cfg(feature = "plot")]
-    Report(report::Args),
     /// A page in the browser: logs, the links of captures with their errors, or a running node
     #[cfg(feature = "view")]
     View(view::Args),
-    /// Where the receiver of a capture is, from its links to transmitters whose places are known; or where transmitters are
-    Locate(locate::Args),
-    /// One link from end to end: phase, compensation, autofocus, candidates and paths, with pictures
-    Explain(explain::Args),
-    /// Copies every intact record of a damaged log, and nothing else
-    Recover(recover::Args),
-    /// CSI of a log as CSV, NPZ, MAT or Parquet, raw or scaled
+    /// Bearings from a receiver that moved to one or more transmitters, of captures or logs; and where the receiver is
+    Bearing(Box<bearing::Args>),
+    /// What is in logs: layout, senders, rates, losses with their offsets, where and why a log was cut; with pictures
+    Info(info::Args),
+    /// CSI of a log as CSV, NPZ, MAT or Parquet, raw or scaled; or every intact record of a damaged log
     Export(export::Args),
-    /// Captures as MCAP, for Foxglove, Lichtblick and MCAP readers
-    Mcap(mcap::Args),
-    /// Logs and trajectories from a recording of ROS 2
-    Unbag(unbag::Args),
-    /// A room full of robots: writes the logs that their cards would have recorded
-    Simulate(simulate::Args),
-    /// A recorded capture beside a simulated one: every figure of both, and pictures
-    Compare(compare::Args),
-    /// The experiments of Dijkstra et al., simulated, with repetitions: a table of errors, confidence and phase residual
-    Suite(suite::Args),
-    /// Keys of the sounding exchange: a new secret of a group, and from it one robot's own
-    Key(key::Args),
-    /// The script with which a shell completes commands and options
-    Completions(completions::Args),
-    /// The card on this machine
+    /// Bearings of a whole tree of captures against the truth: tables, pictures, or one HTML page
+    Evaluate(evaluate::Args),
+    /// What stands between this machine and a first record, and the command that mends it
     #[cfg(feature = "live")]
-    #[command(flatten)]
-    Card(card::Command),
+    Doctor(doctor::Args),
+    /// The steps that put the card into monitor mode: printed, or taken with --apply
+    #[cfg(feature = "live")]
+    Setup(setup::Args),
+    /// Records the driver's messages to a log, live
+    #[cfg(feature = "live")]
+    Record(record::Args),
+    /// Plays a log at its own pace, to standard output or into the kernel's connector
+    #[cfg(feature = "live")]
+    Replay(replay::Args),
+    /// Sounds other robots, or answers those that sound, so that both cards measure; live bearings
+    #[cfg(feature = "live")]
+    Sound(Box<sound::Args>),
     /// The robot's own service: capture, odometry, peers, live bearings
     Node(node::NodeArgs),
     /// A running node in a terminal: peers, rates, losses, bearings on a compass
     Watch(node::WatchArgs),
+    /// A room full of robots: writes the logs that their cards would have recorded, or serves them live; a recording beside a room
+    Simulate(Box<simulate::Args>),
+    /// Captures as MCAP, for Foxglove, Lichtblick and MCAP readers
+    #[command(hide = true)]
+    Mcap(mcap::Args),
+    /// Logs and trajectories from a recording of ROS 2
+    #[command(hide = true)]
+    Unbag(unbag::Args),
+    /// Keys of the sounding exchange: a new secret of a group, and from it one robot's own
+    #[command(hide = true)]
+    Key(key::Args),
+    /// The script with which a shell completes commands and options
+    #[command(hide = true)]
+    Completions(completions::Args),
 }
 
 /// Runs the command named by the arguments.
@@ -138,14 +144,23 @@ pub fn run() -> ExitCode {
     let begun = std::time::Instant::now();
     // A file as large as files may be here (`ulimit -f`) is a full disk: the write fails with EFBIG, and the signal ends nothing.
     let _ = nix::sys::signal::SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
-    let cli = Cli::try_parse()
-        .unwrap_or_else(|error| say::misused(&error.render().to_string(), error.exit_code(), || error.exit()));
+    let mut args: Vec<_> = std::env::args_os().collect();
+    if args.get(1..).is_some_and(|rest| *rest == ["help", "--all"]) {
+        print(&old::all(&Cli::command()));
+        return ExitCode::SUCCESS;
+    }
+    let moved = old::rename(&mut args);
+    let cli = Cli::try_parse_from(args).unwrap_or_else(|error| {
+        moved.iter().for_each(|words| notes!("{words}\n"));
+        say::misused(&error.render().to_string(), error.exit_code(), || error.exit())
+    });
     let level = match (cli.quiet, cli.verbose) {
         (true, _) => Level::Quiet,
         (false, false) => Level::Usual,
         (false, true) => Level::Verbose,
     };
     say::set("csi5300", level, cli.color);
+    moved.iter().for_each(|words| note!("{words}"));
     let result = execute(cli.command);
     detail!("{}", say::used(begun));
     match result {
@@ -161,29 +176,28 @@ pub fn run() -> ExitCode {
 fn execute(command: Command) -> Result {
     match command {
         Command::Demo(args) => demo::run(&args),
-        Command::Bearing(args) => bearing::run(*args),
-        Command::Info(args) => info::run(&args),
-        #[cfg(feature = "plot")]
-        Command::Plot(args) => plot::run(&args),
-        Command::Evaluate(args) => evaluate::run(&args),
-        #[cfg(feature = "plot")]
-        Command::Report(args) => report::run(&args),
         #[cfg(feature = "view")]
         Command::View(args) => view::run(&args),
-        Command::Locate(args) => locate::run(&args),
-        Command::Explain(args) => explain::run(&args),
-        Command::Recover(args) => recover::run(&args),
+        Command::Bearing(args) => bearing::run(*args),
+        Command::Info(args) => info::run(&args),
         Command::Export(args) => export::run(&args),
+        Command::Evaluate(args) => evaluate::run(&args),
+        #[cfg(feature = "live")]
+        Command::Doctor(args) => doctor::run(&args),
+        #[cfg(feature = "live")]
+        Command::Setup(args) => setup::run(&args),
+        #[cfg(feature = "live")]
+        Command::Record(args) => record::run(&args),
+        #[cfg(feature = "live")]
+        Command::Replay(args) => replay::run(&args),
+        #[cfg(feature = "live")]
+        Command::Sound(args) => sound::run(&args),
+        Command::Node(_) | Command::Watch(_) => node::run(),
+        Command::Simulate(args) => simulate::run(&args),
         Command::Mcap(args) => mcap::run(&args),
         Command::Unbag(args) => unbag::run(&args),
-        Command::Simulate(args) => simulate::run(&args),
-        Command::Compare(args) => compare::run(&args),
-        Command::Suite(args) => suite::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Completions(args) => completions::run(&args),
-        #[cfg(feature = "live")]
-        Command::Card(command) => card::run(command),
-        Command::Node(_) | Command::Watch(_) => node::run(),
     }
 }
 
@@ -238,12 +252,12 @@ impl Bar {
 #[cfg(test)]
 mod tests {
     use super::Cli;
-    use clap::CommandFactory;
+    use clap::{Arg, Command, CommandFactory};
 
     #[test]
     fn a_command_says_of_itself_what_the_list_says() {
-        let said = |command: &clap::Command| {
-            let of = |one: &clap::Command| (one.get_name().to_owned(), one.get_about().map(ToString::to_string));
+        let said = |command: &Command| {
+            let of = |one: &Command| (one.get_name().to_owned(), one.get_about().map(ToString::to_string));
             command.get_subcommands().map(of).collect::<Vec<_>>()
         };
         let listed = said(&Cli::command());
@@ -252,5 +266,28 @@ mod tests {
         let own: Vec<_> = said(&command).into_iter().filter(|(name, _)| name != "help").collect();
         assert_eq!(listed, own);
         assert!(own.iter().all(|(_, about)| about.as_ref().is_some_and(|about| !about.is_empty())), "{own:?}");
+    }
+
+    /// Options of a command and of those below it: what has a name behind `--`, and is neither global nor help.
+    fn options(command: &Command) -> usize {
+        let is_own = |arg: &&Arg| {
+            !arg.is_global_set() && arg.get_long().is_some_and(|long| !["help", "version"].contains(&long))
+        };
+        command.get_arguments().filter(is_own).count() + command.get_subcommands().map(options).sum::<usize>()
+    }
+
+    /// A user can hold so many in the hand: commands that are listed, and options of all commands, hidden ones too, each as often as a
+    /// command has it; global ones once. Manual pages are for packages, and MCAP is a feature that is not on.
+    #[test]
+    fn there_are_few_commands_and_options() {
+        let mut cli = Cli::command();
+        cli.build();
+        let listed = cli.get_subcommands().filter(|one| !one.is_hide_set()).count();
+        let counted = cli.get_subcommands().filter(|one| !["help", "manual", "mcap"].contains(&one.get_name()));
+        let counts: Vec<(&str, usize)> = counted.map(|one| (one.get_name(), options(one))).collect();
+        let globals = cli.get_arguments().filter(|arg| arg.is_global_set()).count();
+        let all = globals + counts.iter().map(|(_, count)| count).sum::<usize>();
+        println!("{listed} commands, {all} options: {globals} global, {counts:?}");
+        assert!(listed <= 16 && all <= 160, "{listed} commands, {all} options: {counts:?}");
     }
 }

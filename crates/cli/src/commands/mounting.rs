@@ -6,7 +6,7 @@ use csi5300::motion::rolling::Mount;
 use nalgebra::Vector3;
 
 // Where antenna and camera are on the robot.
-#[derive(clap::Args)]
+#[derive(clap::Args, Clone, Default)]
 pub struct Mounting {
     /// Where the antenna is on the robot, seen from what the trajectory is of: metres forward, left, up; turned with the
     /// heading
@@ -20,6 +20,7 @@ pub struct Mounting {
         value_name = "X,Y,YAW",
         value_parser = mount,
         requires = "antenna_offset",
+        hide_short_help = true,
         allow_negative_numbers = true,
         allow_hyphen_values = true
     )]

@@ -1,6 +1,11 @@
 //! `csi5300 simulate`.
 
-use super::{Outcome, Result, print, print_json};
+mod compare;
+#[cfg(feature = "live")]
+mod serve;
+mod suite;
+
+use super::{Outcome, Result, print, print_json, usage};
 use csi5300_sim::scene::Driver;
 use csi5300_sim::{Injected, Room, Scene, WrittenCapture, write_dataset};
 use std::fmt::Write;
@@ -8,12 +13,16 @@ use std::path::{Path, PathBuf};
 
 // Arguments of `simulate`.
 #[derive(clap::Args)]
+#[command(after_help = "Examples:\n  csi5300 simulate lab-circle --out room\n  \
+                        csi5300 simulate --rx RX.dat --tx TX.dat --trajectory T.csv --channel 108\n  \
+                        csi5300 simulate suite --repetitions 3")]
 pub struct Args {
-    /// The scene, a file or the name of a built-in one: lab-circle, lab-line, paper-circle, paper-line
-    scene: PathBuf,
-    /// Folder for logs, trajectories and truth
-    #[cfg_attr(feature = "live", arg(long, value_name = "DIR", required_unless_present = "serve"))]
-    #[cfg_attr(not(feature = "live"), arg(long, value_name = "DIR", required = true))]
+    /// The scene, a file or the name of a built-in one: lab-circle, lab-line, paper-circle, paper-line; or suite, the experiments of
+    /// Dijkstra et al., each repeated: a table of errors, confidence and phase residual
+    #[arg(required_unless_present_any = ["rx", "bag"])]
+    scene: Option<PathBuf>,
+    /// Folder for logs, trajectories and truth; of a comparison for the fitted scene, the simulated capture and pictures
+    #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Seed instead of the scene's
     #[arg(long)]
@@ -21,15 +30,19 @@ pub struct Args {
     /// Layout of the records instead of the scene's
     #[arg(long, value_enum, value_name = "LAYOUT")]
     layout: Option<Layout>,
-    /// Write into a folder that is not empty
+    /// Write into a folder that is not empty, and over what an earlier run left
     #[arg(long)]
     force: bool,
-    /// JSON Lines: one object a capture written; one object about the room that was served
+    /// JSON Lines: one object a capture written, a figure compared, or an experiment; one about the room that was served
     #[arg(long)]
     json: bool,
     #[cfg(feature = "live")]
     #[command(flatten)]
-    live: super::card::serve::Args,
+    live: serve::Args,
+    #[command(flatten)]
+    recorded: compare::Recorded,
+    #[command(flatten)]
+    which: suite::Which,
 }
 
 /// A layout of records: that of a driver.
@@ -41,9 +54,54 @@ enum Layout {
     Stock,
 }
 
+/// The scene that is the experiments.
+const SUITE: &str = "suite";
+/// Where a comparison and the table of the experiments go, if no --out says it.
+const COMPARED: &str = "csi5300-compare";
+const TABLE: &str = "csi5300-suite.csv";
+
+impl Args {
+    /// True if anything was asked of serving.
+    fn serves(&self) -> bool {
+        #[cfg(feature = "live")]
+        let serves = self.live.serve || self.live.asked();
+        #[cfg(not(feature = "live"))]
+        let serves = false;
+        serves
+    }
+
+    /// Runs what is no scene alone: a comparison or the experiments.
+    fn other(&self) -> Option<Result> {
+        let changed = self.seed.is_some() || self.layout.is_some();
+        let out = |usual: &str| self.out.clone().unwrap_or_else(|| usual.into());
+        let is_suite = self.scene.as_deref().is_some_and(|scene| scene.as_os_str() == SUITE && !scene.exists());
+        if !is_suite && self.which.is_asked() {
+            usage("--repetitions and --only are of the experiments: csi5300 simulate suite");
+        }
+        if (is_suite || self.recorded.is_named()) && (changed || self.serves()) {
+            usage("--seed, --layout, --serve and what goes with it are of a scene that is simulated by itself");
+        }
+        if is_suite && self.recorded.is_named() {
+            usage("a recording is compared with a scene, not with the experiments");
+        }
+        if is_suite {
+            return Some(suite::run(&self.which, &out(TABLE), self.force, self.json));
+        }
+        if !self.recorded.is_named() {
+            return None;
+        }
+        let (with, recorded) = (self.scene.clone(), self.recorded.clone());
+        Some(compare::run(&compare::Args { with, recorded, out: out(COMPARED), force: self.force, json: self.json }))
+    }
+}
+
 /// Simulates a scene and writes what the robots' cards, drivers and loggers would have.
 pub fn run(args: &Args) -> Result {
-    let mut scene = load(&args.scene)?;
+    if let Some(done) = args.other() {
+        return done;
+    }
+    let Some(file) = &args.scene else { usage("a scene is needed") };
+    let mut scene = load(file)?;
     scene.seed = args.seed.unwrap_or(scene.seed);
     scene.driver = match args.layout {
         None => scene.driver,
@@ -52,13 +110,13 @@ pub fn run(args: &Args) -> Result {
     };
     #[cfg(feature = "live")]
     if args.live.serve {
-        return super::card::serve::run(scene, &args.scene, &args.live, args.json);
+        return serve::run(scene, file, &args.live, args.json);
     }
     #[cfg(feature = "live")]
     if args.live.asked() {
-        super::usage("--socket, --robot, --poses and --speed need --serve");
+        usage("--socket, --robot, --poses and --speed need --serve");
     }
-    let out = args.out.as_deref().ok_or("--out names the folder to write into")?;
+    let out = args.out.as_deref().unwrap_or_else(|| usage("--out names the folder to write into"));
     let used = std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some());
     if used && !args.force {
         return Err(format!("{} is not empty: --force writes into it all the same", out.display()));
@@ -76,7 +134,7 @@ pub fn run(args: &Args) -> Result {
 /// configuration is.
 pub fn load(file: &Path) -> std::result::Result<Scene, String> {
     Scene::find(file).map_err(|error| match error.is_of_text() {
-        true => super::usage(&error.of_file(file)),
+        true => usage(&error.of_file(file)),
         false => error.of_file(file),
     })
 }

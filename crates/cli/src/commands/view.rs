@@ -1,8 +1,12 @@
 //! `csi5300 view`: a page in the browser about a log, captures or a running node.
 
-use super::captures::Reading;
+use super::args::{Estimation, antenna, channel};
+use super::captures::{Reading, Which};
+use super::mounting::Mounting;
 use super::{Outcome, Result, print, usage};
+use csi5300::signal::channel::Channel;
 use csi5300_view::{Ends, Server, View};
+use driver_iface::bfee::Antenna;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -11,7 +15,7 @@ use std::sync::Arc;
 #[derive(clap::Args)]
 #[command(
     after_help = "The page is served on this machine only, to browsers that show it from there; nothing is loaded from \
-                        anywhere else. Ctrl-C ends it. `report --interactive` writes the same page as one file.\n\
+                        anywhere else. Ctrl-C ends it. `evaluate --html` writes the same page as one file.\n\
                         Example: csi5300 view captures --open"
 )]
 pub struct Args {
@@ -25,11 +29,15 @@ pub struct Args {
     /// Open the page in the browser
     #[arg(long)]
     open: bool,
-    #[command(flatten)]
-    reading: Reading,
-    /// Captures worked on at a time; 0 is one for each core but one, which is left for who clicks
-    #[arg(long, default_value_t = 0, value_name = "N")]
-    threads: usize,
+    /// Which trajectory of captures to use
+    #[arg(long, value_enum, default_value = "gt")]
+    trajectory: Which,
+    /// WiFi channel instead of the one in groundtruth_positions.json
+    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    channel: Option<Channel>,
+    /// Antenna (RF port) used on both robots: A, B or C
+    #[arg(long, default_value = "A", value_parser = antenna)]
+    antenna: Antenna,
 }
 
 /// How captures are read, for the page.
@@ -40,6 +48,18 @@ pub fn reading(reading: &Reading) -> csi5300_view::Reading {
         .with_camera(reading.camera())
 }
 
+impl Args {
+    fn reading(&self) -> Reading {
+        Reading {
+            trajectory: self.trajectory,
+            mounting: Mounting::default(),
+            channel: self.channel,
+            join_rows: false,
+            estimation: Estimation::with_antenna(self.antenna),
+        }
+    }
+}
+
 /// Serves the page until a signal ends it.
 pub fn run(args: &Args) -> Result {
     // Before there are threads, which inherit it.
@@ -47,14 +67,14 @@ pub fn run(args: &Args) -> Result {
     // Before it is opened: a pipe would be waited for.
     View::check(&args.what).map_err(|error| error.to_string())?;
     super::files::must_be_log(&args.what)?;
-    let view = View::open(&args.what, reading(&args.reading)).map_err(|error| error.to_string())?;
+    let view = View::open(&args.what, reading(&args.reading())).map_err(|error| error.to_string())?;
     view.left_out().iter().for_each(|words| note!("{words}"));
     let view = Arc::new(view);
     let server = Server::listen(args.listen).map_err(|error| error.to_string())?;
     let address = server.address();
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let usual = cores.saturating_sub(1).max(1);
-    view.start(if args.threads == 0 { usual } else { args.threads }).map_err(|error| error.to_string())?;
+    // One core is left for who clicks.
+    view.start(cores.saturating_sub(1).max(1)).map_err(|error| error.to_string())?;
     let shown =
         if address.ip().is_unspecified() { SocketAddr::new([127, 0, 0, 1].into(), address.port()) } else { address };
     let url = format!("http://{shown}/");

@@ -271,7 +271,8 @@ fn programs_sound_each_other_in_a_served_room() {
     // A busy machine is late by milliseconds: slots are long, and answers have time.
     let slow = ["--rate", "50", "--turn-around", "6000", "--guard", "1500", "--no-fifo"];
     let tx_room = of("tx");
-    let respond = [&["respond", "--room", &tx_room, "--peers", "02:00:00:00:00:0a", "--log", tx], &slow[..]].concat();
+    let respond =
+        [&["sound", "--answer", "--room", &tx_room, "--peers", "02:00:00:00:00:0a", "--log", tx], &slow[..]].concat();
     let mut respond = Program::start(&respond);
     respond.until("sending under");
     let rx_room = of("rx");

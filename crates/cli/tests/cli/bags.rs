@@ -50,7 +50,7 @@ fn csi(log: &Path) -> Vec<Vec<u8>> {
         let bfee = Bfee::new_checked(body).unwrap();
         let (wsr, matrix) = (bfee.wsr().unwrap(), Csi::from_bfee(&bfee).unwrap());
         let mut to = Cdr::begin(i64::from(wsr.tv_sec) * 1_000_000 + i64::from(wsr.tv_usec), "");
-        to.text(&wsr.mac.to_string()).put(&wsr.frame_count.to_le_bytes());
+        to.text(&wsr.mac.to_string()).put(&wsr.frame_count.unwrap_or_default().to_le_bytes());
         to.put(&bfee.timestamp_low().to_le_bytes()).put(&bfee.bfee_count().to_le_bytes());
         to.0.extend([matrix.n_rx() as u8, matrix.n_tx() as u8]);
         to.0.extend(bfee.rssi());
@@ -196,7 +196,7 @@ fn compare_reads_a_recording_too() {
     std::fs::write(folder.0.join("run.mcap"), mcap(&topics)).unwrap();
     let capture = root().join("tests/fixtures/small-circle");
     let with = capture.to_str().unwrap();
-    let run = |args: &[&str]| folder.run(&[&["compare", with, "--json", "--out", "pictures"][..], args].concat());
+    let run = |args: &[&str]| folder.run(&[&["simulate", with, "--json", "--out", "pictures"][..], args].concat());
     let (status, expected, errors) = run(&["--rx", &rx, "--tx", &tx, "--trajectory", &path]);
     assert_eq!(status, 0, "{errors}");
     let (status, out, errors) = run(&["--bag", "run.mcap", "--rx", "/a/csi", "--force"]);

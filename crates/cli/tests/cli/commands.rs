@@ -64,11 +64,10 @@ fn explain_says_what_was_computed_and_what_was_not() {
     ] {
         assert!(out.contains(words), "{words}: {out}");
     }
-    let (_, out, _) = folder.bearing(&["--explain", "--json", "--without", "near-field", "--grid", "360x181"]);
+    let (_, out, _) = folder.bearing(&["--explain", "--json", "--grid", "360x181"]);
     let plan = &json(&out)["plan"];
     let step = |name: &str| plan["steps"].as_array().unwrap().iter().find(|s| s["step"] == name).unwrap().clone();
-    assert_eq!(step("spherical waves")["taken"], false);
-    assert!(step("one-way channel")["why"].as_str().unwrap().contains("left out as asked"));
+    assert_eq!(step("spherical waves")["taken"], true);
     assert_eq!(plan["profile"]["directions"], 65_160);
     assert!(plan["search"]["estimate_us"].as_f64().unwrap() > 0.0);
     assert!(json(&folder.bearing(&["--json"]).1)["plan"].is_null());
@@ -93,30 +92,6 @@ fn a_bearing_with_everything_that_was_counted() {
     }
     let (_, text, _) = folder.bearing(&[]);
     assert!(text.contains("114.") && text.contains("600 pairs"), "{text}");
-}
-
-#[test]
-fn stretches_are_carried_on_from_one_to_the_next() {
-    let folder = Folder::new("every");
-    folder.link(&link(600, 2.0));
-    let (status, out, err) = folder.bearing(&["--every", "1.5", "--json"]);
-    assert_eq!(status, 0, "{err}");
-    let lines: Vec<_> = out.lines().map(json).collect();
-    // Five and a half seconds of motion, and the link itself.
-    assert_eq!(lines.len(), 5, "{out}");
-    for (k, stretch) in lines[..4].iter().enumerate() {
-        assert_eq!(stretch["carried"]["stretches"].as_u64(), Some(k as u64 + 1), "{stretch}");
-        assert_eq!(stretch["link"], lines[4]["link"]);
-        let [from, to] = ["from_s", "to_s"].map(|key| stretch[key].as_f64().unwrap());
-        assert!(to - from > 0.9 && to - from < 1.6, "{stretch}");
-    }
-    let carried = &lines[4]["carried"];
-    assert_eq!(*carried, lines[3]["carried"]);
-    let off = carried["azimuth_deg"].as_f64().unwrap() - 2f64.to_degrees();
-    assert!(off.abs() < 2.0 && carried["candidates"][0]["share"].as_f64().unwrap() > 0.6, "{carried}");
-    crate::documented::are_documented(&out);
-    assert!(folder.bearing(&["--every", "3"]).1.contains("; carried 11"));
-    assert_eq!(folder.bearing(&["--every", "0"]).0, 2);
 }
 
 #[test]
@@ -158,13 +133,13 @@ fn recover_keeps_every_intact_record_and_nothing_else() {
     let whole = log.clone();
     log[20].remove(30);
     folder.write("in.dat", &log.concat());
-    let (status, _, err) = folder.run(&["recover", "in.dat", "out.dat"]);
+    let (status, _, err) = folder.run(&["export", "--dat", "in.dat", "out.dat"]);
     assert_eq!(status, 3, "{err}");
     let expected: Vec<u8> = whole.iter().enumerate().filter(|(k, _)| *k != 20).flat_map(|(_, r)| r.clone()).collect();
     assert_eq!(std::fs::read(folder.0.join("out.dat")).unwrap(), expected);
-    let (status, _, err) = folder.run(&["recover", "in.dat", "out.dat"]);
+    let (status, _, err) = folder.run(&["export", "--dat", "in.dat", "out.dat"]);
     assert!(status == 1 && err.contains("--force"), "{err}");
-    let (status, _, err) = folder.run(&["recover", "in.dat", "in.dat", "--force"]);
+    let (status, _, err) = folder.run(&["export", "--dat", "in.dat", "in.dat", "--force"]);
     assert!(status == 1 && err.contains("the input itself"), "{err}");
     assert_eq!(std::fs::read(folder.0.join("in.dat")).unwrap(), log.concat());
 }
@@ -377,7 +352,7 @@ fn a_simulated_capture_is_compared_with_the_scene_it_came_from() {
     let [rx, tx, path] =
         [format!("csi_rx_{stamp}.dat"), format!("csi_tx1_{stamp}.dat"), format!("rx_trajectory_{stamp}_.csv")]
             .map(|name| format!("capture/{name}"));
-    let recorded = ["compare", "--rx", &rx, "--tx", &tx, "--trajectory", &path, "--out", "out", "--force"];
+    let recorded = ["simulate", "--rx", &rx, "--tx", &tx, "--trajectory", &path, "--out", "out", "--force"];
     // With the scene itself, and with the folder that it wrote: nothing differs.
     for with in ["scene.toml", "capture"] {
         let (status, said, error) = folder.run(&[&recorded[..], &[with]].concat());
@@ -405,42 +380,60 @@ fn a_simulated_capture_is_compared_with_the_scene_it_came_from() {
 fn the_suite_writes_a_row_for_each_repetition() {
     let folder = Folder::new("suite");
     let (status, said, error) =
-        folder.run(&["suite", "--only", "circle 10", "--repetitions", "3", "--csv", "rows.csv"]);
+        folder.run(&["simulate", "suite", "--only", "circle 10", "--repetitions", "3", "--out", "rows.csv"]);
     assert_eq!(status, 0, "{said}{error}");
     let rows = std::fs::read_to_string(folder.0.join("rows.csv")).unwrap();
     assert_eq!(rows.lines().count(), 4, "{rows}");
     let page = std::fs::read_to_string(crate::common::root().join("docs/formats.md")).unwrap();
-    let table = page.split("## Tables: `suite --csv`").nth(1).unwrap().split("\n## ").next().unwrap();
+    let table = page.split("## Tables: `simulate suite --out`").nth(1).unwrap().split("\n## ").next().unwrap();
     let described = table.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next());
     let columns: Vec<&str> = rows.lines().next().unwrap().split(',').collect();
     assert_eq!(described.collect::<Vec<_>>(), columns);
     assert!(rows.lines().skip(1).all(|row| row.starts_with("circle 10 cm,")), "{rows}");
-    let (status, _, error) = folder.run(&["suite", "--only", "triangle"]);
+    let (status, _, error) = folder.run(&["simulate", "suite", "--only", "triangle"]);
     assert!(status == 2 && error.contains("line 30 cm"), "{error}");
 }
 
 #[test]
-#[cfg(feature = "plot")]
-fn rooms_are_judged_with_pictures_and_a_link_is_explained() {
-    let folder = Folder::new("rooms");
-    let (status, out, err) = folder.run(&["evaluate", "--rooms", "1", "--out", "pictures"]);
+fn several_links_to_known_places_locate_the_receiver_and_old_names_say_the_new_ones() {
+    let folder = Folder::new("located");
+    let (status, _, err) = folder.run(&["simulate", "lab-circle", "--out", "room"]);
     assert_eq!(status, 0, "{err}");
-    assert!(out.contains("rooms_LOS: 3 links, 0 failed") && out.contains("rooms_NLOS: 3 links, 0 failed"), "{out}");
-    for name in ["errors.png", "refusals.svg"] {
-        assert!(folder.0.join("pictures").join(name).is_file(), "{name}");
+    let (status, out, err) = folder.run(&["bearing", "room"]);
+    assert!(status == 0 && out.contains("truth ") && !out.contains("located from"), "one link is no place: {out}{err}");
+    let (status, moved, err) = folder.run(&["explain", "room"]);
+    assert!(err.contains("`csi5300 explain` is `csi5300 bearing --explain` now"), "{err}");
+    assert_eq!((status, &moved), (0, &folder.run(&["bearing", "--explain", "room"]).1));
+    let (_, all, _) = folder.run(&["help", "--all"]);
+    for words in
+        ["  key ", "  completions ", "  locate       csi5300 bearing\n", "  respond      csi5300 sound --answer\n"]
+    {
+        assert!(all.contains(words), "{words}: {all}");
     }
+    let (_, short, _) = folder.run(&["bearing", "-h"]);
+    assert!(short.lines().count() <= 28, "{short}");
+    for words in ["--channel", "--antenna-offset", "--json", "--verbose"] {
+        assert!(short.contains(words), "{words}: {short}");
+    }
+}
+
+#[test]
+#[cfg(feature = "plot")]
+fn a_link_of_a_capture_is_explained_with_pictures() {
+    let folder = Folder::new("explained");
     capture(&folder, "place", &link(600, 2.0));
-    let (status, out, err) = folder.run(&["explain", "place/tx2", "--out", "link"]);
+    let (status, out, err) = folder.run(&["bearing", "place/tx2", "--explain", "--plot", "link"]);
     assert_eq!(status, 0, "{err}");
-    for part in ["turn-around", "sampling time", "candidates", "paths", "answer"] {
+    for part in ["turn-around", "candidates", "answer", "truth"] {
         assert!(out.contains(part), "{part}: {out}");
     }
     let drawn: Vec<String> = std::fs::read_dir(folder.0.join("link"))
         .unwrap()
         .map(|entry| entry.unwrap().file_name().into_string().unwrap())
         .collect();
-    for part in ["azimuth-elevation.png", "azimuth-range.png", "phase.png"] {
+    for part in ["azimuth-elevation.png", "azimuth-range.png", "phase.png", "map-1.svg"] {
         assert!(drawn.iter().any(|name| name.ends_with(part)), "{part}: {drawn:?}");
     }
-    assert_eq!(folder.run(&["explain", "place/tx9"]).0, 1);
+    assert_eq!(folder.run(&["bearing", "place/tx9"]).0, 1);
+    assert_eq!(folder.run(&["bearing", "place", "--tx", "tx.dat"]).0, 2, "a capture has its logs");
 }

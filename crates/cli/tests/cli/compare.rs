@@ -255,7 +255,7 @@ fn compare_neither_overwrites_what_it_reads_nor_removes_what_is_there() {
     }
     let refused = |more: &[&str]| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_csi5300"));
-        command.current_dir(&folder).args(["compare", "--rx", "rx.dat", "--tx", "tx.dat", "--out", "."]).args(more);
+        command.current_dir(&folder).args(["simulate", "--rx", "rx.dat", "--tx", "tx.dat", "--out", "."]).args(more);
         if !more.contains(&"--channel") {
             command.args(["--channel", "108"]);
         }

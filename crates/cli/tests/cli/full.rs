@@ -27,16 +27,13 @@ fn what_has_no_room_has_no_name_either() {
         assert!(!err.contains("ZipWriter") && err.trim_end().lines().count() == 1, "{output}: {err}");
         assert!(is_empty(), "{output}");
     }
-    for kind in ["png", "svg", "pdf"] {
-        let (status, _, err) = folder.run(&["plot", "rx.dat", "--out", "small", "--format", kind]);
-        assert!(status != 0 && err.contains("No space left") && !err.contains(".part-"), "{kind}: {status} {err}");
-        for there in std::fs::read_dir(&small).unwrap() {
-            // Of two pictures the first may have had room.
-            let path = there.unwrap().path();
-            let name = path.file_name().unwrap().to_string_lossy().into_owned();
-            assert!(["rx-csi", "rx-levels"].iter().any(|stem| name == format!("{stem}.{kind}")), "{name}");
-            assert!(std::fs::metadata(&path).unwrap().len() > 0 && !err.contains(&name), "{name}: {err}");
-            std::fs::remove_file(path).unwrap();
-        }
+    let (status, _, err) = folder.run(&["info", "rx.dat", "--plot", "small"]);
+    assert!(status != 0 && err.contains("No space left") && !err.contains(".part-"), "{status} {err}");
+    for there in std::fs::read_dir(&small).unwrap() {
+        // Of two pictures the first may have had room.
+        let path = there.unwrap().path();
+        let name = path.file_name().unwrap().to_string_lossy().into_owned();
+        assert!(name.starts_with("rx-csi.") || name.starts_with("rx-levels."), "{name}");
+        assert!(std::fs::metadata(&path).unwrap().len() > 0 && !err.contains(&name), "{name}: {err}");
     }
 }

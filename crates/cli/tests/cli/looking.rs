@@ -34,15 +34,14 @@ fn changed(record: &[u8], change: impl FnOnce(&mut Repr)) -> Vec<u8> {
 #[test]
 fn the_demonstration_shows_what_it_is_about_and_overwrites_nothing() {
     let folder = Folder::new("demo");
-    let formats = if cfg!(feature = "plot") { &["--format", "pdf,png"][..] } else { &[] };
-    let (status, out, err) = folder.run(&[&["demo", "--out", "d"], formats].concat());
+    let (status, out, err) = folder.run(&["demo", "--out", "d"]);
     assert_eq!(status, 0, "{err}");
     if cfg!(feature = "plot") {
         for stem in ["standing-phase", "circle-profile", "line-trajectory"] {
-            assert!(out.contains(&format!("  picture d/{stem}.pdf\n")), "{out}");
-            assert!(folder.0.join(format!("d/{stem}.png")).is_file(), "{stem}");
+            assert!(out.contains(&format!("  picture d/{stem}.png\n")), "{out}");
+            assert!(folder.0.join(format!("d/{stem}.svg")).is_file(), "{stem}");
         }
-        assert!(!out.contains(".png") && !folder.0.join("d/circle-profile.svg").exists(), "{out}");
+        assert!(!out.contains(".svg"), "{out}");
     }
     let spread = |name: &str| -> f64 {
         let line = out.lines().find(|line| line.contains(name)).unwrap_or_else(|| panic!("no {name}: {out}"));
@@ -122,7 +121,7 @@ fn a_wsr_log_becomes_one_of_the_stock_layout_with_the_same_csi() {
     folder.link(&link(600, 2.0));
     for name in ["rx", "tx"] {
         let (log, stock) = (format!("{name}.dat"), format!("stock-{name}.dat"));
-        let (status, _, err) = folder.run(&["recover", &log, &stock, "--layout", "stock"]);
+        let (status, _, err) = folder.run(&["export", "--dat", &log, &stock, "--layout", "stock"]);
         assert_eq!(status, 0, "{err}");
     }
     let (_, out, _) = folder.run(&["info", "stock-rx.dat"]);
@@ -150,19 +149,16 @@ fn every_field_of_json_is_in_the_documentation() {
     }
     super::commands::capture(&folder, "tree/A", &link(300, 2.0));
     let commands = [
-        &["explain", "c", "--channel", "108", "--json"][..],
+        &["bearing", "c", "--channel", "108", "--place", "tx=-416,909", "--json"][..],
         &["evaluate", "tree", "--json"],
-        &["evaluate", "tree", "--json", "--ablation"],
-        &["evaluate", "tree", "--json", "--folds", "places"],
-        &["locate", "c", "--channel", "108", "--json"],
-        &["locate", "c", "--channel", "108", "--transmitters", "--json"],
-        &["suite", "--only", "circle 10", "--repetitions", "1", "--json"],
+        &["bearing", "c", "--channel", "108", "--transmitters", "--json"],
+        &["simulate", "suite", "--only", "circle 10", "--repetitions", "1", "--out", "t.csv.suite", "--json"],
         &["demo", "--out", "demo", "--json"],
         &["simulate", "paper-circle", "--out", "room", "--json"],
-        &["recover", "rx.dat", "again.dat", "--json"],
+        &["export", "--dat", "rx.dat", "again.dat", "--json"],
         &["export", "rx.dat", "rx.npz", "--json"],
         #[cfg(feature = "plot")]
-        &["plot", "rx.dat", "--json"],
+        &["info", "rx.dat", "--plot", "p", "--json"],
         &["mcap", "rx.dat", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--out", "m.mcap", "--json"],
         #[cfg(feature = "live")]
         &["doctor", "--root", "c", "--json"],
@@ -185,7 +181,7 @@ fn every_field_of_the_page_is_in_the_documentation() {
     super::commands::capture(&folder, "tree/A", &link(300, 2.0));
     let beside = "capture,tx,displacement,peer_est_deg,peer_err_from_mean_pose_deg\nA/1,tx2,gt,119.0,-1.0\n";
     folder.write("tree/links.csv", beside.as_bytes());
-    let (status, _, err) = folder.run(&["report", "tree", "--interactive", "--out", "page.html"]);
+    let (status, _, err) = folder.run(&["evaluate", "tree", "--html", "page.html"]);
     assert_eq!(status, 0, "{err}");
     let page = std::fs::read_to_string(folder.0.join("page.html")).unwrap();
     let (_, rest) = page.split_once("id=\"answers\">").unwrap();
@@ -198,8 +194,7 @@ fn every_field_of_the_page_is_in_the_documentation() {
         assert!(known.iter().any(|path| described.contains(path)), "docs/formats.md does not name {general}");
         // Sets stand by their names, as in the summary of `evaluate`.
         let by_set = serde_json::json!({ "summary": answer });
-        fields +=
-            crate::documented::are_documented(&if path == "/data/sets" { by_set } else { answer.clone() }.to_string());
+        fields += crate::documented::are_documented(&if path == "/data/sets" { by_set } else { answer.clone() }.to_string());
     }
     assert!(fields > 100, "{fields} fields: {answers}");
 }
@@ -214,7 +209,9 @@ fn commands_end_alike() {
     let (status, _, err) = folder.bearing(&["--profile", "p.csv"]);
     assert!(status == 1 && err.contains("p.csv is there already: --force overwrites it"), "{err}");
     assert_eq!(folder.bearing(&["--profile", "p.csv", "--force"]).0, 0);
-    for command in [&["info", "none.dat"][..], &["export", "none.dat", "x.csv"], &["recover", "none.dat", "x.dat"]] {
+    for command in
+        [&["info", "none.dat"][..], &["export", "none.dat", "x.csv"], &["export", "--dat", "none.dat", "x.dat"]]
+    {
         let (status, _, err) = folder.run(command);
         assert_eq!(status, 1, "{command:?}: {err}");
     }
@@ -234,29 +231,18 @@ fn commands_end_alike() {
 fn a_log_is_drawn_with_what_is_asked_for() {
     let folder = Folder::new("plot");
     folder.link(&link(300, 2.0));
-    let args = ["plot", "rx.dat", "--out", "p", "--antenna", "A", "--size", "800x600", "--dpi", "192"];
-    let (status, _, err) = folder.run(&args);
-    assert_eq!(status, 0, "{err}");
-    for what in ["csi", "levels"] {
-        let png = std::fs::read(folder.0.join(format!("p/rx-{what}.png"))).unwrap();
-        let side = |at: usize| u32::from_be_bytes(png[at..at + 4].try_into().unwrap());
-        assert_eq!((side(16), side(20)), (1600, 1200));
-        let svg = std::fs::read_to_string(folder.0.join(format!("p/rx-{what}.svg"))).unwrap();
-        assert!(svg.contains("width=\"800\"") && !svg.contains("NaN"), "{what}");
-    }
-    let (status, _, err) = folder.run(&args);
-    assert!(status == 1 && err.contains("--force"), "{err}");
-    let (status, _, err) = folder.run(&["plot", "rx.dat", "--mac", "02:00:00:00:00:77", "--out", "q"]);
-    assert!(status == 1 && err.contains("no record that is wanted"), "{err}");
-    assert_eq!(folder.run(&["plot", "rx.dat", "--size", "3"]).0, 2);
-    // Of the formats that are asked for, and of no others.
-    let args = ["plot", "rx.dat", "--out", "paper", "--format", "pdf", "--size", "800x600", "--json"];
+    let args = ["info", "rx.dat", "--plot", "p", "--antenna", "A", "--json"];
     let (status, out, err) = folder.run(&args);
     assert_eq!(status, 0, "{err}");
-    assert_eq!(json(&out)["pictures"].as_array().map(Vec::len), Some(2));
-    let pdf = std::fs::read(folder.0.join("paper/rx-levels.pdf")).unwrap();
-    let has = |words: &str| pdf.windows(words.len()).any(|window| window == words.as_bytes());
-    assert!(pdf.starts_with(b"%PDF-") && has("/MediaBox [0 0 600 450]") && has("/FontFile2") && has("/ToUnicode"));
-    assert!(!folder.0.join("paper/rx-levels.png").exists());
-    assert_eq!(folder.run(&args).0, 1, "they are there already");
+    assert_eq!(json(&out)["pictures"].as_array().map(Vec::len), Some(4));
+    for what in ["csi", "levels"] {
+        assert!(folder.0.join(format!("p/rx-{what}.png")).is_file());
+        let svg = std::fs::read_to_string(folder.0.join(format!("p/rx-{what}.svg"))).unwrap();
+        assert!(svg.contains("width=\"1200\"") && !svg.contains("NaN"), "{what}");
+    }
+    let (status, _, err) = folder.run(&args);
+    assert!(status == 3 && err.contains("--force"), "what is in it was said: {status} {err}");
+    let (status, _, err) = folder.run(&["info", "rx.dat", "--mac", "02:00:00:00:00:77", "--plot", "q"]);
+    assert!(status == 3 && err.contains("no record that is wanted"), "{status} {err}");
+    assert_eq!(folder.run(&["info", "rx.dat", "--from", "1"]).0, 2, "nothing is drawn");
 }

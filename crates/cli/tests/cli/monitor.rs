@@ -327,7 +327,8 @@ fn sound_and_respond_exchange_frames_and_measurements() {
     std::fs::set_permissions(&key, std::os::unix::fs::PermissionsExt::from_mode(0o600)).unwrap();
     let (key, log) = (key.to_str().unwrap(), log.to_str().unwrap());
     let both = ["--json", "--key", key, "--allow-user-sender", "--connector-index"];
-    let one = ["respond", "--interface", "monb", "--mac", "02:00:00:00:00:0b", "--peers", "02:00:00:00:00:0a"];
+    let one =
+        ["sound", "--answer", "--interface", "monb", "--mac", "02:00:00:00:00:0b", "--peers", "02:00:00:00:00:0a"];
     let responder = Robot::start(&[&one[..], &both, &["25"]].concat());
     let (b_in, b_out) = (b.try_clone().unwrap(), b);
     let (a_in, a_out) = (a.try_clone().unwrap(), a);
@@ -404,9 +405,12 @@ fn usage_and_plans_are_refused_with_what_would_do() {
     assert!(status == 1 && said.contains("do not fit") && said.contains("try --rate 4"), "{said}");
     let one = "02:00:00:00:01:00";
     for (args, words) in [
-        (&["respond", "--interface", "mon0", "--peers", one, "--dialect", "wsr"][..], "--ack-len"),
-        (&["respond", "--interface", "mon0", "--peers", one, "--ack-len", "57"], "--dialect wsr"),
-        (&["respond", "--interface", "mon0", "--peers", one, "--dialect", "wsr", "--ack-len", "58"], "two bytes more"),
+        (&["sound", "--answer", "--interface", "mon0", "--peers", one, "--dialect", "wsr"][..], "--ack-len"),
+        (&["sound", "--answer", "--interface", "mon0", "--peers", one, "--ack-len", "57"], "--dialect wsr"),
+        (
+            &["sound", "--answer", "--interface", "mon0", "--peers", one, "--dialect", "wsr", "--ack-len", "58"],
+            "two bytes more",
+        ),
         (&["sound", "--interface", "mon0", "--peers", one, "--trajectory", "t.csv"], "--channel"),
         (
             &["sound", "--interface", "m", "--peers", one, "--dialect", "wsr", "--trajectory", "t", "--channel", "64"],

@@ -96,10 +96,10 @@ fn what_is_recovered_is_a_log_from_which_nothing_more_is_to_be_recovered() {
         let mut bytes = all.concat();
         damage(&mut random, &mut bytes);
         std::fs::write(&log, &bytes).unwrap();
-        let (status, _, said) = folder.run(&["recover", "in.dat", "out.dat", "--force"]);
+        let (status, _, said) = folder.run(&["export", "--dat", "in.dat", "out.dat", "--force"]);
         assert_eq!(status, 3, "case {case}: {said}");
         let found = read(&folder.0.join("out.dat"));
-        let (status, _, said) = folder.run(&["recover", "out.dat", "again.dat", "--force"]);
+        let (status, _, said) = folder.run(&["export", "--dat", "out.dat", "again.dat", "--force"]);
         assert_eq!(status, 0, "case {case}: {said}");
         for (one, other) in [("out.dat", "again.dat"), ("out.datstp", "again.datstp")] {
             let same = std::fs::read(folder.0.join(one)).unwrap() == std::fs::read(folder.0.join(other)).unwrap();
@@ -148,7 +148,7 @@ fn checksums_show_what_the_layout_of_a_log_cannot() {
         [&checks["good"], &checks["wrong"], &checks["missing"]].map(|n| n.as_u64()),
         [Some(48), Some(1), Some(2)]
     );
-    let (status, _, said) = folder.run(&["recover", "in.dat", "out.dat"]);
+    let (status, _, said) = folder.run(&["export", "--dat", "in.dat", "out.dat"]);
     assert_eq!(status, 3, "{said}");
     let times: Vec<i64> = read(&folder.0.join("out.dat")).iter().filter_map(|(_, host_us)| *host_us).collect();
     let left = (0..50).filter(|at| ![20, 30].contains(at)).map(time);
@@ -160,7 +160,7 @@ fn checksums_show_what_the_layout_of_a_log_cannot() {
     assert!(status == 3 && out.contains("it is of another log"), "{out}");
     assert!(said.contains("Nothing of it is checked"), "{said}");
     // Nor does recovering vouch for what was not checked.
-    let (status, _, said) = folder.run(&["recover", "in.dat", "unchecked.dat"]);
+    let (status, _, said) = folder.run(&["export", "--dat", "in.dat", "unchecked.dat"]);
     assert!(status == 3 && said.contains("50 intact records"), "{said}");
     assert!(!side_path(&folder.0.join("unchecked.dat")).exists());
 }
@@ -236,12 +236,12 @@ fn a_link_as_output_stays_one_and_its_side_file_is_that_of_its_log() {
             [&real, &side_path(&real)].into_iter().for_each(|old| std::fs::remove_file(old).unwrap());
             for old in [side_path(&linked), side_path(&real)] {
                 std::fs::write(&old, [7; 160]).unwrap();
-                let (status, _, errors) = folder.run(&["recover", "log.dat", "link.dat"]);
+                let (status, _, errors) = folder.run(&["export", "--dat", "log.dat", "link.dat"]);
                 assert!(status == 1 && errors.contains("stp is there already: --force"), "{errors}");
                 assert!(!real.exists());
             }
         }
-        let args = ["recover", "log.dat", "link.dat", "--force"];
+        let args = ["export", "--dat", "log.dat", "link.dat", "--force"];
         let (status, _, errors) = folder.run(if force { &args } else { &args[..3] });
         assert_eq!(status, 0, "{errors}");
         assert!(linked.is_symlink());
@@ -251,11 +251,11 @@ fn a_link_as_output_stays_one_and_its_side_file_is_that_of_its_log() {
     }
     // A log without times leaves none.
     std::fs::remove_file(folder.0.join("log.datstp")).unwrap();
-    let (status, _, errors) = folder.run(&["recover", "log.dat", "link.dat", "--force"]);
+    let (status, _, errors) = folder.run(&["export", "--dat", "log.dat", "link.dat", "--force"]);
     assert_eq!((status, names(&folder.0.join("real"))), (0, vec!["out.dat".to_owned()]), "{errors}");
     // What is no file has no side file.
     write(&folder.0.join("timed.dat"), &link(20, 0.0).rx, Layout::Narrow);
-    let (status, _, errors) = folder.run(&["recover", "timed.dat", "/dev/null"]);
+    let (status, _, errors) = folder.run(&["export", "--dat", "timed.dat", "/dev/null"]);
     assert!(status == 0 && errors.contains("host times, which stand in a file beside, are not written"), "{errors}");
     assert!(!Path::new("/dev/nullstp").exists());
 }
@@ -295,7 +295,7 @@ fn a_signal_leaves_the_old_output_and_nothing_else() {
     let pid = |child: &std::process::Child| nix::unistd::Pid::from_raw(child.id() as i32);
     for args in [
         &["export", "input", "old.csv", "--force"][..],
-        &["recover", "input", "old.dat", "--force", "--layout", "stock"],
+        &["export", "--dat", "input", "old.dat", "--force", "--layout", "stock"],
     ] {
         for signal in [Signal::SIGINT, Signal::SIGTERM, Signal::SIGHUP] {
             let (mut child, input) = begun(&folder, "exec env --default-signal", args);

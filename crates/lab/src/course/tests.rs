@@ -24,7 +24,7 @@ fn log_of(name: &str, records: &[(Mac, Told)]) -> PathBuf {
     for (k, (mac, (timestamp_low, host_us, frame_count))) in records.iter().enumerate() {
         let mac = *mac;
         let (tv_sec, tv_usec) = ((host_us / 1_000_000) as u32, (host_us % 1_000_000) as u32);
-        let wsr = Some(Wsr { tv_sec, tv_usec, mac, frame_count: *frame_count });
+        let wsr = Some(Wsr { tv_sec, tv_usec, mac, frame_count: Some(*frame_count) });
         let repr =
             Repr { timestamp_low: *timestamp_low, bfee_count: k as u16, rssi: [38, 30, 31], wsr, ..Repr::default() };
         let csi = vec![Iq { i: 40, q: 9 }; repr.samples()];
@@ -54,7 +54,7 @@ fn survey(path: &Path) -> Survey {
 
 const START_US: u64 = 1_700_000_000_000_000;
 
-/// `info`, `plot` and `view` say the same of a log's times; gives what `plot` does.
+/// `info`, its pictures and `view` say the same of a log's times; gives what is drawn.
 fn agreed(path: &Path) -> Course {
     let (survey, index) = (survey(path), LogIndex::read(path).unwrap());
     let course = Course::read(path, &Wanted::default()).unwrap();
@@ -173,4 +173,90 @@ fn numbers_skipped_outside_of_what_is_wanted_are_not_counted_in_it() {
     };
     assert_eq!([None, Some(sender(1)), Some(sender(2))].map(counts), [[15, 1], [8, 1], [7, 0]]);
     std::fs::remove_file(path).unwrap();
+}
+
+fn fixture() -> PathBuf {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/small-circle");
+    let logs = std::fs::read_dir(root).unwrap().flatten().map(|entry| entry.path());
+    logs.filter(|path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with("csi_rx_")))
+        .min()
+        .unwrap()
+}
+
+/// The fixture with some of its bytes taken out, in a file of its own.
+fn without(bytes: std::ops::Range<usize>, name: &str) -> PathBuf {
+    let mut log = std::fs::read(fixture()).unwrap();
+    log.drain(bytes);
+    let path = std::env::temp_dir().join(format!("csi5300-index-{name}-{}.dat", std::process::id()));
+    std::fs::write(&path, log).unwrap();
+    path
+}
+
+#[test]
+fn every_record_is_in_one_column_of_one_stretch() {
+    let index = LogIndex::read(&fixture()).unwrap();
+    let (from_s, to_s) = index.span_s();
+    let whole = index.stretch(from_s, to_s, 50, None);
+    assert_eq!(whole.records as u64, index.survey().bfees());
+    let width_s = (to_s - from_s) / whole.rate_hz.len() as f64;
+    let counted: f64 = whole.rate_hz.iter().map(|rate| rate * width_s).sum();
+    assert!((counted - whole.records as f64).abs() < 0.1, "{counted}");
+    let middle_s = 0.5 * (from_s + to_s) + 1e-7;
+    let parts = [(from_s, middle_s), (middle_s, to_s)].map(|(a, b)| index.stretch(a, b, 50, None).records);
+    assert_eq!(parts[0] + parts[1], whole.records);
+    let band = &whole.rssi[0];
+    let survey = index.survey().rssi[0];
+    assert_eq!(band.min.iter().flatten().min().map(|rssi| i32::from(*rssi)), Some(survey.min));
+    assert_eq!(band.max.iter().flatten().max().map(|rssi| i32::from(*rssi)), Some(survey.max));
+    for ((low, mean), high) in band.min.iter().zip(&band.mean).zip(&band.max) {
+        let (Some(low), Some(mean), Some(high)) = (low, mean, high) else { continue };
+        assert!(f64::from(*low) <= *mean && *mean <= f64::from(*high));
+    }
+}
+
+#[test]
+fn csi_kept_and_csi_read_again_are_the_same() {
+    let index = LogIndex::read(&fixture()).unwrap();
+    let (from_s, to_s) = index.span_s();
+    let [sender] = index.senders() else { panic!("{:?}", index.senders()) };
+    let kept = index.csi(from_s, to_s, 1, None).unwrap();
+    let again = index.csi(from_s, to_s, 1, Some(*sender)).unwrap();
+    assert_eq!((kept.records, kept.every, kept.antennas.len()), (again.records, again.every, again.antennas.len()));
+    for (a, b) in kept.antennas.iter().zip(&again.antennas) {
+        let amplitudes = a.amplitude_db.iter().zip(&b.amplitude_db);
+        assert!(amplitudes.clone().count() == 30 && amplitudes.clone().all(|(a, b)| (a - b).abs() < 1e-9));
+        assert!(a.phase_rad.iter().zip(&b.phase_rad).all(|(a, b)| (a - b).abs() < 1e-4));
+    }
+    // A short stretch is read again whoever sent it, a column for two records at most.
+    let near = index.csi(from_s, from_s + 0.05, 500, None).unwrap();
+    assert!(near.records > 2 && near.columns == near.records.div_ceil(2) && near.every == 1, "{near:?}");
+    let own = &near.antennas[0].line_db;
+    assert!(own.len() > near.columns / 2, "{own:?}");
+}
+
+#[test]
+fn what_is_missing_stands_where_it_is_missing() {
+    let whole = LogIndex::read(&fixture()).unwrap();
+    let at = |k: usize| whole.offset[k] as usize;
+    // Three records, and later a piece of one.
+    let gone = without(at(100)..at(103), "gone");
+    let index = LogIndex::read(&gone).unwrap();
+    let (from_s, to_s) = index.span_s();
+    let stretch = index.stretch(from_s, to_s, 1_000, None);
+    assert_eq!(stretch.columns, stretch.records.div_ceil(2));
+    let column = |row: usize| bin(whole.t_s(row), (from_s, to_s), stretch.columns);
+    assert_eq!(stretch.missing, [(column(103), 3)]);
+    assert!(stretch.damaged.is_empty());
+
+    let torn = without(at(200) + 40..at(200) + 90, "torn");
+    let index = LogIndex::read(&torn).unwrap();
+    let stretch = index.stretch(0.0, f64::INFINITY, 100, None);
+    assert_eq!(stretch.damaged.iter().map(|(_, count)| count).sum::<u64>(), index.survey().damages);
+    assert!(!stretch.damaged.is_empty());
+    // Behind the damage each row still finds its record.
+    let (later_s, end_s) = (index.t_s(210), index.span_s().1);
+    let sender = index.senders()[0];
+    let behind = index.csi(later_s, end_s, 10, Some(sender)).unwrap();
+    assert!(behind.antennas[0].amplitude_db.iter().all(|db| db.is_finite()), "{behind:?}");
+    [gone, torn].iter().for_each(|path| std::fs::remove_file(path).unwrap());
 }

@@ -1,6 +1,6 @@
 //! Captures below a folder: their logs, and which of their trajectories is read.
 
-use csi5300::internal::{camera_heading_rad, rolling_camera_heading_rad, unmounted_heading_rad, wheels_heading_rad};
+use csi5300::internal::heading;
 use csi5300::motion::rolling::Mount;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -29,10 +29,10 @@ impl TrajectorySource {
     #[must_use]
     pub fn heading_sd_rad(self) -> f64 {
         match self {
-            Self::GroundTruth => 0.0,
-            Self::T265 => camera_heading_rad(),
-            Self::RollingT265 => rolling_camera_heading_rad(),
-            Self::Odometry => wheels_heading_rad(),
+            Self::GroundTruth => heading::MOTION_CAPTURE_RAD,
+            Self::T265 => heading::CAMERA_RAD,
+            Self::RollingT265 => heading::ROLLING_CAMERA_RAD,
+            Self::Odometry => heading::WHEELS_RAD,
         }
     }
 
@@ -90,7 +90,7 @@ impl Capture {
     #[must_use]
     pub fn heading_sd_rad(&self, source: TrajectorySource) -> f64 {
         match source {
-            TrajectorySource::Odometry if self.antenna_offset_m.is_none() => unmounted_heading_rad(),
+            TrajectorySource::Odometry if self.antenna_offset_m.is_none() => heading::UNMOUNTED_RAD,
             _ => source.heading_sd_rad(),
         }
     }

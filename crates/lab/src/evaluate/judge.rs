@@ -178,11 +178,6 @@ impl Capture {
         Ok(Evaluated { rows, lost: rows_lost || lost_something(&report), notes })
     }
 
-    /// True if the capture has this trajectory.
-    pub(crate) fn has(&self, source: TrajectorySource) -> bool {
-        self.trajectory_of(source, "rx").is_file()
-    }
-
     /// The trajectories of the transmitters that moved: from `source`, or from motion capture where the capture has no other.
     fn moved(
         &self,

@@ -3,7 +3,7 @@
 use super::Judged;
 use super::sure::{Kept, Sure, WRONG_DEG, surest};
 use csi5300::maths::{median, wrap_rad};
-use csi5300::pipeline::{Answer, PathAnswer};
+use csi5300::pipeline::{Answer, CandidateAnswer};
 use csi5300::place::locate::{Elevation, LocateError, Located, Sighting, locate};
 use nalgebra::Vector2;
 use serde::Serialize;
@@ -213,15 +213,13 @@ fn wrap_deg(angle: f64) -> f64 {
 
 /// The candidates beside the answer and its mirror, radians, each with its evidence over that of the answer's own.
 fn others(answer: &Answer) -> Vec<(f64, f64)> {
-    let off = |candidate: &PathAnswer, azimuth_deg: f64| wrap_deg(candidate.azimuth_deg - azimuth_deg).abs();
+    let off = |candidate: &CandidateAnswer, azimuth_deg: f64| wrap_deg(candidate.azimuth_deg - azimuth_deg).abs();
     let Some(azimuth_deg) = answer.azimuth_deg else { return Vec::new() };
     let nearest = answer.candidates.iter().min_by(|a, b| off(a, azimuth_deg).total_cmp(&off(b, azimuth_deg)));
-    let Some((own, share)) = nearest.and_then(|own| Some((own, own.share.filter(|share| *share > 0.0)?))) else {
-        return Vec::new();
-    };
-    let is_mirror = |other: &PathAnswer| answer.mirror_deg.is_some_and(|mirror| off(other, mirror) < WRONG_DEG);
+    let Some(own) = nearest.filter(|own| own.share > 0.0) else { return Vec::new() };
+    let is_mirror = |other: &CandidateAnswer| answer.mirror_deg.is_some_and(|mirror| off(other, mirror) < WRONG_DEG);
     let beside = answer.candidates.iter().filter(|other| !std::ptr::eq(*other, own) && !is_mirror(other));
-    beside.filter_map(|other| Some((other.azimuth_deg.to_radians(), other.share? / share))).collect()
+    beside.map(|other| (other.azimuth_deg.to_radians(), other.share / own.share)).collect()
 }
 
 /// Standard deviation of a normal error that is within five degrees with probability `sure`: the error function is
@@ -320,7 +318,7 @@ mod tests {
             row
         };
         let candidate =
-            |azimuth_deg: f64, share: f64| PathAnswer { azimuth_deg, share: Some(share), ..PathAnswer::default() };
+            |azimuth_deg: f64, share: f64| CandidateAnswer { azimuth_deg, share, ..CandidateAnswer::default() };
         let mut rows = [seen("tx2", [4.0, 2.5], 0.5), seen("tx3", [1.5, -3.0], 60.0), seen("tx4", [-2.0, 4.0], -0.5)];
         let truth = rows[1].true_from_mean_pose_deg.unwrap();
         // 360 degrees away is the same candidate; an answer that is none of them names none.

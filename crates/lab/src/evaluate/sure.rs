@@ -7,7 +7,7 @@ use serde::Serialize;
 /// Bearings further off than this are wrong, degrees: what a probability is of.
 pub const WRONG_DEG: f64 = 5.0;
 /// Edges of the bins of like probability, those of the expected calibration error.
-pub(crate) const BINS: [f64; 6] = [0.0, 0.2, 0.4, 0.6, 0.8, 1.000_001];
+const BINS: [f64; 6] = [0.0, 0.2, 0.4, 0.6, 0.8, 1.000_001];
 
 /// A bearing's probability of being within five degrees, and its error.
 #[derive(Clone, Copy, Debug, PartialEq)]

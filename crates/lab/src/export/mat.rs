@@ -3,8 +3,8 @@
 //! Source: MathWorks, "MAT-File Format", level 5: a header of 128 bytes, then tagged elements, each padded to 8 bytes. Arrays
 //! are stored with the first index fastest.
 
-use super::blocks::emit;
-use super::error::ExportError;
+use super::ExportError;
+use super::npz::emit;
 use bytemuck::Pod;
 use std::fs::File;
 use std::io::{self, BufWriter, Write};

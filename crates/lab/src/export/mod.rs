@@ -2,27 +2,22 @@
 //! Polars, pandas, Spark). The log was read once, into a [`table`](crate::table), whatever is written; or only its columns were,
 //! and the CSI is read while it is written.
 
-mod blocks;
-mod error;
-mod fields;
-mod log_reader;
 mod mat;
 pub mod npz;
 #[cfg(feature = "parquet")]
 mod parquet;
 #[cfg(test)]
 mod tests;
-mod walk;
 
-pub use error::ExportError;
-
-use crate::table::{Arena, Columns, Form, NO_ANTENNA, Order};
+use crate::table::{Arena, Columns, Decoder, Form, LogReader, NO_ANTENNA, NO_TIME, Order, Rows, decode_in};
 use csi5300::signal::channel::{INDICES_20_MHZ, INDICES_40_MHZ, SUBCARRIERS};
-use driver_iface::bfee::{Antenna, rate};
+use csi5300::signal::csi::{scale_factor, total_rss_dbm};
+use driver_iface::bfee::{Antenna, Bfee, rate};
+use mat::{Mat, Number};
+use npz::{Element, Npz};
 use num_complex::Complex32;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
-use walk::{Figures, Walk};
 
 /// What is written, for errors and help.
 #[cfg(feature = "parquet")]
@@ -157,20 +152,20 @@ impl<'a> Export<'a> {
         let (n, ports, streams) = (self.len() as u64, self.antennas.len(), self.streams);
         let shape = [n, SUBCARRIERS as u64, ports as u64, streams as u64];
         let mut walk = Walk::new(self, Order::SubcarriersFirst)?;
-        let bytes = shape.iter().product::<u64>() * size_of::<Complex32>() as u64 + n * fields::BYTES;
-        let mut npz = npz::Npz::create_for(path, bytes)?;
+        let bytes = shape.iter().product::<u64>() * size_of::<Complex32>() as u64 + n * BYTES;
+        let mut npz = Npz::create_for(path, bytes)?;
         let written = npz.blocks("csi", &shape, |piece| walk.next(piece));
         // Why there were too few values, if there were.
         let figures = walk.finish()?;
         written?;
-        fields::write(self, &figures, &mut npz)?;
+        write_fields(self, &figures, &mut npz)?;
         npz.finish()?;
         Ok(figures)
     }
 
     /// `csi` is (subcarrier, stream, antenna, record), in MATLAB's order of indices.
     fn mat(&self, path: &Path) -> Result<Figures, ExportError> {
-        let mut mat = mat::Mat::create(path)?;
+        let mut mat = Mat::create(path)?;
         let (n, ports) = (self.len() as u64, self.antennas.len() as u64);
         let dims = [SUBCARRIERS as u64, self.streams as u64, ports, n];
         let order = Order::SubcarriersLast;
@@ -184,9 +179,14 @@ impl<'a> Export<'a> {
         let figures = first.finish()?;
         second.finish()?;
         written?;
-        fields::write(self, &figures, &mut mat)?;
+        write_fields(self, &figures, &mut mat)?;
         mat.finish()?;
         Ok(figures)
+    }
+
+    /// Why a log cannot be read again.
+    fn gone(&self, path: &Path, source: std::io::Error) -> ExportError {
+        ExportError::Log { file: path.display().to_string(), source }
     }
 
     /// The antenna of each chain of a record is known.
@@ -202,4 +202,298 @@ fn vectors(walk: &mut Walk<'_>) -> impl Iterator<Item = Vec<Complex32>> {
         walk.next(&mut piece);
         (!piece.is_empty()).then_some(piece)
     })
+}
+
+// The way through the records of an export: once, piece by piece, each decoded into memory that the caller has.
+
+/// Records decoded at a time on all cores.
+const PIECE: usize = 4_096;
+/// Bytes of CSI of a log decoded at a time: they stay in the second-level cache until they are written, and are many for one call of
+/// the kernel.
+const LOG_PIECE: usize = 512 * 1024;
+
+/// What is computed of each record, in the order of the records; not a number where it has none.
+#[derive(Clone, Debug, Default)]
+struct Figures {
+    /// Received power, dBm.
+    pub rss_dbm: Vec<f64>,
+    /// Factor from the card's integers to sqrt(SNR).
+    pub scale: Vec<f64>,
+}
+
+impl Figures {
+    fn with_room(records: usize) -> Self {
+        Self { rss_dbm: Vec::with_capacity(records), scale: Vec::with_capacity(records) }
+    }
+
+    /// Adds a record's; `scale` is its factor, where it has one.
+    fn push(&mut self, bfee: Option<&Bfee<'_>>, scale: Option<f64>) {
+        self.rss_dbm.push(bfee.and_then(|bfee| total_rss_dbm(bfee).ok()).unwrap_or(f64::NAN));
+        self.scale.push(scale.unwrap_or(f64::NAN));
+    }
+
+    /// Records without a scale.
+    pub fn unscaled(&self) -> u64 {
+        self.scale.iter().filter(|scale| scale.is_nan()).count() as u64
+    }
+}
+
+/// A walk through all records of an export.
+struct Walk<'a> {
+    export: &'a Export<'a>,
+    order: Order,
+    rows: Rows,
+    log: Option<(LogReader, Decoder)>,
+    done: usize,
+    figures: Figures,
+    failure: Option<ExportError>,
+}
+
+impl<'a> Walk<'a> {
+    /// Before the first record; CSI in this order.
+    ///
+    /// # Errors
+    /// If the records are in a log that cannot be opened.
+    pub fn new(export: &'a Export<'a>, order: Order) -> Result<Self, ExportError> {
+        let rows = Rows::new(&export.antennas, export.streams);
+        let log = match &export.source {
+            Source::Arena { .. } => None,
+            Source::Log(path) => Some((
+                LogReader::open(path).map_err(|source| export.gone(path, source))?,
+                Decoder::new(order, rows.clone(), export.form),
+            )),
+        };
+        let figures = Figures::with_room(export.len());
+        Ok(Self { export, order, rows, log, done: 0, figures, failure: None })
+    }
+
+    /// Puts the CSI of the next records, one after the other, in the place of what is in the vector: nothing
+    /// behind the last record, once the export was stopped, and when the log cannot be read further ([`Walk::finish`] says so).
+    pub fn next(&mut self, csi: &mut Vec<Complex32>) {
+        let log_piece = (LOG_PIECE / (size_of::<Complex32>() * self.rows.len().max(1))).max(1);
+        let size = if self.log.is_some() { log_piece } else { PIECE };
+        let from = self.done;
+        let wanted = if self.failure.is_some() || self.export.is_stopped() { 0 } else { size };
+        self.done = (from + wanted).min(self.export.len());
+        csi.resize((self.done - from) * self.rows.len(), Complex32::default());
+        match &self.export.source {
+            Source::Arena { arena, records } => {
+                let records = records.get(from..self.done).unwrap_or_default();
+                decode_in(self.order, arena, records, &self.rows, self.export.form, csi);
+                for bfee in records.iter().map(|record| arena.bfee(*record)) {
+                    self.figures.push(bfee.as_ref(), bfee.and_then(|bfee| scale_factor(&bfee).ok()));
+                }
+            }
+            Source::Log(path) => {
+                if let Err(failure) = self.read(path, from, csi) {
+                    self.failure = Some(failure);
+                    csi.clear();
+                }
+            }
+        }
+    }
+
+    /// Reads and decodes the records from the one numbered `from` to those that are done.
+    fn read(&mut self, path: &Path, from: usize, csi: &mut [Complex32]) -> Result<(), ExportError> {
+        let Some((log, decoder)) = &mut self.log else { return Ok(()) };
+        let offsets = self.export.columns.offset.get(from..self.done).unwrap_or_default();
+        for (offset, out) in offsets.iter().zip(csi.chunks_exact_mut(self.rows.len().max(1))) {
+            let bfee = log.bfee(*offset).map_err(|source| self.export.gone(path, source))?;
+            let changed = || ExportError::Changed {
+                file: path.display().to_string(),
+                offset: u64::try_from(*offset).unwrap_or(u64::MAX),
+            };
+            let bfee = bfee.ok_or_else(changed)?;
+            let scale = decoder.decode(&bfee, out);
+            self.figures.push(Some(&bfee), scale);
+        }
+        Ok(())
+    }
+
+    /// The figures of the records so far.
+    #[cfg(feature = "parquet")]
+    pub fn figures(&self) -> &Figures {
+        &self.figures
+    }
+
+    /// The figures of all records.
+    ///
+    /// # Errors
+    /// If the log could not be read to its end, or was changed after its columns were read.
+    pub fn finish(self) -> Result<Figures, ExportError> {
+        self.failure.map_or(Ok(self.figures), Err)
+    }
+}
+
+// The fields of records beside their CSI, as arrays of their own types.
+
+/// A file that takes arrays of `count` times `width` values, the values of one record beside each other.
+trait Target {
+    /// Adds an array.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    fn put<T: Element + Number>(
+        &mut self,
+        name: &str,
+        count: u64,
+        width: u64,
+        values: impl Iterator<Item = T>,
+    ) -> Result<(), ExportError>;
+}
+
+impl Target for Npz {
+    fn put<T: Element + Number>(
+        &mut self,
+        name: &str,
+        count: u64,
+        width: u64,
+        values: impl Iterator<Item = T>,
+    ) -> Result<(), ExportError> {
+        let shape = if width == 1 { vec![count] } else { vec![count, width] };
+        self.array(name, &shape, values)
+    }
+}
+
+impl Target for Mat {
+    /// With the records last, as the order of MATLAB's indices has them.
+    fn put<T: Element + Number>(
+        &mut self,
+        name: &str,
+        count: u64,
+        width: u64,
+        values: impl Iterator<Item = T>,
+    ) -> Result<(), ExportError> {
+        self.array(name, &[width, count], values)
+    }
+}
+
+/// Bytes that [`write`] writes of each record.
+const BYTES: u64 = 79;
+
+/// Writes all fields.
+fn write_fields(export: &Export<'_>, figures: &Figures, file: &mut impl Target) -> Result<(), ExportError> {
+    let (n, columns) = (export.len() as u64, export.columns);
+    let host = columns.host_us.iter().map(|us| if *us == NO_TIME { -1 } else { *us });
+    let rssi = |port: usize| columns.rssi.iter().skip(port).step_by(3).copied();
+    file.put("record", n, 1, 0..n as i64)?;
+    file.put("time_us", n, 1, columns.time_us.iter().copied())?;
+    file.put("timestamp_low", n, 1, columns.timestamp_low.iter().copied())?;
+    file.put("bfee_count", n, 1, columns.bfee_count.iter().copied())?;
+    file.put("host_us", n, 1, host)?;
+    file.put("frame_count", n, 1, columns.frame.iter().copied())?;
+    file.put("n_rx", n, 1, columns.n_rx.iter().copied())?;
+    file.put("n_tx", n, 1, columns.n_tx.iter().copied())?;
+    for (port, name) in ["rssi_a", "rssi_b", "rssi_c"].into_iter().enumerate() {
+        file.put(name, n, 1, rssi(port))?;
+    }
+    file.put("noise_dbm", n, 1, columns.noise_dbm.iter().copied())?;
+    file.put("agc", n, 1, columns.agc.iter().copied())?;
+    file.put("antenna_sel", n, 1, columns.antenna_sel.iter().copied())?;
+    file.put("rate_n_flags", n, 1, columns.rate.iter().copied())?;
+    file.put("antennas_known", n, 1, export.antennas_known().map(u8::from))?;
+    file.put("total_rss_dbm", n, 1, figures.rss_dbm.iter().copied())?;
+    file.put("scale", n, 1, figures.scale.iter().copied())?;
+    file.put("offset", n, 1, columns.offset.iter().copied())?;
+    file.put("mac", n, 6, columns.mac.iter().copied())?;
+    if let Some(subcarriers) = export.subcarriers() {
+        file.put("subcarriers", subcarriers.len() as u64, 1, subcarriers.into_iter())?;
+    }
+    let ports = export.antennas.iter().map(|antenna| antenna.index() as u8);
+    file.put("antennas", export.antennas.len() as u64, 1, ports)?;
+    file.put("scaled", 1, 1, [u8::from(export.form.scaled)].into_iter())
+}
+
+/// Why a file was not written.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ExportError {
+    /// The operating system said no.
+    #[error("cannot write {file}: {source}")]
+    Io {
+        /// The file.
+        file: String,
+        /// Its answer.
+        source: std::io::Error,
+    },
+    /// The log cannot be read again.
+    #[error("cannot read {file} again: {source}")]
+    Log {
+        /// The log.
+        file: String,
+        /// The operating system's answer.
+        source: std::io::Error,
+    },
+    /// A record of the log is not where it was when the log was read first.
+    #[error("{file} was changed while it was exported: the record at byte {offset} is gone; export a copy of it")]
+    Changed {
+        /// The log.
+        file: String,
+        /// Where the record was, bytes.
+        offset: u64,
+    },
+    /// The library that writes the format refused.
+    #[error("writing {file}: {source}")]
+    Format {
+        /// The file.
+        file: String,
+        /// Its answer.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
+    /// An array has another number of values than its shape.
+    #[error("{array} in {file}: {got} values for {expect} places")]
+    Values {
+        /// The file.
+        file: String,
+        /// The array.
+        array: String,
+        /// Values.
+        got: u64,
+        /// Places.
+        expect: u64,
+    },
+    /// An array is longer than the format holds.
+    #[error(
+        "{array} in {file} takes {bytes} bytes, and arrays of this format 2^31 at most: export a part, or as .npz or .parquet"
+    )]
+    TooLong {
+        /// The file.
+        file: String,
+        /// The array.
+        array: String,
+        /// Bytes that it takes.
+        bytes: u64,
+    },
+    /// Who asked for the file wants it no more.
+    #[error("{file} was not written to its end: that was stopped")]
+    Stopped {
+        /// The file.
+        file: String,
+    },
+    /// No format has this extension.
+    #[error("{file}: CSI is exported as {known}")]
+    Extension {
+        /// The file.
+        file: String,
+        /// What is written.
+        known: &'static str,
+    },
+}
+
+impl ExportError {
+    /// The same of a file that will have another name: who writes a draft names the file that it becomes.
+    #[must_use]
+    pub fn of_file(mut self, name: &std::path::Path) -> Self {
+        match &mut self {
+            Self::Io { file, .. }
+            | Self::Format { file, .. }
+            | Self::Values { file, .. }
+            | Self::TooLong { file, .. }
+            | Self::Stopped { file }
+            | Self::Extension { file, .. } => *file = name.display().to_string(),
+            // Of the log that is read.
+            Self::Log { .. } | Self::Changed { .. } => {}
+        }
+        self
+    }
 }

@@ -1,7 +1,6 @@
 //! Parquet: a row a record, CSI as fixed-size lists, units in the schema's metadata.
 
-use super::walk::{Figures, Walk};
-use super::{Export, ExportError};
+use super::{Export, ExportError, Figures, Walk};
 use crate::table::{NO_TIME, Order};
 use arrow_array::types::{ArrowPrimitiveType, Float32Type, Int8Type, Int64Type, UInt8Type, UInt16Type, UInt32Type};
 use arrow_array::{

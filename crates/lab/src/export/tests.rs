@@ -122,7 +122,7 @@ fn an_archive_is_its_records_and_headers() {
     let columns = columns(&log.0, Filter::default());
     let out = Temporary::new("whole.npz");
     Export::of_log(&log.0, &columns, Form::default()).write(&out.0).unwrap();
-    let records = columns.len() as u64 * (3 * 30 * 8 + super::fields::BYTES);
+    let records = columns.len() as u64 * (3 * 30 * 8 + super::BYTES);
     let headers = std::fs::metadata(&out.0).unwrap().len() - records;
     // 22 or 23 arrays, each with an NPY header of 128 bytes and its name and sizes in the archive, twice.
     assert!((22 * 200..23 * 500).contains(&headers), "{headers}");

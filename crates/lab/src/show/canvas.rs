@@ -1,7 +1,7 @@
-//! Lines, text, legends and marks on kuva's scene, which is written as PNG, SVG or PDF. Pixels, y down.
+//! Lines, text, legends and marks on kuva's scene, which is written as PNG and SVG. Pixels, y down.
 use super::Error;
 use super::axes::Axes;
-use super::format::{Format, Kind, write_whole};
+use super::format::{Format, write_whole};
 use kuva::RasterBackend;
 use kuva::backend::svg::SvgBackend;
 use kuva::render::color::Color;
@@ -246,20 +246,11 @@ impl Canvas {
             std::fs::create_dir_all(folder).map_err(fail(folder))?;
         }
         let files = format.files(stem);
-        for (kind, path) in format.kinds.iter().zip(&files) {
-            let bytes = match kind {
-                Kind::Png => {
-                    let scale = (format.dpi / 96.0) as f32;
-                    RasterBackend::new().with_scale(scale).render_scene(&self.0).map_err(Error::Drawing)?
-                }
-                Kind::Svg => SvgBackend::new().render_scene(&self.0).into_bytes(),
-                Kind::Pdf => {
-                    let title = stem.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
-                    super::pdf::render(&self.0, &title)?
-                }
-            };
+        let png = RasterBackend::new().render_scene(&self.0).map_err(Error::Drawing)?;
+        let svg = SvgBackend::new().render_scene(&self.0).into_bytes();
+        for (path, bytes) in files.iter().zip([png, svg]) {
             write_whole(path, |file| file.write_all(&bytes)).map_err(fail(path))?;
         }
-        Ok(files)
+        Ok(files.to_vec())
     }
 }

@@ -1,6 +1,6 @@
 //! The pictures of a link: phase, trajectory with the bearing on it, polar profile, maps of places.
 
-use super::{Error, Format, PhasePlot, PhaseTrack, PlaceMap, ProfilePlot, TrajectoryPlot, file_safe};
+use super::{Error, Format, PhasePlot, PhaseTrack, ProfilePlot, TrajectoryPlot, file_safe};
 use crate::curves::{Curve, evidence, plane_wave, without_motion};
 use crate::evaluate::{Judged, TrajectorySource};
 use csi5300::bartlett;
@@ -16,12 +16,6 @@ pub struct LinkPictures<'a> {
     pub truth_rad: Option<f64>,
     /// True place of the transmitter in the trajectory's frame, where known, metres.
     pub transmitter_m: Option<[f64; 2]>,
-    /// A recorded link whose phase is drawn beside.
-    pub recorded: Option<&'a Bearing>,
-    /// Every how manieth pair's phase is drawn.
-    pub every: usize,
-    /// Points of the path, and places at which CSI was used, that are drawn at most; 0 is all.
-    pub places: usize,
 }
 
 impl<'a> LinkPictures<'a> {
@@ -31,80 +25,47 @@ impl<'a> LinkPictures<'a> {
     pub fn of(row: &Judged, bearing: &'a Bearing, source: TrajectorySource) -> Self {
         let transmitter_m = row.true_transmitter_m.filter(|_| source == TrajectorySource::GroundTruth);
         let truth_rad = row.true_from_mean_pose_deg.map(f64::to_radians);
-        Self { bearing, truth_rad, transmitter_m, recorded: None, every: 1, places: 0 }
+        Self { bearing, truth_rad, transmitter_m }
     }
 
-    /// What the pictures of [`Self::write`] are called, without their endings.
+    /// What the pictures of a link are called, without their endings.
     #[must_use]
     pub fn stems(folder: &Path, name: &str) -> [PathBuf; 3] {
         ["phase", "trajectory", "profile"].map(|what| stem(folder, name, what))
     }
 
-    /// What the pictures of [`Self::write_all`] are called, without their endings.
-    #[must_use]
-    pub fn all_stems(folder: &Path, name: &str) -> [PathBuf; 5] {
-        let [phase, trajectory, profile] = Self::stems(folder, name);
-        let [elevation, range] = MAPS.map(|what| stem(folder, name, what));
-        [phase, trajectory, profile, elevation, range]
-    }
-
-    /// Writes `NAME-phase`, `NAME-trajectory` and `NAME-profile` into a folder; none of them if one may not be replaced.
+    /// Writes `NAME-trajectory` and `NAME-profile` into a folder, and `NAME-phase` where the course was kept; none of them if one may not
+    /// be replaced.
     ///
     /// # Errors
     /// If a picture cannot be drawn or written.
     pub fn write(&self, folder: &Path, name: &str, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let named = |source| Error::Folder { folder: folder.display().to_string(), source };
         std::fs::create_dir_all(folder).map_err(named)?;
-        let [phase, trajectory, profile] = Self::stems(folder, name);
-        format.check(&[phase.clone(), trajectory.clone(), profile.clone()])?;
+        format.check(&Self::stems(folder, name))?;
         let mut written = Vec::new();
         if !self.bearing.course.is_empty() {
-            written.extend(self.phase(name).write(&phase, format)?);
+            written.extend(self.phase(name).write(&stem(folder, name, "phase"), format)?);
         }
-        written.extend(self.trajectory(name).write(&trajectory, format)?);
-        written.extend(self.profile(name)?.write(&profile, format)?);
+        written.extend(self.trajectory(name).write(&stem(folder, name, "trajectory"), format)?);
+        written.extend(self.profile(name)?.write(&stem(folder, name, "profile"), format)?);
         Ok(written)
-    }
-
-    /// The same, and `NAME-azimuth-elevation` and `NAME-azimuth-range` where maps were asked for.
-    ///
-    /// # Errors
-    /// If a picture cannot be drawn or written.
-    pub fn write_all(&self, folder: &Path, name: &str, format: &Format) -> Result<Vec<PathBuf>, Error> {
-        let maps = places(self.bearing, name, self.truth_rad.map(f64::to_degrees));
-        format.check(&maps.iter().map(|(what, _)| stem(folder, name, what)).collect::<Vec<_>>())?;
-        let mut written = self.write(folder, name, format)?;
-        for (what, map) in maps {
-            written.extend(map.write(&stem(folder, name, what), format)?);
-        }
-        Ok(written)
-    }
-
-    /// Writes `NAME-phase` alone.
-    ///
-    /// # Errors
-    /// If it cannot be drawn or written.
-    pub fn write_phase(&self, folder: &Path, name: &str, format: &Format) -> Result<Vec<PathBuf>, Error> {
-        self.phase(name).write(&stem(folder, name, "phase"), format)
     }
 
     fn phase(&self, name: &str) -> PhasePlot {
         let title = format!("{name}: phase at the channel centre");
-        let label = if self.recorded.is_some() { "this capture" } else { "" };
-        let other = self.recorded.map(|recorded| whole_track("recorded", recorded));
         PhasePlot {
             title,
             before: "one direction".into(),
-            capture: whole_track(label, self.bearing),
-            other,
-            every: self.every,
+            capture: whole_track(self.bearing),
+            other: None,
             averaged: 0,
         }
     }
 
     fn trajectory(&self, name: &str) -> TrajectoryPlot {
         let answer = &self.bearing.answer;
-        let drawn = |places: &[Vector3<f64>]| spread(places.iter().map(|p| [p.x, p.y]).collect(), self.places);
+        let drawn = |places: &[Vector3<f64>]| places.iter().map(|p| [p.x, p.y]).collect();
         TrajectoryPlot {
             title: format!("{name}: trajectory and bearing"),
             path_m: drawn(&self.bearing.path_m),
@@ -142,30 +103,6 @@ impl<'a> LinkPictures<'a> {
     }
 }
 
-/// The maps of places, where they were asked for.
-const MAPS: [&str; 2] = ["azimuth-elevation", "azimuth-range"];
-
-/// Of a path's points so many at most, equally far from each other along it, with both ends; all of them where `most` is 0.
-fn spread(points: Vec<[f64; 2]>, most: usize) -> Vec<[f64; 2]> {
-    if most == 0 || points.len() <= most {
-        return points;
-    }
-    let from = |a: &[f64; 2], b: &[f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
-    let length: f64 = points.windows(2).map(|pair| from(&pair[0], &pair[1])).sum();
-    let step = length / (most.max(3) - 2) as f64;
-    let (mut gone, mut last, mut kept) = (0.0, None::<[f64; 2]>, Vec::with_capacity(most));
-    for point in &points {
-        gone += last.map_or(step, |last| from(&last, point));
-        last = Some(*point);
-        if gone >= step {
-            kept.push(*point);
-            gone = if step > 0.0 { gone % step } else { f64::NEG_INFINITY };
-        }
-    }
-    kept.extend(last.filter(|last| kept.last() != Some(last)));
-    kept
-}
-
 /// What a picture of a link is called, without its ending.
 fn stem(folder: &Path, name: &str, what: &str) -> PathBuf {
     folder.join(format!("{}-{what}", file_safe(name)))
@@ -182,77 +119,11 @@ pub(super) fn track(label: &str, course: &[Phase]) -> PhaseTrack {
 }
 
 /// The track of a link with the product of both directions, and with what is left without the motion.
-fn whole_track(label: &str, bearing: &Bearing) -> PhaseTrack {
+fn whole_track(bearing: &Bearing) -> PhaseTrack {
     PhaseTrack {
         product_rad: bearing.course.iter().map(|phase| phase.round_trip_rad).collect(),
         is_used: bearing.course.iter().map(|phase| phase.is_used).collect(),
         left: without_motion(bearing),
-        ..track(label, &bearing.course)
-    }
-}
-
-fn places(bearing: &Bearing, name: &str, truth_deg: Option<f64>) -> Vec<(&'static str, PlaceMap)> {
-    let Some(maps) = bearing.placed.as_ref().and_then(|placed| placed.maps.as_ref()) else {
-        return Vec::new();
-    };
-    let candidates = || bearing.answer.candidates.iter();
-    let last = |values: &[f64]| values.last().copied().unwrap_or(0.0);
-    let mut found = Vec::new();
-    if maps.elevations_rad.len() > 1 {
-        let signed = maps.elevations_rad.first().is_some_and(|lowest| *lowest < 0.0);
-        let elevation =
-            |s: &csi5300::pipeline::Candidate| s.signed_elevation_rad.unwrap_or(s.abs_elevation_rad).to_degrees();
-        let own = candidates().map(|s| (s.azimuth_rad.to_degrees(), elevation(s)));
-        let first = maps.elevations_rad.first().copied().unwrap_or(0.0);
-        let map = PlaceMap {
-            title: format!("{name}: joint power, best range of each"),
-            y_label: if signed { "elevation (degrees)" } else { "|elevation| (degrees)" }.into(),
-            y: (first.to_degrees(), last(&maps.elevations_rad).to_degrees()),
-            n_az: maps.azimuths,
-            value: maps.over_elevation.clone(),
-            marks: own.collect(),
-            truth_deg,
-            ..PlaceMap::default()
-        };
-        found.push((MAPS[0], map));
-    }
-    if maps.curves_per_m.len() > 1 {
-        let most = last(&maps.curves_per_m);
-        let ticks = [f64::INFINITY, 20.0, 10.0, 6.0, 4.0, 3.0, 2.5, 2.0, 1.5, 1.0];
-        let shown = ticks.into_iter().filter(|range| 1.0 / range <= most * 1.001);
-        let map = PlaceMap {
-            title: format!("{name}: joint power, best elevation of each"),
-            y_label: "range (m), even in 1/range".into(),
-            y: (0.0, most),
-            y_ticks: shown.map(|r| (1.0 / r, if r.is_finite() { r.to_string() } else { "far".into() })).collect(),
-            n_az: maps.azimuths,
-            value: maps.over_range.clone(),
-            marks: candidates().map(|s| (s.azimuth_rad.to_degrees(), s.inverse_range_per_m)).collect(),
-            truth_deg,
-        };
-        found.push((MAPS[1], map));
-    }
-    found
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_path_keeps_its_ends_and_its_shape_with_few_points() {
-        let turns = |n: usize| (0..n).map(|k| std::f64::consts::TAU * k as f64 / 1_000.0);
-        let path: Vec<[f64; 2]> = turns(60_000).map(|turn| [turn.cos(), turn.sin()]).collect();
-        // It stands for as long as it drove.
-        let whole = [path.clone(), vec![path[59_999]; 60_000]].concat();
-        let few = spread(whole.clone(), 3_000);
-        assert!((2_900..=3_000).contains(&few.len()), "{}", few.len());
-        assert_eq!((few.first(), few.last()), (whole.first(), whole.last()));
-        let longest = few.windows(2).map(|pair| (pair[0][0] - pair[1][0]).hypot(pair[0][1] - pair[1][1]));
-        assert!(longest.fold(0.0, f64::max) < 0.14);
-        assert_eq!(spread(path.clone(), 0), path);
-        assert_eq!(spread(path[..3_000].to_vec(), 3_000), path[..3_000]);
-        // One that stands is its place.
-        assert_eq!(spread(vec![[1.0, 2.0]; 9], 4).last(), Some(&[1.0, 2.0]));
+        ..track("", &bearing.course)
     }
 }

@@ -1,5 +1,4 @@
-//! Pictures and pages: links, sets and comparisons drawn, 1200 px wide, each picture as PNG, SVG and PDF beside each other as
-//! [`Format`] has it.
+//! Pictures and pages: links, sets and comparisons drawn, 1200 px wide, each picture as a PNG and an SVG beside each other.
 //!
 //! | file | what it shows |
 //! |---|---|
@@ -7,14 +6,12 @@
 //! | [`log`] | a log over time: heat maps of CSI, levels, rate, what is missing |
 //! | [`set`] | an evaluation: error distributions, refusals, reliability, a map of each place |
 //! | [`compared`] | a recording and a simulation beside each other |
-//! | [`repeated`] | the experiments of \[paper\] (docs/references.md): phases, averaged profiles |
-//! | [`report`] | one HTML page of a tree of captures, pictures inside |
-//! | `slim` | pictures in fewer bytes, for the page |
+//! | [`repeated`] | robots that stand: their phase |
 //! | `phase`, `profile`, `place`, `plane`, `curves`, `reliability` | the kinds of picture |
-//! | `format` | in which formats pictures are written |
-//! | `canvas`, `axes`, `pdf` | lines, text, legends, ticks, and the drawing as PDF; the only files that name the drawing library's scene |
+//! | `format` | the files of a picture |
+//! | `canvas`, `axes` | lines, text, legends, ticks; the only files that name the drawing library's scene |
 //!
-//! Every kind of picture is a plain struct with public fields and one `write(stem, format)`: it adds `.png`, `.svg`, `.pdf` to
+//! Every kind of picture is a plain struct with public fields and one `write(stem, format)`: it adds `.png` and `.svg` to
 //! `stem`, makes missing folders, and returns the paths. Values that are not finite are dropped; a picture with nothing left is
 //! [`Error::Empty`]. Colours are those of Okabe and Ito (2008), safe for colour-blind readers; legends stand above the
 //! axes, never on the data. Azimuths count from +x towards +y.
@@ -25,19 +22,16 @@ mod curves;
 mod format;
 pub mod link;
 pub mod log;
-mod pdf;
 mod phase;
 mod place;
 mod plane;
 mod profile;
 mod reliability;
 pub mod repeated;
-pub mod report;
 pub mod set;
-mod slim;
 
 pub use curves::{CdfPlot, ScatterLines};
-pub use format::{Format, Kind};
+pub use format::Format;
 pub use phase::{PhasePlot, PhaseTrack};
 pub use place::PlaceMap;
 pub use plane::{Ellipse, MapPlot, Ray, RayClass, TrajectoryPlot};

@@ -39,8 +39,6 @@ pub struct PhasePlot {
     pub capture: PhaseTrack,
     /// A second capture beside it, for example the simulated one.
     pub other: Option<PhaseTrack>,
-    /// Every how manieth pair is drawn; 0 is each, as 1 is.
-    pub every: usize,
     /// Pairs averaged before the phase is unwrapped; 0 is five.
     pub averaged: usize,
 }
@@ -59,10 +57,7 @@ impl PhasePlot {
     pub fn write(&self, stem: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
         let tracks: Vec<&PhaseTrack> = std::iter::once(&self.capture).chain(&self.other).collect();
         let panels = if tracks.iter().any(|track| !track.left.is_empty()) { 4 } else { 3 };
-        let every = self.every.max(1);
-        let thinned = (every > 1).then(|| format!(", {}", crate::words::one_in(every, "pair")));
-        let title = format!("{}{}", self.title, thinned.unwrap_or_default());
-        let mut canvas = Canvas::new(TOP + STEP * f64::from(panels) + 20.0, &title);
+        let mut canvas = Canvas::new(TOP + STEP * f64::from(panels) + 20.0, &self.title);
         let before = if self.before.is_empty() { "before" } else { &self.before };
         let mut keys = vec![(Key::Dot, ORANGE, before.to_owned())];
         if tracks.iter().any(|track| !track.product_rad.is_empty()) {
@@ -77,7 +72,7 @@ impl PhasePlot {
         let width = (WIDTH - 150.0 - gap * (tracks.len() - 1) as f64) / tracks.len() as f64;
         for (i, track) in tracks.iter().enumerate() {
             let averaged = if self.averaged == 0 { AVERAGED } else { self.averaged };
-            draw_track(&mut canvas, track, (120.0 + i as f64 * (width + gap), width), (every, averaged))?;
+            draw_track(&mut canvas, track, (120.0 + i as f64 * (width + gap), width), averaged)?;
         }
         canvas.save(stem, format)
     }
@@ -119,17 +114,11 @@ impl PhaseTrack {
     }
 }
 
-fn draw_track(
-    canvas: &mut Canvas,
-    track: &PhaseTrack,
-    (left, width): (f64, f64),
-    (every, over): (usize, usize),
-) -> Result<(), Error> {
+fn draw_track(canvas: &mut Canvas, track: &PhaseTrack, (left, width): (f64, f64), over: usize) -> Result<(), Error> {
     track.check()?;
-    let thin = |points: &Points| points.iter().step_by(every).copied().collect::<Points>();
     let drawn = |phase: &[f64], colour| {
         let [used, others] = track.points(phase);
-        [(thin(&others), pale(colour)), (thin(&used), colour)]
+        [(others, pale(colour)), (used, colour)]
     };
     let (before, after) = (drawn(&track.before_rad, ORANGE), drawn(&track.after_rad, BLUE));
     let product = drawn(&track.product_rad, PURPLE);
@@ -146,11 +135,11 @@ fn draw_track(
     if let Some(range) = extent(line.iter().map(|p| p.1), 0.06) {
         let below = Axes::new(frame(2.0), times, range);
         below.draw(canvas, named(still.is_empty()), &format!("after, unwrapped: means of {over} pairs (rad)"));
-        canvas.polyline(thin(&line).iter().map(|p| below.at(p.0, p.1)).collect(), BLUE, 2.5);
+        canvas.polyline(line.iter().map(|p| below.at(p.0, p.1)).collect(), BLUE, 2.5);
     }
     if !still.is_empty() {
         let words = (named(true), "after, less the phase that this motion makes under this bearing (rad)");
-        wrapped(canvas, frame(3.0), times, &[(thin(&still), GREEN)], words);
+        wrapped(canvas, frame(3.0), times, &[(still, GREEN)], words);
     }
     Ok(())
 }

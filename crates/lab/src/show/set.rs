@@ -6,8 +6,7 @@ use super::{
 use crate::evaluate::beside::Table;
 use crate::evaluate::quality::{Receiver, receivers, refusals, sure};
 use crate::evaluate::{Judged, Kept, Reliability, TrajectorySource, reliability};
-use crate::folds::{Kind, Report};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// What the WSR toolbox as released reaches on each set of its data, all links of the published set, against the mean pose, with
@@ -90,57 +89,6 @@ pub fn map_stem(folder: &Path, capture: &str) -> PathBuf {
 #[must_use]
 pub fn stems(folder: &Path) -> [PathBuf; 3] {
     ["errors", "refusals", "reliability"].map(|name| folder.join(name))
-}
-
-/// What the pictures of [`write_folds`] are called, without their endings.
-#[must_use]
-pub fn fold_stems(folder: &Path) -> [PathBuf; 2] {
-    ["reliability", "reliability-plane-wave"].map(|name| folder.join(name))
-}
-
-/// Writes `reliability` and `reliability-plane-wave` into a folder: probabilities from models fitted
-/// to all other places beside how often they came true, a curve for each trajectory over motions of all lengths. Neither of them
-/// where no model could be fitted, as with a single place.
-///
-/// # Errors
-/// If a picture cannot be drawn or written.
-pub fn write_folds(report: &Report, folder: &Path, format: &Format) -> Result<Vec<PathBuf>, Error> {
-    let kinds = [
-        (Kind::Full, "Reliability on places that nothing was fitted to"),
-        (Kind::Quick, "The same of bearings by a plane wave"),
-    ];
-    let mut written = Vec::new();
-    for ((kind, title), stem) in kinds.into_iter().zip(fold_stems(folder)) {
-        let sources: BTreeSet<_> = report.confidence.iter().map(|column| column.source).collect();
-        let series = sources.into_iter().map(|source| {
-            let own = report.confidence.iter().filter(|column| column.kind == kind && column.source == source);
-            let bins: Vec<&Reliability> = own.flat_map(|column| &column.bins).collect();
-            (source.to_string(), points(&pooled(&bins)))
-        });
-        let plot = ReliabilityPlot { title: title.into(), series: series.collect() };
-        if plot.series.iter().any(|series| !series.1.is_empty()) {
-            written.extend(plot.write(&stem, format)?);
-        }
-    }
-    Ok(written)
-}
-
-/// Bins of several columns as those of all their bearings.
-fn pooled(bins: &[&Reliability]) -> Vec<Reliability> {
-    let mut pooled: Vec<Reliability> = Vec::new();
-    for bin in bins {
-        match pooled.iter_mut().find(|own| own.from == bin.from) {
-            None => pooled.push(**bin),
-            Some(own) => {
-                let [before, more] = [own.links, bin.links].map(|links| links as f64);
-                own.said = (own.said * before + bin.said * more) / (before + more);
-                own.right = (own.right * before + bin.right * more) / (before + more);
-                own.links += bin.links;
-            }
-        }
-    }
-    pooled.sort_by(|a, b| a.from.total_cmp(&b.from));
-    pooled
 }
 
 fn points(bins: &[Reliability]) -> Vec<ReliabilityPoint> {

@@ -1,16 +1,16 @@
-//! CSI from packed records into an array that is already there.
+//! CSI from packed records into an array that is already there, in either order of its indices.
 
-use super::arena::Arena;
-use super::plan::Plan;
-use super::turned;
+use super::columns::antenna_order;
+use super::memory::Arena;
+use bytemuck::{cast_slice, cast_slice_mut};
 use csi5300::signal::csi::{Csi, scale_factor_of};
-use driver_iface::bfee::{Antenna, Bfee, SUBCARRIERS};
+use driver_iface::bfee::{Antenna, Bfee, MAX_SAMPLE_BYTES, MAX_SAMPLES, SUBCARRIERS};
 use fearless_simd::{Level, dispatch};
 use num_complex::Complex32;
 use rayon::prelude::*;
 
 /// What stands where a record has no CSI.
-pub(super) const NOTHING: Complex32 = Complex32::new(f32::NAN, f32::NAN);
+const NOTHING: Complex32 = Complex32::new(f32::NAN, f32::NAN);
 
 /// The units of CSI, and in which columns it is.
 #[derive(Clone, Copy, Debug, Default)]
@@ -34,8 +34,8 @@ pub(crate) enum Order {
 #[derive(Clone, Debug)]
 pub struct Rows {
     row_of: [Option<usize>; 3],
-    pub(super) n_rx: usize,
-    pub(super) n_tx: usize,
+    n_rx: usize,
+    n_tx: usize,
 }
 
 impl Rows {
@@ -65,7 +65,7 @@ impl Rows {
 
     /// The chain of each row: that of its antenna, or, where a record does not say which antenna a chain is of, the chain of the
     /// row's number.
-    pub(super) fn chains(&self, n_rx: usize, order: [u8; 3]) -> [Option<usize>; 3] {
+    fn chains(&self, n_rx: usize, order: [u8; 3]) -> [Option<usize>; 3] {
         let mut chain_of = [None; 3];
         for (chain, antenna) in order.into_iter().enumerate().take(n_rx) {
             let row = match self.row_of.get(usize::from(antenna)) {
@@ -119,13 +119,13 @@ pub(crate) struct Decoder {
     level: Level,
     plan: Plan,
     /// Room to work in.
-    room: turned::Room,
+    room: Room,
 }
 
 impl Decoder {
     /// Writes CSI in this order and form into these rows.
     pub fn new(order: Order, rows: Rows, form: Form) -> Self {
-        Self { order, rows, form, level: Level::new(), plan: Plan::default(), room: turned::Room::default() }
+        Self { order, rows, form, level: Level::new(), plan: Plan::default(), room: Room::default() }
     }
 
     /// Writes the CSI of a record, as [`decode`] does; `out` has room for [`Rows::len`]. Gives the factor to sqrt(SNR), in whatever
@@ -142,7 +142,7 @@ impl Decoder {
         match order {
             Order::SubcarriersLast => dispatch!(*level, _ => one(bfee, plan, rows, *form, with_factor, room, out)),
             Order::SubcarriersFirst => {
-                dispatch!(*level, _ => turned::one(bfee, plan, rows, *form, with_factor, room, out))
+                dispatch!(*level, _ => one_turned(bfee, plan, rows, *form, with_factor, room, out))
             }
         }
     }
@@ -156,7 +156,7 @@ fn one(
     rows: &Rows,
     form: Form,
     with_factor: bool,
-    room: &mut turned::Room,
+    room: &mut Room,
     out: &mut [Complex32],
 ) -> Option<f64> {
     let samples = room.planes();
@@ -209,6 +209,201 @@ fn widen(plane: &[[i8; 2]; SUBCARRIERS], factor: f32, column: &mut [Complex32]) 
     let values = bytemuck::cast_slice_mut::<Complex32, f32>(column).first_chunk_mut::<{ 2 * SUBCARRIERS }>();
     let Some(values) = values else { return };
     for (value, sample) in values.iter_mut().zip(plane.as_flattened()) {
+        *value = f32::from(*sample) * factor;
+    }
+}
+
+// Where a record's samples go: the same for most records in a row, and made anew only where that changes.
+
+/// Columns of the largest record.
+const MOST: usize = MAX_SAMPLES / SUBCARRIERS;
+
+/// What the plan of a record depends on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+struct Kind {
+    antenna_sel: u8,
+    /// 0 before the first record.
+    n_rx: usize,
+    n_tx: usize,
+    /// Of a record of one chain, whose RSSI may say which antenna that was.
+    rssi: [u8; 3],
+}
+
+impl Kind {
+    fn of(bfee: &Bfee<'_>) -> Self {
+        let (n_rx, rssi) = (bfee.n_rx(), bfee.rssi());
+        Self { antenna_sel: bfee.antenna_sel(), n_rx, n_tx: bfee.n_tx(), rssi: if n_rx == 1 { rssi } else { [0; 3] } }
+    }
+}
+
+/// How the columns of an array, row by row, are made from a record's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Way {
+    /// As they are.
+    Straight,
+    /// From those of the numbers that [`Plan::sources`] has.
+    Sorted,
+    /// Some have none.
+    #[default]
+    Partly,
+}
+
+/// Where the samples of a record go.
+#[derive(Clone, Debug, Default)]
+struct Plan {
+    kind: Kind,
+    /// The chain of each row.
+    chains: [Option<usize>; 3],
+    /// How columns are made.
+    way: Way,
+    /// Of each column the record's, `chain n_tx + stream`, where it has one.
+    sources: [Option<usize>; MOST],
+}
+
+impl Plan {
+    /// Makes it that of a record.
+    #[inline(always)]
+    fn fit(&mut self, bfee: &Bfee<'_>, rows: &Rows) {
+        let kind = Kind::of(bfee);
+        if self.kind != kind {
+            *self = Self::new(kind, bfee, rows);
+        }
+    }
+
+    #[inline(never)]
+    fn new(kind: Kind, bfee: &Bfee<'_>, rows: &Rows) -> Self {
+        let chains = rows.chains(kind.n_rx, antenna_order(bfee));
+        let columns = rows.n_rx * rows.n_tx;
+        let source = |column: usize| {
+            let stream = column % rows.n_tx;
+            let chain = chains.get(column / rows.n_tx).copied().flatten();
+            chain.filter(|_| stream < kind.n_tx).map(|chain| chain * kind.n_tx + stream)
+        };
+        let sources: [_; MOST] = std::array::from_fn(|column| if column < columns { source(column) } else { None });
+        let of_columns = sources.get(..columns).unwrap_or_default();
+        let way = if of_columns.iter().any(Option::is_none) {
+            Way::Partly
+        } else if columns == kind.n_rx * kind.n_tx && of_columns.is_sorted() {
+            Way::Straight
+        } else {
+            Way::Sorted
+        };
+        Self { kind, chains, way, sources }
+    }
+}
+
+// CSI with the subcarriers first, the order of the card's payload: bytes become numbers in one run.
+
+/// Room to work in.
+#[derive(Clone, Debug)]
+struct Room {
+    samples: [[i8; 2]; MAX_SAMPLES],
+    bytes: [u8; MAX_SAMPLE_BYTES],
+}
+
+impl Default for Room {
+    fn default() -> Self {
+        Self { samples: [[0; 2]; MAX_SAMPLES], bytes: [0; MAX_SAMPLE_BYTES] }
+    }
+}
+
+impl Room {
+    /// For samples by chain pair.
+    fn planes(&mut self) -> &mut [[i8; 2]; MAX_SAMPLES] {
+        &mut self.samples
+    }
+}
+
+/// One record; its factor to sqrt(SNR) where that was asked for.
+#[inline(always)]
+fn one_turned(
+    bfee: &Bfee<'_>,
+    plan: &Plan,
+    rows: &Rows,
+    form: Form,
+    with_factor: bool,
+    room: &mut Room,
+    out: &mut [Complex32],
+) -> Option<f64> {
+    let Room { samples: sorted, bytes } = room;
+    let samples = unpack_turned(bfee, bytes);
+    let factor = if with_factor { scale_factor_of(bfee, samples).ok() } else { None };
+    let Some(wanted) = (if form.scaled { factor } else { Some(1.0) }) else {
+        out.fill(NOTHING);
+        return factor;
+    };
+    let wanted = wanted as f32;
+    match plan.way {
+        _ if form.without_spatial_mapping && bfee.n_tx() > 1 => unmapped(bfee, plan, rows, wanted, out),
+        Way::Straight => widen_all(samples, wanted, out),
+        Way::Sorted => widen_all(sort(bfee, plan, rows, samples, sorted), wanted, out),
+        Way::Partly => partly(bfee, plan, rows, samples, wanted, out),
+    }
+    factor
+}
+
+/// The samples of a record in the order of its payload.
+#[inline(always)]
+fn unpack_turned<'a>(bfee: &Bfee<'_>, bytes: &'a mut [u8; MAX_SAMPLE_BYTES]) -> &'a [[i8; 2]] {
+    let count = bfee.unpack_bytes(bytes).unwrap_or(0);
+    cast_slice(bytes.get(..2 * count).unwrap_or_default())
+}
+
+/// The samples of the columns of an array, all of which the record has.
+#[inline(always)]
+fn sort<'a>(
+    bfee: &Bfee<'_>,
+    plan: &Plan,
+    rows: &Rows,
+    samples: &[[i8; 2]],
+    sorted: &'a mut [[i8; 2]; MAX_SAMPLES],
+) -> &'a [[i8; 2]] {
+    let columns = (rows.n_rx * rows.n_tx).max(1);
+    let sorted = sorted.get_mut(..columns * SUBCARRIERS).unwrap_or_default();
+    let sources = plan.sources.map(|source| source.unwrap_or(0));
+    for (to, from) in sorted.chunks_exact_mut(columns).zip(samples.chunks_exact(bfee.n_rx() * bfee.n_tx())) {
+        for (to, source) in to.iter_mut().zip(&sources) {
+            *to = from.get(*source).copied().unwrap_or_default();
+        }
+    }
+    sorted
+}
+
+/// Writes the samples of a record that has not all columns.
+#[inline(always)]
+fn partly(bfee: &Bfee<'_>, plan: &Plan, rows: &Rows, samples: &[[i8; 2]], factor: f32, out: &mut [Complex32]) {
+    let pairs = bfee.n_rx() * bfee.n_tx();
+    each(rows, out, |subcarrier, column| {
+        let [i, q] = *samples.get(subcarrier * pairs + (*plan.sources.get(column)?)?)?;
+        Some(Complex32::new(f32::from(i) * factor, f32::from(q) * factor))
+    });
+}
+
+/// Writes the CSI of a record without the matrix by which its streams were spread.
+#[inline(never)]
+fn unmapped(bfee: &Bfee<'_>, plan: &Plan, rows: &Rows, factor: f32, out: &mut [Complex32]) {
+    let (csi, n_tx) = (Csi::raw(bfee).without_spatial_mapping(bfee.is_40_mhz()), bfee.n_tx());
+    each(rows, out, |subcarrier, column| {
+        let source = (*plan.sources.get(column)?)?;
+        Some(csi.get(subcarrier, source / n_tx, source % n_tx)? * factor)
+    });
+}
+
+/// Writes every number by itself: that of a subcarrier and column, or none.
+#[inline(always)]
+fn each(rows: &Rows, out: &mut [Complex32], number: impl Fn(usize, usize) -> Option<Complex32>) {
+    for (subcarrier, columns) in out.chunks_exact_mut((rows.n_rx * rows.n_tx).max(1)).enumerate() {
+        for (column, h) in columns.iter_mut().enumerate() {
+            *h = number(subcarrier, column).unwrap_or(NOTHING);
+        }
+    }
+}
+
+/// Samples times a factor, in a loop that compilers vectorise.
+#[inline(always)]
+fn widen_all(samples: &[[i8; 2]], factor: f32, out: &mut [Complex32]) {
+    let values: &mut [f32] = cast_slice_mut(out);
+    for (value, sample) in values.iter_mut().zip(samples.as_flattened()) {
         *value = f32::from(*sample) * factor;
     }
 }

@@ -1,9 +1,7 @@
 //! A log read into memory: filters, columns, packed records.
 
-use super::arena::Arena;
-use super::block::Block;
 use super::columns::{Advise, Columns, antennas};
-use super::piece::Span;
+use super::memory::{Arena, Block, Span};
 use csi5300::source::survey::{Fields, Identity, Survey, Tally};
 use csi5300::source::{CsiSource, Error, Next, Origin, Stamps};
 use csi5300::time::Instant;
@@ -126,6 +124,8 @@ pub struct Reading<S> {
     pub columns: Columns,
     /// Intact records that the filter left out.
     pub left_out: u64,
+    /// Of each loss and each impossible record the number of intact bfee records before it.
+    pub damaged_after: Vec<u64>,
     first_us: Option<i64>,
     pub(super) ended: bool,
     pub(super) bodies: bool,
@@ -135,9 +135,18 @@ impl<S: CsiSource> Reading<S> {
     /// Nothing read yet.
     #[must_use]
     pub fn new(source: S, filter: Filter) -> Self {
-        let (arena, columns) = Default::default();
-        let survey = Survey::default();
-        Self { source, filter, survey, arena, columns, left_out: 0, first_us: None, ended: false, bodies: true }
+        Self {
+            source,
+            filter,
+            survey: Survey::default(),
+            arena: Arena::default(),
+            columns: Columns::default(),
+            left_out: 0,
+            damaged_after: Vec::new(),
+            first_us: None,
+            ended: false,
+            bodies: true,
+        }
     }
 
     /// With columns only: the arena stays empty. For a log that is read again.
@@ -200,8 +209,8 @@ impl<S: CsiSource> Reading<S> {
     }
 
     pub(super) fn parts(&mut self) -> (&mut S, Table<'_>) {
-        let Self { source, filter, survey, arena, columns, left_out, first_us, bodies, .. } = self;
-        (source, Table { filter, survey, arena, columns, left_out, first_us, bodies: *bodies })
+        let Self { source, filter, survey, arena, columns, left_out, damaged_after, first_us, bodies, .. } = self;
+        (source, Table { filter, survey, arena, columns, left_out, damaged_after, first_us, bodies: *bodies })
     }
 }
 
@@ -212,6 +221,7 @@ pub(super) struct Table<'a> {
     arena: &'a mut Arena,
     columns: &'a mut Columns,
     left_out: &'a mut u64,
+    damaged_after: &'a mut Vec<u64>,
     first_us: &'a mut Option<i64>,
     bodies: bool,
 }
@@ -230,7 +240,12 @@ impl Table<'_> {
 
     /// Counts what a source gave; whether it is a bfee record, and whether that is kept, whose columns are added then.
     fn note(&mut self, tally: &mut Tally, next: &Next<'_>) -> Option<bool> {
-        let (bfee, identity) = self.survey.note_in(tally, next)?;
+        let bad = self.survey.bad_bfee;
+        let noted = self.survey.note_in(tally, next);
+        if matches!(next, Next::Lost(_)) || self.survey.bad_bfee > bad {
+            self.damaged_after.push(self.survey.bfees());
+        }
+        let (bfee, identity) = noted?;
         let offset = match next {
             Next::Record(stamps, _) => place(*stamps),
             _ => 0,

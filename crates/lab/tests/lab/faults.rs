@@ -134,7 +134,7 @@ fn drops_at_the_ends_of_a_log_are_known_to_the_room_and_to_nobody_else() {
         let (bodies, injected) = log_of(&whole, 1);
         let bfee = |body: &[u8]| {
             let bfee = Bfee::new_checked(body).unwrap();
-            (u64::from(bfee.bfee_count()), bfee.wsr().unwrap().frame_count)
+            (u64::from(bfee.bfee_count()), bfee.wsr().unwrap().frame_count.unwrap())
         };
         let ((first, _), (last, number)) = (bfee(&bodies[0]), bfee(bodies.last().unwrap()));
         // The room's driver counts from 1, so who was there from its loading knows what is missing before the first

@@ -18,11 +18,10 @@ const RUNS: [(&str, &str); 6] = [
 
 fn run(rx: &Path, tx: &Path, path: &Path) -> Result<Bearing, LinkError> {
     let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
-    let steps = options.accuracy.without_layers();
     let (mut rx, mut tx) = (Replay::open(rx).unwrap(), Replay::open(tx).unwrap());
     let (path, _) = csv::read(path).unwrap();
     let logs = vec![Transmitter { log: &mut tx, trajectory: None }];
-    let mut report: CaptureReport = bearings(&mut rx, logs, &path, &options.with_accuracy(steps)).unwrap();
+    let mut report: CaptureReport = bearings(&mut rx, logs, &path, &options).unwrap();
     report.links.remove(0).bearing
 }
 
@@ -111,8 +110,7 @@ fn of_direct_path(place_m: [f64; 2], offset_ppm: f64, turn_around: &str, turns: 
     );
     let run = Room::new(&Scene::parse(&scene).unwrap()).unwrap().run().unwrap();
     let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
-    let steps = options.accuracy.without_layers();
-    (run, options.with_accuracy(steps))
+    (run, options)
 }
 
 #[test]

@@ -106,7 +106,8 @@ impl Reception {
             let found =
                 format!("{} overruns, {} numbers missing from bfee_count", survey.overruns, survey.bfee_missing);
             checks.push(
-                Check::doubt(name, found, expected).mend("a larger --receive-buffer; fewer programs on this host"),
+                Check::doubt(name, found, expected)
+                    .mend("a larger --receive-buffer of `record`; fewer programs on this host"),
             );
         }
         checks

@@ -2,7 +2,7 @@
 
 use super::values::{maybe_positive, positive};
 use super::{Config, Odometry};
-use csi5300::internal::{rolling_camera_heading_rad, wheels_heading_rad};
+use csi5300::internal::heading;
 use csi5300::pipeline::live::LiveSettings;
 
 /// How bearings are made.
@@ -23,12 +23,12 @@ pub struct Estimation {
     pub rate_hz: f64,
     /// Poses are carried on beyond the last one by at most this, seconds.
     pub extrapolate_s: f64,
-    /// Largest |elevation| searched, degrees.
-    pub elevation_max_deg: f64,
+    /// Largest |elevation| of a peer, degrees; where absent 20 for level motion.
+    pub elevation_max_deg: Option<f64>,
     /// Standard deviation of the heading of this robot's poses, degrees; where absent that of its kind of odometry
     /// ([`Config::heading_sd_deg`]).
     pub heading_sd_deg: Option<f64>,
-    /// Spherical waves, all subcarriers and the one-way channel: better, and ten to a hundred times the work.
+    /// The posterior on a fine grid; where false, on the coarse grid alone.
     pub accurate: bool,
     /// That work is done once in so many seconds for each peer, and when nothing moves any more; 0: for every bearing.
     pub accurate_every_s: f64,
@@ -42,7 +42,7 @@ impl Default for Estimation {
             least_motion_m: None,
             rate_hz: 2.0,
             extrapolate_s: 0.05,
-            elevation_max_deg: 20.0,
+            elevation_max_deg: None,
             heading_sd_deg: None,
             accurate: true,
             accurate_every_s: 5.0,
@@ -65,8 +65,8 @@ impl Config {
     #[must_use]
     pub fn heading_sd_deg(&self) -> f64 {
         let usual_rad = match self.odometry {
-            _ if self.camera_mount.is_some() => rolling_camera_heading_rad(),
-            Odometry::Opencr(_) => wheels_heading_rad(),
+            _ if self.camera_mount.is_some() => heading::ROLLING_CAMERA_RAD,
+            Odometry::Opencr(_) => heading::WHEELS_RAD,
             _ => 0.0,
         };
         self.estimator.heading_sd_deg.unwrap_or(usual_rad.to_degrees())

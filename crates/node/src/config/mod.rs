@@ -31,7 +31,7 @@ pub use outputs::{Log, Network, Output, StatusLine};
 pub use problem::{ConfigError, Problem};
 pub use robots::{CameraMount, Csv, Model, NoKeys, Odometry, OpenCr, Peer, Place, Records};
 
-use csi5300::pipeline::Options;
+use csi5300::pipeline::{Effort, Options};
 use csi5300::signal::channel::Channel;
 use csi5300_sim::toml_lines::TomlLines;
 use driver_iface::Mac;
@@ -166,9 +166,10 @@ impl Config {
     pub fn options(&self) -> Options {
         let mut options = Options::new(self.channel).with_antenna(self.antenna);
         options = options.with_heading_sd_rad(Some(self.heading_sd_deg().to_radians()));
-        options.search.elevation_max_rad = self.estimator.elevation_max_deg.to_radians();
+        let elevation_max_rad = self.estimator.elevation_max_deg.map(f64::to_radians);
+        options.accuracy = options.accuracy.with_elevation_max_rad(elevation_max_rad);
         if !self.estimator.accurate {
-            options.accuracy = options.accuracy.without_layers();
+            options.accuracy = options.accuracy.with_effort(Effort::Within(1f64.to_radians()));
         }
         options
     }

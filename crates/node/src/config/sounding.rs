@@ -9,7 +9,7 @@ use driver_iface::bfee::Antenna;
 use driver_iface::radiotap::Bandwidth;
 use std::path::PathBuf;
 
-/// A robot's part in the sounding exchange, in the native dialect, as `csi5300 sound` and `respond` have it (feature
+/// A robot's part in the sounding exchange, in the native dialect, as `csi5300 sound` has it (feature
 /// `live`). The peers are those of the file; what is not said to be this robot's own is the same on all robots.
 #[derive(Clone, Debug, PartialEq, serde::Deserialize)]
 #[serde(deny_unknown_fields)]

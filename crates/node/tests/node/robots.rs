@@ -397,9 +397,7 @@ fn compare(capture: &Path, camera: Option<CameraMount>) -> usize {
     let mut logs: Vec<_> = txs.iter().map(|tx| Replay::open(tx).unwrap()).collect();
     let transmitters =
         logs.iter_mut().map(|log| Transmitter { log: log as &mut (dyn CsiSource + Send), trajectory: None }).collect();
-    let mut options = csi5300::pipeline::Options::new("108".parse().unwrap());
-    // A node has no autofocus, which leaves motion capture as it is.
-    options.accuracy.focus = camera.is_none();
+    let options = csi5300::pipeline::Options::new("108".parse().unwrap());
     let offline = bearings(&mut Replay::open(rx).unwrap(), transmitters, &path, &options).unwrap();
     // The receiver's own MAC is the sender of most frames in a transmitter's log.
     let senders = &offline.transmitters[0].survey.senders;

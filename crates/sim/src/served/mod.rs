@@ -1,7 +1,7 @@
 //! A simulated room in another process, as if it were the card: frames into the air of a robot, the frames that it
 //! hears, its card's records and its odometry's poses, over a Unix socket.
 //!
-//! `csi5300 simulate SCENE.toml --serve --socket PATH` runs a [`Server`]; `sound`, `respond`, `record` (with
+//! `csi5300 simulate SCENE.toml --serve --socket PATH` runs a [`Server`]; `sound`, `record` (with
 //! `--room PATH#ROBOT`) and `node` (with `capture.served`) work with it by the code that works with a card: what goes over the socket
 //! is what goes over the kernel's, byte for byte, and so everything behind the live crate's `Monitor` and
 //! `Netlink` is theirs.

@@ -2,18 +2,6 @@
 
 use crate::commands::fixed;
 use csi5300::pipeline::Answer;
-use csi5300::place::near_field::Edge;
-
-/// The limits that the answer lies at, in a line.
-pub(super) fn edge(answer: &Answer) -> String {
-    let limits = match answer.at_edge {
-        None => return String::new(),
-        Some(Edge::Elevation) => "the largest elevation (--elevation-max)",
-        Some(Edge::Range) => "the shortest range (--range-min)",
-        Some(Edge::ElevationAndRange) => "the largest elevation (--elevation-max) and the shortest range (--range-min)",
-    };
-    format!("  the answer lies at {limits} that is expected; the samples do not clearly ask for more\n")
-}
 
 /// The elevation: with its sign where the motion tells up from down.
 fn elevation(answer: &Answer) -> String {
@@ -29,7 +17,7 @@ fn elevation(answer: &Answer) -> String {
 pub(super) fn quality(answer: &Answer) -> String {
     let or_dash = |value: Option<f64>| value.map_or("-".into(), |value| format!("{value:.2}"));
     let next = match answer.peak_ratio {
-        Some(ratio) => format!("the next candidate has {ratio:.2} of the evidence of the first"),
+        Some(ratio) => format!("the next candidate has {ratio:.2} times the probability of the first"),
         None => "no other candidate".into(),
     };
     format!(

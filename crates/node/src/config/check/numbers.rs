@@ -13,7 +13,7 @@ const SPEEDS: std::ops::RangeInclusive<f64> = 1e-3..=1e3;
 /// What the rules of `[estimator]` refuse: the key, and why.
 fn wrong_estimation(asked: &Estimation, least_m: f64) -> Vec<(&'static str, String)> {
     let mut wrong = Vec::new();
-    if !(0.0..=90.0).contains(&asked.elevation_max_deg) {
+    if !(0.0..=90.0).contains(&asked.elevation_max_deg.unwrap_or(20.0)) {
         wrong.push(("elevation_max_deg", "elevation_max_deg: 0 to 90 degrees".into()));
     }
     if !(0.0..=3_600.0).contains(&asked.accurate_every_s) {

@@ -1,0 +1,143 @@
+//! `csi5300 doctor`.
+
+mod bring_up;
+
+use super::args::mac;
+use super::listener::{Card, Listening, Needs, describe};
+use super::live::{Signals, duration};
+use csi5300_say::{Tone, toned};
+use super::{Outcome, Result, print, print_json};
+use csi5300::source::{CsiSource, Next};
+use csi5300::time::Span;
+use csi5300_live::doctor::{Check, Machine, Reception, System, Tree, Verdict, default_interface, examine};
+use csi5300_live::listener::Listener;
+use csi5300_live::wait::Monotonic;
+use driver_iface::Mac;
+use std::fmt::Write;
+use std::os::fd::AsFd;
+use std::path::PathBuf;
+
+// Arguments of `doctor`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// One JSON object instead of text
+    #[arg(long)]
+    json: bool,
+    /// Also listen for this long and say what comes
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    listen: Option<Span>,
+    /// Look at a copy of another machine's files (sys, proc, lib) instead of this machine
+    #[arg(long, value_name = "FOLDER")]
+    root: Option<PathBuf>,
+    /// The first robot: ask in order what only a card can tell, and write a report to send in (takes a minute)
+    #[arg(long, value_name = "REPORT.txt", conflicts_with_all = ["json", "listen", "root"])]
+    bring_up: Option<PathBuf>,
+    /// The card's interface, for --bring-up; found on the PCI bus where not given
+    #[arg(long, value_name = "NAME", requires = "bring_up")]
+    interface: Option<String>,
+    /// Another robot, for --bring-up: frames are sent to it
+    #[arg(long, value_parser = mac, value_name = "MAC", requires = "bring_up")]
+    peer: Option<Mac>,
+    #[command(flatten)]
+    card: Card,
+}
+
+#[derive(serde::Serialize)]
+struct Report<'a> {
+    ready: bool,
+    checks: &'a [Check],
+}
+
+/// Examines the machine.
+pub fn run(args: &Args) -> Result {
+    let system: Box<dyn System> = match &args.root {
+        Some(root) if !root.is_dir() => return Err(format!("{} is no folder", root.display())),
+        Some(root) => Box::new(Tree::new(root.clone())),
+        None => Box::new(Machine),
+    };
+    if let Some(report) = &args.bring_up {
+        let found = args.interface.clone().map_or_else(|| default_interface(system.as_ref()), Ok);
+        let interface = found.map_err(|error| format!("{error}: name the card's interface with --interface"))?;
+        return bring_up::run(&interface, args.peer, report).map(|()| Outcome::Done);
+    }
+    let mut checks = examine(system.as_ref());
+    if let Some(span) = args.listen {
+        checks.extend(listen(args, span)?);
+    }
+    let ready = !checks.iter().any(|check| check.verdict == Verdict::Bad);
+    if args.json {
+        print_json(&Report { ready, checks: &checks });
+    } else {
+        print(&text(&checks, ready));
+    }
+    Ok(if ready { Outcome::Done } else { Outcome::Nothing })
+}
+
+fn text(checks: &[Check], ready: bool) -> String {
+    let mut text = String::new();
+    for check in checks {
+        let mark = match check.verdict {
+            Verdict::Good => toned("ok  ", Tone::Good),
+            Verdict::Doubt => toned("?   ", Tone::Doubt),
+            Verdict::Bad => toned("BAD ", Tone::Bad),
+            Verdict::Unknown => "-   ".into(),
+        };
+        let _ = writeln!(text, "{mark}{}: {}", check.name, check.found);
+        if check.verdict != Verdict::Good {
+            let _ = writeln!(text, "      expected: {}", check.expected);
+        }
+        if let Some(mend) = &check.mend {
+            let _ = writeln!(text, "      try: {mend}");
+        }
+    }
+    let bad = checks.iter().filter(|check| check.verdict == Verdict::Bad).count();
+    let _ = match ready {
+        true => writeln!(text, "\nnothing found that stands in the way"),
+        false => writeln!(text, "\n{bad} in the way; mend them from the top, then run the doctor again"),
+    };
+    text
+}
+
+fn listen(args: &Args, span: Span) -> std::result::Result<Vec<Check>, String> {
+    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let mut heard = Reception::default();
+    let listening = Listening { card: args.card.clone(), allow_user_sender: false, room: None };
+    let mut listener = match listening.open(Needs::default()) {
+        Ok(listener) => listener,
+        Err(message) => {
+            return Ok(vec![Check {
+                name: "listener",
+                verdict: Verdict::Bad,
+                found: message,
+                expected: "the card's records".into(),
+                mend: None,
+            }]);
+        }
+    };
+    note!("{}", describe(&listener));
+    let clock = Monotonic::new();
+    let end = clock.now() + span;
+    while clock.now() < end {
+        let next = listener.receive(clock.now()).map_err(|error| error.to_string())?;
+        heard.note(&next);
+        if matches!(next, Next::Pending) {
+            let until = [listener.next_at(), Some(end)].into_iter().flatten().min();
+            let ready = clock.wait([listener.as_fd(), signals.as_fd()], until).map_err(|error| error.to_string())?;
+            if ready[1] {
+                break;
+            }
+        }
+    }
+    let mut checks = heard.checks();
+    let refused = if let Listener::Connector(listener) = &listener { listener.counters().user_senders } else { 0 };
+    if refused > 0 {
+        checks.push(Check {
+            name: "other senders",
+            verdict: Verdict::Doubt,
+            found: format!("{refused} messages came from a program, not from the kernel"),
+            expected: "the driver's messages".into(),
+            mend: Some("--allow-user-sender takes them, where an emulator is meant".into()),
+        });
+    }
+    Ok(checks)
+}

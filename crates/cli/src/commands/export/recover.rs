@@ -1,0 +1,301 @@
+//! `csi5300 export --dat`: every intact record of a damaged log.
+
+mod settle;
+
+use super::super::draft::{Draft, led_to};
+use super::super::{Outcome, Result};
+use csi5300::source::survey::{Identity, Survey};
+use csi5300::source::{Checks, CsiSource, Next, replay::Replay, side_path};
+use csi5300::time::Instant;
+use driver_iface::bfee::{Bfee, Iq, Repr};
+use driver_iface::record::{Record, code};
+use driver_iface::side_file::{Check, Entry, Layout as SideLayout};
+use driver_iface::{Mac, mpdu};
+use std::fs::File;
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// What is read and written, and how.
+pub struct Recovery<'a> {
+    /// The damaged log; - is standard input.
+    pub input: &'a Path,
+    /// Where the intact records go.
+    pub output: &'a Path,
+    /// The layout to bring records into.
+    pub layout: Option<Layout>,
+    /// One JSON object about what was written and what was lost.
+    pub json: bool,
+    /// Overwrite the output if it is there.
+    pub force: bool,
+}
+
+/// The line of JSON.
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    output: &'a Path,
+    /// Records written.
+    records: u64,
+    /// Records that were framed but hold something impossible.
+    bad_bfee: u64,
+    /// Stretches of bytes that are no record, and the bytes in them.
+    damages: u64,
+    damaged_bytes: u64,
+    /// Records of other codes than CSI and its frames beside damage, left out.
+    doubtful: u64,
+    /// Of the side file; null without one that has checksums.
+    checks: Option<Checks>,
+}
+
+/// A layout to bring records into.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum Layout {
+    /// The original CSI tool's: sender and number of a WSR record go into a copy of its frame before it, host times into
+    /// a side file (OUTPUTstp, 8 bytes a record)
+    Stock,
+}
+
+type Words<T> = std::result::Result<T, String>;
+
+/// Records of other codes than CSI and its frames that wait for one of these: so many of them vouch for each other.
+const WAITING: usize = 16;
+
+/// What is being written.
+struct Output {
+    draft: Draft,
+    data: BufWriter<File>,
+    /// With host times: in the stock layout, and where the input has them.
+    side: Option<(BufWriter<File>, SideLayout)>,
+    name: String,
+    /// Records of the input that are in it.
+    kept: u64,
+    frame: Vec<u8>,
+}
+
+fn create(path: &Path) -> Words<BufWriter<File>> {
+    let file = File::create(path).map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+    Ok(BufWriter::with_capacity(256 * 1024, file))
+}
+
+impl Output {
+    fn create(path: &Path, side: Option<SideLayout>) -> Words<Self> {
+        let draft = Draft::new(path);
+        let data = create(draft.path())?;
+        let side = side.filter(|_| draft.is_file());
+        let side = side.map(|layout| Ok::<_, String>((create(&side_path(draft.path()))?, layout))).transpose()?;
+        let mut out = Self { draft, data, side, name: path.display().to_string(), kept: 0, frame: Vec::new() };
+        if let Some((side, layout)) = &mut out.side {
+            side.write_all(layout.head()).map_err(|error| format!("writing {}: {error}", out.name))?;
+        }
+        Ok(out)
+    }
+
+    fn write(&mut self, record: Record<'_>, host_us: Option<i64>) -> Words<()> {
+        self.frame.resize(record.emit_len(), 0);
+        record.emit(&mut self.frame).map_err(|error| error.to_string())?;
+        let name = &self.name;
+        let failed = |error: std::io::Error| format!("writing {name}: {error}");
+        self.data.write_all(&self.frame).map_err(failed)?;
+        if let Some((side, layout)) = &mut self.side {
+            let check = (*layout == SideLayout::Checked).then(|| Check::of(&self.frame));
+            let mut out = [0; SideLayout::Wide.bytes()];
+            // A time that does not fit stays zeros: not known.
+            let _ = Entry { host_us, check }.emit(*layout, &mut out);
+            side.write_all(out.split_at(layout.bytes()).0).map_err(failed)?;
+        }
+        Ok(())
+    }
+
+    /// A record of the WSR layout as the stock driver would have written it: its frame, then its CSI.
+    fn write_stock(&mut self, bfee: &Bfee<'_>, identity: Identity) -> Words<()> {
+        if let Some(number) = identity.frame_count {
+            let frame = sounding_frame(identity.mac, number)?;
+            self.write(Record { code: code::MPDU, body: &frame }, identity.host_us)?;
+        }
+        let repr = Repr { wsr: None, ..Repr::parse(bfee) };
+        let rows = (0..bfee.n_rx()).flat_map(|rx| (0..bfee.n_tx()).map(move |tx| (rx, tx)));
+        let all =
+            (0..csi5300::signal::channel::SUBCARRIERS).flat_map(|k| rows.clone().map(move |(rx, tx)| (k, rx, tx)));
+        let csi: Vec<Iq> = all.filter_map(|(k, rx, tx)| bfee.iq(k, rx, tx)).collect();
+        let mut body = vec![0; repr.body_len()];
+        repr.emit(&csi, &mut body).map_err(|error| error.to_string())?;
+        self.write(Record { code: code::BFEE, body: &body }, identity.host_us)
+    }
+
+    /// Makes the log what it will be read as, and gives it and its side file their names; older side files go.
+    fn finish(mut self, path: &Path) -> Words<u64> {
+        let failed = |error: std::io::Error| format!("writing {}: {error}", path.display());
+        self.data.flush().map_err(failed)?;
+        let side = self.side.take();
+        let layout = side.as_ref().map(|(_, layout)| *layout);
+        if let Some((mut side, _)) = side {
+            side.flush().map_err(failed)?;
+        }
+        if !self.draft.is_file() {
+            return Ok(0);
+        }
+        let taken = settle::settle(self.draft.path(), layout)?;
+        let named = side_path(self.draft.target());
+        self.draft.keep(layout.is_some()).map_err(failed)?;
+        let older = side_files(path).into_iter().filter(|side| layout.is_none() || led_to(side) != led_to(&named));
+        older.for_each(|older| drop(std::fs::remove_file(older)));
+        Ok(taken)
+    }
+}
+
+/// Where a side file of an output may be: beside the name it was given, and beside the file that this leads to.
+fn side_files(output: &Path) -> [PathBuf; 2] {
+    [side_path(&led_to(output)), side_path(output)]
+}
+
+/// Records of other codes than CSI and its frames, unknown ones or what drivers log beside: between intact records they are kept,
+/// beside damage they are as likely made up of its bytes.
+#[derive(Default)]
+struct Doubts {
+    waiting: Vec<(u8, Vec<u8>, Option<i64>)>,
+    after_damage: bool,
+    /// Records that were not kept.
+    dropped: u64,
+}
+
+impl Doubts {
+    /// Takes a record of another code.
+    fn hold(&mut self, record: Record<'_>, host_us: Option<i64>, out: &mut Output) -> Words<()> {
+        if self.after_damage {
+            self.dropped += 1;
+            return Ok(());
+        }
+        self.waiting.push((record.code, record.body.to_vec(), host_us));
+        if self.waiting.len() >= WAITING { self.believe(out) } else { Ok(()) }
+    }
+
+    /// What waits is followed by a record that is no doubt.
+    fn believe(&mut self, out: &mut Output) -> Words<()> {
+        self.after_damage = false;
+        for (code, body, host_us) in self.waiting.drain(..) {
+            out.write(Record { code, body: &body }, host_us)?;
+            out.kept += 1;
+        }
+        Ok(())
+    }
+
+    /// What waits is followed by damage.
+    fn damage(&mut self) {
+        self.dropped += self.waiting.drain(..).len() as u64;
+        self.after_damage = true;
+    }
+}
+
+/// A frame as the CSI tool logs it: sender in address 3, number in the payload.
+fn sounding_frame(mac: Mac, number: u32) -> Words<Vec<u8>> {
+    let payload = number.to_be_bytes();
+    let repr = mpdu::Repr {
+        // A data frame.
+        frame_control: 0x0008,
+        duration_us: 0,
+        seq_ctrl: 0,
+        addr1: Mac([0xff; 6]),
+        addr2: mac,
+        addr3: mac,
+        payload: &payload,
+    };
+    let mut frame = vec![0; repr.emit_len()];
+    repr.emit(&mut frame).map_err(|error| error.to_string())?;
+    Ok(frame)
+}
+
+/// Copies the intact records of a log.
+pub fn run(args: &Recovery<'_>) -> Result {
+    let output = args.output.display().to_string();
+    if super::super::is_same_file(&args.input, &args.output) {
+        return Err(format!("{output} is the input itself: name another file"));
+    }
+    super::super::must_not_exist(&args.output, args.force)?;
+    let mut source = super::super::open_log(&args.input)?;
+    // Checksums of what was never checked would vouch for it.
+    let is_checked = source.checks().is_none_or(|checks| !checks.out_of_step);
+    let own = source.side_layout().filter(|_| is_checked);
+    let side = if args.layout == Some(Layout::Stock) { Some(SideLayout::Narrow) } else { own };
+    // Without a side file of its own the recovered log must not be read with that of another.
+    side_files(&args.output).iter().try_for_each(|side| super::super::must_not_exist(side, args.force))?;
+    let mut out = Output::create(&args.output, side)?;
+    let (mut survey, mut doubts) = (Survey::default(), Doubts::default());
+    if side.is_some() && !out.draft.is_file() {
+        note!("{output} is no file: host times, which stand in a file beside, are not written");
+    }
+    copy(&mut source, args.layout, &mut out, &mut survey, &mut doubts)?;
+    notes!("{}", super::super::info::losses(&survey, source.bytes()));
+    let checks = source.checks();
+    if let Some(checks) = &checks {
+        note!("  {}", super::super::info::check_words(checks));
+    }
+    let mut kept = out.kept;
+    if kept == 0 {
+        drop(out);
+        note!("nothing to write: no {output}");
+    } else {
+        let taken = out.finish(&args.output)?;
+        (kept, doubts.dropped) = (kept.saturating_sub(taken), doubts.dropped + taken);
+        note!("{} written to {output}", super::super::some(kept, "intact record", "intact records"));
+    }
+    if args.json {
+        let Survey { bad_bfee, damages, damaged_bytes, .. } = survey;
+        let row = Row {
+            output: &args.output,
+            records: kept,
+            bad_bfee,
+            damages,
+            damaged_bytes,
+            doubtful: doubts.dropped,
+            checks,
+        };
+        super::super::print_json(&row);
+    }
+    if doubts.dropped > 0 {
+        let doubtful = super::super::some(doubts.dropped, "doubtful record", "doubtful records");
+        note!("  {doubtful} beside the damage left out: nothing but their place spoke for them");
+    }
+    let missing = checks.is_some_and(|checks| checks.missing > 0 || checks.out_of_step);
+    Ok(match (kept, survey.lost_something() || missing || doubts.dropped > 0) {
+        (0, _) => Outcome::Nothing,
+        (_, true) => Outcome::DataLost,
+        (_, false) => Outcome::Done,
+    })
+}
+
+/// Writes what is intact in `source`.
+fn copy(
+    source: &mut Replay<Box<dyn std::io::Read + Send>>,
+    layout: Option<Layout>,
+    out: &mut Output,
+    survey: &mut Survey,
+    doubts: &mut Doubts,
+) -> Words<()> {
+    loop {
+        // What a side file's checksums let through is no doubt.
+        let is_checked = source.checks().is_some_and(|checks| !checks.out_of_step);
+        let next = source.receive(Instant::ZERO).map_err(|error| error.to_string())?;
+        let noted = survey.note(&next);
+        match (next, noted) {
+            (Next::Record(..), Some((bfee, identity))) if layout == Some(Layout::Stock) && bfee.wsr().is_some() => {
+                doubts.believe(out)?;
+                out.write_stock(&bfee, identity)?;
+                out.kept += 1;
+            }
+            (Next::Record(_, record), None) if record.code == code::BFEE => doubts.damage(),
+            (Next::Record(stamps, record), noted) => {
+                let identified = noted.filter(|_| layout.is_some()).and_then(|(_, identity)| identity.host_us);
+                let host_us = identified.or(stamps.host_us);
+                if is_checked || [code::BFEE, code::MPDU].contains(&record.code) {
+                    doubts.believe(out)?;
+                    out.write(record, host_us)?;
+                    out.kept += 1;
+                } else {
+                    doubts.hold(record, host_us, out)?;
+                }
+            }
+            (Next::Lost(_), _) => doubts.damage(),
+            (Next::Pending, _) => {}
+            (Next::End(_), _) => return doubts.believe(out),
+        }
+    }
+}

@@ -1,0 +1,355 @@
+//! `csi5300 record`.
+
+use super::listener::{self, Listening, Needs};
+use super::live::{Signals, create_refused, duration, size};
+use super::{Outcome, Result, say};
+use csi5300::source::recorder::{LogFiles, Options, Pipe, Recorder, Rotation, Totals};
+use csi5300::source::side_path;
+use csi5300::source::{CsiSource, Error, Loss, Next};
+use csi5300::time::{Instant, Span};
+use csi5300_live::listener::{Listener, Lost};
+use csi5300_live::status::{Losses, Status};
+use csi5300_live::wait::Monotonic;
+use driver_iface::side_file::Layout;
+use std::fmt::Write as _;
+use std::io::{IsTerminal, Write};
+use std::os::fd::{AsFd, OwnedFd};
+use std::path::{Path, PathBuf};
+
+/// How often the live view is drawn.
+const LOOK: Span = Span::from_ms(500);
+/// Rest after records before the socket is looked at again, so that at high rates one waking-up serves several of
+/// them. Their host times are computed from the card's clock ([`csi5300::time::HostTimes`]), not from when they were read.
+const REST: Span = Span::from_ms(8);
+/// No rest after more records than this at once, ...
+const FEW: u32 = 32;
+/// ... nor with a smaller receive buffer than this, bytes: the queue in the kernel could run over meanwhile.
+const ROOMY: usize = 1 << 20;
+/// Records between two looks at signals and the view when the source never pauses.
+const BURST: u32 = 256;
+
+// Arguments of `record`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The log; its side file with host times is OUT.datstp
+    #[arg(value_name = "OUT.dat")]
+    out: PathBuf,
+    /// Overwrite the log if it is there
+    #[arg(long)]
+    force: bool,
+    /// A checksum of each record in the side file, which `info`, `export --dat` and whatever reads the log then check; csiread does
+    /// not read such side files
+    #[arg(long)]
+    checksums: bool,
+    /// Make the log survive a power cut this often; 0s leaves it to the system
+    #[arg(long, value_parser = duration, default_value = "1s", value_name = "TIME")]
+    sync_every: Span,
+    /// Go on in a new file (OUT-0001.dat, OUT-0002.dat ...) before this size: 500k, 100M, 2G
+    #[arg(long, value_parser = size, value_name = "SIZE")]
+    rotate_size: Option<u64>,
+    /// Go on in a new file after this time: 30s, 10m, 1h
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    rotate_every: Option<Span>,
+    /// Stop after this time
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    stop_after: Option<Span>,
+    /// Stop after this many records
+    #[arg(long, value_name = "N")]
+    records: Option<u64>,
+    /// Also write the records to standard output, for another program
+    #[arg(long)]
+    live: bool,
+    /// A full page of live figures instead of one line
+    #[arg(long)]
+    watch: bool,
+    /// One JSON object about the recording at its end
+    #[arg(long, conflicts_with = "live")]
+    json: bool,
+    /// Receive buffer to ask the kernel for
+    #[arg(long, value_parser = size, default_value = "32M", value_name = "SIZE")]
+    receive_buffer: u64,
+    #[command(flatten)]
+    listening: Listening,
+}
+
+impl Args {
+    fn side_layout(&self) -> Layout {
+        if self.checksums { Layout::Checked } else { Layout::Narrow }
+    }
+}
+
+/// When and how to stop and show.
+struct Session<'a> {
+    args: &'a Args,
+    clock: Monotonic,
+    socket: OwnedFd,
+    signals: Signals,
+    status: Status,
+    view: View,
+    /// Whether a rest after records is safe and wanted.
+    rests: bool,
+}
+
+/// Where the live view goes.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum View {
+    None,
+    Line,
+    Page,
+}
+
+/// Records until told to stop.
+pub fn run(args: &Args) -> Result {
+    let text = |error: csi5300::source::Error| error.to_string();
+    // Signals first: one that comes during the opening must not leave half a start behind.
+    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let listener = args.listening.open(Needs { receive_buffer: Some(args.receive_buffer), ..Needs::default() })?;
+    let rotation = Rotation { bytes: args.rotate_size, every: args.rotate_every };
+    let files = LogFiles::create(&args.out, rotation, args.force).map_err(|error| create_refused(&error))?;
+    let files = files.with_side_layout(args.side_layout());
+    let terminal = std::io::stderr().is_terminal();
+    let clock = Monotonic::new();
+    let mut session = Session {
+        args,
+        clock,
+        rests: !args.live && listener.buffer() >= ROOMY,
+        socket: listener.as_fd().try_clone_to_owned().map_err(|error| format!("what is listened to: {error}"))?,
+        signals,
+        status: Status::new(clock.now()),
+        view: if args.watch {
+            View::Page
+        } else if terminal && say::says(say::Level::Usual) {
+            View::Line
+        } else {
+            View::None
+        },
+    };
+    note!("{}; recording to {}", listener::describe(&listener), args.out.display());
+    let sync_every = (args.sync_every > Span::default()).then_some(args.sync_every);
+    let mut options = Options::default();
+    options.sync_every = sync_every;
+    let recorder = Recorder::new(listener, files, options).map_err(text)?;
+    let (failed, listener, files, totals) = if args.live {
+        let pipe = Pipe::new(std::io::stdout());
+        let mut options = Options::default();
+        (options.sync_every, options.hand_over) = (None, Span::from_ms(10));
+        let mut tee = Recorder::new(recorder, pipe, options).map_err(text)?;
+        let failed = session.capture(&mut tee, |tee| (tee.source().totals(), tee.source().source().lost())).err();
+        let (recorder, _, piped) = tee.finish(clock.now()).map_err(text)?;
+        let missed = piped.received - piped.written;
+        if missed > 0 {
+            note!("standard output missed {missed} records; the log has them");
+        }
+        let (listener, files, totals) = recorder.finish(clock.now()).map_err(text)?;
+        (failed, listener, files, totals)
+    } else {
+        let mut recorder = recorder;
+        let failed = session.capture(&mut recorder, |own| (own.totals(), own.source().lost())).err();
+        let (listener, files, totals) = recorder.finish(clock.now()).map_err(text)?;
+        (failed, listener, files, totals)
+    };
+    session.clear();
+    notes!("{}", summary(&session.status, &listener, &totals, &files.paths()));
+    if let Some(message) = failed {
+        wrong!("{message}");
+    }
+    let lost = losses(&totals, &listener.lost());
+    if args.json {
+        super::print_json(&Row::new(&session.status, &totals, lost, &files));
+    }
+    Ok(outcome(&totals, lost, session.status.survey.lost_something(), &files))
+}
+
+/// The line of JSON.
+#[derive(serde::Serialize)]
+struct Row {
+    files: Vec<PathBuf>,
+    /// Records in them.
+    records: u64,
+    /// From the first record to the last, seconds.
+    seconds: f64,
+    /// Messages that the kernel dropped, records that the driver did, and those that the disk did not take.
+    lost_kernel: u64,
+    lost_driver: u64,
+    lost_disk: u64,
+    /// Records by sender.
+    senders: std::collections::BTreeMap<String, u64>,
+}
+
+impl Row {
+    fn new(status: &Status, totals: &Totals, lost: Losses, files: &LogFiles) -> Self {
+        let senders = status.survey.senders.iter().map(|(mac, sender)| (mac.to_string(), sender.records));
+        Self {
+            files: files.paths(),
+            records: totals.written,
+            seconds: status.first_at.zip(status.last_at).map_or(0.0, |(first, last)| (last - first).as_s()),
+            lost_kernel: lost.kernel,
+            lost_driver: lost.driver,
+            lost_disk: lost.disk,
+            senders: senders.collect(),
+        }
+    }
+}
+
+fn outcome(totals: &Totals, lost: Losses, damaged: bool, files: &LogFiles) -> Outcome {
+    match totals.written {
+        0 => {
+            // Nobody takes them for a recording, and the next try needs no --force.
+            let paths = files.paths();
+            paths.iter().flat_map(|log| [log.clone(), side_path(log)]).for_each(|path| remove_empty(&path));
+            Outcome::Nothing
+        }
+        // Failing: the disk refuses it, or it was deleted.
+        _ if lost != Losses::default() || damaged || totals.failing => Outcome::DataLost,
+        _ => Outcome::Done,
+    }
+}
+
+fn losses(totals: &Totals, lost: &Lost) -> Losses {
+    Losses { kernel: lost.kernel, driver: lost.driver, disk: totals.dropped + totals.lost_on_disk }
+}
+
+impl Session<'_> {
+    /// Receives until a signal, a limit, or an error; what was received is in the recorder either way.
+    fn capture<S: CsiSource>(
+        &mut self,
+        source: &mut S,
+        tell: impl Fn(&S) -> (Totals, Lost),
+    ) -> std::result::Result<(), String> {
+        let end_at = self.args.stop_after.map(|span| self.clock.now() + span);
+        let mut look_at = self.clock.now() + LOOK;
+        let mut told = None;
+        let mut burst = 0;
+        let mut ending = false;
+        // Records since the last wait.
+        let mut taken = 0;
+        loop {
+            let now = self.clock.now();
+            let next = source.receive(now).map_err(|error| error.to_string())?;
+            self.status.note(now, &next);
+            let pending = match &next {
+                Next::Lost(loss) => {
+                    self.clear();
+                    note!("{}", loss_words(loss));
+                    false
+                }
+                // What was queued when the signal came has been read.
+                Next::Pending if ending => return Ok(()),
+                Next::Pending => true,
+                Next::End(_) => return Ok(()),
+                Next::Record(..) => {
+                    taken += 1;
+                    false
+                }
+            };
+            burst += 1;
+            if !pending && burst < BURST && self.args.records.is_none_or(|limit| self.status.survey.records < limit) {
+                continue;
+            }
+            burst = 0;
+            if self.args.records.is_some_and(|limit| self.status.survey.records >= limit)
+                || end_at.is_some_and(|end| end <= now)
+            {
+                return Ok(());
+            }
+            if look_at <= now {
+                let (totals, lost) = tell(source);
+                if totals.error != told {
+                    self.clear();
+                    wrong!("{}", totals.error.as_deref().unwrap_or_default());
+                    told = totals.error.clone();
+                }
+                self.look(now, losses(&totals, &lost));
+                look_at = now + LOOK;
+            }
+            let until =
+                if pending { [source.next_at(), end_at, Some(look_at)].into_iter().flatten().min() } else { Some(now) };
+            let may_rest = (1..=FEW).contains(&std::mem::take(&mut taken)) && self.rests;
+            let rest = (pending && may_rest).then_some(now + REST);
+            ending |= self.wait(until, rest).map_err(|error| error.to_string())?;
+        }
+    }
+
+    /// Waits for records until `until`, or rests from them until `rest`. True if a signal came.
+    fn wait(&self, until: Option<Instant>, rest: Option<Instant>) -> std::result::Result<bool, Error> {
+        match rest {
+            Some(rest) => {
+                let until = until.map_or(rest, |until| until.min(rest));
+                self.clock.wait([self.signals.as_fd()], Some(until)).map(|[signalled]| signalled)
+            }
+            None => self.clock.wait([self.socket.as_fd(), self.signals.as_fd()], until).map(|[_, signalled]| signalled),
+        }
+    }
+
+    fn look(&mut self, now: Instant, losses: Losses) {
+        self.status.refresh(now);
+        let text = match self.view {
+            View::None => return,
+            View::Line => format!("\r\x1b[K{}", self.status.line(losses)),
+            View::Page => {
+                let title = say::printable(&self.args.out.display().to_string()).into_owned();
+                format!("\x1b[H\x1b[J{}", self.status.page(now, &title, losses))
+            }
+        };
+        let mut stderr = std::io::stderr().lock();
+        let _ = stderr.write_all(text.as_bytes()).and_then(|()| stderr.flush());
+    }
+
+    /// Takes the live line away, before other words.
+    fn clear(&self) {
+        if self.view == View::Line {
+            eprint!("\r\x1b[K");
+        }
+    }
+}
+
+fn loss_words(loss: &Loss) -> String {
+    match loss {
+        Loss::Overrun { dropped: Some(dropped) } => format!("overrun: the kernel dropped {dropped} messages"),
+        Loss::Overrun { dropped: None } => "overrun: the kernel dropped messages".into(),
+        Loss::Datagram { number, reason, .. } => format!("datagram {number}: {reason}"),
+        Loss::Bytes { offset, len, reason } => format!("{len} bytes at {offset}: {reason}"),
+    }
+}
+
+fn summary(status: &Status, listener: &Listener, totals: &Totals, files: &[PathBuf]) -> String {
+    let mut text = String::new();
+    let names: Vec<_> = files.iter().map(|path: &PathBuf| Path::display(path).to_string()).collect();
+    let seconds = status.first_at.zip(status.last_at).map_or(0.0, |(first, last)| (last - first).as_s());
+    if totals.written > 0 {
+        let records = super::some(totals.written, "record", "records");
+        let _ = writeln!(text, "{records} written to {} in {seconds:.1} s", names.join(", "));
+    }
+    if seconds > 0.0 {
+        let _ = writeln!(text, "  {:.1} records/s", totals.written as f64 / seconds);
+    }
+    text.push_str(&listener::summary(listener));
+    if totals.dropped + totals.lost_on_disk > 0 {
+        let _ = writeln!(
+            text,
+            "  not in the log: {} records for which the disk was too slow, {} that it refused",
+            totals.dropped, totals.lost_on_disk
+        );
+    }
+    if let Some(error) = &totals.error {
+        let _ = writeln!(text, "  {error}");
+    }
+    if let Some(words) = super::info::host_words(&status.survey.host_steps) {
+        let _ = writeln!(text, "  {words}");
+    }
+    for (mac, sender) in &status.survey.senders {
+        let name = if mac.is_zero() { "an unknown sender".to_string() } else { mac.to_string() };
+        let _ = writeln!(text, "  from {name}: {}", super::some(sender.records, "record", "records"));
+    }
+    if totals.received == 0 {
+        text.push_str("  nothing came: `csi5300 doctor --listen 10s` says what may be wrong\n");
+    }
+    text
+}
+
+/// Takes away an output in which nothing is, so that nobody takes it for a result; devices and pipes stay.
+fn remove_empty(output: &Path) {
+    if output.metadata().is_ok_and(|found| found.is_file()) && std::fs::remove_file(output).is_ok() {
+        note!("nothing to write: no {}", output.display());
+    }
+}

@@ -1,0 +1,131 @@
+//! `csi5300 replay`.
+
+use super::live::{Signals, duration, speed};
+use super::{Outcome, Result};
+use csi5300::source::paced::Paced;
+use csi5300::source::survey::Survey;
+use csi5300::source::{CsiSource, Next};
+use csi5300::time::Span;
+use csi5300_live::netlink::Sender;
+use csi5300_live::wait::Monotonic;
+use driver_iface::connector::CN_IDX;
+use driver_iface::record::{Record, Tail};
+use std::io::{StdoutLock, Write};
+use std::os::fd::AsFd;
+use std::path::{Path, PathBuf};
+
+/// The driver's connector index, as an argument is.
+const CN_IDX_TEXT: &str = "26";
+const _: () = assert!(CN_IDX == 26);
+
+// Arguments of `replay`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The log; - is standard input
+    file: PathBuf,
+    /// Times the pace of the recording; `max` does not wait at all
+    #[arg(long, default_value = "1", value_parser = speed)]
+    speed: f64,
+    /// Shorten longer pauses to this
+    #[arg(long, value_parser = duration, value_name = "TIME")]
+    longest_pause: Option<Span>,
+    /// Multicast to the driver's connector group, as the driver would, instead of writing the log to standard output; to this connector
+    /// index where one is given
+    #[arg(
+        long,
+        value_name = "INDEX",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = CN_IDX_TEXT,
+        value_parser = clap::value_parser!(u32).range(1..=32)
+    )]
+    connector: Option<u32>,
+    /// One JSON object about what was played; standard output is free for it with --connector only
+    #[arg(long, requires = "connector")]
+    json: bool,
+}
+
+/// The line of JSON.
+#[derive(serde::Serialize)]
+struct Row<'a> {
+    log: &'a Path,
+    /// Records sent, and how long that took, seconds.
+    records: u64,
+    seconds: f64,
+    /// What of the log could not be played.
+    bad_bfee: u64,
+    damages: u64,
+    damaged_bytes: u64,
+    /// Whether its last record is cut.
+    cut: bool,
+}
+
+enum Target {
+    Connector(Sender),
+    Stdout(StdoutLock<'static>, Vec<u8>),
+}
+
+impl Target {
+    fn send(&mut self, record: Record<'_>) -> std::result::Result<(), String> {
+        match self {
+            Self::Connector(sender) => sender.send(record).map_err(|error| error.to_string()),
+            Self::Stdout(out, frame) => {
+                frame.resize(record.emit_len(), 0);
+                record.emit(frame).map_err(|error| error.to_string())?;
+                out.write_all(frame).map_err(|error| error.to_string())
+            }
+        }
+    }
+}
+
+/// Plays a log.
+pub fn run(args: &Args) -> Result {
+    let signals = Signals::catch().map_err(|error| error.to_string())?;
+    let log = super::open_log(&args.file)?;
+    let mut target = match args.connector {
+        Some(index) => Target::Connector(Sender::open(index, true).map_err(|error| error.to_string())?),
+        None => Target::Stdout(std::io::stdout().lock(), Vec::new()),
+    };
+    let mut source = Paced::new(log, args.speed, args.longest_pause);
+    let (clock, mut survey, mut sent) = (Monotonic::new(), Survey::default(), 0_u64);
+    let begun = clock.now();
+    loop {
+        let next = source.receive(clock.now()).map_err(|error| error.to_string())?;
+        survey.note(&next);
+        match next {
+            Next::Record(_, record) => {
+                if let Err(message) = target.send(record) {
+                    wrong!("after {sent} records: {message}");
+                    return Ok(Outcome::DataLost);
+                }
+                sent += 1;
+            }
+            Next::Lost(_) => {}
+            Next::End(_) => break,
+            Next::Pending => {
+                if let Target::Stdout(out, _) = &mut target
+                    && out.flush().is_err()
+                {
+                    return Ok(Outcome::Done);
+                }
+                let until = source.next_at().unwrap_or_else(|| clock.now());
+                if clock.wait([signals.as_fd()], Some(until)).map_err(|error| error.to_string())?[0] {
+                    break;
+                }
+            }
+        }
+    }
+    if args.json {
+        let Survey { bad_bfee, damages, damaged_bytes, .. } = survey;
+        let cut = survey.tail.is_some_and(|tail| !matches!(tail, Tail::Clean));
+        let (log, seconds) = (args.file.as_path(), (clock.now() - begun).as_s());
+        super::print_json(&Row { log, records: sent, seconds, bad_bfee, damages, damaged_bytes, cut });
+    }
+    notes!("{}", super::info::losses(&survey, source.source().bytes()));
+    note!("{} played", super::some(sent, "record", "records"));
+    Ok(match (sent, survey.lost_something()) {
+        (0, _) => Outcome::Nothing,
+        (_, true) => Outcome::DataLost,
+        (_, false) => Outcome::Done,
+    })
+}

@@ -1,0 +1,303 @@
+//! `csi5300 simulate --rx ...`: a recorded capture beside a simulated one.
+
+use super::super::args::channel;
+use super::super::inputs::{BagArgs, Inputs};
+#[cfg(feature = "plot")]
+use super::super::pictures;
+use csi5300_say::{Tone, toned};
+use super::super::{
+    Outcome, Result, fixed, is_same_file, print, print_json, progress, read_trajectory, simulate, some, usage,
+};
+use csi5300::motion::odometry;
+use csi5300::motion::pose::Trajectory;
+use csi5300::pipeline::Options;
+use csi5300::signal::channel::{Channel, Width};
+use csi5300_lab::compare::fit::{Known, check_width};
+use csi5300_lab::compare::{FigureRow, Figures, Verdict, channel_of, fit, measure, rows, scene_channel};
+use csi5300_lab::evaluate::find;
+use csi5300_sim::Scene;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+// A recorded capture.
+#[derive(clap::Args, Clone)]
+#[command(next_help_heading = "A recorded capture to put beside the simulated one")]
+pub struct Recorded {
+    /// The recorded log of the robot that moved. SCENE is then a scene, or a folder that --out wrote; without it a scene is fitted to
+    /// the recording
+    #[arg(long, value_name = "RX.dat")]
+    rx: Option<PathBuf>,
+    /// The recorded log of the other robot
+    #[arg(long, value_name = "TX.dat")]
+    tx: Option<PathBuf>,
+    /// The recorded trajectory
+    #[arg(long, value_name = "T.csv")]
+    trajectory: Option<PathBuf>,
+    #[command(flatten)]
+    bag: BagArgs,
+    /// The recorded trajectory of the other robot, if it moved, on the first one's clock
+    #[arg(long, value_name = "T.csv")]
+    tx_trajectory: Option<PathBuf>,
+    /// WiFi channel of the recording, with + or - for 40 MHz; that of the scene or of the simulated folder where one is given
+    #[arg(long, value_parser = channel, value_name = "NUMBER")]
+    channel: Option<Channel>,
+}
+
+impl Recorded {
+    /// True if one was named.
+    pub fn is_named(&self) -> bool {
+        self.bag.bag.is_some()
+            || self.rx.is_some()
+            || self.tx.is_some()
+            || self.trajectory.is_some()
+            || self.tx_trajectory.is_some()
+            || self.channel.is_some()
+    }
+}
+
+/// What is compared, and how.
+pub struct Args {
+    /// A scene, or a folder with a simulated capture; without it a scene is fitted.
+    pub with: Option<PathBuf>,
+    /// The recording.
+    pub recorded: Recorded,
+    /// Folder for the fitted scene and its trajectory, the simulated capture and the pictures.
+    pub out: PathBuf,
+    /// Replace what an earlier run left in that folder.
+    pub force: bool,
+    /// A line of JSON for each figure.
+    pub json: bool,
+}
+
+type Words<T> = std::result::Result<T, String>;
+
+/// Puts a recorded and a simulated capture beside each other.
+pub fn run(args: &Args) -> Result {
+    // Before anything is read or fitted: minutes of work end in these files.
+    let tx: Vec<PathBuf> = args.recorded.tx.iter().cloned().collect();
+    let (inputs, named) = args.recorded.bag.resolve(args.recorded.rx.clone(), tx, args.recorded.trajectory.clone())?;
+    let tx = match &named.tx[..] {
+        [tx] => tx,
+        several => {
+            let several: Vec<String> = several.iter().map(|topic| topic.display().to_string()).collect();
+            return Err(format!("several logs could be the other robot's ({}): --tx names one", several.join(", ")));
+        }
+    };
+    args.check_outputs(inputs.bag().into_iter().chain([&*named.rx, tx, &named.trajectory]))?;
+    let given = args.with.as_deref().filter(|with| !with.is_dir()).map(simulate::load).transpose()?;
+    let options = Options::new(args.channel(given.as_ref())?);
+    let trajectory = inputs.trajectory(&named.trajectory)?;
+    let displaced = args.recorded.tx_trajectory.as_deref().map(|path| inputs.trajectory(path)).transpose()?;
+    let recorded = read(&inputs, (&named.rx, tx), (&trajectory, displaced.as_ref()), &options)?;
+    check_width(&recorded, options.channel).map_err(|error| error.to_string())?;
+    let folder = args.out.join(SIMULATED);
+    // A fitted scene's robot strays from the recorded trajectory, which is all that a recording has.
+    let along = args.with.is_none().then_some(&trajectory);
+    let capture = match (&args.with, given) {
+        (Some(folder), None) => folder.clone(),
+        (_, given) => {
+            let scene = given.map_or_else(|| fitted(args, &recorded, &trajectory, &options), Ok)?;
+            clear(&folder)?;
+            simulate::write(&scene, &folder)?;
+            folder
+        }
+    };
+    let simulated = read_folder(&capture, along, &options)?;
+    let table = rows(&recorded, &simulated);
+    if args.json {
+        table.iter().for_each(print_json);
+    } else {
+        print(&describe(&table));
+    }
+    draw(args, &recorded, &simulated)?;
+    Ok(if inputs.lost() { Outcome::DataLost } else { Outcome::Done })
+}
+
+/// Names of what is written into the folder; the trajectory is a copy that the scene names.
+const TRAJECTORY: &str = "fitted-trajectory.csv";
+const SCENE: &str = "scene.toml";
+const SIMULATED: &str = "simulated";
+
+impl Args {
+    /// The channel of both captures: of the scene that was read, of the folder, or the one asked for.
+    fn channel(&self, scene: Option<&Scene>) -> Words<Channel> {
+        match (&self.with, scene) {
+            (Some(file), Some(scene)) => of_scene(file, scene, self.recorded.channel),
+            (Some(folder), None) => of_folder(folder, self.recorded.channel),
+            (None, _) => Ok(self.recorded.channel.unwrap_or_else(|| usage("--channel is needed to fit a scene"))),
+        }
+    }
+
+    /// Refuses outputs that are inputs, and without --force those that are there.
+    fn check_outputs<'a>(&'a self, read: impl Iterator<Item = &'a Path>) -> Words<()> {
+        #[cfg(feature = "plot")]
+        pictures::check(&csi5300_lab::show::compared::stems(&self.out), self.force)?;
+        let simulated = self.out.join(SIMULATED);
+        let written: Vec<PathBuf> = match &self.with {
+            Some(folder) if folder.is_dir() => return Ok(()),
+            Some(_) => Vec::new(),
+            None => [TRAJECTORY, SCENE].iter().map(|name| self.out.join(name)).collect(),
+        };
+        for input in read.chain(self.recorded.tx_trajectory.as_deref()).chain(self.with.as_deref()) {
+            if let Some(output) = written.iter().find(|output| is_same_file(input, output)) {
+                return Err(format!("{} is an input: another --out is needed", output.display()));
+            }
+            let inside = input.canonicalize().ok().zip(simulated.canonicalize().ok());
+            if inside.is_some_and(|(input, folder)| input.starts_with(folder)) {
+                let (input, folder) = (input.display(), simulated.display());
+                return Err(format!(
+                    "{input} is an input inside {folder}, which is written anew: another --out is needed"
+                ));
+            }
+        }
+        let used = std::fs::read_dir(&simulated).is_ok_and(|mut entries| entries.next().is_some());
+        let there = written.into_iter().find(|output| output.exists()).or(used.then_some(simulated));
+        match there.filter(|_| !self.force) {
+            Some(there) => Err(format!("{} is there already: --force replaces it", there.display())),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The channel of a scene in this file, which is the one asked for, if one is.
+fn of_scene(file: &Path, scene: &Scene, asked: Option<Channel>) -> Words<Channel> {
+    let is_other = |channel: &Channel| {
+        (scene.channel, scene.bandwidth_mhz == 40) != (scene_channel(*channel), channel.width() != Width::Ht20)
+    };
+    match asked {
+        Some(channel) if is_other(&channel) => Err(format!(
+            "{} is of channel {} at {} MHz, not of --channel {channel}",
+            file.display(),
+            scene.channel,
+            scene.bandwidth_mhz
+        )),
+        Some(channel) => Ok(channel),
+        None => channel_of(scene).map_err(|error| format!("{}: {error}", file.display())),
+    }
+}
+
+/// The channel of the first capture in a folder, which is the one asked for, if one is. Files with a truth do not say how wide.
+fn of_folder(folder: &Path, asked: Option<Channel>) -> Words<Channel> {
+    let (captures, _) = find(folder);
+    let capture = captures.first().ok_or_else(|| no_capture(folder))?;
+    match (asked, capture.channel_number().map_err(|error| error.to_string())?) {
+        (Some(channel), Some(own)) if u32::from(scene_channel(channel)) != own => {
+            Err(format!("{} is of channel {own}, not of --channel {channel}", folder.display()))
+        }
+        (Some(channel), _) => Ok(channel),
+        (None, Some(own)) => Channel::new(own, Width::Ht20).map_err(|error| error.to_string()),
+        (None, None) => usage(&format!("--channel is needed: no file with a truth in {} names it", folder.display())),
+    }
+}
+
+fn no_capture(folder: &Path) -> String {
+    format!("no capture in {}", folder.display())
+}
+
+/// Removes the capture of an earlier run.
+fn clear(folder: &Path) -> Words<()> {
+    match std::fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            Err(format!("cannot remove the earlier {}: {error}", folder.display()))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// `paths`: the receiver's, and the transmitter's if it moved.
+fn read(
+    inputs: &Inputs,
+    (rx, tx): (&Path, &Path),
+    paths: (&Trajectory, Option<&Trajectory>),
+    options: &Options,
+) -> Words<Figures> {
+    measure(&mut inputs.open(rx)?, &mut inputs.open(tx)?, paths.0, paths.1, options).map_err(|error| error.to_string())
+}
+
+/// Reads the first capture and link of a folder in the layout of the WSR data set, along its own trajectory if no other is
+/// given.
+fn read_folder(folder: &Path, along: Option<&Trajectory>, options: &Options) -> Words<Figures> {
+    let (captures, _) = find(folder);
+    let capture = captures.first().ok_or_else(|| no_capture(folder))?;
+    let (name, tx) =
+        capture.transmitters.first().ok_or_else(|| format!("no transmitter's log in {}", folder.display()))?;
+    let beside = |name: String| capture.folder.join(name);
+    let path_of = |robot: &str| beside(format!("{robot}_trajectory_{}_.csv", capture.stamp));
+    let trajectory = along.map_or_else(|| read_trajectory(&path_of("rx")), |trajectory| Ok(trajectory.clone()))?;
+    let displaced = Some(path_of(name)).filter(|path| path.is_file()).map(|path| read_trajectory(&path)).transpose()?;
+    let logs = (&*beside(format!("csi_rx_{}.dat", capture.stamp)), &**tx);
+    read(&Inputs::default(), logs, (&trajectory, displaced.as_ref()), options)
+}
+
+/// Fits a scene to the recorded capture and keeps it, with the trajectory that it names.
+fn fitted(args: &Args, recorded: &Figures, trajectory: &Trajectory, options: &Options) -> Words<Scene> {
+    let written = |path: &Path, text: &str| {
+        std::fs::write(path, text).map_err(|error| format!("cannot write {}: {error}", path.display()))
+    };
+    std::fs::create_dir_all(&args.out).map_err(|error| format!("cannot make {}: {error}", args.out.display()))?;
+    let mut poses = String::new();
+    trajectory.poses().iter().for_each(|pose| poses += &odometry::csv::line(pose));
+    written(&args.out.join(TRAJECTORY), &poses)?;
+    let known = Known { trajectory, file: Path::new(TRAJECTORY), folder: &args.out, transmitter_m: None };
+    progress("fitting a scene to the recording");
+    let fitted = fit(recorded, &known, options).map_err(|error| error.to_string());
+    progress("");
+    let fitted = fitted?;
+    written(&args.out.join(SCENE), &fitted.toml)?;
+    Ok(fitted.scene)
+}
+
+fn describe(table: &[FigureRow]) -> String {
+    let mut text = format!("{:<12} {:<40} {:>12} {:>12}\n", "", "", "recorded", "simulated");
+    let value = |value: Option<f64>| value.map_or_else(|| "-".into(), short);
+    for row in table {
+        let verdict = match row.verdict {
+            Verdict::Agrees => toned("agrees", Tone::Good),
+            Verdict::Differs => toned("DIFFERS", Tone::Bad),
+            Verdict::Shown => String::new(),
+        };
+        let (recorded, simulated) = (value(row.recorded), value(row.simulated));
+        let line = format!("{:<12} {:<40} {recorded:>12} {simulated:>12} {:<9}", row.of, row.name, row.unit);
+        let _ = writeln!(text, "{}", format!("{line} {verdict}").trim_end());
+    }
+    let count = |verdict| table.iter().filter(|row| row.verdict == verdict).count();
+    let (agree, differ) = (count(Verdict::Agrees), count(Verdict::Differs));
+    let _ = writeln!(text, "{} agree, {differ} differ", some(agree as u64, "figure", "figures"));
+    text
+}
+
+/// Four significant digits, no exponent.
+fn short(value: f64) -> String {
+    if value == value.trunc() && value.abs() < 1e9 {
+        return fixed(value, 0);
+    }
+    let digits = 3 - value.abs().log10().floor() as i32;
+    fixed(value, digits.clamp(0, 6) as usize)
+}
+
+#[cfg(not(feature = "plot"))]
+fn draw(_: &Args, _: &Figures, _: &Figures) -> Words<()> {
+    Ok(())
+}
+
+#[cfg(feature = "plot")]
+fn draw(args: &Args, recorded: &Figures, simulated: &Figures) -> Words<()> {
+    let format = pictures::format(args.force);
+    let written = csi5300_lab::show::compared::write(recorded, simulated, &args.out, &format);
+    let written = written.map_err(|error| pictures::refused(&error))?;
+    for path in pictures::first_of_each(&written).filter(|_| !args.json) {
+        print(&format!("picture {}\n", path.display()));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::short;
+
+    #[test]
+    fn figures_have_four_digits_and_what_is_nothing_has_no_sign() {
+        assert_eq!([-0.0, -1e-9, 1000.0, -20.0].map(short), ["0", "0.000000", "1000", "-20"]);
+        assert_eq!([0.642_58, 31.006, -10_955.2].map(short), ["0.6426", "31.01", "-10955"]);
+    }
+}

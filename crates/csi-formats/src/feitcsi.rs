@@ -1,0 +1,233 @@
+//! FeitCSI: the Intel AX200 and AX210.
+//!
+//! A record is 272 bytes of head and then CSI, all little-endian; the program writes them one after the other to a file or its
+//! standard output, or each as a UDP datagram. [`front`] reads one off the front of any of these.
+//!
+//! | offset | type | |
+//! |---|---|---|
+//! | 0 | u32 | bytes of CSI |
+//! | 8 | u32 | FTM clock, 320 MHz: a tick is 3.125 ns, it wraps every 13.4 s |
+//! | 12 | u64 | host time, microseconds since the epoch; 0 in old logs |
+//! | 46, 47 | u8 | receive, transmit chains |
+//! | 52 | u32 | subcarriers |
+//! | 60, 64 | u32 | RSSI of the two chains, -dBm |
+//! | 68 | 6 bytes | sender |
+//! | 88 | u32 | the card's microsecond clock |
+//! | 92 | u32 | `rate_n_flags` of version 2: bits 8-10 kind, 11-13 width |
+//!
+//! CSI is `[rx][tx][subcarrier]` of i16 pairs, real part first. Pilots are not measured: the firmware leaves noise there. Old
+//! firmware writes 14 subcarriers too many into VHT160, in the middle; they are left out.
+
+use crate::{Card, Clock, Frame, Front, Kind, RssiUnit, Tones, Why, array, i16_pairs, to_next, u32_at, u64_at};
+use alloc::vec::Vec;
+
+/// Bytes of a record before its CSI.
+pub const HEAD: usize = 272;
+/// Length of a tick of the FTM clock, picoseconds: 1 / 320 MHz.
+pub const FTM_TICK_PS: u32 = 3_125;
+/// Subcarriers that old firmware writes too many in VHT160, and where.
+const VHT160_FAULT: core::ops::Range<usize> = 242..256;
+/// More chains than any of these cards has.
+const MAX_CHAINS: u8 = 4;
+
+/// The head of a record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Head {
+    csi_len: usize,
+    ftm: u32,
+    host_us: u64,
+    n_rx: u8,
+    n_tx: u8,
+    subcarriers: u32,
+    rssi: [u32; 2],
+    pub(crate) sender: [u8; 6],
+    pub(crate) clock_us: u32,
+    rate: u32,
+}
+
+impl Head {
+    /// The head at the front; `None` when there are too few bytes.
+    pub(crate) fn parse(bytes: &[u8]) -> Option<Self> {
+        let bytes = bytes.get(..HEAD)?;
+        let &[n_rx, n_tx] = bytes.get(46..48)? else { return None };
+        Some(Self {
+            csi_len: usize::try_from(u32_at(bytes, 0)?).ok()?,
+            ftm: u32_at(bytes, 8)?,
+            host_us: u64_at(bytes, 12)?,
+            n_rx,
+            n_tx,
+            subcarriers: u32_at(bytes, 52)?,
+            rssi: [u32_at(bytes, 60)?, u32_at(bytes, 64)?],
+            sender: array(bytes, 68)?,
+            clock_us: u32_at(bytes, 88)?,
+            rate: u32_at(bytes, 92)?,
+        })
+    }
+
+    /// Whether its numbers agree with each other.
+    fn is_consistent(&self) -> bool {
+        let chains = 1..=MAX_CHAINS;
+        let samples = u64::from(self.n_rx) * u64::from(self.n_tx) * u64::from(self.subcarriers);
+        chains.contains(&self.n_rx) && chains.contains(&self.n_tx) && samples > 0 && self.csi_len as u64 == 4 * samples
+    }
+
+    /// Kind of the frame, `None` for CCK and what came after HE, and its width, MHz.
+    pub(crate) fn kind_and_width(&self) -> (Option<Kind>, u16) {
+        let kind = match self.rate >> 8 & 7 {
+            1 => Some(Kind::Legacy),
+            2 => Some(Kind::Ht),
+            3 => Some(Kind::Vht),
+            4 => Some(Kind::He),
+            _ => None,
+        };
+        (kind, 20 << (self.rate >> 11 & 7).min(4))
+    }
+
+    /// The clocks: FTM, and the one that wraps later.
+    pub(crate) fn clocks(&self) -> (Clock, Clock) {
+        (Clock { ticks: self.ftm.into(), tick_ps: FTM_TICK_PS, bits: 32 }, Clock::us(self.clock_us.into(), 32))
+    }
+
+    /// RSSI of the chains, dBm.
+    pub(crate) fn rssi_dbm(&self) -> Vec<Option<i16>> {
+        let dbm = |rssi: &u32| i16::try_from(*rssi).ok().filter(|rssi| (1..=127).contains(rssi)).map(|rssi| -rssi);
+        self.rssi.iter().take(self.n_rx.into()).map(dbm).collect()
+    }
+}
+
+/// Whether the first record agrees with itself, and what follows it is one, or the end.
+pub(crate) fn is_log(bytes: &[u8]) -> bool {
+    let Some(head) = Head::parse(bytes).filter(Head::is_consistent) else { return false };
+    let next = bytes.get(HEAD.saturating_add(head.csi_len)..).unwrap_or_default();
+    next.is_empty() || Head::parse(next).is_some_and(|head| head.is_consistent())
+}
+
+/// The record at the front and its length, or why it is none and how many bytes to skip.
+#[must_use]
+pub fn front(bytes: &[u8]) -> Front {
+    let is_record = |bytes: &[u8]| Head::parse(bytes).is_some_and(|head| head.is_consistent());
+    let Some(head) = Head::parse(bytes) else { return (Err(Why::Cut), bytes.len()) };
+    if !head.is_consistent() {
+        return (Err(Why::Damaged), to_next(bytes, is_record));
+    }
+    let len = HEAD.saturating_add(head.csi_len);
+    let Some(csi) = bytes.get(HEAD..len) else {
+        // Cut, or a length that was damaged: then another record begins inside.
+        let next = to_next(bytes, is_record);
+        return (Err(if next == bytes.len() { Why::Cut } else { Why::Damaged }), next);
+    };
+    (frame(&head, csi), len)
+}
+
+fn frame(head: &Head, csi: &[u8]) -> Result<Frame, Why> {
+    let wrong = Why::Subcarriers { got: head.subcarriers };
+    let (kind, width_mhz) = head.kind_and_width();
+    let Tones { subcarriers, data } = kind.and_then(|kind| Tones::of(kind, width_mhz)).ok_or(wrong)?;
+    let (n, written) = (subcarriers.len(), head.subcarriers as usize);
+    let is_faulty = kind == Some(Kind::Vht) && width_mhz == 160 && written == n + VHT160_FAULT.len();
+    if written != n && !is_faulty {
+        return Err(wrong);
+    }
+    let (clock, slow_clock) = head.clocks();
+    Ok(Frame {
+        offset: 0,
+        card: Card::Ax2xx,
+        clock: Some(clock),
+        slow_clock: Some(slow_clock),
+        host_us: i64::try_from(head.host_us).ok().filter(|us| *us > 0),
+        sender: Some(head.sender),
+        sequence: None,
+        centre_mhz: None,
+        width_mhz,
+        kind,
+        n_rx: head.n_rx.into(),
+        n_tx: head.n_tx.into(),
+        first_rx: 0,
+        first_tx: 0,
+        antenna_sel: None,
+        csi: columns(csi, written, is_faulty),
+        subcarriers,
+        measured: data,
+        rssi: head.rssi_dbm(),
+        rssi_unit: RssiUnit::Dbm,
+    })
+}
+
+/// The samples, without those that a fault put into each column.
+fn columns(csi: &[u8], written: usize, is_faulty: bool) -> Vec<[f32; 2]> {
+    let mut all = i16_pairs(csi);
+    if is_faulty {
+        let mut k = 0;
+        all.retain(|_| {
+            let at = k % written.max(1);
+            k += 1;
+            !VHT160_FAULT.contains(&at)
+        });
+    }
+    all
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use std::vec;
+
+    /// A record of 2 x 1 chains in which sample `k` of a column is `(k, -1)`.
+    pub(crate) fn record(rate: u32, subcarriers: u32) -> Vec<u8> {
+        let mut bytes = vec![0; HEAD];
+        bytes[..4].copy_from_slice(&(8 * subcarriers).to_le_bytes());
+        bytes[8..12].copy_from_slice(&7_u32.to_le_bytes());
+        bytes[46..48].copy_from_slice(&[2, 1]);
+        bytes[52..56].copy_from_slice(&subcarriers.to_le_bytes());
+        bytes[60] = 41;
+        bytes[68..74].copy_from_slice(&[2, 0, 0, 0, 0, 9]);
+        bytes[88..92].copy_from_slice(&1_000_u32.to_le_bytes());
+        bytes[92..96].copy_from_slice(&rate.to_le_bytes());
+        for k in (0..subcarriers as i16).chain(0..subcarriers as i16) {
+            bytes.extend(k.to_le_bytes().into_iter().chain((-1_i16).to_le_bytes()));
+        }
+        bytes
+    }
+
+    #[test]
+    fn a_record_is_read_with_its_own_subcarriers() {
+        let (frame, len) = front(&record(0x0200, 56));
+        let frame = frame.unwrap();
+        assert_eq!((len, frame.kind, frame.width_mhz), (272 + 448, Some(Kind::Ht), 20));
+        assert_eq!((frame.n_rx, frame.n_tx, frame.rssi), (2, 1, vec![Some(-41), None]));
+        assert_eq!(
+            (frame.clock, frame.slow_clock),
+            (Some(Clock { ticks: 7, tick_ps: 3_125, bits: 32 }), Some(Clock::us(1_000, 32)))
+        );
+        assert_eq!((frame.host_us, frame.sender), (None, Some([2, 0, 0, 0, 0, 9])));
+        assert_eq!((frame.subcarriers[0], frame.subcarriers[28], frame.measured[7]), (-28, 1, false));
+        assert_eq!(front(&record(0x0200, 57)).0, Err(Why::Subcarriers { got: 57 }));
+        assert_eq!(front(&record(0x0000, 56)).0, Err(Why::Subcarriers { got: 56 }), "CCK");
+    }
+
+    #[test]
+    fn the_subcarriers_too_many_of_vht160_are_left_out() {
+        let frame = front(&record(0x0300 | 3 << 11, 498)).0.unwrap();
+        assert_eq!((frame.subcarriers.len(), frame.csi.len()), (484, 968));
+        let column = frame.column(1, 0).unwrap();
+        assert_eq!((column[241], column[242], column[483]), ([241.0, -1.0], [256.0, -1.0], [497.0, -1.0]));
+    }
+
+    #[test]
+    fn damage_costs_the_record_that_it_is_in() {
+        let mut log: Vec<u8> = (0..4).flat_map(|_| record(0x0400, 242)).collect();
+        let len = log.len() / 4;
+        log.drain(len + 400..len + 500);
+        let offsets: Vec<Result<u64, (u64, u64, Why)>> = crate::items(&log)
+            .unwrap()
+            .map(|item| match item {
+                crate::Item::Frame(frame) => Ok(frame.offset),
+                crate::Item::Skipped(skipped) => Err((skipped.offset, skipped.len, skipped.why)),
+            })
+            .collect();
+        let len = len as u64;
+        // The second is read with bytes of the third, as its head is whole; then the rest of the third is skipped.
+        assert_eq!(offsets, [Ok(0), Ok(len), Err((2 * len, len - 100, Why::Damaged)), Ok(3 * len - 100)]);
+        assert_eq!(front(&record(0x0400, 242)[..300]), (Err(Why::Cut), 300));
+    }
+}

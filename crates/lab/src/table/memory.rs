@@ -1,0 +1,450 @@
+//! Records in memory, as the card sent them: blocks that are written once, the bfee records of a log in them ([`Arena`]), and all that a
+//! source gave, to be given again ([`Held`]).
+
+use super::columns::Advise;
+use csi5300::source::{CsiSource, Error, Loss, Next, Stamps};
+use csi5300::time::Instant;
+use driver_iface::bfee::Bfee;
+use driver_iface::record::{MAX_LENGTH, Record, Tail, code};
+use memmap2::MmapMut;
+
+/// Bytes of a block.
+pub(super) const BLOCK: usize = 4 << 20;
+
+/// Memory of a fixed size.
+#[derive(Debug)]
+pub(super) enum Memory {
+    /// Of the heap.
+    Heap(Vec<u8>),
+    /// Mapped.
+    Mapped(MmapMut),
+}
+
+impl Memory {
+    fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Heap(heap) => heap,
+            Self::Mapped(map) => map,
+        }
+    }
+
+    fn bytes_mut(&mut self) -> &mut [u8] {
+        match self {
+            Self::Heap(heap) => heap,
+            Self::Mapped(map) => map,
+        }
+    }
+}
+
+/// A block: of the heap, which takes memory as it is written, or of a fixed size.
+#[derive(Debug)]
+pub(super) enum Block {
+    /// Of the heap.
+    Growing(Vec<u8>),
+    /// Of a fixed size; the first `len` bytes are written.
+    Fixed {
+        /// The memory.
+        memory: Memory,
+        /// Bytes written.
+        len: usize,
+    },
+}
+
+impl Block {
+    /// For few records.
+    pub fn small() -> Self {
+        Self::Growing(Vec::new())
+    }
+
+    /// For many: mapped in large pages, which takes all of the memory at the first byte and a hundredth of the time a byte.
+    pub fn large() -> Self {
+        let block = Self::fixed(BLOCK);
+        // Pages of the usual size do as well.
+        #[cfg(target_os = "linux")]
+        if let Self::Fixed { memory: Memory::Mapped(map), .. } = &block {
+            let _ = map.advise(memmap2::Advice::HugePage);
+        }
+        block
+    }
+
+    /// For so many bytes; takes memory page by page.
+    pub fn fixed(bytes: usize) -> Self {
+        let memory = MmapMut::map_anon(bytes).map_or_else(|_| Memory::Heap(vec![0; bytes]), Memory::Mapped);
+        Self::Fixed { memory, len: 0 }
+    }
+
+    /// Bytes for which there is room.
+    pub fn room(&self) -> usize {
+        match self {
+            Self::Growing(heap) => BLOCK.saturating_sub(heap.len()),
+            Self::Fixed { memory, len } => memory.bytes().len().saturating_sub(*len),
+        }
+    }
+
+    /// Adds bytes; where they begin, or `None` without room for them. An empty heap block takes any number.
+    pub fn push(&mut self, bytes: &[u8]) -> Option<u32> {
+        let from = self.bytes().len();
+        match self {
+            Self::Growing(heap) if from == 0 || from + bytes.len() <= BLOCK => heap.extend_from_slice(bytes),
+            Self::Fixed { memory, len } => {
+                memory.bytes_mut().get_mut(from..from + bytes.len())?.copy_from_slice(bytes);
+                *len += bytes.len();
+            }
+            Self::Growing(_) => return None,
+        }
+        u32::try_from(from).ok()
+    }
+
+    /// Has `fill` write behind what was written, and takes the bytes that it says it wrote. A growing block has no room for that.
+    pub fn fill<E>(&mut self, fill: impl FnOnce(&mut [u8]) -> Result<usize, E>) -> Result<usize, E> {
+        let Self::Fixed { memory, len } = self else { return Ok(0) };
+        let room = memory.bytes_mut().get_mut(*len..).unwrap_or_default();
+        let most = room.len();
+        let written = fill(room)?.min(most);
+        *len += written;
+        Ok(written)
+    }
+
+    /// Leaves the next bytes as they are.
+    pub fn skip(&mut self, bytes: usize) {
+        if let Self::Fixed { memory, len } = self {
+            *len = (*len + bytes).min(memory.bytes().len());
+        }
+    }
+
+    /// The memory of a block of a fixed size, to be written anew.
+    pub fn emptied(self) -> Option<Self> {
+        match self {
+            Self::Fixed { memory, .. } => Some(Self::Fixed { memory, len: 0 }),
+            Self::Growing(_) => None,
+        }
+    }
+
+    /// Writes `bytes` so that they end at `to`, over what is there; where they begin. A block whose bytes before `to` are too few
+    /// becomes one that holds `bytes` and what is behind `to`.
+    pub fn put_before(&mut self, to: usize, bytes: &[u8]) -> usize {
+        if let Self::Fixed { memory, .. } = self
+            && let Some(from) = to.checked_sub(bytes.len())
+            && let Some(place) = memory.bytes_mut().get_mut(from..to)
+        {
+            place.copy_from_slice(bytes);
+            return from;
+        }
+        let whole = [bytes, self.bytes().get(to..).unwrap_or_default()].concat();
+        *self = Self::Growing(whole);
+        0
+    }
+
+    /// What was written.
+    pub fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Growing(heap) => heap,
+            Self::Fixed { memory, len } => memory.bytes().get(..*len).unwrap_or_default(),
+        }
+    }
+}
+
+/// A bfee record and the frame that the driver logged with it, each in a block.
+#[derive(Clone, Copy, Debug, Default)]
+struct Entry {
+    bfee: Place,
+    /// The MPDU record before it; length 0 where there is none.
+    mpdu: Place,
+}
+
+/// Where a record's body lies.
+#[derive(Clone, Copy, Debug, Default)]
+struct Place {
+    block: u32,
+    span: Span,
+}
+
+/// bfee records in the order of the log, each with the MPDU record that says who sent it, where there is one.
+#[derive(Debug, Default)]
+pub struct Arena {
+    blocks: Vec<Block>,
+    entries: Vec<Entry>,
+    /// The newest MPDU, until a bfee takes it.
+    waiting: Vec<u8>,
+}
+
+impl Arena {
+    /// Number of bfee records.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// True without any.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
+    /// Makes room for so many more records, as far as memory allows; `advise` is told of it.
+    pub(super) fn reserve(&mut self, records: usize, advise: &mut impl Advise) {
+        if self.entries.try_reserve_exact(records).is_ok() {
+            advise.advise(self.entries.spare_capacity_mut());
+        }
+    }
+
+    /// Keeps an MPDU for the next bfee.
+    pub fn note_mpdu(&mut self, body: &[u8]) {
+        self.waiting.clear();
+        self.waiting.extend_from_slice(body);
+    }
+
+    /// Forgets the MPDU of a bfee that is not kept.
+    pub fn drop_mpdu(&mut self) {
+        self.waiting.clear();
+    }
+
+    /// Adds the body of a bfee record that was checked.
+    pub fn push(&mut self, body: &[u8]) {
+        let waiting = std::mem::take(&mut self.waiting);
+        let mpdu = if waiting.is_empty() { Place::default() } else { self.store(&waiting) };
+        self.waiting = waiting;
+        self.waiting.clear();
+        let bfee = self.store(body);
+        self.entries.push(Entry { bfee, mpdu });
+    }
+
+    /// Takes over a block; `records` are the bfee records in it that are kept, each with its MPDU where that is in the block
+    /// too. The first one's may be an MPDU [noted](Self::note_mpdu) before.
+    pub(super) fn adopt(&mut self, block: Block, records: impl IntoIterator<Item = (Span, Option<Span>)>) {
+        let noted = std::mem::take(&mut self.waiting);
+        let mut noted = (!noted.is_empty()).then(|| self.store(&noted));
+        // 2^32 blocks would be 16 PiB.
+        let own = |block: usize, span| Place { block: block as u32, span };
+        let number = self.blocks.len();
+        self.entries.extend(records.into_iter().map(|(bfee, mpdu)| {
+            let before = noted.take();
+            let mpdu = mpdu.map(|span| own(number, span)).or(before).unwrap_or_default();
+            Entry { bfee: own(number, bfee), mpdu }
+        }));
+        self.blocks.push(block);
+    }
+
+    fn store(&mut self, body: &[u8]) -> Place {
+        let stored = self.blocks.last_mut().and_then(|block| block.push(body));
+        let from = stored.or_else(|| {
+            self.blocks.push(Block::small());
+            self.blocks.last_mut()?.push(body)
+        });
+        let span = Span { from: from.unwrap_or_default(), len: body.len() as u32 };
+        Place { block: self.blocks.len().saturating_sub(1) as u32, span }
+    }
+
+    fn bytes(&self, place: Place) -> &[u8] {
+        self.blocks.get(place.block as usize).map(|block| place.span.of(block.bytes())).unwrap_or_default()
+    }
+
+    /// The body of a bfee record; empty beyond the last.
+    #[must_use]
+    pub fn body(&self, index: usize) -> &[u8] {
+        self.entries.get(index).map_or(&[], |entry| self.bytes(entry.bfee))
+    }
+
+    /// The MPDU logged with a bfee record; empty where there is none.
+    #[must_use]
+    pub fn mpdu(&self, index: usize) -> &[u8] {
+        self.entries.get(index).map_or(&[], |entry| self.bytes(entry.mpdu))
+    }
+
+    /// A bfee record, checked again.
+    #[must_use]
+    pub fn bfee(&self, index: usize) -> Option<Bfee<'_>> {
+        Bfee::new_checked(self.body(index)).ok()
+    }
+
+    /// Bytes of a record and its companion, MPDU first, with their codes.
+    pub fn records(&self, index: usize) -> impl Iterator<Item = (u8, &[u8])> {
+        let all = [(code::MPDU, self.mpdu(index)), (code::BFEE, self.body(index))];
+        all.into_iter().filter(|(_, body)| !body.is_empty())
+    }
+
+    /// Bytes held.
+    #[must_use]
+    pub fn size(&self) -> usize {
+        self.blocks.iter().map(|block| block.bytes().len()).sum()
+    }
+}
+
+/// What a source gives in a piece at most; a damaged log may give more than it has bytes for records.
+const MOST: usize = 65_536;
+
+/// Where a record's body lies in a block.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Span {
+    /// Its first byte.
+    pub from: u32,
+    /// Its bytes; 0 for none.
+    pub len: u32,
+}
+
+impl Span {
+    /// The body.
+    pub fn of(self, bytes: &[u8]) -> &[u8] {
+        let from = self.from as usize;
+        bytes.get(from..from + self.len as usize).unwrap_or_default()
+    }
+}
+
+#[derive(Clone, Debug)]
+enum Item {
+    Record(Stamps, u8, Span),
+    Lost(Loss),
+    End(Tail),
+}
+
+/// A stretch of what a source gave.
+#[derive(Debug)]
+pub(super) struct Piece {
+    pub block: Block,
+    items: Vec<Item>,
+}
+
+impl Piece {
+    /// Nothing yet, in this block.
+    pub fn new(block: Block) -> Self {
+        Self { block, items: Vec::new() }
+    }
+
+    /// True if the last of them is the log's end.
+    pub fn has_ended(&self) -> bool {
+        matches!(self.items.last(), Some(Item::End(_)))
+    }
+
+    /// Takes what the source gives until the block is full, nothing is there at `now`, or all was given; whether more may be
+    /// there at once.
+    ///
+    /// # Errors
+    /// As the source. What it gave before is in the piece.
+    pub fn fill(&mut self, source: &mut (impl CsiSource + ?Sized), now: Instant) -> Result<bool, Error> {
+        while self.items.len() < MOST && self.block.room() >= MAX_LENGTH {
+            match source.receive(now)? {
+                Next::Record(stamps, record) => {
+                    // There is room for the longest record.
+                    let from = self.block.push(record.body).unwrap_or_default();
+                    self.items.push(Item::Record(stamps, record.code, Span { from, len: record.body.len() as u32 }));
+                }
+                Next::Lost(loss) => self.items.push(Item::Lost(loss)),
+                Next::Pending => return Ok(false),
+                Next::End(tail) => {
+                    self.items.push(Item::End(tail));
+                    return Ok(false);
+                }
+            }
+        }
+        Ok(true)
+    }
+
+    /// What it gave in this place, and where in the block.
+    pub fn get(&self, index: usize) -> Option<(Next<'_>, Span)> {
+        Some(match self.items.get(index)? {
+            Item::Record(stamps, code, span) => {
+                (Next::Record(*stamps, Record { code: *code, body: span.of(self.block.bytes()) }), *span)
+            }
+            Item::Lost(loss) => (Next::Lost(loss.clone()), Span::default()),
+            Item::End(tail) => (Next::End(*tail), Span::default()),
+        })
+    }
+}
+
+/// A log in memory, all that its source gave: records of any kind, losses and the end. [`Held::source`] gives the same again, as
+/// often as is asked for.
+#[derive(Debug)]
+pub struct Held {
+    pieces: Vec<Piece>,
+}
+
+impl Held {
+    /// Reads a source to its end; `None` once `go_on`, which is asked every few megabytes, says no.
+    ///
+    /// # Errors
+    /// As the source, and [`Error::Endless`] of one that is live.
+    pub fn read(source: &mut dyn CsiSource, go_on: &dyn Fn() -> bool) -> Result<Option<Self>, Error> {
+        let mut pieces = Vec::new();
+        while go_on() {
+            let mut piece = Piece::new(if pieces.is_empty() { Block::small() } else { Block::large() });
+            let more = piece.fill(source, Instant::ZERO)?;
+            let has_ended = piece.has_ended();
+            pieces.push(piece);
+            match (more, has_ended) {
+                (_, true) => return Ok(Some(Self { pieces })),
+                (true, false) => {}
+                (false, false) => return Err(Error::Endless),
+            }
+        }
+        Ok(None)
+    }
+
+    /// The log from its beginning.
+    #[must_use]
+    pub fn source(&self) -> HeldSource<'_> {
+        HeldSource { pieces: self.pieces.iter(), piece: None, at: 0, ended: false }
+    }
+}
+
+/// What a source gave, once more; see [`Held::source`].
+#[derive(Clone, Debug)]
+pub struct HeldSource<'a> {
+    pieces: std::slice::Iter<'a, Piece>,
+    piece: Option<&'a Piece>,
+    at: usize,
+    ended: bool,
+}
+
+impl CsiSource for HeldSource<'_> {
+    fn receive(&mut self, now: Instant) -> Result<Next<'_>, Error> {
+        loop {
+            if let Some((next, _)) = self.piece.and_then(|piece| piece.get(self.at)) {
+                self.at += 1;
+                self.ended |= matches!(next, Next::End(_));
+                return Ok(match next {
+                    Next::Record(stamps, record) => Next::Record(Stamps { at: now, ..stamps }, record),
+                    other => other,
+                });
+            }
+            let Some(piece) = self.pieces.next() else { return Ok(Next::End(Tail::Clean)) };
+            (self.piece, self.at) = (Some(piece), 0);
+        }
+    }
+
+    fn next_at(&self) -> Option<Instant> {
+        (!self.ended).then_some(Instant::ZERO)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{BLOCK, Block};
+
+    #[test]
+    fn a_block_holds_what_was_written_and_no_more() {
+        for mut block in [Block::small(), Block::large()] {
+            assert!(block.bytes().is_empty() && block.room() == BLOCK);
+            assert_eq!((block.push(&[1, 2, 3]), block.push(&[4])), (Some(0), Some(3)));
+            assert_eq!((block.bytes(), block.room()), (&[1, 2, 3, 4][..], BLOCK - 4));
+            assert_eq!(block.push(&vec![5; BLOCK - 3]), None);
+            assert_eq!(block.push(&vec![6; BLOCK - 4]), Some(4));
+            assert_eq!((block.room(), block.bytes()[BLOCK - 1], block.push(&[7])), (0, 6, None));
+        }
+        let mut own = Block::small();
+        assert_eq!((own.push(&vec![8; BLOCK + 1]), own.push(&[9]), own.room()), (Some(0), None, 0));
+    }
+    #[test]
+    fn bytes_are_read_behind_a_gap_and_what_was_left_over_is_put_before_them() {
+        let mut block = Block::fixed(10);
+        block.skip(3);
+        let read = |room: &mut [u8]| {
+            room[..4].copy_from_slice(&[3, 4, 5, 6]);
+            Ok::<usize, ()>(4)
+        };
+        assert_eq!((block.fill(read), block.room()), (Ok(4), 3));
+        assert_eq!((block.put_before(3, &[1, 2]), block.bytes()), (1, &[0, 1, 2, 3, 4, 5, 6][..]));
+        assert_eq!((block.put_before(3, &[9, 9, 1, 2]), block.bytes()), (0, &[9, 9, 1, 2, 3, 4, 5, 6][..]));
+        assert_eq!(block.fill(|_| Ok::<usize, ()>(1)), Ok(0));
+        assert_eq!(Block::fixed(2).fill(|room| Ok::<usize, ()>(room.len() + 1)), Ok(2));
+    }
+}

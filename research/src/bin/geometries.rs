@@ -1,0 +1,233 @@
+//! Answers of the default pipeline in free space, for motions of one end or both, beside their truth and the Cramer-Rao
+//! bound: `cargo run --release --bin geometries [helix | near | shapes | both | wide]`.
+
+use csi5300::pipeline::Options;
+use csi5300_lab::ends::{Ends, Seen};
+use csi5300_sim::motion::{Arc, Circle, FigureEight, Helix, Line, RandomWalk, RobotMotion, Square, Waypoints};
+use rayon::prelude::*;
+
+fn main() {
+    let wanted: Vec<String> = std::env::args().skip(1).collect();
+    let all: [(&str, fn()); 5] = [("helix", helix), ("near", near), ("shapes", shapes), ("both", both), ("wide", wide)];
+    all.iter().filter(|(name, _)| wanted.is_empty() || wanted.iter().any(|w| w == name)).for_each(|(_, run)| run());
+}
+
+fn spiral(radius_m: f64, rise_m: f64, turns: f64) -> RobotMotion {
+    RobotMotion::Helix(Helix { radius_m, rise_m, duration_s: 6.0, turns, start_s: 0.0 })
+}
+
+fn away(azimuth_deg: f64, elevation_deg: f64, range_m: f64) -> [f64; 3] {
+    let ((sin, cos), (up, flat)) = (azimuth_deg.to_radians().sin_cos(), elevation_deg.to_radians().sin_cos());
+    [range_m * flat * cos, range_m * flat * sin + 0.3, range_m * up + 0.15]
+}
+
+fn options() -> Options {
+    match "108".parse() {
+        Ok(channel) => Options::new(channel),
+        Err(error) => panic!("channel 108: {error}"),
+    }
+}
+
+fn run(ends: &[Ends]) -> Vec<Seen> {
+    let one = |ends: &Ends| ends.see(&options()).map_err(|error| println!("    {error}: {ends:?}")).ok();
+    ends.par_iter().filter_map(one).collect()
+}
+
+/// A line of worst errors, and of errors in units of the bound.
+fn print(name: &str, seen: &[Seen]) {
+    let worst = |of: &dyn Fn(&Seen) -> f64| seen.iter().map(|s| of(s).abs()).fold(0.0, f64::max);
+    let over =
+        |of: &dyn Fn(&Seen) -> f64| (seen.iter().map(|s| of(s).powi(2)).sum::<f64>() / seen.len().max(1) as f64).sqrt();
+    let elevation = |s: &Seen| s.elevation_error_deg.unwrap_or(0.0);
+    let positions: Vec<f64> = seen.iter().filter_map(|s| s.position_error_m.map(|e| e.xy().norm())).collect();
+    let inside = seen.iter().filter(|s| s.position_level.is_some_and(|level| level < 5.99)).count();
+    println!(
+        "{name:34} {:4} runs; azimuth mean {:7.4}, worst {:7.3} ({:5.2} x bound, {} beyond the bar), elevation {:7.3} ({:5.2}); {} signed; position {} reported, worst {:.2} m, {inside} within 95 %",
+        seen.len(),
+        seen.iter().map(|s| s.azimuth_error_deg).sum::<f64>() / seen.len().max(1) as f64,
+        worst(&|s| s.azimuth_error_deg),
+        over(&|s| s.azimuth_error_deg / s.bound_deg[0]),
+        seen.iter().filter(|s| s.azimuth_error_deg.abs() > s.azimuth_sd_deg).count(),
+        worst(&elevation),
+        over(&|s| elevation(s) / s.bound_deg[1]),
+        seen.iter().filter(|s| s.signed).count(),
+        positions.len(),
+        positions.iter().copied().fold(0.0, f64::max),
+    );
+}
+
+/// Elevations from -75 to 75 degrees, 24 azimuths, 15 dB, 20 m away.
+fn helix() {
+    let mut all = Vec::new();
+    for elevation in (-75..=75).step_by(15) {
+        let one = |k: u32| Ends {
+            receiver: spiral(0.3, 0.3, 1.0),
+            transmitter_m: away(15.0 * f64::from(k) + 3.0, f64::from(elevation), 20.0),
+            duration_s: 6.0,
+            snr_db: 15.0,
+            seed: u64::from(k + 1),
+            ..Ends::default()
+        };
+        let seen = run(&(0..24).map(one).collect::<Vec<_>>());
+        print(&format!("helix, elevation {elevation}"), &seen);
+        all.extend(seen);
+    }
+    print("helix, all", &all);
+}
+
+/// The helix with a transmitter 0.5 to 3 m away, with odometry that is exact and that is not.
+fn near() {
+    for range_m in [0.5, 0.8, 1.2, 2.0, 3.0] {
+        for (noise, scale) in [(0.0, 0.0), (0.001, 0.01)] {
+            let one = |k: i32| Ends {
+                receiver: spiral(0.3, 0.3, 1.0),
+                transmitter_m: away(
+                    f64::from(45 * k),
+                    [-60.0, -30.0, -10.0, 10.0, 30.0, 60.0][k as usize % 6],
+                    range_m,
+                ),
+                duration_s: 6.0,
+                snr_db: 15.0,
+                odometry_noise_m: noise,
+                odometry_scale: scale,
+                seed: k as u64 + 1,
+                ..Ends::default()
+            };
+            let seen = run(&(0..12).map(one).collect::<Vec<_>>());
+            print(&format!("helix, {range_m} m, odometry {noise} m, {scale}"), &seen);
+        }
+    }
+}
+
+/// Drives that are wider than what is searched at once, at up to 0.6 m/s: packets up to a quarter of a wavelength apart.
+fn wide() {
+    for size_m in [1.0, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0] {
+        let corner = vec![[size_m, 0.0, 0.0], [size_m, size_m, 0.0]];
+        let bend = |k: i32| (0.12 * f64::from(k)).sin_cos();
+        let bend = (1..=12).map(bend).map(|(sin, cos)| [size_m * sin, size_m * (1.0 - cos), 0.0]).collect();
+        let (duration_s, turns, start_s, speed_m_s) = (50.0, 1.0, 0.0, 0.2);
+        let motions: [(&str, RobotMotion); 4] = [
+            ("circle", RobotMotion::Circle(Circle { radius_m: size_m, duration_s, turns, start_s })),
+            ("eight", RobotMotion::FigureEight(FigureEight { radius_m: size_m, duration_s, turns, start_s })),
+            ("corner", RobotMotion::Waypoints(Waypoints { points_m: corner, speed_m_s, start_s })),
+            ("bend", RobotMotion::Waypoints(Waypoints { points_m: bend, speed_m_s, start_s })),
+        ];
+        for (name, receiver) in motions {
+            let one = |k: u32| Ends {
+                receiver: receiver.clone(),
+                transmitter_m: {
+                    let (sin, cos) = (137.5 * f64::from(k)).to_radians().sin_cos();
+                    let range_m = size_m + 2.0 + 1.7 * f64::from(k % 6);
+                    [range_m * cos, range_m * sin, 0.1 * f64::from(k % 8)]
+                },
+                duration_s,
+                snr_db: 15.0,
+                seed: u64::from(k),
+                ..Ends::default()
+            };
+            print(&format!("{name} of {size_m} m"), &run(&(0..24).map(one).collect::<Vec<_>>()));
+        }
+    }
+}
+
+fn walk(seed: u64) -> RobotMotion {
+    let mut random = csi5300_sim::random::Stream::of_seed(seed);
+    let mut at = [0.0; 3];
+    let points_m = (0..9)
+        .map(|_| {
+            at = at.map(|v: f64| (v + 0.25 * random.normal()).clamp(-0.5, 0.5));
+            at
+        })
+        .collect();
+    RobotMotion::Waypoints(Waypoints { points_m, speed_m_s: 0.4, start_s: 0.0 })
+}
+
+fn tilted(radius_m: f64, tilt_deg: f64) -> RobotMotion {
+    let (up, flat) = tilt_deg.to_radians().sin_cos();
+    let point = |k: i32| {
+        let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 60.0).sin_cos();
+        [radius_m * (cos - 1.0) * flat, radius_m * sin, radius_m * (cos - 1.0) * up]
+    };
+    let speed_m_s = std::f64::consts::TAU * radius_m / 6.0;
+    RobotMotion::Waypoints(Waypoints { points_m: (1..=60).map(point).collect(), speed_m_s, start_s: 0.0 })
+}
+
+/// Shapes other than the helix, level and not.
+fn shapes() {
+    let straight = |to: [f64; 3]| {
+        let length = to.iter().map(|v| v * v).sum::<f64>().sqrt();
+        RobotMotion::Waypoints(Waypoints { points_m: vec![to], speed_m_s: length / 6.0, start_s: 0.0 })
+    };
+    let shapes: Vec<(&str, RobotMotion)> = vec![
+        ("vertical line", straight([0.0, 0.0, 1.0])),
+        ("climbing line", straight([1.0, 0.0, 1.0])),
+        ("circle tilted 10", tilted(0.3, 10.0)),
+        ("circle tilted 30", tilted(0.3, 30.0)),
+        ("circle tilted 60", tilted(0.3, 60.0)),
+        ("half a helix", spiral(0.3, 0.6, 0.5)),
+        ("three low turns", spiral(0.3, 0.05, 3.0)),
+        ("level circle", RobotMotion::Circle(Circle { radius_m: 0.3, duration_s: 6.0, turns: 1.0, start_s: 0.0 })),
+        ("level arc", RobotMotion::Arc(Arc { radius_m: 0.4, angle_deg: 200.0, duration_s: 6.0, start_s: 0.0 })),
+        ("walk in space", walk(5)),
+        ("another walk", walk(6)),
+    ];
+    for (name, receiver) in &shapes {
+        for elevation in [-60.0, -35.0, -10.0, 0.0, 10.0, 35.0, 60.0] {
+            let one = |k: u32| Ends {
+                receiver: receiver.clone(),
+                transmitter_m: away(60.0 * f64::from(k) + 10.0, elevation, 8.0),
+                duration_s: 8.0,
+                snr_db: 15.0,
+                seed: u64::from(k + 1),
+                ..Ends::default()
+            };
+            let seen = run(&(0..6).map(one).collect::<Vec<_>>());
+            print(&format!("{name}, elevation {elevation}"), &seen);
+            let hidden =
+                seen.iter().filter(|s| s.azimuth_error_deg.abs() > 1.0 && s.nearest_candidate_deg < 2.0).count();
+            let lost =
+                seen.iter().filter(|s| s.azimuth_error_deg.abs() > 1.0 && s.nearest_candidate_deg >= 2.0).count();
+            if hidden + lost > 0 {
+                println!("    {hidden} wrong with the right one among the candidates, {lost} without");
+            }
+        }
+    }
+}
+
+/// Both robots moving, in five shapes.
+fn both() {
+    let circle = |radius_m, turns| RobotMotion::Circle(Circle { radius_m, duration_s: 6.0, turns, start_s: 0.0 });
+    let pairs: [(&str, RobotMotion, RobotMotion); 5] = [
+        ("circle and line", circle(0.3, 1.0), RobotMotion::Line(Line { length_m: 0.8, duration_s: 6.0, start_s: 0.0 })),
+        ("circle and circle", circle(0.3, 1.0), circle(0.25, -2.0)),
+        (
+            "arc and walk",
+            RobotMotion::Arc(Arc { radius_m: 0.4, angle_deg: 240.0, duration_s: 6.0, start_s: 0.0 }),
+            RobotMotion::RandomWalk(RandomWalk {
+                speed_m_s: 0.2,
+                turning_deg_s: 90.0,
+                within_m: 0.6,
+                duration_s: 6.0,
+                start_s: 0.0,
+            }),
+        ),
+        (
+            "square and eight",
+            RobotMotion::Square(Square { side_m: 0.4, duration_s: 6.0, turns: 1.0, start_s: 0.0 }),
+            RobotMotion::FigureEight(FigureEight { radius_m: 0.15, duration_s: 6.0, turns: 1.0, start_s: 0.0 }),
+        ),
+        ("helix and helix", spiral(0.3, 0.4, 1.0), spiral(0.2, 0.5, -1.0)),
+    ];
+    for (name, receiver, transmitter) in &pairs {
+        let one = |k: u32| Ends {
+            receiver: receiver.clone(),
+            transmitter: transmitter.clone(),
+            transmitter_m: away(18.0 * f64::from(k) + 7.0, 4.0, 2.5 + 0.2 * f64::from(k)),
+            duration_s: 6.0,
+            snr_db: 15.0,
+            seed: u64::from(k + 1),
+            ..Ends::default()
+        };
+        print(name, &run(&(0..20).map(one).collect::<Vec<_>>()));
+    }
+}

@@ -1,0 +1,145 @@
+//! What is measured to choose the estimator: README.md.
+
+mod bootstrap;
+mod rooms;
+
+use csi5300::pipeline::{Effort, Options};
+use csi5300_lab::evaluate::{Capture, Errors, Judged, Part, TrajectorySource, find};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::path::Path;
+use std::time::Instant;
+
+type Fallible<T> = Result<T, Box<dyn Error>>;
+
+/// Trajectories that need to know nothing of the robot.
+const SOURCES: [TrajectorySource; 2] = [TrajectorySource::GroundTruth, TrajectorySource::T265];
+/// Parts that a motion is cut into.
+const PARTS: u32 = 4;
+
+fn main() -> Fallible<()> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let words: Vec<&str> = args.iter().map(String::as_str).collect();
+    match words.as_slice() {
+        ["folds", folders @ ..] => folds(&captures(folders)?),
+        ["over-time", folders @ ..] => over_time(&captures(folders)?),
+        ["skipping", folders @ ..] => skipping(&captures(folders)?),
+        ["rooms", out, count] => rooms::write(Path::new(out), count.parse()?, 1).map_err(Into::into),
+        ["drives", out, count] => rooms::write_drives(Path::new(out), count.parse()?, 1).map_err(Into::into),
+        _ => Err("usage: folds DIR.. | over-time DIR.. | skipping DIR.. | rooms OUT COUNT | drives OUT COUNT".into()),
+    }
+}
+
+/// All captures with a truth below the folders.
+fn captures(folders: &[&str]) -> Fallible<Vec<Capture>> {
+    let mut all = Vec::new();
+    for folder in folders {
+        let (found, unreadable) = find(Path::new(folder));
+        unreadable.iter().for_each(|words| eprintln!("{words}"));
+        all.extend(found);
+    }
+    if all.is_empty() { Err("no capture with a truth there".into()) } else { Ok(all) }
+}
+
+/// The usual options; the channel is a stand-in, as each capture brings its own.
+fn options() -> Fallible<Options> {
+    Ok(Options::new("108".parse()?))
+}
+
+/// Rows of all captures.
+fn evaluate(captures: &[Capture], source: TrajectorySource, part: Part, options: &Options) -> Vec<(String, Judged)> {
+    let of = |capture: &Capture| {
+        let rows = capture.evaluate_part(source, None, options, part, &mut |_, _, _| {}).rows;
+        rows.into_iter().map(|row| (place(&capture.place), row)).collect::<Vec<_>>()
+    };
+    captures.par_iter().flat_map_iter(of).collect()
+}
+
+/// The last two folders of a capture's path: a set, and a place of it.
+fn place(path: &str) -> String {
+    let folders: Vec<&str> = path.rsplit('/').take(2).collect();
+    folders.into_iter().rev().collect::<Vec<_>>().join("/")
+}
+
+fn set(place: &str) -> &str {
+    place.split('/').next().unwrap_or_default()
+}
+
+/// Errors of each set by each trajectory, with intervals.
+fn folds(captures: &[Capture]) -> Fallible<()> {
+    let options = options()?;
+    println!("absolute error, degrees, with 95 % intervals by resampled places");
+    for source in SOURCES {
+        let mut sets: BTreeMap<String, BTreeMap<String, Vec<f64>>> = BTreeMap::new();
+        let mut failed = 0;
+        for (place, row) in evaluate(captures, source, Part::WHOLE, &options) {
+            match row.error_from_mean_pose_deg {
+                Some(error) => sets.entry(set(&place).into()).or_default().entry(place).or_default().push(error),
+                None => failed += 1,
+            }
+        }
+        for (set, places) in sets {
+            let places: Vec<Vec<f64>> = places.into_values().collect();
+            let errors = Errors::of(places.iter().flatten().copied());
+            let [mean, median, p90, over] = bootstrap::intervals(&places);
+            println!(
+                "{source}, {set}: {} places, {} links; mean {:.2} ({mean}), median {:.2} ({median}), 90 % {:.2} ({p90}), over 20 degrees {:.3} ({over})",
+                places.len(),
+                errors.links,
+                errors.mean_deg,
+                errors.median_deg,
+                errors.p90_deg,
+                errors.over_20
+            );
+        }
+        println!("{source}: {failed} links without an answer");
+    }
+    Ok(())
+}
+
+/// Errors of each quarter of the motions, and of all of the motion up to its end.
+fn over_time(captures: &[Capture]) -> Fallible<()> {
+    let options = options()?;
+    for source in SOURCES {
+        for part in Part::each(PARTS) {
+            let errors = |part: Part| {
+                let rows = evaluate(captures, source, part, &options);
+                Errors::of(rows.iter().filter_map(|(_, row)| row.error_from_mean_pose_deg))
+            };
+            let (alone, so_far) = (errors(part), errors(part.and_before()));
+            println!(
+                "{source}, quarter {}: alone {:.2} / {:.2} of {} links, with those before {:.2} / {:.2} of {} (mean / median, degrees)",
+                part.index + 1,
+                alone.mean_deg,
+                alone.median_deg,
+                alone.links,
+                so_far.mean_deg,
+                so_far.median_deg,
+                so_far.links
+            );
+        }
+    }
+    Ok(())
+}
+
+/// How far answers move, and what is saved, where steps that are not needed are left out.
+fn skipping(captures: &[Capture]) -> Fallible<()> {
+    let run = |effort: Effort| -> Fallible<(f64, Vec<(String, Judged)>)> {
+        let mut options = options()?;
+        options.accuracy = options.accuracy.with_effort(effort);
+        let began = Instant::now();
+        let rows = evaluate(captures, TrajectorySource::GroundTruth, Part::WHOLE, &options);
+        Ok((began.elapsed().as_secs_f64(), rows))
+    };
+    let ((all_s, everything), (needed_s, needed)) = (run(Effort::Everything)?, run(Effort::Needed)?);
+    let pairs =
+        everything.iter().zip(&needed).filter_map(|(a, b)| Some((a.1.answer.azimuth_deg?, b.1.answer.azimuth_deg?)));
+    let moved: Vec<f64> = pairs.map(|(a, b)| (b - a + 180.0).rem_euclid(360.0) - 180.0).collect();
+    let most = moved.iter().fold(0.0_f64, |most, deg| most.max(deg.abs()));
+    println!(
+        "{} links: every step {all_s:.2} s, what is needed {needed_s:.2} s; moved by {most:.3} degrees at most",
+        moved.len()
+    );
+    Ok(())
+}

@@ -1,0 +1,290 @@
+//! The likelihood of one spherical wave.
+//!
+//! Along a window of the motion, a wave from `q` with an unknown complex amplitude on each column of the channel leaves the
+//! share `1 - rho` of the energy. With the amplitudes and the noise's variance at their most likely values the likelihood of
+//! `N` independent samples is `(1 - rho)^-N`. Odometry and reflections keep a wave coherent over an unknown part of the
+//! motion, so its logarithm is averaged over windows of the whole motion, halves, quarters and eighths, and over the channels:
+//!
+//! `ln L = mean over channels and window lengths of (N - windows) (-ln(1 - rho))`.
+
+use super::signal::{Aperture, COLUMNS};
+use super::tuning;
+use crate::bartlett::Tier;
+use csi5300_kernels::simd::{V, on_tier, sin_cos_turns};
+use fearless_simd::{Level, Simd, SimdBase, SimdFloat, f32x8};
+use nalgebra::Vector3;
+
+/// Where a wave may come from, seen from the middle of the motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Place {
+    /// Azimuth, radians.
+    pub azimuth: f64,
+    /// Elevation, radians; at least 0 where only its magnitude shows.
+    pub elevation: f64,
+    /// 1 / range, 1/m; 0 is a plane wave.
+    pub curve: f64,
+}
+
+/// A motion and its channels, ready for any place.
+pub(crate) struct Field {
+    /// Displacements from the middle and their squares, in wavelengths.
+    x: Vec<f32>,
+    y: Vec<f32>,
+    z: Vec<f32>,
+    square: Vec<f32>,
+    apertures: Vec<Own>,
+    /// Ends of the shortest windows, the first being 0.
+    cuts: Vec<usize>,
+    /// Independent samples left by each window length's amplitudes, the longest first.
+    freedom: Vec<f64>,
+    wavelength_m: f64,
+    level: Level,
+}
+
+struct Own {
+    aperture: Aperture,
+    /// What a wave that explains everything would give at each window length.
+    full: Vec<f64>,
+}
+
+impl Field {
+    /// `points_m` are displacements about the middle of the motion. `independent` is the number of independent samples.
+    /// `lengths` is the number of window lengths: 1 is the whole motion alone.
+    pub fn new(
+        points_m: &[Vector3<f64>],
+        apertures: Vec<Aperture>,
+        wavelength_m: f64,
+        independent: f64,
+        lengths: usize,
+        tier: Tier,
+    ) -> Self {
+        let count = points_m.len();
+        let path_m: f64 = points_m.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+        // A motion longer than stays coherent is more than one of the longest windows.
+        let longest = (path_m / tuning::COHERENT_M).ceil().max(1.0) as usize;
+        let blocks = (longest << (lengths - 1)).min(count.max(1));
+        let cuts: Vec<usize> = (0..=blocks).map(|k| (k * count + blocks / 2) / blocks).collect();
+        let windows = |length: usize| blocks.div_ceil(1 << (lengths - 1 - length));
+        let freedom = (0..lengths).map(|length| (independent - windows(length) as f64).max(0.0)).collect();
+        let own = |aperture: Aperture| {
+            let full = (0..lengths).map(|length| full(&aperture.energy, &cuts, 1 << (lengths - 1 - length))).collect();
+            Own { aperture, full }
+        };
+        let axis = |of: &dyn Fn(&Vector3<f64>) -> f64| points_m.iter().map(|p| of(p) as f32).collect::<Vec<f32>>();
+        Self {
+            x: axis(&|p| p.x / wavelength_m),
+            y: axis(&|p| p.y / wavelength_m),
+            z: axis(&|p| p.z / wavelength_m),
+            square: axis(&|p| p.norm_squared() / (wavelength_m * wavelength_m)),
+            apertures: apertures.into_iter().map(own).collect(),
+            cuts,
+            freedom,
+            wavelength_m,
+            level: tier.level_or_portable(),
+        }
+    }
+
+    /// `ln L` of each place.
+    pub fn log_likelihoods(&self, places: &[Place]) -> Vec<f64> {
+        let mut work = Work::new(self.x.len(), self.cuts.len());
+        let mut rho = vec![0.0; self.apertures.len() * self.freedom.len()];
+        let mut log_of = |place: &Place| {
+            on_tier!(self.level, simd => self.shares(simd, place, &mut work, &mut rho));
+            self.log_of(&rho)
+        };
+        places.iter().map(&mut log_of).collect()
+    }
+
+    fn log_of(&self, rho: &[f64]) -> f64 {
+        let log = |(rho, freedom): (&f64, &f64)| -freedom * (1.0 - rho.min(1.0 - 1e-7)).ln();
+        rho.iter().zip(self.freedom.iter().cycle()).map(log).sum::<f64>() / rho.len().max(1) as f64
+    }
+
+    /// The share that a wave from `place` explains: `shares[channel * lengths + length]`, the longest windows first.
+    #[inline(always)]
+    fn shares<S: Simd>(&self, simd: S, place: &Place, work: &mut Work, shares: &mut [f64]) {
+        self.steer(simd, place, work);
+        let lengths = self.freedom.len();
+        for (own, shares) in self.apertures.iter().zip(shares.chunks_mut(lengths)) {
+            let (cos, sin) =
+                if own.aperture.path_gain == 1 { (&work.cos, &work.sin) } else { (&work.cos2, &work.sin2) };
+            for (slot, cut) in work.sums.iter_mut().zip(self.cuts.windows(2)) {
+                let inside = cut[0]..cut[1];
+                *slot = window(simd, &own.aperture.rows[inside.clone()], &cos[inside.clone()], &sin[inside]);
+            }
+            let mut blocks = self.cuts.len() - 1;
+            for length in (0..lengths).rev() {
+                let power: f32 = work.sums[..blocks].iter().flatten().map(|v| v * v).sum();
+                shares[length] = if own.full[length] > 0.0 { f64::from(power) / own.full[length] } else { 0.0 };
+                let halves = blocks.div_ceil(2);
+                for k in 0..halves {
+                    let mut joined = work.sums[2 * k];
+                    if 2 * k + 1 < blocks {
+                        joined.iter_mut().zip(work.sums[2 * k + 1]).for_each(|(a, b)| *a += b);
+                    }
+                    work.sums[k] = joined;
+                }
+                blocks = halves;
+            }
+        }
+    }
+
+    /// `exp(j 2 pi (|q - p| - r) / lambda)` of every sample, and its square: what undoes the path one way and both ways.
+    #[inline(always)]
+    fn steer<S: Simd>(&self, simd: S, place: &Place, work: &mut Work) {
+        let ((sin_a, cos_a), (sin_e, cos_e)) = (place.azimuth.sin_cos(), place.elevation.sin_cos());
+        let splat = |value: f64| V::<S, f32>::splat(simd, value as f32);
+        let (ux, uy, uz) = (splat(-2.0 * cos_e * cos_a), splat(-2.0 * cos_e * sin_a), splat(-2.0 * sin_e));
+        let (curve, one) = (splat(place.curve * self.wavelength_m), splat(1.0));
+        let lanes = V::<S, f32>::LEN;
+        let count = self.x.len();
+        let mut from = 0;
+        while from < count {
+            let load = |values: &[f32]| match values.get(from..from + lanes) {
+                Some(whole) => V::<S, f32>::from_slice(simd, whole),
+                None => V::<S, f32>::from_fn(simd, |i| values.get(from + i).copied().unwrap_or(0.0)),
+            };
+            let along = load(&self.x).mul_add(ux, load(&self.y).mul_add(uy, load(&self.z) * uz));
+            let bend = load(&self.square).mul_add(curve, along);
+            let ratio = curve.mul_add(bend, one).max(splat(0.0)).sqrt();
+            let (sin, cos) = sin_cos_turns::<S, f32>(simd, bend / (ratio + one));
+            let twice_sin = sin * cos;
+            (cos).store_slice(&mut work.cos[from..from + lanes]);
+            (sin).store_slice(&mut work.sin[from..from + lanes]);
+            (one - (sin * sin + sin * sin)).store_slice(&mut work.cos2[from..from + lanes]);
+            (twice_sin + twice_sin).store_slice(&mut work.sin2[from..from + lanes]);
+            from += lanes;
+        }
+    }
+}
+
+/// `sum over windows of (samples in it) (energy in it)`: what a wave that explains everything would give.
+fn full(energy: &[f64], cuts: &[usize], blocks: usize) -> f64 {
+    let count = cuts.len() - 1;
+    let ends = (0..count).step_by(blocks).map(|k| (cuts[k], cuts[(k + blocks).min(count)]));
+    ends.map(|(from, to)| (to - from) as f64 * energy[from..to].iter().sum::<f64>()).sum()
+}
+
+/// What one place needs for a moment.
+struct Work {
+    cos: Vec<f32>,
+    sin: Vec<f32>,
+    cos2: Vec<f32>,
+    sin2: Vec<f32>,
+    sums: Vec<[f32; 2 * COLUMNS]>,
+}
+
+impl Work {
+    fn new(count: usize, cuts: usize) -> Self {
+        // Whole vectors of any width.
+        let padded = count + 16;
+        let zeros = || vec![0.0; padded];
+        Self { cos: zeros(), sin: zeros(), cos2: zeros(), sin2: zeros(), sums: vec![[0.0; 2 * COLUMNS]; cuts] }
+    }
+}
+
+/// `sum row e` over a window, column by column.
+#[inline(always)]
+fn window<S: Simd>(simd: S, rows: &[[f32; 2 * COLUMNS]], cos: &[f32], sin: &[f32]) -> [f32; 2 * COLUMNS] {
+    let zero = f32x8::splat(simd, 0.0);
+    // Four sums that do not wait for each other.
+    let (mut re_cos, mut im_sin, mut re_sin, mut im_cos) = (zero, zero, zero, zero);
+    for ((row, cos), sin) in rows.iter().zip(cos).zip(sin) {
+        let (re, im) = (f32x8::from_slice(simd, &row[..COLUMNS]), f32x8::from_slice(simd, &row[COLUMNS..]));
+        let (cos, sin) = (f32x8::splat(simd, *cos), f32x8::splat(simd, *sin));
+        re_cos = re.mul_add(cos, re_cos);
+        im_sin = im.mul_add(sin, im_sin);
+        re_sin = re.mul_add(sin, re_sin);
+        im_cos = im.mul_add(cos, im_cos);
+    }
+    let mut out = [0.0; 2 * COLUMNS];
+    (re_cos - im_sin).store_slice(&mut out[..COLUMNS]);
+    (re_sin + im_cos).store_slice(&mut out[COLUMNS..]);
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::estimate::signal::Bins;
+    use num_complex::Complex64;
+    use std::f64::consts::TAU;
+
+    const WAVELENGTH_M: f64 = 0.054;
+
+    fn arc(count: usize) -> Vec<Vector3<f64>> {
+        let at = |k: usize| {
+            let (sin, cos) = (2.5 * k as f64 / count as f64).sin_cos();
+            Vector3::new(0.4 * cos, 0.4 * sin, 0.01 * k as f64 / count as f64)
+        };
+        let points: Vec<Vector3<f64>> = (0..count).map(at).collect();
+        let middle = points.iter().sum::<Vector3<f64>>() / count as f64;
+        points.iter().map(|p| p - middle).collect()
+    }
+
+    /// A wave from `place` with another one, as a phasor for each point.
+    fn heard(points: &[Vector3<f64>], place: &Place, gain: f64) -> Vec<Complex64> {
+        let wave = |p: &Vector3<f64>, place: &Place| Complex64::cis(-TAU * gain * way(p, place) / WAVELENGTH_M);
+        let other = Place { azimuth: place.azimuth + 1.9, ..*place };
+        points.iter().map(|p| wave(p, place) + 0.5 * wave(p, &other)).collect()
+    }
+
+    fn way(p: &Vector3<f64>, place: &Place) -> f64 {
+        let u = crate::bartlett::direction(place.azimuth, place.elevation);
+        if place.curve > 0.0 { (u / place.curve - p).norm() - 1.0 / place.curve } else { -u.dot(p) }
+    }
+
+    /// The formula of this file, slowly: one column, in double.
+    fn slow(points: &[Vector3<f64>], channels: &[(Vec<Complex64>, f64)], place: &Place, independent: f64) -> f64 {
+        let (count, mut sum) = (points.len(), 0.0);
+        for (z, gain) in channels {
+            for length in 0..4u32 {
+                let windows = 1usize << length;
+                let (mut found, mut full) = (0.0, 0.0);
+                for w in 0..windows {
+                    // Eight blocks of equal count, joined.
+                    let edge = |k: usize| (k * (8 / windows) * count + 4) / 8;
+                    let inside = edge(w)..edge(w + 1);
+                    let turn = |k: usize| z[k] * Complex64::cis(TAU * gain * way(&points[k], place) / WAVELENGTH_M);
+                    found += inside.clone().map(turn).sum::<Complex64>().norm_sqr();
+                    full += inside.len() as f64 * inside.map(|k| z[k].norm_sqr()).sum::<f64>();
+                }
+                sum += (independent - windows as f64).max(0.0) * -(1.0 - found / full).ln();
+            }
+        }
+        sum / (4 * channels.len()) as f64
+    }
+
+    #[test]
+    fn every_tier_gives_the_formula() {
+        let points = arc(137);
+        let truth = Place { azimuth: 0.7, elevation: 0.2, curve: 0.3 };
+        let channels = [(heard(&points, &truth, 2.0), 2.0), (heard(&points, &truth, 1.0), 1.0)];
+        let bins = Bins::along(&points.iter().map(|p| p * 100.0).collect::<Vec<_>>(), WAVELENGTH_M);
+        assert_eq!(bins.len(), 137);
+        for tier in Tier::available() {
+            let apertures = channels.iter().map(|(z, gain)| Aperture::of_phasors(z, &bins, *gain as u8)).collect();
+            let field = Field::new(&points, apertures, WAVELENGTH_M, 70.0, 4, tier);
+            for curve in [0.0, 0.1, 0.3, 0.55] {
+                for k in 0..24 {
+                    let place = Place { azimuth: 0.26 * f64::from(k), elevation: 0.1 * f64::from(k % 4), curve };
+                    let (fast, exact) = (field.log_likelihoods(&[place])[0], slow(&points, &channels, &place, 70.0));
+                    assert!((fast - exact).abs() < 2e-3 * (1.0 + exact), "{tier:?} {place:?}: {fast} {exact}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn motions_of_no_or_few_samples_say_nothing_and_do_not_panic() {
+        for count in [0, 1, 2, 5] {
+            let points = arc(8)[..count].to_vec();
+            let z = vec![Complex64::ONE; count];
+            let bins = Bins::along(&points, WAVELENGTH_M);
+            let aperture = Aperture::of_phasors(&z, &bins, 2);
+            let field = Field::new(&bins.points_m(&points), vec![aperture], WAVELENGTH_M, 1.0, 4, Tier::detect());
+            let place = Place { azimuth: 1.0, elevation: 0.0, curve: 0.1 };
+            assert_eq!(field.log_likelihoods(&[place]), [0.0], "{count}");
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! Directions that a motion hardly tells apart: a direction and its reflection in the motion's line or plane.
+//!
+//! Over the positions `p` the phases of the two differ by `4 pi g (u.n) (n.p) / lambda`, by the motion's depth along the normal
+//! `n` and nothing else. An error of the odometry of the size of that depth, with its course, makes one into the other. So of
+//! the posterior of each direction the share `1 / (1 + e^D)` belongs to its reflection, with `1 / D = 1 / L + s^2 / (2 h^2)`
+//! for an odometry error of `s` and a depth of `h` (root mean squares) and the logarithm `L` of the likelihood ratio of the
+//! two. The posterior of windows holds `L` by itself.
+
+use super::likelihood::Place;
+use super::posterior::{Atom, Mode, Steps, settle};
+use super::prior::Prior;
+use crate::bartlett::direction;
+use crate::maths::wrap_rad;
+use crate::signal::samples::Samples;
+use nalgebra::{Matrix3, SymmetricEigen, Vector3};
+use num_complex::Complex64;
+use std::f64::consts::TAU;
+
+/// A reflection with less than this share is not given.
+const LEAST: f64 = 0.01;
+
+/// What became of reflections.
+pub(super) struct Mirrored {
+    /// The reflection of the first mode, among the others.
+    pub of_first: Option<usize>,
+    /// Whether the motion does not tell up from down after all.
+    pub level: bool,
+}
+
+/// A plane through the motion that it hardly leaves.
+struct Plane {
+    normal: Vector3<f64>,
+    /// Mean square of the distances from it, metres squared.
+    depth2: f64,
+}
+
+/// The plane that a motion lies nearest to, or of a line the upright one along it.
+fn planes(points: &[Vector3<f64>], prior: &Prior, odometry_sd_m: f64) -> Vec<Plane> {
+    let scatter: Matrix3<f64> =
+        points.iter().map(|p| p * p.transpose()).sum::<Matrix3<f64>>() / points.len().max(1) as f64;
+    let eigen = SymmetricEigen::new(scatter);
+    let mut order = [0, 1, 2];
+    order.sort_by(|a, b| eigen.eigenvalues[*b].total_cmp(&eigen.eigenvalues[*a]));
+    let plane = |k: usize| Plane {
+        normal: eigen.eigenvectors.column(order[k]).into_owned(),
+        depth2: eigen.eigenvalues[order[k]].max(0.0),
+    };
+    let along = eigen.eigenvectors.column(order[0]).into_owned();
+    let depth2 =
+        |normal: &Vector3<f64>| points.iter().map(|p| normal.dot(p).powi(2)).sum::<f64>() / points.len().max(1) as f64;
+    // Upright and along the motion: what a level motion, or a line in space, has on either side of it. What lies about a line
+    // beyond that, the elevations say.
+    let upright = Vector3::new(-along.y, along.x, 0.0).try_normalize(1e-6);
+    let on_its_sides = upright.map(|normal| Plane { normal, depth2: depth2(&normal) });
+    let is_line = share(f64::INFINITY, plane(1).depth2, odometry_sd_m) >= LEAST;
+    if prior.is_signed() && !is_line { vec![plane(2)] } else { on_its_sides.into_iter().collect() }
+}
+
+/// A place reflected in a plane.
+fn reflected(place: &Place, normal: &Vector3<f64>, signed: bool) -> Place {
+    let towards = direction(place.azimuth, place.elevation);
+    let image = towards - normal * (2.0 * towards.dot(normal));
+    let elevation = image.z.clamp(-1.0, 1.0).asin();
+    Place {
+        azimuth: image.y.atan2(image.x),
+        elevation: if signed { elevation } else { elevation.abs() },
+        curve: place.curve,
+    }
+}
+
+/// The share of a reflection.
+fn share(log_ratio: f64, depth2: f64, odometry_sd_m: f64) -> f64 {
+    let by_shape = odometry_sd_m * odometry_sd_m / (2.0 * depth2.max(1e-18));
+    let against = 1.0 / (1.0 / log_ratio.max(1e-9) + by_shape);
+    1.0 / (1.0 + against.exp())
+}
+
+/// Gives each mode's reflections their shares.
+pub(super) fn mix(
+    modes: &mut Vec<Mode>,
+    points: &[Vector3<f64>],
+    steps: &Steps,
+    prior: &Prior,
+    odometry_sd_m: f64,
+) -> Mirrored {
+    let shares = |_: &Place, plane: &Plane| share(f64::INFINITY, plane.depth2, odometry_sd_m);
+    mixed(modes, planes(points, prior, odometry_sd_m), steps, prior, &shares)
+}
+
+/// The same of one wave: `L` is that of independent samples.
+pub(super) fn of_one_wave(
+    modes: &mut Vec<Mode>,
+    samples: &Samples,
+    points: &[Vector3<f64>],
+    prior: &Prior,
+    steps: &Steps,
+    odometry_sd_m: f64,
+) -> Mirrored {
+    let kappa = TAU * f64::from(samples.path_gain()) / samples.wavelength_m();
+    let unexplained = |place: &Place| {
+        let towards = direction(place.azimuth, place.elevation);
+        let phase = |p: &Vector3<f64>| {
+            let bend = place.curve * p.norm_squared() - 2.0 * towards.dot(p);
+            kappa * bend / ((1.0 + place.curve * bend).max(0.0).sqrt() + 1.0)
+        };
+        let sum: Complex64 = samples.z().iter().zip(points).map(|(z, p)| z * Complex64::cis(phase(p))).sum();
+        let full: f64 = samples.z().iter().map(|z| z.norm()).sum();
+        (1.0 - (sum.norm() / full).powi(2)).max(1e-9)
+    };
+    let shares = |place: &Place, plane: &Plane| {
+        let image = reflected(place, &plane.normal, prior.is_signed());
+        let ratio = samples.len() as f64 * (unexplained(&image) / unexplained(place)).ln();
+        share(ratio.max(0.0), plane.depth2, odometry_sd_m)
+    };
+    mixed(modes, planes(points, prior, odometry_sd_m), steps, prior, &shares)
+}
+
+fn mixed(
+    modes: &mut Vec<Mode>,
+    planes: Vec<Plane>,
+    steps: &Steps,
+    prior: &Prior,
+    shares: &dyn Fn(&Place, &Plane) -> f64,
+) -> Mirrored {
+    let (mut plane_of_mirror, mut level) = (None, false);
+    let first = modes.first().map(|mode| mode.place);
+    for plane in planes {
+        let Some(first) = first else { break };
+        let own = shares(&first, &plane);
+        if own < LEAST {
+            continue;
+        }
+        let image = reflected(&first, &plane.normal, prior.is_signed());
+        let beside = wrap_rad(image.azimuth - first.azimuth).abs() < steps.azimuth();
+        if beside {
+            // Nothing but the sign of the elevation, or a wave along the line itself.
+            level |= plane.normal.z.abs() > 0.9;
+            continue;
+        }
+        let images: Vec<Mode> = modes.iter().map(|mode| image_of(mode, &plane, own, prior.is_signed())).collect();
+        modes.iter_mut().for_each(|mode| scale(mode, 1.0 - own));
+        for image in images {
+            let near =
+                |mode: &&mut Mode| wrap_rad(mode.place.azimuth - image.place.azimuth).abs() < 2.0 * steps.azimuth();
+            match modes.iter_mut().find(near) {
+                Some(mode) => {
+                    mode.mass += image.mass;
+                    mode.atoms.extend(image.atoms);
+                }
+                None => modes.push(image),
+            }
+        }
+        settle(modes);
+        plane_of_mirror = Some(plane);
+    }
+    let of_first = plane_of_mirror.and_then(|plane| {
+        let (first, others) = modes.split_first()?;
+        let image = reflected(&first.place, &plane.normal, prior.is_signed());
+        let near = |mode: &Mode| wrap_rad(mode.place.azimuth - image.azimuth).abs() < 2.0 * steps.azimuth();
+        others.iter().position(near).map(|k| k + 1)
+    });
+    Mirrored { of_first, level }
+}
+
+/// A mode as its reflection has it, with a share of its probability.
+fn image_of(mode: &Mode, plane: &Plane, share: f64, signed: bool) -> Mode {
+    let place = reflected(&mode.place, &plane.normal, signed);
+    let atom = |atom: &Atom| {
+        let at = Place { azimuth: atom.azimuth, ..mode.place };
+        Atom { azimuth: reflected(&at, &plane.normal, signed).azimuth, mass: share * atom.mass, ..*atom }
+    };
+    // What the azimuth has in common with elevation and range changes its sign.
+    let turn = Matrix3::from_diagonal(&Vector3::new(-1.0, 1.0, 1.0));
+    Mode {
+        place,
+        covariance: turn * mode.covariance * turn,
+        mass: share * mode.mass,
+        atoms: mode.atoms.iter().map(atom).collect(),
+    }
+}
+
+fn scale(mode: &mut Mode, by: f64) {
+    mode.mass *= by;
+    mode.atoms.iter_mut().for_each(|atom| atom.mass *= by);
+}

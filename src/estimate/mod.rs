@@ -1,0 +1,438 @@
+//! The estimate: from coherent samples to the posterior of a transmitter's direction and range.
+//!
+//! ```text
+//! pairs -> compensation -> alignment -> two-way and one-way channel      signal
+//!       -> likelihood of a spherical wave over windows                   likelihood
+//!       -> x prior = posterior over azimuth, elevation, range            prior, posterior
+//!       -> azimuth, candidates, error bar, probability, range, place     [`Found`]
+//! ```
+//!
+//! A clean scene stops early: where one wave leaves nothing but noise, its place by least squares is the most likely one, and
+//! the posterior is that of independent samples (`one_wave`). Everything else is searched with windows, which assume only
+//! that a wave stays coherent over some part of the motion.
+
+pub(crate) mod likelihood;
+mod mirror;
+pub(crate) mod one_wave;
+pub(crate) mod posterior;
+pub(crate) mod prior;
+pub(crate) mod signal;
+pub(crate) mod tuning;
+
+use crate::bartlett::{self, Searcher, Tier};
+use crate::signal::channel::SUBCARRIERS;
+use crate::signal::planes::Planes;
+use crate::signal::samples::Samples;
+use likelihood::{Field, Place};
+use nalgebra::Vector3;
+pub use one_wave::Unexplained;
+use posterior::{Blur, Mode, Steps, half_width, mass_within};
+use prior::{Limits, Prior};
+use signal::{Aperture, Bins, align, is_dense_enough, remove_slope, take_roots};
+use std::f64::consts::FRAC_PI_2;
+
+/// Heights that turn a wave from the expected elevations by less than a quarter of a turn show no elevation: half the
+/// motion's height, in turns of phase.
+const LEVEL_TURNS: f64 = 0.35;
+/// A tracking camera's height drifts by up to a seventh of a circle's radius: heights below this share of the motion's
+/// longest side may be no heights at all.
+const TALL: f64 = 0.2;
+/// An elevation above this share of its limit is at the limit.
+const AT_LIMIT: f64 = 0.995;
+/// From this accuracy on the grid alone will do, radians.
+pub(crate) const COARSE_RAD: f64 = 0.017;
+
+/// Deviation of the heading of a whole path, radians, by sensor.
+pub mod heading {
+    use super::tuning::sensor;
+
+    /// Motion capture.
+    pub const MOTION_CAPTURE_RAD: f64 = sensor::MOTION_CAPTURE_DEG.to_radians();
+    /// A tracking camera.
+    pub const CAMERA_RAD: f64 = sensor::CAMERA_DEG.to_radians();
+    /// A camera's path held to what wheels can roll ([`crate::motion::rolling`]).
+    pub const ROLLING_CAMERA_RAD: f64 = sensor::ROLLING_CAMERA_DEG.to_radians();
+    /// Wheels, where the place of the antenna on the robot is known.
+    pub const WHEELS_RAD: f64 = sensor::WHEELS_DEG.to_radians();
+    /// Wheels, where it is not.
+    pub const UNMOUNTED_RAD: f64 = sensor::UNMOUNTED_DEG.to_radians();
+}
+
+/// What is to be estimated, and how.
+pub(crate) struct Task<'a> {
+    /// The samples at the channel centre.
+    pub samples: &'a Samples,
+    pub indices: [i8; SUBCARRIERS],
+    pub limits: Limits,
+    /// Error of the positions from moment to moment, metres.
+    pub odometry_sd_m: f64,
+    pub heading_sd_rad: f64,
+    pub effort: Effort,
+    pub align: bool,
+    pub one_way: bool,
+    pub tier: Tier,
+}
+
+/// How much is computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub enum Effort {
+    /// What the scene needs: one wave, where that leaves nothing but noise, else the posterior over windows and channels.
+    #[default]
+    Needed,
+    /// The same; where the azimuth needs to be right to this only, radians, and that is a degree or more, on the coarse grid alone.
+    Within(f64),
+    /// The posterior over windows and channels in every scene.
+    Everything,
+}
+
+/// Which part of the estimate sufficed, and why.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Sufficient {
+    /// One wave at the channel centre, which leaves nothing but noise.
+    OneWave(Risk),
+    /// The posterior over windows and channels, for this reason.
+    Posterior(Reason),
+}
+
+/// What leaving the posterior out risked.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Risk {
+    /// How far it may have moved the azimuth at most, radians: by a wave as strong as the noise could hide.
+    pub risk_rad: f64,
+}
+
+/// Why the whole posterior was computed.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Reason {
+    /// [`Effort::Everything`].
+    Asked,
+    /// One wave is not the whole answer.
+    Unexplained(Unexplained),
+}
+
+impl std::fmt::Display for Reason {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Asked => f.write_str("everything was asked for"),
+            Self::Unexplained(unexplained) => unexplained.fmt(f),
+        }
+    }
+}
+
+/// The posterior of one link.
+#[derive(Clone, Debug)]
+pub(crate) struct Found {
+    /// The best plane wave at the channel centre.
+    pub plane_wave: bartlett::Estimate,
+    pub sufficient: Sufficient,
+    /// Directions with their probabilities, the most probable first.
+    pub modes: Vec<Mode>,
+    /// Of the first mode, its mirror among them: its place in `modes`.
+    pub mirror: Option<usize>,
+    /// Whether the motion distinguishes up from down.
+    pub signed: bool,
+    pub blur: Blur,
+    pub prior: Prior,
+    /// Cramer-Rao bound of the azimuth, radians.
+    pub bound_rad: f64,
+    /// Standard deviation of the sampling-time slopes taken out, radians per subcarrier index.
+    pub slope_sd_rad: Option<f64>,
+    /// The middle of the motion, metres.
+    pub middle_m: Vector3<f64>,
+}
+
+impl Found {
+    fn centres(&self) -> Vec<f64> {
+        let mirror = self.mirror.and_then(|k| self.modes.get(k));
+        self.modes.first().into_iter().chain(mirror).map(|mode| mode.place.azimuth).collect()
+    }
+
+    /// Half width that holds a share of the probability, radians; where the motion hides a mirror, about the nearer of the
+    /// two.
+    pub fn half_width_rad(&self, share: f64) -> f64 {
+        half_width(&self.modes, &self.blur, &self.centres(), share)
+    }
+
+    /// Probability that the truth is within `half_rad` of the answer.
+    pub fn probability_within(&self, half_rad: f64) -> f64 {
+        let own: Vec<f64> = self.centres().into_iter().take(1).collect();
+        mass_within(&self.modes, &self.blur, &own, half_rad)
+    }
+
+    /// Probability of the truth being at each azimuth, per radian, with everything that blurs it: `count` of them from 0.
+    pub fn density(&self, count: usize) -> Vec<f64> {
+        let step = std::f64::consts::TAU / count.max(1) as f64;
+        (0..count).map(|k| mass_within(&self.modes, &self.blur, &[k as f64 * step], 0.5 * step) / step).collect()
+    }
+}
+
+/// How far a motion reaches up and down.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Reach {
+    /// Not enough to distinguish elevations by sign.
+    Level,
+    /// Perhaps: the heights may be a drift of the odometry's, and only the samples say whether they are.
+    Low,
+    /// Enough.
+    Tall,
+}
+
+impl Reach {
+    fn of(points: &[Vector3<f64>], turn_m: f64) -> Self {
+        let (mut low, mut high) = (Vector3::repeat(f64::MAX), Vector3::repeat(f64::MIN));
+        for p in points {
+            (low, high) = (low.inf(p), high.sup(p));
+        }
+        let half = 0.5 * (high - low);
+        match half.z {
+            z if z.is_nan() || z < LEVEL_TURNS * turn_m => Self::Level,
+            z if z < TALL * half.x.max(half.y) => Self::Low,
+            _ => Self::Tall,
+        }
+    }
+}
+
+/// A motion about its middle, as one model of its heights has it.
+struct Model {
+    points: Vec<Vector3<f64>>,
+    prior: Prior,
+    steps: Steps,
+}
+
+impl Model {
+    fn new(points: &[Vector3<f64>], samples: &Samples, limits: &Limits, signed: bool) -> Self {
+        let flat = |p: &Vector3<f64>| if signed { *p } else { Vector3::new(p.x, p.y, 0.0) };
+        let points: Vec<Vector3<f64>> = points.iter().map(flat).collect();
+        let prior = Prior::new(limits, signed);
+        let steps = steps(&points, samples, &prior);
+        Self { points, prior, steps }
+    }
+}
+
+/// The density of a search over these points.
+fn steps(points: &[Vector3<f64>], samples: &Samples, prior: &Prior) -> Steps {
+    let path_m: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    let windows = (path_m / tuning::COHERENT_M).ceil().max(1.0) as usize;
+    let radius = |points: &[Vector3<f64>]| {
+        let middle = points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64;
+        points.iter().map(|p| (p - middle).norm()).fold(0.0, f64::max)
+    };
+    let widest = points.chunks(points.len().div_ceil(windows).max(1)).map(radius).fold(0.0, f64::max);
+    Steps::new(radius(points), widest, samples.wavelength_m(), samples.path_gain(), prior)
+}
+
+/// Displacements about their mean, and the mean, metres.
+fn about_middle(samples: &Samples) -> (Vec<Vector3<f64>>, Vector3<f64>) {
+    let middle_m = samples.displacements_m().fold(Vector3::zeros(), |sum, p| sum + p) / samples.len().max(1) as f64;
+    (samples.displacements_m().map(|p| p - middle_m).collect(), middle_m)
+}
+
+/// Whether all of a motion can be searched at once.
+pub(crate) fn is_searchable(points_m: &[Vector3<f64>], wavelength_m: f64, path_gain: u8, limits: &Limits) -> bool {
+    let Ok(samples) = Samples::new(wavelength_m, path_gain) else { return false };
+    let signed = Reach::of(points_m, wavelength_m / f64::from(path_gain)) == Reach::Tall;
+    let model = Model::new(points_m, &samples, limits, signed);
+    model.steps.are_affordable(Bins::along(&model.points, wavelength_m).len(), &model.prior)
+}
+
+/// Estimates the posterior. `rows` gives the round trips of all pairs of the link on all subcarriers, of unit power and in
+/// the order of time: those taken at rest say nothing of the direction, but help to find slopes and signs. `used` are the
+/// rows of the samples.
+///
+/// # Errors
+/// As [`bartlett::search`].
+pub(crate) fn estimate(
+    task: &Task<'_>,
+    rows: impl FnOnce() -> Vec<Planes>,
+    used: &[usize],
+) -> Result<Found, bartlett::Error> {
+    let samples = task.samples;
+    let (points, middle_m) = about_middle(samples);
+    let turn_m = samples.wavelength_m() / f64::from(samples.path_gain());
+    let reach = Reach::of(&points, turn_m);
+    let signs: &[bool] = match reach {
+        Reach::Level => &[false],
+        Reach::Low => &[false, true],
+        Reach::Tall => &[true],
+    };
+    let models: Vec<Model> = signs.iter().map(|&signed| Model::new(&points, samples, &task.limits, signed)).collect();
+    let mut searcher = Searcher::new(task.tier);
+    let plane_wave = plane_wave(task, &mut searcher, &models)?;
+    let reason = match early(task, &models, (&plane_wave, None), middle_m) {
+        Ok(found) => return Ok(found),
+        Err(reason) => reason,
+    };
+    let (slope_sd_rad, apertures, bins) = channels(task, &models[0].points, rows(), used);
+    let fine = !matches!(task.effort, Effort::Within(asked) if asked >= COARSE_RAD);
+    let mut best: Option<Windowed> = None;
+    for model in models {
+        let field = field(task, &bins, &model, &apertures);
+        let own = Windowed::new(&field, model, fine);
+        let wider = own.wider(task).map(|model| Windowed::new(&field, model, fine));
+        for own in [Some(own), wider].into_iter().flatten() {
+            if best.as_ref().is_none_or(|best| own.evidence > best.evidence) {
+                best = Some(own);
+            }
+        }
+    }
+    let Some(Windowed { model, mut modes, .. }) = best else { return Err(bartlett::Error::Empty) };
+    // A wave that the plane wave did not lead to.
+    let start = modes.first().map(|mode| mode.place);
+    if let Ok(found) = early(task, std::slice::from_ref(&model), (&plane_wave, start), middle_m) {
+        return Ok(found);
+    }
+    let mirror = mirror::mix(&mut modes, &model.points, &model.steps, &model.prior, task.odometry_sd_m);
+    Ok(Found {
+        plane_wave,
+        sufficient: Sufficient::Posterior(reason),
+        signed: model.prior.is_signed() && !mirror.level,
+        mirror: mirror.of_first,
+        bound_rad: modes.first().map_or(f64::INFINITY, |mode| mode.covariance[(0, 0)].max(0.0).sqrt()),
+        modes,
+        blur: Blur { heading_rad: task.heading_sd_rad, model_rad: tuning::MODEL_DEG.to_radians() },
+        prior: model.prior,
+        slope_sd_rad,
+        middle_m,
+    })
+}
+
+/// The likelihood over windows and channels for one model of the heights.
+fn field(task: &Task<'_>, bins: &Bins, model: &Model, apertures: &[Aperture]) -> Field {
+    let (wavelength_m, gain) = (task.samples.wavelength_m(), f64::from(task.samples.path_gain()));
+    let points = bins.points_m(&model.points);
+    let path_m: f64 = points.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    // One sample in a quarter of the turn that the round trip makes is independent of the next.
+    let independent = (2.0 * path_m * gain / wavelength_m).min(bins.len() as f64);
+    Field::new(&points, apertures.to_vec(), wavelength_m, independent, tuning::WINDOW_LENGTHS, task.tier)
+}
+
+/// The posterior over windows for one model.
+struct Windowed {
+    model: Model,
+    /// `ln` of the evidence for the model.
+    evidence: f64,
+    modes: Vec<Mode>,
+}
+
+impl Windowed {
+    fn new(field: &Field, model: Model, fine: bool) -> Self {
+        let (evidence, modes) = posterior::modes(field, &model.prior, &model.steps, fine);
+        Self { model, evidence, modes }
+    }
+
+    /// The model with nearer places, where the nearest place seems to be the best and nobody asked for that limit.
+    fn wider(&self, task: &Task<'_>) -> Option<Model> {
+        let Model { points, prior, steps } = &self.model;
+        let curve = self.modes.first().map_or(0.0, |mode| mode.place.curve);
+        let at_limit = prior.curve_max > 0.0 && curve > 0.9 * prior.curve_max;
+        if !at_limit || task.limits.range_min_m.is_some() {
+            return None;
+        }
+        let prior = prior.with_curve_max(nearest_curve(points, task.samples.wavelength_m()));
+        steps.are_affordable(points.len(), &prior).then(|| Model { points: points.clone(), prior, steps: *steps })
+    }
+}
+
+/// 1 / range of the nearest place that a motion leaves free, 1/m.
+fn nearest_curve(points: &[Vector3<f64>], wavelength_m: f64) -> f64 {
+    let radius_m = points.iter().map(|p| p.norm()).fold(0.0, f64::max);
+    1.0 / (1.2 * radius_m).max(wavelength_m)
+}
+
+/// The best plane wave within the limits; where it lies at one that nobody asked for, within all elevations.
+fn plane_wave(
+    task: &Task<'_>,
+    searcher: &mut Searcher,
+    models: &[Model],
+) -> Result<bartlett::Estimate, bartlett::Error> {
+    let widest = models.iter().map(|model| model.prior.elevation_rad[1]).fold(0.0, f64::max);
+    let highest_rad = if task.limits.height_m.is_some() { FRAC_PI_2 } else { widest };
+    let within = searcher.search_with(task.samples, highest_rad, task.odometry_sd_m)?;
+    let at_limit = within.elevation_searched && within.abs_elevation_rad > AT_LIMIT * highest_rad;
+    if !at_limit || task.limits.elevation_max_rad.is_some() {
+        return Ok(within);
+    }
+    searcher.search_with(task.samples, FRAC_PI_2, task.odometry_sd_m)
+}
+
+/// The answer of one wave, where that is all there is.
+fn early(
+    task: &Task<'_>,
+    models: &[Model],
+    (plane_wave, start): (&bartlett::Estimate, Option<Place>),
+    middle_m: Vector3<f64>,
+) -> Result<Found, Reason> {
+    if task.effort == Effort::Everything {
+        return Err(Reason::Asked);
+    }
+    let samples = task.samples;
+    let mut failed = Reason::Unexplained(Unexplained::NoPlace);
+    for model in models {
+        // A clean wave front shows a near or high place by itself: only a limit that was asked for holds.
+        let nearest = nearest_curve(&model.points, samples.wavelength_m());
+        let is_free = task.limits.range_min_m.is_none() && task.limits.near_field;
+        let prior = if is_free { model.prior.with_curve_max(model.prior.curve_max.max(nearest)) } else { model.prior };
+        let prior = if task.limits.elevation_max_rad.is_none() { prior.with_any_elevation() } else { prior };
+        let one = match one_wave::explain(samples, &model.points, (plane_wave, start), &prior, &model.steps, task.tier)
+        {
+            Ok(one) => one,
+            Err(unexplained) => {
+                failed = Reason::Unexplained(unexplained);
+                continue;
+            }
+        };
+        let mut modes = one.modes;
+        let mirror = mirror::of_one_wave(&mut modes, samples, &model.points, &prior, &model.steps, task.odometry_sd_m);
+        return Ok(Found {
+            plane_wave: plane_wave.clone(),
+            sufficient: Sufficient::OneWave(Risk { risk_rad: one.risk_rad }),
+            signed: prior.is_signed() && !mirror.level,
+            mirror: mirror.of_first,
+            modes,
+            blur: Blur { heading_rad: task.heading_sd_rad, model_rad: 0.0 },
+            prior,
+            bound_rad: one.bound_rad,
+            slope_sd_rad: None,
+            middle_m,
+        });
+    }
+    Err(failed)
+}
+
+/// The channels along the motion, averaged, and the standard deviation of the slopes that were taken out.
+fn channels(
+    task: &Task<'_>,
+    points: &[Vector3<f64>],
+    mut rows: Vec<Planes>,
+    used: &[usize],
+) -> (Option<f64>, Vec<Aperture>, Bins) {
+    let samples = task.samples;
+    let wavelength_m = samples.wavelength_m();
+    let bins = Bins::along(points, wavelength_m);
+    let gain = samples.path_gain();
+    if rows.is_empty() {
+        return (None, vec![Aperture::of_phasors(samples.z(), &bins, gain)], bins);
+    }
+    let slope_sd_rad = task.align.then(|| {
+        remove_slope(&mut rows, &task.indices, task.tier);
+        align(&mut rows, &task.indices, task.tier)
+    });
+    remove_slope(&mut rows, &task.indices, task.tier);
+    let silent = Planes::ZERO;
+    let own = |rows: &[Planes]| -> Aperture {
+        let chosen = used.iter().map(|&k| rows.get(k).unwrap_or(&silent));
+        Aperture::of_subcarriers(chosen, &bins, gain)
+    };
+    let mut apertures = vec![own(&rows)];
+    if task.one_way && gain == 2 && is_dense_enough(samples.spacing_m() / wavelength_m) {
+        take_roots(&mut rows, task.tier);
+        let chosen = used.iter().map(|&k| rows.get(k).unwrap_or(&silent));
+        apertures.push(Aperture::of_subcarriers(chosen, &bins, 1));
+    }
+    (slope_sd_rad, apertures, bins)
+}

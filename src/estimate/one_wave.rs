@@ -1,0 +1,525 @@
+//! One spherical wave by least squares, where it leaves nothing but noise.
+//!
+//! Then every sample is independent, and the most likely place is efficient: no window, other subcarrier or other path can
+//! add to it more than the noise hides. Whether the residual phases are noise is tested twice, each with a false alarm in
+//! [`FALSE_ALARM`]: by their cumulative periodogram along the motion (a bent trajectory, anything that goes on from sample
+//! to sample), and by their highest Bartlett peak (another path). A path of amplitude `b` leaves phases `b sin(psi)`, half of
+//! which are a wave of its direction: one that stays below a peak of `p` times what noise has on average moves the azimuth by
+//! at most `sqrt(2 p)` times the deviation that the noise leaves.
+
+use super::likelihood::{Field, Place};
+use super::posterior::{Atom, Mode, Steps};
+use super::prior::Prior;
+use super::signal::{Aperture, Bins};
+use super::tuning::sensor;
+use crate::bartlett::{Estimate, Searcher, Tier};
+use crate::maths::wrap_rad;
+use crate::signal::samples::Samples;
+use csi5300_kernels::fft::Ffts;
+use nalgebra::{Matrix3, Matrix4, SMatrix, SVector, Vector3, Vector4};
+use num_complex::Complex64;
+use std::f64::consts::{FRAC_PI_2, TAU};
+use std::fmt;
+
+/// Probability that noise is taken for something else: then the posterior over windows is computed for nothing.
+const FALSE_ALARM: f64 = 0.001;
+/// Fewer samples tell no noise from anything else.
+const LEAST_SAMPLES: usize = 32;
+/// Phases of a wave with less of the power wrap too often for least squares.
+const LEAST_SHARE: f64 = 0.25;
+/// Steps of least squares at most.
+const STEPS: usize = 12;
+/// Azimuths of the posterior on either side of the most likely one, and how far the first of them goes in deviations.
+const SIDE: usize = 12;
+const REACH: f64 = 4.0;
+/// `ln` of how many times less likely another direction has to be.
+const DECISIVE: f64 = 12.0;
+/// A range that is this far less likely, in logarithms, is out of the question.
+const DOUBT: f64 = 3.0;
+
+/// Why one wave is not the whole answer.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Unexplained {
+    /// Too few samples to tell noise from anything else.
+    FewSamples(usize),
+    /// The best single wave explains only this share of the power.
+    Faint(f64),
+    /// Least squares lead to no place within the limits of the prior.
+    NoPlace,
+    /// What is left goes on along the motion: its cumulative periodogram is this many times as far from that of noise as
+    /// noise may be.
+    NotWhite(f64),
+    /// What is left is another wave: its highest peak over what noise alone would make of it.
+    AnotherWave(f64),
+    /// Another direction explains the samples about as well.
+    Ambiguous,
+}
+
+impl fmt::Display for Unexplained {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::FewSamples(samples) => {
+                write!(f, "{samples} samples are too few to tell noise from anything else")
+            }
+            Self::Faint(share) => write!(f, "one wave explains only {:.0} % of the power", 100.0 * share),
+            Self::NoPlace => f.write_str("no place within the limits explains the samples"),
+            Self::NotWhite(times) => {
+                write!(f, "the residual phases are not noise: {times:.1} times the limit of the whiteness test")
+            }
+            Self::AnotherWave(times) => {
+                write!(f, "another wave is there, {times:.1} times as strong as noise may seem")
+            }
+            Self::Ambiguous => f.write_str("another direction explains the samples about as well"),
+        }
+    }
+}
+
+/// One wave that leaves nothing but noise.
+#[derive(Clone, Debug)]
+pub(crate) struct OneWave {
+    /// Its posterior, and that of its mirror image where the motion hides one.
+    pub modes: Vec<Mode>,
+    /// Deviation that noise leaves of its azimuth, radians: the Cramer-Rao bound for the measured noise.
+    pub bound_rad: f64,
+    /// How far a wave that the noise hides may have moved the azimuth, radians.
+    pub risk_rad: f64,
+}
+
+/// Which coordinates are open: elevation, 1 / range, scale of the path. The azimuth always is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Open([bool; 3]);
+
+/// A place and the scale of the path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct At {
+    place: Place,
+    scale: f64,
+}
+
+/// The samples of a motion, for one wave.
+struct Wave<'a> {
+    samples: &'a Samples,
+    points: &'a [Vector3<f64>],
+    /// Radians for each metre of way.
+    kappa: f64,
+    prior: &'a Prior,
+    open: Open,
+}
+
+/// Looks for one wave next to `start`, or where none is given next to `plane_wave`. `points` are the displacements of
+/// `samples` about their middle.
+///
+/// # Errors
+/// What else there is.
+pub(crate) fn explain(
+    samples: &Samples,
+    points: &[Vector3<f64>],
+    (plane_wave, start): (&Estimate, Option<Place>),
+    prior: &Prior,
+    steps: &Steps,
+    tier: Tier,
+) -> Result<OneWave, Unexplained> {
+    if samples.len() < LEAST_SAMPLES {
+        return Err(Unexplained::FewSamples(samples.len()));
+    }
+    let kappa = TAU * f64::from(samples.path_gain()) / samples.wavelength_m();
+    let shows_elevation = plane_wave.elevation_searched || prior.is_signed();
+    let open = Open([prior.elevation_is_open() && shows_elevation, prior.curve_max > 0.0, false]);
+    let mut wave = Wave { samples, points, kappa, prior, open };
+    let place = start.unwrap_or_else(|| best_start(samples, points, plane_wave, prior, steps, tier));
+    let share = explained(&wave, &At { place, scale: 0.0 });
+    if share < LEAST_SHARE {
+        return Err(Unexplained::Faint(share));
+    }
+    let at = wave.settled(At { place, scale: 0.0 }).ok_or(Unexplained::NoPlace)?;
+    let left = wave.residual(&at);
+    whiteness(&left, tier)?;
+    unambiguous(&wave, &at, plane_wave, steps)?;
+    let peak = highest_peak(&wave, &at, &left, plane_wave, tier)?;
+    let free = left.len() as f64 - 5.0;
+    let variance = (left.iter().map(|e| e * e).sum::<f64>() / free).max(1e-16);
+    let bound_rad = wave.covariance(&at, variance, false)[(0, 0)].max(0.0).sqrt();
+    // The trajectory is taken as it is for the place, which is efficient where it is exact; what its scale leaves open is in the
+    // posterior.
+    wave.open.0[2] = true;
+    let covariance = wave.covariance(&at, variance, true);
+    let modes = vec![wave.mode(&at, covariance, variance)];
+    Ok(OneWave { modes, bound_rad, risk_rad: (2.0 * peak).sqrt() * bound_rad })
+}
+
+/// The best of the places about the plane wave, on a grid.
+fn best_start(
+    samples: &Samples,
+    points: &[Vector3<f64>],
+    plane_wave: &Estimate,
+    prior: &Prior,
+    steps: &Steps,
+    tier: Tier,
+) -> Place {
+    let bins = Bins::along(points, samples.wavelength_m());
+    let aperture = Aperture::of_phasors(samples.z(), &bins, samples.path_gain());
+    let field =
+        Field::new(&bins.points_m(points), vec![aperture], samples.wavelength_m(), 1.0 + bins.len() as f64, 1, tier);
+    let elevation = plane_wave.signed_elevation_rad.unwrap_or(plane_wave.abs_elevation_rad);
+    let mut elevations = vec![elevation];
+    match prior.is_signed() {
+        true => elevations.push(-elevation),
+        false => elevations.extend([0.0, prior.elevation_rad[1]]),
+    }
+    let curves = prior.curves([0.0, prior.curve_max], 0.5 * steps.curve());
+    let mut places = Vec::new();
+    for k in -5..=5 {
+        let azimuth = plane_wave.azimuth_rad + 0.4 * f64::from(k) * steps.azimuth();
+        for &elevation in &elevations {
+            let at = |curve: f64| prior.at_height(Place { azimuth, elevation, curve });
+            places.push(at(0.0));
+            places.extend(curves.iter().map(|cell| at(cell.at)));
+        }
+    }
+    let logs = field.log_likelihoods(&places);
+    let best = logs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
+    places[best]
+}
+
+/// Azimuth, elevation (or its cosine), 1 / range and scale: what a phase goes by.
+type Gradient = Vector4<f64>;
+
+impl Wave<'_> {
+    /// The phase of each sample's way, radians, less that of the middle.
+    fn phases(&self, at: &At) -> impl Iterator<Item = f64> + '_ {
+        let towards = direction(&at.place);
+        let (curve, kappa) = (at.place.curve, self.kappa * (1.0 + at.scale));
+        self.points.iter().map(move |p| {
+            let bend = curve * p.norm_squared() - 2.0 * towards.dot(p);
+            kappa * bend / ((1.0 + curve * bend).max(0.0).sqrt() + 1.0)
+        })
+    }
+
+    /// How the phases go by each coordinate; 0 for those that are not open. Of level motion by the elevation's cosine.
+    fn gradients(&self, at: &At) -> Vec<Gradient> {
+        let ((sin_a, cos_a), (sin_e, cos_e)) = (at.place.azimuth.sin_cos(), at.place.elevation.sin_cos());
+        let (towards, curve) = (direction(&at.place), at.place.curve);
+        let by_azimuth = Vector3::new(-sin_a * cos_e, cos_a * cos_e, 0.0);
+        let by_elevation = match self.prior.is_signed() {
+            true => Vector3::new(-cos_a * sin_e, -sin_a * sin_e, cos_e),
+            false => Vector3::new(cos_a, sin_a, 0.0),
+        };
+        let open = |k: usize| f64::from(u8::from(self.open.0[k]));
+        let gradient = |p: &Vector3<f64>| {
+            let square = p.norm_squared();
+            let bend = curve * square - 2.0 * towards.dot(p);
+            let ratio = (1.0 + curve * bend).max(0.0).sqrt().max(1e-9);
+            // The way is (ratio - 1) / curve, so it changes by half of the bend's change over the ratio.
+            let by_curve = (square - bend * (bend + curve * square) / (2.0 * ratio * (ratio + 1.0))) / (ratio + 1.0);
+            Gradient::new(
+                -by_azimuth.dot(p) / ratio,
+                -by_elevation.dot(p) / ratio * open(0),
+                by_curve * open(1),
+                bend / (ratio + 1.0) * open(2),
+            ) * self.kappa
+        };
+        self.points.iter().map(gradient).collect()
+    }
+
+    /// What the wave leaves of each phase, radians, against their mean phasor.
+    fn residual(&self, at: &At) -> Vec<f64> {
+        let turned: Vec<Complex64> =
+            self.samples.z().iter().zip(self.phases(at)).map(|(z, phase)| z * Complex64::cis(phase)).collect();
+        let mean: Complex64 = turned.iter().sum();
+        let mut left: Vec<f64> = turned.iter().map(|z| (z * mean.conj()).arg()).collect();
+        let mean = left.iter().sum::<f64>() / left.len().max(1) as f64;
+        left.iter_mut().for_each(|e| *e -= mean);
+        left
+    }
+
+    fn cost(&self, at: &At, variance: f64) -> f64 {
+        let square: f64 = self.residual(at).iter().map(|e| e * e).sum();
+        square / variance + (at.scale / sensor::SCALE).powi(2)
+    }
+
+    /// Least squares of the residual phases from `at`, within the limits: a coordinate that would leave them stays there.
+    fn settled(&self, at: At) -> Option<At> {
+        let mut at = at;
+        let mut held = [false; 3];
+        for _ in 0..STEPS {
+            let (next, hits) = self.step(&at, &held, true)?;
+            let moved = wrap_rad(next.place.azimuth - at.place.azimuth).abs();
+            (at, held) = (next, hits);
+            if moved < 1e-7 {
+                break;
+            }
+        }
+        let is_finite = at.place.azimuth.is_finite() && at.place.elevation.is_finite() && at.place.curve.is_finite();
+        (is_finite && self.prior.contains(&at.place)).then_some(at)
+    }
+
+    /// One step of Gauss and Newton. `held` coordinates stay; those that leave their limits are held next time.
+    fn step(&self, at: &At, held: &[bool; 3], azimuth_is_open: bool) -> Option<(At, [bool; 3])> {
+        let left = self.residual(at);
+        let variance = (left.iter().map(|e| e * e).sum::<f64>() / left.len() as f64).max(1e-16);
+        let mut information = self.information(at, variance);
+        let gradients = self.gradients(at);
+        let mean = gradients.iter().sum::<Gradient>() / gradients.len() as f64;
+        // A phase that was turned back too little is made up for by a longer way.
+        let mut slope: Vector4<f64> = gradients.iter().zip(&left).map(|(g, e)| -(g - mean) * *e / variance).sum();
+        information[(3, 3)] += sensor::SCALE.powi(-2);
+        slope[3] -= at.scale * sensor::SCALE.powi(-2);
+        let fixed =
+            [!azimuth_is_open, held[0] || !self.open.0[0], held[1] || !self.open.0[1], held[2] || !self.open.0[2]];
+        for k in (0..4).filter(|k| fixed[*k]) {
+            information.row_mut(k).fill(0.0);
+            information.column_mut(k).fill(0.0);
+            information[(k, k)] = 1.0;
+            slope[k] = 0.0;
+        }
+        // Less far, and more along the steepest descent, where all of the step would leave more (Levenberg and Marquardt).
+        let now = self.cost(at, variance);
+        for damping in [1e-12, 1e-6, 1e-4, 1e-2, 0.3, 10.0] {
+            let (next, hits) = self.moved(at, &solve(information, slope, damping)?, held);
+            if self.cost(&next, variance) <= now {
+                return Some((next, hits));
+            }
+        }
+        Some((*at, *held))
+    }
+
+    /// `at` after a step, clamped to the limits, and which coordinates are at them.
+    fn moved(&self, at: &At, step: &Vector4<f64>, held: &[bool; 3]) -> (At, [bool; 3]) {
+        let [low, high] = self.prior.elevation_rad;
+        let (elevation, at_elevation) = match self.prior.is_signed() {
+            true => {
+                let next = at.place.elevation + step[1];
+                (next.clamp(low, high), next < low || next > high)
+            }
+            false => {
+                let next = at.place.elevation.cos() + step[1];
+                let (least, most) = (high.cos(), low.cos());
+                (next.clamp(least, most).min(1.0).acos(), next < least || next > most)
+            }
+        };
+        let curve = at.place.curve + step[2];
+        let next = Place {
+            azimuth: at.place.azimuth + step[0],
+            elevation: if self.open.0[0] { elevation } else { at.place.elevation },
+            curve: curve.clamp(0.0, self.prior.curve_max),
+        };
+        let at_curve = curve < 0.0 || curve > self.prior.curve_max;
+        let next = if self.prior.elevation_is_open() { next } else { self.prior.at_height(next) };
+        let hits = [held[0] || at_elevation && self.open.0[0], held[1] || at_curve, held[2]];
+        (At { place: next, scale: at.scale + step[3] }, hits)
+    }
+
+    /// Fisher information of the open coordinates from phases of this variance, without any prior.
+    fn information(&self, at: &At, variance: f64) -> Matrix4<f64> {
+        let gradients = self.gradients(at);
+        let mean = gradients.iter().sum::<Gradient>() / gradients.len() as f64;
+        gradients.iter().map(|g| (g - mean) * (g - mean).transpose()).sum::<Matrix4<f64>>() / variance
+    }
+
+    /// Covariance of azimuth, elevation and 1 / range, with the scale of the path known to the sensor's error or exactly.
+    /// Coordinates that are open have the prior's deviation beside what the phases say.
+    fn covariance(&self, at: &At, variance: f64, with_scale: bool) -> Matrix3<f64> {
+        let mut information = self.information(at, variance);
+        let [elevation_sd, _] = self.prior.deviations();
+        // Of the cosine, to first order about its mean and at least to second.
+        let bent = if self.prior.is_signed() { elevation_sd } else { 1.0 - (2.0 * elevation_sd).min(FRAC_PI_2).cos() };
+        let priors = [1.8, bent.max(1e-6), (self.prior.curve_max / 12f64.sqrt()).max(1e-9), sensor::SCALE];
+        for k in 0..4 {
+            let is_open = k == 0 || self.open.0[k - 1] && (k != 3 || with_scale);
+            information[(k, k)] += if is_open { priors[k].powi(-2) } else { 1e24 };
+        }
+        let whole = invert(information).unwrap_or_else(|| Matrix4::from_diagonal(&priors.map(|sd| sd * sd).into()));
+        let mut covariance = whole.fixed_view::<3, 3>(0, 0).into_owned();
+        if !self.prior.is_signed() {
+            // From the cosine to the elevation: an error `d` of a cosine near 1 is an elevation of `sqrt(2 d)`.
+            let sd = covariance[(1, 1)].max(0.0).sqrt();
+            let sin = at.place.elevation.sin();
+            let slope = 1.0 / (sin * sin + 2.0 * sd).sqrt().max(1e-9);
+            let scale = Matrix3::from_diagonal(&Vector3::new(1.0, -slope, 1.0));
+            covariance = scale * covariance * scale;
+        }
+        covariance
+    }
+
+    /// The posterior about `at`: for each azimuth the likelihood and the prior of the best place that has it.
+    fn mode(&self, at: &At, covariance: Matrix3<f64>, variance: f64) -> Mode {
+        let mut step = (covariance[(0, 0)].max(0.0).sqrt() * REACH / SIDE as f64).clamp(1e-9, 0.05);
+        let mut atoms = Vec::new();
+        for _ in 0..12 {
+            let mut logs = vec![(0.0, self.log(&self.best_with(*at, [false, true, true]), variance))];
+            for side in [-1.0, 1.0] {
+                let mut near = *at;
+                for k in 1..=SIDE {
+                    let off = side * k as f64 * step;
+                    near = self.best_with(self.beside(&near, side * step, variance), [false, true, true]);
+                    logs.push((off, self.log(&near, variance)));
+                }
+            }
+            let most = logs.iter().map(|(_, log)| *log).fold(f64::MIN, f64::max);
+            logs.iter_mut().for_each(|(_, log)| *log -= most);
+            let atom = |(off, log): &(f64, f64)| Atom {
+                azimuth: wrap_rad(at.place.azimuth + off),
+                width: step,
+                mass: log.exp(),
+            };
+            atoms = logs.iter().map(atom).collect();
+            let edge = logs[SIDE].1.max(logs[2 * SIDE].1);
+            let inside = logs[SIDE / 4].1.min(logs[SIDE + SIDE / 4].1);
+            // Towards the line of a straight motion the azimuth shows to second order only: wider. Too wide: closer.
+            if edge > -4.0 && step < 0.1 {
+                step *= 2.0;
+            } else if inside < -6.0 && step > 2e-9 {
+                step *= 0.3;
+            } else {
+                break;
+            }
+        }
+        let total: f64 = atoms.iter().map(|atom| atom.mass).sum();
+        atoms.iter_mut().for_each(|atom| atom.mass /= total);
+        let spread: f64 = atoms.iter().map(|a| a.mass * wrap_rad(a.azimuth - at.place.azimuth).powi(2)).sum();
+        let mut covariance = covariance;
+        let (own, seen) = (covariance[(0, 0)].max(1e-24).sqrt(), spread.max(0.0).sqrt());
+        let scale = Matrix3::from_diagonal(&Vector3::new(seen / own, 1.0, 1.0));
+        covariance = scale * covariance * scale;
+        if !self.shows_range(at, variance) {
+            covariance[(2, 2)] = covariance[(2, 2)].max(self.prior.curve_max.powi(2));
+        }
+        Mode { place: Place { azimuth: wrap_rad(at.place.azimuth), ..at.place }, covariance, mass: 1.0, atoms }
+    }
+
+    /// The place `by_rad` beside `at` whose phases differ least, to first order: elsewhere they would be turns away from those of
+    /// the samples.
+    fn beside(&self, at: &At, by_rad: f64, variance: f64) -> At {
+        let mut information = self.information(at, variance);
+        information[(3, 3)] += sensor::SCALE.powi(-2);
+        let mut slope = -information.column(0).into_owned() * by_rad;
+        for k in (0..4).filter(|k| *k == 0 || !self.open.0[k - 1]) {
+            information.row_mut(k).fill(0.0);
+            information.column_mut(k).fill(0.0);
+            (information[(k, k)], slope[k]) = (1.0, 0.0);
+        }
+        let mut step = solve(information, slope, 1e-9).unwrap_or_default();
+        step[0] = by_rad;
+        self.moved(at, &step, &[false; 3]).0
+    }
+
+    /// Whether much farther and nearer places explain the samples less well: to first order alone, a wave front straight ahead of
+    /// a line seems to tell its range by what is the scale of the path or the azimuth.
+    fn shows_range(&self, at: &At, variance: f64) -> bool {
+        let least = self.log(&self.best_with(*at, [true; 3]), variance);
+        let as_likely = |curve: f64| {
+            let there = At { place: self.prior.at_height(Place { curve, ..at.place }), ..*at };
+            self.log(&self.best_with(there, [true, true, false]), variance) > least - DOUBT
+        };
+        let curve = at.place.curve;
+        curve > 0.0 && !as_likely(0.4 * curve) && !as_likely(2.5 * curve)
+    }
+
+    /// `ln` of likelihood and prior, but for a constant.
+    fn log(&self, at: &At, variance: f64) -> f64 {
+        -0.5 * self.cost(at, variance) + self.prior.log_density(&at.place)
+    }
+
+    /// The best place next to `at` with the coordinates (azimuth, elevation, 1 / range) that are not open as they are.
+    fn best_with(&self, at: At, open: [bool; 3]) -> At {
+        let (mut at, mut held) = (at, [!open[1], !open[2], false]);
+        for _ in 0..STEPS {
+            let Some((next, hits)) = self.step(&at, &held, open[0]) else { break };
+            let moved = (next.place.elevation - at.place.elevation).abs() + (next.place.curve - at.place.curve).abs();
+            (at, held) = (next, hits);
+            if moved < 1e-7 {
+                break;
+            }
+        }
+        at
+    }
+}
+
+/// Solves `information x = slope` in units in which the diagonal is 1, `damping` added to it.
+fn solve(information: Matrix4<f64>, slope: Vector4<f64>, damping: f64) -> Option<Vector4<f64>> {
+    let (scaled, units) = in_units(information);
+    let damped = scaled + Matrix4::identity() * damping;
+    let solved = damped.cholesky()?.solve(&slope.component_mul(&units));
+    solved.iter().all(|v| v.is_finite()).then(|| solved.component_mul(&units))
+}
+
+fn invert(information: Matrix4<f64>) -> Option<Matrix4<f64>> {
+    let (scaled, units) = in_units(information);
+    let inverse = (scaled + Matrix4::identity() * 1e-14).cholesky()?.inverse();
+    let units = Matrix4::from_diagonal(&units);
+    Some(units * inverse * units)
+}
+
+fn in_units<const N: usize>(matrix: SMatrix<f64, N, N>) -> (SMatrix<f64, N, N>, SVector<f64, N>) {
+    let units = matrix.diagonal().map(|v| if v > 0.0 { 1.0 / v.sqrt() } else { 1.0 });
+    let scale = SMatrix::<f64, N, N>::from_diagonal(&units);
+    (scale * matrix * scale, units)
+}
+
+fn direction(place: &Place) -> Vector3<f64> {
+    crate::bartlett::direction(place.azimuth, place.elevation)
+}
+
+/// Refuses residuals whose cumulative periodogram is not that of white noise (Bartlett's test: the largest distance from the
+/// diagonal goes as Kolmogorov's).
+fn whiteness(left: &[f64], tier: Tier) -> Result<(), Unexplained> {
+    let count = left.len();
+    let mut spectrum: Vec<_> = left.iter().map(|e| Complex64::new(*e, 0.0)).collect();
+    Ffts::<f64>::new(tier).forward(count).process(&mut spectrum);
+    let power: Vec<f64> = spectrum[1..count.div_ceil(2)].iter().map(Complex64::norm_sqr).collect();
+    let total: f64 = power.iter().sum();
+    if total <= 1e-20 * count as f64 {
+        return Ok(());
+    }
+    let (mut sum, mut furthest, half) = (0.0, 0.0f64, power.len() as f64);
+    for (k, own) in power.iter().enumerate() {
+        sum += own / total;
+        furthest = furthest.max((sum - (k as f64 + 1.0) / half).abs());
+    }
+    let limit = (-0.5 * (0.5 * FALSE_ALARM).ln() / half).sqrt();
+    if furthest > limit { Err(Unexplained::NotWhite(furthest / limit)) } else { Ok(()) }
+}
+
+/// Refuses a wave beside which another peak of the plane wave's leaves a doubt. Its mirror is judged by the depth of the
+/// motion.
+fn unambiguous(wave: &Wave<'_>, at: &At, plane_wave: &Estimate, steps: &Steps) -> Result<(), Unexplained> {
+    let own = explained(wave, at);
+    let near = |azimuth: f64, other: f64| wrap_rad(azimuth - other).abs() < 2.0 * steps.azimuth();
+    let is_own = |azimuth: f64| {
+        near(azimuth, at.place.azimuth) || plane_wave.mirror_rad.is_some_and(|mirror| near(azimuth, mirror))
+    };
+    let samples = wave.samples.len() as f64;
+    let log_odds = |value: f64| samples * ((1.0 - value).max(1e-9) / (1.0 - own).max(1e-9)).ln();
+    let others = plane_wave.peaks.iter().filter(|peak| !is_own(peak.azimuth_rad));
+    let doubtful = others.map(|peak| peak.value).any(|value| log_odds(value) < DECISIVE);
+    if doubtful { Err(Unexplained::Ambiguous) } else { Ok(()) }
+}
+
+/// The share of the power that a wave explains.
+fn explained(wave: &Wave<'_>, at: &At) -> f64 {
+    let sum: Complex64 = wave.samples.z().iter().zip(wave.phases(at)).map(|(z, phase)| z * Complex64::cis(phase)).sum();
+    let full: f64 = wave.samples.z().iter().map(|z| z.norm()).sum();
+    (sum.norm() / full).powi(2)
+}
+
+/// The highest Bartlett peak of what is left, in units of what noise has on average.
+fn highest_peak(wave: &Wave<'_>, at: &At, left: &[f64], plane_wave: &Estimate, tier: Tier) -> Result<f64, Unexplained> {
+    let samples = wave.samples;
+    let mut rest = Samples::new(samples.wavelength_m(), samples.path_gain()).map_err(|_| Unexplained::NoPlace)?;
+    for (k, ((p, phase), e)) in wave.points.iter().zip(wave.phases(at)).zip(left).enumerate() {
+        // As it was before the wave was taken out of it.
+        let value = Complex64::new(0.0, *e) * Complex64::cis(-phase);
+        rest.push(k as f64, value, *p, Vector3::zeros()).map_err(|_| Unexplained::NoPlace)?;
+    }
+    let highest_rad = if plane_wave.elevation_searched { wave.prior.elevation_rad[1] } else { 0.0 };
+    // Nothing is left at all, or nothing that could be searched.
+    let Ok(found) = Searcher::new(tier).search(&rest, highest_rad.clamp(0.0, FRAC_PI_2)) else { return Ok(1.0) };
+    let sizes: f64 = left.iter().map(|e| e * e).sum();
+    let sum: f64 = left.iter().map(|e| e.abs()).sum();
+    let peak = found.value * sum * sum / sizes;
+    let cells = (2 * found.plan.band_limit + 1) * found.plan.rings.max(1);
+    let most = (cells as f64 / FALSE_ALARM).ln();
+    if peak > most { Err(Unexplained::AnotherWave(peak / most)) } else { Ok(peak) }
+}

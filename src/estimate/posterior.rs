@@ -1,0 +1,458 @@
+//! From the likelihood and the prior to everything that is said of a direction.
+//!
+//! A grid over azimuth, elevation and 1 / range, as dense as the aperture asks for, gives the probability of each azimuth.
+//! About each of its tops a finer grid closes in until the posterior fills it, so that a sharp top is resolved as well as a
+//! flat one. The tops with their probabilities are the candidates; the mass about the highest gives error bar and
+//! probability.
+
+use super::likelihood::{Field, Place};
+use super::prior::{Cell, Prior};
+use super::tuning;
+use crate::maths::wrap_rad;
+use nalgebra::{Matrix3, Vector3};
+use std::f64::consts::{PI, TAU};
+
+/// Azimuths of a fine grid.
+const FINE: usize = 9;
+/// Times that a fine grid closes in at most: each time by half at least, a thousandfold.
+const CLOSER: usize = 10;
+/// What is this far below the highest, in logarithms, holds less than a tenth of a percent.
+const NEGLIGIBLE: f64 = 7.0;
+/// Tops this far below the highest are looked at closely: they may hold some percent.
+const CLOSE: f64 = 4.0;
+/// Tops that are looked at closely at most.
+const TOPS: usize = 6;
+/// Samples times places that a search may take: a second of one core.
+const MOST: f64 = 3e8;
+/// The coarsest azimuths of a grid, radians.
+const COARSEST_RAD: f64 = 4.0 * PI / 180.0;
+
+/// Probability at one azimuth.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Atom {
+    pub azimuth: f64,
+    /// It is spread evenly over so much, radians.
+    pub width: f64,
+    pub mass: f64,
+}
+
+/// A direction that explains the samples, and what lies about it.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Mode {
+    /// The most probable azimuth, and elevation and 1 / range as their means over the posterior about it.
+    pub place: Place,
+    /// Covariance of azimuth, elevation and 1 / range.
+    pub covariance: Matrix3<f64>,
+    /// Its probability.
+    pub mass: f64,
+    pub atoms: Vec<Atom>,
+}
+
+/// How densely a motion's places have to be looked at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Steps {
+    azimuth: f64,
+    /// Of elevations; of their cosines where motion is level.
+    elevation: f64,
+    curve: f64,
+}
+
+impl Steps {
+    /// `window_m` is the largest radius of a window about its own middle, `radius_m` that of the motion.
+    pub fn new(radius_m: f64, window_m: f64, wavelength_m: f64, path_gain: u8, prior: &Prior) -> Self {
+        let turn_m = wavelength_m / f64::from(path_gain);
+        let window_m = window_m.max(0.1 * turn_m);
+        let azimuth = (turn_m / window_m).min(COARSEST_RAD);
+        Self {
+            azimuth,
+            elevation: if prior.is_signed() { azimuth } else { 0.5 * turn_m / window_m },
+            curve: turn_m / (window_m * radius_m.max(window_m)),
+        }
+    }
+
+    pub fn azimuth(&self) -> f64 {
+        self.azimuth
+    }
+
+    pub fn curve(&self) -> f64 {
+        self.curve
+    }
+
+    /// Whether a motion of so many samples can be searched at once.
+    pub fn are_affordable(&self, samples: usize, prior: &Prior) -> bool {
+        let [low, high] = prior.elevation_rad;
+        let span = if prior.is_signed() { high - low } else { (high - low) * high.sin() };
+        let count = |span: f64, step: f64| (span / step).ceil().max(1.0);
+        let elevations = if prior.elevation_is_open() { count(span, self.elevation) } else { 1.0 };
+        let places = count(TAU, self.azimuth) * elevations * count(prior.curve_max, self.curve);
+        places * samples as f64 <= MOST
+    }
+}
+
+/// All modes of the posterior, the most probable first, with masses that sum to 1; before them the logarithm of the
+/// evidence for the model. `fine` asks for a closer look at the tops.
+pub(crate) fn modes(field: &Field, prior: &Prior, steps: &Steps, fine: bool) -> (f64, Vec<Mode>) {
+    let coarse = Coarse::new(field, prior, steps);
+    let tops = coarse.tops();
+    let highest = tops.first().map_or(0.0, |&top| coarse.logs[top]);
+    let close = |rank: usize, top: usize| fine && rank < TOPS && coarse.logs[top] > highest - CLOSE;
+    let mode = |(rank, &top): (usize, &usize)| coarse.mode(top, close(rank, top), highest, (field, prior, steps));
+    let mut modes: Vec<Mode> = tops.iter().enumerate().map(mode).collect();
+    let evidence = highest + modes.iter().map(|mode| mode.mass).sum::<f64>().ln();
+    settle(&mut modes);
+    (evidence, modes)
+}
+
+/// Scales the masses of `modes` to a sum of 1, and orders them.
+pub(crate) fn settle(modes: &mut [Mode]) {
+    let total: f64 = modes.iter().map(|mode| mode.mass).sum();
+    let by = if total > 0.0 { 1.0 / total } else { 0.0 };
+    for mode in modes.iter_mut() {
+        mode.mass *= by;
+        mode.atoms.iter_mut().for_each(|atom| atom.mass *= by);
+    }
+    modes.sort_by(|a, b| b.mass.total_cmp(&a.mass));
+}
+
+/// The whole circle, coarsely.
+struct Coarse {
+    elevations: Vec<Cell>,
+    curves: Vec<Cell>,
+    /// `ln (prior x likelihood)` of every cell: `cells[(azimuth * elevations + elevation) * curves + curve]`.
+    cells: Vec<f64>,
+    /// `ln` of their sums over each azimuth.
+    logs: Vec<f64>,
+}
+
+impl Coarse {
+    fn new(field: &Field, prior: &Prior, steps: &Steps) -> Self {
+        let azimuths = (TAU / steps.azimuth).ceil().max(4.0) as usize;
+        let elevations = prior.elevations(prior.elevation_rad, steps.elevation);
+        let curves = prior.curves([0.0, prior.curve_max], steps.curve);
+        let azimuth = |k: usize| TAU * k as f64 / azimuths as f64;
+        let cells = logs(field, prior, (0..azimuths).map(azimuth), &elevations, &curves);
+        let each = elevations.len() * curves.len();
+        let logs = cells.chunks(each).map(log_sum).collect();
+        Self { elevations, curves, cells, logs }
+    }
+
+    fn spacing(&self) -> f64 {
+        TAU / self.logs.len() as f64
+    }
+
+    /// The local maxima, the highest first.
+    fn tops(&self) -> Vec<usize> {
+        let count = self.logs.len();
+        let is_top = |&k: &usize| {
+            let (before, after) = (self.logs[(k + count - 1) % count], self.logs[(k + 1) % count]);
+            self.logs[k] >= before && self.logs[k] > after
+        };
+        let mut tops: Vec<usize> = (0..count).filter(is_top).collect();
+        if tops.is_empty() {
+            tops.extend((0..count).max_by(|a, b| self.logs[*a].total_cmp(&self.logs[*b])));
+        }
+        tops.sort_by(|a, b| self.logs[*b].total_cmp(&self.logs[*a]));
+        tops
+    }
+
+    /// Azimuths on either side of `top` up to the next minimum, `top` among them.
+    fn basin(&self, top: usize) -> Vec<usize> {
+        let count = self.logs.len();
+        let side = |step: usize| {
+            let (mut at, mut found) = (top, Vec::new());
+            while found.len() < count / 2 {
+                let next = (at + step) % count;
+                if self.logs[next] > self.logs[at] {
+                    break;
+                }
+                found.push(next);
+                at = next;
+            }
+            // The minimum belongs to the side after it.
+            if step != 1 {
+                found.pop();
+            }
+            found
+        };
+        let mut all = side(1);
+        all.push(top);
+        all.extend(side(count - 1));
+        all
+    }
+
+    fn mode(&self, top: usize, close: bool, highest: f64, (field, prior, steps): (&Field, &Prior, &Steps)) -> Mode {
+        let spacing = self.spacing();
+        let atom = |&k: &usize| Atom {
+            azimuth: wrap_rad(k as f64 * spacing),
+            width: spacing,
+            mass: (self.logs[k] - highest).exp() * spacing,
+        };
+        let basin = self.basin(top);
+        if !close {
+            let atoms: Vec<Atom> = basin.iter().map(atom).collect();
+            let cells = self.bounds(top);
+            let place = prior.at_height(Place {
+                azimuth: atom(&top).azimuth,
+                elevation: cells.elevation.1,
+                curve: cells.curve.1,
+            });
+            let square = |width: f64| width * width / 12.0;
+            let covariance = Matrix3::from_diagonal(&Vector3::new(
+                square(spacing),
+                square(cells.elevation.0[1] - cells.elevation.0[0]),
+                square(cells.curve.0[1] - cells.curve.0[0]),
+            ));
+            return Mode { place, covariance, mass: atoms.iter().map(|atom| atom.mass).sum(), atoms };
+        }
+        let cells = self.bounds(top);
+        let middle = top as f64 * spacing;
+        let start = Bounds {
+            azimuth: [middle - spacing, middle + spacing],
+            elevation: cells.elevation.0,
+            curve: cells.curve.0,
+        };
+        let local = Local::about(start, field, prior, steps);
+        let count = self.logs.len();
+        let outside = |k: &&usize| (**k + count - top + 1) % count > 2;
+        let mut atoms: Vec<Atom> = basin.iter().filter(outside).map(atom).collect();
+        atoms.extend(local.atoms(highest));
+        Mode { place: local.place, covariance: local.spread(), mass: atoms.iter().map(|atom| atom.mass).sum(), atoms }
+    }
+
+    /// The cells of an azimuth that are not negligible, and the best of them.
+    fn bounds(&self, azimuth: usize) -> CellBounds {
+        let each = self.elevations.len() * self.curves.len();
+        let own = &self.cells[azimuth * each..(azimuth + 1) * each];
+        let best = own.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
+        let (mut elevation, mut curve) = ([f64::MAX, f64::MIN], [f64::MAX, f64::MIN]);
+        for (k, log) in own.iter().enumerate() {
+            if *log > own[best] - NEGLIGIBLE {
+                let (e, c) = (self.elevations[k / self.curves.len()], self.curves[k % self.curves.len()]);
+                elevation = [elevation[0].min(e.low), elevation[1].max(e.high)];
+                curve = [curve[0].min(c.low), curve[1].max(c.high)];
+            }
+        }
+        let (e, c) = (self.elevations[best / self.curves.len()], self.curves[best % self.curves.len()]);
+        CellBounds { elevation: (elevation, e.at), curve: (curve, c.at) }
+    }
+}
+
+/// Limits, and the best value within them.
+struct CellBounds {
+    elevation: ([f64; 2], f64),
+    curve: ([f64; 2], f64),
+}
+
+/// `ln (prior x likelihood)` of every cell of a grid.
+fn logs(
+    field: &Field,
+    prior: &Prior,
+    azimuths: impl Iterator<Item = f64>,
+    elevations: &[Cell],
+    curves: &[Cell],
+) -> Vec<f64> {
+    let (mut places, mut priors) = (Vec::new(), Vec::new());
+    for azimuth in azimuths {
+        for elevation in elevations {
+            for curve in curves {
+                places.push(prior.at_height(Place { azimuth, elevation: elevation.at, curve: curve.at }));
+                priors.push((elevation.mass * curve.mass).ln());
+            }
+        }
+    }
+    let mut logs = field.log_likelihoods(&places);
+    logs.iter_mut().zip(priors).for_each(|(log, prior)| *log += prior);
+    logs
+}
+
+fn log_sum(logs: &[f64]) -> f64 {
+    let highest = logs.iter().copied().fold(f64::MIN, f64::max);
+    highest + logs.iter().map(|log| (log - highest).exp()).sum::<f64>().ln()
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Bounds {
+    azimuth: [f64; 2],
+    elevation: [f64; 2],
+    curve: [f64; 2],
+}
+
+/// The posterior about one top, resolved.
+struct Local {
+    place: Place,
+    /// Covariance over the cells' centres.
+    covariance: Matrix3<f64>,
+    /// Sizes of a cell: azimuth, elevation, 1 / range.
+    cell: Vector3<f64>,
+    bounds: Bounds,
+    /// `ln` of the mass of each azimuth's cells, per radian.
+    logs: Vec<f64>,
+}
+
+impl Local {
+    fn about(mut bounds: Bounds, field: &Field, prior: &Prior, steps: &Steps) -> Self {
+        let outer = bounds;
+        let mut local = Self::at(bounds, field, prior, steps);
+        for _ in 0..CLOSER {
+            let closer = local.closer(&outer);
+            let shrinks = |own: [f64; 2], next: [f64; 2]| next[1] - next[0] < 0.65 * (own[1] - own[0]);
+            let done = !shrinks(bounds.azimuth, closer.azimuth)
+                && !shrinks(bounds.elevation, closer.elevation)
+                && !shrinks(bounds.curve, closer.curve);
+            if done {
+                break;
+            }
+            bounds = closer;
+            local = Self::at(bounds, field, prior, steps);
+        }
+        local
+    }
+
+    fn at(bounds: Bounds, field: &Field, prior: &Prior, steps: &Steps) -> Self {
+        let [low, high] = bounds.azimuth;
+        let width = (high - low) / FINE as f64;
+        let azimuth = |k: usize| low + (k as f64 + 0.5) * width;
+        // The coarse steps, or a few in what is left of one.
+        let fine = |span: f64, step: f64| if span > 1.5 * step { step } else { span / 3.0 };
+        let [e_low, e_high] = bounds.elevation;
+        let span = if prior.is_signed() { e_high - e_low } else { (e_high - e_low) * e_high.sin() };
+        let elevations = prior.elevations(bounds.elevation, fine(span, steps.elevation));
+        let curves = prior.curves(bounds.curve, fine(bounds.curve[1] - bounds.curve[0], steps.curve));
+        let cells = logs(field, prior, (0..FINE).map(azimuth), &elevations, &curves);
+        let each = elevations.len() * curves.len();
+        let highest = cells.iter().copied().fold(f64::MIN, f64::max);
+        let (mut mean, mut second, mut total) = (Vector3::zeros(), Matrix3::zeros(), 0.0);
+        for (k, log) in cells.iter().enumerate() {
+            let weight = (log - highest).exp();
+            let (e, c) = (elevations[k % each / curves.len()], curves[k % curves.len()]);
+            let place = prior.at_height(Place { azimuth: azimuth(k / each), elevation: e.at, curve: c.at });
+            let at = Vector3::new(place.azimuth, place.elevation, place.curve);
+            mean += at * weight;
+            second += at * at.transpose() * weight;
+            total += weight;
+        }
+        mean /= total;
+        let cell = Vector3::new(
+            width,
+            (e_high - e_low) / elevations.len() as f64,
+            (bounds.curve[1] - bounds.curve[0]) / curves.len() as f64,
+        );
+        let covariance = second / total - mean * mean.transpose();
+        let logs: Vec<f64> = cells.chunks(each).map(log_sum).collect();
+        let place = Place { azimuth: wrap_rad(azimuth(0) + width * top(&logs)), elevation: mean[1], curve: mean[2] };
+        Self { place, covariance, cell, bounds, logs }
+    }
+
+    /// Where the posterior lies, with a margin.
+    fn closer(&self, outer: &Bounds) -> Bounds {
+        let around = |axis: usize, mean: f64, outer: [f64; 2]| {
+            let half = (3.5 * self.covariance[(axis, axis)].max(0.0).sqrt()).max(0.75 * self.cell[axis]);
+            [(mean - half).max(outer[0]), (mean + half).min(outer[1])]
+        };
+        let azimuth = outer.azimuth[0] + (self.place.azimuth - outer.azimuth[0]).rem_euclid(TAU);
+        Bounds {
+            azimuth: around(0, azimuth, outer.azimuth),
+            elevation: around(1, self.place.elevation, outer.elevation),
+            curve: around(2, self.place.curve, outer.curve),
+        }
+    }
+
+    /// The covariance, that of the cells themselves with it.
+    fn spread(&self) -> Matrix3<f64> {
+        self.covariance + Matrix3::from_diagonal(&self.cell.component_mul(&self.cell)) / 12.0
+    }
+
+    fn atoms(&self, highest: f64) -> impl Iterator<Item = Atom> + '_ {
+        let [low, high] = self.bounds.azimuth;
+        let width = (high - low) / FINE as f64;
+        self.logs.iter().enumerate().map(move |(k, log)| Atom {
+            azimuth: wrap_rad(low + (k as f64 + 0.5) * width),
+            width,
+            mass: (log - highest).exp() * width,
+        })
+    }
+}
+
+/// The place of the maximum, in steps from the first: a parabola through the highest value and its neighbours.
+fn top(logs: &[f64]) -> f64 {
+    let best = logs.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1)).map_or(0, |(k, _)| k);
+    let (Some(before), Some(after)) = (best.checked_sub(1).and_then(|k| logs.get(k)), logs.get(best + 1)) else {
+        return best as f64;
+    };
+    let bend = before - 2.0 * logs[best] + after;
+    best as f64 + if bend < 0.0 { (0.5 * (before - after) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+}
+
+/// How far an azimuth may be off beyond what the posterior of one wave says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Blur {
+    /// Deviation of the heading of the whole path, radians.
+    pub heading_rad: f64,
+    /// Half width of what paths that pass for the direct one add, radians.
+    pub model_rad: f64,
+}
+
+/// The density about one atom: a mixture of a normal and a Cauchy density of the same full width at half maximum, the
+/// nearest to their Voigt profile (Thompson, Cox and Hastings 1987).
+#[derive(Clone, Copy)]
+struct Kernel {
+    full: f64,
+    cauchy: f64,
+}
+
+impl Kernel {
+    /// Of atoms spread over `width` radians.
+    fn new(blur: &Blur, width: f64) -> Self {
+        let normal = FULL_WIDTH * blur.heading_rad.hypot(width / 12f64.sqrt()).max(1e-9);
+        let cauchy = 2.0 * blur.model_rad;
+        let terms = [1.0, 2.692_69, 2.428_43, 4.471_63, 0.078_42, 1.0];
+        let power = |k: i32| normal.powi(5 - k) * cauchy.powi(k);
+        let full = (0..6).zip(terms).map(|(k, term)| term * power(k)).sum::<f64>().powf(0.2);
+        let share = cauchy / full;
+        Self { full, cauchy: 1.366_03 * share - 0.477_19 * share * share + 0.111_16 * share.powi(3) }
+    }
+
+    /// Probability of less than `x`.
+    fn below(&self, x: f64) -> f64 {
+        let normal = 0.5 * (1.0 + libm::erf(x * FULL_WIDTH / (self.full * std::f64::consts::SQRT_2)));
+        let cauchy = 0.5 + (2.0 * x / self.full).atan() / PI;
+        self.cauchy * cauchy + (1.0 - self.cauchy) * normal
+    }
+}
+
+/// Full width at half maximum of a normal density, in deviations.
+const FULL_WIDTH: f64 = 2.354_820_045;
+
+/// Probability that the truth is within `half_rad` of one of `centres`.
+pub(crate) fn mass_within(modes: &[Mode], blur: &Blur, centres: &[f64], half_rad: f64) -> f64 {
+    let (mut explained, mut kernel, mut of) = (0.0, Kernel::new(blur, 0.0), f64::NAN);
+    for atom in modes.iter().flat_map(|mode| &mode.atoms).filter(|atom| atom.mass > 0.0) {
+        if atom.width != of {
+            (kernel, of) = (Kernel::new(blur, atom.width), atom.width);
+        }
+        let inside = |centre: &f64| {
+            let off = wrap_rad(atom.azimuth - centre);
+            kernel.below(half_rad - off) - kernel.below(-half_rad - off)
+        };
+        explained += atom.mass * centres.iter().map(inside).sum::<f64>().min(1.0);
+    }
+    let anywhere = (half_rad / PI * centres.len() as f64).min(1.0);
+    (1.0 - tuning::UNEXPLAINED) * explained + tuning::UNEXPLAINED * anywhere
+}
+
+/// The half width about the nearest of `centres` that holds a share of the probability, radians; at most pi.
+pub(crate) fn half_width(modes: &[Mode], blur: &Blur, centres: &[f64], share: f64) -> f64 {
+    let (mut low, mut high) = (0.0, PI);
+    while high - low > 2e-3 * high {
+        let middle = if low > 0.0 { 0.5 * (low + high) } else { 0.1 * high };
+        if mass_within(modes, blur, centres, middle) < share {
+            low = middle
+        } else {
+            high = middle
+        }
+        if high < 1e-9 {
+            break;
+        }
+    }
+    high
+}

@@ -1,0 +1,570 @@
+//! Pairing where frames have no number: by the two cards' own clocks, sans-IO.
+//!
+//! Between a frame that one card heard and the answer that the other card heard lies only a turn-around. So over an exchange
+//! `clock_tx - clock_rx` is a straight line, sharp to some tens of microseconds but for the outliers of the turn-around;
+//! shifted by one exchange or more it spreads as the pauses between exchanges do. Traffic need not be irregular by much: on
+//! WSR's logs the pauses of 4 to 10 ms vary by 0.1 ms, and the right shift is 2 to 8 times as sharp as the next
+//! (measured).
+//!
+//! 1. A stretch of the receiver's log is laid over the transmitter's at every difference that makes one of its records
+//!    meet another. Of each difference the deviations from a straight line are sorted into bins of 10 us; the share of
+//!    pairs of deviations that share a bin, or two neighbouring ones, is its **sharpness**. It does not ask for one peak:
+//!    turn-arounds often have two. The host clocks are not looked at, unless the caller says how well they agree.
+//! 2. The sharpest difference is taken if it stands out from all others. Otherwise the two logs do not belong together, or
+//!    the exchanges are too regular for one to be told from the next.
+//! 3. From there the line is followed to both ends, so that drift may change with temperature.
+//! 4. A record is paired with the one nearest to the line, within half of the shortest exchange, where each is the other's
+//!    nearest. Two that are equally near are both left out.
+//!
+//! A clock that steps back was set anew: what follows is aligned by itself.
+
+use super::{LinkSide, Pair};
+use std::collections::VecDeque;
+
+/// Records of each side with which a stretch can be aligned at all.
+pub const LEAST: usize = 32;
+/// Records of a stretch that is laid over the other log.
+const STRETCH: usize = 1_024;
+/// Largest drift of two cards against each other: crystals are good to 20 ppm each, cheap ones to 50 (802.11-2016 17.3.9.5).
+const MAX_DRIFT: f64 = 120e-6;
+/// Width of a bin, ns: half of what the turn-around of a 5300 jitters.
+const BIN_NS: f64 = 10_000.0;
+/// Deviations further out than this many bins share the outermost.
+const BINS: usize = 1_024;
+/// Slopes tried on each side of the one that fits best: as many as its error asks for, at most these.
+const SLOPES: i32 = 16;
+/// How often the sharpest must be as sharp as the next: 2.0 at least where logs belong together, 1.0 at most where they do
+/// not (measured on WSR's and the paper's logs).
+const STANDS_OUT: f64 = 1.3;
+/// By how many deviations of all others it must be above them: 54 at least and 5 at most there.
+const DEVIATIONS: f64 = 12.0;
+/// Differences that are looked at closely.
+const CLOSELY: usize = 64;
+/// A record so soon after the one before is the same frame, reported twice: no exchange is this short.
+const TWICE_NS: i64 = 300_000;
+/// Records after which the line is corrected.
+const STEP: usize = 128;
+
+/// A clock of a card.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct CardClock {
+    /// Length of a tick, picoseconds.
+    pub tick_ps: u32,
+    /// Bits after which it wraps, 1 to 64. No pause may last half of that.
+    pub bits: u32,
+}
+
+impl CardClock {
+    /// `timestamp_low` of an Intel 5300.
+    pub const INTEL_5300: Self = Self { tick_ps: 1_000_000, bits: 32 };
+    /// The FTM clock of an AX200 or AX210.
+    pub const FTM: Self = Self { tick_ps: 3_125, bits: 32 };
+
+    /// Ticks from one reading to the next, negative where it was set back.
+    fn step(self, from: u64, to: u64) -> i64 {
+        let unused = 64_u32.saturating_sub(self.bits.clamp(1, 64));
+        (to.wrapping_sub(from) << unused).cast_signed() >> unused
+    }
+}
+
+/// Why two logs were not paired.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Refusal {
+    /// Too few records.
+    #[error(
+        "too few records without numbers to be paired by the cards' clocks: {receiver} and {transmitter}, {LEAST} of each are needed"
+    )]
+    TooFew {
+        /// Of the receiver's log.
+        receiver: usize,
+        /// Of the transmitter's log.
+        transmitter: usize,
+    },
+    /// No difference of the clocks stands out.
+    #[error(
+        "the logs do not belong together, as far as the cards' clocks tell (frames have no numbers): no difference between them stands out, the best is {ratio:.2} times as sharp as the next where {STANDS_OUT} is needed"
+    )]
+    Strangers {
+        /// Sharpness of the best difference over that of the next.
+        ratio: f64,
+    },
+    /// The exchanges are too regular.
+    #[error(
+        "exchanges came every {period_us:.0} us too regularly for the cards' clocks to tell one from the next, and frames have no numbers: send at varied times, or say how well the hosts' clocks agree"
+    )]
+    TooRegular {
+        /// Their period, microseconds.
+        period_us: f64,
+    },
+}
+
+/// How the clocks of a link go together.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Fit {
+    /// `clock_tx - clock_rx` in the middle of the stretch that was aligned, microseconds.
+    pub difference_us: f64,
+    /// Its drift.
+    pub drift_ppm: f64,
+    /// Share of pairs of deviations that are within a bin of each other.
+    pub sharpness: f64,
+    /// How often it is as sharp as the next.
+    pub ratio: f64,
+    /// Whether hosts' clocks were needed to tell.
+    pub by_hosts: bool,
+}
+
+/// Records of one side by what became of them: `handed = paired + unpaired + twice + ambiguous`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ClockCounts {
+    /// Records handed in.
+    pub handed: usize,
+    /// Records that found their partner.
+    pub paired: usize,
+    /// Records without one.
+    pub unpaired: usize,
+    /// Records that the card reported twice.
+    pub twice: usize,
+    /// Records with two partners that are equally near.
+    pub ambiguous: usize,
+}
+
+#[derive(Clone, Debug)]
+struct Side<T> {
+    clock: CardClock,
+    last: Option<u64>,
+    /// Unwrapped, since the first record, ns, rising.
+    at_ns: Vec<i64>,
+    host_us: Vec<Option<i64>>,
+    items: Vec<Option<T>>,
+    /// Where a clock was set back: the first record after it.
+    starts: Vec<usize>,
+    counts: ClockCounts,
+}
+
+impl<T> Side<T> {
+    fn new(clock: CardClock) -> Self {
+        let (at_ns, host_us, items) = (Vec::new(), Vec::new(), Vec::new());
+        Self { clock, last: None, at_ns, host_us, items, starts: vec![0], counts: ClockCounts::default() }
+    }
+
+    fn push(&mut self, ticks: u64, host_us: Option<i64>, item: T) {
+        self.counts.handed += 1;
+        let step = self.last.map_or(0, |last| self.clock.step(last, ticks));
+        let step_ns = (i128::from(step) * i128::from(self.clock.tick_ps) / 1_000) as i64;
+        self.last = Some(ticks);
+        let before = self.at_ns.last().copied();
+        if before.is_some() && (0..TWICE_NS).contains(&step_ns) {
+            self.counts.twice += 1;
+            // Time goes on from the record kept.
+            self.last = self.last.map(|_| ticks.wrapping_sub(step.cast_unsigned()));
+            return;
+        }
+        if step < 0 {
+            self.starts.push(self.at_ns.len());
+        }
+        self.at_ns.push(before.unwrap_or(0).saturating_add(step_ns.max(0)));
+        self.host_us.push(host_us);
+        self.items.push(Some(item));
+    }
+
+    /// Stretches between two settings of the clock, if long enough to be aligned.
+    fn stretches(&self) -> Vec<std::ops::Range<usize>> {
+        let ends = self.starts.iter().skip(1).copied().chain([self.at_ns.len()]);
+        self.starts.iter().zip(ends).map(|(from, to)| *from..to).filter(|all| all.len() >= LEAST).collect()
+    }
+}
+
+/// Pairs the records of one link by clocks. Call [`handle`](Self::handle) for each record of the frames of one sender in
+/// either log, in its log's order, then [`finish`](Self::finish), then [`poll_pair`](Self::poll_pair) until `None`.
+/// Nothing can be paired before the clocks are understood; while robots drive, each window of the last minutes is such a
+/// link.
+#[derive(Clone, Debug)]
+pub struct ByClock<T> {
+    receiver: Side<T>,
+    transmitter: Side<T>,
+    hosts_within_us: Option<i64>,
+    ready: VecDeque<Pair<T>>,
+}
+
+impl<T> ByClock<T> {
+    /// A link of two cards with these clocks.
+    #[must_use]
+    pub fn new(receiver: CardClock, transmitter: CardClock) -> Self {
+        let (receiver, transmitter) = (Side::new(receiver), Side::new(transmitter));
+        Self { receiver, transmitter, hosts_within_us: None, ready: VecDeque::new() }
+    }
+
+    /// The same where the hosts' clocks are known to agree to within so many microseconds: only such pairs are thought of.
+    #[must_use]
+    pub fn with_hosts_within(mut self, us: Option<i64>) -> Self {
+        self.hosts_within_us = us;
+        self
+    }
+
+    /// Takes a record of `side` with its card's clock and its host time, microseconds since the Unix epoch.
+    pub fn handle(&mut self, side: LinkSide, ticks: u64, host_us: Option<i64>, item: T) {
+        match side {
+            LinkSide::Receiver => self.receiver.push(ticks, host_us, item),
+            LinkSide::Transmitter => self.transmitter.push(ticks, host_us, item),
+        }
+    }
+
+    /// The next pair, in the order of the receiver's clock; its number is its place among the pairs.
+    pub fn poll_pair(&mut self) -> Option<Pair<T>> {
+        self.ready.pop_front()
+    }
+
+    /// What became of the records of `side`.
+    #[must_use]
+    pub fn counts(&self, side: LinkSide) -> ClockCounts {
+        match side {
+            LinkSide::Receiver => self.receiver.counts,
+            LinkSide::Transmitter => self.transmitter.counts,
+        }
+    }
+
+    /// Ends both logs and pairs what can be. Of several stretches (a clock that was set) the longest that fits is told.
+    ///
+    /// # Errors
+    /// Why nothing could be paired.
+    pub fn finish(&mut self) -> Result<Fit, Refusal> {
+        let (receiver, transmitter) = (self.receiver.stretches(), self.transmitter.stretches());
+        let few = Refusal::TooFew { receiver: self.receiver.at_ns.len(), transmitter: self.transmitter.at_ns.len() };
+        let (mut refusal, mut fits) = (few, Vec::new());
+        for rx in &receiver {
+            for tx in &transmitter {
+                match self.align(rx.clone(), tx.clone()) {
+                    Ok((fit, partners)) => fits.push((fit, rx.start, tx.start, partners)),
+                    Err(why) => refusal = why,
+                }
+            }
+        }
+        // Where two stretches claim one record, the one with more pairs has it.
+        fits.sort_by_key(|(.., partners)| std::cmp::Reverse(partners.pairs.len()));
+        for (_, rx, tx, partners) in &fits {
+            self.take(*rx, *tx, partners);
+        }
+        self.ready.make_contiguous().sort_by_key(|pair| pair.clock_rx_us);
+        self.ready.iter_mut().zip(0..).for_each(|(pair, number)| pair.number = number);
+        for side in [&mut self.receiver.counts, &mut self.transmitter.counts] {
+            side.unpaired = side.handed.saturating_sub(side.paired + side.twice + side.ambiguous);
+        }
+        fits.first().map(|(fit, ..)| *fit).ok_or(refusal)
+    }
+
+    fn align(&self, rx: std::ops::Range<usize>, tx: std::ops::Range<usize>) -> Result<(Fit, Partners), Refusal> {
+        let (a, b) = (&self.receiver.at_ns[rx.clone()], &self.transmitter.at_ns[tx.clone()]);
+        let (host_a, host_b) = (&self.receiver.host_us[rx], &self.transmitter.host_us[tx]);
+        let agree = |i: usize, j: usize| match (self.hosts_within_us, host_a[i], host_b[j]) {
+            (Some(within), Some(a), Some(b)) => (b - a).abs() <= within,
+            _ => true,
+        };
+        let overlay = Overlay::new(a, b);
+        let mut refusal = None;
+        for middle in [a.len() / 2, a.len() / 5, 4 * a.len() / 5] {
+            match overlay.best(middle, &agree) {
+                Ok((line, fit)) => {
+                    let by_hosts = self.hosts_within_us.is_some();
+                    return Ok((Fit { by_hosts, ..fit }, overlay.follow(line)));
+                }
+                Err(why) => refusal = refusal.or(Some(why)),
+            }
+        }
+        Err(refusal.unwrap_or(Refusal::Strangers { ratio: 1.0 }))
+    }
+
+    fn take(&mut self, rx: usize, tx: usize, partners: &Partners) {
+        for &(i, j) in &partners.pairs {
+            let (i, j) = (rx + i, tx + j);
+            let (at_rx, at_tx) = (self.receiver.at_ns[i], self.transmitter.at_ns[j]);
+            if self.receiver.items[i].is_none() || self.transmitter.items[j].is_none() {
+                continue;
+            }
+            if let (Some(receiver), Some(transmitter)) =
+                (self.receiver.items[i].take(), self.transmitter.items[j].take())
+            {
+                self.receiver.counts.paired += 1;
+                self.transmitter.counts.paired += 1;
+                let (clock_rx_us, difference_ns) = (at_rx / 1_000, at_tx - at_rx);
+                let clock_difference_us = (difference_ns + 500).div_euclid(1_000);
+                self.ready.push_back(Pair { number: 0, receiver, transmitter, clock_difference_us, clock_rx_us });
+            }
+        }
+        // Each of the transmitter's has at least two of the receiver's that want it.
+        self.transmitter.counts.ambiguous += partners.ambiguous;
+        self.receiver.counts.ambiguous += 2 * partners.ambiguous;
+    }
+}
+
+/// Which records of two stretches are partners, by their places in them.
+struct Partners {
+    pairs: Vec<(usize, usize)>,
+    ambiguous: usize,
+}
+
+/// A difference of the clocks: `b = a + difference + drift (a - at)`, ns.
+#[derive(Clone, Copy, Debug)]
+struct Line {
+    at: f64,
+    difference: f64,
+    drift: f64,
+}
+
+impl Line {
+    fn on_other(&self, a: f64) -> f64 {
+        a + self.difference + self.drift * (a - self.at)
+    }
+}
+
+/// One difference of the clocks, judged.
+#[derive(Clone, Copy, Debug)]
+struct Judged {
+    line: Line,
+    sharpness: f64,
+}
+
+/// Two stretches of times, laid over each other.
+struct Overlay<'a> {
+    a: &'a [i64],
+    b: &'a [i64],
+    /// Half of the shortest exchange, ns.
+    half_ns: f64,
+}
+
+/// Time between neighbours, sorted.
+fn pauses(times: &[i64]) -> Vec<i64> {
+    let mut pauses: Vec<i64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    pauses.sort_unstable();
+    pauses
+}
+
+/// The value at a share of a sorted list; 0 of an empty one.
+fn at_share(sorted: &[i64], share: f64) -> f64 {
+    sorted.get((share * (sorted.len().max(1) - 1) as f64) as usize).map_or(0.0, |value| *value as f64)
+}
+
+impl<'a> Overlay<'a> {
+    fn new(a: &'a [i64], b: &'a [i64]) -> Self {
+        let shortest = |times: &[i64]| at_share(&pauses(times), 0.01);
+        Self { a, b, half_ns: 0.5 * shortest(a).min(shortest(b)) }
+    }
+
+    /// Places in `a` around `middle` that are laid over `b`: so many that drift moves their ends by half of what is allowed.
+    fn stretch(&self, middle: usize) -> std::ops::Range<usize> {
+        let near = (0.5 * self.half_ns / MAX_DRIFT) as i64;
+        let at = self.a[middle];
+        let from = self.a.partition_point(|t| *t < at - near).max(middle.saturating_sub(STRETCH / 2));
+        from..self.a.partition_point(|t| *t <= at + near).min(middle + STRETCH / 2)
+    }
+
+    /// The difference that stands out.
+    fn best(&self, middle: usize, agree: &dyn Fn(usize, usize) -> bool) -> Result<(Line, Fit), Refusal> {
+        let stretch = self.stretch(middle);
+        let few = Refusal::TooFew { receiver: stretch.len(), transmitter: self.b.len() };
+        if stretch.len() < LEAST {
+            return Err(few);
+        }
+        let own = &self.a[stretch.clone()];
+        // Any of these records may have lost its partner; hardly all.
+        let anchors = [stretch.len() / 2, stretch.len() / 3, 2 * stretch.len() / 3].map(|at| stretch.start + at);
+        let mut room = Room::default();
+        let mut judged: Vec<Judged> = Vec::new();
+        for anchor in anchors {
+            let met = (0..self.b.len()).filter(|j| agree(anchor, *j));
+            judged.extend(met.filter_map(|j| self.judge(own, self.b[j] - self.a[anchor], 0, &mut room)));
+        }
+        let mut all: Vec<f64> = judged.iter().map(|judged| judged.sharpness).collect();
+        judged.sort_by(|x, y| y.sharpness.total_cmp(&x.sharpness));
+        judged.truncate(CLOSELY);
+        let closely = |judged: &Judged| self.judge(own, judged.line.difference as i64, SLOPES, &mut room);
+        let mut judged: Vec<Judged> = judged.iter().filter_map(closely).collect();
+        judged.sort_by(|x, y| y.sharpness.total_cmp(&x.sharpness));
+        let best = *judged.first().ok_or(Refusal::Strangers { ratio: 1.0 })?;
+        let is_other = |judged: &&Judged| (judged.line.difference - best.line.difference).abs() > self.half_ns;
+        let next = judged.iter().find(is_other).map_or(0.0, |judged| judged.sharpness).max(self.by_chance());
+        let (median, deviation) = centre(&mut all);
+        let ratio = best.sharpness / next;
+        // With a handful of differences to choose from nothing is known of the others.
+        let is_far = all.len() < LEAST || best.sharpness > median + DEVIATIONS * deviation;
+        if ratio < STANDS_OUT || !is_far {
+            return Err(self.why_not(own, ratio));
+        }
+        let Line { difference, drift, .. } = best.line;
+        let fit = Fit {
+            difference_us: difference * 1e-3,
+            drift_ppm: drift * 1e6,
+            sharpness: best.sharpness,
+            ratio,
+            by_hosts: false,
+        };
+        Ok((best.line, fit))
+    }
+
+    /// Sharpness that a few deviations have by chance, where no other difference is at hand to compare with: four times that of
+    /// deviations that lie anywhere within half an exchange.
+    fn by_chance(&self) -> f64 {
+        4.0 * 3.0 * BIN_NS / (2.0 * self.half_ns)
+    }
+
+    /// Whether it is for the regularity of the exchanges that nothing stands out: where pauses vary less than the bins can tell.
+    fn why_not(&self, own: &[i64], ratio: f64) -> Refusal {
+        let pauses = pauses(own);
+        let varies = at_share(&pauses, 0.9) - at_share(&pauses, 0.1);
+        match varies < 6.0 * BIN_NS {
+            true => Refusal::TooRegular { period_us: at_share(&pauses, 0.5) * 1e-3 },
+            false => Refusal::Strangers { ratio },
+        }
+    }
+
+    /// How sharp one difference is, at the best of some slopes around the one that fits best; none where few records meet.
+    fn judge(&self, own: &[i64], difference: i64, slopes: i32, room: &mut Room) -> Option<Judged> {
+        self.deviations(own, difference, room);
+        let n = room.x.len();
+        if n < LEAST.max(2 * own.len() / 5) {
+            return None;
+        }
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / n as f64;
+        let (at, off) = (mean(&room.x), mean(&room.y));
+        room.x.iter_mut().for_each(|x| *x -= at);
+        room.y.iter_mut().for_each(|y| *y -= off);
+        let xx: f64 = room.x.iter().map(|x| x * x).sum();
+        let slope = room.x.iter().zip(&room.y).map(|(x, y)| x * y).sum::<f64>() / xx.max(1.0);
+        let left: f64 = room.x.iter().zip(&room.y).map(|(x, y)| (y - slope * x).powi(2)).sum();
+        let error = (left / n as f64 / xx.max(1.0)).sqrt();
+        let span = room.x.last()? - room.x.first()?;
+        let step = BIN_NS / span.max(1.0);
+        let most = slopes.min((2.5 * error / step).ceil() as i32);
+        let mut best = (0.0, slope);
+        for k in -most..=most {
+            let slope = slope + f64::from(k) * step;
+            let sharpness = room.sharpness(slope);
+            if sharpness > best.0 {
+                best = (sharpness, slope);
+            }
+        }
+        let at = at + own[0] as f64;
+        let line = Line { at, difference: difference as f64 + off, drift: best.1 };
+        (best.1.abs() < 1.5 * MAX_DRIFT).then_some(Judged { line, sharpness: best.0 })
+    }
+
+    /// Deviations of the nearest records of the other side from a difference, by time since the first of `own`.
+    fn deviations(&self, own: &[i64], difference: i64, room: &mut Room) {
+        room.x.clear();
+        room.y.clear();
+        let first = own[0];
+        let mut j = self.b.partition_point(|b| *b < first.saturating_add(difference));
+        for a in own {
+            let wanted = a.saturating_add(difference);
+            while self.b.get(j).is_some_and(|b| *b < wanted) {
+                j += 1;
+            }
+            let after = self.b.get(j).map(|b| b - wanted);
+            let before = j.checked_sub(1).and_then(|j| self.b.get(j)).map(|b| b - wanted);
+            let nearest = [before, after].into_iter().flatten().min_by_key(|off| off.abs());
+            if let Some(off) = nearest.filter(|off| (off.abs() as f64) < self.half_ns) {
+                room.x.push((a - first) as f64);
+                room.y.push(off as f64);
+            }
+        }
+    }
+
+    /// Follows a line to both ends of the stretches and pairs what lies on it.
+    fn follow(&self, line: Line) -> Partners {
+        let middle = self.a.partition_point(|a| (*a as f64) < line.at);
+        let mut wanted = vec![0.0; self.a.len()];
+        let (before, after) = wanted.split_at_mut(middle);
+        self.follow_way(line, self.a[middle..].iter().zip(after));
+        self.follow_way(line, self.a[..middle].iter().rev().zip(before.iter_mut().rev()));
+        self.pair_up(&wanted)
+    }
+
+    /// One way: where each record's partner should be. The line is corrected by the median deviation of every few records.
+    fn follow_way<'t>(&self, mut line: Line, records: impl Iterator<Item = (&'t i64, &'t mut f64)>) {
+        let mut off: Vec<f64> = Vec::new();
+        let mut since = 0;
+        for (a, wanted) in records {
+            let a = *a as f64;
+            *wanted = line.on_other(a);
+            off.extend(self.nearest(*wanted).map(|(_, off)| off).filter(|off| off.abs() < self.half_ns));
+            since += 1;
+            if since < STEP {
+                continue;
+            }
+            if off.len() >= STEP / 4 {
+                let (by, gone) = (centre(&mut off).0, a - line.at);
+                // Half of a step that noise alone would make is noise.
+                let drift = (line.drift + 0.25 * by / gone.abs().max(1.0) * gone.signum()).clamp(-MAX_DRIFT, MAX_DRIFT);
+                line = Line { at: a, difference: line.difference + line.drift * gone + by, drift };
+            }
+            off.clear();
+            since = 0;
+        }
+    }
+
+    /// The record of the other side nearest to a time, and how far it is from it, ns.
+    fn nearest(&self, at: f64) -> Option<(usize, f64)> {
+        let after = self.b.partition_point(|b| (*b as f64) < at);
+        let places = [after.checked_sub(1), Some(after)].into_iter().flatten();
+        let off = places.filter_map(|j| Some((j, *self.b.get(j)? as f64 - at)));
+        off.min_by(|x, y| x.1.abs().total_cmp(&y.1.abs()))
+    }
+
+    /// One to one: each the nearest of the other. Of two records that want one the nearer has it, unless they are equally near.
+    fn pair_up(&self, wanted: &[f64]) -> Partners {
+        let mut owner: Vec<Option<(usize, f64)>> = vec![None; self.b.len()];
+        let mut is_ambiguous = vec![false; self.b.len()];
+        for (i, at) in wanted.iter().enumerate() {
+            let Some((j, off)) = self.nearest(*at).filter(|(_, off)| off.abs() < self.half_ns) else { continue };
+            if let Some((_, other)) = owner[j] {
+                is_ambiguous[j] |= (off.abs() - other.abs()).abs() < BIN_NS;
+            }
+            if owner[j].is_none_or(|(_, other)| off.abs() < other.abs()) {
+                owner[j] = Some((i, off));
+            }
+        }
+        let kept = owner.iter().zip(&is_ambiguous).enumerate().filter(|(_, (_, ambiguous))| !**ambiguous);
+        let mut pairs: Vec<(usize, usize)> = kept.filter_map(|(j, (owner, _))| Some(((*owner)?.0, j))).collect();
+        pairs.sort_unstable();
+        Partners { pairs, ambiguous: is_ambiguous.iter().filter(|ambiguous| **ambiguous).count() }
+    }
+}
+
+/// Deviations of one difference, kept for the next one's.
+struct Room {
+    x: Vec<f64>,
+    y: Vec<f64>,
+    bins: Vec<u32>,
+}
+
+impl Default for Room {
+    fn default() -> Self {
+        Self { x: Vec::new(), y: Vec::new(), bins: vec![0; BINS] }
+    }
+}
+
+impl Room {
+    /// Share of pairs of deviations that are within a bin of each other, less those of a deviation with itself.
+    fn sharpness(&mut self, slope: f64) -> f64 {
+        self.bins.fill(0);
+        let last = (BINS - 1) as f64;
+        for (x, y) in self.x.iter().zip(&self.y) {
+            let bin = ((y - slope * x) / BIN_NS + 0.5 * last).clamp(0.0, last);
+            self.bins[bin as usize] += 1;
+        }
+        let own: u64 = self.bins.iter().map(|n| u64::from(*n) * u64::from(n.saturating_sub(1))).sum();
+        let near: u64 = self.bins.windows(2).map(|two| u64::from(two[0]) * u64::from(two[1])).sum();
+        (own + 2 * near) as f64 / (self.x.len() as f64).powi(2)
+    }
+}
+
+/// Median, and the deviation of a normal distribution that spreads as much around it.
+fn centre(values: &mut [f64]) -> (f64, f64) {
+    let median = |values: &mut [f64]| crate::maths::upper_median(values).unwrap_or(0.0);
+    let middle = median(values);
+    let mut off: Vec<f64> = values.iter().map(|value| (value - middle).abs()).collect();
+    (middle, 1.482_6 * median(&mut off))
+}
+
+#[cfg(test)]
+mod tests;

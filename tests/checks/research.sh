@@ -1,0 +1,14 @@
+#!/usr/bin/env bash
+# The workspace research/ builds and tests against the crates beside it, and its programs run on simulated rooms.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+export CARGO_TARGET_DIR="${CARGO_TARGET_DIR:-$PWD/target}"
+cargo test --quiet --locked --manifest-path research/Cargo.toml
+folder=$(mktemp -d)
+trap 'rm -rf "$folder"' EXIT
+run() { cargo run --quiet --locked --manifest-path research/Cargo.toml -- "$@"; }
+run rooms "$folder" 1
+run folds "$folder" | tee "$folder/said"
+grep -q 'motion capture, rooms_LOS: 1 places, 3 links' "$folder/said"
+run over-time "$folder" | grep -q 'quarter 4'
+run skipping "$folder" | grep -q '^6 links'
