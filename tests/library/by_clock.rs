@@ -101,7 +101,7 @@ fn bearing(rx: &Path, tx: &Path, trajectory: &Path, channel: &str) -> (f64, f64)
     let capture = Capture::new(channel.parse().unwrap()).receiver(rx).unwrap().transmitter(tx).unwrap();
     let bearings = capture.trajectory(trajectory).unwrap().bearings().unwrap();
     let bearing = bearings.into_iter().next().unwrap().unwrap();
-    (bearing.azimuth_rad.to_degrees(), bearing.azimuth_sd_rad.to_degrees())
+    (bearing.answer.azimuth_rad.to_degrees(), bearing.answer.azimuth_sd_rad.to_degrees())
 }
 
 #[test]
