@@ -27,7 +27,9 @@ fn names(value: &serde_json::Value, found: &mut std::collections::BTreeSet<Strin
 pub fn are_documented(lines: &str) -> usize {
     let page = std::fs::read_to_string(crate::common::root().join("docs/formats.md")).unwrap();
     let mut found = std::collections::BTreeSet::new();
-    lines.lines().for_each(|line| names(&serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}")), &mut found));
+    lines.lines().for_each(|line| {
+        names(&serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}")), &mut found)
+    });
     let missing: Vec<&String> = found.iter().filter(|name| !page.contains(&format!("`{name}`"))).collect();
     assert!(missing.is_empty(), "docs/formats.md does not name {missing:?}");
     found.len()

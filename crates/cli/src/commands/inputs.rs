@@ -8,7 +8,6 @@ use csi5300_bag::unbag::{Content, Recording};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-
 // The option of commands that read recordings too.
 #[derive(clap::Args, Clone, Default)]
 pub struct BagArgs {

@@ -43,10 +43,10 @@ mod view;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, Parser, Subcommand};
-use csi5300_say::{self as say, Level, When};
-pub use csi5300_say::{Outcome, Result, count as some, fixed, print, print_json, usage};
 #[cfg(feature = "live")]
 pub use csi5300_say::is_end_of_room;
+use csi5300_say::{self as say, Level, When};
+pub use csi5300_say::{Outcome, Result, count as some, fixed, print, print_json, usage};
 pub use files::{is_same_file, must_not_exist, open_log, read_trajectory};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -194,7 +194,8 @@ fn every_field_of_the_page_is_in_the_documentation() {
         assert!(known.iter().any(|path| described.contains(path)), "docs/formats.md does not name {general}");
         // Sets stand by their names, as in the summary of `evaluate`.
         let by_set = serde_json::json!({ "summary": answer });
-        fields += crate::documented::are_documented(&if path == "/data/sets" { by_set } else { answer.clone() }.to_string());
+        fields +=
+            crate::documented::are_documented(&if path == "/data/sets" { by_set } else { answer.clone() }.to_string());
     }
     assert!(fields > 100, "{fields} fields: {answers}");
 }

@@ -4,7 +4,6 @@ use super::super::args::channel;
 use super::super::inputs::{BagArgs, Inputs};
 #[cfg(feature = "plot")]
 use super::super::pictures;
-use csi5300_say::{Tone, toned};
 use super::super::{
     Outcome, Result, fixed, is_same_file, print, print_json, progress, read_trajectory, simulate, some, usage,
 };
@@ -15,6 +14,7 @@ use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::fit::{Known, check_width};
 use csi5300_lab::compare::{FigureRow, Figures, Verdict, channel_of, fit, measure, rows, scene_channel};
 use csi5300_lab::evaluate::find;
+use csi5300_say::{Tone, toned};
 use csi5300_sim::Scene;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
