@@ -9,10 +9,13 @@ const WAITING: usize = 32;
 /// Pages that are told at a time.
 const LISTENERS: usize = 16;
 
-/// Everyone who listens, and whether they still do.
+/// The way to one who listens, and whether it still does.
+type Told = (SyncSender<Arc<str>>, Weak<()>);
+
+/// Everyone who listens.
 #[derive(Debug, Default)]
 pub(crate) struct Events {
-    listeners: Mutex<Vec<(SyncSender<Arc<str>>, Weak<()>)>>,
+    listeners: Mutex<Vec<Told>>,
 }
 
 /// One who listens.
