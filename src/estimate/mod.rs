@@ -39,6 +39,8 @@ const LEVEL_TURNS: f64 = 0.35;
 const TALL: f64 = 0.2;
 /// An elevation above this share of its limit is at the limit.
 const AT_LIMIT: f64 = 0.995;
+/// Probability of a transmitter nearer than [`tuning::NEAREST_M`].
+const NEARER: f64 = 0.05;
 /// From this accuracy on the grid alone will do, radians.
 pub(crate) const COARSE_RAD: f64 = 0.017;
 
@@ -274,7 +276,9 @@ pub(crate) fn estimate(
         let field = field(task, &bins, &model, &apertures);
         let own = Windowed::new(&field, model, fine);
         let wider = own.wider(task).map(|model| Windowed::new(&field, model, fine));
-        for own in [Some(own), wider].into_iter().flatten() {
+        // Nearer places than are expected have to be likelier by their prior odds.
+        let unexpected = wider.map(|wider| Windowed { evidence: wider.evidence + NEARER.ln(), ..wider });
+        for own in [Some(own), unexpected].into_iter().flatten() {
             if best.as_ref().is_none_or(|best| own.evidence > best.evidence) {
                 best = Some(own);
             }

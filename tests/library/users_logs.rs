@@ -10,7 +10,10 @@ use driver_iface::Mac;
 use std::path::PathBuf;
 
 /// What is counted in a log, and who sent what with which number.
-fn read(name: &str) -> Option<(Survey, Vec<(Mac, Option<u32>)>)> {
+/// Sender and number of each frame.
+type Frames = Vec<(Mac, Option<u32>)>;
+
+fn read(name: &str) -> Option<(Survey, Frames)> {
     let beside = root().join("../shared/cases");
     let folder = std::env::var_os("CSI5300_CASES").map_or(beside, PathBuf::from).join("reports/logs");
     if !folder.is_dir() {

@@ -81,7 +81,6 @@ pub(crate) fn is_log(bytes: &[u8], endian: Endian) -> bool {
 }
 
 /// The record at the front and its length, or why it is none and how many bytes to skip.
-#[must_use]
 pub fn front(bytes: &[u8], endian: Endian) -> Front {
     let is_record = |bytes: &[u8]| Head::parse(bytes, endian).is_some();
     if bytes.len() < LENGTH_FIELD + HEAD {

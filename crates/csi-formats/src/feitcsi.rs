@@ -103,7 +103,6 @@ pub(crate) fn is_log(bytes: &[u8]) -> bool {
 }
 
 /// The record at the front and its length, or why it is none and how many bytes to skip.
-#[must_use]
 pub fn front(bytes: &[u8]) -> Front {
     let is_record = |bytes: &[u8]| Head::parse(bytes).is_some_and(|head| head.is_consistent());
     let Some(head) = Head::parse(bytes) else { return (Err(Why::Cut), bytes.len()) };

@@ -238,6 +238,7 @@ pub struct Skipped {
 
 /// What a log has at one place.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant)] // frames are what there are many of
 pub enum Item {
     /// A frame with its CSI.
     Frame(Frame),

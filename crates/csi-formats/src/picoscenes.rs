@@ -39,7 +39,6 @@ pub(crate) fn is_log(bytes: &[u8]) -> bool {
 }
 
 /// The frame at the front and its length, or why it is none and how many bytes to skip.
-#[must_use]
 pub fn front(bytes: &[u8]) -> Front {
     let next = || to_next(bytes, is_log);
     let Some(len) = u32_at(bytes, 0).filter(|_| is_log(bytes)) else {

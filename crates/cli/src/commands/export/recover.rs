@@ -206,18 +206,18 @@ fn sounding_frame(mac: Mac, number: u32) -> Words<Vec<u8>> {
 /// Copies the intact records of a log.
 pub fn run(args: &Recovery<'_>) -> Result {
     let output = args.output.display().to_string();
-    if super::super::is_same_file(&args.input, &args.output) {
+    if super::super::is_same_file(args.input, args.output) {
         return Err(format!("{output} is the input itself: name another file"));
     }
-    super::super::must_not_exist(&args.output, args.force)?;
-    let mut source = super::super::open_log(&args.input)?;
+    super::super::must_not_exist(args.output, args.force)?;
+    let mut source = super::super::open_log(args.input)?;
     // Checksums of what was never checked would vouch for it.
     let is_checked = source.checks().is_none_or(|checks| !checks.out_of_step);
     let own = source.side_layout().filter(|_| is_checked);
     let side = if args.layout == Some(Layout::Stock) { Some(SideLayout::Narrow) } else { own };
     // Without a side file of its own the recovered log must not be read with that of another.
-    side_files(&args.output).iter().try_for_each(|side| super::super::must_not_exist(side, args.force))?;
-    let mut out = Output::create(&args.output, side)?;
+    side_files(args.output).iter().try_for_each(|side| super::super::must_not_exist(side, args.force))?;
+    let mut out = Output::create(args.output, side)?;
     let (mut survey, mut doubts) = (Survey::default(), Doubts::default());
     if side.is_some() && !out.draft.is_file() {
         note!("{output} is no file: host times, which stand in a file beside, are not written");
@@ -233,14 +233,14 @@ pub fn run(args: &Recovery<'_>) -> Result {
         drop(out);
         note!("nothing to write: no {output}");
     } else {
-        let taken = out.finish(&args.output)?;
+        let taken = out.finish(args.output)?;
         (kept, doubts.dropped) = (kept.saturating_sub(taken), doubts.dropped + taken);
         note!("{} written to {output}", super::super::some(kept, "intact record", "intact records"));
     }
     if args.json {
         let Survey { bad_bfee, damages, damaged_bytes, .. } = survey;
         let row = Row {
-            output: &args.output,
+            output: args.output,
             records: kept,
             bad_bfee,
             damages,
