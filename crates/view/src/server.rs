@@ -114,11 +114,12 @@ fn head(stream: &mut TcpStream) -> io::Result<Vec<u8>> {
         let mut bytes = [0; 4096];
         let count = stream.read(&mut bytes)?;
         head.extend_from_slice(bytes.get(..count).unwrap_or_default());
-        if head.windows(4).any(|four| four == b"\r\n\r\n") {
-            return Ok(head);
-        }
-        if count == 0 || head.len() > HEAD || Instant::now() >= until {
+        let is_whole = head.windows(4).any(|four| four == b"\r\n\r\n");
+        if head.len() > HEAD || (!is_whole && (count == 0 || Instant::now() >= until)) {
             return Err(io::ErrorKind::InvalidData.into());
+        }
+        if is_whole {
+            return Ok(head);
         }
     }
 }
