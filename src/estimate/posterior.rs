@@ -96,8 +96,12 @@ pub(crate) fn modes(field: &Field, prior: &Prior, steps: &Steps, fine: bool) -> 
     let tops = coarse.tops();
     let highest = tops.first().map_or(0.0, |&top| coarse.logs[top]);
     let close = |rank: usize, top: usize| fine && rank < TOPS && coarse.logs[top] > highest - CLOSE;
-    let mode = |(rank, &top): (usize, &usize)| coarse.mode(top, close(rank, top), highest, (field, prior, steps));
-    let mut modes: Vec<Mode> = tops.iter().enumerate().map(mode).collect();
+    let local = |(rank, &top): (usize, &usize)| close(rank, top).then(|| coarse.local(top, field, prior, steps));
+    let locals: Vec<Option<Local>> = tops.iter().enumerate().map(local).collect();
+    // A sharp top lies far above what the coarse grid saw of it.
+    let highest = locals.iter().flatten().flat_map(|local| &local.logs).copied().fold(highest, f64::max);
+    let mode = |(&top, local): (&usize, Option<Local>)| coarse.mode(top, local, highest, prior);
+    let mut modes: Vec<Mode> = tops.iter().zip(locals).map(mode).collect();
     let evidence = highest + modes.iter().map(|mode| mode.mass).sum::<f64>().ln();
     settle(&mut modes);
     (evidence, modes)
@@ -180,7 +184,7 @@ impl Coarse {
         all
     }
 
-    fn mode(&self, top: usize, close: bool, highest: f64, (field, prior, steps): (&Field, &Prior, &Steps)) -> Mode {
+    fn mode(&self, top: usize, local: Option<Local>, highest: f64, prior: &Prior) -> Mode {
         let spacing = self.spacing();
         let atom = |&k: &usize| Atom {
             azimuth: wrap_rad(k as f64 * spacing),
@@ -188,7 +192,7 @@ impl Coarse {
             mass: (self.logs[k] - highest).exp() * spacing,
         };
         let basin = self.basin(top);
-        if !close {
+        let Some(local) = local else {
             let atoms: Vec<Atom> = basin.iter().map(atom).collect();
             let cells = self.bounds(top);
             let place = prior.at_height(Place {
@@ -203,20 +207,24 @@ impl Coarse {
                 square(cells.curve.0[1] - cells.curve.0[0]),
             ));
             return Mode { place, covariance, mass: atoms.iter().map(|atom| atom.mass).sum(), atoms };
-        }
-        let cells = self.bounds(top);
+        };
+        let count = self.logs.len();
+        let outside = |k: &&usize| (**k + count - top + 1) % count > 2;
+        let mut atoms: Vec<Atom> = basin.iter().filter(outside).map(atom).collect();
+        atoms.extend(local.atoms(highest));
+        Mode { place: local.place, covariance: local.spread(), mass: atoms.iter().map(|atom| atom.mass).sum(), atoms }
+    }
+
+    /// A closer look at a top.
+    fn local(&self, top: usize, field: &Field, prior: &Prior, steps: &Steps) -> Local {
+        let (cells, spacing) = (self.bounds(top), self.spacing());
         let middle = top as f64 * spacing;
         let start = Bounds {
             azimuth: [middle - spacing, middle + spacing],
             elevation: cells.elevation.0,
             curve: cells.curve.0,
         };
-        let local = Local::about(start, field, prior, steps);
-        let count = self.logs.len();
-        let outside = |k: &&usize| (**k + count - top + 1) % count > 2;
-        let mut atoms: Vec<Atom> = basin.iter().filter(outside).map(atom).collect();
-        atoms.extend(local.atoms(highest));
-        Mode { place: local.place, covariance: local.spread(), mass: atoms.iter().map(|atom| atom.mass).sum(), atoms }
+        Local::about(start, field, prior, steps)
     }
 
     /// The cells of an azimuth that are not negligible, and the best of them.
