@@ -1,11 +1,14 @@
 #!/usr/bin/env bash
-# A .deb of the program: scripts/deb.sh [PROGRAM] [FOLDER]. PROGRAM defaults to the static one of scripts/dist.sh, FOLDER to target/dist.
-# Inside: the program, its completions and manual pages, the service's unit (neither enabled nor started) and the example of its configuration.
+# A .deb of the programs: scripts/deb.sh [PROGRAM] [FOLDER]. PROGRAM, which csi5300-node is beside, defaults to the static one of scripts/dist.sh,
+# FOLDER to target/dist.
+# Inside: the programs, their completions and manual pages, the service's unit (neither enabled nor started) and the example of its configuration.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 program=${1:-target/dist/csi5300}
 out=${2:-target/dist}
 [ -x "$program" ] || { echo "no program at $program: scripts/dist.sh makes a static one" >&2; exit 1; }
+node=$(dirname "$program")/csi5300-node
+[ -x "$node" ] || { echo "no program at $node: scripts/dist.sh makes a static one" >&2; exit 1; }
 command -v dpkg-deb >/dev/null || { echo "no dpkg-deb (apt-get install dpkg)" >&2; exit 1; }
 version=$("$program" --version | cut -d' ' -f2)
 arch=$(dpkg --print-architecture)
@@ -14,16 +17,29 @@ trap 'rm -rf "$root"' EXIT
 chmod 755 "$root"
 
 install -D -m 755 "$program" "$root/usr/bin/csi5300"
-strip "$root/usr/bin/csi5300"
+install -D -m 755 "$node" "$root/usr/bin/csi5300-node"
+strip "$root"/usr/bin/*
 completions() { mkdir -p "$root$(dirname "$2")" && "$program" completions "$1" >"$root$2"; }
 completions bash /usr/share/bash-completion/completions/csi5300
 completions zsh /usr/share/zsh/vendor-completions/_csi5300
 completions fish /usr/share/fish/vendor_completions.d/csi5300.fish
-"$program" manual --out "$root/usr/share/man/man1"
+# A page for each program and command: what its --help says.
+page() { # NAME COMMAND...
+    mkdir -p "$root/usr/share/man/man1"
+    {
+        printf '.TH %s 1 "" "csi5300 %s"\n.SH NAME\n%s \\- %s\n.SH DESCRIPTION\n.nf\n' "$1" "$version" "$1" "$("${@:2}" --help | head -n 1)"
+        "${@:2}" --help | tail -n +2 | sed 's/\\/\\\\/g; s/-/\\-/g; s/^\([.'"'"']\)/\\\&\1/'
+    } >"$root/usr/share/man/man1/$1.1"
+}
+page csi5300 "$program"
+page csi5300-node "$node"
+for command in $("$program" --help | sed -n '/^Commands:/,/^$/p' | awk '/^  [a-z]/ && $1 != "help" { print $1 }'); do
+    page "csi5300-$command" "$program" "$command"
+done
 gzip -9n "$root"/usr/share/man/man1/*.1
 install -D -m 644 packaging/csi5300-node.service "$root/usr/lib/systemd/system/csi5300-node.service"
 # The unit in the repository is for a program that was installed by hand.
-sed -i 's|/usr/local/bin/csi5300|/usr/bin/csi5300|' "$root/usr/lib/systemd/system/csi5300-node.service"
+sed -i 's|/usr/local/bin/csi5300-node|/usr/bin/csi5300-node|' "$root/usr/lib/systemd/system/csi5300-node.service"
 install -D -m 644 -t "$root/usr/share/doc/csi5300/examples" packaging/csi5300-node-serial.conf packaging/csi5300-node-sounding.conf
 install -D -m 644 packaging/robot.toml "$root/usr/share/doc/csi5300/examples/robot.toml"
 install -m 644 README.md SECURITY.md CHANGELOG.md "$root/usr/share/doc/csi5300/"
@@ -33,7 +49,7 @@ cat LICENSE-MIT LICENSE-APACHE crates/view/page/vendor/uPlot.LICENSE >"$root/usr
 
 # A program that needs no interpreter needs no package either.
 depends=
-readelf -l "$root/usr/bin/csi5300" | grep -q INTERP && depends="Depends: libc6 (>= $(objdump -T "$root/usr/bin/csi5300" | grep -oE 'GLIBC_[0-9.]+' | sort -Vu | tail -1 | cut -d_ -f2)), libgcc-s1"
+readelf -l "$root/usr/bin/csi5300" | grep -q INTERP && depends="Depends: libc6 (>= $(objdump -T "$root"/usr/bin/* | grep -oE 'GLIBC_[0-9.]+' | sort -Vu | tail -1 | cut -d_ -f2)), libgcc-s1"
 mkdir -p "$root/DEBIAN" "$out"
 {
     printf 'Package: csi5300\nVersion: %s\nArchitecture: %s\nMaintainer: csi5300 developers <csi5300@invalid>\n' "$version" "$arch"

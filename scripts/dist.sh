@@ -1,19 +1,23 @@
 #!/usr/bin/env bash
-# Builds one static csi5300 that runs on any x86-64 Linux from kernel 3.2 on, whatever C library it has
-# (Ubuntu 16.04 and 18.04 among them), and says how large it is.
+# Builds csi5300 and csi5300-node, both static, that run on any x86-64 Linux from kernel 3.2 on, whatever C library it has
+# (Ubuntu 16.04 and 18.04 among them), and says how large they are.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 target=x86_64-unknown-linux-gnu
 export RUSTFLAGS="-C target-feature=+crt-static ${RUSTFLAGS:-}"
-cargo build --release --bin csi5300 --target "$target" "$@"
 mkdir -p target/dist
-strip -o target/dist/csi5300 "target/$target/release/csi5300"
-# A static-pie executable may have a dynamic section, but no interpreter and no library that it needs.
-if readelf -ld target/dist/csi5300 | grep -E 'INTERP|\(NEEDED\)'; then
-    echo "not static" >&2
-    exit 1
-fi
-target/dist/csi5300 --version
-printf 'target/dist/csi5300: %s bytes\n' "$(stat -c %s target/dist/csi5300)"
+# One after the other: built together, each would have the features of both.
+for program in csi5300:csi5300-cli csi5300-node:csi5300-node; do
+    name=${program%:*}
+    cargo build --release --package "${program#*:}" --bin "$name" --target "$target"
+    strip -o "target/dist/$name" "target/$target/release/$name"
+    # A static-pie executable may have a dynamic section, but no interpreter and no library that it needs.
+    if readelf -ld "target/dist/$name" | grep -E 'INTERP|\(NEEDED\)'; then
+        echo "not static" >&2
+        exit 1
+    fi
+    "target/dist/$name" --version
+    printf 'target/dist/%s: %s bytes\n' "$name" "$(stat -c %s "target/dist/$name")"
+done
 # As a Debian package too, where that can be made.
 ! command -v dpkg-deb >/dev/null || scripts/deb.sh

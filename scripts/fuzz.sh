@@ -15,7 +15,7 @@ features=(--no-default-features)
 for target in "${targets[@]}"; do
     case $target in
         bfee | connector | formats | frame | record_stream | side_file | stock) ;;
-        recording | rtps) features+=(--features node) ;;
+        recording | rtps) features+=(--features ros) ;;
         *) features+=(--features library) ;;
     esac
 done

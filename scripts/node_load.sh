@@ -5,7 +5,8 @@
 # others are its peers) and the others (it is their peer) cost. Usage: scripts/node_load.sh [ROBOTS ...]
 set -euo pipefail
 cd "$(dirname "$0")/.."
-cargo build --release --quiet --features zenoh
+cargo build --release --quiet --package csi5300-cli
+cargo build --release --quiet --package csi5300-node --features zenoh
 exec python3 - "${CARGO_TARGET_DIR:-target}/release/csi5300" "${@:-2 4 8}" <<'PYTHON'
 import glob, json, math, os, shutil, socket, subprocess, sys, tempfile, time
 

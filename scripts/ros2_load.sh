@@ -7,7 +7,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 python=$(scripts/venv.sh cyclonedds)
 program=${2:-${CARGO_TARGET_DIR:-target}/release/csi5300}
-[ $# -ge 2 ] || cargo build --release --quiet -p csi5300-cli
+[ $# -ge 2 ] || { cargo build --release --quiet -p csi5300-cli && cargo build --release --quiet -p csi5300-node; }
 exec "$python" - "$program" "${1:-60}" <<'PYTHON'
 import glob, json, os, shutil, subprocess, sys, tempfile, time
 sys.path.insert(0, "tests/checks/ros2")

@@ -3,7 +3,7 @@
 
 use csi5300::source::{CsiSource, Next, replay::Replay};
 use csi5300::time::Instant;
-use csi5300_node::ros2::unbag::{BagError, Content, Recording};
+use csi5300_bag::unbag::{BagError, Content, Recording};
 
 /// Runs the target.
 pub fn run(bytes: &[u8]) {

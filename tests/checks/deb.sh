@@ -1,10 +1,11 @@
 #!/usr/bin/env bash
-# The .deb of the program that the README's main command built: made, unpacked, and tried as it lies there.
+# The .deb of the programs that the README's main command built: made, unpacked, and tried as it lies there.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 command -v dpkg-deb >/dev/null || { echo "no dpkg-deb: no Debian"; exit 77; }
 # As `cargo run` builds it, so that nothing is built twice.
 cargo build --quiet --release --bin csi5300
+cargo build --quiet --release --package csi5300-node
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 scripts/deb.sh target/release/csi5300 "$folder"
@@ -14,6 +15,7 @@ dpkg-deb --extract "$deb" "$folder/root"
 root=$folder/root
 
 "$root/usr/bin/csi5300" --version
+"$root/usr/bin/csi5300-node" --version
 # Every documented command has its page and its completion.
 commands=$("$root/usr/bin/csi5300" --help | sed -n '/^Commands:/,/^$/p' | awk '/^  [a-z]/ { print $1 }' | grep -v '^help$')
 for command in $commands; do
@@ -30,7 +32,7 @@ bash -euc '
     [[ " ${COMPREPLY[*]} " == *" --antenna "* ]] || { echo "bash completes --ante to: ${COMPREPLY[*]}"; exit 1; }
 ' bash "$root"
 # What the unit runs is where the package puts it.
-grep -q '^ExecStart=/usr/bin/csi5300 ' "$root/usr/lib/systemd/system/csi5300-node.service"
+grep -q '^ExecStart=/usr/bin/csi5300-node ' "$root/usr/lib/systemd/system/csi5300-node.service"
 # Its example of a configuration is good, but for what this build of the program lacks.
 "$root/usr/bin/csi5300" node --config "$root/usr/share/doc/csi5300/examples/robot.toml" --check >/dev/null 2>"$folder/said" ||
     ! grep -v 'needs a program built with' "$folder/said" || { echo "the example is refused"; exit 1; }

@@ -2,7 +2,7 @@
 # What `csi5300 mcap` writes, read by the Python mcap reader. 77: it cannot be installed here.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
-python=$(scripts/venv.sh mcap mcap-protobuf-support 2>/dev/null) || { echo "no Python, or mcap cannot be installed"; exit 77; }
+python=$(scripts/venv.sh mcap mcap-ros2-support 2>/dev/null) || { echo "no Python, or mcap cannot be installed"; exit 77; }
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 csi5300=$(scripts/program.sh)
@@ -22,7 +22,7 @@ PYTHON
 "$python" - "$folder/out.mcap" "$records" <<'PYTHON'
 import collections, math, sys
 from mcap.reader import make_reader
-from mcap_protobuf.decoder import DecoderFactory
+from mcap_ros2.decoder import DecoderFactory
 
 seen, messages, last = collections.Counter(), collections.defaultdict(list), 0
 with open(sys.argv[1], "rb") as stream:
@@ -34,16 +34,16 @@ assert rows == int(sys.argv[2]), (rows, sys.argv[2])
 row = next(m for t, ms in messages.items() if t.startswith("/csi/") for _, m in ms)
 assert len(row.magnitude) == len(row.phase) == 30, row
 bearing = [t for t in seen if t.startswith("/bearing/")]
-assert len(bearing) == 1 and messages[bearing[0]][0][0] == "foxglove.PoseInFrame", seen
+assert len(bearing) == 1 and messages[bearing[0]][0][0] == "geometry_msgs/msg/PoseStamped", seen
 q = messages[bearing[0]][0][1].pose.orientation
 azimuth = math.degrees(2 * math.atan2(q.z, q.w))
 scan = messages[bearing[0].replace("bearing", "aoa_profile")][0][1]
-step = (scan.end_angle - scan.start_angle) / (len(scan.ranges) - 1)
-peak = math.degrees(scan.start_angle + step * max(range(len(scan.ranges)), key=lambda k: scan.ranges[k]))
-off = (azimuth - peak + 180) % 360 - 180
-assert abs(off) < 10 and max(scan.ranges) == 1.0, (azimuth, peak)
+# About the middle of the motion, from the bearing on.
+assert scan.header.frame_id == bearing[0].lstrip("/"), scan.header
+peak = math.degrees(scan.angle_min + scan.angle_increment * max(range(len(scan.ranges)), key=lambda k: scan.ranges[k]))
+assert abs(peak) < 10 and max(scan.ranges) == 1.0, peak
 # A transform for each pose, and one for the bearing.
 assert seen["/tf"] == seen["/pose"] + len(bearing), seen
 assert seen["/pose"] == len(messages["/trajectory"][0][1].poses) > 100, seen
-print(f"{sum(seen.values())} messages on {len(seen)} topics; bearing {azimuth:.2f} deg, peak of the profile {peak:.0f} deg")
+print(f"{sum(seen.values())} messages on {len(seen)} topics; bearing {azimuth:.2f} deg, peak of its profile {peak:.0f} deg off")
 PYTHON

@@ -4,7 +4,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 packages=(python3-rospy python3-rosmaster python3-roslaunch python3-rostopic python3-genpy python3-std-msgs python3-geometry-msgs
-    python3-nav-msgs python3-sensor-msgs python3-actionlib-msgs ros-std-msgs libssl-dev pkg-config)
+    python3-nav-msgs python3-sensor-msgs python3-actionlib-msgs ros-std-msgs)
 missing=()
 for package in "${packages[@]}"; do
     dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'ok installed' || missing+=("$package")

@@ -17,13 +17,11 @@ mod error;
 mod intake;
 mod send;
 mod socket;
-mod stream;
 
 pub use error::NetlinkError;
 pub use intake::SocketCounts;
 pub use send::Sender;
 pub use socket::Found;
-pub use stream::Stream;
 
 use csi5300::source::{CsiSource, Error, Loss, Next, Origin, Stamps};
 use csi5300::time::{HostTimes, Instant};

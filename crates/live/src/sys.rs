@@ -5,8 +5,6 @@ use driver_iface::Mac;
 use std::fs::File;
 use std::io;
 use std::os::fd::{AsRawFd, BorrowedFd};
-use tokio::io::Interest;
-use tokio::io::unix::AsyncFd;
 
 /// One instruction of a classic socket filter (`struct sock_filter`, `linux/filter.h`).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -45,16 +43,6 @@ pub fn attach_filter(socket: BorrowedFd<'_>, program: &[Instruction]) -> io::Res
         )
     };
     if answer == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
-}
-
-/// Registers a descriptor with tokio's reactor, for reading and for errors.
-///
-/// # Errors
-/// The reactor's refusal.
-pub fn watch_fd(fd: std::os::fd::OwnedFd) -> io::Result<AsyncFd<std::os::fd::OwnedFd>> {
-    let interest = Interest::READABLE | Interest::ERROR;
-    // SAFETY: an `OwnedFd` is the same open descriptor from its making to its drop, and the `AsyncFd` owns it.
-    unsafe { AsyncFd::register_with_interest(fd, interest) }.map_err(|error| error.into_parts().1)
 }
 
 /// ARPHRD_IEEE80211_RADIOTAP (`linux/if_arp.h`): the link type of a monitor interface.

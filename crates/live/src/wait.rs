@@ -5,9 +5,11 @@
 use csi5300::source::Error;
 use csi5300::time::{Instant, Span};
 use nix::poll::{PollFd, PollFlags, ppoll};
+use nix::sys::signal::{SigSet, Signal};
+use nix::sys::signalfd::{SfdFlags, SignalFd};
 use nix::sys::time::TimeSpec;
 use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
-use std::os::fd::BorrowedFd;
+use std::os::fd::{AsFd, BorrowedFd};
 use std::time::Duration;
 
 /// A wait for a deadline watches files until so long before it, and then sleeps to the point.
@@ -113,9 +115,36 @@ pub fn processor_s() -> f64 {
 ///
 /// To be asked before the program changes what the signal does.
 #[must_use]
-pub fn is_ignored(signal: nix::sys::signal::Signal) -> bool {
+pub fn is_ignored(signal: Signal) -> bool {
     let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
     mask >> (signal as i32 - 1) & 1 == 1
+}
+/// SIGINT, SIGTERM and SIGHUP as something to wait for; not SIGHUP where it is ignored, as under `nohup`.
+#[derive(Debug)]
+pub struct Signals {
+    fd: SignalFd,
+}
+
+impl Signals {
+    /// From here on these signals end nothing by themselves. Threads started later inherit that.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn catch() -> std::io::Result<Self> {
+        // The others end a recording in the background too, where shells let them be ignored.
+        let hangup = Some(Signal::SIGHUP).filter(|hangup| !is_ignored(*hangup));
+        let set = SigSet::from_iter([Signal::SIGINT, Signal::SIGTERM].into_iter().chain(hangup));
+        let blocked = set
+            .thread_block()
+            .and_then(|()| SignalFd::with_flags(&set, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC));
+        blocked.map(|fd| Self { fd }).map_err(|errno| std::io::Error::other(format!("cannot catch signals: {errno}")))
+    }
+}
+
+impl AsFd for Signals {
+    fn as_fd(&self) -> BorrowedFd<'_> {
+        self.fd.as_fd()
+    }
 }

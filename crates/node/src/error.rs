@@ -62,28 +62,9 @@ pub enum NodeError {
         /// The log.
         log: PathBuf,
     },
-    /// Poses from a topic are asked for where no node of ROS runs.
-    #[error("there is no node of ROS")]
-    NoRosNode,
-    /// Records from under the kernel's own driver are asked for, and the eBPF program is not compiled in.
-    #[error("this program was built without the eBPF program (feature `stock`)")]
-    WithoutStock,
-    /// Poses from a topic are asked for, and ROS is not compiled in.
-    #[error("this program was built without ROS (feature `ros1`)")]
-    WithoutRos,
-    /// Poses from a topic of ROS 2 are asked for, and it is not compiled in.
-    #[error("this program was built without ROS 2 (feature `ros2`)")]
-    WithoutRos2,
-    /// No participant of DDS can be made.
-    #[error("cannot take part in domain {domain} of ROS 2 at {interface}: {source}")]
-    Ros2 {
-        /// The domain.
-        domain: u16,
-        /// The address of this machine.
-        interface: std::net::Ipv4Addr,
-        /// Why.
-        source: std::io::Error,
-    },
+    /// Poses come by what this program does not speak.
+    #[error("these poses come by what this program does not speak")]
+    NoAdapter,
     /// The thread that listens to the card has ended.
     #[error("the thread that listens to the card has ended")]
     CardThreadEnded,

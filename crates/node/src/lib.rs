@@ -9,46 +9,23 @@
 //! | `threads` | the card and the wheels read on threads of their own |
 //! | [`machine`] | the robot as one value: sources, log, estimator, taps |
 //! | `sounder` | the robot's part in the sounding exchange |
-//! | `joined`, `network`, `owners` | peers through zenoh (feature `zenoh`) |
-//! | `viewers`, `foxglove` | Foxglove's viewers over a websocket, and recordings for them (feature `foxglove`) |
-//! | `ros`, `ros1` | bearings, poses and CSI on topics of ROS 1, and poses from topics (feature `ros1`) |
-//! | `ros2` | the same of ROS 2, markers, diagnostics and recordings (feature `ros2`) |
+//! | [`adapters`] | what a node speaks, behind one trait: ROS 1 and 2, zenoh, Foxglove, lines of JSON, the status socket |
 //! | [`health`] | what is published beside the bearings |
-//! | `outputs` | bearings as lines, the status socket, the status line |
 //! | [`service`] | tokio: waits, hands over, publishes |
 //!
-//! Where a feature is absent, the module that uses it has a twin without it (`absent.rs`): callers have no `cfg`.
+//! A feature gates the module of its adapter and its line in the list of adapters, and nothing else.
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
+pub mod adapters;
 pub mod config;
 mod descriptors;
-#[cfg_attr(not(feature = "foxglove"), allow(dead_code))]
-mod door;
 mod error;
-#[cfg_attr(not(feature = "zenoh"), allow(dead_code))]
-mod exposure;
 pub mod health;
 pub mod machine;
+pub mod service;
+mod sounder;
 pub mod sources;
 pub mod threads;
 mod together;
 
 pub use error::NodeError;
-
-mod joined;
-#[cfg(feature = "zenoh")]
-pub mod network;
-mod outputs;
-#[cfg(feature = "zenoh")]
-pub mod owners;
-mod ros;
-pub mod service;
-mod sounder;
-mod viewers;
-
-#[cfg(feature = "foxglove")]
-pub mod foxglove;
-#[cfg(feature = "ros1")]
-pub mod ros1;
-#[cfg(feature = "ros2")]
-pub mod ros2;

@@ -1,29 +1,29 @@
 //! The service: one thread of tokio that waits for records, poses, times, signals and readers of the state.
 
+use super::adapters::{self, Adapter, Robot, Said, Start};
 use super::config::{Config, Log};
 use super::health::{Health, Load, Looks};
-use super::joined::Joined;
 use super::machine::{Capture, Machine};
-use super::outputs::{Lines, StatusSocket, StatusText};
-use super::ros::Ros;
 use super::sounder::Sounder;
 use super::sources::{Card, Sources};
-use super::viewers::Viewers;
 use csi5300::motion::odometry::clock::WallWatch;
-use csi5300::pipeline::live::{PeerReport, PeerState};
+use csi5300::pipeline::live::PeerState;
 use csi5300::source::Error;
 use csi5300::source::recorder::{LogFiles, Options as RecorderOptions, Recorder, Rotation, Totals};
 use csi5300::source::side_path;
 use csi5300::time::{Instant, Span};
-use csi5300_live::sys::watch_fd;
 use csi5300_live::wait::{Monotonic, is_ignored, processor_s, wall_us};
 use driver_iface::side_file::Layout;
 use nix::sys::signal::SigSet;
 use sd_notify::NotifyState;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
-use tokio::io::unix::AsyncFd;
+use tokio::io::Interest;
+use tokio::net::UnixStream;
 use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::sync::Notify;
 
 /// How often the state is looked at.
 const LOOK: Span = Span::from_ms(500);
@@ -56,16 +56,16 @@ pub fn run(config: &Config, name: String) -> Result<Ended, Error> {
     // A log as large as files may be here (`ulimit -f`) is a full disk: the write fails with EFBIG, and the signal ends nothing.
     let sizes = SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
     sizes.map_err(|errno| Error::Io { what: "cannot catch signals".into(), source: errno.into() })?;
-    let mut sources = Sources::open(config, Instant::ZERO, wall_us)?;
-    let network = Joined::join(config, &sources)?;
-    let mut ros = Ros::open(config, &mut sources);
-    let viewers = Viewers::open(config, &name)?;
+    let wake = Arc::new(Notify::new());
+    let mut adapters = adapters::make(&Start { config, name: &name, wall_us, wake: Arc::clone(&wake) })?;
+    let sources = Sources::open(config, Instant::ZERO, wall_us, &mut adapters)?;
+    let peers = sources.peers.iter().map(|peer| (peer.peer.name.clone(), peer.peer.mac)).collect();
+    let robot = Robot { own: sources.own, peers };
+    adapters.iter_mut().try_for_each(|adapter| adapter.meet(&robot))?;
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build();
     let io = |source| Error::Io { what: "cannot start tokio".into(), source };
-    // The network and ROS are left outside of the runtime, where they may wait for their own, and after the machine is finished.
-    let ended = runtime.map_err(io)?.block_on(Service::serve(config, name, sources, (&network, &mut ros, &viewers)));
-    viewers.stop();
-    ended
+    // Adapters are dropped outside of the runtime, where they may wait for their own, and after the machine is finished.
+    runtime.map_err(io)?.block_on(Service::serve(config, name, sources, (&mut adapters, &wake)))
 }
 
 /// Real time, and the sources' own, which runs `speed` times as fast.
@@ -86,28 +86,13 @@ impl Clock {
     }
 }
 
-/// A published line.
-#[derive(serde::Serialize)]
-struct Line<'a> {
-    /// How long the estimate took, milliseconds.
-    took_ms: Option<f64>,
-    /// How long ago the last record in it was taken, milliseconds.
-    latency_ms: Option<f64>,
-    #[serde(flatten)]
-    report: &'a PeerReport,
-}
-
 struct Service<'a> {
-    network: &'a Joined,
-    viewers: &'a Viewers,
-    ros: &'a mut Ros,
+    adapters: &'a mut [Box<dyn Adapter>],
+    wake: &'a Notify,
     clock: Clock,
     machine: Machine,
     sounder: Sounder,
     looks: Looks,
-    lines: Lines,
-    socket: Option<StatusSocket>,
-    text: StatusText,
     load: Load,
     /// Real time and processor time of the last look.
     looked: (Instant, f64),
@@ -122,7 +107,7 @@ impl<'a> Service<'a> {
         config: &Config,
         name: String,
         mut sources: Sources,
-        (network, ros, viewers): (&'a Joined, &'a mut Ros, &'a Viewers),
+        (adapters, came): (&'a mut [Box<dyn Adapter>], &'a Notify),
     ) -> Result<Ended, Error> {
         // Signals first: one that comes from here on ends the robot in order.
         let hangup = Some(SignalKind::hangup()).filter(|_| !is_ignored(nix::sys::signal::Signal::SIGHUP));
@@ -132,32 +117,23 @@ impl<'a> Service<'a> {
             .map(signal)
             .collect::<std::io::Result<Vec<Signal>>>()
             .map_err(|source| Error::Io { what: "cannot catch signals".into(), source })?;
-        let wake = sources.wake.take().map(watch_fd).transpose();
+        let wake = sources.wake.take().map(UnixStream::from_std).transpose();
         let wake = wake.map_err(|source| Error::Io { what: "cannot wait for the card's thread".into(), source })?;
         let clock = Clock { real: Monotonic::new(), speed: sources.speed };
         let (own, peers) = (sources.own, sources.peers.iter().map(|peer| peer.peer.mac).collect());
-        // Before the log: a start that fails leaves none behind.
-        let lines = Lines::open(&config.output)?;
-        let socket = config.output.status_socket.as_deref().map(StatusSocket::open).transpose()?;
         let logged = |card: Card| logged(card, config.log.as_ref());
         let mut machine = Machine::new(sources, logged, config.estimator_settings(), config.options(), clock.now())?;
-        network.attach(&mut machine);
-        ros.attach(&mut machine);
-        viewers.attach(&mut machine);
+        adapters.iter_mut().try_for_each(|adapter| adapter.attach(&mut machine))?;
         // Last: from here on it sends.
         let sounder = Sounder::start(config, own, peers, clock.real)?;
         sounder.attach(&mut machine);
         let mut service = Self {
-            network,
-            ros,
-            viewers,
+            adapters,
+            wake: came,
             clock,
             machine,
             sounder,
             looks: Looks::new(name),
-            lines,
-            socket,
-            text: StatusText::new(config.output.status_line),
             load: Load::default(),
             looked: (clock.real.now(), processor_s()),
             bearings: 0,
@@ -172,11 +148,7 @@ impl<'a> Service<'a> {
     }
 
     /// Works until the records end or a signal comes.
-    async fn work(
-        &mut self,
-        wake: Option<&AsyncFd<std::os::fd::OwnedFd>>,
-        signals: &mut [Signal],
-    ) -> Result<(), Error> {
+    async fn work(&mut self, wake: Option<&UnixStream>, signals: &mut [Signal]) -> Result<(), Error> {
         let watchdog = sd_notify::watchdog_enabled().map(|limit| limit / 2);
         let mut look_at = self.clock.real.now();
         let mut alive_at = look_at;
@@ -221,7 +193,7 @@ impl<'a> Service<'a> {
                     return Ok(());
                 }
                 ready = readable(wake) => ready?,
-                () = self.network.wake().notified() => {}
+                () = self.wake.notified() => {}
                 () = tokio::time::sleep(wait) => if !wait.is_zero() { self.note_lateness() },
             }
         }
@@ -255,9 +227,9 @@ impl<'a> Service<'a> {
         self.bearings += u64::from(report.state == PeerState::Bearing);
         let since = |at: Instant| (self.clock.now() - at).as_s() / self.clock.speed * 1e3;
         let latency_ms = report.heard_at.map(since);
-        self.lines.write(&Line { took_ms: Some(self.load.estimate_ms), latency_ms, report: &report });
-        self.viewers.report(&self.machine, peer, &report);
-        self.ros.report(peer, &report, self.machine.estimator.track().last());
+        let (took_ms, own) = (self.load.estimate_ms, self.machine.estimator.track().last());
+        let said = Said { peer, report: &report, took_ms, latency_ms, own, machine: &self.machine };
+        self.adapters.iter_mut().for_each(|adapter| adapter.report(&said));
         self.looks.note(peer, report);
     }
 
@@ -276,35 +248,26 @@ impl<'a> Service<'a> {
         }
         self.looked = (real, used_s);
         self.load.memory_mib = resident_mib().unwrap_or(0.0);
-        self.load.lines_lost = self.lines.lost();
         let mut health = self.looks.look(&self.machine, self.clock.now(), self.load);
-        health.network = self.network.counts();
         health.sounding = self.sounder.look().and_then(|counts| serde_json::to_value(counts).ok());
         health.trouble.extend(self.sounder.trouble());
-        health.trouble.extend(self.network.trouble());
-        self.ros.look(&mut health, wall_us());
+        self.adapters.iter_mut().for_each(|adapter| adapter.look(&mut health));
         self.load.late_ms = 0.0;
-        if let Some(socket) = &self.socket {
-            socket.tell(&health);
-        }
-        self.text.show(&health.line());
-        self.viewers.look(&self.machine);
+        self.adapters.iter_mut().for_each(|adapter| adapter.tell(&health, &self.machine));
         health
     }
 
     fn finish(mut self, error: Option<Error>) -> Result<Ended, Error> {
         let mut health = self.look();
-        self.text.clear();
         let (reports, totals) = self.machine.finish(self.clock.now())?;
         // The machine held the sender too, to tell it what was measured.
         let error = self.sounder.stop().or(error);
+        self.adapters.iter_mut().for_each(|adapter| adapter.finish(&reports, &mut health));
         for (report, peer) in reports.into_iter().zip(&mut health.peers) {
             self.bearings += u64::from(report.state == PeerState::Bearing);
-            self.lines.write(&Line { took_ms: None, latency_ms: None, report: &report });
             peer.report = Some(report);
         }
         health.log.clone_from(&totals);
-        health.load.lines_lost = self.lines.finish();
         Ok(Ended { health, totals, bearings: self.bearings, signalled: self.signalled, error })
     }
 }
@@ -319,11 +282,12 @@ async fn any(signals: &mut [Signal]) {
 }
 
 /// Until the card's thread has something, or for ever without one.
-async fn readable(wake: Option<&AsyncFd<std::os::fd::OwnedFd>>) -> Result<(), Error> {
+async fn readable(wake: Option<&UnixStream>) -> Result<(), Error> {
     let Some(wake) = wake else { return std::future::pending().await };
-    let ready = wake.ready(tokio::io::Interest::READABLE | tokio::io::Interest::ERROR).await;
+    let io = |source| Error::Io { what: "waiting for the card's thread".into(), source };
+    wake.ready(Interest::READABLE | Interest::ERROR).await.map_err(io)?;
     // What is there is taken before the next wait: were more to come meanwhile, it is an edge of its own.
-    ready.map_err(|source| Error::Io { what: "waiting for the card's thread".into(), source })?.clear_ready();
+    let _ = wake.try_io(Interest::READABLE, || Err::<(), _>(ErrorKind::WouldBlock.into()));
     Ok(())
 }
 

@@ -9,7 +9,7 @@ use csi5300_live::wait::Monotonic;
 use driver_iface::record::{Record, Tail};
 use std::io::{Read, Write};
 use std::net::Shutdown;
-use std::os::fd::{AsFd, OwnedFd};
+use std::os::fd::AsFd;
 use std::os::unix::net::UnixStream;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -63,9 +63,9 @@ impl CardThread {
     ///
     /// # Errors
     /// Out of file descriptors.
-    pub fn wake(&self) -> Result<OwnedFd, Error> {
+    pub fn wake(&self) -> Result<UnixStream, Error> {
         let io = |source| Error::Io { what: "cannot wait for the card's thread".into(), source };
-        self.told.as_fd().try_clone_to_owned().map_err(io)
+        self.told.try_clone().map_err(io)
     }
 
     /// The next item. An empty queue is looked at once more after the bytes that announced it were taken: what comes later

@@ -1,38 +1,57 @@
 //! What the page is told without asking: server-sent events.
 
-use hyper::body::Bytes;
-use std::sync::{Mutex, PoisonError};
-use tokio::sync::mpsc::{Receiver, Sender, channel, error::TrySendError};
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::time::Duration;
 
 /// Events that wait for one page; further ones are left out, and each event says the whole of what it is about.
 const WAITING: usize = 32;
 /// Pages that are told at a time.
 const LISTENERS: usize = 16;
 
+/// The way to one who listens, and whether it still does.
+type Told = (SyncSender<Arc<str>>, Weak<()>);
+
 /// Everyone who listens.
 #[derive(Debug, Default)]
 pub(crate) struct Events {
-    listeners: Mutex<Vec<Sender<Bytes>>>,
+    listeners: Mutex<Vec<Told>>,
+}
+
+/// One who listens.
+#[derive(Debug)]
+pub(crate) struct Listener {
+    events: Receiver<Arc<str>>,
+    _is_here: Arc<()>,
+}
+
+impl Listener {
+    /// The next event, if one comes within `limit`.
+    pub fn wait(&self, limit: Duration) -> Option<Arc<str>> {
+        self.events.recv_timeout(limit).ok()
+    }
 }
 
 impl Events {
     /// A new listener; none if there are too many.
-    pub fn listen(&self) -> Option<Receiver<Bytes>> {
+    pub fn listen(&self) -> Option<Listener> {
         let mut listeners = self.listeners.lock().unwrap_or_else(PoisonError::into_inner);
-        listeners.retain(|listener| !listener.is_closed());
+        listeners.retain(|(_, is_here)| is_here.strong_count() > 0);
         if listeners.len() >= LISTENERS {
             return None;
         }
-        let (sender, receiver) = channel(WAITING);
-        listeners.push(sender);
-        Some(receiver)
+        let ((sender, events), is_here) = (sync_channel(WAITING), Arc::new(()));
+        listeners.push((sender, Arc::downgrade(&is_here)));
+        Some(Listener { events, _is_here: is_here })
     }
 
     /// Tells all of them. `json` has no line breaks.
     pub fn tell(&self, event: &str, json: &str) {
-        let text = Bytes::from(format!("event: {event}\ndata: {json}\n\n"));
+        let text: Arc<str> = format!("event: {event}\ndata: {json}\n\n").into();
         let mut listeners = self.listeners.lock().unwrap_or_else(PoisonError::into_inner);
-        listeners.retain(|listener| !matches!(listener.try_send(text.clone()), Err(TrySendError::Closed(_))));
+        let is_closed =
+            |sender: &SyncSender<_>| matches!(sender.try_send(Arc::clone(&text)), Err(TrySendError::Disconnected(_)));
+        listeners.retain(|(sender, _)| !is_closed(sender));
     }
 }
 
@@ -49,8 +68,8 @@ mod tests {
         all.push(events.listen().unwrap());
         // One that takes nothing costs its own events only.
         (0..WAITING + 5).for_each(|k| events.tell("rows", &k.to_string()));
-        let first = all[0].try_recv().unwrap();
-        assert_eq!(&first[..], b"event: rows\ndata: 0\n\n");
-        assert_eq!(std::iter::from_fn(|| all[1].try_recv().ok()).count(), WAITING);
+        let next = |listener: &Listener| listener.wait(Duration::ZERO);
+        assert_eq!(next(&all[0]).as_deref(), Some("event: rows\ndata: 0\n\n"));
+        assert_eq!(std::iter::from_fn(|| next(&all[1])).count(), WAITING);
     }
 }

@@ -14,7 +14,6 @@
 //! (docs/formats.md, docs/view.md).
 #![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
 
-mod body;
 mod csi;
 mod error;
 mod events;
@@ -29,5 +28,5 @@ mod view;
 
 pub use error::Error;
 pub use links::Reading;
-pub use server::Server;
+pub use server::{Ends, Server};
 pub use view::{Answer, View};

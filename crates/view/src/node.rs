@@ -95,13 +95,13 @@ mod tests {
     #[test]
     fn states_are_told_and_kept_and_what_is_none_is_left_out() {
         let events = Arc::new(Events::default());
-        let mut page = events.listen().unwrap();
+        let page = events.listen().unwrap();
         let node = Arc::new(Node { path: PathBuf::new(), said: Mutex::default() });
         let said = "{\"name\":\"a\"}\n\nno state\n[1]\n{\"name\":\"b\"}\n";
         hear(&Arc::downgrade(&node), &Arc::downgrade(&events), said.as_bytes());
         assert_eq!(node.states(), br#"[{"name":"a"},{"name":"b"}]"#);
-        let told = std::iter::from_fn(|| page.try_recv().ok());
-        let told: Vec<String> = told.map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).collect();
+        let told = std::iter::from_fn(|| page.wait(std::time::Duration::ZERO));
+        let told: Vec<String> = told.map(|event| event.to_string()).collect();
         assert_eq!(told, ["event: state\ndata: {\"name\":\"a\"}\n\n", "event: state\ndata: {\"name\":\"b\"}\n\n"]);
     }
 

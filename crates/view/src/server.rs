@@ -1,32 +1,46 @@
-//! HTTP for browsers on this machine.
+//! HTTP for browsers on this machine: a connection is one request, on a thread of its own.
 
-use crate::body::Content;
-use crate::guard::{Asked, Refused, admit};
+use crate::events::Listener;
+use crate::guard::{Asked, admit};
 use crate::{Answer, Error, View};
-use hyper::body::{Bytes, Incoming};
-use hyper::header::{self, HeaderMap, HeaderName, HeaderValue};
-use hyper::server::conn::http1;
-use hyper::service::service_fn;
-use hyper::{Request, Response, StatusCode};
-use hyper_util::rt::{TokioIo, TokioTimer};
-use std::convert::Infallible;
-use std::net::{SocketAddr, TcpListener};
+use nix::sys::signal::{SigSet, Signal};
+use std::io::{self, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
-use std::time::Duration;
-use tokio::signal::unix::{SignalKind, signal};
-use tokio::sync::Semaphore;
+use std::thread;
+use std::time::{Duration, Instant};
 
 /// Connections at a time; a browser opens six for one page.
 const CONNECTIONS: usize = 64;
-/// A request's head must be whole within this time, and an idle connection ends after it.
+/// A request's head must be whole within this time, and a browser that takes nothing for so long is let go.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// Bytes of a request's head at most.
+/// Bytes of a request's head at most, and fields in it.
 const HEAD: usize = 16 * 1024;
+const FIELDS: usize = 64;
+/// How often is looked after a page that events are sent to.
+const LOOK: Duration = Duration::from_secs(1);
 /// Pause when no more connections can be accepted.
 const NO_DESCRIPTORS: Duration = Duration::from_millis(500);
 /// What the page may load: itself. Scripts and styles are files of their own.
 const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// The signals that end the page: SIGINT, SIGTERM and, where that is wanted, SIGHUP.
+#[derive(Debug)]
+pub struct Ends(SigSet);
+
+impl Ends {
+    /// From here on they end nothing by themselves. Threads started later inherit that.
+    ///
+    /// # Errors
+    /// If the system refuses.
+    pub fn catch(hangup: bool) -> Result<Self, Error> {
+        let all = [Signal::SIGINT, Signal::SIGTERM].into_iter().chain(hangup.then_some(Signal::SIGHUP));
+        let set = SigSet::from_iter(all);
+        let failed = |errno: nix::Error| Error::Start { what: "waiting for signals", source: errno.into() };
+        set.thread_block().map(|()| Self(set)).map_err(failed)
+    }
+}
 
 /// A server that listens.
 #[derive(Debug)]
@@ -43,7 +57,6 @@ impl Server {
     pub fn listen(address: SocketAddr) -> Result<Self, Error> {
         let failed = |source| Error::Listen { address, source };
         let listener = TcpListener::bind(address).map_err(failed)?;
-        listener.set_nonblocking(true).map_err(failed)?;
         let address = listener.local_addr().map_err(failed)?;
         Ok(Self { listener, address })
     }
@@ -54,113 +67,137 @@ impl Server {
         self.address
     }
 
-    /// Answers until the process is asked to end (SIGINT, SIGTERM, and with `hangup` SIGHUP, which is otherwise left as it is).
+    /// Answers until a signal comes. A log that is being read is not waited for.
     ///
     /// # Errors
     /// If the server cannot be started.
-    pub fn run(self, view: &Arc<View>, hangup: bool) -> Result<(), Error> {
-        let failed = |source| Error::Start { what: "the server", source };
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(failed)?;
-        runtime.block_on(async {
-            let kinds = [SignalKind::interrupt(), SignalKind::terminate()].into_iter();
-            let kinds = kinds.chain(hangup.then(SignalKind::hangup));
-            let mut signals = kinds.map(signal).collect::<std::io::Result<Vec<_>>>().map_err(failed)?;
-            let listener = tokio::net::TcpListener::from_std(self.listener).map_err(failed)?;
-            tokio::spawn(accept(listener, self.address, Arc::clone(view)));
-            // Whichever comes first.
-            std::future::poll_fn(|context| {
-                let ended = signals.iter_mut().any(|signal| signal.poll_recv(context).is_ready());
-                if ended { std::task::Poll::Ready(()) } else { std::task::Poll::Pending }
-            })
-            .await;
-            Ok::<(), Error>(())
-        })?;
-        // A log that is being read is not waited for.
-        runtime.shutdown_background();
-        Ok(())
+    pub fn run(self, view: &Arc<View>, ends: &Ends) -> Result<(), Error> {
+        self.start(Arc::clone(view)).map_err(|source| Error::Start { what: "the server", source })?;
+        let failed = |errno: nix::Error| Error::Start { what: "waiting for signals", source: errno.into() };
+        ends.0.wait().map(drop).map_err(failed)
     }
-}
 
-async fn accept(listener: tokio::net::TcpListener, address: SocketAddr, view: Arc<View>) {
-    let places = Arc::new(Semaphore::new(CONNECTIONS));
-    loop {
-        let Ok((stream, _)) = listener.accept().await else {
-            tokio::time::sleep(NO_DESCRIPTORS).await;
-            continue;
+    /// Answers on threads of its own, for as long as the process runs.
+    fn start(self, view: Arc<View>) -> io::Result<()> {
+        let Self { listener, address } = self;
+        let accept = move || {
+            // Each connection has a copy.
+            let places = Arc::new(());
+            loop {
+                let Ok((stream, _)) = listener.accept() else {
+                    thread::sleep(NO_DESCRIPTORS);
+                    continue;
+                };
+                // Whoever finds no place is let go at once.
+                if Arc::strong_count(&places) > CONNECTIONS {
+                    continue;
+                }
+                let (view, place) = (Arc::clone(&view), Arc::clone(&places));
+                let serve = move || {
+                    // A browser that goes away in the middle is no error of ours.
+                    let _ = respond(stream, address, &view);
+                    drop(place);
+                };
+                let _ = thread::Builder::new().name("csi5300 page".into()).spawn(serve);
+            }
         };
-        // Whoever finds no place is let go at once.
-        let Ok(place) = Arc::clone(&places).try_acquire_owned() else { continue };
-        let view = Arc::clone(&view);
-        tokio::spawn(async move {
-            let service = service_fn(move |request| {
-                let view = Arc::clone(&view);
-                async move { Ok::<_, Infallible>(respond(address, view, request).await) }
-            });
-            let mut http = http1::Builder::new();
-            http.timer(TokioTimer::new()).header_read_timeout(PATIENCE).max_buf_size(HEAD);
-            // A browser that goes away in the middle is no error of ours.
-            let _ = http.serve_connection(TokioIo::new(stream), service).await;
-            drop(place);
-        });
+        thread::Builder::new().name("csi5300 pages".into()).spawn(accept).map(drop)
     }
 }
 
-fn text(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
-    headers.get(name)?.to_str().ok()
+/// The head of a request.
+fn head(stream: &mut TcpStream) -> io::Result<Vec<u8>> {
+    let (until, mut head) = (Instant::now() + PATIENCE, Vec::new());
+    loop {
+        let left = until.saturating_duration_since(Instant::now()).max(Duration::from_millis(1));
+        stream.set_read_timeout(Some(left))?;
+        let mut bytes = [0; 4096];
+        let count = stream.read(&mut bytes)?;
+        head.extend_from_slice(bytes.get(..count).unwrap_or_default());
+        let is_whole = head.windows(4).any(|four| four == b"\r\n\r\n");
+        if head.len() > HEAD || (!is_whole && (count == 0 || Instant::now() >= until)) {
+            return Err(io::ErrorKind::InvalidData.into());
+        }
+        if is_whole {
+            return Ok(head);
+        }
+    }
 }
 
-async fn respond(address: SocketAddr, view: Arc<View>, request: Request<Incoming>) -> Response<Content> {
-    let headers = request.headers();
-    let asked = Asked {
-        method: request.method().as_str(),
-        host: text(headers, header::HOST),
-        origin: text(headers, header::ORIGIN),
-        fetch_site: text(headers, HeaderName::from_static("sec-fetch-site")),
+/// Answers one request.
+fn respond(mut stream: TcpStream, address: SocketAddr, view: &View) -> io::Result<()> {
+    stream.set_write_timeout(Some(PATIENCE))?;
+    let head = head(&mut stream)?;
+    let mut fields = [httparse::EMPTY_HEADER; FIELDS];
+    let mut request = httparse::Request::new(&mut fields);
+    let is_whole = request.parse(&head).is_ok_and(|parsed| parsed.is_complete());
+    let (Some(method), Some(target), true) = (request.method, request.path, is_whole) else {
+        return plain(&mut stream, "", 400, "this is no request");
     };
-    if let Err(refused) = admit(address, asked) {
-        return refuse(refused);
+    let field = |name: &str| {
+        let mut found = request.headers.iter().filter(|field| field.name.eq_ignore_ascii_case(name));
+        let first = found.next().map(|field| std::str::from_utf8(field.value).unwrap_or_default());
+        // Two of them are none that could be judged.
+        if found.next().is_some() { Some("") } else { first }
+    };
+    let (host, origin, fetch_site) = (field("host"), field("origin"), field("sec-fetch-site"));
+    if let Err(refused) = admit(address, Asked { method, host, origin, fetch_site }) {
+        return plain(&mut stream, method, refused.status(), &refused.to_string());
     }
-    let (path, query) = (request.uri().path().to_owned(), request.uri().query().unwrap_or_default().to_owned());
+    let (path, query) = target.split_once('?').unwrap_or((target, ""));
     if path == "/events" {
         return match view.events.listen() {
-            Some(events) => whole(StatusCode::OK, "text/event-stream", Content::Events(events)),
-            None => plain(StatusCode::SERVICE_UNAVAILABLE, "too many pages listen already"),
+            Some(events) => tell(&mut stream, &events),
+            None => plain(&mut stream, method, 503, "too many pages listen already"),
         };
     }
-    // Reading a log takes time: other answers do not wait for it.
-    match tokio::task::spawn_blocking(move || view.answer(&path, &query)).await {
-        Ok(Ok(Answer { kind, bytes })) => whole(StatusCode::OK, kind, Content::Whole(Some(Bytes::from(bytes)))),
-        Ok(Err(error)) => {
-            let status = StatusCode::from_u16(error.status()).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
-            plain(status, &error.to_string())
+    match view.answer(path, query) {
+        Ok(Answer { kind, bytes }) => whole(&mut stream, method, 200, kind, &bytes),
+        Err(error) => plain(&mut stream, method, error.status(), &error.to_string()),
+    }
+}
+
+/// Sends events as they come, until the page has gone.
+fn tell(stream: &mut TcpStream, events: &Listener) -> io::Result<()> {
+    stream.write_all(start(200, "text/event-stream", None).as_bytes())?;
+    stream.set_read_timeout(Some(Duration::from_millis(1)))?;
+    loop {
+        if let Some(event) = events.wait(LOOK) {
+            stream.write_all(event.as_bytes())?;
         }
-        Err(_) => plain(StatusCode::INTERNAL_SERVER_ERROR, "the answer failed"),
+        if matches!(stream.peek(&mut [0]), Ok(0)) {
+            return Ok(());
+        }
     }
 }
 
-fn refuse(refused: Refused) -> Response<Content> {
-    plain(StatusCode::from_u16(refused.status()).unwrap_or(StatusCode::FORBIDDEN), &refused.to_string())
+fn plain(stream: &mut TcpStream, method: &str, status: u16, words: &str) -> io::Result<()> {
+    whole(stream, method, status, "text/plain; charset=utf-8", format!("{words}\n").as_bytes())
 }
 
-fn plain(status: StatusCode, words: &str) -> Response<Content> {
-    whole(status, "text/plain; charset=utf-8", Content::Whole(Some(Bytes::from(format!("{words}\n")))))
+fn whole(stream: &mut TcpStream, method: &str, status: u16, kind: &str, bytes: &[u8]) -> io::Result<()> {
+    stream.write_all(start(status, kind, Some(bytes.len())).as_bytes())?;
+    stream.write_all(if method == "HEAD" { &[] } else { bytes })?;
+    stream.shutdown(std::net::Shutdown::Write)
 }
 
-fn whole(status: StatusCode, kind: &'static str, content: Content) -> Response<Content> {
-    let mut response = Response::new(content);
-    *response.status_mut() = status;
-    let fixed = [
-        ("content-type", kind),
-        ("content-security-policy", POLICY),
-        ("cross-origin-resource-policy", "same-origin"),
-        ("x-content-type-options", "nosniff"),
-        ("referrer-policy", "no-referrer"),
-        ("cache-control", "no-store"),
-    ];
-    for (name, value) in fixed {
-        response.headers_mut().insert(HeaderName::from_static(name), HeaderValue::from_static(value));
-    }
-    response
+/// The head of an answer.
+fn start(status: u16, kind: &str, length: Option<usize>) -> String {
+    let reason = match status {
+        200 => "OK",
+        400 => "Bad Request",
+        403 => "Forbidden",
+        404 => "Not Found",
+        405 => "Method Not Allowed",
+        503 => "Service Unavailable",
+        _ => "Error",
+    };
+    let length = length.map_or(String::new(), |length| format!("content-length: {length}\r\n"));
+    format!(
+        "HTTP/1.1 {status} {reason}\r\ncontent-type: {kind}\r\n{length}content-security-policy: {POLICY}\r\n\
+         cross-origin-resource-policy: same-origin\r\nx-content-type-options: nosniff\r\nreferrer-policy: no-referrer\r\n\
+         cache-control: no-store\r\nconnection: close\r\n\r\n"
+    )
 }
 
 #[cfg(test)]

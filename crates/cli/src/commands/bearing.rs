@@ -93,26 +93,14 @@ pub struct Args {
 #[command(next_help_heading = "Logs by their names")]
 struct Logs {
     /// Log of the receiver, the robot whose trajectory is given; - is standard input
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "RX.dat", required_unless_present_any = ["captures", "bag"], hide_short_help = true))]
-    #[cfg_attr(
-        not(feature = "ros2"),
-        arg(long, value_name = "RX.dat", required_unless_present = "captures", hide_short_help = true)
-    )]
+    #[arg(long, value_name = "RX.dat", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     rx: Option<PathBuf>,
     /// Log of a transmitter; several make one link each
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "TX.dat", required_unless_present_any = ["captures", "bag"], hide_short_help = true))]
-    #[cfg_attr(
-        not(feature = "ros2"),
-        arg(long, value_name = "TX.dat", required_unless_present = "captures", hide_short_help = true)
-    )]
+    #[arg(long, value_name = "TX.dat", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     tx: Vec<PathBuf>,
     /// Trajectory of the receiver: CSV, whose headings are read, or TUM, KITTI, Motive, what ROS echoes (docs/formats.md); of a
     /// capture which of its own: gt (motion capture, if none is named), t265 (tracking camera) or odom (wheels)
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "T.csv", required_unless_present_any = ["captures", "bag"], hide_short_help = true))]
-    #[cfg_attr(
-        not(feature = "ros2"),
-        arg(long, value_name = "T.csv", required_unless_present = "captures", hide_short_help = true)
-    )]
+    #[arg(long, value_name = "T.csv", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     trajectory: Option<PathBuf>,
     #[command(flatten)]
     bag: BagArgs,

@@ -5,13 +5,13 @@ mod bring_up;
 use super::args::mac;
 use super::listener::{Card, Listening, Needs, describe};
 use super::live::{Signals, duration};
-use super::say::{Tone, toned};
 use super::{Outcome, Result, print, print_json};
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::Span;
 use csi5300_live::doctor::{Check, Machine, Reception, System, Tree, Verdict, default_interface, examine};
 use csi5300_live::listener::Listener;
 use csi5300_live::wait::Monotonic;
+use csi5300_say::{Tone, toned};
 use driver_iface::Mac;
 use std::fmt::Write;
 use std::os::fd::AsFd;
@@ -99,7 +99,7 @@ fn text(checks: &[Check], ready: bool) -> String {
 }
 
 fn listen(args: &Args, span: Span) -> std::result::Result<Vec<Check>, String> {
-    let signals = Signals::catch()?;
+    let signals = Signals::catch().map_err(|error| error.to_string())?;
     let mut heard = Reception::default();
     let listening = Listening { card: args.card.clone(), allow_user_sender: false, room: None };
     let mut listener = match listening.open(Needs::default()) {

@@ -91,15 +91,15 @@ pub fn run(args: &Args) -> Result {
         wrong!("cannot read {folder}");
     }
     let beside = Beside::read(args);
-    let bar = super::bar(captures.len() as u64, "{bar:40} {pos}/{len} captures, {eta} left");
+    let bar = super::bar(captures.len() as u64, &super::some(captures.len() as u64, "capture", "captures"));
     let one = |capture: &Capture| {
         let mut evaluated = capture.evaluate(source, reading.channel, &options);
         super::hint::add_all(&mut evaluated.rows);
-        bar.inc(1);
+        bar.inc();
         evaluated
     };
     let results: Vec<Evaluated> = captures.par_iter().map(one).collect();
-    bar.finish_and_clear();
+    bar.clear();
     for note in results.iter().flat_map(|result| &result.notes) {
         note!("{note}");
     }

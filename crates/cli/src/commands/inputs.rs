@@ -5,18 +5,15 @@ use super::files::{Log, read_trajectory_as, say_trajectory};
 use csi5300::motion::odometry::csv::{self, Columns};
 use csi5300::motion::pose::Trajectory;
 use csi5300::source::replay::Replay;
+use csi5300_bag::unbag::{Content, Recording};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
-
-#[cfg(feature = "ros2")]
-use csi5300_node::ros2::unbag::{Content, Recording};
 
 // Where trajectories come from: files of named columns, or recordings.
 #[derive(clap::Args, Clone, Default)]
 pub struct BagArgs {
     /// A recording that has odometry and CSI (a folder of `ros2 bag`, or a file: MCAP, SQLite, ROS 1): --rx, --tx and --trajectory
     /// then name topics of it, or files, and what is not named is the only topic that it can be
-    #[cfg(feature = "ros2")]
     #[arg(long, value_name = "BAG", hide_short_help = true)]
     pub bag: Option<PathBuf>,
     /// What is in the columns of the trajectories, instead of what their headings say: t,x,y,yaw (t, ns, x, y, z, qx, qy, qz, qw,
@@ -42,7 +39,6 @@ pub struct Named {
 pub struct Inputs {
     /// What is in the columns of trajectories that are files, where it was named.
     pub columns: Option<Columns>,
-    #[cfg(feature = "ros2")]
     recorded: Option<(PathBuf, Recording)>,
 }
 
@@ -86,7 +82,6 @@ impl BagArgs {
         tx: Vec<PathBuf>,
         trajectory: Option<PathBuf>,
     ) -> Words<(Inputs, Named)> {
-        #[cfg(feature = "ros2")]
         if let Some(bag) = &self.bag {
             let (inputs, named) = Inputs::of(bag, rx, tx, trajectory)?;
             return Ok((Inputs { columns: self.columns.clone(), ..inputs }, named));
@@ -105,24 +100,6 @@ pub fn order_unknown(found: &[PathBuf]) -> String {
     format!("--tx-mac and --tx-trajectory are in the order of --tx: it names which of {}", found.join(", "))
 }
 
-#[cfg(not(feature = "ros2"))]
-impl Inputs {
-    fn topic(&self, _: &Path) -> Option<&[u8]> {
-        None
-    }
-
-    /// True if the recording has lost something.
-    pub fn lost(&self) -> bool {
-        false
-    }
-
-    /// The recording.
-    pub fn bag(&self) -> Option<&Path> {
-        None
-    }
-}
-
-#[cfg(feature = "ros2")]
 impl Inputs {
     /// Reads a recording, and finds in it what was not named.
     fn of(bag: &Path, rx: Option<PathBuf>, tx: Vec<PathBuf>, trajectory: Option<PathBuf>) -> Words<(Self, Named)> {
@@ -235,7 +212,6 @@ impl Inputs {
 }
 
 /// What of a recording could not be read, in words.
-#[cfg(feature = "ros2")]
 pub fn lost_words(damaged_parts: u64, without_topic: u64) -> impl Iterator<Item = String> {
     let parts = super::some(damaged_parts, "part is", "parts are");
     let parts = format!("{parts} damaged and left out (chunks, pages, rows)");
@@ -247,12 +223,10 @@ pub fn lost_words(damaged_parts: u64, without_topic: u64) -> impl Iterator<Item 
         .map(|(_, words)| words)
 }
 
-#[cfg(feature = "ros2")]
 fn what(content: Content) -> &'static str {
     if content == Content::Csi { "CSI" } else { "poses" }
 }
 
-#[cfg(feature = "ros2")]
 fn kind(content: Content) -> &'static str {
     if content == Content::Csi {
         "CSI (csi5300_msgs/msg/Csi)"

@@ -1,11 +1,8 @@
 //! What the live commands share: kinds of arguments, signals, refusals.
 
 use csi5300::time::Span;
-use csi5300_live::wait::is_ignored;
+pub use csi5300_live::wait::Signals;
 use csi5300_sim::served;
-use nix::sys::signal::{SigSet, Signal};
-use nix::sys::signalfd::{SfdFlags, SignalFd};
-use std::os::fd::{AsFd, BorrowedFd};
 
 /// Why a log cannot be made, with the flag that helps.
 pub fn create_refused(error: &csi5300::source::Error) -> String {
@@ -25,30 +22,6 @@ pub fn join_refused(error: &served::JoinError) -> String {
             format!("{error}; does `csi5300 simulate SCENE --serve --socket PATH` run there?")
         }
         _ => error.to_string(),
-    }
-}
-
-/// SIGINT, SIGTERM and SIGHUP as something to wait for; not SIGHUP where it is ignored, as under `nohup`.
-pub struct Signals {
-    fd: SignalFd,
-}
-
-impl Signals {
-    /// From here on these signals end nothing by themselves. Threads started later inherit that.
-    pub fn catch() -> Result<Self, String> {
-        // The others end a recording in the background too, where shells let them be ignored.
-        let hangup = Some(Signal::SIGHUP).filter(|hangup| !is_ignored(*hangup));
-        let set = SigSet::from_iter([Signal::SIGINT, Signal::SIGTERM].into_iter().chain(hangup));
-        let blocked = set
-            .thread_block()
-            .and_then(|()| SignalFd::with_flags(&set, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC));
-        blocked.map(|fd| Self { fd }).map_err(|errno| format!("cannot catch signals: {errno}"))
-    }
-}
-
-impl AsFd for Signals {
-    fn as_fd(&self) -> BorrowedFd<'_> {
-        self.fd.as_fd()
     }
 }
 

@@ -1,5 +1,7 @@
 //! `csi5300 mcap`.
 
+mod recording;
+
 use super::args::{Estimation, channel, columns};
 use super::files::read_trajectory_as;
 use super::{Outcome, Result, fixed, info, usage};
@@ -11,7 +13,7 @@ use csi5300::signal::channel::Channel;
 use csi5300::source::survey::Survey;
 use csi5300::source::{CsiSource, Next};
 use csi5300::time::{Instant, Unwrap32};
-use csi5300_node::foxglove::{Channels, Recording};
+use recording::Recording;
 use std::path::{Path, PathBuf};
 
 // Arguments of `mcap`.
@@ -76,17 +78,17 @@ pub fn run(args: &Args) -> Result {
     let (mut usable, mut lost) = (0, false);
     let mut row = Row { output: &args.out, logs: Vec::new(), bearings: Vec::new() };
     for (name, path) in names.iter().zip(&args.logs) {
-        let (survey, bytes) = convert(&mut recording.channels, name, path, args)?;
+        let (survey, bytes) = convert(&mut recording, name, path, args)?;
         usable += survey.bfees();
         row.logs.push(LogRow { log: path, records: survey.bfees() });
         lost |= survey.lost_something();
         notes!("{}: {} bfee records\n{}", path.display(), survey.bfees(), info::losses(&survey, bytes));
     }
     if let Some(trajectory) = &trajectory {
-        trajectory.poses().iter().for_each(|pose| recording.channels.pose(pose));
-        recording.channels.path(trajectory.span_s().0, trajectory.poses().iter());
+        trajectory.poses().iter().try_for_each(|pose| recording.pose(pose)).map_err(|error| draft.words(&error.to_string()))?;
+        recording.path(trajectory.span_s().0, trajectory.poses()).map_err(|error| draft.words(&error.to_string()))?;
         match &options {
-            Some(options) => row.bearings = estimate(&mut recording.channels, &names, trajectory, options, args)?,
+            Some(options) => row.bearings = estimate(&mut recording, &names, trajectory, options, args)?,
             None => note!("no bearings: they need --channel"),
         }
     }
@@ -105,7 +107,7 @@ pub fn run(args: &Args) -> Result {
 
 /// Every record of a log. Those without a host time get the card's, from the log's beginning on.
 fn convert(
-    channels: &mut Channels,
+    recording: &mut Recording,
     name: &str,
     path: &Path,
     args: &Args,
@@ -120,20 +122,20 @@ fn convert(
             let card_us = clock.next(heard.timestamp_low);
             let since_us = card_us - *first_card_us.get_or_insert(card_us);
             let t_s = heard.host_us.unwrap_or(since_us) as f64 * 1e-6;
-            channels.record(name, t_s, sender, &heard);
+            recording.record(name, t_s, sender, &heard).map_err(|error| error.to_string())?;
         }
         if matches!(next, Next::End(_)) {
             break;
         }
     }
     let end_s = front.log.survey.host_us.map_or(0.0, |(_, last)| last as f64 * 1e-6);
-    channels.counters(name, end_s, &front.log.survey);
+    recording.counters(name, end_s, &front.log.survey).map_err(|error| error.to_string())?;
     Ok((front.log.survey, log.bytes()))
 }
 
 /// The bearings of the first log to the others.
 fn estimate(
-    channels: &mut Channels,
+    recording: &mut Recording,
     names: &[String],
     trajectory: &Trajectory,
     options: &Options,
@@ -152,7 +154,7 @@ fn estimate(
     for (name, link) in names.iter().skip(1).zip(&report.links) {
         match &link.bearing {
             Ok(bearing) => {
-                channels.bearing(name, bearing).map_err(|error| error.to_string())?;
+                recording.bearing(name, bearing)?;
                 let azimuth_deg = bearing.answer.azimuth_rad.to_degrees();
                 note!("{name}: {} deg", fixed(azimuth_deg, 2));
                 rows.push(LinkRow { link: name.clone(), azimuth_deg: Some(azimuth_deg), error: None });

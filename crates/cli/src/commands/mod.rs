@@ -1,8 +1,5 @@
 //! Words to calls, results to exit codes. Results go to standard output, diagnostics to standard error.
 
-#[macro_use]
-mod say;
-
 mod args;
 mod bearing;
 mod captures;
@@ -22,17 +19,13 @@ mod key;
 mod listener;
 #[cfg(feature = "live")]
 mod live;
-#[cfg(feature = "foxglove")]
 mod mcap;
 mod mounting;
-#[cfg(feature = "node")]
 mod node;
 mod old;
 mod other_cards;
 #[cfg(feature = "plot")]
 mod pictures;
-#[cfg(feature = "node")]
-mod places;
 mod profile;
 #[cfg(feature = "live")]
 mod record;
@@ -44,44 +37,19 @@ mod simulate;
 #[cfg(feature = "live")]
 mod sound;
 mod threads;
-#[cfg(feature = "ros2")]
 mod unbag;
 #[cfg(feature = "view")]
 mod view;
-#[cfg(feature = "node")]
-mod watch;
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
-pub use csi5300_lab::words::{count as some, fixed};
+#[cfg(feature = "live")]
+pub use csi5300_say::is_end_of_room;
+use csi5300_say::{self as say, Level, When};
+pub use csi5300_say::{Outcome, Result, count as some, fixed, print, print_json, usage};
 pub use files::{is_same_file, must_not_exist, open_log, read_trajectory};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use say::Level;
 use std::process::ExitCode;
-
-/// How a command ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Outcome {
-    /// Done; a cut last record is the normal end of a log that was killed.
-    Done,
-    /// Done, but records were dropped or damaged before the tail, rows of a trajectory could not be read, or some link or
-    /// capture failed.
-    DataLost,
-    /// Nothing usable.
-    Nothing,
-}
-
-impl From<Outcome> for ExitCode {
-    fn from(outcome: Outcome) -> Self {
-        Self::from(match outcome {
-            Outcome::Done => 0,
-            Outcome::Nothing => 1,
-            Outcome::DataLost => 3,
-        })
-    }
-}
-
-/// A command's result: its outcome, or what went wrong in words for the user.
-pub type Result = std::result::Result<Outcome, String>;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Bearings between robots from WiFi alone: CSI of the Intel 5300, live, replayed or simulated.
 #[derive(Parser)]
@@ -106,14 +74,14 @@ struct Cli {
     #[arg(
         long,
         alias = "colour",
-        value_enum,
-        default_value_t,
+        default_value = When::NAMES[0],
+        value_parser = PossibleValuesParser::new(When::NAMES).map(|name| When::named(&name)),
         value_name = "WHEN",
         global = true,
         display_order = 902,
         hide_short_help = true
     )]
-    color: say::When,
+    color: When,
     #[command(subcommand)]
     command: Command,
 }
@@ -152,23 +120,15 @@ enum Command {
     #[cfg(feature = "live")]
     Sound(Box<sound::Args>),
     /// The robot's own service: capture, odometry, peers, live bearings
-    #[cfg(feature = "node")]
-    Node(node::Args),
+    Node(node::NodeArgs),
     /// A running node in a terminal: peers, rates, losses, bearings on a compass
-    #[cfg(feature = "node")]
-    Watch(watch::Args),
+    Watch(node::WatchArgs),
     /// A room full of robots: writes the logs that their cards would have recorded, or serves them live; a recording beside a room
     Simulate(Box<simulate::Args>),
     /// Captures as MCAP, for Foxglove, Lichtblick and MCAP readers
-    #[cfg(feature = "foxglove")]
     #[command(hide = true)]
     Mcap(mcap::Args),
-    /// Captures as MCAP: this program was built without it (feature `foxglove`)
-    #[cfg(not(feature = "foxglove"))]
-    #[command(hide = true)]
-    Mcap(Missing),
     /// Logs and trajectories from a recording of ROS 2
-    #[cfg(feature = "ros2")]
     #[command(hide = true)]
     Unbag(unbag::Args),
     /// Keys of the sounding exchange: a new secret of a group, and from it one robot's own
@@ -177,24 +137,12 @@ enum Command {
     /// The script with which a shell completes commands and options
     #[command(hide = true)]
     Completions(completions::Args),
-    /// Manual pages, for packages
-    #[command(hide = true)]
-    Manual(completions::ManualArgs),
-}
-
-// Arguments of a command that was not compiled in: any.
-#[cfg(not(feature = "foxglove"))]
-#[derive(clap::Args)]
-struct Missing {
-    #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
-    _any: Vec<String>,
 }
 
 /// Runs the command named by the arguments.
 pub fn run() -> ExitCode {
     let begun = std::time::Instant::now();
     // A file as large as files may be here (`ulimit -f`) is a full disk: the write fails with EFBIG, and the signal ends nothing.
-    #[cfg(feature = "live")]
     let _ = nix::sys::signal::SigSet::from_iter([nix::sys::signal::Signal::SIGXFSZ]).thread_block();
     let mut args: Vec<_> = std::env::args_os().collect();
     say::set_names(args.iter().skip(1).cloned());
@@ -210,14 +158,14 @@ pub fn run() -> ExitCode {
     });
     let (cli, matches) = parsed.unwrap_or_else(|error| {
         moved.iter().for_each(|words| notes!("{words}\n"));
-        misused(&error)
+        say::misused(&error.render().to_string(), error.exit_code(), || error.exit())
     });
     let level = match (cli.quiet, cli.verbose) {
         (true, _) => Level::Quiet,
         (false, false) => Level::Usual,
         (false, true) => Level::Verbose,
     };
-    say::set(level, cli.color);
+    say::set("csi5300", level, cli.color);
     moved.iter().for_each(|words| note!("{words}"));
     let result = outputs_are_no_inputs(&command, &matches).and_then(|()| execute(cli.command));
     detail!("{}", say::used(begun));
@@ -271,52 +219,12 @@ fn execute(command: Command) -> Result {
         Command::Replay(args) => replay::run(&args),
         #[cfg(feature = "live")]
         Command::Sound(args) => sound::run(&args),
-        #[cfg(feature = "node")]
-        Command::Node(args) => node::run(&args),
-        #[cfg(feature = "node")]
-        Command::Watch(args) => watch::run(&args),
+        Command::Node(_) | Command::Watch(_) => node::run(),
         Command::Simulate(args) => simulate::run(&args),
-        #[cfg(feature = "foxglove")]
         Command::Mcap(args) => mcap::run(&args),
-        #[cfg(not(feature = "foxglove"))]
-        Command::Mcap(_) => usage("`mcap` needs a program built with the feature: --features foxglove"),
-        #[cfg(feature = "ros2")]
         Command::Unbag(args) => unbag::run(&args),
         Command::Key(args) => key::run(&args),
         Command::Completions(args) => completions::run(&args),
-        Command::Manual(args) => completions::manual(&args),
-    }
-}
-
-/// Ends the command as wrong usage, as the argument parser does.
-pub fn usage(message: &str) -> ! {
-    wrong!("{message}");
-    std::process::exit(2);
-}
-
-/// Says which arguments make no sense, or what was asked for instead of a command (`--help`), and ends the program. `clap`
-/// repeats arguments as they are.
-fn misused(error: &clap::Error) -> ! {
-    let plain = error.render().to_string();
-    match say::printable(&plain) {
-        std::borrow::Cow::Borrowed(_) => error.exit(),
-        std::borrow::Cow::Owned(shown) => {
-            notes!("{shown}");
-            std::process::exit(error.exit_code());
-        }
-    }
-}
-
-/// Prints to standard output; a reader that went away (`| head`) ends the command quietly, a full disk does not.
-pub fn print(text: &str) {
-    use std::io::Write;
-    match std::io::stdout().write_all(say::printable(text).as_bytes()) {
-        Ok(()) => {}
-        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => std::process::exit(0),
-        Err(error) => {
-            wrong!("standard output: {error}");
-            std::process::exit(1);
-        }
     }
 }
 
@@ -330,35 +238,41 @@ pub fn progress(text: &str) {
 }
 
 /// A bar on a terminal that says how far a long command is.
-pub fn bar(steps: u64, template: &str) -> ProgressBar {
-    let target = if say::says(Level::Usual) { ProgressDrawTarget::stderr() } else { ProgressDrawTarget::hidden() };
-    let bar = ProgressBar::with_draw_target(Some(steps), target);
-    match ProgressStyle::with_template(template) {
-        Ok(style) => bar.with_style(style),
-        Err(_) => bar,
-    }
+pub struct Bar {
+    steps: u64,
+    done: AtomicU64,
+    /// Percent when it was last drawn.
+    drawn: AtomicU64,
+    what: String,
+    begun: std::time::Instant,
 }
 
-/// True where a program's end of a served room's sockets says that the room has ended: a normal end.
-#[cfg(feature = "live")]
-pub fn is_end_of_room(error: &(dyn std::error::Error + 'static)) -> bool {
-    use std::io::ErrorKind;
-    let mut cause = Some(error);
-    while let Some(error) = cause {
-        if let Some(error) = error.downcast_ref::<std::io::Error>() {
-            let ended = [ErrorKind::UnexpectedEof, ErrorKind::BrokenPipe, ErrorKind::ConnectionReset];
-            return ended.contains(&error.kind());
+/// A bar for so many steps of `what`.
+pub fn bar(steps: u64, what: &str) -> Bar {
+    let (done, drawn, what) = (AtomicU64::new(0), AtomicU64::new(u64::MAX), what.to_owned());
+    Bar { steps, done, drawn, what, begun: std::time::Instant::now() }
+}
+
+impl Bar {
+    /// One more step is done.
+    pub fn inc(&self) {
+        self.set(self.done.load(Ordering::Relaxed) + 1);
+    }
+
+    /// So many steps are done.
+    pub fn set(&self, done: u64) {
+        self.done.store(done, Ordering::Relaxed);
+        let percent = 100 * done.min(self.steps) / self.steps.max(1);
+        if self.drawn.swap(percent, Ordering::Relaxed) != percent {
+            let full = "#".repeat(percent as usize * 2 / 5);
+            let left_s = self.begun.elapsed().as_secs_f64() * (100.0 / percent.max(1) as f64 - 1.0);
+            progress(&format!("{full:-<40} {percent} % of {}, {left_s:.0} s left", self.what));
         }
-        cause = error.source();
     }
-    false
-}
 
-/// Prints one value as a line of JSON.
-pub fn print_json(value: &impl serde::Serialize) {
-    match serde_json::to_string(value) {
-        Ok(line) => print(&format!("{line}\n")),
-        Err(error) => wrong!("{error}"),
+    /// Takes it away.
+    pub fn clear(&self) {
+        progress("");
     }
 }
 

@@ -1,13 +1,17 @@
-//! `csi5300 node`.
+//! `csi5300 node` and `csi5300 watch`: the robot's service is a program of its own, `csi5300-node`, which is started with the
+//! same arguments.
 
-use super::{Outcome, Result, is_end_of_room, print, say, some, usage};
-use csi5300_node::config::{Capture, Config};
-use csi5300_node::service::{self, Ended};
+use super::Result;
+use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
+use std::process::Command;
 
-// Arguments of `node`.
+/// The robot's service.
+const PROGRAM: &str = "csi5300-node";
+
+// Arguments of `node`; what they mean is the service's.
 #[derive(clap::Args)]
-pub struct Args {
+pub struct NodeArgs {
     /// The robot's configuration; packaging/robot.toml explains every key. If not given: robot.toml in this folder, in
     /// ~/.config/csi5300 ($XDG_CONFIG_HOME), or in /etc/csi5300
     #[arg(long, value_name = "ROBOT.toml")]
@@ -17,70 +21,28 @@ pub struct Args {
     check: bool,
 }
 
-/// Runs the robot's own service.
-pub fn run(args: &Args) -> Result {
-    let found = args.config.clone().map_or_else(super::places::configuration, Ok);
-    let file = found.unwrap_or_else(|message| usage(&message));
-    // A file that is missing is no wrong usage, of any command.
-    let text = Config::text_of(&file).map_err(|error| format!("{}: cannot be read: {error}", file.display()))?;
-    let config = Config::of_file(&text, &file).unwrap_or_else(|error| {
-        let lines: Vec<String> = error.0.iter().map(|problem| format!("{}: {problem}", file.display())).collect();
-        usage(&lines.join("\ncsi5300: "))
-    });
-    if args.check {
-        print(&format!("{}: {}\n", file.display(), say::toned("good", say::Tone::Good)));
-        return Ok(Outcome::Done);
-    }
-    let name = config.name.clone().unwrap_or_else(host_name);
-    let ended = service::run(&config, name).map_err(|error| error.to_string())?;
-    notes!("{}", summary(&ended));
-    match &ended.error {
-        Some(error) if matches!(config.capture.get_ref(), Capture::Served(_)) && is_end_of_room(error) => {
-            note!("the room has ended");
-        }
-        Some(error) => return Err(error.to_string()),
-        None => {}
-    }
-    Ok(if ended.health.records == 0 && !ended.signalled {
-        Outcome::Nothing
-    } else if ended.health.lost_something() {
-        Outcome::DataLost
-    } else {
-        Outcome::Done
+// Arguments of `watch`.
+#[derive(clap::Args)]
+pub struct WatchArgs {
+    /// The node's status socket, as its configuration names it. If not given: that of the configuration which `node` finds,
+    /// else /run/csi5300/status.sock
+    #[arg(value_name = "SOCKET")]
+    socket: Option<PathBuf>,
+    /// Print one state as JSON and end
+    #[arg(long, visible_alias = "json")]
+    once: bool,
+}
+
+/// Goes on as the robot's service: the one beside this program, or else the first of the search path.
+pub fn run() -> Result {
+    let beside = std::env::current_exe().ok().map(|own| own.with_file_name(PROGRAM)).filter(|file| file.is_file());
+    let program = beside.unwrap_or_else(|| PROGRAM.into());
+    let refused = Command::new(&program).args(std::env::args_os().skip(1)).exec();
+    Err(match refused.kind() {
+        std::io::ErrorKind::NotFound => format!(
+            "the robot's service is a program of its own, {PROGRAM}, which is neither beside this one nor in PATH: packages have \
+             both, and `cargo build --release -p csi5300-node` makes it"
+        ),
+        _ => format!("{}: {refused}", program.display()),
     })
-}
-
-fn host_name() -> String {
-    std::fs::read_to_string("/proc/sys/kernel/hostname").map_or_else(|_| "robot".into(), |name| name.trim().to_owned())
-}
-
-fn summary(ended: &Ended) -> String {
-    let health = &ended.health;
-    let mut text = format!(
-        "{} and {} in {:.1} s; {}; {}\n",
-        some(health.records, "record", "records"),
-        some(health.poses.poses, "pose", "poses"),
-        health.uptime_s,
-        some(ended.bearings, "bearing", "bearings"),
-        some(health.losses, "loss", "losses")
-    );
-    for peer in &health.peers {
-        let words = peer.report.as_ref().map_or("nothing was said of it", |report| report.words.as_str());
-        let counts = &peer.counts;
-        text += &format!(
-            "  {}: {words}; {} of {} here and {} there\n",
-            peer.name,
-            some(counts.pairs, "pair", "pairs"),
-            some(counts.heard, "record", "records"),
-            counts.heard_by_peer
-        );
-    }
-    if let Some(log) = &ended.totals {
-        let missing = log.dropped + log.lost_on_disk;
-        text += &format!("  {} in the log, {missing} not\n", some(log.written, "record", "records"));
-    }
-    for trouble in &health.trouble {
-        text += &format!("  {trouble}\n");
-    }
-    text
 }

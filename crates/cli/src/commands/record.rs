@@ -102,7 +102,7 @@ enum View {
 pub fn run(args: &Args) -> Result {
     let text = |error: csi5300::source::Error| error.to_string();
     // Signals first: one that comes during the opening must not leave half a start behind.
-    let signals = Signals::catch()?;
+    let signals = Signals::catch().map_err(|error| error.to_string())?;
     let listener = args.listening.open(Needs { receive_buffer: Some(args.receive_buffer), ..Needs::default() })?;
     let rotation = Rotation { bytes: args.rotate_size, every: args.rotate_every };
     let files = LogFiles::create(&args.out, rotation, args.force).map_err(|error| create_refused(&error))?;

@@ -80,7 +80,7 @@ impl Target {
 
 /// Plays a log.
 pub fn run(args: &Args) -> Result {
-    let signals = Signals::catch()?;
+    let signals = Signals::catch().map_err(|error| error.to_string())?;
     let log = super::open_log(&args.file)?;
     let mut target = match args.connector {
         Some(index) => Target::Connector(Sender::open(index, true).map_err(|error| error.to_string())?),

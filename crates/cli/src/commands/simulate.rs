@@ -20,8 +20,7 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// The scene, a file or the name of a built-in one: lab-circle, lab-line, paper-circle, paper-line; or suite, the experiments of
     /// Dijkstra et al., each repeated: a table of errors, confidence and phase residual
-    #[cfg_attr(feature = "ros2", arg(required_unless_present_any = ["rx", "bag"]))]
-    #[cfg_attr(not(feature = "ros2"), arg(required_unless_present = "rx"))]
+    #[arg(required_unless_present_any = ["rx", "bag"])]
     scene: Option<PathBuf>,
     /// Folder for logs, trajectories and truth; of a comparison for the fitted scene, the simulated capture and pictures
     #[arg(long, value_name = "DIR")]
@@ -150,10 +149,9 @@ pub fn write(scene: &Scene, folder: &Path) -> std::result::Result<(Vec<WrittenCa
         }
     }
     let draft = super::draft::FolderDraft::new(folder)?;
-    let bar = super::bar(100, "{bar:40} {percent} % of {msg}, {eta} left");
-    bar.set_message(format!("{:.0} s", scene.duration_s));
-    let captures = write_dataset(&mut room, draft.path(), &mut |share| bar.set_position((share * 100.0) as u64));
-    bar.finish_and_clear();
+    let bar = super::bar(100, &format!("{:.0} s", scene.duration_s));
+    let captures = write_dataset(&mut room, draft.path(), &mut |share| bar.set((share * 100.0) as u64));
+    bar.clear();
     let mut captures = captures.map_err(|error| draft.words(&error.to_string()))?;
     for capture in &mut captures {
         capture.dir = draft.at_last(&capture.dir);

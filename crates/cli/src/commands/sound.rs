@@ -225,7 +225,7 @@ pub fn run(args: &Args) -> Result {
              record with --log, and use `csi5300 bearing` on the logs of both robots",
         );
     }
-    let signals = Signals::catch()?;
+    let signals = Signals::catch().map_err(|error| error.to_string())?;
     let clock = Monotonic::new();
     let now = clock.now();
     let opened = common.open(|config| {

@@ -1,7 +1,7 @@
 //! `csi5300 unbag`.
 
 use super::{Outcome, Result};
-use csi5300_node::ros2::unbag::{BagError, UnbaggedTopic, unbag};
+use csi5300_bag::unbag::{BagError, UnbaggedTopic, unbag};
 use std::path::{Path, PathBuf};
 
 // Arguments of `unbag`.

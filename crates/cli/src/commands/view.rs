@@ -5,7 +5,7 @@ use super::captures::{Reading, Which};
 use super::mounting::Mounting;
 use super::{Outcome, Result, print, usage};
 use csi5300::signal::channel::Channel;
-use csi5300_view::{Server, View};
+use csi5300_view::{Ends, Server, View};
 use driver_iface::bfee::Antenna;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -62,6 +62,8 @@ impl Args {
 
 /// Serves the page until a signal ends it.
 pub fn run(args: &Args) -> Result {
+    // Before there are threads, which inherit it.
+    let ends = Ends::catch(ends_by_hangup()).map_err(|error| error.to_string())?;
     // Before it is opened: a pipe would be waited for.
     View::check(&args.what).map_err(|error| error.to_string())?;
     super::files::must_be_log(&args.what)?;
@@ -83,7 +85,7 @@ pub fn run(args: &Args) -> Result {
     if args.open {
         open(&url);
     }
-    server.run(&view, ends_by_hangup()).map_err(|error| error.to_string())?;
+    server.run(&view, &ends).map_err(|error| error.to_string())?;
     Ok(Outcome::Done)
 }
 

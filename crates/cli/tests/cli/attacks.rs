@@ -44,6 +44,7 @@ impl Room {
 
     /// A node of robot `own` with one peer, with the key.
     fn node(&self, own: &str, peer: &str, initiate: bool) -> Program {
+        crate::with_node();
         let moves = if own == "rx" { "odometry.room = {}\n" } else { "" };
         let poses = if peer == "rx" { "poses.room = {}\n" } else { "" };
         let text = format!(

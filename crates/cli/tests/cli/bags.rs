@@ -208,9 +208,32 @@ fn compare_reads_a_recording_too() {
     };
     assert_eq!(figures(&out), figures(&expected));
     assert!(figures(&out).len() > 50);
-    assert!(crate::looking::are_documented(&out) > 7);
+    assert!(crate::documented::are_documented(&out) > 7);
     let (status, out, errors) = folder.run(&["unbag", "run.mcap", "--out", "logs", "--json"]);
-    assert_eq!((status, crate::looking::are_documented(&out)), (0, 5), "{out}{errors}");
+    assert_eq!((status, crate::documented::are_documented(&out)), (0, 5), "{out}{errors}");
     let (status, _, errors) = run(&["--bag", "run.mcap", "--force"]);
     assert!(status == 1 && errors.contains("several topics of CSI (/a/csi, /b/csi)"), "{errors}");
+}
+
+#[test]
+fn a_recording_has_more_topics_than_a_program_may_have_files_and_is_not_overwritten() {
+    let folder = Folder::new("bag-many");
+    let names: Vec<String> = (0..200).map(|k| format!("/robot_{k}/pose")).collect();
+    let one = vec![poses(&headed(&folder, Path::new(&recorded(&folder).0[2]))).remove(0)];
+    let topics: Vec<_> = names.iter().map(|name| (name.as_str(), POSES, one.clone())).collect();
+    let recording = folder.write("robot_7_pose.csv", &mcap(&topics));
+    let before = std::fs::read(&recording).unwrap();
+    let unbag = |out: &str| {
+        let mut limited = std::process::Command::new("sh");
+        limited.args(["-c", "ulimit -n 64 && exec \"$0\" \"$@\"", env!("CARGO_BIN_EXE_csi5300"), "unbag"]);
+        let said = limited.current_dir(&folder.0).args(["robot_7_pose.csv", "--force", "--out", out]).output().unwrap();
+        (said.status.code(), String::from_utf8(said.stderr).unwrap())
+    };
+    let (status, errors) = unbag("logs");
+    assert_eq!(status, Some(0), "{errors}");
+    assert_eq!(std::fs::read_dir(folder.0.join("logs")).unwrap().count(), 200);
+    let (status, errors) = unbag(".");
+    assert!(status == Some(1) && errors.contains("robot_7_pose.csv is the recording"), "{errors}");
+    assert_eq!(std::fs::read(&recording).unwrap(), before);
+    assert_eq!(std::fs::read_dir(&folder.0).unwrap().count(), 3, "nothing of what was refused is left");
 }

@@ -136,39 +136,6 @@ fn a_wsr_log_becomes_one_of_the_stock_layout_with_the_same_csi() {
     assert_eq!(side as usize, 8 * records(&std::fs::read(folder.0.join("stock-rx.dat")).unwrap()).len());
 }
 
-/// Names of fields within a value, of objects in it too; `senders` and codes have names of their own making.
-fn names(value: &serde_json::Value, found: &mut std::collections::BTreeSet<String>) {
-    match value {
-        serde_json::Value::Array(values) => values.iter().for_each(|value| names(value, found)),
-        serde_json::Value::Object(fields) => {
-            for (name, value) in fields {
-                found.insert(name.clone());
-                match name.as_str() {
-                    // Keyed by what they are of.
-                    "senders" | "summary" if value.is_object() => {
-                        value.as_object().unwrap().values().for_each(|sender| names(sender, found))
-                    }
-                    // Keyed by what was found; and what is described in place.
-                    "by_code" | "rates" | "antenna_sel" | "focus" | "plan" | "losses" | "rssi" | "agc"
-                    | "noise_dbm" => {}
-                    _ => names(value, found),
-                }
-            }
-        }
-        _ => {}
-    }
-}
-
-/// Fails where lines of JSON have a field that docs/formats.md does not name; gives how many fields they have.
-pub fn are_documented(lines: &str) -> usize {
-    let page = std::fs::read_to_string(crate::common::root().join("docs/formats.md")).unwrap();
-    let mut found = std::collections::BTreeSet::new();
-    lines.lines().for_each(|line| names(&json(line), &mut found));
-    let missing: Vec<&String> = found.iter().filter(|name| !page.contains(&format!("`{name}`"))).collect();
-    assert!(missing.is_empty(), "docs/formats.md does not name {missing:?}");
-    found.len()
-}
-
 #[test]
 fn every_field_of_json_is_in_the_documentation() {
     let folder = Folder::new("formats");
@@ -192,7 +159,6 @@ fn every_field_of_json_is_in_the_documentation() {
         &["export", "rx.dat", "rx.npz", "--json"],
         #[cfg(feature = "plot")]
         &["info", "rx.dat", "--plot", "p", "--json"],
-        #[cfg(feature = "foxglove")]
         &["mcap", "rx.dat", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--out", "m.mcap", "--json"],
         #[cfg(feature = "live")]
         &["doctor", "--root", "c", "--json"],
@@ -204,7 +170,7 @@ fn every_field_of_json_is_in_the_documentation() {
         assert!(!out.is_empty(), "{command:?}: {err}");
         found += &out;
     }
-    assert!(are_documented(&found) > 100, "{found}");
+    assert!(crate::documented::are_documented(&found) > 100, "{found}");
 }
 
 /// The page as one file holds an answer of every kind that `view` gives but a node's states, whose fields `node.rs` looks at.
@@ -228,7 +194,8 @@ fn every_field_of_the_page_is_in_the_documentation() {
         assert!(known.iter().any(|path| described.contains(path)), "docs/formats.md does not name {general}");
         // Sets stand by their names, as in the summary of `evaluate`.
         let by_set = serde_json::json!({ "summary": answer });
-        fields += are_documented(&if path == "/data/sets" { by_set } else { answer.clone() }.to_string());
+        fields +=
+            crate::documented::are_documented(&if path == "/data/sets" { by_set } else { answer.clone() }.to_string());
     }
     assert!(fields > 100, "{fields} fields: {answers}");
 }
@@ -256,10 +223,6 @@ fn commands_end_alike() {
     std::fs::create_dir(folder.0.join("room")).unwrap();
     let (status, _, err) = folder.run(&["simulate", "room", "--out", "again"]);
     assert!(status == 1 && err.contains("cannot read room: ") && err.matches("room").count() == 1, "{err}");
-    if cfg!(not(feature = "foxglove")) {
-        let (status, _, err) = folder.run(&["mcap", "rx.dat", "-o", "x.mcap"]);
-        assert!(status == 2 && err.contains("foxglove"), "{err}");
-    }
     let (_, help, _) = folder.run(&["--help"]);
     assert!(help.contains("Exit status, of every command"), "{help}");
 }

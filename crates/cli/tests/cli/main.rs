@@ -3,6 +3,8 @@
 
 #[path = "../../../../tests/common/mod.rs"]
 mod common;
+#[path = "../../../../tests/common/documented.rs"]
+mod documented;
 #[cfg(feature = "live")]
 #[path = "../../../../tests/common/private.rs"]
 mod private;
@@ -10,11 +12,10 @@ mod private;
 // Tests start in the order of their names; those that wait the longest are the first.
 #[cfg(feature = "live")]
 mod air;
-#[cfg(feature = "node")]
+#[cfg(feature = "live")]
 mod answers;
-#[cfg(feature = "node")]
+#[cfg(feature = "live")]
 mod attacks;
-#[cfg(feature = "ros2")]
 mod bags;
 mod commands;
 mod compare;
@@ -25,17 +26,31 @@ mod full;
 mod looking;
 #[cfg(feature = "live")]
 mod monitor;
-#[cfg(feature = "node")]
-mod node;
 #[cfg(unix)]
 mod outputs;
-#[cfg(feature = "zenoh")]
-mod peers;
 #[cfg(feature = "live")]
 mod recording;
 mod recovering;
 #[cfg(feature = "live")]
 mod served;
-#[cfg(feature = "node")]
+#[cfg(feature = "view")]
 mod signalled;
 mod words;
+
+/// Builds the robot's service, which `csi5300 node` starts, where it is not beside the program yet: a test of this package alone
+/// builds no other's.
+#[cfg(feature = "live")]
+fn with_node() {
+    static ONCE: std::sync::Once = std::sync::Once::new();
+    ONCE.call_once(|| {
+        let program = std::path::Path::new(env!("CARGO_BIN_EXE_csi5300"));
+        if program.with_file_name("csi5300-node").exists() {
+            return;
+        }
+        let (folder, target) = (program.parent().unwrap(), program.ancestors().nth(2).unwrap());
+        let profile = if folder.ends_with("debug") { "dev" } else { folder.file_name().unwrap().to_str().unwrap() };
+        let mut cargo = std::process::Command::new(env!("CARGO"));
+        cargo.args(["build", "--quiet", "--package", "csi5300-node", "--profile", profile, "--target-dir"]).arg(target);
+        assert!(cargo.current_dir(common::root()).status().unwrap().success(), "csi5300-node is not built");
+    });
+}

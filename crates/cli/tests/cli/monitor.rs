@@ -292,7 +292,7 @@ fn parse(frame: &[u8]) -> native::Repr {
 /// The last line of `sound --json`, where so many answers at least were heard.
 fn summary_is_right(out: &str, heard: usize) {
     let row = &crate::commands::json(out)["summary"];
-    assert!(crate::looking::are_documented(&row.to_string()) > 10, "{out}");
+    assert!(crate::documented::are_documented(&row.to_string()) > 10, "{out}");
     let (forward, answered) = (row["forward"].as_u64().unwrap(), row["answered"].as_u64().unwrap());
     assert!(forward >= answered && answered as usize + 1 >= heard, "{row}");
     assert_eq!((row["peers"][0]["forward"].as_u64(), row["confirmed"].is_null()), (Some(forward), true), "{row}");
@@ -301,7 +301,7 @@ fn summary_is_right(out: &str, heard: usize) {
 
 /// The line of `respond --json`, where so many answers at least were on the air.
 fn answers_are_right(out: &str, heard: usize) {
-    assert!(crate::looking::are_documented(out) > 10, "{out}");
+    assert!(crate::documented::are_documented(out) > 10, "{out}");
     let row = crate::commands::json(out);
     assert!(row["answers"].as_u64() >= Some(heard as u64) && row["forward"] == 0, "{row}");
     assert!(row["turn_around_us"]["max"].is_u64() && row["error"].is_null() && row["records"].is_null(), "{row}");

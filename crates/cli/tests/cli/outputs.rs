@@ -118,7 +118,7 @@ fn no_output_is_an_input() {
     let endings = ["csv", "npz", "mcap", "html", "dat"];
     let mut refused = 0;
     for (read, args) in RUNS {
-        if !cfg!(all(feature = "live", feature = "plot", feature = "ros2", feature = "foxglove", feature = "view")) {
+        if !cfg!(all(feature = "live", feature = "plot", feature = "view")) {
             crate::common::skipped("commands of other features");
             return;
         }

@@ -279,12 +279,12 @@ fn a_replayed_log_arrives_through_the_kernel() {
     let said = String::from_utf8(replay.stdout).unwrap();
     let row = crate::commands::json(&said);
     assert_eq!((row["records"].as_u64(), row["cut"].as_bool()), (Some(300), Some(false)), "{said}");
-    assert!(crate::looking::are_documented(&said) >= 7);
+    assert!(crate::documented::are_documented(&said) >= 7);
     assert!(running.child.wait().unwrap().success());
     let mut said = String::new();
     running.child.stdout.take().unwrap().read_to_string(&mut said).unwrap();
     assert_eq!(crate::commands::json(&said)["records"], 300, "{said}");
-    assert!(crate::looking::are_documented(&said) >= 7, "{said}");
+    assert!(crate::documented::are_documented(&said) >= 7, "{said}");
     assert_eq!(std::fs::read(&first).unwrap(), std::fs::read(&second).unwrap());
     std::fs::remove_dir_all(folder).unwrap();
 }

@@ -116,8 +116,8 @@ fn an_interface_is_one_program_s_at_a_time_and_forgets_nothing_it_was_not_told()
 
 /// Two nodes, of `rx` and of `tx`, with these configurations in a room that another program serves, until the robot on
 /// circles has made so many bearings. Gives its last one, which is right to two degrees, and what the room said.
-#[cfg(feature = "node")]
 pub fn two_nodes(name: &str, [rx, tx]: &[String; 2], least: usize) -> (serde_json::Value, String) {
+    crate::with_node();
     use crate::air::{LIVE, Program};
     let folder = std::env::temp_dir().join(format!("csi5300-{name}-{}", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();

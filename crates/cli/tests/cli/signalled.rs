@@ -1,12 +1,9 @@
-//! `watch` and `view` until a signal comes: the terminal is as it was, and the end is a good one.
+//! `view` until a signal comes, and the end is a good one.
 
 use super::commands::Folder;
-use nix::pty::{Winsize, openpty};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
-use std::fs::File;
 use std::io::{Read, Write};
-use std::os::unix::net::UnixListener;
 use std::process::{Child, Command, Stdio};
 
 /// The program, started with signals as usual: tests may run with SIGHUP ignored. `None` where `env` cannot do that.
@@ -25,78 +22,6 @@ fn send(child: &Child, signal: Signal) {
     kill(Pid::from_raw(child.id() as i32), signal).unwrap();
 }
 
-#[test]
-fn a_signal_gives_the_terminal_back_as_it_was() {
-    let folder = Folder::new("watch-signals");
-    for signal in [Signal::SIGTERM, Signal::SIGINT, Signal::SIGHUP, Signal::SIGQUIT] {
-        let Some(mut command) = usual() else { return };
-        let socket = folder.0.join(format!("{signal}.sock"));
-        let node = UnixListener::bind(&socket).unwrap();
-        let terminal = openpty(&Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 }, None).unwrap();
-        let side = || Stdio::from(terminal.slave.try_clone().unwrap());
-        let mut child = command
-            .arg("watch")
-            .arg(&socket)
-            .stdin(side())
-            .stdout(side())
-            .stderr(side())
-            .env("TERM", "xterm")
-            .spawn()
-            .unwrap();
-        let mut state = node.accept().unwrap().0;
-        state.write_all(b"{\"name\": \"burger-7\"}\n").unwrap();
-        let echoes = || {
-            let flags = nix::sys::termios::tcgetattr(&terminal.slave).unwrap().local_flags;
-            flags.contains(nix::sys::termios::LocalFlags::ECHO | nix::sys::termios::LocalFlags::ICANON)
-        };
-        let mut screen = File::from(terminal.master.try_clone().unwrap());
-        let (mut shown, mut bytes) = (String::new(), [0; 4096]);
-        while !shown.contains("burger-7") {
-            let count = screen.read(&mut bytes).unwrap();
-            shown += &String::from_utf8_lossy(&bytes[..count]);
-        }
-        assert!(shown.contains("\x1b[?1049h") && !echoes(), "{signal}: it is on a screen of its own");
-        send(&child, signal);
-        assert_eq!(child.wait().unwrap().code(), Some(0), "{signal}");
-        assert!(echoes(), "{signal}");
-        nix::unistd::write(&terminal.slave, b"end").unwrap();
-        while !shown.ends_with("end") {
-            let count = screen.read(&mut bytes).unwrap();
-            shown += &String::from_utf8_lossy(&bytes[..count]);
-        }
-        assert!(shown.contains("\x1b[?1049l"), "{signal}: {shown:?}");
-        assert!(shown.rfind("\x1b[?25h") > shown.rfind("\x1b[?25l"), "{signal}: {shown:?}");
-    }
-}
-
-/// As when an SSH session or a pane goes and the hangup does not reach the program (`nohup`, another session): the end of the
-/// terminal is all that there is to see.
-#[test]
-fn a_terminal_that_ends_ends_what_is_shown_on_it() {
-    let folder = Folder::new("watch-ended");
-    let socket = folder.0.join("status.sock");
-    let node = UnixListener::bind(&socket).unwrap();
-    let terminal = openpty(&Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 }, None).unwrap();
-    let side = || Stdio::from(terminal.slave.try_clone().unwrap());
-    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300"));
-    command.arg("watch").arg(&socket).stdin(side()).stdout(side()).stderr(Stdio::null()).env("TERM", "xterm");
-    let mut child = command.spawn().unwrap();
-    drop(command);
-    let mut state = node.accept().unwrap().0;
-    state.write_all(b"{\"name\": \"burger-7\"}\n").unwrap();
-    let mut screen = File::from(terminal.master);
-    let (mut shown, mut bytes) = (String::new(), [0; 4096]);
-    while !shown.contains("burger-7") {
-        let count = screen.read(&mut bytes).unwrap();
-        shown += &String::from_utf8_lossy(&bytes[..count]);
-    }
-    // Part of an arrow key, after which crossterm would wait for the rest.
-    screen.write_all(b"\x1b[").unwrap();
-    drop((screen, terminal.slave));
-    assert_eq!(child.wait().unwrap().code(), Some(0));
-}
-
-#[cfg(feature = "view")]
 #[test]
 fn a_signal_ends_the_page_as_it_ends_a_recording() {
     use std::io::{BufRead, BufReader};
@@ -120,7 +45,6 @@ fn a_signal_ends_the_page_as_it_ends_a_recording() {
     }
 }
 
-#[cfg(feature = "view")]
 #[test]
 fn a_pipe_is_no_log_for_the_page() {
     let folder = Folder::new("view-pipe");

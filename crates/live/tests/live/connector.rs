@@ -3,7 +3,7 @@
 use crate::private::{Got, body, inside, listen, send, take};
 use csi5300::source::{CsiSource, Loss, Next, Refused};
 use csi5300::time::Instant;
-use csi5300_live::netlink::{Found, Netlink, Options, Sender, Stream};
+use csi5300_live::netlink::{Found, Netlink, Options, Sender};
 use csi5300_live::wait::Monotonic;
 use driver_iface::connector::{CN_IDX, CN_IDX_10_USERS, CN_VAL, Repr};
 use driver_iface::record::{MAX_LENGTH, Record, code};
@@ -200,38 +200,6 @@ fn a_missing_capability_is_said_with_its_remedy() {
     }
     let refused = Netlink::open(&Options::default().with_allow_user_sender(true)).unwrap_err().to_string();
     assert!(refused.contains("setcap cap_net_admin+ep"), "{refused}");
-}
-
-#[test]
-fn tokio_reads_the_same_records() {
-    if !inside(concat!(module_path!(), "::tokio_reads_the_same_records"), "-Urn") {
-        return;
-    }
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().unwrap();
-    runtime.block_on(async {
-        let mut stream = Stream::new(listen(32 * 1024, Some(CN_IDX))).unwrap();
-        let mut sender = Sender::open(CN_IDX, true).unwrap();
-        let (mut received, mut lost) = (0_u64, 0);
-        for _ in 0..3 {
-            send(&mut sender, 0..2_000);
-            let mut given = 0;
-            while given == 0 {
-                given = stream
-                    .next_batch(
-                        || Instant::ZERO,
-                        |next| match next {
-                            Next::Record(..) => received += 1,
-                            Next::Lost(Loss::Overrun { dropped: Some(dropped) }) => lost += dropped,
-                            other => panic!("{other:?}"),
-                        },
-                    )
-                    .await
-                    .unwrap();
-            }
-        }
-        assert_eq!(received + lost, 6_000);
-        assert_eq!(stream.listener().counters().overruns, 3);
-    });
 }
 
 #[test]

@@ -154,6 +154,13 @@ impl Config {
         if problems.is_empty() { Ok(config) } else { Err(ConfigError(problems)) }
     }
 
+    /// The robot's name: the configured one, that of the room's robot, or the MAC.
+    #[must_use]
+    pub fn robot(&self) -> String {
+        let in_room = self.capture.get_ref().robot().map(str::to_owned);
+        self.name.clone().or(in_room).or_else(|| Some(self.mac?.to_string())).unwrap_or_default()
+    }
+
     /// The options of the pipeline.
     #[must_use]
     pub fn options(&self) -> Options {

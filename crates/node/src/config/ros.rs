@@ -23,7 +23,7 @@ pub struct Topic {
     pub frame: Option<String>,
 }
 
-/// This program as a node of ROS 1 (feature `ros1`).
+/// This program as a node of ROS 1, through rospy.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Ros {
@@ -57,9 +57,7 @@ impl Ros {
     /// The name of the node: that of the robot where none is asked for, or of the room's robot, or the MAC.
     #[must_use]
     pub fn node(&self, config: &Config) -> String {
-        let in_room = config.capture.get_ref().robot().map(str::to_owned);
-        let robot = config.name.clone().or(in_room).or_else(|| Some(config.mac?.to_string())).unwrap_or_default();
-        self.node.clone().unwrap_or_else(|| format!("/csi5300_{}", name_part(&robot)))
+        self.node.clone().unwrap_or_else(|| format!("/csi5300_{}", name_part(&config.robot())))
     }
 }
 
@@ -80,14 +78,10 @@ fn wrong_name(name: &str) -> Option<String> {
     (!good).then(|| format!("`{name}` is no name in ROS: one looks like /tb3_0/odom"))
 }
 
-const NO_FEATURE: &str = "needs a program built with `--features ros1`";
-
 /// What is wrong with poses from a topic, of this robot, of a peer, or of a robot that the room follows: the key below
 /// `ros`, if it is one, and why.
 pub(super) fn wrong_topic(topic: &Topic, peers: bool) -> Option<(Option<&'static str>, String)> {
-    if !cfg!(feature = "ros1") {
-        Some((None, format!("`ros` poses: {NO_FEATURE}")))
-    } else if peers && topic.stamp == Some(Stamp::Receipt) {
+    if peers && topic.stamp == Some(Stamp::Receipt) {
         // How far a peer's clock is ahead is taken from the exchanges, and applied to its poses.
         Some((Some("stamp"), "a peer's poses have the times of its own clock: `stamp = \"header\"`".into()))
     } else {
@@ -109,7 +103,7 @@ fn wrong_source(room: &Room, odometry: &Odometry) -> Option<String> {
         Odometry::Ros2(topic) if topic.stamp == Some(Stamp::Header) => {
             Some("the room goes by the times at which poses come: `stamp = \"receipt\"`, or none".into())
         }
-        Odometry::Ros2(topic) => super::ros2::wrong_topic(topic, false).map(|(_, why)| why),
+        Odometry::Ros2(topic) => csi5300_ros2::settings::wrong_topic(topic, false).map(|(_, why)| why),
         _ => Some("a robot follows `ros2`, `ros` or `csv`".into()),
     }
 }
@@ -140,9 +134,6 @@ pub(super) fn wrong_followed<'r>(room: &'r Room, scene: &Scene) -> Vec<(Option<&
 
 /// What is wrong with the `[ros]` table: the key, if it is one, and why.
 pub(super) fn wrong_ros(ros: &Ros) -> Option<(Option<&'static str>, String)> {
-    if !cfg!(feature = "ros1") {
-        return Some((None, format!("[ros] {NO_FEATURE}")));
-    }
     let master = ros.master.as_ref().filter(|master| !master.starts_with("http://"));
     if let Some(master) = master {
         return Some((Some("master"), format!("master `{master}`: one looks like http://192.168.1.10:11311")));

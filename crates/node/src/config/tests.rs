@@ -139,18 +139,14 @@ fn robots_of_a_room_follow_what_there_is() {
         assert!(refused.starts_with("line 2: ") && refused.contains(why), "{refused}");
     }
     let topic = read(", follow = { a.ros.topic = \"/a/odom\" }");
-    if cfg!(feature = "ros1") {
-        assert!(ros::is_used(&topic.unwrap()));
-        for (follow, why) in [
-            (", follow = { a.ros.topic = \"odom\" }", "no name in ROS"),
-            (", speed = 2.0, follow = { a.ros.topic = \"/odom\" }", "of now"),
-            (", follow = { a.ros = { topic = \"/odom\", stamp = \"header\" } }", "at which poses come"),
-        ] {
-            let refused = read(follow).unwrap_err();
-            assert!(refused.starts_with("line 2: ") && refused.contains(why), "{refused}");
-        }
-    } else {
-        assert!(topic.unwrap_err().contains("--features ros1"));
+    assert!(ros::is_used(&topic.unwrap()));
+    for (follow, why) in [
+        (", follow = { a.ros.topic = \"odom\" }", "no name in ROS"),
+        (", speed = 2.0, follow = { a.ros.topic = \"/odom\" }", "of now"),
+        (", follow = { a.ros = { topic = \"/odom\", stamp = \"header\" } }", "at which poses come"),
+    ] {
+        let refused = read(follow).unwrap_err();
+        assert!(refused.starts_with("line 2: ") && refused.contains(why), "{refused}");
     }
     std::fs::remove_dir_all(&folder).unwrap();
 }
@@ -162,12 +158,6 @@ fn a_node_of_ros_is_checked_like_everything_else() {
     let read = |text: &str| Config::read(text, &std::env::temp_dir()).map_err(|error| error.to_string());
     let in_room = refused(&ROOM.replace("odometry.room = {}", "odometry.ros.topic = \"/odom\""));
     assert!(in_room.starts_with("line 3: `ros` poses are of now"), "{in_room}");
-    if !cfg!(feature = "ros1") {
-        let lines: Vec<String> = read(card).unwrap_err().lines().map(str::to_owned).collect();
-        assert!(lines.len() == 2 && lines.iter().all(|line| line.contains("--features ros1")), "{lines:?}");
-        assert!(lines[0].starts_with("line 4: `ros` poses") && lines[1].starts_with("line 5: [ros]"), "{lines:?}");
-        return;
-    }
     let config = read(card).unwrap();
     assert!(ros::is_used(&config));
     let ros = config.ros.clone().unwrap();
@@ -194,8 +184,7 @@ fn a_node_of_ros_is_checked_like_everything_else() {
 #[test]
 fn the_example_for_simulators_is_good() {
     let file = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../..")).join("examples/ros/robot.toml");
-    let problems = Config::load(&file).err().map(|error| error.to_string()).unwrap_or_default();
-    assert!(problems.lines().all(|line| !cfg!(feature = "ros1") && line.contains("--features ros1")), "{problems}");
+    Config::load(&file).unwrap();
 }
 
 #[test]

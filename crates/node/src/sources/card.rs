@@ -1,16 +1,17 @@
 //! The card of this machine.
 
 use super::Opened;
-use crate::config::{Card, Stock};
+use crate::config::{Card, Stock as Asked};
 use crate::threads::CardThread;
 use csi5300::source::Error;
-use csi5300_live::netlink::{Netlink, Options};
+use csi5300_live::netlink::{self, Netlink};
+use csi5300_live::stock::{self, Stock};
 use driver_iface::Mac;
 
 /// Listens to the driver, on a thread of its own.
 pub(super) fn open(card: &Card, wall_us: fn() -> Option<i64>) -> Result<Opened, Error> {
     let (connector_index, allow_user_sender) = (card.connector_index, card.allow_user_sender);
-    let options = Options::default()
+    let options = netlink::Options::default()
         .with_connector_index(connector_index)
         .with_allow_user_sender(allow_user_sender)
         .with_wall_us(wall_us);
@@ -19,24 +20,15 @@ pub(super) fn open(card: &Card, wall_us: fn() -> Option<i64>) -> Result<Opened, 
 
 /// The same by the eBPF program, under the kernel's own driver. `own` is this robot's MAC, and `frames` says whether their
 /// tags are checked.
-#[cfg(feature = "stock")]
 pub(super) fn open_stock(
-    asked: &Stock,
+    asked: &Asked,
     own: Option<Mac>,
     frames: bool,
     wall_us: fn() -> Option<i64>,
 ) -> Result<Opened, Error> {
-    use csi5300_live::stock::{Options, Stock};
-
     let records = driver_iface::stock::Options::default().with_frames(asked.frames || frames);
-    let options = Options::default().with_records(records).with_own(own).with_wall_us(wall_us);
+    let options = stock::Options::default().with_records(records).with_own(own).with_wall_us(wall_us);
     opened(CardThread::start(Stock::open(&options)?)?)
-}
-
-/// A configuration that asks for it was refused.
-#[cfg(not(feature = "stock"))]
-pub(super) fn open_stock(_: &Stock, _: Option<Mac>, _: bool, _: fn() -> Option<i64>) -> Result<Opened, Error> {
-    Err(crate::NodeError::WithoutStock.into())
 }
 
 /// A card's records come when they come.

@@ -5,23 +5,11 @@ mod poses;
 mod replay;
 mod rolling;
 mod room;
-#[cfg(feature = "ros1")]
-mod ros;
-#[cfg(not(feature = "ros1"))]
-#[path = "ros_absent.rs"]
-mod ros;
-#[cfg(feature = "ros2")]
-mod ros2;
-#[cfg(not(feature = "ros2"))]
-#[path = "ros2_absent.rs"]
-mod ros2;
 mod serial;
 mod served;
 
-pub(crate) use ros::RosNode;
-pub(crate) use ros2::Ros2Node;
-
 use crate::NodeError;
+use crate::adapters::Adapter;
 use crate::config::{CameraMount, Capture, Config, Odometry, Peer as PeerConfig, Records};
 use csi5300::motion::odometry::OdometrySource;
 use csi5300::motion::odometry::replay::Mounted;
@@ -33,7 +21,7 @@ use driver_iface::Mac;
 use nalgebra::Vector3;
 use replay::Replayed;
 use room::SharedRoom;
-use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
 use std::path::Path;
 
 /// A source of records that may move to another thread.
@@ -58,7 +46,7 @@ pub struct Sources {
     /// This robot's records.
     pub capture: Card,
     /// Something to wait on for more records, for a source that does not know when they come.
-    pub wake: Option<OwnedFd>,
+    pub wake: Option<UnixStream>,
     /// This robot's poses.
     pub poses: Option<Poses>,
     /// Its place, if it never moves.
@@ -67,16 +55,12 @@ pub struct Sources {
     pub peers: Vec<PeerSources>,
     /// Times real time.
     pub speed: f64,
-    /// This program as a node of ROS.
-    pub(crate) ros: RosNode,
-    /// This program as a node of ROS 2.
-    pub(crate) ros2: Ros2Node,
 }
 
 /// This robot's records, opened.
 struct Opened {
     card: Card,
-    wake: Option<OwnedFd>,
+    wake: Option<UnixStream>,
     /// The MAC of the card, where the source says it.
     mac: Option<Mac>,
     /// Times real time.
@@ -96,8 +80,7 @@ struct Shared<'a> {
     start: Instant,
     /// Reads the host's wall clock.
     wall_us: fn() -> Option<i64>,
-    ros: RosNode,
-    ros2: Ros2Node,
+    adapters: &'a mut [Box<dyn Adapter>],
     /// The simulated room of this process.
     room: Option<SharedRoom>,
     /// The socket of a room that another program runs.
@@ -107,14 +90,17 @@ struct Shared<'a> {
 }
 
 impl Sources {
-    /// Opens everything; the sources' time begins at `start`. `wall_us` reads the host's wall clock.
+    /// Opens everything; the sources' time begins at `start`. `wall_us` reads the host's wall clock, and `adapters` have poses.
     ///
     /// # Errors
     /// What cannot be opened, with what to do about it.
-    pub fn open(config: &Config, start: Instant, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
-        let ros = RosNode::start(config, wall_us)?;
-        let ros2 = Ros2Node::start(config, wall_us)?;
-        let mut shared = Shared { start, wall_us, ros, ros2, room: None, served: None, replayed: None };
+    pub fn open(
+        config: &Config,
+        start: Instant,
+        wall_us: fn() -> Option<i64>,
+        adapters: &mut [Box<dyn Adapter>],
+    ) -> Result<Self, Error> {
+        let mut shared = Shared { start, wall_us, adapters, room: None, served: None, replayed: None };
         let capture = config.capture.get_ref();
         let Opened { card, wake, mac, speed } = shared.capture(capture, config)?;
         let own = config.mac.or(mac);
@@ -123,8 +109,14 @@ impl Sources {
         let (poses, track) = shared.poses(&config.odometry, robot, mount)?;
         let peers = config.peer.iter().map(|peer| shared.peer(peer.get_ref())).collect::<Result<_, _>>()?;
         let own = own.ok_or(NodeError::OwnMac)?;
-        Ok(Self { own, capture: card, wake, poses, track, peers, speed, ros: shared.ros, ros2: shared.ros2 })
+        Ok(Self { own, capture: card, wake, poses, track, peers, speed })
     }
+}
+
+/// Poses of an adapter, with the time that is usual unless the configuration says which.
+fn adapted(adapters: &mut [Box<dyn Adapter>], odometry: &Odometry, usual: Stamp) -> Result<Poses, Error> {
+    let found = adapters.iter_mut().find_map(|adapter| adapter.poses(odometry, usual));
+    found.ok_or_else(|| NodeError::NoAdapter.into())
 }
 
 impl<'a> Shared<'a> {
@@ -150,8 +142,7 @@ impl<'a> Shared<'a> {
                 room.follow(&asked.follow, |robot, odometry| match odometry {
                     Odometry::Csv(file) => poses::trajectory(file, None, self.start),
                     // The room's time is that of this host.
-                    Odometry::Ros(topic) => self.ros.poses(topic, Stamp::Receipt),
-                    Odometry::Ros2(topic) => self.ros2.poses(topic, Stamp::Receipt),
+                    Odometry::Ros(_) | Odometry::Ros2(_) => adapted(self.adapters, odometry, Stamp::Receipt),
                     _ => Err(NodeError::Follows { robot: robot.to_owned() }.into()),
                 })?;
                 let (card, mac) = room.own_card(&asked.robot)?;
@@ -162,7 +153,7 @@ impl<'a> Shared<'a> {
     }
 
     /// A source of poses, or the place of a robot that has none.
-    fn poses(&self, odometry: &Odometry, robot: &str, mount: Mounting) -> Result<(Option<Poses>, Track), Error> {
+    fn poses(&mut self, odometry: &Odometry, robot: &str, mount: Mounting) -> Result<(Option<Poses>, Track), Error> {
         let source: Poses = match odometry {
             Odometry::Static(place) => return Ok((None, poses::still(place, mount.antenna_m))),
             Odometry::Network(_) => return Ok((None, Track::default())),
@@ -170,8 +161,7 @@ impl<'a> Shared<'a> {
                 let origin_s = self.replayed.as_ref().map_or(0.0, |replayed| replayed.origin_s);
                 poses::trajectory(file, Some(origin_s), self.start)?
             }
-            Odometry::Ros(topic) => self.ros.poses(topic, Stamp::Header)?,
-            Odometry::Ros2(topic) => self.ros2.poses(topic, Stamp::Header)?,
+            Odometry::Ros(_) | Odometry::Ros2(_) => adapted(self.adapters, odometry, Stamp::Header)?,
             Odometry::Room(_) => match (self.served, &self.room) {
                 (Some(socket), _) => served::poses(socket, robot)?,
                 (None, Some(room)) => room.poses(robot)?,

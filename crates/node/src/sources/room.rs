@@ -31,7 +31,7 @@ impl SharedRoom {
     pub(super) fn follow(
         &mut self,
         sources: &BTreeMap<String, Odometry>,
-        open: impl Fn(&str, &Odometry) -> Result<Poses, Error>,
+        mut open: impl FnMut(&str, &Odometry) -> Result<Poses, Error>,
     ) -> Result<(), Error> {
         for (name, odometry) in sources {
             let source = open(name, odometry)?;

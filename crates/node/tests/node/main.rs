@@ -3,7 +3,11 @@
 
 #[path = "../../../../tests/common/mod.rs"]
 mod common;
+#[path = "../../../../tests/common/documented.rs"]
+mod documented;
 
-#[cfg(feature = "ros2")]
-mod fuzz_corpus;
+#[cfg(feature = "zenoh")]
+mod peers;
+mod program;
 mod robots;
+mod watching;

@@ -22,7 +22,7 @@ fn folder(name: &str) -> PathBuf {
 
 /// A robot that was configured, ready to run in virtual time.
 fn machine(config: &Config) -> Machine {
-    let sources = Sources::open(config, Instant::ZERO, || None).unwrap();
+    let sources = Sources::open(config, Instant::ZERO, || None, &mut []).unwrap();
     let plain = |card| Ok(Capture::Plain(card));
     Machine::new(sources, plain, config.estimator_settings(), config.options(), Instant::ZERO).unwrap()
 }
@@ -185,7 +185,7 @@ impl CsiSource for Vanishes {
 fn the_bearing_of_a_peer_that_vanished_grows_old() {
     let folder = folder("ring-vanish");
     let config = config(&folder, &scene(2, false), 2, false);
-    let mut sources = Sources::open(&config, Instant::ZERO, || None).unwrap();
+    let mut sources = Sources::open(&config, Instant::ZERO, || None, &mut []).unwrap();
     let records = sources.peers[0].records.take().unwrap();
     sources.peers[0].records = Some(Box::new(Vanishes(records, Instant::from_us(12_000_000))));
     let plain = |card| Ok(Capture::Plain(card));

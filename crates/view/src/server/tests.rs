@@ -4,31 +4,25 @@ use csi5300::pipeline::Options;
 use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::evaluate::TrajectorySource;
 use std::path::Path;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
 
-/// A server of the fixtures, for as long as `ask` takes.
-fn with_server<T>(ask: impl AsyncFnOnce(SocketAddr, Arc<View>) -> T) -> T {
+/// A server of the fixtures.
+fn with_server<T>(ask: impl FnOnce(SocketAddr, Arc<View>) -> T) -> T {
     let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures");
     let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
     let view = View::open(&fixtures, Reading::new(TrajectorySource::GroundTruth, None, options)).unwrap();
     let (view, server) = (Arc::new(view), Server::listen("127.0.0.1:0".parse().unwrap()).unwrap());
     let address = server.address();
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
-    runtime.block_on(async {
-        let listener = tokio::net::TcpListener::from_std(server.listener).unwrap();
-        tokio::spawn(accept(listener, address, Arc::clone(&view)));
-        ask(address, view).await
-    })
+    server.start(Arc::clone(&view)).unwrap();
+    ask(address, view)
 }
 
 /// All that comes to one request, whose connection then ends.
-async fn asked(address: SocketAddr, request: &str) -> String {
-    let mut stream = TcpStream::connect(address).await.unwrap();
-    stream.write_all(request.as_bytes()).await.unwrap();
+fn asked(address: SocketAddr, request: &str) -> String {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
     let mut answer = Vec::new();
     // Of a head that is too long the rest is thrown away, and the connection with it.
-    let _ = stream.read_to_end(&mut answer).await;
+    let _ = stream.read_to_end(&mut answer);
     String::from_utf8_lossy(&answer).into_owned()
 }
 
@@ -38,8 +32,8 @@ fn request(line: &str, more: &str) -> String {
 
 #[test]
 fn answers_have_their_status_and_may_load_nothing_from_elsewhere() {
-    with_server(async |address, _| {
-        let page = asked(address, &request("GET /", "")).await;
+    with_server(|address, _| {
+        let page = asked(address, &request("GET /", ""));
         assert!(page.starts_with("HTTP/1.1 200") && page.contains("<!doctype html>"), "{page}");
         for header in [
             "content-security-policy: default-src 'none'",
@@ -60,28 +54,28 @@ fn answers_have_their_status_and_may_load_nothing_from_elsewhere() {
             ("GET /events", "Sec-Fetch-Site: cross-site\r\n", "403"),
         ];
         for (line, more, status) in known {
-            let answer = asked(address, &request(line, more)).await;
+            let answer = asked(address, &request(line, more));
             assert!(answer.starts_with(&format!("HTTP/1.1 {status}")), "{line} {more}: {answer}");
         }
-        let nameless = asked(address, "GET / HTTP/1.1\r\nHost: evil.example\r\nConnection: close\r\n\r\n").await;
+        let nameless = asked(address, "GET / HTTP/1.1\r\nHost: evil.example\r\nConnection: close\r\n\r\n");
         assert!(nameless.starts_with("HTTP/1.1 403"), "{nameless}");
-        let endless = asked(address, &request("GET /", &format!("X: {}\r\n", "x".repeat(HEAD)))).await;
+        let endless = asked(address, &request("GET /", &format!("X: {}\r\n", "x".repeat(HEAD))));
         assert!(!endless.starts_with("HTTP/1.1 200"), "{endless}");
     });
 }
 
 #[test]
 fn events_come_as_they_happen() {
-    with_server(async |address, view| {
-        let mut stream = TcpStream::connect(address).await.unwrap();
-        stream.write_all(request("GET /events", "").as_bytes()).await.unwrap();
+    with_server(|address, view| {
+        let mut stream = TcpStream::connect(address).unwrap();
+        stream.write_all(request("GET /events", "").as_bytes()).unwrap();
         let mut said = [0; 1024];
-        let head = stream.read(&mut said).await.unwrap();
+        let head = stream.read(&mut said).unwrap();
         assert!(String::from_utf8_lossy(&said[..head]).contains("content-type: text/event-stream"));
         view.events.tell("rows", "{\"done\":1}");
         let mut text = String::new();
         while !text.contains("data: {\"done\":1}") {
-            let more = stream.read(&mut said).await.unwrap();
+            let more = stream.read(&mut said).unwrap();
             assert!(more > 0, "{text}");
             text += &String::from_utf8_lossy(&said[..more]);
         }
@@ -90,13 +84,13 @@ fn events_come_as_they_happen() {
 
 #[test]
 fn connections_are_not_without_number_and_one_that_goes_makes_room() {
-    with_server(async |address, _| {
+    with_server(|address, _| {
         let mut idle = Vec::new();
         for _ in 0..CONNECTIONS {
-            idle.push(TcpStream::connect(address).await.unwrap());
+            idle.push(TcpStream::connect(address).unwrap());
         }
-        assert_eq!(asked(address, &request("GET /", "")).await, "", "no place is left");
+        assert_eq!(asked(address, &request("GET /", "")), "", "no place is left");
         drop(idle.pop());
-        while asked(address, &request("GET /", "")).await.is_empty() {}
+        while asked(address, &request("GET /", "")).is_empty() {}
     });
 }

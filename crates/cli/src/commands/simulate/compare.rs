@@ -5,7 +5,6 @@ use super::super::draft;
 use super::super::inputs::{BagArgs, Inputs};
 #[cfg(feature = "plot")]
 use super::super::pictures;
-use super::super::say::{Tone, toned};
 use super::super::{
     Outcome, Result, fixed, is_same_file, print, print_json, progress, read_trajectory, simulate, some, usage,
 };
@@ -16,6 +15,7 @@ use csi5300::signal::channel::{Channel, Width};
 use csi5300_lab::compare::fit::{Known, check_width};
 use csi5300_lab::compare::{FigureRow, Figures, Verdict, channel_of, fit, measure, rows, scene_channel};
 use csi5300_lab::evaluate::find;
+use csi5300_say::{Tone, toned};
 use csi5300_sim::Scene;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
@@ -26,8 +26,7 @@ use std::path::{Path, PathBuf};
 pub struct Recorded {
     /// The recorded log of the robot that moved. SCENE is then a scene, or a folder that --out wrote; without it a scene is fitted to
     /// the recording
-    #[cfg_attr(feature = "ros2", arg(long, value_name = "RX.dat"))]
-    #[cfg_attr(not(feature = "ros2"), arg(long, value_name = "RX.dat", requires_all = ["tx", "trajectory"]))]
+    #[arg(long, value_name = "RX.dat")]
     rx: Option<PathBuf>,
     /// The recorded log of the other robot
     #[arg(long, value_name = "TX.dat")]
@@ -48,11 +47,8 @@ pub struct Recorded {
 impl Recorded {
     /// True if one was named.
     pub fn is_named(&self) -> bool {
-        #[cfg(feature = "ros2")]
-        if self.bag.bag.is_some() {
-            return true;
-        }
-        self.rx.is_some()
+        self.bag.bag.is_some()
+            || self.rx.is_some()
             || self.tx.is_some()
             || self.trajectory.is_some()
             || self.tx_trajectory.is_some()

@@ -109,7 +109,7 @@ pub fn run(mut scene: Scene, file: &Path, args: &Args, json: bool) -> Result {
     if json && args.poses.iter().any(|path| path.as_os_str() == "-") {
         super::super::usage("--json and --poses - both want standard output");
     }
-    let signals = Signals::catch()?;
+    let signals = Signals::catch().map_err(|error| error.to_string())?;
     let speed = args.speed.unwrap_or(1.0);
     if args.socket.is_some() && speed != 1.0 {
         return Err("other programs live in real time: --socket and --speed do not go together".into());

@@ -52,7 +52,7 @@ pub fn run(common: &Sounding, antenna: Antenna, json: bool) -> Result {
     if common.dialect == Words::Wsr && common.ack_len.is_none() {
         usage("--dialect wsr needs --ack-len, the length of the frames meant for this robot (57 for the first)");
     }
-    let signals = Signals::catch()?;
+    let signals = Signals::catch().map_err(|error| error.to_string())?;
     let clock = Monotonic::new();
     let opened = common.open(|config| (config.epoch, config.start) = (Epoch::Heard(clock.now()), clock.now()))?;
     common.see_to_rate(antenna)?;

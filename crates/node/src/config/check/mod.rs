@@ -9,7 +9,8 @@ mod own;
 mod peers;
 mod surroundings;
 
-use super::{Capture, Config, Odometry, Place, Problem, ros, ros2};
+use super::{Capture, Config, Odometry, Place, Problem, ros};
+use csi5300_ros2::settings::wrong_topic;
 use csi5300_sim::Scene;
 use csi5300_sim::toml_lines::Step::{Index, Key};
 use csi5300_sim::toml_lines::{Step, TomlLines};
@@ -53,7 +54,6 @@ pub(super) fn problems(
     check.output();
     check.files_to_write();
     check.network();
-    check.open_network();
     check.problems
 }
 
@@ -107,7 +107,7 @@ impl Check<'_> {
             }
             Odometry::Ros2(_) if of_now => (&[Key("ros2")], ROS_NOW.into()),
             Odometry::Ros2(topic) => {
-                let (key, why) = ros2::wrong_topic(topic, !own)?;
+                let (key, why) = wrong_topic(topic, !own)?;
                 return Some(([Key("ros2")].into_iter().chain(key.map(Key)).collect(), why));
             }
             Odometry::Room(_) if !self.is_room() => {

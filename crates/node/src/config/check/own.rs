@@ -13,10 +13,6 @@ impl Check<'_> {
                        senders in a log";
             self.refuse(&[Key("capture")], why);
         }
-        if matches!(self.capture(), Capture::Stock(_)) && !cfg!(feature = "stock") {
-            let why = "`capture.stock` needs a program built with `--features stock`";
-            self.refuse(&[Key("capture"), Key("stock")], why);
-        }
         if let Capture::Replay(replay) = self.capture()
             && !replay.file.is_file()
         {

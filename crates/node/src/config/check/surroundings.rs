@@ -1,9 +1,8 @@
 //! ROS, sounding, output and the network.
 
-use super::super::{ros, ros2};
+use super::super::ros;
 use super::Check;
-#[cfg(feature = "zenoh")]
-use crate::owners::Owner;
+use crate::adapters;
 use csi5300_sim::toml_lines::Step::Key;
 
 /// Records that can be let wait for or from the network: no fewer than come while a message is collected, no more than
@@ -16,7 +15,7 @@ impl Check<'_> {
         if let Some((key, why)) = self.config.ros.as_ref().and_then(ros::wrong_ros) {
             self.refuse_in("ros", key, why);
         }
-        if let Some((key, why)) = self.config.ros2.as_ref().and_then(ros2::wrong_ros2) {
+        if let Some((key, why)) = self.config.ros2.as_ref().and_then(csi5300_ros2::settings::wrong_settings) {
             self.refuse_in("ros2", key, why);
         }
     }
@@ -30,17 +29,17 @@ impl Check<'_> {
 
     /// What is published.
     pub(super) fn output(&mut self) {
-        if self.config.output.foxglove.is_some() && !cfg!(feature = "foxglove") {
-            let why = "foxglove in [output] needs a program built with `--features foxglove`";
-            self.refuse_in("output", Some("foxglove"), why);
+        if let Some(why) = self.config.output.foxglove.and_then(|_| adapters::missing("foxglove")) {
+            self.refuse_in("output", Some("foxglove"), format!("foxglove in [output] {why}"));
         }
     }
 
     /// The network of the robots.
     pub(super) fn network(&mut self) {
         let Some(network) = &self.config.network else { return };
-        if !cfg!(feature = "zenoh") {
-            self.refuse_in("network", None, "[network] needs a program built with `--features zenoh`");
+        let missing = adapters::missing("zenoh").map(|why| format!("[network] {why}"));
+        if let Some(why) = missing.or_else(|| adapters::refusal(self.config)) {
+            self.refuse_in("network", None, why);
         }
         if network.backlog.is_some_and(|backlog| !BACKLOGS.contains(&backlog)) {
             let why = format!("backlog: {} to {} records", BACKLOGS.start(), BACKLOGS.end());
@@ -50,24 +49,6 @@ impl Check<'_> {
             self.refuse_in("network", Some("zenoh"), "there is no such file of zenoh's");
         }
     }
-
-    /// A network that lets anybody in.
-    #[cfg(feature = "zenoh")]
-    pub(super) fn open_network(&mut self) {
-        let network =
-            self.config.network.as_ref().filter(|network| network.zenoh.as_ref().is_none_or(|file| file.is_file()));
-        let peers = self.config.peer.iter().map(|peer| peer.get_ref());
-        let owner = |peer: &super::super::Peer| Some(Owner { mac: peer.mac?, certificate: peer.certificate.clone() });
-        let owners: Vec<Owner> = peers.filter_map(owner).collect();
-        if let Some(why) = network.and_then(|network| crate::network::refusal(network, &owners)) {
-            self.refuse_in("network", None, why);
-        }
-    }
-
-    /// Without the feature there is no network.
-    #[cfg(not(feature = "zenoh"))]
-    #[allow(clippy::unused_self, reason = "the twin of the one above")]
-    pub(super) fn open_network(&mut self) {}
 
     /// Refuses a key of a table, or the table.
     fn refuse_in(&mut self, table: &str, key: Option<&str>, reason: impl Into<String>) {

@@ -38,12 +38,8 @@ fn this_robot() {
     let card = |from: &str, to: &str| CARD.replace(from, to);
     refused(&card("mac = \"02:00:00:00:00:01\"\n", ""), "capture.card", "`mac`");
     let stock = card("capture.card = {}", "capture.stock.frames = true");
-    if cfg!(feature = "stock") {
-        assert_eq!(refusals(&stock), Vec::<String>::new());
-        refused(&stock.replace("frames", "frame"), "frame", "unknown field");
-    } else {
-        refused(&stock, "capture.stock", "--features stock");
-    }
+    assert_eq!(refusals(&stock), Vec::<String>::new());
+    refused(&stock.replace("frames", "frame"), "frame", "unknown field");
     let replay = format!("{}[capture.replay]\nspeed = 2\nfile = \"no.dat\"\n", card("capture.card = {}\n", ""));
     refused(&replay, "no.dat", "there is no log");
     let room = |from: &str, to: &str| format!("{ROOM}{PEER}").replace(from, to);
@@ -134,11 +130,9 @@ fn a_camera_is_for_poses_of_one() {
         "1e300",
         "forward_m: 1e300 m is not on",
     );
-    if cfg!(feature = "ros2") {
-        assert_eq!(refusals(&mounted(mount, "odometry.ros2 = { topic = \"/odom\" }")), Vec::<String>::new());
-        let antenna = mounted(mount, "odometry.ros2 = { topic = \"/odom\", antenna_frame = \"wifi\" }");
-        refused(&antenna, "camera_mount", "`antenna_frame` moves poses");
-    }
+    assert_eq!(refusals(&mounted(mount, "odometry.ros2 = { topic = \"/odom\" }")), Vec::<String>::new());
+    let antenna = mounted(mount, "odometry.ros2 = { topic = \"/odom\", antenna_frame = \"wifi\" }");
+    refused(&antenna, "camera_mount", "`antenna_frame` moves poses");
 }
 
 #[test]
@@ -154,7 +148,7 @@ fn poses() {
     let peer = "[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n";
     refused(&format!("{CARD}{peer}poses.network = {{}}\n"), "poses.network", "peer `b`: `network` poses");
     refused(&format!("{CARD}{peer}poses.opencr.port = \"x\"\n"), "poses.opencr", "peer `b`: a peer's port");
-    refused(&card("odometry.ros = {\n  topic = \"odom\" }"), if cfg!(feature = "ros1") { "topic" } else { "ros" }, "");
+    refused(&card("odometry.ros = {\n  topic = \"odom\" }"), "topic", "");
 }
 
 #[test]
@@ -187,12 +181,8 @@ fn the_peers() {
 #[test]
 fn ros_and_sounding() {
     let ros = |more: &str| format!("{CARD}[ros]\nframe = \"odom\"\n{more}\n");
-    if cfg!(feature = "ros1") {
-        refused(&ros("master = \"10.0.0.1\""), "master", "one looks like");
-        refused(&ros("node = \"a b\""), "node", "no name in ROS");
-    } else {
-        refused(&ros("publish_csi = true"), "[ros]", "--features ros1");
-    }
+    refused(&ros("master = \"10.0.0.1\""), "master", "one looks like");
+    refused(&ros("node = \"a b\""), "node", "no name in ROS");
     let peer = "[[peer]]\nname = \"b\"\nmac = \"02:00:00:00:00:02\"\nrecords.network = {}\n";
     let sounding = |more: &str| format!("{CARD}{peer}[sounding]\nfifo = false\n{more}\n");
     let mon = "interface = \"mon0\"\n";
@@ -221,10 +211,6 @@ fn ros_and_sounding() {
 fn ros_2() {
     let ros = |more: &str| format!("{CARD}[ros2]\nframe = \"odom\"\n{more}\n");
     let topic = |more: &str| CARD.replace("odometry.opencr.port = \"/dev/null\"", &format!("[odometry.ros2]\n{more}"));
-    if !cfg!(feature = "ros2") {
-        refused(&ros("publish_csi = true"), "[ros2]", "--features ros2");
-        return;
-    }
     assert_eq!(refusals(&ros("interface = \"127.0.0.2\"\nnamespace = \"/lab\"\nnode = \"n\"")), Vec::<String>::new());
     assert_eq!(
         refusals(&ros("interface = \"192.168.1.5\"\ninsecure = true\npeers = [\"10.0.0.1\"]")),
@@ -250,12 +236,13 @@ fn ros_2() {
 
 #[test]
 fn output_and_network() {
-    if !cfg!(feature = "foxglove") {
+    if let Some(why) = crate::adapters::missing("foxglove") {
+        assert!(why.contains("--features foxglove"));
         let output = "[output]\nbearings = \"-\"\nfoxglove = \"127.0.0.1:1\"\n";
         refused(&format!("{CARD}{output}"), "foxglove", "foxglove in [output]");
     }
     let network = |more: &str| format!("{CARD}[network]\ngroup = \"g\"\n{more}\n");
-    if !cfg!(feature = "zenoh") {
+    if crate::adapters::missing("zenoh").is_some() {
         refused(&network(""), "[network]", "--features zenoh");
     }
     refused(&network("backlog = 1"), "backlog", "256 to 1000000");
@@ -282,7 +269,7 @@ fn what_a_robot_writes_is_in_files_of_their_own() {
     std::fs::create_dir_all(folder.join("run")).unwrap();
     std::fs::write(folder.join("old"), "").unwrap();
     let ros = |bag: &str| format!("{CARD}[ros2]\nbag = '{}'\n", name(bag));
-    let bags = [ros("run"), ros("no/such/run")].into_iter().filter(|_| cfg!(feature = "ros2"));
+    let bags = [ros("run"), ros("no/such/run")];
     for good in [with("old", "/dev/null", "c"), with("a.dat", "old", "c")].into_iter().chain(bags) {
         assert_eq!(refusals(&good.replace(&name("/dev/null"), "/dev/null")), Vec::<String>::new(), "{good}");
     }

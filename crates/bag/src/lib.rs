@@ -1,0 +1,14 @@
+//! Messages of ROS and recordings of them, without a node.
+//!
+//! | module | what it is |
+//! |---|---|
+//! | [`cdr`] | values in the payload of a message |
+//! | [`messages`] | the messages themselves |
+//! | [`mcap`] | recordings as `ros2 bag` writes them, written and read |
+//! | [`unbag`] | logs and trajectories from recordings of all kinds: MCAP, SQLite, bags of ROS 1 |
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
+
+pub mod cdr;
+pub mod mcap;
+pub mod messages;
+pub mod unbag;

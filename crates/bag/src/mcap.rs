@@ -1,0 +1,574 @@
+//! MCAP as `ros2 bag` writes it (\[mcap\]): profile `ros2`, messages in CDR, schemas `ros2msg`. What is written has chunks
+//! without compression, an index of them and a summary at the end; a file that was not ended is whole up to its last chunk.
+//! What is read may be compressed, and is read from its beginning to its end, without an index: also where the end is missing.
+
+use crate::unbag::{BagError, Channel, Ended, Used, compressed};
+use crc32fast::hash as crc32;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{self, ErrorKind, Read, Seek, SeekFrom, Write};
+use std::path::Path;
+
+/// How a file begins.
+pub(crate) const MAGIC: &[u8; 8] = b"\x89MCAP0\r\n";
+/// Kinds of records.
+mod kind {
+    pub const HEADER: u8 = 0x01;
+    pub const FOOTER: u8 = 0x02;
+    pub const SCHEMA: u8 = 0x03;
+    pub const CHANNEL: u8 = 0x04;
+    pub const MESSAGE: u8 = 0x05;
+    pub const CHUNK: u8 = 0x06;
+    pub const MESSAGE_INDEX: u8 = 0x07;
+    pub const CHUNK_INDEX: u8 = 0x08;
+    pub const STATISTICS: u8 = 0x0b;
+    pub const DATA_END: u8 = 0x0f;
+}
+
+/// A chunk is written when it has so many bytes.
+const CHUNK: usize = 1 << 20;
+
+/// A topic of a recording that is written.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Written {
+    /// Its whole name.
+    pub topic: String,
+    /// `nav_msgs/msg/Odometry`.
+    pub kind: &'static str,
+    /// Messages so far.
+    pub messages: u64,
+}
+
+/// Where a chunk is.
+struct ChunkIndex {
+    times: (u64, u64),
+    start: u64,
+    length: u64,
+    /// By channel, where the index of its messages is.
+    offsets: Vec<(u16, u64)>,
+    index_length: u64,
+    size: u64,
+}
+
+/// Times of a channel's messages and where in the chunk they are.
+type MessageIndex = Vec<(u64, u64)>;
+
+/// A chunk that is being filled.
+#[derive(Default)]
+struct Chunk {
+    bytes: Vec<u8>,
+    times: Option<(u64, u64)>,
+    messages: BTreeMap<u16, MessageIndex>,
+}
+
+/// Writes a recording.
+pub struct McapWriter<W> {
+    to: W,
+    at: u64,
+    chunk: Chunk,
+    chunks: Vec<ChunkIndex>,
+    /// Schemas and channels, for the summary.
+    described: Vec<u8>,
+    schemas: Vec<&'static str>,
+    channels: Vec<Written>,
+    times: Option<(u64, u64)>,
+}
+
+fn text(text: &str, to: &mut Vec<u8>) {
+    to.extend((text.len() as u32).to_le_bytes());
+    to.extend(text.as_bytes());
+}
+
+fn record(kind: u8, content: &[u8]) -> Vec<u8> {
+    let length = (content.len() as u64).to_le_bytes();
+    [&[kind][..], &length, content].concat()
+}
+
+fn widened(times: Option<(u64, u64)>, time: u64) -> Option<(u64, u64)> {
+    Some(times.map_or((time, time), |(first, last)| (first.min(time), last.max(time))))
+}
+
+impl<W: Write> McapWriter<W> {
+    /// Begins a recording.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn new(mut to: W) -> io::Result<Self> {
+        let mut header = Vec::new();
+        text("ros2", &mut header);
+        text(concat!("csi5300 ", env!("CARGO_PKG_VERSION")), &mut header);
+        let begin = [&MAGIC[..], &record(kind::HEADER, &header)].concat();
+        to.write_all(&begin)?;
+        let (at, chunk, chunks) = (begin.len() as u64, Chunk::default(), Vec::new());
+        let (described, schemas, channels) = (Vec::new(), Vec::new(), Vec::new());
+        Ok(Self { to, at, chunk, chunks, described, schemas, channels, times: None })
+    }
+
+    /// The topics.
+    pub fn channels(&self) -> &[Written] {
+        &self.channels
+    }
+
+    /// Times of the first and the last message, nanoseconds.
+    pub fn times(&self) -> Option<(u64, u64)> {
+        self.times
+    }
+
+    fn channel(&mut self, topic: &str, kind: &'static str, definition: fn() -> String) -> u16 {
+        if let Some(known) = self.channels.iter().position(|channel| channel.topic == topic && channel.kind == kind) {
+            return known as u16;
+        }
+        let mut both = Vec::new();
+        let schema = self.schemas.iter().position(|known| *known == kind).unwrap_or_else(|| {
+            self.schemas.push(kind);
+            // Number 0 is of no schema.
+            let mut schema = (self.schemas.len() as u16).to_le_bytes().to_vec();
+            text(kind, &mut schema);
+            text("ros2msg", &mut schema);
+            text(&definition(), &mut schema);
+            both.extend(record(kind::SCHEMA, &schema));
+            self.schemas.len() - 1
+        });
+        let number = self.channels.len() as u16;
+        let mut channel = number.to_le_bytes().to_vec();
+        channel.extend((schema as u16 + 1).to_le_bytes());
+        text(topic, &mut channel);
+        text("cdr", &mut channel);
+        let mut qos = Vec::new();
+        text("offered_qos_profiles", &mut qos);
+        text("", &mut qos);
+        channel.extend((qos.len() as u32).to_le_bytes());
+        channel.extend(qos);
+        both.extend(record(kind::CHANNEL, &channel));
+        self.described.extend_from_slice(&both);
+        self.chunk.bytes.extend(both);
+        self.channels.push(Written { topic: topic.to_owned(), kind, messages: 0 });
+        number
+    }
+
+    /// Records a message, its time in nanoseconds since the Unix epoch.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn put(
+        &mut self,
+        (topic, kind, definition): (&str, &'static str, fn() -> String),
+        time_ns: u64,
+        payload: &[u8],
+    ) -> io::Result<()> {
+        let number = self.channel(topic, kind, definition);
+        let Some(channel) = self.channels.get_mut(usize::from(number)) else { return Ok(()) };
+        channel.messages += 1;
+        let mut message = number.to_le_bytes().to_vec();
+        message.extend((channel.messages as u32).to_le_bytes());
+        message.extend(time_ns.to_le_bytes());
+        message.extend(time_ns.to_le_bytes());
+        message.extend(payload);
+        let offset = self.chunk.bytes.len() as u64;
+        self.chunk.messages.entry(number).or_default().push((time_ns, offset));
+        self.chunk.bytes.extend(record(kind::MESSAGE, &message));
+        self.chunk.times = widened(self.chunk.times, time_ns);
+        self.times = widened(self.times, time_ns);
+        if self.chunk.bytes.len() >= CHUNK { self.flush() } else { Ok(()) }
+    }
+
+    /// Writes what waits.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn flush(&mut self) -> io::Result<()> {
+        let chunk = std::mem::take(&mut self.chunk);
+        let Some(times) = chunk.times else {
+            self.chunk = chunk;
+            return Ok(());
+        };
+        let size = chunk.bytes.len() as u64;
+        let mut content = [times.0, times.1, size].map(u64::to_le_bytes).concat();
+        // Their CRC-32, and no compression.
+        content.extend(crc32(&chunk.bytes).to_le_bytes());
+        content.extend([0; 4]);
+        content.extend(size.to_le_bytes());
+        content.extend(chunk.bytes);
+        let bytes = record(kind::CHUNK, &content);
+        let (start, length) = (self.at, bytes.len() as u64);
+        self.emit(&bytes)?;
+        let (begin, mut offsets) = (self.at, Vec::new());
+        for (number, messages) in chunk.messages {
+            offsets.push((number, self.at));
+            let mut content = number.to_le_bytes().to_vec();
+            content.extend((messages.len() as u32 * 16).to_le_bytes());
+            content
+                .extend(messages.iter().flat_map(|(time, offset)| [time.to_le_bytes(), offset.to_le_bytes()].concat()));
+            self.emit(&record(kind::MESSAGE_INDEX, &content))?;
+        }
+        self.chunks.push(ChunkIndex { times, start, length, offsets, index_length: self.at - begin, size });
+        self.to.flush()
+    }
+
+    fn emit(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.to.write_all(bytes)?;
+        self.at += bytes.len() as u64;
+        Ok(())
+    }
+
+    /// Ends the recording.
+    ///
+    /// # Errors
+    /// If it cannot be written.
+    pub fn finish(&mut self) -> io::Result<()> {
+        self.flush()?;
+        self.emit(&record(kind::DATA_END, &[0; 4]))?;
+        let summary = self.at;
+        let mut bytes = std::mem::take(&mut self.described);
+        for chunk in &self.chunks {
+            let mut content = [chunk.times.0, chunk.times.1, chunk.start, chunk.length].map(u64::to_le_bytes).concat();
+            content.extend((chunk.offsets.len() as u32 * 10).to_le_bytes());
+            for (number, offset) in &chunk.offsets {
+                content.extend(number.to_le_bytes());
+                content.extend(offset.to_le_bytes());
+            }
+            content.extend(chunk.index_length.to_le_bytes());
+            content.extend([0; 4]);
+            content.extend([chunk.size, chunk.size].map(u64::to_le_bytes).concat());
+            bytes.extend(record(kind::CHUNK_INDEX, &content));
+        }
+        bytes.extend(self.statistics());
+        let mut footer = summary.to_le_bytes().to_vec();
+        // No offsets within the summary, no sum.
+        footer.extend([0; 12]);
+        bytes.extend(record(kind::FOOTER, &footer));
+        bytes.extend(MAGIC);
+        self.emit(&bytes)?;
+        self.to.flush()
+    }
+
+    fn statistics(&self) -> Vec<u8> {
+        let messages: u64 = self.channels.iter().map(|channel| channel.messages).sum();
+        let (first, last) = self.times.unwrap_or_default();
+        let mut content = messages.to_le_bytes().to_vec();
+        content.extend((self.schemas.len() as u16).to_le_bytes());
+        content.extend((self.channels.len() as u32).to_le_bytes());
+        content.extend([0; 8]);
+        content.extend((self.chunks.len() as u32).to_le_bytes());
+        content.extend([first, last].map(u64::to_le_bytes).concat());
+        content.extend((self.channels.len() as u32 * 10).to_le_bytes());
+        for (number, channel) in self.channels.iter().enumerate() {
+            content.extend((number as u16).to_le_bytes());
+            content.extend(channel.messages.to_le_bytes());
+        }
+        record(kind::STATISTICS, &content)
+    }
+}
+
+/// Bytes of one record at most.
+const LARGEST: u64 = 1 << 30;
+/// Bytes of the records of a chunk at most: recorders begin a new one after some megabytes.
+const LARGEST_CHUNK: u64 = 256 << 20;
+/// Bytes of a record in a chunk that is looked at.
+const LARGEST_IN_CHUNK: u64 = 32 << 20;
+/// Bytes of a summary at most: what it says of topics is of use, and nothing else.
+const LARGEST_SUMMARY: u64 = 64 << 20;
+/// Bytes of the last record, which says where the summary begins, with the file's last bytes.
+const FOOTER: u64 = 9 + 20 + MAGIC.len() as u64;
+
+/// Takes values of MCAP from bytes: little-endian, texts with their length.
+struct Fields<'a>(&'a [u8]);
+
+impl<'a> Fields<'a> {
+    fn take(&mut self, count: usize) -> Option<&'a [u8]> {
+        let (taken, rest) = self.0.split_at_checked(count)?;
+        self.0 = rest;
+        Some(taken)
+    }
+
+    fn u32(&mut self) -> Option<u32> {
+        Some(u32::from_le_bytes(*self.take(4)?.first_chunk()?))
+    }
+
+    fn u16(&mut self) -> Option<u16> {
+        Some(u16::from_le_bytes(*self.take(2)?.first_chunk()?))
+    }
+
+    fn u64(&mut self) -> Option<u64> {
+        Some(u64::from_le_bytes(*self.take(8)?.first_chunk()?))
+    }
+
+    fn text(&mut self) -> Option<String> {
+        let length = self.u32()?;
+        String::from_utf8(self.take(length as usize)?.to_vec()).ok()
+    }
+}
+
+/// What is known of a file so far.
+#[derive(Default)]
+struct State {
+    schemas: BTreeMap<u16, String>,
+    channels: BTreeMap<u16, Channel>,
+}
+
+impl State {
+    /// Takes a record; gives what is in it where that is a message.
+    fn record<'a>(&mut self, kind: u8, content: &'a [u8]) -> Option<(u16, &'a [u8])> {
+        let mut fields = Fields(content);
+        match kind {
+            kind::SCHEMA => {
+                let (number, name) = (fields.u16()?, fields.text()?);
+                self.schemas.insert(number, name);
+                None
+            }
+            kind::CHANNEL => {
+                let (number, schema) = (fields.u16()?, fields.u16()?);
+                let (topic, encoding) = (fields.text()?, fields.text()?);
+                let kind = self.schemas.get(&schema).cloned().unwrap_or_default();
+                self.channels.insert(number, Channel { topic, kind, encoding });
+                None
+            }
+            kind::MESSAGE => {
+                let number = fields.u16()?;
+                // Its number in order, and two times.
+                fields.take(20)?;
+                Some((number, fields.0))
+            }
+            _ => None,
+        }
+    }
+}
+
+/// A file that is read.
+struct Reading<'a, 'b> {
+    path: &'a Path,
+    state: State,
+    ended: Ended,
+    used: &'a mut Used<'b>,
+}
+
+/// Each message of a file goes to `used`.
+pub(crate) fn read(path: &Path, mut from: impl Read, used: &mut Used<'_>) -> Result<Ended, BagError> {
+    let io = |source| BagError::Io { path: path.to_owned(), source };
+    let mut magic = [0; MAGIC.len()];
+    from.read_exact(&mut magic).map_err(io)?;
+    let mut reading = Reading { path, state: described(path).unwrap_or_default(), ended: Ended::default(), used };
+    loop {
+        let mut head = [0; 9];
+        match from.read_exact(&mut head) {
+            Ok(()) => {}
+            Err(error) if error.kind() == ErrorKind::UnexpectedEof => return Ok(reading.cut()),
+            Err(error) => return Err(io(error)),
+        }
+        let [kind, length @ ..] = head;
+        let length = u64::from_le_bytes(length);
+        let mut content = Vec::new();
+        match from.by_ref().take(length.min(LARGEST)).read_to_end(&mut content) {
+            Ok(taken) if taken as u64 == length => {}
+            Err(error) if error.kind() != ErrorKind::UnexpectedEof => return Err(io(error)),
+            _ => return Ok(reading.cut()),
+        }
+        match kind {
+            // The end of the data: the rest says it again.
+            kind::DATA_END | kind::FOOTER => return Ok(reading.ended),
+            kind::CHUNK => reading.chunk(&content)?,
+            _ => reading.record(kind, &content)?,
+        }
+    }
+}
+
+/// What the summary at the end of a file says of its topics: it says it again, in case that a chunk which said it first is
+/// damaged. `None` without a summary, and where its sum is another one.
+fn described(path: &Path) -> Option<State> {
+    let mut file = File::open(path).ok().filter(|file| file.metadata().is_ok_and(|found| found.is_file()))?;
+    let end = file.seek(SeekFrom::End(0)).ok()?;
+    file.seek(SeekFrom::Start(end.checked_sub(FOOTER)?)).ok()?;
+    let mut footer = Vec::new();
+    (&file).take(FOOTER).read_to_end(&mut footer).ok()?;
+    let mut fields = Fields(footer.strip_suffix(MAGIC)?.strip_prefix(&[kind::FOOTER])?);
+    let (_, start, _, sum) = (fields.u64()?, fields.u64()?, fields.u64()?, fields.u32()?);
+    let length = (end - MAGIC.len() as u64).checked_sub(start).filter(|length| *length <= LARGEST_SUMMARY)?;
+    file.seek(SeekFrom::Start(start)).ok().filter(|_| start > 0)?;
+    let mut summary = Vec::new();
+    file.take(length).read_to_end(&mut summary).ok()?;
+    // All but itself.
+    let summed = summary.get(..summary.len().checked_sub(4)?)?;
+    if sum != 0 && crc32(summed) != sum {
+        return None;
+    }
+    let (mut state, mut fields) = (State::default(), Fields(&summary));
+    while let Some((kind, content)) = next_record(&mut fields) {
+        state.record(kind, content);
+    }
+    Some(state)
+}
+
+impl Reading<'_, '_> {
+    fn cut(self) -> Ended {
+        Ended { cut: true, ..self.ended }
+    }
+
+    /// Takes a record; a message goes on.
+    fn record(&mut self, kind: u8, content: &[u8]) -> Result<(), BagError> {
+        let Some((number, payload)) = self.state.record(kind, content) else { return Ok(()) };
+        match self.state.channels.get(&number) {
+            Some(channel) => (self.used)(channel, payload),
+            None => {
+                self.ended.without_topic += 1;
+                Ok(())
+            }
+        }
+    }
+
+    /// What is in a chunk; one of which nothing or not all can be made is counted. It is unpacked twice, first to see that
+    /// it is whole: nothing of a damaged one is used, and no more than one record of it is in memory.
+    fn chunk(&mut self, content: &[u8]) -> Result<(), BagError> {
+        let chunk = match ReadChunk::of(content) {
+            Some(chunk) if !["", "zstd", "lz4"].contains(&chunk.compression.as_str()) => {
+                let (path, by) = (self.path.to_owned(), chunk.compression);
+                return Err(BagError::Compressed { path, by, command: "mcap compress --compression none" });
+            }
+            Some(chunk) if chunk.is_good() => chunk,
+            _ => {
+                self.ended.damaged_parts += 1;
+                return Ok(());
+            }
+        };
+        let mut from = chunk.unpacked();
+        let is_whole = loop {
+            let mut head = [0; 9];
+            // Where nothing is left the first byte is missing.
+            if from.read_exact(&mut head[..1]).is_err() {
+                break true;
+            }
+            if from.read_exact(&mut head[1..]).is_err() {
+                break false;
+            }
+            let [kind, length @ ..] = head;
+            let (length, mut record) = (u64::from_le_bytes(length), Vec::new());
+            if length > LARGEST_IN_CHUNK {
+                // An image, or a cloud of points: nothing of ours is so large.
+                match io::copy(&mut from.by_ref().take(length), &mut io::sink()) {
+                    Ok(skipped) if skipped == length => continue,
+                    _ => break false,
+                }
+            }
+            match from.by_ref().take(length).read_to_end(&mut record) {
+                Ok(taken) if taken as u64 == length => self.record(kind, &record)?,
+                _ => break false,
+            }
+        };
+        self.ended.damaged_parts += u64::from(!is_whole);
+        Ok(())
+    }
+}
+
+/// The content of a chunk record.
+struct ReadChunk<'a> {
+    /// Bytes of its records, unpacked.
+    size: u64,
+    /// Their CRC-32; 0 where it was not computed.
+    sum: u32,
+    compression: String,
+    records: &'a [u8],
+}
+
+impl<'a> ReadChunk<'a> {
+    fn of(content: &'a [u8]) -> Option<Self> {
+        let mut fields = Fields(content);
+        // The times of the first and the last message.
+        fields.take(16)?;
+        let (size, sum, compression) = (fields.u64()?, fields.u32()?, fields.text()?);
+        let length = usize::try_from(fields.u64()?).ok()?;
+        Some(Self { size, sum, compression, records: fields.take(length)? })
+    }
+
+    /// Its records.
+    fn unpacked(&self) -> Box<dyn Read + 'a> {
+        match self.compression.as_str() {
+            "" => Box::new(self.records),
+            "zstd" => Box::new(compressed::Frames::new(self.records)),
+            _ => Box::new(lz4_flex::frame::FrameDecoder::new(self.records)),
+        }
+    }
+
+    /// True if it unpacks to as many bytes as it says, with their sum.
+    fn is_good(&self) -> bool {
+        let (mut from, mut sum, mut length) = (self.unpacked(), crc32fast::Hasher::new(), 0);
+        let mut buffer = [0; 1 << 14];
+        if self.size > LARGEST_CHUNK {
+            return false;
+        }
+        loop {
+            match from.read(&mut buffer) {
+                Ok(0) => return length == self.size && (self.sum == 0 || sum.finalize() == self.sum),
+                Ok(count) => {
+                    sum.update(buffer.get(..count).unwrap_or_default());
+                    length += count as u64;
+                }
+                Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                Err(_) => return false,
+            }
+            if length > self.size {
+                return false;
+            }
+        }
+    }
+}
+
+fn next_record<'a>(fields: &mut Fields<'a>) -> Option<(u8, &'a [u8])> {
+    let mut ahead = Fields(fields.0);
+    let kind = *ahead.take(1)?.first()?;
+    let length = usize::try_from(ahead.u64()?).ok()?;
+    let content = ahead.take(length)?;
+    *fields = ahead;
+    Some((kind, content))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Kinds and contents of the records in `bytes`.
+    fn records(mut bytes: &[u8]) -> Vec<(u8, &[u8])> {
+        let mut all = Vec::new();
+        while bytes.len() >= 9 {
+            let length = u64::from_le_bytes(bytes[1..9].try_into().unwrap()) as usize;
+            all.push((bytes[0], &bytes[9..9 + length]));
+            bytes = &bytes[9 + length..];
+        }
+        all
+    }
+
+    #[test]
+    fn indices_and_the_summary_lead_to_every_message() {
+        let mut writer = McapWriter::new(Vec::new()).unwrap();
+        let schema = || "uint8 x\n".to_owned();
+        for k in 0..5_u8 {
+            writer.put((if k % 2 == 0 { "/a" } else { "/b" }, "p/msg/X", schema), 100 + u64::from(k), &[k; 6]).unwrap();
+            if k == 2 {
+                writer.flush().unwrap();
+            }
+        }
+        writer.finish().unwrap();
+        let bytes = writer.to;
+        assert!(bytes.starts_with(MAGIC) && bytes.ends_with(MAGIC));
+        let all = records(&bytes[8..bytes.len() - 8]);
+        let kinds: Vec<u8> = all.iter().map(|(kind, _)| *kind).collect();
+        assert_eq!(kinds, [1, 6, 7, 7, 6, 7, 7, 15, 3, 4, 4, 8, 8, 11, 2]);
+        let number = |bytes: &[u8], at: usize| u64::from_le_bytes(bytes[at..at + 8].try_into().unwrap()) as usize;
+        assert_eq!(bytes[number(all[14].1, 0)], kind::SCHEMA, "the summary begins where the footer says");
+        for (_, index) in all.iter().filter(|(kind, _)| *kind == kind::CHUNK_INDEX) {
+            let (start, length) = (number(index, 16), number(index, 24));
+            let chunk = records(&bytes[start..start + length])[0];
+            assert_eq!(chunk.0, kind::CHUNK);
+            let inside = &chunk.1[40..];
+            assert_eq!(chunk.1[24..28], crc32(inside).to_le_bytes());
+            assert_eq!(number(chunk.1, 32), inside.len());
+            for entry in index[36..56].chunks(10) {
+                let messages = records(&bytes[number(entry, 2)..])[0].1;
+                assert_eq!(messages[..2], entry[..2], "of its channel");
+                for one in messages[6..].chunks(16) {
+                    let message = records(&inside[number(one, 8)..])[0];
+                    assert_eq!((message.0, number(message.1, 6)), (kind::MESSAGE, number(one, 0)));
+                }
+            }
+        }
+        assert_eq!(number(all[13].1, 0), 5);
+    }
+}

@@ -1,0 +1,67 @@
+use super::own::{Bearing, Csi};
+use super::standard::{Odometry, Time};
+use super::{Cdr, Described, Message};
+
+/// The fields of a shipped file.
+fn fields(text: &str) -> String {
+    let plain =
+        |line: &str| line.split('#').next().unwrap_or_default().split_whitespace().collect::<Vec<_>>().join(" ");
+    text.lines().map(plain).filter(|line| !line.is_empty()).map(|line| line + "\n").collect()
+}
+
+#[test]
+fn the_shipped_files_are_what_is_sent() {
+    let own = |parts: fn(&mut Vec<(String, String)>)| {
+        let mut all = Vec::new();
+        parts(&mut all);
+        all.remove(0)
+    };
+    let bearing = include_str!("../../../../packaging/ros2/csi5300_msgs/msg/Bearing.msg");
+    assert_eq!(own(Bearing::parts), ("csi5300_msgs/Bearing".into(), fields(bearing)));
+    let csi = include_str!("../../../../packaging/ros2/csi5300_msgs/msg/Csi.msg");
+    assert_eq!(own(Csi::parts), ("csi5300_msgs/Csi".into(), fields(csi)));
+}
+
+#[test]
+fn a_definition_has_every_part_once() {
+    let text = Odometry::definition();
+    let begin = "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n\
+                 geometry_msgs/TwistWithCovariance twist\n====";
+    assert!(text.starts_with(begin), "{text}");
+    let names: Vec<&str> = text.lines().filter_map(|line| line.strip_prefix("MSG: ")).collect();
+    let all = [
+        "std_msgs/Header",
+        "builtin_interfaces/Time",
+        "geometry_msgs/PoseWithCovariance",
+        "geometry_msgs/Pose",
+        "geometry_msgs/Point",
+        "geometry_msgs/Quaternion",
+        "geometry_msgs/TwistWithCovariance",
+        "geometry_msgs/Twist",
+        "geometry_msgs/Vector3",
+    ];
+    assert_eq!(names, all);
+    assert!(text.contains("float64[36] covariance\n"));
+}
+
+#[test]
+fn odometry_is_read_back_and_cut_odometry_is_not() {
+    let mut odometry = Odometry { child_frame_id: "base_link".into(), ..Odometry::default() };
+    odometry.header.frame_id = "odom".into();
+    odometry.pose.pose.position.x = 1.5;
+    odometry.pose.covariance.0[5][5] = 0.25;
+    odometry.twist.twist.angular.z = -2.0;
+    let payload = odometry.payload();
+    assert_eq!(Odometry::of_payload(&payload), Ok(odometry));
+    for cut in 0..payload.len() {
+        assert!(Odometry::of_payload(&payload[..cut]).is_err());
+    }
+}
+
+#[test]
+fn times_are_whole() {
+    assert_eq!(Time::from_us(-1), Time { sec: -1, nanosec: 999_999_000 });
+    assert_eq!(Time::from_us(12_250_000), Time { sec: 12, nanosec: 250_000_000 });
+    assert_eq!(Time::from_us(12_250_000).us(), 12_250_000);
+    assert_eq!(Time::from_us(i64::MAX), Time::default());
+}

@@ -1,0 +1,170 @@
+//! Recordings with damage in the middle: what can be read is, and the rest is counted.
+
+use super::kinds_tests::{connection, message, numbers, odometry, read_of, record1, text};
+use super::tests::{csi, put, recorded};
+use super::*;
+
+/// A recording in two chunks, of which only the first describes the topics: three records of CSI and two poses, then two
+/// records and one pose; with the offsets of the chunks' records in the file.
+fn in_two() -> (Vec<u8>, [usize; 2]) {
+    let folder = recorded("two", |writer| {
+        (1..=3).for_each(|k| put(writer, "/n/csi", &csi(k)));
+        (1..=2).for_each(|k| put(writer, "/odom", &odometry(k)));
+        writer.flush().unwrap();
+        (4..=5).for_each(|k| put(writer, "/n/csi", &csi(k)));
+        put(writer, "/odom", &odometry(3));
+        writer.finish().unwrap();
+    });
+    let bytes = std::fs::read(folder.join("run_0.mcap")).unwrap();
+    std::fs::remove_dir_all(&folder).unwrap();
+    let (mut found, mut at) = (Vec::new(), 8);
+    while found.len() < 2 {
+        if bytes[at] == 0x06 {
+            found.push(at + 9 + 40);
+        }
+        at += 9 + u64::from_le_bytes(*bytes[at + 1..].first_chunk().unwrap()) as usize;
+    }
+    (bytes, [found[0], found[1]])
+}
+
+/// Where the data of an MCAP file ends and its summary begins.
+fn end_of_data(bytes: &[u8]) -> usize {
+    let mut at = 8;
+    while bytes[at] != 0x0f {
+        at += 9 + u64::from_le_bytes(*bytes[at + 1..].first_chunk().unwrap()) as usize;
+    }
+    at
+}
+
+/// Messages of the topics, damaged parts and messages without a topic.
+fn counts(recording: &Recording) -> (Vec<u64>, u64, u64) {
+    assert!(recording.cut.is_empty(), "{:?}", recording.cut);
+    let messages = recording.topics.iter().map(|one| one.messages).collect();
+    (messages, recording.damaged_parts, recording.without_topic)
+}
+
+#[test]
+fn a_chunk_whose_sum_is_another_one_is_left_out() {
+    let (bytes, [first, second]) = in_two();
+    assert_eq!(counts(&read_of("whole", &bytes).unwrap()), (vec![5, 3], 0, 0));
+    // The last byte of the second chunk: of a pose.
+    let mut damaged = bytes.clone();
+    let end = second - 40 + u64::from_le_bytes(*bytes[second - 48..].first_chunk().unwrap()) as usize;
+    damaged[end - 1] ^= 1;
+    assert_eq!(counts(&read_of("pose", &damaged).unwrap()), (vec![3, 2], 1, 0));
+    // Who wrote no sum is believed.
+    damaged[second - 16..second - 12].fill(0);
+    assert_eq!(counts(&read_of("sum", &damaged).unwrap()), (vec![5, 3], 0, 0));
+    // Without a sum, a length that leads out of the chunk costs what follows it.
+    damaged[second + 8] = 0xff;
+    assert_eq!(counts(&read_of("length", &damaged).unwrap()), (vec![3, 2], 1, 0));
+    // The topics of the first chunk are described in the summary too, and those messages are of them.
+    let mut damaged = bytes.clone();
+    damaged[first + 20] ^= 1;
+    assert_eq!(counts(&read_of("first", &damaged).unwrap()), (vec![2, 1], 1, 0));
+}
+
+#[test]
+fn messages_of_topics_that_nothing_is_known_of_are_counted() {
+    let (bytes, [first, _]) = in_two();
+    let mut damaged = bytes.clone();
+    damaged[first + 20] ^= 1;
+    // Without a summary, as a recording that was not ended has none; and with one that is damaged itself.
+    let data = end_of_data(&damaged);
+    let without = [&damaged[..data], &[0x0f, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0]].concat();
+    assert_eq!(counts(&read_of("without", &without).unwrap()), (vec![], 1, 3));
+    let footer = damaged.len() - 8 - 20;
+    let sum = driver_iface::mpdu::crc32(&damaged[data + 13..footer + 16]);
+    damaged[footer + 16..footer + 20].copy_from_slice(&sum.to_le_bytes());
+    assert_eq!(counts(&read_of("summed", &damaged).unwrap()), (vec![2, 1], 1, 0));
+    damaged[data + 13 + 20] ^= 1;
+    assert_eq!(counts(&read_of("twice", &damaged).unwrap()), (vec![], 1, 3));
+    // A summary is looked for where the file says, and nowhere else.
+    for start in [0, u64::MAX, bytes.len() as u64] {
+        damaged[footer..footer + 8].copy_from_slice(&start.to_le_bytes());
+        assert_eq!(counts(&read_of("nowhere", &damaged).unwrap()), (vec![], 1, 3));
+    }
+}
+
+#[test]
+fn damage_in_the_middle_of_a_database_costs_what_is_there() {
+    let bytes = include_bytes!("../../../../tests/fixtures/recording.db3");
+    let (mut messages, mut without) = (Vec::new(), Vec::new());
+    for page in 1..bytes.len() / 512 {
+        let mut damaged = bytes.to_vec();
+        let kind = damaged[512 * page];
+        damaged[512 * page] = 0xee;
+        match read_of("middle.db3", &damaged) {
+            Ok(read) => {
+                let (topics, parts, orphans) = counts(&read);
+                // Where rows go on, the first byte is of the number of the next page.
+                assert!(parts > 0 || ![5, 13].contains(&kind) || topics == [12, 40], "page {page}");
+                messages.push(topics.iter().sum::<u64>() + orphans);
+                without.push(orphans);
+            }
+            Err(error) => assert!(matches!(error, BagError::NoTables { .. }), "{error}"),
+        }
+    }
+    // Most pages are of messages; the page of the topics leaves all of them without one.
+    assert!(messages.iter().filter(|count| (26..52).contains(*count)).count() > 10, "{messages:?}");
+    assert_eq!(without.iter().filter(|orphans| **orphans == 52).count(), 1, "{without:?}");
+    assert!(messages.iter().all(|count| *count <= 52));
+}
+
+#[test]
+fn connections_of_a_damaged_chunk_are_in_the_index_of_a_bag_of_ros_1() {
+    let header = [&9_u32.to_le_bytes()[..], &12_u32.to_le_bytes(), &500_u32.to_le_bytes(), &text("odom")].concat();
+    let pose = [header, numbers(&[1.5, -2.0, 0.0, 0.0, 0.0, 0.0, 1.0])].concat();
+    let chunk =
+        |by: &str, data: &[u8]| record1(&[("op", &[5]), ("compression", by.as_bytes()), ("size", &[0; 4])], data);
+    let described = connection(0, "/pose", "geometry_msgs/PoseStamped");
+    let chunks = [
+        chunk("lz4", &[7; 40]),
+        chunk("none", &[message(0, &pose), message(0, &pose)].concat()),
+        // It ends in the middle of a message.
+        chunk("none", &message(0, &pose)[..60]),
+    ]
+    .concat();
+    let start = |index: u64| record1(&[("op", &[3]), ("index_pos", &index.to_le_bytes())], &[32; 40]);
+    let index = ros1::MAGIC.len() + start(0).len() + chunks.len();
+    let file = |at: u64| [&ros1::MAGIC[..], &start(at), &chunks, &described].concat();
+    let read = read_of("indexed.bag", &file(index as u64)).unwrap();
+    assert_eq!((counts(&read), read.topics[0].topic.as_str()), ((vec![2], 2, 0), "/pose"));
+    // Not ended: its index is nowhere.
+    let read = read_of("unindexed.bag", &file(0)).unwrap();
+    assert_eq!(counts(&read), (vec![], 2, 2));
+}
+
+/// A file of MCAP with one chunk of Zstandard that says it is of `size` bytes.
+fn bomb(records: &[u8], size: u64) -> Vec<u8> {
+    let packed = ruzstd::encoding::compress_to_vec(records, ruzstd::encoding::CompressionLevel::Fastest);
+    let mut content = [0, 1, size].map(u64::to_le_bytes).concat();
+    content.extend([0; 4]);
+    content.extend(4_u32.to_le_bytes());
+    content.extend(b"zstd");
+    content.extend((packed.len() as u64).to_le_bytes());
+    content.extend(packed);
+    let head = [&[0x06][..], &(content.len() as u64).to_le_bytes()].concat();
+    [crate::mcap::MAGIC, head.as_slice(), &content].concat()
+}
+
+#[test]
+fn what_a_chunk_becomes_is_bounded_and_not_held() {
+    // One record of a kind that is not known, of zeros.
+    let size = 96_u64 << 20;
+    let mut records = vec![0x7f];
+    records.extend((size - 9).to_le_bytes());
+    records.resize(size as usize, 0);
+    let good = bomb(&records, size);
+    drop(records);
+    assert!(good.len() < 1 << 20, "{}", good.len());
+    let mut read = None;
+    let used = allocation_counter::measure(|| read = Some(read_of("bomb", &good).unwrap()));
+    let read = read.unwrap();
+    assert_eq!((read.damaged_parts, read.topics.len()), (0, 0));
+    assert!(used.bytes_max < 16 << 20, "{} bytes at a time", used.bytes_max);
+    // Longer or shorter than it says, or than any may be.
+    for said in [size - 1, size + 1, 1 << 30] {
+        assert_eq!(read_of("bomb-said", &bomb(&[0; 64], said)).unwrap().damaged_parts, 1);
+    }
+}

@@ -1,0 +1,358 @@
+//! Logs and trajectories from a recording of ROS 2: what `csi5300 bearing` and `csi5300 compare` read.
+
+pub(crate) mod compressed;
+mod content;
+#[cfg(test)]
+mod damage_tests;
+#[cfg(test)]
+mod kinds_tests;
+mod recording;
+mod ros1;
+mod sqlite;
+#[cfg(test)]
+mod tests;
+
+pub use content::Content;
+pub use recording::{RecordedTopic, Recording};
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::File;
+use std::io::{self, BufReader, Read, Write};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+
+/// Why a recording cannot be read.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BagError {
+    /// A file cannot be read or written.
+    #[error("{}: {source}", .path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// A file is of no known kind.
+    #[error("{} is no recording: MCAP, SQLite (ROS 2) and bags of ROS 1 are read", .path.display())]
+    Unknown {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A database has not the tables of a recording.
+    #[error("{} is a database of SQLite without the tables of a recording (topics, messages)", .path.display())]
+    NoTables {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A folder has no recording.
+    #[error("{} has no file of a recording (.mcap, .db3, .bag)", .folder.display())]
+    Empty {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// Chunks are compressed in a way that is not read.
+    #[error("{} is compressed by {by}, which is not read: `{}` makes one that is", .path.display(), .command)]
+    Compressed {
+        /// The file.
+        path: PathBuf,
+        /// By what.
+        by: String,
+        /// The command that helps.
+        command: &'static str,
+    },
+    /// What would be written is what is read.
+    #[error("{} is the recording: it is not overwritten", .path.display())]
+    Input {
+        /// The file.
+        path: PathBuf,
+    },
+    /// More than is held in memory.
+    #[error("{} has more than {} MiB of CSI and poses: `csi5300 unbag` makes files of it", .path.display(), .most >> 20)]
+    Large {
+        /// The recording.
+        path: PathBuf,
+        /// Bytes that are held.
+        most: u64,
+    },
+    /// There is a file of that name already.
+    #[error("{} is there already", .path.display())]
+    There {
+        /// The file.
+        path: PathBuf,
+    },
+}
+
+/// What became of a topic.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct UnbaggedTopic {
+    /// Its name.
+    pub topic: String,
+    /// Its type.
+    pub kind: String,
+    /// What was written: a log (`.dat`) of CSI, or a trajectory (`.csv`).
+    pub file: PathBuf,
+    /// Messages that were written.
+    pub messages: u64,
+    /// Messages that are not of their type, or hold what no record or pose can.
+    pub unreadable: u64,
+}
+
+/// What became of a recording.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct Unbagged {
+    /// Topics of which something was written.
+    pub topics: Vec<UnbaggedTopic>,
+    /// Messages of other topics.
+    pub others: u64,
+    /// Files that end before they should: they are whole up to their last chunk.
+    pub cut: Vec<PathBuf>,
+    /// Parts that are damaged and left out, in all files: chunks of MCAP and of bags of ROS 1, pages and rows of SQLite.
+    pub damaged_parts: u64,
+    /// Messages of topics that nothing is known of, as what describes them is damaged.
+    pub without_topic: u64,
+}
+
+/// Bytes that wait to be written, of all topics.
+const WAITING: usize = 16 << 20;
+
+/// A file that is written: beside its name, until the whole recording is read.
+struct Writing {
+    part: PathBuf,
+    waiting: Vec<u8>,
+    told: UnbaggedTopic,
+}
+
+impl Writing {
+    /// Writes what waits. No file stays open: there may be more topics than a process may have of them.
+    fn flush(&mut self) -> Result<(), BagError> {
+        let appended = File::options().append(true).open(&self.part).and_then(|mut to| to.write_all(&self.waiting));
+        self.waiting = Vec::new();
+        appended.map_err(|source| BagError::Io { path: self.told.file.clone(), source })
+    }
+}
+
+/// What is written of a recording. What does not become a file is removed again.
+struct Outputs<'a> {
+    folder: &'a Path,
+    /// The files that are read: device and number.
+    inputs: BTreeSet<(u64, u64)>,
+    replace: bool,
+    files: BTreeMap<(String, String), Writing>,
+    names: BTreeSet<String>,
+    waiting: usize,
+}
+
+impl Outputs<'_> {
+    /// Takes what a message is in its file; nothing where it is unreadable.
+    fn take(&mut self, channel: &Channel, content: Content, bytes: Option<Vec<u8>>) -> Result<(), BagError> {
+        let key = (channel.topic.clone(), channel.kind.clone());
+        if !self.files.contains_key(&key) {
+            let begun = self.begin(channel, content)?;
+            self.files.insert(key.clone(), begun);
+        }
+        let Some(one) = self.files.get_mut(&key) else { return Ok(()) };
+        let Some(bytes) = bytes else {
+            one.told.unreadable += 1;
+            return Ok(());
+        };
+        one.told.messages += 1;
+        self.waiting += bytes.len();
+        one.waiting.extend(bytes);
+        if self.waiting > WAITING {
+            self.waiting = 0;
+            self.files.values_mut().try_for_each(Writing::flush)?;
+        }
+        Ok(())
+    }
+
+    /// A name that no other topic has: those of two may be the same in plain letters.
+    fn name(&mut self, topic: &str, end: &str) -> String {
+        let plain = |c: char| if c.is_ascii_alphanumeric() { c } else { '_' };
+        let stem: String = topic.trim_start_matches('/').chars().map(plain).collect();
+        let stem = if stem.is_empty() { "topic".to_owned() } else { stem };
+        let numbered = (2..).map(|k: u64| format!("{stem}-{k}.{end}"));
+        let mut all = std::iter::once(format!("{stem}.{end}")).chain(numbered);
+        all.find(|name| self.names.insert(name.clone())).unwrap_or_default()
+    }
+
+    fn begin(&mut self, channel: &Channel, content: Content) -> Result<Writing, BagError> {
+        let name = self.name(&channel.topic, content.ending());
+        let (path, part) = (self.folder.join(&name), self.folder.join(format!("{name}.part-{}", std::process::id())));
+        if let Ok(there) = std::fs::metadata(&path) {
+            if self.inputs.contains(&(there.dev(), there.ino())) {
+                return Err(BagError::Input { path });
+            }
+            if !self.replace {
+                return Err(BagError::There { path });
+            }
+        }
+        File::create_new(&part).map_err(|source| BagError::Io { path: path.clone(), source })?;
+        let (topic, kind) = (channel.topic.clone(), channel.kind.clone());
+        let told = UnbaggedTopic { topic, kind, file: path, ..UnbaggedTopic::default() };
+        Ok(Writing { part, waiting: Vec::new(), told })
+    }
+
+    /// Gives the files their names.
+    fn finish(&mut self) -> Result<Vec<UnbaggedTopic>, BagError> {
+        self.files.values_mut().try_for_each(Writing::flush)?;
+        for one in self.files.values() {
+            let io = |source| BagError::Io { path: one.told.file.clone(), source };
+            std::fs::rename(&one.part, &one.told.file).map_err(io)?;
+        }
+        Ok(std::mem::take(&mut self.files).into_values().map(|one| one.told).collect())
+    }
+}
+
+impl Drop for Outputs<'_> {
+    fn drop(&mut self) {
+        self.files.values().for_each(|one| drop(std::fs::remove_file(&one.part)));
+    }
+}
+
+/// Writes each topic of CSI ([`Content::Csi`]) as a log in the WSR layout and each of poses ([`Content::Poses`]) as a
+/// trajectory into the folder `out`, which is made. `bag` is a folder as `ros2 bag` makes it, or one file: MCAP, SQLite or a
+/// bag of ROS 1, also compressed. Times are those of the headers. Files have their names once all of them are whole.
+///
+/// # Errors
+/// If nothing can be read or written, a file is there already and not to be replaced, or is the recording itself.
+pub fn unbag(bag: &Path, out: &Path, replace: bool) -> Result<Unbagged, BagError> {
+    let read = files(bag)?;
+    let read = read.iter().filter_map(|file| std::fs::metadata(file).ok());
+    let inputs = read.map(|file| (file.dev(), file.ino())).collect();
+    std::fs::create_dir_all(out).map_err(|source| BagError::Io { path: out.to_owned(), source })?;
+    let (files, names) = (BTreeMap::new(), BTreeSet::new());
+    let mut outputs = Outputs { folder: out, inputs, replace, files, names, waiting: 0 };
+    let Rest { others, cut, ended } = each(bag, |channel, content, bytes| outputs.take(channel, content, bytes))?;
+    let topics = outputs.finish()?;
+    Ok(Unbagged { topics, others, cut, damaged_parts: ended.damaged_parts, without_topic: ended.without_topic })
+}
+
+/// A topic of a file.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Channel {
+    /// Its name.
+    pub topic: String,
+    /// `nav_msgs/msg/Odometry`.
+    pub kind: String,
+    /// `cdr`, or `ros1`.
+    pub encoding: String,
+}
+
+/// Bytes of a file by which its kind is known.
+const START: u64 = 16;
+
+/// Uses a message: its topic and its payload.
+pub(crate) type Used<'a> = dyn FnMut(&Channel, &[u8]) -> Result<(), BagError> + 'a;
+
+/// How a file was read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Ended {
+    /// It ends where it should not.
+    pub cut: bool,
+    /// Chunks, pages and rows that are damaged.
+    pub damaged_parts: u64,
+    /// Messages of topics that are not known.
+    pub without_topic: u64,
+}
+
+/// What of a recording is neither CSI nor poses.
+#[derive(Clone, Debug, Default)]
+struct Rest {
+    others: u64,
+    cut: Vec<PathBuf>,
+    /// Of all files.
+    ended: Ended,
+}
+
+/// Each message of CSI or poses goes to `used`, as the bytes of its file; without any if it is unreadable.
+fn each(
+    bag: &Path,
+    mut used: impl FnMut(&Channel, Content, Option<Vec<u8>>) -> Result<(), BagError>,
+) -> Result<Rest, BagError> {
+    let mut rest = Rest::default();
+    for file in files(bag)? {
+        let mut others = 0;
+        let ended = read(&file, &mut |channel, payload| {
+            let known = ["cdr", "ros1"].contains(&channel.encoding.as_str());
+            let Some(content) = Content::of(channel).filter(|_| known) else {
+                others += 1;
+                return Ok(());
+            };
+            used(channel, content, content::bytes(channel, payload))
+        })?;
+        rest.others += others;
+        rest.ended.damaged_parts += ended.damaged_parts;
+        rest.ended.without_topic += ended.without_topic;
+        rest.cut.extend(ended.cut.then_some(file));
+    }
+    Ok(rest)
+}
+
+/// Reads a file of whatever kind it is.
+fn read(path: &Path, used: &mut Used<'_>) -> Result<Ended, BagError> {
+    let io = |source| BagError::Io { path: path.to_owned(), source };
+    let file = || File::open(path).map(BufReader::new).map_err(io);
+    let mut start = Vec::new();
+    file()?.take(START).read_to_end(&mut start).map_err(io)?;
+    if compressed::is_zstd(&start) {
+        let mut whole = compressed::stream(file()?).map_err(io)?;
+        let mut start = Vec::new();
+        if whole.by_ref().take(START).read_to_end(&mut start).is_err() {
+            return Ok(Ended { cut: true, ..Ended::default() });
+        }
+        let all = io::Cursor::new(start.clone()).chain(whole);
+        if start.starts_with(sqlite::MAGIC) {
+            return match compressed::unpacked(all, compressed::LARGEST_FILE) {
+                Ok(file) => sqlite::read(path, BufReader::new(file), used),
+                Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => {
+                    Ok(Ended { cut: true, ..Ended::default() })
+                }
+                Err(error) => Err(io(error)),
+            };
+        }
+        return stream(path, &start, BufReader::new(all), used);
+    }
+    if start.starts_with(sqlite::MAGIC) {
+        let ended = sqlite::read(path, file()?, used)?;
+        return Ok(Ended { cut: ended.cut || sqlite::has_journal(path), ..ended });
+    }
+    stream(path, &start, file()?, used)
+}
+
+/// Reads a file that is read from its beginning to its end, `start` being its first bytes.
+fn stream(path: &Path, start: &[u8], from: impl Read, used: &mut Used<'_>) -> Result<Ended, BagError> {
+    if start.starts_with(crate::mcap::MAGIC) {
+        crate::mcap::read(path, from, used)
+    } else if start.starts_with(ros1::MAGIC) {
+        ros1::read(path, from, used)
+    } else {
+        Err(BagError::Unknown { path: path.to_owned() })
+    }
+}
+
+/// The files of a recording, in their order; those of one kind, MCAP before others.
+fn files(bag: &Path) -> Result<Vec<PathBuf>, BagError> {
+    if !bag.is_dir() {
+        return Ok(vec![bag.to_owned()]);
+    }
+    let io = |source| BagError::Io { path: bag.to_owned(), source };
+    let all = std::fs::read_dir(bag).map_err(io)?.map(|entry| entry.map(|entry| entry.path()));
+    let mut all: Vec<PathBuf> = all.collect::<io::Result<_>>().map_err(io)?;
+    // Who plays a compressed file leaves it beside what was in it.
+    let names: BTreeSet<PathBuf> = all.iter().cloned().collect();
+    all.retain(|path| path.extension().is_none_or(|end| end != "zstd") || !names.contains(&path.with_extension("")));
+    // run_2 before run_10.
+    all.sort_by_key(|path| (path.as_os_str().len(), path.clone()));
+    let of = |kind: &str| {
+        let ends = |path: &&PathBuf| {
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            name.trim_end_matches(".zstd").ends_with(kind)
+        };
+        all.iter().filter(ends).cloned().collect::<Vec<PathBuf>>()
+    };
+    let found = [".mcap", ".db3", ".bag"].into_iter().map(of).find(|files| !files.is_empty());
+    found.ok_or_else(|| BagError::Empty { folder: bag.to_owned() })
+}

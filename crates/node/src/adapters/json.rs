@@ -1,0 +1,193 @@
+//! Bearings as lines of JSON, to a file, a pipe or standard output.
+
+use super::{Adapter, Made, Said, Start};
+use crate::config::Output;
+use crate::health::Health;
+use csi5300::pipeline::live::PeerReport;
+use csi5300::source::Error;
+use std::fs::File;
+use std::io::Write;
+use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
+
+/// Lines that wait at most for a reader that is slow or stands still; further ones are lost and counted.
+const LINES: usize = 1_024;
+/// At the end so long is waited for them.
+const LAST_LINES: Duration = Duration::from_secs(1);
+
+/// A published line.
+#[derive(serde::Serialize)]
+struct Line<'a> {
+    /// How long the estimate took, milliseconds.
+    took_ms: Option<f64>,
+    /// How long ago the last record in it was taken, milliseconds.
+    latency_ms: Option<f64>,
+    #[serde(flatten)]
+    report: &'a PeerReport,
+}
+
+pub(super) fn make(start: &Start<'_>) -> Made {
+    let lines = Lines::open(&start.config.output)?;
+    Ok(lines.writer.is_some().then(|| Box::new(lines) as Box<dyn Adapter>))
+}
+
+impl Adapter for Lines {
+    fn report(&mut self, said: &Said<'_>) {
+        self.write(&Line { took_ms: Some(said.took_ms), latency_ms: said.latency_ms, report: said.report });
+    }
+
+    fn look(&mut self, health: &mut Health) {
+        health.load.lines_lost = self.lost();
+    }
+
+    fn finish(&mut self, last: &[PeerReport], health: &mut Health) {
+        last.iter().for_each(|report| self.write(&Line { took_ms: None, latency_ms: None, report }));
+        health.load.lines_lost = self.end();
+    }
+}
+
+/// Lines of JSON, written on a thread of their own: whoever reads them cannot hold up the robot.
+struct Lines {
+    writer: Option<Writer>,
+    counts: Arc<LineCounts>,
+}
+
+struct Writer {
+    lines: SyncSender<String>,
+    /// Closed when the last line is written.
+    done: Receiver<()>,
+}
+
+#[derive(Default)]
+struct LineCounts {
+    lost: AtomicU64,
+    waiting: AtomicU64,
+}
+
+impl Lines {
+    pub fn open(output: &Output) -> Result<Self, Error> {
+        let to: Box<dyn Write + Send> = match output.bearings.as_str() {
+            "" => return Ok(Self { writer: None, counts: Arc::default() }),
+            "-" => Box::new(std::io::stdout()),
+            path => Box::new(
+                append_to(path)
+                    .map_err(|source| Error::Io { what: format!("cannot write bearings to {path}"), source })?,
+            ),
+        };
+        Self::to(to)
+    }
+
+    fn to(mut to: Box<dyn Write + Send>) -> Result<Self, Error> {
+        let counts = Arc::new(LineCounts::default());
+        let (lines, waiting) = sync_channel::<String>(LINES);
+        let (written, done) = sync_channel(0);
+        let shared = Arc::clone(&counts);
+        let write = move || {
+            // Each at once: a reader waits for it, and a kill must not take it.
+            for line in waiting {
+                let failed = to.write_all(line.as_bytes()).and_then(|()| to.flush()).is_err();
+                shared.lost.fetch_add(u64::from(failed), Ordering::Relaxed);
+                shared.waiting.fetch_sub(1, Ordering::Relaxed);
+            }
+            drop(written);
+        };
+        let what = "cannot start the thread that writes bearings".into();
+        let thread = std::thread::Builder::new().name("csi5300 bearings".into()).spawn(write);
+        thread.map_err(|source| Error::Io { what, source })?;
+        Ok(Self { writer: Some(Writer { lines, done }), counts })
+    }
+
+    /// Hands over one value as one line, and never waits.
+    pub fn write(&mut self, value: &impl serde::Serialize) {
+        let Some(writer) = &self.writer else { return };
+        self.counts.waiting.fetch_add(1, Ordering::Relaxed);
+        let line = serde_json::to_string(value).map(|line| line + "\n");
+        if !line.is_ok_and(|line| writer.lines.try_send(line).is_ok()) {
+            self.counts.waiting.fetch_sub(1, Ordering::Relaxed);
+            self.counts.lost.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Lines that could not be written so far.
+    pub fn lost(&self) -> u64 {
+        self.counts.lost.load(Ordering::Relaxed)
+    }
+
+    /// Waits for what is still to be written, but not for ever. Gives the lines that were not.
+    pub fn end(&mut self) -> u64 {
+        if let Some(Writer { lines, done }) = self.writer.take() {
+            drop(lines);
+            if done.recv_timeout(LAST_LINES) == Err(RecvTimeoutError::Timeout) {
+                return self.lost() + self.counts.waiting.load(Ordering::Relaxed);
+            }
+        }
+        self.lost()
+    }
+}
+
+/// Opens what lines are added to. A pipe without a reader is refused: it would be waited for, and signals with it.
+fn append_to(path: &str) -> std::io::Result<File> {
+    let file = File::options().append(true).create(true).custom_flags(nix::libc::O_NONBLOCK).open(path);
+    let is_socket = || std::fs::metadata(path).is_ok_and(|there| there.file_type().is_socket());
+    let file = file.map_err(|error| match error.raw_os_error() {
+        Some(nix::libc::ENXIO) if is_socket() => {
+            std::io::Error::other("it is a socket: bearings go to a file or a pipe")
+        }
+        Some(nix::libc::ENXIO) => std::io::Error::other("it is a pipe that nobody reads: start its reader first"),
+        _ => error,
+    })?;
+    // A reader that is slow is waited for, by the thread that writes.
+    nix::fcntl::fcntl(&file, nix::fcntl::FcntlArg::F_SETFL(nix::fcntl::OFlag::O_APPEND))?;
+    Ok(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A reader that takes nothing until it is let go.
+    struct Stuck(Receiver<()>);
+
+    impl Write for Stuck {
+        fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+            let _ = self.0.recv();
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_reader_that_stands_still_costs_lines_and_no_time() {
+        let (go, stuck) = std::sync::mpsc::channel();
+        let mut lines = Lines::to(Box::new(Stuck(stuck))).unwrap();
+        // One is being written, or still waits.
+        (0..LINES as u64 + 11).for_each(|k| lines.write(&k));
+        assert!((10..=11).contains(&lines.lost()), "{}", lines.lost());
+        let before = lines.lost();
+        drop(go);
+        assert_eq!(lines.end(), before, "the others were written");
+    }
+
+    #[test]
+    fn a_pipe_that_nobody_reads_is_not_waited_for() {
+        let path = std::env::temp_dir().join(format!("csi5300-bearings-{}", std::process::id()));
+        let output = Output { bearings: path.display().to_string(), ..Output::default() };
+        nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        let refused = Lines::open(&output).err().unwrap().to_string();
+        assert!(refused.contains("nobody reads"), "{refused}");
+        let mut reader = File::options().read(true).custom_flags(nix::libc::O_NONBLOCK).open(&path).unwrap();
+        let mut lines = Lines::open(&output).unwrap();
+        lines.write(&7);
+        assert_eq!(lines.end(), 0);
+        let mut said = [0; 2];
+        std::io::Read::read_exact(&mut reader, &mut said).unwrap();
+        assert_eq!(&said, b"7\n");
+        std::fs::remove_file(&path).unwrap();
+    }
+}

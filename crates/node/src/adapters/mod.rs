@@ -1,0 +1,157 @@
+//! What a node speaks, behind one trait: poses come in; records, bearings and the state go out; services are answered.
+//!
+//! | module | what it is |
+//! |---|---|
+//! | `json` | bearings as lines of JSON |
+//! | `status` | the state on a Unix socket, and as one line on a terminal |
+//! | `ros2`, `diagnostics` | ROS 2 |
+//! | `ros1` | ROS 1, through a bridge in Python |
+//! | `zenoh` | the robots' network (feature `zenoh`) |
+//! | `foxglove` | Foxglove's viewers over a websocket (feature `foxglove`) |
+
+mod diagnostics;
+#[cfg(feature = "foxglove")]
+mod foxglove;
+mod json;
+mod ros1;
+mod ros2;
+mod status;
+#[cfg(feature = "zenoh")]
+mod zenoh;
+
+use crate::config::{Config, Odometry};
+use crate::health::Health;
+use crate::machine::Machine;
+use crate::sources::Poses;
+use csi5300::motion::odometry::ros::Stamp;
+use csi5300::motion::pose::Pose;
+use csi5300::pipeline::live::PeerReport;
+use csi5300::source::Error;
+use driver_iface::Mac;
+use std::sync::Arc;
+use tokio::sync::Notify;
+
+/// Something that a node speaks. It is made before any source is opened and dropped after the machine has ended, both outside
+/// of tokio; what it waits for it waits for on threads of its own, or in a task that [`Adapter::attach`] spawns. Nothing here
+/// may wait: what cannot be handed over at once is lost, and counted.
+///
+/// The calls come in the order in which they stand here.
+pub trait Adapter {
+    /// The poses that `odometry` names, if they are this adapter's; `usual` is the time that is taken for theirs unless it
+    /// says which.
+    fn poses(&mut self, _odometry: &Odometry, _usual: Stamp) -> Option<Poses> {
+        None
+    }
+
+    /// This robot and its peers are known: what is published of them can be announced. No log has been begun.
+    ///
+    /// # Errors
+    /// If it cannot go on.
+    fn meet(&mut self, _robot: &Robot) -> Result<(), Error> {
+        Ok(())
+    }
+
+    /// Gives the machine what comes of peers, and what takes its records and poses. Called inside tokio.
+    ///
+    /// # Errors
+    /// If it cannot go on.
+    fn attach(&mut self, _machine: &mut Machine) -> Result<(), Error> {
+        Ok(())
+    }
+
+    /// Publishes what is said of a peer.
+    fn report(&mut self, _said: &Said<'_>) {}
+
+    /// Adds to the state what was counted and what is wrong.
+    fn look(&mut self, _health: &mut Health) {}
+
+    /// Publishes the state, to which all have added theirs.
+    fn tell(&mut self, _health: &Health, _machine: &Machine) {}
+
+    /// Publishes the last report of each peer, and adds to the state what was not published.
+    fn finish(&mut self, _last: &[PeerReport], _health: &mut Health) {}
+}
+
+/// What an adapter is made of.
+pub struct Start<'a> {
+    /// The configuration.
+    pub config: &'a Config,
+    /// This robot's name.
+    pub name: &'a str,
+    /// Reads the host's wall clock, microseconds since the Unix epoch.
+    pub wall_us: fn() -> Option<i64>,
+    /// Notified when something came that the machine should take.
+    pub wake: Arc<Notify>,
+}
+
+/// This robot and its peers, in the order of the configuration.
+pub struct Robot {
+    /// Its MAC.
+    pub own: Mac,
+    /// Name and MAC of each peer.
+    pub peers: Vec<(String, Mac)>,
+}
+
+/// What is said of a peer.
+pub struct Said<'a> {
+    /// Its number.
+    pub peer: usize,
+    /// What is said.
+    pub report: &'a PeerReport,
+    /// How long the estimate took, milliseconds.
+    pub took_ms: f64,
+    /// How long ago the last record in it was taken, milliseconds.
+    pub latency_ms: Option<f64>,
+    /// Where this robot's antenna is.
+    pub own: Option<&'a Pose>,
+    /// The machine that says it.
+    pub machine: &'a Machine,
+}
+
+type Made = Result<Option<Box<dyn Adapter>>, Error>;
+
+/// A kind of adapter.
+struct Kind {
+    name: &'static str,
+    /// Makes one, if the configuration asks for it.
+    make: fn(&Start<'_>) -> Made,
+    /// Why what the configuration asks for cannot be made, as far as that is seen without making it.
+    refusal: fn(&Config) -> Option<String>,
+}
+
+impl Kind {
+    const fn new(name: &'static str, make: fn(&Start<'_>) -> Made) -> Self {
+        Self { name, make, refusal: |_| None }
+    }
+}
+
+/// The adapters of this program.
+const BUILT: &[Kind] = &[
+    Kind::new("ros2", ros2::make),
+    Kind::new("ros1", ros1::make),
+    #[cfg(feature = "zenoh")]
+    Kind { name: "zenoh", make: zenoh::make, refusal: zenoh::refusal },
+    #[cfg(feature = "foxglove")]
+    Kind::new("foxglove", foxglove::make),
+    Kind::new("json", json::make),
+    Kind::new("status", status::make),
+];
+
+/// Makes all that the configuration asks for.
+///
+/// # Errors
+/// Those of each.
+pub fn make(start: &Start<'_>) -> Result<Vec<Box<dyn Adapter>>, Error> {
+    BUILT.iter().filter_map(|kind| (kind.make)(start).transpose()).collect()
+}
+
+/// What the adapter `name` needs, if it is not in this program.
+pub(crate) fn missing(name: &str) -> Option<String> {
+    let is_here = BUILT.iter().any(|kind| kind.name == name);
+    (!is_here).then(|| format!("needs a program built with `--features {name}`"))
+}
+
+/// Why an adapter that the configuration asks for cannot be made, as far as it says so itself.
+pub(crate) fn refusal(config: &Config) -> Option<String> {
+    BUILT.iter().find_map(|kind| (kind.refusal)(config))
+}

@@ -1,0 +1,479 @@
+//! ROS 1 through rospy: a bridge in Python (`packaging/ros1/bridge.py`, which is in this program) that is a node of the master, and
+//! to which lines of JSON go and from which they come. A library of ROS 1 would be three hundred crates and OpenSSL; where
+//! there is a master there is rospy.
+
+use super::{Adapter, Made, Robot, Said, Start};
+use crate::config::Odometry;
+use crate::config::ros::{Ros, is_used, name_part};
+use crate::health::Health;
+use crate::machine::{Machine, Tap};
+use crate::sources::Poses;
+use csi5300::motion::odometry::ros::{Inbox, Kind, Message, Stamp, Wanted};
+use csi5300::motion::pose::Pose;
+use csi5300::source::survey::Survey;
+use csi5300::source::{Error, Next, Stamps};
+use csi5300_bag::messages::own::Csi;
+use csi5300_bag::messages::standard::{Header, Time};
+use csi5300_ros2::said;
+use driver_iface::record::Record;
+use serde_json::{Value, json};
+use std::fs::File;
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
+use std::os::fd::AsFd;
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// The bridge.
+const BRIDGE: &str = include_str!("../../../../packaging/ros1/bridge.py");
+/// The messages that it makes, with what they are made of.
+const BEARING: &str = include_str!("../../../../packaging/ros/csi5300_msgs/msg/Bearing.msg");
+const CSI: &str = include_str!("../../../../packaging/ros/csi5300_msgs/msg/Csi.msg");
+const HEADER: &str = "MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n";
+/// Pythons that may have rospy: Noetic's and Debian's, then Melodic's.
+const PYTHONS: [&str; 3] = ["python3", "python2", "python"];
+
+/// Lines that wait for the bridge at most; further ones are lost and counted.
+const QUEUE: usize = 1_024;
+/// Bytes of a line of the bridge at most.
+const LINE: u64 = 1 << 16;
+/// Pause before a bridge that ended is started again, and looks at whether it is to end within it.
+const RETRY: Duration = Duration::from_millis(50);
+const RETRIES: u32 = 20;
+/// Looks at whether a bridge that is to end has ended, and the time between them.
+const FAREWELLS: u32 = 100;
+const FAREWELL: Duration = Duration::from_millis(20);
+
+pub(super) fn make(start: &Start<'_>) -> Made {
+    let config = start.config;
+    if !is_used(config) {
+        return Ok(None);
+    }
+    let (settings, publishes) = (config.ros.clone().unwrap_or_default(), config.ros.is_some());
+    let (master, node) = (settings.master(), settings.node(config));
+    let (reads, writes, bridge) = (Vec::new(), Vec::new(), None);
+    let commands = PYTHONS.map(|python| [python, "-c", BRIDGE].map(str::to_owned).to_vec()).to_vec();
+    let wall_us = start.wall_us;
+    Ok(Some(Box::new(Ros1 {
+        settings,
+        publishes,
+        master,
+        node,
+        reads,
+        writes,
+        peers: Vec::new(),
+        commands,
+        wall_us,
+        bridge,
+    })))
+}
+
+/// This program as a node of ROS 1.
+struct Ros1 {
+    settings: Ros,
+    publishes: bool,
+    master: String,
+    node: String,
+    reads: Vec<(Inbox, Kind)>,
+    /// Topics that are written, and their types.
+    writes: Vec<(String, &'static str)>,
+    peers: Vec<(String, String)>,
+    /// Bridges that are tried, one after the other.
+    commands: Vec<Vec<String>>,
+    wall_us: fn() -> Option<i64>,
+    bridge: Option<Bridge>,
+}
+
+fn type_name(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Odometry => "nav_msgs/Odometry",
+        Kind::Pose => "geometry_msgs/PoseStamped",
+    }
+}
+
+impl Ros1 {
+    /// What the bridge is told first.
+    fn settings_line(&self) -> String {
+        let topic = |topic: &str, kind: &str| json!({ "topic": topic, "type": kind });
+        let reads: Vec<Value> = self.reads.iter().map(|(inbox, kind)| topic(inbox.topic(), type_name(*kind))).collect();
+        let writes: Vec<Value> = self.writes.iter().map(|(name, kind)| topic(name, kind)).collect();
+        let definition = |text: &str| format!("{text}\n{}\n{HEADER}", "=".repeat(80));
+        let definitions = json!({ "csi5300_msgs/Bearing": definition(BEARING), "csi5300_msgs/Csi": definition(CSI) });
+        let told = json!({ "master": self.master, "node": self.node, "read": reads, "write": writes,
+            "definitions": definitions });
+        format!("{told}\n")
+    }
+}
+
+impl Adapter for Ros1 {
+    fn poses(&mut self, odometry: &Odometry, usual: Stamp) -> Option<Poses> {
+        let Odometry::Ros(topic) = odometry else { return None };
+        let wanted = Wanted { stamp: topic.stamp.unwrap_or(usual), frame: topic.frame.clone() };
+        let inbox = Inbox::new(&topic.topic, wanted);
+        let source = inbox.source();
+        self.reads.push((inbox, topic.kind));
+        Some(Box::new(source))
+    }
+
+    fn meet(&mut self, robot: &Robot) -> Result<(), Error> {
+        if self.publishes && self.settings.publish_bearings {
+            self.peers = robot.peers.iter().map(|(name, mac)| (name.clone(), mac.to_string())).collect();
+            for (name, _) in &self.peers {
+                let topic = format!("{}/{}", self.node, name_part(name));
+                self.writes.push((format!("{topic}/bearing"), "csi5300_msgs/Bearing"));
+                self.writes.push((format!("{topic}/pose"), "geometry_msgs/PoseStamped"));
+            }
+        }
+        if self.publishes && self.settings.publish_csi {
+            self.writes.push((format!("{}/csi", self.node), "csi5300_msgs/Csi"));
+        }
+        let inboxes = self.reads.iter().map(|(inbox, _)| inbox.clone()).collect();
+        let bridge =
+            Bridge::start(self.commands.clone(), self.settings_line(), inboxes, self.writes.len(), self.wall_us);
+        let io = |source| Error::Io { what: "cannot start the threads of ROS 1".into(), source };
+        self.bridge = Some(bridge.map_err(io)?);
+        Ok(())
+    }
+
+    fn attach(&mut self, machine: &mut Machine) -> Result<(), Error> {
+        let last = self.writes.len().saturating_sub(1);
+        if let Some(bridge) = self.bridge.as_ref().filter(|_| self.publishes && self.settings.publish_csi) {
+            machine.add_tap(Box::new(Card { outbox: bridge.outbox.clone(), topic: last, survey: Survey::default() }));
+        }
+        Ok(())
+    }
+
+    fn report(&mut self, said: &Said<'_>) {
+        let (Some(bridge), Some((name, mac))) = (&self.bridge, self.peers.get(said.peer)) else { return };
+        let stamp = Time::from_us((said.report.t_s.unwrap_or(0.0) * 1e6) as i64);
+        let header = Header { stamp, frame_id: self.settings.frame.clone() };
+        if let Some(pose) = said::direction(&header, said.report, said.own) {
+            bridge.outbox.put(2 * said.peer + 1, &pose);
+        }
+        bridge.outbox.put(2 * said.peer, &said::bearing(header, (name, mac), said.report));
+    }
+
+    fn look(&mut self, health: &mut Health) {
+        let Some(bridge) = &self.bridge else { return };
+        let number = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let topic = |((name, _), [sent, lost]): (&(String, _), &[AtomicU64; 2])| {
+            (name.clone(), json!({ "sent": number(sent), "lost": number(lost) }))
+        };
+        let published: serde_json::Map<String, Value> =
+            self.writes.iter().zip(&bridge.outbox.shared.counts).map(topic).collect();
+        let connections = number(&bridge.outbox.shared.connections);
+        health.ros = Some(json!({ "connections": connections, "published": published }));
+        health.trouble.extend(lock(&bridge.outbox.shared.trouble).clone());
+    }
+}
+
+/// Every record of the card, as a message.
+struct Card {
+    outbox: Outbox,
+    topic: usize,
+    survey: Survey,
+}
+
+impl Tap for Card {
+    fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
+        let next = Next::Record(Stamps { host_us, ..Stamps::default() }, record);
+        let Some((bfee, identity)) = self.survey.note(&next) else { return };
+        self.outbox.put(self.topic, &Csi::of(Time::from_us(identity.host_us.unwrap_or(0)), &bfee, identity));
+    }
+
+    fn pose(&mut self, _: Option<Pose>) {}
+}
+
+/// What the threads of a bridge share.
+struct Shared {
+    /// By topic: messages handed to the bridge while it had a master, and others.
+    counts: Vec<[AtomicU64; 2]>,
+    connections: AtomicU64,
+    is_connected: AtomicBool,
+    trouble: Mutex<Option<String>>,
+    input: Mutex<Option<ChildStdin>>,
+    child: Mutex<Option<Child>>,
+    over: AtomicBool,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Shared {
+    fn count(&self, topic: usize, is_lost: bool) {
+        if let Some(counter) = self.counts.get(topic).and_then(|counts| counts.get(usize::from(is_lost))) {
+            counter.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    fn say(&self, connections: u64, trouble: Option<String>) {
+        self.is_connected.store(connections > 0, Ordering::Relaxed);
+        *lock(&self.trouble) = trouble;
+    }
+
+    /// Ends the bridge, which has no input any more: in order, if it takes no longer than it may.
+    fn end(&self) {
+        let Some(mut child) = lock(&self.child).take() else { return };
+        for _ in 0..FAREWELLS {
+            if !matches!(child.try_wait(), Ok(None)) {
+                return;
+            }
+            std::thread::sleep(FAREWELL);
+        }
+        let _ = child.kill();
+        let _ = child.wait();
+    }
+}
+
+/// Where messages are put to be published.
+#[derive(Clone)]
+struct Outbox {
+    lines: SyncSender<(usize, String)>,
+    shared: Arc<Shared>,
+}
+
+impl Outbox {
+    /// Hands a message over, and never waits. It is lost, and counted, while there is no master.
+    fn put(&self, topic: usize, message: &impl serde::Serialize) {
+        let line = || Some(format!("{}\n", json!({ "to": topic, "message": serde_json::to_value(message).ok()? })));
+        let taken = self.shared.is_connected.load(Ordering::Relaxed)
+            && line().is_some_and(|line| self.lines.try_send((topic, line)).is_ok());
+        if !taken {
+            self.shared.count(topic, true);
+        }
+    }
+}
+
+/// A bridge in a process of its own, started again when it ends. It leaves the master when this is dropped.
+struct Bridge {
+    outbox: Outbox,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Bridge {
+    /// Tries the `commands` one after the other; each is told `settings` first.
+    fn start(
+        commands: Vec<Vec<String>>,
+        settings: String,
+        inboxes: Vec<Inbox>,
+        writes: usize,
+        wall_us: fn() -> Option<i64>,
+    ) -> std::io::Result<Self> {
+        let shared = Arc::new(Shared {
+            counts: (0..writes).map(|_| Default::default()).collect(),
+            connections: AtomicU64::new(0),
+            is_connected: AtomicBool::new(false),
+            trouble: Mutex::new(Some("ROS 1: the bridge is being started".into())),
+            input: Mutex::default(),
+            child: Mutex::default(),
+            over: AtomicBool::new(false),
+        });
+        let (lines, waiting) = sync_channel(QUEUE);
+        let writing = Arc::clone(&shared);
+        let named = |name: &str| std::thread::Builder::new().name(name.into());
+        named("csi5300 ros out").spawn(move || write(&waiting, &writing))?;
+        let working = Arc::clone(&shared);
+        let thread = named("csi5300 ros").spawn(move || work(&commands, &settings, &inboxes, &working, wall_us))?;
+        Ok(Self { outbox: Outbox { lines, shared }, thread: Some(thread) })
+    }
+}
+
+impl Drop for Bridge {
+    fn drop(&mut self) {
+        let shared = &self.outbox.shared;
+        shared.over.store(true, Ordering::Relaxed);
+        // The end of its input ends it.
+        lock(&shared.input).take();
+        shared.end();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// Writes what waits to the bridge that there is.
+fn write(waiting: &Receiver<(usize, String)>, shared: &Shared) {
+    for (topic, line) in waiting {
+        // Not held while it is written: a bridge that takes nothing must not keep others from ending it.
+        let input = lock(&shared.input).as_ref().and_then(|input| input.as_fd().try_clone_to_owned().ok());
+        let written = input.is_some_and(|input| File::from(input).write_all(line.as_bytes()).is_ok());
+        shared.count(topic, !written);
+    }
+}
+
+/// Starts bridges, and hears them, until it is over.
+fn work(commands: &[Vec<String>], settings: &str, inboxes: &[Inbox], shared: &Shared, wall_us: fn() -> Option<i64>) {
+    for command in commands.iter().cycle() {
+        let why = match spawn(command, settings, shared) {
+            Ok((output, complaints)) => hear(output, complaints, inboxes, shared, wall_us),
+            Err(error) => format!("{}: {error}", command.first().map_or("", String::as_str)),
+        };
+        shared.say(0, Some(format!("ROS 1: no bridge to the master, which needs rospy ({why})")));
+        for _ in 0..RETRIES {
+            if shared.over.load(Ordering::Relaxed) {
+                return;
+            }
+            std::thread::sleep(RETRY);
+        }
+    }
+}
+
+/// Starts a bridge and tells it what it is to do; gives what it says, and the thread that keeps its last complaint.
+fn spawn(command: &[String], settings: &str, shared: &Shared) -> std::io::Result<(ChildStdout, JoinHandle<String>)> {
+    let (program, arguments) = command.split_first().ok_or(ErrorKind::InvalidInput)?;
+    let pipe = Stdio::piped;
+    let mut child = Command::new(program).args(arguments).stdin(pipe()).stdout(pipe()).stderr(pipe()).spawn()?;
+    let pipes = (child.stdin.take(), child.stdout.take(), child.stderr.take());
+    *lock(&shared.child) = Some(child);
+    let (Some(mut input), Some(output), Some(complaints)) = pipes else { return Err(ErrorKind::BrokenPipe.into()) };
+    let keep = move || {
+        let mut last = String::new();
+        each_line(complaints, |line| {
+            let text = String::from_utf8_lossy(line).trim().to_owned();
+            last = if text.is_empty() { std::mem::take(&mut last) } else { text };
+        });
+        last
+    };
+    let complaints = std::thread::Builder::new().name("csi5300 ros said".into()).spawn(keep)?;
+    // One that ended at once says why.
+    let _ = input.write_all(settings.as_bytes());
+    if !shared.over.load(Ordering::Relaxed) {
+        *lock(&shared.input) = Some(input);
+    }
+    Ok((output, complaints))
+}
+
+fn each_line(from: impl Read, mut used: impl FnMut(&[u8])) {
+    let (mut from, mut line) = (BufReader::new(from), Vec::new());
+    while from.by_ref().take(LINE).read_until(b'\n', &mut line).is_ok_and(|count| count > 0) {
+        used(&line);
+        line.clear();
+    }
+}
+
+/// What comes from the bridge, until it ends; why it did.
+fn hear(
+    output: ChildStdout,
+    complaints: JoinHandle<String>,
+    inboxes: &[Inbox],
+    shared: &Shared,
+    wall_us: fn() -> Option<i64>,
+) -> String {
+    each_line(output, |line| {
+        if let Ok(told) = serde_json::from_slice::<Told>(line) {
+            told.take(inboxes, shared, wall_us().unwrap_or(0));
+        }
+    });
+    lock(&shared.input).take();
+    shared.end();
+    let why = complaints.join().unwrap_or_default();
+    if why.is_empty() { "it ended".into() } else { why }
+}
+
+/// A line of the bridge.
+#[derive(serde::Deserialize)]
+#[serde(untagged)]
+enum Told {
+    /// A pose.
+    Pose { topic: usize, stamp: (u32, u32), frame: String, position: [f64; 3], orientation: [f64; 4] },
+    /// How it stands with the master.
+    State { connections: u64, trouble: Option<String>, wrong: Option<Vec<Option<String>>> },
+    /// A pose of which some number is none.
+    Unreadable { topic: usize },
+}
+
+impl Told {
+    fn take(self, inboxes: &[Inbox], shared: &Shared, received_us: i64) {
+        match self {
+            Self::Pose { topic, stamp, frame, position, orientation } => {
+                let message = Message { stamp, frame: &frame, position_m: position, orientation };
+                inboxes.get(topic).iter().for_each(|inbox| _ = inbox.put(0, &message, received_us));
+            }
+            Self::State { connections, trouble, wrong } => {
+                shared.connections.store(connections, Ordering::Relaxed);
+                shared.say(connections, trouble);
+                for (inbox, wrong) in inboxes.iter().zip(wrong.into_iter().flatten()) {
+                    inbox.say(wrong);
+                }
+            }
+            Self::Unreadable { topic } => inboxes.get(topic).iter().for_each(|inbox| inbox.unreadable()),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300::motion::odometry::{NextPose, OdometrySource};
+    use csi5300::time::Instant;
+    use csi5300_bag::messages::standard::PoseStamped;
+
+    /// A bridge that is this shell script, with one topic that is read and one that is written.
+    fn bridge(scripts: &[&str]) -> (Bridge, csi5300::motion::odometry::ros::Topic) {
+        let commands = scripts.iter().map(|script| ["sh", "-c", script].map(str::to_owned).to_vec()).collect();
+        let inbox = Inbox::new("/odom", Wanted { stamp: Stamp::Header, frame: None });
+        let source = inbox.source();
+        (Bridge::start(commands, "settings\n".into(), vec![inbox], 1, || Some(12_000_000)).unwrap(), source)
+    }
+
+    fn comes(mut is_there: impl FnMut() -> bool) {
+        while !is_there() {
+            std::thread::yield_now();
+        }
+    }
+
+    #[test]
+    fn poses_come_and_messages_go_through_a_bridge_that_is_there() {
+        let folder = std::env::temp_dir().join(format!("csi5300-ros1-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let file = folder.join("went");
+        let script = format!(
+            r#"echo '{{"topic":0,"stamp":[12,500000000],"frame":"odom","position":[1,2,0],"orientation":[0,0,0,1]}}'
+            echo '{{"topic":0}}'
+            echo what is no line of a bridge
+            echo '{{"connections":1,"trouble":null,"wrong":[null]}}'
+            exec cat > {}"#,
+            file.display()
+        );
+        // The first has no rospy.
+        let (bridge, mut poses) = bridge(&["echo ImportError: rospy >&2; exit 1", &script]);
+        let shared = Arc::clone(&bridge.outbox.shared);
+        comes(|| lock(&shared.trouble).as_ref().is_some_and(|why| why.contains("ImportError: rospy")));
+        bridge.outbox.put(0, &PoseStamped::default());
+        comes(|| shared.is_connected.load(Ordering::Relaxed));
+        let next = poses.receive(Instant::ZERO).unwrap();
+        assert!(matches!(next, NextPose::Pose(pose) if pose.t_s == 12.5 && pose.position_m.y == 2.0), "{next:?}");
+        assert_eq!(poses.receive(Instant::ZERO).unwrap(), NextPose::Pending);
+        bridge.outbox.put(0, &PoseStamped::default());
+        comes(|| shared.counts[0][0].load(Ordering::Relaxed) == 1);
+        assert_eq!(shared.counts[0][1].load(Ordering::Relaxed), 1, "what was put before is lost");
+        drop(bridge);
+        let went = std::fs::read_to_string(&file).unwrap();
+        let (first, line) = went.split_once('\n').unwrap();
+        let line: Value = serde_json::from_str(line).unwrap();
+        assert_eq!(
+            (first, &line["to"], &line["message"]["pose"]["orientation"]["w"]),
+            ("settings", &json!(0), &json!(0.0))
+        );
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn what_is_written_is_what_the_shipped_messages_say() {
+        for (text, message) in [
+            (BEARING, serde_json::to_value(csi5300_bag::messages::own::Bearing::default()).unwrap()),
+            (CSI, serde_json::to_value(Csi::default()).unwrap()),
+        ] {
+            let plain = |line: &str| Some(line.split('#').next()?.split_whitespace().nth(1)?.to_owned());
+            let mut fields: Vec<String> = text.lines().filter_map(plain).collect();
+            let mut told: Vec<String> = message.as_object().unwrap().keys().cloned().collect();
+            fields.sort();
+            told.sort();
+            assert_eq!(fields, told);
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! ROS 2: poses of topics in; bearings, markers, diagnostics and CSI out; parameters.
+
+use super::{Adapter, Made, Robot, Said, Start, diagnostics};
+use crate::config::{Config, Odometry, ros2::is_used};
+use crate::health::Health;
+use crate::machine::{Machine, Tap};
+use crate::sources::Poses;
+use csi5300::motion::odometry::ros::Stamp;
+use csi5300::motion::pose::Pose;
+use csi5300::source::Error;
+use csi5300_bag::messages::services::ParameterValue;
+use csi5300_bag::messages::shown::DiagnosticArray;
+use csi5300_ros2::link::{Publisher, usual};
+use csi5300_ros2::{Node, Records};
+use driver_iface::record::Record;
+
+struct Ros2 {
+    node: Node,
+    wall_us: fn() -> Option<i64>,
+    /// What is published beside the poses that are read: nothing without a table `[ros2]`.
+    parameters: Option<Vec<(&'static str, ParameterValue)>>,
+    publishes_diagnostics: bool,
+    diagnostics: Option<Publisher<DiagnosticArray>>,
+}
+
+pub(super) fn make(start: &Start<'_>) -> Made {
+    let config = start.config;
+    if !is_used(config) {
+        return Ok(None);
+    }
+    let asked = config.ros2.clone().unwrap_or_default();
+    let node = Node::start(&asked, &config.robot(), start.wall_us);
+    let node = node.map_err(|error| Error::Backend(Box::new(error)))?;
+    let is_asked = config.ros2.is_some();
+    Ok(Some(Box::new(Ros2 {
+        node,
+        wall_us: start.wall_us,
+        parameters: is_asked.then(|| parameters(config)),
+        publishes_diagnostics: is_asked && asked.publish_diagnostics,
+        diagnostics: None,
+    })))
+}
+
+impl Adapter for Ros2 {
+    fn poses(&mut self, odometry: &Odometry, usual: Stamp) -> Option<Poses> {
+        let Odometry::Ros2(topic) = odometry else { return None };
+        Some(Box::new(self.node.poses(topic, usual)))
+    }
+
+    fn meet(&mut self, robot: &Robot) -> Result<(), Error> {
+        if let Some(parameters) = self.parameters.take() {
+            let peers: Vec<_> = robot.peers.iter().map(|(name, mac)| (name.clone(), mac.to_string())).collect();
+            self.node.announce(&peers);
+            self.node.serve_parameters(parameters);
+        }
+        let publish = || self.node.link().publish("/diagnostics", usual());
+        self.diagnostics = self.publishes_diagnostics.then(publish);
+        Ok(())
+    }
+
+    fn attach(&mut self, machine: &mut Machine) -> Result<(), Error> {
+        if let Some(records) = self.node.records() {
+            machine.add_tap(Box::new(Card(records)));
+        }
+        Ok(())
+    }
+
+    fn report(&mut self, said: &Said<'_>) {
+        self.node.report(said.peer, said.report, said.own);
+    }
+
+    fn look(&mut self, health: &mut Health) {
+        self.node.look();
+        health.ros2 = Some(self.node.counted());
+        health.trouble.extend(self.node.trouble());
+    }
+
+    fn tell(&mut self, health: &Health, _: &Machine) {
+        if let Some(publisher) = &self.diagnostics {
+            let header = self.node.header((self.wall_us)().unwrap_or(0), String::new());
+            publisher.put(&diagnostics::of(header, health));
+        }
+    }
+}
+
+struct Card(Records);
+
+impl Tap for Card {
+    fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
+        self.0.put(host_us, record);
+    }
+
+    fn pose(&mut self, _: Option<Pose>) {}
+}
+
+/// What of the configuration `ros2 param get` gives.
+fn parameters(config: &Config) -> Vec<(&'static str, ParameterValue)> {
+    let words = |text: String| ParameterValue { r#type: 4, string_value: text, ..ParameterValue::default() };
+    let number = |value: f64| ParameterValue { r#type: 3, double_value: value, ..ParameterValue::default() };
+    let truth = |value: bool| ParameterValue { r#type: 1, bool_value: value, ..ParameterValue::default() };
+    let sounding = config.sounding.as_ref().map(|sounding| ("sounding_rate_hz", number(sounding.rate_hz)));
+    let sim = config.ros2.as_ref().is_some_and(|ros| ros.use_sim_time);
+    let all = [
+        ("channel", words(config.channel.to_string())),
+        ("frequency_hz", number(config.channel.centre_hz())),
+        ("rate_hz", number(config.estimator.rate_hz)),
+        ("use_sim_time", truth(sim)),
+    ];
+    all.into_iter().chain(sounding).collect()
+}

@@ -1,0 +1,404 @@
+//! The robots' network: this robot's records and poses published, its peers' taken, through zenoh.
+//!
+//! Keys are `csi5300/<group>/<mac>/records` and `.../poses`. Discovery, reconnection, routing, encryption and access are
+//! zenoh's, by its own configuration file.
+
+use super::exposure::{Doors, LOCAL, Verdict};
+use super::owners::{Owner, access_control, key_of};
+use crate::NodeError;
+use crate::config::Network as Asked;
+use crate::machine::Tap;
+use csi5300::motion::pose::Pose;
+use csi5300::source::Error;
+use csi5300::source::remote::{Batch, Mailbox, QueueCounts};
+use driver_iface::Mac;
+use driver_iface::record::Record;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+use std::time::Duration;
+use zenoh::Wait;
+use zenoh::qos::{CongestionControl, Priority};
+
+/// Items that wait for the network at most; further ones are lost and counted.
+const BACKLOG: usize = 4_096;
+/// A message is sent when it is this long, ...
+const MESSAGE_BYTES: usize = 32 * 1024;
+/// ... or this long after its first item: the threads of both ends wake for a message, not for every record.
+const HAND_OVER: Duration = Duration::from_millis(4);
+/// How soon it is seen that the publisher is to stop, while nothing comes.
+const STOP_LOOK: Duration = Duration::from_millis(50);
+/// Zenoh's own queue for each neighbour, batches of 64 KiB: at its own length what waited for a first reader does not fit, and
+/// is dropped. This is the longest; what is not needed is not allocated.
+const QUEUE: &str = "16";
+const ZENOH_QUEUE: &str = "2";
+/// Looks for a first reader, and the time between them.
+const FIRST_LOOKS: u32 = 200;
+const FIRST_LOOK: Duration = Duration::from_millis(5);
+/// Messages that are still sent after a request to stop: more than can wait.
+const LAST_MESSAGES: usize = 256;
+
+/// Bytes of the file of users that are looked at: whether there are any is seen in the first ones.
+const USERS_BYTES: u64 = 1 << 16;
+
+/// Something to publish, with its number among those of its kind. What there was no room for has a number too.
+enum Item {
+    Record(u64, Option<i64>, u8, Vec<u8>),
+    /// With the number of its frame.
+    Pose(u64, u64, Pose),
+}
+
+/// The network. Leaves it when dropped, which must be outside of an async runtime: zenoh waits for its own.
+pub struct Network {
+    session: zenoh::Session,
+    prefix: String,
+    backlog: usize,
+    subscribers: Vec<zenoh::pubsub::Subscriber<()>>,
+    mailboxes: Vec<(String, &'static str, Mailbox)>,
+    publisher: Option<(SyncSender<Item>, JoinHandle<()>)>,
+    unsent: Arc<AtomicU64>,
+    /// The publisher sends what waits, and ends.
+    stop: Arc<AtomicBool>,
+    publishes: (bool, bool),
+}
+
+fn wrong(what: &str) -> impl Fn(zenoh::Error) -> Error + '_ {
+    move |error| Error::Backend(format!("{what}: {error}").into())
+}
+
+/// What all keys of a group begin with.
+fn prefix_of(asked: &Asked) -> String {
+    format!("csi5300/{}", if asked.group.is_empty() { "robots" } else { &asked.group })
+}
+
+/// Whether a name stands for itself among zenoh's keys.
+fn is_plain(group: &str) -> bool {
+    group.chars().all(|letter| letter.is_alphanumeric() || ['-', '_', '.'].contains(&letter))
+}
+
+/// Zenoh's configuration with the endpoints and owners of ours, closed to whoever is not asked who they are.
+fn configured(asked: &Asked, owners: &[Owner]) -> Result<zenoh::Config, Error> {
+    if !is_plain(&asked.group) {
+        return Err(NodeError::GroupName { group: asked.group.clone() }.into());
+    }
+    let mut config = match &asked.zenoh {
+        Some(file) => zenoh::Config::from_file(file).map_err(wrong("zenoh's configuration"))?,
+        None => zenoh::Config::default(),
+    };
+    for (key, endpoints) in [("connect/endpoints", &asked.connect), ("listen/endpoints", &asked.listen)] {
+        if !endpoints.is_empty() {
+            let list = serde_json::to_string(endpoints).unwrap_or_default();
+            config.insert_json5(key, &list).map_err(wrong("an endpoint of [network]"))?;
+        }
+    }
+    let doors = doors(&config);
+    if let Some(rules) = access_control(&prefix_of(asked), owners) {
+        if !doors.has_certificates {
+            return Err(NodeError::NoCertificates.into());
+        }
+        if doors.has_rules {
+            return Err(NodeError::TwoAccessControls.into());
+        }
+        config.insert_json5("access_control", &rules.to_string()).map_err(wrong("`certificate` of a peer"))?;
+    }
+    if asked.insecure {
+        return Ok(config);
+    }
+    if let Some(path) = &doors.users {
+        has_users(path)?;
+    }
+    match doors.judge() {
+        Verdict::Good => {}
+        Verdict::Open(endpoint) => return Err(NodeError::OpenNetwork { endpoint }.into()),
+        Verdict::KeepLocal => {
+            if doors.listen.is_none() {
+                let local = serde_json::to_string(&[LOCAL]).unwrap_or_default();
+                config.insert_json5("listen/endpoints", &local).map_err(wrong("an endpoint of this machine"))?;
+            }
+            // Whom it finds is not asked who it is.
+            config.insert_json5("scouting/multicast/enabled", "false").map_err(wrong("zenoh's discovery"))?;
+        }
+    }
+    Ok(config)
+}
+
+/// What of a configuration decides who takes part.
+fn doors(config: &zenoh::Config) -> Doors {
+    let value = |config: &zenoh::Config, key: &str| {
+        config
+            .get_json(key)
+            .ok()
+            .and_then(|text| serde_json::from_str::<serde_json::Value>(&text).ok())
+            .unwrap_or_default()
+    };
+    let (listen, usual) = (value(config, "listen/endpoints"), value(&zenoh::Config::default(), "listen/endpoints"));
+    let connect = endpoints(&value(config, "connect/endpoints"));
+    let users = value(config, "transport/auth/usrpwd/dictionary_file");
+    let is_on = |key: &str| value(config, key) == serde_json::Value::Bool(true);
+    Doors {
+        listen: (listen != usual).then(|| endpoints(&listen)),
+        connect,
+        users: users.as_str().filter(|file| !file.is_empty()).map(PathBuf::from),
+        has_certificates: is_on("transport/link/tls/enable_mtls"),
+        has_rules: is_on("access_control/enabled"),
+    }
+}
+
+/// Refuses a file of users without any: zenoh asks nobody for a password then.
+fn has_users(path: &Path) -> Result<(), NodeError> {
+    let none = |source| NodeError::NoUsers { path: path.to_owned(), source };
+    let file = std::fs::File::open(path).map_err(|error| none(Some(error)))?;
+    let mut text = String::new();
+    file.take(USERS_BYTES).read_to_string(&mut text).map_err(|error| none(Some(error)))?;
+    if text.trim().is_empty() { Err(none(None)) } else { Ok(()) }
+}
+
+/// Every endpoint in a list, or in the lists of each mode.
+fn endpoints(value: &serde_json::Value) -> Vec<String> {
+    match value {
+        serde_json::Value::String(endpoint) => vec![endpoint.clone()],
+        serde_json::Value::Array(list) => list.iter().flat_map(endpoints).collect(),
+        serde_json::Value::Object(modes) => modes.values().flat_map(endpoints).collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// Why this network would not be joined, for `--check`.
+pub(crate) fn refusal(asked: &Asked, owners: &[Owner]) -> Option<String> {
+    configured(asked, owners).err().map(|error| error.to_string())
+}
+
+impl Network {
+    /// Joins. Call it outside of an async runtime: zenoh has its own.
+    ///
+    /// # Errors
+    /// If zenoh refuses its configuration or cannot listen, or `owners` have certificates that nobody is asked for.
+    pub fn join(asked: &Asked, own: Mac, owners: &[Owner]) -> Result<Self, Error> {
+        let mut config = configured(asked, owners)?;
+        let queue = "transport/link/tx/queue/size/real_time";
+        if config.get_json(queue).is_ok_and(|size| size == ZENOH_QUEUE) {
+            config.insert_json5(queue, QUEUE).map_err(wrong("zenoh's queue"))?;
+        }
+        let session = zenoh::open(config).wait().map_err(wrong("joining the network"))?;
+        let mut network = Self {
+            session,
+            prefix: prefix_of(asked),
+            backlog: asked.backlog.unwrap_or(BACKLOG),
+            subscribers: Vec::new(),
+            mailboxes: Vec::new(),
+            publisher: None,
+            unsent: Arc::default(),
+            stop: Arc::default(),
+            publishes: (asked.publish_records, asked.publish_poses),
+        };
+        if asked.publish_records || asked.publish_poses {
+            network.publish(own)?;
+        }
+        Ok(network)
+    }
+
+    fn publish(&mut self, own: Mac) -> Result<(), Error> {
+        let (items, waiting) = sync_channel(self.backlog);
+        // Never waits for a slow peer: what does not fit is dropped, and its numbers are missing there.
+        let publisher = |what: &str| {
+            let key = format!("{}/{}/{what}", self.prefix, key_of(own));
+            let declared = self.session.declare_publisher(key).congestion_control(CongestionControl::Drop);
+            declared.priority(Priority::RealTime).express(true).wait().map_err(wrong("declaring a publisher"))
+        };
+        let (records, poses) = (publisher("records")?, publisher("poses")?);
+        // Another one at each start, so that peers know numbers that began anew.
+        let session = csi5300_live::wait::wall_us().unwrap_or(0) as u32 ^ std::process::id();
+        let stop = Arc::clone(&self.stop);
+        let (publishes_records, publishes_poses) = self.publishes;
+        let send = move || {
+            let is_read = |publisher: &zenoh::pubsub::Publisher<'_>| {
+                publisher.matching_status().wait().is_ok_and(|status| status.matching())
+            };
+            wait_for_reader(&stop, || (publishes_records && is_read(&records)) || (publishes_poses && is_read(&poses)));
+            let send_records = |message| drop(records.put::<Vec<u8>>(message).wait());
+            let send_poses = |message| drop(poses.put::<Vec<u8>>(message).wait());
+            work(&waiting, session, &stop, send_records, send_poses);
+        };
+        let thread = std::thread::Builder::new().name("csi5300 network".into()).spawn(send);
+        let what = "cannot start the thread of the network".into();
+        self.publisher = Some((items, thread.map_err(|source| Error::Io { what, source })?));
+        Ok(())
+    }
+
+    /// The receiver of every record and pose of this robot, if anything is published.
+    #[must_use]
+    pub fn tap(&self) -> Option<Box<dyn Tap>> {
+        let (items, _) = self.publisher.as_ref()?;
+        Some(Box::new(Published::new(items.clone(), Arc::clone(&self.unsent), self.publishes)))
+    }
+
+    /// A queue of a peer's `records` or `poses`; `wake` is called whenever something came.
+    ///
+    /// # Errors
+    /// If zenoh refuses.
+    pub fn subscribe(
+        &mut self,
+        peer: Mac,
+        what: &'static str,
+        wake: impl Fn() + Send + Sync + 'static,
+    ) -> Result<Mailbox, Error> {
+        let mailbox = Mailbox::new(self.backlog);
+        let (inside, clock) = (mailbox.clone(), csi5300_live::wait::Monotonic::new());
+        let key = format!("{}/{}/{what}", self.prefix, key_of(peer));
+        let take = move |sample: zenoh::sample::Sample| {
+            inside.put_at(clock.now(), &sample.payload().to_bytes());
+            wake();
+        };
+        let subscriber = self.session.declare_subscriber(key).callback(take).wait();
+        self.subscribers.push(subscriber.map_err(wrong("subscribing to a peer"))?);
+        self.mailboxes.push((peer.to_string(), what, mailbox.clone()));
+        Ok(mailbox)
+    }
+
+    /// Messages of second senders under the address of a peer, by peer.
+    pub fn contested(&self) -> impl Iterator<Item = (&str, u64)> {
+        self.mailboxes.iter().map(|(mac, _, mailbox)| (mac.as_str(), mailbox.counts().contested))
+    }
+
+    /// What was counted so far.
+    #[must_use]
+    pub fn counts(&self) -> NetworkCounts {
+        let counted = self.mailboxes.iter().map(|(mac, what, mailbox)| (mac.clone(), *what, mailbox.counts()));
+        NetworkCounts { unsent: self.unsent.load(Ordering::Relaxed), subscriptions: counted.collect() }
+    }
+}
+
+impl Drop for Network {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some((items, thread)) = self.publisher.take() {
+            drop(items);
+            let _ = thread.join();
+        }
+        let _ = self.session.close().wait();
+    }
+}
+
+/// Waits for the first reader, but no longer than a second: what is put before one is known reaches nobody, while it may
+/// well be there, as the robots' programs find each other in some milliseconds.
+fn wait_for_reader(stop: &AtomicBool, is_read: impl Fn() -> bool) {
+    for _ in 0..FIRST_LOOKS {
+        if is_read() || stop.load(Ordering::Relaxed) {
+            break;
+        }
+        std::thread::sleep(FIRST_LOOK);
+    }
+}
+
+/// Items between two looks at whether to stop.
+const ITEMS_AT_ONCE: usize = 1_024;
+
+/// Collects items into messages, and sends them.
+fn work(
+    waiting: &Receiver<Item>,
+    session: u32,
+    stop: &AtomicBool,
+    send_records: impl Fn(Vec<u8>),
+    send_poses: impl Fn(Vec<u8>),
+) {
+    let (mut records, mut poses) = (Batch::records(session), Batch::poses(session));
+    // Into its message; one that its number does not continue is sent first.
+    let collect = |item, records: &mut Batch, poses: &mut Batch| match item {
+        Item::Record(number, host_us, code, body) => {
+            records.number(number).into_iter().for_each(&send_records);
+            records.push_record(host_us, Record { code, body: &body });
+        }
+        Item::Pose(number, frame, pose) => {
+            poses.number(number).into_iter().for_each(&send_poses);
+            poses.push_pose(frame, pose);
+        }
+    };
+    let (mut left, mut behind) = (LAST_MESSAGES, false);
+    while left > 0 {
+        // After a request to stop it sends what waits and no more: a tap that goes on does not keep it alive.
+        let stopping = stop.load(Ordering::Relaxed);
+        left -= usize::from(stopping);
+        match waiting.recv_timeout(if stopping { Duration::ZERO } else { STOP_LOOK }) {
+            Ok(item) => collect(item, &mut records, &mut poses),
+            Err(RecvTimeoutError::Timeout) if !stopping => continue,
+            Err(_) => break,
+        }
+        if !stopping && !behind {
+            std::thread::sleep(HAND_OVER);
+        }
+        // Whatever waits goes with it, but not for ever: items may come as fast as they go.
+        behind = true;
+        for _ in 0..ITEMS_AT_ONCE {
+            if records.len() >= MESSAGE_BYTES || poses.len() >= MESSAGE_BYTES {
+                break;
+            }
+            let Ok(item) = waiting.try_recv() else {
+                behind = false;
+                break;
+            };
+            collect(item, &mut records, &mut poses);
+        }
+        for (batch, send) in [(&mut records, &send_records as &dyn Fn(Vec<u8>)), (&mut poses, &send_poses)] {
+            if !batch.is_empty() {
+                send(batch.take());
+            }
+        }
+    }
+}
+
+/// Hands items to the network's thread, and never waits for it.
+struct Published {
+    items: SyncSender<Item>,
+    unsent: Arc<AtomicU64>,
+    records: bool,
+    poses: bool,
+    /// Numbers of the next record, the next pose, and the frame.
+    next: (u64, u64, u64),
+}
+
+impl Published {
+    fn new(items: SyncSender<Item>, unsent: Arc<AtomicU64>, (records, poses): (bool, bool)) -> Self {
+        Self { items, unsent, records, poses, next: (0, 0, 0) }
+    }
+
+    fn send(&self, item: Item) {
+        if self.items.try_send(item).is_err() {
+            self.unsent.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+impl Tap for Published {
+    fn record(&mut self, host_us: Option<i64>, record: Record<'_>) {
+        if self.records {
+            self.send(Item::Record(self.next.0, host_us, record.code, record.body.to_vec()));
+            self.next.0 += 1;
+        }
+    }
+
+    fn pose(&mut self, pose: Option<Pose>) {
+        match pose {
+            Some(pose) if self.poses => {
+                self.send(Item::Pose(self.next.1, self.next.2, pose));
+                self.next.1 += 1;
+            }
+            Some(_) => {}
+            None => self.next.2 += 1,
+        }
+    }
+}
+
+/// What was counted of the network, peer by peer.
+#[derive(Clone, Debug, Default, serde::Serialize)]
+pub struct NetworkCounts {
+    /// Records and poses that were not sent because too many waited.
+    pub unsent: u64,
+    /// Peers' MACs, what they publish, and what was counted of it.
+    pub subscriptions: Vec<(String, &'static str, QueueCounts)>,
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,93 @@
+//! The service itself.
+
+use csi5300_node::config::{Capture, Config};
+use csi5300_node::service::{self, Ended};
+use csi5300_say::{Outcome, Result, Tone, count, is_end_of_room, print, toned, usage};
+use std::path::PathBuf;
+
+// Arguments of the service.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The robot's configuration; packaging/robot.toml explains every key. If not given: robot.toml in this folder, in
+    /// ~/.config/csi5300 ($XDG_CONFIG_HOME), or in /etc/csi5300
+    #[arg(long, value_name = "ROBOT.toml")]
+    config: Option<PathBuf>,
+    /// Check the configuration, start nothing
+    #[arg(long)]
+    check: bool,
+}
+
+impl Args {
+    /// True if nothing was asked for.
+    pub fn is_empty(&self) -> bool {
+        self.config.is_none() && !self.check
+    }
+}
+
+/// Runs the robot's own service.
+pub fn run(args: &Args) -> Result {
+    let found = args.config.clone().map_or_else(super::places::configuration, Ok);
+    let file = found.unwrap_or_else(|message| usage(&message));
+    // A file that is missing is no wrong usage, of any command.
+    let text = Config::text_of(&file).map_err(|error| format!("{}: cannot be read: {error}", file.display()))?;
+    let config = Config::of_file(&text, &file).unwrap_or_else(|error| {
+        let lines: Vec<String> = error.0.iter().map(|problem| format!("{}: {problem}", file.display())).collect();
+        usage(&lines.join("\ncsi5300-node: "))
+    });
+    if args.check {
+        print(&format!("{}: {}\n", file.display(), toned("good", Tone::Good)));
+        return Ok(Outcome::Done);
+    }
+    let name = config.name.clone().unwrap_or_else(host_name);
+    let ended = service::run(&config, name).map_err(|error| error.to_string())?;
+    notes!("{}", summary(&ended));
+    match &ended.error {
+        Some(error) if matches!(config.capture.get_ref(), Capture::Served(_)) && is_end_of_room(error) => {
+            note!("the room has ended");
+        }
+        Some(error) => return Err(error.to_string()),
+        None => {}
+    }
+    Ok(if ended.health.records == 0 && !ended.signalled {
+        Outcome::Nothing
+    } else if ended.health.lost_something() {
+        Outcome::DataLost
+    } else {
+        Outcome::Done
+    })
+}
+
+fn host_name() -> String {
+    std::fs::read_to_string("/proc/sys/kernel/hostname").map_or_else(|_| "robot".into(), |name| name.trim().to_owned())
+}
+
+fn summary(ended: &Ended) -> String {
+    let health = &ended.health;
+    let mut text = format!(
+        "{} and {} in {:.1} s; {}; {}\n",
+        count(health.records, "record", "records"),
+        count(health.poses.poses, "pose", "poses"),
+        health.uptime_s,
+        count(ended.bearings, "bearing", "bearings"),
+        count(health.losses, "loss", "losses")
+    );
+    for peer in &health.peers {
+        let words = peer.report.as_ref().map_or("nothing was said of it", |report| report.words.as_str());
+        let counts = &peer.counts;
+        text += &format!(
+            "  {}: {words}; {} of {} here and {} there\n",
+            peer.name,
+            count(counts.pairs, "pair", "pairs"),
+            count(counts.heard, "record", "records"),
+            counts.heard_by_peer
+        );
+    }
+    if let Some(log) = &ended.totals {
+        let missing = log.dropped + log.lost_on_disk;
+        text += &format!("  {} in the log, {missing} not\n", count(log.written, "record", "records"));
+    }
+    for trouble in &health.trouble {
+        text += &format!("  {trouble}\n");
+    }
+    text
+}

@@ -1,0 +1,399 @@
+//! A running node in a terminal.
+
+use csi5300::time::Instant;
+use csi5300_live::wait::{Monotonic, Signals};
+use csi5300_say::{Outcome, Result, fixed, print};
+use nix::sys::signal::{SigSet, Signal};
+use nix::sys::signalfd::{SfdFlags, SignalFd};
+use ratatui::Frame;
+use ratatui::layout::{Constraint, Layout, Rect};
+use ratatui::style::{Color, Modifier, Style};
+use ratatui::symbols::Marker;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::canvas::{Canvas, Circle, Line as Stroke};
+use ratatui::widgets::{Block, Paragraph, Row, Table};
+use serde_json::Value;
+use std::fs::File;
+use std::io::{BufRead, BufReader, IsTerminal, Read};
+use std::os::fd::AsFd;
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, channel};
+use std::time::Duration;
+
+// Arguments of `watch`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The node's status socket, as its configuration names it. If not given: that of the configuration which `node` finds,
+    /// else /run/csi5300/status.sock
+    #[arg(value_name = "SOCKET")]
+    socket: Option<PathBuf>,
+    /// Print one state as JSON and end
+    #[arg(long, visible_alias = "json")]
+    once: bool,
+}
+
+/// Time between two looks at the node.
+const LOOK: csi5300::time::Span = csi5300::time::Span::from_ms(100);
+/// Bytes of a state at most.
+const LONGEST: u64 = 16 << 20;
+/// How long a silent node is waited for before the screen says so.
+const SILENT: Duration = Duration::from_secs(3);
+/// Columns that the table of peers needs, its frame with it.
+const TABLE: u16 = 80;
+/// Colours of the peers, in their order; they are also numbered.
+const COLOURS: [Color; 6] =
+    [Color::Cyan, Color::Yellow, Color::Green, Color::Magenta, Color::LightRed, Color::LightBlue];
+
+/// The signals that end the program: they wait until the terminal is as it was.
+struct Ends {
+    signals: Signals,
+    /// SIGQUIT, which leaves a core behind where nothing is set aside for it.
+    quit: SignalFd,
+    clock: Monotonic,
+}
+
+impl Ends {
+    /// From here on they end nothing by themselves. Threads started later inherit that.
+    fn catch() -> std::result::Result<Self, String> {
+        let set = SigSet::from_iter([Signal::SIGQUIT]);
+        let quit = set
+            .thread_block()
+            .and_then(|()| SignalFd::with_flags(&set, SfdFlags::SFD_NONBLOCK | SfdFlags::SFD_CLOEXEC));
+        let quit = quit.map_err(|errno| format!("cannot catch signals: {errno}"))?;
+        Ok(Self { signals: Signals::catch().map_err(|error| error.to_string())?, quit, clock: Monotonic::new() })
+    }
+
+    /// True once one has come.
+    fn is_one_here(&self) -> bool {
+        let come = self.clock.wait([self.signals.as_fd(), self.quit.as_fd()], Some(self.clock.now()));
+        come.is_ok_and(|come| come.contains(&true))
+    }
+
+    /// Waits for a key, a signal or `until`; true for a key that ends the program, and where the terminal ended.
+    fn wait(&self, keys: &mut Keys, until: Instant) -> bool {
+        let fds = [keys.terminal.as_fd(), self.signals.as_fd(), self.quit.as_fd()];
+        self.clock.wait(fds, Some(until)).is_ok_and(|[key, ..]| key) && keys.end()
+    }
+}
+
+/// The keyboard. Not read by crossterm, which reads a terminal that has ended for ever (its `mio.rs`: neither an end nor an error
+/// leaves the inner loop), with the signals that would end the program blocked.
+struct Keys {
+    terminal: File,
+}
+
+impl Keys {
+    fn open() -> std::io::Result<Self> {
+        let stdin = std::io::stdin();
+        let terminal =
+            if stdin.is_terminal() { File::from(stdin.as_fd().try_clone_to_owned()?) } else { File::open("/dev/tty")? };
+        Ok(Self { terminal })
+    }
+
+    /// Reads what is there: true for q, Escape and Ctrl-C, and where there is nobody to press one.
+    fn end(&mut self) -> bool {
+        let mut bytes = [0; 64];
+        let Ok(read) = self.terminal.read(&mut bytes) else { return true };
+        match bytes.get(..read).unwrap_or_default() {
+            [] | [0x1b] => true,
+            // An arrow, a function key.
+            [0x1b, ..] => false,
+            keys => keys.iter().any(|key| matches!(key, b'q' | 0x03)),
+        }
+    }
+}
+
+/// Shows a running node until `q` is pressed, or a signal comes.
+pub fn run(args: &Args) -> Result {
+    let socket = args.socket.clone().unwrap_or_else(super::places::status_socket);
+    let stream = connect(&socket)?;
+    let mut states = lines(stream);
+    if args.once || !std::io::stdout().is_terminal() {
+        return match states.find(|line| line.as_ref().is_ok_and(|line| !line.is_empty())) {
+            Some(Ok(line)) => {
+                print(&format!("{line}\n"));
+                Ok(Outcome::Done)
+            }
+            Some(Err(error)) => Err(error.to_string()),
+            None => Err("the node ended before it said anything, or 16 others are looking at it already".into()),
+        };
+    }
+    // Before the thread, which would end the program on one, and before there is anything to restore.
+    let ends = Ends::catch()?;
+    let (told, from_node) = channel();
+    std::thread::spawn(move || {
+        for line in states.map_while(std::result::Result::ok) {
+            let Ok(state) = serde_json::from_str(&line) else { continue };
+            if told.send(state).is_err() {
+                return;
+            }
+        }
+    });
+    let mut keys = Keys::open().map_err(|error| format!("the terminal: {error}"))?;
+    let mut terminal = ratatui::init();
+    let shown = show(&mut terminal, &from_node, &socket, (&ends, &mut keys));
+    ratatui::restore();
+    match shown {
+        // A terminal that was closed refuses to be drawn on, and says so by a hangup or by its end.
+        Err(_) if ends.is_one_here() || ends.wait(&mut keys, ends.clock.now()) => Ok(Outcome::Done),
+        shown => shown.map_err(|error| error.to_string()),
+    }
+}
+
+/// The lines that a node says, up to one that has no end.
+fn lines(stream: UnixStream) -> impl Iterator<Item = std::io::Result<String>> {
+    let mut stream = BufReader::new(stream);
+    std::iter::from_fn(move || {
+        let mut line = String::new();
+        match (&mut stream).take(LONGEST).read_line(&mut line) {
+            Ok(0) => None,
+            Ok(_) if !line.ends_with('\n') && line.len() as u64 >= LONGEST => {
+                Some(Err(std::io::Error::other(format!("the node's state has more than {} MiB", LONGEST >> 20))))
+            }
+            Ok(_) => Some(Ok(line.trim_end_matches('\n').to_owned())),
+            Err(error) => Some(Err(error)),
+        }
+    })
+}
+
+fn connect(socket: &Path) -> std::result::Result<UnixStream, String> {
+    UnixStream::connect(socket).map_err(|error| {
+        let hint = "does the node run, and is this its `output.status_socket`?";
+        format!("{}: {error}; {hint}", socket.display())
+    })
+}
+
+/// Draws every state that comes, until a key or a signal ends it.
+fn show(
+    terminal: &mut ratatui::DefaultTerminal,
+    states: &Receiver<Value>,
+    socket: &Path,
+    (ends, keys): (&Ends, &mut Keys),
+) -> std::io::Result<Outcome> {
+    let mut state = Value::Null;
+    let mut silent = Duration::ZERO;
+    while !ends.is_one_here() {
+        match states.try_iter().last() {
+            Some(new) => (state, silent) = (new, Duration::ZERO),
+            None => silent += Duration::from_micros(LOOK.as_us().unsigned_abs()),
+        }
+        let title = if silent > SILENT { "  no word from the node: it ended, or hangs" } else { "" };
+        terminal.draw(|frame| draw(frame, &state, &format!(" {}{title} ", socket.display())))?;
+        if ends.wait(keys, ends.clock.now() + LOOK) {
+            break;
+        }
+    }
+    Ok(Outcome::Done)
+}
+
+/// The table of so many peers and the compass: beside each other where there is room, else below each other.
+fn parts(area: Rect, peers: usize) -> [Rect; 2] {
+    let side = (area.height * 2).min(area.width / 2);
+    if area.width.saturating_sub(side) >= TABLE {
+        return Layout::horizontal([Constraint::Min(TABLE), Constraint::Length(side)]).areas(area);
+    }
+    let rows = u16::try_from(peers).unwrap_or(u16::MAX).saturating_add(3).min(area.height / 2).max(4);
+    Layout::vertical([Constraint::Length(rows), Constraint::Min(0)]).areas(area)
+}
+
+fn number(value: &Value, path: &str) -> Option<f64> {
+    value.pointer(path)?.as_f64()
+}
+
+fn text(value: &Value, path: &str) -> String {
+    value.pointer(path).and_then(Value::as_str).unwrap_or_default().to_owned()
+}
+
+fn figure(value: Option<f64>, digits: usize) -> String {
+    value.map_or_else(|| "-".into(), |value| fixed(value, digits))
+}
+
+/// A tenth of what is below a hundred: more has no room.
+fn short(value: Option<f64>) -> String {
+    figure(value, if value.is_some_and(|value| value < 99.95) { 1 } else { 0 })
+}
+
+/// Whole degrees from 0 to 359.
+fn whole_turn(deg: f64) -> f64 {
+    deg.round().rem_euclid(360.0)
+}
+
+/// The whole screen.
+fn draw(frame: &mut Frame<'_>, state: &Value, title: &str) {
+    let peers = state["peers"].as_array().cloned().unwrap_or_default();
+    let trouble = state["trouble"].as_array().cloned().unwrap_or_default();
+    let troubles = trouble.len().min(4) as u16;
+    let rows = [Constraint::Length(6), Constraint::Min(8), Constraint::Length(troubles), Constraint::Length(1)];
+    let [head, middle, wrong, foot] = Layout::vertical(rows).areas(frame.area());
+    frame.render_widget(Paragraph::new(summary(state)).block(Block::bordered().title(title.to_owned())), head);
+    let [list, rose] = parts(middle, peers.len());
+    frame.render_widget(table(&peers), list);
+    compass(frame, rose, state, &peers);
+    let lines: Vec<Line> = trouble.iter().filter_map(Value::as_str).map(|text| Line::from(text.to_owned())).collect();
+    frame.render_widget(Paragraph::new(lines).style(Style::new().fg(Color::Red)), wrong);
+    frame.render_widget(Paragraph::new("q ends; bearings are in the odometry's frame, +x to the right"), foot);
+}
+
+fn summary(state: &Value) -> Vec<Line<'static>> {
+    let of = |path| number(state, path);
+    let lost = of("/losses").unwrap_or(0.0);
+    let disk = of("/log/dropped").unwrap_or(0.0) + of("/log/lost_on_disk").unwrap_or(0.0);
+    let pose = format!(
+        "x {} m, y {} m, heading {} deg",
+        figure(of("/pose/1/0"), 2),
+        figure(of("/pose/1/1"), 2),
+        figure(of("/pose/2").map(whole_turn), 0)
+    );
+    let log = match of("/log/written") {
+        Some(written) => format!("{written:.0} records, {disk:.0} not"),
+        None => "none".into(),
+    };
+    vec![
+        Line::from(vec![
+            Span::styled(text(state, "/name"), Style::new().add_modifier(Modifier::BOLD)),
+            Span::raw(format!("  up {} s  log: {log}", figure(of("/uptime_s"), 0))),
+        ]),
+        Line::from(format!(
+            "records {}, {}/s; lost {lost:.0}, missing before the socket {}; of strangers {}",
+            figure(of("/records"), 0),
+            figure(of("/records_hz"), 0),
+            figure(of("/missing"), 0),
+            figure(of("/strangers"), 0)
+        )),
+        Line::from(format!("poses {}/s: {pose}", figure(of("/poses_hz"), 0))),
+        Line::from(format!(
+            "load {} % of a core, {} MiB; estimate {} ms, longest {}; late {} ms",
+            short(of("/load/cpu_percent")),
+            figure(of("/load/memory_mib"), 0),
+            short(of("/load/estimate_ms")),
+            short(of("/load/longest_estimate_ms")),
+            short(of("/load/late_ms"))
+        )),
+    ]
+}
+
+fn table(peers: &[Value]) -> Table<'static> {
+    let row = |(k, peer): (usize, &Value)| {
+        let of = |path: &str| number(peer, path);
+        let bearing = match (of("/report/azimuth_deg"), of("/report/azimuth_sd_deg"), of("/report/mirror_deg")) {
+            (Some(azimuth), sd, mirror) => {
+                let mirror = mirror.map_or(String::new(), |mirror| format!(" or {}", fixed(mirror, 1)));
+                format!("{} +- {}{mirror}", fixed(azimuth, 1), figure(sd, 1))
+            }
+            _ => text(peer, "/report/words"),
+        };
+        let held = text(peer, "/report/state") == "held";
+        let age = of("/report/age_s").map_or_else(String::new, |age| format!("{age:.0} s"));
+        let cells = [
+            format!("{} {}", k + 1, text(peer, "/name")),
+            bearing,
+            figure(of("/report/confidence"), 2),
+            figure(of("/report/range_m"), 1),
+            figure(of("/pairs_hz"), 0),
+            figure(of("/counts/losses"), 0),
+            age,
+        ];
+        let style = Style::new().fg(COLOURS.get(k % COLOURS.len()).copied().unwrap_or(Color::White));
+        Row::new(cells).style(if held { style.add_modifier(Modifier::DIM) } else { style })
+    };
+    let widths = [
+        Constraint::Length(12),
+        Constraint::Min(32),
+        Constraint::Length(5),
+        Constraint::Length(7),
+        Constraint::Length(7),
+        Constraint::Length(4),
+        Constraint::Length(5),
+    ];
+    let head = Row::new(["peer", "bearing, deg", "prob.", "range m", "pairs/s", "lost", "age"])
+        .style(Style::new().add_modifier(Modifier::BOLD));
+    Table::new(peers.iter().enumerate().map(row), widths).header(head).block(Block::bordered().title(" peers "))
+}
+
+/// Bearings on a circle; mirrors thin, this robot's heading as a tick.
+fn compass(frame: &mut Frame<'_>, area: Rect, state: &Value, peers: &[Value]) {
+    let towards = |deg: f64, length: f64| (length * deg.to_radians().cos(), length * deg.to_radians().sin());
+    let canvas = Canvas::default()
+        .block(Block::bordered().title(" bearings "))
+        .marker(Marker::Braille)
+        .x_bounds([-1.35, 1.35])
+        .y_bounds([-1.35, 1.35])
+        .paint(|context| {
+            context.draw(&Circle { x: 0.0, y: 0.0, radius: 1.0, color: Color::DarkGray });
+            for deg in [0.0, 90.0, 180.0, -90.0] {
+                let ((x1, y1), (x2, y2)) = (towards(deg, 1.0), towards(deg, 1.06));
+                context.draw(&Stroke { x1, y1, x2, y2, color: Color::DarkGray });
+                let (x, y) = towards(deg, 1.16);
+                context.print(x, y, Span::styled(format!("{deg:.0}"), Style::new().fg(Color::DarkGray)));
+            }
+            if let Some(heading) = number(state, "/pose/2") {
+                let ((x1, y1), (x2, y2)) = (towards(heading, 0.9), towards(heading, 1.0));
+                context.draw(&Stroke { x1, y1, x2, y2, color: Color::White });
+            }
+            for (k, peer) in peers.iter().enumerate() {
+                let color = COLOURS.get(k % COLOURS.len()).copied().unwrap_or(Color::White);
+                for (path, length) in [("/report/azimuth_deg", 1.0), ("/report/mirror_deg", 0.5)] {
+                    let Some(deg) = number(peer, path) else { continue };
+                    let (x2, y2) = towards(deg, length);
+                    context.draw(&Stroke { x1: 0.0, y1: 0.0, x2, y2, color });
+                    let (x, y) = towards(deg, length + 0.12);
+                    context.print(x, y, Span::styled((k + 1).to_string(), Style::new().fg(color)));
+                }
+            }
+        });
+    frame.render_widget(canvas, area);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ratatui::Terminal;
+    use ratatui::backend::TestBackend;
+
+    fn screen(state: &Value, width: u16, height: u16) -> String {
+        let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+        terminal.draw(|frame| draw(frame, state, "status.sock")).unwrap();
+        let buffer = terminal.backend().buffer().clone();
+        let line = |y: u16| (0..width).map(|x| buffer[(x, y)].symbol().to_owned()).collect::<String>();
+        (0..height).map(|y| line(y) + "\n").collect()
+    }
+
+    #[test]
+    fn a_state_fills_the_screen_and_a_small_one_does_not_break() {
+        let state = serde_json::json!({
+            "name": "burger-1", "uptime_s": 12.0, "records": 1200, "records_hz": 100.0, "losses": 3,
+            "pose": [1.7e9, [0.25, -0.5, 0.0], 359.7],
+            "load": {"cpu_percent": 106.0, "memory_mib": 120.0, "estimate_ms": 133.2, "longest_estimate_ms": 1059.3, "late_ms": 1101.3}, "trouble": ["the port is gone"],
+            "log": {"written": 1199, "dropped": 1, "lost_on_disk": 0},
+            "peers": [
+                {"name": "alpha", "pairs_hz": 99.0, "report": {"azimuth_deg": 41.25, "azimuth_sd_deg": 0.5,
+                 "mirror_deg": -141.0, "confidence": 0.93, "range_m": 4.25, "state": "bearing"}, "counts": {"losses": 17}},
+                {"name": "beta", "pairs_hz": 98.0, "report": {"words": "not yet: moved 0.04 m of 0.11 m", "state": "not_yet"}},
+            ],
+        });
+        let on_any =
+            ["burger-1", "100/s", "41.2 +- 0.5 or -141.0", "0.93", "4.2", "17", "not yet: moved 0.04 m", "lost 3"];
+        let heads = [
+            "late 1101 ms",
+            "heading 0 deg",
+            "bearing, deg",
+            "prob.",
+            "range m",
+            "pairs/s",
+            "lost",
+            "age",
+            "-90",
+            "180",
+            "the port is gone",
+        ];
+        for (width, height) in [(80, 24), (120, 30), (200, 50)] {
+            let shown = screen(&state, width, height);
+            for words in on_any.iter().chain(&heads) {
+                assert!(shown.contains(words), "no `{words}` in\n{shown}");
+            }
+        }
+        screen(&state, 20, 5);
+        screen(&Value::Null, 80, 24);
+    }
+}

@@ -1,0 +1,356 @@
+//! Robots in processes of their own that exchange records through zenoh: each replays its own log.
+
+use csi5300::pipeline::{LinkReport, Options, Transmitter, bearings};
+use csi5300::signal::channel::{Channel, Width};
+use csi5300::source::replay::Replay;
+use csi5300_sim::{Room, Scene, write_dataset};
+use std::fmt::Write as _;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+
+/// Times real time at which logs are played.
+const SPEED: f64 = 8.0;
+
+fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&path);
+    std::fs::create_dir_all(&path).unwrap();
+    path
+}
+
+/// A capture of `robots` robots: the first drives a circle. Gives the logs and MACs in the robots' order, and the path.
+fn capture(folder: &Path, robots: usize) -> (Vec<(PathBuf, String)>, PathBuf, Scene) {
+    let mut text =
+        "name = \"peers\"\nduration_s = 22.0\nchannel = 108\ncfo = \"physical\"\n[sounding]\nrate_hz = 100.0\n"
+            .to_owned();
+    for k in 0..robots {
+        let (x, y) = if k == 0 { (0.0, 0.0) } else { (6.0 + k as f64, 4.0 * k as f64 - 7.0) };
+        let _ = write!(
+            text,
+            "[[robot]]\nname = \"r{k}\"\nposition_m = [{x}, {y}, 0.2]\nhost_clock = {{ offset_s = {k} }}\ncrystal = {{ offset_ppm = {k} }}\n"
+        );
+        if k == 0 {
+            text += "motion.circle = { radius_m = 0.3, duration_s = 19.0, start_s = 1.5 }\n";
+        }
+    }
+    let scene = Scene::from_toml(&text).unwrap();
+    let mut room = Room::new(&scene).unwrap();
+    let written = write_dataset(&mut room, folder, &mut |_| {}).unwrap();
+    let logs =
+        written[0].logs.iter().map(|log| (log.path.clone(), room.mac(log.robot).unwrap().to_string(), log.robot));
+    let mut logs: Vec<_> = logs.collect();
+    logs.sort_by_key(|(.., robot)| *robot);
+    let files: Vec<PathBuf> = std::fs::read_dir(&written[0].dir).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let path = files
+        .into_iter()
+        .find(|file| file.file_name().unwrap().to_str().unwrap().starts_with("rx_trajectory_"))
+        .unwrap();
+    (logs.into_iter().map(|(path, mac, _)| (path, mac)).collect(), path, scene)
+}
+
+/// A port that was free a moment ago.
+fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+struct Node(Child);
+
+impl Node {
+    fn start(folder: &Path, name: &str, text: &str) -> Self {
+        let file = folder.join(format!("{name}.toml"));
+        std::fs::write(&file, text).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300-node"));
+        command
+            .args(["node", "--config"])
+            .arg(&file)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::inherit());
+        Self(command.spawn().unwrap())
+    }
+
+    /// How it ended, after a signal if it goes on by itself: in order, if perhaps with losses.
+    fn end(mut self) {
+        let running = i32::try_from(self.0.id()).unwrap();
+        let _ = nix::sys::signal::kill(nix::unistd::Pid::from_raw(running), nix::sys::signal::Signal::SIGTERM);
+        let status = self.0.wait().unwrap();
+        assert!(matches!(status.code(), Some(0 | 3)), "{status}");
+    }
+
+    /// Every report until it ends.
+    fn reports(&mut self) -> impl Iterator<Item = serde_json::Value> + use<> {
+        let lines = BufReader::new(self.0.stdout.take().unwrap()).lines();
+        lines.map(|line| serde_json::from_str(&line.unwrap()).unwrap())
+    }
+
+    /// The same, once it listens: it has joined the network when it says something.
+    fn reports_when_it_listens(&mut self) -> impl Iterator<Item = serde_json::Value> + use<> {
+        let mut reports = self.reports();
+        let first = reports.next();
+        first.into_iter().chain(reports)
+    }
+}
+
+impl Drop for Node {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// No discovery: tests that run side by side must not meet. And no strangers: a user and a password.
+fn network(folder: &Path, more: &str) -> String {
+    let users = folder.join("users");
+    std::fs::write(&users, "robot:secret\n").unwrap();
+    let auth = format!("usrpwd: {{ user: 'robot', password: 'secret', dictionary_file: '{}' }}", users.display());
+    let zenoh = format!("{{ scouting: {{ multicast: {{ enabled: false }} }}, transport: {{ auth: {{ {auth} }} }} }}");
+    std::fs::write(folder.join("zenoh.json5"), zenoh).unwrap();
+    format!("[network]\nzenoh = '{}'\n{more}\n", folder.join("zenoh.json5").display())
+}
+
+/// The robot that drives, with the others as its peers over the network.
+fn driver(folder: &Path, logs: &[(PathBuf, String)], path: &Path, port: u16) -> String {
+    let mut text = format!(
+        "mac = \"{}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {SPEED} }}\nodometry.csv.file = '{}'\n\
+         [estimator]\nwindow_m = 100\nrate_hz = 1.0\n",
+        logs[0].1,
+        logs[0].0.display(),
+        path.display()
+    );
+    for (k, (_, mac)) in logs.iter().enumerate().skip(1) {
+        let _ = write!(text, "[[peer]]\nname = \"r{k}\"\nmac = \"{mac}\"\nrecords.network = {{}}\n");
+    }
+    text + &network(folder, &format!("listen = [\"tcp/127.0.0.1:{port}\"]"))
+}
+
+/// A robot that only publishes what its card reports.
+fn publisher(folder: &Path, (log, mac): &(PathBuf, String), port: u16) -> String {
+    let text = format!(
+        "mac = \"{mac}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {SPEED} }}\n",
+        log.display()
+    );
+    text + &network(folder, &format!("connect = [\"tcp/127.0.0.1:{port}\"]\npublish_records = true"))
+}
+
+fn truth_deg(scene: &Scene, peer: usize) -> f64 {
+    let [x, y, _] = scene.robot[peer].position_m;
+    // The circle lies to the left of where the robot begins, facing +x.
+    (y - 0.3).atan2(x).to_degrees()
+}
+
+fn assert_close(report: &serde_json::Value, truth: f64) {
+    let azimuth = report["azimuth_deg"].as_f64().unwrap_or_else(|| panic!("no bearing: {report}"));
+    assert!((azimuth - truth).abs() < 1.5, "{azimuth} for {truth}: {report}");
+}
+
+/// The last report on each peer.
+fn last(reports: impl Iterator<Item = serde_json::Value>, peers: usize) -> Vec<serde_json::Value> {
+    let mut last = vec![serde_json::Value::Null; peers];
+    for report in reports {
+        let k: usize = report["link"].as_str().unwrap()[1..].parse().unwrap();
+        last[k - 1] = report;
+    }
+    last
+}
+
+#[test]
+fn two_processes_make_a_bearing() {
+    let folder = folder("peers-2");
+    let (logs, path, scene) = capture(&folder, 2);
+    let port = free_port();
+    let mut own = Node::start(&folder, "r0", &driver(&folder, &logs, &path, port));
+    let reports = own.reports_when_it_listens();
+    let other = Node::start(&folder, "r1", &publisher(&folder, &logs[1], port));
+    assert_close(&last(reports, 1)[0], truth_deg(&scene, 1));
+    own.end();
+    other.end();
+}
+
+/// Certificates of the authority in `folder` for one robot on this machine, as the packaged script makes them. False
+/// (said on standard error) without openssl.
+fn certificates(folder: &Path, name: &str) -> bool {
+    let script = crate::common::root().join("packaging/certificates.sh");
+    let made = Command::new(script).arg(folder).args([name, "127.0.0.1"]).stdout(Stdio::null()).status();
+    let made = made.is_ok_and(|status| status.success());
+    if !made {
+        crate::common::skipped("openssl makes no certificates here");
+    }
+    made
+}
+
+/// The packaged example for TLS with this test's files in it, for the robot `name` of the authority in `authority`.
+fn tls(folder: &Path, authority: &Path, name: &str, more: &str) -> String {
+    let example = crate::common::root().join("packaging/zenoh-tls.json5");
+    let users = folder.join("users");
+    std::fs::write(&users, "burger-1:change me\n").unwrap();
+    let place = |file: &str| authority.join(file).display().to_string();
+    let text = std::fs::read_to_string(example)
+        .unwrap()
+        .replace("/etc/csi5300/tls/ca.pem", &place("ca.pem"))
+        .replace("/etc/csi5300/tls/robot", &place(name))
+        .replace("/etc/csi5300/users", &users.display().to_string())
+        .replace("endpoints: [\"tls/0.0.0.0:7447\"]", "endpoints: []")
+        .replace("multicast: { enabled: true }", "multicast: { enabled: false }");
+    assert!(!text.contains("/etc/"), "{text}");
+    let file = folder.join(format!("{name}.json5"));
+    std::fs::write(&file, text).unwrap();
+    format!("[network]\nzenoh = '{}'\n{more}\n", file.display())
+}
+
+/// Robot 1 shows its certificate, robot 2 one of another authority, and what says it is robot 3 that of robot 1.
+#[test]
+fn under_tls_only_robots_of_the_same_authority_are_heard_and_each_as_itself() {
+    let folder = folder("peers-tls");
+    let (logs, path, scene) = capture(&folder, 4);
+    let (ours, theirs) = (folder.join("ours"), folder.join("theirs"));
+    if !["r0", "r1"].iter().all(|name| certificates(&ours, name)) || !certificates(&theirs, "r2") {
+        return;
+    }
+    let port = free_port();
+    let cut = |text: String| text.split("[network]").next().unwrap().to_owned();
+    let listen = format!("listen = [\"tls/127.0.0.1:{port}\"]");
+    let connect = format!("connect = [\"tls/127.0.0.1:{port}\"]\npublish_records = true");
+    let owned = |text: String| {
+        let own = |text: String, k| {
+            text.replace(&format!("name = \"r{k}\"\n"), &format!("name = \"r{k}\"\ncertificate = \"r{k}\"\n"))
+        };
+        own(own(text, 1), 3)
+    };
+    let driver = owned(cut(driver(&folder, &logs, &path, port))) + &tls(&folder, &ours, "r0", &listen);
+    let publisher = |k: usize, authority: &Path, certificate: &str| {
+        cut(publisher(&folder, &logs[k], port)) + &tls(&folder, authority, certificate, &connect)
+    };
+    let mut own = Node::start(&folder, "r0", &driver);
+    let reports = own.reports_when_it_listens();
+    let other = Node::start(&folder, "r1", &publisher(1, &ours, "r1"));
+    let pretender = Node::start(&folder, "r3", &publisher(3, &ours, "r1"));
+    // It has a certificate, of somebody else: it goes on asking, and is killed in the end.
+    let _stranger = Node::start(&folder, "r2", &publisher(2, &theirs, "r2"));
+    let last = last(reports, 3);
+    assert_close(&last[0], truth_deg(&scene, 1));
+    assert_eq!([&last[1]["pairs"], &last[2]["pairs"]], [0, 0], "{last:?}");
+    own.end();
+    other.end();
+    pretender.end();
+}
+
+#[test]
+fn four_processes_of_which_one_is_killed_and_started_again() {
+    let folder = folder("peers-4");
+    let (logs, path, scene) = capture(&folder, 4);
+    let port = free_port();
+    let mut own = Node::start(&folder, "r0", &driver(&folder, &logs, &path, port));
+    let mut reports = own.reports_when_it_listens();
+    let publishers: Vec<String> = logs.iter().skip(1).map(|log| publisher(&folder, log, port)).collect();
+    let mut others: Vec<Node> =
+        publishers.iter().enumerate().map(|(k, text)| Node::start(&folder, &format!("r{}", k + 1), text)).collect();
+    // Once the others have bearings one of them dies, and comes back from the beginning of its log.
+    let first = reports.find(|report| report["link"] == "r3" && report["azimuth_deg"].is_f64()).unwrap();
+    others[1].0.kill().unwrap();
+    // What was under way is in by the second report from here.
+    let had = reports.by_ref().filter(|report| report["link"] == "r2").nth(1).unwrap();
+    others[1] = Node::start(&folder, "r2", &publishers[1]);
+    let last = last(reports, 3);
+    for peer in [1, 3] {
+        assert_close(&last[peer - 1], truth_deg(&scene, peer));
+        assert!(last[peer - 1]["pairs"].as_u64() > first["pairs"].as_u64(), "the others went on: {last:?}");
+    }
+    let pairs = |report: &serde_json::Value| report["pairs"].as_u64().unwrap();
+    assert!(pairs(&last[1]) > pairs(&had) + 100, "nothing came after it was started again: {had} {}", last[1]);
+    own.end();
+    others.into_iter().for_each(Node::end);
+}
+
+/// Times its own pace at which a real capture is played.
+const REAL_SPEED: f64 = 16.0;
+
+/// What is made of a real capture at once: the receiver's MAC, and for each log its MAC and bearing.
+fn offline(rx: &Path, trajectory: &Path, txs: &[PathBuf]) -> (String, Vec<(String, f64)>) {
+    let open = |log: &Path| Replay::open(log).unwrap();
+    let (path, _) = csi5300::motion::odometry::csv::read(trajectory).unwrap();
+    let mut logs: Vec<_> = txs.iter().map(|tx| open(tx)).collect();
+    let transmitters = logs.iter_mut().map(|log| Transmitter { log, trajectory: None }).collect();
+    let options = Options::new(Channel::new(108, Width::Ht20).unwrap());
+    let report = bearings(&mut open(rx), transmitters, &path, &options).unwrap();
+    // The receiver is the sender of most frames in a transmitter's log.
+    let mut log = open(&txs[0]);
+    let mut survey = csi5300::source::survey::Survey::default();
+    loop {
+        let next = csi5300::source::CsiSource::receive(&mut log, csi5300::time::Instant::ZERO).unwrap();
+        survey.note(&next);
+        if matches!(next, csi5300::source::Next::End(_)) {
+            break;
+        }
+    }
+    let own = survey.senders.iter().max_by_key(|(_, sender)| sender.records).unwrap().0;
+    let answer = |link: &LinkReport| {
+        (link.mac.unwrap().to_string(), link.bearing.as_ref().unwrap().answer.azimuth_rad.to_degrees())
+    };
+    (own.to_string(), report.links.iter().map(answer).collect())
+}
+
+#[test]
+fn real_captures_through_two_nodes_give_what_is_made_offline() {
+    let Some(captures) = crate::common::captures() else { return };
+    let mut compared = 0;
+    for set in ["LOS_Set_A/L1", "NLOS_Set_A/L1"] {
+        let capture = captures.join("wsr").join(set);
+        if !capture.is_dir() {
+            continue;
+        }
+        let files: Vec<PathBuf> = std::fs::read_dir(&capture).unwrap().map(|entry| entry.unwrap().path()).collect();
+        let named = |begin: &str| {
+            let mut found: Vec<PathBuf> = files
+                .iter()
+                .filter(|file| file.file_name().unwrap().to_str().unwrap().starts_with(begin))
+                .cloned()
+                .collect();
+            found.sort();
+            found
+        };
+        let (rx, trajectory, txs) = (&named("csi_rx_")[0], &named("rx_trajectory_")[0], named("csi_tx"));
+        let (own, links) = offline(rx, trajectory, &txs);
+        // One link at a time: two nodes.
+        for (tx, (mac, azimuth)) in txs.iter().zip(&links) {
+            let folder = folder(&format!("peers-real-{compared}"));
+            let port = free_port();
+            let driver = format!(
+                "mac = \"{own}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {REAL_SPEED} }}\n\
+                 odometry.csv.file = '{}'\n[estimator]\nwindow_m = 1000\nwindow_s = 100000\nrate_hz = 0.02\nextrapolate_s = 0\n\
+                 [[peer]]\nname = \"r1\"\nmac = \"{mac}\"\nrecords.network = {{}}\n",
+                rx.display(),
+                trajectory.display()
+            );
+            let driver = driver + &network(&folder, &format!("listen = [\"tcp/127.0.0.1:{port}\"]\nbacklog = 100000"));
+            let publisher = format!(
+                "mac = \"{mac}\"\nchannel = \"108\"\ncapture.replay = {{ file = '{}', speed = {REAL_SPEED} }}\n",
+                tx.display()
+            );
+            let connect = format!("connect = [\"tcp/127.0.0.1:{port}\"]\npublish_records = true\nbacklog = 100000");
+            let publisher = publisher + &network(&folder, &connect);
+            let mut own = Node::start(&folder, "r0", &driver);
+            let reports = own.reports();
+            let other = Node::start(&folder, "r1", &publisher);
+            let last = last(reports, 1).remove(0);
+            let off = last["azimuth_deg"].as_f64().unwrap_or_else(|| panic!("no bearing: {last}")) - azimuth;
+            println!("{set} {mac}: {azimuth:.3} deg offline, {off:+.4} deg through two nodes, {} pairs", last["pairs"]);
+            assert!(off.abs() <= 0.01, "{off} {last}");
+            own.end();
+            other.end();
+            compared += 1;
+        }
+    }
+    assert!(compared >= 3, "{compared} links");
+}
+
+#[test]
+fn a_signal_ends_a_robot_that_publishes() {
+    let folder = folder("peers-signal");
+    let (logs, path, _) = capture(&folder, 2);
+    let text = driver(&folder, &logs, &path, free_port()) + "publish_records = true\npublish_poses = true\n";
+    let mut own = Node::start(&folder, "r0", &text);
+    let mut reports = own.reports();
+    reports.next().unwrap();
+    own.end();
+}

@@ -1,0 +1,208 @@
+//! The program as its users meet it.
+
+use csi5300::source::replay::Replay;
+use csi5300::source::survey::Survey;
+use csi5300::source::{CsiSource, Next};
+use csi5300::time::Instant;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+
+pub fn folder(name: &str) -> PathBuf {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let _ = std::fs::remove_dir_all(&path);
+    std::fs::create_dir_all(&path).unwrap();
+    path
+}
+
+fn program(folder: &Path) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300-node"));
+    command.current_dir(folder).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    command
+}
+
+fn said(output: Output) -> (i32, String, String) {
+    let words = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+    (output.status.code().expect("no signal"), words(output.stdout), words(output.stderr))
+}
+
+const ROOM: &str = "name = \"alpha\"\nchannel = \"108\"\ncapture.room = { scene = \"lab-circle\", robot = \"rx\", speed = 40 }\n\
+                    odometry.room = {}\n[[peer]]\nname = \"tx\"\nrecords.room = {}\n";
+
+#[test]
+fn a_configuration_is_checked_whole_before_anything_starts() {
+    let folder = folder("node-check");
+    std::fs::write(folder.join("good.toml"), ROOM).unwrap();
+    let check = |name: &str| said(program(&folder).args(["node", "--config", name, "--check"]).output().unwrap());
+    let (status, out, err) = check("good.toml");
+    assert_eq!((status, out.as_str()), (0, "good.toml: good\n"), "{err}");
+    let bad = ROOM.replace("channel = \"108\"", "channel = \"13\"").replace("capture.room", "capture.radio");
+    std::fs::write(folder.join("bad.toml"), bad).unwrap();
+    let (status, _, err) = check("bad.toml");
+    assert!(status == 2 && err.contains("bad.toml: line 3") && err.contains("radio"), "{err}");
+    let (status, _, err) = check("absent.toml");
+    assert!(status == 1 && err.contains("absent.toml"), "a missing file is no wrong usage: {err}");
+    let alone = |args: &[&str]| said(program(&folder).args(args).output().unwrap());
+    assert_eq!(alone(&["--check", "--config", "good.toml"]).0, 0, "the service needs no name");
+    assert_eq!(alone(&["--check", "watch", "--once"]).0, 2, "every option acts or is refused");
+}
+
+#[test]
+fn the_example_configuration_is_good() {
+    let example = crate::common::root().join("packaging/robot.toml");
+    let text = std::fs::read_to_string(example).unwrap();
+    // As it is, in every build.
+    csi5300_node::config::Config::read(&text, Path::new("")).unwrap();
+    // With the network, whose lines it has as comments.
+    let network = text
+        .replace("records.sounding = {}", "records.network = {}")
+        .replace("# poses.network = {}", "poses.network = {}")
+        .replace("# [network]", "[network]")
+        .replace("# group = ", "group = ")
+        .replace("# publish_records", "publish_records")
+        .replace("# publish_poses", "publish_poses");
+    let refused = csi5300_node::config::Config::read(&network, Path::new(""));
+    if cfg!(feature = "zenoh") {
+        refused.unwrap();
+    } else {
+        let problems = refused.unwrap_err().0;
+        assert!(problems.len() == 1 && problems[0].reason.contains("--features zenoh"), "{problems:?}");
+    }
+}
+
+#[test]
+fn a_configuration_is_found_in_the_usual_places() {
+    let folder = folder("node-places");
+    let home = folder.join("home");
+    let run = |args: &[&str]| {
+        let mut command = program(&folder);
+        said(command.env("HOME", &home).env_remove("XDG_CONFIG_HOME").args(args).output().unwrap())
+    };
+    if !Path::new("/etc/csi5300/robot.toml").exists() {
+        let (status, _, err) = run(&["node", "--check"]);
+        assert!(status == 2 && err.contains("--config") && err.contains(".config/csi5300/robot.toml"), "{err}");
+    }
+    let own = home.join(".config/csi5300");
+    std::fs::create_dir_all(&own).unwrap();
+    std::fs::write(own.join("robot.toml"), format!("{ROOM}[output]\nstatus_socket = \"there\"\n")).unwrap();
+    let (status, out, err) = run(&["node", "--check"]);
+    assert!(status == 0 && out.contains("home/.config/csi5300/robot.toml: good"), "{out}{err}");
+    // `watch` asks at the socket that it names.
+    let (status, _, err) = run(&["watch", "--once"]);
+    assert!(status == 1 && err.contains("home/.config/csi5300/there"), "{err}");
+    std::fs::write(folder.join("robot.toml"), ROOM).unwrap();
+    let (status, out, _) = run(&["node", "--check"]);
+    assert!(status == 0 && out.starts_with("robot.toml: good"), "{out}");
+    let (_, out, err) = run(&["node", "--check", "-q"]);
+    assert!(out.contains("good") && err.is_empty(), "{err}");
+}
+
+#[test]
+fn a_simulated_robot_runs_to_its_end_with_its_log_and_its_bearings() {
+    let folder = folder("node-room");
+    let text = format!(
+        "{ROOM}[output]\nbearings = \"{0}/bearings.jsonl\"\nstatus_line = \"always\"\n[log]\nfile = \"{0}/own.dat\"\n",
+        folder.display()
+    );
+    // No start may take another's log for its own, whether or not it goes on in new files.
+    for (log, rotate) in
+        [("own.dat", ""), ("own-r1-0001.dat", "rotate_mib = 100\n"), ("own-r2-0001.dat", "rotate_mib = 100\n")]
+    {
+        std::fs::write(folder.join("robot.toml"), format!("{text}{rotate}")).unwrap();
+        let (status, out, err) = said(program(&folder).args(["node", "--config", "robot.toml"]).output().unwrap());
+        // At forty times real time the simulated socket may run over, as a real one does: that is status 3.
+        assert!(matches!(status, 0 | 3) && out.is_empty(), "{status} {err}");
+        assert!(err.contains("tx: bearing") && err.contains("records/s"), "{err}");
+        assert!(survey(&folder.join(log)).wsr > 0 && err.contains("records in the log, 0 not"), "{err}");
+    }
+    let lines = std::fs::read_to_string(folder.join("bearings.jsonl")).unwrap();
+    assert!(crate::documented::are_documented(&lines) > 30);
+    let reports: Vec<serde_json::Value> = lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let last = reports.last().unwrap();
+    // The scene: from the middle of the circle to the transmitter.
+    let truth = (1.11 + 0.494f64).atan2(-3.18 - 0.72).to_degrees();
+    let off = (last["azimuth_deg"].as_f64().unwrap() - truth).abs();
+    // A busy machine drops records of a room at forty times real time; then the error bar says so.
+    let bar = last["azimuth_sd_deg"].as_f64().unwrap();
+    assert!(off < f64::max(3.0, 2.0 * bar) && last["state"] == "bearing" && last["link"] == "tx", "{off} {last}");
+}
+
+/// A process that is ended with the test.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn the_state_is_told_on_a_socket_and_a_signal_ends_the_robot_in_order() {
+    let folder = folder("node-socket");
+    let text = format!(
+        "{}[output]\nbearings = \"\"\nstatus_socket = \"{1}/s\"\n[log]\nfile = \"{1}/own.dat\"\n",
+        ROOM.replace("speed = 40", "speed = 1"),
+        folder.display()
+    );
+    std::fs::write(folder.join("robot.toml"), text).unwrap();
+    let mut node = Running(program(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
+    let look = || said(program(&folder).args(["watch", "s", "--once"]).output().unwrap());
+    // The socket appears when the robot is up.
+    let state = loop {
+        let (status, out, _) = look();
+        if status == 0 {
+            break serde_json::from_str::<serde_json::Value>(&out).unwrap();
+        }
+        assert!(node.0.try_wait().unwrap().is_none(), "the robot ended by itself");
+        std::thread::yield_now();
+    };
+    assert!(crate::documented::are_documented(&state.to_string()) > 18);
+    assert_eq!((state["name"].as_str(), state["peers"][0]["name"].as_str()), (Some("alpha"), Some("tx")));
+    // A second one on the same socket is refused, and does not take it away.
+    let (status, _, err) = said(program(&folder).args(["node", "--config", "robot.toml"]).output().unwrap());
+    assert!(status == 1 && err.contains("another node answers"), "{err}");
+    assert_eq!(look().0, 0);
+    nix::sys::signal::kill(nix::unistd::Pid::from_raw(node.0.id() as i32), nix::sys::signal::Signal::SIGTERM).unwrap();
+    let status = node.0.wait().unwrap();
+    let mut err = String::new();
+    node.0.stderr.take().unwrap().read_to_string(&mut err).unwrap();
+    // Also where no record had come yet.
+    assert!(matches!(status.code(), Some(0 | 3)), "{status} {err}");
+    assert!(err.contains("records in the log, 0 not"), "{err}");
+    assert!(!folder.join("s").exists(), "the socket is gone with the robot");
+    let (_, _, err) = look();
+    assert!(err.contains("does the node run"), "{err}");
+}
+
+#[test]
+fn the_log_of_a_robot_that_was_killed_can_be_read() {
+    let folder = folder("node-killed");
+    let text = format!(
+        "{}[output]\nbearings = \"\"\n[log]\nfile = \"{}/own.dat\"\n",
+        ROOM.replace("speed = 40", "speed = 4"),
+        folder.display()
+    );
+    std::fs::write(folder.join("robot.toml"), text).unwrap();
+    let mut node = Running(program(&folder).args(["node", "--config", "robot.toml"]).spawn().unwrap());
+    while std::fs::metadata(folder.join("own.dat")).map_or(0, |log| log.len()) < 20_000 {
+        assert!(node.0.try_wait().unwrap().is_none(), "the robot ended by itself");
+        std::thread::yield_now();
+    }
+    node.0.kill().unwrap();
+    node.0.wait().unwrap();
+    let survey = survey(&folder.join("own.dat"));
+    assert!(survey.wsr >= 80 && survey.damages == 0, "{survey:?}");
+}
+
+/// What is in a log.
+fn survey(log: &Path) -> Survey {
+    let (mut log, mut survey) = (Replay::open(log).unwrap(), Survey::default());
+    loop {
+        let next = log.receive(Instant::ZERO).unwrap();
+        survey.note(&next);
+        if matches!(next, Next::End(_)) {
+            return survey;
+        }
+    }
+}

@@ -1,0 +1,225 @@
+//! The recording of what a node reads and publishes: a folder as `ros2 bag` makes it, with one file of MCAP, written on a
+//! thread of its own. What it cannot take in time is lost and counted; nothing waits for it.
+
+use csi5300_bag::mcap::{McapWriter, Written};
+use csi5300_bag::messages::Message;
+use std::fmt::Write as _;
+use std::fs::File;
+use std::io::{self, BufWriter};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Messages that wait to be written.
+const QUEUE: usize = 4_096;
+/// What waits in a chunk is written after so long.
+const FLUSH: Duration = Duration::from_secs(1);
+
+/// A message that is to be written.
+struct Row {
+    topic: String,
+    kind: &'static str,
+    definition: fn() -> String,
+    time_ns: u64,
+    payload: Vec<u8>,
+}
+
+#[derive(Debug, Default)]
+struct Counts {
+    written: AtomicU64,
+    lost: AtomicU64,
+    failed: Mutex<Option<String>>,
+}
+
+impl Counts {
+    fn fail(&self, error: &io::Error) {
+        *self.failed.lock().unwrap_or_else(PoisonError::into_inner) = Some(error.to_string());
+    }
+}
+
+struct Running {
+    folder: PathBuf,
+    rows: SyncSender<Row>,
+    thread: JoinHandle<()>,
+}
+
+/// A recording that can be started and stopped.
+pub(crate) struct Bag {
+    /// Where recordings go; later ones get a number behind their name.
+    folder: PathBuf,
+    running: Mutex<Option<Running>>,
+    counts: Arc<Counts>,
+}
+
+impl Bag {
+    /// One that is not started.
+    pub fn new(folder: PathBuf) -> Self {
+        Self { folder, running: Mutex::default(), counts: Arc::default() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Option<Running>> {
+        self.running.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Starts a recording; gives its folder. One that runs goes on.
+    ///
+    /// # Errors
+    /// If its folder or file cannot be made.
+    pub fn start(&self) -> io::Result<PathBuf> {
+        let mut running = self.lock();
+        if let Some(running) = &*running {
+            return Ok(running.folder.clone());
+        }
+        *self.counts.failed.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        let folder = free_name(&self.folder);
+        std::fs::create_dir_all(&folder)?;
+        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned() + "_0.mcap";
+        let writer = McapWriter::new(BufWriter::new(File::create_new(folder.join(&name))?))?;
+        std::fs::write(folder.join("metadata.yaml"), metadata(&name, None, &[]))?;
+        let (rows, waiting) = sync_channel(QUEUE);
+        let (counts, into) = (Arc::clone(&self.counts), folder.clone());
+        let work = move || {
+            if let Err(error) = write(writer, &waiting, &counts, (&into, &name)) {
+                counts.fail(&error);
+            }
+        };
+        let thread = std::thread::Builder::new().name("csi5300 bag".into()).spawn(work)?;
+        *running = Some(Running { folder: folder.clone(), rows, thread });
+        Ok(folder)
+    }
+
+    /// Ends the recording; gives its folder, if there was one.
+    pub fn stop(&self) -> Option<PathBuf> {
+        let running = self.lock().take()?;
+        drop(running.rows);
+        let _ = running.thread.join();
+        Some(running.folder)
+    }
+
+    /// Records a message that came or went at `wall_us`, and never waits.
+    pub fn put<T: Message>(&self, topic: &str, payload: &[u8], wall_us: i64) {
+        let running = self.lock();
+        let Some(running) = &*running else { return };
+        let time_ns = u64::try_from(wall_us).unwrap_or(0) * 1_000;
+        let (topic, kind) = (topic.to_owned(), T::TYPE);
+        let row = Row { topic, kind, definition: T::definition, time_ns, payload: payload.to_vec() };
+        if running.rows.try_send(row).is_err() {
+            self.counts.lost.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// What is wrong, in words.
+    pub fn trouble(&self) -> Option<String> {
+        let failed = self.counts.failed.lock().unwrap_or_else(PoisonError::into_inner);
+        failed.as_ref().map(|why| format!("the recording of ROS 2 ended: {why}"))
+    }
+
+    /// What was counted.
+    pub fn counted(&self) -> serde_json::Value {
+        let folder = self.lock().as_ref().map(|running| running.folder.clone());
+        let number = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        serde_json::json!({ "folder": folder, "written": number(&self.counts.written), "lost": number(&self.counts.lost) })
+    }
+}
+
+impl Drop for Bag {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
+
+/// The first of `bag`, `bag-r1`, `bag-r2` ... that is not there: no start overwrites another's recording.
+fn free_name(folder: &Path) -> PathBuf {
+    let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let numbered = |k: u32| folder.with_file_name(format!("{name}-r{k}"));
+    let mut all = std::iter::once(folder.to_owned()).chain((1..).map(numbered));
+    all.find(|folder| !folder.exists()).unwrap_or_else(|| folder.to_owned())
+}
+
+/// Writes until nothing more comes.
+fn write(
+    mut writer: McapWriter<BufWriter<File>>,
+    waiting: &Receiver<Row>,
+    counts: &Counts,
+    (folder, name): (&Path, &str),
+) -> io::Result<()> {
+    let mut flushed = Instant::now();
+    loop {
+        match waiting.recv_timeout(FLUSH) {
+            Ok(row) => {
+                writer.put((&row.topic, row.kind, row.definition), row.time_ns, &row.payload)?;
+                counts.written.fetch_add(1, Ordering::Relaxed);
+            }
+            Err(RecvTimeoutError::Timeout) => {}
+            Err(RecvTimeoutError::Disconnected) => break,
+        }
+        if flushed.elapsed() >= FLUSH {
+            writer.flush()?;
+            flushed = Instant::now();
+        }
+    }
+    writer.finish()?;
+    std::fs::write(folder.join("metadata.yaml"), metadata(name, writer.times(), writer.channels()))
+}
+
+/// `metadata.yaml` as Humble has it, which all later releases read.
+fn metadata(file: &str, times: Option<(u64, u64)>, channels: &[Written]) -> String {
+    let (first, last) = times.unwrap_or_default();
+    let messages: u64 = channels.iter().map(|channel| channel.messages).sum();
+    let mut text = format!(
+        "rosbag2_bagfile_information:\n  version: 5\n  storage_identifier: mcap\n  duration:\n    nanoseconds: {}\n  \
+         starting_time:\n    nanoseconds_since_epoch: {first}\n  message_count: {messages}\n",
+        last - first
+    );
+    text.push_str(if channels.is_empty() {
+        "  topics_with_message_count: []\n"
+    } else {
+        "  topics_with_message_count:\n"
+    });
+    for Written { topic, kind, messages } in channels {
+        let _ = write!(
+            text,
+            "    - topic_metadata:\n        name: {topic}\n        type: {kind}\n        serialization_format: cdr\n        \
+             offered_qos_profiles: \"\"\n      message_count: {messages}\n"
+        );
+    }
+    let _ = write!(
+        text,
+        "  compression_format: \"\"\n  compression_mode: \"\"\n  relative_file_paths:\n    - {file}\n  files:\n    - path: \
+         {file}\n      starting_time:\n        nanoseconds_since_epoch: {first}\n      duration:\n        nanoseconds: {}\n      \
+         message_count: {messages}\n",
+        last - first
+    );
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use csi5300_bag::cdr::Cdr;
+    use csi5300_bag::messages::standard::Clock;
+
+    #[test]
+    fn a_recording_is_whole_when_it_is_stopped_and_none_is_overwritten() {
+        let folder = std::env::temp_dir().join(format!("csi5300-bag-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        let bag = Bag::new(folder.join("run"));
+        bag.put::<Clock>("/clock", &Clock::default().payload(), 1);
+        for expected in ["run", "run-r1"] {
+            assert_eq!(bag.start().unwrap(), folder.join(expected));
+            assert_eq!(bag.start().unwrap(), folder.join(expected), "it goes on");
+            bag.put::<Clock>("/clock", &Clock::default().payload(), 5_000_000);
+            assert_eq!(bag.stop(), Some(folder.join(expected)));
+            let text = std::fs::read_to_string(folder.join(expected).join("metadata.yaml")).unwrap();
+            assert!(text.contains("message_count: 1\n  topics_with"), "{text}");
+            assert!(text.contains("name: /clock\n        type: rosgraph_msgs/msg/Clock"), "{text}");
+            let bytes = std::fs::read(folder.join(expected).join(format!("{expected}_0.mcap"))).unwrap();
+            assert!(bytes.ends_with(b"\x89MCAP0\r\n") && bytes.len() > 100);
+        }
+        assert_eq!((bag.stop(), bag.counted()["written"].as_u64()), (None, Some(2)));
+        std::fs::remove_dir_all(&folder).unwrap();
+    }
+}

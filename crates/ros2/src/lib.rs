@@ -1,0 +1,78 @@
+//! A node of ROS 2: a participant of DDS with the names, types and qualities of service of ROS 2. It has an RTPS of its own,
+//! because no library of its kind binds its sockets to one address and asks named peers (docs/ros2.md).
+//!
+//! | module | what it is |
+//! |---|---|
+//! | `node` | all of it: [`Node`] |
+//! | [`settings`] | what a configuration says of it, and what is wrong with that |
+//! | `inputs`, `tf` | poses from topics |
+//! | [`said`], `markers` | a report of a peer as messages, and as things to be drawn |
+//! | `services` | requests and answers |
+//! | `bag` | the recording of what is read and published |
+//! | `names` | names of topics, services and types |
+//! | [`link`] | the protocol on sockets, with a thread that listens |
+//! | `rtps` | the protocol, without sockets and clocks |
+//!
+//! Messages and how they are written are those of [`csi5300_bag`].
+//!
+//! ```no_run
+//! use csi5300_bag::messages::standard::PoseStamped;
+//! use csi5300_ros2::{Node, Qos, settings::Settings};
+//!
+//! let node = Node::start(&Settings::default(), "burger", || Some(0))?;
+//! let poses = node.link().publish::<PoseStamped>("~/pose", Qos::reliable(10));
+//! poses.put(&PoseStamped::default());
+//! # Ok::<(), csi5300_ros2::Error>(())
+//! ```
+#![cfg_attr(test, allow(clippy::unwrap_used, clippy::expect_used))]
+
+mod bag;
+mod inputs;
+pub mod link;
+mod markers;
+mod names;
+mod node;
+mod rtps;
+pub mod said;
+mod services;
+pub mod settings;
+mod sockets;
+mod tf;
+
+pub use names::name_part;
+pub use node::{Node, Records};
+pub use rtps::Qos;
+
+use std::net::Ipv4Addr;
+use std::path::PathBuf;
+
+/// Why a node cannot be started.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// No participant of DDS can be made.
+    #[error("cannot take part in domain {domain} of ROS 2 at {interface}: {source}")]
+    Participant {
+        /// The domain.
+        domain: u16,
+        /// The address of this machine.
+        interface: Ipv4Addr,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The recording cannot be started.
+    #[error("cannot record to {}: {source}", .folder.display())]
+    Recording {
+        /// Its folder.
+        folder: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+}
+
+/// The fuzz target of `rtps`: any steps of others at a participant.
+#[cfg(feature = "fuzzed")]
+#[doc(hidden)]
+pub fn fuzz_rtps(bytes: &[u8]) {
+    rtps::fuzzed::run(bytes);
+}

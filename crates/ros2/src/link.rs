@@ -1,0 +1,374 @@
+//! A participant on sockets, with a thread of its own that listens. Who publishes sends at once, and never waits: what the
+//! system does not take is counted.
+
+use super::bag::Bag;
+use super::names::{Names, kind, service, topic};
+use super::rtps::{Counts, Event, Guid, LARGEST, Outgoing, Participant, Prefix, Qos};
+use super::sockets::Sockets;
+use crate::settings::Distribution;
+use csi5300::time::Instant;
+use csi5300_bag::messages::{Message, graph};
+use std::marker::PhantomData;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+/// Samples that a topic keeps for who has not got them.
+const DEPTH: u32 = 32;
+
+/// Uses a sample: of which topic, from whom, when it came.
+type Handler = Box<dyn FnMut(&Shared, &Event, i64) + Send>;
+
+/// A topic of this node.
+struct Topic {
+    /// Its whole name.
+    name: String,
+    guid: Guid,
+    /// Messages published, or read.
+    good: Arc<AtomicU64>,
+    /// Messages too large to publish, or that are not of the topic's type.
+    bad: Arc<AtomicU64>,
+}
+
+/// What publishers and the thread share.
+pub struct Shared {
+    names: Names,
+    distribution: Distribution,
+    participant: Mutex<Participant>,
+    sockets: Sockets,
+    began: std::time::Instant,
+    wall_us: fn() -> Option<i64>,
+    handlers: Mutex<Vec<Handler>>,
+    /// By their numbers.
+    writers: Mutex<Vec<Topic>>,
+    readers: Mutex<Vec<Topic>>,
+    pub(crate) bag: Bag,
+    unsent: AtomicU64,
+    over: AtomicBool,
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl Shared {
+    fn wall_us(&self) -> i64 {
+        (self.wall_us)().unwrap_or(0)
+    }
+
+    fn now(&self) -> Instant {
+        Instant::from_us(i64::try_from(self.began.elapsed().as_micros()).unwrap_or(i64::MAX))
+    }
+
+    fn send(&self, out: Vec<Outgoing>) {
+        let unsent = out.iter().filter(|(to, bytes)| !self.sockets.send(*to, bytes)).count();
+        self.unsent.fetch_add(unsent as u64, Ordering::Relaxed);
+    }
+
+    fn write(&self, writer: usize, payload: Vec<u8>) {
+        let out = {
+            let mut participant = lock(&self.participant);
+            participant.write(writer, payload.into(), self.wall_us());
+            participant.poll_transmit()
+        };
+        self.send(out);
+    }
+
+    /// Sends an answer to who asked.
+    fn answer(&self, writer: usize, to: Prefix, (payload, request): (Vec<u8>, Option<(Guid, i64)>)) {
+        let out = {
+            let mut participant = lock(&self.participant);
+            participant.answer(writer, to, (payload.into(), request), (self.now(), self.wall_us()));
+            participant.poll_transmit()
+        };
+        self.send(out);
+    }
+
+    fn add_writer(&self, name: &str, topic: &str, kind: &str, qos: Qos) -> (usize, Arc<AtomicU64>, Arc<AtomicU64>) {
+        let mut writers = lock(&self.writers);
+        let (number, guid) = lock(&self.participant).add_writer(topic, kind, qos, self.wall_us());
+        let (good, bad) = (Arc::default(), Arc::default());
+        writers.push(Topic { name: name.to_owned(), guid, good: Arc::clone(&good), bad: Arc::clone(&bad) });
+        (number, good, bad)
+    }
+
+    /// Samples of `topic` go to what `make` makes of the two counters.
+    fn add_reader(
+        &self,
+        name: &str,
+        (topic, kind): (&str, &str),
+        qos: Qos,
+        make: impl FnOnce(Arc<AtomicU64>, Arc<AtomicU64>) -> Handler,
+    ) {
+        // Who hears of the reader finds its handler.
+        let mut handlers = lock(&self.handlers);
+        let mut readers = lock(&self.readers);
+        let guid = lock(&self.participant).add_reader(topic, kind, qos, self.wall_us());
+        let (good, bad) = (Arc::default(), Arc::default());
+        readers.push(Topic { name: name.to_owned(), guid, good: Arc::clone(&good), bad: Arc::clone(&bad) });
+        handlers.push(make(good, bad));
+    }
+
+    /// Says which endpoints this node has.
+    fn tell_graph(&self, writer: usize) {
+        let all = |topics: &Mutex<Vec<Topic>>| lock(topics).iter().map(|topic| topic.guid).collect::<Vec<_>>();
+        let (readers, writers) = (all(&self.readers), all(&self.writers));
+        let own = lock(&self.participant).guid();
+        let (node_namespace, node_name) = (self.names.namespace.clone(), self.names.node.clone());
+        let payload = match self.distribution {
+            Distribution::Jazzy => {
+                use csi5300_bag::cdr::Cdr;
+                let gid = |guid: &Guid| graph::Gid { data: guid.bytes() };
+                let reader_gid_seq = readers.iter().map(gid).collect();
+                let writer_gid_seq = writers.iter().map(gid).collect();
+                let node = graph::NodeEntitiesInfo { node_namespace, node_name, reader_gid_seq, writer_gid_seq };
+                graph::ParticipantEntitiesInfo { gid: gid(&own), node_entities_info_seq: vec![node] }.payload()
+            }
+            Distribution::Humble => {
+                use csi5300_bag::cdr::Cdr;
+                use graph::humble;
+                let gid = |guid: &Guid| {
+                    let mut data = [0; 24];
+                    data.iter_mut().zip(guid.bytes()).for_each(|(to, from)| *to = from);
+                    humble::Gid { data }
+                };
+                let reader_gid_seq = readers.iter().map(gid).collect();
+                let writer_gid_seq = writers.iter().map(gid).collect();
+                let node = humble::NodeEntitiesInfo { node_namespace, node_name, reader_gid_seq, writer_gid_seq };
+                humble::ParticipantEntitiesInfo { gid: gid(&own), node_entities_info_seq: vec![node] }.payload()
+            }
+        };
+        self.write(writer, payload);
+    }
+
+    /// Takes what came, and does what is due; then waits for more.
+    fn turn(&self, buffer: &mut [u8]) {
+        let next_at = lock(&self.participant).next_at();
+        let wait = (next_at - self.now()).as_s().clamp(0.0, 0.2);
+        self.sockets.wait(Duration::from_secs_f64(wait));
+        let mut events = Vec::new();
+        self.sockets.receive(buffer, |bytes, ip| {
+            lock(&self.participant).handle_datagram(bytes, ip, (self.now(), self.wall_us()), &mut events);
+        });
+        if !events.is_empty() {
+            let mut handlers = lock(&self.handlers);
+            let wall_us = self.wall_us();
+            for event in &events {
+                if let Some(handler) = handlers.get_mut(event.reader) {
+                    handler(self, event, wall_us);
+                }
+            }
+        }
+        let out = {
+            let mut participant = lock(&self.participant);
+            participant.handle_timeout(self.now());
+            participant.poll_transmit()
+        };
+        self.send(out);
+    }
+}
+
+/// Where messages of one topic are published.
+pub struct Publisher<T> {
+    shared: Arc<Shared>,
+    writer: usize,
+    name: String,
+    sent: Arc<AtomicU64>,
+    too_large: Arc<AtomicU64>,
+    kind: PhantomData<fn(T)>,
+}
+
+impl<T: Message> Publisher<T> {
+    /// Publishes a message, and records it if there is a recording.
+    pub fn put(&self, message: &T) {
+        let payload = message.payload();
+        self.shared.bag.put::<T>(&self.name, &payload, self.shared.wall_us());
+        if payload.len() > LARGEST {
+            self.too_large.fetch_add(1, Ordering::Relaxed);
+        } else {
+            self.sent.fetch_add(1, Ordering::Relaxed);
+            self.shared.write(self.writer, payload);
+        }
+    }
+}
+
+/// A node of ROS 2. It says that it goes when it is dropped.
+pub struct Link {
+    shared: Arc<Shared>,
+    graph: usize,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Link {
+    /// A node on these sockets.
+    pub(crate) fn start(
+        (names, distribution): (Names, Distribution),
+        sockets: Sockets,
+        bag: Bag,
+        wall_us: fn() -> Option<i64>,
+    ) -> std::io::Result<Self> {
+        let participant = Participant::new(sockets.settings(names.node()), Instant::ZERO);
+        let shared = Arc::new(Shared {
+            names,
+            distribution,
+            participant: Mutex::new(participant),
+            sockets,
+            began: std::time::Instant::now(),
+            wall_us,
+            handlers: Mutex::default(),
+            writers: Mutex::default(),
+            readers: Mutex::default(),
+            bag,
+            unsent: AtomicU64::new(0),
+            over: AtomicBool::new(false),
+        });
+        let kind = kind("rmw_dds_common/msg/ParticipantEntitiesInfo");
+        let graph = shared.add_writer("", "ros_discovery_info", &kind, Qos::latched(1)).0;
+        let working = Arc::clone(&shared);
+        let work = move || {
+            let mut buffer = vec![0; 1 << 16];
+            while !working.over.load(Ordering::Relaxed) {
+                working.turn(&mut buffer);
+            }
+            let out = {
+                let mut participant = lock(&working.participant);
+                participant.leave();
+                participant.poll_transmit()
+            };
+            working.send(out);
+        };
+        let thread = Some(std::thread::Builder::new().name("csi5300 ros2".into()).spawn(work)?);
+        let link = Self { shared, graph, thread };
+        link.shared.tell_graph(graph);
+        Ok(link)
+    }
+
+    /// How names are understood.
+    pub(crate) fn names(&self) -> &Names {
+        &self.shared.names
+    }
+
+    /// A topic to be published on, its name as [`Names::whole`] takes it.
+    #[must_use]
+    pub fn publish<T: Message>(&self, name: &str, qos: Qos) -> Publisher<T> {
+        let name = self.shared.names.whole(name);
+        let (writer, sent, too_large) = self.shared.add_writer(&name, &topic(&name), &kind(T::TYPE), qos);
+        self.shared.tell_graph(self.graph);
+        Publisher { shared: Arc::clone(&self.shared), writer, name, sent, too_large, kind: PhantomData }
+    }
+
+    /// Messages of a topic go to `used`, with the time of their receipt, microseconds since the Unix epoch. What cannot be
+    /// read goes to `unreadable`.
+    pub fn subscribe<T: Message>(
+        &self,
+        name: &str,
+        qos: Qos,
+        mut used: impl FnMut(T, i64) + Send + 'static,
+        unreadable: impl Fn() + Send + 'static,
+    ) {
+        let name = self.shared.names.whole(name);
+        let recorded = name.clone();
+        self.shared.add_reader(&name, (&topic(&name), &kind(T::TYPE)), qos, |good, bad| {
+            Box::new(move |shared, event, wall_us| {
+                let read = T::of_payload(&event.payload);
+                let counter = if read.is_ok() { &good } else { &bad };
+                counter.fetch_add(1, Ordering::Relaxed);
+                match read {
+                    Ok(message) => {
+                        shared.bag.put::<T>(&recorded, &event.payload, wall_us);
+                        used(message, wall_us);
+                    }
+                    Err(_) => unreadable(),
+                }
+            })
+        });
+        self.shared.tell_graph(self.graph);
+    }
+
+    /// Offers a service; `answer` is called on the thread that listens.
+    pub fn serve<Q: Message, A: Message>(&self, name: &str, mut answer: impl FnMut(&Shared, Q) -> A + Send + 'static) {
+        let name = self.shared.names.whole(name);
+        let (requests, answers) = service(&name);
+        let qos = || Qos::reliable(10);
+        let (writer, sent, _) = self.shared.add_writer(&name, &answers, &kind(A::TYPE), qos());
+        self.shared.add_reader(&name, (&requests, &kind(Q::TYPE)), qos(), |good, bad| {
+            Box::new(move |shared, event, _| match super::services::request::<Q>(event) {
+                Some((head, question)) => {
+                    good.fetch_add(1, Ordering::Relaxed);
+                    sent.fetch_add(1, Ordering::Relaxed);
+                    let said = super::services::answer(head, &answer(shared, question));
+                    shared.answer(writer, event.from.0.prefix, said);
+                }
+                None => drop(bad.fetch_add(1, Ordering::Relaxed)),
+            })
+        });
+        self.shared.tell_graph(self.graph);
+    }
+
+    /// What is wrong at the moment, in words.
+    #[must_use]
+    pub fn trouble(&self) -> Vec<String> {
+        let (writers, readers) = (lock(&self.shared.writers), lock(&self.shared.readers));
+        let participant = lock(&self.shared.participant);
+        let wrong = |(number, topic): (usize, &Topic)| {
+            let wrong = participant.writer_state(number).wrong;
+            let name = if topic.name.is_empty() { "ros_discovery_info" } else { &topic.name };
+            wrong.into_iter().map(move |why| format!("{name}: {why}")).collect::<Vec<_>>()
+        };
+        let own = writers.iter().enumerate().flat_map(wrong);
+        let read = readers.iter().enumerate().flat_map(|(number, topic)| {
+            participant.reader_state(number).wrong.into_iter().map(|why| format!("{}: {why}", topic.name))
+        });
+        let others = participant.unreachable().map(|who| format!("ROS 2: {who}: it cannot be spoken to"));
+        own.chain(read).chain(others).chain(self.shared.sockets.trouble()).chain(self.shared.bag.trouble()).collect()
+    }
+
+    /// What was counted.
+    #[must_use]
+    pub fn counted(&self) -> serde_json::Value {
+        let (writers, readers) = (lock(&self.shared.writers), lock(&self.shared.readers));
+        let participant = lock(&self.shared.participant);
+        let number = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        let published = writers.iter().enumerate().filter(|(_, topic)| !topic.name.is_empty()).map(|(k, topic)| {
+            let counts = serde_json::json!({ "sent": number(&topic.good), "too_large": number(&topic.bad),
+                "subscribers": participant.writer_state(k).matched });
+            (topic.name.clone(), counts)
+        });
+        let published: serde_json::Map<String, serde_json::Value> = published.collect();
+        let subscribed = readers.iter().enumerate().map(|(k, topic)| {
+            let state = participant.reader_state(k);
+            let counts = serde_json::json!({ "read": number(&topic.good), "unreadable": number(&topic.bad),
+                "came": state.samples, "lost": state.lost, "publishers": state.matched });
+            (topic.name.clone(), counts)
+        });
+        let subscribed: serde_json::Map<String, serde_json::Value> = subscribed.collect();
+        let counts: Counts = participant.counts();
+        serde_json::json!({
+            "node": self.shared.names.node(),
+            "address": self.shared.sockets.address(),
+            "foreign": self.shared.sockets.foreign(),
+            "unsent": number(&self.shared.unsent),
+            "dds": counts,
+            "published": published,
+            "subscribed": subscribed,
+            "bag": self.shared.bag.counted(),
+        })
+    }
+}
+
+/// As this program publishes unless there is a reason: reliable, nothing kept for who comes late.
+#[must_use]
+pub fn usual() -> Qos {
+    Qos::reliable(DEPTH)
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        self.shared.over.store(true, Ordering::Relaxed);
+        self.shared.sockets.wake();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! A report as things that RViz and Foxglove draw: the bearing as an arrow, twice its error bar as a wedge, the mirror as a
+//! line, the place as an ellipsoid, and words. What there is not is taken away.
+
+use crate::said::has_bearing;
+use csi5300::motion::pose::Pose;
+use csi5300::pipeline::live::PeerReport;
+use csi5300_bag::messages::shown::{Marker, MarkerArray};
+use csi5300_bag::messages::standard::{Colour, Duration, Header, Point, Pose as PoseMessage, Quaternion, Vector3};
+use nalgebra::{Matrix3, Rotation3, SymmetricEigen, UnitQuaternion, Vector3 as Place};
+
+/// Length of a bearing without a range, metres.
+const LENGTH_M: f64 = 3.0;
+/// Triangles of a wedge.
+const PARTS: u32 = 12;
+/// A wedge is drawn no wider than this to either side, radians.
+const WIDEST_RAD: f64 = 1.5;
+/// An ellipsoid is drawn no larger than this, metres.
+const LARGEST_M: f64 = 20.0;
+/// Gone after so long without a new one, seconds.
+const LIFETIME_S: i32 = 5;
+
+/// Colours of peers, one after the other.
+const COLOURS: [[f32; 3]; 6] = [
+    [0.12, 0.47, 0.71],
+    [1.0, 0.5, 0.05],
+    [0.17, 0.63, 0.17],
+    [0.84, 0.15, 0.16],
+    [0.58, 0.4, 0.74],
+    [0.55, 0.34, 0.29],
+];
+
+fn point(place: Place<f64>) -> Point {
+    <[f64; 3]>::from(place).into()
+}
+
+/// What all markers of a peer have in common.
+struct Peer<'a> {
+    header: &'a Header,
+    name: &'a str,
+    colour: [f32; 3],
+}
+
+impl Peer<'_> {
+    fn marker(&self, id: i32, kind: i32, alpha: f32, scale: [f64; 3]) -> Marker {
+        let ([r, g, b], [x, y, z]) = (self.colour, scale);
+        Marker {
+            header: self.header.clone(),
+            ns: self.name.to_owned(),
+            id,
+            r#type: kind,
+            pose: PoseMessage { orientation: Quaternion { w: 1.0, ..Quaternion::default() }, ..PoseMessage::default() },
+            scale: Vector3 { x, y, z },
+            color: Colour { r, g, b, a: alpha },
+            lifetime: Duration { sec: LIFETIME_S, nanosec: 0 },
+            ..Marker::default()
+        }
+    }
+
+    fn none(&self, id: i32) -> Marker {
+        Marker { action: Marker::DELETE, ..self.marker(id, Marker::ARROW, 0.0, [0.0; 3]) }
+    }
+}
+
+/// From `from` along an azimuth and an elevation.
+fn along(from: Place<f64>, azimuth: f64, elevation: f64, length: f64) -> Place<f64> {
+    from + length * Place::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin())
+}
+
+/// The markers of the peer of this name and number.
+pub fn of(header: &Header, (name, number): (&str, usize), report: &PeerReport, own: &Pose) -> MarkerArray {
+    let colour = COLOURS.get(number % COLOURS.len()).copied().unwrap_or_default();
+    let (peer, answer, from) = (Peer { header, name, colour }, &report.answer, own.position_m);
+    let Some(azimuth) = answer.azimuth_deg.map(f64::to_radians).filter(|_| has_bearing(report)) else {
+        return MarkerArray { markers: (0..5).map(|id| peer.none(id)).collect() };
+    };
+    let elevation = answer.elevation_deg.unwrap_or(0.0).to_radians();
+    let length = answer.range_m.unwrap_or(LENGTH_M);
+    let end = along(from, azimuth, elevation, length);
+    let arrow =
+        Marker { points: vec![point(from), point(end)], ..peer.marker(0, Marker::ARROW, 0.9, [0.04, 0.1, 0.15]) };
+    let wedge = match answer.azimuth_sd_deg.map(f64::to_radians).filter(|sd| *sd > 0.0) {
+        Some(sd) => {
+            let half = (2.0 * sd).min(WIDEST_RAD);
+            let edge =
+                |k: u32| along(from, azimuth + half * (2.0 * f64::from(k) / f64::from(PARTS) - 1.0), elevation, length);
+            let points = (0..PARTS).flat_map(|k| [from, edge(k), edge(k + 1)]).map(point).collect();
+            Marker { points, ..peer.marker(1, Marker::TRIANGLES, 0.25, [1.0; 3]) }
+        }
+        None => peer.none(1),
+    };
+    let mirror = match answer.mirror_deg.map(f64::to_radians) {
+        Some(mirror) => {
+            let points = vec![point(from), point(along(from, mirror, 0.0, length))];
+            Marker { points, ..peer.marker(2, Marker::LINE_STRIP, 0.4, [0.02, 0.0, 0.0]) }
+        }
+        None => peer.none(2),
+    };
+    let place = ellipsoid(&peer, report).unwrap_or_else(|| peer.none(3));
+    let mut words = peer.marker(4, Marker::TEXT, 1.0, [0.0, 0.0, 0.25]);
+    words.pose.position = point(end + Place::new(0.0, 0.0, 0.3));
+    words.text = match (answer.range_m, answer.azimuth_sd_deg) {
+        (Some(range), Some(sd)) => format!("{name}: {:.1} +- {sd:.1} deg, {range:.1} m", azimuth.to_degrees()),
+        (None, Some(sd)) => format!("{name}: {:.1} +- {sd:.1} deg", azimuth.to_degrees()),
+        _ => format!("{name}: {:.1} deg", azimuth.to_degrees()),
+    };
+    MarkerArray { markers: vec![arrow, wedge, mirror, place, words] }
+}
+
+/// Where the peer is within two standard deviations.
+fn ellipsoid(peer: &Peer<'_>, report: &PeerReport) -> Option<Marker> {
+    let (position_m, rows) = report.answer.position_m.zip(report.answer.position_covariance_m2)?;
+    let covariance =
+        Matrix3::from_fn(|row, column| rows.get(row).and_then(|row| row.get(column)).copied().unwrap_or(0.0));
+    if !covariance.iter().all(|x| x.is_finite()) {
+        return None;
+    }
+    let SymmetricEigen { eigenvalues, mut eigenvectors } = SymmetricEigen::new(covariance);
+    if eigenvectors.determinant() < 0.0 {
+        eigenvectors.neg_mut();
+    }
+    // Two standard deviations to either side.
+    let scale = eigenvalues.map(|variance| (4.0 * variance.max(0.0).sqrt()).clamp(0.02, LARGEST_M));
+    let turned = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(eigenvectors)).coords;
+    let mut marker = peer.marker(3, Marker::SPHERE, 0.35, scale.into());
+    marker.pose.position = position_m.into();
+    marker.pose.orientation = Quaternion { x: turned.x, y: turned.y, z: turned.z, w: turned.w };
+    Some(marker)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::said::tests::{own, report};
+    use csi5300::pipeline::live::PeerState;
+
+    fn actions(markers: &MarkerArray) -> Vec<i32> {
+        markers.markers.iter().map(|marker| marker.action).collect()
+    }
+
+    #[test]
+    fn what_there_is_not_is_taken_away() {
+        let none = of(&Header::default(), ("b", 7), &report(PeerState::NoPairs, |_| ()), &own());
+        assert_eq!(actions(&none), [Marker::DELETE; 5]);
+        let plane = report(PeerState::Bearing, |answer| {
+            answer.azimuth_deg = Some(90.0);
+            answer.azimuth_sd_deg = Some(5.0);
+        });
+        let drawn = of(&Header::default(), ("b", 7), &plane, &own());
+        assert_eq!(actions(&drawn), [0, 0, 2, 2, 0]);
+        let end = &drawn.markers[0].points[1];
+        assert!((end.x - 1.0).abs() < 1e-9 && (end.y - 2.0 - LENGTH_M).abs() < 1e-9, "{end:?}");
+        let wedge = &drawn.markers[1].points;
+        assert_eq!(wedge.len(), 3 * PARTS as usize);
+        let edge = &wedge[1];
+        let off = (edge.y - 2.0).atan2(edge.x - 1.0).to_degrees();
+        assert!((off - 80.0).abs() < 1e-9, "twice the error bar: {off}");
+        assert_eq!(drawn.markers[4].text, "b: 90.0 +- 5.0 deg");
+    }
+
+    #[test]
+    fn an_ellipsoid_lies_along_its_covariance() {
+        let known = report(PeerState::Bearing, |answer| {
+            (answer.azimuth_deg, answer.range_m) = (Some(0.0), Some(4.0));
+            answer.position_m = Some([5.0, 2.0, 0.0]);
+            // One metre along (1, 1, 0), a tenth across.
+            answer.position_covariance_m2 = Some([[0.505, 0.495, 0.0], [0.495, 0.505, 0.0], [0.0, 0.0, 0.01]]);
+        });
+        let marker = of(&Header::default(), ("b", 0), &known, &own()).markers.remove(3);
+        let scale = [marker.scale.x, marker.scale.y, marker.scale.z];
+        let longest = (0..3).max_by(|a, b| scale[*a].total_cmp(&scale[*b])).unwrap();
+        assert!((scale[longest] - 4.0).abs() < 1e-6, "{scale:?}");
+        let axis = Place::from_fn(|row, _| f64::from(u8::from(row == longest)));
+        let along = marker.pose.orientation.rotation().unwrap() * axis;
+        assert!(
+            (along.x.abs() - along.y.abs()).abs() < 1e-6 && along.x * along.y > 0.0 && along.z.abs() < 1e-6,
+            "{along}"
+        );
+    }
+}

@@ -1,0 +1,202 @@
+//! The node: its link, its clock, the topics of poses that it reads, and what it publishes of a robot.
+
+use crate::Error;
+use crate::bag::Bag;
+use crate::inputs::{PoseTopic, SimClock};
+use crate::link::{Link, Publisher, usual};
+use crate::names::{Names, name_part};
+use crate::rtps::Qos;
+use crate::settings::{Settings, Topic};
+use crate::sockets::Sockets;
+use crate::{markers, said};
+use csi5300::motion::odometry::ros::Stamp;
+use csi5300::motion::pose::Pose;
+use csi5300::pipeline::live::PeerReport;
+use csi5300::source::survey::Survey;
+use csi5300::source::{Next, Stamps};
+use csi5300_bag::messages::own::{Bearing, Csi};
+use csi5300_bag::messages::services::{
+    GetParametersRequest, GetParametersResponse, ListParametersRequest, ListParametersResponse, ListParametersResult,
+    ParameterValue, TriggerRequest, TriggerResponse,
+};
+use csi5300_bag::messages::shown::MarkerArray;
+use csi5300_bag::messages::standard::{Header, PoseStamped, PoseWithCovarianceStamped, TfMessage, Time};
+use driver_iface::record::Record;
+use std::sync::Arc;
+
+/// What is published of one peer.
+struct Peer {
+    name: String,
+    mac: String,
+    bearings: Publisher<Bearing>,
+    directions: Publisher<PoseStamped>,
+    places: Publisher<PoseWithCovarianceStamped>,
+}
+
+/// A node of ROS 2.
+pub struct Node {
+    link: Link,
+    /// The time of its stamps.
+    clock: SimClock,
+    topics: Vec<PoseTopic>,
+    settings: Settings,
+    /// Names of all peers; those of which bearings are published are in `peers` too.
+    names: Vec<String>,
+    peers: Vec<Peer>,
+    markers: Option<Publisher<MarkerArray>>,
+    tf: Option<Publisher<TfMessage>>,
+}
+
+impl Node {
+    /// The node of the robot called `robot`. `wall_us` reads the host's wall clock, microseconds since the Unix epoch.
+    ///
+    /// # Errors
+    /// If it cannot take part at that address, or the recording cannot be started.
+    pub fn start(settings: &Settings, robot: &str, wall_us: fn() -> Option<i64>) -> Result<Self, Error> {
+        let asked = settings.clone();
+        let (domain, interface) = (asked.domain(), asked.interface);
+        let failed = |source| Error::Participant { domain, interface, source };
+        let sockets = Sockets::open(domain, interface, asked.multicast, asked.peers.clone()).map_err(failed)?;
+        let node = asked.node.clone().unwrap_or_else(|| format!("csi5300_{}", name_part(robot)));
+        let names = Names { namespace: asked.namespace.clone(), node, remap: asked.remap.clone() };
+        let bag = Bag::new(asked.bag.clone().unwrap_or_default());
+        if let Some(folder) = &asked.bag {
+            bag.start().map_err(|source| Error::Recording { folder: folder.clone(), source })?;
+        }
+        let link = Link::start((names, asked.distribution), sockets, bag, wall_us).map_err(failed)?;
+        let clock = if asked.use_sim_time { SimClock::follow(&link) } else { SimClock::real() };
+        let (topics, names, peers) = (Vec::new(), Vec::new(), Vec::new());
+        Ok(Self { link, clock, topics, settings: asked, names, peers, markers: None, tf: None })
+    }
+
+    /// To publish, subscribe and serve further topics and services.
+    #[must_use]
+    pub fn link(&self) -> &Link {
+        &self.link
+    }
+
+    /// Poses of a topic, with the time that is usual unless it says which.
+    pub fn poses(&mut self, topic: &Topic, usual: Stamp) -> csi5300::motion::odometry::ros::Topic {
+        let (opened, source) = PoseTopic::open(&self.link, topic, usual, &self.clock);
+        self.topics.push(opened);
+        source
+    }
+
+    /// Announces what is published of these peers, by name and MAC, as the settings ask for it.
+    pub fn announce(&mut self, peers: &[(String, String)]) {
+        let (link, asked) = (&self.link, &self.settings);
+        self.names = peers.iter().map(|(name, _)| name.clone()).collect();
+        let peer = |(name, mac): &(String, String)| {
+            let part = name_part(name);
+            Peer {
+                name: name.clone(),
+                mac: mac.clone(),
+                bearings: link.publish(&format!("~/{part}/bearing"), usual()),
+                directions: link.publish(&format!("~/{part}/direction"), usual()),
+                places: link.publish(&format!("~/{part}/pose"), usual()),
+            }
+        };
+        self.peers = if asked.publish_bearings { peers.iter().map(peer).collect() } else { Vec::new() };
+        self.markers = asked.publish_markers.then(|| link.publish("~/markers", usual()));
+        self.tf = asked.publish_tf.then(|| link.publish("/tf", usual()));
+        if asked.bag.is_some() {
+            serve_recording(link);
+        }
+    }
+
+    /// What publishes the card's records, if that is asked for.
+    #[must_use]
+    pub fn records(&self) -> Option<Records> {
+        let publish = || self.link.publish("~/csi", Qos::best_effort(5));
+        let csi = self.settings.publish_csi.then(publish)?;
+        Some(Records { csi, clock: self.clock.clone(), survey: Survey::default() })
+    }
+
+    /// A header with the stamp of a host's time, microseconds since the Unix epoch.
+    #[must_use]
+    pub fn header(&self, host_us: i64, frame_id: String) -> Header {
+        Header { stamp: Time::from_us(self.clock.to_stamp(host_us)), frame_id }
+    }
+
+    /// Publishes what is said of peer number `peer`; `own` is where this robot's antenna is.
+    pub fn report(&self, peer: usize, report: &PeerReport, own: Option<&Pose>) {
+        let header = self.header((report.t_s.unwrap_or(0.0) * 1e6) as i64, self.settings.frame.clone());
+        let place = said::place(&header, report);
+        if let Some(peer) = self.peers.get(peer) {
+            peer.bearings.put(&said::bearing(header.clone(), (&peer.name, &peer.mac), report));
+            said::direction(&header, report, own).iter().for_each(|pose| peer.directions.put(pose));
+            place.iter().for_each(|place| peer.places.put(place));
+        }
+        if let (Some(markers), Some(own)) = (&self.markers, own) {
+            let name = self.names.get(peer).unwrap_or(&report.answer.link);
+            markers.put(&markers::of(&header, (name, peer), report, own));
+        }
+        if let (Some(tf), Some(place)) = (&self.tf, &place) {
+            tf.put(&said::transform(place, &name_part(&report.answer.link)));
+        }
+    }
+
+    /// Serves parameters, as `ros2 param get` and `list` ask for them.
+    pub fn serve_parameters(&self, all: Vec<(&'static str, ParameterValue)>) {
+        let all: Arc<[(&'static str, ParameterValue)]> = all.into();
+        let told = Arc::clone(&all);
+        self.link.serve("~/get_parameters", move |_, asked: GetParametersRequest| {
+            // One that is not there is not set: type 0.
+            let value = |name: &String| told.iter().find(|(known, _)| known == name).map(|(_, value)| value.clone());
+            GetParametersResponse { values: asked.names.iter().map(|name| value(name).unwrap_or_default()).collect() }
+        });
+        self.link.serve("~/list_parameters", move |_, asked: ListParametersRequest| {
+            let is_asked =
+                |name: &&str| asked.prefixes.is_empty() || asked.prefixes.iter().any(|prefix| prefix == name);
+            let names = all.iter().map(|(name, _)| *name).filter(is_asked).map(str::to_owned).collect();
+            ListParametersResponse { result: ListParametersResult { names, prefixes: Vec::new() } }
+        });
+    }
+
+    /// Looks at what is wrong with the topics of poses, for their sources to say it.
+    pub fn look(&self) {
+        self.topics.iter().for_each(PoseTopic::look);
+    }
+
+    /// What was counted.
+    #[must_use]
+    pub fn counted(&self) -> serde_json::Value {
+        self.link.counted()
+    }
+
+    /// What is wrong, in words.
+    #[must_use]
+    pub fn trouble(&self) -> Vec<String> {
+        let clock = self.clock.is_unknown().then(|| "ROS 2: nothing comes on /clock (`use_sim_time`)".to_owned());
+        self.link.trouble().into_iter().chain(clock).collect()
+    }
+}
+
+/// Starting and stopping the recording, while the node runs.
+fn serve_recording(link: &Link) {
+    link.serve("~/start_recording", |shared, _: TriggerRequest| match shared.bag.start() {
+        Ok(folder) => TriggerResponse { success: true, message: folder.display().to_string() },
+        Err(error) => TriggerResponse { success: false, message: error.to_string() },
+    });
+    link.serve("~/stop_recording", |shared, _: TriggerRequest| match shared.bag.stop() {
+        Some(folder) => TriggerResponse { success: true, message: folder.display().to_string() },
+        None => TriggerResponse { success: false, message: "there is no recording".into() },
+    });
+}
+
+/// Publishes the records of a card.
+pub struct Records {
+    csi: Publisher<Csi>,
+    clock: SimClock,
+    survey: Survey,
+}
+
+impl Records {
+    /// Publishes a record with CSI; `host_us` is the host's time of it, where that is known.
+    pub fn put(&mut self, host_us: Option<i64>, record: Record<'_>) {
+        let next = Next::Record(Stamps { host_us, ..Stamps::default() }, record);
+        let Some((bfee, identity)) = self.survey.note(&next) else { return };
+        let stamp = Time::from_us(self.clock.to_stamp(identity.host_us.unwrap_or(0)));
+        self.csi.put(&Csi::of(stamp, &bfee, identity));
+    }
+}

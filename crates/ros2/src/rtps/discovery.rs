@@ -1,0 +1,334 @@
+//! What participants say of themselves and of their writers and readers: lists of parameters (\[rtps\] 8.5, 9.6.2).
+
+use super::qos::Qos;
+use super::wire::{Guid, Prefix, VENDOR};
+use csi5300::time::Span;
+use csi5300_bag::cdr::{Cdr, CdrError, CdrReader, CdrWriter};
+use std::net::{Ipv4Addr, SocketAddrV4};
+
+/// Encapsulation of a list of parameters, little-endian.
+const LIST_LE: [u8; 4] = [0, 3, 0, 0];
+/// The entity that stands for a participant.
+pub(crate) const PARTICIPANT: [u8; 4] = [0, 0, 1, 0xc1];
+/// Built-in endpoints that this participant has: participants, publications and subscriptions, announcer and detector.
+const BUILT_IN: u32 = 0x3f;
+/// Addresses of one participant that are kept.
+const ADDRESSES: usize = 16;
+/// Bytes of a name at most, of a topic, a type, a participant or a partition: a topic of DDS has 255.
+const LONGEST_NAME: usize = 512;
+/// Partitions and representations of an endpoint at most.
+const LONGEST_LIST: usize = 8;
+/// Longest that a participant is kept without a word of it.
+const LONGEST_LEASE: Span = Span::from_ms(600_000);
+/// Lease of one that names none.
+const USUAL_LEASE: Span = Span::from_ms(100_000);
+
+/// Numbers of parameters (\[rtps\] 9.6.3).
+mod id {
+    pub const END: u16 = 0x0001;
+    pub const LEASE: u16 = 0x0002;
+    pub const TOPIC: u16 = 0x0005;
+    pub const TYPE: u16 = 0x0007;
+    pub const VERSION: u16 = 0x0015;
+    pub const VENDOR: u16 = 0x0016;
+    pub const RELIABILITY: u16 = 0x001a;
+    pub const DURABILITY: u16 = 0x001d;
+    pub const OWNERSHIP: u16 = 0x001f;
+    pub const DEADLINE: u16 = 0x0023;
+    pub const PARTITION: u16 = 0x0029;
+    pub const USER_DATA: u16 = 0x002c;
+    pub const UNICAST: u16 = 0x002f;
+    pub const DEFAULT_UNICAST: u16 = 0x0031;
+    pub const META_UNICAST: u16 = 0x0032;
+    pub const HISTORY: u16 = 0x0040;
+    pub const PARTICIPANT: u16 = 0x0050;
+    pub const BUILT_IN: u16 = 0x0058;
+    pub const ENDPOINT: u16 = 0x005a;
+    pub const NAME: u16 = 0x0062;
+    pub const KEY: u16 = 0x0070;
+    pub const REPRESENTATION: u16 = 0x0073;
+}
+
+/// A participant, as it announces itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ParticipantData {
+    /// Who it is.
+    pub prefix: Prefix,
+    /// Who made its program.
+    pub vendor: [u8; 2],
+    /// Where it takes discovery.
+    pub meta: Vec<SocketAddrV4>,
+    /// Where it takes samples.
+    pub user: Vec<SocketAddrV4>,
+    /// It is gone when nothing came for so long.
+    pub lease: Span,
+    /// Its name, for people.
+    pub name: String,
+}
+
+/// A writer or reader, as its participant announces it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct EndpointData {
+    /// Which one.
+    pub guid: Guid,
+    /// Its topic.
+    pub topic: String,
+    /// The type of its samples.
+    pub kind: String,
+    /// What it offers or asks for.
+    pub qos: Qos,
+    /// Where a reader takes samples, if not where its participant does.
+    pub unicast: Vec<SocketAddrV4>,
+}
+
+/// Makes a list of parameters.
+struct List(Vec<u8>);
+
+impl List {
+    fn new() -> Self {
+        Self(LIST_LE.to_vec())
+    }
+
+    fn put(&mut self, id: u16, fill: impl FnOnce(&mut CdrWriter)) {
+        let mut value = CdrWriter::plain();
+        fill(&mut value);
+        let mut value = value.into_bytes();
+        value.resize(value.len().next_multiple_of(4), 0);
+        self.0.extend(id.to_le_bytes());
+        self.0.extend(u16::try_from(value.len()).unwrap_or(u16::MAX).to_le_bytes());
+        self.0.extend(value);
+    }
+
+    fn addresses(&mut self, id: u16, addresses: &[SocketAddrV4]) {
+        for address in addresses {
+            self.put(id, |value| {
+                1_i32.write(value);
+                u32::from(address.port()).write(value);
+                value.put(&[0; 12]);
+                value.put(&address.ip().octets());
+            });
+        }
+    }
+
+    fn finish(mut self) -> Vec<u8> {
+        self.0.extend(id::END.to_le_bytes().into_iter().chain([0, 0]));
+        self.0
+    }
+}
+
+/// Each parameter of a list, up to its end.
+fn each(payload: &[u8], mut used: impl FnMut(u16, CdrReader<'_>) -> Result<(), CdrError>) -> Result<(), CdrError> {
+    let mut from = CdrReader::of_payload(payload)?;
+    let little = payload.get(1).is_some_and(|low| low & 1 == 1);
+    loop {
+        let (id, length) = (u16::read(&mut from)?, u16::read(&mut from)?);
+        if id == id::END {
+            return Ok(());
+        }
+        used(id, CdrReader::plain(from.take(length.into())?, little))?;
+    }
+}
+
+fn address(from: &mut CdrReader<'_>) -> Result<Option<SocketAddrV4>, CdrError> {
+    let (kind, port) = (i32::read(from)?, u32::read(from)?);
+    from.take(12)?;
+    let ip = Ipv4Addr::from(<[u8; 4]>::read(from)?);
+    let port = u16::try_from(port).ok().filter(|port| *port != 0);
+    Ok(port.filter(|_| kind == 1 && !ip.is_multicast() && !ip.is_unspecified()).map(|port| SocketAddrV4::new(ip, port)))
+}
+
+fn keep(address: Option<SocketAddrV4>, into: &mut Vec<SocketAddrV4>) {
+    into.extend(address.filter(|address| into.len() < ADDRESSES && !into.contains(address)));
+}
+
+/// A name, which is kept: one that is longer than any is refused.
+fn name(from: &mut CdrReader<'_>) -> Result<String, CdrError> {
+    let name = String::read(from)?;
+    if name.len() <= LONGEST_NAME { Ok(name) } else { Err(CdrError::Long { length: name.len(), most: LONGEST_NAME }) }
+}
+
+/// A list, which is kept, in the same way.
+fn list<T>(
+    from: &mut CdrReader<'_>,
+    read: impl Fn(&mut CdrReader<'_>) -> Result<T, CdrError>,
+) -> Result<Vec<T>, CdrError> {
+    let length = u32::read(from)? as usize;
+    if length > LONGEST_LIST {
+        return Err(CdrError::Long { length, most: LONGEST_LIST });
+    }
+    (0..length).map(|_| read(from)).collect()
+}
+
+/// Whole seconds and a fraction of 2^-32; what has no end is the longest.
+fn span(from: &mut CdrReader<'_>) -> Result<Span, CdrError> {
+    let (s, fraction) = (i32::read(from)?, u32::read(from)?);
+    let us = i64::from(s).max(0) * 1_000_000 + ((i64::from(fraction) * 1_000_000) >> 32);
+    Ok(Span::from_us(us).min(LONGEST_LEASE))
+}
+
+impl ParticipantData {
+    /// As the payload of an announcement.
+    pub fn payload(&self) -> Vec<u8> {
+        let mut list = List::new();
+        list.put(id::VERSION, |value| value.put(&[2, 4]));
+        list.put(id::VENDOR, |value| value.put(&VENDOR));
+        list.put(id::PARTICIPANT, |value| value.put(&Guid { prefix: self.prefix, entity: PARTICIPANT }.bytes()));
+        list.put(id::BUILT_IN, |value| BUILT_IN.write(value));
+        list.addresses(id::META_UNICAST, &self.meta);
+        list.addresses(id::DEFAULT_UNICAST, &self.user);
+        list.put(id::LEASE, |value| {
+            ((self.lease.as_us() / 1_000_000) as i32).write(value);
+            0_u32.write(value);
+        });
+        list.put(id::NAME, |value| self.name.write(value));
+        // As ROS 2 marks its participants: without it they are in no list of nodes.
+        list.put(id::USER_DATA, |value| b"enclave=/;".to_vec().write(value));
+        list.finish()
+    }
+
+    /// From a payload.
+    pub fn read(payload: &[u8]) -> Result<Option<Self>, CdrError> {
+        let (mut prefix, mut vendor, mut words) = (None, [0; 2], String::new());
+        let (mut meta, mut user, mut lease) = (Vec::new(), Vec::new(), USUAL_LEASE);
+        each(payload, |id, mut value| {
+            match id {
+                id::PARTICIPANT => prefix = Guid::from_bytes(value.rest()).map(|guid| guid.prefix),
+                id::VENDOR => vendor = <[u8; 2]>::read(&mut value)?,
+                id::META_UNICAST => keep(address(&mut value)?, &mut meta),
+                id::DEFAULT_UNICAST => keep(address(&mut value)?, &mut user),
+                id::LEASE => lease = span(&mut value)?,
+                id::NAME => words = name(&mut value).unwrap_or_default(),
+                _ => {}
+            }
+            Ok(())
+        })?;
+        Ok(prefix.map(|prefix| Self { prefix, vendor, meta, user, lease, name: words }))
+    }
+}
+
+impl EndpointData {
+    /// As the payload of an announcement.
+    pub fn payload(&self) -> Vec<u8> {
+        let mut list = List::new();
+        let (guid, qos) = (self.guid, &self.qos);
+        list.put(id::ENDPOINT, |value| value.put(&guid.bytes()));
+        list.put(id::KEY, |value| value.put(&guid.bytes()));
+        list.put(id::PARTICIPANT, |value| {
+            value.put(&Guid { prefix: guid.prefix, entity: PARTICIPANT }.bytes());
+        });
+        list.put(id::VERSION, |value| value.put(&[2, 4]));
+        list.put(id::VENDOR, |value| value.put(&VENDOR));
+        list.put(id::TOPIC, |value| self.topic.write(value));
+        list.put(id::TYPE, |value| self.kind.write(value));
+        list.put(id::RELIABILITY, |value| {
+            // It may block for 100 ms.
+            (if qos.reliable { 2_u32 } else { 1 }).write(value);
+            (0_i32).write(value);
+            (429_496_730_u32).write(value);
+        });
+        list.put(id::DURABILITY, |value| qos.durability.write(value));
+        list.put(id::HISTORY, |value| {
+            0_u32.write(value);
+            qos.depth.write(value);
+        });
+        if !qos.representations.is_empty() {
+            list.put(id::REPRESENTATION, |value| qos.representations.write(value));
+        }
+        list.addresses(id::UNICAST, &self.unicast);
+        list.finish()
+    }
+
+    /// From a payload. What it leaves out is as usual: writers are reliable, readers best effort.
+    pub fn read(payload: &[u8], is_writer: bool) -> Result<Option<Self>, CdrError> {
+        let (mut guid, mut topic, mut kind) = (None, None, None);
+        let (mut qos, mut unicast) = (Qos { reliable: is_writer, ..Qos::default() }, Vec::new());
+        each(payload, |id, mut value| {
+            match id {
+                id::ENDPOINT => guid = Guid::from_bytes(value.rest()),
+                id::TOPIC => topic = Some(name(&mut value)?),
+                id::TYPE => kind = Some(name(&mut value)?),
+                id::RELIABILITY => qos.reliable = u32::read(&mut value)? == 2,
+                id::DURABILITY => qos.durability = u32::read(&mut value)?,
+                id::HISTORY => qos.depth = <[u32; 2]>::read(&mut value)?[1],
+                id::DEADLINE => qos.has_deadline = i32::read(&mut value)? != i32::MAX,
+                id::OWNERSHIP => qos.exclusive = u32::read(&mut value)? == 1,
+                id::PARTITION => qos.partitions = list(&mut value, name)?,
+                id::REPRESENTATION => qos.representations = list(&mut value, i16::read)?,
+                id::UNICAST => keep(address(&mut value)?, &mut unicast),
+                _ => {}
+            }
+            Ok(())
+        })?;
+        let named = guid.zip(topic).zip(kind);
+        Ok(named.map(|((guid, topic), kind)| Self { guid, topic, kind, qos, unicast }))
+    }
+}
+
+/// The key of an instance that is over, from a payload that has only that.
+pub(crate) fn key(payload: &[u8]) -> Option<Guid> {
+    let mut guid = None;
+    let _ = each(payload, |id, value| {
+        if [id::ENDPOINT, id::PARTICIPANT, id::KEY].contains(&id) && guid.is_none() {
+            guid = Guid::from_bytes(value.rest());
+        }
+        Ok(())
+    });
+    guid
+}
+
+/// A payload that has only the key of an instance, as one that is over has it.
+pub(crate) fn key_payload(key: [u8; 16]) -> Vec<u8> {
+    let mut list = List::new();
+    list.put(id::KEY, |value| value.put(&key));
+    list.finish()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(last: u8, port: u16) -> SocketAddrV4 {
+        SocketAddrV4::new(Ipv4Addr::new(127, 0, 0, last), port)
+    }
+
+    #[test]
+    fn what_is_announced_is_read_back_and_cut_ones_are_refused() {
+        let lease = Span::from_ms(20_000);
+        let (meta, user) = (vec![at(1, 7410)], vec![at(1, 7411), at(2, 7411)]);
+        let participant =
+            ParticipantData { prefix: *b"participant.", vendor: VENDOR, meta, user, lease, name: "burger".into() };
+        let payload = participant.payload();
+        assert_eq!(ParticipantData::read(&payload), Ok(Some(participant)));
+        let qos = Qos { representations: vec![0], ..Qos::latched(3) };
+        let guid = Guid { prefix: *b"participant.", entity: [0, 0, 1, 3] };
+        let (topic, kind) = ("rt/odom".into(), "nav_msgs::msg::dds_::Odometry_".into());
+        let endpoint = EndpointData { guid, topic, kind, qos, unicast: vec![at(1, 9)] };
+        let other = endpoint.payload();
+        assert_eq!(EndpointData::read(&other, true), Ok(Some(endpoint)));
+        assert_eq!(key(&other), Some(guid));
+        let mut least = List::new();
+        least.put(id::ENDPOINT, |value| value.put(&guid.bytes()));
+        least.put(id::TOPIC, |value| "t".to_owned().write(value));
+        least.put(id::TYPE, |value| "T".to_owned().write(value));
+        let least = least.finish();
+        let reliable = |is_writer| EndpointData::read(&least, is_writer).unwrap().unwrap().qos.reliable;
+        assert!(reliable(true) && !reliable(false), "what is left out is as usual");
+        for cut in 0..payload.len() {
+            assert!(ParticipantData::read(&payload[..cut]).is_err(), "{cut}");
+        }
+        for cut in 0..other.len() {
+            assert!(EndpointData::read(&other[..cut], true).is_err(), "{cut}");
+        }
+    }
+
+    #[test]
+    fn addresses_that_nothing_can_be_sent_to_are_left_out() {
+        let mut list = List::new();
+        let all = SocketAddrV4::new(Ipv4Addr::new(239, 255, 0, 1), 7400);
+        list.addresses(id::META_UNICAST, &[all, at(1, 0), SocketAddrV4::new(Ipv4Addr::UNSPECIFIED, 7410)]);
+        list.addresses(id::META_UNICAST, &(1..99).map(|k| at(1, k)).collect::<Vec<_>>());
+        list.put(id::PARTICIPANT, |value| value.put(&[5; 16]));
+        let read = ParticipantData::read(&list.finish()).unwrap().unwrap();
+        assert_eq!(read.meta, (1..=ADDRESSES as u16).map(|k| at(1, k)).collect::<Vec<_>>());
+    }
+}

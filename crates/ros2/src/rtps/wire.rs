@@ -1,0 +1,408 @@
+//! Datagrams of RTPS, the wire protocol of DDS: a header and submessages (\[rtps\] 8.3, 9.4). What is written is
+//! little-endian; both are read. A datagram of another protocol or version is none, an unknown submessage is passed over,
+//! and one that is cut ends its datagram.
+
+use csi5300_bag::cdr::{Cdr, CdrError, CdrReader};
+
+/// Bytes of a datagram's header.
+const HEADER: usize = 20;
+/// RTPS 2.4: what is common to all that ROS 2 uses.
+const VERSION: [u8; 2] = [2, 4];
+/// Of a program without a number of its own.
+pub(crate) const VENDOR: [u8; 2] = [0, 0];
+/// Numbers in one set at most.
+const SET: u32 = 256;
+
+/// A participant.
+pub(crate) type Prefix = [u8; 12];
+/// A writer or reader of a participant.
+pub(crate) type Entity = [u8; 4];
+/// All of a participant's.
+pub(crate) const ANY: Entity = [0; 4];
+
+/// A writer or reader.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Guid {
+    /// Its participant.
+    pub prefix: Prefix,
+    /// Which one it is there.
+    pub entity: Entity,
+}
+
+impl Guid {
+    /// As on the wire.
+    pub fn bytes(self) -> [u8; 16] {
+        let mut bytes = [0; 16];
+        let all = self.prefix.into_iter().chain(self.entity);
+        bytes.iter_mut().zip(all).for_each(|(to, from)| *to = from);
+        bytes
+    }
+
+    /// From the wire.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let (prefix, rest) = bytes.split_first_chunk()?;
+        Some(Self { prefix: *prefix, entity: *rest.first_chunk()? })
+    }
+}
+
+/// Numbers from `base` on, those of set bits; the first bit of the first word is its highest.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Numbers {
+    /// The first number.
+    pub base: i64,
+    bits: u32,
+    words: Vec<u32>,
+}
+
+impl Numbers {
+    /// None: all below `base` are there.
+    pub fn none(base: i64) -> Self {
+        Self { base, bits: 0, words: Vec::new() }
+    }
+
+    /// Those of `numbers`, which rise, that fit behind the first.
+    pub fn of(base: i64, numbers: impl Iterator<Item = i64>) -> Self {
+        let mut set = Self::none(base);
+        for bit in numbers.map_while(|number| u32::try_from(number - base).ok()).take_while(|bit| *bit < SET) {
+            set.bits = bit + 1;
+            set.words.resize(bit as usize / 32 + 1, 0);
+            if let Some(word) = set.words.last_mut() {
+                *word |= 1 << (31 - bit % 32);
+            }
+        }
+        set
+    }
+
+    /// The numbers.
+    pub fn iter(&self) -> impl Iterator<Item = i64> + '_ {
+        let has = |bit: &u32| self.words.get(*bit as usize / 32).is_some_and(|word| word >> (31 - bit % 32) & 1 == 1);
+        (0..self.bits).filter(has).map(|bit| self.base.saturating_add(i64::from(bit)))
+    }
+
+    fn read(from: &mut CdrReader<'_>) -> Result<Self, CdrError> {
+        let (base, bits) = (number(from)?, u32::read(from)?.min(SET));
+        let words = (0..bits.div_ceil(32)).map(|_| u32::read(from)).collect::<Result<_, _>>()?;
+        Ok(Self { base, bits, words })
+    }
+
+    fn put(&self, to: &mut Vec<u8>) {
+        put_number(self.base, to);
+        to.extend(self.bits.to_le_bytes());
+        self.words.iter().for_each(|word| to.extend(word.to_le_bytes()));
+    }
+}
+
+fn number(from: &mut CdrReader<'_>) -> Result<i64, CdrError> {
+    let (high, low) = (i32::read(from)?, u32::read(from)?);
+    Ok(i64::from(high) << 32 | i64::from(low))
+}
+
+fn put_number(number: i64, to: &mut Vec<u8>) {
+    to.extend(((number >> 32) as i32).to_le_bytes());
+    to.extend((number as u32).to_le_bytes());
+}
+
+/// What stands before the payload of a sample, as far as it is used.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Inline {
+    /// The instance is over: disposed of or unregistered.
+    pub is_over: bool,
+    /// Whose it is.
+    pub key: Option<[u8; 16]>,
+    /// The request that a sample answers: its writer and number.
+    pub request: Option<(Guid, i64)>,
+}
+
+/// A part of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Fragment<'a> {
+    /// Number of the first fragment in it, from 1.
+    pub first: u32,
+    /// Bytes of each but the last.
+    pub size: u16,
+    /// Bytes of the sample.
+    pub total: u32,
+    /// The fragments.
+    pub bytes: &'a [u8],
+}
+
+/// What a submessage brings. Numbers are those of samples of its writer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Body<'a> {
+    /// A sample; `None` without a payload.
+    Data { number: i64, inline: Inline, payload: Option<&'a [u8]> },
+    /// A part of one.
+    Fragments { number: i64, fragment: Fragment<'a> },
+    /// What the writer has.
+    Heartbeat { first: i64, last: i64, count: u32, is_final: bool },
+    /// What the reader has not.
+    AckNack { missing: Numbers, count: u32 },
+    /// What there will never be: from the first number to the base of the set, and the set.
+    Gap { start: i64, set: Numbers },
+}
+
+/// A submessage from one end to another.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Submessage<'a> {
+    /// The participant that it is for; `None` for all.
+    pub to: Option<Prefix>,
+    /// The reader.
+    pub reader: Entity,
+    /// The writer.
+    pub writer: Entity,
+    /// What it brings.
+    pub body: Body<'a>,
+}
+
+/// A datagram that was checked: its sender, and its submessages one after the other.
+#[derive(Clone, Debug)]
+pub(crate) struct Datagram<'a> {
+    /// Who sent it.
+    pub from: Prefix,
+    rest: &'a [u8],
+    to: Option<Prefix>,
+}
+
+impl<'a> Datagram<'a> {
+    /// A datagram of RTPS 2.
+    pub fn new_checked(bytes: &'a [u8]) -> Option<Self> {
+        let (head, rest) = bytes.split_at_checked(HEADER)?;
+        let (from, start) = (head.get(8..)?.first_chunk()?, head.get(..5)?);
+        (start == b"RTPS\x02").then_some(Self { from: *from, rest, to: None })
+    }
+
+    /// The next one; `None` at the end, an error where it is cut.
+    pub fn next(&mut self) -> Option<Result<Submessage<'a>, CdrError>> {
+        loop {
+            let ([kind, flags, low, high], rest) = self.rest.split_first_chunk::<4>()?;
+            let little = flags & 1 == 1;
+            let length = if little { u16::from_le_bytes([*low, *high]) } else { u16::from_be_bytes([*low, *high]) };
+            // 0: to the end, where it is not one that has none.
+            let length = if length == 0 && !matches!(kind, 0x01 | 0x09) { rest.len() } else { length.into() };
+            let Some((body, rest)) = rest.split_at_checked(length) else {
+                let want = length - rest.len();
+                self.rest = &[];
+                return Some(Err(CdrError::Short { at: 0, want }));
+            };
+            self.rest = rest;
+            match self.read(*kind, *flags, CdrReader::plain(body, little)) {
+                Ok(Some(submessage)) => return Some(Ok(submessage)),
+                Ok(None) => {}
+                Err(error) => return Some(Err(error)),
+            }
+        }
+    }
+
+    fn read(&mut self, kind: u8, flags: u8, mut from: CdrReader<'a>) -> Result<Option<Submessage<'a>>, CdrError> {
+        match kind {
+            // INFO_DST and INFO_SRC
+            0x0e => {
+                let to: Prefix = <[u8; 12]>::read(&mut from)?;
+                self.to = (to != [0; 12]).then_some(to);
+                return Ok(None);
+            }
+            0x0c => {
+                from.take(8)?;
+                self.from = <[u8; 12]>::read(&mut from)?;
+                return Ok(None);
+            }
+            0x06..=0x08 => {}
+            0x15 | 0x16 => {
+                from.take(2)?;
+                let behind = usize::from(u16::read(&mut from)?);
+                // From behind that field to behind the number: 16 bytes, and 12 more of fragments.
+                let extra = behind.saturating_sub(if kind == 0x15 { 16 } else { 28 });
+                return self.sample(kind, flags, from, extra).map(Some);
+            }
+            _ => return Ok(None),
+        }
+        let (reader, writer) = (Entity::read(&mut from)?, Entity::read(&mut from)?);
+        let body = match kind {
+            0x06 => {
+                let missing = Numbers::read(&mut from)?;
+                Body::AckNack { missing, count: u32::read(&mut from)? }
+            }
+            0x07 => Body::Heartbeat {
+                first: number(&mut from)?,
+                last: number(&mut from)?,
+                count: u32::read(&mut from)?,
+                is_final: flags & 2 == 2,
+            },
+            _ => Body::Gap { start: number(&mut from)?, set: Numbers::read(&mut from)? },
+        };
+        Ok(Some(Submessage { to: self.to, reader, writer, body }))
+    }
+
+    /// DATA and DATA_FRAG, whose head may be longer by `extra` bytes in a later version.
+    fn sample(&self, kind: u8, flags: u8, mut from: CdrReader<'a>, extra: usize) -> Result<Submessage<'a>, CdrError> {
+        let (reader, writer) = (Entity::read(&mut from)?, Entity::read(&mut from)?);
+        let number = number(&mut from)?;
+        let has_inline = flags & 2 == 2;
+        let body = if kind == 0x15 {
+            from.take(extra)?;
+            let inline = if has_inline { inline(&mut from)? } else { Inline::default() };
+            // Data, or the key of an instance.
+            let payload = (flags & 0x0c != 0).then(|| from.rest());
+            Body::Data { number, inline, payload }
+        } else {
+            let (first, _, size) = (u32::read(&mut from)?, u16::read(&mut from)?, u16::read(&mut from)?);
+            let total = u32::read(&mut from)?;
+            from.take(extra)?;
+            if has_inline {
+                inline(&mut from)?;
+            }
+            Body::Fragments { number, fragment: Fragment { first, size, total, bytes: from.rest() } }
+        };
+        Ok(Submessage { to: self.to, reader, writer, body })
+    }
+}
+
+/// The parameters before a payload.
+fn inline(from: &mut CdrReader<'_>) -> Result<Inline, CdrError> {
+    let mut inline = Inline::default();
+    loop {
+        let (id, length) = (u16::read(from)?, u16::read(from)?);
+        if id == 1 {
+            return Ok(inline);
+        }
+        let value = from.take(length.into())?;
+        match id {
+            // PID_STATUS_INFO: the flags are in the last byte.
+            0x0071 => inline.is_over = value.last().is_some_and(|flags| flags & 3 != 0),
+            0x0070 => inline.key = value.first_chunk().copied(),
+            // PID_RELATED_SAMPLE_IDENTITY, as specified and as Fast DDS had it before.
+            0x0083 | 0x800f => inline.request = related(value),
+            _ => {}
+        }
+    }
+}
+
+/// Writer and number of a sample, as the inline parameters of Fast DDS have it.
+fn related(value: &[u8]) -> Option<(Guid, i64)> {
+    let mut from = CdrReader::plain(value.get(16..)?, true);
+    Some((Guid::from_bytes(value)?, number(&mut from).ok()?))
+}
+
+/// A datagram that is being made.
+#[derive(Clone, Debug)]
+pub(crate) struct Maker(Vec<u8>);
+
+impl Maker {
+    /// From `from`, for the participant `to` or for all.
+    pub fn new(from: Prefix, to: Option<Prefix>) -> Self {
+        let mut bytes = b"RTPS".to_vec();
+        bytes.extend(VERSION.into_iter().chain(VENDOR).chain(from));
+        let mut maker = Self(bytes);
+        if let Some(to) = to {
+            maker.submessage(0x0e, 0, |bytes| bytes.extend(to));
+        }
+        maker
+    }
+
+    fn submessage(&mut self, kind: u8, flags: u8, fill: impl FnOnce(&mut Vec<u8>)) {
+        self.0.extend([kind, flags | 1, 0, 0]);
+        let begin = self.0.len();
+        fill(&mut self.0);
+        // What does not fit is the last and goes to the end, as 0 says.
+        let length = u16::try_from(self.0.len() - begin).unwrap_or(0);
+        if let Some(place) = self.0.get_mut(begin - 2..begin) {
+            place.copy_from_slice(&length.to_le_bytes());
+        }
+    }
+
+    /// The time of what follows, microseconds since the Unix epoch.
+    pub fn time(mut self, us: i64) -> Self {
+        self.submessage(0x09, 0, |bytes| {
+            let (s, fraction) = (us.div_euclid(1_000_000), (us.rem_euclid(1_000_000) << 32) / 1_000_000);
+            bytes.extend((s as u32).to_le_bytes());
+            bytes.extend((fraction as u32).to_le_bytes());
+        });
+        self
+    }
+
+    /// A sample. `over` has the key of an instance that is over, which has no payload; `request` what a sample answers.
+    pub fn data(
+        mut self,
+        (reader, writer): (Entity, Entity),
+        number: i64,
+        payload: &[u8],
+        (over, request): (Option<[u8; 16]>, Option<(Guid, i64)>),
+    ) -> Self {
+        let has_inline = if over.is_some() || request.is_some() { 2 } else { 0 };
+        let has_payload = if over.is_some() { 0 } else { 4 };
+        self.submessage(0x15, has_inline | has_payload, |bytes| {
+            bytes.extend([0, 0, 16, 0]);
+            bytes.extend(reader.into_iter().chain(writer));
+            put_number(number, bytes);
+            if let Some(key) = over {
+                bytes.extend([0x70, 0, 16, 0]);
+                bytes.extend(key);
+                // Disposed of and unregistered.
+                bytes.extend([0x71, 0, 4, 0, 0, 0, 0, 3]);
+            }
+            if let Some((guid, number)) = request {
+                for id in [0x0083_u16, 0x800f] {
+                    bytes.extend(id.to_le_bytes().into_iter().chain([24, 0]).chain(guid.bytes()));
+                    put_number(number, bytes);
+                }
+            }
+            if has_inline != 0 {
+                bytes.extend([1, 0, 0, 0]);
+            }
+            bytes.extend(payload);
+        });
+        self
+    }
+
+    /// What a writer has, from `first` to `last`.
+    pub fn heartbeat(
+        mut self,
+        (reader, writer): (Entity, Entity),
+        (first, last): (i64, i64),
+        count: u32,
+        is_final: bool,
+    ) -> Self {
+        self.submessage(0x07, if is_final { 2 } else { 0 }, |bytes| {
+            bytes.extend(reader.into_iter().chain(writer));
+            put_number(first, bytes);
+            put_number(last, bytes);
+            bytes.extend(count.to_le_bytes());
+        });
+        self
+    }
+
+    /// What a reader has not.
+    pub fn acknack(
+        mut self,
+        (reader, writer): (Entity, Entity),
+        missing: &Numbers,
+        count: u32,
+        is_final: bool,
+    ) -> Self {
+        self.submessage(0x06, if is_final { 2 } else { 0 }, |bytes| {
+            bytes.extend(reader.into_iter().chain(writer));
+            missing.put(bytes);
+            bytes.extend(count.to_le_bytes());
+        });
+        self
+    }
+
+    /// What there will never be: all from `start` to below `end`.
+    pub fn gap(mut self, (reader, writer): (Entity, Entity), (start, end): (i64, i64)) -> Self {
+        self.submessage(0x08, 0, |bytes| {
+            bytes.extend(reader.into_iter().chain(writer));
+            put_number(start, bytes);
+            Numbers::none(end).put(bytes);
+        });
+        self
+    }
+
+    /// The datagram.
+    pub fn finish(self) -> Vec<u8> {
+        self.0
+    }
+}
+
+#[cfg(test)]
+#[path = "wire_tests.rs"]
+mod tests;

@@ -1,0 +1,74 @@
+//! Two nodes on loopback, without anything else: poses, a service's parameters, bearings.
+#![allow(clippy::unwrap_used, clippy::expect_used)]
+
+use csi5300::motion::odometry::ros::Stamp;
+use csi5300::motion::odometry::{NextPose, OdometrySource};
+use csi5300::pipeline::Answer;
+use csi5300::pipeline::live::{PeerReport, PeerState};
+use csi5300::time::Instant;
+use csi5300_bag::messages::own::Bearing;
+use csi5300_bag::messages::standard::{Header, Odometry, Time};
+use csi5300_ros2::settings::{Settings, Topic};
+use csi5300_ros2::{Node, Qos};
+use std::sync::mpsc::channel;
+
+/// A node in a domain that nobody else on this machine is likely to use.
+fn node(name: &str) -> Node {
+    let domain = Some(150 + (std::process::id() % 80) as u16);
+    let settings = Settings { domain, multicast: false, ..Settings::default() };
+    Node::start(&settings, name, || Some(20_000_000)).unwrap()
+}
+
+fn odometry() -> Odometry {
+    let mut told = Odometry { child_frame_id: "base_link".into(), ..Odometry::default() };
+    told.header = Header { stamp: Time::from_us(12_500_000), frame_id: "odom".into() };
+    (told.pose.pose.position.x, told.pose.pose.orientation.w) = (1.5, 1.0);
+    told
+}
+
+#[test]
+fn poses_and_bearings_go_from_one_node_to_another() {
+    let (robot, mut listener) = (node("burger"), node("bench"));
+    let publisher = robot.link().publish::<Odometry>("/odom", Qos::reliable(10));
+    let topic: Topic = serde_json::from_str("{}").unwrap();
+    let mut poses = listener.poses(&topic, Stamp::Header);
+    let pose = loop {
+        publisher.put(&odometry());
+        match poses.receive(Instant::ZERO).unwrap() {
+            NextPose::Pose(pose) => break pose,
+            _ => std::thread::yield_now(),
+        }
+    };
+    assert_eq!((pose.t_s, pose.position_m.x, pose.heading_rad), (12.5, 1.5, Some(0.0)));
+
+    let (give, bearings) = channel();
+    let used = move |bearing: Bearing, _| drop(give.send(bearing));
+    listener.link().subscribe("/csi5300_burger/tx/bearing", Qos::reliable(10), used, || panic!("unreadable"));
+    let mut robot = robot;
+    robot.announce(&[("tx".into(), "02:00:00:00:00:0b".into())]);
+    let mut answer = Answer::default();
+    answer.azimuth_deg = Some(90.0);
+    let (words, state) = (String::new(), PeerState::Bearing);
+    let report = PeerReport {
+        t_s: Some(13.0),
+        state,
+        words,
+        moved_m: 1.0,
+        needed_m: 0.1,
+        age_s: 0.0,
+        accurate: true,
+        heard_at: None,
+        answer,
+    };
+    let bearing = loop {
+        robot.report(0, &report, Some(&pose));
+        match bearings.try_recv() {
+            Ok(bearing) => break bearing,
+            Err(_) => std::thread::yield_now(),
+        }
+    };
+    assert_eq!((bearing.peer.as_str(), bearing.state.as_str(), bearing.header.stamp.sec), ("tx", "bearing", 13));
+    assert!((bearing.azimuth - std::f64::consts::FRAC_PI_2).abs() < 1e-12 && bearing.range.is_nan());
+    assert!(robot.trouble().is_empty() && listener.trouble().is_empty());
+    assert_eq!(robot.counted()["published"]["/odom"]["subscribers"], 1);
+}
