@@ -4,7 +4,7 @@ mod common;
 mod respond;
 
 use self::common::{NO_NUMBERS, Sounding, Wanted, Words, tell, waiting};
-use super::args::{Estimation, antenna, channel, columns};
+use super::args::{Estimation, antenna, channel};
 use super::live::{Signals, duration};
 use super::{Result, fixed, hint, print, print_json, usage};
 use csi5300::exchange::tdma::{Epoch, Event, Plan};
@@ -39,7 +39,7 @@ const ALONE_SILENCE_SLOTS: u32 = 2;
 pub struct Args {
     /// Answer the frames of robots that sound, instead of sounding. Answers carry what the card measured, so that those have bearings
     /// live (driver with connector_log=0x5, or --stock); with --dialect wsr --ack-len N they are the WSR driver's
-    #[arg(long, conflicts_with_all = ["alone", "open_loop", "trajectory", "columns", "channel", "heading_sd"])]
+    #[arg(long, conflicts_with_all = ["alone", "open_loop", "trajectory", "channel", "heading_sd"])]
     answer: bool,
     #[command(flatten)]
     common: Sounding,
@@ -52,9 +52,6 @@ pub struct Args {
     /// Live bearings: trajectory of this robot as CSV, on this host's clock; read again for each bearing, it may grow
     #[arg(long, value_name = "T.csv", requires = "channel")]
     trajectory: Option<PathBuf>,
-    /// What is in its columns, instead of what its headings say: t,x,y,yaw
-    #[arg(long, value_parser = columns, value_name = "NAMES", requires = "trajectory")]
-    columns: Option<Columns>,
     /// WiFi channel, with + or - for 40 MHz; needed for bearings
     #[arg(long, value_parser = channel, value_name = "NUMBER")]
     channel: Option<Channel>,
@@ -165,8 +162,7 @@ impl Bearings<'_> {
             note!("{contested} numbers have two records: somebody answers in a peer's name; none of them is used");
         }
         let (links, path) = (self.products.links(), self.path.to_owned());
-        let columns = self.args.columns.clone();
-        let work = move || match csv::read_as(&path, columns.as_ref()) {
+        let work = move || match csv::read_as(&path, None) {
             Ok((trajectory, _)) => Ok(links.bearings(&trajectory)),
             Err(error) => Err(format!("{}: {error}", path.display())),
         };
