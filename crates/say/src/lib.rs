@@ -3,9 +3,9 @@
 
 use std::borrow::Cow;
 use std::fmt::{Arguments, Write as _};
-use std::sync::OnceLock;
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 
 /// How much is said: errors only, notes too, or also what was read, how long it took and how much memory.

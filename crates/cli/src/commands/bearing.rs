@@ -7,12 +7,13 @@ mod quality;
 mod transmitters;
 
 use self::quality::quality;
-use super::args::{Estimation, channel, mac};
+use super::args::{Estimation, channel, columns, mac};
 use super::files::Log;
 use super::inputs::{BagArgs, Inputs, order_unknown};
 use super::mounting::Mounting;
 use super::{Outcome, Result, fixed, hint, info, is_same_file, print, print_json, profile, usage};
 use csi5300::bartlett::Grid;
+use csi5300::motion::odometry::csv::Columns;
 use csi5300::pipeline::LinkError;
 use csi5300::pipeline::LinkPlan;
 use csi5300::pipeline::{Answer, lost_something};
@@ -102,6 +103,10 @@ struct Logs {
     /// capture which of its own: gt (motion capture, if none is named), t265 (tracking camera) or odom (wheels)
     #[arg(long, value_name = "T.csv", required_unless_present_any = ["captures", "bag"], hide_short_help = true)]
     trajectory: Option<PathBuf>,
+    /// What is in the columns of the trajectories, instead of what their headings say: t,x,y,yaw (t, ns, x, y, z, qx, qy, qz, qw,
+    /// yaw; t_ms, x_mm, yaw_deg ..; _ passes one over)
+    #[arg(long, value_parser = columns, value_name = "NAMES", hide_short_help = true)]
+    columns: Option<Columns>,
     #[command(flatten)]
     bag: BagArgs,
     /// Trajectory of a transmitter that moved, in the order of --tx, on the receiver's clock
@@ -177,8 +182,12 @@ pub fn run(mut args: Args) -> Result {
     let options = options(&args).unwrap_or_else(|message| usage(&message));
     let key = args.logs.key.as_deref().map(read_key).transpose().map_err(|error| error.to_string())?;
     let is_named = !args.logs.tx.is_empty();
-    let (inputs, named) =
-        args.logs.bag.resolve(args.logs.rx.take(), std::mem::take(&mut args.logs.tx), args.logs.trajectory.take())?;
+    let (inputs, named) = args.logs.bag.resolve(
+        args.logs.rx.take(),
+        std::mem::take(&mut args.logs.tx),
+        args.logs.trajectory.take(),
+        args.logs.columns.as_ref(),
+    )?;
     (args.logs.rx, args.logs.tx) = (Some(named.rx.clone()), named.tx);
     let rx = named.rx;
     check(&args);

@@ -27,7 +27,7 @@ pub struct Args {
     #[arg(long, value_parser = duration, value_name = "TIME")]
     listen: Option<Span>,
     /// Look at a copy of another machine's files (sys, proc, lib) instead of this machine
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(value_name = "FOLDER")]
     root: Option<PathBuf>,
     /// The first robot: ask in order what only a card can tell, and write a report to send in (takes a minute)
     #[arg(long, value_name = "REPORT.txt", conflicts_with_all = ["json", "listen", "root"])]

@@ -1,6 +1,5 @@
 //! Where logs and trajectories come from: files, or with `--bag` the topics of a recording, which is read into memory.
 
-use super::args::columns;
 use super::files::{Log, read_trajectory_as, say_trajectory};
 use csi5300::motion::odometry::csv::{self, Columns};
 use csi5300::motion::pose::Trajectory;
@@ -9,17 +8,13 @@ use csi5300_bag::unbag::{Content, Recording};
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-// Where trajectories come from: files of named columns, or recordings.
+// The option of commands that read recordings too.
 #[derive(clap::Args, Clone, Default)]
 pub struct BagArgs {
     /// A recording that has odometry and CSI (a folder of `ros2 bag`, or a file: MCAP, SQLite, ROS 1): --rx, --tx and --trajectory
     /// then name topics of it, or files, and what is not named is the only topic that it can be
     #[arg(long, value_name = "BAG", hide_short_help = true)]
     pub bag: Option<PathBuf>,
-    /// What is in the columns of the trajectories, instead of what their headings say: t,x,y,yaw (t, ns, x, y, z, qx, qy, qz, qw,
-    /// yaw; t_ms, x_mm, yaw_deg ..; _ passes one over)
-    #[arg(long, value_parser = columns, value_name = "NAMES", hide_short_help = true)]
-    pub columns: Option<Columns>,
 }
 
 type Words<T> = std::result::Result<T, String>;
@@ -81,15 +76,16 @@ impl BagArgs {
         rx: Option<PathBuf>,
         tx: Vec<PathBuf>,
         trajectory: Option<PathBuf>,
+        columns: Option<&Columns>,
     ) -> Words<(Inputs, Named)> {
         if let Some(bag) = &self.bag {
             let (inputs, named) = Inputs::of(bag, rx, tx, trajectory)?;
-            return Ok((Inputs { columns: self.columns.clone(), ..inputs }, named));
+            return Ok((Inputs { columns: columns.cloned(), ..inputs }, named));
         }
         let (Some(rx), Some(trajectory)) = (rx, trajectory) else {
             return Err("--rx and --trajectory are needed".into());
         };
-        let inputs = Inputs { columns: self.columns.clone(), ..Inputs::default() };
+        let inputs = Inputs { columns: columns.cloned(), ..Inputs::default() };
         Ok((inputs, Named { rx, tx, trajectory }))
     }
 }

@@ -85,7 +85,11 @@ pub fn run(args: &Args) -> Result {
         notes!("{}: {} bfee records\n{}", path.display(), survey.bfees(), info::losses(&survey, bytes));
     }
     if let Some(trajectory) = &trajectory {
-        trajectory.poses().iter().try_for_each(|pose| recording.pose(pose)).map_err(|error| draft.words(&error.to_string()))?;
+        trajectory
+            .poses()
+            .iter()
+            .try_for_each(|pose| recording.pose(pose))
+            .map_err(|error| draft.words(&error.to_string()))?;
         recording.path(trajectory.span_s().0, trajectory.poses()).map_err(|error| draft.words(&error.to_string()))?;
         match &options {
             Some(options) => row.bearings = estimate(&mut recording, &names, trajectory, options, args)?,

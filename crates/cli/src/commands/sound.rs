@@ -8,7 +8,7 @@ use super::args::{Estimation, antenna, channel};
 use super::live::{Signals, duration};
 use super::{Result, fixed, hint, print, print_json, usage};
 use csi5300::exchange::tdma::{Epoch, Event, Plan};
-use csi5300::motion::odometry::csv::{self, Columns};
+use csi5300::motion::odometry::csv;
 use csi5300::pipeline::{Bearing, LinkError};
 use csi5300::signal::channel::Channel;
 use csi5300::source::Next;

@@ -344,7 +344,7 @@ fn a_room_takes_no_file_for_its_socket_and_writes_no_poses_into_others() {
     let said = refused(&["--socket", log_name]);
     assert!(said.contains("precious.dat is there and is no socket"), "{said}");
     let said = refused(&["--socket", room, "--poses", scene_name]);
-    assert!(said.contains("scene.toml is the scene: --poses needs a file of its own"), "{said}");
+    assert!(said.contains("scene.toml is an input: name another output"), "{said}");
     let said = refused(&["--socket", room, "--poses", log_name]);
     assert!(said.contains("precious.dat is there and holds something else"), "{said}");
     let said = refused(&["--socket", room, "--poses", room]);

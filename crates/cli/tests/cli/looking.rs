@@ -161,7 +161,7 @@ fn every_field_of_json_is_in_the_documentation() {
         &["info", "rx.dat", "--plot", "p", "--json"],
         &["mcap", "rx.dat", "tx.dat", "--trajectory", "t.csv", "--channel", "108", "--out", "m.mcap", "--json"],
         #[cfg(feature = "live")]
-        &["doctor", "--root", "c", "--json"],
+        &["doctor", "c", "--json"],
         #[cfg(feature = "live")]
         &["setup", "--undo", "--interface", "none", "--json"],
     ];

@@ -30,7 +30,7 @@ fn colours_are_for_terminals_and_for_who_asks() {
     #[cfg(feature = "live")]
     {
         std::fs::create_dir_all(folder.0.join("machine")).unwrap();
-        let doctor = |more: &[&str]| folder.run(&[&["doctor", "--root", "machine"][..], more].concat()).1;
+        let doctor = |more: &[&str]| folder.run(&[&["doctor", "machine"][..], more].concat()).1;
         assert!(!doctor(&[]).contains('\x1b'));
         assert!(!doctor(&["--color", "never"]).contains('\x1b'));
         let coloured = doctor(&["--color", "always"]);
@@ -74,7 +74,7 @@ fn a_file_of_another_kind_is_named_for_what_it_is() {
         assert!(!err.contains("one run"), "{err}");
     }
     let (status, _, err) = args("rx.dat", "tx.dat", "tx.dat");
-    assert!(status == 1 && err.contains("tx.dat is a log of CSI: a trajectory is a CSV"), "{err}");
+    assert!(status == 1 && err.contains("tx.dat is a log of CSI: a trajectory is a table of times and places"), "{err}");
     assert_eq!(folder.run(&["export", "rx.dat", "rx.npz"]).0, 0);
     for command in [&["info", "rx.npz"][..], &["export", "rx.npz", "x.csv"], &["export", "--dat", "rx.npz", "x.dat"]] {
         let (status, _, err) = folder.run(command);
@@ -199,7 +199,7 @@ fn rows_of_a_trajectory_that_cannot_be_read_are_a_loss_and_a_line_of_headings_is
     folder.link(&made);
     let (status, expected, errors) = folder.bearing(&["--json"]);
     assert_eq!(status, 0, "{errors}");
-    folder.write("t.csv", format!("time,0,x,y,z,yaw\n{}", made.trajectory).as_bytes());
+    folder.write("t.csv", format!("time,ns,x,y,z\n{}", made.trajectory).as_bytes());
     let (status, out, errors) = folder.bearing(&["--json"]);
     assert_eq!((status, &out), (0, &expected), "{errors}");
     // Every tenth row is damaged, by a stray quote among others.

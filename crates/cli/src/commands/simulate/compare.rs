@@ -53,7 +53,6 @@ impl Recorded {
             || self.trajectory.is_some()
             || self.tx_trajectory.is_some()
             || self.channel.is_some()
-            || self.bag.columns.is_some()
     }
 }
 
@@ -77,7 +76,8 @@ type Words<T> = std::result::Result<T, String>;
 pub fn run(args: &Args) -> Result {
     // Before anything is read or fitted: minutes of work end in these files.
     let tx: Vec<PathBuf> = args.recorded.tx.iter().cloned().collect();
-    let (inputs, named) = args.recorded.bag.resolve(args.recorded.rx.clone(), tx, args.recorded.trajectory.clone())?;
+    let (inputs, named) =
+        args.recorded.bag.resolve(args.recorded.rx.clone(), tx, args.recorded.trajectory.clone(), None)?;
     let tx = match &named.tx[..] {
         [tx] => tx,
         several => {
