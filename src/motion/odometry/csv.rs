@@ -1104,7 +1104,7 @@ pub fn parse_line(line: &[u8]) -> Result<Pose, RowError> {
 #[doc(hidden)]
 pub fn line(pose: &Pose) -> String {
     let p = pose.position_m;
-    let heading = pose.heading_rad.map_or(String::new(), |heading| format!("{:.6},", crate::maths::angle::wrap_rad(heading)));
+    let heading = pose.heading_rad.map_or(String::new(), |heading| format!("{:.6},", crate::maths::wrap_rad(heading)));
     format!("{:.6},0,{:.6},{:.6},{:.6},{heading}\n", pose.t_s, p.x, p.y, p.z)
 }
 

@@ -74,7 +74,10 @@ fn a_file_of_another_kind_is_named_for_what_it_is() {
         assert!(!err.contains("one run"), "{err}");
     }
     let (status, _, err) = args("rx.dat", "tx.dat", "tx.dat");
-    assert!(status == 1 && err.contains("tx.dat is a log of CSI: a trajectory is a table of times and places"), "{err}");
+    assert!(
+        status == 1 && err.contains("tx.dat is a log of CSI: a trajectory is a table of times and places"),
+        "{err}"
+    );
     assert_eq!(folder.run(&["export", "rx.dat", "rx.npz"]).0, 0);
     for command in [&["info", "rx.npz"][..], &["export", "rx.npz", "x.csv"], &["export", "--dat", "rx.npz", "x.dat"]] {
         let (status, _, err) = folder.run(command);
