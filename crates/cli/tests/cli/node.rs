@@ -116,9 +116,10 @@ fn a_simulated_robot_runs_to_its_end_with_its_log_and_its_bearings() {
     // The scene: from the middle of the circle to the transmitter.
     let truth = (1.11 + 0.494f64).atan2(-3.18 - 0.72).to_degrees();
     let off = (last["azimuth_deg"].as_f64().unwrap() - truth).abs();
-    // A busy machine drops records of a room at forty times real time; then the error bar says so.
+    // A busy machine drops records of a room at forty times real time. What is left may be one side of the circle (radius 0.3 m),
+    // from where the transmitter is seen in up to 4.1 degrees another direction.
     let bar = last["azimuth_sd_deg"].as_f64().unwrap();
-    assert!(off < f64::max(3.0, 2.0 * bar) && last["state"] == "bearing" && last["link"] == "tx", "{off} {last}");
+    assert!(off < 4.1 + f64::max(3.0, 2.0 * bar) && last["state"] == "bearing" && last["link"] == "tx", "{off} {last}");
 }
 
 /// A process that is ended with the test.
