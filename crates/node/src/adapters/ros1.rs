@@ -442,8 +442,10 @@ mod tests {
         // The first has no rospy.
         let (bridge, mut poses) = bridge(&["echo ImportError: rospy >&2; exit 1", &script]);
         let shared = Arc::clone(&bridge.outbox.shared);
-        comes(|| lock(&shared.trouble).as_ref().is_some_and(|why| why.contains("ImportError: rospy")));
         bridge.outbox.put(0, &PoseStamped::default());
+        // On a busy machine the second may be there before this is looked at.
+        let is_told = || lock(&shared.trouble).as_ref().is_some_and(|why| why.contains("ImportError: rospy"));
+        comes(|| is_told() || shared.is_connected.load(Ordering::Relaxed));
         comes(|| shared.is_connected.load(Ordering::Relaxed));
         let next = poses.receive(Instant::ZERO).unwrap();
         assert!(matches!(next, NextPose::Pose(pose) if pose.t_s == 12.5 && pose.position_m.y == 2.0), "{next:?}");
