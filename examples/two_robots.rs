@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut args = std::env::args().skip(1);
     let scene = args.next().unwrap_or_else(|| "lab-circle".to_owned());
-    let dir = args.next().map_or_else(|| PathBuf::from("csi5300-demo"), PathBuf::from);
+    let dir = args.next().map_or_else(|| PathBuf::from("csi5300-two-robots"), PathBuf::from);
     let scene = match Scene::built_in(&scene) {
         Some(scene) => scene,
         None => Scene::load(Path::new(&scene))?,
