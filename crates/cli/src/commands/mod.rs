@@ -127,7 +127,7 @@ enum Command {
     Simulate(Box<simulate::Args>),
     /// Captures as MCAP, for Foxglove, Lichtblick and MCAP readers
     #[command(hide = true)]
-    Mcap(mcap::Args),
+    Mcap(Box<mcap::Args>),
     /// Logs and trajectories from a recording of ROS 2
     #[command(hide = true)]
     Unbag(unbag::Args),
