@@ -436,10 +436,10 @@ mod tests {
             echo '{{"topic":0}}'
             echo what is no line of a bridge
             echo '{{"connections":1,"trouble":null,"wrong":[null]}}'
-            exec cat > {}"#,
+            exec 3>&1 cat > {}"#,
             file.display()
         );
-        // The first has no rospy.
+        // The first has no rospy. The second keeps its output open, as a bridge does: the end of it is the end of a bridge.
         let (bridge, mut poses) = bridge(&["echo ImportError: rospy >&2; exit 1", &script]);
         let shared = Arc::clone(&bridge.outbox.shared);
         bridge.outbox.put(0, &PoseStamped::default());
