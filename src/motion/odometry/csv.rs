@@ -618,9 +618,8 @@ fn named_by(names: &[&str], row: &[&str], units: Option<&[Option<f64>]>) -> (usi
 
 /// The columns of Motive's export: those of the first rigid body. Its axes are x, y up, z towards the one who looks.
 fn motive(head: &[(u64, String)]) -> Result<Layout, CsvError> {
-    let line = |first: &str| {
-        head.iter().map(|(line, text)| (*line, cells(text))).find(|(_, cells)| cells.contains(&first))
-    };
+    let line =
+        |first: &str| head.iter().map(|(line, text)| (*line, cells(text))).find(|(_, cells)| cells.contains(&first));
     let at = head.first().map_or(1, |(line, _)| *line);
     let lacks = |what: &str| CsvError::Headings { line: at, why: format!("of Motive have no {what}") };
     let (_, options) = line("Format Version").ok_or_else(|| lacks("format"))?;
