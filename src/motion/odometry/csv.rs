@@ -950,7 +950,7 @@ impl Rows {
             );
         }
         let unnamed = layout.column(What::Yaw).is_some_and(|(_, yaw)| yaw.scale.is_none());
-        if unnamed && self.yaw_rad > 6.5 {
+        if unnamed && self.yaw_rad > 6.5 && !turns_with_its_yaw(&self.poses) {
             let why = format!("yaw goes to {}, which may be degrees or radians of several turns", self.yaw_rad);
             let other = own.replace("yaw", "yaw_deg");
             return ambiguous(why, [own, other]);
@@ -1105,6 +1105,24 @@ pub fn line(pose: &Pose) -> String {
     let p = pose.position_m;
     let heading = pose.heading_rad.map_or(String::new(), |heading| format!("{:.6},", crate::maths::wrap_rad(heading)));
     format!("{:.6},0,{:.6},{:.6},{:.6},{heading}\n", pose.t_s, p.x, p.y, p.z)
+}
+
+/// True where the path turns as its yaw does in radians: degrees are 57 times as many. Pieces of 0.1 m say where it leads.
+fn turns_with_its_yaw(poses: &[Pose]) -> bool {
+    let (mut path_rad, mut yaw_rad) = (0.0, 0.0);
+    let (mut from, mut before): (Option<&Pose>, Option<(f64, f64)>) = (None, None);
+    for pose in poses {
+        let start = *from.get_or_insert(pose);
+        let moved_m = pose.position_m - start.position_m;
+        let (Some(yaw), true) = (pose.heading_rad, moved_m.xy().norm() >= 0.1) else { continue };
+        let direction = moved_m.y.atan2(moved_m.x);
+        if let Some((last_direction, last_yaw)) = before {
+            path_rad += crate::maths::wrap_rad(direction - last_direction).abs();
+            yaw_rad += (yaw - last_yaw).abs();
+        }
+        (from, before) = (Some(pose), Some((direction, yaw)));
+    }
+    path_rad > 1.0 && yaw_rad < 8.0 * path_rad
 }
 
 // ---------------------------------------------------------------------------------------------------------------------------
@@ -1586,6 +1604,24 @@ mod tests {
         let error = read(&folder.join("00.txt")).unwrap_err().to_string();
         assert!(error.contains("50 poses and 2 times"), "{error}");
         std::fs::remove_dir_all(&folder).unwrap();
+    }
+
+    #[test]
+    fn radians_of_several_turns_are_known_by_the_path_and_degrees_are_not_taken_for_them() {
+        // Two circles of 0.3 m, driven forward and counted on.
+        let way = |degrees: bool| {
+            let row = |k: i32| {
+                let angle = f64::from(k) * 0.01;
+                let yaw = angle + std::f64::consts::FRAC_PI_2;
+                let yaw = if degrees { yaw.to_degrees() } else { yaw };
+                format!("{:.6},0,{:.4},{:.4},0,{yaw:.4}\n", 100.0 + angle, 0.3 * angle.cos(), 0.3 * angle.sin())
+            };
+            (0..1257).map(row).collect::<String>()
+        };
+        let (trajectory, _) = parse(way(false).as_bytes()).unwrap();
+        let last = trajectory.poses().last().unwrap();
+        assert!((last.heading_rad.unwrap() - 12.56 - std::f64::consts::FRAC_PI_2).abs() < 1e-3, "{last:?}");
+        assert!(matches!(parse(way(true).as_bytes()), Err(CsvError::Ambiguous { .. })));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! `watch` until a signal comes: the terminal is as it was, and the end is a good one.
 
-use nix::pty::{Winsize, openpty};
+use nix::fcntl::{FcntlArg, FdFlag, fcntl};
+use nix::pty::{OpenptyResult, Winsize, openpty};
 use nix::sys::signal::{Signal, kill};
 use nix::unistd::Pid;
 use std::fs::File;
@@ -20,6 +21,16 @@ fn usual() -> Option<Command> {
     Some(command)
 }
 
+/// A terminal whose ends no program inherits: one that holds its own terminal's other end never sees that it ended.
+fn terminal() -> OpenptyResult {
+    let size = Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 };
+    let ends = openpty(&size, None).unwrap();
+    for end in [&ends.master, &ends.slave] {
+        fcntl(end, FcntlArg::F_SETFD(FdFlag::FD_CLOEXEC)).unwrap();
+    }
+    ends
+}
+
 fn send(child: &Child, signal: Signal) {
     kill(Pid::from_raw(child.id() as i32), signal).unwrap();
 }
@@ -31,7 +42,7 @@ fn a_signal_gives_the_terminal_back_as_it_was() {
         let Some(mut command) = usual() else { return };
         let socket = folder.join(format!("{signal}.sock"));
         let node = UnixListener::bind(&socket).unwrap();
-        let terminal = openpty(&Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 }, None).unwrap();
+        let terminal = terminal();
         let side = || Stdio::from(terminal.slave.try_clone().unwrap());
         let mut child = command
             .arg("watch")
@@ -75,7 +86,7 @@ fn a_terminal_that_ends_ends_what_is_shown_on_it() {
     let folder = crate::program::folder("watch-ended");
     let socket = folder.join("status.sock");
     let node = UnixListener::bind(&socket).unwrap();
-    let terminal = openpty(&Winsize { ws_row: 24, ws_col: 100, ws_xpixel: 0, ws_ypixel: 0 }, None).unwrap();
+    let terminal = terminal();
     let side = || Stdio::from(terminal.slave.try_clone().unwrap());
     let mut command = Command::new(env!("CARGO_BIN_EXE_csi5300-node"));
     command.arg("watch").arg(&socket).stdin(side()).stdout(side()).stderr(Stdio::null()).env("TERM", "xterm");
