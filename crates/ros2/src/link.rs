@@ -249,7 +249,7 @@ impl Link {
         &self.shared.names
     }
 
-    /// A topic to be published on, its name as [`Names::whole`] takes it.
+    /// A topic to be published on, its name as a node of ROS 2 would write it (`~/csi`, `odom`, `/tf`).
     #[must_use]
     pub fn publish<T: Message>(&self, name: &str, qos: Qos) -> Publisher<T> {
         let name = self.shared.names.whole(name);
